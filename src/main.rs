@@ -1,0 +1,2 @@
+//! The `lobelia` command.
+fn main() {}

@@ -1,0 +1,7 @@
+//! Pure kernels: no ECS, no input or output, nothing of the other rooms.
+
+pub mod brdf;
+pub mod color;
+pub mod ray;
+pub mod real;
+pub mod sg;

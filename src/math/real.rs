@@ -1,0 +1,127 @@
+//! The number kernels are generic over: `f32` to run, `f64` to test, a SIMD vector of `f32` to run fast.
+
+use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub};
+
+/// A real number, or a short vector of them treated lane by lane.
+///
+/// Constants come from an existing value (`x.lit(0.5)`) because a SIMD type needs its level token, and choices
+/// are written as [`Real::select_lt`] because lanes cannot branch.
+pub trait Real:
+    Copy
+    + Add<Output = Self>
+    + Sub<Output = Self>
+    + Mul<Output = Self>
+    + Div<Output = Self>
+    + Neg<Output = Self>
+    + AddAssign
+{
+    /// The constant `value`, in every lane.
+    fn lit(self, value: f64) -> Self;
+    /// Square root.
+    fn sqrt(self) -> Self;
+    /// e to the power of `self`.
+    fn exp(self) -> Self;
+    /// Larger of the two.
+    fn max(self, other: Self) -> Self;
+    /// Smaller of the two.
+    fn min(self, other: Self) -> Self;
+    /// `if self < bound { yes } else { no }`, lane by lane.
+    fn select_lt(self, bound: Self, yes: Self, no: Self) -> Self;
+    /// `self * a + b`, fused where the machine can.
+    fn mul_add(self, a: Self, b: Self) -> Self;
+
+    /// Zero.
+    #[inline(always)]
+    fn zero(self) -> Self {
+        self.lit(0.0)
+    }
+    /// One.
+    #[inline(always)]
+    fn one(self) -> Self {
+        self.lit(1.0)
+    }
+    /// Product with a constant.
+    #[inline(always)]
+    fn times(self, value: f64) -> Self {
+        self * self.lit(value)
+    }
+    /// Sum with a constant.
+    #[inline(always)]
+    fn plus(self, value: f64) -> Self {
+        self + self.lit(value)
+    }
+    /// 1 / self.
+    #[inline(always)]
+    fn recip(self) -> Self {
+        self.one() / self
+    }
+    /// `self` if positive, else 0.
+    #[inline(always)]
+    fn relu(self) -> Self {
+        self.max(self.zero())
+    }
+}
+
+macro_rules! scalar_real {
+    ($t:ty) => {
+        impl Real for $t {
+            #[inline(always)]
+            fn lit(self, value: f64) -> Self {
+                value as $t
+            }
+            #[inline(always)]
+            fn sqrt(self) -> Self {
+                self.sqrt()
+            }
+            #[inline(always)]
+            fn exp(self) -> Self {
+                self.exp()
+            }
+            #[inline(always)]
+            fn max(self, other: Self) -> Self {
+                self.max(other)
+            }
+            #[inline(always)]
+            fn min(self, other: Self) -> Self {
+                self.min(other)
+            }
+            #[inline(always)]
+            fn select_lt(self, bound: Self, yes: Self, no: Self) -> Self {
+                if self < bound { yes } else { no }
+            }
+            #[inline(always)]
+            fn mul_add(self, a: Self, b: Self) -> Self {
+                self * a + b
+            }
+        }
+    };
+}
+scalar_real!(f32);
+scalar_real!(f64);
+
+/// Three reals: a direction, a position or a colour.
+pub type Vec3Of<F> = [F; 3];
+
+/// Dot product.
+#[inline(always)]
+pub fn dot<F: Real>(a: Vec3Of<F>, b: Vec3Of<F>) -> F {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+/// Sum.
+#[inline(always)]
+pub fn add<F: Real>(a: Vec3Of<F>, b: Vec3Of<F>) -> Vec3Of<F> {
+    [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
+}
+
+/// Difference.
+#[inline(always)]
+pub fn sub<F: Real>(a: Vec3Of<F>, b: Vec3Of<F>) -> Vec3Of<F> {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+/// Product with a scalar.
+#[inline(always)]
+pub fn scale<F: Real>(a: Vec3Of<F>, s: F) -> Vec3Of<F> {
+    [a[0] * s, a[1] * s, a[2] * s]
+}

@@ -1,0 +1,1 @@
+//! Surfaces: meshes, primitives, ray casting and the texel atlas.
