@@ -2,6 +2,9 @@
 
 pub mod brdf;
 pub mod color;
+pub mod lanes;
+pub mod published;
 pub mod ray;
 pub mod real;
 pub mod sg;
+pub mod shading;
