@@ -5,12 +5,13 @@
 //! [`Error::Usage`], 130 for [`Error::Interrupted`], 1 for the rest.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Result of everything in this crate that can fail.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 /// What went wrong, where, and what a person can do about it.
-#[derive(Debug, thiserror::Error)]
+#[derive(Clone, Debug, thiserror::Error)]
 pub enum Error {
     /// A file that was given is not usable: names the file, the place in it, the problem and the mend.
     #[error("{}{}: {problem}", path.display(), place_suffix(place))]
@@ -26,7 +27,7 @@ pub enum Error {
     },
     /// A scene file is wrong: a diagnostic with file, line, column and caret.
     #[error("{0}")]
-    Scene(Box<dyn miette::Diagnostic + Send + Sync>),
+    Scene(Arc<dyn miette::Diagnostic + Send + Sync>),
     /// The request itself makes no sense (a bad flag value, an output folder that exists).
     #[error("{problem}")]
     Usage {
@@ -43,7 +44,7 @@ pub enum Error {
         /// The file or folder.
         path: PathBuf,
         /// The system's own word.
-        source: std::io::Error,
+        source: Arc<std::io::Error>,
     },
     /// The work was well-formed but could not be done.
     #[error("{context}: {problem}")]
@@ -91,7 +92,7 @@ impl Error {
     /// For `map_err` on `std::io` calls: `fs::read(p).map_err(Error::io("read", p))`.
     pub fn io(action: &'static str, path: impl AsRef<Path>) -> impl FnOnce(std::io::Error) -> Self {
         let path = path.as_ref().to_owned();
-        move |source| Self::Io { action, path, source }
+        move |source| Self::Io { action, path, source: Arc::new(source) }
     }
 
     /// What to do about it, if there is more to say than the message.
