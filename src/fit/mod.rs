@@ -1,1 +1,9 @@
-//! To come.
+//! The Loss, Gradient and Update stages.
+
+pub mod adam;
+pub mod components;
+pub mod first_guess;
+pub mod loss;
+pub mod observe;
+pub mod run;
+pub mod systems;

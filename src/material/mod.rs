@@ -17,3 +17,19 @@ pub struct SpecularLobe {
 /// Diffuse albedo of a material texel, linear RGB in `[0, 1]`.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
 pub struct DiffuseAlbedo(pub Vec3);
+
+/// Most specular lobes an object may have.
+pub const MAX_SPECULAR_LOBES: usize = 8;
+
+/// Blend weights of the specular lobes at a material texel; they sum to one.
+#[derive(Component, Clone, Copy, Debug, PartialEq)]
+pub struct SpecularBlend(pub [f32; MAX_SPECULAR_LOBES]);
+
+impl Default for SpecularBlend {
+    /// All of the first lobe.
+    fn default() -> Self {
+        let mut weights = [0.0; MAX_SPECULAR_LOBES];
+        weights[0] = 1.0;
+        Self(weights)
+    }
+}

@@ -71,7 +71,7 @@ impl LobeColumns {
     }
 }
 
-/// A surface point as the kernels read it.
+/// A surface point as the kernels read it; a zero normal marks a ray that met nothing, which shades to zero.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ShadePoint {
     /// Unit normal.
@@ -80,6 +80,13 @@ pub struct ShadePoint {
     pub to_viewer: Vec3Of<f32>,
     /// Diffuse albedo.
     pub albedo: Vec3Of<f32>,
+}
+
+impl ShadePoint {
+    /// Whether this stands for a ray that met nothing.
+    pub fn is_missed(&self) -> bool {
+        self.normal == [0.0; 3]
+    }
 }
 
 /// The specular material as the kernels read it, and the shape of its gradient.
@@ -99,6 +106,10 @@ pub struct Layers {
     /// Specularly reflected radiance.
     pub specular: Vec3Of<f32>,
 }
+
+/// Adjoint of a point's outgoing radiance, the sum of its layers.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct RadianceAdjoint(pub Vec3Of<f32>);
 
 /// Adjoints of one point's inputs.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -126,7 +137,7 @@ pub fn shade(points: &[ShadePoint], specular: &SpecularValue, lobes: &LobeColumn
     });
 }
 
-/// Pulls `adjoint` (of each point's diffuse and specular radiance) back to the points and to what they share.
+/// Pulls the adjoint of each point's radiance back to the points and to what they share.
 ///
 /// `shaded` is what [`shade`] gave: where a channel was clamped to zero its adjoint is dropped.
 pub fn shade_adjoint(
@@ -134,7 +145,7 @@ pub fn shade_adjoint(
     specular: &SpecularValue,
     lobes: &LobeColumns,
     shaded: &[Layers],
-    adjoint: &[Layers],
+    adjoint: &[RadianceAdjoint],
     point_adjoint: &mut [PointAdjoint],
 ) -> SharedGradient {
     assert!(points.len() == shaded.len() && points.len() == adjoint.len(), "one value a point");
@@ -204,6 +215,10 @@ fn shade_chunk<S: Simd>(
     out: &mut [Layers],
 ) {
     for (point, out) in points.iter().zip(out) {
+        *out = Layers::default();
+        if point.is_missed() {
+            continue;
+        }
         let (terms, brdf) = prepare_point(point.normal, point.to_viewer, specular.roughness);
         let wide = splat_terms(simd, &terms);
         let mut diffuse = [Lanes::splat(simd, 0.0); 3];
@@ -255,18 +270,22 @@ fn adjoint_chunk<S: Simd>(
     points: &[ShadePoint],
     specular: &SpecularValue,
     lobes: &LobeColumns,
-    (shaded, adjoint): (&[Layers], &[Layers]),
+    (shaded, adjoint): (&[Layers], &[RadianceAdjoint]),
     out: &mut [PointAdjoint],
 ) -> SharedGradient {
     let mut gradient = SharedGradient { lobes: LobeColumns::zeros(lobes.len), ..Default::default() };
     for (i, point) in points.iter().enumerate() {
+        out[i] = PointAdjoint::default();
+        if point.is_missed() {
+            continue;
+        }
         let (terms, brdf) = prepare_point(point.normal, point.to_viewer, specular.roughness);
         // A channel that was clamped to zero does not move with its inputs.
         let live = |value: f32, adjoint: f32| if value > 0.0 { adjoint } else { 0.0 };
         let diffuse_adjoint: Vec3Of<f32> =
-            std::array::from_fn(|c| live(shaded[i].diffuse[c], adjoint[i].diffuse[c]));
+            std::array::from_fn(|c| live(shaded[i].diffuse[c], adjoint[i].0[c]));
         let specular_adjoint: Vec3Of<f32> =
-            std::array::from_fn(|c| live(shaded[i].specular[c], adjoint[i].specular[c]));
+            std::array::from_fn(|c| live(shaded[i].specular[c], adjoint[i].0[c]));
         let m = frozen(&brdf, specular);
         let diffuse_weight = std::array::from_fn(|c| diffuse_adjoint[c] * point.albedo[c] / PI);
         let specular_weight = std::array::from_fn(|c| specular_adjoint[c] * m[c]);
@@ -426,11 +445,11 @@ mod tests {
     fn slice_adjoint_agrees_with_the_sum_of_pairs_in_f64() {
         let cases = cases(300, 21);
         let (points, specular, lobes) = inputs(&cases);
-        let (wd, ws) = ([0.7, -0.4, 0.5], [0.3, 0.9, -0.2]);
+        let (wd, ws) = ([0.7, -0.4, 0.5], [0.7, -0.4, 0.5]);
         let n = points.len();
         let mut shaded = vec![Layers::default(); n];
         shade(&points, &specular, &lobes, &mut shaded);
-        let adjoint = vec![Layers { diffuse: narrow(wd), specular: narrow(ws) }; n];
+        let adjoint = vec![RadianceAdjoint(narrow(wd)); n];
         let mut back = vec![PointAdjoint::default(); n];
         let shared = shade_adjoint(&points, &specular, &lobes, &shaded, &adjoint, &mut back);
         let (mut roughness, mut sharpness) = (0.0, vec![0.0; lobes.len()]);
@@ -466,7 +485,7 @@ mod tests {
                     let specular = SpecularValue { albedo: [0.3; 3], roughness };
                     let mut out = [Layers::default()];
                     shade(&[point], &specular, &lobes, &mut out);
-                    let ones = [Layers { diffuse: [1.0; 3], specular: [1.0; 3] }];
+                    let ones = [RadianceAdjoint([1.0; 3])];
                     let mut back = [PointAdjoint::default()];
                     let shared = shade_adjoint(&[point], &specular, &lobes, &out, &ones, &mut back);
                     let all = out[0].diffuse.iter().chain(&out[0].specular).chain(&back[0].normal);

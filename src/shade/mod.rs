@@ -1,1 +1,75 @@
-//! To come.
+//! The Gather and Shade stages: from surface points, light and material to outgoing radiance.
+//!
+//! | system | stage, slot | reads | writes |
+//! | --- | --- | --- | --- |
+//! | [`gather_points`] | Gather | [`SurfacePoint`], [`ViewRay`], texels | [`ShadePoint`], [`PointBlend`] |
+//! | [`provide_lobes`] | Gather, `Slot::Light` | light-lobe entities | [`IncidentLight`] |
+//! | [`provide_map`] | Gather, `Slot::Light` | [`DistantMap`] | [`IncidentLight`] |
+//! | [`shade_published`] | Shade, `Slot::Shading` | [`ShadePoint`], [`IncidentLight`], specular lobes | [`Layers`] |
+//! | [`shade_path_traced`] | Shade, `Slot::Shading` | the same, [`Scenery`], [`PathTracing`] | [`Layers`] |
+
+pub mod frame;
+pub mod pool;
+pub mod systems;
+
+use crate::math::ray::{Illuminate, Intersect};
+use crate::math::shading::{Layers, LobeColumns, PointAdjoint, RadianceAdjoint, ShadePoint};
+use bevy_ecs::component::{Mutable, StorageType};
+use bevy_ecs::prelude::{Component, Resource};
+use std::sync::Arc;
+
+pub use systems::{gather_blends, gather_points, provide_lobes, provide_map, shade_published};
+
+/// Makes kernel inputs and outputs, which know nothing of an ECS, columns of the pixel pool.
+macro_rules! pixel_column {
+    ($($t:ty),*) => { $(
+        impl Component for $t {
+            const STORAGE_TYPE: StorageType = StorageType::Table;
+            type Mutability = Mutable;
+        }
+    )* };
+}
+pixel_column!(ShadePoint, Layers, RadianceAdjoint, PointAdjoint);
+
+/// The surface that rays are cast against.
+#[derive(Resource, Clone)]
+pub struct Scenery(pub Arc<dyn Intersect>);
+
+/// The light of this run, as the provider in `Slot::Light` gave it.
+#[derive(Resource, Clone, Default)]
+pub struct IncidentLight {
+    /// SG lobes in columns, for closed-form shading.
+    pub lobes: LobeColumns,
+    /// The same light as something that can be sampled, for path tracing.
+    pub distant: Option<Arc<dyn Illuminate>>,
+}
+
+/// An environment map that lights the scene by itself, with the SG lobes that stand for it in closed-form shading.
+#[derive(Resource, Clone)]
+pub struct DistantMap {
+    /// The map, ready to be sampled.
+    pub map: Arc<dyn Illuminate>,
+    /// Lobes fitted to it.
+    pub lobes: LobeColumns,
+}
+
+/// How paths are traced.
+#[derive(Resource, Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PathTracing {
+    /// Paths per pixel sample.
+    pub paths_per_sample: u32,
+    /// Most surface hits of a path; 1 is direct light only.
+    pub max_bounces: u32,
+    /// Seed of the random numbers.
+    pub seed: u64,
+}
+
+/// Blend weights of the specular lobes at a pixel sample; they sum to one.
+#[derive(Component, Clone, Copy, Debug, PartialEq)]
+pub struct PointBlend(pub [f32; crate::material::MAX_SPECULAR_LOBES]);
+
+impl Default for PointBlend {
+    fn default() -> Self {
+        Self(crate::material::SpecularBlend::default().0)
+    }
+}

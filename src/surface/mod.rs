@@ -1,1 +1,3 @@
 //! Surfaces: meshes, primitives, ray casting and the texel atlas.
+
+pub mod point;

@@ -2,6 +2,8 @@
 //!
 //! Camera axes are OpenCV's (x right, y down, z forward). The centre of pixel (i, j) is (i + 0.5, j + 0.5).
 
+pub mod pixel;
+
 use crate::math::ray::Ray;
 use bevy_ecs::prelude::Component;
 use glam::{Affine3A, Vec3};

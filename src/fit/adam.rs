@@ -1,0 +1,111 @@
+//! Adam (Kingma and Ba 2015) on small arrays, and the smooth maps that keep parameters in their ranges.
+
+/// Decay rates of the two moments, and the term that keeps the quotient finite.
+const BETA_1: f32 = 0.9;
+const BETA_2: f32 = 0.999;
+const EPSILON: f32 = 1e-12;
+
+/// First and second moments of `N` parameters.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Moments<const N: usize> {
+    first: [f32; N],
+    second: [f32; N],
+}
+
+impl<const N: usize> Default for Moments<N> {
+    fn default() -> Self {
+        Self { first: [0.0; N], second: [0.0; N] }
+    }
+}
+
+/// A step's rate with the moments' bias corrections.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct AdamStep {
+    rate: f32,
+    first_correction: f32,
+    second_correction: f32,
+}
+
+impl AdamStep {
+    /// Step number `step` (from 1) at this rate.
+    pub fn new(rate: f32, step: u32) -> Self {
+        let power = |beta: f32| 1.0 / (1.0 - f64::from(beta).powi(step.max(1) as i32)) as f32;
+        Self { rate, first_correction: power(BETA_1), second_correction: power(BETA_2) }
+    }
+
+    /// Takes the gradient into the moments and returns how far to move each parameter (to be subtracted).
+    #[inline]
+    pub fn advance<const N: usize>(&self, moments: &mut Moments<N>, gradient: &[f32; N]) -> [f32; N] {
+        std::array::from_fn(|i| {
+            let g = gradient[i];
+            moments.first[i] = BETA_1 * moments.first[i] + (1.0 - BETA_1) * g;
+            moments.second[i] = BETA_2 * moments.second[i] + (1.0 - BETA_2) * g * g;
+            let first = moments.first[i] * self.first_correction;
+            let second = moments.second[i] * self.second_correction;
+            self.rate * first / (second.sqrt() + EPSILON)
+        })
+    }
+}
+
+/// A bounded parameter moved through a logistic map of its range: `move_by` steps in the unbounded parameter.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bounded {
+    /// Lower end of the range.
+    pub low: f32,
+    /// Upper end of the range.
+    pub high: f32,
+}
+
+impl Bounded {
+    /// The unit interval, for albedos.
+    pub const UNIT: Self = Self { low: 0.0, high: 1.0 };
+
+    /// Values this close (relative to the range) to an end are pulled off it, so that they can move again.
+    const MARGIN: f32 = 1e-4;
+
+    fn fraction(self, value: f32) -> f32 {
+        ((value - self.low) / (self.high - self.low)).clamp(Self::MARGIN, 1.0 - Self::MARGIN)
+    }
+
+    /// Derivative of the value with respect to the unbounded parameter.
+    #[inline]
+    pub fn slope(self, value: f32) -> f32 {
+        let p = self.fraction(value);
+        p * (1.0 - p) * (self.high - self.low)
+    }
+
+    /// The value after the unbounded parameter has moved by `step`.
+    #[inline]
+    pub fn move_by(self, value: f32, step: f32) -> f32 {
+        let p = self.fraction(value);
+        let odds = p / (1.0 - p) * step.exp();
+        self.low + (self.high - self.low) * (odds / (1.0 + odds)).clamp(Self::MARGIN, 1.0 - Self::MARGIN)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn adam_finds_the_bottom_of_a_bowl() {
+        let (mut x, mut moments) = ([3.0, -2.0], Moments::default());
+        for step in 1..=2000 {
+            let gradient = [2.0 * (x[0] - 1.0), 20.0 * (x[1] - 0.5)];
+            let delta = AdamStep::new(0.01, step).advance(&mut moments, &gradient);
+            x = [x[0] - delta[0], x[1] - delta[1]];
+        }
+        assert!((x[0] - 1.0).abs() < 1e-3 && (x[1] - 0.5).abs() < 1e-3, "{x:?}");
+    }
+
+    #[test]
+    fn bounded_values_stay_inside_and_their_slope_is_a_derivative() {
+        let bounded = Bounded { low: 0.03, high: 1.0 };
+        for value in [0.05, 0.3, 0.9] {
+            let h = 1e-2;
+            let difference = (bounded.move_by(value, h) - bounded.move_by(value, -h)) / (2.0 * h);
+            assert!((difference - bounded.slope(value)).abs() < 1e-4);
+        }
+        assert!(bounded.move_by(0.5, 100.0) < 1.0 && bounded.move_by(0.5, -100.0) > 0.03);
+    }
+}

@@ -1,0 +1,76 @@
+//! What a fit adds to the world: gradients and moments beside the parameters, and the state of the fit.
+
+use super::adam::Moments;
+use super::loss::{Loss, LossSums};
+use crate::math::shading::SharedGradient;
+use bevy_ecs::prelude::{Component, Resource};
+use glam::Vec3;
+
+/// Gradient of the loss with respect to a texel's diffuse albedo.
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
+pub struct AlbedoGradient(pub Vec3);
+
+/// Adam's moments of a texel.
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
+pub struct AlbedoMoments(pub Moments<3>);
+
+/// How much a texel was seen: the sum of its weights over all fitted pixels.
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
+pub struct TexelSeen(pub f32);
+
+/// Adam's moments of a light lobe: axis (3), sharpness, amplitude (3).
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
+pub struct LobeMoments(pub Moments<7>);
+
+/// Gradient of the loss with respect to a light lobe, in the order of [`LobeMoments`].
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
+pub struct LobeGradient(pub [f32; 7]);
+
+/// Adam's moments of a specular lobe: albedo (3), roughness.
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
+pub struct SpecularMoments(pub Moments<4>);
+
+/// Gradient of the loss with respect to a specular lobe, in the order of [`SpecularMoments`].
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
+pub struct SpecularGradient(pub [f32; 4]);
+
+/// Which parameters a fit may move.
+#[derive(Resource, Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Unknowns {
+    /// Texel albedo.
+    pub albedo: bool,
+    /// Light lobes.
+    pub light: bool,
+    /// Specular albedo.
+    pub specular_albedo: bool,
+    /// One grey specular albedo instead of three channels.
+    pub mono_specular: bool,
+    /// Roughness.
+    pub roughness: bool,
+}
+
+/// Adam's rates at the present step.
+#[derive(Resource, Clone, Copy, Debug, PartialEq)]
+pub struct StepRates {
+    /// Number of the step, from 1.
+    pub step: u32,
+    /// Rate of the logit of texel albedo.
+    pub albedo: f32,
+    /// Rate of lobe axes, log sharpness and log amplitude.
+    pub light: f32,
+    /// Rate of the logits of specular albedo and roughness.
+    pub specular: f32,
+}
+
+/// What is minimised, and the sums of the last step.
+#[derive(Resource, Clone, Copy, Debug)]
+pub struct LossState {
+    /// The loss.
+    pub loss: Loss,
+    /// Sums over the last window.
+    pub last: LossSums,
+}
+
+/// Gradient of everything pixels share, from the last step.
+#[derive(Resource, Clone, Debug, Default)]
+pub struct StepGradient(pub SharedGradient);

@@ -1,0 +1,152 @@
+//! The Prepare phase: every usable foreground pixel of the training views becomes one sample of the pool, traced once.
+
+use super::components::TexelSeen;
+use crate::error::Error;
+use crate::shade::Scenery;
+use crate::shade::pool::{FitSample, FrameSample, despawn_pool, only_table};
+use crate::stage::SystemResult;
+use crate::surface::point::SurfacePoint;
+use crate::view::pixel::{Observed, PixelOf, ViewRay, Window};
+use crate::view::{Camera, Photograph, Split, ViewMask, ViewName};
+use bevy_ecs::prelude::{Commands, Query, Res, ResMut, Resource, World};
+use glam::Vec3;
+use rand::seq::SliceRandom;
+use rand::{SeedableRng, rngs::SmallRng};
+use rayon::prelude::*;
+
+/// Which pixels a fit visits.
+#[derive(Resource, Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PixelChoice {
+    /// Seed of the order, and of the choice if there are too many.
+    pub seed: u64,
+    /// Most pixels that are kept; a random part of more.
+    pub max_pixels: usize,
+}
+
+/// A pixel before it is traced.
+#[derive(Clone, Copy)]
+struct Candidate {
+    pixel: PixelOf,
+    ray: ViewRay,
+    observed: Observed,
+}
+
+/// Pixels that have been chosen and not yet traced.
+#[derive(Resource, Default)]
+pub struct Candidates(Vec<Candidate>);
+
+/// Least coverage of a pixel that takes part: mixed edge pixels show background as well.
+const FULL_COVERAGE: f32 = 0.999;
+
+/// Sample: chooses the usable foreground pixels of the training views, in an order shuffled by the seed.
+pub fn choose_pixels(
+    choice: Res<PixelChoice>,
+    views: Query<(&ViewName, &Camera, &Photograph, Option<&ViewMask>, &Split)>,
+    mut candidates: ResMut<Candidates>,
+) -> SystemResult {
+    candidates.0.clear();
+    let mut training = 0;
+    for (index, (_, camera, photograph, mask, split)) in views.iter().enumerate() {
+        if *split == Split::Train {
+            training += 1;
+            let coverage = mask.map(|m| m.0.coverage.as_slice());
+            candidates.0.extend(usable_pixels(index as u32, camera, photograph, coverage));
+        }
+    }
+    if candidates.0.is_empty() {
+        return Err(Error::run(
+            "fit",
+            format!("no usable foreground pixel in {training} training views (masked out, or all saturated)"),
+        )
+        .into());
+    }
+    candidates.0.shuffle(&mut SmallRng::seed_from_u64(choice.seed));
+    candidates.0.truncate(choice.max_pixels);
+    Ok(())
+}
+
+fn usable_pixels<'a>(
+    view: u32,
+    camera: &'a Camera,
+    photograph: &'a Photograph,
+    coverage: Option<&'a [f32]>,
+) -> impl Iterator<Item = Candidate> + 'a {
+    let covered = move |i: usize| coverage.is_none_or(|c| c[i] >= FULL_COVERAGE);
+    (0..photograph.image.pixels.len()).filter(move |&i| covered(i) && !photograph.saturated[i]).map(
+        move |i| {
+            let (x, y) = (i as u32 % camera.width, i as u32 / camera.width);
+            Candidate {
+                pixel: PixelOf { view, pixel: i as u32 },
+                ray: ViewRay(camera.ray(x as f32 + 0.5, y as f32 + 0.5)),
+                observed: Observed(photograph.image.pixels[i]),
+            }
+        },
+    )
+}
+
+/// Trace: casts the chosen pixels' rays; those that meet the front of the surface become the pool.
+pub fn trace_pixels(
+    scenery: Res<Scenery>,
+    mut candidates: ResMut<Candidates>,
+    mut window: ResMut<Window>,
+    mut commands: Commands,
+) -> SystemResult {
+    let chosen = std::mem::take(&mut candidates.0);
+    let points: Vec<SurfacePoint> =
+        chosen.par_iter().map(|c| scenery.0.intersect(&c.ray.0, 0.0).into()).collect();
+    let samples: Vec<FitSample> = chosen
+        .iter()
+        .zip(&points)
+        .filter(|(c, p)| p.is_hit() && p.normal.dot(c.ray.0.direction) < 0.0)
+        .map(|(c, p)| FitSample {
+            frame: FrameSample { pixel: c.pixel, point: *p, ..FrameSample::blank(c.ray.0) },
+            observed: c.observed,
+            adjoint: Default::default(),
+            back: Default::default(),
+        })
+        .collect();
+    if samples.is_empty() {
+        return Err(Error::run(
+            "fit",
+            format!(
+                "none of {} foreground pixels looks at the surface; do the cameras and the mesh share one \
+                 coordinate system, and does the mesh's outside face the cameras?",
+                chosen.len()
+            ),
+        )
+        .into());
+    }
+    window.0 = 0..samples.len();
+    commands.queue(move |world: &mut World| {
+        despawn_pool(world);
+        world.spawn_batch(samples);
+    });
+    Ok(())
+}
+
+/// Gather: sums how much each texel was seen.
+pub fn count_seen_texels(
+    samples: Query<(&SurfacePoint, &Observed)>,
+    mut texels: Query<&mut TexelSeen>,
+) -> SystemResult {
+    let Some((points, _)) = only_table(samples.contiguous_iter()?, |t| t.0.len(), "pixel")? else {
+        return Ok(());
+    };
+    let Some(mut seen) = only_table(texels.contiguous_iter_mut()?, |t| t.len(), "texel")? else {
+        return Ok(());
+    };
+    let seen = seen.bypass_change_detection();
+    seen.fill(TexelSeen(0.0));
+    for point in points {
+        for i in 0..4 {
+            seen[point.texels.indices[i] as usize].0 += point.texels.weights[i];
+        }
+    }
+    Ok(())
+}
+
+/// Mean radiance of the pool, a scale for first guesses.
+pub fn mean_radiance(observed: &[Observed]) -> Vec3 {
+    let sum = observed.iter().fold(glam::DVec3::ZERO, |sum, o| sum + o.0.as_dvec3());
+    (sum / observed.len().max(1) as f64).as_vec3()
+}

@@ -1,0 +1,131 @@
+//! The systems of the Gather stage and closed-form shading; each fetches columns and calls a kernel.
+
+use super::pool::only_table;
+use super::{DistantMap, IncidentLight, PointBlend};
+use crate::light::LightLobe;
+use crate::material::{DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
+use crate::math::published::Lobe;
+use crate::math::shading::{Layers, LobeColumns, ShadePoint, SpecularValue, shade};
+use crate::stage::SystemResult;
+use crate::surface::point::SurfacePoint;
+use crate::view::pixel::{ViewRay, Window};
+use bevy_ecs::prelude::{Query, Res, ResMut};
+use rayon::prelude::*;
+
+/// What the kernels read of a light lobe.
+pub fn kernel_lobe(lobe: &LightLobe) -> Lobe<f32> {
+    Lobe { axis: lobe.axis.into(), sharpness: lobe.sharpness, amplitude: lobe.amplitude.into() }
+}
+
+/// What the kernels read of a specular lobe.
+pub fn kernel_specular(lobe: &SpecularLobe) -> SpecularValue {
+    SpecularValue { albedo: lobe.albedo.into(), roughness: lobe.roughness }
+}
+
+/// The light is the light-lobe entities.
+pub fn provide_lobes(lobes: Query<&LightLobe>, mut light: ResMut<IncidentLight>) {
+    let lobes: Vec<LightLobe> = lobes.iter().copied().collect();
+    light.lobes = LobeColumns::from_lobes(lobes.iter().map(kernel_lobe));
+    light.distant = None;
+}
+
+/// The light is an environment map: its lobes for closed-form shading, the map itself for path tracing.
+pub fn provide_map(map: Res<DistantMap>, mut light: ResMut<IncidentLight>) {
+    light.lobes.clone_from(&map.lobes);
+    light.distant = Some(map.map.clone());
+}
+
+/// Blends the texels at each surface point into what shading reads.
+pub fn gather_points(
+    window: Res<Window>,
+    texels: Query<&DiffuseAlbedo>,
+    mut samples: Query<(&SurfacePoint, &ViewRay, &mut ShadePoint)>,
+) -> SystemResult {
+    let texels = only_table(texels.contiguous_iter()?, |t| t.len(), "texel")?.unwrap_or_default();
+    let Some((points, rays, mut gathered)) =
+        only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")?
+    else {
+        return Ok(());
+    };
+    let gathered = &mut gathered.bypass_change_detection()[window.0.clone()];
+    let points = &points[window.0.clone()];
+    let rays = &rays[window.0.clone()];
+    let inputs = points.par_iter().zip(rays).with_min_len(1024);
+    gathered.par_iter_mut().zip(inputs).for_each(|(out, (point, ray))| {
+        *out = gather_point(point, ray, texels);
+    });
+    Ok(())
+}
+
+fn gather_point(point: &SurfacePoint, ray: &ViewRay, texels: &[DiffuseAlbedo]) -> ShadePoint {
+    if !point.is_hit() {
+        return ShadePoint::default();
+    }
+    let address = &point.texels;
+    let albedo: glam::Vec3 = (0..4).map(|i| texels[address.indices[i] as usize].0 * address.weights[i]).sum();
+    ShadePoint { normal: point.normal.into(), to_viewer: (-ray.0.direction).into(), albedo: albedo.into() }
+}
+
+/// Blends the weights of the specular lobes at each surface point.
+pub fn gather_blends(
+    window: Res<Window>,
+    texels: Query<&SpecularBlend>,
+    mut samples: Query<(&SurfacePoint, &mut PointBlend)>,
+) -> SystemResult {
+    let texels = only_table(texels.contiguous_iter()?, |t| t.len(), "texel")?.unwrap_or_default();
+    let Some((points, mut blends)) = only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")?
+    else {
+        return Ok(());
+    };
+    let blends = &mut blends.bypass_change_detection()[window.0.clone()];
+    for (blend, point) in blends.iter_mut().zip(&points[window.0.clone()]) {
+        if point.is_hit() {
+            blend.0 = std::array::from_fn(|k| {
+                (0..4).map(|i| texels[point.texels.indices[i] as usize].0[k] * point.texels.weights[i]).sum()
+            });
+        }
+    }
+    Ok(())
+}
+
+/// Shades with the published SG formulas: no shadows, no interreflection.
+pub fn shade_published(
+    window: Res<Window>,
+    light: Res<IncidentLight>,
+    materials: Query<&SpecularLobe>,
+    mut samples: Query<(&ShadePoint, &PointBlend, &mut Layers)>,
+) -> SystemResult {
+    let Some((points, blends, mut shaded)) =
+        only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")?
+    else {
+        return Ok(());
+    };
+    let points = &points[window.0.clone()];
+    let shaded = &mut shaded.bypass_change_detection()[window.0.clone()];
+    let materials: Vec<SpecularValue> = materials.iter().map(kernel_specular).collect();
+    match materials.as_slice() {
+        [] => shaded.fill(Layers::default()),
+        [one] => shade(points, one, &light.lobes, shaded),
+        many => shade_blended(points, &blends[window.0.clone()], many, &light, shaded),
+    }
+    Ok(())
+}
+
+/// Shades once for each specular lobe and blends by the points' weights.
+fn shade_blended(
+    points: &[ShadePoint],
+    blends: &[PointBlend],
+    materials: &[SpecularValue],
+    light: &IncidentLight,
+    shaded: &mut [Layers],
+) {
+    let mut one = vec![Layers::default(); points.len()];
+    for (k, material) in materials.iter().enumerate().take(MAX_SPECULAR_LOBES) {
+        shade(points, material, &light.lobes, &mut one);
+        for ((sum, one), blend) in shaded.iter_mut().zip(&one).zip(blends) {
+            let before = if k == 0 { [0.0; 3] } else { sum.specular };
+            sum.diffuse = one.diffuse;
+            sum.specular = std::array::from_fn(|c| before[c] + blend.0[k] * one.specular[c]);
+        }
+    }
+}
