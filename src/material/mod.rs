@@ -1,5 +1,7 @@
 //! Material: diffuse albedo on texels, specular lobes, and edits of both.
 
+pub mod edit;
+
 use bevy_ecs::prelude::Component;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
