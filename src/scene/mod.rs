@@ -1,1 +1,8 @@
-//! To come.
+//! The scene file: its RON description, where each value stands in the text, and reading it with good errors.
+//!
+//! A scene file is RON with the extensions `implicit_some` (an optional value is written without `Some`) and
+//! `unwrap_variant_newtypes` (`Fit(name: "fit")`, `Constant(0.5, 0.5, 0.5)`) always on. Every field is
+//! documented, with unit, range and default, on the types in [`types`] and [`pass_types`].
+
+pub mod pass_types;
+pub mod types;

@@ -1,0 +1,511 @@
+//! What a scene file's `passes` list can say.
+
+use super::types::LightSource;
+use glam::Vec3;
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// One step of the work. A pass writes into `OUT/<name>/`; names are unique and match `[A-Za-z0-9_-]+`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Pass {
+    /// Finds what the scene says is unknown, from the training views.
+    Fit(FitPass),
+    /// Renders the object as it is.
+    Render(RenderPass),
+    /// Renders the object with a changed material; later passes see the unchanged one.
+    Edit(EditPass),
+    /// Renders the object under another light; later passes see the unchanged one.
+    Relight(RelightPass),
+    /// Scores earlier passes against the truth.
+    Evaluate(EvaluatePass),
+    /// Writes the object as a scene file with side files, which renders the same bits again.
+    Save(SavePass),
+    /// Writes the object as a `.glb` for other programs.
+    Export(ExportPass),
+}
+
+impl Pass {
+    /// The pass's name: its folder under `OUT`.
+    pub fn name(&self) -> &str {
+        match self {
+            Self::Fit(pass) => &pass.name,
+            Self::Render(pass) => &pass.name,
+            Self::Edit(pass) => &pass.name,
+            Self::Relight(pass) => &pass.name,
+            Self::Evaluate(pass) => &pass.name,
+            Self::Save(pass) => &pass.name,
+            Self::Export(pass) => &pass.name,
+        }
+    }
+
+    /// How the pass renders, if it renders.
+    pub fn render(&self) -> Option<&RenderSettings> {
+        match self {
+            Self::Render(pass) => Some(&pass.render),
+            Self::Edit(pass) => Some(&pass.render),
+            Self::Relight(pass) => Some(&pass.render),
+            Self::Fit(_) | Self::Evaluate(_) | Self::Save(_) | Self::Export(_) => None,
+        }
+    }
+}
+
+/// A fit of everything unknown to the training views.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct FitPass {
+    /// The pass's name. Default "fit".
+    pub name: String,
+    /// What is minimised over pixels and channels. Default `L1`.
+    pub loss: Loss,
+    /// How often every foreground pixel is visited, ≥ 1. Default 12. Not used if `steps` is given.
+    pub epochs: u32,
+    /// Number of update steps ≥ 1, instead of `epochs`. Default none.
+    pub steps: Option<u32>,
+    /// Pixels per step ≥ 1. Default 8192.
+    pub batch: u32,
+    /// Adam's step sizes.
+    pub rates: Rates,
+    /// Fractions of the fit, rising, in (0, 1), after each of which all rates are multiplied by `decay`. Default [0.5, 0.75, 0.9].
+    pub milestones: Vec<f32>,
+    /// Factor on the rates at a milestone, in (0, 1]. Default 0.4.
+    pub decay: f32,
+}
+
+impl Default for FitPass {
+    fn default() -> Self {
+        Self {
+            name: "fit".into(),
+            loss: Loss::L1,
+            epochs: 12,
+            steps: None,
+            batch: 8192,
+            rates: Rates::default(),
+            milestones: vec![0.5, 0.75, 0.9],
+            decay: 0.4,
+        }
+    }
+}
+
+/// What a fit minimises.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Loss {
+    /// Mean absolute difference of linear radiance.
+    #[default]
+    L1,
+    /// Mean squared difference of linear radiance.
+    L2,
+}
+
+/// Adam's step size for each block of parameters, in the unconstrained parameter's unit; 0 leaves a block as it is.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Rates {
+    /// Diffuse albedo of the texels. Default 0.05.
+    pub albedo: f32,
+    /// Axes, sharpness and amplitudes of the light lobes. Default 0.02.
+    pub light: f32,
+    /// Specular albedo and roughness. Default 0.01.
+    pub specular: f32,
+}
+
+impl Default for Rates {
+    fn default() -> Self {
+        Self { albedo: 0.05, light: 0.02, specular: 0.01 }
+    }
+}
+
+/// Renders the object as it is.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RenderPass {
+    /// The pass's name.
+    pub name: String,
+    /// Which pictures, and how.
+    #[serde(default)]
+    pub render: RenderSettings,
+}
+
+/// Renders the object with a changed material, and optionally another light.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct EditPass {
+    /// The pass's name.
+    pub name: String,
+    /// The edits, in order.
+    pub edits: Vec<Edit>,
+    /// The light; by default the scene's own.
+    #[serde(default)]
+    pub light: Option<LightSource>,
+    /// Which pictures, and how.
+    #[serde(default)]
+    pub render: RenderSettings,
+}
+
+/// Renders the object under another light, and optionally with a changed material.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RelightPass {
+    /// The pass's name.
+    pub name: String,
+    /// The light.
+    pub light: LightSource,
+    /// Edits of the material, in order. Default [].
+    #[serde(default)]
+    pub edits: Vec<Edit>,
+    /// Which pictures, and how.
+    #[serde(default)]
+    pub render: RenderSettings,
+}
+
+/// One change of the material: `Diffuse(action: Set(0.8, 0.1, 0.1), region: Sphere(center: (0, 0.5, 0), radius: 0.3))`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub enum Edit {
+    /// Changes the diffuse albedo.
+    Diffuse {
+        /// What is done to it.
+        action: DiffuseAction,
+        /// Where. Default `All`.
+        #[serde(default)]
+        region: Region,
+    },
+    /// Changes the specular albedo.
+    Specular {
+        /// What is done to it.
+        action: ColorAction,
+        /// Where; must be `All`, because the object has one specular lobe. Default `All`.
+        #[serde(default)]
+        region: Region,
+    },
+    /// Changes the roughness.
+    Roughness {
+        /// What is done to it.
+        action: ScalarAction,
+        /// Where; must be `All`, because the object has one specular lobe. Default `All`.
+        #[serde(default)]
+        region: Region,
+    },
+}
+
+impl Edit {
+    /// Where the edit applies.
+    pub fn region(&self) -> &Region {
+        match self {
+            Self::Diffuse { region, .. } | Self::Specular { region, .. } | Self::Roughness { region, .. } => {
+                region
+            }
+        }
+    }
+}
+
+/// What is done to the diffuse albedo; results are clamped to [0, 1].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub enum DiffuseAction {
+    /// Replaces it: `Set(0.8, 0.1, 0.1)`, in [0, 1].
+    Set(Vec3),
+    /// Multiplies it: `Scale(1.2, 1, 1)`, ≥ 0.
+    Scale(Vec3),
+    /// Moves it towards a colour: old + weight (color − old).
+    Blend {
+        /// The colour, in [0, 1].
+        color: Vec3,
+        /// In [0, 1].
+        weight: f32,
+    },
+    /// Replaces it by an image in texture space: PNG (sRGB) or EXR (linear); must exist. `Texture("paint.png")`.
+    Texture(PathBuf),
+}
+
+/// What is done to a colour; results are clamped to [0, 1].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub enum ColorAction {
+    /// Replaces it: `Set(0.9, 0.65, 0.3)`, in [0, 1].
+    Set(Vec3),
+    /// Multiplies it: `Scale(1.2, 1, 1)`, ≥ 0.
+    Scale(Vec3),
+    /// Moves it towards a colour: old + weight (color − old).
+    Blend {
+        /// The colour, in [0, 1].
+        color: Vec3,
+        /// In [0, 1].
+        weight: f32,
+    },
+}
+
+/// What is done to the roughness; results are clamped to [0.03, 1].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub enum ScalarAction {
+    /// Replaces it: `Set(0.15)`, in [0.03, 1].
+    Set(f32),
+    /// Multiplies it: `Scale(0.5)`, ≥ 0.
+    Scale(f32),
+    /// Moves it towards a value: old + weight (value − old).
+    Blend {
+        /// The value, in [0.03, 1].
+        value: f32,
+        /// In [0, 1].
+        weight: f32,
+    },
+}
+
+/// Where an edit applies.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub enum Region {
+    /// The whole object.
+    #[default]
+    All,
+    /// Inside an axis-aligned box in world space.
+    Box {
+        /// Least corner.
+        min: Vec3,
+        /// Greatest corner; no coordinate below `min`'s.
+        max: Vec3,
+    },
+    /// Inside a ball in world space.
+    Sphere {
+        /// Centre.
+        center: Vec3,
+        /// Radius > 0.
+        radius: f32,
+    },
+    /// Where an image in texture space is bright (0: not at all, 1: fully); must exist. `Mask("belly.png")`.
+    Mask(PathBuf),
+}
+
+/// Which pictures are rendered, and how.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct RenderSettings {
+    /// Which views. Default `Test`.
+    pub views: ViewChoice,
+    /// How light is computed. Default `Published`.
+    pub shading: Shading,
+    /// Camera rays per pixel, a square number, 1 to 1024 (the path tracer uses its `spp`). Default 4.
+    pub samples_per_pixel: u32,
+    /// Brightness of the PNGs in stops, −20 to 20 (EXRs are as they are). Default 0.
+    pub exposure: f32,
+    /// Tone curve of the PNGs. Default `Srgb`.
+    pub tone: Tone,
+    /// Show the light behind the object in the PNGs. Default false.
+    pub backdrop: bool,
+    /// A turn around the object as a short film, besides the views. Default none.
+    pub orbit: Option<Orbit>,
+}
+
+impl Default for RenderSettings {
+    fn default() -> Self {
+        Self {
+            views: ViewChoice::Test,
+            shading: Shading::Published,
+            samples_per_pixel: 4,
+            exposure: 0.0,
+            tone: Tone::Srgb,
+            backdrop: false,
+            orbit: None,
+        }
+    }
+}
+
+/// Which views are rendered.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ViewChoice {
+    /// The held-out views.
+    #[default]
+    Test,
+    /// The views that a fit sees.
+    Train,
+    /// All views.
+    All,
+    /// These views, by name; `Named([])`: no view (only the orbit).
+    Named(Vec<String>),
+}
+
+/// How light is computed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub enum Shading {
+    /// The published closed-form SG renderer: no shadows, no interreflection.
+    #[default]
+    Published,
+    /// An unbiased path tracer with the same BRDF: shadows and interreflection.
+    PathTraced {
+        /// Paths per pixel, 1 to 65536. Default 64.
+        #[serde(default = "spp")]
+        spp: u32,
+        /// Most surface hits of a path, 1 to 64. Default 4.
+        #[serde(default = "max_bounces")]
+        max_bounces: u32,
+        /// Where the light is a map, trace against the map itself and not against the lobes fitted to it. Default true.
+        #[serde(default = "yes")]
+        map: bool,
+    },
+}
+
+/// Tone curve of PNGs.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Tone {
+    /// Clipped to [0, 1], then the sRGB curve.
+    #[default]
+    Srgb,
+    /// A filmic curve that rolls highlights off, then the sRGB curve.
+    Filmic,
+}
+
+/// A camera's turn around the object.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Orbit {
+    /// Frames of the full turn, 1 to 10000. Default 60.
+    pub frames: u32,
+    /// Height of the camera over the horizon in degrees, −89 to 89. Default 20.
+    pub elevation_degrees: f32,
+    /// Distance from the object's centre > 0. Default: far enough that the object fills the picture.
+    pub radius: Option<f32>,
+    /// Field of view in degrees, in (0, 170]. Default 38.
+    pub fov_degrees: f32,
+    /// Width and height in pixels, 1 to 16384. Default 256.
+    pub size: u32,
+    /// Frames per second, 1 to 100. Default 20.
+    pub fps: u32,
+    /// What the film is written as, besides an MP4 where `ffmpeg` is on the PATH. Default `Gif`.
+    pub format: OrbitFormat,
+}
+
+impl Default for Orbit {
+    fn default() -> Self {
+        Self {
+            frames: 60,
+            elevation_degrees: 20.0,
+            radius: None,
+            fov_degrees: 38.0,
+            size: 256,
+            fps: 20,
+            format: OrbitFormat::Gif,
+        }
+    }
+}
+
+/// What an orbit is written as.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum OrbitFormat {
+    /// 256 colours, plays everywhere.
+    #[default]
+    Gif,
+    /// All colours.
+    Apng,
+}
+
+/// Scores earlier passes against the truth.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct EvaluatePass {
+    /// The pass's name. Default "scores".
+    pub name: String,
+    /// The passes to score.
+    pub scores: Vec<Score>,
+    /// True diffuse albedo of the test views (`albedo_<number>.exr`). Default: not scored.
+    pub albedo: Option<LayerTruth>,
+    /// True world normals of the test views (`normal_<number>.exr`). Default: not scored.
+    pub normal: Option<LayerTruth>,
+}
+
+impl Default for EvaluatePass {
+    fn default() -> Self {
+        Self { name: "scores".into(), scores: Vec::new(), albedo: None, normal: None }
+    }
+}
+
+/// One pass to score.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Score {
+    /// The name of an earlier `Render`, `Edit` or `Relight` pass.
+    pub pass: String,
+    /// What its images should be.
+    pub truth: Truth,
+    /// Scales that are fitted before scoring, because light and albedo are known only up to one per channel. Default `None`.
+    #[serde(default)]
+    pub scale: ScaleRule,
+}
+
+/// What a pass's images should be.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub enum Truth {
+    /// The views' own photographs.
+    Photographs,
+    /// Images in a folder, with the views' names; must exist. `Folder("$DATA/test/gt/edit_gold")`.
+    Folder(PathBuf),
+    /// The true object of `Photographed` views under the pass's own edits and light, path traced.
+    SelfMade {
+        /// Paths per pixel, 1 to 65536. Default 256.
+        #[serde(default = "truth_spp")]
+        spp: u32,
+    },
+}
+
+/// What a layer's images should be.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum LayerTruth {
+    /// Images in a folder; must exist.
+    Folder(PathBuf),
+    /// From the true object of `Photographed` views.
+    SelfMade,
+}
+
+/// The least-squares scales that are taken out before scoring.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ScaleRule {
+    /// None.
+    #[default]
+    None,
+    /// One per channel, shared by all views.
+    PerChannel,
+    /// One per channel for the diffuse layer and one for the specular layer, shared by all views.
+    PerLayer,
+}
+
+/// Writes the object as a scene file with side files.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct SavePass {
+    /// The pass's name. Default "saved".
+    pub name: String,
+}
+
+impl Default for SavePass {
+    fn default() -> Self {
+        Self { name: "saved".into() }
+    }
+}
+
+/// Writes the object as a `.glb`.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ExportPass {
+    /// The pass's name. Default "export".
+    pub name: String,
+}
+
+impl Default for ExportPass {
+    fn default() -> Self {
+        Self { name: "export".into() }
+    }
+}
+
+fn spp() -> u32 {
+    64
+}
+fn truth_spp() -> u32 {
+    256
+}
+fn max_bounces() -> u32 {
+    4
+}
+fn yes() -> bool {
+    true
+}

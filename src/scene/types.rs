@@ -1,0 +1,482 @@
+//! What a scene file says about the object: surface, views, light, material, and the list of passes.
+//!
+//! Unless a field says otherwise, lengths are in the data set's own unit, colours are linear Rec. 709 and
+//! paths may begin with `$DATA` (the folder given by `--data`) or are relative to the scene file.
+
+use super::pass_types::Pass;
+use crate::light::LightLobe;
+use crate::material::SpecularLobe;
+use crate::view::Split;
+use glam::Vec3;
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// The version of the format that this crate reads and writes.
+pub const VERSION: u32 = 1;
+
+/// A whole scene file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Scene {
+    /// Format version; must be [`VERSION`].
+    pub version: u32,
+    /// Seed of every random choice. Default 0.
+    #[serde(default)]
+    pub seed: u64,
+    /// The world's up direction, for orbits (not zero; need not be unit). Default (0, 1, 0).
+    #[serde(default = "y_axis")]
+    pub up: Vec3,
+    /// The object's surface.
+    pub surface: Surface,
+    /// The cameras, with or without photographs.
+    pub views: Views,
+    /// The light around the object. Default `Unknown(lobes: 128)`.
+    #[serde(default)]
+    pub light: Light,
+    /// The object's material. Default: all unknown.
+    #[serde(default)]
+    pub material: Material,
+    /// What to do, in order. Default: nothing.
+    #[serde(default)]
+    pub passes: Vec<Pass>,
+}
+
+/// The object's surface.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub enum Surface {
+    /// A glTF/GLB file.
+    Mesh {
+        /// The `.gltf` or `.glb` file; must exist.
+        path: PathBuf,
+        /// Width and height of the albedo texture in texels, 8 to 8192. Default 256.
+        #[serde(default = "mesh_texture_size")]
+        texture_size: u32,
+    },
+    /// A sphere.
+    Sphere {
+        /// Centre. Default (0, 0, 0).
+        #[serde(default)]
+        center: Vec3,
+        /// Radius > 0. Default 0.8.
+        #[serde(default = "sphere_radius")]
+        radius: f32,
+        /// Width and height of the albedo texture in texels, 8 to 8192. Default 128.
+        #[serde(default = "primitive_texture_size")]
+        texture_size: u32,
+    },
+    /// A box with axis-aligned faces.
+    Box {
+        /// Centre. Default (0, 0, 0).
+        #[serde(default)]
+        center: Vec3,
+        /// Edge lengths > 0. Default (1, 1, 1).
+        #[serde(default = "ones")]
+        size: Vec3,
+        /// Width and height of the albedo texture in texels, 8 to 8192. Default 128.
+        #[serde(default = "primitive_texture_size")]
+        texture_size: u32,
+    },
+}
+
+/// Where the views come from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Views {
+    /// A folder of photographs with known cameras.
+    Dataset(Dataset),
+    /// Cameras without photographs: they can be rendered, not fitted to.
+    Cameras(Vec<CameraSpec>),
+    /// Photographs that the project takes itself of a known object, with its own path tracer.
+    Photographed(Photographed),
+}
+
+/// A folder of photographs with known cameras.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Dataset {
+    /// The folder; must exist.
+    pub path: PathBuf,
+    /// How the folder is laid out. Default `Auto`.
+    #[serde(default)]
+    pub layout: Layout,
+    /// How 8- and 16-bit images are decoded to linear light (EXR and HDR are linear). Default `Srgb`.
+    #[serde(default)]
+    pub gamma: Gamma,
+    /// Where in a pixel its centre is, in pixels from its upper left corner, 0 to 1. Default 0.5 (PhySG's own code: 0).
+    #[serde(default = "half")]
+    pub pixel_center: f32,
+    /// Images are shrunk by this whole factor ≥ 1 (box filter). Default 1.
+    #[serde(default = "one_u32")]
+    pub downscale: u32,
+    /// Keep every n-th view of each split, n ≥ 1, starting with the first. Default 1.
+    #[serde(default = "one_u32")]
+    pub every: u32,
+    /// Keep only the views with these names (image file stems); empty: all. Default [].
+    #[serde(default)]
+    pub select: Vec<String>,
+}
+
+/// How a data set is laid out.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Layout {
+    /// Found out from the files in the folder.
+    #[default]
+    Auto,
+    /// PhySG's: `{train,test}/image`, `mask` and `cam_dict_norm.json`.
+    PhySg,
+    /// NeRF/Blender's: `transforms_{train,test}.json`.
+    Nerf,
+}
+
+/// How stored pixel values of integer images become linear light.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub enum Gamma {
+    /// The sRGB transfer curve.
+    #[default]
+    Srgb,
+    /// Values are linear already.
+    Linear,
+    /// linear = stored ^ exponent; the exponent is in (0, 5], e.g. `Power(2.2)`.
+    Power(f32),
+}
+
+/// One pinhole camera, by what it looks at.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CameraSpec {
+    /// The view's name; output files carry it. Letters, digits, `_`, `-`.
+    pub name: String,
+    /// Where the camera stands.
+    pub eye: Vec3,
+    /// What it looks at. Default (0, 0, 0).
+    #[serde(default)]
+    pub target: Vec3,
+    /// Which direction is up in the image. Default (0, 1, 0).
+    #[serde(default = "y_axis")]
+    pub up: Vec3,
+    /// Vertical field of view in degrees, in (0, 170]. Default 38.
+    #[serde(default = "fov_degrees")]
+    pub fov_degrees: f32,
+    /// Image width in pixels, 1 to 16384. Default 256.
+    #[serde(default = "image_size")]
+    pub width: u32,
+    /// Image height in pixels, 1 to 16384. Default 256.
+    #[serde(default = "image_size")]
+    pub height: u32,
+    /// The split this view belongs to. Default `Test`.
+    #[serde(default = "test_split")]
+    pub split: Split,
+}
+
+/// Photographs that the project takes itself: the scene's surface, with a known material, under a known light, path traced.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Photographed {
+    /// The cameras around the object.
+    #[serde(default)]
+    pub cameras: CameraRing,
+    /// Paths per pixel, 1 to 65536. Default 64.
+    #[serde(default = "photograph_spp")]
+    pub spp: u32,
+    /// Most surface hits of a path, 1 to 64. Default 4.
+    #[serde(default = "max_bounces")]
+    pub max_bounces: u32,
+    /// What is photographed. The fit is not told.
+    pub truth: TruthObject,
+}
+
+/// Cameras spread evenly over a sphere around a target, all looking at it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct CameraRing {
+    /// Training views ≥ 1. Default 24.
+    pub count: u32,
+    /// Test views, placed between the training views. Default 4.
+    pub test: u32,
+    /// What the cameras look at. Default (0, 0, 0).
+    pub target: Vec3,
+    /// Distance from the target > 0. Default 2.8.
+    pub radius: f32,
+    /// Field of view in degrees, in (0, 170]. Default 38.
+    pub fov_degrees: f32,
+    /// Image width and height in pixels, 1 to 16384. Default 96.
+    pub size: u32,
+}
+
+impl Default for CameraRing {
+    fn default() -> Self {
+        Self { count: 24, test: 4, target: Vec3::ZERO, radius: 2.8, fov_degrees: fov_degrees(), size: 96 }
+    }
+}
+
+/// The true material and light of self-made photographs.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TruthObject {
+    /// Diffuse albedo over the surface.
+    pub albedo: Pattern,
+    /// Specular albedo in [0, 1] and roughness in [0.03, 1].
+    pub specular: SpecularLobe,
+    /// The light.
+    pub light: LightSource,
+}
+
+/// A diffuse albedo that varies with the position in space. Colours are in [0, 1].
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub enum Pattern {
+    /// The same everywhere: `Constant(0.5, 0.5, 0.5)`.
+    Constant(Vec3),
+    /// Cubes of two alternating colours.
+    Checker {
+        /// The two colours.
+        colors: (Vec3, Vec3),
+        /// Edge length of a cube > 0. Default 0.3.
+        #[serde(default = "pattern_size")]
+        size: f32,
+    },
+    /// Slabs whose colours repeat.
+    Stripes {
+        /// The colours in order, at least one.
+        colors: Vec<Vec3>,
+        /// The direction across the slabs, not zero. Default (0, 1, 0).
+        #[serde(default = "y_axis")]
+        axis: Vec3,
+        /// Thickness of a slab > 0. Default 0.3.
+        #[serde(default = "pattern_size")]
+        width: f32,
+    },
+    /// Smooth waves in space that blend between two colours.
+    Waves {
+        /// The two colours.
+        colors: (Vec3, Vec3),
+        /// Wavelength > 0. Default 0.3.
+        #[serde(default = "pattern_size")]
+        size: f32,
+    },
+}
+
+/// What is known about the light.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Light {
+    /// Nothing: a fit finds it.
+    Unknown(UnknownLight),
+    /// A first guess, which a fit improves: `Initial(Npy(path: "light.npy"))`.
+    Initial(LightSource),
+    /// Known; a fit leaves it as it is: `Fixed(Map(path: "sky.exr"))`.
+    Fixed(LightSource),
+}
+
+impl Default for Light {
+    fn default() -> Self {
+        Self::Unknown(UnknownLight::default())
+    }
+}
+
+/// A light that is not known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct UnknownLight {
+    /// How many SG lobes to fit, 1 to 512. Default 128.
+    pub lobes: u32,
+}
+
+impl Default for UnknownLight {
+    fn default() -> Self {
+        Self { lobes: light_lobes() }
+    }
+}
+
+/// A light that is given.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub enum LightSource {
+    /// SG lobes, written out.
+    Lobes {
+        /// The lobes, 1 to 512; axes are normalised, sharpness and amplitude are ≥ 0.
+        lobes: Vec<LightLobe>,
+        /// Factor on the radiance ≥ 0. Default 1.
+        #[serde(default = "one")]
+        scale: f32,
+        /// Turn about the world's x, then y, then z axis, in degrees. Default (0, 0, 0).
+        #[serde(default)]
+        rotation_degrees: Vec3,
+    },
+    /// SG lobes from an `.npy` array of shape `[M, 7]`: axis, sharpness, RGB amplitude.
+    Npy {
+        /// The file; must exist.
+        path: PathBuf,
+        /// Which way the file's axes point. Default `Lobelia`.
+        #[serde(default)]
+        convention: NpyConvention,
+        /// Factor on the radiance ≥ 0. Default 1.
+        #[serde(default = "one")]
+        scale: f32,
+        /// Turn about the world's x, then y, then z axis, in degrees. Default (0, 0, 0).
+        #[serde(default)]
+        rotation_degrees: Vec3,
+    },
+    /// A latitude-longitude EXR or HDR image; SG shading uses lobes fitted to it.
+    Map {
+        /// The file; must exist.
+        path: PathBuf,
+        /// Factor on the radiance ≥ 0. Default 1.
+        #[serde(default = "one")]
+        scale: f32,
+        /// Turn about the world's x, then y, then z axis, in degrees. Default (0, 0, 0).
+        #[serde(default)]
+        rotation_degrees: Vec3,
+        /// How many SG lobes are fitted to the map, 1 to 512. Default 128.
+        #[serde(default = "light_lobes")]
+        lobes: u32,
+    },
+}
+
+/// Which way the axes of an SG `.npy` file point.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum NpyConvention {
+    /// Axes are in world space.
+    #[default]
+    Lobelia,
+    /// PhySG's published `envmap*_sg_fit` files: axis (x, y, z) there is (z, y, −x) here.
+    PhySgFit,
+}
+
+/// What is known about the material.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Material {
+    /// Diffuse albedo, one colour per texel. Default `Unknown`.
+    pub albedo: Albedo,
+    /// The specular lobe that the whole object shares. Default: unknown.
+    pub specular: Specular,
+}
+
+/// What is known about the diffuse albedo.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub enum Albedo {
+    /// Nothing: a fit finds it.
+    #[default]
+    Unknown,
+    /// A first guess, which a fit improves.
+    Initial(AlbedoSource),
+    /// Known; a fit leaves it as it is.
+    Fixed(AlbedoSource),
+}
+
+/// A diffuse albedo that is given.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum AlbedoSource {
+    /// One colour in [0, 1] everywhere: `Constant(0.5, 0.5, 0.5)`.
+    Constant(Vec3),
+    /// A texture: PNG (sRGB) or EXR (linear), any size; must exist. `Texture("albedo.exr")`.
+    Texture(PathBuf),
+}
+
+/// What is known about the specular lobe.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Specular {
+    /// Specular albedo. Default `Unknown(mono: true, initial: (0.3, 0.3, 0.3))`.
+    pub albedo: SpecularAlbedo,
+    /// Roughness. Default `Unknown(initial: 0.4)`.
+    pub roughness: Roughness,
+}
+
+/// What is known about the specular albedo (reflectance at normal incidence).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub enum SpecularAlbedo {
+    /// A fit finds it.
+    Unknown {
+        /// One grey value instead of three channels. Default true.
+        #[serde(default = "yes")]
+        mono: bool,
+        /// Where the fit starts, in [0, 1]. Default (0.3, 0.3, 0.3).
+        #[serde(default = "specular_initial")]
+        initial: Vec3,
+    },
+    /// Known, in [0, 1]: `Fixed(0.3, 0.3, 0.3)`.
+    Fixed(Vec3),
+}
+
+impl Default for SpecularAlbedo {
+    fn default() -> Self {
+        Self::Unknown { mono: true, initial: specular_initial() }
+    }
+}
+
+/// What is known about the roughness R of the paper (GGX's α is R²).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub enum Roughness {
+    /// A fit finds it.
+    Unknown {
+        /// Where the fit starts, in [0.03, 1]. Default 0.4.
+        #[serde(default = "roughness_initial")]
+        initial: f32,
+    },
+    /// Known, in [0.03, 1]: `Fixed(0.25)`.
+    Fixed(f32),
+}
+
+impl Default for Roughness {
+    fn default() -> Self {
+        Self::Unknown { initial: roughness_initial() }
+    }
+}
+
+fn y_axis() -> Vec3 {
+    Vec3::Y
+}
+fn ones() -> Vec3 {
+    Vec3::ONE
+}
+fn one() -> f32 {
+    1.0
+}
+fn half() -> f32 {
+    0.5
+}
+fn yes() -> bool {
+    true
+}
+fn one_u32() -> u32 {
+    1
+}
+fn mesh_texture_size() -> u32 {
+    256
+}
+fn primitive_texture_size() -> u32 {
+    128
+}
+fn sphere_radius() -> f32 {
+    0.8
+}
+fn fov_degrees() -> f32 {
+    38.0
+}
+fn image_size() -> u32 {
+    256
+}
+fn test_split() -> Split {
+    Split::Test
+}
+fn photograph_spp() -> u32 {
+    64
+}
+fn max_bounces() -> u32 {
+    4
+}
+fn pattern_size() -> f32 {
+    0.3
+}
+fn light_lobes() -> u32 {
+    128
+}
+fn specular_initial() -> Vec3 {
+    Vec3::splat(0.3)
+}
+fn roughness_initial() -> f32 {
+    0.4
+}
