@@ -1,0 +1,176 @@
+//! The `Fit` pass: finds what is unknown from the training views and writes it down.
+
+use super::{INTERRUPTED, Session, check_interrupted};
+use crate::error::Result;
+use crate::fit::components::TexelSeen;
+use crate::fit::observe::PixelChoice;
+use crate::fit::run::{FitOptions, FitProgress, FitSummary, run_fit};
+use crate::light::npy::{NpyConvention, write_lobes};
+use crate::light::{LightLobe, render_lobes};
+use crate::material::{DiffuseAlbedo, SpecularLobe};
+use crate::report::atomic::write_bytes;
+use crate::report::png_file::write_rgb8;
+use crate::report::tone::srgb8;
+use crate::scene::pass_types::FitPass;
+use crate::scene::spawn::unknowns;
+use crate::surface::fill::fill_unseen;
+use crate::view::{Photograph, Split, ViewName};
+use bevy_ecs::prelude::World;
+use glam::Vec3;
+use image::{Rgb, RgbImage};
+use std::fmt::Write as _;
+use std::ops::ControlFlow;
+use std::path::Path;
+use std::sync::atomic::Ordering;
+
+/// Steps between two lines of the log.
+const LOG_EVERY: u32 = 20;
+
+/// Size of the picture of the recovered light, in texels.
+const ENVIRONMENT_SIZE: (u32, u32) = (512, 256);
+
+/// Runs the pass.
+///
+/// # Errors
+/// If there is nothing to fit to, a system fails, or the results cannot be written; [`crate::Error::Interrupted`] after
+/// Ctrl-C, once the result so far has been written.
+pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
+    let options = options(session, pass);
+    let bar = session.progress.bar(&pass.name, u64::from(options.steps));
+    let mut log = String::from("step,elapsed_secs,loss,psnr,specular_r,specular_g,specular_b,roughness\n");
+    let summary = run_fit(&mut session.pipeline, &options, &mut |at| {
+        bar.set_position(u64::from(at.step));
+        if at.step % LOG_EVERY == 0 || at.step == at.steps {
+            bar.set_message(format!("{:.1} dB", at.sums.psnr()));
+            log_line(&mut log, at);
+        }
+        if INTERRUPTED.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    })?;
+    bar.finish_and_clear();
+    let unseen = fill_texels(session);
+    report(session, &pass.name, &summary, unseen);
+    write_results(&mut session.pipeline.world, &session.surface, &session.out.join(&pass.name), &log)?;
+    check_interrupted()
+}
+
+fn options(session: &mut Session, pass: &FitPass) -> FitOptions {
+    let batch = pass.batch as usize;
+    let steps = pass.steps.unwrap_or_else(|| {
+        let pixels = training_pixels(&mut session.pipeline.world).min(pass.max_pixels as usize);
+        (pixels.div_ceil(batch) as u32 * pass.epochs).clamp(pass.min_steps, pass.max_steps)
+    });
+    FitOptions {
+        loss: pass.loss,
+        steps,
+        batch,
+        rates: [pass.rates.albedo, pass.rates.light, pass.rates.specular],
+        milestones: pass.milestones.clone(),
+        decay: pass.decay,
+        unknowns: unknowns(session.scene),
+        pixels: PixelChoice { seed: session.scene.seed, max_pixels: pass.max_pixels as usize },
+    }
+}
+
+/// An upper bound of the pixels a fit will visit.
+fn training_pixels(world: &mut World) -> usize {
+    let mut views = world.query::<(&ViewName, &Photograph, &Split, Option<&crate::view::ViewMask>)>();
+    let pixels = views.iter(world).filter(|(_, _, split, _)| **split == Split::Train).map(
+        |(_, photograph, _, mask)| match mask {
+            Some(mask) => mask.0.coverage.iter().filter(|c| **c > 0.5).count(),
+            None => photograph.image.pixels.len(),
+        },
+    );
+    pixels.sum()
+}
+
+fn log_line(log: &mut String, at: &FitProgress) {
+    let s = at.specular;
+    // Writing to a String cannot fail.
+    let _ = writeln!(
+        log,
+        "{},{:.3},{:.6},{:.3},{:.4},{:.4},{:.4},{:.4}",
+        at.step,
+        at.elapsed_secs,
+        at.sums.mean(),
+        at.sums.psnr(),
+        s.albedo.x,
+        s.albedo.y,
+        s.albedo.z,
+        s.roughness
+    );
+}
+
+/// Fills texels that no view saw from their neighbours; returns how many covered texels that were.
+fn fill_texels(session: &mut Session) -> usize {
+    let world = &mut session.pipeline.world;
+    let seen: Vec<bool> = world.query::<&TexelSeen>().iter(world).map(|seen| seen.0 > 1e-3).collect();
+    let mut values: Vec<Vec3> = world.query::<&DiffuseAlbedo>().iter(world).map(|a| a.0).collect();
+    let atlas = session.surface.atlas();
+    if seen.len() != values.len() || !seen.contains(&true) {
+        return 0;
+    }
+    fill_unseen(&mut values, &seen, atlas);
+    for (mut albedo, value) in world.query::<&mut DiffuseAlbedo>().iter_mut(world).zip(&values) {
+        albedo.0 = *value;
+    }
+    atlas.covered.iter().zip(&seen).filter(|(covered, seen)| **covered && !**seen).count()
+}
+
+fn report(session: &mut Session, name: &str, summary: &FitSummary, unseen: usize) {
+    let total = session.scores.fit_secs.unwrap_or(0.0) + summary.elapsed_secs;
+    session.scores.fit_secs = Some(total);
+    let world = &mut session.pipeline.world;
+    let lobe = world.query::<&SpecularLobe>().iter(world).next().copied();
+    let material = lobe.map_or_else(String::new, |l| {
+        format!(
+            "; roughness {:.3}, specular albedo ({:.3}, {:.3}, {:.3})",
+            l.roughness, l.albedo.x, l.albedo.y, l.albedo.z
+        )
+    });
+    session.progress.print(&format!(
+        "{name}: {} steps over {} pixels in {:.1} s{material}{}",
+        summary.steps,
+        summary.pixels,
+        summary.elapsed_secs,
+        if summary.stopped { " (stopped early)" } else { "" }
+    ));
+    if unseen > 0 {
+        session.progress.note(&format!("{unseen} texels that no view saw were filled from their neighbours"));
+    }
+}
+
+/// Writes the light, the albedo texture, the material and the log.
+fn write_results(
+    world: &mut World,
+    surface: &crate::surface::Surface,
+    folder: &Path,
+    log: &str,
+) -> Result<()> {
+    let lobes: Vec<LightLobe> = world.query::<&LightLobe>().iter(world).copied().collect();
+    write_lobes(folder.join("light.npy"), &lobes, NpyConvention::Lobelia)?;
+    let environment = render_lobes(&lobes, ENVIRONMENT_SIZE.0, ENVIRONMENT_SIZE.1);
+    environment.write_exr(folder.join("environment.exr"))?;
+    let picture = |pixels: &[Vec3], width: u32, height: u32| {
+        RgbImage::from_fn(width, height, |x, y| Rgb(srgb8(pixels[(y * width + x) as usize])))
+    };
+    let preview = picture(&environment.radiance, environment.width, environment.height);
+    write_rgb8(folder.join("environment.png"), &preview)?;
+    let texels: Vec<Vec3> = world.query::<&DiffuseAlbedo>().iter(world).map(|a| a.0).collect();
+    write_rgb8(folder.join("albedo.png"), &picture(&texels, surface.atlas().width, surface.atlas().height))?;
+    let seen: Vec<f32> = world.query::<&TexelSeen>().iter(world).map(|s| s.0).collect();
+    let marks: Vec<Vec3> = seen.iter().map(|s| Vec3::splat(if *s > 1e-3 { 1.0 } else { 0.0 })).collect();
+    write_rgb8(folder.join("seen.png"), &picture(&marks, surface.atlas().width, surface.atlas().height))?;
+    write_bytes(&folder.join("materials.ron"), materials_ron(world).as_bytes())?;
+    write_bytes(&folder.join("log.csv"), log.as_bytes())
+}
+
+/// The specular lobes as a RON list, in the words of a scene file.
+fn materials_ron(world: &mut World) -> String {
+    let mut text = String::from("// Specular lobes: albedo (linear RGB) and the paper's roughness R.\n[\n");
+    for lobe in world.query::<&SpecularLobe>().iter(world) {
+        let [r, g, b] = lobe.albedo.to_array();
+        let _ = writeln!(text, "    (albedo: ({r:?}, {g:?}, {b:?}), roughness: {:?}),", lobe.roughness);
+    }
+    text.push_str("]\n");
+    text
+}

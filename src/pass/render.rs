@@ -1,0 +1,222 @@
+//! The `Render`, `Edit` and `Relight` passes: the same pictures, with edit and relight systems run before them and undone after.
+
+use super::edit::{apply_edits, put_material, take_material};
+use super::{Session, check_interrupted};
+use crate::error::Result;
+use crate::math::ray::Illuminate;
+use crate::report::animation::{Animation, write_animation};
+use crate::report::exr_file::{Frame, write_frame};
+use crate::report::tone::{Backdrop, Look, Picture, write_png};
+use crate::scene::pass_types::{Edit, Orbit, OrbitFormat, RenderSettings, Shading, ViewChoice};
+use crate::scene::spawn::{LoadedLight, load_light};
+use crate::scene::types::{Light, LightSource};
+use crate::shade::frame::{FrameTarget, render_frame};
+use crate::shade::{
+    IncidentLight, PathTracing, provide_distant, provide_lobes, shade_path_traced, shade_published,
+};
+use crate::stage::{Phase, Pipeline, Slot};
+use crate::view::camera::{self, Camera};
+use crate::view::{Split, ViewName};
+use bevy_ecs::prelude::World;
+use glam::Vec3;
+use image::RgbImage;
+use std::path::Path;
+
+/// Runs one of the three passes.
+///
+/// # Errors
+/// If a light or an image cannot be read, a system fails, or a picture cannot be written.
+pub fn run(
+    session: &mut Session,
+    name: &str,
+    light: Option<&LightSource>,
+    edits: &[Edit],
+    settings: &RenderSettings,
+) -> Result<()> {
+    let unedited = take_material(&mut session.pipeline.world);
+    let mut material = unedited.clone();
+    apply_edits(&mut material, edits, &session.surface)?;
+    put_material(&mut session.pipeline.world, &material);
+    let light = light.map(load_light).transpose()?;
+    set_light(session, light.as_ref(), settings.shading)?;
+    set_shading(&mut session.pipeline, settings, session.scene.seed);
+    let result = render_all(session, name, settings);
+    put_material(&mut session.pipeline.world, &unedited);
+    result
+}
+
+/// Swaps the light provider: the pass's own light, the scene's fixed map, or the lobes in the world.
+fn set_light(session: &mut Session, light: Option<&LoadedLight>, shading: Shading) -> Result<()> {
+    let use_map = matches!(shading, Shading::PathTraced { map: true, .. });
+    let own = match (light, &session.scene.light) {
+        (Some(light), _) => Some(light.clone()),
+        (None, Light::Fixed(source @ LightSource::Map { .. })) if use_map => Some(load_light(source)?),
+        _ => None,
+    };
+    match own {
+        Some(light) => {
+            session.pipeline.world.insert_resource(light.distant(use_map));
+            session.pipeline.swap(Phase::Frame, Slot::Light, provide_distant);
+        }
+        None => {
+            session.pipeline.swap(Phase::Frame, Slot::Light, provide_lobes);
+        }
+    }
+    Ok(())
+}
+
+/// Swaps the shading system.
+pub fn set_shading(pipeline: &mut Pipeline, settings: &RenderSettings, seed: u64) {
+    match settings.shading {
+        Shading::Published => {
+            pipeline.swap(Phase::Frame, Slot::Shading, shade_published);
+        }
+        Shading::PathTraced { spp, max_bounces, .. } => {
+            let rays = camera_rays(settings);
+            let paths_per_sample = spp.div_ceil(rays);
+            pipeline.world.insert_resource(PathTracing { paths_per_sample, max_bounces, seed });
+            pipeline.swap(Phase::Frame, Slot::Shading, shade_path_traced);
+        }
+    }
+}
+
+/// Camera rays per pixel: a path tracer with fewer paths than that takes one path a ray.
+fn camera_rays(settings: &RenderSettings) -> u32 {
+    match settings.shading {
+        Shading::Published => settings.samples_per_pixel,
+        Shading::PathTraced { spp, .. } => {
+            let side = f64::from(settings.samples_per_pixel.min(spp)).sqrt().floor().max(1.0) as u32;
+            side * side
+        }
+    }
+}
+
+fn render_all(session: &mut Session, name: &str, settings: &RenderSettings) -> Result<()> {
+    let folder = session.folder(name);
+    let views = chosen_views(&mut session.pipeline.world, &settings.views);
+    let orbit = settings.orbit.as_ref().map(|orbit| orbit_cameras(session, orbit)).transpose()?;
+    let frames = orbit.as_ref().map_or(0, Vec::len);
+    let bar = session.progress.bar(name, (views.len() + frames) as u64);
+    let look = Look { exposure: settings.exposure, tone: settings.tone };
+    for (view, camera) in &views {
+        check_interrupted()?;
+        let frame = picture(&mut session.pipeline, *camera, settings)?;
+        write_frame(folder.join(format!("{view}.exr")), &frame)?;
+        let behind = settings.backdrop.then(|| backdrop(&session.pipeline.world, camera));
+        let developed = developed(&frame);
+        let behind = behind.as_deref().map_or(Backdrop::Transparent, Backdrop::Radiance);
+        write_png(folder.join(format!("{view}.png")), &developed, &look, behind)?;
+        bar.inc(1);
+    }
+    if let (Some(orbit), Some(cameras)) = (&settings.orbit, &orbit) {
+        let mut film = Vec::new();
+        for camera in cameras {
+            check_interrupted()?;
+            film.push(film_frame(session, *camera, settings, &look)?);
+            bar.inc(1);
+        }
+        write_film(session, &folder, orbit, &film)?;
+    }
+    bar.finish_and_clear();
+    session.progress.print(&format!("{name}: {} views, {frames} film frames", views.len()));
+    Ok(())
+}
+
+/// Names and cameras of the chosen views.
+pub fn chosen_views(world: &mut World, choice: &ViewChoice) -> Vec<(String, Camera)> {
+    let wanted = |name: &str, split: Split| match choice {
+        ViewChoice::Test => split == Split::Test,
+        ViewChoice::Train => split == Split::Train,
+        ViewChoice::All => true,
+        ViewChoice::Named(names) => names.iter().any(|n| n == name),
+    };
+    let mut views: Vec<(String, Camera)> = world
+        .query::<(&ViewName, &Camera, &Split)>()
+        .iter(world)
+        .filter(|(name, _, split)| wanted(&name.0, **split))
+        .map(|(name, camera, _)| (name.0.clone(), *camera))
+        .collect();
+    views.sort_by(|a, b| a.0.cmp(&b.0));
+    views
+}
+
+/// Renders one picture with what is in the slots.
+///
+/// # Errors
+/// If a system fails.
+pub fn picture(pipeline: &mut Pipeline, camera: Camera, settings: &RenderSettings) -> Result<Frame> {
+    Ok(resolve(&render_frame(pipeline, camera, camera_rays(settings))?))
+}
+
+/// From sums over samples to the layers of a frame: radiance over all samples, the rest over those that hit.
+pub fn resolve(target: &FrameTarget) -> Frame {
+    let samples = target.samples_per_pixel() as f32;
+    let over_hits = |sum: Vec3, hits: u32| if hits > 0 { sum / hits as f32 } else { Vec3::ZERO };
+    let each = |f: &dyn Fn(&crate::shade::frame::PixelSums) -> Vec3| target.pixels.iter().map(f).collect();
+    Frame {
+        width: target.camera.width as usize,
+        height: target.camera.height as usize,
+        color: each(&|p| (p.diffuse + p.specular) / samples),
+        alpha: target.pixels.iter().map(|p| p.hits as f32 / samples).collect(),
+        diffuse: each(&|p| p.diffuse / samples),
+        specular: each(&|p| p.specular / samples),
+        albedo: each(&|p| over_hits(p.albedo, p.hits)),
+        normal: each(&|p| p.normal.normalize_or_zero()),
+        depth: target.pixels.iter().map(|p| if p.hits > 0 { p.distance / p.hits as f32 } else { 0.0 }).collect(),
+    }
+}
+
+fn developed(frame: &Frame) -> Picture<'_> {
+    Picture { width: frame.width, height: frame.height, color: &frame.color, alpha: &frame.alpha }
+}
+
+/// What the light shows behind each pixel.
+fn backdrop(world: &World, camera: &Camera) -> Vec<Vec3> {
+    let light = world.get_resource::<IncidentLight>().and_then(|light| light.distant.clone());
+    let radiance = |x: u32, y: u32| {
+        let ray = camera.ray(x as f32 + 0.5, y as f32 + 0.5);
+        light.as_ref().map_or(Vec3::ZERO, |light: &std::sync::Arc<dyn Illuminate>| light.radiance(ray.direction))
+    };
+    (0..camera.height).flat_map(|y| (0..camera.width).map(move |x| (x, y))).map(|(x, y)| radiance(x, y)).collect()
+}
+
+fn orbit_cameras(session: &Session, orbit: &Orbit) -> Result<Vec<Camera>> {
+    let (center, radius) = session.surface.bounding_sphere();
+    // A tenth more than what just fits.
+    let fitting = 1.1 * radius / (orbit.fov_degrees.to_radians() / 2.0).sin();
+    Camera::orbit(&camera::Orbit {
+        target: center,
+        radius: orbit.radius.unwrap_or(fitting),
+        elevation_degrees: orbit.elevation_degrees,
+        frames: orbit.frames,
+        up: session.scene.up,
+        vertical_fov_degrees: orbit.fov_degrees,
+        width: orbit.size,
+        height: orbit.size,
+        ..Default::default()
+    })
+}
+
+fn film_frame(
+    session: &mut Session,
+    camera: Camera,
+    settings: &RenderSettings,
+    look: &Look,
+) -> Result<RgbImage> {
+    let frame = picture(&mut session.pipeline, camera, settings)?;
+    let behind = settings.backdrop.then(|| backdrop(&session.pipeline.world, &camera));
+    // Films have no alpha: a quiet dark grey stands behind the object.
+    let behind = behind.as_deref().map_or(Backdrop::Solid(Vec3::splat(0.02)), Backdrop::Radiance);
+    developed(&frame).rgb8(look, behind)
+}
+
+fn write_film(session: &Session, folder: &Path, orbit: &Orbit, film: &[RgbImage]) -> Result<()> {
+    let format = match orbit.format {
+        OrbitFormat::Gif => Animation::Gif,
+        OrbitFormat::Apng => Animation::Apng,
+    };
+    for note in write_animation(folder, "orbit", format, film, orbit.fps)? {
+        session.progress.note(&note);
+    }
+    Ok(())
+}

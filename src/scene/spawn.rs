@@ -1,0 +1,192 @@
+//! From a scene to a world: the surface, the views, the light and the material as resources and entities.
+
+use super::types::{Albedo, AlbedoSource, Light, LightSource, Material, Roughness, Scene, SpecularAlbedo};
+use super::types::{Specular, Surface as SurfaceSpec};
+use crate::error::{Error, Result};
+use crate::fit::components::{AlbedoGradient, AlbedoMoments, TexelSeen, Unknowns};
+use crate::light::fibonacci::{fibonacci_axes, spacing_sharpness};
+use crate::light::fit_map::{MapFit, fit_map};
+use crate::light::illuminate::{LobeLight, MapLight};
+use crate::light::npy::read_lobes;
+use crate::light::{EnvironmentMap, LightLobe, rotate_lobes, scale_lobes, validate_lobes};
+use crate::material::{DiffuseAlbedo, SpecularBlend, SpecularLobe};
+use crate::math::ray::Illuminate;
+use crate::math::shading::LobeColumns;
+use crate::shade::systems::kernel_lobe;
+use crate::shade::{DistantLight, Scenery};
+use crate::stage::Pipeline;
+use crate::surface::atlas::unwrap_mesh;
+use crate::surface::gltf_import::read_mesh_with_report;
+use crate::surface::primitive::{box_mesh, sphere_mesh};
+use super::texture;
+use crate::surface::Surface;
+use crate::view::{ViewMask, ViewName, ViewRecord};
+use glam::{EulerRot, Quat, Vec3};
+use std::sync::Arc;
+
+/// Makes the surface; the notes say what was repaired on the way.
+///
+/// # Errors
+/// If the mesh cannot be read or unwrapped.
+pub fn make_surface(spec: &SurfaceSpec) -> Result<(Surface, Vec<String>)> {
+    match spec {
+        SurfaceSpec::Mesh { path, texture_size } => {
+            let (mesh, report) = read_mesh_with_report(path)?;
+            let (mesh, unwrap_notes) = unwrap_mesh(&mesh, *texture_size)?;
+            let mut notes = report.notes();
+            notes.extend(unwrap_notes);
+            let notes = notes.into_iter().map(|note| format!("{}: {note}", path.display())).collect();
+            Ok((Surface::new(mesh, *texture_size)?, notes))
+        }
+        SurfaceSpec::Sphere { center, radius, texture_size } => {
+            Ok((Surface::new(sphere_mesh(*center, *radius)?, *texture_size)?, Vec::new()))
+        }
+        SurfaceSpec::Box { center, size, texture_size } => {
+            Ok((Surface::new(box_mesh(*center, *size)?, *texture_size)?, Vec::new()))
+        }
+    }
+}
+
+/// A light ready to shade with: lobes for closed forms, and the thing itself for path tracing.
+#[derive(Clone)]
+pub struct LoadedLight {
+    /// SG lobes, given or fitted.
+    pub lobes: Vec<LightLobe>,
+    /// The map, if that is what was given.
+    pub map: Option<Arc<MapLight>>,
+}
+
+impl LoadedLight {
+    /// As the resource that `provide_distant` reads.
+    pub fn distant(&self, use_map: bool) -> DistantLight {
+        let light: Arc<dyn Illuminate> = match &self.map {
+            Some(map) if use_map => map.clone(),
+            _ => Arc::new(LobeLight::new(&self.lobes)),
+        };
+        DistantLight { light, lobes: LobeColumns::from_lobes(self.lobes.iter().map(kernel_lobe)) }
+    }
+}
+
+/// Turn about the world's x, then y, then z axis.
+fn rotation(degrees: Vec3) -> Quat {
+    let radians = degrees * (std::f32::consts::PI / 180.0);
+    Quat::from_euler(EulerRot::XYZEx, radians.x, radians.y, radians.z)
+}
+
+/// Reads (and for a map, fits) a light.
+///
+/// # Errors
+/// If a file is missing or wrong, or a lobe is.
+pub fn load_light(source: &LightSource) -> Result<LoadedLight> {
+    let turned = |lobes: &[LightLobe], scale: f32, degrees: Vec3| {
+        rotate_lobes(&scale_lobes(lobes, Vec3::splat(scale)), rotation(degrees))
+    };
+    let light = match source {
+        LightSource::Lobes { lobes, scale, rotation_degrees } => {
+            let unit: Vec<LightLobe> =
+                lobes.iter().map(|l| LightLobe { axis: l.axis.normalize_or(l.axis), ..*l }).collect();
+            LoadedLight { lobes: turned(&unit, *scale, *rotation_degrees), map: None }
+        }
+        LightSource::Npy { path, convention, scale, rotation_degrees } => {
+            let lobes = read_lobes(path, *convention)?;
+            LoadedLight { lobes: turned(&lobes, *scale, *rotation_degrees), map: None }
+        }
+        LightSource::Map { path, scale, rotation_degrees, lobes } => {
+            let map = EnvironmentMap::read(path)?.scaled(Vec3::splat(*scale));
+            let fitted = fit_map(&map, *lobes as usize, &MapFit::default())?.lobes;
+            let turn = rotation(*rotation_degrees);
+            let map = if *rotation_degrees == Vec3::ZERO { map } else { map.rotated(turn) };
+            LoadedLight { lobes: rotate_lobes(&fitted, turn), map: Some(Arc::new(MapLight::new(map))) }
+        }
+    };
+    validate_lobes(&light.lobes).map_err(|problem| Error::run("light", problem))?;
+    Ok(light)
+}
+
+/// Puts the scene into the pipeline's world: surface, views, light lobes, texels, the specular lobe, and what is unknown.
+///
+/// # Errors
+/// If a light or an albedo texture cannot be read.
+pub fn spawn(
+    pipeline: &mut Pipeline,
+    scene: &Scene,
+    surface: &Arc<Surface>,
+    views: Vec<ViewRecord>,
+) -> Result<()> {
+    let lobes = initial_lobes(&scene.light)?;
+    let albedo = initial_albedo(&scene.material.albedo, surface)?;
+    let world = &mut pipeline.world;
+    world.insert_resource(Scenery(surface.clone()));
+    world.insert_resource(unknowns(scene));
+    for view in views {
+        let mut entity = world.spawn((ViewName(view.name), view.camera, view.split));
+        if let Some(photograph) = view.photograph {
+            entity.insert(photograph);
+        }
+        if let Some(mask) = view.mask {
+            entity.insert(ViewMask(mask));
+        }
+    }
+    world.spawn_batch(lobes);
+    world.spawn_batch(albedo.into_iter().map(|albedo| {
+        (
+            DiffuseAlbedo(albedo),
+            SpecularBlend::default(),
+            AlbedoGradient::default(),
+            AlbedoMoments::default(),
+            TexelSeen::default(),
+        )
+    }));
+    world.spawn(initial_specular(&scene.material.specular));
+    Ok(())
+}
+
+fn initial_lobes(light: &Light) -> Result<Vec<LightLobe>> {
+    Ok(match light {
+        Light::Unknown(unknown) => {
+            let count = unknown.lobes as usize;
+            let sharpness = spacing_sharpness(count);
+            let lobe = |axis| LightLobe { axis, sharpness, amplitude: Vec3::ONE };
+            fibonacci_axes(count).into_iter().map(lobe).collect()
+        }
+        Light::Initial(source) | Light::Fixed(source) => load_light(source)?.lobes,
+    })
+}
+
+fn initial_albedo(albedo: &Albedo, surface: &Surface) -> Result<Vec<Vec3>> {
+    let (width, height) = (surface.atlas().width, surface.atlas().height);
+    let grey = vec![Vec3::splat(0.4); (width * height) as usize];
+    match albedo {
+        Albedo::Unknown => Ok(grey),
+        Albedo::Initial(source) | Albedo::Fixed(source) => match source {
+            AlbedoSource::Constant(color) => Ok(vec![*color; grey.len()]),
+            AlbedoSource::Texture(path) => texture::read_texture(path, width, height),
+        },
+    }
+}
+
+fn initial_specular(specular: &Specular) -> SpecularLobe {
+    SpecularLobe {
+        albedo: match specular.albedo {
+            SpecularAlbedo::Unknown { mono: true, initial } => Vec3::splat(initial.element_sum() / 3.0),
+            SpecularAlbedo::Unknown { initial, .. } => initial,
+            SpecularAlbedo::Fixed(value) => value,
+        },
+        roughness: match specular.roughness {
+            Roughness::Unknown { initial } => initial,
+            Roughness::Fixed(value) => value,
+        },
+    }
+}
+
+/// What a fit of this scene may move.
+pub fn unknowns(scene: &Scene) -> Unknowns {
+    let Material { albedo, specular } = &scene.material;
+    Unknowns {
+        albedo: !matches!(albedo, Albedo::Fixed(_)),
+        light: !matches!(scene.light, Light::Fixed(_)),
+        specular_albedo: matches!(specular.albedo, SpecularAlbedo::Unknown { .. }),
+        mono_specular: matches!(specular.albedo, SpecularAlbedo::Unknown { mono: true, .. }),
+        roughness: matches!(specular.roughness, Roughness::Unknown { .. }),
+    }
+}

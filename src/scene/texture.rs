@@ -1,0 +1,66 @@
+//! Images in texture space: albedo textures and region masks, resampled to the object's atlas.
+
+use crate::error::Result;
+use crate::view::image_io::{Gamma, read_image, read_mask};
+use glam::Vec3;
+use std::path::Path;
+
+/// Reads an image (PNG as sRGB, EXR as linear) as `width * height` linear colours, row 0 at v = 0. An image of that size is
+/// taken value by value; another is resampled bilinearly.
+///
+/// # Errors
+/// If the file cannot be read.
+pub fn read_texture(path: &Path, width: u32, height: u32) -> Result<Vec<Vec3>> {
+    let image = read_image(path, Gamma::Srgb)?.image;
+    Ok(resample(&image.pixels, [image.width, image.height], [width, height]))
+}
+
+/// Reads a mask image as `width * height` weights in `[0, 1]`, row 0 at v = 0.
+///
+/// # Errors
+/// If the file cannot be read.
+pub fn read_texture_mask(path: &Path, width: u32, height: u32) -> Result<Vec<f32>> {
+    let mask = read_mask(path)?;
+    let values: Vec<Vec3> = mask.coverage.iter().map(|c| Vec3::splat(*c)).collect();
+    let resampled = resample(&values, [mask.width, mask.height], [width, height]);
+    Ok(resampled.into_iter().map(|v| v.x).collect())
+}
+
+fn resample(values: &[Vec3], from: [u32; 2], to: [u32; 2]) -> Vec<Vec3> {
+    if from == to {
+        return values.to_vec();
+    }
+    // Position among source texel centres, clamped at the borders, as (first index, second index, weight of the second).
+    let along = |i: u32, axis: usize| {
+        let at = (i as f32 + 0.5) * from[axis] as f32 / to[axis] as f32 - 0.5;
+        let at = at.clamp(0.0, (from[axis] - 1) as f32);
+        let low = at.floor() as u32;
+        (low, (low + 1).min(from[axis] - 1), at - low as f32)
+    };
+    let at = |x: u32, y: u32| values[(y * from[0] + x) as usize];
+    let mut out = Vec::with_capacity((to[0] * to[1]) as usize);
+    for j in 0..to[1] {
+        let (y0, y1, fy) = along(j, 1);
+        for i in 0..to[0] {
+            let (x0, x1, fx) = along(i, 0);
+            let (top, bottom) = (at(x0, y0).lerp(at(x1, y0), fx), at(x0, y1).lerp(at(x1, y1), fx));
+            out.push(top.lerp(bottom, fy));
+        }
+    }
+    out
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn resampling_keeps_constants_and_ramps() {
+        let ramp: Vec<Vec3> = (0..8).map(|i| Vec3::splat(i as f32)).collect();
+        let half = resample(&ramp, [8, 1], [4, 1]);
+        assert_eq!(half.iter().map(|v| v.x).collect::<Vec<_>>(), [0.5, 2.5, 4.5, 6.5]);
+        let same = resample(&ramp, [8, 1], [8, 1]);
+        assert_eq!(same, ramp);
+        assert!(resample(&[Vec3::ONE; 6], [3, 2], [16, 16]).iter().all(|v| *v == Vec3::ONE));
+    }
+}
