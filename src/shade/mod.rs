@@ -1,1 +1,4 @@
 //! To come.
+
+pub mod path_tracer;
+pub mod sampling;
