@@ -24,6 +24,20 @@ pub fn shadowing_k<F: Real>(roughness: F) -> F {
     s * s.lit(0.125) * s
 }
 
+/// Sharpness 2/R⁴ of the SG that is the distribution of microfacet normals (supp. eq. 4).
+#[inline(always)]
+pub fn ndf_sharpness<F: Real>(roughness: F) -> F {
+    let r2 = roughness * roughness;
+    (r2 * r2).recip().times(2.0)
+}
+
+/// D(h) (supp. eq. 4): the SG in h with axis n, sharpness 2/R⁴ and amplitude 1/(πR⁴).
+#[inline(always)]
+pub fn normal_distribution<F: Real>(normal: Vec3Of<F>, half: Vec3Of<F>, roughness: F) -> F {
+    let sharpness = ndf_sharpness(roughness);
+    super::sg::evaluate(half, normal, sharpness) * sharpness.times(0.5 / std::f64::consts::PI)
+}
+
 /// The specular part f_s at unit directions to the viewer and to the light, for cosines above zero.
 ///
 /// Returns `(constant, slope)` so that f_s = constant + slope·s for any channel's specular albedo s:
@@ -42,10 +56,6 @@ pub fn specular_affine<F: Real>(
     // G / ((n·ωo)(n·ωi)): the cosines of G's numerators cancel those of the denominator.
     let g =
         shadowing_over_cosine(dot(normal, to_viewer), k) * shadowing_over_cosine(dot(normal, to_light), k);
-    let r2 = roughness * roughness;
-    let sharpness = (r2 * r2).recip().times(2.0);
-    let d = [half[0] - normal[0], half[1] - normal[1], half[2] - normal[2]];
-    let ndf = (-(sharpness.times(0.5)) * dot(d, d)).exp() * sharpness.times(0.5 / std::f64::consts::PI);
-    let common = g.times(0.25) * ndf;
+    let common = g.times(0.25) * normal_distribution(normal, half, roughness);
     (common * power, common * (power.one() - power))
 }

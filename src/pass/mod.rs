@@ -15,6 +15,7 @@ pub mod photograph;
 pub mod progress;
 pub mod render;
 pub mod save;
+pub mod shade_cases;
 
 use crate::error::{Error, Result};
 use crate::fit::run::FitPlugin;

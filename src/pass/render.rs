@@ -74,7 +74,7 @@ pub fn set_shading(pipeline: &mut Pipeline, settings: &RenderSettings, seed: u64
         Shading::PathTraced { spp, max_bounces, .. } => {
             let rays = camera_rays(settings);
             let paths_per_sample = spp.div_ceil(rays);
-            pipeline.world.insert_resource(PathTracing { paths_per_sample, max_bounces, seed });
+            pipeline.world.insert_resource(PathTracing { paths_per_sample, max_bounces, seed, samples_per_pixel: rays });
             pipeline.swap(Phase::Frame, Slot::Shading, shade_path_traced);
         }
     }

@@ -4,12 +4,14 @@
 //! | --- | --- | --- | --- |
 //! | [`gather_points`] | Gather | [`SurfacePoint`], [`ViewRay`], texels | [`ShadePoint`], [`PointBlend`] |
 //! | [`provide_lobes`] | Gather, `Slot::Light` | light-lobe entities | [`IncidentLight`] |
-//! | [`provide_map`] | Gather, `Slot::Light` | [`DistantMap`] | [`IncidentLight`] |
+//! | [`provide_distant`] | Gather, `Slot::Light` | [`DistantLight`] | [`IncidentLight`] |
 //! | [`shade_published`] | Shade, `Slot::Shading` | [`ShadePoint`], [`IncidentLight`], specular lobes | [`Layers`] |
 //! | [`shade_path_traced`] | Shade, `Slot::Shading` | the same, [`Scenery`], [`PathTracing`] | [`Layers`] |
 
 pub mod frame;
+pub mod path_tracer;
 pub mod pool;
+pub mod sampling;
 pub mod systems;
 
 use crate::math::ray::{Illuminate, Intersect};
@@ -18,7 +20,9 @@ use bevy_ecs::component::{Mutable, StorageType};
 use bevy_ecs::prelude::{Component, Resource};
 use std::sync::Arc;
 
-pub use systems::{gather_blends, gather_points, provide_lobes, provide_map, shade_published};
+pub use systems::{
+    gather_blends, gather_points, provide_distant, provide_lobes, shade_path_traced, shade_published,
+};
 
 /// Makes kernel inputs and outputs, which know nothing of an ECS, columns of the pixel pool.
 macro_rules! pixel_column {
@@ -44,12 +48,12 @@ pub struct IncidentLight {
     pub distant: Option<Arc<dyn Illuminate>>,
 }
 
-/// An environment map that lights the scene by itself, with the SG lobes that stand for it in closed-form shading.
+/// A light in place of the world's light lobes: an environment map or other lobes.
 #[derive(Resource, Clone)]
-pub struct DistantMap {
-    /// The map, ready to be sampled.
-    pub map: Arc<dyn Illuminate>,
-    /// Lobes fitted to it.
+pub struct DistantLight {
+    /// The light, ready to be sampled.
+    pub light: Arc<dyn Illuminate>,
+    /// SG lobes that stand for it in closed-form shading.
     pub lobes: LobeColumns,
 }
 
@@ -62,6 +66,8 @@ pub struct PathTracing {
     pub max_bounces: u32,
     /// Seed of the random numbers.
     pub seed: u64,
+    /// Samples of a pixel, which share its random sequence.
+    pub samples_per_pixel: u32,
 }
 
 /// Blend weights of the specular lobes at a pixel sample; they sum to one.

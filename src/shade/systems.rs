@@ -1,16 +1,20 @@
 //! The systems of the Gather stage and closed-form shading; each fetches columns and calls a kernel.
 
 use super::pool::only_table;
-use super::{DistantMap, IncidentLight, PointBlend};
+use super::path_tracer::{self, PathEstimate, PathQuery, PathScene, PathSettings, shade_points};
+use super::{DistantLight, IncidentLight, PathTracing, PointBlend, Scenery};
+use crate::error::Error;
 use crate::light::LightLobe;
+use crate::light::illuminate::LobeLight;
 use crate::material::{DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
 use crate::math::published::Lobe;
 use crate::math::shading::{Layers, LobeColumns, ShadePoint, SpecularValue, shade};
 use crate::stage::SystemResult;
 use crate::surface::point::SurfacePoint;
-use crate::view::pixel::{ViewRay, Window};
+use crate::view::pixel::{PixelOf, ViewRay, Window};
 use bevy_ecs::prelude::{Query, Res, ResMut};
 use rayon::prelude::*;
+use std::sync::Arc;
 
 /// What the kernels read of a light lobe.
 pub fn kernel_lobe(lobe: &LightLobe) -> Lobe<f32> {
@@ -26,13 +30,13 @@ pub fn kernel_specular(lobe: &SpecularLobe) -> SpecularValue {
 pub fn provide_lobes(lobes: Query<&LightLobe>, mut light: ResMut<IncidentLight>) {
     let lobes: Vec<LightLobe> = lobes.iter().copied().collect();
     light.lobes = LobeColumns::from_lobes(lobes.iter().map(kernel_lobe));
-    light.distant = None;
+    light.distant = Some(Arc::new(LobeLight::new(&lobes)));
 }
 
-/// The light is an environment map: its lobes for closed-form shading, the map itself for path tracing.
-pub fn provide_map(map: Res<DistantMap>, mut light: ResMut<IncidentLight>) {
-    light.lobes.clone_from(&map.lobes);
-    light.distant = Some(map.map.clone());
+/// The light is the one in [`DistantLight`]: its lobes for closed-form shading, itself for path tracing.
+pub fn provide_distant(distant: Res<DistantLight>, mut light: ResMut<IncidentLight>) {
+    light.lobes.clone_from(&distant.lobes);
+    light.distant = Some(distant.light.clone());
 }
 
 /// Blends the texels at each surface point into what shading reads.
@@ -128,4 +132,64 @@ fn shade_blended(
             sum.specular = std::array::from_fn(|c| before[c] + blend.0[k] * one.specular[c]);
         }
     }
+}
+
+/// What a path-traced sample is made from.
+type PathColumns<'a> =
+    (&'a PixelOf, &'a SurfacePoint, &'a ViewRay, &'a ShadePoint, &'a PointBlend, &'a mut Layers);
+
+/// Shades by path tracing: shadows and interreflection, with noise.
+pub fn shade_path_traced(
+    window: Res<Window>,
+    (scenery, light, paths): (Res<Scenery>, Res<IncidentLight>, Res<PathTracing>),
+    materials: Query<&SpecularLobe>,
+    texels: Query<(&DiffuseAlbedo, &SpecularBlend)>,
+    mut samples: Query<PathColumns>,
+) -> SystemResult {
+    let Some(distant) = &light.distant else {
+        return Err(Error::run("path tracing", "there is no light").into());
+    };
+    let (albedo, blends) =
+        only_table(texels.contiguous_iter()?, |t| t.0.len(), "texel")?.unwrap_or_default();
+    let Some((pixels, points, rays, gathered, weights, mut shaded)) =
+        only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")?
+    else {
+        return Ok(());
+    };
+    let specular: Vec<SpecularLobe> = materials.iter().copied().collect();
+    let scene = PathScene {
+        surface: scenery.0.as_ref(),
+        light: distant.as_ref(),
+        albedo,
+        blends,
+        specular: &specular,
+    };
+    let rows = window.0.clone();
+    let hits: Vec<usize> = rows.clone().filter(|&i| points[i].is_hit()).collect();
+    let queries: Vec<PathQuery> = hits
+        .iter()
+        .map(|&i| PathQuery {
+            point: path_tracer::ShadePoint {
+                position: points[i].position,
+                normal: points[i].normal,
+                geometric_normal: points[i].geometric_normal,
+                albedo: gathered[i].albedo.into(),
+                blend: weights[i].0,
+            },
+            to_viewer: -rays[i].0.direction,
+            stream: u64::from(pixels[i].view) << 32 | u64::from(pixels[i].pixel),
+            first_sample: i as u32 % paths.samples_per_pixel * paths.paths_per_sample,
+        })
+        .collect();
+    let mut estimates = vec![PathEstimate::default(); queries.len()];
+    let settings =
+        PathSettings { max_bounces: paths.max_bounces, seed: paths.seed, ..PathSettings::default() };
+    shade_points(&scene, &settings, &queries, paths.paths_per_sample, &mut estimates);
+    let shaded = shaded.bypass_change_detection();
+    shaded[rows].fill(Layers::default());
+    for (i, estimate) in hits.into_iter().zip(estimates) {
+        shaded[i] =
+            Layers { diffuse: estimate.diffuse.into(), specular: estimate.specular.into() };
+    }
+    Ok(())
 }

@@ -1,0 +1,176 @@
+//! `lobelia shade-cases`: shades a table of single points under one SG each, to check a shading mode against known values.
+//!
+//! A case is a JSON object with `normal`, `view` (from the point to the viewer), `lobe_axis`, `lobe_sharpness`,
+//! `lobe_amplitude`, `roughness`, `specular` (specular albedo) and `albedo`; other fields are carried over. The output has
+//! the same objects in the same order with the outgoing radiance added as `diffuse` and `specular`. Since the specular
+//! albedo came under that name, it moves to `specular_albedo`, which is also read in preference to `specular`: a written
+//! table can be read again.
+
+mod estimate;
+mod table;
+
+pub use table::Case;
+
+use crate::error::{Error, Result};
+use estimate::{Shaded, path_traced};
+use rayon::prelude::*;
+use serde_json::{Map, Value};
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+use table::{read_table, triple};
+
+/// How cases are shaded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ShadeMode {
+    /// The published SG renderer's formulas.
+    Published,
+    /// The path tracer's sampling; adds `diffuse_stderr` and `specular_stderr`.
+    PathTraced {
+        /// Paths per case, at least 2; they are rounded up to a multiple of [`REPLICATES`] (or taken singly if fewer).
+        samples: u32,
+    },
+}
+
+/// The float that cases are shaded in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Precision {
+    /// As renders are; values below about 1e-38 are zero.
+    F32,
+    /// For checks: same formulas and sampling code, without rounding or underflow to speak of.
+    F64,
+}
+
+/// Independent repetitions of a case whose spread is its standard error.
+pub const REPLICATES: u32 = 32;
+
+/// How many values agree with the reference that the table brought.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Agreement {
+    /// RGB values compared.
+    pub values: usize,
+    /// Of these, how many were within the tolerance.
+    pub within: usize,
+}
+
+/// What was done.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ShadeCasesReport {
+    /// Cases shaded.
+    pub cases: usize,
+    /// Paths per case; 0 for the published formulas.
+    pub samples: u32,
+    /// Time to shade all, in seconds.
+    pub elapsed_secs: f64,
+    /// Against `exact_*` within 4 standard errors (path-traced), or against `approx_*` within 1e-3·|approx| + 1e-6 in `f64`,
+    /// 5e-3·|approx| + 1e-4 in `f32` (published); counts only values that the table has.
+    pub agreement: Agreement,
+}
+
+/// Shades the table at `input` and writes it to `output` (to a file beside it first, then renamed).
+///
+/// `published` gives (diffuse, specular) radiance of a case by the published formulas in the given precision.
+///
+/// # Errors
+/// [`Error::Input`] naming the case for a table that is not a list of complete, finite, sensible cases;
+/// [`Error::Usage`] for fewer than two samples; [`Error::Io`]; [`Error::Run`] if a shaded value is not finite. Nothing is
+/// written in any of them.
+pub fn shade_cases(
+    input: &Path,
+    output: &Path,
+    mode: ShadeMode,
+    precision: Precision,
+    published: impl Fn(&Case<f64>, Precision) -> ([f64; 3], [f64; 3]) + Sync,
+) -> Result<ShadeCasesReport> {
+    if matches!(mode, ShadeMode::PathTraced { samples: 0 | 1 }) {
+        return Err(Error::usage("path-traced cases need at least 2 samples", "try 4096"));
+    }
+    let (mut objects, cases) = read_table(input)?;
+    let started = Instant::now();
+    let shaded: Vec<Shaded> = cases
+        .par_iter()
+        .enumerate()
+        .map(|(index, case)| match mode {
+            ShadeMode::Published => {
+                let (diffuse, specular) = published(case, precision);
+                Shaded { radiance: [diffuse, specular], stderr: None }
+            }
+            ShadeMode::PathTraced { samples } => path_traced(case, index as u64, samples, precision),
+        })
+        .collect();
+    let elapsed_secs = started.elapsed().as_secs_f64();
+    let mut agreement = Agreement::default();
+    for (index, (object, shaded)) in objects.iter_mut().zip(&shaded).enumerate() {
+        check_finite(index, shaded)?;
+        agreement.count(object, shaded, precision);
+        add_result(object, &cases[index], shaded);
+    }
+    write_table(output, objects)?;
+    let samples = if let ShadeMode::PathTraced { samples } = mode { samples } else { 0 };
+    Ok(ShadeCasesReport { cases: cases.len(), samples, elapsed_secs, agreement })
+}
+
+const PARTS: [&str; 2] = ["diffuse", "specular"];
+
+impl Agreement {
+    fn count(&mut self, object: &Map<String, Value>, shaded: &Shaded, precision: Precision) {
+        let prefix = if shaded.stderr.is_some() { "exact" } else { "approx" };
+        for (part, name) in PARTS.iter().enumerate() {
+            let Some(reference) = object.get(&format!("{prefix}_{name}")).and_then(triple) else { continue };
+            for channel in 0..3 {
+                let expected = reference[channel];
+                let tolerance = match (shaded.stderr, precision) {
+                    (Some(stderr), _) => 4.0 * stderr[part][channel],
+                    (None, Precision::F64) => 1e-3 * expected.abs() + 1e-6,
+                    (None, Precision::F32) => 5e-3 * expected.abs() + 1e-4,
+                };
+                self.values += 1;
+                let difference = (shaded.radiance[part][channel] - expected).abs();
+                self.within += usize::from(difference <= tolerance);
+            }
+        }
+    }
+}
+
+fn check_finite(index: usize, shaded: &Shaded) -> Result<()> {
+    let stderr = shaded.stderr.unwrap_or_default();
+    if shaded.radiance.iter().chain(&stderr).flatten().all(|v| v.is_finite()) {
+        return Ok(());
+    }
+    Err(Error::run("shade-cases", format!("case {index}: the shaded value is not finite")))
+}
+
+fn add_result(object: &mut Map<String, Value>, case: &Case<f64>, shaded: &Shaded) {
+    object.entry("specular_albedo").or_insert_with(|| Value::from(case.specular.to_vec()));
+    for (part, name) in PARTS.iter().enumerate() {
+        object.insert((*name).to_owned(), Value::from(shaded.radiance[part].to_vec()));
+    }
+    if let Some(stderr) = shaded.stderr {
+        for (part, name) in PARTS.iter().enumerate() {
+            object.insert(format!("{name}_stderr"), Value::from(stderr[part].to_vec()));
+        }
+    }
+}
+
+fn write_table(output: &Path, objects: Vec<Map<String, Value>>) -> Result<()> {
+    let list = Value::Array(objects.into_iter().map(Value::Object).collect());
+    let text = format!("{list:#}\n");
+    let Some(name) = output.file_name() else {
+        return Err(Error::usage(
+            format!("{} is not a file name to write to", output.display()),
+            "name a .json file",
+        ));
+    };
+    let mut hidden = std::ffi::OsString::from(".");
+    hidden.push(name);
+    hidden.push(format!(".{}.part", std::process::id()));
+    let temporary: PathBuf = output.with_file_name(hidden);
+    let written = std::fs::write(&temporary, text).and_then(|()| std::fs::rename(&temporary, output));
+    written.map_err(|source| {
+        // The first error is the one to tell; a part file that was never made cannot be removed.
+        let _ = std::fs::remove_file(&temporary);
+        Error::io("write", output)(source)
+    })
+}
+
+#[cfg(test)]
+mod tests;
