@@ -133,8 +133,8 @@ fn read_views(
         }
         Views::Cameras(specs) => Ok((specs.iter().map(bare_view).collect::<Result<_>>()?, None)),
         Views::Photographed(spec) => {
-            let truth = TrueObject::new(spec, surface)?;
-            let views = photograph::take(&truth, spec, surface, scene, progress)?;
+            let mut truth = TrueObject::new(spec, surface)?;
+            let views = photograph::take(&mut truth, spec, scene, progress)?;
             Ok((views, Some(truth)))
         }
     }

@@ -1,0 +1,175 @@
+//! Self-made photographs: the scene's surface with a known material under a known light, path traced. The fit is not told.
+
+use super::check_interrupted;
+use super::edit::{apply_edits, put_material, take_material};
+use super::progress::Progress;
+use super::render::{resolve, set_shading};
+use crate::error::Result;
+use crate::material::{DiffuseAlbedo, SpecularBlend};
+use crate::math::ray::Intersect;
+use crate::report::exr_file::Frame;
+use crate::scene::pass_types::{Edit, RenderSettings, Shading};
+use crate::scene::spawn::{LoadedLight, load_light};
+use crate::scene::types::{CameraRing, LightSource, Pattern, Photographed, Scene};
+use crate::shade::frame::{FramePlugin, render_frame};
+use crate::shade::{Scenery, provide_distant};
+use crate::stage::{Phase, Pipeline, Slot};
+use crate::surface::Surface;
+use crate::view::camera::Camera;
+use crate::view::{Image, Mask, Photograph, Split, ViewRecord};
+use crate::light::fibonacci::fibonacci_axes;
+use glam::Vec3;
+use std::sync::Arc;
+
+/// The object that is photographed, in a world of its own.
+pub struct TrueObject {
+    pipeline: Pipeline,
+    surface: Arc<Surface>,
+    light: LoadedLight,
+    max_bounces: u32,
+}
+
+impl TrueObject {
+    /// The object a scene file describes.
+    ///
+    /// # Errors
+    /// If its light cannot be read.
+    pub fn new(spec: &Photographed, surface: &Arc<Surface>) -> Result<Self> {
+        let mut pipeline = Pipeline::new();
+        pipeline.add_plugin(&FramePlugin).swap(Phase::Frame, Slot::Light, provide_distant);
+        let world = &mut pipeline.world;
+        let scenery: Arc<dyn Intersect> = surface.clone();
+        world.insert_resource(Scenery(scenery));
+        let texels = surface.atlas().position.iter();
+        let albedo = texels.map(|p| DiffuseAlbedo(pattern_at(&spec.truth.albedo, *p)));
+        let texels: Vec<_> = albedo.map(|albedo| (albedo, SpecularBlend::default())).collect();
+        world.spawn_batch(texels);
+        world.spawn(spec.truth.specular);
+        let light = load_light(&spec.truth.light)?;
+        Ok(Self { pipeline, surface: surface.clone(), light, max_bounces: spec.max_bounces })
+    }
+
+    /// Path-traced pictures of the true object, under another light or edited if so asked.
+    ///
+    /// # Errors
+    /// If a light or an edit's image cannot be read, or a system fails.
+    pub fn pictures(
+        &mut self,
+        cameras: &[Camera],
+        light: Option<&LightSource>,
+        edits: &[Edit],
+        spp: u32,
+        seed: u64,
+        mut done: impl FnMut(),
+    ) -> Result<Vec<Frame>> {
+        let unedited = take_material(&mut self.pipeline.world);
+        let mut material = unedited.clone();
+        apply_edits(&mut material, edits, &self.surface)?;
+        put_material(&mut self.pipeline.world, &material);
+        let light = light.map(load_light).transpose()?;
+        self.pipeline.world.insert_resource(light.as_ref().unwrap_or(&self.light).distant(true));
+        let shading = Shading::PathTraced { spp, max_bounces: self.max_bounces, map: true };
+        let side = (f64::from(spp.min(64)).sqrt().floor()).max(1.0) as u32;
+        let settings = RenderSettings { shading, samples_per_pixel: side * side, ..RenderSettings::default() };
+        let mut frames = Vec::new();
+        for (i, camera) in cameras.iter().enumerate() {
+            check_interrupted()?;
+            set_shading(&mut self.pipeline, &settings, seed.wrapping_add(i as u64));
+            frames.push(resolve(&render_frame(&mut self.pipeline, *camera, settings.samples_per_pixel)?));
+            done();
+        }
+        put_material(&mut self.pipeline.world, &unedited);
+        Ok(frames)
+    }
+}
+
+/// Takes all photographs of a scene.
+///
+/// # Errors
+/// If a system fails.
+pub fn take(
+    truth: &mut TrueObject,
+    spec: &Photographed,
+    scene: &Scene,
+    progress: &Progress,
+) -> Result<Vec<ViewRecord>> {
+    let cameras = ring(&spec.cameras, scene.up)?;
+    let bar = progress.bar("photograph", cameras.len() as u64);
+    let only: Vec<Camera> = cameras.iter().map(|(_, camera)| *camera).collect();
+    let frames = truth.pictures(&only, None, &[], spec.spp, scene.seed, || bar.inc(1))?;
+    bar.finish_and_clear();
+    let records = cameras.iter().zip(frames).enumerate().map(|(i, ((split, camera), frame))| {
+        let (width, height) = (camera.width, camera.height);
+        ViewRecord {
+            name: format!("view_{i:03}"),
+            split: *split,
+            camera: *camera,
+            photograph: Some(Photograph {
+                saturated: vec![false; frame.color.len()],
+                image: Image { width, height, pixels: frame.color },
+            }),
+            mask: Some(Mask { width, height, coverage: frame.alpha }),
+        }
+    });
+    Ok(records.collect())
+}
+
+/// Cameras spread over a sphere around the target; every so-manieth is a test view, so that those lie between the others.
+fn ring(spec: &CameraRing, up: Vec3) -> Result<Vec<(Split, Camera)>> {
+    let total = (spec.count + spec.test) as usize;
+    let every = total / (spec.test as usize).max(1);
+    let axes = fibonacci_axes(total);
+    axes.into_iter()
+        .enumerate()
+        .map(|(i, axis)| {
+            let is_test = i / every < spec.test as usize && i % every == every / 2;
+            let eye = spec.target + axis * spec.radius;
+            // Straight above or below, any other direction serves as up.
+            let up = if axis.dot(up.normalize_or(Vec3::Y)).abs() > 0.99 { Vec3::Z } else { up };
+            let camera = Camera::look_at(eye, spec.target, up, spec.fov_degrees, spec.size, spec.size)?;
+            Ok((if is_test { Split::Test } else { Split::Train }, camera))
+        })
+        .collect()
+}
+
+/// The pattern's colour at a point.
+fn pattern_at(pattern: &Pattern, at: Vec3) -> Vec3 {
+    match pattern {
+        Pattern::Constant(color) => *color,
+        Pattern::Checker { colors, size } => {
+            let cell = (at / *size).floor();
+            let odd = (cell.x + cell.y + cell.z).rem_euclid(2.0) >= 1.0;
+            if odd { colors.1 } else { colors.0 }
+        }
+        Pattern::Stripes { colors, axis, width } => {
+            let slab = (at.dot(axis.normalize_or(Vec3::Y)) / *width).floor();
+            colors[slab.rem_euclid(colors.len() as f32) as usize % colors.len()]
+        }
+        Pattern::Waves { colors, size } => {
+            let wave = (at * (std::f32::consts::TAU / *size)).map(f32::sin);
+            colors.0.lerp(colors.1, (0.5 + 0.25 * (wave.x + wave.y * wave.z)).clamp(0.0, 1.0))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn test_views_lie_among_the_training_views() -> Result<()> {
+        let spec = CameraRing { count: 10, test: 3, ..Default::default() };
+        let cameras = ring(&spec, Vec3::Y)?;
+        let test: Vec<usize> =
+            (0..13).filter(|i| cameras[*i].0 == Split::Test).collect();
+        assert_eq!(test.len(), 3);
+        assert!(test.iter().all(|i| *i > 0 && *i < 12));
+        Ok(())
+    }
+
+    #[test]
+    fn checkers_alternate_across_the_origin() {
+        let pattern = Pattern::Checker { colors: (Vec3::ZERO, Vec3::ONE), size: 0.5 };
+        assert_ne!(pattern_at(&pattern, Vec3::splat(0.1)), pattern_at(&pattern, Vec3::new(-0.1, 0.1, 0.1)));
+    }
+}

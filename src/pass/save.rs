@@ -1,0 +1,130 @@
+//! The `Save` and `Export` passes: the object as a scene that opens again, and as a GLB for other programs.
+
+use super::Session;
+use super::edit::take_material;
+use crate::error::{Error, Result};
+use crate::light::LightLobe;
+use crate::light::npy::{NpyConvention, write_lobes};
+use crate::report::atomic::write_bytes;
+use crate::report::exr_file::{Channels, write_channels};
+use crate::report::tone::srgb8;
+use crate::scene::load::to_ron;
+use crate::scene::pass_types::Pass;
+use crate::scene::types::{
+    Albedo, AlbedoSource, CameraSpec, Light, LightSource, Material, Roughness, Scene, Specular, SpecularAlbedo,
+    Surface as SurfaceSpec, Views,
+};
+use crate::surface::gltf_export::{GltfMaterial, write_glb};
+use glam::Vec3;
+use image::{ImageEncoder, codecs::png::PngEncoder};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+
+/// Writes `scene.ron`, `mesh.glb`, `albedo.exr` and `light.npy`: the object as it is, everything fixed, with the scene's views.
+///
+/// # Errors
+/// If a file cannot be written, or the object has several specular lobes.
+pub fn run_save(session: &mut Session, name: &str) -> Result<()> {
+    let folder = session.folder(name);
+    let material = take_material(&mut session.pipeline.world);
+    let [specular] = material.lobes.as_slice() else {
+        return Err(Error::run(name, "an object with several specular lobes cannot be saved yet"));
+    };
+    let surface = session.surface.clone();
+    let atlas = surface.atlas();
+    write_glb(&folder.join("mesh.glb"), surface.mesh(), None)?;
+    let colors: Vec<Vec3> = material.albedo.iter().map(|a| a.0).collect();
+    let channel = |c: usize| colors.iter().map(|v| v[c]).collect::<Vec<f32>>();
+    let by_name = BTreeMap::from([("R".to_owned(), channel(0)), ("G".to_owned(), channel(1)), ("B".to_owned(), channel(2))]);
+    let channels = Channels { width: atlas.width as usize, height: atlas.height as usize, by_name };
+    write_channels(folder.join("albedo.exr"), &channels)?;
+    let world = &mut session.pipeline.world;
+    let lobes: Vec<LightLobe> = world.query::<&LightLobe>().iter(world).copied().collect();
+    write_lobes(folder.join("light.npy"), &lobes, NpyConvention::Lobelia)?;
+    let saved = Scene {
+        surface: SurfaceSpec::Mesh { path: "mesh.glb".into(), texture_size: atlas.width },
+        views: saved_views(session)?,
+        light: Light::Fixed(LightSource::Npy {
+            path: "light.npy".into(),
+            convention: NpyConvention::Lobelia,
+            scale: 1.0,
+            rotation_degrees: Vec3::ZERO,
+        }),
+        material: Material {
+            albedo: Albedo::Fixed(AlbedoSource::Texture("albedo.exr".into())),
+            specular: Specular {
+                albedo: SpecularAlbedo::Fixed(specular.albedo),
+                roughness: Roughness::Fixed(specular.roughness),
+            },
+        },
+        passes: session.scene.passes.iter().filter(|pass| matches!(pass, Pass::Render(_))).cloned().collect(),
+        ..session.scene.clone()
+    };
+    let text = format!("// Saved by Lobelia. Run it again with: lobelia run scene.ron\n{}\n", to_ron(&saved));
+    write_bytes(&folder.join("scene.ron"), text.as_bytes())?;
+    session.progress.print(&format!("{name}: {}", folder.join("scene.ron").display()));
+    Ok(())
+}
+
+/// The scene's views by absolute path; self-made photographs become bare cameras.
+fn saved_views(session: &mut Session) -> Result<Views> {
+    match &session.scene.views {
+        Views::Dataset(spec) => {
+            let path = std::path::absolute(&spec.path).map_err(Error::io("find", &spec.path))?;
+            Ok(Views::Dataset(crate::scene::types::Dataset { path, ..spec.clone() }))
+        }
+        Views::Cameras(cameras) => Ok(Views::Cameras(cameras.clone())),
+        Views::Photographed(spec) => {
+            let world = &mut session.pipeline.world;
+            let mut query = world.query::<(&crate::view::ViewName, &crate::view::camera::Camera, &crate::view::Split)>();
+            let cameras = query.iter(world).map(|(name, camera, split)| CameraSpec {
+                name: name.0.clone(),
+                eye: camera.position(),
+                target: spec.cameras.target,
+                up: session.scene.up,
+                fov_degrees: spec.cameras.fov_degrees,
+                width: camera.width,
+                height: camera.height,
+                split: *split,
+            });
+            Ok(Views::Cameras(cameras.collect()))
+        }
+    }
+}
+
+/// Writes `mesh.glb` with the albedo as base colour. glTF dims the diffuse part by 1 − F, which this BRDF does not: the
+/// base colour is raised to make up for the mean of F.
+///
+/// # Errors
+/// If the file cannot be written.
+pub fn run_export(session: &mut Session, name: &str) -> Result<()> {
+    let path: PathBuf = session.folder(name).join("mesh.glb");
+    let material = take_material(&mut session.pipeline.world);
+    let Some(specular) = material.lobes.first() else {
+        return Err(Error::run(name, "the object has no specular lobe"));
+    };
+    let strongest = specular.albedo.max_element().clamp(0.0, 0.99);
+    // Mean of Schlick's F over the hemisphere: F0 + (1 − F0)/21.
+    let mean_fresnel = strongest + (1.0 - strongest) / 21.0;
+    let atlas = session.surface.atlas();
+    let bytes: Vec<u8> = material
+        .albedo
+        .iter()
+        .flat_map(|albedo| srgb8((albedo.0 / (1.0 - mean_fresnel)).min(Vec3::ONE)))
+        .collect();
+    let mut png = Vec::new();
+    PngEncoder::new(&mut png)
+        .write_image(&bytes, atlas.width, atlas.height, image::ExtendedColorType::Rgb8)
+        .map_err(|error| Error::run(name, format!("the texture cannot be encoded: {error}")))?;
+    let root = strongest.sqrt();
+    let gltf = GltfMaterial {
+        base_color_png: Some(png),
+        roughness: specular.roughness,
+        ior: (1.0 + root) / (1.0 - root),
+        specular_color: if strongest > 0.0 { specular.albedo / strongest } else { Vec3::ONE },
+        ..GltfMaterial::default()
+    };
+    write_glb(&path, session.surface.mesh(), Some(&gltf))?;
+    session.progress.print(&format!("{name}: {}", path.display()));
+    Ok(())
+}
