@@ -4,5 +4,14 @@
 //! `unwrap_variant_newtypes` (`Fit(name: "fit")`, `Constant(0.5, 0.5, 0.5)`) always on. Every field is
 //! documented, with unit, range and default, on the types in [`types`] and [`pass_types`].
 
+pub mod check;
+mod check_passes;
+pub mod diagnostic;
+pub mod load;
 pub mod pass_types;
+pub mod paths;
+pub mod source;
 pub mod types;
+
+pub use check_passes::unknown_parts;
+pub use load::{LoadOptions, LoadedScene, RunOptions, load, to_ron};

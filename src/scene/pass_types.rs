@@ -284,7 +284,7 @@ pub struct RenderSettings {
     pub views: ViewChoice,
     /// How light is computed. Default `Published`.
     pub shading: Shading,
-    /// Camera rays per pixel, a square number, 1 to 1024 (the path tracer uses its `spp`). Default 4.
+    /// Camera rays per pixel, 1 to 1024 (the path tracer uses its `spp`). Default 4.
     pub samples_per_pixel: u32,
     /// Brightness of the PNGs in stops, −20 to 20 (EXRs are as they are). Default 0.
     pub exposure: f32,

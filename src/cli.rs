@@ -1,0 +1,195 @@
+//! What can be typed after `lobelia`.
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+use lobelia::scene::LoadOptions;
+use std::path::PathBuf;
+
+const EXAMPLES: &str = "\
+Examples:
+  lobelia run scenes/quickstart.ron
+      A first look: makes its own photographs, fits them, edits, relights and scores. Needs no data.
+  lobelia run scenes/spot.ron --data ~/data/spot --out out/spot
+      Your own photographs: $DATA in the scene file stands for ~/data/spot.
+  lobelia run scenes/spot.ron --data ~/data/spot --set passes.fit.epochs=2 --set views.downscale=2
+      A quick try of the same, without touching the file.
+  lobelia check scenes/spot.ron --data ~/data/spot
+      Is everything there and sensible? Nothing is run or written.
+  lobelia eval out/spot/novel ~/data/spot/test/image
+      How close are these images to those?
+
+Exit codes: 0 done, 1 ran and failed, 2 bad input, 130 stopped by Ctrl-C (what was finished is kept).";
+
+const RUN_LONG: &str = "\
+Runs the passes of a scene file in their order.
+
+A scene file says what is known about an object (its surface, the photographs, the light, the material), what is
+not, and what to do: Fit what is unknown, Render views, Edit the material, Relight it, Evaluate against the
+truth, Save it as a scene of its own, Export it as .glb. Every pass has a name and writes into OUT/<name>/.";
+
+const SET_LONG: &str = "\
+Replaces a value of the scene file, or adds it where it is left out. May be given many times.
+
+PATH joins field names by dots. An item of a list is named by its number, by its `name`, or by its kind:
+  --set seed=7
+  --set passes.fit.rates.light=0.01
+  --set passes.novel.render.shading='PathTraced(spp: 64)'
+  --set material.specular.roughness='Fixed(0.25)'
+  --set light.path=other.exr";
+
+/// Recovers surface, material and light of a photographed object as spherical Gaussians; then edits and relights it.
+#[derive(Debug, Parser)]
+#[command(name = "lobelia", version, after_long_help = EXAMPLES, arg_required_else_help = true)]
+pub struct Cli {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// What to do.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Run the passes of a scene file
+    #[command(long_about = RUN_LONG, after_long_help = EXAMPLES)]
+    Run(RunArgs),
+    /// Read a scene file, look for its files, and say what it would do; write nothing
+    Check(CheckArgs),
+    /// Compare two images, or the images of two folders by name: PSNR and SSIM in linear light
+    Eval(EvalArgs),
+    /// Shade a table of single points and add `diffuse` and `specular` to each case
+    ShadeCases(ShadeCasesArgs),
+}
+
+/// Which scene, and what the command line adds to it.
+#[derive(Args, Debug)]
+pub struct SceneArgs {
+    /// The scene file
+    #[arg(value_name = "SCENE.ron")]
+    pub scene: PathBuf,
+    /// The folder that $DATA stands for in the scene file
+    #[arg(long, value_name = "DIR")]
+    pub data: Option<PathBuf>,
+    /// Seed of every random choice, instead of the scene's own
+    #[arg(long, value_name = "S")]
+    pub seed: Option<u64>,
+    /// Replace a value of the scene file, e.g. --set passes.fit.epochs=4
+    #[arg(long = "set", value_name = "PATH=VALUE", value_parser = path_and_value, long_help = SET_LONG)]
+    pub sets: Vec<(String, String)>,
+}
+
+impl SceneArgs {
+    /// The same, as the library reads it.
+    pub fn load_options(&self) -> LoadOptions {
+        LoadOptions { data: self.data.clone(), sets: self.sets.clone(), seed: self.seed }
+    }
+}
+
+/// How many threads work.
+#[derive(Args, Clone, Copy, Debug)]
+pub struct ThreadArgs {
+    /// Worker threads, 1 to 1024 [default: one per processor]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
+}
+
+/// `lobelia run`.
+#[derive(Args, Debug)]
+pub struct RunArgs {
+    /// Which scene.
+    #[command(flatten)]
+    pub scene: SceneArgs,
+    /// The output folder [default: out/<name of the scene file>]
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// Write into the output folder even if it has files in it
+    #[arg(long)]
+    pub force: bool,
+    /// How many threads.
+    #[command(flatten)]
+    pub threads: ThreadArgs,
+    /// No progress bars
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+/// `lobelia check`.
+#[derive(Args, Debug)]
+pub struct CheckArgs {
+    /// Which scene.
+    #[command(flatten)]
+    pub scene: SceneArgs,
+}
+
+/// `lobelia eval`.
+#[derive(Args, Debug)]
+pub struct EvalArgs {
+    /// An image, or a folder of images
+    pub prediction: PathBuf,
+    /// What it should be: an image, or a folder with images of the same names
+    pub truth: PathBuf,
+}
+
+/// `lobelia shade-cases`.
+#[derive(Args, Debug)]
+pub struct ShadeCasesArgs {
+    /// A JSON list of cases: normal, view, light lobe, roughness, specular albedo, diffuse albedo
+    #[arg(value_name = "CASES.json")]
+    pub cases: PathBuf,
+    /// The file to write: the same list with `diffuse` and `specular` RGB in each case
+    #[arg(value_name = "OUT.json")]
+    pub out: PathBuf,
+    /// How light is computed
+    #[arg(long, value_enum, default_value_t = CaseMode::Published)]
+    pub mode: CaseMode,
+    /// Floating-point numbers of the published formulas
+    #[arg(long, value_enum, default_value_t = CasePrecision::F32)]
+    pub precision: CasePrecision,
+    /// How many threads.
+    #[command(flatten)]
+    pub threads: ThreadArgs,
+}
+
+/// How a case is shaded.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum CaseMode {
+    /// The published closed-form SG renderer.
+    Published,
+    /// Monte Carlo integration of the exact BRDF.
+    PathTraced,
+}
+
+/// Floating-point numbers of the published formulas.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum CasePrecision {
+    /// 32 bits, as in a fit.
+    F32,
+    /// 64 bits.
+    F64,
+}
+
+fn path_and_value(text: &str) -> Result<(String, String), String> {
+    match text.split_once('=') {
+        Some((path, value)) if !path.trim().is_empty() && !value.trim().is_empty() => {
+            Ok((path.trim().to_owned(), value.trim().to_owned()))
+        }
+        _ => Err("expected PATH=VALUE, e.g. passes.fit.epochs=4".to_owned()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_commands_are_well_formed() {
+        use clap::CommandFactory;
+        Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn set_takes_the_first_equals_sign() {
+        assert_eq!(path_and_value("a.b = x=1"), Ok(("a.b".into(), "x=1".into())));
+        assert!(
+            path_and_value("a.b").is_err() && path_and_value("=1").is_err() && path_and_value("a=").is_err()
+        );
+    }
+}

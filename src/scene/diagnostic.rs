@@ -1,0 +1,270 @@
+//! Errors of scene files as miette diagnostics: file, line, column, caret, what was expected, and help.
+
+use super::source::{self, Node, SyntaxError};
+use crate::Error;
+use miette::{Diagnostic, LabeledSpan, NamedSource};
+use std::ops::Range;
+use std::path::Path;
+
+/// One wrong place of a scene file, or a list of several.
+#[derive(Debug, thiserror::Error, Diagnostic)]
+#[error("{message}")]
+pub struct SceneDiagnostic {
+    message: String,
+    #[source_code]
+    source_code: Option<NamedSource<String>>,
+    #[label(collection)]
+    labels: Vec<LabeledSpan>,
+    #[help]
+    help: Option<String>,
+    #[related]
+    others: Vec<SceneDiagnostic>,
+}
+
+/// A value of a scene file that is of the right type and yet wrong.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Problem {
+    /// Where: steps joined by dots, as [`source::locate`] reads them.
+    pub path: String,
+    /// What is wrong, e.g. "roughness is 0".
+    pub problem: String,
+    /// What was expected there; stands beside the caret.
+    pub expected: String,
+    /// What to do about it; may be empty.
+    pub help: String,
+}
+
+/// A scene file's text and name, for messages.
+pub struct SceneText<'a> {
+    /// The file.
+    pub path: &'a Path,
+    /// Its text, with `--set` applied.
+    pub text: &'a str,
+    /// Whether `--set` changed the text.
+    pub edited: bool,
+}
+
+impl SceneText<'_> {
+    fn one(&self, message: String, at: Range<usize>, label: String, help: String) -> SceneDiagnostic {
+        let note = if self.edited { "The text shown has the --set values in it." } else { "" };
+        let help =
+            [help.as_str(), note].iter().filter(|s| !s.is_empty()).copied().collect::<Vec<_>>().join("\n");
+        SceneDiagnostic {
+            message,
+            source_code: Some(NamedSource::new(self.path.display().to_string(), self.text.to_owned())),
+            labels: vec![LabeledSpan::new_primary_with_span(Some(label), at)],
+            help: (!help.is_empty()).then_some(help),
+            others: Vec::new(),
+        }
+    }
+
+    /// Text that is not RON.
+    pub fn syntax(&self, error: &SyntaxError) -> Error {
+        let message = format!("this is not a valid scene file: expected {}", error.expected);
+        let label = format!("expected {}", error.expected);
+        let mut one = self.one(message, error.at.clone(), label, String::new());
+        if let Some(open) = &error.open {
+            one.labels.push(LabeledSpan::new_with_span(Some("opened here".into()), open.clone()));
+        }
+        Error::Scene(Box::new(one))
+    }
+
+    /// Values that are wrong, all at once.
+    pub fn problems(&self, root: Option<&Node>, problems: Vec<Problem>) -> Error {
+        let place = |path: &str| root.map_or(0..0, |root| source::locate(root, self.text, path).span);
+        let mut all: Vec<SceneDiagnostic> = problems
+            .into_iter()
+            .map(|p| (place(&p.path), p))
+            .map(|(at, p)| self.one(p.problem, at, p.expected, p.help))
+            .collect();
+        all.sort_by_key(|one| one.labels.first().map(LabeledSpan::offset));
+        if all.len() == 1 {
+            return Error::Scene(Box::new(all.remove(0)));
+        }
+        Error::Scene(Box::new(SceneDiagnostic {
+            message: format!("{} problems in {}", all.len(), self.path.display()),
+            source_code: None,
+            labels: Vec::new(),
+            help: None,
+            others: all,
+        }))
+    }
+
+    /// RON that does not have the scene's shape.
+    pub fn shape(&self, root: &Node, error: &ron::error::SpannedError) -> Error {
+        use ron::error::Error as Ron;
+        let start = self.offset(error.span.start);
+        let end = self.offset(error.span.end);
+        let (message, at, label, help) = match &error.code {
+            Ron::NoSuchStructField { expected, found, outer } => (
+                format!("unknown field `{found}`{}", within(outer)),
+                self.field_before(root, found, end),
+                "not a field here".to_owned(),
+                choices("fields", found, expected),
+            ),
+            Ron::NoSuchEnumVariant { expected, found, outer } => (
+                format!("unknown choice `{found}`{}", within(outer)),
+                self.word_before(found, end),
+                "not one of the choices here".to_owned(),
+                choices("choices", found, expected),
+            ),
+            Ron::MissingStructField { field, outer } => (
+                format!("missing field `{field}`{}", within(outer)),
+                struct_at(root, start).handle(self.text),
+                format!("expected `{field}` in here"),
+                format!("Add `{field}: …`."),
+            ),
+            Ron::DuplicateStructField { field, outer } => (
+                format!("field `{field}` is given twice{}", within(outer)),
+                self.field_before(root, field, end),
+                "second time".to_owned(),
+                "Remove one of the two.".to_owned(),
+            ),
+            other => {
+                let node = self.value_at(root, start, end);
+                let (expected, help) = self.explain(other, node);
+                let found = &self.text[node.handle(self.text)];
+                (format!("{expected}, found `{found}`"), node.handle(self.text), expected, help)
+            }
+        };
+        Error::Scene(Box::new(self.one(message, at, label, help)))
+    }
+
+    /// Byte offset of a line and column counted from 1 in characters.
+    fn offset(&self, position: ron::error::Position) -> usize {
+        let line_start = if position.line <= 1 {
+            0
+        } else {
+            let mut ends = self.text.match_indices('\n').map(|(at, _)| at + 1);
+            ends.nth(position.line - 2).unwrap_or(self.text.len())
+        };
+        let rest = &self.text[line_start..];
+        line_start + rest.char_indices().nth(position.col.saturating_sub(1)).map_or(rest.len(), |(at, _)| at)
+    }
+
+    fn field_before(&self, root: &Node, name: &str, end: usize) -> Range<usize> {
+        let same = |range: &Range<usize>| &self.text[range.clone()] == name && range.start <= end;
+        root.field_names().into_iter().filter(same).max_by_key(|range| range.start).unwrap_or(end..end)
+    }
+
+    fn word_before(&self, word: &str, end: usize) -> Range<usize> {
+        let end = (end + word.len()).min(self.text.len());
+        let head = self.text.get(..end).unwrap_or(self.text);
+        head.rfind(word).map_or(end..end, |start| start..start + word.len())
+    }
+
+    /// The value that an error's range is about: it begins in the range, or ends just before it.
+    fn value_at<'a>(&self, root: &'a Node, start: usize, end: usize) -> &'a Node {
+        let blank = self.text[start..end].len() - self.text[start..end].trim_start().len();
+        let node = root.innermost(start + blank);
+        let ends_before = root.innermost(self.text[..start].trim_end().len().saturating_sub(1));
+        if node.span.start >= start || ends_before.span.len() > node.span.len() { node } else { ends_before }
+    }
+
+    fn explain(&self, error: &ron::error::Error, node: &Node) -> (String, String) {
+        use ron::error::Error as Ron;
+        let name = node.name(self.text).unwrap_or_default();
+        match error {
+            Ron::ExpectedStructLike | Ron::ExpectedNamedStructLike(_) if !name.is_empty() => {
+                (format!("expected `(` after `{name}`"), format!("Write `{name}()` to take every default."))
+            }
+            Ron::InvalidValueForType { expected, .. } => (format!("expected {expected}"), String::new()),
+            Ron::ExpectedFloat | Ron::ExpectedInteger if self.text[node.span.clone()].starts_with('(') => (
+                "expected a number".into(),
+                "A colour in a choice has one pair of brackets: `Constant(0.5, 0.5, 0.5)`.".into(),
+            ),
+            Ron::ExpectedFloat => ("expected a number".into(), String::new()),
+            Ron::ExpectedInteger => ("expected a whole number".into(), String::new()),
+            Ron::IntegerOutOfBounds => ("expected a whole number in range".into(), String::new()),
+            Ron::ExpectedString => ("expected a string in quotes".into(), String::new()),
+            Ron::ExpectedBoolean => ("expected true or false".into(), String::new()),
+            other => (lower_first(&other.to_string()), String::new()),
+        }
+    }
+}
+
+fn struct_at(node: &Node, at: usize) -> &Node {
+    use super::source::Body;
+    let mut best = node;
+    let mut here = node;
+    loop {
+        let children: Vec<&Node> = match &here.body {
+            Body::Fields(fields) => fields.iter().map(|f| &f.value).collect(),
+            Body::Items(items) => items.iter().collect(),
+            Body::Plain | Body::Text(_) | Body::Map(_) => Vec::new(),
+        };
+        match children.into_iter().find(|c| c.span.start <= at && at < c.span.end) {
+            Some(child) => here = child,
+            None => return best,
+        }
+        if matches!(here.body, Body::Fields(_)) {
+            best = here;
+        }
+    }
+}
+
+fn within(outer: &Option<String>) -> String {
+    outer.as_ref().map_or_else(String::new, |outer| format!(" in {outer}"))
+}
+
+fn lower_first(text: &str) -> String {
+    let mut chars = text.chars();
+    chars.next().map_or_else(String::new, |first| first.to_lowercase().chain(chars).collect())
+}
+
+/// "Did you mean `x`? The fields are: …"
+fn choices(kind: &str, found: &str, expected: &[&str]) -> String {
+    let all = expected.iter().map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", ");
+    match nearest(found, expected.iter().copied()) {
+        Some(name) => format!("Did you mean `{name}`? The {kind} are: {all}."),
+        None => format!("The {kind} are: {all}."),
+    }
+}
+
+/// The candidate with the fewest changed letters, if that is at most a third of them (rounded up).
+pub fn nearest<'a>(found: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    let found_lower = found.to_lowercase();
+    let limit = found.chars().count().div_ceil(3);
+    candidates
+        .into_iter()
+        .map(|candidate| (distance(&found_lower, &candidate.to_lowercase()), candidate))
+        .filter(|(distance, _)| *distance <= limit)
+        .min_by_key(|(distance, _)| *distance)
+        .map(|(_, candidate)| candidate)
+}
+
+/// Levenshtein distance in characters.
+fn distance(a: &str, b: &str) -> usize {
+    let b: Vec<char> = b.chars().collect();
+    let mut row: Vec<usize> = (0..=b.len()).collect();
+    for (i, ca) in a.chars().enumerate() {
+        let mut diagonal = row[0];
+        row[0] = i + 1;
+        for (j, cb) in b.iter().enumerate() {
+            let substituted = diagonal + usize::from(ca != *cb);
+            diagonal = row[j + 1];
+            row[j + 1] = substituted.min(row[j] + 1).min(diagonal + 1);
+        }
+    }
+    row[b.len()]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nearest_finds_slips_and_leaves_strangers() {
+        assert_eq!(nearest("rougness", ["albedo", "roughness"]), Some("roughness"));
+        assert_eq!(nearest("published", ["Published", "PathTraced"]), Some("Published"));
+        assert_eq!(nearest("colour", ["path", "scale"]), None);
+        assert_eq!((distance("kitten", "sitting"), distance("", "ab"), distance("ab", "")), (3, 2, 2));
+    }
+
+    #[test]
+    fn offsets_count_characters() {
+        let text = SceneText { path: Path::new("x"), text: "é(\nü: 1)\n", edited: false };
+        let offset = |line, col| text.offset(ron::error::Position { line, col });
+        assert_eq!((offset(1, 1), offset(1, 2), offset(2, 2), offset(2, 5), offset(9, 9)), (0, 2, 6, 8, 11));
+    }
+}

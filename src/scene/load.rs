@@ -1,0 +1,247 @@
+//! Reading a scene file: `--set`, parsing, paths and checks, each error with a caret. Nothing is written.
+
+use super::check;
+use super::diagnostic::{Problem, SceneText};
+use super::paths;
+use super::source::{self, Node};
+use super::types::{Scene, VERSION};
+use crate::{Error, Result};
+use ron::extensions::Extensions;
+use std::path::{Path, PathBuf};
+
+/// What the command line adds to a scene file.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct LoadOptions {
+    /// What `$DATA` stands for.
+    pub data: Option<PathBuf>,
+    /// `--set` values in order: path and RON text.
+    pub sets: Vec<(String, String)>,
+    /// Replaces the scene's seed.
+    pub seed: Option<u64>,
+}
+
+/// A scene that was read and checked.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LoadedScene {
+    /// The scene; every path in it is resolved and, where it must exist, was found.
+    pub scene: Scene,
+    /// The scene file.
+    pub path: PathBuf,
+    /// The folder that relative paths start from.
+    pub base_dir: PathBuf,
+    /// The text that was read, with `--set` applied.
+    pub text: String,
+    /// The files and folders that the scene needs, in the order of the scene file.
+    pub files: Vec<PathBuf>,
+}
+
+/// How a loaded scene is run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RunOptions {
+    /// The output folder.
+    pub out: PathBuf,
+    /// Write into `out` although it exists and is not empty.
+    pub force: bool,
+    /// No progress bars.
+    pub quiet: bool,
+}
+
+/// Reads and checks a scene file.
+///
+/// # Errors
+/// [`Error::Input`] if the file cannot be read, [`Error::Usage`] for a `--set` that cannot be applied,
+/// [`Error::Scene`] with a caret for everything that is wrong in the text.
+pub fn load(path: &Path, options: &LoadOptions) -> Result<LoadedScene> {
+    if let Some(data) = options.data.as_deref().filter(|data| !data.is_dir()) {
+        let problem = format!("--data {}: there is no such folder", data.display());
+        return Err(Error::usage(problem, "Give the folder that `$DATA` stands for."));
+    }
+    let mut text = read(path)?;
+    for (target, value) in &options.sets {
+        text = source::set(&text, target, value)
+            .map_err(|(problem, help)| Error::usage(format!("--set {target}={value}: {problem}"), help))?;
+    }
+    let words = SceneText { path, text: &text, edited: !options.sets.is_empty() };
+    let (mut scene, root) = parse(&words)?;
+    if let Some(seed) = options.seed {
+        scene.seed = seed;
+    }
+    let base_dir = path.parent().map_or_else(PathBuf::new, Path::to_owned);
+    let mut problems = check::check(&scene);
+    let files = paths::resolve(&mut scene, &base_dir, options.data.as_deref(), &mut problems);
+    if !problems.is_empty() {
+        return Err(words.problems(root.as_ref(), problems));
+    }
+    Ok(LoadedScene { scene, path: path.to_owned(), base_dir, text, files })
+}
+
+/// The scene as RON text, laid out for people; it reads back to an equal scene.
+///
+/// # Errors
+/// [`Error::Run`] if a path is not UTF-8, which RON cannot say.
+pub fn to_ron(scene: &Scene) -> Result<String> {
+    let config = ron::ser::PrettyConfig::new().depth_limit(6).struct_names(false);
+    let text = options().to_string_pretty(scene, config);
+    text.map(|text| text + "\n").map_err(|error| Error::run("writing the scene as RON", error.to_string()))
+}
+
+/// The RON dialect of scene files.
+fn options() -> ron::Options {
+    ron::Options::default()
+        .with_default_extension(Extensions::IMPLICIT_SOME | Extensions::UNWRAP_VARIANT_NEWTYPES)
+}
+
+fn read(path: &Path) -> Result<String> {
+    if path.is_dir() {
+        return Err(Error::input(path, "", "is a folder", "Give a scene file, e.g. scenes/quickstart.ron."));
+    }
+    let bytes = std::fs::read(path).map_err(|error| match error.kind() {
+        std::io::ErrorKind::NotFound => Error::input(
+            path,
+            "",
+            "there is no such scene file",
+            "Check the path; it is relative to this folder.",
+        ),
+        _ => Error::input(path, "", format!("cannot be read: {error}"), "Check its permissions."),
+    })?;
+    String::from_utf8(bytes).map_err(|error| {
+        let place = format!("byte {}", error.utf8_error().valid_up_to());
+        Error::input(
+            path,
+            place,
+            "is not UTF-8 text",
+            "A scene file is RON text, e.g. scenes/quickstart.ron.",
+        )
+    })
+}
+
+/// The scene and, for carets, its tree of ranges.
+fn parse(words: &SceneText) -> Result<(Scene, Option<Node>)> {
+    let root = source::parse(words.text);
+    if let Ok(root) = &root {
+        check_version(words, root)?;
+    }
+    match (options().from_str::<Scene>(words.text), root) {
+        (Ok(scene), root) => Ok((scene, root.ok())),
+        (Err(error), Ok(root)) => Err(words.shape(&root, &error)),
+        (Err(_), Err(error)) => Err(words.syntax(&error)),
+    }
+}
+
+/// Another version is reported first, because it would explain every other complaint.
+fn check_version(words: &SceneText, root: &Node) -> Result<()> {
+    match root.field(words.text, "version").map(|node| &words.text[node.span.clone()]) {
+        Some(found) if found.parse::<u32>().is_ok_and(|version| version != VERSION) => {
+            let problem = Problem {
+                path: "version".into(),
+                problem: format!("scene files of version {found} are not known"),
+                expected: format!("expected {VERSION}"),
+                help: format!("This program reads version {VERSION}."),
+            };
+            Err(words.problems(Some(root), vec![problem]))
+        }
+        _ => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::pass_types::Pass;
+    use crate::scene::types::{Light, Material, Roughness, Specular, Views};
+
+    /// Says most of what can be said.
+    const RICH: &str = r#"Scene(
+        version: 1,
+        seed: 3,
+        surface: Box(size: (1, 2, 1)),
+        views: Photographed(
+            cameras: (count: 6, test: 2, size: 32),
+            truth: (
+                albedo: Stripes(colors: [(0.8, 0.1, 0.1), (0.1, 0.1, 0.8)]),
+                specular: (albedo: (0.2, 0.2, 0.2), roughness: 0.3),
+                light: Lobes(lobes: [(axis: (0, 1, 0), sharpness: 5, amplitude: (1, 0.1, 3e-7))], scale: 2),
+            ),
+        ),
+        light: Unknown(),
+        material: (specular: (albedo: Unknown(mono: false), roughness: Fixed(0.25))),
+        passes: [
+            Fit(steps: 10, milestones: []),
+            Render(name: "novel", render: (views: Named(["a"]), shading: PathTraced(spp: 8), orbit: (radius: 3))),
+            Edit(name: "edited", edits: [
+                Diffuse(action: Blend(color: (1, 1, 1), weight: 0.5), region: Box(min: (-1, -1, -1), max: (1, 0, 1))),
+                Diffuse(action: Scale(0.5, 0.5, 0.5), region: Sphere(center: (0, 0, 0), radius: 1)),
+                Specular(action: Set(0.9, 0.65, 0.3)),
+                Roughness(action: Set(0.15)),
+            ]),
+            Relight(name: "relit", light: Lobes(lobes: [(axis: (1, 0, 0), sharpness: 0, amplitude: (1, 1, 1))])),
+            Evaluate(
+                scores: [(pass: "novel", truth: Photographs), (pass: "edited", truth: SelfMade(), scale: PerLayer)],
+                albedo: SelfMade,
+            ),
+            Save(),
+            Export(name: "glb"),
+        ],
+    )"#;
+
+    fn load_text(text: &str, options: &LoadOptions) -> Result<LoadedScene> {
+        let folder = tempfile::tempdir().map_err(Error::io("create", "a temporary folder"))?;
+        let path = folder.path().join("scene.ron");
+        std::fs::write(&path, text).map_err(Error::io("write", &path))?;
+        load(&path, options)
+    }
+
+    #[test]
+    fn a_scene_survives_being_written_and_read() {
+        let loaded = load_text(RICH, &LoadOptions::default()).unwrap();
+        let text = to_ron(&loaded.scene).unwrap();
+        let again = load_text(&text, &LoadOptions::default()).unwrap();
+        assert_eq!(again.scene, loaded.scene, "{text}");
+        let Pass::Render(render) = &again.scene.passes[1] else { panic!("{text}") };
+        assert_eq!(render.render.orbit.as_ref().unwrap().radius, Some(3.0));
+    }
+
+    #[test]
+    fn what_is_left_out_takes_its_default() {
+        let text = r#"(version: 1, surface: Sphere(), views: Cameras([(name: "a", eye: (0, 0, 3))]))"#;
+        let scene = load_text(text, &LoadOptions::default()).unwrap().scene;
+        assert_eq!((scene.seed, &scene.light, &scene.material), (0, &Light::default(), &Material::default()));
+        assert_eq!(scene.material.specular, Specular::default());
+        let Views::Cameras(cameras) = &scene.views else { panic!() };
+        assert_eq!((cameras[0].width, cameras[0].fov_degrees), (256, 38.0));
+    }
+
+    #[test]
+    fn sets_and_seed_reach_the_scene() {
+        let sets = [("material.specular.roughness", "Fixed(0.5)"), ("passes.fit.rates.light", "0")];
+        let sets = sets.map(|(path, value)| (path.to_owned(), value.to_owned())).to_vec();
+        let scene = load_text(RICH, &LoadOptions { data: None, sets, seed: Some(9) }).unwrap().scene;
+        assert_eq!((scene.seed, scene.material.specular.roughness), (9, Roughness::Fixed(0.5)));
+        let Pass::Fit(fit) = &scene.passes[0] else { panic!() };
+        assert_eq!((fit.rates.light, fit.rates.albedo, fit.steps), (0.0, 0.05, Some(10)));
+    }
+
+    #[test]
+    fn paths_are_resolved_against_data_and_the_scene_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let data = folder.path().join("data");
+        std::fs::create_dir(&data).unwrap();
+        std::fs::write(data.join("mesh.glb"), "").unwrap();
+        std::fs::write(folder.path().join("a.png"), "").unwrap();
+        let path = folder.path().join("scene.ron");
+        let text = r#"(version: 1, surface: Mesh(path: "$DATA/mesh.glb"), views: Dataset(path: "$DATA"),
+            material: (albedo: Fixed(Texture("a.png"))))"#;
+        std::fs::write(&path, text).unwrap();
+        let options = LoadOptions { data: Some(data.clone()), ..LoadOptions::default() };
+        let loaded = load(&path, &options).unwrap();
+        assert_eq!(loaded.files, [data.join("mesh.glb"), data, folder.path().join("a.png")]);
+        assert_eq!(load(&path, &LoadOptions::default()).unwrap_err().exit_code(), 2);
+    }
+
+    #[test]
+    fn every_prefix_of_a_scene_is_refused_without_a_panic() {
+        for end in (0..RICH.len()).step_by(7) {
+            assert_eq!(load_text(&RICH[..end], &LoadOptions::default()).unwrap_err().exit_code(), 2);
+        }
+    }
+}

@@ -1,0 +1,170 @@
+//! The files that a scene names: `$DATA` and relative paths resolved, and whether they exist.
+
+use super::diagnostic::{Problem, nearest};
+use super::pass_types::{DiffuseAction, Edit, LayerTruth, Pass, Region, Truth};
+use super::types::{Albedo, AlbedoSource, Light, LightSource, Scene, Surface, Views};
+use std::path::{Path, PathBuf};
+
+/// What must be at a path.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    File,
+    Folder,
+}
+
+/// Resolves every path of the scene in place and returns those that exist; what does not becomes a problem.
+///
+/// `$DATA/…` starts at `data`, other relative paths at `base_dir`.
+pub fn resolve(
+    scene: &mut Scene,
+    base_dir: &Path,
+    data: Option<&Path>,
+    problems: &mut Vec<Problem>,
+) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    let mut data_is_missed = false;
+    for_each_path(scene, &mut |at, kind, path| match place(path, base_dir, data) {
+        Some(full) => {
+            match complaint(&full, kind) {
+                Some((problem, help)) => problems.push(Problem {
+                    path: at.to_owned(),
+                    problem,
+                    expected: if kind == Kind::File { "expected a file" } else { "expected a folder" }.into(),
+                    help,
+                }),
+                None if !found.contains(&full) => found.push(full.clone()),
+                None => {}
+            }
+            *path = full;
+        }
+        // One report stands for all: they have the same mend.
+        None if !data_is_missed => {
+            data_is_missed = true;
+            problems.push(Problem {
+                path: at.to_owned(),
+                problem: "$DATA stands for nothing here".into(),
+                expected: "expected --data to say what $DATA is".into(),
+                help: "Give the folder on the command line: --data DIR.".into(),
+            });
+        }
+        None => {}
+    });
+    found
+}
+
+fn place(path: &Path, base_dir: &Path, data: Option<&Path>) -> Option<PathBuf> {
+    match path.strip_prefix("$DATA") {
+        Ok(rest) if rest.as_os_str().is_empty() => data.map(Path::to_owned),
+        Ok(rest) => data.map(|data| data.join(rest)),
+        Err(_) => Some(base_dir.join(path)),
+    }
+}
+
+fn complaint(path: &Path, kind: Kind) -> Option<(String, String)> {
+    let shown = path.display();
+    match (kind, path.is_file(), path.is_dir()) {
+        (Kind::File, true, _) | (Kind::Folder, _, true) => None,
+        (Kind::File, _, true) => Some((format!("{shown} is a folder"), "Name a file in it.".into())),
+        (Kind::Folder, true, _) => {
+            Some((format!("{shown} is a file"), "Name the folder that it is in.".into()))
+        }
+        _ => Some((format!("{shown} does not exist"), missing_help(path))),
+    }
+}
+
+/// What is there instead: the deepest folder that exists, and a name in it that is nearly the wanted one.
+fn missing_help(path: &Path) -> String {
+    let mut wanted = path;
+    loop {
+        let parent = match wanted.parent() {
+            Some(parent) if parent.as_os_str().is_empty() => Path::new("."),
+            Some(parent) => parent,
+            None => return String::new(),
+        };
+        if parent.is_dir() {
+            let name = wanted.file_name().unwrap_or_default().to_string_lossy();
+            let mut there: Vec<String> = std::fs::read_dir(parent)
+                .map(|entries| {
+                    entries.flatten().map(|e| e.file_name().to_string_lossy().into_owned()).collect()
+                })
+                .unwrap_or_default();
+            there.sort();
+            return match nearest(&name, there.iter().map(String::as_str)) {
+                Some(near) => format!("{} has no `{name}`; did you mean `{near}`?", parent.display()),
+                None => format!("{} has no `{name}`.", parent.display()),
+            };
+        }
+        wanted = parent;
+    }
+}
+
+/// Calls `visit` with the scene-file place, the kind and the path of every file or folder that must exist.
+fn for_each_path(scene: &mut Scene, visit: &mut impl FnMut(&str, Kind, &mut PathBuf)) {
+    if let Surface::Mesh { path, .. } = &mut scene.surface {
+        visit("surface.path", Kind::File, path);
+    }
+    match &mut scene.views {
+        Views::Dataset(dataset) => visit("views.path", Kind::Folder, &mut dataset.path),
+        Views::Photographed(made) => light("views.truth.light.path", &mut made.truth.light, visit),
+        Views::Cameras(_) => {}
+    }
+    if let Light::Initial(source) | Light::Fixed(source) = &mut scene.light {
+        light("light.path", source, visit);
+    }
+    if let Albedo::Initial(AlbedoSource::Texture(path)) | Albedo::Fixed(AlbedoSource::Texture(path)) =
+        &mut scene.material.albedo
+    {
+        visit("material.albedo.0", Kind::File, path);
+    }
+    for (index, pass) in scene.passes.iter_mut().enumerate() {
+        pass_paths(&format!("passes.{index}"), pass, visit);
+    }
+}
+
+fn pass_paths(at: &str, pass: &mut Pass, visit: &mut impl FnMut(&str, Kind, &mut PathBuf)) {
+    match pass {
+        Pass::Edit(edit) => {
+            edits(at, &mut edit.edits, visit);
+            if let Some(source) = &mut edit.light {
+                light(&format!("{at}.light.path"), source, visit);
+            }
+        }
+        Pass::Relight(relight) => {
+            light(&format!("{at}.light.path"), &mut relight.light, visit);
+            edits(at, &mut relight.edits, visit);
+        }
+        Pass::Evaluate(evaluate) => {
+            for (index, score) in evaluate.scores.iter_mut().enumerate() {
+                if let Truth::Folder(path) = &mut score.truth {
+                    visit(&format!("{at}.scores.{index}.truth.0"), Kind::Folder, path);
+                }
+            }
+            for (field, truth) in [("albedo", &mut evaluate.albedo), ("normal", &mut evaluate.normal)] {
+                if let Some(LayerTruth::Folder(path)) = truth {
+                    visit(&format!("{at}.{field}.0"), Kind::Folder, path);
+                }
+            }
+        }
+        Pass::Fit(_) | Pass::Render(_) | Pass::Save(_) | Pass::Export(_) => {}
+    }
+}
+
+fn edits(at: &str, edits: &mut [Edit], visit: &mut impl FnMut(&str, Kind, &mut PathBuf)) {
+    for (index, edit) in edits.iter_mut().enumerate() {
+        if let Edit::Diffuse { action: DiffuseAction::Texture(path), .. } = edit {
+            visit(&format!("{at}.edits.{index}.action.0"), Kind::File, path);
+        }
+        let (Edit::Diffuse { region, .. } | Edit::Specular { region, .. } | Edit::Roughness { region, .. }) =
+            edit;
+        if let Region::Mask(path) = region {
+            visit(&format!("{at}.edits.{index}.region.0"), Kind::File, path);
+        }
+    }
+}
+
+fn light(at: &str, source: &mut LightSource, visit: &mut impl FnMut(&str, Kind, &mut PathBuf)) {
+    match source {
+        LightSource::Npy { path, .. } | LightSource::Map { path, .. } => visit(at, Kind::File, path),
+        LightSource::Lobes { .. } => {}
+    }
+}
