@@ -1,8 +1,50 @@
 //! Light: SG lobes, environment maps, and one from the other.
+//!
+//! | file | holds |
+//! | --- | --- |
+//! | [`envmap`] | the latitude-longitude grid: directions, solid angles, bilinear look-up, rotation |
+//! | [`envmap_io`] | EXR and Radiance HDR in (checked, repaired, counted), EXR out |
+//! | [`illuminate`] | [`Illuminate`](crate::math::ray::Illuminate) for a map and for lobes, both importance-sampled |
+//! | [`npy`] | SG `.npy` files in both conventions |
+//! | [`fibonacci`] | near-uniform directions |
+//! | [`fit_map`] | a map fitted by lobes (Levenberg–Marquardt with greedy placement) |
+//!
+//! # Parameters of a lobe
+//! | name | type | unit | default | meaning |
+//! | --- | --- | --- | --- | --- |
+//! | `axis` | `Vec3` | unit vector, world | none | ξ, towards the light |
+//! | `sharpness` | `f32` ≥ 0 | 1 / (1 − cos) | none | λ; half-width is about √(1.39 / λ) radians |
+//! | `amplitude` | `Vec3` ≥ 0 | linear RGB radiance | none | μ, the radiance at the axis |
+//!
+//! # Parameters of a fit ([`fit_map::MapFit`])
+//! | name | type | unit | default | meaning |
+//! | --- | --- | --- | --- | --- |
+//! | `working_width` | `u32` | texels | 128 | width of the box-downsampled map most of the work is done on |
+//! | `polish_width` | `u32` | texels | 512 | greatest width of the map the last steps are done on |
+//! | `iterations` | `usize` | steps | 24 | Levenberg–Marquardt steps once all lobes are placed |
+//! | `relocations` | `usize` | rounds | 6 | times that the least useful lobes are moved to the greatest residuals |
+//! | `polish_iterations` | `usize` | steps | 6 | Levenberg–Marquardt steps on the polishing map |
+//! | `max_sharpness` | `f32` | 1 / (1 − cos) | 2 (W / 2π)² | greatest sharpness; by default a standard deviation of 0.7 texels of the map fitted |
 
 use bevy_ecs::prelude::Component;
-use glam::Vec3;
+use glam::{DVec3, Quat, Vec3};
 use serde::{Deserialize, Serialize};
+
+use crate::math::ray::Illuminate;
+use crate::math::sg;
+
+pub mod envmap;
+pub mod envmap_io;
+mod exp;
+pub mod fibonacci;
+mod file;
+pub mod fit_kernel;
+mod fit_linear;
+pub mod fit_map;
+mod fit_place;
+mod fit_solve;
+pub mod illuminate;
+pub mod npy;
 
 /// One SG of distant light: radiance μ exp(λ(ω·ξ − 1)) from direction ω.
 #[derive(Component, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -28,4 +70,117 @@ pub struct EnvironmentMap {
     pub height: u32,
     /// `width * height` linear RGB radiances, row by row from the top left.
     pub radiance: Vec<Vec3>,
+}
+
+impl LightLobe {
+    /// Radiance from the unit direction `omega`, linear RGB.
+    pub fn radiance(&self, omega: Vec3) -> Vec3 {
+        self.amplitude * sg::evaluate(omega.to_array(), self.axis.to_array(), self.sharpness)
+    }
+
+    /// Integral of the radiance over the whole sphere, linear RGB × steradians: μ 2π(1 − e^(−2λ))/λ.
+    pub fn power(&self) -> DVec3 {
+        self.amplitude.as_dvec3() * sg::sphere_integral(f64::from(self.sharpness))
+    }
+}
+
+/// Sum of the lobes' radiance from the unit direction `omega`, linear RGB.
+pub fn lobes_radiance(lobes: &[LightLobe], omega: Vec3) -> Vec3 {
+    lobes.iter().map(|lobe| lobe.radiance(omega)).sum()
+}
+
+/// Integral of the lobes' radiance over the whole sphere, linear RGB × steradians.
+pub fn lobes_power(lobes: &[LightLobe]) -> DVec3 {
+    lobes.iter().map(LightLobe::power).sum()
+}
+
+/// The lobes turned by `rotation`: light that came from direction d now comes from `rotation * d`.
+pub fn rotate_lobes(lobes: &[LightLobe], rotation: Quat) -> Vec<LightLobe> {
+    let turned = |lobe: &LightLobe| (rotation * lobe.axis).normalize_or(lobe.axis);
+    lobes.iter().map(|lobe| LightLobe { axis: turned(lobe), ..*lobe }).collect()
+}
+
+/// The lobes with their radiance multiplied by `factor` (per channel, not negative).
+pub fn scale_lobes(lobes: &[LightLobe], factor: Vec3) -> Vec<LightLobe> {
+    lobes.iter().map(|lobe| LightLobe { amplitude: lobe.amplitude * factor, ..*lobe }).collect()
+}
+
+/// The lobes' radiance at every texel centre of a `width` × `height` map; a size of 0 is taken as 1.
+pub fn render_lobes(lobes: &[LightLobe], width: u32, height: u32) -> EnvironmentMap {
+    let light = illuminate::LobeLight::new(lobes);
+    EnvironmentMap::from_directions(width.max(1), height.max(1), |omega| light.radiance(omega))
+}
+
+/// Whether the lobes are a usable light.
+///
+/// # Errors
+/// One sentence that names the first lobe (counted from 0) with a zero or non-unit axis (|length − 1| > 10⁻³), or a
+/// negative or non-finite sharpness or amplitude; or that there are no lobes at all.
+pub fn validate_lobes(lobes: &[LightLobe]) -> Result<(), String> {
+    if lobes.is_empty() {
+        return Err("there are no light lobes; at least one is needed".to_owned());
+    }
+    for (i, lobe) in lobes.iter().enumerate() {
+        let length = lobe.axis.length();
+        if !lobe.axis.is_finite() {
+            return Err(format!("lobe {i}: axis {} is not finite", lobe.axis));
+        }
+        if length == 0.0 {
+            return Err(format!("lobe {i}: axis is zero, so it has no direction"));
+        }
+        if (length - 1.0).abs() > 1e-3 {
+            return Err(format!("lobe {i}: axis {} has length {length}, not 1", lobe.axis));
+        }
+        if !lobe.sharpness.is_finite() || lobe.sharpness < 0.0 {
+            return Err(format!("lobe {i}: sharpness {} must be finite and not negative", lobe.sharpness));
+        }
+        if !lobe.amplitude.is_finite() || lobe.amplitude.min_element() < 0.0 {
+            return Err(format!("lobe {i}: amplitude {} must be finite and not negative", lobe.amplitude));
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn lobe() -> LightLobe {
+        LightLobe { axis: Vec3::X, sharpness: 5.0, amplitude: Vec3::new(1.0, 2.0, 3.0) }
+    }
+
+    #[test]
+    fn validation_names_the_lobe() {
+        assert!(validate_lobes(&[lobe(), lobe()]).is_ok());
+        assert!(validate_lobes(&[]).unwrap_err().contains("no light lobes"));
+        let bad = [
+            LightLobe { axis: Vec3::ZERO, ..lobe() },
+            LightLobe { axis: Vec3::NAN, ..lobe() },
+            LightLobe { axis: Vec3::splat(2.0), ..lobe() },
+            LightLobe { sharpness: -1.0, ..lobe() },
+            LightLobe { sharpness: f32::INFINITY, ..lobe() },
+            LightLobe { amplitude: Vec3::new(0.0, -1.0, 0.0), ..lobe() },
+            LightLobe { amplitude: Vec3::new(f32::NAN, 1.0, 0.0), ..lobe() },
+        ];
+        for broken in bad {
+            let message = validate_lobes(&[lobe(), broken]).unwrap_err();
+            assert!(message.starts_with("lobe 1: "), "{message}");
+        }
+    }
+
+    #[test]
+    fn rotating_lobes_turns_their_light() {
+        let turn = Quat::from_rotation_z(std::f32::consts::FRAC_PI_2);
+        let turned = rotate_lobes(&[lobe()], turn);
+        assert!(turned[0].axis.distance(Vec3::Y) < 1e-6);
+        assert!(lobes_radiance(&turned, Vec3::Y).distance(Vec3::new(1.0, 2.0, 3.0)) < 1e-5);
+    }
+
+    #[test]
+    fn power_agrees_with_the_rendered_map() {
+        let lobes = scale_lobes(&[lobe(), LightLobe { axis: Vec3::Y, ..lobe() }], Vec3::new(2.0, 1.0, 1.0));
+        let map = render_lobes(&lobes, 256, 128);
+        let (sum, exact) = (map.power(), lobes_power(&lobes));
+        assert!((sum - exact).abs().max_element() < 1e-3 * exact.max_element(), "{sum} {exact}");
+    }
 }

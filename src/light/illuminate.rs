@@ -1,0 +1,369 @@
+//! Distant light that can be looked at and sampled: an environment map, and a set of SG lobes.
+
+use std::f64::consts::PI;
+
+use glam::{DVec3, Vec3};
+
+use super::exp::exp_nonpositive;
+use super::{EnvironmentMap, LightLobe};
+use crate::math::color::luminance;
+use crate::math::ray::{Illuminate, LightSample};
+use crate::math::sg;
+
+/// What a light that emits nothing returns from `sample`.
+const NO_SAMPLE: LightSample = LightSample { direction: Vec3::Y, radiance: Vec3::ZERO, pdf: 0.0 };
+
+/// An environment map, looked up bilinearly, and sampled texel by texel.
+///
+/// A texel is drawn in proportion to the mean luminance over it of the bilinear blend (the texels weighted by
+/// [1 6 1]/8 along each side) times its solid angle, then a direction in it uniformly in solid angle. The blend's mean is
+/// positive wherever the blend is, so the estimator radiance/pdf is unbiased.
+#[derive(Clone, Debug)]
+pub struct MapLight {
+    map: EnvironmentMap,
+    /// Density per steradian in each texel.
+    density: Vec<f32>,
+    /// Running sums along each row (not normalised).
+    columns: Vec<f64>,
+    /// Running sum of the rows' totals.
+    rows: Vec<f64>,
+}
+
+impl MapLight {
+    /// Builds the sampling tables of `map` (not empty); about 12 bytes a texel beside the map's own.
+    pub fn new(map: EnvironmentMap) -> Self {
+        let (width, height) = (map.width as usize, map.height as usize);
+        let means = footprint_luminance(&map);
+        let mut columns = vec![0.0; width * height];
+        let mut rows = Vec::with_capacity(height);
+        let mut total = 0.0;
+        for j in 0..height {
+            let solid_angle = map.texel_solid_angle(j as u32);
+            let mut along = 0.0;
+            for i in j * width..(j + 1) * width {
+                along += means[i] * solid_angle;
+                columns[i] = along;
+            }
+            total += along;
+            rows.push(total);
+        }
+        let density = means.iter().map(|m| if total > 0.0 { (m / total) as f32 } else { 0.0 }).collect();
+        Self { map, density, columns, rows }
+    }
+
+    /// The map itself.
+    pub fn map(&self) -> &EnvironmentMap {
+        &self.map
+    }
+}
+
+/// Mean luminance of the bilinear blend over each texel (mean in u and v).
+fn footprint_luminance(map: &EnvironmentMap) -> Vec<f64> {
+    let (width, height) = (map.width as usize, map.height as usize);
+    let at = |i: usize, j: usize| f64::from(luminance(map.radiance[j * width + i]));
+    let across = |i: usize, j: usize| {
+        0.125 * (at((i + width - 1) % width, j) + 6.0 * at(i, j) + at((i + 1) % width, j))
+    };
+    let texel = |k: usize| {
+        let (i, j) = (k % width, k / width);
+        let (above, below) = (j.saturating_sub(1), (j + 1).min(height - 1));
+        0.125 * (across(i, above) + 6.0 * across(i, j) + across(i, below))
+    };
+    (0..width * height).map(texel).collect()
+}
+
+/// Index of the step of the running sum `sums` in which `target` falls, and how far into it, in `[0, 1)`.
+fn draw(sums: &[f64], uniform: f32) -> (usize, f64) {
+    let target = f64::from(uniform) * sums.last().copied().unwrap_or(0.0);
+    let index = sums.partition_point(|&s| s <= target).min(sums.len().saturating_sub(1));
+    let before = if index == 0 { 0.0 } else { sums[index - 1] };
+    let inside = (target - before) / (sums[index] - before);
+    (index, inside.clamp(0.0, 1.0))
+}
+
+impl Illuminate for MapLight {
+    fn radiance(&self, direction: Vec3) -> Vec3 {
+        self.map.sample_bilinear(direction)
+    }
+
+    /// Row by the first number, column and place in it by the second, height in the row by the third.
+    fn sample(&self, uniform: [f32; 3]) -> LightSample {
+        if self.rows.last().is_none_or(|&total| total <= 0.0) {
+            return NO_SAMPLE;
+        }
+        let (width, height) = (self.map.width as usize, self.map.height as usize);
+        let (j, _) = draw(&self.rows, uniform[0]);
+        let (i, across) = draw(&self.columns[j * width..(j + 1) * width], uniform[1]);
+        let u = (i as f64 + across) / width as f64;
+        let edge = |row: usize| (PI * row as f64 / height as f64).cos();
+        let cos_phi = edge(j) + (edge(j + 1) - edge(j)) * f64::from(uniform[2]);
+        let v = cos_phi.clamp(-1.0, 1.0).acos() / PI;
+        LightSample {
+            direction: EnvironmentMap::direction(u, v),
+            radiance: self.map.bilinear_at(u as f32, v as f32),
+            pdf: self.density[j * width + i],
+        }
+    }
+
+    fn pdf(&self, direction: Vec3) -> f32 {
+        let (u, v) = EnvironmentMap::uv(direction);
+        let (i, j) = self.map.texel_of(u, v);
+        self.density[(j * self.map.width + i) as usize]
+    }
+}
+
+/// A set of SG lobes, sampled exactly in proportion to their luminance.
+///
+/// A lobe is drawn in proportion to luminance(μ) 2π(1 − e^(−2λ))/λ, then a direction from its SG. The density of the
+/// mixture is then luminance(radiance) over the total power: no sample weighs more than another in luminance.
+#[derive(Clone, Debug)]
+pub struct LobeLight {
+    lobes: Vec<LightLobe>,
+    /// Structure of arrays for the evaluation: axis x, y, z, −λ/2, μ r, g, b.
+    columns: [Vec<f32>; 7],
+    /// Running sum of the lobes' luminous power.
+    powers: Vec<f64>,
+}
+
+impl LobeLight {
+    /// Of `lobes` with unit axes (see [`super::validate_lobes`]); a light of no lobes is black.
+    pub fn new(lobes: &[LightLobe]) -> Self {
+        let column = |value: fn(&LightLobe) -> f32| lobes.iter().map(value).collect();
+        let columns = [
+            column(|l| l.axis.x),
+            column(|l| l.axis.y),
+            column(|l| l.axis.z),
+            column(|l| -0.5 * l.sharpness),
+            column(|l| l.amplitude.x),
+            column(|l| l.amplitude.y),
+            column(|l| l.amplitude.z),
+        ];
+        let power = |l: &LightLobe| {
+            f64::from(luminance(l.amplitude)) * sg::sphere_integral(f64::from(l.sharpness))
+        };
+        let sum = |total: &mut f64, l: &LightLobe| {
+            *total += power(l);
+            Some(*total)
+        };
+        Self { lobes: lobes.to_vec(), columns, powers: lobes.iter().scan(0.0, sum).collect() }
+    }
+
+    /// The lobes.
+    pub fn lobes(&self) -> &[LightLobe] {
+        &self.lobes
+    }
+
+    fn density_of(&self, radiance: Vec3) -> f32 {
+        match self.powers.last() {
+            Some(&total) if total > 0.0 => (f64::from(luminance(radiance)) / total) as f32,
+            _ => 0.0,
+        }
+    }
+}
+
+/// Lobes evaluated together, so that the loop over them becomes vector code.
+const LANES: usize = 8;
+
+impl Illuminate for LobeLight {
+    fn radiance(&self, direction: Vec3) -> Vec3 {
+        let mut sums = [[0.0_f32; LANES]; 3];
+        let [x, y, z, sharpness, r, g, b] = self.columns.each_ref().map(|c| c.chunks(LANES));
+        for ((((((x, y), z), sharpness), r), g), b) in x.zip(y).zip(z).zip(sharpness).zip(r).zip(g).zip(b) {
+            for k in 0..x.len() {
+                let (dx, dy, dz) = (direction.x - x[k], direction.y - y[k], direction.z - z[k]);
+                let value = exp_nonpositive(sharpness[k] * (dx * dx + dy * dy + dz * dz));
+                sums[0][k] += r[k] * value;
+                sums[1][k] += g[k] * value;
+                sums[2][k] += b[k] * value;
+            }
+        }
+        Vec3::from_array(sums.map(|lanes| lanes.iter().sum()))
+    }
+
+    /// Lobe by the first number, height around its axis by the second, turn around it by the third.
+    fn sample(&self, uniform: [f32; 3]) -> LightSample {
+        if self.powers.last().is_none_or(|&total| total <= 0.0) {
+            return NO_SAMPLE;
+        }
+        let lobe = &self.lobes[draw(&self.powers, uniform[0]).0];
+        let direction = sample_sg(lobe.axis, lobe.sharpness, uniform[1], uniform[2]);
+        let radiance = self.radiance(direction);
+        LightSample { direction, radiance, pdf: self.density_of(radiance) }
+    }
+
+    /// luminance(radiance) over the total luminous power; a caller that has the radiance already pays for it twice.
+    fn pdf(&self, direction: Vec3) -> f32 {
+        self.density_of(self.radiance(direction))
+    }
+}
+
+/// A direction drawn from the normalised SG of `axis` and `sharpness` ≥ 0.
+///
+/// cos θ = 1 + ln(1 − u(1 − e^(−2λ)))/λ, computed as 1 − cos θ in `f64` so that neither a sharp nor a flat lobe
+/// loses its digits.
+fn sample_sg(axis: Vec3, sharpness: f32, u: f32, turn: f32) -> Vec3 {
+    let (lambda, u) = (f64::from(sharpness), f64::from(u));
+    let rise = if lambda < 1e-6 {
+        2.0 * u
+    } else {
+        -(u * (-2.0 * lambda).exp_m1()).ln_1p() / lambda
+    };
+    let rise = rise.clamp(0.0, 2.0);
+    let radius = (rise * (2.0 - rise)).sqrt();
+    let (sin, cos) = (2.0 * PI * f64::from(turn)).sin_cos();
+    let axis = axis.as_dvec3().normalize_or(DVec3::Y);
+    let (tangent, bitangent) = axis.any_orthonormal_pair();
+    (axis * (1.0 - rise) + (tangent * cos + bitangent * sin) * radius).as_vec3()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::light::fibonacci::fibonacci_axes;
+
+    /// Uniform numbers in `[0, 1)` (SplitMix64).
+    struct Numbers(u64);
+
+    impl Numbers {
+        fn next(&mut self) -> f32 {
+            self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+            let mut z = self.0;
+            z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+            z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+            ((z ^ (z >> 31)) >> 40) as f32 / (1_u64 << 24) as f32
+        }
+    }
+
+    /// Checks that the mean of weight × radiance/pdf over samples is within 4 standard errors of `exact`, and that the
+    /// density told by `sample` is the one told by `pdf`.
+    fn check_estimate(light: &dyn Illuminate, weight: fn(Vec3) -> f64, exact: DVec3, floor: f64) {
+        let (mut sum, mut squares) = (DVec3::ZERO, DVec3::ZERO);
+        let mut numbers = Numbers(7);
+        let n = 60_000;
+        let mut disagreements = 0;
+        for _ in 0..n {
+            let sample = light.sample([numbers.next(), numbers.next(), numbers.next()]);
+            assert!(sample.pdf > 0.0 && sample.pdf.is_finite());
+            assert!(sample.radiance.is_finite() && (sample.direction.length() - 1.0).abs() < 1e-5);
+            // Only a sample within rounding of a texel's edge may be told from its neighbour.
+            disagreements += i32::from((light.pdf(sample.direction) / sample.pdf - 1.0).abs() > 1e-3);
+            let value = sample.radiance.as_dvec3() * weight(sample.direction) / f64::from(sample.pdf);
+            sum += value;
+            squares += value * value;
+        }
+        assert!(disagreements < 30, "{disagreements} densities disagree");
+        let mean = sum / f64::from(n);
+        let error = ((squares / f64::from(n) - mean * mean).max(DVec3::ZERO) / f64::from(n)).map(f64::sqrt);
+        let off = (mean - exact).abs() - 4.0 * error;
+        assert!(off.max_element() <= floor * exact.abs().max_element(), "{mean} ± {error}, exact {exact}");
+    }
+
+    /// Sum of `value` × solid angle over a fine grid.
+    fn quadrature(value: impl Fn(Vec3) -> DVec3) -> DVec3 {
+        let grid = EnvironmentMap { width: 1200, height: 600, radiance: Vec::new() };
+        let row = |j| (0..1200).map(|i| value(grid.texel_direction(i, j))).sum::<DVec3>() * grid.texel_solid_angle(j);
+        (0..600).map(row).sum()
+    }
+
+    fn tilt(direction: Vec3) -> f64 {
+        1.5 + f64::from(direction.x * direction.y) + f64::from(direction.z)
+    }
+
+    fn spotted_map() -> EnvironmentMap {
+        let mut map = EnvironmentMap { width: 30, height: 15, radiance: vec![Vec3::ZERO; 450] };
+        for (k, texel) in map.radiance.iter_mut().enumerate() {
+            if k % 7 == 0 {
+                *texel = Vec3::new(0.1, 0.2, 0.3) * (1 + k % 11) as f32;
+            }
+        }
+        map.radiance[0] = Vec3::splat(30.0);
+        map.radiance[224] = Vec3::new(500.0, 400.0, 300.0);
+        map
+    }
+
+    #[test]
+    fn map_estimates_are_unbiased_and_its_density_integrates_to_one() {
+        let light = MapLight::new(spotted_map());
+        let total = quadrature(|d| DVec3::splat(f64::from(light.pdf(d))));
+        assert!((total.x - 1.0).abs() < 1e-3, "{total}");
+        let exact = quadrature(|d| light.radiance(d).as_dvec3() * tilt(d));
+        check_estimate(&light, tilt, exact, 1e-3);
+        for d in fibonacci_axes(5000) {
+            assert!(light.radiance(d) == Vec3::ZERO || light.pdf(d) > 0.0);
+        }
+    }
+
+    #[test]
+    fn one_texel_is_sampled_where_it_is() {
+        let mut map = EnvironmentMap { width: 64, height: 32, radiance: vec![Vec3::ZERO; 2048] };
+        map.radiance[16 * 64 + 16] = Vec3::ONE;
+        let direction = map.texel_direction(16, 16);
+        assert!(direction.dot(Vec3::X) > 0.99);
+        let light = MapLight::new(map);
+        let mut numbers = Numbers(1);
+        for _ in 0..1000 {
+            let sample = light.sample([numbers.next(), numbers.next(), numbers.next()]);
+            assert!(sample.direction.dot(direction) > 0.97, "{}", sample.direction);
+        }
+    }
+
+    #[test]
+    fn lobes_estimate_their_integral_sharp_and_flat() {
+        for sharpness in [0.0, 1e-7, 1e-3, 1.0, 40.0, 1e3, 1e5] {
+            let lobe = LightLobe { axis: Vec3::new(0.36, 0.48, -0.8), sharpness, amplitude: Vec3::new(1.0, 2.0, 0.5) };
+            let light = LobeLight::new(&[lobe]);
+            // f32 directions limit how well a sharp lobe can be told.
+            check_estimate(&light, |_| 1.0, lobe.power(), 1e-5);
+            let peak = light.radiance(lobe.axis);
+            assert!(peak.distance(lobe.amplitude) < 1e-4 && light.radiance(-lobe.axis).is_finite());
+        }
+    }
+
+    #[test]
+    fn samples_of_a_lobe_follow_its_profile() {
+        for sharpness in [1e-3_f32, 3.0, 1e5] {
+            let light = LobeLight::new(&[LightLobe { axis: Vec3::Y, sharpness, amplitude: Vec3::ONE }]);
+            let mut numbers = Numbers(3);
+            let n = 40_000;
+            let lambda = f64::from(sharpness);
+            // 1 − cos θ through |ω − ξ|²/2, which does not cancel.
+            let mean: f64 = (0..n)
+                .map(|_| {
+                    let d = light.sample([0.0, numbers.next(), numbers.next()]).direction;
+                    f64::from((d - Vec3::Y).length_squared()) / 2.0
+                })
+                .sum::<f64>()
+                / f64::from(n);
+            let exact = 1.0 / lambda - 2.0 * (-2.0 * lambda).exp() / (1.0 - (-2.0 * lambda).exp());
+            assert!((mean / exact - 1.0).abs() < 4.0 / f64::from(n).sqrt(), "{sharpness}: {mean}, {exact}");
+        }
+    }
+
+    #[test]
+    fn a_mixture_of_lobes_is_unbiased_for_any_weight() {
+        let lobe = |(i, axis)| LightLobe {
+            axis,
+            sharpness: [0.5, 4.0, 60.0][i % 3],
+            amplitude: Vec3::new(0.1 + i as f32, 0.7, 2.0 / (1 + i) as f32),
+        };
+        let lobes: Vec<LightLobe> = fibonacci_axes(11).into_iter().enumerate().map(lobe).collect();
+        let light = LobeLight::new(&lobes);
+        let direct = super::super::lobes_radiance(&lobes, Vec3::new(0.6, 0.0, 0.8));
+        assert!(light.radiance(Vec3::new(0.6, 0.0, 0.8)).distance(direct) < 1e-5 * direct.length());
+        let total = quadrature(|d| DVec3::splat(f64::from(light.pdf(d))));
+        assert!((total.x - 1.0).abs() < 1e-4, "{total}");
+        check_estimate(&light, tilt, quadrature(|d| light.radiance(d).as_dvec3() * tilt(d)), 1e-5);
+    }
+
+    #[test]
+    fn black_lights_draw_nothing() {
+        let dark = LightLobe { axis: Vec3::Y, sharpness: 2.0, amplitude: Vec3::ZERO };
+        let map = EnvironmentMap { width: 4, height: 2, radiance: vec![Vec3::ZERO; 8] };
+        let lights: [Box<dyn Illuminate>; 3] =
+            [Box::new(LobeLight::new(&[])), Box::new(LobeLight::new(&[dark])), Box::new(MapLight::new(map))];
+        for light in lights {
+            let sample = light.sample([0.5; 3]);
+            assert_eq!((sample.pdf, sample.radiance, light.pdf(Vec3::X)), (0.0, Vec3::ZERO, 0.0));
+        }
+    }
+}
