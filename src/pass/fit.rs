@@ -57,7 +57,7 @@ fn options(session: &mut Session, pass: &FitPass) -> FitOptions {
     let batch = pass.batch as usize;
     let steps = pass.steps.unwrap_or_else(|| {
         let pixels = training_pixels(&mut session.pipeline.world).min(pass.max_pixels as usize);
-        (pixels.div_ceil(batch) as u32 * pass.epochs).clamp(pass.min_steps, pass.max_steps)
+        pixels.div_ceil(batch) as u32 * pass.epochs
     });
     FitOptions {
         loss: pass.loss,

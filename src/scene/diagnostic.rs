@@ -4,6 +4,7 @@ use super::source::{self, Node, SyntaxError};
 use crate::Error;
 use miette::{Diagnostic, LabeledSpan, NamedSource};
 use std::ops::Range;
+use std::sync::Arc;
 use std::path::Path;
 
 /// One wrong place of a scene file, or a list of several.
@@ -66,7 +67,7 @@ impl SceneText<'_> {
         if let Some(open) = &error.open {
             one.labels.push(LabeledSpan::new_with_span(Some("opened here".into()), open.clone()));
         }
-        Error::Scene(Box::new(one))
+        Error::Scene(Arc::new(one))
     }
 
     /// Values that are wrong, all at once.
@@ -79,9 +80,9 @@ impl SceneText<'_> {
             .collect();
         all.sort_by_key(|one| one.labels.first().map(LabeledSpan::offset));
         if all.len() == 1 {
-            return Error::Scene(Box::new(all.remove(0)));
+            return Error::Scene(Arc::new(all.remove(0)));
         }
-        Error::Scene(Box::new(SceneDiagnostic {
+        Error::Scene(Arc::new(SceneDiagnostic {
             message: format!("{} problems in {}", all.len(), self.path.display()),
             source_code: None,
             labels: Vec::new(),
@@ -127,7 +128,7 @@ impl SceneText<'_> {
                 (format!("{expected}, found `{found}`"), node.handle(self.text), expected, help)
             }
         };
-        Error::Scene(Box::new(self.one(message, at, label, help)))
+        Error::Scene(Arc::new(self.one(message, at, label, help)))
     }
 
     /// Byte offset of a line and column counted from 1 in characters.

@@ -11,6 +11,8 @@ pub mod load;
 pub mod pass_types;
 pub mod paths;
 pub mod source;
+pub mod spawn;
+pub mod texture;
 pub mod types;
 
 pub use check_passes::unknown_parts;

@@ -1,6 +1,7 @@
 //! What a scene file's `passes` list can say.
 
 use super::types::LightSource;
+pub use crate::fit::loss::Loss;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -61,6 +62,8 @@ pub struct FitPass {
     pub epochs: u32,
     /// Number of update steps ≥ 1, instead of `epochs`. Default none.
     pub steps: Option<u32>,
+    /// Most pixels that are visited ≥ 1; a random part of more. Default 2 000 000.
+    pub max_pixels: u32,
     /// Pixels per step ≥ 1. Default 8192.
     pub batch: u32,
     /// Adam's step sizes.
@@ -78,22 +81,13 @@ impl Default for FitPass {
             loss: Loss::L1,
             epochs: 12,
             steps: None,
+            max_pixels: 2_000_000,
             batch: 8192,
             rates: Rates::default(),
             milestones: vec![0.5, 0.75, 0.9],
             decay: 0.4,
         }
     }
-}
-
-/// What a fit minimises.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Loss {
-    /// Mean absolute difference of linear radiance.
-    #[default]
-    L1,
-    /// Mean squared difference of linear radiance.
-    L2,
 }
 
 /// Adam's step size for each block of parameters, in the unconstrained parameter's unit; 0 leaves a block as it is.

@@ -32,11 +32,10 @@ pub fn make_surface(spec: &SurfaceSpec) -> Result<(Surface, Vec<String>)> {
     match spec {
         SurfaceSpec::Mesh { path, texture_size } => {
             let (mesh, report) = read_mesh_with_report(path)?;
-            let (mesh, unwrap_notes) = unwrap_mesh(&mesh, *texture_size)?;
-            let mut notes = report.notes();
-            notes.extend(unwrap_notes);
-            let notes = notes.into_iter().map(|note| format!("{}: {note}", path.display())).collect();
-            Ok((Surface::new(mesh, *texture_size)?, notes))
+            let unwrapped = unwrap_mesh(&mesh, *texture_size)?;
+            let notes = report.notes().into_iter().chain(unwrapped.note);
+            let notes = notes.map(|note| format!("{}: {note}", path.display())).collect();
+            Ok((Surface::new(unwrapped.mesh, *texture_size)?, notes))
         }
         SurfaceSpec::Sphere { center, radius, texture_size } => {
             Ok((Surface::new(sphere_mesh(*center, *radius)?, *texture_size)?, Vec::new()))

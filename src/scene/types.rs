@@ -7,6 +7,9 @@ use super::pass_types::Pass;
 use crate::light::LightLobe;
 use crate::material::SpecularLobe;
 use crate::view::Split;
+pub use crate::light::npy::NpyConvention;
+pub use crate::view::dataset::Layout;
+pub use crate::view::image_io::Gamma;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -114,30 +117,6 @@ pub struct Dataset {
     /// Keep only the views with these names (image file stems); empty: all. Default [].
     #[serde(default)]
     pub select: Vec<String>,
-}
-
-/// How a data set is laid out.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Layout {
-    /// Found out from the files in the folder.
-    #[default]
-    Auto,
-    /// PhySG's: `{train,test}/image`, `mask` and `cam_dict_norm.json`.
-    PhySg,
-    /// NeRF/Blender's: `transforms_{train,test}.json`.
-    Nerf,
-}
-
-/// How stored pixel values of integer images become linear light.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub enum Gamma {
-    /// The sRGB transfer curve.
-    #[default]
-    Srgb,
-    /// Values are linear already.
-    Linear,
-    /// linear = stored ^ exponent; the exponent is in (0, 5], e.g. `Power(2.2)`.
-    Power(f32),
 }
 
 /// One pinhole camera, by what it looks at.
@@ -330,16 +309,6 @@ pub enum LightSource {
         #[serde(default = "light_lobes")]
         lobes: u32,
     },
-}
-
-/// Which way the axes of an SG `.npy` file point.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub enum NpyConvention {
-    /// Axes are in world space.
-    #[default]
-    Lobelia,
-    /// PhySG's published `envmap*_sg_fit` files: axis (x, y, z) there is (z, y, −x) here.
-    PhySgFit,
 }
 
 /// What is known about the material.
