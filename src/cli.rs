@@ -69,7 +69,7 @@ pub struct SceneArgs {
     #[arg(long, value_name = "DIR")]
     pub data: Option<PathBuf>,
     /// Seed of every random choice, instead of the scene's own
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
     pub seed: Option<u64>,
     /// Replace a value of the scene file, e.g. --set passes.fit.epochs=4
     #[arg(long = "set", value_name = "PATH=VALUE", value_parser = path_and_value, long_help = SET_LONG)]

@@ -128,7 +128,8 @@ fn a_wrong_type_says_what_was_expected() {
     refused(&wrong("radius: 0.8", "radius: (1, 2)"), "(1, 2)", &["expected a number"]);
     refused(&wrong("name: \"novel\"", "name: novel"), "novel", &["expected a string in quotes"]);
     refused(&wrong("eye: (0, 0, 3)", "eye: 3"), "3, width", &["expected"]);
-    refused(&wrong("eye: (0, 0, 3)", "eye: (0, 3)"), "(0, 3)", &["expected", "3 "]);
+    refused(&wrong("eye: (0, 0, 3)", "eye: (0, 3)"), "(0, 3)", &["expected three numbers, found 2"]);
+    refused(&wrong("eye: (0, 0, 3)", "eye: (0, 0, 3, 4)"), "4)", &["expected"]);
     refused(
         &wrong("Constant(0.5, 0.5, 0.5)", "Constant((0.5, 0.5, 0.5))"),
         "(0.5",

@@ -3,7 +3,8 @@
 use super::check;
 use super::diagnostic::{Problem, SceneText};
 use super::paths;
-use super::source::{self, Node};
+use super::ron_tree::{self, Node};
+use super::source;
 use super::types::{Scene, VERSION};
 use crate::{Error, Result};
 use ron::extensions::Extensions;
@@ -117,7 +118,7 @@ fn read(path: &Path) -> Result<String> {
 
 /// The scene and, for carets, its tree of ranges.
 fn parse(words: &SceneText) -> Result<(Scene, Option<Node>)> {
-    let root = source::parse(words.text);
+    let root = ron_tree::parse(words.text);
     if let Ok(root) = &root {
         check_version(words, root)?;
     }
