@@ -169,7 +169,13 @@ fn a_missing_file_is_shown_with_its_neighbours() {
     let scene = wrong("Sphere(radius: 0.8)", "Mesh(path: \"scene.rom\")");
     refused(&scene, "\"scene.rom\"", &["scene.rom does not exist", "did you mean `scene.ron`?"]);
     let scene = wrong("Sphere(radius: 0.8)", "Mesh(path: \"$DATA/mesh.glb\")");
-    refused(&scene, "\"$DATA/mesh.glb\"", &["--data DIR"]);
+    refused_with("run", &scene, &[], "\"$DATA/mesh.glb\"", &scene, &["--data DIR"]);
+    let outcome = lobelia("check", &scene, &[]);
+    assert!(
+        outcome.code == Some(0) && outcome.stdout.contains("1 below $DATA not looked for"),
+        "{}",
+        outcome.stdout
+    );
     let scene = wrong("Constant(0.5, 0.5, 0.5)", "Texture(\"none/albedo.png\")");
     refused(&scene, "\"none/albedo.png\"", &["none/albedo.png does not exist", "has no `none`"]);
 }
