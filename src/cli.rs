@@ -13,7 +13,8 @@ Examples:
   lobelia run scenes/spot.ron --data ~/data/spot --set passes.fit.epochs=2 --set views.downscale=2
       A quick try of the same, without touching the file.
   lobelia check scenes/spot.ron --data ~/data/spot
-      Is everything there and sensible? Nothing is run or written.
+      Is everything there and sensible? Nothing is run or written. (Without --data, what is below $DATA is not
+      looked for.)
   lobelia eval out/spot/novel ~/data/spot/test/image
       How close are these images to those?
 
@@ -69,7 +70,7 @@ pub struct SceneArgs {
     #[arg(long, value_name = "DIR")]
     pub data: Option<PathBuf>,
     /// Seed of every random choice, instead of the scene's own
-    #[arg(long, value_name = "S")]
+    #[arg(long, value_name = "S", allow_negative_numbers = true)]
     pub seed: Option<u64>,
     /// Replace a value of the scene file, e.g. --set passes.fit.epochs=4
     #[arg(long = "set", value_name = "PATH=VALUE", value_parser = path_and_value, long_help = SET_LONG)]
@@ -79,7 +80,7 @@ pub struct SceneArgs {
 impl SceneArgs {
     /// The same, as the library reads it.
     pub fn load_options(&self) -> LoadOptions {
-        LoadOptions { data: self.data.clone(), sets: self.sets.clone(), seed: self.seed }
+        LoadOptions { data: self.data.clone(), sets: self.sets.clone(), seed: self.seed, without_data: false }
     }
 }
 

@@ -6,7 +6,7 @@ use clap::Parser;
 use cli::{CheckArgs, Cli, Command, EvalArgs, RunArgs, ShadeCasesArgs, ThreadArgs};
 use lobelia::scene::pass_types::Pass;
 use lobelia::scene::types::{Scene, Surface, Views};
-use lobelia::scene::{LoadedScene, RunOptions, load, unknown_parts};
+use lobelia::scene::{LoadOptions, LoadedScene, RunOptions, load, unknown_parts};
 use lobelia::{Error, Result};
 use std::fmt::Write as _;
 use std::io::{ErrorKind, IsTerminal, Write as _};
@@ -111,8 +111,8 @@ fn refuse_used(out: &Path, force: bool) -> Result<()> {
 }
 
 fn check(args: &CheckArgs) -> Result<()> {
-    let loaded = load(&args.scene.scene, &args.scene.load_options())?;
-    print(&summary(&loaded))
+    let options = LoadOptions { without_data: true, ..args.scene.load_options() };
+    print(&summary(&load(&args.scene.scene, &options)?))
 }
 
 /// What `check` prints.
@@ -129,11 +129,19 @@ fn summary(loaded: &LoadedScene) -> String {
     let _ = line("views", &views(scene));
     let _ = line("unknown", &unknown);
     let _ = line("passes", &format!("{}: {}", passes.len(), passes.join(", ")));
-    let _ = line("files", &format!("{} named, all found", loaded.files.len()));
-    for file in &loaded.files {
+    let _ = line("files", &files(loaded));
+    for file in loaded.files.iter().chain(&loaded.unseen) {
         let _ = line("", &file.display().to_string());
     }
     text
+}
+
+fn files(loaded: &LoadedScene) -> String {
+    let found = loaded.files.len();
+    match loaded.unseen.len() {
+        0 => format!("{found} named, all found"),
+        unseen => format!("{found} found, {unseen} below $DATA not looked for (say --data DIR to look)"),
+    }
 }
 
 fn surface(scene: &Scene) -> String {

@@ -1,6 +1,7 @@
 //! Errors of scene files as miette diagnostics: file, line, column, caret, what was expected, and help.
 
-use super::source::{self, Node, SyntaxError};
+use super::ron_tree::{Body, Node, SyntaxError};
+use super::source;
 use crate::Error;
 use miette::{Diagnostic, LabeledSpan, NamedSource};
 use std::ops::Range;
@@ -59,6 +60,15 @@ impl SceneText<'_> {
         }
     }
 
+    /// The finished error, which says once that the text is not quite the file's.
+    fn finish(&self, mut report: SceneDiagnostic) -> Error {
+        if self.edited {
+            let note = "The text shown has the --set values in it.";
+            report.help = Some(report.help.map_or_else(|| note.to_owned(), |help| format!("{help}\n{note}")));
+        }
+        Error::Scene(Arc::new(report))
+    }
+
     /// Text that is not RON.
     pub fn syntax(&self, error: &SyntaxError) -> Error {
         let message = format!("this is not a valid scene file: expected {}", error.expected);
@@ -67,7 +77,7 @@ impl SceneText<'_> {
         if let Some(open) = &error.open {
             one.labels.push(LabeledSpan::new_with_span(Some("opened here".into()), open.clone()));
         }
-        Error::Scene(Arc::new(one))
+        self.finish(one)
     }
 
     /// Values that are wrong, all at once.
@@ -80,15 +90,15 @@ impl SceneText<'_> {
             .collect();
         all.sort_by_key(|one| one.labels.first().map(LabeledSpan::offset));
         if all.len() == 1 {
-            return Error::Scene(Arc::new(all.remove(0)));
+            return self.finish(all.remove(0));
         }
-        Error::Scene(Arc::new(SceneDiagnostic {
+        self.finish(SceneDiagnostic {
             message: format!("{} problems in {}", all.len(), self.path.display()),
             source_code: None,
             labels: Vec::new(),
             help: None,
             others: all,
-        }))
+        })
     }
 
     /// RON that does not have the scene's shape.
@@ -121,6 +131,14 @@ impl SceneText<'_> {
                 "second time".to_owned(),
                 "Remove one of the two.".to_owned(),
             ),
+            Ron::ExpectedDifferentLength { expected, found } => {
+                let node = with_parts(root, start.saturating_sub(1));
+                let expected = match expected.contains("3 f32") {
+                    true => "expected three numbers".to_owned(),
+                    false => format!("expected {expected}"),
+                };
+                (format!("{expected}, found {found}"), node.handle(self.text), expected, String::new())
+            }
             other => {
                 let node = self.value_at(root, start, end);
                 let (expected, help) = self.explain(other, node);
@@ -128,7 +146,7 @@ impl SceneText<'_> {
                 (format!("{expected}, found `{found}`"), node.handle(self.text), expected, help)
             }
         };
-        Error::Scene(Arc::new(self.one(message, at, label, help)))
+        self.finish(self.one(message, at, label, help))
     }
 
     /// Byte offset of a line and column counted from 1 in characters.
@@ -175,6 +193,10 @@ impl SceneText<'_> {
                 "A colour in a choice has one pair of brackets: `Constant(0.5, 0.5, 0.5)`.".into(),
             ),
             Ron::ExpectedFloat => ("expected a number".into(), String::new()),
+            // An integer is read up to its decimal point, and then a comma is missed.
+            Ron::ExpectedComma if self.text[node.span.clone()].parse::<f64>().is_ok() => {
+                ("expected a whole number".into(), String::new())
+            }
             Ron::ExpectedInteger => ("expected a whole number".into(), String::new()),
             Ron::IntegerOutOfBounds => ("expected a whole number in range".into(), String::new()),
             Ron::ExpectedString => ("expected a string in quotes".into(), String::new()),
@@ -184,24 +206,25 @@ impl SceneText<'_> {
     }
 }
 
+/// The innermost struct or choice with fields around `at`.
 fn struct_at(node: &Node, at: usize) -> &Node {
-    use super::source::Body;
-    let mut best = node;
-    let mut here = node;
-    loop {
-        let children: Vec<&Node> = match &here.body {
-            Body::Fields(fields) => fields.iter().map(|f| &f.value).collect(),
-            Body::Items(items) => items.iter().collect(),
-            Body::Plain | Body::Text(_) | Body::Map(_) => Vec::new(),
-        };
-        match children.into_iter().find(|c| c.span.start <= at && at < c.span.end) {
-            Some(child) => here = child,
-            None => return best,
+    innermost(node, at, |body| matches!(body, Body::Fields(_)))
+}
+
+/// The innermost value with parts around `at`.
+fn with_parts(node: &Node, at: usize) -> &Node {
+    innermost(node, at, |body| matches!(body, Body::Fields(_) | Body::Items(_)))
+}
+
+fn innermost(root: &Node, at: usize, wanted: impl Fn(&Body) -> bool) -> &Node {
+    let (mut best, mut here) = (root, Some(root));
+    while let Some(node) = here {
+        if wanted(&node.body) {
+            best = node;
         }
-        if matches!(here.body, Body::Fields(_)) {
-            best = here;
-        }
+        here = node.children().into_iter().find(|child| child.span.start <= at && at < child.span.end);
     }
+    best
 }
 
 fn within(outer: &Option<String>) -> String {
@@ -266,6 +289,6 @@ mod tests {
     fn offsets_count_characters() {
         let text = SceneText { path: Path::new("x"), text: "é(\nü: 1)\n", edited: false };
         let offset = |line, col| text.offset(ron::error::Position { line, col });
-        assert_eq!((offset(1, 1), offset(1, 2), offset(2, 2), offset(2, 5), offset(9, 9)), (0, 2, 6, 8, 11));
+        assert_eq!((offset(1, 1), offset(1, 2), offset(2, 2), offset(2, 5), offset(9, 9)), (0, 2, 6, 9, 11));
     }
 }

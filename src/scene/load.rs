@@ -2,8 +2,9 @@
 
 use super::check;
 use super::diagnostic::{Problem, SceneText};
-use super::paths;
-use super::source::{self, Node};
+use super::paths::{self, Files};
+use super::ron_tree::{self, Node};
+use super::source;
 use super::types::{Scene, VERSION};
 use crate::{Error, Result};
 use ron::extensions::Extensions;
@@ -18,6 +19,9 @@ pub struct LoadOptions {
     pub sets: Vec<(String, String)>,
     /// Replaces the scene's seed.
     pub seed: Option<u64>,
+    /// Without `data`, leave `$DATA/…` as it is and do not look for it, instead of refusing the scene: such a
+    /// scene can be checked but not run.
+    pub without_data: bool,
 }
 
 /// A scene that was read and checked.
@@ -31,8 +35,10 @@ pub struct LoadedScene {
     pub base_dir: PathBuf,
     /// The text that was read, with `--set` applied.
     pub text: String,
-    /// The files and folders that the scene needs, in the order of the scene file.
+    /// The files and folders that the scene needs, in the order of the scene file; all were found.
     pub files: Vec<PathBuf>,
+    /// What was not looked for, because `$DATA` stands for nothing ([`LoadOptions::without_data`]).
+    pub unseen: Vec<PathBuf>,
 }
 
 /// How a loaded scene is run.
@@ -68,11 +74,28 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<LoadedScene> {
     }
     let base_dir = path.parent().map_or_else(PathBuf::new, Path::to_owned);
     let mut problems = check::check(&scene);
-    let files = paths::resolve(&mut scene, &base_dir, options.data.as_deref(), &mut problems);
+    let Files { found, mut unseen, at } =
+        paths::resolve(&mut scene, &base_dir, options.data.as_deref(), &mut problems);
+    if !options.without_data
+        && let Some(at) = at
+    {
+        unseen.clear();
+        problems.push(data_is_missing(at));
+    }
     if !problems.is_empty() {
         return Err(words.problems(root.as_ref(), problems));
     }
-    Ok(LoadedScene { scene, path: path.to_owned(), base_dir, text, files })
+    Ok(LoadedScene { scene, path: path.to_owned(), base_dir, text, files: found, unseen })
+}
+
+/// One report stands for every `$DATA/…`: they have the same mend.
+fn data_is_missing(at: String) -> Problem {
+    Problem {
+        path: at,
+        problem: "$DATA stands for nothing here".into(),
+        expected: "expected --data to say what $DATA is".into(),
+        help: "Give the folder on the command line: --data DIR.".into(),
+    }
 }
 
 /// The scene as RON text, laid out for people; it reads back to an equal scene.
@@ -117,7 +140,7 @@ fn read(path: &Path) -> Result<String> {
 
 /// The scene and, for carets, its tree of ranges.
 fn parse(words: &SceneText) -> Result<(Scene, Option<Node>)> {
-    let root = source::parse(words.text);
+    let root = ron_tree::parse(words.text);
     if let Ok(root) = &root {
         check_version(words, root)?;
     }
@@ -215,7 +238,8 @@ mod tests {
     fn sets_and_seed_reach_the_scene() {
         let sets = [("material.specular.roughness", "Fixed(0.5)"), ("passes.fit.rates.light", "0")];
         let sets = sets.map(|(path, value)| (path.to_owned(), value.to_owned())).to_vec();
-        let scene = load_text(RICH, &LoadOptions { data: None, sets, seed: Some(9) }).unwrap().scene;
+        let scene =
+            load_text(RICH, &LoadOptions { sets, seed: Some(9), ..LoadOptions::default() }).unwrap().scene;
         assert_eq!((scene.seed, scene.material.specular.roughness), (9, Roughness::Fixed(0.5)));
         let Pass::Fit(fit) = &scene.passes[0] else { panic!() };
         assert_eq!((fit.rates.light, fit.rates.albedo, fit.steps), (0.0, 0.05, Some(10)));
@@ -236,6 +260,9 @@ mod tests {
         let loaded = load(&path, &options).unwrap();
         assert_eq!(loaded.files, [data.join("mesh.glb"), data, folder.path().join("a.png")]);
         assert_eq!(load(&path, &LoadOptions::default()).unwrap_err().exit_code(), 2);
+        let loaded = load(&path, &LoadOptions { without_data: true, ..LoadOptions::default() }).unwrap();
+        assert_eq!(loaded.files, [folder.path().join("a.png")]);
+        assert_eq!(loaded.unseen, [PathBuf::from("$DATA/mesh.glb"), PathBuf::from("$DATA")]);
     }
 
     #[test]

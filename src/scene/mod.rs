@@ -10,6 +10,8 @@ pub mod diagnostic;
 pub mod load;
 pub mod pass_types;
 pub mod paths;
+pub mod render_types;
+pub mod ron_tree;
 pub mod source;
 pub mod spawn;
 pub mod texture;

@@ -1,5 +1,6 @@
 //! What a scene file's `passes` list can say.
 
+pub use super::render_types::{Orbit, OrbitFormat, RenderSettings, Shading, Tone, ViewChoice};
 use super::types::LightSource;
 pub use crate::fit::loss::Loss;
 use glam::Vec3;
@@ -270,129 +271,6 @@ pub enum Region {
     Mask(PathBuf),
 }
 
-/// Which pictures are rendered, and how.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct RenderSettings {
-    /// Which views. Default `Test`.
-    pub views: ViewChoice,
-    /// How light is computed. Default `Published`.
-    pub shading: Shading,
-    /// Camera rays per pixel, 1 to 1024 (the path tracer uses its `spp`). Default 4.
-    pub samples_per_pixel: u32,
-    /// Brightness of the PNGs in stops, −20 to 20 (EXRs are as they are). Default 0.
-    pub exposure: f32,
-    /// Tone curve of the PNGs. Default `Srgb`.
-    pub tone: Tone,
-    /// Show the light behind the object in the PNGs. Default false.
-    pub backdrop: bool,
-    /// A turn around the object as a short film, besides the views. Default none.
-    pub orbit: Option<Orbit>,
-}
-
-impl Default for RenderSettings {
-    fn default() -> Self {
-        Self {
-            views: ViewChoice::Test,
-            shading: Shading::Published,
-            samples_per_pixel: 4,
-            exposure: 0.0,
-            tone: Tone::Srgb,
-            backdrop: false,
-            orbit: None,
-        }
-    }
-}
-
-/// Which views are rendered.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub enum ViewChoice {
-    /// The held-out views.
-    #[default]
-    Test,
-    /// The views that a fit sees.
-    Train,
-    /// All views.
-    All,
-    /// These views, by name; `Named([])`: no view (only the orbit).
-    Named(Vec<String>),
-}
-
-/// How light is computed.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub enum Shading {
-    /// The published closed-form SG renderer: no shadows, no interreflection.
-    #[default]
-    Published,
-    /// An unbiased path tracer with the same BRDF: shadows and interreflection.
-    PathTraced {
-        /// Paths per pixel, 1 to 65536. Default 64.
-        #[serde(default = "spp")]
-        spp: u32,
-        /// Most surface hits of a path, 1 to 64. Default 4.
-        #[serde(default = "max_bounces")]
-        max_bounces: u32,
-        /// Where the light is a map, trace against the map itself and not against the lobes fitted to it. Default true.
-        #[serde(default = "yes")]
-        map: bool,
-    },
-}
-
-/// Tone curve of PNGs.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Tone {
-    /// Clipped to [0, 1], then the sRGB curve.
-    #[default]
-    Srgb,
-    /// A filmic curve that rolls highlights off, then the sRGB curve.
-    Filmic,
-}
-
-/// A camera's turn around the object.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct Orbit {
-    /// Frames of the full turn, 1 to 10000. Default 60.
-    pub frames: u32,
-    /// Height of the camera over the horizon in degrees, −89 to 89. Default 20.
-    pub elevation_degrees: f32,
-    /// Distance from the object's centre > 0. Default: far enough that the object fills the picture.
-    pub radius: Option<f32>,
-    /// Field of view in degrees, in (0, 170]. Default 38.
-    pub fov_degrees: f32,
-    /// Width and height in pixels, 1 to 16384. Default 256.
-    pub size: u32,
-    /// Frames per second, 1 to 100. Default 20.
-    pub fps: u32,
-    /// What the film is written as, besides an MP4 where `ffmpeg` is on the PATH. Default `Gif`.
-    pub format: OrbitFormat,
-}
-
-impl Default for Orbit {
-    fn default() -> Self {
-        Self {
-            frames: 60,
-            elevation_degrees: 20.0,
-            radius: None,
-            fov_degrees: 38.0,
-            size: 256,
-            fps: 20,
-            format: OrbitFormat::Gif,
-        }
-    }
-}
-
-/// What an orbit is written as.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub enum OrbitFormat {
-    /// 256 colours, plays everywhere.
-    #[default]
-    Gif,
-    /// All colours.
-    Apng,
-}
-
 /// Scores earlier passes against the truth.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -491,15 +369,6 @@ impl Default for ExportPass {
     }
 }
 
-fn spp() -> u32 {
-    64
-}
 fn truth_spp() -> u32 {
     256
-}
-fn max_bounces() -> u32 {
-    4
-}
-fn yes() -> bool {
-    true
 }

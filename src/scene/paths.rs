@@ -12,17 +12,27 @@ enum Kind {
     Folder,
 }
 
-/// Resolves every path of the scene in place and returns those that exist; what does not becomes a problem.
+/// The files that a scene names.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Files {
+    /// Resolved and there, without repeats, in the order of the scene file.
+    pub found: Vec<PathBuf>,
+    /// Below `$DATA`, which stands for nothing.
+    pub unseen: Vec<PathBuf>,
+    /// Where in the scene file the first of `unseen` is named.
+    pub at: Option<String>,
+}
+
+/// Resolves every path of the scene in place and looks for it; what is not there becomes a problem.
 ///
-/// `$DATA/…` starts at `data`, other relative paths at `base_dir`.
+/// `$DATA/…` starts at `data` and is left as it is without `data`; other relative paths start at `base_dir`.
 pub fn resolve(
     scene: &mut Scene,
     base_dir: &Path,
     data: Option<&Path>,
     problems: &mut Vec<Problem>,
-) -> Vec<PathBuf> {
-    let mut found = Vec::new();
-    let mut data_is_missed = false;
+) -> Files {
+    let mut files = Files::default();
     for_each_path(scene, &mut |at, kind, path| match place(path, base_dir, data) {
         Some(full) => {
             match complaint(&full, kind) {
@@ -32,24 +42,19 @@ pub fn resolve(
                     expected: if kind == Kind::File { "expected a file" } else { "expected a folder" }.into(),
                     help,
                 }),
-                None if !found.contains(&full) => found.push(full.clone()),
+                None if !files.found.contains(&full) => files.found.push(full.clone()),
                 None => {}
             }
             *path = full;
         }
-        // One report stands for all: they have the same mend.
-        None if !data_is_missed => {
-            data_is_missed = true;
-            problems.push(Problem {
-                path: at.to_owned(),
-                problem: "$DATA stands for nothing here".into(),
-                expected: "expected --data to say what $DATA is".into(),
-                help: "Give the folder on the command line: --data DIR.".into(),
-            });
+        None => {
+            files.at.get_or_insert_with(|| at.to_owned());
+            if !files.unseen.contains(path) {
+                files.unseen.push(path.clone());
+            }
         }
-        None => {}
     });
-    found
+    files
 }
 
 fn place(path: &Path, base_dir: &Path, data: Option<&Path>) -> Option<PathBuf> {
