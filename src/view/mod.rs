@@ -1,43 +1,43 @@
 //! Views: cameras, photographs and masks.
 //!
 //! Camera axes are OpenCV's (x right, y down, z forward). The centre of pixel (i, j) is (i + 0.5, j + 0.5).
+//!
+//! | module | what for |
+//! | --- | --- |
+//! | [`camera`] | the pinhole camera, projection, looking at a point, orbits |
+//! | [`image_io`] | PNG, JPEG, EXR and HDR files to linear images and masks |
+//! | [`dataset`] | folders of posed photographs to [`ViewRecord`]s |
+//! | [`raster`] | box filtering, mask erosion |
+//! | [`nearby`] | natural name order, and help for wrong names |
+//!
+//! The parameters are those of [`dataset::DatasetOptions`] (table in [`dataset`]) and [`Orbit`]:
+//!
+//! | orbit field | type | unit | default | meaning |
+//! | --- | --- | --- | --- | --- |
+//! | `target` | [`Vec3`] | world | (0, 0, 0) | what is looked at |
+//! | `radius` | `f32` | world | 2.8 | distance from the target |
+//! | `elevation_degrees` | `f32` | degrees | 20 | height above the horizon, −90 to 90 |
+//! | `start_degrees` | `f32` | degrees | 0 | where the circle starts; 0 is in front |
+//! | `frames` | `u32` | | 60 | cameras on the circle |
+//! | `up` | [`Vec3`] | | (0, 1, 0) | the world's up direction |
+//! | `vertical_fov_degrees` | `f32` | degrees | 38 | full field of view |
+//! | `width`, `height` | `u32` | pixels | 512 | image size |
 
+pub mod camera;
+pub mod dataset;
+mod exr_io;
+pub mod image_io;
+pub mod nearby;
 pub mod pixel;
+pub mod raster;
+#[cfg(test)]
+mod test_data;
 
-use crate::math::ray::Ray;
+pub use camera::{Camera, Orbit};
+
 use bevy_ecs::prelude::Component;
-use glam::{Affine3A, Vec3};
+use glam::Vec3;
 use serde::{Deserialize, Serialize};
-
-/// A pinhole camera.
-#[derive(Component, Clone, Copy, Debug, PartialEq)]
-pub struct Camera {
-    /// Image width in pixels.
-    pub width: u32,
-    /// Image height in pixels.
-    pub height: u32,
-    /// Focal lengths in pixels.
-    pub focal: [f32; 2],
-    /// Principal point in pixels.
-    pub center: [f32; 2],
-    /// Skew in pixels (0 for nearly every camera).
-    pub skew: f32,
-    /// Rigid transform from OpenCV camera axes to world space.
-    pub world_from_camera: Affine3A,
-    /// Offset of a pixel's centre from its index (0.5; PhySG's own code uses 0).
-    pub pixel_center: f32,
-}
-
-impl Camera {
-    /// The world ray through image position (`x`, `y`) in pixels, where pixel (i, j) spans `[i, i + 1) × [j, j + 1)`.
-    pub fn ray(&self, x: f32, y: f32) -> Ray {
-        let shift = self.pixel_center - 0.5;
-        let y_camera = (y + shift - self.center[1]) / self.focal[1];
-        let x_camera = (x + shift - self.center[0] - self.skew * y_camera) / self.focal[0];
-        let direction = self.world_from_camera.transform_vector3(Vec3::new(x_camera, y_camera, 1.0));
-        Ray { origin: self.world_from_camera.translation.into(), direction: direction.normalize() }
-    }
-}
 
 /// A linear RGB image, row by row from the top left.
 #[derive(Clone, Debug, Default, PartialEq)]
