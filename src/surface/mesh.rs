@@ -1,0 +1,202 @@
+//! Triangle meshes in world space.
+
+use glam::{DVec3, Vec2, Vec3};
+use std::collections::HashMap;
+
+/// An indexed triangle mesh in world space.
+///
+/// All vertex arrays have the same length; `triangles` index into them, counter-clockwise seen from outside.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Mesh {
+    /// Vertex positions, world units, finite.
+    pub positions: Vec<Vec3>,
+    /// Unit vertex normals on the outer side.
+    pub normals: Vec<Vec3>,
+    /// Texture coordinates, v down (texel row 0 is v = 0), if the mesh has any.
+    pub uvs: Option<Vec<Vec2>>,
+    /// Three vertex indices each.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+/// A triangle whose height is less than this part of its longest edge counts as degenerate.
+const DEGENERATE_HEIGHT: f64 = 1e-7;
+
+impl Mesh {
+    /// The positions of triangle `triangle`'s corners.
+    pub fn corners(&self, triangle: usize) -> [Vec3; 3] {
+        self.triangles[triangle].map(|vertex| self.positions[vertex as usize])
+    }
+
+    /// Lowest and highest corner of the axis-aligned box around all vertices that a triangle uses; `None` without triangles.
+    pub fn bounds(&self) -> Option<(Vec3, Vec3)> {
+        let mut points = self.triangles.iter().flatten().map(|&vertex| self.positions[vertex as usize]);
+        let first = points.next()?;
+        Some(points.fold((first, first), |(low, high), p| (low.min(p), high.max(p))))
+    }
+
+    /// Area-weighted mean position of the surface; the plain mean of the corners where the area is zero.
+    pub fn centroid(&self) -> Vec3 {
+        let (mut weighted, mut area, mut plain) = (DVec3::ZERO, 0.0, DVec3::ZERO);
+        for triangle in 0..self.triangles.len() {
+            let corners = self.corners(triangle).map(|p| p.as_dvec3());
+            let middle = (corners[0] + corners[1] + corners[2]) / 3.0;
+            let weight = doubled_area_vector(corners).length();
+            weighted += middle * weight;
+            area += weight;
+            plain += middle;
+        }
+        let mean = if area > 0.0 { weighted / area } else { plain / self.triangles.len().max(1) as f64 };
+        mean.as_vec3()
+    }
+
+    /// Total surface area, in squared world units.
+    pub fn area(&self) -> f64 {
+        (0..self.triangles.len())
+            .map(|triangle| 0.5 * doubled_area_vector(self.corners(triangle).map(|p| p.as_dvec3())).length())
+            .sum()
+    }
+
+    /// Whether triangle `triangle` has no usable area: repeated corners, or (nearly) collinear ones.
+    pub fn is_degenerate(&self, triangle: usize) -> bool {
+        let corners = self.corners(triangle).map(|p| p.as_dvec3());
+        let longest_squared = (0..3)
+            .map(|edge| (corners[(edge + 1) % 3] - corners[edge]).length_squared())
+            .fold(0.0, f64::max);
+        let doubled_area = doubled_area_vector(corners).length();
+        // Written so that NaN counts as degenerate too.
+        let usable = doubled_area > DEGENERATE_HEIGHT * longest_squared;
+        !usable
+    }
+
+    /// Drops degenerate triangles and returns how many there were.
+    pub fn drop_degenerate_triangles(&mut self) -> usize {
+        let before = self.triangles.len();
+        let kept = (0..before).filter(|&t| !self.is_degenerate(t)).map(|t| self.triangles[t]).collect();
+        self.triangles = kept;
+        before - self.triangles.len()
+    }
+
+    /// Area-weighted face normals summed at every vertex, vertices at the same position sharing one sum, normalised.
+    ///
+    /// Vertices without a face (or whose faces cancel) get +Y.
+    pub fn smooth_normals(&self) -> Vec<Vec3> {
+        let weld = self.welded_vertices();
+        let mut sums = vec![DVec3::ZERO; self.positions.len()];
+        for (triangle, indices) in self.triangles.iter().enumerate() {
+            let face = doubled_area_vector(self.corners(triangle).map(|p| p.as_dvec3()));
+            for &vertex in indices {
+                sums[weld[vertex as usize] as usize] += face;
+            }
+        }
+        weld.iter().map(|&vertex| sums[vertex as usize].try_normalize().unwrap_or(DVec3::Y).as_vec3()).collect()
+    }
+
+    /// Replaces zero, non-finite and missing normals by smooth ones and brings the rest to unit length.
+    ///
+    /// Normals within 1e-5 of unit length keep their bits. Returns how many were replaced.
+    pub fn repair_normals(&mut self) -> usize {
+        self.normals.resize(self.positions.len(), Vec3::ZERO);
+        let mut smooth: Option<Vec<Vec3>> = None;
+        let mut replaced = 0;
+        for vertex in 0..self.normals.len() {
+            let normal = self.normals[vertex];
+            if (normal.length_squared() - 1.0).abs() <= 2e-5 {
+                continue;
+            }
+            let unit = normal.as_dvec3().try_normalize();
+            self.normals[vertex] = unit.map(|n| n.as_vec3()).unwrap_or_else(|| {
+                replaced += 1;
+                smooth.get_or_insert_with(|| self.smooth_normals())[vertex]
+            });
+        }
+        replaced
+    }
+
+    /// For each vertex the first vertex at bit-identical position (−0 equals 0).
+    pub fn welded_vertices(&self) -> Vec<u32> {
+        let mut first_at = HashMap::with_capacity(self.positions.len());
+        (0..self.positions.len() as u32)
+            .map(|vertex| {
+                let key = (self.positions[vertex as usize] + Vec3::ZERO).to_array().map(f32::to_bits);
+                *first_at.entry(key).or_insert(vertex)
+            })
+            .collect()
+    }
+
+    /// Unit normal of the flat triangle `triangle`, on the side of its vertex normals; zero if it is degenerate.
+    pub fn geometric_normal(&self, triangle: usize) -> Vec3 {
+        let face = doubled_area_vector(self.corners(triangle).map(|p| p.as_dvec3()));
+        let vertex_normals: Vec3 = self.triangles[triangle].iter().map(|&v| self.normals[v as usize]).sum();
+        let face = if face.dot(vertex_normals.as_dvec3()) < 0.0 { -face } else { face };
+        face.normalize_or_zero().as_vec3()
+    }
+}
+
+/// Cross product of two edges: twice the area, along the normal of the winding.
+fn doubled_area_vector(corners: [DVec3; 3]) -> DVec3 {
+    (corners[1] - corners[0]).cross(corners[2] - corners[0])
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A unit right triangle in the plane z = 0, plus its copy with own vertices folded up along x.
+    fn folded() -> Mesh {
+        Mesh {
+            positions: vec![
+                Vec3::ZERO,
+                Vec3::X,
+                Vec3::Y,
+                Vec3::new(-0.0, 0.0, 0.0),
+                Vec3::Z,
+                Vec3::X,
+            ],
+            normals: vec![Vec3::ZERO; 6],
+            uvs: None,
+            triangles: vec![[0, 1, 2], [3, 4, 5]],
+        }
+    }
+
+    #[test]
+    fn smooth_normals_are_shared_across_split_vertices() {
+        let mut mesh = folded();
+        assert_eq!(mesh.repair_normals(), 6);
+        // Faces +z and +y of equal area meet at the x axis.
+        let diagonal = Vec3::new(0.0, 1.0, 1.0).normalize();
+        for vertex in [0, 1, 3, 5] {
+            assert!((mesh.normals[vertex] - diagonal).length() < 1e-6, "{:?}", mesh.normals[vertex]);
+        }
+        assert_eq!(mesh.normals[2], Vec3::Z);
+        assert_eq!(mesh.normals[4], Vec3::Y);
+    }
+
+    #[test]
+    fn only_bad_normals_are_touched() {
+        let mut mesh = folded();
+        let given = Vec3::new(0.3, -0.2, 0.93).normalize();
+        mesh.normals = vec![given, Vec3::X * 4.0, Vec3::NAN, given, given, Vec3::ZERO];
+        assert_eq!(mesh.repair_normals(), 2);
+        assert_eq!(mesh.normals[0], given);
+        assert_eq!(mesh.normals[1], Vec3::X);
+        assert_eq!(mesh.normals[2], Vec3::Z);
+    }
+
+    #[test]
+    fn degenerate_triangles_are_counted_and_dropped() {
+        let mut mesh = folded();
+        mesh.positions.push(Vec3::new(0.5, 0.0, 0.0));
+        mesh.triangles.extend([[0, 0, 1], [0, 1, 6], [2, 2, 2]]);
+        assert_eq!(mesh.drop_degenerate_triangles(), 3);
+        assert_eq!(mesh.triangles, folded().triangles);
+    }
+
+    #[test]
+    fn size_and_middle() {
+        let mesh = folded();
+        assert_eq!(mesh.bounds(), Some((Vec3::ZERO, Vec3::ONE)));
+        assert!((mesh.area() - 1.0).abs() < 1e-12);
+        assert!((mesh.centroid() - Vec3::new(1.0 / 3.0, 1.0 / 6.0, 1.0 / 6.0)).length() < 1e-6);
+        assert_eq!(Mesh::default().bounds(), None);
+    }
+}

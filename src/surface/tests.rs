@@ -1,0 +1,264 @@
+//! Rays against surfaces, compared with brute force and with formulas.
+
+use super::*;
+use atlas::unwrap_mesh;
+use primitive::{box_mesh, sphere_mesh};
+use rand::rngs::StdRng;
+use rand::{RngExt, SeedableRng};
+use std::f32::consts::TAU;
+
+fn unit_vector(rng: &mut StdRng) -> Vec3 {
+    let z = rng.random_range(-1.0f32..1.0);
+    let angle = rng.random_range(0.0..TAU);
+    let r = (1.0 - z * z).max(0.0).sqrt();
+    Vec3::new(r * angle.cos(), r * angle.sin(), z).normalize()
+}
+
+/// An icosphere: twenty triangles, each cut in four `levels` times; big enough triangles to aim at edges and corners.
+fn icosphere(levels: u32) -> Mesh {
+    let g = (1.0 + 5.0f32.sqrt()) / 2.0;
+    let mut positions = Vec::new();
+    for (a, b) in [(-1.0, g), (1.0, g), (-1.0, -g), (1.0, -g)] {
+        positions.push(Vec3::new(a, b, 0.0));
+    }
+    for (a, b) in [(-1.0, g), (1.0, g), (-1.0, -g), (1.0, -g)] {
+        positions.push(Vec3::new(0.0, a, b));
+    }
+    for (a, b) in [(g, -1.0), (g, 1.0), (-g, -1.0), (-g, 1.0)] {
+        positions.push(Vec3::new(a, 0.0, b));
+    }
+    let mut triangles: Vec<[u32; 3]> = vec![
+        [0, 11, 5], [0, 5, 1], [0, 1, 7], [0, 7, 10], [0, 10, 11], [1, 5, 9], [5, 11, 4], [11, 10, 2], [10, 7, 6], [7, 1, 8],
+        [3, 9, 4], [3, 4, 2], [3, 2, 6], [3, 6, 8], [3, 8, 9], [4, 9, 5], [2, 4, 11], [6, 2, 10], [8, 6, 7], [9, 8, 1],
+    ];
+    for _ in 0..levels {
+        let mut middles = std::collections::HashMap::new();
+        let mut finer = Vec::new();
+        for t in triangles {
+            let m = [0, 1, 2].map(|k: usize| {
+                let (a, b) = (t[k], t[(k + 1) % 3]);
+                *middles.entry((a.min(b), a.max(b))).or_insert_with(|| {
+                    positions.push((positions[a as usize] + positions[b as usize]) / 2.0);
+                    positions.len() as u32 - 1
+                })
+            });
+            finer.extend([[t[0], m[0], m[2]], [t[1], m[1], m[0]], [t[2], m[2], m[1]], m]);
+        }
+        triangles = finer;
+        positions.iter_mut().for_each(|p| *p = p.normalize());
+    }
+    let normals = positions.iter().map(|p| p.normalize()).collect();
+    let uvs = Some(positions.iter().map(|p| Vec2::new(p.x, p.y) * 0.2 + 0.5).collect());
+    Mesh { positions, normals, uvs, triangles }
+}
+
+/// Random triangles floating about.
+fn triangle_soup(rng: &mut StdRng, count: u32) -> Mesh {
+    let mut mesh = Mesh { uvs: Some(Vec::new()), ..Mesh::default() };
+    for k in 0..count {
+        let middle = unit_vector(rng) * rng.random_range(0.0..1.0f32);
+        for _ in 0..3 {
+            mesh.positions.push(middle + unit_vector(rng) * 0.1);
+            mesh.uvs.as_mut().unwrap().push(Vec2::new(rng.random(), rng.random()));
+        }
+        mesh.triangles.push([3 * k, 3 * k + 1, 3 * k + 2]);
+    }
+    mesh.repair_normals();
+    mesh
+}
+
+/// Nearest distance by Möller–Trumbore in f64 over all triangles, and the distance of the second nearest.
+fn brute_force(mesh: &Mesh, ray: &Ray, min_distance: f64) -> Vec<(f64, usize)> {
+    let (origin, direction) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
+    let mut hits: Vec<(f64, usize)> = (0..mesh.triangles.len())
+        .filter_map(|t| {
+            let [a, b, c] = mesh.corners(t).map(|p| p.as_dvec3());
+            let p = direction.cross(c - a);
+            let determinant = (b - a).dot(p);
+            let u = (origin - a).dot(p) / determinant;
+            let q = (origin - a).cross(b - a);
+            let v = direction.dot(q) / determinant;
+            let distance = (c - a).dot(q) / determinant;
+            let hit = u >= 0.0 && v >= 0.0 && u + v <= 1.0 && distance > min_distance;
+            hit.then_some((distance, t))
+        })
+        .collect();
+    hits.sort_by(|a, b| a.0.total_cmp(&b.0));
+    hits
+}
+
+#[test]
+fn rays_agree_with_brute_force() {
+    let mut rng = StdRng::seed_from_u64(1);
+    let soup = triangle_soup(&mut rng, 400);
+    let surface = Surface::new(soup.clone(), 16).unwrap();
+    let (mut hits, mut doubtful) = (0, 0);
+    for k in 0..5_000 {
+        // From outside, from inside, and from far away.
+        let origin = unit_vector(&mut rng) * [3.0, 0.5, 50.0][k % 3];
+        let target = unit_vector(&mut rng) * rng.random_range(0.0..1.2f32);
+        let ray = Ray { origin, direction: (target - origin).normalize() };
+        let min_distance = if k % 2 == 0 { 0.0 } else { 0.3 };
+        let expected = brute_force(&soup, &ray, f64::from(min_distance));
+        match (surface.intersect(&ray, min_distance), expected.first()) {
+            (None, None) => assert!(!surface.occluded(&ray, min_distance, f32::INFINITY)),
+            (Some(hit), Some(&(distance, triangle))) if (f64::from(hit.distance) - distance).abs() < 2e-5 * (1.0 + distance) => {
+                hits += 1;
+                assert!((hit.position - ray.origin - ray.direction * hit.distance).length() < 2e-5 * (1.0 + hit.distance));
+                assert_eq!(hit.geometric_normal, soup.geometric_normal(triangle));
+                assert!(surface.occluded(&ray, min_distance, hit.distance * 1.001));
+                if hit.distance > min_distance * 1.01 + 0.01 {
+                    assert!(!surface.occluded(&ray, min_distance, hit.distance * 0.999));
+                }
+            }
+            // Grazing an edge, f32 and f64 may differ.
+            _ => doubtful += 1,
+        }
+    }
+    assert!(hits > 1_500, "{hits}");
+    assert!(doubtful <= 5, "{doubtful}");
+}
+
+#[test]
+fn a_hit_carries_interpolated_attributes() {
+    let (center, radius) = (Vec3::new(3.0, -1.0, 0.5), 2.0);
+    let surface = Surface::new(sphere_mesh(center, radius).unwrap(), 64).unwrap();
+    let mut rng = StdRng::seed_from_u64(2);
+    for k in 0..2_000 {
+        let outwards = unit_vector(&mut rng);
+        // Radial rays from outside and from the centre: the normal is the outer one in both.
+        let ray = if k % 2 == 0 {
+            Ray { origin: center + outwards * 10.0, direction: -outwards }
+        } else {
+            Ray { origin: center, direction: outwards }
+        };
+        let hit = surface.intersect(&ray, 0.0).unwrap();
+        let distance = if k % 2 == 0 { 10.0 - radius } else { radius };
+        assert!((hit.distance - distance).abs() < 2e-3);
+        assert!((hit.normal - outwards).length() < 2e-3 && hit.normal.is_normalized());
+        assert!(hit.geometric_normal.dot(outwards) > 0.999);
+        let phi = outwards.y.acos() / std::f32::consts::PI;
+        assert!((hit.uv.y - phi).abs() < 2e-3, "{} {phi}", hit.uv.y);
+        let weights: f32 = hit.texels.weights.iter().sum();
+        assert!((weights - 1.0).abs() < 1e-6);
+        assert_eq!(hit.texels, address(hit.uv, 64, 64));
+    }
+}
+
+#[test]
+fn no_ray_slips_through_a_closed_sphere() {
+    let surface = Surface::new(sphere_mesh(Vec3::new(0.3, 0.2, -0.1), 0.9).unwrap(), 8).unwrap();
+    let (center, radius) = surface.bounding_sphere();
+    let mut rng = StdRng::seed_from_u64(3);
+    for k in 0..100_000 {
+        let inside = center + unit_vector(&mut rng) * radius * rng.random_range(0.0..0.95f32);
+        let outside = center + unit_vector(&mut rng) * radius * [1.5, 4.0, 40.0, 1000.0][k % 4];
+        let inwards = Ray { origin: outside, direction: (inside - outside).normalize() };
+        assert!(surface.intersect(&inwards, 0.0).is_some(), "from {outside} to {inside}");
+        let outwards = Ray { origin: inside, direction: unit_vector(&mut rng) };
+        assert!(surface.occluded(&outwards, 0.0, f32::INFINITY), "from {inside}");
+    }
+}
+
+#[test]
+fn no_ray_slips_between_triangles_at_edges_and_corners() {
+    let mut rng = StdRng::seed_from_u64(4);
+    for (mesh, scale) in [(icosphere(0), 1.0), (icosphere(3), 1.0), (icosphere(2), 1e-4), (icosphere(1), 1e4)] {
+        let mut mesh = mesh;
+        mesh.positions.iter_mut().for_each(|p| *p = *p * scale + Vec3::new(0.1, -0.2, 0.3) * scale);
+        let surface = Surface::new(mesh.clone(), 8).unwrap();
+        for k in 0..25_000 {
+            let t = mesh.triangles[rng.random_range(0..mesh.triangles.len())].map(|v| mesh.positions[v as usize]);
+            let part = [0.0, 0.5, rng.random_range(0.0..1.0f32)][k % 3];
+            let target = t[0].lerp(t[1], part);
+            let center = surface.bounding_sphere().0;
+            // Towards the edge from where it is not a silhouette: within 30° of the outward direction.
+            let outwards = (target - center).normalize();
+            let origin = target + (outwards + unit_vector(&mut rng) * 0.5).normalize() * scale * [0.01, 2.0, 9.0][k / 3 % 3];
+            let ray = Ray { origin, direction: (target - origin).normalize() };
+            let hit = surface.intersect(&ray, 0.0).unwrap_or_else(|| panic!("slipped through at {target}"));
+            let miss_by = (hit.distance - target.distance(origin)).abs();
+            assert!(miss_by < 1e-4 * scale, "{miss_by} at scale {scale}");
+            assert!(surface.occluded(&ray, 0.0, f32::INFINITY));
+        }
+    }
+}
+
+#[test]
+fn axis_parallel_rays_hit_flat_boxes() {
+    let surface = Surface::new(box_mesh(Vec3::ZERO, Vec3::new(2.0, 2.0, 1e-3)).unwrap(), 16).unwrap();
+    for x in -9..=9 {
+        for y in -9..=9 {
+            let origin = Vec3::new(x as f32 / 9.0, y as f32 / 9.0, 5.0);
+            let hit = surface.intersect(&Ray { origin, direction: Vec3::NEG_Z }, 0.0).unwrap();
+            assert!((hit.distance - 4.9995).abs() < 1e-5);
+            assert_eq!(hit.normal, Vec3::Z);
+        }
+    }
+    assert!(surface.intersect(&Ray { origin: Vec3::new(1.01, 0.0, 5.0), direction: Vec3::NEG_Z }, 0.0).is_none());
+    // The far side, by starting beyond the near one.
+    let through = Ray { origin: Vec3::new(0.2, 0.1, 5.0), direction: Vec3::NEG_Z };
+    assert!((surface.intersect(&through, 4.9998).unwrap().distance - 5.0005).abs() < 1e-5);
+    assert!(surface.intersect(&through, 6.0).is_none());
+}
+
+#[test]
+fn inside_and_outside_are_told_apart() {
+    let center = Vec3::new(-2.0, 1.0, 0.0);
+    let surface = Surface::new(sphere_mesh(center, 1.5).unwrap(), 8).unwrap();
+    let mut rng = StdRng::seed_from_u64(5);
+    for _ in 0..500 {
+        let direction = unit_vector(&mut rng);
+        assert!(surface.is_inside(center + direction * rng.random_range(0.0..1.49f32)));
+        assert!(!surface.is_inside(center + direction * rng.random_range(1.51..20.0f32)));
+    }
+    assert!(!surface.is_inside(Vec3::NAN));
+}
+
+#[test]
+fn rays_that_are_no_rays_meet_nothing() {
+    let surface = Surface::new(box_mesh(Vec3::ZERO, Vec3::ONE).unwrap(), 8).unwrap();
+    for ray in [
+        Ray { origin: Vec3::NAN, direction: Vec3::X },
+        Ray { origin: Vec3::ZERO, direction: Vec3::ZERO },
+        Ray { origin: Vec3::INFINITY, direction: Vec3::X },
+        Ray { origin: Vec3::ZERO, direction: Vec3::NAN },
+    ] {
+        assert_eq!(surface.intersect(&ray, 0.0), None);
+        assert!(!surface.occluded(&ray, 0.0, f32::INFINITY));
+    }
+    let good = Ray { origin: Vec3::X * 3.0, direction: Vec3::NEG_X };
+    assert!(!surface.occluded(&good, 0.0, f32::NAN) && !surface.occluded(&good, 3.0, 1.0));
+}
+
+#[test]
+fn unusable_meshes_are_refused() {
+    let good = box_mesh(Vec3::ZERO, Vec3::ONE).unwrap();
+    let changed = |change: &dyn Fn(&mut Mesh)| {
+        let mut mesh = good.clone();
+        change(&mut mesh);
+        Surface::new(mesh, 8).err().map(|e| e.to_string()).unwrap_or_default()
+    };
+    assert!(changed(&|m| m.uvs = None).contains("no texture coordinates"));
+    assert!(changed(&|m| m.triangles.clear()).contains("no triangles"));
+    assert!(changed(&|m| m.triangles[2][1] = 99).contains("vertex 99"));
+    assert!(changed(&|m| m.positions[5].x = f32::NAN).contains("vertex 5 is not finite"));
+    assert!(changed(&|m| m.normals.truncate(3)).contains("disagree"));
+    assert!(changed(&|m| m.triangles[3] = [1, 1, 2]).contains("triangle 3 has no area"));
+    for size in [0, MAX_TEXTURE_SIZE + 1] {
+        assert!(matches!(Surface::new(good.clone(), size), Err(Error::Usage { .. })));
+    }
+}
+
+#[test]
+fn an_unwrapped_surface_is_a_resource_with_the_same_geometry() {
+    let bare = Mesh { uvs: None, ..sphere_mesh(Vec3::ZERO, 1.0).unwrap() };
+    let original = Surface::new(sphere_mesh(Vec3::ZERO, 1.0).unwrap(), 64).unwrap();
+    let mut world = bevy_ecs::world::World::new();
+    world.insert_resource(Surface::new(unwrap_mesh(&bare, 64).unwrap().mesh, 64).unwrap());
+    let surface = world.resource::<Surface>();
+    let ray = Ray { origin: Vec3::new(0.2, 0.3, 4.0), direction: Vec3::NEG_Z };
+    let (a, b) = (original.intersect(&ray, 0.0).unwrap(), surface.intersect(&ray, 0.0).unwrap());
+    assert_eq!((a.distance, a.position, a.normal), (b.distance, b.position, b.normal));
+    assert!(b.texels.indices.iter().all(|&texel| surface.atlas().covered[texel as usize]));
+}
