@@ -38,7 +38,8 @@ impl NpyConvention {
     }
 }
 
-const HELP: &str = "save an array of float32 or float64 of shape [M, 7]: axis x y z, sharpness, amplitude r g b";
+const HELP: &str =
+    "save an array of float32 or float64 of shape [M, 7]: axis x y z, sharpness, amplitude r g b";
 
 /// Reads lobes from an `.npy` file of shape `[M, 7]`, or `[M, 5]` with one grey amplitude.
 ///
@@ -224,7 +225,8 @@ mod tests {
             assert_eq!(error.exit_code(), 2);
             assert!(error.to_string().contains(word), "{error} should say {word}");
         };
-        let data = |rows: &[[f32; 7]]| rows.concat().iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+        let data =
+            |rows: &[[f32; 7]]| rows.concat().iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
         let good = [0.0, 1.0, 0.0, 1.0, 1.0, 1.0, 1.0];
         let mut zero_axis = good;
         zero_axis[1] = 0.0;
