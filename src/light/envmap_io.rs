@@ -385,6 +385,31 @@ mod tests {
     }
 
     #[test]
+    fn damaged_bytes_never_panic() {
+        let folder = folder();
+        let path = folder.path().join("map");
+        let map = gradient(16, 8);
+        map.write_exr(&path).unwrap();
+        let exr = std::fs::read(&path).unwrap();
+        let pixels: Vec<_> = map.radiance.iter().map(|r| image::Rgb(r.to_array())).collect();
+        let mut hdr = Vec::new();
+        image::codecs::hdr::HdrEncoder::new(&mut hdr).encode(&pixels, 16, 8).unwrap();
+        for whole in [exr, hdr] {
+            for at in 0..whole.len() {
+                for value in [0, 0xff] {
+                    let mut bytes = whole.clone();
+                    bytes[at] = value;
+                    std::fs::write(&path, &bytes).unwrap();
+                    // A changed sample is still a sample; whatever is accepted must be usable.
+                    if let Ok(map) = EnvironmentMap::read(&path) {
+                        assert!(map.radiance.iter().all(|r| r.is_finite() && r.min_element() >= 0.0));
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
     fn gigantic_maps_are_averaged_down() {
         let folder = folder();
         let path = folder.path().join("map.exr");
