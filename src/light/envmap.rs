@@ -236,7 +236,9 @@ mod tests {
     #[test]
     fn one_bright_texel_shines_from_its_own_direction() {
         let (width, height) = (16, 8);
-        for (i, j, axis) in [(0, 3, Vec3::NEG_Z), (4, 3, Vec3::X), (8, 4, Vec3::Z), (12, 4, Vec3::NEG_X), (5, 0, Vec3::Y)] {
+        for (i, j, axis) in
+            [(0, 3, Vec3::NEG_Z), (4, 3, Vec3::X), (8, 4, Vec3::Z), (12, 4, Vec3::NEG_X), (5, 0, Vec3::Y)]
+        {
             let mut map = EnvironmentMap { width, height, radiance: vec![Vec3::ZERO; 128] };
             map.radiance[(j * width + i) as usize] = Vec3::ONE;
             let direction = map.texel_direction(i, j);

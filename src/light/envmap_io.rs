@@ -3,7 +3,9 @@
 use std::io::Cursor;
 use std::path::Path;
 
-use exr::prelude::{MetaData, ReadChannels, ReadLayers, ReadSpecificChannel, SpecificChannels, WritableImage};
+use exr::prelude::{
+    MetaData, ReadChannels, ReadLayers, ReadSpecificChannel, SpecificChannels, WritableImage,
+};
 use glam::Vec3;
 use image::ImageDecoder;
 
@@ -46,7 +48,8 @@ impl EnvironmentMap {
         } else if bytes.starts_with(b"#?") {
             read_hdr(path, &bytes)?.finish(path)
         } else {
-            let problem = if bytes.is_empty() { "the file is empty" } else { "is neither OpenEXR nor Radiance HDR" };
+            let problem =
+                if bytes.is_empty() { "the file is empty" } else { "is neither OpenEXR nor Radiance HDR" };
             Err(Error::input(path, "", problem, EXPORT_HELP))
         }
     }
@@ -131,7 +134,8 @@ impl Sink {
         let map = self.filter.finish();
         if [map.width, map.height] != self.size {
             let [w, h] = self.size;
-            let text = format!("{}: averaged from {w} × {h} to {} × {}", path.display(), map.width, map.height);
+            let text =
+                format!("{}: averaged from {w} × {h} to {} × {}", path.display(), map.width, map.height);
             notes.push(text);
         }
         Ok((map, notes))
@@ -174,7 +178,10 @@ fn read_exr(path: &Path, bytes: &[u8]) -> Result<Sink> {
     if red == green {
         let image = reader
             .required(red.as_str())
-            .collect_pixels(move |_, _| Sink::new(size), move |s, at, (y,): (f32,)| add(s, at, Vec3::splat(y)))
+            .collect_pixels(
+                move |_, _| Sink::new(size),
+                move |s, at, (y,): (f32,)| add(s, at, Vec3::splat(y)),
+            )
             .first_valid_layer()
             .all_attributes()
             .non_parallel()
@@ -231,7 +238,12 @@ fn read_hdr(path: &Path, bytes: &[u8]) -> Result<Sink> {
     let size = checked_size(path, width as usize, height as usize)?;
     // A scanline takes 8 bytes at least; a lying header must not make us allocate.
     if bytes.len() < height as usize * 8 {
-        return Err(Error::input(path, "", format!("is too short for {width} × {height} texels"), EXPORT_HELP));
+        return Err(Error::input(
+            path,
+            "",
+            format!("is too short for {width} × {height} texels"),
+            EXPORT_HELP,
+        ));
     }
     let mut values = vec![0_u8; width as usize * height as usize * 12];
     decoder.read_image(&mut values).map_err(broken)?;
@@ -370,6 +382,31 @@ mod tests {
         }
         std::fs::write(&path, b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 16000 +X 32000\n").unwrap();
         assert!(error_of(&path).contains("too short"));
+    }
+
+    #[test]
+    fn damaged_bytes_never_panic() {
+        let folder = folder();
+        let path = folder.path().join("map");
+        let map = gradient(16, 8);
+        map.write_exr(&path).unwrap();
+        let exr = std::fs::read(&path).unwrap();
+        let pixels: Vec<_> = map.radiance.iter().map(|r| image::Rgb(r.to_array())).collect();
+        let mut hdr = Vec::new();
+        image::codecs::hdr::HdrEncoder::new(&mut hdr).encode(&pixels, 16, 8).unwrap();
+        for whole in [exr, hdr] {
+            for at in 0..whole.len() {
+                for value in [0, 0xff] {
+                    let mut bytes = whole.clone();
+                    bytes[at] = value;
+                    std::fs::write(&path, &bytes).unwrap();
+                    // A changed sample is still a sample; whatever is accepted must be usable.
+                    if let Ok(map) = EnvironmentMap::read(&path) {
+                        assert!(map.radiance.iter().all(|r| r.is_finite() && r.min_element() >= 0.0));
+                    }
+                }
+            }
+        }
     }
 
     #[test]

@@ -30,7 +30,7 @@ mod tests {
 
     #[test]
     fn agrees_with_the_library() {
-        for i in 0..=87_000 {
+        for i in 0..=86_900 {
             let x = -(i as f32) * 1e-3;
             let exact = f64::from(x).exp();
             let error = (f64::from(exp_nonpositive(x)) / exact - 1.0).abs();

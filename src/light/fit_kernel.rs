@@ -266,11 +266,8 @@ impl Normal {
 }
 
 fn normal_of_group<F: FitFloat>(tiles: &[Tile<F>], lobes: &[FitLobe]) -> Normal {
-    let mut sum = Normal {
-        error: 0.0,
-        correlations: vec![[[0.0; 3]; 4]; lobes.len()],
-        gram: Gram::zero(lobes.len()),
-    };
+    let mut sum =
+        Normal { error: 0.0, correlations: vec![[[0.0; 3]; 4]; lobes.len()], gram: Gram::zero(lobes.len()) };
     let mut bases: Vec<Basis<F>> = Vec::new();
     for tile in tiles {
         let reached = tile.reached_by(lobes);
@@ -372,16 +369,16 @@ mod tests {
         let basis = |k: usize, a: usize| -> Vec<f64> {
             let mut one = vec![lobes[k]];
             one[0].amplitude = [1.0, 0.0, 0.0];
-            let channel = |l: &[FitLobe]| -> Vec<f64> { residuals(&tiles, l).iter().flat_map(|r| r[0]).collect() };
-            let (low, high) = if a == 0 {
-                (vec![], one)
-            } else {
-                (nudged(&one, 0, a - 1, -h), nudged(&one, 0, a - 1, h))
-            };
+            let channel =
+                |l: &[FitLobe]| -> Vec<f64> { residuals(&tiles, l).iter().flat_map(|r| r[0]).collect() };
+            let (low, high) =
+                if a == 0 { (vec![], one) } else { (nudged(&one, 0, a - 1, -h), nudged(&one, 0, a - 1, h)) };
             let scale = if a == 0 { 1.0 } else { 2.0 * h };
             channel(&high).iter().zip(channel(&low)).map(|(x, y)| (x - y) / scale).collect()
         };
-        for (k, a, l, b) in [(0, 0, 0, 0), (0, 1, 0, 3), (1, 2, 0, 0), (0, 3, 2, 1), (2, 0, 2, 0), (2, 3, 2, 2)] {
+        for (k, a, l, b) in
+            [(0, 0, 0, 0), (0, 1, 0, 3), (1, 2, 0, 0), (0, 3, 2, 1), (2, 0, 2, 0), (2, 3, 2, 2)]
+        {
             let numeric: f64 = basis(k, a).iter().zip(basis(l, b)).map(|(x, y)| x * y).sum();
             let value = gram.at(k, a, l, b);
             assert!((value - numeric).abs() < 1e-8 + 1e-5 * numeric.abs(), "{value} {numeric}");
@@ -390,7 +387,8 @@ mod tests {
 
     #[test]
     fn single_precision_agrees_with_double() {
-        let (fast, exact) = (normal(&tiles_of::<f32>(&map()), &lobes()), normal(&tiles_of::<f64>(&map()), &lobes()));
+        let (fast, exact) =
+            (normal(&tiles_of::<f32>(&map()), &lobes()), normal(&tiles_of::<f64>(&map()), &lobes()));
         assert!((fast.error / exact.error - 1.0).abs() < 1e-5);
         let scale = exact.gram.at(0, 0, 0, 0);
         assert!((fast.gram.at(0, 0, 1, 2) - exact.gram.at(0, 0, 1, 2)).abs() < 1e-5 * scale);

@@ -96,7 +96,10 @@ pub fn fit_map(map: &EnvironmentMap, lobes: usize, options: &MapFit) -> Result<M
 
 fn check(map: &EnvironmentMap, lobes: usize, options: &MapFit) -> Result<()> {
     if lobes == 0 {
-        return Err(Error::usage("a map cannot be fitted by zero lobes", "ask for one lobe or more, e.g. 128"));
+        return Err(Error::usage(
+            "a map cannot be fitted by zero lobes",
+            "ask for one lobe or more, e.g. 128",
+        ));
     }
     if options.working_width < 16 || options.max_sharpness.is_some_and(|s| s.is_nan() || s < 1.0) {
         return Err(Error::usage(
@@ -148,7 +151,12 @@ fn fit_unit_map(map: &EnvironmentMap, count: usize, options: &MapFit) -> Vec<Fit
     levenberg_marquardt(&tiles, &mut lobes, affordable(options.iterations, count), bounds);
     relocate(&tiles, &axes, &mut lobes, affordable(options.relocations, count), bounds);
     let fine = narrowed(map, options.polish_width);
-    polish(&tiles_of(&fine), &mut lobes, affordable(options.polish_iterations, count), bounds_at(fine.width, options));
+    polish(
+        &tiles_of(&fine),
+        &mut lobes,
+        affordable(options.polish_iterations, count),
+        bounds_at(fine.width, options),
+    );
     lobes
 }
 
@@ -243,7 +251,8 @@ mod tests {
     fn sky() -> EnvironmentMap {
         EnvironmentMap::from_directions(64, 32, |d| {
             let sun = 40.0 * (80.0 * (d.dot(Vec3::new(0.48, 0.6, 0.64)) - 1.0)).exp();
-            let sky = if d.y > 0.0 { Vec3::new(0.4, 0.6, 1.0) * (1.0 - 0.5 * d.y) } else { Vec3::splat(0.15) };
+            let sky =
+                if d.y > 0.0 { Vec3::new(0.4, 0.6, 1.0) * (1.0 - 0.5 * d.y) } else { Vec3::splat(0.15) };
             sky + Vec3::new(1.0, 0.9, 0.7) * sun
         })
     }
@@ -251,8 +260,16 @@ mod tests {
     #[test]
     fn lobes_are_recovered_from_their_own_map() {
         let truth = [
-            LightLobe { axis: Vec3::new(0.6, 0.0, 0.8), sharpness: 30.0, amplitude: Vec3::new(5.0, 1.0, 2.0) },
-            LightLobe { axis: Vec3::new(-0.8, 0.6, 0.0), sharpness: 7.0, amplitude: Vec3::new(0.5, 1.5, 3.0) },
+            LightLobe {
+                axis: Vec3::new(0.6, 0.0, 0.8),
+                sharpness: 30.0,
+                amplitude: Vec3::new(5.0, 1.0, 2.0),
+            },
+            LightLobe {
+                axis: Vec3::new(-0.8, 0.6, 0.0),
+                sharpness: 7.0,
+                amplitude: Vec3::new(0.5, 1.5, 3.0),
+            },
             LightLobe { axis: Vec3::NEG_Y, sharpness: 2.0, amplitude: Vec3::new(1.0, 1.0, 0.2) },
         ];
         let map = render_lobes(&truth, 64, 32);

@@ -17,7 +17,12 @@ const PARAMETERS: usize = 6;
 
 /// Up to `steps` accepted Levenberg–Marquardt steps (Marquardt 1963; amplitudes and sharpness kept in bounds by
 /// projection, parameters that press against their bound left out). Returns the error reached.
-pub fn levenberg_marquardt(tiles: &[Tile<f32>], lobes: &mut Vec<FitLobe>, steps: usize, bounds: Bounds) -> f64 {
+pub fn levenberg_marquardt(
+    tiles: &[Tile<f32>],
+    lobes: &mut Vec<FitLobe>,
+    steps: usize,
+    bounds: Bounds,
+) -> f64 {
     let mut damping = 1e-2;
     let mut reached = error(tiles, lobes);
     for _ in 0..steps {
@@ -45,8 +50,11 @@ fn improve(
     let slopes = gradient(lobes, &equations.correlations);
     for _ in 0..6 {
         if let Some(step) = damped_step(lobes, &slopes, &equations.gram, *damping) {
-            let trial: Vec<FitLobe> =
-                lobes.iter().zip(step.as_chunks::<PARAMETERS>().0).map(|(l, s)| stepped(l, s, bounds)).collect();
+            let trial: Vec<FitLobe> = lobes
+                .iter()
+                .zip(step.as_chunks::<PARAMETERS>().0)
+                .map(|(l, s)| stepped(l, s, bounds))
+                .collect();
             let lower = error(tiles, &trial);
             if lower < equations.error {
                 *damping = (*damping * 0.3).max(1e-7);

@@ -138,9 +138,8 @@ impl LobeLight {
             column(|l| l.amplitude.y),
             column(|l| l.amplitude.z),
         ];
-        let power = |l: &LightLobe| {
-            f64::from(luminance(l.amplitude)) * sg::sphere_integral(f64::from(l.sharpness))
-        };
+        let power =
+            |l: &LightLobe| f64::from(luminance(l.amplitude)) * sg::sphere_integral(f64::from(l.sharpness));
         let sum = |total: &mut f64, l: &LightLobe| {
             *total += power(l);
             Some(*total)
@@ -203,11 +202,7 @@ impl Illuminate for LobeLight {
 /// loses its digits.
 fn sample_sg(axis: Vec3, sharpness: f32, u: f32, turn: f32) -> Vec3 {
     let (lambda, u) = (f64::from(sharpness), f64::from(u));
-    let rise = if lambda < 1e-6 {
-        2.0 * u
-    } else {
-        -(u * (-2.0 * lambda).exp_m1()).ln_1p() / lambda
-    };
+    let rise = if lambda < 1e-6 { 2.0 * u } else { -(u * (-2.0 * lambda).exp_m1()).ln_1p() / lambda };
     let rise = rise.clamp(0.0, 2.0);
     let radius = (rise * (2.0 - rise)).sqrt();
     let (sin, cos) = (2.0 * PI * f64::from(turn)).sin_cos();
@@ -261,7 +256,9 @@ mod tests {
     /// Sum of `value` × solid angle over a fine grid.
     fn quadrature(value: impl Fn(Vec3) -> DVec3) -> DVec3 {
         let grid = EnvironmentMap { width: 1200, height: 600, radiance: Vec::new() };
-        let row = |j| (0..1200).map(|i| value(grid.texel_direction(i, j))).sum::<DVec3>() * grid.texel_solid_angle(j);
+        let row = |j| {
+            (0..1200).map(|i| value(grid.texel_direction(i, j))).sum::<DVec3>() * grid.texel_solid_angle(j)
+        };
         (0..600).map(row).sum()
     }
 
@@ -310,7 +307,11 @@ mod tests {
     #[test]
     fn lobes_estimate_their_integral_sharp_and_flat() {
         for sharpness in [0.0, 1e-7, 1e-3, 1.0, 40.0, 1e3, 1e5] {
-            let lobe = LightLobe { axis: Vec3::new(0.36, 0.48, -0.8), sharpness, amplitude: Vec3::new(1.0, 2.0, 0.5) };
+            let lobe = LightLobe {
+                axis: Vec3::new(0.36, 0.48, -0.8),
+                sharpness,
+                amplitude: Vec3::new(1.0, 2.0, 0.5),
+            };
             let light = LobeLight::new(&[lobe]);
             // f32 directions limit how well a sharp lobe can be told.
             check_estimate(&light, |_| 1.0, lobe.power(), 1e-5);

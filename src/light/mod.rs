@@ -4,7 +4,7 @@
 //! | --- | --- |
 //! | [`envmap`] | the latitude-longitude grid: directions, solid angles, bilinear look-up, rotation |
 //! | [`envmap_io`] | EXR and Radiance HDR in (checked, repaired, counted), EXR out |
-//! | [`illuminate`] | [`Illuminate`](crate::math::ray::Illuminate) for a map and for lobes, both importance-sampled |
+//! | [`illuminate`] | [`Illuminate`] for a map and for lobes, both importance-sampled |
 //! | [`npy`] | SG `.npy` files in both conventions |
 //! | [`fibonacci`] | near-uniform directions |
 //! | [`fit_map`] | a map fitted by lobes (Levenberg–Marquardt with greedy placement) |

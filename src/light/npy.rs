@@ -38,7 +38,8 @@ impl NpyConvention {
     }
 }
 
-const HELP: &str = "save an array of float32 or float64 of shape [M, 7]: axis x y z, sharpness, amplitude r g b";
+const HELP: &str =
+    "save an array of float32 or float64 of shape [M, 7]: axis x y z, sharpness, amplitude r g b";
 
 /// Reads lobes from an `.npy` file of shape `[M, 7]`, or `[M, 5]` with one grey amplitude.
 ///
@@ -83,6 +84,9 @@ fn read_table(path: &Path, bytes: &[u8]) -> Result<(Vec<f64>, usize)> {
     if !bytes.starts_with(b"\x93NUMPY") {
         return Err(bad("is not a NumPy .npy file".to_owned()));
     }
+    if !has_plausible_shape(bytes) {
+        return Err(bad("claims an impossible shape, so its header is damaged".to_owned()));
+    }
     let file = NpyFile::new(bytes).map_err(|e| bad(format!("has a broken header ({e})")))?;
     let shape = file.shape().to_vec();
     let (rows, columns) = match shape[..] {
@@ -106,6 +110,19 @@ fn read_table(path: &Path, bytes: &[u8]) -> Result<(Vec<f64>, usize)> {
         },
     };
     Ok((if order == Order::Fortran { transposed(&values, rows, columns) } else { values }, columns))
+}
+
+/// Whether the numbers after "shape" in the header multiply to less than 2⁴⁰; `npyz` panics where they overflow.
+fn has_plausible_shape(bytes: &[u8]) -> bool {
+    let header = &bytes[..bytes.len().min(4096)];
+    let start = header.windows(5).position(|word| word == b"shape").unwrap_or(header.len());
+    let shape = header[start..].split(|&b| b == b')').next().unwrap_or_default();
+    let mut numbers = shape.split(|b| !b.is_ascii_digit()).filter(|digits| !digits.is_empty());
+    let product = numbers.try_fold(1_u64, |product, digits| {
+        let number: u64 = std::str::from_utf8(digits).ok()?.parse().ok()?;
+        product.checked_mul(number.max(1))
+    });
+    product.is_some_and(|product| product < 1 << 40)
 }
 
 fn transposed(values: &[f64], rows: usize, columns: usize) -> Vec<f64> {
@@ -218,13 +235,30 @@ mod tests {
     }
 
     #[test]
+    fn damaged_bytes_never_panic() {
+        let folder = tempfile::tempdir().unwrap();
+        write_lobes(path_in(&folder), &lobes()[..3], NpyConvention::Lobelia).unwrap();
+        let whole = std::fs::read(path_in(&folder)).unwrap();
+        for at in 0..whole.len() {
+            for value in [0, b'9', b'(', 0xff] {
+                let mut bytes = whole.clone();
+                bytes[at] = value;
+                if let Ok(lobes) = read_bytes(&bytes, NpyConvention::Lobelia) {
+                    assert!(crate::light::validate_lobes(&lobes).is_ok());
+                }
+            }
+        }
+    }
+
+    #[test]
     fn bad_files_are_refused_and_rows_named() {
         let refused = |bytes: &[u8], word: &str| {
             let error = read_bytes(bytes, NpyConvention::Lobelia).expect_err("a bad file must be refused");
             assert_eq!(error.exit_code(), 2);
             assert!(error.to_string().contains(word), "{error} should say {word}");
         };
-        let data = |rows: &[[f32; 7]]| rows.concat().iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+        let data =
+            |rows: &[[f32; 7]]| rows.concat().iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
         let good = [0.0, 1.0, 0.0, 1.0, 1.0, 1.0, 1.0];
         let mut zero_axis = good;
         zero_axis[1] = 0.0;
@@ -233,7 +267,9 @@ mod tests {
         refused(&npy("<f4", false, "(2, 7)", &data(&[good, zero_axis])), "row 1");
         refused(&npy("<f4", false, "(2, 7)", &data(&[nan, good])), "row 0");
         refused(&npy("<f4", false, "(2, 7)", &data(&[good])), "truncated");
-        refused(&npy("<f4", false, "(900000000000, 7)", &data(&[good])), "truncated");
+        refused(&npy("<f4", false, "(9000000000, 7)", &data(&[good])), "truncated");
+        refused(&npy("<f4", false, "(900000000000, 7)", &data(&[good])), "impossible");
+        refused(&npy("<f4", false, "(0, 18446744073709551615, 7)", &data(&[good])), "impossible");
         refused(&npy("<f4", false, "(7,)", &data(&[good])), "shape");
         refused(&npy("<f4", false, "(1, 6)", &data(&[good])), "shape");
         refused(&npy("<f4", false, "(0, 7)", &[]), "no rows");
