@@ -26,8 +26,7 @@ pub fn put_material(world: &mut World, state: &MaterialState) {
     for (mut blend, value) in world.query::<&mut SpecularBlend>().iter_mut(world).zip(&state.blends) {
         *blend = *value;
     }
-    let old: Vec<Entity> =
-        world.query_filtered::<Entity, With<SpecularLobe>>().iter(world).collect();
+    let old: Vec<Entity> = world.query_filtered::<Entity, With<SpecularLobe>>().iter(world).collect();
     for (entity, value) in old.iter().zip(&state.lobes) {
         world.entity_mut(*entity).insert(*value);
     }

@@ -7,12 +7,9 @@ use super::render::chosen_views;
 use crate::error::{Error, Result};
 use crate::report::exr_file::{Frame, read_frame};
 use crate::report::heat::{factor_for, heat_map};
-use crate::report::metrics::{
-    LayerScaleSums, Pair, ScaleSums, erode, mean, mean_normal_angle_degrees, median, psnr, psnr_of_mse, scaled,
-};
-use crate::report::scores::PassScores;
+use crate::report::metrics::{LayerScales, Pair, albedo_psnr, erode, mean_normal_angle_degrees, scaled};
+use crate::report::scores::{EvalView, PassScores, Scaling, score_views};
 use crate::report::sheet::{Sheet, SheetCell, SheetRow, Theme, choose_evenly, write_sheet};
-use crate::report::ssim::ssim;
 use crate::report::tone::{Backdrop, Look, Picture};
 use crate::scene::pass_types::{EvaluatePass, LayerTruth, Pass, ScaleRule, Score, Truth, ViewChoice};
 use crate::scene::types::LightSource;
@@ -27,19 +24,11 @@ const SHEET_VIEWS: usize = 3;
 
 /// One view of a scored pass.
 struct ScoredView {
-    name: String,
+    eval: EvalView,
     camera: Camera,
-    frame: Frame,
-    truth: Vec<Vec3>,
+    albedo: Vec<Vec3>,
+    normal: Vec<Vec3>,
     coverage: Vec<f32>,
-    counts: Vec<bool>,
-}
-
-impl ScoredView {
-    fn pair<'a>(&'a self, prediction: &'a [Vec3]) -> Result<Pair<'a>> {
-        Pair::new([self.frame.width, self.frame.height], prediction, &self.truth, &self.counts)
-            .map_err(|error| Error::run(format!("view {}", self.name), error.to_string()))
-    }
 }
 
 /// Runs the pass.
@@ -50,14 +39,13 @@ pub fn run(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
     let mut rows = Vec::new();
     for score in &pass.scores {
         let views = scored_views(session, score)?;
-        let scaled = scale_views(&views, score.scale)?;
-        let scores = score_views(&views, &scaled)?;
-        rows.extend(sheet_rows(&score.pass, &views, &scaled, &scores)?);
+        let scores = score_views(views.len(), scaling(score.scale), |i| Ok(&views[i].eval))?;
+        rows.push(sheet_row(&score.pass, &views, &scores)?);
         session.scores.passes.insert(score.pass.clone(), scores);
     }
     if let Some(first) = pass.scores.first() {
         if let Some(truth) = &pass.albedo {
-            session.scores.albedo_psnr = Some(score_albedo(session, first, truth)?);
+            session.scores.albedo_psnr = score_albedo(session, first, truth)?;
         }
         if let Some(truth) = &pass.normal {
             session.scores.normal_deg = score_normals(session, first, truth)?;
@@ -113,8 +101,25 @@ fn scored_view(
             format!("the truth has {} pixels, the prediction {} × {}", truth.len(), size[0], size[1]),
         ));
     }
-    let counts = erode(size, &coverage);
-    Ok(ScoredView { name, camera, frame, truth, coverage, counts })
+    let eval = EvalView {
+        name,
+        width: frame.width,
+        height: frame.height,
+        mask: erode(size, &coverage),
+        prediction: frame.color,
+        diffuse: frame.diffuse,
+        specular: frame.specular,
+        truth,
+    };
+    Ok(ScoredView { eval, camera, albedo: frame.albedo, normal: frame.normal, coverage })
+}
+
+fn scaling(rule: ScaleRule) -> Scaling {
+    match rule {
+        ScaleRule::None => Scaling::None,
+        ScaleRule::PerChannel => Scaling::PerChannel,
+        ScaleRule::PerLayer => Scaling::PerLayer,
+    }
 }
 
 fn true_coverage(session: &mut Session, name: &str) -> Option<Vec<f32>> {
@@ -173,47 +178,6 @@ fn self_made(
     Ok(frames.into_iter().map(|frame| frame.color).collect())
 }
 
-/// Predictions after the scales that the rule takes out.
-fn scale_views(views: &[ScoredView], rule: ScaleRule) -> Result<Vec<Vec<Vec3>>> {
-    match rule {
-        ScaleRule::None => Ok(views.iter().map(|v| v.frame.color.clone()).collect()),
-        ScaleRule::PerChannel => {
-            let mut sums = ScaleSums::default();
-            for view in views {
-                sums.add(&view.pair(&view.frame.color)?);
-            }
-            Ok(views.iter().map(|v| scaled(&v.frame.color, sums.scale())).collect())
-        }
-        ScaleRule::PerLayer => {
-            let mut sums = LayerScaleSums::default();
-            for view in views {
-                sums.add(&view.pair(&view.frame.diffuse)?, &view.frame.specular)?;
-            }
-            let scales = sums.scales();
-            Ok(views.iter().map(|v| scales.combine(&v.frame.diffuse, &v.frame.specular)).collect())
-        }
-    }
-}
-
-fn score_views(views: &[ScoredView], scaled: &[Vec<Vec3>]) -> Result<PassScores> {
-    let (mut psnrs, mut raw, mut similarity) = (Vec::new(), Vec::new(), Vec::new());
-    for (view, scaled) in views.iter().zip(scaled) {
-        psnrs.push(psnr(&view.pair(scaled)?));
-        raw.push(psnr(&view.pair(&view.frame.color)?));
-        similarity.push(ssim(&view.pair(scaled)?));
-    }
-    let of = |values: &[f64]| {
-        mean(values).ok_or_else(|| Error::run("evaluate", "the pass rendered no view that could be scored"))
-    };
-    let names = views.iter().map(|v| v.name.clone());
-    Ok(PassScores {
-        psnr: of(&psnrs)?,
-        psnr_raw: of(&raw)?,
-        ssim: of(&similarity)?,
-        views: names.zip(psnrs.iter().copied()).collect(),
-    })
-}
-
 /// True albedo or normals of the views of a score.
 fn true_layers(
     session: &mut Session,
@@ -225,7 +189,8 @@ fn true_layers(
         LayerTruth::Folder(folder) => views
             .iter()
             .map(|view| {
-                let number = view.name.rsplit('_').next().unwrap_or(&view.name);
+                let name = &view.eval.name;
+                let number = name.rsplit('_').next().unwrap_or(name);
                 let path = folder.join(format!("{layer}_{number}.exr"));
                 Ok(read_image(path, Gamma::Linear)?.image.pixels)
             })
@@ -243,75 +208,56 @@ fn true_layers(
     }
 }
 
-/// Albedo PSNR over all views' pixels together, after one median scale per channel.
-fn score_albedo(session: &mut Session, score: &Score, truth: &LayerTruth) -> Result<f64> {
-    let mut views = scored_views(session, score)?;
+fn score_albedo(session: &mut Session, score: &Score, truth: &LayerTruth) -> Result<Option<f64>> {
+    let views = scored_views(session, score)?;
     let truths = true_layers(session, &views, truth, "albedo")?;
-    let mut pairs: [Vec<(f64, f64)>; 3] = Default::default();
-    for (view, truth) in views.iter_mut().zip(truths) {
-        view.truth = truth;
-        let pair = view.pair(&view.frame.albedo)?;
-        for i in (0..pair.mask.len()).filter(|&i| pair.mask[i]) {
-            for c in 0..3 {
-                pairs[c].push((f64::from(pair.prediction[i][c]), f64::from(pair.truth[i][c])));
-            }
-        }
-    }
-    let (mut squares, mut count) = (0.0, 0usize);
-    for channel in &pairs {
-        let mut ratios: Vec<f64> =
-            channel.iter().filter(|(p, _)| *p > 1e-6).map(|(p, t)| t / p).collect();
-        let scale = median(&mut ratios).unwrap_or(1.0);
-        let error = |(p, t): &(f64, f64)| ((p * scale).clamp(0.0, 1.0) - t.clamp(0.0, 1.0)).powi(2);
-        squares += channel.iter().map(error).sum::<f64>();
-        count += channel.len();
-    }
-    Ok(psnr_of_mse(squares / count.max(1) as f64))
+    let predictions = views.iter().map(|v| v.albedo.as_slice());
+    Ok(albedo_psnr(&layer_pairs(&views, predictions, &truths)?).map(|score| score.psnr))
 }
 
 fn score_normals(session: &mut Session, score: &Score, truth: &LayerTruth) -> Result<Option<f64>> {
-    let mut views = scored_views(session, score)?;
+    let views = scored_views(session, score)?;
     let truths = true_layers(session, &views, truth, "normal")?;
-    for (view, truth) in views.iter_mut().zip(truths) {
-        view.truth = truth;
-    }
-    let pairs: Vec<Pair> = views.iter().map(|v| v.pair(&v.frame.normal)).collect::<Result<_>>()?;
-    Ok(mean_normal_angle_degrees(&pairs))
+    let predictions = views.iter().map(|v| v.normal.as_slice());
+    Ok(mean_normal_angle_degrees(&layer_pairs(&views, predictions, &truths)?))
 }
 
-/// A row a view: prediction, truth, error.
-fn sheet_rows(
-    pass: &str,
-    views: &[ScoredView],
-    scaled: &[Vec<Vec3>],
-    scores: &PassScores,
-) -> Result<Vec<SheetRow>> {
+fn layer_pairs<'a>(
+    views: &'a [ScoredView],
+    predictions: impl Iterator<Item = &'a [Vec3]>,
+    truths: &'a [Vec<Vec3>],
+) -> Result<Vec<Pair<'a>>> {
+    let each = views.iter().zip(predictions).zip(truths);
+    each.map(|((view, prediction), truth)| {
+        Pair::new([view.eval.width, view.eval.height], prediction, truth, &view.eval.mask)
+    })
+    .collect()
+}
+
+/// A few views: prediction, truth, error.
+fn sheet_row(pass: &str, views: &[ScoredView], scores: &PassScores) -> Result<SheetRow> {
     let factor = factor_for(scores.psnr);
-    let mut row = SheetRow {
-        heading: format!("{pass}   PSNR {:.2} dB   SSIM {:.4}", scores.psnr, scores.ssim),
-        cells: Vec::new(),
-    };
-    let mut rows = Vec::new();
+    let mut cells = Vec::new();
     for i in choose_evenly(views.len(), SHEET_VIEWS) {
-        let view = &views[i];
-        row.cells.push(cell(format!("{} {:.1} dB", view.name, scores.views[i].1), view, &scaled[i])?);
-        row.cells.push(cell("truth".to_owned(), view, &view.truth)?);
-        let images = [scaled[i].as_slice(), view.truth.as_slice()];
-        let size = [view.frame.width as u32, view.frame.height as u32];
+        let (view, eval) = (&views[i], &views[i].eval);
+        let shown = match scores.scale_specular {
+            Some(specular) => {
+                LayerScales { diffuse: scores.scale, specular }.combine(&eval.diffuse, &eval.specular)
+            }
+            None => scaled(&eval.prediction, scores.scale),
+        };
+        cells.push(cell(format!("{} {:.1} dB", eval.name, scores.views[i].psnr), view, &shown)?);
+        cells.push(cell("truth".to_owned(), view, &eval.truth)?);
+        let images = [shown.as_slice(), eval.truth.as_slice()];
+        let size = [eval.width as u32, eval.height as u32];
         let image = heat_map(size, images, &view.coverage, factor, Theme::Light.mat());
-        row.cells.push(SheetCell { label: format!("error × {factor}"), image });
+        cells.push(SheetCell { label: format!("error x {factor}"), image });
     }
-    rows.push(std::mem::take(&mut row));
-    Ok(rows)
+    Ok(SheetRow { heading: format!("{pass}: {}", scores.summary()), cells })
 }
 
 fn cell(label: String, view: &ScoredView, color: &[Vec3]) -> Result<SheetCell> {
-    let picture = Picture {
-        width: view.frame.width,
-        height: view.frame.height,
-        color,
-        alpha: &view.coverage,
-    };
+    let picture = Picture { width: view.eval.width, height: view.eval.height, color, alpha: &view.coverage };
     let mat = Theme::Light.mat().map(|b| crate::math::color::linear_from_srgb(f32::from(b) / 255.0));
     let image = picture.rgb8(&Look::default(), Backdrop::Solid(Vec3::from(mat)))?;
     Ok(SheetCell { label, image })

@@ -13,7 +13,7 @@ use crate::report::png_file::write_rgb8;
 use crate::report::tone::srgb8;
 use crate::scene::pass_types::FitPass;
 use crate::scene::spawn::unknowns;
-use crate::surface::fill::fill_unseen;
+use crate::surface::atlas::fill_uncovered;
 use crate::view::{Photograph, Split, ViewName};
 use bevy_ecs::prelude::World;
 use glam::Vec3;
@@ -109,7 +109,7 @@ fn fill_texels(session: &mut Session) -> usize {
     if seen.len() != values.len() || !seen.contains(&true) {
         return 0;
     }
-    fill_unseen(&mut values, &seen, atlas);
+    fill_uncovered(&mut values, &seen, atlas);
     for (mut albedo, value) in world.query::<&mut DiffuseAlbedo>().iter_mut(world).zip(&values) {
         albedo.0 = *value;
     }

@@ -141,8 +141,7 @@ fn read_views(
 }
 
 fn bare_view(spec: &crate::scene::types::CameraSpec) -> Result<ViewRecord> {
-    let camera =
-        Camera::look_at(spec.eye, spec.target, spec.up, spec.fov_degrees, spec.width, spec.height)?;
+    let camera = Camera::look_at(spec.eye, spec.target, spec.up, spec.fov_degrees, spec.width, spec.height)?;
     Ok(ViewRecord { name: spec.name.clone(), split: spec.split, camera, photograph: None, mask: None })
 }
 
@@ -172,7 +171,7 @@ impl Session<'_> {
     /// Writes the metrics and shows the table.
     fn finish(mut self) -> Result<()> {
         self.scores.peak_rss_mib = crate::report::scores::peak_rss_mib();
-        self.scores.write(&self.out.join("metrics.json"))?;
+        self.scores.write_json(self.out.join("metrics.json"))?;
         self.progress.print(&self.scores.table());
         self.progress.print(&format!("Results are in {}.", self.out.display()));
         Ok(())

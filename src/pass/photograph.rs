@@ -5,6 +5,7 @@ use super::edit::{apply_edits, put_material, take_material};
 use super::progress::Progress;
 use super::render::{resolve, set_shading};
 use crate::error::Result;
+use crate::light::fibonacci::fibonacci_axes;
 use crate::material::{DiffuseAlbedo, SpecularBlend};
 use crate::math::ray::Intersect;
 use crate::report::exr_file::Frame;
@@ -17,7 +18,6 @@ use crate::stage::{Phase, Pipeline, Slot};
 use crate::surface::Surface;
 use crate::view::camera::Camera;
 use crate::view::{Image, Mask, Photograph, Split, ViewRecord};
-use crate::light::fibonacci::fibonacci_axes;
 use glam::Vec3;
 use std::sync::Arc;
 
@@ -70,7 +70,8 @@ impl TrueObject {
         self.pipeline.world.insert_resource(light.as_ref().unwrap_or(&self.light).distant(true));
         let shading = Shading::PathTraced { spp, max_bounces: self.max_bounces, map: true };
         let side = (f64::from(spp.min(64)).sqrt().floor()).max(1.0) as u32;
-        let settings = RenderSettings { shading, samples_per_pixel: side * side, ..RenderSettings::default() };
+        let settings =
+            RenderSettings { shading, samples_per_pixel: side * side, ..RenderSettings::default() };
         let mut frames = Vec::new();
         for (i, camera) in cameras.iter().enumerate() {
             check_interrupted()?;
@@ -160,8 +161,7 @@ mod tests {
     fn test_views_lie_among_the_training_views() -> Result<()> {
         let spec = CameraRing { count: 10, test: 3, ..Default::default() };
         let cameras = ring(&spec, Vec3::Y)?;
-        let test: Vec<usize> =
-            (0..13).filter(|i| cameras[*i].0 == Split::Test).collect();
+        let test: Vec<usize> = (0..13).filter(|i| cameras[*i].0 == Split::Test).collect();
         assert_eq!(test.len(), 3);
         assert!(test.iter().all(|i| *i > 0 && *i < 12));
         Ok(())

@@ -23,7 +23,8 @@ impl Progress {
         }
         let bar = ProgressBar::new(length);
         // The template is fixed; were it wrong, the default style would do.
-        if let Ok(style) = ProgressStyle::with_template("{prefix:>12} {bar:30} {pos}/{len} {eta:>4} left  {msg}")
+        if let Ok(style) =
+            ProgressStyle::with_template("{prefix:>12} {bar:30} {pos}/{len} {eta:>4} left  {msg}")
         {
             bar.set_style(style.progress_chars("━╸─"));
         }

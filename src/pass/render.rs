@@ -4,7 +4,7 @@ use super::edit::{apply_edits, put_material, take_material};
 use super::{Session, check_interrupted};
 use crate::error::Result;
 use crate::math::ray::Illuminate;
-use crate::report::animation::{Animation, write_animation};
+use crate::report::animation::{Mp4, write_apng, write_gif, write_mp4};
 use crate::report::exr_file::{Frame, write_frame};
 use crate::report::tone::{Backdrop, Look, Picture, write_png};
 use crate::scene::pass_types::{Edit, Orbit, OrbitFormat, RenderSettings, Shading, ViewChoice};
@@ -74,7 +74,12 @@ pub fn set_shading(pipeline: &mut Pipeline, settings: &RenderSettings, seed: u64
         Shading::PathTraced { spp, max_bounces, .. } => {
             let rays = camera_rays(settings);
             let paths_per_sample = spp.div_ceil(rays);
-            pipeline.world.insert_resource(PathTracing { paths_per_sample, max_bounces, seed, samples_per_pixel: rays });
+            pipeline.world.insert_resource(PathTracing {
+                paths_per_sample,
+                max_bounces,
+                seed,
+                samples_per_pixel: rays,
+            });
             pipeline.swap(Phase::Frame, Slot::Shading, shade_path_traced);
         }
     }
@@ -162,7 +167,11 @@ pub fn resolve(target: &FrameTarget) -> Frame {
         specular: each(&|p| p.specular / samples),
         albedo: each(&|p| over_hits(p.albedo, p.hits)),
         normal: each(&|p| p.normal.normalize_or_zero()),
-        depth: target.pixels.iter().map(|p| if p.hits > 0 { p.distance / p.hits as f32 } else { 0.0 }).collect(),
+        depth: target
+            .pixels
+            .iter()
+            .map(|p| if p.hits > 0 { p.distance / p.hits as f32 } else { 0.0 })
+            .collect(),
     }
 }
 
@@ -175,9 +184,14 @@ fn backdrop(world: &World, camera: &Camera) -> Vec<Vec3> {
     let light = world.get_resource::<IncidentLight>().and_then(|light| light.distant.clone());
     let radiance = |x: u32, y: u32| {
         let ray = camera.ray(x as f32 + 0.5, y as f32 + 0.5);
-        light.as_ref().map_or(Vec3::ZERO, |light: &std::sync::Arc<dyn Illuminate>| light.radiance(ray.direction))
+        light
+            .as_ref()
+            .map_or(Vec3::ZERO, |light: &std::sync::Arc<dyn Illuminate>| light.radiance(ray.direction))
     };
-    (0..camera.height).flat_map(|y| (0..camera.width).map(move |x| (x, y))).map(|(x, y)| radiance(x, y)).collect()
+    (0..camera.height)
+        .flat_map(|y| (0..camera.width).map(move |x| (x, y)))
+        .map(|(x, y)| radiance(x, y))
+        .collect()
 }
 
 fn orbit_cameras(session: &Session, orbit: &Orbit) -> Result<Vec<Camera>> {
@@ -211,12 +225,13 @@ fn film_frame(
 }
 
 fn write_film(session: &Session, folder: &Path, orbit: &Orbit, film: &[RgbImage]) -> Result<()> {
-    let format = match orbit.format {
-        OrbitFormat::Gif => Animation::Gif,
-        OrbitFormat::Apng => Animation::Apng,
-    };
-    for note in write_animation(folder, "orbit", format, film, orbit.fps)? {
-        session.progress.note(&note);
+    let fps = orbit.fps as f32;
+    match orbit.format {
+        OrbitFormat::Gif => write_gif(folder.join("orbit.gif"), film, fps)?,
+        OrbitFormat::Apng => write_apng(folder.join("orbit.png"), film, fps)?,
+    }
+    if write_mp4(folder.join("orbit.mp4"), film, fps)? == Mp4::NoFfmpeg {
+        session.progress.note("no ffmpeg on the PATH, so there is no orbit.mp4");
     }
     Ok(())
 }

@@ -11,8 +11,8 @@ use crate::report::tone::srgb8;
 use crate::scene::load::to_ron;
 use crate::scene::pass_types::Pass;
 use crate::scene::types::{
-    Albedo, AlbedoSource, CameraSpec, Light, LightSource, Material, Roughness, Scene, Specular, SpecularAlbedo,
-    Surface as SurfaceSpec, Views,
+    Albedo, AlbedoSource, CameraSpec, Light, LightSource, Material, Roughness, Scene, Specular,
+    SpecularAlbedo, Surface as SurfaceSpec, Views,
 };
 use crate::surface::gltf_export::{GltfMaterial, write_glb};
 use glam::Vec3;
@@ -35,7 +35,11 @@ pub fn run_save(session: &mut Session, name: &str) -> Result<()> {
     write_glb(&folder.join("mesh.glb"), surface.mesh(), None)?;
     let colors: Vec<Vec3> = material.albedo.iter().map(|a| a.0).collect();
     let channel = |c: usize| colors.iter().map(|v| v[c]).collect::<Vec<f32>>();
-    let by_name = BTreeMap::from([("R".to_owned(), channel(0)), ("G".to_owned(), channel(1)), ("B".to_owned(), channel(2))]);
+    let by_name = BTreeMap::from([
+        ("R".to_owned(), channel(0)),
+        ("G".to_owned(), channel(1)),
+        ("B".to_owned(), channel(2)),
+    ]);
     let channels = Channels { width: atlas.width as usize, height: atlas.height as usize, by_name };
     write_channels(folder.join("albedo.exr"), &channels)?;
     let world = &mut session.pipeline.world;
@@ -60,7 +64,8 @@ pub fn run_save(session: &mut Session, name: &str) -> Result<()> {
         passes: session.scene.passes.iter().filter(|pass| matches!(pass, Pass::Render(_))).cloned().collect(),
         ..session.scene.clone()
     };
-    let text = format!("// Saved by Lobelia. Run it again with: lobelia run scene.ron\n{}\n", to_ron(&saved));
+    let text =
+        format!("// Saved by Lobelia. Run it again with: lobelia run scene.ron\n{}\n", to_ron(&saved)?);
     write_bytes(&folder.join("scene.ron"), text.as_bytes())?;
     session.progress.print(&format!("{name}: {}", folder.join("scene.ron").display()));
     Ok(())
@@ -76,7 +81,8 @@ fn saved_views(session: &mut Session) -> Result<Views> {
         Views::Cameras(cameras) => Ok(Views::Cameras(cameras.clone())),
         Views::Photographed(spec) => {
             let world = &mut session.pipeline.world;
-            let mut query = world.query::<(&crate::view::ViewName, &crate::view::camera::Camera, &crate::view::Split)>();
+            let mut query =
+                world.query::<(&crate::view::ViewName, &crate::view::camera::Camera, &crate::view::Split)>();
             let cameras = query.iter(world).map(|(name, camera, split)| CameraSpec {
                 name: name.0.clone(),
                 eye: camera.position(),

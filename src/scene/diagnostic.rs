@@ -5,8 +5,8 @@ use super::source;
 use crate::Error;
 use miette::{Diagnostic, LabeledSpan, NamedSource};
 use std::ops::Range;
-use std::sync::Arc;
 use std::path::Path;
+use std::sync::Arc;
 
 /// One wrong place of a scene file, or a list of several.
 #[derive(Debug, thiserror::Error, Diagnostic)]

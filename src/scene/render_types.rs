@@ -1,5 +1,6 @@
 //! How a pass renders: which views, which shading, and how the pictures look.
 
+pub use crate::report::tone::Tone;
 use serde::{Deserialize, Serialize};
 
 /// Which pictures are rendered, and how.
@@ -69,16 +70,6 @@ pub enum Shading {
         #[serde(default = "yes")]
         map: bool,
     },
-}
-
-/// Tone curve of PNGs.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub enum Tone {
-    /// Clipped to [0, 1], then the sRGB curve.
-    #[default]
-    Srgb,
-    /// A filmic curve that rolls highlights off, then the sRGB curve.
-    Filmic,
 }
 
 /// A camera's turn around the object.

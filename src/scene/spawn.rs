@@ -1,5 +1,6 @@
 //! From a scene to a world: the surface, the views, the light and the material as resources and entities.
 
+use super::texture;
 use super::types::{Albedo, AlbedoSource, Light, LightSource, Material, Roughness, Scene, SpecularAlbedo};
 use super::types::{Specular, Surface as SurfaceSpec};
 use crate::error::{Error, Result};
@@ -15,11 +16,10 @@ use crate::math::shading::LobeColumns;
 use crate::shade::systems::kernel_lobe;
 use crate::shade::{DistantLight, Scenery};
 use crate::stage::Pipeline;
+use crate::surface::Surface;
 use crate::surface::atlas::unwrap_mesh;
 use crate::surface::gltf_import::read_mesh_with_report;
 use crate::surface::primitive::{box_mesh, sphere_mesh};
-use super::texture;
-use crate::surface::Surface;
 use crate::view::{ViewMask, ViewName, ViewRecord};
 use glam::{EulerRot, Quat, Vec3};
 use std::sync::Arc;

@@ -5,9 +5,9 @@
 
 use super::pass_types::Pass;
 use crate::light::LightLobe;
+pub use crate::light::npy::NpyConvention;
 use crate::material::SpecularLobe;
 use crate::view::Split;
-pub use crate::light::npy::NpyConvention;
 pub use crate::view::dataset::Layout;
 pub use crate::view::image_io::Gamma;
 use glam::Vec3;

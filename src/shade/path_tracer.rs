@@ -77,9 +77,9 @@ impl ShadePoint {
         let TexelAddress { indices, weights } = hit.texels;
         let blend = match scene.blends {
             [] => SpecularBlend::default().0,
-            blends => std::array::from_fn(|k| {
-                (0..4).map(|i| blends[indices[i] as usize].0[k] * weights[i]).sum()
-            }),
+            blends => {
+                std::array::from_fn(|k| (0..4).map(|i| blends[indices[i] as usize].0[k] * weights[i]).sum())
+            }
         };
         Self {
             position: hit.position,
@@ -137,8 +137,7 @@ pub fn shade_point(
     let mut tally = Tally::default();
     let mut estimate = PathEstimate { samples, ..Default::default() };
     for sample in 0..samples {
-        let sequence =
-            Sequence::new(settings.seed, query.stream, query.first_sample.wrapping_add(sample));
+        let sequence = Sequence::new(settings.seed, query.stream, query.first_sample.wrapping_add(sample));
         let mut path = Path { scene, settings, sequence, found: Split::default(), rays: 0 };
         path.walk(query);
         estimate.rays = estimate.rays.saturating_add(path.rays);

@@ -1,7 +1,7 @@
 //! The systems of the Gather stage and closed-form shading; each fetches columns and calls a kernel.
 
-use super::pool::only_table;
 use super::path_tracer::{self, PathEstimate, PathQuery, PathScene, PathSettings, shade_points};
+use super::pool::only_table;
 use super::{DistantLight, IncidentLight, PathTracing, PointBlend, Scenery};
 use crate::error::Error;
 use crate::light::LightLobe;
@@ -149,8 +149,7 @@ pub fn shade_path_traced(
     let Some(distant) = &light.distant else {
         return Err(Error::run("path tracing", "there is no light").into());
     };
-    let (albedo, blends) =
-        only_table(texels.contiguous_iter()?, |t| t.0.len(), "texel")?.unwrap_or_default();
+    let (albedo, blends) = only_table(texels.contiguous_iter()?, |t| t.0.len(), "texel")?.unwrap_or_default();
     let Some((pixels, points, rays, gathered, weights, mut shaded)) =
         only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")?
     else {
@@ -188,8 +187,7 @@ pub fn shade_path_traced(
     let shaded = shaded.bypass_change_detection();
     shaded[rows].fill(Layers::default());
     for (i, estimate) in hits.into_iter().zip(estimates) {
-        shaded[i] =
-            Layers { diffuse: estimate.diffuse.into(), specular: estimate.specular.into() };
+        shaded[i] = Layers { diffuse: estimate.diffuse.into(), specular: estimate.specular.into() };
     }
     Ok(())
 }

@@ -2,7 +2,7 @@
 
 use super::{Case, Precision, REPLICATES};
 use crate::light::LightLobe;
-use crate::material::SpecularLobe;
+use crate::material::{SpecularBlend, SpecularLobe};
 use crate::math::ray::{Hit, Intersect, Ray};
 use crate::math::real::scale;
 use crate::math::sg;
@@ -81,11 +81,16 @@ fn traced_in_f32(case: &Case<f32>, stream: u64, samples: u32) -> [[f64; 3]; 2] {
         amplitude: case.lobe_amplitude.into(),
     });
     let specular = [SpecularLobe { albedo: case.specular.into(), roughness: case.roughness }];
-    let scene = PathScene { surface: &Empty, light: &light, albedo: &[], specular: &specular };
+    let scene = PathScene { surface: &Empty, light: &light, albedo: &[], blends: &[], specular: &specular };
     let settings = PathSettings { max_bounces: 1, seed: SEED, ..Default::default() };
     let normal = Vec3::from(case.normal);
-    let point =
-        ShadePoint { position: Vec3::ZERO, normal, geometric_normal: normal, albedo: case.albedo.into() };
+    let point = ShadePoint {
+        position: Vec3::ZERO,
+        normal,
+        geometric_normal: normal,
+        albedo: case.albedo.into(),
+        blend: SpecularBlend::default().0,
+    };
     let query = PathQuery { point, to_viewer: case.view.into(), stream, first_sample: 0 };
     let estimate = shade_point(&scene, &settings, &query, samples);
     [estimate.diffuse, estimate.specular].map(|v| v.as_dvec3().to_array())

@@ -1,0 +1,137 @@
+//! Writing a file so that its final name never bears half of it: write beside it, then rename.
+
+use crate::{Error, Result};
+use std::fs::{self, File};
+use std::io::{BufWriter, Write};
+use std::path::{Path, PathBuf};
+use tempfile::{NamedTempFile, TempPath};
+
+/// Writes `path` through `write`: the bytes go to a hidden temporary in the same folder (made if missing), which
+/// takes the final name only when `write` and the last flush have succeeded. An older file of that name is replaced;
+/// on failure it stays as it was and the temporary is removed.
+///
+/// # Errors
+/// Whatever `write` returns, or [`Error::Io`] when the system refuses.
+pub fn write_file(path: &Path, write: impl FnOnce(&mut BufWriter<File>) -> Result<()>) -> Result<()> {
+    let (file, temporary) = temporary_beside(path)?.into_parts();
+    let mut writer = BufWriter::new(file);
+    write(&mut writer)?;
+    writer.flush().map_err(Error::io("write", path))?;
+    drop(writer);
+    rename(temporary, path)
+}
+
+/// [`write_file`] for bytes that are already in memory.
+pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<()> {
+    write_file(path, |writer| writer.write_all(bytes).map_err(Error::io("write", path)))
+}
+
+/// Like [`write_file`] for a writer that wants a path (another program): it is given the temporary's path, which
+/// keeps the extension of `path`, and must overwrite that file.
+///
+/// # Errors
+/// Whatever `write` returns, or [`Error::Io`] when the system refuses.
+pub fn write_by_path(path: &Path, write: impl FnOnce(&Path) -> Result<()>) -> Result<()> {
+    let (file, temporary) = temporary_beside(path)?.into_parts();
+    drop(file);
+    write(&temporary)?;
+    rename(temporary, path)
+}
+
+fn temporary_beside(path: &Path) -> Result<NamedTempFile> {
+    let folder = folder_of(path);
+    fs::create_dir_all(&folder).map_err(Error::io("create folder", &folder))?;
+    let suffix = match path.extension() {
+        Some(extension) => format!(".part.{}", extension.to_string_lossy()),
+        None => ".part".to_owned(),
+    };
+    let mut builder = tempfile::Builder::new();
+    builder.prefix(".").suffix(&suffix);
+    // A temporary is private to its owner by default; a result should have the usual permissions (0666 less umask).
+    #[cfg(unix)]
+    let builder = builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
+    builder.tempfile_in(&folder).map_err(Error::io("create a file in", &folder))
+}
+
+fn folder_of(path: &Path) -> PathBuf {
+    match path.parent() {
+        Some(folder) if !folder.as_os_str().is_empty() => folder.to_owned(),
+        _ => PathBuf::from("."),
+    }
+}
+
+fn rename(temporary: TempPath, path: &Path) -> Result<()> {
+    temporary.persist(path).map_err(|refused| Error::io("write", path)(refused.error))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn names_in(folder: &Path) -> Vec<String> {
+        let mut names: Vec<String> = fs::read_dir(folder)
+            .unwrap()
+            .map(|entry| entry.unwrap().file_name().to_string_lossy().into_owned())
+            .collect();
+        names.sort();
+        names
+    }
+
+    #[test]
+    fn success_leaves_only_the_final_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("new/out.txt");
+        write_bytes(&path, b"one").unwrap();
+        write_bytes(&path, b"two").unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"two");
+        assert_eq!(names_in(path.parent().unwrap()), ["out.txt"]);
+    }
+
+    #[test]
+    fn failure_keeps_the_old_file_and_no_temporary() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("out.txt");
+        write_bytes(&path, b"old").unwrap();
+        let refused = write_file(&path, |writer| {
+            writer.write_all(b"half of the new").map_err(Error::io("write", &path))?;
+            Err(Error::run("test", "stopped"))
+        });
+        assert!(refused.is_err());
+        assert_eq!(fs::read(&path).unwrap(), b"old");
+        assert_eq!(names_in(folder.path()), ["out.txt"]);
+    }
+
+    #[test]
+    fn by_path_keeps_the_extension() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("film.mp4");
+        write_by_path(&path, |temporary| {
+            assert_eq!(temporary.extension().unwrap(), "mp4");
+            fs::write(temporary, b"frames").map_err(Error::io("write", temporary))
+        })
+        .unwrap();
+        assert_eq!(fs::read(&path).unwrap(), b"frames");
+        assert_eq!(names_in(folder.path()), ["film.mp4"]);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn the_result_is_not_more_private_than_a_plain_file() {
+        use std::os::unix::fs::PermissionsExt;
+        let folder = tempfile::tempdir().unwrap();
+        let (ours, plain) = (folder.path().join("ours"), folder.path().join("plain"));
+        write_bytes(&ours, b"x").unwrap();
+        fs::write(&plain, b"x").unwrap();
+        let mode = |path: &Path| fs::metadata(path).unwrap().permissions().mode();
+        assert_eq!(mode(&ours), mode(&plain));
+    }
+
+    #[test]
+    fn an_impossible_folder_is_an_error() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("file");
+        fs::write(&file, b"x").unwrap();
+        let error = write_bytes(&file.join("below"), b"y").unwrap_err();
+        assert!(matches!(error, Error::Io { .. }), "{error}");
+    }
+}

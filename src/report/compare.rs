@@ -1,0 +1,357 @@
+//! `lobelia eval PREDICTION TRUTH`: scores two folders of images, or two images, against each other.
+
+use super::exr_file::{self, Channels};
+use super::metrics;
+use super::scores::{self, EvalView, PassScores, Scaling};
+use crate::math::color::linear_from_srgb;
+use crate::{Error, Result};
+use glam::Vec3;
+use std::collections::BTreeMap;
+use std::fmt::Write;
+use std::path::{Path, PathBuf};
+
+/// A linear image from a file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Loaded {
+    /// Width in pixels.
+    pub width: usize,
+    /// Height in pixels.
+    pub height: usize,
+    /// `width * height` linear values, coverage-weighted on black.
+    pub color: Vec<Vec3>,
+    /// `width * height` coverages, if the file has them.
+    pub alpha: Option<Vec<f32>>,
+}
+
+/// What a comparison found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Comparison {
+    /// Means, scale and the scores of each file.
+    pub scores: PassScores,
+    /// File stems of the prediction without a truth; they were left out.
+    pub only_prediction: Vec<String>,
+    /// File stems of the truth without a prediction; likewise.
+    pub only_truth: Vec<String>,
+}
+
+/// Compares `prediction` with `truth`, two files or two folders whose `.exr` and `.png` files are matched by stem (where a folder has
+/// both for a stem, the EXR counts).
+///
+/// EXR is linear (`R G B`, or `Y`), PNG is sRGB; an image's alpha is straight in PNG and coverage in EXR. Pixels in the mask count: the
+/// truth's alpha if it has one, else the prediction's, else the whole image; eroded by one pixel.
+///
+/// # Errors
+/// [`Error::Usage`] for a file against a folder, no common stems, or [`Scaling::PerLayer`]; [`Error::Input`] for an unreadable image,
+/// unequal sizes, an empty mask, or a non-finite pixel in the mask.
+pub fn compare(prediction: &Path, truth: &Path, scaling: Scaling) -> Result<Comparison> {
+    if scaling == Scaling::PerLayer {
+        return Err(Error::usage("images have no layers to scale apart", "use per-channel scaling"));
+    }
+    let matched = match_files(prediction, truth)?;
+    let load = |i: usize| {
+        let (name, prediction, truth) = &matched.pairs[i];
+        load_view(name, prediction, truth)
+    };
+    let scores = scores::score_views(matched.pairs.len(), scaling, load)?;
+    Ok(Comparison { scores, only_prediction: matched.only_prediction, only_truth: matched.only_truth })
+}
+
+impl Comparison {
+    /// A table for the terminal: one line a file, the means, and what was left out.
+    pub fn table(&self) -> String {
+        let scaled = self.scores.scaling != Scaling::None;
+        let number = |value: f64| format!("{value:.2}");
+        let line = |name: &str, psnr: f64, raw: f64, ssim: f64| {
+            let last = if scaled { number(raw) } else { String::new() };
+            [name.to_owned(), number(psnr), format!("{ssim:.4}"), last]
+        };
+        let head = ["file", "PSNR dB", "SSIM", if scaled { "unscaled dB" } else { "" }];
+        let mut rows = vec![head.map(str::to_owned)];
+        rows.extend(self.scores.views.iter().map(|v| line(&v.name, v.psnr, v.psnr_raw, v.ssim)));
+        rows.push(line("mean", self.scores.psnr, self.scores.psnr_raw, self.scores.ssim));
+        let mut text = scores::aligned(&rows);
+        if scaled {
+            let [r, g, b] = self.scores.scale;
+            let _ = writeln!(text, "scale R {r:.4} G {g:.4} B {b:.4}");
+        }
+        for (what, names) in [("prediction", &self.only_prediction), ("truth", &self.only_truth)] {
+            if let Some(first) = names.first() {
+                let _ = writeln!(text, "left out, only in the {what}: {} ({first}, …)", names.len());
+            }
+        }
+        text
+    }
+}
+
+struct Matched {
+    /// Stem, prediction, truth.
+    pairs: Vec<(String, PathBuf, PathBuf)>,
+    only_prediction: Vec<String>,
+    only_truth: Vec<String>,
+}
+
+fn match_files(prediction: &Path, truth: &Path) -> Result<Matched> {
+    let is_folder = |path: &Path| -> Result<bool> {
+        Ok(std::fs::metadata(path)
+            .map_err(|error| {
+                Error::input(path, "", format!("cannot be opened: {error}"), "give two files or two folders")
+            })?
+            .is_dir())
+    };
+    match (is_folder(prediction)?, is_folder(truth)?) {
+        (false, false) => {
+            let name = prediction.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            let pairs = vec![(name, prediction.to_owned(), truth.to_owned())];
+            Ok(Matched { pairs, only_prediction: Vec::new(), only_truth: Vec::new() })
+        }
+        (true, true) => match_folders(prediction, truth),
+        _ => Err(Error::usage(
+            format!("one of {} and {} is a folder, the other a file", prediction.display(), truth.display()),
+            "give two files or two folders",
+        )),
+    }
+}
+
+fn match_folders(prediction: &Path, truth: &Path) -> Result<Matched> {
+    let (predictions, mut truths) = (images_in(prediction)?, images_in(truth)?);
+    let counts = (predictions.len(), truths.len());
+    let (mut pairs, mut only_prediction) = (Vec::new(), Vec::new());
+    for (stem, path) in predictions {
+        match truths.remove(&stem) {
+            Some(true_path) => pairs.push((stem, path, true_path)),
+            None => only_prediction.push(stem),
+        }
+    }
+    if pairs.is_empty() {
+        return Err(Error::usage(
+            format!(
+                "no image in {} ({} found) has the name of one in {} ({} found)",
+                prediction.display(),
+                counts.0,
+                truth.display(),
+                counts.1
+            ),
+            "images are matched by name without the ending, as in a/view_3.exr and b/view_3.png",
+        ));
+    }
+    Ok(Matched { pairs, only_prediction, only_truth: truths.into_keys().collect() })
+}
+
+/// The EXR and PNG files of a folder by stem; an EXR goes before a PNG of the same stem.
+fn images_in(folder: &Path) -> Result<BTreeMap<String, PathBuf>> {
+    let mut found: BTreeMap<String, PathBuf> = BTreeMap::new();
+    for entry in std::fs::read_dir(folder).map_err(Error::io("read", folder))? {
+        let path = entry.map_err(Error::io("read", folder))?.path();
+        let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let kind = kind_of(&path);
+        if path.is_file()
+            && !stem.starts_with('.')
+            && (kind == "exr" || (kind == "png" && !found.contains_key(&stem)))
+        {
+            found.insert(stem, path);
+        }
+    }
+    Ok(found)
+}
+
+fn kind_of(path: &Path) -> String {
+    path.extension().unwrap_or_default().to_string_lossy().to_lowercase()
+}
+
+fn load_view(name: &str, prediction: &Path, truth: &Path) -> Result<EvalView> {
+    let (predicted, true_image) = (load_image(prediction)?, load_image(truth)?);
+    let (width, height) = (true_image.width, true_image.height);
+    if (predicted.width, predicted.height) != (width, height) {
+        let sizes = format!("is {} × {} pixels", predicted.width, predicted.height);
+        let other = format!("but {} is {width} × {height}", truth.display());
+        return Err(Error::input(prediction, "", format!("{sizes}, {other}"), "compare images of one size"));
+    }
+    let coverage = true_image.alpha.or(predicted.alpha).unwrap_or_else(|| vec![1.0; width * height]);
+    let mask = metrics::erode([width, height], &coverage);
+    if !mask.contains(&true) {
+        let problem = "no pixel is left to compare: the alpha channel, eroded by one pixel, is empty";
+        return Err(Error::input(truth, "", problem, "the object must cover at least 3 × 3 pixels"));
+    }
+    for (path, pixels) in [(prediction, &predicted.color), (truth, &true_image.color)] {
+        check_finite(path, pixels, &mask, width)?;
+    }
+    Ok(EvalView {
+        name: name.to_owned(),
+        width,
+        height,
+        prediction: predicted.color,
+        truth: true_image.color,
+        mask,
+        ..EvalView::default()
+    })
+}
+
+fn check_finite(path: &Path, pixels: &[Vec3], mask: &[bool], width: usize) -> Result<()> {
+    match pixels.iter().zip(mask).position(|(pixel, &counts)| counts && !pixel.is_finite()) {
+        Some(at) => {
+            let place = format!("pixel ({}, {})", at % width, at / width);
+            Err(Error::input(
+                path,
+                place,
+                "is not a finite number",
+                "find out what made it; it cannot be scored",
+            ))
+        }
+        None => Ok(()),
+    }
+}
+
+/// Reads an EXR (linear) or PNG (sRGB, straight alpha) as a linear image on black.
+///
+/// # Errors
+/// [`Error::Input`] if it is neither, or cannot be decoded, or has no colour.
+pub fn load_image(path: &Path) -> Result<Loaded> {
+    match kind_of(path).as_str() {
+        "exr" => color_of(path, exr_file::read_channels(path)?),
+        "png" => load_png(path),
+        _ => Err(Error::input(path, "", "is neither an EXR nor a PNG", "compare .exr and .png files")),
+    }
+}
+
+fn color_of(path: &Path, channels: Channels) -> Result<Loaded> {
+    let color =
+        channels.triple(["R", "G", "B"]).or_else(|| channels.triple(["Y", "Y", "Y"])).ok_or_else(|| {
+            Error::input(path, "", format!("has no channels R, G, B or Y, only {}", channels.names()), "")
+        })?;
+    let (width, height, mut by_name) = (channels.width, channels.height, channels.by_name);
+    Ok(Loaded { width, height, color, alpha: by_name.remove("A") })
+}
+
+fn load_png(path: &Path) -> Result<Loaded> {
+    let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
+    let decoded = image::load_from_memory_with_format(&bytes, image::ImageFormat::Png)
+        .map_err(|error| Error::input(path, "", format!("not a readable PNG: {error}"), "write it again"))?;
+    let has_alpha = decoded.color().has_alpha();
+    let (width, height) = (decoded.width() as usize, decoded.height() as usize);
+    let encoded = decoded.into_rgba32f();
+    let linear =
+        |p: &image::Rgba<f32>| Vec3::from_array([p.0[0], p.0[1], p.0[2]].map(linear_from_srgb)) * p.0[3];
+    let color = encoded.pixels().map(linear).collect();
+    let alpha = has_alpha.then(|| encoded.pixels().map(|p| p.0[3]).collect());
+    Ok(Loaded { width, height, color, alpha })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::png_file;
+    use super::*;
+    use image::{Rgb, RgbImage, Rgba, RgbaImage};
+
+    fn exr(path: &Path, size: [usize; 2], value: impl Fn(usize) -> f32, alpha: Option<Vec<f32>>) {
+        let values: Vec<f32> = (0..size[0] * size[1]).map(value).collect();
+        let mut by_name: BTreeMap<String, Vec<f32>> =
+            ["R", "G", "B"].into_iter().map(|name| (name.to_owned(), values.clone())).collect();
+        if let Some(alpha) = alpha {
+            by_name.insert("A".to_owned(), alpha);
+        }
+        exr_file::write_channels(path, &Channels { width: size[0], height: size[1], by_name }).unwrap();
+    }
+
+    /// Folders `p` and `t`.
+    fn folders() -> (tempfile::TempDir, PathBuf, PathBuf) {
+        let root = tempfile::tempdir().unwrap();
+        let (p, t) = (root.path().join("p"), root.path().join("t"));
+        std::fs::create_dir(&p).unwrap();
+        std::fs::create_dir(&t).unwrap();
+        (root, p, t)
+    }
+
+    #[test]
+    fn folders_are_matched_by_stem() {
+        let (_root, p, t) = folders();
+        exr(&p.join("a.exr"), [6, 5], |_| 0.6, None);
+        exr(&t.join("a.exr"), [6, 5], |_| 0.5, None);
+        exr(&p.join("b.exr"), [4, 4], |_| 0.25, None);
+        exr(&t.join("b.exr"), [4, 4], |_| 0.25, None);
+        exr(&p.join("mine.exr"), [4, 4], |_| 0.25, None);
+        exr(&t.join("yours.exr"), [4, 4], |_| 0.25, None);
+        // The EXR of a stem goes before its PNG; other files are not looked at.
+        png_file::write_rgb8(p.join("a.png"), &RgbImage::new(2, 2)).unwrap();
+        std::fs::write(p.join("notes.txt"), "x").unwrap();
+        let found = compare(&p, &t, Scaling::None).unwrap();
+        assert_eq!(found.scores.views.len(), 2);
+        assert!((found.scores.views[0].psnr - 20.0).abs() < 1e-5);
+        assert_eq!(found.scores.views[1].psnr, 100.0);
+        assert!((found.scores.psnr - 60.0).abs() < 1e-5);
+        assert_eq!((found.only_prediction, found.only_truth), (vec!["mine".into()], vec!["yours".into()]));
+    }
+
+    #[test]
+    fn scale_is_pooled_and_shown() {
+        let (_root, p, t) = folders();
+        exr(&p.join("a.exr"), [12, 12], |i| i as f32 / 300.0, None);
+        exr(&t.join("a.exr"), [12, 12], |i| i as f32 / 150.0, None);
+        let found = compare(&p.join("a.exr"), &t.join("a.exr"), Scaling::PerChannel).unwrap();
+        assert!(found.scores.psnr > 90.0 && found.scores.psnr_raw < 20.0);
+        let table = found.table();
+        assert!(table.contains("scale R 2.0000 G 2.0000 B 2.0000") && table.contains("mean"), "{table}");
+        assert!(matches!(compare(&p, &t, Scaling::PerLayer).unwrap_err(), Error::Usage { .. }));
+    }
+
+    #[test]
+    fn the_mask_comes_from_the_truth_first() {
+        let (_root, p, t) = folders();
+        // Right half wrong; the truth's alpha covers columns 0–3 (eroded: 0–2), the prediction's all.
+        let wrong = |i: usize| if i % 8 >= 4 { 0.9 } else { 0.5 };
+        exr(&p.join("a.exr"), [8, 6], wrong, Some(vec![1.0; 48]));
+        let covered: Vec<f32> = (0..48).map(|i| if i % 8 < 4 { 1.0 } else { 0.0 }).collect();
+        exr(&t.join("a.exr"), [8, 6], |_| 0.5, Some(covered.clone()));
+        assert_eq!(compare(&p, &t, Scaling::None).unwrap().scores.psnr, 100.0);
+        exr(&t.join("a.exr"), [8, 6], |_| 0.5, None);
+        assert!(compare(&p, &t, Scaling::None).unwrap().scores.psnr < 15.0);
+        exr(&p.join("a.exr"), [8, 6], wrong, Some(covered));
+        assert_eq!(compare(&p, &t, Scaling::None).unwrap().scores.psnr, 100.0);
+    }
+
+    #[test]
+    fn png_is_decoded_from_srgb_with_straight_alpha() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.png");
+        png_file::write_rgba8(&path, &RgbaImage::from_pixel(2, 1, Rgba([188, 255, 0, 128]))).unwrap();
+        let read = load_image(&path).unwrap();
+        let alpha = 128.0 / 255.0;
+        assert!((read.color[1] - Vec3::new(0.5029, 1.0, 0.0) * alpha).abs().max_element() < 1e-4);
+        assert!((read.alpha.unwrap()[0] - alpha).abs() < 1e-6);
+        png_file::write_rgb8(&path, &RgbImage::from_pixel(2, 1, Rgb([10, 20, 30]))).unwrap();
+        assert!(load_image(&path).unwrap().alpha.is_none());
+        image::GrayImage::from_pixel(1, 1, image::Luma([255])).save(&path).unwrap();
+        assert_eq!(load_image(&path).unwrap().color, [Vec3::ONE]);
+    }
+
+    fn refused(p: &Path, t: &Path) -> (String, u8) {
+        let error = compare(p, t, Scaling::None).unwrap_err();
+        (error.to_string(), error.exit_code())
+    }
+
+    #[test]
+    fn bad_input_is_one_clear_error() {
+        let (root, p, t) = folders();
+        assert!(refused(&p, &t).0.contains("0 found"));
+        assert!(refused(&root.path().join("none"), &t).0.contains("cannot be opened"));
+        exr(&p.join("a.exr"), [6, 5], |_| 0.6, None);
+        assert!(refused(&p.join("a.exr"), &t).0.contains("is a folder"));
+        exr(&t.join("a.exr"), [5, 6], |_| 0.6, None);
+        let (message, code) = refused(&p, &t);
+        assert!(message.contains("is 6 × 5 pixels") && message.contains("is 5 × 6"), "{message}");
+        assert_eq!(code, 2);
+        exr(&t.join("a.exr"), [6, 5], |i| if i == 8 { f32::NAN } else { 0.5 }, None);
+        assert!(refused(&p, &t).0.contains("pixel (2, 1)"));
+        exr(&t.join("a.exr"), [6, 5], |_| 0.5, Some(vec![0.0; 30]));
+        assert!(refused(&p, &t).0.contains("no pixel is left"));
+        let whole = std::fs::read(t.join("a.exr")).unwrap();
+        std::fs::write(t.join("a.exr"), &whole[..whole.len() / 2]).unwrap();
+        let (message, code) = refused(&p, &t);
+        assert!(message.contains("not a readable EXR"), "{message}");
+        assert_eq!(code, 2);
+        std::fs::remove_file(t.join("a.exr")).unwrap();
+        std::fs::write(t.join("a.png"), b"not a PNG").unwrap();
+        assert!(refused(&p, &t).0.contains("not a readable PNG"));
+        std::fs::write(root.path().join("x.txt"), b"").unwrap();
+        assert!(refused(&p.join("a.exr"), &root.path().join("x.txt")).0.contains("neither"));
+    }
+}

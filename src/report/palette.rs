@@ -1,0 +1,229 @@
+//! One 256-colour palette for a whole animation, and dithering that stands still.
+//!
+//! A palette per frame flickers and error diffusion crawls, so a GIF here has one palette for all frames, made by variance-based cuts
+//! (after X. Wu, "Efficient Statistical Computations for Optimal Color Quantization", Graphics Gems II, 1991) with a few rounds of
+//! Lloyd's algorithm, and an ordered dither (T. Knoll's pattern dithering) that depends on a pixel's place only.
+
+use image::RgbImage;
+use std::collections::{BTreeMap, HashMap};
+
+/// A palette of at most 256 sRGB colours.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Palette {
+    /// The colours.
+    pub colors: Vec<[u8; 3]>,
+}
+
+/// A histogram cell: mean colour and number of pixels.
+#[derive(Clone, Copy)]
+struct Bin {
+    color: [f64; 3],
+    weight: f64,
+}
+
+impl Palette {
+    /// The palette of at most `most` colours (1 to 256) for all of `frames`; exact if they have no more colours than that.
+    pub fn of(frames: &[RgbImage], most: usize) -> Self {
+        let most = most.clamp(1, 256);
+        if let Some(colors) = few_colors(frames, most) {
+            return Self { colors };
+        }
+        let bins = histogram(frames);
+        let mut boxes = vec![bins.clone()];
+        while boxes.len() < most {
+            let Some(widest) = widest(&boxes) else { break };
+            let (low, high) = cut(boxes.swap_remove(widest));
+            boxes.extend([low, high]);
+        }
+        let mut means: Vec<[f64; 3]> = boxes.iter().map(|bins| mean(bins)).collect();
+        for _ in 0..4 {
+            means = refined(&bins, &means);
+        }
+        let mut colors: Vec<[u8; 3]> =
+            means.iter().map(|m| m.map(|c| c.round().clamp(0.0, 255.0) as u8)).collect();
+        colors.sort_unstable();
+        colors.dedup();
+        Self { colors }
+    }
+
+    /// The colour nearest to `color`, by squared sRGB distance; the first of equals.
+    fn nearest(&self, color: [i32; 3]) -> [u8; 3] {
+        let distance = |c: &[u8; 3]| (0..3).map(|i| (i32::from(c[i]) - color[i]).pow(2)).sum::<i32>();
+        self.colors.iter().copied().min_by_key(distance).unwrap_or([0; 3])
+    }
+}
+
+/// All colours, sorted, if they are at most `most`.
+fn few_colors(frames: &[RgbImage], most: usize) -> Option<Vec<[u8; 3]>> {
+    let mut seen = std::collections::BTreeSet::new();
+    for pixel in frames.iter().flat_map(|frame| frame.pixels()) {
+        if seen.insert(pixel.0) && seen.len() > most {
+            return None;
+        }
+    }
+    Some(seen.into_iter().collect())
+}
+
+/// Pixels by their top six bits a channel, with the mean of each cell.
+fn histogram(frames: &[RgbImage]) -> Vec<Bin> {
+    let mut cells: BTreeMap<[u8; 3], ([u64; 3], u64)> = BTreeMap::new();
+    for pixel in frames.iter().flat_map(|frame| frame.pixels()) {
+        let (sum, count) = cells.entry(pixel.0.map(|c| c >> 2)).or_default();
+        (0..3).for_each(|i| sum[i] += u64::from(pixel.0[i]));
+        *count += 1;
+    }
+    cells
+        .into_values()
+        .map(|(sum, count)| Bin {
+            color: sum.map(|s| s as f64 / count as f64),
+            // A large flat backdrop must not take the palette away from the object: weights grow slower than counts.
+            weight: (count as f64).powf(0.75),
+        })
+        .collect()
+}
+
+fn mean(bins: &[Bin]) -> [f64; 3] {
+    let weight: f64 = bins.iter().map(|bin| bin.weight).sum();
+    std::array::from_fn(|c| bins.iter().map(|bin| bin.weight * bin.color[c]).sum::<f64>() / weight)
+}
+
+/// Weighted squared deviation per channel.
+fn spread(bins: &[Bin]) -> [f64; 3] {
+    let mean = mean(bins);
+    std::array::from_fn(|c| bins.iter().map(|bin| bin.weight * (bin.color[c] - mean[c]).powi(2)).sum())
+}
+
+/// The box with the largest squared deviation; `None` if no box can be cut.
+fn widest(boxes: &[Vec<Bin>]) -> Option<usize> {
+    let total = |bins: &Vec<Bin>| spread(bins).iter().sum::<f64>();
+    let scores =
+        boxes.iter().enumerate().filter(|(_, bins)| bins.len() > 1).map(|(i, bins)| (i, total(bins)));
+    scores.max_by(|a, b| a.1.total_cmp(&b.1)).map(|(i, _)| i)
+}
+
+/// Cuts a box of at least two bins at its mean along the channel of largest deviation.
+fn cut(bins: Vec<Bin>) -> (Vec<Bin>, Vec<Bin>) {
+    let (spread, mean) = (spread(&bins), mean(&bins));
+    let axis = (0..3).max_by(|&a, &b| spread[a].total_cmp(&spread[b])).unwrap_or(0);
+    let (low, high): (Vec<Bin>, Vec<Bin>) = bins.iter().partition(|bin| bin.color[axis] < mean[axis]);
+    if low.is_empty() || high.is_empty() {
+        // Only rounding can do this (all but equal colours): halve it anyway, so that the loop ends.
+        let (low, high) = bins.split_at(bins.len() / 2);
+        return (low.to_vec(), high.to_vec());
+    }
+    (low, high)
+}
+
+/// One round of Lloyd's algorithm; a mean without pixels stays.
+fn refined(bins: &[Bin], means: &[[f64; 3]]) -> Vec<[f64; 3]> {
+    let mut sums = vec![([0.0; 3], 0.0); means.len()];
+    for bin in bins {
+        let distance = |m: &[f64; 3]| (0..3).map(|c| (m[c] - bin.color[c]).powi(2)).sum::<f64>();
+        let nearest = means.iter().enumerate().min_by(|a, b| distance(a.1).total_cmp(&distance(b.1)));
+        let (sum, weight): &mut ([f64; 3], f64) = &mut sums[nearest.map_or(0, |(i, _)| i)];
+        (0..3).for_each(|c| sum[c] += bin.weight * bin.color[c]);
+        *weight += bin.weight;
+    }
+    let settled = |(&(sum, weight), old): (&([f64; 3], f64), &[f64; 3])| {
+        if weight > 0.0 { sum.map(|s| s / weight) } else { *old }
+    };
+    sums.iter().zip(means).map(settled).collect()
+}
+
+/// Rank of each place of a 4×4 tile (Bayer), 0 to 15.
+const RANKS: [[usize; 4]; 4] = [[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]];
+
+/// Share of the remaining error that the next candidate makes good; below 1 it keeps grain low.
+const STRENGTH: f32 = 0.8;
+
+/// Brings frames to a palette, remembering what it has worked out for each colour.
+pub struct Ditherer<'a> {
+    palette: &'a Palette,
+    candidates: HashMap<[u8; 3], [[u8; 3]; 16]>,
+    nearest: HashMap<[i32; 3], [u8; 3]>,
+}
+
+impl<'a> Ditherer<'a> {
+    /// A ditherer for `palette`.
+    pub fn new(palette: &'a Palette) -> Self {
+        Self { palette, candidates: HashMap::new(), nearest: HashMap::new() }
+    }
+
+    /// `frame` in colours of the palette only.
+    pub fn dithered(&mut self, frame: &RgbImage) -> RgbImage {
+        let mut result = frame.clone();
+        for (x, y, pixel) in result.enumerate_pixels_mut() {
+            pixel.0 = self.candidates_of(pixel.0)[RANKS[y as usize % 4][x as usize % 4]];
+        }
+        result
+    }
+
+    /// Sixteen palette colours, dark to light, whose mean is about `color`; all equal if the palette has it.
+    fn candidates_of(&mut self, color: [u8; 3]) -> [[u8; 3]; 16] {
+        if let Some(known) = self.candidates.get(&color) {
+            return *known;
+        }
+        let mut error = [0.0f32; 3];
+        let mut chosen = [[0u8; 3]; 16];
+        for slot in &mut chosen {
+            let aim: [i32; 3] =
+                std::array::from_fn(|c| (f32::from(color[c]) + STRENGTH * error[c]).round() as i32);
+            *slot = *self.nearest.entry(aim).or_insert_with(|| self.palette.nearest(aim));
+            (0..3).for_each(|c| error[c] += f32::from(color[c]) - f32::from(slot[c]));
+        }
+        let luma = |c: &[u8; 3]| 299 * u32::from(c[0]) + 587 * u32::from(c[1]) + 114 * u32::from(c[2]);
+        chosen.sort_by_key(luma);
+        self.candidates.insert(color, chosen);
+        chosen
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::Rgb;
+
+    fn ramp() -> RgbImage {
+        RgbImage::from_fn(128, 64, |x, y| Rgb([x as u8 * 2, y as u8 * 4, (x + y) as u8]))
+    }
+
+    #[test]
+    fn few_colors_are_kept_exactly() {
+        let frame = RgbImage::from_fn(16, 16, |x, y| Rgb([x as u8, y as u8, 77]));
+        let palette = Palette::of(std::slice::from_ref(&frame), 256);
+        assert_eq!(palette.colors.len(), 256);
+        assert_eq!(Ditherer::new(&palette).dithered(&frame), frame);
+    }
+
+    #[test]
+    fn many_colors_are_met_on_average() {
+        let frame = ramp();
+        let palette = Palette::of(std::slice::from_ref(&frame), 64);
+        assert!(palette.colors.len() > 60 && palette.colors.len() <= 64);
+        let dithered = Ditherer::new(&palette).dithered(&frame);
+        assert!(dithered.pixels().all(|p| palette.colors.contains(&p.0)));
+        let block_mean = |image: &RgbImage, left: u32, top: u32, c: usize| {
+            let sum: u32 = (0..64).map(|i| u32::from(image.get_pixel(left + i % 8, top + i / 8).0[c])).sum();
+            sum as f32 / 64.0
+        };
+        let mut worst = 0.0f32;
+        for (left, top) in (0..128).map(|i| (i % 16 * 8, i / 16 * 8)) {
+            for c in 0..3 {
+                let gap = block_mean(&frame, left, top, c) - block_mean(&dithered, left, top, c);
+                worst = worst.max(gap.abs());
+            }
+        }
+        assert!(worst < 14.0, "{worst}");
+    }
+
+    #[test]
+    fn dither_of_a_still_part_stands_still() {
+        let palette = Palette::of(&[ramp()], 32);
+        let mut ditherer = Ditherer::new(&palette);
+        let first = ditherer.dithered(&ramp());
+        let mut moved = ramp();
+        (0..64).for_each(|y| moved.put_pixel(0, y, Rgb([255, 0, 255])));
+        let second = ditherer.dithered(&moved);
+        assert!(first.enumerate_pixels().all(|(x, y, p)| x == 0 || second.get_pixel(x, y) == p));
+    }
+}

@@ -1,0 +1,404 @@
+//! Scores of passes: computed view by view, kept as `metrics.json`, shown as a table.
+
+use super::atomic;
+use super::metrics::{self, LayerScaleSums, LayerScales, Pair, ScaleSums};
+use super::ssim::ssim;
+use crate::{Error, Result};
+use glam::Vec3;
+use serde::{Deserialize, Serialize};
+use std::borrow::Borrow;
+use std::collections::BTreeMap;
+use std::fmt::Write;
+use std::path::Path;
+
+/// What is taken out of a prediction before it is scored, by least squares over all views (unclipped, eroded masks).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Scaling {
+    /// Nothing: a novel view has to be right as it is.
+    #[default]
+    None,
+    /// One factor per channel: light and albedo are known only up to that, which shows under another light.
+    PerChannel,
+    /// One factor per channel for the diffuse layer and one for the specular layer: for edited materials.
+    PerLayer,
+}
+
+/// One view to be scored; every list holds `width * height` entries, row by row from the top left.
+#[derive(Clone, Debug, Default)]
+pub struct EvalView {
+    /// What the view is called.
+    pub name: String,
+    /// Width in pixels.
+    pub width: usize,
+    /// Height in pixels.
+    pub height: usize,
+    /// Predicted linear radiance, coverage-weighted on black.
+    pub prediction: Vec<Vec3>,
+    /// Its diffuse layer; only read for [`Scaling::PerLayer`] and may be empty otherwise.
+    pub diffuse: Vec<Vec3>,
+    /// Its specular layer; likewise.
+    pub specular: Vec<Vec3>,
+    /// True linear radiance.
+    pub truth: Vec<Vec3>,
+    /// Pixels that count: the eroded mask ([`metrics::erode`]).
+    pub mask: Vec<bool>,
+}
+
+impl EvalView {
+    fn pair<'a>(&'a self, prediction: &'a [Vec3]) -> Result<Pair<'a>> {
+        Pair::new([self.width, self.height], prediction, &self.truth, &self.mask).map_err(|error| match error
+        {
+            Error::Run { context, problem } => Error::run(format!("{context} view {}", self.name), problem),
+            other => other,
+        })
+    }
+}
+
+/// Scores of one view.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ViewScores {
+    /// What the view is called.
+    pub name: String,
+    /// PSNR after scaling, dB.
+    pub psnr: f64,
+    /// PSNR as it is, dB.
+    pub psnr_raw: f64,
+    /// SSIM after scaling.
+    pub ssim: f64,
+}
+
+/// Scores of one pass.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PassScores {
+    /// Mean PSNR over the views after scaling, dB.
+    pub psnr: f64,
+    /// Mean PSNR as it is, dB.
+    pub psnr_raw: f64,
+    /// Mean SSIM after scaling.
+    pub ssim: f64,
+    /// What was scaled.
+    pub scaling: Scaling,
+    /// The factors: of the image, or of its diffuse layer (`[1, 1, 1]` for [`Scaling::None`]).
+    pub scale: [f64; 3],
+    /// The specular layer's factors, for [`Scaling::PerLayer`].
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub scale_specular: Option<[f64; 3]>,
+    /// The views' own scores.
+    pub views: Vec<ViewScores>,
+}
+
+/// Everything that a run is judged by; `metrics.json`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Scores {
+    /// By pass name.
+    pub passes: BTreeMap<String, PassScores>,
+    /// Albedo PSNR after median scales, dB; `null` if there is no true albedo.
+    pub albedo_psnr: Option<f64>,
+    /// Mean angle between normals, degrees; `null` if there are no true normals.
+    pub normal_deg: Option<f64>,
+    /// Time of all fits, seconds.
+    pub fit_secs: Option<f64>,
+    /// Largest resident memory of the process so far, MiB.
+    pub peak_rss_mib: Option<f64>,
+}
+
+/// Scores `count` views. `load(i)` gives view `i`, borrowed or owned; it is called once for each view, and once more before that
+/// for the scale where there is one, so that no more than one view need be in memory.
+///
+/// # Errors
+/// Whatever `load` returns; [`Error::Run`] for no views, lists of the wrong length, empty masks or non-finite pixels.
+pub fn score_views<V: Borrow<EvalView>>(
+    count: usize,
+    scaling: Scaling,
+    mut load: impl FnMut(usize) -> Result<V>,
+) -> Result<PassScores> {
+    let applied = find_scale(count, scaling, &mut load)?;
+    let views: Vec<ViewScores> =
+        (0..count).map(|i| score_view(load(i)?.borrow(), &applied)).collect::<Result<_>>()?;
+    let mean = |of: fn(&ViewScores) -> f64| metrics::mean(&views.iter().map(of).collect::<Vec<_>>());
+    let (Some(psnr), Some(psnr_raw), Some(ssim)) = (mean(|v| v.psnr), mean(|v| v.psnr_raw), mean(|v| v.ssim))
+    else {
+        return Err(Error::run("scoring", "there is no view to score"));
+    };
+    let (scale, scale_specular) = match applied {
+        Applied::Nothing => ([1.0; 3], None),
+        Applied::Image(scale) => (scale, None),
+        Applied::Layers(scales) => (scales.diffuse, Some(scales.specular)),
+    };
+    Ok(PassScores { psnr, psnr_raw, ssim, scaling, scale, scale_specular, views })
+}
+
+enum Applied {
+    Nothing,
+    Image([f64; 3]),
+    Layers(LayerScales),
+}
+
+fn find_scale<V: Borrow<EvalView>>(
+    count: usize,
+    scaling: Scaling,
+    load: &mut impl FnMut(usize) -> Result<V>,
+) -> Result<Applied> {
+    match scaling {
+        Scaling::None => Ok(Applied::Nothing),
+        Scaling::PerChannel => {
+            let mut sums = ScaleSums::default();
+            for i in 0..count {
+                let view = load(i)?;
+                let view = view.borrow();
+                sums.add(&view.pair(&view.prediction)?);
+            }
+            Ok(Applied::Image(sums.scale()))
+        }
+        Scaling::PerLayer => {
+            let mut sums = LayerScaleSums::default();
+            for i in 0..count {
+                let view = load(i)?;
+                let view = view.borrow();
+                sums.add(&view.pair(&view.diffuse)?, &view.specular)?;
+            }
+            Ok(Applied::Layers(sums.scales()))
+        }
+    }
+}
+
+fn score_view(view: &EvalView, applied: &Applied) -> Result<ViewScores> {
+    let raw = view.pair(&view.prediction)?;
+    let psnr_raw = metrics::psnr(&raw);
+    let prediction = match applied {
+        Applied::Nothing => {
+            let name = view.name.clone();
+            return Ok(ViewScores { name, psnr: psnr_raw, psnr_raw, ssim: ssim(&raw) });
+        }
+        Applied::Image(scale) => metrics::scaled(&view.prediction, *scale),
+        Applied::Layers(scales) => scales.combine(&view.diffuse, &view.specular),
+    };
+    let scaled = view.pair(&prediction)?;
+    Ok(ViewScores { name: view.name.clone(), psnr: metrics::psnr(&scaled), psnr_raw, ssim: ssim(&scaled) })
+}
+
+impl PassScores {
+    /// "41.62 dB, SSIM 0.9871", with the unscaled PSNR where it differs: for headings of contact sheets.
+    pub fn summary(&self) -> String {
+        match self.scaling {
+            Scaling::None => format!("{:.2} dB, SSIM {:.4}", self.psnr, self.ssim),
+            _ => format!("{:.2} dB ({:.2} unscaled), SSIM {:.4}", self.psnr, self.psnr_raw, self.ssim),
+        }
+    }
+}
+
+impl Scores {
+    /// Writes `metrics.json` (indented, keys in a fixed order).
+    ///
+    /// # Errors
+    /// [`Error::Io`] if the disk refuses.
+    pub fn write_json(&self, path: impl AsRef<Path>) -> Result<()> {
+        let path = path.as_ref();
+        let mut text =
+            serde_json::to_string_pretty(self).map_err(|error| Error::run("scoring", error.to_string()))?;
+        text.push('\n');
+        atomic::write_bytes(path, text.as_bytes())
+    }
+
+    /// A table for the terminal, one line a pass and one for the rest; ends with a line break.
+    pub fn table(&self) -> String {
+        let mut rows = vec![["pass", "PSNR dB", "raw", "SSIM", "scale R", "G", "B"].map(str::to_owned)];
+        for (name, pass) in &self.passes {
+            rows.extend(pass_rows(name, pass));
+        }
+        let mut text = if self.passes.is_empty() { String::new() } else { aligned(&rows) };
+        let rest: Vec<String> = [
+            self.albedo_psnr.map(|v| format!("albedo {v:.2} dB")),
+            self.normal_deg.map(|v| format!("normals {v:.2}°")),
+            self.fit_secs.map(|v| format!("fit {v:.1} s")),
+            self.peak_rss_mib.map(|v| format!("peak memory {v:.0} MiB")),
+        ]
+        .into_iter()
+        .flatten()
+        .collect();
+        if !rest.is_empty() {
+            let _ = writeln!(text, "{}", rest.join(" · "));
+        }
+        text
+    }
+}
+
+fn pass_rows(name: &str, pass: &PassScores) -> Vec<[String; 7]> {
+    let [r, g, b] = match pass.scaling {
+        Scaling::None => ["–", "–", "–"].map(str::to_owned),
+        _ => pass.scale.map(|s| format!("{s:.3}")),
+    };
+    let number = |value: f64| format!("{value:.2}");
+    let mut rows = vec![[
+        name.to_owned(),
+        number(pass.psnr),
+        number(pass.psnr_raw),
+        format!("{:.4}", pass.ssim),
+        r,
+        g,
+        b,
+    ]];
+    if let Some(specular) = pass.scale_specular {
+        let [r, g, b] = specular.map(|s| format!("{s:.3}"));
+        let blank = String::new;
+        rows.push(["  its specular layer".to_owned(), blank(), blank(), blank(), r, g, b]);
+    }
+    rows
+}
+
+/// Columns padded to their widest entry, a rule under the first row; the first column to the left, the rest to the right.
+pub(super) fn aligned<const N: usize>(rows: &[[String; N]]) -> String {
+    let width: [usize; N] =
+        std::array::from_fn(|c| rows.iter().map(|row| row[c].chars().count()).max().unwrap_or(0));
+    let mut text = String::new();
+    for (i, row) in rows.iter().enumerate() {
+        let mut line = String::new();
+        for (c, entry) in row.iter().enumerate() {
+            let _ = if c == 0 {
+                write!(line, "{entry:<0$}", width[c])
+            } else {
+                write!(line, "  {entry:>0$}", width[c])
+            };
+        }
+        let _ = writeln!(text, "{}", line.trim_end());
+        if i == 0 {
+            let _ = writeln!(text, "{}", "─".repeat(width.iter().sum::<usize>() + 2 * (N - 1)));
+        }
+    }
+    text
+}
+
+/// Largest resident memory of this process so far in MiB (`VmHWM`); `None` where `/proc` does not tell.
+pub fn peak_rss_mib() -> Option<f64> {
+    peak_in_status(&std::fs::read_to_string("/proc/self/status").ok()?)
+}
+
+fn peak_in_status(status: &str) -> Option<f64> {
+    let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"))?;
+    let kib: f64 = line.trim().strip_suffix("kB")?.trim().parse().ok()?;
+    Some(kib / 1024.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A view whose prediction's layers differ from the truth's by known factors.
+    fn view(index: usize, diffuse_factor: f32, specular_factor: f32) -> EvalView {
+        let (width, height) = (14, 12);
+        let value = |i: usize, k: usize| ((i * 7919 + index * 31 + k * 104_729) % 997) as f32 / 2500.0;
+        let layer = |k: usize| -> Vec<Vec3> {
+            (0..width * height).map(|i| Vec3::new(value(i, k), value(i, k + 1), value(i, k + 2))).collect()
+        };
+        let (diffuse, specular) = (layer(0), layer(9));
+        let sum = |a: f32, b: f32| diffuse.iter().zip(&specular).map(|(d, s)| a * *d + b * *s).collect();
+        EvalView {
+            name: format!("view_{index}"),
+            width,
+            height,
+            prediction: sum(1.0, 1.0),
+            truth: sum(diffuse_factor, specular_factor),
+            mask: vec![true; width * height],
+            diffuse,
+            specular,
+        }
+    }
+
+    #[test]
+    fn scales_are_shared_by_all_views() {
+        let views = [view(0, 1.25, 1.25), view(1, 1.25, 1.25)];
+        let scored = score_views(2, Scaling::PerChannel, |i| Ok(&views[i])).unwrap();
+        assert!(scored.scale.iter().all(|s| (s - 1.25).abs() < 1e-6), "{:?}", scored.scale);
+        assert!(scored.psnr > 90.0 && scored.psnr_raw < 30.0);
+        assert!(scored.ssim > 0.999_999);
+        assert_eq!(scored.views[1].name, "view_1");
+        // One view at 1, one at 2: a shared scale fits neither.
+        let views = [view(0, 1.0, 1.0), view(1, 2.0, 2.0)];
+        let scored = score_views(2, Scaling::PerChannel, |i| Ok(&views[i])).unwrap();
+        assert!(scored.scale.iter().all(|&s| s > 1.3 && s < 1.7) && scored.psnr < 30.0);
+        let mean = (scored.views[0].psnr + scored.views[1].psnr) / 2.0;
+        assert_eq!(scored.psnr, mean);
+    }
+
+    #[test]
+    fn layers_have_scales_of_their_own() {
+        let views = [view(0, 0.5, 1.5), view(1, 0.5, 1.5)];
+        let single = score_views(2, Scaling::PerChannel, |i| Ok(&views[i])).unwrap();
+        let layers = score_views(2, Scaling::PerLayer, |i| Ok(&views[i])).unwrap();
+        assert!(layers.psnr > 90.0 && single.psnr < 35.0, "{} {}", layers.psnr, single.psnr);
+        assert!(layers.scale_specular.unwrap().iter().all(|s| (s - 1.5).abs() < 1e-5));
+        let raw = score_views(2, Scaling::None, |i| Ok(views[i].clone())).unwrap();
+        assert_eq!(raw.psnr, raw.psnr_raw);
+        assert_eq!(raw.psnr, layers.psnr_raw);
+    }
+
+    #[test]
+    fn bad_views_are_named() {
+        let mut bad = view(3, 1.0, 1.0);
+        bad.prediction[15].y = f32::INFINITY;
+        let message = score_views(1, Scaling::None, |_| Ok(&bad)).unwrap_err().to_string();
+        assert!(message.contains("view_3") && message.contains("pixel (1, 1)"), "{message}");
+        let mut bad = view(3, 1.0, 1.0);
+        bad.specular.clear();
+        assert!(score_views(1, Scaling::PerLayer, |_| Ok(&bad)).is_err());
+        assert!(score_views(0, Scaling::None, |_| Ok(&bad)).is_err());
+    }
+
+    #[test]
+    fn json_has_the_asked_for_form() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("metrics.json");
+        let mut scores = Scores { albedo_psnr: Some(35.5), fit_secs: Some(61.25), ..Scores::default() };
+        let views = [view(0, 1.1, 1.1)];
+        scores.passes.insert("relit".into(), score_views(1, Scaling::PerChannel, |i| Ok(&views[i])).unwrap());
+        scores.write_json(&path).unwrap();
+        let text = std::fs::read_to_string(&path).unwrap();
+        let json: serde_json::Value = serde_json::from_str(&text).unwrap();
+        for key in ["psnr", "psnr_raw", "ssim"] {
+            assert!(json["passes"]["relit"][key].is_f64(), "{text}");
+        }
+        assert_eq!(json["passes"]["relit"]["scaling"], "per_channel");
+        assert_eq!(json["albedo_psnr"], 35.5);
+        assert!(json["normal_deg"].is_null() && json.as_object().unwrap().contains_key("peak_rss_mib"));
+        assert_eq!(serde_json::from_str::<Scores>(&text).unwrap(), scores);
+    }
+
+    #[test]
+    fn the_table_lines_up() {
+        let pass = |scaling, specular| PassScores {
+            psnr: 41.618,
+            psnr_raw: 9.5,
+            ssim: 0.98765,
+            scaling,
+            scale: [1.0, 0.5, 12.25],
+            scale_specular: specular,
+            views: Vec::new(),
+        };
+        let passes = BTreeMap::from([
+            ("novel".to_owned(), pass(Scaling::None, None)),
+            ("edited_gold".to_owned(), pass(Scaling::PerLayer, Some([2.0; 3]))),
+        ]);
+        let scores =
+            Scores { passes, normal_deg: Some(0.125), peak_rss_mib: Some(812.4), ..Scores::default() };
+        let expected = "\
+pass                  PSNR dB   raw    SSIM  scale R      G       B
+───────────────────────────────────────────────────────────────────
+edited_gold             41.62  9.50  0.9877    1.000  0.500  12.250
+  its specular layer                           2.000  2.000   2.000
+novel                   41.62  9.50  0.9877        –      –       –
+normals 0.12° · peak memory 812 MiB
+";
+        assert_eq!(scores.table(), expected);
+        assert_eq!(Scores::default().table(), "");
+    }
+
+    #[test]
+    fn peak_memory() {
+        assert_eq!(peak_in_status("Name:\tx\nVmHWM:\t  2048 kB\nVmRSS:\t 1 kB\n"), Some(2.0));
+        assert_eq!(peak_in_status("VmHWM: many kB"), None);
+        if cfg!(target_os = "linux") {
+            assert!(peak_rss_mib().unwrap() > 1.0);
+        }
+    }
+}

@@ -1,0 +1,269 @@
+//! From linear radiance to a picture: exposure, tone curve, backdrop, 8-bit sRGB.
+
+use super::png_file;
+use crate::math::color::srgb_from_linear;
+use crate::{Error, Result};
+use glam::{Mat3, Vec3};
+use image::{Rgb, RgbImage, Rgba, RgbaImage};
+use serde::{Deserialize, Serialize};
+use std::path::Path;
+
+/// How linear radiance is brought into the range of a display.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Tone {
+    /// Clipped at 1: what is in range is shown exactly.
+    #[default]
+    Srgb,
+    /// A film-like shoulder and toe: S. Hill's fit of the ACES RRT and ODT (BakingLab, `ACES.hlsl`, 2016),
+    /// pre-scaled by 1/0.6 so that mid-grey keeps about its place.
+    Filmic,
+    /// Exact up to about 0.76 and then compressed towards white, hue kept: the Khronos PBR Neutral tone mapper (2024).
+    /// Best for judging materials under a bright light.
+    Neutral,
+}
+
+impl Tone {
+    /// Display-referred linear value, in `[0, 1]`, of a scene-referred one. Non-finite and negative parts count as 0.
+    pub fn curve(self, radiance: Vec3) -> Vec3 {
+        let radiance = radiance.map(|c| if c.is_finite() { c.max(0.0) } else { 0.0 });
+        let mapped = match self {
+            Self::Srgb => radiance,
+            Self::Filmic => filmic(radiance),
+            Self::Neutral => neutral(radiance),
+        };
+        mapped.clamp(Vec3::ZERO, Vec3::ONE)
+    }
+}
+
+fn filmic(radiance: Vec3) -> Vec3 {
+    // Rows of the published matrices (sRGB → XYZ → D65_2_D60 → AP1 → RRT_SAT, and ODT_SAT → … → sRGB), so transposed here.
+    let aces_from_srgb = Mat3::from_cols_array_2d(&[
+        [0.59719, 0.35458, 0.04823],
+        [0.07600, 0.90834, 0.01566],
+        [0.02840, 0.13383, 0.83777],
+    ])
+    .transpose();
+    let srgb_from_aces = Mat3::from_cols_array_2d(&[
+        [1.60475, -0.53108, -0.07367],
+        [-0.10208, 1.10813, -0.00605],
+        [-0.00327, -0.07276, 1.07602],
+    ])
+    .transpose();
+    // Beyond this the curve is flat and its squares would overflow.
+    let v = (aces_from_srgb * (radiance / 0.6)).min(Vec3::splat(1e6));
+    let curved = (v * (v + 0.024_578_6) - 0.000_090_537) / (v * (0.983_729 * v + 0.432_951) + 0.238_081);
+    srgb_from_aces * curved
+}
+
+fn neutral(radiance: Vec3) -> Vec3 {
+    const START: f32 = 0.8 - 0.04;
+    const DESATURATION: f32 = 0.15;
+    let least = radiance.min_element();
+    let offset = if least < 0.08 { least - 6.25 * least * least } else { 0.04 };
+    let color = radiance - offset;
+    let peak = color.max_element();
+    if peak < START {
+        return color;
+    }
+    let room = 1.0 - START;
+    let new_peak = 1.0 - room * room / (peak + room - START);
+    let white = 1.0 - 1.0 / (DESATURATION * (peak - new_peak) + 1.0);
+    (color * (new_peak / peak)).lerp(Vec3::splat(new_peak), white)
+}
+
+/// How a picture is developed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Look {
+    /// Radiance is multiplied by 2 to this power, in stops.
+    pub exposure: f32,
+    /// The tone curve.
+    pub tone: Tone,
+}
+
+impl Look {
+    /// Display-referred linear value of a radiance.
+    pub fn develop(&self, radiance: Vec3) -> Vec3 {
+        self.tone.curve(radiance * self.exposure.exp2())
+    }
+}
+
+/// What is seen where the object is not.
+#[derive(Clone, Copy, Debug, Default)]
+pub enum Backdrop<'a> {
+    /// Nothing: straight alpha.
+    #[default]
+    Transparent,
+    /// One display-referred linear colour in `[0, 1]`, which exposure and tone curve leave alone.
+    Solid(Vec3),
+    /// The radiance behind each pixel (the environment), exposed and toned with the object.
+    Radiance(&'a [Vec3]),
+}
+
+/// A linear image to be developed: coverage-weighted colour on black, and coverage in `[0, 1]`.
+#[derive(Clone, Copy, Debug)]
+pub struct Picture<'a> {
+    /// Width in pixels.
+    pub width: usize,
+    /// Height in pixels.
+    pub height: usize,
+    /// `width * height` linear radiances, coverage-weighted on black.
+    pub color: &'a [Vec3],
+    /// `width * height` coverages.
+    pub alpha: &'a [f32],
+}
+
+impl Picture<'_> {
+    /// 8-bit sRGB with straight alpha (255 throughout unless the backdrop is transparent).
+    ///
+    /// # Errors
+    /// [`Error::Run`] if a list has not `width * height` entries.
+    pub fn rgba8(&self, look: &Look, backdrop: Backdrop) -> Result<RgbaImage> {
+        self.check(backdrop)?;
+        let pixel = |x: u32, y: u32| {
+            let at = y as usize * self.width + x as usize;
+            let (value, alpha) = self.shown(at, look, backdrop);
+            let [r, g, b] = srgb8(value);
+            Rgba([r, g, b, byte(alpha)])
+        };
+        Ok(RgbaImage::from_fn(self.width as u32, self.height as u32, pixel))
+    }
+
+    /// 8-bit sRGB, opaque; a transparent backdrop is black.
+    ///
+    /// # Errors
+    /// [`Error::Run`] if a list has not `width * height` entries.
+    pub fn rgb8(&self, look: &Look, backdrop: Backdrop) -> Result<RgbImage> {
+        let backdrop = match backdrop {
+            Backdrop::Transparent => Backdrop::Solid(Vec3::ZERO),
+            other => other,
+        };
+        self.check(backdrop)?;
+        let pixel =
+            |x: u32, y: u32| Rgb(srgb8(self.shown(y as usize * self.width + x as usize, look, backdrop).0));
+        Ok(RgbImage::from_fn(self.width as u32, self.height as u32, pixel))
+    }
+
+    /// Display-referred linear value and alpha of a pixel.
+    fn shown(&self, at: usize, look: &Look, backdrop: Backdrop) -> (Vec3, f32) {
+        let (color, alpha) = (self.color[at], self.alpha[at].clamp(0.0, 1.0));
+        // The object's own colour, as if it filled the pixel; the curve bends that and not its mixture with black.
+        let straight = if alpha > 1e-4 { color / alpha } else { color };
+        match backdrop {
+            Backdrop::Transparent => (look.develop(straight), alpha),
+            Backdrop::Solid(solid) => (solid.lerp(look.develop(straight), alpha), 1.0),
+            Backdrop::Radiance(behind) => (look.develop(color + (1.0 - alpha) * behind[at]), 1.0),
+        }
+    }
+
+    fn check(&self, backdrop: Backdrop) -> Result<()> {
+        let count = self.width * self.height;
+        let behind = if let Backdrop::Radiance(behind) = backdrop { behind.len() } else { count };
+        for (what, len) in [("colour", self.color.len()), ("alpha", self.alpha.len()), ("backdrop", behind)] {
+            if len != count {
+                let problem = format!("the {what} has {len} pixels, not {} × {}", self.width, self.height);
+                return Err(Error::run("developing a picture", problem));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Writes `picture` as an 8-bit sRGB PNG: RGBA with straight alpha for a transparent backdrop, else RGB.
+///
+/// # Errors
+/// [`Error::Run`] for lists of the wrong length, [`Error::Io`] if the disk refuses.
+pub fn write_png(path: impl AsRef<Path>, picture: &Picture, look: &Look, backdrop: Backdrop) -> Result<()> {
+    match backdrop {
+        Backdrop::Transparent => png_file::write_rgba8(path, &picture.rgba8(look, backdrop)?),
+        _ => png_file::write_rgb8(path, &picture.rgb8(look, backdrop)?),
+    }
+}
+
+fn byte(value: f32) -> u8 {
+    (value.clamp(0.0, 1.0) * 255.0).round() as u8
+}
+
+/// 8-bit sRGB of a display-referred linear value, which is clipped to `[0, 1]`.
+pub fn srgb8(linear: Vec3) -> [u8; 3] {
+    linear.to_array().map(|c| byte(srgb_from_linear(c)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn srgb_by_hand() {
+        assert_eq!(srgb8(Vec3::new(0.0, 1.0, 2.0)), [0, 255, 255]);
+        assert_eq!(srgb8(Vec3::new(0.214_041_14, 0.5, 0.18)), [128, 188, 118]);
+        let look = Look { exposure: 1.0, tone: Tone::Srgb };
+        assert_eq!(look.develop(Vec3::new(0.25, 0.4, 0.75)), Vec3::new(0.5, 0.8, 1.0));
+    }
+
+    #[test]
+    fn curves_rise_and_stay_in_range() {
+        for tone in [Tone::Srgb, Tone::Filmic, Tone::Neutral] {
+            let mut before = Vec3::splat(-1.0);
+            for step in 0..400 {
+                let value = tone.curve(Vec3::splat((step as f32 * 0.05 - 10.0).exp2()));
+                assert!(value.cmpge(before).all() && value.cmple(Vec3::ONE).all(), "{tone:?} {step} {value}");
+                before = value;
+            }
+            assert!(tone.curve(Vec3::ZERO).max_element() < 0.01);
+            assert_eq!(tone.curve(Vec3::new(f32::NAN, f32::INFINITY, -1.0)), tone.curve(Vec3::ZERO));
+            assert!(tone.curve(Vec3::splat(f32::MAX)).is_finite());
+        }
+    }
+
+    #[test]
+    fn filmic_keeps_mid_grey_and_greys_grey() {
+        let grey = Tone::Filmic.curve(Vec3::splat(0.18));
+        assert!((grey.x - 0.18).abs() < 0.05, "{grey}");
+        assert!(grey.max_element() - grey.min_element() < 1e-3);
+        assert!(Tone::Filmic.curve(Vec3::splat(1.0)).x < 0.9, "a white card is below the shoulder's end");
+    }
+
+    #[test]
+    fn neutral_by_hand() {
+        // Dull colours only lose the offset; x < 0.08 lowers by x − 6.25x².
+        let value = Tone::Neutral.curve(Vec3::new(0.5, 0.3, 0.2));
+        assert!(value.abs_diff_eq(Vec3::new(0.46, 0.26, 0.16), 1e-6), "{value}");
+        // peak 4 − 0.04 = 3.96: 1 − 0.24² / (3.96 + 0.24 − 0.76) on grey, which desaturation leaves alone.
+        let value = Tone::Neutral.curve(Vec3::splat(4.0));
+        assert!((value.x - (1.0 - 0.0576 / 3.44)).abs() < 1e-5, "{value}");
+    }
+
+    #[test]
+    fn backdrops() {
+        let (color, alpha) = ([Vec3::splat(0.25), Vec3::ZERO], [0.5, 0.0]);
+        let picture = Picture { width: 2, height: 1, color: &color, alpha: &alpha };
+        let look = Look::default();
+        let shown = picture.rgba8(&look, Backdrop::Transparent).unwrap();
+        assert_eq!(shown.get_pixel(0, 0).0, [188, 188, 188, 128], "straight colour 0.5 at alpha ½");
+        assert_eq!(shown.get_pixel(1, 0).0, [0, 0, 0, 0]);
+        let shown = picture.rgb8(&look, Backdrop::Solid(Vec3::ONE)).unwrap();
+        assert_eq!(shown.get_pixel(0, 0).0, srgb8(Vec3::splat(0.75)));
+        assert_eq!(shown.get_pixel(1, 0).0, [255, 255, 255]);
+        let behind = [Vec3::splat(0.1), Vec3::splat(0.2)];
+        let bright = Look { exposure: 1.0, tone: Tone::Srgb };
+        let shown = picture.rgb8(&bright, Backdrop::Radiance(&behind)).unwrap();
+        assert_eq!(shown.get_pixel(0, 0).0, srgb8(Vec3::splat(2.0 * (0.25 + 0.05))));
+        assert_eq!(shown.get_pixel(1, 0).0, srgb8(Vec3::splat(0.4)));
+        assert!(picture.rgb8(&look, Backdrop::Radiance(&behind[..1])).is_err());
+        assert_eq!(picture.rgb8(&look, Backdrop::Transparent).unwrap().get_pixel(1, 0).0, [0, 0, 0]);
+    }
+
+    #[test]
+    fn png_has_alpha_only_when_transparent() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.png");
+        let picture = Picture { width: 1, height: 1, color: &[Vec3::splat(0.2)], alpha: &[0.4] };
+        write_png(&path, &picture, &Look::default(), Backdrop::Transparent).unwrap();
+        let read = image::open(&path).unwrap();
+        assert_eq!(read.color(), image::ColorType::Rgba8);
+        assert_eq!(read.into_rgba8().get_pixel(0, 0).0, [188, 188, 188, 102]);
+        write_png(&path, &picture, &Look::default(), Backdrop::Solid(Vec3::ZERO)).unwrap();
+        assert_eq!(image::open(&path).unwrap().color(), image::ColorType::Rgb8);
+    }
+}
