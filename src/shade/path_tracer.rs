@@ -14,7 +14,7 @@
 //! | `strategy` | [`Strategy`] | – | `Combined` | other than for checks, leave it |
 
 use super::sampling::sequence::Sequence;
-use super::sampling::{Scattered, Scatterer, Strategy};
+use super::sampling::{SampleReal, Scattered, Scatterer, Strategy};
 use crate::material::SpecularLobe;
 use crate::math::ray::{Hit, Illuminate, Intersect, Ray};
 use glam::{DVec3, Vec3};
@@ -125,8 +125,7 @@ pub fn shade_point(
     let mut tally = Tally::default();
     let mut estimate = PathEstimate { samples, ..Default::default() };
     for sample in 0..samples {
-        let sequence =
-            Sequence::new(settings.seed, query.stream, query.first_sample.wrapping_add(sample));
+        let sequence = Sequence::new(settings.seed, query.stream, query.first_sample.wrapping_add(sample));
         let mut path = Path { scene, settings, sequence, found: Split::default(), rays: 0 };
         path.walk(query);
         estimate.rays = estimate.rays.saturating_add(path.rays);
@@ -258,14 +257,13 @@ impl Path<'_> {
             return;
         }
         let drawn = self.scene.light.sample(self.uniforms(vertex.depth, DRAW_LIGHT));
-        // Written so that NaN is refused too.
-        if !(drawn.pdf > 0.0) {
+        if !drawn.pdf.above_zero() {
             return;
         }
         let scattered = scatterer.evaluate(drawn.direction.to_array());
         let weight = strategy.light_weight(drawn.pdf, scattered.pdf) / drawn.pdf;
         let light = vertex.carry(&scattered).tinted(drawn.radiance).scaled(weight);
-        if !(light.largest() > 0.0) {
+        if !light.largest().above_zero() {
             return;
         }
         self.rays += 1;
@@ -283,7 +281,7 @@ impl Path<'_> {
         }
         let direction = scatterer.sample(self.uniforms(vertex.depth, DRAW_BRDF))?;
         let scattered = scatterer.evaluate(direction);
-        if !(scattered.pdf > 0.0) {
+        if !scattered.pdf.above_zero() {
             return None;
         }
         let carried = vertex.carry(&scattered).scaled(scattered.pdf.recip());

@@ -51,7 +51,12 @@ pub(super) fn read_table(path: &Path) -> Result<Table> {
     let value: Value = serde_json::from_str(&text)
         .map_err(|e| Error::input(path, "", format!("not JSON: {e}"), "give a JSON list of cases"))?;
     let Value::Array(list) = value else {
-        return Err(Error::input(path, "", "not a JSON list", "the file is to be a list of objects, one a case"));
+        return Err(Error::input(
+            path,
+            "",
+            "not a JSON list",
+            "the file is to be a list of objects, one a case",
+        ));
     };
     let mut objects = Vec::with_capacity(list.len());
     let mut cases = Vec::with_capacity(list.len());
@@ -60,8 +65,9 @@ pub(super) fn read_table(path: &Path) -> Result<Table> {
         let Value::Object(object) = entry else {
             return Err(Error::input(path, place, "not an object", "give each case as {\"normal\": …}"));
         };
-        let case = read_case(&object)
-            .map_err(|Problem { field, what }| Error::input(path, place, format!("`{field}` {what}"), HELP))?;
+        let case = read_case(&object).map_err(|Problem { field, what }| {
+            Error::input(path, place, format!("`{field}` {what}"), HELP)
+        })?;
         cases.push(case);
         objects.push(object);
     }
