@@ -14,7 +14,7 @@
 //! | `strategy` | [`Strategy`] | – | `Combined` | other than for checks, leave it |
 
 use super::sampling::sequence::Sequence;
-use super::sampling::{Scattered, Scatterer, Strategy};
+use super::sampling::{SampleReal, Scattered, Scatterer, Strategy};
 use crate::material::{DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
 use crate::math::ray::{Hit, Illuminate, Intersect, Ray, TexelAddress};
 use glam::{DVec3, Vec3};
@@ -286,14 +286,13 @@ impl Path<'_> {
             return;
         }
         let drawn = self.scene.light.sample(self.uniforms(vertex.depth, DRAW_LIGHT));
-        // Written so that NaN is refused too.
-        if !(drawn.pdf > 0.0) {
+        if !drawn.pdf.above_zero() {
             return;
         }
         let scattered = scatterer.evaluate(drawn.direction.to_array());
         let weight = strategy.light_weight(drawn.pdf, scattered.pdf) / drawn.pdf;
         let light = vertex.carry(&scattered).tinted(drawn.radiance).scaled(weight);
-        if !(light.largest() > 0.0) {
+        if !light.largest().above_zero() {
             return;
         }
         self.rays += 1;
@@ -311,7 +310,7 @@ impl Path<'_> {
         }
         let direction = scatterer.sample(self.uniforms(vertex.depth, DRAW_BRDF))?;
         let scattered = scatterer.evaluate(direction);
-        if !(scattered.pdf > 0.0) {
+        if !scattered.pdf.above_zero() {
             return None;
         }
         let carried = vertex.carry(&scattered).scaled(scattered.pdf.recip());

@@ -17,6 +17,11 @@ use std::f64::consts::PI;
 pub trait SampleReal: Real + PartialOrd {
     /// A number in `[0, 1)` from a 32-bit fixed-point fraction.
     fn from_bits(bits: u32) -> Self;
+    /// Whether `self` is above zero; false for NaN.
+    #[inline(always)]
+    fn above_zero(self) -> bool {
+        self > self.zero()
+    }
     /// ln(1 + self).
     fn ln_1p(self) -> Self;
     /// e to the power of `self`, minus one.
@@ -156,8 +161,7 @@ impl<F: SampleReal> Scatterer<F> {
     ) -> Option<Self> {
         let cos_view = dot(normal, to_viewer);
         let zero = cos_view.zero();
-        // Written so that NaN is refused too.
-        if !(cos_view > zero) {
+        if !cos_view.above_zero() {
             return None;
         }
         let mean = |c: Vec3Of<F>| (c[0] + c[1] + c[2]).times(1.0 / 3.0);
@@ -180,12 +184,12 @@ impl<F: SampleReal> Scatterer<F> {
         let normal = self.frame.normal;
         let cosine = dot(normal, to_light);
         let zero = cosine.zero();
-        if !(cosine > zero) {
+        if !cosine.above_zero() {
             return Scattered { diffuse: [zero; 3], specular: [zero; 3], pdf: zero };
         }
         let cosine_pdf = cosine.times(1.0 / PI);
         let diffuse = scale(self.albedo, cosine_pdf);
-        if !(self.specular_chance > zero) {
+        if !self.specular_chance.above_zero() {
             return Scattered { diffuse, specular: [zero; 3], pdf: cosine_pdf };
         }
         let (constant, slope) = specular_affine(normal, self.to_viewer, to_light, self.roughness);
@@ -201,7 +205,7 @@ impl<F: SampleReal> Scatterer<F> {
         let length = dot(half, half).sqrt();
         let half = scale(half, length.max(length.lit(1e-12)).recip());
         let cos_half = dot(self.to_viewer, half);
-        if !(cos_half > cos_half.zero()) {
+        if !cos_half.above_zero() {
             return cos_half.zero();
         }
         let whole = -ndf_sharpness(self.roughness).times(-2.0).exp_m1();
@@ -214,7 +218,7 @@ impl<F: SampleReal> Scatterer<F> {
         let direction = if u[0] < self.specular_chance {
             let half = sample_sg(&self.frame, ndf_sharpness(self.roughness), [u[1], u[2]]);
             let cos_half = dot(self.to_viewer, half);
-            if !(cos_half > cos_half.zero()) {
+            if !cos_half.above_zero() {
                 return None;
             }
             sub(scale(half, cos_half.times(2.0)), self.to_viewer)
@@ -224,7 +228,7 @@ impl<F: SampleReal> Scatterer<F> {
             self.frame.world(radius * c, radius * s, (u[1].one() - u[1]).relu().sqrt())
         };
         let direction = scale(direction, dot(direction, direction).sqrt().recip());
-        (dot(direction, self.frame.normal) > direction[0].zero()).then_some(direction)
+        dot(direction, self.frame.normal).above_zero().then_some(direction)
     }
 }
 
@@ -382,10 +386,10 @@ mod tests {
     #[test]
     fn heuristic_weights_sum_to_one() {
         for (a, b) in [(1.0, 2.0), (1e-200, 1e-190), (3.0, 0.0), (1e200, 1e180)] {
-            let sum: f64 = Strategy::Combined.light_weight(a, b) + Strategy::Combined.brdf_weight(b, a);
-            assert!(Strategy::Combined.light_weight(a, b) >= 0.0);
-            let other = if b > 0.0 { Strategy::Combined.brdf_weight(a, b) } else { 0.0 };
-            assert!((Strategy::Combined.light_weight(a, b) + other - 1.0).abs() < 1e-12, "{sum}");
+            let light: f64 = Strategy::Combined.light_weight(a, b);
+            let brdf = if b > 0.0 { Strategy::Combined.brdf_weight(a, b) } else { 0.0 };
+            assert!((0.0..=1.0).contains(&light), "{light}");
+            assert!((light + brdf - 1.0).abs() < 1e-12, "{light} {brdf}");
         }
     }
 

@@ -9,7 +9,7 @@ use crate::math::sg;
 use crate::shade::path_tracer::{PathQuery, PathScene, PathSettings, ShadePoint, shade_point};
 use crate::shade::sampling::lobe_table::LobeTable;
 use crate::shade::sampling::sequence::Sequence;
-use crate::shade::sampling::{Scattered, Scatterer, SingleLobe, Strategy};
+use crate::shade::sampling::{Frame, Scattered, Scatterer, SingleLobe, Strategy, sample_sg, sg_pdf};
 use glam::Vec3;
 
 /// Outgoing radiance, diffuse and specular, with its standard errors if it was estimated.
@@ -100,7 +100,9 @@ fn traced_in_f32(case: &Case<f32>, stream: u64, samples: u32) -> [[f64; 3]; 2] {
 struct PointInF64<'a> {
     case: &'a Case<f64>,
     scatterer: Scatterer<f64>,
-    /// Drawn from with equal chance: for the diffuse and for the specular product.
+    /// Around the lobe's axis.
+    lobe_frame: Frame<f64>,
+    /// For the diffuse and for the specular product. The lobe itself is drawn from half of the time, these a quarter each.
     tables: [LobeTable; 2],
 }
 
@@ -110,7 +112,13 @@ impl<'a> PointInF64<'a> {
         let specular = Some((case.specular, case.roughness));
         let scatterer = Scatterer::new(case.normal, case.view, case.albedo, specular)?;
         let table = |mirror| LobeTable::new(case.normal, case.lobe_axis, case.lobe_sharpness, mirror);
-        Some(Self { case, scatterer, tables: [table(None), table(Some((case.view, case.roughness)))] })
+        let lobe_frame = Frame::new(case.lobe_axis);
+        Some(Self {
+            case,
+            scatterer,
+            lobe_frame,
+            tables: [table(None), table(Some((case.view, case.roughness)))],
+        })
     }
 
     fn estimate(&self, stream: u64, samples: u32) -> [[f64; 3]; 2] {
@@ -127,8 +135,16 @@ impl<'a> PointInF64<'a> {
     }
 
     fn draw_light(&self, [pick, u, v]: [f64; 3]) -> [f64; 3] {
-        let pick = 2.0 * pick;
+        if pick < 0.5 {
+            return sample_sg(&self.lobe_frame, self.case.lobe_sharpness, [u, v]);
+        }
+        let pick = 4.0 * pick - 2.0;
         self.tables[pick as usize].sample([pick.fract(), u, v])
+    }
+
+    fn light_pdf(&self, direction: [f64; 3]) -> f64 {
+        let lobe = sg_pdf(direction, self.case.lobe_axis, self.case.lobe_sharpness);
+        0.5 * lobe + 0.25 * (self.tables[0].pdf(direction) + self.tables[1].pdf(direction))
     }
 
     /// Adds what light from `direction` is worth, weighted by `weight` and divided by the density that `own` names.
@@ -140,7 +156,7 @@ impl<'a> PointInF64<'a> {
         own: fn(f64, f64) -> f64,
     ) {
         let Scattered { diffuse, specular, pdf } = self.scatterer.evaluate(direction);
-        let light_pdf = 0.5 * (self.tables[0].pdf(direction) + self.tables[1].pdf(direction));
+        let light_pdf = self.light_pdf(direction);
         let density = own(light_pdf, pdf);
         // A direction exactly on a seam may have no density; it has no solid angle either.
         if density <= 0.0 {

@@ -17,13 +17,18 @@ const CUTS: usize = 400;
 /// Probes along each side of a cell.
 const PROBES: usize = 3;
 
+/// The four quarters of a cell, in the order in which they are kept.
+const CORNERS: [[f64; 2]; 4] = [[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]];
+
 /// A part of the hemisphere: `low` and `size` of (cosine, turn), both in `[0, 1]`; equal areas have equal solid angles.
 #[derive(Clone, Copy, Debug)]
 struct Cell {
     low: [f64; 2],
     size: [f64; 2],
-    /// ln of the estimated integral over the cell, up to a constant common to all cells.
+    /// ln of the estimated integral over the cell, up to a constant common to all cells; −∞ once it is cut.
     log_mass: f64,
+    /// The first of its four parts, which follow one another; 0 for a cell that is whole.
+    parts: usize,
 }
 
 /// A density over the hemisphere, constant within each cell.
@@ -54,7 +59,7 @@ impl LobeTable {
 
     fn adapted(frame: Frame<f64>, log_product: impl Fn([f64; 3]) -> f64) -> Self {
         let probed = |low: [f64; 2], size: [f64; 2]| {
-            let cell = Cell { low, size, log_mass: 0.0 };
+            let cell = Cell { low, size, log_mass: 0.0, parts: 0 };
             Cell { log_mass: log_mass(&frame, &cell, &log_product), ..cell }
         };
         let size = FIRST_CELLS.map(|n| 1.0 / n as f64);
@@ -65,10 +70,11 @@ impl LobeTable {
         for _ in 0..CUTS {
             let heaviest = (1..cells.len())
                 .fold(0, |best, i| if cells[i].log_mass > cells[best].log_mass { i } else { best });
-            let Cell { low, size, .. } = cells.swap_remove(heaviest);
+            let Cell { low, size, .. } = cells[heaviest];
+            cells[heaviest].log_mass = f64::NEG_INFINITY;
+            cells[heaviest].parts = cells.len();
             let size = size.map(|s| 0.5 * s);
-            let corners = [[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]];
-            cells.extend(corners.map(|[a, b]| probed([low[0] + a * size[0], low[1] + b * size[1]], size)));
+            cells.extend(CORNERS.map(|[a, b]| probed([low[0] + a * size[0], low[1] + b * size[1]], size)));
         }
         let cumulative = cumulative_chances(&cells);
         Self { frame, cells, cumulative }
@@ -86,12 +92,26 @@ impl LobeTable {
         let cosine = dot(direction, *normal);
         let turn = dot(direction, *bitangent).atan2(dot(direction, *tangent)) / (2.0 * PI);
         let at = [cosine, turn.rem_euclid(1.0)];
-        let inside = |c: &Cell| (0..2).all(|k| at[k] >= c.low[k] && at[k] < c.low[k] + c.size[k]);
-        self.cells.iter().position(inside).map_or(0.0, |i| {
-            let before = if i == 0 { 0.0 } else { self.cumulative[i - 1] };
-            let cell = &self.cells[i];
-            (self.cumulative[i] - before) / (2.0 * PI * cell.size[0] * cell.size[1])
-        })
+        if cosine <= 0.0 || !at.iter().all(|x| x.is_finite()) {
+            return 0.0;
+        }
+        let i = self.cell_at(at);
+        let before = if i == 0 { 0.0 } else { self.cumulative[i - 1] };
+        let cell = &self.cells[i];
+        (self.cumulative[i] - before) / (2.0 * PI * cell.size[0] * cell.size[1])
+    }
+
+    /// The whole cell around a place with both coordinates in `[0, 1]`.
+    fn cell_at(&self, at: [f64; 2]) -> usize {
+        let [row, column] =
+            [0, 1].map(|k| ((at[k] * FIRST_CELLS[k] as f64) as usize).min(FIRST_CELLS[k] - 1));
+        let mut i = row * FIRST_CELLS[1] + column;
+        while self.cells[i].parts != 0 {
+            let Cell { low, size, parts, .. } = self.cells[i];
+            let upper = [0, 1].map(|k| usize::from(at[k] >= low[k] + 0.5 * size[k]));
+            i = parts + 2 * upper[0] + upper[1];
+        }
+        i
     }
 }
 

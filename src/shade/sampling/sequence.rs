@@ -107,7 +107,7 @@ impl Sequence {
 mod tests {
     use super::*;
 
-    /// Each third of the cube's dimension pairs is a (0, m, 2)- or (1, m, 2)-net: 256 points leave no 1/16 interval empty.
+    /// The first two dimensions are a (0, m, 2)-net: 256 points put one in each cell of every grid of 256 cells.
     #[test]
     fn points_are_stratified_in_every_dimension() {
         for group in 0..8 {
