@@ -127,6 +127,9 @@ pub struct EvalArgs {
     pub prediction: PathBuf,
     /// What it should be: an image, or a folder with images of the same names
     pub truth: PathBuf,
+    /// Take out one least-squares factor per channel, shared by all images, before scoring
+    #[arg(long)]
+    pub scale: bool,
 }
 
 /// `lobelia shade-cases`.
@@ -141,9 +144,12 @@ pub struct ShadeCasesArgs {
     /// How light is computed
     #[arg(long, value_enum, default_value_t = CaseMode::Published)]
     pub mode: CaseMode,
-    /// Floating-point numbers of the published formulas
-    #[arg(long, value_enum, default_value_t = CasePrecision::F32)]
+    /// Floating-point numbers that cases are shaded in
+    #[arg(long, value_enum, default_value_t = CasePrecision::F64)]
     pub precision: CasePrecision,
+    /// Paths per case, for `--mode path-traced`
+    #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(2..=1 << 24))]
+    pub samples: u32,
     /// How many threads.
     #[command(flatten)]
     pub threads: ThreadArgs,

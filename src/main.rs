@@ -3,7 +3,13 @@
 mod cli;
 
 use clap::Parser;
-use cli::{CheckArgs, Cli, Command, EvalArgs, RunArgs, ShadeCasesArgs, ThreadArgs};
+use cli::{CaseMode, CasePrecision, CheckArgs, Cli, Command, EvalArgs, RunArgs, ShadeCasesArgs, ThreadArgs};
+use lobelia::math::published::{Lobe, shade_pair};
+use lobelia::math::real::{Real, Vec3Of};
+use lobelia::pass;
+use lobelia::pass::shade_cases::{Case, Precision, ShadeMode};
+use lobelia::report::compare::compare;
+use lobelia::report::scores::Scaling;
 use lobelia::scene::pass_types::Pass;
 use lobelia::scene::types::{Scene, Surface, Views};
 use lobelia::scene::{LoadOptions, LoadedScene, RunOptions, load, unknown_parts};
@@ -12,6 +18,7 @@ use std::fmt::Write as _;
 use std::io::{ErrorKind, IsTerminal, Write as _};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::atomic::Ordering;
 
 fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
@@ -75,17 +82,24 @@ fn start_threads(args: ThreadArgs) -> Result<()> {
         .map_err(|error| Error::run("starting threads", error.to_string()))
 }
 
+/// The first Ctrl-C lets the pass in progress end cleanly; a second one ends the process at once.
+fn stop_on_ctrl_c() -> Result<()> {
+    ctrlc::set_handler(|| {
+        if pass::INTERRUPTED.swap(true, Ordering::Relaxed) {
+            std::process::exit(130);
+        }
+    })
+    .map_err(|error| Error::run("listening for Ctrl-C", error.to_string()))
+}
+
 fn run(args: &RunArgs) -> Result<()> {
     let loaded = load(&args.scene.scene, &args.scene.load_options())?;
     let out = args.out.clone().unwrap_or_else(|| default_out(&args.scene.scene));
     refuse_used(&out, args.force)?;
     start_threads(args.threads)?;
     let options = RunOptions { out, force: args.force, quiet: args.quiet };
-    run_passes(&loaded, &options)
-}
-
-fn run_passes(loaded: &LoadedScene, _options: &RunOptions) -> Result<()> {
-    Err(Error::run(loaded.path.display().to_string(), "passes cannot be run yet"))
+    stop_on_ctrl_c()?;
+    pass::run(&loaded, &options)
 }
 
 fn default_out(scene: &Path) -> PathBuf {
@@ -177,13 +191,41 @@ fn kind(pass: &Pass) -> &'static str {
 }
 
 fn eval(args: &EvalArgs) -> Result<()> {
-    Err(Error::run(args.prediction.display().to_string(), "images cannot be compared yet"))
+    let scaling = if args.scale { Scaling::PerChannel } else { Scaling::None };
+    let comparison = compare(&args.prediction, &args.truth, scaling)?;
+    print(&comparison.table())
 }
 
 fn shade_cases(args: &ShadeCasesArgs) -> Result<()> {
     start_threads(args.threads)?;
-    Err(Error::run(
-        args.cases.display().to_string(),
-        format!("cases cannot be shaded yet ({:?}, {:?})", args.mode, args.precision),
+    let mode = match args.mode {
+        CaseMode::Published => ShadeMode::Published,
+        CaseMode::PathTraced => ShadeMode::PathTraced { samples: args.samples },
+    };
+    let precision = match args.precision {
+        CasePrecision::F32 => Precision::F32,
+        CasePrecision::F64 => Precision::F64,
+    };
+    let report = pass::shade_cases::shade_cases(&args.cases, &args.out, mode, precision, published_case)?;
+    print(&format!(
+        "{} cases in {:.2} s; {} of {} values agree with those of the table\n",
+        report.cases, report.elapsed_secs, report.agreement.within, report.agreement.values
     ))
+}
+
+/// A case by the published formulas, in the float that was asked for.
+fn published_case(case: &Case<f64>, precision: Precision) -> ([f64; 3], [f64; 3]) {
+    let (diffuse, specular) = match precision {
+        Precision::F64 => shade_case(case),
+        Precision::F32 => {
+            let (diffuse, specular) = shade_case(&case.to_f32());
+            (diffuse.map(f64::from), specular.map(f64::from))
+        }
+    };
+    (diffuse.map(|x| x.max(0.0)), specular.map(|x| x.max(0.0)))
+}
+
+fn shade_case<F: Real>(case: &Case<F>) -> (Vec3Of<F>, Vec3Of<F>) {
+    let lobe = Lobe { axis: case.lobe_axis, sharpness: case.lobe_sharpness, amplitude: case.lobe_amplitude };
+    shade_pair(case.normal, case.view, &lobe, case.albedo, case.specular, case.roughness)
 }

@@ -283,7 +283,7 @@ mod tests {
                 Ok(layers) => {
                     assert_eq!(layers, whole, "wrong pixels from {length} of {} bytes", bytes.len())
                 }
-                Err(error) => assert!(matches!(error, Error::Input { .. })),
+                Err(error) => assert!(matches!(error, crate::Error::Input { .. })),
             }
         }
         assert!(decode_exr(Path::new("cut.exr"), &bytes[..bytes.len() - 8]).is_err());

@@ -70,7 +70,8 @@ impl Intersect for Shell {
 }
 
 fn query(position: Vec3, normal: Vec3, to_viewer: Vec3, albedo: Vec3) -> PathQuery {
-    let point = ShadePoint { position, normal, geometric_normal: normal, albedo, blend: SpecularBlend::default().0 };
+    let point =
+        ShadePoint { position, normal, geometric_normal: normal, albedo, blend: SpecularBlend::default().0 };
     PathQuery { point, to_viewer: to_viewer.normalize(), stream: 0, first_sample: 0 }
 }
 
@@ -129,7 +130,8 @@ fn open_sky_matches_numerical_integration() {
     for roughness in [0.2, 0.5, 1.0] {
         for slant in [0.1f64, 0.9, 1.4] {
             let specular = [SpecularLobe { albedo: Vec3::new(0.9, 0.04, 0.3), roughness: roughness as f32 }];
-            let scene = PathScene { surface: &Empty, light: &light, albedo: &[], blends: &[], specular: &specular };
+            let scene =
+                PathScene { surface: &Empty, light: &light, albedo: &[], blends: &[], specular: &specular };
             let to_viewer = Vec3::new(slant.sin() as f32, 0.0, slant.cos() as f32);
             let query = query(Vec3::ZERO, Vec3::Z, to_viewer, albedo);
             let found = estimate(&scene, &PathSettings::default(), &query, 256);
@@ -149,7 +151,13 @@ fn open_sky_matches_numerical_integration() {
 fn a_ball_overhead_casts_its_shadow() {
     let ball = Shell { center: Vec3::new(0.0, 0.0, 2.0), radius: 1.2, brim: 1.0, side: 1.0 };
     let light = Constant(Vec3::ONE);
-    let scene = PathScene { surface: &ball, light: &light, albedo: &[DiffuseAlbedo(Vec3::ZERO)], blends: &[], specular: &[] };
+    let scene = PathScene {
+        surface: &ball,
+        light: &light,
+        albedo: &[DiffuseAlbedo(Vec3::ZERO)],
+        blends: &[],
+        specular: &[],
+    };
     let settings = PathSettings { max_bounces: 1, ..Default::default() };
     let query = query(Vec3::ZERO, Vec3::Z, Vec3::new(1.0, 0.0, 0.2), Vec3::splat(0.5));
     let found = estimate(&scene, &settings, &query, 512);
@@ -161,8 +169,13 @@ fn a_ball_overhead_casts_its_shadow() {
 fn the_inside_of_a_closed_shell_is_black() {
     let shell = Shell { center: Vec3::ZERO, radius: 1.0, brim: 1.0, side: -1.0 };
     let light = Constant(Vec3::ONE);
-    let scene =
-        PathScene { surface: &shell, light: &light, albedo: &[DiffuseAlbedo(Vec3::splat(0.5))], blends: &[], specular: &GREY_GLOSS };
+    let scene = PathScene {
+        surface: &shell,
+        light: &light,
+        albedo: &[DiffuseAlbedo(Vec3::splat(0.5))],
+        blends: &[],
+        specular: &GREY_GLOSS,
+    };
     let query = query(-Vec3::Z, Vec3::Z, Vec3::new(1.0, 0.0, 1.0), Vec3::splat(0.5));
     let found = estimate(&scene, &PathSettings::default(), &query, 64);
     assert_eq!(found, [[(0.0, 0.0); 3]; 2]);
@@ -174,7 +187,13 @@ fn a_convex_surface_does_not_shadow_itself() {
     for center in [Vec3::ZERO, Vec3::new(300.0, -20.0, 7.0)] {
         let ball = Shell { center, radius: 1.0, brim: 1.0, side: 1.0 };
         let light = Constant(Vec3::ONE);
-        let scene = PathScene { surface: &ball, light: &light, albedo: &[DiffuseAlbedo(Vec3::ONE)], blends: &[], specular: &[] };
+        let scene = PathScene {
+            surface: &ball,
+            light: &light,
+            albedo: &[DiffuseAlbedo(Vec3::ONE)],
+            blends: &[],
+            specular: &[],
+        };
         let normal = Vec3::new(0.3, -0.5, 0.8).normalize();
         let query = query(center + normal, normal, normal, Vec3::splat(0.5));
         let found = estimate(&scene, &PathSettings::default(), &query, 256);
@@ -210,7 +229,8 @@ fn every_strategy_has_the_same_mean() {
     let lobe = LightLobe { axis: Vec3::new(0.28, 0.0, 0.96), sharpness: 4.0, amplitude: Vec3::ONE };
     let light = SingleLobe::new(lobe);
     let texels = [DiffuseAlbedo(Vec3::splat(0.5))];
-    let scene = PathScene { surface: &bowl, light: &light, albedo: &texels, blends: &[], specular: &GREY_GLOSS };
+    let scene =
+        PathScene { surface: &bowl, light: &light, albedo: &texels, blends: &[], specular: &GREY_GLOSS };
     let query = query(-Vec3::Z, Vec3::Z, Vec3::new(-0.5, 0.2, 0.7), texels[0]);
     let both = PathSettings { max_bounces: 4, ..Default::default() };
     let reference = estimate(&scene, &both, &query, 2048);
@@ -247,7 +267,8 @@ fn results_depend_on_the_query_alone() {
     let bowl = Shell { center: Vec3::ZERO, radius: 1.0, brim: 0.2, side: -1.0 };
     let light = Constant(Vec3::ONE);
     let texels = [DiffuseAlbedo(Vec3::splat(0.7))];
-    let scene = PathScene { surface: &bowl, light: &light, albedo: &texels, blends: &[], specular: &GREY_GLOSS };
+    let scene =
+        PathScene { surface: &bowl, light: &light, albedo: &texels, blends: &[], specular: &GREY_GLOSS };
     let settings = PathSettings { seed: 9, ..Default::default() };
     let base = query(-Vec3::Z, Vec3::Z, Vec3::new(0.1, 0.2, 0.7), texels[0]);
     let queries: Vec<_> = (0..100).map(|stream| PathQuery { stream, ..base }).collect();

@@ -118,7 +118,7 @@ fn unusable_camera_matrices_are_refused() {
 #[test]
 fn arrays_of_wrong_length_are_refused() {
     let mut set = PhySg::new(1);
-    set.spoil(0, "K", json!([1.0; 9]));
+    set.spoil(0, "K", json!(vec![1.0; 9]));
     assert_says(&input_error(set.read()), &["camera `v_0.exr`", "K has 9 numbers, not 16"]);
     let mut set = PhySg::new(1);
     set.spoil(0, "img_size", json!([6]));
