@@ -55,7 +55,8 @@ impl TexelAtlas {
                     nearest[row] = distance;
                     atlas.covered[row] = true;
                     atlas.position[row] = interpolate(&mesh.positions, triangle, weights).as_vec3();
-                    atlas.normal[row] = interpolate(&mesh.normals, triangle, weights).normalize_or_zero().as_vec3();
+                    atlas.normal[row] =
+                        interpolate(&mesh.normals, triangle, weights).normalize_or_zero().as_vec3();
                 }
             }
         }
@@ -110,7 +111,8 @@ fn texels_near(corners: [DVec2; 3], width: u32, height: u32) -> impl Iterator<It
 /// Distance from `point` to the triangle, and the barycentric weights of the triangle's nearest point.
 fn nearest_point(corners: [DVec2; 3], point: DVec2) -> (f64, [f64; 3]) {
     let doubled_area = (corners[1] - corners[0]).perp_dot(corners[2] - corners[0]);
-    let part = |i: usize| (corners[(i + 2) % 3] - corners[(i + 1) % 3]).perp_dot(point - corners[(i + 1) % 3]);
+    let part =
+        |i: usize| (corners[(i + 2) % 3] - corners[(i + 1) % 3]).perp_dot(point - corners[(i + 1) % 3]);
     let weights = [0, 1, 2].map(|i| part(i) / doubled_area);
     if weights.iter().all(|&w| w >= 0.0) && doubled_area != 0.0 {
         return (0.0, weights);

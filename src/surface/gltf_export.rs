@@ -81,7 +81,9 @@ fn check(mesh: &Mesh, material: Option<&GltfMaterial>) -> std::result::Result<()
     let uv_count = mesh.uvs.as_ref().map_or(count, Vec::len);
     if mesh.normals.len() != count || uv_count != count {
         let normals = mesh.normals.len();
-        return Err(format!("{count} positions, {normals} normals and {uv_count} texture coordinates disagree"));
+        return Err(format!(
+            "{count} positions, {normals} normals and {uv_count} texture coordinates disagree"
+        ));
     }
     if mesh.triangles.is_empty() {
         return Err("the mesh has no triangles".to_owned());
@@ -159,9 +161,9 @@ fn primitive(binary: &mut Binary, mesh: &Mesh) -> Value {
     let indices = mesh.triangles.iter().flatten().flat_map(|i| i.to_le_bytes());
     let view = binary.add_view(indices, Some(ELEMENT_ARRAY_BUFFER));
     let count = 3 * mesh.triangles.len();
-    binary.accessors.push(
-        json!({"bufferView": view, "componentType": UNSIGNED_INT, "count": count, "type": "SCALAR"}),
-    );
+    binary
+        .accessors
+        .push(json!({"bufferView": view, "componentType": UNSIGNED_INT, "count": count, "type": "SCALAR"}));
     json!({"attributes": attributes, "indices": binary.accessors.len() - 1, "mode": 4})
 }
 

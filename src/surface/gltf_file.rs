@@ -29,11 +29,8 @@ impl GltfFile {
     /// Reads `path` and every buffer that it names.
     pub(super) fn open(path: &Path) -> Result<Self> {
         let bytes = read_regular_file(path)?;
-        let (text, blob) = if bytes.starts_with(b"glTF") {
-            split_glb(path, &bytes)?
-        } else {
-            (bytes.as_slice(), None)
-        };
+        let (text, blob) =
+            if bytes.starts_with(b"glTF") { split_glb(path, &bytes)? } else { (bytes.as_slice(), None) };
         let root = Root::from_slice(text).map_err(|e| {
             Error::input(
                 path,
@@ -44,9 +41,8 @@ impl GltfFile {
         })?;
         let mut file = Self { path: path.to_owned(), root, buffers: Vec::new() };
         file.check_extensions()?;
-        file.buffers = (0..file.root.buffers.len())
-            .map(|index| file.read_buffer(index, blob))
-            .collect::<Result<_>>()?;
+        file.buffers =
+            (0..file.root.buffers.len()).map(|index| file.read_buffer(index, blob)).collect::<Result<_>>()?;
         Ok(file)
     }
 
@@ -56,7 +52,13 @@ impl GltfFile {
     }
 
     /// Looks up `index` among `items` ("accessor", "mesh"…).
-    pub(super) fn item<'a, T>(&self, items: &'a [T], index: Index<T>, kind: &str, place: &str) -> Result<&'a T> {
+    pub(super) fn item<'a, T>(
+        &self,
+        items: &'a [T],
+        index: Index<T>,
+        kind: &str,
+        place: &str,
+    ) -> Result<&'a T> {
         items.get(index.value()).ok_or_else(|| {
             self.error(place, format!("refers to {kind} {}, but the file has {}", index.value(), items.len()))
         })
@@ -123,7 +125,9 @@ impl GltfFile {
         let place = format!("{place}, accessor {}", index.value());
         let (component, components) = self.element_type(accessor, &place)?;
         if components != N {
-            return Err(self.error(place, format!("has {components} components per element where {N} are needed")));
+            return Err(
+                self.error(place, format!("has {components} components per element where {N} are needed"))
+            );
         }
         let normalized = accessor.normalized;
         self.elements(accessor, component, N, &place, |bytes| {
@@ -183,7 +187,8 @@ impl GltfFile {
                 return Err(self.error(place, "has sparse indices of an unknown type"));
             };
             let (at, from) = (&sparse.indices, &sparse.values);
-            let where_to = self.layout(at.buffer_view, at.byte_offset.0, changed, index_type.0.size(), place)?;
+            let where_to =
+                self.layout(at.buffer_view, at.byte_offset.0, changed, index_type.0.size(), place)?;
             let what = self.layout(from.buffer_view, from.byte_offset.0, changed, size, place)?;
             for i in 0..changed {
                 let target = unsigned_at(&where_to.bytes[i * where_to.stride..], index_type.0) as usize;
@@ -226,7 +231,8 @@ impl GltfFile {
         })?;
         let needed = (stride as u64).saturating_mul(count as u64 - 1).saturating_add(size as u64);
         let bytes = checked_slice(view_bytes, offset, needed).ok_or_else(|| {
-            let problem = format!("is out of range: needs {needed} bytes from {offset} of {}", view_bytes.len());
+            let problem =
+                format!("is out of range: needs {needed} bytes from {offset} of {}", view_bytes.len());
             self.error(place, problem)
         })?;
         Ok(Layout { bytes, stride })
@@ -246,7 +252,8 @@ fn read_regular_file(path: &Path) -> Result<Vec<u8>> {
 fn split_glb<'a>(path: &Path, bytes: &'a [u8]) -> Result<(&'a [u8], Option<&'a [u8]>)> {
     let help = "check that the file was copied completely, or export it again";
     let word = |at: usize| bytes.get(at..at + 4).map(|b| u32::from_le_bytes([b[0], b[1], b[2], b[3]]));
-    let truncated = || Error::input(path, "", format!("is truncated: it ends after {} bytes", bytes.len()), help);
+    let truncated =
+        || Error::input(path, "", format!("is truncated: it ends after {} bytes", bytes.len()), help);
     let version = word(4).ok_or_else(truncated)?;
     if version != 2 {
         return Err(Error::input(path, "", format!("is binary glTF version {version}, not 2"), help));

@@ -3,10 +3,10 @@
 use super::gltf_file::GltfFile;
 use super::mesh::Mesh;
 use crate::{Error, Result};
+use glam::{DMat3, Mat3, Mat4, Quat, Vec2, Vec3};
 use gltf::json::mesh::{Mode, Primitive, Semantic};
 use gltf::json::scene::Node;
 use gltf::json::validation::Checked;
-use glam::{DMat3, Mat3, Mat4, Quat, Vec2, Vec3};
 use std::path::Path;
 
 /// More triangles than this in all are taken for a damaged file.
@@ -65,11 +65,14 @@ pub fn read_mesh(path: &Path) -> Result<Mesh> {
 /// As [`read_mesh`].
 pub fn read_mesh_with_report(path: &Path) -> Result<(Mesh, MeshReport)> {
     let file = GltfFile::open(path)?;
-    let mut gathered = Gathered { mesh: Mesh::default(), uvs: Vec::new(), with_uvs: 0, report: MeshReport::default() };
+    let mut gathered =
+        Gathered { mesh: Mesh::default(), uvs: Vec::new(), with_uvs: 0, report: MeshReport::default() };
     for (node, world_from_node) in placed_nodes(&file)? {
         if let Some(mesh) = file.root.nodes[node].mesh {
             let place = format!("node {node}");
-            for (k, primitive) in file.item(&file.root.meshes, mesh, "mesh", &place)?.primitives.iter().enumerate() {
+            for (k, primitive) in
+                file.item(&file.root.meshes, mesh, "mesh", &place)?.primitives.iter().enumerate()
+            {
                 let place = format!("node {node}, mesh {}, primitive {k}", mesh.value());
                 gathered.add_primitive(&file, primitive, world_from_node, &place)?;
             }
@@ -117,8 +120,10 @@ fn parents(file: &GltfFile) -> Result<Vec<Option<usize>>> {
             let place = format!("node {index}");
             file.item(&file.root.nodes, child, "node", &place)?;
             if let Some(other) = parents[child.value()].replace(index) {
-                let problem =
-                    format!("its child {} also belongs to node {other}: the nodes are not a tree", child.value());
+                let problem = format!(
+                    "its child {} also belongs to node {other}: the nodes are not a tree",
+                    child.value()
+                );
                 return Err(file.error(place, problem));
             }
         }
@@ -134,7 +139,10 @@ fn check_acyclic(file: &GltfFile, parents: &[Option<usize>]) -> Result<()> {
         let mut at = Some(start);
         while let Some(node) = at {
             if walk[node] == start + 1 {
-                return Err(file.error(format!("node {node}"), "the node graph is cyclic: the node is its own ancestor"));
+                return Err(file.error(
+                    format!("node {node}"),
+                    "the node graph is cyclic: the node is its own ancestor",
+                ));
             }
             if walk[node] != 0 {
                 break;
@@ -157,7 +165,9 @@ fn parent_from_node(file: &GltfFile, index: usize) -> Result<Mat4> {
             let q = Quat::from_array(q.0);
             let squared = q.length_squared();
             if !(squared.is_finite() && squared > 1e-12) {
-                return Err(file.error(format!("node {index}"), "its rotation is not a quaternion of unit length"));
+                return Err(
+                    file.error(format!("node {index}"), "its rotation is not a quaternion of unit length")
+                );
             }
             if q == Quat::IDENTITY { q } else { q * squared.sqrt().recip() }
         }
@@ -176,7 +186,13 @@ struct Gathered {
 }
 
 impl Gathered {
-    fn add_primitive(&mut self, file: &GltfFile, primitive: &Primitive, world: Mat4, place: &str) -> Result<()> {
+    fn add_primitive(
+        &mut self,
+        file: &GltfFile,
+        primitive: &Primitive,
+        world: Mat4,
+        place: &str,
+    ) -> Result<()> {
         let mode = match primitive.mode {
             Checked::Valid(mode) => mode,
             Checked::Invalid => return Err(file.error(place, "has an unknown primitive mode")),
@@ -193,7 +209,8 @@ impl Gathered {
         let uvs = attribute(Semantic::TexCoords(0)).map(|a| file.floats::<2>(a, place)).transpose()?;
         for other in [normals.as_ref().map(Vec::len), uvs.as_ref().map(Vec::len)].into_iter().flatten() {
             if other != positions.len() {
-                let problem = format!("has {} positions but {other} normals or texture coordinates", positions.len());
+                let problem =
+                    format!("has {} positions but {other} normals or texture coordinates", positions.len());
                 return Err(file.error(place, problem));
             }
         }
@@ -202,7 +219,8 @@ impl Gathered {
             None => (0..positions.len() as u32).collect(),
         };
         if let Some(bad) = indices.iter().find(|&&i| i as usize >= positions.len()) {
-            let problem = format!("vertex index {bad} is out of range: there are {} vertices", positions.len());
+            let problem =
+                format!("vertex index {bad} is out of range: there are {} vertices", positions.len());
             return Err(file.error(place, problem));
         }
         self.add_triangles(file, &indices, mode, world, place)?;
@@ -214,7 +232,14 @@ impl Gathered {
         Ok(())
     }
 
-    fn add_triangles(&mut self, file: &GltfFile, indices: &[u32], mode: Mode, world: Mat4, place: &str) -> Result<()> {
+    fn add_triangles(
+        &mut self,
+        file: &GltfFile,
+        indices: &[u32],
+        mode: Mode,
+        world: Mat4,
+        place: &str,
+    ) -> Result<()> {
         let count = if mode == Mode::Triangles { indices.len() / 3 } else { indices.len().saturating_sub(2) };
         let first = self.mesh.positions.len();
         if self.mesh.triangles.len() + count > MAX_TRIANGLES || first > 3 * MAX_TRIANGLES {
@@ -233,13 +258,22 @@ impl Gathered {
         Ok(())
     }
 
-    fn add_positions(&mut self, file: &GltfFile, positions: &[[f32; 3]], world: Mat4, place: &str) -> Result<()> {
+    fn add_positions(
+        &mut self,
+        file: &GltfFile,
+        positions: &[[f32; 3]],
+        world: Mat4,
+        place: &str,
+    ) -> Result<()> {
         for (vertex, &position) in positions.iter().enumerate() {
             let position = Vec3::from(position);
             // The identity must keep every bit, so that a mesh that was written comes back equal.
             let placed = if world == Mat4::IDENTITY { position } else { world.transform_point3(position) };
             if !placed.is_finite() {
-                return Err(file.error(format!("{place}, vertex {vertex}"), format!("its position is not finite: {placed}")));
+                return Err(file.error(
+                    format!("{place}, vertex {vertex}"),
+                    format!("its position is not finite: {placed}"),
+                ));
             }
             self.mesh.positions.push(placed);
         }

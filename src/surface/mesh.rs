@@ -59,9 +59,8 @@ impl Mesh {
     /// Whether triangle `triangle` has no usable area: repeated corners, or (nearly) collinear ones.
     pub fn is_degenerate(&self, triangle: usize) -> bool {
         let corners = self.corners(triangle).map(|p| p.as_dvec3());
-        let longest_squared = (0..3)
-            .map(|edge| (corners[(edge + 1) % 3] - corners[edge]).length_squared())
-            .fold(0.0, f64::max);
+        let longest_squared =
+            (0..3).map(|edge| (corners[(edge + 1) % 3] - corners[edge]).length_squared()).fold(0.0, f64::max);
         let doubled_area = doubled_area_vector(corners).length();
         // Written so that NaN counts as degenerate too.
         let usable = doubled_area > DEGENERATE_HEIGHT * longest_squared;
@@ -88,7 +87,9 @@ impl Mesh {
                 sums[weld[vertex as usize] as usize] += face;
             }
         }
-        weld.iter().map(|&vertex| sums[vertex as usize].try_normalize().unwrap_or(DVec3::Y).as_vec3()).collect()
+        weld.iter()
+            .map(|&vertex| sums[vertex as usize].try_normalize().unwrap_or(DVec3::Y).as_vec3())
+            .collect()
     }
 
     /// Replaces zero, non-finite and missing normals by smooth ones and brings the rest to unit length.
@@ -144,14 +145,7 @@ mod tests {
     /// A unit right triangle in the plane z = 0, plus its copy with own vertices folded up along x.
     fn folded() -> Mesh {
         Mesh {
-            positions: vec![
-                Vec3::ZERO,
-                Vec3::X,
-                Vec3::Y,
-                Vec3::new(-0.0, 0.0, 0.0),
-                Vec3::Z,
-                Vec3::X,
-            ],
+            positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::new(-0.0, 0.0, 0.0), Vec3::Z, Vec3::X],
             normals: vec![Vec3::ZERO; 6],
             uvs: None,
             triangles: vec![[0, 1, 2], [3, 4, 5]],

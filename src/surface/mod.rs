@@ -135,7 +135,8 @@ fn check(mesh: &Mesh) -> std::result::Result<(), String> {
     if let Some(bad) = mesh.triangles.iter().flatten().find(|&&vertex| vertex as usize >= count) {
         return Err(format!("a triangle refers to vertex {bad} of {count}"));
     }
-    let finite = |v: usize| mesh.positions[v].is_finite() && mesh.normals[v].is_finite() && uvs[v].is_finite();
+    let finite =
+        |v: usize| mesh.positions[v].is_finite() && mesh.normals[v].is_finite() && uvs[v].is_finite();
     if let Some(bad) = (0..count).find(|&vertex| !finite(vertex)) {
         return Err(format!("vertex {bad} is not finite"));
     }

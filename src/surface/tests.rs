@@ -28,8 +28,26 @@ fn icosphere(levels: u32) -> Mesh {
         positions.push(Vec3::new(a, 0.0, b));
     }
     let mut triangles: Vec<[u32; 3]> = vec![
-        [0, 11, 5], [0, 5, 1], [0, 1, 7], [0, 7, 10], [0, 10, 11], [1, 5, 9], [5, 11, 4], [11, 10, 2], [10, 7, 6], [7, 1, 8],
-        [3, 9, 4], [3, 4, 2], [3, 2, 6], [3, 6, 8], [3, 8, 9], [4, 9, 5], [2, 4, 11], [6, 2, 10], [8, 6, 7], [9, 8, 1],
+        [0, 11, 5],
+        [0, 5, 1],
+        [0, 1, 7],
+        [0, 7, 10],
+        [0, 10, 11],
+        [1, 5, 9],
+        [5, 11, 4],
+        [11, 10, 2],
+        [10, 7, 6],
+        [7, 1, 8],
+        [3, 9, 4],
+        [3, 4, 2],
+        [3, 2, 6],
+        [3, 6, 8],
+        [3, 8, 9],
+        [4, 9, 5],
+        [2, 4, 11],
+        [6, 2, 10],
+        [8, 6, 7],
+        [9, 8, 1],
     ];
     for _ in 0..levels {
         let mut middles = std::collections::HashMap::new();
@@ -102,9 +120,14 @@ fn rays_agree_with_brute_force() {
         let expected = brute_force(&soup, &ray, f64::from(min_distance));
         match (surface.intersect(&ray, min_distance), expected.first()) {
             (None, None) => assert!(!surface.occluded(&ray, min_distance, f32::INFINITY)),
-            (Some(hit), Some(&(distance, triangle))) if (f64::from(hit.distance) - distance).abs() < 2e-5 * (1.0 + distance) => {
+            (Some(hit), Some(&(distance, triangle)))
+                if (f64::from(hit.distance) - distance).abs() < 2e-5 * (1.0 + distance) =>
+            {
                 hits += 1;
-                assert!((hit.position - ray.origin - ray.direction * hit.distance).length() < 2e-5 * (1.0 + hit.distance));
+                assert!(
+                    (hit.position - ray.origin - ray.direction * hit.distance).length()
+                        < 2e-5 * (1.0 + hit.distance)
+                );
                 assert_eq!(hit.geometric_normal, soup.geometric_normal(triangle));
                 assert!(surface.occluded(&ray, min_distance, hit.distance * 1.001));
                 if hit.distance > min_distance * 1.01 + 0.01 {
@@ -163,18 +186,21 @@ fn no_ray_slips_through_a_closed_sphere() {
 #[test]
 fn no_ray_slips_between_triangles_at_edges_and_corners() {
     let mut rng = StdRng::seed_from_u64(4);
-    for (mesh, scale) in [(icosphere(0), 1.0), (icosphere(3), 1.0), (icosphere(2), 1e-4), (icosphere(1), 1e4)] {
+    for (mesh, scale) in [(icosphere(0), 1.0), (icosphere(3), 1.0), (icosphere(2), 1e-4), (icosphere(1), 1e4)]
+    {
         let mut mesh = mesh;
         mesh.positions.iter_mut().for_each(|p| *p = *p * scale + Vec3::new(0.1, -0.2, 0.3) * scale);
         let surface = Surface::new(mesh.clone(), 8).unwrap();
         for k in 0..25_000 {
-            let t = mesh.triangles[rng.random_range(0..mesh.triangles.len())].map(|v| mesh.positions[v as usize]);
+            let t =
+                mesh.triangles[rng.random_range(0..mesh.triangles.len())].map(|v| mesh.positions[v as usize]);
             let part = [0.0, 0.5, rng.random_range(0.0..1.0f32)][k % 3];
             let target = t[0].lerp(t[1], part);
             let center = surface.bounding_sphere().0;
             // Towards the edge from where it is not a silhouette: within 30° of the outward direction.
             let outwards = (target - center).normalize();
-            let origin = target + (outwards + unit_vector(&mut rng) * 0.5).normalize() * scale * [0.01, 2.0, 9.0][k / 3 % 3];
+            let origin = target
+                + (outwards + unit_vector(&mut rng) * 0.5).normalize() * scale * [0.01, 2.0, 9.0][k / 3 % 3];
             let ray = Ray { origin, direction: (target - origin).normalize() };
             let hit = surface.intersect(&ray, 0.0).unwrap_or_else(|| panic!("slipped through at {target}"));
             let miss_by = (hit.distance - target.distance(origin)).abs();
@@ -195,7 +221,9 @@ fn axis_parallel_rays_hit_flat_boxes() {
             assert_eq!(hit.normal, Vec3::Z);
         }
     }
-    assert!(surface.intersect(&Ray { origin: Vec3::new(1.01, 0.0, 5.0), direction: Vec3::NEG_Z }, 0.0).is_none());
+    assert!(
+        surface.intersect(&Ray { origin: Vec3::new(1.01, 0.0, 5.0), direction: Vec3::NEG_Z }, 0.0).is_none()
+    );
     // The far side, by starting beyond the near one.
     let through = Ray { origin: Vec3::new(0.2, 0.1, 5.0), direction: Vec3::NEG_Z };
     assert!((surface.intersect(&through, 4.9998).unwrap().distance - 5.0005).abs() < 1e-5);

@@ -17,7 +17,10 @@ const FINEST_CELLS: u32 = 128;
 /// # Panics
 /// If the three lengths differ.
 pub fn fill_uncovered(values: &mut [Vec3], known: &[bool], atlas: &TexelAtlas) {
-    assert!(values.len() == known.len() && known.len() == atlas.covered.len(), "one value and one flag per texel");
+    assert!(
+        values.len() == known.len() && known.len() == atlas.covered.len(),
+        "one value and one flag per texel"
+    );
     let mut filled: Vec<bool> = values.iter().zip(known).map(|(v, &k)| k && v.is_finite()).collect();
     fill_by_nearness(values, &mut filled, atlas);
     pad_outwards(values, &mut filled, atlas.width as usize, atlas.height as usize);
@@ -61,7 +64,9 @@ impl Pyramid {
         let mut sums = pyramid.finest_sums(wanted, atlas, values, sources);
         let mut cells = wanted;
         loop {
-            let means = |&(sum, count): &(Vec3, f32)| if count > 0.0 { (sum / count, 1.0) } else { (Vec3::ZERO, 0.0) };
+            let means = |&(sum, count): &(Vec3, f32)| {
+                if count > 0.0 { (sum / count, 1.0) } else { (Vec3::ZERO, 0.0) }
+            };
             pyramid.levels.push((cells, sums.iter().map(means).collect()));
             if cells == 1 {
                 return pyramid;
@@ -71,7 +76,13 @@ impl Pyramid {
         }
     }
 
-    fn finest_sums(&self, cells: u32, atlas: &TexelAtlas, values: &[Vec3], sources: &[usize]) -> Vec<(Vec3, f32)> {
+    fn finest_sums(
+        &self,
+        cells: u32,
+        atlas: &TexelAtlas,
+        values: &[Vec3],
+        sources: &[usize],
+    ) -> Vec<(Vec3, f32)> {
         let mut sums = vec![(Vec3::ZERO, 0.0); (cells * cells * cells) as usize];
         for &source in sources {
             let unit = (atlas.position[source] - self.low) * self.scale;
@@ -142,7 +153,9 @@ fn pad_outwards(values: &mut [Vec3], filled: &mut [bool], width: usize, height: 
     let neighbours = |i: usize| {
         let (x, y) = (i % width, i / width);
         let rows = y.saturating_sub(1)..(y + 2).min(height);
-        rows.flat_map(move |row| (x.saturating_sub(1)..(x + 2).min(width)).map(move |column| row * width + column))
+        rows.flat_map(move |row| {
+            (x.saturating_sub(1)..(x + 2).min(width)).map(move |column| row * width + column)
+        })
     };
     let mut ring: Vec<usize> =
         (0..values.len()).filter(|&i| !filled[i] && neighbours(i).any(|n| filled[n])).collect();
@@ -258,7 +271,8 @@ mod tests {
         let atlas = TexelAtlas::new(&box_mesh(Vec3::ZERO, Vec3::ONE).unwrap(), 32, 16);
         let mut known = vec![false; 32 * 16];
         known[atlas.covered.iter().position(|&c| c).unwrap()] = true;
-        let mut values: Vec<Vec3> = known.iter().map(|&k| if k { Vec3::new(0.1, 0.2, 0.3) } else { Vec3::ZERO }).collect();
+        let mut values: Vec<Vec3> =
+            known.iter().map(|&k| if k { Vec3::new(0.1, 0.2, 0.3) } else { Vec3::ZERO }).collect();
         fill_uncovered(&mut values, &known, &atlas);
         assert!(values.iter().all(|&v| (v - Vec3::new(0.1, 0.2, 0.3)).length() < 1e-5));
     }

@@ -62,7 +62,8 @@ fn fault(mesh: &Mesh, uvs: &[Vec2], texture_size: u32) -> Option<String> {
         return Some(format!("{:.0} % of the surface has no area in the texture", 100.0 * collapsed));
     }
     let overlap = overlapping_part(mesh, texture_size.clamp(OVERLAP_GRID, 4 * OVERLAP_GRID));
-    (overlap > MAX_OVERLAP).then(|| format!("they overlap on {:.0} % of the texture they use", 100.0 * overlap))
+    (overlap > MAX_OVERLAP)
+        .then(|| format!("they overlap on {:.0} % of the texture they use", 100.0 * overlap))
 }
 
 /// Part of the surface's area in triangles without area in the texture.

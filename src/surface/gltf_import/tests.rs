@@ -26,10 +26,15 @@ impl Document {
     }
 
     fn accessor(&mut self, bytes: &[u8], component: u32, kind: &str, count: usize) -> usize {
-        let view =
-            self.push("bufferViews", json!({"buffer": 0, "byteOffset": self.bytes.len(), "byteLength": bytes.len()}));
+        let view = self.push(
+            "bufferViews",
+            json!({"buffer": 0, "byteOffset": self.bytes.len(), "byteLength": bytes.len()}),
+        );
         self.bytes.extend(bytes);
-        self.push("accessors", json!({"bufferView": view, "componentType": component, "count": count, "type": kind}))
+        self.push(
+            "accessors",
+            json!({"bufferView": view, "componentType": component, "count": count, "type": kind}),
+        )
     }
 
     fn floats(&mut self, values: &[f32], width: usize) -> usize {
@@ -206,7 +211,8 @@ fn sparse_and_interleaved_accessors() {
         "indices": {"bufferView": indices, "componentType": 5121},
         "values": {"bufferView": values},
     });
-    let accessor = document.push("accessors", json!({"componentType": 5126, "count": 3, "type": "VEC3", "sparse": sparse}));
+    let accessor = document
+        .push("accessors", json!({"componentType": 5126, "count": 3, "type": "VEC3", "sparse": sparse}));
     document.primitive(json!({"attributes": {"POSITION": accessor}}));
     assert_eq!(document.mesh().positions, [Vec3::ZERO, Vec3::X, Vec3::Y]);
     // Position and normal in one view, 24 bytes apart.
