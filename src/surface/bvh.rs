@@ -9,12 +9,21 @@ use glam::{Mat3A, Vec3, Vec3A};
 use obvhs::BvhBuildParams;
 use obvhs::aabb::Aabb;
 use obvhs::bvh2::Bvh2;
-use obvhs::bvh2::builder::build_bvh2;
+use obvhs::bvh2::reinsertion::ReinsertionOptimizer;
+use obvhs::cwbvh::CwBvh;
+use obvhs::cwbvh::bvh2_to_cwbvh::bvh2_to_cwbvh;
+use obvhs::ploc::PlocBuilder;
 use obvhs::ray::RayHit;
-use std::time::Duration;
 
 /// Boxes are grown by this part of the object's radius, so that rounding in the box test never hides a triangle.
 const BOX_SLACK: f32 = 4e-6;
+/// The hierarchy's own unit: the object's radius is 64 to 128 of them. (The wide hierarchy ignores boxes that end within 1e-4 of the
+/// ray's start: then less than two millionths of the radius.)
+const SCALED_RADIUS: f32 = 128.0;
+/// At most this many triangles in a leaf of the wide hierarchy (its format's limit; fastest in trials with 1 and 3).
+const TRIANGLES_PER_LEAF: u32 = 3;
+/// The wide hierarchy's traversal has a stack of 32 entries, one per level.
+const MAX_WIDE_DEPTH: usize = 31;
 /// Rays that start farther away than this many radii are first moved near the object.
 const FAR_AWAY: f32 = 4.0;
 
@@ -31,13 +40,102 @@ pub struct TriangleHit {
 
 /// A hierarchy over the triangles of a mesh.
 pub struct TriangleBvh {
-    bvh: Bvh2,
+    hierarchy: Hierarchy,
+    /// The hierarchy's units per world unit, a power of two, so that scaling is exact.
+    scale: f32,
     /// Corners in the order of the leaves.
     corners: Vec<[Vec3A; 3]>,
     /// Mesh triangle of each entry of `corners`.
     triangles: Vec<u32>,
     center: Vec3,
     radius: f32,
+}
+
+/// Eight children a node with SIMD traversal; for the rare mesh that makes it too deep, two.
+enum Hierarchy {
+    Wide(CwBvh),
+    Binary(Bvh2),
+}
+
+impl Hierarchy {
+    /// As `obvhs`'s own helpers build, but with the depth checked rather than asserted.
+    fn new(boxes: &[Aabb]) -> Self {
+        let settings = BvhBuildParams::medium_build();
+        let mut binary = PlocBuilder::with_capacity(boxes.len()).build(
+            settings.ploc_search_distance,
+            boxes,
+            (0..boxes.len() as u32).collect(),
+            settings.sort_precision,
+            settings.search_depth_threshold,
+        );
+        ReinsertionOptimizer::default().run(&mut binary, settings.reinsertion_batch_ratio, None);
+        let wide = bvh2_to_cwbvh(&binary, TRIANGLES_PER_LEAF, true, false);
+        if depth(&wide) <= MAX_WIDE_DEPTH { Self::Wide(wide) } else { Self::Binary(binary) }
+    }
+
+    /// Box of each leaf entry.
+    fn order(&self) -> &[u32] {
+        match self {
+            Self::Wide(bvh) => &bvh.primitive_indices,
+            Self::Binary(bvh) => &bvh.primitive_indices,
+        }
+    }
+
+    /// The entry for which `meet` gave the smallest distance, and that distance.
+    #[inline(always)]
+    fn nearest(
+        &self,
+        ray: obvhs::ray::Ray,
+        meet: impl FnMut(&obvhs::ray::Ray, usize) -> f32,
+    ) -> (usize, f32) {
+        let mut hit = RayHit::none();
+        match self {
+            Self::Wide(bvh) => bvh.ray_traverse(ray, &mut hit, meet),
+            Self::Binary(bvh) => bvh.ray_traverse(ray, &mut hit, meet),
+        };
+        (hit.primitive_id as usize, hit.t)
+    }
+
+    /// Whether `meet` gives any entry a distance before the ray's end.
+    #[inline(always)]
+    fn any(&self, ray: obvhs::ray::Ray, meet: impl FnMut(&obvhs::ray::Ray, usize) -> f32) -> bool {
+        match self {
+            Self::Wide(bvh) => !bvh.ray_traverse_miss(ray, meet),
+            Self::Binary(bvh) => !bvh.ray_traverse_miss(ray, meet),
+        }
+    }
+
+    /// Calls `visit` for every entry whose box the ray meets.
+    fn each(&self, ray: obvhs::ray::Ray, visit: impl FnMut(&obvhs::ray::Ray, usize)) {
+        match self {
+            Self::Wide(bvh) => bvh.ray_traverse_anyhit(ray, visit),
+            Self::Binary(bvh) => bvh.ray_traverse_anyhit(ray, visit),
+        }
+    }
+}
+
+/// Levels of inner nodes.
+fn depth(bvh: &CwBvh) -> usize {
+    let mut open: Vec<(usize, usize)> = if bvh.nodes.is_empty() { Vec::new() } else { vec![(0, 1)] };
+    let mut deepest = 0;
+    while let Some((index, level)) = open.pop() {
+        deepest = deepest.max(level);
+        let node = &bvh.nodes[index];
+        let first = node.child_base_idx as usize;
+        open.extend((first..first + node.imask.count_ones() as usize).map(|child| (child, level + 1)));
+    }
+    deepest
+}
+
+/// The box of a triangle in the hierarchy's units, grown by `slack` (one to two times).
+///
+/// Boxes of equal size would make the builder pair them one at a time, in quadratic time and depth; growing each by a little of
+/// its own, a hash of its index, breaks the ties.
+fn leaf_box(index: usize, corners: [Vec3; 3], scale: f32, slack: f32) -> Aabb {
+    let [a, b, c] = corners.map(Vec3A::from);
+    let hash = (index as u32).wrapping_mul(0x9e37_79b9).rotate_left(15).wrapping_mul(0x85eb_ca6b) >> 8;
+    let slack = slack * (1.0 + hash as f32 / (1 << 24) as f32);
+    Aabb::new((a.min(b).min(c) - slack) * scale, (a.max(b).max(c) + slack) * scale)
 }
 
 /// The ray's frame: rows of the matrix are x and y sheared along the ray, and z scaled to distance.
@@ -92,17 +190,14 @@ impl TriangleBvh {
         let center = low.midpoint(high);
         let used = mesh.triangles.iter().flatten().map(|&vertex| mesh.positions[vertex as usize]);
         let radius = used.fold(0.0f32, |r, p| r.max(p.distance(center)));
-        let slack = Vec3A::splat(BOX_SLACK * (radius + center.abs().max_element()));
-        let boxes: Vec<Aabb> = (0..mesh.triangles.len())
-            .map(|t| {
-                let [a, b, c] = mesh.corners(t).map(Vec3A::from);
-                Aabb::new(a.min(b).min(c) - slack, a.max(b).max(c) + slack)
-            })
-            .collect();
-        let bvh = build_bvh2(&boxes, BvhBuildParams::medium_build(), &mut Duration::default());
-        let triangles = bvh.primitive_indices.clone();
+        let slack = BOX_SLACK * (radius + center.abs().max_element());
+        let scale = (SCALED_RADIUS / radius).log2().floor().clamp(-100.0, 100.0).exp2();
+        let boxes: Vec<Aabb> =
+            (0..mesh.triangles.len()).map(|t| leaf_box(t, mesh.corners(t), scale, slack)).collect();
+        let hierarchy = Hierarchy::new(&boxes);
+        let triangles = hierarchy.order().to_vec();
         let corners = triangles.iter().map(|&t| mesh.corners(t as usize).map(Vec3A::from)).collect();
-        Self { bvh, corners, triangles, center, radius }
+        Self { hierarchy, scale, corners, triangles, center, radius }
     }
 
     /// Centre and radius of a sphere around all triangles, world units.
@@ -113,18 +208,16 @@ impl TriangleBvh {
     /// The nearest triangle at a distance in `(min_distance, ∞)`, from either side; none for a ray that is not finite.
     pub fn nearest(&self, ray: &Ray, min_distance: f32) -> Option<TriangleHit> {
         let (frame, query, skipped) = self.prepare(ray, f32::INFINITY)?;
-        let mut hit = RayHit::none();
-        let mut weights = [0.0; 3];
-        let (low, mut best) = (min_distance - skipped, f32::INFINITY);
-        self.bvh.ray_traverse(query, &mut hit, |_, entry| match frame.meet(&self.corners[entry]) {
+        let (low, mut best, mut weights) = (min_distance - skipped, f32::INFINITY, [0.0; 3]);
+        let (entry, _) = self.hierarchy.nearest(query, |_, entry| match frame.meet(&self.corners[entry]) {
             Some((distance, found)) if distance > low && distance < best => {
                 (best, weights) = (distance, found);
-                distance
+                distance * self.scale
             }
             _ => f32::INFINITY,
         });
-        let triangle = *self.triangles.get(hit.primitive_id as usize)?;
-        let distance = (hit.t + skipped).max(min_distance.next_up());
+        let triangle = *self.triangles.get(entry)?;
+        let distance = (best + skipped).max(min_distance.next_up());
         Some(TriangleHit { triangle, distance, weights })
     }
 
@@ -132,8 +225,8 @@ impl TriangleBvh {
     pub fn any(&self, ray: &Ray, min_distance: f32, max_distance: f32) -> bool {
         let Some((frame, query, skipped)) = self.prepare(ray, max_distance) else { return false };
         let low = min_distance - skipped;
-        !self.bvh.ray_traverse_miss(query, |_, entry| match frame.meet(&self.corners[entry]) {
-            Some((distance, _)) if distance > low => distance,
+        self.hierarchy.any(query, |_, entry| match frame.meet(&self.corners[entry]) {
+            Some((distance, _)) if distance > low => distance * self.scale,
             _ => f32::INFINITY,
         })
     }
@@ -142,7 +235,7 @@ impl TriangleBvh {
     pub fn count_crossings(&self, ray: &Ray) -> usize {
         let Some((frame, query, skipped)) = self.prepare(ray, f32::INFINITY) else { return 0 };
         let mut crossings = 0;
-        self.bvh.ray_traverse_anyhit(query, |_, entry| {
+        self.hierarchy.each(query, |_, entry| {
             let met = frame.meet(&self.corners[entry]);
             crossings += usize::from(met.is_some_and(|(distance, _)| distance > -skipped));
         });
@@ -159,11 +252,70 @@ impl TriangleBvh {
         let to_entry = (self.center - ray.origin).dot(ray.direction) - 2.0 * self.radius;
         let skipped = if to_entry > FAR_AWAY * self.radius { to_entry } else { 0.0 };
         let origin = ray.origin + ray.direction * skipped;
-        let limit = max_distance - skipped;
-        if !origin.is_finite() {
+        let (scaled_origin, limit) = (origin * self.scale, (max_distance - skipped) * self.scale);
+        if !scaled_origin.is_finite() {
             return None;
         }
-        let query = obvhs::ray::Ray::new(origin.into(), ray.direction.into(), 0.0, limit);
+        let query = obvhs::ray::Ray::new(scaled_origin.into(), ray.direction.into(), 0.0, limit);
         Some((RayFrame::new(origin, ray.direction), query, skipped))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn mesh_of(triangles: impl Iterator<Item = [Vec3; 3]>) -> Mesh {
+        let mut mesh = Mesh::default();
+        for corners in triangles {
+            let first = mesh.positions.len() as u32;
+            mesh.positions.extend(corners);
+            mesh.triangles.push([first, first + 1, first + 2]);
+        }
+        mesh
+    }
+
+    #[test]
+    fn a_mesh_that_makes_the_wide_hierarchy_too_deep_is_traced_all_the_same() {
+        // Triangles in a corner, each nine tenths of the one before, one in front of the other.
+        let nested = |k: i32| {
+            let size = 0.9f32.powi(k);
+            [Vec3::new(0.0, 0.0, size), Vec3::new(size, 0.0, size), Vec3::new(0.0, size, size)]
+        };
+        let bvh = TriangleBvh::new(&mesh_of((0..20_000).map(|k| nested(k % 600))));
+        assert!(matches!(bvh.hierarchy, Hierarchy::Binary(_)));
+        for k in 0..60 {
+            let size = 0.9f32.powi(k);
+            // Beyond the slope of the next smaller triangle, so that only this one and larger ones are in the way.
+            let through = Vec3::new(0.48, 0.48, 0.0) * size;
+            let below = Ray { origin: through, direction: Vec3::Z };
+            let hit = bvh.nearest(&below, 0.0).unwrap();
+            assert!((hit.distance - size).abs() < 1e-6, "{k}: {hit:?}");
+            assert!(bvh.any(&below, 0.0, size * 1.01) && !bvh.any(&below, 0.0, size * 0.99));
+        }
+    }
+
+    #[test]
+    fn many_equal_triangles_neither_hang_nor_overflow() {
+        let same = [Vec3::ZERO, Vec3::X, Vec3::Y];
+        let bvh = TriangleBvh::new(&mesh_of((0..20_000).map(|_| same)));
+        let ray = Ray { origin: Vec3::new(0.2, 0.2, 1.0), direction: Vec3::NEG_Z };
+        assert!((bvh.nearest(&ray, 0.0).unwrap().distance - 1.0).abs() < 1e-6);
+        assert_eq!(bvh.count_crossings(&ray), 20_000);
+    }
+
+    #[test]
+    fn the_usual_mesh_gets_the_wide_hierarchy_and_always_the_same() {
+        let mesh = crate::surface::primitive::sphere_mesh(Vec3::ZERO, 1.0).unwrap();
+        let (a, b) = (TriangleBvh::new(&mesh), TriangleBvh::new(&mesh));
+        assert!(matches!((&a.hierarchy, &b.hierarchy), (Hierarchy::Wide(a), Hierarchy::Wide(b)) if a == b));
+    }
+
+    #[test]
+    fn nothing_is_met_without_triangles() {
+        let bvh = TriangleBvh::new(&Mesh::default());
+        let ray = Ray { origin: Vec3::ZERO, direction: Vec3::X };
+        assert_eq!(bvh.nearest(&ray, 0.0), None);
+        assert!(!bvh.any(&ray, 0.0, f32::INFINITY));
     }
 }
