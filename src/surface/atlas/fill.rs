@@ -197,12 +197,8 @@ mod tests {
         let unwrapped = unwrap_mesh(&Mesh { uvs: None, ..sphere }, 128).unwrap().mesh;
         for mesh in [unwrapped, box_mesh(Vec3::ZERO, Vec3::ONE).unwrap()] {
             let atlas = TexelAtlas::new(&mesh, 128, 128);
-            let mut values: Vec<Vec3> = vec![Vec3::ZERO; atlas.covered.len()];
-            for i in 0..values.len() {
-                if atlas.covered[i] {
-                    values[i] = paint(atlas.position[i]);
-                }
-            }
+            let colour = |(&covered, &p)| if covered { paint(p) } else { Vec3::ZERO };
+            let mut values: Vec<Vec3> = atlas.covered.iter().zip(&atlas.position).map(colour).collect();
             fill_uncovered(&mut values, &atlas.covered.clone(), &atlas);
             let uvs = mesh.uvs.as_ref().unwrap();
             for triangle in &mesh.triangles {

@@ -110,7 +110,7 @@ fn unwrap_anew(mesh: &Mesh, texture_size: u32, note: Option<String>) -> Result<U
     let options = Options {
         density: Density::Auto { page_size: texture_size },
         padding: PADDING,
-        packing: Packing::Fast,
+        packing: Packing::Shape,
         ..Options::default()
     };
     let atlas = uvunwrap::generate(&[MeshInput::new(&positions, indices)], &options)
