@@ -10,7 +10,7 @@ Examples:
       A first look: makes its own photographs, fits them, edits, relights and scores. Needs no data.
   lobelia run scenes/spot.ron --data ~/data/spot --out out/spot
       Your own photographs: $DATA in the scene file stands for ~/data/spot.
-  lobelia run scenes/spot.ron --data ~/data/spot --set passes.fit.epochs=2 --set views.downscale=2
+  lobelia run scenes/spot.ron --data ~/data/spot --set passes.fit.steps=200 --set views.downscale=2
       A quick try of the same, without touching the file.
   lobelia check scenes/spot.ron --data ~/data/spot
       Is everything there and sensible? Nothing is run or written. (Without --data, what is below $DATA is not
@@ -72,7 +72,7 @@ pub struct SceneArgs {
     /// Seed of every random choice, instead of the scene's own
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     pub seed: Option<u64>,
-    /// Replace a value of the scene file, e.g. --set passes.fit.epochs=4
+    /// Replace a value of the scene file, e.g. --set passes.fit.steps=4
     #[arg(long = "set", value_name = "PATH=VALUE", value_parser = path_and_value, long_help = SET_LONG)]
     pub sets: Vec<(String, String)>,
 }
@@ -178,7 +178,7 @@ fn path_and_value(text: &str) -> Result<(String, String), String> {
         Some((path, value)) if !path.trim().is_empty() && !value.trim().is_empty() => {
             Ok((path.trim().to_owned(), value.trim().to_owned()))
         }
-        _ => Err("expected PATH=VALUE, e.g. passes.fit.epochs=4".to_owned()),
+        _ => Err("expected PATH=VALUE, e.g. passes.fit.steps=4".to_owned()),
     }
 }
 

@@ -3,7 +3,7 @@
 //! Predictions are read back from the EXRs that the passes wrote, so that what is scored is what a person gets.
 
 use super::Session;
-use super::render::chosen_views;
+use super::render::{ChosenView, chosen_views};
 use crate::error::{Error, Result};
 use crate::report::exr_file::{Frame, read_frame};
 use crate::report::heat::{factor_for, heat_map};
@@ -67,7 +67,7 @@ pub fn run(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
 }
 
 /// The views that a pass rendered, as the scene file says.
-fn views_of(session: &mut Session, pass: &str) -> Result<Vec<(String, Camera)>> {
+fn views_of(session: &mut Session, pass: &str) -> Result<Vec<ChosenView>> {
     let settings = session.scene.passes.iter().find(|p| p.name() == pass).and_then(Pass::render);
     let choice: &ViewChoice = &settings
         .ok_or_else(|| Error::run("evaluate", format!("there is no earlier pass {pass} that renders")))?
@@ -81,28 +81,23 @@ fn scored_views(session: &mut Session, score: &Score) -> Result<Vec<ScoredView>>
     views
         .into_iter()
         .zip(truths)
-        .map(|((name, camera), truth)| scored_view(session, &score.pass, name, camera, truth))
+        .map(|(view, truth)| scored_view(session, &score.pass, &view, truth))
         .collect()
 }
 
-fn scored_view(
-    session: &mut Session,
-    pass: &str,
-    name: String,
-    camera: Camera,
-    truth: Vec<Vec3>,
-) -> Result<ScoredView> {
-    let frame = read_frame(session.folder(pass).join(format!("{name}.exr")))?;
-    let coverage = true_coverage(session, &name).unwrap_or_else(|| frame.alpha.clone());
+fn scored_view(session: &mut Session, pass: &str, view: &ChosenView, truth: Vec<Vec3>) -> Result<ScoredView> {
+    let frame = read_frame(session.folder(pass).join(format!("{}.exr", view.stem)))?;
+    let mask = session.pipeline.world.get::<ViewMask>(view.entity);
+    let coverage = mask.map_or_else(|| frame.alpha.clone(), |mask| mask.0.coverage.clone());
     let size = [frame.width, frame.height];
     if truth.len() != frame.color.len() || coverage.len() != frame.color.len() {
         return Err(Error::run(
-            format!("{pass}, view {name}"),
+            format!("{pass}, view {}", view.stem),
             format!("the truth has {} pixels, the prediction {} × {}", truth.len(), size[0], size[1]),
         ));
     }
     let eval = EvalView {
-        name,
+        name: view.stem.clone(),
         width: frame.width,
         height: frame.height,
         mask: erode(size, &coverage),
@@ -111,7 +106,7 @@ fn scored_view(
         specular: frame.specular,
         truth,
     };
-    Ok(ScoredView { eval, camera, albedo: frame.albedo, normal: frame.normal, coverage })
+    Ok(ScoredView { eval, camera: view.camera, albedo: frame.albedo, normal: frame.normal, coverage })
 }
 
 fn scaling(rule: ScaleRule) -> Scaling {
@@ -122,27 +117,22 @@ fn scaling(rule: ScaleRule) -> Scaling {
     }
 }
 
-fn true_coverage(session: &mut Session, name: &str) -> Option<Vec<f32>> {
-    let world = &mut session.pipeline.world;
-    let mut query = world.query::<(&ViewName, &ViewMask)>();
-    query.iter(world).find(|(n, _)| n.0 == name).map(|(_, mask)| mask.0.coverage.clone())
-}
-
-fn true_images(session: &mut Session, score: &Score, views: &[(String, Camera)]) -> Result<Vec<Vec<Vec3>>> {
+fn true_images(session: &mut Session, score: &Score, views: &[ChosenView]) -> Result<Vec<Vec<Vec3>>> {
+    let world = &session.pipeline.world;
     match &score.truth {
         Truth::Photographs => {
-            let world = &mut session.pipeline.world;
-            let mut query = world.query::<(&ViewName, &Photograph)>();
-            let photograph = |name: &str| {
-                let found = query.iter(world).find(|(n, _)| n.0 == name);
-                found.map(|(_, photograph)| photograph.image.pixels.clone()).ok_or_else(|| {
-                    Error::run(&score.pass, format!("view {name} has no photograph to compare with"))
+            let photograph = |view: &ChosenView| {
+                let found = world.get::<Photograph>(view.entity).map(|p| p.image.pixels.clone());
+                found.ok_or_else(|| {
+                    Error::run(&score.pass, format!("view {} has no photograph to compare with", view.stem))
                 })
             };
-            let mut photograph = photograph;
-            views.iter().map(|(name, _)| photograph(name)).collect()
+            views.iter().map(photograph).collect()
         }
-        Truth::Folder(folder) => views.iter().map(|(name, _)| read_truth(folder, name)).collect(),
+        Truth::Folder(folder) => {
+            let name = |view: &ChosenView| world.get::<ViewName>(view.entity).map(|name| name.0.clone());
+            views.iter().map(|view| read_truth(folder, &name(view).unwrap_or_default())).collect()
+        }
         Truth::SelfMade { spp } => self_made(session, &score.pass, views, *spp),
     }
 }
@@ -155,19 +145,14 @@ fn read_truth(folder: &Path, name: &str) -> Result<Vec<Vec3>> {
 }
 
 /// The true object under the pass's own light and edits.
-fn self_made(
-    session: &mut Session,
-    pass: &str,
-    views: &[(String, Camera)],
-    spp: u32,
-) -> Result<Vec<Vec<Vec3>>> {
+fn self_made(session: &mut Session, pass: &str, views: &[ChosenView], spp: u32) -> Result<Vec<Vec<Vec3>>> {
     let found = session.scene.passes.iter().find(|p| p.name() == pass);
     let (light, edits): (Option<&LightSource>, &[_]) = match found {
         Some(Pass::Edit(pass)) => (pass.light.as_ref(), &pass.edits),
         Some(Pass::Relight(pass)) => (Some(&pass.light), &pass.edits),
         _ => (None, &[]),
     };
-    let cameras: Vec<Camera> = views.iter().map(|(_, camera)| *camera).collect();
+    let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
     let bar = session.progress.bar("truth", cameras.len() as u64);
     let seed = session.scene.seed.wrapping_add(1_000_003);
     let Some(truth) = &mut session.truth else {

@@ -14,7 +14,6 @@ use crate::report::tone::srgb8;
 use crate::scene::pass_types::FitPass;
 use crate::scene::spawn::unknowns;
 use crate::surface::atlas::fill_uncovered;
-use crate::view::{Photograph, Split, ViewName};
 use bevy_ecs::prelude::World;
 use glam::Vec3;
 use image::{Rgb, RgbImage};
@@ -53,34 +52,17 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     check_interrupted()
 }
 
-fn options(session: &mut Session, pass: &FitPass) -> FitOptions {
-    let batch = pass.batch as usize;
-    let steps = pass.steps.unwrap_or_else(|| {
-        let pixels = training_pixels(&mut session.pipeline.world).min(pass.max_pixels as usize);
-        pixels.div_ceil(batch) as u32 * pass.epochs
-    });
+fn options(session: &Session, pass: &FitPass) -> FitOptions {
     FitOptions {
         loss: pass.loss,
-        steps,
-        batch,
+        steps: pass.steps,
+        batch: pass.batch as usize,
         rates: [pass.rates.albedo, pass.rates.light, pass.rates.specular],
         milestones: pass.milestones.clone(),
         decay: pass.decay,
         unknowns: unknowns(session.scene),
         pixels: PixelChoice { seed: session.scene.seed, max_pixels: pass.max_pixels as usize },
     }
-}
-
-/// An upper bound of the pixels a fit will visit.
-fn training_pixels(world: &mut World) -> usize {
-    let mut views = world.query::<(&ViewName, &Photograph, &Split, Option<&crate::view::ViewMask>)>();
-    let pixels = views.iter(world).filter(|(_, _, split, _)| **split == Split::Train).map(
-        |(_, photograph, _, mask)| match mask {
-            Some(mask) => mask.0.coverage.iter().filter(|c| **c > 0.5).count(),
-            None => photograph.image.pixels.len(),
-        },
-    );
-    pixels.sum()
 }
 
 fn log_line(log: &mut String, at: &FitProgress) {

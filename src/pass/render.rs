@@ -2,7 +2,7 @@
 
 use super::edit::{apply_edits, put_material, take_material};
 use super::{Session, check_interrupted};
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::math::ray::Illuminate;
 use crate::report::animation::{Mp4, write_apng, write_gif, write_mp4};
 use crate::report::exr_file::{Frame, write_frame};
@@ -16,8 +16,9 @@ use crate::shade::{
 };
 use crate::stage::{Phase, Pipeline, Slot};
 use crate::view::camera::{self, Camera};
+use crate::view::nearby::closest;
 use crate::view::{Split, ViewName};
-use bevy_ecs::prelude::World;
+use bevy_ecs::prelude::{Entity, World};
 use glam::Vec3;
 use image::RgbImage;
 use std::path::Path;
@@ -99,18 +100,19 @@ fn camera_rays(settings: &RenderSettings) -> u32 {
 fn render_all(session: &mut Session, name: &str, settings: &RenderSettings) -> Result<()> {
     let folder = session.folder(name);
     let views = chosen_views(&mut session.pipeline.world, &settings.views);
+    check_names(session, name, &settings.views)?;
     let orbit = settings.orbit.as_ref().map(|orbit| orbit_cameras(session, orbit)).transpose()?;
     let frames = orbit.as_ref().map_or(0, Vec::len);
     let bar = session.progress.bar(name, (views.len() + frames) as u64);
     let look = Look { exposure: settings.exposure, tone: settings.tone };
-    for (view, camera) in &views {
+    for ChosenView { stem, camera, .. } in &views {
         check_interrupted()?;
         let frame = picture(&mut session.pipeline, *camera, settings)?;
-        write_frame(folder.join(format!("{view}.exr")), &frame)?;
+        write_frame(folder.join(format!("{stem}.exr")), &frame)?;
         let behind = settings.backdrop.then(|| backdrop(&session.pipeline.world, camera));
         let developed = developed(&frame);
         let behind = behind.as_deref().map_or(Backdrop::Transparent, Backdrop::Radiance);
-        write_png(folder.join(format!("{view}.png")), &developed, &look, behind)?;
+        write_png(folder.join(format!("{stem}.png")), &developed, &look, behind)?;
         bar.inc(1);
     }
     if let (Some(orbit), Some(cameras)) = (&settings.orbit, &orbit) {
@@ -127,21 +129,51 @@ fn render_all(session: &mut Session, name: &str, settings: &RenderSettings) -> R
     Ok(())
 }
 
-/// Names and cameras of the chosen views.
-pub fn chosen_views(world: &mut World, choice: &ViewChoice) -> Vec<(String, Camera)> {
+/// Views that a pass names must be there.
+fn check_names(session: &mut Session, pass: &str, choice: &ViewChoice) -> Result<()> {
+    let ViewChoice::Named(wanted) = choice else { return Ok(()) };
+    let world = &mut session.pipeline.world;
+    let names: Vec<String> = world.query::<&ViewName>().iter(world).map(|n| n.0.clone()).collect();
+    match wanted.iter().find(|name| !names.contains(name)) {
+        None => Ok(()),
+        Some(missing) => {
+            let near = closest(missing, names.iter().map(String::as_str)).join(", ");
+            Err(Error::usage(format!("pass {pass}: there is no view {missing}"), format!("Near it: {near}.")))
+        }
+    }
+}
+
+/// A view that a pass renders.
+#[derive(Clone, Debug)]
+pub struct ChosenView {
+    /// Stem of its output files: the view's name, after its split where both splits have a view of that name.
+    pub stem: String,
+    /// The view.
+    pub entity: Entity,
+    /// Its camera.
+    pub camera: Camera,
+}
+
+/// The chosen views, by name.
+pub fn chosen_views(world: &mut World, choice: &ViewChoice) -> Vec<ChosenView> {
     let wanted = |name: &str, split: Split| match choice {
         ViewChoice::Test => split == Split::Test,
         ViewChoice::Train => split == Split::Train,
         ViewChoice::All => true,
         ViewChoice::Named(names) => names.iter().any(|n| n == name),
     };
-    let mut views: Vec<(String, Camera)> = world
-        .query::<(&ViewName, &Camera, &Split)>()
-        .iter(world)
-        .filter(|(name, _, split)| wanted(&name.0, **split))
-        .map(|(name, camera, _)| (name.0.clone(), *camera))
+    let mut query = world.query::<(Entity, &ViewName, &Camera, &Split)>();
+    let chosen: Vec<_> = query.iter(world).filter(|(_, name, _, split)| wanted(&name.0, **split)).collect();
+    let mut views: Vec<ChosenView> = chosen
+        .iter()
+        .map(|(entity, name, camera, split)| {
+            let shared = chosen.iter().filter(|other| other.1 == *name).count() > 1;
+            let part = if **split == Split::Train { "train" } else { "test" };
+            let stem = if shared { format!("{part}_{}", name.0) } else { name.0.clone() };
+            ChosenView { stem, entity: *entity, camera: **camera }
+        })
         .collect();
-    views.sort_by(|a, b| a.0.cmp(&b.0));
+    views.sort_by(|a, b| a.stem.cmp(&b.stem));
     views
 }
 

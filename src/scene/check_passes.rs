@@ -80,10 +80,8 @@ pub fn unknown_parts(scene: &Scene) -> Vec<&'static str> {
 
 fn fit(checks: &mut Checks, at: &str, fit: &FitPass, scene: &Scene) {
     let path = |field: &str| format!("{at}.{field}");
-    checks.count(&path("epochs"), fit.epochs, 1..=u32::MAX);
-    if let Some(steps) = fit.steps {
-        checks.count(&path("steps"), steps, 1..=u32::MAX);
-    }
+    checks.count(&path("steps"), fit.steps, 1..=u32::MAX);
+    checks.count(&path("max_pixels"), fit.max_pixels, 1..=u32::MAX);
     checks.count(&path("batch"), fit.batch, 1..=u32::MAX);
     checks.not_negative(&path("rates.albedo"), fit.rates.albedo);
     checks.not_negative(&path("rates.light"), fit.rates.light);

@@ -59,13 +59,11 @@ pub struct FitPass {
     pub name: String,
     /// What is minimised over pixels and channels. Default `L1`.
     pub loss: Loss,
-    /// How often every foreground pixel is visited, ≥ 1. Default 12. Not used if `steps` is given.
-    pub epochs: u32,
-    /// Number of update steps ≥ 1, instead of `epochs`. Default none.
-    pub steps: Option<u32>,
+    /// Number of update steps ≥ 1. Default 900: much longer, and the bias of the published formulas is fitted too.
+    pub steps: u32,
     /// Most pixels that are visited ≥ 1; a random part of more. Default 2 000 000.
     pub max_pixels: u32,
-    /// Pixels per step ≥ 1. Default 8192.
+    /// Pixels per step ≥ 1. Default 4096.
     pub batch: u32,
     /// Adam's step sizes.
     pub rates: Rates,
@@ -80,10 +78,9 @@ impl Default for FitPass {
         Self {
             name: "fit".into(),
             loss: Loss::L1,
-            epochs: 12,
-            steps: None,
+            steps: 900,
             max_pixels: 2_000_000,
-            batch: 8192,
+            batch: 4096,
             rates: Rates::default(),
             milestones: vec![0.5, 0.75, 0.9],
             decay: 0.4,

@@ -44,7 +44,7 @@ pub fn set(text: &str, path: &str, value: &str) -> Result<String, (String, Strin
     if path.is_empty() || steps.iter().any(|step| step.is_empty()) {
         return Err((
             format!("`{path}` is not a path"),
-            "Join names by dots, e.g. `passes.fit.epochs=4`.".to_owned(),
+            "Join names by dots, e.g. `passes.fit.steps=4`.".to_owned(),
         ));
     }
     let mut node = &root;
@@ -138,7 +138,7 @@ Scene(
     material: (specular: (roughness: Unknown(initial: 0.4))),
     odd: (r#"raw " ) string"#, 'x', '\'', b"by\"te", -1.5e-3, true),
     passes: [
-        Fit(epochs: 3),
+        Fit(steps: 3),
         Render(name: "novel", render: ()),
         Render(name: "orbit", render: (exposure: 0.5,)),
     ],
@@ -159,7 +159,7 @@ Scene(
         assert_eq!(at("material.specular.roughness.initial"), ("0.4".into(), true));
         assert_eq!(at("odd.0"), (r##"r#"raw " ) string"#"##.into(), true));
         assert_eq!(at("odd.4"), ("-1.5e-3".into(), true));
-        assert_eq!(at("passes.fit.epochs"), ("3".into(), true));
+        assert_eq!(at("passes.fit.steps"), ("3".into(), true));
         assert_eq!(at("passes.2.render.exposure"), ("0.5".into(), true));
         assert_eq!(at("passes.orbit.render.exposure"), ("0.5".into(), true));
         assert_eq!(at("table.k"), ("1".into(), true));
@@ -189,7 +189,7 @@ Scene(
         check("light.path", "rgb.exr", r#"Map(path: "rgb.exr", scale"#);
         check("passes.novel.render.exposure", "1.5", "render: (exposure: 1.5)");
         check("passes.orbit.render.tone", "Filmic", "exposure: 0.5, tone: Filmic,)");
-        check("passes.fit.rates.light", "0", "Fit(epochs: 3, rates: (light: 0))");
+        check("passes.fit.rates.light", "0", "Fit(steps: 3, rates: (light: 0))");
         check("seed", "7", "[3]}, seed: 7,");
     }
 

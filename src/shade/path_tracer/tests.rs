@@ -214,7 +214,7 @@ fn a_bowl_gathers_its_geometric_series() {
         let expected: f64 = (0..max_bounces).map(|i| albedo * open * (albedo * (1.0 - open)).powi(i)).sum();
         let settings = PathSettings { max_bounces: max_bounces as u32, ..Default::default() };
         for normal in [Vec3::Z, Vec3::new(0.8, 0.0, 0.6)] {
-            let query = query(-normal, normal, normal + Vec3::X * 0.5, texels[0]);
+            let query = query(-normal, normal, normal + Vec3::X * 0.5, texels[0].0);
             let found = estimate(&scene, &settings, &query, 1024);
             assert_close(found[0][0], expected, &format!("{max_bounces} bounces"));
             assert_close(found[0][2], 2.0 * expected, &format!("{max_bounces} bounces"));
@@ -231,7 +231,7 @@ fn every_strategy_has_the_same_mean() {
     let texels = [DiffuseAlbedo(Vec3::splat(0.5))];
     let scene =
         PathScene { surface: &bowl, light: &light, albedo: &texels, blends: &[], specular: &GREY_GLOSS };
-    let query = query(-Vec3::Z, Vec3::Z, Vec3::new(-0.5, 0.2, 0.7), texels[0]);
+    let query = query(-Vec3::Z, Vec3::Z, Vec3::new(-0.5, 0.2, 0.7), texels[0].0);
     let both = PathSettings { max_bounces: 4, ..Default::default() };
     let reference = estimate(&scene, &both, &query, 2048);
     for other in [
@@ -270,7 +270,7 @@ fn results_depend_on_the_query_alone() {
     let scene =
         PathScene { surface: &bowl, light: &light, albedo: &texels, blends: &[], specular: &GREY_GLOSS };
     let settings = PathSettings { seed: 9, ..Default::default() };
-    let base = query(-Vec3::Z, Vec3::Z, Vec3::new(0.1, 0.2, 0.7), texels[0]);
+    let base = query(-Vec3::Z, Vec3::Z, Vec3::new(0.1, 0.2, 0.7), texels[0].0);
     let queries: Vec<_> = (0..100).map(|stream| PathQuery { stream, ..base }).collect();
     let runs = [1, 3].map(|threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
