@@ -158,13 +158,6 @@ fn zero_lobes_are_refused() {
 }
 
 #[test]
-fn a_local_specular_edit_is_refused() {
-    let edit = "Roughness(action: Set(0.2), region: Sphere(center: (0, 0, 0), radius: 1))";
-    let scene = wrong("Diffuse(action: Set(0.8, 0.1, 0.1))", edit);
-    refused(&scene, "Sphere(center: ", &["cannot be local", "shares one specular lobe"]);
-}
-
-#[test]
 fn a_missing_file_is_shown_with_its_neighbours() {
     let scene = wrong("Sphere(radius: 0.8)", "Mesh(path: \"scene.rom\")");
     refused(&scene, "\"scene.rom\"", &["scene.rom does not exist", "did you mean `scene.ron`?"]);

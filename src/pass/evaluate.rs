@@ -7,7 +7,7 @@ use super::render::{ChosenView, chosen_views};
 use crate::error::{Error, Result};
 use crate::report::exr_file::{Frame, read_frame};
 use crate::report::heat::{factor_for, heat_map};
-use crate::report::metrics::{LayerScales, Pair, albedo_psnr, erode, mean_normal_angle_degrees, scaled};
+use crate::report::metrics::{Pair, albedo_psnr, erode, mean_normal_angle_degrees};
 use crate::report::scores::{EvalView, PassScores, Scaling, score_views};
 use crate::report::sheet::{Sheet, SheetCell, SheetRow, Theme, choose_evenly, write_sheet};
 use crate::report::tone::{Backdrop, Look, Picture};
@@ -225,12 +225,7 @@ fn sheet_row(pass: &str, views: &[ScoredView], scores: &PassScores) -> Result<Sh
     let mut cells = Vec::new();
     for i in choose_evenly(views.len(), SHEET_VIEWS) {
         let (view, eval) = (&views[i], &views[i].eval);
-        let shown = match scores.scale_specular {
-            Some(specular) => {
-                LayerScales { diffuse: scores.scale, specular }.combine(&eval.diffuse, &eval.specular)
-            }
-            None => scaled(&eval.prediction, scores.scale),
-        };
+        let shown = scores.scored_prediction(eval);
         cells.push(cell(format!("{} {:.1} dB", eval.name, scores.views[i].psnr), view, &shown)?);
         cells.push(cell("truth".to_owned(), view, &eval.truth)?);
         let images = [shown.as_slice(), eval.truth.as_slice()];

@@ -120,13 +120,17 @@ pub fn write_mp4_with(program: &OsStr, path: &Path, frames: &[RgbImage], fps: f3
     if outcome == Mp4::NoFfmpeg { Ok(outcome) } else { written.map(|()| outcome) }
 }
 
+/// RGB to limited-range BT.709, and the tags that say so.
+const VIDEO_FILTER: &str = "scale=out_color_matrix=bt709:out_range=tv,format=yuv420p,\
+    setparams=color_primaries=bt709:color_trc=bt709:colorspace=bt709";
+
 fn start(program: &OsStr, output: &Path, [width, height]: [u32; 2], fps: f32) -> std::io::Result<Child> {
     let (size, rate) = (format!("{width}x{height}"), format!("{fps}"));
     Command::new(program)
         .args(["-hide_banner", "-loglevel", "error", "-nostdin", "-y"])
         .args(["-f", "rawvideo", "-pixel_format", "rgb24", "-video_size", &size, "-framerate", &rate])
         .args(["-i", "pipe:0", "-an"])
-        .args(["-vf", "scale=out_color_matrix=bt709:out_range=tv,format=yuv420p"])
+        .args(["-vf", VIDEO_FILTER])
         .args(["-c:v", "libx264", "-crf", "16", "-preset", "medium"])
         .args([
             "-colorspace",

@@ -251,11 +251,8 @@ pub fn albedo_psnr(views: &[Pair]) -> Option<AlbedoScore> {
         pooled += gap * gap;
         count += 3;
     }
-    (count > 0).then(|| AlbedoScore {
-        psnr: psnr_of_mse(pooled.element_sum() / count as f64),
-        views: scores,
-        scale,
-    })
+    let psnr = psnr_of_mse(pooled.element_sum() / count as f64);
+    (count > 0).then_some(AlbedoScore { psnr, views: scores, scale })
 }
 
 fn median_ratio(views: &[Pair], channel: usize) -> f64 {

@@ -179,6 +179,17 @@ fn score_view(view: &EvalView, applied: &Applied) -> Result<ViewScores> {
 }
 
 impl PassScores {
+    /// The prediction of `view` as it was scored, that is, with these scores' scale applied: what belongs on a contact sheet
+    /// beside the truth and into an error map.
+    pub fn scored_prediction(&self, view: &EvalView) -> Vec<Vec3> {
+        match (self.scaling, self.scale_specular) {
+            (Scaling::PerLayer, Some(specular)) => {
+                LayerScales { diffuse: self.scale, specular }.combine(&view.diffuse, &view.specular)
+            }
+            _ => metrics::scaled(&view.prediction, self.scale),
+        }
+    }
+
     /// "41.62 dB, SSIM 0.9871", with the unscaled PSNR where it differs: for headings of contact sheets.
     pub fn summary(&self) -> String {
         match self.scaling {
@@ -329,6 +340,9 @@ mod tests {
         assert!(layers.psnr > 90.0 && single.psnr < 35.0, "{} {}", layers.psnr, single.psnr);
         assert!(layers.scale_specular.unwrap().iter().all(|s| (s - 1.5).abs() < 1e-5));
         let raw = score_views(2, Scaling::None, |i| Ok(views[i].clone())).unwrap();
+        assert_eq!(raw.scored_prediction(&views[0]), views[0].prediction);
+        let shown = layers.scored_prediction(&views[1]);
+        assert!(shown.iter().zip(&views[1].truth).all(|(p, t)| p.abs_diff_eq(*t, 1e-5)));
         assert_eq!(raw.psnr, raw.psnr_raw);
         assert_eq!(raw.psnr, layers.psnr_raw);
     }
@@ -361,7 +375,10 @@ mod tests {
         assert_eq!(json["passes"]["relit"]["scaling"], "per_channel");
         assert_eq!(json["albedo_psnr"], 35.5);
         assert!(json["normal_deg"].is_null() && json.as_object().unwrap().contains_key("peak_rss_mib"));
-        assert_eq!(serde_json::from_str::<Scores>(&text).unwrap(), scores);
+        let read: Scores = serde_json::from_str(&text).unwrap();
+        let (read, made) = (&read.passes["relit"], &scores.passes["relit"]);
+        assert_eq!((read.scaling, read.views.len()), (Scaling::PerChannel, 1));
+        assert!((read.psnr_raw - made.psnr_raw).abs() < 1e-9 && (read.scale[1] - made.scale[1]).abs() < 1e-9);
     }
 
     #[test]

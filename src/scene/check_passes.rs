@@ -177,10 +177,6 @@ fn region(checks: &mut Checks, path: &str, edit: &Edit) {
             checks.positive(&format!("{path}.radius"), *radius);
         }
     }
-    if !matches!(edit, Edit::Diffuse { .. }) && !matches!(edit.region(), Region::All) {
-        let help = "The whole object shares one specular lobe. Leave the region out; only `Diffuse` edits can be local.";
-        checks.fail(path, "a specular edit cannot be local", "expected `All`", help);
-    }
 }
 
 fn render(checks: &mut Checks, at: &str, render: &RenderSettings, views: &Views) {

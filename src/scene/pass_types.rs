@@ -165,7 +165,7 @@ pub enum Edit {
     Specular {
         /// What is done to it.
         action: ColorAction,
-        /// Where; must be `All`, because the object has one specular lobe. Default `All`.
+        /// Where. Default `All`.
         #[serde(default)]
         region: Region,
     },
@@ -173,7 +173,7 @@ pub enum Edit {
     Roughness {
         /// What is done to it.
         action: ScalarAction,
-        /// Where; must be `All`, because the object has one specular lobe. Default `All`.
+        /// Where. Default `All`.
         #[serde(default)]
         region: Region,
     },

@@ -257,6 +257,9 @@ fn decode_with_image(path: &Path, bytes: &[u8], format: ImageFormat) -> Result<D
     if width == 0 || height == 0 {
         return Err(damaged(path, what, &format!("its size is {width}×{height}")));
     }
+    if decoder.total_bytes() > super::exr_io::MAX_DECODED_BYTES as u64 {
+        return Err(damaged(path, what, &format!("its header declares {width}×{height} pixels")));
+    }
     // A damaged EXIF block leaves the pixels as they are stored.
     let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
     let mut decoded = DynamicImage::from_decoder(decoder).map_err(wrong)?;
@@ -290,7 +293,7 @@ fn from_integers_straight(image: &DynamicImage, gamma: Gamma) -> Straight {
 
 fn straight<T: Copy + Into<u32>>(samples: &[T], channels: usize, top: u32, gamma: Gamma) -> Straight {
     let curve: Vec<f32> = (0..=top).map(|stored| gamma.decode(stored as f32 / top as f32)).collect();
-    let (colors, has_alpha) = (if channels < 3 { 1 } else { 3 }, channels % 2 == 0);
+    let (colors, has_alpha) = (if channels < 3 { 1 } else { 3 }, channels.is_multiple_of(2));
     let pixels = samples.len() / channels;
     let (mut color, mut saturated) = (Vec::with_capacity(pixels), Vec::with_capacity(pixels));
     let mut alpha = Vec::with_capacity(if has_alpha { pixels } else { 0 });
@@ -323,7 +326,8 @@ fn from_floats(mut image: Image, mut alpha: Option<Vec<f32>>) -> LoadedImage {
     for (i, _) in broken.iter().enumerate().filter(|&(_, &broken)| broken) {
         image.pixels[i] = Vec3::ZERO;
         if let Some(alpha) = &mut alpha {
-            alpha[i] = 0.0;
+            // A pixel that lost its colour is still covered.
+            alpha[i] = if alpha[i].is_finite() { alpha[i] } else { 0.0 };
         }
     }
     let alpha = alpha.map(|alpha| alpha.into_iter().map(|a| a.clamp(0.0, 1.0)).collect());

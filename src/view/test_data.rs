@@ -1,6 +1,8 @@
 //! Small files for this room's tests.
 
-use exr::prelude::*;
+use exr::prelude::{
+    AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, WritableImage,
+};
 use std::io::Cursor;
 use std::path::Path;
 

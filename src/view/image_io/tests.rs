@@ -258,6 +258,18 @@ fn wrong_files_are_named_with_help() {
 }
 
 #[test]
+fn absurd_sizes_are_refused_before_memory_is_taken() {
+    let (_dir, at) = folder();
+    fs::write(at("a.hdr"), "#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 900000 +X 900000\n").unwrap();
+    assert!(problem_of(read_image(at("a.hdr"), Gamma::Srgb)).contains("900000×900000"));
+    RgbImage::new(2, 2).save(at("a.png")).unwrap();
+    let mut bytes = fs::read(at("a.png")).unwrap();
+    bytes[16..20].copy_from_slice(&[0x7f, 0, 0, 0]);
+    fs::write(at("a.png"), bytes).unwrap();
+    assert!(problem_of(read_image(at("a.png"), Gamma::Srgb)).contains("damaged"));
+}
+
+#[test]
 fn a_png_of_zero_width_is_an_error() {
     let (_dir, at) = folder();
     RgbImage::new(2, 2).save(at("a.png")).unwrap();

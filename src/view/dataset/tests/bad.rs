@@ -143,7 +143,7 @@ fn malformed_json_gives_line_and_column() {
     write("{\n  \"v_0.exr\": {\"K\": [1.0, -Infinity]}\n}");
     assert_says(&input_error(set.read()), &["line 2, column", "NaN or infinite"]);
     write("{\"v_0.exr\": {\"K\": \"x\"}}");
-    assert_says(&input_error(set.read()), &["line 1, column 19", "expected a sequence"]);
+    assert_says(&input_error(set.read()), &["line 1, column 21", "expected a sequence"]);
     write("{\"v_0.exr\": {\"K\": []}}");
     assert_says(&input_error(set.read()), &["missing field `W2C`"]);
     write("{\"v_0.exr\": ");
