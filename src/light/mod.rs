@@ -95,7 +95,12 @@ pub fn lobes_power(lobes: &[LightLobe]) -> DVec3 {
 }
 
 /// The lobes turned by `rotation`: light that came from direction d now comes from `rotation * d`.
+///
+/// The identity keeps every bit, so that a saved light is the same when it is read again.
 pub fn rotate_lobes(lobes: &[LightLobe], rotation: Quat) -> Vec<LightLobe> {
+    if rotation == Quat::IDENTITY {
+        return lobes.to_vec();
+    }
     let turned = |lobe: &LightLobe| (rotation * lobe.axis).normalize_or(lobe.axis);
     lobes.iter().map(|lobe| LightLobe { axis: turned(lobe), ..*lobe }).collect()
 }

@@ -27,15 +27,18 @@ pub fn put_material(world: &mut World, state: &MaterialState) {
         *blend = *value;
     }
     let old: Vec<Entity> = world.query_filtered::<Entity, With<SpecularLobe>>().iter(world).collect();
-    for (entity, value) in old.iter().zip(&state.lobes) {
-        world.entity_mut(*entity).insert(*value);
+    if old.len() == state.lobes.len() {
+        for (entity, value) in old.into_iter().zip(&state.lobes) {
+            world.entity_mut(entity).insert(*value);
+        }
+        return;
     }
-    for entity in old.iter().skip(state.lobes.len()) {
-        world.despawn(*entity);
+    // All anew: were some to keep the components that a fit gave them, they would lie in another table than the rest,
+    // and the order in which queries visit tables, by which blend weights name lobes, is not that of the lobes.
+    for entity in old {
+        world.despawn(entity);
     }
-    for value in state.lobes.iter().skip(old.len()) {
-        world.spawn(*value);
-    }
+    world.spawn_batch(state.lobes.clone());
 }
 
 /// Applies a scene file's edits in order.

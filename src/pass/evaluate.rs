@@ -131,17 +131,33 @@ fn true_images(session: &mut Session, score: &Score, views: &[ChosenView]) -> Re
         }
         Truth::Folder(folder) => {
             let name = |view: &ChosenView| world.get::<ViewName>(view.entity).map(|name| name.0.clone());
-            views.iter().map(|view| read_truth(folder, &name(view).unwrap_or_default())).collect()
+            views
+                .iter()
+                .map(|view| read_truth(folder, &name(view).unwrap_or_default(), &view.camera))
+                .collect()
         }
         Truth::SelfMade { spp } => self_made(session, &score.pass, views, *spp),
     }
 }
 
-fn read_truth(folder: &Path, name: &str) -> Result<Vec<Vec3>> {
+fn read_truth(folder: &Path, name: &str, camera: &Camera) -> Result<Vec<Vec3>> {
     let exr = folder.join(format!("{name}.exr"));
     let png = folder.join(format!("{name}.png"));
     let path = if !exr.is_file() && png.is_file() { png } else { exr };
-    Ok(read_image(path, Gamma::Srgb)?.image.pixels)
+    read_fitting(&path, Gamma::Srgb, camera)
+}
+
+/// The pixels of an image that must be as large as the view it is the truth of.
+fn read_fitting(path: &Path, gamma: Gamma, camera: &Camera) -> Result<Vec<Vec3>> {
+    let image = read_image(path, gamma)?.image;
+    if (image.width, image.height) == (camera.width, camera.height) {
+        return Ok(image.pixels);
+    }
+    let problem = format!(
+        "the truth has {}×{} pixels, its view {}×{}",
+        image.width, image.height, camera.width, camera.height
+    );
+    Err(Error::input(path, "", problem, "Truths are as large as the views; is `downscale` set?"))
 }
 
 /// The true object under the pass's own light and edits.
@@ -177,7 +193,7 @@ fn true_layers(
                 let name = &view.eval.name;
                 let number = name.rsplit('_').next().unwrap_or(name);
                 let path = folder.join(format!("{layer}_{number}.exr"));
-                Ok(read_image(path, Gamma::Linear)?.image.pixels)
+                read_fitting(&path, Gamma::Linear, &view.camera)
             })
             .collect(),
         LayerTruth::SelfMade => {

@@ -116,7 +116,8 @@ fn jpegs_are_turned_by_their_exif_orientation() {
         let value = image.pixels[corner(image.width, image.height) as usize].x;
         (image.width, image.height, value > 0.5)
     };
-    let (top_left, bottom_left): (fn(u32, u32) -> u32, fn(u32, u32) -> u32) = (|_, _| 0, |w, h| w * (h - 1));
+    type Corner = fn(u32, u32) -> u32;
+    let (top_left, bottom_left): (Corner, Corner) = (|_, _| 0, |w, h| w * (h - 1));
     assert_eq!(corner(1, top_left), (16, 8, true));
     assert_eq!(corner(3, top_left), (16, 8, false));
     assert_eq!(corner(6, top_left), (8, 16, true));

@@ -1,0 +1,241 @@
+//! What the whole-program tests share: a small known object, a data set photographed of it, and running the command.
+//!
+//! Every test file is a program of its own and uses a part of this.
+#![allow(dead_code)]
+
+use glam::{Mat4, Vec3};
+use lobelia::light::LightLobe;
+use lobelia::light::npy::{NpyConvention, write_lobes};
+use lobelia::material::{DiffuseAlbedo, SpecularBlend, SpecularLobe};
+use lobelia::pass::render::resolve;
+use lobelia::report::exr_file::{Channels, Frame, read_channels, write_channels, write_frame};
+use lobelia::shade::Scenery;
+use lobelia::shade::frame::{FramePlugin, render_frame};
+use lobelia::stage::Pipeline;
+use lobelia::surface::Surface;
+use lobelia::surface::gltf_export::write_glb;
+use lobelia::surface::primitive::sphere_mesh;
+use lobelia::view::Camera;
+use serde_json::{Map, Value, json};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::sync::Arc;
+use tempfile::TempDir;
+
+/// Width and height of all images.
+pub const SIZE: u32 = 24;
+/// Radius of the object.
+pub const RADIUS: f32 = 0.8;
+/// Distance of the cameras from its centre.
+pub const DISTANCE: f32 = 2.8;
+
+/// The light that the photographs are taken under.
+pub fn day() -> Vec<LightLobe> {
+    let lobe = |axis: [f32; 3], sharpness, amplitude: [f32; 3]| LightLobe {
+        axis: Vec3::from(axis).normalize(),
+        sharpness,
+        amplitude: amplitude.into(),
+    };
+    vec![
+        lobe([0.0, 1.0, 0.0], 0.7, [0.35, 0.45, 0.6]),
+        lobe([0.6, 0.5, 0.6], 20.0, [3.0, 2.6, 2.0]),
+        lobe([-0.7, 0.2, -0.5], 8.0, [0.8, 1.0, 1.4]),
+    ]
+}
+
+/// Another light, from the other side.
+pub fn evening() -> Vec<LightLobe> {
+    vec![
+        LightLobe { axis: Vec3::NEG_X, sharpness: 10.0, amplitude: Vec3::new(3.0, 1.5, 0.6) },
+        LightLobe { axis: Vec3::Y, sharpness: 1.0, amplitude: Vec3::new(0.1, 0.15, 0.4) },
+    ]
+}
+
+/// The known object, a glossy sphere of two colours, under `lobes`, ready to be rendered.
+pub fn studio(lobes: &[LightLobe]) -> Pipeline {
+    let mesh = sphere_mesh(Vec3::ZERO, RADIUS).unwrap();
+    let surface = Arc::new(Surface::new(mesh, 32).unwrap());
+    let mut pipeline = Pipeline::new();
+    pipeline.add_plugin(&FramePlugin);
+    let world = &mut pipeline.world;
+    world.insert_resource(Scenery(surface.clone()));
+    world.spawn_batch(lobes.to_vec());
+    let color = |at: &Vec3| if at.y > 0.0 { Vec3::new(0.6, 0.3, 0.2) } else { Vec3::new(0.2, 0.35, 0.5) };
+    let texels: Vec<Vec3> = surface.atlas().position.iter().map(color).collect();
+    world.spawn_batch(texels.into_iter().map(|albedo| (DiffuseAlbedo(albedo), SpecularBlend::default())));
+    world.spawn(SpecularLobe { albedo: Vec3::splat(0.25), roughness: 0.35 });
+    pipeline
+}
+
+/// A camera in direction `from` of the object.
+pub fn camera(from: [f32; 3], size: u32) -> Camera {
+    let eye = Vec3::from(from).normalize() * DISTANCE;
+    Camera::look_at(eye, Vec3::ZERO, Vec3::Y, 38.0, size, size).unwrap()
+}
+
+/// What the studio's systems see through `camera`.
+pub fn shoot(pipeline: &mut Pipeline, camera: Camera) -> Frame {
+    resolve(&render_frame(pipeline, camera, 4).unwrap())
+}
+
+const TRAIN: [[f32; 3]; 6] = [
+    [0.1, 0.4, 1.0],
+    [1.0, 0.3, 0.2],
+    [-0.9, 0.2, 0.5],
+    [0.2, -0.4, -1.0],
+    [0.3, 1.0, 0.3],
+    [-0.2, -1.0, 0.4],
+];
+const TEST: [[f32; 3]; 2] = [[0.7, 0.5, 0.8], [-0.5, 0.3, -0.9]];
+
+/// A PhySG data set in a folder of its own, which goes when this is dropped.
+pub struct Data {
+    folder: TempDir,
+}
+
+impl Data {
+    /// Photographs the studio; also the truth of the test views and two lights.
+    pub fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let data = Self { folder };
+        write_glb(&data.path("mesh.glb"), &sphere_mesh(Vec3::ZERO, RADIUS).unwrap(), None).unwrap();
+        write_lobes(data.path("evening.npy"), &evening(), NpyConvention::Lobelia).unwrap();
+        let mut studio = studio(&day());
+        write_split(&data.path("train"), &mut studio, &TRAIN);
+        write_split(&data.path("test"), &mut studio, &TEST);
+        let mut relit = self::studio(&evening());
+        for (i, from) in TEST.into_iter().enumerate() {
+            let frame = shoot(&mut relit, camera(from, SIZE));
+            let gt = data.path("test/gt");
+            write_frame(gt.join(format!("relit/rgb_{i:06}.exr")), &frame).unwrap();
+            write_image(&gt.join(format!("albedo_{i:06}.exr")), &frame.albedo, frame.width);
+            write_image(&gt.join(format!("normal_{i:06}.exr")), &frame.normal, frame.width);
+        }
+        data
+    }
+
+    pub fn root(&self) -> &Path {
+        self.folder.path()
+    }
+
+    pub fn path(&self, relative: &str) -> PathBuf {
+        self.root().join(relative)
+    }
+
+    /// Changes one camera of a split.
+    pub fn change_camera(&self, split: &str, name: &str, change: impl FnOnce(&mut Value)) {
+        let path = self.path(split).join("cam_dict_norm.json");
+        let mut cameras: Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+        change(cameras.get_mut(name).unwrap());
+        std::fs::write(path, cameras.to_string()).unwrap();
+    }
+
+    /// Changes the channels of an EXR.
+    pub fn change_image(&self, relative: &str, change: impl FnOnce(&mut Channels)) {
+        let mut channels = read_channels(self.path(relative)).unwrap();
+        change(&mut channels);
+        write_channels(self.path(relative), &channels).unwrap();
+    }
+
+    /// Writes `text` as `scene.ron` and runs it into `out`.
+    pub fn run(&self, scene: &str, out: &str, arguments: &[&str]) -> Outcome {
+        let path = self.path("scene.ron");
+        std::fs::write(&path, scene).unwrap();
+        let mut command = command(&[]);
+        command.arg("run").arg(path).arg("--data").arg(self.root()).arg("--out").arg(self.path(out));
+        Outcome::of(command.args(arguments))
+    }
+}
+
+fn write_split(folder: &Path, studio: &mut Pipeline, views: &[[f32; 3]]) {
+    let mut cameras = Map::new();
+    for (i, from) in views.iter().enumerate() {
+        let camera = camera(*from, SIZE);
+        let frame = shoot(studio, camera);
+        let name = format!("rgb_{i:06}");
+        write_image(&folder.join(format!("image/{name}.exr")), &frame.color, frame.width);
+        let mask = image::GrayImage::from_fn(SIZE, SIZE, |x, y| {
+            image::Luma([(frame.alpha[(y * SIZE + x) as usize] * 255.0).round() as u8])
+        });
+        save_png(&folder.join(format!("mask/{name}.png")), &image::DynamicImage::ImageLuma8(mask));
+        cameras.insert(format!("{name}.exr"), camera_entry(&camera));
+    }
+    std::fs::write(folder.join("cam_dict_norm.json"), Value::from(cameras).to_string()).unwrap();
+}
+
+fn camera_entry(camera: &Camera) -> Value {
+    let ([fx, fy], [cx, cy]) = (camera.focal, camera.center);
+    let k = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
+    let w2c = Mat4::from(camera.world_from_camera.inverse()).transpose().to_cols_array();
+    json!({ "K": k, "W2C": w2c, "img_size": [camera.width, camera.height] })
+}
+
+/// Writes an EXR with R, G, B; folders are made.
+pub fn write_image(path: &Path, pixels: &[Vec3], width: usize) {
+    let channel = |c: usize| pixels.iter().map(|p| p[c]).collect::<Vec<f32>>();
+    let by_name = BTreeMap::from([
+        ("R".to_owned(), channel(0)),
+        ("G".to_owned(), channel(1)),
+        ("B".to_owned(), channel(2)),
+    ]);
+    write_channels(path, &Channels { width, height: pixels.len() / width, by_name }).unwrap();
+}
+
+/// Writes a PNG; folders are made.
+pub fn save_png(path: &Path, image: &image::DynamicImage) {
+    std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+    image.save_with_format(path, image::ImageFormat::Png).unwrap();
+}
+
+/// The program, to be started.
+pub fn command(arguments: &[&str]) -> Command {
+    let mut command = Command::new(env!("CARGO_BIN_EXE_lobelia"));
+    command.args(arguments);
+    command
+}
+
+/// How a run ended and what it said.
+pub struct Outcome {
+    pub code: Option<i32>,
+    pub stdout: String,
+    pub stderr: String,
+}
+
+impl Outcome {
+    pub fn of(command: &mut Command) -> Self {
+        let Output { status, stdout, stderr } = command.output().unwrap();
+        let text = |bytes: Vec<u8>| String::from_utf8(bytes).unwrap();
+        Self { code: status.code(), stdout: text(stdout), stderr: text(stderr) }
+    }
+
+    #[track_caller]
+    pub fn succeeded(self) -> Self {
+        assert_eq!(self.code, Some(0), "{}", self.stderr);
+        self
+    }
+}
+
+/// All files below a folder by relative path, sorted; empty if there is no such folder.
+pub fn files_below(folder: &Path) -> Vec<String> {
+    fn visit(folder: &Path, root: &Path, files: &mut Vec<String>) {
+        for entry in std::fs::read_dir(folder).into_iter().flatten() {
+            let path = entry.unwrap().path();
+            if path.is_dir() {
+                visit(&path, root, files);
+            } else {
+                files.push(path.strip_prefix(root).unwrap().to_str().unwrap().replace('\\', "/"));
+            }
+        }
+    }
+    let mut files = Vec::new();
+    visit(folder, folder, &mut files);
+    files.sort();
+    files
+}
+
+/// Whether a file name is that of an unfinished file.
+pub fn is_temporary(file: &str) -> bool {
+    let name = file.rsplit('/').next().unwrap_or(file);
+    name.starts_with('.') || name.contains(".part") || name.ends_with(".tmp")
+}
