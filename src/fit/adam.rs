@@ -78,8 +78,9 @@ impl Bounded {
     #[inline]
     pub fn move_by(self, value: f32, step: f32) -> f32 {
         let p = self.fraction(value);
-        let odds = p / (1.0 - p) * step.exp();
-        self.low + (self.high - self.low) * (odds / (1.0 + odds)).clamp(Self::MARGIN, 1.0 - Self::MARGIN)
+        // 1/(1 + odds against): an infinite exponential gives 0, not the NaN of ∞/∞.
+        let against = (1.0 - p) / p * (-step).exp();
+        self.low + (self.high - self.low) * (1.0 / (1.0 + against)).clamp(Self::MARGIN, 1.0 - Self::MARGIN)
     }
 }
 
