@@ -1,6 +1,7 @@
 //! Lobelia: a data-oriented scene processor for inverse rendering with spherical Gaussians.
 
 pub mod error;
+pub mod file;
 pub mod fit;
 pub mod light;
 pub mod material;

@@ -95,7 +95,6 @@ fn stop_on_ctrl_c() -> Result<()> {
 fn run(args: &RunArgs) -> Result<()> {
     let loaded = load(&args.scene.scene, &args.scene.load_options())?;
     let out = args.out.clone().unwrap_or_else(|| default_out(&args.scene.scene));
-    refuse_used(&out, args.force)?;
     start_threads(args.threads)?;
     let options = RunOptions { out, force: args.force, quiet: args.quiet };
     stop_on_ctrl_c()?;
@@ -104,24 +103,6 @@ fn run(args: &RunArgs) -> Result<()> {
 
 fn default_out(scene: &Path) -> PathBuf {
     Path::new("out").join(scene.file_stem().unwrap_or_default())
-}
-
-/// An output folder with something in it is kept, unless `--force`.
-fn refuse_used(out: &Path, force: bool) -> Result<()> {
-    let used = match std::fs::read_dir(out) {
-        Ok(mut entries) => entries.next().is_some() && !force,
-        Err(error) if error.kind() == ErrorKind::NotFound => false,
-        Err(error) if error.kind() == ErrorKind::NotADirectory => {
-            let problem = format!("the output folder {} is a file", out.display());
-            return Err(Error::usage(problem, "Choose another folder with --out."));
-        }
-        Err(error) => return Err(Error::io("read", out)(error)),
-    };
-    if used {
-        let problem = format!("the output folder {} is not empty", out.display());
-        return Err(Error::usage(problem, "Choose another with --out, or write into it with --force."));
-    }
-    Ok(())
 }
 
 fn check(args: &CheckArgs) -> Result<()> {

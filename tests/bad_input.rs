@@ -4,7 +4,7 @@ mod common;
 
 use common::{Data, Outcome, files_below, save_png};
 use image::{DynamicImage, GrayImage, Luma};
-use lobelia::report::exr_file::read_channels;
+use lobelia::view::exr_io::read_exr_layers;
 use serde_json::json;
 
 const MESH: &str = r#"Mesh(path: "$DATA/mesh.glb", texture_size: 16)"#;
@@ -138,27 +138,27 @@ fn an_empty_mask() {
 fn nan_and_infinite_pixels_are_mended_counted_and_told() {
     let data = Data::new();
     data.change_image("train/image/rgb_000001.exr", |image| {
-        let red = image.by_name.get_mut("R").unwrap();
+        let red = image.channels.get_mut("R").unwrap();
         (red[300], red[301]) = (f32::NAN, f32::INFINITY);
     });
     data.change_image("test/image/rgb_000000.exr", |image| {
-        image.by_name.get_mut("B").unwrap()[290] = f32::NEG_INFINITY;
+        image.channels.get_mut("B").unwrap()[290] = f32::NEG_INFINITY;
     });
     let outcome = data.run(&right(), "out", &[]).succeeded();
     for words in ["2 NaN or infinite pixels", "rgb_000001: 2", "1 NaN or infinite pixels", "rgb_000000: 1"] {
         assert!(outcome.stderr.contains(words), "no {words:?} in\n{}", outcome.stderr);
     }
     for view in ["rgb_000000", "rgb_000001"] {
-        let picture = read_channels(data.path(&format!("out/novel/{view}.exr"))).unwrap();
-        assert!(picture.by_name.values().flatten().all(|v| v.is_finite()));
-        assert!(picture.by_name["R"].iter().any(|v| *v > 0.05), "the object is there");
+        let picture = read_exr_layers(data.path(&format!("out/novel/{view}.exr"))).unwrap();
+        assert!(picture.channels.values().flatten().all(|v| v.is_finite()));
+        assert!(picture.channels["R"].iter().any(|v| *v > 0.05), "the object is there");
     }
 }
 
 #[test]
 fn only_nan_pixels() {
-    let damage = |image: &mut lobelia::report::exr_file::Channels| {
-        image.by_name.values_mut().for_each(|channel| channel.fill(f32::NAN));
+    let damage = |image: &mut lobelia::view::exr_io::ExrLayers| {
+        image.channels.values_mut().for_each(|channel| channel.fill(f32::NAN));
     };
     refused(
         |data| data.change_image("train/image/rgb_000005.exr", damage),

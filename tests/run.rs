@@ -3,7 +3,7 @@
 mod common;
 
 use common::{Data, Outcome, SIZE, command, files_below, is_temporary};
-use lobelia::report::exr_file::read_channels;
+use lobelia::view::exr_io::read_exr_layers;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -137,11 +137,11 @@ fn check_pictures(out: &Path) {
     for file in
         ["novel/rgb_000000.exr", "gloss/rgb_000001.exr", "relit/rgb_000000.exr", "traced/test_rgb_000001.exr"]
     {
-        let picture = read_channels(out.join(file)).unwrap();
-        assert_eq!(picture.by_name.keys().collect::<Vec<_>>(), CHANNELS, "{file}");
-        assert_eq!([picture.width, picture.height], [SIZE as usize; 2]);
-        let at = |name: &str, i: usize| picture.by_name[name][i];
-        for i in 0..picture.width * picture.height {
+        let picture = read_exr_layers(out.join(file)).unwrap();
+        assert_eq!(picture.channels.keys().collect::<Vec<_>>(), CHANNELS, "{file}");
+        assert_eq!([picture.width, picture.height], [SIZE; 2]);
+        let at = |name: &str, i: usize| picture.channels[name][i];
+        for i in 0..picture.channels["A"].len() {
             for c in ["R", "G", "B"] {
                 let sum = at(&format!("diffuse.{c}"), i) + at(&format!("specular.{c}"), i);
                 assert!((at(c, i) - sum).abs() <= 1e-5 * (1.0 + sum), "{file}: {c} of pixel {i}");
@@ -202,19 +202,19 @@ fn check_log(out: &Path) {
 /// The edit of one half changes that half and nothing else, and later passes see the material as it was.
 fn check_region(data: &Data) {
     for (view, from) in [("rgb_000000", [0.7, 0.5, 0.8]), ("rgb_000001", [-0.5, 0.3, -0.9f32])] {
-        let picture = |pass: &str| read_channels(data.path(&format!("out/{pass}/{view}.exr"))).unwrap();
+        let picture = |pass: &str| read_exr_layers(data.path(&format!("out/{pass}/{view}.exr"))).unwrap();
         let (novel, gloss, after) = (picture("novel"), picture("gloss"), picture("after"));
         assert_eq!(novel, after, "{view}");
         let camera = common::camera(from, SIZE);
         let (mut inside, mut changed) = (0, 0);
-        for i in 0..novel.by_name["A"].len() {
-            if novel.by_name["A"][i] < 1.0 {
+        for i in 0..novel.channels["A"].len() {
+            if novel.channels["A"][i] < 1.0 {
                 continue;
             }
             let ray = camera.ray((i as u32 % SIZE) as f32 + 0.5, (i as u32 / SIZE) as f32 + 0.5);
-            let x = (ray.origin + ray.direction * novel.by_name["depth.Z"][i]).x;
-            let difference = (novel.by_name["specular.R"][i] - gloss.by_name["specular.R"][i]).abs();
-            assert_eq!(novel.by_name["diffuse.R"][i], gloss.by_name["diffuse.R"][i]);
+            let x = (ray.origin + ray.direction * novel.channels["depth.Z"][i]).x;
+            let difference = (novel.channels["specular.R"][i] - gloss.channels["specular.R"][i]).abs();
+            assert_eq!(novel.channels["diffuse.R"][i], gloss.channels["diffuse.R"][i]);
             // A texel on the border is blended into its neighbours' pixels.
             if x < -0.25 {
                 assert!(difference < 1e-5, "{view}: pixel {i} at x = {x:.2} changed by {difference}");
@@ -295,12 +295,12 @@ fn as_nerf(data: &Data, folder: &Path) {
         let mut frames = Vec::new();
         for (name, camera) in &cameras {
             let stem = name.trim_end_matches(".exr");
-            let picture = read_channels(data.path(&format!("{split}/image/{name}"))).unwrap();
+            let picture = read_exr_layers(data.path(&format!("{split}/image/{name}"))).unwrap();
             let mask = image::open(data.path(&format!("{split}/mask/{stem}.png"))).unwrap().into_luma8();
             let png = image::RgbaImage::from_fn(SIZE, SIZE, |x, y| {
                 let i = (y * SIZE + x) as usize;
                 let coverage = f32::from(mask.get_pixel(x, y).0[0]) / 255.0;
-                let straight = |c: &str| picture.by_name[c][i] / coverage.max(1e-6);
+                let straight = |c: &str| picture.channels[c][i] / coverage.max(1e-6);
                 let color = glam::Vec3::from(["R", "G", "B"].map(straight));
                 let [r, g, b] = lobelia::report::tone::srgb8(color);
                 image::Rgba([r, g, b, mask.get_pixel(x, y).0[0]])

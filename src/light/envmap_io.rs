@@ -11,7 +11,7 @@ use image::ImageDecoder;
 
 use super::EnvironmentMap;
 use super::envmap::BoxFilter;
-use super::file;
+use crate::file;
 use crate::{Error, Result};
 
 /// Maps wider than this are averaged down while they are read.
@@ -42,7 +42,7 @@ impl EnvironmentMap {
     /// that is not 2:1 to a pixel, more than 32 768 texels across, all values non-finite, all black.
     pub fn read_with_notes(path: impl AsRef<Path>) -> Result<(Self, Vec<String>)> {
         let path = path.as_ref();
-        let bytes = file::read_bytes(path, "check the path of the environment map")?;
+        let bytes = file::read_bytes(path, |_| "check the path of the environment map".to_owned())?;
         if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
             read_exr(path, &bytes)?.finish(path)
         } else if bytes.starts_with(b"#?") {
@@ -294,7 +294,7 @@ mod tests {
         assert_eq!(back, map);
         assert!(notes.is_empty());
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1);
-        assert!(map.write_exr(folder.path().join("missing/map.exr")).is_err());
+        assert!(map.write_exr(path.join("below_a_file.exr")).is_err());
     }
 
     #[test]

@@ -37,7 +37,6 @@ pub mod envmap;
 pub mod envmap_io;
 mod exp;
 pub mod fibonacci;
-mod file;
 pub mod fit_kernel;
 mod fit_linear;
 pub mod fit_map;

@@ -7,7 +7,7 @@ use npyz::{NpyFile, Order, WriterBuilder};
 use serde::{Deserialize, Serialize};
 
 use super::LightLobe;
-use super::file;
+use crate::file;
 use crate::{Error, Result};
 
 /// How the axes of a file are to be read.
@@ -52,7 +52,7 @@ const HELP: &str =
 /// foreign file, another shape or type, or no rows.
 pub fn read_lobes(path: impl AsRef<Path>, convention: NpyConvention) -> Result<Vec<LightLobe>> {
     let path = path.as_ref();
-    let bytes = file::read_bytes(path, "check the path of the lobes")?;
+    let bytes = file::read_bytes(path, |_| "check the path of the lobes".to_owned())?;
     let (values, columns) = read_table(path, &bytes)?;
     values.chunks_exact(columns).enumerate().map(|(row, v)| lobe_of_row(path, row, v, convention)).collect()
 }

@@ -50,6 +50,10 @@ pub trait Intersect: Send + Sync {
     fn intersect(&self, ray: &Ray, min_distance: f32) -> Option<Hit>;
     /// Whether anything is met at a distance in `(min_distance, max_distance)`.
     fn occluded(&self, ray: &Ray, min_distance: f32, max_distance: f32) -> bool;
+    /// Radius of a ball around everything, world units: the measure of what is small. 1 unless a surface says otherwise.
+    fn radius(&self) -> f32 {
+        1.0
+    }
 }
 
 /// A direction drawn from distant light.

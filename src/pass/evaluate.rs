@@ -12,12 +12,11 @@ use crate::report::scores::{EvalView, PassScores, Scaling, score_views};
 use crate::report::sheet::{Sheet, SheetCell, SheetRow, Theme, choose_evenly, write_sheet};
 use crate::report::tone::{Backdrop, Look, Picture};
 use crate::scene::pass_types::{EvaluatePass, LayerTruth, Pass, ScaleRule, Score, Truth, ViewChoice};
-use crate::scene::types::LightSource;
 use crate::view::camera::Camera;
-use crate::view::image_io::{Gamma, read_image};
+use crate::view::image_io::{Gamma, IMAGE_EXTENSIONS, read_image};
 use crate::view::{Photograph, ViewMask, ViewName};
 use glam::Vec3;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Views shown in a row of the contact sheet.
 const SHEET_VIEWS: usize = 3;
@@ -133,41 +132,50 @@ fn true_images(session: &mut Session, score: &Score, views: &[ChosenView]) -> Re
             let name = |view: &ChosenView| world.get::<ViewName>(view.entity).map(|name| name.0.clone());
             views
                 .iter()
-                .map(|view| read_truth(folder, &name(view).unwrap_or_default(), &view.camera))
+                .map(|view| {
+                    let path = true_image_path(folder, &name(view).unwrap_or_default());
+                    read_fitting(&path, Gamma::Srgb, &view.camera)
+                })
                 .collect()
         }
         Truth::SelfMade { spp } => self_made(session, &score.pass, views, *spp),
     }
 }
 
-fn read_truth(folder: &Path, name: &str, camera: &Camera) -> Result<Vec<Vec3>> {
-    let exr = folder.join(format!("{name}.exr"));
-    let png = folder.join(format!("{name}.png"));
-    let path = if !exr.is_file() && png.is_file() { png } else { exr };
-    read_fitting(&path, Gamma::Srgb, camera)
+/// The file of a view's true image: the first kind that is there, an EXR if none is.
+pub fn true_image_path(folder: &Path, name: &str) -> PathBuf {
+    let of_kind = |kind: &str| folder.join(format!("{name}.{kind}"));
+    let found = IMAGE_EXTENSIONS.iter().map(|kind| of_kind(kind)).find(|path| path.is_file());
+    found.unwrap_or_else(|| of_kind("exr"))
 }
 
-/// The pixels of an image that must be as large as the view it is the truth of.
+/// The file of a view's true albedo or normals: `albedo_003.exr` for the view `003`, `r_003` or `test_003`.
+pub fn true_layer_path(folder: &Path, layer: &str, view: &str) -> PathBuf {
+    let number = view.rsplit('_').next().unwrap_or(view);
+    folder.join(format!("{layer}_{number}.exr"))
+}
+
+/// The pixels of an image that is the truth of a view. Where views were downscaled on reading, so is their truth.
 fn read_fitting(path: &Path, gamma: Gamma, camera: &Camera) -> Result<Vec<Vec3>> {
     let image = read_image(path, gamma)?.image;
-    if (image.width, image.height) == (camera.width, camera.height) {
-        return Ok(image.pixels);
+    let factor = image.width / camera.width.max(1);
+    let fitting = if factor > 1 { image.downscaled(factor) } else { image.clone() };
+    if (fitting.width, fitting.height) == (camera.width, camera.height) {
+        return Ok(fitting.pixels);
     }
     let problem = format!(
         "the truth has {}×{} pixels, its view {}×{}",
         image.width, image.height, camera.width, camera.height
     );
-    Err(Error::input(path, "", problem, "Truths are as large as the views; is `downscale` set?"))
+    let help = "A truth is as large as its view, or a whole number of times larger.";
+    Err(Error::input(path, "", problem, help))
 }
 
 /// The true object under the pass's own light and edits.
 fn self_made(session: &mut Session, pass: &str, views: &[ChosenView], spp: u32) -> Result<Vec<Vec<Vec3>>> {
     let found = session.scene.passes.iter().find(|p| p.name() == pass);
-    let (light, edits): (Option<&LightSource>, &[_]) = match found {
-        Some(Pass::Edit(pass)) => (pass.light.as_ref(), &pass.edits),
-        Some(Pass::Relight(pass)) => (Some(&pass.light), &pass.edits),
-        _ => (None, &[]),
-    };
+    let edits = found.map_or(&[] as &[_], Pass::edits);
+    let light = session.lights.of_passes.get(pass);
     let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
     let bar = session.progress.bar("truth", cameras.len() as u64);
     let seed = session.scene.seed.wrapping_add(1_000_003);
@@ -190,9 +198,7 @@ fn true_layers(
         LayerTruth::Folder(folder) => views
             .iter()
             .map(|view| {
-                let name = &view.eval.name;
-                let number = name.rsplit('_').next().unwrap_or(name);
-                let path = folder.join(format!("{layer}_{number}.exr"));
+                let path = true_layer_path(folder, layer, &view.eval.name);
                 read_fitting(&path, Gamma::Linear, &view.camera)
             })
             .collect(),

@@ -2,13 +2,13 @@
 
 use super::{INTERRUPTED, Session, check_interrupted};
 use crate::error::Result;
+use crate::file::write_bytes;
 use crate::fit::components::TexelSeen;
 use crate::fit::observe::PixelChoice;
 use crate::fit::run::{FitOptions, FitProgress, FitSummary, run_fit};
 use crate::light::npy::{NpyConvention, write_lobes};
 use crate::light::{LightLobe, render_lobes};
 use crate::material::{DiffuseAlbedo, SpecularLobe};
-use crate::report::atomic::write_bytes;
 use crate::report::png_file::write_rgb8;
 use crate::report::tone::srgb8;
 use crate::scene::pass_types::FitPass;
@@ -34,6 +34,9 @@ const ENVIRONMENT_SIZE: (u32, u32) = (512, 256);
 /// If there is nothing to fit to, a system fails, or the results cannot be written; [`crate::Error::Interrupted`] after
 /// Ctrl-C, once the result so far has been written.
 pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
+    // Made first: a place that cannot be written to is better found before the fit than after it.
+    let folder = session.folder(&pass.name);
+    std::fs::create_dir_all(&folder).map_err(crate::Error::io("create", &folder))?;
     let options = options(session, pass);
     let bar = session.progress.bar(&pass.name, u64::from(options.steps));
     let mut log = String::from("step,elapsed_secs,loss,psnr,specular_r,specular_g,specular_b,roughness\n");
@@ -48,7 +51,7 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     bar.finish_and_clear();
     let unseen = fill_texels(session);
     report(session, &pass.name, &summary, unseen);
-    write_results(&mut session.pipeline.world, &session.surface, &session.out.join(&pass.name), &log)?;
+    write_results(&mut session.pipeline.world, &session.surface, &folder, &log)?;
     check_interrupted()
 }
 

@@ -7,11 +7,14 @@
 //! | `Evaluate` | [`evaluate`] | a contact sheet; scores go to `OUT/metrics.json` |
 //! | `Save` | [`save`] | `scene.ron` with side files |
 //! | `Export` | [`save`] | `mesh.glb` |
+//!
+//! [`preflight`] looks for what a later pass could stumble over before the first one runs.
 
 pub mod edit;
 pub mod evaluate;
 pub mod fit;
 pub mod photograph;
+pub mod preflight;
 pub mod progress;
 pub mod render;
 pub mod save;
@@ -21,18 +24,20 @@ use crate::error::{Error, Result};
 use crate::fit::run::FitPlugin;
 use crate::report::scores::Scores;
 use crate::scene::load::{LoadedScene, RunOptions};
-use crate::scene::pass_types::Pass;
-use crate::scene::spawn::{make_surface, spawn};
-use crate::scene::types::{Scene, Views};
+use crate::scene::pass_types::{EditPass, Pass, RelightPass, RenderPass, ViewChoice};
+use crate::scene::spawn::{LoadedLight, load_light, make_surface, spawn};
+use crate::scene::types::{CameraSpec, Light, Scene, Views};
 use crate::shade::frame::FramePlugin;
 use crate::stage::Pipeline;
 use crate::surface::Surface;
 use crate::view::camera::Camera;
-use crate::view::dataset::{DatasetOptions, read_dataset};
+use crate::view::dataset::{DatasetOptions, has_split, read_dataset};
 use crate::view::{Split, ViewRecord};
 use photograph::TrueObject;
 use progress::Progress;
-use std::path::PathBuf;
+use std::collections::BTreeMap;
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -51,10 +56,41 @@ pub struct Session<'a> {
     pub truth: Option<TrueObject>,
     /// Output folder.
     pub out: PathBuf,
+    /// The lights that the scene names, loaded.
+    pub lights: Lights,
     /// What the terminal shows.
     pub progress: Progress,
     /// Scores so far.
     pub scores: Scores,
+}
+
+/// The lights that a scene names; read before anything is fitted, so that a bad file is found at once.
+pub struct Lights {
+    /// The scene's own, if it is not unknown.
+    pub own: Option<LoadedLight>,
+    /// Those of passes, by the pass's name.
+    pub of_passes: BTreeMap<String, LoadedLight>,
+}
+
+impl Lights {
+    fn load(scene: &Scene, progress: &Progress) -> Result<Self> {
+        let load = |source| {
+            let light = load_light(source)?;
+            light.notes.iter().for_each(|note| progress.note(note));
+            Ok(light)
+        };
+        let own = match &scene.light {
+            Light::Initial(source) | Light::Fixed(source) => Some(load(source)?),
+            Light::Unknown(_) => None,
+        };
+        let mut of_passes = BTreeMap::new();
+        for pass in &scene.passes {
+            if let Some(source) = pass.light() {
+                of_passes.insert(pass.name().to_owned(), load(source)?);
+            }
+        }
+        Ok(Self { own, of_passes })
+    }
 }
 
 /// Runs a scene's passes in order.
@@ -62,19 +98,15 @@ pub struct Session<'a> {
 /// # Errors
 /// The first error of a pass; what earlier passes wrote stays.
 pub fn run(loaded: &LoadedScene, options: &RunOptions) -> Result<()> {
+    refuse_used(&options.out, options.force)?;
     let mut session = open(&loaded.scene, options)?;
+    preflight::check(&mut session)?;
     for pass in &loaded.scene.passes {
-        let folder = session.out.join(pass.name());
-        std::fs::create_dir_all(&folder).map_err(Error::io("create", &folder))?;
         match pass {
             Pass::Fit(pass) => fit::run(&mut session, pass)?,
-            Pass::Render(pass) => render::run(&mut session, &pass.name, None, &[], &pass.render)?,
-            Pass::Edit(pass) => {
-                render::run(&mut session, &pass.name, pass.light.as_ref(), &pass.edits, &pass.render)?;
-            }
-            Pass::Relight(pass) => {
-                render::run(&mut session, &pass.name, Some(&pass.light), &pass.edits, &pass.render)?;
-            }
+            Pass::Render(RenderPass { render, .. })
+            | Pass::Edit(EditPass { render, .. })
+            | Pass::Relight(RelightPass { render, .. }) => render::run(&mut session, pass, render)?,
             Pass::Evaluate(pass) => evaluate::run(&mut session, pass)?,
             Pass::Save(pass) => save::run_save(&mut session, &pass.name)?,
             Pass::Export(pass) => save::run_export(&mut session, &pass.name)?,
@@ -82,6 +114,24 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions) -> Result<()> {
         check_interrupted()?;
     }
     session.finish()
+}
+
+/// An output folder with something in it is kept, unless `force`.
+fn refuse_used(out: &Path, force: bool) -> Result<()> {
+    let used = match std::fs::read_dir(out) {
+        Ok(mut entries) => entries.next().is_some() && !force,
+        Err(error) if error.kind() == ErrorKind::NotFound => false,
+        Err(error) if error.kind() == ErrorKind::NotADirectory => {
+            let problem = format!("the output folder {} is a file", out.display());
+            return Err(Error::usage(problem, "Choose another folder with --out."));
+        }
+        Err(error) => return Err(Error::io("read", out)(error)),
+    };
+    if used {
+        let problem = format!("the output folder {} is not empty", out.display());
+        return Err(Error::usage(problem, "Choose another with --out, or write into it with --force."));
+    }
+    Ok(())
 }
 
 /// [`Error::Interrupted`] once Ctrl-C was pressed.
@@ -98,13 +148,14 @@ fn open<'a>(scene: &'a Scene, options: &RunOptions) -> Result<Session<'a>> {
     let (surface, notes) = make_surface(&scene.surface)?;
     notes.iter().for_each(|note| progress.note(note));
     let surface = Arc::new(surface);
+    let lights = Lights::load(scene, &progress)?;
     let (views, truth) = read_views(scene, &surface, &progress)?;
     check_cameras(&views, &surface)?;
     let mut pipeline = Pipeline::new();
     pipeline.add_plugin(&FramePlugin).add_plugin(&FitPlugin);
-    spawn(&mut pipeline, scene, &surface, views)?;
+    spawn(&mut pipeline, scene, &surface, views, lights.own.as_ref())?;
     let out = options.out.clone();
-    Ok(Session { scene, pipeline, surface, truth, out, progress, scores: Scores::default() })
+    Ok(Session { scene, pipeline, surface, truth, out, lights, progress, scores: Scores::default() })
 }
 
 fn read_views(
@@ -125,6 +176,9 @@ fn read_views(
             };
             let mut views = Vec::new();
             for split in [Split::Train, Split::Test] {
+                if !needs(scene, split) && !has_split(&spec.path, split, spec.layout)? {
+                    continue;
+                }
                 let part = read_dataset(&spec.path, split, &options)?;
                 part.notes.iter().for_each(|note| progress.note(note));
                 views.extend(part.views);
@@ -140,9 +194,22 @@ fn read_views(
     }
 }
 
-fn bare_view(spec: &crate::scene::types::CameraSpec) -> Result<ViewRecord> {
-    let camera = Camera::look_at(spec.eye, spec.target, spec.up, spec.fov_degrees, spec.width, spec.height)?;
+/// Whether a pass needs views of this split, so that a data set without it is a mistake.
+fn needs(scene: &Scene, split: Split) -> bool {
+    let choice = if split == Split::Train { ViewChoice::Train } else { ViewChoice::Test };
+    scene.passes.iter().any(|pass| match pass {
+        Pass::Fit(_) => split == Split::Train,
+        _ => pass.render().is_some_and(|settings| settings.views == choice),
+    })
+}
+
+fn bare_view(spec: &CameraSpec) -> Result<ViewRecord> {
+    let camera = camera_of(spec)?;
     Ok(ViewRecord { name: spec.name.clone(), split: spec.split, camera, photograph: None, mask: None })
+}
+
+fn camera_of(spec: &CameraSpec) -> Result<Camera> {
+    Camera::look_at(spec.eye, spec.target, spec.up, spec.fov_degrees, spec.width, spec.height)
 }
 
 /// A camera inside a closed object would see its back everywhere.

@@ -1,9 +1,9 @@
 //! Self-made photographs: the scene's surface with a known material under a known light, path traced. The fit is not told.
 
-use super::check_interrupted;
 use super::edit::{apply_edits, put_material, take_material};
 use super::progress::Progress;
 use super::render::{resolve, set_shading};
+use super::{camera_of, check_interrupted};
 use crate::error::Result;
 use crate::light::fibonacci::fibonacci_axes;
 use crate::material::{DiffuseAlbedo, SpecularBlend};
@@ -11,7 +11,7 @@ use crate::math::ray::Intersect;
 use crate::report::exr_file::Frame;
 use crate::scene::pass_types::{Edit, RenderSettings, Shading};
 use crate::scene::spawn::{LoadedLight, load_light};
-use crate::scene::types::{CameraRing, LightSource, Pattern, Photographed, Scene};
+use crate::scene::types::{CameraRing, CameraSpec, Pattern, Photographed, Scene};
 use crate::shade::frame::{FramePlugin, render_frame};
 use crate::shade::{Scenery, provide_distant};
 use crate::stage::{Phase, Pipeline, Slot};
@@ -52,11 +52,11 @@ impl TrueObject {
     /// Path-traced pictures of the true object, under another light or edited if so asked.
     ///
     /// # Errors
-    /// If a light or an edit's image cannot be read, or a system fails.
+    /// If an edit's image cannot be read, or a system fails.
     pub fn pictures(
         &mut self,
         cameras: &[Camera],
-        light: Option<&LightSource>,
+        light: Option<&LoadedLight>,
         edits: &[Edit],
         spp: u32,
         seed: u64,
@@ -66,8 +66,7 @@ impl TrueObject {
         let mut material = unedited.clone();
         apply_edits(&mut material, edits, &self.surface)?;
         put_material(&mut self.pipeline.world, &material);
-        let light = light.map(load_light).transpose()?;
-        self.pipeline.world.insert_resource(light.as_ref().unwrap_or(&self.light).distant(true));
+        self.pipeline.world.insert_resource(light.unwrap_or(&self.light).distant(true));
         let shading = Shading::PathTraced { spp, max_bounces: self.max_bounces, map: true };
         let side = (f64::from(spp.min(64)).sqrt().floor()).max(1.0) as u32;
         let settings =
@@ -94,17 +93,17 @@ pub fn take(
     scene: &Scene,
     progress: &Progress,
 ) -> Result<Vec<ViewRecord>> {
-    let cameras = ring(&spec.cameras, scene.up)?;
+    let ring = ring(&spec.cameras, scene.up);
+    let cameras: Vec<Camera> = ring.iter().map(camera_of).collect::<Result<_>>()?;
     let bar = progress.bar("photograph", cameras.len() as u64);
-    let only: Vec<Camera> = cameras.iter().map(|(_, camera)| *camera).collect();
-    let frames = truth.pictures(&only, None, &[], spec.spp, scene.seed, || bar.inc(1))?;
+    let frames = truth.pictures(&cameras, None, &[], spec.spp, scene.seed, || bar.inc(1))?;
     bar.finish_and_clear();
-    let records = cameras.iter().zip(frames).enumerate().map(|(i, ((split, camera), frame))| {
+    let records = ring.into_iter().zip(cameras).zip(frames).map(|((spec, camera), frame)| {
         let (width, height) = (camera.width, camera.height);
         ViewRecord {
-            name: format!("view_{i:03}"),
-            split: *split,
-            camera: *camera,
+            name: spec.name,
+            split: spec.split,
+            camera,
             photograph: Some(Photograph {
                 saturated: vec![false; frame.color.len()],
                 image: Image { width, height, pixels: frame.color },
@@ -116,7 +115,7 @@ pub fn take(
 }
 
 /// Cameras spread over a sphere around the target; every so-manieth is a test view, so that those lie between the others.
-fn ring(spec: &CameraRing, up: Vec3) -> Result<Vec<(Split, Camera)>> {
+pub fn ring(spec: &CameraRing, up: Vec3) -> Vec<CameraSpec> {
     let total = (spec.count + spec.test) as usize;
     let every = total / (spec.test as usize).max(1);
     let axes = fibonacci_axes(total);
@@ -124,13 +123,30 @@ fn ring(spec: &CameraRing, up: Vec3) -> Result<Vec<(Split, Camera)>> {
         .enumerate()
         .map(|(i, axis)| {
             let is_test = i / every < spec.test as usize && i % every == every / 2;
-            let eye = spec.target + axis * spec.radius;
-            // Straight above or below, any other direction serves as up.
-            let up = if axis.dot(up.normalize_or(Vec3::Y)).abs() > 0.99 { Vec3::Z } else { up };
-            let camera = Camera::look_at(eye, spec.target, up, spec.fov_degrees, spec.size, spec.size)?;
-            Ok((if is_test { Split::Test } else { Split::Train }, camera))
+            CameraSpec {
+                name: format!("view_{i:03}"),
+                split: if is_test { Split::Test } else { Split::Train },
+                eye: spec.target + axis * spec.radius,
+                target: spec.target,
+                up: up_across(up, axis),
+                fov_degrees: spec.fov_degrees,
+                width: spec.size,
+                height: spec.size,
+            }
         })
         .collect()
+}
+
+/// `up`, or where that is nearly along the line of sight another axis that is not.
+fn up_across(up: Vec3, sight: Vec3) -> Vec3 {
+    let along = |direction: Vec3| sight.dot(direction.normalize_or(Vec3::Y)).abs() > 0.99;
+    if !along(up) {
+        up
+    } else if !along(Vec3::Z) {
+        Vec3::Z
+    } else {
+        Vec3::X
+    }
 }
 
 /// The pattern's colour at a point.
@@ -158,13 +174,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn test_views_lie_among_the_training_views() -> Result<()> {
+    fn test_views_lie_among_the_training_views() {
         let spec = CameraRing { count: 10, test: 3, ..Default::default() };
-        let cameras = ring(&spec, Vec3::Y)?;
-        let test: Vec<usize> = (0..13).filter(|i| cameras[*i].0 == Split::Test).collect();
+        let cameras = ring(&spec, Vec3::Y);
+        let test: Vec<usize> = (0..13).filter(|i| cameras[*i].split == Split::Test).collect();
         assert_eq!(test.len(), 3);
         assert!(test.iter().all(|i| *i > 0 && *i < 12));
-        Ok(())
     }
 
     #[test]

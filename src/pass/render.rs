@@ -2,21 +2,19 @@
 
 use super::edit::{apply_edits, put_material, take_material};
 use super::{Session, check_interrupted};
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::math::ray::Illuminate;
 use crate::report::animation::{Mp4, write_apng, write_gif, write_mp4};
 use crate::report::exr_file::{Frame, write_frame};
 use crate::report::tone::{Backdrop, Look, Picture, write_png};
-use crate::scene::pass_types::{Edit, Orbit, OrbitFormat, RenderSettings, Shading, ViewChoice};
-use crate::scene::spawn::{LoadedLight, load_light};
-use crate::scene::types::{Light, LightSource};
+use crate::scene::pass_types::{Orbit, OrbitFormat, Pass, RenderSettings, Shading, ViewChoice};
+use crate::scene::types::Light;
 use crate::shade::frame::{FrameTarget, render_frame};
 use crate::shade::{
     IncidentLight, PathTracing, provide_distant, provide_lobes, shade_path_traced, shade_published,
 };
 use crate::stage::{Phase, Pipeline, Slot};
 use crate::view::camera::{self, Camera};
-use crate::view::nearby::closest;
 use crate::view::{Split, ViewName};
 use bevy_ecs::prelude::{Entity, World};
 use glam::Vec3;
@@ -26,35 +24,25 @@ use std::path::Path;
 /// Runs one of the three passes.
 ///
 /// # Errors
-/// If a light or an image cannot be read, a system fails, or a picture cannot be written.
-pub fn run(
-    session: &mut Session,
-    name: &str,
-    light: Option<&LightSource>,
-    edits: &[Edit],
-    settings: &RenderSettings,
-) -> Result<()> {
+/// If an edit's image cannot be read, a system fails, or a picture cannot be written.
+pub fn run(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> Result<()> {
     let unedited = take_material(&mut session.pipeline.world);
     let mut material = unedited.clone();
-    apply_edits(&mut material, edits, &session.surface)?;
+    apply_edits(&mut material, pass.edits(), &session.surface)?;
     put_material(&mut session.pipeline.world, &material);
-    let light = light.map(load_light).transpose()?;
-    set_light(session, light.as_ref(), settings.shading)?;
+    set_light(session, pass.name(), settings.shading);
     set_shading(&mut session.pipeline, settings, session.scene.seed);
-    let result = render_all(session, name, settings);
+    let result = render_all(session, pass.name(), settings);
     put_material(&mut session.pipeline.world, &unedited);
     result
 }
 
 /// Swaps the light provider: the pass's own light, the scene's fixed map, or the lobes in the world.
-fn set_light(session: &mut Session, light: Option<&LoadedLight>, shading: Shading) -> Result<()> {
+fn set_light(session: &mut Session, pass: &str, shading: Shading) {
     let use_map = matches!(shading, Shading::PathTraced { map: true, .. });
-    let own = match (light, &session.scene.light) {
-        (Some(light), _) => Some(light.clone()),
-        (None, Light::Fixed(source @ LightSource::Map { .. })) if use_map => Some(load_light(source)?),
-        _ => None,
-    };
-    match own {
+    let fixed = matches!(session.scene.light, Light::Fixed(_));
+    let own = session.lights.own.as_ref().filter(|own| fixed && use_map && own.map.is_some());
+    match session.lights.of_passes.get(pass).or(own) {
         Some(light) => {
             session.pipeline.world.insert_resource(light.distant(use_map));
             session.pipeline.swap(Phase::Frame, Slot::Light, provide_distant);
@@ -63,7 +51,6 @@ fn set_light(session: &mut Session, light: Option<&LoadedLight>, shading: Shadin
             session.pipeline.swap(Phase::Frame, Slot::Light, provide_lobes);
         }
     }
-    Ok(())
 }
 
 /// Swaps the shading system.
@@ -100,7 +87,6 @@ fn camera_rays(settings: &RenderSettings) -> u32 {
 fn render_all(session: &mut Session, name: &str, settings: &RenderSettings) -> Result<()> {
     let folder = session.folder(name);
     let views = chosen_views(&mut session.pipeline.world, &settings.views);
-    check_names(session, name, &settings.views)?;
     let orbit = settings.orbit.as_ref().map(|orbit| orbit_cameras(session, orbit)).transpose()?;
     let frames = orbit.as_ref().map_or(0, Vec::len);
     let bar = session.progress.bar(name, (views.len() + frames) as u64);
@@ -127,20 +113,6 @@ fn render_all(session: &mut Session, name: &str, settings: &RenderSettings) -> R
     bar.finish_and_clear();
     session.progress.print(&format!("{name}: {} views, {frames} film frames", views.len()));
     Ok(())
-}
-
-/// Views that a pass names must be there.
-fn check_names(session: &mut Session, pass: &str, choice: &ViewChoice) -> Result<()> {
-    let ViewChoice::Named(wanted) = choice else { return Ok(()) };
-    let world = &mut session.pipeline.world;
-    let names: Vec<String> = world.query::<&ViewName>().iter(world).map(|n| n.0.clone()).collect();
-    match wanted.iter().find(|name| !names.contains(name)) {
-        None => Ok(()),
-        Some(missing) => {
-            let near = closest(missing, names.iter().map(String::as_str)).join(", ");
-            Err(Error::usage(format!("pass {pass}: there is no view {missing}"), format!("Near it: {near}.")))
-        }
-    }
 }
 
 /// A view that a pass renders.

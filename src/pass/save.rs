@@ -2,23 +2,25 @@
 
 use super::Session;
 use super::edit::take_material;
+use super::photograph::ring;
 use crate::error::{Error, Result};
+use crate::file::{read_bytes, write_bytes};
 use crate::light::LightLobe;
 use crate::light::npy::{NpyConvention, write_lobes};
-use crate::report::atomic::write_bytes;
-use crate::report::exr_file::{Channels, write_channels};
+use crate::report::exr_file::write_channels;
 use crate::report::tone::srgb8;
 use crate::scene::load::to_ron;
 use crate::scene::pass_types::Pass;
 use crate::scene::types::{
-    Albedo, AlbedoSource, CameraSpec, Light, LightSource, Material, Roughness, Scene, Specular,
-    SpecularAlbedo, Surface as SurfaceSpec, Views,
+    Albedo, AlbedoSource, Light, LightSource, Material, Roughness, Scene, Specular, SpecularAlbedo,
+    Surface as SurfaceSpec, Views,
 };
 use crate::surface::gltf_export::{GltfMaterial, write_glb};
+use crate::view::exr_io::ExrLayers;
+use crate::view::nearby::missing_file_help;
 use glam::Vec3;
 use image::{ImageEncoder, codecs::png::PngEncoder};
-use std::collections::BTreeMap;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Writes `scene.ron`, `mesh.glb`, `albedo.exr` and `light.npy`: the object as it is, everything fixed, with the scene's views.
 ///
@@ -34,26 +36,14 @@ pub fn run_save(session: &mut Session, name: &str) -> Result<()> {
     let atlas = surface.atlas();
     write_glb(&folder.join("mesh.glb"), surface.mesh(), None)?;
     let colors: Vec<Vec3> = material.albedo.iter().map(|a| a.0).collect();
-    let channel = |c: usize| colors.iter().map(|v| v[c]).collect::<Vec<f32>>();
-    let by_name = BTreeMap::from([
-        ("R".to_owned(), channel(0)),
-        ("G".to_owned(), channel(1)),
-        ("B".to_owned(), channel(2)),
-    ]);
-    let channels = Channels { width: atlas.width as usize, height: atlas.height as usize, by_name };
-    write_channels(folder.join("albedo.exr"), &channels)?;
-    let world = &mut session.pipeline.world;
-    let lobes: Vec<LightLobe> = world.query::<&LightLobe>().iter(world).copied().collect();
-    write_lobes(folder.join("light.npy"), &lobes, NpyConvention::Lobelia)?;
+    let mut texture = ExrLayers { width: atlas.width, height: atlas.height, ..ExrLayers::default() };
+    texture.insert_triple(["R", "G", "B"], &colors);
+    write_channels(folder.join("albedo.exr"), &texture)?;
+    let light = save_light(session, &folder)?;
     let saved = Scene {
         surface: SurfaceSpec::Mesh { path: "mesh.glb".into(), texture_size: atlas.width },
         views: saved_views(session)?,
-        light: Light::Fixed(LightSource::Npy {
-            path: "light.npy".into(),
-            convention: NpyConvention::Lobelia,
-            scale: 1.0,
-            rotation_degrees: Vec3::ZERO,
-        }),
+        light: Light::Fixed(light),
         material: Material {
             albedo: Albedo::Fixed(AlbedoSource::Texture("albedo.exr".into())),
             specular: Specular {
@@ -71,30 +61,35 @@ pub fn run_save(session: &mut Session, name: &str) -> Result<()> {
     Ok(())
 }
 
+/// Writes the light: a fixed map as it is, so that path tracing by the map gives the same again; else the lobes.
+fn save_light(session: &mut Session, folder: &Path) -> Result<LightSource> {
+    if let Light::Fixed(LightSource::Map { path, scale, rotation_degrees, lobes }) = &session.scene.light {
+        let bytes = read_bytes(path, missing_file_help)?;
+        let name = Path::new("light").with_extension(path.extension().unwrap_or_default());
+        write_bytes(&folder.join(&name), &bytes)?;
+        let (scale, rotation_degrees, lobes) = (*scale, *rotation_degrees, *lobes);
+        return Ok(LightSource::Map { path: name, scale, rotation_degrees, lobes });
+    }
+    let world = &mut session.pipeline.world;
+    let lobes: Vec<LightLobe> = world.query::<&LightLobe>().iter(world).copied().collect();
+    write_lobes(folder.join("light.npy"), &lobes, NpyConvention::Lobelia)?;
+    Ok(LightSource::Npy {
+        path: "light.npy".into(),
+        convention: NpyConvention::Lobelia,
+        scale: 1.0,
+        rotation_degrees: Vec3::ZERO,
+    })
+}
+
 /// The scene's views by absolute path; self-made photographs become bare cameras.
-fn saved_views(session: &mut Session) -> Result<Views> {
+fn saved_views(session: &Session) -> Result<Views> {
     match &session.scene.views {
         Views::Dataset(spec) => {
             let path = std::path::absolute(&spec.path).map_err(Error::io("find", &spec.path))?;
             Ok(Views::Dataset(crate::scene::types::Dataset { path, ..spec.clone() }))
         }
         Views::Cameras(cameras) => Ok(Views::Cameras(cameras.clone())),
-        Views::Photographed(spec) => {
-            let world = &mut session.pipeline.world;
-            let mut query =
-                world.query::<(&crate::view::ViewName, &crate::view::camera::Camera, &crate::view::Split)>();
-            let cameras = query.iter(world).map(|(name, camera, split)| CameraSpec {
-                name: name.0.clone(),
-                eye: camera.position(),
-                target: spec.cameras.target,
-                up: session.scene.up,
-                fov_degrees: spec.cameras.fov_degrees,
-                width: camera.width,
-                height: camera.height,
-                split: *split,
-            });
-            Ok(Views::Cameras(cameras.collect()))
-        }
+        Views::Photographed(spec) => Ok(Views::Cameras(ring(&spec.cameras, session.scene.up))),
     }
 }
 

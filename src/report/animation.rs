@@ -1,8 +1,8 @@
 //! Animations that loop for ever: GIF, APNG, and MP4 where `ffmpeg` is on the PATH.
 
 use super::palette::{Ditherer, Palette};
-use super::{atomic, png_file};
-use crate::{Error, Result};
+use super::png_file;
+use crate::{Error, Result, file};
 use image::codecs::gif::{GifEncoder, Repeat};
 use image::{Delay, Frame, ImageError, RgbImage};
 use png::{BitDepth, ColorType, Compression, Encoder, SrgbRenderingIntent};
@@ -37,7 +37,7 @@ pub fn write_gif(path: impl AsRef<Path>, frames: &[RgbImage], fps: f32) -> Resul
         ImageError::IoError(source) => Error::io("write", path)(source),
         other => failure(path, other.to_string()),
     };
-    atomic::write_file(path, |writer| {
+    file::write_file(path, |writer| {
         // No more than 256 colours a frame reach the encoder, which then keeps them exactly.
         let mut encoder = GifEncoder::new_with_speed(writer, 10);
         encoder.set_repeat(Repeat::Infinite).map_err(failed)?;
@@ -65,7 +65,7 @@ pub fn write_apng(path: impl AsRef<Path>, frames: &[RgbImage], fps: f32) -> Resu
     check(path, frames, fps)?;
     let failed = |error| png_file::failed(path, error);
     let (numerator, denominator) = delay_ratio(fps);
-    atomic::write_file(path, |writer| {
+    file::write_file(path, |writer| {
         let mut encoder = Encoder::new(writer, frames[0].width(), frames[0].height());
         encoder.set_color(ColorType::Rgb);
         encoder.set_depth(BitDepth::Eight);
@@ -105,7 +105,7 @@ pub fn write_mp4(path: impl AsRef<Path>, frames: &[RgbImage], fps: f32) -> Resul
 pub fn write_mp4_with(program: &OsStr, path: &Path, frames: &[RgbImage], fps: f32) -> Result<Mp4> {
     check(path, frames, fps)?;
     let mut outcome = Mp4::Written;
-    let written = atomic::write_by_path(path, |temporary| {
+    let written = file::write_by_path(path, |temporary| {
         let size = [frames[0].width(), frames[0].height()].map(|side| side.next_multiple_of(2));
         match start(program, temporary, size, fps) {
             Ok(child) => feed(child, path, frames),

@@ -1,27 +1,12 @@
 //! `lobelia eval PREDICTION TRUTH`: scores two folders of images, or two images, against each other.
 
-use super::exr_file::{self, Channels};
 use super::metrics;
 use super::scores::{self, EvalView, PassScores, Scaling};
-use crate::math::color::linear_from_srgb;
+use crate::view::image_io::{Gamma, IMAGE_EXTENSIONS, LoadedImage, read_image};
 use crate::{Error, Result};
-use glam::Vec3;
 use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
-
-/// A linear image from a file.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Loaded {
-    /// Width in pixels.
-    pub width: usize,
-    /// Height in pixels.
-    pub height: usize,
-    /// `width * height` linear values, coverage-weighted on black.
-    pub color: Vec<Vec3>,
-    /// `width * height` coverages, if the file has them.
-    pub alpha: Option<Vec<f32>>,
-}
 
 /// What a comparison found.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,11 +19,11 @@ pub struct Comparison {
     pub only_truth: Vec<String>,
 }
 
-/// Compares `prediction` with `truth`, two files or two folders whose `.exr` and `.png` files are matched by stem (where a folder has
-/// both for a stem, the EXR counts).
+/// Compares `prediction` with `truth`, two files or two folders whose images are matched by stem (where a folder has several
+/// of one stem, the first kind of [`IMAGE_EXTENSIONS`] counts).
 ///
-/// EXR is linear (`R G B`, or `Y`), PNG is sRGB; an image's alpha is straight in PNG and coverage in EXR. Pixels in the mask count: the
-/// truth's alpha if it has one, else the prediction's, else the whole image; eroded by one pixel.
+/// Images are read as photographs are: EXR and HDR are linear, others sRGB. Pixels in the mask count: the truth's alpha if it
+/// has one, else the prediction's, else the whole image; eroded by one pixel.
 ///
 /// # Errors
 /// [`Error::Usage`] for a file against a folder, no common stems, or [`Scaling::PerLayer`]; [`Error::Input`] for an unreadable image,
@@ -137,119 +122,76 @@ fn match_folders(prediction: &Path, truth: &Path) -> Result<Matched> {
     Ok(Matched { pairs, only_prediction, only_truth: truths.into_keys().collect() })
 }
 
-/// The EXR and PNG files of a folder by stem; an EXR goes before a PNG of the same stem.
+/// The images of a folder by stem.
 fn images_in(folder: &Path) -> Result<BTreeMap<String, PathBuf>> {
-    let mut found: BTreeMap<String, PathBuf> = BTreeMap::new();
+    let mut found: BTreeMap<String, (usize, PathBuf)> = BTreeMap::new();
     for entry in std::fs::read_dir(folder).map_err(Error::io("read", folder))? {
         let path = entry.map_err(Error::io("read", folder))?.path();
         let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-        let kind = kind_of(&path);
-        if path.is_file()
-            && !stem.starts_with('.')
-            && (kind == "exr" || (kind == "png" && !found.contains_key(&stem)))
-        {
-            found.insert(stem, path);
+        let kind = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+        let Some(rank) = IMAGE_EXTENSIONS.iter().position(|known| *known == kind) else { continue };
+        let better = found.get(&stem).is_none_or(|(other, _)| rank < *other);
+        if better && path.is_file() && !stem.starts_with('.') {
+            found.insert(stem, (rank, path));
         }
     }
-    Ok(found)
-}
-
-fn kind_of(path: &Path) -> String {
-    path.extension().unwrap_or_default().to_string_lossy().to_lowercase()
+    Ok(found.into_iter().map(|(stem, (_, path))| (stem, path)).collect())
 }
 
 fn load_view(name: &str, prediction: &Path, truth: &Path) -> Result<EvalView> {
-    let (predicted, true_image) = (load_image(prediction)?, load_image(truth)?);
-    let (width, height) = (true_image.width, true_image.height);
-    if (predicted.width, predicted.height) != (width, height) {
-        let sizes = format!("is {} × {} pixels", predicted.width, predicted.height);
+    let (predicted, true_image) = (read_image(prediction, Gamma::Srgb)?, read_image(truth, Gamma::Srgb)?);
+    let (width, height) = (true_image.image.width as usize, true_image.image.height as usize);
+    let size = [predicted.image.width as usize, predicted.image.height as usize];
+    if size != [width, height] {
+        let sizes = format!("is {} × {} pixels", size[0], size[1]);
         let other = format!("but {} is {width} × {height}", truth.display());
         return Err(Error::input(prediction, "", format!("{sizes}, {other}"), "compare images of one size"));
     }
-    let coverage = true_image.alpha.or(predicted.alpha).unwrap_or_else(|| vec![1.0; width * height]);
-    let mask = metrics::erode([width, height], &coverage);
+    let alpha = true_image.alpha.as_ref().or(predicted.alpha.as_ref());
+    let mask = match alpha {
+        Some(coverage) => metrics::erode([width, height], coverage),
+        None => metrics::erode([width, height], &vec![1.0; width * height]),
+    };
     if !mask.contains(&true) {
         let problem = "no pixel is left to compare: the alpha channel, eroded by one pixel, is empty";
         return Err(Error::input(truth, "", problem, "the object must cover at least 3 × 3 pixels"));
     }
-    for (path, pixels) in [(prediction, &predicted.color), (truth, &true_image.color)] {
-        check_finite(path, pixels, &mask, width)?;
-    }
-    Ok(EvalView {
-        name: name.to_owned(),
-        width,
-        height,
-        prediction: predicted.color,
-        truth: true_image.color,
-        mask,
-        ..EvalView::default()
-    })
+    check_finite(prediction, &predicted, &mask)?;
+    check_finite(truth, &true_image, &mask)?;
+    let (prediction, truth) = (predicted.image.pixels, true_image.image.pixels);
+    Ok(EvalView { name: name.to_owned(), width, height, prediction, truth, mask, ..EvalView::default() })
 }
 
-fn check_finite(path: &Path, pixels: &[Vec3], mask: &[bool], width: usize) -> Result<()> {
-    match pixels.iter().zip(mask).position(|(pixel, &counts)| counts && !pixel.is_finite()) {
+/// Pixels that were NaN or infinite are repaired on reading; where they would count, they are an error here.
+fn check_finite(path: &Path, loaded: &LoadedImage, mask: &[bool]) -> Result<()> {
+    let bad = loaded.saturated.iter().zip(mask).position(|(&bad, &counts)| loaded.is_float && bad && counts);
+    match bad {
         Some(at) => {
+            let width = loaded.image.width as usize;
             let place = format!("pixel ({}, {})", at % width, at / width);
-            Err(Error::input(
-                path,
-                place,
-                "is not a finite number",
-                "find out what made it; it cannot be scored",
-            ))
+            let help = "find out what made it; it cannot be scored";
+            Err(Error::input(path, place, "is not a finite number", help))
         }
         None => Ok(()),
     }
 }
 
-/// Reads an EXR (linear) or PNG (sRGB, straight alpha) as a linear image on black.
-///
-/// # Errors
-/// [`Error::Input`] if it is neither, or cannot be decoded, or has no colour.
-pub fn load_image(path: &Path) -> Result<Loaded> {
-    match kind_of(path).as_str() {
-        "exr" => color_of(path, exr_file::read_channels(path)?),
-        "png" => load_png(path),
-        _ => Err(Error::input(path, "", "is neither an EXR nor a PNG", "compare .exr and .png files")),
-    }
-}
-
-fn color_of(path: &Path, channels: Channels) -> Result<Loaded> {
-    let color =
-        channels.triple(["R", "G", "B"]).or_else(|| channels.triple(["Y", "Y", "Y"])).ok_or_else(|| {
-            Error::input(path, "", format!("has no channels R, G, B or Y, only {}", channels.names()), "")
-        })?;
-    let (width, height, mut by_name) = (channels.width, channels.height, channels.by_name);
-    Ok(Loaded { width, height, color, alpha: by_name.remove("A") })
-}
-
-fn load_png(path: &Path) -> Result<Loaded> {
-    let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
-    let decoded = image::load_from_memory_with_format(&bytes, image::ImageFormat::Png)
-        .map_err(|error| Error::input(path, "", format!("not a readable PNG: {error}"), "write it again"))?;
-    let has_alpha = decoded.color().has_alpha();
-    let (width, height) = (decoded.width() as usize, decoded.height() as usize);
-    let encoded = decoded.into_rgba32f();
-    let linear =
-        |p: &image::Rgba<f32>| Vec3::from_array([p.0[0], p.0[1], p.0[2]].map(linear_from_srgb)) * p.0[3];
-    let color = encoded.pixels().map(linear).collect();
-    let alpha = has_alpha.then(|| encoded.pixels().map(|p| p.0[3]).collect());
-    Ok(Loaded { width, height, color, alpha })
-}
-
 #[cfg(test)]
 mod tests {
-    use super::super::png_file;
+    use super::super::{exr_file, png_file};
     use super::*;
-    use image::{Rgb, RgbImage, Rgba, RgbaImage};
+    use crate::view::exr_io::ExrLayers;
+    use image::RgbImage;
 
     fn exr(path: &Path, size: [usize; 2], value: impl Fn(usize) -> f32, alpha: Option<Vec<f32>>) {
         let values: Vec<f32> = (0..size[0] * size[1]).map(value).collect();
-        let mut by_name: BTreeMap<String, Vec<f32>> =
+        let mut channels: BTreeMap<String, Vec<f32>> =
             ["R", "G", "B"].into_iter().map(|name| (name.to_owned(), values.clone())).collect();
         if let Some(alpha) = alpha {
-            by_name.insert("A".to_owned(), alpha);
+            channels.insert("A".to_owned(), alpha);
         }
-        exr_file::write_channels(path, &Channels { width: size[0], height: size[1], by_name }).unwrap();
+        let [width, height] = size.map(|n| n as u32);
+        exr_file::write_channels(path, &ExrLayers { width, height, channels }).unwrap();
     }
 
     /// Folders `p` and `t`.
@@ -308,21 +250,6 @@ mod tests {
         assert_eq!(compare(&p, &t, Scaling::None).unwrap().scores.psnr, 100.0);
     }
 
-    #[test]
-    fn png_is_decoded_from_srgb_with_straight_alpha() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("a.png");
-        png_file::write_rgba8(&path, &RgbaImage::from_pixel(2, 1, Rgba([188, 255, 0, 128]))).unwrap();
-        let read = load_image(&path).unwrap();
-        let alpha = 128.0 / 255.0;
-        assert!((read.color[1] - Vec3::new(0.5029, 1.0, 0.0) * alpha).abs().max_element() < 1e-4);
-        assert!((read.alpha.unwrap()[0] - alpha).abs() < 1e-6);
-        png_file::write_rgb8(&path, &RgbImage::from_pixel(2, 1, Rgb([10, 20, 30]))).unwrap();
-        assert!(load_image(&path).unwrap().alpha.is_none());
-        image::GrayImage::from_pixel(1, 1, image::Luma([255])).save(&path).unwrap();
-        assert_eq!(load_image(&path).unwrap().color, [Vec3::ONE]);
-    }
-
     fn refused(p: &Path, t: &Path) -> (String, u8) {
         let error = compare(p, t, Scaling::None).unwrap_err();
         (error.to_string(), error.exit_code())
@@ -346,12 +273,12 @@ mod tests {
         let whole = std::fs::read(t.join("a.exr")).unwrap();
         std::fs::write(t.join("a.exr"), &whole[..whole.len() / 2]).unwrap();
         let (message, code) = refused(&p, &t);
-        assert!(message.contains("not a readable EXR"), "{message}");
+        assert!(message.contains("the EXR is damaged or cut short"), "{message}");
         assert_eq!(code, 2);
         std::fs::remove_file(t.join("a.exr")).unwrap();
         std::fs::write(t.join("a.png"), b"not a PNG").unwrap();
-        assert!(refused(&p, &t).0.contains("not a readable PNG"));
+        assert!(refused(&p, &t).0.contains("neither PNG, JPEG, OpenEXR"));
         std::fs::write(root.path().join("x.txt"), b"").unwrap();
-        assert!(refused(&p.join("a.exr"), &root.path().join("x.txt")).0.contains("neither"));
+        assert!(refused(&p.join("a.exr"), &root.path().join("x.txt")).0.contains("is empty"));
     }
 }

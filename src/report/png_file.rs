@@ -1,7 +1,6 @@
 //! 8-bit sRGB pictures as PNG.
 
-use super::atomic;
-use crate::{Error, Result};
+use crate::{Error, Result, file};
 use image::{RgbImage, RgbaImage};
 use png::{BitDepth, ColorType, Compression, Encoder, SrgbRenderingIntent};
 use std::path::Path;
@@ -23,7 +22,7 @@ pub fn write_rgba8(path: impl AsRef<Path>, picture: &RgbaImage) -> Result<()> {
 }
 
 fn write(path: &Path, (width, height): (u32, u32), color: ColorType, samples: &[u8]) -> Result<()> {
-    atomic::write_file(path, |writer| {
+    file::write_file(path, |writer| {
         let mut encoder = Encoder::new(writer, width, height);
         encoder.set_color(color);
         encoder.set_depth(BitDepth::Eight);

@@ -1,9 +1,8 @@
 //! Scores of passes: computed view by view, kept as `metrics.json`, shown as a table.
 
-use super::atomic;
 use super::metrics::{self, LayerScaleSums, LayerScales, Pair, ScaleSums};
 use super::ssim::ssim;
-use crate::{Error, Result};
+use crate::{Error, Result, file};
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 use std::borrow::Borrow;
@@ -209,7 +208,7 @@ impl Scores {
         let mut text =
             serde_json::to_string_pretty(self).map_err(|error| Error::run("scoring", error.to_string()))?;
         text.push('\n');
-        atomic::write_bytes(path, text.as_bytes())
+        file::write_bytes(path, text.as_bytes())
     }
 
     /// A table for the terminal, one line a pass and one for the rest; ends with a line break.

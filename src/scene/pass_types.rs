@@ -40,6 +40,24 @@ impl Pass {
         }
     }
 
+    /// The light that the pass brings, if it does.
+    pub fn light(&self) -> Option<&LightSource> {
+        match self {
+            Self::Edit(pass) => pass.light.as_ref(),
+            Self::Relight(pass) => Some(&pass.light),
+            Self::Fit(_) | Self::Render(_) | Self::Evaluate(_) | Self::Save(_) | Self::Export(_) => None,
+        }
+    }
+
+    /// The edits that the pass makes before it renders.
+    pub fn edits(&self) -> &[Edit] {
+        match self {
+            Self::Edit(pass) => &pass.edits,
+            Self::Relight(pass) => &pass.edits,
+            Self::Fit(_) | Self::Render(_) | Self::Evaluate(_) | Self::Save(_) | Self::Export(_) => &[],
+        }
+    }
+
     /// How the pass renders, if it renders.
     pub fn render(&self) -> Option<&RenderSettings> {
         match self {
@@ -59,11 +77,11 @@ pub struct FitPass {
     pub name: String,
     /// What is minimised over pixels and channels. Default `L1`.
     pub loss: Loss,
-    /// Number of update steps ≥ 1. Default 900: much longer, and the bias of the published formulas is fitted too.
+    /// Number of update steps ≥ 1. Default 1200: much longer, and the bias of the published formulas is fitted too.
     pub steps: u32,
     /// Most pixels that are visited ≥ 1; a random part of more. Default 2 000 000.
     pub max_pixels: u32,
-    /// Pixels per step ≥ 1. Default 4096.
+    /// Pixels per step ≥ 1. Default 6144.
     pub batch: u32,
     /// Adam's step sizes.
     pub rates: Rates,
@@ -78,9 +96,9 @@ impl Default for FitPass {
         Self {
             name: "fit".into(),
             loss: Loss::L1,
-            steps: 900,
+            steps: 1200,
             max_pixels: 2_000_000,
-            batch: 4096,
+            batch: 6144,
             rates: Rates::default(),
             milestones: vec![0.5, 0.75, 0.9],
             decay: 0.4,
@@ -92,7 +110,7 @@ impl Default for FitPass {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Rates {
-    /// Diffuse albedo of the texels. Default 0.05.
+    /// Diffuse albedo of the texels. Default 0.02.
     pub albedo: f32,
     /// Axes, sharpness and amplitudes of the light lobes. Default 0.02.
     pub light: f32,
@@ -102,7 +120,7 @@ pub struct Rates {
 
 impl Default for Rates {
     fn default() -> Self {
-        Self { albedo: 0.05, light: 0.02, specular: 0.01 }
+        Self { albedo: 0.02, light: 0.02, specular: 0.01 }
     }
 }
 

@@ -53,6 +53,8 @@ pub struct LoadedLight {
     pub lobes: Vec<LightLobe>,
     /// The map, if that is what was given.
     pub map: Option<Arc<MapLight>>,
+    /// What was repaired on reading.
+    pub notes: Vec<String>,
 }
 
 impl LoadedLight {
@@ -84,18 +86,20 @@ pub fn load_light(source: &LightSource) -> Result<LoadedLight> {
         LightSource::Lobes { lobes, scale, rotation_degrees } => {
             let unit: Vec<LightLobe> =
                 lobes.iter().map(|l| LightLobe { axis: l.axis.normalize_or(l.axis), ..*l }).collect();
-            LoadedLight { lobes: turned(&unit, *scale, *rotation_degrees), map: None }
+            LoadedLight { lobes: turned(&unit, *scale, *rotation_degrees), map: None, notes: Vec::new() }
         }
         LightSource::Npy { path, convention, scale, rotation_degrees } => {
             let lobes = read_lobes(path, *convention)?;
-            LoadedLight { lobes: turned(&lobes, *scale, *rotation_degrees), map: None }
+            LoadedLight { lobes: turned(&lobes, *scale, *rotation_degrees), map: None, notes: Vec::new() }
         }
         LightSource::Map { path, scale, rotation_degrees, lobes } => {
-            let map = EnvironmentMap::read(path)?.scaled(Vec3::splat(*scale));
+            let (map, notes) = EnvironmentMap::read_with_notes(path)?;
+            let map = map.scaled(Vec3::splat(*scale));
             let fitted = fit_map(&map, *lobes as usize, &MapFit::default())?.lobes;
             let turn = rotation(*rotation_degrees);
             let map = if *rotation_degrees == Vec3::ZERO { map } else { map.rotated(turn) };
-            LoadedLight { lobes: rotate_lobes(&fitted, turn), map: Some(Arc::new(MapLight::new(map))) }
+            let notes = notes.into_iter().map(|note| format!("{}: {note}", path.display())).collect();
+            LoadedLight { lobes: rotate_lobes(&fitted, turn), map: Some(Arc::new(MapLight::new(map))), notes }
         }
     };
     validate_lobes(&light.lobes).map_err(|problem| Error::run("light", problem))?;
@@ -104,15 +108,18 @@ pub fn load_light(source: &LightSource) -> Result<LoadedLight> {
 
 /// Puts the scene into the pipeline's world: surface, views, light lobes, texels, the specular lobe, and what is unknown.
 ///
+/// `light` is the scene's own, if it names one.
+///
 /// # Errors
-/// If a light or an albedo texture cannot be read.
+/// If an albedo texture cannot be read.
 pub fn spawn(
     pipeline: &mut Pipeline,
     scene: &Scene,
     surface: &Arc<Surface>,
     views: Vec<ViewRecord>,
+    light: Option<&LoadedLight>,
 ) -> Result<()> {
-    let lobes = initial_lobes(&scene.light)?;
+    let lobes = initial_lobes(&scene.light, light);
     let albedo = initial_albedo(&scene.material.albedo, surface)?;
     let world = &mut pipeline.world;
     world.insert_resource(Scenery(surface.clone()));
@@ -140,16 +147,19 @@ pub fn spawn(
     Ok(())
 }
 
-fn initial_lobes(light: &Light) -> Result<Vec<LightLobe>> {
-    Ok(match light {
-        Light::Unknown(unknown) => {
-            let count = unknown.lobes as usize;
-            let sharpness = spacing_sharpness(count);
-            let lobe = |axis| LightLobe { axis, sharpness, amplitude: Vec3::ONE };
-            fibonacci_axes(count).into_iter().map(lobe).collect()
-        }
-        Light::Initial(source) | Light::Fixed(source) => load_light(source)?.lobes,
-    })
+fn initial_lobes(light: &Light, loaded: Option<&LoadedLight>) -> Vec<LightLobe> {
+    match (light, loaded) {
+        (_, Some(loaded)) => loaded.lobes.clone(),
+        (Light::Unknown(unknown), None) => fibonacci_lobes(unknown.lobes as usize),
+        (Light::Initial(_) | Light::Fixed(_), None) => Vec::new(),
+    }
+}
+
+/// Equal white lobes that cover the sphere evenly.
+fn fibonacci_lobes(count: usize) -> Vec<LightLobe> {
+    let sharpness = spacing_sharpness(count);
+    let lobe = |axis| LightLobe { axis, sharpness, amplitude: Vec3::ONE };
+    fibonacci_axes(count).into_iter().map(lobe).collect()
 }
 
 fn initial_albedo(albedo: &Albedo, surface: &Surface) -> Result<Vec<Vec3>> {

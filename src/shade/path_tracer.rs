@@ -10,7 +10,7 @@
 //! | `max_bounces` | `u32` | scattering events | 6 | 1 is direct light only, 0 is black |
 //! | `seed` | `u64` | – | 0 | changes every random number |
 //! | `roulette_after` | `u32` | scattering events | 3 | paths this long may end by Russian roulette |
-//! | `ray_offset` | `f32` | world units | 2e-5 | start of a ray off the surface, along the geometric normal |
+//! | `ray_offset` | `f32` | radii of the scene | 2e-5 | start of a ray off the surface, along the geometric normal |
 //! | `strategy` | [`Strategy`] | – | `Combined` | other than for checks, leave it |
 
 use super::sampling::sequence::Sequence;
@@ -44,7 +44,7 @@ pub struct PathSettings {
     pub seed: u64,
     /// Scattering events before Russian roulette may end a path.
     pub roulette_after: u32,
-    /// Distance in world units by which a ray starts off the surface; about 2e-5 of the object's radius.
+    /// Distance by which a ray starts off the surface, in radii of the scene.
     pub ray_offset: f32,
     /// How light is looked for.
     pub strategy: Strategy,
@@ -362,7 +362,8 @@ impl Path<'_> {
     /// A ray that starts just off the surface, on the side of the geometry that it leaves to.
     fn ray_from(&self, point: &ShadePoint, direction: Vec3) -> Ray {
         // Far from the origin positions are rounded more coarsely than the offset.
-        let offset = self.settings.ray_offset.max(point.position.abs().max_element() * 1e-6);
+        let offset = (self.settings.ray_offset * self.scene.surface.radius())
+            .max(point.position.abs().max_element() * 1e-6);
         let side = if direction.dot(point.geometric_normal) < 0.0 { -offset } else { offset };
         Ray { origin: point.position + point.geometric_normal * side, direction }
     }

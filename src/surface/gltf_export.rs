@@ -4,7 +4,6 @@ use super::mesh::Mesh;
 use crate::{Error, Result};
 use glam::Vec3;
 use serde_json::{Value, json};
-use std::io::Write;
 use std::path::Path;
 
 /// A material for [`write_glb`]: base colour, roughness, and a coloured dielectric reflectance; metallic is 0.
@@ -73,7 +72,7 @@ pub fn write_glb(path: &Path, mesh: &Mesh, material: Option<&GltfMaterial>) -> R
     root["buffers"] = json!([{"byteLength": binary.bytes.len()}]);
     let too_large = || Error::run(format!("writing {}", path.display()), "a GLB cannot hold more than 4 GiB");
     let container = container(&root.to_string(), &binary.bytes).ok_or_else(too_large)?;
-    write_whole(path, &container)
+    crate::file::write_bytes(path, &container)
 }
 
 fn check(mesh: &Mesh, material: Option<&GltfMaterial>) -> std::result::Result<(), String> {
@@ -215,22 +214,6 @@ fn container(text: &str, binary: &[u8]) -> Option<Vec<u8>> {
     Some(out)
 }
 
-/// Writes beside the target and renames, so that nothing half-written ever has the final name.
-fn write_whole(path: &Path, bytes: &[u8]) -> Result<()> {
-    let folder = path.parent().filter(|p| !p.as_os_str().is_empty()).unwrap_or(Path::new("."));
-    let mut file = tempfile::NamedTempFile::new_in(folder).map_err(Error::io("create", path))?;
-    file.write_all(bytes).map_err(Error::io("write", path))?;
-    // A temporary file is private to its owner; a result is an ordinary file.
-    #[cfg(unix)]
-    {
-        use std::os::unix::fs::PermissionsExt;
-        let readable = std::fs::Permissions::from_mode(0o644);
-        file.as_file().set_permissions(readable).map_err(Error::io("write", path))?;
-    }
-    file.persist(path).map_err(|e| Error::io("create", path)(e.error))?;
-    Ok(())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -309,8 +292,9 @@ mod tests {
         ] {
             assert!(matches!(write_glb(&path, mesh, material), Err(Error::Run { .. })));
         }
-        let missing = folder.path().join("missing/mesh.glb");
-        assert!(matches!(write_glb(&missing, &good, None), Err(Error::Io { .. })));
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+        let file = folder.path().join("file");
+        std::fs::write(&file, "").unwrap();
+        assert!(matches!(write_glb(&file.join("mesh.glb"), &good, None), Err(Error::Io { .. })));
     }
 }

@@ -121,6 +121,10 @@ impl Intersect for Surface {
     fn occluded(&self, ray: &Ray, min_distance: f32, max_distance: f32) -> bool {
         self.bvh.any(ray, min_distance, max_distance)
     }
+
+    fn radius(&self) -> f32 {
+        self.bounding_sphere().1
+    }
 }
 
 fn check(mesh: &Mesh) -> std::result::Result<(), String> {

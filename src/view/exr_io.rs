@@ -1,12 +1,15 @@
 //! Reading OpenEXR: every flat layer's channels as `f32`, laid out on the display window.
 
+use super::nearby::missing_file_help;
 use crate::error::{Error, Result};
+use crate::file::read_bytes;
 use exr::block::reader::Reader;
 use exr::image::{AnyChannel, FlatSamples};
 use exr::math::Vec2;
 use exr::meta::attribute::IntegerBounds;
 use exr::meta::header::Header;
 use exr::prelude::{ReadChannels, ReadLayers, read};
+use glam::Vec3;
 use std::collections::BTreeMap;
 use std::io::Cursor;
 use std::path::Path;
@@ -30,6 +33,25 @@ pub struct ExrLayers {
 }
 
 impl ExrLayers {
+    /// Three channels as vectors; `None` if one is missing.
+    pub fn triple(&self, names: [&str; 3]) -> Option<Vec<Vec3>> {
+        let [x, y, z] = names.map(|name| self.channels.get(name));
+        let (x, y, z) = (x?, y?, z?);
+        Some(x.iter().zip(y).zip(z).map(|((&x, &y), &z)| Vec3::new(x, y, z)).collect())
+    }
+
+    /// Three channels from vectors.
+    pub fn insert_triple(&mut self, names: [&str; 3], values: &[Vec3]) {
+        for (axis, name) in names.into_iter().enumerate() {
+            self.channels.insert(name.to_owned(), values.iter().map(|v| v[axis]).collect());
+        }
+    }
+
+    /// "A, B, G, …", for messages.
+    pub fn names(&self) -> String {
+        self.channels.keys().map(String::as_str).collect::<Vec<_>>().join(", ")
+    }
+
     /// The full names of the colour channels and of alpha that make up the picture itself: the channels without prefix if
     /// they are R, G, B (or Y), else those of the first prefix, by name, that has them. Alpha is optional.
     pub(crate) fn picture(&self) -> Option<([&str; 3], Option<&str>)> {
@@ -59,7 +81,7 @@ impl ExrLayers {
 /// [`Error::Input`] if the file is missing, not an EXR, damaged, cut short, deep, chroma-subsampled, or empty.
 pub fn read_exr_layers(path: impl AsRef<Path>) -> Result<ExrLayers> {
     let path = path.as_ref();
-    decode_exr(path, &super::image_io::read_bytes(path)?)
+    decode_exr(path, &read_bytes(path, missing_file_help)?)
 }
 
 /// [`read_exr_layers`] on bytes already read; `path` is for messages.

@@ -3,8 +3,10 @@
 //! What a file is, is told by its first bytes; a name that says otherwise is an error. Embedded colour profiles and gamma
 //! chunks are not looked at: [`Gamma`] says how 8- and 16-bit values are to be read.
 
+use super::nearby::missing_file_help;
 use super::{Image, Mask};
 use crate::error::{Error, Result};
+use crate::file::read_bytes;
 use crate::math::color::{linear_from_srgb, luminance};
 use glam::Vec3;
 use image::metadata::Orientation;
@@ -12,8 +14,6 @@ use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
 use serde::{Deserialize, Serialize};
 use std::io::Cursor;
 use std::path::Path;
-
-pub use super::exr_io::{ExrLayers, read_exr_layers};
 
 /// How 8- and 16-bit values become linear. Float formats (EXR, HDR) are linear whatever this says.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -164,23 +164,8 @@ pub fn read_mask(path: impl AsRef<Path>) -> Result<Mask> {
     Ok(Mask { width, height, coverage })
 }
 
-/// Reads a whole file; one that is missing or empty, or a folder, is an [`Error::Input`].
-pub(crate) fn read_bytes(path: &Path) -> Result<Vec<u8>> {
-    if path.is_dir() {
-        return Err(Error::input(path, "", "this is a folder, not a file", ""));
-    }
-    if !path.exists() {
-        return Err(Error::input(path, "", "there is no such file", super::nearby::missing_file_help(path)));
-    }
-    let bytes = std::fs::read(path).map_err(Error::io("read", path))?;
-    if bytes.is_empty() {
-        return Err(Error::input(path, "", "the file is empty (0 bytes)", "Copy it again."));
-    }
-    Ok(bytes)
-}
-
 fn decode(path: &Path) -> Result<Decoded> {
-    let bytes = read_bytes(path)?;
+    let bytes = read_bytes(path, missing_file_help)?;
     let format = Format::from_bytes(&bytes).ok_or_else(|| unknown_format(path, &bytes))?;
     if let Some(named) = Format::from_extension(path)
         && named != format

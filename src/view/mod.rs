@@ -25,7 +25,7 @@
 
 pub mod camera;
 pub mod dataset;
-mod exr_io;
+pub mod exr_io;
 pub mod image_io;
 pub mod nearby;
 pub mod pixel;

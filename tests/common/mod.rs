@@ -8,7 +8,7 @@ use lobelia::light::LightLobe;
 use lobelia::light::npy::{NpyConvention, write_lobes};
 use lobelia::material::{DiffuseAlbedo, SpecularBlend, SpecularLobe};
 use lobelia::pass::render::resolve;
-use lobelia::report::exr_file::{Channels, Frame, read_channels, write_channels, write_frame};
+use lobelia::report::exr_file::{Frame, write_channels, write_frame};
 use lobelia::shade::Scenery;
 use lobelia::shade::frame::{FramePlugin, render_frame};
 use lobelia::stage::Pipeline;
@@ -16,8 +16,8 @@ use lobelia::surface::Surface;
 use lobelia::surface::gltf_export::write_glb;
 use lobelia::surface::primitive::sphere_mesh;
 use lobelia::view::Camera;
+use lobelia::view::exr_io::{ExrLayers, read_exr_layers};
 use serde_json::{Map, Value, json};
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 use std::sync::Arc;
@@ -132,8 +132,8 @@ impl Data {
     }
 
     /// Changes the channels of an EXR.
-    pub fn change_image(&self, relative: &str, change: impl FnOnce(&mut Channels)) {
-        let mut channels = read_channels(self.path(relative)).unwrap();
+    pub fn change_image(&self, relative: &str, change: impl FnOnce(&mut ExrLayers)) {
+        let mut channels = read_exr_layers(self.path(relative)).unwrap();
         change(&mut channels);
         write_channels(self.path(relative), &channels).unwrap();
     }
@@ -173,13 +173,10 @@ fn camera_entry(camera: &Camera) -> Value {
 
 /// Writes an EXR with R, G, B; folders are made.
 pub fn write_image(path: &Path, pixels: &[Vec3], width: usize) {
-    let channel = |c: usize| pixels.iter().map(|p| p[c]).collect::<Vec<f32>>();
-    let by_name = BTreeMap::from([
-        ("R".to_owned(), channel(0)),
-        ("G".to_owned(), channel(1)),
-        ("B".to_owned(), channel(2)),
-    ]);
-    write_channels(path, &Channels { width, height: pixels.len() / width, by_name }).unwrap();
+    let height = (pixels.len() / width) as u32;
+    let mut layers = ExrLayers { width: width as u32, height, ..ExrLayers::default() };
+    layers.insert_triple(["R", "G", "B"], pixels);
+    write_channels(path, &layers).unwrap();
 }
 
 /// Writes a PNG; folders are made.

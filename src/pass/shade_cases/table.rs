@@ -1,7 +1,8 @@
 //! Reading a table of cases: every field checked, every problem named with its case.
 
 use crate::error::{Error, Result};
-use crate::view::image_io::read_bytes;
+use crate::file::read_bytes;
+use crate::view::nearby::missing_file_help;
 use serde_json::{Map, Value};
 use std::path::Path;
 
@@ -48,7 +49,7 @@ pub(super) type Table = (Vec<Map<String, Value>>, Vec<Case<f64>>);
 
 /// Reads and checks the whole table.
 pub(super) fn read_table(path: &Path) -> Result<Table> {
-    let text = String::from_utf8(read_bytes(path)?)
+    let text = String::from_utf8(read_bytes(path, missing_file_help)?)
         .map_err(|_| Error::input(path, "", "not UTF-8 text", "give a JSON list of cases"))?;
     let value: Value = serde_json::from_str(&text)
         .map_err(|e| Error::input(path, "", format!("not JSON: {e}"), "give a JSON list of cases"))?;

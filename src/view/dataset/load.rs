@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 
 /// Reads a text file, as [`Error::Input`] if it is not UTF-8.
 pub(super) fn read_text(path: &Path) -> Result<String> {
-    let bytes = crate::view::image_io::read_bytes(path)?;
+    let bytes = crate::file::read_bytes(path, missing_file_help)?;
     String::from_utf8(bytes)
         .map_err(|_| Error::input(path, "", "the file is not UTF-8 text", "Is it a JSON file?"))
 }

@@ -171,6 +171,19 @@ pub fn read_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
     Ok(Dataset { views, layout, notes })
 }
 
+/// Whether the data set in folder `dir` has this split at all.
+///
+/// # Errors
+/// [`Error::Input`] if the layout is not recognised.
+pub fn has_split(dir: impl AsRef<Path>, split: Split, layout: Layout) -> Result<bool> {
+    let dir = dir.as_ref();
+    let camera_file = match find_layout(dir, layout)? {
+        Layout::PhySg => physg::camera_file(dir, split),
+        Layout::Nerf | Layout::Auto => nerf::camera_file(dir, split),
+    };
+    Ok(camera_file.is_file())
+}
+
 fn split_name(split: Split) -> &'static str {
     match split {
         Split::Train => "train",

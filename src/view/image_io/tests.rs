@@ -1,6 +1,7 @@
 //! Tests of reading photographs and masks, on files made here.
 
 use super::*;
+use crate::view::exr_io::read_exr_layers;
 use crate::view::test_data::{exr_bytes, write_exr};
 use image::{GrayAlphaImage, GrayImage, ImageBuffer, Luma, Rgb, RgbImage, Rgba, RgbaImage};
 use std::fs;

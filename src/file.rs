@@ -1,10 +1,29 @@
-//! Writing a file so that its final name never bears half of it: write beside it, then rename.
+//! Whole files in and out: reading says what is wrong, and writing never leaves half a file under its final name (it
+//! writes beside it, then renames).
 
 use crate::{Error, Result};
 use std::fs::{self, File};
 use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use tempfile::{NamedTempFile, TempPath};
+
+/// Reads a whole file; `help` says what to do about one that is missing.
+///
+/// # Errors
+/// [`Error::Input`] if the file is missing, empty or a folder; [`Error::Io`] when the system refuses.
+pub fn read_bytes(path: &Path, help: impl FnOnce(&Path) -> String) -> Result<Vec<u8>> {
+    if path.is_dir() {
+        return Err(Error::input(path, "", "this is a folder, not a file", help(path)));
+    }
+    if !path.exists() {
+        return Err(Error::input(path, "", "there is no such file", help(path)));
+    }
+    let bytes = fs::read(path).map_err(Error::io("read", path))?;
+    if bytes.is_empty() {
+        return Err(Error::input(path, "", "the file is empty (0 bytes)", "Copy it again."));
+    }
+    Ok(bytes)
+}
 
 /// Writes `path` through `write`: the bytes go to a hidden temporary in the same folder (made if missing), which
 /// takes the final name only when `write` and the last flush have succeeded. An older file of that name is replaced;

@@ -1,0 +1,93 @@
+//! What a later pass could stumble over, looked for before the first one runs: a fit takes its time, and a wrong name or a
+//! missing truth should not be found out after it.
+
+use super::Session;
+use super::edit::{apply_edits, take_material};
+use super::evaluate::{true_image_path, true_layer_path};
+use super::render::{ChosenView, chosen_views};
+use crate::error::{Error, Result};
+use crate::scene::pass_types::{EvaluatePass, LayerTruth, Pass, RenderSettings, Truth, ViewChoice};
+use crate::view::nearby::{closest, missing_file_help};
+use crate::view::{Photograph, ViewName};
+use std::path::Path;
+
+/// Checks every pass against the world before any of them runs.
+///
+/// # Errors
+/// [`Error::Usage`] or [`Error::Input`] for a view that is not there, a pass without views, an edit's image that cannot be
+/// read, or a truth that is missing.
+pub fn check(session: &mut Session) -> Result<()> {
+    let unedited = take_material(&mut session.pipeline.world);
+    for pass in &session.scene.passes {
+        if let Some(settings) = pass.render() {
+            check_views(session, pass.name(), settings)?;
+        }
+        if !pass.edits().is_empty() {
+            apply_edits(&mut unedited.clone(), pass.edits(), &session.surface)?;
+        }
+        if let Pass::Evaluate(pass) = pass {
+            check_truths(session, pass)?;
+        }
+    }
+    Ok(())
+}
+
+/// Views that a pass names must be there, and there must be something to render.
+fn check_views(session: &mut Session, pass: &str, settings: &RenderSettings) -> Result<()> {
+    let world = &mut session.pipeline.world;
+    if let ViewChoice::Named(wanted) = &settings.views {
+        let names: Vec<String> = world.query::<&ViewName>().iter(world).map(|n| n.0.clone()).collect();
+        if let Some(missing) = wanted.iter().find(|name| !names.contains(name)) {
+            let near = closest(missing, names.iter().map(String::as_str)).join(", ");
+            let problem = format!("pass {pass}: there is no view {missing}");
+            return Err(Error::usage(problem, format!("Near it: {near}.")));
+        }
+    }
+    if settings.orbit.is_none() && chosen_views(world, &settings.views).is_empty() {
+        let problem = format!("pass {pass} renders nothing: there are no such views");
+        let help = "Say `render: (views: All)`, or give it an `orbit`.";
+        return Err(Error::usage(problem, help));
+    }
+    Ok(())
+}
+
+/// Every view that is scored must have its truth.
+fn check_truths(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
+    for (i, score) in pass.scores.iter().enumerate() {
+        let settings = session.scene.passes.iter().find(|p| p.name() == score.pass).and_then(Pass::render);
+        let Some(settings) = settings else { continue };
+        let views = chosen_views(&mut session.pipeline.world, &settings.views);
+        for view in &views {
+            check_image(session, &score.pass, &score.truth, view)?;
+        }
+        // Layers are scored on the views of the first score.
+        for (truth, layer) in [(&pass.albedo, "albedo"), (&pass.normal, "normal")] {
+            if let (0, Some(LayerTruth::Folder(folder))) = (i, truth) {
+                views.iter().try_for_each(|view| must_exist(&true_layer_path(folder, layer, &view.stem)))?;
+            }
+        }
+    }
+    Ok(())
+}
+
+fn check_image(session: &Session, pass: &str, truth: &Truth, view: &ChosenView) -> Result<()> {
+    let world = &session.pipeline.world;
+    match truth {
+        Truth::Photographs if world.get::<Photograph>(view.entity).is_none() => Err(Error::usage(
+            format!("pass {pass} is scored against photographs, but view {} has none", view.stem),
+            "Score only views with photographs: choose them with `render: (views: …)`.",
+        )),
+        Truth::Folder(folder) => {
+            let name = world.get::<ViewName>(view.entity).map_or("", |name| name.0.as_str());
+            must_exist(&true_image_path(folder, name))
+        }
+        Truth::Photographs | Truth::SelfMade { .. } => Ok(()),
+    }
+}
+
+fn must_exist(path: &Path) -> Result<()> {
+    if path.is_file() {
+        return Ok(());
+    }
+    Err(Error::input(path, "", "there is no such truth image", missing_file_help(path)))
+}
