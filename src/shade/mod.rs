@@ -2,7 +2,7 @@
 //!
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |
-//! | [`gather_points`] | Gather | [`SurfacePoint`], [`ViewRay`], texels | [`ShadePoint`], [`PointBlend`] |
+//! | [`gather_points`] | Gather | [`SurfacePoint`](crate::surface::point::SurfacePoint), [`ViewRay`](crate::view::pixel::ViewRay), texels | [`ShadePoint`], [`PointBlend`] |
 //! | [`provide_lobes`] | Gather, `Slot::Light` | light-lobe entities | [`IncidentLight`] |
 //! | [`provide_distant`] | Gather, `Slot::Light` | [`DistantLight`] | [`IncidentLight`] |
 //! | [`shade_published`] | Shade, `Slot::Shading` | [`ShadePoint`], [`IncidentLight`], specular lobes | [`Layers`] |
