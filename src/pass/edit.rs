@@ -8,6 +8,7 @@ use crate::scene::texture::{read_texture, read_texture_mask};
 use crate::surface::Surface;
 use crate::surface::atlas::TexelAtlas;
 use bevy_ecs::prelude::{Entity, With, World};
+use glam::Vec3;
 
 /// Copies the material out of a world.
 pub fn take_material(world: &mut World) -> MaterialState {
@@ -78,16 +79,35 @@ fn material_change(edit: &Edit, atlas: &TexelAtlas) -> Result<MaterialChange> {
 
 /// The weight of each texel; `None` is everywhere.
 fn region_weights(region: &Region, atlas: &TexelAtlas) -> Result<Option<Vec<f32>>> {
-    let inside = |test: &dyn Fn(glam::Vec3) -> bool| {
-        let weight = |p: &glam::Vec3| if test(*p) { 1.0 } else { 0.0 };
-        atlas.position.iter().map(weight).collect::<Vec<f32>>()
+    let each = |depth: &dyn Fn(Vec3) -> f32, falloff: f32| {
+        Some(atlas.position.iter().map(|p| weight_at(depth(*p), falloff)).collect::<Vec<f32>>())
     };
     Ok(match region {
         Region::All => None,
-        Region::Box { min, max } => Some(inside(&|p| p.cmpge(*min).all() && p.cmple(*max).all())),
-        Region::Sphere { center, radius } => {
-            Some(inside(&|p| p.distance_squared(*center) <= radius * radius))
+        Region::Box { min, max, falloff } => {
+            each(&|p| (p - *min).min_element().min((*max - p).min_element()), *falloff)
         }
+        Region::Sphere { center, radius, falloff } => each(&|p| radius - p.distance(*center), *falloff),
         Region::Mask(path) => Some(read_texture_mask(path, atlas.width, atlas.height)?),
     })
+}
+
+/// The weight at a depth below the region's wall: 0 outside, 1 from `falloff` on, smooth between.
+fn weight_at(depth: f32, falloff: f32) -> f32 {
+    if depth < 0.0 {
+        return 0.0;
+    }
+    let t = if depth < falloff { depth / falloff } else { 1.0 };
+    t * t * (3.0 - 2.0 * t)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_region_sets_in_over_its_falloff() {
+        assert_eq!([-0.1, 0.0, 0.2].map(|depth| weight_at(depth, 0.0)), [0.0, 1.0, 1.0]);
+        assert_eq!([-0.1, 0.0, 0.1, 0.2].map(|depth| weight_at(depth, 0.2)), [0.0, 0.0, 0.5, 1.0]);
+    }
 }

@@ -159,7 +159,8 @@ fn scalar_action(checks: &mut Checks, path: &str, action: &ScalarAction) {
 fn region(checks: &mut Checks, path: &str, edit: &Edit) {
     match edit.region() {
         Region::All | Region::Mask(_) => {}
-        Region::Box { min, max } => {
+        Region::Box { min, max, falloff } => {
+            checks.not_negative(&format!("{path}.falloff"), *falloff);
             checks.finite(&format!("{path}.min"), *min);
             checks.finite(&format!("{path}.max"), *max);
             if min.cmpgt(*max).any() {
@@ -172,7 +173,8 @@ fn region(checks: &mut Checks, path: &str, edit: &Edit) {
                 );
             }
         }
-        Region::Sphere { center, radius } => {
+        Region::Sphere { center, radius, falloff } => {
+            checks.not_negative(&format!("{path}.falloff"), *falloff);
             checks.finite(&format!("{path}.center"), *center);
             checks.positive(&format!("{path}.radius"), *radius);
         }

@@ -274,6 +274,9 @@ pub enum Region {
         min: Vec3,
         /// Greatest corner; no coordinate below `min`'s.
         max: Vec3,
+        /// Distance inside the walls over which the edit sets in, world units ≥ 0. Default 0: a hard edge.
+        #[serde(default)]
+        falloff: f32,
     },
     /// Inside a ball in world space.
     Sphere {
@@ -281,6 +284,9 @@ pub enum Region {
         center: Vec3,
         /// Radius > 0.
         radius: f32,
+        /// Distance inside the ball over which the edit sets in, world units ≥ 0. Default 0: a hard edge.
+        #[serde(default)]
+        falloff: f32,
     },
     /// Where an image in texture space is bright (0: not at all, 1: fully); must exist. `Mask("belly.png")`.
     Mask(PathBuf),
