@@ -4,9 +4,9 @@ use super::metrics::{self, LayerScaleSums, LayerScales, Pair, ScaleSums};
 use super::ssim::ssim;
 use crate::{Error, Result, file};
 use glam::Vec3;
+use indexmap::IndexMap;
 use serde::{Deserialize, Serialize};
 use std::borrow::Borrow;
-use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::Path;
 
@@ -90,8 +90,8 @@ pub struct PassScores {
 /// Everything that a run is judged by; `metrics.json`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Scores {
-    /// By pass name.
-    pub passes: BTreeMap<String, PassScores>,
+    /// By pass name, in the order in which they were scored.
+    pub passes: IndexMap<String, PassScores>,
     /// Albedo PSNR after median scales, dB; `null` if there is no true albedo.
     pub albedo_psnr: Option<f64>,
     /// Mean angle between normals, degrees; `null` if there are no true normals.
@@ -391,7 +391,7 @@ mod tests {
             scale_specular: specular,
             views: Vec::new(),
         };
-        let passes = BTreeMap::from([
+        let passes = IndexMap::from([
             ("novel".to_owned(), pass(Scaling::None, None)),
             ("edited_gold".to_owned(), pass(Scaling::PerLayer, Some([2.0; 3]))),
         ]);
@@ -400,9 +400,9 @@ mod tests {
         let expected = "\
 pass                  PSNR dB   raw    SSIM  scale R      G       B
 ───────────────────────────────────────────────────────────────────
+novel                   41.62  9.50  0.9877        –      –       –
 edited_gold             41.62  9.50  0.9877    1.000  0.500  12.250
   its specular layer                           2.000  2.000   2.000
-novel                   41.62  9.50  0.9877        –      –       –
 normals 0.12° · peak memory 812 MiB
 ";
         assert_eq!(scores.table(), expected);
