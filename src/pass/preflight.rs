@@ -39,8 +39,12 @@ fn check_views(session: &mut Session, pass: &str, settings: &RenderSettings) -> 
         let names: Vec<String> = world.query::<&ViewName>().iter(world).map(|n| n.0.clone()).collect();
         if let Some(missing) = wanted.iter().find(|name| !names.contains(name)) {
             let near = closest(missing, names.iter().map(String::as_str)).join(", ");
-            let problem = format!("pass {pass}: there is no view {missing}");
-            return Err(Error::usage(problem, format!("Near it: {near}.")));
+            let help = match (near.is_empty(), names.first(), names.last()) {
+                (false, ..) => format!("Near it: {near}."),
+                (true, Some(first), Some(last)) => format!("There are {}, {first} to {last}.", names.len()),
+                _ => "There is no view at all.".to_owned(),
+            };
+            return Err(Error::usage(format!("pass {pass}: there is no view {missing}"), help));
         }
     }
     if settings.orbit.is_none() && chosen_views(world, &settings.views).is_empty() {

@@ -48,9 +48,6 @@ pub struct SceneText<'a> {
 
 impl SceneText<'_> {
     fn one(&self, message: String, at: Range<usize>, label: String, help: String) -> SceneDiagnostic {
-        let note = if self.edited { "The text shown has the --set values in it." } else { "" };
-        let help =
-            [help.as_str(), note].iter().filter(|s| !s.is_empty()).copied().collect::<Vec<_>>().join("\n");
         SceneDiagnostic {
             message,
             source_code: Some(NamedSource::new(self.path.display().to_string(), self.text.to_owned())),
