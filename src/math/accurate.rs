@@ -24,6 +24,19 @@ use diffuse::cosine_integral;
 use specular::{LocalLight, Node, PointTermsView, column, node, place};
 use std::f64::consts::PI;
 
+/// `for index in 0..count` for counts up to 4, written out so that every node's constants are constants.
+macro_rules! unroll {
+    ($index:ident < $count:expr, $body:block) => {
+        unroll!(@ $index, $count, $body, 0 1 2 3)
+    };
+    (@ $index:ident, $count:expr, $body:block, $($i:literal)*) => {
+        $(if $i < $count {
+            let $index: usize = $i;
+            $body
+        })*
+    };
+}
+
 /// How many nodes the specular quadrature has; relative errors are tabulated in the tests' accuracy report.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Quality {
@@ -155,7 +168,8 @@ pub fn prepare_with_ndf<F: Real, const NDF: usize>(
         // The maximum of 2 ln(v·h) − L|X|²/2 along the tangent, to first order in X.
         let steep = sharpness * view[1];
         let root = (steep * steep + (sharpness * view[0] * view[0]).times(8.0)).sqrt();
-        let start = view[0].times(4.0) / (steep + root);
+        // A viewer straight below leaves neither; any small number will do.
+        let start = view[0].times(4.0) / (steep + root).max(k.lit(1e-6));
         NdfTerms { sharpness, start, scale: masked * sharpness * weight }
     });
     let slope = roughness.plus(1.0).times(0.25);
@@ -186,15 +200,15 @@ pub fn evaluate_pair<F: Real, const ALONG: usize, const ACROSS: usize, const NDF
     for ndf in &point.ndf {
         let placement = place(point.view, ndf, &light);
         let (mut powered, mut plain) = (sharpness.zero(), sharpness.zero());
-        for i in 0..ALONG {
+        unroll!(i < ALONG, {
             let row = placement.row(ALONG, i);
-            for j in 0..ACROSS {
+            unroll!(j < ACROSS, {
                 let node = node(&view, ndf, &light, &placement, &row, column(ACROSS, j));
                 let value = node.over_cosine * node.cosine;
                 plain += value;
                 powered = value.mul_add(node.fresnel, powered);
-            }
-        }
+            });
+        });
         constant = powered.mul_add(ndf.scale, constant);
         total = plain.mul_add(ndf.scale, total);
     }
@@ -277,26 +291,23 @@ pub fn pull_back_pair<F: Real, const ALONG: usize, const ACROSS: usize, const ND
         let weights = [(constant_adjoint - slope_adjoint) * ndf.scale, slope_adjoint * ndf.scale];
         let before = sums.value;
         let mut drop = zero;
-        for i in 0..ALONG {
+        unroll!(i < ALONG, {
             let row = placement.row(ALONG, i);
-            for j in 0..ACROSS {
+            unroll!(j < ACROSS, {
                 let node = node(&view, ndf, &light, &placement, &row, column(ACROSS, j));
                 let value = node.over_cosine * node.cosine;
                 plain += value;
                 powered = value.mul_add(node.fresnel, powered);
                 sums.add(&node, weights, ndf.sharpness, point.shadowing, &mut drop);
-            }
-        }
+            });
+        });
         let value = sums.value - before;
         out.ndf[m] = [value / ndf.sharpness - drop, value];
         constant = powered.mul_add(ndf.scale, constant);
         total = plain.mul_add(ndf.scale, total);
     }
     let tilt = diffuse_adjoint * diffuse.by_cosine;
-    out.normal = [
-        tilt.mul_add(light.axis[0], sums.normal[0]),
-        tilt.mul_add(light.axis[1], sums.normal[1]),
-    ];
+    out.normal = [tilt.mul_add(light.axis[0], sums.normal[0]), tilt.mul_add(light.axis[1], sums.normal[1])];
     out.shadowing = -sums.shadowing;
     let pull = scale(sums.offset, sharpness);
     let axis = point.to_world([pull[0], pull[1], pull[2] + tilt]);
@@ -328,7 +339,10 @@ impl<F: Real> NodeSums<F> {
             self.offset[c] = value.mul_add(node.offset[c], self.offset[c]);
         }
         self.half_square = value.mul_add(node.half_square, self.half_square);
-        let (tilt, turn) = (value * ndf_sharpness, over_cosine * node.shadowing * k);
+        // Below the horizon nothing moves; `value` is 0 there by its cosine.
+        let zero = k.zero();
+        let turn = zero.select_lt(node.cosine, over_cosine * node.shadowing * k, zero);
+        let tilt = value * ndf_sharpness;
         for c in 0..2 {
             let through_half = tilt.mul_add(node.half[c], self.normal[c]);
             self.normal[c] = turn.mul_add(node.direction[c], through_half);

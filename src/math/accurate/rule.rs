@@ -3,7 +3,7 @@
 //! v is the cosine with the normal in units in which the rest of the integrand has unit variance, and t is where that rest
 //! would have its centre. For t ≫ 0 (far above the horizon) the rule becomes Gauss–Hermite, for t ≪ 0 (light from
 //! below) Gauss–Laguerre. Nodes are counted from the weight's peak 1/a in units of its Laplace width σ; nodes, weights
-//! and mass are then smooth functions of τ = t/√(t² + 9) and are kept as polynomials, fitted to rules computed by the
+//! and mass are then smooth functions of τ = t/√(t² + 4) and are kept as polynomials, fitted to rules computed by the
 //! Stieltjes procedure, of the form Gauss–Hermite + s²P(τ) with s = (1 − τ)/2. The weights belong to the fitted
 //! nodes (they reproduce the first K moments), so that the nodes' own fitting error costs nothing to first order.
 
@@ -12,39 +12,41 @@ use crate::math::real::Real;
 /// Gauss–Hermite node or weight, and the coefficients of P from the constant up.
 type Fit<const N: usize> = (f64, [f64; N]);
 
-/// Mass of the weight relative to Laplace's √(2π)·σ·peak; error 4e-4.
-const MASS: Fit<7> =
-    (1.0, [-0.28007861, -0.51815018, 0.18182413, 0.69461141, 0.27841869, -0.25379475, -0.17329746]);
+/// Mass of the weight relative to Laplace's √(2π)·σ·peak; error 3e-4.
+const MASS: Fit<8> = (
+    1.0,
+    [-0.27863366, -0.52792871, -0.39857341, -0.37610475, -0.12435211, 0.36396699, 0.5248399, 0.1791278],
+);
 
 const NODES_2: [Fit<5>; 2] = [
-    (-1.0, [2.7500375, 2.5655475, 0.53413143, -1.5133768, -0.97119542]),
-    (1.0, [2.5065138, 0.31155153, 0.24742889, -0.19976133, 0.082894644]),
+    (-1.0, [2.6992336, 3.6106817, 4.4628148, 4.0674755, 1.7847592]),
+    (1.0, [2.4851265, 1.6643393, 2.2338647, 3.0770173, 2.7229621]),
 ];
 const WEIGHTS_2: [Fit<5>; 2] = [
-    (0.5, [0.61186393, 0.59145898, 0.16873107, -0.29828474, -0.20018197]),
-    (0.5, [-0.61186393, -0.59145898, -0.16873107, 0.29828474, 0.20018197]),
+    (0.5, [0.59544853, 0.80722213, 1.0791489, 1.0862866, 0.50818761]),
+    (0.5, [-0.59544853, -0.80722213, -1.0791489, -1.0862866, -0.50818761]),
 ];
 const NODES_3: [Fit<6>; 3] = [
-    (-1.7320508075688772, [4.322201, 5.6028252, 4.2144074, -1.1692858, -5.2413054, -2.8132394]),
-    (0.0, [3.0421303, 2.2013426, 1.9852592, -0.37195725, -2.4524361, -1.5609461]),
-    (1.7320508075688772, [3.6200093, 0.24941973, 2.0057071, 0.98113145, -1.4500193, -2.0722976]),
+    (-1.7320508075688772, [4.268551, 6.2772404, 8.1328012, 9.7692081, 7.7177806, 2.4109737]),
+    (0.0, [2.9982697, 3.2836375, 4.8373994, 5.7221413, 3.3382652, -0.1183123]),
+    (1.7320508075688772, [3.5220099, 2.1943723, 5.6697588, 7.6940795, 1.3345721, -4.3110822]),
 ];
 const WEIGHTS_3: [Fit<6>; 3] = [
-    (1.0 / 6.0, [0.85521287, 0.94041214, 0.68297771, -0.35782394, -1.152747, -0.62034498]),
-    (2.0 / 3.0, [-0.47762567, -0.4241477, -0.21810405, 0.36690399, 0.73212068, 0.36947608]),
-    (1.0 / 6.0, [-0.3775872, -0.51626444, -0.46487366, -0.0090800512, 0.42062632, 0.2508689]),
+    (1.0 / 6.0, [0.84431388, 1.1530788, 1.5278404, 1.568209, 0.83404027, 0.064161864]),
+    (2.0 / 3.0, [-0.47550393, -0.59462394, -0.69744621, -0.47437752, 0.0012346291, 0.17126932]),
+    (1.0 / 6.0, [-0.36880995, -0.55845486, -0.83039414, -1.0938314, -0.8352749, -0.23543119]),
 ];
 const NODES_4: [Fit<6>; 4] = [
-    (-2.3344142183389773, [5.9616362, 8.931471, 8.471567, 0.32934886, -7.8306263, -4.7513139]),
-    (-0.7419637843027259, [3.984339, 4.342401, 4.1742744, 0.017920235, -4.1684906, -2.6885897]),
-    (0.7419637843027259, [3.8261447, 2.0450984, 3.1978089, 0.79173753, -2.809986, -2.6074956]),
-    (2.3344142183389773, [4.670456, 0.10667319, 3.8039984, 2.8796775, -2.46742, -4.5674836]),
+    (-2.3344142183389773, [5.8527594, 8.8549866, 12.299381, 18.794767, 18.653839, 7.0956613]),
+    (-0.7419637843027259, [3.9151489, 5.0183749, 7.3075701, 10.307531, 8.5369818, 2.1438452]),
+    (0.7419637843027259, [3.7336872, 3.4101123, 6.6127277, 9.4291165, 4.7818016, -1.6382596]),
+    (2.3344142183389773, [4.4837229, 2.4373429, 9.0848328, 13.802749, 0.83166459, -9.2756289]),
 ];
 const WEIGHTS_4: [Fit<6>; 4] = [
-    (0.0458758547680685, [0.72778572, 0.79113618, 0.72771149, -0.31456696, -1.4187525, -0.84319668]),
-    (0.4541241452319315, [0.34774186, 0.69886448, 0.638466, 0.36802605, 0.24732524, 0.14372687]),
-    (0.4541241452319315, [-0.93909984, -1.2620825, -1.1022194, 0.03044009, 1.013493, 0.58508699]),
-    (0.0458758547680685, [-0.13642774, -0.22791814, -0.26395808, -0.083899181, 0.15793419, 0.11438283]),
+    (0.0458758547680685, [0.72353383, 0.9383288, 1.2354384, 1.2578358, 0.60204325, -0.033959372]),
+    (0.4541241452319315, [0.32539004, 0.61293876, 1.0450021, 2.0776733, 2.3797521, 1.0354328]),
+    (0.4541241452319315, [-0.91770579, -1.3381718, -1.9148754, -2.7469085, -2.4566422, -0.82594748]),
+    (0.0458758547680685, [-0.13121808, -0.21309581, -0.3655651, -0.58860064, -0.52515316, -0.1755259]),
 ];
 
 /// Gauss–Hermite nodes of the unit normal density and their weights times e^(w²/2).
@@ -96,16 +98,17 @@ impl<F: Real> Clipped<F> {
     #[inline(always)]
     pub fn new(t: F) -> Self {
         let (zero, one) = (t.zero(), t.one());
-        let root = t.mul_add(t, t.lit(4.0)).sqrt();
+        let square = t.mul_add(t, t.lit(4.0));
+        let inverse_root = square.quick_rsqrt();
+        let root = square * inverse_root;
         // Of the two roots ±a of a² + ta = 1 the one without cancellation: m = max(a, 1/a), and 1 + m² = m·root.
         let m = (root + t.max(-t)).times(0.5);
-        let long = (m * root).sqrt();
-        let inverse = (m * long).recip();
-        let (narrow, wide) = (m * inverse, m * m * inverse);
-        let tau = t / t.mul_add(t, t.lit(9.0)).sqrt();
+        let narrow = (m * root).quick_rsqrt();
+        let wide = m * narrow;
+        let tau = t * inverse_root;
         let gap = (one - tau).times(0.5);
         let clipped = Self {
-            shift: t.select_lt(zero, m, inverse * long),
+            shift: t.select_lt(zero, m, m.quick_recip()),
             width: t.select_lt(zero, narrow, wide),
             share: t.select_lt(zero, wide, narrow),
             mass: zero,
@@ -187,7 +190,10 @@ mod tests {
             for count in 2..=4 {
                 for index in 0..count {
                     let node = clipped.along(count, index);
-                    assert!(1.0 + clipped.share * node.offset > 0.2 && node.weight > 0.0, "{t} {count} {index}");
+                    assert!(
+                        1.0 + clipped.share * node.offset > 0.2 && node.weight > 0.0,
+                        "{t} {count} {index}"
+                    );
                 }
             }
         }
