@@ -4,11 +4,28 @@
 //! the product's peak in half-vector space ([`specular`]), with M, D and the cosine of the PhySG supplement evaluated at
 //! every node. Both take one point × one lobe at a time, like [`super::published`], and sum over lobes linearly.
 //!
+//! Accuracy against an adaptive cubature, and cost of diffuse + specular with 16 lanes of `f32` on one core (a run of the
+//! published formulas beside it: 9.2 ns forward, 16.8 ns forward and adjoint). Errors of the specular light in %: energy-weighted,
+//! median and 90th percentile over 195 lit cases with R in 0.1–0.9, λ in 1–800 (A); median, 90th percentile and mean over 1489 lit
+//! cases with R in 0.03–1, λ in 1e-3–1e6, lights of equal flux and any n·v above 0.001 (B). Published on A: 8.1, 8.5, 50.
+//!
+//! | nodes | A energy | A median | A 90th | B median | B 90th | B mean | forward | with adjoint |
+//! | --- | --- | --- | --- | --- | --- | --- | --- | --- |
+//! | 2 × 2 (`Fast`) | 0.60 | 0.20 | 2.7 | 0.009 | 7.9 | 2.0 | 15.2 ns | 18.4 ns |
+//! | 3 × 2 (`Default`) | 0.36 | 0.11 | 1.6 | 0.007 | 2.7 | 0.75 | 18.6 ns | 22.2 ns |
+//! | 3 × 3 | 0.30 | 0.05 | 1.6 | 0.002 | 2.2 | 0.60 | 21.7 ns | – |
+//! | 4 × 3 (`High`) | 0.16 | 0.05 | 0.8 | 0.002 | 1.0 | 0.35 | 25.5 ns | 32.4 ns |
+//!
+//! Diffuse on A: 0.08, 0.02, 0.64 (published 0.78, 0.77, 5.0). A second Gauss–Newton step changes little (3 × 3 on A: energy
+//! 0.30 to 0.31), so there is one. The largest errors, tens of percent, are lights far below the horizon on rough surfaces and n·v < 0.01.
+//! `f32` agrees with `f64` to 1e-4 except for n·v < 0.005 with λ > 1e4 (1.6e-3).
+//!
 //! What the adjoint holds fixed: the specular nodes' world-space directions ω and their weights. Its result is exactly
 //! the derivative of that frozen sum, and the derivative of the integral to the rule's own accuracy; how nodes would move
 //! with the inputs is left out, because an exact rule would not notice. The diffuse adjoint is exact.
 
 pub mod diffuse;
+pub mod ggx;
 mod rule;
 mod specular;
 
@@ -37,7 +54,7 @@ macro_rules! unroll {
     };
 }
 
-/// How many nodes the specular quadrature has; relative errors are tabulated in the tests' accuracy report.
+/// How many nodes the specular quadrature has; the module's documentation tabulates accuracy and cost.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Quality {
     /// 2 × 2 nodes.
@@ -100,12 +117,12 @@ impl<F: Real, const NDF: usize> PointTerms<F, NDF> {
 
     /// A world-space vector along tangent, bitangent and normal.
     #[inline(always)]
-    fn to_local(&self, v: Vec3Of<F>) -> Vec3Of<F> {
+    fn in_frame(&self, v: Vec3Of<F>) -> Vec3Of<F> {
         [dot(self.frame[0], v), dot(self.frame[1], v), dot(self.frame[2], v)]
     }
 
     #[inline(always)]
-    fn to_world(&self, v: Vec3Of<F>) -> Vec3Of<F> {
+    fn in_world(&self, v: Vec3Of<F>) -> Vec3Of<F> {
         let plane = add(scale(self.frame[0], v[0]), scale(self.frame[1], v[1]));
         add(plane, scale(self.frame[2], v[2]))
     }
@@ -169,7 +186,7 @@ pub fn prepare_with_ndf<F: Real, const NDF: usize>(
         let steep = sharpness * view[1];
         let root = (steep * steep + (sharpness * view[0] * view[0]).times(8.0)).sqrt();
         // A viewer straight below leaves neither; any small number will do.
-        let start = view[0].times(4.0) / (steep + root).max(k.lit(1e-6));
+        let start = (view[0].times(4.0) / (steep + root).max(k.lit(1e-6))).min(k.one());
         NdfTerms { sharpness, start, scale: masked * sharpness * weight }
     });
     let slope = roughness.plus(1.0).times(0.25);
@@ -194,7 +211,7 @@ pub fn evaluate_pair<F: Real, const ALONG: usize, const ACROSS: usize, const NDF
     axis: Vec3Of<F>,
     sharpness: F,
 ) -> Pair<F> {
-    let light = LocalLight { axis: point.to_local(axis), sharpness };
+    let light = LocalLight { axis: point.in_frame(axis), sharpness };
     let view = PointTermsView::new(point);
     let (mut constant, mut total) = (sharpness.zero(), sharpness.zero());
     for ndf in &point.ndf {
@@ -278,7 +295,7 @@ pub fn pull_back_pair<F: Real, const ALONG: usize, const ACROSS: usize, const ND
     sharpness: F,
     [diffuse_adjoint, constant_adjoint, slope_adjoint]: [F; 3],
 ) -> (Pair<F>, PairAdjoint<F, NDF>) {
-    let light = LocalLight { axis: point.to_local(axis), sharpness };
+    let light = LocalLight { axis: point.in_frame(axis), sharpness };
     let view = PointTermsView::new(point);
     let zero = sharpness.zero();
     let diffuse = cosine_integral(sharpness, light.axis[2]);
@@ -310,7 +327,7 @@ pub fn pull_back_pair<F: Real, const ALONG: usize, const ACROSS: usize, const ND
     out.normal = [tilt.mul_add(light.axis[0], sums.normal[0]), tilt.mul_add(light.axis[1], sums.normal[1])];
     out.shadowing = -sums.shadowing;
     let pull = scale(sums.offset, sharpness);
-    let axis = point.to_world([pull[0], pull[1], pull[2] + tilt]);
+    let axis = point.in_world([pull[0], pull[1], pull[2] + tilt]);
     let sharpness = diffuse_adjoint * diffuse.by_sharpness - sums.half_square;
     (Pair { diffuse, constant, slope: total - constant }, PairAdjoint { axis, sharpness, point: out })
 }

@@ -56,14 +56,6 @@ fn pair<F: Real, const ALONG: usize, const ACROSS: usize>(case: &Case, to: impl 
     evaluate_pair::<F, ALONG, ACROSS, 1>(&point, three(case.axis), to(case.sharpness))
 }
 
-fn integrals<F: Real, const ALONG: usize, const ACROSS: usize>(case: &Case) -> Integrals
-where
-    F: From<f32> + Into<f64>,
-{
-    let pair = pair::<F, ALONG, ACROSS>(case, |x| F::from(x as f32));
-    [pair.diffuse.value.into(), pair.constant.into(), pair.slope.into()]
-}
-
 fn quality(case: &Case, quality: Quality) -> Integrals {
     let p = match quality {
         Quality::Fast => pair::<f64, 2, 2>(case, |x| x),
@@ -109,7 +101,7 @@ type Frozen = Vec<([f64; 3], f64)>;
 /// The nodes that the kernel uses for a case, weighted so that Σ weight·integrand is the kernel's sum.
 fn frozen<const ALONG: usize, const ACROSS: usize>(case: &Case) -> Frozen {
     let (point, _) = prepare_point(case.normal, case.to_viewer, case.roughness);
-    let light = LocalLight { axis: point.to_local(case.axis), sharpness: case.sharpness };
+    let light = LocalLight { axis: point.in_frame(case.axis), sharpness: case.sharpness };
     let (view, ndf) = (PointTermsView::new(&point), &point.ndf[0]);
     let placement = place(point.view, ndf, &light);
     let mut nodes = vec![];
@@ -117,7 +109,7 @@ fn frozen<const ALONG: usize, const ACROSS: usize>(case: &Case) -> Frozen {
         let row = placement.row(ALONG, i);
         for j in 0..ACROSS {
             let node = node(&view, ndf, &light, &placement, &row, column(ACROSS, j));
-            let omega = unit(point.to_world([node.direction[0], node.direction[1], node.cosine]));
+            let omega = unit(point.in_world([node.direction[0], node.direction[1], node.cosine]));
             let [_, constant, slope] = integrand(case, omega);
             let value = node.over_cosine * node.cosine * ndf.scale;
             if value > 1e-200 && constant + slope > 1e-200 {
@@ -324,7 +316,8 @@ fn single_precision_and_lanes_keep_four_digits() {
             ..*case
         };
         let exact = quality(&rounded, Quality::Default);
-        let single = integrals::<f32, 3, 2>(case);
+        let single = pair::<f32, 3, 2>(case, |x| x as f32);
+        let single = [single.diffuse.value, single.constant, single.slope].map(f64::from);
         for i in 0..3 {
             let bound = 1e-4 * exact[i] + 1e-6 / case.amplitude[0];
             assert!((single[i] - exact[i]).abs() < bound, "{i}: {} {} {case:?}", single[i], exact[i]);
