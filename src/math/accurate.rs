@@ -38,7 +38,8 @@ use super::brdf::{ndf_sharpness, shadowing_k};
 use super::published::{Dual, Lobe};
 use super::real::{Real, Vec3Of, add, dot, scale, sub};
 use diffuse::cosine_integral;
-use specular::{LocalLight, Node, PointTermsView, column, node, place};
+use rule::across;
+use specular::{LocalLight, Node, PointTermsView, node, place};
 use std::f64::consts::PI;
 
 /// `for index in 0..count` for counts up to 4, written out so that every node's constants are constants.
@@ -220,7 +221,7 @@ pub fn evaluate_pair<F: Real, const ALONG: usize, const ACROSS: usize, const NDF
         unroll!(i < ALONG, {
             let row = placement.row(ALONG, i);
             unroll!(j < ACROSS, {
-                let node = node(&view, ndf, &light, &placement, &row, column(ACROSS, j));
+                let node = node(&view, ndf, &light, &placement, &row, across(ACROSS, j));
                 let value = node.over_cosine * node.cosine;
                 plain += value;
                 powered = value.mul_add(node.fresnel, powered);
@@ -311,7 +312,7 @@ pub fn pull_back_pair<F: Real, const ALONG: usize, const ACROSS: usize, const ND
         unroll!(i < ALONG, {
             let row = placement.row(ALONG, i);
             unroll!(j < ACROSS, {
-                let node = node(&view, ndf, &light, &placement, &row, column(ACROSS, j));
+                let node = node(&view, ndf, &light, &placement, &row, across(ACROSS, j));
                 let value = node.over_cosine * node.cosine;
                 plain += value;
                 powered = value.mul_add(node.fresnel, powered);

@@ -12,7 +12,7 @@
 //!    Gauss–Hermite. At every node the integrand itself is evaluated (one exp), divided by what the rule assumed.
 
 use super::diffuse::fading_exp;
-use super::rule::{Clipped, across};
+use super::rule::Clipped;
 use super::{NdfTerms, PointTerms};
 use crate::math::real::{Real, Vec3Of};
 
@@ -339,10 +339,4 @@ fn fresnel<F: Real>(x: F) -> F {
     let square = p * p;
     let fourth = square * square;
     fourth * fourth
-}
-
-/// Weight (times e^(w²/2)) and place of the nodes across, for rows of `count`.
-#[inline(always)]
-pub(super) fn column(count: usize, index: usize) -> (f64, f64) {
-    across(count, index)
 }

@@ -2,7 +2,8 @@
 
 use super::cubature::{Integrals, integrand, integrate};
 use super::diffuse::{cosine_integral, scaled_erfc};
-use super::specular::{LocalLight, PointTermsView, column, node, place};
+use super::rule::across;
+use super::specular::{LocalLight, PointTermsView, node, place};
 use super::*;
 use crate::math::lanes::{Lanes, MAX_LANES};
 use crate::math::published::tests::{Case, unit};
@@ -108,7 +109,7 @@ fn frozen<const ALONG: usize, const ACROSS: usize>(case: &Case) -> Frozen {
     for i in 0..ALONG {
         let row = placement.row(ALONG, i);
         for j in 0..ACROSS {
-            let node = node(&view, ndf, &light, &placement, &row, column(ACROSS, j));
+            let node = node(&view, ndf, &light, &placement, &row, across(ACROSS, j));
             let omega = unit(point.in_world([node.direction[0], node.direction[1], node.cosine]));
             let [_, constant, slope] = integrand(case, omega);
             let value = node.over_cosine * node.cosine * ndf.scale;
@@ -328,6 +329,29 @@ fn single_precision_and_lanes_keep_four_digits() {
                 exact[i]
             );
         }
+    }
+}
+
+#[inline(always)]
+fn quick_all<S: Simd>(simd: S, values: &[f32], out: &mut [[f32; 2]]) {
+    for (chunk, out) in values.chunks_exact(Lanes::<S>::LEN).zip(out.chunks_exact_mut(Lanes::<S>::LEN)) {
+        let x = Lanes::load(simd, chunk);
+        for (i, y) in [x.quick_recip(), x.quick_rsqrt()].into_iter().enumerate() {
+            let mut stored = vec![0.0; chunk.len()];
+            y.add_to(&mut stored);
+            out.iter_mut().zip(stored).for_each(|(o, s)| o[i] = s);
+        }
+    }
+}
+
+#[test]
+fn quick_reciprocals_are_within_their_stated_error() {
+    let values: Vec<f32> = (0..16_000).map(|i| 10f32.powf(-18.0 + 36.0 * i as f32 / 16_000.0)).collect();
+    let mut out = vec![[0.0; 2]; values.len()];
+    dispatch!(Level::new(), simd => quick_all(simd, &values, &mut out));
+    for (x, [recip, rsqrt]) in values.iter().map(|x| f64::from(*x)).zip(out) {
+        assert!((f64::from(recip) * x - 1.0).abs() < 1e-6, "1/{x} = {recip}");
+        assert!((f64::from(rsqrt) * x.sqrt() - 1.0).abs() < 1e-5, "1/√{x} = {rsqrt}");
     }
 }
 
