@@ -1,5 +1,6 @@
 //! Pure kernels: no ECS, no input or output, nothing of the other rooms.
 
+pub mod accurate;
 pub mod brdf;
 pub mod color;
 pub mod lanes;

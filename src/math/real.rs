@@ -55,6 +55,16 @@ pub trait Real:
     fn recip(self) -> Self {
         self.one() / self
     }
+    /// 1 / self for positive, normal `self`, where a relative error of 1e-6 does no harm.
+    #[inline(always)]
+    fn quick_recip(self) -> Self {
+        self.recip()
+    }
+    /// 1 / √self for positive, normal `self`, where a relative error of 1e-5 does no harm.
+    #[inline(always)]
+    fn quick_rsqrt(self) -> Self {
+        self.sqrt().recip()
+    }
     /// `self` if positive, else 0.
     #[inline(always)]
     fn relu(self) -> Self {

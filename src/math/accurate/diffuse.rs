@@ -1,0 +1,131 @@
+//! The integral of an SG times the clamped cosine, in closed form, and the complementary error function it needs.
+
+use crate::math::published::Dual;
+use crate::math::real::Real;
+use std::f64::consts::PI;
+
+/// e^(x²)·erfc(x) for x ≥ 0: s·P((1 − px)/(1 + px)) with s = 1/(1 + px), p = 0.36; relative error below 6e-8 (1e-6 in `f32`).
+const SCALED_ERFC: [f64; 10] = [
+    0.383841213067,
+    0.306753512712,
+    0.192277455528,
+    0.0898987791954,
+    0.0272801696181,
+    0.00238949866222,
+    -0.00195151911803,
+    -0.000670684595379,
+    0.000106820557434,
+    7.47882407367e-05,
+];
+
+/// The scaled complementary error function e^(x²)·erfc(x) for x ≥ 0.
+#[inline(always)]
+pub fn scaled_erfc<F: Real>(x: F) -> F {
+    let s = x.times(0.36).plus(1.0).quick_recip();
+    let z = s.times(2.0).plus(-1.0);
+    let mut p = x.lit(SCALED_ERFC[9]);
+    let mut i = 9;
+    while i > 0 {
+        i -= 1;
+        p = p.mul_add(z, x.lit(SCALED_ERFC[i]));
+    }
+    p * s
+}
+
+/// (1 − e^(−z))/z for small z ≥ 0 (below 0.5: error 1e-8).
+#[inline(always)]
+fn mean_exponential<F: Real>(z: F) -> F {
+    polynomial(z, [1.0, -0.5, 1.0 / 6.0, -1.0 / 24.0, 1.0 / 120.0, -1.0 / 720.0, 1.0 / 5040.0])
+}
+
+/// e^x for x ≤ 0, held above 1e-26: what follows multiplies it further, and subnormal numbers are slow.
+#[inline(always)]
+pub(super) fn fading_exp<F: Real>(x: F) -> F {
+    x.max(x.lit(-60.0)).exp()
+}
+
+/// A function of the sharpness and its derivative.
+type Slope<F> = (F, F);
+
+/// Tokuyoshi's t(λ) = λ√(½N/D), which steers the blend between the two extreme orientations.
+#[inline(always)]
+fn steepness<F: Real>(l: F) -> Slope<F> {
+    let n = l.plus(2.736_083_16).mul_add(l, l.lit(17.021_297_8));
+    let d = l.plus(4.010_082_67).mul_add(l, l.lit(15.219_156_3)).mul_add(l, l.lit(76.087_896_3));
+    let inverse = d.quick_recip();
+    let ratio = (n * inverse).times(0.5);
+    let root = ratio.sqrt();
+    let n_slope = l.times(2.0).plus(2.736_083_16);
+    let d_slope = l.times(3.0).plus(2.0 * 4.010_082_67).mul_add(l, l.lit(15.219_156_3));
+    let ratio_slope = (n_slope.times(0.5) - ratio * d_slope) * inverse;
+    (l * root, root + (l * ratio_slope).times(0.5) * root.quick_recip())
+}
+
+/// The integral over 2π for an axis along the normal, (1 − g)/λ, and against it, e(g − e)/λ, with e = e^(−λ), g = (1 − e)/λ.
+#[inline(always)]
+fn extremes<F: Real>(l: F) -> (Slope<F>, Slope<F>) {
+    let bound = l.lit(0.5);
+    let e = fading_exp(-l);
+    let inverse = l.max(bound).quick_recip();
+    let g = (l.one() - e) * inverse;
+    let g_slope = (e - g) * inverse;
+    let up = (l.one() - g) * inverse;
+    let q = (g - e) * inverse;
+    let closed = [up, -(g_slope + up) * inverse, q, (g_slope + e - q) * inverse];
+    let series = [
+        polynomial(l, [0.5, -1.0 / 6.0, 1.0 / 24.0, -1.0 / 120.0, 1.0 / 720.0, -1.0 / 5040.0, 1.0 / 40320.0]),
+        polynomial(l, [-1.0 / 6.0, 1.0 / 12.0, -1.0 / 40.0, 1.0 / 180.0, -1.0 / 1008.0, 1.0 / 6720.0, 0.0]),
+        polynomial(l, [0.5, -1.0 / 3.0, 0.125, -1.0 / 30.0, 1.0 / 144.0, -1.0 / 840.0, 1.0 / 5760.0]),
+        polynomial(l, [-1.0 / 3.0, 0.25, -0.1, 1.0 / 36.0, -1.0 / 168.0, 1.0 / 960.0, 0.0]),
+    ];
+    let [mut up, mut up_slope, mut q, mut q_slope] = closed;
+    up = l.select_lt(bound, series[0], up);
+    up_slope = l.select_lt(bound, series[1], up_slope);
+    q = l.select_lt(bound, series[2], q);
+    q_slope = l.select_lt(bound, series[3], q_slope);
+    ((up, up_slope), (e * q, e * (q_slope - q)))
+}
+
+/// Polynomial with the constant first.
+#[inline(always)]
+fn polynomial<F: Real>(x: F, coefficients: [f64; 7]) -> F {
+    let mut p = x.lit(coefficients[6]);
+    let mut i = 6;
+    while i > 0 {
+        i -= 1;
+        p = p.mul_add(x, x.lit(coefficients[i]));
+    }
+    p
+}
+
+/// ∫ exp(λ(ω·ξ − 1)) max(n·ω, 0) dω for λ ≥ 0 and c = ξ·n, with its two derivatives.
+///
+/// Tokuyoshi, Ikeda, Kulkarni and Harada, "Hierarchical Light Sampling with Accurate Spherical Gaussian Lighting" (2024).
+/// Relative error of the formula about 0.1 % where the lobe is well above the horizon; it grows in the tail of a sharp lobe below it.
+/// Always in [0, π].
+#[inline(always)]
+pub fn cosine_integral<F: Real>(sharpness: F, c: F) -> Dual<F> {
+    let (zero, one) = (c.zero(), c.one());
+    let c = c.max(-one).min(one);
+    let (t, t_slope) = steepness(sharpness);
+    let tc = t * c;
+    let (t_squared, tc_abs) = (t * t, tc.max(-tc));
+    let (axis, edge) = (fading_exp(-t_squared), fading_exp(-(tc * tc)));
+    // erfc(−tc), and (e^(−t²) − e^(−t²c²))/(2√π·t²), by series where the difference cancels.
+    let tail = edge * scaled_erfc(tc_abs);
+    let share = tc.select_lt(zero, tail, one + one - tail);
+    let z = t_squared * ((one - c) * (one + c));
+    let bound = c.lit(0.5);
+    let mean = z.select_lt(bound, edge * mean_exponential(z), (edge - axis) * z.max(bound).quick_recip());
+    let difference = -(mean * (one - c) * (one + c)).times(0.5 / PI.sqrt());
+    let blend = (c * share + axis * scaled_erfc(t)).times(0.5) - difference * t;
+    let blend = blend.max(zero).min(one);
+    let ((up, up_slope), (low, low_slope)) = extremes(sharpness);
+    let span = up - low;
+    let by_sharpness = (up_slope - low_slope).mul_add(blend, low_slope) + span * difference * t_slope;
+    Dual {
+        value: span.mul_add(blend, low).times(2.0 * PI),
+        by_sharpness: by_sharpness.times(2.0 * PI),
+        by_cosine: (span * share).times(PI),
+    }
+}
