@@ -10,6 +10,7 @@ pub mod pass;
 pub mod report;
 pub mod scene;
 pub mod shade;
+pub mod shape;
 pub mod stage;
 pub mod surface;
 pub mod view;

@@ -145,11 +145,16 @@ pub fn check_interrupted() -> Result<()> {
 /// Reads everything the scene names and puts it into a world. Nothing is written yet.
 fn open<'a>(scene: &'a Scene, options: &RunOptions) -> Result<Session<'a>> {
     let progress = Progress::new(options.quiet);
-    let (surface, notes) = make_surface(&scene.surface)?;
+    let mut views = read_views(scene, &progress)?;
+    let (surface, notes) = make_surface(&scene.surface, &views)?;
     notes.iter().for_each(|note| progress.note(note));
     let surface = Arc::new(surface);
     let lights = Lights::load(scene, &progress)?;
-    let (views, truth) = read_views(scene, &surface, &progress)?;
+    let mut truth = None;
+    if let Views::Photographed(spec) = &scene.views {
+        let truth = truth.insert(TrueObject::new(spec, &surface)?);
+        views = photograph::take(truth, spec, scene, &progress)?;
+    }
     check_cameras(&views, &surface)?;
     let mut pipeline = Pipeline::new();
     pipeline.add_plugin(&FramePlugin).add_plugin(&FitPlugin);
@@ -158,11 +163,8 @@ fn open<'a>(scene: &'a Scene, options: &RunOptions) -> Result<Session<'a>> {
     Ok(Session { scene, pipeline, surface, truth, out, lights, progress, scores: Scores::default() })
 }
 
-fn read_views(
-    scene: &Scene,
-    surface: &Arc<Surface>,
-    progress: &Progress,
-) -> Result<(Vec<ViewRecord>, Option<TrueObject>)> {
+/// The views that are there before the object is: those that it photographs itself are not.
+fn read_views(scene: &Scene, progress: &Progress) -> Result<Vec<ViewRecord>> {
     match &scene.views {
         Views::Dataset(spec) => {
             let options = DatasetOptions {
@@ -183,14 +185,10 @@ fn read_views(
                 part.notes.iter().for_each(|note| progress.note(note));
                 views.extend(part.views);
             }
-            Ok((views, None))
+            Ok(views)
         }
-        Views::Cameras(specs) => Ok((specs.iter().map(bare_view).collect::<Result<_>>()?, None)),
-        Views::Photographed(spec) => {
-            let mut truth = TrueObject::new(spec, surface)?;
-            let views = photograph::take(&mut truth, spec, scene, progress)?;
-            Ok((views, Some(truth)))
-        }
+        Views::Cameras(specs) => specs.iter().map(bare_view).collect(),
+        Views::Photographed(_) => Ok(Vec::new()),
     }
 }
 

@@ -23,6 +23,11 @@ pub fn check(scene: &Scene) -> Vec<Problem> {
     }
     checks.direction("up", scene.up);
     surface(&mut checks, &scene.surface);
+    if matches!((&scene.surface, &scene.views), (Surface::Unknown { .. }, views) if !matches!(views, Views::Dataset(_)))
+    {
+        let expected = "expected a known surface, or views with photographs: Dataset(…)";
+        checks.fail("surface", "an unknown surface without photographs", expected, "");
+    }
     views(&mut checks, &scene.views);
     light(&mut checks, &scene.light);
     material(&mut checks, &scene.material);
@@ -136,6 +141,10 @@ fn last_word(path: &str) -> &str {
 fn surface(checks: &mut Checks, surface: &Surface) {
     let texture_size = match surface {
         Surface::Mesh { texture_size, .. } => *texture_size,
+        Surface::Unknown { cells, texture_size } => {
+            checks.count("surface.cells", *cells, 16..=256);
+            *texture_size
+        }
         Surface::Sphere { center, radius, texture_size } => {
             checks.finite("surface.center", *center);
             checks.positive("surface.radius", *radius);

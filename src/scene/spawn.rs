@@ -15,21 +15,32 @@ use crate::math::ray::Illuminate;
 use crate::math::shading::LobeColumns;
 use crate::shade::systems::kernel_lobe;
 use crate::shade::{DistantLight, Scenery};
+use crate::shape::hull::{Silhouette, visual_hull};
 use crate::stage::Pipeline;
 use crate::surface::Surface;
 use crate::surface::atlas::unwrap_mesh;
 use crate::surface::gltf_import::read_mesh_with_report;
 use crate::surface::primitive::{box_mesh, sphere_mesh};
-use crate::view::{ViewMask, ViewName, ViewRecord};
+use crate::surface::sdf::extract::extract_mesh;
+use crate::view::{Split, ViewMask, ViewName, ViewRecord};
 use glam::{EulerRot, Quat, Vec3};
 use std::sync::Arc;
 
-/// Makes the surface; the notes say what was repaired on the way.
+/// Makes the surface, from the training views' masks where it is unknown; the notes say what was repaired on the way.
 ///
 /// # Errors
 /// If the mesh cannot be read or unwrapped.
-pub fn make_surface(spec: &SurfaceSpec) -> Result<(Surface, Vec<String>)> {
+pub fn make_surface(spec: &SurfaceSpec, views: &[ViewRecord]) -> Result<(Surface, Vec<String>)> {
     match spec {
+        SurfaceSpec::Unknown { cells, texture_size } => {
+            let train = views.iter().filter(|view| view.split == Split::Train);
+            let masks = train.filter_map(|view| Some((&view.camera, view.mask.as_ref()?)));
+            let silhouettes: Vec<Silhouette> =
+                masks.filter_map(|(camera, mask)| Silhouette::new(camera, mask)).collect();
+            let mesh = extract_mesh(&visual_hull(&silhouettes, *cells)?);
+            let unwrapped = unwrap_mesh(&mesh, *texture_size)?;
+            Ok((Surface::new(unwrapped.mesh, *texture_size)?, Vec::new()))
+        }
         SurfaceSpec::Mesh { path, texture_size } => {
             let (mesh, report) = read_mesh_with_report(path)?;
             let unwrapped = unwrap_mesh(&mesh, *texture_size)?;

@@ -56,6 +56,15 @@ pub enum Surface {
         #[serde(default = "mesh_texture_size")]
         texture_size: u32,
     },
+    /// The shape is not known: it is found from the photographs' masks. `views` must be a `Dataset`.
+    Unknown {
+        /// Cells a side of the grid that the shape is found on, 16 to 256. Default 128.
+        #[serde(default = "unknown_cells")]
+        cells: u32,
+        /// Width and height of the albedo texture in texels, 8 to 8192. Default 512.
+        #[serde(default = "unknown_texture_size")]
+        texture_size: u32,
+    },
     /// A sphere.
     Sphere {
         /// Centre. Default (0, 0, 0).
@@ -413,6 +422,14 @@ fn yes() -> bool {
 fn one_u32() -> u32 {
     1
 }
+fn unknown_cells() -> u32 {
+    128
+}
+
+fn unknown_texture_size() -> u32 {
+    512
+}
+
 fn mesh_texture_size() -> u32 {
     256
 }

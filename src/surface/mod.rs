@@ -19,6 +19,7 @@ pub mod gltf_import;
 pub mod mesh;
 pub mod point;
 pub mod primitive;
+pub mod sdf;
 
 use crate::math::ray::{Hit, Intersect, Ray};
 use crate::{Error, Result};

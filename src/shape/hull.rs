@@ -1,0 +1,192 @@
+//! The robust visual hull: at every point of space, how far outside the silhouettes it is.
+//!
+//! In a view a point is about (pixels to the outline) · depth / focal away from the silhouette's cone. The largest of
+//! these over the views is the hull's signed distance; the k-th largest forgives k − 1 wrong masks. Views that do not see
+//! the point, or see it at the border of the frame, abstain: what the frame cuts is not carved.
+
+use crate::surface::sdf::SdfGrid;
+use crate::surface::sdf::silhouette::signed_distance;
+use crate::view::{Camera, Mask};
+use crate::{Error, Result};
+use glam::{Mat3, Vec3};
+use rayon::prelude::*;
+
+/// Pixels from the border of a frame within which a view abstains.
+const BORDER: f32 = 2.0;
+/// Views that must see a point for it to be inside.
+const MIN_VIEWS: usize = 3;
+/// Share of the views that see a point whose masks may be wrong there.
+const FORGIVEN: f32 = 0.02;
+/// Cells a side of the grid that finds out how large the object is.
+const COARSE_CELLS: u32 = 48;
+
+/// A mask with its camera.
+#[derive(Clone, Debug)]
+pub struct Silhouette {
+    camera: Camera,
+    /// Signed pixels to the outline from each pixel's centre, negative inside.
+    distance: Vec<f32>,
+    /// The ray through the middle of the mask, and the tangent of the angle around it that holds all of the mask.
+    middle: Vec3,
+    spread: f32,
+}
+
+impl Silhouette {
+    /// From a view's mask; `None` if the mask is empty.
+    pub fn new(camera: &Camera, mask: &Mask) -> Option<Self> {
+        let (width, height) = (mask.width as usize, mask.height as usize);
+        let inside = || {
+            let pixels = mask.coverage.iter().enumerate().filter(|(_, coverage)| **coverage >= 0.5);
+            pixels.map(|(i, _)| ((i % width) as f32 + 0.5, (i / width) as f32 + 0.5))
+        };
+        let rays: Vec<Vec3> = inside().map(|(x, y)| camera.ray(x, y).direction).collect();
+        let middle = rays.iter().sum::<Vec3>().try_normalize()?;
+        let spread =
+            rays.iter().map(|ray| middle.cross(*ray).length() / middle.dot(*ray)).fold(0.0, f32::max);
+        Some(Self {
+            camera: *camera,
+            distance: signed_distance(&mask.coverage, width, height),
+            middle,
+            spread,
+        })
+    }
+
+    /// World distance of a point outside the silhouette's cone (negative inside); `None` if the view abstains.
+    fn world_distance(&self, point: Vec3) -> Option<f32> {
+        let (x, y, depth) = self.camera.project(point)?;
+        let (width, height) = (self.camera.width as f32, self.camera.height as f32);
+        let seen = x >= BORDER && x <= width - BORDER && y >= BORDER && y <= height - BORDER;
+        let focal = 0.5 * (self.camera.focal[0] + self.camera.focal[1]);
+        seen.then(|| self.pixels(x, y) * depth / focal)
+    }
+
+    /// The bilinear distance in pixels at an image position.
+    fn pixels(&self, x: f32, y: f32) -> f32 {
+        let (width, height) = (self.camera.width as usize, self.camera.height as usize);
+        let (x, y) = ((x - 0.5).clamp(0.0, (width - 1) as f32), (y - 0.5).clamp(0.0, (height - 1) as f32));
+        let (x0, y0) = (x as usize, y as usize);
+        let (x1, y1) = ((x0 + 1).min(width - 1), (y0 + 1).min(height - 1));
+        let (tx, ty) = (x - x0 as f32, y - y0 as f32);
+        let row = |y: usize| self.distance[y * width + x0] * (1.0 - tx) + self.distance[y * width + x1] * tx;
+        row(y0) * (1.0 - ty) + row(y1) * ty
+    }
+}
+
+/// The hull's signed distance at a point.
+fn hull_distance(silhouettes: &[Silhouette], point: Vec3, outside: f32) -> f32 {
+    let mut seen: Vec<f32> = silhouettes.iter().filter_map(|s| s.world_distance(point)).collect();
+    if seen.len() < MIN_VIEWS {
+        return outside;
+    }
+    let forgiven = (FORGIVEN * seen.len() as f32).floor() as usize;
+    let (_, kth, _) = seen.select_nth_unstable_by(forgiven, |a, b| b.total_cmp(a));
+    *kth
+}
+
+/// The visual hull of an object, on a grid of `cells` cells a side that just holds it.
+///
+/// # Errors
+/// [`Error::Run`] if there are fewer than three masks, their middle rays do not meet, or no point is inside all masks.
+pub fn visual_hull(silhouettes: &[Silhouette], cells: u32) -> Result<SdfGrid> {
+    let refuse = |problem: &str| Error::run("visual hull", problem);
+    if silhouettes.len() < MIN_VIEWS {
+        return Err(refuse("a shape needs at least three views with masks"));
+    }
+    let center = meeting_point(silhouettes).ok_or_else(|| refuse("the views all look along one line"))?;
+    let reach = |s: &Silhouette| s.camera.position().distance(center) * s.spread;
+    let radius = silhouettes.iter().map(reach).fold(0.0, f32::max);
+    let coarse = carve(silhouettes, center, 1.1 * radius, COARSE_CELLS);
+    let (low, high) = bounds_inside(&coarse).ok_or_else(|| {
+        refuse("no point of space is inside all masks: cameras and masks do not belong together")
+    })?;
+    let half = 0.5 * (high - low).max_element() + 2.0 * coarse.spacing;
+    Ok(carve(silhouettes, 0.5 * (low + high), half, cells))
+}
+
+fn carve(silhouettes: &[Silhouette], center: Vec3, half_side: f32, cells: u32) -> SdfGrid {
+    let outside = half_side / cells as f32;
+    SdfGrid::from_fn(center, half_side, cells, |point| hull_distance(silhouettes, point, outside))
+}
+
+/// The point nearest to all middle rays, in the least-squares sense; `None` if they are parallel.
+fn meeting_point(silhouettes: &[Silhouette]) -> Option<Vec3> {
+    let (mut a, mut b) = (Mat3::ZERO, Vec3::ZERO);
+    for s in silhouettes {
+        let d = s.middle;
+        let across = Mat3::IDENTITY - Mat3::from_cols(d * d.x, d * d.y, d * d.z);
+        a += across;
+        b += across * s.camera.position();
+    }
+    let point = a.inverse() * b;
+    (a.determinant() > 1e-6 && point.is_finite()).then_some(point)
+}
+
+/// The box around all vertices inside.
+fn bounds_inside(grid: &SdfGrid) -> Option<(Vec3, Vec3)> {
+    let inside = (0..grid.values.len()).into_par_iter().filter(|&i| grid.values[i] < 0.0);
+    inside
+        .map(|i| (grid.position(grid.vertex(i)), grid.position(grid.vertex(i))))
+        .reduce_with(|(a, b), (c, d)| (a.min(c), b.max(d)))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Masks of a ball, seen from all around.
+    fn ball_views(center: Vec3, radius: f32, count: usize) -> Vec<(Camera, Mask)> {
+        let axes = crate::light::fibonacci::fibonacci_axes(count);
+        axes.into_iter()
+            .map(|axis| {
+                let up = if axis.y.abs() > 0.9 { Vec3::X } else { Vec3::Y };
+                let camera =
+                    Camera::look_at(center + 4.0 * axis + 0.1 * up, center, up, 40.0, 96, 96).unwrap();
+                let coverage = (0..96 * 96)
+                    .map(|i| {
+                        let ray = camera.ray((i % 96) as f32 + 0.5, (i / 96) as f32 + 0.5);
+                        let distance = ray.direction.cross(center - ray.origin).length();
+                        if distance < radius { 1.0 } else { 0.0 }
+                    })
+                    .collect();
+                (camera, Mask { width: 96, height: 96, coverage })
+            })
+            .collect()
+    }
+
+    fn silhouettes(views: &[(Camera, Mask)]) -> Vec<Silhouette> {
+        views.iter().filter_map(|(camera, mask)| Silhouette::new(camera, mask)).collect()
+    }
+
+    #[test]
+    fn the_hull_of_a_ball_is_the_ball_wherever_it_lies() {
+        let (center, radius) = (Vec3::new(5.0, -3.0, 2.0), 0.9);
+        let grid = visual_hull(&silhouettes(&ball_views(center, radius, 40)), 40).unwrap();
+        for (i, value) in grid.values.iter().enumerate() {
+            let exact = grid.position(grid.vertex(i)).distance(center) - radius;
+            if exact.abs() < 0.3 {
+                assert!((value - exact).abs() < 0.05, "{value} {exact}");
+            }
+        }
+    }
+
+    #[test]
+    fn one_wrong_mask_of_many_does_not_carve_the_object_away() {
+        let mut views = ball_views(Vec3::ZERO, 0.9, 60);
+        views[7].1.coverage.iter_mut().enumerate().for_each(|(i, c)| *c = if i == 0 { 1.0 } else { 0.0 });
+        let grid = visual_hull(&silhouettes(&views), 24).unwrap();
+        assert!(grid.value(Vec3::ZERO) < -0.5);
+    }
+
+    #[test]
+    fn inconsistent_views_are_one_clear_error() {
+        let mut views = ball_views(Vec3::ZERO, 0.9, 12);
+        for (i, (_, mask)) in views.iter_mut().enumerate() {
+            mask.coverage
+                .iter_mut()
+                .enumerate()
+                .for_each(|(p, c)| *c = if p == 300 + 997 * i % 9000 { 1.0 } else { 0.0 });
+        }
+        assert!(visual_hull(&silhouettes(&views), 24).unwrap_err().to_string().contains("inside all masks"));
+        assert!(visual_hull(&silhouettes(&views[..2]), 24).is_err());
+    }
+}

@@ -1,0 +1,112 @@
+//! A mesh of an SDF's zero level: naive surface nets (Gibson 1998), vertices then moved onto the level.
+
+use super::SdfGrid;
+use crate::surface::mesh::Mesh;
+use fast_surface_nets::ndshape::{RuntimeShape, Shape};
+use fast_surface_nets::{SurfaceNetsBuffer, surface_nets};
+use glam::Vec3;
+
+/// Newton steps that move a vertex onto the zero level.
+const PROJECTIONS: usize = 3;
+
+/// The zero level as a mesh with normals from the field; no triangles if there is none.
+///
+/// The field is closed at the border of the grid. Only the largest component is kept.
+pub fn extract_mesh(grid: &SdfGrid) -> Mesh {
+    let shape = RuntimeShape::<u32, 3>::new([grid.side; 3]);
+    let mut values = grid.values.clone();
+    let last = grid.side - 1;
+    for (i, value) in values.iter_mut().enumerate() {
+        if shape.delinearize(i as u32).iter().any(|&at| at == 0 || at == last) {
+            *value = value.max(0.1 * grid.spacing);
+        }
+    }
+    let mut buffer = SurfaceNetsBuffer::default();
+    surface_nets(&values, &shape, [0; 3], [last; 3], &mut buffer);
+    let positions: Vec<Vec3> = buffer.positions.iter().map(|p| project(grid, *p)).collect();
+    let normals = positions.iter().map(|p| grid.gradient(*p).try_normalize().unwrap_or(Vec3::Y)).collect();
+    let triangles = buffer.indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect();
+    let mut mesh = Mesh { positions, normals, uvs: None, triangles };
+    mesh.drop_degenerate_triangles();
+    keep_largest_component(mesh)
+}
+
+/// From grid units to a world position on the zero level, at most a cell away.
+fn project(grid: &SdfGrid, at: [f32; 3]) -> Vec3 {
+    let start = grid.origin + Vec3::from(at) * grid.spacing;
+    let mut point = start;
+    for _ in 0..PROJECTIONS {
+        let gradient = grid.gradient(point);
+        point -= gradient * (grid.value(point) / gradient.length_squared().max(1e-6));
+    }
+    if point.distance_squared(start) < grid.spacing * grid.spacing { point } else { start }
+}
+
+/// Drops all but the connected component with the most triangles, and the vertices that nothing uses.
+fn keep_largest_component(mesh: Mesh) -> Mesh {
+    let mut parent: Vec<u32> = (0..mesh.positions.len() as u32).collect();
+    for &[a, b, c] in &mesh.triangles {
+        for other in [b, c] {
+            let (x, y) = (root(&mut parent, a), root(&mut parent, other));
+            parent[x as usize] = y;
+        }
+    }
+    let mut counts = vec![0u32; mesh.positions.len()];
+    for triangle in &mesh.triangles {
+        counts[root(&mut parent, triangle[0]) as usize] += 1;
+    }
+    let Some(largest) = (0..counts.len()).max_by_key(|&i| (counts[i], std::cmp::Reverse(i))) else {
+        return mesh;
+    };
+    let mut new_index = vec![u32::MAX; mesh.positions.len()];
+    let mut kept = Mesh::default();
+    for triangle in &mesh.triangles {
+        if root(&mut parent, triangle[0]) as usize != largest {
+            continue;
+        }
+        kept.triangles.push(triangle.map(|v| {
+            let v = v as usize;
+            if new_index[v] == u32::MAX {
+                new_index[v] = kept.positions.len() as u32;
+                kept.positions.push(mesh.positions[v]);
+                kept.normals.push(mesh.normals[v]);
+            }
+            new_index[v]
+        }));
+    }
+    kept
+}
+
+fn root(parent: &mut [u32], mut i: u32) -> u32 {
+    while parent[i as usize] != i {
+        parent[i as usize] = parent[parent[i as usize] as usize];
+        i = parent[i as usize];
+    }
+    i
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_ball_comes_back_as_a_closed_mesh_without_the_floater() {
+        let field = |p: Vec3| (p.length() - 0.6).min((p - Vec3::splat(0.8)).length() - 0.1);
+        let mesh = extract_mesh(&SdfGrid::from_fn(Vec3::ZERO, 1.0, 40, field));
+        assert!(mesh.triangles.len() > 500);
+        for (p, n) in mesh.positions.iter().zip(&mesh.normals) {
+            assert!((p.length() - 0.6).abs() < 2e-3, "{p}");
+            assert!(n.dot(p.normalize()) > 0.99);
+        }
+        // Closed, and outwards: the mean of position · face normal is the volume.
+        let volume: f32 = mesh
+            .triangles
+            .iter()
+            .map(|t| {
+                let [a, b, c] = t.map(|v| mesh.positions[v as usize]);
+                a.dot(b.cross(c)) / 6.0
+            })
+            .sum();
+        assert!((volume - 4.0 / 3.0 * std::f32::consts::PI * 0.216).abs() < 0.01, "{volume}");
+    }
+}

@@ -1,0 +1,122 @@
+//! A signed distance field on a regular grid, made from silhouettes and turned into a mesh.
+//!
+//! | file | holds |
+//! | --- | --- |
+//! | this one | [`SdfGrid`]: values, trilinear look-up, smooth gradient |
+//! | [`silhouette`] | signed distance in pixels to a mask's outline |
+//! | [`extract`] | a mesh of the zero level (surface nets) |
+//!
+//! | parameter | type | unit | default | meaning |
+//! | --- | --- | --- | --- | --- |
+//! | `resolution` | `u32` | cells a side | 96 | of the cubic grid |
+//! | `origin`, `spacing` | `Vec3`, `f32` | world units | from the cameras | the grid's first vertex and the distance between two |
+
+pub mod extract;
+pub mod silhouette;
+
+use glam::{UVec3, Vec3};
+
+/// Signed distances at the vertices of a cubic grid, negative inside.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SdfGrid {
+    /// Vertices a side ≥ 2.
+    pub side: u32,
+    /// World position of vertex (0, 0, 0).
+    pub origin: Vec3,
+    /// World distance between neighbouring vertices.
+    pub spacing: f32,
+    /// World-unit distances; x runs fastest, then y, then z.
+    pub values: Vec<f32>,
+}
+
+impl SdfGrid {
+    /// A grid of `cells` cells a side over the cube around `center`, filled by `value` at each vertex's position.
+    pub fn from_fn(center: Vec3, half_side: f32, cells: u32, value: impl Fn(Vec3) -> f32 + Sync) -> Self {
+        use rayon::prelude::*;
+        let side = cells + 1;
+        let spacing = 2.0 * half_side / cells as f32;
+        let mut grid = Self { side, origin: center - Vec3::splat(half_side), spacing, values: Vec::new() };
+        let slab = (side * side) as usize;
+        let mut values = vec![0.0; slab * side as usize];
+        values.par_chunks_mut(slab).enumerate().for_each(|(z, slab)| {
+            for (i, out) in slab.iter_mut().enumerate() {
+                let (x, y) = (i as u32 % side, i as u32 / side);
+                *out = value(grid.position(UVec3::new(x, y, z as u32)));
+            }
+        });
+        grid.values = values;
+        grid
+    }
+
+    /// Row of a vertex.
+    pub fn index(&self, vertex: UVec3) -> usize {
+        let side = self.side as usize;
+        vertex.x as usize + side * (vertex.y as usize + side * vertex.z as usize)
+    }
+
+    /// The vertex of a row.
+    pub fn vertex(&self, index: usize) -> UVec3 {
+        let (side, index) = (self.side, index as u32);
+        UVec3::new(index % side, index / side % side, index / (side * side))
+    }
+
+    /// World position of a vertex.
+    pub fn position(&self, vertex: UVec3) -> Vec3 {
+        self.origin + vertex.as_vec3() * self.spacing
+    }
+
+    /// The cell that holds a point, clamped to the grid, and where in it, in [0, 1]³.
+    fn cell(&self, point: Vec3) -> (UVec3, Vec3) {
+        let at =
+            ((point - self.origin) / self.spacing).clamp(Vec3::ZERO, Vec3::splat((self.side - 1) as f32));
+        let cell = at.floor().as_uvec3().min(UVec3::splat(self.side - 2));
+        (cell, at - cell.as_vec3())
+    }
+
+    /// The eight vertices around a point with their trilinear weights.
+    pub fn corners(&self, point: Vec3) -> [(UVec3, f32); 8] {
+        let (cell, t) = self.cell(point);
+        std::array::from_fn(|k| {
+            let step = UVec3::new(k as u32 & 1, k as u32 >> 1 & 1, k as u32 >> 2);
+            let weight = |axis: usize| if step[axis] == 1 { t[axis] } else { 1.0 - t[axis] };
+            (cell + step, weight(0) * weight(1) * weight(2))
+        })
+    }
+
+    /// The trilinear distance at a point; outside the grid, that at the nearest point of it.
+    pub fn value(&self, point: Vec3) -> f32 {
+        self.corners(point).iter().map(|(vertex, weight)| weight * self.values[self.index(*vertex)]).sum()
+    }
+
+    /// Central differences at a vertex (one-sided at the border).
+    pub fn vertex_gradient(&self, vertex: UVec3) -> Vec3 {
+        let last = self.side - 1;
+        Vec3::from(std::array::from_fn(|axis| {
+            let (mut low, mut high) = (vertex, vertex);
+            low[axis] = low[axis].saturating_sub(1);
+            high[axis] = (high[axis] + 1).min(last);
+            let steps = (high[axis] - low[axis]) as f32 * self.spacing;
+            (self.values[self.index(high)] - self.values[self.index(low)]) / steps
+        }))
+    }
+
+    /// The vertices' central differences, interpolated: continuous, unlike the slope of the trilinear value.
+    pub fn gradient(&self, point: Vec3) -> Vec3 {
+        self.corners(point).iter().map(|(vertex, weight)| self.vertex_gradient(*vertex) * *weight).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_linear_field_is_read_back_exactly() {
+        let slope = Vec3::new(0.3, -0.7, 0.2);
+        let grid = SdfGrid::from_fn(Vec3::new(0.1, 0.2, 0.3), 1.0, 8, |p| p.dot(slope) - 0.1);
+        for point in [Vec3::ZERO, Vec3::new(0.5, -0.4, 0.9), Vec3::new(1.1, 1.2, 1.3)] {
+            assert!((grid.value(point) - (point.dot(slope) - 0.1)).abs() < 1e-5);
+            assert!((grid.gradient(point) - slope).length() < 1e-4);
+        }
+    }
+}
