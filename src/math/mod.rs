@@ -3,6 +3,7 @@
 pub mod brdf;
 pub mod color;
 pub mod lanes;
+pub mod model;
 pub mod published;
 pub mod ray;
 pub mod real;
