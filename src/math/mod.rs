@@ -4,6 +4,7 @@ pub mod accurate;
 pub mod brdf;
 pub mod color;
 pub mod lanes;
+pub mod model;
 pub mod published;
 pub mod ray;
 pub mod real;

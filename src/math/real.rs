@@ -27,8 +27,16 @@ pub trait Real:
     fn min(self, other: Self) -> Self;
     /// `if self < bound { yes } else { no }`, lane by lane.
     fn select_lt(self, bound: Self, yes: Self, no: Self) -> Self;
+    /// Whether `self < bound` in any lane.
+    fn any_lt(self, bound: Self) -> bool;
+    /// Magnitude.
+    fn abs(self) -> Self;
+    /// The magnitude of `self` with the sign of `sign`.
+    fn copysign(self, sign: Self) -> Self;
     /// `self * a + b`, fused where the machine can.
     fn mul_add(self, a: Self, b: Self) -> Self;
+    /// 1 / self for `self` in [1e-37, 1e37] only; vectors may err by 3e-7 of it, which saves a division.
+    fn inverse(self) -> Self;
 
     /// Zero.
     #[inline(always)]
@@ -50,15 +58,15 @@ pub trait Real:
     fn plus(self, value: f64) -> Self {
         self + self.lit(value)
     }
+    /// `self * a + c` with a constant.
+    #[inline(always)]
+    fn mul_plus(self, a: Self, c: f64) -> Self {
+        self.mul_add(a, self.lit(c))
+    }
     /// 1 / self.
     #[inline(always)]
     fn recip(self) -> Self {
         self.one() / self
-    }
-    /// 1 / self for positive, normal `self`, where a relative error of 1e-6 does no harm.
-    #[inline(always)]
-    fn quick_recip(self) -> Self {
-        self.recip()
     }
     /// 1 / √self for positive, normal `self`, where a relative error of 1e-5 does no harm.
     #[inline(always)]
@@ -100,8 +108,24 @@ macro_rules! scalar_real {
                 if self < bound { yes } else { no }
             }
             #[inline(always)]
+            fn any_lt(self, bound: Self) -> bool {
+                self < bound
+            }
+            #[inline(always)]
+            fn abs(self) -> Self {
+                self.abs()
+            }
+            #[inline(always)]
+            fn copysign(self, sign: Self) -> Self {
+                self.copysign(sign)
+            }
+            #[inline(always)]
             fn mul_add(self, a: Self, b: Self) -> Self {
                 self * a + b
+            }
+            #[inline(always)]
+            fn inverse(self) -> Self {
+                1.0 / self
             }
         }
     };
@@ -115,7 +139,7 @@ pub type Vec3Of<F> = [F; 3];
 /// Dot product.
 #[inline(always)]
 pub fn dot<F: Real>(a: Vec3Of<F>, b: Vec3Of<F>) -> F {
-    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+    a[0].mul_add(b[0], a[1].mul_add(b[1], a[2] * b[2]))
 }
 
 /// Sum.

@@ -21,7 +21,7 @@ const SCALED_ERFC: [f64; 10] = [
 /// The scaled complementary error function e^(x²)·erfc(x) for x ≥ 0.
 #[inline(always)]
 pub fn scaled_erfc<F: Real>(x: F) -> F {
-    let s = x.times(0.36).plus(1.0).quick_recip();
+    let s = x.times(0.36).plus(1.0).inverse();
     let z = s.times(2.0).plus(-1.0);
     let mut p = x.lit(SCALED_ERFC[9]);
     let mut i = 9;
@@ -52,13 +52,13 @@ type Slope<F> = (F, F);
 fn steepness<F: Real>(l: F) -> Slope<F> {
     let n = l.plus(2.736_083_16).mul_add(l, l.lit(17.021_297_8));
     let d = l.plus(4.010_082_67).mul_add(l, l.lit(15.219_156_3)).mul_add(l, l.lit(76.087_896_3));
-    let inverse = d.quick_recip();
+    let inverse = d.inverse();
     let ratio = (n * inverse).times(0.5);
     let root = ratio.sqrt();
     let n_slope = l.times(2.0).plus(2.736_083_16);
     let d_slope = l.times(3.0).plus(2.0 * 4.010_082_67).mul_add(l, l.lit(15.219_156_3));
     let ratio_slope = (n_slope.times(0.5) - ratio * d_slope) * inverse;
-    (l * root, root + (l * ratio_slope).times(0.5) * root.quick_recip())
+    (l * root, root + (l * ratio_slope).times(0.5) * root.inverse())
 }
 
 /// The integral over 2π for an axis along the normal, (1 − g)/λ, and against it, e(g − e)/λ, with e = e^(−λ), g = (1 − e)/λ.
@@ -66,7 +66,7 @@ fn steepness<F: Real>(l: F) -> Slope<F> {
 fn extremes<F: Real>(l: F) -> (Slope<F>, Slope<F>) {
     let bound = l.lit(0.5);
     let e = fading_exp(-l);
-    let inverse = l.max(bound).quick_recip();
+    let inverse = l.max(bound).inverse();
     let g = (l.one() - e) * inverse;
     let g_slope = (e - g) * inverse;
     let up = (l.one() - g) * inverse;
@@ -116,7 +116,7 @@ pub fn cosine_integral<F: Real>(sharpness: F, c: F) -> Dual<F> {
     let share = tc.select_lt(zero, tail, one + one - tail);
     let z = t_squared * ((one - c) * (one + c));
     let bound = c.lit(0.5);
-    let mean = z.select_lt(bound, edge * mean_exponential(z), (edge - axis) * z.max(bound).quick_recip());
+    let mean = z.select_lt(bound, edge * mean_exponential(z), (edge - axis) * z.max(bound).inverse());
     let difference = -(mean * (one - c) * (one + c)).times(0.5 / PI.sqrt());
     let blend = (c * share + axis * scaled_erfc(t)).times(0.5) - difference * t;
     let blend = blend.max(zero).min(one);

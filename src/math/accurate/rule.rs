@@ -108,7 +108,7 @@ impl<F: Real> Clipped<F> {
         let tau = t * inverse_root;
         let gap = (one - tau).times(0.5);
         let clipped = Self {
-            shift: t.select_lt(zero, m, m.quick_recip()),
+            shift: t.select_lt(zero, m, m.inverse()),
             width: t.select_lt(zero, narrow, wide),
             share: t.select_lt(zero, wide, narrow),
             mass: zero,

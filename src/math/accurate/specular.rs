@@ -80,7 +80,7 @@ impl<F: Real> Symmetric<F> {
     fn inverse_determinant(&self) -> F {
         let [xx, xy, yy] = self.0;
         let diagonal = xx * yy;
-        (diagonal - xy * xy).max(diagonal.times(1e-4)).quick_recip()
+        (diagonal - xy * xy).max(diagonal.times(1e-4)).inverse()
     }
 
     /// The adjugate times `v`: the inverse but for the determinant.
@@ -102,7 +102,7 @@ fn view_half_gradient<F: Real>(view: Vec2Of<F>, x: Vec2Of<F>, q: F, quarter: F) 
 #[inline(always)]
 fn start<F: Real>(point_view: Vec2Of<F>, ndf: &NdfTerms<F>, light: &LocalLight<F>) -> Vec2Of<F> {
     let l = light.sharpness;
-    let up = light.axis[2].max(l.plus(1.0 / LIFT).quick_recip());
+    let up = light.axis[2].max(l.plus(1.0 / LIFT).inverse());
     let sum = [point_view[0] + light.axis[0], light.axis[1], point_view[1] + up];
     let square = dot2([sum[0], sum[1]], [sum[0], sum[1]]) + sum[2] * sum[2];
     let inverse = square.max(l.lit(1e-12)).quick_rsqrt();
@@ -119,7 +119,7 @@ fn start<F: Real>(point_view: Vec2Of<F>, ndf: &NdfTerms<F>, light: &LocalLight<F
     let alpha = (four * view_half).mul_add(view_half, ndf.sharpness);
     let pull = [ndf.start - x[0], -x[1]];
     let beta = dot2(gradient, gradient).mul_add(four, alpha);
-    let inverse = (alpha * beta).quick_recip() * ndf.sharpness;
+    let inverse = (alpha * beta).inverse() * ndf.sharpness;
     let along = -(four * inverse * dot2(gradient, pull));
     let plain = inverse * beta;
     [
@@ -152,7 +152,7 @@ fn expand<F: Real>(view: Vec2Of<F>, ndf: &NdfTerms<F>, light: &LocalLight<F>, x:
     let axis_gradient = [q.mul_add(light.axis[0], -(pull * x[0])), q.mul_add(light.axis[1], -(pull * x[1]))];
     let cosine = (view_half * up).times(2.0) - view[1];
     let floored = cosine.max(l.lit(COSINE_FLOOR));
-    let inverse = (view_half * floored).quick_recip();
+    let inverse = (view_half * floored).inverse();
     let (over_half, over_cosine) = (inverse * floored, (inverse * view_half).times(4.0));
     let double = l.times(2.0);
     let mut gradient =
@@ -226,7 +226,7 @@ impl<F: Real> Placement<F> {
                 node.offset.mul_add(self.along[1], self.peak[1]),
             ],
             exponent: along * along.mul_add(along.lit(0.5), clipped.shift),
-            weight: self.weight * node.weight * relative.quick_recip(),
+            weight: self.weight * node.weight * relative.inverse(),
         }
     }
 }
@@ -277,7 +277,7 @@ pub(super) fn node<F: Real>(
         (dot2([offset[0], offset[1]], [offset[0], offset[1]]) + offset[2] * offset[2]).times(0.5);
     let exponent = row.exponent - ndf.sharpness.mul_add(drop, light.sharpness * half_square);
     let cosine = cosine.relu();
-    let shadowing = cosine.mul_add(point.one_minus_k, point.k).quick_recip();
+    let shadowing = cosine.mul_add(point.one_minus_k, point.k).inverse();
     let bell = fading_exp(exponent) * view_half * shadowing * row.weight.times(weight);
     Node {
         offset,

@@ -336,7 +336,7 @@ fn single_precision_and_lanes_keep_four_digits() {
 fn quick_all<S: Simd>(simd: S, values: &[f32], out: &mut [[f32; 2]]) {
     for (chunk, out) in values.chunks_exact(Lanes::<S>::LEN).zip(out.chunks_exact_mut(Lanes::<S>::LEN)) {
         let x = Lanes::load(simd, chunk);
-        for (i, y) in [x.quick_recip(), x.quick_rsqrt()].into_iter().enumerate() {
+        for (i, y) in [x.inverse(), x.quick_rsqrt()].into_iter().enumerate() {
             let mut stored = vec![0.0; chunk.len()];
             y.add_to(&mut stored);
             out.iter_mut().zip(stored).for_each(|(o, s)| o[i] = s);
@@ -345,7 +345,7 @@ fn quick_all<S: Simd>(simd: S, values: &[f32], out: &mut [[f32; 2]]) {
 }
 
 #[test]
-fn quick_reciprocals_are_within_their_stated_error() {
+fn inverserocals_are_within_their_stated_error() {
     let values: Vec<f32> = (0..16_000).map(|i| 10f32.powf(-18.0 + 36.0 * i as f32 / 16_000.0)).collect();
     let mut out = vec![[0.0; 2]; values.len()];
     dispatch!(Level::new(), simd => quick_all(simd, &values, &mut out));

@@ -1,0 +1,126 @@
+//! What a closed-form shading mode tells the slice kernels of [`super::shading`]: one point × one lobe, and what of it
+//! can be prepared per point and per lobe.
+//!
+//! The kernels own the loops, the columns, the threads and the sums; a [`PairModel`] owns the formulas. Radiance of
+//! channel c is Σ over lobes of μ_c·(albedo_c/π·diffuse + Σ_b weight_bc·specular_b), where `diffuse` and the model's
+//! one or more specular terms `specular_b` belong to the pair and the weights to the point.
+
+use super::real::{Real, Vec3Of};
+use super::shading::{ShadePoint, SpecularValue};
+
+/// A fixed number of values: the terms of a point, a lobe or a pair. Implemented for arrays.
+pub trait Terms<F>: Copy {
+    /// How many.
+    const LEN: usize;
+    /// From the value of each index.
+    fn from_fn(value: impl FnMut(usize) -> F) -> Self;
+    /// Value of one index.
+    fn at(&self, index: usize) -> F;
+}
+
+impl<F: Copy, const N: usize> Terms<F> for [F; N] {
+    const LEN: usize = N;
+    #[inline(always)]
+    fn from_fn(value: impl FnMut(usize) -> F) -> Self {
+        std::array::from_fn(value)
+    }
+    #[inline(always)]
+    fn at(&self, index: usize) -> F {
+        self[index]
+    }
+}
+
+/// A lobe's shape.
+#[derive(Clone, Copy)]
+pub struct Shape<F> {
+    /// Unit axis.
+    pub axis: Vec3Of<F>,
+    /// Sharpness ≥ 0.
+    pub sharpness: F,
+}
+
+/// One pair's light for unit amplitude.
+#[derive(Clone, Copy)]
+pub struct Response<F, T> {
+    /// Irradiance: times albedo/π it is the diffuse radiance.
+    pub diffuse: F,
+    /// The specular terms, to be weighted per channel by [`PairModel::specular_weights`].
+    pub specular: T,
+}
+
+/// Adjoints of one pair.
+#[derive(Clone, Copy)]
+pub struct PairAdjoint<F, T> {
+    /// With respect to the lobe's shape.
+    pub shape: Shape<F>,
+    /// Whatever of the point's adjoint is summed over lobes.
+    pub point: T,
+}
+
+/// One point's own numbers at the end of its adjoint.
+pub struct PointEnd<'a, M: PairModel> {
+    /// The point.
+    pub point: &'a ShadePoint,
+    /// The specular material.
+    pub specular: &'a SpecularValue,
+    /// From [`PairModel::prepare_point`].
+    pub terms: &'a M::Point<f32>,
+    /// Likewise.
+    pub frozen: &'a M::Frozen<f32>,
+    /// Sums over the lobes of [`PairAdjoint::point`].
+    pub sums: &'a M::Sums<f32>,
+    /// Per specular term and channel: adjoint of the channel's radiance × Σ over lobes of μ·specular.
+    pub glossy: &'a M::Specular<Vec3Of<f32>>,
+}
+
+/// The formulas of a shading mode. All methods should be `#[inline(always)]`: they run inside SIMD loops.
+pub trait PairModel: Copy + Send + Sync {
+    /// What a pair reads of its point.
+    type Point<F: Copy>: Terms<F>;
+    /// What of a point only its weights and the end of its adjoint need.
+    type Frozen<F: Copy>: Terms<F>;
+    /// What a pair reads of its lobe beside the shape: made from the sharpness once a call, kept in columns.
+    type Lobe<F: Copy>: Terms<F>;
+    /// A pair's specular terms.
+    type Specular<F: Copy>: Terms<F>;
+    /// The sums over lobes that a point's adjoint needs.
+    type Sums<F: Copy>: Terms<F>;
+
+    /// Everything that depends on the point and the roughness but not on the light.
+    fn prepare_point<F: Real>(
+        &self,
+        normal: Vec3Of<F>,
+        to_viewer: Vec3Of<F>,
+        roughness: F,
+    ) -> (Self::Point<F>, Self::Frozen<F>);
+
+    /// Everything that depends on a lobe's sharpness alone.
+    fn prepare_lobe<F: Real>(&self, sharpness: F) -> Self::Lobe<F>;
+
+    /// The weights of the specular terms in each channel.
+    fn specular_weights(
+        &self,
+        frozen: &Self::Frozen<f32>,
+        specular: &SpecularValue,
+    ) -> Self::Specular<Vec3Of<f32>>;
+
+    /// One point × lobe.
+    fn evaluate<F: Real>(
+        &self,
+        point: &Self::Point<F>,
+        shape: &Shape<F>,
+        lobe: &Self::Lobe<F>,
+    ) -> Response<F, Self::Specular<F>>;
+
+    /// One point × lobe and, given the adjoint of its response, the adjoints of what went in.
+    fn pull_back<F: Real>(
+        &self,
+        point: &Self::Point<F>,
+        shape: &Shape<F>,
+        lobe: &Self::Lobe<F>,
+        adjoint: &Response<F, Self::Specular<F>>,
+    ) -> (Response<F, Self::Specular<F>>, PairAdjoint<F, Self::Sums<F>>);
+
+    /// Ends a point's adjoint: returns that of its normal, adds that of the specular material onto `gradient`.
+    fn pull_back_point(&self, end: &PointEnd<'_, Self>, gradient: &mut SpecularValue) -> Vec3Of<f32>;
+}

@@ -1,0 +1,300 @@
+//! The loops: points × vectors of lobes, generic over the SIMD level and the formulas.
+//!
+//! Lobes are regrouped into blocks of [`MAX_LANES`]: a block is one [`Row`] a column (axis, sharpness, amplitude, then
+//! the model's terms), so that a lobe's values lie side by side whatever the number of lobes. Points are prepared
+//! a vector at a time too.
+
+use super::{LOBE_COLUMNS, Layers, LobeColumns, PointAdjoint, RadianceAdjoint, ShadePoint, SpecularValue};
+use crate::math::lanes::{Lanes, MAX_LANES, Row};
+use crate::math::model::{PairModel, PointEnd, Response, Shape, Terms};
+use crate::math::real::{Real, Vec3Of, dot, scale};
+use fearless_simd::Simd;
+use std::f32::consts::PI;
+
+/// What all points share.
+pub struct Shared<'a, M> {
+    pub model: M,
+    pub specular: &'a SpecularValue,
+    /// Blocks of [`block_rows`] rows.
+    pub lobes: &'a [Row],
+}
+
+/// Rows of a block of prepared lobes.
+const fn block_rows<M: PairModel>() -> usize {
+    LOBE_COLUMNS + <M::Lobe<f32> as Terms<f32>>::LEN
+}
+
+/// Regroups lobes into blocks and adds the model's terms.
+#[inline(always)]
+pub fn prepare_lobes<S: Simd, M: PairModel>(simd: S, model: M, lobes: &LobeColumns, out: &mut Vec<Row>) {
+    out.clear();
+    out.resize(lobes.blocks() * block_rows::<M>(), Row::ZERO);
+    for (b, block) in out.chunks_exact_mut(block_rows::<M>()).enumerate() {
+        for (c, row) in block[..LOBE_COLUMNS].iter_mut().enumerate() {
+            row.0.copy_from_slice(&lobes.data[c * lobes.stride + b * MAX_LANES..][..MAX_LANES]);
+        }
+        for at in (0..MAX_LANES).step_by(Lanes::<S>::LEN) {
+            let terms = model.prepare_lobe(load(simd, &block[3], at));
+            for c in 0..M::Lobe::<Lanes<S>>::LEN {
+                terms.at(c).store(&mut block[LOBE_COLUMNS + c].0[at..at + Lanes::<S>::LEN]);
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn load<S: Simd>(simd: S, row: &Row, at: usize) -> Lanes<S> {
+    Lanes::load(simd, &row.0[at..at + Lanes::<S>::LEN])
+}
+
+/// One vector of lobes.
+struct LobeVector<S: Simd, M: PairModel> {
+    shape: Shape<Lanes<S>>,
+    amplitude: Vec3Of<Lanes<S>>,
+    terms: M::Lobe<Lanes<S>>,
+}
+
+#[inline(always)]
+fn load_lobes<S: Simd, M: PairModel>(simd: S, block: &[Row], at: usize) -> LobeVector<S, M> {
+    assert_eq!(block.len(), block_rows::<M>(), "a whole block");
+    let column = |c: usize| load(simd, &block[c], at);
+    LobeVector {
+        shape: Shape { axis: [column(0), column(1), column(2)], sharpness: column(3) },
+        amplitude: [column(4), column(5), column(6)],
+        terms: Terms::from_fn(|c| column(LOBE_COLUMNS + c)),
+    }
+}
+
+/// The terms of a group of up to [`Lanes::LEN`] points, one point a lane.
+struct Prepared<S: Simd, M: PairModel> {
+    terms: M::Point<Lanes<S>>,
+    frozen: M::Frozen<Lanes<S>>,
+}
+
+impl<S: Simd, M: PairModel> Prepared<S, M> {
+    #[inline(always)]
+    fn new(simd: S, shared: &Shared<'_, M>, points: &[ShadePoint]) -> Self {
+        // A lane without a point has zeros, of which nothing is read.
+        let mut inputs = [Row::ZERO; 6];
+        for (i, point) in points.iter().enumerate() {
+            for c in 0..3 {
+                inputs[c].0[i] = point.normal[c];
+                inputs[3 + c].0[i] = point.to_viewer[c];
+            }
+        }
+        let three = |first: usize| std::array::from_fn(|c| load(simd, &inputs[first + c], 0));
+        let roughness = Lanes::splat(simd, shared.specular.roughness);
+        let (terms, frozen) = shared.model.prepare_point(three(0), three(3), roughness);
+        Self { terms, frozen }
+    }
+
+    /// The terms of one point.
+    #[inline(always)]
+    fn point(&self, lane: usize) -> (M::Point<f32>, M::Frozen<f32>) {
+        (Terms::from_fn(|c| self.terms.at(c).lane(lane)), Terms::from_fn(|c| self.frozen.at(c).lane(lane)))
+    }
+}
+
+/// A point's terms with the same value in every lane.
+#[inline(always)]
+fn splat<S: Simd, M: PairModel>(simd: S, terms: &M::Point<f32>) -> M::Point<Lanes<S>> {
+    Terms::from_fn(|c| Lanes::splat(simd, terms.at(c)))
+}
+
+/// The sum over lanes of each channel.
+#[inline(always)]
+fn sum3<S: Simd>(v: &Vec3Of<Lanes<S>>) -> Vec3Of<f32> {
+    [v[0].sum(), v[1].sum(), v[2].sum()]
+}
+
+/// `v * by + sum`, channel by channel.
+#[inline(always)]
+fn mul_add3<F: Real>(v: Vec3Of<F>, by: F, sum: Vec3Of<F>) -> Vec3Of<F> {
+    [v[0].mul_add(by, sum[0]), v[1].mul_add(by, sum[1]), v[2].mul_add(by, sum[2])]
+}
+
+/// The same colour in every lane.
+#[inline(always)]
+fn splat3<S: Simd>(simd: S, v: Vec3Of<f32>) -> Vec3Of<Lanes<S>> {
+    [Lanes::splat(simd, v[0]), Lanes::splat(simd, v[1]), Lanes::splat(simd, v[2])]
+}
+
+/// Sums over the lobes of a point's light, per channel.
+struct Light<S: Simd, M: PairModel> {
+    diffuse: Vec3Of<Lanes<S>>,
+    glossy: M::Specular<Vec3Of<Lanes<S>>>,
+}
+
+impl<S: Simd, M: PairModel> Light<S, M> {
+    #[inline(always)]
+    fn zero(simd: S) -> Self {
+        let zero = [Lanes::splat(simd, 0.0); 3];
+        Self { diffuse: zero, glossy: Terms::from_fn(|_| zero) }
+    }
+
+    #[inline(always)]
+    fn add(&mut self, amplitude: Vec3Of<Lanes<S>>, response: &Response<Lanes<S>, M::Specular<Lanes<S>>>) {
+        self.diffuse = mul_add3(amplitude, response.diffuse, self.diffuse);
+        self.glossy = Terms::from_fn(|b| mul_add3(amplitude, response.specular.at(b), self.glossy.at(b)));
+    }
+
+    /// The sums over lanes of diffuse light and of each specular term.
+    #[inline(always)]
+    fn total(&self) -> (Vec3Of<f32>, M::Specular<Vec3Of<f32>>) {
+        (sum3(&self.diffuse), Terms::from_fn(|b| sum3(&self.glossy.at(b))))
+    }
+}
+
+/// Radiance of a chunk of points.
+#[inline(always)]
+pub fn shade_chunk<S: Simd, M: PairModel>(
+    simd: S,
+    shared: &Shared<'_, M>,
+    points: &[ShadePoint],
+    out: &mut [Layers],
+) {
+    let groups = points.chunks(Lanes::<S>::LEN).zip(out.chunks_mut(Lanes::<S>::LEN));
+    for (points, out) in groups {
+        let prepared = Prepared::new(simd, shared, points);
+        for (i, (point, out)) in points.iter().zip(out).enumerate() {
+            *out = Layers::default();
+            if !point.is_missed() {
+                let (terms, frozen) = prepared.point(i);
+                let (diffuse, glossy) = light_of(simd, shared, &splat::<S, M>(simd, &terms));
+                let weights = shared.model.specular_weights(&frozen, shared.specular);
+                for c in 0..3 {
+                    let specular: f32 =
+                        (0..M::Specular::<f32>::LEN).map(|b| glossy.at(b)[c] * weights.at(b)[c]).sum();
+                    out.diffuse[c] = (diffuse[c] * point.albedo[c] / PI).max(0.0);
+                    out.specular[c] = specular.max(0.0);
+                }
+            }
+        }
+    }
+}
+
+/// One point's light under all lobes.
+#[inline(always)]
+fn light_of<S: Simd, M: PairModel>(
+    simd: S,
+    shared: &Shared<'_, M>,
+    terms: &M::Point<Lanes<S>>,
+) -> (Vec3Of<f32>, M::Specular<Vec3Of<f32>>) {
+    let mut light = Light::<S, M>::zero(simd);
+    for block in shared.lobes.chunks_exact(block_rows::<M>()) {
+        for at in (0..MAX_LANES).step_by(Lanes::<S>::LEN) {
+            let lobe = load_lobes::<S, M>(simd, block, at);
+            light.add(lobe.amplitude, &shared.model.evaluate(terms, &lobe.shape, &lobe.terms));
+        }
+    }
+    light.total()
+}
+
+/// Adjoint of one point's radiance, per channel and with the channels clamped to zero taken out: of the diffuse layer,
+/// of the specular layer, and of the light that goes into them.
+struct Weights<M: PairModel> {
+    diffuse: Vec3Of<f32>,
+    specular: Vec3Of<f32>,
+    diffuse_light: Vec3Of<f32>,
+    specular_light: M::Specular<Vec3Of<f32>>,
+}
+
+impl<M: PairModel> Weights<M> {
+    #[inline(always)]
+    fn new(
+        shared: &Shared<'_, M>,
+        point: &ShadePoint,
+        frozen: &M::Frozen<f32>,
+        (shaded, adjoint): (&Layers, &RadianceAdjoint),
+    ) -> Self {
+        // A channel that was clamped to zero does not move with its inputs.
+        let live = |value: f32, adjoint: f32| if value > 0.0 { adjoint } else { 0.0 };
+        let diffuse: Vec3Of<f32> = std::array::from_fn(|c| live(shaded.diffuse[c], adjoint.0[c]));
+        let specular: Vec3Of<f32> = std::array::from_fn(|c| live(shaded.specular[c], adjoint.0[c]));
+        let weights = shared.model.specular_weights(frozen, shared.specular);
+        Self {
+            diffuse,
+            specular,
+            diffuse_light: std::array::from_fn(|c| diffuse[c] * point.albedo[c] / PI),
+            specular_light: Terms::from_fn(|b| std::array::from_fn(|c| specular[c] * weights.at(b)[c])),
+        }
+    }
+}
+
+/// Adjoint of a chunk of points; adds what they share onto `partial`: a block of [`LOBE_COLUMNS`] rows for each of the
+/// lobes', and a last row for the specular material (albedo, roughness).
+#[inline(always)]
+pub fn adjoint_chunk<S: Simd, M: PairModel>(
+    simd: S,
+    shared: &Shared<'_, M>,
+    points: &[ShadePoint],
+    (shaded, adjoint): (&[Layers], &[RadianceAdjoint]),
+    out: &mut [PointAdjoint],
+    partial: &mut [Row],
+) {
+    let (lobe_gradient, specular_row) = partial.split_at_mut(partial.len() - 1);
+    let mut gradient = SpecularValue::default();
+    let mut prepared = None;
+    for (i, point) in points.iter().enumerate() {
+        let lane = i % Lanes::<S>::LEN;
+        if lane == 0 {
+            let end = points.len().min(i + Lanes::<S>::LEN);
+            prepared = Some(Prepared::<S, M>::new(simd, shared, &points[i..end]));
+        }
+        out[i] = PointAdjoint::default();
+        let Some(prepared) = prepared.as_ref().filter(|_| !point.is_missed()) else { continue };
+        let (terms, frozen) = prepared.point(lane);
+        let weights = Weights::new(shared, point, &frozen, (&shaded[i], &adjoint[i]));
+        let wide = splat::<S, M>(simd, &terms);
+        let (diffuse, glossy, sums) = pull_back_lobes(simd, shared, &wide, &weights, lobe_gradient);
+        out[i].albedo = std::array::from_fn(|c| weights.diffuse[c] / PI * diffuse[c]);
+        let end = PointEnd {
+            point,
+            specular: shared.specular,
+            terms: &terms,
+            frozen: &frozen,
+            sums: &sums,
+            glossy: &Terms::from_fn(|b| std::array::from_fn(|c| weights.specular[c] * glossy.at(b)[c])),
+        };
+        out[i].normal = shared.model.pull_back_point(&end, &mut gradient);
+    }
+    let [r, g, b] = gradient.albedo;
+    specular_row[0].0[..4].copy_from_slice(&[r, g, b, gradient.roughness]);
+}
+
+/// Walks the lobes for one point: adds their gradient onto `gradient` and returns the point's own sums.
+#[inline(always)]
+#[expect(clippy::type_complexity, reason = "three sums of the model's own shapes")]
+fn pull_back_lobes<S: Simd, M: PairModel>(
+    simd: S,
+    shared: &Shared<'_, M>,
+    terms: &M::Point<Lanes<S>>,
+    weights: &Weights<M>,
+    gradient: &mut [Row],
+) -> (Vec3Of<f32>, M::Specular<Vec3Of<f32>>, M::Sums<f32>) {
+    let kd = splat3(simd, weights.diffuse_light);
+    let ks: M::Specular<Vec3Of<Lanes<S>>> = Terms::from_fn(|b| splat3(simd, weights.specular_light.at(b)));
+    let mut light = Light::<S, M>::zero(simd);
+    let mut sums: M::Sums<Lanes<S>> = Terms::from_fn(|_| Lanes::splat(simd, 0.0));
+    let blocks = shared.lobes.chunks_exact(block_rows::<M>()).zip(gradient.chunks_exact_mut(LOBE_COLUMNS));
+    for (block, gradient) in blocks {
+        for at in (0..MAX_LANES).step_by(Lanes::<S>::LEN) {
+            let lobe = load_lobes::<S, M>(simd, block, at);
+            let mu = lobe.amplitude;
+            let adjoint = Response { diffuse: dot(kd, mu), specular: Terms::from_fn(|b| dot(ks.at(b), mu)) };
+            let (response, back) = shared.model.pull_back(terms, &lobe.shape, &lobe.terms, &adjoint);
+            let (axis, [mut r, mut g, mut b]) = (back.shape.axis, scale(kd, response.diffuse));
+            for i in 0..M::Specular::<f32>::LEN {
+                [r, g, b] = mul_add3(ks.at(i), response.specular.at(i), [r, g, b]);
+            }
+            let columns = [axis[0], axis[1], axis[2], back.shape.sharpness, r, g, b];
+            for (row, value) in gradient.iter_mut().zip(columns) {
+                value.add_to(&mut row.0[at..at + Lanes::<S>::LEN]);
+            }
+            light.add(mu, &response);
+            sums = Terms::from_fn(|i| sums.at(i) + back.point.at(i));
+        }
+    }
+    let (diffuse, glossy) = light.total();
+    (diffuse, glossy, Terms::from_fn(|i| sums.at(i).sum()))
+}

@@ -1,0 +1,116 @@
+use super::*;
+use crate::math::published::tests::{Case, forward, gradient, random_case};
+use rand::{SeedableRng, rngs::SmallRng};
+
+fn narrow(v: [f64; 3]) -> [f32; 3] {
+    v.map(|x| x as f32)
+}
+
+/// Cases that share one material: `lobes` lobes seen from `points` points.
+fn cases(points: usize, lobes: usize) -> Vec<Vec<Case>> {
+    let mut rng = SmallRng::seed_from_u64(11);
+    let light: Vec<Case> = (0..lobes).map(|_| random_case(&mut rng)).collect();
+    (0..points)
+        .map(|_| {
+            let point = random_case(&mut rng);
+            let with = |l: &Case| Case {
+                normal: point.normal,
+                to_viewer: point.to_viewer,
+                albedo: point.albedo,
+                specular: [0.3, 0.4, 0.5],
+                roughness: 0.35,
+                ..*l
+            };
+            light.iter().map(with).collect()
+        })
+        .collect()
+}
+
+fn inputs(cases: &[Vec<Case>]) -> (Vec<ShadePoint>, SpecularValue, LobeColumns) {
+    let points = cases.iter().map(|c| ShadePoint {
+        normal: narrow(c[0].normal),
+        to_viewer: narrow(c[0].to_viewer),
+        albedo: narrow(c[0].albedo),
+    });
+    let lobes = LobeColumns::from_lobes(cases[0].iter().map(|c| Lobe {
+        axis: narrow(c.axis),
+        sharpness: c.sharpness as f32,
+        amplitude: narrow(c.amplitude),
+    }));
+    (points.collect(), SpecularValue { albedo: [0.3, 0.4, 0.5], roughness: 0.35 }, lobes)
+}
+
+fn close(name: &str, fast: f32, exact: f64, size: f64) {
+    assert!((f64::from(fast) - exact).abs() <= 1e-3 * exact.abs() + 2e-4 * size, "{name}: {fast} {exact}");
+}
+
+#[test]
+fn slices_agree_with_the_sum_of_pairs_in_f64() {
+    let cases = cases(300, 21);
+    let (points, specular, lobes) = inputs(&cases);
+    let mut shaded = vec![Layers::default(); points.len()];
+    shade(&points, &specular, &lobes, &mut shaded);
+    for (case, out) in cases.iter().zip(&shaded) {
+        for c in 0..3 {
+            let sum = |layer: fn(&Case) -> [f64; 3]| case.iter().map(|k| layer(k)[c]).sum::<f64>().max(0.0);
+            close("diffuse", out.diffuse[c], sum(|k| forward(k).0), 1.0);
+            close("specular", out.specular[c], sum(|k| forward(k).1), 1.0);
+        }
+    }
+}
+
+#[test]
+fn slice_adjoint_agrees_with_the_sum_of_pairs_in_f64() {
+    let cases = cases(300, 21);
+    let (points, specular, lobes) = inputs(&cases);
+    let (wd, ws) = ([0.7, -0.4, 0.5], [0.7, -0.4, 0.5]);
+    let n = points.len();
+    let mut shaded = vec![Layers::default(); n];
+    shade(&points, &specular, &lobes, &mut shaded);
+    let adjoint = vec![RadianceAdjoint(narrow(wd)); n];
+    let mut back = vec![PointAdjoint::default(); n];
+    let shared = shade_adjoint(&points, &specular, &lobes, &shaded, &adjoint, &mut back);
+    let (mut roughness, mut sharpness) = (0.0, vec![0.0; lobes.len()]);
+    for (case, out) in cases.iter().zip(&back) {
+        let all: Vec<Case> = case.iter().map(|k| gradient(k, wd, ws)).collect();
+        for c in 0..3 {
+            close("normal", out.normal[c], all.iter().map(|g| g.normal[c]).sum(), 20.0);
+            close("albedo", out.albedo[c], all.iter().map(|g| g.albedo[c]).sum(), 1.0);
+        }
+        roughness += all.iter().map(|g| g.roughness).sum::<f64>();
+        for (sum, g) in sharpness.iter_mut().zip(&all) {
+            *sum += g.sharpness;
+        }
+    }
+    close("roughness", shared.specular.roughness, roughness, 100.0);
+    for (i, exact) in sharpness.iter().enumerate() {
+        close("sharpness", shared.lobes.get(i).sharpness, *exact, 1.0);
+    }
+}
+
+#[test]
+fn extreme_inputs_stay_finite() {
+    let axis_of = |k: usize| [[0.0, 1.0, 0.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]][k % 3];
+    for roughness in [0.03f32, 0.3, 1.0] {
+        for sharpness in [0.0f32, 1e-3, 1.0, 1e6] {
+            for view in [[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [1.0, 1e-4, 0.0]] {
+                let point = ShadePoint { normal: [0.0, 1.0, 0.0], to_viewer: view, albedo: [0.5; 3] };
+                let lobes = LobeColumns::from_lobes((0..3).map(|k| Lobe {
+                    axis: axis_of(k),
+                    sharpness,
+                    amplitude: [1.0; 3],
+                }));
+                let specular = SpecularValue { albedo: [0.3; 3], roughness };
+                let mut out = [Layers::default()];
+                shade(&[point], &specular, &lobes, &mut out);
+                let ones = [RadianceAdjoint([1.0; 3])];
+                let mut back = [PointAdjoint::default()];
+                let shared = shade_adjoint(&[point], &specular, &lobes, &out, &ones, &mut back);
+                let all = out[0].diffuse.iter().chain(&out[0].specular).chain(&back[0].normal);
+                assert!(all.chain(&shared.specular.albedo).all(|x| x.is_finite()), "{out:?} {back:?}");
+                assert!(shared.specular.roughness.is_finite());
+                assert!((0..3).all(|k| shared.lobes.get(k).sharpness.is_finite()));
+            }
+        }
+    }
+}
