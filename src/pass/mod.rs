@@ -8,6 +8,7 @@
 //! | `Save` | [`save`] | `scene.ron` with side files |
 //! | `Export` | [`save`] | `mesh.glb` |
 
+pub mod bench;
 pub mod edit;
 pub mod evaluate;
 pub mod fit;
