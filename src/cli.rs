@@ -37,6 +37,26 @@ PATH joins field names by dots. An item of a list is named by its number, by its
   --set material.specular.roughness='Fixed(0.25)'
   --set light.path=other.exr";
 
+const BENCH_LONG: &str = "\
+Measures how long shading takes per point and light lobe on this machine, in about a minute.
+
+Needs no data: points look in all directions, lobes lie evenly around them with sharpness 20 to some 300. Two
+kernels are timed: `forward` computes radiance, as rendering does; `forward+adjoint` is what a step of a fit adds,
+radiance again and the gradient with respect to light, material, albedo and normal. A number is the time of a whole
+batch over points × lobes, with all threads together: the least of many repetitions, since other programs can only
+make a repetition longer. Multiply by the pixels of a batch and by the lobes to know what a step costs.
+
+`simd` is the instruction set the kernels chose; `skipped` is the part of the pairs that a mode leaves out.";
+
+const BENCH_EXAMPLES: &str = "\
+Examples:
+  lobelia bench
+      8, 32, 128 and 512 lobes, three roughnesses, one thread and all threads.
+  lobelia bench --points 4096 --lobes 128 --threads 2 --seconds 5
+      One batch of a fit, quickly.
+  lobelia bench --json before.json
+      Rows to compare with: mode, points, lobes, threads, roughness, forward_ns, forward_adjoint_ns, …";
+
 /// Recovers surface, material and light of a photographed object as spherical Gaussians; then edits and relights it.
 #[derive(Debug, Parser)]
 #[command(name = "lobelia", version, after_long_help = EXAMPLES, arg_required_else_help = true)]
@@ -58,6 +78,9 @@ pub enum Command {
     Eval(EvalArgs),
     /// Shade a table of single points and add `diffuse` and `specular` to each case
     ShadeCases(ShadeCasesArgs),
+    /// Measure how long shading takes per point and light lobe on this machine, in about a minute
+    #[command(long_about = BENCH_LONG, after_long_help = BENCH_EXAMPLES)]
+    Bench(BenchArgs),
 }
 
 /// Which scene, and what the command line adds to it.
@@ -155,6 +178,27 @@ pub struct ShadeCasesArgs {
     pub threads: ThreadArgs,
 }
 
+/// `lobelia bench`.
+#[derive(Args, Debug)]
+pub struct BenchArgs {
+    /// Points in a batch, 1 to 16777216
+    #[arg(long, value_name = "N", default_value_t = 16_384, value_parser = clap::value_parser!(u32).range(1..=1 << 24))]
+    pub points: u32,
+    /// Numbers of light lobes, 1 to 4096 each
+    #[arg(long, value_name = "M,…", value_delimiter = ',', default_values_t = [8, 32, 128, 512],
+        value_parser = clap::value_parser!(u32).range(1..=4096))]
+    pub lobes: Vec<u32>,
+    /// How many threads [default: first one, then one per processor]
+    #[arg(long, value_name = "T", value_parser = clap::value_parser!(u16).range(1..=1024))]
+    pub threads: Option<u16>,
+    /// Time for all measurements together, in seconds
+    #[arg(long, value_name = "S", default_value_t = 50.0, value_parser = seconds)]
+    pub seconds: f64,
+    /// Write the rows to this file too
+    #[arg(long, value_name = "FILE")]
+    pub json: Option<PathBuf>,
+}
+
 /// How a case is shaded.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum CaseMode {
@@ -171,6 +215,13 @@ pub enum CasePrecision {
     F32,
     /// 64 bits.
     F64,
+}
+
+fn seconds(text: &str) -> Result<f64, String> {
+    match text.parse() {
+        Ok(seconds) if (0.0..=86_400.0).contains(&seconds) => Ok(seconds),
+        _ => Err("expected a number of seconds from 0 to 86400".to_owned()),
+    }
 }
 
 fn path_and_value(text: &str) -> Result<(String, String), String> {
@@ -190,6 +241,17 @@ mod tests {
     fn the_commands_are_well_formed() {
         use clap::CommandFactory;
         Cli::command().debug_assert();
+    }
+
+    #[test]
+    fn bench_refuses_senseless_numbers() {
+        let refused =
+            |arguments: &[&str]| Cli::try_parse_from([&["lobelia", "bench"], arguments].concat()).is_err();
+        assert!(!refused(&["--lobes", "8,32", "--points", "1", "--threads", "2", "--seconds", "0.5"]));
+        for bad in ["--lobes=0", "--lobes=8,x", "--points=0", "--threads=0", "--seconds=-1", "--seconds=nan"]
+        {
+            assert!(refused(&[bad]), "{bad}");
+        }
     }
 
     #[test]

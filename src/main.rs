@@ -3,10 +3,14 @@
 mod cli;
 
 use clap::Parser;
-use cli::{CaseMode, CasePrecision, CheckArgs, Cli, Command, EvalArgs, RunArgs, ShadeCasesArgs, ThreadArgs};
+use cli::{
+    BenchArgs, CaseMode, CasePrecision, CheckArgs, Cli, Command, EvalArgs, RunArgs, ShadeCasesArgs,
+    ThreadArgs,
+};
 use lobelia::math::published::{Lobe, shade_pair};
 use lobelia::math::real::{Real, Vec3Of};
 use lobelia::pass;
+use lobelia::pass::bench::{BenchOptions, BenchRow};
 use lobelia::pass::shade_cases::{Case, Precision, ShadeMode};
 use lobelia::report::compare::compare;
 use lobelia::report::scores::Scaling;
@@ -34,6 +38,7 @@ fn main() -> ExitCode {
         Command::Check(args) => check(&args),
         Command::Eval(args) => eval(&args),
         Command::ShadeCases(args) => shade_cases(&args),
+        Command::Bench(args) => bench(&args),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
@@ -212,4 +217,26 @@ fn published_case(case: &Case<f64>, precision: Precision) -> ([f64; 3], [f64; 3]
 fn shade_case<F: Real>(case: &Case<F>) -> (Vec3Of<F>, Vec3Of<F>) {
     let lobe = Lobe { axis: case.lobe_axis, sharpness: case.lobe_sharpness, amplitude: case.lobe_amplitude };
     shade_pair(case.normal, case.view, &lobe, case.albedo, case.specular, case.roughness)
+}
+
+fn bench(args: &BenchArgs) -> Result<()> {
+    let all = std::thread::available_parallelism().map_or(1, usize::from);
+    let options = BenchOptions {
+        points: args.points as usize,
+        lobes: args.lobes.iter().map(|&lobes| lobes as usize).collect(),
+        threads: match args.threads {
+            Some(threads) => vec![usize::from(threads)],
+            None if all > 1 => vec![1, all],
+            None => vec![1],
+        },
+        seconds: args.seconds,
+        json: args.json.clone(),
+    };
+    let mut head = format!(
+        "Nanoseconds per point × lobe, the least of all repetitions in {} s.\n{}\n",
+        options.seconds,
+        BenchRow::HEADER
+    );
+    let mut show = |row: &BenchRow| print(&format!("{}{}\n", std::mem::take(&mut head), row.line()));
+    pass::bench::bench(&options, &mut show).map(|_| ())
 }

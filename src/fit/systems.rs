@@ -8,7 +8,8 @@ use super::components::{
 use super::loss::image_loss;
 use crate::light::LightLobe;
 use crate::material::{DiffuseAlbedo, SpecularLobe};
-use crate::math::shading::{Layers, PointAdjoint, RadianceAdjoint, ShadePoint, shade_adjoint};
+use crate::math::published::Published;
+use crate::math::shading::{Layers, PointAdjoint, RadianceAdjoint, ShadePoint, shade_adjoint_with};
 use crate::shade::IncidentLight;
 use crate::shade::pool::only_table;
 use crate::shade::systems::kernel_specular;
@@ -57,14 +58,9 @@ pub fn pull_back_radiance(
     };
     let material = materials.iter().next().map(kernel_specular).unwrap_or_default();
     let rows = window.0.clone();
-    gradient.0 = shade_adjoint(
-        &points[rows.clone()],
-        &material,
-        &light.lobes,
-        &shaded[rows.clone()],
-        &adjoint[rows.clone()],
-        &mut back.bypass_change_detection()[rows],
-    );
+    let radiance = (&shaded[rows.clone()], &adjoint[rows.clone()]);
+    let back = &mut back.bypass_change_detection()[rows.clone()];
+    shade_adjoint_with(Published, &points[rows], &material, &light.lobes, radiance, back, &mut gradient.0);
     Ok(())
 }
 

@@ -2,6 +2,7 @@
 
 use super::real::Real;
 use fearless_simd::prelude::*;
+use fearless_simd::{Level, dispatch};
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub};
 
 /// A native-width vector of `f32` with its level token.
@@ -50,6 +51,17 @@ impl<S: Simd> Lanes<S> {
     pub fn sum(self) -> f32 {
         self.value.reduce_sum()
     }
+}
+
+/// The instruction set that kernels choose on this machine.
+pub fn level_name() -> &'static str {
+    /// In a place that knows the level at compile time, as kernels do.
+    #[inline(always)]
+    fn name<S: Simd>(_simd: S) -> &'static str {
+        let path = std::any::type_name::<S>();
+        path.rsplit("::").next().unwrap_or(path)
+    }
+    dispatch!(Level::new(), simd => name(simd))
 }
 
 /// The widest vector any level has; buffers are padded to multiples of it.
@@ -180,7 +192,6 @@ impl<S: Simd> Real for Lanes<S> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use fearless_simd::{Level, dispatch};
 
     #[inline(always)]
     fn exp_all<S: Simd>(simd: S, values: &mut [f32]) {

@@ -10,6 +10,7 @@
 //!
 //! [`preflight`] looks for what a later pass could stumble over before the first one runs.
 
+pub mod bench;
 pub mod edit;
 pub mod evaluate;
 pub mod fit;

@@ -172,3 +172,64 @@ pub fn cosine_integral<F: Real>(sharpness: F, terms: &SharpnessTerms<F>, c: F) -
         ),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::lanes::Lanes;
+    use crate::math::published::cosine_integral as as_published;
+    use fearless_simd::{Level, Simd, dispatch};
+
+    /// Sharpness from the bound up, and cosines over the whole sphere with many around the horizon.
+    fn cases() -> impl Iterator<Item = (f64, f64)> {
+        let sharpness = (0..60).map(|i| SHARP * 1e4f64.powf(f64::from(i) / 59.0));
+        let cosines = (0..201).flat_map(|i| {
+            let c = f64::from(i) / 100.0 - 1.0;
+            [c, c * c * c]
+        });
+        sharpness.flat_map(move |l| cosines.clone().map(move |c| (l, c)))
+    }
+
+    fn close(name: &str, (l, c): (f64, f64), found: Dual<f64>, bounds: [f64; 3]) {
+        let exact = as_published(l, c);
+        let size = 2.0 * PI / l;
+        let errors = [
+            (found.value - exact.value) / size,
+            (found.by_sharpness - exact.by_sharpness) / (size / l),
+            (found.by_cosine - exact.by_cosine) / (size * l.sqrt()),
+        ];
+        for (error, bound) in errors.iter().zip(bounds) {
+            assert!(error.abs() <= bound, "{name}, λ = {l}, c = {c}: errors {errors:?}");
+        }
+    }
+
+    #[test]
+    fn series_are_within_their_stated_error() {
+        for (l, c) in cases() {
+            let terms = SharpnessTerms::new(l, 1.0 / l);
+            close("f64", (l, c), cosine_integral(l, &terms, c), [1e-5, 1e-3, 1e-4]);
+        }
+    }
+
+    #[inline(always)]
+    fn in_lanes<S: Simd>(simd: S, l: f32, c: f32) -> Dual<f64> {
+        let (l, c) = (Lanes::splat(simd, l), Lanes::splat(simd, c));
+        let columns = SharpnessTerms::new(l, l.inverse()).to_columns();
+        let dual = cosine_integral(l, &SharpnessTerms::from_columns(&columns), c);
+        let first = |x: Lanes<S>| f64::from(x.lane(0));
+        Dual {
+            value: first(dual.value),
+            by_sharpness: first(dual.by_sharpness),
+            by_cosine: first(dual.by_cosine),
+        }
+    }
+
+    #[test]
+    fn vectors_of_f32_are_close_to_f64() {
+        for (l, c) in cases() {
+            let (l, c) = (l as f32, c as f32);
+            let found = dispatch!(Level::new(), simd => in_lanes(simd, l, c));
+            close("f32", (f64::from(l), f64::from(c)), found, [2e-5, 2e-3, 2e-4]);
+        }
+    }
+}

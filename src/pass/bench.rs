@@ -1,0 +1,319 @@
+//! `lobelia bench`: how long one point × light lobe takes, forward and with its adjoint, on this machine.
+//!
+//! Everything is made here: points with uniform normals and views uniform above them, lobes on Fibonacci axes with
+//! sharpness 20 + 100·|N(0, 1)|, one specular lobe. A kernel is run again and again for its share of the time; the
+//! least time counts, because whatever else the machine does can only make a run longer.
+
+use crate::error::{Error, Result};
+use crate::light::fibonacci::fibonacci_axes;
+use crate::math::lanes::level_name;
+use crate::math::model::PairModel;
+use crate::math::published::{Lobe, Published};
+use crate::math::shading::{
+    Layers, LobeColumns, PointAdjoint, RadianceAdjoint, ShadePoint, SharedGradient, SpecularValue,
+    shade_adjoint_with, shade_with,
+};
+use crate::report::atomic::write_bytes;
+use glam::Vec3;
+use rand::{RngExt, SeedableRng, rngs::SmallRng};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// Shading modes that are measured: the name, and the kernels' times. A further mode is one more line.
+const MODES: [(&str, fn(&mut Workload, Duration) -> Timing); 1] =
+    [("published", |work, budget| time_kernels(Published, work, budget))];
+
+/// Roughness of the specular lobe: glossy, between, rough.
+const ROUGHNESS: [f32; 3] = [0.1, 0.3, 0.7];
+
+/// What to measure.
+#[derive(Clone, Debug, PartialEq)]
+pub struct BenchOptions {
+    /// Points in a batch, at least 1.
+    pub points: usize,
+    /// Numbers of light lobes, each at least 1.
+    pub lobes: Vec<usize>,
+    /// Numbers of threads, each at least 1.
+    pub threads: Vec<usize>,
+    /// Time for all measurements together, in seconds.
+    pub seconds: f64,
+    /// Where to write the rows as JSON.
+    pub json: Option<PathBuf>,
+}
+
+/// One line of the table.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct BenchRow {
+    /// Shading mode.
+    pub mode: &'static str,
+    /// Points in a batch.
+    pub points: usize,
+    /// Light lobes.
+    pub lobes: usize,
+    /// Threads.
+    pub threads: usize,
+    /// Roughness R of the specular lobe.
+    pub roughness: f32,
+    /// Radiance: nanoseconds per point × lobe, least of all repetitions.
+    pub forward_ns: f64,
+    /// The gradient's kernel, which computes the radiance again and the adjoint of everything: likewise.
+    pub forward_adjoint_ns: f64,
+    /// How often each kernel was run.
+    pub repetitions: [usize; 2],
+    /// Bytes that a point's inputs, outputs and adjoints take.
+    pub bytes_per_point: usize,
+    /// Part of the pairs that the mode leaves out, in percent.
+    pub skipped_percent: f64,
+    /// Instruction set that the kernels chose.
+    pub simd: &'static str,
+}
+
+/// What a mode's kernels took.
+struct Timing {
+    /// Least time of the forward and of the adjoint kernel, for the whole batch.
+    least: [Duration; 2],
+    repetitions: [usize; 2],
+    skipped_percent: f64,
+}
+
+/// Measures every combination; `on_row` is told of each row as soon as it is there.
+///
+/// # Errors
+/// [`Error::Usage`] if the JSON file cannot be one (before anything is measured); [`Error::Run`] if threads cannot be
+/// started; [`Error::Io`]; whatever `on_row` returns.
+pub fn bench(
+    options: &BenchOptions,
+    mut on_row: impl FnMut(&BenchRow) -> Result<()>,
+) -> Result<Vec<BenchRow>> {
+    options.json.as_deref().map_or(Ok(()), check_file)?;
+    let count = MODES.len() * options.threads.len() * options.lobes.len() * ROUGHNESS.len();
+    let budget = Duration::from_secs_f64(options.seconds / (2 * count) as f64);
+    let mut rows = Vec::with_capacity(count);
+    for &threads in &options.threads {
+        let pool = rayon::ThreadPoolBuilder::new()
+            .num_threads(threads)
+            .build()
+            .map_err(|error| Error::run("starting threads", error.to_string()))?;
+        for (mode, time) in MODES {
+            for &lobes in &options.lobes {
+                for roughness in ROUGHNESS {
+                    let mut work = Workload::new(options.points, lobes, roughness);
+                    let timing = pool.install(|| time(&mut work, budget));
+                    let row = BenchRow::new(mode, threads, &work, &timing);
+                    on_row(&row)?;
+                    rows.push(row);
+                }
+            }
+        }
+    }
+    if let Some(path) = &options.json {
+        write_json(path, &rows)?;
+    }
+    Ok(rows)
+}
+
+impl BenchRow {
+    /// The head of the table that [`Self::line`] fills.
+    pub const HEADER: &'static str = "\
+mode       points  lobes  roughness  threads  forward ns  forward+adjoint ns  bytes/point  skipped  simd";
+
+    fn new(mode: &'static str, threads: usize, work: &Workload, timing: &Timing) -> Self {
+        let (points, lobes) = (work.points.len(), work.lobes.len());
+        let ns = |time: Duration| time.as_secs_f64() * 1e9 / (points * lobes) as f64;
+        Self {
+            mode,
+            points,
+            lobes,
+            threads,
+            roughness: work.specular.roughness,
+            forward_ns: ns(timing.least[0]),
+            forward_adjoint_ns: ns(timing.least[1]),
+            repetitions: timing.repetitions,
+            bytes_per_point: bytes_per_point(),
+            skipped_percent: timing.skipped_percent,
+            simd: level_name(),
+        }
+    }
+
+    /// As a line of the table.
+    pub fn line(&self) -> String {
+        format!(
+            "{:<10} {:>6}  {:>5}  {:>9}  {:>7}  {:>10.3}  {:>18.3}  {:>11}  {:>6.1}%  {}",
+            self.mode,
+            self.points,
+            self.lobes,
+            self.roughness,
+            self.threads,
+            self.forward_ns,
+            self.forward_adjoint_ns,
+            self.bytes_per_point,
+            self.skipped_percent,
+            self.simd
+        )
+    }
+}
+
+fn bytes_per_point() -> usize {
+    size_of::<ShadePoint>() + size_of::<Layers>() + size_of::<RadianceAdjoint>() + size_of::<PointAdjoint>()
+}
+
+/// Refuses a file that could not be written after a minute of measuring.
+fn check_file(path: &Path) -> Result<()> {
+    let problem = if path.is_dir() || path.file_name().is_none() {
+        format!("{} is not a file name to write to", path.display())
+    } else if let Some(file) = path.ancestors().skip(1).find(|folder| folder.is_file()) {
+        format!("{} cannot be written: {} is a file, not a folder", path.display(), file.display())
+    } else {
+        return Ok(());
+    };
+    Err(Error::usage(problem, "Name a .json file with --json."))
+}
+
+fn write_json(path: &Path, rows: &[BenchRow]) -> Result<()> {
+    let mut text = serde_json::to_string_pretty(rows)
+        .map_err(|error| Error::run("writing the measurements", error.to_string()))?;
+    text.push('\n');
+    write_bytes(path, text.as_bytes())
+}
+
+/// A batch to shade and room for its results.
+#[derive(Clone, Debug)]
+pub struct Workload {
+    /// Points to shade.
+    pub points: Vec<ShadePoint>,
+    /// Light.
+    pub lobes: LobeColumns,
+    /// Specular material.
+    pub specular: SpecularValue,
+    /// Where radiance goes.
+    pub shaded: Vec<Layers>,
+    /// Adjoint of each point's radiance.
+    pub adjoint: Vec<RadianceAdjoint>,
+    /// Where the points' adjoints go.
+    pub point_adjoint: Vec<PointAdjoint>,
+    /// Where the gradient of what they share goes.
+    pub gradient: SharedGradient,
+}
+
+impl Workload {
+    /// `points` × `lobes`, the same ones every time.
+    pub fn new(points: usize, lobes: usize, roughness: f32) -> Self {
+        let mut rng = SmallRng::seed_from_u64(2021);
+        let lobes = fibonacci_axes(lobes).into_iter().map(|axis| Lobe {
+            axis: axis.into(),
+            sharpness: 20.0 + 100.0 * normal(&mut rng).abs(),
+            amplitude: [1.0, 0.9, 0.8],
+        });
+        let lobes = LobeColumns::from_lobes(lobes);
+        let points: Vec<ShadePoint> = (0..points).map(|_| random_point(&mut rng)).collect();
+        Self {
+            lobes,
+            specular: SpecularValue { albedo: [0.3, 0.2, 0.1], roughness },
+            shaded: vec![Layers::default(); points.len()],
+            adjoint: vec![RadianceAdjoint([0.3, 0.5, -0.2]); points.len()],
+            point_adjoint: vec![PointAdjoint::default(); points.len()],
+            gradient: SharedGradient::default(),
+            points,
+        }
+    }
+
+    /// Runs the forward kernel.
+    pub fn shade(&mut self, model: impl PairModel) {
+        shade_with(model, &self.points, &self.specular, &self.lobes, &mut self.shaded);
+    }
+
+    /// Runs the gradient's kernel.
+    pub fn shade_adjoint(&mut self, model: impl PairModel) {
+        let radiance = (self.shaded.as_slice(), self.adjoint.as_slice());
+        let (out, gradient) = (&mut self.point_adjoint, &mut self.gradient);
+        shade_adjoint_with(model, &self.points, &self.specular, &self.lobes, radiance, out, gradient);
+    }
+}
+
+/// A standard normal number (Box and Muller).
+fn normal(rng: &mut SmallRng) -> f32 {
+    let (radius, turn) = (1.0 - rng.random::<f32>(), rng.random::<f32>());
+    (-2.0 * radius.ln()).sqrt() * (std::f32::consts::TAU * turn).cos()
+}
+
+fn random_point(rng: &mut SmallRng) -> ShadePoint {
+    let mut direction =
+        || Vec3::new(normal(rng), normal(rng), normal(rng)).try_normalize().unwrap_or(Vec3::Y);
+    let (n, v) = (direction(), direction());
+    let to_viewer = if n.dot(v) < 0.0 { -v } else { v };
+    ShadePoint { normal: n.into(), to_viewer: to_viewer.into(), albedo: [0.5, 0.4, 0.3] }
+}
+
+fn time_kernels<M: PairModel>(model: M, work: &mut Workload, budget: Duration) -> Timing {
+    let forward = least_time(budget, || work.shade(model));
+    let adjoint = least_time(budget, || work.shade_adjoint(model));
+    Timing { least: [forward.0, adjoint.0], repetitions: [forward.1, adjoint.1], skipped_percent: 0.0 }
+}
+
+/// Runs `kernel` until `budget` is spent, and once more than once at least: the first run finds cold caches.
+fn least_time(budget: Duration, mut kernel: impl FnMut()) -> (Duration, usize) {
+    let started = Instant::now();
+    let (mut least, mut repetitions) = (Duration::MAX, 0);
+    while repetitions < 2 || started.elapsed() < budget {
+        let before = Instant::now();
+        kernel();
+        least = least.min(before.elapsed());
+        repetitions += 1;
+    }
+    (least, repetitions)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn quick(json: Option<PathBuf>) -> BenchOptions {
+        BenchOptions { points: 300, lobes: vec![3, 20], threads: vec![1, 2], seconds: 0.0, json }
+    }
+
+    #[test]
+    fn every_combination_is_measured_and_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("new/bench.json");
+        let mut told = 0;
+        let rows = bench(&quick(Some(path.clone())), |row| {
+            told += 1;
+            assert!(row.line().contains("published"), "{}", row.line());
+            Ok(())
+        })
+        .unwrap();
+        assert_eq!((rows.len(), told), (MODES.len() * 2 * 2 * ROUGHNESS.len(), rows.len()));
+        let read: Vec<serde_json::Map<String, serde_json::Value>> =
+            serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+        assert_eq!(read.len(), rows.len());
+        for row in &read {
+            for key in ["mode", "points", "lobes", "threads", "roughness", "forward_ns", "forward_adjoint_ns"]
+            {
+                assert!(row.contains_key(key), "{key}");
+            }
+            assert!(row["forward_ns"].as_f64().is_some_and(|ns| ns.is_finite() && ns > 0.0));
+        }
+    }
+
+    #[test]
+    fn a_file_that_cannot_be_is_refused_before_measuring() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("file");
+        std::fs::write(&file, b"x").unwrap();
+        for bad in [folder.path().to_owned(), file.join("below.json")] {
+            let error = bench(&quick(Some(bad)), |_| panic!("measured")).unwrap_err();
+            assert_eq!(error.exit_code(), 2, "{error}");
+        }
+    }
+
+    #[test]
+    fn views_are_above_their_points() {
+        let work = Workload::new(200, 4, 0.3);
+        for point in &work.points {
+            let (n, v) = (Vec3::from(point.normal), Vec3::from(point.to_viewer));
+            assert!(n.is_normalized() && v.is_normalized() && n.dot(v) >= 0.0);
+        }
+        assert!((0..4).all(|i| work.lobes.get(i).sharpness >= 20.0));
+    }
+}
