@@ -170,6 +170,9 @@ pub struct ShadeCasesArgs {
     /// Floating-point numbers that cases are shaded in
     #[arg(long, value_enum, default_value_t = CasePrecision::F64)]
     pub precision: CasePrecision,
+    /// Nodes of `--mode accurate`
+    #[arg(long, value_enum, default_value_t = CaseQuality::Default)]
+    pub quality: CaseQuality,
     /// Paths per case, for `--mode path-traced`
     #[arg(long, value_name = "N", default_value_t = 1024, value_parser = clap::value_parser!(u32).range(2..=1 << 24))]
     pub samples: u32,
@@ -204,11 +207,34 @@ pub struct BenchArgs {
 pub enum CaseMode {
     /// The published closed-form SG renderer.
     Published,
+    /// Accurate closed-form integrals.
+    Accurate,
     /// Monte Carlo integration of the exact BRDF.
     PathTraced,
 }
 
-/// Floating-point numbers of the published formulas.
+/// How many nodes the accurate integrals have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum CaseQuality {
+    /// Four.
+    Fast,
+    /// Six.
+    Default,
+    /// Twelve.
+    High,
+}
+
+impl From<CaseQuality> for lobelia::math::accurate::Quality {
+    fn from(quality: CaseQuality) -> Self {
+        match quality {
+            CaseQuality::Fast => Self::Fast,
+            CaseQuality::Default => Self::Default,
+            CaseQuality::High => Self::High,
+        }
+    }
+}
+
+/// Floating-point numbers of the closed forms.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum CasePrecision {
     /// 32 bits, as in a fit.

@@ -7,11 +7,10 @@ use cli::{
     BenchArgs, CaseMode, CasePrecision, CheckArgs, Cli, Command, EvalArgs, RunArgs, ShadeCasesArgs,
     ThreadArgs,
 };
-use lobelia::math::published::{Lobe, shade_pair};
-use lobelia::math::real::{Real, Vec3Of};
+use lobelia::math::shading::ClosedForm;
 use lobelia::pass;
 use lobelia::pass::bench::{BenchOptions, BenchRow};
-use lobelia::pass::shade_cases::{Case, Precision, ShadeMode};
+use lobelia::pass::shade_cases::{Precision, ShadeMode};
 use lobelia::report::compare::compare;
 use lobelia::report::scores::Scaling;
 use lobelia::scene::pass_types::Pass;
@@ -188,35 +187,19 @@ fn eval(args: &EvalArgs) -> Result<()> {
 fn shade_cases(args: &ShadeCasesArgs) -> Result<()> {
     start_threads(args.threads)?;
     let mode = match args.mode {
-        CaseMode::Published => ShadeMode::Published,
+        CaseMode::Published => ShadeMode::ClosedForm(ClosedForm::Published),
+        CaseMode::Accurate => ShadeMode::ClosedForm(ClosedForm::Accurate(args.quality.into())),
         CaseMode::PathTraced => ShadeMode::PathTraced { samples: args.samples },
     };
     let precision = match args.precision {
         CasePrecision::F32 => Precision::F32,
         CasePrecision::F64 => Precision::F64,
     };
-    let report = pass::shade_cases::shade_cases(&args.cases, &args.out, mode, precision, published_case)?;
+    let report = pass::shade_cases::shade_cases(&args.cases, &args.out, mode, precision)?;
     print(&format!(
         "{} cases in {:.2} s; {} of {} values agree with those of the table\n",
         report.cases, report.elapsed_secs, report.agreement.within, report.agreement.values
     ))
-}
-
-/// A case by the published formulas, in the float that was asked for.
-fn published_case(case: &Case<f64>, precision: Precision) -> ([f64; 3], [f64; 3]) {
-    let (diffuse, specular) = match precision {
-        Precision::F64 => shade_case(case),
-        Precision::F32 => {
-            let (diffuse, specular) = shade_case(&case.to_f32());
-            (diffuse.map(f64::from), specular.map(f64::from))
-        }
-    };
-    (diffuse.map(|x| x.max(0.0)), specular.map(|x| x.max(0.0)))
-}
-
-fn shade_case<F: Real>(case: &Case<F>) -> (Vec3Of<F>, Vec3Of<F>) {
-    let lobe = Lobe { axis: case.lobe_axis, sharpness: case.lobe_sharpness, amplitude: case.lobe_amplitude };
-    shade_pair(case.normal, case.view, &lobe, case.albedo, case.specular, case.roughness)
 }
 
 fn bench(args: &BenchArgs) -> Result<()> {

@@ -13,7 +13,7 @@ use lobelia::math::shading::LobeColumns;
 use lobelia::pass::edit::{put_material, take_material};
 use lobelia::report::exr_file::Frame;
 use lobelia::shade::{
-    DistantLight, PathTracing, provide_distant, provide_lobes, shade_path_traced, shade_published,
+    DistantLight, PathTracing, provide_distant, provide_lobes, shade_closed_form, shade_path_traced,
 };
 use lobelia::stage::{Phase, Pipeline, Slot};
 use std::sync::Arc;
@@ -83,7 +83,7 @@ fn shading_and_light_are_swapped_in_one_world_and_back() {
     assert!(left(&relit) > 1.2 * right(&relit), "under the sky: {} {}", left(&relit), right(&relit));
 
     // The map has no lobes here: closed-form shading sees a black light, so it is this provider that it reads.
-    pipeline.swap(Phase::Frame, Slot::Shading, shade_published);
+    pipeline.swap(Phase::Frame, Slot::Shading, shade_closed_form);
     let dark = shoot(&mut pipeline, front);
     assert!(dark.color.iter().all(|c| *c == Vec3::ZERO));
 

@@ -1,13 +1,12 @@
 //! A first guess from the data: with the lobes' axes and sharpness held, radiance is linear in their amplitudes, and
 //! with the light held it is linear in the albedo. Pure kernels; [`super::run`] alternates them.
 
-use crate::math::published::{evaluate_pair, prepare_point};
-use crate::math::shading::{Layers, LobeColumns, ShadePoint, SpecularValue};
+use crate::math::published::Lobe;
+use crate::math::shading::{ClosedForm, Layers, LobeColumns, ShadePoint, SpecularValue};
 use crate::surface::point::SurfacePoint;
 use crate::view::pixel::Observed;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
-use std::f32::consts::PI;
 
 /// Points a thread takes at a time; the grain of the fixed-order sums.
 const CHUNK: usize = 512;
@@ -70,6 +69,7 @@ impl NormalEquations {
 /// Non-negative amplitudes of `lobes` (whose own amplitudes are ignored) that explain `observed` at `points` best in
 /// the least-squares sense, given the albedo in `points` and the specular material.
 pub fn solve_amplitudes(
+    form: ClosedForm,
     points: &[ShadePoint],
     observed: &[Observed],
     specular: &SpecularValue,
@@ -79,7 +79,7 @@ pub fn solve_amplitudes(
     let partial: Vec<NormalEquations> = points
         .par_chunks(CHUNK)
         .zip(observed.par_chunks(CHUNK))
-        .map(|(points, observed)| accumulate(points, observed, specular, lobes))
+        .map(|(points, observed)| accumulate(form, points, observed, specular, lobes))
         .collect();
     let mut sum = NormalEquations::zeros(lobes.len());
     partial.iter().for_each(|p| sum.merge(p));
@@ -88,6 +88,7 @@ pub fn solve_amplitudes(
 }
 
 fn accumulate(
+    form: ClosedForm,
     points: &[ShadePoint],
     observed: &[Observed],
     specular: &SpecularValue,
@@ -96,13 +97,13 @@ fn accumulate(
     let mut sum = NormalEquations::zeros(lobes.len());
     let mut rows: [Vec<f32>; 3] = std::array::from_fn(|_| vec![0.0; lobes.len()]);
     for (point, observed) in points.iter().zip(observed) {
-        let (terms, brdf) = prepare_point(point.normal, point.to_viewer, specular.roughness);
+        let directions = [point.normal, point.to_viewer];
         for i in 0..lobes.len() {
-            let lobe = lobes.get(i);
-            let pair = evaluate_pair(&terms, lobe.axis, lobe.sharpness);
+            let lobe = Lobe { amplitude: [1.0; 3], ..lobes.get(i) };
+            let [diffuse, glossy] =
+                form.shade_pair(directions, &lobe, point.albedo, specular.albedo, specular.roughness);
             for (c, row) in rows.iter_mut().enumerate() {
-                let m = brdf.constant + brdf.slope * specular.albedo[c];
-                row[i] = point.albedo[c] / PI * pair.diffuse.value + m * pair.specular;
+                row[i] = diffuse[c] + glossy[c];
             }
         }
         for (c, row) in rows.iter().enumerate() {

@@ -14,10 +14,10 @@ use super::systems::{
 use crate::error::Result;
 use crate::light::LightLobe;
 use crate::material::{DiffuseAlbedo, SpecularLobe};
-use crate::math::shading::{Layers, ShadePoint, SpecularValue, shade};
+use crate::math::shading::{ClosedForm, Layers, ShadePoint, SpecularValue};
 use crate::shade::pool::{despawn_pool, only_table};
 use crate::shade::systems::{kernel_lobe, kernel_specular};
-use crate::shade::{IncidentLight, gather_points, provide_lobes, shade_published};
+use crate::shade::{IncidentLight, ShadingForm, gather_points, provide_lobes, shade_closed_form};
 use crate::stage::{Phase, Pipeline, Plugin, Slot, Stage};
 use crate::surface::point::SurfacePoint;
 use crate::view::pixel::{Observed, PixelOf, Window};
@@ -31,6 +31,8 @@ use std::time::Instant;
 pub struct FitOptions {
     /// What is minimised.
     pub loss: Loss,
+    /// The closed form that shades.
+    pub form: ClosedForm,
     /// Update steps.
     pub steps: u32,
     /// Pixels a step.
@@ -75,7 +77,7 @@ pub struct FitSummary {
     pub stopped: bool,
 }
 
-/// The fit's systems: Adam on texels, light lobes and the specular lobe, with the published shading.
+/// The fit's systems: Adam on texels, light lobes and the specular lobe, with closed-form shading.
 pub struct FitPlugin;
 
 impl Plugin for FitPlugin {
@@ -84,13 +86,14 @@ impl Plugin for FitPlugin {
         pipeline.world.init_resource::<StepGradient>();
         pipeline.world.init_resource::<Window>();
         pipeline.world.init_resource::<IncidentLight>();
+        pipeline.world.init_resource::<ShadingForm>();
         pipeline
             .add_systems(Phase::Prepare, Stage::Sample, choose_pixels)
             .add_systems(Phase::Prepare, Stage::Trace, trace_pixels)
             .add_systems(Phase::Prepare, Stage::Gather, (count_seen_texels, gather_points))
             .add_systems(Phase::FitStep, Stage::Gather, gather_points)
             .swap(Phase::FitStep, Slot::Light, provide_lobes)
-            .swap(Phase::FitStep, Slot::Shading, shade_published)
+            .swap(Phase::FitStep, Slot::Shading, shade_closed_form)
             .add_systems(Phase::FitStep, Stage::Loss, compare_with_photographs)
             .add_systems(
                 Phase::FitStep,
@@ -114,6 +117,7 @@ pub fn run_fit(
     attach_state(&mut pipeline.world);
     pipeline.world.insert_resource(options.pixels);
     pipeline.world.insert_resource(options.unknowns);
+    pipeline.world.insert_resource(ShadingForm(options.form));
     pipeline.world.insert_resource(LossState { loss: options.loss, last: LossSums::default() });
     pipeline.run(Phase::Prepare)?;
     let pixels = pipeline.world.resource::<Window>().0.len();
@@ -194,6 +198,7 @@ const ROUNDS: usize = 4;
 fn make_first_guess(world: &mut World, unknowns: Unknowns) -> Result<()> {
     let mut lobes: Vec<LightLobe> = world.query::<&LightLobe>().iter(world).copied().collect();
     let specular = kernel_specular(&first_specular(world));
+    let form = world.resource::<ShadingForm>().0;
     let mut texels: Vec<Vec3> = world.query::<&DiffuseAlbedo>().iter(world).map(|a| a.0).collect();
     {
         let mut query = world.query::<(&SurfacePoint, &ShadePoint, &Observed)>();
@@ -202,7 +207,7 @@ fn make_first_guess(world: &mut World, unknowns: Unknowns) -> Result<()> {
         let Some((points, gathered, observed)) = only_table(chunks, |t| t.0.len(), "pixel")? else {
             return Ok(());
         };
-        let mut guess = Guess { points, gathered, observed, specular, unknowns };
+        let mut guess = Guess { form, points, gathered, observed, specular, unknowns };
         guess.alternate(&mut lobes, &mut texels);
     }
     for (mut lobe, guess) in world.query::<&mut LightLobe>().iter_mut(world).zip(&lobes) {
@@ -216,6 +221,7 @@ fn make_first_guess(world: &mut World, unknowns: Unknowns) -> Result<()> {
 
 /// The data a first guess is made from.
 struct Guess<'a> {
+    form: ClosedForm,
     points: &'a [SurfacePoint],
     gathered: &'a [ShadePoint],
     observed: &'a [Observed],
@@ -231,7 +237,7 @@ impl Guess<'_> {
                 let points: Vec<ShadePoint> = (0..n).map(|i| self.with_albedo(i, texels)).collect();
                 let columns = crate::math::shading::LobeColumns::from_lobes(lobes.iter().map(kernel_lobe));
                 let amplitudes =
-                    solve_amplitudes(&points, &self.observed[..n], &self.specular, &columns, 1e-2);
+                    solve_amplitudes(self.form, &points, &self.observed[..n], &self.specular, &columns, 1e-2);
                 for (lobe, amplitude) in lobes.iter_mut().zip(amplitudes) {
                     lobe.amplitude = amplitude.max(Vec3::splat(1e-3));
                 }
@@ -252,7 +258,7 @@ impl Guess<'_> {
         let white: Vec<ShadePoint> =
             self.gathered[..n].iter().map(|p| ShadePoint { albedo: [1.0; 3], ..*p }).collect();
         let mut unit = vec![Layers::default(); n];
-        shade(&white, &self.specular, &columns, &mut unit);
+        self.form.shade(&white, &self.specular, &columns, &mut unit);
         solve_albedo(&self.points[..n], &unit, &self.observed[..n], texels, Vec3::splat(0.4))
     }
 }

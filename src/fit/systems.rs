@@ -8,11 +8,10 @@ use super::components::{
 use super::loss::image_loss;
 use crate::light::LightLobe;
 use crate::material::{DiffuseAlbedo, SpecularLobe};
-use crate::math::published::Published;
-use crate::math::shading::{Layers, PointAdjoint, RadianceAdjoint, ShadePoint, shade_adjoint_with};
-use crate::shade::IncidentLight;
+use crate::math::shading::{Layers, PointAdjoint, RadianceAdjoint, ShadePoint};
 use crate::shade::pool::only_table;
 use crate::shade::systems::kernel_specular;
+use crate::shade::{IncidentLight, ShadingForm};
 use crate::stage::SystemResult;
 use crate::surface::point::SurfacePoint;
 use crate::view::pixel::{Observed, Window};
@@ -46,7 +45,7 @@ pub fn compare_with_photographs(
 /// Gradient: pulls radiance adjoints back to the samples and to light and material.
 pub fn pull_back_radiance(
     window: Res<Window>,
-    light: Res<IncidentLight>,
+    (light, form): (Res<IncidentLight>, Res<ShadingForm>),
     materials: Query<&SpecularLobe>,
     mut gradient: ResMut<StepGradient>,
     mut samples: Query<(&ShadePoint, &Layers, &RadianceAdjoint, &mut PointAdjoint)>,
@@ -60,7 +59,7 @@ pub fn pull_back_radiance(
     let rows = window.0.clone();
     let radiance = (&shaded[rows.clone()], &adjoint[rows.clone()]);
     let back = &mut back.bypass_change_detection()[rows.clone()];
-    shade_adjoint_with(Published, &points[rows], &material, &light.lobes, radiance, back, &mut gradient.0);
+    form.0.shade_adjoint(&points[rows], &material, &light.lobes, radiance, back, &mut gradient.0);
     Ok(())
 }
 

@@ -26,6 +26,7 @@
 
 pub mod diffuse;
 pub mod ggx;
+mod model;
 mod rule;
 mod specular;
 
@@ -34,11 +35,14 @@ mod cubature;
 #[cfg(test)]
 mod tests;
 
+pub use model::{ACCURATE_DEFAULT, ACCURATE_FAST, ACCURATE_HIGH, Accurate};
+
 use super::brdf::{ndf_sharpness, shadowing_k};
 use super::published::{Dual, Lobe};
 use super::real::{Real, Vec3Of, add, dot, scale, sub};
 use diffuse::cosine_integral;
 use rule::across;
+use serde::{Deserialize, Serialize};
 use specular::{LocalLight, Node, PointTermsView, node, place};
 use std::f64::consts::PI;
 
@@ -56,7 +60,7 @@ macro_rules! unroll {
 }
 
 /// How many nodes the specular quadrature has; the module's documentation tabulates accuracy and cost.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Quality {
     /// 2 × 2 nodes.
     Fast,
@@ -212,6 +216,18 @@ pub fn evaluate_pair<F: Real, const ALONG: usize, const ACROSS: usize, const NDF
     axis: Vec3Of<F>,
     sharpness: F,
 ) -> Pair<F> {
+    let diffuse = cosine_integral(sharpness, dot(point.frame[2], axis));
+    let [constant, slope] = evaluate_specular::<F, ALONG, ACROSS, NDF>(point, axis, sharpness);
+    Pair { diffuse, constant, slope }
+}
+
+/// The specular part of a pair: `[constant, slope]` of [`Pair`].
+#[inline(always)]
+pub fn evaluate_specular<F: Real, const ALONG: usize, const ACROSS: usize, const NDF: usize>(
+    point: &PointTerms<F, NDF>,
+    axis: Vec3Of<F>,
+    sharpness: F,
+) -> [F; 2] {
     let light = LocalLight { axis: point.in_frame(axis), sharpness };
     let view = PointTermsView::new(point);
     let (mut constant, mut total) = (sharpness.zero(), sharpness.zero());
@@ -230,7 +246,7 @@ pub fn evaluate_pair<F: Real, const ALONG: usize, const ACROSS: usize, const NDF
         constant = powered.mul_add(ndf.scale, constant);
         total = plain.mul_add(ndf.scale, total);
     }
-    Pair { diffuse: cosine_integral(sharpness, light.axis[2]), constant, slope: total - constant }
+    [constant, total - constant]
 }
 
 /// Adjoints of one pair; everything but the axis may be summed over lobes in the point's own frame.
@@ -287,8 +303,6 @@ impl<F: Real, const NDF: usize> PointSums<F, NDF> {
 }
 
 /// Evaluates a pair again and carries the adjoints of its `diffuse`, `constant` and `slope` back to its inputs.
-///
-/// Nodes and weights of the specular sum are held fixed in world space (see the module's documentation).
 #[inline(always)]
 pub fn pull_back_pair<F: Real, const ALONG: usize, const ACROSS: usize, const NDF: usize>(
     point: &PointTerms<F, NDF>,
@@ -296,10 +310,44 @@ pub fn pull_back_pair<F: Real, const ALONG: usize, const ACROSS: usize, const ND
     sharpness: F,
     [diffuse_adjoint, constant_adjoint, slope_adjoint]: [F; 3],
 ) -> (Pair<F>, PairAdjoint<F, NDF>) {
+    let diffuse = cosine_integral(sharpness, dot(point.frame[2], axis));
+    let under = pull_back_diffuse(point, axis, &diffuse, diffuse_adjoint);
+    let adjoint = [constant_adjoint, slope_adjoint];
+    let ([constant, slope], mut back) =
+        pull_back_specular::<F, ALONG, ACROSS, NDF>(point, axis, sharpness, adjoint);
+    back.axis = add(back.axis, under.axis);
+    back.sharpness += under.sharpness;
+    back.point.add(&under.point);
+    (Pair { diffuse, constant, slope }, back)
+}
+
+/// The diffuse part of [`pull_back_pair`], given the integral.
+#[inline(always)]
+pub fn pull_back_diffuse<F: Real, const NDF: usize>(
+    point: &PointTerms<F, NDF>,
+    axis: Vec3Of<F>,
+    diffuse: &Dual<F>,
+    adjoint: F,
+) -> PairAdjoint<F, NDF> {
+    let tilt = adjoint * diffuse.by_cosine;
+    let mut sums = PointSums::zero(adjoint);
+    sums.normal = [tilt * dot(point.frame[0], axis), tilt * dot(point.frame[1], axis)];
+    PairAdjoint { axis: scale(point.frame[2], tilt), sharpness: adjoint * diffuse.by_sharpness, point: sums }
+}
+
+/// The specular part of [`pull_back_pair`]: `[constant, slope]` and the adjoints.
+///
+/// Nodes and weights are held fixed in world space (see the module's documentation).
+#[inline(always)]
+pub fn pull_back_specular<F: Real, const ALONG: usize, const ACROSS: usize, const NDF: usize>(
+    point: &PointTerms<F, NDF>,
+    axis: Vec3Of<F>,
+    sharpness: F,
+    [constant_adjoint, slope_adjoint]: [F; 2],
+) -> ([F; 2], PairAdjoint<F, NDF>) {
     let light = LocalLight { axis: point.in_frame(axis), sharpness };
     let view = PointTermsView::new(point);
     let zero = sharpness.zero();
-    let diffuse = cosine_integral(sharpness, light.axis[2]);
     let (mut constant, mut total) = (zero, zero);
     let mut sums = NodeSums::new(zero);
     let mut out = PointSums::zero(zero);
@@ -324,13 +372,10 @@ pub fn pull_back_pair<F: Real, const ALONG: usize, const ACROSS: usize, const ND
         constant = powered.mul_add(ndf.scale, constant);
         total = plain.mul_add(ndf.scale, total);
     }
-    let tilt = diffuse_adjoint * diffuse.by_cosine;
-    out.normal = [tilt.mul_add(light.axis[0], sums.normal[0]), tilt.mul_add(light.axis[1], sums.normal[1])];
+    out.normal = sums.normal;
     out.shadowing = -sums.shadowing;
-    let pull = scale(sums.offset, sharpness);
-    let axis = point.in_world([pull[0], pull[1], pull[2] + tilt]);
-    let sharpness = diffuse_adjoint * diffuse.by_sharpness - sums.half_square;
-    (Pair { diffuse, constant, slope: total - constant }, PairAdjoint { axis, sharpness, point: out })
+    let axis = point.in_world(scale(sums.offset, sharpness));
+    ([constant, total - constant], PairAdjoint { axis, sharpness: -sums.half_square, point: out })
 }
 
 /// Sums over nodes that the adjoint needs, each node weighted by its share of the objective.

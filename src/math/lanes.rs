@@ -46,6 +46,12 @@ impl<S: Simd> Lanes<S> {
         self.value.as_slice()[index]
     }
 
+    /// Bit i is set where lane i is below `bound`'s.
+    #[inline(always)]
+    pub fn bits_below(self, bound: Self) -> u64 {
+        self.value.simd_lt(bound.value).to_bitmask()
+    }
+
     /// Sum of the lanes, in an order that depends on the machine's vectors alone.
     #[inline(always)]
     pub fn sum(self) -> f32 {

@@ -30,6 +30,25 @@ impl<F: Copy, const N: usize> Terms<F> for [F; N] {
     }
 }
 
+/// Which part of a pair is wanted: [`DIFFUSE`], [`SPECULAR`] or [`BOTH`]. What is not wanted is zero in the result.
+pub type Part = u8;
+/// The diffuse part alone.
+pub const DIFFUSE: Part = 1;
+/// The specular part alone.
+pub const SPECULAR: Part = 2;
+/// Both.
+pub const BOTH: Part = DIFFUSE | SPECULAR;
+
+/// Where a point's specular light comes from: its response to a lobe (axis ξ, sharpness λ) is at most about that to an aligned
+/// one times e^(−aλ/(a + λ)·(1 − r·ξ)).
+#[derive(Clone, Copy)]
+pub struct Reach<F> {
+    /// r, a unit direction.
+    pub axis: Vec3Of<F>,
+    /// a.
+    pub sharpness: F,
+}
+
 /// A lobe's shape.
 #[derive(Clone, Copy)]
 pub struct Shape<F> {
@@ -75,6 +94,9 @@ pub struct PointEnd<'a, M: PairModel> {
 
 /// The formulas of a shading mode. All methods should be `#[inline(always)]`: they run inside SIMD loops.
 pub trait PairModel: Copy + Send + Sync {
+    /// Whether the kernels may leave out the specular part of pairs by [`PairModel::reach`]. Such a model is asked for parts, and
+    /// its specular part must not read the lobe's terms.
+    const CULLS: bool;
     /// What a pair reads of its point.
     type Point<F: Copy>: Terms<F>;
     /// What of a point only its weights and the end of its adjoint need.
@@ -104,8 +126,11 @@ pub trait PairModel: Copy + Send + Sync {
         specular: &SpecularValue,
     ) -> Self::Specular<Vec3Of<f32>>;
 
+    /// Where the point's specular light comes from; not called unless [`PairModel::CULLS`].
+    fn reach<F: Real>(&self, point: &Self::Point<F>) -> Reach<F>;
+
     /// One point × lobe.
-    fn evaluate<F: Real>(
+    fn evaluate<F: Real, const PART: Part>(
         &self,
         point: &Self::Point<F>,
         shape: &Shape<F>,
@@ -113,7 +138,7 @@ pub trait PairModel: Copy + Send + Sync {
     ) -> Response<F, Self::Specular<F>>;
 
     /// One point × lobe and, given the adjoint of its response, the adjoints of what went in.
-    fn pull_back<F: Real>(
+    fn pull_back<F: Real, const PART: Part>(
         &self,
         point: &Self::Point<F>,
         shape: &Shape<F>,

@@ -2,14 +2,16 @@
 //!
 //! Lobes lie in columns, padded to a whole number of SIMD vectors; points are taken one by one, in chunks over
 //! the threads. Sums over points are made per chunk and then over chunks in order, so the result does not depend
-//! on the number of threads. The formulas are a [`PairModel`]'s; [`shade`] and [`shade_adjoint`] take the published ones.
+//! on the number of threads. The formulas are a [`PairModel`]'s; [`ClosedForm`] chooses one at run time.
 
 mod kernels;
 
+use super::accurate::{ACCURATE_DEFAULT, ACCURATE_FAST, ACCURATE_HIGH, Quality};
 use super::lanes::{MAX_LANES, Row};
 use super::model::PairModel;
 use super::published::{Lobe, Published};
-use super::real::Vec3Of;
+use super::real::{Real, Vec3Of};
+use super::{accurate, published};
 use fearless_simd::{Level, dispatch};
 use kernels::Shared;
 use rayon::prelude::*;
@@ -145,26 +147,98 @@ pub struct SharedGradient {
     pub specular: SpecularValue,
 }
 
-/// Shades `points` with the published formulas; `out` has their length.
-pub fn shade(points: &[ShadePoint], specular: &SpecularValue, lobes: &LobeColumns, out: &mut [Layers]) {
-    shade_with(Published, points, specular, lobes, out);
+/// Which closed form shades.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ClosedForm {
+    /// The formulas of PhySG's own code, for comparison.
+    Published,
+    /// The integrals themselves, to the given accuracy.
+    Accurate(Quality),
 }
 
-/// Pulls the adjoint of each point's radiance back to the points and to what they share, for [`shade`].
-///
-/// `shaded` is what [`shade`] gave: where a channel was clamped to zero its adjoint is dropped.
-pub fn shade_adjoint(
+impl Default for ClosedForm {
+    fn default() -> Self {
+        Self::Accurate(Quality::Default)
+    }
+}
+
+impl ClosedForm {
+    /// Diffuse and specular radiance of one point under one lobe, each at least 0, in any float.
+    pub fn shade_pair<F: Real>(
+        self,
+        [normal, to_viewer]: [Vec3Of<F>; 2],
+        lobe: &Lobe<F>,
+        albedo: Vec3Of<F>,
+        specular_albedo: Vec3Of<F>,
+        roughness: F,
+    ) -> [Vec3Of<F>; 2] {
+        let (diffuse, specular) = match self {
+            Self::Published => {
+                published::shade_pair(normal, to_viewer, lobe, albedo, specular_albedo, roughness)
+            }
+            Self::Accurate(quality) => {
+                accurate::shade_pair(quality, normal, to_viewer, lobe, albedo, specular_albedo, roughness)
+            }
+        };
+        [diffuse.map(F::relu), specular.map(F::relu)]
+    }
+
+    /// [`shade_with`] of this form.
+    pub fn shade(
+        self,
+        points: &[ShadePoint],
+        specular: &SpecularValue,
+        lobes: &LobeColumns,
+        out: &mut [Layers],
+    ) {
+        match self {
+            Self::Published => shade_with(Published, points, specular, lobes, out),
+            Self::Accurate(Quality::Fast) => shade_with(ACCURATE_FAST, points, specular, lobes, out),
+            Self::Accurate(Quality::Default) => shade_with(ACCURATE_DEFAULT, points, specular, lobes, out),
+            Self::Accurate(Quality::High) => shade_with(ACCURATE_HIGH, points, specular, lobes, out),
+        }
+    }
+
+    /// [`shade_adjoint_with`] of this form.
+    pub fn shade_adjoint(
+        self,
+        points: &[ShadePoint],
+        specular: &SpecularValue,
+        lobes: &LobeColumns,
+        radiance: (&[Layers], &[RadianceAdjoint]),
+        out: &mut [PointAdjoint],
+        gradient: &mut SharedGradient,
+    ) {
+        match self {
+            Self::Published => {
+                shade_adjoint_with(Published, points, specular, lobes, radiance, out, gradient)
+            }
+            Self::Accurate(Quality::Fast) => {
+                shade_adjoint_with(ACCURATE_FAST, points, specular, lobes, radiance, out, gradient);
+            }
+            Self::Accurate(Quality::Default) => {
+                shade_adjoint_with(ACCURATE_DEFAULT, points, specular, lobes, radiance, out, gradient);
+            }
+            Self::Accurate(Quality::High) => {
+                shade_adjoint_with(ACCURATE_HIGH, points, specular, lobes, radiance, out, gradient);
+            }
+        }
+    }
+}
+
+/// The part of all pairs whose specular part `model` leaves out, in [0, 1].
+pub fn culled_part<M: PairModel>(
+    model: M,
     points: &[ShadePoint],
     specular: &SpecularValue,
     lobes: &LobeColumns,
-    shaded: &[Layers],
-    adjoint: &[RadianceAdjoint],
-    point_adjoint: &mut [PointAdjoint],
-) -> SharedGradient {
-    let mut gradient = SharedGradient::default();
-    let radiance = (shaded, adjoint);
-    shade_adjoint_with(Published, points, specular, lobes, radiance, point_adjoint, &mut gradient);
-    gradient
+) -> f64 {
+    let mut prepared = Vec::new();
+    let level = Level::new();
+    dispatch!(level, simd => kernels::prepare_lobes(simd, model, lobes, &mut prepared));
+    let shared = Shared { model, specular, lobes: &prepared };
+    let kept = dispatch!(level, simd => kernels::count_kept(simd, &shared, points));
+    1.0 - kept as f64 / (points.len() * lobes.len()).max(1) as f64
 }
 
 thread_local! {
@@ -192,8 +266,9 @@ pub fn shade_with<M: PairModel>(
     SCRATCH.set(scratch);
 }
 
-/// [`shade_adjoint`] for the formulas of `model`, given radiance as (value, adjoint); overwrites `gradient`, whose
-/// memory it uses again.
+/// Pulls the adjoint of each point's radiance back to the points and to what they share, by the formulas of `model`; `radiance`
+/// is (what [`shade_with`] gave, its adjoint). Where a channel was clamped to zero its adjoint is dropped. Overwrites
+/// `gradient`, whose memory it uses again.
 pub fn shade_adjoint_with<M: PairModel>(
     model: M,
     points: &[ShadePoint],

@@ -5,15 +5,16 @@
 //! least time counts, because whatever else the machine does can only make a run longer.
 
 use crate::error::{Error, Result};
+use crate::file::write_bytes;
 use crate::light::fibonacci::fibonacci_axes;
+use crate::math::accurate::{ACCURATE_DEFAULT, ACCURATE_FAST, ACCURATE_HIGH};
 use crate::math::lanes::level_name;
 use crate::math::model::PairModel;
 use crate::math::published::{Lobe, Published};
 use crate::math::shading::{
     Layers, LobeColumns, PointAdjoint, RadianceAdjoint, ShadePoint, SharedGradient, SpecularValue,
-    shade_adjoint_with, shade_with,
+    culled_part, shade_adjoint_with, shade_with,
 };
-use crate::report::atomic::write_bytes;
 use glam::Vec3;
 use rand::{RngExt, SeedableRng, rngs::SmallRng};
 use serde::Serialize;
@@ -21,8 +22,12 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 /// Shading modes that are measured: the name, and the kernels' times. A further mode is one more line.
-const MODES: [(&str, fn(&mut Workload, Duration) -> Timing); 1] =
-    [("published", |work, budget| time_kernels(Published, work, budget))];
+const MODES: [(&str, fn(&mut Workload, Duration) -> Timing); 4] = [
+    ("published", |work, budget| time_kernels(Published, work, budget)),
+    ("accurate", |work, budget| time_kernels(ACCURATE_DEFAULT, work, budget)),
+    ("accurate-fast", |work, budget| time_kernels(ACCURATE_FAST, work, budget)),
+    ("accurate-high", |work, budget| time_kernels(ACCURATE_HIGH, work, budget)),
+];
 
 /// Roughness of the specular lobe: glossy, between, rough.
 const ROUGHNESS: [f32; 3] = [0.1, 0.3, 0.7];
@@ -63,7 +68,7 @@ pub struct BenchRow {
     pub repetitions: [usize; 2],
     /// Bytes that a point's inputs, outputs and adjoints take.
     pub bytes_per_point: usize,
-    /// Part of the pairs that the mode leaves out, in percent.
+    /// Part of the pairs whose specular light the mode leaves out, in percent.
     pub skipped_percent: f64,
     /// Instruction set that the kernels chose.
     pub simd: &'static str,
@@ -116,7 +121,7 @@ pub fn bench(
 impl BenchRow {
     /// The head of the table that [`Self::line`] fills.
     pub const HEADER: &'static str = "\
-mode       points  lobes  roughness  threads  forward ns  forward+adjoint ns  bytes/point  skipped  simd";
+mode          points  lobes  roughness  threads  forward ns  forward+adjoint ns  bytes/point  skipped  simd";
 
     fn new(mode: &'static str, threads: usize, work: &Workload, timing: &Timing) -> Self {
         let (points, lobes) = (work.points.len(), work.lobes.len());
@@ -139,7 +144,7 @@ mode       points  lobes  roughness  threads  forward ns  forward+adjoint ns  by
     /// As a line of the table.
     pub fn line(&self) -> String {
         format!(
-            "{:<10} {:>6}  {:>5}  {:>9}  {:>7}  {:>10.3}  {:>18.3}  {:>11}  {:>6.1}%  {}",
+            "{:<13} {:>6}  {:>5}  {:>9}  {:>7}  {:>10.3}  {:>18.3}  {:>11}  {:>6.1}%  {}",
             self.mode,
             self.points,
             self.lobes,
@@ -248,7 +253,12 @@ fn random_point(rng: &mut SmallRng) -> ShadePoint {
 fn time_kernels<M: PairModel>(model: M, work: &mut Workload, budget: Duration) -> Timing {
     let forward = least_time(budget, || work.shade(model));
     let adjoint = least_time(budget, || work.shade_adjoint(model));
-    Timing { least: [forward.0, adjoint.0], repetitions: [forward.1, adjoint.1], skipped_percent: 0.0 }
+    let skipped = culled_part(model, &work.points, &work.specular, &work.lobes);
+    Timing {
+        least: [forward.0, adjoint.0],
+        repetitions: [forward.1, adjoint.1],
+        skipped_percent: 100.0 * skipped,
+    }
 }
 
 /// Runs `kernel` until `budget` is spent, and once more than once at least: the first run finds cold caches.
@@ -279,7 +289,7 @@ mod tests {
         let mut told = 0;
         let rows = bench(&quick(Some(path.clone())), |row| {
             told += 1;
-            assert!(row.line().contains("published"), "{}", row.line());
+            assert!(row.line().contains(row.mode), "{}", row.line());
             Ok(())
         })
         .unwrap();

@@ -9,9 +9,10 @@ use crate::fit::run::{FitOptions, FitProgress, FitSummary, run_fit};
 use crate::light::npy::{NpyConvention, write_lobes};
 use crate::light::{LightLobe, render_lobes};
 use crate::material::{DiffuseAlbedo, SpecularLobe};
+use crate::math::shading::ClosedForm;
 use crate::report::png_file::write_rgb8;
 use crate::report::tone::srgb8;
-use crate::scene::pass_types::FitPass;
+use crate::scene::pass_types::{FitPass, FitShading};
 use crate::scene::spawn::unknowns;
 use crate::surface::atlas::fill_uncovered;
 use bevy_ecs::prelude::World;
@@ -58,6 +59,10 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
 fn options(session: &Session, pass: &FitPass) -> FitOptions {
     FitOptions {
         loss: pass.loss,
+        form: match pass.shading {
+            FitShading::Accurate => ClosedForm::Accurate(pass.quality),
+            FitShading::Published => ClosedForm::Published,
+        },
         steps: pass.steps,
         batch: pass.batch as usize,
         rates: [pass.rates.albedo, pass.rates.light, pass.rates.specular],

@@ -4,6 +4,7 @@ use super::edit::{apply_edits, put_material, take_material};
 use super::{Session, check_interrupted};
 use crate::error::Result;
 use crate::math::ray::Illuminate;
+use crate::math::shading::ClosedForm;
 use crate::report::animation::{Mp4, write_apng, write_gif, write_mp4};
 use crate::report::exr_file::{Frame, write_frame};
 use crate::report::tone::{Backdrop, Look, Picture, write_png};
@@ -11,7 +12,8 @@ use crate::scene::pass_types::{Orbit, OrbitFormat, Pass, RenderSettings, Shading
 use crate::scene::types::Light;
 use crate::shade::frame::{FrameTarget, render_frame};
 use crate::shade::{
-    IncidentLight, PathTracing, provide_distant, provide_lobes, shade_path_traced, shade_published,
+    IncidentLight, PathTracing, ShadingForm, provide_distant, provide_lobes, shade_closed_form,
+    shade_path_traced,
 };
 use crate::stage::{Phase, Pipeline, Slot};
 use crate::view::camera::{self, Camera};
@@ -56,9 +58,8 @@ fn set_light(session: &mut Session, pass: &str, shading: Shading) {
 /// Swaps the shading system.
 pub fn set_shading(pipeline: &mut Pipeline, settings: &RenderSettings, seed: u64) {
     match settings.shading {
-        Shading::Published => {
-            pipeline.swap(Phase::Frame, Slot::Shading, shade_published);
-        }
+        Shading::Accurate => closed_form(pipeline, ClosedForm::Accurate(settings.quality)),
+        Shading::Published => closed_form(pipeline, ClosedForm::Published),
         Shading::PathTraced { spp, max_bounces, .. } => {
             let rays = camera_rays(settings);
             let paths_per_sample = spp.div_ceil(rays);
@@ -73,10 +74,15 @@ pub fn set_shading(pipeline: &mut Pipeline, settings: &RenderSettings, seed: u64
     }
 }
 
+fn closed_form(pipeline: &mut Pipeline, form: ClosedForm) {
+    pipeline.world.insert_resource(ShadingForm(form));
+    pipeline.swap(Phase::Frame, Slot::Shading, shade_closed_form);
+}
+
 /// Camera rays per pixel: a path tracer with fewer paths than that takes one path a ray.
 fn camera_rays(settings: &RenderSettings) -> u32 {
     match settings.shading {
-        Shading::Published => settings.samples_per_pixel,
+        Shading::Accurate | Shading::Published => settings.samples_per_pixel,
         Shading::PathTraced { spp, .. } => {
             let side = f64::from(settings.samples_per_pixel.min(spp)).sqrt().floor().max(1.0) as u32;
             side * side

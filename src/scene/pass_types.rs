@@ -1,6 +1,6 @@
 //! What a scene file's `passes` list can say.
 
-pub use super::render_types::{Orbit, OrbitFormat, RenderSettings, Shading, Tone, ViewChoice};
+pub use super::render_types::{Orbit, OrbitFormat, Quality, RenderSettings, Shading, Tone, ViewChoice};
 use super::types::LightSource;
 pub use crate::fit::loss::Loss;
 use glam::Vec3;
@@ -77,6 +77,10 @@ pub struct FitPass {
     pub name: String,
     /// What is minimised over pixels and channels. Default `L1`.
     pub loss: Loss,
+    /// The closed form that shades. Default `Accurate`.
+    pub shading: FitShading,
+    /// Nodes of `Accurate` shading: `Fast`, `Default` or `High`. Default `Default`.
+    pub quality: Quality,
     /// Number of update steps ≥ 1. Default 1200: much longer, and the bias of the published formulas is fitted too.
     pub steps: u32,
     /// Most pixels that are visited ≥ 1; a random part of more. Default 2 000 000.
@@ -96,6 +100,8 @@ impl Default for FitPass {
         Self {
             name: "fit".into(),
             loss: Loss::L1,
+            shading: FitShading::Accurate,
+            quality: Quality::Default,
             steps: 1200,
             max_pixels: 2_000_000,
             batch: 6144,
@@ -104,6 +110,16 @@ impl Default for FitPass {
             decay: 0.4,
         }
     }
+}
+
+/// The closed forms that a fit can shade by.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum FitShading {
+    /// Accurate integrals of light SG × BRDF × cosine.
+    #[default]
+    Accurate,
+    /// PhySG's published approximation of them.
+    Published,
 }
 
 /// Adam's step size for each block of parameters, in the unconstrained parameter's unit; 0 leaves a block as it is.

@@ -1,5 +1,6 @@
 //! How a pass renders: which views, which shading, and how the pictures look.
 
+pub use crate::math::accurate::Quality;
 pub use crate::report::tone::Tone;
 use serde::{Deserialize, Serialize};
 
@@ -9,8 +10,10 @@ use serde::{Deserialize, Serialize};
 pub struct RenderSettings {
     /// Which views. Default `Test`.
     pub views: ViewChoice,
-    /// How light is computed. Default `Published`.
+    /// How light is computed. Default `Accurate`.
     pub shading: Shading,
+    /// Nodes of `Accurate` shading: `Fast`, `Default`, or `High` for final renders. Default `Default`.
+    pub quality: Quality,
     /// Camera rays per pixel, 1 to 1024 (the path tracer uses its `spp`). Default 4.
     pub samples_per_pixel: u32,
     /// Brightness of the PNGs in stops, −20 to 20 (EXRs are as they are). Default 0.
@@ -27,7 +30,8 @@ impl Default for RenderSettings {
     fn default() -> Self {
         Self {
             views: ViewChoice::Test,
-            shading: Shading::Published,
+            shading: Shading::Accurate,
+            quality: Quality::Default,
             samples_per_pixel: 4,
             exposure: 0.0,
             tone: Tone::Srgb,
@@ -55,8 +59,10 @@ pub enum ViewChoice {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub enum Shading {
-    /// The published closed-form SG renderer: no shadows, no interreflection.
+    /// Accurate integrals of light SG × BRDF × cosine: no shadows, no interreflection.
     #[default]
+    Accurate,
+    /// PhySG's published approximation of them.
     Published,
     /// An unbiased path tracer with the same BRDF: shadows and interreflection.
     PathTraced {

@@ -1,7 +1,9 @@
 //! The Frame phase: one tile of a picture at a time, Sample ▸ Trace ▸ Gather ▸ Shade ▸ Resolve.
 
 use super::pool::{FrameSample, despawn_pool, only_table};
-use super::{IncidentLight, Scenery, gather_blends, gather_points, provide_lobes, shade_published};
+use super::{
+    IncidentLight, Scenery, ShadingForm, gather_blends, gather_points, provide_lobes, shade_closed_form,
+};
 use crate::error::Result;
 use crate::math::shading::{Layers, ShadePoint};
 use crate::stage::{Phase, Pipeline, Plugin, Slot, Stage, SystemResult};
@@ -74,19 +76,20 @@ impl FrameTarget {
     }
 }
 
-/// Rendering of pictures: the Frame phase with SG lobes as light and the published shading, both of which can be swapped.
+/// Rendering of pictures: the Frame phase with SG lobes as light and closed-form shading, both of which can be swapped.
 pub struct FramePlugin;
 
 impl Plugin for FramePlugin {
     fn build(&self, pipeline: &mut Pipeline) {
         pipeline.world.init_resource::<Window>();
         pipeline.world.init_resource::<IncidentLight>();
+        pipeline.world.init_resource::<ShadingForm>();
         pipeline
             .add_systems(Phase::Frame, Stage::Sample, sample_pixels)
             .add_systems(Phase::Frame, Stage::Trace, trace_samples)
             .add_systems(Phase::Frame, Stage::Gather, (gather_points, gather_blends))
             .swap(Phase::Frame, Slot::Light, provide_lobes)
-            .swap(Phase::Frame, Slot::Shading, shade_published)
+            .swap(Phase::Frame, Slot::Shading, shade_closed_form)
             .add_systems(Phase::Frame, Stage::Resolve, resolve_pixels);
     }
 }

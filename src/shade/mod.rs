@@ -5,7 +5,7 @@
 //! | [`gather_points`] | Gather | [`SurfacePoint`](crate::surface::point::SurfacePoint), [`ViewRay`](crate::view::pixel::ViewRay), texels | [`ShadePoint`], [`PointBlend`] |
 //! | [`provide_lobes`] | Gather, `Slot::Light` | light-lobe entities | [`IncidentLight`] |
 //! | [`provide_distant`] | Gather, `Slot::Light` | [`DistantLight`] | [`IncidentLight`] |
-//! | [`shade_published`] | Shade, `Slot::Shading` | [`ShadePoint`], [`IncidentLight`], specular lobes | [`Layers`] |
+//! | [`shade_closed_form`] | Shade, `Slot::Shading` | [`ShadePoint`], [`IncidentLight`], [`ShadingForm`], specular lobes | [`Layers`] |
 //! | [`shade_path_traced`] | Shade, `Slot::Shading` | the same, [`Scenery`], [`PathTracing`] | [`Layers`] |
 
 pub mod frame;
@@ -15,13 +15,13 @@ pub mod sampling;
 pub mod systems;
 
 use crate::math::ray::{Illuminate, Intersect};
-use crate::math::shading::{Layers, LobeColumns, PointAdjoint, RadianceAdjoint, ShadePoint};
+use crate::math::shading::{ClosedForm, Layers, LobeColumns, PointAdjoint, RadianceAdjoint, ShadePoint};
 use bevy_ecs::component::{Mutable, StorageType};
 use bevy_ecs::prelude::{Component, Resource};
 use std::sync::Arc;
 
 pub use systems::{
-    gather_blends, gather_points, provide_distant, provide_lobes, shade_path_traced, shade_published,
+    gather_blends, gather_points, provide_distant, provide_lobes, shade_closed_form, shade_path_traced,
 };
 
 /// Makes kernel inputs and outputs, which know nothing of an ECS, columns of the pixel pool.
@@ -47,6 +47,10 @@ pub struct IncidentLight {
     /// The same light as something that can be sampled, for path tracing.
     pub distant: Option<Arc<dyn Illuminate>>,
 }
+
+/// The closed form that [`shade_closed_form`] shades by.
+#[derive(Resource, Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct ShadingForm(pub ClosedForm);
 
 /// A light in place of the world's light lobes: an environment map or other lobes.
 #[derive(Resource, Clone)]

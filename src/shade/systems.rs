@@ -2,13 +2,13 @@
 
 use super::path_tracer::{self, PathEstimate, PathQuery, PathScene, PathSettings, shade_points};
 use super::pool::only_table;
-use super::{DistantLight, IncidentLight, PathTracing, PointBlend, Scenery};
+use super::{DistantLight, IncidentLight, PathTracing, PointBlend, Scenery, ShadingForm};
 use crate::error::Error;
 use crate::light::LightLobe;
 use crate::light::illuminate::LobeLight;
 use crate::material::{DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
 use crate::math::published::Lobe;
-use crate::math::shading::{Layers, LobeColumns, ShadePoint, SpecularValue, shade};
+use crate::math::shading::{ClosedForm, Layers, LobeColumns, ShadePoint, SpecularValue};
 use crate::stage::SystemResult;
 use crate::surface::point::SurfacePoint;
 use crate::view::pixel::{PixelOf, ViewRay, Window};
@@ -92,10 +92,10 @@ pub fn gather_blends(
     Ok(())
 }
 
-/// Shades with the published SG formulas: no shadows, no interreflection.
-pub fn shade_published(
+/// Shades in closed form ([`ShadingForm`] says in which): no shadows, no interreflection.
+pub fn shade_closed_form(
     window: Res<Window>,
-    light: Res<IncidentLight>,
+    (light, form): (Res<IncidentLight>, Res<ShadingForm>),
     materials: Query<&SpecularLobe>,
     mut samples: Query<(&ShadePoint, &PointBlend, &mut Layers)>,
 ) -> SystemResult {
@@ -109,14 +109,15 @@ pub fn shade_published(
     let materials: Vec<SpecularValue> = materials.iter().map(kernel_specular).collect();
     match materials.as_slice() {
         [] => shaded.fill(Layers::default()),
-        [one] => shade(points, one, &light.lobes, shaded),
-        many => shade_blended(points, &blends[window.0.clone()], many, &light, shaded),
+        [one] => form.0.shade(points, one, &light.lobes, shaded),
+        many => shade_blended(form.0, points, &blends[window.0.clone()], many, &light, shaded),
     }
     Ok(())
 }
 
 /// Shades once for each specular lobe and blends by the points' weights.
 fn shade_blended(
+    form: ClosedForm,
     points: &[ShadePoint],
     blends: &[PointBlend],
     materials: &[SpecularValue],
@@ -125,7 +126,7 @@ fn shade_blended(
 ) {
     let mut one = vec![Layers::default(); points.len()];
     for (k, material) in materials.iter().enumerate().take(MAX_SPECULAR_LOBES) {
-        shade(points, material, &light.lobes, &mut one);
+        form.shade(points, material, &light.lobes, &mut one);
         for ((sum, one), blend) in shaded.iter_mut().zip(&one).zip(blends) {
             let before = if k == 0 { [0.0; 3] } else { sum.specular };
             sum.diffuse = one.diffuse;

@@ -98,6 +98,42 @@ fn polynomial<F: Real>(x: F, coefficients: [f64; 7]) -> F {
     p
 }
 
+/// What the diffuse integral needs of a lobe's sharpness alone.
+#[derive(Clone, Copy)]
+pub struct SharpnessTerms<F> {
+    steepness: Slope<F>,
+    up: Slope<F>,
+    low: Slope<F>,
+    /// e^(−t²), and e^(−t²) times the scaled complementary error function of t.
+    axis: Slope<F>,
+}
+
+impl<F: Real> SharpnessTerms<F> {
+    /// For λ ≥ 0.
+    #[inline(always)]
+    pub fn new(sharpness: F) -> Self {
+        let steepness = steepness(sharpness);
+        let axis = fading_exp(-(steepness.0 * steepness.0));
+        let (up, low) = extremes(sharpness);
+        Self { steepness, up, low, axis: (axis, axis * scaled_erfc(steepness.0)) }
+    }
+}
+
+impl<F: Copy> SharpnessTerms<F> {
+    /// In the order that [`SharpnessTerms::from_array`] takes.
+    #[inline(always)]
+    pub fn to_array(self) -> [F; 8] {
+        let [t, up, low, axis] = [self.steepness, self.up, self.low, self.axis];
+        [t.0, t.1, up.0, up.1, low.0, low.1, axis.0, axis.1]
+    }
+
+    /// Back from [`SharpnessTerms::to_array`].
+    #[inline(always)]
+    pub fn from_array([t, dt, up, dup, low, dlow, axis, tail]: [F; 8]) -> Self {
+        Self { steepness: (t, dt), up: (up, dup), low: (low, dlow), axis: (axis, tail) }
+    }
+}
+
 /// ∫ exp(λ(ω·ξ − 1)) max(n·ω, 0) dω for λ ≥ 0 and c = ξ·n, with its two derivatives.
 ///
 /// Tokuyoshi, Ikeda, Kulkarni and Harada, "Hierarchical Light Sampling with Accurate Spherical Gaussian Lighting" (2024).
@@ -105,12 +141,18 @@ fn polynomial<F: Real>(x: F, coefficients: [f64; 7]) -> F {
 /// Always in [0, π].
 #[inline(always)]
 pub fn cosine_integral<F: Real>(sharpness: F, c: F) -> Dual<F> {
+    prepared_cosine_integral(&SharpnessTerms::new(sharpness), c)
+}
+
+/// [`cosine_integral`] with what depends on the sharpness alone made beforehand.
+#[inline(always)]
+pub fn prepared_cosine_integral<F: Real>(terms: &SharpnessTerms<F>, c: F) -> Dual<F> {
     let (zero, one) = (c.zero(), c.one());
     let c = c.max(-one).min(one);
-    let (t, t_slope) = steepness(sharpness);
+    let (t, t_slope) = terms.steepness;
     let tc = t * c;
     let (t_squared, tc_abs) = (t * t, tc.max(-tc));
-    let (axis, edge) = (fading_exp(-t_squared), fading_exp(-(tc * tc)));
+    let ((axis, axis_tail), edge) = (terms.axis, fading_exp(-(tc * tc)));
     // erfc(−tc), and (e^(−t²) − e^(−t²c²))/(2√π·t²), by series where the difference cancels.
     let tail = edge * scaled_erfc(tc_abs);
     let share = tc.select_lt(zero, tail, one + one - tail);
@@ -118,9 +160,9 @@ pub fn cosine_integral<F: Real>(sharpness: F, c: F) -> Dual<F> {
     let bound = c.lit(0.5);
     let mean = z.select_lt(bound, edge * mean_exponential(z), (edge - axis) * z.max(bound).inverse());
     let difference = -(mean * (one - c) * (one + c)).times(0.5 / PI.sqrt());
-    let blend = (c * share + axis * scaled_erfc(t)).times(0.5) - difference * t;
+    let blend = (c * share + axis_tail).times(0.5) - difference * t;
     let blend = blend.max(zero).min(one);
-    let ((up, up_slope), (low, low_slope)) = extremes(sharpness);
+    let ((up, up_slope), (low, low_slope)) = (terms.up, terms.low);
     let span = up - low;
     let by_sharpness = (up_slope - low_slope).mul_add(blend, low_slope) + span * difference * t_slope;
     Dual {

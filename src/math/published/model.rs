@@ -4,7 +4,7 @@ use super::sharp::{SHARPNESS_COLUMNS, SharpnessTerms};
 use super::{
     FrozenBrdf, Pair, PointTerms, evaluate_prepared, prepare_point, pull_back_normal, pull_back_pair,
 };
-use crate::math::model::{PairAdjoint, PairModel, PointEnd, Response, Shape};
+use crate::math::model::{PairAdjoint, PairModel, Part, PointEnd, Reach, Response, Shape};
 use crate::math::real::{Real, Vec3Of, dot};
 use crate::math::shading::SpecularValue;
 
@@ -44,6 +44,7 @@ fn response<F: Real>(pair: &Pair<F>) -> Response<F, [F; 1]> {
 }
 
 impl PairModel for Published {
+    const CULLS: bool = false;
     type Point<F: Copy> = [F; 8];
     type Frozen<F: Copy> = [F; 8];
     type Lobe<F: Copy> = [F; SHARPNESS_COLUMNS];
@@ -75,7 +76,13 @@ impl PairModel for Published {
     }
 
     #[inline(always)]
-    fn evaluate<F: Real>(
+    fn reach<F: Real>(&self, point: &[F; 8]) -> Reach<F> {
+        let point = PointTerms::from_array(*point);
+        Reach { axis: point.mirror, sharpness: point.warp_sharpness }
+    }
+
+    #[inline(always)]
+    fn evaluate<F: Real, const PART: Part>(
         &self,
         point: &[F; 8],
         shape: &Shape<F>,
@@ -86,7 +93,7 @@ impl PairModel for Published {
     }
 
     #[inline(always)]
-    fn pull_back<F: Real>(
+    fn pull_back<F: Real, const PART: Part>(
         &self,
         point: &[F; 8],
         shape: &Shape<F>,

@@ -6,7 +6,7 @@
 
 use super::{LOBE_COLUMNS, Layers, LobeColumns, PointAdjoint, RadianceAdjoint, ShadePoint, SpecularValue};
 use crate::math::lanes::{Lanes, MAX_LANES, Row};
-use crate::math::model::{PairModel, PointEnd, Response, Shape, Terms};
+use crate::math::model::{BOTH, DIFFUSE, PairModel, PointEnd, Reach, Response, SPECULAR, Shape, Terms};
 use crate::math::real::{Real, Vec3Of, dot, scale};
 use fearless_simd::Simd;
 use std::f32::consts::PI;
@@ -19,9 +19,28 @@ pub struct Shared<'a, M> {
     pub lobes: &'a [Row],
 }
 
-/// Rows of a block of prepared lobes.
+/// Rows of a block of prepared lobes: the lobes', the model's, and the exponent from which a specular part is left out.
 const fn block_rows<M: PairModel>() -> usize {
-    LOBE_COLUMNS + <M::Lobe<f32> as Terms<f32>>::LEN
+    LOBE_COLUMNS + <M::Lobe<f32> as Terms<f32>>::LEN + 1
+}
+
+/// Light that culling may leave out, summed over all lobes in the worst case, as a part of the mean radiance.
+const CULLED: f32 = 1e-2;
+
+/// Per lobe, the exponent from which its specular part is negligible: e^(−exponent)·amplitude < CULLED/lobes · mean radiance.
+fn exponent_limits(lobes: &LobeColumns) -> impl Fn(usize) -> f32 {
+    let brightest = |i: usize| {
+        let [r, g, b] = lobes.get(i).amplitude;
+        r.max(g).max(b)
+    };
+    // The mean over the sphere of an SG is μ(1 − e^(−2λ))/2λ.
+    let mean = |i: usize| {
+        let l = f64::from(lobes.get(i).sharpness).max(1e-6);
+        f64::from(brightest(i)) * -(-2.0 * l).exp_m1() / (2.0 * l)
+    };
+    let total: f64 = (0..lobes.len()).map(mean).sum();
+    let least = (f64::from(CULLED) * total / lobes.len().max(1) as f64) as f32;
+    move |i| (brightest(i) / least.max(f32::MIN_POSITIVE)).max(f32::MIN_POSITIVE).ln()
 }
 
 /// Regroups lobes into blocks and adds the model's terms.
@@ -29,6 +48,7 @@ const fn block_rows<M: PairModel>() -> usize {
 pub fn prepare_lobes<S: Simd, M: PairModel>(simd: S, model: M, lobes: &LobeColumns, out: &mut Vec<Row>) {
     out.clear();
     out.resize(lobes.blocks() * block_rows::<M>(), Row::ZERO);
+    let limit = exponent_limits(lobes);
     for (b, block) in out.chunks_exact_mut(block_rows::<M>()).enumerate() {
         for (c, row) in block[..LOBE_COLUMNS].iter_mut().enumerate() {
             row.0.copy_from_slice(&lobes.data[c * lobes.stride + b * MAX_LANES..][..MAX_LANES]);
@@ -38,6 +58,9 @@ pub fn prepare_lobes<S: Simd, M: PairModel>(simd: S, model: M, lobes: &LobeColum
             for c in 0..M::Lobe::<Lanes<S>>::LEN {
                 terms.at(c).store(&mut block[LOBE_COLUMNS + c].0[at..at + Lanes::<S>::LEN]);
             }
+        }
+        for (i, value) in block[block_rows::<M>() - 1].0.iter_mut().enumerate() {
+            *value = limit(b * MAX_LANES + i);
         }
     }
 }
@@ -63,6 +86,110 @@ fn load_lobes<S: Simd, M: PairModel>(simd: S, block: &[Row], at: usize) -> LobeV
         amplitude: [column(4), column(5), column(6)],
         terms: Terms::from_fn(|c| column(LOBE_COLUMNS + c)),
     }
+}
+
+/// Lobes of a vector whose specular part counts, as bits.
+#[inline(always)]
+fn survivors<S: Simd, M: PairModel>(simd: S, reach: &Reach<Lanes<S>>, block: &[Row], at: usize) -> u64 {
+    let column = |c: usize| load(simd, &block[c], at);
+    let (axis, sharpness) = ([column(0), column(1), column(2)], column(3));
+    let narrow = reach.sharpness * sharpness * (reach.sharpness + sharpness).inverse();
+    let exponent = narrow * (narrow.one() - dot(reach.axis, axis));
+    exponent.bits_below(column(block_rows::<M>() - 1))
+}
+
+/// Lobes picked out of the blocks, one vector of them at a time.
+struct Picked {
+    /// Axis, sharpness, amplitude.
+    rows: [Row; LOBE_COLUMNS],
+    index: [usize; MAX_LANES],
+    count: usize,
+}
+
+impl Picked {
+    #[inline(always)]
+    fn new() -> Self {
+        Self { rows: [Row::ZERO; LOBE_COLUMNS], index: [0; MAX_LANES], count: 0 }
+    }
+
+    /// Takes lane `lane` of `block`, whose first lobe has number `first`.
+    #[inline(always)]
+    fn push(&mut self, block: &[Row], first: usize, lane: usize) {
+        for (row, column) in self.rows.iter_mut().zip(block) {
+            row.0[self.count] = column.0[lane];
+        }
+        self.index[self.count] = first + lane;
+        self.count += 1;
+    }
+
+    /// The lobes as a vector, those beyond the last without light; none are left.
+    #[inline(always)]
+    fn take<S: Simd>(&mut self, simd: S) -> (Shape<Lanes<S>>, Vec3Of<Lanes<S>>) {
+        for i in self.count..Lanes::<S>::LEN {
+            for (c, value) in [0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0].into_iter().enumerate() {
+                self.rows[c].0[i] = value;
+            }
+        }
+        self.count = 0;
+        let column = |c: usize| load(simd, &self.rows[c], 0);
+        let shape = Shape { axis: [column(0), column(1), column(2)], sharpness: column(3) };
+        (shape, [column(4), column(5), column(6)])
+    }
+}
+
+/// Walks the blocks of a model that culls: `diffuse` is called for each vector of lobes (block number, place in it, lobes),
+/// `specular` for each vector of lobes whose specular part counts.
+#[inline(always)]
+fn walk_culled<S: Simd, M: PairModel, T>(
+    simd: S,
+    shared: &Shared<'_, M>,
+    terms: &M::Point<Lanes<S>>,
+    state: &mut T,
+    diffuse: impl Fn(&mut T, usize, usize, &LobeVector<S, M>),
+    specular: impl Fn(&mut T, &[usize], &Shape<Lanes<S>>, Vec3Of<Lanes<S>>),
+) {
+    let reach = shared.model.reach(terms);
+    let mut picked = Picked::new();
+    let flush = |picked: &mut Picked, state: &mut T| {
+        let count = picked.count;
+        let (shape, amplitude) = picked.take(simd);
+        specular(state, &picked.index[..count], &shape, amplitude);
+    };
+    for (b, block) in shared.lobes.chunks_exact(block_rows::<M>()).enumerate() {
+        for at in (0..MAX_LANES).step_by(Lanes::<S>::LEN) {
+            diffuse(state, b, at, &load_lobes::<S, M>(simd, block, at));
+            let mut bits = survivors::<S, M>(simd, &reach, block, at);
+            while bits != 0 {
+                picked.push(block, b * MAX_LANES, at + bits.trailing_zeros() as usize);
+                bits &= bits - 1;
+                if picked.count == Lanes::<S>::LEN {
+                    flush(&mut picked, state);
+                }
+            }
+        }
+    }
+    if picked.count > 0 {
+        flush(&mut picked, state);
+    }
+}
+
+/// Number of pairs whose specular part is not left out.
+#[inline(always)]
+pub fn count_kept<S: Simd, M: PairModel>(simd: S, shared: &Shared<'_, M>, points: &[ShadePoint]) -> usize {
+    if !M::CULLS {
+        return points.len() * shared.lobes.len() / block_rows::<M>() * MAX_LANES;
+    }
+    let mut kept = 0;
+    for point in points.iter().filter(|point| !point.is_missed()) {
+        let (terms, _) = Prepared::<S, M>::new(simd, shared, std::slice::from_ref(point)).point(0);
+        let reach = shared.model.reach(&splat::<S, M>(simd, &terms));
+        for block in shared.lobes.chunks_exact(block_rows::<M>()) {
+            for at in (0..MAX_LANES).step_by(Lanes::<S>::LEN) {
+                kept += survivors::<S, M>(simd, &reach, block, at).count_ones() as usize;
+            }
+        }
+    }
+    kept
 }
 
 /// The terms of a group of up to [`Lanes::LEN`] points, one point a lane.
@@ -135,7 +262,12 @@ impl<S: Simd, M: PairModel> Light<S, M> {
     #[inline(always)]
     fn add(&mut self, amplitude: Vec3Of<Lanes<S>>, response: &Response<Lanes<S>, M::Specular<Lanes<S>>>) {
         self.diffuse = mul_add3(amplitude, response.diffuse, self.diffuse);
-        self.glossy = Terms::from_fn(|b| mul_add3(amplitude, response.specular.at(b), self.glossy.at(b)));
+        self.add_specular(amplitude, &response.specular);
+    }
+
+    #[inline(always)]
+    fn add_specular(&mut self, amplitude: Vec3Of<Lanes<S>>, specular: &M::Specular<Lanes<S>>) {
+        self.glossy = Terms::from_fn(|b| mul_add3(amplitude, specular.at(b), self.glossy.at(b)));
     }
 
     /// The sums over lanes of diffuse light and of each specular term.
@@ -181,10 +313,28 @@ fn light_of<S: Simd, M: PairModel>(
     terms: &M::Point<Lanes<S>>,
 ) -> (Vec3Of<f32>, M::Specular<Vec3Of<f32>>) {
     let mut light = Light::<S, M>::zero(simd);
+    if M::CULLS {
+        let model = shared.model;
+        let unread: M::Lobe<Lanes<S>> = Terms::from_fn(|_| Lanes::splat(simd, 0.0));
+        walk_culled(
+            simd,
+            shared,
+            terms,
+            &mut light,
+            |light, _, _, lobe| {
+                let response = model.evaluate::<_, DIFFUSE>(terms, &lobe.shape, &lobe.terms);
+                light.diffuse = mul_add3(lobe.amplitude, response.diffuse, light.diffuse);
+            },
+            |light, _, shape, amplitude| {
+                light.add_specular(amplitude, &model.evaluate::<_, SPECULAR>(terms, shape, &unread).specular);
+            },
+        );
+        return light.total();
+    }
     for block in shared.lobes.chunks_exact(block_rows::<M>()) {
         for at in (0..MAX_LANES).step_by(Lanes::<S>::LEN) {
             let lobe = load_lobes::<S, M>(simd, block, at);
-            light.add(lobe.amplitude, &shared.model.evaluate(terms, &lobe.shape, &lobe.terms));
+            light.add(lobe.amplitude, &shared.model.evaluate::<_, BOTH>(terms, &lobe.shape, &lobe.terms));
         }
     }
     light.total()
@@ -272,29 +422,98 @@ fn pull_back_lobes<S: Simd, M: PairModel>(
     weights: &Weights<M>,
     gradient: &mut [Row],
 ) -> (Vec3Of<f32>, M::Specular<Vec3Of<f32>>, M::Sums<f32>) {
-    let kd = splat3(simd, weights.diffuse_light);
-    let ks: M::Specular<Vec3Of<Lanes<S>>> = Terms::from_fn(|b| splat3(simd, weights.specular_light.at(b)));
-    let mut light = Light::<S, M>::zero(simd);
-    let mut sums: M::Sums<Lanes<S>> = Terms::from_fn(|_| Lanes::splat(simd, 0.0));
-    let blocks = shared.lobes.chunks_exact(block_rows::<M>()).zip(gradient.chunks_exact_mut(LOBE_COLUMNS));
-    for (block, gradient) in blocks {
-        for at in (0..MAX_LANES).step_by(Lanes::<S>::LEN) {
-            let lobe = load_lobes::<S, M>(simd, block, at);
-            let mu = lobe.amplitude;
-            let adjoint = Response { diffuse: dot(kd, mu), specular: Terms::from_fn(|b| dot(ks.at(b), mu)) };
-            let (response, back) = shared.model.pull_back(terms, &lobe.shape, &lobe.terms, &adjoint);
-            let (axis, [mut r, mut g, mut b]) = (back.shape.axis, scale(kd, response.diffuse));
-            for i in 0..M::Specular::<f32>::LEN {
-                [r, g, b] = mul_add3(ks.at(i), response.specular.at(i), [r, g, b]);
+    let mut walk = PullBack::<S, M> {
+        kd: splat3(simd, weights.diffuse_light),
+        ks: Terms::from_fn(|b| splat3(simd, weights.specular_light.at(b))),
+        light: Light::zero(simd),
+        sums: Terms::from_fn(|_| Lanes::splat(simd, 0.0)),
+        gradient,
+    };
+    let model = shared.model;
+    if M::CULLS {
+        let unread: M::Lobe<Lanes<S>> = Terms::from_fn(|_| Lanes::splat(simd, 0.0));
+        walk_culled(
+            simd,
+            shared,
+            terms,
+            &mut walk,
+            |walk, b, at, lobe| {
+                let columns =
+                    walk.pull_back::<DIFFUSE>(model, terms, lobe.amplitude, &lobe.shape, &lobe.terms);
+                walk.add_block(b, at, columns);
+            },
+            |walk, index, shape, amplitude| {
+                let columns = walk.pull_back::<SPECULAR>(model, terms, amplitude, shape, &unread);
+                walk.scatter(index, columns);
+            },
+        );
+    } else {
+        for (b, block) in shared.lobes.chunks_exact(block_rows::<M>()).enumerate() {
+            for at in (0..MAX_LANES).step_by(Lanes::<S>::LEN) {
+                let lobe = load_lobes::<S, M>(simd, block, at);
+                let columns = walk.pull_back::<BOTH>(model, terms, lobe.amplitude, &lobe.shape, &lobe.terms);
+                walk.add_block(b, at, columns);
             }
-            let columns = [axis[0], axis[1], axis[2], back.shape.sharpness, r, g, b];
-            for (row, value) in gradient.iter_mut().zip(columns) {
-                value.add_to(&mut row.0[at..at + Lanes::<S>::LEN]);
-            }
-            light.add(mu, &response);
-            sums = Terms::from_fn(|i| sums.at(i) + back.point.at(i));
         }
     }
-    let (diffuse, glossy) = light.total();
-    (diffuse, glossy, Terms::from_fn(|i| sums.at(i).sum()))
+    let (diffuse, glossy) = walk.light.total();
+    (diffuse, glossy, Terms::from_fn(|i| walk.sums.at(i).sum()))
+}
+
+/// One point's adjoint under way over the lobes.
+struct PullBack<'a, S: Simd, M: PairModel> {
+    /// Adjoints of diffuse light and of each specular term, per channel.
+    kd: Vec3Of<Lanes<S>>,
+    ks: M::Specular<Vec3Of<Lanes<S>>>,
+    light: Light<S, M>,
+    sums: M::Sums<Lanes<S>>,
+    gradient: &'a mut [Row],
+}
+
+impl<S: Simd, M: PairModel> PullBack<'_, S, M> {
+    /// Pulls a vector of lobes back; returns the lobes' gradient in [`LOBE_COLUMNS`] columns.
+    #[inline(always)]
+    fn pull_back<const PART: u8>(
+        &mut self,
+        model: M,
+        terms: &M::Point<Lanes<S>>,
+        mu: Vec3Of<Lanes<S>>,
+        shape: &Shape<Lanes<S>>,
+        lobe: &M::Lobe<Lanes<S>>,
+    ) -> [Lanes<S>; LOBE_COLUMNS] {
+        let (kd, ks) = (self.kd, self.ks);
+        let adjoint = Response { diffuse: dot(kd, mu), specular: Terms::from_fn(|b| dot(ks.at(b), mu)) };
+        let (response, back) = model.pull_back::<_, PART>(terms, shape, lobe, &adjoint);
+        let (axis, [mut r, mut g, mut b]) = (back.shape.axis, scale(kd, response.diffuse));
+        for i in 0..M::Specular::<f32>::LEN {
+            [r, g, b] = mul_add3(ks.at(i), response.specular.at(i), [r, g, b]);
+        }
+        self.light.add(mu, &response);
+        self.sums = Terms::from_fn(|i| self.sums.at(i) + back.point.at(i));
+        [axis[0], axis[1], axis[2], back.shape.sharpness, r, g, b]
+    }
+
+    /// Adds the gradient of the vector at place `at` of block `b`.
+    #[inline(always)]
+    fn add_block(&mut self, b: usize, at: usize, columns: [Lanes<S>; LOBE_COLUMNS]) {
+        let rows = &mut self.gradient[b * LOBE_COLUMNS..(b + 1) * LOBE_COLUMNS];
+        for (row, value) in rows.iter_mut().zip(columns) {
+            value.add_to(&mut row.0[at..at + Lanes::<S>::LEN]);
+        }
+    }
+
+    /// Adds the gradient of lobes by their numbers.
+    #[inline(always)]
+    fn scatter(&mut self, index: &[usize], columns: [Lanes<S>; LOBE_COLUMNS]) {
+        let mut values = [Row::ZERO; LOBE_COLUMNS];
+        for (row, value) in values.iter_mut().zip(columns) {
+            value.store(&mut row.0[..Lanes::<S>::LEN]);
+        }
+        for (i, lobe) in index.iter().enumerate() {
+            let rows = &mut self.gradient[lobe / MAX_LANES * LOBE_COLUMNS..][..LOBE_COLUMNS];
+            for (row, value) in rows.iter_mut().zip(&values) {
+                row.0[lobe % MAX_LANES] += value.0[i];
+            }
+        }
+    }
 }

@@ -49,7 +49,7 @@ fn slices_agree_with_the_sum_of_pairs_in_f64() {
     let cases = cases(300, 21);
     let (points, specular, lobes) = inputs(&cases);
     let mut shaded = vec![Layers::default(); points.len()];
-    shade(&points, &specular, &lobes, &mut shaded);
+    ClosedForm::Published.shade(&points, &specular, &lobes, &mut shaded);
     for (case, out) in cases.iter().zip(&shaded) {
         for c in 0..3 {
             let sum = |layer: fn(&Case) -> [f64; 3]| case.iter().map(|k| layer(k)[c]).sum::<f64>().max(0.0);
@@ -66,7 +66,7 @@ fn slice_adjoint_agrees_with_the_sum_of_pairs_in_f64() {
     let (wd, ws) = ([0.7, -0.4, 0.5], [0.7, -0.4, 0.5]);
     let n = points.len();
     let mut shaded = vec![Layers::default(); n];
-    shade(&points, &specular, &lobes, &mut shaded);
+    ClosedForm::Published.shade(&points, &specular, &lobes, &mut shaded);
     let adjoint = vec![RadianceAdjoint(narrow(wd)); n];
     let mut back = vec![PointAdjoint::default(); n];
     let shared = shade_adjoint(&points, &specular, &lobes, &shaded, &adjoint, &mut back);
@@ -102,7 +102,7 @@ fn extreme_inputs_stay_finite() {
                 }));
                 let specular = SpecularValue { albedo: [0.3; 3], roughness };
                 let mut out = [Layers::default()];
-                shade(&[point], &specular, &lobes, &mut out);
+                ClosedForm::Published.shade(&[point], &specular, &lobes, &mut out);
                 let ones = [RadianceAdjoint([1.0; 3])];
                 let mut back = [PointAdjoint::default()];
                 let shared = shade_adjoint(&[point], &specular, &lobes, &out, &ones, &mut back);
