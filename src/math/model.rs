@@ -16,6 +16,8 @@ pub trait Terms<F>: Copy {
     fn from_fn(value: impl FnMut(usize) -> F) -> Self;
     /// Value of one index.
     fn at(&self, index: usize) -> F;
+    /// Likewise, to be changed.
+    fn at_mut(&mut self, index: usize) -> &mut F;
 }
 
 impl<F: Copy, const N: usize> Terms<F> for [F; N] {
@@ -27,6 +29,10 @@ impl<F: Copy, const N: usize> Terms<F> for [F; N] {
     #[inline(always)]
     fn at(&self, index: usize) -> F {
         self[index]
+    }
+    #[inline(always)]
+    fn at_mut(&mut self, index: usize) -> &mut F {
+        &mut self[index]
     }
 }
 

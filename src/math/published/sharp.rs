@@ -18,7 +18,7 @@ use crate::math::real::Real;
 use std::f64::consts::PI;
 
 /// From this sharpness on the formulas of this file hold.
-pub const SHARP: f64 = 16.0;
+pub const SHARP: f64 = 11.0;
 
 /// Columns of [`SharpnessTerms`].
 pub const SHARPNESS_COLUMNS: usize = 8;
@@ -99,7 +99,7 @@ fn tanh<F: Real>(y: F) -> (F, F) {
     let e = (y.abs().times(-2.0)).exp();
     let inverse = e.plus(1.0).inverse();
     let value = ((e.one() - e) * inverse).copysign(y);
-    (value, (e * inverse).times(4.0) * inverse)
+    (value, (-value).mul_add(value, e.one()))
 }
 
 /// E(λ, c) and its partial derivatives.

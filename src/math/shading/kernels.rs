@@ -3,6 +3,9 @@
 //! Lobes are regrouped into blocks of [`MAX_LANES`]: a block is one [`Row`] a column (axis, sharpness, amplitude, then
 //! the model's terms), so that a lobe's values lie side by side whatever the number of lobes. Points are prepared
 //! a vector at a time too.
+//!
+//! Vector arithmetic belongs into `#[inline(always)]` functions and loops, not into closures of any size: one that the
+//! compiler does not inline is compiled without the level's instructions and is ten times slower.
 
 use super::{LOBE_COLUMNS, Layers, LobeColumns, PointAdjoint, RadianceAdjoint, ShadePoint, SpecularValue};
 use crate::math::lanes::{Lanes, MAX_LANES, Row};
@@ -135,13 +138,20 @@ impl<S: Simd, M: PairModel> Light<S, M> {
     #[inline(always)]
     fn add(&mut self, amplitude: Vec3Of<Lanes<S>>, response: &Response<Lanes<S>, M::Specular<Lanes<S>>>) {
         self.diffuse = mul_add3(amplitude, response.diffuse, self.diffuse);
-        self.glossy = Terms::from_fn(|b| mul_add3(amplitude, response.specular.at(b), self.glossy.at(b)));
+        for b in 0..M::Specular::<f32>::LEN {
+            let sum = self.glossy.at_mut(b);
+            *sum = mul_add3(amplitude, response.specular.at(b), *sum);
+        }
     }
 
     /// The sums over lanes of diffuse light and of each specular term.
     #[inline(always)]
     fn total(&self) -> (Vec3Of<f32>, M::Specular<Vec3Of<f32>>) {
-        (sum3(&self.diffuse), Terms::from_fn(|b| sum3(&self.glossy.at(b))))
+        let mut glossy: M::Specular<Vec3Of<f32>> = Terms::from_fn(|_| [0.0; 3]);
+        for b in 0..M::Specular::<f32>::LEN {
+            *glossy.at_mut(b) = sum3(&self.glossy.at(b));
+        }
+        (sum3(&self.diffuse), glossy)
     }
 }
 
@@ -292,9 +302,15 @@ fn pull_back_lobes<S: Simd, M: PairModel>(
                 value.add_to(&mut row.0[at..at + Lanes::<S>::LEN]);
             }
             light.add(mu, &response);
-            sums = Terms::from_fn(|i| sums.at(i) + back.point.at(i));
+            for i in 0..M::Sums::<f32>::LEN {
+                *sums.at_mut(i) += back.point.at(i);
+            }
         }
     }
     let (diffuse, glossy) = light.total();
-    (diffuse, glossy, Terms::from_fn(|i| sums.at(i).sum()))
+    let mut total: M::Sums<f32> = Terms::from_fn(|_| 0.0);
+    for i in 0..M::Sums::<f32>::LEN {
+        *total.at_mut(i) = sums.at(i).sum();
+    }
+    (diffuse, glossy, total)
 }
