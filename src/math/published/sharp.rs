@@ -65,7 +65,7 @@ impl<F: Real> SharpnessTerms<F> {
         let t_1 = half_root * (r_1 + half_r);
         let t_2 = half_root * (r_1 - half_r.times(0.5)).mul_add(inverse, r_2);
         let half_t = half_root * r;
-        let a = (half_t.times(-2.0)).exp();
+        let a = half_t.times(-2.0).decay();
         let even = inverse.times(PI);
         let odd = (a.mul_add(a, a).times(2.0)).mul_add(even, even);
         Self { inverse, slope, half_t: [half_t, t_1, t_2], tail: a.times(4.0), even, odd }
@@ -96,7 +96,7 @@ fn exp_m1<F: Real>(x: F) -> F {
 /// tanh y and its derivative.
 #[inline(always)]
 fn tanh<F: Real>(y: F) -> (F, F) {
-    let e = (y.abs().times(-2.0)).exp();
+    let e = y.abs().times(-2.0).decay();
     let inverse = e.plus(1.0).inverse();
     let value = ((e.one() - e) * inverse).copysign(y);
     (value, (-value).mul_add(value, e.one()))
