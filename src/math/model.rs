@@ -63,6 +63,10 @@ pub struct PairAdjoint<F, T> {
     pub point: T,
 }
 
+/// What [`PairModel::pull_back`] returns.
+pub type PulledBack<F, M> =
+    (Response<F, <M as PairModel>::Specular<F>>, PairAdjoint<F, <M as PairModel>::Sums<F>>);
+
 /// One point's own numbers at the end of its adjoint.
 pub struct PointEnd<'a, M: PairModel> {
     /// The point.
@@ -125,7 +129,7 @@ pub trait PairModel: Copy + Send + Sync {
         shape: &Shape<F>,
         lobe: &Self::Lobe<F>,
         adjoint: &Response<F, Self::Specular<F>>,
-    ) -> (Response<F, Self::Specular<F>>, PairAdjoint<F, Self::Sums<F>>);
+    ) -> PulledBack<F, Self>;
 
     /// Ends a point's adjoint: returns that of its normal, adds that of the specular material onto `gradient`.
     fn pull_back_point(&self, end: &PointEnd<'_, Self>, gradient: &mut SpecularValue) -> Vec3Of<f32>;

@@ -20,9 +20,11 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Shading modes that are measured: the name, and the kernels' times. A further mode is one more line.
-const MODES: [(&str, fn(&mut Workload, Duration) -> Timing); 1] =
-    [("published", |work, budget| time_kernels(Published, work, budget))];
+/// Times a mode's kernels, each for the given time.
+type Measure = fn(&mut Workload, Duration) -> Timing;
+
+/// Shading modes that are measured. A further mode is one more line.
+const MODES: [(&str, Measure); 1] = [("published", |work, budget| time_kernels(Published, work, budget))];
 
 /// Roughness of the specular lobe: glossy, between, rough.
 const ROUGHNESS: [f32; 3] = [0.1, 0.3, 0.7];

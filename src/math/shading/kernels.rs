@@ -172,14 +172,25 @@ pub fn shade_chunk<S: Simd, M: PairModel>(
                 let (terms, frozen) = prepared.point(i);
                 let (diffuse, glossy) = light_of(simd, shared, &splat::<S, M>(simd, &terms));
                 let weights = shared.model.specular_weights(&frozen, shared.specular);
-                for c in 0..3 {
-                    let specular: f32 =
-                        (0..M::Specular::<f32>::LEN).map(|b| glossy.at(b)[c] * weights.at(b)[c]).sum();
-                    out.diffuse[c] = (diffuse[c] * point.albedo[c] / PI).max(0.0);
-                    out.specular[c] = specular.max(0.0);
-                }
+                *out = layers::<M>(point, &diffuse, &glossy, &weights);
             }
         }
+    }
+}
+
+/// Radiance from the sums over the lobes.
+#[inline(always)]
+fn layers<M: PairModel>(
+    point: &ShadePoint,
+    diffuse: &Vec3Of<f32>,
+    glossy: &M::Specular<Vec3Of<f32>>,
+    weights: &M::Specular<Vec3Of<f32>>,
+) -> Layers {
+    let specular =
+        |c: usize| -> f32 { (0..M::Specular::<f32>::LEN).map(|b| glossy.at(b)[c] * weights.at(b)[c]).sum() };
+    Layers {
+        diffuse: std::array::from_fn(|c| (diffuse[c] * point.albedo[c] / PI).max(0.0)),
+        specular: std::array::from_fn(|c| specular(c).max(0.0)),
     }
 }
 
