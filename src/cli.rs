@@ -216,8 +216,6 @@ pub enum CaseMode {
 /// How many nodes the accurate integrals have.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum CaseQuality {
-    /// Four.
-    Fast,
     /// Six.
     Default,
     /// Twelve.
@@ -227,7 +225,6 @@ pub enum CaseQuality {
 impl From<CaseQuality> for lobelia::math::accurate::Quality {
     fn from(quality: CaseQuality) -> Self {
         match quality {
-            CaseQuality::Fast => Self::Fast,
             CaseQuality::Default => Self::Default,
             CaseQuality::High => Self::High,
         }

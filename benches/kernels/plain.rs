@@ -63,8 +63,8 @@ pub fn shade_adjoint(
         }
         cosine += warp * brdf.by_cosine[2];
         let through_view = pull_back_normal(point.normal, point.to_viewer, mirror, cosine);
-        for c in 0..3 {
-            out.normal[c] += through_view[c];
+        for (sum, value) in out.normal.iter_mut().zip(through_view) {
+            *sum += value;
         }
     }
     gradient

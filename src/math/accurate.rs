@@ -11,7 +11,7 @@
 //!
 //! | nodes | A energy | A median | A 90th | B median | B 90th | B mean | forward | with adjoint |
 //! | --- | --- | --- | --- | --- | --- | --- | --- | --- |
-//! | 2 × 2 (`Fast`) | 0.60 | 0.20 | 2.7 | 0.009 | 7.9 | 2.0 | 15.2 ns | 18.4 ns |
+//! | 2 × 2 | 0.60 | 0.20 | 2.7 | 0.009 | 7.9 | 2.0 | 15.2 ns | 18.4 ns |
 //! | 3 × 2 (`Default`) | 0.36 | 0.11 | 1.6 | 0.007 | 2.7 | 0.75 | 18.6 ns | 22.2 ns |
 //! | 3 × 3 | 0.30 | 0.05 | 1.6 | 0.002 | 2.2 | 0.60 | 21.7 ns | – |
 //! | 4 × 3 (`High`) | 0.16 | 0.05 | 0.8 | 0.002 | 1.0 | 0.35 | 25.5 ns | 32.4 ns |
@@ -35,7 +35,7 @@ mod cubature;
 #[cfg(test)]
 mod tests;
 
-pub use model::{ACCURATE_DEFAULT, ACCURATE_FAST, ACCURATE_HIGH, Accurate};
+pub use model::{ACCURATE_DEFAULT, ACCURATE_HIGH, Accurate};
 
 use super::brdf::{ndf_sharpness, shadowing_k};
 use super::published::{Dual, Lobe};
@@ -62,8 +62,6 @@ macro_rules! unroll {
 /// How many nodes the specular quadrature has; the module's documentation tabulates accuracy and cost.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Quality {
-    /// 2 × 2 nodes.
-    Fast,
     /// 3 × 2 nodes.
     #[default]
     Default,
@@ -133,20 +131,29 @@ impl<F: Real, const NDF: usize> PointTerms<F, NDF> {
     }
 }
 
+/// The part of `v` across the normal.
+#[inline(always)]
+fn reject<F: Real>(normal: Vec3Of<F>, v: Vec3Of<F>) -> Vec3Of<F> {
+    sub(v, scale(normal, dot(normal, v)))
+}
+
 /// Tangent, bitangent and normal with the view direction in the plane of the first and last.
 #[inline(always)]
 fn frame_towards<F: Real>(normal: Vec3Of<F>, to_viewer: Vec3Of<F>) -> [Vec3Of<F>; 3] {
-    let reject = |v: Vec3Of<F>| sub(v, scale(normal, dot(normal, v)));
     let one = normal[0].one();
     let zero = one.zero();
     let steep = (normal[0] * normal[0]).select_lt(one.times(0.5), one, zero);
-    let other = reject([steep, one - steep, zero]);
-    let along = reject(to_viewer);
+    let other = reject(normal, [steep, one - steep, zero]);
+    let along = reject(normal, to_viewer);
     let square = dot(along, along);
     // Seen from straight above any tangent will do; rejected twice, since a short rejection is not quite perpendicular.
-    let pick = |i: usize| square.select_lt(one.times(1e-8), other[i], along[i]);
-    let tangent = [pick(0), pick(1), pick(2)];
-    let tangent = reject(scale(tangent, dot(tangent, tangent).sqrt().recip()));
+    let bound = one.times(1e-8);
+    let tangent = [
+        square.select_lt(bound, other[0], along[0]),
+        square.select_lt(bound, other[1], along[1]),
+        square.select_lt(bound, other[2], along[2]),
+    ];
+    let tangent = reject(normal, scale(tangent, dot(tangent, tangent).sqrt().recip()));
     let tangent = scale(tangent, dot(tangent, tangent).sqrt().recip());
     let bitangent = [
         normal[1] * tangent[2] - normal[2] * tangent[1],
@@ -186,14 +193,16 @@ pub fn prepare_with_ndf<F: Real, const NDF: usize>(
     let k = shadowing_k(roughness);
     let zero = up.zero();
     let masked = zero.select_lt(up, (view[1] * (k.one() - k) + k).recip(), zero).times(0.5 / PI);
-    let terms = ndf.map(|[sharpness, weight]| {
+    let nothing = NdfTerms { sharpness: zero, start: zero, scale: zero };
+    let mut terms = [nothing; NDF];
+    for (terms, [sharpness, weight]) in terms.iter_mut().zip(ndf) {
         // The maximum of 2 ln(v·h) − L|X|²/2 along the tangent, to first order in X.
         let steep = sharpness * view[1];
         let root = (steep * steep + (sharpness * view[0] * view[0]).times(8.0)).sqrt();
         // A viewer straight below leaves neither; any small number will do.
         let start = (view[0].times(4.0) / (steep + root).max(k.lit(1e-6))).min(k.one());
-        NdfTerms { sharpness, start, scale: masked * sharpness * weight }
-    });
+        *terms = NdfTerms { sharpness, start, scale: masked * sharpness * weight };
+    }
     let slope = roughness.plus(1.0).times(0.25);
     (PointTerms { frame, view, shadowing: k, ndf: terms }, PointSlopes { ndf: slopes, shadowing: slope })
 }
@@ -449,7 +458,6 @@ pub fn shade_pair<F: Real>(
 ) -> (Vec3Of<F>, Vec3Of<F>) {
     let (point, _) = prepare_point(normal, to_viewer, roughness);
     let pair = match quality {
-        Quality::Fast => evaluate_pair::<F, 2, 2, 1>(&point, lobe.axis, lobe.sharpness),
         Quality::Default => evaluate_pair::<F, 3, 2, 1>(&point, lobe.axis, lobe.sharpness),
         Quality::High => evaluate_pair::<F, 4, 3, 1>(&point, lobe.axis, lobe.sharpness),
     };

@@ -52,6 +52,25 @@ impl<S: Simd> Lanes<S> {
         self.value.simd_lt(bound.value).to_bitmask()
     }
 
+    /// e to the power of arguments in [−87, 88]: Cody–Waite reduction to |r| ≤ ln 2/2 and a minimax polynomial of degree
+    /// 5, with a relative error below 2e-7.
+    #[inline(always)]
+    fn exp_between(self) -> Self {
+        // Adding 1.5·2²³ rounds to an integer and leaves it in the low bits, ready to be an exponent.
+        let rounder = self.lit(12_582_912.0);
+        let shifted = self.mul_add(self.lit(std::f64::consts::LOG2_E), rounder);
+        let k = shifted - rounder;
+        let r = k.mul_add(self.lit(-0.693_359_375), self);
+        let r = k.mul_add(self.lit(2.121_944_4e-4), r);
+        let mut p = self.lit(8.312_501e-3);
+        for c in [4.189_033e-2, 0.166_671_16, 0.499_992_3, 1.0, 1.0] {
+            p = p.mul_add(r, self.lit(c));
+        }
+        let exponent: S::i32s = shifted.value.bitcast();
+        let bits: S::i32s = p.value.bitcast();
+        Self { value: (bits + (exponent << 23)).bitcast(), simd: self.simd }
+    }
+
     /// Sum of the lanes, in an order that depends on the machine's vectors alone.
     #[inline(always)]
     pub fn sum(self) -> f32 {
@@ -123,24 +142,15 @@ impl<S: Simd> Real for Lanes<S> {
     fn sqrt(self) -> Self {
         Self { value: self.value.sqrt(), simd: self.simd }
     }
-    /// Cody–Waite reduction to |r| ≤ ln 2/2 and a minimax polynomial of degree 5: relative error below 2e-7 on
-    /// [−87, 88]; arguments beyond are clamped, so the result is finite and never below 1e-38.
+    /// [`Lanes::exp_between`] for arguments in [−87, 88]; those beyond are clamped, so the result is finite and never
+    /// below 1e-38.
     #[inline(always)]
     fn exp(self) -> Self {
-        // Adding 1.5·2²³ rounds to an integer and leaves it in the low bits, ready to be an exponent.
-        let rounder = self.lit(12_582_912.0);
-        let x = self.max(self.lit(-87.0)).min(self.lit(88.0));
-        let shifted = x.mul_add(x.lit(std::f64::consts::LOG2_E), rounder);
-        let k = shifted - rounder;
-        let r = k.mul_add(x.lit(-0.693_359_375), x);
-        let r = k.mul_add(x.lit(2.121_944_4e-4), r);
-        let mut p = x.lit(8.312_501e-3);
-        for c in [4.189_033e-2, 0.166_671_16, 0.499_992_3, 1.0, 1.0] {
-            p = p.mul_add(r, x.lit(c));
-        }
-        let exponent: S::i32s = shifted.value.bitcast();
-        let bits: S::i32s = p.value.bitcast();
-        Self { value: (bits + (exponent << 23)).bitcast(), simd: self.simd }
+        self.max(self.lit(-87.0)).min(self.lit(88.0)).exp_between()
+    }
+    #[inline(always)]
+    fn decay(self) -> Self {
+        self.max(self.lit(-50.0)).exp_between()
     }
     #[inline(always)]
     fn max(self, other: Self) -> Self {

@@ -16,6 +16,8 @@ pub trait Terms<F>: Copy {
     fn from_fn(value: impl FnMut(usize) -> F) -> Self;
     /// Value of one index.
     fn at(&self, index: usize) -> F;
+    /// Likewise, to be changed.
+    fn at_mut(&mut self, index: usize) -> &mut F;
 }
 
 impl<F: Copy, const N: usize> Terms<F> for [F; N] {
@@ -27,6 +29,10 @@ impl<F: Copy, const N: usize> Terms<F> for [F; N] {
     #[inline(always)]
     fn at(&self, index: usize) -> F {
         self[index]
+    }
+    #[inline(always)]
+    fn at_mut(&mut self, index: usize) -> &mut F {
+        &mut self[index]
     }
 }
 
@@ -75,6 +81,10 @@ pub struct PairAdjoint<F, T> {
     /// Whatever of the point's adjoint is summed over lobes.
     pub point: T,
 }
+
+/// What [`PairModel::pull_back`] returns.
+pub type PulledBack<F, M> =
+    (Response<F, <M as PairModel>::Specular<F>>, PairAdjoint<F, <M as PairModel>::Sums<F>>);
 
 /// One point's own numbers at the end of its adjoint.
 pub struct PointEnd<'a, M: PairModel> {
@@ -144,7 +154,7 @@ pub trait PairModel: Copy + Send + Sync {
         shape: &Shape<F>,
         lobe: &Self::Lobe<F>,
         adjoint: &Response<F, Self::Specular<F>>,
-    ) -> (Response<F, Self::Specular<F>>, PairAdjoint<F, Self::Sums<F>>);
+    ) -> PulledBack<F, Self>;
 
     /// Ends a point's adjoint: returns that of its normal, adds that of the specular material onto `gradient`.
     fn pull_back_point(&self, end: &PointEnd<'_, Self>, gradient: &mut SpecularValue) -> Vec3Of<f32>;

@@ -43,7 +43,7 @@ pub struct Dual<F> {
 fn hemisphere_share<F: Real>(t: F, c: F) -> (F, F, F) {
     let one = t.one();
     let abs_c = c.abs();
-    let (a, e) = ((-t).exp(), (-(t * abs_c)).exp());
+    let (a, e) = ((-t).decay(), (-(t * abs_c)).decay());
     let tanh_t = (one - a) * (one + a).inverse();
     let tanh_c = (one - e) * (one + e).inverse();
     // Both tanh cancel for small t; the ratio's series is good to 1e-9 below this bound.
@@ -79,7 +79,7 @@ fn polynomial<F: Real>(x: F, coefficients: [f64; 6]) -> F {
 pub fn hemisphere_integral<F: Real>(sharpness: F, c: F) -> Dual<F> {
     let l = sharpness.plus(TINY);
     let one = l.one();
-    let w = (-l).exp();
+    let w = (-l).decay();
     let root = l.sqrt();
     // t = √λ·N/Q
     let inverse_l = l.inverse();
@@ -126,7 +126,7 @@ pub fn cosine_integral<F: Real>(sharpness: F, c: F) -> Dual<F> {
     let c_by_c = (-c_product).mul_add(m_by_c, sharpness) * inverse_m;
     let product = hemisphere_integral(m, c_product);
     let plain = hemisphere_integral(sharpness, c);
-    let amplitude = x.exp().times(COSINE_AMPLITUDE);
+    let amplitude = x.decay().times(COSINE_AMPLITUDE);
     let by = |dx: F, dm: F, dc: F| {
         amplitude * product.value.mul_add(dx, product.by_sharpness.mul_add(dm, product.by_cosine * dc))
     };
@@ -326,7 +326,7 @@ impl<F: Real> Product<F> {
 impl<F: Real> Pair<F> {
     #[inline(always)]
     fn new(diffuse: Dual<F>, integral: Dual<F>, product: Product<F>) -> Self {
-        let amplitude = product.x.exp();
+        let amplitude = product.x.decay();
         Self { diffuse, specular: amplitude * integral.value, integral, amplitude, product }
     }
 }

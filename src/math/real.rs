@@ -21,6 +21,9 @@ pub trait Real:
     fn sqrt(self) -> Self;
     /// e to the power of `self`.
     fn exp(self) -> Self;
+    /// e to the power of `self` ≤ 0; vectors give e^−50 for anything below, since products of still smaller numbers
+    /// would be subnormal, which costs time.
+    fn decay(self) -> Self;
     /// Larger of the two.
     fn max(self, other: Self) -> Self;
     /// Smaller of the two.
@@ -93,6 +96,10 @@ macro_rules! scalar_real {
             }
             #[inline(always)]
             fn exp(self) -> Self {
+                self.exp()
+            }
+            #[inline(always)]
+            fn decay(self) -> Self {
                 self.exp()
             }
             #[inline(always)]

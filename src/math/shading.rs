@@ -6,7 +6,7 @@
 
 mod kernels;
 
-use super::accurate::{ACCURATE_DEFAULT, ACCURATE_FAST, ACCURATE_HIGH, Quality};
+use super::accurate::{ACCURATE_DEFAULT, ACCURATE_HIGH, Quality};
 use super::lanes::{MAX_LANES, Row};
 use super::model::PairModel;
 use super::published::{Lobe, Published};
@@ -193,7 +193,6 @@ impl ClosedForm {
     ) {
         match self {
             Self::Published => shade_with(Published, points, specular, lobes, out),
-            Self::Accurate(Quality::Fast) => shade_with(ACCURATE_FAST, points, specular, lobes, out),
             Self::Accurate(Quality::Default) => shade_with(ACCURATE_DEFAULT, points, specular, lobes, out),
             Self::Accurate(Quality::High) => shade_with(ACCURATE_HIGH, points, specular, lobes, out),
         }
@@ -212,9 +211,6 @@ impl ClosedForm {
         match self {
             Self::Published => {
                 shade_adjoint_with(Published, points, specular, lobes, radiance, out, gradient)
-            }
-            Self::Accurate(Quality::Fast) => {
-                shade_adjoint_with(ACCURATE_FAST, points, specular, lobes, radiance, out, gradient);
             }
             Self::Accurate(Quality::Default) => {
                 shade_adjoint_with(ACCURATE_DEFAULT, points, specular, lobes, radiance, out, gradient);

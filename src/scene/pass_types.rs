@@ -79,7 +79,7 @@ pub struct FitPass {
     pub loss: Loss,
     /// The closed form that shades. Default `Accurate`.
     pub shading: FitShading,
-    /// Nodes of `Accurate` shading: `Fast`, `Default` or `High`. Default `Default`.
+    /// Nodes of `Accurate` shading: `Default` or `High`. Default `Default`.
     pub quality: Quality,
     /// Number of update steps ≥ 1. Default 1200: much longer, and the bias of the published formulas is fitted too.
     pub steps: u32,

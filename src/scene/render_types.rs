@@ -12,7 +12,7 @@ pub struct RenderSettings {
     pub views: ViewChoice,
     /// How light is computed. Default `Accurate`.
     pub shading: Shading,
-    /// Nodes of `Accurate` shading: `Fast`, `Default`, or `High` for final renders. Default `Default`.
+    /// Nodes of `Accurate` shading: `Default`, or `High` for final renders. Default `Default`.
     pub quality: Quality,
     /// Camera rays per pixel, 1 to 1024 (the path tracer uses its `spp`). Default 4.
     pub samples_per_pixel: u32,

@@ -19,8 +19,6 @@ use crate::math::shading::SpecularValue;
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Accurate<const ALONG: usize, const ACROSS: usize>;
 
-/// [`super::Quality::Fast`].
-pub const ACCURATE_FAST: Accurate<2, 2> = Accurate;
 /// [`super::Quality::Default`].
 pub const ACCURATE_DEFAULT: Accurate<3, 2> = Accurate;
 /// [`super::Quality::High`].
@@ -62,12 +60,12 @@ impl<F: Real> PairAdjoint<F, [F; 5]> {
     }
 
     #[inline(always)]
-    fn plus(self, other: Self) -> Self {
-        let shape = Shape {
-            axis: add(self.shape.axis, other.shape.axis),
-            sharpness: self.shape.sharpness + other.shape.sharpness,
-        };
-        Self { shape, point: std::array::from_fn(|i| self.point[i] + other.point[i]) }
+    fn add(&mut self, other: &Self) {
+        self.shape.axis = add(self.shape.axis, other.shape.axis);
+        self.shape.sharpness += other.shape.sharpness;
+        for i in 0..5 {
+            self.point[i] += other.point[i];
+        }
     }
 }
 
@@ -146,8 +144,7 @@ impl<const ALONG: usize, const ACROSS: usize> PairModel for Accurate<ALONG, ACRO
             let terms = SharpnessTerms::from_array(*lobe);
             let diffuse = prepared_cosine_integral(&terms, dot(point.frame[2], shape.axis));
             response.diffuse = diffuse.value;
-            back =
-                back.plus(PairAdjoint::new(pull_back_diffuse(&point, shape.axis, &diffuse, adjoint.diffuse)));
+            back.add(&PairAdjoint::new(pull_back_diffuse(&point, shape.axis, &diffuse, adjoint.diffuse)));
         }
         if PART & SPECULAR != 0 {
             let (value, specular) = pull_back_specular::<F, ALONG, ACROSS, 1>(
@@ -157,7 +154,7 @@ impl<const ALONG: usize, const ACROSS: usize> PairModel for Accurate<ALONG, ACRO
                 adjoint.specular,
             );
             response.specular = value;
-            back = back.plus(PairAdjoint::new(specular));
+            back.add(&PairAdjoint::new(specular));
         }
         (response, back)
     }

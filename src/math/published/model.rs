@@ -4,7 +4,7 @@ use super::sharp::{SHARPNESS_COLUMNS, SharpnessTerms};
 use super::{
     FrozenBrdf, Pair, PointTerms, evaluate_prepared, prepare_point, pull_back_normal, pull_back_pair,
 };
-use crate::math::model::{PairAdjoint, PairModel, Part, PointEnd, Reach, Response, Shape};
+use crate::math::model::{PairAdjoint, PairModel, Part, PointEnd, PulledBack, Reach, Response, Shape};
 use crate::math::real::{Real, Vec3Of, dot};
 use crate::math::shading::SpecularValue;
 
@@ -99,7 +99,7 @@ impl PairModel for Published {
         shape: &Shape<F>,
         lobe: &[F; SHARPNESS_COLUMNS],
         adjoint: &Response<F, [F; 1]>,
-    ) -> (Response<F, [F; 1]>, PairAdjoint<F, [F; 8]>) {
+    ) -> PulledBack<F, Self> {
         let point = PointTerms::from_array(*point);
         let pair = evaluate_prepared(&point, shape, &SharpnessTerms::from_columns(lobe));
         let (diffuse, [specular]) = (adjoint.diffuse, adjoint.specular);
@@ -115,8 +115,8 @@ impl PairModel for Published {
         let [glossy] = *end.glossy;
         let constant = glossy[0] + glossy[1] + glossy[2];
         let slope = dot(glossy, end.specular.albedo);
-        for c in 0..3 {
-            gradient.albedo[c] += glossy[c] * brdf.slope;
+        for (sum, glossy) in gradient.albedo.iter_mut().zip(glossy) {
+            *sum += glossy * brdf.slope;
         }
         let chain = |by: &[f32; 3]| constant * by[0] + slope * by[1] + sums.warp_sharpness * by[2];
         gradient.roughness += chain(&brdf.by_roughness);

@@ -3,10 +3,13 @@
 //! Lobes are regrouped into blocks of [`MAX_LANES`]: a block is one [`Row`] a column (axis, sharpness, amplitude, then
 //! the model's terms), so that a lobe's values lie side by side whatever the number of lobes. Points are prepared
 //! a vector at a time too.
+//!
+//! Vector arithmetic belongs into `#[inline(always)]` functions and loops, not into closures of any size: one that the
+//! compiler does not inline is compiled without the level's instructions and is ten times slower.
 
 use super::{LOBE_COLUMNS, Layers, LobeColumns, PointAdjoint, RadianceAdjoint, ShadePoint, SpecularValue};
 use crate::math::lanes::{Lanes, MAX_LANES, Row};
-use crate::math::model::{BOTH, DIFFUSE, PairModel, PointEnd, Reach, Response, SPECULAR, Shape, Terms};
+use crate::math::model::{BOTH, DIFFUSE, PairModel, Part, PointEnd, Reach, Response, SPECULAR, Shape, Terms};
 use crate::math::real::{Real, Vec3Of, dot, scale};
 use fearless_simd::Simd;
 use std::f32::consts::PI;
@@ -91,11 +94,11 @@ fn load_lobes<S: Simd, M: PairModel>(simd: S, block: &[Row], at: usize) -> LobeV
 /// Lobes of a vector whose specular part counts, as bits.
 #[inline(always)]
 fn survivors<S: Simd, M: PairModel>(simd: S, reach: &Reach<Lanes<S>>, block: &[Row], at: usize) -> u64 {
-    let column = |c: usize| load(simd, &block[c], at);
-    let (axis, sharpness) = ([column(0), column(1), column(2)], column(3));
+    let axis = [load(simd, &block[0], at), load(simd, &block[1], at), load(simd, &block[2], at)];
+    let sharpness = load(simd, &block[3], at);
     let narrow = reach.sharpness * sharpness * (reach.sharpness + sharpness).inverse();
     let exponent = narrow * (narrow.one() - dot(reach.axis, axis));
-    exponent.bits_below(column(block_rows::<M>() - 1))
+    exponent.bits_below(load(simd, &block[block_rows::<M>() - 1], at))
 }
 
 /// Lobes picked out of the blocks, one vector of them at a time.
@@ -122,54 +125,69 @@ impl Picked {
         self.count += 1;
     }
 
-    /// The lobes as a vector, those beyond the last without light; none are left.
+    /// Shape and amplitude of the lobes, those beyond the last without light.
     #[inline(always)]
-    fn take<S: Simd>(&mut self, simd: S) -> (Shape<Lanes<S>>, Vec3Of<Lanes<S>>) {
+    fn vector<S: Simd>(&mut self, simd: S) -> (Shape<Lanes<S>>, Vec3Of<Lanes<S>>) {
         for i in self.count..Lanes::<S>::LEN {
             for (c, value) in [0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0].into_iter().enumerate() {
                 self.rows[c].0[i] = value;
             }
         }
-        self.count = 0;
-        let column = |c: usize| load(simd, &self.rows[c], 0);
-        let shape = Shape { axis: [column(0), column(1), column(2)], sharpness: column(3) };
-        (shape, [column(4), column(5), column(6)])
+        let r = &self.rows;
+        let axis = [load(simd, &r[0], 0), load(simd, &r[1], 0), load(simd, &r[2], 0)];
+        let shape = Shape { axis, sharpness: load(simd, &r[3], 0) };
+        (shape, [load(simd, &r[4], 0), load(simd, &r[5], 0), load(simd, &r[6], 0)])
     }
 }
 
-/// Walks the blocks of a model that culls: `diffuse` is called for each vector of lobes (block number, place in it, lobes),
-/// `specular` for each vector of lobes whose specular part counts.
+/// What is done with the lobes of one point, a vector at a time. A trait and not closures: vector arithmetic in a closure
+/// is compiled without the instruction set that was chosen.
+trait Visit<S: Simd, M: PairModel> {
+    /// The part `PART` of the lobes at place `at` of block `b`.
+    fn block<const PART: Part>(&mut self, b: usize, at: usize, lobe: &LobeVector<S, M>);
+    /// The specular part of lobes picked by their numbers.
+    fn picked(&mut self, index: &[usize], shape: &Shape<Lanes<S>>, amplitude: Vec3Of<Lanes<S>>);
+}
+
+/// Shows all lobes to a visitor; of a model that culls, the specular parts of those alone that count.
 #[inline(always)]
-fn walk_culled<S: Simd, M: PairModel, T>(
+fn walk<S: Simd, M: PairModel>(
     simd: S,
     shared: &Shared<'_, M>,
     terms: &M::Point<Lanes<S>>,
-    state: &mut T,
-    diffuse: impl Fn(&mut T, usize, usize, &LobeVector<S, M>),
-    specular: impl Fn(&mut T, &[usize], &Shape<Lanes<S>>, Vec3Of<Lanes<S>>),
+    visitor: &mut impl Visit<S, M>,
 ) {
-    let reach = shared.model.reach(terms);
-    let mut picked = Picked::new();
-    let flush = |picked: &mut Picked, state: &mut T| {
-        let count = picked.count;
-        let (shape, amplitude) = picked.take(simd);
-        specular(state, &picked.index[..count], &shape, amplitude);
-    };
-    for (b, block) in shared.lobes.chunks_exact(block_rows::<M>()).enumerate() {
-        for at in (0..MAX_LANES).step_by(Lanes::<S>::LEN) {
-            diffuse(state, b, at, &load_lobes::<S, M>(simd, block, at));
-            let mut bits = survivors::<S, M>(simd, &reach, block, at);
-            while bits != 0 {
-                picked.push(block, b * MAX_LANES, at + bits.trailing_zeros() as usize);
-                bits &= bits - 1;
-                if picked.count == Lanes::<S>::LEN {
-                    flush(&mut picked, state);
-                }
+    let blocks = shared.lobes.chunks_exact(block_rows::<M>());
+    if !M::CULLS {
+        for (b, block) in blocks.enumerate() {
+            for at in (0..MAX_LANES).step_by(Lanes::<S>::LEN) {
+                visitor.block::<BOTH>(b, at, &load_lobes::<S, M>(simd, block, at));
             }
         }
+        return;
     }
-    if picked.count > 0 {
-        flush(&mut picked, state);
+    let reach = shared.model.reach(terms);
+    let mut picked = Picked::new();
+    let last = blocks.len();
+    for (b, block) in blocks.enumerate() {
+        for at in (0..MAX_LANES).step_by(Lanes::<S>::LEN) {
+            visitor.block::<DIFFUSE>(b, at, &load_lobes::<S, M>(simd, block, at));
+            let mut bits = survivors::<S, M>(simd, &reach, block, at);
+            let ends = b + 1 == last && at + Lanes::<S>::LEN == MAX_LANES;
+            loop {
+                while bits != 0 && picked.count < Lanes::<S>::LEN {
+                    picked.push(block, b * MAX_LANES, at + bits.trailing_zeros() as usize);
+                    bits &= bits - 1;
+                }
+                let full = picked.count == Lanes::<S>::LEN;
+                if !(full || ends && picked.count > 0) {
+                    break;
+                }
+                let (shape, amplitude) = picked.vector(simd);
+                visitor.picked(&picked.index[..picked.count], &shape, amplitude);
+                picked.count = 0;
+            }
+        }
     }
 }
 
@@ -260,20 +278,31 @@ impl<S: Simd, M: PairModel> Light<S, M> {
     }
 
     #[inline(always)]
-    fn add(&mut self, amplitude: Vec3Of<Lanes<S>>, response: &Response<Lanes<S>, M::Specular<Lanes<S>>>) {
-        self.diffuse = mul_add3(amplitude, response.diffuse, self.diffuse);
-        self.add_specular(amplitude, &response.specular);
-    }
-
-    #[inline(always)]
-    fn add_specular(&mut self, amplitude: Vec3Of<Lanes<S>>, specular: &M::Specular<Lanes<S>>) {
-        self.glossy = Terms::from_fn(|b| mul_add3(amplitude, specular.at(b), self.glossy.at(b)));
+    fn add<const PART: Part>(
+        &mut self,
+        amplitude: Vec3Of<Lanes<S>>,
+        response: &Response<Lanes<S>, M::Specular<Lanes<S>>>,
+    ) {
+        if PART & DIFFUSE != 0 {
+            self.diffuse = mul_add3(amplitude, response.diffuse, self.diffuse);
+        }
+        if PART & SPECULAR == 0 {
+            return;
+        }
+        for b in 0..M::Specular::<f32>::LEN {
+            let sum = self.glossy.at_mut(b);
+            *sum = mul_add3(amplitude, response.specular.at(b), *sum);
+        }
     }
 
     /// The sums over lanes of diffuse light and of each specular term.
     #[inline(always)]
     fn total(&self) -> (Vec3Of<f32>, M::Specular<Vec3Of<f32>>) {
-        (sum3(&self.diffuse), Terms::from_fn(|b| sum3(&self.glossy.at(b))))
+        let mut glossy: M::Specular<Vec3Of<f32>> = Terms::from_fn(|_| [0.0; 3]);
+        for b in 0..M::Specular::<f32>::LEN {
+            *glossy.at_mut(b) = sum3(&self.glossy.at(b));
+        }
+        (sum3(&self.diffuse), glossy)
     }
 }
 
@@ -294,14 +323,25 @@ pub fn shade_chunk<S: Simd, M: PairModel>(
                 let (terms, frozen) = prepared.point(i);
                 let (diffuse, glossy) = light_of(simd, shared, &splat::<S, M>(simd, &terms));
                 let weights = shared.model.specular_weights(&frozen, shared.specular);
-                for c in 0..3 {
-                    let specular: f32 =
-                        (0..M::Specular::<f32>::LEN).map(|b| glossy.at(b)[c] * weights.at(b)[c]).sum();
-                    out.diffuse[c] = (diffuse[c] * point.albedo[c] / PI).max(0.0);
-                    out.specular[c] = specular.max(0.0);
-                }
+                *out = layers::<M>(point, &diffuse, &glossy, &weights);
             }
         }
+    }
+}
+
+/// Radiance from the sums over the lobes.
+#[inline(always)]
+fn layers<M: PairModel>(
+    point: &ShadePoint,
+    diffuse: &Vec3Of<f32>,
+    glossy: &M::Specular<Vec3Of<f32>>,
+    weights: &M::Specular<Vec3Of<f32>>,
+) -> Layers {
+    let specular =
+        |c: usize| -> f32 { (0..M::Specular::<f32>::LEN).map(|b| glossy.at(b)[c] * weights.at(b)[c]).sum() };
+    Layers {
+        diffuse: std::array::from_fn(|c| (diffuse[c] * point.albedo[c] / PI).max(0.0)),
+        specular: std::array::from_fn(|c| specular(c).max(0.0)),
     }
 }
 
@@ -312,32 +352,33 @@ fn light_of<S: Simd, M: PairModel>(
     shared: &Shared<'_, M>,
     terms: &M::Point<Lanes<S>>,
 ) -> (Vec3Of<f32>, M::Specular<Vec3Of<f32>>) {
-    let mut light = Light::<S, M>::zero(simd);
-    if M::CULLS {
-        let model = shared.model;
-        let unread: M::Lobe<Lanes<S>> = Terms::from_fn(|_| Lanes::splat(simd, 0.0));
-        walk_culled(
-            simd,
-            shared,
-            terms,
-            &mut light,
-            |light, _, _, lobe| {
-                let response = model.evaluate::<_, DIFFUSE>(terms, &lobe.shape, &lobe.terms);
-                light.diffuse = mul_add3(lobe.amplitude, response.diffuse, light.diffuse);
-            },
-            |light, _, shape, amplitude| {
-                light.add_specular(amplitude, &model.evaluate::<_, SPECULAR>(terms, shape, &unread).specular);
-            },
-        );
-        return light.total();
+    let mut shading = Shading { simd, model: shared.model, terms, light: Light::zero(simd) };
+    walk(simd, shared, terms, &mut shading);
+    shading.light.total()
+}
+
+/// One point's radiance under way over the lobes.
+struct Shading<'a, S: Simd, M: PairModel> {
+    simd: S,
+    model: M,
+    terms: &'a M::Point<Lanes<S>>,
+    light: Light<S, M>,
+}
+
+impl<S: Simd, M: PairModel> Visit<S, M> for Shading<'_, S, M> {
+    #[inline(always)]
+    fn block<const PART: Part>(&mut self, _b: usize, _at: usize, lobe: &LobeVector<S, M>) {
+        let response = self.model.evaluate::<_, PART>(self.terms, &lobe.shape, &lobe.terms);
+        self.light.add::<PART>(lobe.amplitude, &response);
     }
-    for block in shared.lobes.chunks_exact(block_rows::<M>()) {
-        for at in (0..MAX_LANES).step_by(Lanes::<S>::LEN) {
-            let lobe = load_lobes::<S, M>(simd, block, at);
-            light.add(lobe.amplitude, &shared.model.evaluate::<_, BOTH>(terms, &lobe.shape, &lobe.terms));
-        }
+
+    #[inline(always)]
+    fn picked(&mut self, _index: &[usize], shape: &Shape<Lanes<S>>, amplitude: Vec3Of<Lanes<S>>) {
+        let zero = Lanes::splat(self.simd, 0.0);
+        let unread: M::Lobe<Lanes<S>> = Terms::from_fn(|_| zero);
+        let response = self.model.evaluate::<_, SPECULAR>(self.terms, shape, &unread);
+        self.light.add::<SPECULAR>(amplitude, &response);
     }
-    light.total()
 }
 
 /// Adjoint of one point's radiance, per channel and with the channels clamped to zero taken out: of the diffuse layer,
@@ -422,46 +463,32 @@ fn pull_back_lobes<S: Simd, M: PairModel>(
     weights: &Weights<M>,
     gradient: &mut [Row],
 ) -> (Vec3Of<f32>, M::Specular<Vec3Of<f32>>, M::Sums<f32>) {
-    let mut walk = PullBack::<S, M> {
+    let ks: M::Specular<Vec3Of<Lanes<S>>> = Terms::from_fn(|b| splat3(simd, weights.specular_light.at(b)));
+    let zero = Lanes::splat(simd, 0.0);
+    let mut back = PullBack {
+        simd,
+        model: shared.model,
+        terms,
         kd: splat3(simd, weights.diffuse_light),
-        ks: Terms::from_fn(|b| splat3(simd, weights.specular_light.at(b))),
+        ks,
         light: Light::zero(simd),
-        sums: Terms::from_fn(|_| Lanes::splat(simd, 0.0)),
+        sums: Terms::from_fn(|_| zero),
         gradient,
     };
-    let model = shared.model;
-    if M::CULLS {
-        let unread: M::Lobe<Lanes<S>> = Terms::from_fn(|_| Lanes::splat(simd, 0.0));
-        walk_culled(
-            simd,
-            shared,
-            terms,
-            &mut walk,
-            |walk, b, at, lobe| {
-                let columns =
-                    walk.pull_back::<DIFFUSE>(model, terms, lobe.amplitude, &lobe.shape, &lobe.terms);
-                walk.add_block(b, at, columns);
-            },
-            |walk, index, shape, amplitude| {
-                let columns = walk.pull_back::<SPECULAR>(model, terms, amplitude, shape, &unread);
-                walk.scatter(index, columns);
-            },
-        );
-    } else {
-        for (b, block) in shared.lobes.chunks_exact(block_rows::<M>()).enumerate() {
-            for at in (0..MAX_LANES).step_by(Lanes::<S>::LEN) {
-                let lobe = load_lobes::<S, M>(simd, block, at);
-                let columns = walk.pull_back::<BOTH>(model, terms, lobe.amplitude, &lobe.shape, &lobe.terms);
-                walk.add_block(b, at, columns);
-            }
-        }
+    walk(simd, shared, terms, &mut back);
+    let (diffuse, glossy) = back.light.total();
+    let mut total: M::Sums<f32> = Terms::from_fn(|_| 0.0);
+    for i in 0..M::Sums::<f32>::LEN {
+        *total.at_mut(i) = back.sums.at(i).sum();
     }
-    let (diffuse, glossy) = walk.light.total();
-    (diffuse, glossy, Terms::from_fn(|i| walk.sums.at(i).sum()))
+    (diffuse, glossy, total)
 }
 
 /// One point's adjoint under way over the lobes.
 struct PullBack<'a, S: Simd, M: PairModel> {
+    simd: S,
+    model: M,
+    terms: &'a M::Point<Lanes<S>>,
     /// Adjoints of diffuse light and of each specular term, per channel.
     kd: Vec3Of<Lanes<S>>,
     ks: M::Specular<Vec3Of<Lanes<S>>>,
@@ -471,40 +498,53 @@ struct PullBack<'a, S: Simd, M: PairModel> {
 }
 
 impl<S: Simd, M: PairModel> PullBack<'_, S, M> {
-    /// Pulls a vector of lobes back; returns the lobes' gradient in [`LOBE_COLUMNS`] columns.
+    /// Pulls the part `PART` of a vector of lobes back; returns the lobes' gradient in columns.
     #[inline(always)]
-    fn pull_back<const PART: u8>(
+    fn pull_back<const PART: Part>(
         &mut self,
-        model: M,
-        terms: &M::Point<Lanes<S>>,
         mu: Vec3Of<Lanes<S>>,
         shape: &Shape<Lanes<S>>,
         lobe: &M::Lobe<Lanes<S>>,
     ) -> [Lanes<S>; LOBE_COLUMNS] {
-        let (kd, ks) = (self.kd, self.ks);
-        let adjoint = Response { diffuse: dot(kd, mu), specular: Terms::from_fn(|b| dot(ks.at(b), mu)) };
-        let (response, back) = model.pull_back::<_, PART>(terms, shape, lobe, &adjoint);
-        let (axis, [mut r, mut g, mut b]) = (back.shape.axis, scale(kd, response.diffuse));
-        for i in 0..M::Specular::<f32>::LEN {
-            [r, g, b] = mul_add3(ks.at(i), response.specular.at(i), [r, g, b]);
+        let zero = Lanes::splat(self.simd, 0.0);
+        let mut specular: M::Specular<Lanes<S>> = Terms::from_fn(|_| zero);
+        for b in 0..M::Specular::<f32>::LEN {
+            *specular.at_mut(b) = dot(self.ks.at(b), mu);
         }
-        self.light.add(mu, &response);
-        self.sums = Terms::from_fn(|i| self.sums.at(i) + back.point.at(i));
+        let adjoint = Response { diffuse: dot(self.kd, mu), specular };
+        let (response, back) = self.model.pull_back::<_, PART>(self.terms, shape, lobe, &adjoint);
+        let (axis, [mut r, mut g, mut b]) = (back.shape.axis, [zero; 3]);
+        if PART & DIFFUSE != 0 {
+            [r, g, b] = scale(self.kd, response.diffuse);
+        }
+        if PART & SPECULAR != 0 {
+            for i in 0..M::Specular::<f32>::LEN {
+                [r, g, b] = mul_add3(self.ks.at(i), response.specular.at(i), [r, g, b]);
+            }
+        }
+        self.light.add::<PART>(mu, &response);
+        for i in 0..M::Sums::<f32>::LEN {
+            *self.sums.at_mut(i) += back.point.at(i);
+        }
         [axis[0], axis[1], axis[2], back.shape.sharpness, r, g, b]
     }
+}
 
-    /// Adds the gradient of the vector at place `at` of block `b`.
+impl<S: Simd, M: PairModel> Visit<S, M> for PullBack<'_, S, M> {
     #[inline(always)]
-    fn add_block(&mut self, b: usize, at: usize, columns: [Lanes<S>; LOBE_COLUMNS]) {
+    fn block<const PART: Part>(&mut self, b: usize, at: usize, lobe: &LobeVector<S, M>) {
+        let columns = self.pull_back::<PART>(lobe.amplitude, &lobe.shape, &lobe.terms);
         let rows = &mut self.gradient[b * LOBE_COLUMNS..(b + 1) * LOBE_COLUMNS];
         for (row, value) in rows.iter_mut().zip(columns) {
             value.add_to(&mut row.0[at..at + Lanes::<S>::LEN]);
         }
     }
 
-    /// Adds the gradient of lobes by their numbers.
     #[inline(always)]
-    fn scatter(&mut self, index: &[usize], columns: [Lanes<S>; LOBE_COLUMNS]) {
+    fn picked(&mut self, index: &[usize], shape: &Shape<Lanes<S>>, amplitude: Vec3Of<Lanes<S>>) {
+        let zero = Lanes::splat(self.simd, 0.0);
+        let unread: M::Lobe<Lanes<S>> = Terms::from_fn(|_| zero);
+        let columns = self.pull_back::<SPECULAR>(amplitude, shape, &unread);
         let mut values = [Row::ZERO; LOBE_COLUMNS];
         for (row, value) in values.iter_mut().zip(columns) {
             value.store(&mut row.0[..Lanes::<S>::LEN]);

@@ -114,3 +114,38 @@ fn extreme_inputs_stay_finite() {
         }
     }
 }
+
+/// Points of more than one chunk, with lobes of all sharpness in every vector, and a gradient that was used before.
+#[test]
+fn threads_and_what_was_there_before_do_not_change_a_bit() {
+    let (mut points, specular, lobes) = inputs(&cases(700, 37));
+    points[5] = ShadePoint::default();
+    let run = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            let mut shaded = vec![Layers { diffuse: [7.0; 3], ..Default::default() }; points.len()];
+            shade(&points, &specular, &lobes, &mut shaded);
+            let adjoint = vec![RadianceAdjoint([0.7, -0.4, 0.5]); points.len()];
+            let mut back = vec![PointAdjoint { albedo: [7.0; 3], ..Default::default() }; points.len()];
+            let mut gradient = SharedGradient { lobes: lobes.clone(), specular };
+            let radiance = (shaded.as_slice(), adjoint.as_slice());
+            shade_adjoint_with(Published, &points, &specular, &lobes, radiance, &mut back, &mut gradient);
+            (shaded, back, gradient.lobes, gradient.specular)
+        })
+    };
+    let (one, three) = (run(1), run(3));
+    assert!(one == three);
+    assert_eq!((one.0[5], one.1[5]), (Layers::default(), PointAdjoint::default()));
+}
+
+#[test]
+fn nothing_to_do_is_no_failure() {
+    let lobes = LobeColumns::zeros(0);
+    let mut out = [Layers::default()];
+    let point = ShadePoint { normal: [0.0, 1.0, 0.0], to_viewer: [0.0, 1.0, 0.0], albedo: [0.5; 3] };
+    let specular = SpecularValue { albedo: [0.3; 3], roughness: 0.3 };
+    shade(&[point], &specular, &lobes, &mut out);
+    assert_eq!(out[0], Layers::default());
+    let gradient = shade_adjoint(&[], &specular, &LobeColumns::zeros(3), &[], &[], &mut []);
+    assert_eq!((gradient.lobes.len(), gradient.lobes.get(2).sharpness), (3, 0.0));
+}
