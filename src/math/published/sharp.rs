@@ -1,5 +1,5 @@
 //! E(λ, c), the published cosine-weighted integral of a lobe, for sharpness λ ≥ 11: the same function as
-//! [`super::cosine_integral`] for less than half of the arithmetic.
+//! [`super::cosine_integral`] for much less arithmetic.
 //!
 //! E = 32.7080 e^x H(m, c′) − 31.7003 H(λ, c) takes two nearly equal numbers off each other, so that straightforward
 //! `f32` loses 60 times its rounding error; and both H cost as much as one. With H = A + Bτ, A = π/λ, B = A·coth T,
