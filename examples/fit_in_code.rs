@@ -12,6 +12,7 @@ use lobelia::fit::run::{FitOptions, FitPlugin, run_fit};
 use lobelia::light::LightLobe;
 use lobelia::light::fibonacci::{fibonacci_axes, spacing_sharpness};
 use lobelia::material::{DiffuseAlbedo, SpecularBlend, SpecularLobe};
+use lobelia::math::shading::ClosedForm;
 use lobelia::pass::render::resolve;
 use lobelia::shade::Scenery;
 use lobelia::shade::frame::{FramePlugin, render_frame};
@@ -89,6 +90,7 @@ fn fill(
 
 fn options() -> FitOptions {
     FitOptions {
+        form: ClosedForm::default(),
         loss: Loss::L1,
         steps: 300,
         batch: 1024,

@@ -2,7 +2,7 @@
 
 use super::{CACHES, LOBES, POINTS, Turns, plain, workload};
 use criterion::{Criterion, Throughput};
-use lobelia::math::shading::shade;
+use lobelia::math::shading::ClosedForm;
 
 pub fn forward(c: &mut Criterion) {
     let mut group = c.benchmark_group("shade forward");
@@ -11,13 +11,16 @@ pub fn forward(c: &mut Criterion) {
         let mut work = workload(points);
         let lobes = plain::lobes(&work.lobes);
         let mut turns = Turns::new(points);
-        group.bench_function(format!("kernel, {cache}"), |b| {
-            b.iter(|| {
-                let rows = turns.take(POINTS);
-                shade(&work.points[rows.clone()], &work.specular, &work.lobes, &mut work.shaded[rows]);
+        for (form, name) in [(ClosedForm::Published, "published"), (ClosedForm::default(), "accurate")] {
+            group.bench_function(format!("{name} kernel, {cache}"), |b| {
+                b.iter(|| {
+                    let rows = turns.take(POINTS);
+                    let (points, out) = (&work.points[rows.clone()], &mut work.shaded[rows]);
+                    form.shade(points, &work.specular, &work.lobes, out);
+                });
             });
-        });
-        group.bench_function(format!("plain loop, {cache}"), |b| {
+        }
+        group.bench_function(format!("published plain loop, {cache}"), |b| {
             b.iter(|| {
                 let rows = turns.take(POINTS);
                 plain::shade(&work.points[rows.clone()], &work.specular, &lobes, &mut work.shaded[rows]);

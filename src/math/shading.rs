@@ -198,6 +198,15 @@ impl ClosedForm {
         }
     }
 
+    /// The part of all pairs whose specular light this form leaves out, in [0, 1].
+    pub fn culled_part(self, points: &[ShadePoint], specular: &SpecularValue, lobes: &LobeColumns) -> f64 {
+        match self {
+            Self::Published => culled_part(Published, points, specular, lobes),
+            Self::Accurate(Quality::Default) => culled_part(ACCURATE_DEFAULT, points, specular, lobes),
+            Self::Accurate(Quality::High) => culled_part(ACCURATE_HIGH, points, specular, lobes),
+        }
+    }
+
     /// [`shade_adjoint_with`] of this form.
     pub fn shade_adjoint(
         self,
@@ -223,7 +232,7 @@ impl ClosedForm {
 }
 
 /// The part of all pairs whose specular part `model` leaves out, in [0, 1].
-pub fn culled_part<M: PairModel>(
+fn culled_part<M: PairModel>(
     model: M,
     points: &[ShadePoint],
     specular: &SpecularValue,

@@ -7,13 +7,11 @@
 use crate::error::{Error, Result};
 use crate::file::write_bytes;
 use crate::light::fibonacci::fibonacci_axes;
-use crate::math::accurate::{ACCURATE_DEFAULT, ACCURATE_HIGH};
+use crate::math::accurate::Quality;
 use crate::math::lanes::level_name;
-use crate::math::model::PairModel;
-use crate::math::published::{Lobe, Published};
+use crate::math::published::Lobe;
 use crate::math::shading::{
-    Layers, LobeColumns, PointAdjoint, RadianceAdjoint, ShadePoint, SharedGradient, SpecularValue,
-    culled_part, shade_adjoint_with, shade_with,
+    ClosedForm, Layers, LobeColumns, PointAdjoint, RadianceAdjoint, ShadePoint, SharedGradient, SpecularValue,
 };
 use glam::Vec3;
 use rand::{RngExt, SeedableRng, rngs::SmallRng};
@@ -21,14 +19,11 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Times a mode's kernels, each for the given time.
-type Measure = fn(&mut Workload, Duration) -> Timing;
-
 /// Shading modes that are measured. A further mode is one more line.
-const MODES: [(&str, Measure); 3] = [
-    ("published", |work, budget| time_kernels(Published, work, budget)),
-    ("accurate", |work, budget| time_kernels(ACCURATE_DEFAULT, work, budget)),
-    ("accurate-high", |work, budget| time_kernels(ACCURATE_HIGH, work, budget)),
+const MODES: [(&str, ClosedForm); 3] = [
+    ("published", ClosedForm::Published),
+    ("accurate", ClosedForm::Accurate(Quality::Default)),
+    ("accurate-high", ClosedForm::Accurate(Quality::High)),
 ];
 
 /// Roughness of the specular lobe: glossy, between, rough.
@@ -102,11 +97,11 @@ pub fn bench(
             .num_threads(threads)
             .build()
             .map_err(|error| Error::run("starting threads", error.to_string()))?;
-        for (mode, time) in MODES {
+        for (mode, form) in MODES {
             for &lobes in &options.lobes {
                 for roughness in ROUGHNESS {
                     let mut work = Workload::new(options.points, lobes, roughness);
-                    let timing = pool.install(|| time(&mut work, budget));
+                    let timing = pool.install(|| time_kernels(form, &mut work, budget));
                     let row = BenchRow::new(mode, threads, &work, &timing);
                     on_row(&row)?;
                     rows.push(row);
@@ -226,15 +221,15 @@ impl Workload {
     }
 
     /// Runs the forward kernel.
-    pub fn shade(&mut self, model: impl PairModel) {
-        shade_with(model, &self.points, &self.specular, &self.lobes, &mut self.shaded);
+    pub fn shade(&mut self, form: ClosedForm) {
+        form.shade(&self.points, &self.specular, &self.lobes, &mut self.shaded);
     }
 
     /// Runs the gradient's kernel.
-    pub fn shade_adjoint(&mut self, model: impl PairModel) {
+    pub fn shade_adjoint(&mut self, form: ClosedForm) {
         let radiance = (self.shaded.as_slice(), self.adjoint.as_slice());
         let (out, gradient) = (&mut self.point_adjoint, &mut self.gradient);
-        shade_adjoint_with(model, &self.points, &self.specular, &self.lobes, radiance, out, gradient);
+        form.shade_adjoint(&self.points, &self.specular, &self.lobes, radiance, out, gradient);
     }
 }
 
@@ -252,10 +247,10 @@ fn random_point(rng: &mut SmallRng) -> ShadePoint {
     ShadePoint { normal: n.into(), to_viewer: to_viewer.into(), albedo: [0.5, 0.4, 0.3] }
 }
 
-fn time_kernels<M: PairModel>(model: M, work: &mut Workload, budget: Duration) -> Timing {
-    let forward = least_time(budget, || work.shade(model));
-    let adjoint = least_time(budget, || work.shade_adjoint(model));
-    let skipped = culled_part(model, &work.points, &work.specular, &work.lobes);
+fn time_kernels(form: ClosedForm, work: &mut Workload, budget: Duration) -> Timing {
+    let forward = least_time(budget, || work.shade(form));
+    let adjoint = least_time(budget, || work.shade_adjoint(form));
+    let skipped = form.culled_part(&work.points, &work.specular, &work.lobes);
     Timing {
         least: [forward.0, adjoint.0],
         repetitions: [forward.1, adjoint.1],

@@ -6,6 +6,21 @@ fn narrow(v: [f64; 3]) -> [f32; 3] {
     v.map(|x| x as f32)
 }
 
+/// The adjoint of what `shaded` holds.
+fn shade_adjoint(
+    form: ClosedForm,
+    points: &[ShadePoint],
+    specular: &SpecularValue,
+    lobes: &LobeColumns,
+    shaded: &[Layers],
+    adjoint: &[RadianceAdjoint],
+    out: &mut [PointAdjoint],
+) -> SharedGradient {
+    let mut gradient = SharedGradient::default();
+    form.shade_adjoint(points, specular, lobes, (shaded, adjoint), out, &mut gradient);
+    gradient
+}
+
 /// Cases that share one material: `lobes` lobes seen from `points` points.
 fn cases(points: usize, lobes: usize) -> Vec<Vec<Case>> {
     let mut rng = SmallRng::seed_from_u64(11);
@@ -69,7 +84,8 @@ fn slice_adjoint_agrees_with_the_sum_of_pairs_in_f64() {
     ClosedForm::Published.shade(&points, &specular, &lobes, &mut shaded);
     let adjoint = vec![RadianceAdjoint(narrow(wd)); n];
     let mut back = vec![PointAdjoint::default(); n];
-    let shared = shade_adjoint(&points, &specular, &lobes, &shaded, &adjoint, &mut back);
+    let shared =
+        shade_adjoint(ClosedForm::Published, &points, &specular, &lobes, &shaded, &adjoint, &mut back);
     let (mut roughness, mut sharpness) = (0.0, vec![0.0; lobes.len()]);
     for (case, out) in cases.iter().zip(&back) {
         let all: Vec<Case> = case.iter().map(|k| gradient(k, wd, ws)).collect();
@@ -90,6 +106,11 @@ fn slice_adjoint_agrees_with_the_sum_of_pairs_in_f64() {
 
 #[test]
 fn extreme_inputs_stay_finite() {
+    check_extremes(ClosedForm::Published);
+    check_extremes(ClosedForm::default());
+}
+
+fn check_extremes(form: ClosedForm) {
     let axis_of = |k: usize| [[0.0, 1.0, 0.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]][k % 3];
     for roughness in [0.03f32, 0.3, 1.0] {
         for sharpness in [0.0f32, 1e-3, 1.0, 1e6] {
@@ -102,10 +123,10 @@ fn extreme_inputs_stay_finite() {
                 }));
                 let specular = SpecularValue { albedo: [0.3; 3], roughness };
                 let mut out = [Layers::default()];
-                ClosedForm::Published.shade(&[point], &specular, &lobes, &mut out);
+                form.shade(&[point], &specular, &lobes, &mut out);
                 let ones = [RadianceAdjoint([1.0; 3])];
                 let mut back = [PointAdjoint::default()];
-                let shared = shade_adjoint(&[point], &specular, &lobes, &out, &ones, &mut back);
+                let shared = shade_adjoint(form, &[point], &specular, &lobes, &out, &ones, &mut back);
                 let all = out[0].diffuse.iter().chain(&out[0].specular).chain(&back[0].normal);
                 assert!(all.chain(&shared.specular.albedo).all(|x| x.is_finite()), "{out:?} {back:?}");
                 assert!(shared.specular.roughness.is_finite());
@@ -124,7 +145,7 @@ fn threads_and_what_was_there_before_do_not_change_a_bit() {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         pool.install(|| {
             let mut shaded = vec![Layers { diffuse: [7.0; 3], ..Default::default() }; points.len()];
-            shade(&points, &specular, &lobes, &mut shaded);
+            ClosedForm::Published.shade(&points, &specular, &lobes, &mut shaded);
             let adjoint = vec![RadianceAdjoint([0.7, -0.4, 0.5]); points.len()];
             let mut back = vec![PointAdjoint { albedo: [7.0; 3], ..Default::default() }; points.len()];
             let mut gradient = SharedGradient { lobes: lobes.clone(), specular };
@@ -144,8 +165,52 @@ fn nothing_to_do_is_no_failure() {
     let mut out = [Layers::default()];
     let point = ShadePoint { normal: [0.0, 1.0, 0.0], to_viewer: [0.0, 1.0, 0.0], albedo: [0.5; 3] };
     let specular = SpecularValue { albedo: [0.3; 3], roughness: 0.3 };
-    shade(&[point], &specular, &lobes, &mut out);
+    ClosedForm::Published.shade(&[point], &specular, &lobes, &mut out);
     assert_eq!(out[0], Layers::default());
-    let gradient = shade_adjoint(&[], &specular, &LobeColumns::zeros(3), &[], &[], &mut []);
+    let gradient =
+        shade_adjoint(ClosedForm::Published, &[], &specular, &LobeColumns::zeros(3), &[], &[], &mut []);
     assert_eq!((gradient.lobes.len(), gradient.lobes.get(2).sharpness), (3, 0.0));
+}
+
+/// Light enough that much is left out: what is left out must not show.
+#[test]
+fn accurate_slices_agree_with_the_sum_of_all_pairs_in_f64() {
+    use crate::math::accurate::{prepare_point, pull_back_pair};
+    let cases = cases(120, 90);
+    let (points, specular, lobes) = inputs(&cases);
+    let form = ClosedForm::default();
+    let culled = form.culled_part(&points, &specular, &lobes);
+    assert!(culled > 0.2, "{culled} left out");
+    let mut shaded = vec![Layers::default(); points.len()];
+    form.shade(&points, &specular, &lobes, &mut shaded);
+    let adjoint = vec![RadianceAdjoint([0.7, -0.4, 0.5]); points.len()];
+    let mut back = vec![PointAdjoint::default(); points.len()];
+    let shared = shade_adjoint(form, &points, &specular, &lobes, &shaded, &adjoint, &mut back);
+    let mut sharpness = vec![0.0; lobes.len()];
+    for (case, out) in cases.iter().zip(&shaded) {
+        let mut sums = [[0.0; 3]; 2];
+        for (i, k) in case.iter().enumerate() {
+            let lobe = Lobe { axis: k.axis, sharpness: k.sharpness, amplitude: k.amplitude };
+            let pair = form.shade_pair([k.normal, k.to_viewer], &lobe, k.albedo, k.specular, k.roughness);
+            let (point, _) = prepare_point(k.normal, k.to_viewer, k.roughness);
+            let w: [f64; 3] = [0.7, -0.4, 0.5];
+            let over = |f: &dyn Fn(usize) -> f64| (0..3).map(|c| w[c] * k.amplitude[c] * f(c)).sum::<f64>();
+            let adjoint =
+                [over(&|c| k.albedo[c] / std::f64::consts::PI), over(&|_| 1.0), over(&|c| k.specular[c])];
+            let (_, pulled) = pull_back_pair::<f64, 3, 2, 1>(&point, k.axis, k.sharpness, adjoint);
+            sharpness[i] += pulled.sharpness;
+            for (sum, layer) in sums.iter_mut().zip(pair) {
+                for c in 0..3 {
+                    sum[c] += layer[c];
+                }
+            }
+        }
+        for c in 0..3 {
+            close("diffuse", out.diffuse[c], sums[0][c], 1.0);
+            close("specular", out.specular[c], sums[1][c], 1.0);
+        }
+    }
+    for (i, exact) in sharpness.iter().enumerate() {
+        close("sharpness", shared.lobes.get(i).sharpness, *exact, 1.0);
+    }
 }

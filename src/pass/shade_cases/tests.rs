@@ -64,24 +64,40 @@ fn clamped_integral((axis, sharpness, amplitude): Lobe, n: [f64; 3]) -> f64 {
     amplitude * 2.0 * PI / l * (1.0 - (-l).exp()) * (s + (1.0 - s) * (-l).exp())
 }
 
-fn by_reference(case: &Case<f64>, _: Precision) -> ([f64; 3], [f64; 3]) {
-    reference_published(case)
-}
+const PUBLISHED: ShadeMode = ShadeMode::ClosedForm(ClosedForm::Published);
 
 /// Writes `text`, shades it, and returns the report and what was written.
 fn shaded(text: &str, mode: ShadeMode, precision: Precision) -> Result<(ShadeCasesReport, String)> {
     let folder = tempfile::tempdir().unwrap();
     let (input, output) = (folder.path().join("in.json"), folder.path().join("out.json"));
     std::fs::write(&input, text).unwrap();
-    let report = shade_cases(&input, &output, mode, precision, by_reference);
+    let report = shade_cases(&input, &output, mode, precision);
     let left: Vec<_> = std::fs::read_dir(folder.path()).unwrap().map(|e| e.unwrap().file_name()).collect();
     assert_eq!(left.len(), if report.is_ok() { 2 } else { 1 }, "no part file is left: {left:?}");
     report.map(|report| (report, std::fs::read_to_string(output).unwrap()))
 }
 
 #[test]
+fn the_reference_agrees_with_the_kernel() {
+    for case in read_cases() {
+        let (diffuse, specular) = reference_published(&case);
+        let kernel = in_closed_form(ClosedForm::Published, &case, Precision::F64);
+        for (a, b) in diffuse.iter().chain(&specular).zip(kernel.as_flattened()) {
+            assert!((a - b).abs() <= 1e-3 * a.abs() + 1e-6, "{a} {b}");
+        }
+    }
+}
+
+fn read_cases() -> Vec<Case<f64>> {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("in.json");
+    std::fs::write(&path, CASES).unwrap();
+    read_table(&path).unwrap().1
+}
+
+#[test]
 fn published_values_agree_with_the_table() {
-    let (report, _) = shaded(CASES, ShadeMode::Published, Precision::F64).unwrap();
+    let (report, _) = shaded(CASES, PUBLISHED, Precision::F64).unwrap();
     assert_eq!((report.cases, report.samples), (8, 0));
     assert_eq!(report.agreement, Agreement { values: 48, within: 48 });
 }
@@ -136,14 +152,14 @@ fn fields_are_carried_over_and_a_written_table_can_be_read_again() {
     let mut case: Value = serde_json::from_str::<Vec<Value>>(CASES).unwrap().swap_remove(1);
     case["note"] = json!({"zebra": 1, "apple": [1.5, null]});
     let text = json!([case]).to_string();
-    let (_, once) = shaded(&text, ShadeMode::Published, Precision::F64).unwrap();
+    let (_, once) = shaded(&text, PUBLISHED, Precision::F64).unwrap();
     let written: Vec<Map<String, Value>> = serde_json::from_str(&once).unwrap();
     let names: Vec<_> = written[0].keys().map(String::as_str).collect();
     assert_eq!(names[..3], ["normal", "view", "lobe_axis"]);
     assert_eq!(names[names.len() - 3..], ["note", "specular_albedo", "diffuse"]);
     assert_eq!(written[0]["note"].to_string(), r#"{"zebra":1,"apple":[1.5,null]}"#);
     assert_eq!(written[0]["specular_albedo"], case["specular"]);
-    let (_, twice) = shaded(&once, ShadeMode::Published, Precision::F64).unwrap();
+    let (_, twice) = shaded(&once, PUBLISHED, Precision::F64).unwrap();
     assert_eq!(once, twice);
 }
 
@@ -179,7 +195,7 @@ fn bad_tables_are_refused_by_case_and_field() {
         (spoilt("lobe_amplitude", json!([1, -1, 1])), "case 2: `lobe_amplitude` must not be negative"),
         (CASES.replacen("0.018681436816318283", "1e999", 1), "not JSON"),
     ] {
-        let error = shaded(&text, ShadeMode::Published, Precision::F64).unwrap_err();
+        let error = shaded(&text, PUBLISHED, Precision::F64).unwrap_err();
         assert_eq!(error.exit_code(), 2);
         assert!(error.to_string().contains(said), "{error} should say {said}");
     }
@@ -205,11 +221,16 @@ fn a_viewer_below_the_horizon_sees_black() {
 
 #[test]
 fn a_value_that_is_not_finite_is_an_error() {
-    let folder = tempfile::tempdir().unwrap();
-    let (input, output) = (folder.path().join("in.json"), folder.path().join("out.json"));
-    std::fs::write(&input, CASES).unwrap();
-    let broken = |_: &Case<f64>, _: Precision| ([f64::NAN; 3], [0.0; 3]);
-    let error = shade_cases(&input, &output, ShadeMode::Published, Precision::F64, broken).unwrap_err();
-    assert!(error.to_string().contains("case 0"), "{error}");
-    assert!(!output.exists());
+    let broken = Shaded { radiance: [[f64::NAN; 3], [0.0; 3]], stderr: None };
+    let error = check_finite(3, &broken).unwrap_err();
+    assert!(error.to_string().contains("case 3"), "{error}");
+}
+
+#[test]
+fn accurate_values_agree_with_the_exact_ones() {
+    let accurate = ShadeMode::ClosedForm(ClosedForm::default());
+    for precision in [Precision::F64, Precision::F32] {
+        let (report, _) = shaded(CASES, accurate, precision).unwrap();
+        assert_eq!((report.agreement.values, report.agreement.within), (48, 48));
+    }
 }
