@@ -27,6 +27,12 @@ impl<S: Simd> Lanes<S> {
         Self { value: S::f32s::from_slice(simd, slice), simd }
     }
 
+    /// Writes the lanes to a slice of exactly [`Self::LEN`] values.
+    #[inline(always)]
+    pub fn store(self, slice: &mut [f32]) {
+        self.value.store_slice(slice);
+    }
+
     /// Adds the lanes onto a slice of exactly [`Self::LEN`] values.
     #[inline(always)]
     pub fn add_to(self, slice: &mut [f32]) {
