@@ -1,5 +1,6 @@
 //! What can be typed after `lobelia`.
 
+use crate::env_command::EnvArgs;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use lobelia::scene::LoadOptions;
 use std::path::PathBuf;
@@ -58,6 +59,8 @@ pub enum Command {
     Eval(EvalArgs),
     /// Shade a table of single points and add `diffuse` and `specular` to each case
     ShadeCases(ShadeCasesArgs),
+    /// Environment light: fit SG lobes to a map, draw lobes as a map, turn a light, say what is in it
+    Env(EnvArgs),
 }
 
 /// Which scene, and what the command line adds to it.

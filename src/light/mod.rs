@@ -2,6 +2,7 @@
 //!
 //! | file | holds |
 //! | --- | --- |
+//! | [`convention`] | which way other programs' maps face |
 //! | [`envmap`] | the latitude-longitude grid: directions, solid angles, bilinear look-up, rotation |
 //! | [`envmap_io`] | EXR and Radiance HDR in (checked, repaired, counted), EXR out |
 //! | [`illuminate`] | [`Illuminate`] for a map and for lobes, both importance-sampled |
@@ -36,6 +37,7 @@ use serde::{Deserialize, Serialize};
 use crate::math::ray::Illuminate;
 use crate::math::sg;
 
+pub mod convention;
 pub mod envmap;
 pub mod envmap_io;
 mod exp;

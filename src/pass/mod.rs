@@ -11,6 +11,7 @@
 //! [`preflight`] looks for what a later pass could stumble over before the first one runs.
 
 pub mod edit;
+pub mod env;
 pub mod evaluate;
 pub mod fit;
 pub mod photograph;
