@@ -1,6 +1,8 @@
 //! Dense linear algebra of the map fit: a Cholesky solver and non-negative least squares.
 
+use fearless_simd::{Level, dispatch};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Rows factored together, so that the rows below them can be done in parallel.
 const PANEL: usize = 32;
@@ -13,22 +15,26 @@ pub fn cholesky(matrix: &mut [f64], n: usize) -> bool {
         let (head, tail) = matrix.split_at_mut(end * n);
         for i in start..end {
             let (above, row) = head.split_at_mut(i * n);
-            for j in start..i {
-                row[j] = (row[j] - product(&row[..j], &above[j * n..j * n + j])) / above[j * n + j];
-            }
+            dispatch!(Level::new(), _simd => eliminate(row, above, n, start..i));
             let pivot = row[i] - product(&row[..i], &row[..i]);
             if pivot.is_nan() || pivot <= 0.0 {
                 return false;
             }
             row[i] = pivot.sqrt();
         }
-        tail.par_chunks_mut(n).with_min_len(8).for_each(|row| {
-            for j in start..end {
-                row[j] = (row[j] - product(&row[..j], &head[j * n..j * n + j])) / head[j * n + j];
-            }
-        });
+        tail.par_chunks_mut(n)
+            .with_min_len(8)
+            .for_each(|row| dispatch!(Level::new(), _simd => eliminate(row, head, n, start..end)));
     }
     true
+}
+
+/// Entries `columns` of a row of L, from those before them and the rows `above`.
+#[inline(always)]
+fn eliminate(row: &mut [f64], above: &[f64], n: usize, columns: Range<usize>) {
+    for j in columns {
+        row[j] = (row[j] - product(&row[..j], &above[j * n..j * n + j])) / above[j * n + j];
+    }
 }
 
 /// Solves L Lᵀ x = `right` in place.
@@ -47,13 +53,14 @@ pub fn solve_factored(factor: &[f64], right: &mut [f64]) {
     }
 }
 
-/// Sum of products, in four partial sums of a fixed order.
+/// Sum of products, in sixteen partial sums of a fixed order.
+#[inline(always)]
 fn product(a: &[f64], b: &[f64]) -> f64 {
-    let (a_whole, a_rest) = a.as_chunks::<4>();
-    let (b_whole, b_rest) = b.as_chunks::<4>();
-    let mut sums = [0.0; 4];
+    let (a_whole, a_rest) = a.as_chunks::<16>();
+    let (b_whole, b_rest) = b.as_chunks::<16>();
+    let mut sums = [0.0; 16];
     for (a, b) in a_whole.iter().zip(b_whole) {
-        for k in 0..4 {
+        for k in 0..16 {
             sums[k] += a[k] * b[k];
         }
     }

@@ -51,6 +51,7 @@ mod fit_solve;
 pub mod fit_sun;
 pub mod illuminate;
 pub mod npy;
+mod radiance_hdr;
 
 /// One SG of distant light: radiance μ exp(λ(ω·ξ − 1)) from direction ω.
 #[derive(Component, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
