@@ -145,11 +145,11 @@ fn amplitude_matrix(lobes: &[FitLobe]) -> Vec<f64> {
     (0..n * n).map(|e| gram.at(e / n, 0, e % n, 0)).collect()
 }
 
-/// Inverse of the symmetric positive semi-definite `matrix` (n × n) with a small ridge: two lobes in one place make it
-/// singular. `None` if even so it has none.
-fn ridged_inverse(mut matrix: Vec<f64>, n: usize) -> Option<Vec<f64>> {
+/// Inverse of the symmetric positive semi-definite `matrix` (n × n) with a `ridge` (a part of its largest entry): two lobes
+/// in one place make it singular. `None` if even so it has none.
+fn ridged_inverse(mut matrix: Vec<f64>, n: usize, ridge: f64) -> Option<Vec<f64>> {
     let largest = (0..n).map(|i| matrix[i * n + i]).fold(0.0, f64::max);
-    (0..n).for_each(|i| matrix[i * n + i] += 1e-9 * largest + f64::MIN_POSITIVE);
+    (0..n).for_each(|i| matrix[i * n + i] += ridge * largest + f64::MIN_POSITIVE);
     if !cholesky(&mut matrix, n) {
         return None;
     }
@@ -168,7 +168,7 @@ fn ridged_inverse(mut matrix: Vec<f64>, n: usize) -> Option<Vec<f64>> {
 /// the next lobe is judged: of two lobes in one place only one goes. (The "surgeon" of Hassibi and Stork 1993.)
 pub fn prune(lobes: &mut Vec<FitLobe>, count: usize) {
     let n = lobes.len();
-    let Some(mut inverse) = ridged_inverse(amplitude_matrix(lobes), n) else {
+    let Some(mut inverse) = ridged_inverse(amplitude_matrix(lobes), n, 1e-9) else {
         lobes.truncate(count);
         return;
     };
@@ -217,7 +217,8 @@ pub fn keep_power(lobes: &mut [FitLobe], means: [f64; 3]) {
 fn power_steps(matrix: &[f64], n: usize, own: &[f64], shining: &[usize], missing: f64) -> Option<Vec<f64>> {
     let m = shining.len();
     let part = (0..m * m).map(|e| matrix[shining[e / m] * n + shining[e % m]]).collect();
-    let inverse = ridged_inverse(part, m)?;
+    // Any direction would do for the power; a stout ridge keeps lobes in one place from moving far against each other.
+    let inverse = ridged_inverse(part, m, 1e-3)?;
     let row = |k: usize| (0..m).map(|l| inverse[k * m + l] * own[shining[l]]).sum::<f64>();
     let direction: Vec<f64> = (0..m).map(row).collect();
     let response: f64 = direction.iter().zip(shining).map(|(d, &k)| d * own[k]).sum();

@@ -24,7 +24,7 @@
 //! | `working_width` | `u32` | texels | 256 | width of the averaged map that lobes are first placed on |
 //! | `polish_width` | `u32` | texels | 512 | greatest width of the map that lobes are moved and settled on |
 //! | `iterations` | `usize` | steps | 16 | Levenberg–Marquardt steps once all lobes are placed |
-//! | `relocations` | `usize` | rounds | 18 | times that lobes are added at the greatest residuals and the least useful taken away |
+//! | `relocations` | `usize` | rounds | 12 | times that lobes are added at the greatest residuals and the least useful taken away |
 //! | `polish_iterations` | `usize` | steps | 16 | Levenberg–Marquardt steps at the end |
 //! | `max_sharpness` | `f32` | 1 / (1 − cos) | 2 (W / 2π)² | greatest sharpness; by default a standard deviation of 0.7 texels of the map fitted |
 //! | `upper_hemisphere` | `bool` | | false | light from above only: below the horizon counts as black, no axis points there |

@@ -78,10 +78,12 @@ fn read_ron(path: &Path) -> Result<(LightFile, Vec<String>)> {
 /// The light of a source whose paths are relative to `folder`.
 fn open(source: &LightSource, folder: &Path) -> Result<(LightFile, Vec<String>)> {
     let (light, notes, scale, degrees) = match source {
-        LightSource::Lobes { lobes, scale, rotation_degrees } => {
-            let unit = lobes.iter().map(|l| LightLobe { axis: l.axis.normalize_or_zero(), ..*l }).collect();
-            (LightFile::Lobes(unit), Vec::new(), *scale, *rotation_degrees)
-        }
+        LightSource::Lobes { lobes, scale, rotation_degrees } => (
+            LightFile::Lobes(lobes.iter().map(with_unit_axis).collect()),
+            Vec::new(),
+            *scale,
+            *rotation_degrees,
+        ),
         LightSource::Npy { path, convention, scale, rotation_degrees } => {
             let lobes = read_lobes(folder.join(path), *convention)?;
             (LightFile::Lobes(lobes), Vec::new(), *scale, *rotation_degrees)
@@ -97,6 +99,14 @@ fn open(source: &LightSource, folder: &Path) -> Result<(LightFile, Vec<String>)>
     }
     let light = light.scaled(scale);
     Ok((if degrees == Vec3::ZERO { light } else { light.rotated(rotation(degrees)) }, notes))
+}
+
+/// An axis within 10⁻⁶ of unit length keeps its bits, so that lights come back as they were written.
+fn with_unit_axis(lobe: &LightLobe) -> LightLobe {
+    if (lobe.axis.length() - 1.0).abs() <= 1e-6 {
+        return *lobe;
+    }
+    LightLobe { axis: lobe.axis.normalize_or_zero(), ..*lobe }
 }
 
 impl LightFile {
@@ -189,15 +199,7 @@ mod tests {
             light.write(&path, conventions).unwrap();
             let (back, notes) = read_light(&path, conventions).unwrap();
             assert!(notes.is_empty());
-            match (&back, &light) {
-                (LightFile::Lobes(a), LightFile::Lobes(b)) => {
-                    for (a, b) in a.iter().zip(b) {
-                        assert!(a.axis.distance(b.axis) < 1e-6);
-                        assert_eq!((a.sharpness, a.amplitude), (b.sharpness, b.amplitude));
-                    }
-                }
-                _ => assert_eq!(back, light),
-            }
+            assert_eq!(back, light);
         }
         let refused = LightFile::Lobes(lobes()).write(&folder.path().join("l.exr"), conventions);
         assert_eq!(refused.unwrap_err().exit_code(), 2);
