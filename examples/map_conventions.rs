@@ -51,7 +51,8 @@ fn map_picture(convention: MapConvention) -> RgbImage {
         let half = text_width(label, 2.0) / 2;
         let left = ((u * MAP.0 as f32) as u32).saturating_sub(half).clamp(2, MAP.0 - 2 * half - 2);
         let top = ((v * MAP.1 as f32) as u32).saturating_sub(8).clamp(4, MAP.1 - 20);
-        draw_text(&mut picture, [left, top], 2.0, [255; 3], label);
+        let ink = if label.starts_with('-') { INK } else { [255; 3] };
+        draw_text(&mut picture, [left, top], 2.0, ink, label);
     }
     picture
 }
@@ -86,7 +87,7 @@ fn main() -> Result<()> {
     let left = MAP.0 + 2 * MARGIN;
     draw_text(&mut sheet, [left, MARGIN], 2.0, INK, "a mirror ball");
     imageops::replace(&mut sheet, &mirror_ball(), i64::from(left), i64::from(MARGIN + LINE));
-    for (k, line) in (0..).zip(["under any of them,", "seen from +Z,", "+X right, +Y up"]) {
+    for (k, line) in (0..).zip(["under each map,", "seen from +Z,", "+X right, +Y up"]) {
         draw_text(&mut sheet, [left, MARGIN + LINE + MAP.1 + 8 + k * LINE], 2.0, INK, line);
     }
     write_rgb8("out/examples/map_conventions.png", &sheet)?;

@@ -199,11 +199,11 @@ pub fn keep_power(lobes: &mut [FitLobe], means: [f64; 3]) {
     let matrix = amplitude_matrix(lobes);
     let own: Vec<f64> =
         lobes.iter().map(|l| sphere_integral(l.sharpness) / (4.0 * std::f64::consts::PI)).collect();
-    for c in 0..3 {
+    for (c, mean) in means.into_iter().enumerate() {
         for _ in 0..POWER_ROUNDS {
             let shining: Vec<usize> = (0..lobes.len()).filter(|&k| lobes[k].amplitude[c] > 0.0).collect();
-            let missing = means[c] - shining.iter().map(|&k| own[k] * lobes[k].amplitude[c]).sum::<f64>();
-            if missing.abs() <= 1e-5 * means[c] {
+            let missing = mean - shining.iter().map(|&k| own[k] * lobes[k].amplitude[c]).sum::<f64>();
+            if missing.abs() <= 1e-5 * mean {
                 break;
             }
             let Some(steps) = power_steps(&matrix, lobes.len(), &own, &shining, missing) else { break };
