@@ -1,5 +1,6 @@
 //! What can be typed after `lobelia`.
 
+use crate::env_command::EnvArgs;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use lobelia::scene::LoadOptions;
 use std::path::PathBuf;
@@ -81,6 +82,8 @@ pub enum Command {
     /// Measure how long shading takes per point and light lobe on this machine, in about a minute
     #[command(long_about = BENCH_LONG, after_long_help = BENCH_EXAMPLES)]
     Bench(BenchArgs),
+    /// Environment light: fit SG lobes to a map, draw lobes as a map, turn a light, say what is in it
+    Env(EnvArgs),
 }
 
 /// Which scene, and what the command line adds to it.

@@ -3,25 +3,35 @@
 
 use crate::{Error, Result};
 use std::fs::{self, File};
-use std::io::{BufWriter, Write};
+use std::io::{BufReader, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 use tempfile::{NamedTempFile, TempPath};
 
-/// Reads a whole file; `help` says what to do about one that is missing.
+/// Opens a file for reading; `help` says what to do about one that is missing.
 ///
 /// # Errors
 /// [`Error::Input`] if the file is missing, empty or a folder; [`Error::Io`] when the system refuses.
-pub fn read_bytes(path: &Path, help: impl FnOnce(&Path) -> String) -> Result<Vec<u8>> {
+pub fn open(path: &Path, help: impl FnOnce(&Path) -> String) -> Result<BufReader<File>> {
     if path.is_dir() {
         return Err(Error::input(path, "", "this is a folder, not a file", help(path)));
     }
     if !path.exists() {
         return Err(Error::input(path, "", "there is no such file", help(path)));
     }
-    let bytes = fs::read(path).map_err(Error::io("read", path))?;
-    if bytes.is_empty() {
+    let file = File::open(path).map_err(Error::io("read", path))?;
+    if file.metadata().map_err(Error::io("read", path))?.len() == 0 {
         return Err(Error::input(path, "", "the file is empty (0 bytes)", "Copy it again."));
     }
+    Ok(BufReader::new(file))
+}
+
+/// Reads a whole file; `help` says what to do about one that is missing.
+///
+/// # Errors
+/// [`Error::Input`] if the file is missing, empty or a folder; [`Error::Io`] when the system refuses.
+pub fn read_bytes(path: &Path, help: impl FnOnce(&Path) -> String) -> Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    open(path, help)?.read_to_end(&mut bytes).map_err(Error::io("read", path))?;
     Ok(bytes)
 }
 

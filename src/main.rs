@@ -1,6 +1,7 @@
 //! The `lobelia` command: arguments in, one report of an error out, and the exit code.
 
 mod cli;
+mod env_command;
 
 use clap::Parser;
 use cli::{
@@ -38,6 +39,7 @@ fn main() -> ExitCode {
         Command::Eval(args) => eval(&args),
         Command::ShadeCases(args) => shade_cases(&args),
         Command::Bench(args) => bench(&args),
+        Command::Env(args) => env_command::run(&args.command),
     };
     match done {
         Ok(()) => ExitCode::SUCCESS,
@@ -69,7 +71,7 @@ fn report(error: &Error) -> String {
 }
 
 /// Writes to stdout; a reader that has gone away (`lobelia check … | head -1`) is no failure.
-fn print(text: &str) -> Result<()> {
+pub(crate) fn print(text: &str) -> Result<()> {
     match std::io::stdout().write_all(text.as_bytes()) {
         Err(error) if error.kind() != ErrorKind::BrokenPipe => {
             Err(Error::io("write", "standard output")(error))
@@ -78,7 +80,7 @@ fn print(text: &str) -> Result<()> {
     }
 }
 
-fn start_threads(args: ThreadArgs) -> Result<()> {
+pub(crate) fn start_threads(args: ThreadArgs) -> Result<()> {
     let Some(threads) = args.threads else { return Ok(()) };
     rayon::ThreadPoolBuilder::new()
         .num_threads(usize::from(threads))

@@ -1,18 +1,18 @@
 //! Environment maps from OpenEXR and Radiance HDR files, and back to OpenEXR.
 
-use std::io::Cursor;
+use std::fs::File;
+use std::io::{BufRead, BufReader, Cursor};
 use std::path::Path;
 
+use super::EnvironmentMap;
+use super::envmap::BoxFilter;
+use super::radiance_hdr::RadianceReader;
+use crate::file;
+use crate::{Error, Result};
 use exr::prelude::{
     MetaData, ReadChannels, ReadLayers, ReadSpecificChannel, SpecificChannels, WritableImage,
 };
 use glam::Vec3;
-use image::ImageDecoder;
-
-use super::EnvironmentMap;
-use super::envmap::BoxFilter;
-use crate::file;
-use crate::{Error, Result};
 
 /// Maps wider than this are averaged down while they are read.
 const WIDEST_KEPT: u32 = 4096;
@@ -35,22 +35,23 @@ impl EnvironmentMap {
     ///
     /// EXR: half, float or uint samples, channels R, G, B in any order, or Y as grey; other channels are ignored; the
     /// first layer that has them is read. Negative values are clamped to 0 and non-finite ones set to 0, both counted
-    /// in a note. Maps wider than 4096 texels are averaged to at most 2048 while they are read.
+    /// in a note. Maps wider than 4096 texels are averaged to at most 2048 while they are
+    /// read, a block or scanline at a time: memory does not grow with the file.
     ///
     /// # Errors
     /// [`Error::Input`] for: no such file, another format, a truncated or damaged file, no usable channels, a shape
     /// that is not 2:1 to a pixel, more than 32 768 texels across, all values non-finite, all black.
     pub fn read_with_notes(path: impl AsRef<Path>) -> Result<(Self, Vec<String>)> {
         let path = path.as_ref();
-        let bytes = file::read_bytes(path, |_| "check the path of the environment map".to_owned())?;
-        if bytes.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
-            read_exr(path, &bytes)?.finish(path)
-        } else if bytes.starts_with(b"#?") {
-            read_hdr(path, &bytes)?.finish(path)
+        let open = || file::open(path, |_| "check the path of the environment map".to_owned());
+        let mut first = open()?;
+        let start = first.fill_buf().map_err(Error::io("read", path))?;
+        if start.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
+            read_exr(path, open)?.finish(path)
+        } else if start.starts_with(b"#?") {
+            read_hdr(path, first)?.finish(path)
         } else {
-            let problem =
-                if bytes.is_empty() { "the file is empty" } else { "is neither OpenEXR nor Radiance HDR" };
-            Err(Error::input(path, "", problem, EXPORT_HELP))
+            Err(Error::input(path, "", "is neither OpenEXR nor Radiance HDR", EXPORT_HELP))
         }
     }
 
@@ -165,11 +166,11 @@ fn checked_size(path: &Path, width: usize, height: usize) -> Result<[u32; 2]> {
     Ok([width as u32, height as u32])
 }
 
-fn read_exr(path: &Path, bytes: &[u8]) -> Result<Sink> {
+fn read_exr(path: &Path, open: impl Fn() -> Result<BufReader<File>>) -> Result<Sink> {
     let broken = |e: exr::error::Error| {
         Error::input(path, "", format!("cannot be decoded as OpenEXR ({e})"), EXPORT_HELP)
     };
-    let meta = MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(broken)?;
+    let meta = MetaData::read_from_buffered(open()?, false).map_err(broken)?;
     let (size, names) = exr_layer(path, &meta)?;
     let [red, green, blue] = names;
     let add = |sink: &mut Sink, at: exr::math::Vec2<usize>, value: Vec3| sink.add(at.x(), at.y(), value);
@@ -185,7 +186,7 @@ fn read_exr(path: &Path, bytes: &[u8]) -> Result<Sink> {
             .first_valid_layer()
             .all_attributes()
             .non_parallel()
-            .from_buffered(Cursor::new(bytes))
+            .from_buffered(open()?)
             .map_err(broken)?;
         return Ok(image.layer_data.channel_data.pixels);
     }
@@ -200,7 +201,7 @@ fn read_exr(path: &Path, bytes: &[u8]) -> Result<Sink> {
         .first_valid_layer()
         .all_attributes()
         .non_parallel()
-        .from_buffered(Cursor::new(bytes))
+        .from_buffered(open()?)
         .map_err(broken)?;
     Ok(image.layer_data.channel_data.pixels)
 }
@@ -226,32 +227,19 @@ fn exr_layer(path: &Path, meta: &MetaData) -> Result<([u32; 2], [String; 3])> {
     Err(Error::input(path, "", problem, EXPORT_HELP))
 }
 
-fn read_hdr(path: &Path, bytes: &[u8]) -> Result<Sink> {
-    let broken = |e: image::ImageError| {
-        Error::input(path, "", format!("cannot be decoded as Radiance HDR ({e})"), EXPORT_HELP)
+fn read_hdr(path: &Path, reader: impl BufRead) -> Result<Sink> {
+    let broken = |place: String| {
+        move |problem: String| {
+            let problem = format!("cannot be decoded as Radiance HDR ({problem})");
+            Error::input(path, place, problem, EXPORT_HELP)
+        }
     };
-    // Some writers sign with "#?RGBE", which the strict reader refuses.
-    let strict = bytes.starts_with(image::codecs::hdr::SIGNATURE);
-    let decoder =
-        image::codecs::hdr::HdrDecoder::with_strictness(Cursor::new(bytes), strict).map_err(broken)?;
-    let (width, height) = decoder.dimensions();
-    let size = checked_size(path, width as usize, height as usize)?;
-    // A scanline takes 8 bytes at least; a lying header must not make us allocate.
-    if bytes.len() < height as usize * 8 {
-        return Err(Error::input(
-            path,
-            "",
-            format!("is too short for {width} × {height} texels"),
-            EXPORT_HELP,
-        ));
-    }
-    let mut values = vec![0_u8; width as usize * height as usize * 12];
-    decoder.read_image(&mut values).map_err(broken)?;
-    let mut sink = Sink::new(size);
-    for (texel, value) in values.chunks_exact(12).enumerate() {
-        let channel = |c: usize| f32::from_ne_bytes([value[c], value[c + 1], value[c + 2], value[c + 3]]);
-        let (x, y) = (texel % width as usize, texel / width as usize);
-        sink.add(x, y, Vec3::new(channel(0), channel(4), channel(8)));
+    let mut reader = RadianceReader::new(reader).map_err(broken(String::new()))?;
+    let [width, height] = reader.size;
+    let mut sink = Sink::new(checked_size(path, width, height)?);
+    for y in 0..height {
+        let place = format!("scanline {y} of {height}");
+        reader.scanline(|x, value| sink.add(x, y, value)).map_err(broken(place))?;
     }
     Ok(sink)
 }
@@ -381,7 +369,7 @@ mod tests {
             error_of(&path);
         }
         std::fs::write(&path, b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 16000 +X 32000\n").unwrap();
-        assert!(error_of(&path).contains("too short"));
+        assert!(error_of(&path).contains("cut short"));
     }
 
     #[test]

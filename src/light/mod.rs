@@ -2,12 +2,14 @@
 //!
 //! | file | holds |
 //! | --- | --- |
+//! | [`convention`] | which way other programs' maps face |
 //! | [`envmap`] | the latitude-longitude grid: directions, solid angles, bilinear look-up, rotation |
 //! | [`envmap_io`] | EXR and Radiance HDR in (checked, repaired, counted), EXR out |
 //! | [`illuminate`] | [`Illuminate`] for a map and for lobes, both importance-sampled |
 //! | [`npy`] | SG `.npy` files in both conventions |
 //! | [`fibonacci`] | near-uniform directions |
-//! | [`fit_map`] | a map fitted by lobes (Levenberg–Marquardt with greedy placement) |
+//! | [`fit_map`] | a map fitted by lobes (Levenberg–Marquardt; lobes are added and taken away) |
+//! | [`fit_sun`] | suns, which get lobes of their own before the fit |
 //!
 //! # Parameters of a lobe
 //! | name | type | unit | default | meaning |
@@ -19,12 +21,14 @@
 //! # Parameters of a fit ([`fit_map::MapFit`])
 //! | name | type | unit | default | meaning |
 //! | --- | --- | --- | --- | --- |
-//! | `working_width` | `u32` | texels | 128 | width of the box-downsampled map most of the work is done on |
-//! | `polish_width` | `u32` | texels | 512 | greatest width of the map the last steps are done on |
-//! | `iterations` | `usize` | steps | 24 | Levenberg–Marquardt steps once all lobes are placed |
-//! | `relocations` | `usize` | rounds | 6 | times that the least useful lobes are moved to the greatest residuals |
-//! | `polish_iterations` | `usize` | steps | 6 | Levenberg–Marquardt steps on the polishing map |
+//! | `working_width` | `u32` | texels | 256 | width of the averaged map that lobes are first placed on |
+//! | `polish_width` | `u32` | texels | 512 | greatest width of the map that lobes are moved and settled on |
+//! | `iterations` | `usize` | steps | 16 | Levenberg–Marquardt steps once all lobes are placed |
+//! | `relocations` | `usize` | rounds | 12 | times that lobes are added at the greatest residuals and the least useful taken away |
+//! | `polish_iterations` | `usize` | steps | 16 | Levenberg–Marquardt steps at the end |
 //! | `max_sharpness` | `f32` | 1 / (1 − cos) | 2 (W / 2π)² | greatest sharpness; by default a standard deviation of 0.7 texels of the map fitted |
+//! | `upper_hemisphere` | `bool` | | false | light from above only: below the horizon counts as black, no axis points there |
+//! | `white` | `bool` | | false | grey lobes, fitted to the map's luminance |
 
 use bevy_ecs::prelude::Component;
 use glam::{DVec3, Quat, Vec3};
@@ -33,17 +37,21 @@ use serde::{Deserialize, Serialize};
 use crate::math::ray::Illuminate;
 use crate::math::sg;
 
+pub mod convention;
 pub mod envmap;
 pub mod envmap_io;
 mod exp;
 pub mod fibonacci;
+mod fit_gram;
 pub mod fit_kernel;
 mod fit_linear;
 pub mod fit_map;
 mod fit_place;
 mod fit_solve;
+pub mod fit_sun;
 pub mod illuminate;
 pub mod npy;
+mod radiance_hdr;
 
 /// One SG of distant light: radiance μ exp(λ(ω·ξ − 1)) from direction ω.
 #[derive(Component, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

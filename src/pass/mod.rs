@@ -12,6 +12,7 @@
 
 pub mod bench;
 pub mod edit;
+pub mod env;
 pub mod evaluate;
 pub mod fit;
 pub mod photograph;

@@ -63,12 +63,15 @@ pub fn run_save(session: &mut Session, name: &str) -> Result<()> {
 
 /// Writes the light: a fixed map as it is, so that path tracing by the map gives the same again; else the lobes.
 fn save_light(session: &mut Session, folder: &Path) -> Result<LightSource> {
-    if let Light::Fixed(LightSource::Map { path, scale, rotation_degrees, lobes }) = &session.scene.light {
+    if let Light::Fixed(source @ LightSource::Map { path, .. }) = &session.scene.light {
         let bytes = read_bytes(path, missing_file_help)?;
         let name = Path::new("light").with_extension(path.extension().unwrap_or_default());
         write_bytes(&folder.join(&name), &bytes)?;
-        let (scale, rotation_degrees, lobes) = (*scale, *rotation_degrees, *lobes);
-        return Ok(LightSource::Map { path: name, scale, rotation_degrees, lobes });
+        let mut saved = source.clone();
+        if let LightSource::Map { path, .. } = &mut saved {
+            *path = name;
+        }
+        return Ok(saved);
     }
     let world = &mut session.pipeline.world;
     let lobes: Vec<LightLobe> = world.query::<&LightLobe>().iter(world).copied().collect();

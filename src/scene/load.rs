@@ -109,7 +109,7 @@ pub fn to_ron(scene: &Scene) -> Result<String> {
 }
 
 /// The RON dialect of scene files.
-fn options() -> ron::Options {
+pub(super) fn options() -> ron::Options {
     ron::Options::default()
         .with_default_extension(Extensions::IMPLICIT_SOME | Extensions::UNWRAP_VARIANT_NEWTYPES)
 }

@@ -7,6 +7,7 @@
 pub mod check;
 mod check_passes;
 pub mod diagnostic;
+pub mod light_file;
 pub mod load;
 pub mod pass_types;
 pub mod paths;

@@ -6,7 +6,7 @@ use super::types::{Specular, Surface as SurfaceSpec};
 use crate::error::{Error, Result};
 use crate::fit::components::{AlbedoGradient, AlbedoMoments, TexelSeen, Unknowns};
 use crate::light::fibonacci::{fibonacci_axes, spacing_sharpness};
-use crate::light::fit_map::{MapFit, fit_map};
+use crate::light::fit_map::{MapFit, fit_map, target_of};
 use crate::light::illuminate::{LobeLight, MapLight};
 use crate::light::npy::read_lobes;
 use crate::light::{EnvironmentMap, LightLobe, rotate_lobes, scale_lobes, validate_lobes};
@@ -80,7 +80,7 @@ impl LoadedLight {
 }
 
 /// Turn about the world's x, then y, then z axis.
-fn rotation(degrees: Vec3) -> Quat {
+pub fn rotation(degrees: Vec3) -> Quat {
     let radians = degrees * (std::f32::consts::PI / 180.0);
     Quat::from_euler(EulerRot::XYZEx, radians.x, radians.y, radians.z)
 }
@@ -103,13 +103,13 @@ pub fn load_light(source: &LightSource) -> Result<LoadedLight> {
             let lobes = read_lobes(path, *convention)?;
             LoadedLight { lobes: turned(&lobes, *scale, *rotation_degrees), map: None, notes: Vec::new() }
         }
-        LightSource::Map { path, scale, rotation_degrees, lobes } => {
+        LightSource::Map { path, scale, rotation_degrees, lobes, convention, upper_hemisphere, white } => {
             let (map, notes) = EnvironmentMap::read_with_notes(path)?;
-            let map = map.scaled(Vec3::splat(*scale));
-            let fitted = fit_map(&map, *lobes as usize, &MapFit::default())?.lobes;
+            let options = MapFit { upper_hemisphere: *upper_hemisphere, white: *white, ..MapFit::default() };
+            let map = target_of(&convention.to_lobelia(map).scaled(Vec3::splat(*scale)), &options);
+            let fitted = fit_map(&map, *lobes as usize, &options)?.lobes;
             let turn = rotation(*rotation_degrees);
             let map = if *rotation_degrees == Vec3::ZERO { map } else { map.rotated(turn) };
-            let notes = notes.into_iter().map(|note| format!("{}: {note}", path.display())).collect();
             LoadedLight { lobes: rotate_lobes(&fitted, turn), map: Some(Arc::new(MapLight::new(map))), notes }
         }
     };

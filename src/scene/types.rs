@@ -5,6 +5,7 @@
 
 use super::pass_types::Pass;
 use crate::light::LightLobe;
+pub use crate::light::convention::MapConvention;
 pub use crate::light::npy::NpyConvention;
 use crate::material::SpecularLobe;
 use crate::view::Split;
@@ -317,6 +318,16 @@ pub enum LightSource {
         /// How many SG lobes are fitted to the map, 1 to 512. Default 128.
         #[serde(default = "light_lobes")]
         lobes: u32,
+        /// Which program's way the map faces. Default `Lobelia`.
+        #[serde(default)]
+        convention: MapConvention,
+        /// Light from above only: the map below the horizon counts as black, and no lobe's axis points below it (before
+        /// `rotation_degrees`). Default false.
+        #[serde(default)]
+        upper_hemisphere: bool,
+        /// Grey light: the map's luminance. Default false.
+        #[serde(default)]
+        white: bool,
     },
 }
 

@@ -1,0 +1,235 @@
+//! Environment lights from end to end: `lobelia env`, and maps that light the side of a sphere they should.
+
+mod common;
+
+use common::{Outcome, command, files_below};
+use glam::Vec3;
+use lobelia::light::convention::MapConvention;
+use lobelia::light::{EnvironmentMap, LightLobe, lobes_power, render_lobes};
+use lobelia::scene::light_file::{LightConventions, LightFile, read_light};
+use lobelia::view::exr_io::read_exr_layers;
+use std::path::{Path, PathBuf};
+
+fn lobes() -> Vec<LightLobe> {
+    let lobe = |axis: Vec3, sharpness, amplitude| LightLobe { axis: axis.normalize(), sharpness, amplitude };
+    vec![
+        lobe(Vec3::Y, 1.5, Vec3::new(0.3, 0.4, 0.6)),
+        lobe(Vec3::new(0.5, 0.6, 0.6), 40.0, Vec3::new(4.0, 3.0, 2.0)),
+        lobe(Vec3::new(-0.9, -0.2, 0.3), 12.0, Vec3::new(0.8, 0.3, 0.2)),
+    ]
+}
+
+struct Folder(tempfile::TempDir);
+
+impl Folder {
+    /// A folder with `sky.exr`, a small map of [`lobes`].
+    fn new() -> Self {
+        let folder = Self(tempfile::tempdir().unwrap());
+        render_lobes(&lobes(), 64, 32).write_exr(folder.path("sky.exr")).unwrap();
+        folder
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.0.path().join(name)
+    }
+
+    fn env(&self, arguments: &[&str]) -> Outcome {
+        Outcome::of(command(&["env"]).args(arguments).current_dir(self.0.path()))
+    }
+
+    fn light(&self, name: &str) -> LightFile {
+        read_light(&self.path(name), LightConventions::default()).unwrap().0
+    }
+
+    fn lobes(&self, name: &str) -> Vec<LightLobe> {
+        match self.light(name) {
+            LightFile::Lobes(lobes) => lobes,
+            LightFile::Map(_) => panic!("{name} is a map"),
+        }
+    }
+
+    /// Expects exit code 2, one error that has all `words`, and no new file.
+    #[track_caller]
+    fn refused(&self, arguments: &[&str], words: &[&str]) {
+        let before = files_below(self.0.path());
+        let outcome = self.env(arguments);
+        assert_eq!(outcome.code, Some(2), "{}", outcome.stderr);
+        assert_eq!(outcome.stderr.matches("error:").count(), 1, "{}", outcome.stderr);
+        for word in words {
+            assert!(outcome.stderr.contains(word), "{} should say {word}", outcome.stderr);
+        }
+        assert_eq!(files_below(self.0.path()), before);
+    }
+}
+
+#[test]
+fn a_map_becomes_lobes_a_picture_and_a_map_again() {
+    let folder = Folder::new();
+    let said = folder.env(&["fit", "sky.exr", "--lobes", "6", "--out", "sky.ron"]).succeeded();
+    assert!(said.stdout.contains("sky.ron") && said.stdout.contains("sky.png"), "{}", said.stdout);
+    assert_eq!(folder.lobes("sky.ron").len(), 6);
+    folder.env(&["fit", "sky.exr", "--lobes", "6", "--out", "sky.npy", "--quiet"]).succeeded();
+    assert_eq!(folder.lobes("sky.npy"), folder.lobes("sky.ron"));
+    folder.env(&["render", "sky.ron", "--size", "64x32", "back.exr"]).succeeded();
+    let (LightFile::Map(back), LightFile::Map(sky)) = (folder.light("back.exr"), folder.light("sky.exr"))
+    else {
+        panic!("maps are maps");
+    };
+    let black = sky.mean_squared_difference(&sky.scaled(Vec3::ZERO)).unwrap();
+    assert!(back.mean_squared_difference(&sky).unwrap() < 1e-3 * black);
+    folder.env(&["render", "sky.npy", "back.png"]).succeeded();
+    let size = |name: &str| image::open(folder.path(name)).unwrap().to_rgb8().dimensions();
+    assert_eq!((size("back.png"), size("sky.png")), ((512, 256), (64, 64)));
+}
+
+#[test]
+fn several_counts_make_a_table_and_options_change_the_light() {
+    let folder = Folder::new();
+    let said = folder.env(&["fit", "sky.exr", "--lobes", "2,4,8", "--quiet"]).succeeded();
+    let errors: Vec<f64> =
+        said.stdout.lines().skip(1).map(|l| l.split_whitespace().nth(1).unwrap().parse().unwrap()).collect();
+    assert!(errors.len() == 3 && errors[0] > errors[2], "{}", said.stdout);
+    let up = ["fit", "sky.exr", "--lobes", "8", "--upper-hemisphere", "--white", "--out", "up.npy"];
+    folder.env(&up).succeeded();
+    for lobe in folder.lobes("up.npy") {
+        assert!(lobe.axis.y >= -1e-6 && lobe.amplitude.min_element() == lobe.amplitude.max_element());
+    }
+    folder.refused(&["fit", "sky.exr", "--lobes", "2,4", "--out", "a.ron"], &["several", "help:"]);
+    folder.refused(&["fit", "sky.exr", "--out", "a.txt"], &["a.txt", ".ron"]);
+    folder.refused(&["fit", "sky.exr", "--lobes", "0"], &["1..=512"]);
+}
+
+#[test]
+fn lights_are_turned_and_described() {
+    let folder = Folder::new();
+    LightFile::Lobes(lobes()).write(&folder.path("l.ron"), LightConventions::default()).unwrap();
+    folder.env(&["rotate", "l.ron", "--euler", "0,90,0", "--out", "turned.ron"]).succeeded();
+    folder.env(&["rotate", "l.ron", "--quaternion", "0,1,0,1", "--out", "too.npy"]).succeeded();
+    for ((turned, too), lobe) in folder.lobes("turned.ron").iter().zip(folder.lobes("too.npy")).zip(lobes()) {
+        // A quarter about +Y takes +Z to +X.
+        let expected = Vec3::new(lobe.axis.z, lobe.axis.y, -lobe.axis.x);
+        assert!(turned.axis.distance(expected) < 1e-5 && too.axis.distance(expected) < 1e-5);
+    }
+    folder.env(&["rotate", "sky.exr", "--euler", "0,-90,0", "--out", "turned.exr"]).succeeded();
+    let LightFile::Map(turned) = folder.light("turned.exr") else { panic!("a map") };
+    let d = Vec3::new(-0.6, 0.6, 0.5).normalize();
+    assert!(turned.sample_bilinear(d).x > 2.0, "the bright spot went from +Z towards −X");
+    let said = folder.env(&["info", "l.ron"]).succeeded().stdout;
+    let power = format!("{:.4}", lobes_power(&lobes()).x);
+    assert!(said.contains("3 lobes") && said.contains(&power) && said.contains("axis"), "{said}");
+    assert!(folder.env(&["info", "sky.exr"]).succeeded().stdout.contains("64 × 32"));
+    folder.refused(&["rotate", "l.ron", "--euler", "1,2", "--out", "x.ron"], &["3 numbers"]);
+    folder.refused(&["rotate", "l.ron", "--out", "x.ron"], &["--euler"]);
+    folder.refused(&["rotate", "l.ron", "--quaternion", "0,0,0,0", "--out", "x.ron"], &["zero"]);
+    folder.refused(&["rotate", "sky.exr", "--euler", "0,1,0", "--out", "x.ron"], &["x.ron", "map"]);
+}
+
+#[test]
+fn bad_maps_are_refused_with_one_message() {
+    let folder = Folder::new();
+    let flat = |w: u32, h: u32, value: f32| EnvironmentMap::from_directions(w, h, |_| Vec3::splat(value));
+    let bad: [(&str, EnvironmentMap, &str); 4] = [
+        ("square.exr", flat(16, 16, 1.0), "16 × 16"),
+        ("pixel.exr", flat(1, 1, 1.0), "1 × 1"),
+        ("black.exr", flat(16, 8, 0.0), "black"),
+        ("nan.exr", flat(16, 8, f32::NAN), "every texel"),
+    ];
+    for (name, map, word) in bad {
+        map.write_exr(folder.path(name)).unwrap();
+        folder.refused(&["fit", name, "--out", "a.ron"], &[name, word, "help:"]);
+    }
+    std::fs::write(folder.path("text.exr"), "sky").unwrap();
+    folder.refused(&["info", "text.exr"], &["neither"]);
+    folder.refused(&["info", "none.exr"], &["no such file"]);
+    let mut mended = flat(16, 8, 1.0);
+    mended.radiance[3].x = f32::INFINITY;
+    mended.radiance[4].y = -1.0;
+    mended.write_exr(folder.path("mended.exr")).unwrap();
+    let said = folder.env(&["fit", "mended.exr", "--lobes", "2"]).succeeded().stderr;
+    assert!(said.contains("1 NaN or infinite") && said.contains("1 negative"), "{said}");
+}
+
+/// A flat Radiance picture of one grey, `width` × `height`, in runs: a gigantic map in a small file.
+fn write_gigantic(path: &Path, width: usize, height: usize) {
+    let mut scanline = vec![2, 2, (width >> 8) as u8, width as u8];
+    for byte in [128, 128, 128, 129] {
+        (0..width / 100).for_each(|_| scanline.extend([128 + 100, byte]));
+        if !width.is_multiple_of(100) {
+            scanline.extend([128 + (width % 100) as u8, byte]);
+        }
+    }
+    let mut bytes = format!("#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n").into_bytes();
+    (0..height).for_each(|_| bytes.extend(&scanline));
+    std::fs::write(path, bytes).unwrap();
+}
+
+#[test]
+fn a_gigantic_map_is_averaged_down_as_it_is_read() {
+    let folder = Folder::new();
+    write_gigantic(&folder.path("big.hdr"), 16_384, 8_192);
+    let said = folder.env(&["info", "big.hdr"]).succeeded();
+    assert!(said.stdout.contains("2048 × 1024"), "{}", said.stdout);
+    assert!(said.stdout.contains("1.0000"), "{}", said.stdout);
+    assert!(said.stderr.contains("16384 × 8192"), "{}", said.stderr);
+}
+
+/// A sphere seen from +Z with +X to the right, lit by a map with one bright texel; which of the picture's quarters (left,
+/// right, top, bottom) and its centre is brightest.
+fn brightest_part(
+    folder: &Folder,
+    texel: (u32, u32),
+    convention: MapConvention,
+    shading: &str,
+) -> &'static str {
+    let mut map = EnvironmentMap::from_directions(32, 16, |_| Vec3::splat(0.01));
+    let (i, j) = texel;
+    // At a pole a row is one place.
+    let columns = if j == 0 || j == 15 { 0..32 } else { i..i + 1 };
+    columns.for_each(|i| map.radiance[(j * 32 + i) as usize] = Vec3::splat(40.0));
+    map.write_exr(folder.path("spot.exr")).unwrap();
+    let scene = format!(
+        r#"Scene(
+    version: 1,
+    surface: Sphere(radius: 0.9, texture_size: 8),
+    views: Cameras([(name: "front", eye: (0, 0, 6), fov_degrees: 20, width: 33, height: 33)]),
+    light: Fixed(Map(path: "spot.exr", lobes: 4, convention: {convention:?})),
+    material: (albedo: Fixed(Constant(0.8, 0.8, 0.8)), specular: (albedo: Fixed(0, 0, 0), roughness: Fixed(1))),
+    passes: [Render(name: "lit", render: (shading: {shading}))],
+)"#
+    );
+    std::fs::write(folder.path("scene.ron"), scene).unwrap();
+    let run = ["run", "scene.ron", "--out", "out", "--force", "--quiet"];
+    Outcome::of(command(&run).current_dir(folder.0.path())).succeeded();
+    let layers = read_exr_layers(folder.path("out/lit/front.exr")).unwrap();
+    let red = &layers.channels["R"];
+    let places = [("left", 5, 16), ("right", 27, 16), ("top", 16, 5), ("bottom", 16, 27), ("centre", 16, 16)];
+    let at = |&(_, x, y): &(&str, usize, usize)| red[y * 33 + x];
+    places.iter().max_by(|a, b| at(a).total_cmp(&at(b))).unwrap().0
+}
+
+#[test]
+fn one_bright_texel_lights_the_right_side_of_a_sphere() {
+    use MapConvention::{Blender, Lobelia, ThreeJs};
+    let folder = Folder::new();
+    // Columns 8, 16, 24 of 32 are a quarter, the middle, three quarters; rows 0 and 15 are the poles.
+    let cases = [
+        (Lobelia, (8, 8), "right"),
+        (Lobelia, (16, 8), "centre"),
+        (Lobelia, (24, 8), "left"),
+        (Lobelia, (5, 0), "top"),
+        (Lobelia, (5, 15), "bottom"),
+        (ThreeJs, (16, 8), "right"),
+        (ThreeJs, (24, 8), "centre"),
+        (ThreeJs, (0, 8), "left"),
+        // Blender's +Z, its maps' top, looks into the camera; its −Y, at three quarters, is down in this picture.
+        (Blender, (16, 8), "right"),
+        (Blender, (24, 8), "bottom"),
+        (Blender, (5, 0), "centre"),
+    ];
+    for (convention, texel, side) in cases {
+        for shading in ["Published", "PathTraced(spp: 32)"] {
+            let found = brightest_part(&folder, texel, convention, shading);
+            assert_eq!(found, side, "{convention:?} {texel:?} {shading}");
+        }
+    }
+}
