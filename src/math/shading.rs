@@ -52,14 +52,14 @@ impl LobeColumns {
         self.stride / MAX_LANES
     }
 
-    /// Columns of these lobes; padding has no amplitude.
+    /// Columns of these lobes; padding has no amplitude, and a sharpness that is quick to compute.
     pub fn from_lobes(lobes: impl ExactSizeIterator<Item = Lobe<f32>>) -> Self {
         let mut columns = Self::zeros(lobes.len());
         for (i, lobe) in lobes.enumerate() {
             columns.set(i, &lobe);
         }
         for i in columns.len..columns.stride {
-            columns.set(i, &Lobe { axis: [0.0, 1.0, 0.0], sharpness: 1.0, amplitude: [0.0; 3] });
+            columns.set(i, &Lobe { axis: [0.0, 1.0, 0.0], sharpness: 100.0, amplitude: [0.0; 3] });
         }
         columns
     }
