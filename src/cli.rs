@@ -170,7 +170,8 @@ pub struct ShadeCasesArgs {
     /// How light is computed
     #[arg(long, value_enum, default_value_t = CaseMode::Published)]
     pub mode: CaseMode,
-    /// Floating-point numbers that cases are shaded in
+    /// Floating-point numbers that cases are shaded in; path traced, f32 is the renderer itself and f64 the same sampling in doubles,
+    /// for tables with values too small for f32
     #[arg(long, value_enum, default_value_t = CasePrecision::F64)]
     pub precision: CasePrecision,
     /// Nodes of `--mode accurate`

@@ -260,3 +260,11 @@ fn a_scene_file_that_cannot_be_read_is_named() {
     std::fs::write(&binary, "").unwrap();
     assert_eq!(run(&binary).0, Some(2));
 }
+
+#[test]
+fn surfaces_too_large_for_the_arithmetic_are_refused() {
+    for radius in ["1e20", "1e38", "1e-20"] {
+        let scene = wrong("radius: 0.8", &format!("radius: {radius}"));
+        refused(&scene, radius, &["a number from"]);
+    }
+}

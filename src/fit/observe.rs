@@ -106,13 +106,9 @@ pub fn trace_pixels(
         })
         .collect();
     if samples.is_empty() {
-        return Err(Error::run(
-            "fit",
-            format!(
-                "none of {} foreground pixels looks at the surface; do the cameras and the mesh share one \
-                 coordinate system, and does the mesh's outside face the cameras?",
-                chosen.len()
-            ),
+        return Err(Error::usage(
+            format!("fit: none of {} foreground pixels looks at the surface", chosen.len()),
+            "Do the cameras and the mesh share one coordinate system? Does the mesh's outside face the cameras?",
         )
         .into());
     }

@@ -115,9 +115,9 @@ fn edit_lobes(
         }
         let copy = state.lobes.len();
         if copy == MAX_SPECULAR_LOBES {
-            return Err(Error::run(
-                "edit",
-                format!("these regions need more than {MAX_SPECULAR_LOBES} different specular materials"),
+            return Err(Error::usage(
+                format!("the edits need more than {MAX_SPECULAR_LOBES} different specular materials"),
+                "Let some regions share their roughness and specular albedo.",
             ));
         }
         state.lobes.push(edited);

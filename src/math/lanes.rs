@@ -142,7 +142,7 @@ impl<S: Simd> Real for Lanes<S> {
     fn sqrt(self) -> Self {
         Self { value: self.value.sqrt(), simd: self.simd }
     }
-    /// [`Lanes::exp_between`] for arguments in [−87, 88]; those beyond are clamped, so the result is finite and never
+    /// `exp_between` for arguments in [−87, 88]; those beyond are clamped, so the result is finite and never
     /// below 1e-38.
     #[inline(always)]
     fn exp(self) -> Self {

@@ -77,6 +77,22 @@ fn material_change(edit: &Edit, atlas: &TexelAtlas) -> Result<MaterialChange> {
     })
 }
 
+/// The numbers of the edits, from 0, whose region holds no texel of the surface.
+///
+/// # Errors
+/// If a mask cannot be read.
+pub fn edits_of_nothing(edits: &[Edit], surface: &Surface) -> Result<Vec<usize>> {
+    let atlas = surface.atlas();
+    let mut numbers = Vec::new();
+    for (number, edit) in edits.iter().enumerate() {
+        let Some(weights) = region_weights(edit.region(), atlas)? else { continue };
+        if !weights.iter().zip(&atlas.covered).any(|(weight, covered)| *covered && *weight > 0.0) {
+            numbers.push(number);
+        }
+    }
+    Ok(numbers)
+}
+
 /// The weight of each texel; `None` is everywhere.
 fn region_weights(region: &Region, atlas: &TexelAtlas) -> Result<Option<Vec<f32>>> {
     let each = |depth: &dyn Fn(Vec3) -> f32, falloff: f32| {

@@ -156,7 +156,10 @@ pub fn true_layer_path(folder: &Path, layer: &str, view: &str) -> PathBuf {
 }
 
 /// The pixels of an image that is the truth of a view. Where views were downscaled on reading, so is their truth.
-fn read_fitting(path: &Path, gamma: Gamma, camera: &Camera) -> Result<Vec<Vec3>> {
+///
+/// # Errors
+/// [`Error::Input`] if the image cannot be read or does not fit the view.
+pub fn read_fitting(path: &Path, gamma: Gamma, camera: &Camera) -> Result<Vec<Vec3>> {
     let image = read_image(path, gamma)?.image;
     let factor = image.width / camera.width.max(1);
     let fitting = if factor > 1 { image.downscaled(factor) } else { image.clone() };

@@ -10,11 +10,13 @@ use crate::light::npy::{NpyConvention, write_lobes};
 use crate::light::{LightLobe, render_lobes};
 use crate::material::{DiffuseAlbedo, SpecularLobe};
 use crate::math::shading::ClosedForm;
+use crate::report::exr_file::write_channels;
 use crate::report::png_file::write_rgb8;
 use crate::report::tone::srgb8;
 use crate::scene::pass_types::{FitPass, FitShading};
 use crate::scene::spawn::unknowns;
 use crate::surface::atlas::fill_uncovered;
+use crate::view::exr_io::ExrLayers;
 use bevy_ecs::prelude::World;
 use glam::Vec3;
 use image::{Rgb, RgbImage};
@@ -147,6 +149,10 @@ fn write_results(
     write_rgb8(folder.join("environment.png"), &preview)?;
     let texels: Vec<Vec3> = world.query::<&DiffuseAlbedo>().iter(world).map(|a| a.0).collect();
     write_rgb8(folder.join("albedo.png"), &picture(&texels, surface.atlas().width, surface.atlas().height))?;
+    let mut linear =
+        ExrLayers { width: surface.atlas().width, height: surface.atlas().height, ..ExrLayers::default() };
+    linear.insert_triple(["R", "G", "B"], &texels);
+    write_channels(folder.join("albedo.exr"), &linear)?;
     let seen: Vec<f32> = world.query::<&TexelSeen>().iter(world).map(|s| s.0).collect();
     let marks: Vec<Vec3> = seen.iter().map(|s| Vec3::splat(if *s > 1e-3 { 1.0 } else { 0.0 })).collect();
     write_rgb8(folder.join("seen.png"), &picture(&marks, surface.atlas().width, surface.atlas().height))?;

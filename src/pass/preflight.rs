@@ -2,14 +2,16 @@
 //! missing truth should not be found out after it.
 
 use super::Session;
-use super::edit::{apply_edits, take_material};
-use super::evaluate::{true_image_path, true_layer_path};
+use super::edit::{apply_edits, edits_of_nothing, take_material};
+use super::evaluate::{read_fitting, true_image_path, true_layer_path};
 use super::render::{ChosenView, chosen_views};
 use crate::error::{Error, Result};
 use crate::scene::pass_types::{EvaluatePass, LayerTruth, Pass, RenderSettings, Truth, ViewChoice};
-use crate::view::nearby::{closest, missing_file_help};
+use crate::view::image_io::Gamma;
+use crate::view::nearby::closest;
 use crate::view::{Photograph, ViewName};
-use std::path::Path;
+use bevy_ecs::prelude::World;
+use rayon::prelude::*;
 
 /// Checks every pass against the world before any of them runs.
 ///
@@ -24,6 +26,14 @@ pub fn check(session: &mut Session) -> Result<()> {
         }
         if !pass.edits().is_empty() {
             apply_edits(&mut unedited.clone(), pass.edits(), &session.surface)?;
+            for number in edits_of_nothing(pass.edits(), &session.surface)? {
+                let note = format!(
+                    "pass {}: edit {} changes nothing, its region holds no texel",
+                    pass.name(),
+                    number + 1
+                );
+                session.progress.note(&note);
+            }
         }
         if let Pass::Evaluate(pass) = pass {
             check_truths(session, pass)?;
@@ -61,21 +71,22 @@ fn check_truths(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
         let settings = session.scene.passes.iter().find(|p| p.name() == score.pass).and_then(Pass::render);
         let Some(settings) = settings else { continue };
         let views = chosen_views(&mut session.pipeline.world, &settings.views);
-        for view in &views {
-            check_image(session, &score.pass, &score.truth, view)?;
-        }
+        let world = &session.pipeline.world;
+        views.par_iter().try_for_each(|view| check_image(world, &score.pass, &score.truth, view))?;
         // Layers are scored on the views of the first score.
         for (truth, layer) in [(&pass.albedo, "albedo"), (&pass.normal, "normal")] {
             if let (0, Some(LayerTruth::Folder(folder))) = (i, truth) {
-                views.iter().try_for_each(|view| must_exist(&true_layer_path(folder, layer, &view.stem)))?;
+                views.par_iter().try_for_each(|view| {
+                    let path = true_layer_path(folder, layer, &view.stem);
+                    read_fitting(&path, Gamma::Linear, &view.camera).map(|_| ())
+                })?;
             }
         }
     }
     Ok(())
 }
 
-fn check_image(session: &Session, pass: &str, truth: &Truth, view: &ChosenView) -> Result<()> {
-    let world = &session.pipeline.world;
+fn check_image(world: &World, pass: &str, truth: &Truth, view: &ChosenView) -> Result<()> {
     match truth {
         Truth::Photographs if world.get::<Photograph>(view.entity).is_none() => Err(Error::usage(
             format!("pass {pass} is scored against photographs, but view {} has none", view.stem),
@@ -83,15 +94,8 @@ fn check_image(session: &Session, pass: &str, truth: &Truth, view: &ChosenView) 
         )),
         Truth::Folder(folder) => {
             let name = world.get::<ViewName>(view.entity).map_or("", |name| name.0.as_str());
-            must_exist(&true_image_path(folder, name))
+            read_fitting(&true_image_path(folder, name), Gamma::Srgb, &view.camera).map(|_| ())
         }
         Truth::Photographs | Truth::SelfMade { .. } => Ok(()),
     }
-}
-
-fn must_exist(path: &Path) -> Result<()> {
-    if path.is_file() {
-        return Ok(());
-    }
-    Err(Error::input(path, "", "there is no such truth image", missing_file_help(path)))
 }

@@ -117,7 +117,8 @@ fn render_all(session: &mut Session, name: &str, settings: &RenderSettings) -> R
         write_film(session, &folder, orbit, &film)?;
     }
     bar.finish_and_clear();
-    session.progress.print(&format!("{name}: {} views, {frames} film frames", views.len()));
+    let film = if frames > 0 { format!(", {frames} film frames") } else { String::new() };
+    session.progress.print(&format!("{name}: {} views{film}", views.len()));
     Ok(())
 }
 

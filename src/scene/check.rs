@@ -8,12 +8,16 @@ use super::types::{
     Albedo, AlbedoSource, CameraSpec, Dataset, Gamma, Light, LightSource, Material, Pattern, Photographed,
     Roughness, Scene, SpecularAlbedo, Surface, VERSION, Views,
 };
+use crate::surface::MAX_COORDINATE;
 use glam::Vec3;
 use std::collections::BTreeSet;
 use std::ops::RangeInclusive;
 
 /// Least roughness: below it the specular lobe is sharper than `f32` can hold.
 pub const MIN_ROUGHNESS: f32 = 0.03;
+
+/// Least radius or edge length of a primitive, in world units.
+const MIN_LENGTH: f32 = 1e-9;
 
 /// Every value of the scene that makes no sense.
 pub fn check(scene: &Scene) -> Vec<Problem> {
@@ -98,6 +102,12 @@ impl Checks {
         self.require(ok, path, value, "a direction: finite, not (0, 0, 0)");
     }
 
+    /// A point that a surface may be at.
+    fn place(&mut self, path: &str, value: Vec3) {
+        let ok = value.abs().max_element() <= MAX_COORDINATE && value.is_finite();
+        self.require(ok, path, value, &format!("three numbers, none beyond {MAX_COORDINATE:e}"));
+    }
+
     /// A colour with channels in [0, 1].
     pub(super) fn color(&mut self, path: &str, value: Vec3) {
         let ok = value.to_array().iter().all(|channel| (0.0..=1.0).contains(channel));
@@ -127,9 +137,9 @@ impl Checks {
 
     /// A name that can be a file's.
     pub(super) fn name(&mut self, path: &str, value: &str) {
-        let ok =
-            !value.is_empty() && value.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-');
-        self.require(ok, path, format_args!("{value:?}"), "letters, digits, `_` and `-`");
+        let fits = (1..=100).contains(&value.len());
+        let ok = fits && value.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-');
+        self.require(ok, path, format_args!("{value:?}"), "1 to 100 letters, digits, `_` and `-`");
     }
 }
 
@@ -146,18 +156,19 @@ fn surface(checks: &mut Checks, surface: &Surface) {
             *texture_size
         }
         Surface::Sphere { center, radius, texture_size } => {
-            checks.finite("surface.center", *center);
-            checks.positive("surface.radius", *radius);
+            checks.place("surface.center", *center);
+            checks.number("surface.radius", *radius, MIN_LENGTH..=MAX_COORDINATE);
             *texture_size
         }
         Surface::Box { center, size, texture_size } => {
-            checks.finite("surface.center", *center);
-            let ok = size.is_finite() && size.min_element() > 0.0;
-            checks.require(ok, "surface.size", *size, "three numbers above 0");
+            checks.place("surface.center", *center);
+            let ok = size.min_element() >= MIN_LENGTH && size.max_element() <= MAX_COORDINATE;
+            let expected = format!("three numbers from {MIN_LENGTH:e} to {MAX_COORDINATE:e}");
+            checks.require(ok, "surface.size", *size, &expected);
             *texture_size
         }
     };
-    checks.count("surface.texture_size", texture_size, 8..=8192);
+    checks.count("surface.texture_size", texture_size, 8..=4096);
 }
 
 fn views(checks: &mut Checks, views: &Views) {

@@ -17,11 +17,11 @@ use crate::shade::systems::kernel_lobe;
 use crate::shade::{DistantLight, Scenery};
 use crate::shape::hull::{Silhouette, visual_hull};
 use crate::stage::Pipeline;
-use crate::surface::Surface;
 use crate::surface::atlas::unwrap_mesh;
 use crate::surface::gltf_import::read_mesh_with_report;
 use crate::surface::primitive::{box_mesh, sphere_mesh};
 use crate::surface::sdf::extract::extract_mesh;
+use crate::surface::{MAX_COORDINATE, Surface};
 use crate::view::{Split, ViewMask, ViewName, ViewRecord};
 use glam::{EulerRot, Quat, Vec3};
 use std::sync::Arc;
@@ -43,6 +43,10 @@ pub fn make_surface(spec: &SurfaceSpec, views: &[ViewRecord]) -> Result<(Surface
         }
         SurfaceSpec::Mesh { path, texture_size } => {
             let (mesh, report) = read_mesh_with_report(path)?;
+            if let Some(at) = mesh.positions.iter().find(|p| p.abs().max_element() > MAX_COORDINATE) {
+                let problem = format!("a vertex is at {at}: no coordinate may be beyond {MAX_COORDINATE:e}");
+                return Err(Error::input(path, "", problem, "Scale the mesh to the unit of the cameras."));
+            }
             let unwrapped = unwrap_mesh(&mesh, *texture_size)?;
             let notes = report.notes().into_iter().chain(unwrapped.note);
             let notes = notes.map(|note| format!("{}: {note}", path.display())).collect();

@@ -53,7 +53,7 @@ pub enum Surface {
     Mesh {
         /// The `.gltf` or `.glb` file; must exist.
         path: PathBuf,
-        /// Width and height of the albedo texture in texels, 8 to 8192. Default 256.
+        /// Width and height of the albedo texture in texels, 8 to 4096. Default 256.
         #[serde(default = "mesh_texture_size")]
         texture_size: u32,
     },
@@ -62,7 +62,7 @@ pub enum Surface {
         /// Cells a side of the grid that the shape is found on, 16 to 256. Default 128.
         #[serde(default = "unknown_cells")]
         cells: u32,
-        /// Width and height of the albedo texture in texels, 8 to 8192. Default 512.
+        /// Width and height of the albedo texture in texels, 8 to 4096. Default 512.
         #[serde(default = "unknown_texture_size")]
         texture_size: u32,
     },
@@ -74,7 +74,7 @@ pub enum Surface {
         /// Radius > 0. Default 0.8.
         #[serde(default = "sphere_radius")]
         radius: f32,
-        /// Width and height of the albedo texture in texels, 8 to 8192. Default 128.
+        /// Width and height of the albedo texture in texels, 8 to 4096. Default 128.
         #[serde(default = "primitive_texture_size")]
         texture_size: u32,
     },
@@ -86,7 +86,7 @@ pub enum Surface {
         /// Edge lengths > 0. Default (1, 1, 1).
         #[serde(default = "ones")]
         size: Vec3,
-        /// Width and height of the albedo texture in texels, 8 to 8192. Default 128.
+        /// Width and height of the albedo texture in texels, 8 to 4096. Default 128.
         #[serde(default = "primitive_texture_size")]
         texture_size: u32,
     },

@@ -29,6 +29,9 @@ use bvh::{TriangleBvh, TriangleHit};
 use glam::{Vec2, Vec3};
 use mesh::Mesh;
 
+/// The largest coordinate of a surface, in world units: squares of areas of boxes must stay finite in `f32`.
+pub const MAX_COORDINATE: f32 = 1e9;
+
 /// The largest side of an atlas, in texels.
 pub const MAX_TEXTURE_SIZE: u32 = 16384;
 
@@ -145,6 +148,11 @@ fn check(mesh: &Mesh) -> std::result::Result<(), String> {
         |v: usize| mesh.positions[v].is_finite() && mesh.normals[v].is_finite() && uvs[v].is_finite();
     if let Some(bad) = (0..count).find(|&vertex| !finite(vertex)) {
         return Err(format!("vertex {bad} is not finite"));
+    }
+    let far = |v: usize| mesh.positions[v].abs().max_element() > MAX_COORDINATE;
+    if let Some(bad) = (0..count).find(|&vertex| far(vertex)) {
+        let at = mesh.positions[bad];
+        return Err(format!("vertex {bad} is at {at}: no coordinate may be beyond {MAX_COORDINATE:e}"));
     }
     match (0..mesh.triangles.len()).find(|&t| mesh.is_degenerate(t)) {
         Some(bad) => Err(format!("triangle {bad} has no area (drop degenerate triangles first)")),

@@ -273,6 +273,7 @@ fn unusable_meshes_are_refused() {
     assert!(changed(&|m| m.positions[5].x = f32::NAN).contains("vertex 5 is not finite"));
     assert!(changed(&|m| m.normals.truncate(3)).contains("disagree"));
     assert!(changed(&|m| m.triangles[3] = [1, 1, 2]).contains("triangle 3 has no area"));
+    assert!(changed(&|m| m.positions[5].x = 1e20).contains("vertex 5 is at"));
     for size in [0, MAX_TEXTURE_SIZE + 1] {
         assert!(matches!(Surface::new(good.clone(), size), Err(Error::Usage { .. })));
     }

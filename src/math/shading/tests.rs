@@ -205,9 +205,10 @@ fn accurate_slices_agree_with_the_sum_of_all_pairs_in_f64() {
                 }
             }
         }
+        let [diffuse, specular] = sums;
         for c in 0..3 {
-            close("diffuse", out.diffuse[c], sums[0][c], 1.0);
-            close("specular", out.specular[c], sums[1][c], 1.0);
+            close("diffuse", out.diffuse[c], diffuse[c], 1.0);
+            close("specular", out.specular[c], specular[c], 1.0);
         }
     }
     for (i, exact) in sharpness.iter().enumerate() {
