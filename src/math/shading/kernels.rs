@@ -32,6 +32,7 @@ const fn block_rows<M: PairModel>() -> usize {
 const CULLED: f32 = 0.1;
 
 /// Per lobe, the exponent from which its specular part is negligible: e^(−exponent)·amplitude < CULLED/lobes · mean radiance.
+/// A dim lobe counts as one of mean amplitude: the gradient of its amplitude does not shrink with it.
 fn exponent_limits(lobes: &LobeColumns) -> impl Fn(usize) -> f32 {
     let brightest = |i: usize| {
         let [r, g, b] = lobes.get(i).amplitude;
@@ -42,9 +43,14 @@ fn exponent_limits(lobes: &LobeColumns) -> impl Fn(usize) -> f32 {
         let l = f64::from(lobes.get(i).sharpness).max(1e-6);
         f64::from(brightest(i)) * -(-2.0 * l).exp_m1() / (2.0 * l)
     };
+    let count = lobes.len().max(1) as f64;
     let total: f64 = (0..lobes.len()).map(mean).sum();
-    let least = (f64::from(CULLED) * total / lobes.len().max(1) as f64) as f32;
-    move |i| (brightest(i) / least.max(f32::MIN_POSITIVE)).max(f32::MIN_POSITIVE).ln()
+    let average = ((0..lobes.len()).map(|i| f64::from(brightest(i))).sum::<f64>() / count) as f32;
+    let least = ((f64::from(CULLED) * total / count) as f32).max(f32::MIN_POSITIVE);
+    move |i| {
+        let padding = i >= lobes.len();
+        if padding { f32::MIN } else { (brightest(i).max(average) / least).max(f32::MIN_POSITIVE).ln() }
+    }
 }
 
 /// Regroups lobes into blocks and adds the model's terms.
