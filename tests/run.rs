@@ -99,6 +99,7 @@ fn a_whole_run_writes_everything() {
     assert!(!files.iter().any(|file| is_temporary(file)), "{files:?}");
     let mut expected: Vec<String> = [
         "export/mesh.glb",
+        "fit/albedo.exr",
         "fit/albedo.png",
         "fit/environment.exr",
         "fit/environment.png",
