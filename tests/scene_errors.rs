@@ -142,7 +142,7 @@ fn a_wrong_type_says_what_was_expected() {
 fn a_wrong_value_says_the_range() {
     let roughness = wrong("roughness: Fixed(0.3)", "roughness: Fixed(0)");
     refused(&roughness, "Fixed(0)", &["roughness is 0", "from 0.03 to 1"]);
-    refused(&wrong("radius: 0.8", "radius: -1"), "-1", &["radius is -1", "above 0"]);
+    refused(&wrong("radius: 0.8", "radius: -1"), "-1", &["radius is -1", "a number from"]);
     refused(&wrong("radius: 0.8", "radius: NaN"), "NaN", &["radius is NaN"]);
     refused(&wrong("Set(0.8,", "Set(1.8,"), "Set(1.8", &["from 0 to 1"]);
     refused(&wrong("width: 16", "width: 0"), "0, height", &["width is 0"]);
