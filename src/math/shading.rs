@@ -4,6 +4,7 @@
 //! the threads. Sums over points are made per chunk and then over chunks in order, so the result does not depend
 //! on the number of threads. The formulas are a [`PairModel`]'s; [`ClosedForm`] chooses one at run time.
 
+mod cull;
 mod kernels;
 
 use super::accurate::{ACCURATE_DEFAULT, ACCURATE_HIGH, Quality};

@@ -7,9 +7,10 @@
 //! Vector arithmetic belongs into `#[inline(always)]` functions and loops, not into closures of any size: one that the
 //! compiler does not inline is compiled without the level's instructions and is ten times slower.
 
+use super::cull::{Picked, exponent_limits, survivors};
 use super::{LOBE_COLUMNS, Layers, LobeColumns, PointAdjoint, RadianceAdjoint, ShadePoint, SpecularValue};
 use crate::math::lanes::{Lanes, MAX_LANES, Row};
-use crate::math::model::{BOTH, DIFFUSE, PairModel, Part, PointEnd, Reach, Response, SPECULAR, Shape, Terms};
+use crate::math::model::{BOTH, DIFFUSE, PairModel, Part, PointEnd, Response, SPECULAR, Shape, Terms};
 use crate::math::real::{Real, Vec3Of, dot, scale};
 use fearless_simd::Simd;
 use std::f32::consts::PI;
@@ -23,34 +24,8 @@ pub struct Shared<'a, M> {
 }
 
 /// Rows of a block of prepared lobes: the lobes', the model's, and the exponent from which a specular part is left out.
-const fn block_rows<M: PairModel>() -> usize {
+pub const fn block_rows<M: PairModel>() -> usize {
     LOBE_COLUMNS + <M::Lobe<f32> as Terms<f32>>::LEN + 1
-}
-
-/// Light that culling may leave out, summed over all lobes in the worst case, as a part of the mean radiance. The worst case is
-/// far away: measured (128 lobes), it is 0.07 % of the specular light at R = 0.1, 0.03 % at R = 0.3, 0.004 % at R = 0.5.
-const CULLED: f32 = 0.1;
-
-/// Per lobe, the exponent from which its specular part is negligible: e^(−exponent)·amplitude < CULLED/lobes · mean radiance.
-/// A dim lobe counts as one of mean amplitude: the gradient of its amplitude does not shrink with it.
-fn exponent_limits(lobes: &LobeColumns) -> impl Fn(usize) -> f32 {
-    let brightest = |i: usize| {
-        let [r, g, b] = lobes.get(i).amplitude;
-        r.max(g).max(b)
-    };
-    // The mean over the sphere of an SG is μ(1 − e^(−2λ))/2λ.
-    let mean = |i: usize| {
-        let l = f64::from(lobes.get(i).sharpness).max(1e-6);
-        f64::from(brightest(i)) * -(-2.0 * l).exp_m1() / (2.0 * l)
-    };
-    let count = lobes.len().max(1) as f64;
-    let total: f64 = (0..lobes.len()).map(mean).sum();
-    let average = ((0..lobes.len()).map(|i| f64::from(brightest(i))).sum::<f64>() / count) as f32;
-    let least = ((f64::from(CULLED) * total / count) as f32).max(f32::MIN_POSITIVE);
-    move |i| {
-        let padding = i >= lobes.len();
-        if padding { f32::MIN } else { (brightest(i).max(average) / least).max(f32::MIN_POSITIVE).ln() }
-    }
 }
 
 /// Regroups lobes into blocks and adds the model's terms.
@@ -76,7 +51,7 @@ pub fn prepare_lobes<S: Simd, M: PairModel>(simd: S, model: M, lobes: &LobeColum
 }
 
 #[inline(always)]
-fn load<S: Simd>(simd: S, row: &Row, at: usize) -> Lanes<S> {
+pub fn load<S: Simd>(simd: S, row: &Row, at: usize) -> Lanes<S> {
     Lanes::load(simd, &row.0[at..at + Lanes::<S>::LEN])
 }
 
@@ -95,55 +70,6 @@ fn load_lobes<S: Simd, M: PairModel>(simd: S, block: &[Row], at: usize) -> LobeV
         shape: Shape { axis: [column(0), column(1), column(2)], sharpness: column(3) },
         amplitude: [column(4), column(5), column(6)],
         terms: Terms::from_fn(|c| column(LOBE_COLUMNS + c)),
-    }
-}
-
-/// Lobes of a vector whose specular part counts, as bits.
-#[inline(always)]
-fn survivors<S: Simd, M: PairModel>(simd: S, reach: &Reach<Lanes<S>>, block: &[Row], at: usize) -> u64 {
-    let axis = [load(simd, &block[0], at), load(simd, &block[1], at), load(simd, &block[2], at)];
-    let sharpness = load(simd, &block[3], at);
-    let narrow = reach.sharpness * sharpness * (reach.sharpness + sharpness).inverse();
-    let exponent = narrow * (narrow.one() - dot(reach.axis, axis));
-    exponent.bits_below(load(simd, &block[block_rows::<M>() - 1], at))
-}
-
-/// Lobes picked out of the blocks, one vector of them at a time.
-struct Picked {
-    /// Axis, sharpness, amplitude.
-    rows: [Row; LOBE_COLUMNS],
-    index: [usize; MAX_LANES],
-    count: usize,
-}
-
-impl Picked {
-    #[inline(always)]
-    fn new() -> Self {
-        Self { rows: [Row::ZERO; LOBE_COLUMNS], index: [0; MAX_LANES], count: 0 }
-    }
-
-    /// Takes lane `lane` of `block`, whose first lobe has number `first`.
-    #[inline(always)]
-    fn push(&mut self, block: &[Row], first: usize, lane: usize) {
-        for (row, column) in self.rows.iter_mut().zip(block) {
-            row.0[self.count] = column.0[lane];
-        }
-        self.index[self.count] = first + lane;
-        self.count += 1;
-    }
-
-    /// Shape and amplitude of the lobes, those beyond the last without light.
-    #[inline(always)]
-    fn vector<S: Simd>(&mut self, simd: S) -> (Shape<Lanes<S>>, Vec3Of<Lanes<S>>) {
-        for i in self.count..Lanes::<S>::LEN {
-            for (c, value) in [0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0].into_iter().enumerate() {
-                self.rows[c].0[i] = value;
-            }
-        }
-        let r = &self.rows;
-        let axis = [load(simd, &r[0], 0), load(simd, &r[1], 0), load(simd, &r[2], 0)];
-        let shape = Shape { axis, sharpness: load(simd, &r[3], 0) };
-        (shape, [load(simd, &r[4], 0), load(simd, &r[5], 0), load(simd, &r[6], 0)])
     }
 }
 
