@@ -8,7 +8,7 @@ use lobelia::Result;
 use lobelia::fit::components::Unknowns;
 use lobelia::fit::loss::Loss;
 use lobelia::fit::observe::PixelChoice;
-use lobelia::fit::run::{FitOptions, FitPlugin, run_fit};
+use lobelia::fit::run::{FirstGuess, FitOptions, FitPlugin, run_fit};
 use lobelia::light::LightLobe;
 use lobelia::light::fibonacci::{fibonacci_axes, spacing_sharpness};
 use lobelia::material::{DiffuseAlbedo, SpecularBlend, SpecularLobe};
@@ -58,7 +58,7 @@ fn main() -> Result<()> {
         pipeline.world.spawn((ViewName(format!("view_{i}")), camera, Split::Train, photograph, mask));
     }
 
-    let summary = run_fit(&mut pipeline, &options(), &mut |at| {
+    let summary = run_fit(&mut pipeline, &options(), &mut |at, _| {
         if at.step.is_multiple_of(50) {
             let psnr = at.sums.psnr();
             println!("step {:3}: {psnr:.1} dB, roughness {:.3}", at.step, at.specular.roughness);
@@ -105,5 +105,6 @@ fn options() -> FitOptions {
             roughness: true,
         },
         pixels: PixelChoice { seed: 0, max_pixels: 100_000 },
+        guess: FirstGuess::ALL,
     }
 }

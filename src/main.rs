@@ -171,6 +171,7 @@ fn views(scene: &Scene) -> String {
 fn kind(pass: &Pass) -> &'static str {
     match pass {
         Pass::Fit(_) => "Fit",
+        Pass::Shape(_) => "Shape",
         Pass::Render(_) => "Render",
         Pass::Edit(_) => "Edit",
         Pass::Relight(_) => "Relight",

@@ -75,6 +75,12 @@ pub enum Slot {
     Shading,
     /// How light and material move (in [`Stage::Update`]).
     Optimizer,
+    /// Where the samples' rays meet a surface that moves (in [`Stage::Trace`]).
+    Retrace,
+    /// How the samples' adjoints reach a surface that moves (in [`Stage::Gradient`], at its end).
+    ShapeGradient,
+    /// How the surface moves (in [`Stage::Update`]).
+    ShapeUpdate,
 }
 
 impl Slot {
@@ -82,7 +88,9 @@ impl Slot {
         match self {
             Self::Light => Stage::Gather,
             Self::Shading => Stage::Shade,
-            Self::Optimizer => Stage::Update,
+            Self::Retrace => Stage::Trace,
+            Self::ShapeGradient => Stage::Gradient,
+            Self::Optimizer | Self::ShapeUpdate => Stage::Update,
         }
     }
 }
@@ -159,13 +167,19 @@ impl Pipeline {
         slot: Slot,
         system: impl IntoScheduleConfigs<ScheduleSystem, M>,
     ) -> &mut Self {
+        self.clear(phase, slot);
+        self.add_to(phase, system.in_set(slot).in_set(slot.stage()))
+    }
+
+    /// Takes what is in `slot` out of it.
+    pub fn clear(&mut self, phase: Phase, slot: Slot) -> &mut Self {
         let schedule = self.schedules.get_mut(&phase).expect("every phase has a schedule");
         // The graph must be built before it can be taken apart. An empty slot is not an error.
         let removed = schedule.initialize(&mut self.world).map(|_| {
             schedule.remove_systems_in_set(slot, &mut self.world, ScheduleCleanupPolicy::RemoveSystemsOnly)
         });
         debug_assert!(matches!(removed, Ok(Ok(_))), "slot {slot:?}: {removed:?}");
-        self.add_to(phase, system.in_set(slot).in_set(slot.stage()))
+        self
     }
 
     fn add_to<M>(&mut self, phase: Phase, systems: impl IntoScheduleConfigs<ScheduleSystem, M>) -> &mut Self {
@@ -200,6 +214,9 @@ fn new_schedule(phase: Phase) -> Schedule {
         Slot::Light.in_set(Stage::Gather),
         Slot::Shading.in_set(Stage::Shade),
         Slot::Optimizer.in_set(Stage::Update),
+        Slot::Retrace.in_set(Stage::Trace),
+        Slot::ShapeGradient.in_set(Stage::Gradient),
+        Slot::ShapeUpdate.in_set(Stage::Update),
     ));
     schedule
 }

@@ -47,6 +47,24 @@ pub struct FitOptions {
     pub unknowns: Unknowns,
     /// Which pixels are visited.
     pub pixels: PixelChoice,
+    /// What is guessed from the data before the first step.
+    pub guess: FirstGuess,
+}
+
+/// What a fit guesses before its first step, of what is unknown; the rest starts from its present value.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FirstGuess {
+    /// The amplitudes of the light.
+    pub light: bool,
+    /// The albedo.
+    pub albedo: bool,
+}
+
+impl FirstGuess {
+    /// Light and albedo.
+    pub const ALL: Self = Self { light: true, albedo: true };
+    /// Nothing: a fit that goes on from another.
+    pub const NONE: Self = Self { light: false, albedo: false };
 }
 
 /// What a caller sees of a running fit.
@@ -98,7 +116,9 @@ impl Plugin for FitPlugin {
             .add_systems(
                 Phase::FitStep,
                 Stage::Gradient,
-                (pull_back_radiance, scatter_to_texels, hand_out_gradient).chain(),
+                (pull_back_radiance, scatter_to_texels, hand_out_gradient)
+                    .chain()
+                    .before(Slot::ShapeGradient),
             )
             .swap(Phase::FitStep, Slot::Optimizer, (move_texels, move_lobes, move_specular));
     }
@@ -111,7 +131,7 @@ impl Plugin for FitPlugin {
 pub fn run_fit(
     pipeline: &mut Pipeline,
     options: &FitOptions,
-    watch: &mut dyn FnMut(&FitProgress) -> ControlFlow<()>,
+    watch: &mut dyn FnMut(&FitProgress, &World) -> ControlFlow<()>,
 ) -> Result<FitSummary> {
     let start = Instant::now();
     attach_state(&mut pipeline.world);
@@ -121,7 +141,12 @@ pub fn run_fit(
     pipeline.world.insert_resource(LossState { loss: options.loss, last: LossSums::default() });
     pipeline.run(Phase::Prepare)?;
     let pixels = pipeline.world.resource::<Window>().0.len();
-    make_first_guess(&mut pipeline.world, options.unknowns)?;
+    let unknowns = Unknowns {
+        light: options.unknowns.light && options.guess.light,
+        albedo: options.unknowns.albedo && options.guess.albedo,
+        ..options.unknowns
+    };
+    make_first_guess(&mut pipeline.world, unknowns)?;
     let mut recent: Vec<LossSums> = Vec::new();
     let mut summary = FitSummary { steps: 0, pixels, elapsed_secs: 0.0, stopped: false };
     for step in 1..=options.steps {
@@ -138,7 +163,7 @@ pub fn run_fit(
             specular: first_specular(&mut pipeline.world),
             elapsed_secs: start.elapsed().as_secs_f64(),
         };
-        if watch(&progress).is_break() {
+        if watch(&progress, &pipeline.world).is_break() {
             summary.stopped = true;
             break;
         }
@@ -196,6 +221,9 @@ const ROUNDS: usize = 4;
 
 /// Alternates amplitudes and albedo, whichever are unknown, from grey.
 fn make_first_guess(world: &mut World, unknowns: Unknowns) -> Result<()> {
+    if !unknowns.light && !unknowns.albedo {
+        return Ok(());
+    }
     let mut lobes: Vec<LightLobe> = world.query::<&LightLobe>().iter(world).copied().collect();
     let specular = kernel_specular(&first_specular(world));
     let form = world.resource::<ShadingForm>().0;

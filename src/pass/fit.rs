@@ -5,7 +5,7 @@ use crate::error::Result;
 use crate::file::write_bytes;
 use crate::fit::components::TexelSeen;
 use crate::fit::observe::PixelChoice;
-use crate::fit::run::{FitOptions, FitProgress, FitSummary, run_fit};
+use crate::fit::run::{FirstGuess, FitOptions, FitProgress, FitSummary, run_fit};
 use crate::light::npy::{NpyConvention, write_lobes};
 use crate::light::{LightLobe, render_lobes};
 use crate::material::{DiffuseAlbedo, SpecularLobe};
@@ -13,7 +13,7 @@ use crate::math::shading::ClosedForm;
 use crate::report::exr_file::write_channels;
 use crate::report::png_file::write_rgb8;
 use crate::report::tone::srgb8;
-use crate::scene::pass_types::{FitPass, FitShading};
+use crate::scene::pass_types::{FitPass, FitShading, Quality};
 use crate::scene::spawn::unknowns;
 use crate::surface::atlas::fill_uncovered;
 use crate::view::exr_io::ExrLayers;
@@ -43,7 +43,7 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     let options = options(session, pass);
     let bar = session.progress.bar(&pass.name, u64::from(options.steps));
     let mut log = String::from("step,elapsed_secs,loss,psnr,specular_r,specular_g,specular_b,roughness\n");
-    let summary = run_fit(&mut session.pipeline, &options, &mut |at| {
+    let summary = run_fit(&mut session.pipeline, &options, &mut |at, _| {
         bar.set_position(u64::from(at.step));
         if at.step % LOG_EVERY == 0 || at.step == at.steps {
             bar.set_message(format!("{:.1} dB", at.sums.psnr()));
@@ -51,6 +51,7 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
         }
         if INTERRUPTED.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     })?;
+    session.guess = FirstGuess::NONE;
     bar.finish_and_clear();
     let unseen = fill_texels(session);
     report(session, &pass.name, &summary, unseen);
@@ -58,13 +59,18 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     check_interrupted()
 }
 
+/// The closed form of a scene file's words.
+pub fn closed_form(shading: FitShading, quality: Quality) -> ClosedForm {
+    match shading {
+        FitShading::Accurate => ClosedForm::Accurate(quality),
+        FitShading::Published => ClosedForm::Published,
+    }
+}
+
 fn options(session: &Session, pass: &FitPass) -> FitOptions {
     FitOptions {
         loss: pass.loss,
-        form: match pass.shading {
-            FitShading::Accurate => ClosedForm::Accurate(pass.quality),
-            FitShading::Published => ClosedForm::Published,
-        },
+        form: closed_form(pass.shading, pass.quality),
         steps: pass.steps,
         batch: pass.batch as usize,
         rates: [pass.rates.albedo, pass.rates.light, pass.rates.specular],
@@ -72,6 +78,7 @@ fn options(session: &Session, pass: &FitPass) -> FitOptions {
         decay: pass.decay,
         unknowns: unknowns(session.scene),
         pixels: PixelChoice { seed: session.scene.seed, max_pixels: pass.max_pixels as usize },
+        guess: session.guess,
     }
 }
 

@@ -3,6 +3,7 @@
 //! | pass | file | writes into `OUT/<name>/` |
 //! | --- | --- | --- |
 //! | `Fit` | [`fit`] | the recovered light (`light.npy`, `environment.exr`), `albedo.png`, `materials.ron`, `log.csv` |
+//! | `Shape` | [`shape`] | the surface found (`mesh.glb`), `log.csv` |
 //! | `Render`, `Edit`, `Relight` | [`render`] | an EXR with layers and a PNG per view, the film of an orbit |
 //! | `Evaluate` | [`evaluate`] | a contact sheet; scores go to `OUT/metrics.json` |
 //! | `Save` | [`save`] | `scene.ron` with side files |
@@ -21,9 +22,10 @@ pub mod progress;
 pub mod render;
 pub mod save;
 pub mod shade_cases;
+pub mod shape;
 
 use crate::error::{Error, Result};
-use crate::fit::run::FitPlugin;
+use crate::fit::run::{FirstGuess, FitPlugin};
 use crate::report::scores::Scores;
 use crate::scene::load::{LoadedScene, RunOptions};
 use crate::scene::pass_types::{EditPass, Pass, RelightPass, RenderPass, ViewChoice};
@@ -60,6 +62,8 @@ pub struct Session<'a> {
     pub out: PathBuf,
     /// The lights that the scene names, loaded.
     pub lights: Lights,
+    /// What the next fit guesses before its first step: all, until there has been one.
+    pub guess: FirstGuess,
     /// What the terminal shows.
     pub progress: Progress,
     /// Scores so far.
@@ -106,6 +110,7 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions) -> Result<()> {
     for pass in &loaded.scene.passes {
         match pass {
             Pass::Fit(pass) => fit::run(&mut session, pass)?,
+            Pass::Shape(pass) => shape::run(&mut session, pass)?,
             Pass::Render(RenderPass { render, .. })
             | Pass::Edit(EditPass { render, .. })
             | Pass::Relight(RelightPass { render, .. }) => render::run(&mut session, pass, render)?,
@@ -162,7 +167,17 @@ fn open<'a>(scene: &'a Scene, options: &RunOptions) -> Result<Session<'a>> {
     pipeline.add_plugin(&FramePlugin).add_plugin(&FitPlugin);
     spawn(&mut pipeline, scene, &surface, views, lights.own.as_ref())?;
     let out = options.out.clone();
-    Ok(Session { scene, pipeline, surface, truth, out, lights, progress, scores: Scores::default() })
+    Ok(Session {
+        scene,
+        pipeline,
+        surface,
+        truth,
+        out,
+        lights,
+        guess: FirstGuess::ALL,
+        progress,
+        scores: Scores::default(),
+    })
 }
 
 /// The views that are there before the object is: those that it photographs itself are not.
@@ -198,7 +213,7 @@ fn read_views(scene: &Scene, progress: &Progress) -> Result<Vec<ViewRecord>> {
 fn needs(scene: &Scene, split: Split) -> bool {
     let choice = if split == Split::Train { ViewChoice::Train } else { ViewChoice::Test };
     scene.passes.iter().any(|pass| match pass {
-        Pass::Fit(_) => split == Split::Train,
+        Pass::Fit(_) | Pass::Shape(_) => split == Split::Train,
         _ => pass.render().is_some_and(|settings| settings.views == choice),
     })
 }

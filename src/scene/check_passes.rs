@@ -4,9 +4,9 @@ use super::check::{Checks, light_source};
 use super::diagnostic::nearest;
 use super::pass_types::{
     ColorAction, DiffuseAction, Edit, EditPass, EvaluatePass, FitPass, LayerTruth, Orbit, Pass, Region,
-    RelightPass, RenderSettings, ScalarAction, Shading, Truth, ViewChoice,
+    RelightPass, RenderSettings, ScalarAction, Shading, ShapePass, Truth, ViewChoice,
 };
-use super::types::{Albedo, Light, Roughness, Scene, SpecularAlbedo, Views};
+use super::types::{Albedo, Light, Roughness, Scene, SpecularAlbedo, Surface, Views};
 
 /// Checks every pass of the scene.
 pub(super) fn passes(checks: &mut Checks, scene: &Scene) {
@@ -25,6 +25,7 @@ pub(super) fn passes(checks: &mut Checks, scene: &Scene) {
         }
         match pass {
             Pass::Fit(fit) => self::fit(checks, &at, fit, scene),
+            Pass::Shape(shape) => self::shape(checks, &at, shape, scene),
             Pass::Edit(edit) => self::edit_pass(checks, &at, edit),
             Pass::Relight(relight) => self::relight_pass(checks, &at, relight),
             Pass::Evaluate(evaluate) => self::evaluate(checks, &at, evaluate, scene, earlier),
@@ -33,7 +34,7 @@ pub(super) fn passes(checks: &mut Checks, scene: &Scene) {
         if let Some(render) = pass.render() {
             self::render(checks, &format!("{at}.render"), render, &scene.views);
         }
-        fitted |= matches!(pass, Pass::Fit(_));
+        fitted |= matches!(pass, Pass::Fit(_) | Pass::Shape(_));
         if !fitted {
             nothing_unknown(checks, &at, pass, scene);
         }
@@ -45,7 +46,7 @@ fn nothing_unknown(checks: &mut Checks, at: &str, pass: &Pass, scene: &Scene) {
     let light = match pass {
         Pass::Render(_) | Pass::Save(_) => true,
         Pass::Edit(edit) => edit.light.is_none(),
-        Pass::Fit(_) | Pass::Relight(_) | Pass::Evaluate(_) | Pass::Export(_) => false,
+        Pass::Fit(_) | Pass::Shape(_) | Pass::Relight(_) | Pass::Evaluate(_) | Pass::Export(_) => false,
     };
     let unknown = unknown_parts(scene);
     let missing: Vec<&str> = unknown.into_iter().filter(|part| light || *part != "light").collect();
@@ -76,6 +77,34 @@ pub fn unknown_parts(scene: &Scene) -> Vec<&'static str> {
         parts.push("light");
     }
     parts
+}
+
+fn shape(checks: &mut Checks, at: &str, shape: &ShapePass, scene: &Scene) {
+    let path = |field: &str| format!("{at}.{field}");
+    checks.count(&path("max_pixels"), shape.max_pixels, 1..=u32::MAX);
+    checks.count(&path("batch"), shape.batch, 1..=u32::MAX);
+    checks.count(&path("silhouette_batch"), shape.silhouette_batch, 1..=u32::MAX);
+    checks.count(&path("blur"), shape.blur, 0..=64);
+    checks.not_negative(&path("silhouette"), shape.silhouette);
+    checks.not_negative(&path("smoothness"), shape.smoothness);
+    checks.not_negative(&path("rates.albedo"), shape.rates.albedo);
+    checks.not_negative(&path("rates.light"), shape.rates.light);
+    checks.not_negative(&path("rates.specular"), shape.rates.specular);
+    if shape.levels.is_empty() {
+        checks.fail(&path("levels"), "there are no levels", "expected at least one grid", "");
+    }
+    for (i, level) in shape.levels.iter().enumerate() {
+        let path = |field: &str| format!("{at}.levels[{i}].{field}");
+        checks.count(&path("cells"), level.cells, 16..=320);
+        checks.count(&path("texel_cells"), level.texel_cells, 8..=320);
+        checks.count(&path("steps"), level.steps, 1..=u32::MAX);
+        checks.number(&path("rates"), level.rates.0, 1e-6..=1.0);
+        checks.number(&path("rates"), level.rates.1, 1e-6..=1.0);
+    }
+    if !matches!(scene.surface, Surface::Unknown { .. }) {
+        let help = "Write `surface: Unknown()`, or remove the `Shape`.";
+        checks.fail(at, "the surface is given", "expected a surface that is not known", help);
+    }
 }
 
 fn fit(checks: &mut Checks, at: &str, fit: &FitPass, scene: &Scene) {

@@ -12,6 +12,8 @@ use std::path::PathBuf;
 pub enum Pass {
     /// Finds what the scene says is unknown, from the training views.
     Fit(FitPass),
+    /// Finds the shape of a surface that is unknown, with light and material beside it.
+    Shape(ShapePass),
     /// Renders the object as it is.
     Render(RenderPass),
     /// Renders the object with a changed material; later passes see the unchanged one.
@@ -31,6 +33,7 @@ impl Pass {
     pub fn name(&self) -> &str {
         match self {
             Self::Fit(pass) => &pass.name,
+            Self::Shape(pass) => &pass.name,
             Self::Render(pass) => &pass.name,
             Self::Edit(pass) => &pass.name,
             Self::Relight(pass) => &pass.name,
@@ -45,7 +48,12 @@ impl Pass {
         match self {
             Self::Edit(pass) => pass.light.as_ref(),
             Self::Relight(pass) => Some(&pass.light),
-            Self::Fit(_) | Self::Render(_) | Self::Evaluate(_) | Self::Save(_) | Self::Export(_) => None,
+            Self::Fit(_)
+            | Self::Shape(_)
+            | Self::Render(_)
+            | Self::Evaluate(_)
+            | Self::Save(_)
+            | Self::Export(_) => None,
         }
     }
 
@@ -54,7 +62,12 @@ impl Pass {
         match self {
             Self::Edit(pass) => &pass.edits,
             Self::Relight(pass) => &pass.edits,
-            Self::Fit(_) | Self::Render(_) | Self::Evaluate(_) | Self::Save(_) | Self::Export(_) => &[],
+            Self::Fit(_)
+            | Self::Shape(_)
+            | Self::Render(_)
+            | Self::Evaluate(_)
+            | Self::Save(_)
+            | Self::Export(_) => &[],
         }
     }
 
@@ -64,7 +77,7 @@ impl Pass {
             Self::Render(pass) => Some(&pass.render),
             Self::Edit(pass) => Some(&pass.render),
             Self::Relight(pass) => Some(&pass.render),
-            Self::Fit(_) | Self::Evaluate(_) | Self::Save(_) | Self::Export(_) => None,
+            Self::Fit(_) | Self::Shape(_) | Self::Evaluate(_) | Self::Save(_) | Self::Export(_) => None,
         }
     }
 }
@@ -108,6 +121,77 @@ impl Default for FitPass {
             rates: Rates::default(),
             milestones: vec![0.5, 0.75, 0.9],
             decay: 0.4,
+        }
+    }
+}
+
+/// A fit of shape, light and material to the training views and their masks, on grids from coarse to fine.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ShapePass {
+    /// The pass's name. Default "shape".
+    pub name: String,
+    /// What is minimised over pixels and channels. Default `L1`.
+    pub loss: Loss,
+    /// The closed form that shades. Default `Accurate`.
+    pub shading: FitShading,
+    /// The grids, from coarse to fine.
+    pub levels: Vec<GridLevel>,
+    /// Pixels per step ≥ 1. Default 8192.
+    pub batch: u32,
+    /// Most pixels that are visited ≥ 1; a random part of more. Default 2 000 000.
+    pub max_pixels: u32,
+    /// Silhouette rays per step ≥ 1. Default 2048.
+    pub silhouette_batch: u32,
+    /// Weight of the silhouettes beside the images ≥ 0. Default 0.1.
+    pub silhouette: f32,
+    /// Weight of the field's smoothness ≥ 0. Default 1e-6.
+    pub smoothness: f32,
+    /// Rounds of averaging the shape's gradient over neighbouring vertices. Default 4.
+    pub blur: u32,
+    /// Adam's step sizes of light and material.
+    pub rates: Rates,
+}
+
+/// One grid of a [`ShapePass`].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct GridLevel {
+    /// Cells a side of the grid of distances, 16 to 320. Default 96.
+    pub cells: u32,
+    /// Cells a side of the lattice of albedo, 8 to 320. Default 64.
+    pub texel_cells: u32,
+    /// Number of update steps ≥ 1. Default 1000.
+    pub steps: u32,
+    /// Steps before the shape moves, while light and material find themselves. Default 0.
+    pub hold: u32,
+    /// Typical step of a distance at the first and the last step, in cells. Default (0.05, 0.01).
+    pub rates: (f32, f32),
+}
+
+impl Default for GridLevel {
+    fn default() -> Self {
+        Self { cells: 96, texel_cells: 64, steps: 1000, hold: 0, rates: (0.05, 0.01) }
+    }
+}
+
+impl Default for ShapePass {
+    fn default() -> Self {
+        Self {
+            name: "shape".into(),
+            loss: Loss::L1,
+            shading: FitShading::Accurate,
+            levels: vec![
+                GridLevel { cells: 64, hold: 300, steps: 1300, ..GridLevel::default() },
+                GridLevel { cells: 128, texel_cells: 96, steps: 1500, ..GridLevel::default() },
+            ],
+            batch: 8192,
+            max_pixels: 2_000_000,
+            silhouette_batch: 2048,
+            silhouette: 0.1,
+            smoothness: 1e-6,
+            blur: 4,
+            rates: Rates::default(),
         }
     }
 }

@@ -150,7 +150,7 @@ fn pass_paths(at: &str, pass: &mut Pass, visit: &mut impl FnMut(&str, Kind, &mut
                 }
             }
         }
-        Pass::Fit(_) | Pass::Render(_) | Pass::Save(_) | Pass::Export(_) => {}
+        Pass::Fit(_) | Pass::Shape(_) | Pass::Render(_) | Pass::Save(_) | Pass::Export(_) => {}
     }
 }
 

@@ -1,7 +1,16 @@
-//! The object's shape from photographs with masks.
+//! The object's shape from photographs with masks: a signed distance field, fitted through the same stages as light and material.
 //!
 //! | file | holds |
 //! | --- | --- |
 //! | [`hull`] | where the object is, and the robust visual hull of its masks as a signed distance field |
+//! | [`field`] | the field as parameters: bricks of values (entities) and the field as a whole (a resource) |
+//! | [`adjoint`] | kernels that pull adjoints of normals, positions and silhouettes back to the values |
+//! | [`silhouette_loss`] | the loss of masks |
+//! | [`systems`] | the systems, which are swapped in while a shape is fitted ([`run`]) |
 
+pub mod adjoint;
+pub mod field;
 pub mod hull;
+pub mod run;
+pub mod silhouette_loss;
+pub mod systems;

@@ -12,7 +12,12 @@
 //! | `origin`, `spacing` | `Vec3`, `f32` | world units | from the cameras | the grid's first vertex and the distance between two |
 
 pub mod extract;
+mod redistance;
 pub mod silhouette;
+mod trace;
+pub mod volume;
+
+pub use trace::LeastDistance;
 
 use glam::{UVec3, Vec3};
 

@@ -1,0 +1,109 @@
+//! The `Shape` pass: finds an unknown surface from photographs and masks, and puts it in place of the hull.
+
+use super::fit::closed_form;
+use super::{INTERRUPTED, Session, check_interrupted};
+use crate::error::{Error, Result};
+use crate::fit::observe::PixelChoice;
+use crate::fit::run::{FirstGuess, FitOptions};
+use crate::material::DiffuseAlbedo;
+use crate::scene::pass_types::{GridLevel, Quality, ShapePass};
+use crate::scene::spawn::unknowns;
+use crate::scene::types::Surface as SurfaceSpec;
+use crate::shade::Scenery;
+use crate::shape::run::{ShapeLevel, ShapeOptions, ShapeProgress, fit_shape, replace_texels};
+use crate::shape::systems::ShapeSchedule;
+use crate::surface::Surface;
+use crate::surface::atlas::unwrap_mesh;
+use crate::surface::sdf::extract::extract_mesh;
+use crate::surface::sdf::volume::SdfSurface;
+use glam::Vec3;
+use std::ops::ControlFlow;
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Instant;
+
+/// Steps between two redistancings.
+const REDISTANCE_EVERY: u32 = 40;
+
+/// Runs the pass.
+///
+/// # Errors
+/// If the surface of the scene is not unknown, the masks have no hull, or a fit fails.
+pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
+    let SurfaceSpec::Unknown { texture_size, .. } = session.scene.surface else {
+        return Err(Error::run(&pass.name, "the surface is given: only surface: Unknown() can be found"));
+    };
+    let start = Instant::now();
+    let options = options(session, pass);
+    let total: u32 = pass.levels.iter().map(|level| level.steps).sum();
+    let bar = session.progress.bar(&pass.name, u64::from(total));
+    let surface = fit_shape(&mut session.pipeline, &options, &mut |at: &ShapeProgress| {
+        let before: u32 = pass.levels[..at.level].iter().map(|level| level.steps).sum();
+        bar.set_position(u64::from(before + at.fit.step));
+        if at.fit.step % 20 == 0 {
+            bar.set_message(format!("{:.1} dB", at.fit.sums.psnr()));
+        }
+        if INTERRUPTED.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    })?;
+    bar.finish_and_clear();
+    session.guess = FirstGuess::NONE;
+    put_in_place(session, &surface, texture_size)?;
+    let elapsed = start.elapsed().as_secs_f64();
+    session.scores.fit_secs = Some(session.scores.fit_secs.unwrap_or(0.0) + elapsed);
+    let triangles = session.surface.mesh().triangles.len();
+    session.progress.print(&format!("{}: {triangles} triangles in {elapsed:.1} s", pass.name));
+    check_interrupted()
+}
+
+fn options(session: &Session, pass: &ShapePass) -> ShapeOptions {
+    ShapeOptions {
+        levels: pass.levels.iter().map(|level| shape_level(pass, level)).collect(),
+        fit: FitOptions {
+            loss: pass.loss,
+            form: closed_form(pass.shading, Quality::Default),
+            steps: 1,
+            batch: pass.batch as usize,
+            rates: [pass.rates.albedo, pass.rates.light, pass.rates.specular],
+            milestones: vec![0.6, 0.85],
+            decay: 0.4,
+            unknowns: unknowns(session.scene),
+            pixels: PixelChoice { seed: session.scene.seed, max_pixels: pass.max_pixels as usize },
+            guess: session.guess,
+        },
+    }
+}
+
+fn shape_level(pass: &ShapePass, level: &GridLevel) -> ShapeLevel {
+    ShapeLevel {
+        cells: level.cells,
+        texel_cells: level.texel_cells,
+        schedule: ShapeSchedule {
+            steps: level.steps,
+            hold: level.hold,
+            rates: level.rates,
+            silhouette: pass.silhouette,
+            silhouette_batch: pass.silhouette_batch as usize,
+            smoothness: pass.smoothness,
+            blur: pass.blur,
+            redistance_every: REDISTANCE_EVERY,
+        },
+    }
+}
+
+/// Extracts the mesh, gives it an atlas, and carries the texels over.
+fn put_in_place(session: &mut Session, found: &SdfSurface, texture_size: u32) -> Result<()> {
+    let mesh = unwrap_mesh(&extract_mesh(&found.grid), texture_size)?.mesh;
+    let surface = Arc::new(Surface::new(mesh, texture_size)?);
+    let world = &mut session.pipeline.world;
+    let volume: Vec<Vec3> = world.query::<&DiffuseAlbedo>().iter(world).map(|a| a.0).collect();
+    let atlas = surface.atlas();
+    let carried = |(at, covered): (&Vec3, &bool)| {
+        let address = covered.then(|| found.volume.nearest_address(*at)).flatten();
+        address.map_or(Vec3::splat(0.4), |address| address.blend(&volume))
+    };
+    let albedo: Vec<Vec3> = atlas.position.iter().zip(&atlas.covered).map(carried).collect();
+    replace_texels(world, &albedo);
+    world.insert_resource(Scenery(surface.clone()));
+    session.surface = surface;
+    Ok(())
+}

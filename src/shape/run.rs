@@ -1,0 +1,221 @@
+//! Fitting a shape: from the visual hull through levels of finer grids, each a fit of its own.
+
+use super::field::{BrickAt, BrickGradient, BrickMoments, BrickValues, SdfField, bricks_near_surface};
+use super::hull::{Silhouette, visual_hull};
+use super::silhouette_loss::SilhouetteSample;
+use super::systems::{
+    ShapeSchedule, hand_out_to_bricks, move_bricks, pull_back_silhouettes, pull_back_to_field, retrace_window,
+};
+use crate::error::Result;
+use crate::fit::components::{AlbedoGradient, AlbedoMoments, TexelSeen};
+use crate::fit::run::{FirstGuess, FitOptions, FitProgress, run_fit};
+use crate::material::{DiffuseAlbedo, SpecularBlend};
+use crate::shade::Scenery;
+use crate::stage::{Phase, Pipeline, Plugin, Slot};
+use crate::surface::sdf::SdfGrid;
+use crate::surface::sdf::silhouette::signed_distance;
+use crate::surface::sdf::volume::{SdfSurface, TexelVolume};
+use crate::view::pixel::PixelOf;
+use crate::view::{Camera, Split, ViewMask};
+use bevy_ecs::prelude::{Component, Entity, IntoScheduleConfigs, With, Without, World};
+use glam::Vec3;
+use rand::seq::SliceRandom;
+use rand::{SeedableRng, rngs::SmallRng};
+use std::ops::ControlFlow;
+use std::sync::Arc;
+
+/// Pixels from an outline within which silhouette rays are cast.
+const SILHOUETTE_REACH: f32 = 6.0;
+/// Pixels from the border of a frame within which they are not: there the frame cuts the object, not its outline.
+const FRAME_BORDER: u32 = 2;
+/// Part of the half side of the grid within which there are texels.
+const TEXEL_REACH: f32 = 0.15;
+
+/// One level of a shape's fit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ShapeLevel {
+    /// Cells a side of the grid.
+    pub cells: u32,
+    /// Cells a side of the lattice of texels.
+    pub texel_cells: u32,
+    /// How the shape moves.
+    pub schedule: ShapeSchedule,
+}
+
+/// Settings of a shape's fit.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ShapeOptions {
+    /// From coarse to fine; at least one.
+    pub levels: Vec<ShapeLevel>,
+    /// The fit of light and material beside it; its steps are those of the level.
+    pub fit: FitOptions,
+}
+
+/// The systems that fit a shape; [`ShapePlugin::remove`] takes them out again.
+pub struct ShapePlugin;
+
+impl Plugin for ShapePlugin {
+    fn build(&self, pipeline: &mut Pipeline) {
+        pipeline
+            .swap(Phase::FitStep, Slot::Retrace, retrace_window)
+            .swap(
+                Phase::FitStep,
+                Slot::ShapeGradient,
+                (pull_back_to_field, pull_back_silhouettes, hand_out_to_bricks).chain(),
+            )
+            .swap(Phase::FitStep, Slot::ShapeUpdate, move_bricks);
+    }
+}
+
+impl ShapePlugin {
+    /// Takes the systems out, so that surfaces stay as they are.
+    pub fn remove(pipeline: &mut Pipeline) {
+        for slot in [Slot::Retrace, Slot::ShapeGradient, Slot::ShapeUpdate] {
+            pipeline.clear(Phase::FitStep, slot);
+        }
+    }
+}
+
+/// What a caller sees of a running fit.
+pub struct ShapeProgress<'a> {
+    /// Index of the level.
+    pub level: usize,
+    /// The fit of that level.
+    pub fit: &'a FitProgress,
+    /// The field now.
+    pub field: &'a SdfField,
+}
+
+/// Fits shape, light and material; leaves the shape's texels in the world as they are on its finest lattice.
+///
+/// # Errors
+/// If the masks have no hull, or a fit fails.
+pub fn fit_shape(
+    pipeline: &mut Pipeline,
+    options: &ShapeOptions,
+    watch: &mut dyn FnMut(&ShapeProgress) -> ControlFlow<()>,
+) -> Result<SdfSurface> {
+    let silhouettes: Vec<Silhouette> =
+        training_masks(&mut pipeline.world).iter().filter_map(|(c, m)| Silhouette::new(c, &m.0)).collect();
+    let mut grid = visual_hull(&silhouettes, options.levels[0].cells)?;
+    let samples = silhouette_samples(&mut pipeline.world, options.fit.pixels.seed);
+    pipeline.world.spawn_batch(samples);
+    pipeline.add_plugin(&ShapePlugin);
+    let mut texels: Option<(TexelVolume, Vec<Vec3>)> = None;
+    let mut outcome = Ok(());
+    for (index, level) in options.levels.iter().enumerate() {
+        grid = if index == 0 { grid } else { grid.resampled(level.cells) };
+        grid.redistance();
+        let volume = TexelVolume::new(&grid, level.texel_cells, TEXEL_REACH * half_side(&grid));
+        let albedo = carried_albedo(&volume, texels.as_ref());
+        replace_texels(&mut pipeline.world, &albedo);
+        enter(&mut pipeline.world, SdfSurface { grid, volume: volume.clone() }, level.schedule);
+        let first = index == 0;
+        let guess = if first { options.fit.guess } else { FirstGuess::NONE };
+        let fit = FitOptions { steps: level.schedule.steps, guess, ..options.fit.clone() };
+        let result = run_fit(pipeline, &fit, &mut |progress, world| {
+            let field = world.resource::<SdfField>();
+            watch(&ShapeProgress { level: index, fit: progress, field })
+        });
+        grid = leave(&mut pipeline.world);
+        let world = &mut pipeline.world;
+        texels = Some((volume, world.query::<&DiffuseAlbedo>().iter(world).map(|a| a.0).collect()));
+        match result {
+            Ok(summary) if !summary.stopped => {}
+            Ok(_) => break,
+            Err(error) => {
+                outcome = Err(error);
+                break;
+            }
+        }
+    }
+    ShapePlugin::remove(pipeline);
+    despawn_with::<SilhouetteSample>(&mut pipeline.world);
+    outcome?;
+    let volume = texels.map(|t| t.0).unwrap_or_else(|| TexelVolume::new(&grid, 1, 0.0));
+    Ok(SdfSurface { grid, volume })
+}
+
+fn half_side(grid: &SdfGrid) -> f32 {
+    0.5 * grid.spacing * (grid.side - 1) as f32
+}
+
+fn training_masks(world: &mut World) -> Vec<(Camera, ViewMask)> {
+    let mut views = world.query::<(&Camera, &ViewMask, &Split)>();
+    let train = views.iter(world).filter(|(_, _, split)| **split == Split::Train);
+    train.map(|(camera, mask, _)| (*camera, mask.clone())).collect()
+}
+
+/// The pixels around the outlines of all training masks, shuffled.
+fn silhouette_samples(world: &mut World, seed: u64) -> Vec<SilhouetteSample> {
+    let mut samples = Vec::new();
+    for (camera, mask) in training_masks(world) {
+        let (width, height) = (mask.0.width, mask.0.height);
+        let distance = signed_distance(&mask.0.coverage, width as usize, height as usize);
+        let pixel_size = 2.0 / (camera.focal[0] + camera.focal[1]);
+        let inner = |x: u32, size: u32| x >= FRAME_BORDER && x + FRAME_BORDER < size;
+        for (i, distance) in distance.iter().enumerate() {
+            let (x, y) = (i as u32 % width, i as u32 / width);
+            if distance.abs() < SILHOUETTE_REACH && inner(x, width) && inner(y, height) {
+                let ray = camera.ray(x as f32 + 0.5, y as f32 + 0.5);
+                samples.push(SilhouetteSample { ray, coverage: mask.0.coverage[i], pixel_size });
+            }
+        }
+    }
+    samples.shuffle(&mut SmallRng::seed_from_u64(seed));
+    samples
+}
+
+/// Albedo for a new lattice: that of the old one where it reaches, else grey.
+fn carried_albedo(volume: &TexelVolume, old: Option<&(TexelVolume, Vec<Vec3>)>) -> Vec<Vec3> {
+    let grey = Vec3::splat(0.4);
+    let carried = |at: Vec3| {
+        let (old, albedo) = old?;
+        Some(old.nearest_address(at)?.blend(albedo))
+    };
+    volume.positions().map(|at| carried(at).unwrap_or(grey)).collect()
+}
+
+/// Puts texels of this albedo in place of those in the world.
+pub fn replace_texels(world: &mut World, albedo: &[Vec3]) {
+    let old: Vec<Entity> =
+        world.query_filtered::<Entity, (With<DiffuseAlbedo>, Without<PixelOf>)>().iter(world).collect();
+    for texel in old {
+        world.despawn(texel);
+    }
+    let texels: Vec<_> = albedo
+        .iter()
+        .map(|albedo| {
+            let state = (AlbedoGradient::default(), AlbedoMoments::default(), TexelSeen::default());
+            (DiffuseAlbedo(*albedo), SpecularBlend::default(), state.0, state.1, state.2)
+        })
+        .collect();
+    world.spawn_batch(texels);
+}
+
+/// Puts a field and its bricks into the world.
+fn enter(world: &mut World, surface: SdfSurface, schedule: ShapeSchedule) {
+    let blank = [0.0; super::field::BRICK_LEN];
+    let bricks: Vec<_> = bricks_near_surface(&surface.grid)
+        .into_iter()
+        .map(|at| (at, BrickValues::of(&surface.grid, at), BrickGradient(blank), BrickMoments(blank)))
+        .collect();
+    world.spawn_batch(bricks);
+    world.insert_resource(Scenery(Arc::new(surface.clone())));
+    world.insert_resource(SdfField::new(surface));
+    world.insert_resource(schedule);
+}
+
+/// Takes the bricks out again and returns the field.
+fn leave(world: &mut World) -> SdfGrid {
+    despawn_with::<BrickAt>(world);
+    let field = world.remove_resource::<SdfField>().expect("a level leaves the field it entered");
+    field.surface.grid
+}
+
+fn despawn_with<T: Component>(world: &mut World) {
+    let entities: Vec<Entity> = world.query_filtered::<Entity, With<T>>().iter(world).collect();
+    for entity in entities {
+        world.despawn(entity);
+    }
+}

@@ -1,0 +1,249 @@
+//! The systems that fit an SDF: retrace, pull back, smooth, move; each fetches columns and calls a kernel.
+
+use super::field::{BAND_CELLS, BrickAt, BrickGradient, BrickMoments, BrickValues, SdfField, vertices_of};
+use super::silhouette_loss::{SilhouetteSample, add_silhouettes};
+use crate::fit::components::StepRates;
+use crate::material::DiffuseAlbedo;
+use crate::math::ray::Intersect;
+use crate::math::shading::PointAdjoint;
+use crate::shade::pool::only_table;
+use crate::stage::SystemResult;
+use crate::surface::point::SurfacePoint;
+use crate::surface::sdf::SdfGrid;
+use crate::view::pixel::{ViewRay, Window};
+use bevy_ecs::prelude::{Query, Res, ResMut, Resource};
+use glam::{UVec3, Vec3};
+use rayon::prelude::*;
+
+/// How the shape moves.
+#[derive(Resource, Clone, Copy, Debug, PartialEq)]
+pub struct ShapeSchedule {
+    /// Steps of the fit.
+    pub steps: u32,
+    /// Steps before the shape begins to move.
+    pub hold: u32,
+    /// Root-mean-square step of a value at the first and the last step, in cells.
+    pub rates: (f32, f32),
+    /// Weight of the silhouettes' loss beside the images'.
+    pub silhouette: f32,
+    /// Silhouette rays a step.
+    pub silhouette_batch: usize,
+    /// Weight of the squared Laplacian of the field.
+    pub smoothness: f32,
+    /// Rounds of averaging the gradient over neighbours.
+    pub blur: u32,
+    /// Steps from one redistancing to the next.
+    pub redistance_every: u32,
+}
+
+impl ShapeSchedule {
+    /// Part of the moving steps that is done, in [0, 1]; `None` while the shape is held.
+    fn progress(&self, step: u32) -> Option<f32> {
+        let moving = self.steps.saturating_sub(self.hold).max(1) as f32;
+        (step > self.hold).then(|| (step - self.hold) as f32 / moving)
+    }
+}
+
+/// Trace: finds the window's surface points on the field as it is now.
+pub fn retrace_window(
+    window: Res<Window>,
+    field: Res<SdfField>,
+    mut samples: Query<(&ViewRay, &mut SurfacePoint)>,
+) -> SystemResult {
+    let Some((rays, mut points)) = only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")? else {
+        return Ok(());
+    };
+    let rows = window.0.clone();
+    let points = &mut points.bypass_change_detection()[rows.clone()];
+    points.par_iter_mut().zip(&rays[rows]).with_min_len(256).for_each(|(point, ray)| {
+        let hit = field.surface.intersect(&ray.0, 0.0);
+        *point = hit.filter(|hit| hit.normal.dot(ray.0.direction) < 0.0).into();
+    });
+    Ok(())
+}
+
+/// Gradient: the samples' normal and albedo adjoints, as adjoints of the field.
+pub fn pull_back_to_field(
+    window: Res<Window>,
+    (rates, schedule): (Res<StepRates>, Res<ShapeSchedule>),
+    samples: Query<(&SurfacePoint, &ViewRay, &PointAdjoint)>,
+    texels: Query<&DiffuseAlbedo>,
+    mut field: ResMut<SdfField>,
+) -> SystemResult {
+    if schedule.progress(rates.step).is_none() {
+        return Ok(());
+    }
+    let texels = only_table(texels.contiguous_iter()?, |t| t.len(), "texel")?.unwrap_or_default();
+    let Some((points, rays, back)) = only_table(samples.contiguous_iter()?, |t| t.0.len(), "pixel")? else {
+        return Ok(());
+    };
+    let rows = window.0.clone();
+    let SdfField { surface, adjoint, .. } = &mut *field;
+    for ((point, ray), back) in points[rows.clone()].iter().zip(&rays[rows.clone()]).zip(&back[rows]) {
+        if point.is_hit() {
+            adjoint.add_normal(&surface.grid, point.position, back.normal.into());
+            let along = Vec3::from(back.albedo);
+            let value = |row: u32| texels[row as usize].0.dot(along);
+            let slope = surface.volume.slope(point.position, &point.texels, value);
+            adjoint.add_position(&surface.grid, point.position, ray.0.direction, slope);
+        }
+    }
+    Ok(())
+}
+
+/// Gradient: the silhouettes' loss, as an adjoint of the field.
+pub fn pull_back_silhouettes(
+    (rates, schedule): (Res<StepRates>, Res<ShapeSchedule>),
+    samples: Query<&SilhouetteSample>,
+    mut field: ResMut<SdfField>,
+) -> SystemResult {
+    let Some(progress) = schedule.progress(rates.step) else { return Ok(()) };
+    let Some(samples) = only_table(samples.contiguous_iter()?, |t| t.len(), "silhouette")? else {
+        return Ok(());
+    };
+    let batch = schedule.silhouette_batch.clamp(1, samples.len());
+    let start = (rates.step as usize - 1) % samples.len().div_ceil(batch) * batch;
+    let samples = &samples[start..(start + batch).min(samples.len())];
+    // From four pixels wide to one: first the way is shown, then the place.
+    let width = 4.0 - 3.0 * progress;
+    let SdfField { surface, adjoint, .. } = &mut *field;
+    add_silhouettes(&surface.grid, samples, width, schedule.silhouette, adjoint);
+    Ok(())
+}
+
+/// Gradient: hands each brick its share, with the smoothness term, blurred; clears the adjoints.
+pub fn hand_out_to_bricks(
+    (rates, schedule): (Res<StepRates>, Res<ShapeSchedule>),
+    mut bricks: Query<(&BrickAt, &mut BrickGradient)>,
+    mut field: ResMut<SdfField>,
+) -> SystemResult {
+    if schedule.progress(rates.step).is_none() {
+        return Ok(());
+    }
+    let Some((at, mut gradients)) = only_table(bricks.contiguous_iter_mut()?, |t| t.0.len(), "brick")? else {
+        return Ok(());
+    };
+    let gradients = gradients.bypass_change_detection();
+    let SdfField { surface, adjoint, scratch, .. } = &mut *field;
+    let grid = &surface.grid;
+    let reach = BAND_CELLS * grid.spacing;
+    // The squared Laplacian's gradient is a Laplacian of the Laplacian, which the scratch holds.
+    fill(grid, at, gradients, |vertex, i| {
+        if grid.values[i].abs() < reach { laplacian(grid, vertex, &grid.values) } else { 0.0 }
+    });
+    copy_out(grid, at, gradients, scratch);
+    fill(grid, at, gradients, |vertex, i| {
+        if grid.values[i].abs() >= reach {
+            return 0.0;
+        }
+        let smooth = laplacian(grid, vertex, scratch) * (schedule.smoothness / (grid.spacing * grid.spacing));
+        adjoint.of_vertex(grid, vertex) + smooth
+    });
+    for _ in 0..schedule.blur {
+        copy_out(grid, at, gradients, scratch);
+        fill(grid, at, gradients, |vertex, i| {
+            if grid.values[i].abs() >= reach {
+                0.0
+            } else {
+                scratch[i] + 0.5 * laplacian(grid, vertex, scratch)
+            }
+        });
+    }
+    for brick in at {
+        for (_, vertex) in vertices_of(grid, *brick) {
+            let i = grid.index(vertex);
+            adjoint.value[i] = 0.0;
+            adjoint.gradient[i] = Vec3::ZERO;
+        }
+    }
+    Ok(())
+}
+
+/// The mean of a vertex's six neighbours less its own value; 0 at the border.
+#[inline]
+fn laplacian(grid: &SdfGrid, vertex: UVec3, values: &[f32]) -> f32 {
+    if vertex.min_element() == 0 || vertex.max_element() + 1 >= grid.side {
+        return 0.0;
+    }
+    let (i, side) = (grid.index(vertex), grid.side as usize);
+    let around = values[i - 1] + values[i + 1] + values[i - side] + values[i + side];
+    (around + values[i - side * side] + values[i + side * side]) / 6.0 - values[i]
+}
+
+fn fill(
+    grid: &SdfGrid,
+    at: &[BrickAt],
+    gradients: &mut [BrickGradient],
+    value: impl Fn(UVec3, usize) -> f32 + Sync,
+) {
+    gradients.par_iter_mut().zip(at).with_min_len(8).for_each(|(gradient, at)| {
+        for (k, vertex) in vertices_of(grid, *at) {
+            gradient.0[k] = value(vertex, grid.index(vertex));
+        }
+    });
+}
+
+fn copy_out(grid: &SdfGrid, at: &[BrickAt], gradients: &[BrickGradient], dense: &mut [f32]) {
+    for (brick, gradient) in at.iter().zip(gradients) {
+        for (k, vertex) in vertices_of(grid, *brick) {
+            dense[grid.index(vertex)] = gradient.0[k];
+        }
+    }
+}
+
+/// Share of the old running means that stays at a step.
+const MEAN_DECAY: f32 = 0.9;
+const SQUARE_DECAY: f32 = 0.99;
+/// Most a value moves in a step, in cells.
+const STEP_LIMIT: f32 = 0.25;
+
+/// Update: momentum steps of one common scale, so that smooth gradients give smooth steps; redistances now and then.
+pub fn move_bricks(
+    (rates, schedule): (Res<StepRates>, Res<ShapeSchedule>),
+    mut bricks: Query<(&BrickAt, &BrickGradient, &mut BrickMoments, &mut BrickValues)>,
+    mut field: ResMut<SdfField>,
+) -> SystemResult {
+    let Some(progress) = schedule.progress(rates.step) else { return Ok(()) };
+    let Some((at, gradients, mut moments, mut values)) =
+        only_table(bricks.contiguous_iter_mut()?, |t| t.0.len(), "brick")?
+    else {
+        return Ok(());
+    };
+    let (moments, values) = (moments.bypass_change_detection(), values.bypass_change_detection());
+    let mean_square = mean_square(gradients);
+    let count = rates.step - schedule.hold;
+    field.mean_square = SQUARE_DECAY * field.mean_square + (1.0 - SQUARE_DECAY) * mean_square;
+    let rms = (field.mean_square / (1.0 - SQUARE_DECAY.powi(count as i32))).sqrt().max(1e-20);
+    let (first, last) = schedule.rates;
+    let h = field.surface.grid.spacing;
+    let scale = first * (last / first).powf(progress) * h / rms;
+    let columns = values.par_iter_mut().zip(moments.par_iter_mut()).zip(gradients).with_min_len(16);
+    columns.for_each(|((values, moments), gradient)| {
+        for ((value, mean), g) in values.0.iter_mut().zip(&mut moments.0).zip(&gradient.0) {
+            *mean = MEAN_DECAY * *mean + (1.0 - MEAN_DECAY) * g;
+            *value -= (scale * *mean).clamp(-STEP_LIMIT * h, STEP_LIMIT * h);
+        }
+    });
+    let grid = &mut field.surface.grid;
+    for (brick, values) in at.iter().zip(values.iter()) {
+        for (k, vertex) in vertices_of(grid, *brick) {
+            let i = grid.index(vertex);
+            grid.values[i] = values.0[k];
+        }
+    }
+    if count % schedule.redistance_every == 0 {
+        grid.redistance();
+        values.par_iter_mut().zip(at).for_each(|(values, at)| *values = BrickValues::of(grid, *at));
+    }
+    Ok(())
+}
+
+/// Mean square of the entries that are not zero.
+fn mean_square(gradients: &[BrickGradient]) -> f32 {
+    let (mut sum, mut count) = (0.0f64, 0u64);
+    for g in gradients.iter().flat_map(|brick| &brick.0).filter(|g| **g != 0.0) {
+        sum += f64::from(g * g);
+        count += 1;
+    }
+    (sum / count.max(1) as f64) as f32
+}
