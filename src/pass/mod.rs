@@ -175,12 +175,13 @@ fn read_views(scene: &Scene, progress: &Progress) -> Result<Vec<ViewRecord>> {
                 pixel_center: spec.pixel_center,
                 downscale: spec.downscale,
                 every: spec.every,
+                hold_out: spec.hold_out,
                 select: (!spec.select.is_empty()).then(|| spec.select.clone()),
                 up: scene.up,
             };
             let mut views = Vec::new();
             for split in [Split::Train, Split::Test] {
-                if !needs(scene, split) && !has_split(&spec.path, split, spec.layout)? {
+                if !needs(scene, split) && !has_split(&spec.path, split, &options)? {
                     continue;
                 }
                 let part = read_dataset(&spec.path, split, &options)?;

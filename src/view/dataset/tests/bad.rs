@@ -13,7 +13,7 @@ fn unrecognised_folders_say_what_was_looked_for() {
     let set = PhySg::new(1);
     assert_says(&read(&set.path("train")), &["give the folder above"]);
     fs::write(set.path("transforms_test.json"), "{}").unwrap();
-    assert_says(&input_error(set.read()), &["both layouts", "layout: PhySg"]);
+    assert_says(&input_error(set.read()), &["several layouts: PhySg, Nerf", "layout: PhySg"]);
     let told = DatasetOptions { layout: Layout::PhySg, ..DatasetOptions::default() };
     assert_eq!(set.read_with(&told).unwrap().layout, Layout::PhySg);
 }
