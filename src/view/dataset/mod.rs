@@ -197,6 +197,7 @@ pub fn read_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
             if options.hold_out == 0 { "Give `hold_out: 8`, if the data has no test split." } else { "" };
         return Err(Error::input(dir, "", problem, help));
     }
+    refuse_far_away(&wanted)?;
     let (views, mut notes) = load::load_views(&wanted, split, options)?;
     notes.splice(0..0, plan.notes);
     Ok(Dataset { views, layout, notes })
@@ -231,6 +232,25 @@ fn absent_split(dir: &Path, split: Split, camera_file: fn(&Path, Split) -> PathB
         "There is no split of this layout at all.".to_owned()
     };
     Error::input(camera_file(dir, split), "", problem, help)
+}
+
+/// Positions are `f32`: cameras thousands of times farther from the origin than from one another would be rounded to
+/// their neighbours' pixels.
+fn refuse_far_away(plans: &[ViewPlan]) -> Result<()> {
+    const FARTHEST: f32 = 4000.0;
+    let positions = || plans.iter().map(|plan| Vec3::from(plan.world_from_camera.translation));
+    let low = positions().fold(Vec3::INFINITY, Vec3::min);
+    let high = positions().fold(Vec3::NEG_INFINITY, Vec3::max);
+    let (extent, middle) = (low.distance(high), low.midpoint(high));
+    if extent == 0.0 || middle.length() <= FARTHEST * extent {
+        return Ok(());
+    }
+    let problem = format!(
+        "the cameras are {:.0} times farther from the origin than from one another: too far to be exact",
+        middle.length() / extent
+    );
+    let help = format!("Subtract ({:.0}, {:.0}, {:.0}) from all positions.", middle.x, middle.y, middle.z);
+    Err(Error::input(&plans[0].camera_file, "", problem, help))
 }
 
 /// Plans come sorted by name.

@@ -162,6 +162,16 @@ fn malformed_json_gives_line_and_column() {
 }
 
 #[test]
+fn cameras_too_far_from_the_origin_are_refused() {
+    let mut set = Nerf::new(2);
+    for i in 0..2 {
+        set.json["frames"][i]["transform_matrix"][0][3] = json!(500_000.0 + 3.0 * i as f64);
+    }
+    set.write();
+    assert_says(&input_error(set.read()), &["times farther from the origin", "Subtract (50000"]);
+}
+
+#[test]
 fn duplicate_frames_are_refused() {
     let set = PhySg::new(1);
     let camera = physg_camera();
