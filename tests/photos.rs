@@ -2,15 +2,17 @@
 
 mod common;
 
-use common::{Data, SIZE, files_below, save_png};
+use common::{Data, SIZE, files_below, save_png, write_image};
 use glam::Vec3;
 use image::{DynamicImage, GrayImage, Luma};
 use lobelia::surface::gltf_import::read_mesh_with_report;
+use lobelia::view::exr_io::read_exr_layers;
 use serde_json::{Value, json};
+use std::path::Path;
 
 const SCENE: &str = r#"Scene(
     version: 1,
-    surface: Unknown(cells: 32, texture_size: 64),
+    surface: Unknown(cells: 32, texture_size: 256),
     views: Dataset(path: "$DATA"),
     light: Unknown(lobes: 12),
     passes: [
@@ -30,11 +32,53 @@ struct Found {
     high: Vec3,
 }
 
+/// Black pixels added on every side of the photographs, so that no frame cuts close to the object.
+const MARGIN: u32 = 6;
+const WIDE: u32 = SIZE + 2 * MARGIN;
+
+/// The usual data with wider frames.
+fn photographs() -> Data {
+    let data = Data::new();
+    for split in ["train", "test"] {
+        let path = data.path(split).join("cam_dict_norm.json");
+        let mut cameras: Value = serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();
+        for (name, camera) in cameras.as_object_mut().unwrap() {
+            for i in [2, 6] {
+                camera["K"][i] = json!(camera["K"][i].as_f64().unwrap() + f64::from(MARGIN));
+            }
+            camera["img_size"] = json!([WIDE, WIDE]);
+            widen(&data.path(split), name);
+        }
+        std::fs::write(path, cameras.to_string()).unwrap();
+    }
+    data
+}
+
+/// Widens a photograph and its mask.
+fn widen(folder: &Path, name: &str) {
+    let image = folder.join("image").join(name);
+    let layers = read_exr_layers(&image).unwrap();
+    let mask_path = folder.join("mask").join(name.replace("exr", "png"));
+    let mask = image::open(&mask_path).unwrap().to_luma8();
+    let inner = |x: u32, y: u32| {
+        let (x, y) = (x.checked_sub(MARGIN)?, y.checked_sub(MARGIN)?);
+        (x < SIZE && y < SIZE).then_some((x, y))
+    };
+    let color = |i: u32| {
+        let at = inner(i % WIDE, i / WIDE).map(|(x, y)| (y * SIZE + x) as usize);
+        at.map_or(Vec3::ZERO, |at| Vec3::from(["R", "G", "B"].map(|name| layers.channels[name][at])))
+    };
+    write_image(&image, &(0..WIDE * WIDE).map(color).collect::<Vec<_>>(), WIDE as usize);
+    let wide =
+        GrayImage::from_fn(WIDE, WIDE, |x, y| inner(x, y).map_or(Luma([0]), |(x, y)| *mask.get_pixel(x, y)));
+    save_png(&mask_path, &DynamicImage::ImageLuma8(wide));
+}
+
 fn run(data: &Data) -> Found {
     data.run(SCENE, "out", &["--quiet"]).succeeded();
     let text = std::fs::read_to_string(data.path("out/metrics.json")).unwrap();
     let metrics: Value = serde_json::from_str(&text).unwrap();
-    let (low, high) = read_mesh_with_report(data.path("out/export/mesh.glb")).unwrap().0.bounds().unwrap();
+    let (low, high) = read_mesh_with_report(&data.path("out/export/mesh.glb")).unwrap().0.bounds().unwrap();
     let number = |value: &Value| value.as_f64().unwrap();
     Found { psnr: number(&metrics["passes"]["novel"]["psnr"]), iou: number(&metrics["mask_iou"]), low, high }
 }
@@ -58,12 +102,12 @@ fn transform(data: &Data, scale: f64, shift: [f64; 3]) {
 
 #[test]
 fn the_same_object_is_found_at_any_place_and_scale() {
-    let plain = run(&Data::new());
+    let plain = run(&photographs());
     assert!(plain.iou > 0.9 && plain.psnr > 20.0, "{} {}", plain.iou, plain.psnr);
     for (scale, shift) in
         [(1.0, [50.0, -20.0, 30.0]), (1000.0, [50.0, -20.0, 30.0]), (1e-3, [0.05, -0.02, 0.03])]
     {
-        let data = Data::new();
+        let data = photographs();
         transform(&data, scale, shift);
         let found = run(&data);
         let scores = format!("{scale}: {} {}, {} {}", plain.psnr, plain.iou, found.psnr, found.iou);
@@ -79,11 +123,11 @@ fn the_same_object_is_found_at_any_place_and_scale() {
 /// Writes the data set's training views as a COLMAP model, and runs that.
 #[test]
 fn a_colmap_folder_gives_the_same_object() {
-    let data = Data::new();
+    let data = photographs();
     let plain = run(&data);
     let cameras: Value =
         serde_json::from_slice(&std::fs::read(data.path("train/cam_dict_norm.json")).unwrap()).unwrap();
-    let colmap = Data::new();
+    let colmap = photographs();
     for split in ["train", "test"] {
         std::fs::remove_dir_all(colmap.path(split)).unwrap();
     }
@@ -103,7 +147,7 @@ fn a_colmap_folder_gives_the_same_object() {
     }
     std::fs::write(colmap.path("sparse/0/images.txt"), lines).unwrap();
     let k = &cameras.as_object().unwrap().values().next().unwrap()["K"];
-    let camera = format!("1 PINHOLE {SIZE} {SIZE} {} {} {} {}", k[0], k[5], k[2], k[6]);
+    let camera = format!("1 PINHOLE {WIDE} {WIDE} {} {} {} {}", k[0], k[5], k[2], k[6]);
     std::fs::write(colmap.path("sparse/0/cameras.txt"), camera).unwrap();
     let found = run(&colmap);
     // Other views are held out, and fewer are left to carve with.
@@ -114,7 +158,7 @@ fn a_colmap_folder_gives_the_same_object() {
 /// Expects exit code 2, one message with `words`, and nothing written.
 #[track_caller]
 fn refused(damage: impl FnOnce(&Data), words: &[&str]) {
-    let data = Data::new();
+    let data = photographs();
     damage(&data);
     let outcome = data.run(SCENE, "out", &["--quiet"]);
     assert_eq!(outcome.code, Some(2), "{}", outcome.stderr);
@@ -126,7 +170,7 @@ fn refused(damage: impl FnOnce(&Data), words: &[&str]) {
 
 #[test]
 fn views_that_give_no_shape_are_refused_early() {
-    let flat = |value: u8| DynamicImage::ImageLuma8(GrayImage::from_pixel(SIZE, SIZE, Luma([value])));
+    let flat = |value: u8| DynamicImage::ImageLuma8(GrayImage::from_pixel(WIDE, WIDE, Luma([value])));
     let mask = "train/mask/rgb_000001.png";
     refused(|data| save_png(&data.path(mask), &flat(255)), &["rgb_000001", "all white", "select"]);
     refused(|data| save_png(&data.path(mask), &flat(0)), &["rgb_000001", "empty", "select"]);
