@@ -144,7 +144,7 @@ fn images_of_text(file: &Path) -> Result<Vec<ModelImage>> {
     let mut images = Vec::new();
     for (number, line) in lines(&read_text(file)?) {
         let words: Vec<&str> = line.split_whitespace().collect();
-        if words.len() % 3 == 0 && words.iter().all(|word| word.parse::<f64>().is_ok()) {
+        if words.len().is_multiple_of(3) && words.iter().all(|word| word.parse::<f64>().is_ok()) {
             continue;
         }
         let wrong = |problem: String| {
