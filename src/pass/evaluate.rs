@@ -7,7 +7,7 @@ use super::render::{ChosenView, chosen_views};
 use crate::error::{Error, Result};
 use crate::report::exr_file::{Frame, read_frame};
 use crate::report::heat::{factor_for, heat_map};
-use crate::report::metrics::{Pair, albedo_psnr, erode, mean_normal_angle_degrees};
+use crate::report::metrics::{Pair, albedo_psnr, coverage_iou, erode, mean, mean_normal_angle_degrees};
 use crate::report::scores::{EvalView, PassScores, Scaling, score_views};
 use crate::report::sheet::{Sheet, SheetCell, SheetRow, Theme, choose_evenly, write_sheet};
 use crate::report::tone::{Backdrop, Look, Picture};
@@ -28,6 +28,8 @@ struct ScoredView {
     albedo: Vec<Vec3>,
     normal: Vec<Vec3>,
     coverage: Vec<f32>,
+    /// Of the object as rendered with the view's mask, if it has one.
+    mask_iou: Option<f64>,
 }
 
 /// Runs the pass.
@@ -36,8 +38,12 @@ struct ScoredView {
 /// If a prediction or a truth is missing or does not fit.
 pub fn run(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
     let mut rows = Vec::new();
-    for score in &pass.scores {
+    for (i, score) in pass.scores.iter().enumerate() {
         let views = scored_views(session, score)?;
+        if i == 0 {
+            session.scores.mask_iou =
+                mean(&views.iter().filter_map(|view| view.mask_iou).collect::<Vec<_>>());
+        }
         let scores = score_views(views.len(), scaling(score.scale), |i| Ok(&views[i].eval))?;
         rows.push(sheet_row(&score.pass, &views, &scores)?);
         session.scores.passes.insert(score.pass.clone(), scores);
@@ -88,6 +94,7 @@ fn scored_view(session: &mut Session, pass: &str, view: &ChosenView, truth: Vec<
     let frame = read_frame(session.folder(pass).join(format!("{}.exr", view.stem)))?;
     let mask = session.pipeline.world.get::<ViewMask>(view.entity);
     let coverage = mask.map_or_else(|| frame.alpha.clone(), |mask| mask.0.coverage.clone());
+    let mask_iou = mask.and_then(|mask| coverage_iou(&frame.alpha, &mask.0.coverage));
     let size = [frame.width, frame.height];
     if truth.len() != frame.color.len() || coverage.len() != frame.color.len() {
         return Err(Error::run(
@@ -105,7 +112,8 @@ fn scored_view(session: &mut Session, pass: &str, view: &ChosenView, truth: Vec<
         specular: frame.specular,
         truth,
     };
-    Ok(ScoredView { eval, camera: view.camera, albedo: frame.albedo, normal: frame.normal, coverage })
+    let (camera, albedo, normal) = (view.camera, frame.albedo, frame.normal);
+    Ok(ScoredView { eval, camera, albedo, normal, coverage, mask_iou })
 }
 
 fn scaling(rule: ScaleRule) -> Scaling {

@@ -30,12 +30,13 @@ use crate::report::scores::Scores;
 use crate::scene::load::{LoadedScene, RunOptions};
 use crate::scene::pass_types::{EditPass, Pass, RelightPass, RenderPass, ViewChoice};
 use crate::scene::spawn::{LoadedLight, load_light, make_surface, spawn};
-use crate::scene::types::{CameraSpec, Light, Scene, Views};
+use crate::scene::types::{CameraSpec, Light, Scene, Surface as SurfaceSpec, Views};
 use crate::shade::frame::FramePlugin;
 use crate::stage::Pipeline;
 use crate::surface::Surface;
 use crate::view::camera::Camera;
 use crate::view::dataset::{DatasetOptions, has_split, read_dataset};
+use crate::view::mask_check::check_masks;
 use crate::view::{Split, ViewRecord};
 use photograph::TrueObject;
 use progress::Progress;
@@ -153,6 +154,10 @@ pub fn check_interrupted() -> Result<()> {
 fn open<'a>(scene: &'a Scene, options: &RunOptions) -> Result<Session<'a>> {
     let progress = Progress::new(options.quiet);
     let mut views = read_views(scene, &progress)?;
+    if matches!(scene.surface, SurfaceSpec::Unknown { .. }) {
+        let train: Vec<&ViewRecord> = views.iter().filter(|view| view.split == Split::Train).collect();
+        check_masks(&train)?.iter().for_each(|note| progress.note(note));
+    }
     let (surface, notes) = make_surface(&scene.surface, &views)?;
     notes.iter().for_each(|note| progress.note(note));
     let surface = Arc::new(surface);
@@ -190,12 +195,13 @@ fn read_views(scene: &Scene, progress: &Progress) -> Result<Vec<ViewRecord>> {
                 pixel_center: spec.pixel_center,
                 downscale: spec.downscale,
                 every: spec.every,
+                hold_out: spec.hold_out,
                 select: (!spec.select.is_empty()).then(|| spec.select.clone()),
                 up: scene.up,
             };
             let mut views = Vec::new();
             for split in [Split::Train, Split::Test] {
-                if !needs(scene, split) && !has_split(&spec.path, split, spec.layout)? {
+                if !needs(scene, split) && !has_split(&spec.path, split, &options)? {
                     continue;
                 }
                 let part = read_dataset(&spec.path, split, &options)?;
@@ -238,7 +244,7 @@ fn check_cameras(views: &[ViewRecord], surface: &Surface) -> Result<()> {
                     "the camera of view {} is inside the object, at ({:.3}, {:.3}, {:.3})",
                     view.name, at.x, at.y, at.z
                 ),
-                "Do the cameras and the mesh share one coordinate system and unit? Else drop that view.",
+                "Do the cameras and the object share one coordinate system and unit? Else drop that view.",
             ))
         }
     }

@@ -112,6 +112,14 @@ pub fn psnr_of_mse(mse: f64) -> f64 {
     if mse > 0.0 { (-10.0 * mse.log10()).min(PSNR_CAP_DB) } else { PSNR_CAP_DB }
 }
 
+/// Pixels at least half covered in both, over those in either; `None` if there are none in either.
+pub fn coverage_iou(a: &[f32], b: &[f32]) -> Option<f64> {
+    let covered = || a.iter().zip(b).map(|(a, b)| (*a >= 0.5, *b >= 0.5));
+    let both = covered().filter(|(a, b)| *a && *b).count();
+    let either = covered().filter(|(a, b)| *a || *b).count();
+    (either > 0).then(|| both as f64 / either as f64)
+}
+
 /// Arithmetic mean; `None` of nothing.
 pub fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
@@ -299,6 +307,12 @@ mod tests {
 
     fn pair<'a>(prediction: &'a [Vec3], truth: &'a [Vec3], mask: &'a [bool]) -> Pair<'a> {
         Pair::new([2, 2], prediction, truth, mask).unwrap()
+    }
+
+    #[test]
+    fn overlap_is_counted_from_half_coverage_on() {
+        assert_eq!(coverage_iou(&[1.0, 0.6, 0.4, 0.0], &[1.0, 0.2, 0.5, 0.1]), Some(1.0 / 3.0));
+        assert_eq!(coverage_iou(&[0.1], &[0.0]), None);
     }
 
     #[test]

@@ -96,6 +96,9 @@ pub struct Scores {
     pub albedo_psnr: Option<f64>,
     /// Mean angle between normals, degrees; `null` if there are no true normals.
     pub normal_deg: Option<f64>,
+    /// Mean over the views of the first scored pass: pixels in both the view's mask and the object as rendered, over pixels in
+    /// either; `null` if no view has a mask.
+    pub mask_iou: Option<f64>,
     /// Time of all fits, seconds.
     pub fit_secs: Option<f64>,
     /// Largest resident memory of the process so far, MiB.
@@ -221,6 +224,7 @@ impl Scores {
         let rest: Vec<String> = [
             self.albedo_psnr.map(|v| format!("albedo {v:.2} dB")),
             self.normal_deg.map(|v| format!("normals {v:.2}°")),
+            self.mask_iou.map(|v| format!("mask IoU {v:.4}")),
             self.fit_secs.map(|v| format!("fit {v:.1} s")),
             self.peak_rss_mib.map(|v| format!("peak memory {v:.0} MiB")),
         ]

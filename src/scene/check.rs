@@ -183,6 +183,8 @@ fn dataset(checks: &mut Checks, dataset: &Dataset) {
     checks.number("views.pixel_center", dataset.pixel_center, 0.0..=1.0);
     checks.count("views.downscale", dataset.downscale, 1..=1024);
     checks.count("views.every", dataset.every, 1..=u32::MAX);
+    let expected = "0, for no test split, or a whole number from 2";
+    checks.require(dataset.hold_out != 1, "views.hold_out", dataset.hold_out, expected);
     if let Gamma::Power(exponent) = dataset.gamma {
         let ok = exponent > 0.0 && exponent <= 5.0;
         checks.require(ok, "views.gamma", exponent, "an exponent above 0, at most 5");

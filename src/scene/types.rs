@@ -124,6 +124,10 @@ pub struct Dataset {
     /// Keep every n-th view of each split, n ≥ 1, starting with the first. Default 1.
     #[serde(default = "one_u32")]
     pub every: u32,
+    /// Where the data has no test split of its own (COLMAP), every n-th view by name is one of it, n ≥ 2, starting with the
+    /// first; 0: there is none. Default 8.
+    #[serde(default = "held_out")]
+    pub hold_out: u32,
     /// Keep only the views with these names (image file stems); empty: all. Default [].
     #[serde(default)]
     pub select: Vec<String>,
@@ -432,6 +436,9 @@ fn yes() -> bool {
 }
 fn one_u32() -> u32 {
     1
+}
+fn held_out() -> u32 {
+    8
 }
 fn unknown_cells() -> u32 {
     128

@@ -7,7 +7,8 @@
 //! | [`camera`] | the pinhole camera, projection, looking at a point, orbits |
 //! | [`image_io`] | PNG, JPEG, EXR and HDR files to linear images and masks |
 //! | [`dataset`] | folders of posed photographs to [`ViewRecord`]s |
-//! | [`raster`] | box filtering, mask erosion |
+//! | [`mask_check`] | whether cameras and masks can give a shape |
+//! | [`raster`] | box filtering, bilinear look-up, mask erosion |
 //! | [`nearby`] | natural name order, and help for wrong names |
 //!
 //! The parameters are those of [`dataset::DatasetOptions`] (table in [`dataset`]) and [`Orbit`]:
@@ -27,6 +28,7 @@ pub mod camera;
 pub mod dataset;
 pub mod exr_io;
 pub mod image_io;
+pub mod mask_check;
 pub mod nearby;
 pub mod pixel;
 pub mod raster;

@@ -74,6 +74,27 @@ fn blocks(width: u32, height: u32, factor: u32) -> impl Iterator<Item = impl Ite
     })
 }
 
+/// A pixel's row, and its weight in a sum.
+pub type Tap = (usize, f32);
+
+/// The four pixels around a position, with bilinear weights; (0, 0) is the centre of the first pixel. Positions outside
+/// are taken to the border.
+pub fn bilinear(width: u32, height: u32, x: f32, y: f32) -> [Tap; 4] {
+    let split = |at: f32, count: u32| {
+        let at = at.clamp(0.0, count.saturating_sub(1) as f32);
+        let first = at as usize;
+        (first, (first + 1).min(count.saturating_sub(1) as usize), at - first as f32)
+    };
+    let ((x0, x1, tx), (y0, y1, ty)) = (split(x, width), split(y, height));
+    let width = width as usize;
+    [
+        (y0 * width + x0, (1.0 - tx) * (1.0 - ty)),
+        (y0 * width + x1, tx * (1.0 - ty)),
+        (y1 * width + x0, (1.0 - tx) * ty),
+        (y1 * width + x1, tx * ty),
+    ]
+}
+
 /// Erodes the `count` flags at `start`, `start + stride`, … by `radius`, counting runs of set flags.
 fn erode_line(
     source: &[bool],
@@ -129,6 +150,17 @@ mod tests {
         assert_eq!(mask.eroded(u32::MAX).coverage.iter().sum::<f32>(), 0.0);
         assert_eq!(mask.eroded(0), mask);
         assert_eq!(Mask::default().eroded(1), Mask::default());
+    }
+
+    #[test]
+    fn bilinear_weights_are_exact_for_planes() {
+        let plane = |x: f32, y: f32| 2.0 * x - 3.0 * y + 1.0;
+        let values: Vec<f32> = (0..35).map(|i| plane((i % 7) as f32, (i / 7) as f32)).collect();
+        let at = |x: f32, y: f32| bilinear(7, 5, x, y).iter().map(|tap| values[tap.0] * tap.1).sum::<f32>();
+        for (x, y) in [(0.0, 0.0), (6.0, 4.0), (2.25, 3.5), (5.9, 0.1)] {
+            assert!((at(x, y) - plane(x, y)).abs() < 1e-5);
+        }
+        assert_eq!((at(-3.0, 9.0), at(f32::NAN, 0.0).is_nan()), (plane(0.0, 4.0), true));
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! Intrinsic parameters as camera files state them, and what they come to for an image of a known size.
 
+use super::distortion::Distortion;
 use crate::view::Camera;
 use glam::Affine3A;
 
@@ -24,6 +25,10 @@ pub(super) struct Lens {
     pub center: [Option<f64>; 2],
     /// In pixels.
     pub skew: f64,
+    /// What bends the rays besides; [`Lens::camera`] is the pinhole without it.
+    pub distortion: Distortion,
+    /// Whether `size` only says what the numbers are counted in: an image of another size is the same picture, shrunk.
+    pub resizable: bool,
 }
 
 impl Lens {
@@ -54,7 +59,31 @@ impl Lens {
             focal_y: Some(Focal::Pixels(value(1, 1))),
             center: [Some(value(0, 2)), Some(value(1, 2))],
             skew: value(0, 1),
+            distortion: Distortion::NONE,
+            resizable: false,
         })
+    }
+
+    /// The lens of the same picture shrunk to `size` pixels; as it is, if it may not be resized to that.
+    pub fn resized(&self, size: [u32; 2]) -> Self {
+        let (Some(stated), true) = (self.size, self.resizable) else { return *self };
+        let factor = f64::from(size[0]) / f64::from(stated[0]);
+        let wanted = [0, 1].map(|k| (f64::from(stated[k]) * factor).round() as u32);
+        if size != wanted {
+            return *self;
+        }
+        let scaled = |focal| match focal {
+            Focal::Pixels(pixels) => Focal::Pixels(pixels * factor),
+            Focal::Angle(angle) => Focal::Angle(angle),
+        };
+        Self {
+            size: Some(size),
+            focal_x: scaled(self.focal_x),
+            focal_y: self.focal_y.map(scaled),
+            center: self.center.map(|center| center.map(|pixels| pixels * factor)),
+            skew: self.skew * factor,
+            ..*self
+        }
     }
 
     /// The camera for an image of `size` pixels. `Err` says what is wrong, as a clause of its own.

@@ -1,5 +1,6 @@
 //! What the layouts share: reading JSON with good errors, finding files, and loading planned views.
 
+use super::distortion::{Distortion, Straightening};
 use super::{DatasetOptions, MaskPlan, ViewPlan};
 use crate::error::{Error, Result};
 use crate::view::image_io::{IMAGE_EXTENSIONS, LoadedImage, read_image, read_mask};
@@ -99,18 +100,17 @@ impl StemIndex {
 
     /// The file called `key`, or another image with its stem.
     pub fn find(&self, key: &str) -> Result<PathBuf> {
-        let exact = self.folder.join(key);
-        if exact.is_file() {
-            return Ok(exact);
-        }
-        self.files.get(&view_name(key)).cloned().ok_or_else(|| {
-            Error::input(
-                &exact,
-                "",
-                "the camera file names this view, but its image is missing (with any ending)",
-                missing_file_help(&exact),
-            )
+        let found = self.exact(key).or_else(|| self.files.get(&view_name(key)).cloned());
+        found.ok_or_else(|| {
+            let path = self.folder.join(key);
+            let problem = "the camera file names this view, but its image is missing (with any ending)";
+            Error::input(&path, "", problem, missing_file_help(&path))
         })
+    }
+
+    /// The file called `name`, if it is there.
+    pub fn exact(&self, name: &str) -> Option<PathBuf> {
+        Some(self.folder.join(name)).filter(|path| path.is_file())
     }
 
     pub fn stems(&self) -> impl Iterator<Item = &str> {
@@ -166,8 +166,8 @@ fn load_view(plan: &ViewPlan, split: Split, options: &DatasetOptions) -> Result<
     let wrong = |problem: String, help: &str| Error::input(&plan.camera_file, &plan.place, problem, help);
     let mut loaded = plan.image.as_ref().map(|path| read_image(path, options.gamma)).transpose()?;
     let size = image_size(plan, loaded.as_ref())?;
-    let camera = plan
-        .lens
+    let lens = plan.lens.resized(size);
+    let bent = lens
         .camera(size, plan.world_from_camera, options.pixel_center)
         .map_err(|problem| wrong(problem, "Mend the camera's intrinsics."))?;
     if options.downscale > size[0].min(size[1]) {
@@ -175,7 +175,9 @@ fn load_view(plan: &ViewPlan, split: Split, options: &DatasetOptions) -> Result<
             format!("downscale: {} leaves nothing of {}×{} pixels", options.downscale, size[0], size[1]);
         return Err(wrong(problem, "Use a smaller `downscale`."));
     }
-    let mask = load_mask(plan, loaded.as_ref(), &camera)?;
+    let mut mask = load_mask(plan, loaded.as_ref(), &bent)?;
+    let camera = straighten(lens.distortion, &bent, &mut loaded, &mut mask)
+        .map_err(|problem| wrong(problem, "Undistort the photographs first, or mend the coefficients."))?;
     let blackened = match (&mut loaded, &mask) {
         (Some(loaded), Some(mask)) if !loaded.is_float && loaded.alpha.is_none() => blacken(loaded, mask),
         _ => false,
@@ -191,6 +193,25 @@ fn load_view(plan: &ViewPlan, split: Split, options: &DatasetOptions) -> Result<
     Ok(LoadedView { record, repaired, blackened })
 }
 
+/// Resamples photograph and mask to a camera without distortion, which is returned.
+fn straighten(
+    distortion: Distortion,
+    bent: &Camera,
+    loaded: &mut Option<LoadedImage>,
+    mask: &mut Option<Mask>,
+) -> Result<Camera, String> {
+    if distortion == Distortion::NONE {
+        return Ok(*bent);
+    }
+    let way = Straightening::new(distortion, bent)?;
+    if let Some(loaded) = loaded {
+        loaded.image = way.image(&loaded.image);
+        loaded.saturated = way.flags(&loaded.saturated);
+    }
+    *mask = mask.as_ref().map(|mask| way.mask(mask));
+    Ok(way.camera)
+}
+
 fn photograph(loaded: LoadedImage, downscale: u32) -> Photograph {
     if downscale == 1 {
         return Photograph { image: loaded.image, saturated: loaded.saturated };
@@ -202,7 +223,7 @@ fn photograph(loaded: LoadedImage, downscale: u32) -> Photograph {
 /// Width and height from the image and the camera file, which must agree where both have them.
 fn image_size(plan: &ViewPlan, loaded: Option<&LoadedImage>) -> Result<[u32; 2]> {
     let of_image = loaded.map(|loaded| [loaded.image.width, loaded.image.height]);
-    match (of_image, plan.lens.size) {
+    match (of_image, of_image.map_or(plan.lens.size, |size| plan.lens.resized(size).size)) {
         (Some(image), Some(camera)) if image != camera => {
             let problem = format!(
                 "the image has {}×{} pixels, its camera {}×{}",

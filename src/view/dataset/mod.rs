@@ -1,8 +1,10 @@
 //! Data sets: folders of posed photographs, read into [`ViewRecord`]s.
 //!
-//! Two layouts are told apart by what is there:
+//! Layouts are told apart by what is there:
 //! - **PhySG** ([`physg`]): `DIR/{train,test}/{image,mask}/` and `DIR/{train,test}/cam_dict_norm.json`;
-//! - **NeRF/Blender** ([`nerf`]): `DIR/transforms_{train,test}.json` and the images it names.
+//! - **NeRF/Blender** ([`nerf`]): `DIR/transforms_{train,test}.json` and the images it names;
+//! - **COLMAP** ([`colmap`]): `DIR/sparse/0/{cameras,images}.{bin,txt}`, `DIR/images/`, `DIR/masks/`;
+//! - **DeepVoxels** ([`deepvoxels`]): `intrinsics.txt`, `pose/`, `rgb/`, in `DIR` or `DIR/{train,validation,test}`.
 //!
 //! | option | type | unit | default | meaning |
 //! | --- | --- | --- | --- | --- |
@@ -11,9 +13,15 @@
 //! | `pixel_center` | `f32` | pixels | 0.5 | offset of a pixel's centre from its index (0 for PhySG's own code) |
 //! | `downscale` | `u32` | | 1 | images are box-filtered to this many times fewer pixels each way |
 //! | `every` | `u32` | | 1 | only each so-manieth view of the split (or selection) is read |
+//! | `hold_out` | `u32` | | 8 | data without a test split: each so-manieth view by name is one of it; 0: none |
 //! | `select` | `Option<Vec<String>>` | | all | names of the views to read |
 //! | `up` | [`Vec3`] | | (0, 1, 0) | the data's up direction, for orbits; nothing is rotated |
 
+pub mod colmap;
+mod colmap_model;
+pub mod deepvoxels;
+mod distortion;
+mod layout;
 mod lens;
 mod load;
 pub mod nerf;
@@ -27,6 +35,8 @@ use super::nearby::{closest, natural_order};
 use super::{Split, ViewRecord};
 use crate::error::{Error, Result};
 use glam::{Affine3A, Vec3};
+use layout::find_layout;
+pub use layout::has_split;
 use lens::Lens;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -41,6 +51,10 @@ pub enum Layout {
     PhySg,
     /// NeRF's and Blender's: `transforms_{train,test}.json`.
     Nerf,
+    /// COLMAP's: `sparse/0`, `images` and `masks`.
+    Colmap,
+    /// DeepVoxels': `intrinsics.txt`, `pose` and `rgb`.
+    DeepVoxels,
 }
 
 /// What to read of a data set, and how; see the table at the top of this module.
@@ -57,6 +71,8 @@ pub struct DatasetOptions {
     pub downscale: u32,
     /// Only each so-manieth view is read, beginning with the first in natural name order, at least 1.
     pub every: u32,
+    /// Of data without a test split, each so-manieth view by name, beginning with the first, is its test split; 0: none is.
+    pub hold_out: u32,
     /// Names of the views to read (file stems); all if `None`. Applied before `every`.
     pub select: Option<Vec<String>>,
     /// The data's up direction, for orbits and the like; nothing is rotated. Need not have unit length.
@@ -71,6 +87,7 @@ impl Default for DatasetOptions {
             pixel_center: 0.5,
             downscale: 1,
             every: 1,
+            hold_out: 8,
             select: None,
             up: Vec3::Y,
         }
@@ -85,6 +102,12 @@ impl DatasetOptions {
         let wrong = |problem: String, help: &str| Err(Error::usage(problem, help));
         if self.downscale == 0 || self.every == 0 {
             return wrong("`downscale` and `every` are at least 1".into(), "Leave them out, or write 1.");
+        }
+        if self.hold_out == 1 {
+            return wrong(
+                "hold_out: 1 leaves no view to fit to".into(),
+                "Write 0 for no test split, or 2 and more.",
+            );
         }
         if !self.pixel_center.is_finite() {
             return wrong(
@@ -158,30 +181,35 @@ pub fn read_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
     let mut plan = match layout {
         Layout::PhySg => physg::plan(dir, split)?,
         Layout::Nerf | Layout::Auto => nerf::plan(dir, split)?,
+        Layout::Colmap => held_out(colmap::plan(dir)?, split, options.hold_out),
+        Layout::DeepVoxels => match deepvoxels::split_folder(dir, split) {
+            Some((folder, true)) => held_out(deepvoxels::plan(&folder)?, split, options.hold_out),
+            Some((folder, false)) => deepvoxels::plan(&folder)?,
+            None => return Err(deepvoxels::absent_split(dir, split)),
+        },
     };
     plan.views.sort_by(|a, b| natural_order(&a.name, &b.name));
     refuse_duplicates(&plan.views)?;
     let wanted = selected(plan.views, options)?;
     if wanted.is_empty() {
         let problem = format!("the {} split has no views", split_name(split));
-        return Err(Error::input(dir, "", problem, ""));
+        let help =
+            if options.hold_out == 0 { "Give `hold_out: 8`, if the data has no test split." } else { "" };
+        return Err(Error::input(dir, "", problem, help));
     }
+    refuse_far_away(&wanted)?;
     let (views, mut notes) = load::load_views(&wanted, split, options)?;
     notes.splice(0..0, plan.notes);
     Ok(Dataset { views, layout, notes })
 }
 
-/// Whether the data set in folder `dir` has this split at all.
-///
-/// # Errors
-/// [`Error::Input`] if the layout is not recognised.
-pub fn has_split(dir: impl AsRef<Path>, split: Split, layout: Layout) -> Result<bool> {
-    let dir = dir.as_ref();
-    let camera_file = match find_layout(dir, layout)? {
-        Layout::PhySg => physg::camera_file(dir, split),
-        Layout::Nerf | Layout::Auto => nerf::camera_file(dir, split),
-    };
-    Ok(camera_file.is_file())
+/// The part of all views, which come ordered by name, that belongs to a split.
+fn held_out(plan: Plan, split: Split, hold_out: u32) -> Plan {
+    let is_test = |i: usize| hold_out > 0 && i.is_multiple_of(hold_out as usize);
+    let views = plan.views.into_iter().enumerate();
+    let views = views.filter(|(i, _)| is_test(*i) == (split == Split::Test)).map(|(_, view)| view).collect();
+    // What is said of all views is said once, with the split that is always there.
+    Plan { views, notes: if split == Split::Train { plan.notes } else { Vec::new() } }
 }
 
 fn split_name(split: Split) -> &'static str {
@@ -189,39 +217,6 @@ fn split_name(split: Split) -> &'static str {
         Split::Train => "train",
         Split::Test => "test",
     }
-}
-
-fn find_layout(dir: &Path, asked: Layout) -> Result<Layout> {
-    if !dir.is_dir() {
-        let what = if dir.exists() { "this is a file, not a folder" } else { "there is no such folder" };
-        return Err(Error::input(dir, "", what, super::nearby::missing_file_help(dir)));
-    }
-    let any = |file: fn(&Path, Split) -> PathBuf| {
-        [Split::Train, Split::Test].into_iter().any(|split| file(dir, split).is_file())
-    };
-    match (asked, any(physg::camera_file), any(nerf::camera_file)) {
-        (Layout::Auto, true, true) => Err(Error::input(
-            dir,
-            "",
-            "the folder has both layouts, PhySG's and NeRF's",
-            "Say which one with `layout: PhySg` or `layout: Nerf`.",
-        )),
-        (Layout::Auto, false, false) => Err(unrecognised(dir)),
-        (Layout::Auto, true, false) => Ok(Layout::PhySg),
-        (Layout::Auto, false, true) => Ok(Layout::Nerf),
-        (asked, ..) => Ok(asked),
-    }
-}
-
-fn unrecognised(dir: &Path) -> Error {
-    let problem = "this is no data set: looked for train/cam_dict_norm.json and test/cam_dict_norm.json (PhySG's layout), \
-                   transforms_train.json and transforms_test.json (NeRF's layout)";
-    let help = if dir.join("cam_dict_norm.json").is_file() {
-        "This is one split; give the folder above it.".to_owned()
-    } else {
-        super::nearby::missing_file_help(&dir.join("transforms_train.json"))
-    };
-    Error::input(dir, "", problem, help)
 }
 
 /// The error for a split whose camera file is not there; says which split is.
@@ -237,6 +232,25 @@ fn absent_split(dir: &Path, split: Split, camera_file: fn(&Path, Split) -> PathB
         "There is no split of this layout at all.".to_owned()
     };
     Error::input(camera_file(dir, split), "", problem, help)
+}
+
+/// Positions are `f32`: cameras thousands of times farther from the origin than from one another would be rounded to
+/// their neighbours' pixels.
+fn refuse_far_away(plans: &[ViewPlan]) -> Result<()> {
+    const FARTHEST: f32 = 4000.0;
+    let positions = || plans.iter().map(|plan| Vec3::from(plan.world_from_camera.translation));
+    let low = positions().fold(Vec3::INFINITY, Vec3::min);
+    let high = positions().fold(Vec3::NEG_INFINITY, Vec3::max);
+    let (extent, middle) = (low.distance(high), low.midpoint(high));
+    if extent == 0.0 || middle.length() <= FARTHEST * extent {
+        return Ok(());
+    }
+    let problem = format!(
+        "the cameras are {:.0} times farther from the origin than from one another: too far to be exact",
+        middle.length() / extent
+    );
+    let help = format!("Subtract ({:.0}, {:.0}, {:.0}) from all positions.", middle.x, middle.y, middle.z);
+    Err(Error::input(&plans[0].camera_file, "", problem, help))
 }
 
 /// Plans come sorted by name.

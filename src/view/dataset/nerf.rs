@@ -6,6 +6,7 @@
 //! radians. Alpha is the mask, unless a frame has a `mask_path`. If neither the images nor their folders exist, the views
 //! are cameras only and `w`, `h` are needed.
 
+use super::distortion::Distortion;
 use super::lens::{Focal, Lens};
 use super::load::{find_image, parse_json, read_text, view_name};
 use super::pose::Rigid;
@@ -183,6 +184,8 @@ fn lens(own: &Intrinsics, shared: &Intrinsics) -> Result<Lens, String> {
         focal_y,
         center: [either(|i| i.cx), either(|i| i.cy)],
         skew: 0.0,
+        distortion: Distortion::NONE,
+        resizable: false,
     })
 }
 

@@ -1,6 +1,8 @@
 //! Tests of reading data sets, each on a tiny one made in a temporary folder.
 
 mod bad;
+mod colmap;
+mod deepvoxels;
 mod good;
 
 use super::*;

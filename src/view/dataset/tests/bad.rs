@@ -13,7 +13,7 @@ fn unrecognised_folders_say_what_was_looked_for() {
     let set = PhySg::new(1);
     assert_says(&read(&set.path("train")), &["give the folder above"]);
     fs::write(set.path("transforms_test.json"), "{}").unwrap();
-    assert_says(&input_error(set.read()), &["both layouts", "layout: PhySg"]);
+    assert_says(&input_error(set.read()), &["several layouts: PhySg, Nerf", "layout: PhySg"]);
     let told = DatasetOptions { layout: Layout::PhySg, ..DatasetOptions::default() };
     assert_eq!(set.read_with(&told).unwrap().layout, Layout::PhySg);
 }
@@ -159,6 +159,16 @@ fn malformed_json_gives_line_and_column() {
     assert_says(&input_error(nerf.read()), &["line 2, column", "missing field `transform_matrix`"]);
     fs::write(nerf.path("transforms_test.json"), "{\"camera_angle_x\": 1}").unwrap();
     assert_says(&input_error(nerf.read()), &["missing field `frames`"]);
+}
+
+#[test]
+fn cameras_too_far_from_the_origin_are_refused() {
+    let mut set = Nerf::new(2);
+    for i in 0..2 {
+        set.json["frames"][i]["transform_matrix"][0][3] = json!(500_000.0 + 3.0 * i as f64);
+    }
+    set.write();
+    assert_says(&input_error(set.read()), &["times farther from the origin", "Subtract (50000"]);
 }
 
 #[test]

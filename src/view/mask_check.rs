@@ -1,0 +1,293 @@
+//! Whether masks and cameras can give a shape: looked at before one is made of them, so that a bad view is named at once.
+//!
+//! The middles of the masks' boxes are looked through from their cameras; those rays nearly meet in one point of the object
+//! if cameras and masks belong together. The point is the least sum of distances, so a few wrong views do not move it.
+
+use super::{Camera, Mask, ViewRecord};
+use crate::error::{Error, Result};
+use glam::{DMat3, DVec3, Vec3};
+
+/// Views with masks that a shape needs.
+const MIN_VIEWS: usize = 3;
+/// Share of the views that may disagree with the others; what a visual hull forgives.
+const FORGIVEN: f64 = 0.02;
+/// Steps to the point of least distances (Weiszfeld 1937).
+const MEETING_STEPS: usize = 30;
+const SELECT_HELP: &str = "Mend the mask, or leave the view out with `select`.";
+
+/// A view's mask as a box in pixels, and the ray through its middle.
+struct Outline<'a> {
+    name: &'a str,
+    camera: &'a Camera,
+    /// First and one past the last covered pixel.
+    low: [f32; 2],
+    high: [f32; 2],
+    origin: DVec3,
+    direction: DVec3,
+}
+
+impl<'a> Outline<'a> {
+    /// `None` if the mask is empty.
+    fn new(name: &'a str, camera: &'a Camera, mask: &Mask) -> Option<Self> {
+        let (mut low, mut high) = ([f32::INFINITY; 2], [0.0f32; 2]);
+        for (i, _) in mask.coverage.iter().enumerate().filter(|(_, coverage)| **coverage >= 0.5) {
+            let at = [i as u32 % mask.width, i as u32 / mask.width];
+            for k in 0..2 {
+                low[k] = low[k].min(at[k] as f32);
+                high[k] = high[k].max(at[k] as f32 + 1.0);
+            }
+        }
+        let ray = camera.ray(0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]));
+        let (origin, direction) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
+        (high[0] > 0.0).then_some(Self { name, camera, low, high, origin, direction })
+    }
+
+    fn is_cut(&self) -> bool {
+        let size = [self.camera.width as f32, self.camera.height as f32];
+        (0..2).any(|k| self.low[k] == 0.0 || self.high[k] == size[k])
+    }
+
+    /// Half the lesser side of the box, as a length at the distance of `point`.
+    fn radius_at(&self, point: DVec3) -> f64 {
+        let halves = [0, 1].map(|k| 0.5 * (self.high[k] - self.low[k]) / self.camera.focal[k]);
+        f64::from(halves[0].min(halves[1])) * self.origin.distance(point)
+    }
+
+    /// How many sizes of the box `point` appears outside of it; infinity behind the camera, 0 outside the frame.
+    fn stray(&self, point: Vec3) -> f32 {
+        let Some((x, y, _)) = self.camera.project(point) else { return f32::INFINITY };
+        let (at, size) = ([x, y], [self.camera.width as f32, self.camera.height as f32]);
+        if (0..2).any(|k| at[k] < 0.0 || at[k] > size[k]) {
+            return 0.0;
+        }
+        let beyond = |k: usize| {
+            let outside = (self.low[k] - at[k]).max(at[k] - self.high[k]).max(0.0);
+            outside / (self.high[k] - self.low[k] + 0.04 * size[k])
+        };
+        beyond(0).max(beyond(1))
+    }
+}
+
+/// Checks that the views' masks can give a shape; the notes name views that do not go with the others.
+///
+/// # Errors
+/// [`Error::Usage`] that names a view and a mend: fewer than three masks, a mask that is all covered, an object cut by every
+/// frame, views along one line, a camera inside the object, cameras that look away from it, or cameras and masks that do
+/// not belong together.
+pub fn check_masks(views: &[&ViewRecord]) -> Result<Vec<String>> {
+    let masks = || views.iter().filter_map(|view| Some((*view, view.mask.as_ref()?)));
+    if masks().count() < MIN_VIEWS {
+        return Err(too_few(views, masks().count()));
+    }
+    if let Some((view, _)) = masks().find(|(_, mask)| mask.coverage.iter().all(|c| *c >= 0.5)) {
+        let problem = format!("the mask of view `{}` is all white: it says nothing of the object", view.name);
+        return Err(Error::usage(problem, SELECT_HELP));
+    }
+    let outlines: Vec<Outline> =
+        masks().filter_map(|(view, mask)| Outline::new(&view.name, &view.camera, mask)).collect();
+    if let (Some(first), true) = (outlines.first(), outlines.iter().all(Outline::is_cut)) {
+        let problem = format!("every frame cuts the object (the first is view `{}`)", first.name);
+        let help =
+            "A shape needs views that hold all of the object: step back, or mask what does not belong to it.";
+        return Err(Error::usage(problem, help));
+    }
+    let meeting = meeting_point(&outlines).ok_or_else(|| {
+        let problem = "all views look along one line: there is no telling how far away the object is";
+        Error::usage(problem, "Add views from other sides.")
+    })?;
+    check_places(&outlines, meeting)?;
+    strangers(&outlines, meeting)
+}
+
+fn too_few(views: &[&ViewRecord], masks: usize) -> Error {
+    let without = views.iter().find(|view| view.mask.is_none());
+    let without = without.map_or(String::new(), |view| format!(" (view `{}` has none)", view.name));
+    let problem = format!("a shape needs at least three views with masks; there are {masks}{without}");
+    let help = "Give every photograph a mask, white where the object is, or alpha; or give the scene a mesh.";
+    Error::usage(problem, help)
+}
+
+/// The point with the least sum of distances to all rays; `None` if they are parallel.
+fn meeting_point(outlines: &[Outline]) -> Option<DVec3> {
+    let base = outlines.iter().map(|outline| outline.origin).sum::<DVec3>() / outlines.len() as f64;
+    let mut weights = vec![1.0; outlines.len()];
+    let mut point = DVec3::ZERO;
+    for _ in 0..MEETING_STEPS {
+        let (mut a, mut b) = (DMat3::ZERO, DVec3::ZERO);
+        for (outline, weight) in outlines.iter().zip(&weights) {
+            let d = outline.direction;
+            let across = (DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z)) * *weight;
+            a += across;
+            b += across * (outline.origin - base);
+        }
+        let total: f64 = weights.iter().sum();
+        point = a.inverse() * b;
+        let sound = a.determinant() > 1e-6 * total.powi(3) && point.is_finite();
+        if !sound {
+            return None;
+        }
+        let distances: Vec<f64> = outlines
+            .iter()
+            .map(|outline| outline.direction.cross(point - (outline.origin - base)).length())
+            .collect();
+        let floor = 1e-3 * distances.iter().sum::<f64>() / distances.len() as f64;
+        weights = distances.iter().map(|distance| 1.0 / distance.max(floor).max(f64::MIN_POSITIVE)).collect();
+        let largest = weights.iter().copied().fold(0.0, f64::max);
+        weights.iter_mut().for_each(|weight| *weight /= largest);
+    }
+    Some(base + point)
+}
+
+/// Cameras must look at the object, from outside.
+fn check_places(outlines: &[Outline], meeting: DVec3) -> Result<()> {
+    let behind: Vec<&Outline> =
+        outlines.iter().filter(|outline| outline.direction.dot(meeting - outline.origin) < 0.0).collect();
+    if let (Some(first), true) = (behind.first(), 2 * behind.len() > outlines.len()) {
+        let problem = format!(
+            "{} of {} cameras look away from where their views meet (the first is view `{}`)",
+            behind.len(),
+            outlines.len(),
+            first.name
+        );
+        let help = "Are the poses in another program's camera axes, or the inverse of what the layout wants?";
+        return Err(Error::usage(problem, help));
+    }
+    let mut radii: Vec<f64> = outlines.iter().map(|outline| outline.radius_at(meeting)).collect();
+    radii.sort_by(f64::total_cmp);
+    let radius = radii[radii.len() / 2];
+    match outlines.iter().find(|outline| outline.origin.distance(meeting) < 0.9 * radius) {
+        None => Ok(()),
+        Some(outline) => {
+            let problem = format!("the camera of view `{}` is inside the object", outline.name);
+            let at = outline.origin;
+            let help = format!(
+                "It is at ({:.3}, {:.3}, {:.3}), the object around ({:.3}, {:.3}, {:.3}): mend the pose, or leave the \
+                 view out with `select`.",
+                at.x, at.y, at.z, meeting.x, meeting.y, meeting.z
+            );
+            Err(Error::usage(problem, help))
+        }
+    }
+}
+
+/// Views in which the point that the others agree on lies far from the mask.
+fn strangers(outlines: &[Outline], meeting: DVec3) -> Result<Vec<String>> {
+    let point = meeting.as_vec3();
+    let far = outlines.iter().map(|outline| (outline.stray(point), outline.name)).filter(|far| far.0 > 0.5);
+    let mut far: Vec<(f32, &str)> = far.collect();
+    far.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(b.1)));
+    let Some(worst) = far.first() else { return Ok(Vec::new()) };
+    let (count, all, name) = (far.len(), outlines.len(), worst.1);
+    if count as f64 <= FORGIVEN * all as f64 {
+        let names: Vec<&str> = far.iter().map(|far| far.1).collect();
+        let names = names.join(", ");
+        return Ok(vec![format!(
+            "mask or camera of {names} disagrees with the other views; the shape ignores it"
+        )]);
+    }
+    let problem = format!(
+        "cameras and masks do not belong together: in {count} of {all} views the place where the others see the object \
+         is not in the mask; view `{name}` is farthest off"
+    );
+    Err(Error::usage(problem, "Mend that view's pose or mask, or leave it out with `select`."))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::light::fibonacci::fibonacci_axes;
+    use crate::view::Split;
+
+    const SIDE: u32 = 64;
+
+    /// Views of a ball of radius 1 around `center`, times `scale`.
+    fn ball(center: Vec3, scale: f32, count: usize) -> Vec<ViewRecord> {
+        let view = |(i, axis): (usize, Vec3)| {
+            let up = if axis.y.abs() > 0.9 { Vec3::X } else { Vec3::Y };
+            let camera = Camera::look_at((center + 4.0 * axis) * scale, center * scale, up, 40.0, SIDE, SIDE);
+            let name = format!("v{i}");
+            ViewRecord { name, split: Split::Train, camera: camera.unwrap(), photograph: None, mask: None }
+        };
+        let mut views: Vec<ViewRecord> = fibonacci_axes(count).into_iter().enumerate().map(view).collect();
+        views.iter_mut().for_each(|view| view.mask = Some(disc([32.0, 32.0], 22.0)));
+        views
+    }
+
+    fn disc(center: [f32; 2], radius: f32) -> Mask {
+        let covered = |i: u32| {
+            let (x, y) = ((i % SIDE) as f32 + 0.5 - center[0], (i / SIDE) as f32 + 0.5 - center[1]);
+            if x * x + y * y < radius * radius { 1.0 } else { 0.0 }
+        };
+        Mask { width: SIDE, height: SIDE, coverage: (0..SIDE * SIDE).map(covered).collect() }
+    }
+
+    fn check(views: &[ViewRecord]) -> Result<Vec<String>> {
+        check_masks(&views.iter().collect::<Vec<_>>())
+    }
+
+    #[track_caller]
+    fn refused(views: &[ViewRecord], words: &[&str]) {
+        let error = check(views).unwrap_err();
+        assert_eq!(error.exit_code(), 2);
+        let text = format!("{error} | {}", error.help().unwrap());
+        words.iter().for_each(|word| assert!(text.contains(word), "`{word}` is not in: {text}"));
+    }
+
+    #[test]
+    fn sound_views_pass_at_any_place_and_scale() {
+        for (center, scale) in
+            [(Vec3::ZERO, 1.0), (Vec3::new(50.0, -20.0, 30.0), 1000.0), (Vec3::splat(40.0), 1e-3)]
+        {
+            assert!(check(&ball(center, scale, 20)).unwrap().is_empty());
+        }
+    }
+
+    #[test]
+    fn masks_that_say_nothing_are_named() {
+        let mut views = ball(Vec3::ZERO, 1.0, 12);
+        views[5].mask.as_mut().unwrap().coverage.fill(1.0);
+        refused(&views, &["`v5`", "all white", "select"]);
+        refused(&views[..2], &["at least three views", "there are 2"]);
+        views.iter_mut().skip(2).for_each(|view| view.mask = None);
+        refused(&views, &["there are 2", "view `v2` has none", "white where the object is"]);
+    }
+
+    #[test]
+    fn an_object_cut_by_every_frame_is_refused() {
+        let mut views = ball(Vec3::ZERO, 1.0, 12);
+        views.iter_mut().for_each(|view| view.mask = Some(disc([32.0, 50.0], 22.0)));
+        refused(&views, &["every frame cuts", "`v0`", "step back"]);
+        views[3].mask = Some(disc([32.0, 32.0], 22.0));
+        assert!(!check(&views).is_err_and(|error| error.to_string().contains("cuts")));
+    }
+
+    #[test]
+    fn cameras_inside_the_object_are_named() {
+        let mut views = ball(Vec3::new(5.0, 0.0, 0.0), 1.0, 24);
+        views[7].camera.world_from_camera.translation = Vec3::new(5.3, 0.1, 0.0).into();
+        refused(&views, &["camera of view `v7` is inside the object", "select"]);
+    }
+
+    #[test]
+    fn cameras_in_other_axes_or_along_one_line_are_told() {
+        let mut views = ball(Vec3::ZERO, 1.0, 24);
+        for view in &mut views {
+            let rotation = &mut view.camera.world_from_camera.matrix3;
+            (rotation.y_axis, rotation.z_axis) = (-rotation.y_axis, -rotation.z_axis);
+        }
+        refused(&views, &["24 of 24 cameras look away", "camera axes"]);
+        let same: Vec<ViewRecord> = vec![views[0].clone(); 5];
+        refused(&same, &["along one line", "other sides"]);
+    }
+
+    #[test]
+    fn a_view_that_disagrees_is_named() {
+        let mut views = ball(Vec3::ZERO, 1.0, 24);
+        views[9].mask = Some(disc([8.0, 8.0], 5.0));
+        refused(&views, &["1 of 24 views", "view `v9` is farthest off"]);
+        let mut many = ball(Vec3::ZERO, 1.0, 60);
+        many[9].mask = Some(disc([8.0, 8.0], 5.0));
+        let notes = check(&many).unwrap();
+        assert!(notes.len() == 1 && notes[0].contains("of v9 disagrees"), "{notes:?}");
+    }
+}
