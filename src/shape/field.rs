@@ -56,30 +56,86 @@ pub fn bricks_near_surface(grid: &SdfGrid) -> Vec<BrickAt> {
     let bricks = grid.side.div_ceil(BRICK_SIDE);
     let reach = BAND_CELLS * grid.spacing;
     let near = |at: &BrickAt| {
-        vertices_of(grid, *at).any(|(_, vertex)| grid.values[grid.index(vertex)].abs() < reach)
+        at.runs(grid).any(|run| grid.values[run.rows()].iter().any(|value| value.abs() < reach))
     };
     let all = (0..bricks * bricks * bricks)
         .map(|i| BrickAt(BRICK_SIDE * UVec3::new(i % bricks, i / bricks % bricks, i / (bricks * bricks))));
     all.filter(near).collect()
 }
 
-/// The vertices of a brick that are in the grid, with their place in the brick.
-pub fn vertices_of(grid: &SdfGrid, at: BrickAt) -> impl Iterator<Item = (usize, UVec3)> + use<> {
-    let side = grid.side;
-    (0..BRICK_LEN).filter_map(move |k| {
-        let n = k as u32;
-        let vertex = at.0 + UVec3::new(n % 8, n / 8 % 8, n / 64);
-        (vertex.max_element() < side).then_some((k, vertex))
-    })
+/// Vertices of a brick that follow each other in the grid.
+#[derive(Clone, Copy, Debug)]
+pub struct Run {
+    /// Place of the first in the brick.
+    pub place: usize,
+    /// Row of the first in the grid.
+    pub row: usize,
+    /// How many.
+    pub len: usize,
+    /// Whether they are at least two vertices away from the grid's border.
+    pub interior: bool,
+}
+
+impl Run {
+    /// The rows in the grid.
+    pub fn rows(&self) -> std::ops::Range<usize> {
+        self.row..self.row + self.len
+    }
+
+    /// The places in the brick.
+    pub fn places(&self) -> std::ops::Range<usize> {
+        self.place..self.place + self.len
+    }
+}
+
+impl BrickAt {
+    /// The brick's vertices that are in the grid.
+    pub fn runs(self, grid: &SdfGrid) -> impl Iterator<Item = Run> + use<> {
+        let (side, first) = (grid.side, grid.index(self.0));
+        let len = BRICK_SIDE.min(side - self.0.x) as usize;
+        let interior = self.0.min_element() >= 2 && self.0.max_element() + BRICK_SIDE + 2 <= side;
+        (0..BRICK_SIDE * BRICK_SIDE).filter_map(move |i| {
+            let (y, z) = (i % BRICK_SIDE, i / BRICK_SIDE);
+            let inside = self.0.y + y < side && self.0.z + z < side;
+            let row = first + (side * (y + side * z)) as usize;
+            inside.then_some(Run { place: (BRICK_SIDE * i) as usize, row, len, interior })
+        })
+    }
 }
 
 impl BrickValues {
     /// The brick's part of the grid.
     pub fn of(grid: &SdfGrid, at: BrickAt) -> Self {
         let mut values = [0.0; BRICK_LEN];
-        for (k, vertex) in vertices_of(grid, at) {
-            values[k] = grid.values[grid.index(vertex)];
+        for run in at.runs(grid) {
+            values[run.places()].copy_from_slice(&grid.values[run.rows()]);
         }
         Self(values)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use glam::Vec3;
+
+    #[test]
+    fn bricks_hold_every_value_near_the_surface_once() {
+        let grid = SdfGrid::from_fn(Vec3::ZERO, 1.0, 36, |p| p.length() - 0.95);
+        let mut seen = vec![0; grid.values.len()];
+        for at in bricks_near_surface(&grid) {
+            let values = BrickValues::of(&grid, at);
+            for run in at.runs(&grid) {
+                for (place, row) in run.places().zip(run.rows()) {
+                    seen[row] += 1;
+                    assert_eq!(values.0[place], grid.values[row]);
+                    let vertex = grid.vertex(row);
+                    let inner = vertex.min_element() >= 2 && vertex.max_element() + 2 < grid.side;
+                    assert!(inner || !run.interior);
+                }
+            }
+        }
+        let reach = BAND_CELLS * grid.spacing;
+        assert!((0..seen.len()).all(|i| seen[i] == 1 || (seen[i] == 0 && grid.values[i].abs() >= reach)));
     }
 }

@@ -1,6 +1,6 @@
 //! The systems that fit an SDF: retrace, pull back, smooth, move; each fetches columns and calls a kernel.
 
-use super::field::{BAND_CELLS, BrickAt, BrickGradient, BrickMoments, BrickValues, SdfField, vertices_of};
+use super::field::{BAND_CELLS, BrickAt, BrickGradient, BrickMoments, BrickValues, SdfField};
 use super::silhouette_loss::{SilhouetteSample, add_silhouettes};
 use crate::fit::components::StepRates;
 use crate::material::DiffuseAlbedo;
@@ -12,7 +12,7 @@ use crate::surface::point::SurfacePoint;
 use crate::surface::sdf::SdfGrid;
 use crate::view::pixel::{ViewRay, Window};
 use bevy_ecs::prelude::{Query, Res, ResMut, Resource};
-use glam::{UVec3, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
 
 /// How the shape moves.
@@ -126,67 +126,59 @@ pub fn hand_out_to_bricks(
     let gradients = gradients.bypass_change_detection();
     let SdfField { surface, adjoint, scratch, .. } = &mut *field;
     let grid = &surface.grid;
-    let reach = BAND_CELLS * grid.spacing;
     // The squared Laplacian's gradient is a Laplacian of the Laplacian, which the scratch holds.
-    fill(grid, at, gradients, |vertex, i| {
-        if grid.values[i].abs() < reach { laplacian(grid, vertex, &grid.values) } else { 0.0 }
-    });
+    fill(grid, at, gradients, |row, interior| laplacian(grid, row, interior, &grid.values));
     copy_out(grid, at, gradients, scratch);
-    fill(grid, at, gradients, |vertex, i| {
-        if grid.values[i].abs() >= reach {
-            return 0.0;
-        }
-        let smooth = laplacian(grid, vertex, scratch) * (schedule.smoothness / (grid.spacing * grid.spacing));
-        adjoint.of_vertex(grid, vertex) + smooth
+    let smoothness = schedule.smoothness / (grid.spacing * grid.spacing);
+    fill(grid, at, gradients, |row, interior| {
+        adjoint.of_row(grid, row, interior) + smoothness * laplacian(grid, row, interior, scratch)
     });
     for _ in 0..schedule.blur {
         copy_out(grid, at, gradients, scratch);
-        fill(grid, at, gradients, |vertex, i| {
-            if grid.values[i].abs() >= reach {
-                0.0
-            } else {
-                scratch[i] + 0.5 * laplacian(grid, vertex, scratch)
-            }
+        fill(grid, at, gradients, |row, interior| {
+            scratch[row] + 0.5 * laplacian(grid, row, interior, scratch)
         });
     }
-    for brick in at {
-        for (_, vertex) in vertices_of(grid, *brick) {
-            let i = grid.index(vertex);
-            adjoint.value[i] = 0.0;
-            adjoint.gradient[i] = Vec3::ZERO;
-        }
+    for run in at.iter().flat_map(|brick| brick.runs(grid)) {
+        adjoint.value[run.rows()].fill(0.0);
+        adjoint.gradient[run.rows()].fill(Vec3::ZERO);
     }
     Ok(())
 }
 
-/// The mean of a vertex's six neighbours less its own value; 0 at the border.
+/// The mean of a vertex's six neighbours less its own value; 0 near the border.
 #[inline]
-fn laplacian(grid: &SdfGrid, vertex: UVec3, values: &[f32]) -> f32 {
-    if vertex.min_element() == 0 || vertex.max_element() + 1 >= grid.side {
+fn laplacian(grid: &SdfGrid, row: usize, interior: bool, values: &[f32]) -> f32 {
+    if !interior {
         return 0.0;
     }
-    let (i, side) = (grid.index(vertex), grid.side as usize);
-    let around = values[i - 1] + values[i + 1] + values[i - side] + values[i + side];
-    (around + values[i - side * side] + values[i + side * side]) / 6.0 - values[i]
+    let side = grid.side as usize;
+    let around = values[row - 1] + values[row + 1] + values[row - side] + values[row + side];
+    (around + values[row - side * side] + values[row + side * side]) / 6.0 - values[row]
 }
 
+/// Writes `value` of every vertex in the band, and 0 of all others.
 fn fill(
     grid: &SdfGrid,
     at: &[BrickAt],
     gradients: &mut [BrickGradient],
-    value: impl Fn(UVec3, usize) -> f32 + Sync,
+    value: impl Fn(usize, bool) -> f32 + Sync,
 ) {
+    let reach = BAND_CELLS * grid.spacing;
     gradients.par_iter_mut().zip(at).with_min_len(8).for_each(|(gradient, at)| {
-        for (k, vertex) in vertices_of(grid, *at) {
-            gradient.0[k] = value(vertex, grid.index(vertex));
+        for run in at.runs(grid) {
+            for (place, row) in run.places().zip(run.rows()) {
+                let near = grid.values[row].abs() < reach;
+                gradient.0[place] = if near { value(row, run.interior) } else { 0.0 };
+            }
         }
     });
 }
 
 fn copy_out(grid: &SdfGrid, at: &[BrickAt], gradients: &[BrickGradient], dense: &mut [f32]) {
     for (brick, gradient) in at.iter().zip(gradients) {
-        for (k, vertex) in vertices_of(grid, *brick) {
-            dense[grid.index(vertex)] = gradient.0[k];
+        for run in brick.runs(grid) {
+            dense[run.rows()].copy_from_slice(&gradient.0[run.places()]);
         }
     }
 }
@@ -226,9 +218,8 @@ pub fn move_bricks(
     });
     let grid = &mut field.surface.grid;
     for (brick, values) in at.iter().zip(values.iter()) {
-        for (k, vertex) in vertices_of(grid, *brick) {
-            let i = grid.index(vertex);
-            grid.values[i] = values.0[k];
+        for run in brick.runs(grid) {
+            grid.values[run.rows()].copy_from_slice(&values.0[run.places()]);
         }
     }
     if count % schedule.redistance_every == 0 {

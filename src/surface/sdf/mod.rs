@@ -71,26 +71,45 @@ impl SdfGrid {
     }
 
     /// The cell that holds a point, clamped to the grid, and where in it, in [0, 1]³.
+    #[inline]
     fn cell(&self, point: Vec3) -> (UVec3, Vec3) {
         let at =
             ((point - self.origin) / self.spacing).clamp(Vec3::ZERO, Vec3::splat((self.side - 1) as f32));
-        let cell = at.floor().as_uvec3().min(UVec3::splat(self.side - 2));
+        // Truncation is the floor of what is not negative, and a quicker one.
+        let cell = at.as_uvec3().min(UVec3::splat(self.side - 2));
         (cell, at - cell.as_vec3())
     }
 
-    /// The eight vertices around a point with their trilinear weights.
-    pub fn corners(&self, point: Vec3) -> [(UVec3, f32); 8] {
+    /// Rows of the eight vertices around a point with their trilinear weights.
+    #[inline]
+    pub fn corners(&self, point: Vec3) -> [(usize, f32); 8] {
         let (cell, t) = self.cell(point);
-        std::array::from_fn(|k| {
-            let step = UVec3::new(k as u32 & 1, k as u32 >> 1 & 1, k as u32 >> 2);
-            let weight = |axis: usize| if step[axis] == 1 { t[axis] } else { 1.0 - t[axis] };
-            (cell + step, weight(0) * weight(1) * weight(2))
-        })
+        self.corners_of(cell, t)
+    }
+
+    #[inline]
+    fn corners_of(&self, cell: UVec3, t: Vec3) -> [(usize, f32); 8] {
+        let (first, side) = (self.index(cell), self.side as usize);
+        let s = Vec3::ONE - t;
+        let (low, high) = (s.y * s.z, t.y * s.z);
+        let (far_low, far_high) = (s.y * t.z, t.y * t.z);
+        let (up, back) = (side, side * side);
+        [
+            (first, s.x * low),
+            (first + 1, t.x * low),
+            (first + up, s.x * high),
+            (first + up + 1, t.x * high),
+            (first + back, s.x * far_low),
+            (first + back + 1, t.x * far_low),
+            (first + back + up, s.x * far_high),
+            (first + back + up + 1, t.x * far_high),
+        ]
     }
 
     /// The trilinear distance at a point; outside the grid, that at the nearest point of it.
+    #[inline]
     pub fn value(&self, point: Vec3) -> f32 {
-        self.corners(point).iter().map(|(vertex, weight)| weight * self.values[self.index(*vertex)]).sum()
+        self.corners(point).iter().map(|(row, weight)| weight * self.values[*row]).sum()
     }
 
     /// Central differences at a vertex (one-sided at the border).
@@ -107,7 +126,18 @@ impl SdfGrid {
 
     /// The vertices' central differences, interpolated: continuous, unlike the slope of the trilinear value.
     pub fn gradient(&self, point: Vec3) -> Vec3 {
-        self.corners(point).iter().map(|(vertex, weight)| self.vertex_gradient(*vertex) * *weight).sum()
+        let (cell, t) = self.cell(point);
+        let corners = self.corners_of(cell, t);
+        let interior = cell.min_element() > 0 && cell.max_element() + 2 < self.side;
+        let slope = |row: usize| {
+            if !interior {
+                return self.vertex_gradient(self.vertex(row));
+            }
+            let (side, v) = (self.side as usize, &self.values);
+            let difference = |stride: usize| v[row + stride] - v[row - stride];
+            Vec3::new(difference(1), difference(side), difference(side * side)) * (0.5 / self.spacing)
+        };
+        corners.iter().map(|(row, weight)| slope(*row) * *weight).sum()
     }
 }
 
