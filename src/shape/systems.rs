@@ -79,9 +79,10 @@ pub fn pull_back_to_field(
     };
     let rows = window.0.clone();
     let SdfField { surface, adjoint, .. } = &mut *field;
+    let limit = OUTLIER * root_mean_square(&back[rows.clone()]);
     for ((point, ray), back) in points[rows.clone()].iter().zip(&rays[rows.clone()]).zip(&back[rows]) {
         if point.is_hit() {
-            adjoint.add_normal(&surface.grid, point.position, back.normal.into());
+            adjoint.add_normal(&surface.grid, point.position, Vec3::from(back.normal).clamp_length_max(limit));
             let along = Vec3::from(back.albedo);
             let value = |row: u32| texels[row as usize].0.dot(along);
             let slope = surface.volume.slope(point.position, &point.texels, value);
@@ -89,6 +90,15 @@ pub fn pull_back_to_field(
         }
     }
     Ok(())
+}
+
+/// Most a sample's normal adjoint may be, in root mean squares of the window's: at the edge of a sharp highlight a few
+/// samples would else outvote all others and dent the surface.
+const OUTLIER: f32 = 1.5;
+
+fn root_mean_square(back: &[PointAdjoint]) -> f32 {
+    let sum: f64 = back.iter().map(|b| f64::from(Vec3::from(b.normal).length_squared())).sum();
+    (sum / back.len().max(1) as f64).sqrt() as f32
 }
 
 /// Gradient: the silhouettes' loss, as an adjoint of the field.
