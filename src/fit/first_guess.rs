@@ -107,7 +107,7 @@ fn accumulate(
             }
         }
         for (c, row) in rows.iter().enumerate() {
-            sum.add(c, row, observed.0[c]);
+            sum.add(c, row, observed.radiance[c]);
         }
     }
     sum
@@ -126,7 +126,7 @@ pub fn solve_albedo(
     let mut power = DVec3::ZERO;
     for ((point, unit), observed) in points.iter().zip(unit).zip(observed) {
         let diffuse = Vec3::from(unit.diffuse).as_dvec3();
-        let target = (observed.0 - Vec3::from(unit.specular)).as_dvec3();
+        let target = (observed.radiance - Vec3::from(unit.specular)).as_dvec3();
         power += diffuse * diffuse;
         for i in 0..4 {
             let (texel, weight) = (point.texels.indices[i] as usize, f64::from(point.texels.weights[i]));

@@ -58,13 +58,13 @@ pub fn image_loss(
     for ((layers, observed), adjoint) in shaded.iter().zip(observed).zip(adjoint) {
         for c in 0..3 {
             let predicted = layers.diffuse[c] + layers.specular[c];
-            let difference = predicted - observed.0[c];
+            let difference = observed.difference(c, predicted);
             let (value, slope) = match loss {
                 Loss::L1 => (difference.abs(), if difference == 0.0 { 0.0 } else { difference.signum() }),
                 Loss::L2 => (difference * difference, 2.0 * difference),
             };
             sums.loss += f64::from(value);
-            let clipped = predicted.clamp(0.0, 1.0) - observed.0[c].clamp(0.0, 1.0);
+            let clipped = predicted.clamp(0.0, 1.0) - observed.radiance[c].clamp(0.0, 1.0);
             sums.clipped_squares += f64::from(clipped * clipped);
             adjoint.0[c] = slope * weight;
         }
@@ -76,13 +76,27 @@ pub fn image_loss(
 mod tests {
     use super::*;
 
+    fn seen(radiance: [f32; 3]) -> Observed {
+        Observed { radiance: radiance.into(), saturated: false }
+    }
+
+    #[test]
+    fn a_saturated_channel_may_be_any_amount_brighter() {
+        let observed = [Observed { radiance: [1.0, 0.1, 1.0].into(), saturated: true }];
+        let shaded = [Layers { diffuse: [7.0, 0.3, 0.4], specular: [0.0; 3] }];
+        let mut adjoint = [RadianceAdjoint::default()];
+        let sums = image_loss(Loss::L1, &shaded, &observed, &mut adjoint);
+        assert!((sums.loss - 0.8).abs() < 1e-6);
+        assert!(adjoint[0].0[0] == 0.0 && adjoint[0].0[1] > 0.0 && adjoint[0].0[2] < 0.0);
+    }
+
     fn layers(x: f32) -> Layers {
         Layers { diffuse: [x, 0.2, 0.5], specular: [0.1, 0.0, 0.0] }
     }
 
     #[test]
     fn adjoint_agrees_with_central_differences() {
-        let observed = [Observed([0.4, 0.1, 0.9].into()), Observed([0.0, 0.3, 0.2].into())];
+        let observed = [seen([0.4, 0.1, 0.9]), seen([0.0, 0.3, 0.2])];
         for loss in [Loss::L1, Loss::L2] {
             let mean = |x: f32| {
                 let mut adjoint = [RadianceAdjoint::default(); 2];
@@ -97,7 +111,7 @@ mod tests {
     #[test]
     fn psnr_is_that_of_clipped_radiance() {
         let shaded = [Layers { diffuse: [3.0, 0.5, 0.5], specular: [0.0; 3] }];
-        let observed = [Observed([2.0, 0.5, 0.4].into())];
+        let observed = [seen([2.0, 0.5, 0.4])];
         let sums = image_loss(Loss::L2, &shaded, &observed, &mut [RadianceAdjoint::default()]);
         let expected = -10.0 * (0.01f64 / 3.0).log10();
         assert!((sums.psnr() - expected).abs() < 1e-4);

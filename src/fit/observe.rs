@@ -6,7 +6,7 @@ use crate::shade::Scenery;
 use crate::shade::pool::{FitSample, FrameSample, despawn_pool, only_table};
 use crate::stage::SystemResult;
 use crate::surface::point::SurfacePoint;
-use crate::view::pixel::{Observed, PixelOf, ViewRay, Window};
+use crate::view::pixel::{Observed, PixelOf, SATURATION, ViewRay, Window};
 use crate::view::{Camera, Photograph, Split, ViewMask, ViewName};
 use bevy_ecs::prelude::{Commands, Query, Res, ResMut, Resource, World};
 use glam::Vec3;
@@ -72,16 +72,17 @@ fn usable_pixels<'a>(
     coverage: Option<&'a [f32]>,
 ) -> impl Iterator<Item = Candidate> + 'a {
     let covered = move |i: usize| coverage.is_none_or(|c| c[i] >= FULL_COVERAGE);
-    (0..photograph.image.pixels.len()).filter(move |&i| covered(i) && !photograph.saturated[i]).map(
-        move |i| {
-            let (x, y) = (i as u32 % camera.width, i as u32 / camera.width);
-            Candidate {
-                pixel: PixelOf { view, pixel: i as u32 },
-                ray: ViewRay(camera.ray(x as f32 + 0.5, y as f32 + 0.5)),
-                observed: Observed(photograph.image.pixels[i]),
-            }
-        },
-    )
+    // A pixel that is not a number was read as black, and one averaged from saturated ones says nothing.
+    let readable =
+        move |i: usize| !photograph.saturated[i] || photograph.image.pixels[i].max_element() >= SATURATION;
+    (0..photograph.image.pixels.len()).filter(move |&i| covered(i) && readable(i)).map(move |i| {
+        let (x, y) = (i as u32 % camera.width, i as u32 / camera.width);
+        Candidate {
+            pixel: PixelOf { view, pixel: i as u32 },
+            ray: ViewRay(camera.ray(x as f32 + 0.5, y as f32 + 0.5)),
+            observed: Observed { radiance: photograph.image.pixels[i], saturated: photograph.saturated[i] },
+        }
+    })
 }
 
 /// Trace: casts the chosen pixels' rays; those that meet the front of the surface become the pool.
@@ -143,6 +144,6 @@ pub fn count_seen_texels(
 
 /// Mean radiance of the pool, a scale for first guesses.
 pub fn mean_radiance(observed: &[Observed]) -> Vec3 {
-    let sum = observed.iter().fold(glam::DVec3::ZERO, |sum, o| sum + o.0.as_dvec3());
+    let sum = observed.iter().fold(glam::DVec3::ZERO, |sum, o| sum + o.radiance.as_dvec3());
     (sum / observed.len().max(1) as f64).as_vec3()
 }

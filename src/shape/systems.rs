@@ -82,7 +82,11 @@ pub fn pull_back_to_field(
     let limit = OUTLIER * root_mean_square(&back[rows.clone()]);
     for ((point, ray), back) in points[rows.clone()].iter().zip(&rays[rows.clone()]).zip(&back[rows]) {
         if point.is_hit() {
-            adjoint.add_normal(&surface.grid, point.position, Vec3::from(back.normal).clamp_length_max(limit));
+            adjoint.add_normal(
+                &surface.grid,
+                point.position,
+                Vec3::from(back.normal).clamp_length_max(limit),
+            );
             let along = Vec3::from(back.albedo);
             let value = |row: u32| texels[row as usize].0.dot(along);
             let slope = surface.volume.slope(point.position, &point.texels, value);

@@ -16,7 +16,25 @@ pub struct PixelOf {
 
 /// Linear radiance that the photograph shows there.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
-pub struct Observed(pub Vec3);
+pub struct Observed {
+    /// What is stored.
+    pub radiance: Vec3,
+    /// Whether the brightest channels reach the end of what can be stored: the truth is that or more.
+    pub saturated: bool,
+}
+
+/// A channel of a saturated pixel that is this bright is at the end of what can be stored.
+pub const SATURATION: f32 = 0.999;
+
+impl Observed {
+    /// How far a prediction of a channel is off: a saturated channel may be any amount brighter.
+    #[inline]
+    pub fn difference(&self, channel: usize, predicted: f32) -> f32 {
+        let observed = self.radiance[channel];
+        let difference = predicted - observed;
+        if self.saturated && observed >= SATURATION { difference.min(0.0) } else { difference }
+    }
+}
 
 /// The sample's camera ray, world space.
 #[derive(Component, Clone, Copy, Debug, PartialEq)]
