@@ -133,6 +133,9 @@ pub struct RunArgs {
     /// How many threads.
     #[command(flatten)]
     pub threads: ThreadArgs,
+    /// While a shape is found, write its normals, depth and mesh every N steps
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    pub debug_every: Option<u32>,
     /// No progress bars
     #[arg(long)]
     pub quiet: bool,

@@ -102,7 +102,7 @@ fn run(args: &RunArgs) -> Result<()> {
     let loaded = load(&args.scene.scene, &args.scene.load_options())?;
     let out = args.out.clone().unwrap_or_else(|| default_out(&args.scene.scene));
     start_threads(args.threads)?;
-    let options = RunOptions { out, force: args.force, quiet: args.quiet };
+    let options = RunOptions { out, force: args.force, quiet: args.quiet, debug_every: args.debug_every };
     stop_on_ctrl_c()?;
     pass::run(&loaded, &options)
 }

@@ -3,7 +3,7 @@
 //! | pass | file | writes into `OUT/<name>/` |
 //! | --- | --- | --- |
 //! | `Fit` | [`fit`] | the recovered light (`light.npy`, `environment.exr`), `albedo.png`, `materials.ron`, `log.csv` |
-//! | `Shape` | [`shape`] | the surface found (`mesh.glb`), `log.csv` |
+//! | `Shape` | [`shape`] | with `--debug-every N`, normals, depth and mesh every N steps |
 //! | `Render`, `Edit`, `Relight` | [`render`] | an EXR with layers and a PNG per view, the film of an orbit |
 //! | `Evaluate` | [`evaluate`] | a contact sheet; scores go to `OUT/metrics.json` |
 //! | `Save` | [`save`] | `scene.ron` with side files |
@@ -16,6 +16,7 @@ pub mod edit;
 pub mod env;
 pub mod evaluate;
 pub mod fit;
+pub mod inspect;
 pub mod photograph;
 pub mod preflight;
 pub mod progress;
@@ -65,6 +66,8 @@ pub struct Session<'a> {
     pub lights: Lights,
     /// What the next fit guesses before its first step: all, until there has been one.
     pub guess: FirstGuess,
+    /// Steps of a `Shape` between two looks at it.
+    pub debug_every: Option<u32>,
     /// What the terminal shows.
     pub progress: Progress,
     /// Scores so far.
@@ -180,6 +183,7 @@ fn open<'a>(scene: &'a Scene, options: &RunOptions) -> Result<Session<'a>> {
         out,
         lights,
         guess: FirstGuess::ALL,
+        debug_every: options.debug_every,
         progress,
         scores: Scores::default(),
     })

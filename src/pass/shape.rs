@@ -1,6 +1,7 @@
 //! The `Shape` pass: finds an unknown surface from photographs and masks, and puts it in place of the hull.
 
 use super::fit::closed_form;
+use super::inspect::ShapeInspector;
 use super::{INTERRUPTED, Session, check_interrupted};
 use crate::error::{Error, Result};
 use crate::fit::observe::PixelChoice;
@@ -16,6 +17,7 @@ use crate::surface::Surface;
 use crate::surface::atlas::unwrap_mesh;
 use crate::surface::sdf::extract::extract_mesh;
 use crate::surface::sdf::volume::SdfSurface;
+use crate::view::Camera;
 use glam::Vec3;
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -37,15 +39,22 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     let options = options(session, pass);
     let total: u32 = pass.levels.iter().map(|level| level.steps).sum();
     let bar = session.progress.bar(&pass.name, u64::from(total));
+    let inspector = session.debug_every.map(|every| inspector(session, &pass.name, every));
+    let mut failure = None;
     let surface = fit_shape(&mut session.pipeline, &options, &mut |at: &ShapeProgress| {
         let before: u32 = pass.levels[..at.level].iter().map(|level| level.steps).sum();
         bar.set_position(u64::from(before + at.fit.step));
         if at.fit.step % 20 == 0 {
             bar.set_message(format!("{:.1} dB", at.fit.sums.psnr()));
         }
-        if INTERRUPTED.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        if let Some(inspector) = inspector.as_ref().filter(|inspector| at.fit.step % inspector.every == 0) {
+            failure = inspector.look(at, before + at.fit.step).err();
+        }
+        let stop = failure.is_some() || INTERRUPTED.load(Ordering::Relaxed);
+        if stop { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     })?;
     bar.finish_and_clear();
+    failure.map_or(Ok(()), Err)?;
     session.guess = FirstGuess::NONE;
     put_in_place(session, &surface, texture_size)?;
     let elapsed = start.elapsed().as_secs_f64();
@@ -53,6 +62,14 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     let triangles = session.surface.mesh().triangles.len();
     session.progress.print(&format!("{}: {triangles} triangles in {elapsed:.1} s", pass.name));
     check_interrupted()
+}
+
+/// An inspector that looks from the first view.
+fn inspector(session: &mut Session, name: &str, every: u32) -> ShapeInspector {
+    let folder = session.folder(name).join("debug");
+    let world = &mut session.pipeline.world;
+    let camera = world.query::<&Camera>().iter(world).next().copied();
+    ShapeInspector { every, folder, camera }
 }
 
 fn options(session: &Session, pass: &ShapePass) -> ShapeOptions {

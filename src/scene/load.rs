@@ -50,6 +50,8 @@ pub struct RunOptions {
     pub force: bool,
     /// No progress bars.
     pub quiet: bool,
+    /// Steps of a `Shape` between two looks at it, if it is looked at.
+    pub debug_every: Option<u32>,
 }
 
 /// Reads and checks a scene file.

@@ -135,7 +135,7 @@ pub struct ShapePass {
     pub loss: Loss,
     /// The closed form that shades. Default `Accurate`.
     pub shading: FitShading,
-    /// The grids, from coarse to fine.
+    /// The grids, from coarse to fine. Default: 64 cells for 300 steps, the shape held for 50; then 128 for 400.
     pub levels: Vec<GridLevel>,
     /// Pixels per step ≥ 1. Default 8192.
     pub batch: u32,
@@ -143,11 +143,11 @@ pub struct ShapePass {
     pub max_pixels: u32,
     /// Silhouette rays per step ≥ 1. Default 2048.
     pub silhouette_batch: u32,
-    /// Weight of the silhouettes beside the images ≥ 0. Default 0.1.
+    /// Weight of the silhouettes beside the images ≥ 0. Default 0.3.
     pub silhouette: f32,
     /// Weight of the field's smoothness ≥ 0. Default 1e-6.
     pub smoothness: f32,
-    /// Rounds of averaging the shape's gradient over neighbouring vertices. Default 4.
+    /// Rounds of averaging the shape's gradient over neighbouring vertices. Default 8.
     pub blur: u32,
     /// Adam's step sizes of light and material.
     pub rates: Rates,
@@ -157,21 +157,21 @@ pub struct ShapePass {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct GridLevel {
-    /// Cells a side of the grid of distances, 16 to 320. Default 96.
+    /// Cells a side of the grid of distances, 16 to 320. Default 128.
     pub cells: u32,
     /// Cells a side of the lattice of albedo, 8 to 320. Default 64.
     pub texel_cells: u32,
-    /// Number of update steps ≥ 1. Default 1000.
+    /// Number of update steps ≥ 1. Default 400.
     pub steps: u32,
     /// Steps before the shape moves, while light and material find themselves. Default 0.
     pub hold: u32,
-    /// Typical step of a distance at the first and the last step, in cells. Default (0.05, 0.01).
+    /// Typical step of a distance at the first and the last step, in cells. Default (0.05, 0.002).
     pub rates: (f32, f32),
 }
 
 impl Default for GridLevel {
     fn default() -> Self {
-        Self { cells: 96, texel_cells: 64, steps: 1000, hold: 0, rates: (0.05, 0.01) }
+        Self { cells: 128, texel_cells: 64, steps: 400, hold: 0, rates: (0.05, 0.002) }
     }
 }
 
@@ -182,15 +182,15 @@ impl Default for ShapePass {
             loss: Loss::L1,
             shading: FitShading::Accurate,
             levels: vec![
-                GridLevel { cells: 64, hold: 300, steps: 1300, ..GridLevel::default() },
-                GridLevel { cells: 128, texel_cells: 96, steps: 1500, ..GridLevel::default() },
+                GridLevel { cells: 64, hold: 50, steps: 300, rates: (0.05, 0.01), ..GridLevel::default() },
+                GridLevel { texel_cells: 96, ..GridLevel::default() },
             ],
             batch: 8192,
             max_pixels: 2_000_000,
             silhouette_batch: 2048,
-            silhouette: 0.1,
+            silhouette: 0.3,
             smoothness: 1e-6,
-            blur: 4,
+            blur: 8,
             rates: Rates::default(),
         }
     }

@@ -219,3 +219,6 @@ fn despawn_with<T: Component>(world: &mut World) {
         world.despawn(entity);
     }
 }
+
+#[cfg(test)]
+mod tests;

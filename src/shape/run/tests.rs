@@ -1,0 +1,139 @@
+use super::*;
+use crate::fit::components::Unknowns;
+use crate::fit::loss::Loss;
+use crate::fit::observe::PixelChoice;
+use crate::fit::run::FitPlugin;
+use crate::light::LightLobe;
+use crate::light::fibonacci::{fibonacci_axes, spacing_sharpness};
+use crate::material::SpecularLobe;
+use crate::math::ray::Intersect;
+use crate::math::shading::{ClosedForm, Layers, LobeColumns, ShadePoint};
+use crate::shade::systems::{kernel_lobe, kernel_specular};
+use crate::view::{Image, Mask, Photograph, ViewName};
+
+const SIZE: u32 = 48;
+const SPECULAR: SpecularLobe = SpecularLobe { albedo: Vec3::splat(0.3), roughness: 0.4 };
+
+/// Centre and radius of the ball that dents the other.
+const DENT: (Vec3, f32) = (Vec3::new(0.0, 0.0, 1.1), 0.55);
+
+/// A ball with a dent that no silhouette shows.
+fn dented(p: Vec3) -> f32 {
+    let dent = DENT.1 - p.distance(DENT.0);
+    (p.length() - 0.7).max(dent)
+}
+
+fn lobes() -> Vec<LightLobe> {
+    let axes = fibonacci_axes(24).into_iter().enumerate();
+    let lobe = |(i, axis)| LightLobe {
+        axis,
+        sharpness: spacing_sharpness(24),
+        amplitude: Vec3::splat(if i % 5 == 0 { 1.5 } else { 0.1 }),
+    };
+    axes.map(lobe).collect()
+}
+
+/// A view of the dented ball in closed form: what the fit's own model can explain.
+fn photograph(surface: &SdfSurface, camera: &Camera) -> (Photograph, Mask) {
+    let rays: Vec<_> =
+        (0..SIZE * SIZE).map(|i| camera.ray((i % SIZE) as f32 + 0.5, (i / SIZE) as f32 + 0.5)).collect();
+    let point = |ray: &crate::math::ray::Ray| {
+        surface.intersect(ray, 0.0).map_or(ShadePoint::default(), |hit| ShadePoint {
+            normal: hit.normal.into(),
+            to_viewer: (-ray.direction).into(),
+            albedo: [0.5, 0.4, 0.3],
+        })
+    };
+    let points: Vec<ShadePoint> = rays.iter().map(point).collect();
+    let columns = LobeColumns::from_lobes(lobes().iter().map(kernel_lobe));
+    let mut shaded = vec![Layers::default(); points.len()];
+    ClosedForm::default().shade(&points, &kernel_specular(&SPECULAR), &columns, &mut shaded);
+    let radiance = |l: &Layers| Vec3::from(l.diffuse) + Vec3::from(l.specular);
+    let pixels = shaded.iter().map(radiance).collect();
+    let coverage = points.iter().map(|p| if p.is_missed() { 0.0 } else { 1.0 }).collect();
+    let image = Image { width: SIZE, height: SIZE, pixels };
+    (Photograph { saturated: vec![false; points.len()], image }, Mask { width: SIZE, height: SIZE, coverage })
+}
+
+fn world_of_photographs() -> Pipeline {
+    let grid = SdfGrid::from_fn(Vec3::ZERO, 1.0, 64, dented);
+    let volume = TexelVolume::new(&grid, 16, 0.5);
+    let surface = SdfSurface { grid, volume };
+    let mut pipeline = Pipeline::new();
+    pipeline.add_plugin(&FitPlugin);
+    for (i, axis) in fibonacci_axes(32).into_iter().enumerate() {
+        let up = if axis.y.abs() > 0.9 { Vec3::X } else { Vec3::Y };
+        let camera = Camera::look_at(3.0 * axis, Vec3::ZERO, up, 36.0, SIZE, SIZE).unwrap();
+        let (photograph, mask) = photograph(&surface, &camera);
+        pipeline.world.spawn((ViewName(format!("{i}")), camera, Split::Train, photograph, ViewMask(mask)));
+    }
+    pipeline.world.spawn_batch(lobes());
+    pipeline.world.spawn(SPECULAR);
+    pipeline
+}
+
+fn options(steps: u32) -> ShapeOptions {
+    let schedule = ShapeSchedule {
+        steps,
+        hold: 40,
+        rates: (0.05, 0.005),
+        silhouette: 0.3,
+        silhouette_batch: 512,
+        smoothness: 1e-6,
+        blur: 4,
+        redistance_every: 40,
+    };
+    let only_albedo = Unknowns {
+        albedo: true,
+        light: false,
+        specular_albedo: false,
+        mono_specular: false,
+        roughness: false,
+    };
+    ShapeOptions {
+        levels: vec![ShapeLevel { cells: 40, texel_cells: 12, schedule }],
+        fit: FitOptions {
+            loss: Loss::L1,
+            form: ClosedForm::default(),
+            steps,
+            batch: 4096,
+            rates: [0.02, 0.0, 0.0],
+            milestones: vec![],
+            decay: 1.0,
+            unknowns: only_albedo,
+            pixels: PixelChoice { seed: 1, max_pixels: 100_000 },
+            guess: FirstGuess { light: false, albedo: true },
+        },
+    }
+}
+
+/// Mean distance of the true dent's points to the surface found.
+fn error_in_dent(found: &SdfGrid) -> f32 {
+    let points = fibonacci_axes(400).into_iter().map(|axis| DENT.0 + DENT.1 * axis);
+    let inside: Vec<Vec3> = points.filter(|p| p.length() < 0.66).collect();
+    inside.iter().map(|p| found.value(*p).abs()).sum::<f32>() / inside.len() as f32
+}
+
+#[test]
+fn shading_carves_a_dent_that_no_silhouette_shows() {
+    let fit = |steps: u32| {
+        let mut pipeline = world_of_photographs();
+        fit_shape(&mut pipeline, &options(steps), &mut |_| ControlFlow::Continue(())).unwrap().grid
+    };
+    let (hull, found) = (error_in_dent(&fit(40)), error_in_dent(&fit(640)));
+    assert!(hull > 0.03 && found < 0.6 * hull, "{found} of {hull}");
+}
+
+#[test]
+fn the_systems_leave_when_the_fit_ends() {
+    let mut pipeline = world_of_photographs();
+    let stop_at_once = &mut |_: &ShapeProgress| ControlFlow::Break(());
+    fit_shape(&mut pipeline, &options(50), stop_at_once).unwrap();
+    assert!(pipeline.world.get_resource::<SdfField>().is_none());
+    assert_eq!(pipeline.world.query::<&BrickAt>().iter(&pipeline.world).count(), 0);
+    assert_eq!(pipeline.world.query::<&SilhouetteSample>().iter(&pipeline.world).count(), 0);
+    // A fit of a surface that stays as it is runs as before.
+    let options = FitOptions { steps: 2, ..options(2).fit };
+    let summary = run_fit(&mut pipeline, &options, &mut |_, _| ControlFlow::Continue(())).unwrap();
+    assert_eq!(summary.steps, 2);
+}
