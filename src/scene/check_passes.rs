@@ -64,13 +64,14 @@ fn nothing_unknown(checks: &mut Checks, at: &str, pass: &Pass, scene: &Scene) {
 /// What the scene leaves to a fit and gives no value for, in plain words.
 pub fn unknown_parts(scene: &Scene) -> Vec<&'static str> {
     let mut parts = Vec::new();
-    if matches!(scene.material.albedo, Albedo::Unknown) {
+    let open = scene.own_material().is_none();
+    if open && matches!(scene.material.albedo, Albedo::Unknown) {
         parts.push("diffuse albedo");
     }
-    if matches!(scene.material.specular.albedo, SpecularAlbedo::Unknown { .. }) {
+    if open && matches!(scene.material.specular.albedo, SpecularAlbedo::Unknown { .. }) {
         parts.push("specular albedo");
     }
-    if matches!(scene.material.specular.roughness, Roughness::Unknown { .. }) {
+    if open && matches!(scene.material.specular.roughness, Roughness::Unknown { .. }) {
         parts.push("roughness");
     }
     if matches!(scene.light, Light::Unknown(_)) {

@@ -16,6 +16,7 @@ pub mod bvh;
 pub mod gltf_export;
 mod gltf_file;
 pub mod gltf_import;
+pub mod gltf_material;
 pub mod mesh;
 pub mod point;
 pub mod primitive;
