@@ -2,9 +2,10 @@
 
 mod common;
 
-use common::{Data, write_image};
+use common::{Data, files_below, write_image};
 use glam::Vec3;
 use lobelia::report::exr_file::read_frame;
+use serde_json::Value;
 
 /// A box with a painted texture; `{SURFACE}`, `{MATERIAL}` and `{PASSES}` are filled in.
 const SCENE: &str = r#"Scene(
@@ -46,8 +47,7 @@ fn studio() -> Data {
 fn psnr(data: &Data, a: &str, b: &str) -> f64 {
     let (mut sum, mut count) = (0.0, 0);
     for view in ["a", "b"] {
-        let [a, b] =
-            [a, b].map(|out| read_frame(data.path(&format!("{out}/novel/test_{view}.exr"))).unwrap());
+        let [a, b] = [a, b].map(|out| read_frame(data.path(&format!("{out}/novel/{view}.exr"))).unwrap());
         for i in (0..a.color.len()).filter(|&i| a.alpha[i] > 0.0) {
             let difference = a.color[i].min(Vec3::ONE) - b.color[i].min(Vec3::ONE);
             sum += f64::from(difference.length_squared());
@@ -67,6 +67,26 @@ fn an_exported_mesh_read_back_gives_the_same_picture() {
     data.run(&scene(surface, "", ""), "again", &["--quiet"]).succeeded();
     let found = psnr(&data, "out", "again");
     assert!(found > 45.0, "{found}");
+}
+
+#[test]
+fn a_tenth_of_the_triangles_looks_nearly_the_same() {
+    let data = studio();
+    let passes = r#"Export(name: "export", formats: [Glb, Ply, Obj], triangles: 3600),
+        Evaluate(mesh: "mesh.glb")"#;
+    let sphere = "Sphere(texture_size: 128)";
+    data.run(&scene(sphere, PAINTED, passes), "out", &["--quiet"]).succeeded();
+    let files = ["mesh.glb", "mesh.mtl", "mesh.obj", "mesh.ply", "mesh_albedo.png"];
+    assert_eq!(files_below(&data.path("out/export")), files);
+    let metrics: Value =
+        serde_json::from_slice(&std::fs::read(data.path("out/metrics.json")).unwrap()).unwrap();
+    assert!(metrics["chamfer"].as_f64().unwrap() < 1e-6, "{metrics}");
+    let surface = r#"Mesh(path: "out/export/mesh.glb", texture_size: 128, own_material: true)"#;
+    let again = scene(surface, "", r#"Evaluate(mesh: "mesh.glb")"#);
+    let outcome = data.run(&again, "again", &["--quiet"]).succeeded();
+    assert!(outcome.stdout.contains("Chamfer 0.00"), "{}", outcome.stdout);
+    let found = psnr(&data, "out", "again");
+    assert!(found > 35.0, "{found}");
 }
 
 #[test]

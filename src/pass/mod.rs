@@ -7,7 +7,7 @@
 //! | `Render`, `Edit`, `Relight` | [`render`] | an EXR with layers and a PNG per view, the film of an orbit |
 //! | `Evaluate` | [`evaluate`] | a contact sheet; scores go to `OUT/metrics.json` |
 //! | `Save` | [`save`] | `scene.ron` with side files |
-//! | `Export` | [`export`] | `mesh.glb` |
+//! | `Export` | [`export`] | `mesh.glb`, `mesh.ply`, `mesh.obj` with `mesh.mtl` and `mesh_albedo.png` |
 //!
 //! [`preflight`] looks for what a later pass could stumble over before the first one runs.
 

@@ -24,7 +24,7 @@ pub enum Pass {
     Evaluate(EvaluatePass),
     /// Writes the object as a scene file with side files, which renders the same bits again.
     Save(SavePass),
-    /// Writes the object as a `.glb` for other programs.
+    /// Writes the object as a mesh for other programs.
     Export(ExportPass),
 }
 
@@ -404,11 +404,14 @@ pub struct EvaluatePass {
     pub albedo: Option<LayerTruth>,
     /// True world normals of the test views (`normal_<number>.exr`). Default: not scored.
     pub normal: Option<LayerTruth>,
+    /// The true surface, a `.glb` or `.gltf` in the coordinates of the cameras; must exist. The Chamfer distance to it is scored, in
+    /// the data's own unit. Default: not scored.
+    pub mesh: Option<PathBuf>,
 }
 
 impl Default for EvaluatePass {
     fn default() -> Self {
-        Self { name: "scores".into(), scores: Vec::new(), albedo: None, normal: None }
+        Self { name: "scores".into(), scores: Vec::new(), albedo: None, normal: None, mesh: None }
     }
 }
 
@@ -476,18 +479,34 @@ impl Default for SavePass {
     }
 }
 
-/// Writes the object as a `.glb`.
+/// Writes the object as a mesh for other programs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct ExportPass {
     /// The pass's name. Default "export".
     pub name: String,
+    /// The files to write, at least one. Default `[Glb]`.
+    pub formats: Vec<MeshFormat>,
+    /// Write about this many triangles ≥ 4 instead of all, closed where the surface is, with new texture coordinates and the albedo
+    /// carried over. Sharp edges become smoothly shaded. Default: all triangles, as they are.
+    pub triangles: Option<u32>,
 }
 
 impl Default for ExportPass {
     fn default() -> Self {
-        Self { name: "export".into() }
+        Self { name: "export".into(), formats: vec![MeshFormat::Glb], triangles: None }
     }
+}
+
+/// A file that a mesh is written to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum MeshFormat {
+    /// `mesh.glb`: binary glTF with textures, roughness and reflectance.
+    Glb,
+    /// `mesh.ply`: binary, with normals and the albedo as vertex colours.
+    Ply,
+    /// `mesh.obj` with `mesh.mtl` and `mesh_albedo.png`.
+    Obj,
 }
 
 fn truth_spp() -> u32 {
