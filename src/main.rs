@@ -147,7 +147,7 @@ fn files(loaded: &LoadedScene) -> String {
 
 fn surface(scene: &Scene) -> String {
     match &scene.surface {
-        Surface::Mesh { path, texture_size } => format!("{}, texture {texture_size}²", path.display()),
+        Surface::Mesh { path, texture_size, .. } => format!("{}, texture {texture_size}²", path.display()),
         Surface::Unknown { cells, texture_size } => {
             format!("unknown, on a grid of {cells}³, texture {texture_size}²")
         }

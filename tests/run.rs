@@ -33,6 +33,7 @@ const ALL: &str = r#"Scene(
             ],
             albedo: Folder("$DATA/test/gt"),
             normal: Folder("$DATA/test/gt"),
+            mesh: "$DATA/mesh.glb",
         ),
         Save(name: "saved"),
         Export(name: "export"),

@@ -12,6 +12,8 @@ use crate::report::scores::{EvalView, PassScores, Scaling, score_views};
 use crate::report::sheet::{Sheet, SheetCell, SheetRow, Theme, choose_evenly, write_sheet};
 use crate::report::tone::{Backdrop, Look, Picture};
 use crate::scene::pass_types::{EvaluatePass, LayerTruth, Pass, ScaleRule, Score, Truth, ViewChoice};
+use crate::surface::chamfer::chamfer_distance;
+use crate::surface::gltf_import::read_mesh;
 use crate::view::camera::Camera;
 use crate::view::image_io::{Gamma, IMAGE_EXTENSIONS, read_image};
 use crate::view::{Photograph, ViewMask, ViewName};
@@ -55,6 +57,10 @@ pub fn run(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
         if let Some(truth) = &pass.normal {
             session.scores.normal_deg = score_normals(session, first, truth)?;
         }
+    }
+    if let Some(path) = &pass.mesh {
+        let (found, truth) = (session.surface.mesh(), read_mesh(path)?);
+        session.scores.chamfer = chamfer_distance(found, &truth, session.scene.seed);
     }
     let path = session.folder(&pass.name).join("contact_sheet.png");
     let sheet = Sheet {

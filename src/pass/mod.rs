@@ -7,7 +7,7 @@
 //! | `Render`, `Edit`, `Relight` | [`render`] | an EXR with layers and a PNG per view, the film of an orbit |
 //! | `Evaluate` | [`evaluate`] | a contact sheet; scores go to `OUT/metrics.json` |
 //! | `Save` | [`save`] | `scene.ron` with side files |
-//! | `Export` | [`save`] | `mesh.glb` |
+//! | `Export` | [`export`] | `mesh.glb`, `mesh.ply`, `mesh.obj` with `mesh.mtl` and `mesh_albedo.png` |
 //!
 //! [`preflight`] looks for what a later pass could stumble over before the first one runs.
 
@@ -15,6 +15,7 @@ pub mod bench;
 pub mod edit;
 pub mod env;
 pub mod evaluate;
+pub mod export;
 pub mod fit;
 pub mod inspect;
 pub mod photograph;
@@ -119,8 +120,8 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions) -> Result<()> {
             | Pass::Edit(EditPass { render, .. })
             | Pass::Relight(RelightPass { render, .. }) => render::run(&mut session, pass, render)?,
             Pass::Evaluate(pass) => evaluate::run(&mut session, pass)?,
-            Pass::Save(pass) => save::run_save(&mut session, &pass.name)?,
-            Pass::Export(pass) => save::run_export(&mut session, &pass.name)?,
+            Pass::Save(pass) => save::run(&mut session, &pass.name)?,
+            Pass::Export(pass) => export::run(&mut session, pass)?,
         }
         check_interrupted()?;
     }

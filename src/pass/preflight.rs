@@ -7,6 +7,7 @@ use super::evaluate::{read_fitting, true_image_path, true_layer_path};
 use super::render::{ChosenView, chosen_views};
 use crate::error::{Error, Result};
 use crate::scene::pass_types::{EvaluatePass, LayerTruth, Pass, RenderSettings, Truth, ViewChoice};
+use crate::surface::gltf_import::read_mesh;
 use crate::view::image_io::Gamma;
 use crate::view::nearby::closest;
 use crate::view::{Photograph, ViewName};
@@ -65,8 +66,11 @@ fn check_views(session: &mut Session, pass: &str, settings: &RenderSettings) -> 
     Ok(())
 }
 
-/// Every view that is scored must have its truth.
+/// Every view that is scored must have its truth, and so must the surface.
 fn check_truths(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
+    if let Some(path) = &pass.mesh {
+        read_mesh(path)?;
+    }
     for (i, score) in pass.scores.iter().enumerate() {
         let settings = session.scene.passes.iter().find(|p| p.name() == score.pass).and_then(Pass::render);
         let Some(settings) = settings else { continue };

@@ -1,4 +1,4 @@
-//! The `Save` and `Export` passes: the object as a scene that opens again, and as a GLB for other programs.
+//! The `Save` pass: the object as a scene that opens again.
 
 use super::Session;
 use super::edit::take_material;
@@ -8,25 +8,23 @@ use crate::file::{read_bytes, write_bytes};
 use crate::light::LightLobe;
 use crate::light::npy::{NpyConvention, write_lobes};
 use crate::report::exr_file::write_channels;
-use crate::report::tone::srgb8;
 use crate::scene::load::to_ron;
 use crate::scene::pass_types::Pass;
 use crate::scene::types::{
     Albedo, AlbedoSource, Light, LightSource, Material, Roughness, Scene, Specular, SpecularAlbedo,
     Surface as SurfaceSpec, Views,
 };
-use crate::surface::gltf_export::{GltfMaterial, write_glb};
+use crate::surface::gltf_export::write_glb;
 use crate::view::exr_io::ExrLayers;
 use crate::view::nearby::missing_file_help;
 use glam::Vec3;
-use image::{ImageEncoder, codecs::png::PngEncoder};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// Writes `scene.ron`, `mesh.glb`, `albedo.exr` and `light.npy`: the object as it is, everything fixed, with the scene's views.
 ///
 /// # Errors
 /// If a file cannot be written, or the object has several specular lobes.
-pub fn run_save(session: &mut Session, name: &str) -> Result<()> {
+pub fn run(session: &mut Session, name: &str) -> Result<()> {
     let folder = session.folder(name);
     let material = take_material(&mut session.pipeline.world);
     let [specular] = material.lobes.as_slice() else {
@@ -41,7 +39,11 @@ pub fn run_save(session: &mut Session, name: &str) -> Result<()> {
     write_channels(folder.join("albedo.exr"), &texture)?;
     let light = save_light(session, &folder)?;
     let saved = Scene {
-        surface: SurfaceSpec::Mesh { path: "mesh.glb".into(), texture_size: atlas.width },
+        surface: SurfaceSpec::Mesh {
+            path: "mesh.glb".into(),
+            texture_size: atlas.width,
+            own_material: false,
+        },
         views: saved_views(session)?,
         light: Light::Fixed(light),
         material: Material {
@@ -94,41 +96,4 @@ fn saved_views(session: &Session) -> Result<Views> {
         Views::Cameras(cameras) => Ok(Views::Cameras(cameras.clone())),
         Views::Photographed(spec) => Ok(Views::Cameras(ring(&spec.cameras, session.scene.up))),
     }
-}
-
-/// Writes `mesh.glb` with the albedo as base colour. glTF dims the diffuse part by 1 − F, which this BRDF does not: the
-/// base colour is raised to make up for the mean of F.
-///
-/// # Errors
-/// If the file cannot be written.
-pub fn run_export(session: &mut Session, name: &str) -> Result<()> {
-    let path: PathBuf = session.folder(name).join("mesh.glb");
-    let material = take_material(&mut session.pipeline.world);
-    let Some(specular) = material.lobes.first() else {
-        return Err(Error::run(name, "the object has no specular lobe"));
-    };
-    let strongest = specular.albedo.max_element().clamp(0.0, 0.99);
-    // Mean of Schlick's F over the hemisphere: F0 + (1 − F0)/21.
-    let mean_fresnel = strongest + (1.0 - strongest) / 21.0;
-    let atlas = session.surface.atlas();
-    let bytes: Vec<u8> = material
-        .albedo
-        .iter()
-        .flat_map(|albedo| srgb8((albedo.0 / (1.0 - mean_fresnel)).min(Vec3::ONE)))
-        .collect();
-    let mut png = Vec::new();
-    PngEncoder::new(&mut png)
-        .write_image(&bytes, atlas.width, atlas.height, image::ExtendedColorType::Rgb8)
-        .map_err(|error| Error::run(name, format!("the texture cannot be encoded: {error}")))?;
-    let root = strongest.sqrt();
-    let gltf = GltfMaterial {
-        base_color_png: Some(png),
-        roughness: specular.roughness,
-        ior: (1.0 + root) / (1.0 - root),
-        specular_color: if strongest > 0.0 { specular.albedo / strongest } else { Vec3::ONE },
-        ..GltfMaterial::default()
-    };
-    write_glb(&path, session.surface.mesh(), Some(&gltf))?;
-    session.progress.print(&format!("{name}: {}", path.display()));
-    Ok(())
 }

@@ -99,6 +99,10 @@ pub struct Scores {
     /// Mean over the views of the first scored pass: pixels in both the view's mask and the object as rendered, over pixels in
     /// either; `null` if no view has a mask.
     pub mask_iou: Option<f64>,
+    /// Chamfer distance of the surface to the true mesh, in the data's own unit (unit-ball units where the object is in the unit ball):
+    /// the mean of the two directed mean distances; `null` if no true mesh is named.
+    #[serde(default)]
+    pub chamfer: Option<f64>,
     /// Time of all fits, seconds.
     pub fit_secs: Option<f64>,
     /// Largest resident memory of the process so far, MiB.
@@ -225,6 +229,7 @@ impl Scores {
             self.albedo_psnr.map(|v| format!("albedo {v:.2} dB")),
             self.normal_deg.map(|v| format!("normals {v:.2}°")),
             self.mask_iou.map(|v| format!("mask IoU {v:.4}")),
+            self.chamfer.map(|v| format!("Chamfer {v:.5}")),
             self.fit_secs.map(|v| format!("fit {v:.1} s")),
             self.peak_rss_mib.map(|v| format!("peak memory {v:.0} MiB")),
         ]

@@ -35,6 +35,10 @@ pub fn check(scene: &Scene) -> Vec<Problem> {
     views(&mut checks, &scene.views);
     light(&mut checks, &scene.light);
     material(&mut checks, &scene.material);
+    if scene.own_material().is_some() && scene.material != Material::default() {
+        let help = "Remove `material`, or `own_material` from the surface.";
+        checks.fail("material", "the mesh's own material is taken", "expected no other material", help);
+    }
     check_passes::passes(&mut checks, scene);
     checks.problems
 }

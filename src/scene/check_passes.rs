@@ -3,8 +3,8 @@
 use super::check::{Checks, light_source};
 use super::diagnostic::nearest;
 use super::pass_types::{
-    ColorAction, DiffuseAction, Edit, EditPass, EvaluatePass, FitPass, LayerTruth, Orbit, Pass, Region,
-    RelightPass, RenderSettings, ScalarAction, Shading, ShapePass, Truth, ViewChoice,
+    ColorAction, DiffuseAction, Edit, EditPass, EvaluatePass, ExportPass, FitPass, LayerTruth, Orbit, Pass,
+    Region, RelightPass, RenderSettings, ScalarAction, Shading, ShapePass, Truth, ViewChoice,
 };
 use super::types::{Albedo, Light, Roughness, Scene, SpecularAlbedo, Surface, Views};
 
@@ -29,7 +29,8 @@ pub(super) fn passes(checks: &mut Checks, scene: &Scene) {
             Pass::Edit(edit) => self::edit_pass(checks, &at, edit),
             Pass::Relight(relight) => self::relight_pass(checks, &at, relight),
             Pass::Evaluate(evaluate) => self::evaluate(checks, &at, evaluate, scene, earlier),
-            Pass::Render(_) | Pass::Save(_) | Pass::Export(_) => {}
+            Pass::Export(export) => self::export(checks, &at, export),
+            Pass::Render(_) | Pass::Save(_) => {}
         }
         if let Some(render) = pass.render() {
             self::render(checks, &format!("{at}.render"), render, &scene.views);
@@ -64,13 +65,14 @@ fn nothing_unknown(checks: &mut Checks, at: &str, pass: &Pass, scene: &Scene) {
 /// What the scene leaves to a fit and gives no value for, in plain words.
 pub fn unknown_parts(scene: &Scene) -> Vec<&'static str> {
     let mut parts = Vec::new();
-    if matches!(scene.material.albedo, Albedo::Unknown) {
+    let open = scene.own_material().is_none();
+    if open && matches!(scene.material.albedo, Albedo::Unknown) {
         parts.push("diffuse albedo");
     }
-    if matches!(scene.material.specular.albedo, SpecularAlbedo::Unknown { .. }) {
+    if open && matches!(scene.material.specular.albedo, SpecularAlbedo::Unknown { .. }) {
         parts.push("specular albedo");
     }
-    if matches!(scene.material.specular.roughness, Roughness::Unknown { .. }) {
+    if open && matches!(scene.material.specular.roughness, Roughness::Unknown { .. }) {
         parts.push("roughness");
     }
     if matches!(scene.light, Light::Unknown(_)) {
@@ -135,6 +137,16 @@ fn fit(checks: &mut Checks, at: &str, fit: &FitPass, scene: &Scene) {
             "nothing to fit",
             "Remove the `Fit`.",
         );
+    }
+}
+
+fn export(checks: &mut Checks, at: &str, export: &ExportPass) {
+    if export.formats.is_empty() {
+        let path = format!("{at}.formats");
+        checks.fail(&path, "there is no format", "expected some of `Glb`, `Ply` and `Obj`", "");
+    }
+    if let Some(triangles) = export.triangles {
+        checks.count(&format!("{at}.triangles"), triangles, 4..=u32::MAX);
     }
 }
 
@@ -243,9 +255,10 @@ fn orbit(checks: &mut Checks, at: &str, orbit: &Orbit) {
 }
 
 fn evaluate(checks: &mut Checks, at: &str, evaluate: &EvaluatePass, scene: &Scene, earlier: &[Pass]) {
-    if evaluate.scores.is_empty() && evaluate.albedo.is_none() && evaluate.normal.is_none() {
+    let EvaluatePass { scores, albedo, normal, mesh, .. } = evaluate;
+    if scores.is_empty() && albedo.is_none() && normal.is_none() && mesh.is_none() {
         let help = "Name passes to score, e.g. `scores: [(pass: \"novel\", truth: Photographs)]`.";
-        checks.fail(at, "this pass scores nothing", "expected `scores`, `albedo` or `normal`", help);
+        checks.fail(at, "this pass scores nothing", "expected `scores`, `albedo`, `normal` or `mesh`", help);
     }
     let self_made = matches!(scene.views, Views::Photographed(_));
     for (index, score) in evaluate.scores.iter().enumerate() {

@@ -205,7 +205,7 @@ mod tests {
                 albedo: SelfMade,
             ),
             Save(),
-            Export(name: "glb"),
+            Export(name: "glb", formats: [Glb, Ply, Obj], triangles: 500),
         ],
     )"#;
 

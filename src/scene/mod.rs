@@ -9,6 +9,7 @@ mod check_passes;
 pub mod diagnostic;
 pub mod light_file;
 pub mod load;
+pub mod output_types;
 pub mod pass_types;
 pub mod paths;
 pub mod render_types;

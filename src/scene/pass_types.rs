@@ -1,5 +1,6 @@
 //! What a scene file's `passes` list can say.
 
+pub use super::output_types::{ExportPass, MeshFormat, SavePass};
 pub use super::render_types::{Orbit, OrbitFormat, Quality, RenderSettings, Shading, Tone, ViewChoice};
 use super::types::LightSource;
 pub use crate::fit::loss::Loss;
@@ -24,7 +25,7 @@ pub enum Pass {
     Evaluate(EvaluatePass),
     /// Writes the object as a scene file with side files, which renders the same bits again.
     Save(SavePass),
-    /// Writes the object as a `.glb` for other programs.
+    /// Writes the object as a mesh for other programs.
     Export(ExportPass),
 }
 
@@ -404,11 +405,14 @@ pub struct EvaluatePass {
     pub albedo: Option<LayerTruth>,
     /// True world normals of the test views (`normal_<number>.exr`). Default: not scored.
     pub normal: Option<LayerTruth>,
+    /// The true surface, a `.glb` or `.gltf` in the coordinates of the cameras; must exist. The Chamfer distance to it is scored, in
+    /// the data's own unit. Default: not scored.
+    pub mesh: Option<PathBuf>,
 }
 
 impl Default for EvaluatePass {
     fn default() -> Self {
-        Self { name: "scores".into(), scores: Vec::new(), albedo: None, normal: None }
+        Self { name: "scores".into(), scores: Vec::new(), albedo: None, normal: None, mesh: None }
     }
 }
 
@@ -460,34 +464,6 @@ pub enum ScaleRule {
     PerChannel,
     /// One per channel for the diffuse layer and one for the specular layer, shared by all views.
     PerLayer,
-}
-
-/// Writes the object as a scene file with side files.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct SavePass {
-    /// The pass's name. Default "saved".
-    pub name: String,
-}
-
-impl Default for SavePass {
-    fn default() -> Self {
-        Self { name: "saved".into() }
-    }
-}
-
-/// Writes the object as a `.glb`.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct ExportPass {
-    /// The pass's name. Default "export".
-    pub name: String,
-}
-
-impl Default for ExportPass {
-    fn default() -> Self {
-        Self { name: "export".into() }
-    }
 }
 
 fn truth_spp() -> u32 {

@@ -149,6 +149,9 @@ fn pass_paths(at: &str, pass: &mut Pass, visit: &mut impl FnMut(&str, Kind, &mut
                     visit(&format!("{at}.{field}.0"), Kind::Folder, path);
                 }
             }
+            if let Some(path) = &mut evaluate.mesh {
+                visit(&format!("{at}.mesh"), Kind::File, path);
+            }
         }
         Pass::Fit(_) | Pass::Shape(_) | Pass::Render(_) | Pass::Save(_) | Pass::Export(_) => {}
     }

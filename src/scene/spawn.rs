@@ -1,5 +1,6 @@
 //! From a scene to a world: the surface, the views, the light and the material as resources and entities.
 
+use super::check::MIN_ROUGHNESS;
 use super::texture;
 use super::types::{Albedo, AlbedoSource, Light, LightSource, Material, Roughness, Scene, SpecularAlbedo};
 use super::types::{Specular, Surface as SurfaceSpec};
@@ -19,11 +20,13 @@ use crate::shape::hull::{Silhouette, visual_hull};
 use crate::stage::Pipeline;
 use crate::surface::atlas::unwrap_mesh;
 use crate::surface::gltf_import::read_mesh_with_report;
+use crate::surface::gltf_material::{diffuse_share, read_material};
 use crate::surface::primitive::{box_mesh, sphere_mesh};
 use crate::surface::sdf::extract::extract_mesh;
 use crate::surface::{MAX_COORDINATE, Surface};
 use crate::view::{Split, ViewMask, ViewName, ViewRecord};
 use glam::{EulerRot, Quat, Vec3};
+use std::path::Path;
 use std::sync::Arc;
 
 /// Makes the surface, from the training views' masks where it is unknown; the notes say what was repaired on the way.
@@ -41,13 +44,19 @@ pub fn make_surface(spec: &SurfaceSpec, views: &[ViewRecord]) -> Result<(Surface
             let unwrapped = unwrap_mesh(&mesh, *texture_size)?;
             Ok((Surface::new(unwrapped.mesh, *texture_size)?, Vec::new()))
         }
-        SurfaceSpec::Mesh { path, texture_size } => {
+        SurfaceSpec::Mesh { path, texture_size, own_material } => {
             let (mesh, report) = read_mesh_with_report(path)?;
             if let Some(at) = mesh.positions.iter().find(|p| p.abs().max_element() > MAX_COORDINATE) {
                 let problem = format!("a vertex is at {at}: no coordinate may be beyond {MAX_COORDINATE:e}");
                 return Err(Error::input(path, "", problem, "Scale the mesh to the unit of the cameras."));
             }
             let unwrapped = unwrap_mesh(&mesh, *texture_size)?;
+            if *own_material && unwrapped.charts.is_some() {
+                let problem =
+                    "its texture coordinates are missing or overlap, so that its own material has no place";
+                let help = "Give the material in the scene file, or unwrap the mesh in another program.";
+                return Err(Error::input(path, "", problem, help));
+            }
             let notes = report.notes().into_iter().chain(unwrapped.note);
             let notes = notes.map(|note| format!("{}: {note}", path.display())).collect();
             Ok((Surface::new(unwrapped.mesh, *texture_size)?, notes))
@@ -135,7 +144,12 @@ pub fn spawn(
     light: Option<&LoadedLight>,
 ) -> Result<()> {
     let lobes = initial_lobes(&scene.light, light);
-    let albedo = initial_albedo(&scene.material.albedo, surface)?;
+    let (albedo, specular) = match scene.own_material() {
+        Some(path) => own_material(path, surface)?,
+        None => {
+            (initial_albedo(&scene.material.albedo, surface)?, initial_specular(&scene.material.specular))
+        }
+    };
     let world = &mut pipeline.world;
     world.insert_resource(Scenery(surface.clone()));
     world.insert_resource(unknowns(scene));
@@ -158,7 +172,7 @@ pub fn spawn(
             TexelSeen::default(),
         )
     }));
-    world.spawn(initial_specular(&scene.material.specular));
+    world.spawn(specular);
     Ok(())
 }
 
@@ -203,14 +217,29 @@ fn initial_specular(specular: &Specular) -> SpecularLobe {
     }
 }
 
+/// The material of a mesh file, with what glTF dims by 1 − F taken off the base colour.
+fn own_material(path: &Path, surface: &Surface) -> Result<(Vec<Vec3>, SpecularLobe)> {
+    let material = read_material(path)?;
+    let albedo = material.specular_albedo();
+    let factor = material.base_color * diffuse_share(albedo);
+    let (width, height) = (surface.atlas().width, surface.atlas().height);
+    let mut texels = match &material.base_color_image {
+        Some(bytes) => texture::decode_texture(path, bytes, width, height)?,
+        None => vec![Vec3::ONE; (width * height) as usize],
+    };
+    texels.iter_mut().for_each(|texel| *texel *= factor);
+    Ok((texels, SpecularLobe { albedo, roughness: material.roughness.clamp(MIN_ROUGHNESS, 1.0) }))
+}
+
 /// What a fit of this scene may move.
 pub fn unknowns(scene: &Scene) -> Unknowns {
     let Material { albedo, specular } = &scene.material;
+    let open = scene.own_material().is_none();
     Unknowns {
-        albedo: !matches!(albedo, Albedo::Fixed(_)),
+        albedo: open && !matches!(albedo, Albedo::Fixed(_)),
         light: !matches!(scene.light, Light::Fixed(_)),
-        specular_albedo: matches!(specular.albedo, SpecularAlbedo::Unknown { .. }),
+        specular_albedo: open && matches!(specular.albedo, SpecularAlbedo::Unknown { .. }),
         mono_specular: matches!(specular.albedo, SpecularAlbedo::Unknown { mono: true, .. }),
-        roughness: matches!(specular.roughness, Roughness::Unknown { .. }),
+        roughness: open && matches!(specular.roughness, Roughness::Unknown { .. }),
     }
 }

@@ -1,6 +1,7 @@
 //! Images in texture space: albedo textures and region masks, resampled to the object's atlas.
 
-use crate::error::Result;
+use crate::error::{Error, Result};
+use crate::math::color::linear_from_srgb;
 use crate::view::image_io::{Gamma, read_image, read_mask};
 use glam::Vec3;
 use std::path::Path;
@@ -13,6 +14,21 @@ use std::path::Path;
 pub fn read_texture(path: &Path, width: u32, height: u32) -> Result<Vec<Vec3>> {
     let image = read_image(path, Gamma::Srgb)?.image;
     Ok(resample(&image.pixels, [image.width, image.height], [width, height]))
+}
+
+/// As [`read_texture`] for the bytes of an sRGB image that the file `path` holds.
+///
+/// # Errors
+/// [`Error::Input`] if they are no image.
+pub fn decode_texture(path: &Path, bytes: &[u8], width: u32, height: u32) -> Result<Vec<Vec3>> {
+    let image = image::load_from_memory(bytes).map_err(|error| {
+        let problem = format!("its texture cannot be decoded: {error}");
+        Error::input(path, "", problem, "export the mesh again with a PNG texture")
+    })?;
+    let image = image.to_rgb32f();
+    let linear = |pixel: &image::Rgb<f32>| Vec3::from(pixel.0.map(linear_from_srgb));
+    let values: Vec<Vec3> = image.pixels().map(linear).collect();
+    Ok(resample(&values, [image.width(), image.height()], [width, height]))
 }
 
 /// Reads a mask image as `width * height` weights in `[0, 1]`, row 0 at v = 0.

@@ -13,7 +13,7 @@ pub use crate::view::dataset::Layout;
 pub use crate::view::image_io::Gamma;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// The version of the format that this crate reads and writes.
 pub const VERSION: u32 = 1;
@@ -45,6 +45,16 @@ pub struct Scene {
     pub passes: Vec<Pass>,
 }
 
+impl Scene {
+    /// The mesh file that the material is read from, if it is not `material` that says it.
+    pub fn own_material(&self) -> Option<&Path> {
+        match &self.surface {
+            Surface::Mesh { path, own_material: true, .. } => Some(path),
+            _ => None,
+        }
+    }
+}
+
 /// The object's surface.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -56,6 +66,10 @@ pub enum Surface {
         /// Width and height of the albedo texture in texels, 8 to 4096. Default 256.
         #[serde(default = "mesh_texture_size")]
         texture_size: u32,
+        /// Take the file's own material, as `Export` writes it: one dielectric, no metal, no textures but the base colour's. It
+        /// counts as fixed, and `material` must not be given. Default false.
+        #[serde(default)]
+        own_material: bool,
     },
     /// The shape is not known: it is found from the photographs' masks. `views` must be a `Dataset`.
     Unknown {

@@ -60,15 +60,7 @@ enum Hierarchy {
 impl Hierarchy {
     /// As `obvhs`'s own helpers build, but with the depth checked rather than asserted.
     fn new(boxes: &[Aabb]) -> Self {
-        let settings = BvhBuildParams::medium_build();
-        let mut binary = PlocBuilder::with_capacity(boxes.len()).build(
-            settings.ploc_search_distance,
-            boxes,
-            (0..boxes.len() as u32).collect(),
-            settings.sort_precision,
-            settings.search_depth_threshold,
-        );
-        ReinsertionOptimizer::default().run(&mut binary, settings.reinsertion_batch_ratio, None);
+        let binary = binary_hierarchy(boxes);
         let wide = bvh2_to_cwbvh(&binary, TRIANGLES_PER_LEAF, true, false);
         if depth(&wide) <= MAX_WIDE_DEPTH { Self::Wide(wide) } else { Self::Binary(binary) }
     }
@@ -114,6 +106,20 @@ impl Hierarchy {
     }
 }
 
+/// Two children a node; leaves are the numbers of the boxes.
+pub(super) fn binary_hierarchy(boxes: &[Aabb]) -> Bvh2 {
+    let settings = BvhBuildParams::medium_build();
+    let mut binary = PlocBuilder::with_capacity(boxes.len()).build(
+        settings.ploc_search_distance,
+        boxes,
+        (0..boxes.len() as u32).collect(),
+        settings.sort_precision,
+        settings.search_depth_threshold,
+    );
+    ReinsertionOptimizer::default().run(&mut binary, settings.reinsertion_batch_ratio, None);
+    binary
+}
+
 /// Levels of inner nodes.
 fn depth(bvh: &CwBvh) -> usize {
     let mut open: Vec<(usize, usize)> = if bvh.nodes.is_empty() { Vec::new() } else { vec![(0, 1)] };
@@ -136,6 +142,20 @@ fn leaf_box(index: usize, corners: [Vec3; 3], scale: f32, slack: f32) -> Aabb {
     let hash = (index as u32).wrapping_mul(0x9e37_79b9).rotate_left(15).wrapping_mul(0x85eb_ca6b) >> 8;
     let slack = slack * (1.0 + hash as f32 / (1 << 24) as f32);
     Aabb::new((a.min(b).min(c) - slack) * scale, (a.max(b).max(c) + slack) * scale)
+}
+
+/// The boxes of all triangles, `scale` to a world unit, for a mesh within `radius` of `center`.
+pub(super) fn leaf_boxes(mesh: &Mesh, (center, radius): (Vec3, f32), scale: f32) -> Vec<Aabb> {
+    let slack = BOX_SLACK * (radius + center.abs().max_element());
+    (0..mesh.triangles.len()).map(|t| leaf_box(t, mesh.corners(t), scale, slack)).collect()
+}
+
+/// Centre of the box around the triangles, and the greatest distance of a corner from it.
+pub(super) fn bounding_sphere(mesh: &Mesh) -> (Vec3, f32) {
+    let (low, high) = mesh.bounds().unwrap_or_default();
+    let center = low.midpoint(high);
+    let used = mesh.triangles.iter().flatten().map(|&vertex| mesh.positions[vertex as usize]);
+    (center, used.fold(0.0f32, |r, p| r.max(p.distance(center))))
 }
 
 /// The ray's frame: rows of the matrix are x and y sheared along the ray, and z scaled to distance.
@@ -186,14 +206,9 @@ impl RayFrame {
 impl TriangleBvh {
     /// Builds the hierarchy; the same mesh gives the same hierarchy.
     pub fn new(mesh: &Mesh) -> Self {
-        let (low, high) = mesh.bounds().unwrap_or_default();
-        let center = low.midpoint(high);
-        let used = mesh.triangles.iter().flatten().map(|&vertex| mesh.positions[vertex as usize]);
-        let radius = used.fold(0.0f32, |r, p| r.max(p.distance(center)));
-        let slack = BOX_SLACK * (radius + center.abs().max_element());
+        let (center, radius) = bounding_sphere(mesh);
         let scale = (SCALED_RADIUS / radius).log2().floor().clamp(-100.0, 100.0).exp2();
-        let boxes: Vec<Aabb> =
-            (0..mesh.triangles.len()).map(|t| leaf_box(t, mesh.corners(t), scale, slack)).collect();
+        let boxes = leaf_boxes(mesh, (center, radius), scale);
         let hierarchy = Hierarchy::new(&boxes);
         let triangles = hierarchy.order().to_vec();
         let corners = triangles.iter().map(|&t| mesh.corners(t as usize).map(Vec3A::from)).collect();

@@ -1,44 +1,10 @@
 //! Writing a mesh as binary glTF 2.0.
 
+use super::gltf_material::GltfMaterial;
 use super::mesh::Mesh;
 use crate::{Error, Result};
-use glam::Vec3;
 use serde_json::{Value, json};
 use std::path::Path;
-
-/// A material for [`write_glb`]: base colour, roughness, and a coloured dielectric reflectance; metallic is 0.
-#[derive(Clone, Debug, PartialEq)]
-pub struct GltfMaterial {
-    /// The material's name in the file.
-    pub name: String,
-    /// `baseColorFactor`, linear RGB in `[0, 1]`, times the texture.
-    pub base_color: Vec3,
-    /// A PNG file's bytes (sRGB), embedded as the base colour texture; needs a mesh with texture coordinates.
-    pub base_color_png: Option<Vec<u8>>,
-    /// `roughnessFactor` in `[0, 1]`; GGX's α is its square.
-    pub roughness: f32,
-    /// `specularFactor` of `KHR_materials_specular`, in `[0, 1]`.
-    pub specular: f32,
-    /// `specularColorFactor` of `KHR_materials_specular`, linear RGB ≥ 0.
-    pub specular_color: Vec3,
-    /// Index of refraction of `KHR_materials_ior`, ≥ 1 (1.5 is glTF's default, a reflectance of 0.04).
-    pub ior: f32,
-}
-
-impl Default for GltfMaterial {
-    /// A white dielectric, fully rough, as an empty glTF material is (but not metallic).
-    fn default() -> Self {
-        Self {
-            name: "surface".to_owned(),
-            base_color: Vec3::ONE,
-            base_color_png: None,
-            roughness: 1.0,
-            specular: 1.0,
-            specular_color: Vec3::ONE,
-            ior: 1.5,
-        }
-    }
-}
 
 const FLOAT: u32 = 5126;
 const UNSIGNED_INT: u32 = 5125;
@@ -95,7 +61,7 @@ fn check(mesh: &Mesh, material: Option<&GltfMaterial>) -> std::result::Result<()
         return Err("a position, normal or texture coordinate is not finite".to_owned());
     }
     let Some(material) = material else { return Ok(()) };
-    if material.base_color_png.is_some() && mesh.uvs.is_none() {
+    if material.base_color_image.is_some() && mesh.uvs.is_none() {
         return Err("a base colour texture needs texture coordinates".to_owned());
     }
     let scalars = [material.roughness, material.specular, material.ior];
@@ -173,7 +139,7 @@ fn add_material(root: &mut Value, binary: &mut Binary, material: &GltfMaterial) 
         "metallicFactor": 0.0,
         "roughnessFactor": material.roughness,
     });
-    if let Some(png) = &material.base_color_png {
+    if let Some(png) = &material.base_color_image {
         let view = binary.add_view(png.iter().copied(), None);
         root["images"] = json!([{"bufferView": view, "mimeType": "image/png"}]);
         // Linear filtering, clamped at the borders: how the texels are read here.
@@ -219,6 +185,7 @@ mod tests {
     use super::*;
     use crate::surface::gltf_import::{MeshReport, read_mesh_with_report};
     use crate::surface::primitive::{box_mesh, sphere_mesh};
+    use glam::Vec3;
 
     #[test]
     fn a_written_mesh_comes_back_bit_for_bit() {
@@ -246,7 +213,7 @@ mod tests {
         pixels.write_to(&mut std::io::Cursor::new(&mut png), image::ImageFormat::Png).unwrap();
         let material = GltfMaterial {
             base_color: Vec3::new(0.1, 0.2, 0.3),
-            base_color_png: Some(png),
+            base_color_image: Some(png),
             roughness: 0.3,
             specular: 0.5,
             specular_color: Vec3::new(1.0, 0.5, 0.25),
@@ -276,7 +243,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("mesh.glb");
         let good = box_mesh(Vec3::ZERO, Vec3::ONE).unwrap();
-        let textured = GltfMaterial { base_color_png: Some(vec![0]), ..GltfMaterial::default() };
+        let textured = GltfMaterial { base_color_image: Some(vec![0]), ..GltfMaterial::default() };
         let mut out_of_range = good.clone();
         out_of_range.triangles[0][0] = 1000;
         let mut not_finite = good.clone();

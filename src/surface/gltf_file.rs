@@ -115,6 +115,21 @@ impl GltfFile {
         })
     }
 
+    /// The bytes of image file `index`, embedded or beside the file.
+    pub(super) fn image(&self, index: Index<json::Image>, place: &str) -> Result<Vec<u8>> {
+        let image = self.item(&self.root.images, index, "image", place)?;
+        let place = format!("{place}, image {}", index.value());
+        match (image.buffer_view, &image.uri) {
+            (Some(view), _) => {
+                let length = self.item(&self.root.buffer_views, view, "buffer view", &place)?.byte_length.0;
+                let count = self.element_count(length, &place)?;
+                Ok(self.layout(view, 0, count, 1, &place)?.bytes.to_vec())
+            }
+            (None, Some(uri)) => self.read_uri(uri, &place),
+            (None, None) => Err(self.error(place, "has no data: neither a URI nor a buffer view")),
+        }
+    }
+
     /// The elements of accessor `index` as floats, `N` components each; integers are scaled if "normalized".
     pub(super) fn floats<const N: usize>(
         &self,

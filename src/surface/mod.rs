@@ -13,10 +13,15 @@
 
 pub mod atlas;
 pub mod bvh;
+pub mod chamfer;
+pub mod decimate;
 pub mod gltf_export;
 mod gltf_file;
 pub mod gltf_import;
+pub mod gltf_material;
 pub mod mesh;
+pub mod mesh_files;
+pub mod nearest;
 pub mod point;
 pub mod primitive;
 pub mod sdf;
@@ -97,7 +102,8 @@ impl Surface {
         odd.count() >= 3
     }
 
-    fn hit(&self, found: TriangleHit) -> Hit {
+    /// What is at a point that was found on this surface's own mesh.
+    pub fn hit(&self, found: TriangleHit) -> Hit {
         let triangle = found.triangle as usize;
         let corners = self.mesh.triangles[triangle].map(|v| v as usize);
         let blend = |values: &[Vec3]| -> Vec3 { (0..3).map(|k| values[corners[k]] * found.weights[k]).sum() };

@@ -1,0 +1,114 @@
+//! The `Export` pass: the object as a mesh for other programs.
+
+use super::Session;
+use super::edit::take_material;
+use crate::error::{Error, Result};
+use crate::material::SpecularLobe;
+use crate::report::tone::srgb8;
+use crate::scene::pass_types::{ExportPass, MeshFormat};
+use crate::surface::Surface;
+use crate::surface::atlas::{address, fill_uncovered, unwrap_mesh};
+use crate::surface::decimate::decimate;
+use crate::surface::gltf_export::write_glb;
+use crate::surface::gltf_material::{GltfMaterial, diffuse_share};
+use crate::surface::mesh_files::{ObjMaterial, write_obj, write_ply};
+use crate::surface::nearest::NearestTriangle;
+use glam::{Vec2, Vec3};
+use image::{ImageEncoder, codecs::png::PngEncoder};
+use rayon::prelude::*;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// What is exported: a surface, the albedo of its texels, and one specular lobe.
+struct Object {
+    surface: Arc<Surface>,
+    albedo: Vec<Vec3>,
+    specular: SpecularLobe,
+}
+
+/// Writes the object in the formats that the pass names.
+///
+/// # Errors
+/// If the object has several specular lobes, cannot be unwrapped anew, or a file cannot be written.
+pub fn run(session: &mut Session, pass: &ExportPass) -> Result<()> {
+    let mut object = object(session, &pass.name)?;
+    if let Some(target) = pass.triangles.filter(|&n| (n as usize) < object.surface.mesh().triangles.len()) {
+        object = object.coarser(target as usize)?;
+    }
+    for format in &pass.formats {
+        let path = object.write(&session.folder(&pass.name), *format)?;
+        session.progress.print(&format!("{}: {}", pass.name, path.display()));
+    }
+    Ok(())
+}
+
+fn object(session: &mut Session, name: &str) -> Result<Object> {
+    let material = take_material(&mut session.pipeline.world);
+    let [specular] = material.lobes.as_slice() else {
+        return Err(Error::run(name, "an object with several specular lobes cannot be exported yet"));
+    };
+    let albedo = material.albedo.iter().map(|albedo| albedo.0).collect();
+    Ok(Object { surface: session.surface.clone(), albedo, specular: *specular })
+}
+
+impl Object {
+    /// With about `target` triangles; normals and albedo are those of the nearest points of the full surface.
+    fn coarser(&self, target: usize) -> Result<Self> {
+        let size = self.surface.atlas().width;
+        let nearest = NearestTriangle::new(self.surface.mesh());
+        let below = |at: &Vec3| nearest.nearest(*at).map(|found| self.surface.hit(found));
+        let mut mesh = decimate(self.surface.mesh(), target);
+        let normals = mesh.positions.par_iter().map(|at| below(at).map_or(Vec3::Y, |hit| hit.normal));
+        mesh.normals = normals.collect();
+        let surface = Surface::new(unwrap_mesh(&mesh, size)?.mesh, size)?;
+        let atlas = surface.atlas();
+        let carried = |(at, covered): (&Vec3, &bool)| {
+            let hit = covered.then(|| below(at)).flatten();
+            hit.map_or(Vec3::ZERO, |hit| hit.texels.blend(&self.albedo))
+        };
+        let mut albedo: Vec<Vec3> = atlas.position.par_iter().zip(&atlas.covered).map(carried).collect();
+        fill_uncovered(&mut albedo, &atlas.covered, atlas);
+        Ok(Self { surface: Arc::new(surface), albedo, specular: self.specular })
+    }
+
+    /// Writes one format into a folder and returns the file's path.
+    fn write(&self, folder: &Path, format: MeshFormat) -> Result<PathBuf> {
+        let mesh = self.surface.mesh();
+        let SpecularLobe { albedo, roughness } = self.specular;
+        let path = match format {
+            MeshFormat::Glb => folder.join("mesh.glb"),
+            MeshFormat::Ply => folder.join("mesh.ply"),
+            MeshFormat::Obj => folder.join("mesh.obj"),
+        };
+        match format {
+            MeshFormat::Glb => {
+                let base_color_image = Some(self.texture(diffuse_share(albedo))?);
+                let material = GltfMaterial { base_color_image, ..GltfMaterial::of_lobe(albedo, roughness) };
+                write_glb(&path, mesh, Some(&material))?;
+            }
+            MeshFormat::Ply => write_ply(&path, mesh, &self.vertex_colors())?,
+            MeshFormat::Obj => {
+                let albedo_png = &self.texture(1.0)?;
+                write_obj(&path, mesh, &ObjMaterial { albedo_png, specular: albedo, roughness })?;
+            }
+        }
+        Ok(path)
+    }
+
+    fn vertex_colors(&self) -> Vec<[u8; 3]> {
+        let atlas = self.surface.atlas();
+        let color = |uv: &Vec2| address(*uv, atlas.width, atlas.height).blend(&self.albedo);
+        self.surface.mesh().uvs.iter().flatten().map(|uv| srgb8(color(uv))).collect()
+    }
+
+    /// The albedo over `share` as an sRGB PNG; what is above 1 is cut.
+    fn texture(&self, share: f32) -> Result<Vec<u8>> {
+        let atlas = self.surface.atlas();
+        let bytes: Vec<u8> = self.albedo.iter().flat_map(|a| srgb8((*a / share).min(Vec3::ONE))).collect();
+        let mut png = Vec::new();
+        PngEncoder::new(&mut png)
+            .write_image(&bytes, atlas.width, atlas.height, image::ExtendedColorType::Rgb8)
+            .map_err(|error| Error::run("export", format!("the texture cannot be encoded: {error}")))?;
+        Ok(png)
+    }
+}

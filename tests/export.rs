@@ -1,0 +1,104 @@
+//! What `Export` writes is the object: read back, it gives the same picture.
+
+mod common;
+
+use common::{Data, files_below, write_image};
+use glam::Vec3;
+use lobelia::report::exr_file::read_frame;
+use serde_json::Value;
+
+/// A box with a painted texture; `{SURFACE}`, `{MATERIAL}` and `{PASSES}` are filled in.
+const SCENE: &str = r#"Scene(
+    version: 1,
+    surface: {SURFACE},
+    views: Cameras([
+        (name: "a", eye: (1.6, 1.3, 1.9), width: 96, height: 96),
+        (name: "b", eye: (-1.9, -1.2, -1.1), width: 96, height: 96),
+    ]),
+    light: Fixed(Lobes(lobes: [
+        (axis: (0, 1, 0), sharpness: 0.7, amplitude: (0.35, 0.45, 0.6)),
+        (axis: (0.5, 0.6, 0.62), sharpness: 20, amplitude: (2.5, 2.2, 1.9)),
+        (axis: (-0.8, -0.5, -0.3), sharpness: 8, amplitude: (0.9, 1.1, 1.6)),
+    ])),
+    {MATERIAL}
+    passes: [Render(name: "novel"), {PASSES}],
+)"#;
+
+const PAINTED: &str = r#"material: (
+    albedo: Fixed(Texture("paint.exr")),
+    specular: (albedo: Fixed(0.3, 0.22, 0.08), roughness: Fixed(0.3)),
+),"#;
+
+fn scene(surface: &str, material: &str, passes: &str) -> String {
+    SCENE.replace("{SURFACE}", surface).replace("{MATERIAL}", material).replace("{PASSES}", passes)
+}
+
+/// A folder with `paint.exr`: smooth, with channels from 0.05 to 0.65, which 1 − F̄ leaves room for.
+fn studio() -> Data {
+    let data = Data::new();
+    let wave = |i: usize, k: f32| 0.35 + 0.3 * ((i % 64) as f32 * 0.11 * k + (i / 64) as f32 * 0.07).sin();
+    let paint: Vec<Vec3> =
+        (0..64 * 64).map(|i| Vec3::new(wave(i, 1.0), wave(i, -0.6), wave(i, 0.3))).collect();
+    write_image(&data.path("paint.exr"), &paint, 64);
+    data
+}
+
+/// PSNR of the colours of two runs' pictures, display range, over the pixels that the first shows anything in.
+fn psnr(data: &Data, a: &str, b: &str) -> f64 {
+    let (mut sum, mut count) = (0.0, 0);
+    for view in ["a", "b"] {
+        let [a, b] = [a, b].map(|out| read_frame(data.path(&format!("{out}/novel/{view}.exr"))).unwrap());
+        for i in (0..a.color.len()).filter(|&i| a.alpha[i] > 0.0) {
+            let difference = a.color[i].min(Vec3::ONE) - b.color[i].min(Vec3::ONE);
+            sum += f64::from(difference.length_squared());
+            count += 3;
+        }
+    }
+    assert!(count > 3000, "{count}");
+    -10.0 * (sum / f64::from(count)).log10()
+}
+
+#[test]
+fn an_exported_mesh_read_back_gives_the_same_picture() {
+    let data = studio();
+    let painted = scene("Box(texture_size: 64)", PAINTED, r#"Export(name: "export")"#);
+    data.run(&painted, "out", &["--quiet"]).succeeded();
+    let surface = r#"Mesh(path: "out/export/mesh.glb", texture_size: 64, own_material: true)"#;
+    data.run(&scene(surface, "", ""), "again", &["--quiet"]).succeeded();
+    let found = psnr(&data, "out", "again");
+    assert!(found > 45.0, "{found}");
+}
+
+#[test]
+fn a_tenth_of_the_triangles_looks_nearly_the_same() {
+    let data = studio();
+    let passes = r#"Export(name: "export", formats: [Glb, Ply, Obj], triangles: 3600),
+        Evaluate(mesh: "mesh.glb")"#;
+    let sphere = "Sphere(texture_size: 128)";
+    data.run(&scene(sphere, PAINTED, passes), "out", &["--quiet"]).succeeded();
+    let files = ["mesh.glb", "mesh.mtl", "mesh.obj", "mesh.ply", "mesh_albedo.png"];
+    assert_eq!(files_below(&data.path("out/export")), files);
+    let metrics: Value =
+        serde_json::from_slice(&std::fs::read(data.path("out/metrics.json")).unwrap()).unwrap();
+    assert!(metrics["chamfer"].as_f64().unwrap() < 1e-6, "{metrics}");
+    let surface = r#"Mesh(path: "out/export/mesh.glb", texture_size: 128, own_material: true)"#;
+    let again = scene(surface, "", r#"Evaluate(mesh: "mesh.glb")"#);
+    let outcome = data.run(&again, "again", &["--quiet"]).succeeded();
+    assert!(outcome.stdout.contains("Chamfer 0.00"), "{}", outcome.stdout);
+    let found = psnr(&data, "out", "again");
+    assert!(found > 35.0, "{found}");
+}
+
+#[test]
+fn a_mesh_without_its_material_is_refused() {
+    let data = studio();
+    let surface = r#"Mesh(path: "mesh.glb", texture_size: 64, own_material: true)"#;
+    let outcome = data.run(&scene(surface, "", ""), "out", &[]);
+    assert!(outcome.code == Some(2) && outcome.stderr.contains("same material"), "{}", outcome.stderr);
+    let outcome = data.run(&scene(surface, PAINTED, ""), "out", &[]);
+    assert!(
+        outcome.code == Some(2) && outcome.stderr.contains("own material is taken"),
+        "{}",
+        outcome.stderr
+    );
+}
