@@ -49,6 +49,7 @@ pub fn run_save(session: &mut Session, name: &str) -> Result<()> {
             specular: Specular {
                 albedo: SpecularAlbedo::Fixed(specular.albedo),
                 roughness: Roughness::Fixed(specular.roughness),
+                ndf: specular.ndf,
             },
         },
         passes: session.scene.passes.iter().filter(|pass| matches!(pass, Pass::Render(_))).cloned().collect(),
@@ -97,7 +98,7 @@ fn saved_views(session: &Session) -> Result<Views> {
 }
 
 /// Writes `mesh.glb` with the albedo as base colour. glTF dims the diffuse part by 1 − F, which this BRDF does not: the
-/// base colour is raised to make up for the mean of F.
+/// base colour is raised to make up for the mean of F. Its NDF is GGX, so that a material with `ndf: Sg` gains a tail there.
 ///
 /// # Errors
 /// If the file cannot be written.

@@ -200,6 +200,7 @@ fn initial_specular(specular: &Specular) -> SpecularLobe {
             Roughness::Unknown { initial } => initial,
             Roughness::Fixed(value) => value,
         },
+        ndf: specular.ndf,
     }
 }
 
