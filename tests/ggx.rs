@@ -34,7 +34,7 @@ const SCENE: &str = r#"Scene(
         Fit(name: "fit", steps: 300, batch: 1024),
         Render(name: "novel"),
         Render(name: "traced", render: (shading: PathTraced(spp: 256, max_bounces: 1))),
-        Edit(name: "dull", edits: [Roughness(action: Set(0.6), region: Box(min: (0, -2, -2), max: (2, 2, 2)))]),
+        Edit(name: "dull", edits: [Roughness(action: Set(0.6))]),
         Save(name: "saved"),
         Export(name: "export"),
     ],

@@ -179,6 +179,8 @@ proptest! {
         // Sharper ones feel the rounding of directions.
         let (axis, sharpness) = (lobe.axis, lobe.sharpness.min(1e4));
         for (form, ndf) in FORMS {
+            // The published cosine is the difference of two terms thirty times as large.
+            let relative = if form == ClosedForm::Published { 2e-3 } else { 1e-4 };
             let single = form.shade_pair(
                 [point.normal, point.to_viewer],
                 &Lobe { axis, sharpness, amplitude: [1.0; 3] },
@@ -195,7 +197,7 @@ proptest! {
             );
             for (single, double) in single.into_iter().flatten().zip(double.into_iter().flatten()) {
                 let error = (f64::from(single) - double).abs();
-                prop_assert!(error <= 1e-4 * double + 1e-6, "{form:?} {ndf:?}: {single} {double}");
+                prop_assert!(error <= relative * double + 0.01 * relative, "{form:?} {ndf:?}: {single} {double}");
             }
         }
     }
