@@ -34,7 +34,7 @@ fn main() -> Result<()> {
         LightLobe { axis: Vec3::new(0.6, 0.64, 0.48), sharpness: 30.0, amplitude: lamp },
     ];
     let albedo = |p: &Vec3| if p.y > 0.0 { Vec3::new(0.6, 0.2, 0.1) } else { Vec3::new(0.1, 0.2, 0.5) };
-    let truth = SpecularLobe { albedo: Vec3::splat(0.2), roughness: 0.3 };
+    let truth = SpecularLobe::new(Vec3::splat(0.2), 0.3);
     let mut studio = Pipeline::new();
     studio.add_plugin(&FramePlugin);
     fill(&mut studio.world, &surface, surface.atlas().position.iter().map(albedo), lights.to_vec(), truth);
@@ -43,7 +43,7 @@ fn main() -> Result<()> {
     let sharpness = spacing_sharpness(32);
     let guess = |axis| LightLobe { axis, sharpness, amplitude: Vec3::ONE };
     let lobes = fibonacci_axes(32).into_iter().map(guess).collect();
-    let start = SpecularLobe { albedo: Vec3::splat(0.3), roughness: 0.45 };
+    let start = SpecularLobe::new(Vec3::splat(0.3), 0.45);
     let mut pipeline = Pipeline::new();
     pipeline.add_plugin(&FramePlugin).add_plugin(&FitPlugin);
     fill(&mut pipeline.world, &surface, std::iter::repeat_n(Vec3::splat(0.4), texels), lobes, start);

@@ -36,7 +36,7 @@ fn main() -> Result<()> {
     pipeline.add_plugin(&FramePlugin);
     let texel = (DiffuseAlbedo(Vec3::new(0.15, 0.25, 0.5)), SpecularBlend::default());
     pipeline.world.spawn_batch(vec![texel; surface.atlas().position.len()]);
-    pipeline.world.spawn(SpecularLobe { albedo: Vec3::splat(0.1), roughness: 0.3 });
+    pipeline.world.spawn(SpecularLobe::new(Vec3::splat(0.1), 0.3));
     pipeline.world.spawn_batch([
         LightLobe { axis: Vec3::Y, sharpness: 0.8, amplitude: Vec3::splat(0.5) },
         LightLobe { axis: Vec3::new(0.6, 0.64, 0.48), sharpness: 30.0, amplitude: Vec3::splat(4.0) },

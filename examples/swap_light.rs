@@ -25,7 +25,7 @@ fn main() -> Result<()> {
     pipeline.add_plugin(&FramePlugin);
     let texel = (DiffuseAlbedo(Vec3::new(0.3, 0.1, 0.08)), SpecularBlend::default());
     pipeline.world.spawn_batch(vec![texel; surface.atlas().position.len()]);
-    pipeline.world.spawn(SpecularLobe { albedo: Vec3::splat(0.5), roughness: 0.2 });
+    pipeline.world.spawn(SpecularLobe::new(Vec3::splat(0.5), 0.2));
     pipeline.world.insert_resource(Scenery(surface));
 
     // First light: entities, which `provide_lobes` (the plugin's choice) collects before each frame.

@@ -53,7 +53,7 @@ fn small_world() -> Result<Pipeline> {
     let world = &mut pipeline.world;
     let texel = (DiffuseAlbedo(Vec3::new(0.5, 0.45, 0.4)), SpecularBlend::default());
     world.spawn_batch(vec![texel; surface.atlas().position.len()]);
-    world.spawn(SpecularLobe { albedo: Vec3::splat(0.1), roughness: 0.3 });
+    world.spawn(SpecularLobe::new(Vec3::splat(0.1), 0.3));
     world.spawn_batch([
         LightLobe { axis: Vec3::Y, sharpness: 0.8, amplitude: Vec3::new(0.4, 0.45, 0.55) },
         LightLobe { axis: Vec3::new(-0.6, 0.64, 0.48), sharpness: 60.0, amplitude: Vec3::splat(12.0) },

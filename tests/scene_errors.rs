@@ -101,9 +101,19 @@ fn a_wrong_field_names_the_nearest_right_one() {
 }
 
 #[test]
+fn published_shading_has_no_ggx() {
+    let scene = wrong("exposure: 0.5", "shading: Published").replace("Fixed(0.3))", "Fixed(0.3), ndf: Ggx)");
+    refused(&scene, "Published", &["`Published` shading cannot show", "`ndf: Ggx`", "`Accurate`"]);
+    let outcome = lobelia("check", &scene.replace("Published", "Accurate"), &[]);
+    assert_eq!((outcome.code, outcome.stderr.as_str()), (Some(0), ""));
+}
+
+#[test]
 fn a_wrong_choice_lists_the_choices() {
     let scene = wrong("surface: Sphere", "surface: Spere");
     refused(&scene, "Spere", &["unknown choice `Spere`", "Did you mean `Sphere`?", "`Mesh`"]);
+    let scene = wrong("Fixed(0.3))", "Fixed(0.3), ndf: Gxx)");
+    refused(&scene, "Gxx", &["unknown choice `Gxx`", "Did you mean `Ggx`?"]);
     let scene = wrong("Edit(name", "Scale(name");
     refused(&scene, "Scale(name", &["unknown choice `Scale`", "`Relight`"]);
 }

@@ -151,7 +151,7 @@ fn specular_lobes_keep_their_order_after_a_fit() {
         let before = take_material(world);
         for count in [3, 2, 8, 1] {
             let mut state = before.clone();
-            let lobe = |i: u8| SpecularLobe { albedo: Vec3::splat(0.1 * f32::from(i)), roughness: 0.5 };
+            let lobe = |i: u8| SpecularLobe::new(Vec3::splat(0.1 * f32::from(i)), 0.5);
             state.lobes = (0..count).map(lobe).collect();
             put_material(world, &state);
             assert_eq!(take_material(world).lobes, state.lobes, "{count} lobes, {fillers} fillers");

@@ -1,6 +1,7 @@
 //! A first guess from the data: with the lobes' axes and sharpness held, radiance is linear in their amplitudes, and
 //! with the light held it is linear in the albedo. Pure kernels; [`super::run`] alternates them.
 
+use crate::math::brdf::Facets;
 use crate::math::published::Lobe;
 use crate::math::shading::{ClosedForm, Layers, LobeColumns, ShadePoint, SpecularValue};
 use crate::surface::point::SurfacePoint;
@@ -98,10 +99,10 @@ fn accumulate(
     let mut rows: [Vec<f32>; 3] = std::array::from_fn(|_| vec![0.0; lobes.len()]);
     for (point, observed) in points.iter().zip(observed) {
         let directions = [point.normal, point.to_viewer];
+        let facets = Facets { ndf: specular.ndf, roughness: specular.roughness };
         for i in 0..lobes.len() {
             let lobe = Lobe { amplitude: [1.0; 3], ..lobes.get(i) };
-            let [diffuse, glossy] =
-                form.shade_pair(directions, &lobe, point.albedo, specular.albedo, specular.roughness);
+            let [diffuse, glossy] = form.shade_pair(directions, &lobe, point.albedo, specular.albedo, facets);
             for (c, row) in rows.iter_mut().enumerate() {
                 row[i] = diffuse[c] + glossy[c];
             }

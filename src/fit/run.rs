@@ -191,7 +191,7 @@ fn rates_at(step: u32, options: &FitOptions) -> StepRates {
 
 fn first_specular(world: &mut World) -> SpecularLobe {
     let lobe = world.query::<&SpecularLobe>().iter(world).next().copied();
-    lobe.unwrap_or(SpecularLobe { albedo: Vec3::ZERO, roughness: 1.0 })
+    lobe.unwrap_or(SpecularLobe::new(Vec3::ZERO, 1.0))
 }
 
 /// Gives texels and lobes fresh gradients and moments.

@@ -132,12 +132,13 @@ fn edit_lobes(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::math::brdf::Ndf;
 
     fn state() -> MaterialState {
         MaterialState {
             albedo: vec![DiffuseAlbedo(Vec3::splat(0.5)); 3],
             blends: vec![SpecularBlend::default(); 3],
-            lobes: vec![SpecularLobe { albedo: Vec3::splat(0.3), roughness: 0.4 }],
+            lobes: vec![SpecularLobe::new(Vec3::splat(0.3), 0.4)],
         }
     }
 
@@ -157,8 +158,9 @@ mod tests {
     #[test]
     fn a_whole_object_edit_keeps_one_lobe() -> Result<()> {
         let mut state = state();
+        state.lobes[0].ndf = Ndf::Ggx;
         apply_edit(&mut state, &MaterialChange::Specular(ColorChange::Blend(Vec3::ONE, 0.5)), None)?;
-        assert_eq!(state.lobes, [SpecularLobe { albedo: Vec3::splat(0.65), roughness: 0.4 }]);
+        assert_eq!(state.lobes, [SpecularLobe { albedo: Vec3::splat(0.65), roughness: 0.4, ndf: Ndf::Ggx }]);
         Ok(())
     }
 

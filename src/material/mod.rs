@@ -2,6 +2,7 @@
 
 pub mod edit;
 
+use crate::math::brdf::{Facets, Ndf};
 use bevy_ecs::prelude::Component;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
@@ -14,6 +15,21 @@ pub struct SpecularLobe {
     pub albedo: Vec3,
     /// The paper's roughness R in `(0, 1]`; GGX's α is R².
     pub roughness: f32,
+    /// Distribution of microfacet normals, `Sg` or `Ggx`. Default `Sg`, the paper's.
+    #[serde(default)]
+    pub ndf: Ndf,
+}
+
+impl SpecularLobe {
+    /// A lobe with the paper's distribution of normals.
+    pub const fn new(albedo: Vec3, roughness: f32) -> Self {
+        Self { albedo, roughness, ndf: Ndf::Sg }
+    }
+
+    /// Its microfacets.
+    pub fn facets(&self) -> Facets<f32> {
+        Facets { ndf: self.ndf, roughness: self.roughness }
+    }
 }
 
 /// Diffuse albedo of a material texel, linear RGB in `[0, 1]`.

@@ -35,12 +35,13 @@ mod cubature;
 #[cfg(test)]
 mod tests;
 
-pub use model::{ACCURATE_DEFAULT, ACCURATE_HIGH, Accurate};
+pub use model::{ACCURATE_DEFAULT, ACCURATE_HIGH, Accurate, GGX_DEFAULT, GGX_HIGH};
 
-use super::brdf::{ndf_sharpness, shadowing_k};
+use super::brdf::{Facets, Ndf, ndf_sharpness, shadowing_k};
 use super::published::{Dual, Lobe};
 use super::real::{Real, Vec3Of, add, dot, scale, sub};
 use diffuse::cosine_integral;
+use ggx::prepare_ggx_point;
 use rule::across;
 use serde::{Deserialize, Serialize};
 use specular::{LocalLight, Node, PointTermsView, node, place};
@@ -172,10 +173,17 @@ pub fn prepare_point<F: Real>(
     to_viewer: Vec3Of<F>,
     roughness: F,
 ) -> (PointTerms<F>, PointSlopes<F>) {
+    let (ndf, slopes) = one_sg(roughness);
+    prepare_with_ndf(normal, to_viewer, roughness, ndf, slopes)
+}
+
+/// The supplement's NDF as [L, w], and its slopes: what [`prepare_with_ndf`] takes.
+#[inline(always)]
+fn one_sg<F: Real>(roughness: F) -> ([[F; 2]; 1], [[F; 2]; 1]) {
     let sharpness = ndf_sharpness(roughness);
     let slope = -(sharpness / roughness).times(4.0);
     let zero = roughness.zero();
-    prepare_with_ndf(normal, to_viewer, roughness, [[sharpness, zero.one()]], [[slope, zero]])
+    ([[sharpness, zero.one()]], [[slope, zero]])
 }
 
 /// As [`prepare_point`] for an NDF Σ w·(L/2π)·e^{L(h·n − 1)}: `ndf` holds the pairs [L, w], `slopes` [dL/dR, d(ln w)/dR].
@@ -446,6 +454,17 @@ pub fn pull_back_point<F: Real, const NDF: usize>(
     (add(scale(point.frame[0], along), scale(point.frame[1], sums.normal[1])), roughness)
 }
 
+fn pair_of_quality<F: Real, const NDF: usize>(
+    quality: Quality,
+    point: &PointTerms<F, NDF>,
+    lobe: &Lobe<F>,
+) -> Pair<F> {
+    match quality {
+        Quality::Default => evaluate_pair::<F, 3, 2, NDF>(point, lobe.axis, lobe.sharpness),
+        Quality::High => evaluate_pair::<F, 4, 3, NDF>(point, lobe.axis, lobe.sharpness),
+    }
+}
+
 /// Diffuse and specular radiance of one point under one lobe (for tables and tests).
 pub fn shade_pair<F: Real>(
     quality: Quality,
@@ -454,12 +473,11 @@ pub fn shade_pair<F: Real>(
     lobe: &Lobe<F>,
     albedo: Vec3Of<F>,
     specular_albedo: Vec3Of<F>,
-    roughness: F,
+    facets: Facets<F>,
 ) -> (Vec3Of<F>, Vec3Of<F>) {
-    let (point, _) = prepare_point(normal, to_viewer, roughness);
-    let pair = match quality {
-        Quality::Default => evaluate_pair::<F, 3, 2, 1>(&point, lobe.axis, lobe.sharpness),
-        Quality::High => evaluate_pair::<F, 4, 3, 1>(&point, lobe.axis, lobe.sharpness),
+    let pair = match facets.ndf {
+        Ndf::Sg => pair_of_quality(quality, &prepare_point(normal, to_viewer, facets.roughness).0, lobe),
+        Ndf::Ggx => pair_of_quality(quality, &prepare_ggx_point(normal, to_viewer, facets.roughness).0, lobe),
     };
     let channel = |c: usize| {
         let diffuse = lobe.amplitude[c] * albedo[c].times(1.0 / PI) * pair.diffuse.value;

@@ -6,9 +6,10 @@
 //! one or more specular terms `specular_b` belong to the pair and the weights to the point.
 
 use super::real::{Real, Vec3Of};
-use super::shading::{ShadePoint, SpecularValue};
+use super::shading::{ShadePoint, SpecularAdjoint, SpecularValue};
 
-/// A fixed number of values: the terms of a point, a lobe or a pair. Implemented for arrays.
+/// A fixed number of values: the terms of a point, a lobe or a pair. Implemented for arrays, and for an array with a few more
+/// values for each of several parts.
 pub trait Terms<F>: Copy {
     /// How many.
     const LEN: usize;
@@ -33,6 +34,25 @@ impl<F: Copy, const N: usize> Terms<F> for [F; N] {
     #[inline(always)]
     fn at_mut(&mut self, index: usize) -> &mut F {
         &mut self[index]
+    }
+}
+
+impl<F: Copy, const N: usize, const EACH: usize, const PARTS: usize> Terms<F>
+    for ([F; N], [[F; EACH]; PARTS])
+{
+    const LEN: usize = N + EACH * PARTS;
+    #[inline(always)]
+    fn from_fn(mut value: impl FnMut(usize) -> F) -> Self {
+        let shared = std::array::from_fn(&mut value);
+        (shared, std::array::from_fn(|p| std::array::from_fn(|i| value(N + EACH * p + i))))
+    }
+    #[inline(always)]
+    fn at(&self, index: usize) -> F {
+        if index < N { self.0[index] } else { self.1[(index - N) / EACH][(index - N) % EACH] }
+    }
+    #[inline(always)]
+    fn at_mut(&mut self, index: usize) -> &mut F {
+        if index < N { &mut self.0[index] } else { &mut self.1[(index - N) / EACH][(index - N) % EACH] }
     }
 }
 
@@ -157,5 +177,5 @@ pub trait PairModel: Copy + Send + Sync {
     ) -> PulledBack<F, Self>;
 
     /// Ends a point's adjoint: returns that of its normal, adds that of the specular material onto `gradient`.
-    fn pull_back_point(&self, end: &PointEnd<'_, Self>, gradient: &mut SpecularValue) -> Vec3Of<f32>;
+    fn pull_back_point(&self, end: &PointEnd<'_, Self>, gradient: &mut SpecularAdjoint) -> Vec3Of<f32>;
 }

@@ -138,7 +138,7 @@ pub fn cosine_integral<F: Real>(sharpness: F, c: F) -> Dual<F> {
 }
 
 /// A light lobe as the kernel reads it.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 pub struct Lobe<F> {
     /// Unit axis.
     pub axis: Vec3Of<F>,

@@ -7,7 +7,8 @@
 mod cull;
 mod kernels;
 
-use super::accurate::{ACCURATE_DEFAULT, ACCURATE_HIGH, Quality};
+use super::accurate::{ACCURATE_DEFAULT, ACCURATE_HIGH, GGX_DEFAULT, GGX_HIGH, Quality};
+use super::brdf::{Facets, Ndf};
 use super::lanes::{MAX_LANES, Row};
 use super::model::PairModel;
 use super::published::{Lobe, Published};
@@ -108,12 +109,23 @@ impl ShadePoint {
     }
 }
 
-/// The specular material as the kernels read it, and the shape of its gradient.
+/// The specular material as the kernels read it.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct SpecularValue {
     /// Specular albedo.
     pub albedo: Vec3Of<f32>,
     /// Roughness R.
+    pub roughness: f32,
+    /// Distribution of microfacet normals; [`ClosedForm::Published`] knows one SG only and takes that.
+    pub ndf: Ndf,
+}
+
+/// Adjoints of the specular material.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct SpecularAdjoint {
+    /// With respect to the specular albedo.
+    pub albedo: Vec3Of<f32>,
+    /// With respect to the roughness.
     pub roughness: f32,
 }
 
@@ -145,7 +157,7 @@ pub struct SharedGradient {
     /// With respect to the light lobes.
     pub lobes: LobeColumns,
     /// With respect to the specular material.
-    pub specular: SpecularValue,
+    pub specular: SpecularAdjoint,
 }
 
 /// Which closed form shades.
@@ -163,6 +175,23 @@ impl Default for ClosedForm {
     }
 }
 
+/// `$body` with `$model` the [`PairModel`] of a closed form and a distribution of microfacet normals.
+macro_rules! with_model {
+    ($form:expr, $ndf:expr, $model:ident => $body:expr) => {
+        match ($form, $ndf) {
+            (ClosedForm::Published, _) => with_model!(@ $model, Published, $body),
+            (ClosedForm::Accurate(Quality::Default), Ndf::Sg) => with_model!(@ $model, ACCURATE_DEFAULT, $body),
+            (ClosedForm::Accurate(Quality::High), Ndf::Sg) => with_model!(@ $model, ACCURATE_HIGH, $body),
+            (ClosedForm::Accurate(Quality::Default), Ndf::Ggx) => with_model!(@ $model, GGX_DEFAULT, $body),
+            (ClosedForm::Accurate(Quality::High), Ndf::Ggx) => with_model!(@ $model, GGX_HIGH, $body),
+        }
+    };
+    (@ $model:ident, $value:expr, $body:expr) => {{
+        let $model = $value;
+        $body
+    }};
+}
+
 impl ClosedForm {
     /// Diffuse and specular radiance of one point under one lobe, each at least 0, in any float.
     pub fn shade_pair<F: Real>(
@@ -171,14 +200,14 @@ impl ClosedForm {
         lobe: &Lobe<F>,
         albedo: Vec3Of<F>,
         specular_albedo: Vec3Of<F>,
-        roughness: F,
+        facets: Facets<F>,
     ) -> [Vec3Of<F>; 2] {
         let (diffuse, specular) = match self {
             Self::Published => {
-                published::shade_pair(normal, to_viewer, lobe, albedo, specular_albedo, roughness)
+                published::shade_pair(normal, to_viewer, lobe, albedo, specular_albedo, facets.roughness)
             }
             Self::Accurate(quality) => {
-                accurate::shade_pair(quality, normal, to_viewer, lobe, albedo, specular_albedo, roughness)
+                accurate::shade_pair(quality, normal, to_viewer, lobe, albedo, specular_albedo, facets)
             }
         };
         [diffuse.map(F::relu), specular.map(F::relu)]
@@ -192,20 +221,12 @@ impl ClosedForm {
         lobes: &LobeColumns,
         out: &mut [Layers],
     ) {
-        match self {
-            Self::Published => shade_with(Published, points, specular, lobes, out),
-            Self::Accurate(Quality::Default) => shade_with(ACCURATE_DEFAULT, points, specular, lobes, out),
-            Self::Accurate(Quality::High) => shade_with(ACCURATE_HIGH, points, specular, lobes, out),
-        }
+        with_model!(self, specular.ndf, model => shade_with(model, points, specular, lobes, out));
     }
 
     /// The part of all pairs whose specular light this form leaves out, in [0, 1].
     pub fn culled_part(self, points: &[ShadePoint], specular: &SpecularValue, lobes: &LobeColumns) -> f64 {
-        match self {
-            Self::Published => culled_part(Published, points, specular, lobes),
-            Self::Accurate(Quality::Default) => culled_part(ACCURATE_DEFAULT, points, specular, lobes),
-            Self::Accurate(Quality::High) => culled_part(ACCURATE_HIGH, points, specular, lobes),
-        }
+        with_model!(self, specular.ndf, model => culled_part(model, points, specular, lobes))
     }
 
     /// [`shade_adjoint_with`] of this form.
@@ -218,17 +239,9 @@ impl ClosedForm {
         out: &mut [PointAdjoint],
         gradient: &mut SharedGradient,
     ) {
-        match self {
-            Self::Published => {
-                shade_adjoint_with(Published, points, specular, lobes, radiance, out, gradient)
-            }
-            Self::Accurate(Quality::Default) => {
-                shade_adjoint_with(ACCURATE_DEFAULT, points, specular, lobes, radiance, out, gradient);
-            }
-            Self::Accurate(Quality::High) => {
-                shade_adjoint_with(ACCURATE_HIGH, points, specular, lobes, radiance, out, gradient);
-            }
-        }
+        with_model!(self, specular.ndf, model => {
+            shade_adjoint_with(model, points, specular, lobes, radiance, out, gradient);
+        });
     }
 }
 
@@ -310,7 +323,7 @@ impl SharedGradient {
     /// Sums partial gradients of `rows` rows each, first to last.
     fn sum_in_order(&mut self, partial: &mut [Row], rows: usize, len: usize) {
         self.lobes.reset(len);
-        self.specular = SpecularValue::default();
+        self.specular = SpecularAdjoint::default();
         let Some((total, rest)) = partial.split_at_mut_checked(rows) else { return };
         for part in rest.chunks_exact(rows) {
             for (sum, value) in total.iter_mut().flat_map(|r| &mut r.0).zip(part.iter().flat_map(|r| &r.0)) {
@@ -318,7 +331,7 @@ impl SharedGradient {
             }
         }
         let [r, g, b, roughness, ..] = total[rows - 1].0;
-        self.specular = SpecularValue { albedo: [r, g, b], roughness };
+        self.specular = SpecularAdjoint { albedo: [r, g, b], roughness };
         for (block, rows) in total.chunks_exact(LOBE_COLUMNS).enumerate() {
             for (c, row) in rows.iter().enumerate() {
                 let start = c * self.lobes.stride + block * MAX_LANES;
@@ -328,5 +341,7 @@ impl SharedGradient {
     }
 }
 
+#[cfg(test)]
+mod properties;
 #[cfg(test)]
 mod tests;

@@ -8,6 +8,7 @@ use crate::error::{Error, Result};
 use crate::file::write_bytes;
 use crate::light::fibonacci::fibonacci_axes;
 use crate::math::accurate::Quality;
+use crate::math::brdf::Ndf;
 use crate::math::lanes::level_name;
 use crate::math::published::Lobe;
 use crate::math::shading::{
@@ -19,11 +20,12 @@ use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
-/// Shading modes that are measured. A further mode is one more line.
-const MODES: [(&str, ClosedForm); 3] = [
-    ("published", ClosedForm::Published),
-    ("accurate", ClosedForm::Accurate(Quality::Default)),
-    ("accurate-high", ClosedForm::Accurate(Quality::High)),
+/// Shading modes that are measured, with the NDF of their material. A further mode is one more line.
+const MODES: [(&str, ClosedForm, Ndf); 4] = [
+    ("published", ClosedForm::Published, Ndf::Sg),
+    ("accurate", ClosedForm::Accurate(Quality::Default), Ndf::Sg),
+    ("accurate-high", ClosedForm::Accurate(Quality::High), Ndf::Sg),
+    ("accurate-ggx", ClosedForm::Accurate(Quality::Default), Ndf::Ggx),
 ];
 
 /// Roughness of the specular lobe: glossy, between, rough.
@@ -97,10 +99,11 @@ pub fn bench(
             .num_threads(threads)
             .build()
             .map_err(|error| Error::run("starting threads", error.to_string()))?;
-        for (mode, form) in MODES {
+        for (mode, form, ndf) in MODES {
             for &lobes in &options.lobes {
                 for roughness in ROUGHNESS {
                     let mut work = Workload::new(options.points, lobes, roughness);
+                    work.specular.ndf = ndf;
                     let timing = pool.install(|| time_kernels(form, &mut work, budget));
                     let row = BenchRow::new(mode, threads, &work, &timing);
                     on_row(&row)?;
@@ -211,7 +214,7 @@ impl Workload {
         let points: Vec<ShadePoint> = (0..points).map(|_| random_point(&mut rng)).collect();
         Self {
             lobes,
-            specular: SpecularValue { albedo: [0.3, 0.2, 0.1], roughness },
+            specular: SpecularValue { albedo: [0.3, 0.2, 0.1], roughness, ndf: Ndf::Sg },
             shaded: vec![Layers::default(); points.len()],
             adjoint: vec![RadianceAdjoint([0.3, 0.5, -0.2]); points.len()],
             point_adjoint: vec![PointAdjoint::default(); points.len()],

@@ -74,7 +74,7 @@ impl Object {
     /// Writes one format into a folder and returns the file's path.
     fn write(&self, folder: &Path, format: MeshFormat) -> Result<PathBuf> {
         let mesh = self.surface.mesh();
-        let SpecularLobe { albedo, roughness } = self.specular;
+        let SpecularLobe { albedo, roughness, .. } = self.specular;
         let path = match format {
             MeshFormat::Glb => folder.join("mesh.glb"),
             MeshFormat::Ply => folder.join("mesh.ply"),

@@ -169,10 +169,16 @@ fn write_results(
 
 /// The specular lobes as a RON list, in the words of a scene file.
 fn materials_ron(world: &mut World) -> String {
-    let mut text = String::from("// Specular lobes: albedo (linear RGB) and the paper's roughness R.\n[\n");
+    let mut text = String::from(
+        "// Specular lobes: albedo (linear RGB), the paper's roughness R, distribution of normals.\n[\n",
+    );
     for lobe in world.query::<&SpecularLobe>().iter(world) {
         let [r, g, b] = lobe.albedo.to_array();
-        let _ = writeln!(text, "    (albedo: ({r:?}, {g:?}, {b:?}), roughness: {:?}),", lobe.roughness);
+        let _ = writeln!(
+            text,
+            "    (albedo: ({r:?}, {g:?}, {b:?}), roughness: {:?}, ndf: {:?}),",
+            lobe.roughness, lobe.ndf
+        );
     }
     text.push_str("]\n");
     text

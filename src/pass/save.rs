@@ -51,6 +51,7 @@ pub fn run(session: &mut Session, name: &str) -> Result<()> {
             specular: Specular {
                 albedo: SpecularAlbedo::Fixed(specular.albedo),
                 roughness: Roughness::Fixed(specular.roughness),
+                ndf: specular.ndf,
             },
         },
         passes: session.scene.passes.iter().filter(|pass| matches!(pass, Pass::Render(_))).cloned().collect(),

@@ -12,6 +12,7 @@ mod table;
 pub use table::Case;
 
 use crate::error::{Error, Result};
+use crate::math::brdf::Facets;
 use crate::math::published::Lobe;
 use crate::math::real::{Real, Vec3Of};
 use crate::math::shading::ClosedForm;
@@ -118,7 +119,7 @@ fn in_closed_form(form: ClosedForm, case: &Case<f64>, precision: Precision) -> [
 
 fn shade_case<F: Real>(form: ClosedForm, case: &Case<F>) -> [Vec3Of<F>; 2] {
     let lobe = Lobe { axis: case.lobe_axis, sharpness: case.lobe_sharpness, amplitude: case.lobe_amplitude };
-    form.shade_pair([case.normal, case.view], &lobe, case.albedo, case.specular, case.roughness)
+    form.shade_pair([case.normal, case.view], &lobe, case.albedo, case.specular, Facets::sg(case.roughness))
 }
 
 const PARTS: [&str; 2] = ["diffuse", "specular"];

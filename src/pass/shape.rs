@@ -44,10 +44,12 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     let surface = fit_shape(&mut session.pipeline, &options, &mut |at: &ShapeProgress| {
         let before: u32 = pass.levels[..at.level].iter().map(|level| level.steps).sum();
         bar.set_position(u64::from(before + at.fit.step));
-        if at.fit.step % 20 == 0 {
+        if at.fit.step.is_multiple_of(20) {
             bar.set_message(format!("{:.1} dB", at.fit.sums.psnr()));
         }
-        if let Some(inspector) = inspector.as_ref().filter(|inspector| at.fit.step % inspector.every == 0) {
+        if let Some(inspector) =
+            inspector.as_ref().filter(|inspector| at.fit.step.is_multiple_of(inspector.every))
+        {
             failure = inspector.look(at, before + at.fit.step).err();
         }
         let stop = failure.is_some() || INTERRUPTED.load(Ordering::Relaxed);

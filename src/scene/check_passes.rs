@@ -3,10 +3,10 @@
 use super::check::{Checks, light_source};
 use super::diagnostic::nearest;
 use super::pass_types::{
-    ColorAction, DiffuseAction, Edit, EditPass, EvaluatePass, ExportPass, FitPass, LayerTruth, Orbit, Pass,
-    Region, RelightPass, RenderSettings, ScalarAction, Shading, ShapePass, Truth, ViewChoice,
+    ColorAction, DiffuseAction, Edit, EditPass, EvaluatePass, ExportPass, FitPass, FitShading, LayerTruth,
+    Orbit, Pass, Region, RelightPass, RenderSettings, ScalarAction, Shading, ShapePass, Truth, ViewChoice,
 };
-use super::types::{Albedo, Light, Roughness, Scene, SpecularAlbedo, Surface, Views};
+use super::types::{Albedo, Light, Ndf, Roughness, Scene, SpecularAlbedo, Surface, Views};
 
 /// Checks every pass of the scene.
 pub(super) fn passes(checks: &mut Checks, scene: &Scene) {
@@ -35,10 +35,29 @@ pub(super) fn passes(checks: &mut Checks, scene: &Scene) {
         if let Some(render) = pass.render() {
             self::render(checks, &format!("{at}.render"), render, &scene.views);
         }
+        known_to_published(checks, &at, pass, scene);
         fitted |= matches!(pass, Pass::Fit(_) | Pass::Shape(_));
         if !fitted {
             nothing_unknown(checks, &at, pass, scene);
         }
+    }
+}
+
+/// The published formulas have the supplement's NDF alone.
+fn known_to_published(checks: &mut Checks, at: &str, pass: &Pass, scene: &Scene) {
+    let path = match pass {
+        Pass::Fit(fit) if fit.shading == FitShading::Published => format!("{at}.shading"),
+        Pass::Shape(shape) if shape.shading == FitShading::Published => format!("{at}.shading"),
+        _ if pass.render().is_some_and(|r| r.shading == Shading::Published) => format!("{at}.render.shading"),
+        _ => return,
+    };
+    if scene.material.specular.ndf == Ndf::Ggx {
+        checks.fail(
+            &path,
+            "`Published` shading cannot show a material with `ndf: Ggx`",
+            "expected `Accurate` (or `PathTraced`) shading",
+            "The published formulas know the single spherical Gaussian only; or say `ndf: Sg` in `material.specular`.",
+        );
     }
 }
 

@@ -184,12 +184,12 @@ mod tests {
             cameras: (count: 6, test: 2, size: 32),
             truth: (
                 albedo: Stripes(colors: [(0.8, 0.1, 0.1), (0.1, 0.1, 0.8)]),
-                specular: (albedo: (0.2, 0.2, 0.2), roughness: 0.3),
+                specular: (albedo: (0.2, 0.2, 0.2), roughness: 0.3, ndf: Ggx),
                 light: Lobes(lobes: [(axis: (0, 1, 0), sharpness: 5, amplitude: (1, 0.1, 3e-7))], scale: 2),
             ),
         ),
         light: Unknown(),
-        material: (specular: (albedo: Unknown(mono: false), roughness: Fixed(0.25))),
+        material: (specular: (albedo: Unknown(mono: false), roughness: Fixed(0.25), ndf: Ggx)),
         passes: [
             Fit(steps: 10, milestones: []),
             Render(name: "novel", render: (views: Named(["a"]), shading: PathTraced(spp: 8), orbit: (radius: 3))),

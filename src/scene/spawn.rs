@@ -12,6 +12,7 @@ use crate::light::illuminate::{LobeLight, MapLight};
 use crate::light::npy::read_lobes;
 use crate::light::{EnvironmentMap, LightLobe, rotate_lobes, scale_lobes, validate_lobes};
 use crate::material::{DiffuseAlbedo, SpecularBlend, SpecularLobe};
+use crate::math::brdf::Ndf;
 use crate::math::ray::Illuminate;
 use crate::math::shading::LobeColumns;
 use crate::shade::systems::kernel_lobe;
@@ -214,6 +215,7 @@ fn initial_specular(specular: &Specular) -> SpecularLobe {
             Roughness::Unknown { initial } => initial,
             Roughness::Fixed(value) => value,
         },
+        ndf: specular.ndf,
     }
 }
 
@@ -228,7 +230,9 @@ fn own_material(path: &Path, surface: &Surface) -> Result<(Vec<Vec3>, SpecularLo
         None => vec![Vec3::ONE; (width * height) as usize],
     };
     texels.iter_mut().for_each(|texel| *texel *= factor);
-    Ok((texels, SpecularLobe { albedo, roughness: material.roughness.clamp(MIN_ROUGHNESS, 1.0) }))
+    let roughness = material.roughness.clamp(MIN_ROUGHNESS, 1.0);
+    // As this project writes it: a file made by other programs means GGX, but does not say what wrote it.
+    Ok((texels, SpecularLobe { albedo, roughness, ndf: Ndf::default() }))
 }
 
 /// What a fit of this scene may move.

@@ -8,6 +8,7 @@ use crate::light::LightLobe;
 pub use crate::light::convention::MapConvention;
 pub use crate::light::npy::NpyConvention;
 use crate::material::SpecularLobe;
+pub use crate::math::brdf::Ndf;
 use crate::view::Split;
 pub use crate::view::dataset::Layout;
 pub use crate::view::image_io::Gamma;
@@ -222,7 +223,7 @@ impl Default for CameraRing {
 pub struct TruthObject {
     /// Diffuse albedo over the surface.
     pub albedo: Pattern,
-    /// Specular albedo in [0, 1] and roughness in [0.03, 1].
+    /// Specular albedo in [0, 1], roughness in [0.03, 1] and, if not the paper's, `ndf`: `(albedo: (…), roughness: 0.25, ndf: Ggx)`.
     pub specular: SpecularLobe,
     /// The light.
     pub light: LightSource,
@@ -388,6 +389,9 @@ pub struct Specular {
     pub albedo: SpecularAlbedo,
     /// Roughness. Default `Unknown(initial: 0.4)`.
     pub roughness: Roughness,
+    /// Distribution of microfacet normals: `Sg`, one spherical Gaussian as in the paper, or `Ggx`, whose highlights have the long
+    /// tails of most renderers' and of glTF's. A choice, not fitted; not for `shading: Published`. Default `Sg`.
+    pub ndf: Ndf,
 }
 
 /// What is known about the specular albedo (reflectance at normal incidence).

@@ -2,7 +2,8 @@
 //!
 //! At every vertex of a path one direction is drawn from the light (next event estimation, with a shadow ray) and one
 //! from the BRDF, which is also the way the path goes on; what both can find is weighted by the power heuristic. Nothing
-//! is clamped. The BRDF is the PhySG supplement's, which is not energy limited: with high albedo and grazing angles a
+//! is clamped. The BRDF is the PhySG supplement's, with GGX itself for the NDF where a
+//! material says so, and not the SGs that closed forms put in its place. It is not energy limited: with high albedo and grazing angles a
 //! vertex can return more light than it got, and a long path in a concave object may then grow.
 //!
 //! | parameter | type | unit | default | meaning |
@@ -260,7 +261,7 @@ impl Path<'_> {
 
     fn scatterer(&self, point: &ShadePoint, to_viewer: Vec3, depth: u32) -> Option<Scatterer<f32>> {
         let picked = self.scene.specular.get(self.pick_material(point, depth));
-        let specular = picked.map(|lobe| (lobe.albedo.to_array(), lobe.roughness));
+        let specular = picked.map(|lobe| (lobe.albedo.to_array(), lobe.facets()));
         Scatterer::new(point.normal.to_array(), to_viewer.to_array(), point.albedo.to_array(), specular)
     }
 

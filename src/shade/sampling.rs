@@ -6,7 +6,7 @@ pub mod lobe_table;
 pub mod sequence;
 
 use crate::light::LightLobe;
-use crate::math::brdf::{fresnel_power, ndf_sharpness, normal_distribution, specular_affine};
+use crate::math::brdf::{Facets, Ndf, fresnel_power, ndf_sharpness, normal_distribution, specular_affine};
 use crate::math::ray::{Illuminate, LightSample};
 use crate::math::real::{Real, Vec3Of, add, dot, scale, sub};
 use crate::math::sg;
@@ -122,6 +122,19 @@ pub fn sample_sg<F: SampleReal>(frame: &Frame<F>, sharpness: F, u: [F; 2]) -> Ve
     frame.world(sine * c, sine * s, fall.one() - fall)
 }
 
+/// Draws a microfacet normal around the frame's normal in proportion to GGX's D·(n·h).
+#[inline]
+fn sample_ggx<F: SampleReal>(frame: &Frame<F>, roughness: F, u: [F; 2]) -> Vec3Of<F> {
+    let square = roughness * roughness;
+    let alpha2 = square * square;
+    let scaled = alpha2 * u[0];
+    let sine2 = scaled / (u[0].one() - u[0] + scaled);
+    let cosine = (sine2.one() - sine2).relu().sqrt();
+    let (s, c) = u[1].times(2.0 * PI).sin_cos();
+    let sine = sine2.sqrt();
+    frame.world(sine * c, sine * s, cosine)
+}
+
 /// What a point does with light from one direction: BRDF times cosine, in its two parts, and how likely the direction was.
 #[derive(Clone, Copy, Debug)]
 pub struct Scattered<F> {
@@ -136,20 +149,21 @@ pub struct Scattered<F> {
 /// A surface point seen from one side: evaluates its BRDF and draws directions from it.
 ///
 /// The density is a mixture of the cosine around the normal and of mirror directions at microfacet normals drawn
-/// exactly from the NDF's SG, for which f_s (n·ωi)/pdf = F·G·(ωo·h)/((n·ωo)·chance) is bounded.
+/// exactly from the NDF's SG, for which f_s (n·ωi)/pdf = F·G·(ωo·h)/((n·ωo)·chance) is bounded. From GGX they are drawn in
+/// proportion to D·(n·h), for which it is that over n·h: bounded as well, since n·h ≥ (n·ωo + n·ωi)/2.
 #[derive(Clone, Copy, Debug)]
 pub struct Scatterer<F> {
     frame: Frame<F>,
     to_viewer: Vec3Of<F>,
     albedo: Vec3Of<F>,
     specular_albedo: Vec3Of<F>,
-    roughness: F,
+    facets: Facets<F>,
     /// Chance of drawing from the specular part; zero if there is none.
     specular_chance: F,
 }
 
 impl<F: SampleReal> Scatterer<F> {
-    /// A point with a unit shading `normal`, seen along the unit direction `to_viewer`; `specular` is (albedo, roughness).
+    /// A point with a unit shading `normal`, seen along the unit direction `to_viewer`; `specular` is (albedo, microfacets).
     ///
     /// None if the viewer is not above the shading normal's horizon: the point then scatters nothing.
     #[inline]
@@ -157,7 +171,7 @@ impl<F: SampleReal> Scatterer<F> {
         normal: Vec3Of<F>,
         to_viewer: Vec3Of<F>,
         albedo: Vec3Of<F>,
-        specular: Option<(Vec3Of<F>, F)>,
+        specular: Option<(Vec3Of<F>, Facets<F>)>,
     ) -> Option<Self> {
         let cos_view = dot(normal, to_viewer);
         let zero = cos_view.zero();
@@ -165,17 +179,17 @@ impl<F: SampleReal> Scatterer<F> {
             return None;
         }
         let mean = |c: Vec3Of<F>| (c[0] + c[1] + c[2]).times(1.0 / 3.0);
-        let (specular_albedo, roughness, specular_chance) = match specular {
-            None => ([zero; 3], zero.one(), zero),
-            Some((s, roughness)) => {
+        let (specular_albedo, facets, specular_chance) = match specular {
+            None => ([zero; 3], Facets::sg(zero.one()), zero),
+            Some((s, facets)) => {
                 let power = fresnel_power(cos_view);
                 let reflected = mean(s) * (power.one() - power) + power;
                 let chance = reflected / (reflected + mean(albedo).max(zero.lit(1e-6)));
-                (s, roughness, chance.max(zero.lit(0.2)).min(zero.lit(0.8)))
+                (s, facets, chance.max(zero.lit(0.2)).min(zero.lit(0.8)))
             }
         };
         let frame = Frame::new(normal);
-        Some(Self { frame, to_viewer, albedo, specular_albedo, roughness, specular_chance })
+        Some(Self { frame, to_viewer, albedo, specular_albedo, facets, specular_chance })
     }
 
     /// BRDF times cosine for light from the unit direction `to_light`, and the density of [`Self::sample`]; zero below the horizon.
@@ -192,7 +206,7 @@ impl<F: SampleReal> Scatterer<F> {
         if !self.specular_chance.above_zero() {
             return Scattered { diffuse, specular: [zero; 3], pdf: cosine_pdf };
         }
-        let (constant, slope) = specular_affine(normal, self.to_viewer, to_light, self.roughness);
+        let (constant, slope) = specular_affine(normal, self.to_viewer, to_light, self.facets);
         let specular = self.specular_albedo.map(|s| (slope * s + constant) * cosine);
         let pdf = cosine_pdf + self.specular_chance * (self.specular_pdf(to_light) - cosine_pdf);
         Scattered { diffuse, specular, pdf }
@@ -208,15 +222,28 @@ impl<F: SampleReal> Scatterer<F> {
         if !cos_half.above_zero() {
             return cos_half.zero();
         }
-        let whole = -ndf_sharpness(self.roughness).times(-2.0).exp_m1();
-        normal_distribution(self.frame.normal, half, self.roughness) / (whole * cos_half.times(4.0))
+        let density = normal_distribution(self.frame.normal, half, self.facets);
+        let share = match self.facets.ndf {
+            Ndf::Sg => -ndf_sharpness(self.facets.roughness).times(-2.0).exp_m1().recip(),
+            Ndf::Ggx => dot(self.frame.normal, half),
+        };
+        density * share / cos_half.times(4.0)
+    }
+
+    /// Draws a microfacet normal: from the SG over the whole sphere, from GGX in proportion to D·(n·h).
+    #[inline]
+    fn sample_facet(&self, u: [F; 2]) -> Vec3Of<F> {
+        match self.facets.ndf {
+            Ndf::Sg => sample_sg(&self.frame, ndf_sharpness(self.facets.roughness), u),
+            Ndf::Ggx => sample_ggx(&self.frame, self.facets.roughness, u),
+        }
     }
 
     /// Draws a direction to look for light in; None if the draw fell below the horizon (a valid sample of value zero).
     #[inline]
     pub fn sample(&self, u: [F; 3]) -> Option<Vec3Of<F>> {
         let direction = if u[0] < self.specular_chance {
-            let half = sample_sg(&self.frame, ndf_sharpness(self.roughness), [u[1], u[2]]);
+            let half = self.sample_facet([u[1], u[2]]);
             let cos_half = dot(self.to_viewer, half);
             if !cos_half.above_zero() {
                 return None;
@@ -368,9 +395,12 @@ mod tests {
     #[test]
     fn scattered_draws_follow_their_density() {
         let normal = [0.0, 0.0, 1.0];
-        for (roughness, slant) in [(0.3, 0.3f64), (0.5, 1.2), (0.9, 0.8)] {
+        let cases = [(0.3, 0.3f64), (0.5, 1.2), (0.9, 0.8)];
+        let each = cases.into_iter().flat_map(|case| [(Ndf::Sg, case), (Ndf::Ggx, case)]);
+        for (ndf, (roughness, slant)) in each {
             let to_viewer = [slant.sin(), 0.0, slant.cos()];
-            let point = Scatterer::new(normal, to_viewer, [0.5; 3], Some(([0.3; 3], roughness))).unwrap();
+            let specular = Some(([0.3; 3], Facets { ndf, roughness }));
+            let point = Scatterer::new(normal, to_viewer, [0.5; 3], specular).unwrap();
             let count = 1 << 14;
             for moment in 0..3 {
                 let value = |w: [f64; 3]| [1.0, w[0], w[2] * w[2]][moment];
@@ -378,7 +408,8 @@ mod tests {
                 let drawn: f64 =
                     (0..count).filter_map(|i| point.sample(Sequence::new(2, 0, i).group(0))).map(value).sum();
                 let drawn = drawn / f64::from(count);
-                assert!((drawn - expected).abs() < 2e-3, "{roughness} {slant} {moment}: {drawn} {expected}");
+                let off = (drawn - expected).abs();
+                assert!(off < 2e-3, "{ndf:?} {roughness} {slant} {moment}: {drawn} {expected}");
             }
         }
     }

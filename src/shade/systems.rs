@@ -23,7 +23,7 @@ pub fn kernel_lobe(lobe: &LightLobe) -> Lobe<f32> {
 
 /// What the kernels read of a specular lobe.
 pub fn kernel_specular(lobe: &SpecularLobe) -> SpecularValue {
-    SpecularValue { albedo: lobe.albedo.into(), roughness: lobe.roughness }
+    SpecularValue { albedo: lobe.albedo.into(), roughness: lobe.roughness, ndf: lobe.ndf }
 }
 
 /// The light is the light-lobe entities.

@@ -64,7 +64,7 @@ pub fn studio(lobes: &[LightLobe]) -> Pipeline {
     let color = |at: &Vec3| if at.y > 0.0 { Vec3::new(0.6, 0.3, 0.2) } else { Vec3::new(0.2, 0.35, 0.5) };
     let texels: Vec<Vec3> = surface.atlas().position.iter().map(color).collect();
     world.spawn_batch(texels.into_iter().map(|albedo| (DiffuseAlbedo(albedo), SpecularBlend::default())));
-    world.spawn(SpecularLobe { albedo: Vec3::splat(0.25), roughness: 0.35 });
+    world.spawn(SpecularLobe::new(Vec3::splat(0.25), 0.35));
     pipeline
 }
 

@@ -3,6 +3,10 @@
 //! With x = 1 − h·n and β = 1/α² − 1 the distribution is (1 + u)⁻²/(πα²), u = β(2x − x²). The fit (1 + u)⁻² ≈ Σ a·e^(−su) over
 //! u in [0, 600], in the least mean absolute error, becomes SGs of sharpness L = βs(2 − x̄) with x̄ = 1/(1 + 2βs), about how
 //! far each reaches. Mean absolute error of D·(n·h) over the hemisphere: 5 % for R ≤ 0.5, 7 % above, mostly in the far tail.
+//!
+//! The specular light of one lobe, quadrature included, against a cubature of GGX itself, over random lit cases with R in 0.03–1 and
+//! λ in 1e-3–1e6: 2 % in the median, 8 % at the 90th percentile, with a mean of −2 %. Pictures of a glossy sphere under a soft
+//! and two sharper lobes come to within 55 dB of the path tracer's, which uses GGX (48 dB for R = 0.8).
 
 use super::{PointSlopes, PointTerms, prepare_with_ndf};
 use crate::math::real::{Real, Vec3Of};
@@ -52,52 +56,4 @@ pub fn prepare_ggx_point<F: Real>(
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::math::accurate::{evaluate_pair, pull_back_pair, pull_back_point};
-    use std::f64::consts::PI;
-
-    #[test]
-    fn mixture_is_within_its_stated_error_of_ggx() {
-        for i in 3..=100 {
-            let r = f64::from(i) / 100.0;
-            let a2 = r.powi(4);
-            let (lobes, _) = ggx_mixture(r);
-            let (mut off, mut all) = (0.0, 0.0);
-            for k in 0..20_000 {
-                let t = (f64::from(k) + 0.5) / 20_000.0;
-                let (x, weight) = (t.powi(4), t.powi(3));
-                let cosine = 1.0 - x;
-                let exact = a2 / (PI * (1.0 - (1.0 - a2) * cosine * cosine).powi(2));
-                let fit: f64 = lobes.iter().map(|[l, w]| w * l / (2.0 * PI) * (-l * x).exp()).sum();
-                off += (fit - exact).abs() * cosine * weight;
-                all += exact * cosine * weight;
-            }
-            let bound = if r <= 0.5 { 0.05 } else { 0.07 };
-            assert!(off / all < bound, "R {r}: {}", off / all);
-        }
-    }
-
-    #[test]
-    fn ggx_pairs_are_finite_and_their_roughness_adjoint_follows_the_sum() {
-        let (normal, to_viewer) = ([0.0, 0.0, 1.0], [0.6, 0.0, 0.8]);
-        let axis = [-0.48, 0.36, 0.8];
-        for i in 3..=100 {
-            let r = f64::from(i) / 100.0;
-            let (point, slopes) = prepare_ggx_point(normal, to_viewer, r);
-            let (_, back) = pull_back_pair::<f64, 4, 3, 3>(&point, axis, 30.0, [0.0, 1.0, 1.0]);
-            let (_, adjoint) = pull_back_point(&point, &slopes, &back.point);
-            let value = |r: f64| {
-                let (point, _) = prepare_ggx_point(normal, to_viewer, r);
-                let pair = evaluate_pair::<f64, 4, 3, 3>(&point, axis, 30.0);
-                pair.constant + pair.slope
-            };
-            assert!(value(r).is_finite() && adjoint.is_finite());
-            if (0.1..0.99).contains(&r) {
-                let difference = (value(r * 1.001) - value(r * 0.999)) / 0.002;
-                let error = (difference - adjoint * r).abs() / (difference.abs() + value(r));
-                assert!(error < 0.02, "R {r}: {difference} {}", adjoint * r);
-            }
-        }
-    }
-}
+mod tests;

@@ -164,7 +164,10 @@ fn expand<F: Real>(view: Vec2Of<F>, ndf: &NdfTerms<F>, light: &LocalLight<F>, x:
     let spread = four * view_half * view_half;
     let rounding = spread * (q2.plus(1.0)) * inverse_q * quarter;
     let isotropic = spread.mul_add(q2, ndf.sharpness) + (view_half * up.relu() * over_cosine).plus(1.0);
-    let mixed = cosine.select_lt(floored, l.zero(), over_cosine);
+    // That of n·ω is indefinite, by up to |g − x|²/4 of its factor: no more of it than leaves a quarter of the isotropic part.
+    let apart = [view_gradient[0] - x[0], view_gradient[1] - x[1]];
+    let most = isotropic.times(3.0) * dot2(apart, apart).max(l.lit(1e-6)).inverse();
+    let mixed = cosine.select_lt(floored, l.zero(), over_cosine).min(most);
     let radial = over_half.mul_add(over_half, four);
     Expansion {
         cosine,

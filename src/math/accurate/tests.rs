@@ -12,7 +12,7 @@ use proptest::prelude::*;
 use rand::{RngExt, SeedableRng, rngs::SmallRng};
 
 /// A case from the whole range of use; half of the lights near the mirror direction.
-fn wide_case(rng: &mut SmallRng) -> Case {
+pub(super) fn wide_case(rng: &mut SmallRng) -> Case {
     let direction = |rng: &mut SmallRng| loop {
         let v: [f64; 3] = std::array::from_fn(|_| rng.random_range(-1.0..1.0));
         if (0.01..1.0).contains(&dot(v, v)) {
@@ -66,7 +66,7 @@ fn quality(case: &Case, quality: Quality) -> Integrals {
 }
 
 /// Median and 90th percentile.
-fn spread(mut errors: Vec<f64>) -> [f64; 2] {
+pub(super) fn spread(mut errors: Vec<f64>) -> [f64; 2] {
     errors.sort_by(f64::total_cmp);
     [errors[errors.len() / 2], errors[errors.len() * 9 / 10]]
 }
@@ -80,7 +80,7 @@ fn glossy(case: &Case, i: Integrals) -> f64 {
 fn integrals_agree_with_the_cubature() {
     let mut rng = SmallRng::seed_from_u64(21);
     let cases: Vec<Case> = (0..400).map(|_| wide_case(&mut rng)).collect();
-    let exact: Vec<Integrals> = cases.iter().map(|c| integrate(c, 1e-6)).collect();
+    let exact: Vec<Integrals> = cases.iter().map(|c| integrate(c, Ndf::Sg, 1e-6)).collect();
     for (setting, bounds) in [(Quality::Default, [0.001, 0.04]), (Quality::High, [0.0005, 0.02])] {
         let lit = cases.iter().zip(&exact).filter(|(c, e)| glossy(c, **e) > 3e-4);
         let errors = lit.map(|(c, e)| (glossy(c, quality(c, setting)) / glossy(c, *e) - 1.0).abs()).collect();
@@ -108,7 +108,7 @@ fn frozen<const ALONG: usize, const ACROSS: usize>(case: &Case) -> Frozen {
         for j in 0..ACROSS {
             let node = node(&view, ndf, &light, &placement, &row, across(ACROSS, j));
             let omega = unit(point.in_world([node.direction[0], node.direction[1], node.cosine]));
-            let [_, constant, slope] = integrand(case, omega);
+            let [_, constant, slope] = integrand(case, Ndf::Sg, omega);
             let value = node.over_cosine * node.cosine * ndf.scale;
             if value > 1e-200 && constant + slope > 1e-200 {
                 nodes.push((omega, value / (constant + slope)));
@@ -121,7 +121,7 @@ fn frozen<const ALONG: usize, const ACROSS: usize>(case: &Case) -> Frozen {
 fn frozen_sum(nodes: &Frozen, case: &Case) -> [f64; 2] {
     let mut sums = [0.0; 2];
     for (omega, weight) in nodes {
-        let [_, constant, slope] = integrand(case, *omega);
+        let [_, constant, slope] = integrand(case, Ndf::Sg, *omega);
         sums[0] += weight * constant;
         sums[1] += weight * slope;
     }
@@ -170,7 +170,7 @@ fn predicted<'a, const ALONG: usize, const ACROSS: usize>(
     ]
 }
 
-fn tame_case(rng: &mut SmallRng) -> Case {
+pub(super) fn tame_case(rng: &mut SmallRng) -> Case {
     loop {
         let case = wide_case(rng);
         let nv = dot(case.normal, case.to_viewer);
@@ -213,7 +213,7 @@ fn specular_adjoint_agrees_with_the_exact_integral() {
     for _ in 0..60 {
         let case = tame_case(&mut rng);
         let value = |case: &Case| {
-            let [_, constant, slope] = integrate(case, 1e-9);
+            let [_, constant, slope] = integrate(case, Ndf::Sg, 1e-9);
             0.8 * constant + 0.3 * slope
         };
         let size = value(&case);

@@ -6,9 +6,10 @@ use super::{
 };
 use crate::math::model::{PairAdjoint, PairModel, Part, PointEnd, PulledBack, Reach, Response, Shape};
 use crate::math::real::{Real, Vec3Of, dot};
-use crate::math::shading::SpecularValue;
+use crate::math::shading::{SpecularAdjoint, SpecularValue};
 
-/// The published SG shading formulas (PhySG's `render_with_sg`); every pair is evaluated, none is skipped.
+/// The published SG shading formulas (PhySG's `render_with_sg`), with one SG for the NDF whatever the material says; every pair is
+/// evaluated, none is skipped.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Published;
 
@@ -109,7 +110,7 @@ impl PairModel for Published {
     }
 
     #[inline(always)]
-    fn pull_back_point(&self, end: &PointEnd<'_, Self>, gradient: &mut SpecularValue) -> Vec3Of<f32> {
+    fn pull_back_point(&self, end: &PointEnd<'_, Self>, gradient: &mut SpecularAdjoint) -> Vec3Of<f32> {
         let brdf = FrozenBrdf::from_array(*end.frozen);
         let sums = PointTerms::from_array(*end.sums);
         let [glossy] = *end.glossy;

@@ -8,7 +8,10 @@
 //! compiler does not inline is compiled without the level's instructions and is ten times slower.
 
 use super::cull::{Picked, exponent_limits, survivors};
-use super::{LOBE_COLUMNS, Layers, LobeColumns, PointAdjoint, RadianceAdjoint, ShadePoint, SpecularValue};
+use super::{
+    LOBE_COLUMNS, Layers, LobeColumns, PointAdjoint, RadianceAdjoint, ShadePoint, SpecularAdjoint,
+    SpecularValue,
+};
 use crate::math::lanes::{Lanes, MAX_LANES, Row};
 use crate::math::model::{BOTH, DIFFUSE, PairModel, Part, PointEnd, Response, SPECULAR, Shape, Terms};
 use crate::math::real::{Real, Vec3Of, dot, scale};
@@ -357,7 +360,7 @@ pub fn adjoint_chunk<S: Simd, M: PairModel>(
     partial: &mut [Row],
 ) {
     let (lobe_gradient, specular_row) = partial.split_at_mut(partial.len() - 1);
-    let mut gradient = SpecularValue::default();
+    let mut gradient = SpecularAdjoint::default();
     let mut prepared = None;
     for (i, point) in points.iter().enumerate() {
         let lane = i % Lanes::<S>::LEN;

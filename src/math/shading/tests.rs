@@ -1,4 +1,5 @@
 use super::*;
+use crate::math::accurate::{PointSlopes, PointTerms, pull_back_pair, pull_back_point};
 use crate::math::published::tests::{Case, forward, gradient, random_case};
 use rand::{SeedableRng, rngs::SmallRng};
 
@@ -52,7 +53,7 @@ fn inputs(cases: &[Vec<Case>]) -> (Vec<ShadePoint>, SpecularValue, LobeColumns) 
         sharpness: c.sharpness as f32,
         amplitude: narrow(c.amplitude),
     }));
-    (points.collect(), SpecularValue { albedo: [0.3, 0.4, 0.5], roughness: 0.35 }, lobes)
+    (points.collect(), SpecularValue { albedo: [0.3, 0.4, 0.5], roughness: 0.35, ndf: Ndf::Sg }, lobes)
 }
 
 fn close(name: &str, fast: f32, exact: f64, size: f64) {
@@ -106,11 +107,12 @@ fn slice_adjoint_agrees_with_the_sum_of_pairs_in_f64() {
 
 #[test]
 fn extreme_inputs_stay_finite() {
-    check_extremes(ClosedForm::Published);
-    check_extremes(ClosedForm::default());
+    check_extremes(ClosedForm::Published, Ndf::Sg);
+    check_extremes(ClosedForm::default(), Ndf::Sg);
+    check_extremes(ClosedForm::default(), Ndf::Ggx);
 }
 
-fn check_extremes(form: ClosedForm) {
+fn check_extremes(form: ClosedForm, ndf: Ndf) {
     let axis_of = |k: usize| [[0.0, 1.0, 0.0], [0.0, -1.0, 0.0], [1.0, 0.0, 0.0]][k % 3];
     for roughness in [0.03f32, 0.3, 1.0] {
         for sharpness in [0.0f32, 1e-3, 1.0, 1e6] {
@@ -121,7 +123,7 @@ fn check_extremes(form: ClosedForm) {
                     sharpness,
                     amplitude: [1.0; 3],
                 }));
-                let specular = SpecularValue { albedo: [0.3; 3], roughness };
+                let specular = SpecularValue { albedo: [0.3; 3], roughness, ndf };
                 let mut out = [Layers::default()];
                 form.shade(&[point], &specular, &lobes, &mut out);
                 let ones = [RadianceAdjoint([1.0; 3])];
@@ -148,7 +150,8 @@ fn threads_and_what_was_there_before_do_not_change_a_bit() {
             ClosedForm::Published.shade(&points, &specular, &lobes, &mut shaded);
             let adjoint = vec![RadianceAdjoint([0.7, -0.4, 0.5]); points.len()];
             let mut back = vec![PointAdjoint { albedo: [7.0; 3], ..Default::default() }; points.len()];
-            let mut gradient = SharedGradient { lobes: lobes.clone(), specular };
+            let used = SpecularAdjoint { albedo: [7.0; 3], roughness: 7.0 };
+            let mut gradient = SharedGradient { lobes: lobes.clone(), specular: used };
             let radiance = (shaded.as_slice(), adjoint.as_slice());
             shade_adjoint_with(Published, &points, &specular, &lobes, radiance, &mut back, &mut gradient);
             (shaded, back, gradient.lobes, gradient.specular)
@@ -164,7 +167,7 @@ fn nothing_to_do_is_no_failure() {
     let lobes = LobeColumns::zeros(0);
     let mut out = [Layers::default()];
     let point = ShadePoint { normal: [0.0, 1.0, 0.0], to_viewer: [0.0, 1.0, 0.0], albedo: [0.5; 3] };
-    let specular = SpecularValue { albedo: [0.3; 3], roughness: 0.3 };
+    let specular = SpecularValue { albedo: [0.3; 3], roughness: 0.3, ndf: Ndf::Sg };
     ClosedForm::Published.shade(&[point], &specular, &lobes, &mut out);
     assert_eq!(out[0], Layers::default());
     let gradient =
@@ -175,31 +178,45 @@ fn nothing_to_do_is_no_failure() {
 /// Light enough that much is left out: what is left out must not show.
 #[test]
 fn accurate_slices_agree_with_the_sum_of_all_pairs_in_f64() {
-    use crate::math::accurate::{prepare_point, pull_back_pair};
+    use crate::math::accurate::ggx::prepare_ggx_point;
+    use crate::math::accurate::prepare_point;
+    check_accurate_slices(Ndf::Sg, |k| prepare_point(k.normal, k.to_viewer, k.roughness));
+    check_accurate_slices(Ndf::Ggx, |k| prepare_ggx_point(k.normal, k.to_viewer, k.roughness));
+}
+
+fn check_accurate_slices<const NDF: usize>(
+    ndf: Ndf,
+    prepare: impl Fn(&Case) -> (PointTerms<f64, NDF>, PointSlopes<f64, NDF>),
+) {
     let cases = cases(120, 90);
     let (points, specular, lobes) = inputs(&cases);
+    let specular = SpecularValue { ndf, ..specular };
     let form = ClosedForm::default();
     let culled = form.culled_part(&points, &specular, &lobes);
-    assert!(culled > 0.2, "{culled} left out");
+    assert!(culled > if ndf == Ndf::Sg { 0.2 } else { 0.02 }, "{culled} left out");
     let mut shaded = vec![Layers::default(); points.len()];
     form.shade(&points, &specular, &lobes, &mut shaded);
     let adjoint = vec![RadianceAdjoint([0.7, -0.4, 0.5]); points.len()];
     let mut back = vec![PointAdjoint::default(); points.len()];
     let shared = shade_adjoint(form, &points, &specular, &lobes, &shaded, &adjoint, &mut back);
-    let mut sharpness = vec![[0.0; 2]; lobes.len()];
+    let (mut sharpness, mut roughness) = (vec![[0.0; 2]; lobes.len()], [0.0; 2]);
     for (case, out) in cases.iter().zip(&shaded) {
         let mut sums = [[0.0; 3]; 2];
         for (i, k) in case.iter().enumerate() {
             let lobe = Lobe { axis: k.axis, sharpness: k.sharpness, amplitude: k.amplitude };
-            let pair = form.shade_pair([k.normal, k.to_viewer], &lobe, k.albedo, k.specular, k.roughness);
-            let (point, _) = prepare_point(k.normal, k.to_viewer, k.roughness);
+            let facets = Facets { ndf, roughness: k.roughness };
+            let pair = form.shade_pair([k.normal, k.to_viewer], &lobe, k.albedo, k.specular, facets);
+            let (point, slopes) = prepare(k);
             let w: [f64; 3] = [0.7, -0.4, 0.5];
             let over = |f: &dyn Fn(usize) -> f64| (0..3).map(|c| w[c] * k.amplitude[c] * f(c)).sum::<f64>();
             let adjoint =
                 [over(&|c| k.albedo[c] / std::f64::consts::PI), over(&|_| 1.0), over(&|c| k.specular[c])];
-            let (_, pulled) = pull_back_pair::<f64, 3, 2, 1>(&point, k.axis, k.sharpness, adjoint);
+            let (_, pulled) = pull_back_pair::<f64, 3, 2, NDF>(&point, k.axis, k.sharpness, adjoint);
             sharpness[i][0] += pulled.sharpness;
             sharpness[i][1] += pulled.sharpness.abs();
+            let (_, by_roughness) = pull_back_point(&point, &slopes, &pulled.point);
+            roughness[0] += by_roughness;
+            roughness[1] += by_roughness.abs();
             for (sum, layer) in sums.iter_mut().zip(pair) {
                 for c in 0..3 {
                     sum[c] += layer[c];
@@ -214,6 +231,9 @@ fn accurate_slices_agree_with_the_sum_of_all_pairs_in_f64() {
             assert!(error <= 1e-2 * specular[c] + 2e-3, "specular: {} {}", out.specular[c], specular[c]);
         }
     }
+    let [exact, magnitude] = roughness;
+    let value = f64::from(shared.specular.roughness);
+    assert!((value - exact).abs() <= 2e-2 * magnitude, "roughness: {value} {exact} {magnitude}");
     for (i, [exact, magnitude]) in sharpness.iter().enumerate() {
         let value = f64::from(shared.lobes.get(i).sharpness);
         assert!((value - exact).abs() <= 6e-2 * magnitude + 1e-3, "sharpness: {value} {exact} {magnitude}");
@@ -225,9 +245,11 @@ fn accurate_slices_agree_with_the_sum_of_all_pairs_in_f64() {
 fn what_is_left_out_is_negligible() {
     let mut work = crate::pass::bench::Workload::new(600, 128, 0.3);
     let wide = |v: [f32; 3]| v.map(f64::from);
-    for roughness in [0.1, 0.3, 0.5] {
-        work.specular.roughness = roughness;
+    let sg = [0.1, 0.3, 0.5].map(|roughness| (Ndf::Sg, roughness));
+    for (ndf, roughness) in sg.into_iter().chain([(Ndf::Ggx, 0.1), (Ndf::Ggx, 0.3)]) {
+        (work.specular.ndf, work.specular.roughness) = (ndf, roughness);
         let form = ClosedForm::default();
+        assert!(form.culled_part(&work.points, &work.specular, &work.lobes) > 0.1, "{ndf:?} {roughness}");
         work.shade(form);
         let (mut error, mut total, mut relative) = (0.0, 0.0, Vec::new());
         for (p, out) in work.points.iter().zip(&work.shaded) {
@@ -237,7 +259,8 @@ fn what_is_left_out_is_negligible() {
                 let lobe = Lobe { axis, sharpness: f64::from(l.sharpness), amplitude };
                 let directions = [wide(p.normal), wide(p.to_viewer)];
                 let specular = wide(work.specular.albedo);
-                form.shade_pair(directions, &lobe, wide(p.albedo), specular, f64::from(roughness))[1][0]
+                let facets = Facets { ndf, roughness: f64::from(roughness) };
+                form.shade_pair(directions, &lobe, wide(p.albedo), specular, facets)[1][0]
             };
             let all: f64 = (0..work.lobes.len()).map(pair).sum();
             let missing = (f64::from(out.specular[0]) - all).abs();
@@ -246,7 +269,7 @@ fn what_is_left_out_is_negligible() {
             relative.push(missing / all.max(1e-9));
         }
         relative.sort_by(f64::total_cmp);
-        assert!(error < 2e-3 * total, "R {roughness}: {error} of {total}");
-        assert!(relative[540] < 5e-3, "R {roughness}: 90th percentile {}", relative[540]);
+        assert!(error < 2e-3 * total, "{ndf:?}, R {roughness}: {error} of {total}");
+        assert!(relative[540] < 5e-3, "{ndf:?}, R {roughness}: 90th percentile {}", relative[540]);
     }
 }

@@ -3,6 +3,7 @@
 use super::{Case, Precision, REPLICATES};
 use crate::light::LightLobe;
 use crate::material::{SpecularBlend, SpecularLobe};
+use crate::math::brdf::Facets;
 use crate::math::ray::{Hit, Intersect, Ray};
 use crate::math::real::scale;
 use crate::math::sg;
@@ -80,7 +81,7 @@ fn traced_in_f32(case: &Case<f32>, stream: u64, samples: u32) -> [[f64; 3]; 2] {
         sharpness: case.lobe_sharpness,
         amplitude: case.lobe_amplitude.into(),
     });
-    let specular = [SpecularLobe { albedo: case.specular.into(), roughness: case.roughness }];
+    let specular = [SpecularLobe::new(case.specular.into(), case.roughness)];
     let scene = PathScene { surface: &Empty, light: &light, albedo: &[], blends: &[], specular: &specular };
     let settings = PathSettings { max_bounces: 1, seed: SEED, ..Default::default() };
     let normal = Vec3::from(case.normal);
@@ -109,7 +110,7 @@ struct PointInF64<'a> {
 impl<'a> PointInF64<'a> {
     /// None if the viewer is below the horizon.
     fn new(case: &'a Case<f64>) -> Option<Self> {
-        let specular = Some((case.specular, case.roughness));
+        let specular = Some((case.specular, Facets::sg(case.roughness)));
         let scatterer = Scatterer::new(case.normal, case.view, case.albedo, specular)?;
         let table = |mirror| LobeTable::new(case.normal, case.lobe_axis, case.lobe_sharpness, mirror);
         let lobe_frame = Frame::new(case.lobe_axis);

@@ -1,6 +1,6 @@
 use super::*;
 use crate::light::LightLobe;
-use crate::math::brdf::specular_affine;
+use crate::math::brdf::{Facets, Ndf, specular_affine};
 use crate::math::ray::{LightSample, TexelAddress};
 use crate::shade::sampling::SingleLobe;
 use std::f64::consts::PI;
@@ -102,10 +102,10 @@ fn assert_close((mean, stderr): (f64, f64), expected: f64, what: &str) {
     assert!(stderr < 0.05 * expected.max(1e-3), "{what}: {stderr} is too noisy to tell");
 }
 
-const GREY_GLOSS: [SpecularLobe; 1] = [SpecularLobe { albedo: Vec3::splat(0.3), roughness: 0.4 }];
+const GREY_GLOSS: [SpecularLobe; 1] = [SpecularLobe::new(Vec3::splat(0.3), 0.4)];
 
 /// ∫ f_s (n·ωi) dωi over the hemisphere for a specular albedo, in f64 by the midpoint rule.
-fn specular_integral(slant: f64, roughness: f64, albedo: f64) -> f64 {
+fn specular_integral(slant: f64, facets: Facets<f64>, albedo: f64) -> f64 {
     let (rings, sectors) = (500, 1000);
     let to_viewer = [slant.sin(), 0.0, slant.cos()];
     let mut sum = 0.0;
@@ -116,7 +116,7 @@ fn specular_integral(slant: f64, roughness: f64, albedo: f64) -> f64 {
         let r = (1.0 - z * z).sqrt();
         for j in 0..sectors {
             let (s, c) = (2.0 * PI * (f64::from(j) + 0.5) / f64::from(sectors)).sin_cos();
-            let (constant, slope) = specular_affine([0.0, 0.0, 1.0], to_viewer, [r * c, r * s, z], roughness);
+            let (constant, slope) = specular_affine([0.0, 0.0, 1.0], to_viewer, [r * c, r * s, z], facets);
             sum += (constant + slope * albedo) * z * (2.0 - 2.0 * t);
         }
     }
@@ -127,9 +127,11 @@ fn specular_integral(slant: f64, roughness: f64, albedo: f64) -> f64 {
 fn open_sky_matches_numerical_integration() {
     let light = Constant(Vec3::new(1.0, 2.0, 0.5));
     let albedo = Vec3::new(0.8, 0.1, 0.4);
-    for roughness in [0.2, 0.5, 1.0] {
+    let materials = [Ndf::Sg, Ndf::Ggx].into_iter().flat_map(|ndf| [0.2, 0.5, 1.0].map(|r| (ndf, r)));
+    for (ndf, roughness) in materials {
         for slant in [0.1f64, 0.9, 1.4] {
-            let specular = [SpecularLobe { albedo: Vec3::new(0.9, 0.04, 0.3), roughness: roughness as f32 }];
+            let albedo_0 = Vec3::new(0.9, 0.04, 0.3);
+            let specular = [SpecularLobe { albedo: albedo_0, roughness: roughness as f32, ndf }];
             let scene =
                 PathScene { surface: &Empty, light: &light, albedo: &[], blends: &[], specular: &specular };
             let to_viewer = Vec3::new(slant.sin() as f32, 0.0, slant.cos() as f32);
@@ -137,8 +139,9 @@ fn open_sky_matches_numerical_integration() {
             let found = estimate(&scene, &PathSettings::default(), &query, 256);
             for c in 0..3 {
                 let radiance = f64::from(light.0[c]);
-                let gloss = specular_integral(slant, roughness, f64::from(specular[0].albedo[c]));
-                let what = format!("roughness {roughness}, slant {slant}, channel {c}");
+                let facets = Facets { ndf, roughness };
+                let gloss = specular_integral(slant, facets, f64::from(albedo_0[c]));
+                let what = format!("{ndf:?}, roughness {roughness}, slant {slant}, channel {c}");
                 assert_close(found[0][c], f64::from(albedo[c]) * radiance, &format!("diffuse, {what}"));
                 assert_close(found[1][c], gloss * radiance, &format!("specular, {what}"));
             }

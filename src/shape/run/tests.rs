@@ -6,13 +6,14 @@ use crate::fit::run::FitPlugin;
 use crate::light::LightLobe;
 use crate::light::fibonacci::{fibonacci_axes, spacing_sharpness};
 use crate::material::SpecularLobe;
+use crate::math::brdf::Ndf;
 use crate::math::ray::Intersect;
 use crate::math::shading::{ClosedForm, Layers, LobeColumns, ShadePoint};
 use crate::shade::systems::{kernel_lobe, kernel_specular};
 use crate::view::{Image, Mask, Photograph, ViewName};
 
 const SIZE: u32 = 48;
-const SPECULAR: SpecularLobe = SpecularLobe { albedo: Vec3::splat(0.3), roughness: 0.4 };
+const SPECULAR: SpecularLobe = SpecularLobe { albedo: Vec3::splat(0.3), roughness: 0.4, ndf: Ndf::Sg };
 
 /// Centre and radius of the ball that dents the other.
 const DENT: (Vec3, f32) = (Vec3::new(0.0, 0.0, 1.1), 0.55);
