@@ -252,6 +252,9 @@ fn culled_part<M: PairModel>(
     specular: &SpecularValue,
     lobes: &LobeColumns,
 ) -> f64 {
+    if !M::CULLS {
+        return 0.0;
+    }
     let mut prepared = Vec::new();
     let level = Level::new();
     dispatch!(level, simd => kernels::prepare_lobes(simd, model, lobes, &mut prepared));

@@ -293,6 +293,7 @@ mod tests {
             Ok(())
         })
         .unwrap();
+        assert!(rows.iter().all(|row| (0.0..=100.0).contains(&row.skipped_percent)));
         assert_eq!((rows.len(), told), (MODES.len() * 2 * 2 * ROUGHNESS.len(), rows.len()));
         let read: Vec<serde_json::Map<String, serde_json::Value>> =
             serde_json::from_slice(&std::fs::read(&path).unwrap()).unwrap();

@@ -127,12 +127,9 @@ fn walk<S: Simd, M: PairModel>(
     }
 }
 
-/// Number of pairs whose specular part is not left out.
+/// Number of pairs whose specular part a model that culls does not leave out.
 #[inline(always)]
 pub fn count_kept<S: Simd, M: PairModel>(simd: S, shared: &Shared<'_, M>, points: &[ShadePoint]) -> usize {
-    if !M::CULLS {
-        return points.len() * shared.lobes.len() / block_rows::<M>() * MAX_LANES;
-    }
     let mut kept = 0;
     for point in points.iter().filter(|point| !point.is_missed()) {
         let (terms, _) = Prepared::<S, M>::new(simd, shared, std::slice::from_ref(point)).point(0);
