@@ -17,6 +17,7 @@ pub mod ron_tree;
 pub mod source;
 pub mod spawn;
 pub mod texture;
+pub mod truth_types;
 pub mod types;
 
 pub use check_passes::unknown_parts;
