@@ -5,5 +5,6 @@ pub mod components;
 pub mod first_guess;
 pub mod loss;
 pub mod observe;
+pub mod place_lobes;
 pub mod run;
 pub mod systems;

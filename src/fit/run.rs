@@ -7,6 +7,7 @@ use super::components::{
 use super::first_guess::{solve_albedo, solve_amplitudes};
 use super::loss::{Loss, LossSums};
 use super::observe::{Candidates, PixelChoice, choose_pixels, count_seen_texels, trace_pixels};
+use super::place_lobes::move_lobes_to_the_light;
 use super::systems::{
     compare_with_photographs, hand_out_gradient, move_lobes, move_specular, move_texels, pull_back_radiance,
     scatter_to_texels,
@@ -218,6 +219,8 @@ const AMPLITUDE_PIXELS: usize = 6144;
 const ALBEDO_PIXELS: usize = 400_000;
 /// Rounds of light, then albedo.
 const ROUNDS: usize = 4;
+/// Rounds, after the first, that begin by moving faint lobes to where the light is.
+const MOVES: usize = 2;
 
 /// Alternates amplitudes and albedo, whichever are unknown, from grey.
 fn make_first_guess(world: &mut World, unknowns: Unknowns) -> Result<()> {
@@ -261,6 +264,9 @@ impl Guess<'_> {
     fn alternate(&mut self, lobes: &mut [LightLobe], texels: &mut Vec<Vec3>) {
         for round in 0..ROUNDS {
             if self.unknowns.light {
+                if (1..=MOVES).contains(&round) {
+                    move_lobes_to_the_light(lobes);
+                }
                 let n = self.points.len().min(AMPLITUDE_PIXELS);
                 let points: Vec<ShadePoint> = (0..n).map(|i| self.with_albedo(i, texels)).collect();
                 let columns = crate::math::shading::LobeColumns::from_lobes(lobes.iter().map(kernel_lobe));

@@ -32,7 +32,7 @@ use crate::report::scores::Scores;
 use crate::scene::load::{LoadedScene, RunOptions};
 use crate::scene::pass_types::{EditPass, Pass, RelightPass, RenderPass, ViewChoice};
 use crate::scene::spawn::{LoadedLight, load_light, make_surface, spawn};
-use crate::scene::types::{CameraSpec, Light, Scene, Surface as SurfaceSpec, Views};
+use crate::scene::types::{Albedo, CameraSpec, Light, Scene, Surface as SurfaceSpec, Views};
 use crate::shade::frame::FramePlugin;
 use crate::stage::Pipeline;
 use crate::surface::Surface;
@@ -65,7 +65,7 @@ pub struct Session<'a> {
     pub out: PathBuf,
     /// The lights that the scene names, loaded.
     pub lights: Lights,
-    /// What the next fit guesses before its first step: all, until there has been one.
+    /// What the next fit guesses before its first step: what is unknown without an initial value, until there has been one.
     pub guess: FirstGuess,
     /// Steps of a `Shape` between two looks at it.
     pub debug_every: Option<u32>,
@@ -176,6 +176,10 @@ fn open<'a>(scene: &'a Scene, options: &RunOptions) -> Result<Session<'a>> {
     pipeline.add_plugin(&FramePlugin).add_plugin(&FitPlugin);
     spawn(&mut pipeline, scene, &surface, views, lights.own.as_ref())?;
     let out = options.out.clone();
+    let guess = FirstGuess {
+        light: matches!(scene.light, Light::Unknown(_)),
+        albedo: matches!(scene.material.albedo, Albedo::Unknown),
+    };
     Ok(Session {
         scene,
         pipeline,
@@ -183,7 +187,7 @@ fn open<'a>(scene: &'a Scene, options: &RunOptions) -> Result<Session<'a>> {
         truth,
         out,
         lights,
-        guess: FirstGuess::ALL,
+        guess,
         debug_every: options.debug_every,
         progress,
         scores: Scores::default(),
