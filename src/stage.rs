@@ -71,6 +71,8 @@ impl Phase {
 pub enum Slot {
     /// What the light is: SG lobes or an environment map (in [`Stage::Gather`]).
     Light,
+    /// What the object hides from itself (in [`Stage::Gather`], after the light and the points).
+    Visibility,
     /// How points are shaded: SG formulas or path tracing (in [`Stage::Shade`]).
     Shading,
     /// How light and material move (in [`Stage::Update`]).
@@ -86,7 +88,7 @@ pub enum Slot {
 impl Slot {
     fn stage(self) -> Stage {
         match self {
-            Self::Light => Stage::Gather,
+            Self::Light | Self::Visibility => Stage::Gather,
             Self::Shading => Stage::Shade,
             Self::Retrace => Stage::Trace,
             Self::ShapeGradient => Stage::Gradient,
@@ -212,6 +214,7 @@ fn new_schedule(phase: Phase) -> Schedule {
     }
     schedule.configure_sets((
         Slot::Light.in_set(Stage::Gather),
+        Slot::Visibility.in_set(Stage::Gather).after(Slot::Light),
         Slot::Shading.in_set(Stage::Shade),
         Slot::Optimizer.in_set(Stage::Update),
         Slot::Retrace.in_set(Stage::Trace),

@@ -18,6 +18,7 @@ use crate::material::{DiffuseAlbedo, SpecularLobe};
 use crate::math::shading::{ClosedForm, Layers, ShadePoint, SpecularValue};
 use crate::shade::pool::{despawn_pool, only_table};
 use crate::shade::systems::{kernel_lobe, kernel_specular};
+use crate::shade::visibility::{ObjectVisibility, RefreshDue};
 use crate::shade::{IncidentLight, ShadingForm, gather_points, provide_lobes, shade_closed_form};
 use crate::stage::{Phase, Pipeline, Plugin, Slot, Stage};
 use crate::surface::point::SurfacePoint;
@@ -153,6 +154,9 @@ pub fn run_fit(
     for step in 1..=options.steps {
         pipeline.world.resource_mut::<Window>().0 = window_of(step, options.batch, pixels);
         pipeline.world.insert_resource(rates_at(step, options));
+        let every =
+            pipeline.world.get_resource::<ObjectVisibility>().map_or(1, |v| v.settings().refresh_every);
+        pipeline.world.insert_resource(RefreshDue((step - 1).is_multiple_of(every.max(1))));
         pipeline.run(Phase::FitStep)?;
         recent.push(pipeline.world.resource::<LossState>().last);
         recent.drain(..recent.len().saturating_sub(20));

@@ -8,9 +8,10 @@ use super::components::{
 use super::loss::image_loss;
 use crate::light::LightLobe;
 use crate::material::{DiffuseAlbedo, SpecularLobe};
-use crate::math::shading::{Layers, PointAdjoint, RadianceAdjoint, ShadePoint};
+use crate::math::shading::{Layers, Lighting, PointAdjoint, PointVisibility, RadianceAdjoint, ShadePoint};
 use crate::shade::pool::only_table;
 use crate::shade::systems::kernel_specular;
+use crate::shade::visibility::WindowVisibility;
 use crate::shade::{IncidentLight, ShadingForm};
 use crate::stage::SystemResult;
 use crate::surface::point::SurfacePoint;
@@ -42,15 +43,20 @@ pub fn compare_with_photographs(
     Ok(())
 }
 
+/// What the adjoint of a sample is made from.
+type PullBackColumns<'a> =
+    (&'a ShadePoint, &'a PointVisibility, &'a Layers, &'a RadianceAdjoint, &'a mut PointAdjoint);
+
 /// Gradient: pulls radiance adjoints back to the samples and to light and material.
 pub fn pull_back_radiance(
     window: Res<Window>,
     (light, form): (Res<IncidentLight>, Res<ShadingForm>),
+    visibility: Option<Res<WindowVisibility>>,
     materials: Query<&SpecularLobe>,
     mut gradient: ResMut<StepGradient>,
-    mut samples: Query<(&ShadePoint, &Layers, &RadianceAdjoint, &mut PointAdjoint)>,
+    mut samples: Query<PullBackColumns>,
 ) -> SystemResult {
-    let Some((points, shaded, adjoint, mut back)) =
+    let Some((points, seen, shaded, adjoint, mut back)) =
         only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")?
     else {
         return Ok(());
@@ -59,7 +65,9 @@ pub fn pull_back_radiance(
     let rows = window.0.clone();
     let radiance = (&shaded[rows.clone()], &adjoint[rows.clone()]);
     let back = &mut back.bypass_change_detection()[rows.clone()];
-    form.0.shade_adjoint(&points[rows], &material, &light.lobes, radiance, back, &mut gradient.0);
+    let visibility = visibility.as_ref().and_then(|visibility| visibility.view(&seen[rows.clone()]));
+    let lighting = Lighting { lobes: &light.lobes, visibility };
+    form.0.shade_adjoint(&points[rows], &material, lighting, radiance, back, &mut gradient.0);
     Ok(())
 }
 

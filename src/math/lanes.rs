@@ -28,6 +28,16 @@ impl<S: Simd> Lanes<S> {
         Self { value: S::f32s::from_slice(simd, slice), simd }
     }
 
+    /// Lanes from a slice of exactly [`Self::LEN`] values, 0 to 255 for 0 to 1.
+    #[inline(always)]
+    pub fn parts(simd: S, slice: &[u8]) -> Self {
+        let mut values = Row::ZERO;
+        for (value, part) in values.0[..Self::LEN].iter_mut().zip(&slice[..Self::LEN]) {
+            *value = f32::from(*part) * (1.0 / 255.0);
+        }
+        Self::load(simd, &values.0[..Self::LEN])
+    }
+
     /// Adds the lanes onto a slice of exactly [`Self::LEN`] values.
     #[inline(always)]
     pub fn add_to(self, slice: &mut [f32]) {

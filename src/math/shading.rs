@@ -71,6 +71,11 @@ impl LobeColumns {
         self.len
     }
 
+    /// Length of a column: [`LobeColumns::len`] rounded up to whole SIMD vectors.
+    pub fn stride(&self) -> usize {
+        self.stride
+    }
+
     /// Whether there are none.
     pub fn is_empty(&self) -> bool {
         self.len == 0
@@ -106,6 +111,86 @@ impl ShadePoint {
     /// Whether this stands for a ray that met nothing.
     pub fn is_missed(&self) -> bool {
         self.normal == [0.0; 3]
+    }
+}
+
+/// What of the lobes' light reaches points that other parts of the object can hide them from. Without it, all does.
+#[derive(Clone, Copy, Debug)]
+pub struct Visibility<'a> {
+    /// A row of [`LobeColumns::stride`] values a point: the part of each lobe's irradiance that reaches it, 0 to 255.
+    pub lobes: &'a [u8],
+    /// One a point.
+    pub points: &'a [PointVisibility],
+}
+
+impl<'a> Visibility<'a> {
+    /// Runs of `count` points, as the points' own chunks.
+    fn chunk(&self, index: usize, count: usize, stride: usize) -> Self {
+        let part =
+            |of: usize, each: usize| (index * count * each).min(of)..((index + 1) * count * each).min(of);
+        Self {
+            lobes: &self.lobes[part(self.lobes.len(), stride)],
+            points: &self.points[part(self.points.len(), 1)],
+        }
+    }
+
+    /// Of one point.
+    #[inline(always)]
+    fn point(visibility: Option<Self>, index: usize, stride: usize) -> (Option<&'a [u8]>, PointVisibility) {
+        match visibility {
+            Some(v) => (Some(&v.lobes[index * stride..][..stride]), v.points[index]),
+            None => (None, PointVisibility::OPEN),
+        }
+    }
+}
+
+/// What of a point's visibility does not depend on the lobe.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PointVisibility {
+    /// Per channel, specular light over what it would be if nothing were hidden; more than 1 where a bright part of the object
+    /// is mirrored.
+    pub specular: Vec3Of<f32>,
+    /// Irradiance from other parts of the object.
+    pub indirect: Vec3Of<f32>,
+}
+
+impl PointVisibility {
+    /// Nothing is hidden, nothing is reflected.
+    pub const OPEN: Self = Self { specular: [1.0; 3], indirect: [0.0; 3] };
+}
+
+impl Default for PointVisibility {
+    fn default() -> Self {
+        Self::OPEN
+    }
+}
+
+/// What points are lit by.
+#[derive(Clone, Copy, Debug)]
+pub struct Lighting<'a> {
+    /// The lobes.
+    pub lobes: &'a LobeColumns,
+    /// What of their light reaches the points; all if `None`.
+    pub visibility: Option<Visibility<'a>>,
+}
+
+impl<'a> From<&'a LobeColumns> for Lighting<'a> {
+    fn from(lobes: &'a LobeColumns) -> Self {
+        Self { lobes, visibility: None }
+    }
+}
+
+impl<'a> Lighting<'a> {
+    /// The lighting of a chunk of the points.
+    fn chunk(&self, index: usize) -> Option<Visibility<'a>> {
+        self.visibility.map(|all| all.chunk(index, CHUNK, self.lobes.stride))
+    }
+
+    fn check(&self, points: usize) {
+        if let Some(visibility) = &self.visibility {
+            assert_eq!(visibility.points.len(), points, "one visibility a point");
+            assert_eq!(visibility.lobes.len(), points * self.lobes.stride, "one row of lobes a point");
+        }
     }
 }
 
@@ -214,14 +299,15 @@ impl ClosedForm {
     }
 
     /// [`shade_with`] of this form.
-    pub fn shade(
+    pub fn shade<'a>(
         self,
         points: &[ShadePoint],
         specular: &SpecularValue,
-        lobes: &LobeColumns,
+        lighting: impl Into<Lighting<'a>>,
         out: &mut [Layers],
     ) {
-        with_model!(self, specular.ndf, model => shade_with(model, points, specular, lobes, out));
+        let lighting = lighting.into();
+        with_model!(self, specular.ndf, model => shade_with(model, points, specular, lighting, out));
     }
 
     /// The part of all pairs whose specular light this form leaves out, in [0, 1].
@@ -230,17 +316,18 @@ impl ClosedForm {
     }
 
     /// [`shade_adjoint_with`] of this form.
-    pub fn shade_adjoint(
+    pub fn shade_adjoint<'a>(
         self,
         points: &[ShadePoint],
         specular: &SpecularValue,
-        lobes: &LobeColumns,
+        lighting: impl Into<Lighting<'a>>,
         radiance: (&[Layers], &[RadianceAdjoint]),
         out: &mut [PointAdjoint],
         gradient: &mut SharedGradient,
     ) {
+        let lighting = lighting.into();
         with_model!(self, specular.ndf, model => {
-            shade_adjoint_with(model, points, specular, lobes, radiance, out, gradient);
+            shade_adjoint_with(model, points, specular, lighting, radiance, out, gradient);
         });
     }
 }
@@ -274,34 +361,38 @@ pub fn shade_with<M: PairModel>(
     model: M,
     points: &[ShadePoint],
     specular: &SpecularValue,
-    lobes: &LobeColumns,
+    lighting: Lighting<'_>,
     out: &mut [Layers],
 ) {
     assert_eq!(points.len(), out.len(), "one output a point");
+    lighting.check(points.len());
     let level = Level::new();
     let mut scratch = SCRATCH.take();
-    dispatch!(level, simd => kernels::prepare_lobes(simd, model, lobes, &mut scratch.0));
+    dispatch!(level, simd => kernels::prepare_lobes(simd, model, lighting.lobes, &mut scratch.0));
     let shared = Shared { model, specular, lobes: &scratch.0 };
-    points.par_chunks(CHUNK).zip(out.par_chunks_mut(CHUNK)).for_each(|(points, out)| {
-        dispatch!(level, simd => kernels::shade_chunk(simd, &shared, points, out));
+    let chunks = points.par_chunks(CHUNK).zip(out.par_chunks_mut(CHUNK));
+    chunks.enumerate().for_each(|(i, (points, out))| {
+        dispatch!(level, simd => kernels::shade_chunk(simd, &shared, points, lighting.chunk(i), out));
     });
     SCRATCH.set(scratch);
 }
 
-/// Pulls the adjoint of each point's radiance back to the points and to what they share, by the formulas of `model`; `radiance`
+/// Pulls the adjoint of each point's radiance back to the points and to what they share (not to the visibility), by the formulas of `model`; `radiance`
 /// is (what [`shade_with`] gave, its adjoint). Where a channel was clamped to zero its adjoint is dropped. Overwrites
 /// `gradient`, whose memory it uses again.
 pub fn shade_adjoint_with<M: PairModel>(
     model: M,
     points: &[ShadePoint],
     specular: &SpecularValue,
-    lobes: &LobeColumns,
+    lighting: Lighting<'_>,
     (shaded, adjoint): (&[Layers], &[RadianceAdjoint]),
     point_adjoint: &mut [PointAdjoint],
     gradient: &mut SharedGradient,
 ) {
     assert!(points.len() == shaded.len() && points.len() == adjoint.len(), "one value a point");
     assert_eq!(points.len(), point_adjoint.len(), "one output a point");
+    lighting.check(points.len());
+    let lobes = lighting.lobes;
     let level = Level::new();
     let mut scratch = SCRATCH.take();
     let (prepared, partial) = (&mut scratch.0, &mut scratch.1);
@@ -315,8 +406,10 @@ pub fn shade_adjoint_with<M: PairModel>(
         .par_chunks(CHUNK)
         .zip(shaded.par_chunks(CHUNK).zip(adjoint.par_chunks(CHUNK)))
         .zip(point_adjoint.par_chunks_mut(CHUNK).zip(partial.par_chunks_mut(rows)))
-        .for_each(|((points, radiance), (out, partial))| {
-            dispatch!(level, simd => kernels::adjoint_chunk(simd, &shared, points, radiance, out, partial));
+        .enumerate()
+        .for_each(|(i, ((points, radiance), (out, partial)))| {
+            let lit = (points, lighting.chunk(i));
+            dispatch!(level, simd => kernels::adjoint_chunk(simd, &shared, lit, radiance, out, partial));
         });
     gradient.sum_in_order(partial, rows, lobes.len);
     SCRATCH.set(scratch);

@@ -15,6 +15,7 @@ use crate::report::png_file::write_rgb8;
 use crate::report::tone::srgb8;
 use crate::scene::pass_types::{FitPass, FitShading, Quality};
 use crate::scene::spawn::unknowns;
+use crate::stage::Phase;
 use crate::surface::atlas::fill_uncovered;
 use crate::view::exr_io::ExrLayers;
 use bevy_ecs::prelude::World;
@@ -41,6 +42,7 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     let folder = session.folder(&pass.name);
     std::fs::create_dir_all(&folder).map_err(crate::Error::io("create", &folder))?;
     let options = options(session, pass);
+    session.use_visibility(Phase::FitStep, pass.shading == FitShading::Accurate);
     let bar = session.progress.bar(&pass.name, u64::from(options.steps));
     let mut log = String::from("step,elapsed_secs,loss,psnr,specular_r,specular_g,specular_b,roughness\n");
     let summary = run_fit(&mut session.pipeline, &options, &mut |at, _| {

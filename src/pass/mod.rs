@@ -32,8 +32,10 @@ use crate::report::scores::Scores;
 use crate::scene::load::{LoadedScene, RunOptions};
 use crate::scene::pass_types::{EditPass, Pass, RelightPass, RenderPass, ViewChoice};
 use crate::scene::spawn::{LoadedLight, load_light, make_surface, spawn};
-use crate::scene::types::{Albedo, CameraSpec, Light, Scene, Surface as SurfaceSpec, Views};
+use crate::scene::types::{Albedo, CameraSpec, Light, Scene, Surface as SurfaceSpec, Views, Visibility};
 use crate::shade::frame::FramePlugin;
+use crate::shade::visibility::{ObjectVisibility, VisibilitySettings, add_visibility, remove_visibility};
+use crate::stage::Phase;
 use crate::stage::Pipeline;
 use crate::surface::Surface;
 use crate::view::camera::Camera;
@@ -47,6 +49,7 @@ use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Instant;
 
 /// Set by Ctrl-C: the fit in progress ends at its next step, other passes at their next picture.
 pub static INTERRUPTED: AtomicBool = AtomicBool::new(false);
@@ -126,6 +129,26 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions) -> Result<()> {
         check_interrupted()?;
     }
     session.finish()
+}
+
+impl Session<'_> {
+    /// Puts shadows and reflections into a phase if the scene has them and they are `wanted`, else takes them out. The surface is
+    /// traced the first time.
+    pub fn use_visibility(&mut self, phase: Phase, wanted: bool) {
+        let Visibility::Traced { directions, bounces, refresh_every } = self.scene.visibility else { return };
+        if !wanted {
+            return remove_visibility(&mut self.pipeline, phase);
+        }
+        if !self.pipeline.world.contains_resource::<ObjectVisibility>() {
+            let settings = VisibilitySettings { directions, bounces, refresh_every };
+            let start = Instant::now();
+            let traced = ObjectVisibility::new(&self.surface, settings);
+            let (mib, elapsed) = (traced.bytes() as f64 / 1048576.0, start.elapsed().as_secs_f64());
+            self.progress.print(&format!("visibility: traced in {elapsed:.1} s, {mib:.1} MiB"));
+            self.pipeline.world.insert_resource(traced);
+        }
+        add_visibility(&mut self.pipeline, phase);
+    }
 }
 
 /// An output folder with something in it is kept, unless `force`.

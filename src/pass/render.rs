@@ -34,6 +34,8 @@ pub fn run(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> Res
     put_material(&mut session.pipeline.world, &material);
     set_light(session, pass.name(), settings.shading);
     set_shading(&mut session.pipeline, settings, session.scene.seed);
+    // The published formulas are for comparison and know of neither shadows nor reflections; paths find both themselves.
+    session.use_visibility(Phase::Frame, settings.shading == Shading::Accurate);
     let result = render_all(session, pass.name(), settings);
     put_material(&mut session.pipeline.world, &unedited);
     result

@@ -11,8 +11,10 @@ use crate::scene::pass_types::{GridLevel, Quality, ShapePass};
 use crate::scene::spawn::unknowns;
 use crate::scene::types::Surface as SurfaceSpec;
 use crate::shade::Scenery;
+use crate::shade::visibility::ObjectVisibility;
 use crate::shape::run::{ShapeLevel, ShapeOptions, ShapeProgress, fit_shape, replace_texels};
 use crate::shape::systems::ShapeSchedule;
+use crate::stage::Phase;
 use crate::surface::Surface;
 use crate::surface::atlas::unwrap_mesh;
 use crate::surface::sdf::extract::extract_mesh;
@@ -36,6 +38,8 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
         return Err(Error::run(&pass.name, "the surface is given: only surface: Unknown() can be found"));
     };
     let start = Instant::now();
+    // A surface that moves would have to be traced at every step.
+    session.use_visibility(Phase::FitStep, false);
     let options = options(session, pass);
     let total: u32 = pass.levels.iter().map(|level| level.steps).sum();
     let bar = session.progress.bar(&pass.name, u64::from(total));
@@ -123,6 +127,7 @@ fn put_in_place(session: &mut Session, found: &SdfSurface, texture_size: u32) ->
     let albedo: Vec<Vec3> = atlas.position.iter().zip(&atlas.covered).map(carried).collect();
     replace_texels(world, &albedo);
     world.insert_resource(Scenery(surface.clone()));
+    world.remove_resource::<ObjectVisibility>();
     session.surface = surface;
     Ok(())
 }

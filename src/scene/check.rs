@@ -6,7 +6,7 @@ use super::check_passes;
 use super::diagnostic::Problem;
 use super::types::{
     Albedo, AlbedoSource, CameraSpec, Dataset, Gamma, Light, LightSource, Material, Pattern, Photographed,
-    Roughness, Scene, SpecularAlbedo, Surface, VERSION, Views,
+    Roughness, Scene, SpecularAlbedo, Surface, VERSION, Views, Visibility,
 };
 use crate::surface::MAX_COORDINATE;
 use glam::Vec3;
@@ -39,6 +39,7 @@ pub fn check(scene: &Scene) -> Vec<Problem> {
         let help = "Remove `material`, or `own_material` from the surface.";
         checks.fail("material", "the mesh's own material is taken", "expected no other material", help);
     }
+    visibility(&mut checks, scene.visibility);
     check_passes::passes(&mut checks, scene);
     checks.problems
 }
@@ -173,6 +174,14 @@ fn surface(checks: &mut Checks, surface: &Surface) {
         }
     };
     checks.count("surface.texture_size", texture_size, 8..=4096);
+}
+
+fn visibility(checks: &mut Checks, visibility: Visibility) {
+    if let Visibility::Traced { directions, bounces, refresh_every } = visibility {
+        checks.count("visibility.directions", directions, 64..=4096);
+        checks.count("visibility.bounces", bounces, 0..=8);
+        checks.count("visibility.refresh_every", refresh_every, 1..=u32::MAX);
+    }
 }
 
 fn views(checks: &mut Checks, views: &Views) {

@@ -1,6 +1,7 @@
 //! The Frame phase: one tile of a picture at a time, Sample ▸ Trace ▸ Gather ▸ Shade ▸ Resolve.
 
 use super::pool::{FrameSample, despawn_pool, only_table};
+use super::visibility::RefreshDue;
 use super::{
     IncidentLight, Scenery, ShadingForm, gather_blends, gather_points, provide_lobes, shade_closed_form,
 };
@@ -105,6 +106,7 @@ pub fn render_frame(pipeline: &mut Pipeline, camera: Camera, samples_per_pixel: 
     let blank = FrameSample::blank(camera.ray(0.0, 0.0));
     pipeline.world.spawn_batch(std::iter::repeat_n(blank, total.min(POOL)));
     pipeline.world.insert_resource(target);
+    pipeline.world.insert_resource(RefreshDue(true));
     for start in (0..total).step_by(POOL) {
         pipeline.world.resource_mut::<FrameTarget>().cursor = start;
         pipeline.world.resource_mut::<Window>().0 = 0..POOL.min(total - start);

@@ -9,13 +9,17 @@
 //! | [`shade_path_traced`] | Shade, `Slot::Shading` | the same, [`Scenery`], [`PathTracing`] | [`Layers`] |
 
 pub mod frame;
+pub mod occlusion;
 pub mod path_tracer;
 pub mod pool;
 pub mod sampling;
 pub mod systems;
+pub mod visibility;
 
 use crate::math::ray::{Illuminate, Intersect};
-use crate::math::shading::{ClosedForm, Layers, LobeColumns, PointAdjoint, RadianceAdjoint, ShadePoint};
+use crate::math::shading::{
+    ClosedForm, Layers, LobeColumns, PointAdjoint, PointVisibility, RadianceAdjoint, ShadePoint,
+};
 use bevy_ecs::component::{Mutable, StorageType};
 use bevy_ecs::prelude::{Component, Resource};
 use std::sync::Arc;
@@ -33,7 +37,7 @@ macro_rules! pixel_column {
         }
     )* };
 }
-pixel_column!(ShadePoint, Layers, RadianceAdjoint, PointAdjoint);
+pixel_column!(ShadePoint, PointVisibility, Layers, RadianceAdjoint, PointAdjoint);
 
 /// The surface that rays are cast against.
 #[derive(Resource, Clone)]

@@ -3,7 +3,7 @@
 use super::PointBlend;
 use crate::error::{Error, Result};
 use crate::math::ray::Ray;
-use crate::math::shading::{Layers, PointAdjoint, RadianceAdjoint, ShadePoint};
+use crate::math::shading::{Layers, PointAdjoint, PointVisibility, RadianceAdjoint, ShadePoint};
 use crate::surface::point::SurfacePoint;
 use crate::view::pixel::{Observed, PixelOf, ViewRay};
 use bevy_ecs::prelude::{Bundle, Entity, With, World};
@@ -21,6 +21,8 @@ pub struct FrameSample {
     pub gathered: ShadePoint,
     /// How the specular lobes blend there.
     pub blend: PointBlend,
+    /// What other parts of the object hide from it and send it.
+    pub visibility: PointVisibility,
     /// What the shading kernel wrote.
     pub shaded: Layers,
 }
@@ -34,6 +36,7 @@ impl FrameSample {
             point: SurfacePoint::default(),
             gathered: ShadePoint::default(),
             blend: PointBlend::default(),
+            visibility: PointVisibility::OPEN,
             shaded: Layers::default(),
         }
     }

@@ -2,13 +2,16 @@
 
 use super::path_tracer::{self, PathEstimate, PathQuery, PathScene, PathSettings, shade_points};
 use super::pool::only_table;
+use super::visibility::WindowVisibility;
 use super::{DistantLight, IncidentLight, PathTracing, PointBlend, Scenery, ShadingForm};
 use crate::error::Error;
 use crate::light::LightLobe;
 use crate::light::illuminate::LobeLight;
 use crate::material::{DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
 use crate::math::published::Lobe;
-use crate::math::shading::{ClosedForm, Layers, LobeColumns, ShadePoint, SpecularValue};
+use crate::math::shading::{
+    ClosedForm, Layers, Lighting, LobeColumns, PointVisibility, ShadePoint, SpecularValue,
+};
 use crate::stage::SystemResult;
 use crate::surface::point::SurfacePoint;
 use crate::view::pixel::{PixelOf, ViewRay, Window};
@@ -92,14 +95,15 @@ pub fn gather_blends(
     Ok(())
 }
 
-/// Shades in closed form ([`ShadingForm`] says in which): no shadows, no interreflection.
+/// Shades in closed form ([`ShadingForm`] says in which), with what shadows and reflections `Slot::Visibility` has found.
 pub fn shade_closed_form(
     window: Res<Window>,
     (light, form): (Res<IncidentLight>, Res<ShadingForm>),
+    visibility: Option<Res<WindowVisibility>>,
     materials: Query<&SpecularLobe>,
-    mut samples: Query<(&ShadePoint, &PointBlend, &mut Layers)>,
+    mut samples: Query<(&ShadePoint, &PointBlend, &PointVisibility, &mut Layers)>,
 ) -> SystemResult {
-    let Some((points, blends, mut shaded)) =
+    let Some((points, blends, seen, mut shaded)) =
         only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")?
     else {
         return Ok(());
@@ -107,10 +111,12 @@ pub fn shade_closed_form(
     let points = &points[window.0.clone()];
     let shaded = &mut shaded.bypass_change_detection()[window.0.clone()];
     let materials: Vec<SpecularValue> = materials.iter().map(kernel_specular).collect();
+    let visibility = visibility.as_ref().and_then(|visibility| visibility.view(&seen[window.0.clone()]));
+    let lighting = Lighting { lobes: &light.lobes, visibility };
     match materials.as_slice() {
         [] => shaded.fill(Layers::default()),
-        [one] => form.0.shade(points, one, &light.lobes, shaded),
-        many => shade_blended(form.0, points, &blends[window.0.clone()], many, &light, shaded),
+        [one] => form.0.shade(points, one, lighting, shaded),
+        many => shade_blended(form.0, points, &blends[window.0.clone()], many, lighting, shaded),
     }
     Ok(())
 }
@@ -121,12 +127,12 @@ fn shade_blended(
     points: &[ShadePoint],
     blends: &[PointBlend],
     materials: &[SpecularValue],
-    light: &IncidentLight,
+    lighting: Lighting<'_>,
     shaded: &mut [Layers],
 ) {
     let mut one = vec![Layers::default(); points.len()];
     for (k, material) in materials.iter().enumerate().take(MAX_SPECULAR_LOBES) {
-        form.shade(points, material, &light.lobes, &mut one);
+        form.shade(points, material, lighting, &mut one);
         for ((sum, one), blend) in shaded.iter_mut().zip(&one).zip(blends) {
             let before = if k == 0 { [0.0; 3] } else { sum.specular };
             sum.diffuse = one.diffuse;

@@ -25,6 +25,7 @@ pub mod nearest;
 pub mod point;
 pub mod primitive;
 pub mod sdf;
+pub mod visibility;
 
 use crate::math::ray::{Hit, Intersect, Ray};
 use crate::{Error, Result};

@@ -9,8 +9,8 @@
 
 use super::cull::{Picked, exponent_limits, survivors};
 use super::{
-    LOBE_COLUMNS, Layers, LobeColumns, PointAdjoint, RadianceAdjoint, ShadePoint, SpecularAdjoint,
-    SpecularValue,
+    LOBE_COLUMNS, Layers, LobeColumns, PointAdjoint, PointVisibility, RadianceAdjoint, ShadePoint,
+    SpecularAdjoint, SpecularValue, Visibility,
 };
 use crate::math::lanes::{Lanes, MAX_LANES, Row};
 use crate::math::model::{BOTH, DIFFUSE, PairModel, Part, PointEnd, Response, SPECULAR, Shape, Terms};
@@ -24,6 +24,13 @@ pub struct Shared<'a, M> {
     pub specular: &'a SpecularValue,
     /// Blocks of [`block_rows`] rows.
     pub lobes: &'a [Row],
+}
+
+impl<M: PairModel> Shared<'_, M> {
+    /// Lobes, with the padding.
+    fn stride(&self) -> usize {
+        self.lobes.len() / block_rows::<M>() * MAX_LANES
+    }
 }
 
 /// Rows of a block of prepared lobes: the lobes', the model's, and the exponent from which a specular part is left out.
@@ -56,6 +63,15 @@ pub fn prepare_lobes<S: Simd, M: PairModel>(simd: S, model: M, lobes: &LobeColum
 #[inline(always)]
 pub fn load<S: Simd>(simd: S, row: &Row, at: usize) -> Lanes<S> {
     Lanes::load(simd, &row.0[at..at + Lanes::<S>::LEN])
+}
+
+/// The part of a vector of lobes' light that reaches a point.
+#[inline(always)]
+fn reaching<S: Simd>(simd: S, row: Option<&[u8]>, b: usize, at: usize) -> Lanes<S> {
+    match row {
+        Some(row) => Lanes::parts(simd, &row[b * MAX_LANES + at..][..Lanes::<S>::LEN]),
+        None => Lanes::splat(simd, 1.0),
+    }
 }
 
 /// One vector of lobes.
@@ -245,20 +261,23 @@ pub fn shade_chunk<S: Simd, M: PairModel>(
     simd: S,
     shared: &Shared<'_, M>,
     points: &[ShadePoint],
+    visibility: Option<Visibility<'_>>,
     out: &mut [Layers],
 ) {
-    let groups = points.chunks(Lanes::<S>::LEN).zip(out.chunks_mut(Lanes::<S>::LEN));
-    for (points, out) in groups {
-        let prepared = Prepared::new(simd, shared, points);
-        for (i, (point, out)) in points.iter().zip(out).enumerate() {
-            *out = Layers::default();
-            if !point.is_missed() {
-                let (terms, frozen) = prepared.point(i);
-                let (diffuse, glossy) = light_of(simd, shared, &splat::<S, M>(simd, &terms));
-                let weights = shared.model.specular_weights(&frozen, shared.specular);
-                *out = layers::<M>(point, &diffuse, &glossy, &weights);
-            }
+    let mut prepared = None;
+    for (i, (point, out)) in points.iter().zip(out).enumerate() {
+        let lane = i % Lanes::<S>::LEN;
+        if lane == 0 {
+            let end = points.len().min(i + Lanes::<S>::LEN);
+            prepared = Some(Prepared::<S, M>::new(simd, shared, &points[i..end]));
         }
+        *out = Layers::default();
+        let Some(prepared) = prepared.as_ref().filter(|_| !point.is_missed()) else { continue };
+        let (terms, frozen) = prepared.point(lane);
+        let (row, around) = Visibility::point(visibility, i, shared.stride());
+        let (diffuse, glossy) = light_of(simd, shared, &splat::<S, M>(simd, &terms), row);
+        let weights = shared.model.specular_weights(&frozen, shared.specular);
+        *out = layers::<M>(point, &around, &diffuse, &glossy, &weights);
     }
 }
 
@@ -266,6 +285,7 @@ pub fn shade_chunk<S: Simd, M: PairModel>(
 #[inline(always)]
 fn layers<M: PairModel>(
     point: &ShadePoint,
+    around: &PointVisibility,
     diffuse: &Vec3Of<f32>,
     glossy: &M::Specular<Vec3Of<f32>>,
     weights: &M::Specular<Vec3Of<f32>>,
@@ -273,8 +293,8 @@ fn layers<M: PairModel>(
     let specular =
         |c: usize| -> f32 { (0..M::Specular::<f32>::LEN).map(|b| glossy.at(b)[c] * weights.at(b)[c]).sum() };
     Layers {
-        diffuse: std::array::from_fn(|c| (diffuse[c] * point.albedo[c] / PI).max(0.0)),
-        specular: std::array::from_fn(|c| specular(c).max(0.0)),
+        diffuse: std::array::from_fn(|c| ((diffuse[c] + around.indirect[c]) * point.albedo[c] / PI).max(0.0)),
+        specular: std::array::from_fn(|c| (specular(c) * around.specular[c]).max(0.0)),
     }
 }
 
@@ -284,8 +304,9 @@ fn light_of<S: Simd, M: PairModel>(
     simd: S,
     shared: &Shared<'_, M>,
     terms: &M::Point<Lanes<S>>,
+    row: Option<&[u8]>,
 ) -> (Vec3Of<f32>, M::Specular<Vec3Of<f32>>) {
-    let mut shading = Shading { simd, model: shared.model, terms, light: Light::zero(simd) };
+    let mut shading = Shading { simd, model: shared.model, terms, row, light: Light::zero(simd) };
     walk(simd, shared, terms, &mut shading);
     shading.light.total()
 }
@@ -295,13 +316,16 @@ struct Shading<'a, S: Simd, M: PairModel> {
     simd: S,
     model: M,
     terms: &'a M::Point<Lanes<S>>,
+    /// Visibility of the lobes.
+    row: Option<&'a [u8]>,
     light: Light<S, M>,
 }
 
 impl<S: Simd, M: PairModel> Visit<S, M> for Shading<'_, S, M> {
     #[inline(always)]
-    fn block<const PART: Part>(&mut self, _b: usize, _at: usize, lobe: &LobeVector<S, M>) {
-        let response = self.model.evaluate::<_, PART>(self.terms, &lobe.shape, &lobe.terms);
+    fn block<const PART: Part>(&mut self, b: usize, at: usize, lobe: &LobeVector<S, M>) {
+        let mut response = self.model.evaluate::<_, PART>(self.terms, &lobe.shape, &lobe.terms);
+        response.diffuse = response.diffuse * reaching(self.simd, self.row, b, at);
         self.light.add::<PART>(lobe.amplitude, &response);
     }
 
@@ -328,13 +352,15 @@ impl<M: PairModel> Weights<M> {
     fn new(
         shared: &Shared<'_, M>,
         point: &ShadePoint,
+        around: &PointVisibility,
         frozen: &M::Frozen<f32>,
         (shaded, adjoint): (&Layers, &RadianceAdjoint),
     ) -> Self {
         // A channel that was clamped to zero does not move with its inputs.
         let live = |value: f32, adjoint: f32| if value > 0.0 { adjoint } else { 0.0 };
         let diffuse: Vec3Of<f32> = std::array::from_fn(|c| live(shaded.diffuse[c], adjoint.0[c]));
-        let specular: Vec3Of<f32> = std::array::from_fn(|c| live(shaded.specular[c], adjoint.0[c]));
+        let specular: Vec3Of<f32> =
+            std::array::from_fn(|c| live(shaded.specular[c], adjoint.0[c]) * around.specular[c]);
         let weights = shared.model.specular_weights(frozen, shared.specular);
         Self {
             diffuse,
@@ -351,7 +377,7 @@ impl<M: PairModel> Weights<M> {
 pub fn adjoint_chunk<S: Simd, M: PairModel>(
     simd: S,
     shared: &Shared<'_, M>,
-    points: &[ShadePoint],
+    (points, visibility): (&[ShadePoint], Option<Visibility<'_>>),
     (shaded, adjoint): (&[Layers], &[RadianceAdjoint]),
     out: &mut [PointAdjoint],
     partial: &mut [Row],
@@ -368,10 +394,11 @@ pub fn adjoint_chunk<S: Simd, M: PairModel>(
         out[i] = PointAdjoint::default();
         let Some(prepared) = prepared.as_ref().filter(|_| !point.is_missed()) else { continue };
         let (terms, frozen) = prepared.point(lane);
-        let weights = Weights::new(shared, point, &frozen, (&shaded[i], &adjoint[i]));
-        let wide = splat::<S, M>(simd, &terms);
+        let (row, around) = Visibility::point(visibility, i, shared.stride());
+        let weights = Weights::new(shared, point, &around, &frozen, (&shaded[i], &adjoint[i]));
+        let wide = (splat::<S, M>(simd, &terms), row);
         let (diffuse, glossy, sums) = pull_back_lobes(simd, shared, &wide, &weights, lobe_gradient);
-        out[i].albedo = std::array::from_fn(|c| weights.diffuse[c] / PI * diffuse[c]);
+        out[i].albedo = std::array::from_fn(|c| weights.diffuse[c] / PI * (diffuse[c] + around.indirect[c]));
         let end = PointEnd {
             point,
             specular: shared.specular,
@@ -392,7 +419,7 @@ pub fn adjoint_chunk<S: Simd, M: PairModel>(
 fn pull_back_lobes<S: Simd, M: PairModel>(
     simd: S,
     shared: &Shared<'_, M>,
-    terms: &M::Point<Lanes<S>>,
+    (terms, row): &(M::Point<Lanes<S>>, Option<&[u8]>),
     weights: &Weights<M>,
     gradient: &mut [Row],
 ) -> (Vec3Of<f32>, M::Specular<Vec3Of<f32>>, M::Sums<f32>) {
@@ -402,6 +429,7 @@ fn pull_back_lobes<S: Simd, M: PairModel>(
         simd,
         model: shared.model,
         terms,
+        row: *row,
         kd: splat3(simd, weights.diffuse_light),
         ks,
         light: Light::zero(simd),
@@ -422,6 +450,8 @@ struct PullBack<'a, S: Simd, M: PairModel> {
     simd: S,
     model: M,
     terms: &'a M::Point<Lanes<S>>,
+    /// Visibility of the lobes.
+    row: Option<&'a [u8]>,
     /// Adjoints of diffuse light and of each specular term, per channel.
     kd: Vec3Of<Lanes<S>>,
     ks: M::Specular<Vec3Of<Lanes<S>>>,
@@ -438,14 +468,16 @@ impl<S: Simd, M: PairModel> PullBack<'_, S, M> {
         mu: Vec3Of<Lanes<S>>,
         shape: &Shape<Lanes<S>>,
         lobe: &M::Lobe<Lanes<S>>,
+        reaching: Lanes<S>,
     ) -> [Lanes<S>; LOBE_COLUMNS] {
         let zero = Lanes::splat(self.simd, 0.0);
         let mut specular: M::Specular<Lanes<S>> = Terms::from_fn(|_| zero);
         for b in 0..M::Specular::<f32>::LEN {
             *specular.at_mut(b) = dot(self.ks.at(b), mu);
         }
-        let adjoint = Response { diffuse: dot(self.kd, mu), specular };
-        let (response, back) = self.model.pull_back::<_, PART>(self.terms, shape, lobe, &adjoint);
+        let adjoint = Response { diffuse: dot(self.kd, mu) * reaching, specular };
+        let (mut response, back) = self.model.pull_back::<_, PART>(self.terms, shape, lobe, &adjoint);
+        response.diffuse = response.diffuse * reaching;
         let (axis, [mut r, mut g, mut b]) = (back.shape.axis, [zero; 3]);
         if PART & DIFFUSE != 0 {
             [r, g, b] = scale(self.kd, response.diffuse);
@@ -466,7 +498,8 @@ impl<S: Simd, M: PairModel> PullBack<'_, S, M> {
 impl<S: Simd, M: PairModel> Visit<S, M> for PullBack<'_, S, M> {
     #[inline(always)]
     fn block<const PART: Part>(&mut self, b: usize, at: usize, lobe: &LobeVector<S, M>) {
-        let columns = self.pull_back::<PART>(lobe.amplitude, &lobe.shape, &lobe.terms);
+        let reaching = reaching(self.simd, self.row, b, at);
+        let columns = self.pull_back::<PART>(lobe.amplitude, &lobe.shape, &lobe.terms, reaching);
         let rows = &mut self.gradient[b * LOBE_COLUMNS..(b + 1) * LOBE_COLUMNS];
         for (row, value) in rows.iter_mut().zip(columns) {
             value.add_to(&mut row.0[at..at + Lanes::<S>::LEN]);
@@ -477,7 +510,7 @@ impl<S: Simd, M: PairModel> Visit<S, M> for PullBack<'_, S, M> {
     fn picked(&mut self, index: &[usize], shape: &Shape<Lanes<S>>, amplitude: Vec3Of<Lanes<S>>) {
         let zero = Lanes::splat(self.simd, 0.0);
         let unread: M::Lobe<Lanes<S>> = Terms::from_fn(|_| zero);
-        let columns = self.pull_back::<SPECULAR>(amplitude, shape, &unread);
+        let columns = self.pull_back::<SPECULAR>(amplitude, shape, &unread, zero);
         let mut values = [Row::ZERO; LOBE_COLUMNS];
         for (row, value) in values.iter_mut().zip(columns) {
             value.store(&mut row.0[..Lanes::<S>::LEN]);

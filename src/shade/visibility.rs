@@ -1,0 +1,232 @@
+//! Shadows and reflected light in closed-form shading: what other parts of the object hide from a point, and what they send it.
+//!
+//! A capability of its own in [`Slot::Visibility`]; without it every point sees all light.
+//!
+//! | parameter | type | default | meaning |
+//! | --- | --- | --- | --- |
+//! | `directions` | `u32` | 512 | directions over the sphere in which texels look, a multiple of 64 |
+//! | `bounces` | `u32` | 2 | reflections between parts of the object; 0 has shadows only |
+//! | `refresh_every` | `u32` | 50 | steps of a fit after which shadows and reflected light are made anew |
+//!
+//! | system | stage, slot | reads | writes |
+//! | --- | --- | --- | --- |
+//! | [`refresh_visibility`] | Gather, `Slot::Visibility` | [`IncidentLight`], specular lobes, albedo, [`ObjectVisibility`] | [`ObjectVisibility`] |
+//! | [`gather_visibility`] | Gather, `Slot::Visibility` | the same, [`ShadePoint`], texel addresses | [`PointVisibility`], [`WindowVisibility`] |
+//!
+//! Diffuse light has one factor per texel × lobe, blended at the point like albedo, so light can be fitted through it. Specular
+//! light has one per point, along the mirrored view. The adjoint holds all of them, and reflected light, fixed.
+
+use super::occlusion::{Blend, Bounce, Sky, lobe_parts, point_visibility};
+use super::pool::only_table;
+use super::{IncidentLight, PointBlend};
+use crate::light::fibonacci::fibonacci_axes;
+use crate::material::{DiffuseAlbedo, SpecularBlend, SpecularLobe};
+use crate::math::brdf::ndf_sharpness;
+use crate::math::shading::{LobeColumns, PointVisibility, ShadePoint, Visibility};
+use crate::stage::{Phase, Pipeline, Slot, SystemResult};
+use crate::surface::Surface;
+use crate::surface::point::SurfacePoint;
+use crate::surface::visibility::TexelVisibility;
+use crate::view::pixel::Window;
+use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut, Resource};
+use glam::Vec3;
+use rayon::prelude::*;
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::ops::Range;
+
+/// How shadows and reflected light are found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct VisibilitySettings {
+    /// Directions over the sphere.
+    pub directions: u32,
+    /// Reflections between parts of the object.
+    pub bounces: u32,
+    /// Steps of a fit between two refreshes.
+    pub refresh_every: u32,
+}
+
+impl Default for VisibilitySettings {
+    fn default() -> Self {
+        Self { directions: 512, bounces: 2, refresh_every: 50 }
+    }
+}
+
+/// What the object hides from itself, and the light on it as it was at the last refresh.
+#[derive(Resource, Default)]
+pub struct ObjectVisibility {
+    settings: VisibilitySettings,
+    texels: TexelVisibility,
+    /// What the rest was made from.
+    made_from: Option<u64>,
+    sky: Sky,
+    bounce: Bounce,
+    parts: Vec<u8>,
+    stride: usize,
+}
+
+impl ObjectVisibility {
+    /// Traces a surface.
+    pub fn new(surface: &Surface, settings: VisibilitySettings) -> Self {
+        let directions = fibonacci_axes(settings.directions.next_multiple_of(64).max(64) as usize);
+        let texels = TexelVisibility::trace(surface.atlas(), surface, directions);
+        Self { settings, texels, ..Self::default() }
+    }
+
+    /// How it is found.
+    pub fn settings(&self) -> VisibilitySettings {
+        self.settings
+    }
+
+    /// Bytes in use.
+    pub fn bytes(&self) -> usize {
+        self.texels.bytes() + self.parts.len()
+    }
+
+    fn refresh(&mut self, lobes: &LobeColumns, reflectance: &(dyn Fn(u32) -> Vec3 + Sync)) {
+        self.sky = Sky::new(&self.texels.directions, lobes);
+        self.stride = lobes.stride();
+        lobe_parts(&self.texels, &self.sky, &mut self.parts);
+        self.bounce = Bounce::new(&self.texels, &self.sky, reflectance, self.settings.bounces);
+    }
+
+    /// The rows that a point blends.
+    fn blend(&self, point: &SurfacePoint) -> Option<Blend> {
+        let mut blend = [(0, 0.0); 4];
+        let mut total = 0.0;
+        for (i, slot) in blend.iter_mut().enumerate() {
+            let row = self.texels.rows[point.texels.indices[i] as usize];
+            if row != TexelVisibility::NONE {
+                *slot = (row as usize, point.texels.weights[i]);
+                total += slot.1;
+            }
+        }
+        blend.iter_mut().for_each(|(_, weight)| *weight /= total);
+        (total > 0.0).then_some(blend)
+    }
+
+    /// Blends the lobes' parts of a point's rows.
+    fn blend_parts(&self, blend: &Blend, out: &mut [u8]) {
+        let rows = blend.map(|(row, _)| &self.parts[row * self.stride..][..self.stride]);
+        // Weights in 65536ths: what is 255 in all four stays so.
+        let mut weights = blend.map(|(_, weight)| (weight * 65536.0) as u32);
+        weights[0] += 65536 - weights.iter().sum::<u32>();
+        for (i, out) in out.iter_mut().enumerate() {
+            let sum: u32 = (0..4).map(|k| u32::from(rows[k][i]) * weights[k]).sum();
+            *out = (sum >> 16) as u8;
+        }
+    }
+}
+
+/// The lobes' parts at the points of the present window.
+#[derive(Resource, Default)]
+pub struct WindowVisibility {
+    rows: Vec<u8>,
+    stride: usize,
+}
+
+impl WindowVisibility {
+    /// What the kernels read, if there is any; `points` are the window's.
+    pub fn view<'a>(&'a self, points: &'a [PointVisibility]) -> Option<Visibility<'a>> {
+        let there = self.stride > 0 && self.rows.len() == points.len() * self.stride;
+        there.then_some(Visibility { lobes: &self.rows, points })
+    }
+}
+
+/// Whether this run may make shadows and reflected light anew; a fit does so every few steps.
+#[derive(Resource, Clone, Copy, Debug)]
+pub struct RefreshDue(pub bool);
+
+/// Puts the capability into a phase; it needs an [`ObjectVisibility`] and [`RefreshDue`].
+pub fn add_visibility(pipeline: &mut Pipeline, phase: Phase) {
+    pipeline.world.insert_resource(RefreshDue(true));
+    pipeline.world.init_resource::<WindowVisibility>();
+    pipeline.swap(phase, Slot::Visibility, (refresh_visibility, gather_visibility).chain());
+}
+
+/// Takes it out.
+pub fn remove_visibility(pipeline: &mut Pipeline, phase: Phase) {
+    pipeline.clear(phase, Slot::Visibility);
+    pipeline.world.insert_resource(WindowVisibility::default());
+}
+
+/// Gather: makes shadows and reflected light anew if that is due and light or material have changed.
+pub fn refresh_visibility(
+    (light, due): (Res<IncidentLight>, Res<RefreshDue>),
+    materials: Query<&SpecularLobe>,
+    texels: Query<(&DiffuseAlbedo, &SpecularBlend)>,
+    mut object: ResMut<ObjectVisibility>,
+) -> SystemResult {
+    let Some((albedo, blends)) = only_table(texels.contiguous_iter()?, |t| t.0.len(), "texel")? else {
+        return Ok(());
+    };
+    if !due.0 && object.stride == light.lobes.stride() {
+        return Ok(());
+    }
+    let materials: Vec<SpecularLobe> = materials.iter().copied().collect();
+    let now = fingerprint(&light.lobes, &materials, albedo);
+    if object.made_from == Some(now) {
+        return Ok(());
+    }
+    object.made_from = Some(now);
+    // Light that goes on from a glossy place is spread like diffuse light: the energy is right, the direction is not.
+    let reflectance = |texel: u32| {
+        let blend = &blends[texel as usize].0;
+        let gloss: Vec3 = materials.iter().zip(blend).map(|(m, weight)| m.albedo * *weight).sum();
+        (albedo[texel as usize].0 + gloss).min(Vec3::ONE)
+    };
+    object.refresh(&light.lobes, &reflectance);
+    Ok(())
+}
+
+/// A number that changes with the light and the material.
+fn fingerprint(lobes: &LobeColumns, materials: &[SpecularLobe], albedo: &[DiffuseAlbedo]) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    let mut add = |value: f32| value.to_bits().hash(&mut hasher);
+    for i in 0..lobes.len() {
+        let lobe = lobes.get(i);
+        lobe.axis.into_iter().chain(lobe.amplitude).chain([lobe.sharpness]).for_each(&mut add);
+    }
+    materials.iter().for_each(|m| m.albedo.to_array().into_iter().chain([m.roughness]).for_each(&mut add));
+    albedo.iter().for_each(|a| a.0.to_array().into_iter().for_each(&mut add));
+    hasher.finish()
+}
+
+/// What a point's visibility is made from.
+type PointColumns<'a> = (&'a SurfacePoint, &'a ShadePoint, &'a PointBlend, &'a mut PointVisibility);
+
+/// Gather: what the window's points see.
+pub fn gather_visibility(
+    window: Res<Window>,
+    object: Res<ObjectVisibility>,
+    materials: Query<&SpecularLobe>,
+    mut samples: Query<PointColumns>,
+    mut out: ResMut<WindowVisibility>,
+) -> SystemResult {
+    let Some((points, gathered, blends, mut seen)) =
+        only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")?
+    else {
+        return Ok(());
+    };
+    let rows: Range<usize> = window.0.clone();
+    let sharpness: Vec<f32> = materials.iter().map(|m| ndf_sharpness(m.roughness)).collect();
+    let out = &mut *out;
+    out.stride = object.stride;
+    out.rows.resize(rows.len() * object.stride, 255);
+    let seen = &mut seen.bypass_change_detection()[rows.clone()];
+    let inputs = points[rows.clone()].par_iter().zip(&gathered[rows.clone()]).zip(&blends[rows]);
+    let outputs = out.rows.par_chunks_mut(object.stride.max(1)).zip(seen);
+    outputs.zip(inputs).with_min_len(256).for_each(|((parts, seen), ((point, gathered), blend))| {
+        *seen = PointVisibility::OPEN;
+        parts.fill(255);
+        let Some(rows) = object.blend(point).filter(|_| point.is_hit()) else { return };
+        object.blend_parts(&rows, parts);
+        let sharpness = sharpness.get(heaviest(&blend.0)).copied().unwrap_or(1.0);
+        *seen = point_visibility(&object.texels, &object.sky, &object.bounce, &rows, gathered, sharpness);
+    });
+    Ok(())
+}
+
+/// The specular lobe that a point has most of.
+fn heaviest(blend: &[f32]) -> usize {
+    (0..blend.len()).reduce(|a, b| if blend[b] > blend[a] { b } else { a }).unwrap_or(0)
+}
