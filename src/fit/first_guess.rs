@@ -3,11 +3,12 @@
 
 use crate::math::brdf::Facets;
 use crate::math::published::Lobe;
-use crate::math::shading::{ClosedForm, Layers, LobeColumns, ShadePoint, SpecularValue};
+use crate::math::shading::{ClosedForm, Layers, Lighting, ShadePoint, SpecularValue, Visibility};
 use crate::surface::point::SurfacePoint;
 use crate::view::pixel::Observed;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Points a thread takes at a time; the grain of the fixed-order sums.
 const CHUNK: usize = 512;
@@ -68,19 +69,23 @@ impl NormalEquations {
 }
 
 /// Non-negative amplitudes of `lobes` (whose own amplitudes are ignored) that explain `observed` at `points` best in
-/// the least-squares sense, given the albedo in `points` and the specular material.
+/// the least-squares sense, given the albedo in `points`, the specular material and what of the light arrives.
 pub fn solve_amplitudes(
     form: ClosedForm,
     points: &[ShadePoint],
     observed: &[Observed],
     specular: &SpecularValue,
-    lobes: &LobeColumns,
+    lighting: Lighting<'_>,
     ridge: f64,
 ) -> Vec<Vec3> {
-    let partial: Vec<NormalEquations> = points
-        .par_chunks(CHUNK)
-        .zip(observed.par_chunks(CHUNK))
-        .map(|(points, observed)| accumulate(form, points, observed, specular, lobes))
+    let lobes = lighting.lobes;
+    let partial: Vec<NormalEquations> = (0..points.len())
+        .into_par_iter()
+        .chunks(CHUNK)
+        .map(|run| {
+            let run = run[0]..run[run.len() - 1] + 1;
+            accumulate(form, points, observed, specular, lighting, run)
+        })
         .collect();
     let mut sum = NormalEquations::zeros(lobes.len());
     partial.iter().for_each(|p| sum.merge(p));
@@ -93,22 +98,27 @@ fn accumulate(
     points: &[ShadePoint],
     observed: &[Observed],
     specular: &SpecularValue,
-    lobes: &LobeColumns,
+    Lighting { lobes, visibility }: Lighting<'_>,
+    run: Range<usize>,
 ) -> NormalEquations {
     let mut sum = NormalEquations::zeros(lobes.len());
     let mut rows: [Vec<f32>; 3] = std::array::from_fn(|_| vec![0.0; lobes.len()]);
-    for (point, observed) in points.iter().zip(observed) {
+    for n in run {
+        let point = &points[n];
+        let (parts, around) = Visibility::point(visibility, n, lobes.stride());
         let directions = [point.normal, point.to_viewer];
         let facets = Facets { ndf: specular.ndf, roughness: specular.roughness };
         for i in 0..lobes.len() {
             let lobe = Lobe { amplitude: [1.0; 3], ..lobes.get(i) };
             let [diffuse, glossy] = form.shade_pair(directions, &lobe, point.albedo, specular.albedo, facets);
             for (c, row) in rows.iter_mut().enumerate() {
-                row[i] = diffuse[c] + glossy[c];
+                // A lobe's own part is close to what of its mirrored light arrives, and does not need the amplitudes.
+                row[i] = (diffuse[c] + glossy[c]) * parts.map_or(1.0, |parts| f32::from(parts[i]) / 255.0);
             }
         }
         for (c, row) in rows.iter().enumerate() {
-            sum.add(c, row, observed.radiance[c]);
+            let indirect = point.albedo[c] * around.indirect[c] * std::f32::consts::FRAC_1_PI;
+            sum.add(c, row, (observed[n].radiance[c] - indirect).max(0.0));
         }
     }
     sum

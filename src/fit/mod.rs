@@ -3,6 +3,7 @@
 pub mod adam;
 pub mod components;
 pub mod first_guess;
+mod guess;
 pub mod loss;
 pub mod observe;
 pub mod place_lobes;

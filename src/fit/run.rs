@@ -4,10 +4,9 @@ use super::components::{
     AlbedoGradient, AlbedoMoments, LobeGradient, LobeMoments, LossState, SpecularGradient, SpecularMoments,
     StepGradient, StepRates, TexelSeen, Unknowns,
 };
-use super::first_guess::{solve_albedo, solve_amplitudes};
+use super::guess::make_first_guess;
 use super::loss::{Loss, LossSums};
 use super::observe::{Candidates, PixelChoice, choose_pixels, count_seen_texels, trace_pixels};
-use super::place_lobes::move_lobes_to_the_light;
 use super::systems::{
     compare_with_photographs, hand_out_gradient, move_lobes, move_specular, move_texels, pull_back_radiance,
     scatter_to_texels,
@@ -15,14 +14,12 @@ use super::systems::{
 use crate::error::Result;
 use crate::light::LightLobe;
 use crate::material::{DiffuseAlbedo, SpecularLobe};
-use crate::math::shading::{ClosedForm, Layers, ShadePoint, SpecularValue};
-use crate::shade::pool::{despawn_pool, only_table};
-use crate::shade::systems::{kernel_lobe, kernel_specular};
-use crate::shade::visibility::{ObjectVisibility, RefreshDue};
+use crate::math::shading::ClosedForm;
+use crate::shade::pool::despawn_pool;
+use crate::shade::visibility::{ObjectVisibility, RefreshDue, add_visibility, remove_visibility};
 use crate::shade::{IncidentLight, ShadingForm, gather_points, provide_lobes, shade_closed_form};
 use crate::stage::{Phase, Pipeline, Plugin, Slot, Stage};
-use crate::surface::point::SurfacePoint;
-use crate::view::pixel::{Observed, PixelOf, Window};
+use crate::view::pixel::{PixelOf, Window};
 use bevy_ecs::prelude::{Entity, IntoScheduleConfigs, With, Without, World};
 use glam::Vec3;
 use std::ops::ControlFlow;
@@ -51,6 +48,8 @@ pub struct FitOptions {
     pub pixels: PixelChoice,
     /// What is guessed from the data before the first step.
     pub guess: FirstGuess,
+    /// Whether shading knows of shadows and reflections; the world then needs an [`ObjectVisibility`].
+    pub visibility: bool,
 }
 
 /// What a fit guesses before its first step, of what is unknown; the rest starts from its present value.
@@ -142,13 +141,19 @@ pub fn run_fit(
     pipeline.world.insert_resource(ShadingForm(options.form));
     pipeline.world.insert_resource(LossState { loss: options.loss, last: LossSums::default() });
     pipeline.run(Phase::Prepare)?;
+    let refresh_every = pipeline.world.get_resource::<ObjectVisibility>().map(|v| v.settings().refresh_every);
+    let refresh_every = refresh_every.filter(|_| options.visibility);
+    match refresh_every {
+        Some(_) => add_visibility(pipeline, Phase::FitStep),
+        None => remove_visibility(pipeline, Phase::FitStep),
+    }
     let pixels = pipeline.world.resource::<Window>().0.len();
     let unknowns = Unknowns {
         light: options.unknowns.light && options.guess.light,
         albedo: options.unknowns.albedo && options.guess.albedo,
         ..options.unknowns
     };
-    make_first_guess(&mut pipeline.world, unknowns)?;
+    make_first_guess(&mut pipeline.world, unknowns, refresh_every.is_some())?;
     let mut recent: Vec<LossSums> = Vec::new();
     let mut summary = FitSummary { steps: 0, pixels, elapsed_secs: 0.0, stopped: false };
     for step in 1..=options.steps {
@@ -194,7 +199,7 @@ fn rates_at(step: u32, options: &FitOptions) -> StepRates {
     StepRates { step, albedo, light, specular }
 }
 
-fn first_specular(world: &mut World) -> SpecularLobe {
+pub(super) fn first_specular(world: &mut World) -> SpecularLobe {
     let lobe = world.query::<&SpecularLobe>().iter(world).next().copied();
     lobe.unwrap_or(SpecularLobe::new(Vec3::ZERO, 1.0))
 }
@@ -214,89 +219,5 @@ fn attach_state(world: &mut World) {
     let materials: Vec<Entity> = world.query_filtered::<Entity, With<SpecularLobe>>().iter(world).collect();
     for material in materials {
         world.entity_mut(material).insert((SpecularGradient::default(), SpecularMoments::default()));
-    }
-}
-
-/// Most pixels the amplitudes are solved from.
-const AMPLITUDE_PIXELS: usize = 6144;
-/// Most pixels the albedo is solved from in all but the last round.
-const ALBEDO_PIXELS: usize = 400_000;
-/// Rounds of light, then albedo.
-const ROUNDS: usize = 4;
-/// Rounds, after the first, that begin by moving faint lobes to where the light is.
-const MOVES: usize = 2;
-
-/// Alternates amplitudes and albedo, whichever are unknown, from grey.
-fn make_first_guess(world: &mut World, unknowns: Unknowns) -> Result<()> {
-    if !unknowns.light && !unknowns.albedo {
-        return Ok(());
-    }
-    let mut lobes: Vec<LightLobe> = world.query::<&LightLobe>().iter(world).copied().collect();
-    let specular = kernel_specular(&first_specular(world));
-    let form = world.resource::<ShadingForm>().0;
-    let mut texels: Vec<Vec3> = world.query::<&DiffuseAlbedo>().iter(world).map(|a| a.0).collect();
-    {
-        let mut query = world.query::<(&SurfacePoint, &ShadePoint, &Observed)>();
-        let query = query.query(world);
-        let chunks = query.contiguous_iter().map_err(|e| crate::Error::run("fit", e.to_string()))?;
-        let Some((points, gathered, observed)) = only_table(chunks, |t| t.0.len(), "pixel")? else {
-            return Ok(());
-        };
-        let mut guess = Guess { form, points, gathered, observed, specular, unknowns };
-        guess.alternate(&mut lobes, &mut texels);
-    }
-    for (mut lobe, guess) in world.query::<&mut LightLobe>().iter_mut(world).zip(&lobes) {
-        *lobe = *guess;
-    }
-    for (mut texel, guess) in world.query::<&mut DiffuseAlbedo>().iter_mut(world).zip(&texels) {
-        texel.0 = *guess;
-    }
-    Ok(())
-}
-
-/// The data a first guess is made from.
-struct Guess<'a> {
-    form: ClosedForm,
-    points: &'a [SurfacePoint],
-    gathered: &'a [ShadePoint],
-    observed: &'a [Observed],
-    specular: SpecularValue,
-    unknowns: Unknowns,
-}
-
-impl Guess<'_> {
-    fn alternate(&mut self, lobes: &mut [LightLobe], texels: &mut Vec<Vec3>) {
-        for round in 0..ROUNDS {
-            if self.unknowns.light {
-                if (1..=MOVES).contains(&round) {
-                    move_lobes_to_the_light(lobes);
-                }
-                let n = self.points.len().min(AMPLITUDE_PIXELS);
-                let points: Vec<ShadePoint> = (0..n).map(|i| self.with_albedo(i, texels)).collect();
-                let columns = crate::math::shading::LobeColumns::from_lobes(lobes.iter().map(kernel_lobe));
-                let amplitudes =
-                    solve_amplitudes(self.form, &points, &self.observed[..n], &self.specular, &columns, 1e-2);
-                for (lobe, amplitude) in lobes.iter_mut().zip(amplitudes) {
-                    lobe.amplitude = amplitude.max(Vec3::splat(1e-3));
-                }
-            }
-            if self.unknowns.albedo {
-                let n = if round + 1 == ROUNDS { self.points.len() } else { ALBEDO_PIXELS };
-                *texels = self.albedo_under(lobes, texels.len(), n.min(self.points.len()));
-            }
-        }
-    }
-
-    fn with_albedo(&self, i: usize, texels: &[Vec3]) -> ShadePoint {
-        ShadePoint { albedo: self.points[i].texels.blend(texels).into(), ..self.gathered[i] }
-    }
-
-    fn albedo_under(&self, lobes: &[LightLobe], texels: usize, n: usize) -> Vec<Vec3> {
-        let columns = crate::math::shading::LobeColumns::from_lobes(lobes.iter().map(kernel_lobe));
-        let white: Vec<ShadePoint> =
-            self.gathered[..n].iter().map(|p| ShadePoint { albedo: [1.0; 3], ..*p }).collect();
-        let mut unit = vec![Layers::default(); n];
-        self.form.shade(&white, &self.specular, &columns, &mut unit);
-        solve_albedo(&self.points[..n], &unit, &self.observed[..n], texels, Vec3::splat(0.4))
     }
 }

@@ -134,9 +134,13 @@ impl<'a> Visibility<'a> {
         }
     }
 
-    /// Of one point.
+    /// Of one point: its row of lobes (`None` if all light reaches it) and the rest.
     #[inline(always)]
-    fn point(visibility: Option<Self>, index: usize, stride: usize) -> (Option<&'a [u8]>, PointVisibility) {
+    pub fn point(
+        visibility: Option<Self>,
+        index: usize,
+        stride: usize,
+    ) -> (Option<&'a [u8]>, PointVisibility) {
         match visibility {
             Some(v) => (Some(&v.lobes[index * stride..][..stride]), v.points[index]),
             None => (None, PointVisibility::OPEN),

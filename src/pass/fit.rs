@@ -15,7 +15,6 @@ use crate::report::png_file::write_rgb8;
 use crate::report::tone::srgb8;
 use crate::scene::pass_types::{FitPass, FitShading, Quality};
 use crate::scene::spawn::unknowns;
-use crate::stage::Phase;
 use crate::surface::atlas::fill_uncovered;
 use crate::view::exr_io::ExrLayers;
 use bevy_ecs::prelude::World;
@@ -42,7 +41,6 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     let folder = session.folder(&pass.name);
     std::fs::create_dir_all(&folder).map_err(crate::Error::io("create", &folder))?;
     let options = options(session, pass);
-    session.use_visibility(Phase::FitStep, pass.shading == FitShading::Accurate);
     let bar = session.progress.bar(&pass.name, u64::from(options.steps));
     let mut log = String::from("step,elapsed_secs,loss,psnr,specular_r,specular_g,specular_b,roughness\n");
     let summary = run_fit(&mut session.pipeline, &options, &mut |at, _| {
@@ -69,7 +67,7 @@ pub fn closed_form(shading: FitShading, quality: Quality) -> ClosedForm {
     }
 }
 
-fn options(session: &Session, pass: &FitPass) -> FitOptions {
+fn options(session: &mut Session, pass: &FitPass) -> FitOptions {
     FitOptions {
         loss: pass.loss,
         form: closed_form(pass.shading, pass.quality),
@@ -81,6 +79,8 @@ fn options(session: &Session, pass: &FitPass) -> FitOptions {
         unknowns: unknowns(session.scene),
         pixels: PixelChoice { seed: session.scene.seed, max_pixels: pass.max_pixels as usize },
         guess: session.guess,
+        // The published formulas are for comparison and know of neither shadows nor reflections.
+        visibility: pass.shading == FitShading::Accurate && session.has_visibility(),
     }
 }
 

@@ -34,8 +34,7 @@ use crate::scene::pass_types::{EditPass, Pass, RelightPass, RenderPass, ViewChoi
 use crate::scene::spawn::{LoadedLight, load_light, make_surface, spawn};
 use crate::scene::types::{Albedo, CameraSpec, Light, Scene, Surface as SurfaceSpec, Views, Visibility};
 use crate::shade::frame::FramePlugin;
-use crate::shade::visibility::{ObjectVisibility, VisibilitySettings, add_visibility, remove_visibility};
-use crate::stage::Phase;
+use crate::shade::visibility::{ObjectVisibility, VisibilitySettings};
 use crate::stage::Pipeline;
 use crate::surface::Surface;
 use crate::view::camera::Camera;
@@ -132,13 +131,11 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions) -> Result<()> {
 }
 
 impl Session<'_> {
-    /// Puts shadows and reflections into a phase if the scene has them and they are `wanted`, else takes them out. The surface is
-    /// traced the first time.
-    pub fn use_visibility(&mut self, phase: Phase, wanted: bool) {
-        let Visibility::Traced { directions, bounces, refresh_every } = self.scene.visibility else { return };
-        if !wanted {
-            return remove_visibility(&mut self.pipeline, phase);
-        }
+    /// Whether the scene has shadows and reflections; if so, the world has what it takes to find them.
+    pub fn has_visibility(&mut self) -> bool {
+        let Visibility::Traced { directions, bounces, refresh_every } = self.scene.visibility else {
+            return false;
+        };
         if !self.pipeline.world.contains_resource::<ObjectVisibility>() {
             let settings = VisibilitySettings { directions, bounces, refresh_every };
             let start = Instant::now();
@@ -147,7 +144,7 @@ impl Session<'_> {
             self.progress.print(&format!("visibility: traced in {elapsed:.1} s, {mib:.1} MiB"));
             self.pipeline.world.insert_resource(traced);
         }
-        add_visibility(&mut self.pipeline, phase);
+        true
     }
 }
 

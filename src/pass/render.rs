@@ -11,6 +11,7 @@ use crate::report::tone::{Backdrop, Look, Picture, write_png};
 use crate::scene::pass_types::{Orbit, OrbitFormat, Pass, RenderSettings, Shading, ViewChoice};
 use crate::scene::types::Light;
 use crate::shade::frame::{FrameTarget, render_frame};
+use crate::shade::visibility::{add_visibility, remove_visibility};
 use crate::shade::{
     IncidentLight, PathTracing, ShadingForm, provide_distant, provide_lobes, shade_closed_form,
     shade_path_traced,
@@ -35,7 +36,11 @@ pub fn run(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> Res
     set_light(session, pass.name(), settings.shading);
     set_shading(&mut session.pipeline, settings, session.scene.seed);
     // The published formulas are for comparison and know of neither shadows nor reflections; paths find both themselves.
-    session.use_visibility(Phase::Frame, settings.shading == Shading::Accurate);
+    if settings.shading == Shading::Accurate && session.has_visibility() {
+        add_visibility(&mut session.pipeline, Phase::Frame);
+    } else {
+        remove_visibility(&mut session.pipeline, Phase::Frame);
+    }
     let result = render_all(session, pass.name(), settings);
     put_material(&mut session.pipeline.world, &unedited);
     result

@@ -14,7 +14,6 @@ use crate::shade::Scenery;
 use crate::shade::visibility::ObjectVisibility;
 use crate::shape::run::{ShapeLevel, ShapeOptions, ShapeProgress, fit_shape, replace_texels};
 use crate::shape::systems::ShapeSchedule;
-use crate::stage::Phase;
 use crate::surface::Surface;
 use crate::surface::atlas::unwrap_mesh;
 use crate::surface::sdf::extract::extract_mesh;
@@ -38,8 +37,6 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
         return Err(Error::run(&pass.name, "the surface is given: only surface: Unknown() can be found"));
     };
     let start = Instant::now();
-    // A surface that moves would have to be traced at every step.
-    session.use_visibility(Phase::FitStep, false);
     let options = options(session, pass);
     let total: u32 = pass.levels.iter().map(|level| level.steps).sum();
     let bar = session.progress.bar(&pass.name, u64::from(total));
@@ -92,6 +89,8 @@ fn options(session: &Session, pass: &ShapePass) -> ShapeOptions {
             unknowns: unknowns(session.scene),
             pixels: PixelChoice { seed: session.scene.seed, max_pixels: pass.max_pixels as usize },
             guess: session.guess,
+            // A surface that moves would have to be traced at every step.
+            visibility: false,
         },
     }
 }

@@ -16,7 +16,7 @@
 //! Diffuse light has one factor per texel × lobe, blended at the point like albedo, so light can be fitted through it. Specular
 //! light has one per point, along the mirrored view. The adjoint holds all of them, and reflected light, fixed.
 
-use super::occlusion::{Blend, Bounce, Sky, lobe_parts, point_visibility};
+use super::occlusion::{Blend, Bounce, Sky, light_rows, point_visibility};
 use super::pool::only_table;
 use super::{IncidentLight, PointBlend};
 use crate::light::fibonacci::fibonacci_axes;
@@ -82,11 +82,35 @@ impl ObjectVisibility {
         self.texels.bytes() + self.parts.len()
     }
 
-    fn refresh(&mut self, lobes: &LobeColumns, reflectance: &(dyn Fn(u32) -> Vec3 + Sync)) {
+    /// Makes shadows and reflected light anew for this light and reflectance (albedo and gloss, by texel).
+    pub fn refresh(&mut self, lobes: &LobeColumns, reflectance: &(dyn Fn(u32) -> Vec3 + Sync)) {
         self.sky = Sky::new(&self.texels.directions, lobes);
         self.stride = lobes.stride();
-        lobe_parts(&self.texels, &self.sky, &mut self.parts);
-        self.bounce = Bounce::new(&self.texels, &self.sky, reflectance, self.settings.bounces);
+        let mut direct = Vec::new();
+        light_rows(&self.texels, &self.sky, &mut self.parts, &mut direct);
+        self.bounce = Bounce::new(&self.texels, &direct, reflectance, self.settings.bounces);
+    }
+
+    /// What points see, given the roughness of each, by its number; `rows` and `seen` are overwritten.
+    pub fn window(
+        &self,
+        (points, gathered): (&[SurfacePoint], &[ShadePoint]),
+        roughness: impl Fn(usize) -> f32 + Sync,
+        rows: &mut WindowVisibility,
+        seen: &mut [PointVisibility],
+    ) {
+        rows.stride = self.stride;
+        rows.rows.resize(points.len() * self.stride, 255);
+        let outputs = rows.rows.par_chunks_mut(self.stride.max(1)).zip(seen);
+        let each = outputs.zip(points.par_iter().zip(gathered)).enumerate().with_min_len(256);
+        each.for_each(|(i, ((parts, seen), (point, gathered)))| {
+            *seen = PointVisibility::OPEN;
+            parts.fill(255);
+            let Some(blend) = self.blend(point).filter(|_| point.is_hit()) else { return };
+            self.blend_parts(&blend, parts);
+            let sharpness = ndf_sharpness(roughness(i));
+            *seen = point_visibility(&self.texels, &self.sky, &self.bounce, &blend, gathered, sharpness);
+        });
     }
 
     /// The rows that a point blends.
@@ -208,21 +232,11 @@ pub fn gather_visibility(
         return Ok(());
     };
     let rows: Range<usize> = window.0.clone();
-    let sharpness: Vec<f32> = materials.iter().map(|m| ndf_sharpness(m.roughness)).collect();
-    let out = &mut *out;
-    out.stride = object.stride;
-    out.rows.resize(rows.len() * object.stride, 255);
+    let roughness: Vec<f32> = materials.iter().map(|m| m.roughness).collect();
+    let blends = &blends[rows.clone()];
+    let main = |i: usize| roughness.get(heaviest(&blends[i].0)).copied().unwrap_or(1.0);
     let seen = &mut seen.bypass_change_detection()[rows.clone()];
-    let inputs = points[rows.clone()].par_iter().zip(&gathered[rows.clone()]).zip(&blends[rows]);
-    let outputs = out.rows.par_chunks_mut(object.stride.max(1)).zip(seen);
-    outputs.zip(inputs).with_min_len(256).for_each(|((parts, seen), ((point, gathered), blend))| {
-        *seen = PointVisibility::OPEN;
-        parts.fill(255);
-        let Some(rows) = object.blend(point).filter(|_| point.is_hit()) else { return };
-        object.blend_parts(&rows, parts);
-        let sharpness = sharpness.get(heaviest(&blend.0)).copied().unwrap_or(1.0);
-        *seen = point_visibility(&object.texels, &object.sky, &object.bounce, &rows, gathered, sharpness);
-    });
+    object.window((&points[rows.clone()], &gathered[rows]), main, &mut out, seen);
     Ok(())
 }
 

@@ -15,6 +15,9 @@ use crate::math::ray::{Intersect, Ray};
 use glam::Vec3;
 use rayon::prelude::*;
 
+/// Most directions that texels look in.
+pub const MAX_DIRECTIONS: usize = 4096;
+
 /// Rays start this part of the object's radius off the surface.
 const OFFSET: f32 = 1e-4;
 /// Texels a thread traces at a time.
@@ -39,6 +42,20 @@ pub struct TexelVisibility {
     hiders: Vec<u32>,
 }
 
+/// The numbers of the bits that are set.
+pub fn set_bits(words: &[u64]) -> impl Iterator<Item = usize> {
+    words.iter().enumerate().flat_map(|(w, &word)| {
+        let mut left = word;
+        std::iter::from_fn(move || {
+            (left != 0).then(|| {
+                let bit = left.trailing_zeros() as usize;
+                left &= left - 1;
+                w * 64 + bit
+            })
+        })
+    })
+}
+
 /// What a thread finds for a run of rows.
 #[derive(Default)]
 struct Traced {
@@ -54,9 +71,10 @@ impl TexelVisibility {
     /// Traces `directions` from every covered texel of `atlas` against `surface`, whose texels are the atlas's.
     ///
     /// # Panics
-    /// If the number of directions is no multiple of 64.
+    /// If the number of directions is no multiple of 64, or more than [`MAX_DIRECTIONS`].
     pub fn trace(atlas: &TexelAtlas, surface: &dyn Intersect, directions: Vec<Vec3>) -> Self {
         assert!(directions.len().is_multiple_of(64), "whole words of directions");
+        assert!(directions.len() <= MAX_DIRECTIONS, "at most {MAX_DIRECTIONS} directions");
         let texels: Vec<u32> = (0..atlas.covered.len() as u32)
             .filter(|&t| atlas.covered[t as usize] && atlas.normal[t as usize] != Vec3::ZERO)
             .collect();
@@ -104,21 +122,22 @@ impl TexelVisibility {
         self.directions.len() / 64
     }
 
+    /// Whether nothing is hidden from a row.
+    pub fn sees_all(&self, row: usize) -> bool {
+        self.first[row] == self.first[row + 1]
+    }
+
     /// The hidden directions of a row, by number and with the texel that hides them.
     pub fn hidden(&self, row: usize) -> impl Iterator<Item = (usize, u32)> {
         let hiders = &self.hiders[self.first[row] as usize..self.first[row + 1] as usize];
         let words = &self.hidden[row * self.words()..(row + 1) * self.words()];
-        let bits = words.iter().enumerate().flat_map(|(w, &word)| {
-            let mut left = word;
-            std::iter::from_fn(move || {
-                (left != 0).then(|| {
-                    let bit = left.trailing_zeros() as usize;
-                    left &= left - 1;
-                    w * 64 + bit
-                })
-            })
-        });
-        bits.zip(hiders.iter().copied())
+        set_bits(words).zip(hiders.iter().copied())
+    }
+
+    /// Whether any of the directions whose bits are set in `among` is hidden from a row.
+    #[inline]
+    pub fn hides_any(&self, row: usize, among: &[u64]) -> bool {
+        self.hidden[row * self.words()..][..self.words()].iter().zip(among).any(|(a, b)| a & b != 0)
     }
 
     /// The texel that hides a direction from a row, if one does.

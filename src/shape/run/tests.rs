@@ -104,6 +104,7 @@ fn options(steps: u32) -> ShapeOptions {
             unknowns: only_albedo,
             pixels: PixelChoice { seed: 1, max_pixels: 100_000 },
             guess: FirstGuess { light: false, albedo: true },
+            visibility: false,
         },
     }
 }
