@@ -27,7 +27,7 @@ const PIXELS_PER_TEXEL: usize = 4;
 /// Rounds of light, then albedo.
 const ROUNDS: usize = 4;
 /// Rounds, after the first, that begin by moving faint lobes to where the light is.
-const MOVES: usize = 2;
+const MOVES: usize = 1;
 
 /// Points whose visibility is held at a time.
 const CHUNK: usize = 1 << 16;
@@ -79,7 +79,7 @@ impl Guess<'_> {
     fn alternate(&mut self, lobes: &mut [LightLobe], texels: &mut Vec<Vec3>) {
         for round in 0..ROUNDS {
             if self.unknowns.light {
-                if (1..=std::env::var("MOVES").map_or(MOVES, |m| m.parse().unwrap())).contains(&round) {
+                if (1..=MOVES).contains(&round) {
                     move_lobes_to_the_light(lobes);
                 }
                 self.solve_light(lobes, texels);

@@ -153,7 +153,15 @@ fn threads_and_what_was_there_before_do_not_change_a_bit() {
             let used = SpecularAdjoint { albedo: [7.0; 3], roughness: 7.0 };
             let mut gradient = SharedGradient { lobes: lobes.clone(), specular: used };
             let radiance = (shaded.as_slice(), adjoint.as_slice());
-            shade_adjoint_with(Published, &points, &specular, &lobes, radiance, &mut back, &mut gradient);
+            shade_adjoint_with(
+                Published,
+                &points,
+                &specular,
+                (&lobes).into(),
+                radiance,
+                &mut back,
+                &mut gradient,
+            );
             (shaded, back, gradient.lobes, gradient.specular)
         })
     };
@@ -271,5 +279,83 @@ fn what_is_left_out_is_negligible() {
         relative.sort_by(f64::total_cmp);
         assert!(error < 2e-3 * total, "{ndf:?}, R {roughness}: {error} of {total}");
         assert!(relative[540] < 5e-3, "{ndf:?}, R {roughness}: 90th percentile {}", relative[540]);
+    }
+}
+
+/// What is hidden, by its definition: rows scale each lobe's diffuse light, the factors specular light, and all adjoints follow.
+#[test]
+fn visibility_scales_the_lobes_it_hides() {
+    let cases = cases(70, 37);
+    let (points, specular, lobes) = inputs(&cases);
+    let part = |i: usize| (i * 53 % 256) as u8;
+    let dimmed = LobeColumns::from_lobes((0..lobes.len()).map(|i| {
+        let lobe = lobes.get(i);
+        Lobe { amplitude: lobe.amplitude.map(|a| a * f32::from(part(i)) / 255.0), ..lobe }
+    }));
+    let row: Vec<u8> = (0..lobes.stride()).map(part).collect();
+    let rows = row.repeat(points.len());
+    let around = PointVisibility { specular: [0.5, 0.25, 1.5], indirect: [0.2, 0.1, 0.4] };
+    for form in [ClosedForm::Published, ClosedForm::default()] {
+        let run = |lobes: &LobeColumns, visibility: Option<Visibility<'_>>| {
+            let mut shaded = vec![Layers::default(); points.len()];
+            form.shade(&points, &specular, Lighting { lobes, visibility }, &mut shaded);
+            let adjoint = vec![RadianceAdjoint([0.7, -0.4, 0.5]); points.len()];
+            let mut back = vec![PointAdjoint::default(); points.len()];
+            let mut gradient = SharedGradient::default();
+            let radiance = (&shaded[..], &adjoint[..]);
+            form.shade_adjoint(
+                &points,
+                &specular,
+                Lighting { lobes, visibility },
+                radiance,
+                &mut back,
+                &mut gradient,
+            );
+            (shaded, back, gradient)
+        };
+        // All open: not a bit changes.
+        let open = [vec![255; rows.len()], rows.clone()];
+        let all = vec![PointVisibility::OPEN; points.len()];
+        let plain = run(&lobes, None);
+        let seen = run(&lobes, Some(Visibility { lobes: &open[0], points: &all }));
+        assert!(plain.0 == seen.0 && plain.1 == seen.1 && plain.2.lobes == seen.2.lobes);
+        // No specular light: as if the lobes were dimmer.
+        let matte = vec![PointVisibility { specular: [0.0; 3], ..around }; points.len()];
+        let hidden = run(&lobes, Some(Visibility { lobes: &rows, points: &matte }));
+        let dim = run(&dimmed, Some(Visibility { lobes: &open[0], points: &matte }));
+        for ((a, b), point) in hidden.0.iter().zip(&dim.0).zip(&points) {
+            for c in 0..3 {
+                close("diffuse", a.diffuse[c], f64::from(b.diffuse[c]), 1.0);
+                assert_eq!(a.specular[c], 0.0);
+                assert!(a.diffuse[c] >= around.indirect[c] * point.albedo[c] / std::f32::consts::PI - 1e-6);
+            }
+        }
+        for (a, b) in hidden.1.iter().zip(&dim.1) {
+            for c in 0..3 {
+                close("albedo", a.albedo[c], f64::from(b.albedo[c]), 1.0);
+                close("normal", a.normal[c], f64::from(b.normal[c]), 1.0);
+            }
+        }
+        for i in 0..lobes.len() {
+            let (a, b) = (hidden.2.lobes.get(i), dim.2.lobes.get(i));
+            close("sharpness", a.sharpness, f64::from(b.sharpness), 1.0);
+            for c in 0..3 {
+                close("axis", a.axis[c], f64::from(b.axis[c]), 10.0);
+                close(
+                    "amplitude",
+                    a.amplitude[c],
+                    f64::from(b.amplitude[c]) * f64::from(part(i)) / 255.0,
+                    10.0,
+                );
+            }
+        }
+        // No diffuse light, half of the specular light in the first channel: half of its radiance.
+        let half = vec![around; points.len()];
+        let mirror = run(&lobes, Some(Visibility { lobes: &rows, points: &half }));
+        for (a, b) in mirror.0.iter().zip(&plain.0) {
+            (0..3).for_each(|c| {
+                close("specular", a.specular[c], f64::from(b.specular[c] * around.specular[c]), 1e-2)
+            });
+        }
     }
 }
