@@ -2,7 +2,7 @@
 
 use super::adam::Moments;
 use super::loss::{Loss, LossSums};
-use crate::math::shading::SharedGradient;
+use crate::math::shading::{SharedGradient, SpecularAdjoint};
 use bevy_ecs::prelude::{Component, Resource};
 use glam::Vec3;
 
@@ -73,4 +73,9 @@ pub struct LossState {
 
 /// Gradient of everything pixels share, from the last step.
 #[derive(Resource, Clone, Debug, Default)]
-pub struct StepGradient(pub SharedGradient);
+pub struct StepGradient {
+    /// With respect to the light.
+    pub shared: SharedGradient,
+    /// With respect to each base material.
+    pub specular: Vec<SpecularAdjoint>,
+}

@@ -3,6 +3,7 @@
 pub mod adam;
 pub mod components;
 pub mod first_guess;
+pub mod gloss;
 mod guess;
 pub mod loss;
 pub mod observe;

@@ -4,6 +4,7 @@ use super::components::{
     AlbedoGradient, AlbedoMoments, LobeGradient, LobeMoments, LossState, SpecularGradient, SpecularMoments,
     StepGradient, StepRates, TexelSeen, Unknowns,
 };
+use super::gloss::{BlendAdjoints, BlendGradient, BlendMoments, TexelPlaces, move_blends, scatter_to_blends};
 use super::guess::make_first_guess;
 use super::loss::{Loss, LossSums};
 use super::observe::{Candidates, PixelChoice, choose_pixels, count_seen_texels, trace_pixels};
@@ -17,7 +18,9 @@ use crate::material::{DiffuseAlbedo, SpecularLobe};
 use crate::math::shading::ClosedForm;
 use crate::shade::pool::despawn_pool;
 use crate::shade::visibility::{ObjectVisibility, RefreshDue, add_visibility, remove_visibility};
-use crate::shade::{IncidentLight, ShadingForm, gather_points, provide_lobes, shade_closed_form};
+use crate::shade::{
+    IncidentLight, ShadingForm, gather_blends, gather_points, provide_lobes, shade_closed_form,
+};
 use crate::stage::{Phase, Pipeline, Plugin, Slot, Stage};
 use crate::view::pixel::{PixelOf, Window};
 use bevy_ecs::prelude::{Entity, IntoScheduleConfigs, With, Without, World};
@@ -103,6 +106,8 @@ impl Plugin for FitPlugin {
     fn build(&self, pipeline: &mut Pipeline) {
         pipeline.world.init_resource::<Candidates>();
         pipeline.world.init_resource::<StepGradient>();
+        pipeline.world.init_resource::<BlendAdjoints>();
+        pipeline.world.init_resource::<TexelPlaces>();
         pipeline.world.init_resource::<Window>();
         pipeline.world.init_resource::<IncidentLight>();
         pipeline.world.init_resource::<ShadingForm>();
@@ -110,18 +115,18 @@ impl Plugin for FitPlugin {
             .add_systems(Phase::Prepare, Stage::Sample, choose_pixels)
             .add_systems(Phase::Prepare, Stage::Trace, trace_pixels)
             .add_systems(Phase::Prepare, Stage::Gather, (count_seen_texels, gather_points))
-            .add_systems(Phase::FitStep, Stage::Gather, gather_points)
+            .add_systems(Phase::FitStep, Stage::Gather, (gather_points, gather_blends))
             .swap(Phase::FitStep, Slot::Light, provide_lobes)
             .swap(Phase::FitStep, Slot::Shading, shade_closed_form)
             .add_systems(Phase::FitStep, Stage::Loss, compare_with_photographs)
             .add_systems(
                 Phase::FitStep,
                 Stage::Gradient,
-                (pull_back_radiance, scatter_to_texels, hand_out_gradient)
+                (pull_back_radiance, scatter_to_texels, scatter_to_blends, hand_out_gradient)
                     .chain()
                     .before(Slot::ShapeGradient),
             )
-            .swap(Phase::FitStep, Slot::Optimizer, (move_texels, move_lobes, move_specular));
+            .swap(Phase::FitStep, Slot::Optimizer, (move_texels, move_blends, move_lobes, move_specular));
     }
 }
 
@@ -162,6 +167,7 @@ pub fn run_fit(
         let every =
             pipeline.world.get_resource::<ObjectVisibility>().map_or(1, |v| v.settings().refresh_every);
         pipeline.world.insert_resource(RefreshDue((step - 1).is_multiple_of(every.max(1))));
+        pipeline.world.resource_mut::<TexelPlaces>().progress = step as f32 / options.steps as f32;
         pipeline.run(Phase::FitStep)?;
         recent.push(pipeline.world.resource::<LossState>().last);
         recent.drain(..recent.len().saturating_sub(20));
@@ -210,7 +216,8 @@ fn attach_state(world: &mut World) {
         world.query_filtered::<Entity, (With<DiffuseAlbedo>, Without<PixelOf>)>().iter(world).collect();
     for texel in texels {
         let state = (AlbedoGradient::default(), AlbedoMoments::default(), TexelSeen::default());
-        world.entity_mut(texel).insert(state);
+        let blend = (BlendGradient::default(), BlendMoments::default());
+        world.entity_mut(texel).insert((state, blend));
     }
     let lobes: Vec<Entity> = world.query_filtered::<Entity, With<LightLobe>>().iter(world).collect();
     for lobe in lobes {

@@ -5,14 +5,17 @@ use super::components::{
     AlbedoGradient, AlbedoMoments, LobeGradient, LobeMoments, LossState, SpecularGradient, SpecularMoments,
     StepGradient, StepRates, Unknowns,
 };
+use super::gloss::{BlendAdjoints, BlendedSamples, pull_back_blended};
 use super::loss::image_loss;
 use crate::light::LightLobe;
 use crate::material::{DiffuseAlbedo, SpecularLobe};
-use crate::math::shading::{Layers, Lighting, PointAdjoint, PointVisibility, RadianceAdjoint, ShadePoint};
+use crate::math::shading::{
+    Layers, Lighting, PointAdjoint, PointVisibility, RadianceAdjoint, ShadePoint, SpecularValue,
+};
 use crate::shade::pool::only_table;
 use crate::shade::systems::kernel_specular;
 use crate::shade::visibility::WindowVisibility;
-use crate::shade::{IncidentLight, ShadingForm};
+use crate::shade::{IncidentLight, PointBlend, ShadingForm};
 use crate::stage::SystemResult;
 use crate::surface::point::SurfacePoint;
 use crate::view::pixel::{Observed, Window};
@@ -44,8 +47,14 @@ pub fn compare_with_photographs(
 }
 
 /// What the adjoint of a sample is made from.
-type PullBackColumns<'a> =
-    (&'a ShadePoint, &'a PointVisibility, &'a Layers, &'a RadianceAdjoint, &'a mut PointAdjoint);
+type PullBackColumns<'a> = (
+    &'a ShadePoint,
+    &'a PointBlend,
+    &'a PointVisibility,
+    &'a Layers,
+    &'a RadianceAdjoint,
+    &'a mut PointAdjoint,
+);
 
 /// Gradient: pulls radiance adjoints back to the samples and to light and material.
 pub fn pull_back_radiance(
@@ -53,21 +62,31 @@ pub fn pull_back_radiance(
     (light, form): (Res<IncidentLight>, Res<ShadingForm>),
     visibility: Option<Res<WindowVisibility>>,
     materials: Query<&SpecularLobe>,
-    mut gradient: ResMut<StepGradient>,
+    (mut gradient, mut blend_adjoints): (ResMut<StepGradient>, ResMut<BlendAdjoints>),
     mut samples: Query<PullBackColumns>,
 ) -> SystemResult {
-    let Some((points, seen, shaded, adjoint, mut back)) =
+    let Some((points, blends, seen, shaded, adjoint, mut back)) =
         only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")?
     else {
         return Ok(());
     };
-    let material = materials.iter().next().map(kernel_specular).unwrap_or_default();
+    let materials: Vec<SpecularValue> = materials.iter().map(kernel_specular).collect();
     let rows = window.0.clone();
-    let radiance = (&shaded[rows.clone()], &adjoint[rows.clone()]);
+    let (points, seen) = (&points[rows.clone()], &seen[rows.clone()]);
+    let (shaded, adjoint) = (&shaded[rows.clone()], &adjoint[rows.clone()]);
     let back = &mut back.bypass_change_detection()[rows.clone()];
-    let visibility = visibility.as_ref().and_then(|visibility| visibility.view(&seen[rows.clone()]));
+    let visibility = visibility.as_ref().and_then(|visibility| visibility.view(seen));
     let lighting = Lighting { lobes: &light.lobes, visibility };
-    form.0.shade_adjoint(&points[rows], &material, lighting, radiance, back, &mut gradient.0);
+    let gradient = &mut *gradient;
+    if let [] | [_] = materials.as_slice() {
+        let material = materials.first().copied().unwrap_or_default();
+        form.0.shade_adjoint(points, &material, lighting, (shaded, adjoint), back, &mut gradient.shared);
+        gradient.specular.clear();
+        gradient.specular.push(gradient.shared.specular);
+        return Ok(());
+    }
+    let samples = BlendedSamples { points, blends: &blends[rows], seen, shaded, adjoint };
+    pull_back_blended(form.0, &samples, &materials, lighting, back, gradient, &mut blend_adjoints.0);
     Ok(())
 }
 
@@ -100,13 +119,13 @@ pub fn hand_out_gradient(
     mut materials: Query<&mut SpecularGradient>,
 ) {
     for (i, mut share) in lobes.iter_mut().enumerate() {
-        let lobe = gradient.0.lobes.get(i);
+        let lobe = gradient.shared.lobes.get(i);
         let ([x, y, z], [r, g, b]) = (lobe.axis, lobe.amplitude);
         share.0 = [x, y, z, lobe.sharpness, r, g, b];
     }
-    for mut share in &mut materials {
-        let [r, g, b] = gradient.0.specular.albedo;
-        share.0 = [r, g, b, gradient.0.specular.roughness];
+    for (mut share, specular) in materials.iter_mut().zip(&gradient.specular) {
+        let [r, g, b] = specular.albedo;
+        share.0 = [r, g, b, specular.roughness];
     }
 }
 

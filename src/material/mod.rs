@@ -43,6 +43,13 @@ pub const MAX_SPECULAR_LOBES: usize = 8;
 #[derive(Component, Clone, Copy, Debug, PartialEq)]
 pub struct SpecularBlend(pub [f32; MAX_SPECULAR_LOBES]);
 
+impl SpecularBlend {
+    /// The same of each of the first `count` lobes (1 to [`MAX_SPECULAR_LOBES`]).
+    pub fn even(count: usize) -> Self {
+        Self(std::array::from_fn(|k| if k < count { 1.0 / count as f32 } else { 0.0 }))
+    }
+}
+
 impl Default for SpecularBlend {
     /// All of the first lobe.
     fn default() -> Self {

@@ -81,6 +81,12 @@ impl LobeColumns {
         self.len == 0
     }
 
+    /// Adds the values of as many other lobes.
+    pub fn add(&mut self, other: &Self) {
+        assert_eq!(self.len, other.len, "as many lobes");
+        self.data.iter_mut().zip(&other.data).for_each(|(sum, value)| *sum += value);
+    }
+
     /// The values of lobe `i`.
     pub fn get(&self, i: usize) -> Lobe<f32> {
         let at = |c: usize| self.data[c * self.stride + i];
@@ -117,7 +123,7 @@ impl ShadePoint {
 /// What of the lobes' light reaches points that other parts of the object can hide them from. Without it, all does.
 #[derive(Clone, Copy, Debug)]
 pub struct Visibility<'a> {
-    /// A row of [`LobeColumns::stride`] values a point: the part of each lobe's irradiance that reaches it, 0 to 255.
+    /// A row of [`LobeColumns::stride`] values a point: the part of each lobe's irradiance that reaches it, 0 to 255. Empty: all does.
     pub lobes: &'a [u8],
     /// One a point.
     pub points: &'a [PointVisibility],
@@ -142,6 +148,7 @@ impl<'a> Visibility<'a> {
         stride: usize,
     ) -> (Option<&'a [u8]>, PointVisibility) {
         match visibility {
+            Some(v) if v.lobes.is_empty() => (None, v.points[index]),
             Some(v) => (Some(&v.lobes[index * stride..][..stride]), v.points[index]),
             None => (None, PointVisibility::OPEN),
         }
@@ -193,7 +200,8 @@ impl<'a> Lighting<'a> {
     fn check(&self, points: usize) {
         if let Some(visibility) = &self.visibility {
             assert_eq!(visibility.points.len(), points, "one visibility a point");
-            assert_eq!(visibility.lobes.len(), points * self.lobes.stride, "one row of lobes a point");
+            let rows = [0, points * self.lobes.stride];
+            assert!(rows.contains(&visibility.lobes.len()), "one row of lobes a point, or none");
         }
     }
 }

@@ -1,14 +1,16 @@
 //! The `Fit` pass: finds what is unknown from the training views and writes it down.
 
+use super::save::write_weights;
 use super::{INTERRUPTED, Session, check_interrupted};
 use crate::error::Result;
 use crate::file::write_bytes;
 use crate::fit::components::TexelSeen;
+use crate::fit::gloss::TexelPlaces;
 use crate::fit::observe::PixelChoice;
 use crate::fit::run::{FirstGuess, FitOptions, FitProgress, FitSummary, run_fit};
 use crate::light::npy::{NpyConvention, write_lobes};
 use crate::light::{LightLobe, render_lobes};
-use crate::material::{DiffuseAlbedo, SpecularLobe};
+use crate::material::{DiffuseAlbedo, SpecularBlend, SpecularLobe};
 use crate::math::shading::ClosedForm;
 use crate::report::exr_file::write_channels;
 use crate::report::png_file::write_rgb8;
@@ -41,6 +43,10 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     let folder = session.folder(&pass.name);
     std::fs::create_dir_all(&folder).map_err(crate::Error::io("create", &folder))?;
     let options = options(session, pass);
+    let atlas = session.surface.atlas();
+    let place = |(at, covered): (&Vec3, &bool)| if *covered { *at } else { Vec3::NAN };
+    let positions = atlas.position.iter().zip(&atlas.covered).map(place).collect();
+    session.pipeline.world.insert_resource(TexelPlaces { positions, progress: 0.0 });
     let bar = session.progress.bar(&pass.name, u64::from(options.steps));
     let mut log = String::from("step,elapsed_secs,loss,psnr,specular_r,specular_g,specular_b,roughness\n");
     let summary = run_fit(&mut session.pipeline, &options, &mut |at, _| {
@@ -121,13 +127,11 @@ fn report(session: &mut Session, name: &str, summary: &FitSummary, unseen: usize
     let total = session.scores.fit_secs.unwrap_or(0.0) + summary.elapsed_secs;
     session.scores.fit_secs = Some(total);
     let world = &mut session.pipeline.world;
-    let lobe = world.query::<&SpecularLobe>().iter(world).next().copied();
-    let material = lobe.map_or_else(String::new, |l| {
-        format!(
-            "; roughness {:.3}, specular albedo ({:.3}, {:.3}, {:.3})",
-            l.roughness, l.albedo.x, l.albedo.y, l.albedo.z
-        )
-    });
+    let lobe = |l: &SpecularLobe| {
+        let [r, g, b] = l.albedo.to_array();
+        format!("; roughness {:.3}, specular albedo ({r:.3}, {g:.3}, {b:.3})", l.roughness)
+    };
+    let material: String = world.query::<&SpecularLobe>().iter(world).map(lobe).collect();
     session.progress.print(&format!(
         "{name}: {} steps over {} pixels in {:.1} s{material}{}",
         summary.steps,
@@ -165,6 +169,14 @@ fn write_results(
     let seen: Vec<f32> = world.query::<&TexelSeen>().iter(world).map(|s| s.0).collect();
     let marks: Vec<Vec3> = seen.iter().map(|s| Vec3::splat(if *s > 1e-3 { 1.0 } else { 0.0 })).collect();
     write_rgb8(folder.join("seen.png"), &picture(&marks, surface.atlas().width, surface.atlas().height))?;
+    let materials = world.query::<&SpecularLobe>().iter(world).len();
+    if materials > 1 {
+        let blends: Vec<SpecularBlend> = world.query::<&SpecularBlend>().iter(world).copied().collect();
+        let (width, height) = (surface.atlas().width, surface.atlas().height);
+        write_weights(&folder.join("blend.exr"), &blends, materials, width, height)?;
+        let shown: Vec<Vec3> = blends.iter().map(|blend| Vec3::from_slice(&blend.0)).collect();
+        write_rgb8(folder.join("blend.png"), &picture(&shown, width, height))?;
+    }
     write_bytes(&folder.join("materials.ron"), materials_ron(world).as_bytes())?;
     write_bytes(&folder.join("log.csv"), log.as_bytes())
 }

@@ -33,7 +33,7 @@ impl TrueObject {
     /// The object a scene file describes.
     ///
     /// # Errors
-    /// If its light cannot be read.
+    /// If its light, or an image of its edits, cannot be read.
     pub fn new(spec: &Photographed, surface: &Arc<Surface>) -> Result<Self> {
         let mut pipeline = Pipeline::new();
         pipeline.add_plugin(&FramePlugin).swap(Phase::Frame, Slot::Light, provide_distant);
@@ -45,6 +45,9 @@ impl TrueObject {
         let texels: Vec<_> = albedo.map(|albedo| (albedo, SpecularBlend::default())).collect();
         world.spawn_batch(texels);
         world.spawn(spec.truth.specular);
+        let mut material = take_material(world);
+        apply_edits(&mut material, &spec.truth.edits, surface)?;
+        put_material(world, &material);
         let light = load_light(&spec.truth.light)?;
         Ok(Self { pipeline, surface: surface.clone(), light, max_bounces: spec.max_bounces })
     }

@@ -7,13 +7,16 @@ use crate::error::{Error, Result};
 use crate::file::{read_bytes, write_bytes};
 use crate::light::LightLobe;
 use crate::light::npy::{NpyConvention, write_lobes};
+use crate::material::SpecularBlend;
+use crate::material::edit::MaterialState;
 use crate::report::exr_file::write_channels;
 use crate::scene::load::to_ron;
 use crate::scene::pass_types::Pass;
 use crate::scene::types::{
-    Albedo, AlbedoSource, Light, LightSource, Material, Roughness, Scene, Specular, SpecularAlbedo,
+    Albedo, AlbedoSource, Gloss, Light, LightSource, Material, Roughness, Scene, Specular, SpecularAlbedo,
     Surface as SurfaceSpec, Views,
 };
+use crate::surface::atlas::TexelAtlas;
 use crate::surface::gltf_export::write_glb;
 use crate::view::exr_io::ExrLayers;
 use crate::view::nearby::missing_file_help;
@@ -23,13 +26,10 @@ use std::path::Path;
 /// Writes `scene.ron`, `mesh.glb`, `albedo.exr` and `light.npy`: the object as it is, everything fixed, with the scene's views.
 ///
 /// # Errors
-/// If a file cannot be written, or the object has several specular lobes.
+/// If a file cannot be written.
 pub fn run(session: &mut Session, name: &str) -> Result<()> {
     let folder = session.folder(name);
     let material = take_material(&mut session.pipeline.world);
-    let [specular] = material.lobes.as_slice() else {
-        return Err(Error::run(name, "an object with several specular lobes cannot be saved yet"));
-    };
     let surface = session.surface.clone();
     let atlas = surface.atlas();
     write_glb(&folder.join("mesh.glb"), surface.mesh(), None)?;
@@ -38,6 +38,7 @@ pub fn run(session: &mut Session, name: &str) -> Result<()> {
     texture.insert_triple(["R", "G", "B"], &colors);
     write_channels(folder.join("albedo.exr"), &texture)?;
     let light = save_light(session, &folder)?;
+    let specular = save_gloss(&material, surface.atlas(), &folder)?;
     let saved = Scene {
         surface: SurfaceSpec::Mesh {
             path: "mesh.glb".into(),
@@ -46,14 +47,7 @@ pub fn run(session: &mut Session, name: &str) -> Result<()> {
         },
         views: saved_views(session)?,
         light: Light::Fixed(light),
-        material: Material {
-            albedo: Albedo::Fixed(AlbedoSource::Texture("albedo.exr".into())),
-            specular: Specular {
-                albedo: SpecularAlbedo::Fixed(specular.albedo),
-                roughness: Roughness::Fixed(specular.roughness),
-                ndf: specular.ndf,
-            },
-        },
+        material: Material { albedo: Albedo::Fixed(AlbedoSource::Texture("albedo.exr".into())), ..specular },
         passes: session.scene.passes.iter().filter(|pass| matches!(pass, Pass::Render(_))).cloned().collect(),
         ..session.scene.clone()
     };
@@ -62,6 +56,39 @@ pub fn run(session: &mut Session, name: &str) -> Result<()> {
     write_bytes(&folder.join("scene.ron"), text.as_bytes())?;
     session.progress.print(&format!("{name}: {}", folder.join("scene.ron").display()));
     Ok(())
+}
+
+/// The specular material in a scene's words; the weights of several base materials go to a file.
+fn save_gloss(material: &MaterialState, atlas: &TexelAtlas, folder: &Path) -> Result<Material> {
+    if let [one] = material.lobes.as_slice() {
+        let specular = Specular {
+            albedo: SpecularAlbedo::Fixed(one.albedo),
+            roughness: Roughness::Fixed(one.roughness),
+            ndf: one.ndf,
+        };
+        return Ok(Material { specular, ..Material::default() });
+    }
+    let (path, lobes) = (folder.join("blend.exr"), material.lobes.clone());
+    write_weights(&path, &material.blends, lobes.len(), atlas.width, atlas.height)?;
+    Ok(Material { gloss: Gloss::Fixed { lobes, weights: "blend.exr".into() }, ..Material::default() })
+}
+
+/// Writes blend weights for [`read_weights`](crate::scene::texture::read_weights).
+///
+/// # Errors
+/// [`Error::Io`] when the system refuses.
+pub fn write_weights(
+    path: &Path,
+    blends: &[SpecularBlend],
+    materials: usize,
+    width: u32,
+    height: u32,
+) -> Result<()> {
+    let mut layers = ExrLayers { width, height, ..ExrLayers::default() };
+    for k in 0..materials {
+        layers.channels.insert(format!("weight{k}"), blends.iter().map(|blend| blend.0[k]).collect());
+    }
+    write_channels(path, &layers)
 }
 
 /// Writes the light: a fixed map as it is, so that path tracing by the map gives the same again; else the lobes.

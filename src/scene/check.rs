@@ -5,9 +5,10 @@
 use super::check_passes;
 use super::diagnostic::Problem;
 use super::types::{
-    Albedo, AlbedoSource, CameraSpec, Dataset, Gamma, Light, LightSource, Material, Pattern, Photographed,
-    Roughness, Scene, SpecularAlbedo, Surface, VERSION, Views, Visibility,
+    Albedo, AlbedoSource, CameraSpec, Dataset, Gamma, Gloss, Light, LightSource, Material, Pattern,
+    Photographed, Roughness, Scene, Specular, SpecularAlbedo, Surface, VERSION, Views, Visibility,
 };
+use crate::material::MAX_SPECULAR_LOBES;
 use crate::surface::MAX_COORDINATE;
 use glam::Vec3;
 use std::collections::BTreeSet;
@@ -253,6 +254,7 @@ fn photographed(checks: &mut Checks, photographed: &Photographed) {
     checks.color("views.truth.specular.albedo", truth.specular.albedo);
     checks.roughness("views.truth.specular.roughness", truth.specular.roughness);
     light_source(checks, "views.truth.light", &truth.light);
+    check_passes::edits(checks, "views.truth", &truth.edits);
 }
 
 fn pattern(checks: &mut Checks, pattern: &Pattern) {
@@ -310,6 +312,22 @@ pub(super) fn light_source(checks: &mut Checks, path: &str, source: &LightSource
 }
 
 fn material(checks: &mut Checks, material: &Material) {
+    match &material.gloss {
+        Gloss::One => {}
+        Gloss::Blend { materials } => checks.count("material.gloss.materials", *materials, 2..=4),
+        Gloss::Fixed { lobes, .. } => {
+            let count = u32::try_from(lobes.len()).unwrap_or(u32::MAX);
+            checks.count("material.gloss.lobes", count, 1..=MAX_SPECULAR_LOBES as u32);
+            for (index, lobe) in lobes.iter().enumerate() {
+                checks.color(&format!("material.gloss.lobes.{index}.albedo"), lobe.albedo);
+                checks.roughness(&format!("material.gloss.lobes.{index}.roughness"), lobe.roughness);
+            }
+            if material.specular != Specular::default() {
+                let problem = "`gloss: Fixed(…)` says all about the specular material";
+                checks.fail("material.specular", problem, "no `specular`", "Leave one of the two out.");
+            }
+        }
+    }
     if let Albedo::Initial(AlbedoSource::Constant(color)) | Albedo::Fixed(AlbedoSource::Constant(color)) =
         material.albedo
     {

@@ -184,7 +184,7 @@ fn relight_pass(checks: &mut Checks, at: &str, pass: &RelightPass) {
     edits(checks, at, &pass.edits);
 }
 
-fn edits(checks: &mut Checks, at: &str, edits: &[Edit]) {
+pub(super) fn edits(checks: &mut Checks, at: &str, edits: &[Edit]) {
     for (index, edit) in edits.iter().enumerate() {
         let at = format!("{at}.edits.{index}");
         let action = format!("{at}.action");

@@ -2,7 +2,7 @@
 
 use super::diagnostic::{Problem, nearest};
 use super::pass_types::{DiffuseAction, Edit, LayerTruth, Pass, Region, Truth};
-use super::types::{Albedo, AlbedoSource, Light, LightSource, Scene, Surface, Views};
+use super::types::{Albedo, AlbedoSource, Gloss, Light, LightSource, Scene, Surface, Views};
 use std::path::{Path, PathBuf};
 
 /// What must be at a path.
@@ -110,11 +110,17 @@ fn for_each_path(scene: &mut Scene, visit: &mut impl FnMut(&str, Kind, &mut Path
     }
     match &mut scene.views {
         Views::Dataset(dataset) => visit("views.path", Kind::Folder, &mut dataset.path),
-        Views::Photographed(made) => light("views.truth.light.path", &mut made.truth.light, visit),
+        Views::Photographed(made) => {
+            light("views.truth.light.path", &mut made.truth.light, visit);
+            edits("views.truth", &mut made.truth.edits, visit);
+        }
         Views::Cameras(_) => {}
     }
     if let Light::Initial(source) | Light::Fixed(source) = &mut scene.light {
         light("light.path", source, visit);
+    }
+    if let Gloss::Fixed { weights, .. } = &mut scene.material.gloss {
+        visit("material.gloss.weights", Kind::File, weights);
     }
     if let Albedo::Initial(AlbedoSource::Texture(path)) | Albedo::Fixed(AlbedoSource::Texture(path)) =
         &mut scene.material.albedo

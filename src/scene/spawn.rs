@@ -2,7 +2,9 @@
 
 use super::check::MIN_ROUGHNESS;
 use super::texture;
-use super::types::{Albedo, AlbedoSource, Light, LightSource, Material, Roughness, Scene, SpecularAlbedo};
+use super::types::{
+    Albedo, AlbedoSource, Gloss, Light, LightSource, Material, Roughness, Scene, SpecularAlbedo,
+};
 use super::types::{Specular, Surface as SurfaceSpec};
 use crate::error::{Error, Result};
 use crate::fit::components::{AlbedoGradient, AlbedoMoments, TexelSeen, Unknowns};
@@ -151,6 +153,7 @@ pub fn spawn(
             (initial_albedo(&scene.material.albedo, surface)?, initial_specular(&scene.material.specular))
         }
     };
+    let (specular, blends) = initial_gloss(&scene.material.gloss, specular, surface)?;
     let world = &mut pipeline.world;
     world.insert_resource(Scenery(surface.clone()));
     world.insert_resource(unknowns(scene));
@@ -164,17 +167,44 @@ pub fn spawn(
         }
     }
     world.spawn_batch(lobes);
-    world.spawn_batch(albedo.into_iter().map(|albedo| {
+    world.spawn_batch(albedo.into_iter().zip(blends).map(|(albedo, blend)| {
         (
             DiffuseAlbedo(albedo),
-            SpecularBlend::default(),
+            blend,
             AlbedoGradient::default(),
             AlbedoMoments::default(),
             TexelSeen::default(),
         )
     }));
-    world.spawn(specular);
+    world.spawn_batch(specular);
     Ok(())
+}
+
+/// The roughest base material at first, over the least rough.
+const ROUGHNESS_SPREAD: f32 = 2.5;
+
+/// The base materials and each texel's blend of them, starting from the lobe `specular`.
+fn initial_gloss(
+    gloss: &Gloss,
+    specular: SpecularLobe,
+    surface: &Surface,
+) -> Result<(Vec<SpecularLobe>, Vec<SpecularBlend>)> {
+    let (width, height) = (surface.atlas().width, surface.atlas().height);
+    let count = (width * height) as usize;
+    match gloss {
+        Gloss::One => Ok((vec![specular], vec![SpecularBlend::default(); count])),
+        Gloss::Blend { materials } => {
+            let place = |k: u32| k as f32 / (materials - 1) as f32 - 0.5;
+            let roughness =
+                |k| (specular.roughness * ROUGHNESS_SPREAD.powf(place(k))).clamp(MIN_ROUGHNESS, 1.0);
+            let lobe = |k| SpecularLobe { roughness: roughness(k), ..specular };
+            let even = SpecularBlend::even(*materials as usize);
+            Ok(((0..*materials).map(lobe).collect(), vec![even; count]))
+        }
+        Gloss::Fixed { lobes, weights } => {
+            Ok((lobes.clone(), texture::read_weights(weights, lobes.len(), width, height)?))
+        }
+    }
 }
 
 fn initial_lobes(light: &Light, loaded: Option<&LoadedLight>) -> Vec<LightLobe> {
@@ -237,13 +267,14 @@ fn own_material(path: &Path, surface: &Surface) -> Result<(Vec<Vec3>, SpecularLo
 
 /// What a fit of this scene may move.
 pub fn unknowns(scene: &Scene) -> Unknowns {
-    let Material { albedo, specular } = &scene.material;
+    let Material { albedo, specular, gloss } = &scene.material;
     let open = scene.own_material().is_none();
+    let open_gloss = open && !matches!(gloss, Gloss::Fixed { .. });
     Unknowns {
         albedo: open && !matches!(albedo, Albedo::Fixed(_)),
         light: !matches!(scene.light, Light::Fixed(_)),
-        specular_albedo: open && matches!(specular.albedo, SpecularAlbedo::Unknown { .. }),
+        specular_albedo: open_gloss && matches!(specular.albedo, SpecularAlbedo::Unknown { .. }),
         mono_specular: matches!(specular.albedo, SpecularAlbedo::Unknown { mono: true, .. }),
-        roughness: open && matches!(specular.roughness, Roughness::Unknown { .. }),
+        roughness: open_gloss && matches!(specular.roughness, Roughness::Unknown { .. }),
     }
 }

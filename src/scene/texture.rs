@@ -1,7 +1,9 @@
 //! Images in texture space: albedo textures and region masks, resampled to the object's atlas.
 
 use crate::error::{Error, Result};
+use crate::material::{MAX_SPECULAR_LOBES, SpecularBlend};
 use crate::math::color::linear_from_srgb;
+use crate::view::exr_io::read_exr_layers;
 use crate::view::image_io::{Gamma, read_image, read_mask};
 use glam::Vec3;
 use std::path::Path;
@@ -40,6 +42,38 @@ pub fn read_texture_mask(path: &Path, width: u32, height: u32) -> Result<Vec<f32
     let values: Vec<Vec3> = mask.coverage.iter().map(|c| Vec3::splat(*c)).collect();
     let resampled = resample(&values, [mask.width, mask.height], [width, height]);
     Ok(resampled.into_iter().map(|v| v.x).collect())
+}
+
+/// Reads blend weights: channels `weight0`, `weight1` and so on, one for each of `materials`, made to sum to one.
+///
+/// # Errors
+/// [`Error::Input`] if the file is not an EXR of `width` × `height` pixels with those channels, all finite and ≥ 0.
+pub fn read_weights(path: &Path, materials: usize, width: u32, height: u32) -> Result<Vec<SpecularBlend>> {
+    let layers = read_exr_layers(path)?;
+    let bad =
+        |problem: String| Error::input(path, "", problem, "Use the file that `Save` wrote beside the scene.");
+    if (layers.width, layers.height) != (width, height) {
+        let (w, h) = (layers.width, layers.height);
+        return Err(bad(format!("is {w}×{h}, the texture {width}×{height}")));
+    }
+    let mut blends = vec![SpecularBlend([0.0; MAX_SPECULAR_LOBES]); (width * height) as usize];
+    for k in 0..materials {
+        let name = format!("weight{k}");
+        let channel = layers.channels.get(&name).ok_or_else(|| bad(format!("has no channel {name}")))?;
+        if channel.iter().any(|w| !(w.is_finite() && *w >= 0.0)) {
+            return Err(bad(format!("channel {name} has values that are negative or not finite")));
+        }
+        blends.iter_mut().zip(channel).for_each(|(blend, weight)| blend.0[k] = *weight);
+    }
+    for blend in &mut blends {
+        let sum: f32 = blend.0.iter().sum();
+        if sum > 0.0 {
+            blend.0.iter_mut().for_each(|weight| *weight /= sum);
+        } else {
+            *blend = SpecularBlend::default();
+        }
+    }
+    Ok(blends)
 }
 
 fn resample(values: &[Vec3], from: [u32; 2], to: [u32; 2]) -> Vec<Vec3> {

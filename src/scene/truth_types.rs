@@ -2,6 +2,7 @@
 //!
 //! Conventions as in [`types`](super::types).
 
+use super::pass_types::Edit;
 use super::types::{LightSource, fov_degrees, y_axis};
 use crate::material::SpecularLobe;
 use glam::Vec3;
@@ -58,6 +59,9 @@ pub struct TruthObject {
     pub specular: SpecularLobe,
     /// The light.
     pub light: LightSource,
+    /// What else is done to the material: regions of other colour or gloss. Default [].
+    #[serde(default)]
+    pub edits: Vec<Edit>,
 }
 
 /// A diffuse albedo that varies with the position in space. Colours are in [0, 1].

@@ -8,6 +8,7 @@ pub use super::truth_types::{CameraRing, Pattern, Photographed, TruthObject};
 use crate::light::LightLobe;
 pub use crate::light::convention::MapConvention;
 pub use crate::light::npy::NpyConvention;
+use crate::material::SpecularLobe;
 pub use crate::math::brdf::Ndf;
 use crate::view::Split;
 pub use crate::view::dataset::Layout;
@@ -300,6 +301,31 @@ pub struct Material {
     pub albedo: Albedo,
     /// The specular lobe that the whole object shares. Default: unknown.
     pub specular: Specular,
+    /// Gloss that varies over the surface. Default `One`.
+    pub gloss: Gloss,
+}
+
+/// Of how many base materials the surface's gloss is blended.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub enum Gloss {
+    /// One: the lobe in `specular` everywhere.
+    #[default]
+    One,
+    /// Several, which start from the lobe in `specular` with roughnesses spread around its own; a fit finds them, and for each
+    /// texel how they blend.
+    Blend {
+        /// Base materials, 2 to 4. Default 2.
+        #[serde(default = "base_materials")]
+        materials: u32,
+    },
+    /// Known ones, as `Save` writes them; `specular` must not be given.
+    Fixed {
+        /// The base materials, 1 to 8.
+        lobes: Vec<SpecularLobe>,
+        /// An EXR of the texture's size with a channel of blend weights for each, `weight0` and so on; must exist.
+        weights: PathBuf,
+    },
 }
 
 /// What is known about the diffuse albedo.
@@ -434,6 +460,10 @@ fn specular_initial() -> Vec3 {
 }
 fn roughness_initial() -> f32 {
     0.4
+}
+
+fn base_materials() -> u32 {
+    2
 }
 
 fn directions() -> u32 {

@@ -73,12 +73,16 @@ fn gather_point(point: &SurfacePoint, ray: &ViewRay, texels: &[DiffuseAlbedo]) -
     ShadePoint { normal: point.normal.into(), to_viewer: (-ray.0.direction).into(), albedo: albedo.into() }
 }
 
-/// Blends the weights of the specular lobes at each surface point.
+/// Blends the weights of the specular lobes at each surface point; one lobe needs none.
 pub fn gather_blends(
     window: Res<Window>,
+    materials: Query<&SpecularLobe>,
     texels: Query<&SpecularBlend>,
     mut samples: Query<(&SurfacePoint, &mut PointBlend)>,
 ) -> SystemResult {
+    if materials.iter().len() < 2 {
+        return Ok(());
+    }
     let texels = only_table(texels.contiguous_iter()?, |t| t.len(), "texel")?.unwrap_or_default();
     let Some((points, mut blends)) = only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")?
     else {

@@ -9,7 +9,7 @@ use super::systems::{
 use crate::error::Result;
 use crate::fit::components::{AlbedoGradient, AlbedoMoments, TexelSeen};
 use crate::fit::run::{FirstGuess, FitOptions, FitProgress, run_fit};
-use crate::material::{DiffuseAlbedo, SpecularBlend};
+use crate::material::{DiffuseAlbedo, SpecularBlend, SpecularLobe};
 use crate::shade::Scenery;
 use crate::stage::{Phase, Pipeline, Plugin, Slot};
 use crate::surface::sdf::SdfGrid;
@@ -183,11 +183,12 @@ pub fn replace_texels(world: &mut World, albedo: &[Vec3]) {
     for texel in old {
         world.despawn(texel);
     }
+    let blend = SpecularBlend::even(world.query::<&SpecularLobe>().iter(world).len().max(1));
     let texels: Vec<_> = albedo
         .iter()
         .map(|albedo| {
             let state = (AlbedoGradient::default(), AlbedoMoments::default(), TexelSeen::default());
-            (DiffuseAlbedo(*albedo), SpecularBlend::default(), state.0, state.1, state.2)
+            (DiffuseAlbedo(*albedo), blend, state.0, state.1, state.2)
         })
         .collect();
     world.spawn_batch(texels);

@@ -1,10 +1,13 @@
-//! A signed distance field on a regular grid, made from silhouettes and turned into a mesh.
+//! A signed distance field on a regular grid: made from silhouettes, traced, carrying texels, turned into a mesh.
 //!
 //! | file | holds |
 //! | --- | --- |
 //! | this one | [`SdfGrid`]: values, trilinear look-up, smooth gradient |
 //! | [`silhouette`] | signed distance in pixels to a mask's outline |
 //! | [`extract`] | a mesh of the zero level (surface nets) |
+//! | `trace` | where rays meet the zero level (sphere tracing), and how near they pass |
+//! | `redistance` | values made distances again (fast sweeping) |
+//! | [`volume`] | texels on a lattice around the zero level, and a field that can be shaded with them |
 //!
 //! | parameter | type | unit | default | meaning |
 //! | --- | --- | --- | --- | --- |
