@@ -106,5 +106,6 @@ fn options() -> FitOptions {
         },
         pixels: PixelChoice { seed: 0, max_pixels: 100_000 },
         guess: FirstGuess::ALL,
+        exposure: false,
     }
 }

@@ -4,6 +4,7 @@ use super::components::{
     AlbedoGradient, AlbedoMoments, LobeGradient, LobeMoments, LossState, SpecularGradient, SpecularMoments,
     StepGradient, StepRates, TexelSeen, Unknowns,
 };
+use super::exposure::{Exposures, find_exposures};
 use super::first_guess::{solve_albedo, solve_amplitudes};
 use super::loss::{Loss, LossSums};
 use super::observe::{Candidates, PixelChoice, choose_pixels, count_seen_texels, trace_pixels};
@@ -49,6 +50,8 @@ pub struct FitOptions {
     pub pixels: PixelChoice,
     /// What is guessed from the data before the first step.
     pub guess: FirstGuess,
+    /// Whether each photograph's exposure is unknown.
+    pub exposure: bool,
 }
 
 /// What a fit guesses before its first step, of what is unknown; the rest starts from its present value.
@@ -103,6 +106,7 @@ impl Plugin for FitPlugin {
         pipeline.world.init_resource::<Candidates>();
         pipeline.world.init_resource::<StepGradient>();
         pipeline.world.init_resource::<Window>();
+        pipeline.world.init_resource::<Exposures>();
         pipeline.world.init_resource::<IncidentLight>();
         pipeline.world.init_resource::<ShadingForm>();
         pipeline
@@ -112,7 +116,7 @@ impl Plugin for FitPlugin {
             .add_systems(Phase::FitStep, Stage::Gather, gather_points)
             .swap(Phase::FitStep, Slot::Light, provide_lobes)
             .swap(Phase::FitStep, Slot::Shading, shade_closed_form)
-            .add_systems(Phase::FitStep, Stage::Loss, compare_with_photographs)
+            .add_systems(Phase::FitStep, Stage::Loss, (find_exposures, compare_with_photographs).chain())
             .add_systems(
                 Phase::FitStep,
                 Stage::Gradient,
@@ -139,6 +143,7 @@ pub fn run_fit(
     pipeline.world.insert_resource(options.unknowns);
     pipeline.world.insert_resource(ShadingForm(options.form));
     pipeline.world.insert_resource(LossState { loss: options.loss, last: LossSums::default() });
+    pipeline.world.resource_mut::<Exposures>().unknown = options.exposure;
     pipeline.run(Phase::Prepare)?;
     let pixels = pipeline.world.resource::<Window>().0.len();
     let unknowns = Unknowns {

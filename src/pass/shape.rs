@@ -88,6 +88,7 @@ fn options(session: &Session, pass: &ShapePass) -> ShapeOptions {
             unknowns: unknowns(session.scene),
             pixels: PixelChoice { seed: session.scene.seed, max_pixels: pass.max_pixels as usize },
             guess: session.guess,
+            exposure: pass.exposure,
         },
     }
 }
