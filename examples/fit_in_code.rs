@@ -107,5 +107,6 @@ fn options() -> FitOptions {
         pixels: PixelChoice { seed: 0, max_pixels: 100_000 },
         guess: FirstGuess::ALL,
         visibility: false,
+        exposure: false,
     }
 }

@@ -46,18 +46,21 @@ impl LossSums {
     }
 }
 
-/// Writes the adjoint of the mean loss over these pixels and returns their sums.
+/// Writes the adjoint of the mean loss over these pixels and returns their sums. `exposure` is the factor on a pixel's
+/// radiance that its photograph was taken with.
 pub fn image_loss(
     loss: Loss,
     shaded: &[Layers],
     observed: &[Observed],
+    exposure: impl Fn(usize) -> f32,
     adjoint: &mut [RadianceAdjoint],
 ) -> LossSums {
     let weight = 1.0 / (3 * shaded.len().max(1)) as f32;
     let mut sums = LossSums { pixels: shaded.len(), ..Default::default() };
-    for ((layers, observed), adjoint) in shaded.iter().zip(observed).zip(adjoint) {
+    for (i, ((layers, observed), adjoint)) in shaded.iter().zip(observed).zip(adjoint).enumerate() {
+        let exposure = exposure(i);
         for c in 0..3 {
-            let predicted = layers.diffuse[c] + layers.specular[c];
+            let predicted = exposure * (layers.diffuse[c] + layers.specular[c]);
             let difference = observed.difference(c, predicted);
             let (value, slope) = match loss {
                 Loss::L1 => (difference.abs(), if difference == 0.0 { 0.0 } else { difference.signum() }),
@@ -66,7 +69,7 @@ pub fn image_loss(
             sums.loss += f64::from(value);
             let clipped = predicted.clamp(0.0, 1.0) - observed.radiance[c].clamp(0.0, 1.0);
             sums.clipped_squares += f64::from(clipped * clipped);
-            adjoint.0[c] = slope * weight;
+            adjoint.0[c] = exposure * slope * weight;
         }
     }
     sums
@@ -85,7 +88,7 @@ mod tests {
         let observed = [Observed { radiance: [1.0, 0.1, 1.0].into(), saturated: true }];
         let shaded = [Layers { diffuse: [7.0, 0.3, 0.4], specular: [0.0; 3] }];
         let mut adjoint = [RadianceAdjoint::default()];
-        let sums = image_loss(Loss::L1, &shaded, &observed, &mut adjoint);
+        let sums = image_loss(Loss::L1, &shaded, &observed, |_| 1.0, &mut adjoint);
         assert!((sums.loss - 0.8).abs() < 1e-6);
         assert!(adjoint[0].0[0] == 0.0 && adjoint[0].0[1] > 0.0 && adjoint[0].0[2] < 0.0);
     }
@@ -100,7 +103,8 @@ mod tests {
         for loss in [Loss::L1, Loss::L2] {
             let mean = |x: f32| {
                 let mut adjoint = [RadianceAdjoint::default(); 2];
-                let sums = image_loss(loss, &[layers(x), layers(0.7)], &observed, &mut adjoint);
+                let exposure = |i: usize| [0.8, 1.3][i];
+                let sums = image_loss(loss, &[layers(x), layers(0.7)], &observed, exposure, &mut adjoint);
                 (sums.mean(), adjoint[0].0[0])
             };
             let difference = (mean(0.61).0 - mean(0.59).0) / 0.02;
@@ -112,7 +116,7 @@ mod tests {
     fn psnr_is_that_of_clipped_radiance() {
         let shaded = [Layers { diffuse: [3.0, 0.5, 0.5], specular: [0.0; 3] }];
         let observed = [seen([2.0, 0.5, 0.4])];
-        let sums = image_loss(Loss::L2, &shaded, &observed, &mut [RadianceAdjoint::default()]);
+        let sums = image_loss(Loss::L2, &shaded, &observed, |_| 1.0, &mut [RadianceAdjoint::default()]);
         let expected = -10.0 * (0.01f64 / 3.0).log10();
         assert!((sums.psnr() - expected).abs() < 1e-4);
     }

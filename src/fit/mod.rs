@@ -2,6 +2,7 @@
 
 pub mod adam;
 pub mod components;
+pub mod exposure;
 pub mod first_guess;
 pub mod gloss;
 mod guess;

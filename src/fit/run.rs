@@ -4,6 +4,7 @@ use super::components::{
     AlbedoGradient, AlbedoMoments, LobeGradient, LobeMoments, LossState, SpecularGradient, SpecularMoments,
     StepGradient, StepRates, TexelSeen, Unknowns,
 };
+use super::exposure::{Exposures, find_exposures};
 use super::gloss::{BlendAdjoints, BlendGradient, BlendMoments, TexelPlaces, move_blends, scatter_to_blends};
 use super::guess::make_first_guess;
 use super::loss::{Loss, LossSums};
@@ -53,6 +54,8 @@ pub struct FitOptions {
     pub guess: FirstGuess,
     /// Whether shading knows of shadows and reflections; the world then needs an [`ObjectVisibility`].
     pub visibility: bool,
+    /// Whether each photograph's exposure is unknown.
+    pub exposure: bool,
 }
 
 /// What a fit guesses before its first step, of what is unknown; the rest starts from its present value.
@@ -109,6 +112,7 @@ impl Plugin for FitPlugin {
         pipeline.world.init_resource::<BlendAdjoints>();
         pipeline.world.init_resource::<TexelPlaces>();
         pipeline.world.init_resource::<Window>();
+        pipeline.world.init_resource::<Exposures>();
         pipeline.world.init_resource::<IncidentLight>();
         pipeline.world.init_resource::<ShadingForm>();
         pipeline
@@ -118,7 +122,7 @@ impl Plugin for FitPlugin {
             .add_systems(Phase::FitStep, Stage::Gather, (gather_points, gather_blends))
             .swap(Phase::FitStep, Slot::Light, provide_lobes)
             .swap(Phase::FitStep, Slot::Shading, shade_closed_form)
-            .add_systems(Phase::FitStep, Stage::Loss, compare_with_photographs)
+            .add_systems(Phase::FitStep, Stage::Loss, (find_exposures, compare_with_photographs).chain())
             .add_systems(
                 Phase::FitStep,
                 Stage::Gradient,
@@ -145,6 +149,7 @@ pub fn run_fit(
     pipeline.world.insert_resource(options.unknowns);
     pipeline.world.insert_resource(ShadingForm(options.form));
     pipeline.world.insert_resource(LossState { loss: options.loss, last: LossSums::default() });
+    pipeline.world.resource_mut::<Exposures>().unknown = options.exposure;
     pipeline.run(Phase::Prepare)?;
     let refresh_every = pipeline.world.get_resource::<ObjectVisibility>().map(|v| v.settings().refresh_every);
     let refresh_every = refresh_every.filter(|_| options.visibility);

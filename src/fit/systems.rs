@@ -5,6 +5,7 @@ use super::components::{
     AlbedoGradient, AlbedoMoments, LobeGradient, LobeMoments, LossState, SpecularGradient, SpecularMoments,
     StepGradient, StepRates, Unknowns,
 };
+use super::exposure::Exposures;
 use super::gloss::{BlendAdjoints, BlendedSamples, pull_back_blended};
 use super::loss::image_loss;
 use crate::light::LightLobe;
@@ -18,7 +19,7 @@ use crate::shade::visibility::WindowVisibility;
 use crate::shade::{IncidentLight, PointBlend, ShadingForm};
 use crate::stage::SystemResult;
 use crate::surface::point::SurfacePoint;
-use crate::view::pixel::{Observed, Window};
+use crate::view::pixel::{Observed, PixelOf, Window};
 use bevy_ecs::prelude::{Query, Res, ResMut};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -32,16 +33,18 @@ const AMPLITUDE_RANGE: (f32, f32) = (1e-5, 1e5);
 
 /// Loss: compares shaded with observed radiance.
 pub fn compare_with_photographs(
-    window: Res<Window>,
+    (window, exposures): (Res<Window>, Res<Exposures>),
     mut state: ResMut<LossState>,
-    mut samples: Query<(&Layers, &Observed, &mut RadianceAdjoint)>,
+    mut samples: Query<(&Layers, &Observed, &PixelOf, &mut RadianceAdjoint)>,
 ) -> SystemResult {
-    if let Some((shaded, observed, mut adjoint)) =
+    if let Some((shaded, observed, pixels, mut adjoint)) =
         only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")?
     {
         let rows = window.0.clone();
         let adjoint = &mut adjoint.bypass_change_detection()[rows.clone()];
-        state.last = image_loss(state.loss, &shaded[rows.clone()], &observed[rows], adjoint);
+        let pixels = &pixels[rows.clone()];
+        let exposure = |i: usize| exposures.factor(pixels[i].view);
+        state.last = image_loss(state.loss, &shaded[rows.clone()], &observed[rows], exposure, adjoint);
     }
     Ok(())
 }

@@ -87,6 +87,7 @@ fn options(session: &mut Session, pass: &FitPass) -> FitOptions {
         guess: session.guess,
         // The published formulas are for comparison and know of neither shadows nor reflections.
         visibility: pass.shading == FitShading::Accurate && session.has_visibility(),
+        exposure: pass.exposure,
     }
 }
 

@@ -31,7 +31,7 @@ use crate::fit::run::{FirstGuess, FitPlugin};
 use crate::report::scores::Scores;
 use crate::scene::load::{LoadedScene, RunOptions};
 use crate::scene::pass_types::{EditPass, Pass, RelightPass, RenderPass, ViewChoice};
-use crate::scene::spawn::{LoadedLight, load_light, make_surface, spawn};
+use crate::scene::spawn::{LoadedLight, SurfaceUse, load_light, make_surface, spawn};
 use crate::scene::types::{Albedo, CameraSpec, Light, Scene, Surface as SurfaceSpec, Views, Visibility};
 use crate::shade::frame::FramePlugin;
 use crate::shade::visibility::{ObjectVisibility, VisibilitySettings};
@@ -182,7 +182,7 @@ fn open<'a>(scene: &'a Scene, options: &RunOptions) -> Result<Session<'a>> {
         let train: Vec<&ViewRecord> = views.iter().filter(|view| view.split == Split::Train).collect();
         check_masks(&train)?.iter().for_each(|note| progress.note(note));
     }
-    let (surface, notes) = make_surface(&scene.surface, &views)?;
+    let (surface, notes) = make_surface(&scene.surface, &views, use_of(scene))?;
     notes.iter().for_each(|note| progress.note(note));
     let surface = Arc::new(surface);
     let lights = Lights::load(scene, &progress)?;
@@ -241,6 +241,14 @@ fn read_views(scene: &Scene, progress: &Progress) -> Result<Vec<ViewRecord>> {
         }
         Views::Cameras(specs) => specs.iter().map(bare_view).collect(),
         Views::Photographed(_) => Ok(Vec::new()),
+    }
+}
+
+/// What the scene's surface is made for: nothing, if the first pass finds another.
+fn use_of(scene: &Scene) -> SurfaceUse {
+    match scene.passes.first() {
+        Some(Pass::Shape(_)) => SurfaceUse::UntilShape,
+        _ => SurfaceUse::Lasting,
     }
 }
 

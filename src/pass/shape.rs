@@ -91,6 +91,7 @@ fn options(session: &Session, pass: &ShapePass) -> ShapeOptions {
             guess: session.guess,
             // A surface that moves would have to be traced at every step.
             visibility: false,
+            exposure: pass.exposure,
         },
     }
 }

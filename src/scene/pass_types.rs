@@ -107,6 +107,9 @@ pub struct FitPass {
     pub milestones: Vec<f32>,
     /// Factor on the rates at a milestone, in (0, 1]. Default 0.4.
     pub decay: f32,
+    /// Whether each photograph has an exposure of its own that is not known: a factor on its radiance, 0.2 to 5, their
+    /// geometric mean 1. Views are rendered without. Default false.
+    pub exposure: bool,
 }
 
 impl Default for FitPass {
@@ -122,6 +125,7 @@ impl Default for FitPass {
             rates: Rates::default(),
             milestones: vec![0.5, 0.75, 0.9],
             decay: 0.4,
+            exposure: false,
         }
     }
 }
@@ -152,6 +156,8 @@ pub struct ShapePass {
     pub blur: u32,
     /// Adam's step sizes of light and material.
     pub rates: Rates,
+    /// Whether each photograph has an exposure of its own that is not known, as in [`FitPass::exposure`]. Default false.
+    pub exposure: bool,
 }
 
 /// One grid of a [`ShapePass`].
@@ -193,6 +199,7 @@ impl Default for ShapePass {
             smoothness: 1e-6,
             blur: 8,
             rates: Rates::default(),
+            exposure: false,
         }
     }
 }

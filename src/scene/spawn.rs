@@ -20,6 +20,7 @@ use crate::math::shading::LobeColumns;
 use crate::shade::systems::kernel_lobe;
 use crate::shade::{DistantLight, Scenery};
 use crate::shape::hull::{Silhouette, visual_hull};
+use crate::shape::mend::check_hull;
 use crate::stage::Pipeline;
 use crate::surface::atlas::unwrap_mesh;
 use crate::surface::gltf_import::read_mesh_with_report;
@@ -32,20 +33,41 @@ use glam::{EulerRot, Quat, Vec3};
 use std::path::Path;
 use std::sync::Arc;
 
+/// What a surface is made for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SurfaceUse {
+    /// All passes.
+    Lasting,
+    /// Those before a `Shape` puts another in place of an unknown one: a coarse one will do.
+    UntilShape,
+}
+
+/// Most cells and texels a side of an unknown surface that is to be replaced.
+const DRAFT: (u32, u32) = (48, 256);
+
 /// Makes the surface, from the training views' masks where it is unknown; the notes say what was repaired on the way.
 ///
 /// # Errors
 /// If the mesh cannot be read or unwrapped.
-pub fn make_surface(spec: &SurfaceSpec, views: &[ViewRecord]) -> Result<(Surface, Vec<String>)> {
+pub fn make_surface(
+    spec: &SurfaceSpec,
+    views: &[ViewRecord],
+    use_of: SurfaceUse,
+) -> Result<(Surface, Vec<String>)> {
     match spec {
         SurfaceSpec::Unknown { cells, texture_size } => {
             let train = views.iter().filter(|view| view.split == Split::Train);
-            let masks = train.filter_map(|view| Some((&view.camera, view.mask.as_ref()?)));
-            let silhouettes: Vec<Silhouette> =
-                masks.filter_map(|(camera, mask)| Silhouette::new(camera, mask)).collect();
-            let mesh = extract_mesh(&visual_hull(&silhouettes, *cells)?);
-            let unwrapped = unwrap_mesh(&mesh, *texture_size)?;
-            Ok((Surface::new(unwrapped.mesh, *texture_size)?, Vec::new()))
+            let silhouette =
+                |view: &ViewRecord| Silhouette::new(&view.name, &view.camera, view.mask.as_ref()?);
+            let silhouettes: Vec<Silhouette> = train.filter_map(silhouette).collect();
+            let (cells, texture_size) = match use_of {
+                SurfaceUse::Lasting => (*cells, *texture_size),
+                SurfaceUse::UntilShape => (DRAFT.0.min(*cells), DRAFT.1.min(*texture_size)),
+            };
+            let hull = visual_hull(&silhouettes, cells)?;
+            let notes = check_hull(&hull, &silhouettes)?;
+            let unwrapped = unwrap_mesh(&extract_mesh(&hull), texture_size)?;
+            Ok((Surface::new(unwrapped.mesh, texture_size)?, notes))
         }
         SurfaceSpec::Mesh { path, texture_size, own_material } => {
             let (mesh, report) = read_mesh_with_report(path)?;

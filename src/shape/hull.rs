@@ -2,8 +2,10 @@
 //!
 //! In a view a point is about (pixels to the outline) · depth / focal away from the silhouette's cone. The largest of
 //! these over the views is the hull's signed distance; the k-th largest forgives k − 1 wrong masks. Views that do not see
-//! the point, or see it at the border of the frame, abstain: what the frame cuts is not carved.
+//! the point, or see it at the border of the frame, abstain: what the frame cuts is not carved. What a few masks carved
+//! although many show it is put back ([`super::mend`]).
 
+use super::mend::regrow;
 use crate::surface::sdf::SdfGrid;
 use crate::surface::sdf::silhouette::signed_distance;
 use crate::view::{Camera, Mask};
@@ -11,29 +13,37 @@ use crate::{Error, Result};
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 
-/// Pixels from the border of a frame within which a view abstains.
+/// Pixels from the border of a frame within which a view abstains, and the same as a share of the frame's shorter side:
+/// masks are often trimmed there.
 const BORDER: f32 = 2.0;
+const BORDER_SHARE: f32 = 0.02;
 /// Views that must see a point for it to be inside.
 const MIN_VIEWS: usize = 3;
 /// Share of the views that see a point whose masks may be wrong there.
-const FORGIVEN: f32 = 0.02;
+pub(super) const FORGIVEN: f32 = 0.02;
+/// The same where masks show what others carved.
+pub(super) const FORGIVEN_AT_GAPS: f32 = 0.12;
 /// Cells a side of the grid that finds out how large the object is.
 const COARSE_CELLS: u32 = 48;
 
 /// A mask with its camera.
 #[derive(Clone, Debug)]
 pub struct Silhouette {
-    camera: Camera,
+    /// The view's name.
+    pub(super) name: String,
+    pub(super) camera: Camera,
     /// Signed pixels to the outline from each pixel's centre, negative inside.
-    distance: Vec<f32>,
+    pub(super) distance: Vec<f32>,
+    /// The mask's coverage.
+    pub(super) coverage: Vec<f32>,
     /// The ray through the middle of the mask, and the tangent of the angle around it that holds all of the mask.
     middle: Vec3,
     spread: f32,
 }
 
 impl Silhouette {
-    /// From a view's mask; `None` if the mask is empty.
-    pub fn new(camera: &Camera, mask: &Mask) -> Option<Self> {
+    /// From a view's name, camera and mask; `None` if the mask is empty.
+    pub fn new(name: &str, camera: &Camera, mask: &Mask) -> Option<Self> {
         let (width, height) = (mask.width as usize, mask.height as usize);
         let inside = || {
             let pixels = mask.coverage.iter().enumerate().filter(|(_, coverage)| **coverage >= 0.5);
@@ -44,20 +54,25 @@ impl Silhouette {
         let spread =
             rays.iter().map(|ray| middle.cross(*ray).length() / middle.dot(*ray)).fold(0.0, f32::max);
         Some(Self {
+            name: name.to_owned(),
             camera: *camera,
             distance: signed_distance(&mask.coverage, width, height),
+            coverage: mask.coverage.clone(),
             middle,
             spread,
         })
     }
 
+    /// Image position of a pixel's centre.
+    pub(super) fn center(&self, pixel: usize) -> (f32, f32) {
+        let width = self.camera.width as usize;
+        ((pixel % width) as f32 + 0.5, (pixel / width) as f32 + 0.5)
+    }
+
     /// World distance of a point outside the silhouette's cone (negative inside); `None` if the view abstains.
-    fn world_distance(&self, point: Vec3) -> Option<f32> {
+    pub(super) fn world_distance(&self, point: Vec3) -> Option<f32> {
         let (x, y, depth) = self.camera.project(point)?;
-        let (width, height) = (self.camera.width as f32, self.camera.height as f32);
-        let seen = x >= BORDER && x <= width - BORDER && y >= BORDER && y <= height - BORDER;
-        let focal = 0.5 * (self.camera.focal[0] + self.camera.focal[1]);
-        seen.then(|| self.pixels(x, y) * depth / focal)
+        is_inner(&self.camera, x, y).then(|| self.pixels(x, y) * depth * pixel_size(&self.camera))
     }
 
     /// The bilinear distance in pixels at an image position.
@@ -72,13 +87,25 @@ impl Silhouette {
     }
 }
 
-/// The hull's signed distance at a point.
-fn hull_distance(silhouettes: &[Silhouette], point: Vec3, outside: f32) -> f32 {
+/// Whether an image position is far enough from the frame's border for the mask to be believed.
+pub(super) fn is_inner(camera: &Camera, x: f32, y: f32) -> bool {
+    let (width, height) = (camera.width as f32, camera.height as f32);
+    let border = BORDER.max(BORDER_SHARE * width.min(height));
+    x >= border && x <= width - border && y >= border && y <= height - border
+}
+
+/// Size of a pixel at distance 1.
+pub(super) fn pixel_size(camera: &Camera) -> f32 {
+    2.0 / (camera.focal[0] + camera.focal[1])
+}
+
+/// The hull's signed distance at a point, with this share of the views forgiven; `outside` if too few see it.
+pub(super) fn hull_distance(silhouettes: &[Silhouette], point: Vec3, forgiven: f32, outside: f32) -> f32 {
     let mut seen: Vec<f32> = silhouettes.iter().filter_map(|s| s.world_distance(point)).collect();
     if seen.len() < MIN_VIEWS {
         return outside;
     }
-    let forgiven = (FORGIVEN * seen.len() as f32).floor() as usize;
+    let forgiven = (forgiven * seen.len() as f32).floor() as usize;
     let (_, kth, _) = seen.select_nth_unstable_by(forgiven, |a, b| b.total_cmp(a));
     *kth
 }
@@ -86,26 +113,54 @@ fn hull_distance(silhouettes: &[Silhouette], point: Vec3, outside: f32) -> f32 {
 /// The visual hull of an object, on a grid of `cells` cells a side that just holds it.
 ///
 /// # Errors
-/// [`Error::Run`] if there are fewer than three masks, their middle rays do not meet, or no point is inside all masks.
+/// [`Error::Usage`] if there are fewer than three masks, their middle rays do not meet, or no point is inside all masks.
 pub fn visual_hull(silhouettes: &[Silhouette], cells: u32) -> Result<SdfGrid> {
-    let refuse = |problem: &str| Error::run("visual hull", problem);
     if silhouettes.len() < MIN_VIEWS {
-        return Err(refuse("a shape needs at least three views with masks"));
+        let problem = "a shape needs at least three views with masks that are not empty";
+        return Err(Error::usage(problem, "Give more photographs a mask, white where the object is."));
     }
-    let center = meeting_point(silhouettes).ok_or_else(|| refuse("the views all look along one line"))?;
+    let center = meeting_point(silhouettes).ok_or_else(|| {
+        Error::usage("the views all look along one line: they show no shape", "Add views from other sides.")
+    })?;
     let reach = |s: &Silhouette| s.camera.position().distance(center) * s.spread;
     let radius = silhouettes.iter().map(reach).fold(0.0, f32::max);
-    let coarse = carve(silhouettes, center, 1.1 * radius, COARSE_CELLS);
-    let (low, high) = bounds_inside(&coarse).ok_or_else(|| {
-        refuse("no point of space is inside all masks: cameras and masks do not belong together")
-    })?;
-    let half = 0.5 * (high - low).max_element() + 2.0 * coarse.spacing;
-    Ok(carve(silhouettes, 0.5 * (low + high), half, cells))
+    let mut coarse = carve(silhouettes, center, 1.1 * radius, COARSE_CELLS);
+    regrow(&mut coarse, silhouettes, FORGIVEN_AT_GAPS);
+    let (low, high) = bounds_inside(&coarse).ok_or_else(|| no_hull(silhouettes, &coarse))?;
+    let half = 0.5 * (high - low).max_element() + coarse.spacing;
+    let mut hull = carve(silhouettes, 0.5 * (low + high), half, cells);
+    regrow(&mut hull, silhouettes, FORGIVEN_AT_GAPS);
+    if hull.values.iter().all(|value| *value >= 0.0) {
+        return Err(no_hull(silhouettes, &hull));
+    }
+    Ok(hull)
+}
+
+/// An empty hull, with the view that is farthest from seeing what the others come nearest to agreeing on.
+fn no_hull(silhouettes: &[Silhouette], coarse: &SdfGrid) -> Error {
+    let seen = |point: Vec3| silhouettes.iter().filter_map(move |s| Some((s, s.world_distance(point)?)));
+    // The point that most masks show, and of those the one least outside.
+    let agreement = |row: &usize| {
+        let point = coarse.position(coarse.vertex(*row));
+        let inside = seen(point).filter(|(_, distance)| *distance < 0.0).count();
+        (inside, std::cmp::Reverse(*row))
+    };
+    let best = (0..coarse.values.len()).into_par_iter().max_by_key(agreement).unwrap_or(0);
+    let point = coarse.position(coarse.vertex(best));
+    let worst = seen(point).max_by(|a, b| a.1.total_cmp(&b.1)).map_or(&silhouettes[0], |worst| worst.0);
+    let (inside, all) = (agreement(&best).0, silhouettes.len());
+    let problem = format!(
+        "no point of space is inside all masks: the best is in {inside} of {all}; view `{}` is farthest off",
+        worst.name
+    );
+    let help =
+        "Do cameras and masks belong together? Mend that view's pose or mask, or leave it out with `select`.";
+    Error::usage(problem, help)
 }
 
 fn carve(silhouettes: &[Silhouette], center: Vec3, half_side: f32, cells: u32) -> SdfGrid {
-    let outside = half_side / cells as f32;
-    SdfGrid::from_fn(center, half_side, cells, |point| hull_distance(silhouettes, point, outside))
+    let outside = 2.0 * half_side / cells as f32;
+    SdfGrid::from_fn(center, half_side, cells, |point| hull_distance(silhouettes, point, FORGIVEN, outside))
 }
 
 /// The point nearest to all middle rays, in the least-squares sense; `None` if they are parallel.
@@ -121,9 +176,9 @@ fn meeting_point(silhouettes: &[Silhouette]) -> Option<Vec3> {
     (a.determinant() > 1e-6 && point.is_finite()).then_some(point)
 }
 
-/// The box around all vertices inside.
+/// The box around all vertices inside or so near that a thin part may be between them and the next.
 fn bounds_inside(grid: &SdfGrid) -> Option<(Vec3, Vec3)> {
-    let inside = (0..grid.values.len()).into_par_iter().filter(|&i| grid.values[i] < 0.0);
+    let inside = (0..grid.values.len()).into_par_iter().filter(|&i| grid.values[i] < 0.5 * grid.spacing);
     inside
         .map(|i| (grid.position(grid.vertex(i)), grid.position(grid.vertex(i))))
         .reduce_with(|(a, b), (c, d)| (a.min(c), b.max(d)))
@@ -154,7 +209,11 @@ mod tests {
     }
 
     fn silhouettes(views: &[(Camera, Mask)]) -> Vec<Silhouette> {
-        views.iter().filter_map(|(camera, mask)| Silhouette::new(camera, mask)).collect()
+        views
+            .iter()
+            .enumerate()
+            .filter_map(|(i, (camera, mask))| Silhouette::new(&format!("v{i}"), camera, mask))
+            .collect()
     }
 
     #[test]
@@ -186,7 +245,12 @@ mod tests {
                 .enumerate()
                 .for_each(|(p, c)| *c = if p == 300 + 997 * i % 9000 { 1.0 } else { 0.0 });
         }
-        assert!(visual_hull(&silhouettes(&views), 24).unwrap_err().to_string().contains("inside all masks"));
+        let error = visual_hull(&silhouettes(&views), 24).unwrap_err();
+        assert_eq!(error.exit_code(), 2);
+        assert!(
+            error.to_string().contains("inside all masks") && error.to_string().contains("view `v"),
+            "{error}"
+        );
         assert!(visual_hull(&silhouettes(&views[..2]), 24).is_err());
     }
 }

@@ -3,6 +3,7 @@
 //! | file | holds |
 //! | --- | --- |
 //! | [`hull`] | where the object is, and the robust visual hull of its masks as a signed distance field |
+//! | [`mend`] | parts that a few wrong masks carved away, put back; which outlines are to be believed |
 //! | [`field`] | the field as parameters: bricks of values (entities) and the field as a whole (a resource) |
 //! | [`adjoint`] | kernels that pull adjoints of normals, positions and silhouettes back to the values |
 //! | [`silhouette_loss`] | the loss of masks |
@@ -11,6 +12,7 @@
 pub mod adjoint;
 pub mod field;
 pub mod hull;
+pub mod mend;
 pub mod run;
 pub mod silhouette_loss;
 pub mod systems;

@@ -1,7 +1,8 @@
 //! Fitting a shape: from the visual hull through levels of finer grids, each a fit of its own.
 
 use super::field::{BrickAt, BrickGradient, BrickMoments, BrickValues, SdfField, bricks_near_surface};
-use super::hull::{Silhouette, visual_hull};
+use super::hull::{FORGIVEN, Silhouette, pixel_size, visual_hull};
+use super::mend::{believed_pixels, regrow};
 use super::silhouette_loss::SilhouetteSample;
 use super::systems::{
     ShapeSchedule, hand_out_to_bricks, move_bricks, pull_back_silhouettes, pull_back_to_field, retrace_window,
@@ -13,10 +14,9 @@ use crate::material::{DiffuseAlbedo, SpecularBlend, SpecularLobe};
 use crate::shade::Scenery;
 use crate::stage::{Phase, Pipeline, Plugin, Slot};
 use crate::surface::sdf::SdfGrid;
-use crate::surface::sdf::silhouette::signed_distance;
 use crate::surface::sdf::volume::{SdfSurface, TexelVolume};
 use crate::view::pixel::PixelOf;
-use crate::view::{Camera, Split, ViewMask};
+use crate::view::{Camera, Split, ViewMask, ViewName};
 use bevy_ecs::prelude::{Component, Entity, IntoScheduleConfigs, With, Without, World};
 use glam::Vec3;
 use rand::seq::SliceRandom;
@@ -26,8 +26,6 @@ use std::sync::Arc;
 
 /// Pixels from an outline within which silhouette rays are cast.
 const SILHOUETTE_REACH: f32 = 6.0;
-/// Pixels from the border of a frame within which they are not: there the frame cuts the object, not its outline.
-const FRAME_BORDER: u32 = 2;
 /// Part of the half side of the grid within which there are texels.
 const TEXEL_REACH: f32 = 0.15;
 
@@ -95,16 +93,17 @@ pub fn fit_shape(
     options: &ShapeOptions,
     watch: &mut dyn FnMut(&ShapeProgress) -> ControlFlow<()>,
 ) -> Result<SdfSurface> {
-    let silhouettes: Vec<Silhouette> =
-        training_masks(&mut pipeline.world).iter().filter_map(|(c, m)| Silhouette::new(c, &m.0)).collect();
+    let silhouettes = training_silhouettes(&mut pipeline.world);
     let mut grid = visual_hull(&silhouettes, options.levels[0].cells)?;
-    let samples = silhouette_samples(&mut pipeline.world, options.fit.pixels.seed);
-    pipeline.world.spawn_batch(samples);
+    pipeline.world.spawn_batch(silhouette_samples(&grid, &silhouettes, options.fit.pixels.seed));
     pipeline.add_plugin(&ShapePlugin);
     let mut texels: Option<(TexelVolume, Vec<Vec3>)> = None;
     let mut outcome = Ok(());
     for (index, level) in options.levels.iter().enumerate() {
-        grid = if index == 0 { grid } else { grid.resampled(level.cells) };
+        if index > 0 {
+            grid = grid.resampled(level.cells);
+            regrow(&mut grid, &silhouettes, FORGIVEN);
+        }
         grid.redistance();
         let volume = TexelVolume::new(&grid, level.texel_cells, TEXEL_REACH * half_side(&grid));
         let albedo = carried_albedo(&volume, texels.as_ref());
@@ -140,27 +139,25 @@ fn half_side(grid: &SdfGrid) -> f32 {
     0.5 * grid.spacing * (grid.side - 1) as f32
 }
 
-fn training_masks(world: &mut World) -> Vec<(Camera, ViewMask)> {
-    let mut views = world.query::<(&Camera, &ViewMask, &Split)>();
-    let train = views.iter(world).filter(|(_, _, split)| **split == Split::Train);
-    train.map(|(camera, mask, _)| (*camera, mask.clone())).collect()
+fn training_silhouettes(world: &mut World) -> Vec<Silhouette> {
+    let mut views = world.query::<(&ViewName, &Camera, &ViewMask, &Split)>();
+    let train = views.iter(world).filter(|(_, _, _, split)| **split == Split::Train);
+    train.filter_map(|(name, camera, mask, _)| Silhouette::new(&name.0, camera, &mask.0)).collect()
 }
 
-/// The pixels around the outlines of all training masks, shuffled.
-fn silhouette_samples(world: &mut World, seed: u64) -> Vec<SilhouetteSample> {
+/// The pixels around the outlines of all training masks that go with the hull, shuffled.
+fn silhouette_samples(hull: &SdfGrid, silhouettes: &[Silhouette], seed: u64) -> Vec<SilhouetteSample> {
     let mut samples = Vec::new();
-    for (camera, mask) in training_masks(world) {
-        let (width, height) = (mask.0.width, mask.0.height);
-        let distance = signed_distance(&mask.0.coverage, width as usize, height as usize);
-        let pixel_size = 2.0 / (camera.focal[0] + camera.focal[1]);
-        let inner = |x: u32, size: u32| x >= FRAME_BORDER && x + FRAME_BORDER < size;
-        for (i, distance) in distance.iter().enumerate() {
-            let (x, y) = (i as u32 % width, i as u32 / width);
-            if distance.abs() < SILHOUETTE_REACH && inner(x, width) && inner(y, height) {
-                let ray = camera.ray(x as f32 + 0.5, y as f32 + 0.5);
-                samples.push(SilhouetteSample { ray, coverage: mask.0.coverage[i], pixel_size });
-            }
-        }
+    for silhouette in silhouettes {
+        let camera = &silhouette.camera;
+        let pixel_size = pixel_size(camera);
+        let believed = believed_pixels(hull, silhouette);
+        let near =
+            (0..believed.len()).filter(|&i| believed[i] && silhouette.distance[i].abs() < SILHOUETTE_REACH);
+        samples.extend(near.map(|i| {
+            let (x, y) = silhouette.center(i);
+            SilhouetteSample { ray: camera.ray(x, y), coverage: silhouette.coverage[i], pixel_size }
+        }));
     }
     samples.shuffle(&mut SmallRng::seed_from_u64(seed));
     samples

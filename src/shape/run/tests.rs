@@ -10,7 +10,7 @@ use crate::math::brdf::Ndf;
 use crate::math::ray::Intersect;
 use crate::math::shading::{ClosedForm, Layers, LobeColumns, ShadePoint};
 use crate::shade::systems::{kernel_lobe, kernel_specular};
-use crate::view::{Image, Mask, Photograph, ViewName};
+use crate::view::{Image, Mask, Photograph};
 
 const SIZE: u32 = 48;
 const SPECULAR: SpecularLobe = SpecularLobe { albedo: Vec3::splat(0.3), roughness: 0.4, ndf: Ndf::Sg };
@@ -105,6 +105,7 @@ fn options(steps: u32) -> ShapeOptions {
             pixels: PixelChoice { seed: 1, max_pixels: 100_000 },
             guess: FirstGuess { light: false, albedo: true },
             visibility: false,
+            exposure: false,
         },
     }
 }

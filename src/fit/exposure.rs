@@ -1,0 +1,125 @@
+//! Exposure of each photograph as an unknown: a factor on what the scene sends to the camera.
+//!
+//! A factor is the weighted least-squares ratio of the photograph to the prediction over recent windows, with weights that
+//! make it the least sum of absolute differences (iteratively reweighted), so it needs no rate. The factors' geometric mean
+//! is held at 1: a common factor is the light's.
+
+use super::components::StepRates;
+use crate::math::shading::Layers;
+use crate::shade::pool::only_table;
+use crate::stage::SystemResult;
+use crate::view::pixel::{Observed, PixelOf, SATURATION, Window};
+use bevy_ecs::prelude::{Query, Res, ResMut, Resource};
+
+/// Share of the sums that stays from window to window.
+const MEMORY: f64 = 0.97;
+/// Windows before the factors begin to move: the light must be found first.
+const FIRST_STEP: u32 = 50;
+/// Differences below this share of the prediction count as squares.
+const SQUARE_BELOW: f32 = 0.03;
+/// Range of a factor.
+const RANGE: (f32, f32) = (0.2, 5.0);
+
+/// The photographs' exposures.
+#[derive(Resource, Clone, Debug, Default)]
+pub struct Exposures {
+    /// Whether they are looked for and used.
+    pub unknown: bool,
+    /// Factor of each view, by [`PixelOf::view`]; empty before the first is found.
+    pub factors: Vec<f32>,
+    /// Of each view: weighted sums of prediction · photograph, and of prediction².
+    sums: Vec<(f64, f64)>,
+}
+
+impl Exposures {
+    /// The factor of a view; 1 if exposures are known.
+    #[inline]
+    pub fn factor(&self, view: u32) -> f32 {
+        if self.unknown { self.factors.get(view as usize).copied().unwrap_or(1.0) } else { 1.0 }
+    }
+
+    /// Takes in one window's pixels.
+    fn observe(&mut self, pixels: &[PixelOf], shaded: &[Layers], observed: &[Observed]) {
+        self.sums.iter_mut().for_each(|sums| *sums = (MEMORY * sums.0, MEMORY * sums.1));
+        for ((pixel, shaded), observed) in pixels.iter().zip(shaded).zip(observed) {
+            let view = pixel.view as usize;
+            if view >= self.sums.len() {
+                self.sums.resize(view + 1, (0.0, 0.0));
+                self.factors.resize(view + 1, 1.0);
+            }
+            for c in 0..3 {
+                let (predicted, seen) = (shaded.diffuse[c] + shaded.specular[c], observed.radiance[c]);
+                if seen < SATURATION && predicted > 0.0 {
+                    let off = (seen - self.factors[view] * predicted).abs().max(SQUARE_BELOW * predicted);
+                    let weight = f64::from(predicted / off);
+                    self.sums[view].0 += weight * f64::from(seen);
+                    self.sums[view].1 += weight * f64::from(predicted);
+                }
+            }
+        }
+    }
+
+    /// Factors from the sums, their geometric mean 1.
+    fn solve(&mut self) {
+        let logs =
+            self.sums.iter().filter(|sums| sums.0 > 0.0 && sums.1 > 0.0).map(|sums| (sums.0 / sums.1).ln());
+        let count = logs.clone().count().max(1);
+        let mean = logs.sum::<f64>() / count as f64;
+        for (factor, sums) in self.factors.iter_mut().zip(&self.sums) {
+            let known = sums.0 > 0.0 && sums.1 > 0.0;
+            let found = if known { ((sums.0 / sums.1).ln() - mean).exp() as f32 } else { 1.0 };
+            *factor = found.clamp(RANGE.0, RANGE.1);
+        }
+    }
+}
+
+/// Loss: finds each photograph's exposure from the window's predictions, where it is unknown.
+pub fn find_exposures(
+    (window, rates): (Res<Window>, Res<StepRates>),
+    mut exposures: ResMut<Exposures>,
+    samples: Query<(&PixelOf, &Layers, &Observed)>,
+) -> SystemResult {
+    if !exposures.unknown {
+        return Ok(());
+    }
+    if let Some((pixels, shaded, observed)) = only_table(samples.contiguous_iter()?, |t| t.0.len(), "pixel")?
+    {
+        let rows = window.0.clone();
+        exposures.observe(&pixels[rows.clone()], &shaded[rows.clone()], &observed[rows]);
+        if rates.step >= FIRST_STEP {
+            exposures.solve();
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn factors_are_found_in_spite_of_outliers_and_their_mean_is_one() {
+        let truth = [0.8f32, 1.25, 1.0];
+        let mut exposures = Exposures { unknown: true, ..Exposures::default() };
+        assert_eq!(exposures.factor(7), 1.0);
+        let pixel = |i: usize| PixelOf { view: (i % 3) as u32, pixel: i as u32 };
+        let layers = |i: usize| Layers { diffuse: [0.1 + 0.001 * (i % 300) as f32; 3], specular: [0.02; 3] };
+        let seen = |i: usize| {
+            let shadow = if i.is_multiple_of(5) { 0.4 } else { 1.0 };
+            let radiance = truth[i % 3] * shadow * (layers(i).diffuse[0] + 0.02);
+            Observed { radiance: glam::Vec3::splat(radiance), saturated: false }
+        };
+        let pixels: Vec<_> = (0..3000).map(pixel).collect();
+        let (shaded, observed): (Vec<_>, Vec<_>) = (0..3000).map(|i| (layers(i), seen(i))).unzip();
+        for _ in 0..60 {
+            exposures.observe(&pixels, &shaded, &observed);
+            exposures.solve();
+        }
+        for (view, truth) in truth.iter().enumerate() {
+            let found = exposures.factor(view as u32);
+            assert!((found - truth).abs() < 0.01, "view {view}: {found} {truth}");
+        }
+        exposures.unknown = false;
+        assert_eq!(exposures.factor(0), 1.0);
+    }
+}
