@@ -4,6 +4,7 @@
 //! the threads. Sums over points are made per chunk and then over chunks in order, so the result does not depend
 //! on the number of threads. The formulas are a [`PairModel`]'s; [`ClosedForm`] chooses one at run time.
 
+mod adjoint;
 mod cull;
 mod kernels;
 
@@ -421,7 +422,7 @@ pub fn shade_adjoint_with<M: PairModel>(
         .enumerate()
         .for_each(|(i, ((points, radiance), (out, partial)))| {
             let lit = (points, lighting.chunk(i));
-            dispatch!(level, simd => kernels::adjoint_chunk(simd, &shared, lit, radiance, out, partial));
+            dispatch!(level, simd => adjoint::adjoint_chunk(simd, &shared, lit, radiance, out, partial));
         });
     gradient.sum_in_order(partial, rows, lobes.len);
     SCRATCH.set(scratch);

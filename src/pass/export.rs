@@ -3,7 +3,7 @@
 use super::Session;
 use super::edit::take_material;
 use crate::error::{Error, Result};
-use crate::material::SpecularLobe;
+use crate::material::{SpecularBlend, SpecularLobe};
 use crate::report::tone::srgb8;
 use crate::scene::pass_types::{ExportPass, MeshFormat};
 use crate::surface::Surface;
@@ -19,19 +19,22 @@ use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// What is exported: a surface, the albedo of its texels, and one specular lobe.
+/// What is exported: a surface, the albedo of its texels, and one specular lobe, of which the roughness may vary.
 struct Object {
     surface: Arc<Surface>,
     albedo: Vec<Vec3>,
+    /// The only one, or the mean of several over the surface.
     specular: SpecularLobe,
+    /// Of each texel, if there are several lobes.
+    roughness: Option<Vec<f32>>,
 }
 
 /// Writes the object in the formats that the pass names.
 ///
 /// # Errors
-/// If the object has several specular lobes, cannot be unwrapped anew, or a file cannot be written.
+/// If the object cannot be unwrapped anew, or a file cannot be written.
 pub fn run(session: &mut Session, pass: &ExportPass) -> Result<()> {
-    let mut object = object(session, &pass.name)?;
+    let mut object = object(session);
     if let Some(target) = pass.triangles.filter(|&n| (n as usize) < object.surface.mesh().triangles.len()) {
         object = object.coarser(target as usize)?;
     }
@@ -42,13 +45,23 @@ pub fn run(session: &mut Session, pass: &ExportPass) -> Result<()> {
     Ok(())
 }
 
-fn object(session: &mut Session, name: &str) -> Result<Object> {
+fn object(session: &mut Session) -> Object {
     let material = take_material(&mut session.pipeline.world);
-    let [specular] = material.lobes.as_slice() else {
-        return Err(Error::run(name, "an object with several specular lobes cannot be exported yet"));
-    };
+    let surface = session.surface.clone();
     let albedo = material.albedo.iter().map(|albedo| albedo.0).collect();
-    Ok(Object { surface: session.surface.clone(), albedo, specular: *specular })
+    if let [specular] = material.lobes.as_slice() {
+        return Object { surface, albedo, specular: *specular, roughness: None };
+    }
+    let at = |blend: &SpecularBlend| {
+        let parts = material.lobes.iter().zip(&blend.0);
+        parts.fold((Vec3::ZERO, 0.0), |(a, r), (lobe, w)| (a + lobe.albedo * *w, r + lobe.roughness * w))
+    };
+    let texels: Vec<(Vec3, f32)> = material.blends.iter().map(at).collect();
+    let covered = || texels.iter().zip(&surface.atlas().covered).filter(|(_, covered)| **covered);
+    let count = covered().count().max(1) as f32;
+    let mean = covered().fold((Vec3::ZERO, 0.0), |sum, (t, _)| (sum.0 + t.0 / count, sum.1 + t.1 / count));
+    let specular = SpecularLobe::new(mean.0, mean.1);
+    Object { surface, albedo, specular, roughness: Some(texels.iter().map(|t| t.1).collect()) }
 }
 
 impl Object {
@@ -62,13 +75,21 @@ impl Object {
         mesh.normals = normals.collect();
         let surface = Surface::new(unwrap_mesh(&mesh, size)?.mesh, size)?;
         let atlas = surface.atlas();
-        let carried = |(at, covered): (&Vec3, &bool)| {
-            let hit = covered.then(|| below(at)).flatten();
-            hit.map_or(Vec3::ZERO, |hit| hit.texels.blend(&self.albedo))
+        let carried = |values: &[Vec3]| {
+            let at = |(at, covered): (&Vec3, &bool)| {
+                let hit = covered.then(|| below(at)).flatten();
+                hit.map_or(Vec3::ZERO, |hit| hit.texels.blend(values))
+            };
+            let mut carried: Vec<Vec3> = atlas.position.par_iter().zip(&atlas.covered).map(at).collect();
+            fill_uncovered(&mut carried, &atlas.covered, atlas);
+            carried
         };
-        let mut albedo: Vec<Vec3> = atlas.position.par_iter().zip(&atlas.covered).map(carried).collect();
-        fill_uncovered(&mut albedo, &atlas.covered, atlas);
-        Ok(Self { surface: Arc::new(surface), albedo, specular: self.specular })
+        let albedo = carried(&self.albedo);
+        let roughness = self.roughness.as_ref().map(|values| {
+            let grey: Vec<Vec3> = values.iter().map(|r| Vec3::splat(*r)).collect();
+            carried(&grey).iter().map(|r| r.x).collect()
+        });
+        Ok(Self { surface: Arc::new(surface), albedo, specular: self.specular, roughness })
     }
 
     /// Writes one format into a folder and returns the file's path.
@@ -83,7 +104,12 @@ impl Object {
         match format {
             MeshFormat::Glb => {
                 let base_color_image = Some(self.texture(diffuse_share(albedo))?);
-                let material = GltfMaterial { base_color_image, ..GltfMaterial::of_lobe(albedo, roughness) };
+                let mut material =
+                    GltfMaterial { base_color_image, ..GltfMaterial::of_lobe(albedo, roughness) };
+                if let Some(roughness) = &self.roughness {
+                    material.roughness = 1.0;
+                    material.roughness_image = Some(self.roughness_texture(roughness)?);
+                }
                 write_glb(&path, mesh, Some(&material))?;
             }
             MeshFormat::Ply => write_ply(&path, mesh, &self.vertex_colors())?,
@@ -103,11 +129,21 @@ impl Object {
 
     /// The albedo over `share` as an sRGB PNG; what is above 1 is cut.
     fn texture(&self, share: f32) -> Result<Vec<u8>> {
-        let atlas = self.surface.atlas();
         let bytes: Vec<u8> = self.albedo.iter().flat_map(|a| srgb8((*a / share).min(Vec3::ONE))).collect();
+        self.png(&bytes)
+    }
+
+    /// glTF's texture of roughness: in green, linear; blue, the metal, is 0.
+    fn roughness_texture(&self, roughness: &[f32]) -> Result<Vec<u8>> {
+        let bytes: Vec<u8> = roughness.iter().flat_map(|r| [0, (r * 255.0 + 0.5) as u8, 0]).collect();
+        self.png(&bytes)
+    }
+
+    fn png(&self, bytes: &[u8]) -> Result<Vec<u8>> {
+        let atlas = self.surface.atlas();
         let mut png = Vec::new();
         PngEncoder::new(&mut png)
-            .write_image(&bytes, atlas.width, atlas.height, image::ExtendedColorType::Rgb8)
+            .write_image(bytes, atlas.width, atlas.height, image::ExtendedColorType::Rgb8)
             .map_err(|error| Error::run("export", format!("the texture cannot be encoded: {error}")))?;
         Ok(png)
     }

@@ -61,8 +61,9 @@ fn check(mesh: &Mesh, material: Option<&GltfMaterial>) -> std::result::Result<()
         return Err("a position, normal or texture coordinate is not finite".to_owned());
     }
     let Some(material) = material else { return Ok(()) };
-    if material.base_color_image.is_some() && mesh.uvs.is_none() {
-        return Err("a base colour texture needs texture coordinates".to_owned());
+    let textured = material.base_color_image.is_some() || material.roughness_image.is_some();
+    if textured && mesh.uvs.is_none() {
+        return Err("a texture needs texture coordinates".to_owned());
     }
     let scalars = [material.roughness, material.specular, material.ior];
     let finite = scalars.iter().all(|x| x.is_finite());
@@ -139,13 +140,22 @@ fn add_material(root: &mut Value, binary: &mut Binary, material: &GltfMaterial) 
         "metallicFactor": 0.0,
         "roughnessFactor": material.roughness,
     });
-    if let Some(png) = &material.base_color_image {
+    let textures = [
+        ("baseColorTexture", &material.base_color_image),
+        ("metallicRoughnessTexture", &material.roughness_image),
+    ];
+    let (mut images, mut sources) = (Vec::new(), Vec::new());
+    for (name, png) in textures.into_iter().filter_map(|(name, png)| Some((name, png.as_ref()?))) {
         let view = binary.add_view(png.iter().copied(), None);
-        root["images"] = json!([{"bufferView": view, "mimeType": "image/png"}]);
+        metallic_roughness[name] = json!({"index": images.len()});
+        sources.push(json!({"source": images.len(), "sampler": 0}));
+        images.push(json!({"bufferView": view, "mimeType": "image/png"}));
+    }
+    if !images.is_empty() {
         // Linear filtering, clamped at the borders: how the texels are read here.
         root["samplers"] = json!([{"magFilter": 9729, "minFilter": 9729, "wrapS": 33071, "wrapT": 33071}]);
-        root["textures"] = json!([{"source": 0, "sampler": 0}]);
-        metallic_roughness["baseColorTexture"] = json!({"index": 0});
+        root["images"] = json!(images);
+        root["textures"] = json!(sources);
     }
     root["materials"] = json!([{
         "name": material.name,

@@ -28,8 +28,10 @@ pub struct GltfMaterial {
     pub base_color: Vec3,
     /// An image file's bytes (sRGB; a PNG to be written), embedded as the base colour texture; needs a mesh with texture coordinates.
     pub base_color_image: Option<Vec<u8>>,
-    /// `roughnessFactor` in `[0, 1]`; GGX's α is its square.
+    /// `roughnessFactor` in `[0, 1]`, times the texture; GGX's α is its square.
     pub roughness: f32,
+    /// A PNG with the roughness in green and no metal in blue, to be embedded as `metallicRoughnessTexture`. Not read back.
+    pub roughness_image: Option<Vec<u8>>,
     /// `specularFactor` of `KHR_materials_specular`, in `[0, 1]`.
     pub specular: f32,
     /// `specularColorFactor` of `KHR_materials_specular`, linear RGB ≥ 0.
@@ -46,6 +48,7 @@ impl Default for GltfMaterial {
             base_color: Vec3::ONE,
             base_color_image: None,
             roughness: 1.0,
+            roughness_image: None,
             specular: 1.0,
             specular_color: Vec3::ONE,
             ior: 1.5,
@@ -114,6 +117,7 @@ pub fn read_material(path: &Path) -> Result<GltfMaterial> {
         base_color: Vec3::new(r, g, b).clamp(Vec3::ZERO, Vec3::ONE),
         base_color_image: image.transpose()?,
         roughness: pbr.roughness_factor.0.clamp(0.0, 1.0),
+        roughness_image: None,
         specular: specular.map_or(default.specular, |s| s.specular_factor.0.clamp(0.0, 1.0)),
         specular_color: specular
             .map_or(default.specular_color, |s| Vec3::from(s.specular_color_factor.0).max(Vec3::ZERO)),

@@ -8,13 +8,10 @@
 //! compiler does not inline is compiled without the level's instructions and is ten times slower.
 
 use super::cull::{Picked, exponent_limits, survivors};
-use super::{
-    LOBE_COLUMNS, Layers, LobeColumns, PointAdjoint, PointVisibility, RadianceAdjoint, ShadePoint,
-    SpecularAdjoint, SpecularValue, Visibility,
-};
+use super::{LOBE_COLUMNS, Layers, LobeColumns, PointVisibility, ShadePoint, SpecularValue, Visibility};
 use crate::math::lanes::{Lanes, MAX_LANES, Row};
-use crate::math::model::{BOTH, DIFFUSE, PairModel, Part, PointEnd, Response, SPECULAR, Shape, Terms};
-use crate::math::real::{Real, Vec3Of, dot, scale};
+use crate::math::model::{BOTH, DIFFUSE, PairModel, Part, Response, SPECULAR, Shape, Terms};
+use crate::math::real::{Real, Vec3Of};
 use fearless_simd::Simd;
 use std::f32::consts::PI;
 
@@ -28,7 +25,7 @@ pub struct Shared<'a, M> {
 
 impl<M: PairModel> Shared<'_, M> {
     /// Lobes, with the padding.
-    fn stride(&self) -> usize {
+    pub(super) fn stride(&self) -> usize {
         self.lobes.len() / block_rows::<M>() * MAX_LANES
     }
 }
@@ -67,7 +64,7 @@ pub fn load<S: Simd>(simd: S, row: &Row, at: usize) -> Lanes<S> {
 
 /// The part of a vector of lobes' light that reaches a point.
 #[inline(always)]
-fn reaching<S: Simd>(simd: S, row: Option<&[u8]>, b: usize, at: usize) -> Lanes<S> {
+pub(super) fn reaching<S: Simd>(simd: S, row: Option<&[u8]>, b: usize, at: usize) -> Lanes<S> {
     match row {
         Some(row) => Lanes::parts(simd, &row[b * MAX_LANES + at..][..Lanes::<S>::LEN]),
         None => Lanes::splat(simd, 1.0),
@@ -75,10 +72,10 @@ fn reaching<S: Simd>(simd: S, row: Option<&[u8]>, b: usize, at: usize) -> Lanes<
 }
 
 /// One vector of lobes.
-struct LobeVector<S: Simd, M: PairModel> {
-    shape: Shape<Lanes<S>>,
-    amplitude: Vec3Of<Lanes<S>>,
-    terms: M::Lobe<Lanes<S>>,
+pub(super) struct LobeVector<S: Simd, M: PairModel> {
+    pub(super) shape: Shape<Lanes<S>>,
+    pub(super) amplitude: Vec3Of<Lanes<S>>,
+    pub(super) terms: M::Lobe<Lanes<S>>,
 }
 
 #[inline(always)]
@@ -94,7 +91,7 @@ fn load_lobes<S: Simd, M: PairModel>(simd: S, block: &[Row], at: usize) -> LobeV
 
 /// What is done with the lobes of one point, a vector at a time. A trait and not closures: vector arithmetic in a closure
 /// is compiled without the instruction set that was chosen.
-trait Visit<S: Simd, M: PairModel> {
+pub(super) trait Visit<S: Simd, M: PairModel> {
     /// The part `PART` of the lobes at place `at` of block `b`.
     fn block<const PART: Part>(&mut self, b: usize, at: usize, lobe: &LobeVector<S, M>);
     /// The specular part of lobes picked by their numbers.
@@ -103,7 +100,7 @@ trait Visit<S: Simd, M: PairModel> {
 
 /// Shows all lobes to a visitor; of a model that culls, the specular parts of those alone that count.
 #[inline(always)]
-fn walk<S: Simd, M: PairModel>(
+pub(super) fn walk<S: Simd, M: PairModel>(
     simd: S,
     shared: &Shared<'_, M>,
     terms: &M::Point<Lanes<S>>,
@@ -160,14 +157,14 @@ pub fn count_kept<S: Simd, M: PairModel>(simd: S, shared: &Shared<'_, M>, points
 }
 
 /// The terms of a group of up to [`Lanes::LEN`] points, one point a lane.
-struct Prepared<S: Simd, M: PairModel> {
+pub(super) struct Prepared<S: Simd, M: PairModel> {
     terms: M::Point<Lanes<S>>,
     frozen: M::Frozen<Lanes<S>>,
 }
 
 impl<S: Simd, M: PairModel> Prepared<S, M> {
     #[inline(always)]
-    fn new(simd: S, shared: &Shared<'_, M>, points: &[ShadePoint]) -> Self {
+    pub(super) fn new(simd: S, shared: &Shared<'_, M>, points: &[ShadePoint]) -> Self {
         // A lane without a point has zeros, of which nothing is read.
         let mut inputs = [Row::ZERO; 6];
         for (i, point) in points.iter().enumerate() {
@@ -184,50 +181,50 @@ impl<S: Simd, M: PairModel> Prepared<S, M> {
 
     /// The terms of one point.
     #[inline(always)]
-    fn point(&self, lane: usize) -> (M::Point<f32>, M::Frozen<f32>) {
+    pub(super) fn point(&self, lane: usize) -> (M::Point<f32>, M::Frozen<f32>) {
         (Terms::from_fn(|c| self.terms.at(c).lane(lane)), Terms::from_fn(|c| self.frozen.at(c).lane(lane)))
     }
 }
 
 /// A point's terms with the same value in every lane.
 #[inline(always)]
-fn splat<S: Simd, M: PairModel>(simd: S, terms: &M::Point<f32>) -> M::Point<Lanes<S>> {
+pub(super) fn splat<S: Simd, M: PairModel>(simd: S, terms: &M::Point<f32>) -> M::Point<Lanes<S>> {
     Terms::from_fn(|c| Lanes::splat(simd, terms.at(c)))
 }
 
 /// The sum over lanes of each channel.
 #[inline(always)]
-fn sum3<S: Simd>(v: &Vec3Of<Lanes<S>>) -> Vec3Of<f32> {
+pub(super) fn sum3<S: Simd>(v: &Vec3Of<Lanes<S>>) -> Vec3Of<f32> {
     [v[0].sum(), v[1].sum(), v[2].sum()]
 }
 
 /// `v * by + sum`, channel by channel.
 #[inline(always)]
-fn mul_add3<F: Real>(v: Vec3Of<F>, by: F, sum: Vec3Of<F>) -> Vec3Of<F> {
+pub(super) fn mul_add3<F: Real>(v: Vec3Of<F>, by: F, sum: Vec3Of<F>) -> Vec3Of<F> {
     [v[0].mul_add(by, sum[0]), v[1].mul_add(by, sum[1]), v[2].mul_add(by, sum[2])]
 }
 
 /// The same colour in every lane.
 #[inline(always)]
-fn splat3<S: Simd>(simd: S, v: Vec3Of<f32>) -> Vec3Of<Lanes<S>> {
+pub(super) fn splat3<S: Simd>(simd: S, v: Vec3Of<f32>) -> Vec3Of<Lanes<S>> {
     [Lanes::splat(simd, v[0]), Lanes::splat(simd, v[1]), Lanes::splat(simd, v[2])]
 }
 
 /// Sums over the lobes of a point's light, per channel.
-struct Light<S: Simd, M: PairModel> {
+pub(super) struct Light<S: Simd, M: PairModel> {
     diffuse: Vec3Of<Lanes<S>>,
     glossy: M::Specular<Vec3Of<Lanes<S>>>,
 }
 
 impl<S: Simd, M: PairModel> Light<S, M> {
     #[inline(always)]
-    fn zero(simd: S) -> Self {
+    pub(super) fn zero(simd: S) -> Self {
         let zero = [Lanes::splat(simd, 0.0); 3];
         Self { diffuse: zero, glossy: Terms::from_fn(|_| zero) }
     }
 
     #[inline(always)]
-    fn add<const PART: Part>(
+    pub(super) fn add<const PART: Part>(
         &mut self,
         amplitude: Vec3Of<Lanes<S>>,
         response: &Response<Lanes<S>, M::Specular<Lanes<S>>>,
@@ -246,7 +243,7 @@ impl<S: Simd, M: PairModel> Light<S, M> {
 
     /// The sums over lanes of diffuse light and of each specular term.
     #[inline(always)]
-    fn total(&self) -> (Vec3Of<f32>, M::Specular<Vec3Of<f32>>) {
+    pub(super) fn total(&self) -> (Vec3Of<f32>, M::Specular<Vec3Of<f32>>) {
         let mut glossy: M::Specular<Vec3Of<f32>> = Terms::from_fn(|_| [0.0; 3]);
         for b in 0..M::Specular::<f32>::LEN {
             *glossy.at_mut(b) = sum3(&self.glossy.at(b));
@@ -335,191 +332,5 @@ impl<S: Simd, M: PairModel> Visit<S, M> for Shading<'_, S, M> {
         let unread: M::Lobe<Lanes<S>> = Terms::from_fn(|_| zero);
         let response = self.model.evaluate::<_, SPECULAR>(self.terms, shape, &unread);
         self.light.add::<SPECULAR>(amplitude, &response);
-    }
-}
-
-/// Adjoint of one point's radiance, per channel and with the channels clamped to zero taken out: of the diffuse layer,
-/// of the specular layer, and of the light that goes into them.
-struct Weights<M: PairModel> {
-    diffuse: Vec3Of<f32>,
-    specular: Vec3Of<f32>,
-    diffuse_light: Vec3Of<f32>,
-    specular_light: M::Specular<Vec3Of<f32>>,
-}
-
-impl<M: PairModel> Weights<M> {
-    #[inline(always)]
-    fn new(
-        shared: &Shared<'_, M>,
-        point: &ShadePoint,
-        around: &PointVisibility,
-        frozen: &M::Frozen<f32>,
-        (shaded, adjoint): (&Layers, &RadianceAdjoint),
-    ) -> Self {
-        // A channel that was clamped to zero does not move with its inputs.
-        let live = |value: f32, adjoint: f32| if value > 0.0 { adjoint } else { 0.0 };
-        let diffuse: Vec3Of<f32> = std::array::from_fn(|c| live(shaded.diffuse[c], adjoint.0[c]));
-        let specular: Vec3Of<f32> =
-            std::array::from_fn(|c| live(shaded.specular[c], adjoint.0[c]) * around.specular[c]);
-        let weights = shared.model.specular_weights(frozen, shared.specular);
-        Self {
-            diffuse,
-            specular,
-            diffuse_light: std::array::from_fn(|c| diffuse[c] * point.albedo[c] / PI),
-            specular_light: Terms::from_fn(|b| std::array::from_fn(|c| specular[c] * weights.at(b)[c])),
-        }
-    }
-}
-
-/// Adjoint of a chunk of points; adds what they share onto `partial`: a block of [`LOBE_COLUMNS`] rows for each of the
-/// lobes', and a last row for the specular material (albedo, roughness).
-#[inline(always)]
-pub fn adjoint_chunk<S: Simd, M: PairModel>(
-    simd: S,
-    shared: &Shared<'_, M>,
-    (points, visibility): (&[ShadePoint], Option<Visibility<'_>>),
-    (shaded, adjoint): (&[Layers], &[RadianceAdjoint]),
-    out: &mut [PointAdjoint],
-    partial: &mut [Row],
-) {
-    let (lobe_gradient, specular_row) = partial.split_at_mut(partial.len() - 1);
-    let mut gradient = SpecularAdjoint::default();
-    let mut prepared = None;
-    for (i, point) in points.iter().enumerate() {
-        let lane = i % Lanes::<S>::LEN;
-        if lane == 0 {
-            let end = points.len().min(i + Lanes::<S>::LEN);
-            prepared = Some(Prepared::<S, M>::new(simd, shared, &points[i..end]));
-        }
-        out[i] = PointAdjoint::default();
-        let Some(prepared) = prepared.as_ref().filter(|_| !point.is_missed()) else { continue };
-        let (terms, frozen) = prepared.point(lane);
-        let (row, around) = Visibility::point(visibility, i, shared.stride());
-        let weights = Weights::new(shared, point, &around, &frozen, (&shaded[i], &adjoint[i]));
-        let wide = (splat::<S, M>(simd, &terms), row);
-        let (diffuse, glossy, sums) = pull_back_lobes(simd, shared, &wide, &weights, lobe_gradient);
-        out[i].albedo = std::array::from_fn(|c| weights.diffuse[c] / PI * (diffuse[c] + around.indirect[c]));
-        let end = PointEnd {
-            point,
-            specular: shared.specular,
-            terms: &terms,
-            frozen: &frozen,
-            sums: &sums,
-            glossy: &Terms::from_fn(|b| std::array::from_fn(|c| weights.specular[c] * glossy.at(b)[c])),
-        };
-        out[i].normal = shared.model.pull_back_point(&end, &mut gradient);
-    }
-    let [r, g, b] = gradient.albedo;
-    specular_row[0].0[..4].copy_from_slice(&[r, g, b, gradient.roughness]);
-}
-
-/// Walks the lobes for one point: adds their gradient onto `gradient` and returns the point's own sums.
-#[inline(always)]
-#[expect(clippy::type_complexity, reason = "three sums of the model's own shapes")]
-fn pull_back_lobes<S: Simd, M: PairModel>(
-    simd: S,
-    shared: &Shared<'_, M>,
-    (terms, row): &(M::Point<Lanes<S>>, Option<&[u8]>),
-    weights: &Weights<M>,
-    gradient: &mut [Row],
-) -> (Vec3Of<f32>, M::Specular<Vec3Of<f32>>, M::Sums<f32>) {
-    let ks: M::Specular<Vec3Of<Lanes<S>>> = Terms::from_fn(|b| splat3(simd, weights.specular_light.at(b)));
-    let zero = Lanes::splat(simd, 0.0);
-    let mut back = PullBack {
-        simd,
-        model: shared.model,
-        terms,
-        row: *row,
-        kd: splat3(simd, weights.diffuse_light),
-        ks,
-        light: Light::zero(simd),
-        sums: Terms::from_fn(|_| zero),
-        gradient,
-    };
-    walk(simd, shared, terms, &mut back);
-    let (diffuse, glossy) = back.light.total();
-    let mut total: M::Sums<f32> = Terms::from_fn(|_| 0.0);
-    for i in 0..M::Sums::<f32>::LEN {
-        *total.at_mut(i) = back.sums.at(i).sum();
-    }
-    (diffuse, glossy, total)
-}
-
-/// One point's adjoint under way over the lobes.
-struct PullBack<'a, S: Simd, M: PairModel> {
-    simd: S,
-    model: M,
-    terms: &'a M::Point<Lanes<S>>,
-    /// Visibility of the lobes.
-    row: Option<&'a [u8]>,
-    /// Adjoints of diffuse light and of each specular term, per channel.
-    kd: Vec3Of<Lanes<S>>,
-    ks: M::Specular<Vec3Of<Lanes<S>>>,
-    light: Light<S, M>,
-    sums: M::Sums<Lanes<S>>,
-    gradient: &'a mut [Row],
-}
-
-impl<S: Simd, M: PairModel> PullBack<'_, S, M> {
-    /// Pulls the part `PART` of a vector of lobes back; returns the lobes' gradient in columns.
-    #[inline(always)]
-    fn pull_back<const PART: Part>(
-        &mut self,
-        mu: Vec3Of<Lanes<S>>,
-        shape: &Shape<Lanes<S>>,
-        lobe: &M::Lobe<Lanes<S>>,
-        reaching: Lanes<S>,
-    ) -> [Lanes<S>; LOBE_COLUMNS] {
-        let zero = Lanes::splat(self.simd, 0.0);
-        let mut specular: M::Specular<Lanes<S>> = Terms::from_fn(|_| zero);
-        for b in 0..M::Specular::<f32>::LEN {
-            *specular.at_mut(b) = dot(self.ks.at(b), mu);
-        }
-        let adjoint = Response { diffuse: dot(self.kd, mu) * reaching, specular };
-        let (mut response, back) = self.model.pull_back::<_, PART>(self.terms, shape, lobe, &adjoint);
-        response.diffuse = response.diffuse * reaching;
-        let (axis, [mut r, mut g, mut b]) = (back.shape.axis, [zero; 3]);
-        if PART & DIFFUSE != 0 {
-            [r, g, b] = scale(self.kd, response.diffuse);
-        }
-        if PART & SPECULAR != 0 {
-            for i in 0..M::Specular::<f32>::LEN {
-                [r, g, b] = mul_add3(self.ks.at(i), response.specular.at(i), [r, g, b]);
-            }
-        }
-        self.light.add::<PART>(mu, &response);
-        for i in 0..M::Sums::<f32>::LEN {
-            *self.sums.at_mut(i) += back.point.at(i);
-        }
-        [axis[0], axis[1], axis[2], back.shape.sharpness, r, g, b]
-    }
-}
-
-impl<S: Simd, M: PairModel> Visit<S, M> for PullBack<'_, S, M> {
-    #[inline(always)]
-    fn block<const PART: Part>(&mut self, b: usize, at: usize, lobe: &LobeVector<S, M>) {
-        let reaching = reaching(self.simd, self.row, b, at);
-        let columns = self.pull_back::<PART>(lobe.amplitude, &lobe.shape, &lobe.terms, reaching);
-        let rows = &mut self.gradient[b * LOBE_COLUMNS..(b + 1) * LOBE_COLUMNS];
-        for (row, value) in rows.iter_mut().zip(columns) {
-            value.add_to(&mut row.0[at..at + Lanes::<S>::LEN]);
-        }
-    }
-
-    #[inline(always)]
-    fn picked(&mut self, index: &[usize], shape: &Shape<Lanes<S>>, amplitude: Vec3Of<Lanes<S>>) {
-        let zero = Lanes::splat(self.simd, 0.0);
-        let unread: M::Lobe<Lanes<S>> = Terms::from_fn(|_| zero);
-        let columns = self.pull_back::<SPECULAR>(amplitude, shape, &unread, zero);
-        let mut values = [Row::ZERO; LOBE_COLUMNS];
-        for (row, value) in values.iter_mut().zip(columns) {
-            value.store(&mut row.0[..Lanes::<S>::LEN]);
-        }
-        for (i, lobe) in index.iter().enumerate() {
-            let rows = &mut self.gradient[lobe / MAX_LANES * LOBE_COLUMNS..][..LOBE_COLUMNS];
-            for (row, value) in rows.iter_mut().zip(&values) {
-                row.0[lobe % MAX_LANES] += value.0[i];
-            }
-        }
     }
 }
