@@ -75,7 +75,11 @@ fn widen(folder: &Path, name: &str) {
 }
 
 fn run(data: &Data) -> Found {
-    data.run(SCENE, "out", &["--quiet"]).succeeded();
+    run_scene(data, SCENE, &["--quiet"])
+}
+
+fn run_scene(data: &Data, scene: &str, arguments: &[&str]) -> Found {
+    data.run(scene, "out", arguments).succeeded();
     let text = std::fs::read_to_string(data.path("out/metrics.json")).unwrap();
     let metrics: Value = serde_json::from_str(&text).unwrap();
     let (low, high) = read_mesh_with_report(&data.path("out/export/mesh.glb")).unwrap().0.bounds().unwrap();
@@ -117,6 +121,28 @@ fn the_same_object_is_found_at_any_place_and_scale() {
         for (a, b) in [(back[0], plain.low), (back[1], plain.high)] {
             assert!(a.distance(b) < 0.01, "{scale}: {a} {b}");
         }
+    }
+}
+
+/// Photographs refine what masks carved, and every so many steps show how far they are.
+#[test]
+fn a_shape_pass_refines_the_hull_and_can_be_watched() {
+    let data = photographs();
+    let hull = run(&data);
+    let levels = "Shape(levels: [(cells: 32, texel_cells: 16, steps: 60, hold: 10)], batch: 1024), Fit(name";
+    let scene = SCENE.replace("Fit(name", levels);
+    let found = run_scene(&data, &scene, &["--quiet", "--force", "--debug-every", "30"]);
+    assert!(
+        found.psnr > hull.psnr - 1.0 && found.iou > 0.9,
+        "{} {}, {} {}",
+        hull.psnr,
+        hull.iou,
+        found.psnr,
+        found.iou
+    );
+    let seen = files_below(&data.path("out/shape/debug"));
+    for kind in ["normal_000030.png", "depth_000060.png", "mesh_000060.glb"] {
+        assert!(seen.iter().any(|file| file.ends_with(kind)), "no {kind} in {seen:?}");
     }
 }
 

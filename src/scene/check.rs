@@ -314,7 +314,18 @@ pub(super) fn light_source(checks: &mut Checks, path: &str, source: &LightSource
 fn material(checks: &mut Checks, material: &Material) {
     match &material.gloss {
         Gloss::One => {}
-        Gloss::Blend { materials } => checks.count("material.gloss.materials", *materials, 2..=4),
+        Gloss::Blend { materials } => {
+            checks.count("material.gloss.materials", *materials, 2..=4);
+            if let Roughness::Fixed(_) = material.specular.roughness {
+                let problem = "base materials differ in their roughness, which is said to be known";
+                checks.fail(
+                    "material.gloss",
+                    problem,
+                    "`roughness: Unknown(…)` beside it",
+                    "Leave one of the two out.",
+                );
+            }
+        }
         Gloss::Fixed { lobes, .. } => {
             let count = u32::try_from(lobes.len()).unwrap_or(u32::MAX);
             checks.count("material.gloss.lobes", count, 1..=MAX_SPECULAR_LOBES as u32);

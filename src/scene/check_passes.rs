@@ -6,7 +6,7 @@ use super::pass_types::{
     ColorAction, DiffuseAction, Edit, EditPass, EvaluatePass, ExportPass, FitPass, FitShading, LayerTruth,
     Orbit, Pass, Region, RelightPass, RenderSettings, ScalarAction, Shading, ShapePass, Truth, ViewChoice,
 };
-use super::types::{Albedo, Light, Ndf, Roughness, Scene, SpecularAlbedo, Surface, Views};
+use super::types::{Albedo, Gloss, Light, Ndf, Roughness, Scene, SpecularAlbedo, Surface, Views};
 
 /// Checks every pass of the scene.
 pub(super) fn passes(checks: &mut Checks, scene: &Scene) {
@@ -88,10 +88,11 @@ pub fn unknown_parts(scene: &Scene) -> Vec<&'static str> {
     if open && matches!(scene.material.albedo, Albedo::Unknown) {
         parts.push("diffuse albedo");
     }
-    if open && matches!(scene.material.specular.albedo, SpecularAlbedo::Unknown { .. }) {
+    let open_gloss = open && !matches!(scene.material.gloss, Gloss::Fixed { .. });
+    if open_gloss && matches!(scene.material.specular.albedo, SpecularAlbedo::Unknown { .. }) {
         parts.push("specular albedo");
     }
-    if open && matches!(scene.material.specular.roughness, Roughness::Unknown { .. }) {
+    if open_gloss && matches!(scene.material.specular.roughness, Roughness::Unknown { .. }) {
         parts.push("roughness");
     }
     if matches!(scene.light, Light::Unknown(_)) {

@@ -67,6 +67,10 @@ pub fn read_weights(path: &Path, materials: usize, width: u32, height: u32) -> R
     }
     for blend in &mut blends {
         let sum: f32 = blend.0.iter().sum();
+        // What sums to one keeps its bits, so that an object that was saved looks the same.
+        if (sum - 1.0).abs() <= 1e-5 {
+            continue;
+        }
         if sum > 0.0 {
             blend.0.iter_mut().for_each(|weight| *weight /= sum);
         } else {
