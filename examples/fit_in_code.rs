@@ -103,6 +103,7 @@ fn options() -> FitOptions {
             specular_albedo: true,
             mono_specular: true,
             roughness: true,
+            blends: false,
         },
         pixels: PixelChoice { seed: 0, max_pixels: 100_000 },
         guess: FirstGuess::ALL,

@@ -47,6 +47,8 @@ pub struct Unknowns {
     pub mono_specular: bool,
     /// Roughness.
     pub roughness: bool,
+    /// How base materials blend, texel by texel.
+    pub blends: bool,
 }
 
 /// Adam's rates at the present step.

@@ -59,7 +59,7 @@ impl Exposures {
         }
     }
 
-    /// Factors from the sums, their geometric mean 1.
+    /// Factors from the sums, their geometric mean 1 before those beyond the range are cut to it.
     fn solve(&mut self) {
         let logs =
             self.sums.iter().filter(|sums| sums.0 > 0.0 && sums.1 > 0.0).map(|sums| (sums.0 / sums.1).ln());

@@ -11,7 +11,7 @@
 //! | [`move_blends`] | Update, `Slot::Optimizer` | [`BlendGradient`], [`TexelPlaces`] | `SpecularBlend` |
 
 use super::adam::{AdamStep, Moments};
-use super::components::{StepGradient, StepRates};
+use super::components::{StepGradient, StepRates, Unknowns};
 use crate::material::{MAX_SPECULAR_LOBES, SpecularBlend};
 use crate::math::shading::{
     ClosedForm, Layers, Lighting, PointAdjoint, PointVisibility, RadianceAdjoint, ShadePoint, SharedGradient,
@@ -41,7 +41,7 @@ pub struct BlendMoments(pub Moments<MAX_SPECULAR_LOBES>);
 #[derive(Resource, Default)]
 pub struct BlendAdjoints(pub Vec<PerMaterial>);
 
-/// Where the texels are, for the lattice over which their gradients are averaged.
+/// Where the texels are, for the lattice over which their gradients are averaged. Blends move only if there is a place for each.
 #[derive(Resource, Default)]
 pub struct TexelPlaces {
     /// World position of each texel; not finite where the surface does not reach.
@@ -71,6 +71,17 @@ pub struct BlendedSamples<'a> {
     pub adjoint: &'a [RadianceAdjoint],
 }
 
+impl BlendedSamples<'_> {
+    /// What the samples see, specular light times the weight of material `k`; the first has the reflected light.
+    fn share_of(&self, k: usize) -> Vec<PointVisibility> {
+        let share = |(seen, blend): (&PointVisibility, &PointBlend)| PointVisibility {
+            specular: seen.specular.map(|s| s * blend.0[k]),
+            indirect: if k == 0 { seen.indirect } else { [0.0; 3] },
+        };
+        self.seen.iter().zip(self.blends).map(share).collect()
+    }
+}
+
 /// The adjoint of shading by several materials: one material at a time, diffuse light with the first.
 pub fn pull_back_blended(
     form: ClosedForm,
@@ -98,11 +109,7 @@ pub fn pull_back_blended(
             blend_adjoints[i][k] = along(0) + along(1) + along(2);
             value.diffuse = samples.shaded[i].diffuse;
         }
-        let share = |(seen, blend): (&PointVisibility, &PointBlend)| PointVisibility {
-            specular: seen.specular.map(|s| s * blend.0[k]),
-            indirect: if k == 0 { seen.indirect } else { [0.0; 3] },
-        };
-        let seen: Vec<PointVisibility> = samples.seen.iter().zip(samples.blends).map(share).collect();
+        let seen = samples.share_of(k);
         let lighting = Lighting { visibility: Some(Visibility { lobes: rows, points: &seen }), ..lighting };
         let points = if k == 0 { samples.points } else { &black };
         let mut shared = SharedGradient::default();
@@ -147,7 +154,7 @@ pub fn scatter_to_blends(
 
 /// Update: Adam on the logits of the texels' blends; clears the gradient.
 pub fn move_blends(
-    rates: Res<StepRates>,
+    (rates, unknowns): (Res<StepRates>, Res<Unknowns>),
     gradient: Res<StepGradient>,
     places: Res<TexelPlaces>,
     mut texels: Query<(&mut SpecularBlend, &mut BlendGradient, &mut BlendMoments)>,
@@ -158,11 +165,12 @@ pub fn move_blends(
     else {
         return Ok(());
     };
-    if materials < 2 || places.positions.len() != blends.len() {
-        return Ok(());
-    }
     let blends = blends.bypass_change_detection();
     let gradients = gradients.bypass_change_detection();
+    if materials < 2 || !unknowns.blends || places.positions.len() != blends.len() {
+        gradients.fill(BlendGradient::default());
+        return Ok(());
+    }
     for (blend, gradient) in blends.iter().zip(gradients.iter_mut()) {
         gradient.0 = logit_slopes(&blend.0, &gradient.0);
     }
@@ -184,7 +192,7 @@ fn logit_slopes(weights: &PerMaterial, adjoint: &PerMaterial) -> PerMaterial {
     std::array::from_fn(|k| weights[k] * (adjoint[k] - mean))
 }
 
-/// Moves logits by −`step`; weights stay at least [`LEAST_WEIGHT`] and sum to one.
+/// Moves logits by −`step`; weights start from at least [`LEAST_WEIGHT`], and sum to one.
 fn move_blend(weights: &mut [f32], step: &PerMaterial) {
     for (weight, step) in weights.iter_mut().zip(step) {
         *weight = weight.max(LEAST_WEIGHT) * (-step).exp();

@@ -3,7 +3,6 @@
 use super::components::Unknowns;
 use super::first_guess::{solve_albedo, solve_amplitudes};
 use super::place_lobes::move_lobes_to_the_light;
-use super::run::first_specular;
 use crate::error::Result;
 use crate::light::LightLobe;
 use crate::material::{DiffuseAlbedo, SpecularLobe};
@@ -38,23 +37,27 @@ pub fn make_first_guess(world: &mut World, unknowns: Unknowns, shadowed: bool) -
         return Ok(());
     }
     let mut lobes: Vec<LightLobe> = world.query::<&LightLobe>().iter(world).copied().collect();
-    let specular = first_specular(world);
+    let specular = mean_specular(world);
     let form = world.resource::<ShadingForm>().0;
     let mut texels: Vec<Vec3> = world.query::<&DiffuseAlbedo>().iter(world).map(|a| a.0).collect();
     let mut visibility = if shadowed { world.remove_resource::<ObjectVisibility>() } else { None };
-    {
+    let made = {
         let mut query = world.query::<(&SurfacePoint, &ShadePoint, &Observed)>();
         let query = query.query(world);
-        let chunks = query.contiguous_iter().map_err(|e| crate::Error::run("fit", e.to_string()))?;
-        if let Some((points, gathered, observed)) = only_table(chunks, |t| t.0.len(), "pixel")? {
-            let object = visibility.as_mut();
-            let mut guess = Guess { form, points, gathered, observed, specular, unknowns, object };
-            guess.alternate(&mut lobes, &mut texels);
-        }
-    }
+        let chunks = query.contiguous_iter().map_err(|e| crate::Error::run("fit", e.to_string()));
+        let columns = chunks.and_then(|chunks| only_table(chunks, |t| t.0.len(), "pixel"));
+        columns.map(|columns| {
+            if let Some((points, gathered, observed)) = columns {
+                let object = visibility.as_mut();
+                let mut guess = Guess { form, points, gathered, observed, specular, unknowns, object };
+                guess.alternate(&mut lobes, &mut texels);
+            }
+        })
+    };
     if let Some(visibility) = visibility {
         world.insert_resource(visibility);
     }
+    made?;
     for (mut lobe, guess) in world.query::<&mut LightLobe>().iter_mut(world).zip(&lobes) {
         *lobe = *guess;
     }
@@ -62,6 +65,19 @@ pub fn make_first_guess(world: &mut World, unknowns: Unknowns, shadowed: bool) -
         texel.0 = *guess;
     }
     Ok(())
+}
+
+/// The mean of the base materials, of which every texel still has as much as of the others.
+fn mean_specular(world: &mut World) -> SpecularLobe {
+    let lobes: Vec<SpecularLobe> = world.query::<&SpecularLobe>().iter(world).copied().collect();
+    let Some(first) = lobes.first() else { return SpecularLobe::new(Vec3::ZERO, 1.0) };
+    let share = 1.0 / lobes.len() as f32;
+    let mean = |value: fn(&SpecularLobe) -> f32| lobes.iter().map(value).sum::<f32>() * share;
+    SpecularLobe {
+        albedo: lobes.iter().map(|lobe| lobe.albedo).sum::<Vec3>() * share,
+        roughness: mean(|lobe| lobe.roughness),
+        ndf: first.ndf,
+    }
 }
 
 /// The data a first guess is made from.

@@ -119,7 +119,11 @@ impl Plugin for FitPlugin {
             .add_systems(Phase::Prepare, Stage::Sample, choose_pixels)
             .add_systems(Phase::Prepare, Stage::Trace, trace_pixels)
             .add_systems(Phase::Prepare, Stage::Gather, (count_seen_texels, gather_points))
-            .add_systems(Phase::FitStep, Stage::Gather, (gather_points, gather_blends))
+            .add_systems(
+                Phase::FitStep,
+                Stage::Gather,
+                (gather_points, gather_blends).before(Slot::Visibility),
+            )
             .swap(Phase::FitStep, Slot::Light, provide_lobes)
             .swap(Phase::FitStep, Slot::Shading, shade_closed_form)
             .add_systems(Phase::FitStep, Stage::Loss, (find_exposures, compare_with_photographs).chain())
@@ -217,12 +221,15 @@ pub(super) fn first_specular(world: &mut World) -> SpecularLobe {
 
 /// Gives texels and lobes fresh gradients and moments.
 fn attach_state(world: &mut World) {
+    let blended = world.query::<&SpecularLobe>().iter(world).len() > 1;
     let texels: Vec<Entity> =
         world.query_filtered::<Entity, (With<DiffuseAlbedo>, Without<PixelOf>)>().iter(world).collect();
     for texel in texels {
         let state = (AlbedoGradient::default(), AlbedoMoments::default(), TexelSeen::default());
-        let blend = (BlendGradient::default(), BlendMoments::default());
-        world.entity_mut(texel).insert((state, blend));
+        world.entity_mut(texel).insert(state);
+        if blended {
+            world.entity_mut(texel).insert((BlendGradient::default(), BlendMoments::default()));
+        }
     }
     let lobes: Vec<Entity> = world.query_filtered::<Entity, With<LightLobe>>().iter(world).collect();
     for lobe in lobes {

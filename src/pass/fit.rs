@@ -10,7 +10,7 @@ use crate::fit::observe::PixelChoice;
 use crate::fit::run::{FirstGuess, FitOptions, FitProgress, FitSummary, run_fit};
 use crate::light::npy::{NpyConvention, write_lobes};
 use crate::light::{LightLobe, render_lobes};
-use crate::material::{DiffuseAlbedo, SpecularBlend, SpecularLobe};
+use crate::material::{DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
 use crate::math::shading::ClosedForm;
 use crate::report::exr_file::write_channels;
 use crate::report::png_file::write_rgb8;
@@ -42,7 +42,7 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     // Made first: a place that cannot be written to is better found before the fit than after it.
     let folder = session.folder(&pass.name);
     std::fs::create_dir_all(&folder).map_err(crate::Error::io("create", &folder))?;
-    let options = options(session, pass);
+    let options = options(session, pass)?;
     let atlas = session.surface.atlas();
     let place = |(at, covered): (&Vec3, &bool)| if *covered { *at } else { Vec3::NAN };
     let positions = atlas.position.iter().zip(&atlas.covered).map(place).collect();
@@ -73,8 +73,8 @@ pub fn closed_form(shading: FitShading, quality: Quality) -> ClosedForm {
     }
 }
 
-fn options(session: &mut Session, pass: &FitPass) -> FitOptions {
-    FitOptions {
+fn options(session: &mut Session, pass: &FitPass) -> Result<FitOptions> {
+    Ok(FitOptions {
         loss: pass.loss,
         form: closed_form(pass.shading, pass.quality),
         steps: pass.steps,
@@ -86,9 +86,9 @@ fn options(session: &mut Session, pass: &FitPass) -> FitOptions {
         pixels: PixelChoice { seed: session.scene.seed, max_pixels: pass.max_pixels as usize },
         guess: session.guess,
         // The published formulas are for comparison and know of neither shadows nor reflections.
-        visibility: pass.shading == FitShading::Accurate && session.has_visibility(),
+        visibility: pass.shading == FitShading::Accurate && session.has_visibility()?,
         exposure: pass.exposure,
-    }
+    })
 }
 
 fn log_line(log: &mut String, at: &FitProgress) {
@@ -108,20 +108,39 @@ fn log_line(log: &mut String, at: &FitProgress) {
     );
 }
 
-/// Fills texels that no view saw from their neighbours; returns how many covered texels that were.
+/// Fills what was fitted of texels that no view saw from their neighbours; returns how many covered texels that were.
 fn fill_texels(session: &mut Session) -> usize {
+    let unknowns = unknowns(session.scene);
     let world = &mut session.pipeline.world;
     let seen: Vec<bool> = world.query::<&TexelSeen>().iter(world).map(|seen| seen.0 > 1e-3).collect();
-    let mut values: Vec<Vec3> = world.query::<&DiffuseAlbedo>().iter(world).map(|a| a.0).collect();
     let atlas = session.surface.atlas();
-    if seen.len() != values.len() || !seen.contains(&true) {
+    if seen.len() != atlas.covered.len() || !seen.contains(&true) {
         return 0;
     }
-    fill_uncovered(&mut values, &seen, atlas);
-    for (mut albedo, value) in world.query::<&mut DiffuseAlbedo>().iter_mut(world).zip(&values) {
-        albedo.0 = *value;
+    if unknowns.albedo {
+        let mut values: Vec<Vec3> = world.query::<&DiffuseAlbedo>().iter(world).map(|a| a.0).collect();
+        fill_uncovered(&mut values, &seen, atlas);
+        for (mut albedo, value) in world.query::<&mut DiffuseAlbedo>().iter_mut(world).zip(&values) {
+            albedo.0 = *value;
+        }
     }
-    atlas.covered.iter().zip(&seen).filter(|(covered, seen)| **covered && !**seen).count()
+    for start in (0..MAX_SPECULAR_LOBES).step_by(3).filter(|_| unknowns.blends) {
+        let three = start..MAX_SPECULAR_LOBES.min(start + 3);
+        let triple = |blend: &SpecularBlend| {
+            let at = |k: usize| blend.0.get(start + k).copied().unwrap_or(0.0);
+            Vec3::new(at(0), at(1), at(2))
+        };
+        let mut values: Vec<Vec3> = world.query::<&SpecularBlend>().iter(world).map(triple).collect();
+        fill_uncovered(&mut values, &seen, atlas);
+        for (mut blend, value) in world.query::<&mut SpecularBlend>().iter_mut(world).zip(&values) {
+            blend.0[three.clone()].copy_from_slice(&value.to_array()[..three.len()]);
+        }
+    }
+    if unknowns.albedo || unknowns.blends {
+        atlas.covered.iter().zip(&seen).filter(|(covered, seen)| **covered && !**seen).count()
+    } else {
+        0
+    }
 }
 
 fn report(session: &mut Session, name: &str, summary: &FitSummary, unseen: usize) {
@@ -145,7 +164,7 @@ fn report(session: &mut Session, name: &str, summary: &FitSummary, unseen: usize
     }
 }
 
-/// Writes the light, the albedo texture, the material and the log.
+/// Writes the light, the albedo texture, the material (with blend weights, if it has several lobes) and the log.
 fn write_results(
     world: &mut World,
     surface: &crate::surface::Surface,

@@ -2,7 +2,7 @@
 //!
 //! | pass | file | writes into `OUT/<name>/` |
 //! | --- | --- | --- |
-//! | `Fit` | [`fit`] | the recovered light (`light.npy`, `environment.exr`), `albedo.png`, `materials.ron`, `log.csv` |
+//! | `Fit` | [`fit`] | the recovered light (`light.npy`, `environment.exr`), `albedo.png`, `materials.ron`, `log.csv`; of several base materials `blend.exr`, `.png` |
 //! | `Shape` | [`shape`] | with `--debug-every N`, normals, depth and mesh every N steps |
 //! | `Render`, `Edit`, `Relight` | [`render`] | an EXR with layers and a PNG per view, the film of an orbit |
 //! | `Evaluate` | [`evaluate`] | a contact sheet; scores go to `OUT/metrics.json` |
@@ -130,21 +130,38 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions) -> Result<()> {
     session.finish()
 }
 
+/// Most memory that shadows and reflections may be expected to take.
+pub const MOST_VISIBILITY_BYTES: usize = 4 << 30;
+
 impl Session<'_> {
-    /// Whether the scene has shadows and reflections; if so, the world has what it takes to find them.
-    pub fn has_visibility(&mut self) -> bool {
+    /// Whether the object has shadows and reflections that the scene does not leave out; if so, the world has what it takes to find them.
+    ///
+    /// # Errors
+    /// If that would take more than [`MOST_VISIBILITY_BYTES`].
+    pub fn has_visibility(&mut self) -> Result<bool> {
         let Visibility::Traced { directions, bounces, refresh_every } = self.scene.visibility else {
-            return false;
+            return Ok(false);
         };
         if !self.pipeline.world.contains_resource::<ObjectVisibility>() {
             let settings = VisibilitySettings { directions, bounces, refresh_every };
+            let texels = self.surface.atlas().covered.iter().filter(|covered| **covered).count();
+            let bytes = texels * settings.bytes_per_texel();
+            if bytes > MOST_VISIBILITY_BYTES {
+                let gib = bytes as f64 / f64::from(1 << 30);
+                let problem =
+                    format!("shadows of {texels} texels in {directions} directions may take {gib:.1} GiB");
+                let help =
+                    "Lower `texture_size` or `visibility: Traced(directions: …)`, or say `visibility: None`.";
+                return Err(Error::usage(problem, help));
+            }
             let start = Instant::now();
             let traced = ObjectVisibility::new(&self.surface, settings);
             let (mib, elapsed) = (traced.bytes() as f64 / 1048576.0, start.elapsed().as_secs_f64());
             self.progress.print(&format!("visibility: traced in {elapsed:.1} s, {mib:.1} MiB"));
             self.pipeline.world.insert_resource(traced);
         }
-        true
+        // A convex object hides nothing, and need not look at every step.
+        Ok(!self.pipeline.world.resource::<ObjectVisibility>().sees_all())
     }
 }
 

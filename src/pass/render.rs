@@ -36,7 +36,7 @@ pub fn run(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> Res
     set_light(session, pass.name(), settings.shading);
     set_shading(&mut session.pipeline, settings, session.scene.seed);
     // The published formulas are for comparison and know of neither shadows nor reflections; paths find both themselves.
-    if settings.shading == Shading::Accurate && session.has_visibility() {
+    if settings.shading == Shading::Accurate && session.has_visibility()? {
         add_visibility(&mut session.pipeline, Phase::Frame);
     } else {
         remove_visibility(&mut session.pipeline, Phase::Frame);

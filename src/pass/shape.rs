@@ -4,6 +4,7 @@ use super::fit::closed_form;
 use super::inspect::ShapeInspector;
 use super::{INTERRUPTED, Session, check_interrupted};
 use crate::error::{Error, Result};
+use crate::fit::gloss::TexelPlaces;
 use crate::fit::observe::PixelChoice;
 use crate::fit::run::{FirstGuess, FitOptions};
 use crate::material::DiffuseAlbedo;
@@ -37,6 +38,8 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
         return Err(Error::run(&pass.name, "the surface is given: only surface: Unknown() can be found"));
     };
     let start = Instant::now();
+    // Base materials blend evenly until the shape is found.
+    session.pipeline.world.insert_resource(TexelPlaces::default());
     let options = options(session, pass);
     let total: u32 = pass.levels.iter().map(|level| level.steps).sum();
     let bar = session.progress.bar(&pass.name, u64::from(total));

@@ -321,7 +321,7 @@ fn material(checks: &mut Checks, material: &Material) {
                 checks.fail(
                     "material.gloss",
                     problem,
-                    "`roughness: Unknown(…)` beside it",
+                    "expected `roughness: Unknown(…)` beside it",
                     "Leave one of the two out.",
                 );
             }
@@ -335,7 +335,12 @@ fn material(checks: &mut Checks, material: &Material) {
             }
             if material.specular != Specular::default() {
                 let problem = "`gloss: Fixed(…)` says all about the specular material";
-                checks.fail("material.specular", problem, "no `specular`", "Leave one of the two out.");
+                checks.fail(
+                    "material.specular",
+                    problem,
+                    "expected no `specular`",
+                    "Leave one of the two out.",
+                );
             }
         }
     }

@@ -103,6 +103,10 @@ pub fn unknown_parts(scene: &Scene) -> Vec<&'static str> {
 
 fn shape(checks: &mut Checks, at: &str, shape: &ShapePass, scene: &Scene) {
     let path = |field: &str| format!("{at}.{field}");
+    if matches!(scene.material.gloss, Gloss::Fixed { .. }) {
+        let problem = "known blend weights belong to a known surface";
+        checks.fail("material.gloss", problem, "expected `One` or `Blend(…)`", "");
+    }
     checks.count(&path("max_pixels"), shape.max_pixels, 1..=u32::MAX);
     checks.count(&path("batch"), shape.batch, 1..=u32::MAX);
     checks.count(&path("silhouette_batch"), shape.silhouette_batch, 1..=u32::MAX);

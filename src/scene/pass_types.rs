@@ -218,7 +218,7 @@ pub enum FitShading {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Rates {
-    /// Diffuse albedo of the texels. Default 0.02.
+    /// Diffuse albedo of the texels, and how base materials blend there. Default 0.02.
     pub albedo: f32,
     /// Axes, sharpness and amplitudes of the light lobes. Default 0.02.
     pub light: f32,

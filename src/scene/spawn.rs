@@ -297,6 +297,7 @@ pub fn unknowns(scene: &Scene) -> Unknowns {
         light: !matches!(scene.light, Light::Fixed(_)),
         specular_albedo: open_gloss && matches!(specular.albedo, SpecularAlbedo::Unknown { .. }),
         mono_specular: matches!(specular.albedo, SpecularAlbedo::Unknown { mono: true, .. }),
+        blends: open && matches!(gloss, Gloss::Blend { .. }),
         roughness: open_gloss && matches!(specular.roughness, Roughness::Unknown { .. }),
     }
 }

@@ -11,7 +11,7 @@ use crate::stage::{Phase, Pipeline, Plugin, Slot, Stage, SystemResult};
 use crate::surface::point::SurfacePoint;
 use crate::view::Camera;
 use crate::view::pixel::{PixelOf, ViewRay, Window};
-use bevy_ecs::prelude::{Query, Res, ResMut, Resource};
+use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut, Resource};
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -88,7 +88,7 @@ impl Plugin for FramePlugin {
         pipeline
             .add_systems(Phase::Frame, Stage::Sample, sample_pixels)
             .add_systems(Phase::Frame, Stage::Trace, trace_samples)
-            .add_systems(Phase::Frame, Stage::Gather, (gather_points, gather_blends))
+            .add_systems(Phase::Frame, Stage::Gather, (gather_points, gather_blends).before(Slot::Visibility))
             .swap(Phase::Frame, Slot::Light, provide_lobes)
             .swap(Phase::Frame, Slot::Shading, shade_closed_form)
             .add_systems(Phase::Frame, Stage::Resolve, resolve_pixels);
@@ -106,9 +106,9 @@ pub fn render_frame(pipeline: &mut Pipeline, camera: Camera, samples_per_pixel: 
     let blank = FrameSample::blank(camera.ray(0.0, 0.0));
     pipeline.world.spawn_batch(std::iter::repeat_n(blank, total.min(POOL)));
     pipeline.world.insert_resource(target);
-    pipeline.world.insert_resource(RefreshDue(true));
     for start in (0..total).step_by(POOL) {
         pipeline.world.resource_mut::<FrameTarget>().cursor = start;
+        pipeline.world.insert_resource(RefreshDue(start == 0));
         pipeline.world.resource_mut::<Window>().0 = 0..POOL.min(total - start);
         pipeline.run(Phase::Frame)?;
     }

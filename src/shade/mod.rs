@@ -2,7 +2,9 @@
 //!
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |
-//! | [`gather_points`] | Gather | [`SurfacePoint`](crate::surface::point::SurfacePoint), [`ViewRay`](crate::view::pixel::ViewRay), texels | [`ShadePoint`], [`PointBlend`] |
+//! | [`gather_points`] | Gather | [`SurfacePoint`](crate::surface::point::SurfacePoint), [`ViewRay`](crate::view::pixel::ViewRay), texels | [`ShadePoint`] |
+//! | [`gather_blends`] | Gather | the same | [`PointBlend`] |
+//! | systems of [`visibility`] | Gather, `Slot::Visibility` | [`IncidentLight`], points, material | [`PointVisibility`] |
 //! | [`provide_lobes`] | Gather, `Slot::Light` | light-lobe entities | [`IncidentLight`] |
 //! | [`provide_distant`] | Gather, `Slot::Light` | [`DistantLight`] | [`IncidentLight`] |
 //! | [`shade_closed_form`] | Shade, `Slot::Shading` | [`ShadePoint`], [`IncidentLight`], [`ShadingForm`], specular lobes | [`Layers`] |

@@ -188,7 +188,7 @@ fn gathered(visibility: &TexelVisibility, leaving: &[Vec3], row: usize) -> Vec3 
 }
 
 fn sent_from(visibility: &TexelVisibility, leaving: &[Vec3], texel: u32) -> Vec3 {
-    let row = visibility.rows[texel as usize];
+    let row = visibility.rows.get(texel as usize).copied().unwrap_or(TexelVisibility::NONE);
     leaving.get(row as usize).copied().unwrap_or(Vec3::ZERO)
 }
 

@@ -14,7 +14,7 @@
 //! | [`gather_visibility`] | Gather, `Slot::Visibility` | the same, [`ShadePoint`], texel addresses | [`PointVisibility`], [`WindowVisibility`] |
 //!
 //! Diffuse light has one factor per texel × lobe, blended at the point like albedo, so light can be fitted through it. Specular
-//! light has one per point, along the mirrored view. The adjoint holds all of them, and reflected light, fixed.
+//! light has one per point, along the mirrored view, at the mean roughness of the base materials there. The adjoint holds all of them, and reflected light, fixed.
 
 use super::occlusion::{Blend, Bounce, Sky, light_rows, point_visibility};
 use super::pool::only_table;
@@ -45,6 +45,14 @@ pub struct VisibilitySettings {
     pub refresh_every: u32,
 }
 
+impl VisibilitySettings {
+    /// Bytes that a texel may be expected to need, with 128 lobes and a quarter of the directions above it hidden.
+    pub fn bytes_per_texel(&self) -> usize {
+        let directions = self.directions as usize;
+        directions / 8 + directions / 2 + 128 + 48
+    }
+}
+
 impl Default for VisibilitySettings {
     fn default() -> Self {
         Self { directions: 512, bounces: 2, refresh_every: 50 }
@@ -72,18 +80,25 @@ impl ObjectVisibility {
         Self { settings, texels, ..Self::default() }
     }
 
+    /// Whether no texel hides anything from another.
+    pub fn sees_all(&self) -> bool {
+        (0..self.texels.len()).all(|row| self.texels.sees_all(row))
+    }
+
     /// How it is found.
     pub fn settings(&self) -> VisibilitySettings {
         self.settings
     }
 
-    /// Bytes in use.
+    /// Bytes in use, or to be used once there is light of 128 lobes.
     pub fn bytes(&self) -> usize {
-        self.texels.bytes() + self.parts.len()
+        let per_row = self.stride.max(128) + 2 * size_of::<Vec3>();
+        self.texels.bytes() + self.texels.len() * per_row
     }
 
     /// Makes shadows and reflected light anew for this light and reflectance (albedo and gloss, by texel).
     pub fn refresh(&mut self, lobes: &LobeColumns, reflectance: &(dyn Fn(u32) -> Vec3 + Sync)) {
+        self.made_from = None;
         self.sky = Sky::new(&self.texels.directions, lobes);
         self.stride = lobes.stride();
         let mut direct = Vec::new();
@@ -187,11 +202,10 @@ pub fn refresh_visibility(
         return Ok(());
     }
     let materials: Vec<SpecularLobe> = materials.iter().copied().collect();
-    let now = fingerprint(&light.lobes, &materials, albedo);
+    let now = fingerprint(&light.lobes, &materials, albedo, blends);
     if object.made_from == Some(now) {
         return Ok(());
     }
-    object.made_from = Some(now);
     // Light that goes on from a glossy place is spread like diffuse light: the energy is right, the direction is not.
     let reflectance = |texel: u32| {
         let blend = &blends[texel as usize].0;
@@ -199,11 +213,17 @@ pub fn refresh_visibility(
         (albedo[texel as usize].0 + gloss).min(Vec3::ONE)
     };
     object.refresh(&light.lobes, &reflectance);
+    object.made_from = Some(now);
     Ok(())
 }
 
 /// A number that changes with the light and the material.
-fn fingerprint(lobes: &LobeColumns, materials: &[SpecularLobe], albedo: &[DiffuseAlbedo]) -> u64 {
+fn fingerprint(
+    lobes: &LobeColumns,
+    materials: &[SpecularLobe],
+    albedo: &[DiffuseAlbedo],
+    blends: &[SpecularBlend],
+) -> u64 {
     let mut hasher = DefaultHasher::new();
     let mut add = |value: f32| value.to_bits().hash(&mut hasher);
     for i in 0..lobes.len() {
@@ -212,6 +232,9 @@ fn fingerprint(lobes: &LobeColumns, materials: &[SpecularLobe], albedo: &[Diffus
     }
     materials.iter().for_each(|m| m.albedo.to_array().into_iter().chain([m.roughness]).for_each(&mut add));
     albedo.iter().for_each(|a| a.0.to_array().into_iter().for_each(&mut add));
+    if materials.len() > 1 {
+        blends.iter().for_each(|blend| blend.0.into_iter().for_each(&mut add));
+    }
     hasher.finish()
 }
 
@@ -234,13 +257,11 @@ pub fn gather_visibility(
     let rows: Range<usize> = window.0.clone();
     let roughness: Vec<f32> = materials.iter().map(|m| m.roughness).collect();
     let blends = &blends[rows.clone()];
-    let main = |i: usize| roughness.get(heaviest(&blends[i].0)).copied().unwrap_or(1.0);
+    let mean = |i: usize| match roughness.as_slice() {
+        [one] => *one,
+        many => many.iter().zip(&blends[i].0).map(|(r, weight)| r * weight).sum::<f32>().max(1e-2),
+    };
     let seen = &mut seen.bypass_change_detection()[rows.clone()];
-    object.window((&points[rows.clone()], &gathered[rows]), main, &mut out, seen);
+    object.window((&points[rows.clone()], &gathered[rows]), mean, &mut out, seen);
     Ok(())
-}
-
-/// The specular lobe that a point has most of.
-fn heaviest(blend: &[f32]) -> usize {
-    (0..blend.len()).reduce(|a, b| if blend[b] > blend[a] { b } else { a }).unwrap_or(0)
 }

@@ -65,16 +65,19 @@ fn gaps(grid: &SdfGrid, view: &Silhouette) -> Option<Silhouette> {
     )
 }
 
-/// Share of a mask's pixels, not at the frame's border, whose rays meet the surface; 1 if it has none there.
+/// Share of a mask's pixels, not at the frame's border, whose rays meet the surface, or pass as near as the grid can tell; 1 if it has none there.
 fn covered_share(grid: &SdfGrid, view: &Silhouette) -> f32 {
     let inside = |i: &usize| {
         let (x, y) = view.center(*i);
         view.distance[*i] < 0.0 && is_inner(&view.camera, x, y)
     };
     let pixels: Vec<usize> = (0..view.distance.len()).filter(inside).step_by(SHARE_STRIDE).collect();
+    // Near counts as met, to half the diagonal of a cell: what is thinner falls between the grid's vertices.
+    let near = 0.87 * grid.spacing;
     let hits = |i: &&usize| {
         let (x, y) = view.center(**i);
-        grid.first_crossing(&view.camera.ray(x, y), 0.0).is_some()
+        let ray = view.camera.ray(x, y);
+        grid.least_distance(&ray, near).is_some_and(|least| least.value < near)
     };
     let hit = pixels.iter().filter(hits).count();
     if pixels.is_empty() { 1.0 } else { hit as f32 / pixels.len() as f32 }

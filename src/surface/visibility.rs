@@ -38,7 +38,7 @@ pub struct TexelVisibility {
     hidden: Vec<u64>,
     /// Where each row's `hiders` begin, and where the last one's end.
     first: Vec<u32>,
-    /// The texel that hides each hidden direction, in the order of the bits.
+    /// The texel that hides each hidden direction, in the order of the bits; [`TexelVisibility::NONE`] if it shows its back.
     hiders: Vec<u32>,
 }
 
@@ -179,7 +179,9 @@ fn trace_texel(
             let ray = Ray { origin, direction };
             if let Some(hit) = surface.intersect(&ray, 0.0) {
                 word |= 1 << bit;
-                out.hiders.push(heaviest(&hit.texels));
+                // The back of an open surface sends nothing.
+                let front = hit.geometric_normal.dot(direction) < 0.0;
+                out.hiders.push(if front { heaviest(&hit.texels) } else { TexelVisibility::NONE });
             }
         }
         out.hidden.push(word);

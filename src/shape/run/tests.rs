@@ -90,6 +90,7 @@ fn options(steps: u32) -> ShapeOptions {
         specular_albedo: false,
         mono_specular: false,
         roughness: false,
+        blends: false,
     };
     ShapeOptions {
         levels: vec![ShapeLevel { cells: 40, texel_cells: 12, schedule }],
