@@ -22,7 +22,7 @@ const SHARPEST: f32 = 400.0;
 /// that together they are as wide as it was.
 pub fn move_lobes_to_the_light(lobes: &mut [LightLobe]) {
     let total: f32 = lobes.iter().map(power).sum();
-    if !(total > 0.0) {
+    if total <= 0.0 || total.is_nan() {
         return;
     }
     let faint = FAINT * total / lobes.len() as f32;
