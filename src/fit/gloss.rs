@@ -95,7 +95,6 @@ pub fn pull_back_blended(
     let count = samples.points.len();
     blend_adjoints.clear();
     blend_adjoints.resize(count, PerMaterial::default());
-    gradient.shared = SharedGradient::default();
     gradient.specular.clear();
     let black: Vec<ShadePoint> =
         samples.points.iter().map(|p| ShadePoint { albedo: [0.0; 3], ..*p }).collect();
@@ -114,20 +113,27 @@ pub fn pull_back_blended(
         let points = if k == 0 { samples.points } else { &black };
         let mut shared = SharedGradient::default();
         form.shade_adjoint(points, material, lighting, (&layers, samples.adjoint), &mut one, &mut shared);
-        for (sum, one) in back.iter_mut().zip(&one) {
-            let before = if k == 0 { [0.0; 3] } else { sum.normal };
-            sum.normal = std::array::from_fn(|c| before[c] + one.normal[c]);
-            if k == 0 {
-                sum.albedo = one.albedo;
-            }
-        }
         gradient.specular.push(shared.specular);
-        if k == 0 {
-            gradient.shared = shared;
-        } else {
-            gradient.shared.lobes.add(&shared.lobes);
-        }
+        add_material(k, (back, &one), &mut gradient.shared, shared);
     }
+}
+
+/// Adds what one material's adjoint gave; the first overwrites.
+fn add_material(
+    k: usize,
+    (back, one): (&mut [PointAdjoint], &[PointAdjoint]),
+    total: &mut SharedGradient,
+    shared: SharedGradient,
+) {
+    if k == 0 {
+        back.copy_from_slice(one);
+        *total = shared;
+        return;
+    }
+    for (sum, one) in back.iter_mut().zip(one) {
+        sum.normal = std::array::from_fn(|c| sum.normal[c] + one.normal[c]);
+    }
+    total.lobes.add(&shared.lobes);
 }
 
 /// Gradient: adds the samples' blend adjoints onto the texels they blend, in row order.
@@ -262,6 +268,7 @@ fn average_over_cells(positions: &[Vec3], gradients: &mut [BlendGradient], cells
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::math::shading::LobeColumns;
 
     #[test]
     fn slopes_of_logits_are_those_of_the_softmax() {
@@ -286,6 +293,79 @@ mod tests {
             let exact = (loss(up) - loss(down)) / 2e-5;
             assert!((f64::from(slopes[k]) - exact).abs() < 1e-5, "{k}: {} {exact}", slopes[k]);
         }
+    }
+
+    /// Radiance is linear in weights, specular albedo and amplitudes, so that differences are as exact as the floats.
+    #[test]
+    fn the_adjoint_of_blended_shading_agrees_with_differences() {
+        let work = crate::pass::bench::Workload::new(40, 20, 0.3);
+        let form = ClosedForm::default();
+        let materials = [0.25, 0.5].map(|roughness| SpecularValue { roughness, ..work.specular });
+        let blends: Vec<PointBlend> = (0..40).map(|i| even_slope(i as f32 / 39.0)).collect();
+        let seen = vec![PointVisibility { specular: [0.5, 0.8, 1.2], indirect: [0.1, 0.2, 0.3] }; 40];
+        let adjoint = vec![RadianceAdjoint([0.7, 0.4, 0.5]); 40];
+        let radiance = |materials: &[SpecularValue], blends: &[PointBlend], lobes: &LobeColumns| {
+            let lighting = Lighting { lobes, visibility: Some(Visibility { lobes: &[], points: &seen }) };
+            let mut total = vec![Layers::default(); 40];
+            let mut one = total.clone();
+            for (k, material) in materials.iter().enumerate() {
+                form.shade(&work.points, material, lighting, &mut one);
+                for ((sum, one), blend) in total.iter_mut().zip(&one).zip(blends) {
+                    sum.diffuse = one.diffuse;
+                    (0..3).for_each(|c| sum.specular[c] += blend.0[k] * one.specular[c]);
+                }
+            }
+            total
+        };
+        let loss = |layers: &[Layers]| -> f64 {
+            let each = layers
+                .iter()
+                .map(|l| (0..3).map(|c| adjoint[0].0[c] * (l.diffuse[c] + l.specular[c])).sum::<f32>());
+            each.map(f64::from).sum()
+        };
+        let shaded = radiance(&materials, &blends, &work.lobes);
+        let samples = BlendedSamples {
+            points: &work.points,
+            blends: &blends,
+            seen: &seen,
+            shaded: &shaded,
+            adjoint: &adjoint,
+        };
+        let lighting =
+            Lighting { lobes: &work.lobes, visibility: Some(Visibility { lobes: &[], points: &seen }) };
+        let (mut back, mut gradient, mut to_blends) =
+            (vec![PointAdjoint::default(); 40], StepGradient::default(), Vec::new());
+        pull_back_blended(form, &samples, &materials, lighting, &mut back, &mut gradient, &mut to_blends);
+        let base = loss(&shaded);
+        let close = |name: &str, found: f32, moved: f64, step: f64| {
+            let exact = (moved - base) / step;
+            assert!((f64::from(found) - exact).abs() < 1e-2 * exact.abs() + 1e-3, "{name}: {found} {exact}");
+        };
+        for k in 0..2 {
+            let mut moved = materials;
+            moved[k].albedo[1] += 0.25;
+            let by_albedo = gradient.specular[k].albedo[1];
+            close("specular albedo", by_albedo, loss(&radiance(&moved, &blends, &work.lobes)), 0.25);
+            let mut moved = blends.clone();
+            moved.iter_mut().for_each(|blend| blend.0[k] += 0.25);
+            let by_weight: f32 = to_blends.iter().map(|adjoint| adjoint[k]).sum();
+            close("weight", by_weight, loss(&radiance(&materials, &moved, &work.lobes)), 0.25);
+        }
+        let brighter = |i: usize| {
+            let mut lobe = work.lobes.get(i);
+            lobe.amplitude[2] += if i == 3 { 1.0 } else { 0.0 };
+            lobe
+        };
+        let moved = LobeColumns::from_lobes((0..20).map(brighter));
+        let by_amplitude = gradient.shared.lobes.get(3).amplitude[2];
+        close("amplitude", by_amplitude, loss(&radiance(&materials, &blends, &moved)), 1.0);
+    }
+
+    /// All of the second material at 1, of the first at 0.
+    fn even_slope(part: f32) -> PointBlend {
+        let mut blend = PointBlend::default();
+        (blend.0[0], blend.0[1]) = (1.0 - part, part);
+        blend
     }
 
     #[test]

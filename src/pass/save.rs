@@ -10,6 +10,7 @@ use crate::light::npy::{NpyConvention, write_lobes};
 use crate::material::SpecularBlend;
 use crate::material::edit::MaterialState;
 use crate::report::exr_file::write_channels;
+use crate::scene::light_file::inlined;
 use crate::scene::load::to_ron;
 use crate::scene::pass_types::Pass;
 use crate::scene::types::{
@@ -93,7 +94,14 @@ pub fn write_weights(
 
 /// Writes the light: a fixed map as it is, so that path tracing by the map gives the same again; else the lobes.
 fn save_light(session: &mut Session, folder: &Path) -> Result<LightSource> {
-    if let Light::Fixed(source @ LightSource::Map { path, .. }) = &session.scene.light {
+    let given = match &session.scene.light {
+        Light::Fixed(LightSource::Ron { path, scale, rotation_degrees }) => {
+            Some(inlined(path, *scale, *rotation_degrees)?)
+        }
+        Light::Fixed(source) => Some(source.clone()),
+        Light::Unknown(_) | Light::Initial(_) => None,
+    };
+    if let Some(source @ LightSource::Map { path, .. }) = &given {
         let bytes = read_bytes(path, missing_file_help)?;
         let name = Path::new("light").with_extension(path.extension().unwrap_or_default());
         write_bytes(&folder.join(&name), &bytes)?;

@@ -301,7 +301,8 @@ pub(super) fn light_source(checks: &mut Checks, path: &str, source: &LightSource
             }
             (scale, rotation_degrees)
         }
-        LightSource::Npy { scale, rotation_degrees, .. } => (scale, rotation_degrees),
+        LightSource::Npy { scale, rotation_degrees, .. }
+        | LightSource::Ron { scale, rotation_degrees, .. } => (scale, rotation_degrees),
         LightSource::Map { scale, rotation_degrees, lobes, .. } => {
             checks.count(&at("lobes"), *lobes, 1..=512);
             (scale, rotation_degrees)

@@ -7,7 +7,7 @@ use crate::light::convention::MapConvention;
 use crate::light::npy::{NpyConvention, read_lobes, write_lobes};
 use crate::light::{EnvironmentMap, LightLobe, render_lobes, rotate_lobes, scale_lobes, validate_lobes};
 use crate::{Error, Result, file};
-use glam::{Quat, Vec3};
+use glam::{EulerRot, Quat, Vec3};
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -57,26 +57,61 @@ fn extension(path: &Path) -> String {
     path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase()
 }
 
+fn bad_ron(path: &Path, place: &str, problem: String) -> Error {
+    let help = "A light file says what a scene has inside `light: Fixed(…)`, e.g. Lobes(lobes: […]).";
+    Error::input(path, place, problem, help)
+}
+
 fn read_ron(path: &Path) -> Result<(LightFile, Vec<String>)> {
-    let bad = |place: String, problem: String| {
-        let help = "A light file says what a scene has inside `light: Fixed(…)`, e.g. Lobes(lobes: […]).";
-        Error::input(path, place, problem, help)
-    };
-    let bytes = file::read_bytes(path, |_| HELP.to_owned())?;
-    let text = String::from_utf8(bytes).map_err(|_| bad(String::new(), "is not UTF-8 text".to_owned()))?;
-    let source: LightSource = options().from_str(&text).map_err(|error| {
-        let at = error.span.start;
-        bad(format!("line {}, column {}", at.line, at.col), error.code.to_string())
-    })?;
-    let (light, notes) = open(&source, path.parent().unwrap_or(Path::new("")))?;
+    let (light, notes) = open(&inlined(path, 1.0, Vec3::ZERO)?)?;
     if let LightFile::Lobes(lobes) = &light {
-        validate_lobes(lobes).map_err(|problem| bad(String::new(), problem))?;
+        validate_lobes(lobes).map_err(|problem| bad_ron(path, "", problem))?;
     }
     Ok((light, notes))
 }
 
-/// The light of a source whose paths are relative to `folder`.
-fn open(source: &LightSource, folder: &Path) -> Result<(LightFile, Vec<String>)> {
+/// What a RON light file says, with paths from where that file is; then scaled and turned.
+///
+/// # Errors
+/// [`Error::Input`] if the file is missing or wrong, or names another RON file.
+pub fn inlined(path: &Path, scale: f32, rotation_degrees: Vec3) -> Result<LightSource> {
+    let bytes = file::read_bytes(path, |_| HELP.to_owned())?;
+    let text = String::from_utf8(bytes).map_err(|_| bad_ron(path, "", "is not UTF-8 text".to_owned()))?;
+    let mut source: LightSource = options().from_str(&text).map_err(|error| {
+        let at = error.span.start;
+        bad_ron(path, &format!("line {}, column {}", at.line, at.col), error.code.to_string())
+    })?;
+    let (own_scale, own_degrees) = match &mut source {
+        LightSource::Lobes { scale, rotation_degrees, .. } => (scale, rotation_degrees),
+        LightSource::Npy { path: file, scale, rotation_degrees, .. }
+        | LightSource::Map { path: file, scale, rotation_degrees, .. } => {
+            *file = path.parent().unwrap_or(Path::new("")).join(&*file);
+            (scale, rotation_degrees)
+        }
+        LightSource::Ron { .. } => {
+            return Err(bad_ron(path, "", "names another RON file".to_owned()));
+        }
+    };
+    if !(own_scale.is_finite() && *own_scale >= 0.0 && own_degrees.is_finite()) {
+        let problem = "scale must be finite and not negative, rotation_degrees finite";
+        return Err(bad_ron(path, "", problem.to_owned()));
+    }
+    *own_scale *= scale;
+    *own_degrees = turned_after(*own_degrees, rotation_degrees);
+    Ok(source)
+}
+
+/// Angles of one turn after another, each about x, then y, then z.
+fn turned_after(first: Vec3, then: Vec3) -> Vec3 {
+    if first == Vec3::ZERO || then == Vec3::ZERO {
+        return first + then;
+    }
+    let (x, y, z) = (rotation(then) * rotation(first)).to_euler(EulerRot::XYZEx);
+    Vec3::new(x, y, z) * (180.0 / std::f32::consts::PI)
+}
+
+/// The light of a source.
+fn open(source: &LightSource) -> Result<(LightFile, Vec<String>)> {
     let (light, notes, scale, degrees) = match source {
         LightSource::Lobes { lobes, scale, rotation_degrees } => (
             LightFile::Lobes(lobes.iter().map(with_unit_axis).collect()),
@@ -85,18 +120,17 @@ fn open(source: &LightSource, folder: &Path) -> Result<(LightFile, Vec<String>)>
             *rotation_degrees,
         ),
         LightSource::Npy { path, convention, scale, rotation_degrees } => {
-            let lobes = read_lobes(folder.join(path), *convention)?;
+            let lobes = read_lobes(path, *convention)?;
             (LightFile::Lobes(lobes), Vec::new(), *scale, *rotation_degrees)
         }
         LightSource::Map { path, scale, rotation_degrees, convention, .. } => {
-            let (map, notes) = read_map(&folder.join(path), *convention)?;
+            let (map, notes) = read_map(path, *convention)?;
             (LightFile::Map(map), notes, *scale, *rotation_degrees)
         }
+        LightSource::Ron { path, scale, rotation_degrees } => {
+            return open(&inlined(path, *scale, *rotation_degrees)?);
+        }
     };
-    if !scale.is_finite() || scale < 0.0 || !degrees.is_finite() {
-        let problem = "scale must be finite and not negative, rotation_degrees finite";
-        return Err(Error::usage(problem, "Mend the light file."));
-    }
     let light = light.scaled(scale);
     Ok((if degrees == Vec3::ZERO { light } else { light.rotated(rotation(degrees)) }, notes))
 }
@@ -203,6 +237,26 @@ mod tests {
         }
         let refused = LightFile::Lobes(lobes()).write(&folder.path().join("l.exr"), conventions);
         assert_eq!(refused.unwrap_err().exit_code(), 2);
+    }
+
+    #[test]
+    fn a_scene_names_a_ron_light_and_turns_it_further() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("light.ron");
+        let text = "Lobes(lobes: [(axis: (0, 0, 1), sharpness: 9, amplitude: (1, 2, 3))], scale: 2, rotation_degrees: (30, 40, 50))";
+        std::fs::write(&path, text).unwrap();
+        let source = LightSource::Ron {
+            path: path.clone(),
+            scale: 3.0,
+            rotation_degrees: Vec3::new(-20.0, 70.0, 10.0),
+        };
+        let loaded = crate::scene::spawn::load_light(&source).unwrap().lobes[0];
+        let axis = rotation(Vec3::new(-20.0, 70.0, 10.0)) * (rotation(Vec3::new(30.0, 40.0, 50.0)) * Vec3::Z);
+        assert!(loaded.axis.distance(axis) < 1e-5, "{} {axis}", loaded.axis);
+        assert!(loaded.amplitude.distance(Vec3::new(6.0, 12.0, 18.0)) < 1e-5);
+        std::fs::write(&path, "Ron(path: \"other.ron\")").unwrap();
+        let error = inlined(&path, 1.0, Vec3::ZERO).unwrap_err();
+        assert!(error.to_string().contains("another RON file") && error.exit_code() == 2, "{error}");
     }
 
     #[test]

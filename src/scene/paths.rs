@@ -178,7 +178,9 @@ fn edits(at: &str, edits: &mut [Edit], visit: &mut impl FnMut(&str, Kind, &mut P
 
 fn light(at: &str, source: &mut LightSource, visit: &mut impl FnMut(&str, Kind, &mut PathBuf)) {
     match source {
-        LightSource::Npy { path, .. } | LightSource::Map { path, .. } => visit(at, Kind::File, path),
+        LightSource::Npy { path, .. } | LightSource::Map { path, .. } | LightSource::Ron { path, .. } => {
+            visit(at, Kind::File, path);
+        }
         LightSource::Lobes { .. } => {}
     }
 }

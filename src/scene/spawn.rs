@@ -1,6 +1,7 @@
 //! From a scene to a world: the surface, the views, the light and the material as resources and entities.
 
 use super::check::MIN_ROUGHNESS;
+use super::light_file::inlined;
 use super::texture;
 use super::types::{
     Albedo, AlbedoSource, Gloss, Light, LightSource, Material, Roughness, Scene, SpecularAlbedo,
@@ -132,6 +133,9 @@ pub fn load_light(source: &LightSource) -> Result<LoadedLight> {
         rotate_lobes(&scale_lobes(lobes, Vec3::splat(scale)), rotation(degrees))
     };
     let light = match source {
+        LightSource::Ron { path, scale, rotation_degrees } => {
+            return load_light(&inlined(path, *scale, *rotation_degrees)?);
+        }
         LightSource::Lobes { lobes, scale, rotation_degrees } => {
             let unit: Vec<LightLobe> =
                 lobes.iter().map(|l| LightLobe { axis: l.axis.normalize_or(l.axis), ..*l }).collect();

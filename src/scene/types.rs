@@ -241,6 +241,18 @@ pub enum LightSource {
         #[serde(default)]
         rotation_degrees: Vec3,
     },
+    /// A light in a RON file of its own, as `lobelia env fit --out` writes it: one of the others here, with paths from where that
+    /// file is.
+    Ron {
+        /// The file; must exist.
+        path: PathBuf,
+        /// Factor on the radiance ≥ 0, beside the file's own. Default 1.
+        #[serde(default = "one")]
+        scale: f32,
+        /// Turn after the file's own about the world's x, then y, then z axis, in degrees. Default (0, 0, 0).
+        #[serde(default)]
+        rotation_degrees: Vec3,
+    },
     /// A latitude-longitude EXR or HDR image; SG shading uses lobes fitted to it.
     Map {
         /// The file; must exist.
