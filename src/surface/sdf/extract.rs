@@ -5,6 +5,7 @@ use crate::surface::mesh::Mesh;
 use fast_surface_nets::ndshape::{RuntimeShape, Shape};
 use fast_surface_nets::{SurfaceNetsBuffer, surface_nets};
 use glam::Vec3;
+use std::collections::HashMap;
 
 /// Newton steps that move a vertex onto the zero level.
 const PROJECTIONS: usize = 3;
@@ -42,26 +43,29 @@ fn project(grid: &SdfGrid, at: [f32; 3]) -> Vec3 {
     if point.distance_squared(start) < grid.spacing * grid.spacing { point } else { start }
 }
 
-/// Drops all but the connected component with the most triangles, and the vertices that nothing uses.
+/// Drops all but the component with the most triangles, connected by edges (specks may hang on it by a corner), and the
+/// vertices that nothing uses.
 fn keep_largest_component(mesh: Mesh) -> Mesh {
-    let mut parent: Vec<u32> = (0..mesh.positions.len() as u32).collect();
-    for &[a, b, c] in &mesh.triangles {
-        for other in [b, c] {
-            let (x, y) = (root(&mut parent, a), root(&mut parent, other));
+    let mut parent: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
+    let mut triangle_at: HashMap<(u32, u32), u32> = HashMap::new();
+    for (t, &[a, b, c]) in mesh.triangles.iter().enumerate() {
+        for (from, to) in [(a, b), (b, c), (c, a)] {
+            let other = *triangle_at.entry((from.min(to), from.max(to))).or_insert(t as u32);
+            let (x, y) = (root(&mut parent, t as u32), root(&mut parent, other));
             parent[x as usize] = y;
         }
     }
-    let mut counts = vec![0u32; mesh.positions.len()];
-    for triangle in &mesh.triangles {
-        counts[root(&mut parent, triangle[0]) as usize] += 1;
+    let mut counts = vec![0u32; mesh.triangles.len()];
+    for t in 0..counts.len() {
+        counts[root(&mut parent, t as u32) as usize] += 1;
     }
     let Some(largest) = (0..counts.len()).max_by_key(|&i| (counts[i], std::cmp::Reverse(i))) else {
         return mesh;
     };
     let mut new_index = vec![u32::MAX; mesh.positions.len()];
     let mut kept = Mesh::default();
-    for triangle in &mesh.triangles {
-        if root(&mut parent, triangle[0]) as usize != largest {
+    for (t, triangle) in mesh.triangles.iter().enumerate() {
+        if root(&mut parent, t as u32) as usize != largest {
             continue;
         }
         kept.triangles.push(triangle.map(|v| {
@@ -88,6 +92,17 @@ fn root(parent: &mut [u32], mut i: u32) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn what_hangs_on_by_a_corner_is_dropped() {
+        let positions: Vec<Vec3> = (0..6).map(|i| Vec3::splat(i as f32)).collect();
+        let triangles = vec![[3, 4, 5], [0, 1, 2], [2, 1, 3]];
+        let mesh = Mesh { normals: positions.clone(), positions, uvs: None, triangles };
+        let kept = keep_largest_component(mesh);
+        assert_eq!(kept.triangles, [[0, 1, 2], [2, 1, 3]]);
+        assert_eq!(kept.positions, (0..4).map(|i| Vec3::splat(i as f32)).collect::<Vec<_>>());
+        assert!(keep_largest_component(Mesh::default()).triangles.is_empty());
+    }
 
     #[test]
     fn a_ball_comes_back_as_a_closed_mesh_without_the_floater() {
