@@ -77,12 +77,18 @@ pub enum Slot {
     Shading,
     /// How light and material move (in [`Stage::Update`]).
     Optimizer,
-    /// Where the samples' rays meet a surface that moves (in [`Stage::Trace`]).
+    /// The samples' rays, through cameras that move (in [`Stage::Trace`]).
+    Recast,
+    /// Where the samples' rays meet the surface, if one of them moves (in [`Stage::Trace`], after that).
     Retrace,
     /// How the samples' adjoints reach a surface that moves (in [`Stage::Gradient`], at its end).
     ShapeGradient,
     /// How the surface moves (in [`Stage::Update`]).
     ShapeUpdate,
+    /// What the samples say of the cameras (in [`Stage::Gradient`]).
+    CameraGradient,
+    /// How the cameras move (in [`Stage::Update`]).
+    CameraUpdate,
 }
 
 impl Slot {
@@ -90,9 +96,9 @@ impl Slot {
         match self {
             Self::Light | Self::Visibility => Stage::Gather,
             Self::Shading => Stage::Shade,
-            Self::Retrace => Stage::Trace,
-            Self::ShapeGradient => Stage::Gradient,
-            Self::Optimizer | Self::ShapeUpdate => Stage::Update,
+            Self::Recast | Self::Retrace => Stage::Trace,
+            Self::ShapeGradient | Self::CameraGradient => Stage::Gradient,
+            Self::Optimizer | Self::ShapeUpdate | Self::CameraUpdate => Stage::Update,
         }
     }
 }
@@ -217,9 +223,12 @@ fn new_schedule(phase: Phase) -> Schedule {
         Slot::Visibility.in_set(Stage::Gather).after(Slot::Light),
         Slot::Shading.in_set(Stage::Shade),
         Slot::Optimizer.in_set(Stage::Update),
-        Slot::Retrace.in_set(Stage::Trace),
+        Slot::Recast.in_set(Stage::Trace),
+        Slot::Retrace.in_set(Stage::Trace).after(Slot::Recast),
         Slot::ShapeGradient.in_set(Stage::Gradient),
         Slot::ShapeUpdate.in_set(Stage::Update),
+        Slot::CameraGradient.in_set(Stage::Gradient),
+        Slot::CameraUpdate.in_set(Stage::Update),
     ));
     schedule
 }

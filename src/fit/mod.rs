@@ -1,6 +1,8 @@
 //! The Loss, Gradient and Update stages.
 
 pub mod adam;
+pub mod align;
+pub mod cameras;
 pub mod components;
 pub mod exposure;
 pub mod first_guess;

@@ -36,7 +36,7 @@ struct Candidate {
 pub struct Candidates(Vec<Candidate>);
 
 /// Least coverage of a pixel that takes part: mixed edge pixels show background as well.
-const FULL_COVERAGE: f32 = 0.999;
+pub const FULL_COVERAGE: f32 = 0.999;
 
 /// Sample: chooses the usable foreground pixels of the training views, in an order shuffled by the seed.
 pub fn choose_pixels(
@@ -75,13 +75,10 @@ fn usable_pixels<'a>(
     // A pixel that is not a number was read as black, and one averaged from saturated ones says nothing.
     let readable =
         move |i: usize| !photograph.saturated[i] || photograph.image.pixels[i].max_element() >= SATURATION;
-    (0..photograph.image.pixels.len()).filter(move |&i| covered(i) && readable(i)).map(move |i| {
-        let (x, y) = (i as u32 % camera.width, i as u32 / camera.width);
-        Candidate {
-            pixel: PixelOf { view, pixel: i as u32 },
-            ray: ViewRay(camera.ray(x as f32 + 0.5, y as f32 + 0.5)),
-            observed: Observed { radiance: photograph.image.pixels[i], saturated: photograph.saturated[i] },
-        }
+    (0..photograph.image.pixels.len()).filter(move |&i| covered(i) && readable(i)).map(move |i| Candidate {
+        pixel: PixelOf { view, pixel: i as u32 },
+        ray: ViewRay(camera.pixel_ray(i as u32)),
+        observed: Observed { radiance: photograph.image.pixels[i], saturated: photograph.saturated[i] },
     })
 }
 

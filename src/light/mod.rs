@@ -44,7 +44,7 @@ mod exp;
 pub mod fibonacci;
 mod fit_gram;
 pub mod fit_kernel;
-mod fit_linear;
+pub(crate) mod fit_linear;
 pub mod fit_map;
 mod fit_place;
 mod fit_solve;

@@ -1,9 +1,10 @@
 //! The `Fit` pass: finds what is unknown from the training views and writes it down.
 
 use super::save::write_weights;
-use super::{INTERRUPTED, Session, check_interrupted};
+use super::{INTERRUPTED, Session, check_interrupted, found_views};
 use crate::error::Result;
 use crate::file::write_bytes;
+use crate::fit::cameras::CameraPlugin;
 use crate::fit::components::TexelSeen;
 use crate::fit::gloss::TexelPlaces;
 use crate::fit::observe::PixelChoice;
@@ -49,6 +50,9 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     session.pipeline.world.insert_resource(TexelPlaces { positions, progress: 0.0 });
     let bar = session.progress.bar(&pass.name, u64::from(options.steps));
     let mut log = String::from("step,elapsed_secs,loss,psnr,specular_r,specular_g,specular_b,roughness\n");
+    if pass.cameras {
+        session.pipeline.add_plugin(&CameraPlugin);
+    }
     let summary = run_fit(&mut session.pipeline, &options, &mut |at, _| {
         bar.set_position(u64::from(at.step));
         if at.step % LOG_EVERY == 0 || at.step == at.steps {
@@ -56,12 +60,15 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
             log_line(&mut log, at);
         }
         if INTERRUPTED.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-    })?;
+    });
+    CameraPlugin::remove(&mut session.pipeline);
+    let summary = summary?;
     session.guess = FirstGuess::NONE;
     bar.finish_and_clear();
     let unseen = fill_texels(session);
     report(session, &pass.name, &summary, unseen);
     write_results(&mut session.pipeline.world, &session.surface, &folder, &log)?;
+    found_views::write(session, &pass.name, pass.cameras, pass.exposure)?;
     check_interrupted()
 }
 

@@ -17,6 +17,7 @@ pub mod env;
 pub mod evaluate;
 pub mod export;
 pub mod fit;
+mod found_views;
 pub mod inspect;
 pub mod photograph;
 pub mod preflight;

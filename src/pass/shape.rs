@@ -2,7 +2,7 @@
 
 use super::fit::closed_form;
 use super::inspect::ShapeInspector;
-use super::{INTERRUPTED, Session, check_interrupted};
+use super::{INTERRUPTED, Session, check_interrupted, found_views};
 use crate::error::{Error, Result};
 use crate::fit::gloss::TexelPlaces;
 use crate::fit::observe::PixelChoice;
@@ -67,6 +67,7 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     session.scores.fit_secs = Some(session.scores.fit_secs.unwrap_or(0.0) + elapsed);
     let triangles = session.surface.mesh().triangles.len();
     session.progress.print(&format!("{}: {triangles} triangles in {elapsed:.1} s", pass.name));
+    found_views::write(session, &pass.name, pass.cameras, pass.exposure)?;
     check_interrupted()
 }
 
@@ -96,6 +97,7 @@ fn options(session: &Session, pass: &ShapePass) -> ShapeOptions {
             visibility: false,
             exposure: pass.exposure,
         },
+        cameras: pass.cameras,
     }
 }
 

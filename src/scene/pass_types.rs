@@ -110,6 +110,9 @@ pub struct FitPass {
     /// Whether each photograph has an exposure of its own that is not known: a factor on its radiance, 0.2 to 5, their
     /// geometric mean 1. Views are rendered without. Default false.
     pub exposure: bool,
+    /// Whether the training views' cameras are a little off and move too: each its pose, all one factor on their focal
+    /// lengths, which held-out views take over. Default false.
+    pub cameras: bool,
 }
 
 impl Default for FitPass {
@@ -126,6 +129,7 @@ impl Default for FitPass {
             milestones: vec![0.5, 0.75, 0.9],
             decay: 0.4,
             exposure: false,
+            cameras: false,
         }
     }
 }
@@ -158,6 +162,8 @@ pub struct ShapePass {
     pub rates: Rates,
     /// Whether each photograph has an exposure of its own that is not known, as in [`FitPass::exposure`]. Default false.
     pub exposure: bool,
+    /// Whether cameras move too, as in [`FitPass::cameras`], from the second grid on. Default false.
+    pub cameras: bool,
 }
 
 /// One grid of a [`ShapePass`].
@@ -200,6 +206,7 @@ impl Default for ShapePass {
             blur: 8,
             rates: Rates::default(),
             exposure: false,
+            cameras: false,
         }
     }
 }

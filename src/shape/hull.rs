@@ -10,7 +10,7 @@ use crate::surface::sdf::SdfGrid;
 use crate::surface::sdf::silhouette::signed_distance;
 use crate::view::{Camera, Mask};
 use crate::{Error, Result};
-use glam::{Mat3, Vec3};
+use glam::{Mat3, Vec2, Vec3};
 use rayon::prelude::*;
 
 /// Pixels from the border of a frame within which a view abstains, and the same as a share of the frame's shorter side:
@@ -29,6 +29,8 @@ const COARSE_CELLS: u32 = 48;
 /// A mask with its camera.
 #[derive(Clone, Debug)]
 pub struct Silhouette {
+    /// The view's place among those with photographs ([`PixelOf::view`](crate::view::pixel::PixelOf::view)).
+    pub(super) view: u32,
     /// The view's name.
     pub(super) name: String,
     pub(super) camera: Camera,
@@ -54,6 +56,7 @@ impl Silhouette {
         let spread =
             rays.iter().map(|ray| middle.cross(*ray).length() / middle.dot(*ray)).fold(0.0, f32::max);
         Some(Self {
+            view: 0,
             name: name.to_owned(),
             camera: *camera,
             distance: signed_distance(&mask.coverage, width, height),
@@ -63,10 +66,22 @@ impl Silhouette {
         })
     }
 
+    /// The same as that of a view with another place among those with photographs.
+    pub(super) fn of_view(self, view: u32) -> Self {
+        Self { view, ..self }
+    }
+
     /// Image position of a pixel's centre.
     pub(super) fn center(&self, pixel: usize) -> (f32, f32) {
         let width = self.camera.width as usize;
         ((pixel % width) as f32 + 0.5, (pixel / width) as f32 + 0.5)
+    }
+
+    /// Slope of the distance in the image at a pixel, per pixel.
+    pub(super) fn slope(&self, pixel: usize) -> Vec2 {
+        let (x, y) = self.center(pixel);
+        let across = self.pixels(x + 1.0, y) - self.pixels(x - 1.0, y);
+        0.5 * Vec2::new(across, self.pixels(x, y + 1.0) - self.pixels(x, y - 1.0))
     }
 
     /// World distance of a point outside the silhouette's cone (negative inside); `None` if the view abstains.

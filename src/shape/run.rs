@@ -5,9 +5,11 @@ use super::hull::{FORGIVEN, Silhouette, pixel_size, visual_hull};
 use super::mend::{believed_pixels, regrow};
 use super::silhouette_loss::SilhouetteSample;
 use super::systems::{
-    ShapeSchedule, hand_out_to_bricks, move_bricks, pull_back_silhouettes, pull_back_to_field, retrace_window,
+    ShapeSchedule, align_outlines, hand_out_to_bricks, move_bricks, pull_back_silhouettes, pull_back_to_field,
+    recast_outlines, retrace_window,
 };
 use crate::error::Result;
+use crate::fit::cameras::{CameraPlugin, align_photographs, recast_rays};
 use crate::fit::components::{AlbedoGradient, AlbedoMoments, TexelSeen};
 use crate::fit::run::{FirstGuess, FitOptions, FitProgress, run_fit};
 use crate::material::{DiffuseAlbedo, SpecularBlend, SpecularLobe};
@@ -16,7 +18,7 @@ use crate::stage::{Phase, Pipeline, Plugin, Slot};
 use crate::surface::sdf::SdfGrid;
 use crate::surface::sdf::volume::{SdfSurface, TexelVolume};
 use crate::view::pixel::PixelOf;
-use crate::view::{Camera, Split, ViewMask, ViewName};
+use crate::view::{Camera, Photograph, Split, ViewMask, ViewName};
 use bevy_ecs::prelude::{Component, Entity, IntoScheduleConfigs, With, Without, World};
 use glam::Vec3;
 use rand::seq::SliceRandom;
@@ -47,6 +49,8 @@ pub struct ShapeOptions {
     pub levels: Vec<ShapeLevel>,
     /// The fit of light and material beside it; its steps are those of the level.
     pub fit: FitOptions,
+    /// Whether cameras move too, from the second level on.
+    pub cameras: bool,
 }
 
 /// The systems that fit a shape; [`ShapePlugin::remove`] takes them out again.
@@ -74,6 +78,20 @@ impl ShapePlugin {
     }
 }
 
+/// The systems that move cameras to where photographs and masks ask for, beside a shape; [`CameraPlugin::remove`] takes
+/// them out again.
+struct ShapeCameraPlugin;
+
+impl Plugin for ShapeCameraPlugin {
+    fn build(&self, pipeline: &mut Pipeline) {
+        pipeline
+            .add_plugin(&CameraPlugin)
+            .swap(Phase::FitStep, Slot::Recast, (recast_rays, recast_outlines))
+            .swap(Phase::FitStep, Slot::Retrace, retrace_window)
+            .swap(Phase::FitStep, Slot::CameraGradient, (align_photographs, align_outlines).chain());
+    }
+}
+
 /// What a caller sees of a running fit.
 pub struct ShapeProgress<'a> {
     /// Index of the level.
@@ -93,24 +111,42 @@ pub fn fit_shape(
     options: &ShapeOptions,
     watch: &mut dyn FnMut(&ShapeProgress) -> ControlFlow<()>,
 ) -> Result<SdfSurface> {
-    let silhouettes = training_silhouettes(&mut pipeline.world);
-    let mut grid = visual_hull(&silhouettes, options.levels[0].cells)?;
-    pipeline.world.spawn_batch(silhouette_samples(&grid, &silhouettes, options.fit.pixels.seed));
+    let mut silhouettes = training_silhouettes(&mut pipeline.world);
+    let hull = visual_hull(&silhouettes, options.levels[0].cells)?;
+    pipeline.world.spawn_batch(silhouette_samples(&hull, &silhouettes, options.fit.pixels.seed));
     pipeline.add_plugin(&ShapePlugin);
+    let found = fit_levels(pipeline, hull, &mut silhouettes, options, watch);
+    CameraPlugin::remove(pipeline);
+    ShapePlugin::remove(pipeline);
+    despawn_with::<SilhouetteSample>(&mut pipeline.world);
+    found
+}
+
+/// Fits one level after the other, until `watch` stops it.
+fn fit_levels(
+    pipeline: &mut Pipeline,
+    mut grid: SdfGrid,
+    silhouettes: &mut [Silhouette],
+    options: &ShapeOptions,
+    watch: &mut dyn FnMut(&ShapeProgress) -> ControlFlow<()>,
+) -> Result<SdfSurface> {
     let mut texels: Option<(TexelVolume, Vec<Vec3>)> = None;
-    let mut outcome = Ok(());
     for (index, level) in options.levels.iter().enumerate() {
+        if options.cameras && (index == 1 || options.levels.len() == 1) {
+            pipeline.add_plugin(&ShapeCameraPlugin);
+        }
         if index > 0 {
+            let cameras = photographed_cameras(&mut pipeline.world);
+            silhouettes.iter_mut().for_each(|s| s.camera = cameras[s.view as usize]);
             grid = grid.resampled(level.cells);
-            regrow(&mut grid, &silhouettes, FORGIVEN);
+            regrow(&mut grid, silhouettes, FORGIVEN);
         }
         grid.redistance();
         let volume = TexelVolume::new(&grid, level.texel_cells, TEXEL_REACH * half_side(&grid));
         let albedo = carried_albedo(&volume, texels.as_ref());
         replace_texels(&mut pipeline.world, &albedo);
         enter(&mut pipeline.world, SdfSurface { grid, volume: volume.clone() }, level.schedule);
-        let first = index == 0;
-        let guess = if first { options.fit.guess } else { FirstGuess::NONE };
+        let guess = if index == 0 { options.fit.guess } else { FirstGuess::NONE };
         let fit = FitOptions { steps: level.schedule.steps, guess, ..options.fit.clone() };
         let result = run_fit(pipeline, &fit, &mut |progress, world| {
             let field = world.resource::<SdfField>();
@@ -119,18 +155,10 @@ pub fn fit_shape(
         grid = leave(&mut pipeline.world);
         let world = &mut pipeline.world;
         texels = Some((volume, world.query::<&DiffuseAlbedo>().iter(world).map(|a| a.0).collect()));
-        match result {
-            Ok(summary) if !summary.stopped => {}
-            Ok(_) => break,
-            Err(error) => {
-                outcome = Err(error);
-                break;
-            }
+        if result?.stopped {
+            break;
         }
     }
-    ShapePlugin::remove(pipeline);
-    despawn_with::<SilhouetteSample>(&mut pipeline.world);
-    outcome?;
     let volume = texels.map(|t| t.0).unwrap_or_else(|| TexelVolume::new(&grid, 1, 0.0));
     Ok(SdfSurface { grid, volume })
 }
@@ -139,10 +167,18 @@ fn half_side(grid: &SdfGrid) -> f32 {
     0.5 * grid.spacing * (grid.side - 1) as f32
 }
 
+/// The cameras of all photographs, by [`PixelOf::view`].
+fn photographed_cameras(world: &mut World) -> Vec<Camera> {
+    world.query_filtered::<&Camera, With<Photograph>>().iter(world).copied().collect()
+}
+
 fn training_silhouettes(world: &mut World) -> Vec<Silhouette> {
-    let mut views = world.query::<(&ViewName, &Camera, &ViewMask, &Split)>();
-    let train = views.iter(world).filter(|(_, _, _, split)| **split == Split::Train);
-    train.filter_map(|(name, camera, mask, _)| Silhouette::new(&name.0, camera, &mask.0)).collect()
+    let mut views = world.query_filtered::<(&ViewName, &Camera, Option<&ViewMask>, &Split), With<Photograph>>();
+    let train = views.iter(world).zip(0..).filter(|((_, _, _, split), _)| **split == Split::Train);
+    let silhouette = |((name, camera, mask, _), view): ((&ViewName, &Camera, Option<&ViewMask>, _), u32)| {
+        Some(Silhouette::new(&name.0, camera, &mask?.0)?.of_view(view))
+    };
+    train.filter_map(silhouette).collect()
 }
 
 /// The pixels around the outlines of all training masks that go with the hull, shuffled.
@@ -155,8 +191,10 @@ fn silhouette_samples(hull: &SdfGrid, silhouettes: &[Silhouette], seed: u64) -> 
         let near =
             (0..believed.len()).filter(|&i| believed[i] && silhouette.distance[i].abs() < SILHOUETTE_REACH);
         samples.extend(near.map(|i| {
-            let (x, y) = silhouette.center(i);
-            SilhouetteSample { ray: camera.ray(x, y), coverage: silhouette.coverage[i], pixel_size }
+            let pixel = PixelOf { view: silhouette.view, pixel: i as u32 };
+            let (outline, outline_slope) = (silhouette.distance[i], silhouette.slope(i));
+            let (ray, coverage) = (camera.pixel_ray(pixel.pixel), silhouette.coverage[i]);
+            SilhouetteSample { pixel, ray, outline, outline_slope, coverage, pixel_size }
         }));
     }
     samples.shuffle(&mut SmallRng::seed_from_u64(seed));

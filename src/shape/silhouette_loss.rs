@@ -5,9 +5,13 @@
 //! where the ray comes nearest.
 
 use super::adjoint::FieldAdjoint;
+use crate::fit::cameras::AlignedRow;
 use crate::math::ray::Ray;
 use crate::surface::sdf::SdfGrid;
+use crate::view::Camera;
+use crate::view::pixel::PixelOf;
 use bevy_ecs::prelude::Component;
+use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
 /// Where Huber's loss turns from a square to a line: beyond it a mask is not believed the more for being wrong.
@@ -16,8 +20,14 @@ const HUBER: f32 = 0.25;
 /// A pixel near an outline.
 #[derive(Component, Clone, Copy, Debug, PartialEq)]
 pub struct SilhouetteSample {
+    /// Which pixel it is.
+    pub pixel: PixelOf,
     /// Its camera ray, world space.
     pub ray: Ray,
+    /// Signed distance to the mask's outline in pixels, negative inside.
+    pub outline: f32,
+    /// That distance's slope in the image, per pixel.
+    pub outline_slope: Vec2,
     /// Covered part of the pixel, in [0, 1].
     pub coverage: f32,
     /// Size of a pixel at distance 1.
@@ -32,7 +42,7 @@ pub fn add_silhouettes(
     weight: f32,
     adjoint: &mut FieldAdjoint,
 ) {
-    let slopes: Vec<Option<(glam::Vec3, f32)>> =
+    let slopes: Vec<Option<(Vec3, f32)>> =
         samples.par_iter().with_min_len(64).map(|sample| slope(grid, sample, width)).collect();
     let each = weight / samples.len().max(1) as f32;
     for (position, slope) in slopes.into_iter().flatten() {
@@ -41,7 +51,7 @@ pub fn add_silhouettes(
 }
 
 /// Where a sample's ray comes nearest, and the loss's slope with respect to the distance there.
-fn slope(grid: &SdfGrid, sample: &SilhouetteSample, width: f32) -> Option<(glam::Vec3, f32)> {
+fn slope(grid: &SdfGrid, sample: &SilhouetteSample, width: f32) -> Option<(Vec3, f32)> {
     let far = (grid.origin - sample.ray.origin).length() + grid.spacing * grid.side as f32;
     let enough = -width * sample.pixel_size * far;
     let least = grid.least_distance(&sample.ray, enough)?;
@@ -54,4 +64,20 @@ fn slope(grid: &SdfGrid, sample: &SilhouetteSample, width: f32) -> Option<(glam:
         let position = sample.ray.origin + sample.ray.direction * least.distance;
         (position, -residual.clamp(-HUBER, HUBER) / scale)
     })
+}
+
+/// Pixels from an outline within which it says where the camera is.
+const ALIGNED_REACH: f32 = 3.0;
+
+/// How far an outline is from that of the surface, and what a change of the camera would make of it.
+pub fn aligned_outline(grid: &SdfGrid, camera: &Camera, sample: &SilhouetteSample) -> Option<AlignedRow> {
+    if sample.outline.abs() > ALIGNED_REACH {
+        return None;
+    }
+    let far = (grid.origin - sample.ray.origin).length() + grid.spacing * grid.side as f32;
+    let least = grid.least_distance(&sample.ray, -2.0 * ALIGNED_REACH * sample.pixel_size * far)?;
+    let pixels = least.value / (sample.pixel_size * least.distance);
+    let point = sample.ray.origin + sample.ray.direction * least.distance;
+    let row = AlignedRow::new(camera, point, sample.outline_slope, sample.outline - pixels);
+    row.filter(|_| pixels.abs() < ALIGNED_REACH)
 }

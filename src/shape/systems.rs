@@ -1,7 +1,8 @@
 //! The systems that fit an SDF: retrace, pull back, smooth, move; each fetches columns and calls a kernel.
 
 use super::field::{BAND_CELLS, BrickAt, BrickGradient, BrickMoments, BrickValues, SdfField};
-use super::silhouette_loss::{SilhouetteSample, add_silhouettes};
+use super::silhouette_loss::{SilhouetteSample, add_silhouettes, aligned_outline};
+use crate::fit::cameras::{AlignedRow, CameraFit, CameraPose};
 use crate::fit::components::StepRates;
 use crate::material::DiffuseAlbedo;
 use crate::math::ray::Intersect;
@@ -11,9 +12,11 @@ use crate::stage::SystemResult;
 use crate::surface::point::SurfacePoint;
 use crate::surface::sdf::SdfGrid;
 use crate::view::pixel::{ViewRay, Window};
-use bevy_ecs::prelude::{Query, Res, ResMut, Resource};
+use crate::view::{Camera, Photograph};
+use bevy_ecs::prelude::{Query, Res, ResMut, Resource, With};
 use glam::Vec3;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// How the shape moves.
 #[derive(Resource, Clone, Copy, Debug, PartialEq)]
@@ -41,6 +44,13 @@ impl ShapeSchedule {
     fn progress(&self, step: u32) -> Option<f32> {
         let moving = self.steps.saturating_sub(self.hold).max(1) as f32;
         (step > self.hold).then(|| (step - self.hold) as f32 / moving)
+    }
+
+    /// Rows of the `count` silhouette samples that a step visits.
+    fn outline_rows(&self, step: u32, count: usize) -> Range<usize> {
+        let batch = self.silhouette_batch.clamp(1, count.max(1));
+        let start = (step as usize - 1) % count.div_ceil(batch).max(1) * batch;
+        start..(start + batch).min(count)
     }
 }
 
@@ -105,6 +115,46 @@ fn root_mean_square(back: &[PointAdjoint]) -> f32 {
     (sum / back.len().max(1) as f64).sqrt() as f32
 }
 
+/// Trace: this step's silhouette rays through the cameras as they are now.
+pub fn recast_outlines(
+    (rates, schedule): (Res<StepRates>, Res<ShapeSchedule>),
+    views: Query<&Camera, With<Photograph>>,
+    mut samples: Query<&mut SilhouetteSample>,
+) -> SystemResult {
+    let cameras: Vec<&Camera> = views.iter().collect();
+    let Some(mut samples) = only_table(samples.contiguous_iter_mut()?, |t| t.len(), "silhouette")? else {
+        return Ok(());
+    };
+    let samples = samples.bypass_change_detection();
+    let rows = schedule.outline_rows(rates.step, samples.len());
+    for sample in &mut samples[rows] {
+        sample.ray = cameras[sample.pixel.view as usize].pixel_ray(sample.pixel.pixel);
+    }
+    Ok(())
+}
+
+/// Gradient: the masks' outlines against the field's, as normal equations of the cameras.
+pub fn align_outlines(
+    (rates, schedule, field): (Res<StepRates>, Res<ShapeSchedule>, Res<SdfField>),
+    mut fit: ResMut<CameraFit>,
+    mut views: Query<(&Camera, &mut CameraPose), With<Photograph>>,
+    samples: Query<&SilhouetteSample>,
+) -> SystemResult {
+    let Some(samples) = only_table(samples.contiguous_iter()?, |t| t.len(), "silhouette")? else {
+        return Ok(());
+    };
+    let mut views: Vec<_> = views.iter_mut().collect();
+    let grid = &field.surface.grid;
+    let row = |sample: &SilhouetteSample| {
+        Some((sample.pixel.view, aligned_outline(grid, views[sample.pixel.view as usize].0, sample)?))
+    };
+    let samples = &samples[schedule.outline_rows(rates.step, samples.len())];
+    let rows: Vec<(u32, AlignedRow)> = samples.par_iter().with_min_len(64).filter_map(row).collect();
+    let noise = fit.observe(1, &rows);
+    rows.iter().for_each(|(view, row)| views[*view as usize].1.add(row, noise));
+    Ok(())
+}
+
 /// Gradient: the silhouettes' loss, as an adjoint of the field.
 pub fn pull_back_silhouettes(
     (rates, schedule): (Res<StepRates>, Res<ShapeSchedule>),
@@ -115,9 +165,7 @@ pub fn pull_back_silhouettes(
     let Some(samples) = only_table(samples.contiguous_iter()?, |t| t.len(), "silhouette")? else {
         return Ok(());
     };
-    let batch = schedule.silhouette_batch.clamp(1, samples.len());
-    let start = (rates.step as usize - 1) % samples.len().div_ceil(batch) * batch;
-    let samples = &samples[start..(start + batch).min(samples.len())];
+    let samples = &samples[schedule.outline_rows(rates.step, samples.len())];
     // From four pixels wide to one: first the way is shown, then the place.
     let width = 4.0 - 3.0 * progress;
     let SdfField { surface, adjoint, .. } = &mut *field;

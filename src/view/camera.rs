@@ -75,6 +75,11 @@ impl Camera {
         Ray { origin: self.world_from_camera.translation.into(), direction: direction.normalize() }
     }
 
+    /// The world ray through the centre of pixel `y * width + x`.
+    pub fn pixel_ray(&self, pixel: u32) -> Ray {
+        self.ray((pixel % self.width) as f32 + 0.5, (pixel / self.width) as f32 + 0.5)
+    }
+
     /// Where a world point falls in the image: (x, y) in pixels, in the coordinates of [`Camera::ray`], and its depth along
     /// the camera's axis in world units. `None` if the point is not in front of the camera. The position may lie outside
     /// the image.

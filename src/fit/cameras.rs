@@ -1,0 +1,265 @@
+//! Cameras as unknowns: each training view's pose and one factor on all focal lengths, found beside the rest of a fit.
+//!
+//! | system | stage, slot | reads | writes |
+//! | --- | --- | --- | --- |
+//! | [`recast_rays`] | Trace, `Slot::Recast` | cameras | the window's rays |
+//! | [`retrace_still_surface`] | Trace, `Slot::Retrace` | rays, `Scenery` | surface points; a surface that moves has its own |
+//! | [`align_photographs`] | Gradient, `Slot::CameraGradient` | points, radiance, photographs | [`CameraPose`]: normal equations |
+//! | [`move_cameras`] | Update, `Slot::CameraUpdate` | normal equations | [`CameraPose`], cameras |
+//!
+//! The kernels, and where they come from, are in [`super::align`].
+
+use super::align::{PARAMETERS, POSE, Pose, PoseSums, Prior, moved, projection_slopes, solve};
+use super::components::StepRates;
+use super::exposure::Exposures;
+use super::observe::FULL_COVERAGE;
+use crate::math::shading::Layers;
+use crate::shade::Scenery;
+use crate::shade::pool::only_table;
+use crate::stage::{Phase, Pipeline, Plugin, Slot, SystemResult};
+use crate::surface::point::SurfacePoint;
+use crate::view::pixel::{Observed, PixelOf, ViewRay, Window};
+use crate::view::{Camera, Photograph, ViewMask};
+use bevy_ecs::prelude::{Component, Entity, Query, Res, ResMut, Resource, With, World};
+use glam::Vec2;
+use rayon::prelude::*;
+
+/// Steps between two moves of the cameras; their normal equations are summed over these.
+const MOVE_EVERY: u32 = 25;
+/// Steps before the first sums: light and material must be found first.
+const FIRST_STEP: u32 = 50;
+/// Farthest a move goes, as pixels in the image.
+const LONGEST_MOVE: f64 = 1.0;
+/// Weight of the given camera: so many residuals of the usual size a pixel.
+const PRIOR: f64 = 20.0;
+/// Share of the running noise that stays from window to window.
+const MEMORY: f32 = 0.95;
+
+/// A view's camera as it was given, and how far it was moved from there.
+#[derive(Component, Clone, Debug)]
+pub struct CameraPose {
+    /// The camera that was given.
+    pub given: Camera,
+    /// Where it is from there.
+    pub pose: Pose,
+    sums: PoseSums,
+    /// Sum of the depths of the points in `sums`, and their number.
+    depth: (f64, u32),
+}
+
+impl CameraPose {
+    fn new(given: Camera) -> Self {
+        Self { given, pose: [0.0; POSE], sums: PoseSums::default(), depth: (0.0, 0) }
+    }
+
+    /// Takes in one residual at a point.
+    pub fn add(&mut self, row: &AlignedRow, noise: f32) {
+        let weight = 1.0 / (noise * row.residual.abs().max(noise));
+        self.sums.add(&row.slopes, row.residual, weight);
+        self.depth = (self.depth.0 + f64::from(row.depth), self.depth.1 + 1);
+    }
+
+    /// Pixels that the image moves by a radian, and by a world unit at the object.
+    fn pixels(&self) -> (f64, f64) {
+        let focal = f64::from(0.5 * (self.given.focal[0] + self.given.focal[1]));
+        let depth = if self.depth.1 == 0 { 1.0 } else { self.depth.0 / f64::from(self.depth.1) };
+        (focal, focal / depth)
+    }
+
+    fn prior(&self) -> Prior {
+        let (turn, shift) = self.pixels();
+        let radius = 0.25 * f64::from(self.given.width.min(self.given.height));
+        Prior { rotation: PRIOR * turn * turn, translation: PRIOR * shift * shift, focal: PRIOR * radius * radius }
+    }
+
+    /// Moves by `step`, or by a part of it if that were more than [`LONGEST_MOVE`].
+    fn advance(&mut self, step: &Pose) {
+        let (turn, shift) = self.pixels();
+        let reach = |i: usize| step[i].abs() * if i < 3 { turn } else { shift };
+        let part = (LONGEST_MOVE / (0..POSE).map(reach).fold(0.0, f64::max)).min(1.0);
+        self.pose.iter_mut().zip(step).for_each(|(pose, step)| *pose += part * step);
+    }
+}
+
+/// A residual of a view with the slopes that a change of its camera gives it.
+#[derive(Clone, Copy, Debug)]
+pub struct AlignedRow {
+    /// With respect to the pose, then the log focal length.
+    pub slopes: [f32; PARAMETERS],
+    /// In radiance, or in pixels for an outline.
+    pub residual: f32,
+    /// The point's distance from the camera, world units.
+    pub depth: f32,
+}
+
+impl AlignedRow {
+    /// A residual `value(π(point))` − `value` where `slope` is the slope of `value` in the image, per pixel.
+    pub fn new(camera: &Camera, point: glam::Vec3, slope: Vec2, residual: f32) -> Option<Self> {
+        let [by_x, by_y] = projection_slopes(camera, point)?;
+        let slopes = std::array::from_fn(|k| slope.x * by_x[k] + slope.y * by_y[k]);
+        Some(Self { slopes, residual, depth: point.distance(camera.position()) })
+    }
+}
+
+/// What all views share.
+#[derive(Resource, Clone, Copy, Debug, Default, PartialEq)]
+pub struct CameraFit {
+    /// Logarithm of the factor on all focal lengths.
+    pub log_focal: f64,
+    /// Usual size of a photograph's residual, in radiance, and of an outline's, in pixels.
+    pub noise: [f32; 2],
+}
+
+impl CameraFit {
+    /// Takes in residuals of a kind (0: photographs, 1: outlines); returns their usual size so far.
+    pub fn observe(&mut self, kind: usize, rows: &[(u32, AlignedRow)]) -> f32 {
+        let sum: f64 = rows.iter().map(|(_, row)| f64::from(row.residual.abs())).sum();
+        let mean = ((sum / rows.len().max(1) as f64) as f32).max(1e-6);
+        let noise = &mut self.noise[kind];
+        *noise = if *noise == 0.0 { mean } else { MEMORY * *noise + (1.0 - MEMORY) * mean };
+        *noise
+    }
+}
+
+/// The systems that move cameras to where a surface, still or not, looks like the photographs.
+pub struct CameraPlugin;
+
+impl Plugin for CameraPlugin {
+    fn build(&self, pipeline: &mut Pipeline) {
+        attach_poses(&mut pipeline.world);
+        pipeline
+            .swap(Phase::FitStep, Slot::Recast, recast_rays)
+            .swap(Phase::FitStep, Slot::Retrace, retrace_still_surface)
+            .swap(Phase::FitStep, Slot::CameraGradient, align_photographs)
+            .swap(Phase::FitStep, Slot::CameraUpdate, move_cameras);
+    }
+}
+
+impl CameraPlugin {
+    /// Takes the systems out; cameras stay where they are.
+    pub fn remove(pipeline: &mut Pipeline) {
+        for slot in [Slot::Recast, Slot::Retrace, Slot::CameraGradient, Slot::CameraUpdate] {
+            pipeline.clear(Phase::FitStep, slot);
+        }
+    }
+}
+
+/// Gives every view with a photograph the state of its pose, and the world what views share.
+pub fn attach_poses(world: &mut World) {
+    world.init_resource::<CameraFit>();
+    let mut query = world.query_filtered::<(Entity, &Camera, Option<&CameraPose>), With<Photograph>>();
+    let fresh = query.iter(world).filter(|(_, _, pose)| pose.is_none());
+    let fresh: Vec<(Entity, Camera)> = fresh.map(|(view, camera, _)| (view, *camera)).collect();
+    for (view, camera) in fresh {
+        world.entity_mut(view).insert(CameraPose::new(camera));
+    }
+}
+
+/// Trace: the window's rays through the cameras as they are now.
+pub fn recast_rays(
+    window: Res<Window>,
+    views: Query<&Camera, With<Photograph>>,
+    mut samples: Query<(&PixelOf, &mut ViewRay)>,
+) -> SystemResult {
+    let cameras: Vec<Camera> = views.iter().copied().collect();
+    let Some((pixels, mut rays)) = only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")? else {
+        return Ok(());
+    };
+    let rows = window.0.clone();
+    let rays = &mut rays.bypass_change_detection()[rows.clone()];
+    for (ray, pixel) in rays.iter_mut().zip(&pixels[rows]) {
+        ray.0 = cameras[pixel.view as usize].pixel_ray(pixel.pixel);
+    }
+    Ok(())
+}
+
+/// Trace: where the window's rays meet a surface that does not move.
+pub fn retrace_still_surface(
+    window: Res<Window>,
+    scenery: Res<Scenery>,
+    mut samples: Query<(&ViewRay, &mut SurfacePoint)>,
+) -> SystemResult {
+    let Some((rays, mut points)) = only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")? else {
+        return Ok(());
+    };
+    let rows = window.0.clone();
+    let points = &mut points.bypass_change_detection()[rows.clone()];
+    points.par_iter_mut().zip(&rays[rows]).with_min_len(256).for_each(|(point, ray)| {
+        let hit = scenery.0.intersect(&ray.0, 0.0);
+        *point = hit.filter(|hit| hit.normal.dot(ray.0.direction) < 0.0).into();
+    });
+    Ok(())
+}
+
+/// Gradient: the window's photographs against what was shaded, as normal equations of the cameras.
+pub fn align_photographs(
+    (window, rates, exposures): (Res<Window>, Res<StepRates>, Res<Exposures>),
+    mut fit: ResMut<CameraFit>,
+    mut views: Query<(&Camera, &Photograph, Option<&ViewMask>, &mut CameraPose)>,
+    samples: Query<(&PixelOf, &SurfacePoint, &Layers, &Observed)>,
+) -> SystemResult {
+    if rates.step < FIRST_STEP {
+        return Ok(());
+    }
+    let Some((pixels, points, shaded, observed)) =
+        only_table(samples.contiguous_iter()?, |t| t.0.len(), "pixel")?
+    else {
+        return Ok(());
+    };
+    let mut views: Vec<_> = views.iter_mut().collect();
+    let row = |i: usize| {
+        let (camera, photograph, mask, _) = &views[pixels[i].view as usize];
+        let slope = image_slope(camera, photograph, *mask, pixels[i].pixel as usize)?;
+        let usable = points[i].is_hit() && !observed[i].saturated;
+        let predicted = exposures.factor(pixels[i].view) * mean(&shaded[i]);
+        let residual = observed[i].radiance.element_sum() / 3.0 - predicted;
+        let row = AlignedRow::new(camera, points[i].position, slope, residual).filter(|_| usable);
+        row.map(|row| (pixels[i].view, row))
+    };
+    let rows: Vec<(u32, AlignedRow)> =
+        window.0.clone().into_par_iter().with_min_len(256).filter_map(row).collect();
+    let noise = fit.observe(0, &rows);
+    rows.iter().for_each(|(view, row)| views[*view as usize].3.add(row, noise));
+    Ok(())
+}
+
+fn mean(layers: &Layers) -> f32 {
+    (0..3).map(|c| layers.diffuse[c] + layers.specular[c]).sum::<f32>() / 3.0
+}
+
+/// Slope of a photograph's mean radiance at a pixel, per pixel; `None` where a neighbour is not wholly the object's, or saturated.
+fn image_slope(camera: &Camera, photograph: &Photograph, mask: Option<&ViewMask>, pixel: usize) -> Option<Vec2> {
+    let (width, height) = (camera.width as usize, camera.height as usize);
+    let (x, y) = (pixel % width, pixel / width);
+    if x == 0 || y == 0 || x + 1 == width || y + 1 == height {
+        return None;
+    }
+    let at = |i: usize| {
+        let whole = mask.is_none_or(|mask| mask.0.coverage[i] >= FULL_COVERAGE);
+        (whole && !photograph.saturated[i]).then(|| photograph.image.pixels[i].element_sum() / 3.0)
+    };
+    let slope_x = 0.5 * (at(pixel + 1)? - at(pixel - 1)?);
+    Some(Vec2::new(slope_x, 0.5 * (at(pixel + width)? - at(pixel - width)?)))
+}
+
+/// Update: every [`MOVE_EVERY`] steps, one Gauss–Newton step of all cameras; the sums begin anew.
+pub fn move_cameras(
+    rates: Res<StepRates>,
+    mut fit: ResMut<CameraFit>,
+    mut views: Query<(&mut Camera, &mut CameraPose)>,
+) {
+    if rates.step < FIRST_STEP + MOVE_EVERY || !rates.step.is_multiple_of(MOVE_EVERY) {
+        return;
+    }
+    let mut views: Vec<_> = views.iter_mut().collect();
+    let sums: Vec<PoseSums> = views.iter().map(|(_, pose)| pose.sums).collect();
+    let poses: Vec<Pose> = views.iter().map(|(_, pose)| pose.pose).collect();
+    let priors: Vec<Prior> = views.iter().map(|(_, pose)| pose.prior()).collect();
+    let (steps, by_focal) = solve(&sums, &poses, fit.log_focal, &priors);
+    fit.log_focal += by_focal.clamp(-0.01, 0.01);
+    for ((camera, pose), step) in views.iter_mut().zip(&steps) {
+        pose.advance(step);
+        **camera = moved(&pose.given, &pose.pose, fit.log_focal);
+        (pose.sums, pose.depth) = (PoseSums::default(), (0.0, 0));
+    }
+}

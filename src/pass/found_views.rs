@@ -1,0 +1,90 @@
+//! What a fit found of the views themselves, as files: cameras that moved, and exposures.
+
+use super::Session;
+use crate::error::{Error, Result};
+use crate::file::write_bytes;
+use crate::fit::cameras::{CameraFit, CameraPose};
+use crate::fit::exposure::Exposures;
+use crate::view::{Camera, Photograph, Split, ViewName};
+use bevy_ecs::prelude::{With, World};
+use glam::{DMat3, DMat4, Vec3};
+use serde_json::{Map, Value, json};
+use std::fmt::Write as _;
+use std::path::Path;
+
+/// Writes `cam_dict_norm.json` (PhySG's layout, training views) if cameras moved, and `exposures.csv` if exposures were unknown,
+/// into a pass's folder, and says how far cameras went.
+///
+/// # Errors
+/// [`Error::Io`] when the system refuses.
+pub fn write(session: &mut Session, name: &str, cameras: bool, exposure: bool) -> Result<()> {
+    let folder = session.folder(name);
+    if cameras {
+        let (center, radius) = session.surface.bounding_sphere();
+        let world = &mut session.pipeline.world;
+        let (shifts, factor) = (shifts_px(world, center, radius), world.resource::<CameraFit>().log_focal.exp());
+        let mean = shifts.iter().sum::<f32>() / shifts.len().max(1) as f32;
+        let most = shifts.iter().copied().fold(0.0, f32::max);
+        session.progress.print(&format!(
+            "{name}: cameras moved by {mean:.2} pixels on average, {most:.2} at most; focal lengths × {factor:.5}"
+        ));
+        write_cameras(&mut session.pipeline.world, &folder)?;
+    }
+    if exposure { write_exposures(&mut session.pipeline.world, &folder) } else { Ok(()) }
+}
+
+/// How far the image of an object around `center` went, in pixels, for each training view.
+fn shifts_px(world: &mut World, center: Vec3, radius: f32) -> Vec<f32> {
+    let around = [Vec3::X, Vec3::Y, Vec3::Z].map(|axis| radius * axis);
+    let points = [center, center + around[0], center + around[1], center + around[2]];
+    let mut views = world.query::<(&Camera, &CameraPose, &Split)>();
+    let train = views.iter(world).filter(|(_, _, split)| **split == Split::Train);
+    let shift = |(camera, pose): (&Camera, &CameraPose)| {
+        let apart = points.iter().filter_map(|point| {
+            let (from, to) = (pose.given.project(*point)?, camera.project(*point)?);
+            Some((from.0 - to.0).hypot(from.1 - to.1))
+        });
+        apart.sum::<f32>() / points.len() as f32
+    };
+    train.map(|(camera, pose, _)| shift((camera, pose))).collect()
+}
+
+fn write_cameras(world: &mut World, folder: &Path) -> Result<()> {
+    let mut views = world.query::<(&ViewName, &Camera, &Split)>();
+    let train = views.iter(world).filter(|(_, _, split)| **split == Split::Train);
+    let cameras: Map<String, Value> = train.map(|(name, camera, _)| (name.0.clone(), in_json(camera))).collect();
+    let path = folder.join("cam_dict_norm.json");
+    let text = serde_json::to_string_pretty(&cameras).map_err(|e| Error::run("cameras", e.to_string()))?;
+    write_bytes(&path, text.as_bytes())
+}
+
+/// A camera in PhySG's words, for a pixel centre of 0.5.
+fn in_json(camera: &Camera) -> Value {
+    let shift = f64::from(0.5 - camera.pixel_center);
+    let [fx, fy] = camera.focal.map(f64::from);
+    let [cx, cy] = camera.center.map(|c| f64::from(c) + shift);
+    let k = [fx, f64::from(camera.skew), cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
+    let pose = camera.world_from_camera;
+    let axes = DMat3::from_cols(
+        Vec3::from(pose.matrix3.x_axis).as_dvec3(),
+        Vec3::from(pose.matrix3.y_axis).as_dvec3(),
+        Vec3::from(pose.matrix3.z_axis).as_dvec3(),
+    );
+    let mut world_from_camera = DMat4::from_mat3(axes);
+    world_from_camera.w_axis = Vec3::from(pose.translation).as_dvec3().extend(1.0);
+    // Row by row: the columns of the transpose.
+    let w2c = world_from_camera.inverse().transpose().to_cols_array();
+    json!({ "K": k, "W2C": w2c, "img_size": [camera.width, camera.height] })
+}
+
+fn write_exposures(world: &mut World, folder: &Path) -> Result<()> {
+    let mut text = String::from("view,exposure\n");
+    let mut views = world.query_filtered::<(&ViewName, &Split), With<Photograph>>();
+    let views: Vec<(String, Split)> = views.iter(world).map(|(name, split)| (name.0.clone(), *split)).collect();
+    let exposures = world.resource::<Exposures>();
+    for (view, (name, _)) in (0..).zip(&views).filter(|(_, (_, split))| *split == Split::Train) {
+        // Writing to a String cannot fail.
+        let _ = writeln!(text, "{name},{:.5}", exposures.factor(view));
+    }
+    write_bytes(&folder.join("exposures.csv"), text.as_bytes())
+}
