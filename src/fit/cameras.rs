@@ -9,7 +9,9 @@
 //!
 //! The kernels, and where they come from, are in [`super::align`].
 
-use super::align::{PARAMETERS, POSE, Pose, PoseSums, Prior, moved, projection_slopes, solve};
+use super::align::{
+    AlignedObject, AlignedView, POSE, Pose, PoseSums, Prior, SLOPES, moved, projection_slopes, solve,
+};
 use super::components::StepRates;
 use super::exposure::Exposures;
 use super::observe::FULL_COVERAGE;
@@ -20,8 +22,8 @@ use crate::stage::{Phase, Pipeline, Plugin, Slot, SystemResult};
 use crate::surface::point::SurfacePoint;
 use crate::view::pixel::{Observed, PixelOf, ViewRay, Window};
 use crate::view::{Camera, Photograph, ViewMask};
-use bevy_ecs::prelude::{Component, Entity, Query, Res, ResMut, Resource, With, World};
-use glam::Vec2;
+use bevy_ecs::prelude::{Component, Entity, Mut, Query, Res, ResMut, Resource, With, World};
+use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
 /// Steps between two moves of the cameras; their normal equations are summed over these.
@@ -69,7 +71,11 @@ impl CameraPose {
     fn prior(&self) -> Prior {
         let (turn, shift) = self.pixels();
         let radius = 0.25 * f64::from(self.given.width.min(self.given.height));
-        Prior { rotation: PRIOR * turn * turn, translation: PRIOR * shift * shift, focal: PRIOR * radius * radius }
+        Prior {
+            rotation: PRIOR * turn * turn,
+            translation: PRIOR * shift * shift,
+            focal: PRIOR * radius * radius,
+        }
     }
 
     /// Moves by `step`, or by a part of it if that were more than [`LONGEST_MOVE`].
@@ -84,8 +90,8 @@ impl CameraPose {
 /// A residual of a view with the slopes that a change of its camera gives it.
 #[derive(Clone, Copy, Debug)]
 pub struct AlignedRow {
-    /// With respect to the pose, then the log focal length.
-    pub slopes: [f32; PARAMETERS],
+    /// In the order of [`projection_slopes`].
+    pub slopes: [f32; SLOPES],
     /// In radiance, or in pixels for an outline.
     pub residual: f32,
     /// The point's distance from the camera, world units.
@@ -94,8 +100,8 @@ pub struct AlignedRow {
 
 impl AlignedRow {
     /// A residual `value(π(point))` − `value` where `slope` is the slope of `value` in the image, per pixel.
-    pub fn new(camera: &Camera, point: glam::Vec3, slope: Vec2, residual: f32) -> Option<Self> {
-        let [by_x, by_y] = projection_slopes(camera, point)?;
+    pub fn new(camera: &Camera, point: Vec3, center: Vec3, slope: Vec2, residual: f32) -> Option<Self> {
+        let [by_x, by_y] = projection_slopes(camera, point, center)?;
         let slopes = std::array::from_fn(|k| slope.x * by_x[k] + slope.y * by_y[k]);
         Some(Self { slopes, residual, depth: point.distance(camera.position()) })
     }
@@ -108,6 +114,10 @@ pub struct CameraFit {
     pub log_focal: f64,
     /// Usual size of a photograph's residual, in radiance, and of an outline's, in pixels.
     pub noise: [f32; 2],
+    /// About the middle of the object, world space; found with the first residuals.
+    pub center: Option<Vec3>,
+    /// Whether the object moves as well, so that only what cameras are off against each other is theirs.
+    pub object_moves: bool,
 }
 
 impl CameraFit {
@@ -127,6 +137,7 @@ pub struct CameraPlugin;
 impl Plugin for CameraPlugin {
     fn build(&self, pipeline: &mut Pipeline) {
         attach_poses(&mut pipeline.world);
+        pipeline.world.resource_mut::<CameraFit>().object_moves = false;
         pipeline
             .swap(Phase::FitStep, Slot::Recast, recast_rays)
             .swap(Phase::FitStep, Slot::Retrace, retrace_still_surface)
@@ -207,13 +218,14 @@ pub fn align_photographs(
         return Ok(());
     };
     let mut views: Vec<_> = views.iter_mut().collect();
+    let center = *fit.center.get_or_insert_with(|| middle(&points[window.0.clone()]));
     let row = |i: usize| {
         let (camera, photograph, mask, _) = &views[pixels[i].view as usize];
         let slope = image_slope(camera, photograph, *mask, pixels[i].pixel as usize)?;
         let usable = points[i].is_hit() && !observed[i].saturated;
         let predicted = exposures.factor(pixels[i].view) * mean(&shaded[i]);
         let residual = observed[i].radiance.element_sum() / 3.0 - predicted;
-        let row = AlignedRow::new(camera, points[i].position, slope, residual).filter(|_| usable);
+        let row = AlignedRow::new(camera, points[i].position, center, slope, residual).filter(|_| usable);
         row.map(|row| (pixels[i].view, row))
     };
     let rows: Vec<(u32, AlignedRow)> =
@@ -223,12 +235,24 @@ pub fn align_photographs(
     Ok(())
 }
 
+/// Mean of the points that rays met.
+fn middle(points: &[SurfacePoint]) -> Vec3 {
+    let met = points.iter().filter(|point| point.is_hit());
+    let (sum, count) = met.fold((Vec3::ZERO, 0.0f32), |(sum, count), p| (sum + p.position, count + 1.0));
+    sum / count.max(1.0)
+}
+
 fn mean(layers: &Layers) -> f32 {
     (0..3).map(|c| layers.diffuse[c] + layers.specular[c]).sum::<f32>() / 3.0
 }
 
 /// Slope of a photograph's mean radiance at a pixel, per pixel; `None` where a neighbour is not wholly the object's, or saturated.
-fn image_slope(camera: &Camera, photograph: &Photograph, mask: Option<&ViewMask>, pixel: usize) -> Option<Vec2> {
+fn image_slope(
+    camera: &Camera,
+    photograph: &Photograph,
+    mask: Option<&ViewMask>,
+    pixel: usize,
+) -> Option<Vec2> {
     let (width, height) = (camera.width as usize, camera.height as usize);
     let (x, y) = (pixel % width, pixel / width);
     if x == 0 || y == 0 || x + 1 == width || y + 1 == height {
@@ -252,10 +276,15 @@ pub fn move_cameras(
         return;
     }
     let mut views: Vec<_> = views.iter_mut().collect();
-    let sums: Vec<PoseSums> = views.iter().map(|(_, pose)| pose.sums).collect();
-    let poses: Vec<Pose> = views.iter().map(|(_, pose)| pose.pose).collect();
-    let priors: Vec<Prior> = views.iter().map(|(_, pose)| pose.prior()).collect();
-    let (steps, by_focal) = solve(&sums, &poses, fit.log_focal, &priors);
+    let aligned = |(camera, pose): &(Mut<Camera>, Mut<CameraPose>)| AlignedView {
+        sums: pose.sums,
+        pose: pose.pose,
+        prior: pose.prior(),
+        camera: **camera,
+    };
+    let aligned: Vec<AlignedView> = views.iter().map(aligned).collect();
+    let object = AlignedObject { center: fit.center.unwrap_or_default(), known: !fit.object_moves };
+    let (steps, by_focal) = solve(&aligned, object, fit.log_focal);
     fit.log_focal += by_focal.clamp(-0.01, 0.01);
     for ((camera, pose), step) in views.iter_mut().zip(&steps) {
         pose.advance(step);

@@ -22,7 +22,8 @@ pub fn write(session: &mut Session, name: &str, cameras: bool, exposure: bool) -
     if cameras {
         let (center, radius) = session.surface.bounding_sphere();
         let world = &mut session.pipeline.world;
-        let (shifts, factor) = (shifts_px(world, center, radius), world.resource::<CameraFit>().log_focal.exp());
+        let (shifts, factor) =
+            (shifts_px(world, center, radius), world.resource::<CameraFit>().log_focal.exp());
         let mean = shifts.iter().sum::<f32>() / shifts.len().max(1) as f32;
         let most = shifts.iter().copied().fold(0.0, f32::max);
         session.progress.print(&format!(
@@ -52,7 +53,8 @@ fn shifts_px(world: &mut World, center: Vec3, radius: f32) -> Vec<f32> {
 fn write_cameras(world: &mut World, folder: &Path) -> Result<()> {
     let mut views = world.query::<(&ViewName, &Camera, &Split)>();
     let train = views.iter(world).filter(|(_, _, split)| **split == Split::Train);
-    let cameras: Map<String, Value> = train.map(|(name, camera, _)| (name.0.clone(), in_json(camera))).collect();
+    let cameras: Map<String, Value> =
+        train.map(|(name, camera, _)| (name.0.clone(), in_json(camera))).collect();
     let path = folder.join("cam_dict_norm.json");
     let text = serde_json::to_string_pretty(&cameras).map_err(|e| Error::run("cameras", e.to_string()))?;
     write_bytes(&path, text.as_bytes())
@@ -80,7 +82,8 @@ fn in_json(camera: &Camera) -> Value {
 fn write_exposures(world: &mut World, folder: &Path) -> Result<()> {
     let mut text = String::from("view,exposure\n");
     let mut views = world.query_filtered::<(&ViewName, &Split), With<Photograph>>();
-    let views: Vec<(String, Split)> = views.iter(world).map(|(name, split)| (name.0.clone(), *split)).collect();
+    let views: Vec<(String, Split)> =
+        views.iter(world).map(|(name, split)| (name.0.clone(), *split)).collect();
     let exposures = world.resource::<Exposures>();
     for (view, (name, _)) in (0..).zip(&views).filter(|(_, (_, split))| *split == Split::Train) {
         // Writing to a String cannot fail.

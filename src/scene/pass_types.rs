@@ -162,7 +162,7 @@ pub struct ShapePass {
     pub rates: Rates,
     /// Whether each photograph has an exposure of its own that is not known, as in [`FitPass::exposure`]. Default false.
     pub exposure: bool,
-    /// Whether cameras move too, as in [`FitPass::cameras`], from the second grid on. Default false.
+    /// Whether cameras move too, as in [`FitPass::cameras`]. Default false.
     pub cameras: bool,
 }
 

@@ -5,11 +5,11 @@ use super::hull::{FORGIVEN, Silhouette, pixel_size, visual_hull};
 use super::mend::{believed_pixels, regrow};
 use super::silhouette_loss::SilhouetteSample;
 use super::systems::{
-    ShapeSchedule, align_outlines, hand_out_to_bricks, move_bricks, pull_back_silhouettes, pull_back_to_field,
-    recast_outlines, retrace_window,
+    ShapeSchedule, align_outlines, hand_out_to_bricks, move_bricks, pull_back_silhouettes,
+    pull_back_to_field, recast_outlines, retrace_window,
 };
 use crate::error::Result;
-use crate::fit::cameras::{CameraPlugin, align_photographs, recast_rays};
+use crate::fit::cameras::{CameraFit, CameraPlugin, align_photographs, recast_rays};
 use crate::fit::components::{AlbedoGradient, AlbedoMoments, TexelSeen};
 use crate::fit::run::{FirstGuess, FitOptions, FitProgress, run_fit};
 use crate::material::{DiffuseAlbedo, SpecularBlend, SpecularLobe};
@@ -49,7 +49,7 @@ pub struct ShapeOptions {
     pub levels: Vec<ShapeLevel>,
     /// The fit of light and material beside it; its steps are those of the level.
     pub fit: FitOptions,
-    /// Whether cameras move too, from the second level on.
+    /// Whether cameras move too.
     pub cameras: bool,
 }
 
@@ -89,6 +89,7 @@ impl Plugin for ShapeCameraPlugin {
             .swap(Phase::FitStep, Slot::Recast, (recast_rays, recast_outlines))
             .swap(Phase::FitStep, Slot::Retrace, retrace_window)
             .swap(Phase::FitStep, Slot::CameraGradient, (align_photographs, align_outlines).chain());
+        pipeline.world.resource_mut::<CameraFit>().object_moves = true;
     }
 }
 
@@ -115,6 +116,9 @@ pub fn fit_shape(
     let hull = visual_hull(&silhouettes, options.levels[0].cells)?;
     pipeline.world.spawn_batch(silhouette_samples(&hull, &silhouettes, options.fit.pixels.seed));
     pipeline.add_plugin(&ShapePlugin);
+    if options.cameras {
+        pipeline.add_plugin(&ShapeCameraPlugin);
+    }
     let found = fit_levels(pipeline, hull, &mut silhouettes, options, watch);
     CameraPlugin::remove(pipeline);
     ShapePlugin::remove(pipeline);
@@ -132,9 +136,6 @@ fn fit_levels(
 ) -> Result<SdfSurface> {
     let mut texels: Option<(TexelVolume, Vec<Vec3>)> = None;
     for (index, level) in options.levels.iter().enumerate() {
-        if options.cameras && (index == 1 || options.levels.len() == 1) {
-            pipeline.add_plugin(&ShapeCameraPlugin);
-        }
         if index > 0 {
             let cameras = photographed_cameras(&mut pipeline.world);
             silhouettes.iter_mut().for_each(|s| s.camera = cameras[s.view as usize]);
@@ -173,7 +174,8 @@ fn photographed_cameras(world: &mut World) -> Vec<Camera> {
 }
 
 fn training_silhouettes(world: &mut World) -> Vec<Silhouette> {
-    let mut views = world.query_filtered::<(&ViewName, &Camera, Option<&ViewMask>, &Split), With<Photograph>>();
+    let mut views =
+        world.query_filtered::<(&ViewName, &Camera, Option<&ViewMask>, &Split), With<Photograph>>();
     let train = views.iter(world).zip(0..).filter(|((_, _, _, split), _)| **split == Split::Train);
     let silhouette = |((name, camera, mask, _), view): ((&ViewName, &Camera, Option<&ViewMask>, _), u32)| {
         Some(Silhouette::new(&name.0, camera, &mask?.0)?.of_view(view))

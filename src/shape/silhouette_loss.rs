@@ -69,8 +69,14 @@ fn slope(grid: &SdfGrid, sample: &SilhouetteSample, width: f32) -> Option<(Vec3,
 /// Pixels from an outline within which it says where the camera is.
 const ALIGNED_REACH: f32 = 3.0;
 
-/// How far an outline is from that of the surface, and what a change of the camera would make of it.
-pub fn aligned_outline(grid: &SdfGrid, camera: &Camera, sample: &SilhouetteSample) -> Option<AlignedRow> {
+/// How far an outline is from that of the surface, and what a change of the camera, or of the object around `center`, would
+/// make of it.
+pub fn aligned_outline(
+    grid: &SdfGrid,
+    camera: &Camera,
+    center: Vec3,
+    sample: &SilhouetteSample,
+) -> Option<AlignedRow> {
     if sample.outline.abs() > ALIGNED_REACH {
         return None;
     }
@@ -78,6 +84,6 @@ pub fn aligned_outline(grid: &SdfGrid, camera: &Camera, sample: &SilhouetteSampl
     let least = grid.least_distance(&sample.ray, -2.0 * ALIGNED_REACH * sample.pixel_size * far)?;
     let pixels = least.value / (sample.pixel_size * least.distance);
     let point = sample.ray.origin + sample.ray.direction * least.distance;
-    let row = AlignedRow::new(camera, point, sample.outline_slope, sample.outline - pixels);
+    let row = AlignedRow::new(camera, point, center, sample.outline_slope, sample.outline - pixels);
     row.filter(|_| pixels.abs() < ALIGNED_REACH)
 }

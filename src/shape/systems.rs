@@ -145,8 +145,10 @@ pub fn align_outlines(
     };
     let mut views: Vec<_> = views.iter_mut().collect();
     let grid = &field.surface.grid;
+    let Some(center) = fit.center else { return Ok(()) };
     let row = |sample: &SilhouetteSample| {
-        Some((sample.pixel.view, aligned_outline(grid, views[sample.pixel.view as usize].0, sample)?))
+        let camera = views[sample.pixel.view as usize].0;
+        Some((sample.pixel.view, aligned_outline(grid, camera, center, sample)?))
     };
     let samples = &samples[schedule.outline_rows(rates.step, samples.len())];
     let rows: Vec<(u32, AlignedRow)> = samples.par_iter().with_min_len(64).filter_map(row).collect();

@@ -1,6 +1,7 @@
 //! A mesh of an SDF's zero level: naive surface nets (Gibson 1998), vertices then moved onto the level.
 
 use super::SdfGrid;
+use super::pinches::split_pinches;
 use crate::surface::mesh::Mesh;
 use fast_surface_nets::ndshape::{RuntimeShape, Shape};
 use fast_surface_nets::{SurfaceNetsBuffer, surface_nets};
@@ -24,17 +25,21 @@ pub fn extract_mesh(grid: &SdfGrid) -> Mesh {
     }
     let mut buffer = SurfaceNetsBuffer::default();
     surface_nets(&values, &shape, [0; 3], [last; 3], &mut buffer);
-    let positions: Vec<Vec3> = buffer.positions.iter().map(|p| project(grid, *p)).collect();
+    let in_world = |p: &[f32; 3]| grid.origin + Vec3::from(*p) * grid.spacing;
+    let mut positions: Vec<Vec3> = buffer.positions.iter().map(in_world).collect();
+    let mut triangles: Vec<[u32; 3]> = buffer.indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect();
+    let parted = split_pinches(&mut positions, &mut triangles, |p| grid.value(p) < 0.0);
+    for (position, _) in positions.iter_mut().zip(&parted).filter(|(_, parted)| !**parted) {
+        *position = project(grid, *position);
+    }
     let normals = positions.iter().map(|p| grid.gradient(*p).try_normalize().unwrap_or(Vec3::Y)).collect();
-    let triangles = buffer.indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect();
     let mut mesh = Mesh { positions, normals, uvs: None, triangles };
     mesh.drop_degenerate_triangles();
     keep_largest_component(mesh)
 }
 
-/// From grid units to a world position on the zero level, at most a cell away.
-fn project(grid: &SdfGrid, at: [f32; 3]) -> Vec3 {
-    let start = grid.origin + Vec3::from(at) * grid.spacing;
+/// A point moved onto the zero level, at most a cell away.
+fn project(grid: &SdfGrid, start: Vec3) -> Vec3 {
     let mut point = start;
     for _ in 0..PROJECTIONS {
         let gradient = grid.gradient(point);
@@ -102,6 +107,24 @@ mod tests {
         assert_eq!(kept.triangles, [[0, 1, 2], [2, 1, 3]]);
         assert_eq!(kept.positions, (0..4).map(|i| Vec3::splat(i as f32)).collect::<Vec<_>>());
         assert!(keep_largest_component(Mesh::default()).triangles.is_empty());
+    }
+
+    #[test]
+    fn every_edge_has_two_triangles_however_rough_the_field() {
+        // Noise of about a cell: sheets share cells everywhere.
+        let noise = |p: Vec3| ((41.0 * p.x).sin() + (37.0 * p.y).sin() + (43.0 * p.z).sin()) * 0.04;
+        let mesh = extract_mesh(&SdfGrid::from_fn(Vec3::ZERO, 1.0, 40, |p| p.length() - 0.6 + noise(p)));
+        let mut counts: HashMap<[[u32; 3]; 2], u32> = HashMap::new();
+        for t in &mesh.triangles {
+            for k in 0..3 {
+                let end = |k: usize| mesh.positions[t[k % 3] as usize].to_array().map(f32::to_bits);
+                let mut ends = [end(k), end(k + 1)];
+                ends.sort();
+                *counts.entry(ends).or_default() += 1;
+            }
+        }
+        assert!(mesh.triangles.len() > 2000);
+        assert_eq!(counts.values().filter(|count| **count != 2).count(), 0);
     }
 
     #[test]

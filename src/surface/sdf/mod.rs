@@ -5,6 +5,7 @@
 //! | this one | [`SdfGrid`]: values, trilinear look-up, smooth gradient |
 //! | [`silhouette`] | signed distance in pixels to a mask's outline |
 //! | [`extract`] | a mesh of the zero level (surface nets) |
+//! | `pinches` | what sheets of that mesh share taken apart, so that it is a manifold |
 //! | `trace` | where rays meet the zero level (sphere tracing), and how near they pass |
 //! | `redistance` | values made distances again (fast sweeping) |
 //! | [`volume`] | texels on a lattice around the zero level, and a field that can be shaded with them |
@@ -15,6 +16,7 @@
 //! | `origin`, `spacing` | `Vec3`, `f32` | world units | from the cameras | the grid's first vertex and the distance between two |
 
 pub mod extract;
+mod pinches;
 mod redistance;
 pub mod silhouette;
 mod trace;
