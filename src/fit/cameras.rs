@@ -25,6 +25,7 @@ use crate::view::{Camera, Photograph, ViewMask};
 use bevy_ecs::prelude::{Component, Entity, Mut, Query, Res, ResMut, Resource, With, World};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 /// Steps between two moves of the cameras; their normal equations are summed over these.
 const MOVE_EVERY: u32 = 25;
@@ -87,6 +88,19 @@ impl CameraPose {
     }
 }
 
+/// What of the cameras a fit finds beside the rest.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum CameraUnknowns {
+    /// Nothing: they are as given.
+    #[default]
+    Given,
+    /// Each training view's rotation and translation.
+    Poses,
+    /// Those, and one factor on all focal lengths, which held-out views take over. Seen from afar it is hard to tell from the
+    /// object's size.
+    PosesAndFocal,
+}
+
 /// A residual of a view with the slopes that a change of its camera gives it.
 #[derive(Clone, Copy, Debug)]
 pub struct AlignedRow {
@@ -116,6 +130,8 @@ pub struct CameraFit {
     pub noise: [f32; 2],
     /// About the middle of the object, world space; found with the first residuals.
     pub center: Option<Vec3>,
+    /// What is looked for.
+    pub unknowns: CameraUnknowns,
     /// Whether the object moves as well, so that only what cameras are off against each other is theirs.
     pub object_moves: bool,
 }
@@ -132,12 +148,13 @@ impl CameraFit {
 }
 
 /// The systems that move cameras to where a surface, still or not, looks like the photographs.
-pub struct CameraPlugin;
+pub struct CameraPlugin(pub CameraUnknowns);
 
 impl Plugin for CameraPlugin {
     fn build(&self, pipeline: &mut Pipeline) {
         attach_poses(&mut pipeline.world);
-        pipeline.world.resource_mut::<CameraFit>().object_moves = false;
+        let mut fit = pipeline.world.resource_mut::<CameraFit>();
+        (fit.unknowns, fit.object_moves) = (self.0, false);
         pipeline
             .swap(Phase::FitStep, Slot::Recast, recast_rays)
             .swap(Phase::FitStep, Slot::Retrace, retrace_still_surface)
@@ -282,7 +299,10 @@ pub fn move_cameras(
         prior: pose.prior(),
         camera: **camera,
     };
-    let aligned: Vec<AlignedView> = views.iter().map(aligned).collect();
+    let mut aligned: Vec<AlignedView> = views.iter().map(aligned).collect();
+    // The focal length is one, however many views there are.
+    let share = if fit.unknowns == CameraUnknowns::PosesAndFocal { 1.0 / aligned.len() as f64 } else { 1e30 };
+    aligned.iter_mut().for_each(|view| view.prior.focal *= share);
     let object = AlignedObject { center: fit.center.unwrap_or_default(), known: !fit.object_moves };
     let (steps, by_focal) = solve(&aligned, object, fit.log_focal);
     fit.log_focal += by_focal.clamp(-0.01, 0.01);

@@ -4,7 +4,7 @@ use super::save::write_weights;
 use super::{INTERRUPTED, Session, check_interrupted, found_views};
 use crate::error::Result;
 use crate::file::write_bytes;
-use crate::fit::cameras::CameraPlugin;
+use crate::fit::cameras::{CameraPlugin, CameraUnknowns};
 use crate::fit::components::TexelSeen;
 use crate::fit::gloss::TexelPlaces;
 use crate::fit::observe::PixelChoice;
@@ -18,6 +18,7 @@ use crate::report::png_file::write_rgb8;
 use crate::report::tone::srgb8;
 use crate::scene::pass_types::{FitPass, FitShading, Quality};
 use crate::scene::spawn::unknowns;
+use crate::shape::vertices::VertexPlugin;
 use crate::surface::atlas::fill_uncovered;
 use crate::view::exr_io::ExrLayers;
 use bevy_ecs::prelude::World;
@@ -50,8 +51,12 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     session.pipeline.world.insert_resource(TexelPlaces { positions, progress: 0.0 });
     let bar = session.progress.bar(&pass.name, u64::from(options.steps));
     let mut log = String::from("step,elapsed_secs,loss,psnr,specular_r,specular_g,specular_b,roughness\n");
-    if pass.cameras {
-        session.pipeline.add_plugin(&CameraPlugin);
+    if pass.cameras != CameraUnknowns::Given {
+        session.pipeline.add_plugin(&CameraPlugin(pass.cameras));
+    }
+    if pass.vertices {
+        let (surface, steps) = (session.surface.clone(), options.steps);
+        session.pipeline.add_plugin(&VertexPlugin { surface, steps });
     }
     let summary = run_fit(&mut session.pipeline, &options, &mut |at, _| {
         bar.set_position(u64::from(at.step));
@@ -62,6 +67,9 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
         if INTERRUPTED.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
     CameraPlugin::remove(&mut session.pipeline);
+    if let Some(moved) = VertexPlugin::remove(&mut session.pipeline) {
+        session.surface = moved;
+    }
     let summary = summary?;
     session.guess = FirstGuess::NONE;
     bar.finish_and_clear();

@@ -3,7 +3,7 @@
 use super::Session;
 use crate::error::{Error, Result};
 use crate::file::write_bytes;
-use crate::fit::cameras::{CameraFit, CameraPose};
+use crate::fit::cameras::{CameraFit, CameraPose, CameraUnknowns};
 use crate::fit::exposure::Exposures;
 use crate::view::{Camera, Photograph, Split, ViewName};
 use bevy_ecs::prelude::{With, World};
@@ -17,9 +17,9 @@ use std::path::Path;
 ///
 /// # Errors
 /// [`Error::Io`] when the system refuses.
-pub fn write(session: &mut Session, name: &str, cameras: bool, exposure: bool) -> Result<()> {
+pub fn write(session: &mut Session, name: &str, cameras: CameraUnknowns, exposure: bool) -> Result<()> {
     let folder = session.folder(name);
-    if cameras {
+    if cameras != CameraUnknowns::Given {
         let (center, radius) = session.surface.bounding_sphere();
         let world = &mut session.pipeline.world;
         let (shifts, factor) =

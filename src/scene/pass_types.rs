@@ -3,6 +3,7 @@
 pub use super::output_types::{ExportPass, MeshFormat, SavePass};
 pub use super::render_types::{Orbit, OrbitFormat, Quality, RenderSettings, Shading, Tone, ViewChoice};
 use super::types::LightSource;
+pub use crate::fit::cameras::CameraUnknowns;
 pub use crate::fit::loss::Loss;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
@@ -110,9 +111,10 @@ pub struct FitPass {
     /// Whether each photograph has an exposure of its own that is not known: a factor on its radiance, 0.2 to 5, their
     /// geometric mean 1. Views are rendered without. Default false.
     pub exposure: bool,
-    /// Whether the training views' cameras are a little off and move too: each its pose, all one factor on their focal
-    /// lengths, which held-out views take over. Default false.
-    pub cameras: bool,
+    /// What of the training views' cameras is a little off and found too. Default `Given`: nothing.
+    pub cameras: CameraUnknowns,
+    /// Whether the mesh is a little off and its vertices move along their normals, which then are smooth. Default false.
+    pub vertices: bool,
 }
 
 impl Default for FitPass {
@@ -129,7 +131,8 @@ impl Default for FitPass {
             milestones: vec![0.5, 0.75, 0.9],
             decay: 0.4,
             exposure: false,
-            cameras: false,
+            cameras: CameraUnknowns::Given,
+            vertices: false,
         }
     }
 }
@@ -162,8 +165,8 @@ pub struct ShapePass {
     pub rates: Rates,
     /// Whether each photograph has an exposure of its own that is not known, as in [`FitPass::exposure`]. Default false.
     pub exposure: bool,
-    /// Whether cameras move too, as in [`FitPass::cameras`]. Default false.
-    pub cameras: bool,
+    /// What of the training views' cameras is a little off and found too. Default `Given`: nothing.
+    pub cameras: CameraUnknowns,
 }
 
 /// One grid of a [`ShapePass`].
@@ -206,7 +209,7 @@ impl Default for ShapePass {
             blur: 8,
             rates: Rates::default(),
             exposure: false,
-            cameras: false,
+            cameras: CameraUnknowns::Given,
         }
     }
 }

@@ -8,6 +8,7 @@
 //! | [`adjoint`] | kernels that pull adjoints of normals, positions and silhouettes back to the values |
 //! | [`silhouette_loss`] | the loss of masks |
 //! | [`systems`] | the systems, which are swapped in while a shape is fitted ([`run`]) |
+//! | [`vertices`] | a mesh's vertices as parameters of a fit |
 
 pub mod adjoint;
 pub mod field;
@@ -16,3 +17,4 @@ pub mod mend;
 pub mod run;
 pub mod silhouette_loss;
 pub mod systems;
+pub mod vertices;

@@ -9,7 +9,7 @@ use super::systems::{
     pull_back_to_field, recast_outlines, retrace_window,
 };
 use crate::error::Result;
-use crate::fit::cameras::{CameraFit, CameraPlugin, align_photographs, recast_rays};
+use crate::fit::cameras::{CameraFit, CameraPlugin, CameraUnknowns, align_photographs, recast_rays};
 use crate::fit::components::{AlbedoGradient, AlbedoMoments, TexelSeen};
 use crate::fit::run::{FirstGuess, FitOptions, FitProgress, run_fit};
 use crate::material::{DiffuseAlbedo, SpecularBlend, SpecularLobe};
@@ -49,8 +49,8 @@ pub struct ShapeOptions {
     pub levels: Vec<ShapeLevel>,
     /// The fit of light and material beside it; its steps are those of the level.
     pub fit: FitOptions,
-    /// Whether cameras move too.
-    pub cameras: bool,
+    /// What of the cameras is found too.
+    pub cameras: CameraUnknowns,
 }
 
 /// The systems that fit a shape; [`ShapePlugin::remove`] takes them out again.
@@ -80,12 +80,12 @@ impl ShapePlugin {
 
 /// The systems that move cameras to where photographs and masks ask for, beside a shape; [`CameraPlugin::remove`] takes
 /// them out again.
-struct ShapeCameraPlugin;
+struct ShapeCameraPlugin(CameraUnknowns);
 
 impl Plugin for ShapeCameraPlugin {
     fn build(&self, pipeline: &mut Pipeline) {
         pipeline
-            .add_plugin(&CameraPlugin)
+            .add_plugin(&CameraPlugin(self.0))
             .swap(Phase::FitStep, Slot::Recast, (recast_rays, recast_outlines))
             .swap(Phase::FitStep, Slot::Retrace, retrace_window)
             .swap(Phase::FitStep, Slot::CameraGradient, (align_photographs, align_outlines).chain());
@@ -116,8 +116,8 @@ pub fn fit_shape(
     let hull = visual_hull(&silhouettes, options.levels[0].cells)?;
     pipeline.world.spawn_batch(silhouette_samples(&hull, &silhouettes, options.fit.pixels.seed));
     pipeline.add_plugin(&ShapePlugin);
-    if options.cameras {
-        pipeline.add_plugin(&ShapeCameraPlugin);
+    if options.cameras != CameraUnknowns::Given {
+        pipeline.add_plugin(&ShapeCameraPlugin(options.cameras));
     }
     let found = fit_levels(pipeline, hull, &mut silhouettes, options, watch);
     CameraPlugin::remove(pipeline);

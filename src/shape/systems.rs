@@ -108,9 +108,9 @@ pub fn pull_back_to_field(
 
 /// Most a sample's normal adjoint may be, in root mean squares of the window's: at the edge of a sharp highlight a few
 /// samples would else outvote all others and dent the surface.
-const OUTLIER: f32 = 1.5;
+pub(super) const OUTLIER: f32 = 1.5;
 
-fn root_mean_square(back: &[PointAdjoint]) -> f32 {
+pub(super) fn root_mean_square(back: &[PointAdjoint]) -> f32 {
     let sum: f64 = back.iter().map(|b| f64::from(Vec3::from(b.normal).length_squared())).sum();
     (sum / back.len().max(1) as f64).sqrt() as f32
 }

@@ -103,6 +103,11 @@ impl Surface {
         odd.count() >= 3
     }
 
+    /// The nearest triangle that a ray meets beyond `min_distance`.
+    pub fn nearest(&self, ray: &Ray, min_distance: f32) -> Option<TriangleHit> {
+        self.bvh.nearest(ray, min_distance)
+    }
+
     /// What is at a point that was found on this surface's own mesh.
     pub fn hit(&self, found: TriangleHit) -> Hit {
         let triangle = found.triangle as usize;
@@ -126,7 +131,7 @@ impl Surface {
 
 impl Intersect for Surface {
     fn intersect(&self, ray: &Ray, min_distance: f32) -> Option<Hit> {
-        self.bvh.nearest(ray, min_distance).map(|found| self.hit(found))
+        self.nearest(ray, min_distance).map(|found| self.hit(found))
     }
 
     fn occluded(&self, ray: &Ray, min_distance: f32, max_distance: f32) -> bool {

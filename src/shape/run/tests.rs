@@ -108,7 +108,7 @@ fn options(steps: u32) -> ShapeOptions {
             visibility: false,
             exposure: false,
         },
-        cameras: false,
+        cameras: CameraUnknowns::Given,
     }
 }
 

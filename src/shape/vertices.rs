@@ -1,0 +1,392 @@
+//! A mesh's vertices as parameters: they move along their normals to where the shading asks for other slopes.
+//!
+//! For what a grid cannot hold, and with everything that shading of a mesh knows of, shadows and reflections included. The adjoint of a
+//! sample's normal goes to the vertices' normals, from there through the areas of the triangles to their positions. Steps are smoothed by
+//! (I + λL)⁻², L the graph's Laplacian, as in Nicolet, Jacobson and Jakob, "Large Steps in Inverse Rendering of Geometry" (2021).
+//!
+//! | system | stage, slot | reads | writes |
+//! | --- | --- | --- | --- |
+//! | [`retrace_vertices`] | Trace, `Slot::Retrace` | rays | surface points, and the triangles that they are in |
+//! | [`pull_back_to_vertices`] | Gradient, `Slot::ShapeGradient` | normals' adjoints | [`VertexAdjoint`] |
+//! | [`move_vertices`] | Update, `Slot::ShapeUpdate` | [`VertexAdjoint`] | [`VertexPosition`], the surface |
+
+use super::systems::{OUTLIER, root_mean_square};
+use crate::error::Result;
+use crate::fit::components::StepRates;
+use crate::math::shading::PointAdjoint;
+use crate::shade::Scenery;
+use crate::shade::pool::only_table;
+use crate::stage::{Phase, Pipeline, Plugin, Slot, SystemResult};
+use crate::surface::Surface;
+use crate::surface::bvh::TriangleHit;
+use crate::surface::mesh::Mesh;
+use crate::surface::point::SurfacePoint;
+use crate::view::pixel::{ViewRay, Window};
+use bevy_ecs::prelude::{Component, Entity, Query, Res, ResMut, Resource, With};
+use glam::Vec3;
+use rayon::prelude::*;
+use std::sync::Arc;
+
+/// Steps between two moves; adjoints are summed over these.
+const MOVE_EVERY: u32 = 12;
+/// Part of the fit before the first move: light and material must be found first.
+const HELD: f32 = 0.25;
+/// Root-mean-square move at the first and at the last, in mean edges.
+const RATES: (f32, f32) = (0.02, 0.002);
+/// λ of the smoothing.
+const SMOOTHING: f32 = 19.0;
+/// Share of the running mean that stays at a move.
+const MEAN_DECAY: f32 = 0.8;
+/// Rounds of conjugate gradients.
+const ROUNDS: usize = 24;
+
+/// World position of a vertex; vertices at one place are one.
+#[derive(Component, Clone, Copy, Debug, PartialEq)]
+pub struct VertexPosition(pub Vec3);
+
+/// Adjoint of a vertex's unit normal, summed since the last move.
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
+pub struct VertexAdjoint(pub Vec3);
+
+/// Running mean of a vertex's smoothed slope along its normal.
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
+pub struct VertexMoment(pub f32);
+
+/// The mesh that moves.
+#[derive(Resource)]
+pub struct MovingMesh {
+    /// As it is now.
+    pub surface: Arc<Surface>,
+    graph: VertexGraph,
+    /// Where the window's rays met it.
+    found: Vec<Option<TriangleHit>>,
+    /// Steps of the fit.
+    steps: u32,
+}
+
+/// Which vertices make triangles, vertices at one place being one.
+struct VertexGraph {
+    /// The vertex of each of the mesh's.
+    of: Vec<u32>,
+    triangles: Vec<[u32; 3]>,
+    /// Neighbours of vertex i: `neighbours[starts[i]..starts[i + 1]]`.
+    starts: Vec<usize>,
+    neighbours: Vec<u32>,
+}
+
+impl VertexGraph {
+    /// The graph, and the vertices' positions.
+    fn new(mesh: &Mesh) -> (Self, Vec<Vec3>) {
+        let first = mesh.welded_vertices();
+        let (mut of, mut positions) = (vec![0; first.len()], Vec::new());
+        for (vertex, first) in first.iter().map(|v| *v as usize).enumerate() {
+            if first == vertex {
+                of[vertex] = positions.len() as u32;
+                positions.push(mesh.positions[vertex]);
+            } else {
+                of[vertex] = of[first];
+            }
+        }
+        let triangles: Vec<[u32; 3]> = mesh.triangles.iter().map(|t| t.map(|v| of[v as usize])).collect();
+        let mut edges: Vec<(u32, u32)> = triangles
+            .iter()
+            .flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a), (b, a), (c, b), (a, c)])
+            .collect();
+        edges.sort_unstable();
+        edges.dedup();
+        let starts = (0..=positions.len()).map(|v| edges.partition_point(|e| (e.0 as usize) < v)).collect();
+        let neighbours = edges.into_iter().map(|e| e.1).collect();
+        (Self { of, triangles, starts, neighbours }, positions)
+    }
+
+    fn around(&self, vertex: usize) -> &[u32] {
+        &self.neighbours[self.starts[vertex]..self.starts[vertex + 1]]
+    }
+
+    /// (I + λL) x.
+    fn stiffened(&self, x: &[f32], lambda: f32) -> Vec<f32> {
+        let row = |i: usize| {
+            let around = self.around(i);
+            let sum: f32 = around.iter().map(|&j| x[j as usize]).sum();
+            x[i] + lambda * (around.len() as f32 * x[i] - sum)
+        };
+        (0..x.len()).into_par_iter().with_min_len(4096).map(row).collect()
+    }
+
+    /// (I + λL)⁻¹ b, by conjugate gradients.
+    fn smoothed(&self, b: &[f32], lambda: f32) -> Vec<f32> {
+        let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| f64::from(a * b)).sum::<f64>();
+        let (mut x, mut residual, mut along) = (vec![0.0; b.len()], b.to_vec(), b.to_vec());
+        let mut size = dot(&residual, &residual);
+        let enough = 1e-8 * size;
+        for _ in 0..ROUNDS {
+            if size <= enough {
+                break;
+            }
+            let product = self.stiffened(&along, lambda);
+            let step = (size / dot(&along, &product)) as f32;
+            x.iter_mut().zip(&along).for_each(|(x, a)| *x += step * a);
+            residual.iter_mut().zip(&product).for_each(|(r, p)| *r -= step * p);
+            let next = dot(&residual, &residual);
+            let keep = (next / size) as f32;
+            along.iter_mut().zip(&residual).for_each(|(a, r)| *a = r + keep * *a);
+            size = next;
+        }
+        x
+    }
+
+    /// Doubled area vectors of the triangles summed at each vertex.
+    fn area_vectors(&self, positions: &[Vec3]) -> Vec<Vec3> {
+        let mut sums = vec![Vec3::ZERO; positions.len()];
+        for triangle in &self.triangles {
+            let [a, b, c] = triangle.map(|v| positions[v as usize]);
+            let area = (b - a).cross(c - a);
+            triangle.iter().for_each(|&v| sums[v as usize] += area);
+        }
+        sums
+    }
+
+    /// Adjoints of positions from those of the vertices' unit normals.
+    fn pull_back_normals(&self, positions: &[Vec3], adjoint: &[Vec3]) -> Vec<Vec3> {
+        let by_sum: Vec<Vec3> = self
+            .area_vectors(positions)
+            .iter()
+            .zip(adjoint)
+            .map(|(sum, adjoint)| pull_back_unit(*sum, *adjoint))
+            .collect();
+        let mut back = vec![Vec3::ZERO; positions.len()];
+        for triangle in &self.triangles {
+            let [a, b, c] = triangle.map(|v| positions[v as usize]);
+            let by_area: Vec3 = triangle.iter().map(|&v| by_sum[v as usize]).sum();
+            // Of e₁ × e₂ with e₁ = b − a, e₂ = c − a.
+            let (by_first, by_second) = ((c - a).cross(by_area), by_area.cross(b - a));
+            back[triangle[0] as usize] -= by_first + by_second;
+            back[triangle[1] as usize] += by_first;
+            back[triangle[2] as usize] += by_second;
+        }
+        back
+    }
+
+    /// Mean length of the edges.
+    fn mean_edge(&self, positions: &[Vec3]) -> f32 {
+        let length = |i: usize| {
+            let lengths = self.around(i).iter().map(|&j| positions[i].distance(positions[j as usize]));
+            f64::from(lengths.sum::<f32>())
+        };
+        ((0..positions.len()).map(length).sum::<f64>() / self.neighbours.len().max(1) as f64) as f32
+    }
+}
+
+/// Adjoint of a vector from that of its direction.
+fn pull_back_unit(vector: Vec3, adjoint: Vec3) -> Vec3 {
+    let length = vector.length();
+    if length < 1e-20 {
+        return Vec3::ZERO;
+    }
+    let unit = vector / length;
+    (adjoint - unit * unit.dot(adjoint)) / length
+}
+
+/// The systems that move a mesh's vertices during a fit.
+pub struct VertexPlugin {
+    /// The mesh as it is given.
+    pub surface: Arc<Surface>,
+    /// Steps of the fit.
+    pub steps: u32,
+}
+
+impl Plugin for VertexPlugin {
+    fn build(&self, pipeline: &mut Pipeline) {
+        let (graph, positions) = VertexGraph::new(self.surface.mesh());
+        let vertices = positions
+            .into_iter()
+            .map(|at| (VertexPosition(at), VertexAdjoint::default(), VertexMoment::default()));
+        pipeline.world.spawn_batch(vertices.collect::<Vec<_>>());
+        let (surface, found) = (self.surface.clone(), Vec::new());
+        pipeline.world.insert_resource(MovingMesh { surface, graph, found, steps: self.steps });
+        pipeline
+            .swap(Phase::FitStep, Slot::Retrace, retrace_vertices)
+            .swap(Phase::FitStep, Slot::ShapeGradient, pull_back_to_vertices)
+            .swap(Phase::FitStep, Slot::ShapeUpdate, move_vertices);
+    }
+}
+
+impl VertexPlugin {
+    /// Takes the systems and the vertices out; returns the mesh as it became, if there was one.
+    pub fn remove(pipeline: &mut Pipeline) -> Option<Arc<Surface>> {
+        for slot in [Slot::Retrace, Slot::ShapeGradient, Slot::ShapeUpdate] {
+            pipeline.clear(Phase::FitStep, slot);
+        }
+        let world = &mut pipeline.world;
+        let vertices: Vec<Entity> =
+            world.query_filtered::<Entity, With<VertexPosition>>().iter(world).collect();
+        for vertex in vertices {
+            world.despawn(vertex);
+        }
+        world.remove_resource::<MovingMesh>().map(|mesh| mesh.surface)
+    }
+}
+
+/// Trace: where the window's rays meet the mesh as it is now.
+pub fn retrace_vertices(
+    window: Res<Window>,
+    mut mesh: ResMut<MovingMesh>,
+    mut samples: Query<(&ViewRay, &mut SurfacePoint)>,
+) -> SystemResult {
+    let Some((rays, mut points)) = only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")? else {
+        return Ok(());
+    };
+    let rows = window.0.clone();
+    let points = &mut points.bypass_change_detection()[rows.clone()];
+    let MovingMesh { surface, found, .. } = &mut *mesh;
+    found.resize(rows.len(), None);
+    points.par_iter_mut().zip(&rays[rows]).zip(found).with_min_len(256).for_each(|((point, ray), found)| {
+        *found = surface.nearest(&ray.0, 0.0);
+        let hit = found.map(|found| surface.hit(found));
+        *point = hit.filter(|hit| hit.normal.dot(ray.0.direction) < 0.0).into();
+    });
+    Ok(())
+}
+
+/// Gradient: the samples' normal adjoints, as adjoints of the vertices' normals.
+pub fn pull_back_to_vertices(
+    window: Res<Window>,
+    mesh: Res<MovingMesh>,
+    samples: Query<(&SurfacePoint, &PointAdjoint)>,
+    mut vertices: Query<&mut VertexAdjoint>,
+) -> SystemResult {
+    let Some((points, back)) = only_table(samples.contiguous_iter()?, |t| t.0.len(), "pixel")? else {
+        return Ok(());
+    };
+    let Some(mut vertices) = only_table(vertices.contiguous_iter_mut()?, |t| t.len(), "vertex")? else {
+        return Ok(());
+    };
+    let vertices = vertices.bypass_change_detection();
+    let (points, back) = (&points[window.0.clone()], &back[window.0.clone()]);
+    let limit = OUTLIER * root_mean_square(back);
+    let normals = &mesh.surface.mesh().normals;
+    for ((point, back), found) in points.iter().zip(back).zip(&mesh.found) {
+        let Some(found) = found.filter(|_| point.is_hit()) else { continue };
+        let corners = mesh.surface.mesh().triangles[found.triangle as usize];
+        let blended: Vec3 = (0..3).map(|k| normals[corners[k] as usize] * found.weights[k]).sum();
+        let by_blend = pull_back_unit(blended, Vec3::from(back.normal).clamp_length_max(limit));
+        for (corner, weight) in corners.into_iter().zip(found.weights) {
+            vertices[mesh.graph.of[corner as usize] as usize].0 += weight * by_blend;
+        }
+    }
+    Ok(())
+}
+
+/// Update: every [`MOVE_EVERY`] steps, one smoothed step of all vertices along their normals; the sums begin anew.
+pub fn move_vertices(
+    rates: Res<StepRates>,
+    mut mesh: ResMut<MovingMesh>,
+    mut scenery: ResMut<Scenery>,
+    mut vertices: Query<(&mut VertexPosition, &mut VertexAdjoint, &mut VertexMoment)>,
+) -> SystemResult {
+    let Some((mut positions, mut adjoint, mut moments)) =
+        only_table(vertices.contiguous_iter_mut()?, |t| t.0.len(), "vertex")?
+    else {
+        return Ok(());
+    };
+    let done = rates.step as f32 / mesh.steps.max(1) as f32;
+    let adjoint = adjoint.bypass_change_detection();
+    if done < HELD {
+        adjoint.fill(VertexAdjoint::default());
+        return Ok(());
+    }
+    if !rates.step.is_multiple_of(MOVE_EVERY) {
+        return Ok(());
+    }
+    let (positions, moments) = (positions.bypass_change_detection(), moments.bypass_change_detection());
+    let at: Vec<Vec3> = positions.iter().map(|p| p.0).collect();
+    let by_normal: Vec<Vec3> = adjoint.iter().map(|a| a.0).collect();
+    adjoint.fill(VertexAdjoint::default());
+    let steps = smooth_steps(&mesh.graph, &at, &by_normal, moments);
+    let rate = RATES.0 * (RATES.1 / RATES.0).powf((done - HELD) / (1.0 - HELD)) * mesh.graph.mean_edge(&at);
+    let moved: Vec<Vec3> = at.iter().zip(&steps).map(|(at, step)| at - rate * step).collect();
+    // A move that would flatten a triangle is not made.
+    if let Ok(surface) = with_positions(&mesh.surface, &mesh.graph, &moved) {
+        mesh.surface = Arc::new(surface);
+        scenery.0 = mesh.surface.clone();
+        positions.iter_mut().zip(&moved).for_each(|(position, moved)| position.0 = *moved);
+    }
+    Ok(())
+}
+
+/// Which way vertices go, with a root mean square of 1.
+fn smooth_steps(
+    graph: &VertexGraph,
+    positions: &[Vec3],
+    by_normal: &[Vec3],
+    moments: &mut [VertexMoment],
+) -> Vec<Vec3> {
+    let normals: Vec<Vec3> = graph.area_vectors(positions).iter().map(|n| n.normalize_or_zero()).collect();
+    let back = graph.pull_back_normals(positions, by_normal);
+    let slopes: Vec<f32> = back.iter().zip(&normals).map(|(back, normal)| back.dot(*normal)).collect();
+    for (moment, slope) in moments.iter_mut().zip(graph.smoothed(&slopes, SMOOTHING)) {
+        moment.0 = MEAN_DECAY * moment.0 + (1.0 - MEAN_DECAY) * slope;
+    }
+    let means: Vec<f32> = moments.iter().map(|m| m.0).collect();
+    let along = graph.smoothed(&means, SMOOTHING);
+    let sum: f64 = along.iter().map(|a| f64::from(a * a)).sum();
+    let rms = (sum / along.len().max(1) as f64).sqrt().max(1e-30) as f32;
+    along.iter().zip(&normals).map(|(along, normal)| *normal * (along / rms)).collect()
+}
+
+/// The surface with its vertices elsewhere, and smooth normals.
+fn with_positions(surface: &Surface, graph: &VertexGraph, positions: &[Vec3]) -> Result<Surface> {
+    let normals = graph.area_vectors(positions);
+    let mut mesh = surface.mesh().clone();
+    for (vertex, of) in graph.of.iter().map(|of| *of as usize).enumerate() {
+        mesh.positions[vertex] = positions[of];
+        mesh.normals[vertex] = normals[of].try_normalize().unwrap_or(mesh.normals[vertex]);
+    }
+    Surface::new(mesh, surface.atlas().width)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::surface::primitive::sphere_mesh;
+
+    fn bumpy() -> (VertexGraph, Vec<Vec3>) {
+        let (graph, positions) = VertexGraph::new(&sphere_mesh(Vec3::ZERO, 1.0).unwrap());
+        let bump = |p: Vec3| p * (1.0 + 0.1 * (5.0 * p.x).sin() * (4.0 * p.y).cos());
+        (graph, positions.into_iter().map(bump).collect())
+    }
+
+    #[test]
+    fn normals_pull_back_as_differences_say() {
+        let (graph, positions) = bumpy();
+        let adjoint: Vec<Vec3> =
+            (0..positions.len()).map(|i| Vec3::new((i as f32).sin(), 0.3, (1.7 * i as f32).cos())).collect();
+        let back = graph.pull_back_normals(&positions, &adjoint);
+        for vertex in [7, positions.len() / 2, positions.len() - 9] {
+            for axis in 0..3 {
+                let loss = |by: f32| {
+                    let mut moved = positions.clone();
+                    moved[vertex][axis] += by;
+                    let normals = graph.area_vectors(&moved).into_iter().map(|n| n.as_dvec3().normalize());
+                    normals.zip(&adjoint).map(|(n, a)| n.dot(a.as_dvec3())).sum::<f64>()
+                };
+                let exact = ((loss(1e-3) - loss(-1e-3)) / 2e-3) as f32;
+                let found = back[vertex][axis];
+                assert!(
+                    (found - exact).abs() < 0.02 * exact.abs() + 0.05,
+                    "{vertex} {axis}: {found} {exact}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn smoothing_solves_its_equation_and_keeps_what_is_even() {
+        let (graph, positions) = bumpy();
+        let right: Vec<f32> = positions.iter().map(|p| p.x).collect();
+        let solved = graph.stiffened(&graph.smoothed(&right, 2.0), 2.0);
+        assert!(solved.iter().zip(&right).all(|(a, b)| (a - b).abs() < 1e-2));
+        let even = graph.smoothed(&vec![0.7; positions.len()], SMOOTHING);
+        assert!(even.iter().all(|x| (x - 0.7).abs() < 1e-3));
+    }
+}
