@@ -9,6 +9,7 @@ use lobelia::fit::components::Unknowns;
 use lobelia::fit::loss::Loss;
 use lobelia::fit::observe::PixelChoice;
 use lobelia::fit::run::{FirstGuess, FitOptions, FitPlugin, run_fit};
+use lobelia::fit::scale::ScaleRule;
 use lobelia::light::LightLobe;
 use lobelia::light::fibonacci::{fibonacci_axes, spacing_sharpness};
 use lobelia::material::{DiffuseAlbedo, SpecularBlend, SpecularLobe};
@@ -109,5 +110,6 @@ fn options() -> FitOptions {
         guess: FirstGuess::ALL,
         visibility: false,
         exposure: false,
+        scale: ScaleRule::default(),
     }
 }

@@ -89,11 +89,35 @@ fn two_glosses_are_told_apart_and_kept() {
 }
 
 #[test]
+fn each_texel_finds_its_roughness_and_keeps_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = folder.path().join("scene.ron");
+    let text = SCENE.replace("LIGHT", LIGHT).replace("Blend(materials: 2)", "Texels(specular: true)");
+    std::fs::write(&scene, text).unwrap();
+    let out = folder.path().join("out");
+    run(&scene, &out);
+    let found = &read_exr_layers(out.join("fit/roughness.exr")).unwrap().channels["Y"];
+    // The middle rows of the front (+Z) and of the back.
+    let mean = |columns: std::ops::Range<usize>| {
+        let texels = (20..28).flat_map(|y| columns.clone().map(move |x| found[y * 48 + x]));
+        texels.sum::<f32>() / (8 * columns.len()) as f32
+    };
+    let (front, back) = (mean(16..32), (mean(0..8) + mean(40..48)) / 2.0);
+    assert!((front - 0.25).abs() < 0.05 && (back - 0.5).abs() < 0.1, "{front} {back}");
+    let again = folder.path().join("again");
+    run(&out.join("saved/scene.ron"), &again);
+    let [a, b] = [&out, &again].map(|out| std::fs::read(only_picture(&out.join("novel"))).unwrap());
+    assert!(a == b, "the saved object looks different");
+}
+
+#[test]
 fn blends_that_cannot_be_are_refused() {
     let folder = tempfile::tempdir().unwrap();
     let scene = folder.path().join("scene.ron");
     for (gloss, words) in [
         ("Blend(materials: 9)", ["materials is 9", "2 to 4"]),
+        ("Texels(color_width: 0)", ["color_width", "0"]),
+        ("Texels(smoothness: -1)", ["smoothness", "-1"]),
         ("Fixed(lobes: [], weights: \"none.exr\")", ["none.exr", "lobes"]),
     ] {
         let text = SCENE.replace("LIGHT", LIGHT).replace("Blend(materials: 2)", gloss);

@@ -19,6 +19,7 @@ use crate::math::shading::{
 };
 use crate::shade::PointBlend;
 use crate::shade::pool::only_table;
+use crate::shade::systems::Showing;
 use crate::stage::SystemResult;
 use crate::surface::point::SurfacePoint;
 use crate::view::pixel::Window;
@@ -71,18 +72,8 @@ pub struct BlendedSamples<'a> {
     pub adjoint: &'a [RadianceAdjoint],
 }
 
-impl BlendedSamples<'_> {
-    /// What the samples see, specular light times the weight of material `k`; the first has the reflected light.
-    fn share_of(&self, k: usize) -> Vec<PointVisibility> {
-        let share = |(seen, blend): (&PointVisibility, &PointBlend)| PointVisibility {
-            specular: seen.specular.map(|s| s * blend.0[k]),
-            indirect: if k == 0 { seen.indirect } else { [0.0; 3] },
-        };
-        self.seen.iter().zip(self.blends).map(share).collect()
-    }
-}
-
-/// The adjoint of shading by several materials: one material at a time, diffuse light with the first.
+/// The adjoint of shading by several materials: one material at a time, at the samples that show it; diffuse and reflected light
+/// with the first that a sample shows. The adjoint of a weight of zero is left out, as zero.
 pub fn pull_back_blended(
     form: ClosedForm,
     samples: &BlendedSamples<'_>,
@@ -96,44 +87,65 @@ pub fn pull_back_blended(
     blend_adjoints.clear();
     blend_adjoints.resize(count, PerMaterial::default());
     gradient.specular.clear();
-    let black: Vec<ShadePoint> =
-        samples.points.iter().map(|p| ShadePoint { albedo: [0.0; 3], ..*p }).collect();
+    back.fill(PointAdjoint::default());
     let rows = lighting.visibility.map_or(&[][..], |v| v.lobes);
-    let mut layers = vec![Layers::default(); count];
-    let mut one = vec![PointAdjoint::default(); count];
+    let lighting =
+        Lighting { visibility: Some(Visibility { lobes: rows, points: samples.seen }), ..lighting };
+    let mut has_diffuse = vec![false; count];
     for (k, material) in materials.iter().enumerate() {
-        form.shade(&black, material, lighting, &mut layers);
-        for (i, value) in layers.iter_mut().enumerate() {
-            let along = |c: usize| samples.adjoint[i].0[c] * value.specular[c];
-            blend_adjoints[i][k] = along(0) + along(1) + along(2);
-            value.diffuse = samples.shaded[i].diffuse;
+        let (mut part, first) = showing(samples, lighting, k, &mut has_diffuse);
+        let mut layers = vec![Layers::default(); part.numbers.len()];
+        form.shade(&part.points, material, part.lighting(lighting), &mut layers);
+        let adjoint: Vec<RadianceAdjoint> = part.numbers.iter().map(|i| samples.adjoint[*i]).collect();
+        for ((i, value), adjoint) in part.numbers.iter().zip(&mut layers).zip(&adjoint) {
+            blend_adjoints[*i][k] = (0..3).map(|c| adjoint.0[c] * value.specular[c]).sum();
+            value.diffuse = samples.shaded[*i].diffuse;
         }
-        let seen = samples.share_of(k);
-        let lighting = Lighting { visibility: Some(Visibility { lobes: rows, points: &seen }), ..lighting };
-        let points = if k == 0 { samples.points } else { &black };
+        let mut is_first = first.iter();
+        part.change_seen(|i, seen| {
+            seen.specular = seen.specular.map(|s| s * samples.blends[i].0[k]);
+            if is_first.next() == Some(&false) {
+                seen.indirect = [0.0; 3];
+            }
+        });
+        let mut one = vec![PointAdjoint::default(); part.numbers.len()];
         let mut shared = SharedGradient::default();
-        form.shade_adjoint(points, material, lighting, (&layers, samples.adjoint), &mut one, &mut shared);
+        let inputs = (layers.as_slice(), adjoint.as_slice());
+        form.shade_adjoint(&part.points, material, part.lighting(lighting), inputs, &mut one, &mut shared);
         gradient.specular.push(shared.specular);
-        add_material(k, (back, &one), &mut gradient.shared, shared);
+        add_points(back, &part.numbers, &one, &first);
+        if k == 0 {
+            gradient.shared = shared;
+        } else {
+            gradient.shared.lobes.add(&shared.lobes);
+        }
     }
 }
 
-/// Adds what one material's adjoint gave; the first overwrites.
-fn add_material(
+/// The samples that show material `k`, and which of them show none before it: those carry diffuse and reflected light.
+fn showing(
+    samples: &BlendedSamples<'_>,
+    lighting: Lighting<'_>,
     k: usize,
-    (back, one): (&mut [PointAdjoint], &[PointAdjoint]),
-    total: &mut SharedGradient,
-    shared: SharedGradient,
-) {
-    if k == 0 {
-        back.copy_from_slice(one);
-        *total = shared;
-        return;
-    }
-    for (sum, one) in back.iter_mut().zip(one) {
+    has_diffuse: &mut [bool],
+) -> (Showing, Vec<bool>) {
+    let mut part = Showing::new(samples.points, samples.blends, lighting, k);
+    let is_first = |i: &usize| !std::mem::replace(&mut has_diffuse[*i], true);
+    let first: Vec<bool> = part.numbers.iter().map(is_first).collect();
+    let rest = part.points.iter_mut().zip(&first).filter(|(_, first)| !**first);
+    rest.for_each(|(point, _)| point.albedo = [0.0; 3]);
+    (part, first)
+}
+
+/// Adds one material's adjoints to those of its samples; that of the albedo comes from the first one.
+fn add_points(back: &mut [PointAdjoint], numbers: &[usize], one: &[PointAdjoint], first: &[bool]) {
+    for ((i, one), first) in numbers.iter().zip(one).zip(first) {
+        let sum = &mut back[*i];
         sum.normal = std::array::from_fn(|c| sum.normal[c] + one.normal[c]);
+        if *first {
+            sum.albedo = one.albedo;
+        }
     }
-    total.lobes.add(&shared.lobes);
 }
 
 /// Gradient: adds the samples' blend adjoints onto the texels they blend, in row order.
@@ -180,8 +192,7 @@ pub fn move_blends(
     for (blend, gradient) in blends.iter().zip(gradients.iter_mut()) {
         gradient.0 = logit_slopes(&blend.0, &gradient.0);
     }
-    let cells = CELLS.0 * (CELLS.1 / CELLS.0).powf(places.progress);
-    average_over_cells(&places.positions, gradients, cells);
+    average_at(&places, gradients);
     let adam = AdamStep::new(RATE * rates.albedo, rates.step);
     let columns = blends.par_iter_mut().zip(gradients).zip(moments.bypass_change_detection());
     columns.with_min_len(4096).for_each(|((blend, gradient), moments)| {
@@ -239,6 +250,12 @@ impl Lattice {
             ((vertex.x + self.size.x * (vertex.y + self.size.y * vertex.z)) as usize, weight)
         })
     }
+}
+
+/// [`average_over_cells`] with the cells of this time of the fit.
+pub fn average_at(places: &TexelPlaces, gradients: &mut [BlendGradient]) {
+    let cells = CELLS.0 * (CELLS.1 / CELLS.0).powf(places.progress);
+    average_over_cells(&places.positions, gradients, cells);
 }
 
 /// Replaces each gradient by the mean of those around it: spread onto a lattice of about `cells` cells a side and read back from there.
@@ -301,7 +318,7 @@ mod tests {
         let work = crate::pass::bench::Workload::new(40, 20, 0.3);
         let form = ClosedForm::default();
         let materials = [0.25, 0.5].map(|roughness| SpecularValue { roughness, ..work.specular });
-        let blends: Vec<PointBlend> = (0..40).map(|i| even_slope(i as f32 / 39.0)).collect();
+        let blends: Vec<PointBlend> = (0..40).map(|i| even_slope(0.05 + 0.9 * i as f32 / 39.0)).collect();
         let seen = vec![PointVisibility { specular: [0.5, 0.8, 1.2], indirect: [0.1, 0.2, 0.3] }; 40];
         let adjoint = vec![RadianceAdjoint([0.7, 0.4, 0.5]); 40];
         let radiance = |materials: &[SpecularValue], blends: &[PointBlend], lobes: &LobeColumns| {

@@ -5,7 +5,7 @@ use super::first_guess::{solve_albedo, solve_amplitudes};
 use super::place_lobes::move_lobes_to_the_light;
 use crate::error::Result;
 use crate::light::LightLobe;
-use crate::material::{DiffuseAlbedo, SpecularLobe};
+use crate::material::{DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
 use crate::math::shading::{ClosedForm, Layers, Lighting, LobeColumns, PointVisibility, ShadePoint};
 use crate::shade::ShadingForm;
 use crate::shade::pool::only_table;
@@ -67,10 +67,14 @@ pub fn make_first_guess(world: &mut World, unknowns: Unknowns, shadowed: bool) -
     Ok(())
 }
 
-/// The glossiest base material: it shows where the light comes from. (With the mean of two, roughness ends farther from the truth.)
+/// The glossiest base material that a texel shows: it shows where the light comes from. (With the mean of two, roughness ends farther from the truth.)
 fn glossiest(world: &mut World) -> SpecularLobe {
+    let mut shown = [false; MAX_SPECULAR_LOBES];
+    for blend in world.query::<&SpecularBlend>().iter(world) {
+        shown.iter_mut().zip(&blend.0).for_each(|(shown, weight)| *shown |= *weight > 0.0);
+    }
     let mut query = world.query::<&SpecularLobe>();
-    let lobes = query.iter(world).copied();
+    let lobes = query.iter(world).zip(shown).filter(|(_, shown)| *shown).map(|(lobe, _)| *lobe);
     let first = lobes.min_by(|a, b| a.roughness.total_cmp(&b.roughness));
     first.unwrap_or(SpecularLobe::new(Vec3::ZERO, 1.0))
 }

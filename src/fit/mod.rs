@@ -12,4 +12,6 @@ pub mod loss;
 pub mod observe;
 pub mod place_lobes;
 pub mod run;
+pub mod scale;
 pub mod systems;
+pub mod texel_gloss;

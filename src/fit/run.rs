@@ -9,6 +9,7 @@ use super::gloss::{BlendAdjoints, BlendGradient, BlendMoments, TexelPlaces, move
 use super::guess::make_first_guess;
 use super::loss::{Loss, LossSums};
 use super::observe::{Candidates, PixelChoice, choose_pixels, count_seen_texels, trace_pixels};
+use super::scale::{ScaleMoments, ScaleRule, move_scale, start_scale};
 use super::systems::{
     compare_with_photographs, hand_out_gradient, move_lobes, move_specular, move_texels, pull_back_radiance,
     scatter_to_texels,
@@ -56,6 +57,8 @@ pub struct FitOptions {
     pub visibility: bool,
     /// Whether each photograph's exposure is unknown.
     pub exposure: bool,
+    /// What decides the scale between light and albedo, if both are unknown.
+    pub scale: ScaleRule,
 }
 
 /// What a fit guesses before its first step, of what is unknown; the rest starts from its present value.
@@ -111,6 +114,7 @@ impl Plugin for FitPlugin {
         pipeline.world.init_resource::<StepGradient>();
         pipeline.world.init_resource::<BlendAdjoints>();
         pipeline.world.init_resource::<TexelPlaces>();
+        pipeline.world.init_resource::<ScaleMoments>();
         pipeline.world.init_resource::<Window>();
         pipeline.world.init_resource::<Exposures>();
         pipeline.world.init_resource::<IncidentLight>();
@@ -134,7 +138,11 @@ impl Plugin for FitPlugin {
                     .chain()
                     .before(Slot::ShapeGradient),
             )
-            .swap(Phase::FitStep, Slot::Optimizer, (move_texels, move_blends, move_lobes, move_specular));
+            .swap(
+                Phase::FitStep,
+                Slot::Optimizer,
+                (move_scale, move_texels, move_blends, move_lobes, move_specular).chain(),
+            );
     }
 }
 
@@ -151,6 +159,8 @@ pub fn run_fit(
     attach_state(&mut pipeline.world);
     pipeline.world.insert_resource(options.pixels);
     pipeline.world.insert_resource(options.unknowns);
+    pipeline.world.insert_resource(options.scale);
+    pipeline.world.insert_resource(ScaleMoments::default());
     pipeline.world.insert_resource(ShadingForm(options.form));
     pipeline.world.insert_resource(LossState { loss: options.loss, last: LossSums::default() });
     pipeline.world.resource_mut::<Exposures>().unknown = options.exposure;
@@ -168,6 +178,9 @@ pub fn run_fit(
         ..options.unknowns
     };
     make_first_guess(&mut pipeline.world, unknowns, refresh_every.is_some())?;
+    if unknowns.light && unknowns.albedo {
+        start_scale(&mut pipeline.world, options.scale);
+    }
     let mut recent: Vec<LossSums> = Vec::new();
     let mut summary = FitSummary { steps: 0, pixels, elapsed_secs: 0.0, stopped: false };
     for step in 1..=options.steps {

@@ -107,22 +107,27 @@ fn edit_lobes(
         state.lobes.iter_mut().for_each(|lobe| *lobe = edit(*lobe));
         return Ok(());
     };
-    for k in 0..state.lobes.len() {
+    let before = state.lobes.len();
+    for k in 0..before {
         let lives_there = state.blends.iter().zip(region).any(|(b, r)| *r > 0.0 && b.0[k] > 0.0);
         let edited = edit(state.lobes[k]);
         if !lives_there || edited == state.lobes[k] {
             continue;
         }
-        let copy = state.lobes.len();
+        // Lobes that become the same one share it.
+        let same = state.lobes[before..].iter().position(|lobe| *lobe == edited);
+        let copy = same.map_or(state.lobes.len(), |number| before + number);
         if copy == MAX_SPECULAR_LOBES {
             return Err(Error::usage(
                 format!("the edits need more than {MAX_SPECULAR_LOBES} different specular materials"),
                 "Let some regions share their roughness and specular albedo.",
             ));
         }
-        state.lobes.push(edited);
+        if same.is_none() {
+            state.lobes.push(edited);
+        }
         for (blend, share) in state.blends.iter_mut().zip(region) {
-            blend.0[copy] = blend.0[k] * share;
+            blend.0[copy] += blend.0[k] * share;
             blend.0[k] *= 1.0 - share;
         }
     }
@@ -152,6 +157,19 @@ mod tests {
         assert_eq!(state.blends[1].0[..2], [0.75, 0.25]);
         assert_eq!(state.blends[2].0[..2], [0.0, 1.0]);
         assert!(state.blends.iter().all(|b| (b.0.iter().sum::<f32>() - 1.0).abs() < 1e-6));
+        Ok(())
+    }
+
+    #[test]
+    fn lobes_that_a_region_edit_makes_equal_become_one() -> Result<()> {
+        let mut state = state();
+        state.lobes.push(SpecularLobe { roughness: 0.6, ..state.lobes[0] });
+        state.blends.iter_mut().for_each(|blend| blend.0[..2].copy_from_slice(&[0.25, 0.75]));
+        let change = MaterialChange::Roughness(ScalarChange::Set(0.2));
+        apply_edit(&mut state, &change, Some(&[0.0, 0.5, 1.0]))?;
+        assert_eq!(state.lobes.len(), 3);
+        assert_eq!(state.blends[1].0[..3], [0.125, 0.375, 0.5]);
+        assert_eq!(state.blends[2].0[..3], [0.0, 0.0, 1.0]);
         Ok(())
     }
 

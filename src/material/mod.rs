@@ -39,11 +39,18 @@ pub struct DiffuseAlbedo(pub Vec3);
 /// Most specular lobes an object may have.
 pub const MAX_SPECULAR_LOBES: usize = 8;
 
-/// Blend weights of the specular lobes at a material texel; they sum to one.
+/// Blend weights of the specular lobes at a material texel; they sum to at most one, and what is missing has no gloss.
 #[derive(Component, Clone, Copy, Debug, PartialEq)]
 pub struct SpecularBlend(pub [f32; MAX_SPECULAR_LOBES]);
 
 impl SpecularBlend {
+    /// The mean roughness of `lobes` by these weights; 1 where there is no gloss.
+    pub fn roughness(&self, lobes: &[SpecularLobe]) -> f32 {
+        let parts = lobes.iter().zip(&self.0);
+        let (sum, total) = parts.fold((0.0, 0.0), |(sum, total), (l, w)| (sum + l.roughness * w, total + w));
+        if total > 0.0 { sum / total } else { 1.0 }
+    }
+
     /// The same of each of the first `count` lobes (1 to [`MAX_SPECULAR_LOBES`]).
     pub fn even(count: usize) -> Self {
         Self(std::array::from_fn(|k| if k < count { 1.0 / count as f32 } else { 0.0 }))

@@ -53,8 +53,8 @@ fn object(session: &mut Session) -> Object {
         return Object { surface, albedo, specular: *specular, roughness: None };
     }
     let at = |blend: &SpecularBlend| {
-        let parts = material.lobes.iter().zip(&blend.0);
-        parts.fold((Vec3::ZERO, 0.0), |(a, r), (lobe, w)| (a + lobe.albedo * *w, r + lobe.roughness * w))
+        let albedo = material.lobes.iter().zip(&blend.0).map(|(lobe, weight)| lobe.albedo * *weight);
+        (albedo.sum::<Vec3>(), blend.roughness(&material.lobes))
     };
     let texels: Vec<(Vec3, f32)> = material.blends.iter().map(at).collect();
     let covered = || texels.iter().zip(&surface.atlas().covered).filter(|(_, covered)| **covered);

@@ -9,19 +9,25 @@ use crate::fit::components::TexelSeen;
 use crate::fit::gloss::TexelPlaces;
 use crate::fit::observe::PixelChoice;
 use crate::fit::run::{FirstGuess, FitOptions, FitProgress, FitSummary, run_fit};
+use crate::fit::scale::{means, move_scale};
+use crate::fit::systems::{move_lobes, move_specular, move_texels};
+use crate::fit::texel_gloss::{GlossPrior, TexelGloss, attach_gloss, move_gloss, tie_specular};
 use crate::light::npy::{NpyConvention, write_lobes};
 use crate::light::{LightLobe, render_lobes};
 use crate::material::{DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
 use crate::math::shading::ClosedForm;
 use crate::report::exr_file::write_channels;
 use crate::report::png_file::write_rgb8;
+use crate::report::scores::ScaleFound;
 use crate::report::tone::srgb8;
 use crate::scene::pass_types::{FitPass, FitShading, Quality};
-use crate::scene::spawn::unknowns;
+use crate::scene::spawn::{initial_specular, unknowns};
+use crate::scene::types::Gloss;
 use crate::shape::vertices::VertexPlugin;
+use crate::stage::{Phase, Slot};
 use crate::surface::atlas::fill_uncovered;
 use crate::view::exr_io::ExrLayers;
-use bevy_ecs::prelude::World;
+use bevy_ecs::prelude::{IntoScheduleConfigs, World};
 use glam::Vec3;
 use image::{Rgb, RgbImage};
 use std::fmt::Write as _;
@@ -49,15 +55,10 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     let place = |(at, covered): (&Vec3, &bool)| if *covered { *at } else { Vec3::NAN };
     let positions = atlas.position.iter().zip(&atlas.covered).map(place).collect();
     session.pipeline.world.insert_resource(TexelPlaces { positions, progress: 0.0 });
+    give_texels_gloss(session);
     let bar = session.progress.bar(&pass.name, u64::from(options.steps));
     let mut log = String::from("step,elapsed_secs,loss,psnr,specular_r,specular_g,specular_b,roughness\n");
-    if pass.cameras != CameraUnknowns::Given {
-        session.pipeline.add_plugin(&CameraPlugin(pass.cameras));
-    }
-    if pass.vertices {
-        let (surface, steps) = (session.surface.clone(), options.steps);
-        session.pipeline.add_plugin(&VertexPlugin { surface, steps });
-    }
+    let_geometry_move(session, pass);
     let summary = run_fit(&mut session.pipeline, &options, &mut |at, _| {
         bar.set_position(u64::from(at.step));
         if at.step % LOG_EVERY == 0 || at.step == at.steps {
@@ -66,18 +67,48 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
         }
         if INTERRUPTED.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
+    hold_geometry(session);
+    let summary = summary?;
+    session.guess = FirstGuess::NONE;
+    bar.finish_and_clear();
+    let known = !options.unknowns.light || !options.unknowns.albedo;
+    let scale = scale_found(session, if known { "Known".to_owned() } else { options.scale.words() });
+    let unseen = fill_texels(session);
+    report(session, &pass.name, &summary, unseen);
+    write_results(&mut session.pipeline.world, &session.surface, (&folder, &log), &scale)?;
+    session.scores.scale = Some(scale);
+    found_views::write(session, &pass.name, pass.cameras, pass.exposure)?;
+    check_interrupted()
+}
+
+/// Swaps in the systems that move cameras and vertices, if the pass asks for them.
+fn let_geometry_move(session: &mut Session, pass: &FitPass) {
+    if pass.cameras != CameraUnknowns::Given {
+        session.pipeline.add_plugin(&CameraPlugin(pass.cameras));
+    }
+    if pass.vertices {
+        let (surface, steps) = (session.surface.clone(), pass.steps);
+        session.pipeline.add_plugin(&VertexPlugin { surface, steps });
+    }
+}
+
+/// Takes them out again, and keeps the mesh as it became.
+fn hold_geometry(session: &mut Session) {
     CameraPlugin::remove(&mut session.pipeline);
     if let Some(moved) = VertexPlugin::remove(&mut session.pipeline) {
         session.surface = moved;
     }
-    let summary = summary?;
-    session.guess = FirstGuess::NONE;
-    bar.finish_and_clear();
-    let unseen = fill_texels(session);
-    report(session, &pass.name, &summary, unseen);
-    write_results(&mut session.pipeline.world, &session.surface, &folder, &log)?;
-    found_views::write(session, &pass.name, pass.cameras, pass.exposure)?;
-    check_interrupted()
+}
+
+/// Where the scene asks for a gloss for each texel, swaps the systems that find it in.
+fn give_texels_gloss(session: &mut Session) {
+    let Gloss::Texels { smoothness, color_width, specular } = session.scene.material.gloss else { return };
+    let first = initial_specular(&session.scene.material.specular).roughness;
+    let prior = GlossPrior::new(session.surface.atlas(), smoothness, color_width, specular);
+    session.pipeline.world.insert_resource(prior);
+    attach_gloss(&mut session.pipeline.world, first, specular);
+    let systems = (move_scale, move_texels, move_gloss, move_lobes, tie_specular, move_specular).chain();
+    session.pipeline.swap(Phase::FitStep, Slot::Optimizer, systems);
 }
 
 /// The closed form of a scene file's words.
@@ -103,6 +134,7 @@ fn options(session: &mut Session, pass: &FitPass) -> Result<FitOptions> {
         // The published formulas are for comparison and know of neither shadows nor reflections.
         visibility: pass.shading == FitShading::Accurate && session.has_visibility()?,
         exposure: pass.exposure,
+        scale: session.scene.scale,
     })
 }
 
@@ -158,15 +190,32 @@ fn fill_texels(session: &mut Session) -> usize {
     }
 }
 
+/// The scale that all outputs share.
+fn scale_found(session: &mut Session, rule: String) -> ScaleFound {
+    let [mean_light, mean_albedo] = means(&mut session.pipeline.world).map(|mean| mean.to_array());
+    ScaleFound { rule, mean_light, mean_albedo }
+}
+
+/// What was found of the specular material: a base material or two in full, of more the range of the texels' roughness.
+fn material_words(world: &mut World) -> String {
+    let lobes: Vec<SpecularLobe> = world.query::<&SpecularLobe>().iter(world).copied().collect();
+    let gloss: Vec<f32> = world.query::<&TexelGloss>().iter(world).map(|gloss| gloss.roughness).collect();
+    let (low, high) =
+        gloss.iter().fold((f32::INFINITY, 0.0f32), |(low, high), r| (low.min(*r), high.max(*r)));
+    let words = |roughness: String, [r, g, b]: [f32; 3]| {
+        format!("; roughness {roughness}, specular albedo ({r:.3}, {g:.3}, {b:.3})")
+    };
+    match lobes.as_slice() {
+        [first, ..] if !gloss.is_empty() => words(format!("{low:.3} to {high:.3}"), first.albedo.to_array()),
+        all => all.iter().map(|l| words(format!("{:.3}", l.roughness), l.albedo.to_array())).collect(),
+    }
+}
+
 fn report(session: &mut Session, name: &str, summary: &FitSummary, unseen: usize) {
     let total = session.scores.fit_secs.unwrap_or(0.0) + summary.elapsed_secs;
     session.scores.fit_secs = Some(total);
     let world = &mut session.pipeline.world;
-    let lobe = |l: &SpecularLobe| {
-        let [r, g, b] = l.albedo.to_array();
-        format!("; roughness {:.3}, specular albedo ({r:.3}, {g:.3}, {b:.3})", l.roughness)
-    };
-    let material: String = world.query::<&SpecularLobe>().iter(world).map(lobe).collect();
+    let material = material_words(world);
     session.progress.print(&format!(
         "{name}: {} steps over {} pixels in {:.1} s{material}{}",
         summary.steps,
@@ -183,8 +232,8 @@ fn report(session: &mut Session, name: &str, summary: &FitSummary, unseen: usize
 fn write_results(
     world: &mut World,
     surface: &crate::surface::Surface,
-    folder: &Path,
-    log: &str,
+    (folder, log): (&Path, &str),
+    scale: &ScaleFound,
 ) -> Result<()> {
     let lobes: Vec<LightLobe> = world.query::<&LightLobe>().iter(world).copied().collect();
     write_lobes(folder.join("light.npy"), &lobes, NpyConvention::Lobelia)?;
@@ -211,16 +260,26 @@ fn write_results(
         write_weights(&folder.join("blend.exr"), &blends, materials, width, height)?;
         let shown: Vec<Vec3> = blends.iter().map(|blend| Vec3::from_slice(&blend.0)).collect();
         write_rgb8(folder.join("blend.png"), &picture(&shown, width, height))?;
+        let lobes: Vec<SpecularLobe> = world.query::<&SpecularLobe>().iter(world).copied().collect();
+        let roughness: Vec<f32> = blends.iter().map(|blend| blend.roughness(&lobes)).collect();
+        let shown: Vec<Vec3> = roughness.iter().map(|r| Vec3::splat(*r)).collect();
+        write_rgb8(folder.join("roughness.png"), &picture(&shown, width, height))?;
+        let mut map = ExrLayers { width, height, ..ExrLayers::default() };
+        map.channels.insert("Y".to_owned(), roughness);
+        write_channels(folder.join("roughness.exr"), &map)?;
     }
-    write_bytes(&folder.join("materials.ron"), materials_ron(world).as_bytes())?;
+    let materials = materials_ron(world, scale);
+    write_bytes(&folder.join("materials.ron"), materials.as_bytes())?;
     write_bytes(&folder.join("log.csv"), log.as_bytes())
 }
 
 /// The specular lobes as a RON list, in the words of a scene file.
-fn materials_ron(world: &mut World) -> String {
+fn materials_ron(world: &mut World, scale: &ScaleFound) -> String {
     let mut text = String::from(
-        "// Specular lobes: albedo (linear RGB), the paper's roughness R, distribution of normals.\n[\n",
+        "// Specular lobes: albedo (linear RGB), the paper's roughness R, distribution of normals.\n",
     );
+    let ScaleFound { rule, mean_light, mean_albedo } = scale;
+    let _ = writeln!(text, "// Scale {rule}: mean light {mean_light:?}, mean albedo {mean_albedo:?}.\n[");
     for lobe in world.query::<&SpecularLobe>().iter(world) {
         let [r, g, b] = lobe.albedo.to_array();
         let _ = writeln!(

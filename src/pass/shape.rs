@@ -7,6 +7,7 @@ use crate::error::{Error, Result};
 use crate::fit::gloss::TexelPlaces;
 use crate::fit::observe::PixelChoice;
 use crate::fit::run::{FirstGuess, FitOptions};
+use crate::fit::scale::ScaleRule;
 use crate::material::DiffuseAlbedo;
 use crate::scene::pass_types::{GridLevel, Quality, ShapePass};
 use crate::scene::spawn::unknowns;
@@ -96,6 +97,8 @@ fn options(session: &Session, pass: &ShapePass) -> ShapeOptions {
             // A surface that moves would have to be traced at every step.
             visibility: false,
             exposure: pass.exposure,
+            // Without shadows, dark places would say that highlights are dark.
+            scale: ScaleRule::Free,
         },
         cameras: pass.cameras,
     }

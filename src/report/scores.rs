@@ -87,6 +87,17 @@ pub struct PassScores {
     pub views: Vec<ViewScores>,
 }
 
+/// The scale between light and albedo, the same in all outputs of a run.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ScaleFound {
+    /// What decided it, in a scene file's words; `Known` if light or albedo was given.
+    pub rule: String,
+    /// Mean radiance of the light over the sphere, linear RGB.
+    pub mean_light: [f32; 3],
+    /// Mean albedo of the texels that were seen, linear RGB.
+    pub mean_albedo: [f32; 3],
+}
+
 /// Everything that a run is judged by; `metrics.json`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Scores {
@@ -103,6 +114,9 @@ pub struct Scores {
     /// the mean of the two directed mean distances; `null` if no true mesh is named.
     #[serde(default)]
     pub chamfer: Option<f64>,
+    /// The scale between light and albedo that the last fit ended with; `null` if nothing was fitted.
+    #[serde(default)]
+    pub scale: Option<ScaleFound>,
     /// Time of all fits, seconds.
     pub fit_secs: Option<f64>,
     /// Largest resident memory of the process so far, MiB.

@@ -6,7 +6,7 @@ use super::check_passes;
 use super::diagnostic::Problem;
 use super::types::{
     Albedo, AlbedoSource, CameraSpec, Dataset, Gamma, Gloss, Light, LightSource, Material, Pattern,
-    Photographed, Roughness, Scene, Specular, SpecularAlbedo, Surface, VERSION, Views, Visibility,
+    Photographed, Roughness, ScaleRule, Scene, Specular, SpecularAlbedo, Surface, VERSION, Views, Visibility,
 };
 use crate::material::MAX_SPECULAR_LOBES;
 use crate::surface::MAX_COORDINATE;
@@ -40,6 +40,7 @@ pub fn check(scene: &Scene) -> Vec<Problem> {
         let help = "Remove `material`, or `own_material` from the surface.";
         checks.fail("material", "the mesh's own material is taken", "expected no other material", help);
     }
+    scale(&mut checks, scene.scale);
     visibility(&mut checks, scene.visibility);
     check_passes::passes(&mut checks, scene);
     checks.problems
@@ -312,20 +313,39 @@ pub(super) fn light_source(checks: &mut Checks, path: &str, source: &LightSource
     checks.finite(&at("rotation_degrees"), *rotation);
 }
 
+fn scale(checks: &mut Checks, rule: ScaleRule) {
+    match rule {
+        ScaleRule::Highlights { white_light } if !(white_light.is_finite() && white_light >= 0.0) => {
+            let expected = "expected a finite weight of 0 or more";
+            checks.fail("scale.white_light", format!("white_light is {white_light}"), expected, "");
+        }
+        ScaleRule::MeanAlbedo(color) if !(color.min_element() > 0.0 && color.max_element() < 1.0) => {
+            let expected = "expected every channel above 0 and below 1";
+            checks.fail("scale", format!("the mean albedo is {color}"), expected, "");
+        }
+        _ => {}
+    }
+}
+
+fn unknown_roughness(checks: &mut Checks, material: &Material) {
+    if let Roughness::Fixed(_) = material.specular.roughness {
+        let problem = "the roughness is to vary over the surface, but is said to be known";
+        let expected = "expected `roughness: Unknown(…)` beside it";
+        checks.fail("material.gloss", problem, expected, "Leave one of the two out.");
+    }
+}
+
 fn material(checks: &mut Checks, material: &Material) {
     match &material.gloss {
         Gloss::One => {}
         Gloss::Blend { materials } => {
             checks.count("material.gloss.materials", *materials, 2..=4);
-            if let Roughness::Fixed(_) = material.specular.roughness {
-                let problem = "base materials differ in their roughness, which is said to be known";
-                checks.fail(
-                    "material.gloss",
-                    problem,
-                    "expected `roughness: Unknown(…)` beside it",
-                    "Leave one of the two out.",
-                );
-            }
+            unknown_roughness(checks, material);
+        }
+        Gloss::Texels { smoothness, color_width, .. } => {
+            checks.not_negative("material.gloss.smoothness", *smoothness);
+            checks.positive("material.gloss.color_width", *color_width);
+            unknown_roughness(checks, material);
         }
         Gloss::Fixed { lobes, .. } => {
             let count = u32::try_from(lobes.len()).unwrap_or(u32::MAX);

@@ -107,6 +107,11 @@ fn shape(checks: &mut Checks, at: &str, shape: &ShapePass, scene: &Scene) {
         let problem = "known blend weights belong to a known surface";
         checks.fail("material.gloss", problem, "expected `One` or `Blend(…)`", "");
     }
+    if matches!(scene.material.gloss, Gloss::Texels { .. }) {
+        let problem = "a surface that is still being found has no texels to give a gloss each";
+        let help = "Find the shape first, export it, and fit `Texels(…)` on that mesh.";
+        checks.fail("material.gloss", problem, "expected `One` or `Blend(…)`", help);
+    }
     checks.count(&path("max_pixels"), shape.max_pixels, 1..=u32::MAX);
     checks.count(&path("batch"), shape.batch, 1..=u32::MAX);
     checks.count(&path("silhouette_batch"), shape.silhouette_batch, 1..=u32::MAX);

@@ -7,6 +7,7 @@
 pub mod check;
 mod check_passes;
 pub mod diagnostic;
+pub mod gloss_types;
 pub mod light_file;
 pub mod load;
 pub mod output_types;

@@ -9,6 +9,7 @@ use super::types::{
 use super::types::{Specular, Surface as SurfaceSpec};
 use crate::error::{Error, Result};
 use crate::fit::components::{AlbedoGradient, AlbedoMoments, TexelSeen, Unknowns};
+use crate::fit::texel_gloss::{LADDER, TexelGloss};
 use crate::light::fibonacci::{fibonacci_axes, spacing_sharpness};
 use crate::light::fit_map::{MapFit, fit_map, target_of};
 use crate::light::illuminate::{LobeLight, MapLight};
@@ -227,6 +228,11 @@ fn initial_gloss(
             let even = SpecularBlend::even(*materials as usize);
             Ok(((0..*materials).map(lobe).collect(), vec![even; count]))
         }
+        Gloss::Texels { specular: varied, .. } => {
+            let lobes = LADDER.map(|roughness| SpecularLobe { roughness, ..specular });
+            let blend = SpecularBlend(TexelGloss::first(specular.roughness, *varied).weights());
+            Ok((lobes.to_vec(), vec![blend; count]))
+        }
         Gloss::Fixed { lobes, weights } => {
             Ok((lobes.clone(), texture::read_weights(weights, lobes.len(), width, height)?))
         }
@@ -260,7 +266,8 @@ fn initial_albedo(albedo: &Albedo, surface: &Surface) -> Result<Vec<Vec3>> {
     }
 }
 
-fn initial_specular(specular: &Specular) -> SpecularLobe {
+/// The lobe that a fit starts from, or the known one.
+pub fn initial_specular(specular: &Specular) -> SpecularLobe {
     SpecularLobe {
         albedo: match specular.albedo {
             SpecularAlbedo::Unknown { mono: true, initial } => Vec3::splat(initial.element_sum() / 3.0),
@@ -301,7 +308,9 @@ pub fn unknowns(scene: &Scene) -> Unknowns {
         light: !matches!(scene.light, Light::Fixed(_)),
         specular_albedo: open_gloss && matches!(specular.albedo, SpecularAlbedo::Unknown { .. }),
         mono_specular: matches!(specular.albedo, SpecularAlbedo::Unknown { mono: true, .. }),
-        blends: open && matches!(gloss, Gloss::Blend { .. }),
-        roughness: open_gloss && matches!(specular.roughness, Roughness::Unknown { .. }),
+        blends: open && matches!(gloss, Gloss::Blend { .. } | Gloss::Texels { .. }),
+        roughness: open_gloss
+            && !matches!(gloss, Gloss::Texels { .. })
+            && matches!(specular.roughness, Roughness::Unknown { .. }),
     }
 }

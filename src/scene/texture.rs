@@ -44,7 +44,8 @@ pub fn read_texture_mask(path: &Path, width: u32, height: u32) -> Result<Vec<f32
     Ok(resampled.into_iter().map(|v| v.x).collect())
 }
 
-/// Reads blend weights: channels `weight0`, `weight1` and so on, one for each of `materials`, made to sum to one.
+/// Reads blend weights: channels `weight0`, `weight1` and so on, one for each of `materials`; what sums to more than one is
+/// made to sum to one.
 ///
 /// # Errors
 /// [`Error::Input`] if the file is not an EXR of `width` × `height` pixels with those channels, all finite and ≥ 0.
@@ -67,14 +68,9 @@ pub fn read_weights(path: &Path, materials: usize, width: u32, height: u32) -> R
     }
     for blend in &mut blends {
         let sum: f32 = blend.0.iter().sum();
-        // What sums to one keeps its bits, so that an object that was saved looks the same.
-        if (sum - 1.0).abs() <= 1e-5 {
-            continue;
-        }
-        if sum > 0.0 {
+        // What does not exceed one keeps its bits, so that an object that was saved looks the same.
+        if sum > 1.0 + 1e-5 {
             blend.0.iter_mut().for_each(|weight| *weight /= sum);
-        } else {
-            *blend = SpecularBlend::default();
         }
     }
     Ok(blends)

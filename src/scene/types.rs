@@ -3,12 +3,13 @@
 //! Unless a field says otherwise, lengths are in the data set's own unit, colours are linear Rec. 709 and
 //! paths may begin with `$DATA` (the folder given by `--data`) or are relative to the scene file.
 
+pub use super::gloss_types::Gloss;
 use super::pass_types::Pass;
 pub use super::truth_types::{CameraRing, Pattern, Photographed, TruthObject};
+pub use crate::fit::scale::ScaleRule;
 use crate::light::LightLobe;
 pub use crate::light::convention::MapConvention;
 pub use crate::light::npy::NpyConvention;
-use crate::material::SpecularLobe;
 pub use crate::math::brdf::Ndf;
 use crate::view::Split;
 pub use crate::view::dataset::Layout;
@@ -42,6 +43,10 @@ pub struct Scene {
     /// The object's material. Default: all unknown.
     #[serde(default)]
     pub material: Material,
+    /// What decides the scale between light and albedo, if both are unknown: the two are known only up to one factor a channel.
+    /// Default `Highlights()`.
+    #[serde(default)]
+    pub scale: ScaleRule,
     /// Shadows that the object throws on itself, and light that it reflects onto itself, in fits and closed-form renders.
     /// Default `Traced()`.
     #[serde(default)]
@@ -317,29 +322,6 @@ pub struct Material {
     pub gloss: Gloss,
 }
 
-/// Of how many base materials the surface's gloss is blended.
-#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub enum Gloss {
-    /// One: the lobe in `specular` everywhere.
-    #[default]
-    One,
-    /// Several, which start from the lobe in `specular` with roughnesses spread around its own; a fit finds them, and for each
-    /// texel how they blend.
-    Blend {
-        /// Base materials, 2 to 4. Default 2.
-        #[serde(default = "base_materials")]
-        materials: u32,
-    },
-    /// Known ones, as `Save` writes them; `specular` must not be given.
-    Fixed {
-        /// The base materials, 1 to 8.
-        lobes: Vec<SpecularLobe>,
-        /// An EXR of the texture's size with a channel of blend weights for each, `weight0` and so on; must exist.
-        weights: PathBuf,
-    },
-}
-
 /// What is known about the diffuse albedo.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub enum Albedo {
@@ -472,10 +454,6 @@ fn specular_initial() -> Vec3 {
 }
 fn roughness_initial() -> f32 {
     0.4
-}
-
-fn base_materials() -> u32 {
-    2
 }
 
 fn directions() -> u32 {

@@ -68,7 +68,7 @@ pub struct ShadePoint {
     pub geometric_normal: Vec3,
     /// Diffuse albedo, linear RGB in `[0, 1]`.
     pub albedo: Vec3,
-    /// Blend weights of the base materials, summing to one.
+    /// Blend weights of the base materials, summing to at most one.
     pub blend: [f32; MAX_SPECULAR_LOBES],
 }
 
@@ -265,19 +265,22 @@ impl Path<'_> {
         Scatterer::new(point.normal.to_array(), to_viewer.to_array(), point.albedo.to_array(), specular)
     }
 
-    /// One of the blended materials, as often as its weight says: on average, that is the blend.
+    /// One of the blended materials, as often as its weight says: on average, that is the blend. None as often as they fall short of one.
     fn pick_material(&self, point: &ShadePoint, depth: u32) -> usize {
         if self.scene.specular.len() < 2 {
             return 0;
         }
-        let mut rest = self.uniforms(depth, PICK_MATERIAL)[0] * point.blend.iter().sum::<f32>();
+        let sum: f32 = point.blend.iter().sum();
+        // A sum that is one but for rounding is one.
+        let whole = if sum > 1.0 - 1e-4 { sum } else { 1.0 };
+        let mut rest = self.uniforms(depth, PICK_MATERIAL)[0] * whole;
         for (k, weight) in point.blend.iter().enumerate().take(self.scene.specular.len()) {
             if rest < *weight {
                 return k;
             }
             rest -= weight;
         }
-        0
+        if whole == sum { 0 } else { usize::MAX }
     }
 
     /// Next event estimation: a direction from the light, weighted against the BRDF's chance of finding it.

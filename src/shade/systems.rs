@@ -10,7 +10,7 @@ use crate::light::illuminate::LobeLight;
 use crate::material::{DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
 use crate::math::published::Lobe;
 use crate::math::shading::{
-    ClosedForm, Layers, Lighting, LobeColumns, PointVisibility, ShadePoint, SpecularValue,
+    ClosedForm, Layers, Lighting, LobeColumns, PointVisibility, ShadePoint, SpecularValue, Visibility,
 };
 use crate::stage::SystemResult;
 use crate::surface::point::SurfacePoint;
@@ -125,6 +125,43 @@ pub fn shade_closed_form(
     Ok(())
 }
 
+/// The points that show one of the specular lobes.
+pub struct Showing {
+    /// Their numbers, rising.
+    pub numbers: Vec<usize>,
+    /// The points.
+    pub points: Vec<ShadePoint>,
+    rows: Vec<u8>,
+    seen: Vec<PointVisibility>,
+}
+
+impl Showing {
+    /// Those of `points` where lobe `k` has a weight. The first lobe also has those where none has, for their diffuse light.
+    pub fn new(points: &[ShadePoint], blends: &[PointBlend], lighting: Lighting<'_>, k: usize) -> Self {
+        let shows = |blend: &PointBlend| blend.0[k] > 0.0 || (k == 0 && blend.0 == [0.0; MAX_SPECULAR_LOBES]);
+        let numbers: Vec<usize> = (0..points.len()).filter(|&i| shows(&blends[i])).collect();
+        let stride = lighting.lobes.stride();
+        let row = |i: &usize| Visibility::point(lighting.visibility, *i, stride);
+        Self {
+            points: numbers.iter().map(|&i| points[i]).collect(),
+            rows: numbers.iter().flat_map(|i| row(i).0.unwrap_or_default()).copied().collect(),
+            seen: numbers.iter().map(|i| row(i).1).collect(),
+            numbers,
+        }
+    }
+
+    /// Their part of the lighting.
+    pub fn lighting<'a>(&'a self, all: Lighting<'a>) -> Lighting<'a> {
+        let visibility = Visibility { lobes: &self.rows, points: &self.seen };
+        Lighting { visibility: all.visibility.map(|_| visibility), ..all }
+    }
+
+    /// What they see, each changed.
+    pub fn change_seen(&mut self, mut change: impl FnMut(usize, &mut PointVisibility)) {
+        self.numbers.iter().zip(&mut self.seen).for_each(|(i, seen)| change(*i, seen));
+    }
+}
+
 /// Shades once for each specular lobe and blends by the points' weights.
 fn shade_blended(
     form: ClosedForm,
@@ -134,13 +171,16 @@ fn shade_blended(
     lighting: Lighting<'_>,
     shaded: &mut [Layers],
 ) {
-    let mut one = vec![Layers::default(); points.len()];
+    shaded.fill(Layers::default());
+    let mut one = Vec::new();
     for (k, material) in materials.iter().enumerate().take(MAX_SPECULAR_LOBES) {
-        form.shade(points, material, lighting, &mut one);
-        for ((sum, one), blend) in shaded.iter_mut().zip(&one).zip(blends) {
-            let before = if k == 0 { [0.0; 3] } else { sum.specular };
+        let part = Showing::new(points, blends, lighting, k);
+        one.resize(part.numbers.len(), Layers::default());
+        form.shade(&part.points, material, part.lighting(lighting), &mut one);
+        for (i, one) in part.numbers.iter().zip(&one) {
+            let (sum, weight) = (&mut shaded[*i], blends[*i].0[k]);
             sum.diffuse = one.diffuse;
-            sum.specular = std::array::from_fn(|c| before[c] + blend.0[k] * one.specular[c]);
+            sum.specular = std::array::from_fn(|c| sum.specular[c] + weight * one.specular[c]);
         }
     }
 }

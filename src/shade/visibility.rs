@@ -255,11 +255,11 @@ pub fn gather_visibility(
         return Ok(());
     };
     let rows: Range<usize> = window.0.clone();
-    let roughness: Vec<f32> = materials.iter().map(|m| m.roughness).collect();
+    let materials: Vec<SpecularLobe> = materials.iter().copied().collect();
     let blends = &blends[rows.clone()];
-    let mean = |i: usize| match roughness.as_slice() {
-        [one] => *one,
-        many => many.iter().zip(&blends[i].0).map(|(r, weight)| r * weight).sum::<f32>().max(1e-2),
+    let mean = |i: usize| match materials.as_slice() {
+        [one] => one.roughness,
+        many => SpecularBlend(blends[i].0).roughness(many),
     };
     let seen = &mut seen.bypass_change_detection()[rows.clone()];
     object.window((&points[rows.clone()], &gathered[rows]), mean, &mut out, seen);

@@ -35,6 +35,9 @@ const HELD: f32 = 0.25;
 const RATES: (f32, f32) = (0.02, 0.002);
 /// λ of the smoothing.
 const SMOOTHING: f32 = 19.0;
+/// λ of the part of the displacement that is taken back: what is wider than about √λ edges shows in outlines, and the masks have
+/// settled it.
+const WIDE: f32 = 200.0;
 /// Share of the running mean that stays at a move.
 const MEAN_DECAY: f32 = 0.8;
 /// Rounds of conjugate gradients.
@@ -58,6 +61,8 @@ pub struct MovingMesh {
     /// As it is now.
     pub surface: Arc<Surface>,
     graph: VertexGraph,
+    /// Positions that were given.
+    start: Vec<Vec3>,
     /// Where the window's rays met it.
     found: Vec<Option<TriangleHit>>,
     /// Steps of the fit.
@@ -203,7 +208,13 @@ impl Plugin for VertexPlugin {
             .map(|at| (VertexPosition(at), VertexAdjoint::default(), VertexMoment::default()));
         pipeline.world.spawn_batch(vertices.collect::<Vec<_>>());
         let (surface, found) = (self.surface.clone(), Vec::new());
-        pipeline.world.insert_resource(MovingMesh { surface, graph, found, steps: self.steps });
+        pipeline.world.insert_resource(MovingMesh {
+            surface,
+            graph,
+            start: positions,
+            found,
+            steps: self.steps,
+        });
         pipeline
             .swap(Phase::FitStep, Slot::Retrace, retrace_vertices)
             .swap(Phase::FitStep, Slot::ShapeGradient, pull_back_to_vertices)
@@ -305,6 +316,7 @@ pub fn move_vertices(
     let steps = smooth_steps(&mesh.graph, &at, &by_normal, moments);
     let rate = RATES.0 * (RATES.1 / RATES.0).powf((done - HELD) / (1.0 - HELD)) * mesh.graph.mean_edge(&at);
     let moved: Vec<Vec3> = at.iter().zip(&steps).map(|(at, step)| at - rate * step).collect();
+    let moved = without_wide(&mesh.graph, &mesh.start, moved);
     // A move that would flatten a triangle is not made.
     if let Ok(surface) = with_positions(&mesh.surface, &mesh.graph, &moved) {
         mesh.surface = Arc::new(surface);
@@ -312,6 +324,16 @@ pub fn move_vertices(
         positions.iter_mut().zip(&moved).for_each(|(position, moved)| position.0 = *moved);
     }
     Ok(())
+}
+
+/// Positions with the wide part of their displacement from `start` along each axis taken back.
+fn without_wide(graph: &VertexGraph, start: &[Vec3], moved: Vec<Vec3>) -> Vec<Vec3> {
+    let axis = |axis: usize| {
+        let shift: Vec<f32> = moved.iter().zip(start).map(|(to, from)| to[axis] - from[axis]).collect();
+        graph.smoothed(&shift, WIDE)
+    };
+    let [x, y, z] = [axis(0), axis(1), axis(2)];
+    (0..moved.len()).map(|i| moved[i] - Vec3::new(x[i], y[i], z[i])).collect()
 }
 
 /// Which way vertices go, with a root mean square of 1.

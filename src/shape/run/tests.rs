@@ -3,6 +3,7 @@ use crate::fit::components::Unknowns;
 use crate::fit::loss::Loss;
 use crate::fit::observe::PixelChoice;
 use crate::fit::run::FitPlugin;
+use crate::fit::scale::ScaleRule;
 use crate::light::LightLobe;
 use crate::light::fibonacci::{fibonacci_axes, spacing_sharpness};
 use crate::material::SpecularLobe;
@@ -107,6 +108,7 @@ fn options(steps: u32) -> ShapeOptions {
             guess: FirstGuess { light: false, albedo: true },
             visibility: false,
             exposure: false,
+            scale: ScaleRule::Free,
         },
         cameras: CameraUnknowns::Given,
     }

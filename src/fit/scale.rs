@@ -1,0 +1,210 @@
+//! The scale between light and albedo: diffuse light looks the same when the light is multiplied by one factor a channel and the albedo
+//! divided by it.
+//!
+//! What decides the colour of that factor is the highlights: the specular albedo of a dielectric is grey, so they have the light's
+//! colour. A step along the factor changes all lobes and texels at once and little but the highlights, which is why Adam on single
+//! parameters hardly takes it; here it is a parameter of its own. The level stays as the first guess made it (a mean
+//! albedo of about 0.4), because only Fresnel's term tells a bright light from a bright specular albedo.
+//!
+//! | system | stage, slot | reads | writes |
+//! | --- | --- | --- | --- |
+//! | [`move_scale`] | Update, `Slot::Optimizer`, before the others | window's `Layers` and `RadianceAdjoint`, [`ScaleRule`] | `LightLobe`, `DiffuseAlbedo`, [`ScaleMoments`] |
+
+use super::adam::{AdamStep, Moments};
+use super::components::{StepRates, TexelSeen, Unknowns};
+use crate::light::LightLobe;
+use crate::material::DiffuseAlbedo;
+use crate::math::sg::sphere_integral;
+use crate::math::shading::{Layers, RadianceAdjoint};
+use crate::shade::pool::only_table;
+use crate::stage::SystemResult;
+use crate::view::pixel::Window;
+use bevy_ecs::prelude::{Query, Res, ResMut, Resource, World};
+use glam::{DVec3, Vec3};
+use serde::{Deserialize, Serialize};
+
+/// What decides the scale between light and albedo, one factor a channel, when both are unknown.
+#[derive(Resource, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub enum ScaleRule {
+    /// The light's colour is that of the highlights; the mean albedo starts from 0.4.
+    Highlights {
+        /// Weight ≥ 0 of a prior beside the image loss that draws the light towards white: half the sum of squares of the
+        /// logarithms of its mean radiance over their mean. For objects with hardly a highlight. Default 0.
+        #[serde(default)]
+        white_light: f32,
+    },
+    /// The light's mean radiance over the sphere is grey; the mean albedo starts from 0.4.
+    WhiteLight,
+    /// The mean albedo of the texels that are seen is this colour, each channel in (0, 1): `MeanAlbedo(0.5, 0.4, 0.3)`.
+    MeanAlbedo(Vec3),
+    /// Nothing: as single texels and lobes find it, from a mean albedo of grey 0.4.
+    Free,
+}
+
+impl Default for ScaleRule {
+    fn default() -> Self {
+        Self::Highlights { white_light: 0.0 }
+    }
+}
+
+impl ScaleRule {
+    /// In a scene file's words.
+    pub fn words(&self) -> String {
+        match self {
+            Self::Highlights { white_light } => format!("Highlights(white_light: {white_light:?})"),
+            Self::WhiteLight => "WhiteLight".to_owned(),
+            Self::MeanAlbedo(Vec3 { x, y, z }) => format!("MeanAlbedo({x:?}, {y:?}, {z:?})"),
+            Self::Free => "Free".to_owned(),
+        }
+    }
+}
+
+/// Adam's moments of the logarithm of the factor.
+#[derive(Resource, Clone, Copy, Debug, Default)]
+pub struct ScaleMoments(Moments<3>);
+
+/// Rate over that of the light.
+const RATE: f32 = 0.15;
+/// How far a first guess from grey albedo goes towards white light.
+const START: f32 = 0.5;
+/// Most albedo that the factor may lead to.
+const MOST_ALBEDO: f32 = 0.98;
+
+/// Update: a step along the scale, or onto it, if light and albedo are both unknown.
+pub fn move_scale(
+    (window, rates, unknowns, rule): (Res<Window>, Res<StepRates>, Res<Unknowns>, Res<ScaleRule>),
+    mut moments: ResMut<ScaleMoments>,
+    samples: Query<(&Layers, &RadianceAdjoint)>,
+    mut lobes: Query<&mut LightLobe>,
+    mut texels: Query<(&mut DiffuseAlbedo, &TexelSeen)>,
+) -> SystemResult {
+    if !unknowns.light || !unknowns.albedo || *rule == ScaleRule::Free {
+        return Ok(());
+    }
+    let Some((layers, adjoint)) = only_table(samples.contiguous_iter()?, |t| t.0.len(), "pixel")? else {
+        return Ok(());
+    };
+    let Some((mut albedo, seen)) = only_table(texels.contiguous_iter_mut()?, |t| t.0.len(), "texel")? else {
+        return Ok(());
+    };
+    let albedo = albedo.bypass_change_detection();
+    let off_grey = log_colour(mean_light(lobes.iter()));
+    let log_factor = match *rule {
+        ScaleRule::Free => Vec3::ZERO,
+        ScaleRule::WhiteLight => -off_grey,
+        ScaleRule::MeanAlbedo(wanted) => {
+            (mean_albedo(albedo, seen) / wanted).max(Vec3::splat(1e-6)).map(f32::ln)
+        }
+        ScaleRule::Highlights { white_light } => {
+            let rows = window.0.clone();
+            let slope = highlight_slope(&layers[rows.clone()], &adjoint[rows]) + white_light * off_grey;
+            let adam = AdamStep::new(RATE * rates.light, rates.step);
+            -without_mean(Vec3::from(adam.advance(&mut moments.0, &without_mean(slope).to_array())))
+        }
+    };
+    rescale(log_factor.exp(), lobes.iter_mut().map(|lobe| lobe.into_inner()), albedo);
+    Ok(())
+}
+
+/// Takes a first guess, made from grey albedo, part of the way to white light, where highlights are to decide.
+pub fn start_scale(world: &mut World, rule: ScaleRule) {
+    if !matches!(rule, ScaleRule::Highlights { .. }) {
+        return;
+    }
+    let log_factor = -START * log_colour(mean_light(world.query::<&LightLobe>().iter(world)));
+    let mut texels: Vec<DiffuseAlbedo> = world.query::<&DiffuseAlbedo>().iter(world).copied().collect();
+    let mut lobes = world.query::<&mut LightLobe>();
+    rescale(log_factor.exp(), lobes.iter_mut(world).map(|lobe| lobe.into_inner()), &mut texels);
+    for (mut albedo, value) in world.query::<&mut DiffuseAlbedo>().iter_mut(world).zip(&texels) {
+        *albedo = *value;
+    }
+}
+
+/// The scale as it is now: mean radiance of the light over the sphere, and mean albedo of the texels that are seen.
+pub fn means(world: &mut World) -> [Vec3; 2] {
+    let light = mean_light(world.query::<&LightLobe>().iter(world));
+    let texels: (Vec<DiffuseAlbedo>, Vec<TexelSeen>) =
+        world.query::<(&DiffuseAlbedo, &TexelSeen)>().iter(world).map(|(a, s)| (*a, *s)).unzip();
+    [light, mean_albedo(&texels.0, &texels.1)]
+}
+
+/// Multiplies the light by a factor and divides the albedo by it.
+fn rescale<'a>(factor: Vec3, lobes: impl Iterator<Item = &'a mut LightLobe>, albedo: &mut [DiffuseAlbedo]) {
+    lobes.for_each(|lobe| lobe.amplitude *= factor);
+    albedo.iter_mut().for_each(|albedo| albedo.0 = (albedo.0 / factor).min(Vec3::splat(MOST_ALBEDO)));
+}
+
+/// Derivative of the loss with respect to the logarithm of the factor: diffuse light stays, specular light is multiplied.
+fn highlight_slope(layers: &[Layers], adjoint: &[RadianceAdjoint]) -> Vec3 {
+    let each = layers.iter().zip(adjoint).map(|(l, a)| (Vec3::from(l.specular) * Vec3::from(a.0)).as_dvec3());
+    each.sum::<DVec3>().as_vec3()
+}
+
+/// Mean radiance of lobes over the sphere.
+fn mean_light<'a>(lobes: impl Iterator<Item = &'a LightLobe>) -> Vec3 {
+    let power = |lobe: &LightLobe| lobe.amplitude.as_dvec3() * sphere_integral(f64::from(lobe.sharpness));
+    (lobes.map(power).sum::<DVec3>() / (4.0 * std::f64::consts::PI)).as_vec3()
+}
+
+/// Mean albedo of the texels that are seen.
+fn mean_albedo(albedo: &[DiffuseAlbedo], seen: &[TexelSeen]) -> Vec3 {
+    let both = albedo.iter().zip(seen).filter(|(_, seen)| seen.0 > 0.0);
+    let (sum, count) = both.fold((DVec3::ZERO, 0u32), |(sum, n), (a, _)| (sum + a.0.as_dvec3(), n + 1));
+    (sum / f64::from(count.max(1))).as_vec3()
+}
+
+/// The logarithms of a colour's channels over their mean: zero for grey.
+fn log_colour(colour: Vec3) -> Vec3 {
+    without_mean(colour.max(Vec3::splat(1e-12)).map(f32::ln))
+}
+
+fn without_mean(v: Vec3) -> Vec3 {
+    v - v.element_sum() / 3.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fit::loss::{Loss, image_loss};
+    use crate::view::pixel::Observed;
+
+    #[test]
+    fn the_slope_of_the_scale_agrees_with_differences() {
+        let layers: Vec<Layers> = (0..50)
+            .map(|i| {
+                let at = |c: usize| 0.1 + 0.3 * ((i * 7 + c * 5) % 11) as f32 / 11.0;
+                Layers { diffuse: [at(0), at(1), at(2)], specular: [at(3), at(4), at(5)] }
+            })
+            .collect();
+        let observed = vec![Observed { radiance: Vec3::new(0.5, 0.4, 0.2), saturated: false }; 50];
+        let loss = |factor: Vec3, adjoint: &mut [RadianceAdjoint]| {
+            let scaled = |l: &Layers| Layers { specular: (Vec3::from(l.specular) * factor).into(), ..*l };
+            let scaled: Vec<Layers> = layers.iter().map(scaled).collect();
+            image_loss(Loss::L2, &scaled, &observed, |_| 1.0, adjoint).loss / 150.0
+        };
+        let mut adjoint = vec![RadianceAdjoint::default(); 50];
+        loss(Vec3::ONE, &mut adjoint);
+        let slope = highlight_slope(&layers, &adjoint);
+        let mut unused = adjoint.clone();
+        for axis in [Vec3::X, Vec3::Y, Vec3::Z] {
+            let at = |step: f32, unused: &mut [RadianceAdjoint]| loss((axis * step).exp(), unused);
+            let exact = (at(1e-2, &mut unused) - at(-1e-2, &mut unused)) / 2e-2;
+            let found = f64::from(slope.dot(axis));
+            assert!((found - exact).abs() < 1e-3 * exact.abs() + 1e-6, "{found} {exact}");
+        }
+    }
+
+    #[test]
+    fn rescaling_keeps_light_times_albedo() {
+        let lobe = LightLobe { axis: Vec3::Y, sharpness: 3.0, amplitude: Vec3::new(1.0, 2.0, 4.0) };
+        let mut lobes = [lobe];
+        let mut albedo = [DiffuseAlbedo(Vec3::new(0.1, 0.2, 0.4))];
+        let to_white = (-log_colour(mean_light(lobes.iter()))).exp();
+        rescale(to_white, lobes.iter_mut(), &mut albedo);
+        assert!(log_colour(mean_light(lobes.iter())).length() < 1e-6);
+        let product = lobes[0].amplitude * albedo[0].0;
+        assert!((product - lobe.amplitude * Vec3::new(0.1, 0.2, 0.4)).length() < 1e-6);
+        assert_eq!(mean_albedo(&albedo, &[TexelSeen(1.0)]), albedo[0].0);
+    }
+}
