@@ -203,10 +203,8 @@ pub struct VertexPlugin {
 impl Plugin for VertexPlugin {
     fn build(&self, pipeline: &mut Pipeline) {
         let (graph, positions) = VertexGraph::new(self.surface.mesh());
-        let vertices = positions
-            .into_iter()
-            .map(|at| (VertexPosition(at), VertexAdjoint::default(), VertexMoment::default()));
-        pipeline.world.spawn_batch(vertices.collect::<Vec<_>>());
+        let vertex = |at: &Vec3| (VertexPosition(*at), VertexAdjoint::default(), VertexMoment::default());
+        pipeline.world.spawn_batch(positions.iter().map(vertex).collect::<Vec<_>>());
         let (surface, found) = (self.surface.clone(), Vec::new());
         pipeline.world.insert_resource(MovingMesh {
             surface,
