@@ -146,6 +146,47 @@ fn a_shape_pass_refines_the_hull_and_can_be_watched() {
     }
 }
 
+/// Where cameras see the middle of the object, in pixels, by name.
+fn middles(cameras: &Path) -> Vec<(String, [f64; 2])> {
+    let cameras: Value = serde_json::from_slice(&std::fs::read(cameras).unwrap()).unwrap();
+    let middle = |(name, camera): (&String, &Value)| {
+        let (k, w) =
+            (|i: usize| camera["K"][i].as_f64().unwrap(), |i: usize| camera["W2C"][i].as_f64().unwrap());
+        let stem = name.trim_end_matches(".exr").to_owned();
+        (stem, [k(0) * w(3) / w(11) + k(2), k(5) * w(7) / w(11) + k(6)])
+    };
+    cameras.as_object().unwrap().iter().map(middle).collect()
+}
+
+#[test]
+fn a_camera_that_is_off_is_moved_back_and_written_down() {
+    let data = photographs();
+    let truth = middles(&data.path("train/cam_dict_norm.json"));
+    data.change_camera("train", "rgb_000003.exr", |camera| {
+        camera["W2C"][3] = json!(camera["W2C"][3].as_f64().unwrap() + 0.12);
+    });
+    let given = middles(&data.path("train/cam_dict_norm.json"));
+    let shape = "Shape(levels: [(cells: 32, texel_cells: 16, steps: 300, hold: 10)], batch: 1024, cameras: Poses, \
+                 exposure: true), Fit(name";
+    run_scene(&data, &SCENE.replace("Fit(name", shape), &["--quiet"]);
+    let found = middles(&data.path("out/shape/cam_dict_norm.json"));
+    assert_eq!(found.len(), truth.len());
+    let off = |views: &[(String, [f64; 2])], i: usize| {
+        let view = views.iter().find(|view| view.0 == truth[i].0).unwrap();
+        (view.1[0] - truth[i].1[0]).hypot(view.1[1] - truth[i].1[1])
+    };
+    let wrong = (0..truth.len()).find(|&i| off(&given, i) > 0.5).expect("a camera was moved by a pixel");
+    assert!(off(&found, wrong) < 0.5 * off(&given, wrong), "{} {}", off(&found, wrong), off(&given, wrong));
+    for right in (0..truth.len()).filter(|i| *i != wrong) {
+        assert!(off(&found, right) < 0.3, "view {right}: {} pixels", off(&found, right));
+    }
+    let exposures = std::fs::read_to_string(data.path("out/shape/exposures.csv")).unwrap();
+    assert_eq!(exposures.lines().count(), truth.len() + 1);
+    // The cameras can be put in place of those that were given.
+    std::fs::copy(data.path("out/shape/cam_dict_norm.json"), data.path("train/cam_dict_norm.json")).unwrap();
+    run_scene(&data, SCENE, &["--quiet", "--force"]);
+}
+
 /// Writes the data set's training views as a COLMAP model, and runs that.
 #[test]
 fn a_colmap_folder_gives_the_same_object() {

@@ -30,7 +30,7 @@ pub fn moved(given: &Camera, pose: &Pose, log_focal: f64) -> Camera {
     let shift = Affine3A::from_rotation_translation(turn, Vec3::new(right, down, forward));
     Camera {
         world_from_camera: given.world_from_camera * shift,
-        focal: given.focal.map(|f| f * log_focal.exp() as f32),
+        focal: given.focal.map(|f| f * (log_focal.exp() as f32)),
         ..*given
     }
 }

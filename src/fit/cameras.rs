@@ -15,6 +15,7 @@ use super::align::{
 use super::components::StepRates;
 use super::exposure::Exposures;
 use super::observe::FULL_COVERAGE;
+use crate::math::ray::Intersect;
 use crate::math::shading::Layers;
 use crate::shade::Scenery;
 use crate::shade::pool::only_table;
@@ -137,6 +138,11 @@ pub struct CameraFit {
 }
 
 impl CameraFit {
+    /// Factor on all focal lengths.
+    pub fn focal_factor(&self) -> f32 {
+        self.log_focal.exp() as f32
+    }
+
     /// Takes in residuals of a kind (0: photographs, 1: outlines); returns their usual size so far.
     pub fn observe(&mut self, kind: usize, rows: &[(u32, AlignedRow)]) -> f32 {
         let sum: f64 = rows.iter().map(|(_, row)| f64::from(row.residual.abs())).sum();
@@ -205,6 +211,18 @@ pub fn recast_rays(
 pub fn retrace_still_surface(
     window: Res<Window>,
     scenery: Res<Scenery>,
+    samples: Query<(&ViewRay, &mut SurfacePoint)>,
+) -> SystemResult {
+    retrace(&window, scenery.0.as_ref(), samples)
+}
+
+/// Finds where the window's rays meet the front of `surface`.
+///
+/// # Errors
+/// If the pool of samples has come apart.
+pub fn retrace(
+    window: &Window,
+    surface: &dyn Intersect,
     mut samples: Query<(&ViewRay, &mut SurfacePoint)>,
 ) -> SystemResult {
     let Some((rays, mut points)) = only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")? else {
@@ -213,7 +231,7 @@ pub fn retrace_still_surface(
     let rows = window.0.clone();
     let points = &mut points.bypass_change_detection()[rows.clone()];
     points.par_iter_mut().zip(&rays[rows]).with_min_len(256).for_each(|(point, ray)| {
-        let hit = scenery.0.intersect(&ray.0, 0.0);
+        let hit = surface.intersect(&ray.0, 0.0);
         *point = hit.filter(|hit| hit.normal.dot(ray.0.direction) < 0.0).into();
     });
     Ok(())

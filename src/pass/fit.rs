@@ -23,6 +23,7 @@ use crate::report::tone::srgb8;
 use crate::scene::pass_types::{FitPass, FitShading, Quality};
 use crate::scene::spawn::{initial_specular, unknowns};
 use crate::scene::types::Gloss;
+use crate::shade::visibility::ObjectVisibility;
 use crate::shape::vertices::VertexPlugin;
 use crate::stage::{Phase, Slot};
 use crate::surface::atlas::fill_uncovered;
@@ -97,6 +98,8 @@ fn hold_geometry(session: &mut Session) {
     CameraPlugin::remove(&mut session.pipeline);
     if let Some(moved) = VertexPlugin::remove(&mut session.pipeline) {
         session.surface = moved;
+        // What hides what is traced anew when it is asked for.
+        session.pipeline.world.remove_resource::<ObjectVisibility>();
     }
 }
 

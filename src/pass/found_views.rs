@@ -23,7 +23,7 @@ pub fn write(session: &mut Session, name: &str, cameras: CameraUnknowns, exposur
         let (center, radius) = session.surface.bounding_sphere();
         let world = &mut session.pipeline.world;
         let (shifts, factor) =
-            (shifts_px(world, center, radius), world.resource::<CameraFit>().log_focal.exp());
+            (shifts_px(world, center, radius), world.resource::<CameraFit>().focal_factor());
         let mean = shifts.iter().sum::<f32>() / shifts.len().max(1) as f32;
         let most = shifts.iter().copied().fold(0.0, f32::max);
         session.progress.print(&format!(

@@ -255,6 +255,9 @@ fn read_views(scene: &Scene, progress: &Progress) -> Result<Vec<ViewRecord>> {
                 part.notes.iter().for_each(|note| progress.note(note));
                 views.extend(part.views);
             }
+            views
+                .iter_mut()
+                .for_each(|view| view.camera.focal = view.camera.focal.map(|f| f * spec.focal_scale));
             Ok(views)
         }
         Views::Cameras(specs) => specs.iter().map(bare_view).collect(),

@@ -5,6 +5,7 @@ use super::edit::take_material;
 use super::photograph::ring;
 use crate::error::{Error, Result};
 use crate::file::{read_bytes, write_bytes};
+use crate::fit::cameras::CameraFit;
 use crate::light::LightLobe;
 use crate::light::npy::{NpyConvention, write_lobes};
 use crate::material::SpecularBlend;
@@ -127,7 +128,10 @@ fn saved_views(session: &Session) -> Result<Views> {
     match &session.scene.views {
         Views::Dataset(spec) => {
             let path = std::path::absolute(&spec.path).map_err(Error::io("find", &spec.path))?;
-            Ok(Views::Dataset(crate::scene::types::Dataset { path, ..spec.clone() }))
+            let found =
+                session.pipeline.world.get_resource::<CameraFit>().map_or(1.0, CameraFit::focal_factor);
+            let focal_scale = spec.focal_scale * found;
+            Ok(Views::Dataset(crate::scene::types::Dataset { path, focal_scale, ..spec.clone() }))
         }
         Views::Cameras(cameras) => Ok(Views::Cameras(cameras.clone())),
         Views::Photographed(spec) => Ok(Views::Cameras(ring(&spec.cameras, session.scene.up))),

@@ -157,7 +157,7 @@ pub struct ShapePass {
     pub silhouette_batch: u32,
     /// Weight of the silhouettes beside the images ≥ 0. Default 0.3.
     pub silhouette: f32,
-    /// Weight of the field's smoothness ≥ 0. Default 1e-6.
+    /// Weight of the field's smoothness ≥ 0 at the end of each level, relaxed from ten times that. Default 1e-6.
     pub smoothness: f32,
     /// Rounds of averaging the shape's gradient over neighbouring vertices. Default 8.
     pub blur: u32,

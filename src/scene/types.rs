@@ -143,6 +143,9 @@ pub struct Dataset {
     /// Where in a pixel its centre is, in pixels from its upper left corner, 0 to 1. Default 0.5 (PhySG's own code: 0).
     #[serde(default = "half")]
     pub pixel_center: f32,
+    /// Factor on all focal lengths, 0.5 to 2, such as a fit with `cameras: PosesAndFocal` found. Default 1.
+    #[serde(default = "one")]
+    pub focal_scale: f32,
     /// Images are shrunk by this whole factor ≥ 1 (box filter). Default 1.
     #[serde(default = "one_u32")]
     pub downscale: u32,

@@ -2,10 +2,9 @@
 
 use super::field::{BAND_CELLS, BrickAt, BrickGradient, BrickMoments, BrickValues, SdfField};
 use super::silhouette_loss::{SilhouetteSample, add_silhouettes, aligned_outline};
-use crate::fit::cameras::{AlignedRow, CameraFit, CameraPose};
+use crate::fit::cameras::{AlignedRow, CameraFit, CameraPose, retrace};
 use crate::fit::components::StepRates;
 use crate::material::DiffuseAlbedo;
-use crate::math::ray::Intersect;
 use crate::math::shading::PointAdjoint;
 use crate::shade::pool::only_table;
 use crate::stage::SystemResult;
@@ -31,7 +30,7 @@ pub struct ShapeSchedule {
     pub silhouette: f32,
     /// Silhouette rays a step.
     pub silhouette_batch: usize,
-    /// Weight of the squared Laplacian of the field.
+    /// Weight of the squared Laplacian of the field at the end; it is relaxed from [`FIRST_SMOOTHNESS`] times that.
     pub smoothness: f32,
     /// Rounds of averaging the gradient over neighbours.
     pub blur: u32,
@@ -54,22 +53,16 @@ impl ShapeSchedule {
     }
 }
 
+/// Weight of the smoothness at the start of a level, over that at its end.
+const FIRST_SMOOTHNESS: f32 = 10.0;
+
 /// Trace: finds the window's surface points on the field as it is now.
 pub fn retrace_window(
     window: Res<Window>,
     field: Res<SdfField>,
-    mut samples: Query<(&ViewRay, &mut SurfacePoint)>,
+    samples: Query<(&ViewRay, &mut SurfacePoint)>,
 ) -> SystemResult {
-    let Some((rays, mut points)) = only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")? else {
-        return Ok(());
-    };
-    let rows = window.0.clone();
-    let points = &mut points.bypass_change_detection()[rows.clone()];
-    points.par_iter_mut().zip(&rays[rows]).with_min_len(256).for_each(|(point, ray)| {
-        let hit = field.surface.intersect(&ray.0, 0.0);
-        *point = hit.filter(|hit| hit.normal.dot(ray.0.direction) < 0.0).into();
-    });
-    Ok(())
+    retrace(&window, &field.surface, samples)
 }
 
 /// Gradient: the samples' normal and albedo adjoints, as adjoints of the field.
@@ -181,9 +174,7 @@ pub fn hand_out_to_bricks(
     mut bricks: Query<(&BrickAt, &mut BrickGradient)>,
     mut field: ResMut<SdfField>,
 ) -> SystemResult {
-    if schedule.progress(rates.step).is_none() {
-        return Ok(());
-    }
+    let Some(progress) = schedule.progress(rates.step) else { return Ok(()) };
     let Some((at, mut gradients)) = only_table(bricks.contiguous_iter_mut()?, |t| t.0.len(), "brick")? else {
         return Ok(());
     };
@@ -193,7 +184,8 @@ pub fn hand_out_to_bricks(
     // The squared Laplacian's gradient is a Laplacian of the Laplacian, which the scratch holds.
     fill(grid, at, gradients, |row, interior| laplacian(grid, row, interior, &grid.values));
     copy_out(grid, at, gradients, scratch);
-    let smoothness = schedule.smoothness / (grid.spacing * grid.spacing);
+    let relaxed = schedule.smoothness * FIRST_SMOOTHNESS.powf(1.0 - progress);
+    let smoothness = relaxed / (grid.spacing * grid.spacing);
     fill(grid, at, gradients, |row, interior| {
         adjoint.of_row(grid, row, interior) + smoothness * laplacian(grid, row, interior, scratch)
     });
