@@ -451,6 +451,6 @@ impl SharedGradient {
 }
 
 #[cfg(test)]
-mod properties;
+pub(crate) mod properties;
 #[cfg(test)]
 mod tests;

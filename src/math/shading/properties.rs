@@ -15,7 +15,7 @@ const FORMS: [(ClosedForm, Ndf); 5] = [
 ];
 
 /// Any direction, often one of the axes or nearly.
-fn direction() -> impl Strategy<Value = [f32; 3]> {
+pub(crate) fn direction() -> impl Strategy<Value = [f32; 3]> {
     let special = prop::sample::select(vec![
         [0.0, 1.0, 0.0],
         [0.0, -1.0, 0.0],
