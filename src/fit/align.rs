@@ -67,11 +67,11 @@ impl PoseSums {
     /// Takes in a residual with its slopes.
     #[inline]
     pub fn add(&mut self, slopes: &[f32; SLOPES], residual: f32, weight: f32) {
-        for i in 0..SLOPES {
-            let scaled = f64::from(weight * slopes[i]);
+        for (i, slope) in slopes.iter().enumerate() {
+            let scaled = f64::from(weight * slope);
             self.right[i] += scaled * f64::from(residual);
-            for j in 0..=i {
-                self.matrix[i][j] += scaled * f64::from(slopes[j]);
+            for (sum, other) in self.matrix[i].iter_mut().zip(&slopes[..=i]) {
+                *sum += scaled * f64::from(*other);
             }
         }
     }
@@ -226,18 +226,19 @@ mod tests {
     #[test]
     fn projection_slopes_are_those_of_the_moved_camera() {
         let (given, point) = (camera(Vec3::new(1.0, 2.0, 3.0)), Vec3::new(0.3, -0.2, 0.4));
-        let slopes = projection_slopes(&given, point, Vec3::ZERO).unwrap();
-        for i in 0..=POSE {
-            let at = |by: f64| {
-                let mut pose = [0.0; POSE];
-                let focal = if i < POSE { 0.0 } else { by };
-                pose.iter_mut().skip(i).take(1).for_each(|p| *p = by);
-                moved(&given, &pose, focal).project(point).unwrap()
-            };
-            let (up, down) = (at(2e-3), at(-2e-3));
-            let exact = [(up.0 - down.0) / 4e-3, (up.1 - down.1) / 4e-3];
-            for (axis, exact) in exact.into_iter().enumerate() {
-                let found = slopes[axis][i];
+        let center = Vec3::new(-0.1, 0.2, 0.0);
+        let slopes = projection_slopes(&given, point, center).unwrap();
+        let at = |i: usize, by: f64| {
+            let mut pose = [0.0; POSE];
+            pose.iter_mut().skip(i).take(1).for_each(|p| *p = by);
+            let focal = if i == POSE { by } else { 0.0 };
+            let grown = if i > POSE { center + (point - center) * by.exp() as f32 } else { point };
+            moved(&given, &pose, focal).project(grown).unwrap()
+        };
+        for (axis, slopes) in slopes.iter().enumerate() {
+            for (i, found) in slopes.iter().enumerate() {
+                let (up, down) = (at(i, 2e-3), at(i, -2e-3));
+                let exact = [(up.0 - down.0) / 4e-3, (up.1 - down.1) / 4e-3][axis];
                 assert!((found - exact).abs() < 0.02 + 2e-3 * exact.abs(), "{axis} {i}: {found} {exact}");
             }
         }
