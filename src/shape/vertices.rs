@@ -38,6 +38,8 @@ const SMOOTHING: f32 = 19.0;
 /// λ of the part of the displacement that is taken back: what is wider than about √λ edges shows in outlines, and the masks have
 /// settled it.
 const WIDE: f32 = 200.0;
+/// Farthest that a vertex goes, in mean edges: beyond, a model that does not fit would dent the mesh.
+const REACH: f32 = 0.2;
 /// Share of the running mean that stays at a move.
 const MEAN_DECAY: f32 = 0.8;
 /// Rounds of conjugate gradients.
@@ -315,6 +317,9 @@ pub fn move_vertices(
     let rate = RATES.0 * (RATES.1 / RATES.0).powf((done - HELD) / (1.0 - HELD)) * mesh.graph.mean_edge(&at);
     let moved: Vec<Vec3> = at.iter().zip(&steps).map(|(at, step)| at - rate * step).collect();
     let moved = without_wide(&mesh.graph, &mesh.start, moved);
+    let reach = REACH * mesh.graph.mean_edge(&mesh.start);
+    let near = |(moved, start): (Vec3, &Vec3)| *start + (moved - *start).clamp_length_max(reach);
+    let moved: Vec<Vec3> = moved.into_iter().zip(&mesh.start).map(near).collect();
     // A move that would flatten a triangle is not made.
     if let Ok(surface) = with_positions(&mesh.surface, &mesh.graph, &moved) {
         mesh.surface = Arc::new(surface);
