@@ -301,7 +301,7 @@ fn image_slope(
     Some(Vec2::new(slope_x, 0.5 * (at(pixel + width)? - at(pixel - width)?)))
 }
 
-/// Update: every [`MOVE_EVERY`] steps, one Gauss–Newton step of all cameras; the sums begin anew.
+/// Update: every `MOVE_EVERY` steps, one Gauss–Newton step of all cameras; the sums begin anew.
 pub fn move_cameras(
     rates: Res<StepRates>,
     mut fit: ResMut<CameraFit>,

@@ -252,7 +252,7 @@ impl Lattice {
     }
 }
 
-/// [`average_over_cells`] with the cells of this time of the fit.
+/// `average_over_cells` with the cells of this time of the fit.
 pub fn average_at(places: &TexelPlaces, gradients: &mut [BlendGradient]) {
     let cells = CELLS.0 * (CELLS.1 / CELLS.0).powf(places.progress);
     average_over_cells(&places.positions, gradients, cells);

@@ -30,7 +30,7 @@ pub struct ShapeSchedule {
     pub silhouette: f32,
     /// Silhouette rays a step.
     pub silhouette_batch: usize,
-    /// Weight of the squared Laplacian of the field at the end; it is relaxed from [`FIRST_SMOOTHNESS`] times that.
+    /// Weight of the squared Laplacian of the field at the end; it is relaxed from `FIRST_SMOOTHNESS` times that.
     pub smoothness: f32,
     /// Rounds of averaging the gradient over neighbours.
     pub blur: u32,

@@ -288,7 +288,7 @@ pub fn pull_back_to_vertices(
     Ok(())
 }
 
-/// Update: every [`MOVE_EVERY`] steps, one smoothed step of all vertices along their normals; the sums begin anew.
+/// Update: every `MOVE_EVERY` steps, one smoothed step of all vertices along their normals; the sums begin anew.
 pub fn move_vertices(
     rates: Res<StepRates>,
     mut mesh: ResMut<MovingMesh>,
