@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{Data, SIZE, files_below, save_png, write_image};
+use common::{Data, SIZE, command, files_below, save_png, write_image};
 use glam::Vec3;
 use image::{DynamicImage, GrayImage, Luma};
 use lobelia::surface::gltf_import::read_mesh_with_report;
@@ -185,6 +185,43 @@ fn a_camera_that_is_off_is_moved_back_and_written_down() {
     // The cameras can be put in place of those that were given.
     std::fs::copy(data.path("out/shape/cam_dict_norm.json"), data.path("train/cam_dict_norm.json")).unwrap();
     run_scene(&data, SCENE, &["--quiet", "--force"]);
+}
+
+/// Vertices that moved, and a focal length that was found, are saved, and the object looks the same again.
+#[test]
+fn moved_vertices_and_a_found_focal_length_are_saved() {
+    let data = photographs();
+    let levels = "Shape(levels: [(cells: 32, texel_cells: 16, steps: 100, hold: 10)], batch: 1024, cameras: PosesAndFocal), \
+                  Fit(vertices: true, name";
+    let scene =
+        SCENE.replace("Fit(name", levels).replace("Export(name: \"export\")", "Save(name: \"saved\")");
+    let with_vertices = run_scene_without_export(&data, &scene);
+    let mesh = |folder: &str| std::fs::read(data.path(folder).join("mesh.glb")).unwrap();
+    let moved = mesh("out/saved");
+    let saved = std::fs::read_to_string(data.path("out/saved/scene.ron")).unwrap();
+    assert!(saved.contains("focal_scale: 1.0") || saved.contains("focal_scale: 0.9"), "{saved}");
+    assert!(!saved.contains("focal_scale: 1.0,"), "the focal length did not move");
+    let again = command(&["run", "--quiet"])
+        .arg(data.path("out/saved/scene.ron"))
+        .arg("--out")
+        .arg(data.path("again"))
+        .output()
+        .unwrap();
+    assert!(again.status.success(), "{}", String::from_utf8_lossy(&again.stderr));
+    for picture in ["novel/rgb_000000.exr", "novel/rgb_000001.exr"] {
+        let bytes = |folder: &str| std::fs::read(data.path(folder).join(picture)).unwrap();
+        assert!(bytes("out") == bytes("again"), "{picture} differs");
+    }
+    run_scene_without_export(&data, &scene.replace("vertices: true, ", ""));
+    assert!(moved != mesh("out/saved"), "no vertex moved");
+    assert!(with_vertices > 15.0, "{with_vertices}");
+}
+
+/// The novel PSNR of a run.
+fn run_scene_without_export(data: &Data, scene: &str) -> f64 {
+    data.run(scene, "out", &["--quiet", "--force"]).succeeded();
+    let text = std::fs::read_to_string(data.path("out/metrics.json")).unwrap();
+    serde_json::from_str::<Value>(&text).unwrap()["passes"]["novel"]["psnr"].as_f64().unwrap()
 }
 
 /// Writes the data set's training views as a COLMAP model, and runs that.

@@ -22,7 +22,7 @@ use crate::shade::pool::only_table;
 use crate::stage::{Phase, Pipeline, Plugin, Slot, SystemResult};
 use crate::surface::point::SurfacePoint;
 use crate::view::pixel::{Observed, PixelOf, ViewRay, Window};
-use crate::view::{Camera, Photograph, ViewMask};
+use crate::view::{Camera, Photograph, ViewMask, ViewName};
 use bevy_ecs::prelude::{Component, Entity, Mut, Query, Res, ResMut, Resource, With, World};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -31,7 +31,7 @@ use serde::{Deserialize, Serialize};
 /// Steps between two moves of the cameras; their normal equations are summed over these.
 const MOVE_EVERY: u32 = 25;
 /// Steps before the first sums: light and material must be found first.
-const FIRST_STEP: u32 = 50;
+pub const FIRST_STEP: u32 = 50;
 /// Farthest a move goes, as pixels in the image.
 const LONGEST_MOVE: f64 = 1.0;
 /// Weight of the given camera: so many residuals of the usual size a pixel.
@@ -178,14 +178,20 @@ impl CameraPlugin {
     }
 }
 
-/// Gives every view with a photograph the state of its pose, and the world what views share.
+/// Gives every view the state of its pose, without residuals, and the world what views share.
 pub fn attach_poses(world: &mut World) {
     world.init_resource::<CameraFit>();
-    let mut query = world.query_filtered::<(Entity, &Camera, Option<&CameraPose>), With<Photograph>>();
-    let fresh = query.iter(world).filter(|(_, _, pose)| pose.is_none());
-    let fresh: Vec<(Entity, Camera)> = fresh.map(|(view, camera, _)| (view, *camera)).collect();
-    for (view, camera) in fresh {
-        world.entity_mut(view).insert(CameraPose::new(camera));
+    let mut query = world.query_filtered::<(Entity, &Camera, Option<&CameraPose>), With<ViewName>>();
+    let attach = |(view, camera, pose): (Entity, &Camera, Option<&CameraPose>)| {
+        let kept = pose.map_or(CameraPose::new(*camera), |pose| CameraPose {
+            pose: pose.pose,
+            ..CameraPose::new(pose.given)
+        });
+        (view, kept)
+    };
+    let poses: Vec<(Entity, CameraPose)> = query.iter(world).map(attach).collect();
+    for (view, pose) in poses {
+        world.entity_mut(view).insert(pose);
     }
 }
 
@@ -321,8 +327,10 @@ pub fn move_cameras(
     // The focal length is one, however many views there are.
     let share = if fit.unknowns == CameraUnknowns::PosesAndFocal { 1.0 / aligned.len() as f64 } else { 1e30 };
     aligned.iter_mut().for_each(|view| view.prior.focal *= share);
+    // Where it is not looked for it stays where an earlier pass left it.
+    let from = if fit.unknowns == CameraUnknowns::PosesAndFocal { fit.log_focal } else { 0.0 };
     let object = AlignedObject { center: fit.center.unwrap_or_default(), known: !fit.object_moves };
-    let (steps, by_focal) = solve(&aligned, object, fit.log_focal);
+    let (steps, by_focal) = solve(&aligned, object, from);
     fit.log_focal += by_focal.clamp(-0.01, 0.01);
     for ((camera, pose), step) in views.iter_mut().zip(&steps) {
         pose.advance(step);

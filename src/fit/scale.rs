@@ -36,7 +36,7 @@ pub enum ScaleRule {
     },
     /// The light's mean radiance over the sphere is grey; the mean albedo starts from 0.4.
     WhiteLight,
-    /// The mean albedo of the texels that are seen is this colour, each channel in (0, 1): `MeanAlbedo(0.5, 0.4, 0.3)`.
+    /// The mean albedo of the texels that are seen is this colour, each channel in (0, 0.9]: `MeanAlbedo(0.5, 0.4, 0.3)`.
     MeanAlbedo(Vec3),
     /// Nothing: as single texels and lobes find it, from a mean albedo of grey 0.4.
     Free,

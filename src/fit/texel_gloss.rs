@@ -47,7 +47,10 @@ impl TexelGloss {
     /// What texels start from.
     pub fn first(roughness: f32, varied_specular: bool) -> Self {
         let share = if varied_specular { FIRST_SHARE } else { 1.0 };
-        Self { roughness: roughness.clamp(LADDER[0] * 1.001, LADDER[LADDER.len() - 1] * 0.999), share }
+        let at = ((roughness / LADDER[0]).ln() / STEP).clamp(0.0, (LADDER.len() - 1) as f32 - 1e-3);
+        // Never on a rung: a weight of zero has no adjoint.
+        let off_rung = at.floor() + at.fract().clamp(1e-3, 1.0 - 1e-3);
+        Self { roughness: LADDER[0] * (off_rung * STEP).exp(), share }
     }
 
     /// The step of the ladder below the roughness, and how far above it.
@@ -149,7 +152,9 @@ fn chromaticity(albedo: Vec3) -> Vec3 {
 
 /// Gives every texel a gloss of its own, unless it has one.
 pub fn attach_gloss(world: &mut World, roughness: f32, varied_specular: bool) {
-    if world.query::<&TexelGloss>().iter(world).next().is_some() {
+    let known: Vec<Entity> = world.query_filtered::<Entity, With<TexelGloss>>().iter(world).collect();
+    if !known.is_empty() {
+        known.into_iter().for_each(|texel| _ = world.entity_mut(texel).insert(GlossMoments::default()));
         return;
     }
     let gloss = TexelGloss::first(roughness, varied_specular);

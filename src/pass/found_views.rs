@@ -5,6 +5,7 @@ use crate::error::{Error, Result};
 use crate::file::write_bytes;
 use crate::fit::cameras::{CameraFit, CameraPose, CameraUnknowns};
 use crate::fit::exposure::Exposures;
+use crate::scene::types::Views;
 use crate::view::{Camera, Photograph, Split, ViewName};
 use bevy_ecs::prelude::{With, World};
 use glam::{DMat3, DMat4, Vec3};
@@ -12,7 +13,8 @@ use serde_json::{Map, Value, json};
 use std::fmt::Write as _;
 use std::path::Path;
 
-/// Writes `cam_dict_norm.json` (PhySG's layout, training views) if cameras moved, and `exposures.csv` if exposures were unknown,
+/// Writes `cam_dict_norm.json` (PhySG's layout, training views; focal lengths and pixel centres as they were given, for images of
+/// the size that was fitted) if cameras moved, and `exposures.csv` if exposures were unknown,
 /// into a pass's folder, and says how far cameras went.
 ///
 /// # Errors
@@ -29,7 +31,8 @@ pub fn write(session: &mut Session, name: &str, cameras: CameraUnknowns, exposur
         session.progress.print(&format!(
             "{name}: cameras moved by {mean:.2} pixels on average, {most:.2} at most; focal lengths × {factor:.5}"
         ));
-        write_cameras(&mut session.pipeline.world, &folder)?;
+        let given = if let Views::Dataset(spec) = &session.scene.views { spec.focal_scale } else { 1.0 };
+        write_cameras(&mut session.pipeline.world, &folder, given)?;
     }
     if exposure { write_exposures(&mut session.pipeline.world, &folder) } else { Ok(()) }
 }
@@ -50,21 +53,24 @@ fn shifts_px(world: &mut World, center: Vec3, radius: f32) -> Vec<f32> {
     train.map(|(camera, pose, _)| shift((camera, pose))).collect()
 }
 
-fn write_cameras(world: &mut World, folder: &Path) -> Result<()> {
-    let mut views = world.query::<(&ViewName, &Camera, &Split)>();
-    let train = views.iter(world).filter(|(_, _, split)| **split == Split::Train);
+fn write_cameras(world: &mut World, folder: &Path, focal_scale: f32) -> Result<()> {
+    let mut views = world.query::<(&ViewName, &Camera, &CameraPose, &Split)>();
+    let train = views.iter(world).filter(|(_, _, _, split)| **split == Split::Train);
+    let as_given = |camera: &Camera, pose: &CameraPose| Camera {
+        focal: pose.given.focal.map(|focal| focal / focal_scale),
+        ..*camera
+    };
     let cameras: Map<String, Value> =
-        train.map(|(name, camera, _)| (name.0.clone(), in_json(camera))).collect();
+        train.map(|(name, camera, pose, _)| (name.0.clone(), in_json(&as_given(camera, pose)))).collect();
     let path = folder.join("cam_dict_norm.json");
     let text = serde_json::to_string_pretty(&cameras).map_err(|e| Error::run("cameras", e.to_string()))?;
     write_bytes(&path, text.as_bytes())
 }
 
-/// A camera in PhySG's words, for a pixel centre of 0.5.
+/// A camera in PhySG's words.
 fn in_json(camera: &Camera) -> Value {
-    let shift = f64::from(0.5 - camera.pixel_center);
     let [fx, fy] = camera.focal.map(f64::from);
-    let [cx, cy] = camera.center.map(|c| f64::from(c) + shift);
+    let [cx, cy] = camera.center.map(f64::from);
     let k = [fx, f64::from(camera.skew), cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
     let pose = camera.world_from_camera;
     let axes = DMat3::from_cols(

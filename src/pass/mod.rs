@@ -2,8 +2,9 @@
 //!
 //! | pass | file | writes into `OUT/<name>/` |
 //! | --- | --- | --- |
-//! | `Fit` | [`fit`] | the recovered light (`light.npy`, `environment.exr`), `albedo.png`, `materials.ron`, `log.csv`; of several base materials `blend.exr`, `.png` |
+//! | `Fit` | [`fit`] | the recovered light (`light.npy`, `environment.exr`), `albedo.png`, `materials.ron`, `log.csv`; of several base materials `blend.exr`, `.png`, of a gloss for each texel `roughness.exr`, `.png` |
 //! | `Shape` | [`shape`] | with `--debug-every N`, normals, depth and mesh every N steps |
+//! | both | `found_views` | `cam_dict_norm.json` of cameras that moved, `exposures.csv` |
 //! | `Render`, `Edit`, `Relight` | [`render`] | an EXR with layers and a PNG per view, the film of an orbit |
 //! | `Evaluate` | [`evaluate`] | a contact sheet; scores go to `OUT/metrics.json` |
 //! | `Save` | [`save`] | `scene.ron` with side files |

@@ -6,7 +6,9 @@ use super::edit::{apply_edits, edits_of_nothing, take_material};
 use super::evaluate::{read_fitting, true_image_path, true_layer_path};
 use super::render::{ChosenView, chosen_views};
 use crate::error::{Error, Result};
+use crate::material::SpecularBlend;
 use crate::scene::pass_types::{EvaluatePass, LayerTruth, Pass, RenderSettings, Truth, ViewChoice};
+use crate::scene::types::Gloss;
 use crate::surface::gltf_import::read_mesh;
 use crate::view::image_io::Gamma;
 use crate::view::nearby::closest;
@@ -20,7 +22,11 @@ use rayon::prelude::*;
 /// [`Error::Usage`] or [`Error::Input`] for a view that is not there, a pass without views, an edit's image that cannot be
 /// read, or a truth that is missing.
 pub fn check(session: &mut Session) -> Result<()> {
-    let unedited = take_material(&mut session.pipeline.world);
+    let mut unedited = take_material(&mut session.pipeline.world);
+    if matches!(session.scene.material.gloss, Gloss::Texels { .. }) {
+        // Any texel may come to show any of the ladder.
+        unedited.blends.fill(SpecularBlend::even(unedited.lobes.len()));
+    }
     for pass in &session.scene.passes {
         if let Some(settings) = pass.render() {
             check_views(session, pass.name(), settings)?;

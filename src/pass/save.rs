@@ -25,7 +25,8 @@ use crate::view::nearby::missing_file_help;
 use glam::Vec3;
 use std::path::Path;
 
-/// Writes `scene.ron`, `mesh.glb`, `albedo.exr` and `light.npy`: the object as it is, everything fixed, with the scene's views.
+/// Writes `scene.ron`, `mesh.glb`, `albedo.exr` and `light.npy`: the object as it is, everything fixed, with the scene's views (poses of
+/// training views that a fit moved are not among it).
 ///
 /// # Errors
 /// If a file cannot be written.

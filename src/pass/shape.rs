@@ -7,7 +7,7 @@ use crate::error::{Error, Result};
 use crate::fit::gloss::TexelPlaces;
 use crate::fit::observe::PixelChoice;
 use crate::fit::run::{FirstGuess, FitOptions};
-use crate::fit::scale::ScaleRule;
+use crate::fit::scale::{ScaleRule, start_scale};
 use crate::material::DiffuseAlbedo;
 use crate::scene::pass_types::{GridLevel, Quality, ShapePass};
 use crate::scene::spawn::unknowns;
@@ -62,8 +62,12 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     })?;
     bar.finish_and_clear();
     failure.map_or(Ok(()), Err)?;
-    session.guess = FirstGuess::NONE;
+    let guessed = std::mem::replace(&mut session.guess, FirstGuess::NONE);
     put_in_place(session, &surface, texture_size)?;
+    if guessed == FirstGuess::ALL {
+        // The light still has the colour that a first guess from grey albedo gave it.
+        start_scale(&mut session.pipeline.world, session.scene.scale);
+    }
     let elapsed = start.elapsed().as_secs_f64();
     session.scores.fit_secs = Some(session.scores.fit_secs.unwrap_or(0.0) + elapsed);
     let triangles = session.surface.mesh().triangles.len();

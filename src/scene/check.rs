@@ -320,8 +320,8 @@ fn scale(checks: &mut Checks, rule: ScaleRule) {
             let expected = "expected a finite weight of 0 or more";
             checks.fail("scale.white_light", format!("white_light is {white_light}"), expected, "");
         }
-        ScaleRule::MeanAlbedo(color) if !(color.min_element() > 0.0 && color.max_element() < 1.0) => {
-            let expected = "expected every channel above 0 and below 1";
+        ScaleRule::MeanAlbedo(color) if !(color.min_element() > 0.0 && color.max_element() <= 0.9) => {
+            let expected = "expected every channel above 0, and 0.9 at most";
             checks.fail("scale", format!("the mean albedo is {color}"), expected, "");
         }
         _ => {}

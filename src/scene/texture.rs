@@ -66,6 +66,9 @@ pub fn read_weights(path: &Path, materials: usize, width: u32, height: u32) -> R
         }
         blends.iter_mut().zip(channel).for_each(|(blend, weight)| blend.0[k] = *weight);
     }
+    if materials == 1 {
+        blends.fill(SpecularBlend::default());
+    }
     for blend in &mut blends {
         let sum: f32 = blend.0.iter().sum();
         // What does not exceed one keeps its bits, so that an object that was saved looks the same.

@@ -9,7 +9,9 @@ use super::systems::{
     pull_back_to_field, recast_outlines, retrace_window,
 };
 use crate::error::Result;
-use crate::fit::cameras::{CameraFit, CameraPlugin, CameraUnknowns, align_photographs, recast_rays};
+use crate::fit::cameras::{
+    CameraFit, CameraPlugin, CameraUnknowns, align_photographs, attach_poses, recast_rays,
+};
 use crate::fit::components::{AlbedoGradient, AlbedoMoments, TexelSeen};
 use crate::fit::run::{FirstGuess, FitOptions, FitProgress, run_fit};
 use crate::material::{DiffuseAlbedo, SpecularBlend, SpecularLobe};
@@ -136,6 +138,9 @@ fn fit_levels(
 ) -> Result<SdfSurface> {
     let mut texels: Option<(TexelVolume, Vec<Vec3>)> = None;
     for (index, level) in options.levels.iter().enumerate() {
+        if options.cameras != CameraUnknowns::Given {
+            attach_poses(&mut pipeline.world);
+        }
         if index > 0 {
             let cameras = photographed_cameras(&mut pipeline.world);
             silhouettes.iter_mut().for_each(|s| s.camera = cameras[s.view as usize]);

@@ -2,7 +2,7 @@
 
 use super::field::{BAND_CELLS, BrickAt, BrickGradient, BrickMoments, BrickValues, SdfField};
 use super::silhouette_loss::{SilhouetteSample, add_silhouettes, aligned_outline};
-use crate::fit::cameras::{AlignedRow, CameraFit, CameraPose, retrace};
+use crate::fit::cameras::{AlignedRow, CameraFit, CameraPose, FIRST_STEP, retrace};
 use crate::fit::components::StepRates;
 use crate::material::DiffuseAlbedo;
 use crate::math::shading::PointAdjoint;
@@ -138,7 +138,7 @@ pub fn align_outlines(
     };
     let mut views: Vec<_> = views.iter_mut().collect();
     let grid = &field.surface.grid;
-    let Some(center) = fit.center else { return Ok(()) };
+    let Some(center) = fit.center.filter(|_| rates.step >= FIRST_STEP) else { return Ok(()) };
     let row = |sample: &SilhouetteSample| {
         let camera = views[sample.pixel.view as usize].0;
         Some((sample.pixel.view, aligned_outline(grid, camera, center, sample)?))

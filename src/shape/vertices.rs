@@ -35,8 +35,7 @@ const HELD: f32 = 0.25;
 const RATES: (f32, f32) = (0.04, 0.004);
 /// λ of the smoothing.
 const SMOOTHING: f32 = 19.0;
-/// λ of the part of the displacement that is taken back: what is wider than about √λ edges shows in outlines, and the masks have
-/// settled it.
+/// λ of the part of the displacement that is taken back at each move: what is wide shows in outlines, and the masks have settled it.
 const WIDE: f32 = 200.0;
 /// Farthest that a vertex goes, in mean edges: beyond, a model that does not fit would dent the mesh.
 const REACH: f32 = 0.2;
