@@ -8,7 +8,7 @@ use crate::fit::exposure::Exposures;
 use crate::scene::types::Views;
 use crate::view::{Camera, Photograph, Split, ViewName};
 use bevy_ecs::prelude::{With, World};
-use glam::{DMat3, DMat4, Vec3};
+use glam::{Vec3, Vec3A};
 use serde_json::{Map, Value, json};
 use std::fmt::Write as _;
 use std::path::Path;
@@ -73,15 +73,15 @@ fn in_json(camera: &Camera) -> Value {
     let [cx, cy] = camera.center.map(f64::from);
     let k = [fx, f64::from(camera.skew), cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0];
     let pose = camera.world_from_camera;
-    let axes = DMat3::from_cols(
-        Vec3::from(pose.matrix3.x_axis).as_dvec3(),
-        Vec3::from(pose.matrix3.y_axis).as_dvec3(),
-        Vec3::from(pose.matrix3.z_axis).as_dvec3(),
-    );
-    let mut world_from_camera = DMat4::from_mat3(axes);
-    world_from_camera.w_axis = Vec3::from(pose.translation).as_dvec3().extend(1.0);
-    // Row by row: the columns of the transpose.
-    let w2c = world_from_camera.inverse().transpose().to_cols_array();
+    let position = Vec3::from(pose.translation).as_dvec3();
+    // The transform is rigid: its inverse has the camera's axes as rows.
+    let row = |axis: Vec3A| {
+        let axis = Vec3::from(axis).as_dvec3();
+        [axis.x, axis.y, axis.z, -axis.dot(position)]
+    };
+    let matrix = pose.matrix3;
+    let rows = [row(matrix.x_axis), row(matrix.y_axis), row(matrix.z_axis), [0.0, 0.0, 0.0, 1.0]];
+    let w2c = rows.as_flattened();
     json!({ "K": k, "W2C": w2c, "img_size": [camera.width, camera.height] })
 }
 
