@@ -5,10 +5,10 @@
 use glam::Vec3;
 use image::{Rgb, RgbImage, imageops};
 use lobelia::Result;
+use lobelia::codec::png_file::write_rgb8;
 use lobelia::light::EnvironmentMap;
 use lobelia::light::convention::MapConvention;
 use lobelia::report::font::{draw_text, text_width};
-use lobelia::report::png_file::write_rgb8;
 use lobelia::report::tone::srgb8;
 
 const MAP: (u32, u32) = (360, 180);

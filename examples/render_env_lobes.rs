@@ -5,9 +5,9 @@
 use glam::Vec3;
 use image::{Rgb, RgbImage};
 use lobelia::Result;
-use lobelia::light::fit_map::{MapFit, fit_map};
+use lobelia::codec::png_file::write_rgb8;
+use lobelia::light::map_fit::{MapFit, fit_map};
 use lobelia::light::{EnvironmentMap, LightLobe, render_lobes};
-use lobelia::report::png_file::write_rgb8;
 use lobelia::report::tone::srgb8;
 
 fn main() -> Result<()> {

@@ -4,18 +4,19 @@
 
 use glam::Vec3;
 use lobelia::Result;
-use lobelia::light::fit_map::{MapFit, fit_map};
 use lobelia::light::illuminate::MapLight;
+use lobelia::light::map_fit::{MapFit, fit_map};
 use lobelia::light::{EnvironmentMap, LightLobe};
 use lobelia::material::{DiffuseAlbedo, SpecularBlend, SpecularLobe};
 use lobelia::math::shading::LobeColumns;
+use lobelia::mesh::Surface;
+use lobelia::mesh::primitive::sphere_mesh;
 use lobelia::pass::render::resolve;
+use lobelia::pipeline::{Phase, Pipeline, Slot};
 use lobelia::report::tone::{Backdrop, Look, Picture, write_png};
 use lobelia::shade::frame::{FramePlugin, render_frame};
 use lobelia::shade::systems::kernel_lobe;
 use lobelia::shade::{DistantLight, Scenery, provide_distant};
-use lobelia::stage::{Phase, Pipeline, Slot};
-use lobelia::surface::{Surface, primitive::sphere_mesh};
 use lobelia::view::Camera;
 use std::sync::Arc;
 

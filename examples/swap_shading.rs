@@ -5,16 +5,17 @@
 
 use glam::Vec3;
 use lobelia::Result;
+use lobelia::codec::frame::Frame;
 use lobelia::light::LightLobe;
 use lobelia::material::{DiffuseAlbedo, SpecularBlend, SpecularLobe};
+use lobelia::mesh::Surface;
+use lobelia::mesh::primitive::box_mesh;
+use lobelia::mesh::triangles::Mesh;
 use lobelia::pass::render::resolve;
-use lobelia::report::exr_file::Frame;
+use lobelia::pipeline::{Phase, Pipeline, Slot};
 use lobelia::report::tone::{Backdrop, Look, Picture, write_png};
 use lobelia::shade::frame::{FramePlugin, render_frame};
 use lobelia::shade::{PathTracing, Scenery, shade_path_traced};
-use lobelia::stage::{Phase, Pipeline, Slot};
-use lobelia::surface::mesh::Mesh;
-use lobelia::surface::{Surface, primitive::box_mesh};
 use lobelia::view::Camera;
 use std::sync::Arc;
 

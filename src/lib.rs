@@ -1,18 +1,23 @@
 //! Lobelia: a data-oriented scene processor for inverse rendering with spherical Gaussians.
 
+pub mod codec;
+pub mod dataset;
 pub mod error;
-pub mod file;
 pub mod fit;
 pub mod light;
 pub mod material;
 pub mod math;
+pub mod mesh;
 pub mod pass;
+pub mod pipeline;
 pub mod report;
+pub mod sample;
 pub mod scene;
+pub mod sdf;
 pub mod shade;
 pub mod shape;
-pub mod stage;
-pub mod surface;
+pub mod spawn;
 pub mod view;
+pub mod visibility;
 
 pub use error::{Error, Result};

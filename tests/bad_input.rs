@@ -4,7 +4,7 @@ mod common;
 
 use common::{Data, Outcome, files_below, save_png};
 use image::{DynamicImage, GrayImage, Luma};
-use lobelia::view::exr_io::read_exr_layers;
+use lobelia::codec::exr::read_exr_layers;
 use serde_json::json;
 
 const MESH: &str = r#"Mesh(path: "$DATA/mesh.glb", texture_size: 16)"#;
@@ -157,7 +157,7 @@ fn nan_and_infinite_pixels_are_mended_counted_and_told() {
 
 #[test]
 fn only_nan_pixels() {
-    let damage = |image: &mut lobelia::view::exr_io::ExrLayers| {
+    let damage = |image: &mut lobelia::codec::exr::ExrLayers| {
         image.channels.values_mut().for_each(|channel| channel.fill(f32::NAN));
     };
     refused(

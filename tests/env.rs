@@ -4,10 +4,10 @@ mod common;
 
 use common::{Outcome, command, files_below};
 use glam::Vec3;
+use lobelia::codec::exr::read_exr_layers;
 use lobelia::light::convention::MapConvention;
 use lobelia::light::{EnvironmentMap, LightLobe, lobes_power, render_lobes};
-use lobelia::scene::light_file::{LightConventions, LightFile, read_light};
-use lobelia::view::exr_io::read_exr_layers;
+use lobelia::spawn::light_file::{LightConventions, LightFile, read_light};
 use std::path::{Path, PathBuf};
 
 fn lobes() -> Vec<LightLobe> {

@@ -4,7 +4,7 @@ mod common;
 
 use common::{Data, files_below, write_image};
 use glam::Vec3;
-use lobelia::report::exr_file::read_frame;
+use lobelia::codec::frame::read_frame;
 use serde_json::Value;
 
 /// A box with a painted texture; `{SURFACE}`, `{MATERIAL}` and `{PASSES}` are filled in.

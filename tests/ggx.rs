@@ -3,7 +3,7 @@
 mod common;
 
 use common::{Outcome, command};
-use lobelia::view::exr_io::read_exr_layers;
+use lobelia::codec::exr::read_exr_layers;
 use std::path::{Path, PathBuf};
 
 /// A sphere of one colour, which a fit finds with its roughness and specular albedo; nothing can hide anything.

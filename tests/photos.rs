@@ -5,8 +5,8 @@ mod common;
 use common::{Data, SIZE, command, files_below, save_png, write_image};
 use glam::Vec3;
 use image::{DynamicImage, GrayImage, Luma};
-use lobelia::surface::gltf_import::read_mesh_with_report;
-use lobelia::view::exr_io::read_exr_layers;
+use lobelia::codec::exr::read_exr_layers;
+use lobelia::codec::gltf::import::read_mesh_with_report;
 use serde_json::{Value, json};
 use std::path::Path;
 

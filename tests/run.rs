@@ -3,7 +3,7 @@
 mod common;
 
 use common::{Data, Outcome, SIZE, command, files_below, is_temporary};
-use lobelia::view::exr_io::read_exr_layers;
+use lobelia::codec::exr::read_exr_layers;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
 
@@ -389,7 +389,7 @@ fn ctrl_c_ends_a_fit_cleanly_and_keeps_it() {
         assert!(files.iter().any(|f| f == file), "no {file} in {files:?}");
     }
     assert!(!files.iter().any(|file| file.starts_with("novel/")), "no pass follows: {files:?}");
-    let light = lobelia::light::npy::read_lobes(out.join("fit/light.npy"), Default::default()).unwrap();
+    let light = lobelia::codec::npy::read_lobes(out.join("fit/light.npy"), Default::default()).unwrap();
     assert_eq!(light.len(), 6);
 }
 

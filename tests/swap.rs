@@ -5,17 +5,17 @@ mod common;
 use bevy_ecs::prelude::{Component, Entity, With, World};
 use common::{camera, day, shoot, studio};
 use glam::Vec3;
+use lobelia::codec::frame::Frame;
 use lobelia::fit::components::{SpecularGradient, SpecularMoments};
 use lobelia::light::EnvironmentMap;
 use lobelia::light::illuminate::MapLight;
 use lobelia::material::SpecularLobe;
 use lobelia::math::shading::LobeColumns;
 use lobelia::pass::edit::{put_material, take_material};
-use lobelia::report::exr_file::Frame;
+use lobelia::pipeline::{Phase, Pipeline, Slot};
 use lobelia::shade::{
     DistantLight, PathTracing, provide_distant, provide_lobes, shade_closed_form, shade_path_traced,
 };
-use lobelia::stage::{Phase, Pipeline, Slot};
 use std::sync::Arc;
 
 const PATHS: u32 = 128;

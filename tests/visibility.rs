@@ -4,17 +4,17 @@ mod common;
 
 use common::{camera, evening};
 use glam::{Vec2, Vec3};
+use lobelia::codec::frame::Frame;
 use lobelia::light::LightLobe;
 use lobelia::material::{DiffuseAlbedo, SpecularBlend, SpecularLobe};
+use lobelia::mesh::Surface;
+use lobelia::mesh::primitive::{box_mesh, sphere_mesh};
+use lobelia::mesh::triangles::Mesh;
 use lobelia::pass::render::resolve;
-use lobelia::report::exr_file::Frame;
+use lobelia::pipeline::{Phase, Pipeline, Slot};
 use lobelia::shade::frame::{FramePlugin, render_frame};
-use lobelia::shade::visibility::{ObjectVisibility, VisibilitySettings, add_visibility, remove_visibility};
 use lobelia::shade::{PathTracing, Scenery, shade_closed_form, shade_path_traced};
-use lobelia::stage::{Phase, Pipeline, Slot};
-use lobelia::surface::Surface;
-use lobelia::surface::mesh::Mesh;
-use lobelia::surface::primitive::{box_mesh, sphere_mesh};
+use lobelia::visibility::{ObjectVisibility, VisibilitySettings, add_visibility, remove_visibility};
 use std::sync::Arc;
 
 /// A ball that floats over a slab; each has half of the texture.

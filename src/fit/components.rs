@@ -1,7 +1,7 @@
 //! What a fit adds to the world: gradients and moments beside the parameters, and the state of the fit.
 
-use super::adam::Moments;
-use super::loss::{Loss, LossSums};
+use crate::fit::adam::Moments;
+use crate::fit::loss::{Loss, LossSums};
 use crate::math::shading::{SharedGradient, SpecularAdjoint};
 use bevy_ecs::prelude::{Component, Resource};
 use glam::Vec3;

@@ -4,11 +4,11 @@
 //! make it the least sum of absolute differences (iteratively reweighted), so it needs no rate. The factors' geometric mean
 //! is held at 1: a common factor is the light's.
 
-use super::components::StepRates;
+use crate::fit::components::StepRates;
 use crate::math::shading::Layers;
-use crate::shade::pool::only_table;
-use crate::stage::SystemResult;
-use crate::view::pixel::{Observed, PixelOf, SATURATION, Window};
+use crate::pipeline::SystemResult;
+use crate::sample::bundle::only_table;
+use crate::sample::pixel::{Observed, PixelOf, SATURATION, Window};
 use bevy_ecs::prelude::{Query, Res, ResMut, Resource};
 
 /// Share of the sums that stays from window to window.

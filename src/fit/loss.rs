@@ -1,7 +1,7 @@
 //! The image loss and its adjoint.
 
 use crate::math::shading::{Layers, RadianceAdjoint};
-use crate::view::pixel::Observed;
+use crate::sample::pixel::Observed;
 use serde::{Deserialize, Serialize};
 
 /// What a fit minimises, averaged over pixels and channels.

@@ -1,12 +1,12 @@
 //! The Prepare phase: every usable foreground pixel of the training views becomes one sample of the pool, traced once.
 
-use super::components::TexelSeen;
 use crate::error::Error;
+use crate::fit::components::TexelSeen;
+use crate::pipeline::SystemResult;
+use crate::sample::bundle::{FitSample, FrameSample, despawn_pool, only_table};
+use crate::sample::pixel::{Observed, PixelOf, SATURATION, ViewRay, Window};
+use crate::sample::point::SurfacePoint;
 use crate::shade::Scenery;
-use crate::shade::pool::{FitSample, FrameSample, despawn_pool, only_table};
-use crate::stage::SystemResult;
-use crate::surface::point::SurfacePoint;
-use crate::view::pixel::{Observed, PixelOf, SATURATION, ViewRay, Window};
 use crate::view::{Camera, Photograph, Split, ViewMask, ViewName};
 use bevy_ecs::prelude::{Commands, Query, Res, ResMut, Resource, World};
 use glam::Vec3;

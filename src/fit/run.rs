@@ -1,30 +1,32 @@
 //! Running a fit: prepare the pool, make a first guess, step until done.
 
-use super::components::{
+use crate::error::Result;
+use crate::fit::components::{
     AlbedoGradient, AlbedoMoments, LobeGradient, LobeMoments, LossState, SpecularGradient, SpecularMoments,
     StepGradient, StepRates, TexelSeen, Unknowns,
 };
-use super::exposure::{Exposures, find_exposures};
-use super::gloss::{BlendAdjoints, BlendGradient, BlendMoments, TexelPlaces, move_blends, scatter_to_blends};
-use super::guess::make_first_guess;
-use super::loss::{Loss, LossSums};
-use super::observe::{Candidates, PixelChoice, choose_pixels, count_seen_texels, trace_pixels};
-use super::scale::{ScaleMoments, ScaleRule, move_scale, start_scale};
-use super::systems::{
+use crate::fit::exposure::{Exposures, find_exposures};
+use crate::fit::initialization::make_first_guess;
+use crate::fit::loss::{Loss, LossSums};
+use crate::fit::observe::{Candidates, PixelChoice, choose_pixels, count_seen_texels, trace_pixels};
+use crate::fit::roughness::blend::{
+    BlendAdjoints, BlendGradient, BlendMoments, TexelPlaces, move_blends, scatter_to_blends,
+};
+use crate::fit::scale::{ScaleMoments, ScaleRule, move_scale, start_scale};
+use crate::fit::systems::{
     compare_with_photographs, hand_out_gradient, move_lobes, move_specular, move_texels, pull_back_radiance,
     scatter_to_texels,
 };
-use crate::error::Result;
 use crate::light::LightLobe;
 use crate::material::{DiffuseAlbedo, SpecularLobe};
 use crate::math::shading::ClosedForm;
-use crate::shade::pool::despawn_pool;
-use crate::shade::visibility::{ObjectVisibility, RefreshDue, add_visibility, remove_visibility};
+use crate::pipeline::{Phase, Pipeline, Plugin, Slot, Stage};
+use crate::sample::bundle::despawn_pool;
+use crate::sample::pixel::{PixelOf, Window};
 use crate::shade::{
     IncidentLight, ShadingForm, gather_blends, gather_points, provide_lobes, shade_closed_form,
 };
-use crate::stage::{Phase, Pipeline, Plugin, Slot, Stage};
-use crate::view::pixel::{PixelOf, Window};
+use crate::visibility::{ObjectVisibility, RefreshDue, add_visibility, remove_visibility};
 use bevy_ecs::prelude::{Entity, IntoScheduleConfigs, With, Without, World};
 use glam::Vec3;
 use std::ops::ControlFlow;

@@ -10,15 +10,15 @@
 //! | --- | --- | --- | --- |
 //! | [`move_scale`] | Update, `Slot::Optimizer`, before the others | window's `Layers` and `RadianceAdjoint`, [`ScaleRule`] | `LightLobe`, `DiffuseAlbedo`, [`ScaleMoments`] |
 
-use super::adam::{AdamStep, Moments};
-use super::components::{StepRates, TexelSeen, Unknowns};
+use crate::fit::adam::{AdamStep, Moments};
+use crate::fit::components::{StepRates, TexelSeen, Unknowns};
 use crate::light::LightLobe;
 use crate::material::DiffuseAlbedo;
 use crate::math::sg::sphere_integral;
 use crate::math::shading::{Layers, RadianceAdjoint};
-use crate::shade::pool::only_table;
-use crate::stage::SystemResult;
-use crate::view::pixel::Window;
+use crate::pipeline::SystemResult;
+use crate::sample::bundle::only_table;
+use crate::sample::pixel::Window;
 use bevy_ecs::prelude::{Query, Res, ResMut, Resource, World};
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
@@ -167,7 +167,7 @@ fn without_mean(v: Vec3) -> Vec3 {
 mod tests {
     use super::*;
     use crate::fit::loss::{Loss, image_loss};
-    use crate::view::pixel::Observed;
+    use crate::sample::pixel::Observed;
 
     #[test]
     fn the_slope_of_the_scale_agrees_with_differences() {

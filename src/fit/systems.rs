@@ -1,25 +1,25 @@
 //! The systems of the Loss, Gradient and Update stages; each fetches columns and calls a kernel.
 
-use super::adam::{AdamStep, Bounded};
-use super::components::{
+use crate::fit::adam::{AdamStep, Bounded};
+use crate::fit::components::{
     AlbedoGradient, AlbedoMoments, LobeGradient, LobeMoments, LossState, SpecularGradient, SpecularMoments,
     StepGradient, StepRates, Unknowns,
 };
-use super::exposure::Exposures;
-use super::gloss::{BlendAdjoints, BlendedSamples, pull_back_blended};
-use super::loss::image_loss;
+use crate::fit::exposure::Exposures;
+use crate::fit::loss::image_loss;
+use crate::fit::roughness::blend::{BlendAdjoints, BlendedSamples, pull_back_blended};
 use crate::light::LightLobe;
 use crate::material::{DiffuseAlbedo, SpecularLobe};
 use crate::math::shading::{
     Layers, Lighting, PointAdjoint, PointVisibility, RadianceAdjoint, ShadePoint, SpecularValue,
 };
-use crate::shade::pool::only_table;
+use crate::pipeline::SystemResult;
+use crate::sample::bundle::only_table;
+use crate::sample::pixel::{Observed, PixelOf, Window};
+use crate::sample::point::SurfacePoint;
 use crate::shade::systems::kernel_specular;
-use crate::shade::visibility::WindowVisibility;
 use crate::shade::{IncidentLight, PointBlend, ShadingForm};
-use crate::stage::SystemResult;
-use crate::surface::point::SurfacePoint;
-use crate::view::pixel::{Observed, PixelOf, Window};
+use crate::visibility::WindowVisibility;
 use bevy_ecs::prelude::{Query, Res, ResMut};
 use glam::Vec3;
 use rayon::prelude::*;

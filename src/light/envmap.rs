@@ -5,7 +5,7 @@ use std::f64::consts::PI;
 use glam::{DVec3, Quat, Vec3};
 use rayon::prelude::*;
 
-use super::EnvironmentMap;
+use crate::light::EnvironmentMap;
 
 impl EnvironmentMap {
     /// A map of `width` × `height` texels (both at least 1) whose texels hold `radiance` of their centre's direction.
@@ -143,7 +143,7 @@ impl EnvironmentMap {
 /// Averages a latitude-longitude map into a smaller one, a texel at a time and in any order.
 ///
 /// Weights are overlaps in longitude times overlaps in cos φ, which is overlap in solid angle.
-pub(super) struct BoxFilter {
+pub(crate) struct BoxFilter {
     columns: Vec<Share>,
     rows: Vec<Share>,
     map: EnvironmentMap,
@@ -295,7 +295,7 @@ mod tests {
         assert_eq!(map.rotated(Quat::IDENTITY), map);
         let turn = Quat::from_euler(glam::EulerRot::XYZ, 0.4, 1.1, -0.7);
         let turned = map.rotated(turn);
-        for d in super::super::fibonacci::fibonacci_axes(50) {
+        for d in crate::light::fibonacci::fibonacci_axes(50) {
             assert!(turned.sample_bilinear(turn * d).distance(map.sample_bilinear(d)) < 0.02);
         }
         let (before, after) = (map.power(), turned.power());

@@ -4,8 +4,8 @@ use std::f64::consts::PI;
 
 use glam::{DVec3, Vec3};
 
-use super::exp::exp_nonpositive;
-use super::{EnvironmentMap, LightLobe};
+use crate::light::map_fit::exp::exp_nonpositive;
+use crate::light::{EnvironmentMap, LightLobe};
 use crate::math::color::luminance;
 use crate::math::ray::{Illuminate, LightSample};
 use crate::math::sg;
@@ -126,7 +126,7 @@ pub struct LobeLight {
 }
 
 impl LobeLight {
-    /// Of `lobes` with unit axes (see [`super::validate_lobes`]); a light of no lobes is black.
+    /// Of `lobes` with unit axes (see [`crate::light::validate_lobes`]); a light of no lobes is black.
     pub fn new(lobes: &[LightLobe]) -> Self {
         let column = |value: fn(&LightLobe) -> f32| lobes.iter().map(value).collect();
         let columns = [
@@ -349,7 +349,7 @@ mod tests {
         };
         let lobes: Vec<LightLobe> = fibonacci_axes(11).into_iter().enumerate().map(lobe).collect();
         let light = LobeLight::new(&lobes);
-        let direct = super::super::lobes_radiance(&lobes, Vec3::new(0.6, 0.0, 0.8));
+        let direct = crate::light::lobes_radiance(&lobes, Vec3::new(0.6, 0.0, 0.8));
         assert!(light.radiance(Vec3::new(0.6, 0.0, 0.8)).distance(direct) < 1e-5 * direct.length());
         let total = quadrature(|d| DVec3::splat(f64::from(light.pdf(d))));
         assert!((total.x - 1.0).abs() < 1e-4, "{total}");

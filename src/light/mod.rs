@@ -29,6 +29,11 @@
 //! | `max_sharpness` | `f32` | 1 / (1 − cos) | 2 (W / 2π)² | greatest sharpness; by default a standard deviation of 0.7 texels of the map fitted |
 //! | `upper_hemisphere` | `bool` | | false | light from above only: below the horizon counts as black, no axis points there |
 //! | `white` | `bool` | | false | grey lobes, fitted to the map's luminance |
+pub mod convention;
+pub mod envmap;
+pub mod fibonacci;
+pub mod illuminate;
+pub mod map_fit;
 
 use bevy_ecs::prelude::Component;
 use glam::{DVec3, Quat, Vec3};
@@ -36,22 +41,6 @@ use serde::{Deserialize, Serialize};
 
 use crate::math::ray::Illuminate;
 use crate::math::sg;
-
-pub mod convention;
-pub mod envmap;
-pub mod envmap_io;
-mod exp;
-pub mod fibonacci;
-mod fit_gram;
-pub mod fit_kernel;
-pub(crate) mod fit_linear;
-pub mod fit_map;
-mod fit_place;
-mod fit_solve;
-pub mod fit_sun;
-pub mod illuminate;
-pub mod npy;
-mod radiance_hdr;
 
 /// One SG of distant light: radiance μ exp(λ(ω·ξ − 1)) from direction ω.
 #[derive(Component, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

@@ -3,8 +3,8 @@
 //! An edit of the specular material inside a region splits every specular lobe that lives there: the edited copy takes
 //! over the region's share of the texels' blend weights, so that gloss may differ from place to place.
 
-use super::{DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
 use crate::error::{Error, Result};
+use crate::material::{DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
 use glam::Vec3;
 
 /// How a colour changes.

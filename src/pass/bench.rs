@@ -4,8 +4,8 @@
 //! sharpness 20 + 100·|N(0, 1)|, one specular lobe. A kernel is run again and again for its share of the time; the
 //! least time counts, because whatever else the machine does can only make a run longer.
 
+use crate::codec::file::write_bytes;
 use crate::error::{Error, Result};
-use crate::file::write_bytes;
 use crate::light::fibonacci::fibonacci_axes;
 use crate::math::accurate::Quality;
 use crate::math::brdf::Ndf;

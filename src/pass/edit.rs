@@ -1,12 +1,12 @@
 //! From a scene file's edits to changes of the material columns.
 
+use crate::codec::texture::{read_texture, read_texture_mask};
 use crate::error::Result;
 use crate::material::edit::{ColorChange, MaterialChange, MaterialState, ScalarChange, apply_edit};
 use crate::material::{DiffuseAlbedo, SpecularBlend, SpecularLobe};
-use crate::scene::pass_types::{ColorAction, DiffuseAction, Edit, Region, ScalarAction};
-use crate::scene::texture::{read_texture, read_texture_mask};
-use crate::surface::Surface;
-use crate::surface::atlas::TexelAtlas;
+use crate::mesh::Surface;
+use crate::mesh::atlas::TexelAtlas;
+use crate::scene::passes::{ColorAction, DiffuseAction, Edit, Region, ScalarAction};
 use bevy_ecs::prelude::{Entity, With, World};
 use glam::Vec3;
 

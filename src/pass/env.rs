@@ -1,11 +1,11 @@
 //! What `lobelia env` says and shows about lights: pictures and texts.
 
-use crate::light::fit_map::{MapFitReport, Sun};
+use crate::light::map_fit::{MapFitReport, Sun};
 use crate::light::{EnvironmentMap, LightLobe, lobes_power, lobes_radiance, render_lobes};
 use crate::math::color::luminance;
 use crate::report::font::{draw_text, line_height};
 use crate::report::tone::{Tone, srgb8};
-use crate::scene::light_file::LightFile;
+use crate::spawn::light_file::LightFile;
 use glam::{DVec3, Vec3};
 use image::{Rgb, RgbImage, imageops};
 use std::f64::consts::PI;
@@ -177,7 +177,7 @@ fn rgb(v: DVec3) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::light::fit_map::{MapFit, fit_map};
+    use crate::light::map_fit::{MapFit, fit_map};
 
     fn lobes() -> Vec<LightLobe> {
         let lobe = |axis, sharpness, grey| LightLobe { axis, sharpness, amplitude: Vec3::splat(grey) };

@@ -2,20 +2,20 @@
 //!
 //! Predictions are read back from the EXRs that the passes wrote, so that what is scored is what a person gets.
 
-use super::Session;
-use super::render::{ChosenView, chosen_views};
+use crate::codec::frame::{Frame, read_frame};
+use crate::codec::gltf::import::read_mesh;
+use crate::codec::image::{Gamma, IMAGE_EXTENSIONS, read_image};
 use crate::error::{Error, Result};
-use crate::report::exr_file::{Frame, read_frame};
+use crate::mesh::chamfer::chamfer_distance;
+use crate::pass::Session;
+use crate::pass::render::{ChosenView, chosen_views};
 use crate::report::heat::{factor_for, heat_map};
 use crate::report::metrics::{Pair, albedo_psnr, coverage_iou, erode, mean, mean_normal_angle_degrees};
 use crate::report::scores::{EvalView, PassScores, Scaling, score_views};
 use crate::report::sheet::{Sheet, SheetCell, SheetRow, Theme, choose_evenly, write_sheet};
 use crate::report::tone::{Backdrop, Look, Picture};
-use crate::scene::pass_types::{EvaluatePass, LayerTruth, Pass, ScaleRule, Score, Truth, ViewChoice};
-use crate::surface::chamfer::chamfer_distance;
-use crate::surface::gltf_import::read_mesh;
+use crate::scene::passes::{EvaluatePass, LayerTruth, Pass, ScaleRule, Score, Truth, ViewChoice};
 use crate::view::camera::Camera;
-use crate::view::image_io::{Gamma, IMAGE_EXTENSIONS, read_image};
 use crate::view::{Photograph, ViewMask, ViewName};
 use glam::Vec3;
 use std::path::{Path, PathBuf};

@@ -1,18 +1,18 @@
 //! The `Export` pass: the object as a mesh for other programs.
 
-use super::Session;
-use super::edit::take_material;
+use crate::codec::gltf::export::write_glb;
+use crate::codec::gltf::material::{GltfMaterial, diffuse_share};
+use crate::codec::ply_obj::{ObjMaterial, write_obj, write_ply};
 use crate::error::{Error, Result};
 use crate::material::{SpecularBlend, SpecularLobe};
+use crate::mesh::Surface;
+use crate::mesh::atlas::{address, fill_uncovered, unwrap_mesh};
+use crate::mesh::decimate::decimate;
+use crate::mesh::nearest::NearestTriangle;
+use crate::pass::Session;
+use crate::pass::edit::take_material;
 use crate::report::tone::srgb8;
-use crate::scene::pass_types::{ExportPass, MeshFormat};
-use crate::surface::Surface;
-use crate::surface::atlas::{address, fill_uncovered, unwrap_mesh};
-use crate::surface::decimate::decimate;
-use crate::surface::gltf_export::write_glb;
-use crate::surface::gltf_material::{GltfMaterial, diffuse_share};
-use crate::surface::mesh_files::{ObjMaterial, write_obj, write_ply};
-use crate::surface::nearest::NearestTriangle;
+use crate::scene::passes::{ExportPass, MeshFormat};
 use glam::{Vec2, Vec3};
 use image::{ImageEncoder, codecs::png::PngEncoder};
 use rayon::prelude::*;

@@ -1,33 +1,33 @@
 //! The `Fit` pass: finds what is unknown from the training views and writes it down.
 
-use super::save::write_weights;
-use super::{INTERRUPTED, Session, check_interrupted, found_views};
+use crate::codec::exr::ExrLayers;
+use crate::codec::file::write_bytes;
+use crate::codec::frame::write_channels;
+use crate::codec::npy::{NpyConvention, write_lobes};
+use crate::codec::png_file::write_rgb8;
 use crate::error::Result;
-use crate::file::write_bytes;
 use crate::fit::cameras::{CameraPlugin, CameraUnknowns};
 use crate::fit::components::TexelSeen;
-use crate::fit::gloss::TexelPlaces;
 use crate::fit::observe::PixelChoice;
+use crate::fit::roughness::blend::TexelPlaces;
+use crate::fit::roughness::texel::{GlossPrior, TexelGloss, attach_gloss, move_gloss, tie_specular};
 use crate::fit::run::{FirstGuess, FitOptions, FitProgress, FitSummary, run_fit};
 use crate::fit::scale::{means, move_scale};
 use crate::fit::systems::{move_lobes, move_specular, move_texels};
-use crate::fit::texel_gloss::{GlossPrior, TexelGloss, attach_gloss, move_gloss, tie_specular};
-use crate::light::npy::{NpyConvention, write_lobes};
 use crate::light::{LightLobe, render_lobes};
 use crate::material::{DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
 use crate::math::shading::ClosedForm;
-use crate::report::exr_file::write_channels;
-use crate::report::png_file::write_rgb8;
+use crate::mesh::atlas::fill_uncovered;
+use crate::pass::save::write_weights;
+use crate::pass::{INTERRUPTED, Session, check_interrupted, found_views};
+use crate::pipeline::{Phase, Slot};
 use crate::report::scores::ScaleFound;
 use crate::report::tone::srgb8;
-use crate::scene::pass_types::{FitPass, FitShading, Quality};
-use crate::scene::spawn::{initial_specular, unknowns};
-use crate::scene::types::Gloss;
-use crate::shade::visibility::ObjectVisibility;
+use crate::scene::description::Gloss;
+use crate::scene::passes::{FitPass, FitShading, Quality};
 use crate::shape::vertices::VertexPlugin;
-use crate::stage::{Phase, Slot};
-use crate::surface::atlas::fill_uncovered;
-use crate::view::exr_io::ExrLayers;
+use crate::spawn::{initial_specular, unknowns};
+use crate::visibility::ObjectVisibility;
 use bevy_ecs::prelude::{IntoScheduleConfigs, World};
 use glam::Vec3;
 use image::{Rgb, RgbImage};
@@ -234,7 +234,7 @@ fn report(session: &mut Session, name: &str, summary: &FitSummary, unseen: usize
 /// Writes the light, the albedo texture, the material (with blend weights, if it has several lobes) and the log.
 fn write_results(
     world: &mut World,
-    surface: &crate::surface::Surface,
+    surface: &crate::mesh::Surface,
     (folder, log): (&Path, &str),
     scale: &ScaleFound,
 ) -> Result<()> {

@@ -1,11 +1,11 @@
 //! What a fit found of the views themselves, as files: cameras that moved, and exposures.
 
-use super::Session;
+use crate::codec::file::write_bytes;
 use crate::error::{Error, Result};
-use crate::file::write_bytes;
 use crate::fit::cameras::{CameraFit, CameraPose, CameraUnknowns};
 use crate::fit::exposure::Exposures;
-use crate::scene::types::Views;
+use crate::pass::Session;
+use crate::scene::description::Views;
 use crate::view::{Camera, Photograph, Split, ViewName};
 use bevy_ecs::prelude::{With, World};
 use glam::{Vec3, Vec3A};

@@ -1,12 +1,12 @@
 //! Looking at a shape while it is fitted (`--debug-every N`): its normals and depth from one camera, and its mesh.
 
+use crate::codec::gltf::export::write_glb;
+use crate::codec::png_file::write_rgb8;
 use crate::error::Result;
 use crate::math::ray::{Hit, Intersect};
-use crate::report::png_file::write_rgb8;
+use crate::sdf::extract::extract_mesh;
+use crate::sdf::volume::SdfSurface;
 use crate::shape::run::ShapeProgress;
-use crate::surface::gltf_export::write_glb;
-use crate::surface::sdf::extract::extract_mesh;
-use crate::surface::sdf::volume::SdfSurface;
 use crate::view::Camera;
 use image::{Rgb, RgbImage};
 use rayon::prelude::*;

@@ -28,21 +28,23 @@ pub mod save;
 pub mod shade_cases;
 pub mod shape;
 
+use crate::dataset::{DatasetOptions, has_split, read_dataset};
 use crate::error::{Error, Result};
 use crate::fit::run::{FirstGuess, FitPlugin};
+use crate::mesh::Surface;
+use crate::pipeline::Pipeline;
 use crate::report::scores::Scores;
+use crate::scene::description::{
+    Albedo, CameraSpec, Light, Scene, Surface as SurfaceSpec, Views, Visibility,
+};
 use crate::scene::load::{LoadedScene, RunOptions};
-use crate::scene::pass_types::{EditPass, Pass, RelightPass, RenderPass, ViewChoice};
-use crate::scene::spawn::{LoadedLight, SurfaceUse, load_light, make_surface, spawn};
-use crate::scene::types::{Albedo, CameraSpec, Light, Scene, Surface as SurfaceSpec, Views, Visibility};
+use crate::scene::passes::{EditPass, Pass, RelightPass, RenderPass, ViewChoice};
 use crate::shade::frame::FramePlugin;
-use crate::shade::visibility::{ObjectVisibility, VisibilitySettings};
-use crate::stage::Pipeline;
-use crate::surface::Surface;
+use crate::spawn::{LoadedLight, SurfaceUse, load_light, make_surface, spawn};
 use crate::view::camera::Camera;
-use crate::view::dataset::{DatasetOptions, has_split, read_dataset};
 use crate::view::mask_check::check_masks;
 use crate::view::{Split, ViewRecord};
+use crate::visibility::{ObjectVisibility, VisibilitySettings};
 use photograph::TrueObject;
 use progress::Progress;
 use std::collections::BTreeMap;

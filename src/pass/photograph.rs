@@ -1,21 +1,21 @@
 //! Self-made photographs: the scene's surface with a known material under a known light, path traced. The fit is not told.
 
-use super::edit::{apply_edits, put_material, take_material};
-use super::progress::Progress;
-use super::render::{resolve, set_shading};
-use super::{camera_of, check_interrupted};
+use crate::codec::frame::Frame;
 use crate::error::Result;
 use crate::light::fibonacci::fibonacci_axes;
 use crate::material::{DiffuseAlbedo, SpecularBlend};
 use crate::math::ray::Intersect;
-use crate::report::exr_file::Frame;
-use crate::scene::pass_types::{Edit, RenderSettings, Shading};
-use crate::scene::spawn::{LoadedLight, load_light};
-use crate::scene::types::{CameraRing, CameraSpec, Pattern, Photographed, Scene};
+use crate::mesh::Surface;
+use crate::pass::edit::{apply_edits, put_material, take_material};
+use crate::pass::progress::Progress;
+use crate::pass::render::{resolve, set_shading};
+use crate::pass::{camera_of, check_interrupted};
+use crate::pipeline::{Phase, Pipeline, Slot};
+use crate::scene::description::{CameraRing, CameraSpec, Pattern, Photographed, Scene};
+use crate::scene::passes::{Edit, RenderSettings, Shading};
 use crate::shade::frame::{FramePlugin, render_frame};
 use crate::shade::{Scenery, provide_distant};
-use crate::stage::{Phase, Pipeline, Slot};
-use crate::surface::Surface;
+use crate::spawn::{LoadedLight, load_light};
 use crate::view::camera::Camera;
 use crate::view::{Image, Mask, Photograph, Split, ViewRecord};
 use glam::Vec3;

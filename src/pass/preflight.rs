@@ -1,17 +1,17 @@
 //! What a later pass could stumble over, looked for before the first one runs: a fit takes its time, and a wrong name or a
 //! missing truth should not be found out after it.
 
-use super::Session;
-use super::edit::{apply_edits, edits_of_nothing, take_material};
-use super::evaluate::{read_fitting, true_image_path, true_layer_path};
-use super::render::{ChosenView, chosen_views};
+use crate::codec::gltf::import::read_mesh;
+use crate::codec::image::Gamma;
+use crate::codec::nearby::closest;
 use crate::error::{Error, Result};
 use crate::material::SpecularBlend;
-use crate::scene::pass_types::{EvaluatePass, LayerTruth, Pass, RenderSettings, Truth, ViewChoice};
-use crate::scene::types::Gloss;
-use crate::surface::gltf_import::read_mesh;
-use crate::view::image_io::Gamma;
-use crate::view::nearby::closest;
+use crate::pass::Session;
+use crate::pass::edit::{apply_edits, edits_of_nothing, take_material};
+use crate::pass::evaluate::{read_fitting, true_image_path, true_layer_path};
+use crate::pass::render::{ChosenView, chosen_views};
+use crate::scene::description::Gloss;
+use crate::scene::passes::{EvaluatePass, LayerTruth, Pass, RenderSettings, Truth, ViewChoice};
 use crate::view::{Photograph, ViewName};
 use bevy_ecs::prelude::World;
 use rayon::prelude::*;

@@ -1,24 +1,25 @@
 //! The `Render`, `Edit` and `Relight` passes: the same pictures, with edit and relight systems run before them and undone after.
 
-use super::edit::{apply_edits, put_material, take_material};
-use super::{Session, check_interrupted};
+use crate::codec::animation::{Mp4, write_apng, write_gif, write_mp4};
+use crate::codec::frame::{Frame, write_frame};
 use crate::error::Result;
 use crate::math::ray::Illuminate;
 use crate::math::shading::ClosedForm;
-use crate::report::animation::{Mp4, write_apng, write_gif, write_mp4};
-use crate::report::exr_file::{Frame, write_frame};
+use crate::pass::edit::{apply_edits, put_material, take_material};
+use crate::pass::{Session, check_interrupted};
+use crate::pipeline::{Phase, Pipeline, Slot};
 use crate::report::tone::{Backdrop, Look, Picture, write_png};
-use crate::scene::pass_types::{Orbit, OrbitFormat, Pass, RenderSettings, Shading, ViewChoice};
-use crate::scene::types::Light;
+use crate::scene::description::Light;
+use crate::scene::passes::{Orbit, OrbitFormat, Pass, RenderSettings, Shading, ViewChoice};
 use crate::shade::frame::{FrameTarget, render_frame};
-use crate::shade::visibility::{add_visibility, remove_visibility};
 use crate::shade::{
     IncidentLight, PathTracing, ShadingForm, provide_distant, provide_lobes, shade_closed_form,
     shade_path_traced,
 };
-use crate::stage::{Phase, Pipeline, Slot};
-use crate::view::camera::{self, Camera};
+use crate::view::camera;
+use crate::view::camera::Camera;
 use crate::view::{Split, ViewName};
+use crate::visibility::{add_visibility, remove_visibility};
 use bevy_ecs::prelude::{Entity, World};
 use glam::Vec3;
 use image::RgbImage;

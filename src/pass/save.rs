@@ -1,27 +1,27 @@
 //! The `Save` pass: the object as a scene that opens again.
 
-use super::Session;
-use super::edit::take_material;
-use super::photograph::ring;
+use crate::codec::exr::ExrLayers;
+use crate::codec::file::{read_bytes, write_bytes};
+use crate::codec::frame::write_channels;
+use crate::codec::gltf::export::write_glb;
+use crate::codec::nearby::missing_file_help;
+use crate::codec::npy::{NpyConvention, write_lobes};
 use crate::error::{Error, Result};
-use crate::file::{read_bytes, write_bytes};
 use crate::fit::cameras::CameraFit;
 use crate::light::LightLobe;
-use crate::light::npy::{NpyConvention, write_lobes};
 use crate::material::SpecularBlend;
 use crate::material::edit::MaterialState;
-use crate::report::exr_file::write_channels;
-use crate::scene::light_file::inlined;
-use crate::scene::load::to_ron;
-use crate::scene::pass_types::Pass;
-use crate::scene::types::{
+use crate::mesh::atlas::TexelAtlas;
+use crate::pass::Session;
+use crate::pass::edit::take_material;
+use crate::pass::photograph::ring;
+use crate::scene::description::{
     Albedo, AlbedoSource, Gloss, Light, LightSource, Material, Roughness, Scene, Specular, SpecularAlbedo,
     Surface as SurfaceSpec, Views,
 };
-use crate::surface::atlas::TexelAtlas;
-use crate::surface::gltf_export::write_glb;
-use crate::view::exr_io::ExrLayers;
-use crate::view::nearby::missing_file_help;
+use crate::scene::load::to_ron;
+use crate::scene::passes::Pass;
+use crate::spawn::light_file::inlined;
 use glam::Vec3;
 use std::path::Path;
 
@@ -76,7 +76,7 @@ fn save_gloss(material: &MaterialState, atlas: &TexelAtlas, folder: &Path) -> Re
     Ok(Material { gloss: Gloss::Fixed { lobes, weights: "blend.exr".into() }, ..Material::default() })
 }
 
-/// Writes blend weights for [`read_weights`](crate::scene::texture::read_weights).
+/// Writes blend weights for [`read_weights`](crate::codec::texture::read_weights).
 ///
 /// # Errors
 /// [`Error::Io`] when the system refuses.
@@ -132,7 +132,7 @@ fn saved_views(session: &Session) -> Result<Views> {
             let found =
                 session.pipeline.world.get_resource::<CameraFit>().map_or(1.0, CameraFit::focal_factor);
             let focal_scale = spec.focal_scale * found;
-            Ok(Views::Dataset(crate::scene::types::Dataset { path, focal_scale, ..spec.clone() }))
+            Ok(Views::Dataset(crate::scene::description::Dataset { path, focal_scale, ..spec.clone() }))
         }
         Views::Cameras(cameras) => Ok(Views::Cameras(cameras.clone())),
         Views::Photographed(spec) => Ok(Views::Cameras(ring(&spec.cameras, session.scene.up))),

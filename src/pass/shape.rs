@@ -1,26 +1,26 @@
 //! The `Shape` pass: finds an unknown surface from photographs and masks, and puts it in place of the hull.
 
-use super::fit::closed_form;
-use super::inspect::ShapeInspector;
-use super::{INTERRUPTED, Session, check_interrupted, found_views};
 use crate::error::{Error, Result};
-use crate::fit::gloss::TexelPlaces;
 use crate::fit::observe::PixelChoice;
+use crate::fit::roughness::blend::TexelPlaces;
 use crate::fit::run::{FirstGuess, FitOptions};
 use crate::fit::scale::{ScaleRule, start_scale};
 use crate::material::DiffuseAlbedo;
-use crate::scene::pass_types::{GridLevel, Quality, ShapePass};
-use crate::scene::spawn::unknowns;
-use crate::scene::types::Surface as SurfaceSpec;
+use crate::mesh::Surface;
+use crate::mesh::atlas::unwrap_mesh;
+use crate::pass::fit::closed_form;
+use crate::pass::inspect::ShapeInspector;
+use crate::pass::{INTERRUPTED, Session, check_interrupted, found_views};
+use crate::scene::description::Surface as SurfaceSpec;
+use crate::scene::passes::{GridLevel, Quality, ShapePass};
+use crate::sdf::extract::extract_mesh;
+use crate::sdf::volume::SdfSurface;
 use crate::shade::Scenery;
-use crate::shade::visibility::ObjectVisibility;
 use crate::shape::run::{ShapeLevel, ShapeOptions, ShapeProgress, fit_shape, replace_texels};
 use crate::shape::systems::ShapeSchedule;
-use crate::surface::Surface;
-use crate::surface::atlas::unwrap_mesh;
-use crate::surface::sdf::extract::extract_mesh;
-use crate::surface::sdf::volume::SdfSurface;
+use crate::spawn::unknowns;
 use crate::view::Camera;
+use crate::visibility::ObjectVisibility;
 use glam::Vec3;
 use std::ops::ControlFlow;
 use std::sync::Arc;

@@ -1,8 +1,9 @@
 //! `lobelia eval PREDICTION TRUTH`: scores two folders of images, or two images, against each other.
 
-use super::metrics;
-use super::scores::{self, EvalView, PassScores, Scaling};
-use crate::view::image_io::{Gamma, IMAGE_EXTENSIONS, LoadedImage, read_image};
+use crate::codec::image::{Gamma, IMAGE_EXTENSIONS, LoadedImage, read_image};
+use crate::report::metrics;
+use crate::report::scores;
+use crate::report::scores::{EvalView, PassScores, Scaling};
 use crate::{Error, Result};
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -178,9 +179,9 @@ fn check_finite(path: &Path, loaded: &LoadedImage, mask: &[bool]) -> Result<()> 
 
 #[cfg(test)]
 mod tests {
-    use super::super::{exr_file, png_file};
     use super::*;
-    use crate::view::exr_io::ExrLayers;
+    use crate::codec::exr::ExrLayers;
+    use crate::codec::{frame, png_file};
     use image::RgbImage;
 
     fn exr(path: &Path, size: [usize; 2], value: impl Fn(usize) -> f32, alpha: Option<Vec<f32>>) {
@@ -191,7 +192,7 @@ mod tests {
             channels.insert("A".to_owned(), alpha);
         }
         let [width, height] = size.map(|n| n as u32);
-        exr_file::write_channels(path, &ExrLayers { width, height, channels }).unwrap();
+        frame::write_channels(path, &ExrLayers { width, height, channels }).unwrap();
     }
 
     /// Folders `p` and `t`.

@@ -1,7 +1,7 @@
 //! Reports: what a pass leaves behind for people and for other programs.
 //!
 //! Frames as layered EXR, pictures as PNG, contact sheets, animations, and the scores of a prediction against its truth.
-//! Kernels ([`metrics`], [`ssim`], [`tone`], [`heat`], [`palette`]) work on slices; every file goes through [`crate::file`], so that
+//! Kernels ([`metrics`], [`ssim`], [`tone`], [`heat`], [`palette`]) work on slices; every file goes through [`crate::codec::file`], so that
 //! nothing half-written ever bears a final name.
 //!
 //! | name | type | unit | default | meaning |
@@ -15,14 +15,11 @@
 //! | [`metrics::PSNR_CAP_DB`] | `f64` | dB | 100 | what equal images score (JSON has no infinity) |
 //! | [`scores::Scaling`] | enum | | `None` | least-squares scale that is taken out before scoring |
 
-pub mod animation;
 pub mod compare;
-pub mod exr_file;
 pub mod font;
 pub mod heat;
 pub mod metrics;
 pub mod palette;
-pub mod png_file;
 pub mod scores;
 pub mod sheet;
 pub mod ssim;

@@ -1,8 +1,10 @@
 //! Scores of passes: computed view by view, kept as `metrics.json`, shown as a table.
 
-use super::metrics::{self, LayerScaleSums, LayerScales, Pair, ScaleSums};
-use super::ssim::ssim;
-use crate::{Error, Result, file};
+use crate::codec::file;
+use crate::report::metrics;
+use crate::report::metrics::{LayerScaleSums, LayerScales, Pair, ScaleSums};
+use crate::report::ssim::ssim;
+use crate::{Error, Result};
 use glam::Vec3;
 use indexmap::IndexMap;
 use serde::{Deserialize, Serialize};

@@ -1,6 +1,7 @@
 //! Contact sheets: rows of labelled pictures under headings, as one PNG.
 
-use super::{font, heat, png_file};
+use crate::codec::png_file;
+use crate::report::{font, heat};
 use crate::{Error, Result};
 use image::imageops::{self, FilterType};
 use image::{Rgb, RgbImage};

@@ -1,6 +1,6 @@
 //! Structural similarity (Wang, Bovik, Sheikh and Simoncelli, "Image Quality Assessment", IEEE TIP 2004, eq. 13).
 
-use super::metrics::Pair;
+use crate::report::metrics::Pair;
 
 /// Half width of the 11×11 window.
 const RADIUS: usize = 5;

@@ -1,6 +1,6 @@
 //! From linear radiance to a picture: exposure, tone curve, backdrop, 8-bit sRGB.
 
-use super::png_file;
+use crate::codec::png_file;
 use crate::math::color::srgb_from_linear;
 use crate::{Error, Result};
 use glam::{Mat3, Vec3};

@@ -1,8 +1,8 @@
 //! Errors of scene files as miette diagnostics: file, line, column, caret, what was expected, and help.
 
-use super::ron_tree::{Body, Node, SyntaxError};
-use super::source;
 use crate::Error;
+use crate::scene::ron_tree::{Body, Node, SyntaxError};
+use crate::scene::source;
 use miette::{Diagnostic, LabeledSpan, NamedSource};
 use std::ops::Range;
 use std::path::Path;

@@ -1,11 +1,13 @@
 //! Reading a scene file: `--set`, parsing, paths and checks, each error with a caret. Nothing is written.
 
-use super::check;
-use super::diagnostic::{Problem, SceneText};
-use super::paths::{self, Files};
-use super::ron_tree::{self, Node};
-use super::source;
-use super::types::{Scene, VERSION};
+use crate::scene::description::{Scene, VERSION};
+use crate::scene::diagnostic::{Problem, SceneText};
+use crate::scene::paths;
+use crate::scene::paths::Files;
+use crate::scene::ron_tree;
+use crate::scene::ron_tree::Node;
+use crate::scene::source;
+use crate::scene::validate;
 use crate::{Error, Result};
 use ron::extensions::Extensions;
 use std::path::{Path, PathBuf};
@@ -75,7 +77,7 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<LoadedScene> {
         scene.seed = seed;
     }
     let base_dir = path.parent().map_or_else(PathBuf::new, Path::to_owned);
-    let mut problems = check::check(&scene);
+    let mut problems = validate::check(&scene);
     let Files { found, mut unseen, at } =
         paths::resolve(&mut scene, &base_dir, options.data.as_deref(), &mut problems);
     if !options.without_data
@@ -111,7 +113,7 @@ pub fn to_ron(scene: &Scene) -> Result<String> {
 }
 
 /// The RON dialect of scene files.
-pub(super) fn options() -> ron::Options {
+pub(crate) fn options() -> ron::Options {
     ron::Options::default()
         .with_default_extension(Extensions::IMPLICIT_SOME | Extensions::UNWRAP_VARIANT_NEWTYPES)
 }
@@ -172,8 +174,8 @@ fn check_version(words: &SceneText, root: &Node) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::pass_types::Pass;
-    use crate::scene::types::{Light, Material, Roughness, Specular, Views};
+    use crate::scene::description::{Light, Material, Roughness, Specular, Views};
+    use crate::scene::passes::Pass;
 
     /// Says most of what can be said.
     const RICH: &str = r#"Scene(

@@ -4,22 +4,18 @@
 //! `unwrap_variant_newtypes` (`Fit(name: "fit")`, `Constant(0.5, 0.5, 0.5)`) always on. Every field is
 //! documented, with unit, range and default, on the types in [`types`] and [`pass_types`].
 
-pub mod check;
-mod check_passes;
+pub mod description;
 pub mod diagnostic;
-pub mod gloss_types;
-pub mod light_file;
 pub mod load;
-pub mod output_types;
-pub mod pass_types;
+pub mod output;
+pub mod passes;
 pub mod paths;
-pub mod render_types;
+pub mod photographed;
+pub mod render;
 pub mod ron_tree;
+pub mod roughness;
 pub mod source;
-pub mod spawn;
-pub mod texture;
-pub mod truth_types;
-pub mod types;
+pub mod validate;
 
-pub use check_passes::unknown_parts;
 pub use load::{LoadOptions, LoadedScene, RunOptions, load, to_ron};
+pub use validate::passes::unknown_parts;

@@ -1,8 +1,8 @@
 //! The files that a scene names: `$DATA` and relative paths resolved, and whether they exist.
 
-use super::diagnostic::{Problem, nearest};
-use super::pass_types::{DiffuseAction, Edit, LayerTruth, Pass, Region, Truth};
-use super::types::{Albedo, AlbedoSource, Gloss, Light, LightSource, Scene, Surface, Views};
+use crate::scene::description::{Albedo, AlbedoSource, Gloss, Light, LightSource, Scene, Surface, Views};
+use crate::scene::diagnostic::{Problem, nearest};
+use crate::scene::passes::{DiffuseAction, Edit, LayerTruth, Pass, Region, Truth};
 use std::path::{Path, PathBuf};
 
 /// What must be at a path.

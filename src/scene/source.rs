@@ -8,7 +8,7 @@
 //! of a list's item, or (where no item has that name) the only item of that kind: `passes.novel.render.exposure`,
 //! `passes.fit.rates.light`. Wrappers such as `Fixed(Map(scale: 2))` are looked through: `light.scale`.
 
-use super::ron_tree::{Body, Node, parse};
+use crate::scene::ron_tree::{Body, Node, parse};
 use std::ops::Range;
 
 /// Where a path leads.

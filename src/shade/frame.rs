@@ -1,16 +1,16 @@
 //! The Frame phase: one tile of a picture at a time, Sample ▸ Trace ▸ Gather ▸ Shade ▸ Resolve.
 
-use super::pool::{FrameSample, despawn_pool, only_table};
-use super::visibility::RefreshDue;
-use super::{
-    IncidentLight, Scenery, ShadingForm, gather_blends, gather_points, provide_lobes, shade_closed_form,
-};
 use crate::error::Result;
 use crate::math::shading::{Layers, ShadePoint};
-use crate::stage::{Phase, Pipeline, Plugin, Slot, Stage, SystemResult};
-use crate::surface::point::SurfacePoint;
+use crate::pipeline::{Phase, Pipeline, Plugin, Slot, Stage, SystemResult};
+use crate::sample::bundle::{FrameSample, despawn_pool, only_table};
+use crate::sample::pixel::{PixelOf, ViewRay, Window};
+use crate::sample::point::SurfacePoint;
+use crate::shade::{
+    IncidentLight, Scenery, ShadingForm, gather_blends, gather_points, provide_lobes, shade_closed_form,
+};
 use crate::view::Camera;
-use crate::view::pixel::{PixelOf, ViewRay, Window};
+use crate::visibility::RefreshDue;
 use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut, Resource};
 use glam::Vec3;
 use rayon::prelude::*;

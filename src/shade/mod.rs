@@ -2,7 +2,7 @@
 //!
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |
-//! | [`gather_points`] | Gather | [`SurfacePoint`](crate::surface::point::SurfacePoint), [`ViewRay`](crate::view::pixel::ViewRay), texels | [`ShadePoint`] |
+//! | [`gather_points`] | Gather | [`SurfacePoint`](crate::sample::point::SurfacePoint), [`ViewRay`](crate::sample::pixel::ViewRay), texels | [`ShadePoint`] |
 //! | [`gather_blends`] | Gather | the same | [`PointBlend`] |
 //! | systems of [`visibility`] | Gather, `Slot::Visibility` | [`IncidentLight`], points, material | [`PointVisibility`] |
 //! | [`provide_lobes`] | Gather, `Slot::Light` | light-lobe entities | [`IncidentLight`] |
@@ -11,12 +11,9 @@
 //! | [`shade_path_traced`] | Shade, `Slot::Shading` | the same, [`Scenery`], [`PathTracing`] | [`Layers`] |
 
 pub mod frame;
-pub mod occlusion;
 pub mod path_tracer;
-pub mod pool;
 pub mod sampling;
 pub mod systems;
-pub mod visibility;
 
 use crate::math::ray::{Illuminate, Intersect};
 use crate::math::shading::{

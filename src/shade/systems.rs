@@ -1,9 +1,5 @@
 //! The systems of the Gather stage and closed-form shading; each fetches columns and calls a kernel.
 
-use super::path_tracer::{self, PathEstimate, PathQuery, PathScene, PathSettings, shade_points};
-use super::pool::only_table;
-use super::visibility::WindowVisibility;
-use super::{DistantLight, IncidentLight, PathTracing, PointBlend, Scenery, ShadingForm};
 use crate::error::Error;
 use crate::light::LightLobe;
 use crate::light::illuminate::LobeLight;
@@ -12,9 +8,14 @@ use crate::math::published::Lobe;
 use crate::math::shading::{
     ClosedForm, Layers, Lighting, LobeColumns, PointVisibility, ShadePoint, SpecularValue, Visibility,
 };
-use crate::stage::SystemResult;
-use crate::surface::point::SurfacePoint;
-use crate::view::pixel::{PixelOf, ViewRay, Window};
+use crate::pipeline::SystemResult;
+use crate::sample::bundle::only_table;
+use crate::sample::pixel::{PixelOf, ViewRay, Window};
+use crate::sample::point::SurfacePoint;
+use crate::shade::path_tracer;
+use crate::shade::path_tracer::{PathEstimate, PathQuery, PathScene, PathSettings, shade_points};
+use crate::shade::{DistantLight, IncidentLight, PathTracing, PointBlend, Scenery, ShadingForm};
+use crate::visibility::WindowVisibility;
 use bevy_ecs::prelude::{Query, Res, ResMut};
 use rayon::prelude::*;
 use std::sync::Arc;

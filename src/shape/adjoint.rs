@@ -4,7 +4,7 @@
 //! first and from there by one divergence stencil to the values. The position moves along its ray as the values change
 //! (implicit differentiation; IDR eq. 3, Niemeyer et al. 2020): dx/dφ = −d / (∇φ·d).
 
-use crate::surface::sdf::SdfGrid;
+use crate::sdf::SdfGrid;
 use glam::{UVec3, Vec3};
 
 /// Least |∇φ·d| that a position's adjoint is divided by: at grazing rays a point slides without bound.

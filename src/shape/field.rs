@@ -1,8 +1,8 @@
 //! The SDF as parameters: bricks of 8 × 8 × 8 values near the surface are entities, the whole field a resource.
 
-use super::adjoint::FieldAdjoint;
-use crate::surface::sdf::SdfGrid;
-use crate::surface::sdf::volume::SdfSurface;
+use crate::sdf::SdfGrid;
+use crate::sdf::volume::SdfSurface;
+use crate::shape::adjoint::FieldAdjoint;
 use bevy_ecs::prelude::{Component, Resource};
 use glam::UVec3;
 

@@ -3,11 +3,11 @@
 //! In a view a point is about (pixels to the outline) · depth / focal away from the silhouette's cone. The largest of
 //! these over the views is the hull's signed distance; the k-th largest forgives k − 1 wrong masks. Views that do not see
 //! the point, or see it at the border of the frame, abstain: what the frame cuts is not carved. What a few masks carved
-//! although many show it is put back ([`super::mend`]).
+//! although many show it is put back ([`crate::shape::repair`]).
 
-use super::mend::regrow;
-use crate::surface::sdf::SdfGrid;
-use crate::surface::sdf::silhouette::signed_distance;
+use crate::sdf::SdfGrid;
+use crate::sdf::silhouette::signed_distance;
+use crate::shape::repair::regrow;
 use crate::view::{Camera, Mask};
 use crate::{Error, Result};
 use glam::{Mat3, Vec2, Vec3};
@@ -29,7 +29,7 @@ const COARSE_CELLS: u32 = 48;
 /// A mask with its camera.
 #[derive(Clone, Debug)]
 pub struct Silhouette {
-    /// The view's place among those with photographs ([`PixelOf::view`](crate::view::pixel::PixelOf::view)).
+    /// The view's place among those with photographs ([`PixelOf::view`](crate::sample::pixel::PixelOf::view)).
     pub(super) view: u32,
     /// The view's name.
     pub(super) name: String,

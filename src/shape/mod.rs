@@ -13,7 +13,7 @@
 pub mod adjoint;
 pub mod field;
 pub mod hull;
-pub mod mend;
+pub mod repair;
 pub mod run;
 pub mod silhouette_loss;
 pub mod systems;

@@ -4,12 +4,12 @@
 //! and w a width in pixels. The loss is Huber's of c less the mask's coverage; its slope moves the surface at the point
 //! where the ray comes nearest.
 
-use super::adjoint::FieldAdjoint;
 use crate::fit::cameras::AlignedRow;
 use crate::math::ray::Ray;
-use crate::surface::sdf::SdfGrid;
+use crate::sample::pixel::PixelOf;
+use crate::sdf::SdfGrid;
+use crate::shape::adjoint::FieldAdjoint;
 use crate::view::Camera;
-use crate::view::pixel::PixelOf;
 use bevy_ecs::prelude::Component;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;

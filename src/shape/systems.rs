@@ -1,16 +1,16 @@
 //! The systems that fit an SDF: retrace, pull back, smooth, move; each fetches columns and calls a kernel.
 
-use super::field::{BAND_CELLS, BrickAt, BrickGradient, BrickMoments, BrickValues, SdfField};
-use super::silhouette_loss::{SilhouetteSample, add_silhouettes, aligned_outline};
 use crate::fit::cameras::{AlignedRow, CameraFit, CameraPose, FIRST_STEP, retrace};
 use crate::fit::components::StepRates;
 use crate::material::DiffuseAlbedo;
 use crate::math::shading::PointAdjoint;
-use crate::shade::pool::only_table;
-use crate::stage::SystemResult;
-use crate::surface::point::SurfacePoint;
-use crate::surface::sdf::SdfGrid;
-use crate::view::pixel::{ViewRay, Window};
+use crate::pipeline::SystemResult;
+use crate::sample::bundle::only_table;
+use crate::sample::pixel::{ViewRay, Window};
+use crate::sample::point::SurfacePoint;
+use crate::sdf::SdfGrid;
+use crate::shape::field::{BAND_CELLS, BrickAt, BrickGradient, BrickMoments, BrickValues, SdfField};
+use crate::shape::silhouette_loss::{SilhouetteSample, add_silhouettes, aligned_outline};
 use crate::view::{Camera, Photograph};
 use bevy_ecs::prelude::{Query, Res, ResMut, Resource, With};
 use glam::Vec3;

@@ -10,18 +10,18 @@
 //! | [`pull_back_to_vertices`] | Gradient, `Slot::ShapeGradient` | normals' adjoints | [`VertexAdjoint`] |
 //! | [`move_vertices`] | Update, `Slot::ShapeUpdate` | [`VertexAdjoint`] | [`VertexPosition`], the surface |
 
-use super::systems::{OUTLIER, root_mean_square};
 use crate::error::Result;
 use crate::fit::components::StepRates;
 use crate::math::shading::PointAdjoint;
+use crate::mesh::Surface;
+use crate::mesh::bvh::TriangleHit;
+use crate::mesh::triangles::Mesh;
+use crate::pipeline::{Phase, Pipeline, Plugin, Slot, SystemResult};
+use crate::sample::bundle::only_table;
+use crate::sample::pixel::{ViewRay, Window};
+use crate::sample::point::SurfacePoint;
 use crate::shade::Scenery;
-use crate::shade::pool::only_table;
-use crate::stage::{Phase, Pipeline, Plugin, Slot, SystemResult};
-use crate::surface::Surface;
-use crate::surface::bvh::TriangleHit;
-use crate::surface::mesh::Mesh;
-use crate::surface::point::SurfacePoint;
-use crate::view::pixel::{ViewRay, Window};
+use crate::shape::systems::{OUTLIER, root_mean_square};
 use bevy_ecs::prelude::{Component, Entity, Query, Res, ResMut, Resource, With};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -372,7 +372,7 @@ fn with_positions(surface: &Surface, graph: &VertexGraph, positions: &[Vec3]) ->
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::surface::primitive::sphere_mesh;
+    use crate::mesh::primitive::sphere_mesh;
 
     fn bumpy() -> (VertexGraph, Vec<Vec3>) {
         let (graph, positions) = VertexGraph::new(&sphere_mesh(Vec3::ZERO, 1.0).unwrap());

@@ -3,8 +3,8 @@
 //! The middles of the masks' boxes are looked through from their cameras; those rays nearly meet in one point of the object
 //! if cameras and masks belong together. The point is the least sum of distances, so a few wrong views do not move it.
 
-use super::{Camera, Mask, ViewRecord};
 use crate::error::{Error, Result};
+use crate::view::{Camera, Mask, ViewRecord};
 use glam::{DMat3, DVec3, Vec3};
 
 /// Views with masks that a shape needs.

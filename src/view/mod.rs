@@ -25,15 +25,8 @@
 //! | `width`, `height` | `u32` | pixels | 512 | image size |
 
 pub mod camera;
-pub mod dataset;
-pub mod exr_io;
-pub mod image_io;
 pub mod mask_check;
-pub mod nearby;
-pub mod pixel;
 pub mod raster;
-#[cfg(test)]
-mod test_data;
 
 pub use camera::{Camera, Orbit};
 

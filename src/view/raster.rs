@@ -1,6 +1,6 @@
 //! What is done to images and masks as grids: box filtering and erosion.
 
-use super::{Image, Mask};
+use crate::view::{Image, Mask};
 use glam::{DVec3, Vec3};
 
 /// Coverage from which a pixel counts as wholly covered (8-bit masks hold 254/255 = 0.996 and 1).
@@ -8,7 +8,7 @@ pub const FULL_COVERAGE: f32 = 0.999;
 
 impl Image {
     /// The image `factor` times smaller each way, each pixel the mean of its block. What is left over at the right and
-    /// bottom edge is dropped, as in [`super::Camera::scaled`]. A `factor` of 0 is taken as 1.
+    /// bottom edge is dropped, as in [`crate::view::Camera::scaled`]. A `factor` of 0 is taken as 1.
     pub fn downscaled(&self, factor: u32) -> Self {
         let (width, height) = small_size(self.width, self.height, factor);
         let scale = 1.0 / f64::from(factor.max(1)).powi(2);

@@ -4,19 +4,19 @@
 #![allow(dead_code)]
 
 use glam::{Mat4, Vec3};
+use lobelia::codec::exr::{ExrLayers, read_exr_layers};
+use lobelia::codec::frame::{Frame, write_channels, write_frame};
+use lobelia::codec::gltf::export::write_glb;
+use lobelia::codec::npy::{NpyConvention, write_lobes};
 use lobelia::light::LightLobe;
-use lobelia::light::npy::{NpyConvention, write_lobes};
 use lobelia::material::{DiffuseAlbedo, SpecularBlend, SpecularLobe};
+use lobelia::mesh::Surface;
+use lobelia::mesh::primitive::sphere_mesh;
 use lobelia::pass::render::resolve;
-use lobelia::report::exr_file::{Frame, write_channels, write_frame};
+use lobelia::pipeline::Pipeline;
 use lobelia::shade::Scenery;
 use lobelia::shade::frame::{FramePlugin, render_frame};
-use lobelia::stage::Pipeline;
-use lobelia::surface::Surface;
-use lobelia::surface::gltf_export::write_glb;
-use lobelia::surface::primitive::sphere_mesh;
 use lobelia::view::Camera;
-use lobelia::view::exr_io::{ExrLayers, read_exr_layers};
 use serde_json::{Map, Value, json};
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};

@@ -1,12 +1,12 @@
 //! Path-traced shading of a case: one point, nothing in the way, so the first vertex is the whole path.
 
-use super::{Case, Precision, REPLICATES};
 use crate::light::LightLobe;
 use crate::material::{SpecularBlend, SpecularLobe};
 use crate::math::brdf::Facets;
 use crate::math::ray::{Hit, Intersect, Ray};
 use crate::math::real::scale;
 use crate::math::sg;
+use crate::pass::shade_cases::{Case, Precision, REPLICATES};
 use crate::shade::path_tracer::{PathQuery, PathScene, PathSettings, ShadePoint, shade_point};
 use crate::shade::sampling::lobe_table::LobeTable;
 use crate::shade::sampling::sequence::Sequence;

@@ -1,8 +1,8 @@
 //! Reading a table of cases: every field checked, every problem named with its case.
 
+use crate::codec::file::read_bytes;
+use crate::codec::nearby::missing_file_help;
 use crate::error::{Error, Result};
-use crate::file::read_bytes;
-use crate::view::nearby::missing_file_help;
 use serde_json::{Map, Value};
 use std::path::Path;
 

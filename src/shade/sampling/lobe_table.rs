@@ -5,9 +5,9 @@
 //! the product is larger, and directions are drawn from the cells. Logarithms throughout: tails of 1e-160 are as good as
 //! bright light. Whatever the cells look like the draws have an exact density, so estimates stay unbiased.
 
-use super::Frame;
 use crate::math::brdf::ndf_sharpness;
 use crate::math::real::{dot, sub};
+use crate::shade::sampling::Frame;
 use std::f64::consts::PI;
 
 /// Cells at the start, along the cosine and around the normal.

@@ -98,7 +98,7 @@ impl Sequence {
 
     /// Three numbers in `[0, 1)` for the decision number `group`.
     #[inline]
-    pub fn group<F: super::SampleReal>(&self, group: u32) -> [F; 3] {
+    pub fn group<F: crate::shade::sampling::SampleReal>(&self, group: u32) -> [F; 3] {
         self.group_bits(group).map(F::from_bits)
     }
 }

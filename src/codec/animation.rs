@@ -1,0 +1,328 @@
+//! Animations that loop for ever: GIF, APNG, and MP4 where `ffmpeg` is on the PATH.
+
+use crate::codec::file;
+use crate::codec::png_file;
+use crate::report::palette::{Ditherer, Palette};
+use crate::{Error, Result};
+use image::codecs::gif::{GifEncoder, Repeat};
+use image::{Delay, Frame, ImageError, RgbImage};
+use png::{BitDepth, ColorType, Compression, Encoder, SrgbRenderingIntent};
+use std::ffi::OsStr;
+use std::io::{Read, Write};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+
+/// What became of an MP4.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Mp4 {
+    /// It was written.
+    Written,
+    /// There is no `ffmpeg` on the PATH; nothing was written. To be told to the user as a note.
+    NoFfmpeg,
+}
+
+/// Writes a GIF that loops for ever, in one palette of 256 colours for all frames with a dither that stands still.
+///
+/// `fps` is in frames a second. GIF counts in hundredths of a second, which are spread so that the whole keeps its length;
+/// viewers slow down frames shorter than 0.02 s, so that `fps` above 50 plays at 50.
+///
+/// # Errors
+/// [`Error::Run`] for no frames, unequal or empty frames, sides over 65 535 pixels, or an `fps` that is not positive;
+/// [`Error::Io`] if the disk refuses.
+pub fn write_gif(path: impl AsRef<Path>, frames: &[RgbImage], fps: f32) -> Result<()> {
+    let path = path.as_ref();
+    check(path, frames, fps)?;
+    let palette = Palette::of(frames, 256);
+    let mut ditherer = Ditherer::new(&palette);
+    let failed = |error: ImageError| match error {
+        ImageError::IoError(source) => Error::io("write", path)(source),
+        other => failure(path, other.to_string()),
+    };
+    file::write_file(path, |writer| {
+        // No more than 256 colours a frame reach the encoder, which then keeps them exactly.
+        let mut encoder = GifEncoder::new_with_speed(writer, 10);
+        encoder.set_repeat(Repeat::Infinite).map_err(failed)?;
+        for (i, frame) in frames.iter().enumerate() {
+            let opaque = image::DynamicImage::from(ditherer.dithered(frame)).into_rgba8();
+            let delay = Delay::from_numer_denom_ms(10 * hundredths(i, fps), 1);
+            encoder.encode_frame(Frame::from_parts(opaque, 0, 0, delay)).map_err(failed)?;
+        }
+        Ok(())
+    })
+}
+
+/// Duration of frame `i` in hundredths of a second, such that the first n together last n / fps, rounded.
+fn hundredths(i: usize, fps: f32) -> u32 {
+    let end_of = |frames: usize| (100.0 * frames as f64 / f64::from(fps)).round();
+    (end_of(i + 1) - end_of(i)).clamp(2.0, 65_535.0) as u32
+}
+
+/// Writes an animated PNG that loops for ever, in full colour.
+///
+/// # Errors
+/// As [`write_gif`], without its limit on the sides.
+pub fn write_apng(path: impl AsRef<Path>, frames: &[RgbImage], fps: f32) -> Result<()> {
+    let path = path.as_ref();
+    check(path, frames, fps)?;
+    let failed = |error| png_file::failed(path, error);
+    let (numerator, denominator) = delay_ratio(fps);
+    file::write_file(path, |writer| {
+        let mut encoder = Encoder::new(writer, frames[0].width(), frames[0].height());
+        encoder.set_color(ColorType::Rgb);
+        encoder.set_depth(BitDepth::Eight);
+        encoder.set_compression(Compression::Balanced);
+        encoder.set_source_srgb(SrgbRenderingIntent::Perceptual);
+        encoder.set_animated(frames.len() as u32, 0).map_err(failed)?;
+        encoder.set_frame_delay(numerator, denominator).map_err(failed)?;
+        let mut animation = encoder.write_header().map_err(failed)?;
+        for frame in frames {
+            animation.write_image_data(frame.as_raw()).map_err(failed)?;
+        }
+        animation.finish().map_err(failed)
+    })
+}
+
+/// Seconds a frame as a fraction of 16-bit numbers, good to a hundredth of a frame a second.
+fn delay_ratio(fps: f32) -> (u16, u16) {
+    if fps < 1.0 {
+        return ((100.0 / fps).round().min(65_535.0) as u16, 100);
+    }
+    (100, (100.0 * fps).round().min(65_535.0) as u16)
+}
+
+/// Writes an H.264 MP4 (yuv420p, BT.709) by piping frames to the `ffmpeg` on the PATH. H.264 in yuv420p wants even sides: an odd
+/// one is made even by repeating its last line.
+///
+/// # Errors
+/// As [`write_apng`]; [`Error::Run`] with ffmpeg's last line if it fails. Its absence is [`Mp4::NoFfmpeg`], not an error.
+pub fn write_mp4(path: impl AsRef<Path>, frames: &[RgbImage], fps: f32) -> Result<Mp4> {
+    write_mp4_with(OsStr::new("ffmpeg"), path.as_ref(), frames, fps)
+}
+
+/// [`write_mp4`] with another program in `ffmpeg`'s place (a name on the PATH, or a path).
+///
+/// # Errors
+/// As [`write_mp4`].
+pub fn write_mp4_with(program: &OsStr, path: &Path, frames: &[RgbImage], fps: f32) -> Result<Mp4> {
+    check(path, frames, fps)?;
+    let mut outcome = Mp4::Written;
+    let written = file::write_by_path(path, |temporary| {
+        let size = [frames[0].width(), frames[0].height()].map(|side| side.next_multiple_of(2));
+        match start(program, temporary, size, fps) {
+            Ok(child) => feed(child, path, frames),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
+                outcome = Mp4::NoFfmpeg;
+                // Leaves the closure by its error path, so that no empty file gets the final name.
+                Err(Error::run("ffmpeg", "not found"))
+            }
+            Err(error) => Err(failure(path, format!("cannot start {}: {error}", program.display()))),
+        }
+    });
+    if outcome == Mp4::NoFfmpeg { Ok(outcome) } else { written.map(|()| outcome) }
+}
+
+/// RGB to limited-range BT.709, and the tags that say so.
+const VIDEO_FILTER: &str = "scale=out_color_matrix=bt709:out_range=tv,format=yuv420p,\
+    setparams=color_primaries=bt709:color_trc=bt709:colorspace=bt709";
+
+fn start(program: &OsStr, output: &Path, [width, height]: [u32; 2], fps: f32) -> std::io::Result<Child> {
+    let (size, rate) = (format!("{width}x{height}"), format!("{fps}"));
+    Command::new(program)
+        .args(["-hide_banner", "-loglevel", "error", "-nostdin", "-y"])
+        .args(["-f", "rawvideo", "-pixel_format", "rgb24", "-video_size", &size, "-framerate", &rate])
+        .args(["-i", "pipe:0", "-an"])
+        .args(["-vf", VIDEO_FILTER])
+        .args(["-c:v", "libx264", "-crf", "16", "-preset", "medium"])
+        .args([
+            "-colorspace",
+            "bt709",
+            "-color_primaries",
+            "bt709",
+            "-color_trc",
+            "bt709",
+            "-color_range",
+            "tv",
+        ])
+        .args(["-movflags", "+faststart"])
+        .arg(output)
+        .stdin(Stdio::piped())
+        .stdout(Stdio::null())
+        .stderr(Stdio::piped())
+        .spawn()
+}
+
+/// Hands the frames to a running ffmpeg and waits for it.
+fn feed(mut child: Child, path: &Path, frames: &[RgbImage]) -> Result<()> {
+    let stderr = child.stderr.take();
+    // Read beside the writing: a full pipe on either side would stop both programs.
+    let listener = std::thread::spawn(move || {
+        let mut said = Vec::new();
+        if let Some(mut stderr) = stderr {
+            let _ = stderr.read_to_end(&mut said);
+        }
+        String::from_utf8_lossy(&said).into_owned()
+    });
+    let mut fed = Ok(());
+    if let Some(mut stdin) = child.stdin.take() {
+        fed = frames.iter().try_for_each(|frame| stdin.write_all(even(frame).as_raw()));
+    }
+    let status = child.wait().map_err(|error| failure(path, format!("ffmpeg was lost: {error}")))?;
+    let said = listener.join().unwrap_or_default();
+    if !status.success() {
+        let last = said.lines().rev().find(|line| !line.trim().is_empty()).unwrap_or("it gave no reason");
+        return Err(failure(path, format!("ffmpeg failed ({status}): {}", last.trim())));
+    }
+    fed.map_err(|error| failure(path, format!("ffmpeg stopped listening: {error}")))
+}
+
+/// `frame` with even sides; an odd side is prolonged by its last line.
+fn even(frame: &RgbImage) -> std::borrow::Cow<'_, RgbImage> {
+    let (width, height) = frame.dimensions();
+    if width.is_multiple_of(2) && height.is_multiple_of(2) {
+        return std::borrow::Cow::Borrowed(frame);
+    }
+    let pixel = |x: u32, y: u32| *frame.get_pixel(x.min(width - 1), y.min(height - 1));
+    std::borrow::Cow::Owned(RgbImage::from_fn(width.next_multiple_of(2), height.next_multiple_of(2), pixel))
+}
+
+fn check(path: &Path, frames: &[RgbImage], fps: f32) -> Result<()> {
+    if !(fps.is_finite() && fps > 0.0) {
+        return Err(failure(path, format!("{fps} frames a second are not possible")));
+    }
+    let Some(first) = frames.first() else {
+        return Err(failure(path, "an animation needs at least one frame"));
+    };
+    if first.width() == 0 || first.height() == 0 {
+        return Err(failure(path, "its frames have no pixels"));
+    }
+    match frames.iter().position(|frame| frame.dimensions() != first.dimensions()) {
+        Some(i) => Err(failure(path, format!("frame {i} and frame 0 differ in size"))),
+        None => Ok(()),
+    }
+}
+
+fn failure(path: &Path, problem: impl Into<String>) -> Error {
+    Error::run(format!("writing {}", path.display()), problem)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::codecs::gif::GifDecoder;
+    use image::{AnimationDecoder, Rgb};
+
+    fn frames(count: u32) -> Vec<RgbImage> {
+        let pixel = |i: u32| move |x: u32, y: u32| Rgb([(x * 20) as u8, (y * 25) as u8, (i * 40) as u8]);
+        (0..count).map(|i| RgbImage::from_fn(9, 7, pixel(i))).collect()
+    }
+
+    #[test]
+    fn gif_keeps_colors_time_and_loops() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("orbit.gif");
+        write_gif(&path, &frames(3), 24.0).unwrap();
+        let bytes = std::fs::read(&path).unwrap();
+        assert!(bytes.windows(11).any(|w| w == b"NETSCAPE2.0"), "no loop");
+        let decoder = GifDecoder::new(std::io::Cursor::new(&bytes)).unwrap();
+        let read = decoder.into_frames().collect_frames().unwrap();
+        let delays: Vec<u32> = read.iter().map(|frame| frame.delay().numer_denom_ms().0).collect();
+        assert_eq!(delays, [40, 40, 50], "3 frames at 24 a second last 0.125 s, to a hundredth");
+        for (read, made) in read.iter().zip(frames(3)) {
+            let rgb = image::DynamicImage::from(read.buffer().clone()).into_rgb8();
+            assert_eq!(rgb, made, "189 colours fit the palette");
+        }
+    }
+
+    #[test]
+    fn apng_keeps_every_frame() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("orbit.png");
+        write_apng(&path, &frames(4), 12.5).unwrap();
+        let file = std::io::BufReader::new(std::fs::File::open(&path).unwrap());
+        let mut reader = png::Decoder::new(file).read_info().unwrap();
+        let control = *reader.info().animation_control().unwrap();
+        assert_eq!((control.num_frames, control.num_plays), (4, 0));
+        for made in frames(4) {
+            let mut buffer = vec![0; reader.output_buffer_size().unwrap()];
+            reader.next_frame(&mut buffer).unwrap();
+            assert_eq!(buffer, made.into_raw());
+            let shown = reader.info().frame_control().unwrap();
+            assert_eq!((shown.delay_num, shown.delay_den), (100, 1250));
+        }
+    }
+
+    #[test]
+    fn delays() {
+        assert_eq!((0..4).map(|i| hundredths(i, 30.0)).collect::<Vec<_>>(), [3, 4, 3, 3]);
+        assert_eq!(hundredths(5, 1000.0), 2);
+        assert_eq!(hundredths(0, 1e-6), 65_535);
+        assert_eq!(delay_ratio(0.5), (200, 100));
+        assert_eq!(delay_ratio(29.97), (100, 2997));
+    }
+
+    #[test]
+    fn bad_animations_are_refused_and_leave_no_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("orbit.gif");
+        let mut unequal = frames(2);
+        unequal.push(RgbImage::new(3, 3));
+        for (frames, fps) in [(vec![], 10.0), (frames(2), 0.0), (frames(2), f32::NAN), (unequal, 10.0)] {
+            assert!(write_gif(&path, &frames, fps).is_err());
+            assert!(write_apng(&path, &frames, fps).is_err());
+            assert!(write_mp4(&path, &frames, fps).is_err());
+        }
+        assert!(write_gif(&path, &[RgbImage::new(0, 0)], 10.0).is_err());
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn odd_sides_are_made_even() {
+        let frame = &frames(1)[0];
+        let made = even(frame);
+        assert_eq!(made.dimensions(), (10, 8));
+        assert_eq!(made.get_pixel(9, 7), frame.get_pixel(8, 6));
+        assert_eq!(made.get_pixel(3, 7), frame.get_pixel(3, 6));
+    }
+
+    #[test]
+    fn a_missing_ffmpeg_is_a_note() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("orbit.mp4");
+        let outcome = write_mp4_with(OsStr::new("no-such-ffmpeg-anywhere"), &path, &frames(2), 10.0);
+        assert_eq!(outcome.unwrap(), Mp4::NoFfmpeg);
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+
+    #[cfg(unix)]
+    fn script(folder: &Path, body: &str) -> std::path::PathBuf {
+        use std::os::unix::fs::PermissionsExt;
+        let path = folder.join("stand-in");
+        std::fs::write(&path, format!("#!/bin/sh\n{body}\n")).unwrap();
+        std::fs::set_permissions(&path, PermissionsExt::from_mode(0o755)).unwrap();
+        path
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn frames_reach_ffmpeg_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("out/orbit.mp4");
+        // The output is the last argument; the stand-in stores what it is fed.
+        let program = script(folder.path(), "for last; do :; done\ncat > \"$last\"");
+        assert_eq!(write_mp4_with(program.as_os_str(), &path, &frames(3), 24.0).unwrap(), Mp4::Written);
+        let fed: Vec<u8> = frames(3).iter().flat_map(|frame| even(frame).into_owned().into_raw()).collect();
+        assert_eq!(std::fs::read(&path).unwrap(), fed);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_failing_ffmpeg_is_quoted_and_leaves_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("out/orbit.mp4");
+        let program =
+            script(folder.path(), "echo first >&2\necho 'Unknown encoder libx264' >&2\necho >&2\nexit 3");
+        let error = write_mp4_with(program.as_os_str(), &path, &frames(200), 24.0).unwrap_err();
+        assert!(error.to_string().contains("Unknown encoder libx264"), "{error}");
+        assert_eq!(std::fs::read_dir(folder.path().join("out")).unwrap().count(), 0);
+    }
+}

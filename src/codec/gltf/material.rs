@@ -1,0 +1,219 @@
+//! A glTF material for this project's BRDF, and back.
+//!
+//! glTF's dielectric is a diffuse base colour times 1 − F beside a GGX lobe with Schlick's F over a reflectance F0; here the
+//! diffuse part is not dimmed. So with m the largest channel of the specular albedo s:
+//!
+//! | glTF | value | lost |
+//! | --- | --- | --- |
+//! | base colour | min(1, a / (1 − F̄)), F̄ = m + (1 − m)/21, the mean of F over the hemisphere | an albedo above 1 − F̄ is cut to it; the dimming towards grazing angles differs |
+//! | `metallicFactor` | 0 | |
+//! | `roughnessFactor` | R | D is a Gaussian here and GGX there: the same peak, a longer tail |
+//! | `KHR_materials_ior` | (1 + √m) / (1 − √m), m at most 0.99 | |
+//! | `KHR_materials_specular` | factor 1, colour s/m | |
+//!
+//! Reading inverts this: what was written here comes back, but for the cut and the texture's eight bits.
+
+use crate::codec::gltf::file::GltfFile;
+use crate::{Error, Result};
+use glam::Vec3;
+use gltf::json::{Index, Material};
+use std::path::Path;
+
+/// A material for [`crate::codec::gltf::export::write_glb`]: base colour, roughness, and a coloured dielectric reflectance; metallic is 0.
+#[derive(Clone, Debug, PartialEq)]
+pub struct GltfMaterial {
+    /// The material's name in the file.
+    pub name: String,
+    /// `baseColorFactor`, linear RGB in `[0, 1]`, times the texture.
+    pub base_color: Vec3,
+    /// An image file's bytes (sRGB; a PNG to be written), embedded as the base colour texture; needs a mesh with texture coordinates.
+    pub base_color_image: Option<Vec<u8>>,
+    /// `roughnessFactor` in `[0, 1]`, times the texture; GGX's α is its square.
+    pub roughness: f32,
+    /// A PNG with the roughness in green and no metal in blue, to be embedded as `metallicRoughnessTexture`. Not read back.
+    pub roughness_image: Option<Vec<u8>>,
+    /// `specularFactor` of `KHR_materials_specular`, in `[0, 1]`.
+    pub specular: f32,
+    /// `specularColorFactor` of `KHR_materials_specular`, linear RGB ≥ 0.
+    pub specular_color: Vec3,
+    /// Index of refraction of `KHR_materials_ior`, ≥ 1 (1.5 is glTF's default, a reflectance of 0.04).
+    pub ior: f32,
+}
+
+impl Default for GltfMaterial {
+    /// A white dielectric, fully rough, as an empty glTF material is (but not metallic).
+    fn default() -> Self {
+        Self {
+            name: "surface".to_owned(),
+            base_color: Vec3::ONE,
+            base_color_image: None,
+            roughness: 1.0,
+            roughness_image: None,
+            specular: 1.0,
+            specular_color: Vec3::ONE,
+            ior: 1.5,
+        }
+    }
+}
+
+/// A reflectance of one needs an infinite index of refraction.
+const MAX_REFLECTANCE: f32 = 0.99;
+
+impl GltfMaterial {
+    /// The specular lobe in glTF's words, with a white base colour.
+    pub fn of_lobe(specular_albedo: Vec3, roughness: f32) -> Self {
+        let strongest = strongest(specular_albedo);
+        let root = strongest.sqrt();
+        Self {
+            roughness,
+            ior: (1.0 + root) / (1.0 - root),
+            specular_color: if strongest > 0.0 { specular_albedo / strongest } else { Vec3::ONE },
+            ..Self::default()
+        }
+    }
+
+    /// F0, linear RGB in `[0, 1]`.
+    pub fn specular_albedo(&self) -> Vec3 {
+        let root = (self.ior - 1.0) / (self.ior + 1.0);
+        (self.specular_color * root * root).min(Vec3::ONE) * self.specular
+    }
+}
+
+/// The part of the diffuse light that glTF keeps, 1 − F̄: the mean of Schlick's 1 − F over the hemisphere, in the strongest channel.
+pub fn diffuse_share(specular_albedo: Vec3) -> f32 {
+    (1.0 - strongest(specular_albedo)) * (20.0 / 21.0)
+}
+
+fn strongest(specular_albedo: Vec3) -> f32 {
+    specular_albedo.max_element().clamp(0.0, MAX_REFLECTANCE)
+}
+
+/// Reads the one material that all primitives of a `.glb` or `.gltf` file have.
+///
+/// # Errors
+/// [`Error::Input`] or [`Error::Io`] if the file cannot be read, has no material or several, or one that the BRDF has no words for.
+pub fn read_material(path: &Path) -> Result<GltfMaterial> {
+    let file = GltfFile::open(path)?;
+    let index = only_material(&file)?;
+    let place = format!("material {}", index.value());
+    let material = file.item(&file.root.materials, index, "material", "a primitive")?;
+    if let Some(problem) = beyond_words(&file, material) {
+        let help =
+            "give the material in the scene file, or export the mesh with one plain dielectric material";
+        return Err(Error::input(path, place, problem, help));
+    }
+    let pbr = &material.pbr_metallic_roughness;
+    let image = pbr.base_color_texture.as_ref().map(|info| {
+        let texture = file.item(&file.root.textures, info.index, "texture", &place)?;
+        file.image(texture.source, &place)
+    });
+    let extensions = material.extensions.as_ref();
+    let ior = extensions.and_then(|e| e.ior.as_ref());
+    let specular = extensions.and_then(|e| e.specular.as_ref());
+    let [r, g, b, _] = pbr.base_color_factor.0;
+    let default = GltfMaterial::default();
+    let read = GltfMaterial {
+        name: material.name.clone().unwrap_or(default.name),
+        base_color: Vec3::new(r, g, b).clamp(Vec3::ZERO, Vec3::ONE),
+        base_color_image: image.transpose()?,
+        roughness: pbr.roughness_factor.0.clamp(0.0, 1.0),
+        roughness_image: None,
+        specular: specular.map_or(default.specular, |s| s.specular_factor.0.clamp(0.0, 1.0)),
+        specular_color: specular
+            .map_or(default.specular_color, |s| Vec3::from(s.specular_color_factor.0).max(Vec3::ZERO)),
+        ior: ior.map_or(default.ior, |ior| ior.ior.0.max(1.0)),
+    };
+    let finite = read.base_color.is_finite() && read.specular_color.is_finite() && read.roughness.is_finite();
+    if finite { Ok(read) } else { Err(file.error(place, "has a value that is not finite")) }
+}
+
+fn only_material(file: &GltfFile) -> Result<Index<Material>> {
+    let mut used: Vec<Option<usize>> = Vec::new();
+    for primitive in file.root.meshes.iter().flat_map(|mesh| &mesh.primitives) {
+        used.push(primitive.material.map(|index| index.value()));
+    }
+    used.sort_unstable();
+    used.dedup();
+    match used.as_slice() {
+        [Some(index)] => Ok(Index::new(*index as u32)),
+        _ => {
+            let problem = "not every part of the mesh has the same material";
+            let help = "give the material in the scene file, or export the mesh with one material";
+            Err(Error::input(&file.path, "", problem, help))
+        }
+    }
+}
+
+/// What the material has that one lobe and one diffuse texture cannot say.
+fn beyond_words(file: &GltfFile, material: &Material) -> Option<&'static str> {
+    let pbr = &material.pbr_metallic_roughness;
+    let specular = material.extensions.as_ref().and_then(|e| e.specular.as_ref());
+    let transformed = file.root.extensions_used.iter().any(|name| name == "KHR_texture_transform");
+    let elsewhere = pbr.base_color_texture.as_ref().is_some_and(|t| t.tex_coord != 0 || transformed);
+    let problems = [
+        (pbr.metallic_factor.0 != 0.0, "is metallic"),
+        (pbr.metallic_roughness_texture.is_some(), "has a texture of roughness"),
+        (specular.is_some_and(|s| s.specular_texture.is_some()), "has a texture of reflectance"),
+        (specular.is_some_and(|s| s.specular_color_texture.is_some()), "has a texture of reflectance"),
+        (elsewhere, "has a texture that is not placed by the first texture coordinates as they are"),
+    ];
+    problems.into_iter().find(|(is, _)| *is).map(|(_, problem)| problem)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::codec::gltf::export::write_glb;
+    use crate::mesh::primitive::box_mesh;
+
+    #[test]
+    fn a_lobe_survives_gltf() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("mesh.glb");
+        let mesh = box_mesh(Vec3::ZERO, Vec3::ONE).unwrap();
+        for specular in [Vec3::new(0.3, 0.2, 0.05), Vec3::splat(0.04), Vec3::ZERO, Vec3::new(1.0, 0.9, 0.0)] {
+            let written = GltfMaterial {
+                base_color: Vec3::new(0.1, 0.7, 1.0),
+                base_color_image: Some(vec![1, 2, 3]),
+                ..GltfMaterial::of_lobe(specular, 0.35)
+            };
+            write_glb(&path, &mesh, Some(&written)).unwrap();
+            let read = read_material(&path).unwrap();
+            assert_eq!(read, written);
+            assert!(read.specular_albedo().distance(specular) < 2e-6, "{specular} {read:?}");
+            assert!((diffuse_share(read.specular_albedo()) - diffuse_share(specular)).abs() < 1e-5);
+        }
+    }
+
+    #[test]
+    fn four_percent_is_the_default_dielectric() {
+        let material = GltfMaterial::of_lobe(Vec3::splat(0.04), 0.5);
+        assert!((material.ior - 1.5).abs() < 1e-6 && material.specular_color == Vec3::ONE);
+        // The mean of (1 − 0.04)(1 − (1 − c)⁵) weighted by 2c over c in [0, 1].
+        assert!((diffuse_share(Vec3::splat(0.04)) - 0.96 * 20.0 / 21.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn what_has_no_words_here_is_refused() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("mesh.gltf");
+        let refused = |materials: &str, primitives: &str, word: &str| {
+            let text = format!(
+                r#"{{"asset": {{"version": "2.0"}}, "materials": [{materials}], "meshes": [{{"primitives": [{primitives}]}}]}}"#
+            );
+            std::fs::write(&path, text).unwrap();
+            let error = read_material(&path).expect_err(word);
+            assert!(error.to_string().contains(word), "{error} should say {word}");
+        };
+        let first = r#"{"attributes": {}, "material": 0}"#;
+        refused("{}", first, "metallic");
+        refused("", r#"{"attributes": {}}"#, "same material");
+        refused("{}, {}", &format!(r#"{first}, {{"attributes": {{}}, "material": 1}}"#), "same material");
+        refused("", first, "refers to material 0");
+        let rough =
+            r#"{"pbrMetallicRoughness": {"metallicFactor": 0, "metallicRoughnessTexture": {"index": 0}}}"#;
+        refused(rough, first, "roughness");
+        let missing = r#"{"pbrMetallicRoughness": {"metallicFactor": 0, "baseColorTexture": {"index": 3}}}"#;
+        refused(missing, first, "texture 3");
+    }
+}

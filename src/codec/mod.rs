@@ -1,0 +1,29 @@
+//! Files in and out: images, environment maps, light lobes, meshes. Formats know no systems.
+//!
+//! | module | reads | writes |
+//! | --- | --- | --- |
+//! | [`file`] | whole files | whole files, never half-written |
+//! | [`image`] | PNG, JPEG, EXR, HDR to linear images and masks | |
+//! | [`exr`], [`frame`] | EXR layers | EXR layers, rendered frames |
+//! | [`png_file`], [`animation`] | | PNG; GIF, APNG, MP4 |
+//! | [`envmap`], `hdr` | EXR and Radiance HDR environment maps | EXR |
+//! | [`npy`] | light lobes in both conventions | the same |
+//! | [`texture`] | images as texels of an atlas | |
+//! | [`gltf`], [`ply_obj`] | glTF meshes and materials | glTF; PLY, OBJ |
+//! | [`nearby`] | | help for wrong file and view names |
+
+pub mod animation;
+pub mod envmap;
+pub mod exr;
+pub mod file;
+pub mod frame;
+pub mod gltf;
+mod hdr;
+pub mod image;
+pub mod nearby;
+pub mod npy;
+pub mod ply_obj;
+pub mod png_file;
+#[cfg(test)]
+pub(crate) mod test_data;
+pub mod texture;

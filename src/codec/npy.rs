@@ -1,0 +1,281 @@
+//! SG lobes as NumPy `.npy` files of shape `[M, 7]`: axis, sharpness, RGB amplitude.
+
+use std::path::Path;
+
+use glam::{DVec3, Vec3};
+use npyz::{NpyFile, Order, WriterBuilder};
+use serde::{Deserialize, Serialize};
+
+use crate::codec::file;
+use crate::light::LightLobe;
+use crate::{Error, Result};
+
+/// How the axes of a file are to be read.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum NpyConvention {
+    /// World directions as they are (also what PhySG's own training writes).
+    #[default]
+    Lobelia,
+    /// PhySG's published `envmap*_sg_fit` files, whose maps start at θ = 2πu: (x, y, z) stands for (z, y, −x).
+    PhySgFit,
+}
+
+impl NpyConvention {
+    /// World direction of an axis in the file.
+    fn world_from_file(self, axis: DVec3) -> DVec3 {
+        match self {
+            Self::Lobelia => axis,
+            Self::PhySgFit => DVec3::new(axis.z, axis.y, -axis.x),
+        }
+    }
+
+    /// Axis in the file of a world direction.
+    fn file_from_world(self, axis: Vec3) -> Vec3 {
+        match self {
+            Self::Lobelia => axis,
+            Self::PhySgFit => Vec3::new(-axis.z, axis.y, axis.x),
+        }
+    }
+}
+
+const HELP: &str =
+    "save an array of float32 or float64 of shape [M, 7]: axis x y z, sharpness, amplitude r g b";
+
+/// Reads lobes from an `.npy` file of shape `[M, 7]`, or `[M, 5]` with one grey amplitude.
+///
+/// `f32` or `f64`, C or Fortran order, either byte order. Sharpness and amplitude are taken by absolute value, axes are
+/// normalised; an axis whose length is within 10⁻⁶ of 1 keeps its bits, so that files written by [`write_lobes`] come
+/// back bit for bit.
+///
+/// # Errors
+/// [`Error::Input`] naming the row (from 0) for a zero axis or a non-finite value, and for a missing, truncated or
+/// foreign file, another shape or type, or no rows.
+pub fn read_lobes(path: impl AsRef<Path>, convention: NpyConvention) -> Result<Vec<LightLobe>> {
+    let path = path.as_ref();
+    let bytes = file::read_bytes(path, |_| "check the path of the lobes".to_owned())?;
+    let (values, columns) = read_table(path, &bytes)?;
+    values.chunks_exact(columns).enumerate().map(|(row, v)| lobe_of_row(path, row, v, convention)).collect()
+}
+
+/// Writes lobes as an `f32`, little-endian, C-order `.npy` file of shape `[M, 7]`; it appears only when complete.
+pub fn write_lobes(path: impl AsRef<Path>, lobes: &[LightLobe], convention: NpyConvention) -> Result<()> {
+    let path = path.as_ref();
+    let encode = || -> std::io::Result<Vec<u8>> {
+        let mut bytes = Vec::new();
+        let shape = [lobes.len() as u64, 7];
+        let dtype = npyz::DType::Plain("<f4".parse().map_err(std::io::Error::other)?);
+        let options = npyz::WriteOptions::<f32>::new().dtype(dtype).shape(&shape);
+        let mut writer = options.writer(&mut bytes).begin_nd()?;
+        for lobe in lobes {
+            let axis = convention.file_from_world(lobe.axis);
+            let [r, g, b] = lobe.amplitude.to_array();
+            writer.extend([axis.x, axis.y, axis.z, lobe.sharpness, r, g, b])?;
+        }
+        writer.finish()?;
+        Ok(bytes)
+    };
+    let bytes = encode().map_err(|e| Error::run(format!("encoding {}", path.display()), e.to_string()))?;
+    file::write_bytes(path, &bytes)
+}
+
+/// The file's values in C order, as `f64`, and the number of columns.
+fn read_table(path: &Path, bytes: &[u8]) -> Result<(Vec<f64>, usize)> {
+    let bad = |problem: String| Error::input(path, "", problem, HELP);
+    if !bytes.starts_with(b"\x93NUMPY") {
+        return Err(bad("is not a NumPy .npy file".to_owned()));
+    }
+    if !has_plausible_shape(bytes) {
+        return Err(bad("claims an impossible shape, so its header is damaged".to_owned()));
+    }
+    let file = NpyFile::new(bytes).map_err(|e| bad(format!("has a broken header ({e})")))?;
+    let shape = file.shape().to_vec();
+    let (rows, columns) = match shape[..] {
+        [rows, columns @ (5 | 7)] => (rows as usize, columns as usize),
+        _ => return Err(bad(format!("has shape {shape:?}, not [M, 7]"))),
+    };
+    if rows == 0 {
+        return Err(bad("has no rows, so there are no lobes".to_owned()));
+    }
+    // Before anything of the header's size is allocated.
+    if rows > bytes.len() / columns {
+        return Err(bad(format!("is truncated: too short for {rows} rows")));
+    }
+    let (order, dtype) = (file.order(), file.dtype().descr());
+    let truncated = |e: std::io::Error| bad(format!("is truncated or damaged ({e})"));
+    let values: Vec<f64> = match file.try_data::<f32>() {
+        Ok(data) => data.map(|v| v.map(f64::from)).collect::<std::io::Result<_>>().map_err(truncated)?,
+        Err(file) => match file.try_data::<f64>() {
+            Ok(data) => data.collect::<std::io::Result<_>>().map_err(truncated)?,
+            Err(_) => return Err(bad(format!("holds {dtype}, not 32- or 64-bit floats"))),
+        },
+    };
+    Ok((if order == Order::Fortran { transposed(&values, rows, columns) } else { values }, columns))
+}
+
+/// Whether the numbers after "shape" in the header multiply to less than 2⁴⁰; `npyz` panics where they overflow.
+fn has_plausible_shape(bytes: &[u8]) -> bool {
+    let header = &bytes[..bytes.len().min(4096)];
+    let start = header.windows(5).position(|word| word == b"shape").unwrap_or(header.len());
+    let shape = header[start..].split(|&b| b == b')').next().unwrap_or_default();
+    let mut numbers = shape.split(|b| !b.is_ascii_digit()).filter(|digits| !digits.is_empty());
+    let product = numbers.try_fold(1_u64, |product, digits| {
+        let number: u64 = std::str::from_utf8(digits).ok()?.parse().ok()?;
+        product.checked_mul(number.max(1))
+    });
+    product.is_some_and(|product| product < 1 << 40)
+}
+
+fn transposed(values: &[f64], rows: usize, columns: usize) -> Vec<f64> {
+    (0..rows * columns).map(|k| values[(k % columns) * rows + k / columns]).collect()
+}
+
+fn lobe_of_row(path: &Path, row: usize, v: &[f64], convention: NpyConvention) -> Result<LightLobe> {
+    let bad = |problem: &str| Error::input(path, format!("row {row}"), problem, HELP);
+    // As f32 they must be finite too: 1e300 would become infinite.
+    if v.iter().any(|x| !(*x as f32).is_finite()) {
+        return Err(bad("holds NaN, an infinity, or a number too large"));
+    }
+    let file_axis = DVec3::new(v[0], v[1], v[2]);
+    let length = file_axis.length();
+    if length < 1e-20 {
+        return Err(bad("has a zero axis, so it has no direction"));
+    }
+    let unit = if (length - 1.0).abs() > 1e-6 { file_axis / length } else { file_axis };
+    let amplitude = if v.len() == 7 { DVec3::new(v[4], v[5], v[6]) } else { DVec3::splat(v[4]) };
+    Ok(LightLobe {
+        axis: convention.world_from_file(unit).as_vec3(),
+        sharpness: v[3].abs() as f32,
+        amplitude: amplitude.abs().as_vec3(),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::light::fibonacci::fibonacci_axes;
+
+    fn lobes() -> Vec<LightLobe> {
+        let lobe = |(i, axis)| LightLobe {
+            axis,
+            sharpness: 0.1 + 7.3 * i as f32,
+            amplitude: Vec3::new(1.0 / (1 + i) as f32, 0.2, i as f32),
+        };
+        fibonacci_axes(37).into_iter().enumerate().map(lobe).collect()
+    }
+
+    fn path_in(folder: &tempfile::TempDir) -> std::path::PathBuf {
+        folder.path().join("lobes.npy")
+    }
+
+    /// A version 1.0 file, made by hand so that the reader is not tested against its own writer.
+    fn npy(descr: &str, fortran: bool, shape: &str, data: &[u8]) -> Vec<u8> {
+        let order = if fortran { "True" } else { "False" };
+        let mut header = format!("{{'descr': '{descr}', 'fortran_order': {order}, 'shape': {shape}, }}");
+        while (10 + header.len() + 1) % 64 != 0 {
+            header.push(' ');
+        }
+        header.push('\n');
+        let mut bytes = b"\x93NUMPY\x01\x00".to_vec();
+        bytes.extend((header.len() as u16).to_le_bytes());
+        bytes.extend(header.as_bytes());
+        bytes.extend(data);
+        bytes
+    }
+
+    fn read_bytes(bytes: &[u8], convention: NpyConvention) -> Result<Vec<LightLobe>> {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        std::fs::write(path_in(&folder), bytes).expect("a test file");
+        read_lobes(path_in(&folder), convention)
+    }
+
+    #[test]
+    fn both_conventions_come_back_bit_for_bit() {
+        let folder = tempfile::tempdir().unwrap();
+        for convention in [NpyConvention::Lobelia, NpyConvention::PhySgFit] {
+            write_lobes(path_in(&folder), &lobes(), convention).unwrap();
+            assert_eq!(read_lobes(path_in(&folder), convention).unwrap(), lobes());
+        }
+    }
+
+    #[test]
+    fn axes_are_mapped_and_normalised_and_signs_dropped() {
+        let row: Vec<u8> =
+            [0.0_f32, 3.0, 4.0, -20.0, -1.0, 2.0, -3.0].iter().flat_map(|v| v.to_le_bytes()).collect();
+        let bytes = npy("<f4", false, "(1, 7)", &row);
+        let lobe = read_bytes(&bytes, NpyConvention::Lobelia).unwrap()[0];
+        assert_eq!(lobe.axis, Vec3::new(0.0, 0.6, 0.8));
+        assert_eq!((lobe.sharpness, lobe.amplitude), (20.0, Vec3::new(1.0, 2.0, 3.0)));
+        let lobe = read_bytes(&bytes, NpyConvention::PhySgFit).unwrap()[0];
+        assert_eq!(lobe.axis, Vec3::new(0.8, 0.6, -0.0));
+    }
+
+    #[test]
+    fn types_orders_and_grey_amplitudes_are_understood() {
+        let rows = [[1.0, 0.0, 0.0, 5.0, 1.0, 2.0, 3.0], [0.0, 1.0, 0.0, 6.0, 4.0, 5.0, 6.0_f64]];
+        let expected: Vec<LightLobe> = rows
+            .iter()
+            .map(|r| LightLobe {
+                axis: Vec3::new(r[0] as f32, r[1] as f32, r[2] as f32),
+                sharpness: r[3] as f32,
+                amplitude: Vec3::new(r[4] as f32, r[5] as f32, r[6] as f32),
+            })
+            .collect();
+        let by_rows: Vec<f64> = rows.concat();
+        let by_columns: Vec<f64> = (0..14).map(|k| rows[k % 2][k / 2]).collect();
+        let read = |descr, fortran, data: Vec<u8>| {
+            read_bytes(&npy(descr, fortran, "(2, 7)", &data), NpyConvention::Lobelia).unwrap()
+        };
+        assert_eq!(read("<f8", false, by_rows.iter().flat_map(|v| v.to_le_bytes()).collect()), expected);
+        assert_eq!(read(">f8", true, by_columns.iter().flat_map(|v| v.to_be_bytes()).collect()), expected);
+        let singles = by_rows.iter().flat_map(|v| (*v as f32).to_be_bytes()).collect();
+        assert_eq!(read(">f4", false, singles), expected);
+        let grey: Vec<u8> = [0.0_f32, 0.0, 1.0, 2.0, 3.0].iter().flat_map(|v| v.to_le_bytes()).collect();
+        let lobe = read_bytes(&npy("<f4", false, "(1, 5)", &grey), NpyConvention::Lobelia).unwrap()[0];
+        assert_eq!(lobe.amplitude, Vec3::splat(3.0));
+    }
+
+    #[test]
+    fn damaged_bytes_never_panic() {
+        let folder = tempfile::tempdir().unwrap();
+        write_lobes(path_in(&folder), &lobes()[..3], NpyConvention::Lobelia).unwrap();
+        let whole = std::fs::read(path_in(&folder)).unwrap();
+        for at in 0..whole.len() {
+            for value in [0, b'9', b'(', 0xff] {
+                let mut bytes = whole.clone();
+                bytes[at] = value;
+                if let Ok(lobes) = read_bytes(&bytes, NpyConvention::Lobelia) {
+                    assert!(crate::light::validate_lobes(&lobes).is_ok());
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn bad_files_are_refused_and_rows_named() {
+        let refused = |bytes: &[u8], word: &str| {
+            let error = read_bytes(bytes, NpyConvention::Lobelia).expect_err("a bad file must be refused");
+            assert_eq!(error.exit_code(), 2);
+            assert!(error.to_string().contains(word), "{error} should say {word}");
+        };
+        let data =
+            |rows: &[[f32; 7]]| rows.concat().iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+        let good = [0.0, 1.0, 0.0, 1.0, 1.0, 1.0, 1.0];
+        let mut zero_axis = good;
+        zero_axis[1] = 0.0;
+        let mut nan = good;
+        nan[5] = f32::NAN;
+        refused(&npy("<f4", false, "(2, 7)", &data(&[good, zero_axis])), "row 1");
+        refused(&npy("<f4", false, "(2, 7)", &data(&[nan, good])), "row 0");
+        refused(&npy("<f4", false, "(2, 7)", &data(&[good])), "truncated");
+        refused(&npy("<f4", false, "(9000000000, 7)", &data(&[good])), "truncated");
+        refused(&npy("<f4", false, "(900000000000, 7)", &data(&[good])), "impossible");
+        refused(&npy("<f4", false, "(0, 18446744073709551615, 7)", &data(&[good])), "impossible");
+        refused(&npy("<f4", false, "(7,)", &data(&[good])), "shape");
+        refused(&npy("<f4", false, "(1, 6)", &data(&[good])), "shape");
+        refused(&npy("<f4", false, "(0, 7)", &[]), "no rows");
+        refused(&npy("<i4", false, "(1, 7)", &data(&[good])), "floats");
+        refused(b"PK\x03\x04", "not a NumPy");
+        refused(b"\x93NUMPY\x01\x00\x10\x00{", "header");
+        assert!(read_lobes("/no/such/file.npy", NpyConvention::Lobelia).is_err());
+    }
+}

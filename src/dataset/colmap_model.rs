@@ -1,0 +1,271 @@
+//! Reading a COLMAP reconstruction: `cameras` and `images`, as text or binary.
+//!
+//! A camera model is its number of parameters and what they mean; an image is a quaternion (w first) and a translation, both
+//! camera_from_world, OpenCV axes. Points are skipped.
+
+use crate::codec::nearby::missing_file_help;
+use crate::dataset::distortion::Distortion;
+use crate::dataset::lens::{Focal, Lens};
+use crate::dataset::load::read_text;
+use crate::dataset::pose::Rigid;
+use crate::error::{Error, Result};
+use glam::{DMat3, DQuat, DVec3};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+/// COLMAP's camera models by number, with their parameter counts.
+const MODELS: [(&str, usize); 12] = [
+    ("SIMPLE_PINHOLE", 3),
+    ("PINHOLE", 4),
+    ("SIMPLE_RADIAL", 4),
+    ("RADIAL", 5),
+    ("OPENCV", 8),
+    ("OPENCV_FISHEYE", 8),
+    ("FULL_OPENCV", 12),
+    ("FOV", 5),
+    ("SIMPLE_RADIAL_FISHEYE", 4),
+    ("RADIAL_FISHEYE", 5),
+    ("THIN_PRISM_FISHEYE", 12),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+];
+const UNKNOWN_MODEL_HELP: &str = "Undistort the photographs with COLMAP's image_undistorter and give its output folder \
+                                  (SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL and OPENCV are read).";
+const CUT_SHORT_HELP: &str = "Copy the file again, or write the model again with COLMAP's model_converter.";
+
+/// One photograph of a reconstruction.
+pub(super) struct ModelImage {
+    /// As in the file: a path below the image folder.
+    pub name: String,
+    pub camera: u32,
+    pub camera_from_world: Rigid,
+}
+
+/// A reconstruction's cameras and photographs.
+pub(super) struct Model {
+    pub cameras: BTreeMap<u32, Lens>,
+    pub images: Vec<ModelImage>,
+    /// The file that the images are in.
+    pub image_file: PathBuf,
+}
+
+/// The `images` file of a model folder, binary before text; `None` if there is no model in it.
+pub(super) fn image_file(folder: &Path) -> Option<PathBuf> {
+    ["bin", "txt"]
+        .into_iter()
+        .find(|kind| ["cameras", "images"].iter().all(|name| folder.join(format!("{name}.{kind}")).is_file()))
+        .map(|kind| folder.join(format!("images.{kind}")))
+}
+
+/// Reads the model of which `image_file` is the `images` file.
+pub(super) fn read_model(image_file: PathBuf) -> Result<Model> {
+    let is_text = image_file.extension().is_some_and(|kind| kind == "txt");
+    let camera_file = image_file.with_file_name(if is_text { "cameras.txt" } else { "cameras.bin" });
+    let (cameras, images) = if is_text {
+        (cameras_of_text(&camera_file)?, images_of_text(&image_file)?)
+    } else {
+        (cameras_of_bytes(&camera_file)?, images_of_bytes(&image_file)?)
+    };
+    Ok(Model { cameras, images, image_file })
+}
+
+/// A lens from a camera model's name and parameters. `Err` is a problem and a help.
+fn lens_of(model: &str, size: [u64; 2], parameters: &[f64]) -> Result<Lens, (String, &'static str)> {
+    let count = MODELS.iter().find(|known| known.0 == model).map_or(0, |known| known.1);
+    let (focal, center, radial, tangential) = match (model, parameters) {
+        ("SIMPLE_PINHOLE", &[f, cx, cy]) => ([f, f], [cx, cy], [0.0; 2], [0.0; 2]),
+        ("PINHOLE", &[fx, fy, cx, cy]) => ([fx, fy], [cx, cy], [0.0; 2], [0.0; 2]),
+        ("SIMPLE_RADIAL", &[f, cx, cy, k]) => ([f, f], [cx, cy], [k, 0.0], [0.0; 2]),
+        ("RADIAL", &[f, cx, cy, k1, k2]) => ([f, f], [cx, cy], [k1, k2], [0.0; 2]),
+        ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => ([fx, fy], [cx, cy], [k1, k2], [p1, p2]),
+        ("SIMPLE_PINHOLE" | "PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "OPENCV", _) => {
+            let problem = format!("the {model} camera has {} parameters, not {count}", parameters.len());
+            return Err((problem, "Write the model again with COLMAP's model_converter."));
+        }
+        _ => return Err((format!("the camera model {model} cannot be read"), UNKNOWN_MODEL_HELP)),
+    };
+    let [width, height] = size.map(u32::try_from);
+    let (Ok(width), Ok(height)) = (width, height) else {
+        return Err((format!("the image size is {}×{}", size[0], size[1]), CUT_SHORT_HELP));
+    };
+    Ok(Lens {
+        size: Some([width, height]),
+        focal_x: Focal::Pixels(focal[0]),
+        focal_y: Some(Focal::Pixels(focal[1])),
+        center: center.map(Some),
+        skew: 0.0,
+        distortion: Distortion { radial: [radial[0], radial[1], 0.0], tangential },
+        resizable: false,
+    })
+}
+
+/// A pose from a quaternion, w first, and a translation. `Err` says what is wrong, as a clause of its own.
+fn pose_of(q: [f64; 4], t: [f64; 3]) -> Result<Rigid, String> {
+    let quaternion = DQuat::from_xyzw(q[1], q[2], q[3], q[0]);
+    let length = quaternion.length();
+    let sound = length > 1e-6 && length.is_finite() && t.iter().all(|&t| (t as f32).is_finite());
+    if !sound {
+        return Err(format!("the pose is no rotation and translation: quaternion {q:?}, translation {t:?}"));
+    }
+    let rotation = DMat3::from_quat(quaternion.normalize());
+    Ok(Rigid { rotation, translation: DVec3::from(t) })
+}
+
+/// Lines that say something, with their numbers.
+fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
+    let lines = text.lines().enumerate().map(|(i, line)| (i + 1, line.trim()));
+    lines.filter(|(_, line)| !line.is_empty() && !line.starts_with('#'))
+}
+
+fn numbers<T: FromStr>(words: &[&str]) -> Option<Vec<T>> {
+    words.iter().map(|word| word.parse().ok()).collect()
+}
+
+fn cameras_of_text(file: &Path) -> Result<BTreeMap<u32, Lens>> {
+    let mut cameras = BTreeMap::new();
+    for (number, line) in lines(&read_text(file)?) {
+        let wrong = |problem: String, help: &str| Error::input(file, format!("line {number}"), problem, help);
+        let words: Vec<&str> = line.split_whitespace().collect();
+        let expected =
+            || wrong("this is no camera".into(), "A line is CAMERA_ID MODEL WIDTH HEIGHT PARAMETERS.");
+        let [id, model, width, height, parameters @ ..] = words.as_slice() else { return Err(expected()) };
+        let id: u32 = id.parse().map_err(|_| expected())?;
+        let size: Vec<u64> = numbers(&[width, height]).ok_or_else(expected)?;
+        let parameters: Vec<f64> = numbers(parameters).ok_or_else(expected)?;
+        let lens = lens_of(model, [size[0], size[1]], &parameters)
+            .map_err(|(problem, help)| wrong(format!("camera {id}: {problem}"), help))?;
+        cameras.insert(id, lens);
+    }
+    Ok(cameras)
+}
+
+/// Images stand on lines of their own; the lines of points between them hold triples of numbers, or nothing.
+fn images_of_text(file: &Path) -> Result<Vec<ModelImage>> {
+    let mut images = Vec::new();
+    for (number, line) in lines(&read_text(file)?) {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        if words.len().is_multiple_of(3) && words.iter().all(|word| word.parse::<f64>().is_ok()) {
+            continue;
+        }
+        let wrong = |problem: String| {
+            let help = "A line is IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME.";
+            Error::input(file, format!("line {number}"), problem, help)
+        };
+        let expected = || wrong("this is neither an image nor points".into());
+        let [_, pose @ .., _, _] = words.get(..10).ok_or_else(expected)? else { return Err(expected()) };
+        let pose: Vec<f64> = numbers(pose).ok_or_else(expected)?;
+        let camera: u32 = words[8].parse().map_err(|_| expected())?;
+        let name = words[9..].join(" ");
+        let camera_from_world = pose_of([pose[0], pose[1], pose[2], pose[3]], [pose[4], pose[5], pose[6]])
+            .map_err(|problem| wrong(format!("image `{name}`: {problem}")))?;
+        images.push(ModelImage { name, camera, camera_from_world });
+    }
+    Ok(images)
+}
+
+/// A binary file being read, little-endian.
+struct Bytes<'a> {
+    file: &'a Path,
+    bytes: Vec<u8>,
+    at: usize,
+}
+
+impl<'a> Bytes<'a> {
+    fn open(file: &'a Path) -> Result<Self> {
+        Ok(Self { file, bytes: crate::codec::file::read_bytes(file, missing_file_help)?, at: 0 })
+    }
+
+    fn cut_short(&self) -> Error {
+        let place = format!("byte {}", self.at);
+        Error::input(
+            self.file,
+            place,
+            "the file is cut short: more is announced than there is",
+            CUT_SHORT_HELP,
+        )
+    }
+
+    fn skip(&mut self, count: u64) -> Result<&[u8]> {
+        let end = usize::try_from(count).ok().and_then(|count| self.at.checked_add(count));
+        match end.filter(|&end| end <= self.bytes.len()) {
+            Some(end) => {
+                let start = std::mem::replace(&mut self.at, end);
+                Ok(&self.bytes[start..end])
+            }
+            None => Err(self.cut_short()),
+        }
+    }
+
+    fn take<const N: usize>(&mut self) -> Result<[u8; N]> {
+        let taken = self.skip(N as u64)?.first_chunk().copied();
+        taken.ok_or_else(|| self.cut_short())
+    }
+
+    fn u32(&mut self) -> Result<u32> {
+        self.take().map(u32::from_le_bytes)
+    }
+
+    fn u64(&mut self) -> Result<u64> {
+        self.take().map(u64::from_le_bytes)
+    }
+
+    fn f64s<const N: usize>(&mut self) -> Result<[f64; N]> {
+        let mut values = [0.0; N];
+        for value in &mut values {
+            *value = self.take().map(f64::from_le_bytes)?;
+        }
+        Ok(values)
+    }
+
+    /// Text up to a zero byte.
+    fn text(&mut self) -> Result<String> {
+        let rest = &self.bytes[self.at..];
+        let length = rest.iter().position(|&byte| byte == 0).ok_or_else(|| self.cut_short())?;
+        let text = String::from_utf8_lossy(&rest[..length]).into_owned();
+        self.at += length + 1;
+        Ok(text)
+    }
+}
+
+fn cameras_of_bytes(file: &Path) -> Result<BTreeMap<u32, Lens>> {
+    let mut bytes = Bytes::open(file)?;
+    let mut cameras = BTreeMap::new();
+    for _ in 0..bytes.u64()? {
+        let (id, model) = (bytes.u32()?, bytes.u32()?);
+        let wrong = |problem: String, help: &str| Error::input(file, format!("camera {id}"), problem, help);
+        let Some(&(name, count)) = MODELS.get(model as usize) else {
+            return Err(wrong(format!("the camera model number {model} cannot be read"), UNKNOWN_MODEL_HELP));
+        };
+        let size = [bytes.u64()?, bytes.u64()?];
+        let parameters =
+            (0..count).map(|_| bytes.f64s::<1>().map(|[value]| value)).collect::<Result<Vec<_>>>()?;
+        let lens = lens_of(name, size, &parameters).map_err(|(problem, help)| wrong(problem, help))?;
+        cameras.insert(id, lens);
+    }
+    Ok(cameras)
+}
+
+fn images_of_bytes(file: &Path) -> Result<Vec<ModelImage>> {
+    /// x and y as `f64`, and the number of a point.
+    const POINT_BYTES: u64 = 24;
+    let mut bytes = Bytes::open(file)?;
+    let mut images = Vec::new();
+    for _ in 0..bytes.u64()? {
+        bytes.u32()?;
+        let (q, t) = (bytes.f64s()?, bytes.f64s()?);
+        let camera = bytes.u32()?;
+        let name = bytes.text()?;
+        let points = bytes.u64()?;
+        bytes.skip(points.saturating_mul(POINT_BYTES))?;
+        let camera_from_world = pose_of(q, t).map_err(|problem| {
+            Error::input(
+                file,
+                format!("image `{name}`"),
+                problem,
+                "Register the photograph again, or remove it.",
+            )
+        })?;
+        images.push(ModelImage { name, camera, camera_from_world });
+    }
+    Ok(images)
+}

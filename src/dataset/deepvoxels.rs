@@ -1,0 +1,157 @@
+//! DeepVoxels' layout: `intrinsics.txt`, `pose/*.txt` and `rgb/*.png`, in `DIR` or in `DIR/{train,validation,test}`.
+//!
+//! Lines of `intrinsics.txt`: focal length, cx, cy (and a number without use); the middle of the object's grid; the near plane;
+//! a scale; height and width that the first line is counted in; and optionally 1 if the poses are camera_from_world. A pose
+//! is 16 numbers, a row-major 4×4 matrix, world_from_camera with OpenCV axes. Masks are in `mask/`, or alpha. Without a
+//! `test` folder `validation` is the test split; without either see [`crate::dataset::DatasetOptions::hold_out`].
+
+use crate::codec::nearby::missing_file_help;
+use crate::dataset::distortion::Distortion;
+use crate::dataset::lens::{Focal, Lens};
+use crate::dataset::load::{StemIndex, read_text};
+use crate::dataset::pose::Rigid;
+use crate::dataset::{MaskPlan, Plan, ViewPlan, split_name};
+use crate::error::{Error, Result};
+use crate::view::Split;
+use std::path::{Path, PathBuf};
+
+const INTRINSICS: &str = "intrinsics.txt";
+
+/// The folder that holds a split, and whether that is all the views there are, of which some are to be held out.
+pub fn split_folder(dir: &Path, split: Split) -> Option<(PathBuf, bool)> {
+    let with_intrinsics =
+        |name: &str| Some(dir.join(name)).filter(|folder| folder.join(INTRINSICS).is_file());
+    if let Some(folder) = with_intrinsics("") {
+        return Some((folder, true));
+    }
+    let train = with_intrinsics("train");
+    let test = with_intrinsics("test").or_else(|| with_intrinsics("validation"));
+    match (split, train, test) {
+        (_, Some(all), None) => Some((all, true)),
+        (Split::Train, train, _) => train.map(|folder| (folder, false)),
+        (Split::Test, _, test) => test.map(|folder| (folder, false)),
+    }
+}
+
+/// The error for a split that is not there.
+pub(super) fn absent_split(dir: &Path, split: Split) -> Error {
+    let file = dir.join(split_name(split)).join(INTRINSICS);
+    let problem = format!("the data set has no {} split: this file is missing", split_name(split));
+    let help = missing_file_help(&file);
+    Error::input(file, "", problem, help)
+}
+
+/// Plans all views of a folder, in the order of their names.
+pub(super) fn plan(folder: &Path) -> Result<Plan> {
+    let (lens, poses_are_inverse) = read_intrinsics(&folder.join(INTRINSICS))?;
+    let folder_of = |name: &str| {
+        let path = folder.join(name);
+        StemIndex::of_folder(&path)?.ok_or_else(|| {
+            Error::input(
+                &path,
+                "",
+                "this folder of the DeepVoxels layout is missing",
+                missing_file_help(&path),
+            )
+        })
+    };
+    let images = folder_of("rgb")?;
+    let masks = StemIndex::of_folder(&folder.join("mask"))?;
+    let poses = pose_files(&folder.join("pose"))?;
+    let mut views = Vec::with_capacity(poses.len());
+    for (name, file) in poses {
+        let pose = read_pose(&file)?;
+        let world_from_camera = if poses_are_inverse { pose.inverse() } else { pose };
+        let mask = match &masks {
+            Some(masks) => MaskPlan::File(masks.find(&name)?),
+            None => MaskPlan::AlphaRequired(format!(
+                "the view `{name}` has no mask: there is no folder {} and the image has no alpha",
+                folder.join("mask").display()
+            )),
+        };
+        views.push(ViewPlan {
+            image: Some(images.find(&name)?),
+            name,
+            camera_file: file,
+            place: String::new(),
+            mask,
+            lens,
+            world_from_camera: world_from_camera.to_affine(),
+        });
+    }
+    let extra = images.stems().filter(|stem| !views.iter().any(|view| view.name == **stem)).count();
+    let note = format!("{extra} images in {} have no pose and are left out", folder.join("rgb").display());
+    Ok(Plan { views, notes: if extra > 0 { vec![note] } else { Vec::new() } })
+}
+
+/// Names and files of the poses, by name.
+fn pose_files(folder: &Path) -> Result<Vec<(String, PathBuf)>> {
+    let missing = || Error::input(folder, "", "the folder of poses is missing", missing_file_help(folder));
+    if !folder.is_dir() {
+        return Err(missing());
+    }
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(Error::io("read", folder))? {
+        let path = entry.map_err(Error::io("read", folder))?.path();
+        if path.extension().is_some_and(|kind| kind == "txt") {
+            files.push((path.file_stem().unwrap_or_default().to_string_lossy().into_owned(), path));
+        }
+    }
+    files.sort();
+    Ok(files)
+}
+
+/// All numbers of a text; `Err` names the first word that is none.
+fn numbers(text: &str) -> Result<Vec<f64>, String> {
+    text.split_whitespace().map(|word| word.parse().map_err(|_| format!("`{word}` is no number"))).collect()
+}
+
+/// The lens, and whether poses are camera_from_world.
+fn read_intrinsics(file: &Path) -> Result<(Lens, bool)> {
+    let text = read_text(file)?;
+    let lines: Vec<&str> = text.lines().filter(|line| !line.trim().is_empty()).collect();
+    let line = |number: usize, least: usize| {
+        let values = numbers(lines.get(number - 1).copied().unwrap_or_default());
+        let values = values.and_then(|values| match values.len() {
+            count if count < least => Err(format!("there are {count} numbers, not {least}")),
+            _ => Ok(values),
+        });
+        let help = "Line 1 is `f cx cy 0`, lines 2 to 4 are the grid's middle, the near plane and a scale, line 5 is \
+                    `height width`.";
+        values.map_err(|problem| Error::input(file, format!("line {number}"), problem, help))
+    };
+    let (first, size) = (line(1, 3)?, line(5, 2)?);
+    let [height, width] = [size[0], size[1]];
+    let whole = |value: f64| value.fract() == 0.0 && (1.0..65536.0).contains(&value);
+    if !(whole(height) && whole(width)) {
+        let problem = format!("the image size {width}×{height} is not whole numbers above 0");
+        return Err(Error::input(file, "line 5", problem, "Line 5 is `height width` in pixels."));
+    }
+    let lens = Lens {
+        size: Some([width as u32, height as u32]),
+        focal_x: Focal::Pixels(first[0]),
+        focal_y: None,
+        center: [Some(first[1]), Some(first[2])],
+        skew: 0.0,
+        distortion: Distortion::NONE,
+        resizable: true,
+    };
+    Ok((lens, lines.get(5).is_some_and(|line| line.trim() == "1")))
+}
+
+fn read_pose(file: &Path) -> Result<Rigid> {
+    let values = numbers(&read_text(file)?).and_then(|values| {
+        let count = values.len();
+        <[f64; 16]>::try_from(values).map_err(|_| format!("there are {count} numbers, not 16"))
+    });
+    let pose =
+        values.and_then(|rows| Rigid::from_rows(&rows).map_err(|problem| format!("the pose {problem}")));
+    pose.map_err(|problem| {
+        Error::input(
+            file,
+            "",
+            problem,
+            "A pose is a row-major 4×4 matrix, world from camera with OpenCV axes.",
+        )
+    })
+}

@@ -1,0 +1,288 @@
+//! What the layouts share: reading JSON with good errors, finding files, and loading planned views.
+
+use crate::codec::image::{IMAGE_EXTENSIONS, LoadedImage, read_image, read_mask};
+use crate::codec::nearby::missing_file_help;
+use crate::dataset::distortion::{Distortion, Straightening};
+use crate::dataset::{DatasetOptions, MaskPlan, ViewPlan};
+use crate::error::{Error, Result};
+use crate::view::raster::any_downscaled;
+use crate::view::{Camera, Mask, Photograph, Split, ViewRecord};
+use glam::Vec3;
+use rayon::prelude::*;
+use serde::de::DeserializeOwned;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// Reads a text file, as [`Error::Input`] if it is not UTF-8.
+pub(super) fn read_text(path: &Path) -> Result<String> {
+    let bytes = crate::codec::file::read_bytes(path, missing_file_help)?;
+    String::from_utf8(bytes)
+        .map_err(|_| Error::input(path, "", "the file is not UTF-8 text", "Is it a JSON file?"))
+}
+
+/// Parses JSON; an error names line and column.
+pub(super) fn parse_json<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T> {
+    serde_json::from_str(text).map_err(|error| {
+        let (line, column) = (error.line(), error.column());
+        let message = error.to_string();
+        let message = message.split(" at line ").next().unwrap_or_default();
+        let line_text = text.lines().nth(line.saturating_sub(1)).unwrap_or_default();
+        let near = |word: &str| column_window(line_text, column).contains(word);
+        let (problem, help) = if error.is_syntax() && (near("NaN") || near("nfinity")) {
+            (
+                "a number is NaN or infinite, which JSON does not have".to_owned(),
+                "Find out why the camera is not finite.",
+            )
+        } else {
+            (format!("the JSON is wrong: {message}"), "Mend the file at that place, or export it again.")
+        };
+        Error::input(path, format!("line {line}, column {column}"), problem, help)
+    })
+}
+
+/// The text within a word's length of a (1-based, byte) column.
+fn column_window(line: &str, column: usize) -> String {
+    let start = column.saturating_sub(3).min(line.len());
+    let bytes = &line.as_bytes()[start..];
+    String::from_utf8_lossy(&bytes[..bytes.len().min(12)]).into_owned()
+}
+
+fn has_image_extension(path: &Path) -> bool {
+    let extension = path.extension().and_then(|extension| extension.to_str()).map(str::to_ascii_lowercase);
+    extension.is_some_and(|extension| IMAGE_EXTENSIONS.contains(&extension.as_str()))
+}
+
+/// A view's name from its image's path: the file name, less an image extension (`./train/r_0.5` is called `r_0.5`).
+pub(super) fn view_name(path: &str) -> String {
+    let path = Path::new(path);
+    let name = if has_image_extension(path) { path.file_stem() } else { path.file_name() };
+    name.unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// The file itself if it is there, else with an image extension added.
+pub(super) fn find_image(path: &Path) -> Option<PathBuf> {
+    if path.is_file() {
+        return Some(path.to_owned());
+    }
+    IMAGE_EXTENSIONS.iter().find_map(|extension| {
+        let mut name = path.as_os_str().to_owned();
+        name.push(format!(".{extension}"));
+        let candidate = PathBuf::from(name);
+        candidate.is_file().then_some(candidate)
+    })
+}
+
+/// A folder's image files by name without extension.
+pub(super) struct StemIndex {
+    folder: PathBuf,
+    files: BTreeMap<String, PathBuf>,
+}
+
+impl StemIndex {
+    /// `None` if there is no such folder.
+    pub fn of_folder(folder: &Path) -> Result<Option<Self>> {
+        if !folder.is_dir() {
+            return Ok(None);
+        }
+        let mut paths = Vec::new();
+        for entry in std::fs::read_dir(folder).map_err(Error::io("read", folder))? {
+            paths.push(entry.map_err(Error::io("read", folder))?.path());
+        }
+        paths.retain(|path| has_image_extension(path));
+        paths.sort();
+        let mut files = BTreeMap::new();
+        for path in paths {
+            let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            files.entry(stem).or_insert(path);
+        }
+        Ok(Some(Self { folder: folder.to_owned(), files }))
+    }
+
+    /// The file called `key`, or another image with its stem.
+    pub fn find(&self, key: &str) -> Result<PathBuf> {
+        let found = self.exact(key).or_else(|| self.files.get(&view_name(key)).cloned());
+        found.ok_or_else(|| {
+            let path = self.folder.join(key);
+            let problem = "the camera file names this view, but its image is missing (with any ending)";
+            Error::input(&path, "", problem, missing_file_help(&path))
+        })
+    }
+
+    /// The file called `name`, if it is there.
+    pub fn exact(&self, name: &str) -> Option<PathBuf> {
+        Some(self.folder.join(name)).filter(|path| path.is_file())
+    }
+
+    pub fn stems(&self) -> impl Iterator<Item = &str> {
+        self.files.keys().map(String::as_str)
+    }
+}
+
+/// A view as loaded, with what has to be said about it.
+struct LoadedView {
+    record: ViewRecord,
+    repaired: usize,
+    blackened: bool,
+}
+
+/// Loads views in parallel; records and notes come in the order of the plans, and so does the first error.
+pub(super) fn load_views(
+    plans: &[ViewPlan],
+    split: Split,
+    options: &DatasetOptions,
+) -> Result<(Vec<ViewRecord>, Vec<String>)> {
+    let loaded: Vec<Result<LoadedView>> =
+        plans.par_iter().map(|plan| load_view(plan, split, options)).collect();
+    let loaded = loaded.into_iter().collect::<Result<Vec<_>>>()?;
+    let notes = notes(&loaded);
+    Ok((loaded.into_iter().map(|view| view.record).collect(), notes))
+}
+
+fn notes(loaded: &[LoadedView]) -> Vec<String> {
+    let mut notes = Vec::new();
+    let broken: Vec<String> = loaded
+        .iter()
+        .filter(|view| view.repaired > 0)
+        .map(|view| format!("{}: {}", view.record.name, view.repaired))
+        .collect();
+    if !broken.is_empty() {
+        let total: usize = loaded.iter().map(|view| view.repaired).sum();
+        let rest = broken.len().saturating_sub(5);
+        let rest = if rest > 0 { format!(" and {rest} more") } else { String::new() };
+        let list = broken.into_iter().take(5).collect::<Vec<_>>().join(", ");
+        notes
+            .push(format!("{total} NaN or infinite pixels set to 0 and left out of the loss ({list}{rest})"));
+    }
+    let blackened = loaded.iter().filter(|view| view.blackened).count();
+    if blackened > 0 {
+        notes.push(format!(
+            "the background outside the mask is made black in {blackened} photographs without alpha"
+        ));
+    }
+    notes
+}
+
+fn load_view(plan: &ViewPlan, split: Split, options: &DatasetOptions) -> Result<LoadedView> {
+    let wrong = |problem: String, help: &str| Error::input(&plan.camera_file, &plan.place, problem, help);
+    let mut loaded = plan.image.as_ref().map(|path| read_image(path, options.gamma)).transpose()?;
+    let size = image_size(plan, loaded.as_ref())?;
+    let lens = plan.lens.resized(size);
+    let bent = lens
+        .camera(size, plan.world_from_camera, options.pixel_center)
+        .map_err(|problem| wrong(problem, "Mend the camera's intrinsics."))?;
+    if options.downscale > size[0].min(size[1]) {
+        let problem =
+            format!("downscale: {} leaves nothing of {}×{} pixels", options.downscale, size[0], size[1]);
+        return Err(wrong(problem, "Use a smaller `downscale`."));
+    }
+    let mut mask = load_mask(plan, loaded.as_ref(), &bent)?;
+    let camera = straighten(lens.distortion, &bent, &mut loaded, &mut mask)
+        .map_err(|problem| wrong(problem, "Undistort the photographs first, or mend the coefficients."))?;
+    let blackened = match (&mut loaded, &mask) {
+        (Some(loaded), Some(mask)) if !loaded.is_float && loaded.alpha.is_none() => blacken(loaded, mask),
+        _ => false,
+    };
+    let repaired = loaded.as_ref().map_or(0, |loaded| loaded.repaired);
+    let record = ViewRecord {
+        name: plan.name.clone(),
+        split,
+        camera: camera.scaled(options.downscale),
+        photograph: loaded.map(|loaded| photograph(loaded, options.downscale)),
+        mask: mask.map(|mask| mask.downscaled(options.downscale)),
+    };
+    Ok(LoadedView { record, repaired, blackened })
+}
+
+/// Resamples photograph and mask to a camera without distortion, which is returned.
+fn straighten(
+    distortion: Distortion,
+    bent: &Camera,
+    loaded: &mut Option<LoadedImage>,
+    mask: &mut Option<Mask>,
+) -> Result<Camera, String> {
+    if distortion == Distortion::NONE {
+        return Ok(*bent);
+    }
+    let way = Straightening::new(distortion, bent)?;
+    if let Some(loaded) = loaded {
+        loaded.image = way.image(&loaded.image);
+        loaded.saturated = way.flags(&loaded.saturated);
+    }
+    *mask = mask.as_ref().map(|mask| way.mask(mask));
+    Ok(way.camera)
+}
+
+fn photograph(loaded: LoadedImage, downscale: u32) -> Photograph {
+    if downscale == 1 {
+        return Photograph { image: loaded.image, saturated: loaded.saturated };
+    }
+    let saturated = any_downscaled(&loaded.saturated, loaded.image.width, loaded.image.height, downscale);
+    Photograph { image: loaded.image.downscaled(downscale), saturated }
+}
+
+/// Width and height from the image and the camera file, which must agree where both have them.
+fn image_size(plan: &ViewPlan, loaded: Option<&LoadedImage>) -> Result<[u32; 2]> {
+    let of_image = loaded.map(|loaded| [loaded.image.width, loaded.image.height]);
+    match (of_image, of_image.map_or(plan.lens.size, |size| plan.lens.resized(size).size)) {
+        (Some(image), Some(camera)) if image != camera => {
+            let problem = format!(
+                "the image has {}×{} pixels, its camera {}×{}",
+                image[0], image[1], camera[0], camera[1]
+            );
+            let path = plan.image.as_ref().unwrap_or(&plan.camera_file);
+            let help = format!(
+                "Resize the image, or scale the intrinsics at {} in {}.",
+                plan.place,
+                plan.camera_file.display()
+            );
+            Err(Error::input(path, "", problem, help))
+        }
+        (Some(size), _) | (None, Some(size)) => Ok(size),
+        (None, None) => Err(Error::input(
+            &plan.camera_file,
+            &plan.place,
+            "there is no image and no size for one",
+            "Add w and h (in pixels), or the images.",
+        )),
+    }
+}
+
+fn load_mask(plan: &ViewPlan, loaded: Option<&LoadedImage>, camera: &Camera) -> Result<Option<Mask>> {
+    let alpha = loaded.and_then(|loaded| loaded.alpha.clone());
+    let (mask, path) = match (&plan.mask, alpha, &plan.image) {
+        (MaskPlan::File(path), ..) => (read_mask(path)?, path),
+        (_, Some(coverage), Some(path)) => {
+            (Mask { width: camera.width, height: camera.height, coverage }, path)
+        }
+        (MaskPlan::AlphaRequired(problem), None, Some(path)) => {
+            let help = "Add a mask for every image: white where the object is, black elsewhere.";
+            return Err(Error::input(path, "", problem.clone(), help));
+        }
+        _ => return Ok(None),
+    };
+    if (mask.width, mask.height) != (camera.width, camera.height) {
+        let problem = format!(
+            "the mask has {}×{} pixels, its view {}×{}",
+            mask.width, mask.height, camera.width, camera.height
+        );
+        return Err(Error::input(path, "", problem, "Make the mask as large as its image."));
+    }
+    if mask.coverage.iter().all(|&coverage| coverage == 0.0) {
+        let problem = format!("the mask of view `{}` is empty: no pixel is covered", plan.name);
+        let help = "Mend the mask, or leave the view out with `select`.";
+        return Err(Error::input(path, "", problem, help));
+    }
+    Ok(Some(mask))
+}
+
+/// Makes a photograph black where its mask covers nothing, so that it is on black like all others; says whether it was not.
+fn blacken(loaded: &mut LoadedImage, mask: &Mask) -> bool {
+    let mut changed = false;
+    let outside = |coverage: &f32| *coverage == 0.0;
+    for (i, _) in mask.coverage.iter().enumerate().filter(|(_, coverage)| outside(coverage)) {
+        changed |= loaded.image.pixels[i] != Vec3::ZERO;
+        loaded.image.pixels[i] = Vec3::ZERO;
+        loaded.saturated[i] = false;
+    }
+    changed
+}

@@ -1,0 +1,121 @@
+//! PhySG's layout: `DIR/{train,test}/image`, `mask`, and `cam_dict_norm.json`.
+//!
+//! The JSON maps each image's file name to `K` and `W2C` (16 numbers each, row-major 4×4, camera_from_world with OpenCV
+//! axes) and `img_size` (`[width, height]`). Without an `image` folder the views are cameras only. Images and masks are
+//! found by file stem, so a mask may be a PNG beside an EXR. Without a `mask` folder the images' alpha is the mask.
+
+use crate::dataset::lens::Lens;
+use crate::dataset::load::{StemIndex, parse_json, read_text, view_name};
+use crate::dataset::pose::Rigid;
+use crate::dataset::{MaskPlan, Plan, ViewPlan, absent_split, split_name};
+use crate::error::{Error, Result};
+use crate::view::Split;
+use serde::de::{Deserialize, Deserializer, MapAccess, Visitor};
+use std::collections::BTreeSet;
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+/// Where a split's cameras are described.
+pub fn camera_file(dir: &Path, split: Split) -> PathBuf {
+    dir.join(split_name(split)).join("cam_dict_norm.json")
+}
+
+#[derive(serde::Deserialize)]
+struct CameraEntry {
+    #[serde(rename = "K")]
+    k: Vec<f64>,
+    #[serde(rename = "W2C")]
+    w2c: Vec<f64>,
+    img_size: Vec<u32>,
+}
+
+/// A JSON object in file order, so that a name given twice is noticed.
+struct Entries(Vec<(String, CameraEntry)>);
+
+impl<'de> Deserialize<'de> for Entries {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct InOrder;
+        impl<'de> Visitor<'de> for InOrder {
+            type Value = Entries;
+            fn expecting(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
+                formatter.write_str("an object that maps image names to cameras")
+            }
+            fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Entries, A::Error> {
+                let mut entries = Vec::new();
+                while let Some(entry) = map.next_entry()? {
+                    entries.push(entry);
+                }
+                Ok(Entries(entries))
+            }
+        }
+        deserializer.deserialize_map(InOrder)
+    }
+}
+
+pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
+    let file = camera_file(dir, split);
+    if !file.is_file() {
+        return Err(absent_split(dir, split, camera_file));
+    }
+    let Entries(entries) = parse_json(&file, &read_text(&file)?)?;
+    let folder = dir.join(split_name(split));
+    let images = StemIndex::of_folder(&folder.join("image"))?;
+    let masks = StemIndex::of_folder(&folder.join("mask"))?;
+    let mut views = Vec::with_capacity(entries.len());
+    for (key, entry) in entries {
+        views.push(plan_view(&file, &key, &entry, images.as_ref(), masks.as_ref())?);
+    }
+    let names: BTreeSet<&str> = views.iter().map(|view| view.name.as_str()).collect();
+    let extra = images.map_or(0, |images| images.stems().filter(|stem| !names.contains(stem)).count());
+    let notes = match extra {
+        0 => Vec::new(),
+        _ => vec![format!(
+            "{extra} images in {} have no camera and are left out",
+            folder.join("image").display()
+        )],
+    };
+    Ok(Plan { views, notes })
+}
+
+fn plan_view(
+    file: &Path,
+    key: &str,
+    entry: &CameraEntry,
+    images: Option<&StemIndex>,
+    masks: Option<&StemIndex>,
+) -> Result<ViewPlan> {
+    let place = format!("camera `{key}`");
+    let wrong = |problem: String, help: &str| Error::input(file, place.clone(), problem, help);
+    let k =
+        sixteen(&entry.k).map_err(|problem| wrong(format!("K {problem}"), "K is a row-major 4×4 matrix."))?;
+    let w2c = sixteen(&entry.w2c)
+        .map_err(|problem| wrong(format!("W2C {problem}"), "W2C is a row-major 4×4 matrix."))?;
+    let &[width, height] = entry.img_size.as_slice() else {
+        let problem = format!("img_size has {} numbers, not 2", entry.img_size.len());
+        return Err(wrong(problem, "img_size is [width, height]."));
+    };
+    let lens = Lens::from_matrix(&k, [width, height]).map_err(|problem| {
+        wrong(format!("K {problem}"), "K holds focal lengths and the principal point in pixels.")
+    })?;
+    let camera_from_world = Rigid::from_rows(&w2c).map_err(|problem| {
+        wrong(
+            format!("W2C {problem}"),
+            "W2C is a rotation and a translation, from world to OpenCV camera axes.",
+        )
+    })?;
+    let name = view_name(key);
+    let image = images.map(|images| images.find(key)).transpose()?;
+    let mask = match masks {
+        Some(masks) => MaskPlan::File(masks.find(key)?),
+        None => MaskPlan::AlphaRequired(format!(
+            "the view `{name}` has no mask: there is no folder {} and the image has no alpha",
+            file.with_file_name("mask").display()
+        )),
+    };
+    let world_from_camera = camera_from_world.inverse().to_affine();
+    Ok(ViewPlan { name, camera_file: file.to_owned(), place, image, mask, lens, world_from_camera })
+}
+
+fn sixteen(values: &[f64]) -> Result<[f64; 16], String> {
+    values.try_into().map_err(|_| format!("has {} numbers, not 16", values.len()))
+}

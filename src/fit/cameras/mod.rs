@@ -1,0 +1,341 @@
+//! Cameras as unknowns: each training view's pose and one factor on all focal lengths, found beside the rest of a fit.
+//!
+//! | system | stage, slot | reads | writes |
+//! | --- | --- | --- | --- |
+//! | [`recast_rays`] | Trace, `Slot::Recast` | cameras | the window's rays |
+//! | [`retrace_still_surface`] | Trace, `Slot::Retrace` | rays, `Scenery` | surface points; a surface that moves has its own |
+//! | [`align_photographs`] | Gradient, `Slot::CameraGradient` | points, radiance, photographs | [`CameraPose`]: normal equations |
+//! | [`move_cameras`] | Update, `Slot::CameraUpdate` | normal equations | [`CameraPose`], cameras |
+//!
+//! The kernels, and where they come from, are in [`crate::fit::cameras::align`].
+pub mod align;
+
+use crate::fit::cameras::align::{
+    AlignedObject, AlignedView, POSE, Pose, PoseSums, Prior, SLOPES, moved, projection_slopes, solve,
+};
+use crate::fit::components::StepRates;
+use crate::fit::exposure::Exposures;
+use crate::fit::observe::FULL_COVERAGE;
+use crate::math::ray::Intersect;
+use crate::math::shading::Layers;
+use crate::pipeline::{Phase, Pipeline, Plugin, Slot, SystemResult};
+use crate::sample::bundle::only_table;
+use crate::sample::pixel::{Observed, PixelOf, ViewRay, Window};
+use crate::sample::point::SurfacePoint;
+use crate::shade::Scenery;
+use crate::view::{Camera, Photograph, ViewMask, ViewName};
+use bevy_ecs::prelude::{Component, Entity, Mut, Query, Res, ResMut, Resource, With, World};
+use glam::{Vec2, Vec3};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+/// Steps between two moves of the cameras; their normal equations are summed over these.
+const MOVE_EVERY: u32 = 25;
+/// Steps before the first sums: light and material must be found first.
+pub const FIRST_STEP: u32 = 50;
+/// Farthest a move goes, as pixels in the image.
+const LONGEST_MOVE: f64 = 1.0;
+/// Weight of the given camera: so many residuals of the usual size a pixel.
+const PRIOR: f64 = 20.0;
+/// Share of the running noise that stays from window to window.
+const MEMORY: f32 = 0.95;
+
+/// A view's camera as it was given, and how far it was moved from there.
+#[derive(Component, Clone, Debug)]
+pub struct CameraPose {
+    /// The camera that was given.
+    pub given: Camera,
+    /// Where it is from there.
+    pub pose: Pose,
+    sums: PoseSums,
+    /// Sum of the depths of the points in `sums`, and their number.
+    depth: (f64, u32),
+}
+
+impl CameraPose {
+    fn new(given: Camera) -> Self {
+        Self { given, pose: [0.0; POSE], sums: PoseSums::default(), depth: (0.0, 0) }
+    }
+
+    /// Takes in one residual at a point.
+    pub fn add(&mut self, row: &AlignedRow, noise: f32) {
+        let weight = 1.0 / (noise * row.residual.abs().max(noise));
+        self.sums.add(&row.slopes, row.residual, weight);
+        self.depth = (self.depth.0 + f64::from(row.depth), self.depth.1 + 1);
+    }
+
+    /// Pixels that the image moves by a radian, and by a world unit at the object.
+    fn pixels(&self) -> (f64, f64) {
+        let focal = f64::from(0.5 * (self.given.focal[0] + self.given.focal[1]));
+        let depth = if self.depth.1 == 0 { 1.0 } else { self.depth.0 / f64::from(self.depth.1) };
+        (focal, focal / depth)
+    }
+
+    fn prior(&self) -> Prior {
+        let (turn, shift) = self.pixels();
+        let radius = 0.25 * f64::from(self.given.width.min(self.given.height));
+        Prior {
+            rotation: PRIOR * turn * turn,
+            translation: PRIOR * shift * shift,
+            focal: PRIOR * radius * radius,
+        }
+    }
+
+    /// Moves by `step`, or by a part of it if that were more than [`LONGEST_MOVE`].
+    fn advance(&mut self, step: &Pose) {
+        let (turn, shift) = self.pixels();
+        let reach = |i: usize| step[i].abs() * if i < 3 { turn } else { shift };
+        let part = (LONGEST_MOVE / (0..POSE).map(reach).fold(0.0, f64::max)).min(1.0);
+        self.pose.iter_mut().zip(step).for_each(|(pose, step)| *pose += part * step);
+    }
+}
+
+/// What of the cameras a fit finds beside the rest.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum CameraUnknowns {
+    /// Nothing: they are as given.
+    #[default]
+    Given,
+    /// Each training view's rotation and translation.
+    Poses,
+    /// Those, and one factor on all focal lengths, which held-out views take over. Seen from afar it is hard to tell from the
+    /// object's size.
+    PosesAndFocal,
+}
+
+/// A residual of a view with the slopes that a change of its camera gives it.
+#[derive(Clone, Copy, Debug)]
+pub struct AlignedRow {
+    /// In the order of [`projection_slopes`].
+    pub slopes: [f32; SLOPES],
+    /// In radiance, or in pixels for an outline.
+    pub residual: f32,
+    /// The point's distance from the camera, world units.
+    pub depth: f32,
+}
+
+impl AlignedRow {
+    /// A residual `value(π(point))` − `value` where `slope` is the slope of `value` in the image, per pixel.
+    pub fn new(camera: &Camera, point: Vec3, center: Vec3, slope: Vec2, residual: f32) -> Option<Self> {
+        let [by_x, by_y] = projection_slopes(camera, point, center)?;
+        let slopes = std::array::from_fn(|k| slope.x * by_x[k] + slope.y * by_y[k]);
+        Some(Self { slopes, residual, depth: point.distance(camera.position()) })
+    }
+}
+
+/// What all views share.
+#[derive(Resource, Clone, Copy, Debug, Default, PartialEq)]
+pub struct CameraFit {
+    /// Logarithm of the factor on all focal lengths.
+    pub log_focal: f64,
+    /// Usual size of a photograph's residual, in radiance, and of an outline's, in pixels.
+    pub noise: [f32; 2],
+    /// About the middle of the object, world space; found with the first residuals.
+    pub center: Option<Vec3>,
+    /// What is looked for.
+    pub unknowns: CameraUnknowns,
+    /// Whether the object moves as well, so that only what cameras are off against each other is theirs.
+    pub object_moves: bool,
+}
+
+impl CameraFit {
+    /// Factor on all focal lengths.
+    pub fn focal_factor(&self) -> f32 {
+        self.log_focal.exp() as f32
+    }
+
+    /// Takes in residuals of a kind (0: photographs, 1: outlines); returns their usual size so far.
+    pub fn observe(&mut self, kind: usize, rows: &[(u32, AlignedRow)]) -> f32 {
+        let sum: f64 = rows.iter().map(|(_, row)| f64::from(row.residual.abs())).sum();
+        let mean = ((sum / rows.len().max(1) as f64) as f32).max(1e-6);
+        let noise = &mut self.noise[kind];
+        *noise = if *noise == 0.0 { mean } else { MEMORY * *noise + (1.0 - MEMORY) * mean };
+        *noise
+    }
+}
+
+/// The systems that move cameras to where a surface, still or not, looks like the photographs.
+pub struct CameraPlugin(pub CameraUnknowns);
+
+impl Plugin for CameraPlugin {
+    fn build(&self, pipeline: &mut Pipeline) {
+        attach_poses(&mut pipeline.world);
+        let mut fit = pipeline.world.resource_mut::<CameraFit>();
+        (fit.unknowns, fit.object_moves) = (self.0, false);
+        pipeline
+            .swap(Phase::FitStep, Slot::Recast, recast_rays)
+            .swap(Phase::FitStep, Slot::Retrace, retrace_still_surface)
+            .swap(Phase::FitStep, Slot::CameraGradient, align_photographs)
+            .swap(Phase::FitStep, Slot::CameraUpdate, move_cameras);
+    }
+}
+
+impl CameraPlugin {
+    /// Takes the systems out; cameras stay where they are.
+    pub fn remove(pipeline: &mut Pipeline) {
+        for slot in [Slot::Recast, Slot::Retrace, Slot::CameraGradient, Slot::CameraUpdate] {
+            pipeline.clear(Phase::FitStep, slot);
+        }
+    }
+}
+
+/// Gives every view the state of its pose, without residuals, and the world what views share.
+pub fn attach_poses(world: &mut World) {
+    world.init_resource::<CameraFit>();
+    let mut query = world.query_filtered::<(Entity, &Camera, Option<&CameraPose>), With<ViewName>>();
+    let attach = |(view, camera, pose): (Entity, &Camera, Option<&CameraPose>)| {
+        let kept = pose.map_or(CameraPose::new(*camera), |pose| CameraPose {
+            pose: pose.pose,
+            ..CameraPose::new(pose.given)
+        });
+        (view, kept)
+    };
+    let poses: Vec<(Entity, CameraPose)> = query.iter(world).map(attach).collect();
+    for (view, pose) in poses {
+        world.entity_mut(view).insert(pose);
+    }
+}
+
+/// Trace: the window's rays through the cameras as they are now.
+pub fn recast_rays(
+    window: Res<Window>,
+    views: Query<&Camera, With<Photograph>>,
+    mut samples: Query<(&PixelOf, &mut ViewRay)>,
+) -> SystemResult {
+    let cameras: Vec<Camera> = views.iter().copied().collect();
+    let Some((pixels, mut rays)) = only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")? else {
+        return Ok(());
+    };
+    let rows = window.0.clone();
+    let rays = &mut rays.bypass_change_detection()[rows.clone()];
+    for (ray, pixel) in rays.iter_mut().zip(&pixels[rows]) {
+        ray.0 = cameras[pixel.view as usize].pixel_ray(pixel.pixel);
+    }
+    Ok(())
+}
+
+/// Trace: where the window's rays meet a surface that does not move.
+pub fn retrace_still_surface(
+    window: Res<Window>,
+    scenery: Res<Scenery>,
+    samples: Query<(&ViewRay, &mut SurfacePoint)>,
+) -> SystemResult {
+    retrace(&window, scenery.0.as_ref(), samples)
+}
+
+/// Finds where the window's rays meet the front of `surface`.
+///
+/// # Errors
+/// If the pool of samples has come apart.
+pub fn retrace(
+    window: &Window,
+    surface: &dyn Intersect,
+    mut samples: Query<(&ViewRay, &mut SurfacePoint)>,
+) -> SystemResult {
+    let Some((rays, mut points)) = only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")? else {
+        return Ok(());
+    };
+    let rows = window.0.clone();
+    let points = &mut points.bypass_change_detection()[rows.clone()];
+    points.par_iter_mut().zip(&rays[rows]).with_min_len(256).for_each(|(point, ray)| {
+        let hit = surface.intersect(&ray.0, 0.0);
+        *point = hit.filter(|hit| hit.normal.dot(ray.0.direction) < 0.0).into();
+    });
+    Ok(())
+}
+
+/// Gradient: the window's photographs against what was shaded, as normal equations of the cameras.
+pub fn align_photographs(
+    (window, rates, exposures): (Res<Window>, Res<StepRates>, Res<Exposures>),
+    mut fit: ResMut<CameraFit>,
+    mut views: Query<(&Camera, &Photograph, Option<&ViewMask>, &mut CameraPose)>,
+    samples: Query<(&PixelOf, &SurfacePoint, &Layers, &Observed)>,
+) -> SystemResult {
+    if rates.step < FIRST_STEP {
+        return Ok(());
+    }
+    let Some((pixels, points, shaded, observed)) =
+        only_table(samples.contiguous_iter()?, |t| t.0.len(), "pixel")?
+    else {
+        return Ok(());
+    };
+    let mut views: Vec<_> = views.iter_mut().collect();
+    let center = *fit.center.get_or_insert_with(|| middle(&points[window.0.clone()]));
+    let row = |i: usize| {
+        let (camera, photograph, mask, _) = &views[pixels[i].view as usize];
+        let slope = image_slope(camera, photograph, *mask, pixels[i].pixel as usize)?;
+        let usable = points[i].is_hit() && !observed[i].saturated;
+        let predicted = exposures.factor(pixels[i].view) * mean(&shaded[i]);
+        let residual = observed[i].radiance.element_sum() / 3.0 - predicted;
+        let row = AlignedRow::new(camera, points[i].position, center, slope, residual).filter(|_| usable);
+        row.map(|row| (pixels[i].view, row))
+    };
+    let rows: Vec<(u32, AlignedRow)> =
+        window.0.clone().into_par_iter().with_min_len(256).filter_map(row).collect();
+    let noise = fit.observe(0, &rows);
+    rows.iter().for_each(|(view, row)| views[*view as usize].3.add(row, noise));
+    Ok(())
+}
+
+/// Mean of the points that rays met.
+fn middle(points: &[SurfacePoint]) -> Vec3 {
+    let met = points.iter().filter(|point| point.is_hit());
+    let (sum, count) = met.fold((Vec3::ZERO, 0.0f32), |(sum, count), p| (sum + p.position, count + 1.0));
+    sum / count.max(1.0)
+}
+
+fn mean(layers: &Layers) -> f32 {
+    (0..3).map(|c| layers.diffuse[c] + layers.specular[c]).sum::<f32>() / 3.0
+}
+
+/// Slope of a photograph's mean radiance at a pixel, per pixel; `None` where a neighbour is not wholly the object's, or saturated.
+fn image_slope(
+    camera: &Camera,
+    photograph: &Photograph,
+    mask: Option<&ViewMask>,
+    pixel: usize,
+) -> Option<Vec2> {
+    let (width, height) = (camera.width as usize, camera.height as usize);
+    let (x, y) = (pixel % width, pixel / width);
+    if x == 0 || y == 0 || x + 1 == width || y + 1 == height {
+        return None;
+    }
+    let at = |i: usize| {
+        let whole = mask.is_none_or(|mask| mask.0.coverage[i] >= FULL_COVERAGE);
+        (whole && !photograph.saturated[i]).then(|| photograph.image.pixels[i].element_sum() / 3.0)
+    };
+    let slope_x = 0.5 * (at(pixel + 1)? - at(pixel - 1)?);
+    Some(Vec2::new(slope_x, 0.5 * (at(pixel + width)? - at(pixel - width)?)))
+}
+
+/// Update: every `MOVE_EVERY` steps, one Gauss–Newton step of all cameras; the sums begin anew.
+pub fn move_cameras(
+    rates: Res<StepRates>,
+    mut fit: ResMut<CameraFit>,
+    mut views: Query<(&mut Camera, &mut CameraPose)>,
+) {
+    if rates.step < FIRST_STEP + MOVE_EVERY || !rates.step.is_multiple_of(MOVE_EVERY) {
+        return;
+    }
+    let mut views: Vec<_> = views.iter_mut().collect();
+    let aligned = |(camera, pose): &(Mut<Camera>, Mut<CameraPose>)| AlignedView {
+        sums: pose.sums,
+        pose: pose.pose,
+        prior: pose.prior(),
+        camera: **camera,
+    };
+    let mut aligned: Vec<AlignedView> = views.iter().map(aligned).collect();
+    // The focal length is one, however many views there are.
+    let share = if fit.unknowns == CameraUnknowns::PosesAndFocal { 1.0 / aligned.len() as f64 } else { 1e30 };
+    aligned.iter_mut().for_each(|view| view.prior.focal *= share);
+    // Where it is not looked for it stays where an earlier pass left it.
+    let from = if fit.unknowns == CameraUnknowns::PosesAndFocal { fit.log_focal } else { 0.0 };
+    let object = AlignedObject { center: fit.center.unwrap_or_default(), known: !fit.object_moves };
+    let (steps, by_focal) = solve(&aligned, object, from);
+    fit.log_focal += by_focal.clamp(-0.01, 0.01);
+    for ((camera, pose), step) in views.iter_mut().zip(&steps) {
+        pose.advance(step);
+        **camera = moved(&pose.given, &pose.pose, fit.log_focal);
+        (pose.sums, pose.depth) = (PoseSums::default(), (0.0, 0));
+    }
+}

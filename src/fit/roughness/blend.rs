@@ -1,0 +1,415 @@
+//! Gloss that varies over the surface: a few base materials, blended per texel by weights that a fit finds.
+//!
+//! Weights are a softmax of logits (Zhou et al. 2016 fit base materials likewise). A texel shows its gloss only in the few views that
+//! mirror a bright light, so logits move together: the gradient is averaged over a lattice around the surface whose cells shrink
+//! during the fit, and sharp regions appear where the photographs ask for them. With one base material nothing here does anything.
+//!
+//! | system | stage, slot | reads | writes |
+//! | --- | --- | --- | --- |
+//! | [`pull_back_blended`] | called by `pull_back_radiance` | samples, base materials | adjoints of samples, light, materials, blends |
+//! | [`scatter_to_blends`] | Gradient | [`BlendAdjoints`], texel addresses | [`BlendGradient`] |
+//! | [`move_blends`] | Update, `Slot::Optimizer` | [`BlendGradient`], [`TexelPlaces`] | `SpecularBlend` |
+
+use crate::fit::adam::{AdamStep, Moments};
+use crate::fit::components::{StepGradient, StepRates, Unknowns};
+use crate::material::{MAX_SPECULAR_LOBES, SpecularBlend};
+use crate::math::shading::{
+    ClosedForm, Layers, Lighting, PointAdjoint, PointVisibility, RadianceAdjoint, ShadePoint, SharedGradient,
+    SpecularValue, Visibility,
+};
+use crate::pipeline::SystemResult;
+use crate::sample::bundle::only_table;
+use crate::sample::pixel::Window;
+use crate::sample::point::SurfacePoint;
+use crate::shade::PointBlend;
+use crate::shade::systems::Showing;
+use bevy_ecs::prelude::{Component, Query, Res, Resource};
+use glam::{UVec3, Vec3};
+use rayon::prelude::*;
+
+/// Values of each base material.
+pub type PerMaterial = [f32; MAX_SPECULAR_LOBES];
+
+/// Gradient of the loss with respect to a texel's blend weights.
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
+pub struct BlendGradient(pub PerMaterial);
+
+/// Adam's moments of a texel's logits.
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
+pub struct BlendMoments(pub Moments<MAX_SPECULAR_LOBES>);
+
+/// Adjoints of the blend weights at the window's samples.
+#[derive(Resource, Default)]
+pub struct BlendAdjoints(pub Vec<PerMaterial>);
+
+/// Where the texels are, for the lattice over which their gradients are averaged. Blends move only if there is a place for each.
+#[derive(Resource, Default)]
+pub struct TexelPlaces {
+    /// World position of each texel; not finite where the surface does not reach.
+    pub positions: Vec<Vec3>,
+    /// Part of the fit that is done, in [0, 1].
+    pub progress: f32,
+}
+
+/// Rate of the logits over that of albedo.
+const RATE: f32 = 1.0;
+/// Least weight of a material, so that it can come back.
+const LEAST_WEIGHT: f32 = 1e-3;
+/// Cells along the longest side of the object at the start and at the end of a fit.
+const CELLS: (f32, f32) = (8.0, 48.0);
+
+/// The samples of a window, as the kernels read them.
+pub struct BlendedSamples<'a> {
+    /// The points.
+    pub points: &'a [ShadePoint],
+    /// How the materials blend there.
+    pub blends: &'a [PointBlend],
+    /// What they see.
+    pub seen: &'a [PointVisibility],
+    /// What was shaded.
+    pub shaded: &'a [Layers],
+    /// Adjoint of that.
+    pub adjoint: &'a [RadianceAdjoint],
+}
+
+/// The adjoint of shading by several materials: one material at a time, at the samples that show it; diffuse and reflected light
+/// with the first that a sample shows. The adjoint of a weight of zero is left out, as zero.
+pub fn pull_back_blended(
+    form: ClosedForm,
+    samples: &BlendedSamples<'_>,
+    materials: &[SpecularValue],
+    lighting: Lighting<'_>,
+    back: &mut [PointAdjoint],
+    gradient: &mut StepGradient,
+    blend_adjoints: &mut Vec<PerMaterial>,
+) {
+    let count = samples.points.len();
+    blend_adjoints.clear();
+    blend_adjoints.resize(count, PerMaterial::default());
+    gradient.specular.clear();
+    back.fill(PointAdjoint::default());
+    let rows = lighting.visibility.map_or(&[][..], |v| v.lobes);
+    let lighting =
+        Lighting { visibility: Some(Visibility { lobes: rows, points: samples.seen }), ..lighting };
+    let mut has_diffuse = vec![false; count];
+    for (k, material) in materials.iter().enumerate() {
+        let (mut part, first) = showing(samples, lighting, k, &mut has_diffuse);
+        let mut layers = vec![Layers::default(); part.numbers.len()];
+        form.shade(&part.points, material, part.lighting(lighting), &mut layers);
+        let adjoint: Vec<RadianceAdjoint> = part.numbers.iter().map(|i| samples.adjoint[*i]).collect();
+        for ((i, value), adjoint) in part.numbers.iter().zip(&mut layers).zip(&adjoint) {
+            blend_adjoints[*i][k] = (0..3).map(|c| adjoint.0[c] * value.specular[c]).sum();
+            value.diffuse = samples.shaded[*i].diffuse;
+        }
+        let mut is_first = first.iter();
+        part.change_seen(|i, seen| {
+            seen.specular = seen.specular.map(|s| s * samples.blends[i].0[k]);
+            if is_first.next() == Some(&false) {
+                seen.indirect = [0.0; 3];
+            }
+        });
+        let mut one = vec![PointAdjoint::default(); part.numbers.len()];
+        let mut shared = SharedGradient::default();
+        let inputs = (layers.as_slice(), adjoint.as_slice());
+        form.shade_adjoint(&part.points, material, part.lighting(lighting), inputs, &mut one, &mut shared);
+        gradient.specular.push(shared.specular);
+        add_points(back, &part.numbers, &one, &first);
+        if k == 0 {
+            gradient.shared = shared;
+        } else {
+            gradient.shared.lobes.add(&shared.lobes);
+        }
+    }
+}
+
+/// The samples that show material `k`, and which of them show none before it: those carry diffuse and reflected light.
+fn showing(
+    samples: &BlendedSamples<'_>,
+    lighting: Lighting<'_>,
+    k: usize,
+    has_diffuse: &mut [bool],
+) -> (Showing, Vec<bool>) {
+    let mut part = Showing::new(samples.points, samples.blends, lighting, k);
+    let is_first = |i: &usize| !std::mem::replace(&mut has_diffuse[*i], true);
+    let first: Vec<bool> = part.numbers.iter().map(is_first).collect();
+    let rest = part.points.iter_mut().zip(&first).filter(|(_, first)| !**first);
+    rest.for_each(|(point, _)| point.albedo = [0.0; 3]);
+    (part, first)
+}
+
+/// Adds one material's adjoints to those of its samples; that of the albedo comes from the first one.
+fn add_points(back: &mut [PointAdjoint], numbers: &[usize], one: &[PointAdjoint], first: &[bool]) {
+    for ((i, one), first) in numbers.iter().zip(one).zip(first) {
+        let sum = &mut back[*i];
+        sum.normal = std::array::from_fn(|c| sum.normal[c] + one.normal[c]);
+        if *first {
+            sum.albedo = one.albedo;
+        }
+    }
+}
+
+/// Gradient: adds the samples' blend adjoints onto the texels they blend, in row order.
+pub fn scatter_to_blends(
+    window: Res<Window>,
+    adjoints: Res<BlendAdjoints>,
+    samples: Query<&SurfacePoint>,
+    mut texels: Query<&mut BlendGradient>,
+) -> SystemResult {
+    let Some(points) = only_table(samples.contiguous_iter()?, |t| t.len(), "pixel")? else { return Ok(()) };
+    let Some(mut texels) = only_table(texels.contiguous_iter_mut()?, |t| t.len(), "texel")? else {
+        return Ok(());
+    };
+    let texels = texels.bypass_change_detection();
+    for (point, adjoint) in points[window.0.clone()].iter().zip(&adjoints.0) {
+        for (texel, weight) in point.texels.indices.into_iter().zip(point.texels.weights) {
+            for (sum, value) in texels[texel as usize].0.iter_mut().zip(adjoint) {
+                *sum += value * weight;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Update: Adam on the logits of the texels' blends; clears the gradient.
+pub fn move_blends(
+    (rates, unknowns): (Res<StepRates>, Res<Unknowns>),
+    gradient: Res<StepGradient>,
+    places: Res<TexelPlaces>,
+    mut texels: Query<(&mut SpecularBlend, &mut BlendGradient, &mut BlendMoments)>,
+) -> SystemResult {
+    let materials = gradient.specular.len();
+    let Some((mut blends, mut gradients, mut moments)) =
+        only_table(texels.contiguous_iter_mut()?, |t| t.0.len(), "texel")?
+    else {
+        return Ok(());
+    };
+    let blends = blends.bypass_change_detection();
+    let gradients = gradients.bypass_change_detection();
+    if materials < 2 || !unknowns.blends || places.positions.len() != blends.len() {
+        gradients.fill(BlendGradient::default());
+        return Ok(());
+    }
+    for (blend, gradient) in blends.iter().zip(gradients.iter_mut()) {
+        gradient.0 = logit_slopes(&blend.0, &gradient.0);
+    }
+    average_at(&places, gradients);
+    let adam = AdamStep::new(RATE * rates.albedo, rates.step);
+    let columns = blends.par_iter_mut().zip(gradients).zip(moments.bypass_change_detection());
+    columns.with_min_len(4096).for_each(|((blend, gradient), moments)| {
+        let step = adam.advance(&mut moments.0, &gradient.0);
+        gradient.0 = PerMaterial::default();
+        move_blend(&mut blend.0[..materials], &step);
+    });
+    Ok(())
+}
+
+/// Adjoints of the logits θ, w = softmax(θ): w_k·(g_k − Σ_j w_j·g_j).
+fn logit_slopes(weights: &PerMaterial, adjoint: &PerMaterial) -> PerMaterial {
+    let mean: f32 = weights.iter().zip(adjoint).map(|(w, g)| w * g).sum();
+    std::array::from_fn(|k| weights[k] * (adjoint[k] - mean))
+}
+
+/// Moves logits by −`step`; weights start from at least [`LEAST_WEIGHT`], and sum to one.
+fn move_blend(weights: &mut [f32], step: &PerMaterial) {
+    for (weight, step) in weights.iter_mut().zip(step) {
+        *weight = weight.max(LEAST_WEIGHT) * (-step).exp();
+    }
+    let sum: f32 = weights.iter().sum();
+    weights.iter_mut().for_each(|weight| *weight /= sum);
+}
+
+/// A lattice over the texels' bounding box: where a texel lies in it.
+struct Lattice {
+    low: Vec3,
+    scale: f32,
+    size: UVec3,
+}
+
+impl Lattice {
+    fn new(positions: &[Vec3], cells: f32) -> Option<Self> {
+        let finite = || positions.iter().filter(|p| p.is_finite());
+        let low = finite().copied().reduce(Vec3::min)?;
+        let high = finite().copied().reduce(Vec3::max)?;
+        let scale = cells / (high - low).max_element().max(1e-12);
+        Some(Self { low, scale, size: ((high - low) * scale).as_uvec3() + 2 })
+    }
+
+    fn len(&self) -> usize {
+        (self.size.x * self.size.y * self.size.z) as usize
+    }
+
+    /// The eight vertices around a position, and their trilinear weights.
+    fn corners(&self, position: Vec3) -> [(usize, f32); 8] {
+        let place = (position - self.low) * self.scale;
+        let base = place.floor().min((self.size - 2).as_vec3()).max(Vec3::ZERO);
+        let part = place - base;
+        std::array::from_fn(|i| {
+            let side = UVec3::new(i as u32 & 1, i as u32 >> 1 & 1, i as u32 >> 2);
+            let vertex = base.as_uvec3() + side;
+            let weight = Vec3::select(side.cmpeq(UVec3::ONE), part, 1.0 - part).element_product();
+            ((vertex.x + self.size.x * (vertex.y + self.size.y * vertex.z)) as usize, weight)
+        })
+    }
+}
+
+/// `average_over_cells` with the cells of this time of the fit.
+pub fn average_at(places: &TexelPlaces, gradients: &mut [BlendGradient]) {
+    let cells = CELLS.0 * (CELLS.1 / CELLS.0).powf(places.progress);
+    average_over_cells(&places.positions, gradients, cells);
+}
+
+/// Replaces each gradient by the mean of those around it: spread onto a lattice of about `cells` cells a side and read back from there.
+fn average_over_cells(positions: &[Vec3], gradients: &mut [BlendGradient], cells: f32) {
+    let Some(lattice) = Lattice::new(positions, cells) else { return };
+    let mut sums = vec![(PerMaterial::default(), 0.0f32); lattice.len()];
+    for (position, gradient) in positions.iter().zip(gradients.iter()).filter(|(p, _)| p.is_finite()) {
+        for (vertex, weight) in lattice.corners(*position) {
+            sums[vertex].1 += weight;
+            for (sum, value) in sums[vertex].0.iter_mut().zip(&gradient.0) {
+                *sum += weight * value;
+            }
+        }
+    }
+    let both = gradients.par_iter_mut().zip(positions).with_min_len(4096);
+    both.filter(|(_, p)| p.is_finite()).for_each(|(gradient, position)| {
+        gradient.0 = PerMaterial::default();
+        for (vertex, weight) in lattice.corners(*position) {
+            let (sum, total) = &sums[vertex];
+            for (value, sum) in gradient.0.iter_mut().zip(sum) {
+                *value += weight * sum / total.max(1e-6);
+            }
+        }
+    });
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::shading::LobeColumns;
+
+    #[test]
+    fn slopes_of_logits_are_those_of_the_softmax() {
+        let logits = [0.3, -0.7, 0.1];
+        let adjoint = [0.5, -1.0, 2.0];
+        let loss = |logits: [f64; 3]| {
+            let sum: f64 = logits.iter().map(|l| l.exp()).sum();
+            (0..3).map(|k| logits[k].exp() / sum * adjoint[k]).sum::<f64>()
+        };
+        let sum: f64 = logits.iter().map(|l: &f64| l.exp()).sum();
+        let mut weights = PerMaterial::default();
+        let mut wide = PerMaterial::default();
+        for k in 0..3 {
+            weights[k] = (logits[k].exp() / sum) as f32;
+            wide[k] = adjoint[k] as f32;
+        }
+        let slopes = logit_slopes(&weights, &wide);
+        for k in 0..3 {
+            let (mut up, mut down) = (logits, logits);
+            up[k] += 1e-5;
+            down[k] -= 1e-5;
+            let exact = (loss(up) - loss(down)) / 2e-5;
+            assert!((f64::from(slopes[k]) - exact).abs() < 1e-5, "{k}: {} {exact}", slopes[k]);
+        }
+    }
+
+    /// Radiance is linear in weights, specular albedo and amplitudes, so that differences are as exact as the floats.
+    #[test]
+    fn the_adjoint_of_blended_shading_agrees_with_differences() {
+        let work = crate::pass::bench::Workload::new(40, 20, 0.3);
+        let form = ClosedForm::default();
+        let materials = [0.25, 0.5].map(|roughness| SpecularValue { roughness, ..work.specular });
+        let blends: Vec<PointBlend> = (0..40).map(|i| even_slope(0.05 + 0.9 * i as f32 / 39.0)).collect();
+        let seen = vec![PointVisibility { specular: [0.5, 0.8, 1.2], indirect: [0.1, 0.2, 0.3] }; 40];
+        let adjoint = vec![RadianceAdjoint([0.7, 0.4, 0.5]); 40];
+        let radiance = |materials: &[SpecularValue], blends: &[PointBlend], lobes: &LobeColumns| {
+            let lighting = Lighting { lobes, visibility: Some(Visibility { lobes: &[], points: &seen }) };
+            let mut total = vec![Layers::default(); 40];
+            let mut one = total.clone();
+            for (k, material) in materials.iter().enumerate() {
+                form.shade(&work.points, material, lighting, &mut one);
+                for ((sum, one), blend) in total.iter_mut().zip(&one).zip(blends) {
+                    sum.diffuse = one.diffuse;
+                    (0..3).for_each(|c| sum.specular[c] += blend.0[k] * one.specular[c]);
+                }
+            }
+            total
+        };
+        let loss = |layers: &[Layers]| -> f64 {
+            let each = layers
+                .iter()
+                .map(|l| (0..3).map(|c| adjoint[0].0[c] * (l.diffuse[c] + l.specular[c])).sum::<f32>());
+            each.map(f64::from).sum()
+        };
+        let shaded = radiance(&materials, &blends, &work.lobes);
+        let samples = BlendedSamples {
+            points: &work.points,
+            blends: &blends,
+            seen: &seen,
+            shaded: &shaded,
+            adjoint: &adjoint,
+        };
+        let lighting =
+            Lighting { lobes: &work.lobes, visibility: Some(Visibility { lobes: &[], points: &seen }) };
+        let (mut back, mut gradient, mut to_blends) =
+            (vec![PointAdjoint::default(); 40], StepGradient::default(), Vec::new());
+        pull_back_blended(form, &samples, &materials, lighting, &mut back, &mut gradient, &mut to_blends);
+        let base = loss(&shaded);
+        let close = |name: &str, found: f32, moved: f64, step: f64| {
+            let exact = (moved - base) / step;
+            assert!((f64::from(found) - exact).abs() < 1e-2 * exact.abs() + 1e-3, "{name}: {found} {exact}");
+        };
+        for k in 0..2 {
+            let mut moved = materials;
+            moved[k].albedo[1] += 0.25;
+            let by_albedo = gradient.specular[k].albedo[1];
+            close("specular albedo", by_albedo, loss(&radiance(&moved, &blends, &work.lobes)), 0.25);
+            let mut moved = blends.clone();
+            moved.iter_mut().for_each(|blend| blend.0[k] += 0.25);
+            let by_weight: f32 = to_blends.iter().map(|adjoint| adjoint[k]).sum();
+            close("weight", by_weight, loss(&radiance(&materials, &moved, &work.lobes)), 0.25);
+        }
+        let brighter = |i: usize| {
+            let mut lobe = work.lobes.get(i);
+            lobe.amplitude[2] += if i == 3 { 1.0 } else { 0.0 };
+            lobe
+        };
+        let moved = LobeColumns::from_lobes((0..20).map(brighter));
+        let by_amplitude = gradient.shared.lobes.get(3).amplitude[2];
+        close("amplitude", by_amplitude, loss(&radiance(&materials, &blends, &moved)), 1.0);
+    }
+
+    /// All of the second material at 1, of the first at 0.
+    fn even_slope(part: f32) -> PointBlend {
+        let mut blend = PointBlend::default();
+        (blend.0[0], blend.0[1]) = (1.0 - part, part);
+        blend
+    }
+
+    #[test]
+    fn averaging_keeps_an_even_gradient_and_spreads_an_uneven_one() {
+        let positions: Vec<Vec3> =
+            (0..1000).map(|i| Vec3::new((i % 10) as f32, (i / 10 % 10) as f32, (i / 100) as f32)).collect();
+        let even = BlendGradient([0.5; MAX_SPECULAR_LOBES]);
+        let mut gradients = vec![even; positions.len()];
+        average_over_cells(&positions, &mut gradients, 4.0);
+        assert!(gradients.iter().all(|g| (g.0[0] - 0.5).abs() < 1e-5));
+        gradients.fill(BlendGradient::default());
+        gradients[555].0[1] = 1.0;
+        average_over_cells(&positions, &mut gradients, 4.0);
+        assert!(gradients[555].0[1] < 0.3 && gradients[556].0[1] > 0.01);
+        assert_eq!(gradients[0].0[1], 0.0);
+        let mut nowhere = vec![even; 2];
+        average_over_cells(&[Vec3::NAN; 2], &mut nowhere, 4.0);
+        assert_eq!(nowhere, [even; 2]);
+    }
+
+    #[test]
+    fn weights_stay_weights() {
+        let mut weights = [0.999, 0.001];
+        for _ in 0..100 {
+            move_blend(&mut weights, &[1.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+            assert!((weights[0] + weights[1] - 1.0).abs() < 1e-6 && weights.iter().all(|w| *w > 0.0));
+        }
+        assert!(weights[1] > 0.99);
+    }
+}

@@ -1,0 +1,288 @@
+//! Gloss of each texel's own: a roughness and a share of the specular albedo, tied to its neighbours by a prior.
+//!
+//! Texels blend the two nearest of a ladder of base materials of fixed roughness, so that shading knows nothing of this. The
+//! systems here take the place of [`crate::fit::roughness::blend::move_blends`]; its lattice ties texels in the same way.
+//!
+//! | system | stage, slot | reads | writes |
+//! | --- | --- | --- | --- |
+//! | [`tie_specular`] | Update, `Slot::Optimizer` | | `SpecularGradient`: its albedo is one for all of the ladder |
+//! | [`move_gloss`] | Update, `Slot::Optimizer` | [`BlendGradient`], [`TexelPlaces`], [`GlossPrior`], `DiffuseAlbedo` | [`TexelGloss`], `SpecularBlend` |
+
+use crate::fit::adam::{AdamStep, Bounded, Moments};
+use crate::fit::components::{SpecularGradient, StepRates, Unknowns};
+use crate::fit::roughness::blend::{BlendGradient, PerMaterial, TexelPlaces, average_at};
+use crate::material::{DiffuseAlbedo, SpecularBlend};
+use crate::mesh::atlas::TexelAtlas;
+use crate::pipeline::SystemResult;
+use crate::sample::bundle::only_table;
+use bevy_ecs::prelude::{Component, Entity, Query, Res, Resource, With, World};
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// Roughnesses of the ladder: blends of neighbours are close to a lobe between them.
+pub const LADDER: [f32; 6] = [0.1, 0.15, 0.225, 0.3375, 0.506_25, 0.759_375];
+/// Step of the logarithm of roughness along the ladder, ln 1.5.
+const STEP: f32 = 0.405_465_1;
+/// Share of the specular albedo that texels start from.
+const FIRST_SHARE: f32 = 0.8;
+/// Range of a texel's share.
+const SHARE: Bounded = Bounded { low: 0.0, high: 1.0 };
+/// Rate of the logarithm of roughness and the logit of the share over that of albedo.
+const RATE: f32 = 1.0;
+/// Differences of logarithms well below this cost as their squares, larger ones as they are.
+const KINK: f32 = 0.02;
+/// Neighbours in the texture are neighbours on the surface if they lie within this many mean distances.
+const NEAR: f32 = 3.0;
+
+/// Gloss of a texel.
+#[derive(Component, Clone, Copy, Debug, PartialEq)]
+pub struct TexelGloss {
+    /// Roughness R, in the ladder's range.
+    pub roughness: f32,
+    /// Factor on the specular lobe, in (0, 1].
+    pub share: f32,
+}
+
+impl TexelGloss {
+    /// What texels start from.
+    pub fn first(roughness: f32, varied_specular: bool) -> Self {
+        let share = if varied_specular { FIRST_SHARE } else { 1.0 };
+        let at = ((roughness / LADDER[0]).ln() / STEP).clamp(0.0, (LADDER.len() - 1) as f32 - 1e-3);
+        // Never on a rung: a weight of zero has no adjoint.
+        let off_rung = at.floor() + at.fract().clamp(1e-3, 1.0 - 1e-3);
+        Self { roughness: LADDER[0] * (off_rung * STEP).exp(), share }
+    }
+
+    /// The step of the ladder below the roughness, and how far above it.
+    fn place(&self) -> (usize, f32) {
+        let at = (self.roughness / LADDER[0]).ln() / STEP;
+        let below = (at.max(0.0) as usize).min(LADDER.len() - 2);
+        (below, (at - below as f32).clamp(0.0, 1.0))
+    }
+
+    /// Blend weights of the ladder: hat functions of the logarithm of roughness, times the share.
+    pub fn weights(&self) -> PerMaterial {
+        let (below, part) = self.place();
+        let mut weights = PerMaterial::default();
+        weights[below] = self.share * (1.0 - part);
+        weights[below + 1] = self.share * part;
+        weights
+    }
+
+    /// Adjoints of the logarithm of roughness and of the logit of the share, given those of the weights.
+    fn slopes(&self, adjoint: &PerMaterial) -> [f32; 2] {
+        let (below, part) = self.place();
+        let (low, high) = (adjoint[below], adjoint[below + 1]);
+        let along_share = (1.0 - part) * low + part * high;
+        [self.share * (high - low) / STEP, along_share * SHARE.slope(self.share)]
+    }
+
+    fn moved(&self, step: [f32; 2], varied_specular: bool) -> Self {
+        let roughness = self.roughness * (-step[0]).exp();
+        let share = if varied_specular { SHARE.move_by(self.share, -step[1]) } else { self.share };
+        Self { share, ..Self::first(roughness, false) }
+    }
+}
+
+/// Adam's moments of a texel's gloss.
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
+pub struct GlossMoments(Moments<2>);
+
+/// How neighbouring texels are tied.
+#[derive(Resource, Clone, Debug, Default)]
+pub struct GlossPrior {
+    /// Weight ≥ 0, beside the image loss, of the mean over neighbours of the difference of the logarithms of roughness and share.
+    pub smoothness: f32,
+    /// Difference of chromaticity (albedo over its sum) > 0 at which neighbours are tied half as much as those of one colour.
+    pub color_width: f32,
+    /// Whether the share varies.
+    pub varied_specular: bool,
+    /// Texels that are neighbours.
+    neighbours: Vec<[u32; 2]>,
+}
+
+impl GlossPrior {
+    /// The prior on a texture.
+    pub fn new(atlas: &TexelAtlas, smoothness: f32, color_width: f32, varied_specular: bool) -> Self {
+        Self { smoothness, color_width, varied_specular, neighbours: neighbours(atlas) }
+    }
+}
+
+/// Texels side by side in the texture and near each other on the surface.
+fn neighbours(atlas: &TexelAtlas) -> Vec<[u32; 2]> {
+    let (width, height) = (atlas.width as usize, atlas.height as usize);
+    let all = (0..width * height).flat_map(|i| {
+        let right = (i % width + 1 < width).then_some([i, i + 1]);
+        let down = (i + width < width * height).then_some([i, i + width]);
+        [right, down].into_iter().flatten()
+    });
+    let covered: Vec<[usize; 2]> = all.filter(|[a, b]| atlas.covered[*a] && atlas.covered[*b]).collect();
+    let distance = |[a, b]: &[usize; 2]| atlas.position[*a].distance(atlas.position[*b]);
+    let mean = covered.iter().map(distance).sum::<f32>() / covered.len().max(1) as f32;
+    let near = covered.iter().filter(|pair| distance(pair) < NEAR * mean);
+    near.map(|[a, b]| [*a as u32, *b as u32]).collect()
+}
+
+/// Adds the prior's gradient to the first two entries of each texel's.
+fn add_variation(
+    prior: &GlossPrior,
+    (gloss, albedo): (&[TexelGloss], &[DiffuseAlbedo]),
+    gradients: &mut [BlendGradient],
+) {
+    let weight = prior.smoothness / prior.neighbours.len().max(1) as f32;
+    let logs = |g: &TexelGloss| [g.roughness.ln(), g.share.ln()];
+    for [a, b] in prior.neighbours.iter().map(|pair| pair.map(|texel| texel as usize)) {
+        let apart = chromaticity(albedo[a].0).distance(chromaticity(albedo[b].0)) / prior.color_width;
+        let tie = weight / (1.0 + apart * apart);
+        let (of_a, of_b) = (logs(&gloss[a]), logs(&gloss[b]));
+        for k in 0..2 {
+            let difference = of_a[k] - of_b[k];
+            let slope = tie * difference / (difference * difference + KINK * KINK).sqrt();
+            // The logarithm of the share s by its logit has slope 1 − s.
+            let inner = |g: &TexelGloss| if k == 0 { 1.0 } else { 1.0 - g.share };
+            gradients[a].0[k] += slope * inner(&gloss[a]);
+            gradients[b].0[k] -= slope * inner(&gloss[b]);
+        }
+    }
+}
+
+fn chromaticity(albedo: Vec3) -> Vec3 {
+    albedo / albedo.element_sum().max(1e-6)
+}
+
+/// Gives every texel a gloss of its own, unless it has one.
+pub fn attach_gloss(world: &mut World, roughness: f32, varied_specular: bool) {
+    let known: Vec<Entity> = world.query_filtered::<Entity, With<TexelGloss>>().iter(world).collect();
+    if !known.is_empty() {
+        known.into_iter().for_each(|texel| _ = world.entity_mut(texel).insert(GlossMoments::default()));
+        return;
+    }
+    let gloss = TexelGloss::first(roughness, varied_specular);
+    let texels: Vec<Entity> = world.query_filtered::<Entity, With<SpecularBlend>>().iter(world).collect();
+    for texel in texels {
+        world.entity_mut(texel).insert((gloss, GlossMoments::default(), SpecularBlend(gloss.weights())));
+    }
+}
+
+/// Update: one specular albedo for the whole ladder, so that all of its materials move alike.
+pub fn tie_specular(mut materials: Query<&mut SpecularGradient>) {
+    let mut sum = [0.0; 3];
+    materials.iter().for_each(|g| (0..3).for_each(|c| sum[c] += g.0[c]));
+    materials.iter_mut().for_each(|mut gradient| gradient.0[..3].copy_from_slice(&sum));
+}
+
+type GlossColumns<'a> = (
+    &'a DiffuseAlbedo,
+    &'a mut TexelGloss,
+    &'a mut SpecularBlend,
+    &'a mut BlendGradient,
+    &'a mut GlossMoments,
+);
+
+/// Update: Adam on the texels' roughness and share; clears the gradient.
+pub fn move_gloss(
+    (rates, unknowns): (Res<StepRates>, Res<Unknowns>),
+    (places, prior): (Res<TexelPlaces>, Res<GlossPrior>),
+    mut texels: Query<GlossColumns>,
+) -> SystemResult {
+    let Some((albedo, mut gloss, mut blends, mut gradients, mut moments)) =
+        only_table(texels.contiguous_iter_mut()?, |t| t.0.len(), "texel")?
+    else {
+        return Ok(());
+    };
+    let gradients = gradients.bypass_change_detection();
+    if !unknowns.blends || places.positions.len() != gradients.len() {
+        gradients.fill(BlendGradient::default());
+        return Ok(());
+    }
+    let gloss = gloss.bypass_change_detection();
+    for (gloss, gradient) in gloss.iter().zip(gradients.iter_mut()) {
+        let slopes = gloss.slopes(&gradient.0);
+        gradient.0 = PerMaterial::default();
+        gradient.0[..2].copy_from_slice(&slopes);
+    }
+    average_at(&places, gradients);
+    add_variation(&prior, (gloss, albedo), gradients);
+    let adam = AdamStep::new(RATE * rates.albedo, rates.step);
+    let columns = gloss.par_iter_mut().zip(blends.bypass_change_detection()).zip(gradients);
+    let columns = columns.zip(moments.bypass_change_detection()).with_min_len(4096);
+    columns.for_each(|(((gloss, blend), gradient), moments)| {
+        let step = adam.advance(&mut moments.0, &[gradient.0[0], gradient.0[1]]);
+        gradient.0 = PerMaterial::default();
+        *gloss = gloss.moved(step, prior.varied_specular);
+        blend.0 = gloss.weights();
+    });
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_ladder_is_even_in_the_logarithm() {
+        LADDER.windows(2).for_each(|pair| assert!(((pair[1] / pair[0]).ln() - STEP).abs() < 1e-6));
+        for roughness in [0.05, 0.1, 0.2, 0.4, 0.759, 1.0] {
+            let weights = TexelGloss { roughness, share: 0.5 }.weights();
+            assert!((weights.iter().sum::<f32>() - 0.5).abs() < 1e-6 && weights.iter().all(|w| *w >= 0.0));
+        }
+    }
+
+    #[test]
+    fn slopes_of_gloss_agree_with_differences() {
+        let adjoint = [0.5, -1.0, 2.0, 0.3, -0.7, 1.1, 0.0, 0.0];
+        let loss = |gloss: TexelGloss| -> f64 {
+            gloss.weights().iter().zip(&adjoint).map(|(w, g)| f64::from(w * g)).sum()
+        };
+        for (roughness, share) in [(0.12, 0.3), (0.2, 0.9), (0.4, 0.5), (0.7, 0.8)] {
+            let gloss = TexelGloss { roughness, share };
+            for (k, found) in gloss.slopes(&adjoint).into_iter().enumerate() {
+                let at =
+                    |step: f32| loss(gloss.moved(if k == 0 { [-step, 0.0] } else { [0.0, -step] }, true));
+                let exact = (at(5e-3) - at(-5e-3)) / 1e-2;
+                assert!((f64::from(found) - exact).abs() < 2e-3, "{k}: {found} {exact}");
+            }
+        }
+    }
+
+    #[test]
+    fn the_gradient_of_variation_agrees_with_differences() {
+        let prior = GlossPrior {
+            smoothness: 2.0,
+            color_width: 0.1,
+            varied_specular: true,
+            neighbours: vec![[0, 1], [1, 2]],
+        };
+        let gloss =
+            [(0.2, 0.5), (0.21, 0.52), (0.4, 0.9)].map(|(roughness, share)| TexelGloss { roughness, share });
+        let albedo = [Vec3::new(0.5, 0.4, 0.3), Vec3::new(0.5, 0.45, 0.3), Vec3::new(0.3, 0.4, 0.6)]
+            .map(DiffuseAlbedo);
+        let value = |gloss: &[TexelGloss]| -> f64 {
+            let pair = |[a, b]: &[u32; 2]| {
+                let (a, b) = (*a as usize, *b as usize);
+                let apart = chromaticity(albedo[a].0).distance(chromaticity(albedo[b].0)) / 0.1;
+                let cost = |d: f64| (d * d + f64::from(KINK * KINK)).sqrt();
+                let (r, s) = (
+                    f64::from(gloss[a].roughness / gloss[b].roughness),
+                    f64::from(gloss[a].share / gloss[b].share),
+                );
+                f64::from(prior.smoothness / 2.0 / (1.0 + apart * apart)) * (cost(r.ln()) + cost(s.ln()))
+            };
+            prior.neighbours.iter().map(pair).sum()
+        };
+        let mut gradients = [BlendGradient::default(); 3];
+        add_variation(&prior, (&gloss, &albedo), &mut gradients);
+        for texel in 0..3 {
+            for k in 0..2 {
+                let at = |step: f32| {
+                    let mut moved = gloss;
+                    moved[texel] = gloss[texel].moved(if k == 0 { [-step, 0.0] } else { [0.0, -step] }, true);
+                    value(&moved)
+                };
+                let exact = (at(1e-3) - at(-1e-3)) / 2e-3;
+                let found = f64::from(gradients[texel].0[k]);
+                assert!((found - exact).abs() < 1e-2 * exact.abs() + 1e-3, "{texel} {k}: {found} {exact}");
+            }
+        }
+    }
+}

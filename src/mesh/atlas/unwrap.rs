@@ -1,0 +1,204 @@
+//! Texture coordinates for meshes that have none, or unusable ones.
+
+use crate::mesh::atlas::{DVec2, texels_near, texture_corners};
+use crate::mesh::triangles::Mesh;
+use crate::{Error, Result};
+use glam::Vec2;
+use uvunwrap::{Density, MeshInput, Options, Packing};
+
+/// Empty texels around each chart, so that charts are at least twice as far apart.
+const PADDING: u32 = 2;
+/// Existing coordinates may overlap on this part of the covered texels.
+const MAX_OVERLAP: f64 = 0.01;
+/// And this part of the surface's area may have no area in the texture.
+const MAX_COLLAPSED: f64 = 0.01;
+/// Overlap is counted on a grid at least this fine, since small triangles pass between coarse texel centres.
+const OVERLAP_GRID: u32 = 1024;
+/// Texture coordinates may pass the unit square by this much (rounding).
+const SLACK: f32 = 1e-4;
+
+/// A mesh with usable texture coordinates, from [`unwrap_mesh`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct UnwrappedMesh {
+    /// The mesh; same triangles in the same order, vertices on seams duplicated.
+    pub mesh: Mesh,
+    /// Number of charts if it was unwrapped anew; `None` if its own coordinates were kept.
+    pub charts: Option<u32>,
+    /// Why existing coordinates were not kept, in words.
+    pub note: Option<String>,
+}
+
+/// Gives `mesh` texture coordinates whose charts do not overlap, packed for a texture of `texture_size`² texels.
+///
+/// Coordinates that the mesh has are kept (clamped to `[0, 1]`) if they lie in the unit square and hardly overlap; else it is unwrapped
+/// anew and a note says why.
+///
+/// # Errors
+/// [`Error::Run`] if the mesh cannot be unwrapped or its charts do not fit the texture.
+pub fn unwrap_mesh(mesh: &Mesh, texture_size: u32) -> Result<UnwrappedMesh> {
+    let Some(uvs) = &mesh.uvs else { return unwrap_anew(mesh, texture_size, None) };
+    match fault(mesh, uvs, texture_size) {
+        Some(fault) => {
+            let note = format!("the mesh's own texture coordinates were replaced: {fault}");
+            unwrap_anew(mesh, texture_size, Some(note))
+        }
+        None => {
+            let mut mesh = mesh.clone();
+            mesh.uvs.iter_mut().flatten().for_each(|uv| *uv = uv.clamp(Vec2::ZERO, Vec2::ONE));
+            Ok(UnwrappedMesh { mesh, charts: None, note: None })
+        }
+    }
+}
+
+/// Why these texture coordinates cannot address one texel per surface point, if so.
+fn fault(mesh: &Mesh, uvs: &[Vec2], texture_size: u32) -> Option<String> {
+    let used = || mesh.triangles.iter().flatten().map(|&vertex| uvs[vertex as usize]);
+    let inside = |uv: Vec2| uv.min_element() >= -SLACK && uv.max_element() <= 1.0 + SLACK;
+    if let Some(outside) = used().find(|&uv| !inside(uv)) {
+        return Some(format!("{outside} lies outside the unit square"));
+    }
+    let collapsed = collapsed_part(mesh, uvs);
+    if collapsed > MAX_COLLAPSED {
+        return Some(format!("{:.0} % of the surface has no area in the texture", 100.0 * collapsed));
+    }
+    let overlap = overlapping_part(mesh, texture_size.clamp(OVERLAP_GRID, 4 * OVERLAP_GRID));
+    (overlap > MAX_OVERLAP)
+        .then(|| format!("they overlap on {:.0} % of the texture they use", 100.0 * overlap))
+}
+
+/// Part of the surface's area in triangles without area in the texture.
+fn collapsed_part(mesh: &Mesh, uvs: &[Vec2]) -> f64 {
+    let (mut collapsed, mut total) = (0.0, 0.0);
+    for (t, triangle) in mesh.triangles.iter().enumerate() {
+        let [a, b, c] = mesh.corners(t).map(|p| p.as_dvec3());
+        let [u, v, w] = triangle.map(|vertex| uvs[vertex as usize].as_dvec2());
+        let area = (b - a).cross(c - a).length();
+        total += area;
+        if (v - u).perp_dot(w - u).abs() < 1e-12 {
+            collapsed += area;
+        }
+    }
+    if total > 0.0 { collapsed / total } else { 0.0 }
+}
+
+/// Part of the grid's covered points that lie strictly inside more than one triangle.
+fn overlapping_part(mesh: &Mesh, grid: u32) -> f64 {
+    let mut counts = vec![0u8; grid as usize * grid as usize];
+    for triangle in &mesh.triangles {
+        let Some(corners) = texture_corners(mesh, triangle, DVec2::splat(f64::from(grid))) else { continue };
+        for (x, y) in texels_near(corners, grid, grid) {
+            let point = DVec2::new(f64::from(x), f64::from(y));
+            let sides = [0, 1, 2].map(|i: usize| {
+                let (from, to) = (corners[i], corners[(i + 1) % 3]);
+                (to - from).perp_dot(point - from)
+            });
+            if sides.iter().all(|&s| s > 0.0) || sides.iter().all(|&s| s < 0.0) {
+                let count = &mut counts[(y * grid + x) as usize];
+                *count = count.saturating_add(1);
+            }
+        }
+    }
+    let covered = counts.iter().filter(|&&c| c > 0).count();
+    let shared = counts.iter().filter(|&&c| c > 1).count();
+    shared as f64 / covered.max(1) as f64
+}
+
+fn unwrap_anew(mesh: &Mesh, texture_size: u32, note: Option<String>) -> Result<UnwrappedMesh> {
+    let context = || "unwrapping the mesh".to_owned();
+    let positions: Vec<[f32; 3]> = mesh.positions.iter().map(|p| p.to_array()).collect();
+    let indices = mesh.triangles.as_flattened();
+    let options = Options {
+        density: Density::Auto { page_size: texture_size },
+        padding: PADDING,
+        packing: Packing::Shape,
+        ..Options::default()
+    };
+    let atlas = uvunwrap::generate(&[MeshInput::new(&positions, indices)], &options)
+        .map_err(|e| Error::run(context(), e.to_string()))?;
+    if atlas.page_count > 1 || atlas.width > texture_size || atlas.height > texture_size {
+        let charts = atlas.chart_count;
+        let problem = format!("{charts} charts do not fit {texture_size}² texels; use a larger texture");
+        return Err(Error::run(context(), problem));
+    }
+    // The page is cropped to what is used; the texture stays square.
+    let scale = Vec2::new(atlas.width as f32, atlas.height as f32) / texture_size as f32;
+    let output = &atlas.meshes[0];
+    let source = |v: &uvunwrap::OutputVertex| v.xref as usize;
+    let mesh = Mesh {
+        positions: output.vertices.iter().map(|v| mesh.positions[source(v)]).collect(),
+        normals: output.vertices.iter().map(|v| mesh.normals[source(v)]).collect(),
+        uvs: Some(output.vertices.iter().map(|v| Vec2::from(v.uv) * scale).collect()),
+        triangles: output.indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect(),
+    };
+    Ok(UnwrappedMesh { mesh, charts: Some(atlas.chart_count), note })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::primitive::{box_mesh, sphere_mesh};
+    use glam::Vec3;
+
+    fn bare_sphere() -> Mesh {
+        Mesh { uvs: None, ..sphere_mesh(Vec3::ZERO, 1.0).unwrap() }
+    }
+
+    #[test]
+    fn a_mesh_without_coordinates_gets_ones_that_do_not_overlap() {
+        let bare = bare_sphere();
+        let made = unwrap_mesh(&bare, 128).unwrap();
+        assert!(made.charts.is_some() && made.note.is_none());
+        assert_eq!(fault(&made.mesh, made.mesh.uvs.as_ref().unwrap(), 128), None);
+        assert!(overlapping_part(&made.mesh, 1024) < 1e-3);
+        // Same triangles at the same places, in order.
+        assert_eq!(made.mesh.triangles.len(), bare.triangles.len());
+        for t in 0..bare.triangles.len() {
+            assert_eq!(made.mesh.corners(t), bare.corners(t));
+        }
+        assert_eq!(unwrap_mesh(&bare, 128).unwrap(), made, "not deterministic");
+    }
+
+    #[test]
+    fn good_coordinates_are_kept() {
+        for mesh in [sphere_mesh(Vec3::ZERO, 1.0).unwrap(), box_mesh(Vec3::ZERO, Vec3::ONE).unwrap()] {
+            let kept = unwrap_mesh(&mesh, 256).unwrap();
+            assert_eq!(kept, UnwrappedMesh { mesh, charts: None, note: None });
+        }
+    }
+
+    #[test]
+    fn bad_coordinates_are_replaced_and_the_note_says_why() {
+        let good = box_mesh(Vec3::ZERO, Vec3::ONE).unwrap();
+        let with = |change: &dyn Fn(usize, Vec2) -> Vec2| {
+            let uvs = good.uvs.as_ref().unwrap().iter().enumerate().map(|(i, &uv)| change(i, uv)).collect();
+            Mesh { uvs: Some(uvs), ..good.clone() }
+        };
+        for (mesh, word) in [
+            (with(&|_, uv| uv * 2.0), "outside"),
+            (with(&|_, _| Vec2::NAN), "outside"),
+            (with(&|_, _| Vec2::splat(0.5)), "no area"),
+            // Every face on the same square.
+            (with(&|i, _| [Vec2::ZERO, Vec2::X, Vec2::ONE, Vec2::Y][i % 4]), "overlap"),
+        ] {
+            let replaced = unwrap_mesh(&mesh, 64).unwrap();
+            let note = replaced.note.unwrap();
+            assert!(note.contains(word), "{note}");
+            assert_eq!(fault(&replaced.mesh, replaced.mesh.uvs.as_ref().unwrap(), 64), None);
+        }
+    }
+
+    #[test]
+    fn a_texture_that_is_too_small_is_an_error() {
+        assert!(matches!(unwrap_mesh(&bare_sphere(), 4), Err(Error::Run { .. })));
+        assert!(matches!(unwrap_mesh(&bare_sphere(), 0), Err(Error::Run { .. })));
+        // Sixty separate triangles need more than a few texels each.
+        let mut scattered = Mesh::default();
+        for k in 0..300u32 {
+            let p = Vec3::new(k as f32, 0.0, 0.0);
+            scattered.positions.extend([p, p + Vec3::X * 0.5, p + Vec3::Y]);
+            scattered.triangles.push([3 * k, 3 * k + 1, 3 * k + 2]);
+        }
+        scattered.repair_normals();
+        assert!(unwrap_mesh(&scattered, 16).unwrap_err().to_string().contains("larger texture"));
+    }
+}

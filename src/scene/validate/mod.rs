@@ -1,0 +1,382 @@
+//! Whether the values of a scene make sense: ranges, counts, names, and passes that need one another.
+//!
+//! What the types already rule out is not repeated here, and files are looked for in [`crate::scene::paths`].
+pub mod passes;
+
+use crate::material::MAX_SPECULAR_LOBES;
+use crate::mesh::MAX_COORDINATE;
+use crate::scene::description::{
+    Albedo, AlbedoSource, CameraSpec, Dataset, Gamma, Gloss, Light, LightSource, Material, Pattern,
+    Photographed, Roughness, ScaleRule, Scene, Specular, SpecularAlbedo, Surface, VERSION, Views, Visibility,
+};
+use crate::scene::diagnostic::Problem;
+use glam::Vec3;
+use std::collections::BTreeSet;
+use std::ops::RangeInclusive;
+
+/// Least roughness: below it the specular lobe is sharper than `f32` can hold.
+pub const MIN_ROUGHNESS: f32 = 0.03;
+
+/// Least radius or edge length of a primitive, in world units.
+const MIN_LENGTH: f32 = 1e-9;
+
+/// Every value of the scene that makes no sense.
+pub fn check(scene: &Scene) -> Vec<Problem> {
+    let mut checks = Checks { problems: Vec::new() };
+    if scene.version != VERSION {
+        checks.fail("version", format!("version is {}", scene.version), format!("expected {VERSION}"), "");
+    }
+    checks.direction("up", scene.up);
+    surface(&mut checks, &scene.surface);
+    if matches!((&scene.surface, &scene.views), (Surface::Unknown { .. }, views) if !matches!(views, Views::Dataset(_)))
+    {
+        let expected = "expected a known surface, or views with photographs: Dataset(…)";
+        checks.fail("surface", "an unknown surface without photographs", expected, "");
+    }
+    views(&mut checks, &scene.views);
+    light(&mut checks, &scene.light);
+    material(&mut checks, &scene.material);
+    if scene.own_material().is_some() && scene.material != Material::default() {
+        let help = "Remove `material`, or `own_material` from the surface.";
+        checks.fail("material", "the mesh's own material is taken", "expected no other material", help);
+    }
+    scale(&mut checks, scene.scale);
+    visibility(&mut checks, scene.visibility);
+    passes::passes(&mut checks, scene);
+    checks.problems
+}
+
+/// The problems found so far, and the common kinds of checks. A `path` is where a value is in the scene file.
+pub(super) struct Checks {
+    problems: Vec<Problem>,
+}
+
+impl Checks {
+    pub(super) fn fail(
+        &mut self,
+        path: &str,
+        problem: impl Into<String>,
+        expected: impl Into<String>,
+        help: impl Into<String>,
+    ) {
+        self.problems.push(Problem {
+            path: path.to_owned(),
+            problem: problem.into(),
+            expected: expected.into(),
+            help: help.into(),
+        });
+    }
+
+    fn require(&mut self, ok: bool, path: &str, found: impl std::fmt::Display, expected: &str) {
+        if !ok {
+            self.fail(path, format!("{} is {found}", last_word(path)), format!("expected {expected}"), "");
+        }
+    }
+
+    /// A number in `range`; NaN is in none.
+    pub(super) fn number(&mut self, path: &str, value: f32, range: RangeInclusive<f32>) {
+        let expected = format!("a number from {} to {}", range.start(), range.end());
+        self.require(range.contains(&value), path, value, &expected);
+    }
+
+    /// A finite number above 0.
+    pub(super) fn positive(&mut self, path: &str, value: f32) {
+        self.require(value > 0.0 && value.is_finite(), path, value, "a number above 0");
+    }
+
+    /// A finite number not below 0.
+    pub(super) fn not_negative(&mut self, path: &str, value: f32) {
+        self.require(value >= 0.0 && value.is_finite(), path, value, "a number not below 0");
+    }
+
+    /// A whole number in `range`.
+    pub(super) fn count(&mut self, path: &str, value: u32, range: RangeInclusive<u32>) {
+        let expected = match *range.end() {
+            u32::MAX => format!("a whole number from {}", range.start()),
+            end => format!("a whole number from {} to {end}", range.start()),
+        };
+        self.require(range.contains(&value), path, value, &expected);
+    }
+
+    /// Three finite numbers.
+    pub(super) fn finite(&mut self, path: &str, value: Vec3) {
+        self.require(value.is_finite(), path, value, "finite numbers");
+    }
+
+    /// A finite vector that is not zero.
+    pub(super) fn direction(&mut self, path: &str, value: Vec3) {
+        let ok = value.is_finite() && value.length_squared().is_normal();
+        self.require(ok, path, value, "a direction: finite, not (0, 0, 0)");
+    }
+
+    /// A point that a surface may be at.
+    fn place(&mut self, path: &str, value: Vec3) {
+        let ok = value.abs().max_element() <= MAX_COORDINATE && value.is_finite();
+        self.require(ok, path, value, &format!("three numbers, none beyond {MAX_COORDINATE:e}"));
+    }
+
+    /// A colour with channels in [0, 1].
+    pub(super) fn color(&mut self, path: &str, value: Vec3) {
+        let ok = value.to_array().iter().all(|channel| (0.0..=1.0).contains(channel));
+        self.require(ok, path, value, "three numbers from 0 to 1");
+    }
+
+    /// Three finite numbers not below 0.
+    pub(super) fn factors(&mut self, path: &str, value: Vec3) {
+        let ok = value.is_finite() && value.min_element() >= 0.0;
+        self.require(ok, path, value, "three numbers not below 0");
+    }
+
+    /// A roughness.
+    pub(super) fn roughness(&mut self, path: &str, value: f32) {
+        self.number(path, value, MIN_ROUGHNESS..=1.0);
+    }
+
+    /// A field of view.
+    pub(super) fn fov(&mut self, path: &str, value: f32) {
+        self.require(value > 0.0 && value <= 170.0, path, value, "degrees above 0, at most 170");
+    }
+
+    /// An image's width or height.
+    pub(super) fn pixels(&mut self, path: &str, value: u32) {
+        self.count(path, value, 1..=16384);
+    }
+
+    /// A name that can be a file's.
+    pub(super) fn name(&mut self, path: &str, value: &str) {
+        let fits = (1..=100).contains(&value.len());
+        let ok = fits && value.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-');
+        self.require(ok, path, format_args!("{value:?}"), "1 to 100 letters, digits, `_` and `-`");
+    }
+}
+
+/// The last step of a path that is a word.
+fn last_word(path: &str) -> &str {
+    path.rsplit('.').find(|step| step.starts_with(|c: char| c.is_alphabetic())).unwrap_or(path)
+}
+
+fn surface(checks: &mut Checks, surface: &Surface) {
+    let texture_size = match surface {
+        Surface::Mesh { texture_size, .. } => *texture_size,
+        Surface::Unknown { cells, texture_size } => {
+            checks.count("surface.cells", *cells, 16..=256);
+            *texture_size
+        }
+        Surface::Sphere { center, radius, texture_size } => {
+            checks.place("surface.center", *center);
+            checks.number("surface.radius", *radius, MIN_LENGTH..=MAX_COORDINATE);
+            *texture_size
+        }
+        Surface::Box { center, size, texture_size } => {
+            checks.place("surface.center", *center);
+            let ok = size.min_element() >= MIN_LENGTH && size.max_element() <= MAX_COORDINATE;
+            let expected = format!("three numbers from {MIN_LENGTH:e} to {MAX_COORDINATE:e}");
+            checks.require(ok, "surface.size", *size, &expected);
+            *texture_size
+        }
+    };
+    checks.count("surface.texture_size", texture_size, 8..=4096);
+}
+
+fn visibility(checks: &mut Checks, visibility: Visibility) {
+    if let Visibility::Traced { directions, bounces, refresh_every } = visibility {
+        checks.count("visibility.directions", directions, 64..=4096);
+        checks.count("visibility.bounces", bounces, 0..=8);
+        checks.count("visibility.refresh_every", refresh_every, 1..=u32::MAX);
+    }
+}
+
+fn views(checks: &mut Checks, views: &Views) {
+    match views {
+        Views::Dataset(dataset) => self::dataset(checks, dataset),
+        Views::Cameras(cameras) => self::cameras(checks, cameras),
+        Views::Photographed(photographed) => self::photographed(checks, photographed),
+    }
+}
+
+fn dataset(checks: &mut Checks, dataset: &Dataset) {
+    checks.number("views.pixel_center", dataset.pixel_center, 0.0..=1.0);
+    checks.number("views.focal_scale", dataset.focal_scale, 0.5..=2.0);
+    checks.count("views.downscale", dataset.downscale, 1..=1024);
+    checks.count("views.every", dataset.every, 1..=u32::MAX);
+    let expected = "0, for no test split, or a whole number from 2";
+    checks.require(dataset.hold_out != 1, "views.hold_out", dataset.hold_out, expected);
+    if let Gamma::Power(exponent) = dataset.gamma {
+        let ok = exponent > 0.0 && exponent <= 5.0;
+        checks.require(ok, "views.gamma", exponent, "an exponent above 0, at most 5");
+    }
+}
+
+fn cameras(checks: &mut Checks, cameras: &[CameraSpec]) {
+    if cameras.is_empty() {
+        checks.fail("views", "there is no camera", "expected at least one camera", "");
+    }
+    let mut names = BTreeSet::new();
+    for (index, camera) in cameras.iter().enumerate() {
+        // `views` is the wrapper `Cameras([…])`, whose only item is the list.
+        let path = |field: &str| format!("views.0.{index}.{field}");
+        checks.name(&path("name"), &camera.name);
+        if !names.insert(&camera.name) {
+            let problem = format!("two cameras are called {:?}", camera.name);
+            checks.fail(
+                &path("name"),
+                problem,
+                "expected another name",
+                "Output files carry the view's name.",
+            );
+        }
+        checks.finite(&path("eye"), camera.eye);
+        checks.finite(&path("target"), camera.target);
+        checks.direction(&path("up"), camera.up);
+        let forward = camera.target - camera.eye;
+        checks.require(forward != Vec3::ZERO, &path("eye"), camera.eye, "another point than the target");
+        if forward.normalize_or_zero().cross(camera.up.normalize_or_zero()).length() < 1e-4
+            && forward != Vec3::ZERO
+        {
+            checks.fail(&path("up"), "up is along the line of sight", "expected another direction", "");
+        }
+        checks.fov(&path("fov_degrees"), camera.fov_degrees);
+        checks.pixels(&path("width"), camera.width);
+        checks.pixels(&path("height"), camera.height);
+    }
+}
+
+fn photographed(checks: &mut Checks, photographed: &Photographed) {
+    let ring = &photographed.cameras;
+    checks.count("views.cameras.count", ring.count, 1..=10_000);
+    checks.count("views.cameras.test", ring.test, 0..=10_000);
+    checks.finite("views.cameras.target", ring.target);
+    checks.positive("views.cameras.radius", ring.radius);
+    checks.fov("views.cameras.fov_degrees", ring.fov_degrees);
+    checks.pixels("views.cameras.size", ring.size);
+    checks.count("views.spp", photographed.spp, 1..=65536);
+    checks.count("views.max_bounces", photographed.max_bounces, 1..=64);
+    let truth = &photographed.truth;
+    pattern(checks, &truth.albedo);
+    checks.color("views.truth.specular.albedo", truth.specular.albedo);
+    checks.roughness("views.truth.specular.roughness", truth.specular.roughness);
+    light_source(checks, "views.truth.light", &truth.light);
+    passes::edits(checks, "views.truth", &truth.edits);
+}
+
+fn pattern(checks: &mut Checks, pattern: &Pattern) {
+    let at = |field: &str| format!("views.truth.albedo.{field}");
+    match pattern {
+        Pattern::Constant(color) => checks.color("views.truth.albedo", *color),
+        Pattern::Checker { colors, size } | Pattern::Waves { colors, size } => {
+            checks.color(&at("colors.0"), colors.0);
+            checks.color(&at("colors.1"), colors.1);
+            checks.positive(&at("size"), *size);
+        }
+        Pattern::Stripes { colors, axis, width } => {
+            if colors.is_empty() {
+                checks.fail(&at("colors"), "there is no colour", "expected at least one colour", "");
+            }
+            for (index, color) in colors.iter().enumerate() {
+                checks.color(&at(&format!("colors.{index}")), *color);
+            }
+            checks.direction(&at("axis"), *axis);
+            checks.positive(&at("width"), *width);
+        }
+    }
+}
+
+fn light(checks: &mut Checks, light: &Light) {
+    match light {
+        Light::Unknown(unknown) => checks.count("light.lobes", unknown.lobes, 1..=512),
+        Light::Initial(source) | Light::Fixed(source) => light_source(checks, "light", source),
+    }
+}
+
+/// A light at `path`.
+pub(super) fn light_source(checks: &mut Checks, path: &str, source: &LightSource) {
+    let at = |field: &str| format!("{path}.{field}");
+    let (scale, rotation) = match source {
+        LightSource::Lobes { lobes, scale, rotation_degrees } => {
+            let count = u32::try_from(lobes.len()).unwrap_or(u32::MAX);
+            checks.count(&at("lobes"), count, 1..=512);
+            for (index, lobe) in lobes.iter().enumerate() {
+                let at = |field: &str| format!("{path}.lobes.{index}.{field}");
+                checks.direction(&at("axis"), lobe.axis);
+                checks.not_negative(&at("sharpness"), lobe.sharpness);
+                checks.factors(&at("amplitude"), lobe.amplitude);
+            }
+            (scale, rotation_degrees)
+        }
+        LightSource::Npy { scale, rotation_degrees, .. }
+        | LightSource::Ron { scale, rotation_degrees, .. } => (scale, rotation_degrees),
+        LightSource::Map { scale, rotation_degrees, lobes, .. } => {
+            checks.count(&at("lobes"), *lobes, 1..=512);
+            (scale, rotation_degrees)
+        }
+    };
+    checks.not_negative(&at("scale"), *scale);
+    checks.finite(&at("rotation_degrees"), *rotation);
+}
+
+fn scale(checks: &mut Checks, rule: ScaleRule) {
+    match rule {
+        ScaleRule::Highlights { white_light } if !(white_light.is_finite() && white_light >= 0.0) => {
+            let expected = "expected a finite weight of 0 or more";
+            checks.fail("scale.white_light", format!("white_light is {white_light}"), expected, "");
+        }
+        ScaleRule::MeanAlbedo(color) if !(color.min_element() > 0.0 && color.max_element() <= 0.9) => {
+            let expected = "expected every channel above 0, and 0.9 at most";
+            checks.fail("scale", format!("the mean albedo is {color}"), expected, "");
+        }
+        _ => {}
+    }
+}
+
+fn unknown_roughness(checks: &mut Checks, material: &Material) {
+    if let Roughness::Fixed(_) = material.specular.roughness {
+        let problem = "the roughness is to vary over the surface, but is said to be known";
+        let expected = "expected `roughness: Unknown(…)` beside it";
+        checks.fail("material.gloss", problem, expected, "Leave one of the two out.");
+    }
+}
+
+fn material(checks: &mut Checks, material: &Material) {
+    match &material.gloss {
+        Gloss::One => {}
+        Gloss::Blend { materials } => {
+            checks.count("material.gloss.materials", *materials, 2..=4);
+            unknown_roughness(checks, material);
+        }
+        Gloss::Texels { smoothness, color_width, .. } => {
+            checks.not_negative("material.gloss.smoothness", *smoothness);
+            checks.positive("material.gloss.color_width", *color_width);
+            unknown_roughness(checks, material);
+        }
+        Gloss::Fixed { lobes, .. } => {
+            let count = u32::try_from(lobes.len()).unwrap_or(u32::MAX);
+            checks.count("material.gloss.lobes", count, 1..=MAX_SPECULAR_LOBES as u32);
+            for (index, lobe) in lobes.iter().enumerate() {
+                checks.color(&format!("material.gloss.lobes.{index}.albedo"), lobe.albedo);
+                checks.roughness(&format!("material.gloss.lobes.{index}.roughness"), lobe.roughness);
+            }
+            if material.specular != Specular::default() {
+                let problem = "`gloss: Fixed(…)` says all about the specular material";
+                checks.fail(
+                    "material.specular",
+                    problem,
+                    "expected no `specular`",
+                    "Leave one of the two out.",
+                );
+            }
+        }
+    }
+    if let Albedo::Initial(AlbedoSource::Constant(color)) | Albedo::Fixed(AlbedoSource::Constant(color)) =
+        material.albedo
+    {
+        checks.color("material.albedo", color);
+    }
+    match material.specular.albedo {
+        SpecularAlbedo::Unknown { initial, .. } => checks.color("material.specular.albedo.initial", initial),
+        SpecularAlbedo::Fixed(color) => checks.color("material.specular.albedo", color),
+    }
+    match material.specular.roughness {
+        Roughness::Unknown { initial } => checks.roughness("material.specular.roughness.initial", initial),
+        Roughness::Fixed(value) => checks.roughness("material.specular.roughness", value),
+    }
+}

@@ -1,0 +1,336 @@
+//! Whether the passes of a scene make sense, each by itself and in their order.
+
+use crate::scene::description::{
+    Albedo, Gloss, Light, Ndf, Roughness, Scene, SpecularAlbedo, Surface, Views,
+};
+use crate::scene::diagnostic::nearest;
+use crate::scene::passes::{
+    ColorAction, DiffuseAction, Edit, EditPass, EvaluatePass, ExportPass, FitPass, FitShading, LayerTruth,
+    Orbit, Pass, Region, RelightPass, RenderSettings, ScalarAction, Shading, ShapePass, Truth, ViewChoice,
+};
+use crate::scene::validate::{Checks, light_source};
+
+/// Checks every pass of the scene.
+pub(super) fn passes(checks: &mut Checks, scene: &Scene) {
+    let mut fitted = false;
+    for (index, pass) in scene.passes.iter().enumerate() {
+        let (at, earlier) = (format!("passes.{index}"), &scene.passes[..index]);
+        checks.name(&format!("{at}.name"), pass.name());
+        if earlier.iter().any(|other| other.name() == pass.name()) {
+            let problem = format!("two passes are called {:?}", pass.name());
+            checks.fail(
+                &format!("{at}.name"),
+                problem,
+                "expected another name",
+                "A pass writes into OUT/<name>/.",
+            );
+        }
+        match pass {
+            Pass::Fit(fit) => self::fit(checks, &at, fit, scene),
+            Pass::Shape(shape) => self::shape(checks, &at, shape, scene),
+            Pass::Edit(edit) => self::edit_pass(checks, &at, edit),
+            Pass::Relight(relight) => self::relight_pass(checks, &at, relight),
+            Pass::Evaluate(evaluate) => self::evaluate(checks, &at, evaluate, scene, earlier),
+            Pass::Export(export) => self::export(checks, &at, export),
+            Pass::Render(_) | Pass::Save(_) => {}
+        }
+        if let Some(render) = pass.render() {
+            self::render(checks, &format!("{at}.render"), render, &scene.views);
+        }
+        known_to_published(checks, &at, pass, scene);
+        fitted |= matches!(pass, Pass::Fit(_) | Pass::Shape(_));
+        if !fitted {
+            nothing_unknown(checks, &at, pass, scene);
+        }
+    }
+}
+
+/// The published formulas have the supplement's NDF alone.
+fn known_to_published(checks: &mut Checks, at: &str, pass: &Pass, scene: &Scene) {
+    let path = match pass {
+        Pass::Fit(fit) if fit.shading == FitShading::Published => format!("{at}.shading"),
+        Pass::Shape(shape) if shape.shading == FitShading::Published => format!("{at}.shading"),
+        _ if pass.render().is_some_and(|r| r.shading == Shading::Published) => format!("{at}.render.shading"),
+        _ => return,
+    };
+    if scene.material.specular.ndf == Ndf::Ggx {
+        checks.fail(
+            &path,
+            "`Published` shading cannot show a material with `ndf: Ggx`",
+            "expected `Accurate` (or `PathTraced`) shading",
+            "The published formulas know the single spherical Gaussian only; or say `ndf: Sg` in `material.specular`.",
+        );
+    }
+}
+
+/// Before a fit, a pass can only use what the scene file says.
+fn nothing_unknown(checks: &mut Checks, at: &str, pass: &Pass, scene: &Scene) {
+    let light = match pass {
+        Pass::Render(_) | Pass::Save(_) => true,
+        Pass::Edit(edit) => edit.light.is_none(),
+        Pass::Fit(_) | Pass::Shape(_) | Pass::Relight(_) | Pass::Evaluate(_) | Pass::Export(_) => false,
+    };
+    let unknown = unknown_parts(scene);
+    let missing: Vec<&str> = unknown.into_iter().filter(|part| light || *part != "light").collect();
+    if !missing.is_empty() && !matches!(pass, Pass::Evaluate(_)) {
+        let problem = format!("this pass needs the {}, which nothing has found yet", missing.join(", "));
+        checks.fail(
+            at,
+            problem,
+            "expected a `Fit` before this pass",
+            "Put a `Fit` pass before it, or give the values.",
+        );
+    }
+}
+
+/// What the scene leaves to a fit and gives no value for, in plain words.
+pub fn unknown_parts(scene: &Scene) -> Vec<&'static str> {
+    let mut parts = Vec::new();
+    let open = scene.own_material().is_none();
+    if open && matches!(scene.material.albedo, Albedo::Unknown) {
+        parts.push("diffuse albedo");
+    }
+    let open_gloss = open && !matches!(scene.material.gloss, Gloss::Fixed { .. });
+    if open_gloss && matches!(scene.material.specular.albedo, SpecularAlbedo::Unknown { .. }) {
+        parts.push("specular albedo");
+    }
+    if open_gloss && matches!(scene.material.specular.roughness, Roughness::Unknown { .. }) {
+        parts.push("roughness");
+    }
+    if matches!(scene.light, Light::Unknown(_)) {
+        parts.push("light");
+    }
+    parts
+}
+
+fn shape(checks: &mut Checks, at: &str, shape: &ShapePass, scene: &Scene) {
+    let path = |field: &str| format!("{at}.{field}");
+    if matches!(scene.material.gloss, Gloss::Fixed { .. }) {
+        let problem = "known blend weights belong to a known surface";
+        checks.fail("material.gloss", problem, "expected `One` or `Blend(…)`", "");
+    }
+    if matches!(scene.material.gloss, Gloss::Texels { .. }) {
+        let problem = "a surface that is still being found has no texels to give a gloss each";
+        let help = "Find the shape first, export it, and fit `Texels(…)` on that mesh.";
+        checks.fail("material.gloss", problem, "expected `One` or `Blend(…)`", help);
+    }
+    checks.count(&path("max_pixels"), shape.max_pixels, 1..=u32::MAX);
+    checks.count(&path("batch"), shape.batch, 1..=u32::MAX);
+    checks.count(&path("silhouette_batch"), shape.silhouette_batch, 1..=u32::MAX);
+    checks.count(&path("blur"), shape.blur, 0..=64);
+    checks.not_negative(&path("silhouette"), shape.silhouette);
+    checks.not_negative(&path("smoothness"), shape.smoothness);
+    checks.not_negative(&path("rates.albedo"), shape.rates.albedo);
+    checks.not_negative(&path("rates.light"), shape.rates.light);
+    checks.not_negative(&path("rates.specular"), shape.rates.specular);
+    if shape.levels.is_empty() {
+        checks.fail(&path("levels"), "there are no levels", "expected at least one grid", "");
+    }
+    for (i, level) in shape.levels.iter().enumerate() {
+        let path = |field: &str| format!("{at}.levels[{i}].{field}");
+        checks.count(&path("cells"), level.cells, 16..=320);
+        checks.count(&path("texel_cells"), level.texel_cells, 8..=320);
+        checks.count(&path("steps"), level.steps, 1..=u32::MAX);
+        checks.number(&path("rates"), level.rates.0, 1e-6..=1.0);
+        checks.number(&path("rates"), level.rates.1, 1e-6..=1.0);
+    }
+    if !matches!(scene.surface, Surface::Unknown { .. }) {
+        let help = "Write `surface: Unknown()`, or remove the `Shape`.";
+        checks.fail(at, "the surface is given", "expected a surface that is not known", help);
+    }
+}
+
+fn fit(checks: &mut Checks, at: &str, fit: &FitPass, scene: &Scene) {
+    let path = |field: &str| format!("{at}.{field}");
+    checks.count(&path("steps"), fit.steps, 1..=u32::MAX);
+    checks.count(&path("max_pixels"), fit.max_pixels, 1..=u32::MAX);
+    checks.count(&path("batch"), fit.batch, 1..=u32::MAX);
+    checks.not_negative(&path("rates.albedo"), fit.rates.albedo);
+    checks.not_negative(&path("rates.light"), fit.rates.light);
+    checks.not_negative(&path("rates.specular"), fit.rates.specular);
+    let inside = fit.milestones.iter().all(|m| *m > 0.0 && *m < 1.0);
+    if !inside || !fit.milestones.is_sorted_by(|a, b| a < b) {
+        let problem = format!("milestones are {:?}", fit.milestones);
+        checks.fail(&path("milestones"), problem, "expected rising fractions between 0 and 1", "");
+    }
+    checks.number(&path("decay"), fit.decay, f32::MIN_POSITIVE..=1.0);
+    if matches!(scene.views, Views::Cameras(_)) {
+        let help = "Use `views: Dataset(…)` or `views: Photographed(…)`, or remove the `Fit`.";
+        checks.fail(at, "a fit needs photographs, and the views are cameras only", "nothing to fit to", help);
+    }
+    let all_fixed = unknown_parts(scene).is_empty()
+        && !matches!(scene.material.albedo, Albedo::Initial(_))
+        && !matches!(scene.light, Light::Initial(_));
+    if all_fixed {
+        checks.fail(
+            at,
+            "everything is fixed, so there is nothing to fit",
+            "nothing to fit",
+            "Remove the `Fit`.",
+        );
+    }
+}
+
+fn export(checks: &mut Checks, at: &str, export: &ExportPass) {
+    if export.formats.is_empty() {
+        let path = format!("{at}.formats");
+        checks.fail(&path, "there is no format", "expected some of `Glb`, `Ply` and `Obj`", "");
+    }
+    if let Some(triangles) = export.triangles {
+        checks.count(&format!("{at}.triangles"), triangles, 4..=u32::MAX);
+    }
+}
+
+fn edit_pass(checks: &mut Checks, at: &str, pass: &EditPass) {
+    if pass.edits.is_empty() {
+        checks.fail(&format!("{at}.edits"), "there is no edit", "expected at least one edit", "");
+    }
+    edits(checks, at, &pass.edits);
+    if let Some(light) = &pass.light {
+        light_source(checks, &format!("{at}.light"), light);
+    }
+}
+
+fn relight_pass(checks: &mut Checks, at: &str, pass: &RelightPass) {
+    light_source(checks, &format!("{at}.light"), &pass.light);
+    edits(checks, at, &pass.edits);
+}
+
+pub(super) fn edits(checks: &mut Checks, at: &str, edits: &[Edit]) {
+    for (index, edit) in edits.iter().enumerate() {
+        let at = format!("{at}.edits.{index}");
+        let action = format!("{at}.action");
+        match edit {
+            Edit::Diffuse { action: DiffuseAction::Texture(_), .. } => {}
+            Edit::Diffuse { action: DiffuseAction::Set(color), .. }
+            | Edit::Specular { action: ColorAction::Set(color), .. } => checks.color(&action, *color),
+            Edit::Diffuse { action: DiffuseAction::Scale(factors), .. }
+            | Edit::Specular { action: ColorAction::Scale(factors), .. } => checks.factors(&action, *factors),
+            Edit::Diffuse { action: DiffuseAction::Blend { color, weight }, .. }
+            | Edit::Specular { action: ColorAction::Blend { color, weight }, .. } => {
+                checks.color(&format!("{action}.color"), *color);
+                checks.number(&format!("{action}.weight"), *weight, 0.0..=1.0);
+            }
+            Edit::Roughness { action: scalar, .. } => scalar_action(checks, &action, scalar),
+        }
+        region(checks, &format!("{at}.region"), edit);
+    }
+}
+
+fn scalar_action(checks: &mut Checks, path: &str, action: &ScalarAction) {
+    match action {
+        ScalarAction::Set(value) => checks.roughness(path, *value),
+        ScalarAction::Scale(factor) => checks.not_negative(path, *factor),
+        ScalarAction::Blend { value, weight } => {
+            checks.roughness(&format!("{path}.value"), *value);
+            checks.number(&format!("{path}.weight"), *weight, 0.0..=1.0);
+        }
+    }
+}
+
+fn region(checks: &mut Checks, path: &str, edit: &Edit) {
+    match edit.region() {
+        Region::All | Region::Mask(_) => {}
+        Region::Box { min, max, falloff } => {
+            checks.not_negative(&format!("{path}.falloff"), *falloff);
+            checks.finite(&format!("{path}.min"), *min);
+            checks.finite(&format!("{path}.max"), *max);
+            if min.cmpgt(*max).any() {
+                let path = format!("{path}.max");
+                checks.fail(
+                    &path,
+                    "the box is inside out",
+                    format!("expected no number below min's {min}"),
+                    "",
+                );
+            }
+        }
+        Region::Sphere { center, radius, falloff } => {
+            checks.not_negative(&format!("{path}.falloff"), *falloff);
+            checks.finite(&format!("{path}.center"), *center);
+            checks.positive(&format!("{path}.radius"), *radius);
+        }
+    }
+}
+
+fn render(checks: &mut Checks, at: &str, render: &RenderSettings, views: &Views) {
+    let path = |field: &str| format!("{at}.{field}");
+    checks.count(&path("samples_per_pixel"), render.samples_per_pixel, 1..=1024);
+    checks.number(&path("exposure"), render.exposure, -20.0..=20.0);
+    if let Shading::PathTraced { spp, max_bounces, .. } = render.shading {
+        checks.count(&path("shading.spp"), spp, 1..=65536);
+        checks.count(&path("shading.max_bounces"), max_bounces, 1..=64);
+    }
+    if let Some(orbit) = &render.orbit {
+        self::orbit(checks, &path("orbit"), orbit);
+    }
+    if let (ViewChoice::Named(names), Views::Cameras(cameras)) = (&render.views, views) {
+        let known = || cameras.iter().map(|camera| camera.name.as_str());
+        for name in names.iter().filter(|name| known().all(|k| k != name.as_str())) {
+            let help = listing("views", name, known());
+            checks.fail(&path("views"), format!("there is no view called {name:?}"), "not a view", help);
+        }
+    }
+}
+
+fn orbit(checks: &mut Checks, at: &str, orbit: &Orbit) {
+    let path = |field: &str| format!("{at}.{field}");
+    checks.count(&path("frames"), orbit.frames, 1..=10_000);
+    checks.number(&path("elevation_degrees"), orbit.elevation_degrees, -89.0..=89.0);
+    if let Some(radius) = orbit.radius {
+        checks.positive(&path("radius"), radius);
+    }
+    checks.fov(&path("fov_degrees"), orbit.fov_degrees);
+    checks.pixels(&path("size"), orbit.size);
+    checks.count(&path("fps"), orbit.fps, 1..=100);
+}
+
+fn evaluate(checks: &mut Checks, at: &str, evaluate: &EvaluatePass, scene: &Scene, earlier: &[Pass]) {
+    let EvaluatePass { scores, albedo, normal, mesh, .. } = evaluate;
+    if scores.is_empty() && albedo.is_none() && normal.is_none() && mesh.is_none() {
+        let help = "Name passes to score, e.g. `scores: [(pass: \"novel\", truth: Photographs)]`.";
+        checks.fail(at, "this pass scores nothing", "expected `scores`, `albedo`, `normal` or `mesh`", help);
+    }
+    let self_made = matches!(scene.views, Views::Photographed(_));
+    for (index, score) in evaluate.scores.iter().enumerate() {
+        let at = format!("{at}.scores.{index}");
+        let rendered = || earlier.iter().filter(|pass| pass.render().is_some()).map(Pass::name);
+        if rendered().all(|name| name != score.pass) {
+            let problem = format!("no earlier pass called {:?} renders images", score.pass);
+            let help = listing("earlier passes that render", &score.pass, rendered());
+            checks.fail(&format!("{at}.pass"), problem, "expected an earlier Render, Edit or Relight", help);
+        }
+        let truth = format!("{at}.truth");
+        match score.truth {
+            Truth::Photographs if matches!(scene.views, Views::Cameras(_)) => {
+                checks.fail(&truth, "the views are cameras only", "there are no photographs", "");
+            }
+            Truth::SelfMade { spp } => {
+                checks.count(&format!("{truth}.spp"), spp, 1..=65536);
+                needs_self_made(checks, &truth, self_made);
+            }
+            Truth::Photographs | Truth::Folder(_) => {}
+        }
+    }
+    for (field, truth) in [("albedo", &evaluate.albedo), ("normal", &evaluate.normal)] {
+        if matches!(truth, Some(LayerTruth::SelfMade)) {
+            needs_self_made(checks, &format!("{at}.{field}"), self_made);
+        }
+    }
+}
+
+fn needs_self_made(checks: &mut Checks, path: &str, self_made: bool) {
+    if !self_made {
+        let help = "Give a folder of true images: `Folder(\"…\")`.";
+        checks.fail(path, "only `Photographed` views have a self-made truth", "there is no such truth", help);
+    }
+}
+
+fn listing<'a>(kind: &str, found: &str, names: impl Iterator<Item = &'a str> + Clone) -> String {
+    let all = names.clone().collect::<Vec<_>>().join(", ");
+    match nearest(found, names) {
+        Some(name) => format!("Did you mean {name:?}? The {kind}: {all}."),
+        None if all.is_empty() => format!("There are no {kind}."),
+        None => format!("The {kind}: {all}."),
+    }
+}

@@ -1,0 +1,150 @@
+//! A mesh of an SDF's zero level: naive surface nets (Gibson 1998), vertices then moved onto the level.
+
+use crate::mesh::triangles::Mesh;
+use crate::sdf::SdfGrid;
+use crate::sdf::pinches::split_pinches;
+use fast_surface_nets::ndshape::{RuntimeShape, Shape};
+use fast_surface_nets::{SurfaceNetsBuffer, surface_nets};
+use glam::Vec3;
+use std::collections::HashMap;
+
+/// Newton steps that move a vertex onto the zero level.
+const PROJECTIONS: usize = 3;
+
+/// The zero level as a mesh with normals from the field; no triangles if there is none.
+///
+/// The field is closed at the border of the grid. Only the largest component is kept.
+pub fn extract_mesh(grid: &SdfGrid) -> Mesh {
+    let shape = RuntimeShape::<u32, 3>::new([grid.side; 3]);
+    let mut values = grid.values.clone();
+    let last = grid.side - 1;
+    for (i, value) in values.iter_mut().enumerate() {
+        if shape.delinearize(i as u32).iter().any(|&at| at == 0 || at == last) {
+            *value = value.max(0.1 * grid.spacing);
+        }
+    }
+    let mut buffer = SurfaceNetsBuffer::default();
+    surface_nets(&values, &shape, [0; 3], [last; 3], &mut buffer);
+    let in_world = |p: &[f32; 3]| grid.origin + Vec3::from(*p) * grid.spacing;
+    let mut positions: Vec<Vec3> = buffer.positions.iter().map(in_world).collect();
+    let mut triangles: Vec<[u32; 3]> = buffer.indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect();
+    let parted = split_pinches(&mut positions, &mut triangles, |p| grid.value(p) < 0.0);
+    for (position, _) in positions.iter_mut().zip(&parted).filter(|(_, parted)| !**parted) {
+        *position = project(grid, *position);
+    }
+    let normals = positions.iter().map(|p| grid.gradient(*p).try_normalize().unwrap_or(Vec3::Y)).collect();
+    let mut mesh = Mesh { positions, normals, uvs: None, triangles };
+    mesh.drop_degenerate_triangles();
+    keep_largest_component(mesh)
+}
+
+/// A point moved onto the zero level, at most a cell away.
+fn project(grid: &SdfGrid, start: Vec3) -> Vec3 {
+    let mut point = start;
+    for _ in 0..PROJECTIONS {
+        let gradient = grid.gradient(point);
+        point -= gradient * (grid.value(point) / gradient.length_squared().max(1e-6));
+    }
+    if point.distance_squared(start) < grid.spacing * grid.spacing { point } else { start }
+}
+
+/// Drops all but the component with the most triangles, connected by edges (specks may hang on it by a corner), and the
+/// vertices that nothing uses.
+fn keep_largest_component(mesh: Mesh) -> Mesh {
+    let mut parent: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
+    let mut triangle_at: HashMap<(u32, u32), u32> = HashMap::new();
+    for (t, &[a, b, c]) in mesh.triangles.iter().enumerate() {
+        for (from, to) in [(a, b), (b, c), (c, a)] {
+            let other = *triangle_at.entry((from.min(to), from.max(to))).or_insert(t as u32);
+            let (x, y) = (root(&mut parent, t as u32), root(&mut parent, other));
+            parent[x as usize] = y;
+        }
+    }
+    let mut counts = vec![0u32; mesh.triangles.len()];
+    for t in 0..counts.len() {
+        counts[root(&mut parent, t as u32) as usize] += 1;
+    }
+    let Some(largest) = (0..counts.len()).max_by_key(|&i| (counts[i], std::cmp::Reverse(i))) else {
+        return mesh;
+    };
+    let mut new_index = vec![u32::MAX; mesh.positions.len()];
+    let mut kept = Mesh::default();
+    for (t, triangle) in mesh.triangles.iter().enumerate() {
+        if root(&mut parent, t as u32) as usize != largest {
+            continue;
+        }
+        kept.triangles.push(triangle.map(|v| {
+            let v = v as usize;
+            if new_index[v] == u32::MAX {
+                new_index[v] = kept.positions.len() as u32;
+                kept.positions.push(mesh.positions[v]);
+                kept.normals.push(mesh.normals[v]);
+            }
+            new_index[v]
+        }));
+    }
+    kept
+}
+
+fn root(parent: &mut [u32], mut i: u32) -> u32 {
+    while parent[i as usize] != i {
+        parent[i as usize] = parent[parent[i as usize] as usize];
+        i = parent[i as usize];
+    }
+    i
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_hangs_on_by_a_corner_is_dropped() {
+        let positions: Vec<Vec3> = (0..6).map(|i| Vec3::splat(i as f32)).collect();
+        let triangles = vec![[3, 4, 5], [0, 1, 2], [2, 1, 3]];
+        let mesh = Mesh { normals: positions.clone(), positions, uvs: None, triangles };
+        let kept = keep_largest_component(mesh);
+        assert_eq!(kept.triangles, [[0, 1, 2], [2, 1, 3]]);
+        assert_eq!(kept.positions, (0..4).map(|i| Vec3::splat(i as f32)).collect::<Vec<_>>());
+        assert!(keep_largest_component(Mesh::default()).triangles.is_empty());
+    }
+
+    #[test]
+    fn every_edge_has_two_triangles_however_rough_the_field() {
+        // Noise of about a cell: sheets share cells everywhere.
+        let noise = |p: Vec3| ((41.0 * p.x).sin() + (37.0 * p.y).sin() + (43.0 * p.z).sin()) * 0.04;
+        let mesh = extract_mesh(&SdfGrid::from_fn(Vec3::ZERO, 1.0, 40, |p| p.length() - 0.6 + noise(p)));
+        let mut counts: HashMap<[[u32; 3]; 2], u32> = HashMap::new();
+        for t in &mesh.triangles {
+            for k in 0..3 {
+                let end = |k: usize| mesh.positions[t[k % 3] as usize].to_array().map(f32::to_bits);
+                let mut ends = [end(k), end(k + 1)];
+                ends.sort();
+                *counts.entry(ends).or_default() += 1;
+            }
+        }
+        assert!(mesh.triangles.len() > 2000);
+        assert_eq!(counts.values().filter(|count| **count != 2).count(), 0);
+    }
+
+    #[test]
+    fn a_ball_comes_back_as_a_closed_mesh_without_the_floater() {
+        let field = |p: Vec3| (p.length() - 0.6).min((p - Vec3::splat(0.8)).length() - 0.1);
+        let mesh = extract_mesh(&SdfGrid::from_fn(Vec3::ZERO, 1.0, 40, field));
+        assert!(mesh.triangles.len() > 500);
+        for (p, n) in mesh.positions.iter().zip(&mesh.normals) {
+            assert!((p.length() - 0.6).abs() < 2e-3, "{p}");
+            assert!(n.dot(p.normalize()) > 0.99);
+        }
+        // Closed, and outwards: the mean of position · face normal is the volume.
+        let volume: f32 = mesh
+            .triangles
+            .iter()
+            .map(|t| {
+                let [a, b, c] = t.map(|v| mesh.positions[v as usize]);
+                a.dot(b.cross(c)) / 6.0
+            })
+            .sum();
+        assert!((volume - 4.0 / 3.0 * std::f32::consts::PI * 0.216).abs() < 0.01, "{volume}");
+    }
+}

@@ -1,0 +1,402 @@
+//! The unbiased path tracer: ground truth inside the project, and the final-quality renderer.
+//!
+//! At every vertex of a path one direction is drawn from the light (next event estimation, with a shadow ray) and one
+//! from the BRDF, which is also the way the path goes on; what both can find is weighted by the power heuristic. Nothing
+//! is clamped. The BRDF is the PhySG supplement's, with GGX itself for the NDF where a
+//! material says so, and not the SGs that closed forms put in its place. It is not energy limited: with high albedo and grazing angles a
+//! vertex can return more light than it got, and a long path in a concave object may then grow.
+//!
+//! | parameter | type | unit | default | meaning |
+//! | --- | --- | --- | --- | --- |
+//! | `max_bounces` | `u32` | scattering events | 6 | 1 is direct light only, 0 is black |
+//! | `seed` | `u64` | – | 0 | changes every random number |
+//! | `roulette_after` | `u32` | scattering events | 3 | paths this long may end by Russian roulette |
+//! | `ray_offset` | `f32` | radii of the scene | 2e-5 | start of a ray off the surface, along the geometric normal |
+//! | `strategy` | [`Strategy`] | – | `Combined` | other than for checks, leave it |
+
+use crate::material::{DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
+use crate::math::ray::{Hit, Illuminate, Intersect, Ray, TexelAddress};
+use crate::shade::sampling::sequence::Sequence;
+use crate::shade::sampling::{SampleReal, Scattered, Scatterer, Strategy};
+use glam::{DVec3, Vec3};
+use rayon::prelude::*;
+
+/// What is rendered.
+#[derive(Clone, Copy)]
+pub struct PathScene<'a> {
+    /// The surface.
+    pub surface: &'a dyn Intersect,
+    /// The distant light.
+    pub light: &'a dyn Illuminate,
+    /// Diffuse albedo of every texel that the surface's hits address, linear RGB in `[0, 1]`.
+    pub albedo: &'a [DiffuseAlbedo],
+    /// Blend weights of the base materials at every texel; empty if all of the surface is the first material.
+    pub blends: &'a [SpecularBlend],
+    /// Base materials; with none the surface is diffuse.
+    pub specular: &'a [SpecularLobe],
+}
+
+/// How it is rendered; see the table at the head of this file.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PathSettings {
+    /// Scattering events on a path at most; 1 is direct light only.
+    pub max_bounces: u32,
+    /// Seed of every random number.
+    pub seed: u64,
+    /// Scattering events before Russian roulette may end a path.
+    pub roulette_after: u32,
+    /// Distance by which a ray starts off the surface, in radii of the scene.
+    pub ray_offset: f32,
+    /// How light is looked for.
+    pub strategy: Strategy,
+}
+
+impl Default for PathSettings {
+    fn default() -> Self {
+        Self { max_bounces: 6, seed: 0, roulette_after: 3, ray_offset: 2e-5, strategy: Strategy::Combined }
+    }
+}
+
+/// A surface point to shade.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ShadePoint {
+    /// World position.
+    pub position: Vec3,
+    /// Unit shading normal.
+    pub normal: Vec3,
+    /// Unit normal of the geometry, same side as `normal`.
+    pub geometric_normal: Vec3,
+    /// Diffuse albedo, linear RGB in `[0, 1]`.
+    pub albedo: Vec3,
+    /// Blend weights of the base materials, summing to at most one.
+    pub blend: [f32; MAX_SPECULAR_LOBES],
+}
+
+impl ShadePoint {
+    /// The point that a ray met, its material blended from the texel pool.
+    pub fn from_hit(hit: &Hit, scene: &PathScene) -> Self {
+        let TexelAddress { indices, weights } = hit.texels;
+        let blend = match scene.blends {
+            [] => SpecularBlend::default().0,
+            blends => {
+                std::array::from_fn(|k| (0..4).map(|i| blends[indices[i] as usize].0[k] * weights[i]).sum())
+            }
+        };
+        Self {
+            position: hit.position,
+            normal: hit.normal,
+            geometric_normal: hit.geometric_normal,
+            albedo: (0..4).map(|i| scene.albedo[indices[i] as usize].0 * weights[i]).sum(),
+            blend,
+        }
+    }
+}
+
+/// A surface point, who looks at it, and which random numbers it gets.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PathQuery {
+    /// The point.
+    pub point: ShadePoint,
+    /// Unit direction from the point to the viewer.
+    pub to_viewer: Vec3,
+    /// Names an independent stream of random numbers, e.g. the pixel's index over all views.
+    pub stream: u64,
+    /// Index of the first sample in its stream: a pixel seen through several points (for anti-aliasing) gives all of them
+    /// one stream and successive indices, and its samples stay well spread together.
+    pub first_sample: u32,
+}
+
+/// Outgoing radiance at a point, as a mean over samples.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PathEstimate {
+    /// Radiance of paths that the diffuse term scattered last before the viewer (later bounces included), linear RGB.
+    pub diffuse: Vec3,
+    /// The same for the specular term; the pixel is the sum of the two.
+    pub specular: Vec3,
+    /// Variance of `diffuse` (of the mean), as if samples were independent; they are stratified, so the true one is
+    /// lower. Zero, meaning unknown, with one sample.
+    pub diffuse_variance: Vec3,
+    /// The same for `specular`.
+    pub specular_variance: Vec3,
+    /// Samples taken.
+    pub samples: u32,
+    /// Rays cast, of both kinds.
+    pub rays: u32,
+    /// Samples that were not finite and counted as zero: expected to be 0, so worth reporting if not.
+    pub rejected: u32,
+}
+
+/// Outgoing radiance at `query`'s point towards its viewer, from `samples` paths.
+///
+/// Zero if the viewer is not above the shading normal's horizon. The result depends on the arguments alone.
+pub fn shade_point(
+    scene: &PathScene,
+    settings: &PathSettings,
+    query: &PathQuery,
+    samples: u32,
+) -> PathEstimate {
+    let mut tally = Tally::default();
+    let mut estimate = PathEstimate { samples, ..Default::default() };
+    for sample in 0..samples {
+        let sequence = Sequence::new(settings.seed, query.stream, query.first_sample.wrapping_add(sample));
+        let mut path = Path { scene, settings, sequence, found: Split::default(), rays: 0 };
+        path.walk(query);
+        estimate.rays = estimate.rays.saturating_add(path.rays);
+        if path.found.diffuse.is_finite() && path.found.specular.is_finite() {
+            tally.add(path.found);
+        } else {
+            estimate.rejected += 1;
+        }
+    }
+    tally.finish(&mut estimate);
+    estimate
+}
+
+/// [`shade_point`] for every query, in parallel; `out` is as long as `queries` (the excess of either is left alone).
+///
+/// Each result depends on its own query alone, so neither threads nor the way that queries are split change a bit.
+pub fn shade_points(
+    scene: &PathScene,
+    settings: &PathSettings,
+    queries: &[PathQuery],
+    samples: u32,
+    out: &mut [PathEstimate],
+) {
+    debug_assert_eq!(queries.len(), out.len());
+    out.par_chunks_mut(CHUNK).zip(queries.par_chunks(CHUNK)).for_each(|(out, queries)| {
+        for (estimate, query) in out.iter_mut().zip(queries) {
+            *estimate = shade_point(scene, settings, query, samples);
+        }
+    });
+}
+
+/// Points a thread takes at a time.
+const CHUNK: usize = 16;
+
+/// A colour in two parts: first scattered by the diffuse term, and by the specular term.
+#[derive(Clone, Copy, Debug, Default)]
+struct Split {
+    diffuse: Vec3,
+    specular: Vec3,
+}
+
+impl Split {
+    fn scaled(self, factor: f32) -> Self {
+        Self { diffuse: self.diffuse * factor, specular: self.specular * factor }
+    }
+
+    fn tinted(self, tint: Vec3) -> Self {
+        Self { diffuse: self.diffuse * tint, specular: self.specular * tint }
+    }
+
+    fn largest(self) -> f32 {
+        self.diffuse.max_element().max(self.specular.max_element())
+    }
+}
+
+/// Sums over samples, in f64.
+#[derive(Default)]
+struct Tally {
+    sums: [DVec3; 2],
+    squares: [DVec3; 2],
+}
+
+impl Tally {
+    fn add(&mut self, value: Split) {
+        for (i, part) in [value.diffuse, value.specular].into_iter().enumerate() {
+            let part = part.as_dvec3();
+            self.sums[i] += part;
+            self.squares[i] += part * part;
+        }
+    }
+
+    fn finish(&self, estimate: &mut PathEstimate) {
+        let n = f64::from(estimate.samples.max(1));
+        let variance = |i: usize| {
+            let mean = self.sums[i] / n;
+            ((self.squares[i] / n - mean * mean).max(DVec3::ZERO) / (n - 1.0).max(1.0)).as_vec3()
+        };
+        estimate.diffuse = (self.sums[0] / n).as_vec3();
+        estimate.specular = (self.sums[1] / n).as_vec3();
+        estimate.diffuse_variance = variance(0);
+        estimate.specular_variance = variance(1);
+    }
+}
+
+/// Decisions at a vertex; each takes its own three random numbers.
+const DECISIONS: u32 = 4;
+const DRAW_LIGHT: u32 = 0;
+const DRAW_BRDF: u32 = 1;
+const ROULETTE: u32 = 2;
+const PICK_MATERIAL: u32 = 3;
+
+/// One path on its way.
+struct Path<'a> {
+    scene: &'a PathScene<'a>,
+    settings: &'a PathSettings,
+    sequence: Sequence,
+    found: Split,
+    rays: u32,
+}
+
+impl Path<'_> {
+    /// Follows the path from the viewer's point until it leaves, is absorbed, or is long enough.
+    fn walk(&mut self, query: &PathQuery) {
+        let mut point = query.point;
+        let mut to_viewer = query.to_viewer;
+        // Light arriving here times this is light at the viewer; None until the first scattering splits it in two.
+        let mut carried: Option<Split> = None;
+        for depth in 1..=self.settings.max_bounces {
+            let vertex = Vertex { point, carried, depth };
+            let Some(scatterer) = self.scatterer(&point, to_viewer, depth) else { return };
+            self.find_light(&vertex, &scatterer);
+            let Some((direction, onward)) = self.follow_brdf(&vertex, &scatterer) else { return };
+            let Some(hit) = onward.hit else { return };
+            let Some(survived) = self.roulette(depth, onward.carried) else { return };
+            point = ShadePoint::from_hit(&hit, self.scene);
+            to_viewer = -direction;
+            carried = Some(survived);
+        }
+    }
+
+    fn scatterer(&self, point: &ShadePoint, to_viewer: Vec3, depth: u32) -> Option<Scatterer<f32>> {
+        let picked = self.scene.specular.get(self.pick_material(point, depth));
+        let specular = picked.map(|lobe| (lobe.albedo.to_array(), lobe.facets()));
+        Scatterer::new(point.normal.to_array(), to_viewer.to_array(), point.albedo.to_array(), specular)
+    }
+
+    /// One of the blended materials, as often as its weight says: on average, that is the blend. None as often as they fall short of one.
+    fn pick_material(&self, point: &ShadePoint, depth: u32) -> usize {
+        if self.scene.specular.len() < 2 {
+            return 0;
+        }
+        let sum: f32 = point.blend.iter().sum();
+        // A sum that is one but for rounding is one.
+        let whole = if sum > 1.0 - 1e-4 { sum } else { 1.0 };
+        let mut rest = self.uniforms(depth, PICK_MATERIAL)[0] * whole;
+        for (k, weight) in point.blend.iter().enumerate().take(self.scene.specular.len()) {
+            if rest < *weight {
+                return k;
+            }
+            rest -= weight;
+        }
+        if whole == sum { 0 } else { usize::MAX }
+    }
+
+    /// Next event estimation: a direction from the light, weighted against the BRDF's chance of finding it.
+    fn find_light(&mut self, vertex: &Vertex, scatterer: &Scatterer<f32>) {
+        let strategy = self.settings.strategy;
+        if strategy == Strategy::BrdfOnly {
+            return;
+        }
+        let drawn = self.scene.light.sample(self.uniforms(vertex.depth, DRAW_LIGHT));
+        if !drawn.pdf.above_zero() {
+            return;
+        }
+        let scattered = scatterer.evaluate(drawn.direction.to_array());
+        let weight = strategy.light_weight(drawn.pdf, scattered.pdf) / drawn.pdf;
+        let light = vertex.carry(&scattered).tinted(drawn.radiance).scaled(weight);
+        if !light.largest().above_zero() {
+            return;
+        }
+        self.rays += 1;
+        let ray = self.ray_from(&vertex.point, drawn.direction);
+        if !self.scene.surface.occluded(&ray, 0.0, f32::INFINITY) {
+            self.add(light);
+        }
+    }
+
+    /// A direction from the BRDF: what light it finds, and what surface it meets if the path may go on.
+    fn follow_brdf(&mut self, vertex: &Vertex, scatterer: &Scatterer<f32>) -> Option<(Vec3, Onward)> {
+        let last = vertex.depth == self.settings.max_bounces;
+        if last && self.settings.strategy == Strategy::LightOnly {
+            return None;
+        }
+        let direction = scatterer.sample(self.uniforms(vertex.depth, DRAW_BRDF))?;
+        let scattered = scatterer.evaluate(direction);
+        if !scattered.pdf.above_zero() {
+            return None;
+        }
+        let carried = vertex.carry(&scattered).scaled(scattered.pdf.recip());
+        let direction = Vec3::from(direction);
+        let ray = self.ray_from(&vertex.point, direction);
+        self.rays += 1;
+        if last {
+            // The path ends here: whether anything is in the way is enough.
+            if !self.scene.surface.occluded(&ray, 0.0, f32::INFINITY) {
+                self.add_background(direction, scattered.pdf, carried);
+            }
+            return None;
+        }
+        let hit = self.scene.surface.intersect(&ray, 0.0);
+        if hit.is_none() {
+            self.add_background(direction, scattered.pdf, carried);
+        }
+        Some((direction, Onward { hit, carried }))
+    }
+
+    /// Light that a direction drawn from the BRDF found.
+    fn add_background(&mut self, direction: Vec3, pdf: f32, carried: Split) {
+        let strategy = self.settings.strategy;
+        let light_pdf = if strategy == Strategy::Combined { self.scene.light.pdf(direction) } else { 0.0 };
+        let weight = strategy.brdf_weight(light_pdf, pdf);
+        if weight > 0.0 {
+            self.add(carried.tinted(self.scene.light.radiance(direction)).scaled(weight));
+        }
+    }
+
+    /// Ends dim paths at random and makes up for it in the rest.
+    fn roulette(&self, depth: u32, carried: Split) -> Option<Split> {
+        if depth < self.settings.roulette_after {
+            return Some(carried);
+        }
+        let survival = carried.largest().min(0.95);
+        (self.uniforms(depth, ROULETTE)[0] < survival).then(|| carried.scaled(survival.recip()))
+    }
+
+    fn add(&mut self, light: Split) {
+        self.found.diffuse += light.diffuse;
+        self.found.specular += light.specular;
+    }
+
+    fn uniforms(&self, depth: u32, decision: u32) -> [f32; 3] {
+        self.sequence.group(depth * DECISIONS + decision)
+    }
+
+    /// A ray that starts just off the surface, on the side of the geometry that it leaves to.
+    fn ray_from(&self, point: &ShadePoint, direction: Vec3) -> Ray {
+        // Far from the origin positions are rounded more coarsely than the offset.
+        let offset = (self.settings.ray_offset * self.scene.surface.radius())
+            .max(point.position.abs().max_element() * 1e-6);
+        let side = if direction.dot(point.geometric_normal) < 0.0 { -offset } else { offset };
+        Ray { origin: point.position + point.geometric_normal * side, direction }
+    }
+}
+
+/// A place where the path scatters.
+struct Vertex {
+    point: ShadePoint,
+    carried: Option<Split>,
+    depth: u32,
+}
+
+impl Vertex {
+    /// What light arriving with BRDF times cosine `scattered` is worth at the viewer.
+    #[inline]
+    fn carry(&self, scattered: &Scattered<f32>) -> Split {
+        let (diffuse, specular) = (Vec3::from(scattered.diffuse), Vec3::from(scattered.specular));
+        match self.carried {
+            None => Split { diffuse, specular },
+            Some(carried) => carried.tinted(diffuse + specular),
+        }
+    }
+}
+
+/// Where the path goes next.
+struct Onward {
+    hit: Option<Hit>,
+    carried: Split,
+}
+
+#[cfg(test)]
+mod tests;

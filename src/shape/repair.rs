@@ -1,0 +1,242 @@
+//! What masks say together against what a few of them say: parts put back, and outlines not believed.
+//!
+//! A mask that lost a part of the object carves it out of the hull for all views. Other masks then have pixels inside whose
+//! rays meet nothing. Where such rays of several views cross, and most views see the object, it is put back. The same
+//! finds parts that a coarse grid or a step of the fit lost.
+
+use crate::error::{Error, Result};
+use crate::sdf::SdfGrid;
+use crate::sdf::silhouette::signed_distance;
+use crate::shape::hull::{Silhouette, hull_distance, is_inner, pixel_size};
+use crate::view::Mask;
+use rayon::prelude::*;
+
+/// Pixels inside a mask's outline beyond which a ray should meet the object.
+const GAP_DEPTH: f32 = 2.5;
+/// Views whose gaps must cross in a point, and the same as a share of all views.
+const GAP_VIEWS: usize = 3;
+const GAP_SHARE: f32 = 0.04;
+/// Cells around a gap's rays within which the object is put back.
+const GAP_REACH: f32 = 1.5;
+/// Pixels that an outline may be off the hull's before it is not believed; a coarse grid's cell allows for more.
+const OUTLINE_TOLERANCE: f32 = 3.0;
+
+/// Every how many pixels of a mask are looked at to see how well the hull fills it.
+const SHARE_STRIDE: usize = 7;
+/// Shares of a mask that the hull fills, below which the view is noted, and below which in half the views there is no shape.
+const NOTED_SHARE: f32 = 0.9;
+const REFUSED_SHARE: f32 = 0.6;
+
+/// Puts back what many masks show, all but a share of `forgiven`, and `grid` lacks. Values that change are no exact distances.
+pub fn regrow(grid: &mut SdfGrid, silhouettes: &[Silhouette], forgiven: f32) {
+    let gaps: Vec<Silhouette> = silhouettes.par_iter().filter_map(|view| gaps(grid, view)).collect();
+    let needed = GAP_VIEWS.max((GAP_SHARE * silhouettes.len() as f32).ceil() as usize);
+    if gaps.len() < needed {
+        return;
+    }
+    let (whole, reach) = (&*grid, GAP_REACH * grid.spacing);
+    let grown = |row: usize| {
+        let point = whole.position(whole.vertex(row));
+        let mut near: Vec<f32> = gaps.iter().filter_map(|gap| gap.world_distance(point)).collect();
+        if near.len() < needed {
+            return whole.values[row];
+        }
+        let beyond = *near.select_nth_unstable_by(needed - 1, f32::total_cmp).1 - reach;
+        if beyond > whole.values[row] {
+            return whole.values[row];
+        }
+        whole.values[row].min(beyond.max(hull_distance(silhouettes, point, forgiven, reach)))
+    };
+    grid.values = (0..grid.values.len()).into_par_iter().map(grown).collect();
+}
+
+/// The pixels well inside a mask whose rays miss the surface, as a mask; `None` if there are none.
+fn gaps(grid: &SdfGrid, view: &Silhouette) -> Option<Silhouette> {
+    let misses = |(i, distance): (usize, &f32)| {
+        let (x, y) = view.center(i);
+        let inside = *distance < -GAP_DEPTH && is_inner(&view.camera, x, y);
+        if inside && grid.first_crossing(&view.camera.ray(x, y), 0.0).is_none() { 1.0 } else { 0.0 }
+    };
+    let coverage = view.distance.iter().enumerate().map(misses).collect();
+    Silhouette::new(
+        &view.name,
+        &view.camera,
+        &Mask { width: view.camera.width, height: view.camera.height, coverage },
+    )
+}
+
+/// Share of a mask's pixels, not at the frame's border, whose rays meet the surface, or pass as near as the grid can tell; 1 if it has none there.
+fn covered_share(grid: &SdfGrid, view: &Silhouette) -> f32 {
+    let inside = |i: &usize| {
+        let (x, y) = view.center(*i);
+        view.distance[*i] < 0.0 && is_inner(&view.camera, x, y)
+    };
+    let pixels: Vec<usize> = (0..view.distance.len()).filter(inside).step_by(SHARE_STRIDE).collect();
+    // Near counts as met, to half the diagonal of a cell: what is thinner falls between the grid's vertices.
+    let near = 0.87 * grid.spacing;
+    let hits = |i: &&usize| {
+        let (x, y) = view.center(**i);
+        let ray = view.camera.ray(x, y);
+        grid.least_distance(&ray, near).is_some_and(|least| least.value < near)
+    };
+    let hit = pixels.iter().filter(hits).count();
+    if pixels.is_empty() { 1.0 } else { hit as f32 / pixels.len() as f32 }
+}
+
+/// Checks that the hull fills the masks it was made of; the notes name views whose masks it does not.
+///
+/// # Errors
+/// [`Error::Usage`] with a view's name if it leaves most of most masks empty: they do not belong to their cameras.
+pub fn check_hull(hull: &SdfGrid, silhouettes: &[Silhouette]) -> Result<Vec<String>> {
+    let mut shares: Vec<(f32, &str)> =
+        silhouettes.par_iter().map(|view| (covered_share(hull, view), view.name.as_str())).collect();
+    shares.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(b.1)));
+    let percent = |share: f32| (100.0 * share).round();
+    let Some((median, worst)) = shares.get(shares.len() / 2).zip(shares.first()) else {
+        return Ok(Vec::new());
+    };
+    if median.0 < REFUSED_SHARE {
+        let problem = format!(
+            "cameras and masks do not belong together: what all masks share fills {} % of the mask of view `{}`, and {} % \
+             of a typical one",
+            percent(worst.0),
+            worst.1,
+            percent(median.0)
+        );
+        let help = "Are masks and poses paired by the right names, and poses in the layout's axes? Are intrinsics in pixels \
+                    of these images?";
+        return Err(Error::usage(problem, help));
+    }
+    let poor = shares.iter().take_while(|share| share.0 < NOTED_SHARE);
+    Ok(poor
+        .map(|(share, name)| {
+            format!(
+                "the other views' masks fill only {} % of the mask of view {name}: is it right?",
+                percent(*share)
+            )
+        })
+        .collect())
+}
+
+/// Per pixel of a view whether its mask may be believed there: it is not at the frame's border, and the hull's outline is
+/// nowhere near far from the mask's.
+pub fn believed_pixels(hull: &SdfGrid, view: &Silhouette) -> Vec<bool> {
+    let camera = &view.camera;
+    let middle = hull.position(glam::UVec3::splat(hull.side / 2));
+    let cell = hull.spacing / (pixel_size(camera) * camera.position().distance(middle));
+    let tolerance = OUTLINE_TOLERANCE.max(1.0 + cell);
+    let pixels = (0..view.distance.len()).into_par_iter().with_min_len(1024);
+    let contradicts = |i: usize| {
+        let far = (tolerance..3.0 * tolerance).contains(&view.distance[i].abs());
+        let (x, y) = view.center(i);
+        let hit = || hull.first_crossing(&camera.ray(x, y), 0.0).is_some();
+        if far && is_inner(camera, x, y) && hit() != (view.distance[i] < 0.0) { 1.0 } else { 0.0 }
+    };
+    let wrong: Vec<f32> = pixels.map(contradicts).collect();
+    let to_wrong = if wrong.contains(&1.0) {
+        signed_distance(&wrong, camera.width as usize, camera.height as usize)
+    } else {
+        vec![f32::INFINITY; wrong.len()]
+    };
+    let believed = |i: usize| {
+        let (x, y) = view.center(i);
+        is_inner(camera, x, y) && to_wrong[i] > tolerance + 1.0
+    };
+    (0..wrong.len()).map(believed).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::light::fibonacci::fibonacci_axes;
+    use crate::shape::hull::visual_hull;
+    use crate::view::Camera;
+    use glam::Vec3;
+
+    const SIZE: u32 = 96;
+    const VIEWS: usize = 60;
+
+    /// A ball with a horn.
+    fn horned(p: Vec3) -> f32 {
+        let horn = (p - Vec3::Y * p.y.clamp(0.0, 0.8)).length() - 0.15;
+        (p.length() - 0.5).min(horn)
+    }
+
+    /// Views of the object; in those of `blind` the mask ends at a height, as if the horn had been too dark.
+    fn views(blind: &[usize]) -> Vec<Silhouette> {
+        let grid = SdfGrid::from_fn(Vec3::ZERO, 1.0, 64, horned);
+        let view = |(i, axis): (usize, Vec3)| {
+            let up = if axis.y.abs() > 0.9 { Vec3::X } else { Vec3::Y };
+            let camera = Camera::look_at(4.0 * axis, Vec3::ZERO, up, 36.0, SIZE, SIZE).unwrap();
+            let covered = |i: u32, blind: bool| {
+                let ray = camera.ray((i % SIZE) as f32 + 0.5, (i / SIZE) as f32 + 0.5);
+                let hit = grid.first_crossing(&ray, 0.0).map(|t| ray.origin + t * ray.direction);
+                hit.is_some_and(|point| !blind || point.y < 0.5)
+            };
+            let is_blind = blind.contains(&i);
+            let coverage = (0..SIZE * SIZE).map(|i| if covered(i, is_blind) { 1.0 } else { 0.0 }).collect();
+            Silhouette::new(&format!("v{i}"), &camera, &Mask { width: SIZE, height: SIZE, coverage }).unwrap()
+        };
+        fibonacci_axes(VIEWS).into_iter().enumerate().map(view).collect()
+    }
+
+    const BLIND: [usize; 5] = [20, 25, 30, 35, 40];
+    const HORN: Vec3 = Vec3::new(0.0, 0.7, 0.0);
+
+    #[test]
+    fn a_part_that_a_few_masks_lack_is_put_back() {
+        let sound = visual_hull(&views(&[]), 48).unwrap();
+        let mended = visual_hull(&views(&BLIND), 48).unwrap();
+        assert!(sound.value(HORN) < 0.0 && mended.value(HORN) < 0.0);
+        // Nothing else changes by more than about two cells.
+        for row in 0..sound.values.len() {
+            let point = sound.position(sound.vertex(row));
+            let off = (mended.value(point) - sound.values[row]).abs();
+            let near = sound.values[row].abs() < 0.1;
+            assert!(!near || off < 2.5 * sound.spacing, "{point}: {off} {}", sound.spacing);
+        }
+    }
+
+    #[test]
+    fn outlines_that_the_hull_contradicts_are_not_believed() {
+        let views = views(&BLIND);
+        let hull = visual_hull(&views, 48).unwrap();
+        for (i, view) in views.iter().enumerate() {
+            let believed = believed_pixels(&hull, view);
+            let kept = believed.iter().filter(|believed| **believed).count();
+            assert!(kept > believed.len() / 2, "view {i}: {kept}");
+            if BLIND.contains(&i) {
+                let (x, y, _) = view.camera.project(HORN).unwrap();
+                assert!(!believed[y as usize * SIZE as usize + x as usize], "view {i}");
+            } else {
+                let inner = (0..believed.len()).filter(|&p| {
+                    let (x, y) = view.center(p);
+                    is_inner(&view.camera, x, y)
+                });
+                let doubted = inner.filter(|&p| !believed[p]).count();
+                assert!(doubted < believed.len() / 50, "view {i}: {doubted}");
+            }
+        }
+    }
+
+    /// The same mask with a camera that is 30 pixels off.
+    fn shifted(view: &Silhouette) -> Silhouette {
+        let mut camera = view.camera;
+        camera.center[0] += 30.0;
+        let mask = Mask { width: SIZE, height: SIZE, coverage: view.coverage.clone() };
+        Silhouette::new(&view.name, &camera, &mask).unwrap()
+    }
+
+    #[test]
+    fn masks_that_the_hull_does_not_fill_are_named_or_refused() {
+        let mut views = views(&[]);
+        let hull = visual_hull(&views, 48).unwrap();
+        assert!(check_hull(&hull, &views).unwrap().is_empty());
+        views[4] = shifted(&views[4]);
+        let notes = check_hull(&hull, &views).unwrap();
+        assert!(notes.len() == 1 && notes[0].contains("v4"), "{notes:?}");
+        let wrong: Vec<Silhouette> = views.iter().map(shifted).collect();
+        let error = check_hull(&hull, &wrong).unwrap_err();
+        assert!(error.exit_code() == 2 && error.to_string().contains("`v"), "{error}");
+    }
+}

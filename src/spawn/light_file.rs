@@ -1,0 +1,294 @@
+//! A light in a file of its own: the RON text that a scene has after `light: Fixed(`, and `.npy` lobes, maps.
+
+use crate::codec::file;
+use crate::codec::npy::{NpyConvention, read_lobes, write_lobes};
+use crate::light::convention::MapConvention;
+use crate::light::{EnvironmentMap, LightLobe, render_lobes, rotate_lobes, scale_lobes, validate_lobes};
+use crate::scene::description::LightSource;
+use crate::scene::load::options;
+use crate::spawn::rotation;
+use crate::{Error, Result};
+use glam::{EulerRot, Quat, Vec3};
+use std::fmt::Write as _;
+use std::path::Path;
+
+/// What a light file holds.
+#[derive(Clone, Debug, PartialEq)]
+pub enum LightFile {
+    /// SG lobes.
+    Lobes(Vec<LightLobe>),
+    /// A latitude-longitude map.
+    Map(EnvironmentMap),
+}
+
+/// How light files are to be understood.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LightConventions {
+    /// Which way the axes of `.npy` lobes point.
+    pub npy: NpyConvention,
+    /// Which way EXR and HDR maps face.
+    pub map: MapConvention,
+}
+
+const HELP: &str = "Give a .ron light, .npy lobes, or an .exr or .hdr map.";
+
+/// Reads a light and says what was repaired: RON (`Lobes(…)`, `Npy(…)` or `Map(…)`, paths relative to the file), `.npy`
+/// lobes, or a map told by its first bytes.
+///
+/// # Errors
+/// [`Error::Input`] if the file is missing or wrong.
+pub fn read_light(path: &Path, conventions: LightConventions) -> Result<(LightFile, Vec<String>)> {
+    match extension(path).as_str() {
+        "ron" => read_ron(path),
+        "npy" => Ok((LightFile::Lobes(read_lobes(path, conventions.npy)?), Vec::new())),
+        _ => read_map(path, conventions.map).map(|(map, notes)| (LightFile::Map(map), notes)),
+    }
+}
+
+/// Reads an EXR or HDR map that faces as `convention` says; the notes say what was repaired.
+///
+/// # Errors
+/// As [`EnvironmentMap::read_with_notes`].
+pub fn read_map(path: &Path, convention: MapConvention) -> Result<(EnvironmentMap, Vec<String>)> {
+    let (map, notes) = EnvironmentMap::read_with_notes(path)?;
+    Ok((convention.to_lobelia(map), notes))
+}
+
+fn extension(path: &Path) -> String {
+    path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase()
+}
+
+fn bad_ron(path: &Path, place: &str, problem: String) -> Error {
+    let help = "A light file says what a scene has inside `light: Fixed(…)`, e.g. Lobes(lobes: […]).";
+    Error::input(path, place, problem, help)
+}
+
+fn read_ron(path: &Path) -> Result<(LightFile, Vec<String>)> {
+    let (light, notes) = open(&inlined(path, 1.0, Vec3::ZERO)?)?;
+    if let LightFile::Lobes(lobes) = &light {
+        validate_lobes(lobes).map_err(|problem| bad_ron(path, "", problem))?;
+    }
+    Ok((light, notes))
+}
+
+/// What a RON light file says, with paths from where that file is; then scaled and turned.
+///
+/// # Errors
+/// [`Error::Input`] if the file is missing or wrong, or names another RON file.
+pub fn inlined(path: &Path, scale: f32, rotation_degrees: Vec3) -> Result<LightSource> {
+    let bytes = file::read_bytes(path, |_| HELP.to_owned())?;
+    let text = String::from_utf8(bytes).map_err(|_| bad_ron(path, "", "is not UTF-8 text".to_owned()))?;
+    let mut source: LightSource = options().from_str(&text).map_err(|error| {
+        let at = error.span.start;
+        bad_ron(path, &format!("line {}, column {}", at.line, at.col), error.code.to_string())
+    })?;
+    let (own_scale, own_degrees) = match &mut source {
+        LightSource::Lobes { scale, rotation_degrees, .. } => (scale, rotation_degrees),
+        LightSource::Npy { path: file, scale, rotation_degrees, .. }
+        | LightSource::Map { path: file, scale, rotation_degrees, .. } => {
+            *file = path.parent().unwrap_or(Path::new("")).join(&*file);
+            (scale, rotation_degrees)
+        }
+        LightSource::Ron { .. } => {
+            return Err(bad_ron(path, "", "names another RON file".to_owned()));
+        }
+    };
+    if !(own_scale.is_finite() && *own_scale >= 0.0 && own_degrees.is_finite()) {
+        let problem = "scale must be finite and not negative, rotation_degrees finite";
+        return Err(bad_ron(path, "", problem.to_owned()));
+    }
+    *own_scale *= scale;
+    *own_degrees = turned_after(*own_degrees, rotation_degrees);
+    Ok(source)
+}
+
+/// Angles of one turn after another, each about x, then y, then z.
+fn turned_after(first: Vec3, then: Vec3) -> Vec3 {
+    if first == Vec3::ZERO || then == Vec3::ZERO {
+        return first + then;
+    }
+    let (x, y, z) = (rotation(then) * rotation(first)).to_euler(EulerRot::XYZEx);
+    Vec3::new(x, y, z) * (180.0 / std::f32::consts::PI)
+}
+
+/// The light of a source.
+fn open(source: &LightSource) -> Result<(LightFile, Vec<String>)> {
+    let (light, notes, scale, degrees) = match source {
+        LightSource::Lobes { lobes, scale, rotation_degrees } => (
+            LightFile::Lobes(lobes.iter().map(with_unit_axis).collect()),
+            Vec::new(),
+            *scale,
+            *rotation_degrees,
+        ),
+        LightSource::Npy { path, convention, scale, rotation_degrees } => {
+            let lobes = read_lobes(path, *convention)?;
+            (LightFile::Lobes(lobes), Vec::new(), *scale, *rotation_degrees)
+        }
+        LightSource::Map { path, scale, rotation_degrees, convention, .. } => {
+            let (map, notes) = read_map(path, *convention)?;
+            (LightFile::Map(map), notes, *scale, *rotation_degrees)
+        }
+        LightSource::Ron { path, scale, rotation_degrees } => {
+            return open(&inlined(path, *scale, *rotation_degrees)?);
+        }
+    };
+    let light = light.scaled(scale);
+    Ok((if degrees == Vec3::ZERO { light } else { light.rotated(rotation(degrees)) }, notes))
+}
+
+/// An axis within 10⁻⁶ of unit length keeps its bits, so that lights come back as they were written.
+fn with_unit_axis(lobe: &LightLobe) -> LightLobe {
+    if (lobe.axis.length() - 1.0).abs() <= 1e-6 {
+        return *lobe;
+    }
+    LightLobe { axis: lobe.axis.normalize_or_zero(), ..*lobe }
+}
+
+impl LightFile {
+    /// The light with its radiance multiplied by `factor` ≥ 0.
+    pub fn scaled(self, factor: f32) -> Self {
+        match self {
+            same if factor == 1.0 => same,
+            Self::Lobes(lobes) => Self::Lobes(scale_lobes(&lobes, Vec3::splat(factor))),
+            Self::Map(map) => Self::Map(map.scaled(Vec3::splat(factor))),
+        }
+    }
+
+    /// The light turned: what came from direction d now comes from `turn * d`.
+    pub fn rotated(self, turn: Quat) -> Self {
+        match self {
+            Self::Lobes(lobes) => Self::Lobes(rotate_lobes(&lobes, turn)),
+            Self::Map(map) => Self::Map(map.rotated(turn)),
+        }
+    }
+
+    /// The light as a map of `width` × `height` texels (at least 1): lobes are evaluated at texel centres; a map is averaged
+    /// down where it is larger and blended where it is smaller.
+    pub fn to_map(&self, width: u32, height: u32) -> EnvironmentMap {
+        match self {
+            Self::Lobes(lobes) => render_lobes(lobes, width, height),
+            Self::Map(map) => {
+                let less = map.downsampled(width.min(map.width), height.min(map.height));
+                if (less.width, less.height) == (width, height) {
+                    return less;
+                }
+                EnvironmentMap::from_directions(width, height, |omega| less.sample_bilinear(omega))
+            }
+        }
+    }
+
+    /// Writes the light: lobes as `.ron` or `.npy`, a map as `.exr`.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] for another extension; [`Error::Io`] when the system refuses.
+    pub fn write(&self, path: &Path, conventions: LightConventions) -> Result<()> {
+        match (self, extension(path).as_str()) {
+            (Self::Lobes(lobes), "ron") => file::write_bytes(path, to_ron(lobes).as_bytes()),
+            (Self::Lobes(lobes), "npy") => write_lobes(path, lobes, conventions.npy),
+            (Self::Map(map), "exr") => conventions.map.from_lobelia(map.clone()).write_exr(path),
+            (Self::Lobes(_), _) => Err(refused(path, "lobes are written as .ron or .npy")),
+            (Self::Map(_), _) => Err(refused(path, "a map is written as .exr")),
+        }
+    }
+}
+
+fn refused(path: &Path, what: &str) -> Error {
+    let help = "Name the output accordingly; `env fit` makes lobes of a map, `env render` a map of lobes.";
+    Error::usage(format!("{}: {what}", path.display()), help)
+}
+
+/// Lobes as a RON [`LightSource::Lobes`], one a line; every number comes back bit for bit.
+pub fn to_ron(lobes: &[LightLobe]) -> String {
+    let mut text =
+        String::from("// For a scene: light: Fixed(…) or Initial(…) around this.\nLobes(lobes: [\n");
+    let three = |v: Vec3| format!("({:?}, {:?}, {:?})", v.x, v.y, v.z);
+    for lobe in lobes {
+        let (axis, amplitude) = (three(lobe.axis), three(lobe.amplitude));
+        // Writing to a `String` cannot fail.
+        let _ =
+            writeln!(text, "    (axis: {axis}, sharpness: {:?}, amplitude: {amplitude}),", lobe.sharpness);
+    }
+    text + "])\n"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::light::fibonacci::fibonacci_axes;
+
+    fn lobes() -> Vec<LightLobe> {
+        let lobe =
+            |(i, axis)| LightLobe { axis, sharpness: 0.7 + i as f32, amplitude: Vec3::new(1e-7, 0.3, 1e5) };
+        fibonacci_axes(9).into_iter().enumerate().map(lobe).collect()
+    }
+
+    #[test]
+    fn lights_come_back_in_every_format() {
+        let folder = tempfile::tempdir().unwrap();
+        let conventions = LightConventions { npy: NpyConvention::PhySgFit, map: MapConvention::ThreeJs };
+        let map = LightFile::Map(render_lobes(&lobes(), 32, 16));
+        for (name, light) in
+            [("l.ron", LightFile::Lobes(lobes())), ("l.npy", LightFile::Lobes(lobes())), ("l.exr", map)]
+        {
+            let path = folder.path().join(name);
+            light.write(&path, conventions).unwrap();
+            let (back, notes) = read_light(&path, conventions).unwrap();
+            assert!(notes.is_empty());
+            assert_eq!(back, light);
+        }
+        let refused = LightFile::Lobes(lobes()).write(&folder.path().join("l.exr"), conventions);
+        assert_eq!(refused.unwrap_err().exit_code(), 2);
+    }
+
+    #[test]
+    fn a_scene_names_a_ron_light_and_turns_it_further() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("light.ron");
+        let text = "Lobes(lobes: [(axis: (0, 0, 1), sharpness: 9, amplitude: (1, 2, 3))], scale: 2, rotation_degrees: (30, 40, 50))";
+        std::fs::write(&path, text).unwrap();
+        let source = LightSource::Ron {
+            path: path.clone(),
+            scale: 3.0,
+            rotation_degrees: Vec3::new(-20.0, 70.0, 10.0),
+        };
+        let loaded = crate::spawn::load_light(&source).unwrap().lobes[0];
+        let axis = rotation(Vec3::new(-20.0, 70.0, 10.0)) * (rotation(Vec3::new(30.0, 40.0, 50.0)) * Vec3::Z);
+        assert!(loaded.axis.distance(axis) < 1e-5, "{} {axis}", loaded.axis);
+        assert!(loaded.amplitude.distance(Vec3::new(6.0, 12.0, 18.0)) < 1e-5);
+        std::fs::write(&path, "Ron(path: \"other.ron\")").unwrap();
+        let error = inlined(&path, 1.0, Vec3::ZERO).unwrap_err();
+        assert!(error.to_string().contains("another RON file") && error.exit_code() == 2, "{error}");
+    }
+
+    #[test]
+    fn ron_lights_are_turned_and_scaled_and_name_files_beside_them() {
+        let folder = tempfile::tempdir().unwrap();
+        render_lobes(&lobes(), 32, 16).write_exr(folder.path().join("sky.exr")).unwrap();
+        let path = folder.path().join("light.ron");
+        let text = r#"Map(path: "sky.exr", scale: 2, rotation_degrees: (0, 90, 0), convention: Lobelia)"#;
+        std::fs::write(&path, text).unwrap();
+        let (light, _) = read_light(&path, LightConventions::default()).unwrap();
+        let turn = Quat::from_rotation_y(std::f32::consts::FRAC_PI_2);
+        let expected = render_lobes(&scale_lobes(&rotate_lobes(&lobes(), turn), Vec3::splat(2.0)), 32, 16);
+        let difference = light.to_map(32, 16).mean_squared_difference(&expected).unwrap();
+        let black = expected.mean_squared_difference(&expected.scaled(Vec3::ZERO)).unwrap();
+        assert!(difference < 1e-2 * black, "{difference} of {black}");
+    }
+
+    #[test]
+    fn wrong_ron_lights_are_refused_with_their_place() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("light.ron");
+        let refused = |text: &str, word: &str| {
+            std::fs::write(&path, text).unwrap();
+            let error = read_light(&path, LightConventions::default()).expect_err("a bad light");
+            assert_eq!(error.exit_code(), 2);
+            assert!(error.to_string().contains(word), "{error} should say {word}");
+        };
+        refused("Lobes(lobes: [\n(axis: (0, 1), sharpness: 1, amplitude: (1, 1, 1))])", "line 2");
+        refused("Lobes(lobes: [])", "no light lobes");
+        refused("Lobes(lobes: [(axis: (0, 0, 0), sharpness: 1, amplitude: (1, 1, 1))])", "lobe 0");
+        refused("Lobes(lobes: [(axis: (0, 1, 0), sharpness: 1, amplitude: (1, 1, 1))], scale: -1)", "scale");
+        refused("Map(path: \"none.exr\")", "none.exr");
+    }
+}

@@ -1,0 +1,254 @@
+//! Kernels of [`crate::visibility`]: light on a set of directions, and what of it reaches texels and points that see only part of it.
+//!
+//! The set has D near-uniform directions, each the middle of a cell of 4π/D steradians. A lobe of sharpness λ is read through
+//! a Gaussian as wide as a cell, λ' = λ·λ_c/(λ + λ_c) with λ_c = D/2 (2π/λ_c is a cell's solid angle), at the same power, so that
+//! sharp lobes fall between no two directions.
+
+use crate::math::accurate::diffuse::cosine_integral;
+use crate::math::color::luminance;
+use crate::math::lanes::{Lanes, Row};
+use crate::math::real::{Real, dot};
+use crate::math::sg::sphere_integral;
+use crate::math::shading::{LobeColumns, PointVisibility, ShadePoint};
+use crate::visibility::trace::{MAX_DIRECTIONS, TexelVisibility, set_bits};
+use fearless_simd::{Level, Simd, dispatch};
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// Rows a thread takes at a time.
+const CHUNK: usize = 64;
+/// Mirrored light may exceed what closed forms say by at most this factor.
+const MOST_MIRRORED: f32 = 8.0;
+/// Directions count for a mirror up to where its lobe falls below e to the power of minus this.
+const MIRROR_REACH: f32 = 4.0;
+
+/// Light on a set of directions.
+#[derive(Clone, Debug, Default)]
+pub struct Sky {
+    /// e^{λ'(ξ·d − 1)} of each lobe (padded as its columns are) at each direction.
+    weights: Vec<f32>,
+    stride: usize,
+    /// The lobes through a cell's Gaussian, in columns: axis x, y, z, λ', amplitude r, g, b.
+    lobes: [Vec<f32>; 7],
+    /// The directions' coordinates in columns.
+    directions: [Vec<f32>; 3],
+    /// Radiance from each direction.
+    pub radiance: Vec<Vec3>,
+}
+
+impl Sky {
+    /// The light of `lobes` at `directions`.
+    pub fn new(directions: &[Vec3], lobes: &LobeColumns) -> Self {
+        let stride = lobes.stride();
+        let mut sky = Self {
+            weights: vec![0.0; directions.len() * stride],
+            stride,
+            lobes: std::array::from_fn(|c| vec![if c == 3 { 1.0 } else { 0.0 }; stride]),
+            directions: std::array::from_fn(|axis| directions.iter().map(|d| d[axis]).collect()),
+            radiance: vec![Vec3::ZERO; directions.len()],
+        };
+        let cell = directions.len() as f32 / 2.0;
+        for (i, lobe) in (0..lobes.len()).map(|i| lobes.get(i)).enumerate() {
+            let [x, y, z] = lobe.axis;
+            let sharpness = widened(lobe.sharpness, cell);
+            let [r, g, b] = lobe.amplitude.map(|a| a * integral(lobe.sharpness) / integral(sharpness));
+            let values = [x, y, z, sharpness, r, g, b];
+            sky.lobes.iter_mut().zip(values).for_each(|(column, value)| column[i] = value);
+        }
+        let columns = &sky.lobes;
+        let rows = sky.weights.par_chunks_mut(stride.max(1)).zip(&mut sky.radiance).zip(directions);
+        rows.for_each(|((row, radiance), direction)| {
+            for (i, weight) in row[..lobes.len()].iter_mut().enumerate() {
+                let at = |c: usize| columns[c][i];
+                *weight = (at(3) * (Vec3::new(at(0), at(1), at(2)).dot(*direction) - 1.0)).exp();
+                *radiance += Vec3::new(at(4), at(5), at(6)) * *weight;
+            }
+        });
+        sky
+    }
+}
+
+/// The sharpness of a lobe seen through a cell's Gaussian.
+fn widened(sharpness: f32, cell: f32) -> f32 {
+    sharpness * cell / (sharpness + cell)
+}
+
+fn integral(sharpness: f32) -> f32 {
+    sphere_integral(f64::from(sharpness)) as f32
+}
+
+/// For each row of `visibility`: the part of each lobe's irradiance that reaches it, 0 to 255, in rows of the lobes' stride;
+/// and the irradiance that does.
+pub fn light_rows(visibility: &TexelVisibility, sky: &Sky, parts: &mut Vec<u8>, direct: &mut Vec<Vec3>) {
+    parts.clear();
+    parts.resize(visibility.len() * sky.stride, 255);
+    direct.clear();
+    direct.resize(visibility.len(), Vec3::ZERO);
+    if sky.stride == 0 {
+        return;
+    }
+    let level = Level::new();
+    let chunks = parts.par_chunks_mut(CHUNK * sky.stride).zip(direct.par_chunks_mut(CHUNK));
+    chunks.enumerate().for_each(|(chunk, (parts, direct))| {
+        let mut hidden = vec![0.0; sky.stride];
+        for (i, (parts, direct)) in parts.chunks_exact_mut(sky.stride).zip(direct).enumerate() {
+            let row = chunk * CHUNK + i;
+            *direct = dispatch!(level, simd => light_row(simd, visibility, sky, row, &mut hidden, parts));
+        }
+    });
+}
+
+/// [`light_rows`] for one row; returns the irradiance.
+#[inline(always)]
+fn light_row<S: Simd>(
+    simd: S,
+    visibility: &TexelVisibility,
+    sky: &Sky,
+    row: usize,
+    hidden: &mut [f32],
+    parts: &mut [u8],
+) -> Vec3 {
+    let normal = visibility.normals[row];
+    hidden.fill(0.0);
+    for (d, _) in visibility.hidden(row) {
+        let cosine = visibility.directions[d].dot(normal);
+        add_scaled(hidden, &sky.weights[d * sky.stride..][..sky.stride], cosine);
+    }
+    let cell = Lanes::splat(simd, cell_angle(visibility));
+    let normal = normal.to_array().map(|c| Lanes::splat(simd, c));
+    let mut irradiance = [Lanes::splat(simd, 0.0); 3];
+    for at in (0..sky.stride).step_by(Lanes::<S>::LEN) {
+        let column = |c: usize| Lanes::load(simd, &sky.lobes[c][at..at + Lanes::<S>::LEN]);
+        let all = cosine_integral(column(3), dot([column(0), column(1), column(2)], normal)).value;
+        let behind = Lanes::load(simd, &hidden[at..at + Lanes::<S>::LEN]) * cell;
+        let part = (all.one() - behind / all.max(all.lit(1e-9))).relu();
+        for (c, sum) in irradiance.iter_mut().enumerate() {
+            *sum += column(4 + c) * all * part;
+        }
+        let mut bytes = Row::ZERO;
+        part.store(&mut bytes.0[..Lanes::<S>::LEN]);
+        for (out, part) in parts[at..at + Lanes::<S>::LEN].iter_mut().zip(&bytes.0) {
+            *out = (part * 255.0 + 0.5) as u8;
+        }
+    }
+    Vec3::from_array(irradiance.map(Lanes::sum))
+}
+
+#[inline(always)]
+fn add_scaled(sums: &mut [f32], row: &[f32], factor: f32) {
+    for (sum, value) in sums.iter_mut().zip(row) {
+        *sum += factor * value;
+    }
+}
+
+/// Light that rows receive and send on.
+#[derive(Clone, Debug, Default)]
+pub struct Bounce {
+    /// Irradiance of each row by way of other parts of the surface.
+    pub indirect: Vec<Vec3>,
+    /// Radiance that leaves each row, as if it were all diffuse.
+    pub leaving: Vec<Vec3>,
+}
+
+impl Bounce {
+    /// What becomes of each row's `direct` irradiance after `bounces` reflections, by texels that reflect `reflectance` (per texel).
+    pub fn new(
+        visibility: &TexelVisibility,
+        direct: &[Vec3],
+        reflectance: &(dyn Fn(u32) -> Vec3 + Sync),
+        bounces: u32,
+    ) -> Self {
+        let rows = 0..visibility.len();
+        let sent = |row: usize, irradiance: Vec3| {
+            reflectance(visibility.texels[row]) * irradiance * std::f32::consts::FRAC_1_PI
+        };
+        let mut leaving: Vec<Vec3> = direct.iter().enumerate().map(|(row, e)| sent(row, *e)).collect();
+        let mut indirect = vec![Vec3::ZERO; visibility.len()];
+        for _ in 0..bounces {
+            indirect = rows.clone().into_par_iter().map(|row| gathered(visibility, &leaving, row)).collect();
+            let both = direct.iter().zip(&indirect).enumerate();
+            leaving = both.map(|(row, (direct, indirect))| sent(row, *direct + *indirect)).collect();
+        }
+        Self { indirect, leaving }
+    }
+}
+
+/// Solid angle of a cell.
+fn cell_angle(visibility: &TexelVisibility) -> f32 {
+    4.0 * std::f32::consts::PI / visibility.directions.len() as f32
+}
+
+/// Irradiance of a row from the texels that hide other directions from it.
+fn gathered(visibility: &TexelVisibility, leaving: &[Vec3], row: usize) -> Vec3 {
+    let normal = visibility.normals[row];
+    let light = visibility
+        .hidden(row)
+        .map(|(d, texel)| sent_from(visibility, leaving, texel) * visibility.directions[d].dot(normal));
+    light.sum::<Vec3>() * cell_angle(visibility)
+}
+
+fn sent_from(visibility: &TexelVisibility, leaving: &[Vec3], texel: u32) -> Vec3 {
+    let row = visibility.rows.get(texel as usize).copied().unwrap_or(TexelVisibility::NONE);
+    leaving.get(row as usize).copied().unwrap_or(Vec3::ZERO)
+}
+
+/// Up to four rows of texels and their weights, which sum to one.
+pub type Blend = [(usize, f32); 4];
+
+/// A point's visibility from the rows around it. `lobe_sharpness` is that of the microfacet normals, 2/R⁴.
+///
+/// Specular light is scaled by Σ_d B(d)·L(d) over Σ_d B(d)·sky(d), where B is the BRDF's lobe around the mirrored view
+/// (sharpness L/(4 n·v), Wang et al. 2009) times the cosine, and L the radiance that comes from d: the sky's, or that of what hides it.
+pub fn point_visibility(
+    visibility: &TexelVisibility,
+    sky: &Sky,
+    bounce: &Bounce,
+    blend: &Blend,
+    point: &ShadePoint,
+    lobe_sharpness: f32,
+) -> PointVisibility {
+    let indirect: Vec3 = blend.iter().map(|(row, weight)| bounce.indirect[*row] * *weight).sum();
+    let open = blend.iter().all(|(row, weight)| *weight == 0.0 || visibility.sees_all(*row));
+    let (normal, to_viewer) = (Vec3::from(point.normal), Vec3::from(point.to_viewer));
+    let up = normal.dot(to_viewer);
+    if open || up <= 0.0 {
+        return PointVisibility { indirect: indirect.into(), ..PointVisibility::OPEN };
+    }
+    let mirrored = 2.0 * up * normal - to_viewer;
+    let cell = visibility.directions.len() as f32 / 2.0;
+    let sharpness = widened(lobe_sharpness / (4.0 * up.max(0.05)), cell);
+    let least = 1.0 - MIRROR_REACH / sharpness;
+    let mut near = [0; MAX_DIRECTIONS / 64];
+    dispatch!(Level::new(), simd => directions_near(simd, &sky.directions, mirrored, least, &mut near));
+    if !blend.iter().any(|(row, part)| *part > 0.0 && visibility.hides_any(*row, &near)) {
+        return PointVisibility { indirect: indirect.into(), ..PointVisibility::OPEN };
+    }
+    let (mut arriving, mut unhidden) = (Vec3::ZERO, Vec3::ZERO);
+    for d in set_bits(&near) {
+        let direction = visibility.directions[d];
+        let weight = direction.dot(normal).max(0.0) * (sharpness * (direction.dot(mirrored) - 1.0)).exp();
+        unhidden += sky.radiance[d] * weight;
+        for (row, part) in blend.iter().filter(|(_, part)| *part > 0.0) {
+            let light = match visibility.hider(*row, d) {
+                Some(texel) => sent_from(visibility, &bounce.leaving, texel),
+                None => sky.radiance[d],
+            };
+            arriving += light * (weight * part);
+        }
+    }
+    let floor = Vec3::splat(1e-6 * luminance(unhidden).max(1e-20));
+    let specular = (arriving / unhidden.max(floor)).clamp(Vec3::ZERO, Vec3::splat(MOST_MIRRORED));
+    PointVisibility { specular: specular.into(), indirect: indirect.into() }
+}
+
+/// Sets the bit of each direction whose cosine to `axis` is above `least`.
+#[inline(always)]
+fn directions_near<S: Simd>(simd: S, directions: &[Vec<f32>; 3], axis: Vec3, least: f32, near: &mut [u64]) {
+    let axis = axis.to_array().map(|c| Lanes::splat(simd, c));
+    let least = Lanes::splat(simd, least);
+    for at in (0..directions[0].len()).step_by(Lanes::<S>::LEN) {
+        let column = |c: usize| Lanes::load(simd, &directions[c][at..at + Lanes::<S>::LEN]);
+        let bits = least.bits_below(dot([column(0), column(1), column(2)], axis));
+        near[at / 64] |= bits << (at % 64);
+    }
+}

@@ -1,0 +1,254 @@
+//! Which directions are hidden from each texel by other parts of the surface, and by what.
+//!
+//! Rays go from every texel that the surface covers into the hemisphere over it, along a set of near-uniform directions that all
+//! texels share. A texel keeps one bit a direction, and for each hidden direction the texel that hides it, so that light
+//! can be followed from there ([`crate::visibility`]).
+//!
+//! | parameter | type | unit | default | meaning |
+//! | --- | --- | --- | --- | --- |
+//! | `directions` | `Vec<Vec3>` | unit | none | near-uniform directions over the whole sphere, a multiple of 64 |
+//!
+//! Memory: a bit for each direction of a covered texel, and 4 bytes for each hidden direction.
+
+use crate::math::ray::{Intersect, Ray};
+use crate::mesh::atlas::TexelAtlas;
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// Most directions that texels look in.
+pub const MAX_DIRECTIONS: usize = 4096;
+
+/// Rays start this part of the object's radius off the surface.
+const OFFSET: f32 = 1e-4;
+/// Texels a thread traces at a time.
+const CHUNK: usize = 256;
+
+/// Hidden directions of the texels of a surface.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct TexelVisibility {
+    /// Unit directions over the sphere, the same for every texel.
+    pub directions: Vec<Vec3>,
+    /// Row of each texel in what follows; [`TexelVisibility::NONE`] where the surface does not reach.
+    pub rows: Vec<u32>,
+    /// The texel of each row.
+    pub texels: Vec<u32>,
+    /// Unit shading normal of each row.
+    pub normals: Vec<Vec3>,
+    /// `directions.len() / 64` words a row; a bit is set where the direction is hidden.
+    hidden: Vec<u64>,
+    /// Where each row's `hiders` begin, and where the last one's end.
+    first: Vec<u32>,
+    /// The texel that hides each hidden direction, in the order of the bits; [`TexelVisibility::NONE`] if it shows its back.
+    hiders: Vec<u32>,
+}
+
+/// The numbers of the bits that are set.
+pub fn set_bits(words: &[u64]) -> impl Iterator<Item = usize> {
+    words.iter().enumerate().flat_map(|(w, &word)| {
+        let mut left = word;
+        std::iter::from_fn(move || {
+            (left != 0).then(|| {
+                let bit = left.trailing_zeros() as usize;
+                left &= left - 1;
+                w * 64 + bit
+            })
+        })
+    })
+}
+
+/// What a thread finds for a run of rows.
+#[derive(Default)]
+struct Traced {
+    hidden: Vec<u64>,
+    counts: Vec<u32>,
+    hiders: Vec<u32>,
+}
+
+impl TexelVisibility {
+    /// Row of a texel that has none.
+    pub const NONE: u32 = u32::MAX;
+
+    /// Traces `directions` from every covered texel of `atlas` against `surface`, whose texels are the atlas's.
+    ///
+    /// # Panics
+    /// If the number of directions is no multiple of 64, or more than [`MAX_DIRECTIONS`].
+    pub fn trace(atlas: &TexelAtlas, surface: &dyn Intersect, directions: Vec<Vec3>) -> Self {
+        assert!(directions.len().is_multiple_of(64), "whole words of directions");
+        assert!(directions.len() <= MAX_DIRECTIONS, "at most {MAX_DIRECTIONS} directions");
+        let texels: Vec<u32> = (0..atlas.covered.len() as u32)
+            .filter(|&t| atlas.covered[t as usize] && atlas.normal[t as usize] != Vec3::ZERO)
+            .collect();
+        let traced: Vec<Traced> = texels
+            .par_chunks(CHUNK)
+            .map(|run| {
+                let mut traced = Traced::default();
+                run.iter().for_each(|&t| trace_texel(atlas, surface, &directions, t as usize, &mut traced));
+                traced
+            })
+            .collect();
+        let mut all = Self {
+            rows: vec![Self::NONE; atlas.covered.len()],
+            normals: texels.iter().map(|&t| atlas.normal[t as usize]).collect(),
+            first: vec![0],
+            directions,
+            ..Self::default()
+        };
+        for (row, &texel) in texels.iter().enumerate() {
+            all.rows[texel as usize] = row as u32;
+        }
+        all.texels = texels;
+        for part in traced {
+            all.hidden.extend(part.hidden);
+            for count in part.counts {
+                all.first.push(all.first[all.first.len() - 1] + count);
+            }
+            all.hiders.extend(part.hiders);
+        }
+        all
+    }
+
+    /// Number of rows.
+    pub fn len(&self) -> usize {
+        self.texels.len()
+    }
+
+    /// Whether no texel is covered.
+    pub fn is_empty(&self) -> bool {
+        self.texels.is_empty()
+    }
+
+    /// Words of bits a row.
+    fn words(&self) -> usize {
+        self.directions.len() / 64
+    }
+
+    /// Whether nothing is hidden from a row.
+    pub fn sees_all(&self, row: usize) -> bool {
+        self.first[row] == self.first[row + 1]
+    }
+
+    /// The hidden directions of a row, by number and with the texel that hides them.
+    pub fn hidden(&self, row: usize) -> impl Iterator<Item = (usize, u32)> {
+        let hiders = &self.hiders[self.first[row] as usize..self.first[row + 1] as usize];
+        let words = &self.hidden[row * self.words()..(row + 1) * self.words()];
+        set_bits(words).zip(hiders.iter().copied())
+    }
+
+    /// Whether any of the directions whose bits are set in `among` is hidden from a row.
+    #[inline]
+    pub fn hides_any(&self, row: usize, among: &[u64]) -> bool {
+        self.hidden[row * self.words()..][..self.words()].iter().zip(among).any(|(a, b)| a & b != 0)
+    }
+
+    /// The texel that hides a direction from a row, if one does.
+    #[inline]
+    pub fn hider(&self, row: usize, direction: usize) -> Option<u32> {
+        let words = &self.hidden[row * self.words()..];
+        let (word, bit) = (direction / 64, direction % 64);
+        if words[word] >> bit & 1 == 0 {
+            return None;
+        }
+        let before: u32 = words[..word].iter().map(|w| w.count_ones()).sum();
+        let within = (words[word] & ((1 << bit) - 1)).count_ones();
+        Some(self.hiders[(self.first[row] + before + within) as usize])
+    }
+
+    /// Bytes in use.
+    pub fn bytes(&self) -> usize {
+        let of = |count: usize, size: usize| count * size;
+        of(self.hidden.len(), 8)
+            + of(self.hiders.len() + self.first.len() + self.rows.len() + self.texels.len(), 4)
+            + of(self.normals.len(), size_of::<Vec3>())
+    }
+}
+
+fn trace_texel(
+    atlas: &TexelAtlas,
+    surface: &dyn Intersect,
+    directions: &[Vec3],
+    texel: usize,
+    out: &mut Traced,
+) {
+    let normal = atlas.normal[texel];
+    let reach = OFFSET * surface.radius();
+    let origin = atlas.position[texel] + normal * reach;
+    let before = out.hiders.len();
+    for directions in directions.chunks(64) {
+        let mut word = 0u64;
+        for (bit, &direction) in directions.iter().enumerate().filter(|(_, d)| d.dot(normal) > 0.0) {
+            let ray = Ray { origin, direction };
+            if let Some(hit) = surface.intersect(&ray, 0.0) {
+                word |= 1 << bit;
+                // The back of an open surface sends nothing.
+                let front = hit.geometric_normal.dot(direction) < 0.0;
+                out.hiders.push(if front { heaviest(&hit.texels) } else { TexelVisibility::NONE });
+            }
+        }
+        out.hidden.push(word);
+    }
+    out.counts.push((out.hiders.len() - before) as u32);
+}
+
+/// The texel with the greatest weight.
+fn heaviest(address: &crate::math::ray::TexelAddress) -> u32 {
+    let best = (0..4).reduce(|a, b| if address.weights[b] > address.weights[a] { b } else { a });
+    address.indices[best.unwrap_or(0)]
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::light::fibonacci::fibonacci_axes;
+    use crate::mesh::Surface;
+    use crate::mesh::primitive::{box_mesh, sphere_mesh};
+    use crate::mesh::triangles::Mesh;
+    use glam::Vec3Swizzles;
+
+    fn traced(mesh: Mesh) -> (Surface, TexelVisibility) {
+        let surface = Surface::new(mesh, 64).unwrap();
+        let visibility = TexelVisibility::trace(surface.atlas(), &surface, fibonacci_axes(512));
+        (surface, visibility)
+    }
+
+    #[test]
+    fn convex_shapes_hide_nothing() {
+        for mesh in [sphere_mesh(Vec3::ZERO, 0.8).unwrap(), box_mesh(Vec3::ZERO, Vec3::ONE).unwrap()] {
+            let (_, visibility) = traced(mesh);
+            let hidden: usize = (0..visibility.len()).map(|row| visibility.hidden(row).count()).sum();
+            // Facets of a sphere rise a little over the tangent plane of interpolated normals.
+            let all = visibility.len() * 256;
+            assert!((hidden as f64) < 0.01 * all as f64, "{hidden} of {all}");
+        }
+    }
+
+    #[test]
+    fn a_ball_above_a_plate_hides_its_own_disc() {
+        // A ball of radius 0.3 at height 1 over the middle of a thin plate covers 1 − cos(asin 0.3) of 2π there.
+        let mut mesh = box_mesh(Vec3::ZERO, Vec3::new(2.0, 0.02, 2.0)).unwrap();
+        let ball = sphere_mesh(Vec3::new(0.0, 1.01, 0.0), 0.3).unwrap();
+        let offset = mesh.positions.len() as u32;
+        mesh.positions.extend(&ball.positions);
+        mesh.normals.extend(&ball.normals);
+        mesh.triangles.extend(ball.triangles.iter().map(|t| t.map(|v| v + offset)));
+        let uvs = mesh.uvs.as_mut().unwrap();
+        uvs.iter_mut().for_each(|uv| uv.x *= 0.5);
+        uvs.extend(ball.uvs.unwrap().iter().map(|uv| glam::Vec2::new(0.5 + 0.5 * uv.x, uv.y)));
+        let surface = Surface::new(mesh, 64).unwrap();
+        let visibility = TexelVisibility::trace(surface.atlas(), &surface, fibonacci_axes(4096));
+        let middle = |row: &usize| {
+            let at = surface.atlas().position[visibility.texels[*row] as usize];
+            at.xz().length() < 0.1 && at.y > 0.0 && at.y < 0.1
+        };
+        let row = (0..visibility.len()).find(middle).unwrap();
+        let part = visibility.hidden(row).count() as f64 / 4096.0;
+        let exact = (1.0 - 0.3f64.asin().cos()) / 2.0;
+        assert!((part / exact - 1.0).abs() < 0.1, "{part} {exact}");
+        for (direction, texel) in visibility.hidden(row) {
+            assert_eq!(visibility.hider(row, direction), Some(texel));
+            let hider = surface.atlas().position[texel as usize];
+            assert!((hider - Vec3::new(0.0, 1.01, 0.0)).length() < 0.35, "{hider}");
+        }
+        let seen = (0..4096).filter(|&d| visibility.hider(row, d).is_none()).count();
+        assert_eq!(seen + visibility.hidden(row).count(), 4096);
+    }
+}
