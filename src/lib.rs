@@ -6,7 +6,6 @@ pub mod error;
 pub mod fit;
 pub mod light;
 pub mod material;
-pub mod math;
 pub mod mesh;
 pub mod pass;
 pub mod pipeline;
@@ -21,3 +20,4 @@ pub mod view;
 pub mod visibility;
 
 pub use error::{Error, Result};
+pub use lobelia_math as math;

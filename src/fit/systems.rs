@@ -11,7 +11,8 @@ use crate::fit::roughness::blend::{BlendAdjoints, BlendedSamples, pull_back_blen
 use crate::light::LightLobe;
 use crate::material::{DiffuseAlbedo, SpecularLobe};
 use crate::math::shading::{
-    Layers, Lighting, PointAdjoint, PointVisibility, RadianceAdjoint, ShadePoint, SpecularValue,
+    Layers, Lighting, PointAdjoint, PointVisibility, RadianceAdjoint, RadianceColumns, ShadePoint,
+    SpecularValue,
 };
 use crate::pipeline::SystemResult;
 use crate::sample::bundle::only_table;
@@ -83,7 +84,8 @@ pub fn pull_back_radiance(
     let gradient = &mut *gradient;
     if let [] | [_] = materials.as_slice() {
         let material = materials.first().copied().unwrap_or_default();
-        form.0.shade_adjoint(points, &material, lighting, (shaded, adjoint), back, &mut gradient.shared);
+        let radiance = RadianceColumns { shaded, adjoint };
+        form.0.shade_adjoint(points, &material, lighting, radiance, back, &mut gradient.shared);
         gradient.specular.clear();
         gradient.specular.push(gradient.shared.specular);
         return Ok(());

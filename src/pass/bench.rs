@@ -1,21 +1,15 @@
 //! `lobelia bench`: how long one point × light lobe takes, forward and with its adjoint, on this machine.
 //!
-//! Everything is made here: points with uniform normals and views uniform above them, lobes on Fibonacci axes with
-//! sharpness 20 + 100·|N(0, 1)|, one specular lobe. A kernel is run again and again for its share of the time; the
+//! What is shaded is a [`Workload`]. A kernel is run again and again for its share of the time; the
 //! least time counts, because whatever else the machine does can only make a run longer.
 
 use crate::codec::file::write_bytes;
 use crate::error::{Error, Result};
-use crate::light::fibonacci::fibonacci_axes;
 use crate::math::accurate::Quality;
 use crate::math::brdf::Ndf;
 use crate::math::lanes::level_name;
-use crate::math::published::Lobe;
-use crate::math::shading::{
-    ClosedForm, Layers, LobeColumns, PointAdjoint, RadianceAdjoint, ShadePoint, SharedGradient, SpecularValue,
-};
-use glam::Vec3;
-use rand::{RngExt, SeedableRng, rngs::SmallRng};
+use crate::math::shading::{ClosedForm, Layers, PointAdjoint, RadianceAdjoint, ShadePoint};
+use crate::math::workload::Workload;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -182,74 +176,6 @@ fn write_json(path: &Path, rows: &[BenchRow]) -> Result<()> {
     write_bytes(path, text.as_bytes())
 }
 
-/// A batch to shade and room for its results.
-#[derive(Clone, Debug)]
-pub struct Workload {
-    /// Points to shade.
-    pub points: Vec<ShadePoint>,
-    /// Light.
-    pub lobes: LobeColumns,
-    /// Specular material.
-    pub specular: SpecularValue,
-    /// Where radiance goes.
-    pub shaded: Vec<Layers>,
-    /// Adjoint of each point's radiance.
-    pub adjoint: Vec<RadianceAdjoint>,
-    /// Where the points' adjoints go.
-    pub point_adjoint: Vec<PointAdjoint>,
-    /// Where the gradient of what they share goes.
-    pub gradient: SharedGradient,
-}
-
-impl Workload {
-    /// `points` × `lobes`, the same ones every time.
-    pub fn new(points: usize, lobes: usize, roughness: f32) -> Self {
-        let mut rng = SmallRng::seed_from_u64(2021);
-        let lobes = fibonacci_axes(lobes).into_iter().map(|axis| Lobe {
-            axis: axis.into(),
-            sharpness: 20.0 + 100.0 * normal(&mut rng).abs(),
-            amplitude: [1.0, 0.9, 0.8],
-        });
-        let lobes = LobeColumns::from_lobes(lobes);
-        let points: Vec<ShadePoint> = (0..points).map(|_| random_point(&mut rng)).collect();
-        Self {
-            lobes,
-            specular: SpecularValue { albedo: [0.3, 0.2, 0.1], roughness, ndf: Ndf::Sg },
-            shaded: vec![Layers::default(); points.len()],
-            adjoint: vec![RadianceAdjoint([0.3, 0.5, -0.2]); points.len()],
-            point_adjoint: vec![PointAdjoint::default(); points.len()],
-            gradient: SharedGradient::default(),
-            points,
-        }
-    }
-
-    /// Runs the forward kernel.
-    pub fn shade(&mut self, form: ClosedForm) {
-        form.shade(&self.points, &self.specular, &self.lobes, &mut self.shaded);
-    }
-
-    /// Runs the gradient's kernel.
-    pub fn shade_adjoint(&mut self, form: ClosedForm) {
-        let radiance = (self.shaded.as_slice(), self.adjoint.as_slice());
-        let (out, gradient) = (&mut self.point_adjoint, &mut self.gradient);
-        form.shade_adjoint(&self.points, &self.specular, &self.lobes, radiance, out, gradient);
-    }
-}
-
-/// A standard normal number (Box and Muller).
-fn normal(rng: &mut SmallRng) -> f32 {
-    let (radius, turn) = (1.0 - rng.random::<f32>(), rng.random::<f32>());
-    (-2.0 * radius.ln()).sqrt() * (std::f32::consts::TAU * turn).cos()
-}
-
-fn random_point(rng: &mut SmallRng) -> ShadePoint {
-    let mut direction =
-        || Vec3::new(normal(rng), normal(rng), normal(rng)).try_normalize().unwrap_or(Vec3::Y);
-    let (n, v) = (direction(), direction());
-    let to_viewer = if n.dot(v) < 0.0 { -v } else { v };
-    ShadePoint { normal: n.into(), to_viewer: to_viewer.into(), albedo: [0.5, 0.4, 0.3] }
-}
-
 fn time_kernels(form: ClosedForm, work: &mut Workload, budget: Duration) -> Timing {
     let forward = least_time(budget, || work.shade(form));
     let adjoint = least_time(budget, || work.shade_adjoint(form));
@@ -316,15 +242,5 @@ mod tests {
             let error = bench(&quick(Some(bad)), |_| panic!("measured")).unwrap_err();
             assert_eq!(error.exit_code(), 2, "{error}");
         }
-    }
-
-    #[test]
-    fn views_are_above_their_points() {
-        let work = Workload::new(200, 4, 0.3);
-        for point in &work.points {
-            let (n, v) = (Vec3::from(point.normal), Vec3::from(point.to_viewer));
-            assert!(n.is_normalized() && v.is_normalized() && n.dot(v) >= 0.0);
-        }
-        assert!((0..4).all(|i| work.lobes.get(i).sharpness >= 20.0));
     }
 }

@@ -9,6 +9,10 @@
 //! | [`provide_distant`] | Gather, `Slot::Light` | [`DistantLight`] | [`IncidentLight`] |
 //! | [`shade_closed_form`] | Shade, `Slot::Shading` | [`ShadePoint`], [`IncidentLight`], [`ShadingForm`], specular lobes | [`Layers`] |
 //! | [`shade_path_traced`] | Shade, `Slot::Shading` | the same, [`Scenery`], [`PathTracing`] | [`Layers`] |
+//!
+//! [`Layers`]: crate::math::shading::Layers
+//! [`PointVisibility`]: crate::math::shading::PointVisibility
+//! [`ShadePoint`]: crate::math::shading::ShadePoint
 
 pub mod frame;
 pub mod path_tracer;
@@ -16,27 +20,13 @@ pub mod sampling;
 pub mod systems;
 
 use crate::math::ray::{Illuminate, Intersect};
-use crate::math::shading::{
-    ClosedForm, Layers, LobeColumns, PointAdjoint, PointVisibility, RadianceAdjoint, ShadePoint,
-};
-use bevy_ecs::component::{Mutable, StorageType};
+use crate::math::shading::{ClosedForm, LobeColumns};
 use bevy_ecs::prelude::{Component, Resource};
 use std::sync::Arc;
 
 pub use systems::{
     gather_blends, gather_points, provide_distant, provide_lobes, shade_closed_form, shade_path_traced,
 };
-
-/// Makes kernel inputs and outputs, which know nothing of an ECS, columns of the pixel pool.
-macro_rules! pixel_column {
-    ($($t:ty),*) => { $(
-        impl Component for $t {
-            const STORAGE_TYPE: StorageType = StorageType::Table;
-            type Mutability = Mutable;
-        }
-    )* };
-}
-pixel_column!(ShadePoint, PointVisibility, Layers, RadianceAdjoint, PointAdjoint);
 
 /// The surface that rays are cast against.
 #[derive(Resource, Clone)]

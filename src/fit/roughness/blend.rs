@@ -14,8 +14,8 @@ use crate::fit::adam::{AdamStep, Moments};
 use crate::fit::components::{StepGradient, StepRates, Unknowns};
 use crate::material::{MAX_SPECULAR_LOBES, SpecularBlend};
 use crate::math::shading::{
-    ClosedForm, Layers, Lighting, PointAdjoint, PointVisibility, RadianceAdjoint, ShadePoint, SharedGradient,
-    SpecularValue, Visibility,
+    ClosedForm, Layers, Lighting, PointAdjoint, PointVisibility, RadianceAdjoint, RadianceColumns,
+    ShadePoint, SharedGradient, SpecularValue, Visibility,
 };
 use crate::pipeline::SystemResult;
 use crate::sample::bundle::only_table;
@@ -110,7 +110,7 @@ pub fn pull_back_blended(
         });
         let mut one = vec![PointAdjoint::default(); part.numbers.len()];
         let mut shared = SharedGradient::default();
-        let inputs = (layers.as_slice(), adjoint.as_slice());
+        let inputs = RadianceColumns { shaded: &layers, adjoint: &adjoint };
         form.shade_adjoint(&part.points, material, part.lighting(lighting), inputs, &mut one, &mut shared);
         gradient.specular.push(shared.specular);
         add_points(back, &part.numbers, &one, &first);
@@ -315,7 +315,7 @@ mod tests {
     /// Radiance is linear in weights, specular albedo and amplitudes, so that differences are as exact as the floats.
     #[test]
     fn the_adjoint_of_blended_shading_agrees_with_differences() {
-        let work = crate::pass::bench::Workload::new(40, 20, 0.3);
+        let work = crate::math::workload::Workload::new(40, 20, 0.3);
         let form = ClosedForm::default();
         let materials = [0.25, 0.5].map(|roughness| SpecularValue { roughness, ..work.specular });
         let blends: Vec<PointBlend> = (0..40).map(|i| even_slope(0.05 + 0.9 * i as f32 / 39.0)).collect();

@@ -14,8 +14,8 @@ pub use table::Case;
 use crate::error::{Error, Result};
 use crate::math::brdf::Facets;
 use crate::math::published::Lobe;
-use crate::math::real::{Real, Vec3Of};
-use crate::math::shading::ClosedForm;
+use crate::math::real::Vec3Of;
+use crate::math::shading::{ClosedForm, Scalar};
 use estimate::{Shaded, path_traced};
 use rayon::prelude::*;
 use serde_json::{Map, Value};
@@ -117,7 +117,7 @@ fn in_closed_form(form: ClosedForm, case: &Case<f64>, precision: Precision) -> [
     }
 }
 
-fn shade_case<F: Real>(form: ClosedForm, case: &Case<F>) -> [Vec3Of<F>; 2] {
+fn shade_case<F: Scalar>(form: ClosedForm, case: &Case<F>) -> [Vec3Of<F>; 2] {
     let lobe = Lobe { axis: case.lobe_axis, sharpness: case.lobe_sharpness, amplitude: case.lobe_amplitude };
     form.shade_pair([case.normal, case.view], &lobe, case.albedo, case.specular, Facets::sg(case.roughness))
 }

@@ -1,0 +1,134 @@
+//! One point × one lobe: the adjoint of its integrals, with the specular nodes and weights held fixed.
+
+use super::diffuse::cosine_integral;
+use super::pair::Pair;
+use super::point::{PointSums, PointTerms};
+use super::rule::across;
+use super::specular::{LocalLight, Node, PointTermsView, node, place};
+use super::unroll::unroll;
+use crate::dual::Dual;
+use crate::real::{Real, Vec3Of, add, dot, scale};
+
+/// Adjoints of one pair; everything but the axis may be summed over lobes in the point's own frame.
+#[derive(Clone, Copy)]
+pub struct PairAdjoint<F, const NDF: usize = 1> {
+    /// With respect to the lobe's axis (world space).
+    pub axis: Vec3Of<F>,
+    /// With respect to the lobe's sharpness.
+    pub sharpness: F,
+    /// With respect to the point.
+    pub point: PointSums<F, NDF>,
+}
+
+/// Evaluates a pair again and carries the adjoints of its `diffuse`, `constant` and `slope` back to its inputs.
+#[inline(always)]
+pub fn pull_back_pair<F: Real, const ALONG: usize, const ACROSS: usize, const NDF: usize>(
+    point: &PointTerms<F, NDF>,
+    axis: Vec3Of<F>,
+    sharpness: F,
+    [diffuse_adjoint, constant_adjoint, slope_adjoint]: [F; 3],
+) -> (Pair<F>, PairAdjoint<F, NDF>) {
+    let diffuse = cosine_integral(sharpness, dot(point.frame[2], axis));
+    let under = pull_back_diffuse(point, axis, &diffuse, diffuse_adjoint);
+    let adjoint = [constant_adjoint, slope_adjoint];
+    let ([constant, slope], mut back) =
+        pull_back_specular::<F, ALONG, ACROSS, NDF>(point, axis, sharpness, adjoint);
+    back.axis = add(back.axis, under.axis);
+    back.sharpness += under.sharpness;
+    back.point.add(&under.point);
+    (Pair { diffuse, constant, slope }, back)
+}
+
+/// The diffuse part of [`pull_back_pair`], given the integral.
+#[inline(always)]
+pub fn pull_back_diffuse<F: Real, const NDF: usize>(
+    point: &PointTerms<F, NDF>,
+    axis: Vec3Of<F>,
+    diffuse: &Dual<F>,
+    adjoint: F,
+) -> PairAdjoint<F, NDF> {
+    let tilt = adjoint * diffuse.by_cosine;
+    let mut sums = PointSums::zero(adjoint);
+    sums.normal = [tilt * dot(point.frame[0], axis), tilt * dot(point.frame[1], axis)];
+    PairAdjoint { axis: scale(point.frame[2], tilt), sharpness: adjoint * diffuse.by_sharpness, point: sums }
+}
+
+/// The specular part of [`pull_back_pair`]: `[constant, slope]` and the adjoints.
+///
+/// Nodes and weights are held fixed in world space (see the module's documentation).
+#[inline(always)]
+pub fn pull_back_specular<F: Real, const ALONG: usize, const ACROSS: usize, const NDF: usize>(
+    point: &PointTerms<F, NDF>,
+    axis: Vec3Of<F>,
+    sharpness: F,
+    [constant_adjoint, slope_adjoint]: [F; 2],
+) -> ([F; 2], PairAdjoint<F, NDF>) {
+    let light = LocalLight { axis: point.in_frame(axis), sharpness };
+    let view = PointTermsView::new(point);
+    let zero = sharpness.zero();
+    let (mut constant, mut total) = (zero, zero);
+    let mut sums = NodeSums::new(zero);
+    let mut out = PointSums::zero(zero);
+    for (m, ndf) in point.ndf.iter().enumerate() {
+        let placement = place(point.view, ndf, &light);
+        let (mut powered, mut plain) = (zero, zero);
+        let weights = [(constant_adjoint - slope_adjoint) * ndf.scale, slope_adjoint * ndf.scale];
+        let before = sums.value;
+        let mut drop = zero;
+        unroll!(i < ALONG, {
+            let row = placement.row(ALONG, i);
+            unroll!(j < ACROSS, {
+                let node = node(&view, ndf, &light, &placement, &row, across(ACROSS, j));
+                let value = node.over_cosine * node.cosine;
+                plain += value;
+                powered = value.mul_add(node.fresnel, powered);
+                sums.add(&node, weights, ndf.sharpness, point.shadowing, &mut drop);
+            });
+        });
+        let value = sums.value - before;
+        out.ndf[m] = [value / ndf.sharpness - drop, value];
+        constant = powered.mul_add(ndf.scale, constant);
+        total = plain.mul_add(ndf.scale, total);
+    }
+    out.normal = sums.normal;
+    out.shadowing = -sums.shadowing;
+    let axis = point.in_world(scale(sums.offset, sharpness));
+    ([constant, total - constant], PairAdjoint { axis, sharpness: -sums.half_square, point: out })
+}
+
+/// Sums over nodes that the adjoint needs, each node weighted by its share of the objective.
+struct NodeSums<F> {
+    value: F,
+    offset: Vec3Of<F>,
+    half_square: F,
+    normal: [F; 2],
+    shadowing: F,
+}
+
+impl<F: Real> NodeSums<F> {
+    #[inline(always)]
+    fn new(zero: F) -> Self {
+        Self { value: zero, offset: [zero; 3], half_square: zero, normal: [zero; 2], shadowing: zero }
+    }
+
+    #[inline(always)]
+    fn add(&mut self, node: &Node<F>, [powered, plain]: [F; 2], ndf_sharpness: F, k: F, drop: &mut F) {
+        let over_cosine = node.over_cosine * powered.mul_add(node.fresnel, plain);
+        let value = over_cosine * node.cosine;
+        self.value += value;
+        for c in 0..3 {
+            self.offset[c] = value.mul_add(node.offset[c], self.offset[c]);
+        }
+        self.half_square = value.mul_add(node.half_square, self.half_square);
+        // Below the horizon nothing moves; `value` is 0 there by its cosine.
+        let zero = k.zero();
+        let turn = zero.select_lt(node.cosine, over_cosine * node.shadowing * k, zero);
+        let tilt = value * ndf_sharpness;
+        for c in 0..2 {
+            let through_half = tilt.mul_add(node.half[c], self.normal[c]);
+            self.normal[c] = turn.mul_add(node.direction[c], through_half);
+        }
+        self.shadowing = (value * node.shadowing).mul_add(k.one() - node.cosine, self.shadowing);
+        *drop = value.mul_add(node.half_drop, *drop);
+    }
+}

@@ -1,0 +1,227 @@
+//! The accurate integrals as a [`PairModel`].
+
+use super::adjoint::{self, pull_back_diffuse, pull_back_specular};
+use super::diffuse::{SharpnessTerms, prepared_cosine_integral};
+use super::ggx::{GGX_LOBES, ggx_mixture};
+use super::pair::evaluate_specular;
+use super::point::{
+    NdfTerms, PointDerivatives, PointSums, PointTerms, one_sg, prepare_with_ndf, pull_back_point,
+};
+use crate::brdf::{SpecularAdjoint, SpecularValue};
+use crate::lobe::Shape;
+use crate::model::{
+    self, DIFFUSE, PairAdjoint, PairModel, Part, PointEnd, PulledBack, Reach, Response, SPECULAR,
+};
+use crate::real::{Real, Vec3Of, add, dot, scale};
+
+/// An NDF that is a mixture of `NDF` SGs in h.
+pub trait Mixture<const NDF: usize>: Copy + Send + Sync {
+    /// [L, w] of every SG, D = Σ w·(L/2π)·e^{L(h·n − 1)}, and their [dL/dR, d(ln w)/dR].
+    fn of<F: Real>(&self, roughness: F) -> ([[F; 2]; NDF], [[F; 2]; NDF]);
+}
+
+/// The supplement's NDF.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct OneSg;
+
+impl Mixture<1> for OneSg {
+    #[inline(always)]
+    fn of<F: Real>(&self, roughness: F) -> ([[F; 2]; 1], [[F; 2]; 1]) {
+        one_sg(roughness)
+    }
+}
+
+/// [`super::ggx`].
+#[derive(Clone, Copy, Debug, Default)]
+pub struct GgxSgs;
+
+impl Mixture<GGX_LOBES> for GgxSgs {
+    #[inline(always)]
+    fn of<F: Real>(&self, roughness: F) -> ([[F; 2]; GGX_LOBES], [[F; 2]; GGX_LOBES]) {
+        ggx_mixture(roughness)
+    }
+}
+
+/// The accurate integrals with `ALONG` × `ACROSS` nodes for the specular part (2 to 4, 1 to 3) of each of `NDF` SGs.
+///
+/// Specular parts of negligible pairs are left out. By half-vector geometry ∠(ω, r) ≤ 2∠(h, n), so |ω − r| ≤ 2|X| and the NDF
+/// e^(−L|X|²/2) is below an SG of sharpness L/4 around the mirror direction r; its product with the light's SG is at most
+/// e^(−aλ/(a + λ)·(1 − r·ξ)) with a = L/4. Of several SGs the broadest bounds them all.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Accurate<D, const NDF: usize, const ALONG: usize, const ACROSS: usize>(D);
+
+/// [`Quality::Default`](super::quality::Quality::Default).
+pub const ACCURATE_DEFAULT: Accurate<OneSg, 1, 3, 2> = Accurate(OneSg);
+/// [`Quality::High`](super::quality::Quality::High).
+pub const ACCURATE_HIGH: Accurate<OneSg, 1, 4, 3> = Accurate(OneSg);
+/// [`Quality::Default`](super::quality::Quality::Default) with GGX for the NDF.
+pub const GGX_DEFAULT: Accurate<GgxSgs, GGX_LOBES, 3, 2> = Accurate(GgxSgs);
+/// [`Quality::High`](super::quality::Quality::High) with GGX for the NDF.
+pub const GGX_HIGH: Accurate<GgxSgs, GGX_LOBES, 4, 3> = Accurate(GgxSgs);
+
+/// [`PointTerms`] as numbers: sharpness, start and scale of each SG come last.
+type PointNumbers<F, const NDF: usize> = ([F; 12], [[F; 3]; NDF]);
+/// [`PointSums`] as numbers.
+type SumNumbers<F, const NDF: usize> = ([F; 3], [[F; 2]; NDF]);
+
+impl<F: Copy, const NDF: usize> PointTerms<F, NDF> {
+    #[inline(always)]
+    fn to_numbers(self) -> PointNumbers<F, NDF> {
+        let [[a, b, c], [d, e, f], [g, h, i]] = self.frame;
+        let [v, w] = self.view;
+        let ndf = self.ndf.map(|n| [n.sharpness, n.start, n.scale]);
+        ([a, b, c, d, e, f, g, h, i, v, w, self.shadowing], ndf)
+    }
+
+    #[inline(always)]
+    fn from_numbers(([a, b, c, d, e, f, g, h, i, v, w, shadowing], ndf): PointNumbers<F, NDF>) -> Self {
+        let frame = [[a, b, c], [d, e, f], [g, h, i]];
+        let ndf = ndf.map(|[sharpness, start, scale]| NdfTerms { sharpness, start, scale });
+        Self { frame, view: [v, w], shadowing, ndf }
+    }
+}
+
+impl<F: Copy, const NDF: usize> PointSums<F, NDF> {
+    #[inline(always)]
+    fn to_numbers(self) -> SumNumbers<F, NDF> {
+        let [n0, n1] = self.normal;
+        ([n0, n1, self.shadowing], self.ndf)
+    }
+
+    #[inline(always)]
+    fn from_numbers(([n0, n1, shadowing], ndf): SumNumbers<F, NDF>) -> Self {
+        Self { normal: [n0, n1], shadowing, ndf }
+    }
+}
+
+impl<F: Real, const NDF: usize> PairAdjoint<F, SumNumbers<F, NDF>> {
+    #[inline(always)]
+    fn new(back: adjoint::PairAdjoint<F, NDF>) -> Self {
+        let shape = Shape { axis: back.axis, sharpness: back.sharpness };
+        Self { shape, point: back.point.to_numbers() }
+    }
+
+    #[inline(always)]
+    fn add(&mut self, other: &Self) {
+        self.shape.axis = add(self.shape.axis, other.shape.axis);
+        self.shape.sharpness += other.shape.sharpness;
+        for i in 0..3 {
+            self.point.0[i] += other.point.0[i];
+        }
+        for m in 0..NDF {
+            self.point.1[m][0] += other.point.1[m][0];
+            self.point.1[m][1] += other.point.1[m][1];
+        }
+    }
+}
+
+impl<D: Mixture<NDF>, const NDF: usize, const ALONG: usize, const ACROSS: usize> PairModel
+    for Accurate<D, NDF, ALONG, ACROSS>
+{
+    const CULLS: bool = true;
+    type Point<F: Copy> = PointNumbers<F, NDF>;
+    type Frozen<F: Copy> = ([F; 1], [[F; 2]; NDF]);
+    type Lobe<F: Copy> = [F; 8];
+    type Specular<F: Copy> = [F; 2];
+    type Sums<F: Copy> = SumNumbers<F, NDF>;
+
+    #[inline(always)]
+    fn prepare_point<F: Real>(
+        &self,
+        normal: Vec3Of<F>,
+        to_viewer: Vec3Of<F>,
+        roughness: F,
+    ) -> (Self::Point<F>, Self::Frozen<F>) {
+        let (ndf, derivatives) = self.0.of(roughness);
+        let (terms, derivatives) = prepare_with_ndf(normal, to_viewer, roughness, ndf, derivatives);
+        (terms.to_numbers(), ([derivatives.shadowing], derivatives.ndf))
+    }
+
+    #[inline(always)]
+    fn prepare_lobe<F: Real>(&self, sharpness: F) -> [F; 8] {
+        SharpnessTerms::new(sharpness).to_array()
+    }
+
+    #[inline(always)]
+    fn specular_weights(&self, _frozen: &Self::Frozen<f32>, specular: &SpecularValue) -> [Vec3Of<f32>; 2] {
+        [[1.0; 3], specular.albedo]
+    }
+
+    #[inline(always)]
+    fn reach<F: Real>(&self, point: &Self::Point<F>) -> Reach<F> {
+        let point = PointTerms::from_numbers(*point);
+        let mut broadest = point.ndf[0].sharpness;
+        for ndf in &point.ndf[1..] {
+            broadest = broadest.min(ndf.sharpness);
+        }
+        let [along, up] = point.view;
+        let axis = add(scale(point.frame[0], -along), scale(point.frame[2], up));
+        Reach { axis, sharpness: broadest.times(0.25) }
+    }
+
+    #[inline(always)]
+    fn evaluate<F: Real, const PART: Part>(
+        &self,
+        point: &Self::Point<F>,
+        shape: &Shape<F>,
+        lobe: &[F; 8],
+    ) -> Response<F, [F; 2]> {
+        let zero = shape.sharpness.zero();
+        let point = PointTerms::from_numbers(*point);
+        let mut response = Response { diffuse: zero, specular: [zero; 2] };
+        if PART & DIFFUSE != 0 {
+            let terms = SharpnessTerms::from_array(*lobe);
+            response.diffuse = prepared_cosine_integral(&terms, dot(point.frame[2], shape.axis)).value;
+        }
+        if PART & SPECULAR != 0 {
+            response.specular =
+                evaluate_specular::<F, ALONG, ACROSS, NDF>(&point, shape.axis, shape.sharpness);
+        }
+        response
+    }
+
+    #[inline(always)]
+    fn pull_back<F: Real, const PART: Part>(
+        &self,
+        point: &Self::Point<F>,
+        shape: &Shape<F>,
+        lobe: &[F; 8],
+        adjoint: &Response<F, [F; 2]>,
+    ) -> PulledBack<F, Self> {
+        let zero = shape.sharpness.zero();
+        let point = PointTerms::from_numbers(*point);
+        let mut response = Response { diffuse: zero, specular: [zero; 2] };
+        let none = Shape { axis: [zero; 3], sharpness: zero };
+        let mut back = PairAdjoint { shape: none, point: ([zero; 3], [[zero; 2]; NDF]) };
+        if PART & DIFFUSE != 0 {
+            let terms = SharpnessTerms::from_array(*lobe);
+            let diffuse = prepared_cosine_integral(&terms, dot(point.frame[2], shape.axis));
+            response.diffuse = diffuse.value;
+            back.add(&PairAdjoint::new(pull_back_diffuse(&point, shape.axis, &diffuse, adjoint.diffuse)));
+        }
+        if PART & SPECULAR != 0 {
+            let (value, specular) = pull_back_specular::<F, ALONG, ACROSS, NDF>(
+                &point,
+                shape.axis,
+                shape.sharpness,
+                adjoint.specular,
+            );
+            response.specular = value;
+            back.add(&PairAdjoint::new(specular));
+        }
+        (response, back)
+    }
+
+    #[inline(always)]
+    fn pull_back_point(&self, end: &PointEnd<'_, Self>, gradient: &mut SpecularAdjoint) -> Vec3Of<f32> {
+        let ([shadowing], ndf) = *end.frozen;
+        let derivatives = PointDerivatives { ndf, shadowing };
+        let terms = PointTerms::from_numbers(*end.terms);
+        let (normal, roughness) = pull_back_point(&terms, &derivatives, &PointSums::from_numbers(*end.sums));
+        gradient.roughness += roughness;
+        for (sum, specular_light) in gradient.albedo.iter_mut().zip(model::Terms::at(end.specular_light, 1)) {
+            *sum += specular_light;
+        }
+        normal
+    }
+}

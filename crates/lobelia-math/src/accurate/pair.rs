@@ -1,0 +1,99 @@
+//! One point × one lobe: the integrals.
+
+use super::diffuse::cosine_integral;
+use super::ggx::prepare_ggx_point;
+use super::point::{PointTerms, prepare_point};
+use super::quality::Quality;
+use super::rule::across;
+use super::specular::{LocalLight, PointTermsView, node, place};
+use super::unroll::unroll;
+use crate::brdf::{Facets, Ndf};
+use crate::dual::Dual;
+use crate::lobe::Lobe;
+use crate::real::{Real, Vec3Of, dot};
+use std::f64::consts::PI;
+
+/// One lobe's integrals at a point, for unit amplitude.
+#[derive(Clone, Copy)]
+pub struct Pair<F> {
+    /// ∫ G·max(n·ω, 0): times albedo/π the diffuse light.
+    pub diffuse: Dual<F>,
+    /// Specular light for specular albedo s: `constant + slope·s`.
+    pub constant: F,
+    /// Factor of the specular albedo.
+    pub slope: F,
+}
+
+/// Evaluates one point × lobe with `ALONG` × `ACROSS` nodes (2 to 4 along the clipped direction, 1 to 3 across).
+#[inline(always)]
+pub fn evaluate_pair<F: Real, const ALONG: usize, const ACROSS: usize, const NDF: usize>(
+    point: &PointTerms<F, NDF>,
+    axis: Vec3Of<F>,
+    sharpness: F,
+) -> Pair<F> {
+    let diffuse = cosine_integral(sharpness, dot(point.frame[2], axis));
+    let [constant, slope] = evaluate_specular::<F, ALONG, ACROSS, NDF>(point, axis, sharpness);
+    Pair { diffuse, constant, slope }
+}
+
+/// The specular part of a pair: `[constant, slope]` of [`Pair`].
+#[inline(always)]
+pub fn evaluate_specular<F: Real, const ALONG: usize, const ACROSS: usize, const NDF: usize>(
+    point: &PointTerms<F, NDF>,
+    axis: Vec3Of<F>,
+    sharpness: F,
+) -> [F; 2] {
+    let light = LocalLight { axis: point.in_frame(axis), sharpness };
+    let view = PointTermsView::new(point);
+    let (mut constant, mut total) = (sharpness.zero(), sharpness.zero());
+    for ndf in &point.ndf {
+        let placement = place(point.view, ndf, &light);
+        let (mut powered, mut plain) = (sharpness.zero(), sharpness.zero());
+        unroll!(i < ALONG, {
+            let row = placement.row(ALONG, i);
+            unroll!(j < ACROSS, {
+                let node = node(&view, ndf, &light, &placement, &row, across(ACROSS, j));
+                let value = node.over_cosine * node.cosine;
+                plain += value;
+                powered = value.mul_add(node.fresnel, powered);
+            });
+        });
+        constant = powered.mul_add(ndf.scale, constant);
+        total = plain.mul_add(ndf.scale, total);
+    }
+    [constant, total - constant]
+}
+
+fn pair_of_quality<F: Real, const NDF: usize>(
+    quality: Quality,
+    point: &PointTerms<F, NDF>,
+    lobe: &Lobe<F>,
+) -> Pair<F> {
+    match quality {
+        Quality::Default => evaluate_pair::<F, 3, 2, NDF>(point, lobe.axis, lobe.sharpness),
+        Quality::High => evaluate_pair::<F, 4, 3, NDF>(point, lobe.axis, lobe.sharpness),
+    }
+}
+
+/// Diffuse and specular radiance of one point under one lobe (for tables and tests).
+pub fn shade_pair<F: Real>(
+    quality: Quality,
+    normal: Vec3Of<F>,
+    to_viewer: Vec3Of<F>,
+    lobe: &Lobe<F>,
+    albedo: Vec3Of<F>,
+    specular_albedo: Vec3Of<F>,
+    facets: Facets<F>,
+) -> (Vec3Of<F>, Vec3Of<F>) {
+    let pair = match facets.ndf {
+        Ndf::Sg => pair_of_quality(quality, &prepare_point(normal, to_viewer, facets.roughness).0, lobe),
+        Ndf::Ggx => pair_of_quality(quality, &prepare_ggx_point(normal, to_viewer, facets.roughness).0, lobe),
+    };
+    let channel = |c: usize| {
+        let diffuse = lobe.amplitude[c] * albedo[c].times(1.0 / PI) * pair.diffuse.value;
+        let specular = lobe.amplitude[c] * (pair.constant + pair.slope * specular_albedo[c]);
+        (diffuse, specular)
+    };
+    let (r, g, b) = (channel(0), channel(1), channel(2));
+    ([r.0, g.0, b.0], [r.1, g.1, b.1])
+}

@@ -1,0 +1,16 @@
+//! Loops whose indices are constants.
+
+/// `for index in 0..count` for counts up to 4, written out so that every node's constants are constants.
+macro_rules! unroll {
+    ($index:ident < $count:expr, $body:block) => {
+        unroll!(@ $index, $count, $body, 0 1 2 3)
+    };
+    (@ $index:ident, $count:expr, $body:block, $($i:literal)*) => {
+        $(if $i < $count {
+            let $index: usize = $i;
+            $body
+        })*
+    };
+}
+
+pub(super) use unroll;

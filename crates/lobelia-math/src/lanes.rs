@@ -1,0 +1,300 @@
+//! [`Real`] for a SIMD vector of `f32`, at whatever width the machine has at run time.
+
+use crate::real::Real;
+use fearless_simd::prelude::*;
+use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub};
+
+/// A native-width vector of `f32` with its level token.
+#[derive(Clone, Copy)]
+pub struct Lanes<S: Simd> {
+    value: S::f32s,
+    simd: S,
+}
+
+impl<S: Simd> Lanes<S> {
+    /// Lanes in one vector; always divides [`MAX_LANES`].
+    pub const LEN: usize = <S::f32s as SimdBase<S>>::LEN;
+
+    /// The same value in every lane.
+    #[inline(always)]
+    pub fn splat(simd: S, value: f32) -> Self {
+        Self { value: value.simd_into(simd), simd }
+    }
+
+    /// Lanes from a slice of exactly [`Self::LEN`] values.
+    #[inline(always)]
+    pub fn load(simd: S, slice: &[f32]) -> Self {
+        Self { value: S::f32s::from_slice(simd, slice), simd }
+    }
+
+    /// Lanes from a slice of exactly [`Self::LEN`] values, 0 to 255 for 0 to 1.
+    #[inline(always)]
+    pub fn parts(simd: S, slice: &[u8]) -> Self {
+        let mut values = Row::ZERO;
+        for (value, part) in values.0[..Self::LEN].iter_mut().zip(&slice[..Self::LEN]) {
+            *value = f32::from(*part) * (1.0 / 255.0);
+        }
+        Self::load(simd, &values.0[..Self::LEN])
+    }
+
+    /// Adds the lanes onto a slice of exactly [`Self::LEN`] values.
+    #[inline(always)]
+    pub fn add_to(self, slice: &mut [f32]) {
+        (S::f32s::from_slice(self.simd, slice) + self.value).store_slice(slice);
+    }
+
+    /// Writes the lanes to a slice of exactly [`Self::LEN`] values.
+    #[inline(always)]
+    pub fn store(self, slice: &mut [f32]) {
+        self.value.store_slice(slice);
+    }
+
+    /// The value of one lane.
+    #[inline(always)]
+    pub fn lane(&self, index: usize) -> f32 {
+        self.value.as_slice()[index]
+    }
+
+    /// Bit i is set where lane i is below `bound`'s.
+    #[inline(always)]
+    pub fn bits_below(self, bound: Self) -> u64 {
+        self.value.simd_lt(bound.value).to_bitmask()
+    }
+
+    /// e to the power of arguments in [−87, 88]: Cody–Waite reduction to |r| ≤ ln 2/2 and a minimax polynomial of degree
+    /// 5, with a relative error below 2e-7.
+    #[inline(always)]
+    fn exp_between(self) -> Self {
+        // Adding 1.5·2²³ rounds to an integer and leaves it in the low bits, ready to be an exponent.
+        let rounder = self.lit(12_582_912.0);
+        let shifted = self.mul_add(self.lit(std::f64::consts::LOG2_E), rounder);
+        let k = shifted - rounder;
+        let r = k.mul_add(self.lit(-0.693_359_375), self);
+        let r = k.mul_add(self.lit(2.121_944_4e-4), r);
+        let mut p = self.lit(8.312_501e-3);
+        for c in [4.189_033e-2, 0.166_671_16, 0.499_992_3, 1.0, 1.0] {
+            p = p.mul_add(r, self.lit(c));
+        }
+        let exponent: S::i32s = shifted.value.bitcast();
+        let bits: S::i32s = p.value.bitcast();
+        Self { value: (bits + (exponent << 23)).bitcast(), simd: self.simd }
+    }
+
+    /// Sum of the lanes, in an order that depends on the machine's vectors alone.
+    #[inline(always)]
+    pub fn sum(self) -> f32 {
+        self.value.reduce_sum()
+    }
+}
+
+/// `$body` with `$simd` the token of the best instruction set that this machine has.
+///
+/// As fearless_simd's macro of this name, without its SSE4.2: there the kernels do the same operations as with SSE2.
+macro_rules! dispatch {
+    ($simd:ident => $body:expr) => {{
+        let level = fearless_simd::Level::new();
+        #[cfg(target_arch = "x86_64")]
+        {
+            if let Some(token) = level.as_avx512() {
+                $crate::lanes::with_token!(token, $simd => $body)
+            } else if let Some(token) = level.as_avx2() {
+                $crate::lanes::with_token!(token, $simd => $body)
+            } else {
+                let token = level.as_sse2().expect("every x86-64 has SSE2");
+                $crate::lanes::with_token!(token, $simd => $body)
+            }
+        }
+        #[cfg(not(target_arch = "x86_64"))]
+        {
+            fearless_simd::dispatch!(level, $simd => $body)
+        }
+    }};
+}
+pub(crate) use dispatch;
+
+/// `$body` compiled with the instructions of `$token`.
+#[cfg(target_arch = "x86_64")]
+macro_rules! with_token {
+    ($token:expr, $simd:ident => $body:expr) => {{
+        let $simd = $token;
+        fearless_simd::Simd::vectorize(
+            $simd,
+            #[inline(always)]
+            || $body,
+        )
+    }};
+}
+#[cfg(target_arch = "x86_64")]
+pub(crate) use with_token;
+
+/// The instruction set that kernels choose on this machine.
+pub fn level_name() -> &'static str {
+    /// In a place that knows the level at compile time, as kernels do.
+    #[inline(always)]
+    fn name<S: Simd>(_simd: S) -> &'static str {
+        let path = std::any::type_name::<S>();
+        path.rsplit("::").next().unwrap_or(path)
+    }
+    dispatch!(simd => name(simd))
+}
+
+/// The widest vector any level has; buffers are padded to multiples of it.
+pub const MAX_LANES: usize = 16;
+
+/// Values for one vector of the widest level, on a cache line of their own.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(64))]
+pub struct Row(pub [f32; MAX_LANES]);
+
+impl Row {
+    /// All zero.
+    pub const ZERO: Self = Self([0.0; MAX_LANES]);
+}
+
+macro_rules! binary {
+    ($op:ident, $method:ident) => {
+        impl<S: Simd> $op for Lanes<S> {
+            type Output = Self;
+            #[inline(always)]
+            fn $method(self, other: Self) -> Self {
+                Self { value: $op::$method(self.value, other.value), simd: self.simd }
+            }
+        }
+    };
+}
+binary!(Add, add);
+binary!(Sub, sub);
+binary!(Mul, mul);
+binary!(Div, div);
+
+impl<S: Simd> AddAssign for Lanes<S> {
+    #[inline(always)]
+    fn add_assign(&mut self, other: Self) {
+        self.value += other.value;
+    }
+}
+
+impl<S: Simd> Neg for Lanes<S> {
+    type Output = Self;
+    #[inline(always)]
+    fn neg(self) -> Self {
+        Self { value: -self.value, simd: self.simd }
+    }
+}
+
+impl<S: Simd> Real for Lanes<S> {
+    #[inline(always)]
+    fn lit(self, value: f64) -> Self {
+        Self::splat(self.simd, value as f32)
+    }
+    #[inline(always)]
+    fn sqrt(self) -> Self {
+        Self { value: self.value.sqrt(), simd: self.simd }
+    }
+    /// `exp_between` for arguments in [−87, 88]; those beyond are clamped, so the result is finite and never
+    /// below 1e-38.
+    #[inline(always)]
+    fn exp(self) -> Self {
+        self.max(self.lit(-87.0)).min(self.lit(88.0)).exp_between()
+    }
+    #[inline(always)]
+    fn decay(self) -> Self {
+        self.max(self.lit(-50.0)).exp_between()
+    }
+    #[inline(always)]
+    fn max(self, other: Self) -> Self {
+        Self { value: self.value.max(other.value), simd: self.simd }
+    }
+    #[inline(always)]
+    fn min(self, other: Self) -> Self {
+        Self { value: self.value.min(other.value), simd: self.simd }
+    }
+    #[inline(always)]
+    fn select_lt(self, bound: Self, yes: Self, no: Self) -> Self {
+        Self { value: self.value.simd_lt(bound.value).select(yes.value, no.value), simd: self.simd }
+    }
+    #[inline(always)]
+    fn any_lt(self, bound: Self) -> bool {
+        self.value.simd_lt(bound.value).any_true()
+    }
+    #[inline(always)]
+    fn abs(self) -> Self {
+        Self { value: self.value.abs(), simd: self.simd }
+    }
+    #[inline(always)]
+    fn copysign(self, sign: Self) -> Self {
+        Self { value: self.value.copysign(sign.value), simd: self.simd }
+    }
+    #[inline(always)]
+    fn mul_add(self, a: Self, b: Self) -> Self {
+        Self { value: self.value.mul_add(a.value, b.value), simd: self.simd }
+    }
+    /// The machine's estimate (12 bits and more on x86-64, 8 on aarch64) and one or two Newton steps.
+    #[inline(always)]
+    fn inverse(self) -> Self {
+        let two = self.lit(2.0);
+        let mut y = Self { value: self.value.approximate_recip(), simd: self.simd };
+        let steps = if cfg!(target_arch = "aarch64") { 2 } else { 1 };
+        for _ in 0..steps {
+            y = y * (-self).mul_add(y, two);
+        }
+        y
+    }
+    /// From the exponent's half and two Newton steps: relative error below 5e-6.
+    #[inline(always)]
+    fn quick_rsqrt(self) -> Self {
+        let bits: S::i32s = self.value.bitcast();
+        let halved = -(bits >> 1) + 0x5f37_59df;
+        let mut y = Self { value: halved.bitcast(), simd: self.simd };
+        let half = self * self.lit(-0.5);
+        for _ in 0..2 {
+            y = y * (half * y).mul_add(y, self.lit(1.5));
+        }
+        y
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[inline(always)]
+    fn exp_all<S: Simd>(simd: S, values: &mut [f32]) {
+        for chunk in values.chunks_exact_mut(Lanes::<S>::LEN) {
+            let result = Lanes::load(simd, chunk).exp();
+            chunk.fill(0.0);
+            result.add_to(chunk);
+        }
+    }
+
+    #[inline(always)]
+    fn invert_all<S: Simd>(simd: S, values: &mut [f32]) {
+        for chunk in values.chunks_exact_mut(Lanes::<S>::LEN) {
+            let result = Lanes::load(simd, chunk).inverse();
+            chunk.fill(0.0);
+            result.add_to(chunk);
+        }
+    }
+
+    #[test]
+    fn inverse_is_within_its_stated_error() {
+        let inputs: Vec<f32> = (0..16_000).map(|i| 10f32.powf(-37.0 + 74.0 * i as f32 / 15_999.0)).collect();
+        let mut outputs = inputs.clone();
+        dispatch!(simd => invert_all(simd, &mut outputs));
+        for (x, y) in inputs.iter().zip(&outputs) {
+            let product = f64::from(*x) * f64::from(*y);
+            assert!((product - 1.0).abs() < 3e-7, "1/{x} = {y}");
+        }
+    }
+
+    #[test]
+    fn exp_is_within_its_stated_error() {
+        let inputs: Vec<f32> = (0..16_000).map(|i| -87.0 + 174.0 * i as f32 / 15_999.0).collect();
+        let mut outputs = inputs.clone();
+        dispatch!(simd => exp_all(simd, &mut outputs));
+        for (x, y) in inputs.iter().zip(&outputs) {
+            let exact = f64::from(*x).exp();
+            assert!((f64::from(*y) / exact - 1.0).abs() < 2e-7, "exp({x}) = {y}, not {exact}");
+        }
+    }
+}

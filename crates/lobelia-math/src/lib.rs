@@ -1,0 +1,36 @@
+//! The kernels of Lobelia: plain functions over numbers and slices that know no ECS and no files.
+//!
+//! With the feature `ecs` the inputs and outputs of shading are components of a bevy_ecs world.
+//!
+//! Imports go one way, from top to bottom of this table:
+//!
+//! | module | holds |
+//! | --- | --- |
+//! | [`workload`] | a batch to measure and test kernels with |
+//! | [`shading`] | the slice kernels: many points × many lobes, forward and adjoint, and the choice of a closed form |
+//! | [`accurate`], [`published`] | the formulas of the closed forms: one point × one lobe |
+//! | [`model`] | what a closed form tells the slice kernels |
+//! | [`columns`], [`lighting`], [`sample`] | inputs and outputs of the slice kernels |
+//! | [`brdf`], [`sg`], [`lobe`], [`dual`], [`ray`], [`color`], [`fibonacci`] | shared terms |
+//! | [`lanes`], [`real`] | numbers: scalars and SIMD vectors |
+
+pub mod accurate;
+pub mod brdf;
+pub mod color;
+pub mod columns;
+pub mod dual;
+pub mod fibonacci;
+pub mod lanes;
+pub mod lighting;
+pub mod lobe;
+pub mod model;
+pub mod published;
+pub mod ray;
+pub mod real;
+pub mod sample;
+pub mod sg;
+pub mod shading;
+pub mod workload;
+
+#[cfg(test)]
+mod cases;

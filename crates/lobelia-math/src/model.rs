@@ -1,0 +1,174 @@
+//! The interface between a closed-form shading mode and the slice kernels of `shading`: one point × one lobe, and the
+//! terms prepared per point and per lobe.
+//!
+//! The kernels own the loops, the columns, the threads and the sums; a [`PairModel`] owns the formulas. Radiance of
+//! channel c is Σ over lobes of μ_c·(albedo_c/π·diffuse + Σ_b weight_bc·specular_b), where `diffuse` and the model's
+//! one or more specular terms `specular_b` belong to the pair and the weights to the point.
+
+use crate::brdf::{SpecularAdjoint, SpecularValue};
+use crate::lobe::Shape;
+use crate::real::{Real, Vec3Of};
+use crate::sample::ShadePoint;
+
+/// A fixed number of values: the terms of a point, a lobe or a pair. Implemented for arrays, and for an array with a few more
+/// values for each of several parts.
+pub trait Terms<F>: Copy {
+    /// How many.
+    const LEN: usize;
+    /// From the value of each index.
+    fn from_fn(value: impl FnMut(usize) -> F) -> Self;
+    /// Value of one index.
+    fn at(&self, index: usize) -> F;
+    /// Likewise, to be changed.
+    fn at_mut(&mut self, index: usize) -> &mut F;
+}
+
+impl<F: Copy, const N: usize> Terms<F> for [F; N] {
+    const LEN: usize = N;
+    #[inline(always)]
+    fn from_fn(value: impl FnMut(usize) -> F) -> Self {
+        std::array::from_fn(value)
+    }
+    #[inline(always)]
+    fn at(&self, index: usize) -> F {
+        self[index]
+    }
+    #[inline(always)]
+    fn at_mut(&mut self, index: usize) -> &mut F {
+        &mut self[index]
+    }
+}
+
+impl<F: Copy, const N: usize, const EACH: usize, const PARTS: usize> Terms<F>
+    for ([F; N], [[F; EACH]; PARTS])
+{
+    const LEN: usize = N + EACH * PARTS;
+    #[inline(always)]
+    fn from_fn(mut value: impl FnMut(usize) -> F) -> Self {
+        let shared = std::array::from_fn(&mut value);
+        (shared, std::array::from_fn(|p| std::array::from_fn(|i| value(N + EACH * p + i))))
+    }
+    #[inline(always)]
+    fn at(&self, index: usize) -> F {
+        if index < N { self.0[index] } else { self.1[(index - N) / EACH][(index - N) % EACH] }
+    }
+    #[inline(always)]
+    fn at_mut(&mut self, index: usize) -> &mut F {
+        if index < N { &mut self.0[index] } else { &mut self.1[(index - N) / EACH][(index - N) % EACH] }
+    }
+}
+
+/// The part of a pair to compute: [`DIFFUSE`], [`SPECULAR`] or [`BOTH`]. The other part of the result is zero.
+pub type Part = u8;
+/// The diffuse part alone.
+pub const DIFFUSE: Part = 1;
+/// The specular part alone.
+pub const SPECULAR: Part = 2;
+/// Both.
+pub const BOTH: Part = DIFFUSE | SPECULAR;
+
+/// Where a point's specular light comes from: its response to a lobe (axis ξ, sharpness λ) is at most about that to an aligned
+/// one times e^(−aλ/(a + λ)·(1 − r·ξ)).
+#[derive(Clone, Copy)]
+pub struct Reach<F> {
+    /// r, a unit direction.
+    pub axis: Vec3Of<F>,
+    /// a.
+    pub sharpness: F,
+}
+
+/// One pair's light for unit amplitude.
+#[derive(Clone, Copy)]
+pub struct Response<F, T> {
+    /// Irradiance: times albedo/π it is the diffuse radiance.
+    pub diffuse: F,
+    /// The specular terms, to be weighted per channel by [`PairModel::specular_weights`].
+    pub specular: T,
+}
+
+/// Adjoints of one pair.
+#[derive(Clone, Copy)]
+pub struct PairAdjoint<F, T> {
+    /// With respect to the lobe's shape.
+    pub shape: Shape<F>,
+    /// Whatever of the point's adjoint is summed over lobes.
+    pub point: T,
+}
+
+/// What [`PairModel::pull_back`] returns.
+pub type PulledBack<F, M> =
+    (Response<F, <M as PairModel>::Specular<F>>, PairAdjoint<F, <M as PairModel>::Sums<F>>);
+
+/// One point's own numbers at the end of its adjoint.
+pub struct PointEnd<'a, M: PairModel> {
+    /// The point.
+    pub point: &'a ShadePoint,
+    /// The specular material.
+    pub specular: &'a SpecularValue,
+    /// From [`PairModel::prepare_point`].
+    pub terms: &'a M::Point<f32>,
+    /// Likewise.
+    pub frozen: &'a M::Frozen<f32>,
+    /// Sums over the lobes of [`PairAdjoint::point`].
+    pub sums: &'a M::Sums<f32>,
+    /// Per specular term and channel: adjoint of the channel's radiance × Σ over lobes of μ·specular.
+    pub specular_light: &'a M::Specular<Vec3Of<f32>>,
+}
+
+/// The formulas of a shading mode. All methods should be `#[inline(always)]`: they run inside SIMD loops.
+pub trait PairModel: Copy + Send + Sync {
+    /// Whether the kernels may leave out the specular part of pairs by [`PairModel::reach`]. Such a model is asked for parts, and
+    /// its specular part must not read the lobe's terms.
+    const CULLS: bool;
+    /// The terms of a point that a pair reads.
+    type Point<F: Copy>: Terms<F>;
+    /// The terms of a point that only its weights and the end of its adjoint read.
+    type Frozen<F: Copy>: Terms<F>;
+    /// The terms of a lobe that a pair reads beside the shape: prepared from the sharpness once a call, kept in columns.
+    type Lobe<F: Copy>: Terms<F>;
+    /// A pair's specular terms.
+    type Specular<F: Copy>: Terms<F>;
+    /// The sums over lobes that a point's adjoint needs.
+    type Sums<F: Copy>: Terms<F>;
+
+    /// Everything that depends on the point and the roughness but not on the light.
+    fn prepare_point<F: Real>(
+        &self,
+        normal: Vec3Of<F>,
+        to_viewer: Vec3Of<F>,
+        roughness: F,
+    ) -> (Self::Point<F>, Self::Frozen<F>);
+
+    /// Everything that depends on a lobe's sharpness alone.
+    fn prepare_lobe<F: Real>(&self, sharpness: F) -> Self::Lobe<F>;
+
+    /// The weights of the specular terms in each channel.
+    fn specular_weights(
+        &self,
+        frozen: &Self::Frozen<f32>,
+        specular: &SpecularValue,
+    ) -> Self::Specular<Vec3Of<f32>>;
+
+    /// Where the point's specular light comes from; not called unless [`PairModel::CULLS`].
+    fn reach<F: Real>(&self, point: &Self::Point<F>) -> Reach<F>;
+
+    /// One point × lobe.
+    fn evaluate<F: Real, const PART: Part>(
+        &self,
+        point: &Self::Point<F>,
+        shape: &Shape<F>,
+        lobe: &Self::Lobe<F>,
+    ) -> Response<F, Self::Specular<F>>;
+
+    /// One point × lobe and, given the adjoint of its response, the adjoints of what went in.
+    fn pull_back<F: Real, const PART: Part>(
+        &self,
+        point: &Self::Point<F>,
+        shape: &Shape<F>,
+        lobe: &Self::Lobe<F>,
+        adjoint: &Response<F, Self::Specular<F>>,
+    ) -> PulledBack<F, Self>;
+
+    /// Ends a point's adjoint: returns that of its normal, adds that of the specular material onto `gradient`.
+    fn pull_back_point(&self, end: &PointEnd<'_, Self>, gradient: &mut SpecularAdjoint) -> Vec3Of<f32>;
+}

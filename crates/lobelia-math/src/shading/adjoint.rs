@@ -1,0 +1,205 @@
+//! Adjoint of a chunk of points: as [`super::forward`], with every pair's response computed again.
+
+use super::blocks::{LobeVector, reaching};
+use super::light::{Light, Sums, mul_add3, splat3};
+use super::prepared::{Chunk, Prepared, Shared, splat};
+use super::walk::{Visit, walk};
+use crate::brdf::SpecularAdjoint;
+use crate::columns::LOBE_COLUMNS;
+use crate::lanes::{Lanes, MAX_LANES, Row};
+use crate::lighting::{PointVisibility, Visibility};
+use crate::lobe::Shape;
+use crate::model::{DIFFUSE, PairModel, Part, PointEnd, Response, SPECULAR, Terms};
+use crate::real::{Vec3Of, dot, scale};
+use crate::sample::{Layers, PointAdjoint, RadianceAdjoint, RadianceColumns, ShadePoint};
+use fearless_simd::Simd;
+use std::f32::consts::PI;
+
+/// Adjoint of one point's radiance, per channel and with the channels clamped to zero taken out: of the diffuse layer,
+/// of the specular layer, and of the light that goes into them.
+struct Weights<M: PairModel> {
+    diffuse: Vec3Of<f32>,
+    specular: Vec3Of<f32>,
+    diffuse_light: Vec3Of<f32>,
+    specular_light: M::Specular<Vec3Of<f32>>,
+}
+
+impl<M: PairModel> Weights<M> {
+    #[inline(always)]
+    fn new(
+        shared: &Shared<'_, M>,
+        point: &ShadePoint,
+        around: &PointVisibility,
+        frozen: &M::Frozen<f32>,
+        shaded: &Layers,
+        adjoint: &RadianceAdjoint,
+    ) -> Self {
+        // A channel that was clamped to zero does not move with its inputs.
+        let live = |value: f32, adjoint: f32| if value > 0.0 { adjoint } else { 0.0 };
+        let diffuse: Vec3Of<f32> = std::array::from_fn(|c| live(shaded.diffuse[c], adjoint.0[c]));
+        let specular: Vec3Of<f32> =
+            std::array::from_fn(|c| live(shaded.specular[c], adjoint.0[c]) * around.specular[c]);
+        let weights = shared.model.specular_weights(frozen, shared.specular);
+        Self {
+            diffuse,
+            specular,
+            diffuse_light: std::array::from_fn(|c| diffuse[c] * point.albedo[c] / PI),
+            specular_light: Terms::from_fn(|b| std::array::from_fn(|c| specular[c] * weights.at(b)[c])),
+        }
+    }
+}
+
+/// Adjoint of a chunk of points; adds what they share onto `partial`: a block of [`LOBE_COLUMNS`] rows for each of the
+/// lobes', and a last row for the specular material (albedo, roughness).
+#[inline(always)]
+pub fn adjoint_chunk<S: Simd, M: PairModel>(
+    simd: S,
+    shared: &Shared<'_, M>,
+    Chunk { points, visibility }: Chunk<'_>,
+    RadianceColumns { shaded, adjoint }: RadianceColumns<'_>,
+    out: &mut [PointAdjoint],
+    partial: &mut [Row],
+) {
+    let (lobe_gradient, specular_row) = partial.split_at_mut(partial.len() - 1);
+    let mut gradient = SpecularAdjoint::default();
+    let mut prepared = None;
+    for (i, point) in points.iter().enumerate() {
+        let lane = i % Lanes::<S>::LEN;
+        if lane == 0 {
+            let end = points.len().min(i + Lanes::<S>::LEN);
+            prepared = Some(Prepared::<S, M>::new(simd, shared, &points[i..end]));
+        }
+        out[i] = PointAdjoint::default();
+        let Some(prepared) = prepared.as_ref().filter(|_| !point.is_missed()) else { continue };
+        let (terms, frozen) = prepared.point(lane);
+        let (row, around) = Visibility::point(visibility, i, shared.stride());
+        let weights = Weights::new(shared, point, &around, &frozen, &shaded[i], &adjoint[i]);
+        let wide = splat::<S, M>(simd, &terms);
+        let (light, sums) = pull_back_lobes(simd, shared, &wide, row, &weights, lobe_gradient);
+        let incident = |c: usize| light.diffuse[c] + around.indirect[c];
+        out[i].albedo = std::array::from_fn(|c| weights.diffuse[c] / PI * incident(c));
+        let end = PointEnd {
+            point,
+            specular: shared.specular,
+            terms: &terms,
+            frozen: &frozen,
+            sums: &sums,
+            specular_light: &Terms::from_fn(|b| {
+                std::array::from_fn(|c| weights.specular[c] * light.specular.at(b)[c])
+            }),
+        };
+        out[i].normal = shared.model.pull_back_point(&end, &mut gradient);
+    }
+    let [r, g, b] = gradient.albedo;
+    specular_row[0].0[..4].copy_from_slice(&[r, g, b, gradient.roughness]);
+}
+
+/// Walks the lobes for one point: adds their gradient onto `gradient` and returns the point's own sums.
+#[inline(always)]
+fn pull_back_lobes<S: Simd, M: PairModel>(
+    simd: S,
+    shared: &Shared<'_, M>,
+    terms: &M::Point<Lanes<S>>,
+    row: Option<&[u8]>,
+    weights: &Weights<M>,
+    gradient: &mut [Row],
+) -> (Sums<M>, M::Sums<f32>) {
+    let ks: M::Specular<Vec3Of<Lanes<S>>> = Terms::from_fn(|b| splat3(simd, weights.specular_light.at(b)));
+    let zero = Lanes::splat(simd, 0.0);
+    let mut back = PullBack {
+        simd,
+        model: shared.model,
+        terms,
+        row,
+        kd: splat3(simd, weights.diffuse_light),
+        ks,
+        light: Light::zero(simd),
+        sums: Terms::from_fn(|_| zero),
+        gradient,
+    };
+    walk(simd, shared, terms, &mut back);
+    let mut total: M::Sums<f32> = Terms::from_fn(|_| 0.0);
+    for i in 0..M::Sums::<f32>::LEN {
+        *total.at_mut(i) = back.sums.at(i).sum();
+    }
+    (back.light.total(), total)
+}
+
+/// One point's adjoint under way over the lobes.
+struct PullBack<'a, S: Simd, M: PairModel> {
+    simd: S,
+    model: M,
+    terms: &'a M::Point<Lanes<S>>,
+    /// Visibility of the lobes.
+    row: Option<&'a [u8]>,
+    /// Adjoints of diffuse light and of each specular term, per channel.
+    kd: Vec3Of<Lanes<S>>,
+    ks: M::Specular<Vec3Of<Lanes<S>>>,
+    light: Light<S, M>,
+    sums: M::Sums<Lanes<S>>,
+    gradient: &'a mut [Row],
+}
+
+impl<S: Simd, M: PairModel> PullBack<'_, S, M> {
+    /// Pulls the part `PART` of a vector of lobes back; returns the lobes' gradient in columns.
+    #[inline(always)]
+    fn pull_back<const PART: Part>(
+        &mut self,
+        mu: Vec3Of<Lanes<S>>,
+        shape: &Shape<Lanes<S>>,
+        lobe: &M::Lobe<Lanes<S>>,
+        reaching: Lanes<S>,
+    ) -> [Lanes<S>; LOBE_COLUMNS] {
+        let zero = Lanes::splat(self.simd, 0.0);
+        let mut specular: M::Specular<Lanes<S>> = Terms::from_fn(|_| zero);
+        for b in 0..M::Specular::<f32>::LEN {
+            *specular.at_mut(b) = dot(self.ks.at(b), mu);
+        }
+        let adjoint = Response { diffuse: dot(self.kd, mu) * reaching, specular };
+        let (mut response, back) = self.model.pull_back::<_, PART>(self.terms, shape, lobe, &adjoint);
+        response.diffuse = response.diffuse * reaching;
+        let (axis, [mut r, mut g, mut b]) = (back.shape.axis, [zero; 3]);
+        if PART & DIFFUSE != 0 {
+            [r, g, b] = scale(self.kd, response.diffuse);
+        }
+        if PART & SPECULAR != 0 {
+            for i in 0..M::Specular::<f32>::LEN {
+                [r, g, b] = mul_add3(self.ks.at(i), response.specular.at(i), [r, g, b]);
+            }
+        }
+        self.light.add::<PART>(mu, &response);
+        for i in 0..M::Sums::<f32>::LEN {
+            *self.sums.at_mut(i) += back.point.at(i);
+        }
+        [axis[0], axis[1], axis[2], back.shape.sharpness, r, g, b]
+    }
+}
+
+impl<S: Simd, M: PairModel> Visit<S, M> for PullBack<'_, S, M> {
+    #[inline(always)]
+    fn block<const PART: Part>(&mut self, b: usize, at: usize, lobe: &LobeVector<S, M>) {
+        let reaching = reaching(self.simd, self.row, b, at);
+        let columns = self.pull_back::<PART>(lobe.amplitude, &lobe.shape, &lobe.terms, reaching);
+        let rows = &mut self.gradient[b * LOBE_COLUMNS..(b + 1) * LOBE_COLUMNS];
+        for (row, value) in rows.iter_mut().zip(columns) {
+            value.add_to(&mut row.0[at..at + Lanes::<S>::LEN]);
+        }
+    }
+
+    #[inline(always)]
+    fn picked(&mut self, index: &[usize], shape: &Shape<Lanes<S>>, amplitude: Vec3Of<Lanes<S>>) {
+        let zero = Lanes::splat(self.simd, 0.0);
+        let unread: M::Lobe<Lanes<S>> = Terms::from_fn(|_| zero);
+        let columns = self.pull_back::<SPECULAR>(amplitude, shape, &unread, zero);
+        let mut values = [Row::ZERO; LOBE_COLUMNS];
+        for (row, value) in values.iter_mut().zip(columns) {
+            value.store(&mut row.0[..Lanes::<S>::LEN]);
+        }
+        for (i, lobe) in index.iter().enumerate() {
+            let rows = &mut self.gradient[lobe / MAX_LANES * LOBE_COLUMNS..][..LOBE_COLUMNS];
+            for (row, value) in rows.iter_mut().zip(&values) {
+                row.0[lobe % MAX_LANES] += value.0[i];
+            }
+        }
+    }
+}

@@ -1,0 +1,70 @@
+//! Lobes regrouped into blocks of [`MAX_LANES`]: a block is one [`Row`] a column (axis, sharpness, amplitude, then the
+//! model's terms), so that a lobe's values lie side by side whatever the number of lobes.
+
+use super::limits::exponent_limits;
+use crate::columns::{LOBE_COLUMNS, LobeColumns};
+use crate::lanes::{Lanes, MAX_LANES, Row};
+use crate::lobe::Shape;
+use crate::model::{PairModel, Terms};
+use crate::real::Vec3Of;
+use fearless_simd::Simd;
+
+/// Rows of a block of prepared lobes: the lobes', the model's, and the exponent from which a specular part is left out.
+pub const fn block_rows<M: PairModel>() -> usize {
+    LOBE_COLUMNS + <M::Lobe<f32> as Terms<f32>>::LEN + 1
+}
+
+/// Regroups lobes into blocks and adds the model's terms.
+#[inline(always)]
+pub fn prepare_lobes<S: Simd, M: PairModel>(simd: S, model: M, lobes: &LobeColumns, out: &mut Vec<Row>) {
+    out.clear();
+    out.resize(lobes.blocks() * block_rows::<M>(), Row::ZERO);
+    let limit = exponent_limits(lobes);
+    for (b, block) in out.chunks_exact_mut(block_rows::<M>()).enumerate() {
+        for (c, row) in block[..LOBE_COLUMNS].iter_mut().enumerate() {
+            row.0.copy_from_slice(lobes.block(c, b));
+        }
+        for at in (0..MAX_LANES).step_by(Lanes::<S>::LEN) {
+            let terms = model.prepare_lobe(load(simd, &block[3], at));
+            for c in 0..M::Lobe::<Lanes<S>>::LEN {
+                terms.at(c).store(&mut block[LOBE_COLUMNS + c].0[at..at + Lanes::<S>::LEN]);
+            }
+        }
+        for (i, value) in block[block_rows::<M>() - 1].0.iter_mut().enumerate() {
+            *value = limit(b * MAX_LANES + i);
+        }
+    }
+}
+
+/// One vector of a row.
+#[inline(always)]
+pub fn load<S: Simd>(simd: S, row: &Row, at: usize) -> Lanes<S> {
+    Lanes::load(simd, &row.0[at..at + Lanes::<S>::LEN])
+}
+
+/// The part of a vector of lobes' light that reaches a point.
+#[inline(always)]
+pub(super) fn reaching<S: Simd>(simd: S, row: Option<&[u8]>, b: usize, at: usize) -> Lanes<S> {
+    match row {
+        Some(row) => Lanes::parts(simd, &row[b * MAX_LANES + at..][..Lanes::<S>::LEN]),
+        None => Lanes::splat(simd, 1.0),
+    }
+}
+
+/// One vector of lobes.
+pub(super) struct LobeVector<S: Simd, M: PairModel> {
+    pub(super) shape: Shape<Lanes<S>>,
+    pub(super) amplitude: Vec3Of<Lanes<S>>,
+    pub(super) terms: M::Lobe<Lanes<S>>,
+}
+
+#[inline(always)]
+pub(super) fn load_lobes<S: Simd, M: PairModel>(simd: S, block: &[Row], at: usize) -> LobeVector<S, M> {
+    assert_eq!(block.len(), block_rows::<M>(), "a whole block");
+    let column = |c: usize| load(simd, &block[c], at);
+    LobeVector {
+        shape: Shape { axis: [column(0), column(1), column(2)], sharpness: column(3) },
+        amplitude: [column(4), column(5), column(6)],
+        terms: Terms::from_fn(|c| column(LOBE_COLUMNS + c)),
+    }
+}

@@ -1,0 +1,151 @@
+//! The closed forms of this crate, chosen at run time.
+
+use super::loops::{Kernels, Loops};
+use super::slices;
+use crate::accurate::{self, ACCURATE_DEFAULT, ACCURATE_HIGH, GGX_DEFAULT, GGX_HIGH, Quality};
+use crate::brdf::{Facets, Ndf, SpecularValue};
+use crate::columns::{LobeColumns, SharedGradient};
+use crate::lighting::Lighting;
+use crate::lobe::Lobe;
+use crate::published::{self, Published};
+use crate::real::{Real, Vec3Of};
+use crate::sample::{Layers, PointAdjoint, RadianceColumns, ShadePoint};
+
+/// Which closed form shades.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ClosedForm {
+    /// The formulas of PhySG's own code, for comparison.
+    Published,
+    /// The integrals themselves, to the given accuracy.
+    Accurate(Quality),
+}
+
+impl Default for ClosedForm {
+    fn default() -> Self {
+        Self::Accurate(Quality::Default)
+    }
+}
+
+/// Diffuse and specular radiance of one point under one lobe.
+type LayersOf<F> = (Vec3Of<F>, Vec3Of<F>);
+
+/// A float for single pairs: its formulas are compiled in this crate, not in every crate that calls them.
+pub trait Scalar: Real {
+    /// [`published::shade_pair`] in this float.
+    fn published(
+        normal: Vec3Of<Self>,
+        to_viewer: Vec3Of<Self>,
+        lobe: &Lobe<Self>,
+        albedo: Vec3Of<Self>,
+        specular_albedo: Vec3Of<Self>,
+        roughness: Self,
+    ) -> LayersOf<Self>;
+    /// [`accurate::shade_pair`] in this float.
+    fn accurate(
+        quality: Quality,
+        normal: Vec3Of<Self>,
+        to_viewer: Vec3Of<Self>,
+        lobe: &Lobe<Self>,
+        albedo: Vec3Of<Self>,
+        specular_albedo: Vec3Of<Self>,
+        facets: Facets<Self>,
+    ) -> LayersOf<Self>;
+}
+
+macro_rules! scalar {
+    ($t:ty) => {
+        impl Scalar for $t {
+            #[inline(never)]
+            fn published(
+                normal: Vec3Of<Self>,
+                to_viewer: Vec3Of<Self>,
+                lobe: &Lobe<Self>,
+                albedo: Vec3Of<Self>,
+                specular_albedo: Vec3Of<Self>,
+                roughness: Self,
+            ) -> LayersOf<Self> {
+                published::shade_pair(normal, to_viewer, lobe, albedo, specular_albedo, roughness)
+            }
+            #[inline(never)]
+            fn accurate(
+                quality: Quality,
+                normal: Vec3Of<Self>,
+                to_viewer: Vec3Of<Self>,
+                lobe: &Lobe<Self>,
+                albedo: Vec3Of<Self>,
+                specular_albedo: Vec3Of<Self>,
+                facets: Facets<Self>,
+            ) -> LayersOf<Self> {
+                accurate::shade_pair(quality, normal, to_viewer, lobe, albedo, specular_albedo, facets)
+            }
+        }
+    };
+}
+scalar!(f32);
+scalar!(f64);
+
+impl ClosedForm {
+    /// Diffuse and specular radiance of one point under one lobe, each at least 0.
+    pub fn shade_pair<F: Scalar>(
+        self,
+        [normal, to_viewer]: [Vec3Of<F>; 2],
+        lobe: &Lobe<F>,
+        albedo: Vec3Of<F>,
+        specular_albedo: Vec3Of<F>,
+        facets: Facets<F>,
+    ) -> [Vec3Of<F>; 2] {
+        let layers = match self {
+            Self::Published => {
+                F::published(normal, to_viewer, lobe, albedo, specular_albedo, facets.roughness)
+            }
+            Self::Accurate(quality) => {
+                F::accurate(quality, normal, to_viewer, lobe, albedo, specular_albedo, facets)
+            }
+        };
+        [layers.0.map(F::relu), layers.1.map(F::relu)]
+    }
+
+    /// [`shade_with`](super::slices::shade_with) of this form.
+    pub fn shade<'a>(
+        self,
+        points: &[ShadePoint],
+        specular: &SpecularValue,
+        lighting: impl Into<Lighting<'a>>,
+        out: &mut [Layers],
+    ) {
+        slices::shade(self.kernels(specular.ndf), points, specular, lighting.into(), out);
+    }
+
+    /// The part of all pairs whose specular light this form leaves out, in [0, 1].
+    pub fn culled_part(self, points: &[ShadePoint], specular: &SpecularValue, lobes: &LobeColumns) -> f64 {
+        slices::culled_part(self.kernels(specular.ndf), points, specular, lobes)
+    }
+
+    /// [`shade_adjoint_with`](super::slices::shade_adjoint_with) of this form.
+    pub fn shade_adjoint<'a>(
+        self,
+        points: &[ShadePoint],
+        specular: &SpecularValue,
+        lighting: impl Into<Lighting<'a>>,
+        radiance: RadianceColumns<'_>,
+        out: &mut [PointAdjoint],
+        gradient: &mut SharedGradient,
+    ) {
+        let (kernels, lighting) = (self.kernels(specular.ndf), lighting.into());
+        slices::shade_adjoint(kernels, points, specular, lighting, radiance, out, gradient);
+    }
+
+    /// The loops of this form with a distribution of microfacet normals.
+    ///
+    /// Never inlined: a crate that names these trait objects compiles all their loops again.
+    #[inline(never)]
+    fn kernels(self, ndf: Ndf) -> &'static dyn Kernels {
+        match (self, ndf) {
+            (Self::Published, _) => &Loops(Published),
+            (Self::Accurate(Quality::Default), Ndf::Sg) => &Loops(ACCURATE_DEFAULT),
+            (Self::Accurate(Quality::High), Ndf::Sg) => &Loops(ACCURATE_HIGH),
+            (Self::Accurate(Quality::Default), Ndf::Ggx) => &Loops(GGX_DEFAULT),
+            (Self::Accurate(Quality::High), Ndf::Ggx) => &Loops(GGX_HIGH),
+        }
+    }
+}

@@ -1,0 +1,78 @@
+//! The loops of one closed form over a chunk of points, behind a trait object: threads and sums are compiled once, and
+//! every form's loops once for each instruction set.
+
+use super::adjoint::adjoint_chunk;
+use super::blocks::prepare_lobes;
+use super::forward::shade_chunk;
+use super::prepared::{Chunk, Shared};
+use super::walk::count_kept;
+use crate::brdf::SpecularValue;
+use crate::columns::LobeColumns;
+use crate::lanes::{Row, dispatch};
+use crate::model::PairModel;
+use crate::sample::{Layers, PointAdjoint, RadianceColumns, ShadePoint};
+
+/// What all points of a call share, without the formulas.
+#[derive(Clone, Copy)]
+pub(crate) struct Inputs<'a> {
+    /// The specular material.
+    pub specular: &'a SpecularValue,
+    /// From [`Kernels::prepare_lobes`].
+    pub lobes: &'a [Row],
+}
+
+/// The loops of one closed form.
+pub(crate) trait Kernels: Sync {
+    /// Regroups lobes into blocks and adds what the formulas need of each.
+    fn prepare_lobes(&self, lobes: &LobeColumns, out: &mut Vec<Row>);
+    /// Radiance of a chunk of points.
+    fn shade(&self, inputs: Inputs<'_>, chunk: Chunk<'_>, out: &mut [Layers]);
+    /// Adjoint of a chunk of points; adds what they share onto `partial`.
+    fn pull_back(
+        &self,
+        inputs: Inputs<'_>,
+        chunk: Chunk<'_>,
+        radiance: RadianceColumns<'_>,
+        out: &mut [PointAdjoint],
+        partial: &mut [Row],
+    );
+    /// Number of pairs whose specular part is evaluated; `None` if all are.
+    fn count_kept(&self, inputs: Inputs<'_>, points: &[ShadePoint]) -> Option<usize>;
+}
+
+/// The loops over the formulas of a model.
+pub(crate) struct Loops<M>(pub M);
+
+impl<M: PairModel> Loops<M> {
+    fn shared<'a>(&self, inputs: Inputs<'a>) -> Shared<'a, M> {
+        Shared { model: self.0, specular: inputs.specular, lobes: inputs.lobes }
+    }
+}
+
+impl<M: PairModel> Kernels for Loops<M> {
+    fn prepare_lobes(&self, lobes: &LobeColumns, out: &mut Vec<Row>) {
+        dispatch!(simd => prepare_lobes(simd, self.0, lobes, out));
+    }
+
+    fn shade(&self, inputs: Inputs<'_>, chunk: Chunk<'_>, out: &mut [Layers]) {
+        let shared = self.shared(inputs);
+        dispatch!(simd => shade_chunk(simd, &shared, chunk, out));
+    }
+
+    fn pull_back(
+        &self,
+        inputs: Inputs<'_>,
+        chunk: Chunk<'_>,
+        radiance: RadianceColumns<'_>,
+        out: &mut [PointAdjoint],
+        partial: &mut [Row],
+    ) {
+        let shared = self.shared(inputs);
+        dispatch!(simd => adjoint_chunk(simd, &shared, chunk, radiance, out, partial));
+    }
+
+    fn count_kept(&self, inputs: Inputs<'_>, points: &[ShadePoint]) -> Option<usize> {
+        let shared = self.shared(inputs);
+        M::CULLS.then(|| dispatch!(simd => count_kept(simd, &shared, points)))
+    }
+}

@@ -1,0 +1,32 @@
+//! SG shading of many points by many lobes: the slice kernels behind the Shade and Gradient stages.
+//!
+//! Lobes lie in columns, padded to a whole number of SIMD vectors; points are taken one by one, in chunks over the
+//! threads. Sums over points are made per chunk and then over chunks in order, so the result does not depend on the
+//! number of threads. The formulas are a [`PairModel`](crate::model::PairModel)'s; [`ClosedForm`] chooses one at run time.
+//!
+//! Vector arithmetic belongs into `#[inline(always)]` functions and loops, not into closures of any size: one that the
+//! compiler does not inline is compiled without the level's instructions and is ten times slower.
+
+mod adjoint;
+mod blocks;
+mod closed_form;
+mod cull;
+mod forward;
+mod light;
+mod limits;
+mod loops;
+mod prepared;
+mod slices;
+mod walk;
+
+#[cfg(test)]
+mod properties;
+#[cfg(test)]
+mod tests;
+
+pub use crate::brdf::{SpecularAdjoint, SpecularValue};
+pub use crate::columns::{LOBE_COLUMNS, LobeColumns, SharedGradient};
+pub use crate::lighting::{Lighting, PointVisibility, Visibility};
+pub use crate::sample::{Layers, PointAdjoint, RadianceAdjoint, RadianceColumns, ShadePoint};
+pub use closed_form::{ClosedForm, Scalar};
+pub use slices::{shade_adjoint_with, shade_with};

@@ -1,0 +1,115 @@
+//! Many points by many lobes: chunks over the threads, and sums in a fixed order.
+
+use super::loops::{Inputs, Kernels, Loops};
+use super::prepared::Chunk;
+use crate::brdf::SpecularValue;
+use crate::columns::{LOBE_COLUMNS, LobeColumns, SharedGradient};
+use crate::lanes::Row;
+use crate::lighting::Lighting;
+use crate::model::PairModel;
+use crate::sample::{Layers, PointAdjoint, RadianceColumns, ShadePoint};
+use rayon::prelude::*;
+use std::cell::Cell;
+
+/// Points a thread takes at a time; also the grain of the fixed-order sums.
+const CHUNK: usize = 256;
+
+thread_local! {
+    /// Kept between calls, so that a step of a fit allocates nothing. Taken out while in use: a thread that waits for
+    /// its share of the work may meanwhile be given another call's.
+    static SCRATCH: Cell<(Vec<Row>, Vec<Row>)> = const { Cell::new((Vec::new(), Vec::new())) };
+}
+
+/// Shades `points` by the formulas of `model`; `out` has their length.
+pub fn shade_with<M: PairModel>(
+    model: M,
+    points: &[ShadePoint],
+    specular: &SpecularValue,
+    lighting: Lighting<'_>,
+    out: &mut [Layers],
+) {
+    shade(&Loops(model), points, specular, lighting, out);
+}
+
+/// Pulls the adjoint of each point's radiance back to the points and to what they share (not to the visibility), by the
+/// formulas of `model`. Where a channel was clamped to zero its adjoint is dropped. Overwrites `gradient`, whose memory
+/// it uses again.
+pub fn shade_adjoint_with<M: PairModel>(
+    model: M,
+    points: &[ShadePoint],
+    specular: &SpecularValue,
+    lighting: Lighting<'_>,
+    radiance: RadianceColumns<'_>,
+    point_adjoint: &mut [PointAdjoint],
+    gradient: &mut SharedGradient,
+) {
+    shade_adjoint(&Loops(model), points, specular, lighting, radiance, point_adjoint, gradient);
+}
+
+/// [`shade_with`] of the loops of a model.
+pub(crate) fn shade(
+    kernels: &dyn Kernels,
+    points: &[ShadePoint],
+    specular: &SpecularValue,
+    lighting: Lighting<'_>,
+    out: &mut [Layers],
+) {
+    assert_eq!(points.len(), out.len(), "one output a point");
+    lighting.check(points.len());
+    let mut scratch = SCRATCH.take();
+    kernels.prepare_lobes(lighting.lobes, &mut scratch.0);
+    let inputs = Inputs { specular, lobes: &scratch.0 };
+    let chunks = points.par_chunks(CHUNK).zip(out.par_chunks_mut(CHUNK));
+    chunks.enumerate().for_each(|(i, (points, out))| {
+        kernels.shade(inputs, Chunk { points, visibility: lighting.chunk(i, CHUNK) }, out);
+    });
+    SCRATCH.set(scratch);
+}
+
+/// [`shade_adjoint_with`] of the loops of a model.
+pub(crate) fn shade_adjoint(
+    kernels: &dyn Kernels,
+    points: &[ShadePoint],
+    specular: &SpecularValue,
+    lighting: Lighting<'_>,
+    radiance: RadianceColumns<'_>,
+    point_adjoint: &mut [PointAdjoint],
+    gradient: &mut SharedGradient,
+) {
+    let RadianceColumns { shaded, adjoint } = radiance;
+    assert!(points.len() == shaded.len() && points.len() == adjoint.len(), "one value a point");
+    assert_eq!(points.len(), point_adjoint.len(), "one output a point");
+    lighting.check(points.len());
+    let mut scratch = SCRATCH.take();
+    let (lobes, partial) = (&mut scratch.0, &mut scratch.1);
+    kernels.prepare_lobes(lighting.lobes, lobes);
+    let inputs = Inputs { specular, lobes };
+    // One partial gradient a chunk: LOBE_COLUMNS rows a block of lobes, and a row for the specular material.
+    let rows = lighting.lobes.blocks() * LOBE_COLUMNS + 1;
+    partial.clear();
+    partial.resize(rows * points.len().div_ceil(CHUNK), Row::ZERO);
+    points
+        .par_chunks(CHUNK)
+        .zip(shaded.par_chunks(CHUNK).zip(adjoint.par_chunks(CHUNK)))
+        .zip(point_adjoint.par_chunks_mut(CHUNK).zip(partial.par_chunks_mut(rows)))
+        .enumerate()
+        .for_each(|(i, ((points, (shaded, adjoint)), (out, partial)))| {
+            let chunk = Chunk { points, visibility: lighting.chunk(i, CHUNK) };
+            kernels.pull_back(inputs, chunk, RadianceColumns { shaded, adjoint }, out, partial);
+        });
+    gradient.sum_in_order(partial, rows, lighting.lobes.len());
+    SCRATCH.set(scratch);
+}
+
+/// The part of all pairs whose specular part is left out, in [0, 1].
+pub(crate) fn culled_part(
+    kernels: &dyn Kernels,
+    points: &[ShadePoint],
+    specular: &SpecularValue,
+    lobes: &LobeColumns,
+) -> f64 {
+    let mut prepared = Vec::new();
+    kernels.prepare_lobes(lobes, &mut prepared);
+    let kept = kernels.count_kept(Inputs { specular, lobes: &prepared }, points);
+    kept.map_or(0.0, |kept| 1.0 - kept as f64 / (points.len() * lobes.len()).max(1) as f64)
+}
