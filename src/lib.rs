@@ -9,6 +9,7 @@ pub mod material;
 pub mod mesh;
 pub mod pass;
 pub mod pipeline;
+pub mod prelude;
 pub mod report;
 pub mod sample;
 pub mod scene;

@@ -6,15 +6,15 @@ use common::{camera, evening};
 use glam::{Vec2, Vec3};
 use lobelia::codec::frame::Frame;
 use lobelia::light::LightLobe;
-use lobelia::material::{DiffuseAlbedo, SpecularBlend, SpecularLobe};
+use lobelia::material::SpecularLobe;
 use lobelia::mesh::Surface;
 use lobelia::mesh::primitive::{box_mesh, sphere_mesh};
 use lobelia::mesh::triangles::Mesh;
-use lobelia::pass::render::resolve;
 use lobelia::pipeline::{Phase, Pipeline, Slot};
-use lobelia::shade::frame::{FramePlugin, render_frame};
-use lobelia::shade::{PathTracing, Scenery, shade_closed_form, shade_path_traced};
-use lobelia::visibility::{ObjectVisibility, VisibilitySettings, add_visibility, remove_visibility};
+use lobelia::shade::frame::{FramePlugin, render_frame, resolve};
+use lobelia::shade::{PathTracing, shade_path_traced};
+use lobelia::spawn::spawn_object;
+use lobelia::visibility::{FrameVisibilityPlugin, ObjectVisibility, VisibilitySettings};
 use std::sync::Arc;
 
 /// A ball that floats over a slab; each has half of the texture.
@@ -35,13 +35,9 @@ fn studio(lobes: &[LightLobe], specular: SpecularLobe) -> (Pipeline, Arc<Surface
     let surface = Arc::new(Surface::new(ball_over_slab(), 128).unwrap());
     let mut pipeline = Pipeline::new();
     pipeline.add_plugin(&FramePlugin);
-    let world = &mut pipeline.world;
-    world.insert_resource(Scenery(surface.clone()));
-    world.spawn_batch(lobes.to_vec());
     let color = |at: &Vec3| if at.y > -0.35 { Vec3::new(0.8, 0.3, 0.2) } else { Vec3::splat(0.6) };
-    let texels: Vec<Vec3> = surface.atlas().position.iter().map(color).collect();
-    world.spawn_batch(texels.into_iter().map(|albedo| (DiffuseAlbedo(albedo), SpecularBlend::default())));
-    world.spawn(specular);
+    let albedo: Vec<Vec3> = surface.atlas().position.iter().map(color).collect();
+    spawn_object(&mut pipeline.world, &surface, &albedo, &[specular], lobes);
     (pipeline, surface)
 }
 
@@ -63,15 +59,13 @@ fn shadows_and_reflections_come_close_to_path_tracing() {
         let (mut pipeline, surface) = studio(&evening(), specular);
         let plain = shoot(&mut pipeline);
         pipeline.world.insert_resource(ObjectVisibility::new(&surface, VisibilitySettings::default()));
-        add_visibility(&mut pipeline, Phase::Frame);
+        pipeline.add_plugin(&FrameVisibilityPlugin);
         let shadowed = shoot(&mut pipeline);
-        remove_visibility(&mut pipeline, Phase::Frame);
+        pipeline.remove_plugin::<FrameVisibilityPlugin>();
         assert_eq!(shoot(&mut pipeline), plain, "taken out again, nothing of it stays");
         let paths = PathTracing { paths_per_sample: 64, max_bounces: 4, seed: 1, samples_per_pixel: 4 };
-        pipeline.world.insert_resource(paths);
-        pipeline.swap(Phase::Frame, Slot::Shading, shade_path_traced);
+        pipeline.swap(Phase::Frame, Slot::Shading, shade_path_traced(paths));
         let truth = shoot(&mut pipeline);
-        pipeline.swap(Phase::Frame, Slot::Shading, shade_closed_form);
         let (without, with) = (psnr(&plain, &truth), psnr(&shadowed, &truth));
         println!("R {}: {without} dB without, {with} dB with", specular.roughness);
         assert!(with > least && with > without + 6.0, "{without} dB without, {with} dB with");

@@ -1,8 +1,8 @@
 //! Animations that loop for ever: GIF, APNG, and MP4 where `ffmpeg` is on the PATH.
 
 use crate::codec::file;
+use crate::codec::palette::{Ditherer, Palette};
 use crate::codec::png_file;
-use crate::report::palette::{Ditherer, Palette};
 use crate::{Error, Result};
 use image::codecs::gif::{GifEncoder, Repeat};
 use image::{Delay, Frame, ImageError, RgbImage};

@@ -22,6 +22,7 @@ mod hdr;
 pub mod image;
 pub mod nearby;
 pub mod npy;
+mod palette;
 pub mod ply_obj;
 pub mod png_file;
 #[cfg(test)]

@@ -152,7 +152,7 @@ fn lobe_of_row(path: &Path, row: usize, v: &[f64], convention: NpyConvention) ->
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::light::fibonacci::fibonacci_axes;
+    use crate::math::fibonacci::fibonacci_axes;
 
     fn lobes() -> Vec<LightLobe> {
         let lobe = |(i, axis)| LightLobe {

@@ -51,6 +51,20 @@ pub struct Unknowns {
     pub blends: bool,
 }
 
+impl Default for Unknowns {
+    /// Everything but blends; the specular albedo is grey.
+    fn default() -> Self {
+        Self {
+            albedo: true,
+            light: true,
+            specular_albedo: true,
+            mono_specular: true,
+            roughness: true,
+            blends: false,
+        }
+    }
+}
+
 /// Adam's rates at the present step.
 #[derive(Resource, Clone, Copy, Debug, PartialEq)]
 pub struct StepRates {

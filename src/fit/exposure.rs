@@ -7,9 +7,10 @@
 use crate::fit::components::StepRates;
 use crate::math::shading::Layers;
 use crate::pipeline::SystemResult;
-use crate::sample::bundle::only_table;
-use crate::sample::pixel::{Observed, PixelOf, SATURATION, Window};
-use bevy_ecs::prelude::{Query, Res, ResMut, Resource};
+use crate::sample::Samples;
+use crate::sample::pixel::{Observed, PixelOf, SATURATION};
+use crate::view::ViewIndex;
+use bevy_ecs::prelude::{Res, ResMut, Resource};
 
 /// Share of the sums that stays from window to window.
 const MEMORY: f64 = 0.97;
@@ -25,7 +26,7 @@ const RANGE: (f32, f32) = (0.2, 5.0);
 pub struct Exposures {
     /// Whether they are looked for and used.
     pub unknown: bool,
-    /// Factor of each view, by [`PixelOf::view`]; empty before the first is found.
+    /// Factor of each view, by [`ViewIndex`]; empty before the first is found.
     pub factors: Vec<f32>,
     /// Of each view: weighted sums of prediction · photograph, and of prediction².
     sums: Vec<(f64, f64)>,
@@ -34,15 +35,15 @@ pub struct Exposures {
 impl Exposures {
     /// The factor of a view; 1 if exposures are known.
     #[inline]
-    pub fn factor(&self, view: u32) -> f32 {
-        if self.unknown { self.factors.get(view as usize).copied().unwrap_or(1.0) } else { 1.0 }
+    pub fn factor(&self, view: ViewIndex) -> f32 {
+        if self.unknown { self.factors.get(view.0 as usize).copied().unwrap_or(1.0) } else { 1.0 }
     }
 
     /// Takes in one window's pixels.
     fn observe(&mut self, pixels: &[PixelOf], shaded: &[Layers], observed: &[Observed]) {
         self.sums.iter_mut().for_each(|sums| *sums = (MEMORY * sums.0, MEMORY * sums.1));
         for ((pixel, shaded), observed) in pixels.iter().zip(shaded).zip(observed) {
-            let view = pixel.view as usize;
+            let view = pixel.view.0 as usize;
             if view >= self.sums.len() {
                 self.sums.resize(view + 1, (0.0, 0.0));
                 self.factors.resize(view + 1, 1.0);
@@ -75,20 +76,17 @@ impl Exposures {
 
 /// Loss: finds each photograph's exposure from the window's predictions, where it is unknown.
 pub fn find_exposures(
-    (window, rates): (Res<Window>, Res<StepRates>),
+    rates: Res<StepRates>,
     mut exposures: ResMut<Exposures>,
-    samples: Query<(&PixelOf, &Layers, &Observed)>,
+    samples: Samples<(&PixelOf, &Layers, &Observed)>,
 ) -> SystemResult {
     if !exposures.unknown {
         return Ok(());
     }
-    if let Some((pixels, shaded, observed)) = only_table(samples.contiguous_iter()?, |t| t.0.len(), "pixel")?
-    {
-        let rows = window.0.clone();
-        exposures.observe(&pixels[rows.clone()], &shaded[rows.clone()], &observed[rows]);
-        if rates.step >= FIRST_STEP {
-            exposures.solve();
-        }
+    let (pixels, shaded, observed) = samples.columns()?;
+    exposures.observe(&pixels, &shaded, &observed);
+    if rates.step >= FIRST_STEP {
+        exposures.solve();
     }
     Ok(())
 }
@@ -101,8 +99,8 @@ mod tests {
     fn factors_are_found_in_spite_of_outliers_and_their_mean_is_one() {
         let truth = [0.8f32, 1.25, 1.0];
         let mut exposures = Exposures { unknown: true, ..Exposures::default() };
-        assert_eq!(exposures.factor(7), 1.0);
-        let pixel = |i: usize| PixelOf { view: (i % 3) as u32, pixel: i as u32 };
+        assert_eq!(exposures.factor(ViewIndex(7)), 1.0);
+        let pixel = |i: usize| PixelOf { view: ViewIndex((i % 3) as u32), pixel: i as u32 };
         let layers = |i: usize| Layers { diffuse: [0.1 + 0.001 * (i % 300) as f32; 3], specular: [0.02; 3] };
         let seen = |i: usize| {
             let shadow = if i.is_multiple_of(5) { 0.4 } else { 1.0 };
@@ -116,10 +114,10 @@ mod tests {
             exposures.solve();
         }
         for (view, truth) in truth.iter().enumerate() {
-            let found = exposures.factor(view as u32);
+            let found = exposures.factor(ViewIndex(view as u32));
             assert!((found - truth).abs() < 0.01, "view {view}: {found} {truth}");
         }
         exposures.unknown = false;
-        assert_eq!(exposures.factor(0), 1.0);
+        assert_eq!(exposures.factor(ViewIndex(0)), 1.0);
     }
 }

@@ -2,12 +2,13 @@
 
 use crate::error::Error;
 use crate::fit::components::TexelSeen;
+use crate::material::Texels;
 use crate::pipeline::SystemResult;
-use crate::sample::bundle::{FitSample, FrameSample, despawn_pool, only_table};
-use crate::sample::pixel::{Observed, PixelOf, SATURATION, ViewRay, Window};
-use crate::sample::point::SurfacePoint;
-use crate::shade::Scenery;
-use crate::view::{Camera, Photograph, Split, ViewMask, ViewName};
+use crate::sample::Samples;
+use crate::sample::bundle::{FitSample, FrameSample, despawn_pool};
+use crate::sample::pixel::{Observed, PixelOf, SATURATION, SampleIndex, ViewRay, Window};
+use crate::sample::point::{Scenery, SurfacePoint};
+use crate::view::{Camera, Photograph, Split, ViewIndex, ViewMask};
 use bevy_ecs::prelude::{Commands, Query, Res, ResMut, Resource, World};
 use glam::Vec3;
 use rand::seq::SliceRandom;
@@ -41,16 +42,18 @@ pub const FULL_COVERAGE: f32 = 0.999;
 /// Sample: chooses the usable foreground pixels of the training views, in an order shuffled by the seed.
 pub fn choose_pixels(
     choice: Res<PixelChoice>,
-    views: Query<(&ViewName, &Camera, &Photograph, Option<&ViewMask>, &Split)>,
+    views: Query<(&ViewIndex, &Camera, &Photograph, Option<&ViewMask>, &Split)>,
     mut candidates: ResMut<Candidates>,
 ) -> SystemResult {
     candidates.0.clear();
     let mut training = 0;
-    for (index, (_, camera, photograph, mask, split)) in views.iter().enumerate() {
+    let mut in_order: Vec<_> = views.iter().collect();
+    in_order.sort_by_key(|(index, ..)| **index);
+    for (index, camera, photograph, mask, split) in in_order {
         if *split == Split::Train {
             training += 1;
             let coverage = mask.map(|m| m.0.coverage.as_slice());
-            candidates.0.extend(usable_pixels(index as u32, camera, photograph, coverage));
+            candidates.0.extend(usable_pixels(*index, camera, photograph, coverage));
         }
     }
     if candidates.0.is_empty() {
@@ -66,7 +69,7 @@ pub fn choose_pixels(
 }
 
 fn usable_pixels<'a>(
-    view: u32,
+    view: ViewIndex,
     camera: &'a Camera,
     photograph: &'a Photograph,
     coverage: Option<&'a [f32]>,
@@ -96,8 +99,9 @@ pub fn trace_pixels(
         .iter()
         .zip(&points)
         .filter(|(c, p)| p.is_hit() && p.normal.dot(c.ray.0.direction) < 0.0)
-        .map(|(c, p)| FitSample {
-            frame: FrameSample { pixel: c.pixel, point: *p, ..FrameSample::blank(c.ray.0) },
+        .zip(0..)
+        .map(|((c, p), row)| FitSample {
+            frame: FrameSample { pixel: c.pixel, point: *p, ..FrameSample::blank(SampleIndex(row), c.ray.0) },
             observed: c.observed,
             adjoint: Default::default(),
             back: Default::default(),
@@ -120,18 +124,13 @@ pub fn trace_pixels(
 
 /// Gather: sums how much each texel was seen.
 pub fn count_seen_texels(
-    samples: Query<(&SurfacePoint, &Observed)>,
-    mut texels: Query<&mut TexelSeen>,
+    samples: Samples<(&SurfacePoint, &Observed)>,
+    texels: Texels<&mut TexelSeen>,
 ) -> SystemResult {
-    let Some((points, _)) = only_table(samples.contiguous_iter()?, |t| t.0.len(), "pixel")? else {
-        return Ok(());
-    };
-    let Some(mut seen) = only_table(texels.contiguous_iter_mut()?, |t| t.len(), "texel")? else {
-        return Ok(());
-    };
-    let seen = seen.bypass_change_detection();
+    let (points, _) = samples.columns()?;
+    let mut seen = texels.columns()?.quiet();
     seen.fill(TexelSeen(0.0));
-    for point in points {
+    for point in &*points {
         for i in 0..4 {
             seen[point.texels.indices[i] as usize].0 += point.texels.weights[i];
         }

@@ -1,32 +1,34 @@
 //! Running a fit: prepare the pool, make a first guess, step until done.
 
-use crate::error::Result;
-use crate::fit::components::{
+use super::components::{
     AlbedoGradient, AlbedoMoments, LobeGradient, LobeMoments, LossState, SpecularGradient, SpecularMoments,
     StepGradient, StepRates, TexelSeen, Unknowns,
 };
-use crate::fit::exposure::{Exposures, find_exposures};
-use crate::fit::initialization::make_first_guess;
-use crate::fit::loss::{Loss, LossSums};
-use crate::fit::observe::{Candidates, PixelChoice, choose_pixels, count_seen_texels, trace_pixels};
-use crate::fit::roughness::blend::{
+use super::exposure::{Exposures, find_exposures};
+use super::initialization::make_first_guess;
+use super::loss::{Loss, LossSums};
+use super::observe::{Candidates, PixelChoice, choose_pixels, count_seen_texels, trace_pixels};
+use super::roughness::blend::{
     BlendAdjoints, BlendGradient, BlendMoments, TexelPlaces, move_blends, scatter_to_blends,
 };
-use crate::fit::scale::{ScaleMoments, ScaleRule, move_scale, start_scale};
-use crate::fit::systems::{
+use super::scale::{ScaleMoments, ScaleRule, move_scale, start_scale};
+use super::systems::{
     compare_with_photographs, hand_out_gradient, move_lobes, move_specular, move_texels, pull_back_radiance,
     scatter_to_texels,
 };
+use crate::error::Result;
 use crate::light::LightLobe;
-use crate::material::{DiffuseAlbedo, SpecularLobe};
+use crate::light::lights::{LightChoice, LobeOf, provide_light};
+use crate::material::source::{PlainBlends, Recovered};
+use crate::material::{SpecularLobe, recovered_materials, texels_in_order};
 use crate::math::shading::ClosedForm;
-use crate::pipeline::{Phase, Pipeline, Plugin, Slot, Stage};
+use crate::pipeline::{Phase, Pipeline, Plugin, ScatterAdjoints, Slot, Stage};
 use crate::sample::bundle::despawn_pool;
-use crate::sample::pixel::{PixelOf, Window};
-use crate::shade::{
-    IncidentLight, ShadingForm, gather_blends, gather_points, provide_lobes, shade_closed_form,
-};
-use crate::visibility::{ObjectVisibility, RefreshDue, add_visibility, remove_visibility};
+use crate::sample::pixel::Window;
+use crate::shade::frame::{add_gathering, add_material_resources};
+use crate::shade::{gather_points, shade_closed_form};
+use crate::visibility::systems::RefreshDue;
+use crate::visibility::{FitVisibilityPlugin, ObjectVisibility};
 use bevy_ecs::prelude::{Entity, IntoScheduleConfigs, With, Without, World};
 use glam::Vec3;
 use std::ops::ControlFlow;
@@ -61,6 +63,27 @@ pub struct FitOptions {
     pub exposure: bool,
     /// What decides the scale between light and albedo, if both are unknown.
     pub scale: ScaleRule,
+}
+
+impl Default for FitOptions {
+    /// All of light and material but blends are unknown; 300 steps of 1024 pixels, without shadows.
+    fn default() -> Self {
+        Self {
+            loss: Loss::default(),
+            form: ClosedForm::default(),
+            steps: 300,
+            batch: 1024,
+            rates: [0.05, 0.02, 0.01],
+            milestones: vec![0.5, 0.75, 0.9],
+            decay: 0.4,
+            unknowns: Unknowns::default(),
+            pixels: PixelChoice { seed: 0, max_pixels: 2_000_000 },
+            guess: FirstGuess::ALL,
+            visibility: false,
+            exposure: false,
+            scale: ScaleRule::default(),
+        }
+    }
 }
 
 /// What a fit guesses before its first step, of what is unknown; the rest starts from its present value.
@@ -117,34 +140,37 @@ impl Plugin for FitPlugin {
         pipeline.world.init_resource::<BlendAdjoints>();
         pipeline.world.init_resource::<TexelPlaces>();
         pipeline.world.init_resource::<ScaleMoments>();
-        pipeline.world.init_resource::<Window>();
         pipeline.world.init_resource::<Exposures>();
-        pipeline.world.init_resource::<IncidentLight>();
-        pipeline.world.init_resource::<ShadingForm>();
+        add_material_resources::<Recovered>(&mut pipeline.world);
         pipeline
             .add_systems(Phase::Prepare, Stage::Sample, choose_pixels)
             .add_systems(Phase::Prepare, Stage::Trace, trace_pixels)
-            .add_systems(Phase::Prepare, Stage::Gather, (count_seen_texels, gather_points))
-            .add_systems(
-                Phase::FitStep,
-                Stage::Gather,
-                (gather_points, gather_blends).before(Slot::Visibility),
-            )
-            .swap(Phase::FitStep, Slot::Light, provide_lobes)
-            .swap(Phase::FitStep, Slot::Shading, shade_closed_form)
+            .add_systems(Phase::Prepare, Stage::Gather, (count_seen_texels, gather_points::<Recovered>))
+            .swap(Phase::FitStep, Slot::Light, provide_light(LightChoice::Own, false))
+            .swap(Phase::FitStep, Slot::Shading, shade_closed_form(ClosedForm::default()))
+            .swap(Phase::FitStep, Slot::ShadingAdjoint, pull_back_radiance(ClosedForm::default()))
             .add_systems(Phase::FitStep, Stage::Loss, (find_exposures, compare_with_photographs).chain())
             .add_systems(
                 Phase::FitStep,
                 Stage::Gradient,
-                (pull_back_radiance, scatter_to_texels, scatter_to_blends, hand_out_gradient)
-                    .chain()
-                    .before(Slot::ShapeGradient),
+                (scatter_to_texels, scatter_to_blends, hand_out_gradient).chain().in_set(ScatterAdjoints),
             )
             .swap(
                 Phase::FitStep,
                 Slot::Optimizer,
                 (move_scale, move_texels, move_blends, move_lobes, move_specular).chain(),
             );
+        add_gathering::<Recovered>(pipeline, Phase::FitStep);
+    }
+
+    fn cleanup(world: &mut World) {
+        world.remove_resource::<Candidates>();
+        world.remove_resource::<StepGradient>();
+        world.remove_resource::<BlendAdjoints>();
+        world.remove_resource::<TexelPlaces>();
+        world.remove_resource::<ScaleMoments>();
+        world.remove_resource::<Exposures>();
+        world.remove_resource::<PlainBlends<Recovered>>();
     }
 }
 
@@ -158,41 +184,11 @@ pub fn run_fit(
     watch: &mut dyn FnMut(&FitProgress, &World) -> ControlFlow<()>,
 ) -> Result<FitSummary> {
     let start = Instant::now();
-    attach_state(&mut pipeline.world);
-    pipeline.world.insert_resource(options.pixels);
-    pipeline.world.insert_resource(options.unknowns);
-    pipeline.world.insert_resource(options.scale);
-    pipeline.world.insert_resource(ScaleMoments::default());
-    pipeline.world.insert_resource(ShadingForm(options.form));
-    pipeline.world.insert_resource(LossState { loss: options.loss, last: LossSums::default() });
-    pipeline.world.resource_mut::<Exposures>().unknown = options.exposure;
-    pipeline.run(Phase::Prepare)?;
-    let refresh_every = pipeline.world.get_resource::<ObjectVisibility>().map(|v| v.settings().refresh_every);
-    let refresh_every = refresh_every.filter(|_| options.visibility);
-    match refresh_every {
-        Some(_) => add_visibility(pipeline, Phase::FitStep),
-        None => remove_visibility(pipeline, Phase::FitStep),
-    }
-    let pixels = pipeline.world.resource::<Window>().0.len();
-    let unknowns = Unknowns {
-        light: options.unknowns.light && options.guess.light,
-        albedo: options.unknowns.albedo && options.guess.albedo,
-        ..options.unknowns
-    };
-    make_first_guess(&mut pipeline.world, unknowns, refresh_every.is_some())?;
-    if unknowns.light && unknowns.albedo {
-        start_scale(&mut pipeline.world, options.scale);
-    }
+    let pixels = prepare(pipeline, options)?;
     let mut recent: Vec<LossSums> = Vec::new();
     let mut summary = FitSummary { steps: 0, pixels, elapsed_secs: 0.0, stopped: false };
     for step in 1..=options.steps {
-        pipeline.world.resource_mut::<Window>().0 = window_of(step, options.batch, pixels);
-        pipeline.world.insert_resource(rates_at(step, options));
-        let every =
-            pipeline.world.get_resource::<ObjectVisibility>().map_or(1, |v| v.settings().refresh_every);
-        pipeline.world.insert_resource(RefreshDue((step - 1).is_multiple_of(every.max(1))));
-        pipeline.world.resource_mut::<TexelPlaces>().progress = step as f32 / options.steps as f32;
-        pipeline.run(Phase::FitStep)?;
+        run_step(pipeline, options, step, pixels)?;
         recent.push(pipeline.world.resource::<LossState>().last);
         recent.drain(..recent.len().saturating_sub(20));
         summary.steps = step;
@@ -213,6 +209,49 @@ pub fn run_fit(
     Ok(summary)
 }
 
+/// Makes the pool and the first guess; returns how many pixels there are.
+fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
+    attach_state(&mut pipeline.world);
+    pipeline.world.insert_resource(options.pixels);
+    pipeline.world.insert_resource(options.unknowns);
+    pipeline.world.insert_resource(options.scale);
+    pipeline.world.insert_resource(ScaleMoments::default());
+    pipeline.world.insert_resource(LossState { loss: options.loss, last: LossSums::default() });
+    pipeline.world.resource_mut::<Exposures>().unknown = options.exposure;
+    pipeline.swap(Phase::FitStep, Slot::Shading, shade_closed_form(options.form)).swap(
+        Phase::FitStep,
+        Slot::ShadingAdjoint,
+        pull_back_radiance(options.form),
+    );
+    pipeline.run(Phase::Prepare)?;
+    let shadowed = options.visibility && pipeline.world.contains_resource::<ObjectVisibility>();
+    pipeline.remove_plugin::<FitVisibilityPlugin>();
+    if shadowed {
+        pipeline.add_plugin(&FitVisibilityPlugin);
+    }
+    let pixels = pipeline.world.resource::<Window>().0.len();
+    let unknowns = Unknowns {
+        light: options.unknowns.light && options.guess.light,
+        albedo: options.unknowns.albedo && options.guess.albedo,
+        ..options.unknowns
+    };
+    make_first_guess(&mut pipeline.world, unknowns, options.form, shadowed)?;
+    if unknowns.light && unknowns.albedo {
+        start_scale(&mut pipeline.world, options.scale)?;
+    }
+    Ok(pixels)
+}
+
+fn run_step(pipeline: &mut Pipeline, options: &FitOptions, step: u32, pixels: usize) -> Result<()> {
+    let world = &mut pipeline.world;
+    world.resource_mut::<Window>().0 = window_of(step, options.batch, pixels);
+    world.insert_resource(rates_at(step, options));
+    let every = world.get_resource::<ObjectVisibility>().map_or(1, |v| v.settings().refresh_every);
+    world.insert_resource(RefreshDue((step - 1).is_multiple_of(every.max(1))));
+    world.resource_mut::<TexelPlaces>().progress = step as f32 / options.steps as f32;
+    pipeline.run(Phase::FitStep)
+}
+
 /// Rows that a step visits: contiguous windows of the shuffled pool, in turn; the last one of a round may be short.
 fn window_of(step: u32, batch: usize, pixels: usize) -> std::ops::Range<usize> {
     let batch = batch.clamp(1, pixels);
@@ -230,23 +269,21 @@ fn rates_at(step: u32, options: &FitOptions) -> StepRates {
 }
 
 pub(super) fn first_specular(world: &mut World) -> SpecularLobe {
-    let lobe = world.query::<&SpecularLobe>().iter(world).next().copied();
-    lobe.unwrap_or(SpecularLobe::new(Vec3::ZERO, 1.0))
+    recovered_materials(world).first().map_or(SpecularLobe::new(Vec3::ZERO, 1.0), |(_, lobe)| *lobe)
 }
 
-/// Gives texels and lobes fresh gradients and moments.
+/// Gives texels, lobes and base materials fresh gradients and moments.
 fn attach_state(world: &mut World) {
     let blended = world.query::<&SpecularLobe>().iter(world).len() > 1;
-    let texels: Vec<Entity> =
-        world.query_filtered::<Entity, (With<DiffuseAlbedo>, Without<PixelOf>)>().iter(world).collect();
-    for texel in texels {
+    for texel in texels_in_order(world) {
         let state = (AlbedoGradient::default(), AlbedoMoments::default(), TexelSeen::default());
         world.entity_mut(texel).insert(state);
         if blended {
             world.entity_mut(texel).insert((BlendGradient::default(), BlendMoments::default()));
         }
     }
-    let lobes: Vec<Entity> = world.query_filtered::<Entity, With<LightLobe>>().iter(world).collect();
+    let lobes: Vec<Entity> =
+        world.query_filtered::<Entity, (With<LightLobe>, Without<LobeOf>)>().iter(world).collect();
     for lobe in lobes {
         world.entity_mut(lobe).insert((LobeGradient::default(), LobeMoments::default()));
     }

@@ -10,16 +10,18 @@
 //! | --- | --- | --- | --- |
 //! | [`move_scale`] | Update, `Slot::Optimizer`, before the others | window's `Layers` and `RadianceAdjoint`, [`ScaleRule`] | `LightLobe`, `DiffuseAlbedo`, [`ScaleMoments`] |
 
+use crate::error::Result;
 use crate::fit::adam::{AdamStep, Moments};
 use crate::fit::components::{StepRates, TexelSeen, Unknowns};
 use crate::light::LightLobe;
-use crate::material::DiffuseAlbedo;
+use crate::light::lights::{LobeOf, own_lobes};
+use crate::material::{DiffuseAlbedo, TexelIndex, Texels};
 use crate::math::sg::sphere_integral;
 use crate::math::shading::{Layers, RadianceAdjoint};
 use crate::pipeline::SystemResult;
-use crate::sample::bundle::only_table;
-use crate::sample::pixel::Window;
-use bevy_ecs::prelude::{Query, Res, ResMut, Resource, World};
+use crate::pipeline::pool::{read_column, write_column};
+use crate::sample::Samples;
+use bevy_ecs::prelude::{Query, Res, ResMut, Resource, Without, World};
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
@@ -73,60 +75,59 @@ const MOST_ALBEDO: f32 = 0.98;
 
 /// Update: a step along the scale, or onto it, if light and albedo are both unknown.
 pub fn move_scale(
-    (window, rates, unknowns, rule): (Res<Window>, Res<StepRates>, Res<Unknowns>, Res<ScaleRule>),
+    rates: Res<StepRates>,
+    unknowns: Res<Unknowns>,
+    rule: Res<ScaleRule>,
     mut moments: ResMut<ScaleMoments>,
-    samples: Query<(&Layers, &RadianceAdjoint)>,
-    mut lobes: Query<&mut LightLobe>,
-    mut texels: Query<(&mut DiffuseAlbedo, &TexelSeen)>,
+    samples: Samples<(&Layers, &RadianceAdjoint)>,
+    mut lobes: Query<&mut LightLobe, Without<LobeOf>>,
+    texels: Texels<(&mut DiffuseAlbedo, &TexelSeen)>,
 ) -> SystemResult {
     if !unknowns.light || !unknowns.albedo || *rule == ScaleRule::Free {
         return Ok(());
     }
-    let Some((layers, adjoint)) = only_table(samples.contiguous_iter()?, |t| t.0.len(), "pixel")? else {
-        return Ok(());
-    };
-    let Some((mut albedo, seen)) = only_table(texels.contiguous_iter_mut()?, |t| t.0.len(), "texel")? else {
-        return Ok(());
-    };
-    let albedo = albedo.bypass_change_detection();
+    let (mut albedo, seen) = texels.columns()?;
     let off_grey = log_colour(mean_light(lobes.iter()));
     let log_factor = match *rule {
         ScaleRule::Free => Vec3::ZERO,
         ScaleRule::WhiteLight => -off_grey,
         ScaleRule::MeanAlbedo(wanted) => {
-            (mean_albedo(albedo, seen) / wanted).max(Vec3::splat(1e-6)).map(f32::ln)
+            (mean_albedo(&albedo, &seen) / wanted).max(Vec3::splat(1e-6)).map(f32::ln)
         }
         ScaleRule::Highlights { white_light } => {
-            let rows = window.0.clone();
-            let slope = highlight_slope(&layers[rows.clone()], &adjoint[rows]) + white_light * off_grey;
+            let (layers, adjoint) = samples.columns()?;
+            let slope = highlight_slope(&layers, &adjoint) + white_light * off_grey;
             let adam = AdamStep::new(RATE * rates.light, rates.step);
             -without_mean(Vec3::from(adam.advance(&mut moments.0, &without_mean(slope).to_array())))
         }
     };
-    rescale(log_factor.exp(), lobes.iter_mut().map(|lobe| lobe.into_inner()), albedo);
+    rescale(log_factor.exp(), lobes.iter_mut().map(|lobe| lobe.into_inner()), &mut albedo);
     Ok(())
 }
 
 /// Takes a first guess, made from grey albedo, part of the way to white light, where highlights are to decide.
-pub fn start_scale(world: &mut World, rule: ScaleRule) {
+///
+/// # Errors
+/// If the pool of texels is not whole.
+pub fn start_scale(world: &mut World, rule: ScaleRule) -> Result<()> {
     if !matches!(rule, ScaleRule::Highlights { .. }) {
-        return;
+        return Ok(());
     }
-    let log_factor = -START * log_colour(mean_light(world.query::<&LightLobe>().iter(world)));
-    let mut texels: Vec<DiffuseAlbedo> = world.query::<&DiffuseAlbedo>().iter(world).copied().collect();
-    let mut lobes = world.query::<&mut LightLobe>();
+    let log_factor = -START * log_colour(mean_light(own_lobes(world).iter()));
+    let mut texels = read_column::<TexelIndex, DiffuseAlbedo>(world)?;
+    let mut lobes = world.query_filtered::<&mut LightLobe, Without<LobeOf>>();
     rescale(log_factor.exp(), lobes.iter_mut(world).map(|lobe| lobe.into_inner()), &mut texels);
-    for (mut albedo, value) in world.query::<&mut DiffuseAlbedo>().iter_mut(world).zip(&texels) {
-        *albedo = *value;
-    }
+    write_column::<TexelIndex, DiffuseAlbedo>(world, &texels)
 }
 
 /// The scale as it is now: mean radiance of the light over the sphere, and mean albedo of the texels that are seen.
-pub fn means(world: &mut World) -> [Vec3; 2] {
-    let light = mean_light(world.query::<&LightLobe>().iter(world));
-    let texels: (Vec<DiffuseAlbedo>, Vec<TexelSeen>) =
-        world.query::<(&DiffuseAlbedo, &TexelSeen)>().iter(world).map(|(a, s)| (*a, *s)).unzip();
-    [light, mean_albedo(&texels.0, &texels.1)]
+///
+/// # Errors
+/// If the pool of texels is not whole.
+pub fn means(world: &mut World) -> Result<[Vec3; 2]> {
+    let light = mean_light(own_lobes(world).iter());
+    let albedo = read_column::<TexelIndex, DiffuseAlbedo>(world)?;
+    Ok([light, mean_albedo(&albedo, &read_column::<TexelIndex, TexelSeen>(world)?)])
 }
 
 /// Multiplies the light by a factor and divides the albedo by it.

@@ -1,27 +1,29 @@
 //! The systems of the Loss, Gradient and Update stages; each fetches columns and calls a kernel.
 
-use crate::fit::adam::{AdamStep, Bounded};
-use crate::fit::components::{
+use super::adam::{AdamStep, Bounded};
+use super::components::{
     AlbedoGradient, AlbedoMoments, LobeGradient, LobeMoments, LossState, SpecularGradient, SpecularMoments,
     StepGradient, StepRates, Unknowns,
 };
-use crate::fit::exposure::Exposures;
-use crate::fit::loss::image_loss;
-use crate::fit::roughness::blend::{BlendAdjoints, BlendedSamples, pull_back_blended};
+use super::exposure::Exposures;
+use super::loss::image_loss;
+use super::roughness::blend::{BlendAdjoints, BlendedSamples, pull_back_blended};
 use crate::light::LightLobe;
-use crate::material::{DiffuseAlbedo, SpecularLobe};
+use crate::light::lights::IncidentLight;
+use crate::material::source::BaseMaterials;
+use crate::material::{DiffuseAlbedo, SpecularLobe, Texels};
 use crate::math::shading::{
-    Layers, Lighting, PointAdjoint, PointVisibility, RadianceAdjoint, RadianceColumns, ShadePoint,
-    SpecularValue,
+    ClosedForm, Layers, Lighting, PointAdjoint, PointVisibility, RadianceAdjoint, RadianceColumns, ShadePoint,
 };
 use crate::pipeline::SystemResult;
-use crate::sample::bundle::only_table;
-use crate::sample::pixel::{Observed, PixelOf, Window};
-use crate::sample::point::SurfacePoint;
-use crate::shade::systems::kernel_specular;
-use crate::shade::{IncidentLight, PointBlend, ShadingForm};
+use crate::sample::Samples;
+use crate::sample::pixel::{Observed, PixelOf};
+use crate::sample::point::{PointBlend, SurfacePoint};
+use crate::shade::systems::kernel_materials;
 use crate::visibility::WindowVisibility;
-use bevy_ecs::prelude::{Query, Res, ResMut};
+use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut};
+use bevy_ecs::schedule::ScheduleConfigs;
+use bevy_ecs::system::ScheduleSystem;
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -34,82 +36,72 @@ const AMPLITUDE_RANGE: (f32, f32) = (1e-5, 1e5);
 
 /// Loss: compares shaded with observed radiance.
 pub fn compare_with_photographs(
-    (window, exposures): (Res<Window>, Res<Exposures>),
+    exposures: Res<Exposures>,
     mut state: ResMut<LossState>,
-    mut samples: Query<(&Layers, &Observed, &PixelOf, &mut RadianceAdjoint)>,
+    samples: Samples<(&Layers, &Observed, &PixelOf, &mut RadianceAdjoint)>,
 ) -> SystemResult {
-    if let Some((shaded, observed, pixels, mut adjoint)) =
-        only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")?
-    {
-        let rows = window.0.clone();
-        let adjoint = &mut adjoint.bypass_change_detection()[rows.clone()];
-        let pixels = &pixels[rows.clone()];
-        let exposure = |i: usize| exposures.factor(pixels[i].view);
-        state.last = image_loss(state.loss, &shaded[rows.clone()], &observed[rows], exposure, adjoint);
-    }
+    let (shaded, observed, pixels, mut adjoint) = samples.columns()?;
+    let exposure = |i: usize| exposures.factor(pixels[i].view);
+    state.last = image_loss(state.loss, &shaded, &observed, exposure, &mut adjoint);
     Ok(())
 }
 
 /// What the adjoint of a sample is made from.
-type PullBackColumns<'a> = (
-    &'a ShadePoint,
-    &'a PointBlend,
-    &'a PointVisibility,
-    &'a Layers,
-    &'a RadianceAdjoint,
-    &'a mut PointAdjoint,
+type PullBackColumns = (
+    &'static ShadePoint,
+    &'static PointBlend,
+    &'static PointVisibility,
+    &'static Layers,
+    &'static RadianceAdjoint,
+    &'static mut PointAdjoint,
 );
 
-/// Gradient: pulls radiance adjoints back to the samples and to light and material.
-pub fn pull_back_radiance(
-    window: Res<Window>,
-    (light, form): (Res<IncidentLight>, Res<ShadingForm>),
-    visibility: Option<Res<WindowVisibility>>,
-    materials: Query<&SpecularLobe>,
-    (mut gradient, mut blend_adjoints): (ResMut<StepGradient>, ResMut<BlendAdjoints>),
-    mut samples: Query<PullBackColumns>,
-) -> SystemResult {
-    let Some((points, blends, seen, shaded, adjoint, mut back)) =
-        only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")?
-    else {
-        return Ok(());
+/// For [`Slot::ShadingAdjoint`](crate::pipeline::Slot::ShadingAdjoint): pulls radiance adjoints back through this closed form, to the samples and to light and
+/// material.
+pub fn pull_back_radiance(form: ClosedForm) -> ScheduleConfigs<ScheduleSystem> {
+    let system = move |light: Res<IncidentLight>,
+                       materials: Res<BaseMaterials>,
+                       visibility: Option<Res<WindowVisibility>>,
+                       mut gradient: ResMut<StepGradient>,
+                       mut blend_adjoints: ResMut<BlendAdjoints>,
+                       samples: Samples<PullBackColumns>|
+          -> SystemResult {
+        let (points, blends, seen, shaded, adjoint, mut back) = samples.columns()?;
+        let visibility = visibility.as_ref().and_then(|visibility| visibility.view(&seen));
+        let lighting = Lighting { lobes: &light.lobes, visibility };
+        let gradient = &mut *gradient;
+        let kernel_materials = kernel_materials(&materials);
+        if kernel_materials.is_empty() || !materials.blended {
+            let material = kernel_materials.first().map(|(_, material)| *material).unwrap_or_default();
+            let radiance = RadianceColumns { shaded: &shaded, adjoint: &adjoint };
+            form.shade_adjoint(&points, &material, lighting, radiance, &mut back, &mut gradient.shared);
+            gradient.specular.clear();
+            gradient.specular.push(gradient.shared.specular);
+            return Ok(());
+        }
+        let samples = BlendedSamples {
+            points: &points,
+            blends: &blends,
+            seen: &seen,
+            shaded: &shaded,
+            adjoint: &adjoint,
+        };
+        let adjoints = &mut blend_adjoints.0;
+        pull_back_blended(form, &samples, &kernel_materials, lighting, &mut back, gradient, adjoints);
+        Ok(())
     };
-    let materials: Vec<SpecularValue> = materials.iter().map(kernel_specular).collect();
-    let rows = window.0.clone();
-    let (points, seen) = (&points[rows.clone()], &seen[rows.clone()]);
-    let (shaded, adjoint) = (&shaded[rows.clone()], &adjoint[rows.clone()]);
-    let back = &mut back.bypass_change_detection()[rows.clone()];
-    let visibility = visibility.as_ref().and_then(|visibility| visibility.view(seen));
-    let lighting = Lighting { lobes: &light.lobes, visibility };
-    let gradient = &mut *gradient;
-    if let [] | [_] = materials.as_slice() {
-        let material = materials.first().copied().unwrap_or_default();
-        let radiance = RadianceColumns { shaded, adjoint };
-        form.0.shade_adjoint(points, &material, lighting, radiance, back, &mut gradient.shared);
-        gradient.specular.clear();
-        gradient.specular.push(gradient.shared.specular);
-        return Ok(());
-    }
-    let samples = BlendedSamples { points, blends: &blends[rows], seen, shaded, adjoint };
-    pull_back_blended(form.0, &samples, &materials, lighting, back, gradient, &mut blend_adjoints.0);
-    Ok(())
+    system.into_configs()
 }
 
 /// Gradient: adds the samples' albedo adjoints onto the texels they blend, in row order.
 pub fn scatter_to_texels(
-    window: Res<Window>,
-    samples: Query<(&SurfacePoint, &PointAdjoint)>,
-    mut texels: Query<&mut AlbedoGradient>,
+    samples: Samples<(&SurfacePoint, &PointAdjoint)>,
+    texels: Texels<&mut AlbedoGradient>,
 ) -> SystemResult {
-    let Some((points, back)) = only_table(samples.contiguous_iter()?, |t| t.0.len(), "pixel")? else {
-        return Ok(());
-    };
-    let Some(mut texels) = only_table(texels.contiguous_iter_mut()?, |t| t.len(), "texel")? else {
-        return Ok(());
-    };
-    let texels = texels.bypass_change_detection();
-    let rows = window.0.clone();
-    for (point, back) in points[rows.clone()].iter().zip(&back[rows]) {
+    let (points, back) = samples.columns()?;
+    let mut texels = texels.columns()?.quiet();
+    let texels = &mut *texels;
+    for (point, back) in points.iter().zip(&*back) {
         for i in 0..4 {
             texels[point.texels.indices[i] as usize].0 += Vec3::from(back.albedo) * point.texels.weights[i];
         }
@@ -117,18 +109,22 @@ pub fn scatter_to_texels(
     Ok(())
 }
 
-/// Gradient: hands each light lobe and specular lobe its share.
+/// Gradient: hands each light lobe and base material its share.
 pub fn hand_out_gradient(
     gradient: Res<StepGradient>,
+    light: Res<IncidentLight>,
+    base_materials: Res<BaseMaterials>,
     mut lobes: Query<&mut LobeGradient>,
     mut materials: Query<&mut SpecularGradient>,
 ) {
-    for (i, mut share) in lobes.iter_mut().enumerate() {
+    for (i, entity) in light.entities.iter().enumerate() {
+        let Ok(mut share) = lobes.get_mut(*entity) else { continue };
         let lobe = gradient.shared.lobes.get(i);
         let ([x, y, z], [r, g, b]) = (lobe.axis, lobe.amplitude);
         share.0 = [x, y, z, lobe.sharpness, r, g, b];
     }
-    for (mut share, specular) in materials.iter_mut().zip(&gradient.specular) {
+    for (entity, specular) in base_materials.entities.iter().zip(&gradient.specular) {
+        let Ok(mut share) = materials.get_mut(*entity) else { continue };
         let [r, g, b] = specular.albedo;
         share.0 = [r, g, b, specular.roughness];
     }
@@ -138,25 +134,16 @@ pub fn hand_out_gradient(
 pub fn move_texels(
     rates: Res<StepRates>,
     unknowns: Res<Unknowns>,
-    mut texels: Query<(&mut DiffuseAlbedo, &mut AlbedoGradient, &mut AlbedoMoments)>,
+    texels: Texels<(&mut DiffuseAlbedo, &mut AlbedoGradient, &mut AlbedoMoments)>,
 ) -> SystemResult {
-    let Some((mut albedo, mut gradient, mut moments)) =
-        only_table(texels.contiguous_iter_mut()?, |t| t.0.len(), "texel")?
-    else {
-        return Ok(());
-    };
     if !unknowns.albedo {
         return Ok(());
     }
+    let (mut albedo, gradient, moments) = texels.columns()?;
+    let (mut gradient, mut moments) = (gradient.quiet(), moments.quiet());
     let adam = AdamStep::new(rates.albedo, rates.step);
-    let columns = (albedo.bypass_change_detection(), gradient.bypass_change_detection());
-    columns
-        .0
-        .par_iter_mut()
-        .zip(columns.1)
-        .zip(moments.bypass_change_detection())
-        .with_min_len(4096)
-        .for_each(|((albedo, gradient), moments)| move_texel(&adam, albedo, gradient, moments));
+    let columns = albedo.par_iter_mut().zip(&mut *gradient).zip(&mut *moments).with_min_len(4096);
+    columns.for_each(|((albedo, gradient), moments)| move_texel(&adam, albedo, gradient, moments));
     Ok(())
 }
 

@@ -100,7 +100,7 @@ mod tests {
     #[test]
     fn turns_are_the_programs_formulas() {
         for convention in ALL {
-            for d in crate::light::fibonacci::fibonacci_axes(60) {
+            for d in crate::math::fibonacci::fibonacci_axes(60) {
                 let (u, v) = place(convention, d);
                 let shown = convention.turn() * EnvironmentMap::direction(f64::from(u), f64::from(v));
                 assert!(shown.distance(d) < 1e-5, "{convention:?}: {shown} {d}");
@@ -118,7 +118,7 @@ mod tests {
                 Vec3::splat((60.0 * (omega.dot(spot) - 1.0)).exp())
             });
             let imported = convention.to_lobelia(map.clone());
-            let brightest = crate::light::fibonacci::fibonacci_axes(4000)
+            let brightest = crate::math::fibonacci::fibonacci_axes(4000)
                 .into_iter()
                 .max_by(|a, b| imported.sample_bilinear(*a).x.total_cmp(&imported.sample_bilinear(*b).x));
             assert!(brightest.is_some_and(|b| b.angle_between(d) < 0.06), "{convention:?} {brightest:?}");

@@ -295,7 +295,7 @@ mod tests {
         assert_eq!(map.rotated(Quat::IDENTITY), map);
         let turn = Quat::from_euler(glam::EulerRot::XYZ, 0.4, 1.1, -0.7);
         let turned = map.rotated(turn);
-        for d in crate::light::fibonacci::fibonacci_axes(50) {
+        for d in crate::math::fibonacci::fibonacci_axes(50) {
             assert!(turned.sample_bilinear(turn * d).distance(map.sample_bilinear(d)) < 0.02);
         }
         let (before, after) = (map.power(), turned.power());

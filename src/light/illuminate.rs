@@ -214,7 +214,7 @@ fn sample_sg(axis: Vec3, sharpness: f32, u: f32, turn: f32) -> Vec3 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::light::fibonacci::fibonacci_axes;
+    use crate::math::fibonacci::fibonacci_axes;
 
     /// Uniform numbers in `[0, 1)` (SplitMix64).
     struct Numbers(u64);

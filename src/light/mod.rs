@@ -7,7 +7,6 @@
 //! | [`envmap_io`] | EXR and Radiance HDR in (checked, repaired, counted), EXR out |
 //! | [`illuminate`] | [`Illuminate`] for a map and for lobes, both importance-sampled |
 //! | [`npy`] | SG `.npy` files in both conventions |
-//! | [`fibonacci`] | near-uniform directions |
 //! | [`fit_map`] | a map fitted by lobes (Levenberg–Marquardt; lobes are added and taken away) |
 //! | [`fit_sun`] | suns, which get lobes of their own before the fit |
 //!
@@ -31,14 +30,16 @@
 //! | `white` | `bool` | | false | grey lobes, fitted to the map's luminance |
 pub mod convention;
 pub mod envmap;
-pub mod fibonacci;
 pub mod illuminate;
+pub mod lights;
 pub mod map_fit;
 
 use bevy_ecs::prelude::Component;
 use glam::{DVec3, Quat, Vec3};
 use serde::{Deserialize, Serialize};
 
+use crate::math::fibonacci::{fibonacci_axes, spacing_sharpness};
+use crate::math::published::Lobe;
 use crate::math::ray::Illuminate;
 use crate::math::sg;
 
@@ -52,6 +53,20 @@ pub struct LightLobe {
     pub sharpness: f32,
     /// μ ≥ 0, linear RGB radiance at the axis.
     pub amplitude: Vec3,
+}
+
+impl LightLobe {
+    /// `count` equal white lobes that cover the sphere evenly: what an unknown light starts from.
+    pub fn even(count: usize) -> Vec<Self> {
+        let sharpness = spacing_sharpness(count);
+        let lobe = |axis| Self { axis, sharpness, amplitude: Vec3::ONE };
+        fibonacci_axes(count).into_iter().map(lobe).collect()
+    }
+}
+
+/// What the kernels read of a light lobe.
+pub fn kernel_lobe(lobe: &LightLobe) -> Lobe<f32> {
+    Lobe { axis: lobe.axis.into(), sharpness: lobe.sharpness, amplitude: lobe.amplitude.into() }
 }
 
 /// Radiance from every direction on a latitude-longitude grid.

@@ -1,69 +1,77 @@
-//! Edits of a material: pure functions on the texel and lobe columns.
+//! Edits of a material: entities whose components say what changes, how, and where; and the kernel that applies one.
 //!
-//! An edit of the specular material inside a region splits every specular lobe that lives there: the edited copy takes
-//! over the region's share of the texels' blend weights, so that gloss may differ from place to place.
+//! An edit is an entity with an [`EditName`] (what edits belong together), an [`EditOrder`], an [`EditTarget`], an [`EditAction`]
+//! and an [`EditRegion`]. [`show_edited`](super::shown::show_edited) applies those of one name to what is shown.
+//!
+//! An edit of the specular material inside a region splits every base material that lives there: the edited copy takes
+//! over the region's share of the texels' blend weights, so that roughness may differ from place to place.
 
+use super::{BaseMaterial, DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
 use crate::error::{Error, Result};
-use crate::material::{DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
+use bevy_ecs::prelude::Component;
 use glam::Vec3;
+use std::sync::Arc;
 
-/// How a colour changes.
-#[derive(Clone, Debug, PartialEq)]
-pub enum ColorChange {
+/// Which edits belong together: those of one pass of a scene file have the pass's name.
+#[derive(Component, Clone, Debug, PartialEq, Eq)]
+pub struct EditName(pub String);
+
+/// When an edit is applied among those of its name: by rising number.
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub struct EditOrder(pub u32);
+
+/// What an edit changes.
+#[derive(Component, Clone, Copy, Debug, PartialEq, Eq)]
+#[require(EditOrder, EditRegion)]
+pub enum EditTarget {
+    /// The diffuse albedo.
+    Diffuse,
+    /// The specular albedo.
+    Specular,
+    /// The roughness: `x` of an action's values. Results stay in `[0.03, 1]`.
+    Roughness,
+}
+
+/// How it changes; colours stay in `[0, 1]`.
+#[derive(Component, Clone, Debug, PartialEq)]
+pub enum EditAction {
     /// Becomes this.
     Set(Vec3),
     /// Is multiplied by this.
     Scale(Vec3),
-    /// old + weight (color − old).
-    Blend(Vec3, f32),
-    /// Becomes this, texel by texel (as many as the object has).
-    PerTexel(Vec<Vec3>),
-}
-
-impl ColorChange {
-    fn apply(&self, old: Vec3, texel: usize) -> Vec3 {
-        let new = match self {
-            Self::Set(color) => *color,
-            Self::Scale(factor) => old * *factor,
-            Self::Blend(color, weight) => old.lerp(*color, *weight),
-            Self::PerTexel(colors) => colors[texel],
-        };
-        new.clamp(Vec3::ZERO, Vec3::ONE)
-    }
-}
-
-/// How the roughness changes; results stay in `[0.03, 1]`.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum ScalarChange {
-    /// Becomes this.
-    Set(f32),
-    /// Is multiplied by this.
-    Scale(f32),
     /// old + weight (value − old).
-    Blend(f32, f32),
+    Blend {
+        /// What it is drawn to.
+        value: Vec3,
+        /// How far, in `[0, 1]`.
+        weight: f32,
+    },
+    /// Becomes this, texel by texel (as many as the object has); only for [`EditTarget::Diffuse`].
+    PerTexel(Arc<[Vec3]>),
 }
 
-impl ScalarChange {
-    fn apply(self, old: f32) -> f32 {
-        let new = match self {
-            Self::Set(value) => value,
-            Self::Scale(factor) => old * factor,
-            Self::Blend(value, weight) => old + weight * (value - old),
-        };
-        new.clamp(0.03, 1.0)
+impl EditAction {
+    fn apply(&self, old: Vec3, texel: usize) -> Vec3 {
+        match self {
+            Self::Set(value) => *value,
+            Self::Scale(factor) => old * *factor,
+            Self::Blend { value, weight } => old.lerp(*value, *weight),
+            Self::PerTexel(values) => values[texel],
+        }
+    }
+
+    fn color(&self, old: Vec3, texel: usize) -> Vec3 {
+        self.apply(old, texel).clamp(Vec3::ZERO, Vec3::ONE)
+    }
+
+    fn roughness(&self, old: f32) -> f32 {
+        self.apply(Vec3::splat(old), 0).x.clamp(0.03, 1.0)
     }
 }
 
-/// What changes.
-#[derive(Clone, Debug, PartialEq)]
-pub enum MaterialChange {
-    /// The diffuse albedo.
-    Diffuse(ColorChange),
-    /// The specular albedo.
-    Specular(ColorChange),
-    /// The roughness.
-    Roughness(ScalarChange),
-}
+/// Where: a weight in `[0, 1]` for each texel; `None` is everywhere.
+#[derive(Component, Clone, Debug, Default, PartialEq)]
+pub struct EditRegion(pub Option<Arc<[f32]>>);
 
 /// The columns an edit works on.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -72,29 +80,77 @@ pub struct MaterialState {
     pub albedo: Vec<DiffuseAlbedo>,
     /// Blend weights per texel.
     pub blends: Vec<SpecularBlend>,
-    /// The specular lobes.
-    pub lobes: Vec<SpecularLobe>,
+    /// The specular lobe of each base material, by number; numbers that nobody has are `None`.
+    pub lobes: Vec<Option<SpecularLobe>>,
 }
 
-/// Applies one change where `region` (a weight in `[0, 1]` per texel; `None`: everywhere) says so.
+impl MaterialState {
+    /// Gives base material `number` its lobe.
+    ///
+    /// # Errors
+    /// If the number is out of range or taken.
+    pub fn set_lobe(&mut self, number: BaseMaterial, lobe: SpecularLobe) -> Result<()> {
+        let place = number.0 as usize;
+        if place >= MAX_SPECULAR_LOBES {
+            let problem = format!("one has number {place}: there are at most {MAX_SPECULAR_LOBES}, from 0");
+            return Err(Error::run("the base materials", problem));
+        }
+        if place >= self.lobes.len() {
+            self.lobes.resize(place + 1, None);
+        }
+        match self.lobes[place].replace(lobe) {
+            None => Ok(()),
+            Some(_) => Err(Error::run("the base materials", format!("two have number {place}"))),
+        }
+    }
+
+    /// The base materials that are there, with their numbers.
+    pub fn materials(&self) -> impl Iterator<Item = (usize, &SpecularLobe)> + Clone {
+        self.lobes.iter().enumerate().filter_map(|(number, lobe)| Some((number, lobe.as_ref()?)))
+    }
+
+    /// The base material of the whole object, if it has just one and every texel shows all of it.
+    pub fn uniform(&self) -> Option<SpecularLobe> {
+        match self.lobes.as_slice() {
+            [Some(one)] if self.blends.iter().all(|blend| *blend == SpecularBlend::default()) => Some(*one),
+            _ => None,
+        }
+    }
+}
+
+/// Applies one edit.
 ///
 /// # Errors
-/// If the object would need more than [`MAX_SPECULAR_LOBES`] specular lobes.
-pub fn apply_edit(state: &mut MaterialState, change: &MaterialChange, region: Option<&[f32]>) -> Result<()> {
-    match change {
-        MaterialChange::Diffuse(change) => {
+/// If the object would need more than [`MAX_SPECULAR_LOBES`] base materials, or the edit has other texels than the object.
+pub fn apply_edit(
+    state: &mut MaterialState,
+    target: EditTarget,
+    action: &EditAction,
+    region: &EditRegion,
+) -> Result<()> {
+    let region = region.0.as_deref();
+    let values = if let EditAction::PerTexel(values) = action { Some(values.len()) } else { None };
+    for count in [values, region.map(<[f32]>::len)].into_iter().flatten() {
+        if count != state.albedo.len() {
+            let problem = format!("it is for {count} texels, and the object has {}", state.albedo.len());
+            return Err(Error::run("an edit", problem));
+        }
+    }
+    match target {
+        EditTarget::Diffuse => {
             for (i, albedo) in state.albedo.iter_mut().enumerate() {
                 let weight = region.map_or(1.0, |r| r[i]);
-                albedo.0 = albedo.0.lerp(change.apply(albedo.0, i), weight);
+                albedo.0 = albedo.0.lerp(action.color(albedo.0, i), weight);
             }
             Ok(())
         }
-        MaterialChange::Specular(change) => {
-            edit_lobes(state, region, |lobe| SpecularLobe { albedo: change.apply(lobe.albedo, 0), ..lobe })
+        EditTarget::Specular => {
+            edit_lobes(state, region, |lobe| SpecularLobe { albedo: action.color(lobe.albedo, 0), ..lobe })
         }
-        MaterialChange::Roughness(change) => {
-            edit_lobes(state, region, |lobe| SpecularLobe { roughness: change.apply(lobe.roughness), ..lobe })
-        }
+        EditTarget::Roughness => edit_lobes(state, region, |lobe| SpecularLobe {
+            roughness: action.roughness(lobe.roughness),
+            ..lobe
+        }),
     }
 }
 
@@ -104,18 +160,19 @@ fn edit_lobes(
     edit: impl Fn(SpecularLobe) -> SpecularLobe,
 ) -> Result<()> {
     let Some(region) = region else {
-        state.lobes.iter_mut().for_each(|lobe| *lobe = edit(*lobe));
+        state.lobes.iter_mut().flatten().for_each(|lobe| *lobe = edit(*lobe));
         return Ok(());
     };
     let before = state.lobes.len();
     for k in 0..before {
+        let Some(lobe) = state.lobes[k] else { continue };
         let lives_there = state.blends.iter().zip(region).any(|(b, r)| *r > 0.0 && b.0[k] > 0.0);
-        let edited = edit(state.lobes[k]);
-        if !lives_there || edited == state.lobes[k] {
+        let edited = edit(lobe);
+        if !lives_there || edited == lobe {
             continue;
         }
         // Lobes that become the same one share it.
-        let same = state.lobes[before..].iter().position(|lobe| *lobe == edited);
+        let same = state.lobes[before..].iter().position(|lobe| *lobe == Some(edited));
         let copy = same.map_or(state.lobes.len(), |number| before + number);
         if copy == MAX_SPECULAR_LOBES {
             return Err(Error::usage(
@@ -124,7 +181,7 @@ fn edit_lobes(
             ));
         }
         if same.is_none() {
-            state.lobes.push(edited);
+            state.lobes.push(Some(edited));
         }
         for (blend, share) in state.blends.iter_mut().zip(region) {
             blend.0[copy] += blend.0[k] * share;
@@ -143,17 +200,21 @@ mod tests {
         MaterialState {
             albedo: vec![DiffuseAlbedo(Vec3::splat(0.5)); 3],
             blends: vec![SpecularBlend::default(); 3],
-            lobes: vec![SpecularLobe::new(Vec3::splat(0.3), 0.4)],
+            lobes: vec![Some(SpecularLobe::new(Vec3::splat(0.3), 0.4))],
         }
     }
 
+    fn region(weights: &[f32]) -> EditRegion {
+        EditRegion(Some(weights.into()))
+    }
+
     #[test]
-    fn a_region_edit_of_gloss_splits_the_lobe_and_leaves_the_rest() -> Result<()> {
+    fn a_region_edit_of_roughness_splits_the_material_and_leaves_the_rest() -> Result<()> {
         let mut state = state();
-        let change = MaterialChange::Roughness(ScalarChange::Scale(0.5));
-        apply_edit(&mut state, &change, Some(&[0.0, 0.25, 1.0]))?;
-        assert_eq!(state.lobes[0].roughness, 0.4);
-        assert_eq!(state.lobes[1].roughness, 0.2);
+        let action = EditAction::Scale(Vec3::splat(0.5));
+        apply_edit(&mut state, EditTarget::Roughness, &action, &region(&[0.0, 0.25, 1.0]))?;
+        let roughness: Vec<f32> = state.materials().map(|(_, lobe)| lobe.roughness).collect();
+        assert_eq!(roughness, [0.4, 0.2]);
         assert_eq!(state.blends[1].0[..2], [0.75, 0.25]);
         assert_eq!(state.blends[2].0[..2], [0.0, 1.0]);
         assert!(state.blends.iter().all(|b| (b.0.iter().sum::<f32>() - 1.0).abs() < 1e-6));
@@ -161,12 +222,13 @@ mod tests {
     }
 
     #[test]
-    fn lobes_that_a_region_edit_makes_equal_become_one() -> Result<()> {
+    fn materials_that_a_region_edit_makes_equal_become_one() -> Result<()> {
         let mut state = state();
-        state.lobes.push(SpecularLobe { roughness: 0.6, ..state.lobes[0] });
+        let second = state.lobes[0].map(|lobe| SpecularLobe { roughness: 0.6, ..lobe });
+        state.lobes.push(second);
         state.blends.iter_mut().for_each(|blend| blend.0[..2].copy_from_slice(&[0.25, 0.75]));
-        let change = MaterialChange::Roughness(ScalarChange::Set(0.2));
-        apply_edit(&mut state, &change, Some(&[0.0, 0.5, 1.0]))?;
+        let action = EditAction::Set(Vec3::splat(0.2));
+        apply_edit(&mut state, EditTarget::Roughness, &action, &region(&[0.0, 0.5, 1.0]))?;
         assert_eq!(state.lobes.len(), 3);
         assert_eq!(state.blends[1].0[..3], [0.125, 0.375, 0.5]);
         assert_eq!(state.blends[2].0[..3], [0.0, 0.0, 1.0]);
@@ -174,24 +236,39 @@ mod tests {
     }
 
     #[test]
-    fn a_whole_object_edit_keeps_one_lobe() -> Result<()> {
+    fn a_whole_object_edit_keeps_one_material() -> Result<()> {
         let mut state = state();
-        state.lobes[0].ndf = Ndf::Ggx;
-        apply_edit(&mut state, &MaterialChange::Specular(ColorChange::Blend(Vec3::ONE, 0.5)), None)?;
-        assert_eq!(state.lobes, [SpecularLobe { albedo: Vec3::splat(0.65), roughness: 0.4, ndf: Ndf::Ggx }]);
+        state.lobes[0].iter_mut().for_each(|lobe| lobe.ndf = Ndf::Ggx);
+        let action = EditAction::Blend { value: Vec3::ONE, weight: 0.5 };
+        apply_edit(&mut state, EditTarget::Specular, &action, &EditRegion(None))?;
+        let expected = SpecularLobe { albedo: Vec3::splat(0.65), roughness: 0.4, ndf: Ndf::Ggx };
+        assert_eq!(state.uniform(), Some(expected));
+        Ok(())
+    }
+
+    #[test]
+    fn a_number_that_nobody_has_stays_empty() -> Result<()> {
+        let mut state = state();
+        state.set_lobe(BaseMaterial(2), SpecularLobe::new(Vec3::splat(0.1), 0.5))?;
+        let action = EditAction::Set(Vec3::splat(0.9));
+        apply_edit(&mut state, EditTarget::Specular, &action, &EditRegion(None))?;
+        assert_eq!(state.materials().map(|(number, _)| number).collect::<Vec<_>>(), [0, 2]);
+        assert!(state.set_lobe(BaseMaterial(2), SpecularLobe::new(Vec3::ZERO, 0.5)).is_err());
+        assert!(state.set_lobe(BaseMaterial(8), SpecularLobe::new(Vec3::ZERO, 0.5)).is_err());
         Ok(())
     }
 
     #[test]
     fn diffuse_edits_set_scale_blend_and_clamp() -> Result<()> {
         let mut state = state();
+        let per_texel = EditAction::PerTexel(vec![Vec3::splat(0.2); 3].into());
         let edits = [
-            (ColorChange::Scale(Vec3::splat(3.0)), Some(vec![1.0, 0.0, 0.0]), [1.0, 0.5, 0.5]),
-            (ColorChange::Set(Vec3::splat(0.1)), Some(vec![0.0, 1.0, 0.0]), [1.0, 0.1, 0.5]),
-            (ColorChange::PerTexel(vec![Vec3::splat(0.2); 3]), Some(vec![0.0, 0.0, 0.5]), [1.0, 0.1, 0.35]),
+            (EditAction::Scale(Vec3::splat(3.0)), [1.0, 0.0, 0.0], [1.0, 0.5, 0.5]),
+            (EditAction::Set(Vec3::splat(0.1)), [0.0, 1.0, 0.0], [1.0, 0.1, 0.5]),
+            (per_texel, [0.0, 0.0, 0.5], [1.0, 0.1, 0.35]),
         ];
-        for (change, region, expected) in edits {
-            apply_edit(&mut state, &MaterialChange::Diffuse(change), region.as_deref())?;
+        for (action, weights, expected) in edits {
+            apply_edit(&mut state, EditTarget::Diffuse, &action, &region(&weights))?;
             for (albedo, expected) in state.albedo.iter().zip(expected) {
                 assert!((albedo.0.x - expected).abs() < 1e-6, "{albedo:?} {expected}");
             }
@@ -200,13 +277,16 @@ mod tests {
     }
 
     #[test]
-    fn too_many_materials_are_refused() {
+    fn too_many_materials_and_texels_of_another_object_are_refused() {
         let mut state = state();
-        let half = [0.5; 3];
+        let half = region(&[0.5; 3]);
         let result = (0..9).try_for_each(|i| {
-            let change = MaterialChange::Roughness(ScalarChange::Set(0.1 + 0.05 * i as f32));
-            apply_edit(&mut state, &change, Some(&half))
+            let action = EditAction::Set(Vec3::splat(0.1 + 0.05 * i as f32));
+            apply_edit(&mut state, EditTarget::Roughness, &action, &half)
         });
         assert!(result.is_err_and(|e| e.to_string().contains("more than 8")));
+        let action = EditAction::Set(Vec3::ZERO);
+        let result = apply_edit(&mut state, EditTarget::Diffuse, &action, &region(&[1.0; 4]));
+        assert!(result.is_err_and(|e| e.to_string().contains("4 texels")));
     }
 }

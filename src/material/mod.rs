@@ -1,15 +1,44 @@
-//! Material: diffuse albedo on texels, specular lobes, and edits of both.
+//! Material: diffuse albedo and blend weights on texels, base materials, and what edits make of them.
+//!
+//! A texel has a [`TexelIndex`], its number in the atlas. A base material is an entity with a [`SpecularLobe`] and a number
+//! ([`BaseMaterial`]); weight k of a texel's [`SpecularBlend`] is that of base material k, wherever its entity lies.
+//!
+//! What a fit finds is the *recovered* material; what a frame shows is made of it by the system in
+//! [`Slot::Material`](crate::pipeline::Slot::Material) and lies beside it ([`shown`]).
+//!
+//! | module | holds |
+//! | --- | --- |
+//! | [`shown`] | the shown material and its systems: as recovered, or edited |
+//! | [`edit`] | edits as components, and the kernel that applies them |
+//! | [`source`] | what lets a system read the recovered or the shown material |
 
 pub mod edit;
+pub mod shown;
+pub mod source;
 
+use crate::error::Result;
 use crate::math::brdf::{Facets, Ndf};
-use bevy_ecs::prelude::Component;
+use crate::pipeline::pool::{Pool, pool_index, read_column};
+use bevy_ecs::prelude::{Component, Entity, World};
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
-/// One specular base material, shared by the whole object.
+pool_index! {
+    /// Number of a texel in the atlas, `y * width + x`.
+    TexelIndex("texel");
+}
+
+/// The texels as a system sees them: columns `D` in the order of [`TexelIndex`].
+pub type Texels<'w, 's, D> = Pool<'w, 's, TexelIndex, D>;
+
+/// Number of a base material: which weight of [`SpecularBlend`] is its, 0 to [`MAX_SPECULAR_LOBES`] − 1, each once.
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct BaseMaterial(pub u32);
+
+/// The specular part of a base material.
 #[derive(Component, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
+#[require(BaseMaterial, shown::ShownSpecular)]
 pub struct SpecularLobe {
     /// Specular albedo (reflectance at normal incidence), linear RGB in `[0, 1]`.
     pub albedo: Vec3,
@@ -34,20 +63,24 @@ impl SpecularLobe {
 
 /// Diffuse albedo of a material texel, linear RGB in `[0, 1]`.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
+#[require(SpecularBlend, shown::ShownAlbedo)]
 pub struct DiffuseAlbedo(pub Vec3);
 
 /// Most specular lobes an object may have.
 pub const MAX_SPECULAR_LOBES: usize = 8;
 
-/// Blend weights of the specular lobes at a material texel; they sum to at most one, and what is missing has no gloss.
+/// Blend weights of the base materials at a texel; they sum to at most one, and what is missing has no specular light.
 #[derive(Component, Clone, Copy, Debug, PartialEq)]
+#[require(shown::ShownBlend)]
 pub struct SpecularBlend(pub [f32; MAX_SPECULAR_LOBES]);
 
 impl SpecularBlend {
-    /// The mean roughness of `lobes` by these weights; 1 where there is no gloss.
-    pub fn roughness(&self, lobes: &[SpecularLobe]) -> f32 {
-        let parts = lobes.iter().zip(&self.0);
-        let (sum, total) = parts.fold((0.0, 0.0), |(sum, total), (l, w)| (sum + l.roughness * w, total + w));
+    /// The mean roughness of base materials (with their numbers) by these weights; 1 where there is no specular light.
+    pub fn roughness<'a>(&self, materials: impl IntoIterator<Item = (usize, &'a SpecularLobe)>) -> f32 {
+        let weighted = |(sum, total): (f32, f32), (k, lobe): (usize, &SpecularLobe)| {
+            (sum + lobe.roughness * self.0[k], total + self.0[k])
+        };
+        let (sum, total) = materials.into_iter().fold((0.0, 0.0), weighted);
         if total > 0.0 { sum / total } else { 1.0 }
     }
 
@@ -58,10 +91,47 @@ impl SpecularBlend {
 }
 
 impl Default for SpecularBlend {
-    /// All of the first lobe.
+    /// All of base material 0.
     fn default() -> Self {
         let mut weights = [0.0; MAX_SPECULAR_LOBES];
         weights[0] = 1.0;
         Self(weights)
     }
+}
+
+/// Spawns the texels of an atlas, in order; both lists have one entry for each.
+pub fn spawn_texels(world: &mut World, albedo: &[Vec3], blends: &[SpecularBlend]) {
+    let texels = (0..).zip(albedo.iter().zip(blends));
+    let texels = texels.map(|(i, (albedo, blend))| (TexelIndex(i), DiffuseAlbedo(*albedo), *blend));
+    world.spawn_batch(texels.collect::<Vec<_>>());
+}
+
+/// Spawns base materials with the numbers 0, 1, ….
+pub fn spawn_materials(world: &mut World, lobes: &[SpecularLobe]) {
+    let materials: Vec<_> = (0..).zip(lobes).map(|(k, lobe)| (BaseMaterial(k), *lobe)).collect();
+    world.spawn_batch(materials);
+}
+
+/// The recovered albedo of all texels.
+///
+/// # Errors
+/// If the pool of texels is not whole.
+pub fn recovered_albedo(world: &mut World) -> Result<Vec<Vec3>> {
+    Ok(read_column::<TexelIndex, DiffuseAlbedo>(world)?.into_iter().map(|albedo| albedo.0).collect())
+}
+
+/// The recovered base materials by number; the numbers between that nobody has are left out.
+pub fn recovered_materials(world: &mut World) -> Vec<(usize, SpecularLobe)> {
+    let mut query = world.query::<(&BaseMaterial, &SpecularLobe)>();
+    let mut materials: Vec<_> = query.iter(world).map(|(number, lobe)| (number.0 as usize, *lobe)).collect();
+    materials.sort_by_key(|(number, _)| *number);
+    materials
+}
+
+/// The texels' entities in the order of [`TexelIndex`], in which they should be given components, so that they stay in order.
+pub fn texels_in_order(world: &mut World) -> Vec<Entity> {
+    let mut query = world.query::<(Entity, &TexelIndex)>();
+    let mut texels: Vec<(TexelIndex, Entity)> = query.iter(world).map(|(e, index)| (*index, e)).collect();
+    texels.sort_unstable();
+    texels.into_iter().map(|(_, texel)| texel).collect()
 }

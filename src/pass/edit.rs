@@ -1,80 +1,84 @@
-//! From a scene file's edits to changes of the material columns.
+//! From a scene file's edits to edit entities.
 
 use crate::codec::texture::{read_texture, read_texture_mask};
 use crate::error::Result;
-use crate::material::edit::{ColorChange, MaterialChange, MaterialState, ScalarChange, apply_edit};
-use crate::material::{DiffuseAlbedo, SpecularBlend, SpecularLobe};
+use crate::material::edit::{
+    EditAction, EditName, EditOrder, EditRegion, EditTarget, MaterialState, apply_edit,
+};
 use crate::mesh::Surface;
 use crate::mesh::atlas::TexelAtlas;
 use crate::scene::passes::{ColorAction, DiffuseAction, Edit, Region, ScalarAction};
-use bevy_ecs::prelude::{Entity, With, World};
+use bevy_ecs::prelude::{Entity, World};
 use glam::Vec3;
 
-/// Copies the material out of a world.
-pub fn take_material(world: &mut World) -> MaterialState {
-    MaterialState {
-        albedo: world.query::<&DiffuseAlbedo>().iter(world).copied().collect(),
-        blends: world.query::<&SpecularBlend>().iter(world).copied().collect(),
-        lobes: world.query::<&SpecularLobe>().iter(world).copied().collect(),
-    }
-}
+/// One edit, resolved for the texels of a surface.
+type ResolvedEdit = (EditTarget, EditAction, EditRegion);
 
-/// Puts a material into a world, which may have had fewer or more specular lobes.
-pub fn put_material(world: &mut World, state: &MaterialState) {
-    for (mut albedo, value) in world.query::<&mut DiffuseAlbedo>().iter_mut(world).zip(&state.albedo) {
-        *albedo = *value;
+/// Puts edits into the world under a name, in place of those that have it.
+///
+/// # Errors
+/// If an image cannot be read.
+pub fn spawn_edits(world: &mut World, name: &str, edits: &[Edit], surface: &Surface) -> Result<()> {
+    let resolved = resolved(edits, surface)?;
+    let mut query = world.query::<(Entity, &EditName)>();
+    let old: Vec<Entity> = query.iter(world).filter(|(_, of)| of.0 == name).map(|(edit, _)| edit).collect();
+    old.into_iter().for_each(|edit| _ = world.despawn(edit));
+    for ((target, action, region), order) in resolved.into_iter().zip(0..) {
+        world.spawn((EditName(name.to_owned()), EditOrder(order), target, action, region));
     }
-    for (mut blend, value) in world.query::<&mut SpecularBlend>().iter_mut(world).zip(&state.blends) {
-        *blend = *value;
-    }
-    let old: Vec<Entity> = world.query_filtered::<Entity, With<SpecularLobe>>().iter(world).collect();
-    if old.len() == state.lobes.len() {
-        for (entity, value) in old.into_iter().zip(&state.lobes) {
-            world.entity_mut(entity).insert(*value);
-        }
-        return;
-    }
-    // All anew: were some to keep the components that a fit gave them, they would lie in another table than the rest,
-    // and the order in which queries visit tables, by which blend weights name lobes, is not that of the lobes.
-    for entity in old {
-        world.despawn(entity);
-    }
-    world.spawn_batch(state.lobes.clone());
+    Ok(())
 }
 
 /// Applies a scene file's edits in order.
 ///
 /// # Errors
-/// If an image cannot be read or there would be too many specular lobes.
+/// If an image cannot be read or there would be too many base materials.
 pub fn apply_edits(state: &mut MaterialState, edits: &[Edit], surface: &Surface) -> Result<()> {
-    for edit in edits {
-        let region = region_weights(edit.region(), surface.atlas())?;
-        apply_edit(state, &material_change(edit, surface.atlas())?, region.as_deref())?;
-    }
-    Ok(())
+    let mut resolved = resolved(edits, surface)?.into_iter();
+    resolved.try_for_each(|(target, action, region)| apply_edit(state, target, &action, &region))
 }
 
-fn material_change(edit: &Edit, atlas: &TexelAtlas) -> Result<MaterialChange> {
-    Ok(match edit {
-        Edit::Diffuse { action, .. } => MaterialChange::Diffuse(match action {
-            DiffuseAction::Set(color) => ColorChange::Set(*color),
-            DiffuseAction::Scale(factor) => ColorChange::Scale(*factor),
-            DiffuseAction::Blend { color, weight } => ColorChange::Blend(*color, *weight),
-            DiffuseAction::Texture(path) => {
-                ColorChange::PerTexel(read_texture(path, atlas.width, atlas.height)?)
-            }
-        }),
-        Edit::Specular { action, .. } => MaterialChange::Specular(match action {
-            ColorAction::Set(color) => ColorChange::Set(*color),
-            ColorAction::Scale(factor) => ColorChange::Scale(*factor),
-            ColorAction::Blend { color, weight } => ColorChange::Blend(*color, *weight),
-        }),
-        Edit::Roughness { action, .. } => MaterialChange::Roughness(match action {
-            ScalarAction::Set(value) => ScalarChange::Set(*value),
-            ScalarAction::Scale(factor) => ScalarChange::Scale(*factor),
-            ScalarAction::Blend { value, weight } => ScalarChange::Blend(*value, *weight),
-        }),
+fn resolved(edits: &[Edit], surface: &Surface) -> Result<Vec<ResolvedEdit>> {
+    edits.iter().map(|edit| resolve(edit, surface.atlas())).collect()
+}
+
+fn resolve(edit: &Edit, atlas: &TexelAtlas) -> Result<ResolvedEdit> {
+    let region = EditRegion(region_weights(edit.region(), atlas)?.map(Into::into));
+    let (target, action) = match edit {
+        Edit::Diffuse { action, .. } => (EditTarget::Diffuse, diffuse_action(action, atlas)?),
+        Edit::Specular { action, .. } => (EditTarget::Specular, color_action(action)),
+        Edit::Roughness { action, .. } => (EditTarget::Roughness, scalar_action(action)),
+    };
+    Ok((target, action, region))
+}
+
+fn diffuse_action(action: &DiffuseAction, atlas: &TexelAtlas) -> Result<EditAction> {
+    Ok(match action {
+        DiffuseAction::Set(color) => EditAction::Set(*color),
+        DiffuseAction::Scale(factor) => EditAction::Scale(*factor),
+        DiffuseAction::Blend { color, weight } => EditAction::Blend { value: *color, weight: *weight },
+        DiffuseAction::Texture(path) => {
+            EditAction::PerTexel(read_texture(path, atlas.width, atlas.height)?.into())
+        }
     })
+}
+
+fn color_action(action: &ColorAction) -> EditAction {
+    match action {
+        ColorAction::Set(color) => EditAction::Set(*color),
+        ColorAction::Scale(factor) => EditAction::Scale(*factor),
+        ColorAction::Blend { color, weight } => EditAction::Blend { value: *color, weight: *weight },
+    }
+}
+
+fn scalar_action(action: &ScalarAction) -> EditAction {
+    match action {
+        ScalarAction::Set(value) => EditAction::Set(Vec3::splat(*value)),
+        ScalarAction::Scale(factor) => EditAction::Scale(Vec3::splat(*factor)),
+        ScalarAction::Blend { value, weight } => {
+            EditAction::Blend { value: Vec3::splat(*value), weight: *weight }
+        }
+    }
 }
 
 /// The numbers of the edits, from 0, whose region holds no texel of the surface.

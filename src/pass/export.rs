@@ -10,7 +10,7 @@ use crate::mesh::atlas::{address, fill_uncovered, unwrap_mesh};
 use crate::mesh::decimate::decimate;
 use crate::mesh::nearest::NearestTriangle;
 use crate::pass::Session;
-use crate::pass::edit::take_material;
+use crate::pass::show::material_of;
 use crate::report::tone::srgb8;
 use crate::scene::passes::{ExportPass, MeshFormat};
 use glam::{Vec2, Vec3};
@@ -34,7 +34,7 @@ struct Object {
 /// # Errors
 /// If the object cannot be unwrapped anew, or a file cannot be written.
 pub fn run(session: &mut Session, pass: &ExportPass) -> Result<()> {
-    let mut object = object(session);
+    let mut object = object(session, pass.of.as_deref())?;
     if let Some(target) = pass.triangles.filter(|&n| (n as usize) < object.surface.mesh().triangles.len()) {
         object = object.coarser(target as usize)?;
     }
@@ -45,23 +45,24 @@ pub fn run(session: &mut Session, pass: &ExportPass) -> Result<()> {
     Ok(())
 }
 
-fn object(session: &mut Session) -> Object {
-    let material = take_material(&mut session.pipeline.world);
+/// The object with the material that was found, or that the pass `of` shows.
+fn object(session: &mut Session, of: Option<&str>) -> Result<Object> {
+    let material = material_of(session, of)?;
     let surface = session.surface.clone();
     let albedo = material.albedo.iter().map(|albedo| albedo.0).collect();
-    if let [specular] = material.lobes.as_slice() {
-        return Object { surface, albedo, specular: *specular, roughness: None };
+    if let Some(specular) = material.uniform() {
+        return Ok(Object { surface, albedo, specular, roughness: None });
     }
     let at = |blend: &SpecularBlend| {
-        let albedo = material.lobes.iter().zip(&blend.0).map(|(lobe, weight)| lobe.albedo * *weight);
-        (albedo.sum::<Vec3>(), blend.roughness(&material.lobes))
+        let albedo: Vec3 = material.materials().map(|(k, lobe)| lobe.albedo * blend.0[k]).sum();
+        (albedo, blend.roughness(material.materials()))
     };
     let texels: Vec<(Vec3, f32)> = material.blends.iter().map(at).collect();
     let covered = || texels.iter().zip(&surface.atlas().covered).filter(|(_, covered)| **covered);
     let count = covered().count().max(1) as f32;
     let mean = covered().fold((Vec3::ZERO, 0.0), |sum, (t, _)| (sum.0 + t.0 / count, sum.1 + t.1 / count));
     let specular = SpecularLobe::new(mean.0, mean.1);
-    Object { surface, albedo, specular, roughness: Some(texels.iter().map(|t| t.1).collect()) }
+    Ok(Object { surface, albedo, specular, roughness: Some(texels.iter().map(|t| t.1).collect()) })
 }
 
 impl Object {

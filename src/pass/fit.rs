@@ -14,18 +14,23 @@ use crate::fit::roughness::texel::{GlossPrior, TexelGloss, attach_gloss, move_gl
 use crate::fit::run::{FirstGuess, FitOptions, FitProgress, FitSummary, run_fit};
 use crate::fit::scale::{means, move_scale};
 use crate::fit::systems::{move_lobes, move_specular, move_texels};
+use crate::light::lights::own_lobes;
 use crate::light::{LightLobe, render_lobes};
-use crate::material::{DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
+use crate::material::{
+    DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, TexelIndex, recovered_albedo,
+    recovered_materials,
+};
 use crate::math::shading::ClosedForm;
-use crate::mesh::atlas::fill_uncovered;
+use crate::mesh::atlas::{TexelAtlas, fill_uncovered};
 use crate::pass::save::write_weights;
 use crate::pass::{INTERRUPTED, Session, check_interrupted, found_views};
+use crate::pipeline::pool::{read_column, write_column};
 use crate::pipeline::{Phase, Slot};
 use crate::report::scores::ScaleFound;
 use crate::report::tone::srgb8;
 use crate::scene::description::Gloss;
 use crate::scene::passes::{FitPass, FitShading, Quality};
-use crate::shape::vertices::VertexPlugin;
+use crate::shape::vertices::{MovingMesh, VertexPlugin};
 use crate::spawn::{initial_specular, unknowns};
 use crate::visibility::ObjectVisibility;
 use bevy_ecs::prelude::{IntoScheduleConfigs, World};
@@ -73,10 +78,11 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     session.guess = FirstGuess::NONE;
     bar.finish_and_clear();
     let known = !options.unknowns.light || !options.unknowns.albedo;
-    let scale = scale_found(session, if known { "Known".to_owned() } else { options.scale.words() });
-    let unseen = fill_texels(session);
+    let scale = scale_found(session, if known { "Known".to_owned() } else { options.scale.words() })?;
+    let unseen = fill_texels(session)?;
     report(session, &pass.name, &summary, unseen);
-    write_results(&mut session.pipeline.world, &session.surface, (&folder, &log), &scale)?;
+    write_results(&mut session.pipeline.world, session.surface.atlas(), &folder, &scale)?;
+    write_bytes(&folder.join("log.csv"), log.as_bytes())?;
     session.scores.scale = Some(scale);
     found_views::write(session, &pass.name, pass.cameras, pass.exposure)?;
     check_interrupted()
@@ -95,8 +101,11 @@ fn let_geometry_move(session: &mut Session, pass: &FitPass) {
 
 /// Takes them out again, and keeps the mesh as it became.
 fn hold_geometry(session: &mut Session) {
-    CameraPlugin::remove(&mut session.pipeline);
-    if let Some(moved) = VertexPlugin::remove(&mut session.pipeline) {
+    let pipeline = &mut session.pipeline;
+    pipeline.remove_plugin::<CameraPlugin>();
+    let moved = pipeline.world.get_resource::<MovingMesh>().map(|mesh| mesh.surface.clone());
+    pipeline.remove_plugin::<VertexPlugin>();
+    if let Some(moved) = moved {
         session.surface = moved;
         // What hides what is traced anew when it is asked for.
         session.pipeline.world.remove_resource::<ObjectVisibility>();
@@ -159,49 +168,56 @@ fn log_line(log: &mut String, at: &FitProgress) {
 }
 
 /// Fills what was fitted of texels that no view saw from their neighbours; returns how many covered texels that were.
-fn fill_texels(session: &mut Session) -> usize {
+fn fill_texels(session: &mut Session) -> Result<usize> {
     let unknowns = unknowns(session.scene);
     let world = &mut session.pipeline.world;
-    let seen: Vec<bool> = world.query::<&TexelSeen>().iter(world).map(|seen| seen.0 > 1e-3).collect();
+    let seen: Vec<bool> =
+        read_column::<TexelIndex, TexelSeen>(world)?.iter().map(|seen| seen.0 > 1e-3).collect();
     let atlas = session.surface.atlas();
     if seen.len() != atlas.covered.len() || !seen.contains(&true) {
-        return 0;
+        return Ok(0);
     }
     if unknowns.albedo {
-        let mut values: Vec<Vec3> = world.query::<&DiffuseAlbedo>().iter(world).map(|a| a.0).collect();
+        let mut values = recovered_albedo(world)?;
         fill_uncovered(&mut values, &seen, atlas);
-        for (mut albedo, value) in world.query::<&mut DiffuseAlbedo>().iter_mut(world).zip(&values) {
-            albedo.0 = *value;
-        }
+        let values: Vec<DiffuseAlbedo> = values.into_iter().map(DiffuseAlbedo).collect();
+        write_column::<TexelIndex, DiffuseAlbedo>(world, &values)?;
     }
-    for start in (0..MAX_SPECULAR_LOBES).step_by(3).filter(|_| unknowns.blends) {
+    if unknowns.blends {
+        let mut blends = read_column::<TexelIndex, SpecularBlend>(world)?;
+        fill_blends(&mut blends, &seen, atlas);
+        write_column::<TexelIndex, SpecularBlend>(world, &blends)?;
+    }
+    let fitted = unknowns.albedo || unknowns.blends;
+    let unseen = atlas.covered.iter().zip(&seen).filter(|(covered, seen)| **covered && !**seen);
+    Ok(if fitted { unseen.count() } else { 0 })
+}
+
+/// Fills the blend weights of texels that no view saw, three base materials at a time.
+fn fill_blends(blends: &mut [SpecularBlend], seen: &[bool], atlas: &TexelAtlas) {
+    for start in (0..MAX_SPECULAR_LOBES).step_by(3) {
         let three = start..MAX_SPECULAR_LOBES.min(start + 3);
         let triple = |blend: &SpecularBlend| {
             let at = |k: usize| blend.0.get(start + k).copied().unwrap_or(0.0);
             Vec3::new(at(0), at(1), at(2))
         };
-        let mut values: Vec<Vec3> = world.query::<&SpecularBlend>().iter(world).map(triple).collect();
-        fill_uncovered(&mut values, &seen, atlas);
-        for (mut blend, value) in world.query::<&mut SpecularBlend>().iter_mut(world).zip(&values) {
+        let mut values: Vec<Vec3> = blends.iter().map(triple).collect();
+        fill_uncovered(&mut values, seen, atlas);
+        for (blend, value) in blends.iter_mut().zip(&values) {
             blend.0[three.clone()].copy_from_slice(&value.to_array()[..three.len()]);
         }
-    }
-    if unknowns.albedo || unknowns.blends {
-        atlas.covered.iter().zip(&seen).filter(|(covered, seen)| **covered && !**seen).count()
-    } else {
-        0
     }
 }
 
 /// The scale that all outputs share.
-fn scale_found(session: &mut Session, rule: String) -> ScaleFound {
-    let [mean_light, mean_albedo] = means(&mut session.pipeline.world).map(|mean| mean.to_array());
-    ScaleFound { rule, mean_light, mean_albedo }
+fn scale_found(session: &mut Session, rule: String) -> Result<ScaleFound> {
+    let [mean_light, mean_albedo] = means(&mut session.pipeline.world)?.map(|mean| mean.to_array());
+    Ok(ScaleFound { rule, mean_light, mean_albedo })
 }
 
 /// What was found of the specular material: a base material or two in full, of more the range of the texels' roughness.
 fn material_words(world: &mut World) -> String {
-    let lobes: Vec<SpecularLobe> = world.query::<&SpecularLobe>().iter(world).copied().collect();
+    let lobes: Vec<SpecularLobe> = recovered_materials(world).into_iter().map(|(_, lobe)| lobe).collect();
     let gloss: Vec<f32> = world.query::<&TexelGloss>().iter(world).map(|gloss| gloss.roughness).collect();
     let (low, high) =
         gloss.iter().fold((f32::INFINITY, 0.0f32), |(low, high), r| (low.min(*r), high.max(*r)));
@@ -231,59 +247,66 @@ fn report(session: &mut Session, name: &str, summary: &FitSummary, unseen: usize
     }
 }
 
-/// Writes the light, the albedo texture, the material (with blend weights, if it has several lobes) and the log.
-fn write_results(
-    world: &mut World,
-    surface: &crate::mesh::Surface,
-    (folder, log): (&Path, &str),
-    scale: &ScaleFound,
-) -> Result<()> {
-    let lobes: Vec<LightLobe> = world.query::<&LightLobe>().iter(world).copied().collect();
-    write_lobes(folder.join("light.npy"), &lobes, NpyConvention::Lobelia)?;
-    let environment = render_lobes(&lobes, ENVIRONMENT_SIZE.0, ENVIRONMENT_SIZE.1);
-    environment.write_exr(folder.join("environment.exr"))?;
-    let picture = |pixels: &[Vec3], width: u32, height: u32| {
-        RgbImage::from_fn(width, height, |x, y| Rgb(srgb8(pixels[(y * width + x) as usize])))
-    };
-    let preview = picture(&environment.radiance, environment.width, environment.height);
-    write_rgb8(folder.join("environment.png"), &preview)?;
-    let texels: Vec<Vec3> = world.query::<&DiffuseAlbedo>().iter(world).map(|a| a.0).collect();
-    write_rgb8(folder.join("albedo.png"), &picture(&texels, surface.atlas().width, surface.atlas().height))?;
-    let mut linear =
-        ExrLayers { width: surface.atlas().width, height: surface.atlas().height, ..ExrLayers::default() };
-    linear.insert_triple(["R", "G", "B"], &texels);
+/// Writes the light, the albedo texture and the material (with blend weights, if it has several base materials).
+fn write_results(world: &mut World, atlas: &TexelAtlas, folder: &Path, scale: &ScaleFound) -> Result<()> {
+    write_light(&own_lobes(world), folder)?;
+    let albedo = recovered_albedo(world)?;
+    write_rgb8(folder.join("albedo.png"), &preview(&albedo, atlas.width, atlas.height))?;
+    let mut linear = ExrLayers { width: atlas.width, height: atlas.height, ..ExrLayers::default() };
+    linear.insert_triple(["R", "G", "B"], &albedo);
     write_channels(folder.join("albedo.exr"), &linear)?;
-    let seen: Vec<f32> = world.query::<&TexelSeen>().iter(world).map(|s| s.0).collect();
-    let marks: Vec<Vec3> = seen.iter().map(|s| Vec3::splat(if *s > 1e-3 { 1.0 } else { 0.0 })).collect();
-    write_rgb8(folder.join("seen.png"), &picture(&marks, surface.atlas().width, surface.atlas().height))?;
-    let materials = world.query::<&SpecularLobe>().iter(world).len();
-    if materials > 1 {
-        let blends: Vec<SpecularBlend> = world.query::<&SpecularBlend>().iter(world).copied().collect();
-        let (width, height) = (surface.atlas().width, surface.atlas().height);
-        write_weights(&folder.join("blend.exr"), &blends, materials, width, height)?;
-        let shown: Vec<Vec3> = blends.iter().map(|blend| Vec3::from_slice(&blend.0)).collect();
-        write_rgb8(folder.join("blend.png"), &picture(&shown, width, height))?;
-        let lobes: Vec<SpecularLobe> = world.query::<&SpecularLobe>().iter(world).copied().collect();
-        let roughness: Vec<f32> = blends.iter().map(|blend| blend.roughness(&lobes)).collect();
-        let shown: Vec<Vec3> = roughness.iter().map(|r| Vec3::splat(*r)).collect();
-        write_rgb8(folder.join("roughness.png"), &picture(&shown, width, height))?;
-        let mut map = ExrLayers { width, height, ..ExrLayers::default() };
-        map.channels.insert("Y".to_owned(), roughness);
-        write_channels(folder.join("roughness.exr"), &map)?;
+    let seen = read_column::<TexelIndex, TexelSeen>(world)?;
+    let marks: Vec<Vec3> = seen.iter().map(|s| Vec3::splat(if s.0 > 1e-3 { 1.0 } else { 0.0 })).collect();
+    write_rgb8(folder.join("seen.png"), &preview(&marks, atlas.width, atlas.height))?;
+    let materials = recovered_materials(world);
+    if materials.len() > 1 {
+        let blends = read_column::<TexelIndex, SpecularBlend>(world)?;
+        write_roughness(&materials, &blends, atlas, folder)?;
     }
-    let materials = materials_ron(world, scale);
-    write_bytes(&folder.join("materials.ron"), materials.as_bytes())?;
-    write_bytes(&folder.join("log.csv"), log.as_bytes())
+    write_bytes(&folder.join("materials.ron"), materials_ron(&materials, scale).as_bytes())
+}
+
+fn write_light(lobes: &[LightLobe], folder: &Path) -> Result<()> {
+    write_lobes(folder.join("light.npy"), lobes, NpyConvention::Lobelia)?;
+    let environment = render_lobes(lobes, ENVIRONMENT_SIZE.0, ENVIRONMENT_SIZE.1);
+    environment.write_exr(folder.join("environment.exr"))?;
+    let picture = preview(&environment.radiance, environment.width, environment.height);
+    write_rgb8(folder.join("environment.png"), &picture)
+}
+
+/// Blend weights of several base materials, and the roughness that they come to.
+fn write_roughness(
+    materials: &[(usize, SpecularLobe)],
+    blends: &[SpecularBlend],
+    atlas: &TexelAtlas,
+    folder: &Path,
+) -> Result<()> {
+    let (width, height) = (atlas.width, atlas.height);
+    let numbers: Vec<usize> = materials.iter().map(|(number, _)| *number).collect();
+    write_weights(&folder.join("blend.exr"), blends, &numbers, width, height)?;
+    let shown: Vec<Vec3> = blends.iter().map(|blend| Vec3::from_slice(&blend.0)).collect();
+    write_rgb8(folder.join("blend.png"), &preview(&shown, width, height))?;
+    let by_number = || materials.iter().map(|(number, lobe)| (*number, lobe));
+    let roughness: Vec<f32> = blends.iter().map(|blend| blend.roughness(by_number())).collect();
+    let shown: Vec<Vec3> = roughness.iter().map(|r| Vec3::splat(*r)).collect();
+    write_rgb8(folder.join("roughness.png"), &preview(&shown, width, height))?;
+    let mut map = ExrLayers { width, height, ..ExrLayers::default() };
+    map.channels.insert("Y".to_owned(), roughness);
+    write_channels(folder.join("roughness.exr"), &map)
+}
+
+fn preview(pixels: &[Vec3], width: u32, height: u32) -> RgbImage {
+    RgbImage::from_fn(width, height, |x, y| Rgb(srgb8(pixels[(y * width + x) as usize])))
 }
 
 /// The specular lobes as a RON list, in the words of a scene file.
-fn materials_ron(world: &mut World, scale: &ScaleFound) -> String {
+fn materials_ron(materials: &[(usize, SpecularLobe)], scale: &ScaleFound) -> String {
     let mut text = String::from(
         "// Specular lobes: albedo (linear RGB), the paper's roughness R, distribution of normals.\n",
     );
     let ScaleFound { rule, mean_light, mean_albedo } = scale;
     let _ = writeln!(text, "// Scale {rule}: mean light {mean_light:?}, mean albedo {mean_albedo:?}.\n[");
-    for lobe in world.query::<&SpecularLobe>().iter(world) {
+    for (_, lobe) in materials {
         let [r, g, b] = lobe.albedo.to_array();
         let _ = writeln!(
             text,

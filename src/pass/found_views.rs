@@ -6,7 +6,7 @@ use crate::fit::cameras::{CameraFit, CameraPose, CameraUnknowns};
 use crate::fit::exposure::Exposures;
 use crate::pass::Session;
 use crate::scene::description::Views;
-use crate::view::{Camera, Photograph, Split, ViewName};
+use crate::view::{Camera, Photograph, Split, ViewIndex, ViewName};
 use bevy_ecs::prelude::{With, World};
 use glam::{Vec3, Vec3A};
 use serde_json::{Map, Value, json};
@@ -87,11 +87,15 @@ fn in_json(camera: &Camera) -> Value {
 
 fn write_exposures(world: &mut World, folder: &Path) -> Result<()> {
     let mut text = String::from("view,exposure\n");
-    let mut views = world.query_filtered::<(&ViewName, &Split), With<Photograph>>();
-    let views: Vec<(String, Split)> =
-        views.iter(world).map(|(name, split)| (name.0.clone(), *split)).collect();
+    let mut query = world.query_filtered::<(&ViewIndex, &ViewName, &Split), With<Photograph>>();
+    let mut train: Vec<(ViewIndex, String)> = query
+        .iter(world)
+        .filter(|(.., split)| **split == Split::Train)
+        .map(|(index, name, _)| (*index, name.0.clone()))
+        .collect();
+    train.sort_unstable();
     let exposures = world.resource::<Exposures>();
-    for (view, (name, _)) in (0..).zip(&views).filter(|(_, (_, split))| *split == Split::Train) {
+    for (view, name) in train {
         // Writing to a String cannot fail.
         let _ = writeln!(text, "{name},{:.5}", exposures.factor(view));
     }

@@ -27,6 +27,7 @@ pub mod render;
 pub mod save;
 pub mod shade_cases;
 pub mod shape;
+pub mod show;
 
 use crate::dataset::{DatasetOptions, has_split, read_dataset};
 use crate::error::{Error, Result};
@@ -126,7 +127,7 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions) -> Result<()> {
             | Pass::Edit(EditPass { render, .. })
             | Pass::Relight(RelightPass { render, .. }) => render::run(&mut session, pass, render)?,
             Pass::Evaluate(pass) => evaluate::run(&mut session, pass)?,
-            Pass::Save(pass) => save::run(&mut session, &pass.name)?,
+            Pass::Save(pass) => save::run(&mut session, pass)?,
             Pass::Export(pass) => export::run(&mut session, pass)?,
         }
         check_interrupted()?;
@@ -311,7 +312,12 @@ fn check_cameras(views: &[ViewRecord], surface: &Surface) -> Result<()> {
     }
 }
 
-impl Session<'_> {
+impl<'a> Session<'a> {
+    /// The pass of this name.
+    pub fn pass_named(&self, name: Option<&str>) -> Option<&'a Pass> {
+        self.scene.passes.iter().find(|pass| Some(pass.name()) == name)
+    }
+
     /// The folder of a pass.
     pub fn folder(&self, pass: &str) -> PathBuf {
         self.out.join(pass)

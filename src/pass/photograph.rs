@@ -2,24 +2,30 @@
 
 use crate::codec::frame::Frame;
 use crate::error::Result;
-use crate::light::fibonacci::fibonacci_axes;
+use crate::light::lights::{LightChoice, provide_light, spawn_light};
+use crate::material::edit::MaterialState;
+use crate::material::shown::{show_edited, spawn_material};
 use crate::material::{DiffuseAlbedo, SpecularBlend};
+use crate::math::fibonacci::fibonacci_axes;
 use crate::math::ray::Intersect;
 use crate::mesh::Surface;
-use crate::pass::edit::{apply_edits, put_material, take_material};
+use crate::pass::edit::{apply_edits, spawn_edits};
 use crate::pass::progress::Progress;
-use crate::pass::render::{resolve, set_shading};
+use crate::pass::show::set_shading;
 use crate::pass::{camera_of, check_interrupted};
 use crate::pipeline::{Phase, Pipeline, Slot};
+use crate::sample::point::Scenery;
 use crate::scene::description::{CameraRing, CameraSpec, Pattern, Photographed, Scene};
 use crate::scene::passes::{Edit, RenderSettings, Shading};
-use crate::shade::frame::{FramePlugin, render_frame};
-use crate::shade::{Scenery, provide_distant};
+use crate::shade::frame::{FramePlugin, render_frame, resolve};
 use crate::spawn::{LoadedLight, load_light};
 use crate::view::camera::Camera;
 use crate::view::{Image, Mask, Photograph, Split, ViewRecord};
 use glam::Vec3;
 use std::sync::Arc;
+
+/// Name of the light and the edits that the true object is pictured with.
+const TRUTH: &str = "truth";
 
 /// The object that is photographed, in a world of its own.
 pub struct TrueObject {
@@ -36,18 +42,16 @@ impl TrueObject {
     /// If its light, or an image of its edits, cannot be read.
     pub fn new(spec: &Photographed, surface: &Arc<Surface>) -> Result<Self> {
         let mut pipeline = Pipeline::new();
-        pipeline.add_plugin(&FramePlugin).swap(Phase::Frame, Slot::Light, provide_distant);
-        let world = &mut pipeline.world;
+        pipeline.add_plugin(&FramePlugin);
         let scenery: Arc<dyn Intersect> = surface.clone();
-        world.insert_resource(Scenery(scenery));
-        let texels = surface.atlas().position.iter();
-        let albedo = texels.map(|p| DiffuseAlbedo(pattern_at(&spec.truth.albedo, *p)));
-        let texels: Vec<_> = albedo.map(|albedo| (albedo, SpecularBlend::default())).collect();
-        world.spawn_batch(texels);
-        world.spawn(spec.truth.specular);
-        let mut material = take_material(world);
+        pipeline.world.insert_resource(Scenery(scenery));
+        let albedo =
+            surface.atlas().position.iter().map(|p| DiffuseAlbedo(pattern_at(&spec.truth.albedo, *p)));
+        let albedo: Vec<DiffuseAlbedo> = albedo.collect();
+        let blends = vec![SpecularBlend::default(); albedo.len()];
+        let mut material = MaterialState { albedo, blends, lobes: vec![Some(spec.truth.specular)] };
         apply_edits(&mut material, &spec.truth.edits, surface)?;
-        put_material(world, &material);
+        spawn_material(&mut pipeline.world, &material);
         let light = load_light(&spec.truth.light)?;
         Ok(Self { pipeline, surface: surface.clone(), light, max_bounces: spec.max_bounces })
     }
@@ -65,11 +69,15 @@ impl TrueObject {
         seed: u64,
         mut done: impl FnMut(),
     ) -> Result<Vec<Frame>> {
-        let unedited = take_material(&mut self.pipeline.world);
-        let mut material = unedited.clone();
-        apply_edits(&mut material, edits, &self.surface)?;
-        put_material(&mut self.pipeline.world, &material);
-        self.pipeline.world.insert_resource(light.unwrap_or(&self.light).distant(true));
+        let light = light.unwrap_or(&self.light);
+        spawn_edits(&mut self.pipeline.world, TRUTH, edits, &self.surface)?;
+        spawn_light(&mut self.pipeline.world, TRUTH, &light.lobes, light.map.clone());
+        let choice = LightChoice::Named(TRUTH.to_owned());
+        self.pipeline.swap(Phase::Frame, Slot::Material, show_edited(TRUTH)).swap(
+            Phase::Frame,
+            Slot::Light,
+            provide_light(choice, true),
+        );
         let shading = Shading::PathTraced { spp, max_bounces: self.max_bounces, map: true };
         let side = (f64::from(spp.min(64)).sqrt().floor()).max(1.0) as u32;
         let settings =
@@ -81,7 +89,6 @@ impl TrueObject {
             frames.push(resolve(&render_frame(&mut self.pipeline, *camera, settings.samples_per_pixel)?));
             done();
         }
-        put_material(&mut self.pipeline.world, &unedited);
         Ok(frames)
     }
 }

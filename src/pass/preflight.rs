@@ -6,8 +6,9 @@ use crate::codec::image::Gamma;
 use crate::codec::nearby::closest;
 use crate::error::{Error, Result};
 use crate::material::SpecularBlend;
+use crate::material::shown::recovered_material;
 use crate::pass::Session;
-use crate::pass::edit::{apply_edits, edits_of_nothing, take_material};
+use crate::pass::edit::{apply_edits, edits_of_nothing};
 use crate::pass::evaluate::{read_fitting, true_image_path, true_layer_path};
 use crate::pass::render::{ChosenView, chosen_views};
 use crate::scene::description::Gloss;
@@ -22,7 +23,7 @@ use rayon::prelude::*;
 /// [`Error::Usage`] or [`Error::Input`] for a view that is not there, a pass without views, an edit's image that cannot be
 /// read, or a truth that is missing.
 pub fn check(session: &mut Session) -> Result<()> {
-    let mut unedited = take_material(&mut session.pipeline.world);
+    let mut unedited = recovered_material(&mut session.pipeline.world)?;
     if matches!(session.scene.material.gloss, Gloss::Texels { .. }) {
         // Any texel may come to show any of the ladder.
         unedited.blends.fill(SpecularBlend::even(unedited.lobes.len()));

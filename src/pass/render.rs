@@ -1,25 +1,19 @@
-//! The `Render`, `Edit` and `Relight` passes: the same pictures, with edit and relight systems run before them and undone after.
+//! The `Render`, `Edit` and `Relight` passes: the same pictures of what [`show`] swaps in.
 
 use crate::codec::animation::{Mp4, write_apng, write_gif, write_mp4};
 use crate::codec::frame::{Frame, write_frame};
 use crate::error::Result;
+use crate::light::lights::IncidentLight;
 use crate::math::ray::Illuminate;
-use crate::math::shading::ClosedForm;
-use crate::pass::edit::{apply_edits, put_material, take_material};
+use crate::pass::show::{camera_rays, show};
 use crate::pass::{Session, check_interrupted};
-use crate::pipeline::{Phase, Pipeline, Slot};
+use crate::pipeline::Pipeline;
 use crate::report::tone::{Backdrop, Look, Picture, write_png};
-use crate::scene::description::Light;
-use crate::scene::passes::{Orbit, OrbitFormat, Pass, RenderSettings, Shading, ViewChoice};
-use crate::shade::frame::{FrameTarget, render_frame};
-use crate::shade::{
-    IncidentLight, PathTracing, ShadingForm, provide_distant, provide_lobes, shade_closed_form,
-    shade_path_traced,
-};
+use crate::scene::passes::{Orbit, OrbitFormat, Pass, RenderSettings, ViewChoice};
+use crate::shade::frame::{render_frame, resolve};
 use crate::view::camera;
 use crate::view::camera::Camera;
 use crate::view::{Split, ViewName};
-use crate::visibility::{add_visibility, remove_visibility};
 use bevy_ecs::prelude::{Entity, World};
 use glam::Vec3;
 use image::RgbImage;
@@ -30,72 +24,8 @@ use std::path::Path;
 /// # Errors
 /// If an edit's image cannot be read, a system fails, or a picture cannot be written.
 pub fn run(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> Result<()> {
-    let unedited = take_material(&mut session.pipeline.world);
-    let mut material = unedited.clone();
-    apply_edits(&mut material, pass.edits(), &session.surface)?;
-    put_material(&mut session.pipeline.world, &material);
-    set_light(session, pass.name(), settings.shading);
-    set_shading(&mut session.pipeline, settings, session.scene.seed);
-    // The published formulas are for comparison and know of neither shadows nor reflections; paths find both themselves.
-    if settings.shading == Shading::Accurate && session.has_visibility()? {
-        add_visibility(&mut session.pipeline, Phase::Frame);
-    } else {
-        remove_visibility(&mut session.pipeline, Phase::Frame);
-    }
-    let result = render_all(session, pass.name(), settings);
-    put_material(&mut session.pipeline.world, &unedited);
-    result
-}
-
-/// Swaps the light provider: the pass's own light, the scene's fixed map, or the lobes in the world.
-fn set_light(session: &mut Session, pass: &str, shading: Shading) {
-    let use_map = matches!(shading, Shading::PathTraced { map: true, .. });
-    let fixed = matches!(session.scene.light, Light::Fixed(_));
-    let own = session.lights.own.as_ref().filter(|own| fixed && use_map && own.map.is_some());
-    match session.lights.of_passes.get(pass).or(own) {
-        Some(light) => {
-            session.pipeline.world.insert_resource(light.distant(use_map));
-            session.pipeline.swap(Phase::Frame, Slot::Light, provide_distant);
-        }
-        None => {
-            session.pipeline.swap(Phase::Frame, Slot::Light, provide_lobes);
-        }
-    }
-}
-
-/// Swaps the shading system.
-pub fn set_shading(pipeline: &mut Pipeline, settings: &RenderSettings, seed: u64) {
-    match settings.shading {
-        Shading::Accurate => closed_form(pipeline, ClosedForm::Accurate(settings.quality)),
-        Shading::Published => closed_form(pipeline, ClosedForm::Published),
-        Shading::PathTraced { spp, max_bounces, .. } => {
-            let rays = camera_rays(settings);
-            let paths_per_sample = spp.div_ceil(rays);
-            pipeline.world.insert_resource(PathTracing {
-                paths_per_sample,
-                max_bounces,
-                seed,
-                samples_per_pixel: rays,
-            });
-            pipeline.swap(Phase::Frame, Slot::Shading, shade_path_traced);
-        }
-    }
-}
-
-fn closed_form(pipeline: &mut Pipeline, form: ClosedForm) {
-    pipeline.world.insert_resource(ShadingForm(form));
-    pipeline.swap(Phase::Frame, Slot::Shading, shade_closed_form);
-}
-
-/// Camera rays per pixel: a path tracer with fewer paths than that takes one path a ray.
-fn camera_rays(settings: &RenderSettings) -> u32 {
-    match settings.shading {
-        Shading::Accurate | Shading::Published => settings.samples_per_pixel,
-        Shading::PathTraced { spp, .. } => {
-            let side = f64::from(settings.samples_per_pixel.min(spp)).sqrt().floor().max(1.0) as u32;
-            side * side
-        }
-    }
+    show(session, pass, settings)?;
+    render_all(session, pass.name(), settings)
 }
 
 fn render_all(session: &mut Session, name: &str, settings: &RenderSettings) -> Result<()> {
@@ -110,7 +40,7 @@ fn render_all(session: &mut Session, name: &str, settings: &RenderSettings) -> R
         let frame = picture(&mut session.pipeline, *camera, settings)?;
         write_frame(folder.join(format!("{stem}.exr")), &frame)?;
         let behind = settings.backdrop.then(|| backdrop(&session.pipeline.world, camera));
-        let developed = developed(&frame);
+        let developed = Picture::of(&frame);
         let behind = behind.as_deref().map_or(Backdrop::Transparent, Backdrop::Radiance);
         write_png(folder.join(format!("{stem}.png")), &developed, &look, behind)?;
         bar.inc(1);
@@ -172,32 +102,6 @@ pub fn picture(pipeline: &mut Pipeline, camera: Camera, settings: &RenderSetting
     Ok(resolve(&render_frame(pipeline, camera, camera_rays(settings))?))
 }
 
-/// From sums over samples to the layers of a frame: radiance over all samples, the rest over those that hit.
-pub fn resolve(target: &FrameTarget) -> Frame {
-    let samples = target.samples_per_pixel() as f32;
-    let over_hits = |sum: Vec3, hits: u32| if hits > 0 { sum / hits as f32 } else { Vec3::ZERO };
-    let each = |f: &dyn Fn(&crate::shade::frame::PixelSums) -> Vec3| target.pixels.iter().map(f).collect();
-    Frame {
-        width: target.camera.width as usize,
-        height: target.camera.height as usize,
-        color: each(&|p| (p.diffuse + p.specular) / samples),
-        alpha: target.pixels.iter().map(|p| p.hits as f32 / samples).collect(),
-        diffuse: each(&|p| p.diffuse / samples),
-        specular: each(&|p| p.specular / samples),
-        albedo: each(&|p| over_hits(p.albedo, p.hits)),
-        normal: each(&|p| p.normal.normalize_or_zero()),
-        depth: target
-            .pixels
-            .iter()
-            .map(|p| if p.hits > 0 { p.distance / p.hits as f32 } else { 0.0 })
-            .collect(),
-    }
-}
-
-fn developed(frame: &Frame) -> Picture<'_> {
-    Picture { width: frame.width, height: frame.height, color: &frame.color, alpha: &frame.alpha }
-}
-
 /// What the light shows behind each pixel.
 fn backdrop(world: &World, camera: &Camera) -> Vec<Vec3> {
     let light = world.get_resource::<IncidentLight>().and_then(|light| light.distant.clone());
@@ -240,7 +144,7 @@ fn film_frame(
     let behind = settings.backdrop.then(|| backdrop(&session.pipeline.world, &camera));
     // Films have no alpha: a quiet dark grey stands behind the object.
     let behind = behind.as_deref().map_or(Backdrop::Solid(Vec3::splat(0.02)), Backdrop::Radiance);
-    developed(&frame).rgb8(look, behind)
+    Picture::of(&frame).rgb8(look, behind)
 }
 
 fn write_film(session: &Session, folder: &Path, orbit: &Orbit, film: &[RgbImage]) -> Result<()> {

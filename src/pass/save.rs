@@ -8,31 +8,32 @@ use crate::codec::nearby::missing_file_help;
 use crate::codec::npy::{NpyConvention, write_lobes};
 use crate::error::{Error, Result};
 use crate::fit::cameras::CameraFit;
-use crate::light::LightLobe;
-use crate::material::SpecularBlend;
+use crate::light::lights::own_lobes;
 use crate::material::edit::MaterialState;
+use crate::material::{SpecularBlend, SpecularLobe};
 use crate::mesh::atlas::TexelAtlas;
 use crate::pass::Session;
-use crate::pass::edit::take_material;
 use crate::pass::photograph::ring;
+use crate::pass::show::material_of;
 use crate::scene::description::{
     Albedo, AlbedoSource, Gloss, Light, LightSource, Material, Roughness, Scene, Specular, SpecularAlbedo,
     Surface as SurfaceSpec, Views,
 };
 use crate::scene::load::to_ron;
+use crate::scene::output::SavePass;
 use crate::scene::passes::Pass;
 use crate::spawn::light_file::inlined;
 use glam::Vec3;
 use std::path::Path;
 
-/// Writes `scene.ron`, `mesh.glb`, `albedo.exr` and `light.npy`: the object as it is, everything fixed, with the scene's views (poses of
-/// training views that a fit moved are not among it).
+/// Writes `scene.ron`, `mesh.glb`, `albedo.exr` and `light.npy`: the object as it is, or as the pass `of` shows it, everything fixed,
+/// with the scene's views (poses of training views that a fit moved are not among it).
 ///
 /// # Errors
 /// If a file cannot be written.
-pub fn run(session: &mut Session, name: &str) -> Result<()> {
-    let folder = session.folder(name);
-    let material = take_material(&mut session.pipeline.world);
+pub fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
+    let folder = session.folder(&pass.name);
+    let material = material_of(session, pass.of.as_deref())?;
     let surface = session.surface.clone();
     let atlas = surface.atlas();
     write_glb(&folder.join("mesh.glb"), surface.mesh(), None)?;
@@ -40,8 +41,8 @@ pub fn run(session: &mut Session, name: &str) -> Result<()> {
     let mut texture = ExrLayers { width: atlas.width, height: atlas.height, ..ExrLayers::default() };
     texture.insert_triple(["R", "G", "B"], &colors);
     write_channels(folder.join("albedo.exr"), &texture)?;
-    let light = save_light(session, &folder)?;
-    let specular = save_gloss(&material, surface.atlas(), &folder)?;
+    let light = save_light(session, pass.of.as_deref(), &folder)?;
+    let specular = save_materials(&material, surface.atlas(), &folder)?;
     let saved = Scene {
         surface: SurfaceSpec::Mesh {
             path: "mesh.glb".into(),
@@ -57,13 +58,13 @@ pub fn run(session: &mut Session, name: &str) -> Result<()> {
     let text =
         format!("// Saved by Lobelia. Run it again with: lobelia run scene.ron\n{}\n", to_ron(&saved)?);
     write_bytes(&folder.join("scene.ron"), text.as_bytes())?;
-    session.progress.print(&format!("{name}: {}", folder.join("scene.ron").display()));
+    session.progress.print(&format!("{}: {}", pass.name, folder.join("scene.ron").display()));
     Ok(())
 }
 
 /// The specular material in a scene's words; the weights of several base materials go to a file.
-fn save_gloss(material: &MaterialState, atlas: &TexelAtlas, folder: &Path) -> Result<Material> {
-    if let [one] = material.lobes.as_slice() {
+fn save_materials(material: &MaterialState, atlas: &TexelAtlas, folder: &Path) -> Result<Material> {
+    if let Some(one) = material.uniform() {
         let specular = Specular {
             albedo: SpecularAlbedo::Fixed(one.albedo),
             roughness: Roughness::Fixed(one.roughness),
@@ -71,37 +72,45 @@ fn save_gloss(material: &MaterialState, atlas: &TexelAtlas, folder: &Path) -> Re
         };
         return Ok(Material { specular, ..Material::default() });
     }
-    let (path, lobes) = (folder.join("blend.exr"), material.lobes.clone());
-    write_weights(&path, &material.blends, lobes.len(), atlas.width, atlas.height)?;
+    // A scene's base materials count from 0: numbers that nobody has are left out.
+    let (numbers, lobes): (Vec<usize>, Vec<SpecularLobe>) =
+        material.materials().map(|(number, lobe)| (number, *lobe)).unzip();
+    let path = folder.join("blend.exr");
+    write_weights(&path, &material.blends, &numbers, atlas.width, atlas.height)?;
     Ok(Material { gloss: Gloss::Fixed { lobes, weights: "blend.exr".into() }, ..Material::default() })
 }
 
-/// Writes blend weights for [`read_weights`](crate::codec::texture::read_weights).
+/// Writes the blend weights of the base materials of these numbers for [`read_weights`](crate::codec::texture::read_weights).
 ///
 /// # Errors
 /// [`Error::Io`] when the system refuses.
 pub fn write_weights(
     path: &Path,
     blends: &[SpecularBlend],
-    materials: usize,
+    numbers: &[usize],
     width: u32,
     height: u32,
 ) -> Result<()> {
     let mut layers = ExrLayers { width, height, ..ExrLayers::default() };
-    for k in 0..materials {
-        layers.channels.insert(format!("weight{k}"), blends.iter().map(|blend| blend.0[k]).collect());
+    for (place, k) in numbers.iter().enumerate() {
+        layers.channels.insert(format!("weight{place}"), blends.iter().map(|blend| blend.0[*k]).collect());
     }
     write_channels(path, &layers)
 }
 
-/// Writes the light: a fixed map as it is, so that path tracing by the map gives the same again; else the lobes.
-fn save_light(session: &mut Session, folder: &Path) -> Result<LightSource> {
-    let given = match &session.scene.light {
-        Light::Fixed(LightSource::Ron { path, scale, rotation_degrees }) => {
+/// Writes the light, of the pass `of` if it has one: a map as it is, so that path tracing by the map gives the same again; else
+/// the lobes.
+fn save_light(session: &mut Session, of: Option<&str>, folder: &Path) -> Result<LightSource> {
+    let of_pass = session.pass_named(of).and_then(Pass::light);
+    let fixed = match &session.scene.light {
+        Light::Fixed(source) => Some(source),
+        Light::Unknown(_) | Light::Initial(_) => None,
+    };
+    let given = match of_pass.or(fixed) {
+        Some(LightSource::Ron { path, scale, rotation_degrees }) => {
             Some(inlined(path, *scale, *rotation_degrees)?)
         }
-        Light::Fixed(source) => Some(source.clone()),
-        Light::Unknown(_) | Light::Initial(_) => None,
+        source => source.cloned(),
     };
     if let Some(source @ LightSource::Map { path, .. }) = &given {
         let bytes = read_bytes(path, missing_file_help)?;
@@ -113,8 +122,10 @@ fn save_light(session: &mut Session, folder: &Path) -> Result<LightSource> {
         }
         return Ok(saved);
     }
-    let world = &mut session.pipeline.world;
-    let lobes: Vec<LightLobe> = world.query::<&LightLobe>().iter(world).copied().collect();
+    let lobes = match session.lights.of_passes.get(of.unwrap_or_default()) {
+        Some(light) => light.lobes.clone(),
+        None => own_lobes(&mut session.pipeline.world),
+    };
     write_lobes(folder.join("light.npy"), &lobes, NpyConvention::Lobelia)?;
     Ok(LightSource::Npy {
         path: "light.npy".into(),

@@ -5,17 +5,17 @@ use crate::fit::observe::PixelChoice;
 use crate::fit::roughness::blend::TexelPlaces;
 use crate::fit::run::{FirstGuess, FitOptions};
 use crate::fit::scale::{ScaleRule, start_scale};
-use crate::material::DiffuseAlbedo;
+use crate::material::recovered_albedo;
 use crate::mesh::Surface;
 use crate::mesh::atlas::unwrap_mesh;
 use crate::pass::fit::closed_form;
 use crate::pass::inspect::ShapeInspector;
 use crate::pass::{INTERRUPTED, Session, check_interrupted, found_views};
+use crate::sample::point::Scenery;
 use crate::scene::description::Surface as SurfaceSpec;
 use crate::scene::passes::{GridLevel, Quality, ShapePass};
 use crate::sdf::extract::extract_mesh;
 use crate::sdf::volume::SdfSurface;
-use crate::shade::Scenery;
 use crate::shape::run::{ShapeLevel, ShapeOptions, ShapeProgress, fit_shape, replace_texels};
 use crate::shape::systems::ShapeSchedule;
 use crate::spawn::unknowns;
@@ -66,7 +66,7 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     put_in_place(session, &surface, texture_size)?;
     if guessed == FirstGuess::ALL {
         // The light still has the colour that a first guess from grey albedo gave it.
-        start_scale(&mut session.pipeline.world, session.scene.scale);
+        start_scale(&mut session.pipeline.world, session.scene.scale)?;
     }
     let elapsed = start.elapsed().as_secs_f64();
     session.scores.fit_secs = Some(session.scores.fit_secs.unwrap_or(0.0) + elapsed);
@@ -130,7 +130,7 @@ fn put_in_place(session: &mut Session, found: &SdfSurface, texture_size: u32) ->
     let mesh = unwrap_mesh(&extract_mesh(&found.grid), texture_size)?.mesh;
     let surface = Arc::new(Surface::new(mesh, texture_size)?);
     let world = &mut session.pipeline.world;
-    let volume: Vec<Vec3> = world.query::<&DiffuseAlbedo>().iter(world).map(|a| a.0).collect();
+    let volume = recovered_albedo(world)?;
     let atlas = surface.atlas();
     let carried = |(at, covered): (&Vec3, &bool)| {
         let address = covered.then(|| found.volume.nearest_address(*at)).flatten();

@@ -19,7 +19,6 @@ pub mod compare;
 pub mod font;
 pub mod heat;
 pub mod metrics;
-pub mod palette;
 pub mod scores;
 pub mod sheet;
 pub mod ssim;

@@ -1,5 +1,6 @@
 //! From linear radiance to a picture: exposure, tone curve, backdrop, 8-bit sRGB.
 
+use crate::codec::frame::Frame;
 use crate::codec::png_file;
 use crate::math::color::srgb_from_linear;
 use crate::{Error, Result};
@@ -113,7 +114,12 @@ pub struct Picture<'a> {
     pub alpha: &'a [f32],
 }
 
-impl Picture<'_> {
+impl<'a> Picture<'a> {
+    /// Colour and coverage of a rendered frame.
+    pub fn of(frame: &'a Frame) -> Self {
+        Self { width: frame.width, height: frame.height, color: &frame.color, alpha: &frame.alpha }
+    }
+
     /// 8-bit sRGB with straight alpha (255 throughout unless the backdrop is transparent).
     ///
     /// # Errors
@@ -167,6 +173,14 @@ impl Picture<'_> {
         }
         Ok(())
     }
+}
+
+/// Writes a rendered frame as an 8-bit sRGB PNG with straight alpha, and makes the folder it goes into.
+///
+/// # Errors
+/// [`Error::Io`] if the disk refuses.
+pub fn save_png(path: impl AsRef<Path>, frame: &Frame, look: &Look) -> Result<()> {
+    write_png(path, &Picture::of(frame), look, Backdrop::Transparent)
 }
 
 /// Writes `picture` as an 8-bit sRGB PNG: RGBA with straight alpha for a transparent backdrop, else RGB.

@@ -1,16 +1,16 @@
-//! The pool of pixel samples: one table, one slice a column, a row is an index.
+//! All columns of a pixel sample.
 
-use crate::error::{Error, Result};
 use crate::math::ray::Ray;
 use crate::math::shading::{Layers, PointAdjoint, PointVisibility, RadianceAdjoint, ShadePoint};
-use crate::sample::pixel::{Observed, PixelOf, ViewRay};
-use crate::sample::point::SurfacePoint;
-use crate::shade::PointBlend;
+use crate::sample::pixel::{Observed, PixelOf, SampleIndex, ViewRay};
+use crate::sample::point::{PointBlend, SurfacePoint};
 use bevy_ecs::prelude::{Bundle, Entity, With, World};
 
 /// The columns of a sample that is rendered.
 #[derive(Bundle, Clone, Copy)]
 pub struct FrameSample {
+    /// Its row in the pool.
+    pub index: SampleIndex,
     /// Which pixel it belongs to.
     pub pixel: PixelOf,
     /// Its camera ray.
@@ -29,8 +29,9 @@ pub struct FrameSample {
 
 impl FrameSample {
     /// A sample of no pixel yet; `ray` only holds the place.
-    pub fn blank(ray: Ray) -> Self {
+    pub fn blank(index: SampleIndex, ray: Ray) -> Self {
         Self {
+            index,
             pixel: PixelOf::default(),
             ray: ViewRay(ray),
             point: SurfacePoint::default(),
@@ -57,29 +58,8 @@ pub struct FitSample {
 
 /// Removes the pool, whatever its columns.
 pub fn despawn_pool(world: &mut World) {
-    let samples: Vec<Entity> = world.query_filtered::<Entity, With<PixelOf>>().iter(world).collect();
+    let samples: Vec<Entity> = world.query_filtered::<Entity, With<SampleIndex>>().iter(world).collect();
     for sample in samples {
         world.despawn(sample);
     }
-}
-
-/// The one non-empty table among a query's contiguous chunks.
-///
-/// # Errors
-/// If there is more than one: a row would no longer be an index.
-pub fn only_table<T>(
-    chunks: impl Iterator<Item = T>,
-    rows: impl Fn(&T) -> usize,
-    pool: &str,
-) -> Result<Option<T>> {
-    let mut tables = chunks.filter(|chunk| rows(chunk) > 0);
-    let first = tables.next();
-    if tables.next().is_some() {
-        return Err(Error::run(
-            format!("the {pool} pool"),
-            "its entities lie in several tables, so that rows are no longer indices; \
-             give all of them the same components",
-        ));
-    }
-    Ok(first)
 }

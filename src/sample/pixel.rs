@@ -1,15 +1,22 @@
 //! Pixel samples: the entities that are traced, shaded and compared.
 
 use crate::math::ray::Ray;
+use crate::pipeline::pool::pool_index;
+use crate::view::ViewIndex;
 use bevy_ecs::prelude::{Component, Resource};
 use glam::Vec3;
 use std::ops::Range;
 
+pool_index! {
+    /// Row of a pixel sample in its pool, in the order in which a fit or a frame visits them.
+    SampleIndex("pixel sample");
+}
+
 /// Which pixel a sample belongs to.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PixelOf {
-    /// Index of the view among those of the pool.
-    pub view: u32,
+    /// The view.
+    pub view: ViewIndex,
     /// `y * width + x`.
     pub pixel: u32,
 }

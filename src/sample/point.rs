@@ -1,8 +1,10 @@
 //! Where a pixel sample's ray meets the surface.
 
-use crate::math::ray::{Hit, TexelAddress};
-use bevy_ecs::prelude::Component;
+use crate::material::{MAX_SPECULAR_LOBES, SpecularBlend};
+use crate::math::ray::{Hit, Intersect, TexelAddress};
+use bevy_ecs::prelude::{Component, Resource};
 use glam::Vec3;
+use std::sync::Arc;
 
 /// The surface point of a sample.
 #[derive(Component, Clone, Copy, Debug, PartialEq)]
@@ -47,5 +49,19 @@ impl From<Option<Hit>> for SurfacePoint {
             distance: hit.distance,
             texels: hit.texels,
         })
+    }
+}
+
+/// The surface that rays are cast against.
+#[derive(Resource, Clone)]
+pub struct Scenery(pub Arc<dyn Intersect>);
+
+/// Blend weights of the base materials at a sample's point; they sum to one at most, and what is missing has no specular light.
+#[derive(Component, Clone, Copy, Debug, PartialEq)]
+pub struct PointBlend(pub [f32; MAX_SPECULAR_LOBES]);
+
+impl Default for PointBlend {
+    fn default() -> Self {
+        Self(SpecularBlend::default().0)
     }
 }

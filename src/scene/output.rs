@@ -8,11 +8,13 @@ use serde::{Deserialize, Serialize};
 pub struct SavePass {
     /// The pass's name. Default "saved".
     pub name: String,
+    /// The `Edit` or `Relight` pass whose edited material and light are saved. Default: the material and light that were found.
+    pub of: Option<String>,
 }
 
 impl Default for SavePass {
     fn default() -> Self {
-        Self { name: "saved".into() }
+        Self { name: "saved".into(), of: None }
     }
 }
 
@@ -22,6 +24,8 @@ impl Default for SavePass {
 pub struct ExportPass {
     /// The pass's name. Default "export".
     pub name: String,
+    /// The `Edit` or `Relight` pass whose edited material is exported. Default: the material that was found.
+    pub of: Option<String>,
     /// The files to write, at least one. Default `[Glb]`.
     pub formats: Vec<MeshFormat>,
     /// Write about this many triangles ≥ 4 instead of all, closed where the surface is, with new texture coordinates and the albedo
@@ -31,7 +35,7 @@ pub struct ExportPass {
 
 impl Default for ExportPass {
     fn default() -> Self {
-        Self { name: "export".into(), formats: vec![MeshFormat::Glb], triangles: None }
+        Self { name: "export".into(), of: None, formats: vec![MeshFormat::Glb], triangles: None }
     }
 }
 

@@ -1,17 +1,21 @@
 //! The Frame phase: one tile of a picture at a time, Sample ▸ Trace ▸ Gather ▸ Shade ▸ Resolve.
 
+use super::systems::{gather_blends, gather_points, shade_closed_form};
+use crate::codec::frame::Frame;
 use crate::error::Result;
-use crate::math::shading::{Layers, ShadePoint};
-use crate::pipeline::{Phase, Pipeline, Plugin, Slot, Stage, SystemResult};
-use crate::sample::bundle::{FrameSample, despawn_pool, only_table};
-use crate::sample::pixel::{PixelOf, ViewRay, Window};
-use crate::sample::point::SurfacePoint;
-use crate::shade::{
-    IncidentLight, Scenery, ShadingForm, gather_blends, gather_points, provide_lobes, shade_closed_form,
+use crate::light::lights::{IncidentLight, LightChoice, provide_light};
+use crate::material::shown::show_recovered;
+use crate::material::source::{
+    BaseMaterials, MaterialSource, PlainBlends, Shown, blends_changed, gather_materials, note_plain_blends,
 };
-use crate::view::Camera;
-use crate::visibility::RefreshDue;
-use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut, Resource};
+use crate::math::shading::{ClosedForm, Layers, ShadePoint};
+use crate::pipeline::{GatherPoints, Phase, Pipeline, Plugin, Slot, Stage, SystemResult};
+use crate::sample::Samples;
+use crate::sample::bundle::{FrameSample, despawn_pool};
+use crate::sample::pixel::{PixelOf, SampleIndex, ViewRay, Window};
+use crate::sample::point::{Scenery, SurfacePoint};
+use crate::view::{Camera, ViewIndex};
+use bevy_ecs::prelude::{IntoScheduleConfigs, Res, ResMut, Resource, World};
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -73,26 +77,46 @@ impl FrameTarget {
         let offset = |i: u32| (i as f32 + 0.5) / self.side as f32;
         let ray =
             self.camera.ray(x as f32 + offset(within % self.side), y as f32 + offset(within / self.side));
-        (PixelOf { view: 0, pixel: pixel as u32 }, ViewRay(ray))
+        (PixelOf { view: ViewIndex(0), pixel: pixel as u32 }, ViewRay(ray))
     }
 }
 
-/// Rendering of pictures: the Frame phase with SG lobes as light and closed-form shading, both of which can be swapped.
+/// Rendering of pictures: the Frame phase with the recovered material, the scene's own light and accurate closed-form shading, all of
+/// which can be swapped.
 pub struct FramePlugin;
 
 impl Plugin for FramePlugin {
     fn build(&self, pipeline: &mut Pipeline) {
-        pipeline.world.init_resource::<Window>();
-        pipeline.world.init_resource::<IncidentLight>();
-        pipeline.world.init_resource::<ShadingForm>();
+        add_material_resources::<Shown>(&mut pipeline.world);
         pipeline
             .add_systems(Phase::Frame, Stage::Sample, sample_pixels)
             .add_systems(Phase::Frame, Stage::Trace, trace_samples)
-            .add_systems(Phase::Frame, Stage::Gather, (gather_points, gather_blends).before(Slot::Visibility))
-            .swap(Phase::Frame, Slot::Light, provide_lobes)
-            .swap(Phase::Frame, Slot::Shading, shade_closed_form)
+            .swap(Phase::Frame, Slot::Material, show_recovered())
+            .swap(Phase::Frame, Slot::Light, provide_light(LightChoice::Own, false))
+            .swap(Phase::Frame, Slot::Shading, shade_closed_form(ClosedForm::default()))
             .add_systems(Phase::Frame, Stage::Resolve, resolve_pixels);
+        add_gathering::<Shown>(pipeline, Phase::Frame);
     }
+
+    fn cleanup(world: &mut World) {
+        world.remove_resource::<PlainBlends<Shown>>();
+    }
+}
+
+/// What the Gather stage writes besides columns.
+pub fn add_material_resources<M: MaterialSource>(world: &mut World) {
+    world.init_resource::<Window>();
+    world.init_resource::<IncidentLight>();
+    world.init_resource::<BaseMaterials>();
+    world.init_resource::<PlainBlends<M>>();
+}
+
+/// The systems of [`GatherPoints`]: base materials, albedo and blends of a material at the window's points.
+pub fn add_gathering<M: MaterialSource>(pipeline: &mut Pipeline, phase: Phase) {
+    let materials =
+        (note_plain_blends::<M>.run_if(blends_changed::<M>), gather_materials::<M>, gather_blends::<M>);
+    pipeline.add_systems(phase, Stage::Gather, gather_points::<M>.in_set(GatherPoints));
+    pipeline.add_systems(phase, Stage::Gather, materials.chain().in_set(GatherPoints));
 }
 
 /// Renders one picture with whatever systems are in the Frame phase's slots.
@@ -103,12 +127,11 @@ pub fn render_frame(pipeline: &mut Pipeline, camera: Camera, samples_per_pixel: 
     let target = FrameTarget::new(camera, samples_per_pixel);
     let total = target.samples();
     despawn_pool(&mut pipeline.world);
-    let blank = FrameSample::blank(camera.ray(0.0, 0.0));
-    pipeline.world.spawn_batch(std::iter::repeat_n(blank, total.min(POOL)));
+    let blank = |row| FrameSample::blank(SampleIndex(row), camera.ray(0.0, 0.0));
+    pipeline.world.spawn_batch((0..total.min(POOL) as u32).map(blank).collect::<Vec<_>>());
     pipeline.world.insert_resource(target);
     for start in (0..total).step_by(POOL) {
         pipeline.world.resource_mut::<FrameTarget>().cursor = start;
-        pipeline.world.insert_resource(RefreshDue(start == 0));
         pipeline.world.resource_mut::<Window>().0 = 0..POOL.min(total - start);
         pipeline.run(Phase::Frame)?;
     }
@@ -116,58 +139,63 @@ pub fn render_frame(pipeline: &mut Pipeline, camera: Camera, samples_per_pixel: 
     Ok(pipeline.world.remove_resource::<FrameTarget>().expect("it was inserted above"))
 }
 
+/// From sums over samples to the layers of a frame: radiance over all samples, the rest over those that hit.
+pub fn resolve(target: &FrameTarget) -> Frame {
+    let samples = target.samples_per_pixel() as f32;
+    let over_hits = |sum: Vec3, hits: u32| if hits > 0 { sum / hits as f32 } else { Vec3::ZERO };
+    let each = |f: &dyn Fn(&PixelSums) -> Vec3| target.pixels.iter().map(f).collect();
+    Frame {
+        width: target.camera.width as usize,
+        height: target.camera.height as usize,
+        color: each(&|p| (p.diffuse + p.specular) / samples),
+        alpha: target.pixels.iter().map(|p| p.hits as f32 / samples).collect(),
+        diffuse: each(&|p| p.diffuse / samples),
+        specular: each(&|p| p.specular / samples),
+        albedo: each(&|p| over_hits(p.albedo, p.hits)),
+        normal: each(&|p| p.normal.normalize_or_zero()),
+        depth: target
+            .pixels
+            .iter()
+            .map(|p| if p.hits > 0 { p.distance / p.hits as f32 } else { 0.0 })
+            .collect(),
+    }
+}
+
 /// Sample: the camera rays of the present tile.
 pub fn sample_pixels(
-    window: Res<Window>,
     target: Res<FrameTarget>,
-    mut samples: Query<(&mut PixelOf, &mut ViewRay)>,
+    samples: Samples<(&SampleIndex, &mut PixelOf, &mut ViewRay)>,
 ) -> SystemResult {
-    if let Some((mut pixels, mut rays)) = only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")?
-    {
-        let pixels = &mut pixels.bypass_change_detection()[window.0.clone()];
-        let rays = &mut rays.bypass_change_detection()[window.0.clone()];
-        let columns = pixels.par_iter_mut().zip(rays).enumerate().with_min_len(4096);
-        columns.for_each(|(i, (pixel, ray))| (*pixel, *ray) = target.sample(target.cursor + i));
-    }
+    let (index, mut pixels, mut rays) = samples.columns()?;
+    let columns = pixels.par_iter_mut().zip(&mut *rays).zip(&*index).with_min_len(4096);
+    columns.for_each(|((pixel, ray), index)| {
+        (*pixel, *ray) = target.sample(target.cursor + index.0 as usize);
+    });
     Ok(())
 }
 
 /// Trace: where the rays meet the surface. What shows its back (from inside an open mesh) counts as a hit and shades to zero.
-pub fn trace_samples(
-    window: Res<Window>,
-    scenery: Res<Scenery>,
-    mut samples: Query<(&ViewRay, &mut SurfacePoint)>,
-) -> SystemResult {
-    if let Some((rays, mut points)) = only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")? {
-        let rays = &rays[window.0.clone()];
-        let points = &mut points.bypass_change_detection()[window.0.clone()];
-        let columns = points.par_iter_mut().zip(rays).with_min_len(512);
-        columns.for_each(|(point, ray)| *point = scenery.0.intersect(&ray.0, 0.0).into());
-    }
+pub fn trace_samples(scenery: Res<Scenery>, samples: Samples<(&ViewRay, &mut SurfacePoint)>) -> SystemResult {
+    let (rays, mut points) = samples.columns()?;
+    let columns = points.par_iter_mut().zip(&*rays).with_min_len(512);
+    columns.for_each(|(point, ray)| *point = scenery.0.intersect(&ray.0, 0.0).into());
     Ok(())
 }
 
 /// Resolve: adds the tile's samples to their pixels, in row order.
 pub fn resolve_pixels(
-    window: Res<Window>,
     mut target: ResMut<FrameTarget>,
-    samples: Query<(&PixelOf, &SurfacePoint, &ShadePoint, &Layers)>,
+    samples: Samples<(&PixelOf, &SurfacePoint, &ShadePoint, &Layers)>,
 ) -> SystemResult {
-    let Some((pixels, points, gathered, shaded)) =
-        only_table(samples.contiguous_iter()?, |t| t.0.len(), "pixel")?
-    else {
-        return Ok(());
-    };
-    for i in window.0.clone() {
-        if points[i].is_hit() {
-            let sums = &mut target.pixels[pixels[i].pixel as usize];
-            sums.hits += 1;
-            sums.diffuse += Vec3::from(shaded[i].diffuse);
-            sums.specular += Vec3::from(shaded[i].specular);
-            sums.albedo += Vec3::from(gathered[i].albedo);
-            sums.normal += points[i].normal;
-            sums.distance += points[i].distance;
-        }
+    let (pixels, points, gathered, shaded) = samples.columns()?;
+    for i in (0..points.len()).filter(|&i| points[i].is_hit()) {
+        let sums = &mut target.pixels[pixels[i].pixel as usize];
+        sums.hits += 1;
+        sums.diffuse += Vec3::from(shaded[i].diffuse);
+        sums.specular += Vec3::from(shaded[i].specular);
+        sums.albedo += Vec3::from(gathered[i].albedo);
+        sums.normal += points[i].normal;
+        sums.distance += points[i].distance;
     }
     Ok(())
 }

@@ -1,28 +1,35 @@
-//! The systems of the Gather stage and closed-form shading; each fetches columns and calls a kernel.
+//! The systems of the Gather stage between its slots, and those for [`Slot::Shading`](crate::pipeline::Slot::Shading); each
+//! fetches columns and calls a kernel.
 
 use crate::error::Error;
-use crate::light::LightLobe;
-use crate::light::illuminate::LobeLight;
-use crate::material::{DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
-use crate::math::published::Lobe;
+use crate::light::lights::IncidentLight;
+use crate::material::source::{AlbedoColumn, BaseMaterials, BlendColumn, MaterialSource, Shown};
+use crate::material::{MAX_SPECULAR_LOBES, SpecularLobe, Texels};
 use crate::math::shading::{
-    ClosedForm, Layers, Lighting, LobeColumns, PointVisibility, ShadePoint, SpecularValue, Visibility,
+    ClosedForm, Layers, Lighting, PointVisibility, ShadePoint, SpecularValue, Visibility,
 };
 use crate::pipeline::SystemResult;
-use crate::sample::bundle::only_table;
-use crate::sample::pixel::{PixelOf, ViewRay, Window};
-use crate::sample::point::SurfacePoint;
-use crate::shade::path_tracer;
-use crate::shade::path_tracer::{PathEstimate, PathQuery, PathScene, PathSettings, shade_points};
-use crate::shade::{DistantLight, IncidentLight, PathTracing, PointBlend, Scenery, ShadingForm};
+use crate::sample::Samples;
+use crate::sample::pixel::{PixelOf, SampleIndex, ViewRay};
+use crate::sample::point::{PointBlend, Scenery, SurfacePoint};
+use crate::shade::path_tracer::{PathEstimate, PathPoint, PathQuery, PathScene, PathSettings, shade_points};
 use crate::visibility::WindowVisibility;
-use bevy_ecs::prelude::{Query, Res, ResMut};
+use bevy_ecs::prelude::{IntoScheduleConfigs, Res};
+use bevy_ecs::schedule::ScheduleConfigs;
+use bevy_ecs::system::ScheduleSystem;
 use rayon::prelude::*;
-use std::sync::Arc;
 
-/// What the kernels read of a light lobe.
-pub fn kernel_lobe(lobe: &LightLobe) -> Lobe<f32> {
-    Lobe { axis: lobe.axis.into(), sharpness: lobe.sharpness, amplitude: lobe.amplitude.into() }
+/// How paths are traced.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PathTracing {
+    /// Paths per pixel sample.
+    pub paths_per_sample: u32,
+    /// Most surface hits of a path; 1 is direct light only.
+    pub max_bounces: u32,
+    /// Seed of the random numbers.
+    pub seed: u64,
+    /// Samples of a pixel, which share its random sequence.
+    pub samples_per_pixel: u32,
 }
 
 /// What the kernels read of a specular lobe.
@@ -30,103 +37,81 @@ pub fn kernel_specular(lobe: &SpecularLobe) -> SpecularValue {
     SpecularValue { albedo: lobe.albedo.into(), roughness: lobe.roughness, ndf: lobe.ndf }
 }
 
-/// The light is the light-lobe entities.
-pub fn provide_lobes(lobes: Query<&LightLobe>, mut light: ResMut<IncidentLight>) {
-    let lobes: Vec<LightLobe> = lobes.iter().copied().collect();
-    light.lobes = LobeColumns::from_lobes(lobes.iter().map(kernel_lobe));
-    light.distant = Some(Arc::new(LobeLight::new(&lobes)));
+/// The base materials of this run as the kernels read them, with their numbers.
+pub fn kernel_materials(materials: &BaseMaterials) -> Vec<(usize, SpecularValue)> {
+    materials.by_number().map(|(number, lobe)| (number, kernel_specular(lobe))).collect()
 }
 
-/// The light is the one in [`DistantLight`]: its lobes for closed-form shading, itself for path tracing.
-pub fn provide_distant(distant: Res<DistantLight>, mut light: ResMut<IncidentLight>) {
-    light.lobes.clone_from(&distant.lobes);
-    light.distant = Some(distant.light.clone());
-}
-
-/// Blends the texels at each surface point into what shading reads.
-pub fn gather_points(
-    window: Res<Window>,
-    texels: Query<&DiffuseAlbedo>,
-    mut samples: Query<(&SurfacePoint, &ViewRay, &mut ShadePoint)>,
+/// Gather: blends the texels of a material at each surface point into what shading reads.
+pub fn gather_points<M: MaterialSource>(
+    texels: Texels<&M::Albedo>,
+    samples: Samples<(&SurfacePoint, &ViewRay, &mut ShadePoint)>,
 ) -> SystemResult {
-    let texels = only_table(texels.contiguous_iter()?, |t| t.len(), "texel")?.unwrap_or_default();
-    let Some((points, rays, mut gathered)) =
-        only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")?
-    else {
-        return Ok(());
-    };
-    let gathered = &mut gathered.bypass_change_detection()[window.0.clone()];
-    let points = &points[window.0.clone()];
-    let rays = &rays[window.0.clone()];
-    let inputs = points.par_iter().zip(rays).with_min_len(1024);
+    let texels = texels.columns()?;
+    let (points, rays, mut gathered) = samples.columns()?;
+    let inputs = points.par_iter().zip(&*rays).with_min_len(1024);
     gathered.par_iter_mut().zip(inputs).for_each(|(out, (point, ray))| {
-        *out = gather_point(point, ray, texels);
+        *out = gather_point(point, ray, &texels);
     });
     Ok(())
 }
 
-fn gather_point(point: &SurfacePoint, ray: &ViewRay, texels: &[DiffuseAlbedo]) -> ShadePoint {
+fn gather_point<A: AlbedoColumn>(point: &SurfacePoint, ray: &ViewRay, texels: &[A]) -> ShadePoint {
     if !point.is_hit() {
         return ShadePoint::default();
     }
     let address = &point.texels;
-    let albedo: glam::Vec3 = (0..4).map(|i| texels[address.indices[i] as usize].0 * address.weights[i]).sum();
+    let albedo: glam::Vec3 =
+        (0..4).map(|i| texels[address.indices[i] as usize].albedo() * address.weights[i]).sum();
     ShadePoint { normal: point.normal.into(), to_viewer: (-ray.0.direction).into(), albedo: albedo.into() }
 }
 
-/// Blends the weights of the specular lobes at each surface point; one lobe needs none.
-pub fn gather_blends(
-    window: Res<Window>,
-    materials: Query<&SpecularLobe>,
-    texels: Query<&SpecularBlend>,
-    mut samples: Query<(&SurfacePoint, &mut PointBlend)>,
+/// Gather: blends the weights of the base materials at each surface point, if there are several.
+pub fn gather_blends<M: MaterialSource>(
+    materials: Res<BaseMaterials>,
+    texels: Texels<&M::Blend>,
+    samples: Samples<(&SurfacePoint, &mut PointBlend)>,
 ) -> SystemResult {
-    if materials.iter().len() < 2 {
+    if !materials.blended {
         return Ok(());
     }
-    let texels = only_table(texels.contiguous_iter()?, |t| t.len(), "texel")?.unwrap_or_default();
-    let Some((points, mut blends)) = only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")?
-    else {
-        return Ok(());
-    };
-    let blends = &mut blends.bypass_change_detection()[window.0.clone()];
-    for (blend, point) in blends.iter_mut().zip(&points[window.0.clone()]) {
+    let texels = texels.columns()?;
+    let (points, mut blends) = samples.columns()?;
+    for (blend, point) in blends.iter_mut().zip(&*points) {
         if point.is_hit() {
-            blend.0 = std::array::from_fn(|k| {
-                (0..4).map(|i| texels[point.texels.indices[i] as usize].0[k] * point.texels.weights[i]).sum()
-            });
+            let weight = |k: usize, i: usize| {
+                texels[point.texels.indices[i] as usize].blend().0[k] * point.texels.weights[i]
+            };
+            blend.0 = std::array::from_fn(|k| (0..4).map(|i| weight(k, i)).sum());
         }
     }
     Ok(())
 }
 
-/// Shades in closed form ([`ShadingForm`] says in which), with what shadows and reflections `Slot::Visibility` has found.
-pub fn shade_closed_form(
-    window: Res<Window>,
-    (light, form): (Res<IncidentLight>, Res<ShadingForm>),
-    visibility: Option<Res<WindowVisibility>>,
-    materials: Query<&SpecularLobe>,
-    mut samples: Query<(&ShadePoint, &PointBlend, &PointVisibility, &mut Layers)>,
-) -> SystemResult {
-    let Some((points, blends, seen, mut shaded)) =
-        only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")?
-    else {
-        return Ok(());
+/// What closed-form shading reads and writes of a sample.
+type ShadeColumns = (&'static ShadePoint, &'static PointBlend, &'static PointVisibility, &'static mut Layers);
+
+/// For [`Slot::Shading`](crate::pipeline::Slot::Shading): shades in this closed form, with what shadows and reflections `Slot::Visibility` has found.
+pub fn shade_closed_form(form: ClosedForm) -> ScheduleConfigs<ScheduleSystem> {
+    let system = move |light: Res<IncidentLight>,
+                       materials: Res<BaseMaterials>,
+                       visibility: Option<Res<WindowVisibility>>,
+                       samples: Samples<ShadeColumns>|
+          -> SystemResult {
+        let (points, blends, seen, mut shaded) = samples.columns()?;
+        let visibility = visibility.as_ref().and_then(|visibility| visibility.view(&seen));
+        let lighting = Lighting { lobes: &light.lobes, visibility };
+        match kernel_materials(&materials).as_slice() {
+            [] => shaded.fill(Layers::default()),
+            [(_, one)] if !materials.blended => form.shade(&points, one, lighting, &mut shaded),
+            many => shade_blended(form, &points, &blends, many, lighting, &mut shaded),
+        }
+        Ok(())
     };
-    let points = &points[window.0.clone()];
-    let shaded = &mut shaded.bypass_change_detection()[window.0.clone()];
-    let materials: Vec<SpecularValue> = materials.iter().map(kernel_specular).collect();
-    let visibility = visibility.as_ref().and_then(|visibility| visibility.view(&seen[window.0.clone()]));
-    let lighting = Lighting { lobes: &light.lobes, visibility };
-    match materials.as_slice() {
-        [] => shaded.fill(Layers::default()),
-        [one] => form.0.shade(points, one, lighting, shaded),
-        many => shade_blended(form.0, points, &blends[window.0.clone()], many, lighting, shaded),
-    }
-    Ok(())
+    system.into_configs()
 }
 
-/// The points that show one of the specular lobes.
+/// The points that show one of the base materials.
 pub struct Showing {
     /// Their numbers, rising.
     pub numbers: Vec<usize>,
@@ -137,9 +122,18 @@ pub struct Showing {
 }
 
 impl Showing {
-    /// Those of `points` where lobe `k` has a weight. The first lobe also has those where none has, for their diffuse light.
-    pub fn new(points: &[ShadePoint], blends: &[PointBlend], lighting: Lighting<'_>, k: usize) -> Self {
-        let shows = |blend: &PointBlend| blend.0[k] > 0.0 || (k == 0 && blend.0 == [0.0; MAX_SPECULAR_LOBES]);
+    /// Those of `points` where the material at this `place` among `materials` has a weight. The first also has those where none has, for
+    /// their diffuse light.
+    pub fn new(
+        points: &[ShadePoint],
+        blends: &[PointBlend],
+        lighting: Lighting<'_>,
+        materials: &[(usize, SpecularValue)],
+        place: usize,
+    ) -> Self {
+        let has = |blend: &PointBlend, place: usize| blend.0[materials[place].0] > 0.0;
+        let has_none = |blend: &PointBlend| !(0..materials.len()).any(|place| has(blend, place));
+        let shows = |blend: &PointBlend| has(blend, place) || (place == 0 && has_none(blend));
         let numbers: Vec<usize> = (0..points.len()).filter(|&i| shows(&blends[i])).collect();
         let stride = lighting.lobes.stride();
         let row = |i: &usize| Visibility::point(lighting.visibility, *i, stride);
@@ -163,83 +157,86 @@ impl Showing {
     }
 }
 
-/// Shades once for each specular lobe and blends by the points' weights.
+/// Shades once for each base material and blends by the points' weights.
 fn shade_blended(
     form: ClosedForm,
     points: &[ShadePoint],
     blends: &[PointBlend],
-    materials: &[SpecularValue],
+    materials: &[(usize, SpecularValue)],
     lighting: Lighting<'_>,
     shaded: &mut [Layers],
 ) {
     shaded.fill(Layers::default());
     let mut one = Vec::new();
-    for (k, material) in materials.iter().enumerate().take(MAX_SPECULAR_LOBES) {
-        let part = Showing::new(points, blends, lighting, k);
+    for (place, (k, material)) in materials.iter().enumerate() {
+        let part = Showing::new(points, blends, lighting, materials, place);
         one.resize(part.numbers.len(), Layers::default());
         form.shade(&part.points, material, part.lighting(lighting), &mut one);
         for (i, one) in part.numbers.iter().zip(&one) {
-            let (sum, weight) = (&mut shaded[*i], blends[*i].0[k]);
+            let (sum, weight) = (&mut shaded[*i], blends[*i].0[*k]);
             sum.diffuse = one.diffuse;
             sum.specular = std::array::from_fn(|c| sum.specular[c] + weight * one.specular[c]);
         }
     }
 }
 
-/// What a path-traced sample is made from.
-type PathColumns<'a> =
-    (&'a PixelOf, &'a SurfacePoint, &'a ViewRay, &'a ShadePoint, &'a PointBlend, &'a mut Layers);
+/// What path tracing reads and writes of a sample.
+type PathColumns = (
+    &'static SampleIndex,
+    &'static PixelOf,
+    (&'static SurfacePoint, &'static ViewRay),
+    &'static ShadePoint,
+    &'static PointBlend,
+    &'static mut Layers,
+);
 
-/// Shades by path tracing: shadows and interreflection, with noise.
-pub fn shade_path_traced(
-    window: Res<Window>,
-    (scenery, light, paths): (Res<Scenery>, Res<IncidentLight>, Res<PathTracing>),
-    materials: Query<&SpecularLobe>,
-    texels: Query<(&DiffuseAlbedo, &SpecularBlend)>,
-    mut samples: Query<PathColumns>,
-) -> SystemResult {
-    let Some(distant) = &light.distant else {
-        return Err(Error::run("path tracing", "there is no light").into());
-    };
-    let (albedo, blends) = only_table(texels.contiguous_iter()?, |t| t.0.len(), "texel")?.unwrap_or_default();
-    let Some((pixels, points, rays, gathered, weights, mut shaded)) =
-        only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")?
-    else {
-        return Ok(());
-    };
-    let specular: Vec<SpecularLobe> = materials.iter().copied().collect();
-    let scene = PathScene {
-        surface: scenery.0.as_ref(),
-        light: distant.as_ref(),
-        albedo,
-        blends,
-        specular: &specular,
-    };
-    let rows = window.0.clone();
-    let hits: Vec<usize> = rows.clone().filter(|&i| points[i].is_hit()).collect();
-    let queries: Vec<PathQuery> = hits
-        .iter()
-        .map(|&i| PathQuery {
-            point: path_tracer::ShadePoint {
-                position: points[i].position,
-                normal: points[i].normal,
-                geometric_normal: points[i].geometric_normal,
-                albedo: gathered[i].albedo.into(),
-                blend: weights[i].0,
-            },
-            to_viewer: -rays[i].0.direction,
-            stream: u64::from(pixels[i].view) << 32 | u64::from(pixels[i].pixel),
-            first_sample: i as u32 % paths.samples_per_pixel * paths.paths_per_sample,
-        })
-        .collect();
-    let mut estimates = vec![PathEstimate::default(); queries.len()];
-    let settings =
-        PathSettings { max_bounces: paths.max_bounces, seed: paths.seed, ..PathSettings::default() };
-    shade_points(&scene, &settings, &queries, paths.paths_per_sample, &mut estimates);
-    let shaded = shaded.bypass_change_detection();
-    shaded[rows].fill(Layers::default());
-    for (i, estimate) in hits.into_iter().zip(estimates) {
-        shaded[i] = Layers { diffuse: estimate.diffuse.into(), specular: estimate.specular.into() };
-    }
-    Ok(())
+/// For [`Slot::Shading`](crate::pipeline::Slot::Shading): shades by path tracing: shadows and interreflection, with noise.
+pub fn shade_path_traced(paths: PathTracing) -> ScheduleConfigs<ScheduleSystem> {
+    let system =
+        move |scenery: Res<Scenery>,
+              light: Res<IncidentLight>,
+              materials: Res<BaseMaterials>,
+              texels: Texels<(&<Shown as MaterialSource>::Albedo, &<Shown as MaterialSource>::Blend)>,
+              samples: Samples<PathColumns>|
+              -> SystemResult {
+            let Some(distant) = &light.distant else {
+                return Err(Error::run("path tracing", "there is no light").into());
+            };
+            let (albedo, blends) = texels.columns()?;
+            let mut specular = [None; MAX_SPECULAR_LOBES];
+            materials.by_number().for_each(|(number, lobe)| specular[number] = Some(*lobe));
+            let count = materials.lobes.last().map_or(0, |(number, _)| number + 1);
+            let scene = PathScene {
+                surface: scenery.0.as_ref(),
+                light: distant.as_ref(),
+                albedo: &albedo,
+                blends: if materials.blended { &blends } else { &[] },
+                specular: &specular[..count],
+            };
+            let (index, pixels, (points, rays), gathered, weights, mut shaded) = samples.columns()?;
+            let hits: Vec<usize> = (0..points.len()).filter(|&i| points[i].is_hit()).collect();
+            let query = |&i: &usize| PathQuery {
+                point: PathPoint {
+                    position: points[i].position,
+                    normal: points[i].normal,
+                    geometric_normal: points[i].geometric_normal,
+                    albedo: gathered[i].albedo.into(),
+                    blend: weights[i].0,
+                },
+                to_viewer: -rays[i].0.direction,
+                stream: u64::from(pixels[i].view.0) << 32 | u64::from(pixels[i].pixel),
+                first_sample: index[i].0 % paths.samples_per_pixel * paths.paths_per_sample,
+            };
+            let queries: Vec<PathQuery> = hits.iter().map(query).collect();
+            let mut estimates = vec![PathEstimate::default(); queries.len()];
+            let settings =
+                PathSettings { max_bounces: paths.max_bounces, seed: paths.seed, ..PathSettings::default() };
+            shade_points(&scene, &settings, &queries, paths.paths_per_sample, &mut estimates);
+            shaded.fill(Layers::default());
+            for (i, estimate) in hits.into_iter().zip(estimates) {
+                shaded[i] = Layers { diffuse: estimate.diffuse.into(), specular: estimate.specular.into() };
+            }
+            Ok(())
+        };
+    system.into_configs()
 }

@@ -1,5 +1,6 @@
 //! The SDF as parameters: bricks of 8 × 8 × 8 values near the surface are entities, the whole field a resource.
 
+use crate::pipeline::pool::pool_index;
 use crate::sdf::SdfGrid;
 use crate::sdf::volume::SdfSurface;
 use crate::shape::adjoint::FieldAdjoint;
@@ -12,6 +13,11 @@ pub const BRICK_SIDE: u32 = 8;
 pub const BRICK_LEN: usize = 512;
 /// Cells from the zero level within which values move.
 pub const BAND_CELLS: f32 = 3.0;
+
+pool_index! {
+    /// Row of a brick.
+    BrickIndex("brick");
+}
 
 /// Lowest vertex of a brick.
 #[derive(Component, Clone, Copy, Debug, PartialEq, Eq)]

@@ -8,7 +8,7 @@
 use crate::sdf::SdfGrid;
 use crate::sdf::silhouette::signed_distance;
 use crate::shape::repair::regrow;
-use crate::view::{Camera, Mask};
+use crate::view::{Camera, Mask, ViewIndex};
 use crate::{Error, Result};
 use glam::{Mat3, Vec2, Vec3};
 use rayon::prelude::*;
@@ -29,8 +29,8 @@ const COARSE_CELLS: u32 = 48;
 /// A mask with its camera.
 #[derive(Clone, Debug)]
 pub struct Silhouette {
-    /// The view's place among those with photographs ([`PixelOf::view`](crate::sample::pixel::PixelOf::view)).
-    pub(super) view: u32,
+    /// The view.
+    pub(super) view: ViewIndex,
     /// The view's name.
     pub(super) name: String,
     pub(super) camera: Camera,
@@ -56,7 +56,7 @@ impl Silhouette {
         let spread =
             rays.iter().map(|ray| middle.cross(*ray).length() / middle.dot(*ray)).fold(0.0, f32::max);
         Some(Self {
-            view: 0,
+            view: ViewIndex::default(),
             name: name.to_owned(),
             camera: *camera,
             distance: signed_distance(&mask.coverage, width, height),
@@ -66,8 +66,8 @@ impl Silhouette {
         })
     }
 
-    /// The same as that of a view with another place among those with photographs.
-    pub(super) fn of_view(self, view: u32) -> Self {
+    /// The same as that of another view.
+    pub(super) fn of_view(self, view: ViewIndex) -> Self {
         Self { view, ..self }
     }
 
@@ -205,7 +205,7 @@ mod tests {
 
     /// Masks of a ball, seen from all around.
     fn ball_views(center: Vec3, radius: f32, count: usize) -> Vec<(Camera, Mask)> {
-        let axes = crate::light::fibonacci::fibonacci_axes(count);
+        let axes = crate::math::fibonacci::fibonacci_axes(count);
         axes.into_iter()
             .map(|axis| {
                 let up = if axis.y.abs() > 0.9 { Vec3::X } else { Vec3::Y };

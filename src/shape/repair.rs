@@ -148,7 +148,7 @@ pub fn believed_pixels(hull: &SdfGrid, view: &Silhouette) -> Vec<bool> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::light::fibonacci::fibonacci_axes;
+    use crate::math::fibonacci::fibonacci_axes;
     use crate::shape::hull::visual_hull;
     use crate::view::Camera;
     use glam::Vec3;

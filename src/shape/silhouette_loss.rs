@@ -6,6 +6,7 @@
 
 use crate::fit::cameras::AlignedRow;
 use crate::math::ray::Ray;
+use crate::pipeline::pool::pool_index;
 use crate::sample::pixel::PixelOf;
 use crate::sdf::SdfGrid;
 use crate::shape::adjoint::FieldAdjoint;
@@ -16,6 +17,11 @@ use rayon::prelude::*;
 
 /// Where Huber's loss turns from a square to a line: beyond it a mask is not believed the more for being wrong.
 const HUBER: f32 = 0.25;
+
+pool_index! {
+    /// Row of a pixel near an outline, in the order in which a fit visits them.
+    OutlineIndex("silhouette sample");
+}
 
 /// A pixel near an outline.
 #[derive(Component, Clone, Copy, Debug, PartialEq)]

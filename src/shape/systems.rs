@@ -2,16 +2,19 @@
 
 use crate::fit::cameras::{AlignedRow, CameraFit, CameraPose, FIRST_STEP, retrace};
 use crate::fit::components::StepRates;
-use crate::material::DiffuseAlbedo;
+use crate::material::{DiffuseAlbedo, Texels};
 use crate::math::shading::PointAdjoint;
 use crate::pipeline::SystemResult;
-use crate::sample::bundle::only_table;
-use crate::sample::pixel::{ViewRay, Window};
+use crate::pipeline::pool::Pool;
+use crate::sample::Samples;
+use crate::sample::pixel::ViewRay;
 use crate::sample::point::SurfacePoint;
 use crate::sdf::SdfGrid;
-use crate::shape::field::{BAND_CELLS, BrickAt, BrickGradient, BrickMoments, BrickValues, SdfField};
-use crate::shape::silhouette_loss::{SilhouetteSample, add_silhouettes, aligned_outline};
-use crate::view::{Camera, Photograph};
+use crate::shape::field::{
+    BAND_CELLS, BrickAt, BrickGradient, BrickIndex, BrickMoments, BrickValues, SdfField,
+};
+use crate::shape::silhouette_loss::{OutlineIndex, SilhouetteSample, add_silhouettes, aligned_outline};
+use crate::view::{ByView, Camera, Photograph, ViewIndex};
 use bevy_ecs::prelude::{Query, Res, ResMut, Resource, With};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -57,39 +60,29 @@ impl ShapeSchedule {
 const FIRST_SMOOTHNESS: f32 = 10.0;
 
 /// Trace: finds the window's surface points on the field as it is now.
-pub fn retrace_window(
-    window: Res<Window>,
-    field: Res<SdfField>,
-    samples: Query<(&ViewRay, &mut SurfacePoint)>,
-) -> SystemResult {
-    retrace(&window, &field.surface, samples)
+pub fn retrace_window(field: Res<SdfField>, samples: Samples<(&ViewRay, &mut SurfacePoint)>) -> SystemResult {
+    retrace(&field.surface, samples)
 }
 
 /// Gradient: the samples' normal and albedo adjoints, as adjoints of the field.
 pub fn pull_back_to_field(
-    window: Res<Window>,
-    (rates, schedule): (Res<StepRates>, Res<ShapeSchedule>),
-    samples: Query<(&SurfacePoint, &ViewRay, &PointAdjoint)>,
-    texels: Query<&DiffuseAlbedo>,
+    rates: Res<StepRates>,
+    schedule: Res<ShapeSchedule>,
+    samples: Samples<(&SurfacePoint, &ViewRay, &PointAdjoint)>,
+    texels: Texels<&DiffuseAlbedo>,
     mut field: ResMut<SdfField>,
 ) -> SystemResult {
     if schedule.progress(rates.step).is_none() {
         return Ok(());
     }
-    let texels = only_table(texels.contiguous_iter()?, |t| t.len(), "texel")?.unwrap_or_default();
-    let Some((points, rays, back)) = only_table(samples.contiguous_iter()?, |t| t.0.len(), "pixel")? else {
-        return Ok(());
-    };
-    let rows = window.0.clone();
+    let texels = texels.columns()?;
+    let (points, rays, back) = samples.columns()?;
     let SdfField { surface, adjoint, .. } = &mut *field;
-    let limit = OUTLIER * root_mean_square(&back[rows.clone()]);
-    for ((point, ray), back) in points[rows.clone()].iter().zip(&rays[rows.clone()]).zip(&back[rows]) {
+    let limit = OUTLIER * root_mean_square(&back);
+    for ((point, ray), back) in points.iter().zip(&*rays).zip(&*back) {
         if point.is_hit() {
-            adjoint.add_normal(
-                &surface.grid,
-                point.position,
-                Vec3::from(back.normal).clamp_length_max(limit),
-            );
+            let by_normal = Vec3::from(back.normal).clamp_length_max(limit);
+            adjoint.add_normal(&surface.grid, point.position, by_normal);
             let along = Vec3::from(back.albedo);
             let value = |row: u32| texels[row as usize].0.dot(along);
             let slope = surface.volume.slope(point.position, &point.texels, value);
@@ -108,77 +101,79 @@ pub(super) fn root_mean_square(back: &[PointAdjoint]) -> f32 {
     (sum / back.len().max(1) as f64).sqrt() as f32
 }
 
+/// The pixels near outlines, as a system sees them.
+pub type Outlines<'w, 's, D> = Pool<'w, 's, OutlineIndex, D>;
+
+/// The field's bricks, as a system sees them.
+pub type Bricks<'w, 's, D> = Pool<'w, 's, BrickIndex, D>;
+
 /// Trace: this step's silhouette rays through the cameras as they are now.
 pub fn recast_outlines(
-    (rates, schedule): (Res<StepRates>, Res<ShapeSchedule>),
-    views: Query<&Camera, With<Photograph>>,
-    mut samples: Query<&mut SilhouetteSample>,
+    rates: Res<StepRates>,
+    schedule: Res<ShapeSchedule>,
+    views: Query<(&ViewIndex, &Camera), With<Photograph>>,
+    samples: Outlines<&mut SilhouetteSample>,
 ) -> SystemResult {
-    let cameras: Vec<&Camera> = views.iter().collect();
-    let Some(mut samples) = only_table(samples.contiguous_iter_mut()?, |t| t.len(), "silhouette")? else {
-        return Ok(());
-    };
-    let samples = samples.bypass_change_detection();
-    let rows = schedule.outline_rows(rates.step, samples.len());
-    for sample in &mut samples[rows] {
-        sample.ray = cameras[sample.pixel.view as usize].pixel_ray(sample.pixel.pixel);
+    let cameras: ByView<&Camera> = views.iter().map(|(index, camera)| (*index, camera)).collect();
+    let mut samples = samples.rows_of(|count| schedule.outline_rows(rates.step, count))?;
+    for sample in samples.iter_mut() {
+        sample.ray = cameras.of(sample.pixel.view)?.pixel_ray(sample.pixel.pixel);
     }
     Ok(())
 }
 
 /// Gradient: the masks' outlines against the field's, as normal equations of the cameras.
 pub fn align_outlines(
-    (rates, schedule, field): (Res<StepRates>, Res<ShapeSchedule>, Res<SdfField>),
+    rates: Res<StepRates>,
+    schedule: Res<ShapeSchedule>,
+    field: Res<SdfField>,
     mut fit: ResMut<CameraFit>,
-    mut views: Query<(&Camera, &mut CameraPose), With<Photograph>>,
-    samples: Query<&SilhouetteSample>,
+    mut views: Query<(&ViewIndex, &Camera, &mut CameraPose), With<Photograph>>,
+    samples: Outlines<&SilhouetteSample>,
 ) -> SystemResult {
-    let Some(samples) = only_table(samples.contiguous_iter()?, |t| t.len(), "silhouette")? else {
-        return Ok(());
-    };
-    let mut views: Vec<_> = views.iter_mut().collect();
-    let grid = &field.surface.grid;
     let Some(center) = fit.center.filter(|_| rates.step >= FIRST_STEP) else { return Ok(()) };
+    let mut views: ByView<_> = views.iter_mut().map(|view| (*view.0, view)).collect();
+    let grid = &field.surface.grid;
     let row = |sample: &SilhouetteSample| {
-        let camera = views[sample.pixel.view as usize].0;
+        let (_, camera, _) = views.of(sample.pixel.view).ok()?;
         Some((sample.pixel.view, aligned_outline(grid, camera, center, sample)?))
     };
-    let samples = &samples[schedule.outline_rows(rates.step, samples.len())];
-    let rows: Vec<(u32, AlignedRow)> = samples.par_iter().with_min_len(64).filter_map(row).collect();
+    let samples = samples.rows_of(|count| schedule.outline_rows(rates.step, count))?;
+    let rows: Vec<(ViewIndex, AlignedRow)> = samples.par_iter().with_min_len(64).filter_map(row).collect();
     let noise = fit.observe(1, &rows);
-    rows.iter().for_each(|(view, row)| views[*view as usize].1.add(row, noise));
+    for (view, row) in &rows {
+        views.of_mut(*view)?.2.add(row, noise);
+    }
     Ok(())
 }
 
 /// Gradient: the silhouettes' loss, as an adjoint of the field.
 pub fn pull_back_silhouettes(
-    (rates, schedule): (Res<StepRates>, Res<ShapeSchedule>),
-    samples: Query<&SilhouetteSample>,
+    rates: Res<StepRates>,
+    schedule: Res<ShapeSchedule>,
+    samples: Outlines<&SilhouetteSample>,
     mut field: ResMut<SdfField>,
 ) -> SystemResult {
     let Some(progress) = schedule.progress(rates.step) else { return Ok(()) };
-    let Some(samples) = only_table(samples.contiguous_iter()?, |t| t.len(), "silhouette")? else {
-        return Ok(());
-    };
-    let samples = &samples[schedule.outline_rows(rates.step, samples.len())];
+    let samples = samples.rows_of(|count| schedule.outline_rows(rates.step, count))?;
     // From four pixels wide to one: first the way is shown, then the place.
     let width = 4.0 - 3.0 * progress;
     let SdfField { surface, adjoint, .. } = &mut *field;
-    add_silhouettes(&surface.grid, samples, width, schedule.silhouette, adjoint);
+    add_silhouettes(&surface.grid, &samples, width, schedule.silhouette, adjoint);
     Ok(())
 }
 
 /// Gradient: hands each brick its share, with the smoothness term, blurred; clears the adjoints.
 pub fn hand_out_to_bricks(
-    (rates, schedule): (Res<StepRates>, Res<ShapeSchedule>),
-    mut bricks: Query<(&BrickAt, &mut BrickGradient)>,
+    rates: Res<StepRates>,
+    schedule: Res<ShapeSchedule>,
+    bricks: Bricks<(&BrickAt, &mut BrickGradient)>,
     mut field: ResMut<SdfField>,
 ) -> SystemResult {
     let Some(progress) = schedule.progress(rates.step) else { return Ok(()) };
-    let Some((at, mut gradients)) = only_table(bricks.contiguous_iter_mut()?, |t| t.0.len(), "brick")? else {
-        return Ok(());
-    };
-    let gradients = gradients.bypass_change_detection();
+    let (at, gradients) = bricks.columns()?;
+    let mut gradients = gradients.quiet();
+    let (at, gradients) = (&*at, &mut *gradients);
     let SdfField { surface, adjoint, scratch, .. } = &mut *field;
     let grid = &surface.grid;
     // The squared Laplacian's gradient is a Laplacian of the Laplacian, which the scratch holds.
@@ -247,25 +242,22 @@ const STEP_LIMIT: f32 = 0.25;
 
 /// Update: momentum steps of one common scale, so that smooth gradients give smooth steps; redistances now and then.
 pub fn move_bricks(
-    (rates, schedule): (Res<StepRates>, Res<ShapeSchedule>),
-    mut bricks: Query<(&BrickAt, &BrickGradient, &mut BrickMoments, &mut BrickValues)>,
+    rates: Res<StepRates>,
+    schedule: Res<ShapeSchedule>,
+    bricks: Bricks<(&BrickAt, &BrickGradient, &mut BrickMoments, &mut BrickValues)>,
     mut field: ResMut<SdfField>,
 ) -> SystemResult {
     let Some(progress) = schedule.progress(rates.step) else { return Ok(()) };
-    let Some((at, gradients, mut moments, mut values)) =
-        only_table(bricks.contiguous_iter_mut()?, |t| t.0.len(), "brick")?
-    else {
-        return Ok(());
-    };
-    let (moments, values) = (moments.bypass_change_detection(), values.bypass_change_detection());
-    let mean_square = mean_square(gradients);
+    let (at, gradients, moments, mut values) = bricks.columns()?;
+    let mut moments = moments.quiet();
+    let mean_square = mean_square(&gradients);
     let count = rates.step - schedule.hold;
     field.mean_square = SQUARE_DECAY * field.mean_square + (1.0 - SQUARE_DECAY) * mean_square;
     let rms = (field.mean_square / (1.0 - SQUARE_DECAY.powi(count as i32))).sqrt().max(1e-20);
     let (first, last) = schedule.rates;
     let h = field.surface.grid.spacing;
     let scale = first * (last / first).powf(progress) * h / rms;
-    let columns = values.par_iter_mut().zip(moments.par_iter_mut()).zip(gradients).with_min_len(16);
+    let columns = values.par_iter_mut().zip(moments.par_iter_mut()).zip(&*gradients).with_min_len(16);
     columns.for_each(|((values, moments), gradient)| {
         for ((value, mean), g) in values.0.iter_mut().zip(&mut moments.0).zip(&gradient.0) {
             *mean = MEAN_DECAY * *mean + (1.0 - MEAN_DECAY) * g;
@@ -280,7 +272,7 @@ pub fn move_bricks(
     }
     if count % schedule.redistance_every == 0 {
         grid.redistance();
-        values.par_iter_mut().zip(at).for_each(|(values, at)| *values = BrickValues::of(grid, *at));
+        values.par_iter_mut().zip(&*at).for_each(|(values, at)| *values = BrickValues::of(grid, *at));
     }
     Ok(())
 }

@@ -16,13 +16,13 @@ use crate::math::shading::PointAdjoint;
 use crate::mesh::Surface;
 use crate::mesh::bvh::TriangleHit;
 use crate::mesh::triangles::Mesh;
+use crate::pipeline::pool::{Pool, pool_index};
 use crate::pipeline::{Phase, Pipeline, Plugin, Slot, SystemResult};
-use crate::sample::bundle::only_table;
-use crate::sample::pixel::{ViewRay, Window};
-use crate::sample::point::SurfacePoint;
-use crate::shade::Scenery;
+use crate::sample::Samples;
+use crate::sample::pixel::ViewRay;
+use crate::sample::point::{Scenery, SurfacePoint};
 use crate::shape::systems::{OUTLIER, root_mean_square};
-use bevy_ecs::prelude::{Component, Entity, Query, Res, ResMut, Resource, With};
+use bevy_ecs::prelude::{Component, Entity, Res, ResMut, Resource, With, World};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -43,6 +43,14 @@ const REACH: f32 = 0.2;
 const MEAN_DECAY: f32 = 0.8;
 /// Rounds of conjugate gradients.
 const ROUNDS: usize = 24;
+
+pool_index! {
+    /// Row of a vertex of the moving mesh.
+    VertexIndex("vertex");
+}
+
+/// The moving mesh's vertices, as a system sees them.
+pub type Vertices<'w, 's, D> = Pool<'w, 's, VertexIndex, D>;
 
 /// World position of a vertex; vertices at one place are one.
 #[derive(Component, Clone, Copy, Debug, PartialEq)]
@@ -204,8 +212,10 @@ pub struct VertexPlugin {
 impl Plugin for VertexPlugin {
     fn build(&self, pipeline: &mut Pipeline) {
         let (graph, positions) = VertexGraph::new(self.surface.mesh());
-        let vertex = |at: &Vec3| (VertexPosition(*at), VertexAdjoint::default(), VertexMoment::default());
-        pipeline.world.spawn_batch(positions.iter().map(vertex).collect::<Vec<_>>());
+        let vertex = |(index, at): (u32, &Vec3)| {
+            (VertexIndex(index), VertexPosition(*at), VertexAdjoint::default(), VertexMoment::default())
+        };
+        pipeline.world.spawn_batch((0..).zip(&positions).map(vertex).collect::<Vec<_>>());
         let (surface, found) = (self.surface.clone(), Vec::new());
         pipeline.world.insert_resource(MovingMesh {
             surface,
@@ -219,38 +229,24 @@ impl Plugin for VertexPlugin {
             .swap(Phase::FitStep, Slot::ShapeGradient, pull_back_to_vertices)
             .swap(Phase::FitStep, Slot::ShapeUpdate, move_vertices);
     }
-}
 
-impl VertexPlugin {
-    /// Takes the systems and the vertices out; returns the mesh as it became, if there was one.
-    pub fn remove(pipeline: &mut Pipeline) -> Option<Arc<Surface>> {
-        for slot in [Slot::Retrace, Slot::ShapeGradient, Slot::ShapeUpdate] {
-            pipeline.clear(Phase::FitStep, slot);
-        }
-        let world = &mut pipeline.world;
-        let vertices: Vec<Entity> =
-            world.query_filtered::<Entity, With<VertexPosition>>().iter(world).collect();
-        for vertex in vertices {
-            world.despawn(vertex);
-        }
-        world.remove_resource::<MovingMesh>().map(|mesh| mesh.surface)
+    fn cleanup(world: &mut World) {
+        let mut query = world.query_filtered::<Entity, With<VertexIndex>>();
+        let vertices: Vec<Entity> = query.iter(world).collect();
+        vertices.into_iter().for_each(|vertex| _ = world.despawn(vertex));
+        world.remove_resource::<MovingMesh>();
     }
 }
 
 /// Trace: where the window's rays meet the mesh as it is now.
 pub fn retrace_vertices(
-    window: Res<Window>,
     mut mesh: ResMut<MovingMesh>,
-    mut samples: Query<(&ViewRay, &mut SurfacePoint)>,
+    samples: Samples<(&ViewRay, &mut SurfacePoint)>,
 ) -> SystemResult {
-    let Some((rays, mut points)) = only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")? else {
-        return Ok(());
-    };
-    let rows = window.0.clone();
-    let points = &mut points.bypass_change_detection()[rows.clone()];
+    let (rays, mut points) = samples.columns()?;
     let MovingMesh { surface, found, .. } = &mut *mesh;
-    found.resize(rows.len(), None);
-    points.par_iter_mut().zip(&rays[rows]).zip(found).with_min_len(256).for_each(|((point, ray), found)| {
+    found.resize(rays.len(), None);
+    points.par_iter_mut().zip(&*rays).zip(found).with_min_len(256).for_each(|((point, ray), found)| {
         *found = surface.nearest(&ray.0, 0.0);
         let hit = found.map(|found| surface.hit(found));
         *point = hit.filter(|hit| hit.normal.dot(ray.0.direction) < 0.0).into();
@@ -260,22 +256,16 @@ pub fn retrace_vertices(
 
 /// Gradient: the samples' normal adjoints, as adjoints of the vertices' normals.
 pub fn pull_back_to_vertices(
-    window: Res<Window>,
     mesh: Res<MovingMesh>,
-    samples: Query<(&SurfacePoint, &PointAdjoint)>,
-    mut vertices: Query<&mut VertexAdjoint>,
+    samples: Samples<(&SurfacePoint, &PointAdjoint)>,
+    vertices: Vertices<&mut VertexAdjoint>,
 ) -> SystemResult {
-    let Some((points, back)) = only_table(samples.contiguous_iter()?, |t| t.0.len(), "pixel")? else {
-        return Ok(());
-    };
-    let Some(mut vertices) = only_table(vertices.contiguous_iter_mut()?, |t| t.len(), "vertex")? else {
-        return Ok(());
-    };
-    let vertices = vertices.bypass_change_detection();
-    let (points, back) = (&points[window.0.clone()], &back[window.0.clone()]);
-    let limit = OUTLIER * root_mean_square(back);
+    let (points, back) = samples.columns()?;
+    let mut vertices = vertices.columns()?.quiet();
+    let vertices = &mut *vertices;
+    let limit = OUTLIER * root_mean_square(&back);
     let normals = &mesh.surface.mesh().normals;
-    for ((point, back), found) in points.iter().zip(back).zip(&mesh.found) {
+    for ((point, back), found) in points.iter().zip(&*back).zip(&mesh.found) {
         let Some(found) = found.filter(|_| point.is_hit()) else { continue };
         let corners = mesh.surface.mesh().triangles[found.triangle as usize];
         let blended: Vec3 = (0..3).map(|k| normals[corners[k] as usize] * found.weights[k]).sum();
@@ -292,15 +282,11 @@ pub fn move_vertices(
     rates: Res<StepRates>,
     mut mesh: ResMut<MovingMesh>,
     mut scenery: ResMut<Scenery>,
-    mut vertices: Query<(&mut VertexPosition, &mut VertexAdjoint, &mut VertexMoment)>,
+    vertices: Vertices<(&mut VertexPosition, &mut VertexAdjoint, &mut VertexMoment)>,
 ) -> SystemResult {
-    let Some((mut positions, mut adjoint, mut moments)) =
-        only_table(vertices.contiguous_iter_mut()?, |t| t.0.len(), "vertex")?
-    else {
-        return Ok(());
-    };
+    let (mut positions, adjoint, moments) = vertices.columns()?;
+    let (mut adjoint, mut moments) = (adjoint.quiet(), moments.quiet());
     let done = rates.step as f32 / mesh.steps.max(1) as f32;
-    let adjoint = adjoint.bypass_change_detection();
     if done < HELD {
         adjoint.fill(VertexAdjoint::default());
         return Ok(());
@@ -308,11 +294,10 @@ pub fn move_vertices(
     if !rates.step.is_multiple_of(MOVE_EVERY) {
         return Ok(());
     }
-    let (positions, moments) = (positions.bypass_change_detection(), moments.bypass_change_detection());
     let at: Vec<Vec3> = positions.iter().map(|p| p.0).collect();
     let by_normal: Vec<Vec3> = adjoint.iter().map(|a| a.0).collect();
     adjoint.fill(VertexAdjoint::default());
-    let steps = smooth_steps(&mesh.graph, &at, &by_normal, moments);
+    let steps = smooth_steps(&mesh.graph, &at, &by_normal, &mut moments);
     let rate = RATES.0 * (RATES.1 / RATES.0).powf((done - HELD) / (1.0 - HELD)) * mesh.graph.mean_edge(&at);
     let moved: Vec<Vec3> = at.iter().zip(&steps).map(|(at, step)| at - rate * step).collect();
     let moved = without_wide(&mesh.graph, &mesh.start, moved);

@@ -214,7 +214,7 @@ pub fn to_ron(lobes: &[LightLobe]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::light::fibonacci::fibonacci_axes;
+    use crate::math::fibonacci::fibonacci_axes;
 
     fn lobes() -> Vec<LightLobe> {
         let lobe =

@@ -6,32 +6,30 @@ use crate::codec::gltf::material::{diffuse_share, read_material};
 use crate::codec::npy::read_lobes;
 use crate::codec::texture;
 use crate::error::{Error, Result};
-use crate::fit::components::{AlbedoGradient, AlbedoMoments, TexelSeen, Unknowns};
+use crate::fit::components::Unknowns;
 use crate::fit::roughness::texel::{LADDER, TexelGloss};
-use crate::light::fibonacci::{fibonacci_axes, spacing_sharpness};
-use crate::light::illuminate::{LobeLight, MapLight};
+use crate::light::illuminate::MapLight;
+use crate::light::lights::LightMap;
 use crate::light::map_fit::{MapFit, fit_map, target_of};
 use crate::light::{EnvironmentMap, LightLobe, rotate_lobes, scale_lobes, validate_lobes};
-use crate::material::{DiffuseAlbedo, SpecularBlend, SpecularLobe};
+use crate::material::{SpecularBlend, SpecularLobe, spawn_materials, spawn_texels};
 use crate::math::brdf::Ndf;
-use crate::math::ray::Illuminate;
-use crate::math::shading::LobeColumns;
 use crate::mesh::atlas::unwrap_mesh;
 use crate::mesh::primitive::{box_mesh, sphere_mesh};
 use crate::mesh::{MAX_COORDINATE, Surface};
 use crate::pipeline::Pipeline;
+use crate::sample::point::Scenery;
 use crate::scene::description::{
     Albedo, AlbedoSource, Gloss, Light, LightSource, Material, Roughness, Scene, SpecularAlbedo,
 };
 use crate::scene::description::{Specular, Surface as SurfaceSpec};
 use crate::scene::validate::MIN_ROUGHNESS;
 use crate::sdf::extract::extract_mesh;
-use crate::shade::systems::kernel_lobe;
-use crate::shade::{DistantLight, Scenery};
 use crate::shape::hull::{Silhouette, visual_hull};
 use crate::shape::repair::check_hull;
 use crate::spawn::light_file::inlined;
-use crate::view::{Split, ViewMask, ViewName, ViewRecord};
+use crate::view::{Split, ViewIndex, ViewMask, ViewName, ViewRecord};
+use bevy_ecs::prelude::World;
 use glam::{EulerRot, Quat, Vec3};
 use std::path::Path;
 use std::sync::Arc;
@@ -109,17 +107,6 @@ pub struct LoadedLight {
     pub notes: Vec<String>,
 }
 
-impl LoadedLight {
-    /// As the resource that `provide_distant` reads.
-    pub fn distant(&self, use_map: bool) -> DistantLight {
-        let light: Arc<dyn Illuminate> = match &self.map {
-            Some(map) if use_map => map.clone(),
-            _ => Arc::new(LobeLight::new(&self.lobes)),
-        };
-        DistantLight { light, lobes: LobeColumns::from_lobes(self.lobes.iter().map(kernel_lobe)) }
-    }
-}
-
 /// Turn about the world's x, then y, then z axis.
 pub fn rotation(degrees: Vec3) -> Quat {
     let radians = degrees * (std::f32::consts::PI / 180.0);
@@ -185,8 +172,21 @@ pub fn spawn(
     let world = &mut pipeline.world;
     world.insert_resource(Scenery(surface.clone()));
     world.insert_resource(unknowns(scene));
-    for view in views {
-        let mut entity = world.spawn((ViewName(view.name), view.camera, view.split));
+    spawn_views(world, views);
+    world.spawn_batch(lobes);
+    if let Some(map) = light.and_then(|light| light.map.clone()) {
+        world.spawn(LightMap(map));
+    }
+    spawn_texels(world, &albedo, &blends);
+    spawn_materials(world, &specular);
+    Ok(())
+}
+
+/// Spawns views, numbered on from those that are there.
+pub fn spawn_views(world: &mut World, views: Vec<ViewRecord>) {
+    let next = world.query::<&ViewIndex>().iter(world).map(|index| index.0 + 1).max().unwrap_or(0);
+    for (view, index) in views.into_iter().zip(next..) {
+        let mut entity = world.spawn((ViewIndex(index), ViewName(view.name), view.camera, view.split));
         if let Some(photograph) = view.photograph {
             entity.insert(photograph);
         }
@@ -194,18 +194,21 @@ pub fn spawn(
             entity.insert(ViewMask(mask));
         }
     }
-    world.spawn_batch(lobes);
-    world.spawn_batch(albedo.into_iter().zip(blends).map(|(albedo, blend)| {
-        (
-            DiffuseAlbedo(albedo),
-            blend,
-            AlbedoGradient::default(),
-            AlbedoMoments::default(),
-            TexelSeen::default(),
-        )
-    }));
-    world.spawn_batch(specular);
-    Ok(())
+}
+
+/// Spawns an object: its surface, the albedo of each texel of the surface's atlas, base materials with the numbers 0, 1, … (texels show
+/// the first), and the lobes of its light.
+pub fn spawn_object(
+    world: &mut World,
+    surface: &Arc<Surface>,
+    albedo: &[Vec3],
+    materials: &[SpecularLobe],
+    light: &[LightLobe],
+) {
+    world.insert_resource(Scenery(surface.clone()));
+    spawn_texels(world, albedo, &vec![SpecularBlend::default(); albedo.len()]);
+    spawn_materials(world, materials);
+    world.spawn_batch(light.to_vec());
 }
 
 /// The roughest base material at first, over the least rough.
@@ -243,16 +246,9 @@ fn initial_gloss(
 fn initial_lobes(light: &Light, loaded: Option<&LoadedLight>) -> Vec<LightLobe> {
     match (light, loaded) {
         (_, Some(loaded)) => loaded.lobes.clone(),
-        (Light::Unknown(unknown), None) => fibonacci_lobes(unknown.lobes as usize),
+        (Light::Unknown(unknown), None) => LightLobe::even(unknown.lobes as usize),
         (Light::Initial(_) | Light::Fixed(_), None) => Vec::new(),
     }
-}
-
-/// Equal white lobes that cover the sphere evenly.
-fn fibonacci_lobes(count: usize) -> Vec<LightLobe> {
-    let sharpness = spacing_sharpness(count);
-    let lobe = |axis| LightLobe { axis, sharpness, amplitude: Vec3::ONE };
-    fibonacci_axes(count).into_iter().map(lobe).collect()
 }
 
 fn initial_albedo(albedo: &Albedo, surface: &Surface) -> Result<Vec<Vec3>> {

@@ -1,6 +1,7 @@
 //! The pinhole camera: rays out of it, points into it, and the cameras people ask for by hand.
 
 use crate::error::{Error, Result};
+use crate::math::fibonacci::fibonacci_axes;
 use crate::math::ray::Ray;
 use bevy_ecs::prelude::Component;
 use glam::{Affine3A, Mat3A, Vec3, Vec3A};
@@ -154,6 +155,18 @@ impl Camera {
                 Self::from_axes(eye, -outward, right, orbit.vertical_fov_degrees, orbit.width, orbit.height)
             })
             .collect()
+    }
+
+    /// `count` cameras spread evenly over a sphere of this radius around the origin, looking at it; images are square.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] if a field is outside its range (see [`Self::look_at`]).
+    pub fn around(count: usize, radius: f32, vertical_fov_degrees: f32, size: u32) -> Result<Vec<Self>> {
+        let camera = |axis: Vec3| {
+            let up = if axis.y.abs() > 0.99 { Vec3::Z } else { Vec3::Y };
+            Self::look_at(axis * radius, Vec3::ZERO, up, vertical_fov_degrees, size, size)
+        };
+        fibonacci_axes(count).into_iter().map(camera).collect()
     }
 
     /// The same camera for an image that is `factor` times smaller each way; what is left over at the right and bottom

@@ -195,7 +195,7 @@ fn strangers(outlines: &[Outline], meeting: DVec3) -> Result<Vec<String>> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::light::fibonacci::fibonacci_axes;
+    use crate::math::fibonacci::fibonacci_axes;
     use crate::view::Split;
 
     const SIDE: u32 = 64;

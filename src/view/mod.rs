@@ -30,6 +30,7 @@ pub mod raster;
 
 pub use camera::{Camera, Orbit};
 
+use crate::{Error, Result};
 use bevy_ecs::prelude::Component;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
@@ -59,6 +60,52 @@ pub struct Mask {
 /// What a view is called; output files carry this name.
 #[derive(Component, Clone, Debug, PartialEq, Eq)]
 pub struct ViewName(pub String);
+
+/// Number of a view, by which pixel samples refer to it. Unique, and otherwise arbitrary.
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct ViewIndex(pub u32);
+
+/// Something of each view, by the view's number.
+#[derive(Clone, Debug)]
+pub struct ByView<T>(Vec<Option<T>>);
+
+impl<T> ByView<T> {
+    /// That of one view.
+    ///
+    /// # Errors
+    /// [`Error::Run`] if the view is not among them.
+    pub fn of(&self, view: ViewIndex) -> Result<&T> {
+        let found = self.0.get(view.0 as usize).and_then(Option::as_ref);
+        found.ok_or_else(|| {
+            Error::run("the views", format!("a pixel sample is of view {}, which is not there", view.0))
+        })
+    }
+
+    /// The same, to be changed.
+    ///
+    /// # Errors
+    /// The same.
+    pub fn of_mut(&mut self, view: ViewIndex) -> Result<&mut T> {
+        let found = self.0.get_mut(view.0 as usize).and_then(Option::as_mut);
+        found.ok_or_else(|| {
+            Error::run("the views", format!("a pixel sample is of view {}, which is not there", view.0))
+        })
+    }
+}
+
+impl<T> FromIterator<(ViewIndex, T)> for ByView<T> {
+    fn from_iter<I: IntoIterator<Item = (ViewIndex, T)>>(views: I) -> Self {
+        let mut table = Vec::new();
+        for (ViewIndex(index), view) in views {
+            let index = index as usize;
+            if index >= table.len() {
+                table.resize_with(index + 1, || None);
+            }
+            table[index] = Some(view);
+        }
+        Self(table)
+    }
+}
 
 /// A view's photograph.
 #[derive(Component, Clone, Debug)]

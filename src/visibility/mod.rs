@@ -1,40 +1,41 @@
 //! Shadows and reflected light in closed-form shading: what other parts of the object hide from a point, and what they send it.
 //!
-//! A capability of its own in [`Slot::Visibility`]; without it every point sees all light.
+//! A capability of its own in [`Slot::Visibility`](crate::pipeline::Slot::Visibility); without it every point sees all light.
 //!
 //! | parameter | type | default | meaning |
 //! | --- | --- | --- | --- |
 //! | `directions` | `u32` | 512 | directions over the sphere in which texels look, a multiple of 64 |
 //! | `bounces` | `u32` | 2 | reflections between parts of the object; 0 has shadows only |
-//! | `refresh_every` | `u32` | 50 | steps of a fit after which shadows and reflected light are made anew |
+//! | `refresh_every` | `u32` | 50 | steps of a fit after which shadows and reflected light are computed again |
 //!
-//! | system | stage, slot | reads | writes |
-//! | --- | --- | --- | --- |
-//! | [`refresh_visibility`] | Gather, `Slot::Visibility` | [`IncidentLight`], specular lobes, albedo, [`ObjectVisibility`] | [`ObjectVisibility`] |
-//! | [`gather_visibility`] | Gather, `Slot::Visibility` | the same, [`ShadePoint`], texel addresses | [`PointVisibility`], [`WindowVisibility`] |
+//! | module | holds |
+//! | --- | --- |
+//! | [`trace`] | which directions are hidden from each texel, and by which texel |
+//! | [`occlusion`] | kernels: light on a set of directions, and what of it reaches texels and points |
+//! | [`systems`] | the systems in `Slot::Visibility`, and what makes them run |
 //!
-//! Diffuse light has one factor per texel × lobe, blended at the point like albedo, so light can be fitted through it. Specular
-//! light has one per point, along the mirrored view, at the mean roughness of the base materials there. The adjoint holds all of them, and reflected light, fixed.
+//! Diffuse light has one factor per texel and lobe, blended at the point like albedo, so light can be fitted through it. Specular
+//! light has one per point, along the mirrored view, at the mean roughness of the base materials there. The adjoint holds all of
+//! them, and reflected light, fixed.
+
 pub mod occlusion;
+pub mod systems;
 pub mod trace;
 
-use crate::light::fibonacci::fibonacci_axes;
-use crate::material::{DiffuseAlbedo, SpecularBlend, SpecularLobe};
+pub use systems::{FitVisibilityPlugin, FrameVisibilityPlugin};
+
+use crate::material::source::MaterialSource;
 use crate::math::brdf::ndf_sharpness;
+use crate::math::fibonacci::fibonacci_axes;
 use crate::math::shading::{LobeColumns, PointVisibility, ShadePoint, Visibility};
 use crate::mesh::Surface;
-use crate::pipeline::{Phase, Pipeline, Slot, SystemResult};
-use crate::sample::bundle::only_table;
-use crate::sample::pixel::Window;
 use crate::sample::point::SurfacePoint;
-use crate::shade::{IncidentLight, PointBlend};
 use crate::visibility::occlusion::{Blend, Bounce, Sky, light_rows, point_visibility};
 use crate::visibility::trace::TexelVisibility;
-use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut, Resource};
+use bevy_ecs::prelude::{Entity, Resource};
 use glam::Vec3;
 use rayon::prelude::*;
-use std::hash::{DefaultHasher, Hash, Hasher};
-use std::ops::Range;
+use std::any::TypeId;
 
 /// How shadows and reflected light are found.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -67,11 +68,20 @@ pub struct ObjectVisibility {
     settings: VisibilitySettings,
     texels: TexelVisibility,
     /// What the rest was made from.
-    made_from: Option<u64>,
+    made: Option<Made>,
     sky: Sky,
     bounce: Bounce,
     parts: Vec<u8>,
     stride: usize,
+}
+
+/// What shadows and reflected light were made from.
+#[derive(Clone, Debug, PartialEq, Eq)]
+struct Made {
+    /// The light's lobes and the base materials, by entity.
+    from: Vec<Entity>,
+    /// Which material.
+    source: TypeId,
 }
 
 impl ObjectVisibility {
@@ -100,7 +110,7 @@ impl ObjectVisibility {
 
     /// Makes shadows and reflected light anew for this light and reflectance (albedo and gloss, by texel).
     pub fn refresh(&mut self, lobes: &LobeColumns, reflectance: &(dyn Fn(u32) -> Vec3 + Sync)) {
-        self.made_from = None;
+        self.made = None;
         self.sky = Sky::new(&self.texels.directions, lobes);
         self.stride = lobes.stride();
         let mut direct = Vec::new();
@@ -108,10 +118,16 @@ impl ObjectVisibility {
         self.bounce = Bounce::new(&self.texels, &direct, reflectance, self.settings.bounces);
     }
 
+    /// Whether this was last computed for this material, these lobes and base materials.
+    fn is_made_from<M: MaterialSource>(&self, from: &[Entity]) -> bool {
+        self.made.as_ref().is_some_and(|made| made.from == from && made.source == TypeId::of::<M>())
+    }
+
     /// What points see, given the roughness of each, by its number; `rows` and `seen` are overwritten.
     pub fn window(
         &self,
-        (points, gathered): (&[SurfacePoint], &[ShadePoint]),
+        points: &[SurfacePoint],
+        gathered: &[ShadePoint],
         roughness: impl Fn(usize) -> f32 + Sync,
         rows: &mut WindowVisibility,
         seen: &mut [PointVisibility],
@@ -171,99 +187,4 @@ impl WindowVisibility {
         let there = self.stride > 0 && self.rows.len() == points.len() * self.stride;
         there.then_some(Visibility { lobes: &self.rows, points })
     }
-}
-
-/// Whether this run may make shadows and reflected light anew; a fit does so every few steps.
-#[derive(Resource, Clone, Copy, Debug)]
-pub struct RefreshDue(pub bool);
-
-/// Puts the capability into a phase; it needs an [`ObjectVisibility`] and [`RefreshDue`].
-pub fn add_visibility(pipeline: &mut Pipeline, phase: Phase) {
-    pipeline.world.insert_resource(RefreshDue(true));
-    pipeline.world.init_resource::<WindowVisibility>();
-    pipeline.swap(phase, Slot::Visibility, (refresh_visibility, gather_visibility).chain());
-}
-
-/// Takes it out.
-pub fn remove_visibility(pipeline: &mut Pipeline, phase: Phase) {
-    pipeline.clear(phase, Slot::Visibility);
-    pipeline.world.insert_resource(WindowVisibility::default());
-}
-
-/// Gather: makes shadows and reflected light anew if that is due and light or material have changed.
-pub fn refresh_visibility(
-    (light, due): (Res<IncidentLight>, Res<RefreshDue>),
-    materials: Query<&SpecularLobe>,
-    texels: Query<(&DiffuseAlbedo, &SpecularBlend)>,
-    mut object: ResMut<ObjectVisibility>,
-) -> SystemResult {
-    let Some((albedo, blends)) = only_table(texels.contiguous_iter()?, |t| t.0.len(), "texel")? else {
-        return Ok(());
-    };
-    if !due.0 && object.stride == light.lobes.stride() {
-        return Ok(());
-    }
-    let materials: Vec<SpecularLobe> = materials.iter().copied().collect();
-    let now = fingerprint(&light.lobes, &materials, albedo, blends);
-    if object.made_from == Some(now) {
-        return Ok(());
-    }
-    // Light that goes on from a glossy place is spread like diffuse light: the energy is right, the direction is not.
-    let reflectance = |texel: u32| {
-        let blend = &blends[texel as usize].0;
-        let gloss: Vec3 = materials.iter().zip(blend).map(|(m, weight)| m.albedo * *weight).sum();
-        (albedo[texel as usize].0 + gloss).min(Vec3::ONE)
-    };
-    object.refresh(&light.lobes, &reflectance);
-    object.made_from = Some(now);
-    Ok(())
-}
-
-/// A number that changes with the light and the material.
-fn fingerprint(
-    lobes: &LobeColumns,
-    materials: &[SpecularLobe],
-    albedo: &[DiffuseAlbedo],
-    blends: &[SpecularBlend],
-) -> u64 {
-    let mut hasher = DefaultHasher::new();
-    let mut add = |value: f32| value.to_bits().hash(&mut hasher);
-    for i in 0..lobes.len() {
-        let lobe = lobes.get(i);
-        lobe.axis.into_iter().chain(lobe.amplitude).chain([lobe.sharpness]).for_each(&mut add);
-    }
-    materials.iter().for_each(|m| m.albedo.to_array().into_iter().chain([m.roughness]).for_each(&mut add));
-    albedo.iter().for_each(|a| a.0.to_array().into_iter().for_each(&mut add));
-    if materials.len() > 1 {
-        blends.iter().for_each(|blend| blend.0.into_iter().for_each(&mut add));
-    }
-    hasher.finish()
-}
-
-/// What a point's visibility is made from.
-type PointColumns<'a> = (&'a SurfacePoint, &'a ShadePoint, &'a PointBlend, &'a mut PointVisibility);
-
-/// Gather: what the window's points see.
-pub fn gather_visibility(
-    window: Res<Window>,
-    object: Res<ObjectVisibility>,
-    materials: Query<&SpecularLobe>,
-    mut samples: Query<PointColumns>,
-    mut out: ResMut<WindowVisibility>,
-) -> SystemResult {
-    let Some((points, gathered, blends, mut seen)) =
-        only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")?
-    else {
-        return Ok(());
-    };
-    let rows: Range<usize> = window.0.clone();
-    let materials: Vec<SpecularLobe> = materials.iter().copied().collect();
-    let blends = &blends[rows.clone()];
-    let mean = |i: usize| match materials.as_slice() {
-        [one] => one.roughness,
-        many => SpecularBlend(blends[i].0).roughness(many),
-    };
-    let seen = &mut seen.bypass_change_detection()[rows.clone()];
-    object.window((&points[rows.clone()], &gathered[rows]), mean, &mut out, seen);
-    Ok(())
 }

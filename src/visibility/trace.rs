@@ -198,7 +198,7 @@ fn heaviest(address: &crate::math::ray::TexelAddress) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::light::fibonacci::fibonacci_axes;
+    use crate::math::fibonacci::fibonacci_axes;
     use crate::mesh::Surface;
     use crate::mesh::primitive::{box_mesh, sphere_mesh};
     use crate::mesh::triangles::Mesh;

@@ -9,13 +9,12 @@ use lobelia::codec::frame::{Frame, write_channels, write_frame};
 use lobelia::codec::gltf::export::write_glb;
 use lobelia::codec::npy::{NpyConvention, write_lobes};
 use lobelia::light::LightLobe;
-use lobelia::material::{DiffuseAlbedo, SpecularBlend, SpecularLobe};
+use lobelia::material::SpecularLobe;
 use lobelia::mesh::Surface;
 use lobelia::mesh::primitive::sphere_mesh;
-use lobelia::pass::render::resolve;
 use lobelia::pipeline::Pipeline;
-use lobelia::shade::Scenery;
-use lobelia::shade::frame::{FramePlugin, render_frame};
+use lobelia::shade::frame::{FramePlugin, render_frame, resolve};
+use lobelia::spawn::spawn_object;
 use lobelia::view::Camera;
 use serde_json::{Map, Value, json};
 use std::path::{Path, PathBuf};
@@ -58,13 +57,10 @@ pub fn studio(lobes: &[LightLobe]) -> Pipeline {
     let surface = Arc::new(Surface::new(mesh, 32).unwrap());
     let mut pipeline = Pipeline::new();
     pipeline.add_plugin(&FramePlugin);
-    let world = &mut pipeline.world;
-    world.insert_resource(Scenery(surface.clone()));
-    world.spawn_batch(lobes.to_vec());
     let color = |at: &Vec3| if at.y > 0.0 { Vec3::new(0.6, 0.3, 0.2) } else { Vec3::new(0.2, 0.35, 0.5) };
-    let texels: Vec<Vec3> = surface.atlas().position.iter().map(color).collect();
-    world.spawn_batch(texels.into_iter().map(|albedo| (DiffuseAlbedo(albedo), SpecularBlend::default())));
-    world.spawn(SpecularLobe::new(Vec3::splat(0.25), 0.35));
+    let albedo: Vec<Vec3> = surface.atlas().position.iter().map(color).collect();
+    let material = SpecularLobe::new(Vec3::splat(0.25), 0.35);
+    spawn_object(&mut pipeline.world, &surface, &albedo, &[material], lobes);
     pipeline
 }
 

@@ -216,7 +216,7 @@ fn shared_acts(camera: &Camera, center: Vec3) -> [[f64; SHARED]; SLOPES] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::light::fibonacci::fibonacci_axes;
+    use crate::math::fibonacci::fibonacci_axes;
 
     fn camera(eye: Vec3) -> Camera {
         let up = if eye.normalize().y.abs() > 0.9 { Vec3::X } else { Vec3::Y };

@@ -19,11 +19,10 @@ use crate::fit::observe::FULL_COVERAGE;
 use crate::math::ray::Intersect;
 use crate::math::shading::Layers;
 use crate::pipeline::{Phase, Pipeline, Plugin, Slot, SystemResult};
-use crate::sample::bundle::only_table;
-use crate::sample::pixel::{Observed, PixelOf, ViewRay, Window};
-use crate::sample::point::SurfacePoint;
-use crate::shade::Scenery;
-use crate::view::{Camera, Photograph, ViewMask, ViewName};
+use crate::sample::Samples;
+use crate::sample::pixel::{Observed, PixelOf, ViewRay};
+use crate::sample::point::{Scenery, SurfacePoint};
+use crate::view::{ByView, Camera, Photograph, ViewIndex, ViewMask, ViewName};
 use bevy_ecs::prelude::{Component, Entity, Mut, Query, Res, ResMut, Resource, With, World};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
@@ -145,7 +144,7 @@ impl CameraFit {
     }
 
     /// Takes in residuals of a kind (0: photographs, 1: outlines); returns their usual size so far.
-    pub fn observe(&mut self, kind: usize, rows: &[(u32, AlignedRow)]) -> f32 {
+    pub fn observe(&mut self, kind: usize, rows: &[(ViewIndex, AlignedRow)]) -> f32 {
         let sum: f64 = rows.iter().map(|(_, row)| f64::from(row.residual.abs())).sum();
         let mean = ((sum / rows.len().max(1) as f64) as f32).max(1e-6);
         let noise = &mut self.noise[kind];
@@ -170,15 +169,6 @@ impl Plugin for CameraPlugin {
     }
 }
 
-impl CameraPlugin {
-    /// Takes the systems out; cameras stay where they are.
-    pub fn remove(pipeline: &mut Pipeline) {
-        for slot in [Slot::Recast, Slot::Retrace, Slot::CameraGradient, Slot::CameraUpdate] {
-            pipeline.clear(Phase::FitStep, slot);
-        }
-    }
-}
-
 /// Gives every view the state of its pose, without residuals, and the world what views share.
 pub fn attach_poses(world: &mut World) {
     world.init_resource::<CameraFit>();
@@ -198,71 +188,65 @@ pub fn attach_poses(world: &mut World) {
 
 /// Trace: the window's rays through the cameras as they are now.
 pub fn recast_rays(
-    window: Res<Window>,
-    views: Query<&Camera, With<Photograph>>,
-    mut samples: Query<(&PixelOf, &mut ViewRay)>,
+    views: Query<(&ViewIndex, &Camera), With<Photograph>>,
+    samples: Samples<(&PixelOf, &mut ViewRay)>,
 ) -> SystemResult {
-    let cameras: Vec<Camera> = views.iter().copied().collect();
-    let Some((pixels, mut rays)) = only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")? else {
-        return Ok(());
-    };
-    let rows = window.0.clone();
-    let rays = &mut rays.bypass_change_detection()[rows.clone()];
-    for (ray, pixel) in rays.iter_mut().zip(&pixels[rows]) {
-        ray.0 = cameras[pixel.view as usize].pixel_ray(pixel.pixel);
+    let cameras: ByView<Camera> = views.iter().map(|(index, camera)| (*index, *camera)).collect();
+    let (pixels, mut rays) = samples.columns()?;
+    for (ray, pixel) in rays.iter_mut().zip(&*pixels) {
+        ray.0 = cameras.of(pixel.view)?.pixel_ray(pixel.pixel);
     }
     Ok(())
 }
 
 /// Trace: where the window's rays meet a surface that does not move.
 pub fn retrace_still_surface(
-    window: Res<Window>,
     scenery: Res<Scenery>,
-    samples: Query<(&ViewRay, &mut SurfacePoint)>,
+    samples: Samples<(&ViewRay, &mut SurfacePoint)>,
 ) -> SystemResult {
-    retrace(&window, scenery.0.as_ref(), samples)
+    retrace(scenery.0.as_ref(), samples)
 }
 
 /// Finds where the window's rays meet the front of `surface`.
 ///
 /// # Errors
-/// If the pool of samples has come apart.
-pub fn retrace(
-    window: &Window,
-    surface: &dyn Intersect,
-    mut samples: Query<(&ViewRay, &mut SurfacePoint)>,
-) -> SystemResult {
-    let Some((rays, mut points)) = only_table(samples.contiguous_iter_mut()?, |t| t.0.len(), "pixel")? else {
-        return Ok(());
-    };
-    let rows = window.0.clone();
-    let points = &mut points.bypass_change_detection()[rows.clone()];
-    points.par_iter_mut().zip(&rays[rows]).with_min_len(256).for_each(|(point, ray)| {
+/// If the pool of samples is not whole.
+pub fn retrace(surface: &dyn Intersect, samples: Samples<(&ViewRay, &mut SurfacePoint)>) -> SystemResult {
+    let (rays, mut points) = samples.columns()?;
+    points.par_iter_mut().zip(&*rays).with_min_len(256).for_each(|(point, ray)| {
         let hit = surface.intersect(&ray.0, 0.0);
         *point = hit.filter(|hit| hit.normal.dot(ray.0.direction) < 0.0).into();
     });
     Ok(())
 }
 
+/// What the photographs are compared at.
+type AlignColumns = (&'static PixelOf, &'static SurfacePoint, &'static Layers, &'static Observed);
+/// What of a view takes part.
+type AlignedViews = (
+    &'static ViewIndex,
+    &'static Camera,
+    &'static Photograph,
+    Option<&'static ViewMask>,
+    &'static mut CameraPose,
+);
+
 /// Gradient: the window's photographs against what was shaded, as normal equations of the cameras.
 pub fn align_photographs(
-    (window, rates, exposures): (Res<Window>, Res<StepRates>, Res<Exposures>),
+    rates: Res<StepRates>,
+    exposures: Res<Exposures>,
     mut fit: ResMut<CameraFit>,
-    mut views: Query<(&Camera, &Photograph, Option<&ViewMask>, &mut CameraPose)>,
-    samples: Query<(&PixelOf, &SurfacePoint, &Layers, &Observed)>,
+    mut views: Query<AlignedViews>,
+    samples: Samples<AlignColumns>,
 ) -> SystemResult {
     if rates.step < FIRST_STEP {
         return Ok(());
     }
-    let Some((pixels, points, shaded, observed)) =
-        only_table(samples.contiguous_iter()?, |t| t.0.len(), "pixel")?
-    else {
-        return Ok(());
-    };
-    let mut views: Vec<_> = views.iter_mut().collect();
-    let center = *fit.center.get_or_insert_with(|| middle(&points[window.0.clone()]));
+    let (pixels, points, shaded, observed) = samples.columns()?;
+    let mut views: ByView<_> = views.iter_mut().map(|view| (*view.0, view)).collect();
+    let center = *fit.center.get_or_insert_with(|| middle(&points));
     let row = |i: usize| {
-        let (camera, photograph, mask, _) = &views[pixels[i].view as usize];
+        let (_, camera, photograph, mask, _) = views.of(pixels[i].view).ok()?;
         let slope = image_slope(camera, photograph, *mask, pixels[i].pixel as usize)?;
         let usable = points[i].is_hit() && !observed[i].saturated;
         let predicted = exposures.factor(pixels[i].view) * mean(&shaded[i]);
@@ -270,10 +254,12 @@ pub fn align_photographs(
         let row = AlignedRow::new(camera, points[i].position, center, slope, residual).filter(|_| usable);
         row.map(|row| (pixels[i].view, row))
     };
-    let rows: Vec<(u32, AlignedRow)> =
-        window.0.clone().into_par_iter().with_min_len(256).filter_map(row).collect();
+    let rows: Vec<(ViewIndex, AlignedRow)> =
+        (0..points.len()).into_par_iter().with_min_len(256).filter_map(row).collect();
     let noise = fit.observe(0, &rows);
-    rows.iter().for_each(|(view, row)| views[*view as usize].3.add(row, noise));
+    for (view, row) in &rows {
+        views.of_mut(*view)?.4.add(row, noise);
+    }
     Ok(())
 }
 

@@ -2,20 +2,25 @@
 pub mod linear;
 pub mod place_lobes;
 
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::fit::components::Unknowns;
 use crate::fit::initialization::linear::{solve_albedo, solve_amplitudes};
 use crate::fit::initialization::place_lobes::move_lobes_to_the_light;
-use crate::light::LightLobe;
-use crate::material::{DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
+use crate::light::lights::LobeOf;
+use crate::light::{LightLobe, kernel_lobe};
+use crate::material::{
+    DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, TexelIndex, recovered_albedo,
+    recovered_materials,
+};
 use crate::math::shading::{ClosedForm, Layers, Lighting, LobeColumns, PointVisibility, ShadePoint};
-use crate::sample::bundle::only_table;
+use crate::pipeline::pool::write_column;
+use crate::sample::Samples;
 use crate::sample::pixel::Observed;
 use crate::sample::point::SurfacePoint;
-use crate::shade::ShadingForm;
-use crate::shade::systems::{kernel_lobe, kernel_specular};
+use crate::shade::systems::kernel_specular;
 use crate::visibility::{ObjectVisibility, WindowVisibility};
-use bevy_ecs::prelude::World;
+use bevy_ecs::prelude::{Entity, Without, World};
+use bevy_ecs::system::SystemState;
 use glam::Vec3;
 use std::ops::Range;
 
@@ -33,39 +38,63 @@ const MOVES: usize = 1;
 /// Points whose visibility is held at a time.
 const CHUNK: usize = 1 << 16;
 
-/// Alternates amplitudes and albedo, whichever are unknown, from grey; `shadowed` by what the world's [`ObjectVisibility`] finds.
-pub fn make_first_guess(world: &mut World, unknowns: Unknowns, shadowed: bool) -> Result<()> {
+/// Alternates amplitudes and albedo, whichever are unknown, from grey, shading in closed form `form`; `shadowed` by what the world's
+/// [`ObjectVisibility`] finds.
+///
+/// # Errors
+/// If a pool is not whole.
+pub fn make_first_guess(
+    world: &mut World,
+    unknowns: Unknowns,
+    form: ClosedForm,
+    shadowed: bool,
+) -> Result<()> {
     if !unknowns.light && !unknowns.albedo {
         return Ok(());
     }
-    let mut lobes: Vec<LightLobe> = world.query::<&LightLobe>().iter(world).copied().collect();
+    let mut query = world.query_filtered::<(Entity, &LightLobe), Without<LobeOf>>();
+    let (entities, mut lobes): (Vec<Entity>, Vec<LightLobe>) =
+        query.iter(world).map(|(entity, lobe)| (entity, *lobe)).unzip();
     let specular = glossiest(world);
-    let form = world.resource::<ShadingForm>().0;
-    let mut texels: Vec<Vec3> = world.query::<&DiffuseAlbedo>().iter(world).map(|a| a.0).collect();
+    let mut texels = recovered_albedo(world)?;
     let mut visibility = if shadowed { world.remove_resource::<ObjectVisibility>() } else { None };
-    let made = {
-        let mut query = world.query::<(&SurfacePoint, &ShadePoint, &Observed)>();
-        let query = query.query(world);
-        let chunks = query.contiguous_iter().map_err(|e| crate::Error::run("fit", e.to_string()));
-        let columns = chunks.and_then(|chunks| only_table(chunks, |t| t.0.len(), "pixel"));
-        columns.map(|columns| {
-            if let Some((points, gathered, observed)) = columns {
-                let object = visibility.as_mut();
-                let mut guess = Guess { form, points, gathered, observed, specular, unknowns, object };
-                guess.alternate(&mut lobes, &mut texels);
-            }
-        })
-    };
+    let object = visibility.as_mut();
+    let guessed =
+        guess_from_samples(world, &mut lobes, &mut texels, Known { form, specular, unknowns, object });
     if let Some(visibility) = visibility {
         world.insert_resource(visibility);
     }
-    made?;
-    for (mut lobe, guess) in world.query::<&mut LightLobe>().iter_mut(world).zip(&lobes) {
-        *lobe = *guess;
+    guessed?;
+    for (entity, guess) in entities.into_iter().zip(&lobes) {
+        world.entity_mut(entity).insert(*guess);
     }
-    for (mut texel, guess) in world.query::<&mut DiffuseAlbedo>().iter_mut(world).zip(&texels) {
-        texel.0 = *guess;
-    }
+    let texels: Vec<DiffuseAlbedo> = texels.into_iter().map(DiffuseAlbedo).collect();
+    write_column::<TexelIndex, DiffuseAlbedo>(world, &texels)
+}
+
+/// What a first guess starts from besides samples.
+struct Known<'a> {
+    form: ClosedForm,
+    specular: SpecularLobe,
+    unknowns: Unknowns,
+    object: Option<&'a mut ObjectVisibility>,
+}
+
+type GuessColumns = (&'static SurfacePoint, &'static ShadePoint, &'static Observed);
+
+fn guess_from_samples(
+    world: &mut World,
+    lobes: &mut [LightLobe],
+    texels: &mut Vec<Vec3>,
+    known: Known,
+) -> Result<()> {
+    let Known { form, specular, unknowns, object } = known;
+    let mut state = SystemState::<Samples<GuessColumns>>::new(world);
+    let samples = state.get(world).map_err(|error| Error::run("fit", error.to_string()))?;
+    let (points, gathered, observed) = samples.columns()?;
+    let mut guess =
+        Guess { form, points: &points, gathered: &gathered, observed: &observed, specular, unknowns, object };
+    guess.alternate(lobes, texels);
     Ok(())
 }
 
@@ -75,9 +104,8 @@ fn glossiest(world: &mut World) -> SpecularLobe {
     for blend in world.query::<&SpecularBlend>().iter(world) {
         shown.iter_mut().zip(&blend.0).for_each(|(shown, weight)| *shown |= *weight > 0.0);
     }
-    let mut query = world.query::<&SpecularLobe>();
-    let lobes = query.iter(world).zip(shown).filter(|(_, shown)| *shown).map(|(lobe, _)| *lobe);
-    let first = lobes.min_by(|a, b| a.roughness.total_cmp(&b.roughness));
+    let lobes = recovered_materials(world).into_iter().filter(|(number, _)| shown[*number]);
+    let first = lobes.map(|(_, lobe)| lobe).min_by(|a, b| a.roughness.total_cmp(&b.roughness));
     first.unwrap_or(SpecularLobe::new(Vec3::ZERO, 1.0))
 }
 
@@ -154,8 +182,8 @@ impl Guess<'_> {
         let mut rows = WindowVisibility::default();
         let Some(object) = &self.object else { return (rows, Vec::new()) };
         let mut seen = vec![PointVisibility::OPEN; run.len()];
-        let points = (&self.points[run.clone()], &self.gathered[run]);
-        object.window(points, |_| self.specular.roughness, &mut rows, &mut seen);
+        let (points, gathered) = (&self.points[run.clone()], &self.gathered[run]);
+        object.window(points, gathered, |_| self.specular.roughness, &mut rows, &mut seen);
         (rows, seen)
     }
 }

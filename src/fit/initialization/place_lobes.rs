@@ -63,7 +63,7 @@ fn halves(lobe: &LightLobe, turn: usize) -> (LightLobe, LightLobe) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::light::fibonacci::{fibonacci_axes, spacing_sharpness};
+    use crate::math::fibonacci::{fibonacci_axes, spacing_sharpness};
 
     #[test]
     fn faint_lobes_go_to_the_bright_side_and_power_stays() {

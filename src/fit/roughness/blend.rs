@@ -12,18 +12,17 @@
 
 use crate::fit::adam::{AdamStep, Moments};
 use crate::fit::components::{StepGradient, StepRates, Unknowns};
-use crate::material::{MAX_SPECULAR_LOBES, SpecularBlend};
+use crate::material::source::BaseMaterials;
+use crate::material::{MAX_SPECULAR_LOBES, SpecularBlend, Texels};
 use crate::math::shading::{
     ClosedForm, Layers, Lighting, PointAdjoint, PointVisibility, RadianceAdjoint, RadianceColumns,
     ShadePoint, SharedGradient, SpecularValue, Visibility,
 };
 use crate::pipeline::SystemResult;
-use crate::sample::bundle::only_table;
-use crate::sample::pixel::Window;
-use crate::sample::point::SurfacePoint;
-use crate::shade::PointBlend;
+use crate::sample::Samples;
+use crate::sample::point::{PointBlend, SurfacePoint};
 use crate::shade::systems::Showing;
-use bevy_ecs::prelude::{Component, Query, Res, Resource};
+use bevy_ecs::prelude::{Component, Res, Resource};
 use glam::{UVec3, Vec3};
 use rayon::prelude::*;
 
@@ -77,7 +76,7 @@ pub struct BlendedSamples<'a> {
 pub fn pull_back_blended(
     form: ClosedForm,
     samples: &BlendedSamples<'_>,
-    materials: &[SpecularValue],
+    materials: &[(usize, SpecularValue)],
     lighting: Lighting<'_>,
     back: &mut [PointAdjoint],
     gradient: &mut StepGradient,
@@ -92,18 +91,18 @@ pub fn pull_back_blended(
     let lighting =
         Lighting { visibility: Some(Visibility { lobes: rows, points: samples.seen }), ..lighting };
     let mut has_diffuse = vec![false; count];
-    for (k, material) in materials.iter().enumerate() {
-        let (mut part, first) = showing(samples, lighting, k, &mut has_diffuse);
+    for (place, (k, material)) in materials.iter().enumerate() {
+        let (mut part, first) = showing(samples, lighting, materials, place, &mut has_diffuse);
         let mut layers = vec![Layers::default(); part.numbers.len()];
         form.shade(&part.points, material, part.lighting(lighting), &mut layers);
         let adjoint: Vec<RadianceAdjoint> = part.numbers.iter().map(|i| samples.adjoint[*i]).collect();
         for ((i, value), adjoint) in part.numbers.iter().zip(&mut layers).zip(&adjoint) {
-            blend_adjoints[*i][k] = (0..3).map(|c| adjoint.0[c] * value.specular[c]).sum();
+            blend_adjoints[*i][*k] = (0..3).map(|c| adjoint.0[c] * value.specular[c]).sum();
             value.diffuse = samples.shaded[*i].diffuse;
         }
         let mut is_first = first.iter();
         part.change_seen(|i, seen| {
-            seen.specular = seen.specular.map(|s| s * samples.blends[i].0[k]);
+            seen.specular = seen.specular.map(|s| s * samples.blends[i].0[*k]);
             if is_first.next() == Some(&false) {
                 seen.indirect = [0.0; 3];
             }
@@ -114,7 +113,7 @@ pub fn pull_back_blended(
         form.shade_adjoint(&part.points, material, part.lighting(lighting), inputs, &mut one, &mut shared);
         gradient.specular.push(shared.specular);
         add_points(back, &part.numbers, &one, &first);
-        if k == 0 {
+        if place == 0 {
             gradient.shared = shared;
         } else {
             gradient.shared.lobes.add(&shared.lobes);
@@ -122,14 +121,15 @@ pub fn pull_back_blended(
     }
 }
 
-/// The samples that show material `k`, and which of them show none before it: those carry diffuse and reflected light.
+/// The samples that show the material at this `place` among `materials`, and which of them show none before it: those carry diffuse and reflected light.
 fn showing(
     samples: &BlendedSamples<'_>,
     lighting: Lighting<'_>,
-    k: usize,
+    materials: &[(usize, SpecularValue)],
+    place: usize,
     has_diffuse: &mut [bool],
 ) -> (Showing, Vec<bool>) {
-    let mut part = Showing::new(samples.points, samples.blends, lighting, k);
+    let mut part = Showing::new(samples.points, samples.blends, lighting, materials, place);
     let is_first = |i: &usize| !std::mem::replace(&mut has_diffuse[*i], true);
     let first: Vec<bool> = part.numbers.iter().map(is_first).collect();
     let rest = part.points.iter_mut().zip(&first).filter(|(_, first)| !**first);
@@ -150,19 +150,22 @@ fn add_points(back: &mut [PointAdjoint], numbers: &[usize], one: &[PointAdjoint]
 
 /// Gradient: adds the samples' blend adjoints onto the texels they blend, in row order.
 pub fn scatter_to_blends(
-    window: Res<Window>,
+    materials: Res<BaseMaterials>,
     adjoints: Res<BlendAdjoints>,
-    samples: Query<&SurfacePoint>,
-    mut texels: Query<&mut BlendGradient>,
+    samples: Samples<&SurfacePoint>,
+    texels: Texels<&mut BlendGradient>,
 ) -> SystemResult {
-    let Some(points) = only_table(samples.contiguous_iter()?, |t| t.len(), "pixel")? else { return Ok(()) };
-    let Some(mut texels) = only_table(texels.contiguous_iter_mut()?, |t| t.len(), "texel")? else {
+    if !materials.blended {
         return Ok(());
-    };
-    let texels = texels.bypass_change_detection();
-    for (point, adjoint) in points[window.0.clone()].iter().zip(&adjoints.0) {
+    }
+    let points = samples.columns()?;
+    let mut texels = texels.columns()?.quiet();
+    let texels = &mut *texels;
+    for (point, adjoint) in points.iter().zip(&adjoints.0) {
         for (texel, weight) in point.texels.indices.into_iter().zip(point.texels.weights) {
-            for (sum, value) in texels[texel as usize].0.iter_mut().zip(adjoint) {
+            // Texels that came after the fit began have no gradient.
+            let Some(sums) = texels.get_mut(texel as usize) else { continue };
+            for (sum, value) in sums.0.iter_mut().zip(adjoint) {
                 *sum += value * weight;
             }
         }
@@ -172,33 +175,29 @@ pub fn scatter_to_blends(
 
 /// Update: Adam on the logits of the texels' blends; clears the gradient.
 pub fn move_blends(
-    (rates, unknowns): (Res<StepRates>, Res<Unknowns>),
-    gradient: Res<StepGradient>,
+    rates: Res<StepRates>,
+    unknowns: Res<Unknowns>,
+    materials: Res<BaseMaterials>,
     places: Res<TexelPlaces>,
-    mut texels: Query<(&mut SpecularBlend, &mut BlendGradient, &mut BlendMoments)>,
+    texels: Texels<(&mut SpecularBlend, &mut BlendGradient, &mut BlendMoments)>,
 ) -> SystemResult {
-    let materials = gradient.specular.len();
-    let Some((mut blends, mut gradients, mut moments)) =
-        only_table(texels.contiguous_iter_mut()?, |t| t.0.len(), "texel")?
-    else {
-        return Ok(());
-    };
-    let blends = blends.bypass_change_detection();
-    let gradients = gradients.bypass_change_detection();
-    if materials < 2 || !unknowns.blends || places.positions.len() != blends.len() {
+    let (mut blends, gradients, moments) = texels.columns()?;
+    let (mut gradients, mut moments) = (gradients.quiet(), moments.quiet());
+    if materials.lobes.len() < 2 || !unknowns.blends || places.positions.len() != blends.len() {
         gradients.fill(BlendGradient::default());
         return Ok(());
     }
     for (blend, gradient) in blends.iter().zip(gradients.iter_mut()) {
         gradient.0 = logit_slopes(&blend.0, &gradient.0);
     }
-    average_at(&places, gradients);
+    average_at(&places, &mut gradients);
     let adam = AdamStep::new(RATE * rates.albedo, rates.step);
-    let columns = blends.par_iter_mut().zip(gradients).zip(moments.bypass_change_detection());
+    let numbers: Vec<usize> = materials.by_number().map(|(number, _)| number).collect();
+    let columns = blends.par_iter_mut().zip(&mut *gradients).zip(&mut *moments);
     columns.with_min_len(4096).for_each(|((blend, gradient), moments)| {
         let step = adam.advance(&mut moments.0, &gradient.0);
         gradient.0 = PerMaterial::default();
-        move_blend(&mut blend.0[..materials], &step);
+        move_blend(&mut blend.0, &numbers, &step);
     });
     Ok(())
 }
@@ -209,13 +208,13 @@ fn logit_slopes(weights: &PerMaterial, adjoint: &PerMaterial) -> PerMaterial {
     std::array::from_fn(|k| weights[k] * (adjoint[k] - mean))
 }
 
-/// Moves logits by −`step`; weights start from at least [`LEAST_WEIGHT`], and sum to one.
-fn move_blend(weights: &mut [f32], step: &PerMaterial) {
-    for (weight, step) in weights.iter_mut().zip(step) {
-        *weight = weight.max(LEAST_WEIGHT) * (-step).exp();
+/// Moves the logits of these base materials by −`step`; weights start from at least [`LEAST_WEIGHT`], and sum to one.
+fn move_blend(weights: &mut PerMaterial, numbers: &[usize], step: &PerMaterial) {
+    for &k in numbers {
+        weights[k] = weights[k].max(LEAST_WEIGHT) * (-step[k]).exp();
     }
-    let sum: f32 = weights.iter().sum();
-    weights.iter_mut().for_each(|weight| *weight /= sum);
+    let sum: f32 = numbers.iter().map(|&k| weights[k]).sum();
+    numbers.iter().for_each(|&k| weights[k] /= sum);
 }
 
 /// A lattice over the texels' bounding box: where a texel lies in it.
@@ -352,7 +351,8 @@ mod tests {
             Lighting { lobes: &work.lobes, visibility: Some(Visibility { lobes: &[], points: &seen }) };
         let (mut back, mut gradient, mut to_blends) =
             (vec![PointAdjoint::default(); 40], StepGradient::default(), Vec::new());
-        pull_back_blended(form, &samples, &materials, lighting, &mut back, &mut gradient, &mut to_blends);
+        let numbered = [(0, materials[0]), (1, materials[1])];
+        pull_back_blended(form, &samples, &numbered, lighting, &mut back, &mut gradient, &mut to_blends);
         let base = loss(&shaded);
         let close = |name: &str, found: f32, moved: f64, step: f64| {
             let exact = (moved - base) / step;
@@ -405,11 +405,12 @@ mod tests {
 
     #[test]
     fn weights_stay_weights() {
-        let mut weights = [0.999, 0.001];
+        let mut weights = PerMaterial::default();
+        (weights[0], weights[2]) = (0.999, 0.001);
         for _ in 0..100 {
-            move_blend(&mut weights, &[1.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
-            assert!((weights[0] + weights[1] - 1.0).abs() < 1e-6 && weights.iter().all(|w| *w > 0.0));
+            move_blend(&mut weights, &[0, 2], &[1.0, 5.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
+            assert!((weights[0] + weights[2] - 1.0).abs() < 1e-6 && weights[0] > 0.0 && weights[2] > 0.0);
         }
-        assert!(weights[1] > 0.99);
+        assert!(weights[2] > 0.99 && weights[1] == 0.0, "a number that no material has keeps no weight");
     }
 }

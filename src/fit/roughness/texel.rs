@@ -11,11 +11,10 @@
 use crate::fit::adam::{AdamStep, Bounded, Moments};
 use crate::fit::components::{SpecularGradient, StepRates, Unknowns};
 use crate::fit::roughness::blend::{BlendGradient, PerMaterial, TexelPlaces, average_at};
-use crate::material::{DiffuseAlbedo, SpecularBlend};
+use crate::material::{DiffuseAlbedo, SpecularBlend, Texels, texels_in_order};
 use crate::mesh::atlas::TexelAtlas;
 use crate::pipeline::SystemResult;
-use crate::sample::bundle::only_table;
-use bevy_ecs::prelude::{Component, Entity, Query, Res, Resource, With, World};
+use bevy_ecs::prelude::{Component, Query, Res, Resource, World};
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -126,7 +125,8 @@ fn neighbours(atlas: &TexelAtlas) -> Vec<[u32; 2]> {
 /// Adds the prior's gradient to the first two entries of each texel's.
 fn add_variation(
     prior: &GlossPrior,
-    (gloss, albedo): (&[TexelGloss], &[DiffuseAlbedo]),
+    gloss: &[TexelGloss],
+    albedo: &[DiffuseAlbedo],
     gradients: &mut [BlendGradient],
 ) {
     let weight = prior.smoothness / prior.neighbours.len().max(1) as f32;
@@ -152,15 +152,14 @@ fn chromaticity(albedo: Vec3) -> Vec3 {
 
 /// Gives every texel a gloss of its own, unless it has one.
 pub fn attach_gloss(world: &mut World, roughness: f32, varied_specular: bool) {
-    let known: Vec<Entity> = world.query_filtered::<Entity, With<TexelGloss>>().iter(world).collect();
-    if !known.is_empty() {
-        known.into_iter().for_each(|texel| _ = world.entity_mut(texel).insert(GlossMoments::default()));
-        return;
-    }
+    let known = world.query::<&TexelGloss>().iter(world).len() > 0;
     let gloss = TexelGloss::first(roughness, varied_specular);
-    let texels: Vec<Entity> = world.query_filtered::<Entity, With<SpecularBlend>>().iter(world).collect();
-    for texel in texels {
-        world.entity_mut(texel).insert((gloss, GlossMoments::default(), SpecularBlend(gloss.weights())));
+    for texel in texels_in_order(world) {
+        let mut texel = world.entity_mut(texel);
+        texel.insert(GlossMoments::default());
+        if !known {
+            texel.insert((gloss, SpecularBlend(gloss.weights())));
+        }
     }
 }
 
@@ -171,41 +170,38 @@ pub fn tie_specular(mut materials: Query<&mut SpecularGradient>) {
     materials.iter_mut().for_each(|mut gradient| gradient.0[..3].copy_from_slice(&sum));
 }
 
-type GlossColumns<'a> = (
-    &'a DiffuseAlbedo,
-    &'a mut TexelGloss,
-    &'a mut SpecularBlend,
-    &'a mut BlendGradient,
-    &'a mut GlossMoments,
+type GlossColumns = (
+    &'static DiffuseAlbedo,
+    &'static mut TexelGloss,
+    &'static mut SpecularBlend,
+    &'static mut BlendGradient,
+    &'static mut GlossMoments,
 );
 
 /// Update: Adam on the texels' roughness and share; clears the gradient.
 pub fn move_gloss(
-    (rates, unknowns): (Res<StepRates>, Res<Unknowns>),
-    (places, prior): (Res<TexelPlaces>, Res<GlossPrior>),
-    mut texels: Query<GlossColumns>,
+    rates: Res<StepRates>,
+    unknowns: Res<Unknowns>,
+    places: Res<TexelPlaces>,
+    prior: Res<GlossPrior>,
+    texels: Texels<GlossColumns>,
 ) -> SystemResult {
-    let Some((albedo, mut gloss, mut blends, mut gradients, mut moments)) =
-        only_table(texels.contiguous_iter_mut()?, |t| t.0.len(), "texel")?
-    else {
-        return Ok(());
-    };
-    let gradients = gradients.bypass_change_detection();
+    let (albedo, mut gloss, mut blends, gradients, moments) = texels.columns()?;
+    let (mut gradients, mut moments) = (gradients.quiet(), moments.quiet());
     if !unknowns.blends || places.positions.len() != gradients.len() {
         gradients.fill(BlendGradient::default());
         return Ok(());
     }
-    let gloss = gloss.bypass_change_detection();
     for (gloss, gradient) in gloss.iter().zip(gradients.iter_mut()) {
         let slopes = gloss.slopes(&gradient.0);
         gradient.0 = PerMaterial::default();
         gradient.0[..2].copy_from_slice(&slopes);
     }
-    average_at(&places, gradients);
-    add_variation(&prior, (gloss, albedo), gradients);
+    average_at(&places, &mut gradients);
+    add_variation(&prior, &gloss, &albedo, &mut gradients);
     let adam = AdamStep::new(RATE * rates.albedo, rates.step);
-    let columns = gloss.par_iter_mut().zip(blends.bypass_change_detection()).zip(gradients);
-    let columns = columns.zip(moments.bypass_change_detection()).with_min_len(4096);
+    let columns = gloss.par_iter_mut().zip(&mut *blends).zip(&mut *gradients);
+    let columns = columns.zip(&mut *moments).with_min_len(4096);
     columns.for_each(|(((gloss, blend), gradient), moments)| {
         let step = adam.advance(&mut moments.0, &[gradient.0[0], gradient.0[1]]);
         gradient.0 = PerMaterial::default();
@@ -271,7 +267,7 @@ mod tests {
             prior.neighbours.iter().map(pair).sum()
         };
         let mut gradients = [BlendGradient::default(); 3];
-        add_variation(&prior, (&gloss, &albedo), &mut gradients);
+        add_variation(&prior, &gloss, &albedo, &mut gradients);
         for texel in 0..3 {
             for k in 0..2 {
                 let at = |step: f32| {

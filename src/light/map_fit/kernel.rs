@@ -376,7 +376,7 @@ mod tests {
     fn a_lobe_is_skipped_only_where_it_is_dark() {
         let tiles = tiles_of(&EnvironmentMap::from_directions(64, 32, |_| Vec3::ONE));
         for sharpness in [0.05, 5.0, 8.0, 9.0, 40.0, 900.0] {
-            for axis in crate::light::fibonacci::fibonacci_axes(40) {
+            for axis in crate::math::fibonacci::fibonacci_axes(40) {
                 let reach = Reach::new(axis.as_dvec3(), sharpness);
                 for tile in tiles.iter().filter(|tile| !reach.meets(tile)) {
                     let [x, y, z] = &tile.directions;

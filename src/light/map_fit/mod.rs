@@ -18,7 +18,6 @@ use std::f64::consts::{PI, TAU};
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
-use crate::light::fibonacci::{fibonacci_axes, spacing_sharpness};
 use crate::light::map_fit::kernel::{FitLobe, slopes};
 use crate::light::map_fit::place::{Level, place};
 use crate::light::map_fit::solve::{Bounds, fit_amplitudes, keep_power, levenberg_marquardt, prune};
@@ -26,6 +25,7 @@ pub use crate::light::map_fit::sun::Sun;
 use crate::light::map_fit::sun::take_suns;
 use crate::light::{EnvironmentMap, LightLobe, render_lobes};
 use crate::math::color::luminance;
+use crate::math::fibonacci::{fibonacci_axes, spacing_sharpness};
 use crate::{Error, Result};
 
 /// Settings of [`fit_map`]; the defaults suit about 100 lobes in a few seconds.

@@ -5,10 +5,10 @@ use glam::DVec3;
 use rayon::prelude::*;
 
 use crate::light::EnvironmentMap;
-use crate::light::fibonacci::fibonacci_axes;
 use crate::light::map_fit::gram::mean_product;
 use crate::light::map_fit::kernel::{FitLobe, Reach, Texels, Tile, residuals, tiles_of};
 use crate::light::map_fit::solve::Bounds;
+use crate::math::fibonacci::fibonacci_axes;
 use crate::math::sg::sphere_integral;
 
 /// Sharpnesses tried, each about 2.5 times the one before.

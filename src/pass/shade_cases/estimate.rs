@@ -7,7 +7,7 @@ use crate::math::ray::{Hit, Intersect, Ray};
 use crate::math::real::scale;
 use crate::math::sg;
 use crate::pass::shade_cases::{Case, Precision, REPLICATES};
-use crate::shade::path_tracer::{PathQuery, PathScene, PathSettings, ShadePoint, shade_point};
+use crate::shade::path_tracer::{PathPoint, PathQuery, PathScene, PathSettings, shade_point};
 use crate::shade::sampling::lobe_table::LobeTable;
 use crate::shade::sampling::sequence::Sequence;
 use crate::shade::sampling::{Frame, Scattered, Scatterer, SingleLobe, Strategy, sample_sg, sg_pdf};
@@ -81,11 +81,11 @@ fn traced_in_f32(case: &Case<f32>, stream: u64, samples: u32) -> [[f64; 3]; 2] {
         sharpness: case.lobe_sharpness,
         amplitude: case.lobe_amplitude.into(),
     });
-    let specular = [SpecularLobe::new(case.specular.into(), case.roughness)];
+    let specular = [Some(SpecularLobe::new(case.specular.into(), case.roughness))];
     let scene = PathScene { surface: &Empty, light: &light, albedo: &[], blends: &[], specular: &specular };
     let settings = PathSettings { max_bounces: 1, seed: SEED, ..Default::default() };
     let normal = Vec3::from(case.normal);
-    let point = ShadePoint {
+    let point = PathPoint {
         position: Vec3::ZERO,
         normal,
         geometric_normal: normal,

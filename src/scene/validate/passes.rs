@@ -31,8 +31,12 @@ pub(super) fn passes(checks: &mut Checks, scene: &Scene) {
             Pass::Edit(edit) => self::edit_pass(checks, &at, edit),
             Pass::Relight(relight) => self::relight_pass(checks, &at, relight),
             Pass::Evaluate(evaluate) => self::evaluate(checks, &at, evaluate, scene, earlier),
-            Pass::Export(export) => self::export(checks, &at, export),
-            Pass::Render(_) | Pass::Save(_) => {}
+            Pass::Export(export) => {
+                self::export(checks, &at, export);
+                self::shown_by(checks, &at, export.of.as_deref(), scene);
+            }
+            Pass::Save(save) => self::shown_by(checks, &at, save.of.as_deref(), scene),
+            Pass::Render(_) => {}
         }
         if let Some(render) = pass.render() {
             self::render(checks, &format!("{at}.render"), render, &scene.views);
@@ -316,6 +320,18 @@ fn evaluate(checks: &mut Checks, at: &str, evaluate: &EvaluatePass, scene: &Scen
         if matches!(truth, Some(LayerTruth::SelfMade)) {
             needs_self_made(checks, &format!("{at}.{field}"), self_made);
         }
+    }
+}
+
+/// What is saved or exported as a pass shows it must name a pass that shows something else than what was found.
+fn shown_by(checks: &mut Checks, at: &str, of: Option<&str>, scene: &Scene) {
+    let Some(of) = of else { return };
+    let shows = |pass: &&Pass| matches!(pass, Pass::Edit(_) | Pass::Relight(_));
+    let names = || scene.passes.iter().filter(shows).map(Pass::name);
+    if names().all(|name| name != of) {
+        let problem = format!("no Edit or Relight pass is called {of:?}");
+        let help = listing("passes that edit or relight", of, names());
+        checks.fail(&format!("{at}.of"), problem, "expected the name of an Edit or Relight pass", help);
     }
 }
 

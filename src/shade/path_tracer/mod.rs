@@ -14,7 +14,8 @@
 //! | `ray_offset` | `f32` | radii of the scene | 2e-5 | start of a ray off the surface, along the geometric normal |
 //! | `strategy` | [`Strategy`] | – | `Combined` | other than for checks, leave it |
 
-use crate::material::{DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
+use crate::material::shown::{ShownAlbedo, ShownBlend};
+use crate::material::{MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
 use crate::math::ray::{Hit, Illuminate, Intersect, Ray, TexelAddress};
 use crate::shade::sampling::sequence::Sequence;
 use crate::shade::sampling::{SampleReal, Scattered, Scatterer, Strategy};
@@ -29,11 +30,11 @@ pub struct PathScene<'a> {
     /// The distant light.
     pub light: &'a dyn Illuminate,
     /// Diffuse albedo of every texel that the surface's hits address, linear RGB in `[0, 1]`.
-    pub albedo: &'a [DiffuseAlbedo],
-    /// Blend weights of the base materials at every texel; empty if all of the surface is the first material.
-    pub blends: &'a [SpecularBlend],
-    /// Base materials; with none the surface is diffuse.
-    pub specular: &'a [SpecularLobe],
+    pub albedo: &'a [ShownAlbedo],
+    /// Blend weights of the base materials at every texel; empty if all of the surface is material 0.
+    pub blends: &'a [ShownBlend],
+    /// Base materials by number; where there is none the surface is diffuse.
+    pub specular: &'a [Option<SpecularLobe>],
 }
 
 /// How it is rendered; see the table at the head of this file.
@@ -59,7 +60,7 @@ impl Default for PathSettings {
 
 /// A surface point to shade.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ShadePoint {
+pub struct PathPoint {
     /// World position.
     pub position: Vec3,
     /// Unit shading normal.
@@ -72,14 +73,14 @@ pub struct ShadePoint {
     pub blend: [f32; MAX_SPECULAR_LOBES],
 }
 
-impl ShadePoint {
+impl PathPoint {
     /// The point that a ray met, its material blended from the texel pool.
     pub fn from_hit(hit: &Hit, scene: &PathScene) -> Self {
         let TexelAddress { indices, weights } = hit.texels;
         let blend = match scene.blends {
             [] => SpecularBlend::default().0,
             blends => {
-                std::array::from_fn(|k| (0..4).map(|i| blends[indices[i] as usize].0[k] * weights[i]).sum())
+                std::array::from_fn(|k| (0..4).map(|i| blends[indices[i] as usize].0.0[k] * weights[i]).sum())
             }
         };
         Self {
@@ -96,7 +97,7 @@ impl ShadePoint {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PathQuery {
     /// The point.
-    pub point: ShadePoint,
+    pub point: PathPoint,
     /// Unit direction from the point to the viewer.
     pub to_viewer: Vec3,
     /// Names an independent stream of random numbers, e.g. the pixel's index over all views.
@@ -253,21 +254,21 @@ impl Path<'_> {
             let Some((direction, onward)) = self.follow_brdf(&vertex, &scatterer) else { return };
             let Some(hit) = onward.hit else { return };
             let Some(survived) = self.roulette(depth, onward.carried) else { return };
-            point = ShadePoint::from_hit(&hit, self.scene);
+            point = PathPoint::from_hit(&hit, self.scene);
             to_viewer = -direction;
             carried = Some(survived);
         }
     }
 
-    fn scatterer(&self, point: &ShadePoint, to_viewer: Vec3, depth: u32) -> Option<Scatterer<f32>> {
-        let picked = self.scene.specular.get(self.pick_material(point, depth));
+    fn scatterer(&self, point: &PathPoint, to_viewer: Vec3, depth: u32) -> Option<Scatterer<f32>> {
+        let picked = self.scene.specular.get(self.pick_material(point, depth)).and_then(Option::as_ref);
         let specular = picked.map(|lobe| (lobe.albedo.to_array(), lobe.facets()));
         Scatterer::new(point.normal.to_array(), to_viewer.to_array(), point.albedo.to_array(), specular)
     }
 
     /// One of the blended materials, as often as its weight says: on average, that is the blend. None as often as they fall short of one.
-    fn pick_material(&self, point: &ShadePoint, depth: u32) -> usize {
-        if self.scene.specular.len() < 2 {
+    fn pick_material(&self, point: &PathPoint, depth: u32) -> usize {
+        if self.scene.specular.len() < 2 && self.scene.blends.is_empty() {
             return 0;
         }
         let sum: f32 = point.blend.iter().sum();
@@ -364,7 +365,7 @@ impl Path<'_> {
     }
 
     /// A ray that starts just off the surface, on the side of the geometry that it leaves to.
-    fn ray_from(&self, point: &ShadePoint, direction: Vec3) -> Ray {
+    fn ray_from(&self, point: &PathPoint, direction: Vec3) -> Ray {
         // Far from the origin positions are rounded more coarsely than the offset.
         let offset = (self.settings.ray_offset * self.scene.surface.radius())
             .max(point.position.abs().max_element() * 1e-6);
@@ -375,7 +376,7 @@ impl Path<'_> {
 
 /// A place where the path scatters.
 struct Vertex {
-    point: ShadePoint,
+    point: PathPoint,
     carried: Option<Split>,
     depth: u32,
 }

@@ -71,7 +71,7 @@ impl Intersect for Shell {
 
 fn query(position: Vec3, normal: Vec3, to_viewer: Vec3, albedo: Vec3) -> PathQuery {
     let point =
-        ShadePoint { position, normal, geometric_normal: normal, albedo, blend: SpecularBlend::default().0 };
+        PathPoint { position, normal, geometric_normal: normal, albedo, blend: SpecularBlend::default().0 };
     PathQuery { point, to_viewer: to_viewer.normalize(), stream: 0, first_sample: 0 }
 }
 
@@ -132,8 +132,13 @@ fn open_sky_matches_numerical_integration() {
         for slant in [0.1f64, 0.9, 1.4] {
             let albedo_0 = Vec3::new(0.9, 0.04, 0.3);
             let specular = [SpecularLobe { albedo: albedo_0, roughness: roughness as f32, ndf }];
-            let scene =
-                PathScene { surface: &Empty, light: &light, albedo: &[], blends: &[], specular: &specular };
+            let scene = PathScene {
+                surface: &Empty,
+                light: &light,
+                albedo: &[],
+                blends: &[],
+                specular: &specular.map(Some),
+            };
             let to_viewer = Vec3::new(slant.sin() as f32, 0.0, slant.cos() as f32);
             let query = query(Vec3::ZERO, Vec3::Z, to_viewer, albedo);
             let found = estimate(&scene, &PathSettings::default(), &query, 256);
@@ -157,7 +162,7 @@ fn a_ball_overhead_casts_its_shadow() {
     let scene = PathScene {
         surface: &ball,
         light: &light,
-        albedo: &[DiffuseAlbedo(Vec3::ZERO)],
+        albedo: &[ShownAlbedo(Vec3::ZERO)],
         blends: &[],
         specular: &[],
     };
@@ -175,9 +180,9 @@ fn the_inside_of_a_closed_shell_is_black() {
     let scene = PathScene {
         surface: &shell,
         light: &light,
-        albedo: &[DiffuseAlbedo(Vec3::splat(0.5))],
+        albedo: &[ShownAlbedo(Vec3::splat(0.5))],
         blends: &[],
-        specular: &GREY_GLOSS,
+        specular: &GREY_GLOSS.map(Some),
     };
     let query = query(-Vec3::Z, Vec3::Z, Vec3::new(1.0, 0.0, 1.0), Vec3::splat(0.5));
     let found = estimate(&scene, &PathSettings::default(), &query, 64);
@@ -193,7 +198,7 @@ fn a_convex_surface_does_not_shadow_itself() {
         let scene = PathScene {
             surface: &ball,
             light: &light,
-            albedo: &[DiffuseAlbedo(Vec3::ONE)],
+            albedo: &[ShownAlbedo(Vec3::ONE)],
             blends: &[],
             specular: &[],
         };
@@ -211,7 +216,7 @@ fn a_bowl_gathers_its_geometric_series() {
     let bowl = Shell { center: Vec3::ZERO, radius: 1.0, brim: 0.4, side: -1.0 };
     let (albedo, open) = (0.8f64, 0.3);
     let light = Constant(Vec3::new(1.0, 0.5, 2.0));
-    let texels = [DiffuseAlbedo(Vec3::splat(albedo as f32))];
+    let texels = [ShownAlbedo(Vec3::splat(albedo as f32))];
     let scene = PathScene { surface: &bowl, light: &light, albedo: &texels, blends: &[], specular: &[] };
     for max_bounces in [1, 2, 3, 6, 60] {
         let expected: f64 = (0..max_bounces).map(|i| albedo * open * (albedo * (1.0 - open)).powi(i)).sum();
@@ -231,9 +236,14 @@ fn every_strategy_has_the_same_mean() {
     let bowl = Shell { center: Vec3::ZERO, radius: 1.0, brim: 0.4, side: -1.0 };
     let lobe = LightLobe { axis: Vec3::new(0.28, 0.0, 0.96), sharpness: 4.0, amplitude: Vec3::ONE };
     let light = SingleLobe::new(lobe);
-    let texels = [DiffuseAlbedo(Vec3::splat(0.5))];
-    let scene =
-        PathScene { surface: &bowl, light: &light, albedo: &texels, blends: &[], specular: &GREY_GLOSS };
+    let texels = [ShownAlbedo(Vec3::splat(0.5))];
+    let scene = PathScene {
+        surface: &bowl,
+        light: &light,
+        albedo: &texels,
+        blends: &[],
+        specular: &GREY_GLOSS.map(Some),
+    };
     let query = query(-Vec3::Z, Vec3::Z, Vec3::new(-0.5, 0.2, 0.7), texels[0].0);
     let both = PathSettings { max_bounces: 4, ..Default::default() };
     let reference = estimate(&scene, &both, &query, 2048);
@@ -255,7 +265,13 @@ fn every_strategy_has_the_same_mean() {
 #[test]
 fn reported_variance_is_conservative() {
     let light = SingleLobe::new(LightLobe { axis: Vec3::Y, sharpness: 3.0, amplitude: Vec3::ONE });
-    let scene = PathScene { surface: &Empty, light: &light, albedo: &[], blends: &[], specular: &GREY_GLOSS };
+    let scene = PathScene {
+        surface: &Empty,
+        light: &light,
+        albedo: &[],
+        blends: &[],
+        specular: &GREY_GLOSS.map(Some),
+    };
     let query = query(Vec3::ZERO, Vec3::Z, Vec3::new(0.0, -0.6, 0.8), Vec3::splat(0.5));
     let settings = PathSettings::default();
     let spread = estimate(&scene, &settings, &query, 64)[0][0].1.powi(2) * 16.0;
@@ -269,9 +285,14 @@ fn reported_variance_is_conservative() {
 fn results_depend_on_the_query_alone() {
     let bowl = Shell { center: Vec3::ZERO, radius: 1.0, brim: 0.2, side: -1.0 };
     let light = Constant(Vec3::ONE);
-    let texels = [DiffuseAlbedo(Vec3::splat(0.7))];
-    let scene =
-        PathScene { surface: &bowl, light: &light, albedo: &texels, blends: &[], specular: &GREY_GLOSS };
+    let texels = [ShownAlbedo(Vec3::splat(0.7))];
+    let scene = PathScene {
+        surface: &bowl,
+        light: &light,
+        albedo: &texels,
+        blends: &[],
+        specular: &GREY_GLOSS.map(Some),
+    };
     let settings = PathSettings { seed: 9, ..Default::default() };
     let base = query(-Vec3::Z, Vec3::Z, Vec3::new(0.1, 0.2, 0.7), texels[0].0);
     let queries: Vec<_> = (0..100).map(|stream| PathQuery { stream, ..base }).collect();
@@ -292,7 +313,13 @@ fn results_depend_on_the_query_alone() {
 #[test]
 fn what_cannot_be_shaded_is_black_and_counted() {
     let light = Constant(Vec3::ONE);
-    let scene = PathScene { surface: &Empty, light: &light, albedo: &[], blends: &[], specular: &GREY_GLOSS };
+    let scene = PathScene {
+        surface: &Empty,
+        light: &light,
+        albedo: &[],
+        blends: &[],
+        specular: &GREY_GLOSS.map(Some),
+    };
     let settings = PathSettings::default();
     let behind = query(Vec3::ZERO, Vec3::Z, Vec3::new(0.5, 0.0, -0.5), Vec3::ONE);
     let seen = shade_point(&scene, &settings, &behind, 16);

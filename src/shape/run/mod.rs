@@ -4,24 +4,27 @@ use crate::error::Result;
 use crate::fit::cameras::{
     CameraFit, CameraPlugin, CameraUnknowns, align_photographs, attach_poses, recast_rays,
 };
-use crate::fit::components::{AlbedoGradient, AlbedoMoments, TexelSeen};
 use crate::fit::run::{FirstGuess, FitOptions, FitProgress, run_fit};
-use crate::material::{DiffuseAlbedo, SpecularBlend, SpecularLobe};
+use crate::material::{
+    MAX_SPECULAR_LOBES, SpecularBlend, TexelIndex, recovered_albedo, recovered_materials, spawn_texels,
+};
 use crate::pipeline::{Phase, Pipeline, Plugin, Slot};
 use crate::sample::pixel::PixelOf;
+use crate::sample::point::Scenery;
 use crate::sdf::SdfGrid;
 use crate::sdf::volume::{SdfSurface, TexelVolume};
-use crate::shade::Scenery;
-use crate::shape::field::{BrickAt, BrickGradient, BrickMoments, BrickValues, SdfField, bricks_near_surface};
+use crate::shape::field::{
+    BRICK_LEN, BrickAt, BrickGradient, BrickIndex, BrickMoments, BrickValues, SdfField, bricks_near_surface,
+};
 use crate::shape::hull::{FORGIVEN, Silhouette, pixel_size, visual_hull};
 use crate::shape::repair::{believed_pixels, regrow};
-use crate::shape::silhouette_loss::SilhouetteSample;
+use crate::shape::silhouette_loss::{OutlineIndex, SilhouetteSample};
 use crate::shape::systems::{
     ShapeSchedule, align_outlines, hand_out_to_bricks, move_bricks, pull_back_silhouettes,
     pull_back_to_field, recast_outlines, retrace_window,
 };
-use crate::view::{Camera, Photograph, Split, ViewMask, ViewName};
-use bevy_ecs::prelude::{Component, Entity, IntoScheduleConfigs, With, Without, World};
+use crate::view::{ByView, Camera, Photograph, Split, ViewIndex, ViewMask, ViewName};
+use bevy_ecs::prelude::{Component, Entity, IntoScheduleConfigs, With, World};
 use glam::Vec3;
 use rand::seq::SliceRandom;
 use rand::{SeedableRng, rngs::SmallRng};
@@ -55,7 +58,7 @@ pub struct ShapeOptions {
     pub cameras: CameraUnknowns,
 }
 
-/// The systems that fit a shape; [`ShapePlugin::remove`] takes them out again.
+/// The systems that fit a shape; removing it takes them out again.
 pub struct ShapePlugin;
 
 impl Plugin for ShapePlugin {
@@ -71,17 +74,7 @@ impl Plugin for ShapePlugin {
     }
 }
 
-impl ShapePlugin {
-    /// Takes the systems out, so that surfaces stay as they are.
-    pub fn remove(pipeline: &mut Pipeline) {
-        for slot in [Slot::Retrace, Slot::ShapeGradient, Slot::ShapeUpdate] {
-            pipeline.clear(Phase::FitStep, slot);
-        }
-    }
-}
-
-/// The systems that move cameras to where photographs and masks ask for, beside a shape; [`CameraPlugin::remove`] takes
-/// them out again.
+/// The systems that move cameras to where photographs and masks ask for, beside a shape.
 struct ShapeCameraPlugin(CameraUnknowns);
 
 impl Plugin for ShapeCameraPlugin {
@@ -122,8 +115,7 @@ pub fn fit_shape(
         pipeline.add_plugin(&ShapeCameraPlugin(options.cameras));
     }
     let found = fit_levels(pipeline, hull, &mut silhouettes, options, watch);
-    CameraPlugin::remove(pipeline);
-    ShapePlugin::remove(pipeline);
+    pipeline.remove_plugin::<ShapeCameraPlugin>().remove_plugin::<ShapePlugin>();
     despawn_with::<SilhouetteSample>(&mut pipeline.world);
     found
 }
@@ -143,7 +135,9 @@ fn fit_levels(
         }
         if index > 0 {
             let cameras = photographed_cameras(&mut pipeline.world);
-            silhouettes.iter_mut().for_each(|s| s.camera = cameras[s.view as usize]);
+            for silhouette in silhouettes.iter_mut() {
+                silhouette.camera = *cameras.of(silhouette.view)?;
+            }
             grid = grid.resampled(level.cells);
             regrow(&mut grid, silhouettes, FORGIVEN);
         }
@@ -160,7 +154,7 @@ fn fit_levels(
         });
         grid = leave(&mut pipeline.world);
         let world = &mut pipeline.world;
-        texels = Some((volume, world.query::<&DiffuseAlbedo>().iter(world).map(|a| a.0).collect()));
+        texels = Some((volume, recovered_albedo(world)?));
         if result?.stopped {
             break;
         }
@@ -173,23 +167,31 @@ fn half_side(grid: &SdfGrid) -> f32 {
     0.5 * grid.spacing * (grid.side - 1) as f32
 }
 
-/// The cameras of all photographs, by [`PixelOf::view`].
-fn photographed_cameras(world: &mut World) -> Vec<Camera> {
-    world.query_filtered::<&Camera, With<Photograph>>().iter(world).copied().collect()
+/// The cameras of all photographs.
+fn photographed_cameras(world: &mut World) -> ByView<Camera> {
+    let mut views = world.query_filtered::<(&ViewIndex, &Camera), With<Photograph>>();
+    views.iter(world).map(|(index, camera)| (*index, *camera)).collect()
 }
 
+type SilhouetteView =
+    (&'static ViewIndex, &'static ViewName, &'static Camera, &'static ViewMask, &'static Split);
+
 fn training_silhouettes(world: &mut World) -> Vec<Silhouette> {
-    let mut views =
-        world.query_filtered::<(&ViewName, &Camera, Option<&ViewMask>, &Split), With<Photograph>>();
-    let train = views.iter(world).zip(0..).filter(|((_, _, _, split), _)| **split == Split::Train);
-    let silhouette = |((name, camera, mask, _), view): ((&ViewName, &Camera, Option<&ViewMask>, _), u32)| {
-        Some(Silhouette::new(&name.0, camera, &mask?.0)?.of_view(view))
+    let mut views = world.query_filtered::<SilhouetteView, With<Photograph>>();
+    let mut train: Vec<_> = views.iter(world).filter(|(.., split)| **split == Split::Train).collect();
+    train.sort_by_key(|(index, ..)| **index);
+    let silhouette = |(index, name, camera, mask, _): (&ViewIndex, &ViewName, &Camera, &ViewMask, _)| {
+        Some(Silhouette::new(&name.0, camera, &mask.0)?.of_view(*index))
     };
-    train.filter_map(silhouette).collect()
+    train.into_iter().filter_map(silhouette).collect()
 }
 
 /// The pixels around the outlines of all training masks that go with the hull, shuffled.
-fn silhouette_samples(hull: &SdfGrid, silhouettes: &[Silhouette], seed: u64) -> Vec<SilhouetteSample> {
+fn silhouette_samples(
+    hull: &SdfGrid,
+    silhouettes: &[Silhouette],
+    seed: u64,
+) -> Vec<(OutlineIndex, SilhouetteSample)> {
     let mut samples = Vec::new();
     for silhouette in silhouettes {
         let camera = &silhouette.camera;
@@ -205,7 +207,7 @@ fn silhouette_samples(hull: &SdfGrid, silhouettes: &[Silhouette], seed: u64) -> 
         }));
     }
     samples.shuffle(&mut SmallRng::seed_from_u64(seed));
-    samples
+    (0..).map(OutlineIndex).zip(samples).collect()
 }
 
 /// Albedo for a new lattice: that of the old one where it reaches, else grey.
@@ -220,28 +222,25 @@ fn carried_albedo(volume: &TexelVolume, old: Option<&(TexelVolume, Vec<Vec3>)>) 
 
 /// Puts texels of this albedo in place of those in the world.
 pub fn replace_texels(world: &mut World, albedo: &[Vec3]) {
-    let old: Vec<Entity> =
-        world.query_filtered::<Entity, (With<DiffuseAlbedo>, Without<PixelOf>)>().iter(world).collect();
-    for texel in old {
-        world.despawn(texel);
+    despawn_with::<TexelIndex>(world);
+    let materials = recovered_materials(world);
+    let mut blend = SpecularBlend::even(materials.len().max(1));
+    if materials.iter().zip(0..).any(|((number, _), place)| *number != place) {
+        blend = SpecularBlend([0.0; MAX_SPECULAR_LOBES]);
+        materials.iter().for_each(|(number, _)| blend.0[*number] = 1.0 / materials.len() as f32);
     }
-    let blend = SpecularBlend::even(world.query::<&SpecularLobe>().iter(world).len().max(1));
-    let texels: Vec<_> = albedo
-        .iter()
-        .map(|albedo| {
-            let state = (AlbedoGradient::default(), AlbedoMoments::default(), TexelSeen::default());
-            (DiffuseAlbedo(*albedo), blend, state.0, state.1, state.2)
-        })
-        .collect();
-    world.spawn_batch(texels);
+    spawn_texels(world, albedo, &vec![blend; albedo.len()]);
 }
 
 /// Puts a field and its bricks into the world.
 fn enter(world: &mut World, surface: SdfSurface, schedule: ShapeSchedule) {
-    let blank = [0.0; crate::shape::field::BRICK_LEN];
+    let blank = [0.0; BRICK_LEN];
     let bricks: Vec<_> = bricks_near_surface(&surface.grid)
         .into_iter()
-        .map(|at| (at, BrickValues::of(&surface.grid, at), BrickGradient(blank), BrickMoments(blank)))
+        .zip((0..).map(BrickIndex))
+        .map(|(at, index)| {
+            (index, at, BrickValues::of(&surface.grid, at), BrickGradient(blank), BrickMoments(blank))
+        })
         .collect();
     world.spawn_batch(bricks);
     world.insert_resource(Scenery(Arc::new(surface.clone())));

@@ -5,12 +5,13 @@ use crate::fit::observe::PixelChoice;
 use crate::fit::run::FitPlugin;
 use crate::fit::scale::ScaleRule;
 use crate::light::LightLobe;
-use crate::light::fibonacci::{fibonacci_axes, spacing_sharpness};
+use crate::light::kernel_lobe;
 use crate::material::SpecularLobe;
 use crate::math::brdf::Ndf;
+use crate::math::fibonacci::{fibonacci_axes, spacing_sharpness};
 use crate::math::ray::Intersect;
 use crate::math::shading::{ClosedForm, Layers, LobeColumns, ShadePoint};
-use crate::shade::systems::{kernel_lobe, kernel_specular};
+use crate::shade::systems::kernel_specular;
 use crate::view::{Image, Mask, Photograph};
 
 const SIZE: u32 = 48;

@@ -1,0 +1,131 @@
+//! Lights in a world: lobes are entities, a named light is an entity that lobes point at, and the system in
+//! [`Slot::Light`](crate::pipeline::Slot::Light) chooses which of them shines.
+//!
+//! Lobes that point at no light are the scene's own light: the one that a fit moves. To relight is to spawn a named light and to swap
+//! [`provide_light`] in with its name; closed forms and the path tracer then see it alike.
+//!
+//! | system | stage, slot | reads | writes |
+//! | --- | --- | --- | --- |
+//! | [`provide_light`] | Gather, `Slot::Light` | [`LightLobe`], [`LobeOf`], [`LightName`], [`LightMap`] | [`IncidentLight`] |
+
+use super::illuminate::{LobeLight, MapLight};
+use super::{LightLobe, kernel_lobe};
+use crate::error::{Error, Result};
+use crate::math::ray::Illuminate;
+use crate::math::shading::LobeColumns;
+use crate::pipeline::SystemResult;
+use bevy_ecs::prelude::{Component, Entity, IntoScheduleConfigs, Query, ResMut, Resource, Without, World};
+use bevy_ecs::schedule::ScheduleConfigs;
+use bevy_ecs::system::{ScheduleSystem, SystemParam};
+use std::sync::Arc;
+
+/// Name of a light other than the scene's own.
+#[derive(Component, Clone, Debug, PartialEq, Eq)]
+#[require(LobesOf)]
+pub struct LightName(pub String);
+
+/// The light that a lobe is of. Lobes without it are of the scene's own light.
+#[derive(Component, Clone, Copy, Debug, PartialEq, Eq)]
+#[relationship(relationship_target = LobesOf)]
+pub struct LobeOf(pub Entity);
+
+/// The lobes of a light. They go with it.
+#[derive(Component, Clone, Debug, Default, PartialEq, Eq)]
+#[relationship_target(relationship = LobeOf, linked_spawn)]
+pub struct LobesOf(Vec<Entity>);
+
+/// The environment map that a light's lobes stand for. An entity with this and no [`LightName`] holds that of the scene's own light.
+#[derive(Component, Clone)]
+pub struct LightMap(pub Arc<MapLight>);
+
+/// The light of this run, as the system in [`Slot::Light`](crate::pipeline::Slot::Light) gives it.
+#[derive(Resource, Clone, Default)]
+pub struct IncidentLight {
+    /// SG lobes in columns, for closed forms.
+    pub lobes: LobeColumns,
+    /// The lobes' entities, in the same order.
+    pub entities: Vec<Entity>,
+    /// The same light as something that can be sampled, for path tracing.
+    pub distant: Option<Arc<dyn Illuminate>>,
+}
+
+/// Which light shines.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub enum LightChoice {
+    /// The scene's own.
+    #[default]
+    Own,
+    /// The one of this name.
+    Named(String),
+}
+
+/// All lights, as a system sees them.
+#[derive(SystemParam)]
+pub struct Lights<'w, 's> {
+    own: Query<'w, 's, (Entity, &'static LightLobe), Without<LobeOf>>,
+    own_map: Query<'w, 's, &'static LightMap, Without<LightName>>,
+    named: Query<'w, 's, (&'static LightName, &'static LobesOf, Option<&'static LightMap>)>,
+    lobes: Query<'w, 's, (Entity, &'static LightLobe), bevy_ecs::prelude::With<LobeOf>>,
+}
+
+impl Lights<'_, '_> {
+    /// The lobes of a light and their entities, and its map, if it has one.
+    ///
+    /// # Errors
+    /// If there is no light of that name, or there are several.
+    pub fn of(&self, choice: &LightChoice) -> Result<(Vec<(Entity, LightLobe)>, Option<Arc<MapLight>>)> {
+        let LightChoice::Named(name) = choice else {
+            let lobes = self.own.iter().map(|(entity, lobe)| (entity, *lobe)).collect();
+            return Ok((lobes, self.own_map.iter().next().map(|map| map.0.clone())));
+        };
+        let mut found = self.named.iter().filter(|(of, ..)| of.0 == *name);
+        let (Some((_, lobes, map)), None) = (found.next(), found.next()) else {
+            let names: Vec<&str> = self.named.iter().map(|(name, ..)| name.0.as_str()).collect();
+            let problem = format!("there is not one light named {name}; there are: {}", names.join(", "));
+            return Err(Error::run("the light", problem));
+        };
+        let lobes = self.lobes.iter_many(&lobes.0).flatten().map(|(entity, lobe)| (entity, *lobe)).collect();
+        Ok((lobes, map.map(|map| map.0.clone())))
+    }
+}
+
+/// For [`Slot::Light`](crate::pipeline::Slot::Light): the chosen light shines. With `by_map`, what is sampled is its map, if it has
+/// one; closed forms always take its lobes.
+pub fn provide_light(choice: LightChoice, by_map: bool) -> ScheduleConfigs<ScheduleSystem> {
+    let system = move |lights: Lights, mut light: ResMut<IncidentLight>| -> SystemResult {
+        let (lobes, map) = lights.of(&choice)?;
+        let lobes_only: Vec<LightLobe> = lobes.iter().map(|(_, lobe)| *lobe).collect();
+        light.entities = lobes.iter().map(|(entity, _)| *entity).collect();
+        light.lobes = LobeColumns::from_lobes(lobes_only.iter().map(kernel_lobe));
+        light.distant = Some(match map.filter(|_| by_map) {
+            Some(map) => map,
+            None => Arc::new(LobeLight::new(&lobes_only)),
+        });
+        Ok(())
+    };
+    system.into_configs()
+}
+
+/// Spawns a named light. In place of one that has the name already.
+pub fn spawn_light(
+    world: &mut World,
+    name: impl Into<String>,
+    lobes: &[LightLobe],
+    map: Option<Arc<MapLight>>,
+) -> Entity {
+    let name = name.into();
+    let mut query = world.query::<(Entity, &LightName)>();
+    let old: Vec<Entity> = query.iter(world).filter(|(_, of)| of.0 == name).map(|(light, _)| light).collect();
+    old.into_iter().for_each(|light| _ = world.despawn(light));
+    let light = world.spawn(LightName(name)).id();
+    if let Some(map) = map {
+        world.entity_mut(light).insert(LightMap(map));
+    }
+    world.spawn_batch(lobes.iter().map(|lobe| (*lobe, LobeOf(light))).collect::<Vec<_>>());
+    light
+}
+
+/// The lobes of the scene's own light.
+pub fn own_lobes(world: &mut World) -> Vec<LightLobe> {
+    world.query_filtered::<&LightLobe, Without<LobeOf>>().iter(world).copied().collect()
+}

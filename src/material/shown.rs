@@ -1,0 +1,167 @@
+//! The material that a frame shows, made of the recovered one and never the other way round: there is nothing to undo.
+//!
+//! The system in [`Slot::Material`](crate::pipeline::Slot::Material) writes it. To swap that system is to swap the edit:
+//!
+//! | system | shows |
+//! | --- | --- |
+//! | [`show_recovered`] | the recovered material as it is |
+//! | [`show_edited`] | it with the edits of one name ([`EditName`]) applied in their order |
+//! | a system of one's own | whatever it writes into [`ShownAlbedo`], [`ShownBlend`] and [`ShownSpecular`] |
+
+use super::edit::{EditAction, EditName, EditOrder, EditRegion, EditTarget, MaterialState, apply_edit};
+use super::{BaseMaterial, DiffuseAlbedo, SpecularBlend, SpecularLobe, TexelIndex, Texels, spawn_texels};
+use crate::error::Result;
+use crate::math::brdf::Ndf;
+use crate::pipeline::SystemResult;
+use crate::pipeline::pool::read_column;
+use bevy_ecs::prelude::{
+    Changed, Commands, Component, Entity, IntoScheduleConfigs, Local, Or, Query, SystemCondition, With,
+    Without, World,
+};
+use bevy_ecs::schedule::ScheduleConfigs;
+use bevy_ecs::system::{ScheduleSystem, SystemParam};
+use glam::Vec3;
+
+/// Diffuse albedo that a texel shows, linear RGB in `[0, 1]`.
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
+pub struct ShownAlbedo(pub Vec3);
+
+/// Blend weights that a texel shows.
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
+pub struct ShownBlend(pub SpecularBlend);
+
+/// Specular lobe that a base material shows. Edits of a region make base materials that are shown only: these have no [`SpecularLobe`].
+#[derive(Component, Clone, Copy, Debug, PartialEq)]
+#[require(BaseMaterial)]
+pub struct ShownSpecular(pub SpecularLobe);
+
+impl Default for ShownSpecular {
+    /// A place holder, until [`Slot::Material`](crate::pipeline::Slot::Material) has run.
+    fn default() -> Self {
+        Self(SpecularLobe { albedo: Vec3::ZERO, roughness: 1.0, ndf: Ndf::default() })
+    }
+}
+
+/// What the shown material is made of and into.
+#[derive(SystemParam)]
+pub struct Composition<'w, 's> {
+    texels: Texels<
+        'w,
+        's,
+        (&'static DiffuseAlbedo, &'static SpecularBlend, &'static mut ShownAlbedo, &'static mut ShownBlend),
+    >,
+    recovered: Query<'w, 's, (&'static BaseMaterial, &'static SpecularLobe, &'static mut ShownSpecular)>,
+    added: Query<'w, 's, Entity, (With<ShownSpecular>, Without<SpecularLobe>)>,
+    commands: Commands<'w, 's>,
+}
+
+impl Composition<'_, '_> {
+    /// Writes the recovered material as `edit` makes it.
+    fn compose(mut self, edit: impl FnOnce(&mut MaterialState) -> Result<()>) -> SystemResult {
+        let (albedo, blends, mut shown_albedo, mut shown_blends) = self.texels.columns()?;
+        let mut state = MaterialState { albedo: albedo.to_vec(), blends: blends.to_vec(), lobes: Vec::new() };
+        for (number, lobe, _) in &self.recovered {
+            state.set_lobe(*number, *lobe)?;
+        }
+        edit(&mut state)?;
+        shown_albedo.iter_mut().zip(&state.albedo).for_each(|(shown, albedo)| shown.0 = albedo.0);
+        shown_blends.iter_mut().zip(&state.blends).for_each(|(shown, blend)| shown.0 = *blend);
+        for (number, _, mut shown) in &mut self.recovered {
+            if let Some(lobe) = state.lobes.get_mut(number.0 as usize).and_then(Option::take) {
+                shown.0 = lobe;
+            }
+        }
+        self.added.iter().for_each(|added| self.commands.entity(added).despawn());
+        for (number, lobe) in (0..).zip(&state.lobes) {
+            if let Some(lobe) = lobe {
+                self.commands.spawn((BaseMaterial(number), ShownSpecular(*lobe)));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// What of the recovered material makes the shown one stale.
+type RecoveredChanged = Or<(Changed<DiffuseAlbedo>, Changed<SpecularBlend>, Changed<SpecularLobe>)>;
+
+/// Run condition: whether the recovered material has changed, or base materials have come or gone.
+pub fn recovered_changed(
+    changed: Query<(), RecoveredChanged>,
+    materials: Query<Entity, With<SpecularLobe>>,
+    mut known: Local<Vec<Entity>>,
+) -> bool {
+    others(&mut known, materials.iter()) || !changed.is_empty()
+}
+
+/// What of an edit changes what it does.
+type EditChanged = Or<(
+    Changed<EditName>,
+    Changed<EditOrder>,
+    Changed<EditTarget>,
+    Changed<EditAction>,
+    Changed<EditRegion>,
+)>;
+
+/// Run condition: whether an edit has changed, come or gone.
+pub fn edits_changed(
+    changed: Query<(), EditChanged>,
+    edits: Query<Entity, With<EditName>>,
+    mut known: Local<Vec<Entity>>,
+) -> bool {
+    others(&mut known, edits.iter()) || !changed.is_empty()
+}
+
+/// Whether these are other entities than the known ones, which they become.
+fn others(known: &mut Vec<Entity>, now: impl Iterator<Item = Entity>) -> bool {
+    let now: Vec<Entity> = now.collect();
+    std::mem::replace(known, now) != *known
+}
+
+/// For [`Slot::Material`](crate::pipeline::Slot::Material): shows the recovered material; runs when that has changed.
+pub fn show_recovered() -> ScheduleConfigs<ScheduleSystem> {
+    let system = |composition: Composition| composition.compose(|_| Ok(()));
+    system.run_if(recovered_changed)
+}
+
+/// For [`Slot::Material`](crate::pipeline::Slot::Material): shows the recovered material with the edits of this name, by rising
+/// [`EditOrder`]; runs when one of these has changed.
+pub fn show_edited(name: impl Into<String>) -> ScheduleConfigs<ScheduleSystem> {
+    let name = name.into();
+    let system = move |composition: Composition, edits: Query<EditColumns>| {
+        let mut own: Vec<_> = edits.iter().filter(|(of, ..)| of.0 == name).collect();
+        own.sort_by_key(|(_, order, ..)| **order);
+        let mut own = own.into_iter();
+        composition.compose(|state| {
+            own.try_for_each(|(.., target, action, region)| apply_edit(state, *target, action, region))
+        })
+    };
+    // Not short-circuited: both conditions note what they have seen.
+    system.run_if(recovered_changed.or_eager(edits_changed))
+}
+
+/// What an edit is made of.
+type EditColumns =
+    (&'static EditName, &'static EditOrder, &'static EditTarget, &'static EditAction, &'static EditRegion);
+
+/// The recovered material, as plain columns.
+///
+/// # Errors
+/// If the pool of texels is not whole.
+pub fn recovered_material(world: &mut World) -> Result<MaterialState> {
+    let albedo = read_column::<TexelIndex, DiffuseAlbedo>(world)?;
+    let blends = read_column::<TexelIndex, SpecularBlend>(world)?;
+    let mut state = MaterialState { albedo, blends, lobes: Vec::new() };
+    for (number, lobe) in world.query::<(&BaseMaterial, &SpecularLobe)>().iter(world) {
+        state.set_lobe(*number, *lobe)?;
+    }
+    Ok(state)
+}
+
+/// Spawns texels and base materials of this state, as recovered.
+pub fn spawn_material(world: &mut World, state: &MaterialState) {
+    let albedo: Vec<Vec3> = state.albedo.iter().map(|albedo| albedo.0).collect();
+    spawn_texels(world, &albedo, &state.blends);
+    for (number, lobe) in state.materials() {
+        world.spawn((BaseMaterial(number as u32), *lobe));
+    }
+}

@@ -1,0 +1,188 @@
+//! Which material a system reads: the one that a fit recovers, or the one that a frame shows.
+
+use super::shown::{ShownAlbedo, ShownBlend, ShownSpecular};
+use super::{
+    BaseMaterial, DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, TexelIndex, Texels,
+};
+use crate::error::{Error, Result};
+use crate::pipeline::SystemResult;
+use crate::pipeline::pool::Column;
+use bevy_ecs::component::Mutable;
+use bevy_ecs::prelude::{Changed, Component, Entity, Local, Query, Res, ResMut, Resource, With};
+use glam::Vec3;
+use std::marker::PhantomData;
+
+/// A column of diffuse albedo.
+pub trait AlbedoColumn: Component<Mutability = Mutable> + Copy {
+    /// Linear RGB in `[0, 1]`.
+    fn albedo(&self) -> Vec3;
+}
+
+/// A column of blend weights.
+pub trait BlendColumn: Component<Mutability = Mutable> + Copy {
+    /// The weights.
+    fn blend(&self) -> SpecularBlend;
+}
+
+/// The specular part of base materials.
+pub trait SpecularColumn: Component<Mutability = Mutable> + Copy {
+    /// The lobe.
+    fn lobe(&self) -> SpecularLobe;
+}
+
+impl AlbedoColumn for DiffuseAlbedo {
+    fn albedo(&self) -> Vec3 {
+        self.0
+    }
+}
+
+impl AlbedoColumn for ShownAlbedo {
+    fn albedo(&self) -> Vec3 {
+        self.0
+    }
+}
+
+impl BlendColumn for SpecularBlend {
+    fn blend(&self) -> SpecularBlend {
+        *self
+    }
+}
+
+impl BlendColumn for ShownBlend {
+    fn blend(&self) -> SpecularBlend {
+        self.0
+    }
+}
+
+impl SpecularColumn for SpecularLobe {
+    fn lobe(&self) -> SpecularLobe {
+        *self
+    }
+}
+
+impl SpecularColumn for ShownSpecular {
+    fn lobe(&self) -> SpecularLobe {
+        self.0
+    }
+}
+
+/// The components of one material among those that texels and base materials have.
+pub trait MaterialSource: Send + Sync + 'static {
+    /// Diffuse albedo of texels.
+    type Albedo: AlbedoColumn;
+    /// Blend weights of texels.
+    type Blend: BlendColumn;
+    /// Specular part of base materials.
+    type Specular: SpecularColumn;
+}
+
+/// What a fit finds, or a scene gives.
+pub struct Recovered;
+
+/// What a frame shows.
+pub struct Shown;
+
+impl MaterialSource for Recovered {
+    type Albedo = DiffuseAlbedo;
+    type Blend = SpecularBlend;
+    type Specular = SpecularLobe;
+}
+
+impl MaterialSource for Shown {
+    type Albedo = ShownAlbedo;
+    type Blend = ShownBlend;
+    type Specular = ShownSpecular;
+}
+
+/// The base materials of this run, by rising number.
+#[derive(Resource, Clone, Debug, Default, PartialEq)]
+pub struct BaseMaterials {
+    /// Each with its number, which is its place in the texels' blend weights.
+    pub lobes: Vec<(usize, SpecularLobe)>,
+    /// Their entities.
+    pub entities: Vec<Entity>,
+    /// Whether the weights matter: not where the only material is number 0 and no texel says otherwise.
+    pub blended: bool,
+}
+
+impl BaseMaterials {
+    /// The lobes without their numbers.
+    pub fn only_lobes(&self) -> impl Iterator<Item = &SpecularLobe> {
+        self.lobes.iter().map(|(_, lobe)| lobe)
+    }
+
+    /// The lobes with their numbers.
+    pub fn by_number(&self) -> impl Iterator<Item = (usize, &SpecularLobe)> {
+        self.lobes.iter().map(|(number, lobe)| (*number, lobe))
+    }
+}
+
+/// Whether all texels show base material 0 and nothing else, as [`note_plain_blends`] has found.
+#[derive(Resource)]
+pub struct PlainBlends<M: MaterialSource> {
+    plain: bool,
+    source: PhantomData<M>,
+}
+
+impl<M: MaterialSource> Default for PlainBlends<M> {
+    fn default() -> Self {
+        Self { plain: false, source: PhantomData }
+    }
+}
+
+/// Run condition: whether the blend weights of a texel have changed, or texels have come or gone.
+pub fn blends_changed<M: MaterialSource>(
+    changed: Query<(), (Changed<M::Blend>, With<TexelIndex>)>,
+    texels: Query<(), (With<M::Blend>, With<TexelIndex>)>,
+    mut known: Local<usize>,
+) -> bool {
+    let now = texels.iter().len();
+    std::mem::replace(&mut *known, now) != now || !changed.is_empty()
+}
+
+/// Gather: notes whether any texel blends base materials; runs if [`blends_changed`].
+pub fn note_plain_blends<M: MaterialSource>(
+    texels: Query<&M::Blend, With<TexelIndex>>,
+    mut noted: ResMut<PlainBlends<M>>,
+) {
+    noted.plain = texels.iter().all(|blend| blend.blend() == SpecularBlend::default());
+}
+
+/// Gather: the base materials by number.
+pub fn gather_materials<M: MaterialSource>(
+    materials: Query<(Entity, &BaseMaterial, &M::Specular)>,
+    plain: Res<PlainBlends<M>>,
+    mut gathered: ResMut<BaseMaterials>,
+) -> SystemResult {
+    let mut found: Vec<_> =
+        materials.iter().map(|(entity, number, lobe)| (number.0 as usize, lobe.lobe(), entity)).collect();
+    found.sort_by_key(|(number, ..)| *number);
+    check_numbers(found.iter().map(|(number, ..)| *number))?;
+    gathered.lobes = found.iter().map(|(number, lobe, _)| (*number, *lobe)).collect();
+    gathered.entities = found.iter().map(|(_, _, entity)| *entity).collect();
+    gathered.blended = !(plain.plain && matches!(gathered.lobes.as_slice(), [] | [(0, _)]));
+    Ok(())
+}
+
+/// Each number once, and in range.
+pub(crate) fn check_numbers(rising: impl Iterator<Item = usize>) -> Result<()> {
+    let mut before = None;
+    for number in rising {
+        if number >= MAX_SPECULAR_LOBES {
+            let problem = format!("one has number {number}: there are at most {MAX_SPECULAR_LOBES}, from 0");
+            return Err(Error::run("the base materials", problem));
+        }
+        if before.replace(number) == Some(number) {
+            return Err(Error::run("the base materials", format!("two have number {number}")));
+        }
+    }
+    Ok(())
+}
+
+/// Albedo and blends of all texels.
+pub type TexelColumns<'w, M> =
+    (Column<'w, <M as MaterialSource>::Albedo>, Column<'w, <M as MaterialSource>::Blend>);
+
+/// The texels of one material, as a system sees them.
+pub type MaterialTexels<'w, 's, M> =
+    Texels<'w, 's, (&'static <M as MaterialSource>::Albedo, &'static <M as MaterialSource>::Blend)>;

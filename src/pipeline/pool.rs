@@ -1,0 +1,342 @@
+//! Pools: many entities whose columns kernels read as slices.
+//!
+//! A pool is all entities with one index component ([`PoolIndex`]): pixel samples, texels, vertices, bricks. Kernels refer to a
+//! row by that index, never by where an entity happens to lie. While all entities of a pool have the same components and lie in
+//! the order of their indices, as they do when they are spawned in one batch, columns are slices of the table itself and nothing
+//! is copied. A marker on one of them, or another order, moves entities to other rows or tables: columns are then copied in and out in
+//! the order of the indices. Everything works as before, more slowly.
+
+use crate::error::{Error, Result};
+use bevy_ecs::change_detection::ContiguousMut;
+use bevy_ecs::component::Mutable;
+use bevy_ecs::prelude::{Component, Query, World};
+use bevy_ecs::query::ContiguousQueryData;
+use bevy_ecs::system::{SystemParam, SystemState};
+use std::ops::{Deref, DerefMut, Range};
+use std::sync::Arc;
+
+/// The row of an entity in its pool: 0 to the pool's length, each once.
+pub trait PoolIndex: Component {
+    /// What a person calls an entity of the pool.
+    const NAME: &'static str;
+
+    /// The row.
+    fn row(&self) -> usize;
+}
+
+/// Makes index components.
+macro_rules! pool_index {
+    ($($(#[$doc:meta])* $name:ident($what:literal);)*) => { $(
+        $(#[$doc])*
+        #[derive(bevy_ecs::prelude::Component, Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+        pub struct $name(pub u32);
+
+        impl $crate::pipeline::pool::PoolIndex for $name {
+            const NAME: &'static str = $what;
+
+            fn row(&self) -> usize {
+                self.0 as usize
+            }
+        }
+    )* };
+}
+pub(crate) use pool_index;
+
+/// A pool as a system sees it: columns `D` (`&T`, `&mut T`, or a tuple of them) of the entities with index `I`.
+#[derive(SystemParam)]
+pub struct Pool<'w, 's, I: PoolIndex, D: Columns + 'static> {
+    query: Query<'w, 's, (&'static I, D)>,
+}
+
+impl<'w, 's, I: PoolIndex, D: Columns + 'static> Pool<'w, 's, I, D> {
+    /// The columns of all rows. Writing to one marks all its components as changed ([`ColumnMut::quiet`] does not).
+    ///
+    /// # Errors
+    /// If rows are missing or there twice.
+    pub fn columns(self) -> Result<D::Slices<'w>> {
+        let chunks = self.chunks()?;
+        let count = chunks.iter().map(|(index, _)| index.len()).sum();
+        slices::<I, D>(chunks, 0..count, true)
+    }
+
+    /// The columns of some rows. Writing does not mark them as changed: this is for what every run makes anew.
+    ///
+    /// # Errors
+    /// If rows are missing or there twice.
+    pub fn rows(self, rows: Range<usize>) -> Result<D::Slices<'w>> {
+        let chunks = self.chunks()?;
+        slices::<I, D>(chunks, rows, false)
+    }
+
+    /// The columns of the rows that are chosen, given how many there are; otherwise as [`Self::rows`].
+    ///
+    /// # Errors
+    /// If rows are missing or there twice.
+    pub fn rows_of(self, choose: impl FnOnce(usize) -> Range<usize>) -> Result<D::Slices<'w>> {
+        let chunks = self.chunks()?;
+        let count = chunks.iter().map(|(index, _)| index.len()).sum();
+        slices::<I, D>(chunks, choose(count), false)
+    }
+
+    /// The tables' parts, empty ones left out.
+    fn chunks(self) -> Result<Vec<Chunk<'w, 's, I, D>>> {
+        let chunks = self.query.contiguous_iter_inner();
+        let chunks =
+            chunks.map_err(|error| Error::run(format!("the {} pool", I::NAME), error.to_string()))?;
+        Ok(chunks.filter(|(index, _)| !index.is_empty()).collect())
+    }
+}
+
+/// A table's part of a pool.
+type Chunk<'w, 's, I, D> = (&'w [I], <D as ContiguousQueryData>::Contiguous<'w, 's>);
+
+/// Columns of `rows`: the table's own where it has them in order, else copies.
+fn slices<'w, 's, I: PoolIndex, D: Columns>(
+    chunks: Vec<Chunk<'w, 's, I, D>>,
+    rows: Range<usize>,
+    marks: bool,
+) -> Result<D::Slices<'w>> {
+    let mut chunks = chunks;
+    if let Some(only) = chunks.iter().position(|(index, _)| in_order(index, &rows)) {
+        // The others, if any, hold none of these rows.
+        let (_, chunk) = chunks.swap_remove(only);
+        return Ok(D::slices(chunk, rows, marks));
+    }
+    let indices: Vec<&[I]> = chunks.iter().map(|(index, _)| *index).collect();
+    let places = places(&indices, &rows)?;
+    Ok(D::gathered(chunks.into_iter().map(|(_, chunk)| chunk).collect(), &places, marks))
+}
+
+/// Whether entities `rows` of a table are the rows of these numbers. Without an early exit, so that it is a vector loop.
+fn in_order<I: PoolIndex>(index: &[I], rows: &Range<usize>) -> bool {
+    let part = index.get(rows.clone());
+    part.is_some_and(|part| {
+        part.iter().zip(rows.clone()).fold(0, |off, (index, row)| off | (index.row() ^ row)) == 0
+    })
+}
+
+/// Where a row lies: chunk, and place in it.
+type Place = (u32, u32);
+
+fn places<I: PoolIndex>(indices: &[&[I]], rows: &Range<usize>) -> Result<Arc<[Place]>> {
+    const NOWHERE: Place = (u32::MAX, u32::MAX);
+    let mut places = vec![NOWHERE; rows.len()];
+    for (chunk, index) in indices.iter().enumerate() {
+        for (place, index) in index.iter().enumerate() {
+            let Some(slot) = index.row().checked_sub(rows.start).and_then(|row| places.get_mut(row)) else {
+                continue;
+            };
+            if *slot != NOWHERE {
+                return Err(wrong_row::<I>(index.row(), "is there twice"));
+            }
+            *slot = (chunk as u32, place as u32);
+        }
+    }
+    match places.iter().position(|place| *place == NOWHERE) {
+        Some(missing) => Err(wrong_row::<I>(rows.start + missing, "is missing")),
+        None => Ok(places.into()),
+    }
+}
+
+fn wrong_row<I: PoolIndex>(row: usize, problem: &str) -> Error {
+    let name = I::NAME;
+    Error::run(format!("the {name} pool"), format!("{name} {row} {problem}: rows count from 0, each once"))
+}
+
+/// What a [`Pool`] can be asked for: `&T`, `&mut T` of components that can be copied, and tuples of these.
+pub trait Columns: ContiguousQueryData {
+    /// The same as slices: [`Column`] for `&T`, [`ColumnMut`] for `&mut T`.
+    type Slices<'w>;
+
+    /// Rows of a table as they lie.
+    fn slices<'w, 's>(chunk: Self::Contiguous<'w, 's>, rows: Range<usize>, marks: bool) -> Self::Slices<'w>;
+
+    /// Rows from several places, copied in order.
+    fn gathered<'w, 's>(
+        chunks: Vec<Self::Contiguous<'w, 's>>,
+        places: &Arc<[Place]>,
+        marks: bool,
+    ) -> Self::Slices<'w>;
+}
+
+/// A column that is read.
+pub enum Column<'w, T> {
+    /// The table's own.
+    Table(&'w [T]),
+    /// A copy in the order of the indices.
+    Copied(Vec<T>),
+}
+
+impl<T> Deref for Column<'_, T> {
+    type Target = [T];
+
+    #[inline]
+    fn deref(&self) -> &[T] {
+        match self {
+            Self::Table(slice) => slice,
+            Self::Copied(values) => values,
+        }
+    }
+}
+
+impl<T: Component + Copy> Columns for &'static T {
+    type Slices<'w> = Column<'w, T>;
+
+    fn slices<'w, 's>(chunk: Self::Contiguous<'w, 's>, rows: Range<usize>, _marks: bool) -> Column<'w, T> {
+        Column::Table(&chunk[rows])
+    }
+
+    fn gathered<'w, 's>(
+        chunks: Vec<Self::Contiguous<'w, 's>>,
+        places: &Arc<[Place]>,
+        _marks: bool,
+    ) -> Column<'w, T> {
+        Column::Copied(places.iter().map(|&(chunk, place)| chunks[chunk as usize][place as usize]).collect())
+    }
+}
+
+/// A column that is written. A copy goes back to its table when it is dropped.
+pub struct ColumnMut<'w, T: Copy> {
+    source: Source<'w, T>,
+    /// Whether the first write marks the components as changed.
+    marks: bool,
+}
+
+enum Source<'w, T> {
+    Table { chunk: ContiguousMut<'w, T>, rows: Range<usize> },
+    Copied { values: Vec<T>, chunks: Vec<ContiguousMut<'w, T>>, places: Arc<[Place]> },
+}
+
+impl<T: Copy> ColumnMut<'_, T> {
+    /// The same, whose writes do not mark components as changed.
+    #[must_use]
+    pub fn quiet(mut self) -> Self {
+        self.marks = false;
+        self
+    }
+}
+
+impl<T: Copy> Deref for ColumnMut<'_, T> {
+    type Target = [T];
+
+    #[inline]
+    fn deref(&self) -> &[T] {
+        match &self.source {
+            Source::Table { chunk, rows } => &chunk[rows.clone()],
+            Source::Copied { values, .. } => values,
+        }
+    }
+}
+
+impl<T: Copy> DerefMut for ColumnMut<'_, T> {
+    #[inline]
+    fn deref_mut(&mut self) -> &mut [T] {
+        let marks = std::mem::take(&mut self.marks);
+        match &mut self.source {
+            Source::Table { chunk, rows } => {
+                if marks {
+                    chunk.mark_all_as_changed();
+                }
+                &mut chunk.bypass_change_detection()[rows.clone()]
+            }
+            Source::Copied { values, chunks, .. } => {
+                if marks {
+                    chunks.iter_mut().for_each(ContiguousMut::mark_all_as_changed);
+                }
+                values
+            }
+        }
+    }
+}
+
+impl<T: Copy> Drop for ColumnMut<'_, T> {
+    fn drop(&mut self) {
+        if let Source::Copied { values, chunks, places } = &mut self.source {
+            for (value, (chunk, place)) in values.iter().zip(places.iter()) {
+                chunks[*chunk as usize].bypass_change_detection()[*place as usize] = *value;
+            }
+        }
+    }
+}
+
+impl<T: Component<Mutability = Mutable> + Copy> Columns for &'static mut T {
+    type Slices<'w> = ColumnMut<'w, T>;
+
+    fn slices<'w, 's>(chunk: Self::Contiguous<'w, 's>, rows: Range<usize>, marks: bool) -> ColumnMut<'w, T> {
+        ColumnMut { source: Source::Table { chunk, rows }, marks }
+    }
+
+    fn gathered<'w, 's>(
+        chunks: Vec<Self::Contiguous<'w, 's>>,
+        places: &Arc<[Place]>,
+        marks: bool,
+    ) -> ColumnMut<'w, T> {
+        let value = |&(chunk, place): &Place| chunks[chunk as usize][place as usize];
+        let values = places.iter().map(value).collect();
+        ColumnMut { source: Source::Copied { values, chunks, places: places.clone() }, marks }
+    }
+}
+
+/// Tuples of columns, up to eight.
+macro_rules! tuple_columns {
+    ($($name:ident $value:ident),*) => {
+        #[allow(non_snake_case)]
+        impl<$($name: Columns),*> Columns for ($($name,)*) {
+            type Slices<'w> = ($($name::Slices<'w>,)*);
+
+            fn slices<'w, 's>(chunk: Self::Contiguous<'w, 's>, rows: Range<usize>, marks: bool) -> Self::Slices<'w> {
+                let ($($value,)*) = chunk;
+                ($($name::slices($value, rows.clone(), marks),)*)
+            }
+
+            fn gathered<'w, 's>(
+                chunks: Vec<Self::Contiguous<'w, 's>>,
+                places: &Arc<[Place]>,
+                marks: bool,
+            ) -> Self::Slices<'w> {
+                // Vectors by the names of the types, their elements by the names of the values.
+                $(let mut $name = Vec::with_capacity(chunks.len());)*
+                for ($($value,)*) in chunks {
+                    $($name.push($value);)*
+                }
+                ($($name::gathered($name, places, marks),)*)
+            }
+        }
+    };
+}
+tuple_columns!(A a);
+tuple_columns!(A a, B b);
+tuple_columns!(A a, B b, C c);
+tuple_columns!(A a, B b, C c, D d);
+tuple_columns!(A a, B b, C c, D d, E e);
+tuple_columns!(A a, B b, C c, D d, E e, F f);
+
+/// A copy of one column of a pool, all rows; empty if the pool is.
+///
+/// # Errors
+/// If rows are missing or there twice.
+pub fn read_column<I: PoolIndex, T: Component + Copy>(world: &mut World) -> Result<Vec<T>> {
+    let mut state = SystemState::<Pool<I, &'static T>>::new(world);
+    let pool =
+        state.get(world).map_err(|error| Error::run(format!("the {} pool", I::NAME), error.to_string()))?;
+    pool.columns().map(|column| column.to_vec())
+}
+
+/// Writes one column of a pool, all rows.
+///
+/// # Errors
+/// If rows are missing or there twice, or `values` has not one for each.
+pub fn write_column<I: PoolIndex, T>(world: &mut World, values: &[T]) -> Result<()>
+where
+    T: Component<Mutability = Mutable> + Copy,
+{
+    let failed = |problem: String| Error::run(format!("the {} pool", I::NAME), problem);
+    let mut state = SystemState::<Pool<I, &'static mut T>>::new(world);
+    let pool = state.get_mut(world).map_err(|error| failed(error.to_string()))?;
+    let mut column = pool.columns()?;
+    if column.len() != values.len() {
+        return Err(failed(format!("{} values for {} rows", values.len(), column.len())));
+    }
+    column.copy_from_slice(values);
+    Ok(())
+}

@@ -1,0 +1,248 @@
+use super::*;
+use bevy_ecs::error::ErrorContext;
+use bevy_ecs::prelude::{In, IntoSystem, ResMut, Resource};
+use bevy_ecs::schedule::{FixedBitSet, MultiThreadedExecutor, SystemExecutor, SystemSchedule};
+
+#[derive(Resource, Default)]
+struct Trail(Vec<&'static str>);
+
+fn say(word: &'static str) -> impl FnMut(ResMut<Trail>) {
+    move |mut trail| trail.0.push(word)
+}
+
+fn sample(mut trail: ResMut<Trail>) {
+    trail.0.push("sample");
+}
+
+fn fail() -> SystemResult {
+    Err(Error::input("a.png", "pixel (3, 4)", "not finite", "mask it").into())
+}
+
+fn pipeline() -> Pipeline {
+    let mut pipeline = Pipeline::new();
+    pipeline.world.init_resource::<Trail>();
+    pipeline
+        .add_systems(Phase::Frame, Stage::Write, say("write"))
+        .add_systems(Phase::Frame, Stage::Sample, sample)
+        .swap(Phase::Frame, Slot::Shading, say("shade"));
+    pipeline
+}
+
+fn trail(pipeline: &mut Pipeline) -> String {
+    std::mem::take(&mut pipeline.world.resource_mut::<Trail>().0).join(" ")
+}
+
+#[test]
+fn stages_run_in_order_and_slots_can_be_swapped() -> Result<()> {
+    let mut pipeline = pipeline();
+    pipeline.run(Phase::Frame)?;
+    pipeline.swap(Phase::Frame, Slot::Shading, say("otherwise"));
+    pipeline.run(Phase::Frame)?;
+    pipeline.swap(Phase::Frame, Slot::Shading, say("shade"));
+    pipeline.run(Phase::Frame)?;
+    assert_eq!(trail(&mut pipeline), "sample shade write sample otherwise write sample shade write");
+    Ok(())
+}
+
+#[test]
+fn a_system_error_stops_the_run_and_reaches_the_caller_whole() {
+    let mut pipeline = pipeline();
+    pipeline.swap(Phase::Frame, Slot::Shading, fail);
+    let error = pipeline.run(Phase::Frame).expect_err("the system fails");
+    assert_eq!(error.to_string(), "a.png, pixel (3, 4): not finite");
+    assert_eq!(error.help(), Some("mask it"));
+    assert_eq!(error.exit_code(), 2);
+    assert_eq!(trail(&mut pipeline), "sample");
+    pipeline.swap(Phase::Frame, Slot::Shading, say("shade"));
+    assert!(pipeline.run(Phase::Frame).is_ok(), "the pipeline goes on after the cause is gone");
+}
+
+/// Runs every system on a thread that is not the caller's, as bevy's multi-threaded executor may.
+struct OnAnotherThread(SingleThreadedExecutor);
+
+impl SystemExecutor for OnAnotherThread {
+    fn init(&mut self, schedule: &SystemSchedule) {
+        self.0.init(schedule);
+    }
+
+    fn run(
+        &mut self,
+        schedule: &mut SystemSchedule,
+        world: &mut World,
+        skip: Option<&FixedBitSet>,
+        error_handler: fn(BevyError, ErrorContext),
+    ) {
+        std::thread::scope(|scope| {
+            scope.spawn(|| self.0.run(schedule, world, skip, error_handler));
+        });
+    }
+
+    fn set_apply_final_deferred(&mut self, value: bool) {
+        self.0.set_apply_final_deferred(value);
+    }
+}
+
+/// Says on which thread it fails.
+fn fail_by_name() -> SystemResult {
+    Err(Error::run("a system", format!("{:?}", std::thread::current().id())).into())
+}
+
+fn failing_runs(run: usize) -> (Vec<Option<String>>, String) {
+    let mut pipeline = pipeline();
+    match run % 2 {
+        0 => pipeline.schedule_mut(Phase::Frame).set_executor(MultiThreadedExecutor::new()),
+        _ => pipeline.schedule_mut(Phase::Frame).set_executor(OnAnotherThread(SingleThreadedExecutor::new())),
+    };
+    match run % 3 {
+        0 => pipeline.swap(Phase::Frame, Slot::Shading, fail),
+        1 => pipeline.swap(Phase::Frame, Slot::Shading, fail_by_name),
+        _ => &mut pipeline,
+    };
+    let said = (0..20).map(|_| pipeline.run(Phase::Frame).err().map(|error| error.to_string())).collect();
+    (said, trail(&mut pipeline))
+}
+
+#[test]
+fn errors_on_other_threads_reach_their_own_callers() {
+    // More at once than there are cells for errors.
+    let runs: Vec<_> = (0..48).map(|run| std::thread::spawn(move || (run, failing_runs(run)))).collect();
+    for run in runs {
+        let caller = format!("{:?}", run.thread().id());
+        let (run, (said, trail)) = run.join().expect("no run panics");
+        for said in said {
+            match run % 3 {
+                0 => assert_eq!(said.as_deref(), Some("a.png, pixel (3, 4): not finite")),
+                1 => assert!(said.is_some_and(|said| run % 2 == 0 || !said.contains(&caller))),
+                _ => assert_eq!(said, None),
+            }
+        }
+        assert_eq!(trail.contains("write"), run % 3 == 2, "what comes after the failed system is skipped");
+    }
+}
+
+#[test]
+fn a_missing_resource_and_a_missing_phase_are_errors_not_panics() {
+    let mut pipeline = Pipeline::new();
+    pipeline.add_systems(Phase::Frame, Stage::Sample, sample);
+    let error = pipeline.run(Phase::Frame).expect_err("there is no Trail");
+    assert_eq!(error.exit_code(), 1);
+    assert!(error.to_string().contains("sample"), "{error}");
+    let error = pipeline.run(Preview).expect_err("it was not added");
+    assert!(error.to_string().contains("Preview"), "{error}");
+}
+
+/// A phase of a user's own.
+#[derive(ScheduleLabel, Clone, Debug, PartialEq, Eq, Hash)]
+struct Preview;
+
+/// A slot of a user's own.
+#[derive(SystemSet, Clone, Debug, PartialEq, Eq, Hash)]
+struct Denoise;
+
+impl SlotLabel for Denoise {
+    fn stage(&self) -> Stage {
+        Stage::Resolve
+    }
+}
+
+#[test]
+fn users_have_phases_and_slots_of_their_own() -> Result<()> {
+    let mut pipeline = pipeline();
+    pipeline
+        .add_phase(Preview)
+        .add_systems(Preview, Stage::Write, say("write"))
+        .swap(Preview, Denoise, say("smooth"))
+        .swap(Preview, Slot::Shading, say("shade"));
+    pipeline.run(Preview)?;
+    pipeline.swap(Preview, Denoise, say("median"));
+    pipeline.run(Preview)?;
+    pipeline.clear(Preview, Denoise);
+    pipeline.run(Preview)?;
+    assert_eq!(trail(&mut pipeline), "shade smooth write shade median write shade write");
+    Ok(())
+}
+
+#[test]
+fn own_systems_go_before_and_after_every_built_in_set() -> Result<()> {
+    let mut pipeline = Pipeline::new();
+    pipeline.world.init_resource::<Trail>();
+    for (slot, word) in [
+        (Slot::Visibility, "visibility"),
+        (Slot::Material, "material"),
+        (Slot::Light, "light"),
+        (Slot::Shading, "shading"),
+    ] {
+        pipeline.swap(Phase::Frame, slot, say(word));
+    }
+    pipeline
+        .add_systems(Phase::Frame, Stage::Gather, say("points").in_set(GatherPoints))
+        .add_systems(
+            Phase::Frame,
+            Stage::Gather,
+            say("before points").before(GatherPoints).after(Slot::Light),
+        )
+        .add_systems(
+            Phase::Frame,
+            Stage::Gather,
+            say("after points").after(GatherPoints).before(Slot::Visibility),
+        )
+        .add_systems(Phase::Frame, Stage::Gather, say("before material").before(Slot::Material))
+        .add_systems(Phase::Frame, Stage::Shade, say("after shading").after(Slot::Shading));
+    pipeline.run(Phase::Frame)?;
+    let expected =
+        "before material material light before points points after points visibility shading after shading";
+    assert_eq!(trail(&mut pipeline), expected);
+    Ok(())
+}
+
+/// A capability with one inside.
+struct Outer;
+struct Inner;
+
+#[derive(Resource)]
+struct InnerState;
+
+impl Plugin for Outer {
+    fn build(&self, pipeline: &mut Pipeline) {
+        pipeline.add_systems(Phase::Frame, Stage::Loss, say("outer")).add_plugin(&Inner);
+        pipeline.swap(Phase::FitStep, Slot::Shading, say("outer fit"));
+    }
+}
+
+impl Plugin for Inner {
+    fn build(&self, pipeline: &mut Pipeline) {
+        pipeline.world.insert_resource(InnerState);
+        pipeline.add_systems(Phase::Frame, Stage::Update, say("inner"));
+    }
+
+    fn cleanup(world: &mut World) {
+        world.remove_resource::<InnerState>();
+    }
+}
+
+#[test]
+fn a_plugin_is_removed_again_with_what_it_brought() -> Result<()> {
+    let mut pipeline = pipeline();
+    pipeline.add_plugin(&Outer);
+    pipeline.run(Phase::Frame)?;
+    assert_eq!(trail(&mut pipeline), "sample shade outer inner write");
+    pipeline.remove_plugin::<Inner>();
+    assert!(!pipeline.world.contains_resource::<InnerState>());
+    pipeline.run(Phase::Frame)?;
+    assert_eq!(trail(&mut pipeline), "sample shade outer write");
+    pipeline.add_plugin(&Outer).remove_plugin::<Outer>();
+    pipeline.run(Phase::Frame)?;
+    pipeline.run(Phase::FitStep)?;
+    assert_eq!(trail(&mut pipeline), "sample shade write", "also the first that was added, and its slots");
+    Ok(())
+}
+
+#[test]
+fn systems_that_hand_a_value_on_can_be_piped() -> Result<()> {
+    let mut pipeline = pipeline();
+    let said = (|| "piped").pipe(|In(word): In<&'static str>, mut trail: ResMut<Trail>| trail.0.push(word));
+    pipeline.swap(Phase::Frame, Slot::Shading, said);
+    pipeline.run(Phase::Frame)?;
+    assert_eq!(trail(&mut pipeline), "sample piped write");
+    Ok(())
+}

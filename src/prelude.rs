@@ -1,0 +1,44 @@
+//! What a program that uses the library needs to write a scene in code, render it, fit it, edit it and relight it.
+//!
+//! ```
+//! use lobelia::prelude::*;
+//!
+//! let surface = Arc::new(Surface::new(sphere_mesh(Vec3::ZERO, 0.8)?, 16)?);
+//! let mut pipeline = Pipeline::new();
+//! pipeline.add_plugin(&FramePlugin);
+//! let albedo = vec![Vec3::splat(0.5); surface.atlas().position.len()];
+//! let lamp = LightLobe { axis: Vec3::Y, sharpness: 4.0, amplitude: Vec3::ONE };
+//! spawn_object(&mut pipeline.world, &surface, &albedo, &[SpecularLobe::new(Vec3::splat(0.04), 0.5)], &[lamp]);
+//! let camera = Camera::look_at(Vec3::new(0.0, 1.0, 3.0), Vec3::ZERO, Vec3::Y, 38.0, 16, 16)?;
+//! let frame = resolve(&render_frame(&mut pipeline, camera, 1)?);
+//! assert!(frame.color.iter().any(|c| c.y > 0.1));
+//! # Ok::<(), lobelia::Error>(())
+//! ```
+
+pub use crate::codec::frame::Frame;
+pub use crate::error::{Error, Result};
+pub use crate::fit::components::Unknowns;
+pub use crate::fit::run::{FirstGuess, FitOptions, FitPlugin, FitProgress, FitSummary, run_fit};
+pub use crate::light::illuminate::MapLight;
+pub use crate::light::lights::{LightChoice, LightName, LobeOf, provide_light, spawn_light};
+pub use crate::light::map_fit::{MapFit, fit_map};
+pub use crate::light::{EnvironmentMap, LightLobe};
+pub use crate::material::edit::{EditAction, EditName, EditOrder, EditRegion, EditTarget};
+pub use crate::material::shown::{ShownAlbedo, ShownBlend, ShownSpecular, show_edited, show_recovered};
+pub use crate::material::{BaseMaterial, DiffuseAlbedo, SpecularBlend, SpecularLobe, TexelIndex, Texels};
+pub use crate::math::accurate::Quality;
+pub use crate::math::shading::ClosedForm;
+pub use crate::mesh::Surface;
+pub use crate::mesh::primitive::{box_mesh, sphere_mesh};
+pub use crate::mesh::triangles::Mesh;
+pub use crate::pipeline::{GatherPoints, Phase, Pipeline, Plugin, Slot, SlotLabel, Stage, SystemResult};
+pub use crate::report::tone::{Look, save_png};
+pub use crate::sample::Samples;
+pub use crate::shade::frame::{FramePlugin, render_frame, resolve};
+pub use crate::shade::{PathTracing, shade_closed_form, shade_path_traced};
+pub use crate::spawn::{spawn_object, spawn_views};
+pub use crate::view::{Camera, Image, Mask, Photograph, Split, ViewRecord};
+pub use crate::visibility::{FrameVisibilityPlugin, ObjectVisibility, VisibilitySettings};
+pub use bevy_ecs::prelude::*;
+pub use glam::Vec3;
+pub use std::sync::Arc;

@@ -1,0 +1,135 @@
+//! The systems in [`Slot::Visibility`].
+//!
+//! | system | reads | writes |
+//! | --- | --- | --- |
+//! | [`refresh_visibility`] | [`IncidentLight`], [`BaseMaterials`], texels, [`ObjectVisibility`] | [`ObjectVisibility`] |
+//! | [`gather_visibility`] | the same, [`ShadePoint`], texel addresses | [`PointVisibility`], [`WindowVisibility`] |
+//!
+//! What depends on light and material is computed again when one of them has changed ([`light_or_material_changed`]), in a fit also only
+//! every few steps ([`refresh_is_due`]).
+
+use super::{Made, ObjectVisibility, WindowVisibility};
+use crate::light::LightLobe;
+use crate::light::lights::IncidentLight;
+use crate::material::SpecularBlend;
+use crate::material::source::{
+    AlbedoColumn, BaseMaterials, BlendColumn, MaterialSource, MaterialTexels, Recovered, Shown,
+};
+use crate::math::shading::{PointVisibility, ShadePoint};
+use crate::pipeline::{Phase, Pipeline, Plugin, Slot, SystemResult};
+use crate::sample::Samples;
+use crate::sample::point::{PointBlend, SurfacePoint};
+use bevy_ecs::prelude::{
+    Changed, Entity, IntoScheduleConfigs, Or, Query, Res, ResMut, Resource, SystemCondition, World,
+};
+use glam::Vec3;
+use std::any::TypeId;
+
+/// Whether this step of a fit may compute shadows and reflected light again; it does so every few steps.
+#[derive(Resource, Clone, Copy, Debug)]
+pub struct RefreshDue(pub bool);
+
+/// Shadows and reflected light of the shown material in the Frame phase; needs an [`ObjectVisibility`].
+pub struct FrameVisibilityPlugin;
+
+impl Plugin for FrameVisibilityPlugin {
+    fn build(&self, pipeline: &mut Pipeline) {
+        pipeline.world.init_resource::<WindowVisibility>();
+        let refresh = refresh_visibility::<Shown>.run_if(light_or_material_changed::<Shown>);
+        pipeline.swap(Phase::Frame, Slot::Visibility, (refresh, gather_visibility).chain());
+    }
+
+    fn cleanup(world: &mut World) {
+        world.insert_resource(WindowVisibility::default());
+    }
+}
+
+/// Shadows and reflected light of the recovered material in the FitStep phase, computed again where [`RefreshDue`] says so; needs an
+/// [`ObjectVisibility`].
+pub struct FitVisibilityPlugin;
+
+impl Plugin for FitVisibilityPlugin {
+    fn build(&self, pipeline: &mut Pipeline) {
+        pipeline.world.init_resource::<WindowVisibility>();
+        pipeline.world.insert_resource(RefreshDue(true));
+        let refresh = refresh_visibility::<Recovered>
+            .run_if(refresh_is_due.and_then(light_or_material_changed::<Recovered>));
+        pipeline.swap(Phase::FitStep, Slot::Visibility, (refresh, gather_visibility).chain());
+    }
+
+    fn cleanup(world: &mut World) {
+        world.insert_resource(WindowVisibility::default());
+    }
+}
+
+/// Run condition: whether this step is one of those at which a fit looks again, or there are other lobes than before.
+pub fn refresh_is_due(
+    due: Res<RefreshDue>,
+    light: Res<IncidentLight>,
+    object: Option<Res<ObjectVisibility>>,
+) -> bool {
+    due.0 || object.is_none_or(|object| object.stride != light.lobes.stride())
+}
+
+/// What of light and material shadows and reflected light depend on.
+type Inputs<M> = Or<(
+    Changed<LightLobe>,
+    Changed<<M as MaterialSource>::Specular>,
+    Changed<<M as MaterialSource>::Albedo>,
+    Changed<<M as MaterialSource>::Blend>,
+)>;
+
+/// Run condition: whether light or material have changed since this was last asked, or what there is was computed for others.
+pub fn light_or_material_changed<M: MaterialSource>(
+    light: Res<IncidentLight>,
+    materials: Res<BaseMaterials>,
+    object: Option<Res<ObjectVisibility>>,
+    changed: Query<(), Inputs<M>>,
+) -> bool {
+    let sources = sources(&light, &materials);
+    !object.is_some_and(|object| object.is_made_from::<M>(&sources)) || !changed.is_empty()
+}
+
+fn sources(light: &IncidentLight, materials: &BaseMaterials) -> Vec<Entity> {
+    light.entities.iter().chain(&materials.entities).copied().collect()
+}
+
+/// Gather: computes shadows and reflected light for the present light and material.
+pub fn refresh_visibility<M: MaterialSource>(
+    light: Res<IncidentLight>,
+    materials: Res<BaseMaterials>,
+    texels: MaterialTexels<M>,
+    mut object: ResMut<ObjectVisibility>,
+) -> SystemResult {
+    let (albedo, blends) = texels.columns()?;
+    // Light that goes on from a glossy place is spread like diffuse light: the energy is right, the direction is not.
+    let reflectance = |texel: u32| {
+        let blend = blends[texel as usize].blend().0;
+        let specular: Vec3 = materials.by_number().map(|(k, lobe)| lobe.albedo * blend[k]).sum();
+        (albedo[texel as usize].albedo() + specular).min(Vec3::ONE)
+    };
+    object.refresh(&light.lobes, &reflectance);
+    let from = sources(&light, &materials);
+    object.made = Some(Made { from, source: TypeId::of::<M>() });
+    Ok(())
+}
+
+/// What a point's visibility is made from.
+type PointColumns =
+    (&'static SurfacePoint, &'static ShadePoint, &'static PointBlend, &'static mut PointVisibility);
+
+/// Gather: what the window's points see.
+pub fn gather_visibility(
+    object: Res<ObjectVisibility>,
+    materials: Res<BaseMaterials>,
+    samples: Samples<PointColumns>,
+    mut out: ResMut<WindowVisibility>,
+) -> SystemResult {
+    let (points, gathered, blends, mut seen) = samples.columns()?;
+    let mean = |i: usize| match materials.lobes.as_slice() {
+        [(_, one)] => one.roughness,
+        _ => SpecularBlend(blends[i].0).roughness(materials.by_number()),
+    };
+    object.window(&points, &gathered, mean, &mut out, &mut seen);
+    Ok(())
+}
