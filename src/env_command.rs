@@ -1,6 +1,7 @@
 //! `lobelia env`: environment lights from the command line.
 
 use crate::cli::ThreadArgs;
+use crate::terminal::Terminal;
 use crate::{print, start_threads};
 use clap::{Args, Subcommand, ValueEnum};
 use glam::{EulerRot, Quat};
@@ -230,7 +231,7 @@ fn read(path: &Path, conventions: ConventionArgs) -> Result<LightFile> {
 fn fit(args: &FitArgs) -> Result<()> {
     refuse_before_work(args)?;
     start_threads(args.threads)?;
-    let progress = Progress::new(args.quiet);
+    let progress = Terminal::new(args.quiet);
     let (map, notes) = read_map(&args.map, args.conventions.conventions().map)?;
     notes.iter().for_each(|note| progress.note(note));
     let options = MapFit { upper_hemisphere: args.upper_hemisphere, white: args.white, ..MapFit::default() };
@@ -271,7 +272,12 @@ fn refuse_before_work(args: &FitArgs) -> Result<()> {
     Ok(())
 }
 
-fn fit_one(map: &EnvironmentMap, count: u16, options: &MapFit, progress: &Progress) -> Result<MapFitReport> {
+fn fit_one(
+    map: &EnvironmentMap,
+    count: u16,
+    options: &MapFit,
+    progress: &dyn Progress,
+) -> Result<MapFitReport> {
     let bar = progress.bar(&format!("{count} lobes"), 100);
     let report = fit_map_with(map, usize::from(count), options, &mut |told| {
         bar.set_position((100.0 * told.done) as u64);

@@ -2,6 +2,7 @@
 
 mod cli;
 mod env_command;
+mod terminal;
 
 use clap::Parser;
 use cli::{
@@ -19,10 +20,11 @@ use lobelia::scene::passes::Pass;
 use lobelia::scene::{LoadOptions, LoadedScene, RunOptions, load, unknown_parts};
 use lobelia::{Error, Result};
 use std::fmt::Write as _;
-use std::io::{ErrorKind, IsTerminal, Write as _};
+use std::io::{ErrorKind, Write as _};
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 use std::sync::atomic::Ordering;
+use terminal::Terminal;
 
 fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
@@ -44,30 +46,10 @@ fn main() -> ExitCode {
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            let _ = std::io::stderr().write_all(report(&error).as_bytes());
+            let _ = std::io::stderr().write_all(terminal::report(&error).as_bytes());
             ExitCode::from(error.exit_code())
         }
     }
-}
-
-/// An error as a person reads it.
-fn report(error: &Error) -> String {
-    let mut text = String::new();
-    if let Error::Scene(diagnostic) = error {
-        let plain = !std::io::stderr().is_terminal() || std::env::var_os("NO_COLOR").is_some();
-        let theme =
-            if plain { miette::GraphicalTheme::unicode_nocolor() } else { miette::GraphicalTheme::unicode() };
-        let handler = miette::GraphicalReportHandler::new_themed(theme).with_width(100).with_links(false);
-        if handler.render_report(&mut text, diagnostic.as_ref()).is_ok() {
-            return text;
-        }
-        text.clear();
-    }
-    text = format!("error: {error}\n");
-    if let Some(help) = error.help() {
-        text += &format!("help: {help}\n");
-    }
-    text
 }
 
 /// Writes to stdout; a reader that has gone away (`lobelia check … | head -1`) is no failure.
@@ -102,9 +84,9 @@ fn run(args: &RunArgs) -> Result<()> {
     let loaded = load(&args.scene.scene, &args.scene.load_options())?;
     let out = args.out.clone().unwrap_or_else(|| default_out(&args.scene.scene));
     start_threads(args.threads)?;
-    let options = RunOptions { out, force: args.force, quiet: args.quiet, debug_every: args.debug_every };
+    let options = RunOptions { out, force: args.force, debug_every: args.debug_every };
     stop_on_ctrl_c()?;
-    pass::run(&loaded, &options)
+    pass::run(&loaded, &options, &Terminal::new(args.quiet))
 }
 
 fn default_out(scene: &Path) -> PathBuf {

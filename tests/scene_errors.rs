@@ -64,11 +64,11 @@ fn refused_with(command: &str, scene: &str, arguments: &[&str], caret: &str, sho
     let before = &shown[..shown.find(caret).unwrap()];
     let line = 1 + before.matches('\n').count();
     let column = 1 + before.rsplit('\n').next().unwrap().chars().count();
-    let place = format!("scene.ron:{line}:{column}]");
+    let place = format!("scene.ron:{line}:{column}\n");
     let stderr = &outcome.stderr;
     assert_eq!(outcome.code, Some(2), "{stderr}");
     assert!(stderr.contains(&place), "no {place} in\n{stderr}");
-    assert!(stderr.contains('┬') || stderr.contains('▲'), "no caret in\n{stderr}");
+    assert!(stderr.contains('━'), "no underline in\n{stderr}");
     for word in words {
         assert!(flat(stderr).contains(word), "no {word:?} in\n{stderr}");
     }

@@ -77,7 +77,7 @@ pub struct Session<'a> {
     /// Steps of a `Shape` between two looks at it.
     pub debug_every: Option<u32>,
     /// What the terminal shows.
-    pub progress: Progress,
+    pub progress: &'a dyn Progress,
     /// Scores so far.
     pub scores: Scores,
 }
@@ -91,7 +91,7 @@ pub struct Lights {
 }
 
 impl Lights {
-    fn load(scene: &Scene, progress: &Progress) -> Result<Self> {
+    fn load(scene: &Scene, progress: &dyn Progress) -> Result<Self> {
         let load = |source| {
             let light = load_light(source)?;
             light.notes.iter().for_each(|note| progress.note(note));
@@ -111,13 +111,13 @@ impl Lights {
     }
 }
 
-/// Runs a scene's passes in order.
+/// Runs a scene's passes in order, and says through `progress` how they get on.
 ///
 /// # Errors
 /// The first error of a pass; what earlier passes wrote stays.
-pub fn run(loaded: &LoadedScene, options: &RunOptions) -> Result<()> {
+pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) -> Result<()> {
     refuse_used(&options.out, options.force)?;
-    let mut session = open(&loaded.scene, options)?;
+    let mut session = open(&loaded.scene, options, progress)?;
     preflight::check(&mut session)?;
     for pass in &loaded.scene.passes {
         match pass {
@@ -197,9 +197,8 @@ pub fn check_interrupted() -> Result<()> {
 }
 
 /// Reads everything the scene names and puts it into a world. Nothing is written yet.
-fn open<'a>(scene: &'a Scene, options: &RunOptions) -> Result<Session<'a>> {
-    let progress = Progress::new(options.quiet);
-    let mut views = read_views(scene, &progress)?;
+fn open<'a>(scene: &'a Scene, options: &RunOptions, progress: &'a dyn Progress) -> Result<Session<'a>> {
+    let mut views = read_views(scene, progress)?;
     if matches!(scene.surface, SurfaceSpec::Unknown { .. }) {
         let train: Vec<&ViewRecord> = views.iter().filter(|view| view.split == Split::Train).collect();
         check_masks(&train)?.iter().for_each(|note| progress.note(note));
@@ -207,11 +206,11 @@ fn open<'a>(scene: &'a Scene, options: &RunOptions) -> Result<Session<'a>> {
     let (surface, notes) = make_surface(&scene.surface, &views, use_of(scene))?;
     notes.iter().for_each(|note| progress.note(note));
     let surface = Arc::new(surface);
-    let lights = Lights::load(scene, &progress)?;
+    let lights = Lights::load(scene, progress)?;
     let mut truth = None;
     if let Views::Photographed(spec) = &scene.views {
         let truth = truth.insert(TrueObject::new(spec, &surface)?);
-        views = photograph::take(truth, spec, scene, &progress)?;
+        views = photograph::take(truth, spec, scene, progress)?;
     }
     check_cameras(&views, &surface)?;
     let mut pipeline = Pipeline::new();
@@ -237,7 +236,7 @@ fn open<'a>(scene: &'a Scene, options: &RunOptions) -> Result<Session<'a>> {
 }
 
 /// The views that are there before the object is: those that it photographs itself are not.
-fn read_views(scene: &Scene, progress: &Progress) -> Result<Vec<ViewRecord>> {
+fn read_views(scene: &Scene, progress: &dyn Progress) -> Result<Vec<ViewRecord>> {
     match &scene.views {
         Views::Dataset(spec) => {
             let options = DatasetOptions {

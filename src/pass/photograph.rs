@@ -101,7 +101,7 @@ pub fn take(
     truth: &mut TrueObject,
     spec: &Photographed,
     scene: &Scene,
-    progress: &Progress,
+    progress: &dyn Progress,
 ) -> Result<Vec<ViewRecord>> {
     let ring = ring(&spec.cameras, scene.up);
     let cameras: Vec<Camera> = ring.iter().map(camera_of).collect::<Result<_>>()?;

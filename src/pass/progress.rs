@@ -1,48 +1,52 @@
-//! What the terminal shows while passes run: bars on a terminal, nothing under `--quiet` or in a pipe but the results.
+//! What passes say while they run. The library shows nothing itself: whoever runs passes hands over a [`Progress`].
 
-use indicatif::{ProgressBar, ProgressStyle};
-use std::io::{IsTerminal, Write};
-use std::time::Duration;
+/// Where a run's notes, results and bars go.
+pub trait Progress {
+    /// Something worth knowing that is not an error.
+    fn note(&self, text: &str);
 
-/// The terminal's side of a run.
-pub struct Progress {
-    bars: bool,
-    quiet: bool,
+    /// A line of result.
+    fn print(&self, text: &str);
+
+    /// A bar of `length` steps under a title; it is gone once [`Bar::finish_and_clear`] is called or it is dropped.
+    fn bar(&self, title: &str, length: u64) -> Box<dyn Bar>;
 }
 
-impl Progress {
-    /// Bars if standard error is a terminal and `quiet` is not set.
-    pub fn new(quiet: bool) -> Self {
-        Self { bars: !quiet && std::io::stderr().is_terminal(), quiet }
-    }
+/// How far a piece of work has come.
+pub trait Bar: Send + Sync {
+    /// So many more steps are done.
+    fn inc(&self, steps: u64);
 
-    /// A bar of `length` steps with the time left; hidden where bars are not shown.
-    pub fn bar(&self, title: &str, length: u64) -> ProgressBar {
-        if !self.bars {
-            return ProgressBar::hidden();
-        }
-        let bar = ProgressBar::new(length);
-        // The template is fixed; were it wrong, the default style would do.
-        if let Ok(style) =
-            ProgressStyle::with_template("{prefix:>12} {bar:30} {pos}/{len} {eta:>4} left  {msg}")
-        {
-            bar.set_style(style.progress_chars("━╸─"));
-        }
-        bar.set_prefix(title.to_owned());
-        bar.enable_steady_tick(Duration::from_millis(200));
-        bar
-    }
+    /// So many steps are done in all.
+    fn set_position(&self, steps: u64);
 
-    /// Something worth knowing that is not an error.
-    pub fn note(&self, text: &str) {
-        if !self.quiet {
-            eprintln!("note: {text}");
-        }
-    }
+    /// A word beside the bar.
+    fn set_message(&self, message: String);
 
-    /// A line of result on standard output; a closed pipe is not an error.
-    pub fn print(&self, text: &str) {
-        let mut out = std::io::stdout().lock();
-        let _ = writeln!(out, "{text}");
+    /// The work is done, and the bar no longer of interest.
+    fn finish_and_clear(&self);
+}
+
+/// A [`Progress`] and a [`Bar`] that show nothing.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Silent;
+
+impl Progress for Silent {
+    fn note(&self, _: &str) {}
+
+    fn print(&self, _: &str) {}
+
+    fn bar(&self, _: &str, _: u64) -> Box<dyn Bar> {
+        Box::new(Self)
     }
+}
+
+impl Bar for Silent {
+    fn inc(&self, _: u64) {}
+
+    fn set_position(&self, _: u64) {}
+
+    fn set_message(&self, _: String) {}
+
+    fn finish_and_clear(&self) {}
 }

@@ -1,27 +1,11 @@
-//! Errors of scene files as miette diagnostics: file, line, column, caret, what was expected, and help.
+//! Errors of scene files: where in the text, what was expected there, and help.
 
-use crate::Error;
+use crate::error::{Error, Fault, Label, SceneDiagnostic};
 use crate::scene::ron_tree::{Body, Node, SyntaxError};
 use crate::scene::source;
-use miette::{Diagnostic, LabeledSpan, NamedSource};
 use std::ops::Range;
 use std::path::Path;
 use std::sync::Arc;
-
-/// One wrong place of a scene file, or a list of several.
-#[derive(Debug, thiserror::Error, Diagnostic)]
-#[error("{message}")]
-pub struct SceneDiagnostic {
-    message: String,
-    #[source_code]
-    source_code: Option<NamedSource<String>>,
-    #[label(collection)]
-    labels: Vec<LabeledSpan>,
-    #[help]
-    help: Option<String>,
-    #[related]
-    others: Vec<SceneDiagnostic>,
-}
 
 /// A value of a scene file that is of the right type and yet wrong.
 #[derive(Clone, Debug, PartialEq)]
@@ -47,55 +31,35 @@ pub struct SceneText<'a> {
 }
 
 impl SceneText<'_> {
-    fn one(&self, message: String, at: Range<usize>, label: String, help: String) -> SceneDiagnostic {
-        SceneDiagnostic {
-            message,
-            source_code: Some(NamedSource::new(self.path.display().to_string(), self.text.to_owned())),
-            labels: vec![LabeledSpan::new_primary_with_span(Some(label), at)],
-            help: (!help.is_empty()).then_some(help),
-            others: Vec::new(),
-        }
-    }
-
     /// The finished error, which says once that the text is not quite the file's.
-    fn finish(&self, mut report: SceneDiagnostic) -> Error {
-        if self.edited {
-            let note = "The text shown has the --set values in it.";
-            report.help = Some(report.help.map_or_else(|| note.to_owned(), |help| format!("{help}\n{note}")));
-        }
-        Error::Scene(Arc::new(report))
+    fn error(&self, faults: Vec<Fault>) -> Error {
+        let note = if self.edited { "The text shown has the --set values in it." } else { "" };
+        Error::Scene(Arc::new(SceneDiagnostic {
+            name: self.path.display().to_string(),
+            text: self.text.to_owned(),
+            faults,
+            note: note.to_owned(),
+        }))
     }
 
     /// Text that is not RON.
     pub fn syntax(&self, error: &SyntaxError) -> Error {
         let message = format!("this is not a valid scene file: expected {}", error.expected);
         let label = format!("expected {}", error.expected);
-        let mut one = self.one(message, error.at.clone(), label, String::new());
+        let mut fault = one(message, error.at.clone(), label, String::new());
         if let Some(open) = &error.open {
-            one.labels.push(LabeledSpan::new_with_span(Some("opened here".into()), open.clone()));
+            fault.labels.push(Label { at: open.clone(), text: "opened here".into() });
         }
-        self.finish(one)
+        self.error(vec![fault])
     }
 
     /// Values that are wrong, all at once.
     pub fn problems(&self, root: Option<&Node>, problems: Vec<Problem>) -> Error {
         let place = |path: &str| root.map_or(0..0, |root| source::locate(root, self.text, path).span);
-        let mut all: Vec<SceneDiagnostic> = problems
-            .into_iter()
-            .map(|p| (place(&p.path), p))
-            .map(|(at, p)| self.one(p.problem, at, p.expected, p.help))
-            .collect();
-        all.sort_by_key(|one| one.labels.first().map(LabeledSpan::offset));
-        if all.len() == 1 {
-            return self.finish(all.remove(0));
-        }
-        self.finish(SceneDiagnostic {
-            message: format!("{} problems in {}", all.len(), self.path.display()),
-            source_code: None,
-            labels: Vec::new(),
-            help: None,
-            others: all,
-        })
+        let mut faults: Vec<Fault> =
+            problems.into_iter().map(|p| one(p.problem, place(&p.path), p.expected, p.help)).collect();
+        faults.sort_by_key(|fault| fault.labels[0].at.start);
+        self.error(faults)
     }
 
     /// RON that does not have the scene's shape.
@@ -143,7 +107,7 @@ impl SceneText<'_> {
                 (format!("{expected}, found `{found}`"), node.handle(self.text), expected, help)
             }
         };
-        self.finish(self.one(message, at, label, help))
+        self.error(vec![one(message, at, label, help)])
     }
 
     /// Byte offset of a line and column counted from 1 in characters.
@@ -201,6 +165,11 @@ impl SceneText<'_> {
             other => (lower_first(&other.to_string()), String::new()),
         }
     }
+}
+
+/// A fault of one place; `help` may be empty.
+fn one(message: String, at: Range<usize>, label: String, help: String) -> Fault {
+    Fault { message, labels: vec![Label { at, text: label }], help }
 }
 
 /// The innermost struct or choice with fields around `at`.

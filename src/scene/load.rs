@@ -50,8 +50,6 @@ pub struct RunOptions {
     pub out: PathBuf,
     /// Write into `out` although it exists and is not empty.
     pub force: bool,
-    /// No progress bars.
-    pub quiet: bool,
     /// Steps of a `Shape` between two looks at it, if it is looked at.
     pub debug_every: Option<u32>,
 }

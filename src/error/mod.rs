@@ -4,6 +4,10 @@
 //! edge (`main.rs`), which also chooses the exit code: 2 for [`Error::Input`], [`Error::Scene`] and
 //! [`Error::Usage`], 130 for [`Error::Interrupted`], 1 for the rest.
 
+mod scene;
+
+pub use scene::{Fault, Label, SceneDiagnostic};
+
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -25,9 +29,9 @@ pub enum Error {
         /// What to do about it; may be empty.
         help: String,
     },
-    /// A scene file is wrong: a diagnostic with file, line, column and caret.
+    /// A scene file is wrong: where in its text, what was expected there, and help.
     #[error("{0}")]
-    Scene(Arc<dyn miette::Diagnostic + Send + Sync>),
+    Scene(Arc<SceneDiagnostic>),
     /// The request itself makes no sense (a bad flag value, an output folder that exists).
     #[error("{problem}")]
     Usage {

@@ -1,9 +1,10 @@
 //! SG lobes as NumPy `.npy` files of shape `[M, 7]`: axis, sharpness, RGB amplitude.
 
+mod header;
+
 use std::path::Path;
 
 use glam::{DVec3, Vec3};
-use npyz::{NpyFile, Order, WriterBuilder};
 use serde::{Deserialize, Serialize};
 
 use crate::codec::file;
@@ -38,18 +39,21 @@ impl NpyConvention {
     }
 }
 
+/// A light has at most this many lobes, wherever they come from.
+const MOST_LOBES: usize = 512;
+
 const HELP: &str =
     "save an array of float32 or float64 of shape [M, 7]: axis x y z, sharpness, amplitude r g b";
 
 /// Reads lobes from an `.npy` file of shape `[M, 7]`, or `[M, 5]` with one grey amplitude.
 ///
-/// `f32` or `f64`, C or Fortran order, either byte order. Sharpness and amplitude are taken by absolute value, axes are
-/// normalised; an axis whose length is within 10⁻⁶ of 1 keeps its bits, so that files written by [`write_lobes`] come
-/// back bit for bit.
+/// `f32` or `f64`, C or Fortran order, either byte order; at most 512 rows. Sharpness and amplitude are taken by
+/// absolute value, axes are normalised; an axis whose length is within 10⁻⁶ of 1 keeps its bits, so that files written
+/// by [`write_lobes`] come back bit for bit.
 ///
 /// # Errors
 /// [`Error::Input`] naming the row (from 0) for a zero axis or a non-finite value, and for a missing, truncated or
-/// foreign file, another shape or type, or no rows.
+/// foreign file, another shape or type, no rows or more than 512.
 pub fn read_lobes(path: impl AsRef<Path>, convention: NpyConvention) -> Result<Vec<LightLobe>> {
     let path = path.as_ref();
     let bytes = file::read_bytes(path, |_| "check the path of the lobes".to_owned())?;
@@ -60,69 +64,53 @@ pub fn read_lobes(path: impl AsRef<Path>, convention: NpyConvention) -> Result<V
 /// Writes lobes as an `f32`, little-endian, C-order `.npy` file of shape `[M, 7]`; it appears only when complete.
 pub fn write_lobes(path: impl AsRef<Path>, lobes: &[LightLobe], convention: NpyConvention) -> Result<()> {
     let path = path.as_ref();
-    let encode = || -> std::io::Result<Vec<u8>> {
-        let mut bytes = Vec::new();
-        let shape = [lobes.len() as u64, 7];
-        let dtype = npyz::DType::Plain("<f4".parse().map_err(std::io::Error::other)?);
-        let options = npyz::WriteOptions::<f32>::new().dtype(dtype).shape(&shape);
-        let mut writer = options.writer(&mut bytes).begin_nd()?;
-        for lobe in lobes {
-            let axis = convention.file_from_world(lobe.axis);
-            let [r, g, b] = lobe.amplitude.to_array();
-            writer.extend([axis.x, axis.y, axis.z, lobe.sharpness, r, g, b])?;
-        }
-        writer.finish()?;
-        Ok(bytes)
-    };
-    let bytes = encode().map_err(|e| Error::run(format!("encoding {}", path.display()), e.to_string()))?;
+    let mut bytes = header::for_singles([lobes.len(), 7]);
+    for lobe in lobes {
+        let axis = convention.file_from_world(lobe.axis);
+        let [r, g, b] = lobe.amplitude.to_array();
+        let row = [axis.x, axis.y, axis.z, lobe.sharpness, r, g, b];
+        bytes.extend(row.into_iter().flat_map(f32::to_le_bytes));
+    }
     file::write_bytes(path, &bytes)
 }
 
 /// The file's values in C order, as `f64`, and the number of columns.
 fn read_table(path: &Path, bytes: &[u8]) -> Result<(Vec<f64>, usize)> {
     let bad = |problem: String| Error::input(path, "", problem, HELP);
-    if !bytes.starts_with(b"\x93NUMPY") {
-        return Err(bad("is not a NumPy .npy file".to_owned()));
-    }
-    if !has_plausible_shape(bytes) {
-        return Err(bad("claims an impossible shape, so its header is damaged".to_owned()));
-    }
-    let file = NpyFile::new(bytes).map_err(|e| bad(format!("has a broken header ({e})")))?;
-    let shape = file.shape().to_vec();
-    let (rows, columns) = match shape[..] {
+    let (header, data) = header::split(bytes).map_err(bad)?;
+    let (rows, columns) = match header.shape[..] {
         [rows, columns @ (5 | 7)] => (rows as usize, columns as usize),
-        _ => return Err(bad(format!("has shape {shape:?}, not [M, 7]"))),
+        ref shape => return Err(bad(format!("has shape {shape:?}, not [M, 7]"))),
     };
     if rows == 0 {
         return Err(bad("has no rows, so there are no lobes".to_owned()));
     }
-    // Before anything of the header's size is allocated.
-    if rows > bytes.len() / columns {
-        return Err(bad(format!("is truncated: too short for {rows} rows")));
-    }
-    let (order, dtype) = (file.order(), file.dtype().descr());
-    let truncated = |e: std::io::Error| bad(format!("is truncated or damaged ({e})"));
-    let values: Vec<f64> = match file.try_data::<f32>() {
-        Ok(data) => data.map(|v| v.map(f64::from)).collect::<std::io::Result<_>>().map_err(truncated)?,
-        Err(file) => match file.try_data::<f64>() {
-            Ok(data) => data.collect::<std::io::Result<_>>().map_err(truncated)?,
-            Err(_) => return Err(bad(format!("holds {dtype}, not 32- or 64-bit floats"))),
-        },
+    let (size, decode): (usize, fn(&[u8]) -> f64) = match header.descr {
+        "<f4" => (4, |v| f64::from(f32::from_le_bytes(exactly(v)))),
+        ">f4" => (4, |v| f64::from(f32::from_be_bytes(exactly(v)))),
+        "<f8" => (8, |v| f64::from_le_bytes(exactly(v))),
+        ">f8" => (8, |v| f64::from_be_bytes(exactly(v))),
+        other => return Err(bad(format!("holds {}, not 32- or 64-bit floats", other.escape_debug()))),
     };
-    Ok((if order == Order::Fortran { transposed(&values, rows, columns) } else { values }, columns))
+    // No overflow: the header's shape has at most 2⁴⁰ values.
+    let Some(data) = data.get(..rows * columns * size) else {
+        return Err(bad(format!("is truncated: too short for {rows} rows")));
+    };
+    if rows > MOST_LOBES {
+        return Err(Error::input(
+            path,
+            "",
+            format!("has {rows} rows, and a light has at most {MOST_LOBES} lobes"),
+            "Fit fewer lobes to the light: `lobelia env fit MAP --lobes 128`.",
+        ));
+    }
+    let values: Vec<f64> = data.chunks_exact(size).map(decode).collect();
+    Ok((if header.fortran_order { transposed(&values, rows, columns) } else { values }, columns))
 }
 
-/// Whether the numbers after "shape" in the header multiply to less than 2⁴⁰; `npyz` panics where they overflow.
-fn has_plausible_shape(bytes: &[u8]) -> bool {
-    let header = &bytes[..bytes.len().min(4096)];
-    let start = header.windows(5).position(|word| word == b"shape").unwrap_or(header.len());
-    let shape = header[start..].split(|&b| b == b')').next().unwrap_or_default();
-    let mut numbers = shape.split(|b| !b.is_ascii_digit()).filter(|digits| !digits.is_empty());
-    let product = numbers.try_fold(1_u64, |product, digits| {
-        let number: u64 = std::str::from_utf8(digits).ok()?.parse().ok()?;
-        product.checked_mul(number.max(1))
-    });
-    product.is_some_and(|product| product < 1 << 40)
+/// The bytes as an array; zeros unless there are `N` of them.
+fn exactly<const N: usize>(bytes: &[u8]) -> [u8; N] {
+    bytes.try_into().unwrap_or([0; N])
 }
 
 fn transposed(values: &[f64], rows: usize, columns: usize) -> Vec<f64> {
@@ -274,6 +262,9 @@ mod tests {
         refused(&npy("<f4", false, "(1, 6)", &data(&[good])), "shape");
         refused(&npy("<f4", false, "(0, 7)", &[]), "no rows");
         refused(&npy("<i4", false, "(1, 7)", &data(&[good])), "floats");
+        refused(&npy("|O", false, "(1, 7)", &data(&[good])), "holds |O");
+        refused(&npy("<f4", false, "(1000000, 7)", &data(&vec![good; 1_000_000])), "at most 512");
+        refused(&npy("<f8", false, "(1, 7)", &data(&[good])), "truncated");
         refused(b"PK\x03\x04", "not a NumPy");
         refused(b"\x93NUMPY\x01\x00\x10\x00{", "header");
         assert!(read_lobes("/no/such/file.npy", NpyConvention::Lobelia).is_err());
