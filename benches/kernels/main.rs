@@ -8,6 +8,7 @@ mod adjoint;
 mod exp;
 mod forward;
 mod plain;
+mod pool;
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use lobelia_math::workload::Workload;
@@ -59,6 +60,6 @@ fn short() -> Criterion {
 criterion_group! {
     name = kernels;
     config = short();
-    targets = forward::forward, adjoint::adjoint, exp::exp
+    targets = forward::forward, adjoint::adjoint, exp::exp, pool::pool
 }
 criterion_main!(kernels);

@@ -1,0 +1,292 @@
+//! What users of bevy do by instinct works: markers, despawning, sorting, change detection, systems and plugins of one's own.
+
+mod common;
+
+use common::{camera, day, evening, shoot, studio};
+use lobelia::codec::frame::Frame;
+use lobelia::mesh::primitive::box_mesh;
+use lobelia::pipeline::pool::read_column;
+use lobelia::prelude::*;
+use lobelia::sample::pixel::SampleIndex;
+use lobelia::view::Camera;
+use std::ops::ControlFlow;
+
+#[derive(Component)]
+struct Marked;
+
+fn front() -> Camera {
+    camera([0.2, 0.3, 1.0], 20)
+}
+
+/// A fit of eight photographs of the studio, which may be changed before it runs.
+fn fitted(change: impl FnOnce(&mut Pipeline)) -> Pipeline {
+    let mut truth = studio(&day());
+    let mut pipeline = studio(&LightLobe::even(16));
+    pipeline.add_plugin(&FitPlugin);
+    let photograph = |camera: Camera| {
+        let frame = shoot(&mut truth, camera);
+        let (width, height) = (camera.width, camera.height);
+        let saturated = vec![false; frame.color.len()];
+        let photograph = Photograph { image: Image { width, height, pixels: frame.color }, saturated };
+        let mask = Some(Mask { width, height, coverage: frame.alpha });
+        ViewRecord { name: "v".into(), split: Split::Train, camera, photograph: Some(photograph), mask }
+    };
+    let views = Camera::around(8, 2.8, 38.0, 24).unwrap().into_iter().map(photograph).collect();
+    spawn_views(&mut pipeline.world, views);
+    change(&mut pipeline);
+    let options = FitOptions { steps: 12, batch: 256, ..FitOptions::default() };
+    run_fit(&mut pipeline, &options, &mut |_, _| ControlFlow::Continue(())).unwrap();
+    pipeline
+}
+
+fn found(pipeline: &mut Pipeline) -> (Vec<DiffuseAlbedo>, Vec<LightLobe>, SpecularLobe) {
+    let world = &mut pipeline.world;
+    let albedo = read_column::<TexelIndex, DiffuseAlbedo>(world).unwrap();
+    let lobes = world.query::<&LightLobe>().iter(world).copied().collect();
+    (albedo, lobes, *world.query::<&SpecularLobe>().single(world).unwrap())
+}
+
+fn texel(world: &mut World, number: u32) -> Entity {
+    let mut query = world.query::<(Entity, &TexelIndex)>();
+    query.iter(world).find(|(_, index)| index.0 == number).unwrap().0
+}
+
+#[test]
+fn a_marker_on_one_texel_changes_neither_a_picture_nor_a_fit() {
+    let plain = shoot(&mut studio(&day()), front());
+    let mut pipeline = studio(&day());
+    for number in [517, 3] {
+        let texel = texel(&mut pipeline.world, number);
+        pipeline.world.entity_mut(texel).insert(Marked);
+        assert_eq!(shoot(&mut pipeline, front()), plain);
+    }
+    let marked = pipeline.world.query_filtered::<&TexelIndex, With<Marked>>().iter(&pipeline.world).count();
+    assert_eq!(marked, 2);
+    let mut with_marker = fitted(|pipeline| {
+        let texel = texel(&mut pipeline.world, 517);
+        pipeline.world.entity_mut(texel).insert(Marked);
+    });
+    assert_eq!(found(&mut with_marker), found(&mut fitted(|_| ())));
+}
+
+#[test]
+fn a_marker_on_one_pixel_sample_does_not_change_a_fit() {
+    fn mark(samples: Query<(Entity, &SampleIndex)>, mut commands: Commands) {
+        let wanted = samples.iter().filter(|(_, index)| [0, 301].contains(&index.0));
+        wanted.for_each(|(sample, _)| _ = commands.entity(sample).insert(Marked));
+    }
+    #[derive(Resource, Default)]
+    struct Seen(usize);
+    fn count(marked: Query<&Marked>, mut seen: ResMut<Seen>) {
+        seen.0 = marked.iter().len();
+    }
+    let mut with_marker = fitted(|pipeline| {
+        pipeline.world.init_resource::<Seen>();
+        pipeline.add_systems(Phase::Prepare, Stage::Write, mark);
+        pipeline.add_systems(Phase::FitStep, Stage::Write, count);
+    });
+    assert_eq!(with_marker.world.resource::<Seen>().0, 2, "both were there at every step");
+    assert_eq!(found(&mut with_marker), found(&mut fitted(|_| ())));
+}
+
+#[test]
+fn a_texel_that_is_missing_is_named() {
+    let mut pipeline = studio(&day());
+    let gone = texel(&mut pipeline.world, 40);
+    pipeline.world.despawn(gone);
+    let error = render_frame(&mut pipeline, front(), 1).map(|_| ()).unwrap_err();
+    assert!(error.to_string().contains("texel 40 is missing"), "{error}");
+}
+
+fn close(a: &Frame, b: &Frame) -> bool {
+    a.color.iter().zip(&b.color).all(|(a, b)| a.abs_diff_eq(*b, 1e-5 * a.max_element().max(1.0)))
+}
+
+#[test]
+fn light_lobes_are_despawned_spawned_and_sorted_between_pictures() {
+    let mut pipeline = studio(&day());
+    let whole = shoot(&mut pipeline, front());
+    let world = &mut pipeline.world;
+    let lobes: Vec<(Entity, LightLobe)> =
+        world.query::<(Entity, &LightLobe)>().iter(world).map(|(e, lobe)| (e, *lobe)).collect();
+    world.despawn(lobes[1].0);
+    assert_eq!(shoot(&mut pipeline, front()), shoot(&mut studio(&[day()[0], day()[2]]), front()));
+    // Back, at the end, and one with a marker: another order and another table.
+    pipeline.world.spawn((lobes[1].1, Marked));
+    let again = shoot(&mut pipeline, front());
+    assert!(close(&again, &whole), "the sum is the same but for rounding");
+    assert!(again.color.iter().any(|color| *color != Vec3::ZERO));
+}
+
+/// The studio with a second base material in one half; `order` in which the two are spawned.
+fn two_materials(order: [u32; 2], weight: f32) -> Pipeline {
+    let mut pipeline = studio(&day());
+    let world = &mut pipeline.world;
+    let old = world.query_filtered::<Entity, With<SpecularLobe>>().single(world).unwrap();
+    world.despawn(old);
+    for number in order {
+        let lobe = SpecularLobe::new(Vec3::splat(0.2 + 0.2 * number as f32), 0.3 + 0.2 * number as f32);
+        world.spawn((BaseMaterial(number), lobe));
+    }
+    for mut blend in world.query::<&mut SpecularBlend>().iter_mut(world) {
+        (blend.0[0], blend.0[1]) = (1.0 - weight, weight);
+    }
+    pipeline
+}
+
+#[test]
+fn base_materials_are_known_by_number_whatever_their_order() {
+    let first = shoot(&mut two_materials([0, 1], 0.25), front());
+    assert_eq!(shoot(&mut two_materials([1, 0], 0.25), front()), first);
+    assert_ne!(shoot(&mut two_materials([0, 1], 0.75), front()), first);
+    // What a despawned material had is without specular light, and comes back with it.
+    let mut pipeline = two_materials([0, 1], 0.25);
+    let world = &mut pipeline.world;
+    let mut query = world.query::<(Entity, &BaseMaterial, &SpecularLobe)>();
+    let (second, lobe) =
+        query.iter(world).find(|(_, number, _)| number.0 == 1).map(|(e, _, l)| (e, *l)).unwrap();
+    world.despawn(second);
+    let without = shoot(&mut pipeline, front());
+    assert_eq!(without.diffuse, first.diffuse);
+    let lit =
+        (0..first.color.len()).max_by(|a, b| first.specular[*a].x.total_cmp(&first.specular[*b].x)).unwrap();
+    assert!(without.specular[lit].x > 0.0 && without.specular[lit].x < first.specular[lit].x);
+    pipeline.world.spawn((BaseMaterial(1), lobe));
+    assert_eq!(shoot(&mut pipeline, front()), first);
+    pipeline.world.spawn((BaseMaterial(1), lobe));
+    let error = render_frame(&mut pipeline, front(), 1).map(|_| ()).unwrap_err();
+    assert!(error.to_string().contains("two have number 1"), "{error}");
+}
+
+#[derive(Resource, Default)]
+struct Refreshes(u32);
+
+fn count_refreshes(object: Res<ObjectVisibility>, mut refreshes: ResMut<Refreshes>) {
+    refreshes.0 += u32::from(object.is_changed());
+}
+
+#[test]
+fn shadows_are_computed_again_when_light_or_material_change_and_only_then() {
+    let surface = Arc::new(Surface::new(box_mesh(Vec3::ZERO, Vec3::ONE).unwrap(), 32).unwrap());
+    let mut pipeline = studio(&day());
+    pipeline.world.insert_resource(ObjectVisibility::new(&surface, VisibilitySettings::default()));
+    pipeline.world.init_resource::<Refreshes>();
+    pipeline.add_plugin(&FrameVisibilityPlugin);
+    pipeline.add_systems(Phase::Frame, Stage::Gather, count_refreshes.after(Slot::Visibility));
+    let refreshes = |pipeline: &mut Pipeline| {
+        shoot(pipeline, front());
+        pipeline.world.resource::<Refreshes>().0
+    };
+    assert_eq!(refreshes(&mut pipeline), 1);
+    assert_eq!(refreshes(&mut pipeline), 1, "nothing has changed");
+    let world = &mut pipeline.world;
+    let lobe = world.query_filtered::<Entity, With<LightLobe>>().iter(world).next().unwrap();
+    world.get_mut::<LightLobe>(lobe).unwrap().amplitude *= 2.0;
+    assert_eq!(refreshes(&mut pipeline), 2, "Changed<LightLobe>");
+    pipeline.world.despawn(lobe);
+    assert_eq!(refreshes(&mut pipeline), 3, "a lobe less");
+    let texel = texel(&mut pipeline.world, 9);
+    pipeline.world.get_mut::<DiffuseAlbedo>(texel).unwrap().0 *= 0.5;
+    assert_eq!(refreshes(&mut pipeline), 4, "Changed<DiffuseAlbedo>, by way of what is shown");
+    let world = &mut pipeline.world;
+    world.query::<&mut SpecularLobe>().single_mut(world).unwrap().roughness = 0.5;
+    assert_eq!(refreshes(&mut pipeline), 5);
+    spawn_light(&mut pipeline.world, "evening", &evening(), None);
+    pipeline.swap(Phase::Frame, Slot::Light, provide_light(LightChoice::Named("evening".into()), false));
+    assert_eq!(refreshes(&mut pipeline), 6, "another light");
+    pipeline.swap(Phase::Frame, Slot::Light, provide_light(LightChoice::Own, false));
+    assert_eq!(refreshes(&mut pipeline), 7, "and back");
+    assert_eq!(refreshes(&mut pipeline), 7);
+}
+
+/// An edit as a system of one's own: green above, read from what was recovered.
+fn paint_green(texels: Texels<(&DiffuseAlbedo, &mut ShownAlbedo, &mut ShownBlend)>) -> SystemResult {
+    let (recovered, mut shown, mut blends) = texels.columns()?;
+    for (shown, recovered) in shown.iter_mut().zip(&*recovered) {
+        shown.0 = if recovered.0.x > 0.5 { Vec3::Y } else { recovered.0 };
+    }
+    blends.fill(ShownBlend::default());
+    Ok(())
+}
+
+#[test]
+fn an_edit_is_a_system_in_a_slot_and_leaves_what_was_recovered() {
+    let mut pipeline = studio(&day());
+    let plain = shoot(&mut pipeline, front());
+    let recovered = read_column::<TexelIndex, DiffuseAlbedo>(&mut pipeline.world).unwrap();
+    pipeline.swap(Phase::Frame, Slot::Material, paint_green);
+    let painted = shoot(&mut pipeline, front());
+    assert_ne!(painted.albedo, plain.albedo);
+
+    // The same as an edit entity, with a region of weights.
+    let region: Arc<[f32]> =
+        recovered.iter().map(|albedo| if albedo.0.x > 0.5 { 1.0 } else { 0.0 }).collect();
+    let edit =
+        (EditName("green".into()), EditTarget::Diffuse, EditAction::Set(Vec3::Y), EditRegion(Some(region)));
+    let edit = pipeline.world.spawn(edit).id();
+    pipeline.swap(Phase::Frame, Slot::Material, show_edited("green"));
+    assert_eq!(shoot(&mut pipeline, front()), painted);
+
+    // An edit that changes, goes, or is not of that name.
+    *pipeline.world.get_mut::<EditAction>(edit).unwrap() = EditAction::Scale(Vec3::splat(0.5));
+    let darker = shoot(&mut pipeline, front());
+    assert!(darker != painted && darker != plain);
+    let other = (EditName("other".into()), EditTarget::Roughness, EditAction::Set(Vec3::splat(0.9)));
+    pipeline.world.spawn(other);
+    assert_eq!(shoot(&mut pipeline, front()), darker);
+    pipeline.world.despawn(edit);
+    assert_eq!(shoot(&mut pipeline, front()), plain);
+
+    pipeline.swap(Phase::Frame, Slot::Material, show_edited("other"));
+    assert_ne!(shoot(&mut pipeline, front()).specular, plain.specular);
+    pipeline.swap(Phase::Frame, Slot::Material, show_recovered());
+    assert_eq!(shoot(&mut pipeline, front()), plain);
+    assert_eq!(read_column::<TexelIndex, DiffuseAlbedo>(&mut pipeline.world).unwrap(), recovered);
+}
+
+#[test]
+fn an_edit_of_a_region_shows_base_materials_that_go_with_it() {
+    let mut pipeline = studio(&day());
+    let plain = shoot(&mut pipeline, front());
+    let count = read_column::<TexelIndex, DiffuseAlbedo>(&mut pipeline.world).unwrap().len();
+    let half: Arc<[f32]> = (0..count).map(|i| if i < count / 2 { 1.0 } else { 0.0 }).collect();
+    let region = EditRegion(Some(half));
+    let edit = (EditName("polish".into()), EditTarget::Roughness, EditAction::Set(Vec3::splat(0.1)), region);
+    pipeline.world.spawn(edit);
+    pipeline.swap(Phase::Frame, Slot::Material, show_edited("polish"));
+    let polished = shoot(&mut pipeline, front());
+    assert_ne!(polished.specular, plain.specular);
+    let shown = |pipeline: &mut Pipeline| {
+        let mut query = pipeline.world.query::<&ShownSpecular>();
+        query.iter(&pipeline.world).len()
+    };
+    assert_eq!(shown(&mut pipeline), 2);
+    assert_eq!(shoot(&mut pipeline, front()), polished, "made once, not at every picture");
+    pipeline.swap(Phase::Frame, Slot::Material, show_recovered());
+    assert_eq!(shoot(&mut pipeline, front()), plain);
+    assert_eq!(shown(&mut pipeline), 1);
+}
+
+#[test]
+fn a_named_light_goes_with_its_lobes_and_another_can_take_its_name() {
+    let mut pipeline = studio(&day());
+    let by_day = shoot(&mut pipeline, front());
+    let light = spawn_light(&mut pipeline.world, "lamp", &evening(), None);
+    assert_eq!(shoot(&mut pipeline, front()), by_day, "the scene's own light is not touched");
+    pipeline.swap(Phase::Frame, Slot::Light, provide_light(LightChoice::Named("lamp".into()), false));
+    assert_eq!(shoot(&mut pipeline, front()), shoot(&mut studio(&evening()), front()));
+    // A lobe is taken from it and one given to it, as any related entity.
+    let world = &mut pipeline.world;
+    let lobe = world.query_filtered::<Entity, With<LobeOf>>().iter(world).next().unwrap();
+    world.despawn(lobe);
+    world.spawn((evening()[0], LobeOf(light)));
+    assert!(close(&shoot(&mut pipeline, front()), &shoot(&mut studio(&evening()), front())));
+    spawn_light(&mut pipeline.world, "lamp", &day(), None);
+    assert_eq!(shoot(&mut pipeline, front()), by_day);
+    let world = &mut pipeline.world;
+    assert_eq!(
+        world.query::<&LobeOf>().iter(world).len(),
+        day().len(),
+        "the old lobes went with the old light"
+    );
+}
