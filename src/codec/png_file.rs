@@ -11,7 +11,7 @@ use std::path::Path;
 /// # Errors
 /// [`Error::Io`] if the disk refuses, [`Error::Run`] for an empty picture.
 pub fn write_rgb8(path: impl AsRef<Path>, picture: &RgbImage) -> Result<()> {
-    write(path.as_ref(), picture.dimensions(), ColorType::Rgb, picture.as_raw())
+    write(path.as_ref(), picture.width(), picture.height(), ColorType::Rgb, picture.as_raw())
 }
 
 /// Writes an sRGB picture with straight alpha.
@@ -19,10 +19,10 @@ pub fn write_rgb8(path: impl AsRef<Path>, picture: &RgbImage) -> Result<()> {
 /// # Errors
 /// [`Error::Io`] if the disk refuses, [`Error::Run`] for an empty picture.
 pub fn write_rgba8(path: impl AsRef<Path>, picture: &RgbaImage) -> Result<()> {
-    write(path.as_ref(), picture.dimensions(), ColorType::Rgba, picture.as_raw())
+    write(path.as_ref(), picture.width(), picture.height(), ColorType::Rgba, picture.as_raw())
 }
 
-fn write(path: &Path, (width, height): (u32, u32), color: ColorType, samples: &[u8]) -> Result<()> {
+fn write(path: &Path, width: u32, height: u32, color: ColorType, samples: &[u8]) -> Result<()> {
     file::write_file(path, |writer| {
         let mut encoder = Encoder::new(writer, width, height);
         encoder.set_color(color);

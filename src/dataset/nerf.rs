@@ -90,7 +90,7 @@ pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
     let images = find_images(dir, &file, &frames)?;
     let mut views = Vec::with_capacity(frames.len());
     for (index, ((frame, own), image)) in frames.iter().zip(&own).zip(images).enumerate() {
-        views.push(plan_view(dir, &file, index, frame, (own, &shared), image)?);
+        views.push(plan_view(dir, &file, index, frame, own, &shared, image)?);
     }
     let distorted = own.iter().filter(|own| own.is_distorted() || shared.is_distorted()).count();
     let notes = match distorted {
@@ -145,7 +145,8 @@ fn plan_view(
     file: &Path,
     index: usize,
     frame: &Frame,
-    (own, shared): (&Intrinsics, &Intrinsics),
+    own: &Intrinsics,
+    shared: &Intrinsics,
     image: Option<PathBuf>,
 ) -> Result<ViewPlan> {
     let place = place_of(index, frame);

@@ -145,7 +145,7 @@ fn leaf_box(index: usize, corners: [Vec3; 3], scale: f32, slack: f32) -> Aabb {
 }
 
 /// The boxes of all triangles, `scale` to a world unit, for a mesh within `radius` of `center`.
-pub(super) fn leaf_boxes(mesh: &Mesh, (center, radius): (Vec3, f32), scale: f32) -> Vec<Aabb> {
+pub(super) fn leaf_boxes(mesh: &Mesh, center: Vec3, radius: f32, scale: f32) -> Vec<Aabb> {
     let slack = BOX_SLACK * (radius + center.abs().max_element());
     (0..mesh.triangles.len()).map(|t| leaf_box(t, mesh.corners(t), scale, slack)).collect()
 }
@@ -208,7 +208,7 @@ impl TriangleBvh {
     pub fn new(mesh: &Mesh) -> Self {
         let (center, radius) = bounding_sphere(mesh);
         let scale = (SCALED_RADIUS / radius).log2().floor().clamp(-100.0, 100.0).exp2();
-        let boxes = leaf_boxes(mesh, (center, radius), scale);
+        let boxes = leaf_boxes(mesh, center, radius, scale);
         let hierarchy = Hierarchy::new(&boxes);
         let triangles = hierarchy.order().to_vec();
         let corners = triangles.iter().map(|&t| mesh.corners(t as usize).map(Vec3A::from)).collect();

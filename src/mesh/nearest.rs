@@ -15,7 +15,8 @@ pub struct NearestTriangle {
 impl NearestTriangle {
     /// Builds the hierarchy; the same mesh gives the same one.
     pub fn new(mesh: &Mesh) -> Self {
-        let bvh = binary_hierarchy(&leaf_boxes(mesh, bounding_sphere(mesh), 1.0));
+        let (center, radius) = bounding_sphere(mesh);
+        let bvh = binary_hierarchy(&leaf_boxes(mesh, center, radius, 1.0));
         let corners = (0..mesh.triangles.len()).map(|t| mesh.corners(t).map(Vec3A::from)).collect();
         Self { bvh, corners }
     }

@@ -3,12 +3,15 @@
 
 use crate::error::Error;
 use crate::light::lights::IncidentLight;
-use crate::material::source::{AlbedoColumn, BaseMaterials, BlendColumn, MaterialSource, Shown};
+use crate::material::source::{
+    AlbedoColumn, BaseMaterials, BlendColumn, MaterialSource, MaterialTexels, Shown,
+};
 use crate::material::{MAX_SPECULAR_LOBES, SpecularLobe, Texels};
 use crate::math::shading::{
     ClosedForm, Layers, Lighting, PointVisibility, ShadePoint, SpecularValue, Visibility,
 };
 use crate::pipeline::SystemResult;
+use crate::pipeline::pool::Columns;
 use crate::sample::Samples;
 use crate::sample::pixel::{PixelOf, SampleIndex, ViewRay};
 use crate::sample::point::{PointBlend, Scenery, SurfacePoint};
@@ -192,51 +195,55 @@ type PathColumns = (
 
 /// For [`Slot::Shading`](crate::pipeline::Slot::Shading): shades by path tracing: shadows and interreflection, with noise.
 pub fn shade_path_traced(paths: PathTracing) -> ScheduleConfigs<ScheduleSystem> {
-    let system =
-        move |scenery: Res<Scenery>,
-              light: Res<IncidentLight>,
-              materials: Res<BaseMaterials>,
-              texels: Texels<(&<Shown as MaterialSource>::Albedo, &<Shown as MaterialSource>::Blend)>,
-              samples: Samples<PathColumns>|
-              -> SystemResult {
-            let Some(distant) = &light.distant else {
-                return Err(Error::run("path tracing", "there is no light").into());
-            };
-            let (albedo, blends) = texels.columns()?;
-            let mut specular = [None; MAX_SPECULAR_LOBES];
-            materials.by_number().for_each(|(number, lobe)| specular[number] = Some(*lobe));
-            let count = materials.lobes.last().map_or(0, |(number, _)| number + 1);
-            let scene = PathScene {
-                surface: scenery.0.as_ref(),
-                light: distant.as_ref(),
-                albedo: &albedo,
-                blends: if materials.blended { &blends } else { &[] },
-                specular: &specular[..count],
-            };
-            let (index, pixels, (points, rays), gathered, weights, mut shaded) = samples.columns()?;
-            let hits: Vec<usize> = (0..points.len()).filter(|&i| points[i].is_hit()).collect();
-            let query = |&i: &usize| PathQuery {
-                point: PathPoint {
-                    position: points[i].position,
-                    normal: points[i].normal,
-                    geometric_normal: points[i].geometric_normal,
-                    albedo: gathered[i].albedo.into(),
-                    blend: weights[i].0,
-                },
-                to_viewer: -rays[i].0.direction,
-                stream: u64::from(pixels[i].view.0) << 32 | u64::from(pixels[i].pixel),
-                first_sample: index[i].0 % paths.samples_per_pixel * paths.paths_per_sample,
-            };
-            let queries: Vec<PathQuery> = hits.iter().map(query).collect();
-            let mut estimates = vec![PathEstimate::default(); queries.len()];
-            let settings =
-                PathSettings { max_bounces: paths.max_bounces, seed: paths.seed, ..PathSettings::default() };
-            shade_points(&scene, &settings, &queries, paths.paths_per_sample, &mut estimates);
-            shaded.fill(Layers::default());
-            for (i, estimate) in hits.into_iter().zip(estimates) {
-                shaded[i] = Layers { diffuse: estimate.diffuse.into(), specular: estimate.specular.into() };
-            }
-            Ok(())
+    let system = move |scenery: Res<Scenery>,
+                       light: Res<IncidentLight>,
+                       materials: Res<BaseMaterials>,
+                       texels: MaterialTexels<Shown>,
+                       samples: Samples<PathColumns>|
+          -> SystemResult {
+        let Some(distant) = &light.distant else {
+            return Err(Error::run("path tracing", "there is no light").into());
         };
+        let (albedo, blends) = texels.columns()?;
+        let mut specular = [None; MAX_SPECULAR_LOBES];
+        materials.by_number().for_each(|(number, lobe)| specular[number] = Some(*lobe));
+        let count = materials.lobes.last().map_or(0, |(number, _)| number + 1);
+        let scene = PathScene {
+            surface: scenery.0.as_ref(),
+            light: distant.as_ref(),
+            albedo: &albedo,
+            blends: if materials.blended { &blends } else { &[] },
+            specular: &specular[..count],
+        };
+        trace_paths(&scene, &paths, samples.columns()?);
+        Ok(())
+    };
     system.into_configs()
+}
+
+/// Traces the paths of the samples that met the surface; the others get none.
+fn trace_paths(scene: &PathScene, paths: &PathTracing, columns: <PathColumns as Columns>::Slices<'_>) {
+    let (index, pixels, (points, rays), gathered, weights, mut shaded) = columns;
+    let hits: Vec<usize> = (0..points.len()).filter(|&i| points[i].is_hit()).collect();
+    let query = |&i: &usize| PathQuery {
+        point: PathPoint {
+            position: points[i].position,
+            normal: points[i].normal,
+            geometric_normal: points[i].geometric_normal,
+            albedo: gathered[i].albedo.into(),
+            blend: weights[i].0,
+        },
+        to_viewer: -rays[i].0.direction,
+        stream: u64::from(pixels[i].view.0) << 32 | u64::from(pixels[i].pixel),
+        first_sample: index[i].0 % paths.samples_per_pixel * paths.paths_per_sample,
+    };
+    let queries: Vec<PathQuery> = hits.iter().map(query).collect();
+    let mut estimates = vec![PathEstimate::default(); queries.len()];
+    let settings =
+        PathSettings { max_bounces: paths.max_bounces, seed: paths.seed, ..PathSettings::default() };
+    shade_points(scene, &settings, &queries, paths.paths_per_sample, &mut estimates);
+    shaded.fill(Layers::default());
+    for (i, estimate) in hits.into_iter().zip(estimates) {
+        shaded[i] = Layers { diffuse: estimate.diffuse.into(), specular: estimate.specular.into() };
+    }
 }

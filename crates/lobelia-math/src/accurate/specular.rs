@@ -63,7 +63,7 @@ struct Symmetric<F>([F; 3]);
 impl<F: Real> Symmetric<F> {
     /// `s·I + a·ggᵀ + b·xxᵀ + c·(gxᵀ + xgᵀ)/2`.
     #[inline(always)]
-    fn new(s: F, (a, g): (F, Vec2Of<F>), (b, x): (F, Vec2Of<F>), c: F) -> Self {
+    fn new(s: F, a: F, g: Vec2Of<F>, b: F, x: Vec2Of<F>, c: F) -> Self {
         let (ag, bx) = (
             combine(a, g, c.times(0.5), x), // a·g + c/2·x, so that outer products with g and x share it
             combine(b, x, c.times(0.5), g),
@@ -173,7 +173,7 @@ fn expand<F: Real>(view: Vec2Of<F>, ndf: &NdfTerms<F>, light: &LocalLight<F>, x:
         cosine,
         cosine_gradient: combine(up.times(2.0), view_gradient, -(view_half.times(2.0)), x),
         gradient,
-        hessian: Symmetric::new(isotropic, (radial, view_gradient), (rounding, x), mixed),
+        hessian: Symmetric::new(isotropic, radial, view_gradient, rounding, x, mixed),
     }
 }
 
