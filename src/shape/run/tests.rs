@@ -68,7 +68,9 @@ fn world_of_photographs() -> Pipeline {
         let up = if axis.y.abs() > 0.9 { Vec3::X } else { Vec3::Y };
         let camera = Camera::look_at(3.0 * axis, Vec3::ZERO, up, 36.0, SIZE, SIZE).unwrap();
         let (photograph, mask) = photograph(&surface, &camera);
-        pipeline.world.spawn((ViewName(format!("{i}")), camera, Split::Train, photograph, ViewMask(mask)));
+        let name = ViewName(format!("{i}"));
+        let index = ViewIndex(i as u32);
+        pipeline.world.spawn((index, name, camera, Split::Train, photograph, ViewMask(mask)));
     }
     pipeline.world.spawn_batch(lobes());
     pipeline.world.spawn(SPECULAR);
