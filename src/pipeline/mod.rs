@@ -162,7 +162,8 @@ impl Pipeline {
         debug_assert!(matches!(removed, Ok(Ok(_))), "{phase:?} {set:?}: {removed:?}");
     }
 
-    /// Runs a phase once.
+    /// Runs a phase once. As in an update of a bevy app, what was removed can be read (`RemovedComponents`) until the end of the
+    /// next run but one.
     ///
     /// # Errors
     /// The first error any of its systems returned, on whichever thread; the systems after it are skipped.
@@ -173,6 +174,8 @@ impl Pipeline {
         self.world.try_run_schedule(label).map_err(|_| {
             Error::run("pipeline", format!("there is no phase {label:?}: add it with add_phase"))
         })?;
+        // Otherwise the messages of every despawned sample's components pile up: some hundred bytes a sample of every picture.
+        self.world.clear_trackers();
         failure.first().map_or(Ok(()), Err)
     }
 }
