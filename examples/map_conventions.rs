@@ -1,13 +1,10 @@
-//! Draws the picture of `docs/conventions.md`: one light as a map of three programs, and a mirror ball under it.
+//! Draws the picture of `docs/src/conventions.md`: one light as a map of three programs, and a mirror ball under it.
 //!
 //! `cargo run --release --example map_conventions` writes `out/examples/map_conventions.png`.
 
-use glam::Vec3;
 use image::{Rgb, RgbImage, imageops};
-use lobelia::Result;
 use lobelia::codec::png_file::write_rgb8;
-use lobelia::light::EnvironmentMap;
-use lobelia::light::convention::MapConvention;
+use lobelia::prelude::*;
 use lobelia::report::font::{draw_text, text_width};
 use lobelia::report::tone::srgb8;
 

@@ -39,7 +39,8 @@ fn main() -> Result<()> {
     pipeline.world.insert_resource(Places(places));
 
     picture(&mut pipeline, "own_edit_before")?;
-    pipeline.swap(Phase::Frame, Slot::Material, paint_stripes);
+    // A picture is drawn tile by tile; the stripes are painted again only if what they are painted on has changed.
+    pipeline.swap(Phase::Frame, Slot::Material, paint_stripes.run_if(recovered_changed));
     picture(&mut pipeline, "own_edit_stripes")?;
     pipeline.swap(Phase::Frame, Slot::Material, show_recovered());
     picture(&mut pipeline, "own_edit_after")

@@ -2,12 +2,9 @@
 //!
 //! `cargo run --release --example render_env_lobes` writes two pictures under `out/examples/`.
 
-use glam::Vec3;
 use image::{Rgb, RgbImage};
-use lobelia::Result;
 use lobelia::codec::png_file::write_rgb8;
-use lobelia::light::map_fit::{MapFit, fit_map};
-use lobelia::light::{EnvironmentMap, LightLobe, render_lobes};
+use lobelia::prelude::*;
 use lobelia::report::tone::srgb8;
 
 fn main() -> Result<()> {
@@ -38,7 +35,6 @@ fn main() -> Result<()> {
 }
 
 fn write(name: &str, map: &EnvironmentMap) -> Result<()> {
-    std::fs::create_dir_all("out/examples").map_err(lobelia::Error::io("create", "out/examples"))?;
     let path = format!("out/examples/{name}.png");
     let texel = |x: u32, y: u32| Rgb(srgb8(map.radiance[(y * map.width + x) as usize]));
     write_rgb8(&path, &RgbImage::from_fn(map.width, map.height, texel))?;

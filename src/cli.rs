@@ -60,7 +60,7 @@ Examples:
 
 /// Recovers surface, material and light of a photographed object as spherical Gaussians; then edits and relights it.
 #[derive(Debug, Parser)]
-#[command(name = "lobelia", version, after_long_help = EXAMPLES, arg_required_else_help = true)]
+#[command(name = "lobelia", version = env!("LOBELIA_VERSION"), after_long_help = EXAMPLES, arg_required_else_help = true)]
 pub struct Cli {
     /// What to do.
     #[command(subcommand)]

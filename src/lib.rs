@@ -1,4 +1,67 @@
-//! Lobelia: a data-oriented scene processor for inverse rendering with spherical Gaussians.
+//! Lobelia is an inverse renderer: from photographs with known cameras it recovers albedo, specular material, environment light
+//! and, where it is unknown, the shape of an object. Light is a set of spherical Gaussians, and shading by them is in closed form, with
+//! analytic gradients. Everything in flight is entities and components of one [`bevy_ecs`] world, so that editing, relighting and
+//! choosing a renderer are changes to the world or swaps of one system.
+//!
+//! ```
+//! use lobelia::prelude::*;
+//!
+//! let surface = Arc::new(Surface::new(sphere_mesh(Vec3::ZERO, 0.8)?, 16)?);
+//! let albedo = vec![Vec3::splat(0.5); surface.atlas().position.len()];
+//! let lamp = |axis| LightLobe { axis, sharpness: 4.0, amplitude: Vec3::ONE };
+//! let mut pipeline = Pipeline::new();
+//! pipeline.add_plugin(&FramePlugin);
+//! let material = SpecularLobe::new(Vec3::splat(0.04), 0.5);
+//! spawn_object(&mut pipeline.world, &surface, &albedo, &[material], &[lamp(Vec3::Y)]);
+//! let camera = Camera::look_at(Vec3::new(0.0, 3.0, 0.1), Vec3::ZERO, Vec3::Y, 38.0, 16, 16)?;
+//! let day = resolve(&render_frame(&mut pipeline, camera, 1)?);
+//! spawn_light(&mut pipeline.world, "below", &[lamp(Vec3::NEG_Y)], None);
+//! pipeline.swap(Phase::Frame, Slot::Light, provide_light(LightChoice::Named("below".into()), false));
+//! let night = resolve(&render_frame(&mut pipeline, camera, 1)?);
+//! assert!(day.color[8 * 16 + 8].y > 10.0 * night.color[8 * 16 + 8].y);
+//! # Ok::<(), lobelia::Error>(())
+//! ```
+//!
+//! # Modules
+//!
+//! In the order in which data goes through them:
+//!
+//! | module | holds |
+//! | --- | --- |
+//! | [`scene`] | scene files: their types, reading and checks |
+//! | [`dataset`] | folders of photographs with cameras, in four layouts |
+//! | [`codec`] | file formats of images, environment maps, lobes and meshes |
+//! | [`view`] | cameras, photographs, masks |
+//! | [`mesh`], [`sdf`] | surfaces: triangles with a texel atlas; signed distance fields |
+//! | [`light`] | lobes, environment maps, named lights, and maps fitted by lobes |
+//! | [`material`] | texels, base materials, edits, and the material that is shown |
+//! | [`spawn`] | from a scene, or from values in code, to entities |
+//! | [`pipeline`] | phases, stages, slots, plugins, and pools of entities as slices |
+//! | [`sample`] | pixel samples: rays, surface points, windows |
+//! | [`visibility`] | shadows and interreflection for closed forms |
+//! | [`shade`] | the Frame phase: closed forms and the path tracer |
+//! | [`fit`] | the fit of light and material |
+//! | [`shape`] | the fit of the shape |
+//! | [`report`] | pictures, contact sheets, scores |
+//! | [`pass`] | the passes of a scene file |
+//! | [`math`] | the kernels under all of these, from the crate `lobelia-math` |
+//! | [`error`] | the one error type |
+//!
+//! # Features
+//!
+//! | feature | default | adds |
+//! | --- | --- | --- |
+//! | `cli` | on | the command `lobelia`, with its dependencies |
+//!
+//! A program that uses the library alone depends on it with `default-features = false`. [`bevy_ecs`] and [`glam`] are exported, so that
+//! it needs no versions of its own that match; derive macros such as `Component` work where [`prelude`] is imported.
+//!
+//! # The manual
+//!
+//! The folder `docs/src` holds the manual. *Getting started* and *Scene files* are about the command; *The method*,
+//! *Spherical Gaussians and shading*, *The fit* and *Shape and cameras* have the equations; *Conventions* has axes, units
+//! and parametrizations; *Extending Lobelia* is the guide to systems, slots and plugins of your own. The folder `examples` has
+//! short programs.
 
 pub mod codec;
 pub mod dataset;
@@ -20,5 +83,17 @@ pub mod spawn;
 pub mod view;
 pub mod visibility;
 
+pub use bevy_ecs;
 pub use error::{Error, Result};
+pub use glam;
 pub use lobelia_math as math;
+
+/// The `rust` blocks of the README, compiled as doctests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+pub struct ReadmeDoctests;
+
+/// The `rust` blocks of the manual's chapter on extensions, compiled as doctests.
+#[cfg(doctest)]
+#[doc = include_str!("../docs/src/extending.md")]
+pub struct ExtendingDoctests;

@@ -1,8 +1,6 @@
 //! Damaged and senseless data: one clear message that names the file, exit code 2, and nothing written; never a panic.
 
-mod common;
-
-use common::{Data, Outcome, files_below, save_png};
+use crate::common::{Data, Outcome, files_below, save_png};
 use image::{DynamicImage, GrayImage, Luma};
 use lobelia::codec::exr::read_exr_layers;
 use serde_json::json;
@@ -304,7 +302,7 @@ fn a_light_that_is_damaged_in_a_later_pass() {
     let outcome = data.run(&scene(r#"Render(name: "novel")"#, relight), "out", &["--quiet"]);
     refused_outcome(&outcome, &["evening.npy"]);
     let files = files_below(&data.path("out"));
-    assert!(!files.iter().any(|f| f.starts_with("novel/") || common::is_temporary(f)), "{files:?}");
+    assert!(!files.iter().any(|f| f.starts_with("novel/") || crate::common::is_temporary(f)), "{files:?}");
 }
 
 #[test]
@@ -318,7 +316,11 @@ fn truths_that_do_not_fit() {
     refused_outcome(&data.run(&scene, "out", &["--quiet"]), &["rgb_000001.exr"]);
     std::fs::remove_file(data.path("test/gt/relit/rgb_000001.exr")).unwrap();
     refused_outcome(&data.run(&scene, "out2", &["--quiet"]), &["rgb_000001.exr"]);
-    common::write_image(&data.path("test/gt/relit/rgb_000001.exr"), &vec![glam::Vec3::ONE; 16 * 36], 16);
+    crate::common::write_image(
+        &data.path("test/gt/relit/rgb_000001.exr"),
+        &vec![glam::Vec3::ONE; 16 * 36],
+        16,
+    );
     refused_outcome(&data.run(&scene, "out3", &["--quiet"]), &["rgb_000001.exr", "16×36", "24×24"]);
 }
 
@@ -326,7 +328,7 @@ fn truths_that_do_not_fit() {
 fn images_that_cannot_be_compared() {
     let data = Data::new();
     let eval = |prediction: &str, truth: &str| {
-        let mut command = common::command(&["eval"]);
+        let mut command = crate::common::command(&["eval"]);
         Outcome::of(command.arg(data.path(prediction)).arg(data.path(truth)))
     };
     eval("test/image", "test/gt/relit").succeeded();

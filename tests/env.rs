@@ -1,8 +1,6 @@
 //! Environment lights from end to end: `lobelia env`, and maps that light the side of a sphere they should.
 
-mod common;
-
-use common::{Outcome, command, files_below};
+use crate::common::{Outcome, command, files_below};
 use glam::Vec3;
 use lobelia::codec::exr::read_exr_layers;
 use lobelia::light::convention::MapConvention;

@@ -1,8 +1,6 @@
 //! What `Export` writes is the object: read back, it gives the same picture.
 
-mod common;
-
-use common::{Data, files_below, write_image};
+use crate::common::{Data, files_below, write_image};
 use glam::Vec3;
 use lobelia::codec::frame::read_frame;
 use serde_json::Value;

@@ -1,8 +1,6 @@
 //! A material with `ndf: Ggx` from the scene file to photographs, fit, edit, path tracing and a saved scene.
 
-mod common;
-
-use common::{Outcome, command};
+use crate::common::{Outcome, command};
 use lobelia::codec::exr::read_exr_layers;
 use std::path::{Path, PathBuf};
 

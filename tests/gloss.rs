@@ -1,8 +1,6 @@
 //! A surface of two glosses: photographed, fitted, saved, opened again and exported.
 
-mod common;
-
-use common::{Outcome, command};
+use crate::common::{Outcome, command};
 use lobelia::codec::exr::read_exr_layers;
 use std::path::{Path, PathBuf};
 

@@ -1,8 +1,6 @@
 //! A whole run on photographs and masks alone: at any place and scale, in every layout, and what it refuses.
 
-mod common;
-
-use common::{Data, SIZE, command, files_below, save_png, write_image};
+use crate::common::{Data, SIZE, command, files_below, save_png, write_image};
 use glam::Vec3;
 use image::{DynamicImage, GrayImage, Luma};
 use lobelia::codec::exr::read_exr_layers;

@@ -1,8 +1,6 @@
 //! A whole run on small data: every pass, every file, the same bytes again, stopping it, and the other commands.
 
-mod common;
-
-use common::{Data, Outcome, SIZE, command, files_below, is_temporary};
+use crate::common::{Data, Outcome, SIZE, command, files_below, is_temporary};
 use lobelia::codec::exr::read_exr_layers;
 use serde_json::{Value, json};
 use std::path::{Path, PathBuf};
@@ -153,7 +151,7 @@ fn check_pictures(out: &Path) {
             if at("A", i) == 0.0 {
                 assert!(at("R", i) == 0.0 && at("depth.Z", i) == 0.0 && length == 0.0, "{file}: pixel {i}");
             } else {
-                let (near, far) = (common::DISTANCE - common::RADIUS, common::DISTANCE);
+                let (near, far) = (crate::common::DISTANCE - crate::common::RADIUS, crate::common::DISTANCE);
                 let depth = at("depth.Z", i);
                 assert!((near - 1e-3..far).contains(&depth), "{file}: depth {depth} of pixel {i}");
                 assert!((length - 1.0).abs() < 1e-4, "{file}: normal of pixel {i} is {length} long");
@@ -207,7 +205,7 @@ fn check_region(data: &Data) {
         let picture = |pass: &str| read_exr_layers(data.path(&format!("out/{pass}/{view}.exr"))).unwrap();
         let (novel, gloss, after) = (picture("novel"), picture("gloss"), picture("after"));
         assert_eq!(novel, after, "{view}");
-        let camera = common::camera(from, SIZE);
+        let camera = crate::common::camera(from, SIZE);
         let (mut inside, mut changed) = (0, 0);
         for i in 0..novel.channels["A"].len() {
             if novel.channels["A"][i] < 1.0 {
@@ -308,7 +306,7 @@ fn as_nerf(data: &Data, folder: &Path) {
                 image::Rgba([r, g, b, mask.get_pixel(x, y).0[0]])
             });
             let file = format!("{split}/{stem}.png");
-            common::save_png(&folder.join(&file), &image::DynamicImage::ImageRgba8(png));
+            crate::common::save_png(&folder.join(&file), &image::DynamicImage::ImageRgba8(png));
             frames.push(json!({
                 "file_path": format!("./{split}/{stem}"),
                 "transform_matrix": opengl_world_from_camera(&camera["W2C"]),
@@ -487,4 +485,12 @@ fn a_bad_table_of_cases_is_refused() {
     let none = Outcome::of(command(&["shade-cases"]).arg(folder.path().join("none.json")).arg(&output));
     assert_eq!(none.code, Some(2), "{}", none.stderr);
     assert!(none.stderr.contains("none.json"), "{}", none.stderr);
+}
+
+#[test]
+fn the_version_is_one_line_with_the_commit_if_there_is_one() {
+    let outcome = Outcome::of(&mut command(&["--version"])).succeeded();
+    let version = concat!("lobelia ", env!("CARGO_PKG_VERSION"));
+    let rest = outcome.stdout.trim_end().strip_prefix(version).unwrap();
+    assert!(rest.is_empty() || (rest.starts_with(" (") && rest.ends_with(')')), "{rest}");
 }

@@ -1,8 +1,6 @@
 //! The scale between light and albedo is as the scene file says, in all outputs.
 
-mod common;
-
-use common::{Outcome, command};
+use crate::common::{Outcome, command};
 use std::path::Path;
 
 /// A reddish sphere in bluish light; both unknown.

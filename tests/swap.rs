@@ -1,10 +1,8 @@
 //! Systems are exchanged between runs in one world: shading for shading, light for light, and back again.
 
-mod common;
-
+use crate::common::{camera, day, shoot, studio};
 use bevy_ecs::schedule::ScheduleConfigs;
 use bevy_ecs::system::ScheduleSystem;
-use common::{camera, day, shoot, studio};
 use glam::Vec3;
 use lobelia::codec::frame::Frame;
 use lobelia::light::EnvironmentMap;

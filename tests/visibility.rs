@@ -1,8 +1,6 @@
 //! Shadows and reflections in closed form, against the path tracer that finds them ray by ray.
 
-mod common;
-
-use common::{camera, evening};
+use crate::common::{camera, evening};
 use glam::{Vec2, Vec3};
 use lobelia::codec::frame::Frame;
 use lobelia::light::LightLobe;

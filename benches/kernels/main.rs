@@ -4,6 +4,9 @@
 //! points ago, which is more than caches hold. Times are for [`POINTS`] points × [`LOBES`] lobes (or [`exp::VALUES`]
 //! values); for nanoseconds per pair over many sizes see `lobelia bench`.
 
+// Criterion makes public functions.
+#![allow(missing_docs)]
+
 mod adjoint;
 mod exp;
 mod forward;

@@ -315,7 +315,7 @@ mod tests {
         for length in 0..bytes.len() {
             match decode_exr(Path::new("cut.exr"), &bytes[..length]) {
                 Ok(layers) => {
-                    assert_eq!(layers, whole, "wrong pixels from {length} of {} bytes", bytes.len())
+                    assert_eq!(layers, whole, "wrong pixels from {length} of {} bytes", bytes.len());
                 }
                 Err(error) => assert!(matches!(error, Error::Input { .. })),
             }

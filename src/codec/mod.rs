@@ -2,7 +2,7 @@
 //!
 //! | module | reads | writes |
 //! | --- | --- | --- |
-//! | [`file`] | whole files | whole files, never half-written |
+//! | [`mod@file`] | whole files | whole files, never half-written |
 //! | [`image`] | PNG, JPEG, EXR, HDR to linear images and masks | |
 //! | [`exr`], [`frame`] | EXR layers | EXR layers, rendered frames |
 //! | [`png_file`], [`animation`] | | PNG; GIF, APNG, MP4 |

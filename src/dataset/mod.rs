@@ -41,6 +41,7 @@ use std::path::{Path, PathBuf};
 
 /// How a data set's folder is laid out.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub enum Layout {
     /// Whichever of the others is found.
     #[default]

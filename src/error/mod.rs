@@ -16,6 +16,7 @@ pub type Result<T, E = Error> = std::result::Result<T, E>;
 
 /// What went wrong, where, and what a person can do about it.
 #[derive(Clone, Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum Error {
     /// A file that was given is not usable: names the file, the place in it, the problem and the mend.
     #[error("{}{}: {problem}", path.display(), place_suffix(place))]

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 /// What a fit minimises, averaged over pixels and channels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub enum Loss {
     /// Absolute difference of linear radiance.
     #[default]

@@ -1,6 +1,6 @@
 //! The Loss, Gradient and Update stages.
 
-pub mod adam;
+pub(crate) mod adam;
 pub mod cameras;
 pub mod components;
 pub mod exposure;

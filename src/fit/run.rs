@@ -104,6 +104,7 @@ impl FirstGuess {
 
 /// What a caller sees of a running fit.
 #[derive(Clone, Copy, Debug)]
+#[non_exhaustive]
 pub struct FitProgress {
     /// Step just done, from 1.
     pub step: u32,
@@ -119,6 +120,7 @@ pub struct FitProgress {
 
 /// What a fit leaves behind.
 #[derive(Clone, Copy, Debug)]
+#[non_exhaustive]
 pub struct FitSummary {
     /// Steps done.
     pub steps: u32,

@@ -28,6 +28,7 @@ use serde::{Deserialize, Serialize};
 /// What decides the scale between light and albedo, one factor a channel, when both are unknown.
 #[derive(Resource, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
+#[non_exhaustive]
 pub enum ScaleRule {
     /// The light's colour is that of the highlights; the mean albedo starts from 0.4.
     Highlights {

@@ -18,6 +18,7 @@ use crate::light::EnvironmentMap;
 /// | `ThreeJs`, `BlenderYUp` | +Y | −X | −Z | +X | +Z |
 /// | `Blender` | +Z | −X | +Y | +X | −Y |
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub enum MapConvention {
     /// This crate's own: direction (cos θ sin φ, cos φ, sin θ sin φ) of (u, v), with φ = πv and θ = 2πu − π/2.
     #[default]

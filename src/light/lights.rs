@@ -68,12 +68,15 @@ pub struct Lights<'w, 's> {
     lobes: Query<'w, 's, (Entity, &'static LightLobe), bevy_ecs::prelude::With<LobeOf>>,
 }
 
+/// Lobes with their entities, and a map.
+type LobesAndMap = (Vec<(Entity, LightLobe)>, Option<Arc<MapLight>>);
+
 impl Lights<'_, '_> {
     /// The lobes of a light and their entities, and its map, if it has one.
     ///
     /// # Errors
     /// If there is no light of that name, or there are several.
-    pub fn of(&self, choice: &LightChoice) -> Result<(Vec<(Entity, LightLobe)>, Option<Arc<MapLight>>)> {
+    pub fn of(&self, choice: &LightChoice) -> Result<LobesAndMap> {
         let LightChoice::Named(name) = choice else {
             let lobes = self.own.iter().map(|(entity, lobe)| (entity, *lobe)).collect();
             return Ok((lobes, self.own_map.iter().next().map(|map| map.0.clone())));

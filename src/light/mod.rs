@@ -4,11 +4,10 @@
 //! | --- | --- |
 //! | [`convention`] | which way other programs' maps face |
 //! | [`envmap`] | the latitude-longitude grid: directions, solid angles, bilinear look-up, rotation |
-//! | [`envmap_io`] | EXR and Radiance HDR in (checked, repaired, counted), EXR out |
+//! | [`codec::envmap`](crate::codec::envmap) | EXR and Radiance HDR in (checked, repaired, counted), EXR out |
 //! | [`illuminate`] | [`Illuminate`] for a map and for lobes, both importance-sampled |
-//! | [`npy`] | SG `.npy` files in both conventions |
-//! | [`fit_map`] | a map fitted by lobes (Levenberg–Marquardt; lobes are added and taken away) |
-//! | [`fit_sun`] | suns, which get lobes of their own before the fit |
+//! | [`codec::npy`](crate::codec::npy) | SG `.npy` files in both conventions |
+//! | [`map_fit`] | a map fitted by lobes (Levenberg–Marquardt; lobes are added and taken away) |
 //!
 //! # Parameters of a lobe
 //! | name | type | unit | default | meaning |
@@ -17,7 +16,7 @@
 //! | `sharpness` | `f32` ≥ 0 | 1 / (1 − cos) | none | λ; half-width is about √(1.39 / λ) radians |
 //! | `amplitude` | `Vec3` ≥ 0 | linear RGB radiance | none | μ, the radiance at the axis |
 //!
-//! # Parameters of a fit ([`fit_map::MapFit`])
+//! # Parameters of a fit ([`map_fit::MapFit`])
 //! | name | type | unit | default | meaning |
 //! | --- | --- | --- | --- | --- |
 //! | `working_width` | `u32` | texels | 256 | width of the averaged map that lobes are first placed on |

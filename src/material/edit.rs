@@ -23,6 +23,7 @@ pub struct EditOrder(pub u32);
 /// What an edit changes.
 #[derive(Component, Clone, Copy, Debug, PartialEq, Eq)]
 #[require(EditOrder, EditRegion)]
+#[non_exhaustive]
 pub enum EditTarget {
     /// The diffuse albedo.
     Diffuse,
@@ -34,6 +35,7 @@ pub enum EditTarget {
 
 /// How it changes; colours stay in `[0, 1]`.
 #[derive(Component, Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum EditAction {
     /// Becomes this.
     Set(Vec3),

@@ -1,12 +1,12 @@
 //! Surfaces: meshes, primitives, ray casting and the texel atlas.
 //!
-//! A mesh comes from a file ([`gltf_import`]) or a formula ([`primitive`]), gets texture coordinates ([`atlas::unwrap_mesh`]) and becomes a
+//! A mesh comes from a file ([`codec::gltf`](crate::codec::gltf)) or a formula ([`primitive`]), gets texture coordinates ([`atlas::unwrap_mesh`]) and becomes a
 //! [`Surface`]: a resource that answers rays with positions, normals and texel addresses.
 //!
 //! | parameter | type | unit | default | meaning |
 //! | --- | --- | --- | --- | --- |
 //! | `texture_size` | `u32` | texels | none | side of the square atlas, 1 to 16384 |
-//! | mesh | [`mesh::Mesh`] | world units | none | triangles with normals and texture coordinates |
+//! | mesh | [`triangles::Mesh`] | world units | none | triangles with normals and texture coordinates |
 //!
 //! There is no plugin here: a surface is made once, before a run, and put into the world as a resource; the Trace stage reads it
 //! through [`Intersect`].

@@ -9,6 +9,7 @@ use bevy_ecs::schedule::ScheduleLabel;
 
 /// The stages of a phase, in the order they run.
 #[derive(SystemSet, Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[non_exhaustive]
 pub enum Stage {
     /// Chooses pixel samples and their rays.
     Sample,

@@ -1,7 +1,7 @@
 //! Reports: what a pass leaves behind for people and for other programs.
 //!
 //! Frames as layered EXR, pictures as PNG, contact sheets, animations, and the scores of a prediction against its truth.
-//! Kernels ([`metrics`], [`ssim`], [`tone`], [`heat`], [`palette`]) work on slices; every file goes through [`crate::codec::file`], so that
+//! Kernels ([`metrics`], [`ssim`], [`tone`], [`heat`]) work on slices; every file goes through [`crate::codec::file`], so that
 //! nothing half-written ever bears a final name.
 //!
 //! | name | type | unit | default | meaning |

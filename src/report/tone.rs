@@ -11,6 +11,7 @@ use std::path::Path;
 
 /// How linear radiance is brought into the range of a display.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub enum Tone {
     /// Clipped at 1: what is in range is shown exactly.
     #[default]

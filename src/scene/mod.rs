@@ -2,7 +2,7 @@
 //!
 //! A scene file is RON with the extensions `implicit_some` (an optional value is written without `Some`) and
 //! `unwrap_variant_newtypes` (`Fit(name: "fit")`, `Constant(0.5, 0.5, 0.5)`) always on. Every field is
-//! documented, with unit, range and default, on the types in [`types`] and [`pass_types`].
+//! documented, with unit, range and default, on the types in [`description`] and [`passes`].
 
 pub mod description;
 pub mod diagnostic;

@@ -3,18 +3,18 @@
 //! | file | holds |
 //! | --- | --- |
 //! | [`hull`] | where the object is, and the robust visual hull of its masks as a signed distance field |
-//! | [`mend`] | parts that a few wrong masks carved away, put back; which outlines are to be believed |
+//! | [`repair`] | parts that a few wrong masks carved away, put back; which outlines are to be believed |
 //! | [`field`] | the field as parameters: bricks of values (entities) and the field as a whole (a resource) |
-//! | [`adjoint`] | kernels that pull adjoints of normals, positions and silhouettes back to the values |
-//! | [`silhouette_loss`] | the loss of masks |
+//! | `adjoint` | kernels that pull adjoints of normals, positions and silhouettes back to the values |
+//! | `silhouette_loss` | the loss of masks |
 //! | [`systems`] | the systems, which are swapped in while a shape is fitted ([`run`]) |
 //! | [`vertices`] | a mesh's vertices as parameters of a fit |
 
-pub mod adjoint;
+pub(crate) mod adjoint;
 pub mod field;
 pub mod hull;
 pub mod repair;
 pub mod run;
-pub mod silhouette_loss;
+pub(crate) mod silhouette_loss;
 pub mod systems;
 pub mod vertices;

@@ -270,7 +270,7 @@ pub fn move_bricks(
             grid.values[run.rows()].copy_from_slice(&values.0[run.places()]);
         }
     }
-    if count % schedule.redistance_every == 0 {
+    if count.is_multiple_of(schedule.redistance_every) {
         grid.redistance();
         values.par_iter_mut().zip(&*at).for_each(|(values, at)| *values = BrickValues::of(grid, *at));
     }

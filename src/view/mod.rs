@@ -5,13 +5,13 @@
 //! | module | what for |
 //! | --- | --- |
 //! | [`camera`] | the pinhole camera, projection, looking at a point, orbits |
-//! | [`image_io`] | PNG, JPEG, EXR and HDR files to linear images and masks |
-//! | [`dataset`] | folders of posed photographs to [`ViewRecord`]s |
+//! | [`codec::image`](crate::codec::image) | PNG, JPEG, EXR and HDR files to linear images and masks |
+//! | [`dataset`](crate::dataset) | folders of posed photographs to [`ViewRecord`]s |
 //! | [`mask_check`] | whether cameras and masks can give a shape |
 //! | [`raster`] | box filtering, bilinear look-up, mask erosion |
-//! | [`nearby`] | natural name order, and help for wrong names |
+//! | [`codec::nearby`](crate::codec::nearby) | natural name order, and help for wrong names |
 //!
-//! The parameters are those of [`dataset::DatasetOptions`] (table in [`dataset`]) and [`Orbit`]:
+//! The parameters are those of [`DatasetOptions`](crate::dataset::DatasetOptions) (table in [`dataset`](crate::dataset)) and [`Orbit`]:
 //!
 //! | orbit field | type | unit | default | meaning |
 //! | --- | --- | --- | --- | --- |

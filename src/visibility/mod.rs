@@ -10,17 +10,17 @@
 //!
 //! | module | holds |
 //! | --- | --- |
-//! | [`trace`] | which directions are hidden from each texel, and by which texel |
-//! | [`occlusion`] | kernels: light on a set of directions, and what of it reaches texels and points |
+//! | `trace` | which directions are hidden from each texel, and by which texel |
+//! | `occlusion` | kernels: light on a set of directions, and what of it reaches texels and points |
 //! | [`systems`] | the systems in `Slot::Visibility`, and what makes them run |
 //!
 //! Diffuse light has one factor per texel and lobe, blended at the point like albedo, so light can be fitted through it. Specular
 //! light has one per point, along the mirrored view, at the mean roughness of the base materials there. The adjoint holds all of
 //! them, and reflected light, fixed.
 
-pub mod occlusion;
+pub(crate) mod occlusion;
 pub mod systems;
-pub mod trace;
+pub(crate) mod trace;
 
 pub use systems::{FitVisibilityPlugin, FrameVisibilityPlugin};
 

@@ -112,11 +112,6 @@ impl TexelVisibility {
         self.texels.len()
     }
 
-    /// Whether no texel is covered.
-    pub fn is_empty(&self) -> bool {
-        self.texels.is_empty()
-    }
-
     /// Words of bits a row.
     fn words(&self) -> usize {
         self.directions.len() / 64

@@ -1,7 +1,4 @@
 //! What the whole-program tests share: a small known object, a data set photographed of it, and running the command.
-//!
-//! Every test file is a program of its own and uses a part of this.
-#![allow(dead_code)]
 
 use glam::{Mat4, Vec3};
 use lobelia::codec::exr::{ExrLayers, read_exr_layers};

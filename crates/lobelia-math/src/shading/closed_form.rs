@@ -13,6 +13,7 @@ use crate::sample::{Layers, PointAdjoint, RadianceColumns, ShadePoint};
 
 /// Which closed form shades.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum ClosedForm {
     /// The formulas of PhySG's own code, for comparison.
     Published,

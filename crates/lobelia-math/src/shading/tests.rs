@@ -351,7 +351,7 @@ fn visibility_scales_the_lobes_it_hides() {
         let mirror = run(&lobes, Some(Visibility { lobes: &rows, points: &half }));
         for (a, b) in mirror.0.iter().zip(&plain.0) {
             (0..3).for_each(|c| {
-                close("specular", a.specular[c], f64::from(b.specular[c] * around.specular[c]), 1e-2)
+                close("specular", a.specular[c], f64::from(b.specular[c] * around.specular[c]), 1e-2);
             });
         }
     }

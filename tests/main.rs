@@ -1,0 +1,23 @@
+//! The tests of the whole program and of the library as a user sees it, in one binary: it is linked once.
+//!
+//! | theme | files |
+//! | --- | --- |
+//! | runs of the command | [`run`], [`photos`], [`gloss`], [`ggx`], [`scale`], [`export`], [`env`] |
+//! | what is refused, and how | [`bad_input`], [`scene_errors`] |
+//! | systems in a world | [`swap`], [`visibility`] |
+//! | the documentation | [`docs`] |
+
+mod common;
+
+mod bad_input;
+mod docs;
+mod env;
+mod export;
+mod ggx;
+mod gloss;
+mod photos;
+mod run;
+mod scale;
+mod scene_errors;
+mod swap;
+mod visibility;
