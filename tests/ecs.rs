@@ -1,8 +1,6 @@
 //! What users of bevy do by instinct works: markers, despawning, sorting, change detection, systems and plugins of one's own.
 
-mod common;
-
-use common::{camera, day, evening, shoot, studio};
+use crate::common::{camera, day, evening, shoot, studio};
 use lobelia::codec::frame::Frame;
 use lobelia::mesh::primitive::box_mesh;
 use lobelia::pipeline::pool::read_column;

@@ -2,22 +2,25 @@
 //!
 //! | theme | files |
 //! | --- | --- |
-//! | runs of the command | [`run`], [`photos`], [`gloss`], [`ggx`], [`scale`], [`export`], [`env`] |
+//! | runs of the command | [`run`], [`photos`], [`gloss`], [`ggx`], [`scale`], [`export`], [`shown`], [`env`] |
 //! | what is refused, and how | [`bad_input`], [`scene_errors`] |
-//! | systems in a world | [`swap`], [`visibility`] |
-//! | the documentation | [`docs`] |
+//! | systems in a world | [`ecs`], [`swap`], [`visibility`] |
+//! | the documentation, the layers of the code | [`docs`], [`rooms`] |
 
 mod common;
 
 mod bad_input;
 mod docs;
+mod ecs;
 mod env;
 mod export;
 mod ggx;
 mod gloss;
 mod photos;
+mod rooms;
 mod run;
 mod scale;
 mod scene_errors;
+mod shown;
 mod swap;
 mod visibility;

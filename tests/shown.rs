@@ -1,8 +1,6 @@
 //! `Save` and `Export` write the object as an `Edit` or `Relight` pass shows it, if asked to.
 
-mod common;
-
-use common::{Data, Outcome, command};
+use crate::common::{Data, Outcome, command};
 use lobelia::codec::exr::read_exr_layers;
 use lobelia::codec::gltf::material::read_material;
 

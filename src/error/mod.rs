@@ -1,7 +1,7 @@
 //! The one error type of the crate.
 //!
 //! An error is made where the cause is known, carried upwards unchanged with `?`, and reported once, at the
-//! edge (`main.rs`), which also chooses the exit code: 2 for [`Error::Input`], [`Error::Scene`] and
+//! edge (the command), which also chooses the exit code: 2 for [`Error::Input`], [`Error::Scene`] and
 //! [`Error::Usage`], 130 for [`Error::Interrupted`], 1 for the rest.
 
 mod scene;

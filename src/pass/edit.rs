@@ -7,7 +7,7 @@ use crate::material::edit::{
 };
 use crate::mesh::Surface;
 use crate::mesh::atlas::TexelAtlas;
-use crate::scene::passes::{ColorAction, DiffuseAction, Edit, Region, ScalarAction};
+use crate::scene::{ColorAction, DiffuseAction, Edit, Region, ScalarAction};
 use bevy_ecs::prelude::{Entity, World};
 use glam::Vec3;
 

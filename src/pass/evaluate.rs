@@ -7,14 +7,14 @@ use crate::codec::gltf::import::read_mesh;
 use crate::codec::image::{Gamma, IMAGE_EXTENSIONS, read_image};
 use crate::error::{Error, Result};
 use crate::mesh::chamfer::chamfer_distance;
-use crate::pass::Session;
 use crate::pass::render::{ChosenView, chosen_views};
+use crate::pass::session::Session;
 use crate::report::heat::{factor_for, heat_map};
 use crate::report::metrics::{Pair, albedo_psnr, coverage_iou, erode, mean, mean_normal_angle_degrees};
 use crate::report::scores::{EvalView, PassScores, Scaling, score_views};
 use crate::report::sheet::{Sheet, SheetCell, SheetRow, Theme, choose_evenly, write_sheet};
 use crate::report::tone::{Backdrop, Look, Picture};
-use crate::scene::passes::{EvaluatePass, LayerTruth, Pass, ScaleRule, Score, Truth, ViewChoice};
+use crate::scene::{EvaluatePass, LayerTruth, Pass, Score, ScoreScale, Truth, ViewChoice};
 use crate::view::camera::Camera;
 use crate::view::{Photograph, ViewMask, ViewName};
 use glam::Vec3;
@@ -122,11 +122,11 @@ fn scored_view(session: &mut Session, pass: &str, view: &ChosenView, truth: Vec<
     Ok(ScoredView { eval, camera, albedo, normal, coverage, mask_iou })
 }
 
-fn scaling(rule: ScaleRule) -> Scaling {
+fn scaling(rule: ScoreScale) -> Scaling {
     match rule {
-        ScaleRule::None => Scaling::None,
-        ScaleRule::PerChannel => Scaling::PerChannel,
-        ScaleRule::PerLayer => Scaling::PerLayer,
+        ScoreScale::None => Scaling::None,
+        ScoreScale::PerChannel => Scaling::PerChannel,
+        ScoreScale::PerLayer => Scaling::PerLayer,
     }
 }
 

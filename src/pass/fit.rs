@@ -20,16 +20,19 @@ use crate::material::{
     DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, TexelIndex, recovered_albedo,
     recovered_materials,
 };
+use crate::math::accurate::Quality;
 use crate::math::shading::ClosedForm;
 use crate::mesh::atlas::{TexelAtlas, fill_uncovered};
+use crate::pass::found_views;
+use crate::pass::interrupt::{INTERRUPTED, check_interrupted};
 use crate::pass::save::write_weights;
-use crate::pass::{INTERRUPTED, Session, check_interrupted, found_views};
+use crate::pass::session::Session;
 use crate::pipeline::pool::{read_column, write_column};
 use crate::pipeline::{Phase, Slot};
 use crate::report::scores::ScaleFound;
 use crate::report::tone::srgb8;
-use crate::scene::description::Gloss;
-use crate::scene::passes::{FitPass, FitShading, Quality};
+use crate::scene::Gloss;
+use crate::scene::{FitPass, FitShading};
 use crate::shape::vertices::{MovingMesh, VertexPlugin};
 use crate::spawn::{initial_specular, unknowns};
 use crate::visibility::ObjectVisibility;

@@ -12,22 +12,25 @@
 //!
 //! [`preflight`] looks for what a later pass could stumble over before the first one runs.
 
-pub mod bench;
 pub mod edit;
-pub mod env;
 pub mod evaluate;
 pub mod export;
 pub mod fit;
 mod found_views;
 pub mod inspect;
+mod interrupt;
 pub mod photograph;
 pub mod preflight;
 pub mod progress;
 pub mod render;
 pub mod save;
-pub mod shade_cases;
+mod session;
+mod shading;
 pub mod shape;
 pub mod show;
+
+pub use interrupt::{INTERRUPTED, check_interrupted};
+pub use session::{Lights, MOST_VISIBILITY_BYTES, Session};
 
 use crate::dataset::{DatasetOptions, has_split, read_dataset};
 use crate::error::{Error, Result};
@@ -35,80 +38,28 @@ use crate::fit::run::{FirstGuess, FitPlugin};
 use crate::mesh::Surface;
 use crate::pipeline::Pipeline;
 use crate::report::scores::Scores;
-use crate::scene::description::{
-    Albedo, CameraSpec, Light, Scene, Surface as SurfaceSpec, Views, Visibility,
-};
-use crate::scene::load::{LoadedScene, RunOptions};
-use crate::scene::passes::{EditPass, Pass, RelightPass, RenderPass, ViewChoice};
+use crate::scene::load::LoadedScene;
+use crate::scene::{Albedo, CameraSpec, Light, Scene, Surface as SurfaceSpec, Views};
+use crate::scene::{EditPass, Pass, RelightPass, RenderPass, ViewChoice};
 use crate::shade::frame::FramePlugin;
-use crate::spawn::{LoadedLight, SurfaceUse, load_light, make_surface, spawn};
-use crate::view::camera::Camera;
+use crate::spawn::{SurfaceUse, make_surface, spawn};
 use crate::view::mask_check::check_masks;
 use crate::view::{Split, ViewRecord};
-use crate::visibility::{ObjectVisibility, VisibilitySettings};
-use photograph::TrueObject;
+use photograph::{TrueObject, camera_of};
 use progress::Progress;
-use std::collections::BTreeMap;
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Instant;
 
-/// Set by Ctrl-C: the fit in progress ends at its next step, other passes at their next picture.
-pub static INTERRUPTED: AtomicBool = AtomicBool::new(false);
-
-/// Everything the passes of one run share.
-pub struct Session<'a> {
-    /// The scene that is run.
-    pub scene: &'a Scene,
-    /// The world and its schedules.
-    pub pipeline: Pipeline,
-    /// The object's surface.
-    pub surface: Arc<Surface>,
-    /// The object that took its own photographs, if there is one.
-    pub truth: Option<TrueObject>,
-    /// Output folder.
+/// How a loaded scene is run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct RunOptions {
+    /// The output folder.
     pub out: PathBuf,
-    /// The lights that the scene names, loaded.
-    pub lights: Lights,
-    /// What the next fit guesses before its first step: what is unknown without an initial value, until there has been one.
-    pub guess: FirstGuess,
-    /// Steps of a `Shape` between two looks at it.
+    /// Write into `out` although it exists and is not empty.
+    pub force: bool,
+    /// Steps of a `Shape` between two looks at it, if it is looked at.
     pub debug_every: Option<u32>,
-    /// What the terminal shows.
-    pub progress: &'a dyn Progress,
-    /// Scores so far.
-    pub scores: Scores,
-}
-
-/// The lights that a scene names; read before anything is fitted, so that a bad file is found at once.
-pub struct Lights {
-    /// The scene's own, if it is not unknown.
-    pub own: Option<LoadedLight>,
-    /// Those of passes, by the pass's name.
-    pub of_passes: BTreeMap<String, LoadedLight>,
-}
-
-impl Lights {
-    fn load(scene: &Scene, progress: &dyn Progress) -> Result<Self> {
-        let load = |source| {
-            let light = load_light(source)?;
-            light.notes.iter().for_each(|note| progress.note(note));
-            Ok(light)
-        };
-        let own = match &scene.light {
-            Light::Initial(source) | Light::Fixed(source) => Some(load(source)?),
-            Light::Unknown(_) => None,
-        };
-        let mut of_passes = BTreeMap::new();
-        for pass in &scene.passes {
-            if let Some(source) = pass.light() {
-                of_passes.insert(pass.name().to_owned(), load(source)?);
-            }
-        }
-        Ok(Self { own, of_passes })
-    }
 }
 
 /// Runs a scene's passes in order, and says through `progress` how they get on.
@@ -135,41 +86,6 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
     session.finish()
 }
 
-/// Most memory that shadows and reflections may be expected to take.
-pub const MOST_VISIBILITY_BYTES: usize = 4 << 30;
-
-impl Session<'_> {
-    /// Whether the object has shadows and reflections that the scene does not leave out; if so, the world has what it takes to find them.
-    ///
-    /// # Errors
-    /// If that would take more than [`MOST_VISIBILITY_BYTES`].
-    pub fn has_visibility(&mut self) -> Result<bool> {
-        let Visibility::Traced { directions, bounces, refresh_every } = self.scene.visibility else {
-            return Ok(false);
-        };
-        if !self.pipeline.world.contains_resource::<ObjectVisibility>() {
-            let settings = VisibilitySettings { directions, bounces, refresh_every };
-            let texels = self.surface.atlas().covered.iter().filter(|covered| **covered).count();
-            let bytes = texels * settings.bytes_per_texel();
-            if bytes > MOST_VISIBILITY_BYTES {
-                let gib = bytes as f64 / f64::from(1 << 30);
-                let problem =
-                    format!("shadows of {texels} texels in {directions} directions may take {gib:.1} GiB");
-                let help =
-                    "Lower `texture_size` or `visibility: Traced(directions: …)`, or say `visibility: None`.";
-                return Err(Error::usage(problem, help));
-            }
-            let start = Instant::now();
-            let traced = ObjectVisibility::new(&self.surface, settings);
-            let (mib, elapsed) = (traced.bytes() as f64 / 1048576.0, start.elapsed().as_secs_f64());
-            self.progress.print(&format!("visibility: traced in {elapsed:.1} s, {mib:.1} MiB"));
-            self.pipeline.world.insert_resource(traced);
-        }
-        // A convex object hides nothing, and need not look at every step.
-        Ok(!self.pipeline.world.resource::<ObjectVisibility>().sees_all())
-    }
-}
-
 /// An output folder with something in it is kept, unless `force`.
 fn refuse_used(out: &Path, force: bool) -> Result<()> {
     let used = match std::fs::read_dir(out) {
@@ -186,14 +102,6 @@ fn refuse_used(out: &Path, force: bool) -> Result<()> {
         return Err(Error::usage(problem, "Choose another with --out, or write into it with --force."));
     }
     Ok(())
-}
-
-/// [`Error::Interrupted`] once Ctrl-C was pressed.
-///
-/// # Errors
-/// That one.
-pub fn check_interrupted() -> Result<()> {
-    if INTERRUPTED.load(Ordering::Relaxed) { Err(Error::Interrupted) } else { Ok(()) }
 }
 
 /// Reads everything the scene names and puts it into a world. Nothing is written yet.
@@ -290,10 +198,6 @@ fn bare_view(spec: &CameraSpec) -> Result<ViewRecord> {
     Ok(ViewRecord { name: spec.name.clone(), split: spec.split, camera, photograph: None, mask: None })
 }
 
-fn camera_of(spec: &CameraSpec) -> Result<Camera> {
-    Camera::look_at(spec.eye, spec.target, spec.up, spec.fov_degrees, spec.width, spec.height)
-}
-
 /// A camera inside a closed object would see its back everywhere.
 fn check_cameras(views: &[ViewRecord], surface: &Surface) -> Result<()> {
     match views.iter().find(|view| surface.is_inside(view.camera.position())) {
@@ -308,26 +212,5 @@ fn check_cameras(views: &[ViewRecord], surface: &Surface) -> Result<()> {
                 "Do the cameras and the object share one coordinate system and unit? Else drop that view.",
             ))
         }
-    }
-}
-
-impl<'a> Session<'a> {
-    /// The pass of this name.
-    pub fn pass_named(&self, name: Option<&str>) -> Option<&'a Pass> {
-        self.scene.passes.iter().find(|pass| Some(pass.name()) == name)
-    }
-
-    /// The folder of a pass.
-    pub fn folder(&self, pass: &str) -> PathBuf {
-        self.out.join(pass)
-    }
-
-    /// Writes the metrics and shows the table.
-    fn finish(mut self) -> Result<()> {
-        self.scores.peak_rss_mib = crate::report::scores::peak_rss_mib();
-        self.scores.write_json(self.out.join("metrics.json"))?;
-        self.progress.print(&self.scores.table());
-        self.progress.print(&format!("Results are in {}.", self.out.display()));
-        Ok(())
     }
 }

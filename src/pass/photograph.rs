@@ -10,13 +10,12 @@ use crate::math::fibonacci::fibonacci_axes;
 use crate::math::ray::Intersect;
 use crate::mesh::Surface;
 use crate::pass::edit::{apply_edits, spawn_edits};
+use crate::pass::interrupt::check_interrupted;
 use crate::pass::progress::Progress;
-use crate::pass::show::set_shading;
-use crate::pass::{camera_of, check_interrupted};
+use crate::pass::shading::set_shading;
 use crate::pipeline::{Phase, Pipeline, Slot};
 use crate::sample::point::Scenery;
-use crate::scene::description::{CameraRing, CameraSpec, Pattern, Photographed, Scene};
-use crate::scene::passes::{Edit, RenderSettings, Shading};
+use crate::scene::{CameraRing, CameraSpec, Edit, Pattern, Photographed, RenderSettings, Scene, Shading};
 use crate::shade::frame::{FramePlugin, render_frame, resolve};
 use crate::spawn::{LoadedLight, load_light};
 use crate::view::camera::Camera;
@@ -177,6 +176,11 @@ fn pattern_at(pattern: &Pattern, at: Vec3) -> Vec3 {
             colors.0.lerp(colors.1, (0.5 + 0.25 * (wave.x + wave.y * wave.z)).clamp(0.0, 1.0))
         }
     }
+}
+
+/// The camera that a scene describes.
+pub(super) fn camera_of(spec: &CameraSpec) -> Result<Camera> {
+    Camera::look_at(spec.eye, spec.target, spec.up, spec.fov_degrees, spec.width, spec.height)
 }
 
 #[cfg(test)]

@@ -12,16 +12,16 @@ use crate::light::lights::own_lobes;
 use crate::material::edit::MaterialState;
 use crate::material::{SpecularBlend, SpecularLobe};
 use crate::mesh::atlas::TexelAtlas;
-use crate::pass::Session;
 use crate::pass::photograph::ring;
+use crate::pass::session::Session;
 use crate::pass::show::material_of;
-use crate::scene::description::{
+use crate::scene::Pass;
+use crate::scene::SavePass;
+use crate::scene::load::to_ron;
+use crate::scene::{
     Albedo, AlbedoSource, Gloss, Light, LightSource, Material, Roughness, Scene, Specular, SpecularAlbedo,
     Surface as SurfaceSpec, Views,
 };
-use crate::scene::load::to_ron;
-use crate::scene::output::SavePass;
-use crate::scene::passes::Pass;
 use crate::spawn::light_file::inlined;
 use glam::Vec3;
 use std::path::Path;
@@ -143,7 +143,7 @@ fn saved_views(session: &Session) -> Result<Views> {
             let found =
                 session.pipeline.world.get_resource::<CameraFit>().map_or(1.0, CameraFit::focal_factor);
             let focal_scale = spec.focal_scale * found;
-            Ok(Views::Dataset(crate::scene::description::Dataset { path, focal_scale, ..spec.clone() }))
+            Ok(Views::Dataset(crate::scene::Dataset { path, focal_scale, ..spec.clone() }))
         }
         Views::Cameras(cameras) => Ok(Views::Cameras(cameras.clone())),
         Views::Photographed(spec) => Ok(Views::Cameras(ring(&spec.cameras, session.scene.up))),

@@ -1,17 +1,15 @@
 //! What frames show: which material, which light, how shaded. Each is one system in a slot of the Frame phase, and a pass swaps them;
 //! the recovered material and the scene's own light are never touched.
 
-use super::Session;
-use super::edit::{apply_edits, spawn_edits};
 use crate::error::Result;
 use crate::light::lights::{LightChoice, provide_light, spawn_light};
 use crate::material::edit::MaterialState;
 use crate::material::shown::{recovered_material, show_edited, show_recovered};
-use crate::math::shading::ClosedForm;
-use crate::pipeline::{Phase, Pipeline, Slot};
-use crate::scene::description::Light;
-use crate::scene::passes::{Pass, RenderSettings, Shading};
-use crate::shade::{PathTracing, shade_closed_form, shade_path_traced};
+use crate::pass::edit::{apply_edits, spawn_edits};
+use crate::pass::session::Session;
+use crate::pass::shading::set_shading;
+use crate::pipeline::{Phase, Slot};
+use crate::scene::{Light, Pass, RenderSettings, Shading};
 use crate::visibility::FrameVisibilityPlugin;
 
 /// Swaps in the material, light, shading and visibility of a pass.
@@ -55,33 +53,6 @@ fn show_light(session: &mut Session, pass: &Pass, shading: Shading) {
     // A fit may have moved the lobes away from the map that they began as.
     let by_map = by_map && (choice != LightChoice::Own || matches!(session.scene.light, Light::Fixed(_)));
     session.pipeline.swap(Phase::Frame, Slot::Light, provide_light(choice, by_map));
-}
-
-/// Swaps in the shading system.
-pub fn set_shading(pipeline: &mut Pipeline, settings: &RenderSettings, seed: u64) {
-    let closed_form = match settings.shading {
-        Shading::Accurate => ClosedForm::Accurate(settings.quality),
-        Shading::Published => ClosedForm::Published,
-        Shading::PathTraced { spp, max_bounces, .. } => {
-            let rays = camera_rays(settings);
-            let paths_per_sample = spp.div_ceil(rays);
-            let paths = PathTracing { paths_per_sample, max_bounces, seed, samples_per_pixel: rays };
-            pipeline.swap(Phase::Frame, Slot::Shading, shade_path_traced(paths));
-            return;
-        }
-    };
-    pipeline.swap(Phase::Frame, Slot::Shading, shade_closed_form(closed_form));
-}
-
-/// Camera rays per pixel: a path tracer with fewer paths than that takes one path a ray.
-pub fn camera_rays(settings: &RenderSettings) -> u32 {
-    match settings.shading {
-        Shading::Accurate | Shading::Published => settings.samples_per_pixel,
-        Shading::PathTraced { spp, .. } => {
-            let side = f64::from(settings.samples_per_pixel.min(spp)).sqrt().floor().max(1.0) as u32;
-            side * side
-        }
-    }
 }
 
 /// The material as the pass `of` shows it, or the recovered one.

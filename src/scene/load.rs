@@ -43,17 +43,6 @@ pub struct LoadedScene {
     pub unseen: Vec<PathBuf>,
 }
 
-/// How a loaded scene is run.
-#[derive(Clone, Debug, PartialEq)]
-pub struct RunOptions {
-    /// The output folder.
-    pub out: PathBuf,
-    /// Write into `out` although it exists and is not empty.
-    pub force: bool,
-    /// Steps of a `Shape` between two looks at it, if it is looked at.
-    pub debug_every: Option<u32>,
-}
-
 /// Reads and checks a scene file.
 ///
 /// # Errors
@@ -172,8 +161,10 @@ fn check_version(words: &SceneText, root: &Node) -> Result<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::description::{Light, Material, Roughness, Specular, Views};
+    use crate::scene::light::Light;
+    use crate::scene::material::{Material, Roughness, Specular};
     use crate::scene::passes::Pass;
+    use crate::scene::views::Views;
 
     /// Says most of what can be said.
     const RICH: &str = r#"Scene(

@@ -2,20 +2,43 @@
 //!
 //! A scene file is RON with the extensions `implicit_some` (an optional value is written without `Some`) and
 //! `unwrap_variant_newtypes` (`Fit(name: "fit")`, `Constant(0.5, 0.5, 0.5)`) always on. Every field is
-//! documented, with unit, range and default, on the types in [`description`] and [`passes`].
+//! documented, with unit, range and default, on the types below [`Scene`].
+//!
+//! Nothing here makes a world or runs a pass: that is for [`spawn`](crate::spawn) and [`pass`](crate::pass).
 
-pub mod description;
+mod defaults;
+mod description;
 pub mod diagnostic;
+mod edit;
+mod evaluate;
+mod fit;
+mod light;
 pub mod load;
-pub mod output;
-pub mod passes;
+mod material;
+mod output;
+mod passes;
 pub mod paths;
-pub mod photographed;
-pub mod render;
+mod photographed;
+mod render;
 pub mod ron_tree;
-pub mod roughness;
 pub mod source;
+mod surface;
 pub mod validate;
+mod views;
+mod visibility;
 
-pub use load::{LoadOptions, LoadedScene, RunOptions, load, to_ron};
+pub use description::{Scene, VERSION};
+pub use edit::{ColorAction, DiffuseAction, Edit, Region, ScalarAction};
+pub use evaluate::{EvaluatePass, LayerTruth, Score, ScoreScale, Truth};
+pub use fit::{FitPass, FitShading, GridLevel, Rates, ShapePass};
+pub use light::{Light, LightSource, UnknownLight};
+pub use load::{LoadOptions, LoadedScene, load, to_ron};
+pub use material::{Albedo, AlbedoSource, Gloss, Material, Roughness, Specular, SpecularAlbedo};
+pub use output::{ExportPass, MeshFormat, SavePass};
+pub use passes::{EditPass, Pass, RelightPass, RenderPass};
+pub use photographed::{CameraRing, Pattern, Photographed, TruthObject};
+pub use render::{Orbit, OrbitFormat, RenderSettings, Shading, ViewChoice};
+pub use surface::Surface;
 pub use validate::passes::unknown_parts;
+pub use views::{CameraSpec, Dataset, Views};
+pub use visibility::Visibility;

@@ -1,8 +1,14 @@
 //! The files that a scene names: `$DATA` and relative paths resolved, and whether they exist.
 
-use crate::scene::description::{Albedo, AlbedoSource, Gloss, Light, LightSource, Scene, Surface, Views};
+use crate::scene::description::Scene;
 use crate::scene::diagnostic::{Problem, nearest};
-use crate::scene::passes::{DiffuseAction, Edit, LayerTruth, Pass, Region, Truth};
+use crate::scene::edit::{DiffuseAction, Edit, Region};
+use crate::scene::evaluate::{LayerTruth, Truth};
+use crate::scene::light::{Light, LightSource};
+use crate::scene::material::{Albedo, AlbedoSource, Gloss};
+use crate::scene::passes::Pass;
+use crate::scene::surface::Surface;
+use crate::scene::views::Views;
 use std::path::{Path, PathBuf};
 
 /// What must be at a path.

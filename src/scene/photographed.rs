@@ -1,10 +1,11 @@
 //! What a scene file says about photographs that the project takes itself: cameras, and the true material and light.
 //!
-//! Conventions as in [`types`](crate::scene::description).
+//! Conventions as in [`description`](crate::scene::description).
 
 use crate::material::SpecularLobe;
-use crate::scene::description::{LightSource, fov_degrees, y_axis};
-use crate::scene::passes::Edit;
+use crate::scene::defaults::{fov_degrees, y_axis};
+use crate::scene::edit::Edit;
+use crate::scene::light::LightSource;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 

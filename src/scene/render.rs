@@ -1,7 +1,7 @@
 //! How a pass renders: which views, which shading, and how the pictures look.
 
-pub use crate::math::accurate::Quality;
-pub use crate::report::tone::Tone;
+use crate::math::accurate::Quality;
+use crate::report::tone::Tone;
 use serde::{Deserialize, Serialize};
 
 /// Which pictures are rendered, and how.

@@ -7,7 +7,7 @@
 use crate::error::{Error, Result};
 use crate::sdf::SdfGrid;
 use crate::sdf::silhouette::signed_distance;
-use crate::shape::hull::{Silhouette, hull_distance, is_inner, pixel_size};
+use crate::shape::silhouette::{Silhouette, hull_distance, is_inner, pixel_size};
 use crate::view::Mask;
 use rayon::prelude::*;
 

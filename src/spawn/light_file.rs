@@ -4,9 +4,8 @@ use crate::codec::file;
 use crate::codec::npy::{NpyConvention, read_lobes, write_lobes};
 use crate::light::convention::MapConvention;
 use crate::light::{EnvironmentMap, LightLobe, render_lobes, rotate_lobes, scale_lobes, validate_lobes};
-use crate::scene::description::LightSource;
+use crate::scene::LightSource;
 use crate::scene::load::options;
-use crate::spawn::rotation;
 use crate::{Error, Result};
 use glam::{EulerRot, Quat, Vec3};
 use std::fmt::Write as _;
@@ -100,6 +99,12 @@ pub fn inlined(path: &Path, scale: f32, rotation_degrees: Vec3) -> Result<LightS
     *own_scale *= scale;
     *own_degrees = turned_after(*own_degrees, rotation_degrees);
     Ok(source)
+}
+
+/// Turn about the world's x, then y, then z axis.
+pub fn rotation(degrees: Vec3) -> Quat {
+    let radians = degrees * (std::f32::consts::PI / 180.0);
+    Quat::from_euler(EulerRot::XYZEx, radians.x, radians.y, radians.z)
 }
 
 /// Angles of one turn after another, each about x, then y, then z.
@@ -238,26 +243,6 @@ mod tests {
         }
         let refused = LightFile::Lobes(lobes()).write(&folder.path().join("l.exr"), conventions);
         assert_eq!(refused.unwrap_err().exit_code(), 2);
-    }
-
-    #[test]
-    fn a_scene_names_a_ron_light_and_turns_it_further() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("light.ron");
-        let text = "Lobes(lobes: [(axis: (0, 0, 1), sharpness: 9, amplitude: (1, 2, 3))], scale: 2, rotation_degrees: (30, 40, 50))";
-        std::fs::write(&path, text).unwrap();
-        let source = LightSource::Ron {
-            path: path.clone(),
-            scale: 3.0,
-            rotation_degrees: Vec3::new(-20.0, 70.0, 10.0),
-        };
-        let loaded = crate::spawn::load_light(&source).unwrap().lobes[0];
-        let axis = rotation(Vec3::new(-20.0, 70.0, 10.0)) * (rotation(Vec3::new(30.0, 40.0, 50.0)) * Vec3::Z);
-        assert!(loaded.axis.distance(axis) < 1e-5, "{} {axis}", loaded.axis);
-        assert!(loaded.amplitude.distance(Vec3::new(6.0, 12.0, 18.0)) < 1e-5);
-        std::fs::write(&path, "Ron(path: \"other.ron\")").unwrap();
-        let error = inlined(&path, 1.0, Vec3::ZERO).unwrap_err();
-        assert!(error.to_string().contains("another RON file") && error.exit_code() == 2, "{error}");
     }
 
     #[test]

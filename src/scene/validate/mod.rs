@@ -1,21 +1,28 @@
 //! Whether the values of a scene make sense: ranges, counts, names, and passes that need one another.
 //!
 //! What the types already rule out is not repeated here, and files are looked for in [`crate::scene::paths`].
+
+mod checks;
+mod light;
 pub mod passes;
 
+pub use checks::MIN_ROUGHNESS;
+
+use crate::codec::image::Gamma;
+use crate::fit::scale::ScaleRule;
 use crate::material::MAX_SPECULAR_LOBES;
 use crate::mesh::MAX_COORDINATE;
-use crate::scene::description::{
-    Albedo, AlbedoSource, CameraSpec, Dataset, Gamma, Gloss, Light, LightSource, Material, Pattern,
-    Photographed, Roughness, ScaleRule, Scene, Specular, SpecularAlbedo, Surface, VERSION, Views, Visibility,
-};
+use crate::scene::description::{Scene, VERSION};
 use crate::scene::diagnostic::Problem;
+use crate::scene::material::{Albedo, AlbedoSource, Gloss, Material, Roughness, Specular, SpecularAlbedo};
+use crate::scene::photographed::{Pattern, Photographed};
+use crate::scene::surface::Surface;
+use crate::scene::validate::checks::Checks;
+use crate::scene::validate::light::{light, light_source};
+use crate::scene::views::{CameraSpec, Dataset, Views};
+use crate::scene::visibility::Visibility;
 use glam::Vec3;
 use std::collections::BTreeSet;
-use std::ops::RangeInclusive;
-
-/// Least roughness: below it the specular lobe is sharper than `f32` can hold.
-pub const MIN_ROUGHNESS: f32 = 0.03;
 
 /// Least radius or edge length of a primitive, in world units.
 const MIN_LENGTH: f32 = 1e-9;
@@ -44,115 +51,6 @@ pub fn check(scene: &Scene) -> Vec<Problem> {
     visibility(&mut checks, scene.visibility);
     passes::passes(&mut checks, scene);
     checks.problems
-}
-
-/// The problems found so far, and the common kinds of checks. A `path` is where a value is in the scene file.
-pub(super) struct Checks {
-    problems: Vec<Problem>,
-}
-
-impl Checks {
-    pub(super) fn fail(
-        &mut self,
-        path: &str,
-        problem: impl Into<String>,
-        expected: impl Into<String>,
-        help: impl Into<String>,
-    ) {
-        self.problems.push(Problem {
-            path: path.to_owned(),
-            problem: problem.into(),
-            expected: expected.into(),
-            help: help.into(),
-        });
-    }
-
-    fn require(&mut self, ok: bool, path: &str, found: impl std::fmt::Display, expected: &str) {
-        if !ok {
-            self.fail(path, format!("{} is {found}", last_word(path)), format!("expected {expected}"), "");
-        }
-    }
-
-    /// A number in `range`; NaN is in none.
-    pub(super) fn number(&mut self, path: &str, value: f32, range: RangeInclusive<f32>) {
-        let expected = format!("a number from {} to {}", range.start(), range.end());
-        self.require(range.contains(&value), path, value, &expected);
-    }
-
-    /// A finite number above 0.
-    pub(super) fn positive(&mut self, path: &str, value: f32) {
-        self.require(value > 0.0 && value.is_finite(), path, value, "a number above 0");
-    }
-
-    /// A finite number not below 0.
-    pub(super) fn not_negative(&mut self, path: &str, value: f32) {
-        self.require(value >= 0.0 && value.is_finite(), path, value, "a number not below 0");
-    }
-
-    /// A whole number in `range`.
-    pub(super) fn count(&mut self, path: &str, value: u32, range: RangeInclusive<u32>) {
-        let expected = match *range.end() {
-            u32::MAX => format!("a whole number from {}", range.start()),
-            end => format!("a whole number from {} to {end}", range.start()),
-        };
-        self.require(range.contains(&value), path, value, &expected);
-    }
-
-    /// Three finite numbers.
-    pub(super) fn finite(&mut self, path: &str, value: Vec3) {
-        self.require(value.is_finite(), path, value, "finite numbers");
-    }
-
-    /// A finite vector that is not zero.
-    pub(super) fn direction(&mut self, path: &str, value: Vec3) {
-        let ok = value.is_finite() && value.length_squared().is_normal();
-        self.require(ok, path, value, "a direction: finite, not (0, 0, 0)");
-    }
-
-    /// A point that a surface may be at.
-    fn place(&mut self, path: &str, value: Vec3) {
-        let ok = value.abs().max_element() <= MAX_COORDINATE && value.is_finite();
-        self.require(ok, path, value, &format!("three numbers, none beyond {MAX_COORDINATE:e}"));
-    }
-
-    /// A colour with channels in [0, 1].
-    pub(super) fn color(&mut self, path: &str, value: Vec3) {
-        let ok = value.to_array().iter().all(|channel| (0.0..=1.0).contains(channel));
-        self.require(ok, path, value, "three numbers from 0 to 1");
-    }
-
-    /// Three finite numbers not below 0.
-    pub(super) fn factors(&mut self, path: &str, value: Vec3) {
-        let ok = value.is_finite() && value.min_element() >= 0.0;
-        self.require(ok, path, value, "three numbers not below 0");
-    }
-
-    /// A roughness.
-    pub(super) fn roughness(&mut self, path: &str, value: f32) {
-        self.number(path, value, MIN_ROUGHNESS..=1.0);
-    }
-
-    /// A field of view.
-    pub(super) fn fov(&mut self, path: &str, value: f32) {
-        self.require(value > 0.0 && value <= 170.0, path, value, "degrees above 0, at most 170");
-    }
-
-    /// An image's width or height.
-    pub(super) fn pixels(&mut self, path: &str, value: u32) {
-        self.count(path, value, 1..=16384);
-    }
-
-    /// A name that can be a file's.
-    pub(super) fn name(&mut self, path: &str, value: &str) {
-        let fits = (1..=100).contains(&value.len());
-        let ok = fits && value.chars().all(|c| c.is_ascii_alphanumeric() || c == '_' || c == '-');
-        self.require(ok, path, format_args!("{value:?}"), "1 to 100 letters, digits, `_` and `-`");
-    }
-}
-
-/// The last step of a path that is a word.
-fn last_word(path: &str) -> &str {
-    path.rsplit('.').find(|step| step.starts_with(|c: char| c.is_alphabetic())).unwrap_or(path)
 }
 
 fn surface(checks: &mut Checks, surface: &Surface) {
@@ -279,39 +177,6 @@ fn pattern(checks: &mut Checks, pattern: &Pattern) {
             checks.positive(&at("width"), *width);
         }
     }
-}
-
-fn light(checks: &mut Checks, light: &Light) {
-    match light {
-        Light::Unknown(unknown) => checks.count("light.lobes", unknown.lobes, 1..=512),
-        Light::Initial(source) | Light::Fixed(source) => light_source(checks, "light", source),
-    }
-}
-
-/// A light at `path`.
-pub(super) fn light_source(checks: &mut Checks, path: &str, source: &LightSource) {
-    let at = |field: &str| format!("{path}.{field}");
-    let (scale, rotation) = match source {
-        LightSource::Lobes { lobes, scale, rotation_degrees } => {
-            let count = u32::try_from(lobes.len()).unwrap_or(u32::MAX);
-            checks.count(&at("lobes"), count, 1..=512);
-            for (index, lobe) in lobes.iter().enumerate() {
-                let at = |field: &str| format!("{path}.lobes.{index}.{field}");
-                checks.direction(&at("axis"), lobe.axis);
-                checks.not_negative(&at("sharpness"), lobe.sharpness);
-                checks.factors(&at("amplitude"), lobe.amplitude);
-            }
-            (scale, rotation_degrees)
-        }
-        LightSource::Npy { scale, rotation_degrees, .. }
-        | LightSource::Ron { scale, rotation_degrees, .. } => (scale, rotation_degrees),
-        LightSource::Map { scale, rotation_degrees, lobes, .. } => {
-            checks.count(&at("lobes"), *lobes, 1..=512);
-            (scale, rotation_degrees)
-        }
-    };
-    checks.not_negative(&at("scale"), *scale);
-    checks.finite(&at("rotation_degrees"), *rotation);
 }
 
 fn scale(checks: &mut Checks, rule: ScaleRule) {

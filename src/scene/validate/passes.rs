@@ -1,14 +1,20 @@
 //! Whether the passes of a scene make sense, each by itself and in their order.
 
-use crate::scene::description::{
-    Albedo, Gloss, Light, Ndf, Roughness, Scene, SpecularAlbedo, Surface, Views,
-};
+use crate::math::brdf::Ndf;
+use crate::scene::description::Scene;
 use crate::scene::diagnostic::nearest;
-use crate::scene::passes::{
-    ColorAction, DiffuseAction, Edit, EditPass, EvaluatePass, ExportPass, FitPass, FitShading, LayerTruth,
-    Orbit, Pass, Region, RelightPass, RenderSettings, ScalarAction, Shading, ShapePass, Truth, ViewChoice,
-};
-use crate::scene::validate::{Checks, light_source};
+use crate::scene::edit::{ColorAction, DiffuseAction, Edit, Region, ScalarAction};
+use crate::scene::evaluate::{EvaluatePass, LayerTruth, Truth};
+use crate::scene::fit::{FitPass, FitShading, ShapePass};
+use crate::scene::light::Light;
+use crate::scene::material::{Albedo, Gloss, Roughness, SpecularAlbedo};
+use crate::scene::output::ExportPass;
+use crate::scene::passes::{EditPass, Pass, RelightPass};
+use crate::scene::render::{Orbit, RenderSettings, Shading, ViewChoice};
+use crate::scene::surface::Surface;
+use crate::scene::validate::checks::Checks;
+use crate::scene::validate::light::light_source;
+use crate::scene::views::Views;
 
 /// Checks every pass of the scene.
 pub(super) fn passes(checks: &mut Checks, scene: &Scene) {

@@ -16,8 +16,9 @@ use crate::sdf::volume::{SdfSurface, TexelVolume};
 use crate::shape::field::{
     BRICK_LEN, BrickAt, BrickGradient, BrickIndex, BrickMoments, BrickValues, SdfField, bricks_near_surface,
 };
-use crate::shape::hull::{FORGIVEN, Silhouette, pixel_size, visual_hull};
+use crate::shape::hull::{FORGIVEN, visual_hull};
 use crate::shape::repair::{believed_pixels, regrow};
+use crate::shape::silhouette::{Silhouette, pixel_size};
 use crate::shape::silhouette_loss::{OutlineIndex, SilhouetteSample};
 use crate::shape::systems::{
     ShapeSchedule, align_outlines, hand_out_to_bricks, move_bricks, pull_back_silhouettes,

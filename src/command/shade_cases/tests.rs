@@ -1,5 +1,5 @@
 use super::*;
-use crate::math::real::{add, dot};
+use lobelia::math::real::{add, dot};
 use serde_json::json;
 use std::f64::consts::PI;
 

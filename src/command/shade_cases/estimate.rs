@@ -1,17 +1,18 @@
 //! Path-traced shading of a case: one point, nothing in the way, so the first vertex is the whole path.
 
-use crate::light::LightLobe;
-use crate::material::{SpecularBlend, SpecularLobe};
-use crate::math::brdf::Facets;
-use crate::math::ray::{Hit, Intersect, Ray};
-use crate::math::real::scale;
-use crate::math::sg;
-use crate::pass::shade_cases::{Case, Precision, REPLICATES};
-use crate::shade::path_tracer::{PathPoint, PathQuery, PathScene, PathSettings, shade_point};
-use crate::shade::sampling::lobe_table::LobeTable;
-use crate::shade::sampling::sequence::Sequence;
-use crate::shade::sampling::{Frame, Scattered, Scatterer, SingleLobe, Strategy, sample_sg, sg_pdf};
+use super::mode::{Precision, REPLICATES};
+use super::table::Case;
 use glam::Vec3;
+use lobelia::light::LightLobe;
+use lobelia::material::{SpecularBlend, SpecularLobe};
+use lobelia::math::brdf::Facets;
+use lobelia::math::ray::{Hit, Intersect, Ray};
+use lobelia::math::real::scale;
+use lobelia::math::sg;
+use lobelia::shade::path_tracer::{PathPoint, PathQuery, PathScene, PathSettings, shade_point};
+use lobelia::shade::sampling::lobe_table::LobeTable;
+use lobelia::shade::sampling::sequence::Sequence;
+use lobelia::shade::sampling::{Frame, Scattered, Scatterer, SingleLobe, Strategy, sample_sg, sg_pdf};
 
 /// Outgoing radiance, diffuse and specular, with its standard errors if it was estimated.
 #[derive(Clone, Copy, Debug, PartialEq)]

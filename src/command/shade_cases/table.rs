@@ -1,14 +1,14 @@
-//! Reading a table of cases: every field checked, every problem named with its case.
+//! A table of cases, read with every field checked and every problem named with its case, and written.
 
-use crate::codec::file::read_bytes;
-use crate::codec::nearby::missing_file_help;
-use crate::error::{Error, Result};
+use lobelia::codec::file::read_bytes;
+use lobelia::codec::nearby::missing_file_help;
+use lobelia::{Error, Result};
 use serde_json::{Map, Value};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// One point under one SG of light; all directions have unit length, colours are linear RGB.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Case<F> {
+pub(super) struct Case<F> {
     /// Shading normal.
     pub normal: [F; 3],
     /// Direction from the point to the viewer.
@@ -29,7 +29,7 @@ pub struct Case<F> {
 
 impl Case<f64> {
     /// The same case in single precision.
-    pub fn to_f32(&self) -> Case<f32> {
+    pub(super) fn to_f32(&self) -> Case<f32> {
         let triple = |v: [f64; 3]| v.map(|x| x as f32);
         Case {
             normal: triple(self.normal),
@@ -150,4 +150,26 @@ fn color(object: &Map<String, Value>, field: &'static str) -> Checked<[f64; 3]> 
         return Err(Problem { field, what: "must not be negative" });
     }
     Ok(v)
+}
+
+/// Writes the objects: to a file beside `output` first, which is then renamed.
+pub(super) fn write_table(output: &Path, objects: Vec<Map<String, Value>>) -> Result<()> {
+    let list = Value::Array(objects.into_iter().map(Value::Object).collect());
+    let text = format!("{list:#}\n");
+    let Some(name) = output.file_name() else {
+        return Err(Error::usage(
+            format!("{} is not a file name to write to", output.display()),
+            "name a .json file",
+        ));
+    };
+    let mut hidden = std::ffi::OsString::from(".");
+    hidden.push(name);
+    hidden.push(format!(".{}.part", std::process::id()));
+    let temporary: PathBuf = output.with_file_name(hidden);
+    let written = std::fs::write(&temporary, text).and_then(|()| std::fs::rename(&temporary, output));
+    written.map_err(|source| {
+        // The first error is the one to tell; a part file that was never made cannot be removed.
+        let _ = std::fs::remove_file(&temporary);
+        Error::io("write", output)(source)
+    })
 }

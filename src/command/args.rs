@@ -1,8 +1,6 @@
-//! What can be typed after `lobelia`.
+//! What can be typed after `lobelia`: arguments, their help, and the values that are refused.
 
-use crate::env_command::EnvArgs;
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use lobelia::scene::LoadOptions;
 use std::path::PathBuf;
 
 const EXAMPLES: &str = "\
@@ -58,6 +56,26 @@ Examples:
   lobelia bench --json before.json
       Rows to compare with: mode, points, lobes, threads, roughness, forward_ns, forward_adjoint_ns, …";
 
+const ENV_EXAMPLES: &str = "\
+Examples:
+  lobelia env fit sky.exr --lobes 100 --out sky.ron
+      100 spherical Gaussians for a map, and sky.png: the map above, the lobes below. In a scene, put the text of
+      sky.ron into light: Fixed(…), or say light: Fixed(Map(path: \"sky.exr\", lobes: 100)) to the same effect.
+  lobelia env fit sky.exr --lobes 16,32,64,128,256
+      How good would how many be? A table, nothing written.
+  lobelia env fit studio.hdr --convention blender --white --upper-hemisphere --out studio.npy
+      A map made for Blender's world; grey light from above only; as [M, 7] array.
+  lobelia env render sky.ron --size 512x256 back.exr
+      The lobes as a map again; a .png instead gives a picture to look at.
+  lobelia env rotate sky.ron --euler 0,90,0 --out turned.ron
+      What came from +Z now comes from +X.
+  lobelia env info sky.ron
+      Mean, power, peak, and the lobes by power.
+
+LIGHT is a .ron light (what a scene has inside light: Fixed(…)), .npy lobes of shape [M, 7], or an OpenEXR or
+Radiance HDR latitude-longitude map. Maps: +Y is up, the left edge looks along −Z, a quarter in is +X, the middle
+is +Z; --convention says that a map faces as in another program.";
+
 /// Recovers surface, material and light of a photographed object as spherical Gaussians; then edits and relights it.
 #[derive(Debug, Parser)]
 #[command(name = "lobelia", version = env!("LOBELIA_VERSION"), after_long_help = EXAMPLES, arg_required_else_help = true)]
@@ -101,13 +119,6 @@ pub struct SceneArgs {
     /// Replace a value of the scene file, e.g. --set passes.fit.steps=4
     #[arg(long = "set", value_name = "PATH=VALUE", value_parser = path_and_value, long_help = SET_LONG)]
     pub sets: Vec<(String, String)>,
-}
-
-impl SceneArgs {
-    /// The same, as the library reads it.
-    pub fn load_options(&self) -> LoadOptions {
-        LoadOptions { data: self.data.clone(), sets: self.sets.clone(), seed: self.seed, without_data: false }
-    }
 }
 
 /// How many threads work.
@@ -229,15 +240,6 @@ pub enum CaseQuality {
     High,
 }
 
-impl From<CaseQuality> for lobelia::math::accurate::Quality {
-    fn from(quality: CaseQuality) -> Self {
-        match quality {
-            CaseQuality::Default => Self::Default,
-            CaseQuality::High => Self::High,
-        }
-    }
-}
-
 /// Floating-point numbers of the closed forms.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 pub enum CasePrecision {
@@ -245,6 +247,161 @@ pub enum CasePrecision {
     F32,
     /// 64 bits.
     F64,
+}
+
+/// `lobelia env`.
+#[derive(Args, Debug)]
+#[command(after_long_help = ENV_EXAMPLES, arg_required_else_help = true)]
+pub struct EnvArgs {
+    /// What to do.
+    #[command(subcommand)]
+    pub command: EnvCommand,
+}
+
+/// What to do with a light.
+#[derive(Debug, Subcommand)]
+pub enum EnvCommand {
+    /// Fit spherical Gaussians to a map
+    #[command(after_long_help = ENV_EXAMPLES)]
+    Fit(FitArgs),
+    /// Draw a light as a latitude-longitude map
+    Render(RenderArgs),
+    /// Turn a light
+    Rotate(RotateArgs),
+    /// Say what is in a light: mean, power, peak, lobes
+    Info(InfoArgs),
+}
+
+/// How files are to be understood.
+#[derive(Args, Clone, Copy, Debug)]
+pub struct ConventionArgs {
+    /// Which program's way EXR and HDR maps face, read or written
+    #[arg(long, value_enum, value_name = "PROGRAM", default_value_t = MapName::Lobelia)]
+    pub convention: MapName,
+    /// Which way the axes of .npy lobes point, read or written
+    #[arg(long, value_enum, value_name = "WAY", default_value_t = NpyName::Lobelia)]
+    pub npy_convention: NpyName,
+}
+
+/// Which way a map faces, by the name of a program.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum MapName {
+    /// +Y up, middle +Z, a quarter in +X
+    Lobelia,
+    /// Mitsuba 3: the same
+    Mitsuba,
+    /// three.js and glTF viewers built on it: +Y up, middle +X, a quarter in −Z
+    ThreeJs,
+    /// Blender's own world: +Z up, middle +X, a quarter in +Y
+    Blender,
+    /// Blender's world for an object exported with +Y up: as three-js
+    BlenderYUp,
+}
+
+/// Which way the axes of `.npy` lobes point, by name.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum NpyName {
+    /// World directions
+    Lobelia,
+    /// PhySG's published envmap*_sg_fit files: (x, y, z) stands for (z, y, −x)
+    PhysgFit,
+}
+
+/// `lobelia env fit`.
+#[derive(Args, Debug)]
+pub struct FitArgs {
+    /// An OpenEXR or Radiance HDR latitude-longitude map
+    pub map: PathBuf,
+    /// How many lobes, 1 to 512; several numbers, as 16,32,64, print a table and write nothing
+    #[arg(long, value_name = "N[,N…]", value_delimiter = ',', default_value = "128",
+        value_parser = clap::value_parser!(u16).range(1..=512))]
+    pub lobes: Vec<u16>,
+    /// Write the lobes here (.ron or .npy), and beside it a .png of the map and what the lobes make of it
+    #[arg(long, value_name = "FILE")]
+    pub out: Option<PathBuf>,
+    /// Light from above only: the map below the horizon counts as black, no lobe's axis points below it
+    #[arg(long)]
+    pub upper_hemisphere: bool,
+    /// Grey light: fit the map's luminance
+    #[arg(long)]
+    pub white: bool,
+    /// How files are to be understood.
+    #[command(flatten)]
+    pub conventions: ConventionArgs,
+    /// How many threads.
+    #[command(flatten)]
+    pub threads: ThreadArgs,
+    /// No progress bar and no notes
+    #[arg(long)]
+    pub quiet: bool,
+}
+
+/// `lobelia env render`.
+#[derive(Args, Debug)]
+pub struct RenderArgs {
+    /// A .ron light, .npy lobes, or a map
+    pub light: PathBuf,
+    /// The file to write: .exr (radiance) or .png (a picture, exposed to a mid-grey mean)
+    pub out: PathBuf,
+    /// Width and height of the map in texels
+    #[arg(long, value_name = "WxH", value_parser = size, default_value = "512x256")]
+    pub size: (u32, u32),
+    /// How files are to be understood.
+    #[command(flatten)]
+    pub conventions: ConventionArgs,
+}
+
+/// `lobelia env rotate`.
+#[derive(Args, Debug)]
+pub struct RotateArgs {
+    /// A .ron light, .npy lobes, or a map
+    pub light: PathBuf,
+    /// Turn about the world's x, then y, then z axis, in degrees
+    #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true,
+        required_unless_present = "quaternion", conflicts_with = "quaternion")]
+    pub euler: Option<[f32; 3]>,
+    /// Turn by a quaternion, which is normalised
+    #[arg(long, value_name = "X,Y,Z,W", value_parser = numbers::<4>, allow_hyphen_values = true)]
+    pub quaternion: Option<[f32; 4]>,
+    /// The file to write: .ron or .npy for lobes, .exr for a map
+    #[arg(long, value_name = "FILE")]
+    pub out: PathBuf,
+    /// How files are to be understood.
+    #[command(flatten)]
+    pub conventions: ConventionArgs,
+}
+
+/// `lobelia env info`.
+#[derive(Args, Debug)]
+pub struct InfoArgs {
+    /// A .ron light, .npy lobes, or a map
+    pub light: PathBuf,
+    /// List every lobe, not only the 16 of the greatest power
+    #[arg(long)]
+    pub all: bool,
+    /// How files are to be understood.
+    #[command(flatten)]
+    pub conventions: ConventionArgs,
+}
+
+fn size(text: &str) -> Result<(u32, u32), String> {
+    let parse = |side: &str| side.trim().parse::<u32>().ok().filter(|n| (1..=16_384).contains(n));
+    match text.split_once(['x', '×']) {
+        Some((width, height)) => parse(width).zip(parse(height)),
+        None => None,
+    }
+    .ok_or_else(|| "expected WIDTHxHEIGHT, each 1 to 16384, e.g. 512x256".to_owned())
+}
+
+fn numbers<const N: usize>(text: &str) -> Result<[f32; N], String> {
+    let values: Option<Vec<f32>> = text.split(',').map(|part| part.trim().parse().ok()).collect();
+    let finite = values.filter(|values| values.iter().all(|v| v.is_finite()));
+    finite.and_then(|values| values.try_into().ok()).ok_or_else(|| {
+        format!(
+            "expected {N} numbers with commas between them, e.g. {}",
+            [1; N].map(|n| n.to_string()).join(",")
+        )
+    })
 }
 
 fn seconds(text: &str) -> Result<f64, String> {
@@ -281,6 +438,18 @@ mod tests {
         for bad in ["--lobes=0", "--lobes=8,x", "--points=0", "--threads=0", "--seconds=-1", "--seconds=nan"]
         {
             assert!(refused(&[bad]), "{bad}");
+        }
+    }
+
+    #[test]
+    fn sizes_and_numbers_are_read_or_refused() {
+        assert_eq!(size("512x256"), Ok((512, 256)));
+        for bad in ["512", "0x4", "512x", "axb", "99999x4", "-4x4"] {
+            assert!(size(bad).is_err(), "{bad}");
+        }
+        assert_eq!(numbers::<3>("0, -90,1e1"), Ok([0.0, -90.0, 10.0]));
+        for bad in ["1,2", "1,2,3,4", "1,2,nan", "", "1,,2"] {
+            assert!(numbers::<3>(bad).is_err(), "{bad}");
         }
     }
 

@@ -3,13 +3,15 @@
 //! What is shaded is a [`Workload`]. A kernel is run again and again for its share of the time; the
 //! least time counts, because whatever else the machine does can only make a run longer.
 
-use crate::codec::file::write_bytes;
-use crate::error::{Error, Result};
-use crate::math::accurate::Quality;
-use crate::math::brdf::Ndf;
-use crate::math::lanes::level_name;
-use crate::math::shading::{ClosedForm, Layers, PointAdjoint, RadianceAdjoint, ShadePoint};
-use crate::math::workload::Workload;
+use super::args::BenchArgs;
+use super::terminal::print;
+use lobelia::codec::file::write_bytes;
+use lobelia::math::accurate::Quality;
+use lobelia::math::brdf::Ndf;
+use lobelia::math::lanes::level_name;
+use lobelia::math::shading::{ClosedForm, Layers, PointAdjoint, RadianceAdjoint, ShadePoint};
+use lobelia::math::workload::Workload;
+use lobelia::{Error, Result};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -65,6 +67,29 @@ pub struct BenchRow {
     pub skipped_percent: f64,
     /// Instruction set that the kernels chose.
     pub simd: &'static str,
+}
+
+/// Runs the command.
+pub fn run(args: &BenchArgs) -> Result<()> {
+    let all = std::thread::available_parallelism().map_or(1, usize::from);
+    let options = BenchOptions {
+        points: args.points as usize,
+        lobes: args.lobes.iter().map(|&lobes| lobes as usize).collect(),
+        threads: match args.threads {
+            Some(threads) => vec![usize::from(threads)],
+            None if all > 1 => vec![1, all],
+            None => vec![1],
+        },
+        seconds: args.seconds,
+        json: args.json.clone(),
+    };
+    let mut head = format!(
+        "Nanoseconds per point × lobe, the least of all repetitions in {} s.\n{}\n",
+        options.seconds,
+        BenchRow::HEADER
+    );
+    let mut show = |row: &BenchRow| print(&format!("{}{}\n", std::mem::take(&mut head), row.line()));
+    bench(&options, &mut show).map(|_| ())
 }
 
 /// What a mode's kernels took.

@@ -7,49 +7,29 @@
 //! table can be read again.
 
 mod estimate;
+mod mode;
 mod table;
 
-pub use table::Case;
-
-use crate::error::{Error, Result};
-use crate::math::brdf::Facets;
-use crate::math::published::Lobe;
-use crate::math::real::Vec3Of;
-use crate::math::shading::{ClosedForm, Scalar};
+use super::args::{CaseMode, CasePrecision, CaseQuality, ShadeCasesArgs};
+use super::terminal::print;
+use super::threads::start_threads;
 use estimate::{Shaded, path_traced};
+use lobelia::math::accurate::Quality;
+use lobelia::math::brdf::Facets;
+use lobelia::math::published::Lobe;
+use lobelia::math::real::Vec3Of;
+use lobelia::math::shading::{ClosedForm, Scalar};
+use lobelia::{Error, Result};
+use mode::{Precision, ShadeMode};
 use rayon::prelude::*;
 use serde_json::{Map, Value};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::time::Instant;
-use table::{read_table, triple};
-
-/// How cases are shaded.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum ShadeMode {
-    /// A closed form.
-    ClosedForm(ClosedForm),
-    /// The path tracer's sampling; adds `diffuse_stderr` and `specular_stderr`.
-    PathTraced {
-        /// Paths per case, at least 2; they are rounded up to a multiple of [`REPLICATES`] (or taken singly if fewer).
-        samples: u32,
-    },
-}
-
-/// The float that cases are shaded in.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Precision {
-    /// As renders are; values below about 1e-38 are zero.
-    F32,
-    /// For checks: same formulas and sampling code, without rounding or underflow to speak of.
-    F64,
-}
-
-/// Independent repetitions of a case whose spread is its standard error.
-pub const REPLICATES: u32 = 32;
+use table::{Case, read_table, triple, write_table};
 
 /// How many values agree with the reference that the table brought.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Agreement {
+struct Agreement {
     /// RGB values compared.
     pub values: usize,
     /// Of these, how many were within the tolerance.
@@ -58,7 +38,7 @@ pub struct Agreement {
 
 /// What was done.
 #[derive(Clone, Debug, PartialEq)]
-pub struct ShadeCasesReport {
+struct ShadeCasesReport {
     /// Cases shaded.
     pub cases: usize,
     /// Paths per case; 0 for closed forms.
@@ -70,13 +50,39 @@ pub struct ShadeCasesReport {
     pub agreement: Agreement,
 }
 
+/// Runs the command.
+pub fn run(args: &ShadeCasesArgs) -> Result<()> {
+    start_threads(args.threads)?;
+    let mode = match args.mode {
+        CaseMode::Published => ShadeMode::ClosedForm(ClosedForm::Published),
+        CaseMode::Accurate => ShadeMode::ClosedForm(ClosedForm::Accurate(quality(args.quality))),
+        CaseMode::PathTraced => ShadeMode::PathTraced { samples: args.samples },
+    };
+    let precision = match args.precision {
+        CasePrecision::F32 => Precision::F32,
+        CasePrecision::F64 => Precision::F64,
+    };
+    let report = shade_cases(&args.cases, &args.out, mode, precision)?;
+    print(&format!(
+        "{} cases in {:.2} s; {} of {} values agree with those of the table\n",
+        report.cases, report.elapsed_secs, report.agreement.within, report.agreement.values
+    ))
+}
+
+fn quality(quality: CaseQuality) -> Quality {
+    match quality {
+        CaseQuality::Default => Quality::Default,
+        CaseQuality::High => Quality::High,
+    }
+}
+
 /// Shades the table at `input` and writes it to `output` (to a file beside it first, then renamed).
 ///
 /// # Errors
 /// [`Error::Input`] naming the case for a table that is not a list of complete, finite, sensible cases;
 /// [`Error::Usage`] for fewer than two samples; [`Error::Io`]; [`Error::Run`] if a shaded value is not finite. Nothing is
 /// written in any of them.
-pub fn shade_cases(
+fn shade_cases(
     input: &Path,
     output: &Path,
     mode: ShadeMode,
@@ -164,27 +170,6 @@ fn add_result(object: &mut Map<String, Value>, case: &Case<f64>, shaded: &Shaded
             object.insert(format!("{name}_stderr"), Value::from(stderr[part].to_vec()));
         }
     }
-}
-
-fn write_table(output: &Path, objects: Vec<Map<String, Value>>) -> Result<()> {
-    let list = Value::Array(objects.into_iter().map(Value::Object).collect());
-    let text = format!("{list:#}\n");
-    let Some(name) = output.file_name() else {
-        return Err(Error::usage(
-            format!("{} is not a file name to write to", output.display()),
-            "name a .json file",
-        ));
-    };
-    let mut hidden = std::ffi::OsString::from(".");
-    hidden.push(name);
-    hidden.push(format!(".{}.part", std::process::id()));
-    let temporary: PathBuf = output.with_file_name(hidden);
-    let written = std::fs::write(&temporary, text).and_then(|()| std::fs::rename(&temporary, output));
-    written.map_err(|source| {
-        // The first error is the one to tell; a part file that was never made cannot be removed.
-        let _ = std::fs::remove_file(&temporary);
-        Error::io("write", output)(source)
-    })
 }
 
 #[cfg(test)]

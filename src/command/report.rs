@@ -1,81 +1,13 @@
-//! What a person sees on the terminal: bars, notes, results, and errors with carets.
+//! How an error is drawn: the problem, the lines of a scene file that it is in, and help.
 
 use annotate_snippets::renderer::DecorStyle;
 use annotate_snippets::{AnnotationKind, Element, Group, Level, Renderer, Snippet};
-use indicatif::{ProgressBar, ProgressStyle};
 use lobelia::Error;
 use lobelia::error::{Fault, SceneDiagnostic};
-use lobelia::pass::progress::{Bar, Progress};
-use std::io::{IsTerminal, Write};
-use std::time::Duration;
+use std::io::IsTerminal;
 
 /// Columns of a report; longer sentences are wrapped.
 const WIDTH: usize = 100;
-
-/// Bars on a terminal, nothing under `--quiet` or in a pipe but the results.
-pub struct Terminal {
-    bars: bool,
-    quiet: bool,
-}
-
-impl Terminal {
-    /// Bars if standard error is a terminal and `quiet` is not set.
-    pub fn new(quiet: bool) -> Self {
-        Self { bars: !quiet && std::io::stderr().is_terminal(), quiet }
-    }
-}
-
-impl Progress for Terminal {
-    /// On standard error.
-    fn note(&self, text: &str) {
-        if !self.quiet {
-            eprintln!("note: {text}");
-        }
-    }
-
-    /// On standard output; a closed pipe is not an error.
-    fn print(&self, text: &str) {
-        let mut out = std::io::stdout().lock();
-        let _ = writeln!(out, "{text}");
-    }
-
-    /// With the time left; hidden where bars are not shown.
-    fn bar(&self, title: &str, length: u64) -> Box<dyn Bar> {
-        if !self.bars {
-            return Box::new(TerminalBar(ProgressBar::hidden()));
-        }
-        let bar = ProgressBar::new(length);
-        // The template is fixed; were it wrong, the default style would do.
-        if let Ok(style) =
-            ProgressStyle::with_template("{prefix:>12} {bar:30} {pos}/{len} {eta:>4} left  {msg}")
-        {
-            bar.set_style(style.progress_chars("━╸─"));
-        }
-        bar.set_prefix(title.to_owned());
-        bar.enable_steady_tick(Duration::from_millis(200));
-        Box::new(TerminalBar(bar))
-    }
-}
-
-struct TerminalBar(ProgressBar);
-
-impl Bar for TerminalBar {
-    fn inc(&self, steps: u64) {
-        self.0.inc(steps);
-    }
-
-    fn set_position(&self, steps: u64) {
-        self.0.set_position(steps);
-    }
-
-    fn set_message(&self, message: String) {
-        self.0.set_message(message);
-    }
-
-    fn finish_and_clear(&self) {
-        self.0.finish_and_clear();
-    }
-}
 
 /// An error as a person reads it on standard error: in colour on a terminal, unless `NO_COLOR` is set.
 pub fn report(error: &Error) -> String {

@@ -1,68 +1,15 @@
-//! What `lobelia env` says and shows about lights: pictures and texts.
+//! What `lobelia env` says about lights.
 
-use crate::light::map_fit::{MapFitReport, Sun};
-use crate::light::{EnvironmentMap, LightLobe, lobes_power, lobes_radiance, render_lobes};
-use crate::math::color::luminance;
-use crate::report::font::{draw_text, line_height};
-use crate::report::tone::{Tone, srgb8};
-use crate::spawn::light_file::LightFile;
 use glam::{DVec3, Vec3};
-use image::{Rgb, RgbImage, imageops};
+use lobelia::light::map_fit::Sun;
+use lobelia::light::{EnvironmentMap, LightLobe, lobes_power, lobes_radiance};
+use lobelia::math::color::luminance;
+use lobelia::spawn::light_file::LightFile;
 use std::f64::consts::PI;
 use std::fmt::Write as _;
 
-/// Mid-grey, which the geometric mean luminance of a previewed map is brought to.
-const KEY: f32 = 0.18;
-/// Size of the text in pictures, pixels per font dot.
-const TEXT_SIZE: f32 = 2.0;
-/// Widest picture of a fit, in pixels; two stand one above the other.
-const WIDEST_PICTURE: u32 = 1024;
 /// Lines of the lobe table unless all are asked for.
 const TABLE_LINES: usize = 16;
-
-/// Factor on a map's radiance for a preview: brings the solid-angle-weighted geometric mean luminance to mid-grey
-/// (Reinhard et al. 2002, eq. 1).
-pub fn preview_factor(map: &EnvironmentMap) -> f32 {
-    let mean = luminous(map.power()) / (4.0 * PI);
-    if mean <= 0.0 {
-        return 1.0;
-    }
-    let row = |(j, row): (usize, &[Vec3])| -> f64 {
-        let logs: f64 = row.iter().map(|&r| (f64::from(luminance(r)) + 1e-3 * mean).ln()).sum();
-        logs * map.texel_solid_angle(j as u32)
-    };
-    let logs: f64 = map.radiance.chunks_exact(map.width as usize).enumerate().map(row).sum();
-    KEY / (logs / (4.0 * PI)).exp() as f32
-}
-
-fn luminous(power: DVec3) -> f64 {
-    f64::from(luminance(power.as_vec3()))
-}
-
-/// A map as an 8-bit picture, its radiance multiplied by `factor`.
-pub fn picture(map: &EnvironmentMap, factor: f32) -> RgbImage {
-    let texel = |x: u32, y: u32| {
-        let radiance = map.radiance[(y * map.width + x) as usize];
-        Rgb(srgb8(Tone::Neutral.curve(radiance * factor)))
-    };
-    RgbImage::from_fn(map.width, map.height, texel)
-}
-
-/// The map above, what the lobes make of it below, each with a line of text.
-pub fn before_and_after(map: &EnvironmentMap, report: &MapFitReport) -> RgbImage {
-    let factor = preview_factor(map);
-    let narrow = map.downsampled(map.width.min(WIDEST_PICTURE), map.height.min(WIDEST_PICTURE / 2));
-    let after = render_lobes(&report.lobes, narrow.width, narrow.height);
-    let mut both = RgbImage::new(narrow.width, 2 * narrow.height);
-    imageops::replace(&mut both, &picture(&narrow, factor), 0, 0);
-    imageops::replace(&mut both, &picture(&after, factor), 0, i64::from(narrow.height));
-    let line = line_height(TEXT_SIZE) + 6;
-    let text = format!("{} lobes, mean squared error {:.3e}", report.used, report.mse);
-    for (bottom, text) in [(narrow.height, "map"), (2 * narrow.height, text.as_str())] {
-        draw_text(&mut both, [8, bottom.saturating_sub(line)], TEXT_SIZE, [255; 3], text);
-    }
-    both
-}
 
 /// One line for each sun that was fitted apart, with what its lobe does to the peak.
 pub fn sun_notes(suns: &[Sun]) -> Vec<String> {
@@ -114,6 +61,10 @@ fn upper_power(light: &LightFile) -> f64 {
     let above: Vec<Vec3> =
         upper.radiance.iter().enumerate().map(|(k, &r)| if k < half { r } else { Vec3::ZERO }).collect();
     luminous(EnvironmentMap { radiance: above, ..upper }.power())
+}
+
+fn luminous(power: DVec3) -> f64 {
+    f64::from(luminance(power.as_vec3()))
 }
 
 /// Greatest luminance of the lobes' sum at a lobe's axis: the peak of the whole is at one of them or close by.
@@ -177,7 +128,7 @@ fn rgb(v: DVec3) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::light::map_fit::{MapFit, fit_map};
+    use lobelia::light::render_lobes;
 
     fn lobes() -> Vec<LightLobe> {
         let lobe = |axis, sharpness, grey| LightLobe { axis, sharpness, amplitude: Vec3::splat(grey) };
@@ -194,22 +145,5 @@ mod tests {
         assert_eq!(half_width_degrees(0.0), 180.0);
         let cos = half_width_degrees(40.0).to_radians().cos();
         assert!(((40.0 * (cos - 1.0)).exp() - 0.5).abs() < 1e-4);
-    }
-
-    #[test]
-    fn the_picture_of_a_fit_shows_both() {
-        let map = render_lobes(&lobes(), 64, 32);
-        let options = MapFit { working_width: 64, polish_width: 64, ..MapFit::default() };
-        let report = fit_map(&map, 3, &options).unwrap();
-        let both = before_and_after(&map, &report);
-        assert_eq!(both.dimensions(), (64, 64));
-        let differs = |x: u32, y: u32| {
-            let (a, b) = (both.get_pixel(x, y), both.get_pixel(x, y + 32));
-            (0..3).map(|c| a[c].abs_diff(b[c])).max().unwrap_or(0)
-        };
-        assert!((0..64).all(|x| differs(x, 4) < 24));
-        let black = map.scaled(Vec3::ZERO);
-        assert_eq!(preview_factor(&black), 1.0);
-        assert_eq!(picture(&black, 1.0).get_pixel(0, 0).0, [0; 3]);
     }
 }

@@ -1,0 +1,57 @@
+//! What can be typed after `lobelia`, one file a command. No part of the library.
+//!
+//! | file | holds |
+//! | --- | --- |
+//! | [`args`] | arguments and their help |
+//! | [`run`], [`check`], [`eval`], [`env`], [`bench`], [`shade_cases`] | the commands |
+//! | [`terminal`] | bars, notes and results |
+//! | [`report`] | how an error is drawn |
+//! | [`scene_files`], [`threads`] | what several commands do before they start |
+
+mod args;
+mod bench;
+mod check;
+mod env;
+mod eval;
+mod report;
+mod run;
+mod scene_files;
+mod shade_cases;
+mod terminal;
+mod threads;
+
+use args::{Cli, Command};
+use clap::Parser;
+use lobelia::Result;
+use std::io::Write as _;
+use std::process::ExitCode;
+
+/// Arguments in, one report of an error out, and the exit code.
+pub fn main() -> ExitCode {
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        // Help and version go to stdout and are no error. A closed pipe is not worth a word.
+        Err(error) => {
+            let _ = error.print();
+            return if error.use_stderr() { ExitCode::from(2) } else { ExitCode::SUCCESS };
+        }
+    };
+    match dispatch(&cli.command) {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            let _ = std::io::stderr().write_all(report::report(&error).as_bytes());
+            ExitCode::from(error.exit_code())
+        }
+    }
+}
+
+fn dispatch(command: &Command) -> Result<()> {
+    match command {
+        Command::Run(args) => run::run(args),
+        Command::Check(args) => check::run(args),
+        Command::Eval(args) => eval::run(args),
+        Command::ShadeCases(args) => shade_cases::run(args),
+        Command::Bench(args) => bench::run(args),
+        Command::Env(args) => env::run(&args.command),
+    }
+}

@@ -1,0 +1,35 @@
+//! `lobelia run`: the passes of a scene file, in their order.
+
+use super::args::RunArgs;
+use super::scene_files::load_options;
+use super::terminal::Terminal;
+use super::threads::start_threads;
+use lobelia::pass::{self, RunOptions};
+use lobelia::scene::load;
+use lobelia::{Error, Result};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::Ordering;
+
+/// Runs the command.
+pub fn run(args: &RunArgs) -> Result<()> {
+    let loaded = load(&args.scene.scene, &load_options(&args.scene))?;
+    let out = args.out.clone().unwrap_or_else(|| default_out(&args.scene.scene));
+    start_threads(args.threads)?;
+    let options = RunOptions { out, force: args.force, debug_every: args.debug_every };
+    stop_on_ctrl_c()?;
+    pass::run(&loaded, &options, &Terminal::new(args.quiet))
+}
+
+fn default_out(scene: &Path) -> PathBuf {
+    Path::new("out").join(scene.file_stem().unwrap_or_default())
+}
+
+/// The first Ctrl-C lets the pass in progress end cleanly; a second one ends the process at once.
+fn stop_on_ctrl_c() -> Result<()> {
+    ctrlc::set_handler(|| {
+        if pass::INTERRUPTED.swap(true, Ordering::Relaxed) {
+            std::process::exit(130);
+        }
+    })
+    .map_err(|error| Error::run("listening for Ctrl-C", error.to_string()))
+}

@@ -1,0 +1,125 @@
+//! What the passes of one run share.
+
+use crate::error::{Error, Result};
+use crate::fit::run::FirstGuess;
+use crate::mesh::Surface;
+use crate::pass::photograph::TrueObject;
+use crate::pass::progress::Progress;
+use crate::pipeline::Pipeline;
+use crate::report::scores::Scores;
+use crate::scene::{Light, Pass, Scene, Visibility};
+use crate::spawn::{LoadedLight, load_light};
+use crate::visibility::{ObjectVisibility, VisibilitySettings};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Everything the passes of one run share.
+pub struct Session<'a> {
+    /// The scene that is run.
+    pub scene: &'a Scene,
+    /// The world and its schedules.
+    pub pipeline: Pipeline,
+    /// The object's surface.
+    pub surface: Arc<Surface>,
+    /// The object that took its own photographs, if there is one.
+    pub truth: Option<TrueObject>,
+    /// Output folder.
+    pub out: PathBuf,
+    /// The lights that the scene names, loaded.
+    pub lights: Lights,
+    /// What the next fit guesses before its first step: what is unknown without an initial value, until there has been one.
+    pub guess: FirstGuess,
+    /// Steps of a `Shape` between two looks at it.
+    pub debug_every: Option<u32>,
+    /// What the terminal shows.
+    pub progress: &'a dyn Progress,
+    /// Scores so far.
+    pub scores: Scores,
+}
+
+/// The lights that a scene names; read before anything is fitted, so that a bad file is found at once.
+pub struct Lights {
+    /// The scene's own, if it is not unknown.
+    pub own: Option<LoadedLight>,
+    /// Those of passes, by the pass's name.
+    pub of_passes: BTreeMap<String, LoadedLight>,
+}
+
+impl Lights {
+    pub(super) fn load(scene: &Scene, progress: &dyn Progress) -> Result<Self> {
+        let load = |source| {
+            let light = load_light(source)?;
+            light.notes.iter().for_each(|note| progress.note(note));
+            Ok(light)
+        };
+        let own = match &scene.light {
+            Light::Initial(source) | Light::Fixed(source) => Some(load(source)?),
+            Light::Unknown(_) => None,
+        };
+        let mut of_passes = BTreeMap::new();
+        for pass in &scene.passes {
+            if let Some(source) = pass.light() {
+                of_passes.insert(pass.name().to_owned(), load(source)?);
+            }
+        }
+        Ok(Self { own, of_passes })
+    }
+}
+
+/// Most memory that shadows and reflections may be expected to take.
+pub const MOST_VISIBILITY_BYTES: usize = 4 << 30;
+
+impl Session<'_> {
+    /// Whether the object has shadows and reflections that the scene does not leave out; if so, the world has what it takes to find them.
+    ///
+    /// # Errors
+    /// If that would take more than [`MOST_VISIBILITY_BYTES`].
+    pub fn has_visibility(&mut self) -> Result<bool> {
+        let Visibility::Traced { directions, bounces, refresh_every } = self.scene.visibility else {
+            return Ok(false);
+        };
+        if !self.pipeline.world.contains_resource::<ObjectVisibility>() {
+            let settings = VisibilitySettings { directions, bounces, refresh_every };
+            let texels = self.surface.atlas().covered.iter().filter(|covered| **covered).count();
+            let bytes = texels * settings.bytes_per_texel();
+            if bytes > MOST_VISIBILITY_BYTES {
+                let gib = bytes as f64 / f64::from(1 << 30);
+                let problem =
+                    format!("shadows of {texels} texels in {directions} directions may take {gib:.1} GiB");
+                let help =
+                    "Lower `texture_size` or `visibility: Traced(directions: …)`, or say `visibility: None`.";
+                return Err(Error::usage(problem, help));
+            }
+            let start = Instant::now();
+            let traced = ObjectVisibility::new(&self.surface, settings);
+            let (mib, elapsed) = (traced.bytes() as f64 / 1048576.0, start.elapsed().as_secs_f64());
+            self.progress.print(&format!("visibility: traced in {elapsed:.1} s, {mib:.1} MiB"));
+            self.pipeline.world.insert_resource(traced);
+        }
+        // A convex object hides nothing, and need not look at every step.
+        Ok(!self.pipeline.world.resource::<ObjectVisibility>().sees_all())
+    }
+}
+
+impl<'a> Session<'a> {
+    /// The pass of this name.
+    pub fn pass_named(&self, name: Option<&str>) -> Option<&'a Pass> {
+        self.scene.passes.iter().find(|pass| Some(pass.name()) == name)
+    }
+
+    /// The folder of a pass.
+    pub fn folder(&self, pass: &str) -> PathBuf {
+        self.out.join(pass)
+    }
+
+    /// Writes the metrics and shows the table.
+    pub(super) fn finish(mut self) -> Result<()> {
+        self.scores.peak_rss_mib = crate::report::scores::peak_rss_mib();
+        self.scores.write_json(self.out.join("metrics.json"))?;
+        self.progress.print(&self.scores.table());
+        self.progress.print(&format!("Results are in {}.", self.out.display()));
+        Ok(())
+    }
+}

@@ -1,0 +1,164 @@
+//! How the passes that fit are described: `Fit` and `Shape`.
+
+use crate::fit::cameras::CameraUnknowns;
+use crate::fit::loss::Loss;
+use crate::math::accurate::Quality;
+use serde::{Deserialize, Serialize};
+
+/// A fit of everything unknown to the training views.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct FitPass {
+    /// The pass's name. Default "fit".
+    pub name: String,
+    /// What is minimised over pixels and channels. Default `L1`.
+    pub loss: Loss,
+    /// The closed form that shades. Default `Accurate`.
+    pub shading: FitShading,
+    /// Nodes of `Accurate` shading: `Default` or `High`. Default `Default`.
+    pub quality: Quality,
+    /// Number of update steps ≥ 1. Default 1200: much longer, and the bias of the published formulas is fitted too.
+    pub steps: u32,
+    /// Most pixels that are visited ≥ 1; a random part of more. Default 2 000 000.
+    pub max_pixels: u32,
+    /// Pixels per step ≥ 1. Default 6144.
+    pub batch: u32,
+    /// Adam's step sizes.
+    pub rates: Rates,
+    /// Fractions of the fit, rising, in (0, 1), after each of which all rates are multiplied by `decay`. Default [0.5, 0.75, 0.9].
+    pub milestones: Vec<f32>,
+    /// Factor on the rates at a milestone, in (0, 1]. Default 0.4.
+    pub decay: f32,
+    /// Whether each photograph has an exposure of its own that is not known: a factor on its radiance, 0.2 to 5, their
+    /// geometric mean 1. Views are rendered without. Default false.
+    pub exposure: bool,
+    /// What of the training views' cameras is a little off and found too. Default `Given`: nothing.
+    pub cameras: CameraUnknowns,
+    /// Whether the mesh is a little off and its vertices move along their normals, which then are smooth. Default false.
+    pub vertices: bool,
+}
+
+impl Default for FitPass {
+    fn default() -> Self {
+        Self {
+            name: "fit".into(),
+            loss: Loss::L1,
+            shading: FitShading::Accurate,
+            quality: Quality::Default,
+            steps: 1200,
+            max_pixels: 2_000_000,
+            batch: 6144,
+            rates: Rates::default(),
+            milestones: vec![0.5, 0.75, 0.9],
+            decay: 0.4,
+            exposure: false,
+            cameras: CameraUnknowns::Given,
+            vertices: false,
+        }
+    }
+}
+
+/// A fit of shape, light and material to the training views and their masks, on grids from coarse to fine.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ShapePass {
+    /// The pass's name. Default "shape".
+    pub name: String,
+    /// What is minimised over pixels and channels. Default `L1`.
+    pub loss: Loss,
+    /// The closed form that shades. Default `Accurate`.
+    pub shading: FitShading,
+    /// The grids, from coarse to fine. Default: 64 cells for 300 steps, the shape held for 50; then 128 for 400.
+    pub levels: Vec<GridLevel>,
+    /// Pixels per step ≥ 1. Default 8192.
+    pub batch: u32,
+    /// Most pixels that are visited ≥ 1; a random part of more. Default 2 000 000.
+    pub max_pixels: u32,
+    /// Silhouette rays per step ≥ 1. Default 2048.
+    pub silhouette_batch: u32,
+    /// Weight of the silhouettes beside the images ≥ 0. Default 0.3.
+    pub silhouette: f32,
+    /// Weight of the field's smoothness ≥ 0 at the end of each level, relaxed from ten times that. Default 1e-6.
+    pub smoothness: f32,
+    /// Rounds of averaging the shape's gradient over neighbouring vertices. Default 8.
+    pub blur: u32,
+    /// Adam's step sizes of light and material.
+    pub rates: Rates,
+    /// Whether each photograph has an exposure of its own that is not known, as in [`FitPass::exposure`]. Default false.
+    pub exposure: bool,
+    /// What of the training views' cameras is a little off and found too. Default `Given`: nothing.
+    pub cameras: CameraUnknowns,
+}
+
+impl Default for ShapePass {
+    fn default() -> Self {
+        Self {
+            name: "shape".into(),
+            loss: Loss::L1,
+            shading: FitShading::Accurate,
+            levels: vec![
+                GridLevel { cells: 64, hold: 50, steps: 300, rates: (0.05, 0.01), ..GridLevel::default() },
+                GridLevel { texel_cells: 96, ..GridLevel::default() },
+            ],
+            batch: 8192,
+            max_pixels: 2_000_000,
+            silhouette_batch: 2048,
+            silhouette: 0.3,
+            smoothness: 1e-6,
+            blur: 8,
+            rates: Rates::default(),
+            exposure: false,
+            cameras: CameraUnknowns::Given,
+        }
+    }
+}
+
+/// One grid of a [`ShapePass`].
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct GridLevel {
+    /// Cells a side of the grid of distances, 16 to 320. Default 128.
+    pub cells: u32,
+    /// Cells a side of the lattice of albedo, 8 to 320. Default 64.
+    pub texel_cells: u32,
+    /// Number of update steps ≥ 1. Default 400.
+    pub steps: u32,
+    /// Steps before the shape moves, while light and material find themselves. Default 0.
+    pub hold: u32,
+    /// Typical step of a distance at the first and the last step, in cells. Default (0.05, 0.002).
+    pub rates: (f32, f32),
+}
+
+impl Default for GridLevel {
+    fn default() -> Self {
+        Self { cells: 128, texel_cells: 64, steps: 400, hold: 0, rates: (0.05, 0.002) }
+    }
+}
+
+/// The closed forms that a fit can shade by.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum FitShading {
+    /// Accurate integrals of light SG × BRDF × cosine.
+    #[default]
+    Accurate,
+    /// PhySG's published approximation of them.
+    Published,
+}
+
+/// Adam's step size for each block of parameters, in the unconstrained parameter's unit; 0 leaves a block as it is.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Rates {
+    /// Diffuse albedo of the texels, and how base materials blend there. Default 0.02.
+    pub albedo: f32,
+    /// Axes, sharpness and amplitudes of the light lobes. Default 0.02.
+    pub light: f32,
+    /// Specular albedo and roughness. Default 0.01.
+    pub specular: f32,
+}
+
+impl Default for Rates {
+    fn default() -> Self {
+        Self { albedo: 0.02, light: 0.02, specular: 0.01 }
+    }
+}

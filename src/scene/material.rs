@@ -1,0 +1,158 @@
+//! What a scene file says about the material: albedo, the specular lobe, and gloss that varies over the surface.
+
+use crate::material::SpecularLobe;
+use crate::math::brdf::Ndf;
+use glam::Vec3;
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// What is known about the material.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Material {
+    /// Diffuse albedo, one colour per texel. Default `Unknown`.
+    pub albedo: Albedo,
+    /// The specular lobe that the whole object shares. Default: unknown.
+    pub specular: Specular,
+    /// Gloss that varies over the surface. Default `One`.
+    pub gloss: Gloss,
+}
+
+/// What is known about the diffuse albedo.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub enum Albedo {
+    /// Nothing: a fit finds it.
+    #[default]
+    Unknown,
+    /// A first guess, which a fit improves.
+    Initial(AlbedoSource),
+    /// Known; a fit leaves it as it is.
+    Fixed(AlbedoSource),
+}
+
+/// A diffuse albedo that is given.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum AlbedoSource {
+    /// One colour in [0, 1] everywhere: `Constant(0.5, 0.5, 0.5)`.
+    Constant(Vec3),
+    /// A texture: PNG (sRGB) or EXR (linear), any size; must exist. `Texture("albedo.exr")`.
+    Texture(PathBuf),
+}
+
+/// What is known about the specular lobe.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct Specular {
+    /// Specular albedo. Default `Unknown(mono: true, initial: (0.3, 0.3, 0.3))`.
+    pub albedo: SpecularAlbedo,
+    /// Roughness. Default `Unknown(initial: 0.4)`.
+    pub roughness: Roughness,
+    /// Distribution of microfacet normals: `Sg`, one spherical Gaussian as in the paper, or `Ggx`, whose highlights have the long
+    /// tails of most renderers' and of glTF's. A choice, not fitted; not for `shading: Published`. Default `Sg`.
+    pub ndf: Ndf,
+}
+
+/// What is known about the specular albedo (reflectance at normal incidence).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub enum SpecularAlbedo {
+    /// A fit finds it.
+    Unknown {
+        /// One grey value instead of three channels. Default true.
+        #[serde(default = "yes")]
+        mono: bool,
+        /// Where the fit starts, in [0, 1]. Default (0.3, 0.3, 0.3).
+        #[serde(default = "specular_initial")]
+        initial: Vec3,
+    },
+    /// Known, in [0, 1]: `Fixed(0.3, 0.3, 0.3)`.
+    Fixed(Vec3),
+}
+
+impl Default for SpecularAlbedo {
+    fn default() -> Self {
+        Self::Unknown { mono: true, initial: specular_initial() }
+    }
+}
+
+/// What is known about the roughness R of the paper (GGX's α is R²).
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub enum Roughness {
+    /// A fit finds it.
+    Unknown {
+        /// Where the fit starts, in [0.03, 1]. Default 0.4.
+        #[serde(default = "roughness_initial")]
+        initial: f32,
+    },
+    /// Known, in [0.03, 1]: `Fixed(0.25)`.
+    Fixed(f32),
+}
+
+impl Default for Roughness {
+    fn default() -> Self {
+        Self::Unknown { initial: roughness_initial() }
+    }
+}
+
+/// How gloss varies over the surface.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub enum Gloss {
+    /// One: the lobe in `specular` everywhere.
+    #[default]
+    One,
+    /// Several, which start from the lobe in `specular` with roughnesses spread around its own; a fit finds them, and for each
+    /// texel how they blend.
+    Blend {
+        /// Base materials, 2 to 4. Default 2.
+        #[serde(default = "base_materials")]
+        materials: u32,
+    },
+    /// A roughness for each texel, in [0.1, 0.76], tied to its neighbours by a prior; the specular albedo in `specular` is one for all.
+    /// Not together with a `Shape` pass.
+    Texels {
+        /// Weight ≥ 0, beside the image loss, of the mean difference of the logarithm of roughness (and of the specular lobe's share)
+        /// between neighbouring texels. Default 0.003.
+        #[serde(default = "gloss_smoothness")]
+        smoothness: f32,
+        /// Difference of chromaticity (albedo over its sum) > 0 at which neighbours are tied half as much as those of one colour.
+        /// Default 0.1.
+        #[serde(default = "gloss_color_width")]
+        color_width: f32,
+        /// Whether the strength of the specular lobe varies too: a factor up to 1 for each texel. Default false.
+        #[serde(default)]
+        specular: bool,
+    },
+    /// Known ones, as `Save` writes them; `specular` must not be given.
+    Fixed {
+        /// The base materials, 1 to 8.
+        lobes: Vec<SpecularLobe>,
+        /// An EXR of the texture's size with a channel of blend weights for each, `weight0` and so on; must exist.
+        weights: PathBuf,
+    },
+}
+
+fn yes() -> bool {
+    true
+}
+
+fn specular_initial() -> Vec3 {
+    Vec3::splat(0.3)
+}
+
+fn roughness_initial() -> f32 {
+    0.4
+}
+
+fn gloss_smoothness() -> f32 {
+    0.003
+}
+
+fn gloss_color_width() -> f32 {
+    0.1
+}
+
+fn base_materials() -> u32 {
+    2
+}

@@ -1,0 +1,106 @@
+//! What a scene file says about the views: photographs on disk, or cameras alone.
+
+use crate::codec::image::Gamma;
+use crate::dataset::Layout;
+use crate::scene::defaults::{fov_degrees, y_axis};
+use crate::scene::photographed::Photographed;
+use crate::view::Split;
+use glam::Vec3;
+use serde::{Deserialize, Serialize};
+use std::path::PathBuf;
+
+/// Where the views come from.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub enum Views {
+    /// A folder of photographs with known cameras.
+    Dataset(Dataset),
+    /// Cameras without photographs: they can be rendered, not fitted to.
+    Cameras(Vec<CameraSpec>),
+    /// Photographs that the project takes itself of a known object, with its own path tracer.
+    Photographed(Photographed),
+}
+
+/// A folder of photographs with known cameras.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Dataset {
+    /// The folder; must exist.
+    pub path: PathBuf,
+    /// How the folder is laid out. Default `Auto`.
+    #[serde(default)]
+    pub layout: Layout,
+    /// How 8- and 16-bit images are decoded to linear light (EXR and HDR are linear). Default `Srgb`.
+    #[serde(default)]
+    pub gamma: Gamma,
+    /// Where in a pixel its centre is, in pixels from its upper left corner, 0 to 1. Default 0.5 (PhySG's own code: 0).
+    #[serde(default = "half")]
+    pub pixel_center: f32,
+    /// Factor on all focal lengths, 0.5 to 2, such as a fit with `cameras: PosesAndFocal` found. Default 1.
+    #[serde(default = "one")]
+    pub focal_scale: f32,
+    /// Images are shrunk by this whole factor ≥ 1 (box filter). Default 1.
+    #[serde(default = "one_u32")]
+    pub downscale: u32,
+    /// Keep every n-th view of each split, n ≥ 1, starting with the first. Default 1.
+    #[serde(default = "one_u32")]
+    pub every: u32,
+    /// Where the data has no test split of its own (COLMAP), every n-th view by name is one of it, n ≥ 2, starting with the
+    /// first; 0: there is none. Default 8.
+    #[serde(default = "held_out")]
+    pub hold_out: u32,
+    /// Keep only the views with these names (image file stems); empty: all. Default [].
+    #[serde(default)]
+    pub select: Vec<String>,
+}
+
+/// One pinhole camera, by what it looks at.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CameraSpec {
+    /// The view's name; output files carry it. Letters, digits, `_`, `-`.
+    pub name: String,
+    /// Where the camera stands.
+    pub eye: Vec3,
+    /// What it looks at. Default (0, 0, 0).
+    #[serde(default)]
+    pub target: Vec3,
+    /// Which direction is up in the image. Default (0, 1, 0).
+    #[serde(default = "y_axis")]
+    pub up: Vec3,
+    /// Vertical field of view in degrees, in (0, 170]. Default 38.
+    #[serde(default = "fov_degrees")]
+    pub fov_degrees: f32,
+    /// Image width in pixels, 1 to 16384. Default 256.
+    #[serde(default = "image_size")]
+    pub width: u32,
+    /// Image height in pixels, 1 to 16384. Default 256.
+    #[serde(default = "image_size")]
+    pub height: u32,
+    /// The split this view belongs to. Default `Test`.
+    #[serde(default = "test_split")]
+    pub split: Split,
+}
+
+fn half() -> f32 {
+    0.5
+}
+
+fn one() -> f32 {
+    1.0
+}
+
+fn one_u32() -> u32 {
+    1
+}
+
+fn held_out() -> u32 {
+    8
+}
+
+fn image_size() -> u32 {
+    256
+}
+
+fn test_split() -> Split {
+    Split::Test
+}

@@ -1,0 +1,90 @@
+//! The material that a scene describes: what a fit starts from, or what is known.
+
+use crate::codec::gltf::material::{diffuse_share, read_material};
+use crate::codec::texture;
+use crate::error::Result;
+use crate::fit::roughness::texel::{LADDER, TexelGloss};
+use crate::material::{SpecularBlend, SpecularLobe};
+use crate::math::brdf::Ndf;
+use crate::mesh::Surface;
+use crate::scene::validate::MIN_ROUGHNESS;
+use crate::scene::{Albedo, AlbedoSource, Gloss, Roughness, Specular, SpecularAlbedo};
+use glam::Vec3;
+use std::path::Path;
+
+/// The roughest base material at first, over the least rough.
+const ROUGHNESS_SPREAD: f32 = 2.5;
+
+/// The base materials and each texel's blend of them, starting from the lobe `specular`.
+pub(super) fn initial_gloss(
+    gloss: &Gloss,
+    specular: SpecularLobe,
+    surface: &Surface,
+) -> Result<(Vec<SpecularLobe>, Vec<SpecularBlend>)> {
+    let (width, height) = (surface.atlas().width, surface.atlas().height);
+    let count = (width * height) as usize;
+    match gloss {
+        Gloss::One => Ok((vec![specular], vec![SpecularBlend::default(); count])),
+        Gloss::Blend { materials } => {
+            let place = |k: u32| k as f32 / (materials - 1) as f32 - 0.5;
+            let roughness =
+                |k| (specular.roughness * ROUGHNESS_SPREAD.powf(place(k))).clamp(MIN_ROUGHNESS, 1.0);
+            let lobe = |k| SpecularLobe { roughness: roughness(k), ..specular };
+            let even = SpecularBlend::even(*materials as usize);
+            Ok(((0..*materials).map(lobe).collect(), vec![even; count]))
+        }
+        Gloss::Texels { specular: varied, .. } => {
+            let lobes = LADDER.map(|roughness| SpecularLobe { roughness, ..specular });
+            let blend = SpecularBlend(TexelGloss::first(specular.roughness, *varied).weights());
+            Ok((lobes.to_vec(), vec![blend; count]))
+        }
+        Gloss::Fixed { lobes, weights } => {
+            Ok((lobes.clone(), texture::read_weights(weights, lobes.len(), width, height)?))
+        }
+    }
+}
+
+/// The albedo of each texel that a fit starts from, or the known one.
+pub(super) fn initial_albedo(albedo: &Albedo, surface: &Surface) -> Result<Vec<Vec3>> {
+    let (width, height) = (surface.atlas().width, surface.atlas().height);
+    let grey = vec![Vec3::splat(0.4); (width * height) as usize];
+    match albedo {
+        Albedo::Unknown => Ok(grey),
+        Albedo::Initial(source) | Albedo::Fixed(source) => match source {
+            AlbedoSource::Constant(color) => Ok(vec![*color; grey.len()]),
+            AlbedoSource::Texture(path) => texture::read_texture(path, width, height),
+        },
+    }
+}
+
+/// The lobe that a fit starts from, or the known one.
+pub fn initial_specular(specular: &Specular) -> SpecularLobe {
+    SpecularLobe {
+        albedo: match specular.albedo {
+            SpecularAlbedo::Unknown { mono: true, initial } => Vec3::splat(initial.element_sum() / 3.0),
+            SpecularAlbedo::Unknown { initial, .. } => initial,
+            SpecularAlbedo::Fixed(value) => value,
+        },
+        roughness: match specular.roughness {
+            Roughness::Unknown { initial } => initial,
+            Roughness::Fixed(value) => value,
+        },
+        ndf: specular.ndf,
+    }
+}
+
+/// The material of a mesh file, with what glTF dims by 1 − F taken off the base colour.
+pub(super) fn own_material(path: &Path, surface: &Surface) -> Result<(Vec<Vec3>, SpecularLobe)> {
+    let material = read_material(path)?;
+    let albedo = material.specular_albedo();
+    let factor = material.base_color * diffuse_share(albedo);
+    let (width, height) = (surface.atlas().width, surface.atlas().height);
+    let mut texels = match &material.base_color_image {
+        Some(bytes) => texture::decode_texture(path, bytes, width, height)?,
+        None => vec![Vec3::ONE; (width * height) as usize],
+    };
+    texels.iter_mut().for_each(|texel| *texel *= factor);
+    let roughness = material.roughness.clamp(MIN_ROUGHNESS, 1.0);
+    // As this project writes it: a file made by other programs means GGX, but does not say what wrote it.
+    Ok((texels, SpecularLobe { albedo, roughness, ndf: Ndf::default() }))
+}

@@ -1,0 +1,75 @@
+//! The surface that a scene describes.
+
+use crate::codec::gltf::import::read_mesh_with_report;
+use crate::error::{Error, Result};
+use crate::mesh::atlas::unwrap_mesh;
+use crate::mesh::primitive::{box_mesh, sphere_mesh};
+use crate::mesh::{MAX_COORDINATE, Surface};
+use crate::scene::Surface as SurfaceSpec;
+use crate::sdf::extract::extract_mesh;
+use crate::shape::hull::visual_hull;
+use crate::shape::repair::check_hull;
+use crate::shape::silhouette::Silhouette;
+use crate::view::{Split, ViewRecord};
+
+/// What a surface is made for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum SurfaceUse {
+    /// All passes.
+    Lasting,
+    /// Those before a `Shape` puts another in place of an unknown one: a coarse one will do.
+    UntilShape,
+}
+
+/// Most cells and texels a side of an unknown surface that is to be replaced.
+const DRAFT: (u32, u32) = (48, 256);
+
+/// Makes the surface, from the training views' masks where it is unknown; the notes say what was repaired on the way.
+///
+/// # Errors
+/// If the mesh cannot be read or unwrapped.
+pub fn make_surface(
+    spec: &SurfaceSpec,
+    views: &[ViewRecord],
+    use_of: SurfaceUse,
+) -> Result<(Surface, Vec<String>)> {
+    match spec {
+        SurfaceSpec::Unknown { cells, texture_size } => {
+            let train = views.iter().filter(|view| view.split == Split::Train);
+            let silhouette =
+                |view: &ViewRecord| Silhouette::new(&view.name, &view.camera, view.mask.as_ref()?);
+            let silhouettes: Vec<Silhouette> = train.filter_map(silhouette).collect();
+            let (cells, texture_size) = match use_of {
+                SurfaceUse::Lasting => (*cells, *texture_size),
+                SurfaceUse::UntilShape => (DRAFT.0.min(*cells), DRAFT.1.min(*texture_size)),
+            };
+            let hull = visual_hull(&silhouettes, cells)?;
+            let notes = check_hull(&hull, &silhouettes)?;
+            let unwrapped = unwrap_mesh(&extract_mesh(&hull), texture_size)?;
+            Ok((Surface::new(unwrapped.mesh, texture_size)?, notes))
+        }
+        SurfaceSpec::Mesh { path, texture_size, own_material } => {
+            let (mesh, report) = read_mesh_with_report(path)?;
+            if let Some(at) = mesh.positions.iter().find(|p| p.abs().max_element() > MAX_COORDINATE) {
+                let problem = format!("a vertex is at {at}: no coordinate may be beyond {MAX_COORDINATE:e}");
+                return Err(Error::input(path, "", problem, "Scale the mesh to the unit of the cameras."));
+            }
+            let unwrapped = unwrap_mesh(&mesh, *texture_size)?;
+            if *own_material && unwrapped.charts.is_some() {
+                let problem =
+                    "its texture coordinates are missing or overlap, so that its own material has no place";
+                let help = "Give the material in the scene file, or unwrap the mesh in another program.";
+                return Err(Error::input(path, "", problem, help));
+            }
+            let notes = report.notes().into_iter().chain(unwrapped.note);
+            let notes = notes.map(|note| format!("{}: {note}", path.display())).collect();
+            Ok((Surface::new(unwrapped.mesh, *texture_size)?, notes))
+        }
+        SurfaceSpec::Sphere { center, radius, texture_size } => {
+            Ok((Surface::new(sphere_mesh(*center, *radius)?, *texture_size)?, Vec::new()))
+        }
+        SurfaceSpec::Box { center, size, texture_size } => {
+            Ok((Surface::new(box_mesh(*center, *size)?, *texture_size)?, Vec::new()))
+        }
+    }
+}
