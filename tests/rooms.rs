@@ -32,6 +32,8 @@ struct Room {
     name: String,
     /// Rooms, or parts of one as `fit::loss`.
     imports: Vec<String>,
+    /// Whether these are all rooms above, named as such.
+    all_above: bool,
     line: usize,
 }
 
@@ -321,7 +323,8 @@ fn table(page: &str) -> (Vec<Room>, Vec<String>) {
                 ));
             }
         }
-        rooms.push(Room { name: name.to_owned(), imports: allowed, line });
+        let all_above = imports.contains(ALL_ABOVE);
+        rooms.push(Room { name: name.to_owned(), imports: allowed, all_above, line });
     }
     if rooms.is_empty() {
         problems.push(format!("{PAGE}: no table of rooms in the section \"{SECTION}\""));
@@ -403,6 +406,28 @@ impl<'a> Graph<'a> {
         problems
     }
 
+    /// Entries of the table that no file needs.
+    fn needless(&self, rooms: &[Room]) -> Vec<String> {
+        let mut problems = Vec::new();
+        for row in rooms.iter().filter(|row| !row.all_above && row.name != MATH) {
+            let files = self.sources.iter().filter(|source| source.room() == row.name);
+            let paths: Vec<String> = files
+                .flat_map(|source| self.imports(source))
+                .filter_map(|import| Some(self.room_path(&import.to)?.join("::")))
+                .collect();
+            let used = |entry: &String| {
+                paths.iter().any(|path| path == entry || path.starts_with(&format!("{entry}::")))
+            };
+            for entry in row.imports.iter().filter(|entry| !used(entry)) {
+                problems.push(format!(
+                    "{PAGE}:{}: `{}` does not import `{entry}`; take it out",
+                    row.line, row.name
+                ));
+            }
+        }
+        problems
+    }
+
     /// Cycles of imports among the files of a room, each once.
     ///
     /// What the files in `parents` import of their own children does not count; one of them without such a cycle is a problem.
@@ -413,12 +438,10 @@ impl<'a> Graph<'a> {
         let with_children = edges.clone();
         for parent in parents {
             let i = self.sources.iter().position(|source| source.path == *parent);
-            match i.filter(|i| shortest_cycle(&with_children, *i).is_some()) {
-                Some(i) => {
-                    edges[i].retain(|to, _| !self.sources[*to].module.starts_with(&self.sources[i].module))
-                }
-                None => problems
-                    .push(format!("{parent} is in no circle; take it out of the list of those that are")),
+            if let Some(i) = i.filter(|i| shortest_cycle(&with_children, *i).is_some()) {
+                edges[i].retain(|to, _| !self.sources[*to].module.starts_with(&self.sources[i].module));
+            } else {
+                problems.push(format!("{parent} is in no circle; take it out of the list of those that are"));
             }
         }
         let mut reported = BTreeSet::new();
@@ -566,7 +589,9 @@ fn rooms_import_what_the_table_allows() {
     let there = sources.iter().map(|source| source.room().to_owned()).collect();
     problems.extend(rows_and_rooms(&rooms, &there));
     assert!(repository().join(MATH).is_dir(), "{MATH}");
-    problems.extend(Graph::new(&sources, &library).forbidden(&rooms));
+    let graph = Graph::new(&sources, &library);
+    problems.extend(graph.forbidden(&rooms));
+    problems.extend(graph.needless(&rooms));
     assert_none(&problems);
 }
 
@@ -626,6 +651,9 @@ fn what_is_wrong_is_found() {
         assert!(found.contains(&format!("`{path}`")) && found.contains("docs/design.md:6"), "{found}");
     }
     assert!(forbidden[3].starts_with("src/middle.rs:7:"), "{}", forbidden[3]);
+    assert_eq!(graph.needless(&rooms).len(), 0);
+    let (spare, _) = table(&page.replace("`low::plain`", "`low::none`"));
+    assert!(graph.needless(&spare)[0].starts_with("docs/design.md:6: `middle` does not import `low::none`"));
     let cycles = graph.cycles(&[]);
     assert!(
         cycles.len() == 1 && cycles[0].contains("src/low/plain.rs:1 imports src/low/mod.rs"),

@@ -8,7 +8,7 @@ use std::path::Path;
 
 /// Where the types are looked for: source files, or folders with all below them. Types that are not reachable from
 /// [`ROOT`] are ignored.
-const SOURCES: &[&str] = &["src"];
+const SOURCES: &[&str] = &["src", "crates/lobelia-math/src"];
 
 /// The type of a whole scene file.
 const ROOT: &str = "Scene";

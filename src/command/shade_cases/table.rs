@@ -29,7 +29,7 @@ pub(super) struct Case<F> {
 
 impl Case<f64> {
     /// The same case in single precision.
-    pub(super) fn to_f32(&self) -> Case<f32> {
+    pub(super) fn to_f32(self) -> Case<f32> {
         let triple = |v: [f64; 3]| v.map(|x| x as f32);
         Case {
             normal: triple(self.normal),
