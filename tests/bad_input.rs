@@ -133,7 +133,7 @@ fn an_empty_mask() {
 }
 
 #[test]
-fn nan_and_infinite_pixels_are_mended_counted_and_told() {
+fn nan_and_infinite_pixels_are_repaired_counted_and_reported() {
     let data = Data::new();
     data.change_image("train/image/rgb_000001.exr", |image| {
         let red = image.channels.get_mut("R").unwrap();

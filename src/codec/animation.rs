@@ -1,4 +1,4 @@
-//! Animations that loop for ever: GIF, APNG, and MP4 where `ffmpeg` is on the PATH.
+//! Animations that loop forever: GIF, APNG, and MP4 where `ffmpeg` is on the PATH.
 
 use crate::codec::file;
 use crate::codec::palette::{Ditherer, Palette};
@@ -12,23 +12,23 @@ use std::io::{Read, Write};
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 
-/// What became of an MP4.
+/// Result of writing an MP4.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Mp4 {
     /// It was written.
     Written,
-    /// There is no `ffmpeg` on the PATH; nothing was written. To be told to the user as a note.
+    /// There is no `ffmpeg` on the PATH; nothing was written. Report this to the user as a note.
     NoFfmpeg,
 }
 
-/// Writes a GIF that loops for ever, in one palette of 256 colours for all frames with a dither that stands still.
+/// Writes a GIF that loops forever, with one palette of 256 colors for all frames and a dither that is constant over time.
 ///
-/// `fps` is in frames a second. GIF counts in hundredths of a second, which are spread so that the whole keeps its length;
-/// viewers slow down frames shorter than 0.02 s, so that `fps` above 50 plays at 50.
+/// `fps` is in frames per second. GIF counts in hundredths of a second; delays are rounded so that the whole animation keeps its
+/// length. Viewers slow down frames shorter than 0.02 s, so that `fps` above 50 plays at 50.
 ///
 /// # Errors
 /// [`Error::Run`] for no frames, unequal or empty frames, sides over 65 535 pixels, or an `fps` that is not positive;
-/// [`Error::Io`] if the disk refuses.
+/// [`Error::Io`] if the file cannot be written.
 pub fn write_gif(path: impl AsRef<Path>, frames: &[RgbImage], fps: f32) -> Result<()> {
     let path = path.as_ref();
     check(path, frames, fps)?;
@@ -39,7 +39,7 @@ pub fn write_gif(path: impl AsRef<Path>, frames: &[RgbImage], fps: f32) -> Resul
         other => failure(path, other.to_string()),
     };
     file::write_file(path, |writer| {
-        // No more than 256 colours a frame reach the encoder, which then keeps them exactly.
+        // At most 256 colors per frame reach the encoder, which then keeps them exactly.
         let mut encoder = GifEncoder::new_with_speed(writer, 10);
         encoder.set_repeat(Repeat::Infinite).map_err(failed)?;
         for (i, frame) in frames.iter().enumerate() {
@@ -57,10 +57,10 @@ fn hundredths(i: usize, fps: f32) -> u32 {
     (end_of(i + 1) - end_of(i)).clamp(2.0, 65_535.0) as u32
 }
 
-/// Writes an animated PNG that loops for ever, in full colour.
+/// Writes an animated PNG that loops forever, in full color.
 ///
 /// # Errors
-/// As [`write_gif`], without its limit on the sides.
+/// Those of [`write_gif`], without the limit on the sides.
 pub fn write_apng(path: impl AsRef<Path>, frames: &[RgbImage], fps: f32) -> Result<()> {
     let path = path.as_ref();
     check(path, frames, fps)?;
@@ -82,7 +82,7 @@ pub fn write_apng(path: impl AsRef<Path>, frames: &[RgbImage], fps: f32) -> Resu
     })
 }
 
-/// Seconds a frame as a fraction of 16-bit numbers, good to a hundredth of a frame a second.
+/// Seconds per frame as a fraction of 16-bit numbers, accurate to a hundredth of a frame per second.
 fn delay_ratio(fps: f32) -> (u16, u16) {
     if fps < 1.0 {
         return ((100.0 / fps).round().min(65_535.0) as u16, 100);
@@ -90,19 +90,19 @@ fn delay_ratio(fps: f32) -> (u16, u16) {
     (100, (100.0 * fps).round().min(65_535.0) as u16)
 }
 
-/// Writes an H.264 MP4 (yuv420p, BT.709) by piping frames to the `ffmpeg` on the PATH. H.264 in yuv420p wants even sides: an odd
-/// one is made even by repeating its last line.
+/// Writes an H.264 MP4 (yuv420p, BT.709) by piping frames to the `ffmpeg` on the PATH. H.264 in yuv420p needs even sides: an odd
+/// side is extended by its last line.
 ///
 /// # Errors
-/// As [`write_apng`]; [`Error::Run`] with ffmpeg's last line if it fails. Its absence is [`Mp4::NoFfmpeg`], not an error.
+/// Those of [`write_apng`]; [`Error::Run`] with the last line of ffmpeg's output if it fails. A missing `ffmpeg` is [`Mp4::NoFfmpeg`], not an error.
 pub fn write_mp4(path: impl AsRef<Path>, frames: &[RgbImage], fps: f32) -> Result<Mp4> {
     write_mp4_with(OsStr::new("ffmpeg"), path.as_ref(), frames, fps)
 }
 
-/// [`write_mp4`] with another program in `ffmpeg`'s place (a name on the PATH, or a path).
+/// [`write_mp4`] with another program in place of `ffmpeg` (a name on the PATH, or a path).
 ///
 /// # Errors
-/// As [`write_mp4`].
+/// Those of [`write_mp4`].
 pub fn write_mp4_with(program: &OsStr, path: &Path, frames: &[RgbImage], fps: f32) -> Result<Mp4> {
     check(path, frames, fps)?;
     let mut outcome = Mp4::Written;
@@ -112,7 +112,7 @@ pub fn write_mp4_with(program: &OsStr, path: &Path, frames: &[RgbImage], fps: f3
             Ok(child) => feed(child, path, frames),
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
                 outcome = Mp4::NoFfmpeg;
-                // Leaves the closure by its error path, so that no empty file gets the final name.
+                // Returns an error from the closure, so that no empty file gets the final name.
                 Err(Error::run("ffmpeg", "not found"))
             }
             Err(error) => Err(failure(path, format!("cannot start {}: {error}", program.display()))),
@@ -151,10 +151,10 @@ fn start(program: &OsStr, output: &Path, [width, height]: [u32; 2], fps: f32) ->
         .spawn()
 }
 
-/// Hands the frames to a running ffmpeg and waits for it.
+/// Sends the frames to a running ffmpeg and waits for it.
 fn feed(mut child: Child, path: &Path, frames: &[RgbImage]) -> Result<()> {
     let stderr = child.stderr.take();
-    // Read beside the writing: a full pipe on either side would stop both programs.
+    // Read while writing: a full pipe on either side would block both programs.
     let listener = std::thread::spawn(move || {
         let mut said = Vec::new();
         if let Some(mut stderr) = stderr {
@@ -166,16 +166,16 @@ fn feed(mut child: Child, path: &Path, frames: &[RgbImage]) -> Result<()> {
     if let Some(mut stdin) = child.stdin.take() {
         fed = frames.iter().try_for_each(|frame| stdin.write_all(even(frame).as_raw()));
     }
-    let status = child.wait().map_err(|error| failure(path, format!("ffmpeg was lost: {error}")))?;
+    let status = child.wait().map_err(|error| failure(path, format!("cannot wait for ffmpeg: {error}")))?;
     let said = listener.join().unwrap_or_default();
     if !status.success() {
         let last = said.lines().rev().find(|line| !line.trim().is_empty()).unwrap_or("it gave no reason");
         return Err(failure(path, format!("ffmpeg failed ({status}): {}", last.trim())));
     }
-    fed.map_err(|error| failure(path, format!("ffmpeg stopped listening: {error}")))
+    fed.map_err(|error| failure(path, format!("cannot send frames to ffmpeg: {error}")))
 }
 
-/// `frame` with even sides; an odd side is prolonged by its last line.
+/// `frame` with even sides; an odd side is extended by its last line.
 fn even(frame: &RgbImage) -> std::borrow::Cow<'_, RgbImage> {
     let (width, height) = frame.dimensions();
     if width.is_multiple_of(2) && height.is_multiple_of(2) {
@@ -187,7 +187,7 @@ fn even(frame: &RgbImage) -> std::borrow::Cow<'_, RgbImage> {
 
 fn check(path: &Path, frames: &[RgbImage], fps: f32) -> Result<()> {
     if !(fps.is_finite() && fps > 0.0) {
-        return Err(failure(path, format!("{fps} frames a second are not possible")));
+        return Err(failure(path, format!("{fps} frames per second are not possible")));
     }
     let Some(first) = frames.first() else {
         return Err(failure(path, "an animation needs at least one frame"));
@@ -229,7 +229,7 @@ mod tests {
         assert_eq!(delays, [40, 40, 50], "3 frames at 24 a second last 0.125 s, to a hundredth");
         for (read, made) in read.iter().zip(frames(3)) {
             let rgb = image::DynamicImage::from(read.buffer().clone()).into_rgb8();
-            assert_eq!(rgb, made, "189 colours fit the palette");
+            assert_eq!(rgb, made, "189 colors fit the palette");
         }
     }
 

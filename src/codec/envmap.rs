@@ -18,29 +18,29 @@ use glam::Vec3;
 const WIDEST_KEPT: u32 = 4096;
 /// The greatest width after averaging down.
 const WIDEST_AVERAGED: u32 = 2048;
-/// Maps wider than this are refused (the file would take minutes and gigabytes to decode).
+/// Maps wider than this are an error (the file would take minutes and gigabytes to decode).
 const WIDEST_READ: usize = 32_768;
 
 const EXPORT_HELP: &str = "export the map again as OpenEXR (R, G, B or Y channels) or Radiance .hdr";
 
 impl EnvironmentMap {
-    /// Reads an OpenEXR or Radiance HDR latitude-longitude map; the format is told by the file's first bytes.
+    /// Reads an OpenEXR or Radiance HDR latitude-longitude map; the first bytes of the file determine the format.
     ///
-    /// As [`Self::read_with_notes`], whose notes (repairs and resizing) are dropped.
+    /// Like [`Self::read_with_notes`], without the notes about repairs and resizing.
     pub fn read(path: impl AsRef<Path>) -> Result<Self> {
         Self::read_with_notes(path).map(|(map, _)| map)
     }
 
-    /// Reads a map and says, a sentence each, what was repaired or changed.
+    /// Reads a map and returns notes about repairs and changes, one sentence each.
     ///
-    /// EXR: half, float or uint samples, channels R, G, B in any order, or Y as grey; other channels are ignored; the
+    /// EXR: half, float or uint samples, channels R, G, B in any order, or Y as gray; other channels are ignored; the
     /// first layer that has them is read. Negative values are clamped to 0 and non-finite ones set to 0, both counted
     /// in a note. Maps wider than 4096 texels are averaged to at most 2048 while they are
     /// read, a block or scanline at a time: memory does not grow with the file.
     ///
     /// # Errors
     /// [`Error::Input`] for: no such file, another format, a truncated or damaged file, no usable channels, a shape
-    /// that is not 2:1 to a pixel, more than 32 768 texels across, all values non-finite, all black.
+    /// that is not exactly 2:1, more than 32 768 texels across, all values non-finite, all black.
     pub fn read_with_notes(path: impl AsRef<Path>) -> Result<(Self, Vec<String>)> {
         let path = path.as_ref();
         let open = || file::open(path, |_| "check the path of the environment map".to_owned());
@@ -55,7 +55,7 @@ impl EnvironmentMap {
         }
     }
 
-    /// Writes an OpenEXR file with `f32` R, G, B channels; the file appears under `path` only when it is complete.
+    /// Writes an OpenEXR file with `f32` R, G, B channels; `path` is created only when the file is complete.
     pub fn write_exr(&self, path: impl AsRef<Path>) -> Result<()> {
         let path = path.as_ref();
         let size = (self.width as usize, self.height as usize);
@@ -78,7 +78,7 @@ impl EnvironmentMap {
     }
 }
 
-/// Takes texels in any order; repairs, counts and averages them down where the map is too wide.
+/// Collects texels in any order; repairs and counts them, and averages them down if the map is too wide.
 struct Sink {
     size: [u32; 2],
     filter: BoxFilter,
@@ -89,7 +89,7 @@ struct Sink {
 }
 
 impl Sink {
-    /// For a map of `size` (already checked).
+    /// A collector for a map of `size` (already checked).
     fn new(size: [u32; 2]) -> Self {
         Self {
             size,
@@ -122,7 +122,7 @@ impl Sink {
             return Err(Error::input(path, "", "every texel is NaN or infinite", EXPORT_HELP));
         }
         if !self.bright {
-            let problem = "the map is black everywhere, so it lights nothing";
+            let problem = "the map is black everywhere: it gives no light";
             return Err(Error::input(path, "", problem, "check the export, or use another map"));
         }
         let mut notes = Vec::new();
@@ -143,7 +143,7 @@ impl Sink {
     }
 }
 
-/// The size that a map is kept at.
+/// The size of a map after averaging down.
 fn kept_size([width, height]: [u32; 2]) -> [u32; 2] {
     if width <= WIDEST_KEPT {
         return [width, height];
@@ -153,7 +153,7 @@ fn kept_size([width, height]: [u32; 2]) -> [u32; 2] {
     [kept, (kept / 2).min(height)]
 }
 
-/// The size as `[width, height]` if it is 2:1 to a pixel and not gigantic.
+/// The size as `[width, height]` if it is exactly 2:1 and at most [`WIDEST_READ`] wide.
 fn checked_size(path: &Path, width: usize, height: usize) -> Result<[u32; 2]> {
     if width < 2 || height < 1 || width.abs_diff(2 * height) > 1 {
         let problem = format!("is {width} × {height}, but a latitude-longitude map is twice as wide as high");
@@ -161,7 +161,7 @@ fn checked_size(path: &Path, width: usize, height: usize) -> Result<[u32; 2]> {
     }
     if width > WIDEST_READ {
         let problem = format!("is {width} × {height}, more than {WIDEST_READ} texels across");
-        return Err(Error::input(path, "", problem, "shrink it first; 2048 × 1024 is plenty"));
+        return Err(Error::input(path, "", problem, "reduce its size; 2048 × 1024 is enough"));
     }
     Ok([width as u32, height as u32])
 }
@@ -174,7 +174,7 @@ fn read_exr(path: &Path, open: impl Fn() -> Result<BufReader<File>>) -> Result<S
     let (size, names) = exr_layer(path, &meta)?;
     let [red, green, blue] = names;
     let add = |sink: &mut Sink, at: exr::math::Vec2<usize>, value: Vec3| sink.add(at.x(), at.y(), value);
-    // Not parallel: blocks would arrive, and be summed, in any order.
+    // Not parallel, because blocks would be summed in any order.
     let reader = exr::prelude::read().no_deep_data().largest_resolution_level().specific_channels();
     if red == green {
         let image = reader
@@ -206,20 +206,20 @@ fn read_exr(path: &Path, open: impl Fn() -> Result<BufReader<File>>) -> Result<S
     Ok(image.layer_data.channel_data.pixels)
 }
 
-/// Size and red, green and blue channel names (all the same for a grey map) of the first layer that has colour.
+/// Size and red, green and blue channel names (all the same for a gray map) of the first layer that has color.
 fn exr_layer(path: &Path, meta: &MetaData) -> Result<([u32; 2], [String; 3])> {
     let mut seen = Vec::new();
     for header in &meta.headers {
         let names: Vec<String> = header.channels.list.iter().map(|c| c.name.to_string()).collect();
         let find = |wanted: &str| names.iter().find(|n| n.eq_ignore_ascii_case(wanted)).cloned();
-        let colour = match (find("R"), find("G"), find("B"), find("Y")) {
+        let color = match (find("R"), find("G"), find("B"), find("Y")) {
             (Some(r), Some(g), Some(b), _) => Some([r, g, b]),
             (_, _, _, Some(y)) => Some([y.clone(), y.clone(), y]),
             _ => None,
         };
-        if let (Some(colour), false) = (colour, header.deep) {
+        if let (Some(color), false) = (color, header.deep) {
             let size = checked_size(path, header.layer_size.width(), header.layer_size.height())?;
-            return Ok((size, colour));
+            return Ok((size, color));
         }
         seen.extend(names);
     }
@@ -286,7 +286,7 @@ mod tests {
     }
 
     #[test]
-    fn half_uint_grey_and_extra_channels_are_read() {
+    fn half_uint_gray_and_extra_channels_are_read() {
         let folder = folder();
         let path = folder.path().join("map.exr");
         let half = FlatSamples::F16((0..8).map(|i| f16::from_f32(i as f32)).collect());
@@ -369,7 +369,7 @@ mod tests {
             error_of(&path);
         }
         std::fs::write(&path, b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 16000 +X 32000\n").unwrap();
-        assert!(error_of(&path).contains("cut short"));
+        assert!(error_of(&path).contains("truncated"));
     }
 
     #[test]
@@ -388,7 +388,7 @@ mod tests {
                     let mut bytes = whole.clone();
                     bytes[at] = value;
                     std::fs::write(&path, &bytes).unwrap();
-                    // A changed sample is still a sample; whatever is accepted must be usable.
+                    // A changed sample may still be valid; a map that is accepted must be usable.
                     if let Ok(map) = EnvironmentMap::read(&path) {
                         assert!(map.radiance.iter().all(|r| r.is_finite() && r.min_element() >= 0.0));
                     }
@@ -406,8 +406,8 @@ mod tests {
         assert_eq!(kept_size([5001, 2500]), [1666, 833]);
         let size = (4100_usize, 2050_usize);
         let ramp = |position: usize| (position / size.0) as f32 / size.1 as f32;
-        let grey = FlatSamples::F32((0..size.0 * size.1).map(ramp).collect());
-        write_channels(&path, size, vec![("Y", grey)]);
+        let gray = FlatSamples::F32((0..size.0 * size.1).map(ramp).collect());
+        write_channels(&path, size, vec![("Y", gray)]);
         let (map, notes) = EnvironmentMap::read_with_notes(&path).unwrap();
         assert_eq!((map.width, map.height), (1366, 683));
         assert!(notes[0].contains("4100 × 2050"), "{notes:?}");

@@ -14,10 +14,10 @@ use std::collections::BTreeMap;
 use std::io::Cursor;
 use std::path::Path;
 
-/// Decoded size above which a header is taken for damaged, in bytes.
+/// Decoded size in bytes above which a header is assumed to be damaged.
 pub(super) const MAX_DECODED_BYTES: usize = 1 << 31;
 
-/// Decoded size up to which a header is believed without a look at the file's size, in bytes.
+/// Decoded size in bytes up to which a header is accepted for a file of any size.
 const LITTLE_BYTES: usize = 1 << 26;
 
 /// The channels of an EXR file.
@@ -28,7 +28,7 @@ pub struct ExrLayers {
     /// Height of the display window in pixels.
     pub height: u32,
     /// Each channel's `width * height` values, row by row from the top left, by full name: `R`, `diffuse.R`, `depth.Z`.
-    /// In files with several named parts a part's name goes before the channel's. What a layer does not cover is 0.
+    /// In files with several named parts the name of the part comes before that of the channel. Pixels outside a layer are 0.
     pub channels: BTreeMap<String, Vec<f32>>,
 }
 
@@ -40,7 +40,7 @@ impl ExrLayers {
         Some(x.iter().zip(y).zip(z).map(|((&x, &y), &z)| Vec3::new(x, y, z)).collect())
     }
 
-    /// Three channels from vectors.
+    /// Inserts three channels from vectors.
     pub fn insert_triple(&mut self, names: [&str; 3], values: &[Vec3]) {
         for (axis, name) in names.into_iter().enumerate() {
             self.channels.insert(name.to_owned(), values.iter().map(|v| v[axis]).collect());
@@ -52,8 +52,8 @@ impl ExrLayers {
         self.channels.keys().map(String::as_str).collect::<Vec<_>>().join(", ")
     }
 
-    /// The full names of the colour channels and of alpha that make up the picture itself: the channels without prefix if
-    /// they are R, G, B (or Y), else those of the first prefix, by name, that has them. Alpha is optional.
+    /// The full names of the color channels and of alpha that make up the picture itself: the channels without prefix if
+    /// they are R, G, B (or Y), else those of the first prefix, in the order of names, that has them. Alpha is optional.
     pub(crate) fn picture(&self) -> Option<([&str; 3], Option<&str>)> {
         let prefix_of = |name: &str| name.rfind('.').map_or(String::new(), |dot| name[..=dot].to_owned());
         let mut prefixes: Vec<String> = self.channels.keys().map(|name| prefix_of(name)).collect();
@@ -78,7 +78,7 @@ impl ExrLayers {
 /// Reads all channels of all flat layers (half, float or uint) of an EXR file as `f32`.
 ///
 /// # Errors
-/// [`Error::Input`] if the file is missing, not an EXR, damaged, cut short, deep, chroma-subsampled, or empty.
+/// [`Error::Input`] if the file is missing, not an EXR, damaged, truncated, deep, chroma-subsampled, or empty.
 pub fn read_exr_layers(path: impl AsRef<Path>) -> Result<ExrLayers> {
     let path = path.as_ref();
     decode_exr(path, &read_bytes(path, missing_file_help)?)
@@ -93,7 +93,7 @@ pub(crate) fn decode_exr(path: &Path, bytes: &[u8]) -> Result<ExrLayers> {
             path,
             "",
             problem,
-            "Write the file anew, as flat scan lines or tiles at full resolution.",
+            "Write the file again as flat scan lines or tiles at full resolution.",
         )
     })?;
     let image = read()
@@ -121,7 +121,7 @@ pub(crate) fn decode_exr(path: &Path, bytes: &[u8]) -> Result<ExrLayers> {
     Ok(ExrLayers { width: window.size.x() as u32, height: window.size.y() as u32, channels })
 }
 
-/// The display window, if the headers can be decoded by this reader within reason.
+/// The display window, if this reader can decode the headers and the size is plausible.
 fn check_headers(reader: &Reader<Cursor<&[u8]>>, file_bytes: usize) -> Result<IntegerBounds, String> {
     let headers = reader.headers();
     let window = headers.first().ok_or("the file has no layers")?.shared_attributes.display_window;
@@ -131,11 +131,11 @@ fn check_headers(reader: &Reader<Cursor<&[u8]>>, file_bytes: usize) -> Result<In
         largest.checked_mul(4 * header.channels.list.len())
     };
     let total = headers.iter().try_fold(0usize, |sum, header| sum.checked_add(bytes_of(header)?));
-    // No picture compresses as well as a damaged size makes believe; small ones are let through whatever they hold.
+    // A damaged size implies a compression ratio that no picture has; small pictures are accepted without this check.
     let limit = MAX_DECODED_BYTES.min(LITTLE_BYTES + 10_000 * file_bytes);
     if total.is_none_or(|total| total > limit) {
         return Err(format!(
-            "the header declares {}×{} pixels, more than the file can hold or than can be read",
+            "the header declares {}×{} pixels, more than the file can hold or this program can read",
             window.size.x(),
             window.size.y()
         ));
@@ -145,7 +145,9 @@ fn check_headers(reader: &Reader<Cursor<&[u8]>>, file_bytes: usize) -> Result<In
     }
     // Each chunk has 8 bytes in the offset table and at least 8 of its own.
     if headers.iter().any(|header| header.chunk_count > file_bytes / 16) {
-        return Err("the file is damaged or cut short: its header declares more than it holds".into());
+        return Err(
+            "the file is damaged or truncated: its header declares more data than the file contains".into()
+        );
     }
     for header in headers {
         if header.deep {
@@ -175,7 +177,7 @@ fn to_f32(channel: AnyChannel<FlatSamples>) -> Vec<f32> {
     }
 }
 
-/// Lays values that fill `bounds` out on `window`, with 0 where there are none.
+/// Copies values that fill `bounds` to `window`, with 0 where there are none.
 fn on_window(values: Vec<f32>, bounds: IntegerBounds, window: IntegerBounds) -> Vec<f32> {
     if bounds == window {
         return values;
@@ -206,12 +208,12 @@ fn exr_error(path: &Path, error: &exr::error::Error) -> Error {
             path,
             "",
             format!("this kind of EXR cannot be read: {what}"),
-            "Write it anew with ZIP, PIZ or no compression, without deep data.",
+            "Write it again with ZIP, PIZ or no compression, without deep data.",
         ),
         other => Error::input(
             path,
             "",
-            format!("the EXR is damaged or cut short: {other}"),
+            format!("the EXR is damaged or truncated: {other}"),
             "Copy or render the file again.",
         ),
     }

@@ -1,5 +1,5 @@
-//! Whole files in and out: reading says what is wrong, and writing never leaves half a file under its final name (it
-//! writes beside it, then renames).
+//! Reading and writing of whole files: reading has errors that name the problem, and writing never leaves an incomplete file under
+//! its final name (it writes a temporary file in the same folder, then renames it).
 
 use crate::{Error, Result};
 use std::fs::{self, File};
@@ -7,10 +7,10 @@ use std::io::{BufReader, BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 use tempfile::{NamedTempFile, TempPath};
 
-/// Opens a file for reading; `help` says what to do about one that is missing.
+/// Opens a file for reading; `help` returns the remedy for a missing file.
 ///
 /// # Errors
-/// [`Error::Input`] if the file is missing, empty or a folder; [`Error::Io`] when the system refuses.
+/// [`Error::Input`] if the file is missing, empty or a folder; [`Error::Io`] for other errors of the operating system.
 pub fn open(path: &Path, help: impl FnOnce(&Path) -> String) -> Result<BufReader<File>> {
     if path.is_dir() {
         return Err(Error::input(path, "", "this is a folder, not a file", help(path)));
@@ -25,22 +25,22 @@ pub fn open(path: &Path, help: impl FnOnce(&Path) -> String) -> Result<BufReader
     Ok(BufReader::new(file))
 }
 
-/// Reads a whole file; `help` says what to do about one that is missing.
+/// Reads a whole file; `help` returns the remedy for a missing file.
 ///
 /// # Errors
-/// [`Error::Input`] if the file is missing, empty or a folder; [`Error::Io`] when the system refuses.
+/// [`Error::Input`] if the file is missing, empty or a folder; [`Error::Io`] for other errors of the operating system.
 pub fn read_bytes(path: &Path, help: impl FnOnce(&Path) -> String) -> Result<Vec<u8>> {
     let mut bytes = Vec::new();
     open(path, help)?.read_to_end(&mut bytes).map_err(Error::io("read", path))?;
     Ok(bytes)
 }
 
-/// Writes `path` through `write`: the bytes go to a hidden temporary in the same folder (made if missing), which
-/// takes the final name only when `write` and the last flush have succeeded. An older file of that name is replaced;
-/// on failure it stays as it was and the temporary is removed.
+/// Writes `path` through `write`: the bytes go to a hidden temporary file in the same folder (created if missing), which
+/// gets the final name only when `write` and the last flush have succeeded. An existing file of that name is replaced;
+/// on failure it stays as it was and the temporary file is removed.
 ///
 /// # Errors
-/// Whatever `write` returns, or [`Error::Io`] when the system refuses.
+/// Whatever `write` returns, or [`Error::Io`] for other errors of the operating system.
 pub fn write_file(path: &Path, write: impl FnOnce(&mut BufWriter<File>) -> Result<()>) -> Result<()> {
     let (file, temporary) = temporary_beside(path)?.into_parts();
     let mut writer = BufWriter::new(file);
@@ -55,11 +55,11 @@ pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<()> {
     write_file(path, |writer| writer.write_all(bytes).map_err(Error::io("write", path)))
 }
 
-/// Like [`write_file`] for a writer that wants a path (another program): it is given the temporary's path, which
-/// keeps the extension of `path`, and must overwrite that file.
+/// Like [`write_file`] for a writer that needs a path (another program). It gets the path of the temporary file, which
+/// has the extension of `path`, and must overwrite that file.
 ///
 /// # Errors
-/// Whatever `write` returns, or [`Error::Io`] when the system refuses.
+/// Whatever `write` returns, or [`Error::Io`] for other errors of the operating system.
 pub fn write_by_path(path: &Path, write: impl FnOnce(&Path) -> Result<()>) -> Result<()> {
     let (file, temporary) = temporary_beside(path)?.into_parts();
     drop(file);
@@ -76,7 +76,7 @@ fn temporary_beside(path: &Path) -> Result<NamedTempFile> {
     };
     let mut builder = tempfile::Builder::new();
     builder.prefix(".").suffix(&suffix);
-    // A temporary is private to its owner by default; a result should have the usual permissions (0666 less umask).
+    // A temporary file is private to its owner by default; a result has the usual permissions (0666 less umask).
     #[cfg(unix)]
     let builder = builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     builder.tempfile_in(&folder).map_err(Error::io("create a file in", &folder))

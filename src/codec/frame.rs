@@ -1,4 +1,4 @@
-//! OpenEXR out: any channels by name, and the layered frame that a render pass writes, which is also read back.
+//! Writing of OpenEXR: any channels by name, and the layered frame that a render pass writes, which can also be read.
 
 use crate::codec::exr::{ExrLayers, read_exr_layers};
 use crate::codec::file;
@@ -59,7 +59,7 @@ impl Frame {
 /// Writes `frame` as one single-part EXR with the channels named in [`Frame`], 32-bit float, ZIP (lossless).
 ///
 /// # Errors
-/// [`Error::Run`] if a list has the wrong length or holds a non-finite value; [`Error::Io`] if the disk refuses.
+/// [`Error::Run`] if a list has the wrong length or holds a non-finite value; [`Error::Io`] if the file cannot be written.
 pub fn write_frame(path: impl AsRef<Path>, frame: &Frame) -> Result<()> {
     let channels = frame.channels();
     for (name, values) in &channels.channels {
@@ -75,7 +75,7 @@ pub fn write_frame(path: impl AsRef<Path>, frame: &Frame) -> Result<()> {
 /// Writes `channels` as one single-part EXR, 32-bit float, ZIP (lossless), increasing lines.
 ///
 /// # Errors
-/// [`Error::Run`] if the image is empty or a channel has the wrong length; [`Error::Io`] if the disk refuses.
+/// [`Error::Run`] if the image is empty or a channel has the wrong length; [`Error::Io`] if the file cannot be written.
 pub fn write_channels(path: impl AsRef<Path>, channels: &ExrLayers) -> Result<()> {
     let path = path.as_ref();
     let count = channels.width as usize * channels.height as usize;
@@ -87,7 +87,7 @@ pub fn write_channels(path: impl AsRef<Path>, channels: &ExrLayers) -> Result<()
     }
     let image = single_part(channels);
     file::write_file(path, |writer| {
-        // One thread: callers write many views at once, and the bytes are the same at any thread count.
+        // One thread: callers write many views at once, and the bytes do not depend on the number of threads.
         image.write().non_parallel().to_buffered(writer).map_err(|error| match error {
             exr::error::Error::Io(source) => Error::io("write", path)(source),
             other => refused(path, other.to_string()),
@@ -211,7 +211,7 @@ mod tests {
             let mut damaged = whole.clone();
             damaged[at] ^= 0x5A;
             std::fs::write(&path, &damaged).unwrap();
-            // Damage may hide in a value or an attribute; it must only never panic or hang.
+            // Damage may be in a value or an attribute; reading must never panic or hang.
             let _ = read_frame(&path);
         }
         assert!(matches!(read_exr_layers(folder.path().join("none.exr")).unwrap_err(), Error::Input { .. }));

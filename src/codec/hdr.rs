@@ -1,15 +1,15 @@
-//! Radiance RGBE pictures (`.hdr`), a scanline at a time, so that memory does not grow with the picture.
+//! Radiance RGBE pictures (`.hdr`), one scanline at a time, so that memory does not grow with the picture.
 //!
-//! G. Ward, "Real Pixels", Graphics Gems II (1991): four bytes a texel, three mantissas and a shared exponent; scanlines
-//! flat, with the old runs (a texel 1 1 1 n repeats the one before), or with the new ones (each byte plane apart).
+//! G. Ward, "Real Pixels", Graphics Gems II (1991): four bytes per texel, three mantissas and a shared exponent. Scanlines
+//! are flat, with old runs (a texel 1 1 1 n repeats the one before), or with new runs (each byte plane separately).
 
 use std::io::{BufRead, Read};
 
 use glam::Vec3;
 
-/// Bytes of a header line that are looked at.
+/// Most bytes of a header line that are read.
 const LONGEST_LINE: u64 = 4096;
-/// Header lines before the size.
+/// Most header lines before the size.
 const MOST_LINES: usize = 256;
 
 /// A picture whose header was read; the scanlines follow.
@@ -24,7 +24,7 @@ impl<R: BufRead> RadianceReader<R> {
     /// Reads the header.
     ///
     /// # Errors
-    /// A sentence part that says what is wrong.
+    /// A clause that says what is wrong.
     pub fn new(mut reader: R) -> Result<Self, String> {
         let mut first = true;
         for _ in 0..MOST_LINES {
@@ -44,10 +44,10 @@ impl<R: BufRead> RadianceReader<R> {
         Err("its header does not end".to_owned())
     }
 
-    /// Reads the next scanline, from the top of the picture down, and gives its texels in order to `texel`.
+    /// Reads the next scanline, from the top of the picture down, and passes its texels in order to `texel`.
     ///
     /// # Errors
-    /// A sentence part that says what is wrong.
+    /// A clause that says what is wrong.
     pub fn scanline(&mut self, mut texel: impl FnMut(usize, Vec3)) -> Result<(), String> {
         let width = self.size[0];
         let start = self.quad()?;
@@ -127,7 +127,7 @@ impl<R: BufRead> RadianceReader<R> {
 
 fn cut_short(error: std::io::Error) -> String {
     match error.kind() {
-        std::io::ErrorKind::UnexpectedEof => "it is cut short".to_owned(),
+        std::io::ErrorKind::UnexpectedEof => "it is truncated".to_owned(),
         _ => error.to_string(),
     }
 }
@@ -136,7 +136,7 @@ fn line(reader: &mut impl BufRead) -> Result<String, String> {
     let mut bytes = Vec::new();
     reader.take(LONGEST_LINE).read_until(b'\n', &mut bytes).map_err(cut_short)?;
     if bytes.pop() != Some(b'\n') {
-        return Err("its header is cut short".to_owned());
+        return Err("its header is truncated".to_owned());
     }
     Ok(String::from_utf8_lossy(&bytes).trim_end().to_owned())
 }
@@ -194,7 +194,7 @@ mod tests {
         }
         assert_eq!(texels(&picture("-Y 1 +X 8", &new)).unwrap(), [value; 8]);
         for cut in 0..new.len() {
-            assert!(texels(&picture("-Y 1 +X 8", &new[..cut])).unwrap_err().contains("cut short"));
+            assert!(texels(&picture("-Y 1 +X 8", &new[..cut])).unwrap_err().contains("truncated"));
         }
     }
 

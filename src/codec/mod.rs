@@ -1,8 +1,8 @@
-//! Files in and out: images, environment maps, light lobes, meshes. Formats know no systems.
+//! Reading and writing of files: images, environment maps, light lobes, meshes. Formats do not depend on systems.
 //!
 //! | module | reads | writes |
 //! | --- | --- | --- |
-//! | [`mod@file`] | whole files | whole files, never half-written |
+//! | [`mod@file`] | whole files | whole files, never incomplete |
 //! | [`image`] | PNG, JPEG, EXR, HDR to linear images and masks | |
 //! | [`exr`], [`frame`] | EXR layers | EXR layers, rendered frames |
 //! | [`png_file`], [`animation`] | | PNG; GIF, APNG, MP4 |
@@ -10,7 +10,7 @@
 //! | [`npy`] | light lobes in both conventions | the same |
 //! | [`texture`] | images as texels of an atlas | |
 //! | [`gltf`], [`ply_obj`] | glTF meshes and materials | glTF; PLY, OBJ |
-//! | [`nearby`] | | help for wrong file and view names |
+//! | [`nearby`] | | suggestions for wrong file and view names |
 
 pub mod animation;
 pub mod envmap;

@@ -1,16 +1,16 @@
-//! Help for wrong names: which of the names there are come close, and what a folder holds.
+//! Help for wrong names: similar names that exist, and the contents of a folder.
 
 use std::cmp::Ordering;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-/// Orders names as people do: runs of digits by their number, so that `r_2` comes before `r_10`.
+/// Natural order of names: runs of digits compare as numbers, so that `r_2` comes before `r_10`.
 pub fn natural_order(a: &str, b: &str) -> Ordering {
     let (mut rest_a, mut rest_b) = (a, b);
     loop {
         let (chunk_a, chunk_b) = (leading_chunk(rest_a), leading_chunk(rest_b));
         if chunk_a.is_empty() || chunk_b.is_empty() {
-            // Names that differ by leading zeros only ("r_1", "r_01") still need one order.
+            // Names that differ by leading zeros only ("r_1", "r_01") still need a definite order.
             return chunk_a.len().cmp(&chunk_b.len()).then_with(|| a.cmp(b));
         }
         let order = compare_chunks(chunk_a, chunk_b);
@@ -36,7 +36,7 @@ fn compare_chunks(a: &str, b: &str) -> Ordering {
     a.len().cmp(&b.len()).then_with(|| a.cmp(b))
 }
 
-/// Up to three of `candidates` that `name` may have been meant to be, closest first.
+/// Up to three of `candidates` that are similar to `name`, closest first.
 pub fn closest<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Vec<&'a str> {
     let limit = 2 + name.chars().count() / 4;
     let mut scored: Vec<(usize, &str)> = candidates
@@ -63,8 +63,8 @@ fn edit_distance(a: &str, b: &str) -> usize {
     row[b.len()]
 }
 
-/// What a person who looked for `path` may want to know: names like it, or what its folder holds ("the folder has 32 .exr
-/// files"), or which part of the path is missing.
+/// Help for a missing `path`: similar names, or the contents of its folder ("the folder has 32 .exr
+/// files"), or the part of the path that is missing.
 pub fn missing_file_help(path: &Path) -> String {
     let folder = match path.parent() {
         Some(parent) if !parent.as_os_str().is_empty() => parent,

@@ -1,20 +1,20 @@
-//! One 256-colour palette for a whole animation, and dithering that stands still.
+//! One 256-color palette for a whole animation, and dithering that is constant over time.
 //!
-//! A palette per frame flickers and error diffusion crawls, so a GIF here has one palette for all frames, made by variance-based cuts
+//! A palette per frame flickers and error diffusion changes from frame to frame. Here a GIF has one palette for all frames, made by variance-based cuts
 //! (after X. Wu, "Efficient Statistical Computations for Optimal Color Quantization", Graphics Gems II, 1991) with a few rounds of
-//! Lloyd's algorithm, and an ordered dither (T. Knoll's pattern dithering) that depends on a pixel's place only.
+//! Lloyd's algorithm, and an ordered dither (T. Knoll's pattern dithering) that depends on the position of a pixel only.
 
 use image::RgbImage;
 use std::collections::{BTreeMap, HashMap};
 
-/// A palette of at most 256 sRGB colours.
+/// A palette of at most 256 sRGB colors.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Palette {
-    /// The colours.
+    /// The colors.
     pub colors: Vec<[u8; 3]>,
 }
 
-/// A histogram cell: mean colour and number of pixels.
+/// A histogram cell: mean color and number of pixels.
 #[derive(Clone, Copy)]
 struct Bin {
     color: [f64; 3],
@@ -22,7 +22,7 @@ struct Bin {
 }
 
 impl Palette {
-    /// The palette of at most `most` colours (1 to 256) for all of `frames`; exact if they have no more colours than that.
+    /// The palette of at most `most` colors (1 to 256) for all `frames`; exact if they have at most that many colors.
     pub fn of(frames: &[RgbImage], most: usize) -> Self {
         let most = most.clamp(1, 256);
         if let Some(colors) = few_colors(frames, most) {
@@ -46,14 +46,14 @@ impl Palette {
         Self { colors }
     }
 
-    /// The colour nearest to `color`, by squared sRGB distance; the first of equals.
+    /// The color nearest to `color`, by squared sRGB distance; the first of equal ones.
     fn nearest(&self, color: [i32; 3]) -> [u8; 3] {
         let distance = |c: &[u8; 3]| (0..3).map(|i| (i32::from(c[i]) - color[i]).pow(2)).sum::<i32>();
         self.colors.iter().copied().min_by_key(distance).unwrap_or([0; 3])
     }
 }
 
-/// All colours, sorted, if they are at most `most`.
+/// All colors, sorted, if they are at most `most`.
 fn few_colors(frames: &[RgbImage], most: usize) -> Option<Vec<[u8; 3]>> {
     let mut seen = std::collections::BTreeSet::new();
     for pixel in frames.iter().flat_map(|frame| frame.pixels()) {
@@ -64,7 +64,7 @@ fn few_colors(frames: &[RgbImage], most: usize) -> Option<Vec<[u8; 3]>> {
     Some(seen.into_iter().collect())
 }
 
-/// Pixels by their top six bits a channel, with the mean of each cell.
+/// Pixels by the top six bits of each channel, with the mean of each cell.
 fn histogram(frames: &[RgbImage]) -> Vec<Bin> {
     let mut cells: BTreeMap<[u8; 3], ([u64; 3], u64)> = BTreeMap::new();
     for pixel in frames.iter().flat_map(|frame| frame.pixels()) {
@@ -76,7 +76,7 @@ fn histogram(frames: &[RgbImage]) -> Vec<Bin> {
         .into_values()
         .map(|(sum, count)| Bin {
             color: sum.map(|s| s as f64 / count as f64),
-            // A large flat backdrop must not take the palette away from the object: weights grow slower than counts.
+            // Weights grow more slowly than counts, so that a large uniform backdrop does not use up the palette.
             weight: (count as f64).powf(0.75),
         })
         .collect()
@@ -107,14 +107,14 @@ fn cut(bins: Vec<Bin>) -> (Vec<Bin>, Vec<Bin>) {
     let axis = (0..3).max_by(|&a, &b| spread[a].total_cmp(&spread[b])).unwrap_or(0);
     let (low, high): (Vec<Bin>, Vec<Bin>) = bins.iter().partition(|bin| bin.color[axis] < mean[axis]);
     if low.is_empty() || high.is_empty() {
-        // Only rounding can do this (all but equal colours): halve it anyway, so that the loop ends.
+        // This happens only through rounding (nearly equal colors); the box is still halved, so that the loop ends.
         let (low, high) = bins.split_at(bins.len() / 2);
         return (low.to_vec(), high.to_vec());
     }
     (low, high)
 }
 
-/// One round of Lloyd's algorithm; a mean without pixels stays.
+/// One round of Lloyd's algorithm; a mean without pixels stays unchanged.
 fn refined(bins: &[Bin], means: &[[f64; 3]]) -> Vec<[f64; 3]> {
     let mut sums = vec![([0.0; 3], 0.0); means.len()];
     for bin in bins {
@@ -133,10 +133,10 @@ fn refined(bins: &[Bin], means: &[[f64; 3]]) -> Vec<[f64; 3]> {
 /// Rank of each place of a 4×4 tile (Bayer), 0 to 15.
 const RANKS: [[usize; 4]; 4] = [[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [15, 7, 13, 5]];
 
-/// Share of the remaining error that the next candidate makes good; below 1 it keeps grain low.
+/// Fraction of the remaining error that the next candidate corrects; a value below 1 reduces grain.
 const STRENGTH: f32 = 0.8;
 
-/// Brings frames to a palette, remembering what it has worked out for each colour.
+/// Dithers frames to a palette, with a cache per color.
 pub struct Ditherer<'a> {
     palette: &'a Palette,
     candidates: HashMap<[u8; 3], [[u8; 3]; 16]>,
@@ -149,7 +149,7 @@ impl<'a> Ditherer<'a> {
         Self { palette, candidates: HashMap::new(), nearest: HashMap::new() }
     }
 
-    /// `frame` in colours of the palette only.
+    /// `frame` in colors of the palette only.
     pub fn dithered(&mut self, frame: &RgbImage) -> RgbImage {
         let mut result = frame.clone();
         for (x, y, pixel) in result.enumerate_pixels_mut() {
@@ -158,7 +158,7 @@ impl<'a> Ditherer<'a> {
         result
     }
 
-    /// Sixteen palette colours, dark to light, whose mean is about `color`; all equal if the palette has it.
+    /// Sixteen palette colors, dark to light, whose mean is about `color`; all equal if the palette contains it.
     fn candidates_of(&mut self, color: [u8; 3]) -> [[u8; 3]; 16] {
         if let Some(known) = self.candidates.get(&color) {
             return *known;

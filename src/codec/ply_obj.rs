@@ -1,6 +1,6 @@
 //! Writing a mesh as PLY and as Wavefront OBJ, for programs that read no glTF.
 //!
-//! Both keep the data's own coordinates and write numbers so that they come back bit for bit.
+//! Both keep the coordinates of the data and write numbers without loss.
 
 use crate::mesh::triangles::Mesh;
 use crate::{Error, Result};
@@ -9,17 +9,17 @@ use std::collections::HashMap;
 use std::fmt::Write;
 use std::path::Path;
 
-/// Writes a binary little-endian PLY with normals and one sRGB colour a vertex.
+/// Writes a binary little-endian PLY with normals and one sRGB color per vertex.
 ///
-/// Vertices that differ in nothing but their texture coordinates, which a PLY does not have, become one, so that a closed mesh
-/// is closed in the file; the colour is the first one's.
+/// Vertices that differ only in their texture coordinates, which a PLY does not have, are merged, so that a closed mesh
+/// is closed in the file; the merged vertex has the color of the first.
 ///
 /// # Errors
-/// [`Error::Run`] unless there is a colour for each vertex; [`Error::Io`] if the file cannot be written.
+/// [`Error::Run`] if there is not one color for each vertex; [`Error::Io`] if the file cannot be written.
 pub fn write_ply(path: &Path, mesh: &Mesh, colors: &[[u8; 3]]) -> Result<()> {
     if colors.len() != mesh.positions.len() || mesh.normals.len() != mesh.positions.len() {
         let problem = format!(
-            "{} vertices, {} normals, {} colours",
+            "{} vertices, {} normals, {} colors",
             mesh.positions.len(),
             mesh.normals.len(),
             colors.len()
@@ -54,7 +54,7 @@ pub fn write_ply(path: &Path, mesh: &Mesh, colors: &[[u8; 3]]) -> Result<()> {
 fn joined_vertices(mesh: &Mesh) -> (Vec<usize>, Vec<u32>) {
     let (mut kept, mut number_of) = (Vec::new(), HashMap::new());
     let mut number = |vertex: usize| {
-        // −0 and 0 are one place.
+        // −0 and 0 are the same position.
         let bits = |v: Vec3| (v + Vec3::ZERO).to_array().map(f32::to_bits);
         *number_of.entry((bits(mesh.positions[vertex]), bits(mesh.normals[vertex]))).or_insert_with(|| {
             kept.push(vertex);
@@ -76,10 +76,10 @@ pub struct ObjMaterial<'a> {
     pub roughness: f32,
 }
 
-/// Writes `path` (`mesh.obj`) and beside it `mesh.mtl` and `mesh_albedo.png`.
+/// Writes `path` (`mesh.obj`), and `mesh.mtl` and `mesh_albedo.png` in the same folder.
 ///
 /// The material is `Kd` 1 with the texture, `Ks` the specular albedo, and `Ns` the exponent whose Blinn–Phong lobe is as wide as R:
-/// 2/R⁴ − 2, at most 1000; programs that know it find R in `Pr`.
+/// 2/R⁴ − 2, at most 1000; `Pr` is R, for programs that support it.
 ///
 /// # Errors
 /// [`Error::Run`] for a mesh without texture coordinates; [`Error::Io`] if a file cannot be written.
@@ -95,7 +95,7 @@ pub fn write_obj(path: &Path, mesh: &Mesh, material: &ObjMaterial) -> Result<()>
         let _ = writeln!(text, "v {} {} {}", p.x, p.y, p.z);
     }
     for uv in uvs {
-        // In an OBJ, v runs upwards.
+        // In an OBJ, v points up.
         let _ = writeln!(text, "vt {} {}", uv.x, 1.0 - uv.y);
     }
     for n in &mesh.normals {
@@ -153,7 +153,7 @@ mod tests {
     fn seams_are_closed_in_a_ply() {
         let mesh = sphere_mesh(Vec3::ZERO, 1.0).unwrap();
         let (kept, index) = joined_vertices(&mesh);
-        // One per pole, and no column twice.
+        // One vertex per pole, and no column twice.
         assert_eq!(kept.len(), 95 * 192 + 2);
         for (vertex, &number) in index.iter().enumerate() {
             assert_eq!(mesh.positions[kept[number as usize]], mesh.positions[vertex]);

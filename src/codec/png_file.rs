@@ -9,7 +9,7 @@ use std::path::Path;
 /// Writes an opaque sRGB picture.
 ///
 /// # Errors
-/// [`Error::Io`] if the disk refuses, [`Error::Run`] for an empty picture.
+/// [`Error::Io`] if the file cannot be written, [`Error::Run`] for an empty picture.
 pub fn write_rgb8(path: impl AsRef<Path>, picture: &RgbImage) -> Result<()> {
     write(path.as_ref(), picture.width(), picture.height(), ColorType::Rgb, picture.as_raw())
 }
@@ -17,7 +17,7 @@ pub fn write_rgb8(path: impl AsRef<Path>, picture: &RgbImage) -> Result<()> {
 /// Writes an sRGB picture with straight alpha.
 ///
 /// # Errors
-/// [`Error::Io`] if the disk refuses, [`Error::Run`] for an empty picture.
+/// [`Error::Io`] if the file cannot be written, [`Error::Run`] for an empty picture.
 pub fn write_rgba8(path: impl AsRef<Path>, picture: &RgbaImage) -> Result<()> {
     write(path.as_ref(), picture.width(), picture.height(), ColorType::Rgba, picture.as_raw())
 }
@@ -35,7 +35,7 @@ fn write(path: &Path, width: u32, height: u32, color: ColorType, samples: &[u8])
     })
 }
 
-/// The crate's error for an encoder's.
+/// Converts an error of the encoder.
 pub(super) fn failed(path: &Path, error: png::EncodingError) -> Error {
     match error {
         png::EncodingError::IoError(source) => Error::io("write", path)(source),

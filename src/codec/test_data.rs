@@ -1,4 +1,4 @@
-//! Small files for this room's tests.
+//! Small files for the tests of this module.
 
 use exr::prelude::{
     AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, WritableImage,

@@ -8,8 +8,8 @@ use crate::math::color::linear_from_srgb;
 use glam::Vec3;
 use std::path::Path;
 
-/// Reads an image (PNG as sRGB, EXR as linear) as `width * height` linear colours, row 0 at v = 0. An image of that size is
-/// taken value by value; another is resampled bilinearly.
+/// Reads an image (PNG as sRGB, EXR as linear) as `width * height` linear colors, row 0 at v = 0. An image of that size is
+/// used as it is; others are resampled bilinearly.
 ///
 /// # Errors
 /// If the file cannot be read.
@@ -18,10 +18,10 @@ pub fn read_texture(path: &Path, width: u32, height: u32) -> Result<Vec<Vec3>> {
     Ok(resample(&image.pixels, [image.width, image.height], [width, height]))
 }
 
-/// As [`read_texture`] for the bytes of an sRGB image that the file `path` holds.
+/// [`read_texture`] for the bytes of an sRGB image in the file `path`.
 ///
 /// # Errors
-/// [`Error::Input`] if they are no image.
+/// [`Error::Input`] if they are not an image.
 pub fn decode_texture(path: &Path, bytes: &[u8], width: u32, height: u32) -> Result<Vec<Vec3>> {
     let image = image::load_from_memory(bytes).map_err(|error| {
         let problem = format!("its texture cannot be decoded: {error}");
@@ -44,8 +44,8 @@ pub fn read_texture_mask(path: &Path, width: u32, height: u32) -> Result<Vec<f32
     Ok(resampled.into_iter().map(|v| v.x).collect())
 }
 
-/// Reads blend weights: channels `weight0`, `weight1` and so on, one for each of `materials`; what sums to more than one is
-/// made to sum to one.
+/// Reads blend weights: channels `weight0`, `weight1` and so on, one for each of `materials`; weights with a sum above one are
+/// normalized to sum to one.
 ///
 /// # Errors
 /// [`Error::Input`] if the file is not an EXR of `width` × `height` pixels with those channels, all finite and ≥ 0.
@@ -55,7 +55,7 @@ pub fn read_weights(path: &Path, materials: usize, width: u32, height: u32) -> R
         |problem: String| Error::input(path, "", problem, "Use the file that `Save` wrote beside the scene.");
     if (layers.width, layers.height) != (width, height) {
         let (w, h) = (layers.width, layers.height);
-        return Err(bad(format!("is {w}×{h}, the texture {width}×{height}")));
+        return Err(bad(format!("has {w}×{h} pixels, the texture {width}×{height}")));
     }
     let mut blends = vec![SpecularBlend([0.0; MAX_SPECULAR_LOBES]); (width * height) as usize];
     for k in 0..materials {
@@ -71,7 +71,7 @@ pub fn read_weights(path: &Path, materials: usize, width: u32, height: u32) -> R
     }
     for blend in &mut blends {
         let sum: f32 = blend.0.iter().sum();
-        // What does not exceed one keeps its bits, so that an object that was saved looks the same.
+        // A sum of at most one keeps its bits, so that a saved object renders identically.
         if sum > 1.0 + 1e-5 {
             blend.0.iter_mut().for_each(|weight| *weight /= sum);
         }
@@ -83,7 +83,7 @@ fn resample(values: &[Vec3], from: [u32; 2], to: [u32; 2]) -> Vec<Vec3> {
     if from == to {
         return values.to_vec();
     }
-    // Position among source texel centres, clamped at the borders, as (first index, second index, weight of the second).
+    // Position among source texel centers, clamped at the borders, as (first index, second index, weight of the second).
     let along = |i: u32, axis: usize| {
         let at = (i as f32 + 0.5) * from[axis] as f32 / to[axis] as f32 - 0.5;
         let at = at.clamp(0.0, (from[axis] - 1) as f32);

@@ -1,7 +1,7 @@
 //! COLMAP's layout: a reconstruction in `DIR/sparse/0` (or `DIR/sparse`), photographs in `DIR/images`, masks in `DIR/masks`.
 //!
-//! The reconstruction is `cameras` and `images`, `.bin` or `.txt`; points are not needed. A mask is called as its photograph,
-//! with `.png` added or in place of the ending; without a `masks` folder alpha is the mask. There is no test split: see
+//! The reconstruction is `cameras` and `images`, `.bin` or `.txt`; points are not needed. A mask has the name of its photograph,
+//! with `.png` added or in place of the extension; without a `masks` folder alpha is the mask. There is no test split: see
 //! [`crate::dataset::DatasetOptions::hold_out`].
 
 use crate::codec::nearby::missing_file_help;
@@ -60,7 +60,7 @@ pub(super) fn plan(dir: &Path) -> Result<Plan> {
     Ok(Plan { views, notes })
 }
 
-/// The view's name: the path below the image folder without its ending, on one level.
+/// The name of the view: the path below the image folder without extension, as one file name.
 fn flat_name(image: &ModelImage) -> String {
     let folders = Path::new(&image.name).parent().into_iter().flat_map(Path::components);
     let folders = folders.map(|part| format!("{}_", part.as_os_str().to_string_lossy()));
@@ -70,7 +70,7 @@ fn flat_name(image: &ModelImage) -> String {
 fn notes(dir: &Path, photographs: &Folders, images: &[ModelImage]) -> Vec<String> {
     let mut notes = Vec::new();
     if dir.join("sparse/1").is_dir() {
-        notes.push("the reconstruction fell into several models; only sparse/0 is read".to_owned());
+        notes.push("the reconstruction has several models; only sparse/0 is read".to_owned());
     }
     let used: BTreeSet<PathBuf> =
         images.iter().map(|image| Path::new(&image.name).with_extension("")).collect();
@@ -122,7 +122,7 @@ impl Folders {
         folder.find(&key)
     }
 
-    /// COLMAP's own masks have `.png` added to the photograph's whole name.
+    /// COLMAP's masks have `.png` added to the full name of the photograph.
     fn mask(&mut self, name: &str) -> Result<PathBuf> {
         let (folder, key) = self.folder(name)?;
         let added = folder.exact(&format!("{key}.png"));

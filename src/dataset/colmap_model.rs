@@ -1,6 +1,6 @@
 //! Reading a COLMAP reconstruction: `cameras` and `images`, as text or binary.
 //!
-//! A camera model is its number of parameters and what they mean; an image is a quaternion (w first) and a translation, both
+//! A camera model is a list of parameters; an image is a quaternion (w first) and a translation, both
 //! camera_from_world, OpenCV axes. Points are skipped.
 
 use crate::codec::nearby::missing_file_help;
@@ -35,7 +35,7 @@ const CUT_SHORT_HELP: &str = "Copy the file again, or write the model again with
 
 /// One photograph of a reconstruction.
 pub(super) struct ModelImage {
-    /// As in the file: a path below the image folder.
+    /// The path below the image folder, as in the file.
     pub name: String,
     pub camera: u32,
     pub camera_from_world: Rigid,
@@ -45,7 +45,7 @@ pub(super) struct ModelImage {
 pub(super) struct Model {
     pub cameras: BTreeMap<u32, Lens>,
     pub images: Vec<ModelImage>,
-    /// The file that the images are in.
+    /// The file that lists the images.
     pub image_file: PathBuf,
 }
 
@@ -69,7 +69,7 @@ pub(super) fn read_model(image_file: PathBuf) -> Result<Model> {
     Ok(Model { cameras, images, image_file })
 }
 
-/// A lens from a camera model's name and parameters. `Err` is a problem and a help.
+/// A lens from a camera model's name and parameters. `Err` is a problem and its remedy.
 fn lens_of(model: &str, size: [u64; 2], parameters: &[f64]) -> Result<Lens, (String, &'static str)> {
     let count = MODELS.iter().find(|known| known.0 == model).map_or(0, |known| known.1);
     let (focal, center, radial, tangential) = match (model, parameters) {
@@ -99,19 +99,21 @@ fn lens_of(model: &str, size: [u64; 2], parameters: &[f64]) -> Result<Lens, (Str
     })
 }
 
-/// A pose from a quaternion, w first, and a translation. `Err` says what is wrong, as a clause of its own.
+/// A pose from a quaternion, w first, and a translation. `Err` says what is wrong, as a clause.
 fn pose_of(q: [f64; 4], t: [f64; 3]) -> Result<Rigid, String> {
     let quaternion = DQuat::from_xyzw(q[1], q[2], q[3], q[0]);
     let length = quaternion.length();
     let sound = length > 1e-6 && length.is_finite() && t.iter().all(|&t| (t as f32).is_finite());
     if !sound {
-        return Err(format!("the pose is no rotation and translation: quaternion {q:?}, translation {t:?}"));
+        return Err(format!(
+            "the pose is not a rotation and translation: quaternion {q:?}, translation {t:?}"
+        ));
     }
     let rotation = DMat3::from_quat(quaternion.normalize());
     Ok(Rigid { rotation, translation: DVec3::from(t) })
 }
 
-/// Lines that say something, with their numbers.
+/// Lines that are not empty or comments, with their numbers.
 fn lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
     let lines = text.lines().enumerate().map(|(i, line)| (i + 1, line.trim()));
     lines.filter(|(_, line)| !line.is_empty() && !line.starts_with('#'))
@@ -127,7 +129,7 @@ fn cameras_of_text(file: &Path) -> Result<BTreeMap<u32, Lens>> {
         let wrong = |problem: String, help: &str| Error::input(file, format!("line {number}"), problem, help);
         let words: Vec<&str> = line.split_whitespace().collect();
         let expected =
-            || wrong("this is no camera".into(), "A line is CAMERA_ID MODEL WIDTH HEIGHT PARAMETERS.");
+            || wrong("this is not a camera".into(), "A line is CAMERA_ID MODEL WIDTH HEIGHT PARAMETERS.");
         let [id, model, width, height, parameters @ ..] = words.as_slice() else { return Err(expected()) };
         let id: u32 = id.parse().map_err(|_| expected())?;
         let size: Vec<u64> = numbers(&[width, height]).ok_or_else(expected)?;
@@ -139,7 +141,7 @@ fn cameras_of_text(file: &Path) -> Result<BTreeMap<u32, Lens>> {
     Ok(cameras)
 }
 
-/// Images stand on lines of their own; the lines of points between them hold triples of numbers, or nothing.
+/// Each image has its own line; the lines of points between images hold triples of numbers, or are empty.
 fn images_of_text(file: &Path) -> Result<Vec<ModelImage>> {
     let mut images = Vec::new();
     for (number, line) in lines(&read_text(file)?) {
@@ -180,7 +182,7 @@ impl<'a> Bytes<'a> {
         Error::input(
             self.file,
             place,
-            "the file is cut short: more is announced than there is",
+            "the file is truncated: it ends before the content that it announces",
             CUT_SHORT_HELP,
         )
     }
@@ -246,7 +248,7 @@ fn cameras_of_bytes(file: &Path) -> Result<BTreeMap<u32, Lens>> {
 }
 
 fn images_of_bytes(file: &Path) -> Result<Vec<ModelImage>> {
-    /// x and y as `f64`, and the number of a point.
+    /// x and y as `f64`, and the ID of a point.
     const POINT_BYTES: u64 = 24;
     let mut bytes = Bytes::open(file)?;
     let mut images = Vec::new();

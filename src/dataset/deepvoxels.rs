@@ -1,7 +1,7 @@
 //! DeepVoxels' layout: `intrinsics.txt`, `pose/*.txt` and `rgb/*.png`, in `DIR` or in `DIR/{train,validation,test}`.
 //!
-//! Lines of `intrinsics.txt`: focal length, cx, cy (and a number without use); the middle of the object's grid; the near plane;
-//! a scale; height and width that the first line is counted in; and optionally 1 if the poses are camera_from_world. A pose
+//! Lines of `intrinsics.txt`: focal length, cx, cy (and an unused number); the center of the object's grid; the near plane;
+//! a scale; height and width of the image that the first line refers to; and optionally 1 if the poses are camera_from_world. A pose
 //! is 16 numbers, a row-major 4×4 matrix, world_from_camera with OpenCV axes. Masks are in `mask/`, or alpha. Without a
 //! `test` folder `validation` is the test split; without either see [`crate::dataset::DatasetOptions::hold_out`].
 
@@ -17,7 +17,7 @@ use std::path::{Path, PathBuf};
 
 const INTRINSICS: &str = "intrinsics.txt";
 
-/// The folder that holds a split, and whether that is all the views there are, of which some are to be held out.
+/// The folder of a split, and whether it contains the views of all splits, some of which are held out.
 pub fn split_folder(dir: &Path, split: Split) -> Option<(PathBuf, bool)> {
     let with_intrinsics =
         |name: &str| Some(dir.join(name)).filter(|folder| folder.join(INTRINSICS).is_file());
@@ -33,7 +33,7 @@ pub fn split_folder(dir: &Path, split: Split) -> Option<(PathBuf, bool)> {
     }
 }
 
-/// The error for a split that is not there.
+/// The error for a missing split.
 pub(super) fn absent_split(dir: &Path, split: Split) -> Error {
     let file = dir.join(split_name(split)).join(INTRINSICS);
     let problem = format!("the data set has no {} split: this file is missing", split_name(split));
@@ -101,9 +101,11 @@ fn pose_files(folder: &Path) -> Result<Vec<(String, PathBuf)>> {
     Ok(files)
 }
 
-/// All numbers of a text; `Err` names the first word that is none.
+/// All numbers of a text; `Err` names the first word that is not a number.
 fn numbers(text: &str) -> Result<Vec<f64>, String> {
-    text.split_whitespace().map(|word| word.parse().map_err(|_| format!("`{word}` is no number"))).collect()
+    text.split_whitespace()
+        .map(|word| word.parse().map_err(|_| format!("`{word}` is not a number")))
+        .collect()
 }
 
 /// The lens, and whether poses are camera_from_world.
@@ -116,7 +118,7 @@ fn read_intrinsics(file: &Path) -> Result<(Lens, bool)> {
             count if count < least => Err(format!("there are {count} numbers, not {least}")),
             _ => Ok(values),
         });
-        let help = "Line 1 is `f cx cy 0`, lines 2 to 4 are the grid's middle, the near plane and a scale, line 5 is \
+        let help = "Line 1 is `f cx cy 0`, lines 2 to 4 are the grid's center, the near plane and a scale, line 5 is \
                     `height width`.";
         values.map_err(|problem| Error::input(file, format!("line {number}"), problem, help))
     };

@@ -1,6 +1,6 @@
-//! Lens distortion: where a bent lens puts a ray, and photographs made straight again.
+//! Lens distortion: its model, its inverse, and undistortion of photographs.
 //!
-//! The model is OpenCV's, of which COLMAP's are special cases: radial polynomial and tangential terms, on the image plane
+//! The model is OpenCV's, of which COLMAP's are special cases: a radial polynomial and tangential terms, on the image plane
 //! at depth 1. A photograph is resampled to a pinhole camera of the same focal lengths, over the largest upright
 //! rectangle that the photograph fills.
 
@@ -8,9 +8,9 @@ use crate::view::raster::{Tap, bilinear};
 use crate::view::{Camera, Image, Mask};
 use glam::{DMat2, DVec2};
 
-/// Newton steps to invert the distortion; a handful is enough where it can be inverted at all.
+/// Most Newton steps to invert the distortion; a few are enough where it is invertible.
 const NEWTON_STEPS: usize = 40;
-/// Positions along each edge of the photograph that bound the straight one.
+/// Samples along each edge of the photograph that determine the bounds of the undistorted one.
 const EDGE_SAMPLES: u32 = 64;
 
 /// OpenCV's coefficients.
@@ -25,7 +25,7 @@ pub(super) struct Distortion {
 impl Distortion {
     pub const NONE: Self = Self { radial: [0.0; 3], tangential: [0.0; 2] };
 
-    /// Where the lens puts the ray through `p`.
+    /// The image point of the ray through `p`.
     pub fn distort(&self, p: DVec2) -> DVec2 {
         let r2 = p.length_squared();
         let [k1, k2, k3] = self.radial;
@@ -49,7 +49,7 @@ impl Distortion {
         DMat2::from_cols(DVec2::new(xx, across), DVec2::new(across, yy))
     }
 
-    /// The ray that the lens puts at `target`; `None` where the coefficients fold the image over.
+    /// The ray with image point `target`; `None` where the distortion is not invertible.
     pub fn undistort(&self, target: DVec2) -> Option<DVec2> {
         let mut p = target;
         for _ in 0..NEWTON_STEPS {
@@ -68,16 +68,16 @@ impl Distortion {
     }
 }
 
-/// The way from a bent photograph to a straight one.
+/// Resampling of a distorted photograph to an undistorted one.
 pub(super) struct Straightening {
     distortion: Distortion,
     bent: Camera,
-    /// The pinhole camera of the straight photograph.
+    /// The pinhole camera of the undistorted photograph.
     pub camera: Camera,
 }
 
 impl Straightening {
-    /// For photographs of the camera `bent`. `Err` says what is wrong with the coefficients, as a clause of its own.
+    /// The resampling for photographs of the camera `bent`. `Err` says what is wrong with the coefficients, as a clause.
     pub fn new(distortion: Distortion, bent: &Camera) -> Result<Self, String> {
         let [x, y] = straight_bounds(&distortion, bent).ok_or_else(|| {
             format!(
@@ -104,12 +104,12 @@ impl Straightening {
         Mask { width: self.camera.width, height: self.camera.height, coverage: coverage.collect() }
     }
 
-    /// Whether any of the pixels that a straight one is made of is set.
+    /// For each undistorted pixel, whether a flag of its source pixels is set.
     pub fn flags(&self, flags: &[bool]) -> Vec<bool> {
         self.taps().map(|taps| taps.iter().any(|tap| tap.1 > 1e-3 && flags[tap.0])).collect()
     }
 
-    /// For each straight pixel the bent ones it is made of, with their weights.
+    /// For each undistorted pixel, the distorted pixels that it is interpolated from, with their weights.
     fn taps(&self) -> impl Iterator<Item = [Tap; 4]> + '_ {
         let (bent, straight) = (&self.bent, &self.camera);
         let pixels = (0..straight.height).flat_map(|y| (0..straight.width).map(move |x| (x, y)));
@@ -121,7 +121,7 @@ impl Straightening {
     }
 }
 
-/// The image plane's point of the centre of pixel (x, y), which need not be whole.
+/// The point on the image plane of pixel coordinates (x, y), which may be fractional.
 fn on_plane(camera: &Camera, x: f64, y: f64) -> DVec2 {
     let [fx, fy] = camera.focal.map(f64::from);
     let [cx, cy] = camera.center.map(|c| f64::from(c - camera.pixel_center));
@@ -129,15 +129,15 @@ fn on_plane(camera: &Camera, x: f64, y: f64) -> DVec2 {
     DVec2::new((x - cx - f64::from(camera.skew) * y_plane) / fx, y_plane)
 }
 
-/// Undoes [`on_plane`].
+/// The inverse of [`on_plane`].
 fn in_pixels(camera: &Camera, p: DVec2) -> DVec2 {
     let [fx, fy] = camera.focal.map(f64::from);
     let [cx, cy] = camera.center.map(|c| f64::from(c - camera.pixel_center));
     DVec2::new(fx * p.x + f64::from(camera.skew) * p.y + cx, fy * p.y + cy)
 }
 
-/// First and last column, first and last row of the rectangle that the photograph fills once it is straight, in its own
-/// pixels: beyond its frame where the lens has drawn the edges in, but no more than half its size.
+/// First and last column, first and last row of the rectangle that the undistorted photograph fills, in pixels of the distorted
+/// one. It extends beyond the frame where the distortion moves edges inward, by at most half the size.
 fn straight_bounds(distortion: &Distortion, bent: &Camera) -> Option<[[i64; 2]; 2]> {
     let last = [f64::from(bent.width - 1), f64::from(bent.height - 1)];
     let mut low = DVec2::NEG_INFINITY;
@@ -154,7 +154,7 @@ fn straight_bounds(distortion: &Distortion, bent: &Camera) -> Option<[[i64; 2]; 
     let (low, high) = (low.to_array(), high.to_array());
     Some([0, 1].map(|k| {
         let spare = 0.5 * last[k];
-        // Rounding must not cost the pixels of an edge that stays where it is.
+        // Rounding must not remove the pixels of an edge that does not move.
         [(low[k].max(-spare) - 1e-3).ceil() as i64, (high[k].min(last[k] + spare) + 1e-3).floor() as i64]
     }))
 }

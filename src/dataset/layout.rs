@@ -1,4 +1,4 @@
-//! Which layout a folder has.
+//! Detection of the layout of a folder.
 
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::{DatasetOptions, Layout, colmap, deepvoxels, nerf, physg};
@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 use crate::view::Split;
 use std::path::Path;
 
-/// The layouts, as errors call them, with what they are told by.
+/// The layouts, their names in errors, and the files that identify them.
 const LAYOUTS: [(Layout, &str, &str); 4] = [
     (Layout::PhySg, "PhySg", "train/cam_dict_norm.json or test/cam_dict_norm.json"),
     (Layout::Nerf, "Nerf", "transforms_train.json or transforms_test.json"),
@@ -14,10 +14,10 @@ const LAYOUTS: [(Layout, &str, &str); 4] = [
     (Layout::DeepVoxels, "DeepVoxels", "intrinsics.txt, or train/intrinsics.txt"),
 ];
 
-/// Whether the data set in folder `dir` has this split at all.
+/// Whether the data set in folder `dir` has this split.
 ///
 /// # Errors
-/// [`Error::Input`] if the layout is not recognised.
+/// [`Error::Input`] if the layout cannot be determined.
 pub fn has_split(dir: impl AsRef<Path>, split: Split, options: &DatasetOptions) -> Result<bool> {
     let dir = dir.as_ref();
     let holds_out = split == Split::Train || options.hold_out > 0;
@@ -31,7 +31,7 @@ pub fn has_split(dir: impl AsRef<Path>, split: Split, options: &DatasetOptions) 
     })
 }
 
-/// The layout that was asked for, or the only one that is there.
+/// The requested layout, or for `Auto` the only one that is present.
 pub(super) fn find_layout(dir: &Path, asked: Layout) -> Result<Layout> {
     if !dir.is_dir() {
         let what = if dir.exists() { "this is a file, not a folder" } else { "there is no such folder" };
@@ -43,7 +43,7 @@ pub(super) fn find_layout(dir: &Path, asked: Layout) -> Result<Layout> {
     let found: Vec<_> = LAYOUTS.iter().filter(|(layout, ..)| is_there(dir, *layout)).collect();
     match found.as_slice() {
         [(layout, ..)] => Ok(*layout),
-        [] => Err(unrecognised(dir)),
+        [] => Err(unrecognized(dir)),
         several => Err(ambiguous(dir, several)),
     }
 }
@@ -65,10 +65,10 @@ fn ambiguous(dir: &Path, several: &[&(Layout, &str, &str)]) -> Error {
     Error::input(dir, "", problem, format!("Say which one with {}.", choices.join(" or ")))
 }
 
-fn unrecognised(dir: &Path) -> Error {
+fn unrecognized(dir: &Path) -> Error {
     let looked_for: Vec<String> =
         LAYOUTS.iter().map(|(_, name, mark)| format!("{mark} (layout {name})")).collect();
-    let problem = format!("this is no data set: looked for {}", looked_for.join("; "));
+    let problem = format!("this is not a data set: looked for {}", looked_for.join("; "));
     let has = |name: &str| dir.join(name).is_file();
     let help = if has("cam_dict_norm.json") {
         "This is one split; give the folder above it.".to_owned()

@@ -1,10 +1,10 @@
-//! Intrinsic parameters as camera files state them, and what they come to for an image of a known size.
+//! Intrinsic parameters in camera files, and their conversion to a camera for an image of a known size.
 
 use crate::dataset::distortion::Distortion;
 use crate::view::Camera;
 use glam::Affine3A;
 
-/// A focal length, stated either way.
+/// A focal length, in either form.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Focal {
     /// In pixels.
@@ -13,7 +13,7 @@ pub(super) enum Focal {
     Angle(f64),
 }
 
-/// Intrinsics, with what a file may leave out.
+/// Intrinsics, with optional parts.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Lens {
     /// Image size, if stated.
@@ -21,18 +21,18 @@ pub(super) struct Lens {
     pub focal_x: Focal,
     /// `focal_x` in pixels if not stated.
     pub focal_y: Option<Focal>,
-    /// Principal point in pixels; the middle of the image if not stated.
+    /// Principal point in pixels; the center of the image if not stated.
     pub center: [Option<f64>; 2],
     /// In pixels.
     pub skew: f64,
-    /// What bends the rays besides; [`Lens::camera`] is the pinhole without it.
+    /// Lens distortion; [`Lens::camera`] is the pinhole camera without it.
     pub distortion: Distortion,
-    /// Whether `size` only says what the numbers are counted in: an image of another size is the same picture, shrunk.
+    /// Whether `size` is only the reference size of the numbers; an image of another size is then a scaled version.
     pub resizable: bool,
 }
 
 impl Lens {
-    /// From a row-major 4×4 calibration matrix K (up to scale) and the image size. `Err` is to follow "K".
+    /// From a row-major 4×4 calibration matrix K (up to scale) and the image size. `Err` is a clause that follows "K".
     pub fn from_matrix(k: &[f64; 16], size: [u32; 2]) -> Result<Self, String> {
         if let Some(i) = k.iter().position(|value| !(*value as f32).is_finite()) {
             return Err(format!("has a NaN or infinite value in row {}, column {}", i / 4 + 1, i % 4 + 1));
@@ -47,7 +47,7 @@ impl Lens {
         let off_form = [(1, 0), (2, 0), (2, 1), (0, 3), (1, 3), (2, 3)];
         if let Some((row, column)) = off_form.into_iter().find(|&(row, column)| value(row, column) != 0.0) {
             return Err(format!(
-                "is no calibration matrix: row {}, column {} is {}, not 0 (is it transposed?)",
+                "is not a calibration matrix: row {}, column {} is {}, not 0 (is it transposed?)",
                 row + 1,
                 column + 1,
                 k[4 * row + column]
@@ -64,7 +64,7 @@ impl Lens {
         })
     }
 
-    /// The lens of the same picture shrunk to `size` pixels; as it is, if it may not be resized to that.
+    /// The lens of the same picture scaled to `size` pixels; unchanged if that is not possible.
     pub fn resized(&self, size: [u32; 2]) -> Self {
         let (Some(stated), true) = (self.size, self.resizable) else { return *self };
         let factor = f64::from(size[0]) / f64::from(stated[0]);
@@ -86,7 +86,7 @@ impl Lens {
         }
     }
 
-    /// The camera for an image of `size` pixels. `Err` says what is wrong, as a clause of its own.
+    /// The camera for an image of `size` pixels. `Err` says what is wrong, as a clause.
     pub fn camera(
         &self,
         size: [u32; 2],

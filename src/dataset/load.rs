@@ -1,4 +1,4 @@
-//! What the layouts share: reading JSON with good errors, finding files, and loading planned views.
+//! Functions that all layouts share: reading JSON with errors that name the position, finding files, and loading planned views.
 
 use crate::codec::image::{IMAGE_EXTENSIONS, LoadedImage, read_image, read_mask};
 use crate::codec::nearby::missing_file_help;
@@ -20,7 +20,7 @@ pub(super) fn read_text(path: &Path) -> Result<String> {
         .map_err(|_| Error::input(path, "", "the file is not UTF-8 text", "Is it a JSON file?"))
 }
 
-/// Parses JSON; an error names line and column.
+/// Parses JSON; errors name line and column.
 pub(super) fn parse_json<T: DeserializeOwned>(path: &Path, text: &str) -> Result<T> {
     serde_json::from_str(text).map_err(|error| {
         let (line, column) = (error.line(), error.column());
@@ -31,16 +31,16 @@ pub(super) fn parse_json<T: DeserializeOwned>(path: &Path, text: &str) -> Result
         let (problem, help) = if error.is_syntax() && (near("NaN") || near("nfinity")) {
             (
                 "a number is NaN or infinite, which JSON does not have".to_owned(),
-                "Find out why the camera is not finite.",
+                "Correct the camera: all its numbers must be finite.",
             )
         } else {
-            (format!("the JSON is wrong: {message}"), "Mend the file at that place, or export it again.")
+            (format!("the JSON is wrong: {message}"), "Correct the file at that place, or export it again.")
         };
         Error::input(path, format!("line {line}, column {column}"), problem, help)
     })
 }
 
-/// The text within a word's length of a (1-based, byte) column.
+/// The text around a (1-based, byte) column.
 fn column_window(line: &str, column: usize) -> String {
     let start = column.saturating_sub(3).min(line.len());
     let bytes = &line.as_bytes()[start..];
@@ -52,14 +52,14 @@ fn has_image_extension(path: &Path) -> bool {
     extension.is_some_and(|extension| IMAGE_EXTENSIONS.contains(&extension.as_str()))
 }
 
-/// A view's name from its image's path: the file name, less an image extension (`./train/r_0.5` is called `r_0.5`).
+/// A view's name from its image's path: the file name without an image extension (`./train/r_0.5` is called `r_0.5`).
 pub(super) fn view_name(path: &str) -> String {
     let path = Path::new(path);
     let name = if has_image_extension(path) { path.file_stem() } else { path.file_name() };
     name.unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// The file itself if it is there, else with an image extension added.
+/// The file itself if it exists, else with an image extension added.
 pub(super) fn find_image(path: &Path) -> Option<PathBuf> {
     if path.is_file() {
         return Some(path.to_owned());
@@ -103,12 +103,12 @@ impl StemIndex {
         let found = self.exact(key).or_else(|| self.files.get(&view_name(key)).cloned());
         found.ok_or_else(|| {
             let path = self.folder.join(key);
-            let problem = "the camera file names this view, but its image is missing (with any ending)";
+            let problem = "the camera file names this view, but its image is missing (with any extension)";
             Error::input(&path, "", problem, missing_file_help(&path))
         })
     }
 
-    /// The file called `name`, if it is there.
+    /// The file with the name `name`, if it exists.
     pub fn exact(&self, name: &str) -> Option<PathBuf> {
         Some(self.folder.join(name)).filter(|path| path.is_file())
     }
@@ -118,7 +118,7 @@ impl StemIndex {
     }
 }
 
-/// A view as loaded, with what has to be said about it.
+/// A loaded view, with notes about it.
 struct LoadedView {
     record: ViewRecord,
     repaired: usize,
@@ -169,15 +169,14 @@ fn load_view(plan: &ViewPlan, split: Split, options: &DatasetOptions) -> Result<
     let lens = plan.lens.resized(size);
     let bent = lens
         .camera(size, plan.world_from_camera, options.pixel_center)
-        .map_err(|problem| wrong(problem, "Mend the camera's intrinsics."))?;
+        .map_err(|problem| wrong(problem, "Correct the camera's intrinsics."))?;
     if options.downscale > size[0].min(size[1]) {
-        let problem =
-            format!("downscale: {} leaves nothing of {}×{} pixels", options.downscale, size[0], size[1]);
+        let problem = format!("downscale: {} leaves no pixel of {}×{}", options.downscale, size[0], size[1]);
         return Err(wrong(problem, "Use a smaller `downscale`."));
     }
     let mut mask = load_mask(plan, loaded.as_ref(), &bent)?;
     let camera = straighten(lens.distortion, &bent, &mut loaded, &mut mask)
-        .map_err(|problem| wrong(problem, "Undistort the photographs first, or mend the coefficients."))?;
+        .map_err(|problem| wrong(problem, "Undistort the photographs first, or correct the coefficients."))?;
     let blackened = match (&mut loaded, &mask) {
         (Some(loaded), Some(mask)) if !loaded.is_float && loaded.alpha.is_none() => blacken(loaded, mask),
         _ => false,
@@ -193,7 +192,7 @@ fn load_view(plan: &ViewPlan, split: Split, options: &DatasetOptions) -> Result<
     Ok(LoadedView { record, repaired, blackened })
 }
 
-/// Resamples photograph and mask to a camera without distortion, which is returned.
+/// Resamples photograph and mask to a camera without distortion, and returns that camera.
 fn straighten(
     distortion: Distortion,
     bent: &Camera,
@@ -220,7 +219,7 @@ fn photograph(loaded: LoadedImage, downscale: u32) -> Photograph {
     Photograph { image: loaded.image.downscaled(downscale), saturated }
 }
 
-/// Width and height from the image and the camera file, which must agree where both have them.
+/// Width and height from the image and the camera file, which must be equal if both state them.
 fn image_size(plan: &ViewPlan, loaded: Option<&LoadedImage>) -> Result<[u32; 2]> {
     let of_image = loaded.map(|loaded| [loaded.image.width, loaded.image.height]);
     match (of_image, of_image.map_or(plan.lens.size, |size| plan.lens.resized(size).size)) {
@@ -241,7 +240,7 @@ fn image_size(plan: &ViewPlan, loaded: Option<&LoadedImage>) -> Result<[u32; 2]>
         (None, None) => Err(Error::input(
             &plan.camera_file,
             &plan.place,
-            "there is no image and no size for one",
+            "there is neither an image nor its size",
             "Add w and h (in pixels), or the images.",
         )),
     }
@@ -265,17 +264,17 @@ fn load_mask(plan: &ViewPlan, loaded: Option<&LoadedImage>, camera: &Camera) -> 
             "the mask has {}×{} pixels, its view {}×{}",
             mask.width, mask.height, camera.width, camera.height
         );
-        return Err(Error::input(path, "", problem, "Make the mask as large as its image."));
+        return Err(Error::input(path, "", problem, "Resize the mask to the size of its image."));
     }
     if mask.coverage.iter().all(|&coverage| coverage == 0.0) {
         let problem = format!("the mask of view `{}` is empty: no pixel is covered", plan.name);
-        let help = "Mend the mask, or leave the view out with `select`.";
+        let help = "Repair the mask, or leave the view out with `select`.";
         return Err(Error::input(path, "", problem, help));
     }
     Ok(Some(mask))
 }
 
-/// Makes a photograph black where its mask covers nothing, so that it is on black like all others; says whether it was not.
+/// Makes a photograph black where its mask is empty, so that it is on black like all others; returns whether anything changed.
 fn blacken(loaded: &mut LoadedImage, mask: &Mask) -> bool {
     let mut changed = false;
     let outside = |coverage: &f32| *coverage == 0.0;

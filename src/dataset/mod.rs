@@ -1,6 +1,6 @@
 //! Data sets: folders of posed photographs, read into [`ViewRecord`]s.
 //!
-//! Layouts are told apart by what is there:
+//! The files in the folder determine the layout:
 //! - **PhySG** ([`physg`]): `DIR/{train,test}/{image,mask}/` and `DIR/{train,test}/cam_dict_norm.json`;
 //! - **NeRF/Blender** ([`nerf`]): `DIR/transforms_{train,test}.json` and the images it names;
 //! - **COLMAP** ([`colmap`]): `DIR/sparse/0/{cameras,images}.{bin,txt}`, `DIR/images/`, `DIR/masks/`;
@@ -9,11 +9,11 @@
 //! | option | type | unit | default | meaning |
 //! | --- | --- | --- | --- | --- |
 //! | `layout` | [`Layout`] | | `Auto` | which layout the folder has |
-//! | `gamma` | [`Gamma`] | | `Srgb` | how 8- and 16-bit values become linear |
-//! | `pixel_center` | `f32` | pixels | 0.5 | offset of a pixel's centre from its index (0 for PhySG's own code) |
-//! | `downscale` | `u32` | | 1 | images are box-filtered to this many times fewer pixels each way |
-//! | `every` | `u32` | | 1 | only each so-manieth view of the split (or selection) is read |
-//! | `hold_out` | `u32` | | 8 | data without a test split: each so-manieth view by name is one of it; 0: none |
+//! | `gamma` | [`Gamma`] | | `Srgb` | conversion of 8- and 16-bit values to linear |
+//! | `pixel_center` | `f32` | pixels | 0.5 | offset of a pixel's center from its index (0 for PhySG's own code) |
+//! | `downscale` | `u32` | | 1 | factor by which images are downscaled along each axis, with a box filter |
+//! | `every` | `u32` | | 1 | only every n-th view of the split (or selection) is read |
+//! | `hold_out` | `u32` | | 8 | data without a test split: every n-th view by name belongs to the test split; 0: none |
 //! | `select` | `Option<Vec<String>>` | | all | names of the views to read |
 //! | `up` | [`Vec3`] | | (0, 1, 0) | the data's up direction, for orbits; nothing is rotated |
 
@@ -43,7 +43,7 @@ use std::path::{Path, PathBuf};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum Layout {
-    /// Whichever of the others is found.
+    /// The layout that is found.
     #[default]
     Auto,
     /// PhySG's: `{train,test}/{image,mask}` and `cam_dict_norm.json`.
@@ -62,15 +62,15 @@ pub enum Layout {
 pub struct DatasetOptions {
     /// Which layout the folder has.
     pub layout: Layout,
-    /// How 8- and 16-bit values become linear.
+    /// Conversion of 8- and 16-bit values to linear.
     pub gamma: Gamma,
-    /// Offset of a pixel's centre from its index, in pixels: 0.5, or 0 for PhySG's own code.
+    /// Offset of a pixel's center from its index, in pixels: 0.5, or 0 for PhySG's own code.
     pub pixel_center: f32,
-    /// Images and masks are box-filtered to this many times fewer pixels each way, at least 1.
+    /// Factor by which images and masks are downscaled along each axis, with a box filter; at least 1.
     pub downscale: u32,
-    /// Only each so-manieth view is read, beginning with the first in natural name order, at least 1.
+    /// Only every n-th view is read, beginning with the first in natural name order; at least 1.
     pub every: u32,
-    /// Of data without a test split, each so-manieth view by name, beginning with the first, is its test split; 0: none is.
+    /// Of data without a test split, every n-th view by name, beginning with the first, belongs to the test split; 0: none does.
     pub hold_out: u32,
     /// Names of the views to read (file stems); all if `None`. Applied before `every`.
     pub select: Option<Vec<String>>,
@@ -131,7 +131,7 @@ pub struct Dataset {
     pub views: Vec<ViewRecord>,
     /// The layout that was found; never `Auto`.
     pub layout: Layout,
-    /// What a person should know: repairs and omissions, with counts.
+    /// Notes for the user: repairs and omissions, with counts.
     pub notes: Vec<String>,
 }
 
@@ -149,13 +149,13 @@ struct ViewPlan {
     world_from_camera: Affine3A,
 }
 
-/// Where a view's mask is to come from.
+/// The source of the mask of a view.
 enum MaskPlan {
-    /// A file of its own.
+    /// A separate file.
     File(PathBuf),
     /// The image's alpha, if it has any.
     Alpha,
-    /// The image's alpha; an image without is an error, for the text's reason.
+    /// The image's alpha; an image without alpha is an error with this text.
     AlphaRequired(String),
 }
 
@@ -171,7 +171,7 @@ struct Plan {
 /// data set has cameras only, its mask if there is neither a mask file nor alpha.
 ///
 /// # Errors
-/// [`Error::Input`] that names file and place if the layout is not recognised, the split is absent, or any camera, image or
+/// [`Error::Input`] that names file and place if the layout cannot be determined, the split is absent, or any camera, image or
 /// mask is missing or unusable; [`Error::Usage`] if `options` are out of range or leave no view.
 pub fn read_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOptions) -> Result<Dataset> {
     let dir = dir.as_ref();
@@ -202,12 +202,12 @@ pub fn read_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
     Ok(Dataset { views, layout, notes })
 }
 
-/// The part of all views, which come ordered by name, that belongs to a split.
+/// The views of a split, from all views, ordered by name.
 fn held_out(plan: Plan, split: Split, hold_out: u32) -> Plan {
     let is_test = |i: usize| hold_out > 0 && i.is_multiple_of(hold_out as usize);
     let views = plan.views.into_iter().enumerate();
     let views = views.filter(|(i, _)| is_test(*i) == (split == Split::Test)).map(|(_, view)| view).collect();
-    // What is said of all views is said once, with the split that is always there.
+    // Notes about all views are reported once, with the training split, which always exists.
     Plan { views, notes: if split == Split::Train { plan.notes } else { Vec::new() } }
 }
 
@@ -218,7 +218,7 @@ fn split_name(split: Split) -> &'static str {
     }
 }
 
-/// The error for a split whose camera file is not there; says which split is.
+/// The error for a split whose camera file does not exist; it names the split that exists.
 fn absent_split(dir: &Path, split: Split, camera_file: fn(&Path, Split) -> PathBuf) -> Error {
     let other = match split {
         Split::Train => Split::Test,
@@ -233,8 +233,8 @@ fn absent_split(dir: &Path, split: Split, camera_file: fn(&Path, Split) -> PathB
     Error::input(camera_file(dir, split), "", problem, help)
 }
 
-/// Positions are `f32`: cameras thousands of times farther from the origin than from one another would be rounded to
-/// their neighbours' pixels.
+/// Positions are `f32`: for cameras that are thousands of times farther from the origin than from each other, rounding would be
+/// as large as a pixel.
 fn refuse_far_away(plans: &[ViewPlan]) -> Result<()> {
     const FARTHEST: f32 = 4000.0;
     let positions = || plans.iter().map(|plan| Vec3::from(plan.world_from_camera.translation));
@@ -245,21 +245,21 @@ fn refuse_far_away(plans: &[ViewPlan]) -> Result<()> {
         return Ok(());
     }
     let problem = format!(
-        "the cameras are {:.0} times farther from the origin than from one another: too far to be exact",
+        "the cameras are {:.0} times farther from the origin than from each other: too far for single precision",
         middle.length() / extent
     );
     let help = format!("Subtract ({:.0}, {:.0}, {:.0}) from all positions.", middle.x, middle.y, middle.z);
     Err(Error::input(&plans[0].camera_file, "", problem, help))
 }
 
-/// Plans come sorted by name.
+/// Plans are sorted by name.
 fn refuse_duplicates(plans: &[ViewPlan]) -> Result<()> {
     match plans.windows(2).find(|pair| pair[0].name == pair[1].name) {
         Some(pair) => Err(Error::input(
             &pair[1].camera_file,
             &pair[1].place,
             format!("two views are called `{}`; the other is {}", pair[0].name, pair[0].place),
-            "Output files carry the view's name: remove one, or give the images different names.",
+            "Output files have the view's name: remove one, or give the images different names.",
         )),
         None => Ok(()),
     }

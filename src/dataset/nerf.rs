@@ -1,8 +1,8 @@
 //! NeRF's and Blender's layout: `DIR/transforms_{train,test}.json` and the images it names.
 //!
 //! Each frame has a `transform_matrix` (4×4, world_from_camera with OpenGL axes: x right, y up, z backwards) and a
-//! `file_path` relative to `DIR`, with or without extension. Intrinsics stand at the top or in a frame, which then goes
-//! first: `fl_x`, `fl_y`, `cx`, `cy`, `w`, `h` in pixels, or `camera_angle_x`, `camera_angle_y`, the full fields of view in
+//! `file_path` relative to `DIR`, with or without extension. Intrinsics are at the top level or in a frame; those of the frame
+//! have priority: `fl_x`, `fl_y`, `cx`, `cy`, `w`, `h` in pixels, or `camera_angle_x`, `camera_angle_y`, the full fields of view in
 //! radians. Alpha is the mask, unless a frame has a `mask_path`. If neither the images nor their folders exist, the views
 //! are cameras only and `w`, `h` are needed.
 
@@ -17,7 +17,7 @@ use crate::view::Split;
 use serde::Deserialize;
 use std::path::{Path, PathBuf};
 
-/// Where a split's cameras are described.
+/// The file that describes the cameras of a split.
 pub fn camera_file(dir: &Path, split: Split) -> PathBuf {
     dir.join(format!("transforms_{}.json", split_name(split)))
 }
@@ -29,7 +29,7 @@ struct Frame {
     transform_matrix: Vec<Vec<f64>>,
 }
 
-/// What may stand at the top and in each frame.
+/// The fields that may be at the top level and in each frame.
 #[derive(Clone, Copy, Default, Deserialize)]
 #[serde(default)]
 struct Intrinsics {
@@ -50,7 +50,7 @@ struct Intrinsics {
 }
 
 impl Intrinsics {
-    /// Focal length along one axis: what the frame says goes before what is shared, pixels before angles.
+    /// Focal length along one axis: the frame's value has priority over the shared one, and pixels over angles.
     fn focal(
         frame: &Self,
         shared: &Self,
@@ -67,7 +67,7 @@ impl Intrinsics {
     }
 }
 
-// `#[serde(flatten)]` would lose the line and column of an error, so the text is read once for each of these.
+// `#[serde(flatten)]` loses the line and column of an error, so the text is parsed once for each of these.
 #[derive(Deserialize)]
 struct Frames {
     frames: Vec<Frame>,
@@ -109,7 +109,7 @@ fn place_of(index: usize, frame: &Frame) -> String {
     }
 }
 
-/// Every frame's image: either none, because the data set has cameras only, or all of those that are named.
+/// The image of every frame: either none, because the data set has cameras only, or all that are named.
 fn find_images(dir: &Path, file: &Path, frames: &[Frame]) -> Result<Vec<Option<PathBuf>>> {
     let named: Vec<Option<PathBuf>> =
         frames.iter().map(|frame| frame.file_path.as_ref().map(|path| dir.join(path))).collect();

@@ -15,7 +15,7 @@ use std::collections::BTreeSet;
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-/// Where a split's cameras are described.
+/// The file that describes the cameras of a split.
 pub fn camera_file(dir: &Path, split: Split) -> PathBuf {
     dir.join(split_name(split)).join("cam_dict_norm.json")
 }
@@ -29,7 +29,7 @@ struct CameraEntry {
     img_size: Vec<u32>,
 }
 
-/// A JSON object in file order, so that a name given twice is noticed.
+/// A JSON object in file order, so that duplicate names can be detected.
 struct Entries(Vec<(String, CameraEntry)>);
 
 impl<'de> Deserialize<'de> for Entries {

@@ -2,7 +2,7 @@
 
 use glam::{Affine3A, DMat3, DVec3};
 
-/// How far RᵀR may be from the identity, in any entry, before a matrix is refused as not rigid.
+/// How far RᵀR may be from the identity, in any entry, before a matrix counts as not rigid.
 const RIGID_TOLERANCE: f64 = 1e-3;
 
 /// A rigid transform x ↦ `rotation` x + `translation`, in f64.
@@ -13,8 +13,8 @@ pub(super) struct Rigid {
 }
 
 impl Rigid {
-    /// From a row-major 4×4 matrix. A rotation that is off by less than 1e-3 is replaced by the nearest exact one.
-    /// `Err` says what is wrong, to follow the matrix's name: "is singular".
+    /// From a row-major 4×4 matrix. A rotation with an error below 1e-3 is replaced by the nearest exact one.
+    /// `Err` is a clause that follows the name of the matrix: "is singular".
     pub fn from_rows(rows: &[f64; 16]) -> Result<Self, String> {
         if let Some(i) = rows.iter().position(|value| !(*value as f32).is_finite()) {
             return Err(format!("has a NaN or infinite value in row {}, column {}", i / 4 + 1, i % 4 + 1));
@@ -54,11 +54,11 @@ fn nearest_rotation(linear: DMat3) -> Result<DMat3, String> {
     let error = error.into_iter().fold(0.0, |worst: f64, value| worst.max(value.abs()));
     if error >= RIGID_TOLERANCE {
         return Err(format!(
-            "is not rigid: its 3×3 part times its transpose is off the identity by {error:.2e} (scale {size:.4})"
+            "is not rigid: its 3×3 part times its transpose differs from the identity by {error:.2e} (scale {size:.4})"
         ));
     }
     if determinant < 0.0 {
-        return Err("mirrors (determinant −1)".into());
+        return Err("is a reflection (determinant −1)".into());
     }
     // Newton's iteration for the polar factor (Higham 1986); the error squares each time.
     Ok((0..4).fold(linear, |r, _| (r + r.inverse().transpose()) * 0.5))
@@ -91,7 +91,7 @@ mod tests {
         assert!(problem(0, 0.0).contains("singular"));
         assert!(problem(0, 1.01).contains("not rigid"));
         assert!(problem(1, 0.01).contains("not rigid"));
-        assert!(problem(10, -1.0).contains("mirrors"));
+        assert!(problem(10, -1.0).contains("reflection"));
         assert!(problem(6, f64::NAN).contains("row 2, column 3"));
         assert!(problem(3, 1e300).contains("row 1, column 4"));
         assert!(problem(12, 1.0).contains("last row"));

@@ -1,6 +1,6 @@
-//! The one error type of the crate.
+//! The error type of the crate.
 //!
-//! An error is made where the cause is known, carried upwards unchanged with `?`, and reported once, at the
+//! An error is created where the cause is known, propagated unchanged with `?`, and reported once, at the
 //! edge (the command), which also chooses the exit code: 2 for [`Error::Input`], [`Error::Scene`] and
 //! [`Error::Usage`], 130 for [`Error::Interrupted`], 1 for the rest.
 
@@ -11,17 +11,17 @@ pub use scene::{Fault, Label, SceneDiagnostic};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// Result of everything in this crate that can fail.
+/// Result of the fallible functions of this crate.
 pub type Result<T, E = Error> = std::result::Result<T, E>;
 
-/// What went wrong, where, and what a person can do about it.
+/// An error: what is wrong, where, and what the user can do about it.
 #[derive(Clone, Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum Error {
-    /// A file that was given is not usable: names the file, the place in it, the problem and the mend.
+    /// An input file is not usable: the file, the place in it, the problem and the remedy.
     #[error("{}{}: {problem}", path.display(), place_suffix(place))]
     Input {
-        /// The offending file or folder.
+        /// The file or folder.
         path: PathBuf,
         /// Where in the file ("frame 3", "node 2", "pixel (4, 7)"); may be empty.
         place: String,
@@ -30,10 +30,10 @@ pub enum Error {
         /// What to do about it; may be empty.
         help: String,
     },
-    /// A scene file is wrong: where in its text, what was expected there, and help.
+    /// A scene file is invalid: the places in its text, what is expected there, and help.
     #[error("{0}")]
     Scene(Arc<SceneDiagnostic>),
-    /// The request itself makes no sense (a bad flag value, an output folder that exists).
+    /// The request is invalid (a bad flag value, an output folder that exists).
     #[error("{problem}")]
     Usage {
         /// What is wrong.
@@ -41,17 +41,17 @@ pub enum Error {
         /// What to do about it; may be empty.
         help: String,
     },
-    /// The operating system refused to read or write.
+    /// The operating system returned an error for a file or folder.
     #[error("cannot {action} {}: {source}", path.display())]
     Io {
         /// "read", "write", "create"…
         action: &'static str,
         /// The file or folder.
         path: PathBuf,
-        /// The system's own word.
+        /// The error of the system.
         source: Arc<std::io::Error>,
     },
-    /// The work was well-formed but could not be done.
+    /// The inputs are valid, but the work cannot be done.
     #[error("{context}: {problem}")]
     Run {
         /// The pass or step that failed.
@@ -59,7 +59,7 @@ pub enum Error {
         /// Why.
         problem: String,
     },
-    /// The user pressed Ctrl-C; what was finished has been kept.
+    /// The user pressed Ctrl-C; finished results are kept.
     #[error("interrupted")]
     Interrupted,
 }
@@ -69,7 +69,7 @@ fn place_suffix(place: &str) -> String {
 }
 
 impl Error {
-    /// A bad input file; `place` and `help` may be empty.
+    /// Creates [`Error::Input`]; `place` and `help` may be empty.
     pub fn input(
         path: impl AsRef<Path>,
         place: impl Into<String>,
@@ -84,12 +84,12 @@ impl Error {
         }
     }
 
-    /// A request that makes no sense.
+    /// Creates [`Error::Usage`].
     pub fn usage(problem: impl Into<String>, help: impl Into<String>) -> Self {
         Self::Usage { problem: problem.into(), help: help.into() }
     }
 
-    /// Work that could not be done.
+    /// Creates [`Error::Run`].
     pub fn run(context: impl Into<String>, problem: impl Into<String>) -> Self {
         Self::Run { context: context.into(), problem: problem.into() }
     }
@@ -100,7 +100,7 @@ impl Error {
         move |source| Self::Io { action, path, source: Arc::new(source) }
     }
 
-    /// What to do about it, if there is more to say than the message.
+    /// The remedy, if there is one.
     pub fn help(&self) -> Option<&str> {
         match self {
             Self::Input { help, .. } | Self::Usage { help, .. } if !help.is_empty() => Some(help),
@@ -108,7 +108,7 @@ impl Error {
         }
     }
 
-    /// The process's exit code: 2 for bad input, 130 for Ctrl-C, 1 for what ran and failed.
+    /// The exit code of the process: 2 for bad input, 130 for Ctrl-C, 1 for all other errors.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Input { .. } | Self::Scene(_) | Self::Usage { .. } => 2,

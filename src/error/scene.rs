@@ -1,9 +1,9 @@
-//! What is wrong in a scene file, ready to be shown; whoever shows it draws the carets.
+//! Diagnostics of a scene file; the caller renders them.
 
 use std::fmt;
 use std::ops::Range;
 
-/// What is wrong in a scene file: one fault or more, in the order of the text.
+/// The faults of a scene file, at least one, in the order of the text.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SceneDiagnostic {
     /// The scene file's name, as it was given.
@@ -12,7 +12,7 @@ pub struct SceneDiagnostic {
     pub text: String,
     /// What is wrong; never empty.
     pub faults: Vec<Fault>,
-    /// Something to know about the text shown; may be empty.
+    /// A note about the text; may be empty.
     pub note: String,
 }
 
@@ -21,23 +21,23 @@ pub struct SceneDiagnostic {
 pub struct Fault {
     /// What is wrong, in one line.
     pub message: String,
-    /// The places it is about: first the wrong one, then others that explain it.
+    /// The places it is about: first the wrong one, then places that explain it.
     pub labels: Vec<Label>,
     /// What to do about it; may be empty.
     pub help: String,
 }
 
-/// A place in the text with words beside it.
+/// A place in the text with a label.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Label {
-    /// Bytes of the text.
+    /// Byte range of the text.
     pub at: Range<usize>,
-    /// What to say there.
+    /// The text of the label.
     pub text: String,
 }
 
 impl fmt::Display for SceneDiagnostic {
-    /// In one line.
+    /// Formats the faults in one line.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match &self.faults[..] {
             [only] => f.write_str(&only.message),

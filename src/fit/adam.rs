@@ -1,6 +1,6 @@
-//! Adam (Kingma and Ba 2015) on small arrays, and the smooth maps that keep parameters in their ranges.
+//! Adam (Kingma and Ba 2015) on small arrays, and the smooth reparameterization that keeps parameters in their ranges.
 
-/// Decay rates of the two moments, and the term that keeps the quotient finite.
+/// Decay rates of the two moments, and the constant that keeps the quotient finite.
 const BETA_1: f32 = 0.9;
 const BETA_2: f32 = 0.999;
 const EPSILON: f32 = 1e-12;
@@ -18,7 +18,7 @@ impl<const N: usize> Default for Moments<N> {
     }
 }
 
-/// A step's rate with the moments' bias corrections.
+/// The rate of a step, with the bias corrections of the moments.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct AdamStep {
     rate: f32,
@@ -27,13 +27,13 @@ pub struct AdamStep {
 }
 
 impl AdamStep {
-    /// Step number `step` (from 1) at this rate.
+    /// Step number `step` (from 1) with this rate.
     pub fn new(rate: f32, step: u32) -> Self {
         let power = |beta: f32| 1.0 / (1.0 - f64::from(beta).powi(step.max(1) as i32)) as f32;
         Self { rate, first_correction: power(BETA_1), second_correction: power(BETA_2) }
     }
 
-    /// Takes the gradient into the moments and returns how far to move each parameter (to be subtracted).
+    /// Adds the gradient to the moments and returns the step of each parameter, to be subtracted.
     #[inline]
     pub fn advance<const N: usize>(&self, moments: &mut Moments<N>, gradient: &[f32; N]) -> [f32; N] {
         std::array::from_fn(|i| {
@@ -47,7 +47,7 @@ impl AdamStep {
     }
 }
 
-/// A bounded parameter moved through a logistic map of its range: `move_by` steps in the unbounded parameter.
+/// A parameter with bounds: a logistic function maps an unbounded parameter to the range, and steps are taken in the unbounded one.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Bounded {
     /// Lower end of the range.
@@ -60,7 +60,7 @@ impl Bounded {
     /// The unit interval, for albedos.
     pub const UNIT: Self = Self { low: 0.0, high: 1.0 };
 
-    /// Values this close (relative to the range) to an end are pulled off it, so that they can move again.
+    /// Smallest distance (relative to the range) from an end, so that values near an end can still move.
     const MARGIN: f32 = 1e-4;
 
     fn fraction(self, value: f32) -> f32 {
@@ -69,7 +69,7 @@ impl Bounded {
 
     /// Derivative of the value with respect to the unbounded parameter.
     #[inline]
-    pub fn slope(self, value: f32) -> f32 {
+    pub fn derivative(self, value: f32) -> f32 {
         let p = self.fraction(value);
         p * (1.0 - p) * (self.high - self.low)
     }
@@ -78,7 +78,7 @@ impl Bounded {
     #[inline]
     pub fn move_by(self, value: f32, step: f32) -> f32 {
         let p = self.fraction(value);
-        // 1/(1 + odds against): an infinite exponential gives 0, not the NaN of ∞/∞.
+        // 1/(1 + odds against): an infinite exponential gives 0, where ∞/∞ gives NaN.
         let against = (1.0 - p) / p * (-step).exp();
         self.low + (self.high - self.low) * (1.0 / (1.0 + against)).clamp(Self::MARGIN, 1.0 - Self::MARGIN)
     }
@@ -100,12 +100,12 @@ mod tests {
     }
 
     #[test]
-    fn bounded_values_stay_inside_and_their_slope_is_a_derivative() {
+    fn bounded_values_stay_inside_and_their_derivative_is_exact() {
         let bounded = Bounded { low: 0.03, high: 1.0 };
         for value in [0.05, 0.3, 0.9] {
             let h = 1e-2;
             let difference = (bounded.move_by(value, h) - bounded.move_by(value, -h)) / (2.0 * h);
-            assert!((difference - bounded.slope(value)).abs() < 1e-4);
+            assert!((difference - bounded.derivative(value)).abs() < 1e-4);
         }
         assert!(bounded.move_by(0.5, 100.0) < 1.0 && bounded.move_by(0.5, -100.0) > 0.03);
     }

@@ -1,4 +1,4 @@
-//! What a fit adds to the world: gradients and moments beside the parameters, and the state of the fit.
+//! Components and resources of a fit: gradients and moments of the parameters, and the state of the fit.
 
 use crate::fit::adam::Moments;
 use crate::fit::loss::{Loss, LossSums};
@@ -14,7 +14,7 @@ pub struct AlbedoGradient(pub Vec3);
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
 pub struct AlbedoMoments(pub Moments<3>);
 
-/// How much a texel was seen: the sum of its weights over all fitted pixels.
+/// Sum of the weights of a texel over all fitted pixels.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
 pub struct TexelSeen(pub f32);
 
@@ -34,7 +34,7 @@ pub struct SpecularMoments(pub Moments<4>);
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
 pub struct SpecularGradient(pub [f32; 4]);
 
-/// Which parameters a fit may move.
+/// The parameters that a fit optimizes.
 #[derive(Resource, Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Unknowns {
     /// Texel albedo.
@@ -43,16 +43,16 @@ pub struct Unknowns {
     pub light: bool,
     /// Specular albedo.
     pub specular_albedo: bool,
-    /// One grey specular albedo instead of three channels.
+    /// One gray specular albedo instead of three channels.
     pub mono_specular: bool,
     /// Roughness.
     pub roughness: bool,
-    /// How base materials blend, texel by texel.
+    /// Blend weights of the base materials, per texel.
     pub blends: bool,
 }
 
 impl Default for Unknowns {
-    /// Everything but blends; the specular albedo is grey.
+    /// All except blends; the specular albedo is gray.
     fn default() -> Self {
         Self {
             albedo: true,
@@ -65,7 +65,7 @@ impl Default for Unknowns {
     }
 }
 
-/// Adam's rates at the present step.
+/// Adam's rates at the current step.
 #[derive(Resource, Clone, Copy, Debug, PartialEq)]
 pub struct StepRates {
     /// Number of the step, from 1.
@@ -78,7 +78,7 @@ pub struct StepRates {
     pub specular: f32,
 }
 
-/// What is minimised, and the sums of the last step.
+/// The loss, and its sums of the last step.
 #[derive(Resource, Clone, Copy, Debug)]
 pub struct LossState {
     /// The loss.
@@ -87,7 +87,7 @@ pub struct LossState {
     pub last: LossSums,
 }
 
-/// Gradient of everything pixels share, from the last step.
+/// Gradient of the shared parameters, from the last step.
 #[derive(Resource, Clone, Debug, Default)]
 pub struct StepGradient {
     /// With respect to the light.

@@ -1,8 +1,8 @@
-//! Exposure of each photograph as an unknown: a factor on what the scene sends to the camera.
+//! Exposure of each photograph as an unknown: a factor on the radiance of the scene.
 //!
 //! A factor is the weighted least-squares ratio of the photograph to the prediction over recent windows, with weights that
-//! make it the least sum of absolute differences (iteratively reweighted), so it needs no rate. The factors' geometric mean
-//! is held at 1: a common factor is the light's.
+//! minimize the sum of absolute differences (iteratively reweighted least squares), so it needs no rate. The geometric mean of the
+//! factors is held at 1: a common factor belongs to the light.
 
 use crate::fit::components::StepRates;
 use crate::math::shading::Layers;
@@ -12,11 +12,11 @@ use crate::sample::pixel::{Observed, PixelOf, SATURATION};
 use crate::view::ViewIndex;
 use bevy_ecs::prelude::{Res, ResMut, Resource};
 
-/// Share of the sums that stays from window to window.
+/// Decay factor of the sums, per window.
 const MEMORY: f64 = 0.97;
-/// Windows before the factors begin to move: the light must be found first.
+/// Windows before the factors begin to change: the light is fitted first.
 const FIRST_STEP: u32 = 50;
-/// Differences below this share of the prediction count as squares.
+/// Differences below this fraction of the prediction have a squared loss.
 const SQUARE_BELOW: f32 = 0.03;
 /// Range of a factor.
 const RANGE: (f32, f32) = (0.2, 5.0);
@@ -24,11 +24,11 @@ const RANGE: (f32, f32) = (0.2, 5.0);
 /// The photographs' exposures.
 #[derive(Resource, Clone, Debug, Default)]
 pub struct Exposures {
-    /// Whether they are looked for and used.
+    /// Whether they are optimized and used.
     pub unknown: bool,
-    /// Factor of each view, by [`ViewIndex`]; empty before the first is found.
+    /// Factor of each view, by [`ViewIndex`]; empty before the first solve.
     pub factors: Vec<f32>,
-    /// Of each view: weighted sums of prediction · photograph, and of prediction².
+    /// Per view: weighted sums of prediction · photograph, and of prediction².
     sums: Vec<(f64, f64)>,
 }
 
@@ -39,7 +39,7 @@ impl Exposures {
         if self.unknown { self.factors.get(view.0 as usize).copied().unwrap_or(1.0) } else { 1.0 }
     }
 
-    /// Takes in one window's pixels.
+    /// Adds the pixels of one window.
     fn observe(&mut self, pixels: &[PixelOf], shaded: &[Layers], observed: &[Observed]) {
         self.sums.iter_mut().for_each(|sums| *sums = (MEMORY * sums.0, MEMORY * sums.1));
         for ((pixel, shaded), observed) in pixels.iter().zip(shaded).zip(observed) {
@@ -60,7 +60,7 @@ impl Exposures {
         }
     }
 
-    /// Factors from the sums, their geometric mean 1 before those beyond the range are cut to it.
+    /// Computes the factors from the sums; their geometric mean is 1 before clamping to the range.
     fn solve(&mut self) {
         let logs =
             self.sums.iter().filter(|sums| sums.0 > 0.0 && sums.1 > 0.0).map(|sums| (sums.0 / sums.1).ln());
@@ -74,7 +74,7 @@ impl Exposures {
     }
 }
 
-/// Loss: finds each photograph's exposure from the window's predictions, where it is unknown.
+/// Loss: estimates unknown exposures from the predictions of the window.
 pub fn find_exposures(
     rates: Res<StepRates>,
     mut exposures: ResMut<Exposures>,

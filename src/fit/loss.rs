@@ -4,7 +4,7 @@ use crate::math::shading::{Layers, RadianceAdjoint};
 use crate::sample::pixel::Observed;
 use serde::{Deserialize, Serialize};
 
-/// What a fit minimises, averaged over pixels and channels.
+/// The function that a fit minimizes, averaged over pixels and channels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum Loss {
@@ -37,7 +37,7 @@ impl LossSums {
         -10.0 * (self.clipped_squares / (3 * self.pixels.max(1)) as f64).max(1e-10).log10()
     }
 
-    /// Both sums together.
+    /// The total of both sums.
     pub fn merged(self, other: Self) -> Self {
         Self {
             loss: self.loss + other.loss,
@@ -47,8 +47,8 @@ impl LossSums {
     }
 }
 
-/// Writes the adjoint of the mean loss over these pixels and returns their sums. `exposure` is the factor on a pixel's
-/// radiance that its photograph was taken with.
+/// Writes the adjoint of the mean loss over these pixels and returns their sums. `exposure` is the exposure
+/// factor of a pixel's photograph.
 pub fn image_loss(
     loss: Loss,
     shaded: &[Layers],

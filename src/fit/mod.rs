@@ -1,4 +1,14 @@
-//! The Loss, Gradient and Update stages.
+//! The Prepare phase, and the Loss, Gradient and Update stages.
+//!
+//! | module | holds |
+//! | --- | --- |
+//! | [`run`] | a whole fit: settings, plugin, loop |
+//! | [`observe`] | the Prepare phase: the pool of observed pixels |
+//! | `initialization` | amplitudes and albedo before the first step, by linear least squares |
+//! | [`systems`], [`loss`], [`adam`] | the systems of the stages, the image loss, the optimizer |
+//! | [`roughness`] | roughness that varies over the surface |
+//! | [`scale`], [`exposure`], [`cameras`] | further unknowns: the scale between light and albedo, exposures, cameras |
+//! | [`components`] | gradients, moments and state |
 
 pub(crate) mod adam;
 pub mod cameras;

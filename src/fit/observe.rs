@@ -15,12 +15,12 @@ use rand::seq::SliceRandom;
 use rand::{SeedableRng, rngs::SmallRng};
 use rayon::prelude::*;
 
-/// Which pixels a fit visits.
+/// The selection of pixels for a fit.
 #[derive(Resource, Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PixelChoice {
-    /// Seed of the order, and of the choice if there are too many.
+    /// Seed of the order, and of the selection if there are too many.
     pub seed: u64,
-    /// Most pixels that are kept; a random part of more.
+    /// Most pixels; of more, a random subset is used.
     pub max_pixels: usize,
 }
 
@@ -32,11 +32,11 @@ struct Candidate {
     observed: Observed,
 }
 
-/// Pixels that have been chosen and not yet traced.
+/// Pixels that are chosen and not yet traced.
 #[derive(Resource, Default)]
 pub struct Candidates(Vec<Candidate>);
 
-/// Least coverage of a pixel that takes part: mixed edge pixels show background as well.
+/// Least coverage of a pixel that is used: partly covered pixels contain background as well.
 pub const FULL_COVERAGE: f32 = 0.999;
 
 /// Sample: chooses the usable foreground pixels of the training views, in an order shuffled by the seed.
@@ -75,7 +75,7 @@ fn usable_pixels<'a>(
     coverage: Option<&'a [f32]>,
 ) -> impl Iterator<Item = Candidate> + 'a {
     let covered = move |i: usize| coverage.is_none_or(|c| c[i] >= FULL_COVERAGE);
-    // A pixel that is not a number was read as black, and one averaged from saturated ones says nothing.
+    // A non-finite pixel is read as black, and an average of saturated pixels has no information.
     let readable =
         move |i: usize| !photograph.saturated[i] || photograph.image.pixels[i].max_element() >= SATURATION;
     (0..photograph.image.pixels.len()).filter(move |&i| covered(i) && readable(i)).map(move |i| Candidate {
@@ -109,7 +109,7 @@ pub fn trace_pixels(
         .collect();
     if samples.is_empty() {
         return Err(Error::usage(
-            format!("fit: none of {} foreground pixels looks at the surface", chosen.len()),
+            format!("fit: the rays of all {} foreground pixels miss the surface", chosen.len()),
             "Do the cameras and the mesh share one coordinate system? Does the mesh's outside face the cameras?",
         )
         .into());
@@ -122,7 +122,7 @@ pub fn trace_pixels(
     Ok(())
 }
 
-/// Gather: sums how much each texel was seen.
+/// Gather: sums the weights of each texel over all samples.
 pub fn count_seen_texels(
     samples: Samples<(&SurfacePoint, &Observed)>,
     texels: Texels<&mut TexelSeen>,
@@ -138,7 +138,7 @@ pub fn count_seen_texels(
     Ok(())
 }
 
-/// Mean radiance of the pool, a scale for first guesses.
+/// Mean radiance of the pool, the scale of the initialization.
 pub fn mean_radiance(observed: &[Observed]) -> Vec3 {
     let sum = observed.iter().fold(glam::DVec3::ZERO, |sum, o| sum + o.radiance.as_dvec3());
     (sum / observed.len().max(1) as f64).as_vec3()

@@ -1,11 +1,11 @@
-//! Running a fit: prepare the pool, make a first guess, step until done.
+//! Running a fit: prepare the pool, initialize, and take steps.
 
 use super::components::{
     AlbedoGradient, AlbedoMoments, LobeGradient, LobeMoments, LossState, SpecularGradient, SpecularMoments,
     StepGradient, StepRates, TexelSeen, Unknowns,
 };
 use super::exposure::{Exposures, find_exposures};
-use super::initialization::make_first_guess;
+use super::initialization::initialize_light_and_albedo;
 use super::loss::{Loss, LossSums};
 use super::observe::{Candidates, PixelChoice, choose_pixels, count_seen_texels, trace_pixels};
 use super::roughness::blend::{
@@ -37,15 +37,15 @@ use std::time::Instant;
 /// Settings of a fit.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FitOptions {
-    /// What is minimised.
+    /// The loss that is minimized.
     pub loss: Loss,
-    /// The closed form that shades.
+    /// The closed form used for shading.
     pub form: ClosedForm,
     /// Update steps.
     pub steps: u32,
-    /// Pixels a step.
+    /// Pixels per step.
     pub batch: usize,
-    /// Rates at the first step.
+    /// Rates of albedo, light and specular material at the first step.
     pub rates: [f32; 3],
     /// Fractions of the fit after which the rates are multiplied by `decay`.
     pub milestones: Vec<f32>,
@@ -55,13 +55,13 @@ pub struct FitOptions {
     pub unknowns: Unknowns,
     /// Which pixels are visited.
     pub pixels: PixelChoice,
-    /// What is guessed from the data before the first step.
+    /// What is initialized from the data before the first step.
     pub guess: FirstGuess,
-    /// Whether shading knows of shadows and reflections; the world then needs an [`ObjectVisibility`].
+    /// Whether shading includes shadows and reflections; the world then needs an [`ObjectVisibility`].
     pub visibility: bool,
     /// Whether each photograph's exposure is unknown.
     pub exposure: bool,
-    /// What decides the scale between light and albedo, if both are unknown.
+    /// The rule for the scale between light and albedo, if both are unknown.
     pub scale: ScaleRule,
 }
 
@@ -86,7 +86,7 @@ impl Default for FitOptions {
     }
 }
 
-/// What a fit guesses before its first step, of what is unknown; the rest starts from its present value.
+/// The unknowns that a fit initializes from the data before its first step; the others start from their current values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct FirstGuess {
     /// The amplitudes of the light.
@@ -98,17 +98,17 @@ pub struct FirstGuess {
 impl FirstGuess {
     /// Light and albedo.
     pub const ALL: Self = Self { light: true, albedo: true };
-    /// Nothing: a fit that goes on from another.
+    /// Nothing: a fit that continues another.
     pub const NONE: Self = Self { light: false, albedo: false };
 }
 
-/// What a caller sees of a running fit.
+/// The state of a running fit, for the caller.
 #[derive(Clone, Copy, Debug)]
 #[non_exhaustive]
 pub struct FitProgress {
-    /// Step just done, from 1.
+    /// The last finished step, from 1.
     pub step: u32,
-    /// Steps in all.
+    /// Total number of steps.
     pub steps: u32,
     /// Sums over the last pass through the pool's windows.
     pub sums: LossSums,
@@ -118,7 +118,7 @@ pub struct FitProgress {
     pub elapsed_secs: f64,
 }
 
-/// What a fit leaves behind.
+/// The summary of a finished fit.
 #[derive(Clone, Copy, Debug)]
 #[non_exhaustive]
 pub struct FitSummary {
@@ -126,7 +126,7 @@ pub struct FitSummary {
     pub steps: u32,
     /// Pixels in the pool.
     pub pixels: usize,
-    /// Seconds in all, first guess included.
+    /// Total seconds, initialization included.
     pub elapsed_secs: f64,
     /// Whether the caller stopped it early.
     pub stopped: bool,
@@ -211,7 +211,7 @@ pub fn run_fit(
     Ok(summary)
 }
 
-/// Makes the pool and the first guess; returns how many pixels there are.
+/// Makes the pool and initializes; returns the number of pixels.
 fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
     attach_state(&mut pipeline.world);
     pipeline.world.insert_resource(options.pixels);
@@ -237,7 +237,7 @@ fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
         albedo: options.unknowns.albedo && options.guess.albedo,
         ..options.unknowns
     };
-    make_first_guess(&mut pipeline.world, unknowns, options.form, shadowed)?;
+    initialize_light_and_albedo(&mut pipeline.world, unknowns, options.form, shadowed)?;
     if unknowns.light && unknowns.albedo {
         start_scale(&mut pipeline.world, options.scale)?;
     }
@@ -254,7 +254,7 @@ fn run_step(pipeline: &mut Pipeline, options: &FitOptions, step: u32, pixels: us
     pipeline.run(Phase::FitStep)
 }
 
-/// Rows that a step visits: contiguous windows of the shuffled pool, in turn; the last one of a round may be short.
+/// Rows that a step visits: contiguous windows of the shuffled pool, in turn; the last one of a pass through the pool may be shorter.
 fn window_of(step: u32, batch: usize, pixels: usize) -> std::ops::Range<usize> {
     let batch = batch.clamp(1, pixels);
     let windows = pixels.div_ceil(batch);
@@ -274,7 +274,7 @@ pub(super) fn first_specular(world: &mut World) -> SpecularLobe {
     recovered_materials(world).first().map_or(SpecularLobe::new(Vec3::ZERO, 1.0), |(_, lobe)| *lobe)
 }
 
-/// Gives texels, lobes and base materials fresh gradients and moments.
+/// Gives texels, lobes and base materials zero gradients and moments.
 fn attach_state(world: &mut World) {
     let blended = world.query::<&SpecularLobe>().iter(world).len() > 1;
     for texel in texels_in_order(world) {

@@ -1,14 +1,14 @@
-//! The scale between light and albedo: diffuse light looks the same when the light is multiplied by one factor a channel and the albedo
-//! divided by it.
+//! The scale between light and albedo: diffuse radiance does not change when the light is multiplied by one factor per channel and the albedo
+//! is divided by it.
 //!
-//! What decides the colour of that factor is the highlights: the specular albedo of a dielectric is grey, so they have the light's
-//! colour. A step along the factor changes all lobes and texels at once and little but the highlights, which is why Adam on single
-//! parameters hardly takes it; here it is a parameter of its own. The level stays as the first guess made it (a mean
-//! albedo of about 0.4), because only Fresnel's term tells a bright light from a bright specular albedo.
+//! The highlights determine the color of that factor: the specular albedo of a dielectric is gray, so highlights have the color of the
+//! light. A change of the factor changes all lobes and texels together, and hardly anything except the highlights. Adam on single
+//! parameters is slow along this direction, so the factor is a separate parameter here. The level stays as in the initialization (a mean
+//! albedo of about 0.4), because only the Fresnel term distinguishes a bright light from a bright specular albedo.
 //!
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |
-//! | [`move_scale`] | Update, `Slot::Optimizer`, before the others | window's `Layers` and `RadianceAdjoint`, [`ScaleRule`] | `LightLobe`, `DiffuseAlbedo`, [`ScaleMoments`] |
+//! | [`move_scale`] | Update, `Slot::Optimizer`, before the others | `Layers` of the window and `RadianceAdjoint`, [`ScaleRule`] | `LightLobe`, `DiffuseAlbedo`, [`ScaleMoments`] |
 
 use crate::error::Result;
 use crate::fit::adam::{AdamStep, Moments};
@@ -25,23 +25,23 @@ use bevy_ecs::prelude::{Query, Res, ResMut, Resource, Without, World};
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
-/// What decides the scale between light and albedo, one factor a channel, when both are unknown.
+/// The rule for the scale between light and albedo, one factor per channel, when both are unknown.
 #[derive(Resource, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
 pub enum ScaleRule {
-    /// The light's colour is that of the highlights; the mean albedo starts from 0.4.
+    /// The light has the color of the highlights; the mean albedo starts from 0.4.
     Highlights {
-        /// Weight ≥ 0 of a prior beside the image loss that draws the light towards white: half the sum of squares of the
-        /// logarithms of its mean radiance over their mean. For objects with hardly a highlight. Default 0.
+        /// Weight ≥ 0, relative to the image loss, of a prior toward white light: half the sum of the squared differences between the
+        /// logarithms of its mean radiance and their mean. For objects with weak highlights. Default 0.
         #[serde(default)]
         white_light: f32,
     },
-    /// The light's mean radiance over the sphere is grey; the mean albedo starts from 0.4.
+    /// The light's mean radiance over the sphere is gray; the mean albedo starts from 0.4.
     WhiteLight,
-    /// The mean albedo of the texels that are seen is this colour, each channel in (0, 0.9]: `MeanAlbedo(0.5, 0.4, 0.3)`.
+    /// The mean albedo of the texels that are seen is this color, each channel in (0, 0.9]: `MeanAlbedo(0.5, 0.4, 0.3)`.
     MeanAlbedo(Vec3),
-    /// Nothing: as single texels and lobes find it, from a mean albedo of grey 0.4.
+    /// No rule: the scale results from the fit of single texels and lobes, which starts from a mean albedo of gray 0.4.
     Free,
 }
 
@@ -52,7 +52,7 @@ impl Default for ScaleRule {
 }
 
 impl ScaleRule {
-    /// In a scene file's words.
+    /// The rule as a scene file writes it.
     pub fn words(&self) -> String {
         match self {
             Self::Highlights { white_light } => format!("Highlights(white_light: {white_light:?})"),
@@ -67,14 +67,14 @@ impl ScaleRule {
 #[derive(Resource, Clone, Copy, Debug, Default)]
 pub struct ScaleMoments(Moments<3>);
 
-/// Rate over that of the light.
+/// Rate relative to that of the light.
 const RATE: f32 = 0.15;
-/// How far a first guess from grey albedo goes towards white light.
+/// Fraction of the way to white light that the initialization from gray albedo goes.
 const START: f32 = 0.5;
-/// Most albedo that the factor may lead to.
+/// Largest albedo that the factor may result in.
 const MOST_ALBEDO: f32 = 0.98;
 
-/// Update: a step along the scale, or onto it, if light and albedo are both unknown.
+/// Update: a step along the scale, or a projection onto the rule, if light and albedo are both unknown.
 pub fn move_scale(
     rates: Res<StepRates>,
     unknowns: Res<Unknowns>,
@@ -88,43 +88,43 @@ pub fn move_scale(
         return Ok(());
     }
     let (mut albedo, seen) = texels.columns()?;
-    let off_grey = log_colour(mean_light(lobes.iter()));
+    let off_gray = log_color(mean_light(lobes.iter()));
     let log_factor = match *rule {
         ScaleRule::Free => Vec3::ZERO,
-        ScaleRule::WhiteLight => -off_grey,
+        ScaleRule::WhiteLight => -off_gray,
         ScaleRule::MeanAlbedo(wanted) => {
             (mean_albedo(&albedo, &seen) / wanted).max(Vec3::splat(1e-6)).map(f32::ln)
         }
         ScaleRule::Highlights { white_light } => {
             let (layers, adjoint) = samples.columns()?;
-            let slope = highlight_slope(&layers, &adjoint) + white_light * off_grey;
+            let gradient = highlight_derivative(&layers, &adjoint) + white_light * off_gray;
             let adam = AdamStep::new(RATE * rates.light, rates.step);
-            -without_mean(Vec3::from(adam.advance(&mut moments.0, &without_mean(slope).to_array())))
+            -without_mean(Vec3::from(adam.advance(&mut moments.0, &without_mean(gradient).to_array())))
         }
     };
     rescale(log_factor.exp(), lobes.iter_mut().map(|lobe| lobe.into_inner()), &mut albedo);
     Ok(())
 }
 
-/// Takes a first guess, made from grey albedo, part of the way to white light, where highlights are to decide.
+/// Moves an initialization from gray albedo part of the way to white light, for [`ScaleRule::Highlights`].
 ///
 /// # Errors
-/// If the pool of texels is not whole.
+/// If the pool of texels is incomplete.
 pub fn start_scale(world: &mut World, rule: ScaleRule) -> Result<()> {
     if !matches!(rule, ScaleRule::Highlights { .. }) {
         return Ok(());
     }
-    let log_factor = -START * log_colour(mean_light(own_lobes(world).iter()));
+    let log_factor = -START * log_color(mean_light(own_lobes(world).iter()));
     let mut texels = read_column::<TexelIndex, DiffuseAlbedo>(world)?;
     let mut lobes = world.query_filtered::<&mut LightLobe, Without<LobeOf>>();
     rescale(log_factor.exp(), lobes.iter_mut(world).map(|lobe| lobe.into_inner()), &mut texels);
     write_column::<TexelIndex, DiffuseAlbedo>(world, &texels)
 }
 
-/// The scale as it is now: mean radiance of the light over the sphere, and mean albedo of the texels that are seen.
+/// The current scale: mean radiance of the light over the sphere, and mean albedo of the texels that are seen.
 ///
 /// # Errors
-/// If the pool of texels is not whole.
+/// If the pool of texels is incomplete.
 pub fn means(world: &mut World) -> Result<[Vec3; 2]> {
     let light = mean_light(own_lobes(world).iter());
     let albedo = read_column::<TexelIndex, DiffuseAlbedo>(world)?;
@@ -137,8 +137,8 @@ fn rescale<'a>(factor: Vec3, lobes: impl Iterator<Item = &'a mut LightLobe>, alb
     albedo.iter_mut().for_each(|albedo| albedo.0 = (albedo.0 / factor).min(Vec3::splat(MOST_ALBEDO)));
 }
 
-/// Derivative of the loss with respect to the logarithm of the factor: diffuse light stays, specular light is multiplied.
-fn highlight_slope(layers: &[Layers], adjoint: &[RadianceAdjoint]) -> Vec3 {
+/// Derivative of the loss with respect to the logarithm of the factor: diffuse light does not change, specular light is multiplied by it.
+fn highlight_derivative(layers: &[Layers], adjoint: &[RadianceAdjoint]) -> Vec3 {
     let each = layers.iter().zip(adjoint).map(|(l, a)| (Vec3::from(l.specular) * Vec3::from(a.0)).as_dvec3());
     each.sum::<DVec3>().as_vec3()
 }
@@ -156,9 +156,9 @@ fn mean_albedo(albedo: &[DiffuseAlbedo], seen: &[TexelSeen]) -> Vec3 {
     (sum / f64::from(count.max(1))).as_vec3()
 }
 
-/// The logarithms of a colour's channels over their mean: zero for grey.
-fn log_colour(colour: Vec3) -> Vec3 {
-    without_mean(colour.max(Vec3::splat(1e-12)).map(f32::ln))
+/// The logarithms of the channels of a color minus their mean: zero for gray.
+fn log_color(color: Vec3) -> Vec3 {
+    without_mean(color.max(Vec3::splat(1e-12)).map(f32::ln))
 }
 
 fn without_mean(v: Vec3) -> Vec3 {
@@ -172,7 +172,7 @@ mod tests {
     use crate::sample::pixel::Observed;
 
     #[test]
-    fn the_slope_of_the_scale_agrees_with_differences() {
+    fn the_derivative_of_the_scale_agrees_with_differences() {
         let layers: Vec<Layers> = (0..50)
             .map(|i| {
                 let at = |c: usize| 0.1 + 0.3 * ((i * 7 + c * 5) % 11) as f32 / 11.0;
@@ -187,12 +187,12 @@ mod tests {
         };
         let mut adjoint = vec![RadianceAdjoint::default(); 50];
         loss(Vec3::ONE, &mut adjoint);
-        let slope = highlight_slope(&layers, &adjoint);
+        let gradient = highlight_derivative(&layers, &adjoint);
         let mut unused = adjoint.clone();
         for axis in [Vec3::X, Vec3::Y, Vec3::Z] {
             let at = |step: f32, unused: &mut [RadianceAdjoint]| loss((axis * step).exp(), unused);
             let exact = (at(1e-2, &mut unused) - at(-1e-2, &mut unused)) / 2e-2;
-            let found = f64::from(slope.dot(axis));
+            let found = f64::from(gradient.dot(axis));
             assert!((found - exact).abs() < 1e-3 * exact.abs() + 1e-6, "{found} {exact}");
         }
     }
@@ -202,9 +202,9 @@ mod tests {
         let lobe = LightLobe { axis: Vec3::Y, sharpness: 3.0, amplitude: Vec3::new(1.0, 2.0, 4.0) };
         let mut lobes = [lobe];
         let mut albedo = [DiffuseAlbedo(Vec3::new(0.1, 0.2, 0.4))];
-        let to_white = (-log_colour(mean_light(lobes.iter()))).exp();
+        let to_white = (-log_color(mean_light(lobes.iter()))).exp();
         rescale(to_white, lobes.iter_mut(), &mut albedo);
-        assert!(log_colour(mean_light(lobes.iter())).length() < 1e-6);
+        assert!(log_color(mean_light(lobes.iter())).length() < 1e-6);
         let product = lobes[0].amplitude * albedo[0].0;
         assert!((product - lobe.amplitude * Vec3::new(0.1, 0.2, 0.4)).length() < 1e-6);
         assert_eq!(mean_albedo(&albedo, &[TexelSeen(1.0)]), albedo[0].0);

@@ -27,11 +27,11 @@ use bevy_ecs::system::ScheduleSystem;
 use glam::Vec3;
 use rayon::prelude::*;
 
-/// Range of roughness a fit may reach; below, single-precision highlights outrun the pixels that could show them.
+/// Range of roughness in a fit; highlights of lower roughness are too narrow for single precision and for the pixels that show them.
 pub const ROUGHNESS_RANGE: Bounded = Bounded { low: 0.03, high: 1.0 };
-/// Range of lobe sharpness a fit may reach.
+/// Range of lobe sharpness in a fit.
 const SHARPNESS_RANGE: (f32, f32) = (0.05, 1e4);
-/// Least and greatest amplitude a fit may reach; zero could never move again on a logarithmic scale.
+/// Range of amplitude in a fit; an amplitude of zero can never change on a logarithmic scale.
 const AMPLITUDE_RANGE: (f32, f32) = (1e-5, 1e5);
 
 /// Loss: compares shaded with observed radiance.
@@ -46,7 +46,7 @@ pub fn compare_with_photographs(
     Ok(())
 }
 
-/// What the adjoint of a sample is made from.
+/// The columns that the adjoint of a sample reads and writes.
 type PullBackColumns = (
     &'static ShadePoint,
     &'static PointBlend,
@@ -56,7 +56,7 @@ type PullBackColumns = (
     &'static mut PointAdjoint,
 );
 
-/// For [`Slot::ShadingAdjoint`](crate::pipeline::Slot::ShadingAdjoint): pulls radiance adjoints back through this closed form, to the samples and to light and
+/// For [`Slot::ShadingAdjoint`](crate::pipeline::Slot::ShadingAdjoint): propagates radiance adjoints back through this closed form, to the samples and to light and
 /// material.
 pub fn pull_back_radiance(form: ClosedForm) -> ScheduleConfigs<ScheduleSystem> {
     let system = move |light: Res<IncidentLight>,
@@ -93,7 +93,7 @@ pub fn pull_back_radiance(form: ClosedForm) -> ScheduleConfigs<ScheduleSystem> {
     system.into_configs()
 }
 
-/// Gradient: adds the samples' albedo adjoints onto the texels they blend, in row order.
+/// Gradient: adds the albedo adjoints of the samples to their texels, in the order of [`SampleIndex`](crate::sample::pixel::SampleIndex).
 pub fn scatter_to_texels(
     samples: Samples<(&SurfacePoint, &PointAdjoint)>,
     texels: Texels<&mut AlbedoGradient>,
@@ -109,7 +109,7 @@ pub fn scatter_to_texels(
     Ok(())
 }
 
-/// Gradient: hands each light lobe and base material its share.
+/// Gradient: writes the gradient of each light lobe and base material to its entity.
 pub fn hand_out_gradient(
     gradient: Res<StepGradient>,
     light: Res<IncidentLight>,
@@ -154,15 +154,15 @@ fn move_texel(
     moments: &mut AlbedoMoments,
 ) {
     let value = albedo.0.to_array();
-    let slope: [f32; 3] = std::array::from_fn(|c| gradient.0[c] * Bounded::UNIT.slope(value[c]));
+    let by_logit: [f32; 3] = std::array::from_fn(|c| gradient.0[c] * Bounded::UNIT.derivative(value[c]));
     gradient.0 = Vec3::ZERO;
-    let step = adam.advance(&mut moments.0, &slope);
+    let step = adam.advance(&mut moments.0, &by_logit);
     if step != [0.0; 3] {
         albedo.0 = Vec3::from_array(std::array::from_fn(|c| Bounded::UNIT.move_by(value[c], -step[c])));
     }
 }
 
-/// Update: Adam on lobe axes (along the sphere), log sharpness and log amplitude.
+/// Update: Adam on lobe axes (on the sphere), log sharpness and log amplitude.
 pub fn move_lobes(
     rates: Res<StepRates>,
     unknowns: Res<Unknowns>,
@@ -216,15 +216,15 @@ fn move_specular_lobe(
     gradient: &[f32; 4],
     moments: &mut SpecularMoments,
 ) -> SpecularLobe {
-    let mut slopes: [f32; 4] = std::array::from_fn(|i| match i {
-        3 => gradient[3] * ROUGHNESS_RANGE.slope(lobe.roughness),
-        c => gradient[c] * Bounded::UNIT.slope(lobe.albedo[c]),
+    let mut by_logit: [f32; 4] = std::array::from_fn(|i| match i {
+        3 => gradient[3] * ROUGHNESS_RANGE.derivative(lobe.roughness),
+        c => gradient[c] * Bounded::UNIT.derivative(lobe.albedo[c]),
     });
     if unknowns.mono_specular {
-        let mean = (slopes[0] + slopes[1] + slopes[2]) / 3.0;
-        slopes[..3].fill(mean);
+        let mean = (by_logit[0] + by_logit[1] + by_logit[2]) / 3.0;
+        by_logit[..3].fill(mean);
     }
-    let step = adam.advance(&mut moments.0, &slopes);
+    let step = adam.advance(&mut moments.0, &by_logit);
     let mut moved = *lobe;
     if unknowns.specular_albedo {
         moved.albedo =

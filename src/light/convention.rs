@@ -1,7 +1,7 @@
-//! Which way a latitude-longitude map faces, in programs other than this one.
+//! Orientation conventions of latitude-longitude maps in other programs.
 //!
-//! All of them put up at the top and show the surroundings as seen from inside (nothing is mirrored), so each is this
-//! crate's own convention turned. `docs/conventions.md` has the picture and the sources.
+//! All of them have up at the top and show the surroundings as seen from inside (not mirrored), so each is a rotation of
+//! the convention of this crate. `docs/src/conventions.md` has a picture and the sources.
 
 use std::f32::consts::FRAC_PI_2;
 
@@ -20,7 +20,7 @@ use crate::light::EnvironmentMap;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum MapConvention {
-    /// This crate's own: direction (cos θ sin φ, cos φ, sin θ sin φ) of (u, v), with φ = πv and θ = 2πu − π/2.
+    /// The convention of this crate: direction (cos θ sin φ, cos φ, sin θ sin φ) of (u, v), with φ = πv and θ = 2πu − π/2.
     #[default]
     Lobelia,
     /// Mitsuba 3's `envmap` without a `to_world`: the same.
@@ -30,13 +30,13 @@ pub enum MapConvention {
     /// Blender's world, +Z up (objects in Blender's own coordinates, as in NeRF-synthetic sets): u = ½ − atan2(y, x)/2π,
     /// v = ½ − asin(z)/π.
     Blender,
-    /// Blender's world for an object exported with "+Y up" (glTF's default), which takes (x, y, z) to (x, z, −y); then it
-    /// is the same as three.js's.
+    /// Blender's world for an object exported with "+Y up" (glTF's default), which maps (x, y, z) to (x, z, −y); the result
+    /// is the same as in three.js.
     BlenderYUp,
 }
 
 impl MapConvention {
-    /// The turn that takes [`EnvironmentMap::direction`] of a place in the map to the direction it shows.
+    /// The rotation from [`EnvironmentMap::direction`] of a position in the map to the direction in this convention.
     pub fn turn(self) -> Quat {
         match self {
             Self::Lobelia | Self::Mitsuba => Quat::IDENTITY,
@@ -45,7 +45,7 @@ impl MapConvention {
         }
     }
 
-    /// The map in this crate's convention. Where that only shifts whole columns the texels stay as they are; else it is
+    /// The map in the convention of this crate. If that only shifts whole columns, texels keep their values; otherwise it is
     /// resampled bilinearly.
     pub fn to_lobelia(self, map: EnvironmentMap) -> EnvironmentMap {
         let quarter = map.width as usize / 4;
@@ -56,7 +56,7 @@ impl MapConvention {
         }
     }
 
-    /// A map of this crate's convention in this one: inverse of [`Self::to_lobelia`].
+    /// A map in the convention of this crate, converted to this one: inverse of [`Self::to_lobelia`].
     pub fn from_lobelia(self, map: EnvironmentMap) -> EnvironmentMap {
         let three_quarters = map.width as usize / 4 * 3;
         match self {
@@ -67,7 +67,7 @@ impl MapConvention {
     }
 }
 
-/// The map with every row moved so that its column `by` comes first.
+/// The map with every row shifted so that column `by` comes first.
 fn shifted(mut map: EnvironmentMap, by: usize) -> EnvironmentMap {
     map.radiance.chunks_exact_mut(map.width as usize).for_each(|row| row.rotate_left(by));
     map
@@ -86,7 +86,7 @@ mod tests {
         MapConvention::BlenderYUp,
     ];
 
-    /// Place in the map of a direction, v downwards, as each program computes it.
+    /// Position of a direction in the map, v down, as each program computes it.
     fn place(convention: MapConvention, d: Vec3) -> (f32, f32) {
         let (u, height) = match convention {
             MapConvention::Lobelia => (d.z.atan2(d.x) / TAU + 0.25, d.y),

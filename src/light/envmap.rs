@@ -1,4 +1,4 @@
-//! The latitude-longitude grid: where its texels look, how much sphere they cover, and look-up between them.
+//! The latitude-longitude grid: directions and solid angles of texels, and interpolation.
 
 use std::f64::consts::PI;
 
@@ -8,7 +8,7 @@ use rayon::prelude::*;
 use crate::light::EnvironmentMap;
 
 impl EnvironmentMap {
-    /// A map of `width` × `height` texels (both at least 1) whose texels hold `radiance` of their centre's direction.
+    /// A map of `width` × `height` texels (both at least 1) whose texels hold `radiance` in the direction of their center.
     ///
     /// Rows are computed in parallel.
     pub fn from_directions(width: u32, height: u32, radiance: impl Fn(Vec3) -> Vec3 + Sync) -> Self {
@@ -34,12 +34,12 @@ impl EnvironmentMap {
         let u = (direction.z.atan2(direction.x) + FRAC_PI_2) * (0.5 * FRAC_1_PI);
         // atan2 keeps its accuracy at the poles, where acos does not.
         let v = direction.x.hypot(direction.z).atan2(direction.y) * FRAC_1_PI;
-        // The wrap of a tiny negative u rounds to 1, which is the same place as 0.
+        // Wrapping a tiny negative u rounds to 1, which is the same position as 0.
         let wrapped = if u < 0.0 { u + 1.0 } else { u };
         (if wrapped >= 1.0 { 0.0 } else { wrapped }, v)
     }
 
-    /// Unit direction of the centre of texel (`i`, `j`).
+    /// Unit direction of the center of texel (`i`, `j`).
     pub fn texel_direction(&self, i: u32, j: u32) -> Vec3 {
         let u = (f64::from(i) + 0.5) / f64::from(self.width);
         let v = (f64::from(j) + 0.5) / f64::from(self.height);
@@ -54,14 +54,14 @@ impl EnvironmentMap {
         2.0 * PI / f64::from(self.width) * 2.0 * middle.sin() * half_step.sin()
     }
 
-    /// Texel (column, row) that holds (`u`, `v`).
+    /// Texel (column, row) that contains (`u`, `v`).
     pub fn texel_of(&self, u: f32, v: f32) -> (u32, u32) {
         let i = (u * self.width as f32) as u32;
         let j = (v * self.height as f32) as u32;
         (i.min(self.width - 1), j.min(self.height - 1))
     }
 
-    /// Radiance from a direction, blended from the four nearest texel centres; wraps around, clamps at the poles.
+    /// Radiance from a direction, interpolated between the four nearest texel centers; wraps in u, clamps at the poles.
     pub fn sample_bilinear(&self, direction: Vec3) -> Vec3 {
         let (u, v) = Self::uv(direction);
         self.bilinear_at(u, v)
@@ -91,10 +91,10 @@ impl EnvironmentMap {
         Self { radiance, ..*self }
     }
 
-    /// The map turned by `rotation`: light that came from direction d now comes from `rotation * d`.
+    /// The map rotated by `rotation`: light from direction d comes from `rotation * d` afterwards.
     ///
-    /// Resampled bilinearly at texel centres, at the same size; the identity returns the same bits. A light that is
-    /// smaller than a texel keeps its power only to about the blend's accuracy.
+    /// Resampled bilinearly at texel centers, at the same size; the identity returns the same bits. A light that is
+    /// smaller than a texel keeps its power only up to the accuracy of the interpolation.
     pub fn rotated(&self, rotation: Quat) -> Self {
         let inverse = rotation.normalize().inverse();
         if inverse.xyz() == Vec3::ZERO {
@@ -103,8 +103,8 @@ impl EnvironmentMap {
         Self::from_directions(self.width, self.height, |omega| self.sample_bilinear(inverse * omega))
     }
 
-    /// The map averaged to `width` × `height` texels (no more than it has, at least 1), weighted by solid angle, so
-    /// that its power is kept.
+    /// The map averaged to `width` × `height` texels (at least 1, at most its own size), weighted by solid angle, so
+    /// that its power is preserved.
     pub fn downsampled(&self, width: u32, height: u32) -> Self {
         let (width, height) = (width.clamp(1, self.width), height.clamp(1, self.height));
         if (width, height) == (self.width, self.height) {
@@ -140,7 +140,7 @@ impl EnvironmentMap {
     }
 }
 
-/// Averages a latitude-longitude map into a smaller one, a texel at a time and in any order.
+/// Averages a latitude-longitude map into a smaller one, one texel at a time and in any order.
 ///
 /// Weights are overlaps in longitude times overlaps in cos φ, which is overlap in solid angle.
 pub(crate) struct BoxFilter {
@@ -149,7 +149,7 @@ pub(crate) struct BoxFilter {
     map: EnvironmentMap,
 }
 
-/// The one or two output texels along one side that an input texel falls into, and the part it is of each.
+/// The one or two output texels along one axis that an input texel overlaps, and its fraction of each.
 #[derive(Clone, Copy)]
 struct Share {
     first: usize,
@@ -188,7 +188,7 @@ impl BoxFilter {
     }
 }
 
-/// How `input` texels along a side share out among `output` ones; `measure` grows from 0 to 1 with the measure of area.
+/// How `input` texels along an axis are distributed over `output` ones; `measure` grows from 0 to 1 in proportion to area.
 fn shares(input: u32, output: u32, measure: impl Fn(f64) -> f64) -> Vec<Share> {
     let edge = |k: u64, n: u32| measure(k as f64 / f64::from(n));
     (0..u64::from(input))
@@ -198,7 +198,7 @@ fn shares(input: u32, output: u32, measure: impl Fn(f64) -> f64) -> Vec<Share> {
                 let low = edge(k, input).max(edge(target, output));
                 let high = edge(k + 1, input).min(edge(target + 1, output));
                 let whole = edge(target + 1, output) - edge(target, output);
-                // Texels that only touch overlap by rounding; that is not a share.
+                // Adjacent texels overlap only by rounding, which does not count.
                 let part = ((high - low) / whole).max(0.0) as f32;
                 if target < u64::from(output) && part > 1e-7 { part } else { 0.0 }
             };
@@ -274,7 +274,7 @@ mod tests {
     }
 
     #[test]
-    fn bilinear_is_exact_at_centres_and_wraps() {
+    fn bilinear_is_exact_at_centers_and_wraps() {
         let map = bumpy(20, 10);
         for j in 0..10 {
             for i in 0..20 {

@@ -1,4 +1,4 @@
-//! Distant light that can be looked at and sampled: an environment map, and a set of SG lobes.
+//! Distant light that can be evaluated and sampled: an environment map, and a set of SG lobes.
 
 use std::f64::consts::PI;
 
@@ -10,10 +10,10 @@ use crate::math::color::luminance;
 use crate::math::ray::{Illuminate, LightSample};
 use crate::math::sg;
 
-/// What a light that emits nothing returns from `sample`.
+/// The sample of a light that emits nothing.
 const NO_SAMPLE: LightSample = LightSample { direction: Vec3::Y, radiance: Vec3::ZERO, pdf: 0.0 };
 
-/// An environment map, looked up bilinearly, and sampled texel by texel.
+/// An environment map, evaluated bilinearly, and sampled by texels.
 ///
 /// A texel is drawn in proportion to the mean luminance over it of the bilinear blend (the texels weighted by
 /// [1 6 1]/8 along each side) times its solid angle, then a direction in it uniformly in solid angle. The blend's mean is
@@ -23,14 +23,14 @@ pub struct MapLight {
     map: EnvironmentMap,
     /// Density per steradian in each texel.
     density: Vec<f32>,
-    /// Running sums along each row (not normalised).
+    /// Running sums along each row (not normalized).
     columns: Vec<f64>,
     /// Running sum of the rows' totals.
     rows: Vec<f64>,
 }
 
 impl MapLight {
-    /// Builds the sampling tables of `map` (not empty); about 12 bytes a texel beside the map's own.
+    /// Builds the sampling tables of `map` (not empty); about 12 bytes per texel in addition to the map.
     pub fn new(map: EnvironmentMap) -> Self {
         let (width, height) = (map.width as usize, map.height as usize);
         let means = footprint_luminance(&map);
@@ -72,7 +72,7 @@ fn footprint_luminance(map: &EnvironmentMap) -> Vec<f64> {
     (0..width * height).map(texel).collect()
 }
 
-/// Index of the step of the running sum `sums` in which `target` falls, and how far into it, in `[0, 1)`.
+/// Index of the interval of the running sum `sums` that contains the target, and the position in it, in `[0, 1)`.
 fn draw(sums: &[f64], uniform: f32) -> (usize, f64) {
     let target = f64::from(uniform) * sums.last().copied().unwrap_or(0.0);
     let index = sums.partition_point(|&s| s <= target).min(sums.len().saturating_sub(1));
@@ -86,7 +86,7 @@ impl Illuminate for MapLight {
         self.map.sample_bilinear(direction)
     }
 
-    /// Row by the first number, column and place in it by the second, height in the row by the third.
+    /// The first number selects the row, the second the column and the position in it, the third the height in the row.
     fn sample(&self, uniform: [f32; 3]) -> LightSample {
         if self.rows.last().is_none_or(|&total| total <= 0.0) {
             return NO_SAMPLE;
@@ -126,7 +126,7 @@ pub struct LobeLight {
 }
 
 impl LobeLight {
-    /// Of `lobes` with unit axes (see [`crate::light::validate_lobes`]); a light of no lobes is black.
+    /// The light of `lobes` with unit axes (see [`crate::light::validate_lobes`]); without lobes it is black.
     pub fn new(lobes: &[LightLobe]) -> Self {
         let column = |value: fn(&LightLobe) -> f32| lobes.iter().map(value).collect();
         let columns = [
@@ -179,7 +179,7 @@ impl Illuminate for LobeLight {
         Vec3::from_array(sums.map(|lanes| lanes.iter().sum()))
     }
 
-    /// Lobe by the first number, height around its axis by the second, turn around it by the third.
+    /// The first number selects the lobe, the second the angle to its axis, the third the angle around it.
     fn sample(&self, uniform: [f32; 3]) -> LightSample {
         if self.powers.last().is_none_or(|&total| total <= 0.0) {
             return NO_SAMPLE;
@@ -190,16 +190,16 @@ impl Illuminate for LobeLight {
         LightSample { direction, radiance, pdf: self.density_of(radiance) }
     }
 
-    /// luminance(radiance) over the total luminous power; a caller that has the radiance already pays for it twice.
+    /// luminance(radiance) over the total luminous power; this evaluates the radiance.
     fn pdf(&self, direction: Vec3) -> f32 {
         self.density_of(self.radiance(direction))
     }
 }
 
-/// A direction drawn from the normalised SG of `axis` and `sharpness` ≥ 0.
+/// A direction drawn from the normalized SG of `axis` and `sharpness` ≥ 0.
 ///
-/// cos θ = 1 + ln(1 − u(1 − e^(−2λ)))/λ, computed as 1 − cos θ in `f64` so that neither a sharp nor a flat lobe
-/// loses its digits.
+/// cos θ = 1 + ln(1 − u(1 − e^(−2λ)))/λ, computed as 1 − cos θ in `f64` so that it is accurate for both
+/// sharp and broad lobes.
 fn sample_sg(axis: Vec3, sharpness: f32, u: f32, turn: f32) -> Vec3 {
     let (lambda, u) = (f64::from(sharpness), f64::from(u));
     let rise = if lambda < 1e-6 { 2.0 * u } else { -(u * (-2.0 * lambda).exp_m1()).ln_1p() / lambda };
@@ -230,7 +230,7 @@ mod tests {
     }
 
     /// Checks that the mean of weight × radiance/pdf over samples is within 4 standard errors of `exact`, and that the
-    /// density told by `sample` is the one told by `pdf`.
+    /// density of `sample` is that of `pdf`.
     fn check_estimate(light: &dyn Illuminate, weight: fn(Vec3) -> f64, exact: DVec3, floor: f64) {
         let (mut sum, mut squares) = (DVec3::ZERO, DVec3::ZERO);
         let mut numbers = Numbers(7);
@@ -240,7 +240,7 @@ mod tests {
             let sample = light.sample([numbers.next(), numbers.next(), numbers.next()]);
             assert!(sample.pdf > 0.0 && sample.pdf.is_finite());
             assert!(sample.radiance.is_finite() && (sample.direction.length() - 1.0).abs() < 1e-5);
-            // Only a sample within rounding of a texel's edge may be told from its neighbour.
+            // Only samples within rounding of the edge of a texel may have the density of the neighbor.
             disagreements += i32::from((light.pdf(sample.direction) / sample.pdf - 1.0).abs() > 1e-3);
             let value = sample.radiance.as_dvec3() * weight(sample.direction) / f64::from(sample.pdf);
             sum += value;
@@ -313,7 +313,7 @@ mod tests {
                 amplitude: Vec3::new(1.0, 2.0, 0.5),
             };
             let light = LobeLight::new(&[lobe]);
-            // f32 directions limit how well a sharp lobe can be told.
+            // f32 directions limit the accuracy for sharp lobes.
             check_estimate(&light, |_| 1.0, lobe.power(), 1e-5);
             let peak = light.radiance(lobe.axis);
             assert!(peak.distance(lobe.amplitude) < 1e-4 && light.radiance(-lobe.axis).is_finite());

@@ -1,8 +1,8 @@
-//! Lights in a world: lobes are entities, a named light is an entity that lobes point at, and the system in
-//! [`Slot::Light`](crate::pipeline::Slot::Light) chooses which of them shines.
+//! Lights in a world: lobes are entities, a named light is an entity that its lobes refer to, and the system in
+//! [`Slot::Light`](crate::pipeline::Slot::Light) selects the active light.
 //!
-//! Lobes that point at no light are the scene's own light: the one that a fit moves. To relight is to spawn a named light and to swap
-//! [`provide_light`] in with its name; closed forms and the path tracer then see it alike.
+//! Lobes that refer to no light are the scene's own light, which a fit optimizes. Relighting means spawning a named light and swapping
+//! in [`provide_light`] with its name; closed forms and the path tracer both use it.
 //!
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |
@@ -24,42 +24,45 @@ use std::sync::Arc;
 #[require(LobesOf)]
 pub struct LightName(pub String);
 
-/// The light that a lobe is of. Lobes without it are of the scene's own light.
+/// The light that a lobe belongs to. Lobes without this component belong to the scene's own light.
 #[derive(Component, Clone, Copy, Debug, PartialEq, Eq)]
 #[relationship(relationship_target = LobesOf)]
 pub struct LobeOf(pub Entity);
 
-/// The lobes of a light. They go with it.
+/// The lobes of a light. They are despawned with it.
 #[derive(Component, Clone, Debug, Default, PartialEq, Eq)]
 #[relationship_target(relationship = LobeOf, linked_spawn)]
 pub struct LobesOf(Vec<Entity>);
 
-/// The environment map that a light's lobes stand for. An entity with this and no [`LightName`] holds that of the scene's own light.
+/// The environment map that the lobes of a light approximate. An entity with this component and no [`LightName`] has the map of the scene's own light.
 #[derive(Component, Clone)]
 pub struct LightMap(pub Arc<MapLight>);
 
-/// The light of this run, as the system in [`Slot::Light`](crate::pipeline::Slot::Light) gives it.
+/// The light of this run, written by the system in [`Slot::Light`](crate::pipeline::Slot::Light).
 #[derive(Resource, Clone, Default)]
 pub struct IncidentLight {
     /// SG lobes in columns, for closed forms.
     pub lobes: LobeColumns,
     /// The lobes' entities, in the same order.
     pub entities: Vec<Entity>,
-    /// The same light as something that can be sampled, for path tracing.
+    /// The same light in a form that can be sampled, for path tracing.
     pub distant: Option<Arc<dyn Illuminate>>,
 }
 
-/// Which light shines.
+/// The active light.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum LightChoice {
-    /// The scene's own.
+    /// The scene's own light.
     #[default]
     Own,
-    /// The one of this name.
+    /// The light with this name.
     Named(String),
 }
 
-/// All lights, as a system sees them.
+/// The lobes of a light with their entities, and its map, if it has one.
+pub type LobesAndMap = (Vec<(Entity, LightLobe)>, Option<Arc<MapLight>>);
+
+/// All lights, as a system parameter.
 #[derive(SystemParam)]
 pub struct Lights<'w, 's> {
     own: Query<'w, 's, (Entity, &'static LightLobe), Without<LobeOf>>,
@@ -68,14 +71,11 @@ pub struct Lights<'w, 's> {
     lobes: Query<'w, 's, (Entity, &'static LightLobe), bevy_ecs::prelude::With<LobeOf>>,
 }
 
-/// Lobes with their entities, and a map.
-type LobesAndMap = (Vec<(Entity, LightLobe)>, Option<Arc<MapLight>>);
-
 impl Lights<'_, '_> {
     /// The lobes of a light and their entities, and its map, if it has one.
     ///
     /// # Errors
-    /// If there is no light of that name, or there are several.
+    /// If there is no light with that name, or there are several.
     pub fn of(&self, choice: &LightChoice) -> Result<LobesAndMap> {
         let LightChoice::Named(name) = choice else {
             let lobes = self.own.iter().map(|(entity, lobe)| (entity, *lobe)).collect();
@@ -84,7 +84,8 @@ impl Lights<'_, '_> {
         let mut found = self.named.iter().filter(|(of, ..)| of.0 == *name);
         let (Some((_, lobes, map)), None) = (found.next(), found.next()) else {
             let names: Vec<&str> = self.named.iter().map(|(name, ..)| name.0.as_str()).collect();
-            let problem = format!("there is not one light named {name}; there are: {}", names.join(", "));
+            let problem =
+                format!("there must be exactly one light named {name}; the lights are: {}", names.join(", "));
             return Err(Error::run("the light", problem));
         };
         let lobes = self.lobes.iter_many(&lobes.0).flatten().map(|(entity, lobe)| (entity, *lobe)).collect();
@@ -92,8 +93,8 @@ impl Lights<'_, '_> {
     }
 }
 
-/// For [`Slot::Light`](crate::pipeline::Slot::Light): the chosen light shines. With `by_map`, what is sampled is its map, if it has
-/// one; closed forms always take its lobes.
+/// For [`Slot::Light`](crate::pipeline::Slot::Light): selects the active light. With `by_map`, path tracing samples its map, if it has
+/// one; closed forms always use its lobes.
 pub fn provide_light(choice: LightChoice, by_map: bool) -> ScheduleConfigs<ScheduleSystem> {
     let system = move |lights: Lights, mut light: ResMut<IncidentLight>| -> SystemResult {
         let (lobes, map) = lights.of(&choice)?;
@@ -109,7 +110,7 @@ pub fn provide_light(choice: LightChoice, by_map: bool) -> ScheduleConfigs<Sched
     system.into_configs()
 }
 
-/// Spawns a named light. In place of one that has the name already.
+/// Spawns a named light; replaces a light that has the name already.
 pub fn spawn_light(
     world: &mut World,
     name: impl Into<String>,

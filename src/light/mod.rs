@@ -1,18 +1,19 @@
-//! Light: SG lobes, environment maps, and one from the other.
+//! Light: SG lobes, environment maps, and conversions between them.
 //!
-//! | file | holds |
+//! | module | holds |
 //! | --- | --- |
-//! | [`convention`] | which way other programs' maps face |
+//! | [`convention`] | orientation of maps in other programs |
 //! | [`envmap`] | the latitude-longitude grid: directions, solid angles, bilinear look-up, rotation |
-//! | [`codec::envmap`](crate::codec::envmap) | EXR and Radiance HDR in (checked, repaired, counted), EXR out |
-//! | [`illuminate`] | [`Illuminate`] for a map and for lobes, both importance-sampled |
-//! | [`codec::npy`](crate::codec::npy) | SG `.npy` files in both conventions |
-//! | [`map_fit`] | a map fitted by lobes (Levenberg–Marquardt; lobes are added and taken away) |
+//! | [`illuminate`] | [`Illuminate`] for a map and for lobes, both with importance sampling |
+//! | [`lights`] | lobes and named lights as entities, and the system in `Slot::Light` |
+//! | [`map_fit`] | fit of lobes to a map (Levenberg–Marquardt; lobes are added and removed; suns get their own lobes first) |
+//!
+//! [`codec::envmap`](crate::codec::envmap) and [`codec::npy`](crate::codec::npy) read and write files.
 //!
 //! # Parameters of a lobe
 //! | name | type | unit | default | meaning |
 //! | --- | --- | --- | --- | --- |
-//! | `axis` | `Vec3` | unit vector, world | none | ξ, towards the light |
+//! | `axis` | `Vec3` | unit vector, world | none | ξ, toward the light |
 //! | `sharpness` | `f32` ≥ 0 | 1 / (1 − cos) | none | λ; half-width is about √(1.39 / λ) radians |
 //! | `amplitude` | `Vec3` ≥ 0 | linear RGB radiance | none | μ, the radiance at the axis |
 //!
@@ -20,13 +21,13 @@
 //! | name | type | unit | default | meaning |
 //! | --- | --- | --- | --- | --- |
 //! | `working_width` | `u32` | texels | 256 | width of the averaged map that lobes are first placed on |
-//! | `polish_width` | `u32` | texels | 512 | greatest width of the map that lobes are moved and settled on |
+//! | `polish_width` | `u32` | texels | 512 | largest width of the map for relocation and final optimization |
 //! | `iterations` | `usize` | steps | 16 | Levenberg–Marquardt steps once all lobes are placed |
-//! | `relocations` | `usize` | rounds | 12 | times that lobes are added at the greatest residuals and the least useful taken away |
+//! | `relocations` | `usize` | rounds | 12 | rounds of placing lobes at the largest residuals and removing the least useful |
 //! | `polish_iterations` | `usize` | steps | 16 | Levenberg–Marquardt steps at the end |
-//! | `max_sharpness` | `f32` | 1 / (1 − cos) | 2 (W / 2π)² | greatest sharpness; by default a standard deviation of 0.7 texels of the map fitted |
-//! | `upper_hemisphere` | `bool` | | false | light from above only: below the horizon counts as black, no axis points there |
-//! | `white` | `bool` | | false | grey lobes, fitted to the map's luminance |
+//! | `max_sharpness` | `f32` | 1 / (1 − cos) | 2 (W / 2π)² | largest sharpness; by default a standard deviation of 0.7 texels of the map fitted |
+//! | `upper_hemisphere` | `bool` | | false | light from above only: the map is black below the horizon, no axis points there |
+//! | `white` | `bool` | | false | gray lobes, fitted to the map's luminance |
 pub mod convention;
 pub mod envmap;
 pub mod illuminate;
@@ -46,7 +47,7 @@ use crate::math::sg;
 #[derive(Component, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct LightLobe {
-    /// ξ, unit direction towards the light, world space.
+    /// ξ, unit direction toward the light, world space.
     pub axis: Vec3,
     /// λ ≥ 0.
     pub sharpness: f32,
@@ -55,7 +56,7 @@ pub struct LightLobe {
 }
 
 impl LightLobe {
-    /// `count` equal white lobes that cover the sphere evenly: what an unknown light starts from.
+    /// `count` equal white lobes that cover the sphere uniformly: the initialization of an unknown light.
     pub fn even(count: usize) -> Vec<Self> {
         let sharpness = spacing_sharpness(count);
         let lobe = |axis| Self { axis, sharpness, amplitude: Vec3::ONE };
@@ -63,14 +64,14 @@ impl LightLobe {
     }
 }
 
-/// What the kernels read of a light lobe.
+/// The light lobe as the kernels read it.
 pub fn kernel_lobe(lobe: &LightLobe) -> Lobe<f32> {
     Lobe { axis: lobe.axis.into(), sharpness: lobe.sharpness, amplitude: lobe.amplitude.into() }
 }
 
 /// Radiance from every direction on a latitude-longitude grid.
 ///
-/// Texel centres at ((i + ½)/W, (j + ½)/H); top row around +Y; left edge −Z, then +X at ¼, +Z at ½, −X at ¾:
+/// Texel centers at ((i + ½)/W, (j + ½)/H); top row around +Y; left edge −Z, then +X at ¼, +Z at ½, −X at ¾:
 /// direction of (u, v) = (cos θ sin φ, cos φ, sin θ sin φ), φ = πv, θ = 2πu − π/2.
 #[derive(Clone, Debug, PartialEq)]
 pub struct EnvironmentMap {
@@ -104,9 +105,9 @@ pub fn lobes_power(lobes: &[LightLobe]) -> DVec3 {
     lobes.iter().map(LightLobe::power).sum()
 }
 
-/// The lobes turned by `rotation`: light that came from direction d now comes from `rotation * d`.
+/// The lobes rotated by `rotation`: light from direction d comes from `rotation * d` afterwards.
 ///
-/// The identity keeps every bit, so that a saved light is the same when it is read again.
+/// The identity keeps every bit, so that a saved light is read back unchanged.
 pub fn rotate_lobes(lobes: &[LightLobe], rotation: Quat) -> Vec<LightLobe> {
     if rotation == Quat::IDENTITY {
         return lobes.to_vec();
@@ -120,17 +121,17 @@ pub fn scale_lobes(lobes: &[LightLobe], factor: Vec3) -> Vec<LightLobe> {
     lobes.iter().map(|lobe| LightLobe { amplitude: lobe.amplitude * factor, ..*lobe }).collect()
 }
 
-/// The lobes' radiance at every texel centre of a `width` × `height` map; a size of 0 is taken as 1.
+/// The lobes' radiance at every texel center of a `width` × `height` map; a size of 0 is taken as 1.
 pub fn render_lobes(lobes: &[LightLobe], width: u32, height: u32) -> EnvironmentMap {
     let light = illuminate::LobeLight::new(lobes);
     EnvironmentMap::from_directions(width.max(1), height.max(1), |omega| light.radiance(omega))
 }
 
-/// Whether the lobes are a usable light.
+/// Checks that the lobes are a valid light.
 ///
 /// # Errors
-/// One sentence that names the first lobe (counted from 0) with a zero or non-unit axis (|length − 1| > 10⁻³), or a
-/// negative or non-finite sharpness or amplitude; or that there are no lobes at all.
+/// A clause that names the first lobe (counted from 0) with a zero or non-unit axis (|length − 1| > 10⁻³), or a
+/// negative or non-finite sharpness or amplitude; or says that there are no lobes.
 pub fn validate_lobes(lobes: &[LightLobe]) -> Result<(), String> {
     if lobes.is_empty() {
         return Err("there are no light lobes; at least one is needed".to_owned());

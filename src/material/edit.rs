@@ -1,10 +1,10 @@
-//! Edits of a material: entities whose components say what changes, how, and where; and the kernel that applies one.
+//! Material edits: entities whose components describe what changes, how, and where; and the kernel that applies one.
 //!
-//! An edit is an entity with an [`EditName`] (what edits belong together), an [`EditOrder`], an [`EditTarget`], an [`EditAction`]
-//! and an [`EditRegion`]. [`show_edited`](super::shown::show_edited) applies those of one name to what is shown.
+//! An edit is an entity with an [`EditName`] (which edits belong together), an [`EditOrder`], an [`EditTarget`], an [`EditAction`]
+//! and an [`EditRegion`]. [`show_edited`](super::shown::show_edited) applies the edits of one name to the shown material.
 //!
-//! An edit of the specular material inside a region splits every base material that lives there: the edited copy takes
-//! over the region's share of the texels' blend weights, so that roughness may differ from place to place.
+//! An edit of the specular material inside a region splits every base material with a weight there: the edited copy gets
+//! the region's part of the blend weights, so that roughness may vary over the surface.
 
 use super::{BaseMaterial, DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
 use crate::error::{Error, Result};
@@ -12,11 +12,11 @@ use bevy_ecs::prelude::Component;
 use glam::Vec3;
 use std::sync::Arc;
 
-/// Which edits belong together: those of one pass of a scene file have the pass's name.
+/// The name of a group of edits; those of a pass of a scene file have the name of the pass.
 #[derive(Component, Clone, Debug, PartialEq, Eq)]
 pub struct EditName(pub String);
 
-/// When an edit is applied among those of its name: by rising number.
+/// Order of an edit among those with its name: ascending.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
 pub struct EditOrder(pub u32);
 
@@ -33,22 +33,22 @@ pub enum EditTarget {
     Roughness,
 }
 
-/// How it changes; colours stay in `[0, 1]`.
+/// How it changes; colors are clamped to `[0, 1]`.
 #[derive(Component, Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum EditAction {
-    /// Becomes this.
+    /// Is set to this value.
     Set(Vec3),
-    /// Is multiplied by this.
+    /// Is multiplied by this factor.
     Scale(Vec3),
     /// old + weight (value − old).
     Blend {
-        /// What it is drawn to.
+        /// The value to blend with.
         value: Vec3,
-        /// How far, in `[0, 1]`.
+        /// The weight, in `[0, 1]`.
         weight: f32,
     },
-    /// Becomes this, texel by texel (as many as the object has); only for [`EditTarget::Diffuse`].
+    /// Is set to one value per texel of the object; only for [`EditTarget::Diffuse`].
     PerTexel(Arc<[Vec3]>),
 }
 
@@ -75,22 +75,22 @@ impl EditAction {
 #[derive(Component, Clone, Debug, Default, PartialEq)]
 pub struct EditRegion(pub Option<Arc<[f32]>>);
 
-/// The columns an edit works on.
+/// The columns that an edit changes.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct MaterialState {
     /// Diffuse albedo per texel.
     pub albedo: Vec<DiffuseAlbedo>,
     /// Blend weights per texel.
     pub blends: Vec<SpecularBlend>,
-    /// The specular lobe of each base material, by number; numbers that nobody has are `None`.
+    /// The specular lobe of each base material, by number; unused numbers are `None`.
     pub lobes: Vec<Option<SpecularLobe>>,
 }
 
 impl MaterialState {
-    /// Gives base material `number` its lobe.
+    /// Sets the lobe of base material `number`.
     ///
     /// # Errors
-    /// If the number is out of range or taken.
+    /// If the number is out of range or already used.
     pub fn set_lobe(&mut self, number: BaseMaterial, lobe: SpecularLobe) -> Result<()> {
         let place = number.0 as usize;
         if place >= MAX_SPECULAR_LOBES {
@@ -106,12 +106,12 @@ impl MaterialState {
         }
     }
 
-    /// The base materials that are there, with their numbers.
+    /// The base materials, with their numbers.
     pub fn materials(&self) -> impl Iterator<Item = (usize, &SpecularLobe)> + Clone {
         self.lobes.iter().enumerate().filter_map(|(number, lobe)| Some((number, lobe.as_ref()?)))
     }
 
-    /// The base material of the whole object, if it has just one and every texel shows all of it.
+    /// The base material of the whole object, if it has only one and its weight is one at every texel.
     pub fn uniform(&self) -> Option<SpecularLobe> {
         match self.lobes.as_slice() {
             [Some(one)] if self.blends.iter().all(|blend| *blend == SpecularBlend::default()) => Some(*one),
@@ -123,7 +123,7 @@ impl MaterialState {
 /// Applies one edit.
 ///
 /// # Errors
-/// If the object would need more than [`MAX_SPECULAR_LOBES`] base materials, or the edit has other texels than the object.
+/// If the object would need more than [`MAX_SPECULAR_LOBES`] base materials, or the edit has another number of texels than the object.
 pub fn apply_edit(
     state: &mut MaterialState,
     target: EditTarget,
@@ -134,7 +134,7 @@ pub fn apply_edit(
     let values = if let EditAction::PerTexel(values) = action { Some(values.len()) } else { None };
     for count in [values, region.map(<[f32]>::len)].into_iter().flatten() {
         if count != state.albedo.len() {
-            let problem = format!("it is for {count} texels, and the object has {}", state.albedo.len());
+            let problem = format!("it has {count} texels, and the object has {}", state.albedo.len());
             return Err(Error::run("an edit", problem));
         }
     }
@@ -173,7 +173,7 @@ fn edit_lobes(
         if !lives_there || edited == lobe {
             continue;
         }
-        // Lobes that become the same one share it.
+        // Edited lobes that are equal are merged.
         let same = state.lobes[before..].iter().position(|lobe| *lobe == Some(edited));
         let copy = same.map_or(state.lobes.len(), |number| before + number);
         if copy == MAX_SPECULAR_LOBES {

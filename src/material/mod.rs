@@ -1,16 +1,16 @@
-//! Material: diffuse albedo and blend weights on texels, base materials, and what edits make of them.
+//! Material: diffuse albedo and blend weights of texels, base materials, and edits.
 //!
 //! A texel has a [`TexelIndex`], its number in the atlas. A base material is an entity with a [`SpecularLobe`] and a number
-//! ([`BaseMaterial`]); weight k of a texel's [`SpecularBlend`] is that of base material k, wherever its entity lies.
+//! ([`BaseMaterial`]); weight k of a texel's [`SpecularBlend`] belongs to base material k, independently of the order of entities.
 //!
-//! What a fit finds is the *recovered* material; what a frame shows is made of it by the system in
-//! [`Slot::Material`](crate::pipeline::Slot::Material) and lies beside it ([`shown`]).
+//! The result of a fit is the *recovered* material. The system in [`Slot::Material`](crate::pipeline::Slot::Material) computes the
+//! *shown* material from it, in separate components ([`shown`]).
 //!
 //! | module | holds |
 //! | --- | --- |
 //! | [`shown`] | the shown material and its systems: as recovered, or edited |
 //! | [`edit`] | edits as components, and the kernel that applies them |
-//! | [`source`] | what lets a system read the recovered or the shown material |
+//! | [`source`] | traits for systems that read the recovered or the shown material |
 
 pub mod edit;
 pub mod shown;
@@ -28,10 +28,10 @@ pool_index! {
     TexelIndex("texel");
 }
 
-/// The texels as a system sees them: columns `D` in the order of [`TexelIndex`].
+/// The texels as a system parameter: columns `D` in the order of [`TexelIndex`].
 pub type Texels<'w, 's, D> = Pool<'w, 's, TexelIndex, D>;
 
-/// Number of a base material: which weight of [`SpecularBlend`] is its, 0 to [`MAX_SPECULAR_LOBES`] − 1, each once.
+/// Number of a base material, the index of its weight in [`SpecularBlend`]: 0 to [`MAX_SPECULAR_LOBES`] − 1, each at most once.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct BaseMaterial(pub u32);
 
@@ -42,7 +42,7 @@ pub struct BaseMaterial(pub u32);
 pub struct SpecularLobe {
     /// Specular albedo (reflectance at normal incidence), linear RGB in `[0, 1]`.
     pub albedo: Vec3,
-    /// The paper's roughness R in `(0, 1]`; GGX's α is R².
+    /// The paper's roughness R in `[0.03, 1]`; GGX's α is R².
     pub roughness: f32,
     /// Distribution of microfacet normals, `Sg` or `Ggx`. Default `Sg`, the paper's.
     #[serde(default)]
@@ -55,7 +55,7 @@ impl SpecularLobe {
         Self { albedo, roughness, ndf: Ndf::Sg }
     }
 
-    /// Its microfacets.
+    /// Its distribution of microfacet normals.
     pub fn facets(&self) -> Facets<f32> {
         Facets { ndf: self.ndf, roughness: self.roughness }
     }
@@ -69,13 +69,13 @@ pub struct DiffuseAlbedo(pub Vec3);
 /// Most specular lobes an object may have.
 pub const MAX_SPECULAR_LOBES: usize = 8;
 
-/// Blend weights of the base materials at a texel; they sum to at most one, and what is missing has no specular light.
+/// Blend weights of the base materials at a texel; they sum to at most one; the remainder has no specular light.
 #[derive(Component, Clone, Copy, Debug, PartialEq)]
 #[require(shown::ShownBlend)]
 pub struct SpecularBlend(pub [f32; MAX_SPECULAR_LOBES]);
 
 impl SpecularBlend {
-    /// The mean roughness of base materials (with their numbers) by these weights; 1 where there is no specular light.
+    /// The mean roughness of base materials (with their numbers) with these weights; 1 if all weights are zero.
     pub fn roughness<'a>(&self, materials: impl IntoIterator<Item = (usize, &'a SpecularLobe)>) -> f32 {
         let weighted = |(sum, total): (f32, f32), (k, lobe): (usize, &SpecularLobe)| {
             (sum + lobe.roughness * self.0[k], total + self.0[k])
@@ -84,14 +84,14 @@ impl SpecularBlend {
         if total > 0.0 { sum / total } else { 1.0 }
     }
 
-    /// The same of each of the first `count` lobes (1 to [`MAX_SPECULAR_LOBES`]).
+    /// Equal weights of the first `count` lobes (1 to [`MAX_SPECULAR_LOBES`]).
     pub fn even(count: usize) -> Self {
         Self(std::array::from_fn(|k| if k < count { 1.0 / count as f32 } else { 0.0 }))
     }
 }
 
 impl Default for SpecularBlend {
-    /// All of base material 0.
+    /// Weight 1 of base material 0.
     fn default() -> Self {
         let mut weights = [0.0; MAX_SPECULAR_LOBES];
         weights[0] = 1.0;
@@ -99,7 +99,7 @@ impl Default for SpecularBlend {
     }
 }
 
-/// Spawns the texels of an atlas, in order; both lists have one entry for each.
+/// Spawns the texels of an atlas, in order; both lists have one entry per texel.
 pub fn spawn_texels(world: &mut World, albedo: &[Vec3], blends: &[SpecularBlend]) {
     let texels = (0..).zip(albedo.iter().zip(blends));
     let texels = texels.map(|(i, (albedo, blend))| (TexelIndex(i), DiffuseAlbedo(*albedo), *blend));
@@ -115,12 +115,12 @@ pub fn spawn_materials(world: &mut World, lobes: &[SpecularLobe]) {
 /// The recovered albedo of all texels.
 ///
 /// # Errors
-/// If the pool of texels is not whole.
+/// If the pool of texels is incomplete.
 pub fn recovered_albedo(world: &mut World) -> Result<Vec<Vec3>> {
     Ok(read_column::<TexelIndex, DiffuseAlbedo>(world)?.into_iter().map(|albedo| albedo.0).collect())
 }
 
-/// The recovered base materials by number; the numbers between that nobody has are left out.
+/// The recovered base materials by number, without unused numbers.
 pub fn recovered_materials(world: &mut World) -> Vec<(usize, SpecularLobe)> {
     let mut query = world.query::<(&BaseMaterial, &SpecularLobe)>();
     let mut materials: Vec<_> = query.iter(world).map(|(number, lobe)| (number.0 as usize, *lobe)).collect();
@@ -128,7 +128,7 @@ pub fn recovered_materials(world: &mut World) -> Vec<(usize, SpecularLobe)> {
     materials
 }
 
-/// The texels' entities in the order of [`TexelIndex`], in which they should be given components, so that they stay in order.
+/// The entities of the texels in the order of [`TexelIndex`]. Insert components in this order, so that tables keep it.
 pub fn texels_in_order(world: &mut World) -> Vec<Entity> {
     let mut query = world.query::<(Entity, &TexelIndex)>();
     let mut texels: Vec<(TexelIndex, Entity)> = query.iter(world).map(|(e, index)| (*index, e)).collect();

@@ -1,12 +1,12 @@
-//! The material that a frame shows, made of the recovered one and never the other way round: there is nothing to undo.
+//! The material that a frame shows. It is computed from the recovered one, which never changes, so that edits need not be undone.
 //!
-//! The system in [`Slot::Material`](crate::pipeline::Slot::Material) writes it. To swap that system is to swap the edit:
+//! The system in [`Slot::Material`](crate::pipeline::Slot::Material) writes it. Swap that system to change the edits:
 //!
 //! | system | shows |
 //! | --- | --- |
 //! | [`show_recovered`] | the recovered material as it is |
-//! | [`show_edited`] | it with the edits of one name ([`EditName`]) applied in their order |
-//! | a system of one's own | whatever it writes into [`ShownAlbedo`], [`ShownBlend`] and [`ShownSpecular`] |
+//! | [`show_edited`] | the recovered material with the edits of one name ([`EditName`]), in their order |
+//! | your own system | what it writes into [`ShownAlbedo`], [`ShownBlend`] and [`ShownSpecular`] |
 
 use super::edit::{EditAction, EditName, EditOrder, EditRegion, EditTarget, MaterialState, apply_edit};
 use super::{BaseMaterial, DiffuseAlbedo, SpecularBlend, SpecularLobe, TexelIndex, Texels, spawn_texels};
@@ -30,19 +30,19 @@ pub struct ShownAlbedo(pub Vec3);
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
 pub struct ShownBlend(pub SpecularBlend);
 
-/// Specular lobe that a base material shows. Edits of a region make base materials that are shown only: these have no [`SpecularLobe`].
+/// Specular lobe that a base material shows. Edits of a region add base materials that exist only in the shown material; these have no [`SpecularLobe`].
 #[derive(Component, Clone, Copy, Debug, PartialEq)]
 #[require(BaseMaterial)]
 pub struct ShownSpecular(pub SpecularLobe);
 
 impl Default for ShownSpecular {
-    /// A place holder, until [`Slot::Material`](crate::pipeline::Slot::Material) has run.
+    /// A placeholder, until [`Slot::Material`](crate::pipeline::Slot::Material) has run.
     fn default() -> Self {
         Self(SpecularLobe { albedo: Vec3::ZERO, roughness: 1.0, ndf: Ndf::default() })
     }
 }
 
-/// What the shown material is made of and into.
+/// The system parameter that reads the recovered material and writes the shown one.
 #[derive(SystemParam)]
 pub struct Composition<'w, 's> {
     texels: Texels<
@@ -56,7 +56,7 @@ pub struct Composition<'w, 's> {
 }
 
 impl Composition<'_, '_> {
-    /// Writes the recovered material as `edit` makes it.
+    /// Writes the recovered material after `edit`.
     fn compose(mut self, edit: impl FnOnce(&mut MaterialState) -> Result<()>) -> SystemResult {
         let (albedo, blends, mut shown_albedo, mut shown_blends) = self.texels.columns()?;
         let mut state = MaterialState { albedo: albedo.to_vec(), blends: blends.to_vec(), lobes: Vec::new() };
@@ -81,10 +81,10 @@ impl Composition<'_, '_> {
     }
 }
 
-/// What of the recovered material makes the shown one stale.
+/// Changes of the recovered material after which the shown one is stale.
 type RecoveredChanged = Or<(Changed<DiffuseAlbedo>, Changed<SpecularBlend>, Changed<SpecularLobe>)>;
 
-/// Run condition: whether the recovered material has changed, or base materials have come or gone.
+/// Run condition: whether the recovered material has changed, or base materials have been added or removed.
 pub fn recovered_changed(
     changed: Query<(), RecoveredChanged>,
     materials: Query<Entity, With<SpecularLobe>>,
@@ -93,7 +93,7 @@ pub fn recovered_changed(
     others(&mut known, materials.iter()) || !changed.is_empty()
 }
 
-/// What of an edit changes what it does.
+/// Changes of the components of an edit.
 type EditChanged = Or<(
     Changed<EditName>,
     Changed<EditOrder>,
@@ -102,7 +102,7 @@ type EditChanged = Or<(
     Changed<EditRegion>,
 )>;
 
-/// Run condition: whether an edit has changed, come or gone.
+/// Run condition: whether an edit has changed, or edits have been added or removed.
 pub fn edits_changed(
     changed: Query<(), EditChanged>,
     edits: Query<Entity, With<EditName>>,
@@ -111,19 +111,19 @@ pub fn edits_changed(
     others(&mut known, edits.iter()) || !changed.is_empty()
 }
 
-/// Whether these are other entities than the known ones, which they become.
+/// Whether the entities differ from the known ones; replaces the known ones.
 fn others(known: &mut Vec<Entity>, now: impl Iterator<Item = Entity>) -> bool {
     let now: Vec<Entity> = now.collect();
     std::mem::replace(known, now) != *known
 }
 
-/// For [`Slot::Material`](crate::pipeline::Slot::Material): shows the recovered material; runs when that has changed.
+/// For [`Slot::Material`](crate::pipeline::Slot::Material): shows the recovered material; runs when it has changed.
 pub fn show_recovered() -> ScheduleConfigs<ScheduleSystem> {
     let system = |composition: Composition| composition.compose(|_| Ok(()));
     system.run_if(recovered_changed)
 }
 
-/// For [`Slot::Material`](crate::pipeline::Slot::Material): shows the recovered material with the edits of this name, by rising
+/// For [`Slot::Material`](crate::pipeline::Slot::Material): shows the recovered material with the edits of this name, by ascending
 /// [`EditOrder`]; runs when one of these has changed.
 pub fn show_edited(name: impl Into<String>) -> ScheduleConfigs<ScheduleSystem> {
     let name = name.into();
@@ -135,11 +135,11 @@ pub fn show_edited(name: impl Into<String>) -> ScheduleConfigs<ScheduleSystem> {
             own.try_for_each(|(.., target, action, region)| apply_edit(state, *target, action, region))
         })
     };
-    // Not short-circuited: both conditions note what they have seen.
+    // Not short-circuited, because both conditions update their state.
     system.run_if(recovered_changed.or_eager(edits_changed))
 }
 
-/// What an edit is made of.
+/// The components of an edit.
 type EditColumns =
     (&'static EditName, &'static EditOrder, &'static EditTarget, &'static EditAction, &'static EditRegion);
 
@@ -157,7 +157,7 @@ pub fn recovered_material(world: &mut World) -> Result<MaterialState> {
     Ok(state)
 }
 
-/// Spawns texels and base materials of this state, as recovered.
+/// Spawns texels and base materials with this state as the recovered material.
 pub fn spawn_material(world: &mut World, state: &MaterialState) {
     let albedo: Vec<Vec3> = state.albedo.iter().map(|albedo| albedo.0).collect();
     spawn_texels(world, &albedo, &state.blends);

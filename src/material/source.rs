@@ -1,4 +1,4 @@
-//! Which material a system reads: the one that a fit recovers, or the one that a frame shows.
+//! The material that a system reads: the recovered one of a fit, or the shown one of a frame.
 
 use super::shown::{ShownAlbedo, ShownBlend, ShownSpecular};
 use super::{
@@ -66,7 +66,7 @@ impl SpecularColumn for ShownSpecular {
     }
 }
 
-/// The components of one material among those that texels and base materials have.
+/// The component types of one material on texels and base materials.
 pub trait MaterialSource: Send + Sync + 'static {
     /// Diffuse albedo of texels.
     type Albedo: AlbedoColumn;
@@ -76,10 +76,10 @@ pub trait MaterialSource: Send + Sync + 'static {
     type Specular: SpecularColumn;
 }
 
-/// What a fit finds, or a scene gives.
+/// The recovered material: the result of a fit, or given by a scene.
 pub struct Recovered;
 
-/// What a frame shows.
+/// The shown material of a frame.
 pub struct Shown;
 
 impl MaterialSource for Recovered {
@@ -94,14 +94,14 @@ impl MaterialSource for Shown {
     type Specular = ShownSpecular;
 }
 
-/// The base materials of this run, by rising number.
+/// The base materials of this run, by ascending number.
 #[derive(Resource, Clone, Debug, Default, PartialEq)]
 pub struct BaseMaterials {
-    /// Each with its number, which is its place in the texels' blend weights.
+    /// Each with its number, which is its index in the blend weights of texels.
     pub lobes: Vec<(usize, SpecularLobe)>,
     /// Their entities.
     pub entities: Vec<Entity>,
-    /// Whether the weights matter: not where the only material is number 0 and no texel says otherwise.
+    /// Whether blend weights are used: false if the only material is number 0 and has weight 1 at every texel.
     pub blended: bool,
 }
 
@@ -117,7 +117,7 @@ impl BaseMaterials {
     }
 }
 
-/// Whether all texels show base material 0 and nothing else, as [`note_plain_blends`] has found.
+/// Whether all texels have base material 0 only; written by [`note_plain_blends`].
 #[derive(Resource)]
 pub struct PlainBlends<M: MaterialSource> {
     plain: bool,
@@ -130,7 +130,7 @@ impl<M: MaterialSource> Default for PlainBlends<M> {
     }
 }
 
-/// Run condition: whether the blend weights of a texel have changed, or texels have come or gone.
+/// Run condition: whether the blend weights of a texel have changed, or texels have been added or removed.
 pub fn blends_changed<M: MaterialSource>(
     changed: Query<(), (Changed<M::Blend>, With<TexelIndex>)>,
     texels: Query<(), (With<M::Blend>, With<TexelIndex>)>,
@@ -140,7 +140,7 @@ pub fn blends_changed<M: MaterialSource>(
     std::mem::replace(&mut *known, now) != now || !changed.is_empty()
 }
 
-/// Gather: notes whether any texel blends base materials; runs if [`blends_changed`].
+/// Gather: records whether any texel blends base materials; runs if [`blends_changed`].
 pub fn note_plain_blends<M: MaterialSource>(
     texels: Query<&M::Blend, With<TexelIndex>>,
     mut noted: ResMut<PlainBlends<M>>,
@@ -164,7 +164,7 @@ pub fn gather_materials<M: MaterialSource>(
     Ok(())
 }
 
-/// Each number once, and in range.
+/// Checks that each number is in range and occurs once.
 pub(crate) fn check_numbers(rising: impl Iterator<Item = usize>) -> Result<()> {
     let mut before = None;
     for number in rising {
@@ -183,6 +183,6 @@ pub(crate) fn check_numbers(rising: impl Iterator<Item = usize>) -> Result<()> {
 pub type TexelColumns<'w, M> =
     (Column<'w, <M as MaterialSource>::Albedo>, Column<'w, <M as MaterialSource>::Blend>);
 
-/// The texels of one material, as a system sees them.
+/// The texels of one material, as a system parameter.
 pub type MaterialTexels<'w, 's, M> =
     Texels<'w, 's, (&'static <M as MaterialSource>::Albedo, &'static <M as MaterialSource>::Blend)>;

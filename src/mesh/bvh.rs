@@ -1,7 +1,7 @@
 //! Ray casting against triangles: a bounding volume hierarchy and a watertight triangle test.
 //!
-//! The test is that of Woop, Benthin and Wald, "Watertight Ray/Triangle Intersection" (JCGT 2013): corners are moved into a ray-aligned
-//! frame, where the sign of an edge is the same for both triangles that share it, so no ray slips between them.
+//! The test is that of Woop, Benthin and Wald, "Watertight Ray/Triangle Intersection" (JCGT 2013): corners are transformed to a ray-aligned
+//! frame, where the sign of an edge is the same for both triangles that share it, so no ray passes between them.
 
 use crate::math::ray::Ray;
 use crate::mesh::triangles::Mesh;
@@ -15,19 +15,19 @@ use obvhs::cwbvh::bvh2_to_cwbvh::bvh2_to_cwbvh;
 use obvhs::ploc::PlocBuilder;
 use obvhs::ray::RayHit;
 
-/// Boxes are grown by this part of the object's radius, so that rounding in the box test never hides a triangle.
+/// Boxes are enlarged by this fraction of the object's radius, so that rounding in the box test never misses a triangle.
 const BOX_SLACK: f32 = 4e-6;
-/// The hierarchy's own unit: the object's radius is 64 to 128 of them. (The wide hierarchy ignores boxes that end within 1e-4 of the
-/// ray's start: then less than two millionths of the radius.)
+/// Largest radius of the object in units of the hierarchy; it is 64 to 128 units. (The wide hierarchy ignores boxes that end within 1e-4
+/// of the ray origin: less than two millionths of the radius.)
 const SCALED_RADIUS: f32 = 128.0;
 /// At most this many triangles in a leaf of the wide hierarchy (its format's limit; fastest in trials with 1 and 3).
 const TRIANGLES_PER_LEAF: u32 = 3;
 /// The wide hierarchy's traversal has a stack of 32 entries, one per level.
 const MAX_WIDE_DEPTH: usize = 31;
-/// Rays that start farther away than this many radii are first moved near the object.
+/// Rays that start farther away than this many radii are first moved to the object.
 const FAR_AWAY: f32 = 4.0;
 
-/// A triangle met by a ray.
+/// The hit of a ray on a triangle.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TriangleHit {
     /// Index into the mesh's triangles.
@@ -41,7 +41,7 @@ pub struct TriangleHit {
 /// A hierarchy over the triangles of a mesh.
 pub struct TriangleBvh {
     hierarchy: Hierarchy,
-    /// The hierarchy's units per world unit, a power of two, so that scaling is exact.
+    /// Units of the hierarchy per world unit, a power of two, so that scaling is exact.
     scale: f32,
     /// Corners in the order of the leaves.
     corners: Vec<[Vec3A; 3]>,
@@ -51,14 +51,14 @@ pub struct TriangleBvh {
     radius: f32,
 }
 
-/// Eight children a node with SIMD traversal; for the rare mesh that makes it too deep, two.
+/// Eight children per node with SIMD traversal; for the few meshes for which it is too deep, two.
 enum Hierarchy {
     Wide(CwBvh),
     Binary(Bvh2),
 }
 
 impl Hierarchy {
-    /// As `obvhs`'s own helpers build, but with the depth checked rather than asserted.
+    /// Like the helpers of `obvhs`, but with a check of the depth instead of an assertion.
     fn new(boxes: &[Aabb]) -> Self {
         let binary = binary_hierarchy(boxes);
         let wide = bvh2_to_cwbvh(&binary, TRIANGLES_PER_LEAF, true, false);
@@ -73,7 +73,7 @@ impl Hierarchy {
         }
     }
 
-    /// The entry for which `meet` gave the smallest distance, and that distance.
+    /// The entry with the smallest distance by `meet`, and that distance.
     #[inline(always)]
     fn nearest(
         &self,
@@ -88,7 +88,7 @@ impl Hierarchy {
         (hit.primitive_id as usize, hit.t)
     }
 
-    /// Whether `meet` gives any entry a distance before the ray's end.
+    /// Whether `meet` returns a distance before the end of the ray for any entry.
     #[inline(always)]
     fn any(&self, ray: obvhs::ray::Ray, meet: impl FnMut(&obvhs::ray::Ray, usize) -> f32) -> bool {
         match self {
@@ -97,7 +97,7 @@ impl Hierarchy {
         }
     }
 
-    /// Calls `visit` for every entry whose box the ray meets.
+    /// Calls `visit` for every entry whose box the ray intersects.
     fn each(&self, ray: obvhs::ray::Ray, visit: impl FnMut(&obvhs::ray::Ray, usize)) {
         match self {
             Self::Wide(bvh) => bvh.ray_traverse_anyhit(ray, visit),
@@ -106,7 +106,7 @@ impl Hierarchy {
     }
 }
 
-/// Two children a node; leaves are the numbers of the boxes.
+/// Two children per node; leaves are the indices of the boxes.
 pub(super) fn binary_hierarchy(boxes: &[Aabb]) -> Bvh2 {
     let settings = BvhBuildParams::medium_build();
     let mut binary = PlocBuilder::with_capacity(boxes.len()).build(
@@ -133,10 +133,10 @@ fn depth(bvh: &CwBvh) -> usize {
     deepest
 }
 
-/// The box of a triangle in the hierarchy's units, grown by `slack` (one to two times).
+/// The box of a triangle in units of the hierarchy, enlarged by one to two times `slack`.
 ///
-/// Boxes of equal size would make the builder pair them one at a time, in quadratic time and depth; growing each by a little of
-/// its own, a hash of its index, breaks the ties.
+/// For boxes of equal size the builder pairs them one at a time, in quadratic time and depth. A different enlargement of each box,
+/// by a hash of its index, avoids these ties.
 fn leaf_box(index: usize, corners: [Vec3; 3], scale: f32, slack: f32) -> Aabb {
     let [a, b, c] = corners.map(Vec3A::from);
     let hash = (index as u32).wrapping_mul(0x9e37_79b9).rotate_left(15).wrapping_mul(0x85eb_ca6b) >> 8;
@@ -144,13 +144,13 @@ fn leaf_box(index: usize, corners: [Vec3; 3], scale: f32, slack: f32) -> Aabb {
     Aabb::new((a.min(b).min(c) - slack) * scale, (a.max(b).max(c) + slack) * scale)
 }
 
-/// The boxes of all triangles, `scale` to a world unit, for a mesh within `radius` of `center`.
+/// The boxes of all triangles, `scale` units per world unit, for a mesh within `radius` of `center`.
 pub(super) fn leaf_boxes(mesh: &Mesh, center: Vec3, radius: f32, scale: f32) -> Vec<Aabb> {
     let slack = BOX_SLACK * (radius + center.abs().max_element());
     (0..mesh.triangles.len()).map(|t| leaf_box(t, mesh.corners(t), scale, slack)).collect()
 }
 
-/// Centre of the box around the triangles, and the greatest distance of a corner from it.
+/// Center of the box around the triangles, and the greatest distance of a corner from it.
 pub(super) fn bounding_sphere(mesh: &Mesh) -> (Vec3, f32) {
     let (low, high) = mesh.bounds().unwrap_or_default();
     let center = low.midpoint(high);
@@ -179,13 +179,13 @@ impl RayFrame {
         Self { origin: origin.into(), matrix }
     }
 
-    /// Distance along the ray and corner weights, if the line meets the triangle (borders included).
+    /// Distance along the ray and corner weights, if the line intersects the triangle (borders included).
     #[inline(always)]
     fn meet(&self, corners: &[Vec3A; 3]) -> Option<(f32, [f32; 3])> {
         let [a, b, c] = corners.map(|corner| self.matrix * (corner - self.origin));
         let (mut u, mut v, mut w) = (c.x * b.y - c.y * b.x, a.x * c.y - a.y * c.x, b.x * a.y - b.y * a.x);
         if u == 0.0 || v == 0.0 || w == 0.0 {
-            // On an edge as far as f32 can tell: products of two f32 are exact in f64.
+            // On an edge up to f32 precision: products of two f32 are exact in f64.
             let cross = |p: Vec3A, q: Vec3A| {
                 (f64::from(p.x) * f64::from(q.y) - f64::from(p.y) * f64::from(q.x)) as f32
             };
@@ -215,7 +215,7 @@ impl TriangleBvh {
         Self { hierarchy, scale, corners, triangles, center, radius }
     }
 
-    /// Centre and radius of a sphere around all triangles, world units.
+    /// Center and radius of a sphere around all triangles, world units.
     pub fn bounding_sphere(&self) -> (Vec3, f32) {
         (self.center, self.radius)
     }
@@ -246,7 +246,7 @@ impl TriangleBvh {
         })
     }
 
-    /// How many triangles the ray crosses (one that passes exactly through a shared edge counts both sides).
+    /// How many triangles the ray crosses (a ray exactly through a shared edge crosses both triangles).
     pub fn count_crossings(&self, ray: &Ray) -> usize {
         let Some((frame, query, skipped)) = self.prepare(ray, f32::INFINITY) else { return 0 };
         let mut crossings = 0;
@@ -257,7 +257,7 @@ impl TriangleBvh {
         crossings
     }
 
-    /// The ray in the two forms that traversal needs, moved forward by the returned distance if it starts far away.
+    /// The ray in the two forms for traversal, moved forward by the returned distance if it starts far away.
     fn prepare(&self, ray: &Ray, max_distance: f32) -> Option<(RayFrame, obvhs::ray::Ray, f32)> {
         let usable = ray.origin.is_finite() && ray.direction.is_finite() && ray.direction != Vec3::ZERO;
         if !usable || max_distance.is_nan() {

@@ -9,10 +9,10 @@ use rayon::prelude::*;
 /// Points taken on each surface.
 const SAMPLES: usize = 100_000;
 
-/// The mean of the two directed mean distances, in the meshes' own unit: from points spread evenly over each surface to the nearest
-/// point of the other's triangles, exactly.
+/// The mean of the two directed mean distances, in the unit of the meshes: exact distances from points distributed uniformly over each
+/// surface to the nearest point of the other mesh.
 ///
-/// The same meshes and seed give the same bits. `None` if a mesh has no area.
+/// The same meshes and seed give the same bits. `None` if a mesh has zero area.
 pub fn chamfer_distance(a: &Mesh, b: &Mesh, seed: u64) -> Option<f64> {
     Some(0.5 * (directed(a, b, seed)? + directed(b, a, seed.wrapping_add(1))?))
 }
@@ -25,7 +25,7 @@ fn directed(from: &Mesh, onto: &Mesh, seed: u64) -> Option<f64> {
     Some(distances?.into_iter().map(f64::from).sum::<f64>() / SAMPLES as f64)
 }
 
-/// `count` points on the surface, one at random in each of as many parts of equal area; `None` if there is no area.
+/// `count` points on the surface, one at random in each of `count` parts of equal area; `None` if the area is zero.
 fn spread_points(mesh: &Mesh, count: usize, seed: u64) -> Option<Vec<Vec3>> {
     let total = mesh.area();
     if !(total > 0.0 && total.is_finite()) {

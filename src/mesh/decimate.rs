@@ -1,26 +1,26 @@
-//! Fewer triangles: edges are collapsed where the surface changes least.
+//! Mesh simplification: edges are collapsed where the surface changes least.
 //!
-//! Garland and Heckbert, "Surface Simplification Using Quadric Error Metrics" (SIGGRAPH 1997): a vertex carries the sum of the squared
-//! distances to the planes of the triangles that it stands for; an edge becomes the point where the sum of both ends' is least, cheapest
-//! edges first. A collapse that would change the topology or turn a triangle over is refused, so that a closed manifold stays one.
+//! Garland and Heckbert, "Surface Simplification Using Quadric Error Metrics" (SIGGRAPH 1997): a vertex has the sum of the squared
+//! distances to the planes of the triangles that it represents; an edge collapses to the point where the sum of both ends is smallest,
+//! cheapest edges first. Collapses that change the topology or flip a triangle are not made, so that a closed manifold stays one.
 
 use crate::mesh::triangles::Mesh;
 use glam::{DMat3, DVec3};
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BinaryHeap};
 
-/// Weight of staying near the old vertices beside staying in the old planes: it settles where a point goes in a plane or along an edge,
-/// and is too small to matter elsewhere.
+/// Weight of the distance to the old vertices, relative to that of the old planes: it determines the position in a plane or along an edge,
+/// and is negligible elsewhere.
 const STAY: f64 = 1e-5;
-/// Weight of the planes that keep a border where it is.
+/// Weight of the planes that preserve a border.
 const BORDER: f64 = 10.0;
-/// A collapse may turn a triangle by no more than this cosine.
+/// Least cosine between the normals of a triangle before and after a collapse.
 const MIN_TURN: f64 = 0.2;
-/// Nor may it leave a triangle lower than this part of its longest side.
+/// Least height of a triangle after a collapse, relative to its longest side.
 const MIN_HEIGHT: f64 = 1e-3;
 
-/// The mesh with about `target` triangles (or as few as can be), vertices at one position joined, with smooth normals and without
-/// texture coordinates. A mesh that has no more to begin with loses only its coordinates. Deterministic.
+/// The mesh with about `target` triangles (or as few as possible), with merged vertices, smooth normals and without texture
+/// coordinates. A mesh with at most `target` triangles only loses its texture coordinates. Deterministic.
 pub fn decimate(mesh: &Mesh, target: usize) -> Mesh {
     let mut collapser = Collapser::new(mesh);
     while collapser.alive > target && collapser.round(target) {}
@@ -56,13 +56,13 @@ impl Quadric {
         (p.dot(self.a * p) + 2.0 * self.b.dot(p) + self.c).max(0.0)
     }
 
-    /// Where the sum is least; every vertex has a [`STAY`] part, so that there is one such place.
+    /// The minimum; every vertex has a [`STAY`] part, so that it is unique.
     fn least(&self) -> DVec3 {
         -(self.a.inverse() * self.b)
     }
 }
 
-/// An edge to collapse: cost (the bits of a number not below 0 sort like it), its ends, and the sum of their stamps when it was put here.
+/// An edge to collapse: cost (the bits of a non-negative number sort like the number), its ends, and the sum of their stamps at insertion.
 type Candidate = Reverse<(u64, u32, u32, u32)>;
 
 struct Collapser {
@@ -74,9 +74,9 @@ struct Collapser {
     around: Vec<Vec<u32>>,
     /// Whether a vertex is on an edge that does not have exactly two triangles.
     border: Vec<bool>,
-    /// Counts the changes of each vertex, so that outdated candidates are known.
+    /// Number of changes of each vertex, which identifies outdated candidates.
     stamps: Vec<u32>,
-    /// Triangles that are left.
+    /// Number of remaining triangles.
     alive: usize,
 }
 
@@ -102,7 +102,7 @@ impl Collapser {
         new
     }
 
-    /// Fills in what each triangle brings to its corners, and the borders.
+    /// Adds the quadrics of all triangles to their corners, and those of borders.
     fn measure(&mut self) {
         let mut edges: BTreeMap<(u32, u32), (u32, u32)> = BTreeMap::new();
         for (t, triangle) in self.triangles.iter().enumerate() {
@@ -125,7 +125,7 @@ impl Collapser {
         }
     }
 
-    /// Keeps a border where it is by the plane through it that stands upright on its triangle.
+    /// Adds the plane through a border edge perpendicular to its triangle.
     fn hold_border(&mut self, from: usize, to: usize, triangle: u32) {
         let [a, b, c] = self.triangles[triangle as usize].map(|vertex| self.positions[vertex as usize]);
         let edge = self.positions[to] - self.positions[from];
@@ -137,7 +137,7 @@ impl Collapser {
         }
     }
 
-    /// Collapses edges until `target` triangles are left or no edge may go; whether any went.
+    /// Collapses edges until `target` triangles are left or no collapse is allowed; returns whether any was made.
     fn round(&mut self, target: usize) -> bool {
         let mut heap = BinaryHeap::new();
         for from in 0..self.positions.len() as u32 {
@@ -170,7 +170,7 @@ impl Collapser {
         found
     }
 
-    /// Moves `a` to the best place for both and puts it in the place of `b`, if that is allowed.
+    /// Moves `a` to the best position for both and replaces `b` by it, if that is allowed.
     fn collapse(&mut self, a: u32, b: u32) -> bool {
         let (from, gone) = (a as usize, b as usize);
         let shared: Vec<u32> =
@@ -200,8 +200,8 @@ impl Collapser {
         true
     }
 
-    /// The link condition: the ends have no more neighbours in common than the edge has triangles, one or two, and no third corner
-    /// loses the triangles that it needs.
+    /// The link condition: the ends have no more common neighbors than the edge has triangles, one or two, and no third corner
+    /// loses triangles that it needs.
     fn keeps_topology(&self, a: u32, b: u32, shared: &[u32]) -> bool {
         let on_border = shared.len() == 1;
         let both = self.border[a as usize] && self.border[b as usize];
@@ -215,7 +215,7 @@ impl Collapser {
         common.len() == shared.len() && common.iter().all(|&v| self.around[v as usize].len() > needs(v))
     }
 
-    /// Whether the triangles that stay keep their side and some height when `a` and `b` go to `place`.
+    /// Whether the remaining triangles keep their orientation and some height when `a` and `b` move to `place`.
     fn keeps_sides(&self, a: u32, b: u32, place: DVec3) -> bool {
         let staying = self.around[a as usize].iter().chain(&self.around[b as usize]);
         staying.map(|&t| self.triangles[t as usize]).all(|triangle| {
@@ -257,7 +257,7 @@ mod tests {
     use glam::Vec3;
     use std::collections::BTreeSet;
 
-    /// Every edge has a triangle on each side; Euler's number.
+    /// Checks that every edge has a triangle on each side; returns the Euler characteristic.
     #[track_caller]
     fn check_closed(mesh: &Mesh) -> i64 {
         let edges = mesh.triangles.iter().flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a)]);

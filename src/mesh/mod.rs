@@ -1,6 +1,6 @@
 //! Surfaces: meshes, primitives, ray casting and the texel atlas.
 //!
-//! A mesh comes from a file ([`codec::gltf`](crate::codec::gltf)) or a formula ([`primitive`]), gets texture coordinates ([`atlas::unwrap_mesh`]) and becomes a
+//! A mesh comes from a file ([`codec::gltf`](crate::codec::gltf)) or from [`primitive`], gets texture coordinates ([`atlas::unwrap_mesh`]) and becomes a
 //! [`Surface`]: a resource that answers rays with positions, normals and texel addresses.
 //!
 //! | parameter | type | unit | default | meaning |
@@ -8,7 +8,7 @@
 //! | `texture_size` | `u32` | texels | none | side of the square atlas, 1 to 16384 |
 //! | mesh | [`triangles::Mesh`] | world units | none | triangles with normals and texture coordinates |
 //!
-//! There is no plugin here: a surface is made once, before a run, and put into the world as a resource; the Trace stage reads it
+//! There is no plugin here: a surface is built once, before a run, and inserted into the world as a resource; the Trace stage reads it
 //! through [`Intersect`].
 
 pub mod atlas;
@@ -45,14 +45,14 @@ pub struct Surface {
 
 impl Surface {
     /// Builds the atlas (`texture_size`² texels) and the hierarchy of a mesh that has texture coordinates
-    /// ([`atlas::unwrap_mesh`] makes them).
+    /// (from [`atlas::unwrap_mesh`]).
     ///
     /// # Errors
     /// [`Error::Usage`] for a texture size out of range; [`Error::Run`] for a mesh without triangles or texture coordinates, with
-    /// degenerate triangles, with arrays that disagree, or that is not finite.
+    /// degenerate triangles, with arrays of different lengths, or that is not finite.
     pub fn new(mesh: Mesh, texture_size: u32) -> Result<Self> {
         if !(1..=MAX_TEXTURE_SIZE).contains(&texture_size) {
-            let problem = format!("a texture of {texture_size} texels a side cannot be made");
+            let problem = format!("the texture size {texture_size} is out of range");
             return Err(Error::usage(problem, format!("choose a size from 1 to {MAX_TEXTURE_SIZE}")));
         }
         check(&mesh).map_err(|problem| Error::run("making a surface", problem))?;
@@ -72,14 +72,14 @@ impl Surface {
         &self.atlas
     }
 
-    /// Centre and radius of a sphere around the surface, world units.
+    /// Center and radius of a sphere around the surface, world units.
     pub fn bounding_sphere(&self) -> (Vec3, f32) {
         self.bvh.bounding_sphere()
     }
 
     /// Whether `point` is enclosed by the surface: most of five rays from it cross an odd number of triangles.
     ///
-    /// For an open mesh this says whether the point is inside as far as the mesh is closed.
+    /// For an open mesh the result is meaningful only where the mesh is nearly closed.
     pub fn is_inside(&self, point: Vec3) -> bool {
         const DIRECTIONS: [[f32; 3]; 5] = [
             [0.3127, 0.8419, 0.4397],
@@ -95,12 +95,12 @@ impl Surface {
         odd.count() >= 3
     }
 
-    /// The nearest triangle that a ray meets beyond `min_distance`.
+    /// The nearest hit of a ray beyond `min_distance`.
     pub fn nearest(&self, ray: &Ray, min_distance: f32) -> Option<TriangleHit> {
         self.bvh.nearest(ray, min_distance)
     }
 
-    /// What is at a point that was found on this surface's own mesh.
+    /// The surface point of a hit on this surface's mesh.
     pub fn hit(&self, found: TriangleHit) -> Hit {
         let triangle = found.triangle as usize;
         let corners = self.mesh.triangles[triangle].map(|v| v as usize);
@@ -140,7 +140,9 @@ fn check(mesh: &Mesh) -> std::result::Result<(), String> {
     let Some(uvs) = &mesh.uvs else { return Err("the mesh has no texture coordinates".to_owned()) };
     if mesh.normals.len() != count || uvs.len() != count {
         let (normals, uvs) = (mesh.normals.len(), uvs.len());
-        return Err(format!("{count} positions, {normals} normals and {uvs} texture coordinates disagree"));
+        return Err(format!(
+            "the mesh has {count} positions, {normals} normals and {uvs} texture coordinates; these must be equal"
+        ));
     }
     if mesh.triangles.is_empty() {
         return Err("the mesh has no triangles".to_owned());
@@ -156,7 +158,7 @@ fn check(mesh: &Mesh) -> std::result::Result<(), String> {
     let far = |v: usize| mesh.positions[v].abs().max_element() > MAX_COORDINATE;
     if let Some(bad) = (0..count).find(|&vertex| far(vertex)) {
         let at = mesh.positions[bad];
-        return Err(format!("vertex {bad} is at {at}: no coordinate may be beyond {MAX_COORDINATE:e}"));
+        return Err(format!("vertex {bad} is at {at}: coordinates must be at most {MAX_COORDINATE:e}"));
     }
     match (0..mesh.triangles.len()).find(|&t| mesh.is_degenerate(t)) {
         Some(bad) => Err(format!("triangle {bad} has no area (drop degenerate triangles first)")),

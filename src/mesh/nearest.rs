@@ -6,7 +6,7 @@ use glam::{Vec3, Vec3A};
 use obvhs::aabb::Aabb;
 use obvhs::bvh2::Bvh2;
 
-/// A hierarchy over the triangles of a mesh, to be asked for nearest points.
+/// A hierarchy over the triangles of a mesh, for nearest-point queries.
 pub struct NearestTriangle {
     bvh: Bvh2,
     corners: Vec<[Vec3A; 3]>,

@@ -13,7 +13,7 @@ const BOX_GUTTER: f32 = 1.0 / 64.0;
 
 /// A smooth sphere with exact normals and latitude-longitude texture coordinates.
 ///
-/// The top row of the texture is around +Y and u runs like an environment map's: direction of (u, v) =
+/// The top row of the texture is around +Y and u is as in an environment map: direction of (u, v) =
 /// (cos θ sin φ, cos φ, sin θ sin φ), φ = πv, θ = 2πu − π/2. Vertices are on the sphere; the flat triangles lie up to 3e-4 of the radius
 /// inside it.
 ///
@@ -22,7 +22,7 @@ const BOX_GUTTER: f32 = 1.0 / 64.0;
 pub fn sphere_mesh(center: Vec3, radius: f32) -> Result<Mesh> {
     if !(center.is_finite() && radius.is_finite() && radius > 0.0) {
         return Err(Error::usage(
-            format!("a sphere of radius {radius} around {center} is no surface"),
+            format!("a sphere of radius {radius} around {center} is not a surface"),
             "the radius must be positive and all numbers finite",
         ));
     }
@@ -30,7 +30,7 @@ pub fn sphere_mesh(center: Vec3, radius: f32) -> Result<Mesh> {
     for row in 0..=SPHERE_ROWS {
         let at_pole = row == 0 || row == SPHERE_ROWS;
         for column in 0..=SPHERE_COLUMNS {
-            // A pole is one vertex per column, in the middle of its triangle.
+            // A pole has one vertex per column, in the middle of its triangle in u.
             let shift = if at_pole { 0.5 } else { 0.0 };
             let uv = Vec2::new(
                 ((column as f32 + shift) / SPHERE_COLUMNS as f32).min(1.0),
@@ -58,7 +58,7 @@ pub fn sphere_mesh(center: Vec3, radius: f32) -> Result<Mesh> {
     Ok(mesh)
 }
 
-/// The unit direction of grid point (`row`, `column`); first and last column, and all columns of a pole, agree bit for bit.
+/// The unit direction of grid point (`row`, `column`); first and last column, and all columns of a pole, are identical.
 fn sphere_direction(row: u32, column: u32) -> Vec3 {
     use std::f64::consts::PI;
     if row == 0 {
@@ -82,7 +82,7 @@ fn sphere_direction(row: u32, column: u32) -> Vec3 {
 pub fn box_mesh(center: Vec3, size: Vec3) -> Result<Mesh> {
     if !(center.is_finite() && size.is_finite() && size.min_element() > 0.0) {
         return Err(Error::usage(
-            format!("a box of size {size} around {center} is no surface"),
+            format!("a box of size {size} around {center} is not a surface"),
             "all three sides must be positive and all numbers finite",
         ));
     }
@@ -147,7 +147,7 @@ mod tests {
         assert_eq!(mesh.clone().drop_degenerate_triangles(), 0);
         for t in 0..mesh.triangles.len() {
             let [a, b, c] = mesh.corners(t);
-            // The deepest point of a chord triangle is nearest the centre: its circumcentre or the middle of an edge.
+            // The deepest point of a chord triangle is nearest the center: its circumcenter or the middle of an edge.
             for point in [(a + b) / 2.0, (b + c) / 2.0, (c + a) / 2.0, (a + b + c) / 3.0] {
                 let error = ((point - center).length() - radius).abs() / radius;
                 assert!(error < 4e-4, "{error}");

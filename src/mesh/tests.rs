@@ -149,7 +149,7 @@ fn a_hit_carries_interpolated_attributes() {
     let mut rng = StdRng::seed_from_u64(2);
     for k in 0..2_000 {
         let outwards = unit_vector(&mut rng);
-        // Radial rays from outside and from the centre: the normal is the outer one in both.
+        // Radial rays from outside and from the center: the normal is the outer one in both.
         let ray = if k % 2 == 0 {
             Ray { origin: center + outwards * 10.0, direction: -outwards }
         } else {
@@ -271,7 +271,7 @@ fn unusable_meshes_are_refused() {
     assert!(changed(&|m| m.triangles.clear()).contains("no triangles"));
     assert!(changed(&|m| m.triangles[2][1] = 99).contains("vertex 99"));
     assert!(changed(&|m| m.positions[5].x = f32::NAN).contains("vertex 5 is not finite"));
-    assert!(changed(&|m| m.normals.truncate(3)).contains("disagree"));
+    assert!(changed(&|m| m.normals.truncate(3)).contains("must be equal"));
     assert!(changed(&|m| m.triangles[3] = [1, 1, 2]).contains("triangle 3 has no area"));
     assert!(changed(&|m| m.positions[5].x = 1e20).contains("vertex 5 is at"));
     for size in [0, MAX_TEXTURE_SIZE + 1] {

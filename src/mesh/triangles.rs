@@ -34,7 +34,7 @@ impl Mesh {
         Some(points.fold((first, first), |(low, high), p| (low.min(p), high.max(p))))
     }
 
-    /// Area-weighted mean position of the surface; the plain mean of the corners where the area is zero.
+    /// Area-weighted mean position of the surface; the mean of the corners if the area is zero.
     pub fn centroid(&self) -> Vec3 {
         let (mut weighted, mut area, mut plain) = (DVec3::ZERO, 0.0, DVec3::ZERO);
         for triangle in 0..self.triangles.len() {
@@ -62,7 +62,7 @@ impl Mesh {
         let longest_squared =
             (0..3).map(|edge| (corners[(edge + 1) % 3] - corners[edge]).length_squared()).fold(0.0, f64::max);
         let doubled_area = doubled_area_vector(corners).length();
-        // Written so that NaN counts as degenerate too.
+        // In this form NaN counts as degenerate.
         let usable = doubled_area > DEGENERATE_HEIGHT * longest_squared;
         !usable
     }
@@ -75,7 +75,7 @@ impl Mesh {
         before - self.triangles.len()
     }
 
-    /// Area-weighted face normals summed at every vertex, vertices at the same position sharing one sum, normalised.
+    /// Area-weighted face normals summed at every vertex, vertices at the same position sharing one sum, normalized.
     ///
     /// Vertices without a face (or whose faces cancel) get +Y.
     pub fn smooth_normals(&self) -> Vec<Vec3> {
@@ -92,7 +92,7 @@ impl Mesh {
             .collect()
     }
 
-    /// Replaces zero, non-finite and missing normals by smooth ones and brings the rest to unit length.
+    /// Replaces zero, non-finite and missing normals by smooth ones and normalizes the rest.
     ///
     /// Normals within 1e-5 of unit length keep their bits. Returns how many were replaced.
     pub fn repair_normals(&mut self) -> usize {
@@ -113,7 +113,7 @@ impl Mesh {
         replaced
     }
 
-    /// For each vertex the first vertex at bit-identical position (−0 equals 0).
+    /// For each vertex, the first vertex at the identical position (−0 equals 0).
     pub fn welded_vertices(&self) -> Vec<u32> {
         let mut first_at = HashMap::with_capacity(self.positions.len());
         (0..self.positions.len() as u32)
@@ -142,7 +142,7 @@ fn doubled_area_vector(corners: [DVec3; 3]) -> DVec3 {
 mod tests {
     use super::*;
 
-    /// A unit right triangle in the plane z = 0, plus its copy with own vertices folded up along x.
+    /// A unit right triangle in the plane z = 0, and a copy with separate vertices, folded up along x.
     fn folded() -> Mesh {
         Mesh {
             positions: vec![Vec3::ZERO, Vec3::X, Vec3::Y, Vec3::new(-0.0, 0.0, 0.0), Vec3::Z, Vec3::X],

@@ -1,4 +1,4 @@
-//! From a scene file's edits to edit entities.
+//! Conversion of the edits of a scene file to edit entities.
 
 use crate::codec::texture::{read_texture, read_texture_mask};
 use crate::error::Result;
@@ -11,10 +11,10 @@ use crate::scene::{ColorAction, DiffuseAction, Edit, Region, ScalarAction};
 use bevy_ecs::prelude::{Entity, World};
 use glam::Vec3;
 
-/// One edit, resolved for the texels of a surface.
+/// One edit, evaluated for the texels of a surface.
 type ResolvedEdit = (EditTarget, EditAction, EditRegion);
 
-/// Puts edits into the world under a name, in place of those that have it.
+/// Spawns edits with a name; replaces the edits that have it already.
 ///
 /// # Errors
 /// If an image cannot be read.
@@ -81,7 +81,7 @@ fn scalar_action(action: &ScalarAction) -> EditAction {
     }
 }
 
-/// The numbers of the edits, from 0, whose region holds no texel of the surface.
+/// The indices of the edits, from 0, whose region contains no texel of the surface.
 ///
 /// # Errors
 /// If a mask cannot be read.
@@ -97,7 +97,7 @@ pub fn edits_of_nothing(edits: &[Edit], surface: &Surface) -> Result<Vec<usize>>
     Ok(numbers)
 }
 
-/// The weight of each texel; `None` is everywhere.
+/// The weight of each texel; `None` means 1 everywhere.
 fn region_weights(region: &Region, atlas: &TexelAtlas) -> Result<Option<Vec<f32>>> {
     let each = |depth: &dyn Fn(Vec3) -> f32, falloff: f32| {
         Some(atlas.position.iter().map(|p| weight_at(depth(*p), falloff)).collect::<Vec<f32>>())
@@ -112,7 +112,7 @@ fn region_weights(region: &Region, atlas: &TexelAtlas) -> Result<Option<Vec<f32>
     })
 }
 
-/// The weight at a depth below the region's wall: 0 outside, 1 from `falloff` on, smooth between.
+/// The weight at a depth inside the boundary of the region: 0 outside, 1 from `falloff` on, smooth between.
 fn weight_at(depth: f32, falloff: f32) -> f32 {
     if depth < 0.0 {
         return 0.0;

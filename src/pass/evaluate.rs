@@ -1,6 +1,6 @@
-//! The `Evaluate` pass: earlier passes against the truth, in linear light, masks eroded by one pixel.
+//! The `Evaluate` pass: scores earlier passes against ground truth, in linear light, with masks eroded by one pixel.
 //!
-//! Predictions are read back from the EXRs that the passes wrote, so that what is scored is what a person gets.
+//! Predictions are read from the EXR files that the passes wrote, so that the scores apply to the written files.
 
 use crate::codec::frame::{Frame, read_frame};
 use crate::codec::gltf::import::read_mesh;
@@ -30,14 +30,14 @@ struct ScoredView {
     albedo: Vec<Vec3>,
     normal: Vec<Vec3>,
     coverage: Vec<f32>,
-    /// Of the object as rendered with the view's mask, if it has one.
+    /// Intersection over union of the rendered object and the mask of the view, if it has one.
     mask_iou: Option<f64>,
 }
 
 /// Runs the pass.
 ///
 /// # Errors
-/// If a prediction or a truth is missing or does not fit.
+/// If a prediction or a ground truth is missing or has the wrong size.
 pub fn run(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
     let mut rows = Vec::new();
     for (i, score) in pass.scores.iter().enumerate() {
@@ -77,7 +77,7 @@ pub fn run(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
     Ok(())
 }
 
-/// The views that a pass rendered, as the scene file says.
+/// The views that a pass rendered, by the scene file.
 fn views_of(session: &mut Session, pass: &str) -> Result<Vec<ChosenView>> {
     let settings = session.scene.passes.iter().find(|p| p.name() == pass).and_then(Pass::render);
     let choice: &ViewChoice = &settings
@@ -105,7 +105,7 @@ fn scored_view(session: &mut Session, pass: &str, view: &ChosenView, truth: Vec<
     if truth.len() != frame.color.len() || coverage.len() != frame.color.len() {
         return Err(Error::run(
             format!("{pass}, view {}", view.stem),
-            format!("the truth has {} pixels, the prediction {} × {}", truth.len(), size[0], size[1]),
+            format!("the ground truth has {} pixels, the prediction {} × {}", truth.len(), size[0], size[1]),
         ));
     }
     let eval = EvalView {
@@ -156,23 +156,23 @@ fn true_images(session: &mut Session, score: &Score, views: &[ChosenView]) -> Re
     }
 }
 
-/// The file of a view's true image: the first kind that is there, an EXR if none is.
+/// The file of the ground truth of a view: the first format that exists, EXR if none does.
 pub fn true_image_path(folder: &Path, name: &str) -> PathBuf {
     let of_kind = |kind: &str| folder.join(format!("{name}.{kind}"));
     let found = IMAGE_EXTENSIONS.iter().map(|kind| of_kind(kind)).find(|path| path.is_file());
     found.unwrap_or_else(|| of_kind("exr"))
 }
 
-/// The file of a view's true albedo or normals: `albedo_003.exr` for the view `003`, `r_003` or `test_003`.
+/// The file of the ground-truth albedo or normals of a view: `albedo_003.exr` for the view `003`, `r_003` or `test_003`.
 pub fn true_layer_path(folder: &Path, layer: &str, view: &str) -> PathBuf {
     let number = view.rsplit('_').next().unwrap_or(view);
     folder.join(format!("{layer}_{number}.exr"))
 }
 
-/// The pixels of an image that is the truth of a view. Where views were downscaled on reading, so is their truth.
+/// The pixels of the ground-truth image of a view. If views are downscaled on reading, so is their ground truth.
 ///
 /// # Errors
-/// [`Error::Input`] if the image cannot be read or does not fit the view.
+/// [`Error::Input`] if the image cannot be read or its size does not match the view.
 pub fn read_fitting(path: &Path, gamma: Gamma, camera: &Camera) -> Result<Vec<Vec3>> {
     let image = read_image(path, gamma)?.image;
     let factor = image.width / camera.width.max(1);
@@ -188,7 +188,7 @@ pub fn read_fitting(path: &Path, gamma: Gamma, camera: &Camera) -> Result<Vec<Ve
     Err(Error::input(path, "", problem, help))
 }
 
-/// The true object under the pass's own light and edits.
+/// The true object under the light and edits of the pass.
 fn self_made(session: &mut Session, pass: &str, views: &[ChosenView], spp: u32) -> Result<Vec<Vec<Vec3>>> {
     let found = session.scene.passes.iter().find(|p| p.name() == pass);
     let edits = found.map_or(&[] as &[_], Pass::edits);
@@ -197,14 +197,14 @@ fn self_made(session: &mut Session, pass: &str, views: &[ChosenView], spp: u32) 
     let bar = session.progress.bar("truth", cameras.len() as u64);
     let seed = session.scene.seed.wrapping_add(1_000_003);
     let Some(truth) = &mut session.truth else {
-        return Err(Error::run(pass, "only Photographed views have a true object of their own"));
+        return Err(Error::run(pass, "only `Photographed` views have a true object"));
     };
     let frames = truth.pictures(&cameras, light, edits, spp, seed, || bar.inc(1))?;
     bar.finish_and_clear();
     Ok(frames.into_iter().map(|frame| frame.color).collect())
 }
 
-/// True albedo or normals of the views of a score.
+/// Ground-truth albedo or normals of the views of a score.
 fn true_layers(
     session: &mut Session,
     views: &[ScoredView],
@@ -223,7 +223,7 @@ fn true_layers(
             let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
             let seed = session.scene.seed;
             let Some(object) = &mut session.truth else {
-                return Err(Error::run(layer, "only Photographed views have a true object of their own"));
+                return Err(Error::run(layer, "only `Photographed` views have a true object"));
             };
             let frames = object.pictures(&cameras, None, &[], 16, seed, || ())?;
             let pick = |f: Frame| if layer == "albedo" { f.albedo } else { f.normal };
@@ -258,7 +258,7 @@ fn layer_pairs<'a>(
     .collect()
 }
 
-/// A few views: prediction, truth, error.
+/// A few views: prediction, ground truth, error.
 fn sheet_row(pass: &str, views: &[ScoredView], scores: &PassScores) -> Result<SheetRow> {
     let factor = factor_for(scores.psnr);
     let mut cells = Vec::new();

@@ -19,20 +19,20 @@ use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-/// What is exported: a surface, the albedo of its texels, and one specular lobe, of which the roughness may vary.
+/// The exported object: a surface, the albedo of its texels, and one specular lobe, whose roughness may vary.
 struct Object {
     surface: Arc<Surface>,
     albedo: Vec<Vec3>,
-    /// The only one, or the mean of several over the surface.
+    /// The specular lobe, or the mean of several over the surface.
     specular: SpecularLobe,
-    /// Of each texel, if there are several lobes.
+    /// Roughness of each texel, if there are several lobes.
     roughness: Option<Vec<f32>>,
 }
 
 /// Writes the object in the formats that the pass names.
 ///
 /// # Errors
-/// If the object cannot be unwrapped anew, or a file cannot be written.
+/// If the object cannot be unwrapped, or a file cannot be written.
 pub fn run(session: &mut Session, pass: &ExportPass) -> Result<()> {
     let mut object = object(session, pass.of.as_deref())?;
     if let Some(target) = pass.triangles.filter(|&n| (n as usize) < object.surface.mesh().triangles.len()) {
@@ -45,7 +45,7 @@ pub fn run(session: &mut Session, pass: &ExportPass) -> Result<()> {
     Ok(())
 }
 
-/// The object with the material that was found, or that the pass `of` shows.
+/// The object with the recovered material, or with the material of the pass `of`.
 fn object(session: &mut Session, of: Option<&str>) -> Result<Object> {
     let material = material_of(session, of)?;
     let surface = session.surface.clone();
@@ -66,7 +66,7 @@ fn object(session: &mut Session, of: Option<&str>) -> Result<Object> {
 }
 
 impl Object {
-    /// With about `target` triangles; normals and albedo are those of the nearest points of the full surface.
+    /// The object with about `target` triangles; normals and albedo are those of the nearest points of the full surface.
     fn coarser(&self, target: usize) -> Result<Self> {
         let size = self.surface.atlas().width;
         let nearest = NearestTriangle::new(self.surface.mesh());
@@ -87,8 +87,8 @@ impl Object {
         };
         let albedo = carried(&self.albedo);
         let roughness = self.roughness.as_ref().map(|values| {
-            let grey: Vec<Vec3> = values.iter().map(|r| Vec3::splat(*r)).collect();
-            carried(&grey).iter().map(|r| r.x).collect()
+            let gray: Vec<Vec3> = values.iter().map(|r| Vec3::splat(*r)).collect();
+            carried(&gray).iter().map(|r| r.x).collect()
         });
         Ok(Self { surface: Arc::new(surface), albedo, specular: self.specular, roughness })
     }
@@ -128,13 +128,13 @@ impl Object {
         self.surface.mesh().uvs.iter().flatten().map(|uv| srgb8(color(uv))).collect()
     }
 
-    /// The albedo over `share` as an sRGB PNG; what is above 1 is cut.
+    /// The albedo divided by `share` as an sRGB PNG, clamped to 1.
     fn texture(&self, share: f32) -> Result<Vec<u8>> {
         let bytes: Vec<u8> = self.albedo.iter().flat_map(|a| srgb8((*a / share).min(Vec3::ONE))).collect();
         self.png(&bytes)
     }
 
-    /// glTF's texture of roughness: in green, linear; blue, the metal, is 0.
+    /// The roughness texture of glTF: roughness in green, linear; metallic in blue, 0.
     fn roughness_texture(&self, roughness: &[f32]) -> Result<Vec<u8>> {
         let bytes: Vec<u8> = roughness.iter().flat_map(|r| [0, (r * 255.0 + 0.5) as u8, 0]).collect();
         self.png(&bytes)

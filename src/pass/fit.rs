@@ -1,4 +1,4 @@
-//! The `Fit` pass: finds what is unknown from the training views and writes it down.
+//! The `Fit` pass: recovers the unknowns from the training views and writes the results.
 
 use crate::codec::exr::ExrLayers;
 use crate::codec::file::write_bytes;
@@ -10,7 +10,9 @@ use crate::fit::cameras::{CameraPlugin, CameraUnknowns};
 use crate::fit::components::TexelSeen;
 use crate::fit::observe::PixelChoice;
 use crate::fit::roughness::blend::TexelPlaces;
-use crate::fit::roughness::texel::{GlossPrior, TexelGloss, attach_gloss, move_gloss, tie_specular};
+use crate::fit::roughness::texel::{
+    RoughnessPrior, TexelRoughness, attach_roughness, move_roughness, tie_specular,
+};
 use crate::fit::run::{FirstGuess, FitOptions, FitProgress, FitSummary, run_fit};
 use crate::fit::scale::{means, move_scale};
 use crate::fit::systems::{move_lobes, move_specular, move_texels};
@@ -53,10 +55,10 @@ const ENVIRONMENT_SIZE: (u32, u32) = (512, 256);
 /// Runs the pass.
 ///
 /// # Errors
-/// If there is nothing to fit to, a system fails, or the results cannot be written; [`crate::Error::Interrupted`] after
-/// Ctrl-C, once the result so far has been written.
+/// If there are no pixels to fit to, a system fails, or the results cannot be written; [`crate::Error::Interrupted`] after
+/// Ctrl-C, once the results so far are written.
 pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
-    // Made first: a place that cannot be written to is better found before the fit than after it.
+    // Created first, so that an unwritable folder is detected before the fit.
     let folder = session.folder(&pass.name);
     std::fs::create_dir_all(&folder).map_err(crate::Error::io("create", &folder))?;
     let options = options(session, pass)?;
@@ -64,7 +66,7 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     let place = |(at, covered): (&Vec3, &bool)| if *covered { *at } else { Vec3::NAN };
     let positions = atlas.position.iter().zip(&atlas.covered).map(place).collect();
     session.pipeline.world.insert_resource(TexelPlaces { positions, progress: 0.0 });
-    give_texels_gloss(session);
+    give_texels_roughness(session);
     let bar = session.progress.bar(&pass.name, u64::from(options.steps));
     let mut log = String::from("step,elapsed_secs,loss,psnr,specular_r,specular_g,specular_b,roughness\n");
     let_geometry_move(session, pass);
@@ -91,7 +93,7 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     check_interrupted()
 }
 
-/// Swaps in the systems that move cameras and vertices, if the pass asks for them.
+/// Swaps in the systems that optimize cameras and vertices, if the pass enables them.
 fn let_geometry_move(session: &mut Session, pass: &FitPass) {
     if pass.cameras != CameraUnknowns::Given {
         session.pipeline.add_plugin(&CameraPlugin(pass.cameras));
@@ -102,7 +104,7 @@ fn let_geometry_move(session: &mut Session, pass: &FitPass) {
     }
 }
 
-/// Takes them out again, and keeps the mesh as it became.
+/// Removes them again, and keeps the resulting mesh.
 fn hold_geometry(session: &mut Session) {
     let pipeline = &mut session.pipeline;
     pipeline.remove_plugin::<CameraPlugin>();
@@ -110,23 +112,23 @@ fn hold_geometry(session: &mut Session) {
     pipeline.remove_plugin::<VertexPlugin>();
     if let Some(moved) = moved {
         session.surface = moved;
-        // What hides what is traced anew when it is asked for.
+        // Visibility of the changed mesh is traced again when it is needed.
         session.pipeline.world.remove_resource::<ObjectVisibility>();
     }
 }
 
-/// Where the scene asks for a gloss for each texel, swaps the systems that find it in.
-fn give_texels_gloss(session: &mut Session) {
+/// If the scene has one roughness per texel, swaps in the systems that fit it.
+fn give_texels_roughness(session: &mut Session) {
     let Gloss::Texels { smoothness, color_width, specular } = session.scene.material.gloss else { return };
     let first = initial_specular(&session.scene.material.specular).roughness;
-    let prior = GlossPrior::new(session.surface.atlas(), smoothness, color_width, specular);
+    let prior = RoughnessPrior::new(session.surface.atlas(), smoothness, color_width, specular);
     session.pipeline.world.insert_resource(prior);
-    attach_gloss(&mut session.pipeline.world, first, specular);
-    let systems = (move_scale, move_texels, move_gloss, move_lobes, tie_specular, move_specular).chain();
+    attach_roughness(&mut session.pipeline.world, first, specular);
+    let systems = (move_scale, move_texels, move_roughness, move_lobes, tie_specular, move_specular).chain();
     session.pipeline.swap(Phase::FitStep, Slot::Optimizer, systems);
 }
 
-/// The closed form of a scene file's words.
+/// The closed form for the settings of a scene file.
 pub fn closed_form(shading: FitShading, quality: Quality) -> ClosedForm {
     match shading {
         FitShading::Accurate => ClosedForm::Accurate(quality),
@@ -146,7 +148,7 @@ fn options(session: &mut Session, pass: &FitPass) -> Result<FitOptions> {
         unknowns: unknowns(session.scene),
         pixels: PixelChoice { seed: session.scene.seed, max_pixels: pass.max_pixels as usize },
         guess: session.guess,
-        // The published formulas are for comparison and know of neither shadows nor reflections.
+        // The published formulas are for comparison and include neither shadows nor interreflection.
         visibility: pass.shading == FitShading::Accurate && session.has_visibility()?,
         exposure: pass.exposure,
         scale: session.scene.scale,
@@ -170,7 +172,7 @@ fn log_line(log: &mut String, at: &FitProgress) {
     );
 }
 
-/// Fills what was fitted of texels that no view saw from their neighbours; returns how many covered texels that were.
+/// Fills the texels that no view sees from their neighbors; returns the number of covered texels among them.
 fn fill_texels(session: &mut Session) -> Result<usize> {
     let unknowns = unknowns(session.scene);
     let world = &mut session.pipeline.world;
@@ -196,7 +198,7 @@ fn fill_texels(session: &mut Session) -> Result<usize> {
     Ok(if fitted { unseen.count() } else { 0 })
 }
 
-/// Fills the blend weights of texels that no view saw, three base materials at a time.
+/// Fills the blend weights of texels that no view sees, three base materials at a time.
 fn fill_blends(blends: &mut [SpecularBlend], seen: &[bool], atlas: &TexelAtlas) {
     for start in (0..MAX_SPECULAR_LOBES).step_by(3) {
         let three = start..MAX_SPECULAR_LOBES.min(start + 3);
@@ -212,16 +214,16 @@ fn fill_blends(blends: &mut [SpecularBlend], seen: &[bool], atlas: &TexelAtlas) 
     }
 }
 
-/// The scale that all outputs share.
+/// The scale between light and albedo, the same in all outputs.
 fn scale_found(session: &mut Session, rule: String) -> Result<ScaleFound> {
     let [mean_light, mean_albedo] = means(&mut session.pipeline.world)?.map(|mean| mean.to_array());
     Ok(ScaleFound { rule, mean_light, mean_albedo })
 }
 
-/// What was found of the specular material: a base material or two in full, of more the range of the texels' roughness.
+/// A summary of the specular material: one or two base materials completely, of more the range of roughness of the texels.
 fn material_words(world: &mut World) -> String {
     let lobes: Vec<SpecularLobe> = recovered_materials(world).into_iter().map(|(_, lobe)| lobe).collect();
-    let gloss: Vec<f32> = world.query::<&TexelGloss>().iter(world).map(|gloss| gloss.roughness).collect();
+    let gloss: Vec<f32> = world.query::<&TexelRoughness>().iter(world).map(|gloss| gloss.roughness).collect();
     let (low, high) =
         gloss.iter().fold((f32::INFINITY, 0.0f32), |(low, high), r| (low.min(*r), high.max(*r)));
     let words = |roughness: String, [r, g, b]: [f32; 3]| {
@@ -246,7 +248,7 @@ fn report(session: &mut Session, name: &str, summary: &FitSummary, unseen: usize
         if summary.stopped { " (stopped early)" } else { "" }
     ));
     if unseen > 0 {
-        session.progress.note(&format!("{unseen} texels that no view saw were filled from their neighbours"));
+        session.progress.note(&format!("{unseen} texels that no view sees are filled from their neighbors"));
     }
 }
 
@@ -277,7 +279,7 @@ fn write_light(lobes: &[LightLobe], folder: &Path) -> Result<()> {
     write_rgb8(folder.join("environment.png"), &picture)
 }
 
-/// Blend weights of several base materials, and the roughness that they come to.
+/// Writes the blend weights of several base materials, and the resulting roughness.
 fn write_roughness(
     materials: &[(usize, SpecularLobe)],
     blends: &[SpecularBlend],
@@ -302,7 +304,7 @@ fn preview(pixels: &[Vec3], width: u32, height: u32) -> RgbImage {
     RgbImage::from_fn(width, height, |x, y| Rgb(srgb8(pixels[(y * width + x) as usize])))
 }
 
-/// The specular lobes as a RON list, in the words of a scene file.
+/// The specular lobes as a RON list, in the syntax of a scene file.
 fn materials_ron(materials: &[(usize, SpecularLobe)], scale: &ScaleFound) -> String {
     let mut text = String::from(
         "// Specular lobes: albedo (linear RGB), the paper's roughness R, distribution of normals.\n",

@@ -1,4 +1,4 @@
-//! What a fit found of the views themselves, as files: cameras that moved, and exposures.
+//! Output files of a fit about the views: optimized cameras, and exposures.
 
 use crate::codec::file::write_bytes;
 use crate::error::{Error, Result};
@@ -13,12 +13,12 @@ use serde_json::{Map, Value, json};
 use std::fmt::Write as _;
 use std::path::Path;
 
-/// Writes `cam_dict_norm.json` (PhySG's layout, training views; focal lengths and pixel centres as they were given, for images of
-/// the size that was fitted) if cameras moved, and `exposures.csv` if exposures were unknown,
-/// into a pass's folder, and says how far cameras went.
+/// Writes `cam_dict_norm.json` (PhySG's layout, training views; in the convention of the input, for images of
+/// the fitted size) if cameras moved, and `exposures.csv` if exposures were unknown,
+/// to the folder of a pass, and prints how far cameras moved.
 ///
 /// # Errors
-/// [`Error::Io`] when the system refuses.
+/// [`Error::Io`] if a file cannot be written.
 pub fn write(session: &mut Session, name: &str, cameras: CameraUnknowns, exposure: bool) -> Result<()> {
     let folder = session.folder(name);
     if cameras != CameraUnknowns::Given {
@@ -37,7 +37,7 @@ pub fn write(session: &mut Session, name: &str, cameras: CameraUnknowns, exposur
     if exposure { write_exposures(&mut session.pipeline.world, &folder) } else { Ok(()) }
 }
 
-/// How far the image of an object around `center` went, in pixels, for each training view.
+/// Motion of the image of an object around `center`, in pixels, for each training view.
 fn shifts_px(world: &mut World, center: Vec3, radius: f32) -> Vec<f32> {
     let around = [Vec3::X, Vec3::Y, Vec3::Z].map(|axis| radius * axis);
     let points = [center, center + around[0], center + around[1], center + around[2]];
@@ -67,7 +67,7 @@ fn write_cameras(world: &mut World, folder: &Path, focal_scale: f32) -> Result<(
     write_bytes(&path, text.as_bytes())
 }
 
-/// A camera in PhySG's words.
+/// A camera in PhySG's format.
 fn in_json(camera: &Camera) -> Value {
     let [fx, fy] = camera.focal.map(f64::from);
     let [cx, cy] = camera.center.map(f64::from);

@@ -1,16 +1,16 @@
-//! What a scene file's `passes` list can say, one file a pass, and running the list.
+//! The passes of a scene file, one module per kind, and the function that runs them.
 //!
 //! | pass | file | writes into `OUT/<name>/` |
 //! | --- | --- | --- |
-//! | `Fit` | [`fit`] | the recovered light (`light.npy`, `environment.exr`), `albedo.png`, `materials.ron`, `log.csv`; of several base materials `blend.exr`, `.png`, of a gloss for each texel `roughness.exr`, `.png` |
+//! | `Fit` | [`fit`] | the recovered light (`light.npy`, `environment.exr`), `albedo.png`, `materials.ron`, `log.csv`; of several base materials `blend.exr`, `.png`, with one roughness per texel `roughness.exr`, `.png` |
 //! | `Shape` | [`shape`] | with `--debug-every N`, normals, depth and mesh every N steps |
-//! | both | `found_views` | `cam_dict_norm.json` of cameras that moved, `exposures.csv` |
-//! | `Render`, `Edit`, `Relight` | [`render`] | an EXR with layers and a PNG per view, the film of an orbit |
+//! | both | `found_views` | `cam_dict_norm.json` of optimized cameras, `exposures.csv` |
+//! | `Render`, `Edit`, `Relight` | [`render`] | an EXR with layers and a PNG per view, the animation of an orbit |
 //! | `Evaluate` | [`evaluate`] | a contact sheet; scores go to `OUT/metrics.json` |
 //! | `Save` | [`save`] | `scene.ron` with side files |
 //! | `Export` | [`export`] | `mesh.glb`, `mesh.ply`, `mesh.obj` with `mesh.mtl` and `mesh_albedo.png` |
 //!
-//! [`preflight`] looks for what a later pass could stumble over before the first one runs.
+//! [`preflight`] checks the inputs of all passes before the first one runs.
 
 pub mod edit;
 pub mod evaluate;
@@ -62,10 +62,10 @@ pub struct RunOptions {
     pub debug_every: Option<u32>,
 }
 
-/// Runs a scene's passes in order, and says through `progress` how they get on.
+/// Runs the passes of a scene in order, and reports to `progress`.
 ///
 /// # Errors
-/// The first error of a pass; what earlier passes wrote stays.
+/// The first error of a pass; the outputs of earlier passes stay.
 pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) -> Result<()> {
     refuse_used(&options.out, options.force)?;
     let mut session = open(&loaded.scene, options, progress)?;
@@ -86,7 +86,7 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
     session.finish()
 }
 
-/// An output folder with something in it is kept, unless `force`.
+/// An output folder that is not empty is an error, unless `force`.
 fn refuse_used(out: &Path, force: bool) -> Result<()> {
     let used = match std::fs::read_dir(out) {
         Ok(mut entries) => entries.next().is_some() && !force,
@@ -104,7 +104,7 @@ fn refuse_used(out: &Path, force: bool) -> Result<()> {
     Ok(())
 }
 
-/// Reads everything the scene names and puts it into a world. Nothing is written yet.
+/// Reads all inputs of the scene into a world. Nothing is written yet.
 fn open<'a>(scene: &'a Scene, options: &RunOptions, progress: &'a dyn Progress) -> Result<Session<'a>> {
     let mut views = read_views(scene, progress)?;
     if matches!(scene.surface, SurfaceSpec::Unknown { .. }) {
@@ -143,7 +143,7 @@ fn open<'a>(scene: &'a Scene, options: &RunOptions, progress: &'a dyn Progress) 
     })
 }
 
-/// The views that are there before the object is: those that it photographs itself are not.
+/// Reads the views that do not depend on the object; rendered photographs come later.
 fn read_views(scene: &Scene, progress: &dyn Progress) -> Result<Vec<ViewRecord>> {
     match &scene.views {
         Views::Dataset(spec) => {
@@ -176,7 +176,7 @@ fn read_views(scene: &Scene, progress: &dyn Progress) -> Result<Vec<ViewRecord>>
     }
 }
 
-/// What the scene's surface is made for: nothing, if the first pass finds another.
+/// The use of the scene's surface: none, if the first pass recovers another.
 fn use_of(scene: &Scene) -> SurfaceUse {
     match scene.passes.first() {
         Some(Pass::Shape(_)) => SurfaceUse::UntilShape,
@@ -184,7 +184,7 @@ fn use_of(scene: &Scene) -> SurfaceUse {
     }
 }
 
-/// Whether a pass needs views of this split, so that a data set without it is a mistake.
+/// Whether a pass needs views of this split, so that a data set without it is an error.
 fn needs(scene: &Scene, split: Split) -> bool {
     let choice = if split == Split::Train { ViewChoice::Train } else { ViewChoice::Test };
     scene.passes.iter().any(|pass| match pass {
@@ -198,7 +198,7 @@ fn bare_view(spec: &CameraSpec) -> Result<ViewRecord> {
     Ok(ViewRecord { name: spec.name.clone(), split: spec.split, camera, photograph: None, mask: None })
 }
 
-/// A camera inside a closed object would see its back everywhere.
+/// Checks that no camera is inside a closed object, where it sees only back faces.
 fn check_cameras(views: &[ViewRecord], surface: &Surface) -> Result<()> {
     match views.iter().find(|view| surface.is_inside(view.camera.position())) {
         None => Ok(()),
@@ -209,7 +209,7 @@ fn check_cameras(views: &[ViewRecord], surface: &Surface) -> Result<()> {
                     "the camera of view {} is inside the object, at ({:.3}, {:.3}, {:.3})",
                     view.name, at.x, at.y, at.z
                 ),
-                "Do the cameras and the object share one coordinate system and unit? Else drop that view.",
+                "Check that the cameras and the object have the same coordinate system and unit, or leave out that view.",
             ))
         }
     }

@@ -1,4 +1,4 @@
-//! Self-made photographs: the scene's surface with a known material under a known light, path traced. The fit is not told.
+//! Rendered photographs: the scene's surface with a known material under a known light, path traced. The fit does not use that knowledge.
 
 use crate::codec::frame::Frame;
 use crate::error::Result;
@@ -23,10 +23,10 @@ use crate::view::{Image, Mask, Photograph, Split, ViewRecord};
 use glam::Vec3;
 use std::sync::Arc;
 
-/// Name of the light and the edits that the true object is pictured with.
+/// Name of the light and the edits of the true object.
 const TRUTH: &str = "truth";
 
-/// The object that is photographed, in a world of its own.
+/// The object that is photographed, in a separate world.
 pub struct TrueObject {
     pipeline: Pipeline,
     surface: Arc<Surface>,
@@ -35,7 +35,7 @@ pub struct TrueObject {
 }
 
 impl TrueObject {
-    /// The object a scene file describes.
+    /// Creates the object that a scene file describes.
     ///
     /// # Errors
     /// If its light, or an image of its edits, cannot be read.
@@ -55,7 +55,7 @@ impl TrueObject {
         Ok(Self { pipeline, surface: surface.clone(), light, max_bounces: spec.max_bounces })
     }
 
-    /// Path-traced pictures of the true object, under another light or edited if so asked.
+    /// Path-traced pictures of the true object, optionally under another light or with edits.
     ///
     /// # Errors
     /// If an edit's image cannot be read, or a system fails.
@@ -92,7 +92,7 @@ impl TrueObject {
     }
 }
 
-/// Takes all photographs of a scene.
+/// Renders all photographs of a scene.
 ///
 /// # Errors
 /// If a system fails.
@@ -123,7 +123,7 @@ pub fn take(
     Ok(records.collect())
 }
 
-/// Cameras spread over a sphere around the target; every so-manieth is a test view, so that those lie between the others.
+/// Cameras distributed over a sphere around the target; every n-th is a test view, so that test views lie between the others.
 pub fn ring(spec: &CameraRing, up: Vec3) -> Vec<CameraSpec> {
     let total = (spec.count + spec.test) as usize;
     let every = total / (spec.test as usize).max(1);
@@ -146,7 +146,7 @@ pub fn ring(spec: &CameraRing, up: Vec3) -> Vec<CameraSpec> {
         .collect()
 }
 
-/// `up`, or where that is nearly along the line of sight another axis that is not.
+/// `up`, or another axis if `up` is nearly along the line of sight.
 fn up_across(up: Vec3, sight: Vec3) -> Vec3 {
     let along = |direction: Vec3| sight.dot(direction.normalize_or(Vec3::Y)).abs() > 0.99;
     if !along(up) {
@@ -158,7 +158,7 @@ fn up_across(up: Vec3, sight: Vec3) -> Vec3 {
     }
 }
 
-/// The pattern's colour at a point.
+/// The color of the pattern at a point.
 fn pattern_at(pattern: &Pattern, at: Vec3) -> Vec3 {
     match pattern {
         Pattern::Constant(color) => *color,

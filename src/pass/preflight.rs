@@ -1,5 +1,5 @@
-//! What a later pass could stumble over, looked for before the first one runs: a fit takes its time, and a wrong name or a
-//! missing truth should not be found out after it.
+//! Checks of all passes before the first one runs, so that a wrong name or a missing ground truth is an error at the start,
+//! not after a long fit.
 
 use crate::codec::gltf::import::read_mesh;
 use crate::codec::image::Gamma;
@@ -20,12 +20,12 @@ use rayon::prelude::*;
 /// Checks every pass against the world before any of them runs.
 ///
 /// # Errors
-/// [`Error::Usage`] or [`Error::Input`] for a view that is not there, a pass without views, an edit's image that cannot be
-/// read, or a truth that is missing.
+/// [`Error::Usage`] or [`Error::Input`] for a view that does not exist, a pass without views, an image of an edit that cannot be
+/// read, or a missing ground truth.
 pub fn check(session: &mut Session) -> Result<()> {
     let mut unedited = recovered_material(&mut session.pipeline.world)?;
     if matches!(session.scene.material.gloss, Gloss::Texels { .. }) {
-        // Any texel may come to show any of the ladder.
+        // Any texel may get any of the base materials.
         unedited.blends.fill(SpecularBlend::even(unedited.lobes.len()));
     }
     for pass in &session.scene.passes {
@@ -36,7 +36,7 @@ pub fn check(session: &mut Session) -> Result<()> {
             apply_edits(&mut unedited.clone(), pass.edits(), &session.surface)?;
             for number in edits_of_nothing(pass.edits(), &session.surface)? {
                 let note = format!(
-                    "pass {}: edit {} changes nothing, its region holds no texel",
+                    "pass {}: edit {} changes nothing: its region contains no texel",
                     pass.name(),
                     number + 1
                 );
@@ -50,7 +50,7 @@ pub fn check(session: &mut Session) -> Result<()> {
     Ok(())
 }
 
-/// Views that a pass names must be there, and there must be something to render.
+/// Checks that the views of a pass exist, and that there is something to render.
 fn check_views(session: &mut Session, pass: &str, settings: &RenderSettings) -> Result<()> {
     let world = &mut session.pipeline.world;
     if let ViewChoice::Named(wanted) = &settings.views {
@@ -60,20 +60,20 @@ fn check_views(session: &mut Session, pass: &str, settings: &RenderSettings) -> 
             let help = match (near.is_empty(), names.first(), names.last()) {
                 (false, ..) => format!("Near it: {near}."),
                 (true, Some(first), Some(last)) => format!("There are {}, {first} to {last}.", names.len()),
-                _ => "There is no view at all.".to_owned(),
+                _ => "There are no views.".to_owned(),
             };
             return Err(Error::usage(format!("pass {pass}: there is no view {missing}"), help));
         }
     }
     if settings.orbit.is_none() && chosen_views(world, &settings.views).is_empty() {
-        let problem = format!("pass {pass} renders nothing: there are no such views");
-        let help = "Say `render: (views: All)`, or give it an `orbit`.";
+        let problem = format!("pass {pass} renders nothing: no view matches");
+        let help = "Use `render: (views: All)`, or give it an `orbit`.";
         return Err(Error::usage(problem, help));
     }
     Ok(())
 }
 
-/// Every view that is scored must have its truth, and so must the surface.
+/// Checks that every scored view has its ground truth, and the surface, too.
 fn check_truths(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
     if let Some(path) = &pass.mesh {
         read_mesh(path)?;

@@ -1,33 +1,33 @@
-//! What passes say while they run. The library shows nothing itself: whoever runs passes hands over a [`Progress`].
+//! Output of passes while they run. The library prints nothing itself: the caller supplies a [`Progress`].
 
-/// Where a run's notes, results and bars go.
+/// Receives the notes, results and progress bars of a run.
 pub trait Progress {
-    /// Something worth knowing that is not an error.
+    /// A note for the user that is not an error.
     fn note(&self, text: &str);
 
     /// A line of result.
     fn print(&self, text: &str);
 
-    /// A bar of `length` steps under a title; it is gone once [`Bar::finish_and_clear`] is called or it is dropped.
+    /// Creates a bar of `length` steps with a title; [`Bar::finish_and_clear`] or dropping removes it.
     fn bar(&self, title: &str, length: u64) -> Box<dyn Bar>;
 }
 
-/// How far a piece of work has come.
+/// The progress bar of a task.
 pub trait Bar: Send + Sync {
-    /// So many more steps are done.
+    /// Adds finished steps.
     fn inc(&self, steps: u64);
 
-    /// So many steps are done in all.
+    /// Sets the number of finished steps.
     fn set_position(&self, steps: u64);
 
-    /// A word beside the bar.
+    /// Sets the message beside the bar.
     fn set_message(&self, message: String);
 
-    /// The work is done, and the bar no longer of interest.
+    /// Finishes the task and removes the bar.
     fn finish_and_clear(&self);
 }
 
-/// A [`Progress`] and a [`Bar`] that show nothing.
+/// A [`Progress`] and a [`Bar`] without output.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Silent;
 

@@ -1,4 +1,4 @@
-//! The `Render`, `Edit` and `Relight` passes: the same pictures of what [`show`] swaps in.
+//! The `Render`, `Edit` and `Relight` passes: they render the material, light and shading that [`show`] swaps in.
 
 use crate::codec::animation::{Mp4, write_apng, write_gif, write_mp4};
 use crate::codec::frame::{Frame, write_frame};
@@ -65,7 +65,7 @@ fn render_all(session: &mut Session, name: &str, settings: &RenderSettings) -> R
 /// A view that a pass renders.
 #[derive(Clone, Debug)]
 pub struct ChosenView {
-    /// Stem of its output files: the view's name, after its split where both splits have a view of that name.
+    /// Stem of its output files: the name of the view, prefixed by its split if both splits have a view with that name.
     pub stem: String,
     /// The view.
     pub entity: Entity,
@@ -96,7 +96,7 @@ pub fn chosen_views(world: &mut World, choice: &ViewChoice) -> Vec<ChosenView> {
     views
 }
 
-/// Renders one picture with what is in the slots.
+/// Renders one picture with the systems in the slots.
 ///
 /// # Errors
 /// If a system fails.
@@ -104,7 +104,7 @@ pub fn picture(pipeline: &mut Pipeline, camera: Camera, settings: &RenderSetting
     Ok(resolve(&render_frame(pipeline, camera, camera_rays(settings))?))
 }
 
-/// What the light shows behind each pixel.
+/// The radiance of the light behind each pixel.
 fn backdrop(world: &World, camera: &Camera) -> Vec<Vec3> {
     let light = world.get_resource::<IncidentLight>().and_then(|light| light.distant.clone());
     let radiance = |x: u32, y: u32| {
@@ -121,7 +121,7 @@ fn backdrop(world: &World, camera: &Camera) -> Vec<Vec3> {
 
 fn orbit_cameras(session: &Session, orbit: &Orbit) -> Result<Vec<Camera>> {
     let (center, radius) = session.surface.bounding_sphere();
-    // A tenth more than what just fits.
+    // A tenth more than the smallest distance at which the object fits.
     let fitting = 1.1 * radius / (orbit.fov_degrees.to_radians() / 2.0).sin();
     Camera::orbit(&camera::Orbit {
         target: center,
@@ -144,7 +144,7 @@ fn film_frame(
 ) -> Result<RgbImage> {
     let frame = picture(&mut session.pipeline, camera, settings)?;
     let behind = settings.backdrop.then(|| backdrop(&session.pipeline.world, &camera));
-    // Films have no alpha: a quiet dark grey stands behind the object.
+    // Animations have no alpha: the backdrop is dark gray.
     let behind = behind.as_deref().map_or(Backdrop::Solid(Vec3::splat(0.02)), Backdrop::Radiance);
     Picture::of(&frame).rgb8(look, behind)
 }

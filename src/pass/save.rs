@@ -1,4 +1,4 @@
-//! The `Save` pass: the object as a scene that opens again.
+//! The `Save` pass: writes the object as a scene file.
 
 use crate::codec::exr::ExrLayers;
 use crate::codec::file::{read_bytes, write_bytes};
@@ -26,8 +26,8 @@ use crate::spawn::light_file::inlined;
 use glam::Vec3;
 use std::path::Path;
 
-/// Writes `scene.ron`, `mesh.glb`, `albedo.exr` and `light.npy`: the object as it is, or as the pass `of` shows it, everything fixed,
-/// with the scene's views (poses of training views that a fit moved are not among it).
+/// Writes `scene.ron`, `mesh.glb`, `albedo.exr` and `light.npy`: the object with the recovered material and light, or those of the pass `of`,
+/// all fixed, with the scene's views (without the optimized poses of training views).
 ///
 /// # Errors
 /// If a file cannot be written.
@@ -62,7 +62,7 @@ pub fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
     Ok(())
 }
 
-/// The specular material in a scene's words; the weights of several base materials go to a file.
+/// The specular material as in a scene file; the weights of several base materials go to a separate file.
 fn save_materials(material: &MaterialState, atlas: &TexelAtlas, folder: &Path) -> Result<Material> {
     if let Some(one) = material.uniform() {
         let specular = Specular {
@@ -72,7 +72,7 @@ fn save_materials(material: &MaterialState, atlas: &TexelAtlas, folder: &Path) -
         };
         return Ok(Material { specular, ..Material::default() });
     }
-    // A scene's base materials count from 0: numbers that nobody has are left out.
+    // Base materials of a scene are numbered from 0: unused numbers are left out.
     let (numbers, lobes): (Vec<usize>, Vec<SpecularLobe>) =
         material.materials().map(|(number, lobe)| (number, *lobe)).unzip();
     let path = folder.join("blend.exr");
@@ -80,10 +80,10 @@ fn save_materials(material: &MaterialState, atlas: &TexelAtlas, folder: &Path) -
     Ok(Material { gloss: Gloss::Fixed { lobes, weights: "blend.exr".into() }, ..Material::default() })
 }
 
-/// Writes the blend weights of the base materials of these numbers for [`read_weights`](crate::codec::texture::read_weights).
+/// Writes the blend weights of the base materials with these numbers for [`read_weights`](crate::codec::texture::read_weights).
 ///
 /// # Errors
-/// [`Error::Io`] when the system refuses.
+/// [`Error::Io`] if the file cannot be written.
 pub fn write_weights(
     path: &Path,
     blends: &[SpecularBlend],
@@ -98,7 +98,7 @@ pub fn write_weights(
     write_channels(path, &layers)
 }
 
-/// Writes the light, of the pass `of` if it has one: a map as it is, so that path tracing by the map gives the same again; else
+/// Writes the light, of the pass `of` if it has one: a map unchanged, so that path tracing with the map gives the same result; else
 /// the lobes.
 fn save_light(session: &mut Session, of: Option<&str>, folder: &Path) -> Result<LightSource> {
     let of_pass = session.pass_named(of).and_then(Pass::light);
@@ -135,7 +135,7 @@ fn save_light(session: &mut Session, of: Option<&str>, folder: &Path) -> Result<
     })
 }
 
-/// The scene's views by absolute path; self-made photographs become bare cameras.
+/// The scene's views with absolute paths; rendered photographs become cameras only.
 fn saved_views(session: &Session) -> Result<Views> {
     match &session.scene.views {
         Views::Dataset(spec) => {

@@ -1,4 +1,4 @@
-//! The `Shape` pass: finds an unknown surface from photographs and masks, and puts it in place of the hull.
+//! The `Shape` pass: recovers an unknown surface from photographs and masks, and replaces the visual hull by it.
 
 use crate::error::{Error, Result};
 use crate::fit::observe::PixelChoice;
@@ -39,10 +39,13 @@ const REDISTANCE_EVERY: u32 = 40;
 /// If the surface of the scene is not unknown, the masks have no hull, or a fit fails.
 pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     let SurfaceSpec::Unknown { texture_size, .. } = session.scene.surface else {
-        return Err(Error::run(&pass.name, "the surface is given: only surface: Unknown() can be found"));
+        return Err(Error::run(
+            &pass.name,
+            "the surface is given: a `Shape` pass needs `surface: Unknown()`",
+        ));
     };
     let start = Instant::now();
-    // Base materials blend evenly until the shape is found.
+    // Base materials have equal weights until the shape is recovered.
     session.pipeline.world.insert_resource(TexelPlaces::default());
     let options = options(session, pass);
     let total: u32 = pass.levels.iter().map(|level| level.steps).sum();
@@ -68,7 +71,7 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     let guessed = std::mem::replace(&mut session.guess, FirstGuess::NONE);
     put_in_place(session, &surface, texture_size)?;
     if guessed == FirstGuess::ALL {
-        // The light still has the colour that a first guess from grey albedo gave it.
+        // The light still has the color from the initialization with gray albedo.
         start_scale(&mut session.pipeline.world, session.scene.scale)?;
     }
     let elapsed = start.elapsed().as_secs_f64();
@@ -79,7 +82,7 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     check_interrupted()
 }
 
-/// An inspector that looks from the first view.
+/// An inspector with the camera of the first view.
 fn inspector(session: &mut Session, name: &str, every: u32) -> ShapeInspector {
     let folder = session.folder(name).join("debug");
     let world = &mut session.pipeline.world;
@@ -101,10 +104,10 @@ fn options(session: &Session, pass: &ShapePass) -> ShapeOptions {
             unknowns: unknowns(session.scene),
             pixels: PixelChoice { seed: session.scene.seed, max_pixels: pass.max_pixels as usize },
             guess: session.guess,
-            // A surface that moves would have to be traced at every step.
+            // Visibility of a moving surface would have to be traced at every step.
             visibility: false,
             exposure: pass.exposure,
-            // Without shadows, dark places would say that highlights are dark.
+            // Without shadows, dark regions would bias the color of the highlights.
             scale: ScaleRule::Free,
         },
         cameras: pass.cameras,
@@ -128,7 +131,7 @@ fn shape_level(pass: &ShapePass, level: &GridLevel) -> ShapeLevel {
     }
 }
 
-/// Extracts the mesh, gives it an atlas, and carries the texels over.
+/// Extracts the mesh, gives it an atlas, and transfers the texels.
 fn put_in_place(session: &mut Session, found: &SdfSurface, texture_size: u32) -> Result<()> {
     let mesh = unwrap_mesh(&extract_mesh(&found.grid), texture_size)?.mesh;
     let surface = Arc::new(Surface::new(mesh, texture_size)?);

@@ -1,5 +1,5 @@
-//! What frames show: which material, which light, how shaded. Each is one system in a slot of the Frame phase, and a pass swaps them;
-//! the recovered material and the scene's own light are never touched.
+//! The material, light and shading of frames. Each is one system in a slot of the Frame phase, and a pass swaps them;
+//! the recovered material and the scene's own light do not change.
 
 use crate::error::Result;
 use crate::light::lights::{LightChoice, provide_light, spawn_light};
@@ -15,13 +15,13 @@ use crate::visibility::FrameVisibilityPlugin;
 /// Swaps in the material, light, shading and visibility of a pass.
 ///
 /// # Errors
-/// If an image of an edit cannot be read, or visibility would take too much memory.
+/// If an image of an edit cannot be read, or visibility needs too much memory.
 pub fn show(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> Result<()> {
     show_material(session, pass)?;
     show_light(session, pass, settings.shading);
     set_shading(&mut session.pipeline, settings, session.scene.seed);
     session.pipeline.remove_plugin::<FrameVisibilityPlugin>();
-    // The published formulas are for comparison and know of neither shadows nor reflections; paths find both themselves.
+    // The published formulas are for comparison and include neither shadows nor interreflection; path tracing includes both itself.
     if settings.shading == Shading::Accurate && session.has_visibility()? {
         session.pipeline.add_plugin(&FrameVisibilityPlugin);
     }
@@ -39,7 +39,7 @@ fn show_material(session: &mut Session, pass: &Pass) -> Result<()> {
     Ok(())
 }
 
-/// Swaps in the light of a pass: its own, or the scene's.
+/// Swaps in the light of a pass: its own, or the light of the scene.
 fn show_light(session: &mut Session, pass: &Pass, shading: Shading) {
     let by_map = matches!(shading, Shading::PathTraced { map: true, .. });
     let choice = match session.lights.of_passes.get(pass.name()) {
@@ -50,12 +50,12 @@ fn show_light(session: &mut Session, pass: &Pass, shading: Shading) {
         }
         None => LightChoice::Own,
     };
-    // A fit may have moved the lobes away from the map that they began as.
+    // After a fit the lobes may differ from the map that they were initialized from.
     let by_map = by_map && (choice != LightChoice::Own || matches!(session.scene.light, Light::Fixed(_)));
     session.pipeline.swap(Phase::Frame, Slot::Light, provide_light(choice, by_map));
 }
 
-/// The material as the pass `of` shows it, or the recovered one.
+/// The shown material of the pass `of`, or the recovered one.
 ///
 /// # Errors
 /// If an image of an edit cannot be read.

@@ -1,18 +1,18 @@
-//! How a system's error reaches the caller of [`Pipeline::run`](super::Pipeline::run), whichever thread it happens on.
+//! Propagation of errors of systems to the caller of [`Pipeline::run`](super::Pipeline::run), from any thread.
 //!
-//! bevy's error handler is a plain function pointer that knows neither world nor run. So each run takes a cell of a fixed
-//! table and installs the handler that writes into that cell: runs of several pipelines at once, on whatever threads their
-//! executors use, do not see each other's errors.
+//! bevy's error handler is a function pointer without access to the world or the run. So each run reserves a cell of a fixed
+//! table and installs the handler that writes to that cell: concurrent runs of several pipelines, on any threads of their
+//! executors, do not see each other's errors.
 
 use crate::error::Error;
 use bevy_ecs::error::{BevyError, ErrorContext, ErrorHandler, FallbackErrorHandler};
 use bevy_ecs::prelude::{Res, Resource, World};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
-/// Runs that can be under way at once in one process; a further one waits for its turn.
+/// Most concurrent runs in one process; further runs wait.
 const CELLS: usize = 16;
 
-/// What a cell holds.
+/// The contents of a cell.
 #[derive(Default)]
 struct Cell {
     taken: bool,
@@ -23,11 +23,11 @@ static TABLE: Mutex<[Cell; CELLS]> = Mutex::new([const { Cell { taken: false, fi
 static RELEASED: Condvar = Condvar::new();
 
 fn table() -> MutexGuard<'static, [Cell; CELLS]> {
-    // A panic elsewhere does not spoil the cells: each is written whole.
+    // A panic in another thread does not corrupt the cells: each is written completely.
     TABLE.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Keeps the first error of the run that has cell `CELL`.
+/// Stores the first error of the run with cell `CELL`.
 fn record<const CELL: usize>(error: BevyError, context: ErrorContext) {
     let ours = error.downcast_ref::<Error>().cloned();
     let error = ours.unwrap_or_else(|| Error::run(context.name().to_string(), error.to_string()));
@@ -53,17 +53,17 @@ const HANDLERS: [ErrorHandler; CELLS] = [
     record::<15>,
 ];
 
-/// The cell of the run that is under way in this world.
+/// The cell of the current run in this world.
 #[derive(Resource, Clone, Copy)]
 pub(super) struct RunCell(usize);
 
-/// A cell that is taken for one run, and free again once dropped.
+/// A cell that is reserved for one run until it is dropped.
 pub(super) struct Failure {
     cell: usize,
 }
 
 impl Failure {
-    /// Takes a cell, waiting for a free one, and installs its handler.
+    /// Reserves a cell, waits if none is free, and installs its handler.
     pub(super) fn watch(world: &mut World) -> Self {
         let mut cells = table();
         let cell = loop {
@@ -92,7 +92,7 @@ impl Drop for Failure {
     }
 }
 
-/// Run condition of every system: none of this run has failed so far.
+/// Run condition of every system: no system has failed in this run.
 pub(super) fn nothing_failed(run: Option<Res<RunCell>>) -> bool {
     run.is_none_or(|run| table()[run.0].first.is_none())
 }

@@ -1,11 +1,11 @@
-//! Phases, stages, slots and plugins: how a capability joins the pipeline, how one system is exchanged for another, how
-//! systems see pools of entities as slices, and how a system's error reaches the caller.
+//! Phases, stages, slots and plugins: adding capabilities to the pipeline, swapping systems,
+//! access to pools of entities as slices, and propagation of errors to the caller.
 //!
 //! A [`Pipeline`] is a [`World`] with one schedule for each [`Phase`]; a phase runs its [`Stage`]s in order. A capability is a
-//! [`Plugin`] whose `build` names every system it adds; it can be removed again. What is one of several choices sits in a
-//! slot: [`Pipeline::swap`] takes out what is there and puts another system in, between runs.
+//! [`Plugin`] whose `build` adds all its systems; it can be removed again. A system with alternatives is in a
+//! slot: [`Pipeline::swap`] replaces it by another system, between runs.
 //!
-//! The schedules lie in the world's [`Schedules`] resource, where bevy's own tools find them.
+//! The schedules are in the world's [`Schedules`] resource, which bevy's tools use.
 //!
 //! | module | holds |
 //! | --- | --- |
@@ -33,10 +33,10 @@ use std::any::TypeId;
 
 /// A capability: adds its systems, resources and components to a pipeline.
 pub trait Plugin: 'static {
-    /// Names every system, set and resource the capability adds.
+    /// Adds every system, set and resource of the capability.
     fn build(&self, pipeline: &mut Pipeline);
 
-    /// Takes out of the world what `build` put there, once the systems are gone.
+    /// Removes from the world what `build` inserted, after the systems are removed.
     fn cleanup(_world: &mut World)
     where
         Self: Sized,
@@ -44,10 +44,10 @@ pub trait Plugin: 'static {
     }
 }
 
-/// What a fallible system returns; `?` takes the crate's [`Error`].
+/// The return type of a fallible system; `?` converts the crate's [`Error`].
 pub type SystemResult = std::result::Result<(), BevyError>;
 
-/// The set of all systems that a plugin has added, by the plugin's type.
+/// The set of all systems of a plugin, by the type of the plugin.
 #[derive(SystemSet, Clone, Copy, Debug, PartialEq, Eq, Hash)]
 struct AddedBy(TypeId);
 
@@ -66,7 +66,7 @@ impl Default for Pipeline {
 }
 
 impl Pipeline {
-    /// An empty world with the built-in phases, empty.
+    /// A pipeline with an empty world and the built-in phases, without systems.
     pub fn new() -> Self {
         let mut pipeline = Self { world: World::new(), building: Vec::new() };
         for phase in Phase::ALL {
@@ -75,7 +75,7 @@ impl Pipeline {
         pipeline
     }
 
-    /// Adds a phase of one's own with all stages and slots. Its systems run one after another on the calling thread (they are
+    /// Adds a custom phase with all stages and slots. Its systems run one after another on the calling thread (they are
     /// parallel inside, over slices); [`Self::schedule_mut`] can give it another executor.
     pub fn add_phase(&mut self, phase: impl ScheduleLabel) -> &mut Self {
         let mut schedule = Schedule::new(phase);
@@ -85,7 +85,7 @@ impl Pipeline {
         self
     }
 
-    /// The schedule of a phase: to order sets of one's own, or to exchange its executor.
+    /// The schedule of a phase, for ordering custom sets or changing the executor.
     ///
     /// # Panics
     /// If there is no such phase.
@@ -105,8 +105,8 @@ impl Pipeline {
         self
     }
 
-    /// Removes every system that a plugin of this type has added (those of plugins that it added, too), then what it put into the world.
-    /// Slots that it filled are empty afterwards.
+    /// Removes every system that a plugin of this type has added (and those of plugins that it added), then runs [`Plugin::cleanup`].
+    /// Slots that it filled are empty afterward.
     pub fn remove_plugin<P: Plugin>(&mut self) -> &mut Self {
         let schedules = self.world.resource::<Schedules>();
         let phases: Vec<InternedScheduleLabel> = schedules.iter().map(|(_, s)| s.label()).collect();
@@ -132,7 +132,7 @@ impl Pipeline {
         self
     }
 
-    /// Puts `system` into `slot`, in place of what was there before.
+    /// Puts `system` into `slot` and removes the previous system.
     pub fn swap<M>(
         &mut self,
         phase: impl ScheduleLabel,
@@ -145,16 +145,16 @@ impl Pipeline {
         self.add_systems(phase, stage, system.in_set(slot))
     }
 
-    /// Takes what is in `slot` out of it.
+    /// Removes the system in `slot`.
     pub fn clear(&mut self, phase: impl ScheduleLabel, slot: impl SlotLabel) -> &mut Self {
         self.remove_systems(phase.intern(), slot.intern());
         self
     }
 
-    /// Removes the systems of a set, if there are any.
+    /// Removes the systems of a set, if any.
     fn remove_systems(&mut self, phase: InternedScheduleLabel, set: InternedSystemSet) {
         let removed = self.world.try_schedule_scope(phase, |world, schedule| {
-            // The graph is built before it can be taken apart. That the set is not in it is no error.
+            // The graph must be built before systems can be removed. A set that is not in the graph is not an error.
             schedule
                 .initialize(world)
                 .map(|_| schedule.remove_systems_in_set(set, world, ScheduleCleanupPolicy::RemoveSystemsOnly))
@@ -166,7 +166,7 @@ impl Pipeline {
     /// next run but one.
     ///
     /// # Errors
-    /// The first error any of its systems returned, on whichever thread; the systems after it are skipped.
+    /// The first error of a system, from any thread; the systems after it are skipped.
     /// [`Error::Run`] if there is no such phase.
     pub fn run(&mut self, phase: impl ScheduleLabel) -> Result<()> {
         let label = phase.intern();

@@ -1,10 +1,10 @@
 //! Pools: many entities whose columns kernels read as slices.
 //!
-//! A pool is all entities with one index component ([`PoolIndex`]): pixel samples, texels, vertices, bricks. Kernels refer to a
-//! row by that index, never by where an entity happens to lie. While all entities of a pool have the same components and lie in
-//! the order of their indices, as they do when they are spawned in one batch, columns are slices of the table itself and nothing
-//! is copied. A marker on one of them, or another order, moves entities to other rows or tables: columns are then copied in and out in
-//! the order of the indices. Everything works as before, more slowly.
+//! A pool is the set of all entities with one index component ([`PoolIndex`]): pixel samples, texels, vertices, bricks. Kernels refer
+//! to a row by that index, never by the position of an entity in a table. While all entities of a pool have the same components and
+//! are in the order of their indices, as after spawning in one batch, columns are slices of the table and nothing is copied. If an
+//! additional component or another order moves entities to other rows or tables, columns are copied in and out in the order of
+//! the indices. The results are the same, but this is slower.
 
 use crate::error::{Error, Result};
 use bevy_ecs::change_detection::ContiguousMut;
@@ -15,16 +15,16 @@ use bevy_ecs::system::{SystemParam, SystemState};
 use std::ops::{Deref, DerefMut, Range};
 use std::sync::Arc;
 
-/// The row of an entity in its pool: 0 to the pool's length, each once.
+/// The row of an entity in its pool: 0 to the length of the pool − 1, each once.
 pub trait PoolIndex: Component {
-    /// What a person calls an entity of the pool.
+    /// Name of an entity of the pool, for messages.
     const NAME: &'static str;
 
     /// The row.
     fn row(&self) -> usize;
 }
 
-/// Makes index components.
+/// Declares index components.
 macro_rules! pool_index {
     ($($(#[$doc:meta])* $name:ident($what:literal);)*) => { $(
         $(#[$doc])*
@@ -42,7 +42,7 @@ macro_rules! pool_index {
 }
 pub(crate) use pool_index;
 
-/// A pool as a system sees it: columns `D` (`&T`, `&mut T`, or a tuple of them) of the entities with index `I`.
+/// A pool as a system parameter: columns `D` (`&T`, `&mut T`, or a tuple of them) of the entities with index `I`.
 #[derive(SystemParam)]
 pub struct Pool<'w, 's, I: PoolIndex, D: Columns + 'static> {
     query: Query<'w, 's, (&'static I, D)>,
@@ -52,33 +52,33 @@ impl<'w, 's, I: PoolIndex, D: Columns + 'static> Pool<'w, 's, I, D> {
     /// The columns of all rows. Writing to one marks all its components as changed ([`ColumnMut::quiet`] does not).
     ///
     /// # Errors
-    /// If rows are missing or there twice.
+    /// If rows are missing or duplicate.
     pub fn columns(self) -> Result<D::Slices<'w>> {
         let chunks = self.chunks()?;
         let count = chunks.iter().map(|(index, _)| index.len()).sum();
         slices::<I, D>(chunks, 0..count, true)
     }
 
-    /// The columns of some rows. Writing does not mark them as changed: this is for what every run makes anew.
+    /// The columns of some rows. Writing does not mark them as changed: use this for data that every run recomputes.
     ///
     /// # Errors
-    /// If rows are missing or there twice.
+    /// If rows are missing or duplicate.
     pub fn rows(self, rows: Range<usize>) -> Result<D::Slices<'w>> {
         let chunks = self.chunks()?;
         slices::<I, D>(chunks, rows, false)
     }
 
-    /// The columns of the rows that are chosen, given how many there are; otherwise as [`Self::rows`].
+    /// The columns of the rows that `choose` returns for the length of the pool; otherwise like [`Self::rows`].
     ///
     /// # Errors
-    /// If rows are missing or there twice.
+    /// If rows are missing or duplicate.
     pub fn rows_of(self, choose: impl FnOnce(usize) -> Range<usize>) -> Result<D::Slices<'w>> {
         let chunks = self.chunks()?;
         let count = chunks.iter().map(|(index, _)| index.len()).sum();
         slices::<I, D>(chunks, choose(count), false)
     }
 
-    /// The tables' parts, empty ones left out.
+    /// The parts of the pool in each table, without empty ones.
     fn chunks(self) -> Result<Vec<Chunk<'w, 's, I, D>>> {
         let chunks = self.query.contiguous_iter_inner();
         let chunks =
@@ -87,10 +87,10 @@ impl<'w, 's, I: PoolIndex, D: Columns + 'static> Pool<'w, 's, I, D> {
     }
 }
 
-/// A table's part of a pool.
+/// The part of a pool in one table.
 type Chunk<'w, 's, I, D> = (&'w [I], <D as ContiguousQueryData>::Contiguous<'w, 's>);
 
-/// Columns of `rows`: the table's own where it has them in order, else copies.
+/// Columns of `rows`: slices of the table if it has them in order, else copies.
 fn slices<'w, 's, I: PoolIndex, D: Columns>(
     chunks: Vec<Chunk<'w, 's, I, D>>,
     rows: Range<usize>,
@@ -98,7 +98,7 @@ fn slices<'w, 's, I: PoolIndex, D: Columns>(
 ) -> Result<D::Slices<'w>> {
     let mut chunks = chunks;
     if let Some(only) = chunks.iter().position(|(index, _)| in_order(index, &rows)) {
-        // The others, if any, hold none of these rows.
+        // The other chunks, if any, have none of these rows.
         let (_, chunk) = chunks.swap_remove(only);
         return Ok(D::slices(chunk, rows, marks));
     }
@@ -107,7 +107,7 @@ fn slices<'w, 's, I: PoolIndex, D: Columns>(
     Ok(D::gathered(chunks.into_iter().map(|(_, chunk)| chunk).collect(), &places, marks))
 }
 
-/// Whether entities `rows` of a table are the rows of these numbers. Without an early exit, so that it is a vector loop.
+/// Whether the entities at `rows` of a table have these indices. Without early exit, so that it compiles to a vector loop.
 fn in_order<I: PoolIndex>(index: &[I], rows: &Range<usize>) -> bool {
     let part = index.get(rows.clone());
     part.is_some_and(|part| {
@@ -115,7 +115,7 @@ fn in_order<I: PoolIndex>(index: &[I], rows: &Range<usize>) -> bool {
     })
 }
 
-/// Where a row lies: chunk, and place in it.
+/// Location of a row: chunk, and position in it.
 type Place = (u32, u32);
 
 fn places<I: PoolIndex>(indices: &[&[I]], rows: &Range<usize>) -> Result<Arc<[Place]>> {
@@ -127,7 +127,7 @@ fn places<I: PoolIndex>(indices: &[&[I]], rows: &Range<usize>) -> Result<Arc<[Pl
                 continue;
             };
             if *slot != NOWHERE {
-                return Err(wrong_row::<I>(index.row(), "is there twice"));
+                return Err(wrong_row::<I>(index.row(), "is duplicate"));
             }
             *slot = (chunk as u32, place as u32);
         }
@@ -140,18 +140,18 @@ fn places<I: PoolIndex>(indices: &[&[I]], rows: &Range<usize>) -> Result<Arc<[Pl
 
 fn wrong_row<I: PoolIndex>(row: usize, problem: &str) -> Error {
     let name = I::NAME;
-    Error::run(format!("the {name} pool"), format!("{name} {row} {problem}: rows count from 0, each once"))
+    Error::run(format!("the {name} pool"), format!("{name} {row} {problem}: indices count from 0, each once"))
 }
 
-/// What a [`Pool`] can be asked for: `&T`, `&mut T` of components that can be copied, and tuples of these.
+/// The column types of a [`Pool`]: `&T` and `&mut T` of `Copy` components, and tuples of these.
 pub trait Columns: ContiguousQueryData {
     /// The same as slices: [`Column`] for `&T`, [`ColumnMut`] for `&mut T`.
     type Slices<'w>;
 
-    /// Rows of a table as they lie.
+    /// Consecutive rows of a table.
     fn slices<'w, 's>(chunk: Self::Contiguous<'w, 's>, rows: Range<usize>, marks: bool) -> Self::Slices<'w>;
 
-    /// Rows from several places, copied in order.
+    /// Rows from several locations, copied in order.
     fn gathered<'w, 's>(
         chunks: Vec<Self::Contiguous<'w, 's>>,
         places: &Arc<[Place]>,
@@ -161,7 +161,7 @@ pub trait Columns: ContiguousQueryData {
 
 /// A column that is read.
 pub enum Column<'w, T> {
-    /// The table's own.
+    /// A slice of the table.
     Table(&'w [T]),
     /// A copy in the order of the indices.
     Copied(Vec<T>),
@@ -195,7 +195,7 @@ impl<T: Component + Copy> Columns for &'static T {
     }
 }
 
-/// A column that is written. A copy goes back to its table when it is dropped.
+/// A column that is written. A copy is written back to its table when it is dropped.
 pub struct ColumnMut<'w, T: Copy> {
     source: Source<'w, T>,
     /// Whether the first write marks the components as changed.
@@ -208,7 +208,7 @@ enum Source<'w, T> {
 }
 
 impl<T: Copy> ColumnMut<'_, T> {
-    /// The same, whose writes do not mark components as changed.
+    /// The same column, but writing does not mark components as changed.
     #[must_use]
     pub fn quiet(mut self) -> Self {
         self.marks = false;
@@ -294,7 +294,7 @@ macro_rules! tuple_columns {
                 places: &Arc<[Place]>,
                 marks: bool,
             ) -> Self::Slices<'w> {
-                // Vectors by the names of the types, their elements by the names of the values.
+                // Vectors have the names of the types, their elements the names of the values.
                 $(let mut $name = Vec::with_capacity(chunks.len());)*
                 for ($($value,)*) in chunks {
                     $($name.push($value);)*
@@ -314,7 +314,7 @@ tuple_columns!(A a, B b, C c, D d, E e, F f);
 /// A copy of one column of a pool, all rows; empty if the pool is.
 ///
 /// # Errors
-/// If rows are missing or there twice.
+/// If rows are missing or duplicate.
 pub fn read_column<I: PoolIndex, T: Component + Copy>(world: &mut World) -> Result<Vec<T>> {
     let mut state = SystemState::<Pool<I, &'static T>>::new(world);
     let pool =
@@ -325,7 +325,7 @@ pub fn read_column<I: PoolIndex, T: Component + Copy>(world: &mut World) -> Resu
 /// Writes one column of a pool, all rows.
 ///
 /// # Errors
-/// If rows are missing or there twice, or `values` has not one for each.
+/// If rows are missing or there twice, or `values` has another length.
 pub fn write_column<I: PoolIndex, T>(world: &mut World, values: &[T]) -> Result<()>
 where
     T: Component<Mutability = Mutable> + Copy,

@@ -1,6 +1,6 @@
-//! The names of phases, stages and slots: the public sets that systems are put into and ordered against.
+//! Labels of phases, stages and slots: the public sets that systems are added to and ordered against.
 //!
-//! A phase is a schedule, a stage an ordered set in it, a slot a set for one exchangeable system. All three are open: any
+//! A phase is a schedule, a stage is an ordered set in it, a slot is a set for one exchangeable system. Phases and slots are open: any
 //! [`ScheduleLabel`] can be a phase ([`Pipeline::add_phase`](super::Pipeline::add_phase)), any [`SystemSet`] a slot
 //! ([`SlotLabel`]).
 
@@ -11,23 +11,23 @@ use bevy_ecs::schedule::ScheduleLabel;
 #[derive(SystemSet, Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[non_exhaustive]
 pub enum Stage {
-    /// Chooses pixel samples and their rays.
+    /// Selects pixel samples and their rays.
     Sample,
     /// Finds the surface point of each ray.
     Trace,
-    /// Collects what shading reads: light, material, albedo at each point, visibility.
+    /// Collects the inputs of shading: light, material, albedo at each point, visibility.
     Gather,
     /// Writes outgoing radiance.
     Shade,
     /// Compares with the photographs and writes the adjoint of radiance.
     Loss,
-    /// Pulls that adjoint back to every parameter.
+    /// Propagates that adjoint back to every parameter.
     Gradient,
-    /// Moves the parameters.
+    /// Updates the parameters.
     Update,
     /// Sums samples into pixels.
     Resolve,
-    /// Hands finished images over. The built-in plugins leave it empty.
+    /// Outputs finished images. The built-in plugins leave it empty.
     Write,
 }
 
@@ -50,7 +50,7 @@ impl Stage {
 #[derive(ScheduleLabel, Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[non_exhaustive]
 pub enum Phase {
-    /// Makes the pool of observed pixels that a fit visits, once.
+    /// Builds the pool of observed pixels of a fit, once.
     Prepare,
     /// One step of a fit.
     FitStep,
@@ -73,29 +73,29 @@ pub trait SlotLabel: SystemSet + Clone {
 #[derive(SystemSet, Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
 #[non_exhaustive]
 pub enum Slot {
-    /// The material that is shown, made of the recovered one: an edit, or the recovered one as it is (in [`Stage::Gather`], first).
+    /// The shown material: the recovered one, edited or unchanged (in [`Stage::Gather`], first).
     Material,
-    /// What the light is: lobes of one light, or an environment map (in [`Stage::Gather`], after the material).
+    /// The active light: lobes of one light, or an environment map (in [`Stage::Gather`], after the material).
     Light,
-    /// What the object hides from itself (in [`Stage::Gather`], last).
+    /// Shadows and interreflection of the object (in [`Stage::Gather`], last).
     Visibility,
-    /// How points are shaded: a closed form or path tracing (in [`Stage::Shade`]).
+    /// Shading of points: a closed form or path tracing (in [`Stage::Shade`]).
     Shading,
     /// The adjoint of shading (in [`Stage::Gradient`], first).
     ShadingAdjoint,
-    /// How light and material move (in [`Stage::Update`]).
+    /// Optimizer of light and material (in [`Stage::Update`]).
     Optimizer,
-    /// The samples' rays, through cameras that move (in [`Stage::Trace`]).
+    /// The rays of samples, if cameras are optimized (in [`Stage::Trace`]).
     Recast,
-    /// Where the samples' rays meet the surface, if one of them moves (in [`Stage::Trace`], after that).
+    /// The surface points of samples, if rays or surface change (in [`Stage::Trace`], after [`Slot::Recast`]).
     Retrace,
-    /// How the samples' adjoints reach a surface that moves (in [`Stage::Gradient`], last).
+    /// The adjoint of a surface that is optimized (in [`Stage::Gradient`], last).
     ShapeGradient,
-    /// How the surface moves (in [`Stage::Update`]).
+    /// Optimizer of the surface (in [`Stage::Update`]).
     ShapeUpdate,
-    /// What the samples say of the cameras (in [`Stage::Gradient`]).
+    /// The normal equations of the cameras (in [`Stage::Gradient`]).
     CameraGradient,
-    /// How the cameras move (in [`Stage::Update`]).
+    /// Optimizer of the cameras (in [`Stage::Update`]).
     CameraUpdate,
 }
 
@@ -128,16 +128,16 @@ impl SlotLabel for Slot {
     }
 }
 
-/// What the Gather stage does between its slots: texels blended at surface points, base materials in columns.
+/// The systems of the Gather stage between its slots: interpolation of texels at surface points, base materials in columns.
 #[derive(SystemSet, Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct GatherPoints;
 
-/// What the Gradient stage does between [`Slot::ShadingAdjoint`] and [`Slot::ShapeGradient`]: adjoints of samples summed onto
-/// texels, lobes and base materials.
+/// The systems of the Gradient stage between [`Slot::ShadingAdjoint`] and [`Slot::ShapeGradient`]: sums of the adjoints of samples per
+/// texel, lobe and base material.
 #[derive(SystemSet, Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub struct ScatterAdjoints;
 
-/// Puts the stages and slots of a phase in order.
+/// Configures the order of the stages and slots of a phase.
 pub(super) fn configure(schedule: &mut Schedule) {
     for stage in Stage::ORDER {
         schedule.configure_sets(stage);

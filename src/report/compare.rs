@@ -9,21 +9,21 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-/// What a comparison found.
+/// The result of a comparison.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Comparison {
     /// Means, scale and the scores of each file.
     pub scores: PassScores,
-    /// File stems of the prediction without a truth; they were left out.
+    /// File stems of predictions without a truth; they are left out.
     pub only_prediction: Vec<String>,
-    /// File stems of the truth without a prediction; likewise.
+    /// File stems of truths without a prediction; they are left out.
     pub only_truth: Vec<String>,
 }
 
-/// Compares `prediction` with `truth`, two files or two folders whose images are matched by stem (where a folder has several
-/// of one stem, the first kind of [`IMAGE_EXTENSIONS`] counts).
+/// Compares `prediction` with `truth`, two files or two folders whose images are matched by stem (if a folder has several
+/// files with one stem, the first extension in [`IMAGE_EXTENSIONS`] is used).
 ///
-/// Images are read as photographs are: EXR and HDR are linear, others sRGB. Pixels in the mask count: the truth's alpha if it
+/// Images are read like photographs: EXR and HDR are linear, others sRGB. Pixels in the mask count: the truth's alpha if it
 /// has one, else the prediction's, else the whole image; eroded by one pixel.
 ///
 /// # Errors
@@ -31,7 +31,7 @@ pub struct Comparison {
 /// unequal sizes, an empty mask, or a non-finite pixel in the mask.
 pub fn compare(prediction: &Path, truth: &Path, scaling: Scaling) -> Result<Comparison> {
     if scaling == Scaling::PerLayer {
-        return Err(Error::usage("images have no layers to scale apart", "use per-channel scaling"));
+        return Err(Error::usage("images have no separate layers to scale", "use per-channel scaling"));
     }
     let matched = match_files(prediction, truth)?;
     let load = |i: usize| {
@@ -43,7 +43,7 @@ pub fn compare(prediction: &Path, truth: &Path, scaling: Scaling) -> Result<Comp
 }
 
 impl Comparison {
-    /// A table for the terminal: one line a file, the means, and what was left out.
+    /// A table for the terminal: one line per file, the means, and the files that are left out.
     pub fn table(&self) -> String {
         let scaled = self.scores.scaling != Scaling::None;
         let number = |value: f64| format!("{value:.2}");
@@ -163,14 +163,14 @@ fn load_view(name: &str, prediction: &Path, truth: &Path) -> Result<EvalView> {
     Ok(EvalView { name: name.to_owned(), width, height, prediction, truth, mask, ..EvalView::default() })
 }
 
-/// Pixels that were NaN or infinite are repaired on reading; where they would count, they are an error here.
+/// NaN and infinite pixels are repaired on reading; inside the mask they are an error here.
 fn check_finite(path: &Path, loaded: &LoadedImage, mask: &[bool]) -> Result<()> {
     let bad = loaded.saturated.iter().zip(mask).position(|(&bad, &counts)| loaded.is_float && bad && counts);
     match bad {
         Some(at) => {
             let width = loaded.image.width as usize;
             let place = format!("pixel ({}, {})", at % width, at / width);
-            let help = "find out what made it; it cannot be scored";
+            let help = "write the image again without NaN or infinite values";
             Err(Error::input(path, place, "is not a finite number", help))
         }
         None => Ok(()),
@@ -213,7 +213,7 @@ mod tests {
         exr(&t.join("b.exr"), [4, 4], |_| 0.25, None);
         exr(&p.join("mine.exr"), [4, 4], |_| 0.25, None);
         exr(&t.join("yours.exr"), [4, 4], |_| 0.25, None);
-        // The EXR of a stem goes before its PNG; other files are not looked at.
+        // The EXR of a stem has priority over its PNG; other files are ignored.
         png_file::write_rgb8(p.join("a.png"), &RgbImage::new(2, 2)).unwrap();
         std::fs::write(p.join("notes.txt"), "x").unwrap();
         let found = compare(&p, &t, Scaling::None).unwrap();
@@ -274,7 +274,7 @@ mod tests {
         let whole = std::fs::read(t.join("a.exr")).unwrap();
         std::fs::write(t.join("a.exr"), &whole[..whole.len() / 2]).unwrap();
         let (message, code) = refused(&p, &t);
-        assert!(message.contains("the EXR is damaged or cut short"), "{message}");
+        assert!(message.contains("the EXR is damaged or truncated"), "{message}");
         assert_eq!(code, 2);
         std::fs::remove_file(t.join("a.exr")).unwrap();
         std::fs::write(t.join("a.png"), b"not a PNG").unwrap();

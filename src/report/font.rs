@@ -1,7 +1,7 @@
-//! Lettering for contact sheets: a built-in 5×7 bitmap font, drawn smooth at any size.
+//! Text for contact sheets: a built-in 5×7 bitmap font, drawn with antialiasing at any size.
 //!
-//! Each glyph is enlarged eightfold by the Scale2x rule (A. Mazzoleni, 2001), three times over, which rounds its corners, and then
-//! averaged down to the size asked for, so that letters have soft edges and not stairs.
+//! Each glyph is enlarged eightfold by the Scale2x rule (A. Mazzoleni, 2001), applied three times, which rounds its corners, and then
+//! averaged down to the requested size, so that letters have smooth edges.
 
 use image::{Rgb, RgbImage};
 
@@ -114,7 +114,7 @@ const GLYPHS: [[u8; 5]; (LAST - FIRST + 1) as usize] = [
     [0x10, 0x08, 0x18, 0x10, 0x08], // ~
 ];
 
-/// What stands for a character the font does not have: an empty box.
+/// The glyph for characters that the font does not have: an empty box.
 const UNKNOWN: [u8; 5] = [0x7F, 0x41, 0x41, 0x41, 0x7F];
 
 fn columns(character: char) -> [u8; 5] {
@@ -133,7 +133,7 @@ fn columns(character: char) -> [u8; 5] {
     }
 }
 
-/// The columns that a character takes: blank edges are cut, but digits keep their full width so that numbers line up.
+/// The columns of a character: blank edges are removed, but digits keep their full width so that numbers align.
 fn inked(character: char) -> Vec<u8> {
     let all = columns(character);
     if character == ' ' {
@@ -173,8 +173,8 @@ pub fn fitted(text: &str, size: f32, width: u32) -> String {
     String::new()
 }
 
-/// Draws `text` with its top left corner at (`left`, `top`), `size` pixels per font dot, in sRGB `color`. What falls outside the
-/// picture is cut off.
+/// Draws `text` with its top left corner at (`left`, `top`), `size` pixels per font dot, in sRGB `color`. Parts outside the
+/// picture are clipped.
 pub fn draw_text(picture: &mut RgbImage, [left, top]: [u32; 2], size: f32, color: [u8; 3], text: &str) {
     let mut column = 0usize;
     for character in text.chars() {
@@ -201,7 +201,7 @@ fn blend(picture: &mut RgbImage, x: u32, y: u32, color: [u8; 3], coverage: f32) 
     picture.put_pixel(x, y, Rgb([mix(0), mix(1), mix(2)]));
 }
 
-/// A glyph, enlarged and rounded.
+/// An enlarged and rounded glyph.
 struct Glyph {
     columns: usize,
     width: usize,
@@ -228,7 +228,7 @@ impl Glyph {
         inside && self.ink[y as usize * self.width + x as usize]
     }
 
-    /// Twice the size by Scale2x: a corner takes the colour of its two outer neighbours where they agree.
+    /// Twice the size by Scale2x: a corner gets the color of its two outer neighbors if they are equal.
     fn doubled(&self) -> Self {
         let (width, height) = (2 * self.width, 2 * self.height);
         let dot = |i: usize| {
@@ -241,7 +241,7 @@ impl Glyph {
         Self { columns: self.columns, width, height, ink: (0..width * height).map(dot).collect() }
     }
 
-    /// Share of ink in the square of side `step` font dots whose corner is (`x`, `y`) dots from the glyph's.
+    /// Coverage of the square of side `step` font dots whose corner is (`x`, `y`) dots from the corner of the glyph.
     fn coverage(&self, x: f32, y: f32, step: f32) -> f32 {
         const TAPS: usize = 8;
         let tap = |from: f32, i: usize| {
@@ -285,7 +285,7 @@ mod tests {
         assert_eq!(picture.get_pixel(3, 6).0, [255; 3], "stem");
         assert_eq!(picture.get_pixel(9, 16).0, [255; 3], "foot");
         assert_eq!(picture.get_pixel(8, 6).0, [0; 3], "right of the stem");
-        // Off the picture: nothing happens.
+        // Outside the picture: nothing happens.
         draw_text(&mut picture, [18, 15], 3.0, [255; 3], "off");
     }
 }

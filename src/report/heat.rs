@@ -1,10 +1,10 @@
-//! Error heat maps: how far a prediction is from its truth, amplified by a stated factor.
+//! Error heat maps: the difference of a prediction and its truth, times a given factor.
 
 use glam::Vec3;
 use image::{Rgb, RgbImage};
 
-/// sRGB stops of the colour scale at 0, 1/8 … 1: matplotlib's "inferno" (N. Smith and S. van der Walt, 2015), which rises
-/// evenly in lightness and is safe for colour-blind eyes.
+/// sRGB stops of the color scale at 0, 1/8 … 1: matplotlib's "inferno" (N. Smith and S. van der Walt, 2015), which is
+/// perceptually uniform and suitable for color-blind readers.
 const INFERNO: [[u8; 3]; 9] = [
     [0, 0, 4],
     [31, 12, 72],
@@ -17,7 +17,7 @@ const INFERNO: [[u8; 3]; 9] = [
     [252, 255, 164],
 ];
 
-/// Colour of the scale at `value`, which is clamped to `[0, 1]` (NaN is shown in cyan, which the scale does not have).
+/// Color of the scale at `value`, which is clamped to `[0, 1]` (NaN is cyan, which the scale does not contain).
 pub fn heat_color(value: f32) -> [u8; 3] {
     if value.is_nan() {
         return [0, 255, 255];
@@ -35,9 +35,9 @@ fn difference(prediction: Vec3, truth: Vec3) -> f32 {
     gap.element_sum() / 3.0
 }
 
-/// Heat map of `width` × `height` pixels: the scale's colour at error × `factor`. Pixels with zero coverage are `outside`.
+/// Heat map of `width` × `height` pixels: the scale's color at error × `factor`. Pixels with zero coverage are `outside`.
 ///
-/// `prediction`, `truth` and `coverage` hold `width * height` entries; what is missing is shown as `outside`.
+/// `prediction`, `truth` and `coverage` hold `width * height` entries; missing entries are shown as `outside`.
 pub fn heat_map(
     [width, height]: [u32; 2],
     images: [&[Vec3]; 2],
@@ -57,8 +57,8 @@ pub fn heat_map(
     })
 }
 
-/// A factor (4, 8, 16, 32 or 64) that brings a PSNR of `psnr` dB into the middle of the scale: an error of three times the root
-/// mean square is about the hottest colour. Use one factor for all rows that are to be compared.
+/// A factor (4, 8, 16, 32 or 64) for a PSNR of `psnr` dB: an error of three times the root
+/// mean square is about the end of the scale. Use one factor for all rows that are to be compared.
 pub fn factor_for(psnr: f64) -> f32 {
     let root_mean_square = 10f64.powf(-psnr / 20.0);
     let wanted = 1.0 / (3.0 * root_mean_square);

@@ -1,18 +1,18 @@
-//! Scores of a predicted image against its truth, in linear light. Pure: slices in, numbers out, sums in `f64`.
+//! Scores of a predicted image against its truth, in linear light. Pure functions of slices, with sums in `f64`.
 //!
-//! Only pixels in the mask count. Masks are eroded by one pixel first ([`erode`]), so that pixels the silhouette runs
-//! through, where coverage and not material decides, are left out.
+//! Only pixels in the mask count. Masks are eroded by one pixel first ([`erode`]), so that pixels on the
+//! silhouette, which depend on coverage and not on material, are left out.
 
 use crate::{Error, Result};
 use glam::{DVec3, Vec3};
 
-/// What equal images score, in dB: the PSNR is capped here because JSON has no infinity (an RMS error of 1e-5).
+/// The score of equal images, in dB: PSNR is clamped to it because JSON has no infinity (an RMS error of 1e-5).
 pub const PSNR_CAP_DB: f64 = 100.0;
 
 /// Coverage from which a pixel counts as fully covered.
 pub const FULL_COVERAGE: f32 = 0.999;
 
-/// A predicted view, its truth and the pixels that count. [`Pair::new`] has checked sizes and finiteness.
+/// A predicted view, its truth and the pixels that count. [`Pair::new`] checks sizes and finiteness.
 #[derive(Clone, Copy, Debug)]
 pub struct Pair<'a> {
     /// Width in pixels.
@@ -75,11 +75,11 @@ fn bad(problem: impl Into<String>) -> Error {
     Error::run("scoring", problem)
 }
 
-/// The pixels whose 3×3 neighbourhood is fully covered (≥ [`FULL_COVERAGE`]). Beyond the image's border counts as
-/// covered: an object cut off by the frame has no silhouette there, and a mask of ones stays whole.
+/// The pixels whose 3×3 neighborhood is fully covered (≥ [`FULL_COVERAGE`]). Pixels beyond the border count as
+/// covered: an object that the frame cuts has no silhouette there, and a mask of ones does not change.
 ///
-/// `coverage` is `size[0] * size[1]` values in `[0, 1]`. (The view room has an erosion of its own for fitting; this
-/// one stands here so that the metrics depend on nothing but slices.)
+/// `coverage` is `size[0] * size[1]` values in `[0, 1]`. ([`crate::view`] has a separate erosion for fitting; this
+/// one is here so that metrics depend on slices only.)
 pub fn erode(size: [usize; 2], coverage: &[f32]) -> Vec<bool> {
     let [width, height] = size;
     debug_assert_eq!(coverage.len(), width * height);
@@ -120,7 +120,7 @@ pub fn coverage_iou(a: &[f32], b: &[f32]) -> Option<f64> {
     (either > 0).then(|| both as f64 / either as f64)
 }
 
-/// Arithmetic mean; `None` of nothing.
+/// Arithmetic mean; `None` for no values.
 pub fn mean(values: &[f64]) -> Option<f64> {
     (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
 }
@@ -131,8 +131,8 @@ pub fn scaled(pixels: &[Vec3], scale: [f64; 3]) -> Vec<Vec3> {
     pixels.iter().map(|p| (p.as_dvec3() * scale).as_vec3()).collect()
 }
 
-/// Gathers the least-squares scale per channel over any number of views: s = Σ p·t / Σ p², unclipped, over the pixels
-/// that count. Light and albedo are known only up to such a scale.
+/// Accumulates the least-squares scale per channel over any number of views: s = Σ p·t / Σ p², unclipped, over the pixels
+/// that count. Light and albedo are determined only up to such a scale.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ScaleSums {
     prediction_truth: DVec3,
@@ -148,7 +148,7 @@ impl ScaleSums {
         }
     }
 
-    /// The scale per channel, never negative; 1 for a channel whose prediction is black everywhere.
+    /// The scale per channel, never negative; 1 for channels whose prediction is black everywhere.
     pub fn scale(&self) -> [f64; 3] {
         std::array::from_fn(|c| single_scale(self.prediction_truth[c], self.prediction_squared[c]))
     }
@@ -168,15 +168,15 @@ pub struct LayerScales {
 }
 
 impl LayerScales {
-    /// The image that the scaled layers make.
+    /// The sum of the scaled layers.
     pub fn combine(&self, diffuse: &[Vec3], specular: &[Vec3]) -> Vec<Vec3> {
         let (a, b) = (DVec3::from_array(self.diffuse), DVec3::from_array(self.specular));
         diffuse.iter().zip(specular).map(|(d, s)| (a * d.as_dvec3() + b * s.as_dvec3()).as_vec3()).collect()
     }
 }
 
-/// Gathers, over any number of views, the non-negative least-squares scales of a diffuse and a specular layer whose sum is
-/// to equal the truth. An edit replaces the specular layer, so that the two layers no longer share the fit's scale.
+/// Accumulates, over any number of views, the non-negative least-squares scales of a diffuse and a specular layer whose sum
+/// approximates the truth. An edit replaces the specular layer, so that the two layers no longer have the common scale of the fit.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct LayerScaleSums {
     dd: DVec3,
@@ -203,7 +203,7 @@ impl LayerScaleSums {
         Ok(())
     }
 
-    /// The scales, never negative. Where the layers are proportional to one another, or one is black, they share the one
+    /// The scales, never negative. If the layers are proportional to each other, or one is black, both have the
     /// scale of their sum.
     pub fn scales(&self) -> LayerScales {
         let solved: [[f64; 2]; 3] = std::array::from_fn(|c| {
@@ -213,7 +213,7 @@ impl LayerScaleSums {
     }
 }
 
-/// Minimises |a·d + b·s − t|² over a, b ≥ 0 from the normal equations' sums.
+/// Minimizes |a·d + b·s − t|² over a, b ≥ 0 from the sums of the normal equations.
 fn two_scales([dd, ds, ss]: [f64; 3], [dt, st]: [f64; 2]) -> [f64; 2] {
     let determinant = dd * ss - ds * ds;
     if determinant <= 1e-9 * dd * ss {
@@ -224,13 +224,13 @@ fn two_scales([dd, ds, ss]: [f64; 3], [dt, st]: [f64; 2]) -> [f64; 2] {
     if a >= 0.0 && b >= 0.0 {
         return [a, b];
     }
-    // The best point lies on an edge of the quadrant; the better edge wins.
+    // The minimum is on an edge of the quadrant; the better edge is used.
     let (only_a, only_b) = ([single_scale(dt, dd), 0.0], [0.0, single_scale(st, ss)]);
     let cost = |[a, b]: [f64; 2]| a * a * dd + 2.0 * a * b * ds + b * b * ss - 2.0 * (a * dt + b * st);
     if cost(only_a) <= cost(only_b) { only_a } else { only_b }
 }
 
-/// The albedo's score.
+/// The score of the albedo.
 #[derive(Clone, Debug, PartialEq)]
 pub struct AlbedoScore {
     /// PSNR over the counted pixels of all views together, dB.
@@ -273,7 +273,7 @@ fn median_ratio(views: &[Pair], channel: usize) -> f64 {
     median(&mut ratios).unwrap_or(1.0)
 }
 
-/// Median (mean of the middle two for an even count) of finite values, which are reordered; `None` of nothing.
+/// Median (mean of the middle two for an even count) of finite values, which are reordered; `None` for no values.
 pub fn median(values: &mut [f64]) -> Option<f64> {
     let middle = values.len() / 2;
     if values.is_empty() {
@@ -285,7 +285,7 @@ pub fn median(values: &mut [f64]) -> Option<f64> {
     Some(0.5 * (lower + upper))
 }
 
-/// Mean angle in degrees between predicted and true normals over all counted pixels of all views. Both are normalised
+/// Mean angle in degrees between predicted and true normals over all counted pixels of all views. Both are normalized
 /// first (truth is an average over a pixel); a pixel where either is zero is skipped. `None` if no pixel is left.
 pub fn mean_normal_angle_degrees(views: &[Pair]) -> Option<f64> {
     let (mut sum, mut count) = (0.0, 0usize);
@@ -325,7 +325,7 @@ mod tests {
         prediction[2].y = 1.0;
         let expected = -10.0 * (0.25f64 / 12.0).log10();
         assert!((psnr(&pair(&prediction, &truth, &ALL)) - expected).abs() < 1e-9);
-        // … and not seen if masked out; equal images reach the cap.
+        // … and ignored if masked out; equal images have the largest PSNR.
         let mask = [true, true, false, true];
         assert_eq!(psnr(&pair(&prediction, &truth, &mask)), PSNR_CAP_DB);
     }

@@ -1,4 +1,4 @@
-//! Scores of passes: computed view by view, kept as `metrics.json`, shown as a table.
+//! Scores of passes: computed view by view, written to `metrics.json`, and shown as a table.
 
 use crate::codec::file;
 use crate::report::metrics;
@@ -12,14 +12,14 @@ use std::borrow::Borrow;
 use std::fmt::Write;
 use std::path::Path;
 
-/// What is taken out of a prediction before it is scored, by least squares over all views (unclipped, eroded masks).
+/// The scale that is fitted to a prediction before scoring, by least squares over all views (unclipped, eroded masks).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Scaling {
-    /// Nothing: a novel view has to be right as it is.
+    /// None: for novel views.
     #[default]
     None,
-    /// One factor per channel: light and albedo are known only up to that, which shows under another light.
+    /// One factor per channel: for relighting, because light and albedo are determined only up to that factor.
     PerChannel,
     /// One factor per channel for the diffuse layer and one for the specular layer: for edited materials.
     PerLayer,
@@ -28,7 +28,7 @@ pub enum Scaling {
 /// One view to be scored; every list holds `width * height` entries, row by row from the top left.
 #[derive(Clone, Debug, Default)]
 pub struct EvalView {
-    /// What the view is called.
+    /// Name of the view.
     pub name: String,
     /// Width in pixels.
     pub width: usize,
@@ -38,7 +38,7 @@ pub struct EvalView {
     pub prediction: Vec<Vec3>,
     /// Its diffuse layer; only read for [`Scaling::PerLayer`] and may be empty otherwise.
     pub diffuse: Vec<Vec3>,
-    /// Its specular layer; likewise.
+    /// Its specular layer; only read for [`Scaling::PerLayer`] and may be empty otherwise.
     pub specular: Vec<Vec3>,
     /// True linear radiance.
     pub truth: Vec<Vec3>,
@@ -59,11 +59,11 @@ impl EvalView {
 /// Scores of one view.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ViewScores {
-    /// What the view is called.
+    /// Name of the view.
     pub name: String,
     /// PSNR after scaling, dB.
     pub psnr: f64,
-    /// PSNR as it is, dB.
+    /// PSNR without scaling, dB.
     pub psnr_raw: f64,
     /// SSIM after scaling.
     pub ssim: f64,
@@ -74,36 +74,36 @@ pub struct ViewScores {
 pub struct PassScores {
     /// Mean PSNR over the views after scaling, dB.
     pub psnr: f64,
-    /// Mean PSNR as it is, dB.
+    /// Mean PSNR without scaling, dB.
     pub psnr_raw: f64,
     /// Mean SSIM after scaling.
     pub ssim: f64,
-    /// What was scaled.
+    /// The scaling that was applied.
     pub scaling: Scaling,
     /// The factors: of the image, or of its diffuse layer (`[1, 1, 1]` for [`Scaling::None`]).
     pub scale: [f64; 3],
     /// The specular layer's factors, for [`Scaling::PerLayer`].
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub scale_specular: Option<[f64; 3]>,
-    /// The views' own scores.
+    /// The scores of each view.
     pub views: Vec<ViewScores>,
 }
 
 /// The scale between light and albedo, the same in all outputs of a run.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ScaleFound {
-    /// What decided it, in a scene file's words; `Known` if light or albedo was given.
+    /// The rule, as in a scene file; `Known` if light or albedo is given.
     pub rule: String,
     /// Mean radiance of the light over the sphere, linear RGB.
     pub mean_light: [f32; 3],
-    /// Mean albedo of the texels that were seen, linear RGB.
+    /// Mean albedo of the texels that are seen, linear RGB.
     pub mean_albedo: [f32; 3],
 }
 
-/// Everything that a run is judged by; `metrics.json`.
+/// All scores of a run; `metrics.json`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Scores {
-    /// By pass name, in the order in which they were scored.
+    /// By pass name, in the order of scoring.
     pub passes: IndexMap<String, PassScores>,
     /// Albedo PSNR after median scales, dB; `null` if there is no true albedo.
     pub albedo_psnr: Option<f64>,
@@ -116,7 +116,7 @@ pub struct Scores {
     /// the mean of the two directed mean distances; `null` if no true mesh is named.
     #[serde(default)]
     pub chamfer: Option<f64>,
-    /// The scale between light and albedo that the last fit ended with; `null` if nothing was fitted.
+    /// The scale between light and albedo after the last fit; `null` if nothing is fitted.
     #[serde(default)]
     pub scale: Option<ScaleFound>,
     /// Time of all fits, seconds.
@@ -126,7 +126,7 @@ pub struct Scores {
 }
 
 /// Scores `count` views. `load(i)` gives view `i`, borrowed or owned; it is called once for each view, and once more before that
-/// for the scale where there is one, so that no more than one view need be in memory.
+/// for the scale, if there is one, so that at most one view is in memory.
 ///
 /// # Errors
 /// Whatever `load` returns; [`Error::Run`] for no views, lists of the wrong length, empty masks or non-finite pixels.
@@ -201,8 +201,8 @@ fn score_view(view: &EvalView, applied: &Applied) -> Result<ViewScores> {
 }
 
 impl PassScores {
-    /// The prediction of `view` as it was scored, that is, with these scores' scale applied: what belongs on a contact sheet
-    /// beside the truth and into an error map.
+    /// The prediction of `view` with the scale of these scores, for contact sheets
+    /// and error maps.
     pub fn scored_prediction(&self, view: &EvalView) -> Vec<Vec3> {
         match (self.scaling, self.scale_specular) {
             (Scaling::PerLayer, Some(specular)) => {
@@ -225,7 +225,7 @@ impl Scores {
     /// Writes `metrics.json` (indented, keys in a fixed order).
     ///
     /// # Errors
-    /// [`Error::Io`] if the disk refuses.
+    /// [`Error::Io`] if the file cannot be written.
     pub fn write_json(&self, path: impl AsRef<Path>) -> Result<()> {
         let path = path.as_ref();
         let mut text =
@@ -234,7 +234,7 @@ impl Scores {
         file::write_bytes(path, text.as_bytes())
     }
 
-    /// A table for the terminal, one line a pass and one for the rest; ends with a line break.
+    /// A table for the terminal, one line per pass and one for the rest; ends with a line break.
     pub fn table(&self) -> String {
         let mut rows = vec![["pass", "PSNR dB", "raw", "SSIM", "scale R", "G", "B"].map(str::to_owned)];
         for (name, pass) in &self.passes {
@@ -282,7 +282,7 @@ fn pass_rows(name: &str, pass: &PassScores) -> Vec<[String; 7]> {
     rows
 }
 
-/// Columns padded to their widest entry, a rule under the first row; the first column to the left, the rest to the right.
+/// Pads columns to their widest entry, with a rule under the first row; the first column is left-aligned, the others right-aligned.
 pub(super) fn aligned<const N: usize>(rows: &[[String; N]]) -> String {
     let width: [usize; N] =
         std::array::from_fn(|c| rows.iter().map(|row| row[c].chars().count()).max().unwrap_or(0));
@@ -304,7 +304,7 @@ pub(super) fn aligned<const N: usize>(rows: &[[String; N]]) -> String {
     text
 }
 
-/// Largest resident memory of this process so far in MiB (`VmHWM`); `None` where `/proc` does not tell.
+/// Largest resident memory of this process so far in MiB (`VmHWM`); `None` without `/proc`.
 pub fn peak_rss_mib() -> Option<f64> {
     peak_in_status(&std::fs::read_to_string("/proc/self/status").ok()?)
 }

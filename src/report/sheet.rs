@@ -1,4 +1,4 @@
-//! Contact sheets: rows of labelled pictures under headings, as one PNG.
+//! Contact sheets: rows of labeled pictures under headings, as one PNG.
 
 use crate::codec::png_file;
 use crate::report::{font, heat};
@@ -19,24 +19,24 @@ pub struct SheetCell {
 /// Pictures side by side.
 #[derive(Clone, Debug, Default)]
 pub struct SheetRow {
-    /// What stands over the row (a pass and its scores); empty for a row that continues the one above.
+    /// Heading of the row (a pass and its scores); empty for a row that continues the one above.
     pub heading: String,
     /// From left to right.
     pub cells: Vec<SheetCell>,
 }
 
-/// Colours of a sheet.
+/// Colors of a sheet.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Theme {
-    /// Neutral paper.
+    /// Light neutral gray.
     #[default]
     Light,
-    /// Neutral slate.
+    /// Dark neutral gray.
     Dark,
 }
 
 impl Theme {
-    /// Background, sRGB; also a good backdrop for pictures of the object, which then float on the page.
+    /// Background, sRGB; also a suitable backdrop for pictures of the object.
     pub fn background(self) -> [u8; 3] {
         match self {
             Self::Light => [244, 244, 242],
@@ -44,7 +44,7 @@ impl Theme {
         }
     }
 
-    /// Ground on which a picture stands, sRGB: a little off the page, so that cells are seen as cells.
+    /// Background of a cell, sRGB: slightly different from the page, so that cells are visible.
     pub fn mat(self) -> [u8; 3] {
         match self {
             Self::Light => [228, 228, 225],
@@ -83,11 +83,11 @@ pub struct Sheet {
     pub subtitle: String,
     /// From top to bottom.
     pub rows: Vec<SheetRow>,
-    /// Colours.
+    /// Colors.
     pub theme: Theme,
-    /// Width in pixels that every picture is brought to, its shape kept.
+    /// Width in pixels of every picture; the aspect ratio is kept.
     pub cell_width: u32,
-    /// If the sheet has error maps with one factor: that factor, and the colour scale is drawn at the foot.
+    /// The factor of the error maps, if the sheet has any; the color scale is then drawn at the bottom.
     pub heat_factor: Option<f32>,
 }
 
@@ -112,10 +112,10 @@ const GAP: u32 = 8;
 const TITLE: f32 = 3.5;
 const HEADING: f32 = 2.25;
 const LABEL: f32 = 1.75;
-/// Most pixels a side of the sheet may have.
+/// Largest width and height of the sheet in pixels.
 const MOST_SIDE: u32 = 32_000;
 
-/// At most `most` of `count` views, evenly spread, the first and the last among them.
+/// At most `most` of `count` views, evenly spaced, including the first and the last.
 pub fn choose_evenly(count: usize, most: usize) -> Vec<usize> {
     match (count, most) {
         (0, _) | (_, 0) => Vec::new(),
@@ -128,7 +128,7 @@ pub fn choose_evenly(count: usize, most: usize) -> Vec<usize> {
 /// Composes `sheet` and writes it as a PNG.
 ///
 /// # Errors
-/// Those of [`compose`]; [`Error::Io`] if the disk refuses.
+/// Those of [`compose`]; [`Error::Io`] if the file cannot be written.
 pub fn write_sheet(path: impl AsRef<Path>, sheet: &Sheet) -> Result<()> {
     png_file::write_rgb8(path, &compose(sheet)?)
 }
@@ -184,7 +184,7 @@ impl Layout {
     }
 }
 
-/// Width that titles and headings need; a narrow sheet is widened for them, up to a point.
+/// Width of titles and headings; a narrow sheet is widened for them, up to a limit.
 fn text_room(sheet: &Sheet) -> u32 {
     let headings = sheet.rows.iter().map(|row| font::text_width(&row.heading, HEADING)).max().unwrap_or(0);
     let head = font::text_width(&sheet.title, TITLE).max(font::text_width(&sheet.subtitle, LABEL));
@@ -222,8 +222,8 @@ fn heading_height(row: &SheetRow) -> u32 {
 }
 
 fn label_height(row: &SheetRow) -> u32 {
-    let labelled = row.cells.iter().any(|cell| !cell.label.is_empty());
-    if labelled { GAP + font::line_height(LABEL) } else { 0 }
+    let labeled = row.cells.iter().any(|cell| !cell.label.is_empty());
+    if labeled { GAP + font::line_height(LABEL) } else { 0 }
 }
 
 fn cell_height(cell: &SheetCell, width: u32) -> u32 {
@@ -256,7 +256,7 @@ fn draw_row(page: &mut RgbImage, sheet: &Sheet, row: &SheetRow, top: u32) {
     }
 }
 
-/// Enlarged by whole pixels where that fits exactly, else resampled smoothly.
+/// Enlarged by an integer factor if that fits exactly, else resampled smoothly.
 fn resized(picture: &RgbImage, width: u32, height: u32) -> RgbImage {
     let exact = width.is_multiple_of(picture.width()) && height.is_multiple_of(picture.height());
     let filter = if exact { FilterType::Nearest } else { FilterType::CatmullRom };
@@ -270,7 +270,7 @@ fn scale_height() -> u32 {
     GAP + SCALE_BAR + GAP + font::line_height(LABEL)
 }
 
-/// The colour scale of the error maps: a bar from 0 to 1 / factor.
+/// The color scale of the error maps: a bar from 0 to 1 / factor.
 fn draw_scale(page: &mut RgbImage, theme: Theme, factor: f32, top: u32) {
     let top = top + GAP;
     let width = SCALE_WIDTH.min(page.width() - 2 * MARGIN);
@@ -289,7 +289,7 @@ fn draw_scale(page: &mut RgbImage, theme: Theme, factor: f32, top: u32) {
     font::draw_text(page, [caption_left, top], LABEL, theme.faint_ink(), &caption);
 }
 
-/// Fills the rectangle `[left, top, width, height]`, cut to the page.
+/// Fills the rectangle `[left, top, width, height]`, clipped to the page.
 fn fill(page: &mut RgbImage, [left, top, width, height]: [u32; 4], color: [u8; 3]) {
     for y in top..(top + height).min(page.height()) {
         for x in left..(left + width).min(page.width()) {

@@ -13,9 +13,9 @@ const C2: f64 = 0.03 * 0.03;
 
 /// Mean SSIM over the three channels and the pixels that count, in linear light, for a dynamic range of 1.
 ///
-/// Both images are clipped to `[0, 1]` and put on black outside the mask, so that no pixel outside the mask has any say.
+/// Both images are clipped to `[0, 1]` and black outside the mask, so that no pixel outside the mask has an effect.
 /// The similarity map is then computed over the whole image, with windows reflected at the border (… b a | a b …), and
-/// averaged over the pixels that count. The window is an 11×11 Gaussian of σ 1.5, normalised to 1; variances are not
+/// averaged over the pixels that count. The window is an 11×11 Gaussian of σ 1.5, normalized to 1; variances are not
 /// bias-corrected, as in the original.
 pub fn ssim(pair: &Pair) -> f64 {
     (0..3).map(|channel| channel_ssim(pair, channel)).sum::<f64>() / 3.0
@@ -56,7 +56,7 @@ fn weights() -> [f64; 2 * RADIUS + 1] {
     raw.map(|weight| weight / sum)
 }
 
-/// Index of position `at − RADIUS` on an axis of `len` cells, reflected at both ends as often as it takes.
+/// Index of position `at − RADIUS` on an axis of `len` cells, reflected at both ends as often as necessary.
 fn reflected(at: usize, len: usize) -> usize {
     let period = 2 * len as isize;
     let folded = (at as isize - RADIUS as isize).rem_euclid(period);

@@ -1,4 +1,4 @@
-//! From linear radiance to a picture: exposure, tone curve, backdrop, 8-bit sRGB.
+//! Conversion of linear radiance to a picture: exposure, tone curve, backdrop, 8-bit sRGB.
 
 use crate::codec::frame::Frame;
 use crate::codec::png_file;
@@ -9,17 +9,17 @@ use image::{Rgb, RgbImage, Rgba, RgbaImage};
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
-/// How linear radiance is brought into the range of a display.
+/// Tone mapping of linear radiance to the range of a display.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum Tone {
-    /// Clipped at 1: what is in range is shown exactly.
+    /// Clipped at 1: values in range are shown exactly.
     #[default]
     Srgb,
     /// A film-like shoulder and toe: S. Hill's fit of the ACES RRT and ODT (BakingLab, `ACES.hlsl`, 2016),
-    /// pre-scaled by 1/0.6 so that mid-grey keeps about its place.
+    /// pre-scaled by 1/0.6 so that mid-gray stays about the same.
     Filmic,
-    /// Exact up to about 0.76 and then compressed towards white, hue kept: the Khronos PBR Neutral tone mapper (2024).
+    /// Exact up to about 0.76 and then compressed toward white, hue preserved: the Khronos PBR Neutral tone mapper (2024).
     /// Best for judging materials under a bright light.
     Neutral,
 }
@@ -73,7 +73,7 @@ fn neutral(radiance: Vec3) -> Vec3 {
     (color * (new_peak / peak)).lerp(Vec3::splat(new_peak), white)
 }
 
-/// How a picture is developed.
+/// Exposure and tone curve of a picture.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Look {
@@ -90,19 +90,19 @@ impl Look {
     }
 }
 
-/// What is seen where the object is not.
+/// The background outside the object.
 #[derive(Clone, Copy, Debug, Default)]
 pub enum Backdrop<'a> {
-    /// Nothing: straight alpha.
+    /// None: straight alpha.
     #[default]
     Transparent,
-    /// One display-referred linear colour in `[0, 1]`, which exposure and tone curve leave alone.
+    /// One display-referred linear color in `[0, 1]`, without exposure and tone curve.
     Solid(Vec3),
-    /// The radiance behind each pixel (the environment), exposed and toned with the object.
+    /// The radiance behind each pixel (the environment), with the exposure and tone curve of the object.
     Radiance(&'a [Vec3]),
 }
 
-/// A linear image to be developed: coverage-weighted colour on black, and coverage in `[0, 1]`.
+/// A linear image to be tone mapped: coverage-weighted color on black, and coverage in `[0, 1]`.
 #[derive(Clone, Copy, Debug)]
 pub struct Picture<'a> {
     /// Width in pixels.
@@ -116,7 +116,7 @@ pub struct Picture<'a> {
 }
 
 impl<'a> Picture<'a> {
-    /// Colour and coverage of a rendered frame.
+    /// Color and coverage of a rendered frame.
     pub fn of(frame: &'a Frame) -> Self {
         Self { width: frame.width, height: frame.height, color: &frame.color, alpha: &frame.alpha }
     }
@@ -124,7 +124,7 @@ impl<'a> Picture<'a> {
     /// 8-bit sRGB with straight alpha (255 throughout unless the backdrop is transparent).
     ///
     /// # Errors
-    /// [`Error::Run`] if a list has not `width * height` entries.
+    /// [`Error::Run`] if a list does not have `width * height` entries.
     pub fn rgba8(&self, look: &Look, backdrop: Backdrop) -> Result<RgbaImage> {
         self.check(backdrop)?;
         let pixel = |x: u32, y: u32| {
@@ -139,7 +139,7 @@ impl<'a> Picture<'a> {
     /// 8-bit sRGB, opaque; a transparent backdrop is black.
     ///
     /// # Errors
-    /// [`Error::Run`] if a list has not `width * height` entries.
+    /// [`Error::Run`] if a list does not have `width * height` entries.
     pub fn rgb8(&self, look: &Look, backdrop: Backdrop) -> Result<RgbImage> {
         let backdrop = match backdrop {
             Backdrop::Transparent => Backdrop::Solid(Vec3::ZERO),
@@ -154,7 +154,7 @@ impl<'a> Picture<'a> {
     /// Display-referred linear value and alpha of a pixel.
     fn shown(&self, at: usize, look: &Look, backdrop: Backdrop) -> (Vec3, f32) {
         let (color, alpha) = (self.color[at], self.alpha[at].clamp(0.0, 1.0));
-        // The object's own colour, as if it filled the pixel; the curve bends that and not its mixture with black.
+        // The color of the object for full coverage; the curve applies to this color, not to its mixture with black.
         let straight = if alpha > 1e-4 { color / alpha } else { color };
         match backdrop {
             Backdrop::Transparent => (look.develop(straight), alpha),
@@ -166,7 +166,7 @@ impl<'a> Picture<'a> {
     fn check(&self, backdrop: Backdrop) -> Result<()> {
         let count = self.width * self.height;
         let behind = if let Backdrop::Radiance(behind) = backdrop { behind.len() } else { count };
-        for (what, len) in [("colour", self.color.len()), ("alpha", self.alpha.len()), ("backdrop", behind)] {
+        for (what, len) in [("color", self.color.len()), ("alpha", self.alpha.len()), ("backdrop", behind)] {
             if len != count {
                 let problem = format!("the {what} has {len} pixels, not {} × {}", self.width, self.height);
                 return Err(Error::run("developing a picture", problem));
@@ -176,10 +176,10 @@ impl<'a> Picture<'a> {
     }
 }
 
-/// Writes a rendered frame as an 8-bit sRGB PNG with straight alpha, and makes the folder it goes into.
+/// Writes a rendered frame as an 8-bit sRGB PNG with straight alpha, and creates its folder.
 ///
 /// # Errors
-/// [`Error::Io`] if the disk refuses.
+/// [`Error::Io`] if the file cannot be written.
 pub fn save_png(path: impl AsRef<Path>, frame: &Frame, look: &Look) -> Result<()> {
     write_png(path, &Picture::of(frame), look, Backdrop::Transparent)
 }
@@ -187,7 +187,7 @@ pub fn save_png(path: impl AsRef<Path>, frame: &Frame, look: &Look) -> Result<()
 /// Writes `picture` as an 8-bit sRGB PNG: RGBA with straight alpha for a transparent backdrop, else RGB.
 ///
 /// # Errors
-/// [`Error::Run`] for lists of the wrong length, [`Error::Io`] if the disk refuses.
+/// [`Error::Run`] for lists of the wrong length, [`Error::Io`] if the file cannot be written.
 pub fn write_png(path: impl AsRef<Path>, picture: &Picture, look: &Look, backdrop: Backdrop) -> Result<()> {
     match backdrop {
         Backdrop::Transparent => png_file::write_rgba8(path, &picture.rgba8(look, backdrop)?),
@@ -232,19 +232,19 @@ mod tests {
     }
 
     #[test]
-    fn filmic_keeps_mid_grey_and_greys_grey() {
-        let grey = Tone::Filmic.curve(Vec3::splat(0.18));
-        assert!((grey.x - 0.18).abs() < 0.05, "{grey}");
-        assert!(grey.max_element() - grey.min_element() < 1e-3);
+    fn filmic_keeps_mid_gray_and_grays_gray() {
+        let gray = Tone::Filmic.curve(Vec3::splat(0.18));
+        assert!((gray.x - 0.18).abs() < 0.05, "{gray}");
+        assert!(gray.max_element() - gray.min_element() < 1e-3);
         assert!(Tone::Filmic.curve(Vec3::splat(1.0)).x < 0.9, "a white card is below the shoulder's end");
     }
 
     #[test]
     fn neutral_by_hand() {
-        // Dull colours only lose the offset; x < 0.08 lowers by x − 6.25x².
+        // Dull colors only lose the offset; x < 0.08 lowers by x − 6.25x².
         let value = Tone::Neutral.curve(Vec3::new(0.5, 0.3, 0.2));
         assert!(value.abs_diff_eq(Vec3::new(0.46, 0.26, 0.16), 1e-6), "{value}");
-        // peak 4 − 0.04 = 3.96: 1 − 0.24² / (3.96 + 0.24 − 0.76) on grey, which desaturation leaves alone.
+        // peak 4 − 0.04 = 3.96: 1 − 0.24² / (3.96 + 0.24 − 0.76) on gray, which desaturation leaves alone.
         let value = Tone::Neutral.curve(Vec3::splat(4.0));
         assert!((value.x - (1.0 - 0.0576 / 3.44)).abs() < 1e-5, "{value}");
     }
@@ -255,7 +255,7 @@ mod tests {
         let picture = Picture { width: 2, height: 1, color: &color, alpha: &alpha };
         let look = Look::default();
         let shown = picture.rgba8(&look, Backdrop::Transparent).unwrap();
-        assert_eq!(shown.get_pixel(0, 0).0, [188, 188, 188, 128], "straight colour 0.5 at alpha ½");
+        assert_eq!(shown.get_pixel(0, 0).0, [188, 188, 188, 128], "straight color 0.5 at alpha ½");
         assert_eq!(shown.get_pixel(1, 0).0, [0, 0, 0, 0]);
         let shown = picture.rgb8(&look, Backdrop::Solid(Vec3::ONE)).unwrap();
         assert_eq!(shown.get_pixel(0, 0).0, srgb8(Vec3::splat(0.75)));

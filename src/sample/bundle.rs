@@ -11,24 +11,24 @@ use bevy_ecs::prelude::{Bundle, Entity, With, World};
 pub struct FrameSample {
     /// Its row in the pool.
     pub index: SampleIndex,
-    /// Which pixel it belongs to.
+    /// The pixel that it belongs to.
     pub pixel: PixelOf,
     /// Its camera ray.
     pub ray: ViewRay,
-    /// Where that meets the surface.
+    /// The surface point of that ray.
     pub point: SurfacePoint,
-    /// What the shading kernel reads.
+    /// The inputs of shading.
     pub gathered: ShadePoint,
-    /// How the specular lobes blend there.
+    /// Blend weights of the base materials there.
     pub blend: PointBlend,
-    /// What other parts of the object hide from it and send it.
+    /// Visibility and interreflection at the point.
     pub visibility: PointVisibility,
-    /// What the shading kernel wrote.
+    /// The result of shading.
     pub shaded: Layers,
 }
 
 impl FrameSample {
-    /// A sample of no pixel yet; `ray` only holds the place.
+    /// A sample without a pixel; `ray` is a placeholder.
     pub fn blank(index: SampleIndex, ray: Ray) -> Self {
         Self {
             index,
@@ -46,9 +46,9 @@ impl FrameSample {
 /// The columns of a sample that is fitted.
 #[derive(Bundle, Clone, Copy)]
 pub struct FitSample {
-    /// What is rendered.
+    /// The columns of a rendered sample.
     pub frame: FrameSample,
-    /// What the photograph shows.
+    /// The radiance in the photograph.
     pub observed: Observed,
     /// Adjoint of the radiance.
     pub adjoint: RadianceAdjoint,
@@ -56,7 +56,7 @@ pub struct FitSample {
     pub back: PointAdjoint,
 }
 
-/// Removes the pool, whatever its columns.
+/// Removes the pool.
 pub fn despawn_pool(world: &mut World) {
     let samples: Vec<Entity> = world.query_filtered::<Entity, With<SampleIndex>>().iter(world).collect();
     for sample in samples {

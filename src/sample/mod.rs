@@ -2,8 +2,8 @@
 //!
 //! | module | holds |
 //! | --- | --- |
-//! | [`pixel`] | which pixel a sample is of, its ray, what the photograph shows there; the [`Window`] a run works on |
-//! | [`point`] | where its ray meets the surface; the [`Scenery`](point::Scenery) that rays are cast against |
+//! | [`pixel`] | the pixel of a sample, its ray, its radiance in the photograph; the [`Window`] of a run |
+//! | [`point`] | its surface point; the [`Scenery`](point::Scenery) that rays are cast against |
 //! | [`bundle`] | all columns of a sample, for rendering and for fitting |
 
 pub mod bundle;
@@ -16,7 +16,7 @@ use bevy_ecs::prelude::Res;
 use bevy_ecs::system::SystemParam;
 use pixel::{SampleIndex, Window};
 
-/// The samples of the present [`Window`], as a system sees them: columns `D`, one row a sample, in the order of [`SampleIndex`].
+/// The samples of the current [`Window`], as a system parameter: columns `D`, one row per sample, in the order of [`SampleIndex`].
 #[derive(SystemParam)]
 pub struct Samples<'w, 's, D: Columns + 'static> {
     window: Res<'w, Window>,
@@ -24,10 +24,10 @@ pub struct Samples<'w, 's, D: Columns + 'static> {
 }
 
 impl<'w, 's, D: Columns + 'static> Samples<'w, 's, D> {
-    /// The window's columns. Writing does not mark them as changed: every run makes them anew.
+    /// The window's columns. Writing does not mark them as changed, because every run recomputes them.
     ///
     /// # Errors
-    /// If the pool has not all of the window's samples.
+    /// If the pool does not have all samples of the window.
     pub fn columns(self) -> Result<D::Slices<'w>> {
         self.pool.rows(self.window.0.clone())
     }

@@ -12,7 +12,7 @@ pool_index! {
     SampleIndex("pixel sample");
 }
 
-/// Which pixel a sample belongs to.
+/// The pixel that a sample belongs to.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct PixelOf {
     /// The view.
@@ -21,20 +21,20 @@ pub struct PixelOf {
     pub pixel: u32,
 }
 
-/// Linear radiance that the photograph shows there.
+/// Linear radiance of the photograph there.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
 pub struct Observed {
-    /// What is stored.
+    /// The stored value.
     pub radiance: Vec3,
-    /// Whether the brightest channels reach the end of what can be stored: the truth is that or more.
+    /// Whether a channel is at the largest storable value: the stored value is then a lower bound of that channel.
     pub saturated: bool,
 }
 
-/// A channel of a saturated pixel that is this bright is at the end of what can be stored.
+/// A channel of a saturated pixel with at least this value is clipped.
 pub const SATURATION: f32 = 0.999;
 
 impl Observed {
-    /// How far a prediction of a channel is off: a saturated channel may be any amount brighter.
+    /// Residual of a prediction in a channel. A clipped channel is a lower bound: the residual is zero for brighter predictions.
     #[inline]
     pub fn difference(&self, channel: usize, predicted: f32) -> f32 {
         let observed = self.radiance[channel];
@@ -47,6 +47,6 @@ impl Observed {
 #[derive(Component, Clone, Copy, Debug, PartialEq)]
 pub struct ViewRay(pub Ray);
 
-/// Rows of the pixel pool that the systems of this run work on.
+/// Rows of the pixel pool that the systems of this run process.
 #[derive(Resource, Clone, Debug, Default, PartialEq, Eq)]
 pub struct Window(pub Range<usize>);

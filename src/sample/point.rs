@@ -1,4 +1,4 @@
-//! Where a pixel sample's ray meets the surface.
+//! The surface point of a pixel sample.
 
 use crate::material::{MAX_SPECULAR_LOBES, SpecularBlend};
 use crate::math::ray::{Hit, Intersect, TexelAddress};
@@ -11,13 +11,13 @@ use std::sync::Arc;
 pub struct SurfacePoint {
     /// World position.
     pub position: Vec3,
-    /// Interpolated unit normal, world space; zero if the ray met nothing.
+    /// Interpolated unit normal, world space; zero if the ray has no hit.
     pub normal: Vec3,
     /// Unit normal of the flat triangle.
     pub geometric_normal: Vec3,
-    /// Distance along the ray in world units; infinite if the ray met nothing.
+    /// Distance along the ray in world units; infinite if the ray has no hit.
     pub distance: f32,
-    /// Texels blended here.
+    /// The texels that are interpolated here.
     pub texels: TexelAddress,
 }
 
@@ -34,7 +34,7 @@ impl Default for SurfacePoint {
 }
 
 impl SurfacePoint {
-    /// Whether the ray met the surface.
+    /// Whether the ray hits the surface.
     pub fn is_hit(&self) -> bool {
         self.distance.is_finite()
     }
@@ -56,7 +56,7 @@ impl From<Option<Hit>> for SurfacePoint {
 #[derive(Resource, Clone)]
 pub struct Scenery(pub Arc<dyn Intersect>);
 
-/// Blend weights of the base materials at a sample's point; they sum to one at most, and what is missing has no specular light.
+/// Blend weights of the base materials at a sample's point; they sum to at most one; the remainder has no specular light.
 #[derive(Component, Clone, Copy, Debug, PartialEq)]
 pub struct PointBlend(pub [f32; MAX_SPECULAR_LOBES]);
 

@@ -1,19 +1,19 @@
-//! A mesh of an SDF's zero level: naive surface nets (Gibson 1998), vertices then moved onto the level.
+//! Extraction of a mesh of the zero level of an SDF: naive surface nets (Gibson 1998), with vertices projected onto the level.
 
 use crate::mesh::triangles::Mesh;
 use crate::sdf::SdfGrid;
-use crate::sdf::pinches::split_pinches;
+use crate::sdf::manifold::make_manifold;
 use fast_surface_nets::ndshape::{RuntimeShape, Shape};
 use fast_surface_nets::{SurfaceNetsBuffer, surface_nets};
 use glam::Vec3;
 use std::collections::HashMap;
 
-/// Newton steps that move a vertex onto the zero level.
+/// Newton steps that project a vertex onto the zero level.
 const PROJECTIONS: usize = 3;
 
-/// The zero level as a mesh with normals from the field; no triangles if there is none.
+/// The zero level as a mesh with normals from the field; without triangles if there is no zero level.
 ///
-/// The field is closed at the border of the grid. Only the largest component is kept.
+/// The border of the grid closes the surface. Only the largest connected component is kept.
 pub fn extract_mesh(grid: &SdfGrid) -> Mesh {
     let shape = RuntimeShape::<u32, 3>::new([grid.side; 3]);
     let mut values = grid.values.clone();
@@ -28,7 +28,7 @@ pub fn extract_mesh(grid: &SdfGrid) -> Mesh {
     let in_world = |p: &[f32; 3]| grid.origin + Vec3::from(*p) * grid.spacing;
     let mut positions: Vec<Vec3> = buffer.positions.iter().map(in_world).collect();
     let mut triangles: Vec<[u32; 3]> = buffer.indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect();
-    let parted = split_pinches(&mut positions, &mut triangles, |p| grid.value(p) < 0.0);
+    let parted = make_manifold(&mut positions, &mut triangles, |p| grid.value(p) < 0.0);
     for (position, _) in positions.iter_mut().zip(&parted).filter(|(_, parted)| !**parted) {
         *position = project(grid, *position);
     }
@@ -38,7 +38,7 @@ pub fn extract_mesh(grid: &SdfGrid) -> Mesh {
     keep_largest_component(mesh)
 }
 
-/// A point moved onto the zero level, at most a cell away.
+/// A point projected onto the zero level, at most one cell away.
 fn project(grid: &SdfGrid, start: Vec3) -> Vec3 {
     let mut point = start;
     for _ in 0..PROJECTIONS {
@@ -48,8 +48,8 @@ fn project(grid: &SdfGrid, start: Vec3) -> Vec3 {
     if point.distance_squared(start) < grid.spacing * grid.spacing { point } else { start }
 }
 
-/// Drops all but the component with the most triangles, connected by edges (specks may hang on it by a corner), and the
-/// vertices that nothing uses.
+/// Keeps the component with the most triangles, connected by edges (small parts may touch it at a vertex only), and removes
+/// unused vertices.
 fn keep_largest_component(mesh: Mesh) -> Mesh {
     let mut parent: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
     let mut triangle_at: HashMap<(u32, u32), u32> = HashMap::new();
@@ -111,7 +111,7 @@ mod tests {
 
     #[test]
     fn every_edge_has_two_triangles_however_rough_the_field() {
-        // Noise of about a cell: sheets share cells everywhere.
+        // Noise of about one cell: many cells contain several sheets.
         let noise = |p: Vec3| ((41.0 * p.x).sin() + (37.0 * p.y).sin() + (43.0 * p.z).sin()) * 0.04;
         let mesh = extract_mesh(&SdfGrid::from_fn(Vec3::ZERO, 1.0, 40, |p| p.length() - 0.6 + noise(p)));
         let mut counts: HashMap<[[u32; 3]; 2], u32> = HashMap::new();
@@ -136,7 +136,7 @@ mod tests {
             assert!((p.length() - 0.6).abs() < 2e-3, "{p}");
             assert!(n.dot(p.normalize()) > 0.99);
         }
-        // Closed, and outwards: the mean of position · face normal is the volume.
+        // Closed and oriented outward: the sum of position · face normal gives the volume.
         let volume: f32 = mesh
             .triangles
             .iter()

@@ -1,22 +1,22 @@
-//! A signed distance field on a regular grid: made from silhouettes, traced, carrying texels, turned into a mesh.
+//! A signed distance field on a regular grid: construction from silhouettes, tracing, texels, and mesh extraction.
 //!
 //! | file | holds |
 //! | --- | --- |
 //! | this one | [`SdfGrid`]: values, trilinear look-up, smooth gradient |
-//! | [`silhouette`] | signed distance in pixels to a mask's outline |
+//! | [`silhouette`] | signed distance in pixels to the silhouette of a mask |
 //! | [`extract`] | a mesh of the zero level (surface nets) |
-//! | `pinches` | what sheets of that mesh share taken apart, so that it is a manifold |
-//! | `trace` | where rays meet the zero level (sphere tracing), and how near they pass |
-//! | `redistance` | values made distances again (fast sweeping) |
+//! | `manifold` | splits non-manifold edges and vertices of that mesh |
+//! | `trace` | intersections of rays with the zero level (sphere tracing), and their least distance |
+//! | `redistance` | restores the distance property (fast sweeping) |
 //! | [`volume`] | texels on a lattice around the zero level, and a field that can be shaded with them |
 //!
 //! | parameter | type | unit | default | meaning |
 //! | --- | --- | --- | --- | --- |
-//! | `resolution` | `u32` | cells a side | 96 | of the cubic grid |
-//! | `origin`, `spacing` | `Vec3`, `f32` | world units | from the cameras | the grid's first vertex and the distance between two |
+//! | `resolution` | `u32` | cells per side | 96 | of the cubic grid |
+//! | `origin`, `spacing` | `Vec3`, `f32` | world units | from the cameras | position of the first vertex of the grid, and the distance between neighbors |
 
 pub mod extract;
-mod pinches;
+mod manifold;
 mod redistance;
 pub mod silhouette;
 mod trace;
@@ -29,18 +29,18 @@ use glam::{UVec3, Vec3};
 /// Signed distances at the vertices of a cubic grid, negative inside.
 #[derive(Clone, Debug, PartialEq)]
 pub struct SdfGrid {
-    /// Vertices a side ≥ 2.
+    /// Vertices per side, ≥ 2.
     pub side: u32,
     /// World position of vertex (0, 0, 0).
     pub origin: Vec3,
-    /// World distance between neighbouring vertices.
+    /// World distance between neighboring vertices.
     pub spacing: f32,
-    /// World-unit distances; x runs fastest, then y, then z.
+    /// Distances in world units; x varies fastest, then y, then z.
     pub values: Vec<f32>,
 }
 
 impl SdfGrid {
-    /// A grid of `cells` cells a side over the cube around `center`, filled by `value` at each vertex's position.
+    /// A grid of `cells` cells per side over the cube around `center`, filled by `value` at each vertex's position.
     pub fn from_fn(center: Vec3, half_side: f32, cells: u32, value: impl Fn(Vec3) -> f32 + Sync) -> Self {
         use rayon::prelude::*;
         let side = cells + 1;
@@ -58,13 +58,13 @@ impl SdfGrid {
         grid
     }
 
-    /// Row of a vertex.
+    /// Index of a vertex.
     pub fn index(&self, vertex: UVec3) -> usize {
         let side = self.side as usize;
         vertex.x as usize + side * (vertex.y as usize + side * vertex.z as usize)
     }
 
-    /// The vertex of a row.
+    /// The vertex of an index.
     pub fn vertex(&self, index: usize) -> UVec3 {
         let (side, index) = (self.side, index as u32);
         UVec3::new(index % side, index / side % side, index / (side * side))
@@ -75,17 +75,17 @@ impl SdfGrid {
         self.origin + vertex.as_vec3() * self.spacing
     }
 
-    /// The cell that holds a point, clamped to the grid, and where in it, in [0, 1]³.
+    /// The cell that contains a point, clamped to the grid, and the position in it, in [0, 1]³.
     #[inline]
     fn cell(&self, point: Vec3) -> (UVec3, Vec3) {
         let at =
             ((point - self.origin) / self.spacing).clamp(Vec3::ZERO, Vec3::splat((self.side - 1) as f32));
-        // Truncation is the floor of what is not negative, and a quicker one.
+        // Truncation equals the floor of non-negative numbers, and is faster.
         let cell = at.as_uvec3().min(UVec3::splat(self.side - 2));
         (cell, at - cell.as_vec3())
     }
 
-    /// Rows of the eight vertices around a point with their trilinear weights.
+    /// Indices of the eight vertices around a point, with their trilinear weights.
     #[inline]
     pub fn corners(&self, point: Vec3) -> [(usize, f32); 8] {
         let (cell, t) = self.cell(point);
@@ -111,7 +111,7 @@ impl SdfGrid {
         ]
     }
 
-    /// The trilinear distance at a point; outside the grid, that at the nearest point of it.
+    /// The trilinear distance at a point; outside the grid, the distance at the nearest point of the grid.
     #[inline]
     pub fn value(&self, point: Vec3) -> f32 {
         self.corners(point).iter().map(|(row, weight)| weight * self.values[*row]).sum()
@@ -129,12 +129,12 @@ impl SdfGrid {
         }))
     }
 
-    /// The vertices' central differences, interpolated: continuous, unlike the slope of the trilinear value.
+    /// The vertices' central differences, interpolated: continuous, unlike the gradient of the trilinear value.
     pub fn gradient(&self, point: Vec3) -> Vec3 {
         let (cell, t) = self.cell(point);
         let corners = self.corners_of(cell, t);
         let interior = cell.min_element() > 0 && cell.max_element() + 2 < self.side;
-        let slope = |row: usize| {
+        let at_vertex = |row: usize| {
             if !interior {
                 return self.vertex_gradient(self.vertex(row));
             }
@@ -142,7 +142,7 @@ impl SdfGrid {
             let difference = |stride: usize| v[row + stride] - v[row - stride];
             Vec3::new(difference(1), difference(side), difference(side * side)) * (0.5 / self.spacing)
         };
-        corners.iter().map(|(row, weight)| slope(*row) * *weight).sum()
+        corners.iter().map(|(row, weight)| at_vertex(*row) * *weight).sum()
     }
 }
 

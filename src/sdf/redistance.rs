@@ -1,18 +1,18 @@
-//! Making a field a distance again: fast sweeping (Zhao 2005) outwards from the zero level.
+//! Redistancing of a field: fast sweeping (Zhao 2005) outward from the zero level.
 //!
-//! Vertices beside the zero level are divided by the length of the gradient there, which leaves the level in place to
+//! Values beside the zero level are divided by the length of the gradient there, which preserves the level to
 //! first order; all others are solved from |∇φ| = 1 by Gauss–Seidel sweeps in the eight diagonal directions.
 
 use crate::sdf::SdfGrid;
 use rayon::prelude::*;
 
-/// Bounds on the length of the gradient that a value is divided by: a crease or a kink says little about distance.
+/// Bounds on the length of the gradient that a value is divided by: gradients at creases are inaccurate.
 const GRADIENT_RANGE: (f32, f32) = (0.3, 3.0);
-/// Rounds of all eight sweeps; two settle all but fields with long winding paths.
+/// Rounds of all eight sweeps; two are enough except for fields with long winding paths.
 const ROUNDS: usize = 2;
 
 impl SdfGrid {
-    /// Turns the values into distances to their zero level, whose place is kept.
+    /// Replaces the values by distances to their zero level, which is preserved.
     pub fn redistance(&mut self) {
         let h = self.spacing;
         let near: Vec<(usize, f32)> = (0..self.values.len())
@@ -32,7 +32,7 @@ impl SdfGrid {
         self.values.par_iter_mut().zip(distance).for_each(|(value, d)| *value = d.min(far).copysign(*value));
     }
 
-    /// Whether a neighbour of the vertex has the other sign.
+    /// Whether a neighbor of the vertex has the other sign.
     fn is_beside_zero(&self, i: usize) -> bool {
         let vertex = self.vertex(i);
         let inside = self.values[i].is_sign_negative();
@@ -44,11 +44,11 @@ impl SdfGrid {
     }
 
     fn distance_beside_zero(&self, i: usize) -> f32 {
-        let slope = self.vertex_gradient(self.vertex(i)).length();
-        self.values[i] / slope.clamp(GRADIENT_RANGE.0, GRADIENT_RANGE.1)
+        let length = self.vertex_gradient(self.vertex(i)).length();
+        self.values[i] / length.clamp(GRADIENT_RANGE.0, GRADIENT_RANGE.1)
     }
 
-    /// The same field on a grid of `cells` cells a side over the same cube.
+    /// The same field on a grid of `cells` cells per side over the same cube.
     pub fn resampled(&self, cells: u32) -> Self {
         let half = 0.5 * self.spacing * (self.side - 1) as f32;
         let center = self.origin + glam::Vec3::splat(half);
@@ -56,7 +56,7 @@ impl SdfGrid {
     }
 }
 
-/// One Gauss–Seidel sweep; the bits of `direction` say along which axes it runs backwards.
+/// One Gauss–Seidel sweep; the bits of `direction` select the axes that are traversed backward.
 fn sweep(side: usize, h: f32, fixed: &[bool], distance: &mut [f32], direction: usize) {
     let run = |axis: usize, k: usize| if direction >> axis & 1 == 0 { k } else { side - 1 - k };
     for kz in 0..side {
@@ -65,7 +65,7 @@ fn sweep(side: usize, h: f32, fixed: &[bool], distance: &mut [f32], direction: u
                 let at = [run(0, kx), run(1, ky), run(2, kz)];
                 let i = at[0] + side * (at[1] + side * at[2]);
                 if !fixed[i] {
-                    let solved = eikonal(nearest_neighbours(side, distance, i, at), h);
+                    let solved = eikonal(nearest_neighbors(side, distance, i, at), h);
                     distance[i] = distance[i].min(solved);
                 }
             }
@@ -73,9 +73,9 @@ fn sweep(side: usize, h: f32, fixed: &[bool], distance: &mut [f32], direction: u
     }
 }
 
-/// The smaller neighbour along each axis.
+/// The smaller neighbor along each axis.
 #[inline]
-fn nearest_neighbours(side: usize, distance: &[f32], i: usize, at: [usize; 3]) -> [f32; 3] {
+fn nearest_neighbors(side: usize, distance: &[f32], i: usize, at: [usize; 3]) -> [f32; 3] {
     let strides = [1, side, side * side];
     std::array::from_fn(|axis| {
         let low = if at[axis] > 0 { distance[i - strides[axis]] } else { f32::INFINITY };
@@ -123,7 +123,7 @@ mod tests {
         for (i, value) in grid.values.iter().enumerate() {
             let truth = exact(grid.position(grid.vertex(i)));
             let limit = if truth.abs() < 2.0 * grid.spacing { 0.1 * grid.spacing } else { grid.spacing };
-            // At the centre all ways are as long: the sweeps round the point off.
+            // At the center all directions are equally near: the sweeps smooth the singularity.
             if truth > -0.45 {
                 assert!((value - truth).abs() < limit, "{value} {truth}");
             }
@@ -135,7 +135,7 @@ mod tests {
         let mut grid = SdfGrid::from_fn(Vec3::ZERO, 1.0, 32, |p| p.dot(Vec3::new(0.6, 0.8, 0.0)) - 0.1);
         let before = grid.clone();
         grid.redistance();
-        // Towards the corners the nearest point of the plane lies outside the grid.
+        // Near the corners the nearest point of the plane lies outside the grid.
         let inner =
             (0..grid.values.len()).filter(|&i| grid.position(grid.vertex(i)).abs().max_element() < 0.4);
         let worst = inner.map(|i| (grid.values[i] - before.values[i]).abs()).fold(0.0, f32::max);

@@ -1,20 +1,20 @@
-//! Signed distance to the outline of a mask.
+//! Signed distance to the silhouette of a mask.
 //!
 //! The exact Euclidean transform of Felzenszwalb and Huttenlocher ("Distance Transforms of Sampled Functions", 2012), run
-//! on the pixels on either side; next to the outline, where partly covered pixels say more, their coverage is used.
+//! for the pixels on either side; next to the silhouette the coverage of partly covered pixels gives subpixel distances.
 
-/// Signed distance in pixels from every pixel's centre to the outline of a mask, negative inside.
+/// Signed distance in pixels from the center of every pixel to the silhouette of a mask, negative inside.
 ///
-/// `coverage` holds `width * height` values in [0, 1]; half coverage is the outline. A mask that is all inside or all
-/// outside has no outline, and distances of the size of the image.
+/// `coverage` holds `width * height` values in [0, 1]; the silhouette is at half coverage. A mask that is all inside or all
+/// outside has no silhouette, and distances of the size of the image.
 pub fn signed_distance(coverage: &[f32], width: usize, height: usize) -> Vec<f32> {
-    assert_eq!(coverage.len(), width * height, "one coverage a pixel");
+    assert_eq!(coverage.len(), width * height, "one coverage per pixel");
     let inside = |i: usize| coverage[i] >= 0.5;
     let to_inside = squared_distance(width, height, inside);
     let to_outside = squared_distance(width, height, |i| !inside(i));
     (0..coverage.len())
         .map(|i| {
-            // Pixels next to the other side: the outline crosses between the two centres, half a pixel away on average.
+            // Pixels next to the other side: the silhouette lies between the two centers, half a pixel away on average.
             let (far, sign) = if inside(i) { (to_outside[i], -1.0) } else { (to_inside[i], 1.0) };
             let partly = coverage[i] > 0.0 && coverage[i] < 1.0;
             if partly && far <= 2.0 { 0.5 - coverage[i] } else { sign * (far.sqrt() - 0.5) }
@@ -47,7 +47,7 @@ fn lower_envelope(f: &[f32]) -> Vec<f32> {
         let (qf, vf) = (q as f32, v as f32);
         ((f[q] + qf * qf) - (f[v] + vf * vf)) / (2.0 * (qf - vf))
     };
-    // Parabolas of the envelope, and where each begins.
+    // Parabolas of the envelope, and the start of each.
     let (mut hull, mut starts) = (vec![0], vec![f32::NEG_INFINITY]);
     for q in 1..f.len() {
         let mut start = crossing(q, hull[hull.len() - 1]);
@@ -90,7 +90,7 @@ mod tests {
     }
 
     #[test]
-    fn masks_without_an_outline_give_finite_distances() {
+    fn masks_without_a_silhouette_give_finite_distances() {
         for value in [0.0, 1.0] {
             assert!(signed_distance(&[value; 12], 4, 3).iter().all(|d| d.is_finite() && d.abs() > 5.0));
         }

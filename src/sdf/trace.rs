@@ -3,14 +3,14 @@
 use crate::math::ray::Ray;
 use crate::sdf::SdfGrid;
 
-/// Part of the distance that a step goes: the values between vertices are interpolated and may claim too much.
+/// Step length relative to the distance: values between vertices are interpolated and may be too large.
 const STEP: f32 = 0.9;
-/// Least step, in cells. A part thinner than this between two samples could be stepped over; the grid cannot hold one.
+/// Least step, in cells. A thinner part could be stepped over, but the grid cannot represent one.
 const MIN_STEP: f32 = 0.25;
 /// Rounds of root finding (Illinois, Dowell and Jarratt 1971) in a bracket of at most a few cells.
 const REFINEMENTS: usize = 4;
 
-/// How near a ray comes to the surface.
+/// The least distance of a ray to the surface.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct LeastDistance {
     /// Distance along the ray, world units.
@@ -20,12 +20,12 @@ pub struct LeastDistance {
 }
 
 impl SdfGrid {
-    /// Where the ray is inside the grid's cube, as distances along it; `None` if nowhere beyond `min_distance`.
+    /// The interval of the ray inside the cube of the grid; `None` if it is empty beyond `min_distance`.
     fn span(&self, ray: &Ray, min_distance: f32) -> Option<(f32, f32)> {
         let high = self.position(glam::UVec3::splat(self.side - 1));
         let inverse = ray.direction.recip();
         let (a, b) = ((self.origin - ray.origin) * inverse, (high - ray.origin) * inverse);
-        // A ray along a face has 0 · ∞ = NaN there; min and max then take the other operand.
+        // A ray along a face gives 0 · ∞ = NaN; min and max then return the other operand.
         let (near, far) = (a.min(b).max_element().max(min_distance), a.max(b).min_element());
         (near < far).then_some((near, far))
     }
@@ -47,7 +47,7 @@ impl SdfGrid {
         None
     }
 
-    /// Where the ray is deepest inside, or nearest, up to the first local minimum below `enough` or its way out of the grid.
+    /// The point of the ray with the least value, up to the first local minimum below `enough` or the exit from the grid.
     pub fn least_distance(&self, ray: &Ray, enough: f32) -> Option<LeastDistance> {
         let (near, far) = self.span(ray, 0.0)?;
         let least_step = MIN_STEP * self.spacing;

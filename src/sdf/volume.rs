@@ -1,13 +1,13 @@
 //! Texels in space: one at each vertex of a lattice near the surface, blended in tetrahedra.
 //!
-//! A cell is cut into the six tetrahedra of Kuhn's triangulation, so that a point blends four texels, as it does in an
-//! atlas, and everything that works on texel addresses works here as well.
+//! A cell is cut into the six tetrahedra of Kuhn's triangulation, so that a point interpolates four texels, as in an
+//! atlas, and code for texel addresses also works here.
 
 use crate::math::ray::{Hit, Intersect, Ray, TexelAddress};
 use crate::sdf::SdfGrid;
 use glam::{UVec3, Vec2, Vec3};
 
-/// No texel here.
+/// Marks a vertex without texel.
 const NONE: u32 = u32::MAX;
 
 /// The texels around a surface.
@@ -16,14 +16,14 @@ pub struct TexelVolume {
     side: u32,
     origin: Vec3,
     spacing: f32,
-    /// Row of each lattice vertex's texel.
+    /// Index of the texel of each lattice vertex.
     rows: Vec<u32>,
     /// Lattice position of each texel.
     texels: Vec<UVec3>,
 }
 
 impl TexelVolume {
-    /// Texels at the vertices of a lattice of `cells` cells a side over the grid's cube that are within `reach` (world
+    /// Texels at the vertices of a lattice of `cells` cells per side over the grid's cube that are within `reach` (world
     /// units) of the zero level.
     pub fn new(grid: &SdfGrid, cells: u32, reach: f32) -> Self {
         let side = cells + 1;
@@ -51,7 +51,7 @@ impl TexelVolume {
         self.texels.is_empty()
     }
 
-    /// World distance between neighbouring texels.
+    /// World distance between neighboring texels.
     pub fn spacing(&self) -> f32 {
         self.spacing
     }
@@ -100,16 +100,16 @@ impl TexelVolume {
         (corners, [1.0 - a, a - b, b - c, c])
     }
 
-    /// Gradient of the blended value in space, for the value whose slope is wanted (a weighted sum of channels).
-    pub fn slope(&self, point: Vec3, address: &TexelAddress, value: impl Fn(u32) -> f32) -> Vec3 {
+    /// Gradient in space of an interpolated value, given the value of each texel (such as a weighted sum of channels).
+    pub fn gradient(&self, point: Vec3, address: &TexelAddress, value: impl Fn(u32) -> f32) -> Vec3 {
         let last = (self.side - 1) as f32;
         let at = ((point - self.origin) / self.spacing).clamp(Vec3::ZERO, Vec3::splat(last));
         let order = descending(at - at.floor().min(Vec3::splat(last - 1.0)));
-        let mut slope = Vec3::ZERO;
+        let mut gradient = Vec3::ZERO;
         for k in 0..3 {
-            slope[order[k]] = (value(address.indices[k + 1]) - value(address.indices[k])) / self.spacing;
+            gradient[order[k]] = (value(address.indices[k + 1]) - value(address.indices[k])) / self.spacing;
         }
-        slope
+        gradient
     }
 }
 
@@ -157,19 +157,19 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_linear_colour_is_blended_exactly_and_its_slope_is_known() {
+    fn a_linear_color_is_blended_exactly_and_its_gradient_is_known() {
         let grid = SdfGrid::from_fn(Vec3::ZERO, 1.0, 24, |p| p.length() - 0.6);
         let volume = TexelVolume::new(&grid, 16, 0.3);
-        let slope = Vec3::new(0.2, -0.5, 0.9);
-        let values: Vec<f32> = volume.positions().map(|p| p.dot(slope)).collect();
+        let gradient = Vec3::new(0.2, -0.5, 0.9);
+        let values: Vec<f32> = volume.positions().map(|p| p.dot(gradient)).collect();
         for i in 0..60 {
             let angle = i as f32 * 0.37;
             let point = 0.6 * Vec3::new(angle.cos(), 0.3 * (2.0 * angle).sin(), angle.sin()).normalize();
             let address = volume.address(point).unwrap();
             let blended: f32 = (0..4).map(|k| address.weights[k] * values[address.indices[k] as usize]).sum();
-            assert!((blended - point.dot(slope)).abs() < 1e-5);
-            let found = volume.slope(point, &address, |row| values[row as usize]);
-            assert!((found - slope).length() < 1e-3, "{found}");
+            assert!((blended - point.dot(gradient)).abs() < 1e-5);
+            let found = volume.gradient(point, &address, |row| values[row as usize]);
+            assert!((found - gradient).length() < 1e-3, "{found}");
         }
         assert!(volume.address(Vec3::ZERO).is_none());
     }

@@ -19,13 +19,13 @@ use bevy_ecs::prelude::{IntoScheduleConfigs, Res, ResMut, Resource, World};
 use glam::Vec3;
 use rayon::prelude::*;
 
-/// Samples in the pool of a frame: enough to keep the threads busy, few enough to stay in cache and memory.
+/// Samples in the pool of a frame: enough to use all threads, few enough for cache and memory.
 const POOL: usize = 1 << 16;
 
 /// Sums over the samples of one pixel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PixelSums {
-    /// Samples that met the surface.
+    /// Samples with a hit.
     pub hits: u32,
     /// Sum of the layers' radiance.
     pub diffuse: Vec3,
@@ -39,7 +39,7 @@ pub struct PixelSums {
     pub distance: f32,
 }
 
-/// The picture being made.
+/// The picture that is rendered.
 #[derive(Resource, Clone, Debug)]
 pub struct FrameTarget {
     /// The camera.
@@ -48,12 +48,12 @@ pub struct FrameTarget {
     pub side: u32,
     /// Sums per pixel, row by row.
     pub pixels: Vec<PixelSums>,
-    /// First sample of the present tile.
+    /// First sample of the current tile.
     cursor: usize,
 }
 
 impl FrameTarget {
-    /// An empty picture with about `samples_per_pixel` camera rays a pixel, on a square grid.
+    /// An empty picture with about `samples_per_pixel` camera rays per pixel, on a square grid.
     pub fn new(camera: Camera, samples_per_pixel: u32) -> Self {
         let side = (f64::from(samples_per_pixel.max(1))).sqrt().round().max(1.0) as u32;
         let count = camera.width as usize * camera.height as usize;
@@ -69,7 +69,7 @@ impl FrameTarget {
         self.pixels.len() * self.samples_per_pixel()
     }
 
-    /// Pixel and ray of sample `index`; the samples of a pixel follow each other.
+    /// Pixel and ray of sample `index`; the samples of a pixel are consecutive.
     fn sample(&self, index: usize) -> (PixelOf, ViewRay) {
         let per_pixel = self.samples_per_pixel();
         let (pixel, within) = (index / per_pixel, (index % per_pixel) as u32);
@@ -81,8 +81,8 @@ impl FrameTarget {
     }
 }
 
-/// Rendering of pictures: the Frame phase with the recovered material, the scene's own light and accurate closed-form shading, all of
-/// which can be swapped.
+/// Rendering of pictures: the Frame phase with the recovered material, the scene's own light and accurate closed-form shading. Each
+/// of these systems can be swapped.
 pub struct FramePlugin;
 
 impl Plugin for FramePlugin {
@@ -103,7 +103,7 @@ impl Plugin for FramePlugin {
     }
 }
 
-/// What the Gather stage writes besides columns.
+/// Inserts the resources that the Gather stage writes.
 pub fn add_material_resources<M: MaterialSource>(world: &mut World) {
     world.init_resource::<Window>();
     world.init_resource::<IncidentLight>();
@@ -111,7 +111,7 @@ pub fn add_material_resources<M: MaterialSource>(world: &mut World) {
     world.init_resource::<PlainBlends<M>>();
 }
 
-/// The systems of [`GatherPoints`]: base materials, albedo and blends of a material at the window's points.
+/// Adds the systems of [`GatherPoints`]: base materials, albedo and blends of a material at the points of the window.
 pub fn add_gathering<M: MaterialSource>(pipeline: &mut Pipeline, phase: Phase) {
     let materials =
         (note_plain_blends::<M>.run_if(blends_changed::<M>), gather_materials::<M>, gather_blends::<M>);
@@ -119,7 +119,7 @@ pub fn add_gathering<M: MaterialSource>(pipeline: &mut Pipeline, phase: Phase) {
     pipeline.add_systems(phase, Stage::Gather, materials.chain().in_set(GatherPoints));
 }
 
-/// Renders one picture with whatever systems are in the Frame phase's slots.
+/// Renders one picture with the systems in the slots of the Frame phase.
 ///
 /// # Errors
 /// The first error of a system.
@@ -139,7 +139,7 @@ pub fn render_frame(pipeline: &mut Pipeline, camera: Camera, samples_per_pixel: 
     Ok(pipeline.world.remove_resource::<FrameTarget>().expect("it was inserted above"))
 }
 
-/// From sums over samples to the layers of a frame: radiance over all samples, the rest over those that hit.
+/// Converts sums over samples to the layers of a frame: radiance averages over all samples, other layers over samples with a hit.
 pub fn resolve(target: &FrameTarget) -> Frame {
     let samples = target.samples_per_pixel() as f32;
     let over_hits = |sum: Vec3, hits: u32| if hits > 0 { sum / hits as f32 } else { Vec3::ZERO };
@@ -161,7 +161,7 @@ pub fn resolve(target: &FrameTarget) -> Frame {
     }
 }
 
-/// Sample: the camera rays of the present tile.
+/// Sample: the camera rays of the current tile.
 pub fn sample_pixels(
     target: Res<FrameTarget>,
     samples: Samples<(&SampleIndex, &mut PixelOf, &mut ViewRay)>,
@@ -174,7 +174,7 @@ pub fn sample_pixels(
     Ok(())
 }
 
-/// Trace: where the rays meet the surface. What shows its back (from inside an open mesh) counts as a hit and shades to zero.
+/// Trace: intersects the rays with the surface. A back face (seen from inside an open mesh) counts as a hit and has zero radiance.
 pub fn trace_samples(scenery: Res<Scenery>, samples: Samples<(&ViewRay, &mut SurfacePoint)>) -> SystemResult {
     let (rays, mut points) = samples.columns()?;
     let columns = points.par_iter_mut().zip(&*rays).with_min_len(512);
@@ -182,7 +182,7 @@ pub fn trace_samples(scenery: Res<Scenery>, samples: Samples<(&ViewRay, &mut Sur
     Ok(())
 }
 
-/// Resolve: adds the tile's samples to their pixels, in row order.
+/// Resolve: adds the samples of the tile to their pixels, in the order of [`SampleIndex`].
 pub fn resolve_pixels(
     mut target: ResMut<FrameTarget>,
     samples: Samples<(&PixelOf, &SurfacePoint, &ShadePoint, &Layers)>,

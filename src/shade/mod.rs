@@ -1,4 +1,4 @@
-//! The Gather and Shade stages: from surface points, light and material to outgoing radiance; and the Frame phase.
+//! The Gather and Shade stages, which compute outgoing radiance from surface points, light and material; and the Frame phase.
 //!
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |

@@ -22,7 +22,7 @@ use bevy_ecs::schedule::ScheduleConfigs;
 use bevy_ecs::system::ScheduleSystem;
 use rayon::prelude::*;
 
-/// How paths are traced.
+/// Settings of path tracing.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct PathTracing {
     /// Paths per pixel sample.
@@ -31,11 +31,11 @@ pub struct PathTracing {
     pub max_bounces: u32,
     /// Seed of the random numbers.
     pub seed: u64,
-    /// Samples of a pixel, which share its random sequence.
+    /// Samples per pixel, which share its random sequence.
     pub samples_per_pixel: u32,
 }
 
-/// What the kernels read of a specular lobe.
+/// The specular lobe as the kernels read it.
 pub fn kernel_specular(lobe: &SpecularLobe) -> SpecularValue {
     SpecularValue { albedo: lobe.albedo.into(), roughness: lobe.roughness, ndf: lobe.ndf }
 }
@@ -45,7 +45,7 @@ pub fn kernel_materials(materials: &BaseMaterials) -> Vec<(usize, SpecularValue)
     materials.by_number().map(|(number, lobe)| (number, kernel_specular(lobe))).collect()
 }
 
-/// Gather: blends the texels of a material at each surface point into what shading reads.
+/// Gather: interpolates the texels of a material at each surface point into the inputs of shading.
 pub fn gather_points<M: MaterialSource>(
     texels: Texels<&M::Albedo>,
     samples: Samples<(&SurfacePoint, &ViewRay, &mut ShadePoint)>,
@@ -69,7 +69,7 @@ fn gather_point<A: AlbedoColumn>(point: &SurfacePoint, ray: &ViewRay, texels: &[
     ShadePoint { normal: point.normal.into(), to_viewer: (-ray.0.direction).into(), albedo: albedo.into() }
 }
 
-/// Gather: blends the weights of the base materials at each surface point, if there are several.
+/// Gather: interpolates the weights of the base materials at each surface point, if there are several.
 pub fn gather_blends<M: MaterialSource>(
     materials: Res<BaseMaterials>,
     texels: Texels<&M::Blend>,
@@ -91,10 +91,10 @@ pub fn gather_blends<M: MaterialSource>(
     Ok(())
 }
 
-/// What closed-form shading reads and writes of a sample.
+/// The columns that closed-form shading reads and writes.
 type ShadeColumns = (&'static ShadePoint, &'static PointBlend, &'static PointVisibility, &'static mut Layers);
 
-/// For [`Slot::Shading`](crate::pipeline::Slot::Shading): shades in this closed form, with what shadows and reflections `Slot::Visibility` has found.
+/// For [`Slot::Shading`](crate::pipeline::Slot::Shading): shades with this closed form, with the shadows and interreflection from `Slot::Visibility`.
 pub fn shade_closed_form(form: ClosedForm) -> ScheduleConfigs<ScheduleSystem> {
     let system = move |light: Res<IncidentLight>,
                        materials: Res<BaseMaterials>,
@@ -114,9 +114,9 @@ pub fn shade_closed_form(form: ClosedForm) -> ScheduleConfigs<ScheduleSystem> {
     system.into_configs()
 }
 
-/// The points that show one of the base materials.
+/// The points where one of the base materials has a weight.
 pub struct Showing {
-    /// Their numbers, rising.
+    /// Their indices, ascending.
     pub numbers: Vec<usize>,
     /// The points.
     pub points: Vec<ShadePoint>,
@@ -125,7 +125,7 @@ pub struct Showing {
 }
 
 impl Showing {
-    /// Those of `points` where the material at this `place` among `materials` has a weight. The first also has those where none has, for
+    /// Those of `points` where the material at this `place` among `materials` has a weight. The first material also gets the points without any weight, for
     /// their diffuse light.
     pub fn new(
         points: &[ShadePoint],
@@ -148,19 +148,19 @@ impl Showing {
         }
     }
 
-    /// Their part of the lighting.
+    /// The lighting of these points.
     pub fn lighting<'a>(&'a self, all: Lighting<'a>) -> Lighting<'a> {
         let visibility = Visibility { lobes: &self.rows, points: &self.seen };
         Lighting { visibility: all.visibility.map(|_| visibility), ..all }
     }
 
-    /// What they see, each changed.
+    /// Their visibility, each changed by `change`.
     pub fn change_seen(&mut self, mut change: impl FnMut(usize, &mut PointVisibility)) {
         self.numbers.iter().zip(&mut self.seen).for_each(|(i, seen)| change(*i, seen));
     }
 }
 
-/// Shades once for each base material and blends by the points' weights.
+/// Shades once per base material and blends by the weights of the points.
 fn shade_blended(
     form: ClosedForm,
     points: &[ShadePoint],
@@ -183,7 +183,7 @@ fn shade_blended(
     }
 }
 
-/// What path tracing reads and writes of a sample.
+/// The columns that path tracing reads and writes.
 type PathColumns = (
     &'static SampleIndex,
     &'static PixelOf,
@@ -193,7 +193,7 @@ type PathColumns = (
     &'static mut Layers,
 );
 
-/// For [`Slot::Shading`](crate::pipeline::Slot::Shading): shades by path tracing: shadows and interreflection, with noise.
+/// For [`Slot::Shading`](crate::pipeline::Slot::Shading): shades by path tracing, with shadows, interreflection and noise.
 pub fn shade_path_traced(paths: PathTracing) -> ScheduleConfigs<ScheduleSystem> {
     let system = move |scenery: Res<Scenery>,
                        light: Res<IncidentLight>,

@@ -1,21 +1,21 @@
-//! Pulling adjoints back to an SDF's values: from normals, from positions along rays, and from silhouettes.
+//! Adjoints of the values of an SDF: from normals, from positions along rays, and from silhouettes.
 //!
-//! A sample's normal is that of the interpolated central differences, so its adjoint goes to eight vertices' gradients
-//! first and from there by one divergence stencil to the values. The position moves along its ray as the values change
+//! A sample's normal is that of the interpolated central differences, so its adjoint is propagated to the gradients at eight
+//! vertices first, and from there by one divergence stencil to the values. The position moves along its ray as the values change
 //! (implicit differentiation; IDR eq. 3, Niemeyer et al. 2020): dx/dφ = −d / (∇φ·d).
 
 use crate::sdf::SdfGrid;
 use glam::{UVec3, Vec3};
 
-/// Least |∇φ·d| that a position's adjoint is divided by: at grazing rays a point slides without bound.
-const LEAST_SLOPE: f32 = 0.15;
+/// Lower bound of |∇φ·d| in the adjoint of a position, because the derivative is unbounded at grazing rays.
+const LEAST_DERIVATIVE: f32 = 0.15;
 
 /// Adjoints at the vertices of an SDF.
 #[derive(Clone, Debug, Default)]
 pub struct FieldAdjoint {
-    /// Of the values.
+    /// Adjoint of the values.
     pub value: Vec<f32>,
-    /// Of the vertices' central differences.
+    /// Adjoint of the central differences at the vertices.
     pub gradient: Vec<Vec3>,
 }
 
@@ -36,10 +36,10 @@ impl FieldAdjoint {
         }
     }
 
-    /// Adds the adjoint of a point where a ray of direction `direction` meets the surface.
+    /// Adds the adjoint of the intersection of the surface with a ray of direction `direction`.
     pub fn add_position(&mut self, grid: &SdfGrid, position: Vec3, direction: Vec3, position_adjoint: Vec3) {
-        let slope = grid.gradient(position).dot(direction).min(-LEAST_SLOPE);
-        self.add_value(grid, position, -position_adjoint.dot(direction) / slope);
+        let derivative = grid.gradient(position).dot(direction).min(-LEAST_DERIVATIVE);
+        self.add_value(grid, position, -position_adjoint.dot(direction) / derivative);
     }
 
     /// Adds the adjoint of the value at `position`.
@@ -49,8 +49,8 @@ impl FieldAdjoint {
         }
     }
 
-    /// The adjoint of the value in one row, central differences included. `interior` says that the vertex is at least
-    /// two away from the border, where no difference is one-sided.
+    /// The adjoint of the value at index `row`, central differences included. `interior` means that the vertex is at least
+    /// two vertices away from the border, so that no difference is one-sided.
     #[inline]
     pub fn of_row(&self, grid: &SdfGrid, row: usize, interior: bool) -> f32 {
         if !interior {
@@ -67,7 +67,7 @@ impl FieldAdjoint {
         let last = grid.side - 1;
         let mut sum = self.value[grid.index(vertex)];
         for axis in 0..3 {
-            // The vertex takes part in its neighbours' differences, and at the border in its own.
+            // The vertex is part of the differences of its neighbors, and at the border of its own.
             let at = vertex[axis];
             let share = |from: u32, sign: f32| {
                 let mut other = vertex;
@@ -143,7 +143,7 @@ mod tests {
         let grid = bumpy();
         let mut adjoint = FieldAdjoint::zeros(&grid);
         adjoint.add_position(&grid, meets(&grid), ray.direction, weight);
-        // The slope of the trilinear value and the interpolated differences are not the same number.
+        // The gradient of the trilinear value and the interpolated differences are not the same number.
         check(&adjoint, |g| meets(g).dot(weight), 1e-3, 0.06);
     }
 

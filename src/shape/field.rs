@@ -7,11 +7,11 @@ use crate::shape::adjoint::FieldAdjoint;
 use bevy_ecs::prelude::{Component, Resource};
 use glam::UVec3;
 
-/// Vertices a side of a brick.
+/// Vertices per side of a brick.
 pub const BRICK_SIDE: u32 = 8;
 /// Vertices of a brick.
 pub const BRICK_LEN: usize = 512;
-/// Cells from the zero level within which values move.
+/// Distance from the zero level, in cells, within which values are optimized.
 pub const BAND_CELLS: f32 = 3.0;
 
 pool_index! {
@@ -35,14 +35,14 @@ pub struct BrickGradient(pub [f32; BRICK_LEN]);
 #[derive(Component, Clone, Copy, Debug, PartialEq)]
 pub struct BrickMoments(pub [f32; BRICK_LEN]);
 
-/// The field as the Trace stage reads it, and where adjoints are gathered.
+/// The field as the Trace stage reads it, and its adjoints.
 #[derive(Resource, Clone, Debug)]
 pub struct SdfField {
     /// Distances and texels.
     pub surface: SdfSurface,
     /// Adjoints at the vertices.
     pub adjoint: FieldAdjoint,
-    /// A value a vertex, for smoothing.
+    /// One value per vertex, for smoothing.
     pub scratch: Vec<f32>,
     /// Running mean square of the gradient.
     pub mean_square: f32,
@@ -57,7 +57,7 @@ impl SdfField {
     }
 }
 
-/// The bricks that hold a value near the zero level, lowest first.
+/// The bricks with a value near the zero level, lowest first.
 pub fn bricks_near_surface(grid: &SdfGrid) -> Vec<BrickAt> {
     let bricks = grid.side.div_ceil(BRICK_SIDE);
     let reach = BAND_CELLS * grid.spacing;
@@ -69,26 +69,26 @@ pub fn bricks_near_surface(grid: &SdfGrid) -> Vec<BrickAt> {
     all.filter(near).collect()
 }
 
-/// Vertices of a brick that follow each other in the grid.
+/// Vertices of a brick that are consecutive in the grid.
 #[derive(Clone, Copy, Debug)]
 pub struct Run {
-    /// Place of the first in the brick.
+    /// Index of the first in the brick.
     pub place: usize,
-    /// Row of the first in the grid.
+    /// Index of the first in the grid.
     pub row: usize,
-    /// How many.
+    /// Number of vertices.
     pub len: usize,
     /// Whether they are at least two vertices away from the grid's border.
     pub interior: bool,
 }
 
 impl Run {
-    /// The rows in the grid.
+    /// The indices in the grid.
     pub fn rows(&self) -> std::ops::Range<usize> {
         self.row..self.row + self.len
     }
 
-    /// The places in the brick.
+    /// The indices in the brick.
     pub fn places(&self) -> std::ops::Range<usize> {
         self.place..self.place + self.len
     }

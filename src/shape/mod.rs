@@ -2,13 +2,13 @@
 //!
 //! | file | holds |
 //! | --- | --- |
-//! | [`hull`] | where the object is, and the robust visual hull of its masks as a signed distance field |
-//! | [`repair`] | parts that a few wrong masks carved away, put back; which outlines are to be believed |
+//! | [`hull`] | the position of the object, and the robust visual hull of its masks as a signed distance field |
+//! | [`repair`] | restores parts that a few wrong masks remove from the hull, and selects the silhouettes that the other masks confirm |
 //! | [`field`] | the field as parameters: bricks of values (entities) and the field as a whole (a resource) |
-//! | `adjoint` | kernels that pull adjoints of normals, positions and silhouettes back to the values |
+//! | `adjoint` | kernels that propagate adjoints of normals, positions and silhouettes back to the values |
 //! | [`silhouette`] | a mask with its camera, and distances from it |
 //! | `silhouette_loss` | the loss of masks |
-//! | [`systems`] | the systems, which are swapped in while a shape is fitted ([`run`]) |
+//! | [`systems`] | the systems, which are swapped in during the fit of a shape ([`run`]) |
 //! | [`vertices`] | a mesh's vertices as parameters of a fit |
 
 pub(crate) mod adjoint;

@@ -1,8 +1,8 @@
-//! The silhouettes' loss: a pixel's coverage against how near its ray comes to the surface.
+//! The silhouette loss: the coverage of a pixel against the least distance of its ray to the surface.
 //!
 //! Coverage is c = clamp(½ − φ/(w ρ), 0, 1), where φ is the least signed distance along the ray, ρ the size of a pixel there
-//! and w a width in pixels. The loss is Huber's of c less the mask's coverage; its slope moves the surface at the point
-//! where the ray comes nearest.
+//! and w a width in pixels. The loss is Huber's of c minus the coverage of the mask; its gradient acts on the surface at the point
+//! where the ray is nearest.
 
 use crate::fit::cameras::AlignedRow;
 use crate::math::ray::Ray;
@@ -15,26 +15,26 @@ use bevy_ecs::prelude::Component;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
-/// Where Huber's loss turns from a square to a line: beyond it a mask is not believed the more for being wrong.
+/// Residual at which the Huber loss changes from quadratic to linear, which limits the influence of wrong masks.
 const HUBER: f32 = 0.25;
 
 pool_index! {
-    /// Row of a pixel near an outline, in the order in which a fit visits them.
-    OutlineIndex("silhouette sample");
+    /// Row of a pixel near a silhouette, in the order in which a fit visits them.
+    SilhouetteIndex("silhouette sample");
 }
 
-/// A pixel near an outline.
+/// A pixel near a silhouette.
 #[derive(Component, Clone, Copy, Debug, PartialEq)]
 pub struct SilhouetteSample {
-    /// Which pixel it is.
+    /// The pixel.
     pub pixel: PixelOf,
     /// Its camera ray, world space.
     pub ray: Ray,
-    /// Signed distance to the mask's outline in pixels, negative inside.
-    pub outline: f32,
-    /// That distance's slope in the image, per pixel.
-    pub outline_slope: Vec2,
-    /// Covered part of the pixel, in [0, 1].
+    /// Signed distance to the silhouette of the mask in pixels, negative inside.
+    pub distance: f32,
+    /// Gradient of that distance in the image, per pixel.
+    pub distance_gradient: Vec2,
+    /// Coverage of the pixel, in [0, 1].
     pub coverage: f32,
     /// Size of a pixel at distance 1.
     pub pixel_size: f32,
@@ -48,23 +48,23 @@ pub fn add_silhouettes(
     weight: f32,
     adjoint: &mut FieldAdjoint,
 ) {
-    let slopes: Vec<Option<(Vec3, f32)>> =
-        samples.par_iter().with_min_len(64).map(|sample| slope(grid, sample, width)).collect();
+    let derivatives: Vec<Option<(Vec3, f32)>> =
+        samples.par_iter().with_min_len(64).map(|sample| derivative(grid, sample, width)).collect();
     let each = weight / samples.len().max(1) as f32;
-    for (position, slope) in slopes.into_iter().flatten() {
-        adjoint.add_value(grid, position, each * slope);
+    for (position, derivative) in derivatives.into_iter().flatten() {
+        adjoint.add_value(grid, position, each * derivative);
     }
 }
 
-/// Where a sample's ray comes nearest, and the loss's slope with respect to the distance there.
-fn slope(grid: &SdfGrid, sample: &SilhouetteSample, width: f32) -> Option<(Vec3, f32)> {
+/// The point where the ray of a sample is nearest, and the derivative of the loss with respect to the distance there.
+fn derivative(grid: &SdfGrid, sample: &SilhouetteSample, width: f32) -> Option<(Vec3, f32)> {
     let far = (grid.origin - sample.ray.origin).length() + grid.spacing * grid.side as f32;
     let enough = -width * sample.pixel_size * far;
     let least = grid.least_distance(&sample.ray, enough)?;
     let scale = width * sample.pixel_size * least.distance;
     let coverage = (0.5 - least.value / scale).clamp(0.0, 1.0);
     let residual = coverage - sample.coverage;
-    // Where coverage is clamped a wrong pixel still pulls, or a lost part could never come back.
+    // A wrong pixel keeps its derivative where coverage is clamped, so that a missing part can grow back.
     let right = residual == 0.0 || least.value.abs() > 8.0 * scale.max(grid.spacing);
     (!right).then(|| {
         let position = sample.ray.origin + sample.ray.direction * least.distance;
@@ -72,24 +72,24 @@ fn slope(grid: &SdfGrid, sample: &SilhouetteSample, width: f32) -> Option<(Vec3,
     })
 }
 
-/// Pixels from an outline within which it says where the camera is.
+/// Distance from a silhouette, in pixels, within which it is used for camera alignment.
 const ALIGNED_REACH: f32 = 3.0;
 
-/// How far an outline is from that of the surface, and what a change of the camera, or of the object around `center`, would
-/// make of it.
-pub fn aligned_outline(
+/// The distance between the silhouettes of the mask and of the surface, and its derivatives with respect to the camera, and to the
+/// object around `center`.
+pub fn aligned_silhouette(
     grid: &SdfGrid,
     camera: &Camera,
     center: Vec3,
     sample: &SilhouetteSample,
 ) -> Option<AlignedRow> {
-    if sample.outline.abs() > ALIGNED_REACH {
+    if sample.distance.abs() > ALIGNED_REACH {
         return None;
     }
     let far = (grid.origin - sample.ray.origin).length() + grid.spacing * grid.side as f32;
     let least = grid.least_distance(&sample.ray, -2.0 * ALIGNED_REACH * sample.pixel_size * far)?;
     let pixels = least.value / (sample.pixel_size * least.distance);
     let point = sample.ray.origin + sample.ray.direction * least.distance;
-    let row = AlignedRow::new(camera, point, center, sample.outline_slope, sample.outline - pixels);
+    let row = AlignedRow::new(camera, point, center, sample.distance_gradient, sample.distance - pixels);
     row.filter(|_| pixels.abs() < ALIGNED_REACH)
 }

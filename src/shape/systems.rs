@@ -1,4 +1,4 @@
-//! The systems that fit an SDF: retrace, pull back, smooth, move; each fetches columns and calls a kernel.
+//! The systems that fit an SDF: retrace, propagate adjoints, smooth, update. Each fetches columns and calls a kernel.
 
 use crate::fit::cameras::{AlignedRow, CameraFit, CameraPose, FIRST_STEP, retrace};
 use crate::fit::components::StepRates;
@@ -13,58 +13,58 @@ use crate::sdf::SdfGrid;
 use crate::shape::field::{
     BAND_CELLS, BrickAt, BrickGradient, BrickIndex, BrickMoments, BrickValues, SdfField,
 };
-use crate::shape::silhouette_loss::{OutlineIndex, SilhouetteSample, add_silhouettes, aligned_outline};
+use crate::shape::silhouette_loss::{SilhouetteIndex, SilhouetteSample, add_silhouettes, aligned_silhouette};
 use crate::view::{ByView, Camera, Photograph, ViewIndex};
 use bevy_ecs::prelude::{Query, Res, ResMut, Resource, With};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// How the shape moves.
+/// Schedule of the optimization of the shape.
 #[derive(Resource, Clone, Copy, Debug, PartialEq)]
 pub struct ShapeSchedule {
     /// Steps of the fit.
     pub steps: u32,
-    /// Steps before the shape begins to move.
+    /// Steps before the shape changes.
     pub hold: u32,
     /// Root-mean-square step of a value at the first and the last step, in cells.
     pub rates: (f32, f32),
-    /// Weight of the silhouettes' loss beside the images'.
+    /// Weight of the silhouette loss relative to the image loss.
     pub silhouette: f32,
-    /// Silhouette rays a step.
+    /// Silhouette rays per step.
     pub silhouette_batch: usize,
-    /// Weight of the squared Laplacian of the field at the end; it is relaxed from `FIRST_SMOOTHNESS` times that.
+    /// Weight of the squared Laplacian of the field at the end; it starts at `FIRST_SMOOTHNESS` times that.
     pub smoothness: f32,
-    /// Rounds of averaging the gradient over neighbours.
+    /// Rounds of averaging the gradient over neighbors.
     pub blur: u32,
-    /// Steps from one redistancing to the next.
+    /// Steps between two redistancings.
     pub redistance_every: u32,
 }
 
 impl ShapeSchedule {
-    /// Part of the moving steps that is done, in [0, 1]; `None` while the shape is held.
+    /// Completed fraction of the steps that change the shape, in [0, 1]; `None` while the shape is fixed.
     fn progress(&self, step: u32) -> Option<f32> {
         let moving = self.steps.saturating_sub(self.hold).max(1) as f32;
         (step > self.hold).then(|| (step - self.hold) as f32 / moving)
     }
 
     /// Rows of the `count` silhouette samples that a step visits.
-    fn outline_rows(&self, step: u32, count: usize) -> Range<usize> {
+    fn silhouette_rows(&self, step: u32, count: usize) -> Range<usize> {
         let batch = self.silhouette_batch.clamp(1, count.max(1));
         let start = (step as usize - 1) % count.div_ceil(batch).max(1) * batch;
         start..(start + batch).min(count)
     }
 }
 
-/// Weight of the smoothness at the start of a level, over that at its end.
+/// Weight of the smoothness at the start of a level, relative to that at its end.
 const FIRST_SMOOTHNESS: f32 = 10.0;
 
-/// Trace: finds the window's surface points on the field as it is now.
+/// Trace: intersects the rays of the window with the current field.
 pub fn retrace_window(field: Res<SdfField>, samples: Samples<(&ViewRay, &mut SurfacePoint)>) -> SystemResult {
     retrace(&field.surface, samples)
 }
 
-/// Gradient: the samples' normal and albedo adjoints, as adjoints of the field.
+/// Gradient: propagates the normal and albedo adjoints of the samples to the field.
 pub fn pull_back_to_field(
     rates: Res<StepRates>,
     schedule: Res<ShapeSchedule>,
@@ -85,15 +85,15 @@ pub fn pull_back_to_field(
             adjoint.add_normal(&surface.grid, point.position, by_normal);
             let along = Vec3::from(back.albedo);
             let value = |row: u32| texels[row as usize].0.dot(along);
-            let slope = surface.volume.slope(point.position, &point.texels, value);
-            adjoint.add_position(&surface.grid, point.position, ray.0.direction, slope);
+            let gradient = surface.volume.gradient(point.position, &point.texels, value);
+            adjoint.add_position(&surface.grid, point.position, ray.0.direction, gradient);
         }
     }
     Ok(())
 }
 
-/// Most a sample's normal adjoint may be, in root mean squares of the window's: at the edge of a sharp highlight a few
-/// samples would else outvote all others and dent the surface.
+/// Largest normal adjoint of a sample, relative to the root mean square of the window: otherwise a few samples at the edge of a
+/// sharp highlight dominate and dent the surface.
 pub(super) const OUTLIER: f32 = 1.5;
 
 pub(super) fn root_mean_square(back: &[PointAdjoint]) -> f32 {
@@ -101,44 +101,44 @@ pub(super) fn root_mean_square(back: &[PointAdjoint]) -> f32 {
     (sum / back.len().max(1) as f64).sqrt() as f32
 }
 
-/// The pixels near outlines, as a system sees them.
-pub type Outlines<'w, 's, D> = Pool<'w, 's, OutlineIndex, D>;
+/// The pixels near silhouettes, as a system parameter.
+pub type Silhouettes<'w, 's, D> = Pool<'w, 's, SilhouetteIndex, D>;
 
-/// The field's bricks, as a system sees them.
+/// The bricks of the field, as a system parameter.
 pub type Bricks<'w, 's, D> = Pool<'w, 's, BrickIndex, D>;
 
-/// Trace: this step's silhouette rays through the cameras as they are now.
-pub fn recast_outlines(
+/// Trace: casts the silhouette rays of this step through the current cameras.
+pub fn recast_silhouettes(
     rates: Res<StepRates>,
     schedule: Res<ShapeSchedule>,
     views: Query<(&ViewIndex, &Camera), With<Photograph>>,
-    samples: Outlines<&mut SilhouetteSample>,
+    samples: Silhouettes<&mut SilhouetteSample>,
 ) -> SystemResult {
     let cameras: ByView<&Camera> = views.iter().map(|(index, camera)| (*index, camera)).collect();
-    let mut samples = samples.rows_of(|count| schedule.outline_rows(rates.step, count))?;
+    let mut samples = samples.rows_of(|count| schedule.silhouette_rows(rates.step, count))?;
     for sample in samples.iter_mut() {
         sample.ray = cameras.of(sample.pixel.view)?.pixel_ray(sample.pixel.pixel);
     }
     Ok(())
 }
 
-/// Gradient: the masks' outlines against the field's, as normal equations of the cameras.
-pub fn align_outlines(
+/// Gradient: adds the distances between the silhouettes of masks and field to the normal equations of the cameras.
+pub fn align_silhouettes(
     rates: Res<StepRates>,
     schedule: Res<ShapeSchedule>,
     field: Res<SdfField>,
     mut fit: ResMut<CameraFit>,
     mut views: Query<(&ViewIndex, &Camera, &mut CameraPose), With<Photograph>>,
-    samples: Outlines<&SilhouetteSample>,
+    samples: Silhouettes<&SilhouetteSample>,
 ) -> SystemResult {
     let Some(center) = fit.center.filter(|_| rates.step >= FIRST_STEP) else { return Ok(()) };
     let mut views: ByView<_> = views.iter_mut().map(|view| (*view.0, view)).collect();
     let grid = &field.surface.grid;
     let row = |sample: &SilhouetteSample| {
         let (_, camera, _) = views.of(sample.pixel.view).ok()?;
-        Some((sample.pixel.view, aligned_outline(grid, camera, center, sample)?))
+        Some((sample.pixel.view, aligned_silhouette(grid, camera, center, sample)?))
     };
-    let samples = samples.rows_of(|count| schedule.outline_rows(rates.step, count))?;
+    let samples = samples.rows_of(|count| schedule.silhouette_rows(rates.step, count))?;
     let rows: Vec<(ViewIndex, AlignedRow)> = samples.par_iter().with_min_len(64).filter_map(row).collect();
     let noise = fit.observe(1, &rows);
     for (view, row) in &rows {
@@ -147,23 +147,23 @@ pub fn align_outlines(
     Ok(())
 }
 
-/// Gradient: the silhouettes' loss, as an adjoint of the field.
+/// Gradient: propagates the silhouette loss to the field.
 pub fn pull_back_silhouettes(
     rates: Res<StepRates>,
     schedule: Res<ShapeSchedule>,
-    samples: Outlines<&SilhouetteSample>,
+    samples: Silhouettes<&SilhouetteSample>,
     mut field: ResMut<SdfField>,
 ) -> SystemResult {
     let Some(progress) = schedule.progress(rates.step) else { return Ok(()) };
-    let samples = samples.rows_of(|count| schedule.outline_rows(rates.step, count))?;
-    // From four pixels wide to one: first the way is shown, then the place.
+    let samples = samples.rows_of(|count| schedule.silhouette_rows(rates.step, count))?;
+    // The width decreases from four pixels to one, from robust to precise.
     let width = 4.0 - 3.0 * progress;
     let SdfField { surface, adjoint, .. } = &mut *field;
     add_silhouettes(&surface.grid, &samples, width, schedule.silhouette, adjoint);
     Ok(())
 }
 
-/// Gradient: hands each brick its share, with the smoothness term, blurred; clears the adjoints.
+/// Gradient: writes the gradient of each brick, with the smoothness term, blurred; clears the adjoints.
 pub fn hand_out_to_bricks(
     rates: Res<StepRates>,
     schedule: Res<ShapeSchedule>,
@@ -176,7 +176,7 @@ pub fn hand_out_to_bricks(
     let (at, gradients) = (&*at, &mut *gradients);
     let SdfField { surface, adjoint, scratch, .. } = &mut *field;
     let grid = &surface.grid;
-    // The squared Laplacian's gradient is a Laplacian of the Laplacian, which the scratch holds.
+    // The gradient of the squared Laplacian is the Laplacian of the Laplacian, which is in the scratch buffer.
     fill(grid, at, gradients, |row, interior| laplacian(grid, row, interior, &grid.values));
     copy_out(grid, at, gradients, scratch);
     let relaxed = schedule.smoothness * FIRST_SMOOTHNESS.powf(1.0 - progress);
@@ -197,7 +197,7 @@ pub fn hand_out_to_bricks(
     Ok(())
 }
 
-/// The mean of a vertex's six neighbours less its own value; 0 near the border.
+/// The mean of the six neighbors of a vertex minus its own value; 0 near the border.
 #[inline]
 fn laplacian(grid: &SdfGrid, row: usize, interior: bool, values: &[f32]) -> f32 {
     if !interior {
@@ -208,7 +208,7 @@ fn laplacian(grid: &SdfGrid, row: usize, interior: bool, values: &[f32]) -> f32 
     (around + values[row - side * side] + values[row + side * side]) / 6.0 - values[row]
 }
 
-/// Writes `value` of every vertex in the band, and 0 of all others.
+/// Writes `value` for every vertex in the band, and 0 for all others.
 fn fill(
     grid: &SdfGrid,
     at: &[BrickAt],
@@ -234,13 +234,13 @@ fn copy_out(grid: &SdfGrid, at: &[BrickAt], gradients: &[BrickGradient], dense: 
     }
 }
 
-/// Share of the old running means that stays at a step.
+/// Decay factor of the running means, per step.
 const MEAN_DECAY: f32 = 0.9;
 const SQUARE_DECAY: f32 = 0.99;
-/// Most a value moves in a step, in cells.
+/// Largest change of a value per step, in cells.
 const STEP_LIMIT: f32 = 0.25;
 
-/// Update: momentum steps of one common scale, so that smooth gradients give smooth steps; redistances now and then.
+/// Update: momentum steps with one common scale, so that smooth gradients give smooth steps; redistances periodically.
 pub fn move_bricks(
     rates: Res<StepRates>,
     schedule: Res<ShapeSchedule>,

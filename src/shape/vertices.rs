@@ -1,13 +1,13 @@
-//! A mesh's vertices as parameters: they move along their normals to where the shading asks for other slopes.
+//! The vertices of a mesh as parameters: they move along their normals to match the shading.
 //!
-//! For what a grid cannot hold, and with everything that shading of a mesh knows of, shadows and reflections included. The adjoint of a
-//! sample's normal goes to the vertices' normals, from there through the areas of the triangles to their positions. Steps are smoothed by
+//! For details that a grid cannot represent, and with all effects of mesh shading, including shadows and reflections. The adjoint of
+//! the normal of a sample is propagated to the normals of vertices, and through the areas of triangles to their positions. Steps are smoothed by
 //! (I + λL)⁻², L the graph's Laplacian, as in Nicolet, Jacobson and Jakob, "Large Steps in Inverse Rendering of Geometry" (2021).
 //!
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |
-//! | [`retrace_vertices`] | Trace, `Slot::Retrace` | rays | surface points, and the triangles that they are in |
-//! | [`pull_back_to_vertices`] | Gradient, `Slot::ShapeGradient` | normals' adjoints | [`VertexAdjoint`] |
+//! | [`retrace_vertices`] | Trace, `Slot::Retrace` | rays | surface points and their triangles |
+//! | [`pull_back_to_vertices`] | Gradient, `Slot::ShapeGradient` | adjoints of normals | [`VertexAdjoint`] |
 //! | [`move_vertices`] | Update, `Slot::ShapeUpdate` | [`VertexAdjoint`] | [`VertexPosition`], the surface |
 
 use crate::error::Result;
@@ -29,19 +29,19 @@ use std::sync::Arc;
 
 /// Steps between two moves; adjoints are summed over these.
 const MOVE_EVERY: u32 = 12;
-/// Part of the fit before the first move: light and material must be found first.
+/// Fraction of the fit before the first move: light and material are fitted first.
 const HELD: f32 = 0.25;
-/// Root-mean-square move at the first and at the last, in mean edges.
+/// Root-mean-square length of the first and the last move, in mean edge lengths.
 const RATES: (f32, f32) = (0.04, 0.004);
 /// λ of the smoothing.
 const SMOOTHING: f32 = 19.0;
-/// λ of the part of the displacement that is taken back at each move: what is wide shows in outlines, and the masks have settled it.
+/// λ of the low-frequency part of the displacement, which is removed at each move: the masks have determined it already.
 const WIDE: f32 = 200.0;
-/// Farthest that a vertex goes, in mean edges: beyond, a model that does not fit would dent the mesh.
+/// Largest displacement of a vertex, in mean edge lengths: it limits the effect of model errors.
 const REACH: f32 = 0.2;
-/// Share of the running mean that stays at a move.
+/// Decay factor of the running mean, per move.
 const MEAN_DECAY: f32 = 0.8;
-/// Rounds of conjugate gradients.
+/// Iterations of conjugate gradients.
 const ROUNDS: usize = 24;
 
 pool_index! {
@@ -49,10 +49,10 @@ pool_index! {
     VertexIndex("vertex");
 }
 
-/// The moving mesh's vertices, as a system sees them.
+/// The vertices of the moving mesh, as a system parameter.
 pub type Vertices<'w, 's, D> = Pool<'w, 's, VertexIndex, D>;
 
-/// World position of a vertex; vertices at one place are one.
+/// World position of a vertex; vertices at the same position are merged.
 #[derive(Component, Clone, Copy, Debug, PartialEq)]
 pub struct VertexPosition(pub Vec3);
 
@@ -60,32 +60,32 @@ pub struct VertexPosition(pub Vec3);
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
 pub struct VertexAdjoint(pub Vec3);
 
-/// Running mean of a vertex's smoothed slope along its normal.
+/// Running mean of the smoothed gradient of a vertex along its normal.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
 pub struct VertexMoment(pub f32);
 
 /// The mesh that moves.
 #[derive(Resource)]
 pub struct MovingMesh {
-    /// As it is now.
+    /// The current surface.
     pub surface: Arc<Surface>,
     graph: VertexGraph,
-    /// Positions that were given.
+    /// The given positions.
     start: Vec<Vec3>,
-    /// Where the window's rays met it.
+    /// The hits of the rays of the window.
     found: Vec<Option<TriangleHit>>,
     /// Steps of the fit.
     steps: u32,
 }
 
-/// Which vertices make triangles, vertices at one place being one.
+/// The triangles and neighbors of merged vertices.
 struct VertexGraph {
-    /// The vertex of each of the mesh's.
+    /// The merged vertex of each vertex of the mesh.
     of: Vec<u32>,
     triangles: Vec<[u32; 3]>,
-    /// Neighbours of vertex i: `neighbours[starts[i]..starts[i + 1]]`.
+    /// Neighbors of vertex i: `neighbors[starts[i]..starts[i + 1]]`.
     starts: Vec<usize>,
-    neighbours: Vec<u32>,
+    neighbors: Vec<u32>,
 }
 
 impl VertexGraph {
@@ -109,12 +109,12 @@ impl VertexGraph {
         edges.sort_unstable();
         edges.dedup();
         let starts = (0..=positions.len()).map(|v| edges.partition_point(|e| (e.0 as usize) < v)).collect();
-        let neighbours = edges.into_iter().map(|e| e.1).collect();
-        (Self { of, triangles, starts, neighbours }, positions)
+        let neighbors = edges.into_iter().map(|e| e.1).collect();
+        (Self { of, triangles, starts, neighbors }, positions)
     }
 
     fn around(&self, vertex: usize) -> &[u32] {
-        &self.neighbours[self.starts[vertex]..self.starts[vertex + 1]]
+        &self.neighbors[self.starts[vertex]..self.starts[vertex + 1]]
     }
 
     /// (I + λL) x.
@@ -172,7 +172,7 @@ impl VertexGraph {
         for triangle in &self.triangles {
             let [a, b, c] = triangle.map(|v| positions[v as usize]);
             let by_area: Vec3 = triangle.iter().map(|&v| by_sum[v as usize]).sum();
-            // Of e₁ × e₂ with e₁ = b − a, e₂ = c − a.
+            // Adjoints of e₁ × e₂ with e₁ = b − a, e₂ = c − a.
             let (by_first, by_second) = ((c - a).cross(by_area), by_area.cross(b - a));
             back[triangle[0] as usize] -= by_first + by_second;
             back[triangle[1] as usize] += by_first;
@@ -187,11 +187,11 @@ impl VertexGraph {
             let lengths = self.around(i).iter().map(|&j| positions[i].distance(positions[j as usize]));
             f64::from(lengths.sum::<f32>())
         };
-        ((0..positions.len()).map(length).sum::<f64>() / self.neighbours.len().max(1) as f64) as f32
+        ((0..positions.len()).map(length).sum::<f64>() / self.neighbors.len().max(1) as f64) as f32
     }
 }
 
-/// Adjoint of a vector from that of its direction.
+/// Adjoint of a vector, given the adjoint of its direction.
 fn pull_back_unit(vector: Vec3, adjoint: Vec3) -> Vec3 {
     let length = vector.length();
     if length < 1e-20 {
@@ -201,9 +201,9 @@ fn pull_back_unit(vector: Vec3, adjoint: Vec3) -> Vec3 {
     (adjoint - unit * unit.dot(adjoint)) / length
 }
 
-/// The systems that move a mesh's vertices during a fit.
+/// The systems that optimize the vertices of a mesh during a fit.
 pub struct VertexPlugin {
-    /// The mesh as it is given.
+    /// The given mesh.
     pub surface: Arc<Surface>,
     /// Steps of the fit.
     pub steps: u32,
@@ -238,7 +238,7 @@ impl Plugin for VertexPlugin {
     }
 }
 
-/// Trace: where the window's rays meet the mesh as it is now.
+/// Trace: intersects the rays of the window with the current mesh.
 pub fn retrace_vertices(
     mut mesh: ResMut<MovingMesh>,
     samples: Samples<(&ViewRay, &mut SurfacePoint)>,
@@ -254,7 +254,7 @@ pub fn retrace_vertices(
     Ok(())
 }
 
-/// Gradient: the samples' normal adjoints, as adjoints of the vertices' normals.
+/// Gradient: propagates the normal adjoints of the samples to the normals of vertices.
 pub fn pull_back_to_vertices(
     mesh: Res<MovingMesh>,
     samples: Samples<(&SurfacePoint, &PointAdjoint)>,
@@ -277,7 +277,7 @@ pub fn pull_back_to_vertices(
     Ok(())
 }
 
-/// Update: every `MOVE_EVERY` steps, one smoothed step of all vertices along their normals; the sums begin anew.
+/// Update: every `MOVE_EVERY` steps, one smoothed step of all vertices along their normals; resets the sums.
 pub fn move_vertices(
     rates: Res<StepRates>,
     mut mesh: ResMut<MovingMesh>,
@@ -304,7 +304,7 @@ pub fn move_vertices(
     let reach = REACH * mesh.graph.mean_edge(&mesh.start);
     let near = |(moved, start): (Vec3, &Vec3)| *start + (moved - *start).clamp_length_max(reach);
     let moved: Vec<Vec3> = moved.into_iter().zip(&mesh.start).map(near).collect();
-    // A move that would flatten a triangle is not made.
+    // A move that makes a triangle degenerate is rejected.
     if let Ok(surface) = with_positions(&mesh.surface, &mesh.graph, &moved) {
         mesh.surface = Arc::new(surface);
         scenery.0 = mesh.surface.clone();
@@ -313,7 +313,7 @@ pub fn move_vertices(
     Ok(())
 }
 
-/// Positions with the wide part of their displacement from `start` along each axis taken back.
+/// Positions without the low-frequency part of their displacement from `start` along each axis.
 fn without_wide(graph: &VertexGraph, start: &[Vec3], moved: Vec<Vec3>) -> Vec<Vec3> {
     let axis = |axis: usize| {
         let shift: Vec<f32> = moved.iter().zip(start).map(|(to, from)| to[axis] - from[axis]).collect();
@@ -323,7 +323,7 @@ fn without_wide(graph: &VertexGraph, start: &[Vec3], moved: Vec<Vec3>) -> Vec<Ve
     (0..moved.len()).map(|i| moved[i] - Vec3::new(x[i], y[i], z[i])).collect()
 }
 
-/// Which way vertices go, with a root mean square of 1.
+/// Steps of the vertices along their normals, with a root mean square of 1.
 fn smooth_steps(
     graph: &VertexGraph,
     positions: &[Vec3],
@@ -332,9 +332,9 @@ fn smooth_steps(
 ) -> Vec<Vec3> {
     let normals: Vec<Vec3> = graph.area_vectors(positions).iter().map(|n| n.normalize_or_zero()).collect();
     let back = graph.pull_back_normals(positions, by_normal);
-    let slopes: Vec<f32> = back.iter().zip(&normals).map(|(back, normal)| back.dot(*normal)).collect();
-    for (moment, slope) in moments.iter_mut().zip(graph.smoothed(&slopes, SMOOTHING)) {
-        moment.0 = MEAN_DECAY * moment.0 + (1.0 - MEAN_DECAY) * slope;
+    let gradients: Vec<f32> = back.iter().zip(&normals).map(|(back, normal)| back.dot(*normal)).collect();
+    for (moment, gradient) in moments.iter_mut().zip(graph.smoothed(&gradients, SMOOTHING)) {
+        moment.0 = MEAN_DECAY * moment.0 + (1.0 - MEAN_DECAY) * gradient;
     }
     let means: Vec<f32> = moments.iter().map(|m| m.0).collect();
     let along = graph.smoothed(&means, SMOOTHING);
@@ -343,7 +343,7 @@ fn smooth_steps(
     along.iter().zip(&normals).map(|(along, normal)| *normal * (along / rms)).collect()
 }
 
-/// The surface with its vertices elsewhere, and smooth normals.
+/// The surface with new positions and smooth normals.
 fn with_positions(surface: &Surface, graph: &VertexGraph, positions: &[Vec3]) -> Result<Surface> {
     let normals = graph.area_vectors(positions);
     let mut mesh = surface.mesh().clone();

@@ -3,7 +3,7 @@
 use crate::codec::gltf::material::{diffuse_share, read_material};
 use crate::codec::texture;
 use crate::error::Result;
-use crate::fit::roughness::texel::{LADDER, TexelGloss};
+use crate::fit::roughness::texel::{BASE_ROUGHNESSES, TexelRoughness};
 use crate::material::{SpecularBlend, SpecularLobe};
 use crate::math::brdf::Ndf;
 use crate::mesh::Surface;
@@ -34,8 +34,8 @@ pub(super) fn initial_gloss(
             Ok(((0..*materials).map(lobe).collect(), vec![even; count]))
         }
         Gloss::Texels { specular: varied, .. } => {
-            let lobes = LADDER.map(|roughness| SpecularLobe { roughness, ..specular });
-            let blend = SpecularBlend(TexelGloss::first(specular.roughness, *varied).weights());
+            let lobes = BASE_ROUGHNESSES.map(|roughness| SpecularLobe { roughness, ..specular });
+            let blend = SpecularBlend(TexelRoughness::first(specular.roughness, *varied).weights());
             Ok((lobes.to_vec(), vec![blend; count]))
         }
         Gloss::Fixed { lobes, weights } => {

@@ -1,4 +1,4 @@
-//! The pinhole camera: rays out of it, points into it, and the cameras people ask for by hand.
+//! The pinhole camera: rays, projection, and construction of cameras by position or orbit.
 
 use crate::error::{Error, Result};
 use crate::math::fibonacci::fibonacci_axes;
@@ -22,7 +22,7 @@ pub struct Camera {
     pub skew: f32,
     /// Rigid transform from OpenCV camera axes to world space.
     pub world_from_camera: Affine3A,
-    /// Offset of a pixel's centre from its index (0.5; PhySG's own code uses 0).
+    /// Offset of a pixel's center from its index (0.5; PhySG's own code uses 0).
     pub pixel_center: f32,
 }
 
@@ -30,7 +30,7 @@ pub struct Camera {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Orbit {
-    /// What is looked at, in world units.
+    /// The point that all cameras look at, in world units.
     pub target: Vec3,
     /// Distance of every camera from `target`, in world units, above 0.
     pub radius: f32,
@@ -76,12 +76,12 @@ impl Camera {
         Ray { origin: self.world_from_camera.translation.into(), direction: direction.normalize() }
     }
 
-    /// The world ray through the centre of pixel `y * width + x`.
+    /// The world ray through the center of pixel `y * width + x`.
     pub fn pixel_ray(&self, pixel: u32) -> Ray {
         self.ray((pixel % self.width) as f32 + 0.5, (pixel / self.width) as f32 + 0.5)
     }
 
-    /// Where a world point falls in the image: (x, y) in pixels, in the coordinates of [`Camera::ray`], and its depth along
+    /// Projection of a world point: (x, y) in pixels, in the coordinates of [`Camera::ray`], and its depth along
     /// the camera's axis in world units. `None` if the point is not in front of the camera. The position may lie outside
     /// the image.
     pub fn project(&self, world: Vec3) -> Option<(f32, f32, f32)> {
@@ -98,13 +98,13 @@ impl Camera {
         Some((x, y, point.z))
     }
 
-    /// The camera's place in the world.
+    /// The position of the camera in the world.
     pub fn position(&self) -> Vec3 {
         self.world_from_camera.translation.into()
     }
 
     /// A camera at `eye` that looks at `target`, with square pixels, the principal point in the middle of the image and
-    /// `up` pointing upwards in it. `up` need not have unit length.
+    /// `up` pointing upward in it. `up` need not have unit length.
     ///
     /// # Errors
     /// [`Error::Usage`] if `eye` and `target` coincide, `up` points along the view, the field of view is not within
@@ -126,14 +126,14 @@ impl Camera {
         });
         let right = right.ok_or_else(|| {
             Error::usage(
-                format!("up = {up} leaves the roll of a camera that looks along {forward} open"),
+                format!("up = {up} does not determine the roll of a camera that looks along {forward}"),
                 "Give an up direction of non-zero length that is not along the view.",
             )
         })?;
         Self::from_axes(eye, forward, right, vertical_fov_degrees, width, height)
     }
 
-    /// The cameras of an orbit, in order, counter-clockwise seen from above.
+    /// The cameras of an orbit, in order, counterclockwise seen from above.
     ///
     /// # Errors
     /// [`Error::Usage`] if a field is outside its range (see [`Orbit`]).
@@ -149,7 +149,7 @@ impl Camera {
                 let azimuth = (orbit.start_degrees + step * frame as f32).to_radians();
                 let (sin, cos) = azimuth.sin_cos();
                 let outward = cos_elevation * (cos * front + sin * side) + sin_elevation * up;
-                // The tangent of the circle is the camera's right side, also straight above the target.
+                // The tangent of the circle is the right axis of the camera, also directly above the target.
                 let right = cos * side - sin * front;
                 let eye = orbit.target + orbit.radius * outward;
                 Self::from_axes(eye, -outward, right, orbit.vertical_fov_degrees, orbit.width, orbit.height)
@@ -157,7 +157,7 @@ impl Camera {
             .collect()
     }
 
-    /// `count` cameras spread evenly over a sphere of this radius around the origin, looking at it; images are square.
+    /// `count` cameras distributed uniformly over a sphere of this radius around the origin, looking at the origin; images are square.
     ///
     /// # Errors
     /// [`Error::Usage`] if a field is outside its range (see [`Self::look_at`]).
@@ -169,8 +169,8 @@ impl Camera {
         fibonacci_axes(count).into_iter().map(camera).collect()
     }
 
-    /// The same camera for an image that is `factor` times smaller each way; what is left over at the right and bottom
-    /// edge is dropped. A `factor` of 0 is taken as 1.
+    /// The same camera for an image that is `factor` times smaller along each axis; remaining pixels at the right and bottom
+    /// edge are dropped. A `factor` of 0 counts as 1.
     pub fn scaled(&self, factor: u32) -> Self {
         let factor = factor.max(1);
         let scale = 1.0 / factor as f32;
@@ -284,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn pixel_centre_of_zero_moves_the_ray_half_a_pixel() {
+    fn pixel_center_of_zero_moves_the_ray_half_a_pixel() {
         let (a, b) = (skewed(0.5), skewed(0.0));
         assert!(a.ray(10.0, 20.0).direction.distance(b.ray(10.5, 20.5).direction) < 1e-6);
     }

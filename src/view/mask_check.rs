@@ -1,7 +1,7 @@
-//! Whether masks and cameras can give a shape: looked at before one is made of them, so that a bad view is named at once.
+//! Checks of masks and cameras before a shape is reconstructed from them, with errors that name a bad view.
 //!
-//! The middles of the masks' boxes are looked through from their cameras; those rays nearly meet in one point of the object
-//! if cameras and masks belong together. The point is the least sum of distances, so a few wrong views do not move it.
+//! Rays are cast through the centers of the masks' bounding boxes; these rays nearly meet in one point of the object
+//! if cameras and masks are consistent. The point minimizes the sum of distances, so that a few wrong views do not affect it.
 
 use crate::error::{Error, Result};
 use crate::view::{Camera, Mask, ViewRecord};
@@ -9,13 +9,13 @@ use glam::{DMat3, DVec3, Vec3};
 
 /// Views with masks that a shape needs.
 const MIN_VIEWS: usize = 3;
-/// Share of the views that may disagree with the others; what a visual hull forgives.
+/// Fraction of the views that may disagree with the others; the visual hull tolerates them.
 const FORGIVEN: f64 = 0.02;
-/// Steps to the point of least distances (Weiszfeld 1937).
+/// Iterations of Weiszfeld's algorithm (1937) for the point of least distances.
 const MEETING_STEPS: usize = 30;
-const SELECT_HELP: &str = "Mend the mask, or leave the view out with `select`.";
+const SELECT_HELP: &str = "Repair the mask, or leave the view out with `select`.";
 
-/// A view's mask as a box in pixels, and the ray through its middle.
+/// The bounding box of a mask in pixels, and the ray through its center.
 struct Outline<'a> {
     name: &'a str,
     camera: &'a Camera,
@@ -47,13 +47,13 @@ impl<'a> Outline<'a> {
         (0..2).any(|k| self.low[k] == 0.0 || self.high[k] == size[k])
     }
 
-    /// Half the lesser side of the box, as a length at the distance of `point`.
+    /// Half the shorter side of the box, as a length at the distance of `point`.
     fn radius_at(&self, point: DVec3) -> f64 {
         let halves = [0, 1].map(|k| 0.5 * (self.high[k] - self.low[k]) / self.camera.focal[k]);
         f64::from(halves[0].min(halves[1])) * self.origin.distance(point)
     }
 
-    /// How many sizes of the box `point` appears outside of it; infinity behind the camera, 0 outside the frame.
+    /// Distance of the projection of `point` from the box, in sizes of the box; infinity behind the camera, 0 outside the frame.
     fn stray(&self, point: Vec3) -> f32 {
         let Some((x, y, _)) = self.camera.project(point) else { return f32::INFINITY };
         let (at, size) = ([x, y], [self.camera.width as f32, self.camera.height as f32]);
@@ -68,31 +68,30 @@ impl<'a> Outline<'a> {
     }
 }
 
-/// Checks that the views' masks can give a shape; the notes name views that do not go with the others.
+/// Checks that the masks of the views are usable for reconstruction; the notes name views that are inconsistent with the others.
 ///
 /// # Errors
-/// [`Error::Usage`] that names a view and a mend: fewer than three masks, a mask that is all covered, an object cut by every
-/// frame, views along one line, a camera inside the object, cameras that look away from it, or cameras and masks that do
-/// not belong together.
+/// [`Error::Usage`] that names a view and a remedy: fewer than three masks, a mask that is all covered, an object cut by every
+/// frame, views along one line, a camera inside the object, cameras that look away from it, or cameras and masks that are
+/// inconsistent.
 pub fn check_masks(views: &[&ViewRecord]) -> Result<Vec<String>> {
     let masks = || views.iter().filter_map(|view| Some((*view, view.mask.as_ref()?)));
     if masks().count() < MIN_VIEWS {
         return Err(too_few(views, masks().count()));
     }
     if let Some((view, _)) = masks().find(|(_, mask)| mask.coverage.iter().all(|c| *c >= 0.5)) {
-        let problem = format!("the mask of view `{}` is all white: it says nothing of the object", view.name);
+        let problem = format!("the mask of view `{}` is all white: it has no silhouette", view.name);
         return Err(Error::usage(problem, SELECT_HELP));
     }
     let outlines: Vec<Outline> =
         masks().filter_map(|(view, mask)| Outline::new(&view.name, &view.camera, mask)).collect();
     if let (Some(first), true) = (outlines.first(), outlines.iter().all(Outline::is_cut)) {
         let problem = format!("every frame cuts the object (the first is view `{}`)", first.name);
-        let help =
-            "A shape needs views that hold all of the object: step back, or mask what does not belong to it.";
+        let help = "A shape needs views that show the whole object: move the camera back, or remove other objects from the masks.";
         return Err(Error::usage(problem, help));
     }
     let meeting = meeting_point(&outlines).ok_or_else(|| {
-        let problem = "all views look along one line: there is no telling how far away the object is";
+        let problem = "all views look along one line: the distance of the object cannot be determined";
         Error::usage(problem, "Add views from other sides.")
     })?;
     check_places(&outlines, meeting)?;
@@ -138,7 +137,7 @@ fn meeting_point(outlines: &[Outline]) -> Option<DVec3> {
     Some(base + point)
 }
 
-/// Cameras must look at the object, from outside.
+/// Checks that cameras look at the object, from outside.
 fn check_places(outlines: &[Outline], meeting: DVec3) -> Result<()> {
     let behind: Vec<&Outline> =
         outlines.iter().filter(|outline| outline.direction.dot(meeting - outline.origin) < 0.0).collect();
@@ -149,7 +148,8 @@ fn check_places(outlines: &[Outline], meeting: DVec3) -> Result<()> {
             outlines.len(),
             first.name
         );
-        let help = "Are the poses in another program's camera axes, or the inverse of what the layout wants?";
+        let help =
+            "Check the convention of the poses: camera axes, and world_from_camera or camera_from_world.";
         return Err(Error::usage(problem, help));
     }
     let mut radii: Vec<f64> = outlines.iter().map(|outline| outline.radius_at(meeting)).collect();
@@ -161,7 +161,7 @@ fn check_places(outlines: &[Outline], meeting: DVec3) -> Result<()> {
             let problem = format!("the camera of view `{}` is inside the object", outline.name);
             let at = outline.origin;
             let help = format!(
-                "It is at ({:.3}, {:.3}, {:.3}), the object around ({:.3}, {:.3}, {:.3}): mend the pose, or leave the \
+                "It is at ({:.3}, {:.3}, {:.3}), the object around ({:.3}, {:.3}, {:.3}): correct the pose, or leave the \
                  view out with `select`.",
                 at.x, at.y, at.z, meeting.x, meeting.y, meeting.z
             );
@@ -170,7 +170,7 @@ fn check_places(outlines: &[Outline], meeting: DVec3) -> Result<()> {
     }
 }
 
-/// Views in which the point that the others agree on lies far from the mask.
+/// Views whose mask is far from the point on which the others agree.
 fn strangers(outlines: &[Outline], meeting: DVec3) -> Result<Vec<String>> {
     let point = meeting.as_vec3();
     let far = outlines.iter().map(|outline| (outline.stray(point), outline.name)).filter(|far| far.0 > 0.5);
@@ -186,10 +186,10 @@ fn strangers(outlines: &[Outline], meeting: DVec3) -> Result<Vec<String>> {
         )]);
     }
     let problem = format!(
-        "cameras and masks do not belong together: in {count} of {all} views the place where the others see the object \
+        "cameras and masks are inconsistent: in {count} of {all} views the place where the others see the object \
          is not in the mask; view `{name}` is farthest off"
     );
-    Err(Error::usage(problem, "Mend that view's pose or mask, or leave it out with `select`."))
+    Err(Error::usage(problem, "Correct that view's pose or mask, or leave it out with `select`."))
 }
 
 #[cfg(test)]
@@ -209,11 +209,11 @@ mod tests {
             ViewRecord { name, split: Split::Train, camera: camera.unwrap(), photograph: None, mask: None }
         };
         let mut views: Vec<ViewRecord> = fibonacci_axes(count).into_iter().enumerate().map(view).collect();
-        views.iter_mut().for_each(|view| view.mask = Some(disc([32.0, 32.0], 22.0)));
+        views.iter_mut().for_each(|view| view.mask = Some(disk([32.0, 32.0], 22.0)));
         views
     }
 
-    fn disc(center: [f32; 2], radius: f32) -> Mask {
+    fn disk(center: [f32; 2], radius: f32) -> Mask {
         let covered = |i: u32| {
             let (x, y) = ((i % SIDE) as f32 + 0.5 - center[0], (i / SIDE) as f32 + 0.5 - center[1]);
             if x * x + y * y < radius * radius { 1.0 } else { 0.0 }
@@ -255,9 +255,9 @@ mod tests {
     #[test]
     fn an_object_cut_by_every_frame_is_refused() {
         let mut views = ball(Vec3::ZERO, 1.0, 12);
-        views.iter_mut().for_each(|view| view.mask = Some(disc([32.0, 50.0], 22.0)));
-        refused(&views, &["every frame cuts", "`v0`", "step back"]);
-        views[3].mask = Some(disc([32.0, 32.0], 22.0));
+        views.iter_mut().for_each(|view| view.mask = Some(disk([32.0, 50.0], 22.0)));
+        refused(&views, &["every frame cuts", "`v0`", "move the camera back"]);
+        views[3].mask = Some(disk([32.0, 32.0], 22.0));
         assert!(!check(&views).is_err_and(|error| error.to_string().contains("cuts")));
     }
 
@@ -283,10 +283,10 @@ mod tests {
     #[test]
     fn a_view_that_disagrees_is_named() {
         let mut views = ball(Vec3::ZERO, 1.0, 24);
-        views[9].mask = Some(disc([8.0, 8.0], 5.0));
+        views[9].mask = Some(disk([8.0, 8.0], 5.0));
         refused(&views, &["1 of 24 views", "view `v9` is farthest off"]);
         let mut many = ball(Vec3::ZERO, 1.0, 60);
-        many[9].mask = Some(disc([8.0, 8.0], 5.0));
+        many[9].mask = Some(disk([8.0, 8.0], 5.0));
         let notes = check(&many).unwrap();
         assert!(notes.len() == 1 && notes[0].contains("of v9 disagrees"), "{notes:?}");
     }

@@ -1,21 +1,21 @@
 //! Views: cameras, photographs and masks.
 //!
-//! Camera axes are OpenCV's (x right, y down, z forward). The centre of pixel (i, j) is (i + 0.5, j + 0.5).
+//! Camera axes are OpenCV's (x right, y down, z forward). The center of pixel (i, j) is (i + 0.5, j + 0.5).
 //!
-//! | module | what for |
+//! | module | holds |
 //! | --- | --- |
-//! | [`camera`] | the pinhole camera, projection, looking at a point, orbits |
-//! | [`codec::image`](crate::codec::image) | PNG, JPEG, EXR and HDR files to linear images and masks |
-//! | [`dataset`](crate::dataset) | folders of posed photographs to [`ViewRecord`]s |
-//! | [`mask_check`] | whether cameras and masks can give a shape |
+//! | [`camera`] | the pinhole camera, projection, construction by target point, orbits |
+//! | [`mask_check`] | checks of cameras and masks before reconstruction |
 //! | [`raster`] | box filtering, bilinear look-up, mask erosion |
-//! | [`codec::nearby`](crate::codec::nearby) | natural name order, and help for wrong names |
 //!
-//! The parameters are those of [`DatasetOptions`](crate::dataset::DatasetOptions) (table in [`dataset`](crate::dataset)) and [`Orbit`]:
+//! [`dataset`](crate::dataset) reads folders of posed photographs as [`ViewRecord`]s, [`codec::image`](crate::codec::image) single
+//! images and masks.
+//!
+//! Parameters of an [`Orbit`]:
 //!
 //! | orbit field | type | unit | default | meaning |
 //! | --- | --- | --- | --- | --- |
-//! | `target` | [`Vec3`] | world | (0, 0, 0) | what is looked at |
+//! | `target` | [`Vec3`] | world | (0, 0, 0) | the point that all cameras look at |
 //! | `radius` | `f32` | world | 2.8 | distance from the target |
 //! | `elevation_degrees` | `f32` | degrees | 20 | height above the horizon, −90 to 90 |
 //! | `start_degrees` | `f32` | degrees | 0 | where the circle starts; 0 is in front |
@@ -57,7 +57,7 @@ pub struct Mask {
     pub coverage: Vec<f32>,
 }
 
-/// What a view is called; output files carry this name.
+/// Name of a view; output files have this name.
 #[derive(Component, Clone, Debug, PartialEq, Eq)]
 pub struct ViewName(pub String);
 
@@ -65,15 +65,15 @@ pub struct ViewName(pub String);
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
 pub struct ViewIndex(pub u32);
 
-/// Something of each view, by the view's number.
+/// One value per view, by the index of the view.
 #[derive(Clone, Debug)]
 pub struct ByView<T>(Vec<Option<T>>);
 
 impl<T> ByView<T> {
-    /// That of one view.
+    /// The value of one view.
     ///
     /// # Errors
-    /// [`Error::Run`] if the view is not among them.
+    /// [`Error::Run`] if there is no such view.
     pub fn of(&self, view: ViewIndex) -> Result<&T> {
         let found = self.0.get(view.0 as usize).and_then(Option::as_ref);
         found.ok_or_else(|| {
@@ -81,10 +81,10 @@ impl<T> ByView<T> {
         })
     }
 
-    /// The same, to be changed.
+    /// The mutable value of one view.
     ///
     /// # Errors
-    /// The same.
+    /// [`Error::Run`] if there is no such view.
     pub fn of_mut(&mut self, view: ViewIndex) -> Result<&mut T> {
         let found = self.0.get_mut(view.0 as usize).and_then(Option::as_mut);
         found.ok_or_else(|| {
@@ -112,7 +112,7 @@ impl<T> FromIterator<(ViewIndex, T)> for ByView<T> {
 pub struct Photograph {
     /// Linear radiance, coverage-weighted on black.
     pub image: Image,
-    /// Pixels whose stored value was at the top of its range (8-bit 255, 16-bit 65535): left out of the loss.
+    /// Pixels with a channel at the top of its range (8-bit 255, 16-bit 65535). The loss uses a clipped channel as a lower bound.
     pub saturated: Vec<bool>,
 }
 
@@ -123,7 +123,7 @@ pub struct ViewMask(pub Mask);
 /// Which part of a data set a view belongs to.
 #[derive(Component, Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Split {
-    /// Fitted to.
+    /// Used by fits.
     Train,
     /// Held out.
     Test,

@@ -1,14 +1,14 @@
-//! What is done to images and masks as grids: box filtering and erosion.
+//! Operations on images and masks as grids: box filtering, interpolation and erosion.
 
 use crate::view::{Image, Mask};
 use glam::{DVec3, Vec3};
 
-/// Coverage from which a pixel counts as wholly covered (8-bit masks hold 254/255 = 0.996 and 1).
+/// Coverage above which a pixel counts as fully covered (8-bit masks hold 254/255 = 0.996 and 1).
 pub const FULL_COVERAGE: f32 = 0.999;
 
 impl Image {
-    /// The image `factor` times smaller each way, each pixel the mean of its block. What is left over at the right and
-    /// bottom edge is dropped, as in [`crate::view::Camera::scaled`]. A `factor` of 0 is taken as 1.
+    /// The image `factor` times smaller along each axis; each pixel is the mean of its block. Remaining pixels at the right and
+    /// bottom edge are dropped, as in [`crate::view::Camera::scaled`]. A `factor` of 0 counts as 1.
     pub fn downscaled(&self, factor: u32) -> Self {
         let (width, height) = small_size(self.width, self.height, factor);
         let scale = 1.0 / f64::from(factor.max(1)).powi(2);
@@ -23,7 +23,7 @@ impl Image {
 }
 
 impl Mask {
-    /// The mask `factor` times smaller each way; see [`Image::downscaled`].
+    /// The mask `factor` times smaller along each axis; see [`Image::downscaled`].
     pub fn downscaled(&self, factor: u32) -> Self {
         let (width, height) = small_size(self.width, self.height, factor);
         let scale = 1.0 / f64::from(factor.max(1)).powi(2);
@@ -33,9 +33,9 @@ impl Mask {
         Self { width, height, coverage }
     }
 
-    /// The mask's wholly covered inside: a pixel keeps its coverage if all pixels of the (2·`pixels` + 1)² around it have
-    /// at least [`FULL_COVERAGE`], and becomes 0 otherwise. What lies outside the image counts as uncovered. With
-    /// `pixels` = 0 only partly covered pixels go.
+    /// The fully covered interior of the mask: a pixel keeps its coverage if all pixels of the (2·`pixels` + 1)² around it have
+    /// at least [`FULL_COVERAGE`], and becomes 0 otherwise. Pixels outside the image count as uncovered. With
+    /// `pixels` = 0 only partly covered pixels are removed.
     pub fn eroded(&self, pixels: u32) -> Self {
         let (width, height) = (self.width as usize, self.height as usize);
         let covered: Vec<bool> = self.coverage.iter().map(|&c| c >= FULL_COVERAGE).collect();
@@ -74,11 +74,11 @@ fn blocks(width: u32, height: u32, factor: u32) -> impl Iterator<Item = impl Ite
     })
 }
 
-/// A pixel's row, and its weight in a sum.
+/// Index of a pixel, and its weight in a sum.
 pub type Tap = (usize, f32);
 
-/// The four pixels around a position, with bilinear weights; (0, 0) is the centre of the first pixel. Positions outside
-/// are taken to the border.
+/// The four pixels around a position, with bilinear weights; (0, 0) is the center of the first pixel. Positions outside
+/// are clamped to the border.
 pub fn bilinear(width: u32, height: u32, x: f32, y: f32) -> [Tap; 4] {
     let split = |at: f32, count: u32| {
         let at = at.clamp(0.0, count.saturating_sub(1) as f32);

@@ -1,22 +1,22 @@
-//! Shadows and reflected light in closed-form shading: what other parts of the object hide from a point, and what they send it.
+//! Shadows and interreflection in closed-form shading: occlusion by other parts of the object, and light that they reflect.
 //!
-//! A capability of its own in [`Slot::Visibility`](crate::pipeline::Slot::Visibility); without it every point sees all light.
+//! A separate capability in [`Slot::Visibility`](crate::pipeline::Slot::Visibility); without it all light reaches every point.
 //!
 //! | parameter | type | default | meaning |
 //! | --- | --- | --- | --- |
-//! | `directions` | `u32` | 512 | directions over the sphere in which texels look, a multiple of 64 |
-//! | `bounces` | `u32` | 2 | reflections between parts of the object; 0 has shadows only |
-//! | `refresh_every` | `u32` | 50 | steps of a fit after which shadows and reflected light are computed again |
+//! | `directions` | `u32` | 512 | directions over the sphere per texel, a multiple of 64 |
+//! | `bounces` | `u32` | 2 | interreflections between parts of the object; 0 for shadows only |
+//! | `refresh_every` | `u32` | 50 | steps of a fit between two updates of shadows and interreflection |
 //!
 //! | module | holds |
 //! | --- | --- |
-//! | `trace` | which directions are hidden from each texel, and by which texel |
-//! | `occlusion` | kernels: light on a set of directions, and what of it reaches texels and points |
-//! | [`systems`] | the systems in `Slot::Visibility`, and what makes them run |
+//! | `trace` | the occluded directions of each texel, and the texels that occlude them |
+//! | `occlusion` | kernels: light on a set of directions, and the part of it that reaches texels and points |
+//! | [`systems`] | the systems in `Slot::Visibility`, and their run conditions |
 //!
-//! Diffuse light has one factor per texel and lobe, blended at the point like albedo, so light can be fitted through it. Specular
-//! light has one per point, along the mirrored view, at the mean roughness of the base materials there. The adjoint holds all of
-//! them, and reflected light, fixed.
+//! Diffuse light has one factor per texel and lobe, interpolated at the point like albedo, so that the light can be fitted with it.
+//! Specular light has one per point, for the mirror direction and the mean roughness of the base materials there. In the adjoint all
+//! factors and the interreflection are constant.
 
 pub(crate) mod occlusion;
 pub mod systems;
@@ -37,19 +37,19 @@ use glam::Vec3;
 use rayon::prelude::*;
 use std::any::TypeId;
 
-/// How shadows and reflected light are found.
+/// Settings of shadows and interreflection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct VisibilitySettings {
     /// Directions over the sphere.
     pub directions: u32,
-    /// Reflections between parts of the object.
+    /// Interreflections between parts of the object.
     pub bounces: u32,
-    /// Steps of a fit between two refreshes.
+    /// Steps of a fit between two updates.
     pub refresh_every: u32,
 }
 
 impl VisibilitySettings {
-    /// Bytes that a texel may be expected to need, with 128 lobes and a quarter of the directions above it hidden.
+    /// Estimated bytes per texel, with 128 lobes and a quarter of the directions above it occluded.
     pub fn bytes_per_texel(&self) -> usize {
         let directions = self.directions as usize;
         directions / 8 + directions / 2 + 128 + 48
@@ -62,12 +62,12 @@ impl Default for VisibilitySettings {
     }
 }
 
-/// What the object hides from itself, and the light on it as it was at the last refresh.
+/// Occlusion of the object by itself, and the light on it at the last update.
 #[derive(Resource, Default)]
 pub struct ObjectVisibility {
     settings: VisibilitySettings,
     texels: TexelVisibility,
-    /// What the rest was made from.
+    /// The inputs of the last update.
     made: Option<Made>,
     sky: Sky,
     bounce: Bounce,
@@ -75,12 +75,12 @@ pub struct ObjectVisibility {
     stride: usize,
 }
 
-/// What shadows and reflected light were made from.
+/// The inputs of shadows and interreflection.
 #[derive(Clone, Debug, PartialEq, Eq)]
 struct Made {
     /// The light's lobes and the base materials, by entity.
     from: Vec<Entity>,
-    /// Which material.
+    /// The type of the material: recovered or shown.
     source: TypeId,
 }
 
@@ -92,23 +92,23 @@ impl ObjectVisibility {
         Self { settings, texels, ..Self::default() }
     }
 
-    /// Whether no texel hides anything from another.
+    /// Whether no texel occludes another.
     pub fn sees_all(&self) -> bool {
         (0..self.texels.len()).all(|row| self.texels.sees_all(row))
     }
 
-    /// How it is found.
+    /// The settings.
     pub fn settings(&self) -> VisibilitySettings {
         self.settings
     }
 
-    /// Bytes in use, or to be used once there is light of 128 lobes.
+    /// Memory in bytes, for at least 128 lobes.
     pub fn bytes(&self) -> usize {
         let per_row = self.stride.max(128) + 2 * size_of::<Vec3>();
         self.texels.bytes() + self.texels.len() * per_row
     }
 
-    /// Makes shadows and reflected light anew for this light and reflectance (albedo and gloss, by texel).
+    /// Computes shadows and interreflection for this light and this reflectance (diffuse and specular, by texel).
     pub fn refresh(&mut self, lobes: &LobeColumns, reflectance: &(dyn Fn(u32) -> Vec3 + Sync)) {
         self.made = None;
         self.sky = Sky::new(&self.texels.directions, lobes);
@@ -118,12 +118,12 @@ impl ObjectVisibility {
         self.bounce = Bounce::new(&self.texels, &direct, reflectance, self.settings.bounces);
     }
 
-    /// Whether this was last computed for this material, these lobes and base materials.
+    /// Whether the last update was for this material, these lobes and base materials.
     fn is_made_from<M: MaterialSource>(&self, from: &[Entity]) -> bool {
         self.made.as_ref().is_some_and(|made| made.from == from && made.source == TypeId::of::<M>())
     }
 
-    /// What points see, given the roughness of each, by its number; `rows` and `seen` are overwritten.
+    /// Computes the visibility of points, given the roughness of each by index; overwrites `rows` and `seen`.
     pub fn window(
         &self,
         points: &[SurfacePoint],
@@ -146,7 +146,7 @@ impl ObjectVisibility {
         });
     }
 
-    /// The rows that a point blends.
+    /// The rows that are interpolated at a point.
     fn blend(&self, point: &SurfacePoint) -> Option<Blend> {
         let mut blend = [(0, 0.0); 4];
         let mut total = 0.0;
@@ -161,10 +161,10 @@ impl ObjectVisibility {
         (total > 0.0).then_some(blend)
     }
 
-    /// Blends the lobes' parts of a point's rows.
+    /// Interpolates the visibility of the lobes at a point.
     fn blend_parts(&self, blend: &Blend, out: &mut [u8]) {
         let rows = blend.map(|(row, _)| &self.parts[row * self.stride..][..self.stride]);
-        // Weights in 65536ths: what is 255 in all four stays so.
+        // Weights in units of 1/65536, so that 255 in all four rows stays 255.
         let mut weights = blend.map(|(_, weight)| (weight * 65536.0) as u32);
         weights[0] += 65536 - weights.iter().sum::<u32>();
         for (i, out) in out.iter_mut().enumerate() {
@@ -174,7 +174,7 @@ impl ObjectVisibility {
     }
 }
 
-/// The lobes' parts at the points of the present window.
+/// The visibility of the lobes at the points of the current window.
 #[derive(Resource, Default)]
 pub struct WindowVisibility {
     rows: Vec<u8>,
@@ -182,7 +182,7 @@ pub struct WindowVisibility {
 }
 
 impl WindowVisibility {
-    /// What the kernels read, if there is any; `points` are the window's.
+    /// The visibility as the kernels read it, if there is any; `points` are those of the window.
     pub fn view<'a>(&'a self, points: &'a [PointVisibility]) -> Option<Visibility<'a>> {
         let there = self.stride > 0 && self.rows.len() == points.len() * self.stride;
         there.then_some(Visibility { lobes: &self.rows, points })

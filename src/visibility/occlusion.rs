@@ -1,8 +1,8 @@
-//! Kernels of [`crate::visibility`]: light on a set of directions, and what of it reaches texels and points that see only part of it.
+//! Kernels of [`crate::visibility`]: light on a set of directions, and the part of it that reaches partly occluded texels and points.
 //!
-//! The set has D near-uniform directions, each the middle of a cell of 4π/D steradians. A lobe of sharpness λ is read through
-//! a Gaussian as wide as a cell, λ' = λ·λ_c/(λ + λ_c) with λ_c = D/2 (2π/λ_c is a cell's solid angle), at the same power, so that
-//! sharp lobes fall between no two directions.
+//! The set has D near-uniform directions, each the center of a cell of 4π/D steradians. A lobe of sharpness λ is convolved with
+//! a Gaussian of the width of a cell, λ' = λ·λ_c/(λ + λ_c) with λ_c = D/2 (2π/λ_c is a cell's solid angle), with the same power, so that
+//! no sharp lobe falls between two directions.
 
 use crate::math::accurate::diffuse::cosine_integral;
 use crate::math::color::luminance;
@@ -15,11 +15,11 @@ use fearless_simd::{Level, Simd, dispatch};
 use glam::Vec3;
 use rayon::prelude::*;
 
-/// Rows a thread takes at a time.
+/// Rows that a thread processes at a time.
 const CHUNK: usize = 64;
-/// Mirrored light may exceed what closed forms say by at most this factor.
+/// Upper bound of the specular factor.
 const MOST_MIRRORED: f32 = 8.0;
-/// Directions count for a mirror up to where its lobe falls below e to the power of minus this.
+/// Directions contribute to specular light where the BRDF lobe is above e to the power of minus this.
 const MIRROR_REACH: f32 = 4.0;
 
 /// Light on a set of directions.
@@ -28,9 +28,9 @@ pub struct Sky {
     /// e^{λ'(ξ·d − 1)} of each lobe (padded as its columns are) at each direction.
     weights: Vec<f32>,
     stride: usize,
-    /// The lobes through a cell's Gaussian, in columns: axis x, y, z, λ', amplitude r, g, b.
+    /// The convolved lobes, in columns: axis x, y, z, λ', amplitude r, g, b.
     lobes: [Vec<f32>; 7],
-    /// The directions' coordinates in columns.
+    /// The coordinates of the directions, in columns.
     directions: [Vec<f32>; 3],
     /// Radiance from each direction.
     pub radiance: Vec<Vec3>,
@@ -68,7 +68,7 @@ impl Sky {
     }
 }
 
-/// The sharpness of a lobe seen through a cell's Gaussian.
+/// The sharpness of a lobe after convolution with the Gaussian of a cell.
 fn widened(sharpness: f32, cell: f32) -> f32 {
     sharpness * cell / (sharpness + cell)
 }
@@ -77,8 +77,8 @@ fn integral(sharpness: f32) -> f32 {
     sphere_integral(f64::from(sharpness)) as f32
 }
 
-/// For each row of `visibility`: the part of each lobe's irradiance that reaches it, 0 to 255, in rows of the lobes' stride;
-/// and the irradiance that does.
+/// For each row of `visibility`: the fraction of each lobe's irradiance that reaches it, 0 to 255, in rows of the lobes' stride;
+/// and the resulting irradiance.
 pub fn light_rows(visibility: &TexelVisibility, sky: &Sky, parts: &mut Vec<u8>, direct: &mut Vec<Vec3>) {
     parts.clear();
     parts.resize(visibility.len() * sky.stride, 255);
@@ -141,17 +141,17 @@ fn add_scaled(sums: &mut [f32], row: &[f32], factor: f32) {
     }
 }
 
-/// Light that rows receive and send on.
+/// Interreflected light of rows.
 #[derive(Clone, Debug, Default)]
 pub struct Bounce {
-    /// Irradiance of each row by way of other parts of the surface.
+    /// Irradiance of each row from other parts of the surface.
     pub indirect: Vec<Vec3>,
-    /// Radiance that leaves each row, as if it were all diffuse.
+    /// Outgoing radiance of each row, as if all reflection were diffuse.
     pub leaving: Vec<Vec3>,
 }
 
 impl Bounce {
-    /// What becomes of each row's `direct` irradiance after `bounces` reflections, by texels that reflect `reflectance` (per texel).
+    /// Propagates the `direct` irradiance of each row for `bounces` reflections, with a `reflectance` per texel.
     pub fn new(
         visibility: &TexelVisibility,
         direct: &[Vec3],
@@ -178,7 +178,7 @@ fn cell_angle(visibility: &TexelVisibility) -> f32 {
     4.0 * std::f32::consts::PI / visibility.directions.len() as f32
 }
 
-/// Irradiance of a row from the texels that hide other directions from it.
+/// Irradiance of a row from the texels that occlude directions.
 fn gathered(visibility: &TexelVisibility, leaving: &[Vec3], row: usize) -> Vec3 {
     let normal = visibility.normals[row];
     let light = visibility
@@ -195,10 +195,10 @@ fn sent_from(visibility: &TexelVisibility, leaving: &[Vec3], texel: u32) -> Vec3
 /// Up to four rows of texels and their weights, which sum to one.
 pub type Blend = [(usize, f32); 4];
 
-/// A point's visibility from the rows around it. `lobe_sharpness` is that of the microfacet normals, 2/R⁴.
+/// The visibility of a point from the rows around it. `lobe_sharpness` is that of the microfacet normals, 2/R⁴.
 ///
-/// Specular light is scaled by Σ_d B(d)·L(d) over Σ_d B(d)·sky(d), where B is the BRDF's lobe around the mirrored view
-/// (sharpness L/(4 n·v), Wang et al. 2009) times the cosine, and L the radiance that comes from d: the sky's, or that of what hides it.
+/// Specular light is scaled by Σ_d B(d)·L(d) over Σ_d B(d)·sky(d), where B is the lobe of the BRDF around the mirror direction
+/// (sharpness L/(4 n·v), Wang et al. 2009) times the cosine, and L the incident radiance from d: that of the sky, or of the texel that occludes it.
 pub fn point_visibility(
     visibility: &TexelVisibility,
     sky: &Sky,

@@ -5,7 +5,7 @@
 //! | [`refresh_visibility`] | [`IncidentLight`], [`BaseMaterials`], texels, [`ObjectVisibility`] | [`ObjectVisibility`] |
 //! | [`gather_visibility`] | the same, [`ShadePoint`], texel addresses | [`PointVisibility`], [`WindowVisibility`] |
 //!
-//! What depends on light and material is computed again when one of them has changed ([`light_or_material_changed`]), in a fit also only
+//! Shadows and interreflection are updated when light or material have changed ([`light_or_material_changed`]), in a fit at most
 //! every few steps ([`refresh_is_due`]).
 
 use super::{Made, ObjectVisibility, WindowVisibility};
@@ -25,11 +25,11 @@ use bevy_ecs::prelude::{
 use glam::Vec3;
 use std::any::TypeId;
 
-/// Whether this step of a fit may compute shadows and reflected light again; it does so every few steps.
+/// Whether this step of a fit updates shadows and interreflection; a fit does so every few steps.
 #[derive(Resource, Clone, Copy, Debug)]
 pub struct RefreshDue(pub bool);
 
-/// Shadows and reflected light of the shown material in the Frame phase; needs an [`ObjectVisibility`].
+/// Shadows and interreflection of the shown material in the Frame phase; needs an [`ObjectVisibility`].
 pub struct FrameVisibilityPlugin;
 
 impl Plugin for FrameVisibilityPlugin {
@@ -44,7 +44,7 @@ impl Plugin for FrameVisibilityPlugin {
     }
 }
 
-/// Shadows and reflected light of the recovered material in the FitStep phase, computed again where [`RefreshDue`] says so; needs an
+/// Shadows and interreflection of the recovered material in the FitStep phase, updated if [`RefreshDue`] is set; needs an
 /// [`ObjectVisibility`].
 pub struct FitVisibilityPlugin;
 
@@ -62,7 +62,7 @@ impl Plugin for FitVisibilityPlugin {
     }
 }
 
-/// Run condition: whether this step is one of those at which a fit looks again, or there are other lobes than before.
+/// Run condition: whether this step of a fit updates visibility, or the set of lobes has changed.
 pub fn refresh_is_due(
     due: Res<RefreshDue>,
     light: Res<IncidentLight>,
@@ -71,7 +71,7 @@ pub fn refresh_is_due(
     due.0 || object.is_none_or(|object| object.stride != light.lobes.stride())
 }
 
-/// What of light and material shadows and reflected light depend on.
+/// Changes of light and material that affect shadows and interreflection.
 type Inputs<M> = Or<(
     Changed<LightLobe>,
     Changed<<M as MaterialSource>::Specular>,
@@ -79,7 +79,7 @@ type Inputs<M> = Or<(
     Changed<<M as MaterialSource>::Blend>,
 )>;
 
-/// Run condition: whether light or material have changed since this was last asked, or what there is was computed for others.
+/// Run condition: whether light or material have changed since the last call, or the last update was for other entities.
 pub fn light_or_material_changed<M: MaterialSource>(
     light: Res<IncidentLight>,
     materials: Res<BaseMaterials>,
@@ -94,7 +94,7 @@ fn sources(light: &IncidentLight, materials: &BaseMaterials) -> Vec<Entity> {
     light.entities.iter().chain(&materials.entities).copied().collect()
 }
 
-/// Gather: computes shadows and reflected light for the present light and material.
+/// Gather: computes shadows and interreflection for the current light and material.
 pub fn refresh_visibility<M: MaterialSource>(
     light: Res<IncidentLight>,
     materials: Res<BaseMaterials>,
@@ -102,7 +102,7 @@ pub fn refresh_visibility<M: MaterialSource>(
     mut object: ResMut<ObjectVisibility>,
 ) -> SystemResult {
     let (albedo, blends) = texels.columns()?;
-    // Light that goes on from a glossy place is spread like diffuse light: the energy is right, the direction is not.
+    // Interreflected specular light is treated as diffuse: its energy is right, its direction is not.
     let reflectance = |texel: u32| {
         let blend = blends[texel as usize].blend().0;
         let specular: Vec3 = materials.by_number().map(|(k, lobe)| lobe.albedo * blend[k]).sum();
@@ -114,11 +114,11 @@ pub fn refresh_visibility<M: MaterialSource>(
     Ok(())
 }
 
-/// What a point's visibility is made from.
+/// The columns that the visibility of a point depends on.
 type PointColumns =
     (&'static SurfacePoint, &'static ShadePoint, &'static PointBlend, &'static mut PointVisibility);
 
-/// Gather: what the window's points see.
+/// Gather: the visibility of the points of the window.
 pub fn gather_visibility(
     object: Res<ObjectVisibility>,
     materials: Res<BaseMaterials>,

@@ -1,48 +1,48 @@
-//! Which directions are hidden from each texel by other parts of the surface, and by what.
+//! Tracing of the directions of each texel that other parts of the surface occlude.
 //!
-//! Rays go from every texel that the surface covers into the hemisphere over it, along a set of near-uniform directions that all
-//! texels share. A texel keeps one bit a direction, and for each hidden direction the texel that hides it, so that light
-//! can be followed from there ([`crate::visibility`]).
+//! Rays are cast from every covered texel into the hemisphere above it, along a set of near-uniform directions that is common to all
+//! texels. A texel stores one bit per direction, and for each occluded direction the texel that occludes it, for interreflection
+//! ([`crate::visibility`]).
 //!
 //! | parameter | type | unit | default | meaning |
 //! | --- | --- | --- | --- | --- |
 //! | `directions` | `Vec<Vec3>` | unit | none | near-uniform directions over the whole sphere, a multiple of 64 |
 //!
-//! Memory: a bit for each direction of a covered texel, and 4 bytes for each hidden direction.
+//! Memory per covered texel: one bit per direction, and 4 bytes per occluded direction.
 
 use crate::math::ray::{Intersect, Ray};
 use crate::mesh::atlas::TexelAtlas;
 use glam::Vec3;
 use rayon::prelude::*;
 
-/// Most directions that texels look in.
+/// Most directions.
 pub const MAX_DIRECTIONS: usize = 4096;
 
-/// Rays start this part of the object's radius off the surface.
+/// Offset of the ray origin from the surface, relative to the radius of the object.
 const OFFSET: f32 = 1e-4;
-/// Texels a thread traces at a time.
+/// Texels that a thread traces at a time.
 const CHUNK: usize = 256;
 
-/// Hidden directions of the texels of a surface.
+/// Occluded directions of the texels of a surface.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TexelVisibility {
     /// Unit directions over the sphere, the same for every texel.
     pub directions: Vec<Vec3>,
-    /// Row of each texel in what follows; [`TexelVisibility::NONE`] where the surface does not reach.
+    /// Row of each texel; [`TexelVisibility::NONE`] for texels that are not covered.
     pub rows: Vec<u32>,
     /// The texel of each row.
     pub texels: Vec<u32>,
     /// Unit shading normal of each row.
     pub normals: Vec<Vec3>,
-    /// `directions.len() / 64` words a row; a bit is set where the direction is hidden.
+    /// `directions.len() / 64` words per row; a bit is set if the direction is occluded.
     hidden: Vec<u64>,
-    /// Where each row's `hiders` begin, and where the last one's end.
+    /// Start of the `hiders` of each row, and the end of the last.
     first: Vec<u32>,
-    /// The texel that hides each hidden direction, in the order of the bits; [`TexelVisibility::NONE`] if it shows its back.
+    /// The texel that occludes each occluded direction, in the order of the bits; [`TexelVisibility::NONE`] for a back face.
     hiders: Vec<u32>,
 }
 
-/// The numbers of the bits that are set.
+/// The indices of the bits that are set.
 pub fn set_bits(words: &[u64]) -> impl Iterator<Item = usize> {
     words.iter().enumerate().flat_map(|(w, &word)| {
         let mut left = word;
@@ -56,7 +56,7 @@ pub fn set_bits(words: &[u64]) -> impl Iterator<Item = usize> {
     })
 }
 
-/// What a thread finds for a run of rows.
+/// The result of a thread for a range of rows.
 #[derive(Default)]
 struct Traced {
     hidden: Vec<u64>,
@@ -68,12 +68,12 @@ impl TexelVisibility {
     /// Row of a texel that has none.
     pub const NONE: u32 = u32::MAX;
 
-    /// Traces `directions` from every covered texel of `atlas` against `surface`, whose texels are the atlas's.
+    /// Traces `directions` from every covered texel of `atlas` against `surface`, which has the same texels.
     ///
     /// # Panics
-    /// If the number of directions is no multiple of 64, or more than [`MAX_DIRECTIONS`].
+    /// If the number of directions is not a multiple of 64, or more than [`MAX_DIRECTIONS`].
     pub fn trace(atlas: &TexelAtlas, surface: &dyn Intersect, directions: Vec<Vec3>) -> Self {
-        assert!(directions.len().is_multiple_of(64), "whole words of directions");
+        assert!(directions.len().is_multiple_of(64), "the number of directions is a multiple of 64");
         assert!(directions.len() <= MAX_DIRECTIONS, "at most {MAX_DIRECTIONS} directions");
         let texels: Vec<u32> = (0..atlas.covered.len() as u32)
             .filter(|&t| atlas.covered[t as usize] && atlas.normal[t as usize] != Vec3::ZERO)
@@ -112,30 +112,30 @@ impl TexelVisibility {
         self.texels.len()
     }
 
-    /// Words of bits a row.
+    /// Words of bits per row.
     fn words(&self) -> usize {
         self.directions.len() / 64
     }
 
-    /// Whether nothing is hidden from a row.
+    /// Whether no direction of a row is occluded.
     pub fn sees_all(&self, row: usize) -> bool {
         self.first[row] == self.first[row + 1]
     }
 
-    /// The hidden directions of a row, by number and with the texel that hides them.
+    /// The occluded directions of a row, by index, with the texels that occlude them.
     pub fn hidden(&self, row: usize) -> impl Iterator<Item = (usize, u32)> {
         let hiders = &self.hiders[self.first[row] as usize..self.first[row + 1] as usize];
         let words = &self.hidden[row * self.words()..(row + 1) * self.words()];
         set_bits(words).zip(hiders.iter().copied())
     }
 
-    /// Whether any of the directions whose bits are set in `among` is hidden from a row.
+    /// Whether any of the directions whose bits are set in `among` is occluded for a row.
     #[inline]
     pub fn hides_any(&self, row: usize, among: &[u64]) -> bool {
         self.hidden[row * self.words()..][..self.words()].iter().zip(among).any(|(a, b)| a & b != 0)
     }
 
-    /// The texel that hides a direction from a row, if one does.
+    /// The texel that occludes a direction of a row, if one does.
     #[inline]
     pub fn hider(&self, row: usize, direction: usize) -> Option<u32> {
         let words = &self.hidden[row * self.words()..];
@@ -148,7 +148,7 @@ impl TexelVisibility {
         Some(self.hiders[(self.first[row] + before + within) as usize])
     }
 
-    /// Bytes in use.
+    /// Memory in bytes.
     pub fn bytes(&self) -> usize {
         let of = |count: usize, size: usize| count * size;
         of(self.hidden.len(), 8)
@@ -174,7 +174,7 @@ fn trace_texel(
             let ray = Ray { origin, direction };
             if let Some(hit) = surface.intersect(&ray, 0.0) {
                 word |= 1 << bit;
-                // The back of an open surface sends nothing.
+                // The back of an open surface reflects no light.
                 let front = hit.geometric_normal.dot(direction) < 0.0;
                 out.hiders.push(if front { heaviest(&hit.texels) } else { TexelVisibility::NONE });
             }

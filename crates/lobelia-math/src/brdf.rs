@@ -11,7 +11,7 @@ pub enum Ndf {
     /// One SG, as in the PhySG supplement (eq. 4).
     #[default]
     Sg,
-    /// GGX with α = R², which has the same peak and a long tail; accurate shading approximates it by three SGs.
+    /// GGX with α = R², which has the same peak and a longer tail; accurate shading approximates it by three SGs.
     Ggx,
 }
 
@@ -25,7 +25,7 @@ pub struct Facets<F> {
 }
 
 impl<F> Facets<F> {
-    /// The supplement's, of one SG.
+    /// The distribution of PhySG supp. eq. 4, one SG.
     pub const fn sg(roughness: F) -> Self {
         Self { ndf: Ndf::Sg, roughness }
     }
@@ -51,36 +51,36 @@ pub struct SpecularAdjoint {
     pub roughness: f32,
 }
 
-/// Fresnel term (supp. eq. 6): F = s + (1 − s)·2^(−(5.55473 x + 6.8316) x) with x = ωo·h. Returns the power of two.
+/// Fresnel term (PhySG supp. eq. 6): F = s + (1 − s)·2^(−(5.55473 x + 6.8316) x) with x = ωo·h. Returns the power of two.
 ///
-/// The constant 6.8316 is as printed and as in the published code (Epic's own fit has 6.98316).
+/// The constant 6.8316 is the one in the paper and in the published code (Epic's original fit has 6.98316).
 #[inline(always)]
 pub fn fresnel_power<F: Real>(cos_view_half: F) -> F {
     let exponent = -(cos_view_half.times(5.55473).plus(6.8316)) * cos_view_half;
     exponent.times(std::f64::consts::LN_2).exp()
 }
 
-/// One factor c/(c(1 − k) + k) of the shadowing term G (PhySG supp. eqs. 1–7), divided by c: 1/(c(1 − k) + k), with k = (R + 1)²/8.
+/// One factor c/(c(1 − k) + k) of the shadowing term G (PhySG supp. eqs. 1–7) divided by c: 1/(c(1 − k) + k), with k = (R + 1)²/8.
 #[inline(always)]
 pub fn shadowing_over_cosine<F: Real>(cosine: F, k: F) -> F {
     (cosine * (k.one() - k) + k).recip()
 }
 
-/// k = (R + 1)²/8 of the shadowing term.
+/// k = (R + 1)²/8 of the shadowing term G (PhySG supp. eqs. 1–7).
 #[inline(always)]
 pub fn shadowing_k<F: Real>(roughness: F) -> F {
     let s = roughness.plus(1.0);
     s * s.lit(0.125) * s
 }
 
-/// Sharpness 2/R⁴ of the SG that is the distribution of microfacet normals (supp. eq. 4).
+/// Sharpness 2/R⁴ of the SG that is the distribution of microfacet normals (PhySG supp. eq. 4).
 #[inline(always)]
 pub fn ndf_sharpness<F: Real>(roughness: F) -> F {
     let r2 = roughness * roughness;
     (r2 * r2).recip().times(2.0)
 }
 
-/// D(h): the SG in h with axis n, sharpness 2/R⁴ and amplitude 1/(πR⁴) (supp. eq. 4), or GGX.
+/// D(h): the SG in h with axis n, sharpness 2/R⁴ and amplitude 1/(πR⁴) (PhySG supp. eq. 4), or GGX.
 #[inline(always)]
 pub fn normal_distribution<F: Real>(normal: Vec3Of<F>, half: Vec3Of<F>, facets: Facets<F>) -> F {
     match facets.ndf {
@@ -104,7 +104,7 @@ fn ggx<F: Real>(normal: Vec3Of<F>, half: Vec3Of<F>, roughness: F) -> F {
     alpha2 / (spread * spread).times(PI)
 }
 
-/// The specular part f_s at unit directions to the viewer and to the light, for cosines above zero.
+/// The specular part f_s = M·D (PhySG supp. eqs. 1–7) at unit directions to the viewer and to the light, for cosines above zero.
 ///
 /// Returns `(constant, slope)` so that f_s = constant + slope·s for any channel's specular albedo s:
 /// F is affine in s, so three channels cost no more than one.

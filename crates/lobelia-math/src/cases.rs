@@ -46,7 +46,7 @@ pub(crate) fn random_case(rng: &mut SmallRng) -> Case {
     }
 }
 
-/// Any direction, often one of the axes or nearly.
+/// Any direction; often an axis, or nearly one.
 pub(crate) fn direction() -> impl Strategy<Value = [f32; 3]> {
     let special = prop::sample::select(vec![
         [0.0, 1.0, 0.0],

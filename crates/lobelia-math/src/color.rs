@@ -1,4 +1,4 @@
-//! Colour: kernels work in linear Rec. 709; conversion from and to sRGB (IEC 61966-2-1).
+//! Color: kernels work in linear Rec. 709; conversion from and to sRGB (IEC 61966-2-1).
 
 /// Linear value in `[0, 1]` of an sRGB-encoded value in `[0, 1]`.
 pub fn linear_from_srgb(encoded: f32) -> f32 {

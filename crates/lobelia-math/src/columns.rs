@@ -1,4 +1,4 @@
-//! Light lobes in columns, and the gradient with respect to everything that points share.
+//! Light lobes in columns, and the gradient with respect to the parameters that all points share.
 
 use crate::brdf::SpecularAdjoint;
 use crate::lanes::{MAX_LANES, Row};
@@ -23,7 +23,7 @@ impl LobeColumns {
         columns
     }
 
-    /// Makes this the columns for `len` lobes, all zero.
+    /// Resizes to `len` lobes, all zero.
     fn reset(&mut self, len: usize) {
         self.len = len;
         self.stride = len.div_ceil(MAX_LANES) * MAX_LANES;
@@ -41,7 +41,7 @@ impl LobeColumns {
         self.stride / MAX_LANES
     }
 
-    /// Columns of these lobes; padding has no amplitude, and a sharpness on the fast path.
+    /// Columns of these lobes. Padding lobes have zero amplitude, and a sharpness for which the kernels take the fast path.
     pub fn from_lobes(lobes: impl ExactSizeIterator<Item = Lobe<f32>>) -> Self {
         let mut columns = Self::zeros(lobes.len());
         for (i, lobe) in lobes.enumerate() {
@@ -68,7 +68,7 @@ impl LobeColumns {
         self.len == 0
     }
 
-    /// Adds the values of as many other lobes.
+    /// Adds the values of `other`, which has the same number of lobes.
     pub fn add(&mut self, other: &Self) {
         assert_eq!(self.len, other.len, "as many lobes");
         self.data.iter_mut().zip(&other.data).for_each(|(sum, value)| *sum += value);
@@ -89,7 +89,7 @@ impl LobeColumns {
     }
 }
 
-/// Gradient with respect to everything that the points share.
+/// Gradient with respect to the parameters that all points share.
 #[derive(Clone, Debug, Default)]
 pub struct SharedGradient {
     /// With respect to the light lobes.
@@ -99,7 +99,7 @@ pub struct SharedGradient {
 }
 
 impl SharedGradient {
-    /// Sums partial gradients of `rows` rows each, first to last.
+    /// Sums partial gradients of `rows` rows each, from first to last.
     pub(crate) fn sum_in_order(&mut self, partial: &mut [Row], rows: usize, len: usize) {
         self.lobes.reset(len);
         self.specular = SpecularAdjoint::default();

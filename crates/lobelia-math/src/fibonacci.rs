@@ -17,9 +17,9 @@ pub fn fibonacci_axes(n: usize) -> Vec<Vec3> {
         .collect()
 }
 
-/// Sharpness at which `n` near-uniform lobes overlap well: neighbours meet at about half their peak.
+/// Sharpness at which `n` near-uniform lobes overlap well: neighbors meet at about half their peak.
 ///
-/// Each of `n` directions owns 4π/n steradians, a cap of 1 − cos ρ = 2/n; λ = ln 2 · n/2 gives half the peak at its rim.
+/// Each of `n` directions covers 4π/n steradians, a cap of 1 − cos ρ = 2/n; λ = ln 2 · n/2 gives half the peak at its rim.
 pub fn spacing_sharpness(n: usize) -> f32 {
     std::f32::consts::LN_2 * n.max(1) as f32 / 2.0
 }

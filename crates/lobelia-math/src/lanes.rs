@@ -80,7 +80,7 @@ impl<S: Simd> Lanes<S> {
         Self { value: (bits + (exponent << 23)).bitcast(), simd: self.simd }
     }
 
-    /// Sum of the lanes, in an order that depends on the machine's vectors alone.
+    /// Sum of the lanes, in an order that depends on the vector width only.
     #[inline(always)]
     pub fn sum(self) -> f32 {
         self.value.reduce_sum()
@@ -89,7 +89,7 @@ impl<S: Simd> Lanes<S> {
 
 /// `$body` with `$simd` the token of the best instruction set that this machine has.
 ///
-/// As fearless_simd's macro of this name, without its SSE4.2: there the kernels do the same operations as with SSE2.
+/// Like the macro of this name in fearless_simd, but without SSE4.2, where the kernels do the same operations as with SSE2.
 macro_rules! dispatch {
     ($simd:ident => $body:expr) => {{
         let level = fearless_simd::Level::new();
@@ -129,7 +129,7 @@ pub(crate) use with_token;
 
 /// The instruction set that kernels choose on this machine.
 pub fn level_name() -> &'static str {
-    /// In a place that knows the level at compile time, as kernels do.
+    /// A function that is generic over the level, like the kernels.
     #[inline(always)]
     fn name<S: Simd>(_simd: S) -> &'static str {
         let path = std::any::type_name::<S>();
@@ -138,10 +138,10 @@ pub fn level_name() -> &'static str {
     dispatch!(simd => name(simd))
 }
 
-/// The widest vector any level has; buffers are padded to multiples of it.
+/// Number of lanes of the widest vector of any level; buffers are padded to multiples of it.
 pub const MAX_LANES: usize = 16;
 
-/// Values for one vector of the widest level, on a cache line of their own.
+/// Values of one vector of the widest level, aligned to a cache line.
 #[derive(Clone, Copy, Debug)]
 #[repr(C, align(64))]
 pub struct Row(pub [f32; MAX_LANES]);
@@ -229,7 +229,7 @@ impl<S: Simd> Real for Lanes<S> {
     fn mul_add(self, a: Self, b: Self) -> Self {
         Self { value: self.value.mul_add(a.value, b.value), simd: self.simd }
     }
-    /// The machine's estimate (12 bits and more on x86-64, 8 on aarch64) and one or two Newton steps.
+    /// The hardware's estimate (at least 12 bits on x86-64, 8 on aarch64) and one or two Newton steps.
     #[inline(always)]
     fn inverse(self) -> Self {
         let two = self.lit(2.0);
@@ -240,7 +240,7 @@ impl<S: Simd> Real for Lanes<S> {
         }
         y
     }
-    /// From the exponent's half and two Newton steps: relative error below 5e-6.
+    /// From half the exponent and two Newton steps: relative error below 5e-6.
     #[inline(always)]
     fn quick_rsqrt(self) -> Self {
         let bits: S::i32s = self.value.bitcast();

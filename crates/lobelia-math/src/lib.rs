@@ -7,9 +7,9 @@
 //! | module | holds |
 //! | --- | --- |
 //! | [`workload`] | a batch to measure and test kernels with |
-//! | [`shading`] | the slice kernels: many points × many lobes, forward and adjoint, and the choice of a closed form |
+//! | [`shading`] | the slice kernels: many points × many lobes, forward and adjoint, and the closed forms to choose from |
 //! | [`accurate`], [`published`] | the formulas of the closed forms: one point × one lobe |
-//! | [`model`] | what a closed form tells the slice kernels |
+//! | [`model`] | the interface between a closed form and the slice kernels |
 //! | [`columns`], [`lighting`], [`sample`] | inputs and outputs of the slice kernels |
 //! | [`brdf`], [`sg`], [`lobe`], [`dual`], [`ray`], [`color`], [`fibonacci`] | shared terms |
 //! | [`lanes`], [`real`] | numbers: scalars and SIMD vectors |

@@ -1,19 +1,19 @@
-//! The light of a call: lobes, and the part of their light that reaches each point.
+//! The light of a call: lobes, and their visibility at each point.
 
 use crate::columns::LobeColumns;
 use crate::real::Vec3Of;
 
-/// The part of the lobes' light that reaches points which other parts of the object may occlude.
+/// Visibility of the light lobes at points that other parts of the object may occlude.
 #[derive(Clone, Copy, Debug)]
 pub struct Visibility<'a> {
-    /// A row of [`LobeColumns::stride`] values a point: the part of each lobe's irradiance that reaches it, 0 to 255. Empty: all does.
+    /// One row of [`LobeColumns::stride`] values per point: the fraction of each lobe's irradiance that reaches it, 0 to 255. If empty, all light reaches all points.
     pub lobes: &'a [u8],
-    /// One a point.
+    /// One entry per point.
     pub points: &'a [PointVisibility],
 }
 
 impl<'a> Visibility<'a> {
-    /// Runs of `count` points, as the points' own chunks.
+    /// The visibility of chunk `index` of `count` points.
     fn chunk(&self, index: usize, count: usize, stride: usize) -> Self {
         let part =
             |of: usize, each: usize| (index * count * each).min(of)..((index + 1) * count * each).min(of);
@@ -23,7 +23,7 @@ impl<'a> Visibility<'a> {
         }
     }
 
-    /// Of one point: its row of lobes (`None` if all light reaches it) and the rest.
+    /// The visibility of one point: its row of lobes (`None` if all light reaches it) and the part that does not depend on the lobe.
     #[inline(always)]
     pub fn point(
         visibility: Option<Self>,
@@ -38,19 +38,19 @@ impl<'a> Visibility<'a> {
     }
 }
 
-/// The part of a point's visibility that does not depend on the lobe.
+/// The part of the visibility of a point that does not depend on the lobe.
 #[derive(Clone, Copy, Debug, PartialEq)]
 #[cfg_attr(feature = "ecs", derive(bevy_ecs::component::Component))]
 pub struct PointVisibility {
-    /// Per channel, specular light over what it would be if nothing were hidden; more than 1 where a bright part of the object
-    /// is mirrored.
+    /// Ratio per channel of the specular light to the specular light without occlusion; above 1 where the point reflects a bright part
+    /// of the object.
     pub specular: Vec3Of<f32>,
     /// Irradiance from other parts of the object.
     pub indirect: Vec3Of<f32>,
 }
 
 impl PointVisibility {
-    /// Nothing is hidden, nothing is reflected.
+    /// No occlusion and no interreflection.
     pub const OPEN: Self = Self { specular: [1.0; 3], indirect: [0.0; 3] };
 }
 
@@ -65,7 +65,7 @@ impl Default for PointVisibility {
 pub struct Lighting<'a> {
     /// The lobes.
     pub lobes: &'a LobeColumns,
-    /// The part of their light that reaches the points; all of it if `None`.
+    /// Their visibility at the points; if `None`, all light reaches all points.
     pub visibility: Option<Visibility<'a>>,
 }
 
@@ -82,12 +82,12 @@ impl<'a> Lighting<'a> {
     }
 
     /// # Panics
-    /// Unless there is a visibility for each of `points` points, or none at all.
+    /// If there is a visibility, but not one for each of `points` points.
     pub(crate) fn check(&self, points: usize) {
         if let Some(visibility) = &self.visibility {
-            assert_eq!(visibility.points.len(), points, "one visibility a point");
+            assert_eq!(visibility.points.len(), points, "one visibility per point");
             let rows = [0, points * self.lobes.stride()];
-            assert!(rows.contains(&visibility.lobes.len()), "one row of lobes a point, or none");
+            assert!(rows.contains(&visibility.lobes.len()), "one row of lobes per point, or none");
         }
     }
 }

@@ -1,4 +1,4 @@
-//! A light lobe: a spherical Gaussian with an amplitude a channel.
+//! A light lobe: a spherical Gaussian with one amplitude per channel.
 
 use crate::real::Vec3Of;
 
@@ -13,7 +13,7 @@ pub struct Lobe<F> {
     pub amplitude: Vec3Of<F>,
 }
 
-/// A lobe's shape.
+/// The shape of a lobe: axis and sharpness, without the amplitude.
 #[derive(Clone, Copy)]
 pub struct Shape<F> {
     /// Unit axis.

@@ -10,16 +10,16 @@ use crate::lobe::Shape;
 use crate::real::{Real, Vec3Of};
 use crate::sample::ShadePoint;
 
-/// A fixed number of values: the terms of a point, a lobe or a pair. Implemented for arrays, and for an array with a few more
-/// values for each of several parts.
+/// A fixed number of values: the terms of a point, a lobe or a pair. Implemented for arrays, and for pairs of an array and an
+/// array of arrays.
 pub trait Terms<F>: Copy {
-    /// How many.
+    /// Number of values.
     const LEN: usize;
-    /// From the value of each index.
+    /// Creates the terms from the value of each index.
     fn from_fn(value: impl FnMut(usize) -> F) -> Self;
     /// Value of one index.
     fn at(&self, index: usize) -> F;
-    /// Likewise, to be changed.
+    /// Mutable value of one index.
     fn at_mut(&mut self, index: usize) -> &mut F;
 }
 
@@ -67,8 +67,8 @@ pub const SPECULAR: Part = 2;
 /// Both.
 pub const BOTH: Part = DIFFUSE | SPECULAR;
 
-/// Where a point's specular light comes from: its response to a lobe (axis ξ, sharpness λ) is at most about that to an aligned
-/// one times e^(−aλ/(a + λ)·(1 − r·ξ)).
+/// The directions from which a point receives specular light: its response to a lobe (axis ξ, sharpness λ) is at most about the
+/// response to an aligned lobe times e^(−aλ/(a + λ)·(1 − r·ξ)).
 #[derive(Clone, Copy)]
 pub struct Reach<F> {
     /// r, a unit direction.
@@ -77,12 +77,12 @@ pub struct Reach<F> {
     pub sharpness: F,
 }
 
-/// One pair's light for unit amplitude.
+/// The light of one pair for unit amplitude.
 #[derive(Clone, Copy)]
 pub struct Response<F, T> {
     /// Irradiance: times albedo/π it is the diffuse radiance.
     pub diffuse: F,
-    /// The specular terms, to be weighted per channel by [`PairModel::specular_weights`].
+    /// The specular terms; [`PairModel::specular_weights`] has their weights per channel.
     pub specular: T,
 }
 
@@ -91,7 +91,7 @@ pub struct Response<F, T> {
 pub struct PairAdjoint<F, T> {
     /// With respect to the lobe's shape.
     pub shape: Shape<F>,
-    /// Whatever of the point's adjoint is summed over lobes.
+    /// The part of the adjoint of the point that is summed over lobes.
     pub point: T,
 }
 
@@ -99,7 +99,7 @@ pub struct PairAdjoint<F, T> {
 pub type PulledBack<F, M> =
     (Response<F, <M as PairModel>::Specular<F>>, PairAdjoint<F, <M as PairModel>::Sums<F>>);
 
-/// One point's own numbers at the end of its adjoint.
+/// The inputs of the last part of the adjoint of a point.
 pub struct PointEnd<'a, M: PairModel> {
     /// The point.
     pub point: &'a ShadePoint,
@@ -107,7 +107,7 @@ pub struct PointEnd<'a, M: PairModel> {
     pub specular: &'a SpecularValue,
     /// From [`PairModel::prepare_point`].
     pub terms: &'a M::Point<f32>,
-    /// Likewise.
+    /// From [`PairModel::prepare_point`].
     pub frozen: &'a M::Frozen<f32>,
     /// Sums over the lobes of [`PairAdjoint::point`].
     pub sums: &'a M::Sums<f32>,
@@ -117,21 +117,21 @@ pub struct PointEnd<'a, M: PairModel> {
 
 /// The formulas of a shading mode. All methods should be `#[inline(always)]`: they run inside SIMD loops.
 pub trait PairModel: Copy + Send + Sync {
-    /// Whether the kernels may leave out the specular part of pairs by [`PairModel::reach`]. Such a model is asked for parts, and
-    /// its specular part must not read the lobe's terms.
+    /// Whether the kernels may skip the specular part of pairs by [`PairModel::reach`]. The kernels then evaluate the two parts of
+    /// such a model separately, and its specular part must not read the terms of the lobe.
     const CULLS: bool;
     /// The terms of a point that a pair reads.
     type Point<F: Copy>: Terms<F>;
-    /// The terms of a point that only its weights and the end of its adjoint read.
+    /// The terms of a point that only its weights and the last part of its adjoint read.
     type Frozen<F: Copy>: Terms<F>;
-    /// The terms of a lobe that a pair reads beside the shape: prepared from the sharpness once a call, kept in columns.
+    /// The terms of a lobe that a pair reads in addition to the shape: computed from the sharpness once per call, stored in columns.
     type Lobe<F: Copy>: Terms<F>;
-    /// A pair's specular terms.
+    /// The specular terms of a pair.
     type Specular<F: Copy>: Terms<F>;
     /// The sums over lobes that a point's adjoint needs.
     type Sums<F: Copy>: Terms<F>;
 
-    /// Everything that depends on the point and the roughness but not on the light.
+    /// Computes the terms that depend on the point and the roughness but not on the light.
     fn prepare_point<F: Real>(
         &self,
         normal: Vec3Of<F>,
@@ -139,7 +139,7 @@ pub trait PairModel: Copy + Send + Sync {
         roughness: F,
     ) -> (Self::Point<F>, Self::Frozen<F>);
 
-    /// Everything that depends on a lobe's sharpness alone.
+    /// Computes the terms that depend on the sharpness of a lobe only.
     fn prepare_lobe<F: Real>(&self, sharpness: F) -> Self::Lobe<F>;
 
     /// The weights of the specular terms in each channel.
@@ -149,10 +149,10 @@ pub trait PairModel: Copy + Send + Sync {
         specular: &SpecularValue,
     ) -> Self::Specular<Vec3Of<f32>>;
 
-    /// Where the point's specular light comes from; not called unless [`PairModel::CULLS`].
+    /// The directions from which the point receives specular light; called only if [`PairModel::CULLS`].
     fn reach<F: Real>(&self, point: &Self::Point<F>) -> Reach<F>;
 
-    /// One point × lobe.
+    /// Evaluates one point × lobe.
     fn evaluate<F: Real, const PART: Part>(
         &self,
         point: &Self::Point<F>,
@@ -160,7 +160,7 @@ pub trait PairModel: Copy + Send + Sync {
         lobe: &Self::Lobe<F>,
     ) -> Response<F, Self::Specular<F>>;
 
-    /// One point × lobe and, given the adjoint of its response, the adjoints of what went in.
+    /// Evaluates one point × lobe and, given the adjoint of its response, the adjoints of its inputs.
     fn pull_back<F: Real, const PART: Part>(
         &self,
         point: &Self::Point<F>,
@@ -169,6 +169,6 @@ pub trait PairModel: Copy + Send + Sync {
         adjoint: &Response<F, Self::Specular<F>>,
     ) -> PulledBack<F, Self>;
 
-    /// Ends a point's adjoint: returns that of its normal, adds that of the specular material onto `gradient`.
+    /// Finishes the adjoint of a point: returns the adjoint of its normal, and adds the adjoint of the specular material to `gradient`.
     fn pull_back_point(&self, end: &PointEnd<'_, Self>, gradient: &mut SpecularAdjoint) -> Vec3Of<f32>;
 }

@@ -1,11 +1,11 @@
-//! The number kernels are generic over: `f32` to run, `f64` to test, a SIMD vector of `f32` to run fast.
+//! The number type that kernels are generic over: `f32` to run, `f64` to test, a SIMD vector of `f32` to run fast.
 
 use std::ops::{Add, AddAssign, Div, Mul, Neg, Sub};
 
-/// A real number, or a short vector of them treated lane by lane.
+/// A real number, or a short vector of real numbers with operations per lane.
 ///
-/// Constants come from an existing value (`x.lit(0.5)`) because a SIMD type needs its level token, and choices
-/// are written as [`Real::select_lt`] because lanes cannot branch.
+/// Constants are made from an existing value (`x.lit(0.5)`), because a SIMD type needs its level token. Choices
+/// are written with [`Real::select_lt`], because lanes cannot branch.
 pub trait Real:
     Copy
     + Add<Output = Self>
@@ -21,8 +21,8 @@ pub trait Real:
     fn sqrt(self) -> Self;
     /// e to the power of `self`.
     fn exp(self) -> Self;
-    /// e to the power of `self` ≤ 0; vectors give e^−50 for anything below, since products of still smaller numbers
-    /// would be subnormal, which costs time.
+    /// e to the power of `self` ≤ 0; vectors return e^−50 for arguments below −50, since products of smaller numbers
+    /// are subnormal, which is slow.
     fn decay(self) -> Self;
     /// Larger of the two.
     fn max(self, other: Self) -> Self;
@@ -36,9 +36,9 @@ pub trait Real:
     fn abs(self) -> Self;
     /// The magnitude of `self` with the sign of `sign`.
     fn copysign(self, sign: Self) -> Self;
-    /// `self * a + b`, fused where the machine can.
+    /// `self * a + b`, fused where the hardware supports it.
     fn mul_add(self, a: Self, b: Self) -> Self;
-    /// 1 / self for `self` in [1e-37, 1e37] only; vectors may err by 3e-7 of it, which saves a division.
+    /// 1 / self for `self` in [1e-37, 1e37] only; vectors may have a relative error of 3e-7, which saves a division.
     fn inverse(self) -> Self;
 
     /// Zero.
@@ -71,7 +71,7 @@ pub trait Real:
     fn recip(self) -> Self {
         self.one() / self
     }
-    /// 1 / √self for positive, normal `self`, where a relative error of 1e-5 does no harm.
+    /// 1 / √self for positive, normal `self`, with a relative error of at most 1e-5.
     #[inline(always)]
     fn quick_rsqrt(self) -> Self {
         self.sqrt().recip()
@@ -140,7 +140,7 @@ macro_rules! scalar_real {
 scalar_real!(f32);
 scalar_real!(f64);
 
-/// Three reals: a direction, a position or a colour.
+/// Three reals: a direction, a position or a color.
 pub type Vec3Of<F> = [F; 3];
 
 /// Dot product.

@@ -1,8 +1,8 @@
-//! A surface sample as the kernels read and write it: what is shaded, its radiance, and the adjoints of both.
+//! A surface sample as the kernels read and write it: the point, its radiance, and the adjoints of both.
 
 use crate::real::Vec3Of;
 
-/// A surface point as the kernels read it; a zero normal marks a ray that met nothing, which shades to zero.
+/// A surface point as the kernels read it; a zero normal marks a ray without a hit, whose radiance is zero.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "ecs", derive(bevy_ecs::component::Component))]
 pub struct ShadePoint {
@@ -21,7 +21,7 @@ impl ShadePoint {
     }
 }
 
-/// Outgoing radiance in its two layers.
+/// Outgoing radiance, as a diffuse and a specular layer.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "ecs", derive(bevy_ecs::component::Component))]
 pub struct Layers {
@@ -31,12 +31,12 @@ pub struct Layers {
     pub specular: Vec3Of<f32>,
 }
 
-/// Adjoint of a point's outgoing radiance, the sum of its layers.
+/// Adjoint of the outgoing radiance of a point, the sum of its layers.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "ecs", derive(bevy_ecs::component::Component))]
 pub struct RadianceAdjoint(pub Vec3Of<f32>);
 
-/// Adjoints of one point's inputs.
+/// Adjoints of the inputs of one point.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 #[cfg_attr(feature = "ecs", derive(bevy_ecs::component::Component))]
 pub struct PointAdjoint {
@@ -46,7 +46,7 @@ pub struct PointAdjoint {
     pub normal: Vec3Of<f32>,
 }
 
-/// The radiance of many points and its adjoint, the input of the adjoint kernel. One value a point in both.
+/// The radiance of many points and its adjoint, the input of the adjoint kernel. Both have one value per point.
 #[derive(Clone, Copy, Debug)]
 pub struct RadianceColumns<'a> {
     /// Result of the forward kernel; where a channel is zero, its adjoint is dropped.

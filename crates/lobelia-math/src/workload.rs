@@ -1,4 +1,4 @@
-//! A batch of points and lobes to measure and test kernels with: the same numbers every time.
+//! A reproducible batch of points and lobes to measure and test kernels with.
 //!
 //! Points have uniform normals and views uniform above them; lobes lie on Fibonacci axes with sharpness
 //! 20 + 100·|N(0, 1)|; the specular material is one lobe.
@@ -13,7 +13,7 @@ use crate::shading::{
 use glam::Vec3;
 use rand::{RngExt, SeedableRng, rngs::SmallRng};
 
-/// A batch to shade and room for its results.
+/// A batch to shade, and buffers for its results.
 #[derive(Clone, Debug)]
 pub struct Workload {
     /// Points to shade.
@@ -22,18 +22,18 @@ pub struct Workload {
     pub lobes: LobeColumns,
     /// Specular material.
     pub specular: SpecularValue,
-    /// Where radiance goes.
+    /// Output radiance.
     pub shaded: Vec<Layers>,
     /// Adjoint of each point's radiance.
     pub adjoint: Vec<RadianceAdjoint>,
-    /// Where the points' adjoints go.
+    /// Output adjoints of the points.
     pub point_adjoint: Vec<PointAdjoint>,
-    /// Where the gradient of what they share goes.
+    /// Output gradient of the shared parameters.
     pub gradient: SharedGradient,
 }
 
 impl Workload {
-    /// `points` × `lobes`, the same ones every time.
+    /// A batch of `points` × `lobes`, the same every time.
     pub fn new(points: usize, lobes: usize, roughness: f32) -> Self {
         let mut rng = SmallRng::seed_from_u64(2021);
         let lobes = fibonacci_axes(lobes).into_iter().map(|axis| Lobe {
@@ -59,7 +59,7 @@ impl Workload {
         form.shade(&self.points, &self.specular, &self.lobes, &mut self.shaded);
     }
 
-    /// Runs the gradient's kernel.
+    /// Runs the adjoint kernel.
     pub fn shade_adjoint(&mut self, form: ClosedForm) {
         let radiance = RadianceColumns { shaded: &self.shaded, adjoint: &self.adjoint };
         let (out, gradient) = (&mut self.point_adjoint, &mut self.gradient);

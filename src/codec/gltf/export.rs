@@ -11,13 +11,13 @@ const UNSIGNED_INT: u32 = 5125;
 const ARRAY_BUFFER: u32 = 34962;
 const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 
-/// Writes `mesh` to `path` as a GLB with one node, one mesh and one primitive, floats bit for bit.
+/// Writes `mesh` to `path` as a GLB with one node, one mesh and one primitive; floats keep all their bits.
 ///
-/// The file appears under its name only when it is complete.
+/// The file is created only when it is complete.
 ///
 /// # Errors
-/// [`Error::Run`] if the mesh's arrays disagree, it is empty or not finite, a texture has no texture coordinates, or the file would
-/// pass 4 GiB; [`Error::Io`] if the file cannot be written.
+/// [`Error::Run`] if the arrays of the mesh have different lengths, it is empty or not finite, a texture has no texture coordinates, or the file would
+/// exceed 4 GiB; [`Error::Io`] if the file cannot be written.
 pub fn write_glb(path: &Path, mesh: &Mesh, material: Option<&GltfMaterial>) -> Result<()> {
     check(mesh, material).map_err(|problem| Error::run(format!("writing {}", path.display()), problem))?;
     let mut binary = Binary::default();
@@ -47,7 +47,7 @@ fn check(mesh: &Mesh, material: Option<&GltfMaterial>) -> std::result::Result<()
     if mesh.normals.len() != count || uv_count != count {
         let normals = mesh.normals.len();
         return Err(format!(
-            "{count} positions, {normals} normals and {uv_count} texture coordinates disagree"
+            "the mesh has {count} positions, {normals} normals and {uv_count} texture coordinates; these must be equal"
         ));
     }
     if mesh.triangles.is_empty() {
@@ -73,7 +73,7 @@ fn check(mesh: &Mesh, material: Option<&GltfMaterial>) -> std::result::Result<()
     Ok(())
 }
 
-/// The binary chunk and its table of contents, as they grow.
+/// The binary chunk and its buffer views and accessors, under construction.
 #[derive(Default)]
 struct Binary {
     bytes: Vec<u8>,
@@ -95,7 +95,7 @@ impl Binary {
         self.views.len() - 1
     }
 
-    /// Appends an accessor of float vectors (with its range, if asked) and returns its index.
+    /// Appends an accessor of float vectors (with its range, if `with_range`) and returns its index.
     fn add_floats<const N: usize>(&mut self, values: &[[f32; N]], with_range: bool) -> usize {
         let view = self.add_view(values.iter().flatten().flat_map(|x| x.to_le_bytes()), Some(ARRAY_BUFFER));
         let kind = if N == 2 { "VEC2" } else { "VEC3" };
@@ -152,7 +152,7 @@ fn add_material(root: &mut Value, binary: &mut Binary, material: &GltfMaterial) 
         images.push(json!({"bufferView": view, "mimeType": "image/png"}));
     }
     if !images.is_empty() {
-        // Linear filtering, clamped at the borders: how the texels are read here.
+        // Linear filtering, clamped at the borders, as for texels in this crate.
         root["samplers"] = json!([{"magFilter": 9729, "minFilter": 9729, "wrapS": 33071, "wrapT": 33071}]);
         root["images"] = json!(images);
         root["textures"] = json!(sources);
@@ -171,7 +171,7 @@ fn add_material(root: &mut Value, binary: &mut Binary, material: &GltfMaterial) 
     root["extensionsUsed"] = json!(["KHR_materials_specular", "KHR_materials_ior"]);
 }
 
-/// Header, JSON chunk and binary chunk (glTF 2.0 specification, section 4); `None` past 4 GiB.
+/// Header, JSON chunk and binary chunk (glTF 2.0 specification, section 4); `None` above 4 GiB.
 fn container(text: &str, binary: &[u8]) -> Option<Vec<u8>> {
     let (text_length, binary_length) = (text.len().next_multiple_of(4), binary.len().next_multiple_of(4));
     let total = 12 + 8 + text_length + 8 + binary_length;

@@ -1,6 +1,6 @@
 //! The container of a glTF: JSON, buffers, and checked reading of accessors.
 //!
-//! The `gltf` crate supplies the JSON types. Its own readers assume a validated file and panic on some bad ones, so every
+//! The `gltf` crate supplies the JSON types. Its readers assume a validated file and panic on some invalid ones, so every
 //! index, offset and length is checked here instead.
 
 use crate::{Error, Result};
@@ -9,7 +9,7 @@ use gltf::json::validation::Checked;
 use gltf::json::{self, Index, Root};
 use std::path::{Path, PathBuf};
 
-/// More elements than this in one accessor are taken for a damaged file.
+/// A file with more elements than this in one accessor is assumed to be damaged.
 const MAX_ELEMENTS: usize = 100_000_000;
 
 /// A parsed file with all its buffers in memory.
@@ -19,7 +19,7 @@ pub(super) struct GltfFile {
     buffers: Vec<Vec<u8>>,
 }
 
-/// Where an accessor's elements lie.
+/// The location of the elements of an accessor.
 struct Layout<'a> {
     bytes: &'a [u8],
     stride: usize,
@@ -46,7 +46,7 @@ impl GltfFile {
         Ok(file)
     }
 
-    /// An error of this file.
+    /// An error about this file.
     pub(super) fn error(&self, place: impl Into<String>, problem: impl Into<String>) -> Error {
         Error::input(&self.path, place, problem, "export the mesh again, or check it with a glTF validator")
     }
@@ -176,7 +176,7 @@ impl GltfFile {
         }
     }
 
-    /// Decodes all elements, the sparse ones over the dense ones (over zeros where there is no buffer view).
+    /// Decodes all elements; sparse elements replace dense ones (or zeros, where there is no buffer view).
     fn elements<T: Clone>(
         &self,
         accessor: &json::Accessor,

@@ -1,17 +1,17 @@
-//! A glTF material for this project's BRDF, and back.
+//! Conversion between glTF materials and the BRDF of this crate.
 //!
-//! glTF's dielectric is a diffuse base colour times 1 − F beside a GGX lobe with Schlick's F over a reflectance F0; here the
-//! diffuse part is not dimmed. So with m the largest channel of the specular albedo s:
+//! A dielectric in glTF is a diffuse base color times 1 − F plus a GGX lobe with Schlick's F and reflectance F0; here the
+//! diffuse part has no factor 1 − F. With m the largest channel of the specular albedo s:
 //!
 //! | glTF | value | lost |
 //! | --- | --- | --- |
-//! | base colour | min(1, a / (1 − F̄)), F̄ = m + (1 − m)/21, the mean of F over the hemisphere | an albedo above 1 − F̄ is cut to it; the dimming towards grazing angles differs |
+//! | base color | min(1, a / (1 − F̄)), F̄ = m + (1 − m)/21, the mean of F over the hemisphere | an albedo above 1 − F̄ is clamped to it; the falloff toward grazing angles differs |
 //! | `metallicFactor` | 0 | |
-//! | `roughnessFactor` | R | D is a Gaussian here and GGX there: the same peak, a longer tail |
+//! | `roughnessFactor` | R | D is an SG here and GGX in glTF: the same peak, a longer tail |
 //! | `KHR_materials_ior` | (1 + √m) / (1 − √m), m at most 0.99 | |
-//! | `KHR_materials_specular` | factor 1, colour s/m | |
+//! | `KHR_materials_specular` | factor 1, color s/m | |
 //!
-//! Reading inverts this: what was written here comes back, but for the cut and the texture's eight bits.
+//! Reading inverts this: a material that was written is read back, except for the clamping and the eight bits of the texture.
 
 use crate::codec::gltf::file::GltfFile;
 use crate::{Error, Result};
@@ -19,18 +19,18 @@ use glam::Vec3;
 use gltf::json::{Index, Material};
 use std::path::Path;
 
-/// A material for [`crate::codec::gltf::export::write_glb`]: base colour, roughness, and a coloured dielectric reflectance; metallic is 0.
+/// A material for [`crate::codec::gltf::export::write_glb`]: base color, roughness, and the colored reflectance of a dielectric; metallic is 0.
 #[derive(Clone, Debug, PartialEq)]
 pub struct GltfMaterial {
     /// The material's name in the file.
     pub name: String,
     /// `baseColorFactor`, linear RGB in `[0, 1]`, times the texture.
     pub base_color: Vec3,
-    /// An image file's bytes (sRGB; a PNG to be written), embedded as the base colour texture; needs a mesh with texture coordinates.
+    /// An image file's bytes (sRGB; a PNG to be written), embedded as the base color texture; needs a mesh with texture coordinates.
     pub base_color_image: Option<Vec<u8>>,
     /// `roughnessFactor` in `[0, 1]`, times the texture; GGX's α is its square.
     pub roughness: f32,
-    /// A PNG with the roughness in green and no metal in blue, to be embedded as `metallicRoughnessTexture`. Not read back.
+    /// A PNG with roughness in green and metallic 0 in blue, embedded as `metallicRoughnessTexture`. Not read back.
     pub roughness_image: Option<Vec<u8>>,
     /// `specularFactor` of `KHR_materials_specular`, in `[0, 1]`.
     pub specular: f32,
@@ -41,7 +41,7 @@ pub struct GltfMaterial {
 }
 
 impl Default for GltfMaterial {
-    /// A white dielectric, fully rough, as an empty glTF material is (but not metallic).
+    /// A white dielectric with roughness 1: an empty glTF material, but not metallic.
     fn default() -> Self {
         Self {
             name: "surface".to_owned(),
@@ -56,11 +56,11 @@ impl Default for GltfMaterial {
     }
 }
 
-/// A reflectance of one needs an infinite index of refraction.
+/// Largest reflectance; 1 needs an infinite index of refraction.
 const MAX_REFLECTANCE: f32 = 0.99;
 
 impl GltfMaterial {
-    /// The specular lobe in glTF's words, with a white base colour.
+    /// The specular lobe as a glTF material with a white base color.
     pub fn of_lobe(specular_albedo: Vec3, roughness: f32) -> Self {
         let strongest = strongest(specular_albedo);
         let root = strongest.sqrt();
@@ -79,7 +79,7 @@ impl GltfMaterial {
     }
 }
 
-/// The part of the diffuse light that glTF keeps, 1 − F̄: the mean of Schlick's 1 − F over the hemisphere, in the strongest channel.
+/// The factor on diffuse light in glTF, 1 − F̄: the mean of Schlick's 1 − F over the hemisphere, in the strongest channel.
 pub fn diffuse_share(specular_albedo: Vec3) -> f32 {
     (1.0 - strongest(specular_albedo)) * (20.0 / 21.0)
 }
@@ -91,7 +91,7 @@ fn strongest(specular_albedo: Vec3) -> f32 {
 /// Reads the one material that all primitives of a `.glb` or `.gltf` file have.
 ///
 /// # Errors
-/// [`Error::Input`] or [`Error::Io`] if the file cannot be read, has no material or several, or one that the BRDF has no words for.
+/// [`Error::Input`] or [`Error::Io`] if the file cannot be read, has no material or several, or one that the BRDF cannot represent.
 pub fn read_material(path: &Path) -> Result<GltfMaterial> {
     let file = GltfFile::open(path)?;
     let index = only_material(&file)?;
@@ -144,7 +144,7 @@ fn only_material(file: &GltfFile) -> Result<Index<Material>> {
     }
 }
 
-/// What the material has that one lobe and one diffuse texture cannot say.
+/// The property of the material that one lobe and one diffuse texture cannot represent.
 fn beyond_words(file: &GltfFile, material: &Material) -> Option<&'static str> {
     let pbr = &material.pbr_metallic_roughness;
     let specular = material.extensions.as_ref().and_then(|e| e.specular.as_ref());
@@ -152,10 +152,10 @@ fn beyond_words(file: &GltfFile, material: &Material) -> Option<&'static str> {
     let elsewhere = pbr.base_color_texture.as_ref().is_some_and(|t| t.tex_coord != 0 || transformed);
     let problems = [
         (pbr.metallic_factor.0 != 0.0, "is metallic"),
-        (pbr.metallic_roughness_texture.is_some(), "has a texture of roughness"),
-        (specular.is_some_and(|s| s.specular_texture.is_some()), "has a texture of reflectance"),
-        (specular.is_some_and(|s| s.specular_color_texture.is_some()), "has a texture of reflectance"),
-        (elsewhere, "has a texture that is not placed by the first texture coordinates as they are"),
+        (pbr.metallic_roughness_texture.is_some(), "has a roughness texture"),
+        (specular.is_some_and(|s| s.specular_texture.is_some()), "has a reflectance texture"),
+        (specular.is_some_and(|s| s.specular_color_texture.is_some()), "has a reflectance texture"),
+        (elsewhere, "has a texture that does not use the first texture coordinates unchanged"),
     ];
     problems.into_iter().find(|(is, _)| *is).map(|(_, problem)| problem)
 }

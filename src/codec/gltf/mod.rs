@@ -1,4 +1,4 @@
-//! glTF 2.0: triangle meshes and their material in and out.
+//! Reading and writing of glTF 2.0: triangle meshes and their material.
 
 pub mod export;
 mod file;

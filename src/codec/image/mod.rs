@@ -1,7 +1,7 @@
 //! Reading photographs and masks: PNG, JPEG, OpenEXR and Radiance HDR.
 //!
-//! What a file is, is told by its first bytes; a name that says otherwise is an error. Embedded colour profiles and gamma
-//! chunks are not looked at: [`Gamma`] says how 8- and 16-bit values are to be read.
+//! The first bytes of a file determine its format; a file name with another format is an error. Embedded color profiles and gamma
+//! chunks are ignored: [`Gamma`] says how 8- and 16-bit values are read.
 
 use crate::codec::file::read_bytes;
 use crate::codec::nearby::missing_file_help;
@@ -50,15 +50,15 @@ impl Gamma {
     }
 }
 
-/// A photograph as read.
+/// A photograph as read from its file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LoadedImage {
     /// Linear radiance, coverage-weighted on black: straight (PNG) alpha has been multiplied in, EXR is taken as stored.
     pub image: Image,
-    /// Coverage in `[0, 1]`, one value a pixel, if the file has alpha.
+    /// Coverage in `[0, 1]`, one value per pixel, if the file has alpha.
     pub alpha: Option<Vec<f32>>,
-    /// Pixels to be left out of a loss: of integer formats those with any colour channel at the highest storable value and
-    /// an alpha above 0; of float formats the repaired ones.
+    /// In integer formats, pixels with a color channel at the highest storable value and an alpha above 0: that channel is a lower
+    /// bound. In float formats, the repaired pixels.
     pub saturated: Vec<bool>,
     /// Number of pixels that had a NaN or infinite value and were set to 0.
     pub repaired: usize,
@@ -116,13 +116,13 @@ enum Decoded {
     Floats { width: u32, height: u32, color: Vec<Vec3>, alpha: Option<Vec<f32>> },
 }
 
-/// Reads a photograph as linear radiance: PNG (8 and 16 bit; grey, RGB, palette, with and without alpha), JPEG (EXIF
+/// Reads a photograph as linear radiance: PNG (8 and 16 bit; gray, RGB, palette, with and without alpha), JPEG (EXIF
 /// orientation applied), EXR (half, float, uint; R, G, B or Y, optional A) or Radiance HDR.
 ///
 /// NaN and infinite pixels are set to 0, counted in [`LoadedImage::repaired`] and marked as saturated.
 ///
 /// # Errors
-/// [`Error::Input`] if the file is missing, empty, damaged, cut short, not of the format its name says, or has no finite
+/// [`Error::Input`] if the file is missing, empty, damaged, truncated, not in the format that its name says, or has no finite
 /// pixel; [`Error::Usage`] for an impossible `gamma`.
 pub fn read_image(path: impl AsRef<Path>, gamma: Gamma) -> Result<LoadedImage> {
     gamma.check()?;
@@ -140,11 +140,11 @@ pub fn read_image(path: impl AsRef<Path>, gamma: Gamma) -> Result<LoadedImage> {
     }
 }
 
-/// Reads a mask: luma as stored (not linearised) over its highest value. Alpha is used instead where the file has one that
-/// varies while its colours do not; float formats give alpha, if any, else luminance, clamped to `[0, 1]`.
+/// Reads a mask: the stored luma (not linearized) divided by the highest storable value. Alpha is used instead if it varies while
+/// the colors do not. In float formats the mask is alpha, if any, else luminance, clamped to `[0, 1]`.
 ///
 /// # Errors
-/// As [`read_image`]; also if an EXR or HDR mask holds NaN or infinite values.
+/// Those of [`read_image`]; also if an EXR or HDR mask has NaN or infinite values.
 pub fn read_mask(path: impl AsRef<Path>) -> Result<Mask> {
     let path = path.as_ref();
     let (width, height, coverage) = match decode(path)? {
@@ -203,7 +203,7 @@ fn decode_exr_picture(path: &Path, bytes: &[u8]) -> Result<Decoded> {
     Ok(Decoded::Floats { width: layers.width, height: layers.height, color, alpha })
 }
 
-/// The JPEG decoder fills what is missing at the end of a file with grey, so the end marker is looked for first.
+/// The JPEG decoder fills missing data at the end of a file with gray, so the end marker is checked first.
 fn decode_jpeg(path: &Path, bytes: &[u8]) -> Result<Decoded> {
     let find = |from: usize, marker: [u8; 2]| {
         bytes[from..].windows(2).position(|pair| pair == marker).map(|i| from + i)
@@ -215,14 +215,14 @@ fn decode_jpeg(path: &Path, bytes: &[u8]) -> Result<Decoded> {
     decode_with_image(path, bytes, ImageFormat::Jpeg)
 }
 
-/// Where the first scan of a JPEG begins: behind the header segments, which may hold a thumbnail with its own end marker.
+/// Position of the first scan of a JPEG: after the header segments, which may contain a thumbnail with its own end marker.
 fn jpeg_scan_start(bytes: &[u8]) -> Option<usize> {
     let mut at = 2;
     loop {
         let &[0xff, marker] = bytes.get(at..at + 2)?.first_chunk::<2>()? else { return None };
         match marker {
             0xda => return Some(at),
-            // Fill bytes may go before a marker.
+            // Fill bytes may precede a marker.
             0xff => at += 1,
             _ => at += 2 + usize::from(u16::from_be_bytes(*bytes.get(at + 2..at + 4)?.first_chunk()?)),
         }
@@ -230,7 +230,7 @@ fn jpeg_scan_start(bytes: &[u8]) -> Option<usize> {
 }
 
 fn damaged(path: &Path, what: &str, why: &str) -> Error {
-    let problem = format!("{what} that is damaged or cut short: {why}");
+    let problem = format!("{what} that is damaged or truncated: {why}");
     Error::input(path, "", problem, "Copy or convert the file again.")
 }
 
@@ -245,7 +245,7 @@ fn decode_with_image(path: &Path, bytes: &[u8], format: ImageFormat) -> Result<D
     if decoder.total_bytes() > crate::codec::exr::MAX_DECODED_BYTES as u64 {
         return Err(damaged(path, what, &format!("its header declares {width}×{height} pixels")));
     }
-    // A damaged EXIF block leaves the pixels as they are stored.
+    // With a damaged EXIF block, pixels stay as they are stored.
     let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
     let mut decoded = DynamicImage::from_decoder(decoder).map_err(wrong)?;
     decoded.apply_orientation(orientation);
@@ -260,7 +260,7 @@ fn decode_with_image(path: &Path, bytes: &[u8], format: ImageFormat) -> Result<D
     })
 }
 
-/// Linear straight colour, alpha, and which colours are at the top of their range.
+/// Linear straight color, alpha, and the flags of pixels with a channel at the top of its range.
 type Straight = (Vec<Vec3>, Option<Vec<f32>>, Vec<bool>);
 
 fn from_integers_straight(image: &DynamicImage, gamma: Gamma) -> Straight {
@@ -311,7 +311,7 @@ fn from_floats(mut image: Image, mut alpha: Option<Vec<f32>>) -> LoadedImage {
     for (i, _) in broken.iter().enumerate().filter(|&(_, &broken)| broken) {
         image.pixels[i] = Vec3::ZERO;
         if let Some(alpha) = &mut alpha {
-            // A pixel that lost its colour is still covered.
+            // A pixel whose color is not finite is still covered.
             alpha[i] = if alpha[i].is_finite() { alpha[i] } else { 0.0 };
         }
     }
@@ -325,13 +325,13 @@ fn mask_from_straight(color: &[Vec3], alpha: Option<&[f32]>) -> Vec<f32> {
     let flat = color.iter().all(|c| *c == color[0]);
     match alpha {
         Some(alpha) if flat && varies(alpha) => alpha.to_vec(),
-        // What is fully transparent is not covered, whatever its colour.
+        // A fully transparent pixel is not covered, whatever its color.
         Some(alpha) => color.iter().zip(alpha).map(|(&c, &a)| luma(c) * a).collect(),
         None => color.iter().map(|&c| luma(c)).collect(),
     }
 }
 
-/// Rec. 709 luma; exactly the value itself for greys.
+/// Rec. 709 luma; exactly the value itself for grays.
 fn luma(color: Vec3) -> f32 {
     if color.x == color.y && color.y == color.z { color.x } else { luminance(color) }
 }

@@ -62,7 +62,7 @@ fn straight_alpha_is_multiplied_in() {
 }
 
 #[test]
-fn sixteen_bit_grey_and_grey_alpha_are_read() {
+fn sixteen_bit_gray_and_gray_alpha_are_read() {
     let (_dir, at) = folder();
     let deep: ImageBuffer<Luma<u16>, _> = ImageBuffer::from_raw(2, 1, vec![65535u16, 32768]).unwrap();
     deep.save(at("deep.png")).unwrap();
@@ -174,9 +174,9 @@ fn exr_pixels_are_taken_as_stored_whatever_the_gamma() {
     assert_eq!(loaded.alpha.unwrap(), [0.5, 1.0]);
     assert_eq!(loaded.saturated, [false, false]);
     assert!(loaded.is_float);
-    write_exr(&at("grey.exr"), 2, 1, &[("Y", vec![0.5, 2.0])]);
+    write_exr(&at("gray.exr"), 2, 1, &[("Y", vec![0.5, 2.0])]);
     assert_eq!(
-        read_image(at("grey.exr"), Gamma::Srgb).unwrap().image.pixels,
+        read_image(at("gray.exr"), Gamma::Srgb).unwrap().image.pixels,
         [Vec3::splat(0.5), Vec3::splat(2.0)]
     );
     write_exr(&at("depth.exr"), 2, 1, &[("Z", vec![0.5, 2.0])]);
@@ -194,7 +194,7 @@ fn radiance_hdr_is_linear() {
     assert!((loaded.image.pixels[4] - Vec3::new(4.0, 0.5, 100.0)).abs().max_element() <= 0.5);
     let bytes = fs::read(at("a.hdr")).unwrap();
     fs::write(at("cut.hdr"), &bytes[..bytes.len() - 4]).unwrap();
-    assert!(problem_of(read_image(at("cut.hdr"), Gamma::Srgb)).contains("damaged or cut short"));
+    assert!(problem_of(read_image(at("cut.hdr"), Gamma::Srgb)).contains("damaged or truncated"));
 }
 
 #[test]
@@ -220,8 +220,8 @@ fn nan_and_infinity_are_set_to_zero_counted_and_left_out() {
 #[test]
 fn masks_are_luma_or_alpha() {
     let (_dir, at) = folder();
-    GrayImage::from_raw(3, 1, vec![0, 51, 255]).unwrap().save(at("grey.png")).unwrap();
-    assert_eq!(read_mask(at("grey.png")).unwrap().coverage, [0.0, 0.2, 1.0]);
+    GrayImage::from_raw(3, 1, vec![0, 51, 255]).unwrap().save(at("gray.png")).unwrap();
+    assert_eq!(read_mask(at("gray.png")).unwrap().coverage, [0.0, 0.2, 1.0]);
     let rgba = |pixels: Vec<u8>| RgbaImage::from_raw(2, 1, pixels).unwrap().save(at("rgba.png")).unwrap();
     rgba(vec![0, 0, 0, 255, 0, 0, 0, 51]);
     assert_eq!(read_mask(at("rgba.png")).unwrap().coverage, [1.0, 0.2]);
@@ -256,7 +256,7 @@ fn wrong_files_are_named_with_help() {
     assert!(problem_of(read_image(at(""), Gamma::Srgb)).contains("folder"));
     let bytes = exr_bytes(2, 2, &[("R", vec![0.0; 4])]);
     fs::write(at("cut.exr"), &bytes[..bytes.len() / 2]).unwrap();
-    assert!(problem_of(read_exr_layers(at("cut.exr"))).contains("damaged or cut short"));
+    assert!(problem_of(read_exr_layers(at("cut.exr"))).contains("damaged or truncated"));
 }
 
 #[test]

@@ -1,17 +1,17 @@
 //! The header of an `.npy` file: magic bytes, version, length, and a Python dictionary of three plain values.
 //!
-//! Only arrays of one plain type are understood. Nothing that is read may hold itself, so the parser never recurses
-//! and looks at every byte once; a header of more than [`MOST_BYTES`] is refused, as NumPy does.
+//! Only arrays of one plain type are supported. No value may contain others, so the parser never recurses
+//! and reads every byte once; a header of more than [`MOST_BYTES`] is an error, as in NumPy.
 
 use std::str::from_utf8;
 
 const MAGIC: &[u8] = b"\x93NUMPY";
-/// Longest dictionary that is read.
+/// Most bytes of a dictionary.
 const MOST_BYTES: usize = 10_000;
-/// An array of more values is not believed.
+/// Most values of an array; a header with more is damaged.
 const MOST_VALUES: u64 = 1 << 40;
 
-/// What the dictionary says.
+/// The contents of the dictionary.
 #[derive(Debug, PartialEq)]
 pub(super) struct Header<'a> {
     /// The type of the values in NumPy's short form, e.g. `<f4`.
@@ -25,7 +25,7 @@ pub(super) struct Header<'a> {
 /// The header, and the bytes after it.
 ///
 /// # Errors
-/// What is wrong with the file, as the rest of a sentence that starts with its name.
+/// The problem, as the rest of a sentence that starts with the name of the file.
 pub(super) fn split(bytes: &[u8]) -> Result<(Header<'_>, &[u8]), String> {
     let Some(rest) = bytes.strip_prefix(MAGIC) else { return Err("is not a NumPy .npy file".to_owned()) };
     let (length, rest) = match *rest {
@@ -36,7 +36,7 @@ pub(super) fn split(bytes: &[u8]) -> Result<(Header<'_>, &[u8]), String> {
     };
     let length = length as usize;
     if length > MOST_BYTES {
-        return Err(broken(&format!("{length} bytes long, and no plain array needs more than {MOST_BYTES}")));
+        return Err(broken(&format!("it is {length} bytes long; the limit is {MOST_BYTES}")));
     }
     let Some((text, data)) = rest.split_at_checked(length) else {
         return Err(broken(&format!("it ends after {} of {length} bytes", rest.len())));
@@ -50,11 +50,11 @@ pub(super) fn split(bytes: &[u8]) -> Result<(Header<'_>, &[u8]), String> {
     Ok((header, data))
 }
 
-/// The header of a `<f4` array in C order, ready to be followed by its values.
+/// The header of a `<f4` array in C order; the values follow it.
 pub(super) fn for_singles(shape: [usize; 2]) -> Vec<u8> {
     let [rows, columns] = shape;
     let mut text = format!("{{'descr': '<f4', 'fortran_order': False, 'shape': ({rows}, {columns}), }}");
-    // Values start at a multiple of 64 bytes, after a line's end.
+    // Values start at a multiple of 64 bytes, after a line break.
     let start = (MAGIC.len() + 4 + text.len() + 1).next_multiple_of(64);
     let length = start - MAGIC.len() - 4;
     text.extend(std::iter::repeat_n(' ', length - 1 - text.len()));
@@ -71,7 +71,7 @@ fn impossible() -> String {
     "claims an impossible shape, so its header is damaged".to_owned()
 }
 
-/// A place in the dictionary's text.
+/// A position in the text of the dictionary.
 struct Cursor<'a> {
     text: &'a str,
     at: usize,
@@ -109,7 +109,7 @@ impl<'a> Cursor<'a> {
         })
     }
 
-    /// What is left, from the next byte that is not blank.
+    /// The remaining text, from the next byte that is not blank.
     fn rest(&mut self) -> &'a str {
         let rest = self.text[self.at..].trim_start_matches([' ', '\t', '\r', '\n']);
         self.at = self.text.len() - rest.len();

@@ -11,13 +11,13 @@ use crate::codec::file;
 use crate::light::LightLobe;
 use crate::{Error, Result};
 
-/// How the axes of a file are to be read.
+/// The convention of the axes in a file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum NpyConvention {
-    /// World directions as they are (also what PhySG's own training writes).
+    /// World directions (PhySG's own training writes the same).
     #[default]
     Lobelia,
-    /// PhySG's published `envmap*_sg_fit` files, whose maps start at θ = 2πu: (x, y, z) stands for (z, y, −x).
+    /// PhySG's published `envmap*_sg_fit` files, whose maps have θ = 2πu: (x, y, z) in the file is (z, y, −x) in the world.
     PhySgFit,
 }
 
@@ -39,21 +39,21 @@ impl NpyConvention {
     }
 }
 
-/// A light has at most this many lobes, wherever they come from.
+/// Most lobes of a light.
 const MOST_LOBES: usize = 512;
 
 const HELP: &str =
     "save an array of float32 or float64 of shape [M, 7]: axis x y z, sharpness, amplitude r g b";
 
-/// Reads lobes from an `.npy` file of shape `[M, 7]`, or `[M, 5]` with one grey amplitude.
+/// Reads lobes from an `.npy` file of shape `[M, 7]`, or `[M, 5]` with one gray amplitude.
 ///
-/// `f32` or `f64`, C or Fortran order, either byte order; at most 512 rows. Sharpness and amplitude are taken by
-/// absolute value, axes are normalised; an axis whose length is within 10⁻⁶ of 1 keeps its bits, so that files written
-/// by [`write_lobes`] come back bit for bit.
+/// `f32` or `f64`, C or Fortran order, either byte order; at most 512 rows. Reading takes the absolute values of sharpness and
+/// amplitude, and normalizes axes. An axis whose length is within 10⁻⁶ of 1 keeps its bits, so that files written
+/// by [`write_lobes`] are read back exactly.
 ///
 /// # Errors
-/// [`Error::Input`] naming the row (from 0) for a zero axis or a non-finite value, and for a missing, truncated or
-/// foreign file, another shape or type, no rows or more than 512.
+/// [`Error::Input`] naming the row (from 0) for a zero axis or a non-finite value, and for a missing or truncated file, one
+/// of another format, another shape or type, no rows or more than 512.
 pub fn read_lobes(path: impl AsRef<Path>, convention: NpyConvention) -> Result<Vec<LightLobe>> {
     let path = path.as_ref();
     let bytes = file::read_bytes(path, |_| "check the path of the lobes".to_owned())?;
@@ -61,7 +61,7 @@ pub fn read_lobes(path: impl AsRef<Path>, convention: NpyConvention) -> Result<V
     values.chunks_exact(columns).enumerate().map(|(row, v)| lobe_of_row(path, row, v, convention)).collect()
 }
 
-/// Writes lobes as an `f32`, little-endian, C-order `.npy` file of shape `[M, 7]`; it appears only when complete.
+/// Writes lobes as an `f32`, little-endian, C-order `.npy` file of shape `[M, 7]`; it is created only when it is complete.
 pub fn write_lobes(path: impl AsRef<Path>, lobes: &[LightLobe], convention: NpyConvention) -> Result<()> {
     let path = path.as_ref();
     let mut bytes = header::for_singles([lobes.len(), 7]);
@@ -108,7 +108,7 @@ fn read_table(path: &Path, bytes: &[u8]) -> Result<(Vec<f64>, usize)> {
     Ok((if header.fortran_order { transposed(&values, rows, columns) } else { values }, columns))
 }
 
-/// The bytes as an array; zeros unless there are `N` of them.
+/// The bytes as an array; zeros if there are not `N` bytes.
 fn exactly<const N: usize>(bytes: &[u8]) -> [u8; N] {
     bytes.try_into().unwrap_or([0; N])
 }
@@ -119,7 +119,7 @@ fn transposed(values: &[f64], rows: usize, columns: usize) -> Vec<f64> {
 
 fn lobe_of_row(path: &Path, row: usize, v: &[f64], convention: NpyConvention) -> Result<LightLobe> {
     let bad = |problem: &str| Error::input(path, format!("row {row}"), problem, HELP);
-    // As f32 they must be finite too: 1e300 would become infinite.
+    // Values must also be finite as f32: 1e300 becomes infinite.
     if v.iter().any(|x| !(*x as f32).is_finite()) {
         return Err(bad("holds NaN, an infinity, or a number too large"));
     }
@@ -155,7 +155,7 @@ mod tests {
         folder.path().join("lobes.npy")
     }
 
-    /// A version 1.0 file, made by hand so that the reader is not tested against its own writer.
+    /// A version 1.0 file, assembled here so that the test of the reader does not depend on the writer.
     fn npy(descr: &str, fortran: bool, shape: &str, data: &[u8]) -> Vec<u8> {
         let order = if fortran { "True" } else { "False" };
         let mut header = format!("{{'descr': '{descr}', 'fortran_order': {order}, 'shape': {shape}, }}");
@@ -186,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn axes_are_mapped_and_normalised_and_signs_dropped() {
+    fn axes_are_mapped_and_normalized_and_signs_dropped() {
         let row: Vec<u8> =
             [0.0_f32, 3.0, 4.0, -20.0, -1.0, 2.0, -3.0].iter().flat_map(|v| v.to_le_bytes()).collect();
         let bytes = npy("<f4", false, "(1, 7)", &row);
@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn types_orders_and_grey_amplitudes_are_understood() {
+    fn types_orders_and_gray_amplitudes_are_understood() {
         let rows = [[1.0, 0.0, 0.0, 5.0, 1.0, 2.0, 3.0], [0.0, 1.0, 0.0, 6.0, 4.0, 5.0, 6.0_f64]];
         let expected: Vec<LightLobe> = rows
             .iter()
@@ -217,8 +217,8 @@ mod tests {
         assert_eq!(read(">f8", true, by_columns.iter().flat_map(|v| v.to_be_bytes()).collect()), expected);
         let singles = by_rows.iter().flat_map(|v| (*v as f32).to_be_bytes()).collect();
         assert_eq!(read(">f4", false, singles), expected);
-        let grey: Vec<u8> = [0.0_f32, 0.0, 1.0, 2.0, 3.0].iter().flat_map(|v| v.to_le_bytes()).collect();
-        let lobe = read_bytes(&npy("<f4", false, "(1, 5)", &grey), NpyConvention::Lobelia).unwrap()[0];
+        let gray: Vec<u8> = [0.0_f32, 0.0, 1.0, 2.0, 3.0].iter().flat_map(|v| v.to_le_bytes()).collect();
+        let lobe = read_bytes(&npy("<f4", false, "(1, 5)", &gray), NpyConvention::Lobelia).unwrap()[0];
         assert_eq!(lobe.amplitude, Vec3::splat(3.0));
     }
 

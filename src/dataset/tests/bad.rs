@@ -3,7 +3,7 @@
 use super::*;
 
 #[test]
-fn unrecognised_folders_say_what_was_looked_for() {
+fn unrecognized_folders_say_what_was_looked_for() {
     let dir = tempfile::tempdir().unwrap();
     let read = |path: &Path| input_error(read_dataset(path, Split::Train, &DatasetOptions::default()));
     fs::write(dir.path().join("a.exr"), "").unwrap();
@@ -35,7 +35,7 @@ fn a_truncated_exr_is_named() {
     let path = set.path("train/image/v_1.exr");
     let bytes = fs::read(&path).unwrap();
     fs::write(&path, &bytes[..bytes.len() - 20]).unwrap();
-    assert_says(&input_error(set.read()), &["v_1.exr", "damaged or cut short"]);
+    assert_says(&input_error(set.read()), &["v_1.exr", "damaged or truncated"]);
 }
 
 #[test]
@@ -106,11 +106,11 @@ fn unusable_camera_matrices_are_refused() {
     );
     assert_says(&spoiled_matrix("K", 10, 0.0), &["K is singular"]);
     assert_says(&spoiled_matrix("K", 0, -8.0), &["focal length is -8"]);
-    assert_says(&spoiled_matrix("K", 4, 1.0), &["no calibration matrix", "row 2, column 1"]);
+    assert_says(&spoiled_matrix("K", 4, 1.0), &["not a calibration matrix", "row 2, column 1"]);
     assert_says(&spoiled_matrix("K", 2, 1e300), &["K has a NaN or infinite value in row 1, column 3"]);
     assert_says(&spoiled_matrix("W2C", 8, 0.0), &["camera `v_0.exr`", "W2C is singular"]);
     assert_says(&spoiled_matrix("W2C", 8, -1.1), &["W2C is not rigid"]);
-    assert_says(&spoiled_matrix("W2C", 8, 1.0), &["W2C mirrors"]);
+    assert_says(&spoiled_matrix("W2C", 8, 1.0), &["W2C is a reflection"]);
     assert_says(&spoiled_matrix("W2C", 13, 2.0), &["last row"]);
     assert_says(&spoiled_matrix("W2C", 3, -1e200), &["W2C has a NaN or infinite value in row 1, column 4"]);
 }
@@ -204,7 +204,7 @@ fn nerf_cameras_need_a_lens_and_a_size() {
         json["h"] = json!(4);
     };
     assert_says(&spoiled(size), &["6.5 is not a whole number"]);
-    assert_says(&spoiled(|json| json["frames"][0]["file_path"] = json!("gone/r_0")), &["no size"]);
+    assert_says(&spoiled(|json| json["frames"][0]["file_path"] = json!("gone/r_0")), &["nor its size"]);
     assert_says(
         &spoiled(|json| json["frames"][0]["transform_matrix"][0][0] = json!(2.0)),
         &["frame 0", "transform_matrix is not rigid"],

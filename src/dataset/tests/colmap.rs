@@ -86,7 +86,7 @@ fn text_and_binary_models_give_the_same_views() {
     }
 }
 
-/// A point through the model's own formulas: x = R(q) X + t, pixel = f x / z + c, pixel centres at +0.5.
+/// A point through the model's own formulas: x = R(q) X + t, pixel = f x / z + c, pixel centers at +0.5.
 #[test]
 fn quaternion_and_translation_are_camera_from_world() {
     let camera = Colmap::new(1).read(Split::Test).unwrap().views[0].camera;
@@ -200,7 +200,7 @@ fn truncated_binaries_are_refused_wherever_they_end() {
             fs::write(&path, &bytes[..end]).unwrap();
             assert_says(
                 &input_error(set.read(Split::Train)),
-                &[name, "byte ", "cut short", "Copy the file again"],
+                &[name, "byte ", "truncated", "Copy the file again"],
             );
         }
         fs::write(&path, bytes).unwrap();
@@ -216,7 +216,7 @@ fn bad_image_lists_are_refused() {
         input_error(set.read(Split::Test))
     };
     assert_says(&text("1 1 0 0 0 0 0 3 8 p00.png\n"), &["image `p00.png`", "no camera 8"]);
-    assert_says(&text("1 0 0 0 0 0 0 3 7 p00.png\n"), &["line 1", "p00.png", "no rotation"]);
+    assert_says(&text("1 0 0 0 0 0 0 3 7 p00.png\n"), &["line 1", "p00.png", "not a rotation"]);
     assert_says(&text("\n1 1 0 0 0 0 0 7 p00.png\n"), &["line 2", "neither an image nor points"]);
     assert_says(&text("1 1 0 0 0 0 0 3 7 gone.png\n"), &["gone.png", "missing"]);
     fs::remove_file(set.path("masks/p00.png")).unwrap();

@@ -88,7 +88,7 @@ fn what_is_missing_is_named() {
     fs::write(dir.path().join("pose/000000.txt"), "1 0 0").unwrap();
     assert_says(&error(), &["pose/000000.txt", "3 numbers, not 16"]);
     fs::write(dir.path().join("pose/000000.txt"), POSE.replace('3', "x")).unwrap();
-    assert_says(&error(), &["pose/000000.txt", "`x` is no number"]);
+    assert_says(&error(), &["pose/000000.txt", "`x` is not a number"]);
     fs::remove_dir_all(dir.path().join("pose")).unwrap();
     assert_says(&error(), &["folder of poses is missing"]);
     fs::remove_dir_all(dir.path().join("rgb")).unwrap();

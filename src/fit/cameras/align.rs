@@ -1,26 +1,26 @@
-//! Kernels that find how far cameras are off: a view's pose (six numbers) and one factor on all focal lengths.
+//! Kernels of camera alignment: corrections to the pose of each view (six parameters) and one factor on all focal lengths.
 //!
-//! Direct image alignment (Lucas and Kanade 1981; Engel, Koltun and Cremers 2018): a surface point keeps its place and its
-//! radiance, and the photograph is read where the moved camera sees it. So a residual's slope is the photograph's own slope times
-//! that of the point's image position, whatever kind the surface is. Outlines are aligned likewise, by the distance to the mask's
-//! outline in pixels.
+//! Direct image alignment (Lucas and Kanade 1981; Engel, Koltun and Cremers 2018): a surface point keeps its position and its
+//! radiance, and the photograph is sampled where the moved camera sees it. So the derivative of a residual is the gradient of the
+//! photograph times the Jacobian of the point's projection, for any kind of surface. Silhouettes are aligned in the same way, by the
+//! distance in pixels to the silhouette of the mask.
 //!
-//! Each view sums its normal equations; together they are an arrow, solved by Schur's complement, with what all views share in its tip: the
-//! focal length and, for an object that is unknown itself, how it may turn, shift and grow as a whole. Cameras and object could
-//! otherwise chase each other; that part of the solution is not used, as the object's own fit sees to it.
+//! Each view sums its normal equations. Together they form an arrowhead matrix, solved by the Schur complement; the parameters that all
+//! views share are the focal length and, for an unknown object, its rotation, translation and scale as a whole. Without the latter,
+//! cameras and object could drift together; that part of the solution is not used, because the object's own fit determines it.
 
 use crate::light::map_fit::linear::{cholesky, solve_factored};
 use crate::view::Camera;
 use glam::{Affine3A, Quat, Vec3};
 
-/// Numbers of a pose.
+/// Parameters of a pose.
 pub const POSE: usize = 6;
-/// Slopes of a residual: those with respect to the pose, the log focal length, and the log size of the object.
-pub const SLOPES: usize = POSE + 2;
-/// What all views share: the log focal length, and the object's log size, rotation and translation.
+/// Columns of the Jacobian of a residual: the pose, the log focal length, and the log size of the object.
+pub const JACOBIAN_COLUMNS: usize = POSE + 2;
+/// Parameters that all views share: the log focal length, and the object's log size, rotation and translation.
 const SHARED: usize = 8;
 
-/// Where a camera is from where it was given: rotation about its own axes (radians), then translation along them (world units).
+/// Correction to the given pose of a camera: rotation about its own axes (radians), then translation along them (world units).
 pub type Pose = [f64; POSE];
 
 /// A camera turned and shifted along its own axes, its focal lengths multiplied by e^`log_focal`.
@@ -35,9 +35,13 @@ pub fn moved(given: &Camera, pose: &Pose, log_focal: f64) -> Camera {
     }
 }
 
-/// Slopes of a world point's image position (x, then y, in pixels) with respect to small changes of pose, log focal length, and log
-/// size of the object around `center`; `None` behind the camera.
-pub fn projection_slopes(camera: &Camera, point: Vec3, center: Vec3) -> Option<[[f32; SLOPES]; 2]> {
+/// Jacobian of the projection of a world point (x, then y, in pixels) with respect to pose, log focal length, and log size of the
+/// object around `center`; `None` behind the camera.
+pub fn projection_jacobian(
+    camera: &Camera,
+    point: Vec3,
+    center: Vec3,
+) -> Option<[[f32; JACOBIAN_COLUMNS]; 2]> {
     let camera_from_world = camera.world_from_camera.inverse();
     let local = camera_from_world.transform_point3(point);
     if local.z <= f32::MIN_POSITIVE {
@@ -49,9 +53,9 @@ pub fn projection_slopes(camera: &Camera, point: Vec3, center: Vec3) -> Option<[
     let to_y = Vec3::new(0.0, fy, -fy * y / z) / z;
     let outward = camera_from_world.transform_vector3(point - center);
     // A camera that turns by ω and shifts by t sees the point move by −ω × p − t.
-    let row = |slope: Vec3, by_focal: f32| {
-        let turn = slope.cross(local);
-        [turn.x, turn.y, turn.z, -slope.x, -slope.y, -slope.z, by_focal, slope.dot(outward)]
+    let row = |gradient: Vec3, by_focal: f32| {
+        let turn = gradient.cross(local);
+        [turn.x, turn.y, turn.z, -gradient.x, -gradient.y, -gradient.z, by_focal, gradient.dot(outward)]
     };
     Some([row(to_x, fx * x / z), row(to_y, fy * y / z)])
 }
@@ -59,18 +63,18 @@ pub fn projection_slopes(camera: &Camera, point: Vec3, center: Vec3) -> Option<[
 /// Normal equations of one view: the lower triangle of JᵀWJ, and JᵀWr.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PoseSums {
-    matrix: [[f64; SLOPES]; SLOPES],
-    right: [f64; SLOPES],
+    matrix: [[f64; JACOBIAN_COLUMNS]; JACOBIAN_COLUMNS],
+    right: [f64; JACOBIAN_COLUMNS],
 }
 
 impl PoseSums {
-    /// Takes in a residual with its slopes.
+    /// Adds a residual with its row of the Jacobian.
     #[inline]
-    pub fn add(&mut self, slopes: &[f32; SLOPES], residual: f32, weight: f32) {
-        for (i, slope) in slopes.iter().enumerate() {
-            let scaled = f64::from(weight * slope);
+    pub fn add(&mut self, jacobian: &[f32; JACOBIAN_COLUMNS], residual: f32, weight: f32) {
+        for (i, derivative) in jacobian.iter().enumerate() {
+            let scaled = f64::from(weight * derivative);
             self.right[i] += scaled * f64::from(residual);
-            for (sum, other) in self.matrix[i].iter_mut().zip(&slopes[..=i]) {
+            for (sum, other) in self.matrix[i].iter_mut().zip(&jacobian[..=i]) {
                 *sum += scaled * f64::from(*other);
             }
         }
@@ -81,7 +85,7 @@ impl PoseSums {
     }
 }
 
-/// What a camera is believed to be off before it is looked at.
+/// The Gaussian prior on camera corrections.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Prior {
     /// Weight of a squared rotation, per radian².
@@ -92,30 +96,30 @@ pub struct Prior {
     pub focal: f64,
 }
 
-/// One view of a joint step.
+/// One view in a joint step.
 #[derive(Clone, Copy, Debug)]
 pub struct AlignedView {
     /// Its normal equations.
     pub sums: PoseSums,
-    /// Where its camera is.
+    /// Correction of its camera.
     pub pose: Pose,
-    /// What pulls the pose back to 0.
+    /// The prior that draws the correction to 0.
     pub prior: Prior,
     /// Its camera.
     pub camera: Camera,
 }
 
-/// The object, as far as a step must know.
+/// The properties of the object that a step needs.
 #[derive(Clone, Copy, Debug)]
 pub struct AlignedObject {
-    /// Around where it turns and grows.
+    /// Center of its rotation and scaling.
     pub center: Vec3,
-    /// Whether its place, direction and size are known; otherwise those are found too, and not used.
+    /// Whether its position, orientation and size are known; otherwise the step solves for them as well, and does not use them.
     pub known: bool,
 }
 
-/// One Gauss–Newton step of all views together: by how much each pose and the log focal length change. A view without
-/// residuals stays.
+/// One Gauss–Newton step of all views together: the change of each pose and of the log focal length. A view without
+/// residuals does not move.
 pub fn solve(views: &[AlignedView], object: AlignedObject, log_focal: f64) -> (Vec<Pose>, f64) {
     let mut tip = [0.0; SHARED * SHARED];
     let mut step = [0.0; SHARED];
@@ -132,7 +136,7 @@ pub fn solve(views: &[AlignedView], object: AlignedObject, log_focal: f64) -> (V
     }
     (0..SHARED).for_each(|i| tip[i * SHARED + i] = tip[i * SHARED + i] * (1.0 + 1e-9) + 1e-12);
     if object.known {
-        // Only the focal length is left of the tip.
+        // Of the shared parameters, only the focal length remains.
         step = std::array::from_fn(|i| if i == 0 { step[0] / tip[0] } else { 0.0 });
     } else if cholesky(&mut tip, SHARED) {
         solve_factored(&tip, &mut step);
@@ -145,10 +149,10 @@ pub fn solve(views: &[AlignedView], object: AlignedObject, log_focal: f64) -> (V
 
 /// A view with its pose eliminated.
 struct Arm {
-    /// The pose's step if what is shared stayed, and its slopes with that, negated.
+    /// The step of the pose for fixed shared parameters, and its derivatives with respect to these, negated.
     by_right: Pose,
     by_shared: [Pose; SHARED],
-    /// What the view adds to the tip.
+    /// The contribution of the view to the block of shared parameters.
     tip: [[f64; SHARED]; SHARED],
     tip_right: [f64; SHARED],
 }
@@ -160,9 +164,9 @@ impl Arm {
             return None;
         }
         let acts = shared_acts(&view.camera, object.center);
-        // Slopes of the sums with what is shared: S E.
-        let by: [[f64; SHARED]; SLOPES] = std::array::from_fn(|i| {
-            std::array::from_fn(|k| (0..SLOPES).map(|j| sums.at(i, j) * acts[j][k]).sum())
+        // Derivatives of the sums with respect to the shared parameters: S E.
+        let by: [[f64; SHARED]; JACOBIAN_COLUMNS] = std::array::from_fn(|i| {
+            std::array::from_fn(|k| (0..JACOBIAN_COLUMNS).map(|j| sums.at(i, j) * acts[j][k]).sum())
         });
         let pull: Pose = std::array::from_fn(|i| if i < 3 { prior.rotation } else { prior.translation });
         let mut matrix: [f64; POSE * POSE] = std::array::from_fn(|e| sums.at(e / POSE, e % POSE));
@@ -179,11 +183,11 @@ impl Arm {
         let along = |k: usize, pose: &Pose| (0..POSE).map(|i| by[i][k] * pose[i]).sum::<f64>();
         let tip = std::array::from_fn(|k| {
             std::array::from_fn(|l| {
-                (0..SLOPES).map(|j| acts[j][k] * by[j][l]).sum::<f64>() - along(k, &by_shared[l])
+                (0..JACOBIAN_COLUMNS).map(|j| acts[j][k] * by[j][l]).sum::<f64>() - along(k, &by_shared[l])
             })
         });
         let tip_right = std::array::from_fn(|k| {
-            -(0..SLOPES).map(|j| acts[j][k] * sums.right[j]).sum::<f64>() - along(k, &by_right)
+            -(0..JACOBIAN_COLUMNS).map(|j| acts[j][k] * sums.right[j]).sum::<f64>() - along(k, &by_right)
         });
         Some(Self { by_right, by_shared, tip, tip_right })
     }
@@ -195,11 +199,11 @@ impl Arm {
     }
 }
 
-/// What each shared parameter is in the slopes of a view: the object turning and shifting is the camera doing so the other way.
-fn shared_acts(camera: &Camera, center: Vec3) -> [[f64; SHARED]; SLOPES] {
+/// Each shared parameter as a combination of the Jacobian columns of a view: a motion of the object is the inverse motion of the camera.
+fn shared_acts(camera: &Camera, center: Vec3) -> [[f64; SHARED]; JACOBIAN_COLUMNS] {
     let camera_from_world = camera.world_from_camera.inverse();
     let middle = camera_from_world.transform_point3(center);
-    let mut acts = [[0.0; SHARED]; SLOPES];
+    let mut acts = [[0.0; SHARED]; JACOBIAN_COLUMNS];
     (acts[POSE][0], acts[POSE + 1][1]) = (1.0, 1.0);
     for (k, axis) in [Vec3::X, Vec3::Y, Vec3::Z].into_iter().enumerate() {
         let local = camera_from_world.transform_vector3(axis);
@@ -224,10 +228,10 @@ mod tests {
     }
 
     #[test]
-    fn projection_slopes_are_those_of_the_moved_camera() {
+    fn projection_jacobian_is_that_of_the_moved_camera() {
         let (given, point) = (camera(Vec3::new(1.0, 2.0, 3.0)), Vec3::new(0.3, -0.2, 0.4));
         let center = Vec3::new(-0.1, 0.2, 0.0);
-        let slopes = projection_slopes(&given, point, center).unwrap();
+        let jacobian = projection_jacobian(&given, point, center).unwrap();
         let at = |i: usize, by: f64| {
             let mut pose = [0.0; POSE];
             pose.iter_mut().skip(i).take(1).for_each(|p| *p = by);
@@ -235,17 +239,17 @@ mod tests {
             let grown = if i > POSE { center + (point - center) * by.exp() as f32 } else { point };
             moved(&given, &pose, focal).project(grown).unwrap()
         };
-        for (axis, slopes) in slopes.iter().enumerate() {
-            for (i, found) in slopes.iter().enumerate() {
+        for (axis, row) in jacobian.iter().enumerate() {
+            for (i, found) in row.iter().enumerate() {
                 let (up, down) = (at(i, 2e-3), at(i, -2e-3));
                 let exact = [(up.0 - down.0) / 4e-3, (up.1 - down.1) / 4e-3][axis];
                 assert!((found - exact).abs() < 0.02 + 2e-3 * exact.abs(), "{axis} {i}: {found} {exact}");
             }
         }
-        assert!(projection_slopes(&given, 2.0 * given.position(), Vec3::ZERO).is_none());
+        assert!(projection_jacobian(&given, 2.0 * given.position(), Vec3::ZERO).is_none());
     }
 
-    /// A pattern in space with features of a few pixels, and its slope.
+    /// A pattern in space with features of a few pixels.
     fn pattern(p: Vec3) -> f32 {
         (9.0 * p.x).sin() * (8.0 * p.y + 1.0).cos() + (7.0 * p.z + 0.5 * p.x).sin()
     }
@@ -272,10 +276,10 @@ mod tests {
                 continue;
             };
             let Some(point) = on_ball(camera, x, y) else { continue };
-            let Some([by_x, by_y]) = projection_slopes(camera, point, Vec3::ZERO) else { continue };
+            let Some([by_x, by_y]) = projection_jacobian(camera, point, Vec3::ZERO) else { continue };
             let (dx, dy) = (0.5 * (right - left), 0.5 * (below - above));
-            let slopes = std::array::from_fn(|k| dx * by_x[k] + dy * by_y[k]);
-            sums.add(&slopes, here - pattern(point), 1.0);
+            let jacobian = std::array::from_fn(|k| dx * by_x[k] + dy * by_y[k]);
+            sums.add(&jacobian, here - pattern(point), 1.0);
         }
         sums
     }

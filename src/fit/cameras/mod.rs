@@ -1,17 +1,18 @@
-//! Cameras as unknowns: each training view's pose and one factor on all focal lengths, found beside the rest of a fit.
+//! Cameras as unknowns: the pose of each training view and one factor on all focal lengths, optimized together with the rest of a fit.
 //!
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |
 //! | [`recast_rays`] | Trace, `Slot::Recast` | cameras | the window's rays |
-//! | [`retrace_still_surface`] | Trace, `Slot::Retrace` | rays, `Scenery` | surface points; a surface that moves has its own |
+//! | [`retrace_still_surface`] | Trace, `Slot::Retrace` | rays, `Scenery` | surface points; a moving surface has its own system |
 //! | [`align_photographs`] | Gradient, `Slot::CameraGradient` | points, radiance, photographs | [`CameraPose`]: normal equations |
 //! | [`move_cameras`] | Update, `Slot::CameraUpdate` | normal equations | [`CameraPose`], cameras |
 //!
-//! The kernels, and where they come from, are in [`crate::fit::cameras::align`].
+//! The kernels and their references are in [`crate::fit::cameras::align`].
 pub mod align;
 
 use crate::fit::cameras::align::{
-    AlignedObject, AlignedView, POSE, Pose, PoseSums, Prior, SLOPES, moved, projection_slopes, solve,
+    AlignedObject, AlignedView, JACOBIAN_COLUMNS, POSE, Pose, PoseSums, Prior, moved, projection_jacobian,
+    solve,
 };
 use crate::fit::components::StepRates;
 use crate::fit::exposure::Exposures;
@@ -30,21 +31,21 @@ use serde::{Deserialize, Serialize};
 
 /// Steps between two moves of the cameras; their normal equations are summed over these.
 const MOVE_EVERY: u32 = 25;
-/// Steps before the first sums: light and material must be found first.
+/// Steps before the first sums: light and material are fitted first.
 pub const FIRST_STEP: u32 = 50;
-/// Farthest a move goes, as pixels in the image.
+/// Longest move, in pixels of the image.
 const LONGEST_MOVE: f64 = 1.0;
-/// Weight of the given camera: so many residuals of the usual size a pixel.
+/// Weight of the given camera, as a number of residuals of typical size per pixel.
 const PRIOR: f64 = 20.0;
-/// Share of the running noise that stays from window to window.
+/// Decay factor of the running mean of the noise, per window.
 const MEMORY: f32 = 0.95;
 
-/// A view's camera as it was given, and how far it was moved from there.
+/// The given camera of a view, and its correction.
 #[derive(Component, Clone, Debug)]
 pub struct CameraPose {
     /// The camera that was given.
     pub given: Camera,
-    /// Where it is from there.
+    /// The correction to it.
     pub pose: Pose,
     sums: PoseSums,
     /// Sum of the depths of the points in `sums`, and their number.
@@ -56,14 +57,14 @@ impl CameraPose {
         Self { given, pose: [0.0; POSE], sums: PoseSums::default(), depth: (0.0, 0) }
     }
 
-    /// Takes in one residual at a point.
+    /// Adds one residual at a point.
     pub fn add(&mut self, row: &AlignedRow, noise: f32) {
         let weight = 1.0 / (noise * row.residual.abs().max(noise));
-        self.sums.add(&row.slopes, row.residual, weight);
+        self.sums.add(&row.jacobian, row.residual, weight);
         self.depth = (self.depth.0 + f64::from(row.depth), self.depth.1 + 1);
     }
 
-    /// Pixels that the image moves by a radian, and by a world unit at the object.
+    /// Motion of the image in pixels per radian, and per world unit at the object.
     fn pixels(&self) -> (f64, f64) {
         let focal = f64::from(0.5 * (self.given.focal[0] + self.given.focal[1]));
         let depth = if self.depth.1 == 0 { 1.0 } else { self.depth.0 / f64::from(self.depth.1) };
@@ -80,7 +81,7 @@ impl CameraPose {
         }
     }
 
-    /// Moves by `step`, or by a part of it if that were more than [`LONGEST_MOVE`].
+    /// Moves by `step`, scaled down if it is longer than [`LONGEST_MOVE`].
     fn advance(&mut self, step: &Pose) {
         let (turn, shift) = self.pixels();
         let reach = |i: usize| step[i].abs() * if i < 3 { turn } else { shift };
@@ -89,51 +90,51 @@ impl CameraPose {
     }
 }
 
-/// What of the cameras a fit finds beside the rest.
+/// The camera parameters that a fit optimizes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum CameraUnknowns {
-    /// Nothing: they are as given.
+    /// None: the cameras are as given.
     #[default]
     Given,
     /// Each training view's rotation and translation.
     Poses,
-    /// Those, and one factor on all focal lengths, which held-out views take over. Seen from afar it is hard to tell from the
-    /// object's size.
+    /// Those, and one factor on all focal lengths, which also applies to held-out views. From a distance it is hard to distinguish
+    /// from the size of the object.
     PosesAndFocal,
 }
 
-/// A residual of a view with the slopes that a change of its camera gives it.
+/// A residual of a view with its derivatives with respect to the camera.
 #[derive(Clone, Copy, Debug)]
 pub struct AlignedRow {
-    /// In the order of [`projection_slopes`].
-    pub slopes: [f32; SLOPES],
-    /// In radiance, or in pixels for an outline.
+    /// In the order of [`projection_jacobian`].
+    pub jacobian: [f32; JACOBIAN_COLUMNS],
+    /// In radiance, or in pixels for a silhouette.
     pub residual: f32,
     /// The point's distance from the camera, world units.
     pub depth: f32,
 }
 
 impl AlignedRow {
-    /// A residual `value(π(point))` − `value` where `slope` is the slope of `value` in the image, per pixel.
-    pub fn new(camera: &Camera, point: Vec3, center: Vec3, slope: Vec2, residual: f32) -> Option<Self> {
-        let [by_x, by_y] = projection_slopes(camera, point, center)?;
-        let slopes = std::array::from_fn(|k| slope.x * by_x[k] + slope.y * by_y[k]);
-        Some(Self { slopes, residual, depth: point.distance(camera.position()) })
+    /// A residual `value(π(point))` − `value` where `gradient` is the gradient of `value` in the image, per pixel.
+    pub fn new(camera: &Camera, point: Vec3, center: Vec3, gradient: Vec2, residual: f32) -> Option<Self> {
+        let [by_x, by_y] = projection_jacobian(camera, point, center)?;
+        let jacobian = std::array::from_fn(|k| gradient.x * by_x[k] + gradient.y * by_y[k]);
+        Some(Self { jacobian, residual, depth: point.distance(camera.position()) })
     }
 }
 
-/// What all views share.
+/// The state that all views share.
 #[derive(Resource, Clone, Copy, Debug, Default, PartialEq)]
 pub struct CameraFit {
     /// Logarithm of the factor on all focal lengths.
     pub log_focal: f64,
-    /// Usual size of a photograph's residual, in radiance, and of an outline's, in pixels.
+    /// Typical size of the residuals of photographs, in radiance, and of silhouettes, in pixels.
     pub noise: [f32; 2],
-    /// About the middle of the object, world space; found with the first residuals.
+    /// Approximate center of the object, world space; computed with the first residuals.
     pub center: Option<Vec3>,
-    /// What is looked for.
+    /// The parameters that are optimized.
     pub unknowns: CameraUnknowns,
-    /// Whether the object moves as well, so that only what cameras are off against each other is theirs.
+    /// Whether the object moves as well, so that only relative corrections between cameras are used.
     pub object_moves: bool,
 }
 
@@ -143,7 +144,7 @@ impl CameraFit {
         self.log_focal.exp() as f32
     }
 
-    /// Takes in residuals of a kind (0: photographs, 1: outlines); returns their usual size so far.
+    /// Adds residuals of a kind (0: photographs, 1: silhouettes); returns their typical size so far.
     pub fn observe(&mut self, kind: usize, rows: &[(ViewIndex, AlignedRow)]) -> f32 {
         let sum: f64 = rows.iter().map(|(_, row)| f64::from(row.residual.abs())).sum();
         let mean = ((sum / rows.len().max(1) as f64) as f32).max(1e-6);
@@ -153,7 +154,7 @@ impl CameraFit {
     }
 }
 
-/// The systems that move cameras to where a surface, still or not, looks like the photographs.
+/// The systems that align cameras with the photographs, for fixed and moving surfaces.
 pub struct CameraPlugin(pub CameraUnknowns);
 
 impl Plugin for CameraPlugin {
@@ -169,7 +170,7 @@ impl Plugin for CameraPlugin {
     }
 }
 
-/// Gives every view the state of its pose, without residuals, and the world what views share.
+/// Gives every view its pose state, without residuals, and the world the state that views share.
 pub fn attach_poses(world: &mut World) {
     world.init_resource::<CameraFit>();
     let mut query = world.query_filtered::<(Entity, &Camera, Option<&CameraPose>), With<ViewName>>();
@@ -186,7 +187,7 @@ pub fn attach_poses(world: &mut World) {
     }
 }
 
-/// Trace: the window's rays through the cameras as they are now.
+/// Trace: casts the rays of the window through the current cameras.
 pub fn recast_rays(
     views: Query<(&ViewIndex, &Camera), With<Photograph>>,
     samples: Samples<(&PixelOf, &mut ViewRay)>,
@@ -199,7 +200,7 @@ pub fn recast_rays(
     Ok(())
 }
 
-/// Trace: where the window's rays meet a surface that does not move.
+/// Trace: intersects the rays of the window with a surface that does not move.
 pub fn retrace_still_surface(
     scenery: Res<Scenery>,
     samples: Samples<(&ViewRay, &mut SurfacePoint)>,
@@ -207,10 +208,10 @@ pub fn retrace_still_surface(
     retrace(scenery.0.as_ref(), samples)
 }
 
-/// Finds where the window's rays meet the front of `surface`.
+/// Intersects the rays of the window with the front of `surface`.
 ///
 /// # Errors
-/// If the pool of samples is not whole.
+/// If the pool of samples is incomplete.
 pub fn retrace(surface: &dyn Intersect, samples: Samples<(&ViewRay, &mut SurfacePoint)>) -> SystemResult {
     let (rays, mut points) = samples.columns()?;
     points.par_iter_mut().zip(&*rays).with_min_len(256).for_each(|(point, ray)| {
@@ -220,9 +221,9 @@ pub fn retrace(surface: &dyn Intersect, samples: Samples<(&ViewRay, &mut Surface
     Ok(())
 }
 
-/// What the photographs are compared at.
+/// The columns of the samples that are compared with photographs.
 type AlignColumns = (&'static PixelOf, &'static SurfacePoint, &'static Layers, &'static Observed);
-/// What of a view takes part.
+/// The components of the views that are aligned.
 type AlignedViews = (
     &'static ViewIndex,
     &'static Camera,
@@ -231,7 +232,7 @@ type AlignedViews = (
     &'static mut CameraPose,
 );
 
-/// Gradient: the window's photographs against what was shaded, as normal equations of the cameras.
+/// Gradient: adds the residuals of the window to the normal equations of the cameras.
 pub fn align_photographs(
     rates: Res<StepRates>,
     exposures: Res<Exposures>,
@@ -247,11 +248,11 @@ pub fn align_photographs(
     let center = *fit.center.get_or_insert_with(|| middle(&points));
     let row = |i: usize| {
         let (_, camera, photograph, mask, _) = views.of(pixels[i].view).ok()?;
-        let slope = image_slope(camera, photograph, *mask, pixels[i].pixel as usize)?;
+        let gradient = image_gradient(camera, photograph, *mask, pixels[i].pixel as usize)?;
         let usable = points[i].is_hit() && !observed[i].saturated;
         let predicted = exposures.factor(pixels[i].view) * mean(&shaded[i]);
         let residual = observed[i].radiance.element_sum() / 3.0 - predicted;
-        let row = AlignedRow::new(camera, points[i].position, center, slope, residual).filter(|_| usable);
+        let row = AlignedRow::new(camera, points[i].position, center, gradient, residual).filter(|_| usable);
         row.map(|row| (pixels[i].view, row))
     };
     let rows: Vec<(ViewIndex, AlignedRow)> =
@@ -263,7 +264,7 @@ pub fn align_photographs(
     Ok(())
 }
 
-/// Mean of the points that rays met.
+/// Mean of the hit points.
 fn middle(points: &[SurfacePoint]) -> Vec3 {
     let met = points.iter().filter(|point| point.is_hit());
     let (sum, count) = met.fold((Vec3::ZERO, 0.0f32), |(sum, count), p| (sum + p.position, count + 1.0));
@@ -274,8 +275,8 @@ fn mean(layers: &Layers) -> f32 {
     (0..3).map(|c| layers.diffuse[c] + layers.specular[c]).sum::<f32>() / 3.0
 }
 
-/// Slope of a photograph's mean radiance at a pixel, per pixel; `None` where a neighbour is not wholly the object's, or saturated.
-fn image_slope(
+/// Gradient of the mean radiance of a photograph at a pixel, per pixel; `None` where a neighbor is not fully covered by the object, or saturated.
+fn image_gradient(
     camera: &Camera,
     photograph: &Photograph,
     mask: Option<&ViewMask>,
@@ -290,11 +291,11 @@ fn image_slope(
         let whole = mask.is_none_or(|mask| mask.0.coverage[i] >= FULL_COVERAGE);
         (whole && !photograph.saturated[i]).then(|| photograph.image.pixels[i].element_sum() / 3.0)
     };
-    let slope_x = 0.5 * (at(pixel + 1)? - at(pixel - 1)?);
-    Some(Vec2::new(slope_x, 0.5 * (at(pixel + width)? - at(pixel - width)?)))
+    let along_x = 0.5 * (at(pixel + 1)? - at(pixel - 1)?);
+    Some(Vec2::new(along_x, 0.5 * (at(pixel + width)? - at(pixel - width)?)))
 }
 
-/// Update: every `MOVE_EVERY` steps, one Gauss–Newton step of all cameras; the sums begin anew.
+/// Update: every `MOVE_EVERY` steps, one Gauss–Newton step of all cameras; resets the sums.
 pub fn move_cameras(
     rates: Res<StepRates>,
     mut fit: ResMut<CameraFit>,
@@ -311,10 +312,10 @@ pub fn move_cameras(
         camera: **camera,
     };
     let mut aligned: Vec<AlignedView> = views.iter().map(aligned).collect();
-    // The focal length is one, however many views there are.
+    // There is one focal length for all views.
     let share = if fit.unknowns == CameraUnknowns::PosesAndFocal { 1.0 / aligned.len() as f64 } else { 1e30 };
     aligned.iter_mut().for_each(|view| view.prior.focal *= share);
-    // Where it is not looked for it stays where an earlier pass left it.
+    // If it is not optimized, it keeps its value from an earlier pass.
     let from = if fit.unknowns == CameraUnknowns::PosesAndFocal { fit.log_focal } else { 0.0 };
     let object = AlignedObject { center: fit.center.unwrap_or_default(), known: !fit.object_moves };
     let (steps, by_focal) = solve(&aligned, object, from);

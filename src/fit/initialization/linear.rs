@@ -1,5 +1,5 @@
-//! A first guess from the data: with the lobes' axes and sharpness held, radiance is linear in their amplitudes, and
-//! with the light held it is linear in the albedo. Pure kernels; [`crate::fit::run`] alternates them.
+//! Linear solvers of the initialization: for fixed axes and sharpness, radiance is linear in the amplitudes of the lobes, and
+//! for fixed light it is linear in the albedo. Pure kernels; [`crate::fit::initialization`] alternates them.
 
 use crate::math::brdf::Facets;
 use crate::math::published::Lobe;
@@ -10,10 +10,10 @@ use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Points a thread takes at a time; the grain of the fixed-order sums.
+/// Points that a thread processes at a time; the chunk size of the fixed-order sums.
 const CHUNK: usize = 512;
 
-/// Normal equations of the amplitudes, one system a channel.
+/// Normal equations of the amplitudes, one system per channel.
 struct NormalEquations {
     lobes: usize,
     matrix: [Vec<f64>; 3],
@@ -29,7 +29,7 @@ impl NormalEquations {
         }
     }
 
-    /// Adds one pixel: `row` is its response to each lobe of unit amplitude.
+    /// Adds one pixel; `row` is its response to each lobe of unit amplitude.
     fn add(&mut self, channel: usize, row: &[f32], observed: f32) {
         let matrix = &mut self.matrix[channel];
         for (i, a) in row.iter().enumerate() {
@@ -48,8 +48,8 @@ impl NormalEquations {
         }
     }
 
-    /// Non-negative solution by cyclic coordinate descent, pulled towards equal amplitudes by `ridge` (relative to
-    /// the matrix's mean diagonal), which settles lobes that no pixel tells apart.
+    /// Non-negative solution by cyclic coordinate descent, with a prior toward equal amplitudes of weight `ridge` (relative to
+    /// the mean diagonal of the matrix), which determines lobes that no pixel distinguishes.
     fn solve(&self, channel: usize, ridge: f64) -> Vec<f32> {
         let (n, matrix, right) = (self.lobes, &self.matrix[channel], &self.right[channel]);
         let at = |i: usize, j: usize| if j <= i { matrix[i * n + j] } else { matrix[j * n + i] };
@@ -68,8 +68,8 @@ impl NormalEquations {
     }
 }
 
-/// Non-negative amplitudes of `lobes` (whose own amplitudes are ignored) that explain `observed` at `points` best in
-/// the least-squares sense, given the albedo in `points`, the specular material and what of the light arrives.
+/// Non-negative amplitudes of `lobes` (whose own amplitudes are ignored) that fit `observed` at `points` best in
+/// the least-squares sense, given the albedo in `points`, the specular material and the visibility.
 pub fn solve_amplitudes(
     form: ClosedForm,
     points: &[ShadePoint],
@@ -112,7 +112,7 @@ fn accumulate(
             let lobe = Lobe { amplitude: [1.0; 3], ..lobes.get(i) };
             let [diffuse, glossy] = form.shade_pair(directions, &lobe, point.albedo, specular.albedo, facets);
             for (c, row) in rows.iter_mut().enumerate() {
-                // A lobe's own part is close to what of its mirrored light arrives, and does not need the amplitudes.
+                // The visibility of a lobe approximates the visibility of its specular light, and does not need the amplitudes.
                 row[i] = (diffuse[c] + glossy[c]) * parts.map_or(1.0, |parts| f32::from(parts[i]) / 255.0);
             }
         }
@@ -124,8 +124,8 @@ fn accumulate(
     sum
 }
 
-/// Each texel's least-squares albedo given the light: `unit` is what the samples would show with albedo 1. Texels that
-/// few samples see lean towards `prior`. Results are in `[0.02, 0.98]`.
+/// Each texel's least-squares albedo given the light: `unit` is the radiance of the samples with albedo 1. Texels with
+/// few samples are drawn to `prior`. Results are in `[0.02, 0.98]`.
 pub fn solve_albedo(
     points: &[SurfacePoint],
     unit: &[Layers],
@@ -145,7 +145,7 @@ pub fn solve_albedo(
             below[texel] += diffuse * diffuse * weight;
         }
     }
-    // One twentieth of an average sample's weight.
+    // One twentieth of the weight of an average sample.
     let lean = power * (0.05 / points.len().max(1) as f64) + DVec3::splat(1e-12);
     let prior = prior.as_dvec3();
     above

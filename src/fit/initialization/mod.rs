@@ -1,4 +1,4 @@
-//! The first guess of a fit: amplitudes and albedo in turn, from grey and even light.
+//! The initialization of a fit: solves alternately for amplitudes and albedo, starting from gray albedo and uniform light.
 pub mod linear;
 pub mod place_lobes;
 
@@ -24,26 +24,26 @@ use bevy_ecs::system::SystemState;
 use glam::Vec3;
 use std::ops::Range;
 
-/// Most pixels the amplitudes are solved from.
+/// Most pixels in a solve for the amplitudes.
 const AMPLITUDE_PIXELS: usize = 6144;
-/// Most pixels the albedo is solved from…
+/// Most pixels in a solve for the albedo…
 const ALBEDO_PIXELS: usize = 400_000;
-/// …or this many a texel, if that is more.
+/// …or this many per texel, if that is more.
 const PIXELS_PER_TEXEL: usize = 4;
-/// Rounds of light, then albedo.
+/// Rounds, each of light and then albedo.
 const ROUNDS: usize = 4;
-/// Rounds, after the first, that begin by moving faint lobes to where the light is.
+/// Rounds, after the first, that begin by moving faint lobes to bright regions.
 const MOVES: usize = 1;
 
-/// Points whose visibility is held at a time.
+/// Points whose visibility is in memory at a time.
 const CHUNK: usize = 1 << 16;
 
-/// Alternates amplitudes and albedo, whichever are unknown, from grey, shading in closed form `form`; `shadowed` by what the world's
-/// [`ObjectVisibility`] finds.
+/// Solves alternately for amplitudes and albedo, where they are unknown, starting from gray, with the closed form `form`; if `shadowed`,
+/// with occlusion and interreflection from [`ObjectVisibility`].
 ///
 /// # Errors
-/// If a pool is not whole.
-pub fn make_first_guess(
+/// If a pool is incomplete.
+pub fn initialize_light_and_albedo(
     world: &mut World,
     unknowns: Unknowns,
     form: ClosedForm,
@@ -55,7 +55,7 @@ pub fn make_first_guess(
     let mut query = world.query_filtered::<(Entity, &LightLobe), Without<LobeOf>>();
     let (entities, mut lobes): (Vec<Entity>, Vec<LightLobe>) =
         query.iter(world).map(|(entity, lobe)| (entity, *lobe)).unzip();
-    let specular = glossiest(world);
+    let specular = least_rough(world);
     let mut texels = recovered_albedo(world)?;
     let mut visibility = if shadowed { world.remove_resource::<ObjectVisibility>() } else { None };
     let object = visibility.as_mut();
@@ -72,7 +72,7 @@ pub fn make_first_guess(
     write_column::<TexelIndex, DiffuseAlbedo>(world, &texels)
 }
 
-/// What a first guess starts from besides samples.
+/// The inputs of the initialization besides samples.
 struct Known<'a> {
     form: ClosedForm,
     specular: SpecularLobe,
@@ -98,8 +98,8 @@ fn guess_from_samples(
     Ok(())
 }
 
-/// The glossiest base material that a texel shows: it shows where the light comes from. (With the mean of two, roughness ends farther from the truth.)
-fn glossiest(world: &mut World) -> SpecularLobe {
+/// The base material of least roughness that a texel has: it shows best where the light is. (With the mean of two, the fitted roughness is farther from the truth.)
+fn least_rough(world: &mut World) -> SpecularLobe {
     let mut shown = [false; MAX_SPECULAR_LOBES];
     for blend in world.query::<&SpecularBlend>().iter(world) {
         shown.iter_mut().zip(&blend.0).for_each(|(shown, weight)| *shown |= *weight > 0.0);
@@ -109,7 +109,7 @@ fn glossiest(world: &mut World) -> SpecularLobe {
     first.unwrap_or(SpecularLobe::new(Vec3::ZERO, 1.0))
 }
 
-/// The data a first guess is made from.
+/// The data of the initialization.
 struct Guess<'a> {
     form: ClosedForm,
     points: &'a [SurfacePoint],
@@ -177,7 +177,7 @@ impl Guess<'_> {
         }
     }
 
-    /// What a run of the points sees; nothing if visibility is left out.
+    /// The visibility of a range of points; empty without visibility.
     fn seen(&self, run: Range<usize>) -> (WindowVisibility, Vec<PointVisibility>) {
         let mut rows = WindowVisibility::default();
         let Some(object) = &self.object else { return (rows, Vec::new()) };

@@ -1,7 +1,7 @@
-//! Where the lobes of an unknown light should be: few where it is dark, many where it is bright.
+//! Placement of the lobes of an unknown light: few in dark regions, many in bright ones.
 //!
-//! A first guess begins with lobes spread evenly. Once their amplitudes are known, those that carry next to nothing are
-//! better used to resolve the bright parts: the split and merge that [`fit_map`](crate::light::map_fit) does on maps, with
+//! The initialization begins with uniformly distributed lobes. Once their amplitudes are known, lobes with very little power are
+//! moved to resolve the bright parts: like split and merge in [`fit_map`](crate::light::map_fit), with
 //! photographs in place of the map.
 
 use crate::light::LightLobe;
@@ -9,17 +9,17 @@ use crate::math::color::luminance;
 use crate::math::sg::sphere_integral;
 use glam::Vec3;
 
-/// A lobe gives way if it carries less than this share of the mean power.
+/// A lobe may be moved if its power is below this fraction of the mean power.
 const FAINT: f32 = 0.25;
-/// Most lobes that give way at a time, as a share of all.
+/// Most lobes that are moved at a time, as a fraction of all.
 const MOST: f32 = 0.25;
-/// A lobe sharper than this is not split: photographs do not show more.
+/// A lobe sharper than this is not split, because photographs do not resolve more.
 const SHARPEST: f32 = 400.0;
 
-/// Takes up to a quarter of the lobes, the faintest, and splits a brightest one in two for each; the sum of power stays.
+/// Removes up to a quarter of the lobes, the faintest, and for each splits one of the brightest in two; the total power stays the same.
 ///
 /// A lobe of sharpness λ becomes two of sharpness 2λ, half a standard deviation (1/√λ) to either side on a great circle, so
-/// that together they are as wide as it was.
+/// that together they are as wide as the original.
 pub fn move_lobes_to_the_light(lobes: &mut [LightLobe]) {
     let total: f32 = lobes.iter().map(power).sum();
     if total <= 0.0 || total.is_nan() {
@@ -49,7 +49,7 @@ fn integral(sharpness: f32) -> f32 {
     sphere_integral(f64::from(sharpness)) as f32
 }
 
-/// Two lobes in place of one; `turn` varies the direction in which they part.
+/// Two lobes in place of one; `turn` varies the direction of the split.
 fn halves(lobe: &LightLobe, turn: usize) -> (LightLobe, LightLobe) {
     let (across, along) = lobe.axis.any_orthonormal_pair();
     let (sin, cos) = (turn as f32 * 2.4).sin_cos();

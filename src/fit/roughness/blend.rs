@@ -1,8 +1,8 @@
-//! Gloss that varies over the surface: a few base materials, blended per texel by weights that a fit finds.
+//! Roughness that varies over the surface: a few base materials, blended per texel with weights that are fitted.
 //!
-//! Weights are a softmax of logits (Zhou et al. 2016 fit base materials likewise). A texel shows its gloss only in the few views that
+//! Weights are a softmax of logits (Zhou et al. 2016 fit base materials likewise). A texel shows its roughness only in the few views that
 //! mirror a bright light, so logits move together: the gradient is averaged over a lattice around the surface whose cells shrink
-//! during the fit, and sharp regions appear where the photographs ask for them. With one base material nothing here does anything.
+//! during the fit, so that regions get sharp boundaries where the photographs show them. With one base material these systems have no effect.
 //!
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |
@@ -26,7 +26,7 @@ use bevy_ecs::prelude::{Component, Res, Resource};
 use glam::{UVec3, Vec3};
 use rayon::prelude::*;
 
-/// Values of each base material.
+/// One value per base material.
 pub type PerMaterial = [f32; MAX_SPECULAR_LOBES];
 
 /// Gradient of the loss with respect to a texel's blend weights.
@@ -41,18 +41,18 @@ pub struct BlendMoments(pub Moments<MAX_SPECULAR_LOBES>);
 #[derive(Resource, Default)]
 pub struct BlendAdjoints(pub Vec<PerMaterial>);
 
-/// Where the texels are, for the lattice over which their gradients are averaged. Blends move only if there is a place for each.
+/// Positions of the texels, for the lattice over which their gradients are averaged. Blends move only if every texel has a position.
 #[derive(Resource, Default)]
 pub struct TexelPlaces {
-    /// World position of each texel; not finite where the surface does not reach.
+    /// World position of each texel; not finite for texels that no surface point reaches.
     pub positions: Vec<Vec3>,
-    /// Part of the fit that is done, in [0, 1].
+    /// Completed fraction of the fit, in [0, 1].
     pub progress: f32,
 }
 
-/// Rate of the logits over that of albedo.
+/// Rate of the logits relative to that of albedo.
 const RATE: f32 = 1.0;
-/// Least weight of a material, so that it can come back.
+/// Least weight of a material, so that it can grow again.
 const LEAST_WEIGHT: f32 = 1e-3;
 /// Cells along the longest side of the object at the start and at the end of a fit.
 const CELLS: (f32, f32) = (8.0, 48.0);
@@ -61,18 +61,18 @@ const CELLS: (f32, f32) = (8.0, 48.0);
 pub struct BlendedSamples<'a> {
     /// The points.
     pub points: &'a [ShadePoint],
-    /// How the materials blend there.
+    /// Blend weights of the materials there.
     pub blends: &'a [PointBlend],
-    /// What they see.
+    /// Their visibility.
     pub seen: &'a [PointVisibility],
-    /// What was shaded.
+    /// Their radiance.
     pub shaded: &'a [Layers],
-    /// Adjoint of that.
+    /// Adjoint of the radiance.
     pub adjoint: &'a [RadianceAdjoint],
 }
 
-/// The adjoint of shading by several materials: one material at a time, at the samples that show it; diffuse and reflected light
-/// with the first that a sample shows. The adjoint of a weight of zero is left out, as zero.
+/// The adjoint of shading with several materials: one material at a time, at the samples that have it; diffuse light and
+/// interreflection belong to the first material of a sample. The adjoint of a zero weight is left at zero.
 pub fn pull_back_blended(
     form: ClosedForm,
     samples: &BlendedSamples<'_>,
@@ -121,7 +121,7 @@ pub fn pull_back_blended(
     }
 }
 
-/// The samples that show the material at this `place` among `materials`, and which of them show none before it: those carry diffuse and reflected light.
+/// The samples with a weight of material `place` among `materials`, and which of them have no earlier material: those have the diffuse light and interreflection.
 fn showing(
     samples: &BlendedSamples<'_>,
     lighting: Lighting<'_>,
@@ -137,7 +137,7 @@ fn showing(
     (part, first)
 }
 
-/// Adds one material's adjoints to those of its samples; that of the albedo comes from the first one.
+/// Adds one material's adjoints to those of its samples; the adjoint of the albedo comes from the first material.
 fn add_points(back: &mut [PointAdjoint], numbers: &[usize], one: &[PointAdjoint], first: &[bool]) {
     for ((i, one), first) in numbers.iter().zip(one).zip(first) {
         let sum = &mut back[*i];
@@ -148,7 +148,7 @@ fn add_points(back: &mut [PointAdjoint], numbers: &[usize], one: &[PointAdjoint]
     }
 }
 
-/// Gradient: adds the samples' blend adjoints onto the texels they blend, in row order.
+/// Gradient: adds the blend adjoints of the samples to their texels, in the order of [`SampleIndex`](crate::sample::pixel::SampleIndex).
 pub fn scatter_to_blends(
     materials: Res<BaseMaterials>,
     adjoints: Res<BlendAdjoints>,
@@ -163,7 +163,7 @@ pub fn scatter_to_blends(
     let texels = &mut *texels;
     for (point, adjoint) in points.iter().zip(&adjoints.0) {
         for (texel, weight) in point.texels.indices.into_iter().zip(point.texels.weights) {
-            // Texels that came after the fit began have no gradient.
+            // Texels that were added after the start of the fit have no gradient.
             let Some(sums) = texels.get_mut(texel as usize) else { continue };
             for (sum, value) in sums.0.iter_mut().zip(adjoint) {
                 *sum += value * weight;
@@ -188,7 +188,7 @@ pub fn move_blends(
         return Ok(());
     }
     for (blend, gradient) in blends.iter().zip(gradients.iter_mut()) {
-        gradient.0 = logit_slopes(&blend.0, &gradient.0);
+        gradient.0 = logit_adjoint(&blend.0, &gradient.0);
     }
     average_at(&places, &mut gradients);
     let adam = AdamStep::new(RATE * rates.albedo, rates.step);
@@ -203,7 +203,7 @@ pub fn move_blends(
 }
 
 /// Adjoints of the logits θ, w = softmax(θ): w_k·(g_k − Σ_j w_j·g_j).
-fn logit_slopes(weights: &PerMaterial, adjoint: &PerMaterial) -> PerMaterial {
+fn logit_adjoint(weights: &PerMaterial, adjoint: &PerMaterial) -> PerMaterial {
     let mean: f32 = weights.iter().zip(adjoint).map(|(w, g)| w * g).sum();
     std::array::from_fn(|k| weights[k] * (adjoint[k] - mean))
 }
@@ -217,7 +217,7 @@ fn move_blend(weights: &mut PerMaterial, numbers: &[usize], step: &PerMaterial) 
     numbers.iter().for_each(|&k| weights[k] /= sum);
 }
 
-/// A lattice over the texels' bounding box: where a texel lies in it.
+/// A lattice over the bounding box of the texels.
 struct Lattice {
     low: Vec3,
     scale: f32,
@@ -251,13 +251,13 @@ impl Lattice {
     }
 }
 
-/// `average_over_cells` with the cells of this time of the fit.
+/// `average_over_cells` with the current number of cells.
 pub fn average_at(places: &TexelPlaces, gradients: &mut [BlendGradient]) {
     let cells = CELLS.0 * (CELLS.1 / CELLS.0).powf(places.progress);
     average_over_cells(&places.positions, gradients, cells);
 }
 
-/// Replaces each gradient by the mean of those around it: spread onto a lattice of about `cells` cells a side and read back from there.
+/// Replaces each gradient by the mean of those around it: accumulated on a lattice of about `cells` cells per side and interpolated from it.
 fn average_over_cells(positions: &[Vec3], gradients: &mut [BlendGradient], cells: f32) {
     let Some(lattice) = Lattice::new(positions, cells) else { return };
     let mut sums = vec![(PerMaterial::default(), 0.0f32); lattice.len()];
@@ -287,7 +287,7 @@ mod tests {
     use crate::math::shading::LobeColumns;
 
     #[test]
-    fn slopes_of_logits_are_those_of_the_softmax() {
+    fn adjoint_of_logits_is_that_of_the_softmax() {
         let logits = [0.3, -0.7, 0.1];
         let adjoint = [0.5, -1.0, 2.0];
         let loss = |logits: [f64; 3]| {
@@ -301,23 +301,23 @@ mod tests {
             weights[k] = (logits[k].exp() / sum) as f32;
             wide[k] = adjoint[k] as f32;
         }
-        let slopes = logit_slopes(&weights, &wide);
+        let found = logit_adjoint(&weights, &wide);
         for k in 0..3 {
             let (mut up, mut down) = (logits, logits);
             up[k] += 1e-5;
             down[k] -= 1e-5;
             let exact = (loss(up) - loss(down)) / 2e-5;
-            assert!((f64::from(slopes[k]) - exact).abs() < 1e-5, "{k}: {} {exact}", slopes[k]);
+            assert!((f64::from(found[k]) - exact).abs() < 1e-5, "{k}: {} {exact}", found[k]);
         }
     }
 
-    /// Radiance is linear in weights, specular albedo and amplitudes, so that differences are as exact as the floats.
+    /// Radiance is linear in weights, specular albedo and amplitudes, so that differences are exact up to rounding.
     #[test]
     fn the_adjoint_of_blended_shading_agrees_with_differences() {
         let work = crate::math::workload::Workload::new(40, 20, 0.3);
         let form = ClosedForm::default();
         let materials = [0.25, 0.5].map(|roughness| SpecularValue { roughness, ..work.specular });
-        let blends: Vec<PointBlend> = (0..40).map(|i| even_slope(0.05 + 0.9 * i as f32 / 39.0)).collect();
+        let blends: Vec<PointBlend> = (0..40).map(|i| ramp(0.05 + 0.9 * i as f32 / 39.0)).collect();
         let seen = vec![PointVisibility { specular: [0.5, 0.8, 1.2], indirect: [0.1, 0.2, 0.3] }; 40];
         let adjoint = vec![RadianceAdjoint([0.7, 0.4, 0.5]); 40];
         let radiance = |materials: &[SpecularValue], blends: &[PointBlend], lobes: &LobeColumns| {
@@ -379,7 +379,7 @@ mod tests {
     }
 
     /// All of the second material at 1, of the first at 0.
-    fn even_slope(part: f32) -> PointBlend {
+    fn ramp(part: f32) -> PointBlend {
         let mut blend = PointBlend::default();
         (blend.0[0], blend.0[1]) = (1.0 - part, part);
         blend

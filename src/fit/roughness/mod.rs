@@ -1,4 +1,4 @@
-//! Roughness that varies over the surface: [`blend`] of a few base materials, or a roughness for each [`texel`].
+//! Roughness that varies over the surface: a [`blend`] of a few base materials, or one roughness per [`texel`].
 
 pub mod blend;
 pub mod texel;

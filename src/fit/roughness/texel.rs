@@ -1,12 +1,12 @@
-//! Gloss of each texel's own: a roughness and a share of the specular albedo, tied to its neighbours by a prior.
+//! One roughness per texel, and a factor on the specular albedo, with a smoothness prior.
 //!
-//! Texels blend the two nearest of a ladder of base materials of fixed roughness, so that shading knows nothing of this. The
-//! systems here take the place of [`crate::fit::roughness::blend::move_blends`]; its lattice ties texels in the same way.
+//! Texels blend the two nearest of several base materials of fixed roughness, so that shading does not depend on this module. The
+//! systems here replace [`crate::fit::roughness::blend::move_blends`] and use the same lattice.
 //!
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |
-//! | [`tie_specular`] | Update, `Slot::Optimizer` | | `SpecularGradient`: its albedo is one for all of the ladder |
-//! | [`move_gloss`] | Update, `Slot::Optimizer` | [`BlendGradient`], [`TexelPlaces`], [`GlossPrior`], `DiffuseAlbedo` | [`TexelGloss`], `SpecularBlend` |
+//! | [`tie_specular`] | Update, `Slot::Optimizer` | | `SpecularGradient`: one albedo for all base materials |
+//! | [`move_roughness`] | Update, `Slot::Optimizer` | [`BlendGradient`], [`TexelPlaces`], [`RoughnessPrior`], `DiffuseAlbedo` | [`TexelRoughness`], `SpecularBlend` |
 
 use crate::fit::adam::{AdamStep, Bounded, Moments};
 use crate::fit::components::{SpecularGradient, StepRates, Unknowns};
@@ -18,48 +18,49 @@ use bevy_ecs::prelude::{Component, Query, Res, Resource, World};
 use glam::Vec3;
 use rayon::prelude::*;
 
-/// Roughnesses of the ladder: blends of neighbours are close to a lobe between them.
-pub const LADDER: [f32; 6] = [0.1, 0.15, 0.225, 0.3375, 0.506_25, 0.759_375];
-/// Step of the logarithm of roughness along the ladder, ln 1.5.
+/// Roughnesses of the base materials. A blend of two neighbors is close to a lobe of a roughness between them.
+pub const BASE_ROUGHNESSES: [f32; 6] = [0.1, 0.15, 0.225, 0.3375, 0.506_25, 0.759_375];
+/// Difference of the logarithms of neighboring roughnesses, ln 1.5.
 const STEP: f32 = 0.405_465_1;
-/// Share of the specular albedo that texels start from.
+/// Initial factor on the specular albedo.
 const FIRST_SHARE: f32 = 0.8;
-/// Range of a texel's share.
+/// Range of the factor.
 const SHARE: Bounded = Bounded { low: 0.0, high: 1.0 };
-/// Rate of the logarithm of roughness and the logit of the share over that of albedo.
+/// Rate of the logarithm of roughness and the logit of the factor, relative to that of albedo.
 const RATE: f32 = 1.0;
-/// Differences of logarithms well below this cost as their squares, larger ones as they are.
+/// The prior is quadratic for differences of logarithms well below this, and linear above.
 const KINK: f32 = 0.02;
-/// Neighbours in the texture are neighbours on the surface if they lie within this many mean distances.
+/// Neighbors in the texture are neighbors on the surface if their distance is below this many mean distances.
 const NEAR: f32 = 3.0;
 
-/// Gloss of a texel.
+/// Roughness of a texel.
 #[derive(Component, Clone, Copy, Debug, PartialEq)]
-pub struct TexelGloss {
-    /// Roughness R, in the ladder's range.
+pub struct TexelRoughness {
+    /// Roughness R, in the range of [`BASE_ROUGHNESSES`].
     pub roughness: f32,
     /// Factor on the specular lobe, in (0, 1].
     pub share: f32,
 }
 
-impl TexelGloss {
-    /// What texels start from.
+impl TexelRoughness {
+    /// The initial value of texels.
     pub fn first(roughness: f32, varied_specular: bool) -> Self {
         let share = if varied_specular { FIRST_SHARE } else { 1.0 };
-        let at = ((roughness / LADDER[0]).ln() / STEP).clamp(0.0, (LADDER.len() - 1) as f32 - 1e-3);
-        // Never on a rung: a weight of zero has no adjoint.
+        let at = ((roughness / BASE_ROUGHNESSES[0]).ln() / STEP)
+            .clamp(0.0, (BASE_ROUGHNESSES.len() - 1) as f32 - 1e-3);
+        // Never exactly a base roughness, because a zero weight has no adjoint.
         let off_rung = at.floor() + at.fract().clamp(1e-3, 1.0 - 1e-3);
-        Self { roughness: LADDER[0] * (off_rung * STEP).exp(), share }
+        Self { roughness: BASE_ROUGHNESSES[0] * (off_rung * STEP).exp(), share }
     }
 
-    /// The step of the ladder below the roughness, and how far above it.
+    /// Index of the next lower base roughness, and the fraction of the step above it.
     fn place(&self) -> (usize, f32) {
-        let at = (self.roughness / LADDER[0]).ln() / STEP;
-        let below = (at.max(0.0) as usize).min(LADDER.len() - 2);
+        let at = (self.roughness / BASE_ROUGHNESSES[0]).ln() / STEP;
+        let below = (at.max(0.0) as usize).min(BASE_ROUGHNESSES.len() - 2);
         (below, (at - below as f32).clamp(0.0, 1.0))
     }
 
-    /// Blend weights of the ladder: hat functions of the logarithm of roughness, times the share.
+    /// Blend weights of the base materials: hat functions of the logarithm of roughness, times `share`.
     pub fn weights(&self) -> PerMaterial {
         let (below, part) = self.place();
         let mut weights = PerMaterial::default();
@@ -68,12 +69,12 @@ impl TexelGloss {
         weights
     }
 
-    /// Adjoints of the logarithm of roughness and of the logit of the share, given those of the weights.
-    fn slopes(&self, adjoint: &PerMaterial) -> [f32; 2] {
+    /// Adjoints of the logarithm of roughness and of the logit of `share`, given those of the weights.
+    fn adjoint_of(&self, adjoint: &PerMaterial) -> [f32; 2] {
         let (below, part) = self.place();
         let (low, high) = (adjoint[below], adjoint[below + 1]);
         let along_share = (1.0 - part) * low + part * high;
-        [self.share * (high - low) / STEP, along_share * SHARE.slope(self.share)]
+        [self.share * (high - low) / STEP, along_share * SHARE.derivative(self.share)]
     }
 
     fn moved(&self, step: [f32; 2], varied_specular: bool) -> Self {
@@ -83,32 +84,32 @@ impl TexelGloss {
     }
 }
 
-/// Adam's moments of a texel's gloss.
+/// Adam's moments of the roughness of a texel.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
-pub struct GlossMoments(Moments<2>);
+pub struct RoughnessMoments(Moments<2>);
 
-/// How neighbouring texels are tied.
+/// The smoothness prior between neighboring texels.
 #[derive(Resource, Clone, Debug, Default)]
-pub struct GlossPrior {
-    /// Weight ≥ 0, beside the image loss, of the mean over neighbours of the difference of the logarithms of roughness and share.
+pub struct RoughnessPrior {
+    /// Weight ≥ 0, relative to the image loss, of the mean over neighbors of the differences of the logarithms of roughness and `share`.
     pub smoothness: f32,
-    /// Difference of chromaticity (albedo over its sum) > 0 at which neighbours are tied half as much as those of one colour.
+    /// Difference of chromaticity (albedo over its sum) > 0 at which the prior has half the weight that it has for neighbors of equal color.
     pub color_width: f32,
-    /// Whether the share varies.
+    /// Whether `share` varies.
     pub varied_specular: bool,
-    /// Texels that are neighbours.
-    neighbours: Vec<[u32; 2]>,
+    /// Pairs of neighboring texels.
+    neighbors: Vec<[u32; 2]>,
 }
 
-impl GlossPrior {
-    /// The prior on a texture.
+impl RoughnessPrior {
+    /// The prior for the texels of an atlas.
     pub fn new(atlas: &TexelAtlas, smoothness: f32, color_width: f32, varied_specular: bool) -> Self {
-        Self { smoothness, color_width, varied_specular, neighbours: neighbours(atlas) }
+        Self { smoothness, color_width, varied_specular, neighbors: neighbors(atlas) }
     }
 }
 
 /// Texels side by side in the texture and near each other on the surface.
-fn neighbours(atlas: &TexelAtlas) -> Vec<[u32; 2]> {
+fn neighbors(atlas: &TexelAtlas) -> Vec<[u32; 2]> {
     let (width, height) = (atlas.width as usize, atlas.height as usize);
     let all = (0..width * height).flat_map(|i| {
         let right = (i % width + 1 < width).then_some([i, i + 1]);
@@ -122,26 +123,26 @@ fn neighbours(atlas: &TexelAtlas) -> Vec<[u32; 2]> {
     near.map(|[a, b]| [*a as u32, *b as u32]).collect()
 }
 
-/// Adds the prior's gradient to the first two entries of each texel's.
+/// Adds the gradient of the prior to the first two entries of each texel's gradient.
 fn add_variation(
-    prior: &GlossPrior,
-    gloss: &[TexelGloss],
+    prior: &RoughnessPrior,
+    roughness: &[TexelRoughness],
     albedo: &[DiffuseAlbedo],
     gradients: &mut [BlendGradient],
 ) {
-    let weight = prior.smoothness / prior.neighbours.len().max(1) as f32;
-    let logs = |g: &TexelGloss| [g.roughness.ln(), g.share.ln()];
-    for [a, b] in prior.neighbours.iter().map(|pair| pair.map(|texel| texel as usize)) {
+    let weight = prior.smoothness / prior.neighbors.len().max(1) as f32;
+    let logs = |g: &TexelRoughness| [g.roughness.ln(), g.share.ln()];
+    for [a, b] in prior.neighbors.iter().map(|pair| pair.map(|texel| texel as usize)) {
         let apart = chromaticity(albedo[a].0).distance(chromaticity(albedo[b].0)) / prior.color_width;
         let tie = weight / (1.0 + apart * apart);
-        let (of_a, of_b) = (logs(&gloss[a]), logs(&gloss[b]));
+        let (of_a, of_b) = (logs(&roughness[a]), logs(&roughness[b]));
         for k in 0..2 {
             let difference = of_a[k] - of_b[k];
-            let slope = tie * difference / (difference * difference + KINK * KINK).sqrt();
-            // The logarithm of the share s by its logit has slope 1 − s.
-            let inner = |g: &TexelGloss| if k == 0 { 1.0 } else { 1.0 - g.share };
-            gradients[a].0[k] += slope * inner(&gloss[a]);
-            gradients[b].0[k] -= slope * inner(&gloss[b]);
+            let derivative = tie * difference / (difference * difference + KINK * KINK).sqrt();
+            // The derivative of ln s with respect to the logit of s is 1 − s.
+            let inner = |g: &TexelRoughness| if k == 0 { 1.0 } else { 1.0 - g.share };
+            gradients[a].0[k] += derivative * inner(&roughness[a]);
+            gradients[b].0[k] -= derivative * inner(&roughness[b]);
         }
     }
 }
@@ -150,63 +151,63 @@ fn chromaticity(albedo: Vec3) -> Vec3 {
     albedo / albedo.element_sum().max(1e-6)
 }
 
-/// Gives every texel a gloss of its own, unless it has one.
-pub fn attach_gloss(world: &mut World, roughness: f32, varied_specular: bool) {
-    let known = world.query::<&TexelGloss>().iter(world).len() > 0;
-    let gloss = TexelGloss::first(roughness, varied_specular);
+/// Gives every texel its own roughness, unless it has one.
+pub fn attach_roughness(world: &mut World, roughness: f32, varied_specular: bool) {
+    let known = world.query::<&TexelRoughness>().iter(world).len() > 0;
+    let roughness = TexelRoughness::first(roughness, varied_specular);
     for texel in texels_in_order(world) {
         let mut texel = world.entity_mut(texel);
-        texel.insert(GlossMoments::default());
+        texel.insert(RoughnessMoments::default());
         if !known {
-            texel.insert((gloss, SpecularBlend(gloss.weights())));
+            texel.insert((roughness, SpecularBlend(roughness.weights())));
         }
     }
 }
 
-/// Update: one specular albedo for the whole ladder, so that all of its materials move alike.
+/// Update: sums the gradients of the specular albedo over all base materials, so that they keep one common albedo.
 pub fn tie_specular(mut materials: Query<&mut SpecularGradient>) {
     let mut sum = [0.0; 3];
     materials.iter().for_each(|g| (0..3).for_each(|c| sum[c] += g.0[c]));
     materials.iter_mut().for_each(|mut gradient| gradient.0[..3].copy_from_slice(&sum));
 }
 
-type GlossColumns = (
+type RoughnessColumns = (
     &'static DiffuseAlbedo,
-    &'static mut TexelGloss,
+    &'static mut TexelRoughness,
     &'static mut SpecularBlend,
     &'static mut BlendGradient,
-    &'static mut GlossMoments,
+    &'static mut RoughnessMoments,
 );
 
 /// Update: Adam on the texels' roughness and share; clears the gradient.
-pub fn move_gloss(
+pub fn move_roughness(
     rates: Res<StepRates>,
     unknowns: Res<Unknowns>,
     places: Res<TexelPlaces>,
-    prior: Res<GlossPrior>,
-    texels: Texels<GlossColumns>,
+    prior: Res<RoughnessPrior>,
+    texels: Texels<RoughnessColumns>,
 ) -> SystemResult {
-    let (albedo, mut gloss, mut blends, gradients, moments) = texels.columns()?;
+    let (albedo, mut roughness, mut blends, gradients, moments) = texels.columns()?;
     let (mut gradients, mut moments) = (gradients.quiet(), moments.quiet());
     if !unknowns.blends || places.positions.len() != gradients.len() {
         gradients.fill(BlendGradient::default());
         return Ok(());
     }
-    for (gloss, gradient) in gloss.iter().zip(gradients.iter_mut()) {
-        let slopes = gloss.slopes(&gradient.0);
+    for (roughness, gradient) in roughness.iter().zip(gradients.iter_mut()) {
+        let adjoint = roughness.adjoint_of(&gradient.0);
         gradient.0 = PerMaterial::default();
-        gradient.0[..2].copy_from_slice(&slopes);
+        gradient.0[..2].copy_from_slice(&adjoint);
     }
     average_at(&places, &mut gradients);
-    add_variation(&prior, &gloss, &albedo, &mut gradients);
+    add_variation(&prior, &roughness, &albedo, &mut gradients);
     let adam = AdamStep::new(RATE * rates.albedo, rates.step);
-    let columns = gloss.par_iter_mut().zip(&mut *blends).zip(&mut *gradients);
+    let columns = roughness.par_iter_mut().zip(&mut *blends).zip(&mut *gradients);
     let columns = columns.zip(&mut *moments).with_min_len(4096);
-    columns.for_each(|(((gloss, blend), gradient), moments)| {
+    columns.for_each(|(((roughness, blend), gradient), moments)| {
         let step = adam.advance(&mut moments.0, &[gradient.0[0], gradient.0[1]]);
         gradient.0 = PerMaterial::default();
-        *gloss = gloss.moved(step, prior.varied_specular);
-        blend.0 = gloss.weights();
+        *roughness = roughness.moved(step, prior.varied_specular);
+        blend.0 = roughness.weights();
     });
     Ok(())
 }
@@ -216,25 +217,25 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_ladder_is_even_in_the_logarithm() {
-        LADDER.windows(2).for_each(|pair| assert!(((pair[1] / pair[0]).ln() - STEP).abs() < 1e-6));
+    fn base_roughnesses_are_even_in_the_logarithm() {
+        BASE_ROUGHNESSES.windows(2).for_each(|pair| assert!(((pair[1] / pair[0]).ln() - STEP).abs() < 1e-6));
         for roughness in [0.05, 0.1, 0.2, 0.4, 0.759, 1.0] {
-            let weights = TexelGloss { roughness, share: 0.5 }.weights();
+            let weights = TexelRoughness { roughness, share: 0.5 }.weights();
             assert!((weights.iter().sum::<f32>() - 0.5).abs() < 1e-6 && weights.iter().all(|w| *w >= 0.0));
         }
     }
 
     #[test]
-    fn slopes_of_gloss_agree_with_differences() {
+    fn adjoint_of_roughness_agrees_with_differences() {
         let adjoint = [0.5, -1.0, 2.0, 0.3, -0.7, 1.1, 0.0, 0.0];
-        let loss = |gloss: TexelGloss| -> f64 {
-            gloss.weights().iter().zip(&adjoint).map(|(w, g)| f64::from(w * g)).sum()
+        let loss = |roughness: TexelRoughness| -> f64 {
+            roughness.weights().iter().zip(&adjoint).map(|(w, g)| f64::from(w * g)).sum()
         };
         for (roughness, share) in [(0.12, 0.3), (0.2, 0.9), (0.4, 0.5), (0.7, 0.8)] {
-            let gloss = TexelGloss { roughness, share };
-            for (k, found) in gloss.slopes(&adjoint).into_iter().enumerate() {
+            let roughness = TexelRoughness { roughness, share };
+            for (k, found) in roughness.adjoint_of(&adjoint).into_iter().enumerate() {
                 let at =
-                    |step: f32| loss(gloss.moved(if k == 0 { [-step, 0.0] } else { [0.0, -step] }, true));
+                    |step: f32| loss(roughness.moved(if k == 0 { [-step, 0.0] } else { [0.0, -step] }, true));
                 let exact = (at(5e-3) - at(-5e-3)) / 1e-2;
                 assert!((f64::from(found) - exact).abs() < 2e-3, "{k}: {found} {exact}");
             }
@@ -243,36 +244,37 @@ mod tests {
 
     #[test]
     fn the_gradient_of_variation_agrees_with_differences() {
-        let prior = GlossPrior {
+        let prior = RoughnessPrior {
             smoothness: 2.0,
             color_width: 0.1,
             varied_specular: true,
-            neighbours: vec![[0, 1], [1, 2]],
+            neighbors: vec![[0, 1], [1, 2]],
         };
-        let gloss =
-            [(0.2, 0.5), (0.21, 0.52), (0.4, 0.9)].map(|(roughness, share)| TexelGloss { roughness, share });
+        let roughness = [(0.2, 0.5), (0.21, 0.52), (0.4, 0.9)]
+            .map(|(roughness, share)| TexelRoughness { roughness, share });
         let albedo = [Vec3::new(0.5, 0.4, 0.3), Vec3::new(0.5, 0.45, 0.3), Vec3::new(0.3, 0.4, 0.6)]
             .map(DiffuseAlbedo);
-        let value = |gloss: &[TexelGloss]| -> f64 {
+        let value = |roughness: &[TexelRoughness]| -> f64 {
             let pair = |[a, b]: &[u32; 2]| {
                 let (a, b) = (*a as usize, *b as usize);
                 let apart = chromaticity(albedo[a].0).distance(chromaticity(albedo[b].0)) / 0.1;
                 let cost = |d: f64| (d * d + f64::from(KINK * KINK)).sqrt();
                 let (r, s) = (
-                    f64::from(gloss[a].roughness / gloss[b].roughness),
-                    f64::from(gloss[a].share / gloss[b].share),
+                    f64::from(roughness[a].roughness / roughness[b].roughness),
+                    f64::from(roughness[a].share / roughness[b].share),
                 );
                 f64::from(prior.smoothness / 2.0 / (1.0 + apart * apart)) * (cost(r.ln()) + cost(s.ln()))
             };
-            prior.neighbours.iter().map(pair).sum()
+            prior.neighbors.iter().map(pair).sum()
         };
         let mut gradients = [BlendGradient::default(); 3];
-        add_variation(&prior, &gloss, &albedo, &mut gradients);
+        add_variation(&prior, &roughness, &albedo, &mut gradients);
         for texel in 0..3 {
             for k in 0..2 {
                 let at = |step: f32| {
-                    let mut moved = gloss;
-                    moved[texel] = gloss[texel].moved(if k == 0 { [-step, 0.0] } else { [0.0, -step] }, true);
+                    let mut moved = roughness;
+                    moved[texel] =
+                        roughness[texel].moved(if k == 0 { [-step, 0.0] } else { [0.0, -step] }, true);
                     value(&moved)
                 };
                 let exact = (at(1e-3) - at(-1e-3)) / 2e-3;

@@ -1,8 +1,8 @@
 //! Inner products of SGs and of their derivatives over the sphere, in closed form: the Gauss–Newton matrix of the map
-//! fit without a look at the map.
+//! fit, independent of the map.
 //!
-//! The product of two unit-amplitude SGs is e^(v·ω − λ₁ − λ₂) with v = λ₁ξ₁ + λ₂ξ₂, a von Mises–Fisher density of
-//! concentration L = |v| but for its factor; mean and second moments of that density are known (Mardia and Jupp 2000,
+//! The product of two unit-amplitude SGs is e^(v·ω − λ₁ − λ₂) with v = λ₁ξ₁ + λ₂ξ₂, proportional to a von Mises–Fisher density of
+//! concentration L = |v|; mean and second moments of that density are known (Mardia and Jupp 2000,
 //! §9.3.2). All four basis functions of a lobe are G times a function linear in ω, so those moments suffice.
 
 use glam::{DMat3, DVec3};
@@ -13,7 +13,7 @@ use crate::light::map_fit::kernel::FitLobe;
 /// Below e to this power an inner product is taken as zero.
 const CUTOFF: f64 = -30.0;
 
-/// Inner products of the basis functions of two lobes: G, ∂G by the two tangents, ∂G by log λ.
+/// Inner products of the basis functions of two lobes: G, and ∂G with respect to the two tangents and log λ.
 pub type Block = [[f64; 4]; 4];
 
 /// Lower triangle of the matrix of inner products of all lobes' bases, a 4 × 4 block for each pair.
@@ -23,7 +23,7 @@ pub struct Gram {
 }
 
 impl Gram {
-    /// Of all pairs of `lobes`.
+    /// The matrix of all pairs of `lobes`.
     pub fn of(lobes: &[FitLobe]) -> Self {
         let row = |k: usize| (0..=k).map(move |l| inner_products(&lobes[k], &lobes[l]));
         Self { blocks: (0..lobes.len()).into_par_iter().flat_map_iter(row).collect() }
@@ -85,7 +85,7 @@ fn inner_products(a: &FitLobe, b: &FitLobe) -> Block {
     })
 }
 
-/// Each basis function of a lobe over its G, as constant and slope: G, λ(ω·t)G, λ(ω·ξ − 1)G.
+/// Each basis function of a lobe divided by its G, as constant and slope in ω: G, λ(ω·t)G, λ(ω·ξ − 1)G.
 fn linear(lobe: &FitLobe) -> [(f64, DVec3); 4] {
     let slope = |v: [f64; 3]| DVec3::from_array(v) * lobe.sharpness;
     [

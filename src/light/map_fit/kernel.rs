@@ -1,7 +1,7 @@
 //! Kernels of the map fit: the squared error of lobes against a map, and its derivatives.
 //!
 //! The error is E = Σ_i w_i Σ_c (Σ_k μ_kc G_k(ω_i) − y_ic)², with w the texels' shares of the sphere. The map is cut into
-//! tiles of [`TILE`] neighbouring texels; a lobe is skipped in tiles where it is below e⁻¹⁶. Tiles are worked on in
+//! tiles of [`TILE`] neighboring texels; a lobe is skipped in tiles where it is below e⁻¹⁶. Tiles are processed in
 //! parallel and their sums added in a fixed order, so results do not depend on the number of threads.
 
 use fearless_simd::{Level, Simd, dispatch};
@@ -14,7 +14,7 @@ use crate::math::real::Real;
 
 /// Texels in a tile.
 pub const TILE: usize = 128;
-/// Groups of tiles that are summed apart: fixes the order of summation.
+/// Groups of tiles with separate sums, which fixes the order of summation.
 const GROUPS: usize = 32;
 /// Below e to this power a lobe is taken as zero.
 const CUTOFF: f64 = -16.0;
@@ -22,7 +22,7 @@ const CUTOFF: f64 = -16.0;
 /// A value per texel of a tile and channel.
 pub type Texels = [[f32; TILE]; 3];
 
-/// A lobe as the fit moves it: tangents turn the axis, the sharpness changes by a factor.
+/// A lobe with the parameterization of the fit: the axis rotates along tangents, the sharpness changes by a factor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct FitLobe {
     /// Unit axis ξ.
@@ -36,21 +36,21 @@ pub struct FitLobe {
 }
 
 impl FitLobe {
-    /// A lobe; `axis` need not have unit length, but not be zero.
+    /// A lobe; `axis` is not zero and need not have unit length.
     pub fn new(axis: DVec3, sharpness: f64, amplitude: [f64; 3]) -> Self {
         let axis = axis.normalize_or(DVec3::Y);
         let (a, b) = axis.any_orthonormal_pair();
         Self { axis: axis.to_array(), tangents: [a.to_array(), b.to_array()], sharpness, amplitude }
     }
 
-    /// The lobe after a step: axis turned towards the tangents by `step[0..2]` radians, log sharpness up by `step[2]`.
+    /// The lobe after a step: the axis rotates toward the tangents by `step[0..2]` radians, the log sharpness increases by `step[2]`.
     pub fn moved(&self, step: [f64; 3]) -> Self {
         let [axis, a, b] = [self.axis, self.tangents[0], self.tangents[1]].map(DVec3::from_array);
         Self::new(axis + a * step[0] + b * step[1], self.sharpness * step[2].exp(), self.amplitude)
     }
 }
 
-/// Some neighbouring texels of a map; spare places have weight 0.
+/// A tile of neighboring texels of a map; unused entries have weight 0.
 #[derive(Clone, Debug)]
 pub struct Tile {
     directions: [[f32; TILE]; 3],
@@ -58,12 +58,12 @@ pub struct Tile {
     root_weights: [f32; TILE],
     /// √w y, per channel.
     targets: Texels,
-    centre: Vec3,
-    /// Sine and cosine of the largest angle of a texel from the centre.
+    center: Vec3,
+    /// Sine and cosine of the largest angle of a texel from the center.
     radius: [f32; 2],
 }
 
-/// Where a lobe is above the cutoff: within an angle, given by its sine and cosine, of the axis.
+/// The region where a lobe is above the cutoff: within an angle, given by its sine and cosine, of the axis.
 #[derive(Clone, Copy, Debug)]
 pub struct Reach {
     axis: Vec3,
@@ -72,10 +72,10 @@ pub struct Reach {
 
 /// E and its derivatives.
 #[derive(Clone, Debug)]
-pub struct Slopes {
+pub struct Derivatives {
     /// E.
     pub error: f64,
-    /// Σ_i √w B_a r_c for each lobe, basis a (G, its derivatives by the two tangents and by log λ) and channel c, with r
+    /// Σ_i √w B_a r_c for each lobe, basis a (G, its derivatives with respect to the two tangents and log λ) and channel c, with r
     /// the weighted residual.
     pub correlations: Vec<[[f64; 3]; 4]>,
 }
@@ -83,8 +83,8 @@ pub struct Slopes {
 /// Per lobe and channel: Σ √w G r, and the same times each coordinate of ω − ξ.
 type Moments = [[f64; 4]; 3];
 
-impl Slopes {
-    /// The derivative of E by each lobe's two tangents, log sharpness and three amplitudes.
+impl Derivatives {
+    /// The derivatives of E with respect to each lobe's two tangents, log sharpness and three amplitudes.
     pub fn gradient(&self, lobes: &[FitLobe]) -> Vec<[f64; 6]> {
         let of_lobe = |(lobe, c): (&FitLobe, &[[f64; 3]; 4])| {
             let shape = [1, 2, 3].map(|a| 2.0 * (0..3).map(|ch| lobe.amplitude[ch] * c[a][ch]).sum::<f64>());
@@ -105,7 +105,7 @@ fn tile_at(map: &EnvironmentMap, left: u32, top: u32) -> Tile {
         directions: [[0.0; TILE]; 3],
         root_weights: [0.0; TILE],
         targets: [[0.0; TILE]; 3],
-        centre: Vec3::Y,
+        center: Vec3::Y,
         radius: [0.0, 1.0],
     };
     let inside = |k: u32| (left + k % 16, top + k / 16);
@@ -121,26 +121,26 @@ fn tile_at(map: &EnvironmentMap, left: u32, top: u32) -> Tile {
         }
     }
     let directions: Vec<Vec3> = texels.iter().map(|&(i, j)| map.texel_direction(i, j)).collect();
-    tile.centre = directions.iter().sum::<Vec3>().normalize_or(Vec3::Y);
-    let radius = directions.iter().map(|d| d.angle_between(tile.centre)).fold(0.0, f32::max);
+    tile.center = directions.iter().sum::<Vec3>().normalize_or(Vec3::Y);
+    let radius = directions.iter().map(|d| d.angle_between(tile.center)).fold(0.0, f32::max);
     tile.radius = (radius + 1e-3).sin_cos().into();
     tile
 }
 
 impl Reach {
-    /// Of a lobe.
+    /// The reach of a lobe.
     pub fn new(axis: DVec3, sharpness: f64) -> Self {
         // λ(cos θ − 1) = cutoff.
         let cosine = (1.0 + CUTOFF / sharpness.max(1e-9)).max(-1.0);
         Self { axis: axis.as_vec3(), angle: [(1.0 - cosine * cosine).sqrt() as f32, cosine as f32] }
     }
 
-    /// Whether the lobe is anywhere above the cutoff in the tile.
+    /// Whether the lobe is above the cutoff anywhere in the tile.
     #[inline(always)]
     pub fn meets(&self, tile: &Tile) -> bool {
         let ([s, c], [sin, cos]) = (self.angle, tile.radius);
-        // The angles' sum exceeds π where the sine of the sum is negative.
-        s * cos + c * sin < 0.0 || c <= -1.0 || tile.centre.dot(self.axis) > c * cos - s * sin
+        // The sum of the angles exceeds π where the sine of the sum is negative.
+        s * cos + c * sin < 0.0 || c <= -1.0 || tile.center.dot(self.axis) > c * cos - s * sin
     }
 }
 
@@ -171,7 +171,7 @@ impl Tile {
         (offset, Self::load(simd, &self.root_weights, at) * (lobe[3] * square).exp())
     }
 
-    /// Writes √w (model − y) of the lobes `reached`, and each one's √w G behind the other into `values`.
+    /// Writes √w (model − y) of the lobes `reached`, and √w G of each of them, one after the other, into `values`.
     #[inline(always)]
     fn residual<S: Simd>(
         &self,
@@ -245,12 +245,12 @@ pub fn residuals(tiles: &[Tile], lobes: &[FitLobe]) -> Vec<Texels> {
 }
 
 /// E and its derivatives.
-pub fn slopes(tiles: &[Tile], lobes: &[FitLobe]) -> Slopes {
+pub fn derivatives(tiles: &[Tile], lobes: &[FitLobe]) -> Derivatives {
     let reaches = reaches(lobes);
     let group = tiles.len().div_ceil(GROUPS).max(1);
     let parts: Vec<(f64, Vec<Moments>)> = tiles
         .par_chunks(group)
-        .map(|tiles| dispatch!(Level::new(), simd => slopes_of_group(simd, tiles, lobes, &reaches)))
+        .map(|tiles| dispatch!(Level::new(), simd => derivatives_of_group(simd, tiles, lobes, &reaches)))
         .collect();
     let mut error = 0.0;
     let mut moments = vec![[[0.0; 4]; 3]; lobes.len()];
@@ -259,11 +259,11 @@ pub fn slopes(tiles: &[Tile], lobes: &[FitLobe]) -> Slopes {
         let sums = moments.as_flattened_mut().as_flattened_mut().iter_mut();
         sums.zip(more.as_flattened().as_flattened()).for_each(|(sum, value)| *sum += value);
     }
-    Slopes { error, correlations: lobes.iter().zip(&moments).map(|(l, m)| correlations(l, m)).collect() }
+    Derivatives { error, correlations: lobes.iter().zip(&moments).map(|(l, m)| correlations(l, m)).collect() }
 }
 
 #[inline(always)]
-fn slopes_of_group<S: Simd>(
+fn derivatives_of_group<S: Simd>(
     simd: S,
     tiles: &[Tile],
     lobes: &[FitLobe],
@@ -344,9 +344,9 @@ mod tests {
     #[test]
     fn error_and_gradient_agree_with_the_definition() {
         let (map, lobes) = (map(), lobes());
-        let slopes = slopes(&tiles_of(&map), &lobes);
-        assert!((slopes.error / error(&map, &lobes) - 1.0).abs() < 1e-5);
-        for (k, of_lobe) in slopes.gradient(&lobes).iter().enumerate() {
+        let derivatives = derivatives(&tiles_of(&map), &lobes);
+        assert!((derivatives.error / error(&map, &lobes) - 1.0).abs() < 1e-5);
+        for (k, of_lobe) in derivatives.gradient(&lobes).iter().enumerate() {
             for (p, &value) in of_lobe.iter().enumerate() {
                 let h = 1e-4;
                 let at = |h| error(&map, &nudged(&lobes, k, p, h));
@@ -367,7 +367,7 @@ mod tests {
         let plain: Vec<LightLobe> = lobes.iter().map(plain).collect();
         let difference = map.mean_squared_difference(&render_lobes(&plain, map.width, map.height)).unwrap();
         let tiles = tiles_of(&map);
-        assert!((slopes(&tiles, &lobes).error / 3.0 - difference).abs() < 1e-5 * difference);
+        assert!((derivatives(&tiles, &lobes).error / 3.0 - difference).abs() < 1e-5 * difference);
         let sum: f64 = residuals(&tiles, &lobes).iter().map(squared).sum();
         assert!((sum / 3.0 - difference).abs() < 1e-5 * difference);
     }

@@ -68,11 +68,11 @@ fn product(a: &[f64], b: &[f64]) -> f64 {
     sums.iter().sum::<f64>() + rest
 }
 
-/// Lowers ½xᵀAx − bᵀx over x ≥ 0 by coordinate descent from the given `x`, with `slope` = Ax − b.
+/// Lowers ½xᵀAx − bᵀx over x ≥ 0 by coordinate descent from the given `x`, with `gradient` = Ax − b.
 ///
-/// `matrix` is n × n and symmetric; `slope` is kept up to date. Stops when a sweep changes no entry's share of the
-/// objective by more than 10⁻¹² of the whole, or after `sweeps`.
-pub fn descend_nonnegative(matrix: &[f64], x: &mut [f64], slope: &mut [f64], sweeps: usize) {
+/// `matrix` is n × n and symmetric; `gradient` is updated. Stops when no entry of a sweep lowers the objective by
+/// more than 10⁻¹² of the total decrease, or after `sweeps`.
+pub fn descend_nonnegative(matrix: &[f64], x: &mut [f64], gradient: &mut [f64], sweeps: usize) {
     let n = x.len();
     let mut gained = 0.0;
     for _ in 0..sweeps {
@@ -82,13 +82,13 @@ pub fn descend_nonnegative(matrix: &[f64], x: &mut [f64], slope: &mut [f64], swe
             if row[k] <= 0.0 {
                 continue;
             }
-            let step = (-slope[k] / row[k]).max(-x[k]);
+            let step = (-gradient[k] / row[k]).max(-x[k]);
             if step == 0.0 {
                 continue;
             }
-            let gain = -step * (slope[k] + 0.5 * step * row[k]);
+            let gain = -step * (gradient[k] + 0.5 * step * row[k]);
             x[k] += step;
-            slope.iter_mut().zip(row).for_each(|(s, a)| *s += a * step);
+            gradient.iter_mut().zip(row).for_each(|(s, a)| *s += a * step);
             best = best.max(gain);
             gained += gain;
         }
@@ -132,13 +132,13 @@ mod tests {
         let n = 20;
         let a = matrix(n);
         let mut x = vec![0.0; n];
-        let mut slope: Vec<f64> = (0..n).map(|i| (i as f64 * 2.1).cos()).collect();
-        descend_nonnegative(&a, &mut x, &mut slope, 500);
+        let mut gradient: Vec<f64> = (0..n).map(|i| (i as f64 * 2.1).cos()).collect();
+        descend_nonnegative(&a, &mut x, &mut gradient, 500);
         let positive = x.iter().filter(|v| **v > 0.0).count();
         assert!(positive > 3 && positive < n);
         for k in 0..n {
             assert!(x[k] >= 0.0);
-            assert!(if x[k] > 0.0 { slope[k].abs() < 1e-5 } else { slope[k] > -1e-5 });
+            assert!(if x[k] > 0.0 { gradient[k].abs() < 1e-5 } else { gradient[k] > -1e-5 });
         }
     }
 }

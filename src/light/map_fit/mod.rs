@@ -1,10 +1,10 @@
-//! An environment map fitted by SG lobes, in the solid-angle-weighted least-squares sense.
+//! Fits SG lobes to an environment map, in the solid-angle-weighted least-squares sense.
 //!
-//! Suns are taken out first ([`crate::light::map_fit::sun`]). Lobes are then placed in batches where they lower the error most
-//! (matching pursuit on a pyramid), and all parameters are moved together by Levenberg–Marquardt after each batch. Then a
-//! few lobes more than asked for are placed, all settle, and the least useful are taken away again, over and over, as long
-//! as that helps. In the end amplitudes are moved by the least that keeps the map's power. No random numbers; the same bits
-//! on any number of threads.
+//! Suns are removed first ([`crate::light::map_fit::sun`]). Lobes are then placed in batches where they lower the error most
+//! (matching pursuit on a pyramid), and Levenberg–Marquardt optimizes all parameters together after each batch. Then some
+//! additional lobes are placed, all are optimized, and the least useful are removed; this repeats as long as the error
+//! decreases. Finally amplitudes change by the smallest amount that preserves the power of the map. There are no random numbers; results
+//! do not depend on the number of threads.
 pub(crate) mod exp;
 mod gram;
 pub mod kernel;
@@ -18,7 +18,7 @@ use std::f64::consts::{PI, TAU};
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
-use crate::light::map_fit::kernel::{FitLobe, slopes};
+use crate::light::map_fit::kernel::{FitLobe, derivatives};
 use crate::light::map_fit::place::{Level, place};
 use crate::light::map_fit::solve::{Bounds, fit_amplitudes, keep_power, levenberg_marquardt, prune};
 pub use crate::light::map_fit::sun::Sun;
@@ -34,19 +34,19 @@ use crate::{Error, Result};
 pub struct MapFit {
     /// Width in texels of the averaged map that lobes are first placed on (at least 16).
     pub working_width: u32,
-    /// Greatest width in texels of the map that lobes are moved and settled on.
+    /// Largest width in texels of the map for relocation and final optimization.
     pub polish_width: u32,
     /// Levenberg–Marquardt steps once all lobes are placed.
     pub iterations: usize,
-    /// Rounds of placing lobes where the residual is greatest and taking the least useful away.
+    /// Rounds of placing lobes at the largest residuals and removing the least useful.
     pub relocations: usize,
     /// Levenberg–Marquardt steps at the end.
     pub polish_iterations: usize,
-    /// Greatest sharpness; by default 2 (W / 2π)², a standard deviation of 0.7 texels of the map being fitted.
+    /// Largest sharpness; by default 2 (W / 2π)², a standard deviation of 0.7 texels of the map being fitted.
     pub max_sharpness: Option<f32>,
-    /// Light from above only: the map below the horizon counts as black, and no axis points below it.
+    /// Light from above only: the map is black below the horizon, and no axis points below it.
     pub upper_hemisphere: bool,
-    /// Grey light: the map's luminance is fitted, and every lobe has one amplitude for the three channels.
+    /// Gray light: the map's luminance is fitted, and every lobe has one amplitude for the three channels.
     pub white: bool,
 }
 
@@ -65,17 +65,17 @@ impl Default for MapFit {
     }
 }
 
-/// The lobes of a fit and how good they are.
+/// The lobes of a fit, and its error.
 #[derive(Clone, Debug, PartialEq)]
 pub struct MapFitReport {
-    /// As many lobes as were asked for, those of suns first; ones the map had no use for are black.
+    /// The requested number of lobes, those of suns first; lobes that do not improve the fit are black.
     pub lobes: Vec<LightLobe>,
-    /// Suns that were fitted apart; their lobes are the first of `lobes`.
+    /// Suns that are fitted separately; their lobes are the first of `lobes`.
     pub suns: Vec<Sun>,
-    /// Solid-angle-weighted mean, over texel centres of the map (as [`target_of`] makes it) and channels, of the squared
+    /// Solid-angle-weighted mean, over texel centers of the map (as [`target_of`] makes it) and channels, of the squared
     /// error.
     pub mse: f64,
-    /// The same mean of the map's own squared radiance (the error of no lobes at all).
+    /// The same mean of the squared radiance of the map (the error without lobes).
     pub mean_square: f64,
     /// Power of the lobes over the map's, per channel (1 where both are black).
     pub power_ratio: [f64; 3],
@@ -83,12 +83,12 @@ pub struct MapFitReport {
     pub used: usize,
 }
 
-/// How far a fit is, from 0 to 1, and the mean squared error so far (suns apart).
+/// Progress of a fit, and the mean squared error so far, without suns.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MapFitProgress {
-    /// Part of the work that is done, 0 to 1.
+    /// Completed fraction of the work, 0 to 1.
     pub done: f64,
-    /// As [`MapFitReport::mse`], of the map at the resolution in work and without its suns.
+    /// Like [`MapFitReport::mse`], for the map at the current resolution and without its suns.
     pub mse: f64,
 }
 
@@ -98,32 +98,32 @@ const DULLEST: f64 = 0.05;
 const BATCHES: usize = 8;
 /// Steps after each batch.
 const STEPS_PER_BATCH: usize = 3;
-/// Part of the lobes that a round adds and takes away: one of so many, from round to round.
+/// Fraction of the lobes that a round adds and removes: one in this many, cyclically.
 const MOVED_ONE_IN: [usize; 3] = [6, 12, 25];
-/// Steps after lobes were added, and after as many were taken away.
+/// Steps after adding lobes, and after removing the same number.
 const STEPS_PER_RELOCATION: [usize; 2] = [4, 6];
-/// A cycle of rounds that lowers the error by less than this part is the last.
+/// A cycle of rounds that lowers the error by less than this fraction is the last.
 const WORTHWHILE: f64 = 3e-4;
-/// Up to this many lobes get all the rounds asked for; more get fewer, as a step costs their number squared and more.
+/// Up to this many lobes, all requested rounds run; with more lobes fewer, as the cost of a step is at least quadratic in their number.
 const LOBES_AT_FULL_EFFORT: usize = 128;
 /// Widths of the pyramid below the finest level.
 const WIDTHS: [u32; 4] = [32, 64, 128, 256];
-/// A map fitted by fewer lobes than this has no lobe to spare for a sun.
+/// With fewer lobes than this, none is used for a sun.
 const LOBES_FOR_A_SUN: usize = 4;
 
 /// Fits `lobes` SG lobes to `map`.
 ///
 /// # Errors
-/// [`Error::Usage`] if no lobes, or a working width under 16, are asked for; [`Error::Run`] if the map is smaller than 2 × 1
+/// [`Error::Usage`] for zero lobes, or a working width below 16; [`Error::Run`] if the map is smaller than 2 × 1
 /// texels or holds negative or non-finite radiance.
 pub fn fit_map(map: &EnvironmentMap, lobes: usize, options: &MapFit) -> Result<MapFitReport> {
     fit_map_with(map, lobes, options, &mut |_| {})
 }
 
-/// [`fit_map`] that says now and then how far it is.
+/// [`fit_map`] with progress reports.
 ///
 /// # Errors
-/// As [`fit_map`].
+/// Those of [`fit_map`].
 pub fn fit_map_with(
     map: &EnvironmentMap,
     lobes: usize,
@@ -134,7 +134,7 @@ pub fn fit_map_with(
     let target = target_of(map, options);
     let most_suns = if lobes < LOBES_FOR_A_SUN { 0 } else { lobes / LOBES_FOR_A_SUN };
     let (suns, rest) = take_suns(&target, most_suns, sharpest_at(target.width, options));
-    // In units of the map's root mean square, so that f32 sums and tolerances fit any exposure.
+    // In units of the root mean square of the map, so that f32 sums and tolerances work for any exposure.
     let scale = mean_square(&rest).sqrt();
     let mut fitted: Vec<LightLobe> = suns.iter().map(|sun| sun.lobe).collect();
     if scale > 0.0 {
@@ -146,7 +146,7 @@ pub fn fit_map_with(
     Ok(report(&target, with_spares(fitted, lobes), suns))
 }
 
-/// The map that is fitted: `map` itself, or its luminance, or black below the horizon, as the options say.
+/// The map that is fitted, by the options: `map` itself, its luminance, or the map with black below the horizon.
 pub fn target_of(map: &EnvironmentMap, options: &MapFit) -> EnvironmentMap {
     let mut target = map.clone();
     if options.white {
@@ -167,13 +167,13 @@ fn check(map: &EnvironmentMap, lobes: usize, options: &MapFit) -> Result<()> {
     if lobes == 0 {
         return Err(Error::usage(
             "a map cannot be fitted by zero lobes",
-            "ask for one lobe or more, e.g. 128",
+            "request at least one lobe, e.g. 128",
         ));
     }
     if options.working_width < 16 || options.max_sharpness.is_some_and(|s| s.is_nan() || s < 1.0) {
         return Err(Error::usage(
-            "the map fit needs a working width of at least 16 texels and a greatest sharpness of at least 1",
-            "leave them out to take the defaults",
+            "the map fit needs a working width of at least 16 texels and a largest sharpness of at least 1",
+            "leave them out to use the defaults",
         ));
     }
     let texels = map.width as usize * map.height as usize;
@@ -208,20 +208,20 @@ fn bounds_at(width: u32, options: &MapFit) -> Bounds {
     Bounds { dullest: DULLEST, sharpest: sharpest_at(width, options), upper_only: options.upper_hemisphere }
 }
 
-/// `steps`, or fewer of them (but one) where there are very many lobes.
+/// `steps`, or fewer (at least one) for very many lobes.
 fn affordable(steps: usize, lobes: usize) -> usize {
     let share = (LOBES_AT_FULL_EFFORT as f64 / lobes as f64).powi(2).min(1.0);
     ((steps as f64 * share).ceil() as usize).min(steps)
 }
 
-/// The map averaged to ever finer widths, the last at most `finest`.
+/// The map averaged to increasing widths, the last at most `finest`.
 fn pyramid(map: &EnvironmentMap, finest: u32) -> Vec<Level> {
     let last = finest.min(map.width);
     let widths = WIDTHS.into_iter().filter(|&width| width < last).chain([last]);
     widths.map(|width| Level::new(&narrowed(map, width))).collect()
 }
 
-/// Says how far a fit is; the share of the work is counted in rounds.
+/// Reports progress, counted in rounds.
 struct Teller<'a> {
     told: &'a mut dyn FnMut(MapFitProgress),
     rounds: usize,
@@ -268,7 +268,7 @@ fn finest(levels: &[Level]) -> &[crate::light::map_fit::kernel::Tile] {
     levels.last().map_or(&[], |level| &level.tiles)
 }
 
-/// Places lobes in batches until there are `count` or nothing is left to explain.
+/// Places lobes in batches until there are `count` or no residual is left.
 fn grow(levels: &[Level], count: usize, bounds: Bounds, teller: &mut Teller) -> Vec<FitLobe> {
     let tiles = finest(levels);
     let mut lobes = vec![FitLobe::new(DVec3::Y, 0.5_f64.min(bounds.sharpest), [0.5; 3])];
@@ -283,11 +283,11 @@ fn grow(levels: &[Level], count: usize, bounds: Bounds, teller: &mut Teller) -> 
     lobes
 }
 
-/// Adds lobes where the residual is greatest, lets all settle, and takes the least useful away; a round that does not help
-/// is undone.
+/// Adds lobes where the residual is largest, optimizes all, and removes the least useful; a round that does not lower the error
+/// is reverted.
 fn relocate(levels: &[Level], lobes: &mut Vec<FitLobe>, rounds: usize, bounds: Bounds, teller: &mut Teller) {
     let (tiles, count) = (finest(levels), lobes.len());
-    let mut best = slopes(tiles, lobes).error;
+    let mut best = derivatives(tiles, lobes).error;
     let mut before = best;
     for round in 0..rounds {
         let moved = (count / MOVED_ONE_IN[round % MOVED_ONE_IN.len()]).max(1);
@@ -314,15 +314,15 @@ fn relocate(levels: &[Level], lobes: &mut Vec<FitLobe>, rounds: usize, bounds: B
 
 fn plain(lobe: &FitLobe, scale: f64, white: bool) -> LightLobe {
     let amplitude = DVec3::from_array(lobe.amplitude) * scale;
-    let grey = DVec3::splat(amplitude.element_sum() / 3.0);
+    let gray = DVec3::splat(amplitude.element_sum() / 3.0);
     LightLobe {
         axis: DVec3::from_array(lobe.axis).as_vec3(),
         sharpness: lobe.sharpness as f32,
-        amplitude: if white { grey } else { amplitude }.as_vec3(),
+        amplitude: if white { gray } else { amplitude }.as_vec3(),
     }
 }
 
-/// The lobes, made up to `count` by black ones spread over the sphere.
+/// The lobes, padded to `count` with black ones spread over the sphere.
 fn with_spares(mut lobes: Vec<LightLobe>, count: usize) -> Vec<LightLobe> {
     lobes.truncate(count);
     let sharpness = spacing_sharpness(count);
@@ -381,7 +381,7 @@ mod tests {
         let fit = fit_map(&map, 6, &MapFit { iterations: 60, ..quick() }).unwrap();
         assert!(fit.mse < 1e-5 * fit.mean_square, "mse {} of {}", fit.mse, fit.mean_square);
         assert!(fit.power_ratio.iter().all(|r| (r - 1.0).abs() < 1e-2), "{:?}", fit.power_ratio);
-        // Lobes that the map has no use for do no harm.
+        // Unused lobes have no effect.
         for count in [8, 16, 40] {
             let fit = fit_map(&map, count, &quick()).unwrap();
             assert!(fit.mse < 1e-4 * fit.mean_square, "{count}: mse {} of {}", fit.mse, fit.mean_square);
@@ -423,7 +423,7 @@ mod tests {
     }
 
     #[test]
-    fn light_from_above_only_and_grey_light() {
+    fn light_from_above_only_and_gray_light() {
         let options = MapFit { upper_hemisphere: true, white: true, ..quick() };
         let fit = fit_map(&sky(), 12, &options).unwrap();
         assert!(fit.lobes.iter().all(|l| l.axis.y >= -1e-6));

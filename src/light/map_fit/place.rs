@@ -1,4 +1,4 @@
-//! Where to put new lobes: the directions and sharpnesses that would lower the error most, one at a time.
+//! Placement of new lobes: the directions and sharpnesses that lower the error most, one at a time.
 
 use fearless_simd::{Level as SimdLevel, Simd, dispatch};
 use glam::DVec3;
@@ -13,14 +13,14 @@ use crate::math::sg::sphere_integral;
 
 /// Sharpnesses tried, each about 2.5 times the one before.
 const SHARPNESSES: [f64; 10] = [1.5, 4.0, 10.0, 25.0, 60.0, 150.0, 400.0, 1000.0, 2500.0, 6000.0];
-/// Directions tried for each sharpness: λ times this, which puts them just under a standard deviation apart…
+/// Directions tried for each sharpness: λ times this, which makes their spacing slightly less than a standard deviation…
 const AXES_PER_SHARPNESS: f64 = 16.0;
-/// …but not fewer or more than this.
+/// …within these limits.
 const AXES: [usize; 2] = [600, 20_000];
-/// Candidates that are looked at again after each choice. A gain only falls as others are chosen, so the best of all is
-/// missed only if it falls below the first of those left out.
+/// Candidates that are evaluated again after each choice. A gain only decreases as others are chosen, so the best candidate is
+/// missed only if its gain falls below that of the first one left out.
 const SHORT_LIST: usize = 4096;
-/// Texels of the map that a sharpness is looked for in, per standard deviation 1/√λ.
+/// Texels per standard deviation 1/√λ in the map that a sharpness is searched in.
 const TEXELS_PER_DEVIATION: f64 = 1.5;
 
 /// A map at one resolution.
@@ -33,13 +33,13 @@ pub struct Level {
 }
 
 impl Level {
-    /// Of a map.
+    /// The level of a map.
     pub fn new(map: &EnvironmentMap) -> Self {
         Self { width: map.width, tiles: tiles_of(map) }
     }
 }
 
-/// A possible new lobe: its inner products with what is left over (per channel) and with itself.
+/// A candidate lobe: its inner products with the residual (per channel) and with itself.
 #[derive(Clone, Copy, Debug)]
 struct Candidate {
     axis: DVec3,
@@ -48,16 +48,16 @@ struct Candidate {
     norm: f64,
 }
 
-/// Up to `count` new lobes for what `lobes` leave over, best first.
+/// Up to `count` new lobes for the residual of `lobes`, best first.
 ///
 /// Matching pursuit (Mallat and Zhang 1993) on the residual r: a candidate's gain is Σ_c max(0, ⟨r_c, G⟩)²/⟨G, G⟩; the
-/// residual is measured once, and what a chosen lobe takes from the others is computed from the integral of SG products.
-/// Each sharpness is looked for on the coarsest of `levels` (coarse to fine) that resolves it.
+/// residual is computed once, and the effect of a chosen lobe on the other candidates follows from the integral of SG products.
+/// Each sharpness is searched on the coarsest of `levels` (coarse to fine) that resolves it.
 pub fn place(levels: &[Level], lobes: &[FitLobe], count: usize, bounds: Bounds) -> Vec<FitLobe> {
     let mut candidates = candidates(levels, lobes, bounds);
     let mut chosen = Vec::new();
     while chosen.len() < count {
-        // The first of equals, so that the result is one only.
+        // The first of equal ones, so that the result is unique.
         let better = |best: Candidate, c: &Candidate| if c.gain() > best.gain() { *c } else { best };
         let Some(best) = candidates.first().map(|first| candidates.iter().fold(*first, better)) else {
             break;
@@ -87,7 +87,7 @@ fn candidates(levels: &[Level], lobes: &[FitLobe], bounds: Bounds) -> Vec<Candid
         };
         candidates.par_extend(axes.into_par_iter().filter(allowed).map(at));
     }
-    // A stable sort, so that equals stay in order and the result is one only.
+    // A stable sort, so that equal ones stay in order and the result is unique.
     candidates.sort_by(|a, b| b.gain().total_cmp(&a.gain()));
     candidates.truncate(SHORT_LIST);
     candidates
@@ -108,17 +108,17 @@ fn candidate<S: Simd>(simd: S, level: &Level, residual: &[Texels], lobe: &FitLob
 }
 
 impl Candidate {
-    /// The best amplitude on its own.
+    /// The best amplitude of this lobe alone.
     fn amplitude(&self) -> [f64; 3] {
         self.inner.map(|i| (i / self.norm).max(0.0))
     }
 
-    /// By how much it would lower the error on its own.
+    /// The decrease of the error with this lobe alone.
     fn gain(&self) -> f64 {
         self.amplitude().iter().map(|a| a * a * self.norm).sum()
     }
 
-    /// Takes from its inner products what `other` explains, once that is chosen.
+    /// Subtracts the contribution of `other`, once chosen, from the inner products.
     fn lose(&mut self, other: &Self) {
         let overlap = mean_product(self.axis, self.sharpness, other.axis, other.sharpness);
         for (inner, amplitude) in self.inner.iter_mut().zip(other.amplitude()) {

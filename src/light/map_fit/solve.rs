@@ -1,17 +1,17 @@
 //! Steps of the map fit: Levenberg–Marquardt on all parameters, and amplitudes alone.
 
 use crate::light::map_fit::gram::Gram;
-use crate::light::map_fit::kernel::{FitLobe, Slopes, Tile, slopes};
+use crate::light::map_fit::kernel::{Derivatives, FitLobe, Tile, derivatives};
 use crate::light::map_fit::linear::{cholesky, descend_nonnegative, solve_factored};
 use crate::math::sg::sphere_integral;
 use rayon::prelude::*;
 
-/// What a lobe may be.
+/// Bounds of the parameters of a lobe.
 #[derive(Clone, Copy, Debug)]
 pub struct Bounds {
     /// Least sharpness.
     pub dullest: f64,
-    /// Greatest sharpness.
+    /// Largest sharpness.
     pub sharpest: f64,
     /// Whether axes stay at or above the horizon (y ≥ 0).
     pub upper_only: bool,
@@ -21,10 +21,10 @@ pub struct Bounds {
 const PARAMETERS: usize = 6;
 
 /// Up to `steps` accepted Levenberg–Marquardt steps (Marquardt 1963; amplitudes and sharpness kept in bounds by
-/// projection, parameters that press against their bound left out). Returns the error reached.
+/// projection, active bounds excluded from the step). Returns the error reached.
 pub fn levenberg_marquardt(tiles: &[Tile], lobes: &mut Vec<FitLobe>, steps: usize, bounds: Bounds) -> f64 {
     let mut damping = 1e-2;
-    let mut reached = slopes(tiles, lobes);
+    let mut reached = derivatives(tiles, lobes);
     for _ in 0..steps {
         let Some((better, lower)) = improve(tiles, lobes, &reached, &mut damping, bounds) else { break };
         let gain = reached.error - lower.error;
@@ -41,17 +41,17 @@ pub fn levenberg_marquardt(tiles: &[Tile], lobes: &mut Vec<FitLobe>, steps: usiz
 fn improve(
     tiles: &[Tile],
     lobes: &[FitLobe],
-    reached: &Slopes,
+    reached: &Derivatives,
     damping: &mut f64,
     bounds: Bounds,
-) -> Option<(Vec<FitLobe>, Slopes)> {
+) -> Option<(Vec<FitLobe>, Derivatives)> {
     let gradient = reached.gradient(lobes);
     let matrix = gauss_newton(lobes, &Gram::of(lobes));
     for _ in 0..6 {
         if let Some(step) = damped_step(lobes, &gradient, matrix.clone(), *damping) {
             let steps = lobes.iter().zip(step.as_chunks::<PARAMETERS>().0);
             let trial: Vec<FitLobe> = steps.map(|(l, s)| stepped(l, s, bounds)).collect();
-            let lower = slopes(tiles, &trial);
+            let lower = derivatives(tiles, &trial);
             if lower.error < reached.error {
                 *damping = (*damping * 0.3).max(1e-7);
                 return Some((trial, lower));
@@ -62,7 +62,7 @@ fn improve(
     None
 }
 
-/// Solution of (H + damping · diag H) d = −½ gradient, with H the Gauss–Newton matrix of ½E.
+/// The solution of (H + damping · diag H) d = −½ gradient, with H the Gauss–Newton matrix of ½E.
 fn damped_step(
     lobes: &[FitLobe],
     gradient: &[[f64; 6]],
@@ -94,12 +94,12 @@ fn gauss_newton(lobes: &[FitLobe], gram: &Gram) -> Vec<f64> {
     let mut matrix = vec![0.0; n * n];
     for (k, a) in lobes.iter().enumerate() {
         for (l, b) in lobes.iter().enumerate().take(k + 1) {
-            let colours: f64 = (0..3).map(|c| a.amplitude[c] * b.amplitude[c]).sum();
+            let colors: f64 = (0..3).map(|c| a.amplitude[c] * b.amplitude[c]).sum();
             for p in 0..PARAMETERS {
                 let row = (k * PARAMETERS + p) * n + l * PARAMETERS;
                 for q in 0..PARAMETERS {
                     matrix[row + q] = match (p, q) {
-                        (0..3, 0..3) => colours * gram.at(k, p + 1, l, q + 1),
+                        (0..3, 0..3) => colors * gram.at(k, p + 1, l, q + 1),
                         (0..3, _) => a.amplitude[q - 3] * gram.at(k, p + 1, l, 0),
                         (_, 0..3) => b.amplitude[p - 3] * gram.at(k, 0, l, q + 1),
                         _ if p == q => gram.at(k, 0, l, 0),
@@ -112,7 +112,7 @@ fn gauss_newton(lobes: &[FitLobe], gram: &Gram) -> Vec<f64> {
     matrix
 }
 
-/// A lobe after its part of the step, no farther than the quadratic model can be trusted, and in bounds.
+/// A lobe after its part of the step, within the trust region of the quadratic model and the bounds.
 fn stepped(lobe: &FitLobe, step: &[f64; PARAMETERS], bounds: Bounds) -> FitLobe {
     let turn = step[0].hypot(step[1]);
     let farthest = (1.0 / lobe.sharpness.sqrt()).min(0.5);
@@ -127,14 +127,14 @@ fn stepped(lobe: &FitLobe, step: &[f64; PARAMETERS], bounds: Bounds) -> FitLobe 
     moved
 }
 
-/// Best non-negative amplitudes for the lobes' present shapes.
+/// Computes the best non-negative amplitudes for the current shapes of the lobes.
 pub fn fit_amplitudes(tiles: &[Tile], lobes: &mut [FitLobe]) {
-    let reached = slopes(tiles, lobes);
+    let reached = derivatives(tiles, lobes);
     let matrix = amplitude_matrix(lobes);
     for c in 0..3 {
         let mut x: Vec<f64> = lobes.iter().map(|l| l.amplitude[c]).collect();
-        let mut slope: Vec<f64> = reached.correlations.iter().map(|r| r[0][c]).collect();
-        descend_nonnegative(&matrix, &mut x, &mut slope, 300);
+        let mut gradient: Vec<f64> = reached.correlations.iter().map(|r| r[0][c]).collect();
+        descend_nonnegative(&matrix, &mut x, &mut gradient, 300);
         lobes.iter_mut().zip(x).for_each(|(l, x)| l.amplitude[c] = x);
     }
 }
@@ -145,8 +145,8 @@ fn amplitude_matrix(lobes: &[FitLobe]) -> Vec<f64> {
     (0..n * n).map(|e| gram.at(e / n, 0, e % n, 0)).collect()
 }
 
-/// Inverse of the symmetric positive semi-definite `matrix` (n × n) with a `ridge` (a part of its largest entry): two lobes
-/// in one place make it singular. `None` if even so it has none.
+/// Inverse of the symmetric positive semi-definite `matrix` (n × n) with a `ridge` (a fraction of its largest entry), because two
+/// coincident lobes make it singular. `None` if it is singular nevertheless.
 fn ridged_inverse(mut matrix: Vec<f64>, n: usize, ridge: f64) -> Option<Vec<f64>> {
     let largest = (0..n).map(|i| matrix[i * n + i]).fold(0.0, f64::max);
     (0..n).for_each(|i| matrix[i * n + i] += ridge * largest + f64::MIN_POSITIVE);
@@ -162,10 +162,10 @@ fn ridged_inverse(mut matrix: Vec<f64>, n: usize, ridge: f64) -> Option<Vec<f64>
     Some((0..n).into_par_iter().flat_map_iter(column).collect())
 }
 
-/// Takes away the least important lobes, one after another, until `count` are left.
+/// Removes the least important lobes, one after another, until `count` are left.
 ///
-/// Without lobe k the error grows by Σ_c μ_kc²/(A⁻¹)_kk once the other amplitudes make up for it, which they do here before
-/// the next lobe is judged: of two lobes in one place only one goes. (The "surgeon" of Hassibi and Stork 1993.)
+/// Without lobe k the error grows by Σ_c μ_kc²/(A⁻¹)_kk after the other amplitudes are optimized. They are updated before
+/// the next lobe is selected, so that of two coincident lobes only one is removed (the "optimal brain surgeon", Hassibi and Stork 1993).
 pub fn prune(lobes: &mut Vec<FitLobe>, count: usize) {
     let n = lobes.len();
     let Some(mut inverse) = ridged_inverse(amplitude_matrix(lobes), n, 1e-9) else {
@@ -193,8 +193,8 @@ pub fn prune(lobes: &mut Vec<FitLobe>, count: usize) {
 /// Rounds in which amplitudes that would turn negative leave [`keep_power`].
 const POWER_ROUNDS: usize = 8;
 
-/// Moves the amplitudes by the least (in the error's own metric) that gives the lobes the mean radiance `means` over the
-/// sphere, per channel: x + A⁻¹m (p − mᵀx)/(mᵀA⁻¹m), with m the lobes' own means, over the lobes that shine.
+/// Changes the amplitudes by the smallest amount (in the metric of the error) for which the lobes have the mean radiance `means` over the
+/// sphere, per channel: x + A⁻¹m (p − mᵀx)/(mᵀA⁻¹m), with m the means of the lobes, over the lobes that are not black.
 pub fn keep_power(lobes: &mut [FitLobe], means: [f64; 3]) {
     let matrix = amplitude_matrix(lobes);
     let own: Vec<f64> =
@@ -217,7 +217,7 @@ pub fn keep_power(lobes: &mut [FitLobe], means: [f64; 3]) {
 fn power_steps(matrix: &[f64], n: usize, own: &[f64], shining: &[usize], missing: f64) -> Option<Vec<f64>> {
     let m = shining.len();
     let part = (0..m * m).map(|e| matrix[shining[e / m] * n + shining[e % m]]).collect();
-    // Any direction would do for the power; a stout ridge keeps lobes in one place from moving far against each other.
+    // A large ridge prevents coincident lobes from changing far in opposite directions.
     let inverse = ridged_inverse(part, m, 1e-3)?;
     let row = |k: usize| (0..m).map(|l| inverse[k * m + l] * own[shining[l]]).sum::<f64>();
     let direction: Vec<f64> = (0..m).map(row).collect();
@@ -234,7 +234,7 @@ mod tests {
 
     fn lobes() -> Vec<FitLobe> {
         let lobe =
-            |axis: [f64; 3], sharpness, grey| FitLobe::new(axis.into(), sharpness, [grey, 2.0 * grey, 0.0]);
+            |axis: [f64; 3], sharpness, gray| FitLobe::new(axis.into(), sharpness, [gray, 2.0 * gray, 0.0]);
         vec![
             lobe([0.0, 1.0, 0.0], 3.0, 1.0),
             lobe([1.0, 0.0, 0.0], 40.0, 4.0),
@@ -278,6 +278,6 @@ mod tests {
         bounds.upper_only = true;
         let mut level = start.clone();
         let reached = levenberg_marquardt(&tiles, &mut level, 30, bounds);
-        assert!(reached < slopes(&tiles, &start).error && level[0].axis[1] >= 0.0);
+        assert!(reached < derivatives(&tiles, &start).error && level[0].axis[1] >= 0.0);
     }
 }

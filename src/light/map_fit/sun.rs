@@ -1,7 +1,7 @@
-//! Suns: a few texels thousands of times brighter than the rest, which would be all that a squared error sees.
+//! Suns: a few texels that are thousands of times brighter than the rest and dominate a squared error.
 //!
-//! A sun is taken out of the map before the fit and gets a sharp lobe of its own with the sun's power, mean direction and
-//! spread; the rest of the map is then fitted as if the sun were not there.
+//! A sun is removed from the map before the fit and gets a sharp lobe with the power, mean direction and spread
+//! of the sun; the rest of the map is then fitted without it.
 
 use glam::{DVec3, Vec3};
 
@@ -11,28 +11,28 @@ use crate::math::sg::sphere_integral;
 
 /// A sun is this many times brighter than the mean of the rest of the map.
 const BRIGHTER_THAN_REST: f64 = 1000.0;
-/// Texels at least this part of the peak belong to the sun.
+/// Texels of at least this fraction of the peak belong to the sun.
 const PART_OF_PEAK: f32 = 0.02;
 /// Texels farther from the peak than this angle, in degrees, do not belong to it.
 const RADIUS_DEGREES: f64 = 8.0;
-/// Suns that are looked for.
+/// Most suns.
 const MOST_SUNS: usize = 4;
 
-/// A sun that was taken out of the map.
+/// A sun that is removed from the map.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Sun {
     /// Its lobe: the sun's power, mean direction and spread.
     pub lobe: LightLobe,
-    /// The map's greatest radiance there.
+    /// The largest radiance of the map there.
     pub peak: Vec3,
-    /// Steradians of the texels that make it up.
+    /// Solid angle of its texels, in steradians.
     pub solid_angle: f64,
-    /// Part of the whole map's luminous power, 0 to 1.
+    /// Fraction of the luminous power of the map, 0 to 1.
     pub power_share: f64,
 }
 
-/// The suns of `map`, brightest first (no more than `most`, with lobes no sharper than `sharpest`), and the map with their
-/// texels darkened to their surroundings.
+/// The suns of `map`, brightest first (no more than `most`, with lobes no sharper than `sharpest`), and the map in which their
+/// texels have the radiance of their surroundings.
 pub fn take_suns(map: &EnvironmentMap, most: usize, sharpest: f64) -> (Vec<Sun>, EnvironmentMap) {
     let (mut suns, mut rest) = (Vec::new(), map.clone());
     let whole = luminous(map.power());
@@ -86,7 +86,7 @@ fn surroundings(map: &EnvironmentMap, texels: &[usize], towards: DVec3) -> (Vec3
     (ring.get(ring.len() / 2).copied().unwrap_or(Vec3::ZERO), ring.len())
 }
 
-/// The lobe whose power, mean direction and spread are those of what `map` has more than `rest` in `texels`.
+/// The lobe with the power, mean direction and spread of the difference of `map` and `rest` in `texels`.
 fn sun_of(
     map: &EnvironmentMap,
     rest: &EnvironmentMap,
@@ -120,8 +120,8 @@ mod tests {
     fn sky(sun: f32) -> EnvironmentMap {
         let towards = Vec3::new(0.48, 0.6, 0.64);
         EnvironmentMap::from_directions(256, 128, |d| {
-            let disc = d.angle_between(towards) < 0.03;
-            if disc { Vec3::new(1.0, 0.9, 0.7) * sun } else { Vec3::new(0.3, 0.5, 0.9) }
+            let disk = d.angle_between(towards) < 0.03;
+            if disk { Vec3::new(1.0, 0.9, 0.7) * sun } else { Vec3::new(0.3, 0.5, 0.9) }
         })
     }
 
@@ -134,7 +134,7 @@ mod tests {
         assert!(sun.lobe.axis.angle_between(Vec3::new(0.48, 0.6, 0.64)) < 0.01);
         let lost = (map.power() - rest.power() - sun.lobe.power()).abs().max_element();
         assert!(lost < 1e-3 * map.power().max_element(), "{lost}");
-        // A disc of radius r has 1 − cos of r²/4 on average.
+        // A disk of radius r has 1 − cos of r²/4 on average.
         assert!((sun.lobe.sharpness / (4.0 / 0.03_f32.powi(2)) - 1.0).abs() < 0.3, "{:?}", sun.lobe);
         assert!(rest.radiance.iter().all(|r| r.max_element() < 1.0));
         assert!(sun.power_share > 0.5 && sun.power_share < 1.0);

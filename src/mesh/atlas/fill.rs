@@ -1,4 +1,4 @@
-//! Filling texels that no view saw, and padding the seams.
+//! Filling of texels that no view sees, and padding of seams.
 
 use crate::mesh::atlas::TexelAtlas;
 use glam::Vec3;
@@ -6,12 +6,12 @@ use glam::Vec3;
 /// Cells along the longest side of the finest grid.
 const FINEST_CELLS: u32 = 128;
 
-/// Gives every texel that is not `known` a value from its nearest known neighbours.
+/// Fills every texel that is not `known` from its nearest known neighbors.
 ///
-/// Covered texels take theirs from what is near in *world space*, across chart borders: known values are averaged in a pyramid of grids
-/// over the object, and each unknown texel reads the finest levels that know anything around it, blending in coarser ones
-/// smoothly (push-pull in three dimensions). Then values grow ring by ring from covered texels across the gutters until the texture is
-/// full, so that bilinear lookups and mipmaps never meet an unset texel. Known texels keep their bits. Non-finite known values count
+/// Covered texels get the values of near texels in *world space*, across chart borders: known values are averaged in a pyramid of grids
+/// over the object, and each unknown texel reads the finest levels with known values around it, with smooth transitions to coarser
+/// levels (push-pull in three dimensions). Then values grow ring by ring from covered texels across the gutters until the texture is
+/// full, so that bilinear lookups and mipmaps never read an unset texel. Known texels keep their bits. Non-finite known values count
 /// as unknown. If nothing is known, nothing changes. Deterministic.
 ///
 /// # Panics
@@ -59,7 +59,7 @@ impl Pyramid {
         if !pyramid.scale.is_finite() {
             pyramid.scale = 0.0;
         }
-        // A grid finer than the texels' spacing would only cost memory: about as many cells along a side as texels.
+        // A grid finer than the spacing of texels only costs memory: use about as many cells per side as texels.
         let wanted = (2 * atlas.width.max(atlas.height) / 3).next_power_of_two().min(FINEST_CELLS);
         let mut sums = pyramid.finest_sums(wanted, atlas, values, sources);
         let mut cells = wanted;
@@ -94,7 +94,7 @@ impl Pyramid {
         sums
     }
 
-    /// Finest first, each level covers what finer ones left open in proportion to the weight that it knows.
+    /// From fine to coarse, each level fills the remaining weight in proportion to its own weight.
     fn sample(&self, position: Vec3) -> Vec3 {
         let unit = (position - self.low) * self.scale;
         let (mut value, mut open) = (Vec3::ZERO, 1.0);
@@ -148,9 +148,9 @@ fn halved(sums: &[(Vec3, f32)], cells: u32) -> Vec<(Vec3, f32)> {
     out
 }
 
-/// Grows values ring by ring: each open texel takes the mean of its filled neighbours of the rings before.
+/// Grows values ring by ring: each empty texel gets the mean of its neighbors from previous rings.
 fn pad_outwards(values: &mut [Vec3], filled: &mut [bool], width: usize, height: usize) {
-    let neighbours = |i: usize| {
+    let neighbors = |i: usize| {
         let (x, y) = (i % width, i / width);
         let rows = y.saturating_sub(1)..(y + 2).min(height);
         rows.flat_map(move |row| {
@@ -158,17 +158,17 @@ fn pad_outwards(values: &mut [Vec3], filled: &mut [bool], width: usize, height: 
         })
     };
     let mut ring: Vec<usize> =
-        (0..values.len()).filter(|&i| !filled[i] && neighbours(i).any(|n| filled[n])).collect();
+        (0..values.len()).filter(|&i| !filled[i] && neighbors(i).any(|n| filled[n])).collect();
     let mut queued = filled.to_vec();
     ring.iter().for_each(|&i| queued[i] = true);
     while !ring.is_empty() {
         let mut next = Vec::new();
         for &i in &ring {
-            let (sum, count) = neighbours(i)
+            let (sum, count) = neighbors(i)
                 .filter(|&n| filled[n])
                 .fold((Vec3::ZERO, 0.0), |(sum, count), n| (sum + values[n], count + 1.0));
             values[i] = sum / count;
-            for n in neighbours(i) {
+            for n in neighbors(i) {
                 if !std::mem::replace(&mut queued[n], true) {
                     next.push(n);
                 }
@@ -186,7 +186,7 @@ mod tests {
     use crate::mesh::primitive::{box_mesh, sphere_mesh};
     use crate::mesh::triangles::Mesh;
 
-    /// Colour as a smooth function of the place.
+    /// Color as a smooth function of the position.
     fn paint(position: Vec3) -> Vec3 {
         Vec3::splat(1.0) + position * 0.5
     }
@@ -197,8 +197,8 @@ mod tests {
         let unwrapped = unwrap_mesh(&Mesh { uvs: None, ..sphere }, 128).unwrap().mesh;
         for mesh in [unwrapped, box_mesh(Vec3::ZERO, Vec3::ONE).unwrap()] {
             let atlas = TexelAtlas::new(&mesh, 128, 128);
-            let colour = |(&covered, &p)| if covered { paint(p) } else { Vec3::ZERO };
-            let mut values: Vec<Vec3> = atlas.covered.iter().zip(&atlas.position).map(colour).collect();
+            let color = |(&covered, &p)| if covered { paint(p) } else { Vec3::ZERO };
+            let mut values: Vec<Vec3> = atlas.covered.iter().zip(&atlas.position).map(color).collect();
             fill_uncovered(&mut values, &atlas.covered.clone(), &atlas);
             let uvs = mesh.uvs.as_ref().unwrap();
             for triangle in &mesh.triangles {
@@ -217,7 +217,7 @@ mod tests {
     }
 
     #[test]
-    fn unseen_texels_follow_their_neighbours_in_space() {
+    fn unseen_texels_follow_their_neighbors_in_space() {
         let sphere = sphere_mesh(Vec3::ZERO, 1.0).unwrap();
         let mesh = unwrap_mesh(&Mesh { uvs: None, ..sphere }, 128).unwrap().mesh;
         let atlas = TexelAtlas::new(&mesh, 128, 128);
@@ -236,7 +236,7 @@ mod tests {
                 assert_eq!(values[i], before[i]);
             } else if atlas.covered[i] {
                 filled += 1;
-                // A blend of the two colours, and the right one just below the border and away from the divide.
+                // A blend of the two colors, and the right one just below the border and away from the divide.
                 let v = values[i];
                 assert!((v.x + v.y - 1.0).abs() < 1e-4 && v.z == 0.0, "{v}");
                 let p = atlas.position[i];

@@ -1,6 +1,6 @@
-//! The texel atlas: where on the surface each texel lies, and how a surface point addresses texels.
+//! The texel atlas: the surface point of each texel, and the texels of a surface point.
 //!
-//! Texel (i, j) has its centre at uv = ((i + ½)/W, (j + ½)/H); lookups are bilinear and clamp at the borders.
+//! Texel (i, j) has its center at uv = ((i + ½)/W, (j + ½)/H); lookups are bilinear and clamp at the borders.
 
 mod fill;
 mod unwrap;
@@ -12,18 +12,18 @@ use crate::math::ray::TexelAddress;
 use crate::mesh::triangles::Mesh;
 use glam::{DVec2, DVec3, Vec2, Vec3};
 
-/// Texels reached from a triangle, in texels from their centre: a bilinear footprint is the square of half-width 1 around a
-/// centre, whose corners are √2 away.
+/// Distance from a triangle, in texels, within which texels are covered: a bilinear footprint is the square of half-width 1 around a
+/// texel center, whose corners are √2 away.
 const REACH: f64 = std::f64::consts::SQRT_2;
 
-/// The surface seen from its texture: one row per texel, `y * width + x`.
+/// The surface in texture space: one row per texel, `y * width + x`.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TexelAtlas {
     /// Width in texels.
     pub width: u32,
     /// Height in texels.
     pub height: u32,
-    /// World position of the surface point nearest to the texel's centre (in texture space); zero where not covered.
+    /// World position of the surface point nearest to the texel's center (in texture space); zero where not covered.
     pub position: Vec<Vec3>,
     /// Unit shading normal there; zero where not covered.
     pub normal: Vec<Vec3>,
@@ -32,9 +32,9 @@ pub struct TexelAtlas {
 }
 
 impl TexelAtlas {
-    /// Rasterises the triangles of `mesh` in texture space; a mesh without texture coordinates covers nothing.
+    /// Rasterizes the triangles of `mesh` in texture space; a mesh without texture coordinates covers nothing.
     ///
-    /// Where several triangles reach a texel, the one nearest to its centre wins, and the first among equals.
+    /// If several triangles reach a texel, the one nearest to its center is used; of equal ones, the first.
     pub fn new(mesh: &Mesh, width: u32, height: u32) -> Self {
         let count = width as usize * height as usize;
         let mut atlas = Self {
@@ -63,14 +63,14 @@ impl TexelAtlas {
         atlas
     }
 
-    /// Part of all texels that is covered, in `[0, 1]`.
+    /// Fraction of all texels that is covered, in `[0, 1]`.
     pub fn utilization(&self) -> f32 {
         let covered = self.covered.iter().filter(|&&covered| covered).count();
         covered as f32 / self.covered.len().max(1) as f32
     }
 }
 
-/// The four texels blended at `uv` in a texture of `width` × `height` texels (both at least 1), clamped at the borders.
+/// The four texels that are interpolated at `uv` in a texture of `width` × `height` texels (both at least 1), clamped at the borders.
 #[inline]
 pub fn address(uv: Vec2, width: u32, height: u32) -> TexelAddress {
     let axis = |coordinate: f32, size: u32| {
@@ -87,7 +87,7 @@ pub fn address(uv: Vec2, width: u32, height: u32) -> TexelAddress {
     }
 }
 
-/// The triangle in units of texels, texel centres at whole numbers; `None` if it is not finite.
+/// The triangle in units of texels, texel centers at whole numbers; `None` if it is not finite.
 fn texture_corners(mesh: &Mesh, triangle: &[u32; 3], size: DVec2) -> Option<[DVec2; 3]> {
     let uvs = mesh.uvs.as_ref()?;
     let corners = triangle.map(|vertex| uvs[vertex as usize].as_dvec2() * size - 0.5);
@@ -147,14 +147,14 @@ mod tests {
     use crate::mesh::primitive::{box_mesh, sphere_mesh};
 
     #[test]
-    fn addresses_blend_texel_centres() {
-        // At a centre, that texel alone.
+    fn addresses_blend_texel_centers() {
+        // At a center, that texel alone.
         let exact = address(Vec2::new(2.5 / 4.0, 1.5 / 3.0), 4, 3);
         let weight_of = |a: &TexelAddress, texel| -> f32 {
             (0..4).filter(|&i| a.indices[i] == texel).map(|i| a.weights[i]).sum()
         };
         assert!((weight_of(&exact, 6) - 1.0).abs() < 1e-6);
-        // A quarter of the way to the right neighbour.
+        // A quarter of the way to the right neighbor.
         let between = address(Vec2::new(2.75 / 4.0, 1.5 / 3.0), 4, 3);
         assert!((weight_of(&between, 6) - 0.75).abs() < 1e-6 && (weight_of(&between, 7) - 0.25).abs() < 1e-6);
         // Corners clamp.

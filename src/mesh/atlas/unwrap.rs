@@ -8,13 +8,13 @@ use uvunwrap::{Density, MeshInput, Options, Packing};
 
 /// Empty texels around each chart, so that charts are at least twice as far apart.
 const PADDING: u32 = 2;
-/// Existing coordinates may overlap on this part of the covered texels.
+/// Largest fraction of the covered texels on which existing coordinates may overlap.
 const MAX_OVERLAP: f64 = 0.01;
-/// And this part of the surface's area may have no area in the texture.
+/// Largest fraction of the surface area that may have no area in the texture.
 const MAX_COLLAPSED: f64 = 0.01;
-/// Overlap is counted on a grid at least this fine, since small triangles pass between coarse texel centres.
+/// Overlap is measured on a grid at least this fine, since small triangles miss the centers of coarse texels.
 const OVERLAP_GRID: u32 = 1024;
-/// Texture coordinates may pass the unit square by this much (rounding).
+/// Texture coordinates may exceed the unit square by this much (rounding).
 const SLACK: f32 = 1e-4;
 
 /// A mesh with usable texture coordinates, from [`unwrap_mesh`].
@@ -22,16 +22,16 @@ const SLACK: f32 = 1e-4;
 pub struct UnwrappedMesh {
     /// The mesh; same triangles in the same order, vertices on seams duplicated.
     pub mesh: Mesh,
-    /// Number of charts if it was unwrapped anew; `None` if its own coordinates were kept.
+    /// Number of charts if it was unwrapped; `None` if its own coordinates were kept.
     pub charts: Option<u32>,
-    /// Why existing coordinates were not kept, in words.
+    /// The reason why existing coordinates were not kept.
     pub note: Option<String>,
 }
 
 /// Gives `mesh` texture coordinates whose charts do not overlap, packed for a texture of `texture_size`² texels.
 ///
-/// Coordinates that the mesh has are kept (clamped to `[0, 1]`) if they lie in the unit square and hardly overlap; else it is unwrapped
-/// anew and a note says why.
+/// Coordinates that the mesh has are kept (clamped to `[0, 1]`) if they are in the unit square and hardly overlap; otherwise it is
+/// unwrapped, and a note says why.
 ///
 /// # Errors
 /// [`Error::Run`] if the mesh cannot be unwrapped or its charts do not fit the texture.
@@ -50,7 +50,7 @@ pub fn unwrap_mesh(mesh: &Mesh, texture_size: u32) -> Result<UnwrappedMesh> {
     }
 }
 
-/// Why these texture coordinates cannot address one texel per surface point, if so.
+/// The reason why these texture coordinates do not have one texel per surface point, if there is one.
 fn fault(mesh: &Mesh, uvs: &[Vec2], texture_size: u32) -> Option<String> {
     let used = || mesh.triangles.iter().flatten().map(|&vertex| uvs[vertex as usize]);
     let inside = |uv: Vec2| uv.min_element() >= -SLACK && uv.max_element() <= 1.0 + SLACK;
@@ -66,7 +66,7 @@ fn fault(mesh: &Mesh, uvs: &[Vec2], texture_size: u32) -> Option<String> {
         .then(|| format!("they overlap on {:.0} % of the texture they use", 100.0 * overlap))
 }
 
-/// Part of the surface's area in triangles without area in the texture.
+/// Fraction of the surface area in triangles without area in the texture.
 fn collapsed_part(mesh: &Mesh, uvs: &[Vec2]) -> f64 {
     let (mut collapsed, mut total) = (0.0, 0.0);
     for (t, triangle) in mesh.triangles.iter().enumerate() {
@@ -81,7 +81,7 @@ fn collapsed_part(mesh: &Mesh, uvs: &[Vec2]) -> f64 {
     if total > 0.0 { collapsed / total } else { 0.0 }
 }
 
-/// Part of the grid's covered points that lie strictly inside more than one triangle.
+/// Fraction of the covered grid points that are strictly inside more than one triangle.
 fn overlapping_part(mesh: &Mesh, grid: u32) -> f64 {
     let mut counts = vec![0u8; grid as usize * grid as usize];
     for triangle in &mesh.triangles {
@@ -120,7 +120,7 @@ fn unwrap_anew(mesh: &Mesh, texture_size: u32, note: Option<String>) -> Result<U
         let problem = format!("{charts} charts do not fit {texture_size}² texels; use a larger texture");
         return Err(Error::run(context(), problem));
     }
-    // The page is cropped to what is used; the texture stays square.
+    // The page is cropped to the used part; the texture stays square.
     let scale = Vec2::new(atlas.width as f32, atlas.height as f32) / texture_size as f32;
     let output = &atlas.meshes[0];
     let source = |v: &uvunwrap::OutputVertex| v.xref as usize;

@@ -1,18 +1,18 @@
-//! The unbiased path tracer: ground truth inside the project, and the final-quality renderer.
+//! The unbiased path tracer: the reference for closed forms, and the renderer for final quality.
 //!
-//! At every vertex of a path one direction is drawn from the light (next event estimation, with a shadow ray) and one
-//! from the BRDF, which is also the way the path goes on; what both can find is weighted by the power heuristic. Nothing
-//! is clamped. The BRDF is the PhySG supplement's, with GGX itself for the NDF where a
-//! material says so, and not the SGs that closed forms put in its place. It is not energy limited: with high albedo and grazing angles a
-//! vertex can return more light than it got, and a long path in a concave object may then grow.
+//! At every vertex of a path one direction is sampled from the light (next event estimation, with a shadow ray) and one
+//! from the BRDF, in which the path continues; multiple importance sampling weights both by the power heuristic. Nothing
+//! is clamped. The BRDF is that of PhySG supp. eqs. 1–7; for materials with GGX, D is GGX itself, not the
+//! SGs that closed forms use for it. The BRDF does not conserve energy: with high albedo and at grazing angles a
+//! vertex can reflect more light than it receives, and the throughput of a long path in a concave object may then grow.
 //!
 //! | parameter | type | unit | default | meaning |
 //! | --- | --- | --- | --- | --- |
 //! | `max_bounces` | `u32` | scattering events | 6 | 1 is direct light only, 0 is black |
 //! | `seed` | `u64` | – | 0 | changes every random number |
-//! | `roulette_after` | `u32` | scattering events | 3 | paths this long may end by Russian roulette |
-//! | `ray_offset` | `f32` | radii of the scene | 2e-5 | start of a ray off the surface, along the geometric normal |
-//! | `strategy` | [`Strategy`] | – | `Combined` | other than for checks, leave it |
+//! | `roulette_after` | `u32` | scattering events | 3 | Russian roulette applies to paths of at least this length |
+//! | `ray_offset` | `f32` | radii of the scene | 2e-5 | offset of the ray origin from the surface, along the geometric normal |
+//! | `strategy` | [`Strategy`] | – | `Combined` | sampling strategy; the others are for tests |
 
 use crate::material::shown::{ShownAlbedo, ShownBlend};
 use crate::material::{MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
@@ -22,33 +22,33 @@ use crate::shade::sampling::{SampleReal, Scattered, Scatterer, Strategy};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-/// What is rendered.
+/// The scene that is rendered.
 #[derive(Clone, Copy)]
 pub struct PathScene<'a> {
     /// The surface.
     pub surface: &'a dyn Intersect,
     /// The distant light.
     pub light: &'a dyn Illuminate,
-    /// Diffuse albedo of every texel that the surface's hits address, linear RGB in `[0, 1]`.
+    /// Diffuse albedo of every texel of the surface, linear RGB in `[0, 1]`.
     pub albedo: &'a [ShownAlbedo],
     /// Blend weights of the base materials at every texel; empty if all of the surface is material 0.
     pub blends: &'a [ShownBlend],
-    /// Base materials by number; where there is none the surface is diffuse.
+    /// Base materials by number; `None` has no specular light.
     pub specular: &'a [Option<SpecularLobe>],
 }
 
-/// How it is rendered; see the table at the head of this file.
+/// Settings of the path tracer; see the table at the top of this module.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PathSettings {
-    /// Scattering events on a path at most; 1 is direct light only.
+    /// Most scattering events of a path; 1 is direct light only.
     pub max_bounces: u32,
     /// Seed of every random number.
     pub seed: u64,
     /// Scattering events before Russian roulette may end a path.
     pub roulette_after: u32,
-    /// Distance by which a ray starts off the surface, in radii of the scene.
+    /// Offset of the ray origin from the surface, in radii of the scene.
     pub ray_offset: f32,
-    /// How light is looked for.
+    /// The sampling strategy.
     pub strategy: Strategy,
 }
 
@@ -65,7 +65,7 @@ pub struct PathPoint {
     pub position: Vec3,
     /// Unit shading normal.
     pub normal: Vec3,
-    /// Unit normal of the geometry, same side as `normal`.
+    /// Unit geometric normal, same side as `normal`.
     pub geometric_normal: Vec3,
     /// Diffuse albedo, linear RGB in `[0, 1]`.
     pub albedo: Vec3,
@@ -74,7 +74,7 @@ pub struct PathPoint {
 }
 
 impl PathPoint {
-    /// The point that a ray met, its material blended from the texel pool.
+    /// The point of a hit, with its material interpolated from the texels.
     pub fn from_hit(hit: &Hit, scene: &PathScene) -> Self {
         let TexelAddress { indices, weights } = hit.texels;
         let blend = match scene.blends {
@@ -93,28 +93,28 @@ impl PathPoint {
     }
 }
 
-/// A surface point, who looks at it, and which random numbers it gets.
+/// A surface point, the direction to its viewer, and its random numbers.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PathQuery {
     /// The point.
     pub point: PathPoint,
     /// Unit direction from the point to the viewer.
     pub to_viewer: Vec3,
-    /// Names an independent stream of random numbers, e.g. the pixel's index over all views.
+    /// Index of an independent stream of random numbers, e.g. the index of the pixel over all views.
     pub stream: u64,
-    /// Index of the first sample in its stream: a pixel seen through several points (for anti-aliasing) gives all of them
-    /// one stream and successive indices, and its samples stay well spread together.
+    /// Index of the first sample in its stream: the points of one pixel (for antialiasing) have
+    /// one stream and successive indices, so that its samples are well distributed together.
     pub first_sample: u32,
 }
 
 /// Outgoing radiance at a point, as a mean over samples.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PathEstimate {
-    /// Radiance of paths that the diffuse term scattered last before the viewer (later bounces included), linear RGB.
+    /// Radiance of paths whose vertex next to the viewer scatters by the diffuse term (all bounces included), linear RGB.
     pub diffuse: Vec3,
     /// The same for the specular term; the pixel is the sum of the two.
     pub specular: Vec3,
-    /// Variance of `diffuse` (of the mean), as if samples were independent; they are stratified, so the true one is
+    /// Variance of `diffuse` (of the mean), as if samples were independent; they are stratified, so the true variance is
     /// lower. Zero, meaning unknown, with one sample.
     pub diffuse_variance: Vec3,
     /// The same for `specular`.
@@ -123,13 +123,13 @@ pub struct PathEstimate {
     pub samples: u32,
     /// Rays cast, of both kinds.
     pub rays: u32,
-    /// Samples that were not finite and counted as zero: expected to be 0, so worth reporting if not.
+    /// Samples that are not finite and count as zero; a number above 0 indicates an error.
     pub rejected: u32,
 }
 
-/// Outgoing radiance at `query`'s point towards its viewer, from `samples` paths.
+/// Outgoing radiance at the point of `query` toward its viewer, from `samples` paths.
 ///
-/// Zero if the viewer is not above the shading normal's horizon. The result depends on the arguments alone.
+/// Zero if the viewer is below the horizon of the shading normal. The result depends on the arguments only.
 pub fn shade_point(
     scene: &PathScene,
     settings: &PathSettings,
@@ -153,9 +153,9 @@ pub fn shade_point(
     estimate
 }
 
-/// [`shade_point`] for every query, in parallel; `out` is as long as `queries` (the excess of either is left alone).
+/// [`shade_point`] for every query, in parallel; `out` is as long as `queries` (excess entries of either are ignored).
 ///
-/// Each result depends on its own query alone, so neither threads nor the way that queries are split change a bit.
+/// Each result depends on its own query only, so that it is independent of threads and of the partition of queries.
 pub fn shade_points(
     scene: &PathScene,
     settings: &PathSettings,
@@ -171,10 +171,10 @@ pub fn shade_points(
     });
 }
 
-/// Points a thread takes at a time.
+/// Points that a thread processes at a time.
 const CHUNK: usize = 16;
 
-/// A colour in two parts: first scattered by the diffuse term, and by the specular term.
+/// A color in two parts: scattered by the diffuse term, and by the specular term, at the first vertex.
 #[derive(Clone, Copy, Debug, Default)]
 struct Split {
     diffuse: Vec3,
@@ -231,7 +231,7 @@ const DRAW_BRDF: u32 = 1;
 const ROULETTE: u32 = 2;
 const PICK_MATERIAL: u32 = 3;
 
-/// One path on its way.
+/// The state of one path.
 struct Path<'a> {
     scene: &'a PathScene<'a>,
     settings: &'a PathSettings,
@@ -241,11 +241,11 @@ struct Path<'a> {
 }
 
 impl Path<'_> {
-    /// Follows the path from the viewer's point until it leaves, is absorbed, or is long enough.
+    /// Traces the path from the viewer's point until it leaves the scene, is absorbed, or has the maximum length.
     fn walk(&mut self, query: &PathQuery) {
         let mut point = query.point;
         let mut to_viewer = query.to_viewer;
-        // Light arriving here times this is light at the viewer; None until the first scattering splits it in two.
+        // Throughput to the viewer; `None` until the first scattering event splits it in two parts.
         let mut carried: Option<Split> = None;
         for depth in 1..=self.settings.max_bounces {
             let vertex = Vertex { point, carried, depth };
@@ -266,13 +266,13 @@ impl Path<'_> {
         Scatterer::new(point.normal.to_array(), to_viewer.to_array(), point.albedo.to_array(), specular)
     }
 
-    /// One of the blended materials, as often as its weight says: on average, that is the blend. None as often as they fall short of one.
+    /// Samples one of the blended materials with a probability equal to its weight, so that the expected value is the blend. The remaining probability selects no material.
     fn pick_material(&self, point: &PathPoint, depth: u32) -> usize {
         if self.scene.specular.len() < 2 && self.scene.blends.is_empty() {
             return 0;
         }
         let sum: f32 = point.blend.iter().sum();
-        // A sum that is one but for rounding is one.
+        // A sum that is one up to rounding counts as one.
         let whole = if sum > 1.0 - 1e-4 { sum } else { 1.0 };
         let mut rest = self.uniforms(depth, PICK_MATERIAL)[0] * whole;
         for (k, weight) in point.blend.iter().enumerate().take(self.scene.specular.len()) {
@@ -284,7 +284,7 @@ impl Path<'_> {
         if whole == sum { 0 } else { usize::MAX }
     }
 
-    /// Next event estimation: a direction from the light, weighted against the BRDF's chance of finding it.
+    /// Next event estimation: a direction sampled from the light, weighted by multiple importance sampling.
     fn find_light(&mut self, vertex: &Vertex, scatterer: &Scatterer<f32>) {
         let strategy = self.settings.strategy;
         if strategy == Strategy::BrdfOnly {
@@ -307,7 +307,7 @@ impl Path<'_> {
         }
     }
 
-    /// A direction from the BRDF: what light it finds, and what surface it meets if the path may go on.
+    /// A direction sampled from the BRDF: adds its light, and returns the next vertex if the path may continue.
     fn follow_brdf(&mut self, vertex: &Vertex, scatterer: &Scatterer<f32>) -> Option<(Vec3, Onward)> {
         let last = vertex.depth == self.settings.max_bounces;
         if last && self.settings.strategy == Strategy::LightOnly {
@@ -323,7 +323,7 @@ impl Path<'_> {
         let ray = self.ray_from(&vertex.point, direction);
         self.rays += 1;
         if last {
-            // The path ends here: whether anything is in the way is enough.
+            // The path ends here: an occlusion test is enough.
             if !self.scene.surface.occluded(&ray, 0.0, f32::INFINITY) {
                 self.add_background(direction, scattered.pdf, carried);
             }
@@ -336,7 +336,7 @@ impl Path<'_> {
         Some((direction, Onward { hit, carried }))
     }
 
-    /// Light that a direction drawn from the BRDF found.
+    /// Adds the light of a direction that is sampled from the BRDF.
     fn add_background(&mut self, direction: Vec3, pdf: f32, carried: Split) {
         let strategy = self.settings.strategy;
         let light_pdf = if strategy == Strategy::Combined { self.scene.light.pdf(direction) } else { 0.0 };
@@ -346,7 +346,7 @@ impl Path<'_> {
         }
     }
 
-    /// Ends dim paths at random and makes up for it in the rest.
+    /// Russian roulette: ends paths of low throughput at random and increases the weight of the others.
     fn roulette(&self, depth: u32, carried: Split) -> Option<Split> {
         if depth < self.settings.roulette_after {
             return Some(carried);
@@ -364,9 +364,9 @@ impl Path<'_> {
         self.sequence.group(depth * DECISIONS + decision)
     }
 
-    /// A ray that starts just off the surface, on the side of the geometry that it leaves to.
+    /// A ray with its origin offset from the surface, to the side of its direction.
     fn ray_from(&self, point: &PathPoint, direction: Vec3) -> Ray {
-        // Far from the origin positions are rounded more coarsely than the offset.
+        // Far from the world origin, rounding of positions may exceed the offset.
         let offset = (self.settings.ray_offset * self.scene.surface.radius())
             .max(point.position.abs().max_element() * 1e-6);
         let side = if direction.dot(point.geometric_normal) < 0.0 { -offset } else { offset };
@@ -374,7 +374,7 @@ impl Path<'_> {
     }
 }
 
-/// A place where the path scatters.
+/// A vertex of the path.
 struct Vertex {
     point: PathPoint,
     carried: Option<Split>,
@@ -382,7 +382,7 @@ struct Vertex {
 }
 
 impl Vertex {
-    /// What light arriving with BRDF times cosine `scattered` is worth at the viewer.
+    /// The throughput to the viewer after scattering with BRDF times cosine `scattered`.
     #[inline]
     fn carry(&self, scattered: &Scattered<f32>) -> Split {
         let (diffuse, specular) = (Vec3::from(scattered.diffuse), Vec3::from(scattered.specular));
@@ -393,7 +393,7 @@ impl Vertex {
     }
 }
 
-/// Where the path goes next.
+/// The next segment of the path.
 struct Onward {
     hit: Option<Hit>,
     carried: Split,

@@ -36,7 +36,7 @@ impl Intersect for Empty {
     }
 }
 
-/// A sphere, or the part of its wall below `brim` (a height over the centre in radii; 1 for all of it), with one texel.
+/// A sphere, or the part of its wall below `brim` (a height over the center in radii; 1 for all of it), with one texel.
 struct Shell {
     center: Vec3,
     radius: f32,
@@ -102,7 +102,7 @@ fn assert_close((mean, stderr): (f64, f64), expected: f64, what: &str) {
     assert!(stderr < 0.05 * expected.max(1e-3), "{what}: {stderr} is too noisy to tell");
 }
 
-const GREY_GLOSS: [SpecularLobe; 1] = [SpecularLobe::new(Vec3::splat(0.3), 0.4)];
+const GRAY_SPECULAR: [SpecularLobe; 1] = [SpecularLobe::new(Vec3::splat(0.3), 0.4)];
 
 /// ∫ f_s (n·ωi) dωi over the hemisphere for a specular albedo, in f64 by the midpoint rule.
 fn specular_integral(slant: f64, facets: Facets<f64>, albedo: f64) -> f64 {
@@ -182,7 +182,7 @@ fn the_inside_of_a_closed_shell_is_black() {
         light: &light,
         albedo: &[ShownAlbedo(Vec3::splat(0.5))],
         blends: &[],
-        specular: &GREY_GLOSS.map(Some),
+        specular: &GRAY_SPECULAR.map(Some),
     };
     let query = query(-Vec3::Z, Vec3::Z, Vec3::new(1.0, 0.0, 1.0), Vec3::splat(0.5));
     let found = estimate(&scene, &PathSettings::default(), &query, 64);
@@ -242,7 +242,7 @@ fn every_strategy_has_the_same_mean() {
         light: &light,
         albedo: &texels,
         blends: &[],
-        specular: &GREY_GLOSS.map(Some),
+        specular: &GRAY_SPECULAR.map(Some),
     };
     let query = query(-Vec3::Z, Vec3::Z, Vec3::new(-0.5, 0.2, 0.7), texels[0].0);
     let both = PathSettings { max_bounces: 4, ..Default::default() };
@@ -270,7 +270,7 @@ fn reported_variance_is_conservative() {
         light: &light,
         albedo: &[],
         blends: &[],
-        specular: &GREY_GLOSS.map(Some),
+        specular: &GRAY_SPECULAR.map(Some),
     };
     let query = query(Vec3::ZERO, Vec3::Z, Vec3::new(0.0, -0.6, 0.8), Vec3::splat(0.5));
     let settings = PathSettings::default();
@@ -291,7 +291,7 @@ fn results_depend_on_the_query_alone() {
         light: &light,
         albedo: &texels,
         blends: &[],
-        specular: &GREY_GLOSS.map(Some),
+        specular: &GRAY_SPECULAR.map(Some),
     };
     let settings = PathSettings { seed: 9, ..Default::default() };
     let base = query(-Vec3::Z, Vec3::Z, Vec3::new(0.1, 0.2, 0.7), texels[0].0);
@@ -318,7 +318,7 @@ fn what_cannot_be_shaded_is_black_and_counted() {
         light: &light,
         albedo: &[],
         blends: &[],
-        specular: &GREY_GLOSS.map(Some),
+        specular: &GRAY_SPECULAR.map(Some),
     };
     let settings = PathSettings::default();
     let behind = query(Vec3::ZERO, Vec3::Z, Vec3::new(0.5, 0.0, -0.5), Vec3::ONE);

@@ -1,18 +1,18 @@
-//! Directions for one SG light on one point, however far apart light, horizon and mirror lobe are.
+//! Sampling of directions for one SG light at one point, robust for any position of light, horizon and mirror lobe.
 //!
-//! A light below the horizon, or a sharp one far from a sharp mirror lobe, sends a point only the far tails of both; no
-//! draw from either alone ever lands where the product is largest. Here the hemisphere is cut into cells, finer where
-//! the product is larger, and directions are drawn from the cells. Logarithms throughout: tails of 1e-160 are as good as
-//! bright light. Whatever the cells look like the draws have an exact density, so estimates stay unbiased.
+//! For a light below the horizon, or a sharp one far from a sharp mirror lobe, only the far tails of both contribute; samples
+//! of either alone practically never fall where the product is largest. Here the hemisphere is divided into cells, finer where
+//! the product is larger, and directions are sampled from the cells. Logarithms keep tails as low as 1e-160 accurate. The density
+//! of samples is exact for any cells, so estimates are unbiased.
 
 use crate::math::brdf::ndf_sharpness;
 use crate::math::real::{dot, sub};
 use crate::shade::sampling::Frame;
 use std::f64::consts::PI;
 
-/// Cells at the start, along the cosine and around the normal.
+/// Initial cells, along the cosine and around the normal.
 const FIRST_CELLS: [usize; 2] = [8, 16];
-/// Cells cut in four, one after the other.
+/// Subdivisions of a cell into four, one after the other.
 const CUTS: usize = 400;
 /// Probes along each side of a cell.
 const PROBES: usize = 3;
@@ -20,14 +20,14 @@ const PROBES: usize = 3;
 /// The four quarters of a cell, in the order in which they are kept.
 const CORNERS: [[f64; 2]; 4] = [[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]];
 
-/// A part of the hemisphere: `low` and `size` of (cosine, turn), both in `[0, 1]`; equal areas have equal solid angles.
+/// A part of the hemisphere: `low` and `size` of (cosine, turn), both in `[0, 1]`; equal areas are equal solid angles.
 #[derive(Clone, Copy, Debug)]
 struct Cell {
     low: [f64; 2],
     size: [f64; 2],
-    /// ln of the estimated integral over the cell, up to a constant common to all cells; −∞ once it is cut.
+    /// ln of the estimated integral over the cell, up to a constant common to all cells; −∞ once it is subdivided.
     log_mass: f64,
-    /// The first of its four parts, which follow one another; 0 for a cell that is whole.
+    /// Index of the first of its four parts, which are consecutive; 0 for a cell that is not subdivided.
     parts: usize,
 }
 
@@ -36,7 +36,7 @@ struct Cell {
 pub struct LobeTable {
     frame: Frame<f64>,
     cells: Vec<Cell>,
-    /// Chance of each cell and of all before it; the last is 1.
+    /// Cumulative probability of the cells; the last is 1.
     cumulative: Vec<f64>,
 }
 
@@ -101,7 +101,7 @@ impl LobeTable {
         (self.cumulative[i] - before) / (2.0 * PI * cell.size[0] * cell.size[1])
     }
 
-    /// The whole cell around a place with both coordinates in `[0, 1]`.
+    /// The undivided cell that contains a position with both coordinates in `[0, 1]`.
     fn cell_at(&self, at: [f64; 2]) -> usize {
         let [row, column] =
             [0, 1].map(|k| ((at[k] * FIRST_CELLS[k] as f64) as usize).min(FIRST_CELLS[k] - 1));
@@ -123,7 +123,7 @@ fn direction_in(frame: &Frame<f64>, cell: &Cell, u: [f64; 2]) -> [f64; 3] {
     frame.world(sine * c, sine * s, cosine)
 }
 
-/// ln of a cell's mass, half from the mean of the probes and half from the largest, which the mean may have missed.
+/// ln of a cell's mass, half from the mean of the probes and half from the largest, as the mean may underestimate a peak.
 fn log_mass(frame: &Frame<f64>, cell: &Cell, log_product: &impl Fn([f64; 3]) -> f64) -> f64 {
     let mut logs = [0.0; PROBES * PROBES];
     for (i, log) in logs.iter_mut().enumerate() {
@@ -154,7 +154,7 @@ mod tests {
     use super::*;
     use crate::shade::sampling::sequence::Sequence;
 
-    /// Draws have the density that `pdf` says: each draw's own cell is found, and means of cos agree.
+    /// Samples have the density of `pdf`: the cell of each sample is found, and means of the cosine agree.
     #[test]
     fn draws_follow_their_density() {
         let normal = [0.36, -0.48, 0.8];

@@ -1,6 +1,6 @@
-//! What a path draws at random: scattered directions, SG light, and how the two are combined.
+//! Sampling for paths: scattered directions, SG light, and the combination of both.
 //!
-//! Generic over the float, so that the path tracer runs in `f32` and tables are checked in `f64` with the same code.
+//! Generic over the float, so that the path tracer runs in `f32` and tests run in `f64` with the same code.
 
 pub mod lobe_table;
 pub mod sequence;
@@ -13,7 +13,7 @@ use crate::math::sg;
 use glam::Vec3;
 use std::f64::consts::PI;
 
-/// A scalar that directions can be drawn with.
+/// A scalar type for sampling of directions.
 pub trait SampleReal: Real + PartialOrd {
     /// A number in `[0, 1)` from a 32-bit fixed-point fraction.
     fn from_bits(bits: u32) -> Self;
@@ -92,14 +92,14 @@ impl<F: SampleReal> Frame<F> {
         }
     }
 
-    /// The world vector with these local coordinates.
+    /// The world-space vector with these local coordinates.
     #[inline]
     pub fn world(&self, x: F, y: F, z: F) -> Vec3Of<F> {
         add(add(scale(self.tangent, x), scale(self.bitangent, y)), scale(self.normal, z))
     }
 }
 
-/// The least sharpness that sampling tells from a uniform sphere.
+/// Least sharpness; below it, sampling is practically uniform over the sphere.
 const LEAST_SHARPNESS: f64 = 1e-6;
 
 /// Density per steradian at `direction` of directions distributed as the SG around `axis`, over the whole sphere.
@@ -135,7 +135,7 @@ fn sample_ggx<F: SampleReal>(frame: &Frame<F>, roughness: F, u: [F; 2]) -> Vec3O
     frame.world(sine * c, sine * s, cosine)
 }
 
-/// What a point does with light from one direction: BRDF times cosine, in its two parts, and how likely the direction was.
+/// Scattering at a point for light from one direction: BRDF times cosine, in two parts, and the density of the direction.
 #[derive(Clone, Copy, Debug)]
 pub struct Scattered<F> {
     /// a/π · (n·ωi), per channel.
@@ -146,7 +146,7 @@ pub struct Scattered<F> {
     pub pdf: F,
 }
 
-/// A surface point seen from one side: evaluates its BRDF and draws directions from it.
+/// A surface point seen from one side: evaluates and samples its BRDF.
 ///
 /// The density is a mixture of the cosine around the normal and of mirror directions at microfacet normals drawn
 /// exactly from the NDF's SG, for which f_s (n·ωi)/pdf = F·G·(ωo·h)/((n·ωo)·chance) is bounded. From GGX they are drawn in
@@ -158,14 +158,14 @@ pub struct Scatterer<F> {
     albedo: Vec3Of<F>,
     specular_albedo: Vec3Of<F>,
     facets: Facets<F>,
-    /// Chance of drawing from the specular part; zero if there is none.
+    /// Probability of sampling the specular part; zero if there is none.
     specular_chance: F,
 }
 
 impl<F: SampleReal> Scatterer<F> {
     /// A point with a unit shading `normal`, seen along the unit direction `to_viewer`; `specular` is (albedo, microfacets).
     ///
-    /// None if the viewer is not above the shading normal's horizon: the point then scatters nothing.
+    /// `None` if the viewer is below the horizon of the shading normal, where the point scatters no light.
     #[inline]
     pub fn new(
         normal: Vec3Of<F>,
@@ -239,7 +239,7 @@ impl<F: SampleReal> Scatterer<F> {
         }
     }
 
-    /// Draws a direction to look for light in; None if the draw fell below the horizon (a valid sample of value zero).
+    /// Samples a direction; `None` if it is below the horizon (a valid sample of value zero).
     #[inline]
     pub fn sample(&self, u: [F; 3]) -> Option<Vec3Of<F>> {
         let direction = if u[0] < self.specular_chance {
@@ -259,7 +259,7 @@ impl<F: SampleReal> Scatterer<F> {
     }
 }
 
-/// Which of the two ways of finding light a renderer uses; all three have the same mean.
+/// Sampling strategy for incident light; all three have the same expected value.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Strategy {
     /// Both, weighted by the power heuristic (Veach and Guibas 1995): for rendering.
@@ -293,7 +293,7 @@ impl Strategy {
     }
 }
 
-/// own²/(own² + other²), by the ratio so that no square overflows; `own` > 0.
+/// own²/(own² + other²), computed from the ratio so that no square overflows; `own` > 0.
 #[inline]
 fn power_heuristic<F: SampleReal>(own: F, other: F) -> F {
     if other > own {
@@ -305,7 +305,7 @@ fn power_heuristic<F: SampleReal>(own: F, other: F) -> F {
     }
 }
 
-/// One SG as the only light, drawn exactly.
+/// One SG as the only light, with exact sampling.
 #[derive(Clone, Copy, Debug)]
 pub struct SingleLobe {
     lobe: LightLobe,

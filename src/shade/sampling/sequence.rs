@@ -3,7 +3,7 @@
 //! Every random decision of a path draws one *group* of three numbers. Within a group the points of a pixel's
 //! samples are a Sobol' net; different groups and different pixels are shuffled and scrambled independently by
 //! hashes ("padding"), after Burley, "Practical Hash-based Owen Scrambling", JCGT 9(4), 2020, with Vegdahl's
-//! hash. The numbers depend on (seed, stream, sample, group) alone: never on threads or on call order.
+//! hash. The numbers depend on (seed, stream, sample, group) only, not on threads or call order.
 
 /// Direction numbers of the first three Sobol' dimensions (Joe and Kuo's `new-joe-kuo-6`).
 const DIRECTIONS: [[u32; 32]; 3] =
@@ -60,7 +60,7 @@ fn owen_scramble(x: u32, seed: u32) -> u32 {
     x.reverse_bits()
 }
 
-/// A well-mixed 64-bit hash of two words (the finaliser of SplitMix64).
+/// A well-mixed 64-bit hash of two words (the finalizer of SplitMix64).
 #[inline]
 pub fn hash(a: u64, b: u64) -> u64 {
     let mut z = a.wrapping_add(b.wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15));

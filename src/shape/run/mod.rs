@@ -1,4 +1,4 @@
-//! Fitting a shape: from the visual hull through levels of finer grids, each a fit of its own.
+//! Fit of a shape: starts from the visual hull and runs one fit per level, on finer and finer grids.
 
 use crate::error::Result;
 use crate::fit::cameras::{
@@ -19,10 +19,10 @@ use crate::shape::field::{
 use crate::shape::hull::{FORGIVEN, visual_hull};
 use crate::shape::repair::{believed_pixels, regrow};
 use crate::shape::silhouette::{Silhouette, pixel_size};
-use crate::shape::silhouette_loss::{OutlineIndex, SilhouetteSample};
+use crate::shape::silhouette_loss::{SilhouetteIndex, SilhouetteSample};
 use crate::shape::systems::{
-    ShapeSchedule, align_outlines, hand_out_to_bricks, move_bricks, pull_back_silhouettes,
-    pull_back_to_field, recast_outlines, retrace_window,
+    ShapeSchedule, align_silhouettes, hand_out_to_bricks, move_bricks, pull_back_silhouettes,
+    pull_back_to_field, recast_silhouettes, retrace_window,
 };
 use crate::view::{ByView, Camera, Photograph, Split, ViewIndex, ViewMask, ViewName};
 use bevy_ecs::prelude::{Component, Entity, IntoScheduleConfigs, With, World};
@@ -32,19 +32,19 @@ use rand::{SeedableRng, rngs::SmallRng};
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
-/// Pixels from an outline within which silhouette rays are cast.
+/// Distance from a silhouette, in pixels, within which silhouette rays are cast.
 const SILHOUETTE_REACH: f32 = 6.0;
-/// Part of the half side of the grid within which there are texels.
+/// Distance from the surface within which there are texels, relative to the half side of the grid.
 const TEXEL_REACH: f32 = 0.15;
 
 /// One level of a shape's fit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ShapeLevel {
-    /// Cells a side of the grid.
+    /// Cells per side of the grid.
     pub cells: u32,
-    /// Cells a side of the lattice of texels.
+    /// Cells per side of the lattice of texels.
     pub texel_cells: u32,
-    /// How the shape moves.
+    /// Schedule of the optimization.
     pub schedule: ShapeSchedule,
 }
 
@@ -53,13 +53,13 @@ pub struct ShapeLevel {
 pub struct ShapeOptions {
     /// From coarse to fine; at least one.
     pub levels: Vec<ShapeLevel>,
-    /// The fit of light and material beside it; its steps are those of the level.
+    /// Settings of the simultaneous fit of light and material; its steps are those of the level.
     pub fit: FitOptions,
-    /// What of the cameras is found too.
+    /// The camera parameters that are optimized as well.
     pub cameras: CameraUnknowns,
 }
 
-/// The systems that fit a shape; removing it takes them out again.
+/// The systems that fit a shape; removing the plugin removes them.
 pub struct ShapePlugin;
 
 impl Plugin for ShapePlugin {
@@ -75,31 +75,31 @@ impl Plugin for ShapePlugin {
     }
 }
 
-/// The systems that move cameras to where photographs and masks ask for, beside a shape.
+/// The systems that align cameras with photographs and masks, during the fit of a shape.
 struct ShapeCameraPlugin(CameraUnknowns);
 
 impl Plugin for ShapeCameraPlugin {
     fn build(&self, pipeline: &mut Pipeline) {
         pipeline
             .add_plugin(&CameraPlugin(self.0))
-            .swap(Phase::FitStep, Slot::Recast, (recast_rays, recast_outlines))
+            .swap(Phase::FitStep, Slot::Recast, (recast_rays, recast_silhouettes))
             .swap(Phase::FitStep, Slot::Retrace, retrace_window)
-            .swap(Phase::FitStep, Slot::CameraGradient, (align_photographs, align_outlines).chain());
+            .swap(Phase::FitStep, Slot::CameraGradient, (align_photographs, align_silhouettes).chain());
         pipeline.world.resource_mut::<CameraFit>().object_moves = true;
     }
 }
 
-/// What a caller sees of a running fit.
+/// The state of a running fit, for the caller.
 pub struct ShapeProgress<'a> {
     /// Index of the level.
     pub level: usize,
     /// The fit of that level.
     pub fit: &'a FitProgress,
-    /// The field now.
+    /// The current field.
     pub field: &'a SdfField,
 }
 
-/// Fits shape, light and material; leaves the shape's texels in the world as they are on its finest lattice.
+/// Fits shape, light and material; the texels of the finest lattice stay in the world.
 ///
 /// # Errors
 /// If the masks have no hull, or a fit fails.
@@ -187,12 +187,12 @@ fn training_silhouettes(world: &mut World) -> Vec<Silhouette> {
     train.into_iter().filter_map(silhouette).collect()
 }
 
-/// The pixels around the outlines of all training masks that go with the hull, shuffled.
+/// The pixels around the silhouettes of all training masks that are consistent with the hull, shuffled.
 fn silhouette_samples(
     hull: &SdfGrid,
     silhouettes: &[Silhouette],
     seed: u64,
-) -> Vec<(OutlineIndex, SilhouetteSample)> {
+) -> Vec<(SilhouetteIndex, SilhouetteSample)> {
     let mut samples = Vec::new();
     for silhouette in silhouettes {
         let camera = &silhouette.camera;
@@ -202,26 +202,26 @@ fn silhouette_samples(
             (0..believed.len()).filter(|&i| believed[i] && silhouette.distance[i].abs() < SILHOUETTE_REACH);
         samples.extend(near.map(|i| {
             let pixel = PixelOf { view: silhouette.view, pixel: i as u32 };
-            let (outline, outline_slope) = (silhouette.distance[i], silhouette.slope(i));
+            let (distance, distance_gradient) = (silhouette.distance[i], silhouette.slope(i));
             let (ray, coverage) = (camera.pixel_ray(pixel.pixel), silhouette.coverage[i]);
-            SilhouetteSample { pixel, ray, outline, outline_slope, coverage, pixel_size }
+            SilhouetteSample { pixel, ray, distance, distance_gradient, coverage, pixel_size }
         }));
     }
     samples.shuffle(&mut SmallRng::seed_from_u64(seed));
-    (0..).map(OutlineIndex).zip(samples).collect()
+    (0..).map(SilhouetteIndex).zip(samples).collect()
 }
 
-/// Albedo for a new lattice: that of the old one where it reaches, else grey.
+/// Albedo for a new lattice: interpolated from the old one where it has texels, else gray.
 fn carried_albedo(volume: &TexelVolume, old: Option<&(TexelVolume, Vec<Vec3>)>) -> Vec<Vec3> {
-    let grey = Vec3::splat(0.4);
+    let gray = Vec3::splat(0.4);
     let carried = |at: Vec3| {
         let (old, albedo) = old?;
         Some(old.nearest_address(at)?.blend(albedo))
     };
-    volume.positions().map(|at| carried(at).unwrap_or(grey)).collect()
+    volume.positions().map(|at| carried(at).unwrap_or(gray)).collect()
 }
 
-/// Puts texels of this albedo in place of those in the world.
+/// Replaces the texels in the world by texels with this albedo.
 pub fn replace_texels(world: &mut World, albedo: &[Vec3]) {
     despawn_with::<TexelIndex>(world);
     let materials = recovered_materials(world);
@@ -233,7 +233,7 @@ pub fn replace_texels(world: &mut World, albedo: &[Vec3]) {
     spawn_texels(world, albedo, &vec![blend; albedo.len()]);
 }
 
-/// Puts a field and its bricks into the world.
+/// Inserts a field and its bricks into the world.
 fn enter(world: &mut World, surface: SdfSurface, schedule: ShapeSchedule) {
     let blank = [0.0; BRICK_LEN];
     let bricks: Vec<_> = bricks_near_surface(&surface.grid)
@@ -249,7 +249,7 @@ fn enter(world: &mut World, surface: SdfSurface, schedule: ShapeSchedule) {
     world.insert_resource(schedule);
 }
 
-/// Takes the bricks out again and returns the field.
+/// Removes the bricks and returns the field.
 fn leave(world: &mut World) -> SdfGrid {
     despawn_with::<BrickAt>(world);
     let field = world.remove_resource::<SdfField>().expect("a level leaves the field it entered");

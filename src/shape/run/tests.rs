@@ -17,7 +17,7 @@ use crate::view::{Image, Mask, Photograph};
 const SIZE: u32 = 48;
 const SPECULAR: SpecularLobe = SpecularLobe { albedo: Vec3::splat(0.3), roughness: 0.4, ndf: Ndf::Sg };
 
-/// Centre and radius of the ball that dents the other.
+/// Center and radius of the ball that dents the other.
 const DENT: (Vec3, f32) = (Vec3::new(0.0, 0.0, 1.1), 0.55);
 
 /// A ball with a dent that no silhouette shows.

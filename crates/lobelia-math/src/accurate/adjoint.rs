@@ -9,7 +9,7 @@ use super::unroll::unroll;
 use crate::dual::Dual;
 use crate::real::{Real, Vec3Of, add, dot, scale};
 
-/// Adjoints of one pair; everything but the axis may be summed over lobes in the point's own frame.
+/// Adjoints of one pair. All but the axis may be summed over lobes, in the frame of the point.
 #[derive(Clone, Copy)]
 pub struct PairAdjoint<F, const NDF: usize = 1> {
     /// With respect to the lobe's axis (world space).
@@ -20,7 +20,7 @@ pub struct PairAdjoint<F, const NDF: usize = 1> {
     pub point: PointSums<F, NDF>,
 }
 
-/// Evaluates a pair again and carries the adjoints of its `diffuse`, `constant` and `slope` back to its inputs.
+/// Evaluates a pair again and propagates the adjoints of its `diffuse`, `constant` and `slope` back to its inputs.
 #[inline(always)]
 pub fn pull_back_pair<F: Real, const ALONG: usize, const ACROSS: usize, const NDF: usize>(
     point: &PointTerms<F, NDF>,
@@ -96,7 +96,7 @@ pub fn pull_back_specular<F: Real, const ALONG: usize, const ACROSS: usize, cons
     ([constant, total - constant], PairAdjoint { axis, sharpness: -sums.half_square, point: out })
 }
 
-/// Sums over nodes that the adjoint needs, each node weighted by its share of the objective.
+/// Sums over nodes for the adjoint; each node is weighted by its share of the objective.
 struct NodeSums<F> {
     value: F,
     offset: Vec3Of<F>,
@@ -120,7 +120,7 @@ impl<F: Real> NodeSums<F> {
             self.offset[c] = value.mul_add(node.offset[c], self.offset[c]);
         }
         self.half_square = value.mul_add(node.half_square, self.half_square);
-        // Below the horizon nothing moves; `value` is 0 there by its cosine.
+        // Below the horizon the derivatives are 0; `value` is 0 there because of its cosine.
         let zero = k.zero();
         let turn = zero.select_lt(node.cosine, over_cosine * node.shadowing * k, zero);
         let tilt = value * ndf_sharpness;

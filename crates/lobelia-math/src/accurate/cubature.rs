@@ -42,7 +42,7 @@ struct Cubature<'a> {
     ndf: Ndf,
     tangent: [f64; 3],
     bitangent: [f64; 3],
-    /// Brightest direction met so far, and its value.
+    /// Brightest direction so far, and its value.
     brightest: (f64, [f64; 3]),
 }
 
@@ -81,9 +81,9 @@ impl Cubature<'_> {
         let s = patch.corner[0] + patch.size[0];
         let extent = [1.5 * patch.size[0], s * (2.0 - s * s).max(0.0).sqrt() * patch.size[1]];
         let diameter = extent[0].hypot(extent[1]);
-        let centre = self.direction([0, 1].map(|c| patch.corner[c] + 0.5 * patch.size[c]));
+        let center = self.direction([0, 1].map(|c| patch.corner[c] + 0.5 * patch.size[c]));
         let near = |peak: &([f64; 3], f64)| {
-            let away = sub(peak.0, centre);
+            let away = sub(peak.0, center);
             diameter > 1.5 * peak.1 && dot(away, away).sqrt() < 1.2 * diameter
         };
         if !peaks.iter().any(near) {
@@ -120,7 +120,7 @@ impl Cubature<'_> {
     }
 }
 
-/// The integrals of a case, each patch to about `relative` of the whole.
+/// The integrals of a case; the error of each patch is about `relative` times the whole.
 pub(super) fn integrate(case: &Case, ndf: Ndf, relative: f64) -> Integrals {
     let normal = case.normal;
     let helper = if normal[0].abs() < 0.6 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };

@@ -47,7 +47,7 @@ pub(super) fn fading_exp<F: Real>(x: F) -> F {
 /// A function of the sharpness and its derivative.
 type WithDerivative<F> = (F, F);
 
-/// Tokuyoshi's t(λ) = λ√(½N/D), which steers the blend between the two extreme orientations.
+/// Tokuyoshi's t(λ) = λ√(½N/D), which controls the interpolation between the two extreme orientations.
 #[inline(always)]
 fn steepness<F: Real>(l: F) -> WithDerivative<F> {
     let n = l.plus(2.736_083_16).mul_add(l, l.lit(17.021_297_8));
@@ -86,7 +86,7 @@ fn extremes<F: Real>(l: F) -> (WithDerivative<F>, WithDerivative<F>) {
     ((up, up_prime), (e * q, e * (q_prime - q)))
 }
 
-/// Polynomial with the constant first.
+/// Polynomial; the constant term comes first.
 #[inline(always)]
 fn polynomial<F: Real>(x: F, coefficients: [f64; 7]) -> F {
     let mut p = x.lit(coefficients[6]);
@@ -144,7 +144,7 @@ pub fn cosine_integral<F: Real>(sharpness: F, c: F) -> Dual<F> {
     prepared_cosine_integral(&SharpnessTerms::new(sharpness), c)
 }
 
-/// [`cosine_integral`] with what depends on the sharpness alone made beforehand.
+/// [`cosine_integral`] with precomputed terms of the sharpness.
 #[inline(always)]
 pub fn prepared_cosine_integral<F: Real>(terms: &SharpnessTerms<F>, c: F) -> Dual<F> {
     let (zero, one) = (c.zero(), c.one());

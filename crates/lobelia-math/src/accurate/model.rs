@@ -20,7 +20,7 @@ pub trait Mixture<const NDF: usize>: Copy + Send + Sync {
     fn of<F: Real>(&self, roughness: F) -> ([[F; 2]; NDF], [[F; 2]; NDF]);
 }
 
-/// The supplement's NDF.
+/// The NDF of PhySG supp. eq. 4.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct OneSg;
 
@@ -46,7 +46,7 @@ impl Mixture<GGX_LOBES> for GgxSgs {
 ///
 /// Specular parts of negligible pairs are left out. By half-vector geometry ∠(ω, r) ≤ 2∠(h, n), so |ω − r| ≤ 2|X| and the NDF
 /// e^(−L|X|²/2) is below an SG of sharpness L/4 around the mirror direction r; its product with the light's SG is at most
-/// e^(−aλ/(a + λ)·(1 − r·ξ)) with a = L/4. Of several SGs the broadest bounds them all.
+/// e^(−aλ/(a + λ)·(1 − r·ξ)) with a = L/4. The broadest of several SGs bounds all of them.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Accurate<D, const NDF: usize, const ALONG: usize, const ACROSS: usize>(D);
 

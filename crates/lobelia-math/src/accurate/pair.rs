@@ -20,7 +20,7 @@ pub struct Pair<F> {
     pub diffuse: Dual<F>,
     /// Specular light for specular albedo s: `constant + slope·s`.
     pub constant: F,
-    /// Factor of the specular albedo.
+    /// Coefficient of the specular albedo.
     pub slope: F,
 }
 

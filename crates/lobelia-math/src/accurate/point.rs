@@ -1,33 +1,33 @@
-//! What a surface point and a specular lobe contribute to every lobe's integral, and the end of a point's adjoint.
+//! The terms of a surface point and its specular lobe that the integral of every light lobe reads, and the last part of the adjoint of a point.
 
 use crate::brdf::{ndf_sharpness, shadowing_k};
 use crate::real::{Real, Vec3Of, add, dot, scale, sub};
 use std::f64::consts::PI;
 
-/// One SG of the distribution of normals, as a point's pairs read it.
+/// One SG of the distribution of normals, as the pairs of a point read it.
 #[derive(Clone, Copy)]
 pub struct NdfTerms<F> {
     /// Sharpness L of the SG in h.
     pub sharpness: F,
-    /// Where the NDF's own product with (n·ω)(v·h) peaks in the chart, along the tangent.
+    /// Position along the tangent, in the chart, of the peak of the NDF times (n·ω)(v·h).
     pub(super) start: F,
-    /// Everything of the integrand that does not depend on ω; 0 for a viewer below the horizon.
+    /// The factors of the integrand that do not depend on ω; 0 for a viewer below the horizon.
     pub(super) scale: F,
 }
 
-/// What a surface point and a specular lobe contribute to every lobe's integral.
+/// The terms of a surface point and its specular lobe that the integral of every light lobe reads.
 #[derive(Clone, Copy)]
 pub struct PointTerms<F, const NDF: usize = 1> {
     /// Tangent (in the plane of normal and view), bitangent and normal; unit vectors.
     pub(super) frame: [Vec3Of<F>; 3],
     /// View direction along tangent and normal, the latter at least 0.
     pub(super) view: [F; 2],
-    /// k of the shadowing term.
+    /// k = (R + 1)²/8 of the shadowing term G.
     pub(super) shadowing: F,
     pub(super) ndf: [NdfTerms<F>; NDF],
 }
 
-/// The light-independent derivatives that [`pull_back_point`] needs.
+/// The derivatives that [`pull_back_point`] needs; they do not depend on the light.
 #[derive(Clone, Copy)]
 pub struct PointDerivatives<F, const NDF: usize = 1> {
     /// d(sharpness)/dR and d(ln weight)/dR of each SG of the NDF.
@@ -81,7 +81,7 @@ fn frame_towards<F: Real>(normal: Vec3Of<F>, to_viewer: Vec3Of<F>) -> [Vec3Of<F>
     let other = reject(normal, [steep, one - steep, zero]);
     let along = reject(normal, to_viewer);
     let square = dot(along, along);
-    // Seen from straight above any tangent is valid; rejected twice, since a short rejection is not quite perpendicular.
+    // For a view along the normal any tangent is valid. The rejection is applied twice, because a short one is not exactly perpendicular.
     let bound = one.times(1e-8);
     let tangent = [
         square.select_lt(bound, other[0], along[0]),
@@ -98,7 +98,7 @@ fn frame_towards<F: Real>(normal: Vec3Of<F>, to_viewer: Vec3Of<F>) -> [Vec3Of<F>
     [tangent, bitangent, normal]
 }
 
-/// Everything that depends on the point and the specular material but not on the light, for the supplement's NDF (one SG).
+/// The terms that depend on the point and the specular material but not on the light, for the NDF of PhySG supp. eq. 4 (one SG).
 ///
 /// `roughness` is the paper's R in [0.03, 1]; for n·v ≤ 0 the specular light is 0.
 #[inline(always)]
@@ -141,7 +141,7 @@ pub fn prepare_with_ndf<F: Real, const NDF: usize>(
         // The maximum of 2 ln(v·h) − L|X|²/2 along the tangent, to first order in X.
         let steep = sharpness * view[1];
         let root = (steep * steep + (sharpness * view[0] * view[0]).times(8.0)).sqrt();
-        // For a viewer straight below both vanish; any small number is valid.
+        // For a viewer directly below, both vanish; any small number is valid.
         let start = (view[0].times(4.0) / (steep + root).max(k.lit(1e-6))).min(k.one());
         *terms = NdfTerms { sharpness, start, scale: masked * sharpness * weight };
     }
@@ -152,12 +152,12 @@ pub fn prepare_with_ndf<F: Real, const NDF: usize>(
     )
 }
 
-/// Adjoints of a point's terms, to be summed over lobes and handed to [`pull_back_point`].
+/// Adjoints of the terms of a point, summed over lobes; the input of [`pull_back_point`].
 #[derive(Clone, Copy)]
 pub struct PointSums<F, const NDF: usize = 1> {
     /// With respect to the normal, along tangent and bitangent, at fixed n·v.
     pub normal: [F; 2],
-    /// With respect to k of the shadowing term, through n·ω alone.
+    /// With respect to k of the shadowing term, through n·ω only.
     pub shadowing: F,
     /// With respect to the sharpness and the logarithm of the weight of each SG of the NDF.
     pub ndf: [[F; 2]; NDF],
@@ -171,7 +171,7 @@ impl<F: Real, const NDF: usize> PointSums<F, NDF> {
         Self { normal: [zero; 2], shadowing: zero, ndf: [[zero; 2]; NDF] }
     }
 
-    /// Adds another lobe's.
+    /// Adds the sums of another lobe.
     #[inline(always)]
     pub fn add(&mut self, other: &Self) {
         self.normal[0] += other.normal[0];
@@ -208,7 +208,7 @@ pub fn pull_back_point<F: Real, const NDF: usize>(
         value += sums.ndf[m][1];
         roughness += sums.ndf[m][0] * derivatives.ndf[m][0] + sums.ndf[m][1] * derivatives.ndf[m][1];
     }
-    // The viewer's own factor 1/(n·v(1 − k) + k).
+    // The factor 1/(n·v(1 − k) + k) of the viewer.
     let view = point.view[1];
     let inverse = value / (view * (k.one() - k) + k);
     roughness += (sums.shadowing - inverse * (k.one() - view)) * derivatives.shadowing;

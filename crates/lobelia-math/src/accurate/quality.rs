@@ -1,8 +1,8 @@
-//! How accurate, and how costly, the specular quadrature is.
+//! Accuracy and cost of the specular quadrature.
 
 use serde::{Deserialize, Serialize};
 
-/// How many nodes the specular quadrature has; the module's documentation tabulates accuracy and cost.
+/// Number of nodes of the specular quadrature; [`accurate`](super) tabulates accuracy and cost.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Quality {
     /// 3 × 2 nodes.

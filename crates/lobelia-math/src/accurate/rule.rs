@@ -1,11 +1,11 @@
 //! Nodes and weights for a Gaussian that the horizon cuts: Gauss rules of the weight v·e^(−(v − t)²/2) on v > 0.
 //!
-//! v is the cosine with the normal in units in which the rest of the integrand has unit variance, and t is where that rest
-//! would have its centre. For t ≫ 0 (far above the horizon) the rule becomes Gauss–Hermite, for t ≪ 0 (light from
-//! below) Gauss–Laguerre. Nodes are counted from the weight's peak 1/a in units of its Laplace width σ; nodes, weights
+//! v is the cosine with the normal in units in which the rest of the integrand has unit variance, and t is the center of
+//! that rest. For t ≫ 0 (far above the horizon) the rule becomes Gauss–Hermite, for t ≪ 0 (light from
+//! below) Gauss–Laguerre. Positions of nodes are measured from the peak 1/a of the weight, in units of its Laplace width σ; nodes, weights
 //! and mass are then smooth functions of τ = t/√(t² + 4) and are kept as polynomials, fitted to rules computed by the
 //! Stieltjes procedure, of the form Gauss–Hermite + s²P(τ) with s = (1 − τ)/2. The weights belong to the fitted
-//! nodes (they reproduce the first K moments), so that the nodes' own fitting error costs nothing to first order.
+//! nodes (they reproduce the first K moments), so that the fitting error of the nodes has no effect to first order.
 
 use crate::real::Real;
 
@@ -69,14 +69,14 @@ pub fn across(count: usize, index: usize) -> (f64, f64) {
     }
 }
 
-/// A clipped Gaussian: where its peak is, how wide it is, how much it holds.
+/// A clipped Gaussian: position of its peak, width and mass.
 #[derive(Clone, Copy)]
 pub struct Clipped<F> {
-    /// a: from the unclipped centre to the peak; 1/a − a = t.
+    /// a, the distance from the unclipped center to the peak; 1/a − a = t.
     pub shift: F,
     /// σ = 1/√(1 + a²): Laplace width at the peak.
     pub width: F,
-    /// aσ: the width as a share of the peak's v.
+    /// aσ: the width as a fraction of v at the peak.
     pub share: F,
     /// Mass relative to √(2π)·σ·peak.
     pub mass: F,
@@ -89,7 +89,7 @@ pub struct Clipped<F> {
 pub struct AlongNode<F> {
     /// Distance from the peak in units of its width.
     pub offset: F,
-    /// Share of the mass.
+    /// Fraction of the mass.
     pub weight: F,
 }
 
@@ -101,7 +101,7 @@ impl<F: Real> Clipped<F> {
         let square = t.mul_add(t, t.lit(4.0));
         let inverse_root = square.quick_rsqrt();
         let root = square * inverse_root;
-        // Of the two roots ±a of a² + ta = 1 the one without cancellation: m = max(a, 1/a), and 1 + m² = m·root.
+        // The root without cancellation of the two roots ±a of a² + ta = 1: m = max(a, 1/a), and 1 + m² = m·root.
         let m = (root + t.max(-t)).times(0.5);
         let narrow = (m * root).quick_rsqrt();
         let wide = m * narrow;

@@ -3,13 +3,13 @@
 //! In half-vector space the integral is ∫ F·G₁(n·ω)·G₁(n·v)·(n·ω)·(v·h) · (L/2π)e^{L(h·n − 1)} · e^{λ(ω·ξ − 1)} dh with
 //! ω = 2(v·h)h − v (dω = 4(v·h)dh cancels the BRDF's 4(n·ω)(n·v), and G₁(c) = 1/(c(1 − k) + k)). The half vector is
 //! given in Lambert's equal-area chart around the normal, |X|² = 2(1 − h·n): there dh = dX and the NDF is exactly
-//! e^(−L|X|²/2), however broad; and the horizon's grazing singularities of ω-space are gone.
+//! e^(−L|X|²/2), however broad, and the singularities of ω-space at the horizon do not occur.
 //!
-//! 1. Start between the half vector of the light's axis and the NDF's own peak, by their curvatures.
+//! 1. Initialization between the half vector of the light's axis and the peak of the NDF, weighted by their curvatures.
 //! 2. One Gauss–Newton step: the light's exponent −λ|ω − ξ|²/2 is a sum of squares, so its Hessian is positive without
-//!    any floor; ln(v·h) and the curvature of n·ω are added to it, n·ω itself is kept apart as a linear factor.
-//! 3. Along the direction in which n·ω changes the rest is a Gaussian cut by the horizon: nodes from [`Clipped`]. Across it:
-//!    Gauss–Hermite. At every node the integrand itself is evaluated (one exp), divided by what the rule assumed.
+//!    a lower bound; ln(v·h) and the curvature of n·ω are added to it, and n·ω itself stays a separate linear factor.
+//! 3. Along the direction in which n·ω changes, the rest is a Gaussian clipped by the horizon: nodes from [`Clipped`]. Across it:
+//!    Gauss–Hermite. At every node the integrand itself is evaluated (one exp) and divided by the weight that the rule assumes.
 
 use super::diffuse::fading_exp;
 use super::point::{NdfTerms, PointTerms};
@@ -18,10 +18,10 @@ use crate::real::{Real, Vec3Of};
 
 type Vec2Of<F> = [F; 2];
 
-/// Where n·ω and v·h are floored in the Hessian, so that their logarithms stay bounded near the horizon.
+/// Lower bound of n·ω and v·h in the Hessian, which keeps their logarithms bounded near the horizon.
 const COSINE_FLOOR: f64 = 0.05;
 const HALF_FLOOR: f64 = 1e-3;
-/// The start for a light below the horizon lies at least 1/(λ + 1/LIFT) above it.
+/// For a light below the horizon the initial point lies at least 1/(λ + 1/LIFT) above it.
 const LIFT: f64 = 0.3;
 /// Largest |X|² at which the integrand is expanded; the horizon lies within |X|² < 2, the chart ends at 4.
 const CHART_LIMIT: f64 = 3.0;
@@ -75,7 +75,7 @@ impl<F: Real> Symmetric<F> {
         ])
     }
 
-    /// 1/determinant, the determinant floored so that rounding cannot turn it over.
+    /// 1/determinant; the determinant has a lower bound so that rounding cannot change its sign.
     #[inline(always)]
     fn inverse_determinant(&self) -> F {
         let [xx, xy, yy] = self.0;
@@ -83,7 +83,7 @@ impl<F: Real> Symmetric<F> {
         (diagonal - xy * xy).max(diagonal.times(1e-4)).inverse()
     }
 
-    /// The adjugate times `v`: the inverse but for the determinant.
+    /// The adjugate times `v`: the inverse times `v`, up to the determinant.
     #[inline(always)]
     fn adjugate_times(&self, v: Vec2Of<F>) -> Vec2Of<F> {
         let [xx, xy, yy] = self.0;
@@ -98,7 +98,7 @@ fn view_half_gradient<F: Real>(view: Vec2Of<F>, x: Vec2Of<F>, q: F, quarter: F) 
     [view[0].mul_add(q, -(pull * x[0])), -(pull * x[1])]
 }
 
-/// First guess of the peak: the light's half vector and the NDF's own peak, weighted by their curvatures.
+/// Initialization of the peak: the half vector of the light and the peak of the NDF, weighted by their curvatures.
 #[inline(always)]
 fn start<F: Real>(point_view: Vec2Of<F>, ndf: &NdfTerms<F>, light: &LocalLight<F>) -> Vec2Of<F> {
     let l = light.sharpness;
@@ -128,7 +128,7 @@ fn start<F: Real>(point_view: Vec2Of<F>, ndf: &NdfTerms<F>, light: &LocalLight<F
     ]
 }
 
-/// The integrand's logarithm to second order at X, with n·ω apart.
+/// The logarithm of the integrand to second order at X, without n·ω.
 struct Expansion<F> {
     cosine: F,
     cosine_gradient: Vec2Of<F>,
@@ -164,7 +164,7 @@ fn expand<F: Real>(view: Vec2Of<F>, ndf: &NdfTerms<F>, light: &LocalLight<F>, x:
     let spread = four * view_half * view_half;
     let rounding = spread * (q2.plus(1.0)) * inverse_q * quarter;
     let isotropic = spread.mul_add(q2, ndf.sharpness) + (view_half * up.relu() * over_cosine).plus(1.0);
-    // That of n·ω is indefinite, by up to |g − x|²/4 of its factor: no more of it than leaves a quarter of the isotropic part.
+    // The curvature of n·ω is indefinite, by up to |g − x|²/4 of its factor; it is limited so that a quarter of the isotropic part remains.
     let apart = [view_gradient[0] - x[0], view_gradient[1] - x[1]];
     let most = isotropic.times(3.0) * dot2(apart, apart).max(l.lit(1e-6)).inverse();
     let mixed = cosine.select_lt(floored, l.zero(), over_cosine).min(most);
@@ -195,12 +195,12 @@ pub(super) fn place<F: Real>(view: Vec2Of<F>, ndf: &NdfTerms<F>, light: &LocalLi
     let t = (dot2(g, step).mul_add(inverse, at.cosine)) * inverse_scale;
     let clipped = Clipped::new(t);
     let unit = inverse * inverse_scale;
-    let centre = [inverse.mul_add(step[0], x[0]), inverse.mul_add(step[1], x[1])];
+    let center = [inverse.mul_add(step[0], x[0]), inverse.mul_add(step[1], x[1])];
     let to_peak = unit * clipped.shift;
     let wide = unit * clipped.width;
     let turn = inverse_scale * inverse_root;
     Placement {
-        peak: [to_peak.mul_add(steepest[0], centre[0]), to_peak.mul_add(steepest[1], centre[1])],
+        peak: [to_peak.mul_add(steepest[0], center[0]), to_peak.mul_add(steepest[1], center[1])],
         along: [wide * steepest[0], wide * steepest[1]],
         across: [-(turn * g[1]), turn * g[0]],
         clipped,
@@ -208,7 +208,7 @@ pub(super) fn place<F: Real>(view: Vec2Of<F>, ndf: &NdfTerms<F>, light: &LocalLi
     }
 }
 
-/// A row of nodes: those at the same place along the clipped direction.
+/// A row of nodes: those at the same position along the clipped direction.
 pub(super) struct Row<F> {
     base: Vec2Of<F>,
     exponent: F,
@@ -251,7 +251,7 @@ pub(super) struct Node<F> {
     pub cosine: F,
     /// 1/(n·ω(1 − k) + k).
     pub shadowing: F,
-    /// The integrand over n·ω, without the point's own factors and without F; meaningless below the horizon.
+    /// The integrand divided by n·ω, without the factors of the point and without F; not meaningful below the horizon.
     pub over_cosine: F,
     /// 2^(−(5.55473 v·h + 6.8316) v·h).
     pub fresnel: F,

@@ -1,4 +1,4 @@
-//! Accuracy against the cubature, adjoints against differences, behaviour at the limits.
+//! Accuracy against the cubature, adjoints against differences, behavior at the limits.
 
 use super::cubature::{Integrals, integrand, integrate};
 use super::diffuse::{cosine_integral, scaled_erfc};

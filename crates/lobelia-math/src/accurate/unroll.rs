@@ -1,6 +1,6 @@
 //! Loops whose indices are constants.
 
-/// `for index in 0..count` for counts up to 4, written out so that every node's constants are constants.
+/// `for index in 0..count` for counts up to 4, unrolled so that the constants of every node are known at compile time.
 macro_rules! unroll {
     ($index:ident < $count:expr, $body:block) => {
         unroll!(@ $index, $count, $body, 0 1 2 3)

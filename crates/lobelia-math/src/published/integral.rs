@@ -4,14 +4,14 @@ use crate::dual::Dual;
 use crate::real::Real;
 use std::f64::consts::PI;
 
-/// What the published code adds to denominators.
+/// The constant that the published code adds to denominators.
 pub(super) const TINY: f64 = 1e-6;
 /// Sharpness and amplitude of the SG that approximates the clamped cosine, and the constant subtracted from it.
 pub(super) const COSINE_SHARPNESS: f64 = 0.0315;
 pub(super) const COSINE_AMPLITUDE: f64 = 32.7080;
 pub(super) const COSINE_OFFSET: f64 = 31.7003;
 
-/// s = ½ + ½ tanh(tc/2)/tanh(t/2): the hemisphere's share of a lobe (Meder and Brüderlin 2018, eq. 12, rewritten).
+/// s = ½ + ½ tanh(tc/2)/tanh(t/2): the fraction of a lobe that is in the hemisphere (Meder and Brüderlin 2018, eq. 12, rewritten).
 /// Returns s, ∂s/∂t and ∂s/∂c.
 #[inline(always)]
 fn hemisphere_share<F: Real>(t: F, c: F) -> (F, F, F) {
@@ -20,7 +20,7 @@ fn hemisphere_share<F: Real>(t: F, c: F) -> (F, F, F) {
     let (a, e) = ((-t).decay(), (-(t * abs_c)).decay());
     let tanh_t = (one - a) * (one + a).inverse();
     let tanh_c = (one - e) * (one + e).inverse();
-    // Both tanh cancel for small t; the ratio's series is good to 1e-9 below this bound.
+    // Both tanh vanish for small t; below this bound the series of the ratio has an error below 1e-9.
     let bound = t.lit(0.05);
     let (t2, c2) = (t * t, c * c);
     let inverse = tanh_t.max(t.lit(1e-8)).inverse();
@@ -37,7 +37,7 @@ fn hemisphere_share<F: Real>(t: F, c: F) -> (F, F, F) {
     (signed.mul_add(ratio, half), signed * by_t, half * by_c)
 }
 
-/// Polynomial with the highest power's coefficient first.
+/// Polynomial; the coefficient of the highest power comes first.
 #[inline(always)]
 fn polynomial<F: Real>(x: F, coefficients: [f64; 6]) -> F {
     let mut p = x.lit(coefficients[0]);

@@ -1,6 +1,6 @@
 //! The published SG shading formulas (PhySG's `render_with_sg`), forward and adjoint, one point × one lobe at a time.
 //!
-//! Both outputs need only one scalar function of a lobe: the integral of an SG times the clamped cosine,
+//! Both outputs need one scalar function of a lobe: the integral of an SG times the clamped cosine,
 //! E(λ, c) ≈ ∫ exp(λ(ω·ξ − 1)) max(n·ω, 0) dω with c = ξ·n, in its published form 32.7080 H(SG × cosine SG) − 31.7003 H(SG).
 //! A lobe's diffuse light is μ·E(λ, ξ·n); its specular light is μ·e^x·E(m, p·n), where light × warped NDF is the SG
 //! with axis p, sharpness m and amplitude e^x. Rewritten from the paper's form so that sharp lobes keep their accuracy

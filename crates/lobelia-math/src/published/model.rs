@@ -8,8 +8,8 @@ use crate::lobe::Shape;
 use crate::model::{PairAdjoint, PairModel, Part, PointEnd, PulledBack, Reach, Response};
 use crate::real::{Real, Vec3Of, dot};
 
-/// The published SG shading formulas (PhySG's `render_with_sg`), with one SG for the NDF whatever the material says; every pair is
-/// evaluated, none is skipped.
+/// The published SG shading formulas (PhySG's `render_with_sg`), always with one SG for the NDF, whatever the NDF of the material.
+/// Every pair is evaluated; no pair is skipped.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Published;
 
@@ -65,7 +65,7 @@ impl PairModel for Published {
 
     #[inline(always)]
     fn prepare_lobe<F: Real>(&self, sharpness: F) -> [F; SHARPNESS_COLUMNS] {
-        // Below the bound the terms are not read, but they must be finite.
+        // Below the bound the terms are not used, but they must be finite.
         let sharpness = sharpness.max(sharpness.one());
         SharpnessTerms::new(sharpness, sharpness.inverse()).to_columns()
     }

@@ -8,9 +8,9 @@ use crate::lobe::{Lobe, Shape};
 use crate::real::{Real, Vec3Of, dot, scale, sub};
 use std::f64::consts::PI;
 
-/// E(λ, c) for any sharpness: from `terms` where λ ≥ [`SHARP`], by the unmodified formulas below that.
+/// E(λ, c) for any sharpness: from `terms` where λ ≥ [`SHARP`], by the unmodified formulas for smaller λ.
 ///
-/// Each lane is chosen by its own sharpness.
+/// The choice is made per lane.
 #[inline(always)]
 fn either_integral<F: Real>(sharpness: F, c: F, terms: &SharpnessTerms<F>) -> Dual<F> {
     let sharp = sharp::cosine_integral(sharpness, terms, c);
@@ -32,7 +32,7 @@ fn either_integral<F: Real>(sharpness: F, c: F, terms: &SharpnessTerms<F>) -> Du
 pub struct Pair<F> {
     /// E(λ, ξ·n).
     pub diffuse: Dual<F>,
-    /// e^x E(m, p·n), still without M and the NDF's amplitude.
+    /// e^x E(m, p·n), without M and the amplitude of the NDF.
     pub specular: F,
     integral: Dual<F>,
     amplitude: F,
@@ -108,11 +108,11 @@ pub struct PairAdjoint<F> {
     pub axis: Vec3Of<F>,
     /// With respect to the lobe's sharpness.
     pub sharpness: F,
-    /// With respect to the point's terms; that of the normal through ξ·n alone.
+    /// With respect to the terms of the point; for the normal, through ξ·n only.
     pub point: PointTerms<F>,
 }
 
-/// Carries the adjoints of `pair.diffuse` and `pair.specular` back to their inputs.
+/// Propagates the adjoints of `pair.diffuse` and `pair.specular` back to their inputs.
 #[inline(always)]
 pub fn pull_back_pair<F: Real>(
     pair: &Pair<F>,

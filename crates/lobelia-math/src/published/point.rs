@@ -1,21 +1,21 @@
-//! What a surface point and the specular material contribute: the mirror direction, the warped NDF, the frozen BRDF factor.
+//! The terms of a surface point and its specular material: the mirror direction, the warped NDF, the frozen BRDF factor.
 
 use super::integral::TINY;
 use crate::brdf::{fresnel_power, shadowing_k};
 use crate::real::{Real, Vec3Of, add, dot, scale, sub};
 use std::f64::consts::PI;
 
-/// The published code divides by |x| + 1e-6 when it normalises, so its "unit" vectors have this length.
+/// The published code divides by |x| + 1e-6 when it normalizes, so its "unit" vectors have this length.
 pub(super) const SHRUNK: f64 = 1.0 / (1.0 + 1e-6);
 
-/// What a surface point and a specular lobe contribute to every lobe's integral.
+/// The terms of a surface point and its specular lobe that the integral of every light lobe reads.
 #[derive(Clone, Copy)]
 pub struct PointTerms<F> {
     /// Unit normal.
     pub normal: Vec3Of<F>,
     /// Mirror direction r = 2(n·v)₊n − v.
     pub mirror: Vec3Of<F>,
-    /// r·n as the published code has it.
+    /// r·n as the published code computes it.
     pub mirror_cosine: F,
     /// Sharpness of the NDF (PhySG supp. eq. 4) warped to incident directions: (2/R⁴)/(4 n·v) (Wang et al. 2009).
     pub warp_sharpness: F,
@@ -27,7 +27,7 @@ pub struct PointTerms<F> {
 pub struct FrozenBrdf<F> {
     /// Part that does not depend on the specular albedo.
     pub constant: F,
-    /// Factor of the specular albedo.
+    /// Coefficient of the specular albedo.
     pub slope: F,
     /// Derivatives of `[constant, slope, warp_sharpness]` with respect to n·v.
     pub by_cosine: [F; 3],
@@ -35,7 +35,7 @@ pub struct FrozenBrdf<F> {
     pub by_roughness: [F; 3],
 }
 
-/// One factor of G (PhySG supp. eqs. 1–7), c/(c(1 − k) + k + 1e-6), with its derivatives with respect to c and, given dk/dR, to R.
+/// One factor of G (PhySG supp. eqs. 1–7), c/(c(1 − k) + k + 1e-6), with its derivatives with respect to c and, given dk/dR, with respect to R.
 #[inline(always)]
 fn shadowing_factor<F: Real>(c: F, k: F, k_prime: F) -> (F, F, F) {
     let inverse = (c * (c.one() - k) + k).plus(TINY).recip();
@@ -43,7 +43,7 @@ fn shadowing_factor<F: Real>(c: F, k: F, k_prime: F) -> (F, F, F) {
     (value, (k.plus(TINY)) * inverse * inverse, -(value * inverse) * (c.one() - c) * k_prime)
 }
 
-/// Everything that depends on the point and the specular material but not on the light.
+/// Computes the terms that depend on the point and the specular material but not on the light.
 #[inline(always)]
 pub fn prepare_point<F: Real>(
     normal: Vec3Of<F>,
@@ -100,7 +100,7 @@ pub fn prepare_point<F: Real>(
     (terms, brdf)
 }
 
-/// Adjoint of a point's normal given those of its mirror direction and of n·v.
+/// Adjoint of the normal of a point, given the adjoints of its mirror direction and of n·v.
 #[inline(always)]
 pub fn pull_back_normal<F: Real>(
     normal: Vec3Of<F>,

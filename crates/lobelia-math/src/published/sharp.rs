@@ -1,32 +1,32 @@
 //! E(λ, c), the published cosine-weighted integral of a lobe, for sharpness λ ≥ 11: the same function as
-//! [`super::integral::cosine_integral`] for much less arithmetic.
+//! [`super::integral::cosine_integral`] with much less arithmetic.
 //!
 //! E = 32.7080 e^x H(m, c′) − 31.7003 H(λ, c) subtracts two nearly equal numbers, so that straightforward
-//! `f32` loses 60 times its rounding error; and both H cost as much as one. With H = A + Bτ, A = π/λ, B = A·coth T,
+//! `f32` loses 60 times its rounding error; and two evaluations of H double the cost. With H = A + Bτ, A = π/λ, B = A·coth T,
 //! τ = tanh(Tc), T = t(λ)/2, everything at the product's sharpness m is taken as a small *change* from λ:
 //! h = m − λ = k + x with |h| ≤ k = 0.0315, and series in h/λ ≤ 0.003 replace roots, exponentials and divisions:
 //!
 //! E = (32.7080 − 31.7003)·H + 32.7080·(e^x H(m, c′) − H),  e^x H(m, c′) − H = A·α + B·(βτ′ + τ′ − τ)
 //!
 //! where 1 + α and 1 + β are the ratios of e^x A and e^x B at m to A and B at λ. The terms that depend on λ only are
-//! [`SharpnessTerms`]: for the diffuse light it is prepared once a lobe, for the specular light once a pair. Left out are
-//! terms in e^−λ and the 1e-6 that the published code adds to λ.
+//! [`SharpnessTerms`]: they are computed once per lobe for the diffuse light, once per pair for the specular light.
+//! Terms in e^−λ and the 1e-6 that the published code adds to λ are left out.
 //!
-//! Greatest errors against the published form in `f64`, of E in units of 2π/λ and of λ∂E/∂λ likewise, as measured: these
-//! series 8e-6 and 6e-5 at λ = 11, 1e-6 and 1e-5 from 16 on, in vectors of `f32`; the published form 2e-5 and 4e-5.
+//! Largest measured errors of E and of λ∂E/∂λ, both in units of 2π/λ, against the published form in `f64`: these series
+//! 8e-6 and 6e-5 at λ = 11, 1e-6 and 1e-5 from 16 on, in vectors of `f32`; the published form 2e-5 and 4e-5.
 
 use super::integral::{COSINE_AMPLITUDE, COSINE_OFFSET, COSINE_SHARPNESS};
 use crate::dual::Dual;
 use crate::real::Real;
 use std::f64::consts::PI;
 
-/// From this sharpness on the formulas of this file hold.
+/// The formulas of this file hold for this sharpness and above.
 pub const SHARP: f64 = 11.0;
 
 /// Columns of [`SharpnessTerms`].
 pub const SHARPNESS_COLUMNS: usize = 8;
 
-/// t(λ) = √λ·(1.6988 + (Pλ − Q)/(λ² + Bλ + C)): the hemisphere integral's rational function, its limit split off.
+/// t(λ) = √λ·(1.6988 + (Pλ − Q)/(λ² + Bλ + C)): the rational function of the hemisphere integral, with its limit as a separate term.
 const LIMIT: f64 = 1.6988;
 const B: f64 = 6.2201;
 const C: f64 = 10.2415;
@@ -38,7 +38,7 @@ const Q: f64 = LIMIT * C;
 pub struct SharpnessTerms<F> {
     /// 1/λ.
     pub inverse: F,
-    /// 2kλ/(λ + k): x is about this times c − 1.
+    /// 2kλ/(λ + k); x ≈ this times (c − 1).
     pub slope: F,
     /// T = t(λ)/2 and its first two derivatives.
     pub half_t: [F; 3],
@@ -74,7 +74,7 @@ impl<F: Real> SharpnessTerms<F> {
         Self { inverse, slope, half_t: [half_t, t_1, t_2], tail: a.times(4.0), even, odd }
     }
 
-    /// As one column a field.
+    /// The fields as columns.
     #[inline(always)]
     pub fn to_columns(self) -> [F; SHARPNESS_COLUMNS] {
         let [t, t_1, t_2] = self.half_t;
@@ -184,7 +184,7 @@ mod tests {
     use crate::published::integral::cosine_integral as as_published;
     use fearless_simd::Simd;
 
-    /// Sharpness from the bound up, and cosines over the whole sphere with many around the horizon.
+    /// Sharpness from the bound upward, and cosines over the whole sphere, many of them near the horizon.
     fn cases() -> impl Iterator<Item = (f64, f64)> {
         let sharpness = (0..60).map(|i| SHARP * 1e4f64.powf(f64::from(i) / 59.0));
         let cosines = (0..201).flat_map(|i| {

@@ -1,4 +1,4 @@
-//! Adjoint of a chunk of points: as [`super::forward`], with every pair's response computed again.
+//! Adjoint of a chunk of points: like [`super::forward`], with the response of every pair computed again.
 
 use super::blocks::{LobeVector, reaching};
 use super::light::{Light, Sums, mul_add3, splat3};
@@ -15,8 +15,8 @@ use crate::sample::{Layers, PointAdjoint, RadianceAdjoint, RadianceColumns, Shad
 use fearless_simd::Simd;
 use std::f32::consts::PI;
 
-/// Adjoint of one point's radiance, per channel and with the channels clamped to zero taken out: of the diffuse layer,
-/// of the specular layer, and of the light that goes into them.
+/// Adjoint of one point's radiance, per channel, zero in channels that are clamped to zero: of the diffuse layer,
+/// of the specular layer, and of the light in each layer.
 struct Weights<M: PairModel> {
     diffuse: Vec3Of<f32>,
     specular: Vec3Of<f32>,
@@ -34,7 +34,7 @@ impl<M: PairModel> Weights<M> {
         shaded: &Layers,
         adjoint: &RadianceAdjoint,
     ) -> Self {
-        // A channel that was clamped to zero does not move with its inputs.
+        // A channel that is clamped to zero has zero derivatives.
         let live = |value: f32, adjoint: f32| if value > 0.0 { adjoint } else { 0.0 };
         let diffuse: Vec3Of<f32> = std::array::from_fn(|c| live(shaded.diffuse[c], adjoint.0[c]));
         let specular: Vec3Of<f32> =
@@ -49,8 +49,8 @@ impl<M: PairModel> Weights<M> {
     }
 }
 
-/// Adjoint of a chunk of points; adds what they share onto `partial`: a block of [`LOBE_COLUMNS`] rows for each of the
-/// lobes', and a last row for the specular material (albedo, roughness).
+/// Adjoint of a chunk of points; adds the adjoints of shared parameters to `partial`: [`LOBE_COLUMNS`] rows for each
+/// block of lobes, and a last row for the specular material (albedo, roughness).
 #[inline(always)]
 pub fn adjoint_chunk<S: Simd, M: PairModel>(
     simd: S,
@@ -94,7 +94,7 @@ pub fn adjoint_chunk<S: Simd, M: PairModel>(
     specular_row[0].0[..4].copy_from_slice(&[r, g, b, gradient.roughness]);
 }
 
-/// Walks the lobes for one point: adds their gradient onto `gradient` and returns the point's own sums.
+/// Loops over the lobes for one point: adds their gradient to `gradient` and returns the sums of the point.
 #[inline(always)]
 fn pull_back_lobes<S: Simd, M: PairModel>(
     simd: S,
@@ -125,7 +125,7 @@ fn pull_back_lobes<S: Simd, M: PairModel>(
     (back.light.total(), total)
 }
 
-/// One point's adjoint under way over the lobes.
+/// The state of the loop over lobes in the adjoint of one point.
 struct PullBack<'a, S: Simd, M: PairModel> {
     simd: S,
     model: M,
@@ -141,7 +141,7 @@ struct PullBack<'a, S: Simd, M: PairModel> {
 }
 
 impl<S: Simd, M: PairModel> PullBack<'_, S, M> {
-    /// Pulls the part `PART` of a vector of lobes back; returns the lobes' gradient in columns.
+    /// Evaluates the adjoint of the part `PART` of a vector of lobes; returns the gradient of the lobes in columns.
     #[inline(always)]
     fn pull_back<const PART: Part>(
         &mut self,

@@ -1,5 +1,5 @@
-//! Lobes regrouped into blocks of [`MAX_LANES`]: a block is one [`Row`] a column (axis, sharpness, amplitude, then the
-//! model's terms), so that a lobe's values lie side by side whatever the number of lobes.
+//! Lobes regrouped into blocks of [`MAX_LANES`]: a block has one [`Row`] per column (axis, sharpness, amplitude, then the
+//! terms of the model), so that the values of a lobe are close in memory for any number of lobes.
 
 use super::limits::exponent_limits;
 use crate::columns::{LOBE_COLUMNS, LobeColumns};
@@ -9,12 +9,12 @@ use crate::model::{PairModel, Terms};
 use crate::real::Vec3Of;
 use fearless_simd::Simd;
 
-/// Rows of a block of prepared lobes: the lobes', the model's, and the exponent from which a specular part is left out.
+/// Number of rows of a block of prepared lobes: columns of lobes, terms of the model, and the exponent above which a specular part is skipped.
 pub const fn block_rows<M: PairModel>() -> usize {
     LOBE_COLUMNS + <M::Lobe<f32> as Terms<f32>>::LEN + 1
 }
 
-/// Regroups lobes into blocks and adds the model's terms.
+/// Regroups lobes into blocks and adds the terms of the model.
 #[inline(always)]
 pub fn prepare_lobes<S: Simd, M: PairModel>(simd: S, model: M, lobes: &LobeColumns, out: &mut Vec<Row>) {
     out.clear();
@@ -42,7 +42,7 @@ pub fn load<S: Simd>(simd: S, row: &Row, at: usize) -> Lanes<S> {
     Lanes::load(simd, &row.0[at..at + Lanes::<S>::LEN])
 }
 
-/// The part of a vector of lobes' light that reaches a point.
+/// The visibility of a vector of lobes at a point.
 #[inline(always)]
 pub(super) fn reaching<S: Simd>(simd: S, row: Option<&[u8]>, b: usize, at: usize) -> Lanes<S> {
     match row {
@@ -60,7 +60,7 @@ pub(super) struct LobeVector<S: Simd, M: PairModel> {
 
 #[inline(always)]
 pub(super) fn load_lobes<S: Simd, M: PairModel>(simd: S, block: &[Row], at: usize) -> LobeVector<S, M> {
-    assert_eq!(block.len(), block_rows::<M>(), "a whole block");
+    assert_eq!(block.len(), block_rows::<M>(), "one block");
     let column = |c: usize| load(simd, &block[c], at);
     LobeVector {
         shape: Shape { axis: [column(0), column(1), column(2)], sharpness: column(3) },

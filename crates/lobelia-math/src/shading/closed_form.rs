@@ -1,4 +1,4 @@
-//! The closed forms of this crate, chosen at run time.
+//! The closed forms of this crate, selected at run time.
 
 use super::loops::{Kernels, Loops};
 use super::slices;
@@ -11,13 +11,13 @@ use crate::published::{self, Published};
 use crate::real::{Real, Vec3Of};
 use crate::sample::{Layers, PointAdjoint, RadianceColumns, ShadePoint};
 
-/// Which closed form shades.
+/// The closed form that shades.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum ClosedForm {
-    /// The formulas of PhySG's own code, for comparison.
+    /// The formulas of PhySG's published code, for comparison.
     Published,
-    /// The integrals themselves, to the given accuracy.
+    /// Quadrature of the integrals, at the given quality.
     Accurate(Quality),
 }
 
@@ -30,7 +30,7 @@ impl Default for ClosedForm {
 /// Diffuse and specular radiance of one point under one lobe.
 type LayersOf<F> = (Vec3Of<F>, Vec3Of<F>);
 
-/// A float for single pairs: its formulas are compiled in this crate, not in every crate that calls them.
+/// A float type for single pairs. Its formulas are compiled in this crate, not in every crate that calls them.
 pub trait Scalar: Real {
     /// [`published::shade_pair`] in this float.
     fn published(
@@ -106,7 +106,7 @@ impl ClosedForm {
         [layers.0.map(F::relu), layers.1.map(F::relu)]
     }
 
-    /// [`shade_with`](super::slices::shade_with) of this form.
+    /// [`shade_with`](super::slices::shade_with) with this form.
     pub fn shade<'a>(
         self,
         points: &[ShadePoint],
@@ -117,12 +117,12 @@ impl ClosedForm {
         slices::shade(self.kernels(specular.ndf), points, specular, lighting.into(), out);
     }
 
-    /// The part of all pairs whose specular light this form leaves out, in [0, 1].
+    /// Fraction of all pairs whose specular light this form skips, in [0, 1].
     pub fn culled_part(self, points: &[ShadePoint], specular: &SpecularValue, lobes: &LobeColumns) -> f64 {
         slices::culled_part(self.kernels(specular.ndf), points, specular, lobes)
     }
 
-    /// [`shade_adjoint_with`](super::slices::shade_adjoint_with) of this form.
+    /// [`shade_adjoint_with`](super::slices::shade_adjoint_with) with this form.
     pub fn shade_adjoint<'a>(
         self,
         points: &[ShadePoint],
@@ -138,7 +138,7 @@ impl ClosedForm {
 
     /// The loops of this form with a distribution of microfacet normals.
     ///
-    /// Never inlined: a crate that names these trait objects compiles all their loops again.
+    /// Never inlined, because a crate that uses these trait objects directly compiles all their loops again.
     #[inline(never)]
     fn kernels(self, ndf: Ndf) -> &'static dyn Kernels {
         match (self, ndf) {

@@ -1,4 +1,4 @@
-//! Which lobes' specular parts count at a point, and those lobes packed into vectors.
+//! Culling of specular parts: the lobes whose specular part is not negligible at a point, packed into vectors.
 
 use super::blocks::{block_rows, load};
 use crate::columns::LOBE_COLUMNS;
@@ -8,7 +8,7 @@ use crate::model::{PairModel, Reach};
 use crate::real::{Real, Vec3Of, dot};
 use fearless_simd::Simd;
 
-/// Lobes of a vector whose specular part counts, as bits.
+/// Lobes of a vector whose specular part is not negligible, as bits.
 #[inline(always)]
 pub fn survivors<S: Simd, M: PairModel>(simd: S, reach: &Reach<Lanes<S>>, block: &[Row], at: usize) -> u64 {
     let axis = [load(simd, &block[0], at), load(simd, &block[1], at), load(simd, &block[2], at)];
@@ -18,11 +18,11 @@ pub fn survivors<S: Simd, M: PairModel>(simd: S, reach: &Reach<Lanes<S>>, block:
     exponent.bits_below(load(simd, &block[block_rows::<M>() - 1], at))
 }
 
-/// Lobes picked out of the blocks, one vector of them at a time.
+/// Lobes selected from the blocks, one vector at a time.
 pub struct Picked {
     /// Axis, sharpness, amplitude.
     rows: [Row; LOBE_COLUMNS],
-    /// Their numbers.
+    /// Indices of the lobes.
     pub index: [usize; MAX_LANES],
     /// Number of lobes held.
     pub count: usize,
@@ -34,7 +34,7 @@ impl Picked {
         Self { rows: [Row::ZERO; LOBE_COLUMNS], index: [0; MAX_LANES], count: 0 }
     }
 
-    /// Takes lane `lane` of `block`, whose first lobe has number `first`.
+    /// Adds lane `lane` of `block`, whose first lobe has index `first`.
     #[inline(always)]
     pub fn push(&mut self, block: &[Row], first: usize, lane: usize) {
         for (row, column) in self.rows.iter_mut().zip(block) {
@@ -44,7 +44,7 @@ impl Picked {
         self.count += 1;
     }
 
-    /// Shape and amplitude of the lobes, those beyond the last without light.
+    /// Shape and amplitude of the lobes; lanes beyond the last lobe have zero amplitude.
     #[inline(always)]
     pub fn vector<S: Simd>(&mut self, simd: S) -> (Shape<Lanes<S>>, Vec3Of<Lanes<S>>) {
         for i in self.count..Lanes::<S>::LEN {

@@ -57,7 +57,7 @@ fn layers<M: PairModel>(
     }
 }
 
-/// One point's light under all lobes.
+/// The light of all lobes at one point.
 #[inline(always)]
 fn light_of<S: Simd, M: PairModel>(
     simd: S,
@@ -70,7 +70,7 @@ fn light_of<S: Simd, M: PairModel>(
     shading.light.total()
 }
 
-/// One point's radiance under way over the lobes.
+/// The state of the loop over lobes for one point.
 struct Shading<'a, S: Simd, M: PairModel> {
     simd: S,
     model: M,

@@ -1,4 +1,4 @@
-//! Sums over the lobes of one point's light.
+//! Sums over lobes of the light at one point.
 
 use crate::lanes::Lanes;
 use crate::model::{DIFFUSE, PairModel, Part, Response, SPECULAR, Terms};
@@ -17,19 +17,19 @@ pub(super) fn mul_add3<F: Real>(v: Vec3Of<F>, by: F, sum: Vec3Of<F>) -> Vec3Of<F
     [v[0].mul_add(by, sum[0]), v[1].mul_add(by, sum[1]), v[2].mul_add(by, sum[2])]
 }
 
-/// The same colour in every lane.
+/// The same color in every lane.
 #[inline(always)]
 pub(super) fn splat3<S: Simd>(simd: S, v: Vec3Of<f32>) -> Vec3Of<Lanes<S>> {
     [Lanes::splat(simd, v[0]), Lanes::splat(simd, v[1]), Lanes::splat(simd, v[2])]
 }
 
-/// One point's light from all lobes, per channel.
+/// The light of all lobes at one point, per channel.
 pub(super) struct Sums<M: PairModel> {
     pub(super) diffuse: Vec3Of<f32>,
     pub(super) specular: M::Specular<Vec3Of<f32>>,
 }
 
-/// The same sums while lobes are added, in lanes.
+/// The same sums in lanes, while lobes are added.
 pub(super) struct Light<S: Simd, M: PairModel> {
     diffuse: Vec3Of<Lanes<S>>,
     specular: M::Specular<Vec3Of<Lanes<S>>>,

@@ -2,12 +2,12 @@
 
 use crate::columns::LobeColumns;
 
-/// Light that culling may leave out, summed over all lobes in the worst case, as a part of the mean radiance. It is far
-/// less in practice: measured (128 lobes), it is 0.07 % of the specular light at R = 0.1, 0.03 % at R = 0.3, 0.004 % at R = 0.5.
+/// Upper bound of the light that culling leaves out, summed over all lobes, as a fraction of the mean radiance. Measured values
+/// are far lower: with 128 lobes, 0.07 % of the specular light at R = 0.1, 0.03 % at R = 0.3, 0.004 % at R = 0.5.
 const CULLED: f32 = 0.1;
 
-/// Per lobe, the exponent from which its specular part is negligible: e^(−exponent)·amplitude < CULLED/lobes · mean radiance.
-/// A dim lobe counts as one of mean amplitude: the gradient of its amplitude does not shrink with it.
+/// The exponent per lobe above which its specular part is negligible: e^(−exponent)·amplitude < CULLED/lobes · mean radiance.
+/// A dim lobe counts as a lobe of mean amplitude, because the gradient of its amplitude does not shrink with the amplitude.
 pub fn exponent_limits(lobes: &LobeColumns) -> impl Fn(usize) -> f32 {
     let brightest = |i: usize| {
         let [r, g, b] = lobes.get(i).amplitude;

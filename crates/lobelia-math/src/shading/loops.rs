@@ -1,5 +1,5 @@
 //! The loops of one closed form over a chunk of points, behind a trait object: threads and sums are compiled once, and
-//! every form's loops once for each instruction set.
+//! the loops of every form once per instruction set.
 
 use super::adjoint::adjoint_chunk;
 use super::blocks::prepare_lobes;
@@ -12,7 +12,7 @@ use crate::lanes::{Row, dispatch};
 use crate::model::PairModel;
 use crate::sample::{Layers, PointAdjoint, RadianceColumns, ShadePoint};
 
-/// What all points of a call share, without the formulas.
+/// The inputs that all points of a call share, without the formulas.
 #[derive(Clone, Copy)]
 pub(crate) struct Inputs<'a> {
     /// The specular material.
@@ -23,11 +23,11 @@ pub(crate) struct Inputs<'a> {
 
 /// The loops of one closed form.
 pub(crate) trait Kernels: Sync {
-    /// Regroups lobes into blocks and adds what the formulas need of each.
+    /// Regroups lobes into blocks and adds the terms that the formulas need for each lobe.
     fn prepare_lobes(&self, lobes: &LobeColumns, out: &mut Vec<Row>);
     /// Radiance of a chunk of points.
     fn shade(&self, inputs: Inputs<'_>, chunk: Chunk<'_>, out: &mut [Layers]);
-    /// Adjoint of a chunk of points; adds what they share onto `partial`.
+    /// Adjoint of a chunk of points; adds the adjoints of shared parameters to `partial`.
     fn pull_back(
         &self,
         inputs: Inputs<'_>,
@@ -36,7 +36,7 @@ pub(crate) trait Kernels: Sync {
         out: &mut [PointAdjoint],
         partial: &mut [Row],
     );
-    /// Number of pairs whose specular part is evaluated; `None` if all are.
+    /// Number of pairs whose specular part is evaluated; `None` if the form evaluates all.
     fn count_kept(&self, inputs: Inputs<'_>, points: &[ShadePoint]) -> Option<usize>;
 }
 

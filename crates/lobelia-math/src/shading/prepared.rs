@@ -1,4 +1,4 @@
-//! What all points of a call share, and points prepared a vector at a time.
+//! The inputs that all points of a call share, and the terms of points, computed one vector of points at a time.
 
 use super::blocks::{block_rows, load};
 use crate::brdf::SpecularValue;
@@ -8,7 +8,7 @@ use crate::model::{PairModel, Terms};
 use crate::sample::ShadePoint;
 use fearless_simd::Simd;
 
-/// What all points share.
+/// The inputs that all points share.
 pub struct Shared<'a, M> {
     pub model: M,
     pub specular: &'a SpecularValue,
@@ -17,7 +17,7 @@ pub struct Shared<'a, M> {
 }
 
 impl<M: PairModel> Shared<'_, M> {
-    /// Lobes, with the padding.
+    /// Number of lobes, padding included.
     pub(super) fn stride(&self) -> usize {
         self.lobes.len() / block_rows::<M>() * MAX_LANES
     }
@@ -27,11 +27,11 @@ impl<M: PairModel> Shared<'_, M> {
 #[derive(Clone, Copy)]
 pub struct Chunk<'a> {
     pub points: &'a [ShadePoint],
-    /// The part of the lobes' light that reaches them; all of it if `None`.
+    /// Visibility of the lobes at these points; if `None`, all light reaches them.
     pub visibility: Option<Visibility<'a>>,
 }
 
-/// The terms of a group of up to [`Lanes::LEN`] points, one point a lane.
+/// The terms of a group of up to [`Lanes::LEN`] points, one point per lane.
 pub(super) struct Prepared<S: Simd, M: PairModel> {
     terms: M::Point<Lanes<S>>,
     frozen: M::Frozen<Lanes<S>>,
@@ -40,7 +40,7 @@ pub(super) struct Prepared<S: Simd, M: PairModel> {
 impl<S: Simd, M: PairModel> Prepared<S, M> {
     #[inline(always)]
     pub(super) fn new(simd: S, shared: &Shared<'_, M>, points: &[ShadePoint]) -> Self {
-        // A lane without a point has zeros, of which nothing is read.
+        // A lane without a point has zeros; its results are not read.
         let mut inputs = [Row::ZERO; 6];
         for (i, point) in points.iter().enumerate() {
             for c in 0..3 {

@@ -1,4 +1,4 @@
-//! What must hold whatever the inputs: nothing negative, nothing that is not finite, and monotone where physics says so.
+//! Properties for all inputs: results are finite, not negative, and monotone where physics requires it.
 
 use super::*;
 use crate::accurate::Quality;
@@ -8,7 +8,7 @@ use crate::lobe::Lobe;
 use crate::real::dot;
 use proptest::prelude::*;
 
-/// Every closed form with every NDF that it knows.
+/// Every closed form with every NDF that it supports.
 const FORMS: [(ClosedForm, Ndf); 5] = [
     (ClosedForm::Published, Ndf::Sg),
     (ClosedForm::Accurate(Quality::Default), Ndf::Sg),

@@ -11,12 +11,12 @@ use crate::sample::{Layers, PointAdjoint, RadianceColumns, ShadePoint};
 use rayon::prelude::*;
 use std::cell::Cell;
 
-/// Points a thread takes at a time; also the grain of the fixed-order sums.
+/// Points that a thread processes at a time; also the chunk size of the fixed-order sums.
 const CHUNK: usize = 256;
 
 thread_local! {
-    /// Kept between calls, so that a step of a fit allocates nothing. Taken out while in use: a thread that waits for
-    /// its share of the work may meanwhile be given another call's.
+    /// Buffers kept between calls, so that a step of a fit allocates nothing. They are taken out while in use, because a thread
+    /// that waits for its own call may execute work of another call.
     static SCRATCH: Cell<(Vec<Row>, Vec<Row>)> = const { Cell::new((Vec::new(), Vec::new())) };
 }
 
@@ -31,9 +31,9 @@ pub fn shade_with<M: PairModel>(
     shade(&Loops(model), points, specular, lighting, out);
 }
 
-/// Pulls the adjoint of each point's radiance back to the points and to what they share (not to the visibility), by the
-/// formulas of `model`. Where a channel was clamped to zero its adjoint is dropped. Overwrites `gradient`, whose memory
-/// it uses again.
+/// Propagates the adjoint of the radiance of each point back to the points and to the shared parameters (not to the visibility),
+/// by the formulas of `model`. Where a channel is clamped to zero, its adjoint is dropped. Overwrites `gradient` and reuses its
+/// memory.
 pub fn shade_adjoint_with<M: PairModel>(
     model: M,
     points: &[ShadePoint],
@@ -46,7 +46,7 @@ pub fn shade_adjoint_with<M: PairModel>(
     shade_adjoint(&Loops(model), points, specular, lighting, radiance, point_adjoint, gradient);
 }
 
-/// [`shade_with`] of the loops of a model.
+/// [`shade_with`], given the loops of a model.
 pub(crate) fn shade(
     kernels: &dyn Kernels,
     points: &[ShadePoint],
@@ -54,7 +54,7 @@ pub(crate) fn shade(
     lighting: Lighting<'_>,
     out: &mut [Layers],
 ) {
-    assert_eq!(points.len(), out.len(), "one output a point");
+    assert_eq!(points.len(), out.len(), "one output per point");
     lighting.check(points.len());
     let mut scratch = SCRATCH.take();
     kernels.prepare_lobes(lighting.lobes, &mut scratch.0);
@@ -66,7 +66,7 @@ pub(crate) fn shade(
     SCRATCH.set(scratch);
 }
 
-/// [`shade_adjoint_with`] of the loops of a model.
+/// [`shade_adjoint_with`], given the loops of a model.
 pub(crate) fn shade_adjoint(
     kernels: &dyn Kernels,
     points: &[ShadePoint],
@@ -77,14 +77,14 @@ pub(crate) fn shade_adjoint(
     gradient: &mut SharedGradient,
 ) {
     let RadianceColumns { shaded, adjoint } = radiance;
-    assert!(points.len() == shaded.len() && points.len() == adjoint.len(), "one value a point");
-    assert_eq!(points.len(), point_adjoint.len(), "one output a point");
+    assert!(points.len() == shaded.len() && points.len() == adjoint.len(), "one value per point");
+    assert_eq!(points.len(), point_adjoint.len(), "one output per point");
     lighting.check(points.len());
     let mut scratch = SCRATCH.take();
     let (lobes, partial) = (&mut scratch.0, &mut scratch.1);
     kernels.prepare_lobes(lighting.lobes, lobes);
     let inputs = Inputs { specular, lobes };
-    // One partial gradient a chunk: LOBE_COLUMNS rows a block of lobes, and a row for the specular material.
+    // One partial gradient per chunk: LOBE_COLUMNS rows per block of lobes, and a row for the specular material.
     let rows = lighting.lobes.blocks() * LOBE_COLUMNS + 1;
     partial.clear();
     partial.resize(rows * points.len().div_ceil(CHUNK), Row::ZERO);
@@ -101,7 +101,7 @@ pub(crate) fn shade_adjoint(
     SCRATCH.set(scratch);
 }
 
-/// The part of all pairs whose specular part is left out, in [0, 1].
+/// Fraction of all pairs whose specular part is skipped, in [0, 1].
 pub(crate) fn culled_part(
     kernels: &dyn Kernels,
     points: &[ShadePoint],

@@ -1,4 +1,4 @@
-//! The walk of one point over all lobes, a vector at a time.
+//! The loop over all lobes for one point, one vector at a time.
 
 use super::blocks::{LobeVector, block_rows, load_lobes};
 use super::cull::{Picked, survivors};
@@ -10,16 +10,16 @@ use crate::real::Vec3Of;
 use crate::sample::ShadePoint;
 use fearless_simd::Simd;
 
-/// Work on the lobes of one point, a vector at a time. A trait and not closures: vector arithmetic in a closure
-/// is compiled without the instruction set that was chosen.
+/// Work on the lobes of one point, one vector at a time. This is a trait, because vector arithmetic in a closure
+/// is compiled without the selected instruction set.
 pub(super) trait Visit<S: Simd, M: PairModel> {
-    /// The part `PART` of the lobes at place `at` of block `b`.
+    /// Processes the part `PART` of the lobes at position `at` of block `b`.
     fn block<const PART: Part>(&mut self, b: usize, at: usize, lobe: &LobeVector<S, M>);
-    /// The specular part of lobes picked by their numbers.
+    /// Processes the specular part of lobes selected by index.
     fn picked(&mut self, index: &[usize], shape: &Shape<Lanes<S>>, amplitude: Vec3Of<Lanes<S>>);
 }
 
-/// Passes all lobes to a visitor; for a model that culls, the specular parts of those only that are not negligible.
+/// Passes all lobes to a visitor; for a model that culls, only the specular parts that are not negligible.
 #[inline(always)]
 pub(super) fn walk<S: Simd, M: PairModel>(
     simd: S,
@@ -61,7 +61,7 @@ pub(super) fn walk<S: Simd, M: PairModel>(
     }
 }
 
-/// Number of pairs whose specular part a model that culls does not leave out.
+/// Number of pairs whose specular part a model that culls evaluates.
 #[inline(always)]
 pub fn count_kept<S: Simd, M: PairModel>(simd: S, shared: &Shared<'_, M>, points: &[ShadePoint]) -> usize {
     let mut kept = 0;

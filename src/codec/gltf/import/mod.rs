@@ -9,13 +9,13 @@ use gltf::json::scene::Node;
 use gltf::json::validation::Checked;
 use std::path::Path;
 
-/// More triangles than this in all are taken for a damaged file.
+/// A file with more triangles than this in total is assumed to be damaged.
 const MAX_TRIANGLES: usize = 50_000_000;
 
-/// What [`read_mesh_with_report`] had to leave out or mend.
+/// What [`read_mesh_with_report`] left out or repaired.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct MeshReport {
-    /// Primitives read (a mesh that several nodes show counts each time).
+    /// Primitives read (a mesh of several nodes counts once per node).
     pub primitives: usize,
     /// Primitives of points or lines, skipped.
     pub skipped_primitives: usize,
@@ -23,12 +23,12 @@ pub struct MeshReport {
     pub degenerate_triangles: usize,
     /// Vertices whose normal was missing, zero or not finite and was computed from the faces.
     pub computed_normals: usize,
-    /// Whether texture coordinates were thrown away because some primitives lack them or some are not finite.
+    /// Whether texture coordinates were dropped, because some primitives have none or some are not finite.
     pub dropped_uvs: bool,
 }
 
 impl MeshReport {
-    /// The repairs in words, one sentence each; empty if nothing was mended.
+    /// Descriptions of the repairs, one sentence each; empty if nothing was repaired.
     pub fn notes(&self) -> Vec<String> {
         let mut notes = Vec::new();
         if self.skipped_primitives > 0 {
@@ -50,7 +50,7 @@ impl MeshReport {
 /// Reads all triangles of all scenes of a `.glb` or `.gltf` file, in world space.
 ///
 /// Triangles, strips and fans of every node of every scene (of every node, if the file has no scene) are taken, with the nodes'
-/// transforms; skins and morph targets stay at rest. Missing normals are computed smooth. If only some primitives have
+/// transforms; skins and morph targets stay in their rest pose. Missing normals are computed as smooth normals. If only some primitives have
 /// texture coordinates, they are dropped for all.
 ///
 /// # Errors
@@ -59,10 +59,10 @@ pub fn read_mesh(path: &Path) -> Result<Mesh> {
     read_mesh_with_report(path).map(|(mesh, _)| mesh)
 }
 
-/// [`read_mesh`], and what was mended on the way.
+/// [`read_mesh`], and a report of repairs.
 ///
 /// # Errors
-/// As [`read_mesh`].
+/// Those of [`read_mesh`].
 pub fn read_mesh_with_report(path: &Path) -> Result<(Mesh, MeshReport)> {
     let file = GltfFile::open(path)?;
     let mut gathered =
@@ -97,7 +97,7 @@ fn placed_nodes(file: &GltfFile) -> Result<Vec<(usize, Mat4)>> {
         stack = (0..nodes.len()).filter(|&n| parents[n].is_none()).map(|n| (n, Mat4::IDENTITY)).collect();
     }
     stack.reverse();
-    // A node that is listed by several scenes is one object, not several.
+    // A node that several scenes list is one object, not several.
     let mut seen = vec![false; nodes.len()];
     let mut placed = Vec::new();
     while let Some((node, world_from_parent)) = stack.pop() {
@@ -131,7 +131,7 @@ fn parents(file: &GltfFile) -> Result<Vec<Option<usize>>> {
     Ok(parents)
 }
 
-/// Walks from every node upwards; meeting one's own path again is a cycle.
+/// Walks from every node to the root; meeting the same walk again is a cycle.
 fn check_acyclic(file: &GltfFile, parents: &[Option<usize>]) -> Result<()> {
     // 0: not seen; n + 1: first seen on the walk that began at n.
     let mut walk = vec![0; parents.len()];
@@ -177,7 +177,7 @@ fn parent_from_node(file: &GltfFile, index: usize) -> Result<Mat4> {
     Ok(Mat4::from_scale_rotation_translation(scale, rotation, translation))
 }
 
-/// The mesh so far.
+/// The mesh under construction.
 struct Gathered {
     mesh: Mesh,
     uvs: Vec<Vec2>,
@@ -267,7 +267,7 @@ impl Gathered {
     ) -> Result<()> {
         for (vertex, &position) in positions.iter().enumerate() {
             let position = Vec3::from(position);
-            // The identity must keep every bit, so that a mesh that was written comes back equal.
+            // The identity keeps every bit, so that a mesh that was written is read back unchanged.
             let placed = if world == Mat4::IDENTITY { position } else { world.transform_point3(position) };
             if !placed.is_finite() {
                 return Err(file.error(
@@ -280,7 +280,7 @@ impl Gathered {
         Ok(())
     }
 
-    /// Normals by the inverse transpose; what is missing stays zero until [`Gathered::finish`].
+    /// Transforms normals by the inverse transpose; missing normals stay zero until [`Gathered::finish`].
     fn add_normals(&mut self, normals: Option<Vec<[f32; 3]>>, count: usize, world: Mat4) {
         let cofactors = inverse_transpose_direction(Mat3::from_mat4(world));
         let place_normal = |normal: [f32; 3]| {
@@ -313,8 +313,8 @@ impl Gathered {
     }
 }
 
-/// A positive multiple of the inverse transpose: the cofactor matrix with the determinant's sign, which exists for flattening
-/// transforms too.
+/// A positive multiple of the inverse transpose: the cofactor matrix with the determinant's sign, which also exists for singular
+/// transforms.
 fn inverse_transpose_direction(matrix: Mat3) -> DMat3 {
     let [x, y, z] = [matrix.x_axis, matrix.y_axis, matrix.z_axis].map(|axis| axis.as_dvec3());
     let sign = if x.dot(y.cross(z)) < 0.0 { -1.0 } else { 1.0 };

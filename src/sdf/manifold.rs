@@ -1,24 +1,24 @@
-//! Pinches of a surface net taken apart: edges with four triangles, and vertices where sheets only touch.
+//! Splitting of non-manifold edges (with four triangles) and non-manifold vertices (where sheets touch) of a surface net.
 //!
-//! A net has one vertex a cell. Where two sheets pass through one cell they share it, and the mesh is no manifold there (Schaefer, Ju
+//! A net has one vertex per cell. Where two sheets pass through one cell they share it, and the mesh is not a manifold there (Schaefer, Ju
 //! and Warren, "Manifold Dual Contouring", 2007). Here the triangles around such a vertex are grouped into fans, and each fan gets
-//! a vertex of its own, moved a little into the fan. Where fans meet along an edge, its four triangles go together in pairs,
-//! around solid or around air, as the field says in its middle. An edge whose pairs are one fan at both ends, as around a hole through a
-//! thin wall, is cut in two, with a middle of its own for each pair.
+//! a vertex of its own, moved a little into the fan. Where fans meet along an edge, its four triangles are paired
+//! around the inside or the outside, depending on the sign of the field at the midpoint. An edge whose pairs belong to one fan at both
+//! ends, as around a hole in a thin wall, is split in two, with a separate midpoint for each pair.
 
 use glam::Vec3;
 use std::collections::BTreeMap;
 
-/// Part of the way to the middle of its fan that a new vertex moves.
+/// Fraction of the way to the center of its fan that a new vertex moves.
 const APART: f32 = 0.25;
 
-/// Rounds of cutting edges in two: edges of one triangle wait for each other.
+/// Rounds of edge splits: a round splits at most one edge per triangle.
 const CUTS: usize = 6;
 
-/// Makes a closed mesh a manifold. `is_solid` says whether a point is inside.
+/// Makes a closed mesh a manifold. `is_solid` returns whether a point is inside.
 ///
-/// Returns which vertices are new or moved. Triangles keep their winding, those that are not cut their order.
-pub fn split_pinches(
+/// Returns which vertices are new or moved. Triangles keep their winding; unsplit triangles keep their order.
+pub fn make_manifold(
     positions: &mut Vec<Vec3>,
     triangles: &mut Vec<[u32; 3]>,
     is_solid: impl Fn(Vec3) -> bool,
@@ -44,7 +44,7 @@ fn edges(triangles: &[[u32; 3]]) -> BTreeMap<(u32, u32), Vec<u32>> {
     edges
 }
 
-/// Cuts edges that have more than two triangles, at most one a triangle; returns how many.
+/// Splits edges with more than two triangles, at most one per triangle; returns the number of splits.
 fn cut_edges(
     positions: &mut Vec<Vec3>,
     triangles: &mut Vec<[u32; 3]>,
@@ -75,13 +75,13 @@ fn cut_edges(
     cuts
 }
 
-/// Gives every fan of triangles around a vertex a vertex of its own.
+/// Gives every fan of triangles around a vertex its own vertex.
 fn part_fans(
     positions: &mut Vec<Vec3>,
     triangles: &mut [[u32; 3]],
     is_solid: &impl Fn(Vec3) -> bool,
 ) -> Vec<bool> {
-    // Corners of triangles that go together: 3 t + k.
+    // Groups of connected triangle corners: 3 t + k.
     let mut groups: Vec<u32> = (0..3 * triangles.len() as u32).collect();
     for (edge, around) in edges(triangles) {
         for (a, b) in pairs(positions, triangles, edge, &around, is_solid) {
@@ -113,7 +113,7 @@ fn root(groups: &mut [u32], mut i: u32) -> u32 {
     i
 }
 
-/// Which triangles at an edge go on in which.
+/// The pairs of triangles at an edge.
 fn pairs(
     positions: &[Vec3],
     triangles: &[[u32; 3]],
@@ -133,12 +133,12 @@ fn pairs(
         .map(|&t| {
             let [a, b, c] = triangles[t as usize].map(|v| positions[v as usize]);
             let (out, normal) = ((a + b + c) / 3.0 - middle, (b - a).cross(c - a));
-            // Whether what comes next around the edge is on the solid's side of this triangle.
+            // Whether the next sector around the edge is on the inside of this triangle.
             (out.dot(second).atan2(out.dot(first)), t, normal.dot(axis.cross(out)) < 0.0)
         })
         .collect();
     turned.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
-    // Where the middle is solid the sheets go around the air, which keeps the solid whole.
+    // If the midpoint is inside, sheets are paired around the outside, which keeps the solid connected.
     let around_solid = !is_solid(middle);
     let n = turned.len();
     let start = (0..n).find(|&i| turned[i].2 == around_solid).unwrap_or(0);
@@ -222,7 +222,7 @@ mod tests {
         for solid in [false, true] {
             let (mut positions, mut triangles) = cubes(&[[0, 0, 0], [1, 1, 0]]);
             assert_eq!(most_triangles_at_an_edge(&positions, &triangles), 4);
-            let changed = split_pinches(&mut positions, &mut triangles, |_| solid);
+            let changed = make_manifold(&mut positions, &mut triangles, |_| solid);
             // Apart, each end of the edge becomes two; joined, the edge gets two middles.
             assert_eq!((positions.len(), triangles.len()), if solid { (16, 28) } else { (16, 24) });
             assert_eq!(most_triangles_at_an_edge(&positions, &triangles), 2);
@@ -234,7 +234,7 @@ mod tests {
     fn cubes_that_touch_in_a_corner_are_parted() {
         let (mut positions, mut triangles) = cubes(&[[0, 0, 0], [1, 1, 1]]);
         assert_eq!(positions.len(), 15);
-        split_pinches(&mut positions, &mut triangles, |_| true);
+        make_manifold(&mut positions, &mut triangles, |_| true);
         assert_eq!(positions.len(), 16);
         assert_eq!(positions.iter().filter(|p| p.fract() != Vec3::ZERO).count(), 2);
     }
@@ -243,7 +243,7 @@ mod tests {
     fn a_manifold_stays_as_it_is() {
         let (before, triangles) = cubes(&[[0, 0, 0]]);
         let (mut positions, mut after) = (before.clone(), triangles.clone());
-        assert!(split_pinches(&mut positions, &mut after, |_| true).iter().all(|c| !c));
+        assert!(make_manifold(&mut positions, &mut after, |_| true).iter().all(|c| !c));
         assert_eq!((positions, after), (before, triangles));
     }
 }
