@@ -288,3 +288,19 @@ fn a_named_light_goes_with_its_lobes_and_another_can_take_its_name() {
         "the old lobes went with the old light"
     );
 }
+
+#[test]
+fn an_edit_that_fails_fails_again_and_leaves_nothing_behind() {
+    let mut pipeline = studio(&day());
+    let plain = shoot(&mut pipeline, front());
+    let texels: Arc<[Vec3]> = vec![Vec3::ONE; 7].into();
+    let edit = (EditName("paint".into()), EditTarget::Diffuse, EditAction::PerTexel(texels));
+    let edit = pipeline.world.spawn(edit).id();
+    pipeline.swap(Phase::Frame, Slot::Material, show_edited("paint"));
+    for _ in 0..2 {
+        let error = render_frame(&mut pipeline, front(), 1).map(|_| ()).unwrap_err();
+        assert!(error.to_string().contains("7 texels"), "{error}");
+    }
+    pipeline.world.despawn(edit);
+    assert_eq!(shoot(&mut pipeline, front()), plain);
+}

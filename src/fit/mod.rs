@@ -10,7 +10,7 @@
 //! | [`scale`], [`exposure`], [`cameras`] | further unknowns: the scale between light and albedo, exposures, cameras |
 //! | [`components`] | gradients, moments and state |
 
-pub(crate) mod adam;
+pub mod adam;
 pub mod cameras;
 pub mod components;
 pub mod exposure;

@@ -14,6 +14,8 @@ use crate::error::Result;
 use crate::math::brdf::Ndf;
 use crate::pipeline::SystemResult;
 use crate::pipeline::pool::read_column;
+use bevy_ecs::change_detection::DetectChangesMut;
+use bevy_ecs::component::Mutable;
 use bevy_ecs::prelude::{
     Changed, Commands, Component, Entity, IntoScheduleConfigs, Local, Or, Query, SystemCondition, With,
     Without, World,
@@ -164,4 +166,17 @@ pub fn spawn_material(world: &mut World, state: &MaterialState) {
     for (number, lobe) in state.materials() {
         world.spawn((BaseMaterial(number as u32), *lobe));
     }
+}
+
+/// Marks the recovered and the shown material as changed, so that what is made of them is made again.
+pub fn mark_material_changed(world: &mut World) {
+    fn mark<T: Component<Mutability = Mutable>>(world: &mut World) {
+        world.query::<&mut T>().iter_mut(world).for_each(|mut component| component.set_changed());
+    }
+    mark::<DiffuseAlbedo>(world);
+    mark::<SpecularBlend>(world);
+    mark::<SpecularLobe>(world);
+    mark::<ShownAlbedo>(world);
+    mark::<ShownBlend>(world);
+    mark::<ShownSpecular>(world);
 }

@@ -23,7 +23,7 @@ pub use stage::{GatherPoints, Phase, ScatterAdjoints, Slot, SlotLabel, Stage};
 
 use crate::error::{Error, Result};
 use bevy_ecs::error::BevyError;
-use bevy_ecs::prelude::{IntoScheduleConfigs, Schedule, Schedules, SystemSet, World};
+use bevy_ecs::prelude::{IntoScheduleConfigs, Resource, Schedule, Schedules, SystemSet, World};
 use bevy_ecs::schedule::{
     InternedScheduleLabel, InternedSystemSet, ScheduleCleanupPolicy, ScheduleLabel, SingleThreadedExecutor,
 };
@@ -50,6 +50,10 @@ pub type SystemResult = std::result::Result<(), BevyError>;
 /// The set of all systems of a plugin, by the type of the plugin.
 #[derive(SystemSet, Clone, Copy, Debug, PartialEq, Eq, Hash)]
 struct AddedBy(TypeId);
+
+/// What is called after a run that failed.
+#[derive(Resource, Default)]
+struct MarkAfterFailure(Vec<fn(&mut World)>);
 
 /// A world and its phases.
 pub struct Pipeline {
@@ -162,6 +166,21 @@ impl Pipeline {
         debug_assert!(matches!(removed, Ok(Ok(_))), "{phase:?} {set:?}: {removed:?}");
     }
 
+    /// Has `mark` called after every run that fails. Conditions of skipped systems are evaluated all the same and then hold the changes
+    /// they saw for dealt with: `mark` marks what such systems read as changed.
+    pub fn mark_after_failure(&mut self, mark: fn(&mut World)) -> &mut Self {
+        let marks = &mut self.world.get_resource_or_init::<MarkAfterFailure>().0;
+        if !marks.iter().any(|known| std::ptr::fn_addr_eq(*known, mark)) {
+            marks.push(mark);
+        }
+        self
+    }
+
+    fn after_failure(&mut self) {
+        let marks = self.world.get_resource::<MarkAfterFailure>().map(|marks| marks.0.clone());
+        marks.unwrap_or_default().into_iter().for_each(|mark| mark(&mut self.world));
+    }
+
     /// Runs a phase once. As in an update of a bevy app, what was removed can be read (`RemovedComponents`) until the end of the
     /// next run but one.
     ///
@@ -176,6 +195,12 @@ impl Pipeline {
         })?;
         // Otherwise the messages of every despawned sample's components pile up: some hundred bytes a sample of every picture.
         self.world.clear_trackers();
-        failure.first().map_or(Ok(()), Err)
+        match failure.first() {
+            None => Ok(()),
+            Some(error) => {
+                self.after_failure();
+                Err(error)
+            }
+        }
     }
 }

@@ -4,7 +4,7 @@ use super::systems::{gather_blends, gather_points, shade_closed_form};
 use crate::codec::frame::Frame;
 use crate::error::Result;
 use crate::light::lights::{IncidentLight, LightChoice, provide_light};
-use crate::material::shown::show_recovered;
+use crate::material::shown::{mark_material_changed, show_recovered};
 use crate::material::source::{
     BaseMaterials, MaterialSource, PlainBlends, Shown, blends_changed, gather_materials, note_plain_blends,
 };
@@ -113,6 +113,7 @@ pub fn add_material_resources<M: MaterialSource>(world: &mut World) {
 
 /// Adds the systems of [`GatherPoints`]: base materials, albedo and blends of a material at the points of the window.
 pub fn add_gathering<M: MaterialSource>(pipeline: &mut Pipeline, phase: Phase) {
+    pipeline.mark_after_failure(mark_material_changed);
     let materials =
         (note_plain_blends::<M>.run_if(blends_changed::<M>), gather_materials::<M>, gather_blends::<M>);
     pipeline.add_systems(phase, Stage::Gather, gather_points::<M>.in_set(GatherPoints));

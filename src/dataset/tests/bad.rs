@@ -246,5 +246,5 @@ fn options_out_of_range_are_refused() {
     );
     assert_says(&with(DatasetOptions { gamma: Gamma::Power(0.0), ..DatasetOptions::default() }), &["gamma"]);
     let options = DatasetOptions { downscale: 5, ..DatasetOptions::default() };
-    assert_says(&input_error(set.read_with(&options)), &["downscale: 5 leaves nothing of 6×4"]);
+    assert_says(&input_error(set.read_with(&options)), &["downscale: 5 leaves no pixel of 6×4"]);
 }

@@ -176,7 +176,7 @@ fn models_that_cannot_be_read_are_named() {
         &["line 3", "camera 7", "OPENCV_FISHEYE", "image_undistorter"],
     );
     assert_says(&text("PINHOLE 6 4 8 3 2"), &["PINHOLE camera has 3 parameters, not 4"]);
-    assert_says(&text("PINHOLE 6 4 8 x 3 2"), &["cameras.txt, line 3", "no camera"]);
+    assert_says(&text("PINHOLE 6 4 8 x 3 2"), &["cameras.txt, line 3", "not a camera"]);
     assert_says(&text("PINHOLE 12 8 8 8 3 2"), &["6×4", "12×8"]);
     set.write_text("PINHOLE 6 4 8 8 3 2");
     set.write_binary(7, [6, 4], &[0.0; 5]);
