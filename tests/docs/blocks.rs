@@ -95,10 +95,13 @@ fn wrapped(item: &str) -> String {
             let views = format!("views: Photographed(truth: ({truth}, light: Lobes(lobes: [{lobe}])))");
             fields.insert("views", views);
         }
-        // What the pass needs before it: something that fits, and the passes that it scores.
+        // What the pass needs before it: something that fits, the passes that it scores, and the one that it saves.
         let mut before = if word == "Shape" { String::new() } else { "Fit(name: \"before\"), ".to_owned() };
         for scored in item.split("pass: \"").skip(1) {
             before += &format!("Render(name: \"{}\"), ", scored.split('"').next().unwrap_or_default());
+        }
+        for shown in item.split("of: \"").skip(1) {
+            before += &format!("Edit(name: \"{}\", edits: [Roughness(action: Set(0.5))]), ", shown.split('"').next().unwrap_or_default());
         }
         fields.insert("passes", format!("passes: [{before}{item}]"));
     }
