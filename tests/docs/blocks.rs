@@ -101,7 +101,10 @@ fn wrapped(item: &str) -> String {
             before += &format!("Render(name: \"{}\"), ", scored.split('"').next().unwrap_or_default());
         }
         for shown in item.split("of: \"").skip(1) {
-            before += &format!("Edit(name: \"{}\", edits: [Roughness(action: Set(0.5))]), ", shown.split('"').next().unwrap_or_default());
+            before += &format!(
+                "Edit(name: \"{}\", edits: [Roughness(action: Set(0.5))]), ",
+                shown.split('"').next().unwrap_or_default()
+            );
         }
         fields.insert("passes", format!("passes: [{before}{item}]"));
     }
