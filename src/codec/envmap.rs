@@ -102,19 +102,19 @@ impl Sink {
     }
 
     fn add(&mut self, x: usize, y: usize, value: Vec3) {
-        let mut mended = value;
+        let mut repaired = value;
         if value.is_finite() {
             self.finite += 1;
         } else {
             self.repaired += 1;
-            mended = Vec3::from_array(value.to_array().map(|c| if c.is_finite() { c } else { 0.0 }));
+            repaired = Vec3::from_array(value.to_array().map(|c| if c.is_finite() { c } else { 0.0 }));
         }
-        if mended.min_element() < 0.0 {
+        if repaired.min_element() < 0.0 {
             self.clamped += 1;
-            mended = mended.max(Vec3::ZERO);
+            repaired = repaired.max(Vec3::ZERO);
         }
-        self.bright |= mended.max_element() > 0.0;
-        self.filter.add(x, y, mended);
+        self.bright |= repaired.max_element() > 0.0;
+        self.filter.add(x, y, repaired);
     }
 
     fn finish(self, path: &Path) -> Result<(EnvironmentMap, Vec<String>)> {

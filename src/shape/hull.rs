@@ -1,9 +1,9 @@
 //! The robust visual hull: at every point of space, how far outside the silhouettes it is.
 //!
-//! In a view a point is about (pixels to the outline) · depth / focal away from the silhouette's cone. The largest of
+//! In a view a point is about (pixels to the silhouette) · depth / focal away from the silhouette's cone. The largest of
 //! these over the views is the hull's signed distance; the k-th largest forgives k − 1 wrong masks. Views that do not see
-//! the point, or see it at the border of the frame, abstain: what the frame cuts is not carved. What a few masks carved
-//! although many show it is put back ([`crate::shape::repair`]).
+//! the point, or see it at the border of the frame, abstain: what the frame cuts is kept. What a few masks remove
+//! although many show it is restored ([`crate::shape::repair`]).
 
 use crate::sdf::SdfGrid;
 use crate::shape::repair::regrow;

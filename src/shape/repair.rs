@@ -1,8 +1,8 @@
-//! What masks say together against what a few of them say: parts put back, and outlines not believed.
+//! Repair of the visual hull where a few masks contradict the others: restored parts, and rejected silhouettes.
 //!
-//! A mask that lost a part of the object carves it out of the hull for all views. Other masks then have pixels inside whose
-//! rays meet nothing. Where such rays of several views cross, and most views see the object, it is put back. The same
-//! finds parts that a coarse grid or a step of the fit lost.
+//! A mask that lacks a part of the object removes it from the hull for all views. Other masks then contain pixels whose rays
+//! miss the hull. Where such rays of several views cross, and most views see the object, the part is restored. The same step
+//! restores parts that a coarse grid or a step of the fit lost.
 
 use crate::error::{Error, Result};
 use crate::sdf::SdfGrid;
@@ -16,18 +16,18 @@ const GAP_DEPTH: f32 = 2.5;
 /// Views whose gaps must cross in a point, and the same as a share of all views.
 const GAP_VIEWS: usize = 3;
 const GAP_SHARE: f32 = 0.04;
-/// Cells around a gap's rays within which the object is put back.
+/// Cells around a gap's rays within which the object is restored.
 const GAP_REACH: f32 = 1.5;
-/// Pixels that an outline may be off the hull's before it is not believed; a coarse grid's cell allows for more.
+/// Distance in pixels between the silhouettes of mask and hull from which the mask is rejected; cells of a coarse grid allow more.
 const OUTLINE_TOLERANCE: f32 = 3.0;
 
-/// Every how many pixels of a mask are looked at to see how well the hull fills it.
+/// Stride in pixels of the check how well the hull fills a mask.
 const SHARE_STRIDE: usize = 7;
 /// Shares of a mask that the hull fills, below which the view is noted, and below which in half the views there is no shape.
 const NOTED_SHARE: f32 = 0.9;
 const REFUSED_SHARE: f32 = 0.6;
 
-/// Puts back what many masks show, all but a share of `forgiven`, and `grid` lacks. Values that change are no exact distances.
+/// Restores what all masks but a share of `forgiven` show and `grid` lacks. Changed values are not exact distances.
 pub fn regrow(grid: &mut SdfGrid, silhouettes: &[Silhouette], forgiven: f32) {
     let gaps: Vec<Silhouette> = silhouettes.par_iter().filter_map(|view| gaps(grid, view)).collect();
     let needed = GAP_VIEWS.max((GAP_SHARE * silhouettes.len() as f32).ceil() as usize);
@@ -118,9 +118,9 @@ pub fn check_hull(hull: &SdfGrid, silhouettes: &[Silhouette]) -> Result<Vec<Stri
         .collect())
 }
 
-/// Per pixel of a view whether its mask may be believed there: it is not at the frame's border, and the hull's outline is
-/// nowhere near far from the mask's.
-pub fn believed_pixels(hull: &SdfGrid, view: &Silhouette) -> Vec<bool> {
+/// For each pixel of a view, whether its mask is reliable there: not at the border of the frame, and nowhere near a place
+/// where the silhouette of the hull is far from that of the mask.
+pub fn reliable_pixels(hull: &SdfGrid, view: &Silhouette) -> Vec<bool> {
     let camera = &view.camera;
     let middle = hull.position(glam::UVec3::splat(hull.side / 2));
     let cell = hull.spacing / (pixel_size(camera) * camera.position().distance(middle));
@@ -138,11 +138,11 @@ pub fn believed_pixels(hull: &SdfGrid, view: &Silhouette) -> Vec<bool> {
     } else {
         vec![f32::INFINITY; wrong.len()]
     };
-    let believed = |i: usize| {
+    let reliable = |i: usize| {
         let (x, y) = view.center(i);
         is_inner(camera, x, y) && to_wrong[i] > tolerance + 1.0
     };
-    (0..wrong.len()).map(believed).collect()
+    (0..wrong.len()).map(reliable).collect()
 }
 
 #[cfg(test)]
@@ -186,35 +186,35 @@ mod tests {
     #[test]
     fn a_part_that_a_few_masks_lack_is_put_back() {
         let sound = visual_hull(&views(&[]), 48).unwrap();
-        let mended = visual_hull(&views(&BLIND), 48).unwrap();
-        assert!(sound.value(HORN) < 0.0 && mended.value(HORN) < 0.0);
+        let repaired = visual_hull(&views(&BLIND), 48).unwrap();
+        assert!(sound.value(HORN) < 0.0 && repaired.value(HORN) < 0.0);
         // Nothing else changes by more than about two cells.
         for row in 0..sound.values.len() {
             let point = sound.position(sound.vertex(row));
-            let off = (mended.value(point) - sound.values[row]).abs();
+            let off = (repaired.value(point) - sound.values[row]).abs();
             let near = sound.values[row].abs() < 0.1;
             assert!(!near || off < 2.5 * sound.spacing, "{point}: {off} {}", sound.spacing);
         }
     }
 
     #[test]
-    fn outlines_that_the_hull_contradicts_are_not_believed() {
+    fn silhouettes_that_the_hull_contradicts_are_rejected() {
         let views = views(&BLIND);
         let hull = visual_hull(&views, 48).unwrap();
         for (i, view) in views.iter().enumerate() {
-            let believed = believed_pixels(&hull, view);
-            let kept = believed.iter().filter(|believed| **believed).count();
-            assert!(kept > believed.len() / 2, "view {i}: {kept}");
+            let reliable = reliable_pixels(&hull, view);
+            let kept = reliable.iter().filter(|reliable| **reliable).count();
+            assert!(kept > reliable.len() / 2, "view {i}: {kept}");
             if BLIND.contains(&i) {
                 let (x, y, _) = view.camera.project(HORN).unwrap();
-                assert!(!believed[y as usize * SIZE as usize + x as usize], "view {i}");
+                assert!(!reliable[y as usize * SIZE as usize + x as usize], "view {i}");
             } else {
-                let inner = (0..believed.len()).filter(|&p| {
+                let inner = (0..reliable.len()).filter(|&p| {
                     let (x, y) = view.center(p);
                     is_inner(&view.camera, x, y)
                 });
-                let doubted = inner.filter(|&p| !believed[p]).count();
-                assert!(doubted < believed.len() / 50, "view {i}: {doubted}");
+                let doubted = inner.filter(|&p| !reliable[p]).count();
+                assert!(doubted < reliable.len() / 50, "view {i}: {doubted}");
             }
         }
     }

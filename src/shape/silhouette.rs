@@ -1,4 +1,4 @@
-//! The silhouette of a view: its mask as signed distances to the outline, and how far points of space are outside of it.
+//! The silhouette of a view: the signed distance to the boundary of its mask, and the distance of points of space from its cone.
 
 use crate::sdf::silhouette::signed_distance;
 use crate::view::{Camera, Mask, ViewIndex};
@@ -19,7 +19,7 @@ pub struct Silhouette {
     /// The view's name.
     pub(super) name: String,
     pub(super) camera: Camera,
-    /// Signed pixels to the outline from each pixel's centre, negative inside.
+    /// Signed distance in pixels from each pixel's center to the boundary of the mask, negative inside.
     pub(super) distance: Vec<f32>,
     /// The mask's coverage.
     pub(super) coverage: Vec<f32>,
@@ -62,7 +62,7 @@ impl Silhouette {
         ((pixel % width) as f32 + 0.5, (pixel / width) as f32 + 0.5)
     }
 
-    /// Slope of the distance in the image at a pixel, per pixel.
+    /// Gradient of the distance in the image at a pixel, per pixel.
     pub(super) fn slope(&self, pixel: usize) -> Vec2 {
         let (x, y) = self.center(pixel);
         let across = self.pixels(x + 1.0, y) - self.pixels(x - 1.0, y);
@@ -87,7 +87,7 @@ impl Silhouette {
     }
 }
 
-/// Whether an image position is far enough from the frame's border for the mask to be believed.
+/// Whether an image position is far enough from the frame's border for the mask to be reliable.
 pub(super) fn is_inner(camera: &Camera, x: f32, y: f32) -> bool {
     let (width, height) = (camera.width as f32, camera.height as f32);
     let border = BORDER.max(BORDER_SHARE * width.min(height));

@@ -36,11 +36,11 @@ pub struct UnwrappedMesh {
 /// # Errors
 /// [`Error::Run`] if the mesh cannot be unwrapped or its charts do not fit the texture.
 pub fn unwrap_mesh(mesh: &Mesh, texture_size: u32) -> Result<UnwrappedMesh> {
-    let Some(uvs) = &mesh.uvs else { return unwrap_anew(mesh, texture_size, None) };
+    let Some(uvs) = &mesh.uvs else { return unwrap_again(mesh, texture_size, None) };
     match fault(mesh, uvs, texture_size) {
         Some(fault) => {
             let note = format!("the mesh's own texture coordinates were replaced: {fault}");
-            unwrap_anew(mesh, texture_size, Some(note))
+            unwrap_again(mesh, texture_size, Some(note))
         }
         None => {
             let mut mesh = mesh.clone();
@@ -103,7 +103,7 @@ fn overlapping_part(mesh: &Mesh, grid: u32) -> f64 {
     shared as f64 / covered.max(1) as f64
 }
 
-fn unwrap_anew(mesh: &Mesh, texture_size: u32, note: Option<String>) -> Result<UnwrappedMesh> {
+fn unwrap_again(mesh: &Mesh, texture_size: u32, note: Option<String>) -> Result<UnwrappedMesh> {
     let context = || "unwrapping the mesh".to_owned();
     let positions: Vec<[f32; 3]> = mesh.positions.iter().map(|p| p.to_array()).collect();
     let indices = mesh.triangles.as_flattened();

@@ -17,7 +17,7 @@ use crate::shape::field::{
     BRICK_LEN, BrickAt, BrickGradient, BrickIndex, BrickMoments, BrickValues, SdfField, bricks_near_surface,
 };
 use crate::shape::hull::{FORGIVEN, visual_hull};
-use crate::shape::repair::{believed_pixels, regrow};
+use crate::shape::repair::{regrow, reliable_pixels};
 use crate::shape::silhouette::{Silhouette, pixel_size};
 use crate::shape::silhouette_loss::{SilhouetteIndex, SilhouetteSample};
 use crate::shape::systems::{
@@ -197,9 +197,9 @@ fn silhouette_samples(
     for silhouette in silhouettes {
         let camera = &silhouette.camera;
         let pixel_size = pixel_size(camera);
-        let believed = believed_pixels(hull, silhouette);
+        let reliable = reliable_pixels(hull, silhouette);
         let near =
-            (0..believed.len()).filter(|&i| believed[i] && silhouette.distance[i].abs() < SILHOUETTE_REACH);
+            (0..reliable.len()).filter(|&i| reliable[i] && silhouette.distance[i].abs() < SILHOUETTE_REACH);
         samples.extend(near.map(|i| {
             let pixel = PixelOf { view: silhouette.view, pixel: i as u32 };
             let (distance, distance_gradient) = (silhouette.distance[i], silhouette.slope(i));
