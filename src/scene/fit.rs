@@ -17,7 +17,7 @@ pub struct FitPass {
     pub shading: FitShading,
     /// Nodes of `Accurate` shading: `Default` or `High`. Default `Default`.
     pub quality: Quality,
-    /// Number of update steps ≥ 1. Default 1200: much longer, and the bias of the published formulas is fitted too.
+    /// Number of update steps ≥ 1. Default 1200: with many more, `Published` shading fits the bias of its formulas as well.
     pub steps: u32,
     /// Most pixels that are visited ≥ 1; a random part of more. Default 2 000 000.
     pub max_pixels: u32,

@@ -59,10 +59,10 @@ pub enum ViewChoice {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub enum Shading {
-    /// Accurate integrals of light SG × BRDF × cosine: no shadows, no interreflection.
+    /// Accurate integrals of light SG × BRDF × cosine, with shadows and interreflection as far as `visibility` finds them.
     #[default]
     Accurate,
-    /// PhySG's published approximation of them.
+    /// PhySG's published approximation of them, without shadows and interreflection.
     Published,
     /// An unbiased path tracer with the same BRDF: shadows and interreflection.
     PathTraced {
