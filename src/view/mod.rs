@@ -5,7 +5,6 @@
 //! | module | holds |
 //! | --- | --- |
 //! | [`camera`] | the pinhole camera, projection, construction by target point, orbits |
-//! | [`mask_check`] | checks of cameras and masks before reconstruction |
 //! | [`raster`] | box filtering, bilinear look-up, mask erosion |
 //!
 //! [`dataset`](crate::dataset) reads folders of posed photographs as [`ViewRecord`]s, [`codec::image`](crate::codec::image) single
@@ -25,7 +24,6 @@
 //! | `width`, `height` | `u32` | pixels | 512 | image size |
 
 pub mod camera;
-pub mod mask_check;
 pub mod raster;
 
 pub use camera::{Camera, Orbit};

@@ -4,7 +4,8 @@
 //! if cameras and masks are consistent. The point minimizes the sum of distances, so that a few wrong views do not affect it.
 
 use crate::error::{Error, Result};
-use crate::view::{Camera, Mask, ViewRecord};
+use crate::survey::look::{Bounds, Look, MaskLook};
+use crate::view::Camera;
 use glam::{DMat3, DVec3, Vec3};
 
 /// Views with masks that a shape needs.
@@ -16,41 +17,50 @@ const MEETING_STEPS: usize = 30;
 const SELECT_HELP: &str = "Repair the mask, or leave the view out with `select`.";
 
 /// The bounding box of a mask in pixels, and the ray through its center.
-struct Outline<'a> {
+pub struct Outline<'a> {
     name: &'a str,
-    camera: &'a Camera,
-    /// First and one past the last covered pixel.
-    low: [f32; 2],
-    high: [f32; 2],
-    origin: DVec3,
-    direction: DVec3,
+    camera: Camera,
+    bounds: Bounds,
+    ray: Sight,
+    is_cut: bool,
+}
+
+/// A line of sight.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sight {
+    /// Where it starts.
+    pub origin: DVec3,
+    /// Its direction, of unit length.
+    pub direction: DVec3,
+}
+
+impl Sight {
+    /// Through a place of a camera's image, in pixels.
+    pub fn new(camera: &Camera, x: f32, y: f32) -> Self {
+        let ray = camera.ray(x, y);
+        Self { origin: ray.origin.as_dvec3(), direction: ray.direction.as_dvec3() }
+    }
 }
 
 impl<'a> Outline<'a> {
-    /// `None` if the mask is empty.
-    fn new(name: &'a str, camera: &'a Camera, mask: &Mask) -> Option<Self> {
-        let (mut low, mut high) = ([f32::INFINITY; 2], [0.0f32; 2]);
-        for (i, _) in mask.coverage.iter().enumerate().filter(|(_, coverage)| **coverage >= 0.5) {
-            let at = [i as u32 % mask.width, i as u32 / mask.width];
-            for k in 0..2 {
-                low[k] = low[k].min(at[k] as f32);
-                high[k] = high[k].max(at[k] as f32 + 1.0);
-            }
-        }
-        let ray = camera.ray(0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]));
-        let (origin, direction) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
-        (high[0] > 0.0).then_some(Self { name, camera, low, high, origin, direction })
+    /// `None` if there is no mask, or it is empty.
+    pub fn new(look: &'a Look) -> Option<Self> {
+        let mask = look.mask.as_ref()?;
+        let Bounds { low, high } = mask.bounds?;
+        let ray = Sight::new(&look.camera, 0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]));
+        let (camera, bounds) = (look.camera, Bounds { low, high });
+        Some(Self { name: &look.name, camera, bounds, ray, is_cut: mask.is_cut(&camera) })
     }
 
-    fn is_cut(&self) -> bool {
-        let size = [self.camera.width as f32, self.camera.height as f32];
-        (0..2).any(|k| self.low[k] == 0.0 || self.high[k] == size[k])
+    /// The ray through the center of the box.
+    pub fn sight(&self) -> Sight {
+        self.ray
     }
 
     /// Half the shorter side of the box, as a length at the distance of `point`.
-    fn radius_at(&self, point: DVec3) -> f64 {
-        let halves = [0, 1].map(|k| 0.5 * (self.high[k] - self.low[k]) / self.camera.focal[k]);
-        f64::from(halves[0].min(halves[1])) * self.origin.distance(point)
+    pub fn radius_at(&self, point: DVec3) -> f64 {
+        let halves = [0, 1].map(|k| 0.5 * (self.bounds.high[k] - self.bounds.low[k]) / self.camera.focal[k]);
+        f64::from(halves[0].min(halves[1])) * self.ray.origin.distance(point)
     }
 
     /// Distance of the projection of `point` from the box, in sizes of the box; infinity behind the camera, 0 outside the frame.
@@ -61,8 +71,8 @@ impl<'a> Outline<'a> {
             return 0.0;
         }
         let beyond = |k: usize| {
-            let outside = (self.low[k] - at[k]).max(at[k] - self.high[k]).max(0.0);
-            outside / (self.high[k] - self.low[k] + 0.04 * size[k])
+            let outside = (self.bounds.low[k] - at[k]).max(at[k] - self.bounds.high[k]).max(0.0);
+            outside / (self.bounds.high[k] - self.bounds.low[k] + 0.04 * size[k])
         };
         beyond(0).max(beyond(1))
     }
@@ -74,23 +84,24 @@ impl<'a> Outline<'a> {
 /// [`Error::Usage`] that names a view and a remedy: fewer than three masks, a mask that is all covered, an object cut by every
 /// frame, views along one line, a camera inside the object, cameras that look away from it, or cameras and masks that are
 /// inconsistent.
-pub fn check_masks(views: &[&ViewRecord]) -> Result<Vec<String>> {
+pub fn check_masks(views: &[&Look]) -> Result<Vec<String>> {
     let masks = || views.iter().filter_map(|view| Some((*view, view.mask.as_ref()?)));
     if masks().count() < MIN_VIEWS {
         return Err(too_few(views, masks().count()));
     }
-    if let Some((view, _)) = masks().find(|(_, mask)| mask.coverage.iter().all(|c| *c >= 0.5)) {
+    let is_white = |mask: &MaskLook| mask.all_covered;
+    if let Some((view, _)) = masks().find(|(_, mask)| is_white(mask)) {
         let problem = format!("the mask of view `{}` is all white: it has no silhouette", view.name);
         return Err(Error::usage(problem, SELECT_HELP));
     }
-    let outlines: Vec<Outline> =
-        masks().filter_map(|(view, mask)| Outline::new(&view.name, &view.camera, mask)).collect();
-    if let (Some(first), true) = (outlines.first(), outlines.iter().all(Outline::is_cut)) {
+    let outlines: Vec<Outline> = views.iter().filter_map(|view| Outline::new(view)).collect();
+    if let (Some(first), true) = (outlines.first(), outlines.iter().all(|outline| outline.is_cut)) {
         let problem = format!("every frame cuts the object (the first is view `{}`)", first.name);
         let help = "A shape needs views that show the whole object: move the camera back, or remove other objects from the masks.";
         return Err(Error::usage(problem, help));
     }
-    let meeting = meeting_point(&outlines).ok_or_else(|| {
+    let sights: Vec<Sight> = outlines.iter().map(Outline::sight).collect();
+    let meeting = meeting_point(&sights).ok_or_else(|| {
         let problem = "all views look along one line: the distance of the object cannot be determined";
         Error::usage(problem, "Add views from other sides.")
     })?;
@@ -98,7 +109,7 @@ pub fn check_masks(views: &[&ViewRecord]) -> Result<Vec<String>> {
     strangers(&outlines, meeting)
 }
 
-fn too_few(views: &[&ViewRecord], masks: usize) -> Error {
+fn too_few(views: &[&Look], masks: usize) -> Error {
     let without = views.iter().find(|view| view.mask.is_none());
     let without = without.map_or(String::new(), |view| format!(" (view `{}` has none)", view.name));
     let problem = format!("a shape needs at least three views with masks; there are {masks}{without}");
@@ -107,17 +118,17 @@ fn too_few(views: &[&ViewRecord], masks: usize) -> Error {
 }
 
 /// The point with the least sum of distances to all rays; `None` if they are parallel.
-fn meeting_point(outlines: &[Outline]) -> Option<DVec3> {
-    let base = outlines.iter().map(|outline| outline.origin).sum::<DVec3>() / outlines.len() as f64;
-    let mut weights = vec![1.0; outlines.len()];
+pub fn meeting_point(sights: &[Sight]) -> Option<DVec3> {
+    let base = sights.iter().map(|sight| sight.origin).sum::<DVec3>() / sights.len() as f64;
+    let mut weights = vec![1.0; sights.len()];
     let mut point = DVec3::ZERO;
     for _ in 0..MEETING_STEPS {
         let (mut a, mut b) = (DMat3::ZERO, DVec3::ZERO);
-        for (outline, weight) in outlines.iter().zip(&weights) {
-            let d = outline.direction;
+        for (sight, weight) in sights.iter().zip(&weights) {
+            let d = sight.direction;
             let across = (DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z)) * *weight;
             a += across;
-            b += across * (outline.origin - base);
+            b += across * (sight.origin - base);
         }
         let total: f64 = weights.iter().sum();
         point = a.inverse() * b;
@@ -125,10 +136,8 @@ fn meeting_point(outlines: &[Outline]) -> Option<DVec3> {
         if !sound {
             return None;
         }
-        let distances: Vec<f64> = outlines
-            .iter()
-            .map(|outline| outline.direction.cross(point - (outline.origin - base)).length())
-            .collect();
+        let apart = |sight: &Sight| sight.direction.cross(point - (sight.origin - base)).length();
+        let distances: Vec<f64> = sights.iter().map(apart).collect();
         let floor = 1e-3 * distances.iter().sum::<f64>() / distances.len() as f64;
         weights = distances.iter().map(|distance| 1.0 / distance.max(floor).max(f64::MIN_POSITIVE)).collect();
         let largest = weights.iter().copied().fold(0.0, f64::max);
@@ -140,7 +149,7 @@ fn meeting_point(outlines: &[Outline]) -> Option<DVec3> {
 /// Checks that cameras look at the object, from outside.
 fn check_places(outlines: &[Outline], meeting: DVec3) -> Result<()> {
     let behind: Vec<&Outline> =
-        outlines.iter().filter(|outline| outline.direction.dot(meeting - outline.origin) < 0.0).collect();
+        outlines.iter().filter(|outline| outline.ray.direction.dot(meeting - outline.ray.origin) < 0.0).collect();
     if let (Some(first), true) = (behind.first(), 2 * behind.len() > outlines.len()) {
         let problem = format!(
             "{} of {} cameras look away from where their views meet (the first is view `{}`)",
@@ -155,11 +164,11 @@ fn check_places(outlines: &[Outline], meeting: DVec3) -> Result<()> {
     let mut radii: Vec<f64> = outlines.iter().map(|outline| outline.radius_at(meeting)).collect();
     radii.sort_by(f64::total_cmp);
     let radius = radii[radii.len() / 2];
-    match outlines.iter().find(|outline| outline.origin.distance(meeting) < 0.9 * radius) {
+    match outlines.iter().find(|outline| outline.ray.origin.distance(meeting) < 0.9 * radius) {
         None => Ok(()),
         Some(outline) => {
             let problem = format!("the camera of view `{}` is inside the object", outline.name);
-            let at = outline.origin;
+            let at = outline.ray.origin;
             let help = format!(
                 "It is at ({:.3}, {:.3}, {:.3}), the object around ({:.3}, {:.3}, {:.3}): correct the pose, or leave the \
                  view out with `select`.",
@@ -196,7 +205,8 @@ fn strangers(outlines: &[Outline], meeting: DVec3) -> Result<Vec<String>> {
 mod tests {
     use super::*;
     use crate::math::fibonacci::fibonacci_axes;
-    use crate::view::Split;
+    use crate::survey::look::MaskSource;
+    use crate::view::{Mask, Split, ViewRecord};
 
     const SIDE: u32 = 64;
 
@@ -222,7 +232,11 @@ mod tests {
     }
 
     fn check(views: &[ViewRecord]) -> Result<Vec<String>> {
-        check_masks(&views.iter().collect::<Vec<_>>())
+        let look = |view: &ViewRecord| {
+            Look::new(view, [view.camera.width, view.camera.height], MaskSource::File, false)
+        };
+        let looks: Vec<Look> = views.iter().map(look).collect();
+        check_masks(&looks.iter().collect::<Vec<_>>())
     }
 
     #[track_caller]
