@@ -9,13 +9,30 @@ use crate::material::SpecularBlend;
 use crate::material::shown::recovered_material;
 use crate::pass::edit::{apply_edits, edits_of_nothing};
 use crate::pass::evaluate::{read_fitting, true_image_path, true_layer_path};
+use crate::pass::progress::Progress;
 use crate::pass::render::{ChosenView, chosen_views};
 use crate::pass::session::Session;
 use crate::scene::Gloss;
-use crate::scene::{EvaluatePass, LayerTruth, Pass, RenderSettings, Truth, ViewChoice};
+use crate::scene::{EvaluatePass, LayerTruth, Pass, RenderSettings, Scene, Surface, Truth, ViewChoice};
+use crate::survey::Severity;
+use crate::survey::open::survey;
 use crate::view::{Photograph, ViewName};
 use bevy_ecs::prelude::World;
 use rayon::prelude::*;
+
+/// Surveys the photographs and masks that passes learn from or are scored against: a warning is a note, the first error ends the run.
+///
+/// # Errors
+/// [`Error::Usage`] for the first thing that cannot work; those of reading the data.
+pub fn check_data(scene: &Scene, progress: &dyn Progress) -> Result<()> {
+    let learns = |pass: &Pass| matches!(pass, Pass::Fit(_) | Pass::Shape(_) | Pass::Evaluate(_));
+    let is_used = matches!(scene.surface, Surface::Unknown { .. }) || scene.passes.iter().any(learns);
+    let Some(survey) = (if is_used { survey(scene, false)? } else { None }) else { return Ok(()) };
+    for warning in survey.findings_of(Severity::Warning) {
+        progress.note(&warning.problem);
+    }
+    survey.findings_of(Severity::Error).next().map_or(Ok(()), |error| Err(error.to_error()))
+}
 
 /// Checks every pass against the world before any of them runs.
 ///

@@ -100,8 +100,8 @@ fn beside_mesh(survey: &mut Survey, mesh: &Mesh, up: Vec3) {
 fn beside_hull(survey: &mut Survey, up: Vec3) {
     let train: Vec<&Look> = survey.looks.iter().filter(|look| look.split == Split::Train).collect();
     let complaint = match check_masks(&train) {
-        Ok(notes) => {
-            survey.notes.extend(notes);
+        Ok(stray) => {
+            survey.findings.extend(stray);
             None
         }
         Err(error) => Some(Finding::from_error("masks", &error)),

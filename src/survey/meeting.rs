@@ -4,6 +4,7 @@
 //! if cameras and masks are consistent. The point minimizes the sum of distances, so that a few wrong views do not affect it.
 
 use crate::error::{Error, Result};
+use crate::survey::finding::{Finding, named};
 use crate::survey::look::{Bounds, Look, MaskLook};
 use crate::view::Camera;
 use glam::{DMat3, DVec3, Vec3};
@@ -78,13 +79,13 @@ impl<'a> Outline<'a> {
     }
 }
 
-/// Checks that the masks of the views are usable for reconstruction; the notes name views that are inconsistent with the others.
+/// Checks that the masks of the views are usable for reconstruction; a warning names views that are inconsistent with the others.
 ///
 /// # Errors
 /// [`Error::Usage`] that names a view and a remedy: fewer than three masks, a mask that is all covered, an object cut by every
 /// frame, views along one line, a camera inside the object, cameras that look away from it, or cameras and masks that are
 /// inconsistent.
-pub fn check_masks(views: &[&Look]) -> Result<Vec<String>> {
+pub fn check_masks(views: &[&Look]) -> Result<Option<Finding>> {
     let masks = || views.iter().filter_map(|view| Some((*view, view.mask.as_ref()?)));
     if masks().count() < MIN_VIEWS {
         return Err(too_few(views, masks().count()));
@@ -180,19 +181,17 @@ fn check_places(outlines: &[Outline], meeting: DVec3) -> Result<()> {
 }
 
 /// Views whose mask is far from the point on which the others agree.
-fn strangers(outlines: &[Outline], meeting: DVec3) -> Result<Vec<String>> {
+fn strangers(outlines: &[Outline], meeting: DVec3) -> Result<Option<Finding>> {
     let point = meeting.as_vec3();
     let far = outlines.iter().map(|outline| (outline.stray(point), outline.name)).filter(|far| far.0 > 0.5);
     let mut far: Vec<(f32, &str)> = far.collect();
     far.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(b.1)));
-    let Some(worst) = far.first() else { return Ok(Vec::new()) };
+    let Some(worst) = far.first() else { return Ok(None) };
     let (count, all, name) = (far.len(), outlines.len(), worst.1);
     if count as f64 <= FORGIVEN * all as f64 {
-        let names: Vec<&str> = far.iter().map(|far| far.1).collect();
-        let names = names.join(", ");
-        return Ok(vec![format!(
-            "mask or camera of {names} disagrees with the other views; the shape ignores it"
-        )]);
+        let names: Vec<String> = far.iter().map(|far| far.1.to_owned()).collect();
+        let problem = format!("mask or camera disagrees with the other views in {}; the shape ignores it", named(&names));
+        return Ok(Some(Finding::warning("stray-view", names, problem, SELECT_HELP)));
     }
     let problem = format!(
         "cameras and masks are inconsistent: in {count} of {all} views the place where the others see the object \
@@ -231,7 +230,7 @@ mod tests {
         Mask { width: SIDE, height: SIDE, coverage: (0..SIDE * SIDE).map(covered).collect() }
     }
 
-    fn check(views: &[ViewRecord]) -> Result<Vec<String>> {
+    fn check(views: &[ViewRecord]) -> Result<Option<Finding>> {
         let look = |view: &ViewRecord| {
             Look::new(view, [view.camera.width, view.camera.height], MaskSource::File, false)
         };
@@ -252,7 +251,7 @@ mod tests {
         for (center, scale) in
             [(Vec3::ZERO, 1.0), (Vec3::new(50.0, -20.0, 30.0), 1000.0), (Vec3::splat(40.0), 1e-3)]
         {
-            assert!(check(&ball(center, scale, 20)).unwrap().is_empty());
+            assert_eq!(check(&ball(center, scale, 20)).unwrap(), None);
         }
     }
 
@@ -301,7 +300,7 @@ mod tests {
         refused(&views, &["1 of 24 views", "view `v9` is farthest off"]);
         let mut many = ball(Vec3::ZERO, 1.0, 60);
         many[9].mask = Some(disk([8.0, 8.0], 5.0));
-        let notes = check(&many).unwrap();
-        assert!(notes.len() == 1 && notes[0].contains("of v9 disagrees"), "{notes:?}");
+        let stray = check(&many).unwrap().unwrap();
+        assert!(stray.views == ["v9"] && stray.problem.contains("disagrees with the other views"), "{stray:?}");
     }
 }
