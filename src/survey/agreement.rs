@@ -2,7 +2,7 @@
 
 use crate::mesh::bvh::TriangleBvh;
 use crate::report::sheet::choose_evenly;
-use crate::survey::change::{Cause, camera_causes, turns, world_causes};
+use crate::survey::change::{Cause, Change, camera_causes, turns, world_causes};
 use crate::survey::finding::{Finding, named};
 use crate::survey::hull;
 use crate::survey::look::{Look, SmallMask};
@@ -54,7 +54,9 @@ pub fn of_mesh(bvh: &TriangleBvh, looks: &[Look], found: &[Option<Agreement>]) -
              put right: {}",
             cause.words
         );
-        return vec![Finding::error("other-axes", Vec::new(), problem, cause.help)];
+        let is_placed = matches!(cause.change, Change::Placed { .. });
+        let name = if is_placed { "other-place" } else { "other-axes" };
+        return vec![Finding::error(name, Vec::new(), problem, cause.help)];
     }
     let worst = worst(looks, found);
     let problem = format!(
