@@ -15,6 +15,7 @@ use crate::survey::silhouette::agreements;
 use crate::survey::turntable::{self, Background};
 use crate::view::Split;
 use glam::Vec3;
+use std::collections::BTreeSet;
 
 /// What the views are of, as far as it is known, and what they are for.
 pub struct Subject<'a> {
@@ -35,7 +36,8 @@ pub struct Survey {
     pub layout: Layout,
     /// What reading the data has to say.
     pub notes: Vec<String>,
-    /// The views: training views, then test views, each in natural order of their names.
+    /// The views: training views, then test views, each in natural order of their names; a name that both splits have is written
+    /// `train/NAME` or `test/NAME`.
     pub looks: Vec<Look>,
     /// Each view beside those from nearly the same side.
     pub compared: Vec<Compared>,
@@ -65,7 +67,8 @@ impl Survey {
 }
 
 /// Finds what is wrong with views of `subject`; `backgrounds` are those of some photographs, before masks make them black.
-pub fn examine(looks: Vec<Look>, subject: &Subject, backgrounds: &[Background]) -> Survey {
+pub fn examine(mut looks: Vec<Look>, subject: &Subject, backgrounds: &[Background]) -> Survey {
+    tell_apart(&mut looks);
     let mut survey = Survey { looks, ..Survey::default() };
     survey.findings = photographs::of_radiance(&survey.looks);
     survey.findings.extend(photographs::of_duplicates(&survey.looks));
@@ -74,7 +77,9 @@ pub fn examine(looks: Vec<Look>, subject: &Subject, backgrounds: &[Background]) 
         Some(mesh) => beside_mesh(&mut survey, mesh, subject.up),
         None => beside_hull(&mut survey, subject.up),
     }
-    if let Some(arrangement) = &survey.arrangement {
+    // An error about no view in particular is one of the poses, which then say nothing about neighbors.
+    let poses_are_right = !survey.findings_of(Severity::Error).any(|error| error.views.is_empty());
+    if let Some(arrangement) = survey.arrangement.as_ref().filter(|_| poses_are_right) {
         let directions = arrangement.directions(&survey.looks);
         let (compared, findings) = photographs::compare(&survey.looks, &directions);
         survey.compared = compared;
@@ -87,6 +92,17 @@ pub fn examine(looks: Vec<Look>, subject: &Subject, backgrounds: &[Background]) 
     }
     tidy(&mut survey);
     survey
+}
+
+/// Names of views that both splits have get that of their split in front.
+fn tell_apart(looks: &mut [Look]) {
+    let names = |split| looks.iter().filter(move |look| look.split == split).map(|look| look.name.as_str());
+    let test: BTreeSet<&str> = names(Split::Test).collect();
+    let both: BTreeSet<String> = names(Split::Train).filter(|name| test.contains(name)).map(str::to_owned).collect();
+    for look in looks.iter_mut().filter(|look| both.contains(&look.name)) {
+        let split = if look.split == Split::Train { "train" } else { "test" };
+        look.name = format!("{split}/{}", look.name);
+    }
 }
 
 fn beside_mesh(survey: &mut Survey, mesh: &Mesh, up: Vec3) {

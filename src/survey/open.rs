@@ -12,8 +12,7 @@ use crate::scene::{Dataset, Pass, Scene, Surface, Truth, ViewChoice, Views};
 use crate::survey::examine::{Subject, Survey, examine};
 use crate::survey::look::{Look, MaskSource, SmallMask};
 use crate::survey::turntable::{BACKGROUND_SIDE, BACKGROUNDS, Background};
-use crate::view::raster::any_downscaled;
-use crate::view::{Photograph, Split, ViewRecord};
+use crate::view::{Mask, Photograph, Split, ViewRecord};
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -132,7 +131,7 @@ fn reduced(record: ViewRecord) -> ViewRecord {
     }
     let small = |photograph: &Photograph| Photograph {
         image: photograph.image.downscaled(factor),
-        saturated: any_downscaled(&photograph.saturated, width, height, factor),
+        saturated: mostly(&photograph.saturated, width, height, factor),
     };
     ViewRecord {
         camera: record.camera.scaled(factor),
@@ -140,6 +139,13 @@ fn reduced(record: ViewRecord) -> ViewRecord {
         mask: record.mask.as_ref().map(|mask| mask.downscaled(factor)),
         ..record
     }
+}
+
+/// Whether most pixels of each block are set, so that shares stay what they are.
+fn mostly(flags: &[bool], width: u32, height: u32, factor: u32) -> Vec<bool> {
+    let coverage = flags.iter().map(|&flag| f32::from(u8::from(flag))).collect();
+    let small = Mask { width, height, coverage }.downscaled(factor);
+    small.coverage.into_iter().map(|share| share >= 0.5).collect()
 }
 
 /// Backgrounds of some photographs that have masks of their own and no alpha.

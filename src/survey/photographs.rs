@@ -21,7 +21,7 @@ const MANY_CLIPPED: f32 = 0.05;
 const NEIGHBORS: usize = 6;
 const LEAST_VIEWS: usize = 8;
 /// A view this many stops apart from its neighbors is an outlier, if they are within `NEAR_DEGREES`; otherwise `FAR_STOPS`.
-const STOPS: f32 = 1.0;
+const STOPS: f32 = 1.5;
 const FAR_STOPS: f32 = 2.5;
 const NEAR_DEGREES: f32 = 35.0;
 /// How far it must be beyond the usual difference, in standard deviations.

@@ -59,7 +59,8 @@ fn shown(survey: &Survey) -> Vec<usize> {
 fn cell(survey: &Survey, i: usize, gain: f32) -> SheetCell {
     let look = &survey.looks[i];
     let flags = survey.flags(&look.name);
-    let split = if look.split == Split::Test { " (test)" } else { "" };
+    let is_plain = look.split == Split::Train || look.name.starts_with("test/");
+    let split = if is_plain { "" } else { " (test)" };
     let label = if flags.is_empty() { format!("{}{split}", look.name) } else { format!("{}: {}", look.name, flags.join(", ")) };
     let mut image = picture(look, gain);
     if let Some(mask) = &look.mask {

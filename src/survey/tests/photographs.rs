@@ -89,6 +89,16 @@ fn the_same_photograph_twice_is_named() {
 }
 
 #[test]
+fn views_of_one_name_in_both_splits_are_told_apart() {
+    let mut views = good();
+    views[20].name = "v4".into();
+    pixels(&mut views[4]).fill(Vec3::ZERO);
+    let survey = surveyed(&views, Some(&object()));
+    expect(&survey, "black", &["train/v4"], &["view `train/v4`"]);
+    assert_eq!((survey.flags("test/v4").len(), survey.flags("train/v4").len()), (0, 1));
+}
+
+#[test]
 fn few_views_are_not_compared_and_cameras_alone_have_no_light() {
     let mut views = good();
     pixels(&mut views[1]).iter_mut().for_each(|pixel| *pixel *= 8.0);
