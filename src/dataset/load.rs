@@ -6,7 +6,7 @@ use crate::dataset::distortion::{Distortion, Straightening};
 use crate::dataset::{DatasetOptions, MaskPlan, ViewPlan};
 use crate::error::{Error, Result};
 use crate::view::raster::any_downscaled;
-use crate::view::{Camera, Mask, Photograph, Split, ViewRecord};
+use crate::view::{Camera, Mask, Photograph, PixelWindow, Split, StoredMask, ViewRecord};
 use glam::Vec3;
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
@@ -203,12 +203,15 @@ impl PlannedView {
             _ => false,
         };
         let repaired = loaded.as_ref().map_or(0, |loaded| loaded.repaired);
+        let is_resampled = self.downscale > 1 || lens.distortion != Distortion::NONE;
+        let mask = mask.map(|mask| if self.downscale > 1 { mask.downscaled(self.downscale) } else { mask });
+        let photograph = loaded.map(|loaded| kept(loaded, self.downscale, mask.as_ref(), is_resampled));
         let record = ViewRecord {
             name: plan.name.clone(),
             split: self.split,
             camera: camera.scaled(self.downscale),
-            photograph: loaded.map(|loaded| photograph(loaded, self.downscale)),
-            mask: mask.map(|mask| mask.downscaled(self.downscale)),
+            photograph: photograph.transpose()?,
+            mask: mask.as_ref().map(StoredMask::new),
         };
         Ok(LoadedView { record, repaired, blackened })
     }
@@ -258,12 +261,15 @@ fn straighten(
     Ok(way.camera)
 }
 
-fn photograph(loaded: LoadedImage, downscale: u32) -> Photograph {
-    if downscale == 1 {
-        return Photograph { image: loaded.image, saturated: loaded.saturated };
+/// The photograph as it is kept: cropped to its mask, and rounded to half floats if its pixels are means anyway.
+fn kept(loaded: LoadedImage, downscale: u32, mask: Option<&Mask>, is_resampled: bool) -> Result<Photograph> {
+    let LoadedImage { mut image, mut saturated, .. } = loaded;
+    if downscale > 1 {
+        saturated = any_downscaled(&saturated, image.width, image.height, downscale);
+        image = image.downscaled(downscale);
     }
-    let saturated = any_downscaled(&loaded.saturated, loaded.image.width, loaded.image.height, downscale);
-    Photograph { image: loaded.image.downscaled(downscale), saturated }
+    let window = mask.map_or(PixelWindow::whole(image.width, image.height), PixelWindow::of_mask);
+    Photograph::new(&image, &saturated, window, is_resampled)
 }
 
 /// Width and height from the image and the camera file, which must be equal if both state them.

@@ -4,7 +4,7 @@
 //! if cameras and masks are consistent. The point minimizes the sum of distances, so that a few wrong views do not affect it.
 
 use crate::error::{Error, Result};
-use crate::view::{Camera, Mask, ViewRecord};
+use crate::view::{Camera, StoredMask, ViewRecord};
 use glam::{DMat3, DVec3, Vec3};
 
 /// Views with masks that a shape needs.
@@ -28,10 +28,11 @@ struct Outline<'a> {
 
 impl<'a> Outline<'a> {
     /// `None` if the mask is empty.
-    fn new(name: &'a str, camera: &'a Camera, mask: &Mask) -> Option<Self> {
+    fn new(name: &'a str, camera: &'a Camera, mask: &StoredMask) -> Option<Self> {
         let (mut low, mut high) = ([f32::INFINITY; 2], [0.0f32; 2]);
-        for (i, _) in mask.coverage.iter().enumerate().filter(|(_, coverage)| **coverage >= 0.5) {
-            let at = [i as u32 % mask.width, i as u32 / mask.width];
+        let [width, _] = mask.size();
+        for i in mask.window().pixels(width).filter(|i| mask.coverage(*i) >= 0.5) {
+            let at = [i as u32 % width, i as u32 / width];
             for k in 0..2 {
                 low[k] = low[k].min(at[k] as f32);
                 high[k] = high[k].max(at[k] as f32 + 1.0);
@@ -79,7 +80,7 @@ pub fn check_masks(views: &[&ViewRecord]) -> Result<Vec<String>> {
     if masks().count() < MIN_VIEWS {
         return Err(too_few(views, masks().count()));
     }
-    if let Some((view, _)) = masks().find(|(_, mask)| mask.coverage.iter().all(|c| *c >= 0.5)) {
+    if let Some((view, _)) = masks().find(|(_, mask)| mask.is_full()) {
         let problem = format!("the mask of view `{}` is all white: it has no silhouette", view.name);
         return Err(Error::usage(problem, SELECT_HELP));
     }
@@ -196,6 +197,7 @@ fn strangers(outlines: &[Outline], meeting: DVec3) -> Result<Vec<String>> {
 mod tests {
     use super::*;
     use crate::math::fibonacci::fibonacci_axes;
+    use crate::view::Mask;
     use crate::view::Split;
 
     const SIDE: u32 = 64;
@@ -213,12 +215,13 @@ mod tests {
         views
     }
 
-    fn disk(center: [f32; 2], radius: f32) -> Mask {
+    fn disk(center: [f32; 2], radius: f32) -> StoredMask {
         let covered = |i: u32| {
             let (x, y) = ((i % SIDE) as f32 + 0.5 - center[0], (i / SIDE) as f32 + 0.5 - center[1]);
             if x * x + y * y < radius * radius { 1.0 } else { 0.0 }
         };
-        Mask { width: SIDE, height: SIDE, coverage: (0..SIDE * SIDE).map(covered).collect() }
+        let coverage = (0..SIDE * SIDE).map(covered).collect();
+        StoredMask::new(&Mask { width: SIDE, height: SIDE, coverage })
     }
 
     fn check(views: &[ViewRecord]) -> Result<Vec<String>> {
@@ -245,7 +248,7 @@ mod tests {
     #[test]
     fn masks_that_say_nothing_are_named() {
         let mut views = ball(Vec3::ZERO, 1.0, 12);
-        views[5].mask.as_mut().unwrap().coverage.fill(1.0);
+        views[5].mask = Some(disk([32.0, 32.0], 100.0));
         refused(&views, &["`v5`", "all white", "select"]);
         refused(&views[..2], &["at least three views", "there are 2"]);
         views.iter_mut().skip(2).for_each(|view| view.mask = None);

@@ -7,6 +7,7 @@ mod good;
 
 use super::*;
 use crate::codec::test_data::write_exr;
+use crate::view::Mask;
 use image::{GrayImage, RgbaImage};
 use serde_json::{Value, json};
 use std::fs;
@@ -141,4 +142,8 @@ fn assert_says(text: &str, parts: &[&str]) {
     for part in parts {
         assert!(text.contains(part), "`{part}` is not in: {text}");
     }
+}
+
+fn mask_of(view: &ViewRecord) -> Mask {
+    view.mask.as_ref().unwrap().mask()
 }
