@@ -168,7 +168,7 @@ fn load_view(plan: &ViewPlan, split: Split, options: &DatasetOptions) -> Result<
     let size = image_size(plan, loaded.as_ref())?;
     let lens = plan.lens.resized(size);
     let bent = lens
-        .camera(size, plan.world_from_camera, options.pixel_center)
+        .camera(size, plan.world_from_camera, options.pixel_center.unwrap_or(0.5))
         .map_err(|problem| wrong(problem, "Correct the camera's intrinsics."))?;
     if options.downscale > size[0].min(size[1]) {
         let problem = format!("downscale: {} leaves no pixel of {}×{}", options.downscale, size[0], size[1]);

@@ -10,7 +10,7 @@
 //! | --- | --- | --- | --- | --- |
 //! | `layout` | [`Layout`] | | `Auto` | which layout the folder has |
 //! | `gamma` | [`Gamma`] | | `Srgb` | conversion of 8- and 16-bit values to linear |
-//! | `pixel_center` | `f32` | pixels | 0.5 | offset of a pixel's center from its index (0 for PhySG's own code) |
+//! | `pixel_center` | `Option<f32>` | pixels | the layout's | offset of a pixel's center from its index (0 for PhySG's own code) |
 //! | `downscale` | `u32` | | 1 | factor by which images are downscaled along each axis, with a box filter |
 //! | `every` | `u32` | | 1 | only every n-th view of the split (or selection) is read |
 //! | `hold_out` | `u32` | | 8 | data without a test split: every n-th view by name belongs to the test split; 0: none |
@@ -33,7 +33,7 @@ use crate::codec::nearby::{closest, natural_order};
 use crate::error::{Error, Result};
 use crate::view::{Split, ViewRecord};
 use glam::{Affine3A, Vec3};
-use layout::find_layout;
+use layout::find_format;
 pub use layout::has_split;
 use lens::Lens;
 use serde::{Deserialize, Serialize};
@@ -64,8 +64,9 @@ pub struct DatasetOptions {
     pub layout: Layout,
     /// Conversion of 8- and 16-bit values to linear.
     pub gamma: Gamma,
-    /// Offset of a pixel's center from its index, in pixels: 0.5, or 0 for PhySG's own code.
-    pub pixel_center: f32,
+    /// Offset of a pixel's center from its index, in pixels: that of the layout if `None`, which is 0 for IDR and 0.5 for all
+    /// others. Data for PhySG's own code needs 0.
+    pub pixel_center: Option<f32>,
     /// Factor by which images and masks are downscaled along each axis, with a box filter; at least 1.
     pub downscale: u32,
     /// Only every n-th view is read, beginning with the first in natural name order; at least 1.
@@ -83,7 +84,7 @@ impl Default for DatasetOptions {
         Self {
             layout: Layout::Auto,
             gamma: Gamma::Srgb,
-            pixel_center: 0.5,
+            pixel_center: None,
             downscale: 1,
             every: 1,
             hold_out: 8,
@@ -108,9 +109,9 @@ impl DatasetOptions {
                 "Write 0 for no test split, or 2 and more.",
             );
         }
-        if !self.pixel_center.is_finite() {
+        if let Some(center) = self.pixel_center.filter(|center| !center.is_finite()) {
             return wrong(
-                format!("pixel_center: {}", self.pixel_center),
+                format!("pixel_center: {center}"),
                 "Give 0.5, or 0.0 for PhySG's own code.",
             );
         }
@@ -176,17 +177,12 @@ struct Plan {
 pub fn read_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOptions) -> Result<Dataset> {
     let dir = dir.as_ref();
     options.check()?;
-    let layout = find_layout(dir, options.layout)?;
-    let mut plan = match layout {
-        Layout::PhySg => physg::plan(dir, split)?,
-        Layout::Nerf | Layout::Auto => nerf::plan(dir, split)?,
-        Layout::Colmap => held_out(colmap::plan(dir)?, split, options.hold_out),
-        Layout::DeepVoxels => match deepvoxels::split_folder(dir, split) {
-            Some((folder, true)) => held_out(deepvoxels::plan(&folder)?, split, options.hold_out),
-            Some((folder, false)) => deepvoxels::plan(&folder)?,
-            None => return Err(deepvoxels::absent_split(dir, split)),
-        },
+    let format = find_format(dir, options.layout)?;
+    let options = &DatasetOptions {
+        pixel_center: Some(options.pixel_center.unwrap_or(format.pixel_center)),
+        ..options.clone()
     };
+    let mut plan = format.plan(dir, split, options.hold_out)?;
     plan.views.sort_by(|a, b| natural_order(&a.name, &b.name));
     refuse_duplicates(&plan.views)?;
     let wanted = selected(plan.views, options)?;
@@ -199,16 +195,7 @@ pub fn read_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
     refuse_far_away(&wanted)?;
     let (views, mut notes) = load::load_views(&wanted, split, options)?;
     notes.splice(0..0, plan.notes);
-    Ok(Dataset { views, layout, notes })
-}
-
-/// The views of a split, from all views, ordered by name.
-fn held_out(plan: Plan, split: Split, hold_out: u32) -> Plan {
-    let is_test = |i: usize| hold_out > 0 && i.is_multiple_of(hold_out as usize);
-    let views = plan.views.into_iter().enumerate();
-    let views = views.filter(|(i, _)| is_test(*i) == (split == Split::Test)).map(|(_, view)| view).collect();
-    // Notes about all views are reported once, with the training split, which always exists.
-    Plan { views, notes: if split == Split::Train { plan.notes } else { Vec::new() } }
+    Ok(Dataset { views, layout: format.layout, notes })
 }
 
 fn split_name(split: Split) -> &'static str {
