@@ -72,9 +72,21 @@ pub(super) fn find_image(path: &Path) -> Option<PathBuf> {
     })
 }
 
+/// A folder's image files in the order of their names; hidden files are none.
+pub(super) fn image_files(folder: &Path) -> Result<Vec<PathBuf>> {
+    let mut paths = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(Error::io("read", folder))? {
+        paths.push(entry.map_err(Error::io("read", folder))?.path());
+    }
+    let is_hidden = |path: &Path| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
+    paths.retain(|path| has_image_extension(path) && !is_hidden(path));
+    paths.sort();
+    Ok(paths)
+}
+
 /// A folder's image files by name without extension.
 pub(super) struct StemIndex {
-    folder: PathBuf,
+    pub folder: PathBuf,
     files: BTreeMap<String, PathBuf>,
 }
 
@@ -84,14 +96,8 @@ impl StemIndex {
         if !folder.is_dir() {
             return Ok(None);
         }
-        let mut paths = Vec::new();
-        for entry in std::fs::read_dir(folder).map_err(Error::io("read", folder))? {
-            paths.push(entry.map_err(Error::io("read", folder))?.path());
-        }
-        paths.retain(|path| has_image_extension(path));
-        paths.sort();
         let mut files = BTreeMap::new();
-        for path in paths {
+        for path in image_files(folder)? {
             let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
             files.entry(stem).or_insert(path);
         }
@@ -100,7 +106,8 @@ impl StemIndex {
 
     /// The file called `key`, or another image with its stem.
     pub fn find(&self, key: &str) -> Result<PathBuf> {
-        let found = self.exact(key).or_else(|| self.files.get(&view_name(key)).cloned());
+        let exact = Some(self.folder.join(key)).filter(|path| path.is_file());
+        let found = exact.or_else(|| self.stem(&view_name(key)));
         found.ok_or_else(|| {
             let path = self.folder.join(key);
             let problem = "the camera file names this view, but its image is missing (with any extension)";
@@ -108,9 +115,9 @@ impl StemIndex {
         })
     }
 
-    /// The file with the name `name`, if it exists.
-    pub fn exact(&self, name: &str) -> Option<PathBuf> {
-        Some(self.folder.join(name)).filter(|path| path.is_file())
+    /// The image with this file stem, if there is one.
+    pub fn stem(&self, stem: &str) -> Option<PathBuf> {
+        self.files.get(stem).cloned()
     }
 
     pub fn stems(&self) -> impl Iterator<Item = &str> {
@@ -178,7 +185,9 @@ fn load_view(plan: &ViewPlan, split: Split, options: &DatasetOptions) -> Result<
     let camera = straighten(lens.distortion, &bent, &mut loaded, &mut mask)
         .map_err(|problem| wrong(problem, "Undistort the photographs first, or correct the coefficients."))?;
     let blackened = match (&mut loaded, &mask) {
-        (Some(loaded), Some(mask)) if !loaded.is_float && loaded.alpha.is_none() => blacken(loaded, mask),
+        (Some(loaded), Some(mask)) if loaded.alpha.is_none() && shows_background(loaded, mask) => {
+            blacken(loaded, mask)
+        }
         _ => false,
     };
     let repaired = loaded.as_ref().map_or(0, |loaded| loaded.repaired);
@@ -272,6 +281,15 @@ fn load_mask(plan: &ViewPlan, loaded: Option<&LoadedImage>, camera: &Camera) -> 
         return Err(Error::input(path, "", problem, help));
     }
     Ok(Some(mask))
+}
+
+/// Whether a picture without alpha may show more than the object. A float image is often a rendering on black, whose light at
+/// the rim reaches beyond a mask of 8 bits; that is left as it is.
+fn shows_background(loaded: &LoadedImage, mask: &Mask) -> bool {
+    const RIM_SHARE: f32 = 0.05;
+    let outside = || loaded.image.pixels.iter().zip(&mask.coverage).filter(|(_, coverage)| **coverage == 0.0);
+    let lit = outside().filter(|(pixel, _)| **pixel != Vec3::ZERO).count();
+    !loaded.is_float || lit as f32 > RIM_SHARE * outside().count() as f32
 }
 
 /// Makes a photograph black where its mask is empty, so that it is on black like all others; returns whether anything changed.
