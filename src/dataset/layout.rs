@@ -3,7 +3,9 @@
 use crate::codec::image::IMAGE_EXTENSIONS;
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::{DatasetOptions, Layout, Plan};
-use crate::dataset::{colmap, deepvoxels, nerf, physg};
+use crate::dataset::{
+    colmap, deepvoxels, idr, llff, metashape, nerf, physg, reality_capture, stanford_orb,
+};
 use crate::error::{Error, Result};
 use crate::view::Split;
 use std::path::{Path, PathBuf};
@@ -45,7 +47,7 @@ pub(super) struct Format {
     plan: fn(&Path, Split) -> Result<Plan>,
 }
 
-static FORMATS: [Format; 4] = [
+static FORMATS: [Format; 9] = [
     Format {
         layout: Layout::PhySg,
         pixel_center: 0.5,
@@ -57,7 +59,10 @@ static FORMATS: [Format; 4] = [
         layout: Layout::Nerf,
         pixel_center: 0.5,
         mark: "transforms_train.json or transforms_test.json",
-        splits: |dir| Splits::divided(|split| nerf::camera_file(dir, split).is_file()),
+        splits: |dir| match is_stanford_orb(dir) {
+            true => Splits::Absent,
+            false => Splits::divided(|split| nerf::camera_file(dir, split).is_file()),
+        },
         plan: nerf::plan,
     },
     Format {
@@ -77,7 +82,51 @@ static FORMATS: [Format; 4] = [
         },
         plan: deepvoxels::plan,
     },
+    Format {
+        layout: Layout::Idr,
+        pixel_center: 0.0,
+        mark: "cameras_sphere.npz or cameras.npz",
+        splits: |dir| Splits::undivided(idr::camera_file(dir).is_some()),
+        plan: |dir, _| idr::plan(dir),
+    },
+    Format {
+        layout: Layout::Llff,
+        pixel_center: 0.5,
+        mark: "poses_bounds.npy",
+        splits: |dir| Splits::undivided(llff::camera_file(dir).is_file()),
+        plan: |dir, _| llff::plan(dir),
+    },
+    Format {
+        layout: Layout::StanfordOrb,
+        pixel_center: 0.5,
+        mark: "train_mask beside transforms_train.json",
+        splits: |dir| match is_stanford_orb(dir) {
+            true => Splits::divided(|split| nerf::camera_file(dir, split).is_file()),
+            false => Splits::Absent,
+        },
+        plan: stanford_orb::plan,
+    },
+    Format {
+        layout: Layout::RealityCapture,
+        pixel_center: 0.5,
+        mark: reality_capture::EXPORT.mark,
+        splits: |dir| Splits::undivided(!reality_capture::EXPORT.files(dir).is_empty()),
+        plan: |dir, _| reality_capture::plan(dir),
+    },
+    Format {
+        layout: Layout::Metashape,
+        pixel_center: 0.5,
+        mark: metashape::EXPORT.mark,
+        splits: |dir| Splits::undivided(!metashape::EXPORT.files(dir).is_empty()),
+        plan: |dir, _| metashape::plan(dir),
+    },
 ];
+
+/// NeRF's layout with folders of masks beside those of the photographs.
+fn is_stanford_orb(dir: &Path) -> bool {
+    let is_there = |split| nerf::camera_file(dir, split).is_file() && stanford_orb::mask_folder(dir, split).is_dir();
+    is_there(Split::Train) || is_there(Split::Test)
+}
 
 impl Format {
     /// Plans the views of a split; of data without splits, those that `hold_out` gives it.

@@ -4,7 +4,12 @@
 //! - **PhySG** ([`physg`]): `DIR/{train,test}/{image,mask}/` and `DIR/{train,test}/cam_dict_norm.json`;
 //! - **NeRF/Blender** ([`nerf`]): `DIR/transforms_{train,test}.json` and the images it names;
 //! - **COLMAP** ([`colmap`]): `DIR/sparse/0/{cameras,images}.{bin,txt}`, `DIR/images/`, `DIR/masks/`;
-//! - **DeepVoxels** ([`deepvoxels`]): `intrinsics.txt`, `pose/`, `rgb/`, in `DIR` or `DIR/{train,validation,test}`.
+//! - **DeepVoxels** ([`deepvoxels`]): `intrinsics.txt`, `pose/`, `rgb/`, in `DIR` or `DIR/{train,validation,test}`;
+//! - **IDR, NeuS, VolSDF** ([`idr`]): `DIR/cameras_sphere.npz`, `DIR/image/`, `DIR/mask/`;
+//! - **LLFF, NeRD** ([`llff`]): `DIR/poses_bounds.npy`, `DIR/images/`, `DIR/masks/`;
+//! - **Stanford-ORB** ([`stanford_orb`]): NeRF's, and `DIR/{train,test}_mask/`;
+//! - **RealityCapture** ([`reality_capture`]): `DIR/*.csv` of camera parameters, `DIR/images/`, `DIR/masks/`;
+//! - **Metashape** ([`metashape`]): `DIR/*.xml` of cameras, `DIR/images/`, `DIR/masks/`.
 //!
 //! | option | type | unit | default | meaning |
 //! | --- | --- | --- | --- | --- |
@@ -21,12 +26,20 @@ pub mod colmap;
 mod colmap_model;
 pub mod deepvoxels;
 mod distortion;
+mod exports;
+pub mod idr;
 mod layout;
 mod lens;
+pub mod llff;
 mod load;
+mod masks;
+pub mod metashape;
 pub mod nerf;
+mod photographs;
 pub mod physg;
 mod pose;
+pub mod reality_capture;
+pub mod stanford_orb;
 
 use crate::codec::image::Gamma;
 use crate::codec::nearby::{closest, natural_order};
@@ -54,6 +67,16 @@ pub enum Layout {
     Colmap,
     /// DeepVoxels': `intrinsics.txt`, `pose` and `rgb`.
     DeepVoxels,
+    /// That of IDR, NeuS and VolSDF: `cameras_sphere.npz` or `cameras.npz`, `image` and `mask`.
+    Idr,
+    /// That of LLFF and NeRD: `poses_bounds.npy`, `images` and `masks`.
+    Llff,
+    /// Stanford-ORB's: `transforms_{train,test}.json` and `{train,test}_mask`.
+    StanfordOrb,
+    /// RealityCapture's: camera parameters in a `.csv` file, `images` and `masks`.
+    RealityCapture,
+    /// Metashape's: cameras in an `.xml` file, `images` and `masks`.
+    Metashape,
 }
 
 /// What to read of a data set, and how; see the table at the top of this module.
