@@ -75,7 +75,7 @@ fn names_are_ordered_naturally_and_thinned() {
 fn downscaling_keeps_image_mask_and_camera_together() {
     let set = PhySg::new(1);
     let full = set.read().unwrap().views.remove(0);
-    let options = DatasetOptions { downscale: 2, pixel_center: 0.0, ..DatasetOptions::default() };
+    let options = DatasetOptions { downscale: 2, pixel_center: Some(0.0), ..DatasetOptions::default() };
     let half = set.read_with(&options).unwrap().views.remove(0);
     assert_eq!((half.camera.width, half.camera.height, half.camera.pixel_center), (3, 2, 0.0));
     let photograph = half.photograph.unwrap();
@@ -184,7 +184,7 @@ fn options_are_read_from_ron() {
     )
     .unwrap();
     assert_eq!((options.layout, options.gamma, options.downscale), (Layout::Nerf, Gamma::Power(2.2), 2));
-    assert_eq!((options.up, options.every, options.pixel_center), (Vec3::Z, 1, 0.5));
+    assert_eq!((options.up, options.every, options.pixel_center), (Vec3::Z, 1, None));
     assert!(ron::from_str::<DatasetOptions>("(downscal: 2)").is_err());
     let text = ron::to_string(&options).unwrap();
     assert_eq!(ron::from_str::<DatasetOptions>(&text).unwrap(), options);
