@@ -53,9 +53,8 @@ fn main() -> Result<()> {
 /// What the studio looks like through a camera.
 fn photograph(studio: &mut Pipeline, name: String, camera: Camera) -> Result<ViewRecord> {
     let frame = resolve(&render_frame(studio, camera, 4)?);
-    let saturated = vec![false; frame.color.len()];
     let image = Image { width: SIZE, height: SIZE, pixels: frame.color };
     let mask = Mask { width: SIZE, height: SIZE, coverage: frame.alpha };
-    let photograph = Photograph { image, saturated };
-    Ok(ViewRecord { name, split: Split::Train, camera, photograph: Some(photograph), mask: Some(mask) })
+    let (photograph, mask) = (Some(Photograph::of_image(&image)), Some(StoredMask::new(&mask)));
+    Ok(ViewRecord { name, split: Split::Train, camera, photograph, mask })
 }

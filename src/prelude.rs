@@ -6,7 +6,7 @@
 //! | the pipeline | [`Pipeline`], [`Plugin`], [`Phase`], [`Stage`], [`Slot`], [`SlotLabel`], [`GatherPoints`], [`ScatterAdjoints`] |
 //! | pools | [`Texels`], [`Samples`], [`TexelIndex`], [`SampleIndex`], [`read_column`], [`write_column`] |
 //! | surfaces | [`Surface`], [`Mesh`], [`sphere_mesh`], [`box_mesh`] |
-//! | views | [`Camera`], [`ViewRecord`], [`ViewIndex`], [`Photograph`], [`Image`], [`Mask`], [`Split`] |
+//! | views | [`Camera`], [`ViewRecord`], [`ViewIndex`], [`Photograph`], [`StoredMask`], [`Image`], [`Mask`], [`Split`] |
 //! | light | [`LightLobe`], [`EnvironmentMap`], [`MapLight`], [`MapConvention`], [`render_lobes`], [`fit_map`], [`MapFit`] |
 //! | lights in a world | [`spawn_light`], [`provide_light`], [`LightChoice`], [`LightName`], [`LobeOf`] |
 //! | recovered material | [`DiffuseAlbedo`], [`SpecularBlend`], [`SpecularLobe`], [`BaseMaterial`] |
@@ -48,7 +48,7 @@ pub use crate::sample::pixel::SampleIndex;
 pub use crate::mesh::Surface;
 pub use crate::mesh::primitive::{box_mesh, sphere_mesh};
 pub use crate::mesh::triangles::Mesh;
-pub use crate::view::{Camera, Image, Mask, Photograph, Split, ViewIndex, ViewRecord};
+pub use crate::view::{Camera, Image, Mask, Photograph, Split, StoredMask, ViewIndex, ViewRecord};
 
 // Light.
 pub use crate::light::convention::MapConvention;

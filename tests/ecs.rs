@@ -24,9 +24,8 @@ fn fitted(change: impl FnOnce(&mut Pipeline)) -> Pipeline {
     let photograph = |camera: Camera| {
         let frame = shoot(&mut truth, camera);
         let (width, height) = (camera.width, camera.height);
-        let saturated = vec![false; frame.color.len()];
-        let photograph = Photograph { image: Image { width, height, pixels: frame.color }, saturated };
-        let mask = Some(Mask { width, height, coverage: frame.alpha });
+        let photograph = Photograph::of_image(&Image { width, height, pixels: frame.color });
+        let mask = Some(StoredMask::new(&Mask { width, height, coverage: frame.alpha }));
         ViewRecord { name: "v".into(), split: Split::Train, camera, photograph: Some(photograph), mask }
     };
     let views = Camera::around(8, 2.8, 38.0, 24).unwrap().into_iter().map(photograph).collect();

@@ -7,7 +7,8 @@
 //! | [`exr`], [`frame`] | EXR layers | EXR layers, rendered frames |
 //! | [`png_file`], [`animation`] | | PNG; GIF, APNG, MP4 |
 //! | [`envmap`], `hdr` | EXR and Radiance HDR environment maps | EXR |
-//! | [`npy`] | light lobes in both conventions | the same |
+//! | [`npy`] | light lobes in both conventions; matrices | light lobes |
+//! | [`npz`] | archives of matrices | |
 //! | [`texture`] | images as texels of an atlas | |
 //! | [`gltf`], [`ply_obj`] | glTF meshes and materials | glTF; PLY, OBJ |
 //! | [`nearby`] | | suggestions for wrong file and view names |
@@ -22,6 +23,7 @@ mod hdr;
 pub mod image;
 pub mod nearby;
 pub mod npy;
+pub mod npz;
 mod palette;
 pub mod ply_obj;
 pub mod png_file;

@@ -8,6 +8,7 @@ use crate::codec::nearby::missing_file_help;
 use crate::dataset::colmap_model;
 use crate::dataset::colmap_model::{ModelImage, read_model};
 use crate::dataset::load::{StemIndex, view_name};
+use crate::dataset::masks::find_mask;
 use crate::dataset::{MaskPlan, Plan, ViewPlan};
 use crate::error::{Error, Result};
 use std::collections::{BTreeMap, BTreeSet};
@@ -122,10 +123,8 @@ impl Folders {
         folder.find(&key)
     }
 
-    /// COLMAP's masks have `.png` added to the full name of the photograph.
     fn mask(&mut self, name: &str) -> Result<PathBuf> {
         let (folder, key) = self.folder(name)?;
-        let added = folder.exact(&format!("{key}.png"));
-        added.map_or_else(|| folder.find(&key), Ok)
+        find_mask(folder, &key)
     }
 }

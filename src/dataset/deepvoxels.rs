@@ -34,15 +34,16 @@ pub fn split_folder(dir: &Path, split: Split) -> Option<(PathBuf, bool)> {
 }
 
 /// The error for a missing split.
-pub(super) fn absent_split(dir: &Path, split: Split) -> Error {
+fn absent_split(dir: &Path, split: Split) -> Error {
     let file = dir.join(split_name(split)).join(INTRINSICS);
     let problem = format!("the data set has no {} split: this file is missing", split_name(split));
     let help = missing_file_help(&file);
     Error::input(file, "", problem, help)
 }
 
-/// Plans all views of a folder, in the order of their names.
-pub(super) fn plan(folder: &Path) -> Result<Plan> {
+/// Plans the views of a split, or all if there are no splits, in the order of their names.
+pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
+    let Some((folder, _)) = split_folder(dir, split) else { return Err(absent_split(dir, split)) };
     let (lens, poses_are_inverse) = read_intrinsics(&folder.join(INTRINSICS))?;
     let folder_of = |name: &str| {
         let path = folder.join(name);

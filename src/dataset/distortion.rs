@@ -25,6 +25,11 @@ pub(super) struct Distortion {
 impl Distortion {
     pub const NONE: Self = Self { radial: [0.0; 3], tangential: [0.0; 2] };
 
+    /// k₁, k₂, k₃ of 1 + k₁r² + k₂r⁴ + k₃r⁶, and OpenCV's p₁, p₂.
+    pub fn brown_conrady(radial: [f64; 3], tangential: [f64; 2]) -> Self {
+        Self { radial, tangential }
+    }
+
     /// The image point of the ray through `p`.
     pub fn distort(&self, p: DVec2) -> DVec2 {
         let r2 = p.length_squared();

@@ -1,18 +1,149 @@
-//! Detection of the layout of a folder.
+//! The layouts: what identifies each, which splits a folder has in it, and who reads it.
 
+use crate::codec::image::IMAGE_EXTENSIONS;
 use crate::codec::nearby::missing_file_help;
-use crate::dataset::{DatasetOptions, Layout, colmap, deepvoxels, nerf, physg};
+use crate::dataset::{DatasetOptions, Layout, Plan};
+use crate::dataset::{
+    colmap, deepvoxels, idr, llff, metashape, nerf, physg, reality_capture, stanford_orb,
+};
 use crate::error::{Error, Result};
 use crate::view::Split;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-/// The layouts, their names in errors, and the files that identify them.
-const LAYOUTS: [(Layout, &str, &str); 4] = [
-    (Layout::PhySg, "PhySg", "train/cam_dict_norm.json or test/cam_dict_norm.json"),
-    (Layout::Nerf, "Nerf", "transforms_train.json or transforms_test.json"),
-    (Layout::Colmap, "Colmap", "cameras and images, .bin or .txt, in sparse/0 or sparse"),
-    (Layout::DeepVoxels, "DeepVoxels", "intrinsics.txt, or train/intrinsics.txt"),
+/// What a folder has of a layout.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Splits {
+    /// Nothing.
+    Absent,
+    /// Views without splits; `hold_out` makes them.
+    Undivided,
+    /// Splits of its own, at least one.
+    Divided { train: bool, test: bool },
+}
+
+impl Splits {
+    fn undivided(is_there: bool) -> Self {
+        if is_there { Self::Undivided } else { Self::Absent }
+    }
+
+    fn divided(has: impl Fn(Split) -> bool) -> Self {
+        match (has(Split::Train), has(Split::Test)) {
+            (false, false) => Self::Absent,
+            (train, test) => Self::Divided { train, test },
+        }
+    }
+}
+
+/// How one layout is recognized and read.
+pub(super) struct Format {
+    /// The layout; never `Auto`.
+    pub layout: Layout,
+    /// Offset of a pixel's center from its index, unless the options say otherwise.
+    pub pixel_center: f32,
+    /// The files that identify it, for errors.
+    mark: &'static str,
+    splits: fn(&Path) -> Splits,
+    /// Plans the views of a split; all views, by name, if the folder has no splits.
+    plan: fn(&Path, Split) -> Result<Plan>,
+}
+
+static FORMATS: [Format; 9] = [
+    Format {
+        layout: Layout::PhySg,
+        pixel_center: 0.5,
+        mark: "train/cam_dict_norm.json or test/cam_dict_norm.json",
+        splits: |dir| Splits::divided(|split| physg::camera_file(dir, split).is_file()),
+        plan: physg::plan,
+    },
+    Format {
+        layout: Layout::Nerf,
+        pixel_center: 0.5,
+        mark: "transforms_train.json or transforms_test.json",
+        splits: |dir| match is_stanford_orb(dir) {
+            true => Splits::Absent,
+            false => Splits::divided(|split| nerf::camera_file(dir, split).is_file()),
+        },
+        plan: nerf::plan,
+    },
+    Format {
+        layout: Layout::Colmap,
+        pixel_center: 0.5,
+        mark: "cameras and images, .bin or .txt, in sparse/0 or sparse",
+        splits: |dir| Splits::undivided(colmap::camera_file(dir).is_some()),
+        plan: |dir, _| colmap::plan(dir),
+    },
+    Format {
+        layout: Layout::DeepVoxels,
+        pixel_center: 0.5,
+        mark: "intrinsics.txt, or train/intrinsics.txt",
+        splits: |dir| match deepvoxels::split_folder(dir, Split::Train) {
+            Some((_, true)) => Splits::Undivided,
+            _ => Splits::divided(|split| deepvoxels::split_folder(dir, split).is_some()),
+        },
+        plan: deepvoxels::plan,
+    },
+    Format {
+        layout: Layout::Idr,
+        pixel_center: 0.0,
+        mark: "cameras_sphere.npz or cameras.npz",
+        splits: |dir| Splits::undivided(idr::camera_file(dir).is_some()),
+        plan: |dir, _| idr::plan(dir),
+    },
+    Format {
+        layout: Layout::Llff,
+        pixel_center: 0.5,
+        mark: "poses_bounds.npy",
+        splits: |dir| Splits::undivided(llff::camera_file(dir).is_file()),
+        plan: |dir, _| llff::plan(dir),
+    },
+    Format {
+        layout: Layout::StanfordOrb,
+        pixel_center: 0.5,
+        mark: "train_mask beside transforms_train.json",
+        splits: |dir| match is_stanford_orb(dir) {
+            true => Splits::divided(|split| nerf::camera_file(dir, split).is_file()),
+            false => Splits::Absent,
+        },
+        plan: stanford_orb::plan,
+    },
+    Format {
+        layout: Layout::RealityCapture,
+        pixel_center: 0.5,
+        mark: reality_capture::EXPORT.mark,
+        splits: |dir| Splits::undivided(!reality_capture::EXPORT.files(dir).is_empty()),
+        plan: |dir, _| reality_capture::plan(dir),
+    },
+    Format {
+        layout: Layout::Metashape,
+        pixel_center: 0.5,
+        mark: metashape::EXPORT.mark,
+        splits: |dir| Splits::undivided(!metashape::EXPORT.files(dir).is_empty()),
+        plan: |dir, _| metashape::plan(dir),
+    },
 ];
+
+/// NeRF's layout with folders of masks beside those of the photographs.
+fn is_stanford_orb(dir: &Path) -> bool {
+    let is_there = |split| nerf::camera_file(dir, split).is_file() && stanford_orb::mask_folder(dir, split).is_dir();
+    is_there(Split::Train) || is_there(Split::Test)
+}
+
+impl Format {
+    /// Plans the views of a split; of data without splits, those that `hold_out` gives it.
+    pub fn plan(&self, dir: &Path, split: Split, hold_out: u32) -> Result<Plan> {
+        let plan = (self.plan)(dir, split)?;
+        Ok(if (self.splits)(dir) == Splits::Undivided { held_out(plan, split, hold_out) } else { plan })
+    }
+
+    fn is_there(&self, dir: &Path) -> bool {
+        (self.splits)(dir) != Splits::Absent
+    }
+
+    /// The word for `layout:` in a scene file.
+    fn name(&self) -> String {
+        format!("{:?}", self.layout)
+    }
+}
 
 /// Whether the data set in folder `dir` has this split.
 ///
@@ -20,62 +151,107 @@ const LAYOUTS: [(Layout, &str, &str); 4] = [
 /// [`Error::Input`] if the layout cannot be determined.
 pub fn has_split(dir: impl AsRef<Path>, split: Split, options: &DatasetOptions) -> Result<bool> {
     let dir = dir.as_ref();
-    let holds_out = split == Split::Train || options.hold_out > 0;
-    Ok(match find_layout(dir, options.layout)? {
-        Layout::PhySg => physg::camera_file(dir, split).is_file(),
-        Layout::Nerf | Layout::Auto => nerf::camera_file(dir, split).is_file(),
-        Layout::Colmap => holds_out,
-        Layout::DeepVoxels => {
-            deepvoxels::split_folder(dir, split).is_some_and(|(_, is_all)| !is_all || holds_out)
-        }
+    let format = find_format(dir, options.layout)?;
+    Ok(match ((format.splits)(dir), split) {
+        (Splits::Absent, _) => false,
+        (Splits::Undivided, Split::Train) => true,
+        (Splits::Undivided, Split::Test) => options.hold_out > 0,
+        (Splits::Divided { train, .. }, Split::Train) => train,
+        (Splits::Divided { test, .. }, Split::Test) => test,
     })
 }
 
-/// The requested layout, or for `Auto` the only one that is present.
-pub(super) fn find_layout(dir: &Path, asked: Layout) -> Result<Layout> {
+/// The format of the requested layout, or for `Auto` of the only one that is present.
+pub(super) fn find_format(dir: &Path, asked: Layout) -> Result<&'static Format> {
     if !dir.is_dir() {
         let what = if dir.exists() { "this is a file, not a folder" } else { "there is no such folder" };
         return Err(Error::input(dir, "", what, missing_file_help(dir)));
     }
-    if asked != Layout::Auto {
-        return Ok(asked);
+    if let Some(format) = FORMATS.iter().find(|format| format.layout == asked) {
+        return Ok(format);
     }
-    let found: Vec<_> = LAYOUTS.iter().filter(|(layout, ..)| is_there(dir, *layout)).collect();
+    let found: Vec<&Format> = FORMATS.iter().filter(|format| format.is_there(dir)).collect();
     match found.as_slice() {
-        [(layout, ..)] => Ok(*layout),
+        [format] => Ok(format),
         [] => Err(unrecognized(dir)),
         several => Err(ambiguous(dir, several)),
     }
 }
 
-fn is_there(dir: &Path, layout: Layout) -> bool {
-    [Split::Train, Split::Test].into_iter().any(|split| match layout {
-        Layout::PhySg => physg::camera_file(dir, split).is_file(),
-        Layout::Nerf => nerf::camera_file(dir, split).is_file(),
-        Layout::Colmap => colmap::camera_file(dir).is_some(),
-        Layout::DeepVoxels => deepvoxels::split_folder(dir, split).is_some(),
-        Layout::Auto => false,
-    })
+/// The views of a split, from all views, ordered by name.
+fn held_out(plan: Plan, split: Split, hold_out: u32) -> Plan {
+    let is_test = |i: usize| hold_out > 0 && i.is_multiple_of(hold_out as usize);
+    let views = plan.views.into_iter().enumerate();
+    let views = views.filter(|(i, _)| is_test(*i) == (split == Split::Test)).map(|(_, view)| view).collect();
+    // Notes about all views are reported once, with the training split, which always exists.
+    Plan { views, notes: if split == Split::Train { plan.notes } else { Vec::new() } }
 }
 
-fn ambiguous(dir: &Path, several: &[&(Layout, &str, &str)]) -> Error {
-    let names: Vec<&str> = several.iter().map(|(_, name, _)| *name).collect();
+fn ambiguous(dir: &Path, several: &[&Format]) -> Error {
+    let names: Vec<String> = several.iter().map(|format| format.name()).collect();
     let choices: Vec<String> = names.iter().map(|name| format!("`layout: {name}`")).collect();
     let problem = format!("the folder has several layouts: {}", names.join(", "));
     Error::input(dir, "", problem, format!("Say which one with {}.", choices.join(" or ")))
 }
 
 fn unrecognized(dir: &Path) -> Error {
-    let looked_for: Vec<String> =
-        LAYOUTS.iter().map(|(_, name, mark)| format!("{mark} (layout {name})")).collect();
+    let marks = FORMATS.iter().map(|format| format!("{} (layout {})", format.mark, format.name()));
+    let looked_for: Vec<String> = marks.collect();
     let problem = format!("this is not a data set: looked for {}", looked_for.join("; "));
-    let has = |name: &str| dir.join(name).is_file();
-    let help = if has("cam_dict_norm.json") {
-        "This is one split; give the folder above it.".to_owned()
-    } else if has("cameras.bin") || has("cameras.txt") {
-        "This is a COLMAP model; give the folder that has it in sparse/0, beside images and masks.".to_owned()
-    } else {
-        missing_file_help(&dir.join("transforms_train.json"))
-    };
+    let help = near_miss(dir).unwrap_or_else(|| missing_file_help(&dir.join("transforms_train.json")));
     Error::input(dir, "", problem, help)
+}
+
+/// What a folder in no layout probably is, and what to do with it.
+fn near_miss(dir: &Path) -> Option<String> {
+    let has = |name: &str| dir.join(name).is_file();
+    if has("cam_dict_norm.json") {
+        return Some("This is one split; give the folder above it.".to_owned());
+    }
+    if has("cameras.bin") || has("cameras.txt") {
+        let help = "This is a COLMAP model; give the folder that has it in sparse/0, beside images and masks.";
+        return Some(help.to_owned());
+    }
+    let entries: Vec<PathBuf> = std::fs::read_dir(dir).ok()?.flatten().map(|entry| entry.path()).collect();
+    let is_data = |path: &Path| FORMATS.iter().find(|format| path.is_dir() && format.is_there(path));
+    let mut inside: Vec<(&PathBuf, &Format)> =
+        entries.iter().filter_map(|path| Some((path, is_data(path)?))).collect();
+    inside.sort_by_key(|(path, _)| *path);
+    if let Some((path, format)) = inside.first() {
+        return Some(format!("{} is a data set (layout {}): give that folder.", path.display(), format.name()));
+    }
+    if let Some(above) = dir.parent().filter(|above| is_data(above).is_some()) {
+        return Some(format!("Give the folder above it: {}.", above.display()));
+    }
+    unposed(dir, &entries)
+}
+
+/// Help for photographs, a film or another program's project without cameras.
+fn unposed(dir: &Path, entries: &[PathBuf]) -> Option<String> {
+    let is_kind = |path: &Path, kinds: &[&str]| {
+        let kind = path.extension().and_then(|kind| kind.to_str()).map(str::to_ascii_lowercase);
+        kind.is_some_and(|kind| kinds.contains(&kind.as_str()))
+    };
+    let first = |kinds: &[&str]| entries.iter().filter(|path| is_kind(path, kinds)).min();
+    if let Some(project) = first(&["psx", "rcproj", "rsproj"]) {
+        let menu = if is_kind(project, &["psx"]) {
+            "Metashape: File, Export, Export Cameras, Agisoft XML"
+        } else {
+            "RealityCapture: Alignment, Registration, Internal/External camera parameters"
+        };
+        return Some(format!("{} is a project. Export its cameras beside the photographs ({menu}).", project.display()));
+    }
+    let photographs = |folder: &Path| {
+        let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+        entries.filter(|entry| is_kind(&entry.path(), &IMAGE_EXTENSIONS)).count()
+    };
+    let folders = ["", "images", "image", "rgb"].map(|name| dir.join(name));
+    if let Some((folder, count)) = folders.iter().map(|f| (f, photographs(f))).find(|(_, count)| *count > 1) {
+        return Some(format!(
+            "It has {count} photographs and no cameras. `lobelia prepare {} OUT` finds the cameras.",
+            folder.display()
+        ));
+    }
+    let film = first(&["mp4", "mov", "m4v", "mkv", "avi", "webm"])?;
+    Some(format!("`lobelia prepare {} OUT` makes a data set of the film.", film.display()))
 }

@@ -32,6 +32,19 @@ pub(super) struct Lens {
 }
 
 impl Lens {
+    /// A lens without distortion, of focal lengths and principal point in pixels, for an image of any size.
+    pub fn pinhole(focal: [f64; 2], center: [Option<f64>; 2]) -> Self {
+        Self {
+            size: None,
+            focal_x: Focal::Pixels(focal[0]),
+            focal_y: Some(Focal::Pixels(focal[1])),
+            center,
+            skew: 0.0,
+            distortion: Distortion::NONE,
+            resizable: false,
+        }
+    }
+
     /// From a row-major 4×4 calibration matrix K (up to scale) and the image size. `Err` is a clause that follows "K".
     pub fn from_matrix(k: &[f64; 16], size: [u32; 2]) -> Result<Self, String> {
         if let Some(i) = k.iter().position(|value| !(*value as f32).is_finite()) {

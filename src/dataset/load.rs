@@ -6,7 +6,7 @@ use crate::dataset::distortion::{Distortion, Straightening};
 use crate::dataset::{DatasetOptions, MaskPlan, ViewPlan};
 use crate::error::{Error, Result};
 use crate::view::raster::any_downscaled;
-use crate::view::{Camera, Mask, Photograph, Split, ViewRecord};
+use crate::view::{Camera, Mask, Photograph, PixelWindow, Split, StoredMask, ViewRecord};
 use glam::Vec3;
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
@@ -71,9 +71,21 @@ pub(super) fn find_image(path: &Path) -> Option<PathBuf> {
     })
 }
 
+/// A folder's image files in the order of their names; hidden files are none.
+pub(super) fn image_files(folder: &Path) -> Result<Vec<PathBuf>> {
+    let mut paths = Vec::new();
+    for entry in std::fs::read_dir(folder).map_err(Error::io("read", folder))? {
+        paths.push(entry.map_err(Error::io("read", folder))?.path());
+    }
+    let is_hidden = |path: &Path| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
+    paths.retain(|path| has_image_extension(path) && !is_hidden(path));
+    paths.sort();
+    Ok(paths)
+}
+
 /// A folder's image files by name without extension.
 pub(super) struct StemIndex {
-    folder: PathBuf,
+    pub folder: PathBuf,
     files: BTreeMap<String, PathBuf>,
 }
 
@@ -83,14 +95,8 @@ impl StemIndex {
         if !folder.is_dir() {
             return Ok(None);
         }
-        let mut paths = Vec::new();
-        for entry in std::fs::read_dir(folder).map_err(Error::io("read", folder))? {
-            paths.push(entry.map_err(Error::io("read", folder))?.path());
-        }
-        paths.retain(|path| has_image_extension(path));
-        paths.sort();
         let mut files = BTreeMap::new();
-        for path in paths {
+        for path in image_files(folder)? {
             let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
             files.entry(stem).or_insert(path);
         }
@@ -99,7 +105,8 @@ impl StemIndex {
 
     /// The file called `key`, or another image with its stem.
     pub fn find(&self, key: &str) -> Result<PathBuf> {
-        let found = self.exact(key).or_else(|| self.files.get(&view_name(key)).cloned());
+        let exact = Some(self.folder.join(key)).filter(|path| path.is_file());
+        let found = exact.or_else(|| self.stem(&view_name(key)));
         found.ok_or_else(|| {
             let path = self.folder.join(key);
             let problem = "the camera file names this view, but its image is missing (with any extension)";
@@ -107,9 +114,9 @@ impl StemIndex {
         })
     }
 
-    /// The file with the name `name`, if it exists.
-    pub fn exact(&self, name: &str) -> Option<PathBuf> {
-        Some(self.folder.join(name)).filter(|path| path.is_file())
+    /// The image with this file stem, if there is one.
+    pub fn stem(&self, stem: &str) -> Option<PathBuf> {
+        self.files.get(stem).cloned()
     }
 
     pub fn stems(&self) -> impl Iterator<Item = &str> {
@@ -139,8 +146,10 @@ pub struct LoadedView {
 }
 
 impl PlannedView {
-    pub(super) fn new(plan: ViewPlan, split: Split, options: &DatasetOptions) -> Self {
-        let DatasetOptions { gamma, pixel_center, downscale, .. } = *options;
+    /// `pixel_center` is that of the layout, which holds unless the options say otherwise.
+    pub(super) fn new(plan: ViewPlan, split: Split, options: &DatasetOptions, pixel_center: f32) -> Self {
+        let DatasetOptions { gamma, downscale, .. } = *options;
+        let pixel_center = options.pixel_center.unwrap_or(pixel_center);
         Self { plan, split, gamma, pixel_center, downscale }
     }
 
@@ -199,16 +208,21 @@ impl PlannedView {
             wrong(problem, "Undistort the photographs first, or correct the coefficients.")
         })?;
         let blackened = match (&mut loaded, &mask) {
-            (Some(loaded), Some(mask)) if !loaded.is_float && loaded.alpha.is_none() => blacken(loaded, mask),
+            (Some(loaded), Some(mask)) if loaded.alpha.is_none() && shows_background(loaded, mask) => {
+                blacken(loaded, mask)
+            }
             _ => false,
         };
         let repaired = loaded.as_ref().map_or(0, |loaded| loaded.repaired);
+        let is_resampled = self.downscale > 1 || lens.distortion != Distortion::NONE;
+        let mask = mask.map(|mask| if self.downscale > 1 { mask.downscaled(self.downscale) } else { mask });
+        let photograph = loaded.map(|loaded| kept(loaded, self.downscale, mask.as_ref(), is_resampled));
         let record = ViewRecord {
             name: plan.name.clone(),
             split: self.split,
             camera: camera.scaled(self.downscale),
-            photograph: loaded.map(|loaded| photograph(loaded, self.downscale)),
-            mask: mask.map(|mask| mask.downscaled(self.downscale)),
+            photograph: photograph.transpose()?,
+            mask: mask.as_ref().map(StoredMask::new),
         };
         Ok(LoadedView { record, repaired, blackened })
     }
@@ -258,12 +272,15 @@ fn straighten(
     Ok(way.camera)
 }
 
-fn photograph(loaded: LoadedImage, downscale: u32) -> Photograph {
-    if downscale == 1 {
-        return Photograph { image: loaded.image, saturated: loaded.saturated };
+/// The photograph as it is kept: cropped to its mask, and rounded to half floats if its pixels are means anyway.
+fn kept(loaded: LoadedImage, downscale: u32, mask: Option<&Mask>, is_resampled: bool) -> Result<Photograph> {
+    let LoadedImage { mut image, mut saturated, .. } = loaded;
+    if downscale > 1 {
+        saturated = any_downscaled(&saturated, image.width, image.height, downscale);
+        image = image.downscaled(downscale);
     }
-    let saturated = any_downscaled(&loaded.saturated, loaded.image.width, loaded.image.height, downscale);
-    Photograph { image: loaded.image.downscaled(downscale), saturated }
+    let window = mask.map_or(PixelWindow::whole(image.width, image.height), PixelWindow::of_mask);
+    Photograph::new(&image, &saturated, window, is_resampled)
 }
 
 /// Width and height from the image and the camera file, which must be equal if both state them.
@@ -319,6 +336,15 @@ fn load_mask(plan: &ViewPlan, loaded: Option<&LoadedImage>, camera: &Camera) -> 
         return Err(Error::input(path, "", problem, help));
     }
     Ok(Some(mask))
+}
+
+/// Whether a picture without alpha may show more than the object. A float image is often a rendering on black, whose light at
+/// the rim reaches beyond a mask of 8 bits; that is left as it is.
+fn shows_background(loaded: &LoadedImage, mask: &Mask) -> bool {
+    const RIM_SHARE: f32 = 0.05;
+    let outside = || loaded.image.pixels.iter().zip(&mask.coverage).filter(|(_, coverage)| **coverage == 0.0);
+    let lit = outside().filter(|(pixel, _)| **pixel != Vec3::ZERO).count();
+    !loaded.is_float || lit as f32 > RIM_SHARE * outside().count() as f32
 }
 
 /// Makes a photograph black where its mask is empty, so that it is on black like all others; returns whether anything changed.

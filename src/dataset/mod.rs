@@ -4,13 +4,18 @@
 //! - **PhySG** ([`physg`]): `DIR/{train,test}/{image,mask}/` and `DIR/{train,test}/cam_dict_norm.json`;
 //! - **NeRF/Blender** ([`nerf`]): `DIR/transforms_{train,test}.json` and the images it names;
 //! - **COLMAP** ([`colmap`]): `DIR/sparse/0/{cameras,images}.{bin,txt}`, `DIR/images/`, `DIR/masks/`;
-//! - **DeepVoxels** ([`deepvoxels`]): `intrinsics.txt`, `pose/`, `rgb/`, in `DIR` or `DIR/{train,validation,test}`.
+//! - **DeepVoxels** ([`deepvoxels`]): `intrinsics.txt`, `pose/`, `rgb/`, in `DIR` or `DIR/{train,validation,test}`;
+//! - **IDR, NeuS, VolSDF** ([`idr`]): `DIR/cameras_sphere.npz`, `DIR/image/`, `DIR/mask/`;
+//! - **LLFF, NeRD** ([`llff`]): `DIR/poses_bounds.npy`, `DIR/images/`, `DIR/masks/`;
+//! - **Stanford-ORB** ([`stanford_orb`]): NeRF's, and `DIR/{train,test}_mask/`;
+//! - **RealityCapture** ([`reality_capture`]): `DIR/*.csv` of camera parameters, `DIR/images/`, `DIR/masks/`;
+//! - **Metashape** ([`metashape`]): `DIR/*.xml` of cameras, `DIR/images/`, `DIR/masks/`.
 //!
 //! | option | type | unit | default | meaning |
 //! | --- | --- | --- | --- | --- |
 //! | `layout` | [`Layout`] | | `Auto` | which layout the folder has |
 //! | `gamma` | [`Gamma`] | | `Srgb` | conversion of 8- and 16-bit values to linear |
-//! | `pixel_center` | `f32` | pixels | 0.5 | offset of a pixel's center from its index (0 for PhySG's own code) |
+//! | `pixel_center` | `Option<f32>` | pixels | the layout's | offset of a pixel's center from its index (0 for PhySG's own code) |
 //! | `downscale` | `u32` | | 1 | factor by which images are downscaled along each axis, with a box filter |
 //! | `every` | `u32` | | 1 | only every n-th view of the split (or selection) is read |
 //! | `hold_out` | `u32` | | 8 | data without a test split: every n-th view by name belongs to the test split; 0: none |
@@ -21,19 +26,27 @@ pub mod colmap;
 mod colmap_model;
 pub mod deepvoxels;
 mod distortion;
+mod exports;
+pub mod idr;
 mod layout;
 mod lens;
+pub mod llff;
 mod load;
+mod masks;
+pub mod metashape;
 pub mod nerf;
+mod photographs;
 pub mod physg;
 mod pose;
+pub mod reality_capture;
+pub mod stanford_orb;
 
 use crate::codec::image::Gamma;
 use crate::codec::nearby::{closest, natural_order};
 use crate::error::{Error, Result};
 use crate::view::{Split, ViewRecord};
 use glam::{Affine3A, Vec3};
-use layout::find_layout;
+use layout::find_format;
 pub use layout::has_split;
 use lens::Lens;
 pub use load::{LoadedView, PlannedView, load_notes};
@@ -56,6 +69,16 @@ pub enum Layout {
     Colmap,
     /// DeepVoxels': `intrinsics.txt`, `pose` and `rgb`.
     DeepVoxels,
+    /// That of IDR, NeuS and VolSDF: `cameras_sphere.npz` or `cameras.npz`, `image` and `mask`.
+    Idr,
+    /// That of LLFF and NeRD: `poses_bounds.npy`, `images` and `masks`.
+    Llff,
+    /// Stanford-ORB's: `transforms_{train,test}.json` and `{train,test}_mask`.
+    StanfordOrb,
+    /// RealityCapture's: camera parameters in a `.csv` file, `images` and `masks`.
+    RealityCapture,
+    /// Metashape's: cameras in an `.xml` file, `images` and `masks`.
+    Metashape,
 }
 
 /// What to read of a data set, and how; see the table at the top of this module.
@@ -66,8 +89,9 @@ pub struct DatasetOptions {
     pub layout: Layout,
     /// Conversion of 8- and 16-bit values to linear.
     pub gamma: Gamma,
-    /// Offset of a pixel's center from its index, in pixels: 0.5, or 0 for PhySG's own code.
-    pub pixel_center: f32,
+    /// Offset of a pixel's center from its index, in pixels: that of the layout if `None`, which is 0 for IDR and 0.5 for all
+    /// others. Data for PhySG's own code needs 0.
+    pub pixel_center: Option<f32>,
     /// Factor by which images and masks are downscaled along each axis, with a box filter; at least 1.
     pub downscale: u32,
     /// Only every n-th view is read, beginning with the first in natural name order; at least 1.
@@ -85,7 +109,7 @@ impl Default for DatasetOptions {
         Self {
             layout: Layout::Auto,
             gamma: Gamma::Srgb,
-            pixel_center: 0.5,
+            pixel_center: None,
             downscale: 1,
             every: 1,
             hold_out: 8,
@@ -110,9 +134,9 @@ impl DatasetOptions {
                 "Write 0 for no test split, or 2 and more.",
             );
         }
-        if !self.pixel_center.is_finite() {
+        if let Some(center) = self.pixel_center.filter(|center| !center.is_finite()) {
             return wrong(
-                format!("pixel_center: {}", self.pixel_center),
+                format!("pixel_center: {center}"),
                 "Give 0.5, or 0.0 for PhySG's own code.",
             );
         }
@@ -188,17 +212,8 @@ pub struct OpenDataset {
 pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOptions) -> Result<OpenDataset> {
     let dir = dir.as_ref();
     options.check()?;
-    let layout = find_layout(dir, options.layout)?;
-    let mut plan = match layout {
-        Layout::PhySg => physg::plan(dir, split)?,
-        Layout::Nerf | Layout::Auto => nerf::plan(dir, split)?,
-        Layout::Colmap => held_out(colmap::plan(dir)?, split, options.hold_out),
-        Layout::DeepVoxels => match deepvoxels::split_folder(dir, split) {
-            Some((folder, true)) => held_out(deepvoxels::plan(&folder)?, split, options.hold_out),
-            Some((folder, false)) => deepvoxels::plan(&folder)?,
-            None => return Err(deepvoxels::absent_split(dir, split)),
-        },
-    };
+    let format = find_format(dir, options.layout)?;
+    let mut plan = format.plan(dir, split, options.hold_out)?;
     plan.views.sort_by(|a, b| natural_order(&a.name, &b.name));
     refuse_duplicates(&plan.views)?;
     let wanted = selected(plan.views, options)?;
@@ -209,8 +224,12 @@ pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
         return Err(Error::input(dir, "", problem, help));
     }
     refuse_far_away(&wanted)?;
-    let view = |plan| PlannedView::new(plan, split, options);
-    Ok(OpenDataset { views: wanted.into_iter().map(view).collect(), layout, notes: plan.notes })
+    let view = |plan| PlannedView::new(plan, split, options, format.pixel_center);
+    Ok(OpenDataset {
+        views: wanted.into_iter().map(view).collect(),
+        layout: format.layout,
+        notes: plan.notes,
+    })
 }
 
 /// Reads a split of the data set in folder `dir`: cameras, photographs and masks, in natural name order.
@@ -226,15 +245,6 @@ pub fn read_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
     let loaded = loaded.into_iter().collect::<Result<Vec<_>>>()?;
     notes.extend(load_notes(&loaded));
     Ok(Dataset { views: loaded.into_iter().map(|view| view.record).collect(), layout, notes })
-}
-
-/// The views of a split, from all views, ordered by name.
-fn held_out(plan: Plan, split: Split, hold_out: u32) -> Plan {
-    let is_test = |i: usize| hold_out > 0 && i.is_multiple_of(hold_out as usize);
-    let views = plan.views.into_iter().enumerate();
-    let views = views.filter(|(i, _)| is_test(*i) == (split == Split::Test)).map(|(_, view)| view).collect();
-    // Notes about all views are reported once, with the training split, which always exists.
-    Plan { views, notes: if split == Split::Train { plan.notes } else { Vec::new() } }
 }
 
 fn split_name(split: Split) -> &'static str {

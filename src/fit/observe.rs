@@ -8,7 +8,7 @@ use crate::sample::Samples;
 use crate::sample::bundle::{FitSample, FrameSample, despawn_pool};
 use crate::sample::pixel::{Observed, PixelOf, SATURATION, SampleIndex, ViewRay, Window};
 use crate::sample::point::{Scenery, SurfacePoint};
-use crate::view::{Camera, Photograph, Split, ViewIndex, ViewMask};
+use crate::view::{Camera, Photograph, PixelWindow, Split, StoredMask, ViewIndex, ViewMask};
 use bevy_ecs::prelude::{Commands, Query, Res, ResMut, Resource, World};
 use glam::Vec3;
 use rand::seq::SliceRandom;
@@ -38,6 +38,16 @@ pub struct Candidates(Vec<Candidate>);
 
 /// Least coverage of a pixel that is used: partly covered pixels contain background as well.
 pub const FULL_COVERAGE: f32 = 0.999;
+/// Most usable pixels whose order is shuffled; of more, the chosen ones are drawn one by one.
+const MOST_SHUFFLED: usize = 1 << 26;
+
+/// A training view with a photograph.
+struct ObservedView<'a> {
+    index: ViewIndex,
+    camera: &'a Camera,
+    photograph: &'a Photograph,
+    mask: Option<&'a StoredMask>,
+}
 
 /// Sample: chooses the usable foreground pixels of the training views, in an order shuffled by the seed.
 pub fn choose_pixels(
@@ -45,44 +55,96 @@ pub fn choose_pixels(
     views: Query<(&ViewIndex, &Camera, &Photograph, Option<&ViewMask>, &Split)>,
     mut candidates: ResMut<Candidates>,
 ) -> SystemResult {
-    candidates.0.clear();
-    let mut training = 0;
-    let mut in_order: Vec<_> = views.iter().collect();
-    in_order.sort_by_key(|(index, ..)| **index);
-    for (index, camera, photograph, mask, split) in in_order {
-        if *split == Split::Train {
-            training += 1;
-            let coverage = mask.map(|m| m.0.coverage.as_slice());
-            candidates.0.extend(usable_pixels(*index, camera, photograph, coverage));
-        }
-    }
-    if candidates.0.is_empty() {
+    let training = views.iter().filter(|(.., split)| **split == Split::Train);
+    let mut training: Vec<ObservedView> = training
+        .map(|(index, camera, photograph, mask, _)| ObservedView {
+            index: *index,
+            camera,
+            photograph,
+            mask: mask.map(|mask| &mask.0),
+        })
+        .collect();
+    training.sort_by_key(|view| view.index);
+    let counts: Vec<usize> = training.par_iter().map(|view| view.usable().count()).collect();
+    let total: usize = counts.iter().sum();
+    if total == 0 {
+        let views = training.len();
         return Err(Error::run(
             "fit",
-            format!("no usable foreground pixel in {training} training views (masked out, or all saturated)"),
+            format!("no usable foreground pixel in {views} training views (masked out, or all saturated)"),
         )
         .into());
     }
-    candidates.0.shuffle(&mut SmallRng::seed_from_u64(choice.seed));
-    candidates.0.truncate(choice.max_pixels);
+    let chosen = shuffled(total, *choice);
+    candidates.0 = candidates_of(&training, &counts, &chosen);
     Ok(())
 }
 
-fn usable_pixels<'a>(
-    view: ViewIndex,
-    camera: &'a Camera,
-    photograph: &'a Photograph,
-    coverage: Option<&'a [f32]>,
-) -> impl Iterator<Item = Candidate> + 'a {
-    let covered = move |i: usize| coverage.is_none_or(|c| c[i] >= FULL_COVERAGE);
-    // A non-finite pixel is read as black, and an average of saturated pixels has no information.
-    let readable =
-        move |i: usize| !photograph.saturated[i] || photograph.image.pixels[i].max_element() >= SATURATION;
-    (0..photograph.image.pixels.len()).filter(move |&i| covered(i) && readable(i)).map(move |i| Candidate {
-        pixel: PixelOf { view, pixel: i as u32 },
-        ray: ViewRay(camera.pixel_ray(i as u32)),
-        observed: Observed { radiance: photograph.image.pixels[i], saturated: photograph.saturated[i] },
-    })
+/// Numbers from 0 to `total` in a random order, cut short.
+fn shuffled(total: usize, choice: PixelChoice) -> Vec<u32> {
+    let mut random = SmallRng::seed_from_u64(choice.seed);
+    if total > MOST_SHUFFLED {
+        let drawn = rand::seq::index::sample(&mut random, total, choice.max_pixels.min(total));
+        return drawn.into_iter().map(|i| i as u32).collect();
+    }
+    let mut order: Vec<u32> = (0..total as u32).collect();
+    order.shuffle(&mut random);
+    order.truncate(choice.max_pixels);
+    order.shrink_to_fit();
+    order
+}
+
+/// The pixels with these numbers, counted over the usable pixels of all views.
+fn candidates_of(views: &[ObservedView], counts: &[usize], chosen: &[u32]) -> Vec<Candidate> {
+    let mut by_number: Vec<(u32, u32)> =
+        chosen.iter().zip(0..).map(|(number, place)| (*number, place)).collect();
+    by_number.par_sort_unstable();
+    let mut rest = by_number.as_slice();
+    let mut first = 0;
+    let mut parts = Vec::new();
+    for (view, count) in views.iter().zip(counts) {
+        let (of_view, others) =
+            rest.split_at(rest.partition_point(|(number, _)| (*number as usize) < first + count));
+        parts.push((view, first, of_view));
+        (rest, first) = (others, first + count);
+    }
+    let found: Vec<Vec<Candidate>> =
+        parts.into_par_iter().map(|(view, first, numbers)| view.candidates(first, numbers)).collect();
+    let mut candidates: Vec<Option<Candidate>> = vec![None; chosen.len()];
+    for ((_, place), candidate) in by_number.iter().zip(found.into_iter().flatten()) {
+        candidates[*place as usize] = Some(candidate);
+    }
+    candidates.into_iter().flatten().collect()
+}
+
+impl ObservedView<'_> {
+    /// Pixels that are fully covered and whose value says something.
+    fn usable(&self) -> impl Iterator<Item = usize> {
+        let window =
+            self.mask.map_or(PixelWindow::whole(self.camera.width, self.camera.height), StoredMask::window);
+        let covered = |i: &usize| self.mask.is_none_or(|mask| mask.coverage(*i) >= FULL_COVERAGE);
+        // A non-finite pixel is read as black, and an average of saturated pixels has no information.
+        let readable = |i: &usize| {
+            !self.photograph.is_saturated(*i) || self.photograph.radiance(*i).max_element() >= SATURATION
+        };
+        window.pixels(self.camera.width).filter(covered).filter(readable)
+    }
+
+    /// The usable pixels with these numbers, in rising order, of which the first has number `first`.
+    fn candidates(&self, first: usize, numbers: &[(u32, u32)]) -> Vec<Candidate> {
+        let mut wanted = numbers.iter().map(|(number, _)| *number as usize - first).peekable();
+        let is_wanted = |(number, _): &(usize, usize)| wanted.next_if_eq(number).is_some();
+        self.usable().enumerate().filter(is_wanted).map(|(_, pixel)| self.candidate(pixel)).collect()
+    }
+
+    fn candidate(&self, pixel: usize) -> Candidate {
+        let (radiance, saturated) = (self.photograph.radiance(pixel), self.photograph.is_saturated(pixel));
+        Candidate {
+            pixel: PixelOf { view: self.index, pixel: pixel as u32 },
+            ray: ViewRay(self.camera.pixel_ray(pixel as u32)),
+            observed: Observed { radiance, saturated },
+        }
+    }
 }
 
 /// Trace: casts the chosen pixels' rays; those that meet the front of the surface become the pool.
@@ -93,23 +155,14 @@ pub fn trace_pixels(
     mut commands: Commands,
 ) -> SystemResult {
     let chosen = std::mem::take(&mut candidates.0);
-    let points: Vec<SurfacePoint> =
+    let count = chosen.len();
+    let mut points: Vec<SurfacePoint> =
         chosen.par_iter().map(|c| scenery.0.intersect(&c.ray.0, 0.0).into()).collect();
-    let samples: Vec<FitSample> = chosen
-        .iter()
-        .zip(&points)
-        .filter(|(c, p)| p.is_hit() && p.normal.dot(c.ray.0.direction) < 0.0)
-        .zip(0..)
-        .map(|((c, p), row)| FitSample {
-            frame: FrameSample { pixel: c.pixel, point: *p, ..FrameSample::blank(SampleIndex(row), c.ray.0) },
-            observed: c.observed,
-            adjoint: Default::default(),
-            back: Default::default(),
-        })
-        .collect();
+    let mut samples: Vec<Candidate> = chosen;
+    keep_front(&mut samples, &mut points);
     if samples.is_empty() {
         return Err(Error::usage(
-            format!("fit: the rays of all {} foreground pixels miss the surface", chosen.len()),
+            format!("fit: the rays of all {count} foreground pixels miss the surface"),
             "Do the cameras and the mesh share one coordinate system? Does the mesh's outside face the cameras?",
         )
         .into());
@@ -117,9 +170,30 @@ pub fn trace_pixels(
     window.0 = 0..samples.len();
     commands.queue(move |world: &mut World| {
         despawn_pool(world);
-        world.spawn_batch(samples);
+        // Made one by one: all of them beside the pool would be as large as the pool.
+        let rows = samples.into_iter().zip(points).zip(0..);
+        world.spawn_batch(rows.map(|((c, point), row)| FitSample {
+            frame: FrameSample { pixel: c.pixel, point, ..FrameSample::blank(SampleIndex(row), c.ray.0) },
+            observed: c.observed,
+            adjoint: Default::default(),
+            back: Default::default(),
+        }));
     });
     Ok(())
+}
+
+/// Keeps the candidates whose rays meet the front of the surface, and where they do.
+fn keep_front(candidates: &mut Vec<Candidate>, points: &mut Vec<SurfacePoint>) {
+    let is_front = |c: &Candidate, p: &SurfacePoint| p.is_hit() && p.normal.dot(c.ray.0.direction) < 0.0;
+    let mut kept = 0;
+    for i in 0..points.len() {
+        if is_front(&candidates[i], &points[i]) {
+            (candidates[kept], points[kept]) = (candidates[i], points[i]);
+            kept += 1;
+        }
+    }
+    candidates.truncate(kept);
+    points.truncate(kept);
 }
 
 /// Gather: sums the weights of each texel over all samples.

@@ -17,6 +17,7 @@ use crate::report::tone::{Backdrop, Look, Picture};
 use crate::scene::{EvaluatePass, LayerTruth, Pass, Score, ScoreScale, Truth, ViewChoice};
 use crate::view::camera::Camera;
 use crate::view::{Photograph, ViewMask, ViewName};
+use bevy_ecs::prelude::World;
 use glam::Vec3;
 use std::path::{Path, PathBuf};
 
@@ -34,6 +35,21 @@ struct ScoredView {
     mask_iou: Option<f64>,
 }
 
+/// A pass that is scored. Its views are read one at a time, since one takes about 80 bytes a pixel.
+struct ScoredPass {
+    name: String,
+    views: Vec<ChosenView>,
+    truths: TrueImages,
+}
+
+/// Where the ground truth of the views of a pass is.
+enum TrueImages {
+    Photographs,
+    Folder(PathBuf),
+    /// Pictures of the true object: radiance, view by view.
+    Made(Vec<Vec<Vec3>>),
+}
+
 /// Runs the pass.
 ///
 /// # Errors
@@ -41,21 +57,18 @@ struct ScoredView {
 pub fn run(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
     let mut rows = Vec::new();
     for (i, score) in pass.scores.iter().enumerate() {
-        let views = scored_views(session, score)?;
-        if i == 0 {
-            session.scores.mask_iou =
-                mean(&views.iter().filter_map(|view| view.mask_iou).collect::<Vec<_>>());
-        }
-        let scores = score_views(views.len(), scaling(score.scale), |i| Ok(&views[i].eval))?;
-        rows.push(sheet_row(&score.pass, &views, &scores)?);
+        let scored = ScoredPass::open(session, score)?;
+        let mut overlaps = vec![None; scored.views.len()];
+        let scores = score_views(scored.views.len(), scaling(score.scale), |k| {
+            let view = scored.load(session, k)?;
+            overlaps[k] = view.mask_iou;
+            Ok(view.eval)
+        })?;
+        rows.push(sheet_row(session, &scored, &scores)?);
         session.scores.passes.insert(score.pass.clone(), scores);
-    }
-    if let Some(first) = pass.scores.first() {
-        if let Some(truth) = &pass.albedo {
-            session.scores.albedo_psnr = score_albedo(session, first, truth)?;
-        }
-        if let Some(truth) = &pass.normal {
-            session.scores.normal_deg = score_normals(session, first, truth)?;
+        if i == 0 {
+            session.scores.mask_iou = mean(&overlaps.into_iter().flatten().collect::<Vec<_>>());
+            score_layers(session, pass, &scored)?;
         }
     }
     if let Some(path) = &pass.mesh {
@@ -77,6 +90,68 @@ pub fn run(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
     Ok(())
 }
 
+impl ScoredPass {
+    fn open(session: &mut Session, score: &Score) -> Result<Self> {
+        let views = views_of(session, &score.pass)?;
+        let truths = match &score.truth {
+            Truth::Photographs => TrueImages::Photographs,
+            Truth::Folder(folder) => TrueImages::Folder(folder.clone()),
+            Truth::SelfMade { spp } => TrueImages::Made(self_made(session, &score.pass, &views, *spp)?),
+        };
+        Ok(Self { name: score.pass.clone(), views, truths })
+    }
+
+    fn load(&self, session: &Session, i: usize) -> Result<ScoredView> {
+        let view = &self.views[i];
+        let truth = self.truth(&session.pipeline.world, i)?;
+        let frame = read_frame(session.folder(&self.name).join(format!("{}.exr", view.stem)))?;
+        let mask = session.pipeline.world.get::<ViewMask>(view.entity).map(|mask| mask.0.mask());
+        let mask_iou = mask.as_ref().and_then(|mask| coverage_iou(&frame.alpha, &mask.coverage));
+        let coverage = mask.map_or_else(|| frame.alpha.clone(), |mask| mask.coverage);
+        let size = [frame.width, frame.height];
+        if truth.len() != frame.color.len() || coverage.len() != frame.color.len() {
+            return Err(Error::run(
+                format!("{}, view {}", self.name, view.stem),
+                format!(
+                    "the ground truth has {} pixels, the prediction {} × {}",
+                    truth.len(),
+                    size[0],
+                    size[1]
+                ),
+            ));
+        }
+        let eval = EvalView {
+            name: view.stem.clone(),
+            width: frame.width,
+            height: frame.height,
+            mask: erode(size, &coverage),
+            prediction: frame.color,
+            diffuse: frame.diffuse,
+            specular: frame.specular,
+            truth,
+        };
+        let (camera, albedo, normal) = (view.camera, frame.albedo, frame.normal);
+        Ok(ScoredView { eval, camera, albedo, normal, coverage, mask_iou })
+    }
+
+    fn truth(&self, world: &World, i: usize) -> Result<Vec<Vec3>> {
+        let view = &self.views[i];
+        match &self.truths {
+            TrueImages::Photographs => {
+                let found = world.get::<Photograph>(view.entity).map(|photograph| photograph.image().pixels);
+                found.ok_or_else(|| {
+                    Error::run(&self.name, format!("view {} has no photograph to compare with", view.stem))
+                })
+            }
+            TrueImages::Folder(folder) => {
+                let name = world.get::<ViewName>(view.entity).map_or("", |name| name.0.as_str());
+                read_fitting(&true_image_path(folder, name), Gamma::Srgb, &view.camera)
+            }
+            TrueImages::Made(pictures) => Ok(pictures[i].clone()),
+        }
+    }
+}
+
 /// The views that a pass rendered, by the scene file.
 fn views_of(session: &mut Session, pass: &str) -> Result<Vec<ChosenView>> {
     let settings = session.scene.passes.iter().find(|p| p.name() == pass).and_then(Pass::render);
@@ -86,73 +161,11 @@ fn views_of(session: &mut Session, pass: &str) -> Result<Vec<ChosenView>> {
     Ok(chosen_views(&mut session.pipeline.world, choice))
 }
 
-fn scored_views(session: &mut Session, score: &Score) -> Result<Vec<ScoredView>> {
-    let views = views_of(session, &score.pass)?;
-    let truths = true_images(session, score, &views)?;
-    views
-        .into_iter()
-        .zip(truths)
-        .map(|(view, truth)| scored_view(session, &score.pass, &view, truth))
-        .collect()
-}
-
-fn scored_view(session: &mut Session, pass: &str, view: &ChosenView, truth: Vec<Vec3>) -> Result<ScoredView> {
-    let frame = read_frame(session.folder(pass).join(format!("{}.exr", view.stem)))?;
-    let mask = session.pipeline.world.get::<ViewMask>(view.entity);
-    let coverage = mask.map_or_else(|| frame.alpha.clone(), |mask| mask.0.coverage.clone());
-    let mask_iou = mask.and_then(|mask| coverage_iou(&frame.alpha, &mask.0.coverage));
-    let size = [frame.width, frame.height];
-    if truth.len() != frame.color.len() || coverage.len() != frame.color.len() {
-        return Err(Error::run(
-            format!("{pass}, view {}", view.stem),
-            format!("the ground truth has {} pixels, the prediction {} × {}", truth.len(), size[0], size[1]),
-        ));
-    }
-    let eval = EvalView {
-        name: view.stem.clone(),
-        width: frame.width,
-        height: frame.height,
-        mask: erode(size, &coverage),
-        prediction: frame.color,
-        diffuse: frame.diffuse,
-        specular: frame.specular,
-        truth,
-    };
-    let (camera, albedo, normal) = (view.camera, frame.albedo, frame.normal);
-    Ok(ScoredView { eval, camera, albedo, normal, coverage, mask_iou })
-}
-
 fn scaling(rule: ScoreScale) -> Scaling {
     match rule {
         ScoreScale::None => Scaling::None,
         ScoreScale::PerChannel => Scaling::PerChannel,
         ScoreScale::PerLayer => Scaling::PerLayer,
-    }
-}
-
-fn true_images(session: &mut Session, score: &Score, views: &[ChosenView]) -> Result<Vec<Vec<Vec3>>> {
-    let world = &session.pipeline.world;
-    match &score.truth {
-        Truth::Photographs => {
-            let photograph = |view: &ChosenView| {
-                let found = world.get::<Photograph>(view.entity).map(|p| p.image.pixels.clone());
-                found.ok_or_else(|| {
-                    Error::run(&score.pass, format!("view {} has no photograph to compare with", view.stem))
-                })
-            };
-            views.iter().map(photograph).collect()
-        }
-        Truth::Folder(folder) => {
-            let name = |view: &ChosenView| world.get::<ViewName>(view.entity).map(|name| name.0.clone());
-            views
-                .iter()
-                .map(|view| {
-                    let path = true_image_path(folder, &name(view).unwrap_or_default());
-                    read_fitting(&path, Gamma::Srgb, &view.camera)
-                })
-                .collect()
-        }
-        Truth::SelfMade { spp } => self_made(session, &score.pass, views, *spp),
     }
 }
 
@@ -204,75 +217,102 @@ fn self_made(session: &mut Session, pass: &str, views: &[ChosenView], spp: u32) 
     Ok(frames.into_iter().map(|frame| frame.color).collect())
 }
 
-/// Ground-truth albedo or normals of the views of a score.
-fn true_layers(
+/// A layer of the pixels that count, and its ground truth, of one view.
+#[derive(Default)]
+struct LayerPixels {
+    prediction: Vec<Vec3>,
+    truth: Vec<Vec3>,
+    counts: Vec<bool>,
+}
+
+impl LayerPixels {
+    fn new(view: &ScoredView, layer: &[Vec3], truth: &[Vec3]) -> Result<Self> {
+        let EvalView { width, height, mask, .. } = &view.eval;
+        Pair::new([*width, *height], layer, truth, mask)?;
+        let counted = |pixels: &[Vec3]| -> Vec<Vec3> {
+            pixels.iter().zip(mask).filter(|(_, counts)| **counts).map(|(pixel, _)| *pixel).collect()
+        };
+        let (prediction, truth) = (counted(layer), counted(truth));
+        Ok(Self { counts: vec![true; prediction.len()], prediction, truth })
+    }
+
+    fn pair(&self) -> Result<Pair<'_>> {
+        Pair::new([self.counts.len(), 1], &self.prediction, &self.truth, &self.counts)
+    }
+}
+
+/// Scores the albedo and normals of the views of a pass.
+fn score_layers(session: &mut Session, pass: &EvaluatePass, scored: &ScoredPass) -> Result<()> {
+    if let Some(truth) = &pass.albedo {
+        let pixels = layer_pixels(session, scored, truth, "albedo")?;
+        let pairs = pixels.iter().map(LayerPixels::pair).collect::<Result<Vec<_>>>()?;
+        session.scores.albedo_psnr = albedo_psnr(&pairs).map(|score| score.psnr);
+    }
+    if let Some(truth) = &pass.normal {
+        let pixels = layer_pixels(session, scored, truth, "normal")?;
+        let pairs = pixels.iter().map(LayerPixels::pair).collect::<Result<Vec<_>>>()?;
+        session.scores.normal_deg = mean_normal_angle_degrees(&pairs);
+    }
+    Ok(())
+}
+
+fn layer_pixels(
     session: &mut Session,
-    views: &[ScoredView],
+    scored: &ScoredPass,
     truth: &LayerTruth,
     layer: &str,
-) -> Result<Vec<Vec<Vec3>>> {
+) -> Result<Vec<LayerPixels>> {
+    let mut pixels = Vec::new();
+    for i in 0..scored.views.len() {
+        let view = scored.load(session, i)?;
+        let truth = true_layer(session, &view, truth, layer, i as u64)?;
+        let found = if layer == "albedo" { &view.albedo } else { &view.normal };
+        pixels.push(LayerPixels::new(&view, found, &truth)?);
+    }
+    Ok(pixels)
+}
+
+/// Ground-truth albedo or normals of a view.
+fn true_layer(
+    session: &mut Session,
+    view: &ScoredView,
+    truth: &LayerTruth,
+    layer: &str,
+    number: u64,
+) -> Result<Vec<Vec3>> {
     match truth {
-        LayerTruth::Folder(folder) => views
-            .iter()
-            .map(|view| {
-                let path = true_layer_path(folder, layer, &view.eval.name);
-                read_fitting(&path, Gamma::Linear, &view.camera)
-            })
-            .collect(),
+        LayerTruth::Folder(folder) => {
+            let path = true_layer_path(folder, layer, &view.eval.name);
+            read_fitting(&path, Gamma::Linear, &view.camera)
+        }
         LayerTruth::SelfMade => {
-            let cameras: Vec<Camera> = views.iter().map(|v| v.camera).collect();
-            let seed = session.scene.seed;
+            let seed = session.scene.seed.wrapping_add(number);
             let Some(object) = &mut session.truth else {
                 return Err(Error::run(layer, "only `Photographed` views have a true object"));
             };
-            let frames = object.pictures(&cameras, None, &[], 16, seed, || ())?;
+            let frames = object.pictures(&[view.camera], None, &[], 16, seed, || ())?;
             let pick = |f: Frame| if layer == "albedo" { f.albedo } else { f.normal };
-            Ok(frames.into_iter().map(pick).collect())
+            Ok(frames.into_iter().flat_map(pick).collect())
         }
     }
 }
 
-fn score_albedo(session: &mut Session, score: &Score, truth: &LayerTruth) -> Result<Option<f64>> {
-    let views = scored_views(session, score)?;
-    let truths = true_layers(session, &views, truth, "albedo")?;
-    let predictions = views.iter().map(|v| v.albedo.as_slice());
-    Ok(albedo_psnr(&layer_pairs(&views, predictions, &truths)?).map(|score| score.psnr))
-}
-
-fn score_normals(session: &mut Session, score: &Score, truth: &LayerTruth) -> Result<Option<f64>> {
-    let views = scored_views(session, score)?;
-    let truths = true_layers(session, &views, truth, "normal")?;
-    let predictions = views.iter().map(|v| v.normal.as_slice());
-    Ok(mean_normal_angle_degrees(&layer_pairs(&views, predictions, &truths)?))
-}
-
-fn layer_pairs<'a>(
-    views: &'a [ScoredView],
-    predictions: impl Iterator<Item = &'a [Vec3]>,
-    truths: &'a [Vec<Vec3>],
-) -> Result<Vec<Pair<'a>>> {
-    let each = views.iter().zip(predictions).zip(truths);
-    each.map(|((view, prediction), truth)| {
-        Pair::new([view.eval.width, view.eval.height], prediction, truth, &view.eval.mask)
-    })
-    .collect()
-}
-
 /// A few views: prediction, ground truth, error.
-fn sheet_row(pass: &str, views: &[ScoredView], scores: &PassScores) -> Result<SheetRow> {
+fn sheet_row(session: &Session, scored: &ScoredPass, scores: &PassScores) -> Result<SheetRow> {
     let factor = factor_for(scores.psnr);
     let mut cells = Vec::new();
-    for i in choose_evenly(views.len(), SHEET_VIEWS) {
-        let (view, eval) = (&views[i], &views[i].eval);
+    for i in choose_evenly(scored.views.len(), SHEET_VIEWS) {
+        let view = scored.load(session, i)?;
+        let eval = &view.eval;
         let shown = scores.scored_prediction(eval);
-        cells.push(cell(format!("{} {:.1} dB", eval.name, scores.views[i].psnr), view, &shown)?);
-        cells.push(cell("truth".to_owned(), view, &eval.truth)?);
+        cells.push(cell(format!("{} {:.1} dB", eval.name, scores.views[i].psnr), &view, &shown)?);
+        cells.push(cell("truth".to_owned(), &view, &eval.truth)?);
         let images = [shown.as_slice(), eval.truth.as_slice()];
         let size = [eval.width as u32, eval.height as u32];
         let image = heat_map(size, images, &view.coverage, factor, Theme::Light.mat());
         cells.push(SheetCell { label: format!("error x {factor}"), image });
     }
-    Ok(SheetRow { heading: format!("{pass}: {}", scores.summary()), cells })
+    Ok(SheetRow { heading: format!("{}: {}", scored.name, scores.summary()), cells })
 }
 
 fn cell(label: String, view: &ScoredView, color: &[Vec3]) -> Result<SheetCell> {

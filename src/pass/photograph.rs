@@ -19,7 +19,7 @@ use crate::scene::{CameraRing, CameraSpec, Edit, Pattern, Photographed, RenderSe
 use crate::shade::frame::{FramePlugin, render_frame, resolve};
 use crate::spawn::{LoadedLight, load_light};
 use crate::view::camera::Camera;
-use crate::view::{Image, Mask, Photograph, Split, ViewRecord};
+use crate::view::{Image, Mask, Photograph, Split, StoredMask, ViewRecord};
 use glam::Vec3;
 use std::sync::Arc;
 
@@ -113,11 +113,8 @@ pub fn take(
             name: spec.name,
             split: spec.split,
             camera,
-            photograph: Some(Photograph {
-                saturated: vec![false; frame.color.len()],
-                image: Image { width, height, pixels: frame.color },
-            }),
-            mask: Some(Mask { width, height, coverage: frame.alpha }),
+            photograph: Some(Photograph::of_image(&Image { width, height, pixels: frame.color })),
+            mask: Some(StoredMask::new(&Mask { width, height, coverage: frame.alpha })),
         }
     });
     Ok(records.collect())

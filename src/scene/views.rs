@@ -32,9 +32,10 @@ pub struct Dataset {
     /// How 8- and 16-bit images are decoded to linear light (EXR and HDR are linear). Default `Srgb`.
     #[serde(default)]
     pub gamma: Gamma,
-    /// Where in a pixel its centre is, in pixels from its upper left corner, 0 to 1. Default 0.5 (PhySG's own code: 0).
-    #[serde(default = "half")]
-    pub pixel_center: f32,
+    /// Where in a pixel its centre is, in pixels from its upper left corner, 0 to 1; 0 for data of PhySG's own code. Default: 0 in
+    /// the layout `Idr`, 0.5 in all others.
+    #[serde(default)]
+    pub pixel_center: Option<f32>,
     /// Factor on all focal lengths, 0.5 to 2, such as a fit with `cameras: PosesAndFocal` found. Default 1.
     #[serde(default = "one")]
     pub focal_scale: f32,
@@ -44,7 +45,7 @@ pub struct Dataset {
     /// Keep every n-th view of each split, n ≥ 1, starting with the first. Default 1.
     #[serde(default = "one_u32")]
     pub every: u32,
-    /// Where the data has no test split of its own (COLMAP), every n-th view by name is one of it, n ≥ 2, starting with the
+    /// Where the data has no test split of its own (COLMAP, say), every n-th view by name is one of it, n ≥ 2, starting with the
     /// first; 0: there is none. Default 8.
     #[serde(default = "held_out")]
     pub hold_out: u32,
@@ -79,10 +80,6 @@ pub struct CameraSpec {
     /// The split this view belongs to. Default `Test`.
     #[serde(default = "test_split")]
     pub split: Split,
-}
-
-fn half() -> f32 {
-    0.5
 }
 
 fn one() -> f32 {

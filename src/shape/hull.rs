@@ -96,6 +96,7 @@ fn bounds_inside(grid: &SdfGrid) -> Option<(Vec3, Vec3)> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::view::StoredMask;
     use crate::view::{Camera, Mask};
 
     /// Masks of a ball, seen from all around.
@@ -122,7 +123,9 @@ mod tests {
         views
             .iter()
             .enumerate()
-            .filter_map(|(i, (camera, mask))| Silhouette::new(&format!("v{i}"), camera, mask))
+            .filter_map(|(i, (camera, mask))| {
+                Silhouette::new(&format!("v{i}"), camera, &StoredMask::new(mask))
+            })
             .collect()
     }
 

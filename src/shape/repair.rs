@@ -8,7 +8,7 @@ use crate::error::{Error, Result};
 use crate::sdf::SdfGrid;
 use crate::sdf::silhouette::signed_distance;
 use crate::shape::silhouette::{Silhouette, hull_distance, is_inner, pixel_size};
-use crate::view::Mask;
+use crate::view::{Mask, StoredMask};
 use rayon::prelude::*;
 
 /// Pixels inside a mask's outline beyond which a ray should meet the object.
@@ -52,26 +52,23 @@ pub fn regrow(grid: &mut SdfGrid, silhouettes: &[Silhouette], forgiven: f32) {
 
 /// The pixels well inside a mask whose rays miss the surface, as a mask; `None` if there are none.
 fn gaps(grid: &SdfGrid, view: &Silhouette) -> Option<Silhouette> {
-    let misses = |(i, distance): (usize, &f32)| {
+    let misses = |i: usize| {
         let (x, y) = view.center(i);
-        let inside = *distance < -GAP_DEPTH && is_inner(&view.camera, x, y);
+        let inside = view.distance(i) < -GAP_DEPTH && is_inner(&view.camera, x, y);
         if inside && grid.first_crossing(&view.camera.ray(x, y), 0.0).is_none() { 1.0 } else { 0.0 }
     };
-    let coverage = view.distance.iter().enumerate().map(misses).collect();
-    Silhouette::new(
-        &view.name,
-        &view.camera,
-        &Mask { width: view.camera.width, height: view.camera.height, coverage },
-    )
+    let coverage = (0..view.pixel_count()).map(misses).collect();
+    let missing = Mask { width: view.camera.width, height: view.camera.height, coverage };
+    Silhouette::new(&view.name, &view.camera, &StoredMask::new(&missing))
 }
 
 /// Share of a mask's pixels, not at the frame's border, whose rays meet the surface, or pass as near as the grid can tell; 1 if it has none there.
 fn covered_share(grid: &SdfGrid, view: &Silhouette) -> f32 {
     let inside = |i: &usize| {
         let (x, y) = view.center(*i);
-        view.distance[*i] < 0.0 && is_inner(&view.camera, x, y)
+        view.distance(*i) < 0.0 && is_inner(&view.camera, x, y)
     };
-    let pixels: Vec<usize> = (0..view.distance.len()).filter(inside).step_by(SHARE_STRIDE).collect();
+    let pixels: Vec<usize> = (0..view.pixel_count()).filter(inside).step_by(SHARE_STRIDE).collect();
     // Near counts as met, to half the diagonal of a cell: what is thinner falls between the grid's vertices.
     let near = 0.87 * grid.spacing;
     let hits = |i: &&usize| {
@@ -125,12 +122,12 @@ pub fn reliable_pixels(hull: &SdfGrid, view: &Silhouette) -> Vec<bool> {
     let middle = hull.position(glam::UVec3::splat(hull.side / 2));
     let cell = hull.spacing / (pixel_size(camera) * camera.position().distance(middle));
     let tolerance = OUTLINE_TOLERANCE.max(1.0 + cell);
-    let pixels = (0..view.distance.len()).into_par_iter().with_min_len(1024);
+    let pixels = (0..view.pixel_count()).into_par_iter().with_min_len(1024);
     let contradicts = |i: usize| {
-        let far = (tolerance..3.0 * tolerance).contains(&view.distance[i].abs());
+        let far = (tolerance..3.0 * tolerance).contains(&view.distance(i).abs());
         let (x, y) = view.center(i);
         let hit = || hull.first_crossing(&camera.ray(x, y), 0.0).is_some();
-        if far && is_inner(camera, x, y) && hit() != (view.distance[i] < 0.0) { 1.0 } else { 0.0 }
+        if far && is_inner(camera, x, y) && hit() != (view.distance(i) < 0.0) { 1.0 } else { 0.0 }
     };
     let wrong: Vec<f32> = pixels.map(contradicts).collect();
     let to_wrong = if wrong.contains(&1.0) {
@@ -175,7 +172,8 @@ mod tests {
             };
             let is_blind = blind.contains(&i);
             let coverage = (0..SIZE * SIZE).map(|i| if covered(i, is_blind) { 1.0 } else { 0.0 }).collect();
-            Silhouette::new(&format!("v{i}"), &camera, &Mask { width: SIZE, height: SIZE, coverage }).unwrap()
+            let mask = StoredMask::new(&Mask { width: SIZE, height: SIZE, coverage });
+            Silhouette::new(&format!("v{i}"), &camera, &mask).unwrap()
         };
         fibonacci_axes(VIEWS).into_iter().enumerate().map(view).collect()
     }
@@ -223,8 +221,7 @@ mod tests {
     fn shifted(view: &Silhouette) -> Silhouette {
         let mut camera = view.camera;
         camera.center[0] += 30.0;
-        let mask = Mask { width: SIZE, height: SIZE, coverage: view.coverage.clone() };
-        Silhouette::new(&view.name, &camera, &mask).unwrap()
+        Silhouette::new(&view.name, &camera, &view.mask).unwrap()
     }
 
     #[test]

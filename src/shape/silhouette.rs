@@ -1,13 +1,16 @@
 //! The silhouette of a view: the signed distance to the boundary of its mask, and the distance of points of space from its cone.
 
 use crate::sdf::silhouette::signed_distance;
-use crate::view::{Camera, Mask, ViewIndex};
+use crate::view::{Camera, PixelWindow, StoredMask, ViewIndex};
 use glam::{Vec2, Vec3};
+use half::f16;
 
 /// Pixels from the border of a frame within which a view abstains, and the same as a share of the frame's shorter side:
 /// masks are often trimmed there.
 const BORDER: f32 = 2.0;
 const BORDER_SHARE: f32 = 0.02;
+/// Pixels around the mask for which the distance is kept.
+const MARGIN: u32 = 16;
 /// Views that must see a point for it to be inside.
 pub(super) const MIN_VIEWS: usize = 3;
 
@@ -19,10 +22,11 @@ pub struct Silhouette {
     /// The view's name.
     pub(super) name: String,
     pub(super) camera: Camera,
-    /// Signed distance in pixels from each pixel's center to the boundary of the mask, negative inside.
-    pub(super) distance: Vec<f32>,
-    /// The mask's coverage.
-    pub(super) coverage: Vec<f32>,
+    pub(super) mask: StoredMask,
+    /// Where `near` lies in the frame.
+    window: PixelWindow,
+    /// Signed distance in pixels from the center of each pixel of the window to the boundary of the mask, negative inside.
+    near: Vec<f16>,
     /// The ray through the middle of the mask, and the tangent of the angle around it that holds all of the mask.
     pub(super) middle: Vec3,
     pub(super) spread: f32,
@@ -30,22 +34,23 @@ pub struct Silhouette {
 
 impl Silhouette {
     /// From a view's name, camera and mask; `None` if the mask is empty.
-    pub fn new(name: &str, camera: &Camera, mask: &Mask) -> Option<Self> {
-        let (width, height) = (mask.width as usize, mask.height as usize);
-        let inside = || {
-            let pixels = mask.coverage.iter().enumerate().filter(|(_, coverage)| **coverage >= 0.5);
-            pixels.map(|(i, _)| ((i % width) as f32 + 0.5, (i / width) as f32 + 0.5))
+    pub fn new(name: &str, camera: &Camera, mask: &StoredMask) -> Option<Self> {
+        let [width, height] = mask.size();
+        let rays = || {
+            let inside = mask.window().pixels(width).filter(|i| mask.coverage(*i) >= 0.5);
+            inside.map(|i| camera.pixel_ray(i as u32).direction)
         };
-        let rays: Vec<Vec3> = inside().map(|(x, y)| camera.ray(x, y).direction).collect();
-        let middle = rays.iter().sum::<Vec3>().try_normalize()?;
-        let spread =
-            rays.iter().map(|ray| middle.cross(*ray).length() / middle.dot(*ray)).fold(0.0, f32::max);
+        let middle = rays().sum::<Vec3>().try_normalize()?;
+        let spread = rays().map(|ray| middle.cross(ray).length() / middle.dot(ray)).fold(0.0, f32::max);
+        let window = with_margin(mask.window(), [width, height]);
+        let distance = signed_distance(&mask.mask().coverage, width as usize, height as usize);
         Some(Self {
             view: ViewIndex::default(),
             name: name.to_owned(),
             camera: *camera,
-            distance: signed_distance(&mask.coverage, width, height),
-            coverage: mask.coverage.clone(),
+            mask: mask.clone(),
+            window,
+            near: window.pixels(width).map(|i| f16::from_f32(distance[i])).collect(),
             middle,
             spread,
         })
@@ -54,6 +59,31 @@ impl Silhouette {
     /// The same as that of another view.
     pub(super) fn of_view(self, view: ViewIndex) -> Self {
         Self { view, ..self }
+    }
+
+    /// Number of pixels of the frame.
+    pub(super) fn pixel_count(&self) -> usize {
+        self.camera.width as usize * self.camera.height as usize
+    }
+
+    /// Signed distance in pixels from a pixel's center to the boundary of the mask, negative inside.
+    pub(super) fn distance(&self, pixel: usize) -> f32 {
+        let width = self.camera.width as usize;
+        self.distance_at(pixel % width, pixel / width)
+    }
+
+    /// The same by column and row. Beyond the window it is continued from the window's nearest pixel.
+    fn distance_at(&self, x: usize, y: usize) -> f32 {
+        let within =
+            |at: usize, first: u32, count: u32| at.clamp(first as usize, (first + count - 1) as usize);
+        let near_x = within(x, self.window.x, self.window.width);
+        let near_y = within(y, self.window.y, self.window.height);
+        let row = (near_y - self.window.y as usize) * self.window.width as usize;
+        let near = self.near[row + near_x - self.window.x as usize].to_f32();
+        if (near_x, near_y) == (x, y) {
+            return near;
+        }
+        near + (x.abs_diff(near_x) as f32).hypot(y.abs_diff(near_y) as f32)
     }
 
     /// Image position of a pixel's centre.
@@ -82,9 +112,17 @@ impl Silhouette {
         let (x0, y0) = (x as usize, y as usize);
         let (x1, y1) = ((x0 + 1).min(width - 1), (y0 + 1).min(height - 1));
         let (tx, ty) = (x - x0 as f32, y - y0 as f32);
-        let row = |y: usize| self.distance[y * width + x0] * (1.0 - tx) + self.distance[y * width + x1] * tx;
+        let row = |y: usize| self.distance_at(x0, y) * (1.0 - tx) + self.distance_at(x1, y) * tx;
         row(y0) * (1.0 - ty) + row(y1) * ty
     }
+}
+
+/// A window with [`MARGIN`] pixels more on each side, as far as the frame goes.
+fn with_margin(window: PixelWindow, size: [u32; 2]) -> PixelWindow {
+    let (x, y) = (window.x.saturating_sub(MARGIN), window.y.saturating_sub(MARGIN));
+    let right = (window.x + window.width + MARGIN).min(size[0]);
+    let bottom = (window.y + window.height + MARGIN).min(size[1]);
+    PixelWindow { x, y, width: right - x, height: bottom - y }
 }
 
 /// Whether an image position is far enough from the frame's border for the mask to be reliable.

@@ -32,7 +32,7 @@ const TRIED_VIEWS: usize = 10;
 const TRIED_SIDE: u32 = 40;
 /// The same for a hull.
 const HULL_VIEWS: usize = 24;
-const HULL_SIDE: u32 = 64;
+const HULL_SIDE: u32 = 96;
 
 /// What is wrong with how a known mesh and the masks agree.
 pub fn of_mesh(bvh: &TriangleBvh, looks: &[Look], found: &[Option<Agreement>]) -> Vec<Finding> {

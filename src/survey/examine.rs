@@ -81,7 +81,11 @@ pub fn examine(mut looks: Vec<Look>, subject: &Subject, backgrounds: &[Backgroun
     let poses_are_right = !survey.findings_of(Severity::Error).any(|error| error.views.is_empty());
     if let Some(arrangement) = survey.arrangement.as_ref().filter(|_| poses_are_right) {
         let directions = arrangement.directions(&survey.looks);
-        let (compared, findings) = photographs::compare(&survey.looks, &directions);
+        let spoils = |finding: &&Finding| finding.severity == Severity::Error || finding.name == "stray-view";
+        let faults: Vec<&Finding> = survey.findings.iter().filter(spoils).collect();
+        let is_spoiled = |look: &Look| faults.iter().any(|fault| fault.views.contains(&look.name));
+        let spoiled: Vec<bool> = survey.looks.iter().map(is_spoiled).collect();
+        let (compared, findings) = photographs::compare(&survey.looks, &directions, &spoiled);
         survey.compared = compared;
         survey.findings.extend(findings);
     }
@@ -124,8 +128,9 @@ fn beside_hull(survey: &mut Survey, up: Vec3) {
     };
     survey.hull_iou = agreement::hull_agreement(&survey.looks);
     // With inverted masks nothing agrees, and that is not the cameras' fault.
-    let inverted = survey.findings.iter().any(|finding| finding.name == "inverted-masks");
-    match survey.hull_iou.filter(|_| !inverted) {
+    let inverted = survey.findings_of(Severity::Error).any(|error| error.name == "inverted-masks");
+    match survey.hull_iou {
+        _ if inverted => {}
         Some(given) => survey.findings.extend(agreement::of_masks(&survey.looks, given, complaint)),
         None => survey.findings.extend(complaint),
     }
@@ -135,6 +140,14 @@ fn beside_hull(survey: &mut Survey, up: Vec3) {
 /// One finding of each name, the first; errors before warnings; one entry per view in every list.
 fn tidy(survey: &mut Survey) {
     survey.findings.sort_by_key(|finding| std::cmp::Reverse(finding.severity));
+    // Where a mask is inverted, the background is what was looked at.
+    let inverted = survey.findings.iter().find(|finding| finding.name == "inverted-masks");
+    let inverted: Vec<String> = inverted.map_or(Vec::new(), |finding| finding.views.clone());
+    let is_explained = |finding: &Finding| {
+        let of_light = ["black", "negative", "unscorable-masks", "duplicates", "coarse-texture", "cut"];
+        of_light.contains(&finding.name) && !inverted.is_empty() && finding.views.iter().all(|view| inverted.contains(view))
+    };
+    survey.findings.retain(|finding| !is_explained(finding));
     let mut seen = Vec::new();
     survey.findings.retain(|finding| {
         let is_new = !seen.contains(&finding.name);

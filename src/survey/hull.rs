@@ -34,8 +34,7 @@ pub fn consistency(views: &[SmallMask]) -> Option<f32> {
     let mut sizes: Vec<f32> =
         boxes.iter().map(|(sight, size)| size * sight.origin.distance(center) as f32).collect();
     let half = REACH * median(&mut sizes)?;
-    let dilated: Vec<Vec<bool>> = views.iter().map(dilated).collect();
-    let cells = hull(views, &dilated, center.as_vec3(), half);
+    let cells = hull(views, center.as_vec3(), half);
     let found: Vec<f32> = views.par_iter().map(|view| seen_again(view, &cells, half)).collect();
     Some(found.iter().sum::<f32>() / found.len() as f32)
 }
@@ -53,17 +52,6 @@ fn sight_and_size(view: &SmallMask) -> Option<(Sight, f32)> {
     (low[0] < high[0]).then_some((sight, halves[0].max(halves[1])))
 }
 
-/// Covered pixels and the eight around each, so that thin parts survive the coarse grid.
-fn dilated(view: &SmallMask) -> Vec<bool> {
-    let (width, height) = (view.camera.width as usize, view.camera.height as usize);
-    let near = |i: usize| {
-        let (x, y) = (i % width, i / width);
-        (y.saturating_sub(1)..(y + 2).min(height))
-            .any(|row| view.inside[row * width + x.saturating_sub(1)..row * width + (x + 2).min(width)].contains(&true))
-    };
-    (0..view.inside.len()).map(near).collect()
-}
-
 /// Pixel of a point, if the frame has it.
 fn pixel(view: &SmallMask, point: Vec3) -> Option<usize> {
     let (x, y, _) = view.camera.project(point)?;
@@ -72,14 +60,14 @@ fn pixel(view: &SmallMask, point: Vec3) -> Option<usize> {
 }
 
 /// Centers of the cells that nearly all views that see them have in their masks.
-fn hull(views: &[SmallMask], masks: &[Vec<bool>], center: Vec3, half: f32) -> Vec<Vec3> {
+fn hull(views: &[SmallMask], center: Vec3, half: f32) -> Vec<Vec3> {
     let step = 2.0 * half / CELLS as f32;
     let is_inside = |point: &Vec3| {
         let (mut seen, mut missed) = (0usize, 0usize);
-        for (view, mask) in views.iter().zip(masks) {
+        for view in views {
             if let Some(pixel) = pixel(view, *point) {
                 seen += 1;
-                missed += usize::from(!mask[pixel]);
+                missed += usize::from(!view.inside[pixel]);
             }
         }
         seen >= LEAST_VIEWS.min(views.len()) && missed as f32 <= FORGIVEN * seen as f32

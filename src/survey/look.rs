@@ -6,7 +6,7 @@ use crate::report::tone::srgb8;
 use crate::survey::sharpness::sharpness;
 use crate::survey::statistics::quantile;
 use crate::view::raster::FULL_COVERAGE;
-use crate::view::{Camera, Mask, Photograph, Split, ViewRecord};
+use crate::view::{Camera, Image, Mask, Split, ViewRecord};
 use glam::Vec3;
 use image::{Rgb, RgbImage};
 
@@ -26,6 +26,48 @@ pub enum MaskSource {
     Alpha,
     /// There is none.
     Nowhere,
+}
+
+/// A view with all its pixels, as it is looked at.
+#[derive(Clone, Debug)]
+pub struct OpenView {
+    /// The view's name.
+    pub name: String,
+    /// Which part of the data it is of.
+    pub split: Split,
+    /// The camera.
+    pub camera: Camera,
+    /// The photograph, unless there is none.
+    pub photograph: Option<OpenPhotograph>,
+    /// The mask, unless there is none.
+    pub mask: Option<Mask>,
+}
+
+/// A photograph with all its pixels.
+#[derive(Clone, Debug)]
+pub struct OpenPhotograph {
+    /// Linear radiance on black.
+    pub image: Image,
+    /// Whether each pixel has a channel at the top of its range.
+    pub saturated: Vec<bool>,
+}
+
+impl OpenView {
+    /// From a view as it is kept.
+    pub fn new(record: &ViewRecord) -> Self {
+        let photograph = record.photograph.as_ref().map(|kept| {
+            let image = kept.image();
+            let saturated = (0..image.pixels.len()).map(|i| kept.is_saturated(i)).collect();
+            OpenPhotograph { image, saturated }
+        });
+        Self {
+            name: record.name.clone(),
+            split: record.split,
+            camera: record.camera,
+            photograph,
+            mask: record.mask.as_ref().map(|mask| mask.mask()),
+        }
+    }
 }
 
 /// One view.
@@ -54,6 +96,8 @@ pub struct Look {
 pub struct Light {
     /// Median luminance.
     pub median: f32,
+    /// Mean luminance, that of each pixel at most four times the median: less than highlights, more than a median of two colors.
+    pub level: f32,
     /// Luminance that a hundredth of the pixels exceed.
     pub bright: f32,
     /// The highest channel of any pixel.
@@ -62,7 +106,7 @@ pub struct Light {
     pub negative: f32,
     /// Share of pixels with a channel at the top of its range, in `[0, 1]`.
     pub clipped: f32,
-    /// Fine detail relative to contrast ([`sharpness`]); `None` if the object is too small or without contrast.
+    /// Fine detail ([`sharpness`]); `None` if the object is too small or has none.
     pub sharpness: Option<f32>,
     /// A hash of all pixels: photographs with the same are identical.
     pub fingerprint: u64,
@@ -117,18 +161,18 @@ pub struct Thumbnail {
 }
 
 impl Look {
-    /// Looks at a view of `size` pixels, which `record` may show smaller. Thumbnails are for contact sheets alone.
-    pub fn new(record: &ViewRecord, size: [u32; 2], mask_source: MaskSource, with_thumbnail: bool) -> Self {
-        let mask = record.mask.as_ref();
-        let photograph = record.photograph.as_ref();
+    /// Looks at a view of `size` pixels, which `view` may show smaller. Thumbnails are for contact sheets alone.
+    pub fn new(view: &OpenView, size: [u32; 2], mask_source: MaskSource, with_thumbnail: bool) -> Self {
+        let mask = view.mask.as_ref();
+        let photograph = view.photograph.as_ref();
         Self {
-            name: record.name.clone(),
-            split: record.split,
+            name: view.name.clone(),
+            split: view.split,
             size,
-            camera: record.camera,
+            camera: view.camera,
             light: photograph.map(|photograph| Light::new(photograph, mask)),
             mask_source: if mask.is_some() { mask_source } else { MaskSource::Nowhere },
-            mask: mask.map(|mask| MaskLook::new(mask, &record.camera)),
+            mask: mask.map(|mask| MaskLook::new(mask, &view.camera)),
             thumbnail: photograph.filter(|_| with_thumbnail).and_then(Thumbnail::new),
         }
     }
@@ -141,7 +185,7 @@ impl Look {
 }
 
 impl Light {
-    fn new(photograph: &Photograph, mask: Option<&Mask>) -> Self {
+    fn new(photograph: &OpenPhotograph, mask: Option<&Mask>) -> Self {
         let pixels = &photograph.image.pixels;
         let inside = |i: usize| mask.is_none_or(|mask| mask.coverage[i] >= FULL_COVERAGE);
         let mut chosen: Vec<usize> = (0..pixels.len()).filter(|&i| inside(i)).collect();
@@ -152,9 +196,12 @@ impl Light {
         let mut lights: Vec<f32> = chosen.iter().map(|&i| luminance(pixels[i])).collect();
         let median = quantile(&mut lights, 0.5).unwrap_or(0.0);
         let below = -1e-3 * median.abs();
+        let most = 4.0 * median.max(0.0);
+        let level = lights.iter().map(|light| f64::from(light.min(most))).sum::<f64>() / lights.len().max(1) as f64;
         let share = |count: usize| count as f32 / chosen.len().max(1) as f32;
         Self {
             median,
+            level: level as f32,
             bright: quantile(&mut lights, 0.99).unwrap_or(0.0),
             highest: chosen.iter().map(|&i| pixels[i].max_element()).fold(f32::NEG_INFINITY, f32::max),
             negative: share(chosen.iter().filter(|&&i| pixels[i].min_element() < below).count()),
@@ -249,7 +296,7 @@ impl SmallMask {
 
 impl Thumbnail {
     /// `None` if the photograph has no light.
-    fn new(photograph: &Photograph) -> Option<Self> {
+    fn new(photograph: &OpenPhotograph) -> Option<Self> {
         let image = &photograph.image;
         let small = image.downscaled(image.width.max(image.height).div_ceil(THUMBNAIL_SIDE).max(1));
         let mut channels: Vec<f32> = small.pixels.iter().map(|pixel| pixel.max_element()).collect();

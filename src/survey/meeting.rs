@@ -204,20 +204,20 @@ fn strangers(outlines: &[Outline], meeting: DVec3) -> Result<Option<Finding>> {
 mod tests {
     use super::*;
     use crate::math::fibonacci::fibonacci_axes;
-    use crate::survey::look::MaskSource;
-    use crate::view::{Mask, Split, ViewRecord};
+    use crate::survey::look::{MaskSource, OpenView};
+    use crate::view::{Mask, Split};
 
     const SIDE: u32 = 64;
 
     /// Views of a ball of radius 1 around `center`, times `scale`.
-    fn ball(center: Vec3, scale: f32, count: usize) -> Vec<ViewRecord> {
+    fn ball(center: Vec3, scale: f32, count: usize) -> Vec<OpenView> {
         let view = |(i, axis): (usize, Vec3)| {
             let up = if axis.y.abs() > 0.9 { Vec3::X } else { Vec3::Y };
             let camera = Camera::look_at((center + 4.0 * axis) * scale, center * scale, up, 40.0, SIDE, SIDE);
             let name = format!("v{i}");
-            ViewRecord { name, split: Split::Train, camera: camera.unwrap(), photograph: None, mask: None }
+            OpenView { name, split: Split::Train, camera: camera.unwrap(), photograph: None, mask: None }
         };
-        let mut views: Vec<ViewRecord> = fibonacci_axes(count).into_iter().enumerate().map(view).collect();
+        let mut views: Vec<OpenView> = fibonacci_axes(count).into_iter().enumerate().map(view).collect();
         views.iter_mut().for_each(|view| view.mask = Some(disk([32.0, 32.0], 22.0)));
         views
     }
@@ -230,8 +230,8 @@ mod tests {
         Mask { width: SIDE, height: SIDE, coverage: (0..SIDE * SIDE).map(covered).collect() }
     }
 
-    fn check(views: &[ViewRecord]) -> Result<Option<Finding>> {
-        let look = |view: &ViewRecord| {
+    fn check(views: &[OpenView]) -> Result<Option<Finding>> {
+        let look = |view: &OpenView| {
             Look::new(view, [view.camera.width, view.camera.height], MaskSource::File, false)
         };
         let looks: Vec<Look> = views.iter().map(look).collect();
@@ -239,7 +239,7 @@ mod tests {
     }
 
     #[track_caller]
-    fn refused(views: &[ViewRecord], words: &[&str]) {
+    fn refused(views: &[OpenView], words: &[&str]) {
         let error = check(views).unwrap_err();
         assert_eq!(error.exit_code(), 2);
         let text = format!("{error} | {}", error.help().unwrap());
@@ -289,7 +289,7 @@ mod tests {
             (rotation.y_axis, rotation.z_axis) = (-rotation.y_axis, -rotation.z_axis);
         }
         refused(&views, &["24 of 24 cameras look away", "camera axes"]);
-        let same: Vec<ViewRecord> = vec![views[0].clone(); 5];
+        let same: Vec<OpenView> = vec![views[0].clone(); 5];
         refused(&same, &["along one line", "other sides"]);
     }
 

@@ -10,9 +10,9 @@ use crate::mesh::triangles::Mesh;
 use crate::report::sheet::choose_evenly;
 use crate::scene::{Dataset, Pass, Scene, Surface, Truth, ViewChoice, Views};
 use crate::survey::examine::{Subject, Survey, examine};
-use crate::survey::look::{Look, MaskSource, SmallMask};
+use crate::survey::look::{Look, MaskSource, OpenPhotograph, OpenView, SmallMask};
 use crate::survey::turntable::{BACKGROUND_SIDE, BACKGROUNDS, Background};
-use crate::view::{Mask, Photograph, Split, ViewRecord};
+use crate::view::{Mask, Split, ViewRecord};
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -116,28 +116,27 @@ fn look_at(view: &PlannedView, focal_scale: f32, with_thumbnail: bool) -> Result
     record.camera.focal = record.camera.focal.map(|focal| focal * focal_scale);
     let size = [record.camera.width, record.camera.height];
     let source = if view.mask_path().is_some() { MaskSource::File } else { MaskSource::Alpha };
-    let record = reduced(record);
-    let look = Look::new(&record, size, source, with_thumbnail);
+    let look = Look::new(&reduced(OpenView::new(&record)), size, source, with_thumbnail);
     let rest = ViewRecord { photograph: None, mask: None, ..record };
     Ok((look, LoadedView { record: rest, repaired, blackened }))
 }
 
 /// A view of at most [`LOOK_SIDE`] pixels a side.
-fn reduced(record: ViewRecord) -> ViewRecord {
-    let (width, height) = (record.camera.width, record.camera.height);
+fn reduced(view: OpenView) -> OpenView {
+    let (width, height) = (view.camera.width, view.camera.height);
     let factor = width.max(height).div_ceil(LOOK_SIDE).max(1);
     if factor == 1 {
-        return record;
+        return view;
     }
-    let small = |photograph: &Photograph| Photograph {
+    let small = |photograph: &OpenPhotograph| OpenPhotograph {
         image: photograph.image.downscaled(factor),
         saturated: mostly(&photograph.saturated, width, height, factor),
     };
-    ViewRecord {
-        camera: record.camera.scaled(factor),
-        photograph: record.photograph.as_ref().map(small),
-        mask: record.mask.as_ref().map(|mask| mask.downscaled(factor)),
-        ..record
+    OpenView {
+        camera: view.camera.scaled(factor),
+        photograph: view.photograph.as_ref().map(small),
+        mask: view.mask.as_ref().map(|mask| mask.downscaled(factor)),
+        ..view
     }
 }
 

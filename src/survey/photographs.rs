@@ -93,13 +93,14 @@ fn add(
     }
 }
 
-/// Compares each view with those that see nearly the same side; `directions` are those of the cameras from the object.
-pub fn compare(looks: &[Look], directions: &[Vec3]) -> (Vec<Compared>, Vec<Finding>) {
+/// Compares each view with those that see nearly the same side; `directions` are those of the cameras from the object. Views with another
+/// fault (`spoiled`) are left out.
+pub fn compare(looks: &[Look], directions: &[Vec3], spoiled: &[bool]) -> (Vec<Compared>, Vec<Finding>) {
     let mut compared = vec![Compared::default(); looks.len()];
     let mut found = Vec::new();
-    let exposures = |light: &Light| (light.median > 0.0).then(|| light.median.log2());
+    let exposures = |light: &Light| (light.level > 0.0).then(|| light.level.log2());
     let mut outliers = Vec::new();
-    for Stray { view, difference, sigmas, angle } in stray_views(looks, directions, exposures, 0.1) {
+    for Stray { view, difference, sigmas, angle } in stray_views(looks, directions, spoiled, exposures, 0.1) {
         compared[view].stops = Some(difference);
         let limit = if angle < NEAR_DEGREES { STOPS } else { FAR_STOPS };
         if difference.abs() > limit && sigmas.abs() > SIGMAS {
@@ -111,7 +112,7 @@ pub fn compare(looks: &[Look], directions: &[Vec3]) -> (Vec<Compared>, Vec<Findi
     }
     let sharpness = |light: &Light| light.sharpness.map(f32::ln);
     let mut blurred = Vec::new();
-    for Stray { view, difference, sigmas, .. } in stray_views(looks, directions, sharpness, 0.15) {
+    for Stray { view, difference, sigmas, .. } in stray_views(looks, directions, spoiled, sharpness, 0.15) {
         compared[view].sharpness = Some(difference.exp());
         if difference < BLURRED.ln() && sigmas < -SIGMAS {
             blurred.push((view, difference));
@@ -160,10 +161,11 @@ struct Stray {
 fn stray_views(
     looks: &[Look],
     directions: &[Vec3],
+    spoiled: &[bool],
     value: impl Fn(&Light) -> Option<f32>,
     floor: f32,
 ) -> Vec<Stray> {
-    let with_value = |(i, look): (usize, &Look)| Some((i, value(look.light.as_ref()?)?));
+    let with_value = |(i, look): (usize, &Look)| Some((i, value(look.light.as_ref().filter(|_| !spoiled[i])?)?));
     let chosen: Vec<(usize, f32)> = looks.iter().enumerate().filter_map(with_value).collect();
     if chosen.len() < LEAST_VIEWS {
         return Vec::new();

@@ -12,15 +12,14 @@ use rayon::prelude::*;
 /// Rounds of correcting size and place; each renders all views.
 const ROUNDS: usize = 4;
 /// A scale this close to that of a usual unit, relatively, is that unit.
-const UNIT_SLACK: f32 = 0.2;
+const UNIT_SLACK: f32 = 0.1;
 /// Ratios of units that meshes and cameras are written in, with their names.
-const UNITS: [(f32, &str); 6] = [
+const UNITS: [(f32, &str); 5] = [
     (1000.0, "meters and millimeters"),
     (100.0, "meters and centimeters"),
     (10.0, "centimeters and millimeters"),
     (39.370_08, "meters and inches"),
     (25.4, "inches and millimeters"),
-    (2.54, "inches and centimeters"),
 ];
 
 /// Center and size of a silhouette: the ray through the middle of its box, and the root of its area as an angle.
@@ -93,8 +92,13 @@ pub fn placement_cause(change: Change, radius: f32) -> Option<Cause> {
     if turned {
         words.push(format!("turned: its coordinates should be {}", formula(&turn)));
     }
+    let factor = snapped(scale);
     if !(0.8..=1.25).contains(&scale) {
-        let size = if scale > 1.0 { format!("{} times too small", short(scale)) } else { format!("{} times too large", short(1.0 / scale)) };
+        let size = if scale > 1.0 {
+            format!("{} times too small", short(factor))
+        } else {
+            format!("{} times too large", short(1.0 / factor))
+        };
         words.push(format!("{size}{}", unit(scale)));
     }
     if moved {
@@ -105,7 +109,7 @@ pub fn placement_cause(change: Change, radius: f32) -> Option<Cause> {
     let [x, y, z] = shift.to_array().map(short);
     let turn = if turned { format!("write its vertices (x, y, z) as {}, then ", formula(&turn)) } else { String::new() };
     let shift = if moved { format!(" and add ({x}, {y}, {z})") } else { String::new() };
-    let help = format!("Bring the mesh into the coordinates of the cameras: {turn}multiply them by {}{shift}.", short(snapped(scale)));
+    let help = format!("Bring the mesh into the coordinates of the cameras: {turn}multiply them by {}{shift}.", short(factor));
     Some(Cause { change, words, help })
 }
 

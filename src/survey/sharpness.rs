@@ -5,13 +5,15 @@ use crate::view::Image;
 
 /// Pixels of the halved picture with four neighbors that a measure needs.
 const LEAST_PIXELS: usize = 48;
+/// Least detail that is measured: below it there is nothing but rounding.
+const LEAST_DETAIL: f64 = 1e-9;
 /// Brightest value that counts, in medians: highlights come and go from view to view.
 const MOST: f32 = 4.0;
 
-/// Energy of the Laplacian of a photograph relative to its contrast, both of the square root of luminance in halved resolution (which
-/// takes most of the noise out). `median` is the median luminance in the object, `inside(i)` says whether pixel i is the object's.
+/// Mean square of the Laplacian of a photograph's square root of luminance, relative to the median, in halved resolution (which takes most
+/// of the noise out). `median` is the median luminance in the object, `inside(i)` says whether pixel i is the object's.
 ///
-/// A blur of two pixels lowers it at least fourfold where the object has texture. `None` for fewer than 48 pixels, or no contrast.
+/// A blur of two pixels lowers it at least fourfold where the object has texture. `None` for fewer than 48 pixels, or no detail at all.
 pub fn sharpness(image: &Image, median: f32, inside: impl Fn(usize) -> bool) -> Option<f32> {
     if median <= 0.0 || !median.is_finite() {
         return None;
@@ -25,20 +27,18 @@ pub fn sharpness(image: &Image, median: f32, inside: impl Fn(usize) -> bool) -> 
         block.iter().all(|&i| inside(i)).then(|| block.iter().map(|&i| value(i)).sum::<f32>() / 4.0)
     };
     let halves: Vec<Option<f32>> = (0..width * height).map(halved).collect();
-    let (mut energy, mut sum, mut squares, mut count) = (0.0f64, 0.0f64, 0.0f64, 0usize);
+    let (mut energy, mut count) = (0.0f64, 0usize);
     for y in 1..height.saturating_sub(1) {
         for x in 1..width.saturating_sub(1) {
             let i = y * width + x;
             let around = [i - width, i - 1, i + 1, i + width].map(|k| halves[k]);
             let (Some(here), [Some(a), Some(b), Some(c), Some(d)]) = (halves[i], around) else { continue };
             energy += f64::from(a + b + c + d - 4.0 * here).powi(2);
-            sum += f64::from(here);
-            squares += f64::from(here).powi(2);
             count += 1;
         }
     }
-    let variance = squares / count as f64 - (sum / count as f64).powi(2);
-    (count >= LEAST_PIXELS && variance > 1e-6).then(|| (energy / count as f64 / variance) as f32)
+    let mean = energy / count as f64;
+    (count >= LEAST_PIXELS && mean > LEAST_DETAIL).then_some(mean as f32)
 }
 
 #[cfg(test)]

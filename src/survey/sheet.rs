@@ -45,9 +45,18 @@ pub fn contact_sheet(survey: &Survey, title: &str) -> Sheet {
     Sheet { title: title.to_owned(), subtitle: verdict(survey), rows, theme: Theme::Light, cell_width: CELL, ..Sheet::default() }
 }
 
+/// Names of the findings that tell a view from the others.
+fn marks(survey: &Survey, view: &str) -> Vec<&'static str> {
+    let is_of_few = |name: &&'static str| {
+        let findings = survey.findings.iter().filter(|finding| finding.name == *name);
+        findings.map(|finding| finding.views.len()).max() <= Some(survey.looks.len() / 2)
+    };
+    survey.flags(view).into_iter().filter(is_of_few).collect()
+}
+
 /// All views, or those with flags and some of the others.
 fn shown(survey: &Survey) -> Vec<usize> {
-    let flagged: Vec<bool> = survey.looks.iter().map(|look| !survey.flags(&look.name).is_empty()).collect();
+    let flagged: Vec<bool> = survey.looks.iter().map(|look| !marks(survey, &look.name).is_empty()).collect();
     let (with, without): (Vec<usize>, Vec<usize>) = (0..flagged.len()).partition(|&i| flagged[i]);
     let mut shown: Vec<usize> = with.into_iter().take(MOST_VIEWS).collect();
     let room = MOST_VIEWS - shown.len();
@@ -58,7 +67,7 @@ fn shown(survey: &Survey) -> Vec<usize> {
 
 fn cell(survey: &Survey, i: usize, gain: f32) -> SheetCell {
     let look = &survey.looks[i];
-    let flags = survey.flags(&look.name);
+    let flags = marks(survey, &look.name);
     let is_plain = look.split == Split::Train || look.name.starts_with("test/");
     let split = if is_plain { "" } else { " (test)" };
     let label = if flags.is_empty() { format!("{}{split}", look.name) } else { format!("{}: {}", look.name, flags.join(", ")) };
@@ -132,7 +141,7 @@ fn plots(survey: &Survey) -> Vec<SheetRow> {
         };
         dot(&mut image, at(arrangement.target), 3 * DOT, Rgb([90, 90, 90]));
         for look in &survey.looks {
-            let flagged = !survey.flags(&look.name).is_empty();
+            let flagged = !marks(survey, &look.name).is_empty();
             let of_split = if look.split == Split::Train { TRAIN } else { TEST };
             dot(&mut image, at(look.camera.position()), DOT, if flagged { FLAGGED } else { of_split });
         }

@@ -6,6 +6,7 @@
 //! | --- | --- |
 //! | [`camera`] | the pinhole camera, projection, construction by target point, orbits |
 //! | [`raster`] | box filtering, bilinear look-up, mask erosion |
+//! | [`stored`] | photographs and masks as they are kept: small, and cropped |
 //!
 //! [`dataset`](crate::dataset) reads folders of posed photographs as [`ViewRecord`]s, [`codec::image`](crate::codec::image) single
 //! images and masks.
@@ -25,8 +26,10 @@
 
 pub mod camera;
 pub mod raster;
+pub mod stored;
 
 pub use camera::{Camera, Orbit};
+pub use stored::{Photograph, PixelWindow, StoredMask};
 
 use crate::{Error, Result};
 use bevy_ecs::prelude::Component;
@@ -105,18 +108,9 @@ impl<T> FromIterator<(ViewIndex, T)> for ByView<T> {
     }
 }
 
-/// A view's photograph.
-#[derive(Component, Clone, Debug)]
-pub struct Photograph {
-    /// Linear radiance, coverage-weighted on black.
-    pub image: Image,
-    /// Pixels with a channel at the top of its range (8-bit 255, 16-bit 65535). The loss uses a clipped channel as a lower bound.
-    pub saturated: Vec<bool>,
-}
-
 /// A view's mask.
 #[derive(Component, Clone, Debug)]
-pub struct ViewMask(pub Mask);
+pub struct ViewMask(pub StoredMask);
 
 /// Which part of a data set a view belongs to.
 #[derive(Component, Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -139,5 +133,5 @@ pub struct ViewRecord {
     /// The photograph, unless the data set has cameras only.
     pub photograph: Option<Photograph>,
     /// The mask, unless there is none.
-    pub mask: Option<Mask>,
+    pub mask: Option<StoredMask>,
 }

@@ -1,11 +1,15 @@
-//! SG lobes as NumPy `.npy` files of shape `[M, 7]`: axis, sharpness, RGB amplitude.
+//! NumPy `.npy` files: SG lobes of shape `[M, 7]` (axis, sharpness, RGB amplitude), and matrices.
 
+mod array;
 mod header;
 
 use std::path::Path;
 
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
+
+use array::Floats;
+pub use array::{Matrix, parse_matrix};
 
 use crate::codec::file;
 use crate::light::LightLobe;
@@ -77,25 +81,14 @@ pub fn write_lobes(path: impl AsRef<Path>, lobes: &[LightLobe], convention: NpyC
 /// The file's values in C order, as `f64`, and the number of columns.
 fn read_table(path: &Path, bytes: &[u8]) -> Result<(Vec<f64>, usize)> {
     let bad = |problem: String| Error::input(path, "", problem, HELP);
-    let (header, data) = header::split(bytes).map_err(bad)?;
-    let (rows, columns) = match header.shape[..] {
-        [rows, columns @ (5 | 7)] => (rows as usize, columns as usize),
-        ref shape => return Err(bad(format!("has shape {shape:?}, not [M, 7]"))),
+    let floats = Floats::new(bytes).map_err(bad)?;
+    let (rows, columns) = match floats.shape() {
+        [rows, columns @ (5 | 7)] => (*rows as usize, *columns as usize),
+        shape => return Err(bad(format!("has shape {shape:?}, not [M, 7]"))),
     };
     if rows == 0 {
         return Err(bad("has no rows, so there are no lobes".to_owned()));
     }
-    let (size, decode): (usize, fn(&[u8]) -> f64) = match header.descr {
-        "<f4" => (4, |v| f64::from(f32::from_le_bytes(exactly(v)))),
-        ">f4" => (4, |v| f64::from(f32::from_be_bytes(exactly(v)))),
-        "<f8" => (8, |v| f64::from_le_bytes(exactly(v))),
-        ">f8" => (8, |v| f64::from_be_bytes(exactly(v))),
-        other => return Err(bad(format!("holds {}, not 32- or 64-bit floats", other.escape_debug()))),
-    };
-    // No overflow: the header's shape has at most 2⁴⁰ values.
-    let Some(data) = data.get(..rows * columns * size) else {
-        return Err(bad(format!("is truncated: too short for {rows} rows")));
-    };
     if rows > MOST_LOBES {
         return Err(Error::input(
             path,
@@ -104,17 +97,7 @@ fn read_table(path: &Path, bytes: &[u8]) -> Result<(Vec<f64>, usize)> {
             "Fit fewer lobes to the light: `lobelia env fit MAP --lobes 128`.",
         ));
     }
-    let values: Vec<f64> = data.chunks_exact(size).map(decode).collect();
-    Ok((if header.fortran_order { transposed(&values, rows, columns) } else { values }, columns))
-}
-
-/// The bytes as an array; zeros if there are not `N` bytes.
-fn exactly<const N: usize>(bytes: &[u8]) -> [u8; N] {
-    bytes.try_into().unwrap_or([0; N])
-}
-
-fn transposed(values: &[f64], rows: usize, columns: usize) -> Vec<f64> {
-    (0..rows * columns).map(|k| values[(k % columns) * rows + k / columns]).collect()
+    Ok((floats.matrix(rows, columns), columns))
 }
 
 fn lobe_of_row(path: &Path, row: usize, v: &[f64], convention: NpyConvention) -> Result<LightLobe> {
@@ -220,6 +203,26 @@ mod tests {
         let gray: Vec<u8> = [0.0_f32, 0.0, 1.0, 2.0, 3.0].iter().flat_map(|v| v.to_le_bytes()).collect();
         let lobe = read_bytes(&npy("<f4", false, "(1, 5)", &gray), NpyConvention::Lobelia).unwrap()[0];
         assert_eq!(lobe.amplitude, Vec3::splat(3.0));
+    }
+
+    #[test]
+    fn matrices_are_read_in_rows() {
+        let bytes = |values: &[f64]| values.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
+        let expected = Matrix { rows: 2, columns: 3, values: vec![1.0, 2.0, 3.0, 4.0, 5.0, 6.0] };
+        let rows = npy("<f8", false, "(2, 3)", &bytes(&expected.values));
+        assert_eq!(parse_matrix(&rows), Ok(expected.clone()));
+        let columns = npy("<f8", true, "(2, 3)", &bytes(&[1.0, 4.0, 2.0, 5.0, 3.0, 6.0]));
+        assert_eq!(parse_matrix(&columns), Ok(expected));
+        let refused = |bytes: &[u8], word: &str| {
+            let problem = parse_matrix(bytes).expect_err("it is no matrix");
+            assert!(problem.contains(word), "{problem} should say {word}");
+        };
+        refused(&npy("<f8", false, "(2, 1, 3)", &[0; 48]), "has shape [2, 1, 3]");
+        refused(&npy("<f8", false, "(6,)", &[0; 48]), "not that of a matrix");
+        refused(&npy("<f8", false, "(2, 4)", &[0; 48]), "truncated");
+        refused(&npy("<i8", false, "(2, 3)", &[0; 48]), "not 32- or 64-bit floats");
+        let empty = parse_matrix(&npy("<f8", true, "(0, 3)", &[])).unwrap();
+        assert_eq!((empty.rows, empty.values.len()), (0, 0));
     }
 
     #[test]

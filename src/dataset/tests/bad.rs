@@ -241,7 +241,7 @@ fn options_out_of_range_are_refused() {
     assert_says(&with(DatasetOptions { downscale: 0, ..DatasetOptions::default() }), &["at least 1"]);
     assert_says(&with(DatasetOptions { up: Vec3::ZERO, ..DatasetOptions::default() }), &["up"]);
     assert_says(
-        &with(DatasetOptions { pixel_center: f32::NAN, ..DatasetOptions::default() }),
+        &with(DatasetOptions { pixel_center: Some(f32::NAN), ..DatasetOptions::default() }),
         &["pixel_center"],
     );
     assert_says(&with(DatasetOptions { gamma: Gamma::Power(0.0), ..DatasetOptions::default() }), &["gamma"]);

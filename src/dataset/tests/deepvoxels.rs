@@ -33,7 +33,7 @@ fn poses_are_world_from_camera_in_opencv_axes() {
     assert_eq!((camera.focal, camera.center), ([8.0; 2], [3.0, 2.0]));
     assert!(camera.position().distance(Vec3::new(3.0, 0.0, 0.25)) < 1e-6);
     assert!(camera.ray(3.0, 2.0).direction.distance(Vec3::NEG_X) < 1e-6);
-    assert_eq!(dataset.views[0].mask.as_ref().unwrap().coverage[3..5], [1.0, 0.0]);
+    assert_eq!(mask_of(&dataset.views[0]).coverage[3..5], [1.0, 0.0]);
 }
 
 #[test]

@@ -17,9 +17,8 @@ fn physg_views_come_with_camera_image_and_mask() {
     assert!(camera.ray(3.0, 2.0).direction.distance(Vec3::NEG_X) < 1e-6);
     let (_, y, _) = camera.project(Vec3::new(0.0, 0.1, 0.25)).unwrap();
     assert!(y < 2.0, "world +Y is up in the image");
-    assert_eq!(view.photograph.as_ref().unwrap().image.pixels[0], Vec3::splat(1.5));
-    let mask = view.mask.as_ref().unwrap();
-    assert_eq!(mask.coverage[..6], [1.0, 1.0, 1.0, 1.0, 0.0, 0.0]);
+    assert_eq!(view.photograph.as_ref().unwrap().radiance(0), Vec3::splat(1.5));
+    assert_eq!(mask_of(view).coverage[..6], [1.0, 1.0, 1.0, 1.0, 0.0, 0.0]);
 }
 
 #[test]
@@ -34,8 +33,8 @@ fn nerf_views_come_in_opencv_axes_with_alpha_as_mask() {
     assert!(camera.ray(3.0, 2.0).direction.distance(Vec3::NEG_Z) < 1e-6, "OpenGL cameras look along −Z");
     let (_, y, _) = camera.project(Vec3::new(0.1, 0.5, 0.0)).unwrap();
     assert!(y < 2.0, "world +Y is up in the image");
-    assert_eq!(dataset.views[0].mask.as_ref().unwrap().coverage[3..5], [1.0, 0.0]);
-    assert_eq!(dataset.views[0].photograph.as_ref().unwrap().image.pixels[5], Vec3::ZERO);
+    assert_eq!(mask_of(&dataset.views[0]).coverage[3..5], [1.0, 0.0]);
+    assert_eq!(dataset.views[0].photograph.as_ref().unwrap().radiance(5), Vec3::ZERO);
 }
 
 #[test]
@@ -76,15 +75,12 @@ fn names_are_ordered_naturally_and_thinned() {
 fn downscaling_keeps_image_mask_and_camera_together() {
     let set = PhySg::new(1);
     let full = set.read().unwrap().views.remove(0);
-    let options = DatasetOptions { downscale: 2, pixel_center: 0.0, ..DatasetOptions::default() };
+    let options = DatasetOptions { downscale: 2, pixel_center: Some(0.0), ..DatasetOptions::default() };
     let half = set.read_with(&options).unwrap().views.remove(0);
     assert_eq!((half.camera.width, half.camera.height, half.camera.pixel_center), (3, 2, 0.0));
     let photograph = half.photograph.unwrap();
-    assert_eq!(
-        (photograph.image.width, photograph.image.pixels.len(), photograph.saturated.len()),
-        (3, 6, 6)
-    );
-    assert_eq!(half.mask.unwrap().coverage, [1.0, 1.0, 0.0, 1.0, 1.0, 0.0]);
+    assert_eq!(photograph.size(), [3, 2]);
+    assert_eq!(half.mask.unwrap().mask().coverage, [1.0, 1.0, 0.0, 1.0, 1.0, 0.0]);
     let mut unscaled = full.camera;
     unscaled.pixel_center = 0.0;
     let (a, b) = (unscaled.ray(5.0, 1.0), half.camera.ray(2.5, 0.5));
@@ -127,7 +123,7 @@ fn nan_and_infinite_pixels_are_counted_in_a_note() {
     assert_says(&dataset.notes[0], &["2 NaN or infinite pixels", "v_1: 2"]);
     let photograph = dataset.views[1].photograph.as_ref().unwrap();
     assert_eq!(
-        (photograph.image.pixels[7], photograph.saturated[7], photograph.saturated[8]),
+        (photograph.radiance(7), photograph.is_saturated(7), photograph.is_saturated(8)),
         (Vec3::ZERO, true, false)
     );
 }
@@ -142,8 +138,8 @@ fn photographs_without_alpha_are_put_on_black() {
     let dataset = set.read().unwrap();
     assert_says(&dataset.notes.join(" "), &["made black in 1 photographs"]);
     let photograph = dataset.views[0].photograph.as_ref().unwrap();
-    assert_eq!((photograph.image.pixels[4], photograph.image.pixels[3].x), (Vec3::ZERO, 1.0));
-    assert_eq!(photograph.saturated[3..5], [true, false]);
+    assert_eq!((photograph.radiance(4), photograph.radiance(3).x), (Vec3::ZERO, 1.0));
+    assert_eq!([3, 4].map(|i| photograph.is_saturated(i)), [true, false]);
 }
 
 #[test]
@@ -155,7 +151,7 @@ fn images_without_camera_are_noted_and_mask_folder_may_be_replaced_by_alpha() {
     fs::remove_dir_all(set.path("train/mask")).unwrap();
     let dataset = set.read().unwrap();
     assert_says(&dataset.notes.join(" "), &["1 images in", "have no camera"]);
-    assert_eq!(dataset.views[0].mask.as_ref().unwrap().coverage[0], 0.5);
+    assert_eq!(mask_of(&dataset.views[0]).coverage[0], 0.5);
 }
 
 #[test]
@@ -188,7 +184,7 @@ fn options_are_read_from_ron() {
     )
     .unwrap();
     assert_eq!((options.layout, options.gamma, options.downscale), (Layout::Nerf, Gamma::Power(2.2), 2));
-    assert_eq!((options.up, options.every, options.pixel_center), (Vec3::Z, 1, 0.5));
+    assert_eq!((options.up, options.every, options.pixel_center), (Vec3::Z, 1, None));
     assert!(ron::from_str::<DatasetOptions>("(downscal: 2)").is_err());
     let text = ron::to_string(&options).unwrap();
     assert_eq!(ron::from_str::<DatasetOptions>(&text).unwrap(), options);

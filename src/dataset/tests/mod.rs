@@ -4,9 +4,16 @@ mod bad;
 mod colmap;
 mod deepvoxels;
 mod good;
+mod idr;
+mod llff;
+mod metashape;
+mod reality_capture;
+mod recognition;
+mod stanford_orb;
 
 use super::*;
 use crate::codec::test_data::write_exr;
+use crate::view::Mask;
 use image::{GrayImage, RgbaImage};
 use serde_json::{Value, json};
 use std::fs;
@@ -141,4 +148,31 @@ fn assert_says(text: &str, parts: &[&str]) {
     for part in parts {
         assert!(text.contains(part), "`{part}` is not in: {text}");
     }
+}
+
+fn mask_of(view: &ViewRecord) -> Mask {
+    view.mask.as_ref().unwrap().mask()
+}
+
+/// Writes a photograph of [`SIZE`] times `factor`, gray with a gradient.
+fn write_photograph(path: &Path, factor: u32) {
+    let [width, height] = [SIZE.0 as u32 * factor, SIZE.1 as u32 * factor];
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    image::RgbImage::from_fn(width, height, |x, y| image::Rgb([90 + x as u8, 90 + y as u8, 90])).save(path).unwrap();
+}
+
+/// Writes a mask of [`SIZE`] that covers the left four columns.
+fn write_mask(path: &Path) {
+    fs::create_dir_all(path.parent().unwrap()).unwrap();
+    let value = |x, _| image::Luma([if x < 4 { 255 } else { 0 }]);
+    GrayImage::from_fn(SIZE.0 as u32, SIZE.1 as u32, value).save(path).unwrap();
+}
+
+fn read_split(dir: &Path, split: Split) -> Result<Dataset> {
+    read_dataset(dir, split, &DatasetOptions::default())
+}
+
+/// All views, without a test split.
+fn read_all(dir: &Path) -> Result<Dataset> {
+    read_dataset(dir, Split::Train, &DatasetOptions { hold_out: 0, ..DatasetOptions::default() })
 }

@@ -288,8 +288,8 @@ fn image_gradient(
         return None;
     }
     let at = |i: usize| {
-        let whole = mask.is_none_or(|mask| mask.0.coverage[i] >= FULL_COVERAGE);
-        (whole && !photograph.saturated[i]).then(|| photograph.image.pixels[i].element_sum() / 3.0)
+        let whole = mask.is_none_or(|mask| mask.0.coverage(i) >= FULL_COVERAGE);
+        (whole && !photograph.is_saturated(i)).then(|| photograph.radiance(i).element_sum() / 3.0)
     };
     let along_x = 0.5 * (at(pixel + 1)? - at(pixel - 1)?);
     Some(Vec2::new(along_x, 0.5 * (at(pixel + width)? - at(pixel - width)?)))

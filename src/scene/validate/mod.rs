@@ -93,7 +93,9 @@ fn views(checks: &mut Checks, views: &Views) {
 }
 
 fn dataset(checks: &mut Checks, dataset: &Dataset) {
-    checks.number("views.pixel_center", dataset.pixel_center, 0.0..=1.0);
+    if let Some(center) = dataset.pixel_center {
+        checks.number("views.pixel_center", center, 0.0..=1.0);
+    }
     checks.number("views.focal_scale", dataset.focal_scale, 0.5..=2.0);
     checks.count("views.downscale", dataset.downscale, 1..=1024);
     checks.count("views.every", dataset.every, 1..=u32::MAX);

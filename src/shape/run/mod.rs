@@ -199,11 +199,11 @@ fn silhouette_samples(
         let pixel_size = pixel_size(camera);
         let reliable = reliable_pixels(hull, silhouette);
         let near =
-            (0..reliable.len()).filter(|&i| reliable[i] && silhouette.distance[i].abs() < SILHOUETTE_REACH);
+            (0..reliable.len()).filter(|&i| reliable[i] && silhouette.distance(i).abs() < SILHOUETTE_REACH);
         samples.extend(near.map(|i| {
             let pixel = PixelOf { view: silhouette.view, pixel: i as u32 };
-            let (distance, distance_gradient) = (silhouette.distance[i], silhouette.slope(i));
-            let (ray, coverage) = (camera.pixel_ray(pixel.pixel), silhouette.coverage[i]);
+            let (distance, distance_gradient) = (silhouette.distance(i), silhouette.slope(i));
+            let (ray, coverage) = (camera.pixel_ray(pixel.pixel), silhouette.mask.coverage(i));
             SilhouetteSample { pixel, ray, distance, distance_gradient, coverage, pixel_size }
         }));
     }

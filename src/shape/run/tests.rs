@@ -12,7 +12,7 @@ use crate::math::fibonacci::{fibonacci_axes, spacing_sharpness};
 use crate::math::ray::Intersect;
 use crate::math::shading::{ClosedForm, Layers, LobeColumns, ShadePoint};
 use crate::shade::systems::kernel_specular;
-use crate::view::{Image, Mask, Photograph};
+use crate::view::{Image, Mask, Photograph, StoredMask};
 
 const SIZE: u32 = 48;
 const SPECULAR: SpecularLobe = SpecularLobe { albedo: Vec3::splat(0.3), roughness: 0.4, ndf: Ndf::Sg };
@@ -37,7 +37,7 @@ fn lobes() -> Vec<LightLobe> {
 }
 
 /// A view of the dented ball in closed form: what the fit's own model can explain.
-fn photograph(surface: &SdfSurface, camera: &Camera) -> (Photograph, Mask) {
+fn photograph(surface: &SdfSurface, camera: &Camera) -> (Photograph, StoredMask) {
     let rays: Vec<_> =
         (0..SIZE * SIZE).map(|i| camera.ray((i % SIZE) as f32 + 0.5, (i / SIZE) as f32 + 0.5)).collect();
     let point = |ray: &crate::math::ray::Ray| {
@@ -55,7 +55,7 @@ fn photograph(surface: &SdfSurface, camera: &Camera) -> (Photograph, Mask) {
     let pixels = shaded.iter().map(radiance).collect();
     let coverage = points.iter().map(|p| if p.is_missed() { 0.0 } else { 1.0 }).collect();
     let image = Image { width: SIZE, height: SIZE, pixels };
-    (Photograph { saturated: vec![false; points.len()], image }, Mask { width: SIZE, height: SIZE, coverage })
+    (Photograph::of_image(&image), StoredMask::new(&Mask { width: SIZE, height: SIZE, coverage }))
 }
 
 fn world_of_photographs() -> Pipeline {

@@ -4,11 +4,11 @@ use super::{expect, good, object, surveyed};
 use crate::mesh::primitive::box_mesh;
 use crate::mesh::triangles::Mesh;
 use crate::survey::Severity;
-use crate::view::ViewRecord;
+use crate::survey::look::OpenView;
 use glam::{Affine3A, Mat3A, Vec3, Vec3A};
 
 /// Cameras with other axes: the right ones are these columns of theirs.
-fn with_axes(axes: Mat3A) -> Vec<ViewRecord> {
+fn with_axes(axes: Mat3A) -> Vec<OpenView> {
     let mut views = good();
     for view in &mut views {
         let pose = &mut view.camera.world_from_camera;
@@ -17,7 +17,7 @@ fn with_axes(axes: Mat3A) -> Vec<ViewRecord> {
     views
 }
 
-fn inverted() -> Vec<ViewRecord> {
+fn inverted() -> Vec<OpenView> {
     let mut views = good();
     views.iter_mut().for_each(|view| {
         let pose: Affine3A = view.camera.world_from_camera.inverse();
@@ -27,7 +27,7 @@ fn inverted() -> Vec<ViewRecord> {
 }
 
 /// Photographs and masks mirrored left to right.
-fn mirrored() -> Vec<ViewRecord> {
+fn mirrored() -> Vec<OpenView> {
     let mut views = good();
     for view in &mut views {
         let width = view.camera.width as usize;
@@ -48,7 +48,7 @@ const OPENGL: Mat3A = Mat3A::from_cols(Vec3A::X, Vec3A::NEG_Y, Vec3A::NEG_Z);
 #[test]
 fn confused_axes_are_named_with_a_mesh() {
     let mesh = object();
-    let named = |views: &[ViewRecord], words: &[&str]| expect(&surveyed(views, Some(&mesh)), "other-axes", &[], words);
+    let named = |views: &[OpenView], words: &[&str]| expect(&surveyed(views, Some(&mesh)), "other-axes", &[], words);
     named(&with_axes(OPENGL), &["y and z of the camera axes are negated", "OpenGL"]);
     named(&inverted(), &["camera_from_world is taken for world_from_camera"]);
     named(&mirrored(), &["mirrored left to right"]);
@@ -62,7 +62,7 @@ fn confused_axes_are_named_with_a_mesh() {
 
 #[test]
 fn confused_axes_are_named_without_a_mesh() {
-    let named = |views: &[ViewRecord], words: &[&str]| expect(&surveyed(views, None), "other-axes", &[], words);
+    let named = |views: &[OpenView], words: &[&str]| expect(&surveyed(views, None), "other-axes", &[], words);
     named(&with_axes(OPENGL), &["y and z of the camera axes are negated"]);
     named(&inverted(), &["camera_from_world is taken for world_from_camera"]);
     named(&mirrored(), &["mirrored left to right"]);

@@ -4,18 +4,19 @@ use super::{camera, looks};
 use crate::math::fibonacci::fibonacci_axes;
 use crate::survey::cameras::{Arrangement, Kind};
 use crate::survey::turntable::{Background, is_turntable, sameness};
-use crate::view::{Split, ViewRecord};
+use crate::survey::look::OpenView;
+use crate::view::Split;
 use glam::Vec3;
 
 fn arrangement(directions: impl IntoIterator<Item = Vec3>) -> Arrangement {
-    let view = |(i, direction): (usize, Vec3)| ViewRecord {
+    let view = |(i, direction): (usize, Vec3)| OpenView {
         name: format!("v{i}"),
         split: Split::Train,
         camera: camera(direction.normalize()),
         photograph: None,
         mask: None,
     };
-    let views: Vec<ViewRecord> = directions.into_iter().enumerate().map(view).collect();
+    let views: Vec<OpenView> = directions.into_iter().enumerate().map(view).collect();
     Arrangement::new(&looks(&views), None, Vec3::Y).unwrap()
 }
 

@@ -2,10 +2,11 @@
 
 use super::{expect, good, object, surveyed};
 use crate::survey::{Severity, Subject, examine};
-use crate::view::{Mask, ViewRecord};
+use crate::survey::look::OpenView;
+use crate::view::Mask;
 use glam::Vec3;
 
-fn change(views: &mut [ViewRecord], change: impl Fn(f32) -> f32) {
+fn change(views: &mut [OpenView], change: impl Fn(f32) -> f32) {
     let masks = views.iter_mut().filter_map(|view| view.mask.as_mut());
     masks.for_each(|mask| mask.coverage.iter_mut().for_each(|coverage| *coverage = change(*coverage)));
 }

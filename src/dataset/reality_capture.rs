@@ -1,0 +1,159 @@
+//! RealityCapture's layout: the CSV file of its export "Internal/External camera parameters", beside `images/` and `masks/`.
+//!
+//! Columns are found by their names: `#name` (the photograph), `x`, `y`, `alt` (position), `heading`, `pitch`, `roll` (degrees), `f` (focal
+//! length in millimeters on a frame whose longer side is 36 mm), and, if they are there, `px`, `py` (principal point from the image's
+//! middle, in longer sides), `k1`, `k2`, `k3`, `t1`, `t2` (lens distortion as OpenCV's). With all angles 0 the camera looks
+//! down (−z) and the top of the image is north (+y); roll turns it around the top of the image, pitch around its right
+//! (east), heading clockwise seen from above. There is no test split: see [`crate::dataset::DatasetOptions::hold_out`].
+
+use crate::dataset::Plan;
+use crate::dataset::distortion::Distortion;
+use crate::dataset::exports::Export;
+use crate::dataset::lens::Lens;
+use crate::dataset::load::read_text;
+use crate::dataset::photographs::{Photographs, stored_size, view_of};
+use crate::dataset::pose::Rigid;
+use crate::error::{Error, Result};
+use csv::{Position, ReaderBuilder, StringRecord, Trim};
+use glam::{DMat3, DVec3};
+use std::path::Path;
+
+/// Columns without which a file is not of this kind.
+const NEEDED: [&str; 8] = ["name", "x", "y", "alt", "heading", "pitch", "roll", "f"];
+/// Columns that are 0 if they are absent.
+const OPTIONAL: [&str; 8] = ["px", "py", "k1", "k2", "k3", "k4", "t1", "t2"];
+/// Width of the frame that focal lengths refer to, in millimeters.
+const FRAME_MM: f64 = 36.0;
+const EXPORT_HELP: &str =
+    "Export it again: Alignment, Registration, Internal/External camera parameters, with commas between values.";
+
+/// The file of cameras.
+pub(super) const EXPORT: Export = Export {
+    extension: "csv",
+    mark: ".csv file with the columns #name, x, y, alt, heading, pitch, roll, f",
+    is_head: has_columns,
+    help: EXPORT_HELP,
+};
+
+fn has_columns(head: &str) -> bool {
+    let names: Vec<String> = head.lines().next().unwrap_or_default().split(',').map(plain_name).collect();
+    NEEDED.iter().all(|needed| names.iter().any(|name| name == needed))
+}
+
+/// A column's name as the constants have it.
+fn plain_name(name: &str) -> String {
+    name.trim().trim_start_matches('\u{feff}').trim_start_matches('#').to_ascii_lowercase()
+}
+
+/// Plans all views, in the order of the file.
+pub(super) fn plan(dir: &Path) -> Result<Plan> {
+    let file = &EXPORT.only(dir)?;
+    let photographs = Photographs::find(dir, &["images", "image", ""])?;
+    let mut views = Vec::new();
+    for row in rows(file)? {
+        let wrong = |problem: String| Error::input(file, &row.place, problem, EXPORT_HELP);
+        let photograph = photographs.called(&row.name)?;
+        let lens = row.lens(stored_size(&photograph.0)?).map_err(wrong)?;
+        let world_from_camera = row.pose().map_err(wrong)?;
+        views.push(view_of(photograph, file, row.place.clone(), lens, world_from_camera));
+    }
+    if views.is_empty() {
+        return Err(Error::input(file, "", "the file has no cameras", EXPORT_HELP));
+    }
+    let notes = photographs.unused(&views).into_iter().collect();
+    views.sort_by(|a, b| a.name.cmp(&b.name));
+    Ok(Plan { views, notes })
+}
+
+/// A camera as it stands in the file.
+struct Row {
+    name: String,
+    place: String,
+    /// Position, then heading, pitch and roll in degrees, then the focal length.
+    needed: [f64; NEEDED.len() - 1],
+    optional: [f64; OPTIONAL.len()],
+}
+
+fn rows(file: &Path) -> Result<Vec<Row>> {
+    let text = read_text(file)?;
+    let mut reader = ReaderBuilder::new().trim(Trim::All).from_reader(text.as_bytes());
+    let broken = |error: csv::Error| {
+        let place = error.position().map(place_of).unwrap_or_default();
+        let problem = match error.kind() {
+            csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
+                format!("there are {len} values, not {expected_len} as in the first line")
+            }
+            _ => format!("this is not CSV: {error}"),
+        };
+        Error::input(file, place, problem, EXPORT_HELP)
+    };
+    let names: Vec<String> = reader.headers().map_err(broken)?.iter().map(plain_name).collect();
+    let column = |wanted: &str| names.iter().position(|name| name == wanted);
+    let mut rows = Vec::new();
+    for record in reader.records() {
+        let record = record.map_err(broken)?;
+        let place = record.position().map(place_of).unwrap_or_default();
+        let value = |name: &str| number(&record, column(name), name);
+        let row = || {
+            let mut row = Row {
+                name: record.get(column("name").unwrap_or(0)).unwrap_or_default().to_owned(),
+                place: place.clone(),
+                needed: [0.0; NEEDED.len() - 1],
+                optional: [0.0; OPTIONAL.len()],
+            };
+            for (to, name) in row.needed.iter_mut().zip(&NEEDED[1..]) {
+                *to = value(name)?.ok_or_else(|| format!("there is no column {name}"))?;
+            }
+            for (to, name) in row.optional.iter_mut().zip(OPTIONAL) {
+                *to = value(name)?.unwrap_or(0.0);
+            }
+            Ok(row)
+        };
+        rows.push(row().map_err(|problem: String| Error::input(file, place.clone(), problem, EXPORT_HELP))?);
+    }
+    Ok(rows)
+}
+
+fn place_of(position: &Position) -> String {
+    format!("line {}", position.line())
+}
+
+/// The finite number in a column, if there is such a column.
+fn number(record: &StringRecord, column: Option<usize>, name: &str) -> Result<Option<f64>, String> {
+    let Some(text) = column.and_then(|column| record.get(column)) else { return Ok(None) };
+    match text.parse::<f64>() {
+        Ok(value) if value.is_finite() => Ok(Some(value)),
+        Ok(_) => Err(format!("{name} is {text}, which is not finite")),
+        Err(_) => Err(format!("{name} is `{text}`, which is not a number")),
+    }
+}
+
+impl Row {
+    /// `Err` says what is wrong.
+    fn lens(&self, size: [u32; 2]) -> Result<Lens, String> {
+        let [px, py, k1, k2, k3, k4, t1, t2] = self.optional;
+        if k4 != 0.0 {
+            return Err(format!(
+                "k4 is {k4}: a fourth radial coefficient cannot be read (choose the distortion model Brown3)"
+            ));
+        }
+        let longer = f64::from(size[0].max(size[1]));
+        let focal = self.needed[6] / FRAME_MM * longer;
+        let center = [px, py].map(|offset| offset * longer);
+        let center = [0, 1].map(|k| Some(0.5 * f64::from(size[k]) + center[k]));
+        let distortion = Distortion::brown_conrady([k1, k2, k3], [t1, t2]);
+        Ok(Lens { size: Some(size), distortion, ..Lens::pinhole([focal; 2], center) })
+    }
+
+    /// World_from_camera; `Err` says what is wrong.
+    fn pose(&self) -> Result<Rigid, String> {
+        let [x, y, alt, heading, pitch, roll, _] = self.needed;
+        let translation = DVec3::new(x, y, alt);
+        if !translation.as_vec3().is_finite() {
+            return Err(format!("the position {translation} is too far away"));
+        }
+        let [heading, pitch, roll] = [heading, pitch, roll].map(f64::to_radians);
+        let rotation = DMat3::from_rotation_z(-heading) * DMat3::from_rotation_x(pitch) * DMat3::from_rotation_y(roll);
+        Ok(Rigid { rotation, translation }.in_opencv_axes())
+    }
+}

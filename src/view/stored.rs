@@ -1,0 +1,424 @@
+//! Photographs and masks as they are kept: in the bytes of their files where those are 8-bit, as half floats where these hold the values, and only
+//! inside a window, since most photographs are mostly background.
+
+use crate::error::{Error, Result};
+use crate::view::{Image, Mask};
+use bevy_ecs::prelude::Component;
+use glam::Vec3;
+use half::f16;
+use std::sync::Arc;
+
+/// A rectangle of a picture, in pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PixelWindow {
+    /// First column.
+    pub x: u32,
+    /// First row.
+    pub y: u32,
+    /// Number of columns.
+    pub width: u32,
+    /// Number of rows.
+    pub height: u32,
+}
+
+impl PixelWindow {
+    /// The whole of a picture.
+    pub fn whole(width: u32, height: u32) -> Self {
+        Self { x: 0, y: 0, width, height }
+    }
+
+    /// The smallest window with all pixels of a mask that are covered at all; of an empty mask nothing.
+    pub fn of_mask(mask: &Mask) -> Self {
+        let (mut low, mut high) = ([u32::MAX; 2], [0; 2]);
+        let width = mask.width.max(1) as usize;
+        for (y, row) in (0..).zip(mask.coverage.chunks(width)) {
+            let first = row.iter().position(|coverage| *coverage > 0.0);
+            let last = row.iter().rposition(|coverage| *coverage > 0.0);
+            if let (Some(first), Some(last)) = (first, last) {
+                low = [low[0].min(first as u32), low[1].min(y)];
+                high = [high[0].max(last as u32 + 1), y + 1];
+            }
+        }
+        let low = [low[0].min(high[0]), low[1].min(high[1])];
+        Self { x: low[0], y: low[1], width: high[0] - low[0], height: high[1] - low[1] }
+    }
+
+    /// Number of pixels.
+    pub fn len(&self) -> usize {
+        self.width as usize * self.height as usize
+    }
+
+    /// Whether there is no pixel in it.
+    pub fn is_empty(&self) -> bool {
+        self.len() == 0
+    }
+
+    /// Place in the window of pixel `y * picture_width + x` of the picture; `None` outside.
+    #[inline]
+    pub fn place(&self, pixel: usize, picture_width: u32) -> Option<usize> {
+        let (x, y) = ((pixel % picture_width as usize) as u32, (pixel / picture_width as usize) as u32);
+        let (x, y) = (x.wrapping_sub(self.x), y.wrapping_sub(self.y));
+        (x < self.width && y < self.height).then(|| y as usize * self.width as usize + x as usize)
+    }
+
+    /// The pixels of the picture in it, as `y * picture_width + x`, row by row.
+    pub fn pixels(self, picture_width: u32) -> impl Iterator<Item = usize> + Clone {
+        let columns = move |y: u32| (self.x..self.x + self.width).map(move |x| (x, y));
+        let cells = (self.y..self.y + self.height).flat_map(columns);
+        cells.map(move |(x, y)| y as usize * picture_width as usize + x as usize)
+    }
+}
+
+/// Numbers in as few bytes as hold them.
+#[derive(Clone, Debug)]
+enum Numbers {
+    /// Places in a table.
+    Bytes(Vec<u8>, Arc<[f32]>),
+    /// Places in a table.
+    Words(Vec<u16>, Arc<[f32]>),
+    Halves(Vec<f16>),
+    Floats(Vec<f32>),
+}
+
+impl Numbers {
+    /// As half floats if they hold all values exactly, or if rounding is allowed and none is too large.
+    fn of(values: impl Iterator<Item = f32> + Clone, may_round: bool) -> Self {
+        let holds = |value: f32| {
+            let rounded = f16::from_f32(value);
+            rounded.to_f32() == value || may_round && rounded.is_finite()
+        };
+        if values.clone().all(holds) {
+            Self::Halves(values.map(f16::from_f32).collect())
+        } else {
+            Self::Floats(values.collect())
+        }
+    }
+
+    #[inline]
+    fn get(&self, i: usize) -> f32 {
+        match self {
+            Self::Bytes(stored, table) => table[usize::from(stored[i])],
+            Self::Words(stored, table) => table[usize::from(stored[i])],
+            Self::Halves(stored) => stored[i].to_f32(),
+            Self::Floats(stored) => stored[i],
+        }
+    }
+
+    fn bytes(&self) -> usize {
+        match self {
+            Self::Bytes(stored, _) => stored.len(),
+            Self::Words(stored, _) => 2 * stored.len(),
+            Self::Halves(stored) => 2 * stored.len(),
+            Self::Floats(stored) => 4 * stored.len(),
+        }
+    }
+}
+
+/// Flags, eight in a byte.
+#[derive(Clone, Debug)]
+struct Flags(Vec<u8>);
+
+impl Flags {
+    /// Nothing is stored if no flag is set.
+    fn of(flags: impl Iterator<Item = bool>) -> Self {
+        let mut packed = Vec::new();
+        for (i, _) in flags.enumerate().filter(|(_, flag)| *flag) {
+            if packed.len() <= i / 8 {
+                packed.resize(i / 8 + 1, 0);
+            }
+            packed[i / 8] |= 1 << (i % 8);
+        }
+        packed.shrink_to_fit();
+        Self(packed)
+    }
+
+    #[inline]
+    fn get(&self, i: usize) -> bool {
+        self.0.get(i / 8).is_some_and(|byte| byte >> (i % 8) & 1 == 1)
+    }
+}
+
+/// Integer samples of a picture, as a file holds them: straight alpha, if any, is the last channel.
+#[derive(Clone, Copy, Debug)]
+pub enum IntegerSamples<'a> {
+    /// 8 bits a channel.
+    Bytes(&'a [u8]),
+    /// 16 bits a channel.
+    Words(&'a [u16]),
+}
+
+/// A photograph as it is kept.
+///
+/// Pixels are numbered `y * width + x`. Outside its window a photograph is black and not saturated.
+#[derive(Component, Clone, Debug)]
+pub struct Photograph {
+    width: u32,
+    height: u32,
+    window: PixelWindow,
+    /// Channels of `color`: 1 or 3.
+    channels: usize,
+    color: Numbers,
+    /// What colors are multiplied by; 1 if there is none.
+    alpha: Option<Numbers>,
+    saturated: Flags,
+}
+
+impl Photograph {
+    /// From linear radiance, coverage-weighted on black, and flags of saturated pixels, inside a window.
+    ///
+    /// With `may_round` values are rounded to half floats (11 bits); without, they are kept exactly.
+    ///
+    /// # Errors
+    /// [`Error::Run`] if the lists have other lengths than the picture.
+    pub fn new(image: &Image, saturated: &[bool], window: PixelWindow, may_round: bool) -> Result<Self> {
+        let count = image.width as usize * image.height as usize;
+        if image.pixels.len() != count || saturated.len() != count {
+            let (pixels, flags) = (image.pixels.len(), saturated.len());
+            let problem = format!("{pixels} pixels and {flags} flags for {}×{}", image.width, image.height);
+            return Err(Error::run("a photograph", problem));
+        }
+        let inside = || window.pixels(image.width);
+        let values = inside().flat_map(|i| image.pixels[i].to_array());
+        Ok(Self {
+            width: image.width,
+            height: image.height,
+            window,
+            channels: 3,
+            color: Numbers::of(values, may_round),
+            alpha: None,
+            saturated: Flags::of(inside().map(|i| saturated[i])),
+        })
+    }
+
+    /// From linear radiance, coverage-weighted on black, kept exactly; nothing is saturated.
+    pub fn of_image(image: &Image) -> Self {
+        let (width, height) = (image.width, image.height);
+        let values = image.pixels.iter().flat_map(Vec3::to_array);
+        let color = Numbers::of(values, false);
+        let window = PixelWindow::whole(width, height);
+        Self { width, height, window, channels: 3, color, alpha: None, saturated: Flags(Vec::new()) }
+    }
+
+    /// From integer samples of 1 to 4 channels (an even count has straight alpha as the last), inside a window. `curve` maps stored
+    /// color to linear radiance and has as many entries as there are stored values; `is_kept` says which pixels are not made black.
+    pub fn of_integers(
+        size: [u32; 2],
+        samples: IntegerSamples,
+        channels: usize,
+        curve: &Arc<[f32]>,
+        window: PixelWindow,
+        is_kept: impl Fn(usize) -> bool,
+    ) -> Self {
+        let [width, height] = size;
+        let colors = if channels < 3 { 1 } else { 3 };
+        let inside = || window.pixels(width);
+        let top = curve.len() - 1;
+        let stored = |i: usize| match samples {
+            IntegerSamples::Bytes(bytes) => usize::from(bytes[i]),
+            IntegerSamples::Words(words) => usize::from(words[i]),
+        };
+        let kept = |pixel: usize, channel: usize| {
+            if is_kept(pixel) { stored(pixel * channels + channel) } else { 0 }
+        };
+        let is_saturated = |pixel: usize| {
+            let covered = colors == channels || stored(pixel * channels + colors) > 0;
+            covered && (0..colors).any(|channel| kept(pixel, channel) == top)
+        };
+        let pack = |table: Arc<[f32]>, values: &mut dyn Iterator<Item = usize>| match samples {
+            IntegerSamples::Bytes(_) => Numbers::Bytes(values.map(|v| v as u8).collect(), table),
+            IntegerSamples::Words(_) => Numbers::Words(values.map(|v| v as u16).collect(), table),
+        };
+        let mut color = inside().flat_map(|pixel| (0..colors).map(move |channel| kept(pixel, channel)));
+        let color = pack(curve.clone(), &mut color);
+        let even: Arc<[f32]> = (0..=top).map(|v| v as f32 / top as f32).collect();
+        let mut alpha = inside().map(|pixel| stored(pixel * channels + colors));
+        let alpha = (channels > colors).then(|| pack(even, &mut alpha));
+        let saturated = Flags::of(inside().map(is_saturated));
+        Self { width, height, window, channels: colors, color, alpha, saturated }
+    }
+
+    /// Width and height of the picture in pixels.
+    pub fn size(&self) -> [u32; 2] {
+        [self.width, self.height]
+    }
+
+    /// The part of the picture that is kept; the rest is black.
+    pub fn window(&self) -> PixelWindow {
+        self.window
+    }
+
+    /// Linear radiance of a pixel, coverage-weighted on black.
+    #[inline]
+    pub fn radiance(&self, pixel: usize) -> Vec3 {
+        let Some(at) = self.window.place(pixel, self.width) else { return Vec3::ZERO };
+        let color = match self.channels {
+            1 => Vec3::splat(self.color.get(at)),
+            _ => Vec3::new(self.color.get(3 * at), self.color.get(3 * at + 1), self.color.get(3 * at + 2)),
+        };
+        match &self.alpha {
+            Some(alpha) => color * alpha.get(at),
+            None => color,
+        }
+    }
+
+    /// Whether a channel of the pixel is at the top of its range (8-bit 255, 16-bit 65535): the loss uses a clipped channel as a
+    /// lower bound. Also set where a value of a file was not finite.
+    #[inline]
+    pub fn is_saturated(&self, pixel: usize) -> bool {
+        self.window.place(pixel, self.width).is_some_and(|at| self.saturated.get(at))
+    }
+
+    /// The whole picture as linear radiance.
+    pub fn image(&self) -> Image {
+        let mut pixels = vec![Vec3::ZERO; self.width as usize * self.height as usize];
+        self.window.pixels(self.width).for_each(|i| pixels[i] = self.radiance(i));
+        Image { width: self.width, height: self.height, pixels }
+    }
+
+    /// Memory that it takes, in bytes.
+    pub fn bytes(&self) -> usize {
+        self.color.bytes() + self.alpha.as_ref().map_or(0, Numbers::bytes) + self.saturated.0.len()
+    }
+}
+
+/// A mask as it is kept. A clone shares its memory.
+///
+/// Pixels are numbered `y * width + x`. Outside its window the coverage is 0.
+#[derive(Clone, Debug)]
+pub struct StoredMask {
+    width: u32,
+    height: u32,
+    window: PixelWindow,
+    /// Shared by clones.
+    coverage: Arc<Numbers>,
+}
+
+impl StoredMask {
+    /// Keeps a mask: one with values k/255 in bytes, others as half floats.
+    pub fn new(mask: &Mask) -> Self {
+        let window = PixelWindow::of_mask(mask);
+        let values = window.pixels(mask.width).map(|i| mask.coverage[i]);
+        let table: Arc<[f32]> = (0..=255u8).map(|v| f32::from(v) / 255.0).collect();
+        let nearest = |coverage: f32| (coverage * 255.0).round() as u8;
+        let coverage = if values.clone().all(|c| table[usize::from(nearest(c))] == c) {
+            Numbers::Bytes(values.map(nearest).collect(), table)
+        } else {
+            Numbers::of(values, true)
+        };
+        Self { width: mask.width, height: mask.height, window, coverage: Arc::new(coverage) }
+    }
+
+    /// Width and height of the picture in pixels.
+    pub fn size(&self) -> [u32; 2] {
+        [self.width, self.height]
+    }
+
+    /// The part that holds all covered pixels.
+    pub fn window(&self) -> PixelWindow {
+        self.window
+    }
+
+    /// Whether every pixel is covered by half or more.
+    pub fn is_full(&self) -> bool {
+        let pixels = self.width as usize * self.height as usize;
+        self.window.len() == pixels && (0..pixels).all(|i| self.coverage.get(i) >= 0.5)
+    }
+
+    /// Coverage of a pixel, in `[0, 1]`.
+    #[inline]
+    pub fn coverage(&self, pixel: usize) -> f32 {
+        self.window.place(pixel, self.width).map_or(0.0, |at| self.coverage.get(at))
+    }
+
+    /// The whole mask.
+    pub fn mask(&self) -> Mask {
+        let mut coverage = vec![0.0; self.width as usize * self.height as usize];
+        self.window.pixels(self.width).for_each(|i| coverage[i] = self.coverage(i));
+        Mask { width: self.width, height: self.height, coverage }
+    }
+
+    /// Memory that it takes, in bytes.
+    pub fn bytes(&self) -> usize {
+        self.coverage.bytes()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn picture(value: impl Fn(usize) -> f32) -> Image {
+        Image { width: 5, height: 4, pixels: (0..20).map(|i| Vec3::new(value(i), 0.5, 2.0)).collect() }
+    }
+
+    fn middle() -> PixelWindow {
+        PixelWindow { x: 1, y: 1, width: 3, height: 2 }
+    }
+
+    #[test]
+    fn a_photograph_is_black_outside_its_window() {
+        let image = picture(|i| i as f32);
+        let kept = Photograph::new(&image, &[true; 20], middle(), false).unwrap();
+        for i in 0..20 {
+            let inside = [6, 7, 8, 11, 12, 13].contains(&i);
+            assert_eq!(kept.radiance(i), if inside { image.pixels[i] } else { Vec3::ZERO });
+            assert_eq!(kept.is_saturated(i), inside);
+        }
+        assert_eq!(kept.bytes(), 6 * 6 + 1);
+        assert_eq!(kept.image().pixels[7], image.pixels[7]);
+    }
+
+    #[test]
+    fn what_half_floats_do_not_hold_stays_exact_unless_rounding_is_allowed() {
+        let image = picture(|_| 0.1);
+        let whole = PixelWindow::whole(5, 4);
+        let exact = Photograph::new(&image, &[false; 20], whole, false).unwrap();
+        assert_eq!((exact.radiance(3), exact.bytes()), (image.pixels[3], 20 * 12));
+        let rounded = Photograph::new(&image, &[false; 20], whole, true).unwrap();
+        assert_eq!(rounded.bytes(), 20 * 6);
+        assert!((rounded.radiance(3).x / 0.1 - 1.0).abs() < 1.0 / 2048.0);
+        let bright = picture(|_| 1e6);
+        assert_eq!(Photograph::new(&bright, &[false; 20], whole, true).unwrap().radiance(0).x, 1e6);
+    }
+
+    #[test]
+    fn lists_of_another_length_are_refused() {
+        let image = Image { pixels: vec![Vec3::ONE; 3], ..picture(|_| 0.0) };
+        assert!(Photograph::new(&image, &[false; 20], middle(), false).is_err());
+        assert!(Photograph::new(&picture(|_| 0.0), &[false; 2], middle(), false).is_err());
+    }
+
+    #[test]
+    fn integers_are_kept_as_stored() {
+        let curve: Arc<[f32]> = (0..=255).map(|v| (v as f32 / 255.0).powi(2)).collect();
+        let samples: Vec<u8> = (0..20u8).flat_map(|i| [i, 255, 3, if i == 7 { 0 } else { 51 }]).collect();
+        let samples = IntegerSamples::Bytes(&samples);
+        let kept = Photograph::of_integers([5, 4], samples, 4, &curve, middle(), |pixel| pixel != 12);
+        assert_eq!(kept.radiance(8), Vec3::new(curve[8], 1.0, curve[3]) * 0.2);
+        assert_eq!(kept.bytes(), 6 * 4 + 1);
+        assert!(kept.is_saturated(6) && !kept.is_saturated(7), "nothing is covered at 7");
+        assert!(!kept.is_saturated(12) && kept.radiance(12) == Vec3::ZERO, "12 is made black");
+        let gray = IntegerSamples::Words(&[65535; 20]);
+        let curve: Arc<[f32]> = (0..=65535).map(|v| v as f32 / 65535.0).collect();
+        let kept = Photograph::of_integers([5, 4], gray, 1, &curve, middle(), |_| true);
+        assert_eq!((kept.radiance(6), kept.is_saturated(6)), (Vec3::ONE, true));
+    }
+
+    #[test]
+    fn masks_are_cropped_and_keep_their_values() {
+        let coverage = |i: usize| if [6, 8, 13].contains(&i) { 0.2 } else { 0.0 };
+        let mask = Mask { width: 5, height: 4, coverage: (0..20).map(coverage).collect() };
+        let kept = StoredMask::new(&mask);
+        assert_eq!((kept.window(), kept.bytes()), (middle(), 6));
+        assert_eq!(kept.mask(), mask);
+        let quarter = Mask { coverage: mask.coverage.iter().map(|c| c * 1.25).collect(), ..mask };
+        assert_eq!((StoredMask::new(&quarter).mask(), StoredMask::new(&quarter).bytes()), (quarter, 12));
+    }
+
+    #[test]
+    fn an_empty_mask_has_an_empty_window() {
+        let mask = Mask { width: 3, height: 2, coverage: vec![0.0; 6] };
+        assert!(PixelWindow::of_mask(&mask).is_empty());
+        assert_eq!(StoredMask::new(&mask).mask(), mask);
+    }
+}
