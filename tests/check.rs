@@ -34,9 +34,12 @@ fn good_data_is_described() {
     let outcome = check_data(&data, &[]).succeeded();
     let text = &outcome.stdout;
     assert!(text.starts_with(&format!("{}: fine\n", data.path("scene.ron").display())), "{text}");
-    for words in
-        ["PhySg: 6 training views of 24×24, 2 test views of 24×24", "files of 8 views", "mesh and masks overlap to 0.9", "about"]
-    {
+    for words in [
+        "PhySg: 6 training views of 24×24, 2 test views of 24×24",
+        "files of 8 views",
+        "mesh and masks overlap to 0.9",
+        "about",
+    ] {
         assert!(text.contains(words), "no `{words}` in:\n{text}");
     }
     assert_eq!(outcome.stderr, "");

@@ -77,7 +77,8 @@ pub(super) fn image_files(folder: &Path) -> Result<Vec<PathBuf>> {
     for entry in std::fs::read_dir(folder).map_err(Error::io("read", folder))? {
         paths.push(entry.map_err(Error::io("read", folder))?.path());
     }
-    let is_hidden = |path: &Path| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
+    let is_hidden =
+        |path: &Path| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
     paths.retain(|path| has_image_extension(path) && !is_hidden(path));
     paths.sort();
     Ok(paths)

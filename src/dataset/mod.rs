@@ -135,10 +135,7 @@ impl DatasetOptions {
             );
         }
         if let Some(center) = self.pixel_center.filter(|center| !center.is_finite()) {
-            return wrong(
-                format!("pixel_center: {center}"),
-                "Give 0.5, or 0.0 for PhySG's own code.",
-            );
+            return wrong(format!("pixel_center: {center}"), "Give 0.5, or 0.0 for PhySG's own code.");
         }
         if self.up.try_normalize().is_none() {
             return wrong(

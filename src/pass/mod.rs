@@ -32,7 +32,6 @@ pub mod show;
 pub use interrupt::{INTERRUPTED, check_interrupted};
 pub use session::{Lights, MOST_VISIBILITY_BYTES, Session};
 
-use crate::dataset::read_dataset;
 use crate::error::{Error, Result};
 use crate::fit::run::{FirstGuess, FitPlugin};
 use crate::mesh::Surface;
@@ -43,7 +42,6 @@ use crate::scene::{Albedo, CameraSpec, Light, Scene, Views};
 use crate::scene::{EditPass, Pass, RelightPass, RenderPass};
 use crate::shade::frame::FramePlugin;
 use crate::spawn::{SurfaceUse, make_surface, spawn};
-use crate::survey::open::{dataset_options, wanted_splits};
 use crate::view::ViewRecord;
 use photograph::{TrueObject, camera_of};
 use progress::Progress;
@@ -68,7 +66,6 @@ pub struct RunOptions {
 /// The first error of a pass; the outputs of earlier passes stay.
 pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) -> Result<()> {
     refuse_used(&options.out, options.force)?;
-    preflight::check_data(&loaded.scene, progress)?;
     let mut session = open(&loaded.scene, options, progress)?;
     preflight::check(&mut session)?;
     for pass in &loaded.scene.passes {
@@ -140,22 +137,10 @@ fn open<'a>(scene: &'a Scene, options: &RunOptions, progress: &'a dyn Progress) 
     })
 }
 
-/// Reads the views that do not depend on the object; rendered photographs come later.
+/// Reads the views that do not depend on the object; rendered photographs come later. Photographs that cannot work end the run here.
 fn read_views(scene: &Scene, progress: &dyn Progress) -> Result<Vec<ViewRecord>> {
     match &scene.views {
-        Views::Dataset(spec) => {
-            let options = dataset_options(spec, scene.up);
-            let mut views = Vec::new();
-            for split in wanted_splits(scene, spec, &options)? {
-                let part = read_dataset(&spec.path, split, &options)?;
-                part.notes.iter().for_each(|note| progress.note(note));
-                views.extend(part.views);
-            }
-            views
-                .iter_mut()
-                .for_each(|view| view.camera.focal = view.camera.focal.map(|f| f * spec.focal_scale));
-            Ok(views)
-        }
+        Views::Dataset(_) => preflight::read_data(scene, progress),
         Views::Cameras(specs) => specs.iter().map(bare_view).collect(),
         Views::Photographed(_) => Ok(Vec::new()),
     }

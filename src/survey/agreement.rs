@@ -79,13 +79,19 @@ pub const INVERT_HELP: &str = "A mask is white where the object is and black els
 fn inverted(looks: &[Look], found: &[Option<Agreement>]) -> Vec<String> {
     let is_inverted = |found: &Agreement| found.iou < MISSES && found.inverse_iou > AGREES;
     let views = looks.iter().zip(found);
-    views.filter(|(_, found)| found.as_ref().is_some_and(is_inverted)).map(|(look, _)| look.name.clone()).collect()
+    views
+        .filter(|(_, found)| found.as_ref().is_some_and(is_inverted))
+        .map(|(look, _)| look.name.clone())
+        .collect()
 }
 
 /// Names of views with masks, the least overlap first.
 fn worst(looks: &[Look], found: &[Option<Agreement>]) -> Vec<String> {
-    let mut views: Vec<(f32, &str)> =
-        looks.iter().zip(found).filter_map(|(look, found)| Some((found.as_ref()?.iou, look.name.as_str()))).collect();
+    let mut views: Vec<(f32, &str)> = looks
+        .iter()
+        .zip(found)
+        .filter_map(|(look, found)| Some((found.as_ref()?.iou, look.name.as_str())))
+        .collect();
     views.sort_by(|a, b| a.0.total_cmp(&b.0));
     views.into_iter().map(|view| view.1.to_owned()).collect()
 }
@@ -103,8 +109,10 @@ fn strays(looks: &[Look], found: &[Option<Agreement>], middle: f32) -> Vec<Findi
         findings.push(Finding::error("inverted-masks", inverted, problem, INVERT_HELP));
     }
     if !views.is_empty() {
-        let problem =
-            format!("mask or camera does not agree with the mesh in {}: they overlap to less than {limit:.2}", named(&views));
+        let problem = format!(
+            "mask or camera does not agree with the mesh in {}: they overlap to less than {limit:.2}",
+            named(&views)
+        );
         let help = "Correct that mask or pose, or leave the view out with `select`.";
         findings.push(Finding::warning("stray-view", views, problem, help));
     }
@@ -130,7 +138,9 @@ fn mesh_cause(bvh: &TriangleBvh, views: &[SmallMask], given: f32) -> Option<(Cau
     let radius = bvh.bounding_sphere().1;
     let placed = |turn: Mat3A| placement_cause(find_placement(bvh, views, turn)?, radius);
     let upright = placed(Mat3A::IDENTITY).into_iter();
-    if let found @ Some(_) = best(upright, given, EXPLAINS, BETTER, |cause| agreement_after(bvh, views, cause)) {
+    if let found @ Some(_) =
+        best(upright, given, EXPLAINS, BETTER, |cause| agreement_after(bvh, views, cause))
+    {
         return found;
     }
     let turned = turns().into_iter().skip(1).filter_map(placed);

@@ -92,7 +92,9 @@ impl Arrangement {
         };
         let ([low, high], [near, far]) = (self.elevation_degrees, self.distance);
         let gap = self.azimuth_gap_degrees;
-        format!("{kind}: elevation {low:.0}° to {high:.0}°, widest gap {gap:.0}°, distance {near:.3} to {far:.3}")
+        format!(
+            "{kind}: elevation {low:.0}° to {high:.0}°, widest gap {gap:.0}°, distance {near:.3} to {far:.3}"
+        )
     }
 
     /// The unit direction of each view from the target.

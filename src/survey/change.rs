@@ -83,7 +83,8 @@ fn llff() -> Mat3A {
 pub fn camera_causes() -> Vec<Cause> {
     let cause = |change, words: &str, help: &str| Cause { change, words: words.into(), help: help.into() };
     let axes = |axes, words, help| cause(Change::CameraAxes(axes), words, help);
-    let poses = "Write the matrices of the layout's convention (see the manual, Data layouts): invert each of them.";
+    let poses =
+        "Write the matrices of the layout's convention (see the manual, Data layouts): invert each of them.";
     let convention = "Write the axes of the layout's convention (see the manual, Data layouts): negate the second and the third column \
                       of each camera's rotation.";
     let mirror = "Mirror the photographs and masks back, or the cameras with them.";
@@ -104,7 +105,11 @@ pub fn camera_causes() -> Vec<Cause> {
             "photographs are turned by 90° counterclockwise",
             turn,
         ),
-        axes(Mat3A::from_cols(-Vec3A::Y, Vec3A::X, Vec3A::Z), "photographs are turned by 90° clockwise", turn),
+        axes(
+            Mat3A::from_cols(-Vec3A::Y, Vec3A::X, Vec3A::Z),
+            "photographs are turned by 90° clockwise",
+            turn,
+        ),
         axes(llff(), "the camera axes are LLFF's (down, right, backward)", convention),
         axes(diagonal(-1.0, 1.0, -1.0), "x and z of the camera axes are negated", convention),
     ]
@@ -146,7 +151,8 @@ fn world_cause(turn: Mat3A) -> (u32, Cause) {
         _ if proper => (2, format!("the mesh is turned: its (x, y, z) are the cameras' {}", images(&turn))),
         _ => (3, format!("the mesh is mirrored: its (x, y, z) are the cameras' {}", images(&turn))),
     };
-    let help = format!("Turn the mesh into the cameras' world: write each vertex (x, y, z) as {}.", formula(&turn));
+    let help =
+        format!("Turn the mesh into the cameras' world: write each vertex (x, y, z) as {}.", formula(&turn));
     (rank, Cause { change: Change::World(turn), words, help })
 }
 

@@ -11,7 +11,10 @@
 //! Time is divided by the threads. It is good to a factor of two on the machine that was measured, and a guess on others.
 
 use crate::sample::bundle::FitSample;
-use crate::scene::{FitPass, Light, LightSource, Pass, RenderSettings, Scene, Shading, ShapePass, Surface, ViewChoice, Visibility};
+use crate::scene::{
+    FitPass, Light, LightSource, Pass, RenderSettings, Scene, Shading, ShapePass, Surface, ViewChoice,
+    Visibility,
+};
 use crate::survey::Survey;
 use crate::survey::detail::ATLAS_FILL;
 use crate::survey::look::Look;
@@ -83,12 +86,14 @@ impl Estimate {
 
     /// "about 1.2 GiB and 3 min on 2 threads (photographs 0.9 GiB, fit 2 min, …)".
     pub fn words(&self) -> String {
-        let mut parts: Vec<&Part> = self.parts.iter().filter(|part| part.seconds >= 1.0 || part.bytes > 64e6).collect();
+        let mut parts: Vec<&Part> =
+            self.parts.iter().filter(|part| part.seconds >= 1.0 || part.bytes > 64e6).collect();
         parts.sort_by(|a, b| b.seconds.total_cmp(&a.seconds));
         let part = |part: &&Part| format!("{} {}, {}", part.what, duration(part.seconds), memory(part.bytes));
         let list: Vec<String> = parts.iter().take(4).map(part).collect();
         let list = if list.is_empty() { String::new() } else { format!(" ({})", list.join("; ")) };
-        let threads = if self.threads == 1 { "1 thread".to_owned() } else { format!("{} threads", self.threads) };
+        let threads =
+            if self.threads == 1 { "1 thread".to_owned() } else { format!("{} threads", self.threads) };
         format!("about {} and {} on {threads}{list}", memory(self.bytes()), duration(self.seconds()))
     }
 }
@@ -145,9 +150,8 @@ impl Task<'_> {
     fn lobes(&self) -> f64 {
         let lobes = match &self.scene.light {
             Light::Unknown(light) => light.lobes as usize,
-            Light::Initial(LightSource::Lobes { lobes, .. }) | Light::Fixed(LightSource::Lobes { lobes, .. }) => {
-                lobes.len()
-            }
+            Light::Initial(LightSource::Lobes { lobes, .. })
+            | Light::Fixed(LightSource::Lobes { lobes, .. }) => lobes.len(),
             Light::Initial(LightSource::Map { lobes, .. }) | Light::Fixed(LightSource::Map { lobes, .. }) => {
                 *lobes as usize
             }
@@ -172,7 +176,9 @@ impl Task<'_> {
     }
 
     fn shadows(&self) -> Option<Part> {
-        let Visibility::Traced { directions, bounces, refresh_every } = self.scene.visibility else { return None };
+        let Visibility::Traced { directions, bounces, refresh_every } = self.scene.visibility else {
+            return None;
+        };
         let settings = VisibilitySettings { directions, bounces, refresh_every };
         let texels = f64::from(ATLAS_FILL) * self.texels();
         let nanos = texels * f64::from(directions) * RAY_NANOS;

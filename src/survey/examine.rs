@@ -102,7 +102,8 @@ pub fn examine(mut looks: Vec<Look>, subject: &Subject, backgrounds: &[Backgroun
 fn tell_apart(looks: &mut [Look]) {
     let names = |split| looks.iter().filter(move |look| look.split == split).map(|look| look.name.as_str());
     let test: BTreeSet<&str> = names(Split::Test).collect();
-    let both: BTreeSet<String> = names(Split::Train).filter(|name| test.contains(name)).map(str::to_owned).collect();
+    let both: BTreeSet<String> =
+        names(Split::Train).filter(|name| test.contains(name)).map(str::to_owned).collect();
     for look in looks.iter_mut().filter(|look| both.contains(&look.name)) {
         let split = if look.split == Split::Train { "train" } else { "test" };
         look.name = format!("{split}/{}", look.name);
@@ -145,7 +146,9 @@ fn tidy(survey: &mut Survey) {
     let inverted: Vec<String> = inverted.map_or(Vec::new(), |finding| finding.views.clone());
     let is_explained = |finding: &Finding| {
         let of_light = ["black", "negative", "unscorable-masks", "duplicates", "coarse-texture", "cut"];
-        of_light.contains(&finding.name) && !inverted.is_empty() && finding.views.iter().all(|view| inverted.contains(view))
+        of_light.contains(&finding.name)
+            && !inverted.is_empty()
+            && finding.views.iter().all(|view| inverted.contains(view))
     };
     survey.findings.retain(|finding| !is_explained(finding));
     let mut seen = Vec::new();

@@ -197,7 +197,8 @@ impl Light {
         let median = quantile(&mut lights, 0.5).unwrap_or(0.0);
         let below = -1e-3 * median.abs();
         let most = 4.0 * median.max(0.0);
-        let level = lights.iter().map(|light| f64::from(light.min(most))).sum::<f64>() / lights.len().max(1) as f64;
+        let level =
+            lights.iter().map(|light| f64::from(light.min(most))).sum::<f64>() / lights.len().max(1) as f64;
         let share = |count: usize| count as f32 / chosen.len().max(1) as f32;
         Self {
             median,

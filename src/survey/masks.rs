@@ -36,7 +36,10 @@ fn dim(looks: &[Look]) -> Option<Finding> {
     let views = names(looks, |_, mask| mask.highest < DIM);
     let first = looks.iter().find(|look| views.first() == Some(&look.name))?;
     let highest = 255.0 * first.mask.as_ref()?.highest;
-    let problem = format!("no pixel of the mask is white in {}: the highest value is {highest:.0} of 255", named(&views));
+    let problem = format!(
+        "no pixel of the mask is white in {}: the highest value is {highest:.0} of 255",
+        named(&views)
+    );
     let help = "Write masks with 0 for the background and 255 (in 16 bits 65535) for the object.";
     Some(Finding::error("dim-masks", views, problem, help))
 }
@@ -71,7 +74,8 @@ fn missing(looks: &[Look]) -> Option<Finding> {
         return None;
     }
     let of_test = looks.iter().filter(|look| look.split == Split::Test && views.contains(&look.name)).count();
-    let problem = format!("there is no mask in {} ({} of the test split)", named(&views), counted(of_test, "view"));
+    let problem =
+        format!("there is no mask in {} ({} of the test split)", named(&views), counted(of_test, "view"));
     let help = "Without a mask the background counts where the object is rendered: add masks, white where the object is.";
     Some(Finding::warning("missing-masks", views, problem, help))
 }
@@ -80,20 +84,35 @@ fn missing(looks: &[Look]) -> Option<Finding> {
 fn unscorable(looks: &[Look]) -> Option<Finding> {
     let is_whole = |look: &Look| look.size == [look.camera.width, look.camera.height];
     let views = names(looks, |look, mask| {
-        look.split == Split::Test && look.light.is_some() && is_whole(look) && !mask.scorable && mask.highest >= DIM
+        look.split == Split::Test
+            && look.light.is_some()
+            && is_whole(look)
+            && !mask.scorable
+            && mask.highest >= DIM
     });
     let problem = || {
-        format!("no pixel can be scored in {}: the mask has no fully covered pixel with fully covered neighbors", named(&views))
+        format!(
+            "no pixel can be scored in {}: the mask has no fully covered pixel with fully covered neighbors",
+            named(&views)
+        )
     };
-    let help = "Raise the mask's contrast, leave the view out with `select`, or do not score against `Photographs`.";
+    let help =
+        "Raise the mask's contrast, leave the view out with `select`, or do not score against `Photographs`.";
     (!views.is_empty()).then(|| Finding::error("unscorable-masks", views.clone(), problem(), help))
 }
 
 /// More than half of the frames cut the object.
 fn cut(looks: &[Look]) -> Option<Finding> {
-    let views = names(looks, |look, mask| mask.is_cut(&look.camera) && !mask.all_covered && mask.border < BORDER);
+    let views =
+        names(looks, |look, mask| mask.is_cut(&look.camera) && !mask.all_covered && mask.border < BORDER);
     let all = looks.iter().filter(|look| look.mask.is_some()).count();
-    let problem = || format!("the frame cuts the object in {} of {all} views, for example {}", views.len(), named(&views[..1]));
+    let problem = || {
+        format!(
+            "the frame cuts the object in {} of {all} views, for example {}",
+            views.len(),
+            named(&views[..1])
+        )
+    };
     let help = "A shape is better found from views that show the whole object: step back when photographing.";
     (2 * views.len() > all).then(|| Finding::warning("cut", views.clone(), problem(), help))
 }

@@ -149,8 +149,10 @@ pub fn meeting_point(sights: &[Sight]) -> Option<DVec3> {
 
 /// Checks that cameras look at the object, from outside.
 fn check_places(outlines: &[Outline], meeting: DVec3) -> Result<()> {
-    let behind: Vec<&Outline> =
-        outlines.iter().filter(|outline| outline.ray.direction.dot(meeting - outline.ray.origin) < 0.0).collect();
+    let behind: Vec<&Outline> = outlines
+        .iter()
+        .filter(|outline| outline.ray.direction.dot(meeting - outline.ray.origin) < 0.0)
+        .collect();
     if let (Some(first), true) = (behind.first(), 2 * behind.len() > outlines.len()) {
         let problem = format!(
             "{} of {} cameras look away from where their views meet (the first is view `{}`)",
@@ -190,7 +192,10 @@ fn strangers(outlines: &[Outline], meeting: DVec3) -> Result<Option<Finding>> {
     let (count, all, name) = (far.len(), outlines.len(), worst.1);
     if count as f64 <= FORGIVEN * all as f64 {
         let names: Vec<String> = far.iter().map(|far| far.1.to_owned()).collect();
-        let problem = format!("mask or camera disagrees with the other views in {}; the shape ignores it", named(&names));
+        let problem = format!(
+            "mask or camera disagrees with the other views in {}; the shape ignores it",
+            named(&names)
+        );
         return Ok(Some(Finding::warning("stray-view", names, problem, SELECT_HELP)));
     }
     let problem = format!(
@@ -301,6 +306,9 @@ mod tests {
         let mut many = ball(Vec3::ZERO, 1.0, 60);
         many[9].mask = Some(disk([8.0, 8.0], 5.0));
         let stray = check(&many).unwrap().unwrap();
-        assert!(stray.views == ["v9"] && stray.problem.contains("disagrees with the other views"), "{stray:?}");
+        assert!(
+            stray.views == ["v9"] && stray.problem.contains("disagrees with the other views"),
+            "{stray:?}"
+        );
     }
 }

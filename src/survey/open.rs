@@ -2,7 +2,7 @@
 
 use crate::codec::gltf::import::read_mesh;
 use crate::codec::image::{Gamma, read_image};
-use crate::dataset::{DatasetOptions, LoadedView, PlannedView, has_split, load_notes, open_dataset};
+use crate::dataset::{DatasetOptions, Layout, LoadedView, PlannedView, has_split, load_notes, open_dataset};
 use crate::error::Result;
 use crate::math::color::luminance;
 use crate::mesh::primitive::{box_mesh, sphere_mesh};
@@ -19,45 +19,100 @@ use rayon::prelude::*;
 /// Most pixels along a side of the pictures that are looked at.
 const LOOK_SIDE: u32 = 1024;
 
-/// Surveys the data set of a scene; `None` if its views are not a data set. Thumbnails are for contact sheets alone.
+/// A scene's data set whose views are known and not read: training views, then test views.
+pub struct OpenScene<'a> {
+    scene: &'a Scene,
+    spec: &'a Dataset,
+    /// The layout that was found.
+    layout: Layout,
+    /// The views.
+    pub views: Vec<PlannedView>,
+    /// Notes for the user about all views.
+    pub notes: Vec<String>,
+}
+
+impl<'a> OpenScene<'a> {
+    /// Opens the data set; `None` if the scene's views are none.
+    ///
+    /// # Errors
+    /// Those of [`open_dataset`].
+    pub fn new(scene: &'a Scene) -> Result<Option<Self>> {
+        let Views::Dataset(spec) = &scene.views else { return Ok(None) };
+        let options = dataset_options(spec, scene.up);
+        let mut open = Self { scene, spec, layout: spec.layout, views: Vec::new(), notes: Vec::new() };
+        for split in wanted_splits(scene, spec, &options)? {
+            let opened = open_dataset(&spec.path, split, &options)?;
+            open.views.extend(opened.views);
+            open.notes.extend(opened.notes);
+            open.layout = opened.layout;
+        }
+        Ok(Some(open))
+    }
+
+    /// Reads a view.
+    ///
+    /// # Errors
+    /// Those of [`PlannedView::load`].
+    pub fn load(&self, view: &PlannedView) -> Result<LoadedView> {
+        let mut loaded = view.load()?;
+        let focal_scale = self.spec.focal_scale;
+        loaded.record.camera.focal = loaded.record.camera.focal.map(|focal| focal * focal_scale);
+        Ok(loaded)
+    }
+
+    /// Looks at a view that was read.
+    pub fn look(&self, view: &PlannedView, record: &ViewRecord, with_thumbnail: bool) -> Look {
+        let size = [record.camera.width, record.camera.height];
+        let source = if view.mask_path().is_some() { MaskSource::File } else { MaskSource::Alpha };
+        Look::new(&reduced(OpenView::new(record)), size, source, with_thumbnail)
+    }
+
+    /// The survey of what was looked at, one look for each view.
+    ///
+    /// # Errors
+    /// Those of reading the mesh, and some photographs again.
+    pub fn examine(&self, looks: Vec<Look>) -> Result<Survey> {
+        let mesh = known_mesh(&self.scene.surface)?;
+        let (Surface::Mesh { texture_size, .. }
+        | Surface::Unknown { texture_size, .. }
+        | Surface::Sphere { texture_size, .. }
+        | Surface::Box { texture_size, .. }) = &self.scene.surface;
+        let subject = Subject {
+            mesh: mesh.as_ref(),
+            up: self.scene.up,
+            texture_size: *texture_size,
+            scored: is_scored(self.scene),
+        };
+        let backgrounds = backgrounds(&self.views, &looks, self.spec.gamma)?;
+        let mut survey = examine(looks, &subject, &backgrounds);
+        survey.layout = self.layout;
+        Ok(survey)
+    }
+}
+
+/// Surveys the data set of a scene; `None` if its views are not a data set. Of each view that is read a few numbers are kept.
+/// Thumbnails are for contact sheets alone.
 ///
 /// # Errors
-/// Those of [`open_dataset`]; the first, in the order of the views, of reading photographs and masks; those of reading the mesh.
+/// Those of [`OpenScene::new`]; the first, in the order of the views, of reading photographs and masks; those of reading the mesh.
 pub fn survey(scene: &Scene, with_thumbnails: bool) -> Result<Option<Survey>> {
-    let Views::Dataset(spec) = &scene.views else { return Ok(None) };
-    let options = dataset_options(spec, scene.up);
-    let (mut planned, mut notes, mut layout) = (Vec::new(), Vec::new(), spec.layout);
-    for split in wanted_splits(scene, spec, &options)? {
-        let opened = open_dataset(&spec.path, split, &options)?;
-        planned.extend(opened.views);
-        notes.extend(opened.notes);
-        layout = opened.layout;
-    }
-    let looked: Vec<Result<(Look, LoadedView)>> =
-        planned.par_iter().map(|view| look_at(view, spec.focal_scale, with_thumbnails)).collect();
+    let Some(open) = OpenScene::new(scene)? else { return Ok(None) };
+    let look_at = |view: &PlannedView| {
+        let LoadedView { record, repaired, blackened } = open.load(view)?;
+        let look = open.look(view, &record, with_thumbnails);
+        let rest = ViewRecord { photograph: None, mask: None, ..record };
+        Ok((look, LoadedView { record: rest, repaired, blackened }))
+    };
+    let looked: Vec<Result<(Look, LoadedView)>> = open.views.par_iter().map(look_at).collect();
     let looked = looked.into_iter().collect::<Result<Vec<_>>>()?;
     let (looks, loaded): (Vec<Look>, Vec<LoadedView>) = looked.into_iter().unzip();
-    notes.extend(load_notes(&loaded));
-    let mesh = known_mesh(&scene.surface)?;
-    let (Surface::Mesh { texture_size, .. }
-    | Surface::Unknown { texture_size, .. }
-    | Surface::Sphere { texture_size, .. }
-    | Surface::Box { texture_size, .. }) = &scene.surface;
-    let subject = Subject {
-        mesh: mesh.as_ref(),
-        up: scene.up,
-        texture_size: *texture_size,
-        scored: is_scored(scene),
-    };
-    let backgrounds = backgrounds(&planned, &looks, spec.gamma)?;
-    let mut survey = examine(looks, &subject, &backgrounds);
-    survey.layout = layout;
-    survey.notes.splice(0..0, notes);
+    let mut survey = open.examine(looks)?;
+    survey.notes.splice(0..0, open.notes.into_iter().chain(load_notes(&loaded)));
     Ok(Some(survey))
 }
 
 /// How a scene's data set is read.
-pub fn dataset_options(spec: &Dataset, up: Vec3) -> DatasetOptions {
+fn dataset_options(spec: &Dataset, up: Vec3) -> DatasetOptions {
     DatasetOptions {
         layout: spec.layout,
         gamma: spec.gamma,
@@ -74,7 +129,7 @@ pub fn dataset_options(spec: &Dataset, up: Vec3) -> DatasetOptions {
 ///
 /// # Errors
 /// If the layout of the data cannot be determined.
-pub fn wanted_splits(scene: &Scene, spec: &Dataset, options: &DatasetOptions) -> Result<Vec<Split>> {
+fn wanted_splits(scene: &Scene, spec: &Dataset, options: &DatasetOptions) -> Result<Vec<Split>> {
     let mut splits = Vec::new();
     for split in [Split::Train, Split::Test] {
         if needs(scene, split) || has_split(&spec.path, split, options)? {
@@ -108,17 +163,6 @@ fn known_mesh(surface: &Surface) -> Result<Option<Mesh>> {
         Surface::Box { center, size, .. } => box_mesh(*center, *size).map(Some),
         Surface::Unknown { .. } => Ok(None),
     }
-}
-
-/// Reads a view and looks at it; of what was read only name and counts are kept.
-fn look_at(view: &PlannedView, focal_scale: f32, with_thumbnail: bool) -> Result<(Look, LoadedView)> {
-    let LoadedView { mut record, repaired, blackened } = view.load()?;
-    record.camera.focal = record.camera.focal.map(|focal| focal * focal_scale);
-    let size = [record.camera.width, record.camera.height];
-    let source = if view.mask_path().is_some() { MaskSource::File } else { MaskSource::Alpha };
-    let look = Look::new(&reduced(OpenView::new(&record)), size, source, with_thumbnail);
-    let rest = ViewRecord { photograph: None, mask: None, ..record };
-    Ok((look, LoadedView { record: rest, repaired, blackened }))
 }
 
 /// A view of at most [`LOOK_SIDE`] pixels a side.

@@ -43,7 +43,8 @@ pub fn of_radiance(looks: &[Look]) -> Vec<Finding> {
     let mut medians: Vec<f32> = lights(looks).map(|(_, light)| light.median).collect();
     let Some(usual) = median(&mut medians) else { return Vec::new() };
     let mut found = Vec::new();
-    let is_negative = |light: &Light| light.negative > MOSTLY_NEGATIVE || (light.median < 0.0 && light.highest <= 0.0);
+    let is_negative =
+        |light: &Light| light.negative > MOSTLY_NEGATIVE || (light.median < 0.0 && light.highest <= 0.0);
     let is_black = |light: &Light| {
         !is_negative(light) && (light.highest <= 0.0 || (usual > 0.0 && light.bright < BLACK * usual))
     };
@@ -56,20 +57,54 @@ pub fn of_radiance(looks: &[Look]) -> Vec<Finding> {
     });
     add(&mut found, looks, "negative", is_negative, |views| {
         let problem = format!("the photograph is negative in most pixels of the object, in {views}");
-        Finding::error("", Vec::new(), problem, "Radiance is 0 or more: write the image again, or leave the view out with `select`.")
+        Finding::error(
+            "",
+            Vec::new(),
+            problem,
+            "Radiance is 0 or more: write the image again, or leave the view out with `select`.",
+        )
     });
     add(&mut found, looks, "absurdly-bright", is_bright, |views| {
-        let problem = format!("the photograph is absurdly bright in {views}: no light is so much brighter than in the others");
-        Finding::error("", Vec::new(), problem, "Write the image again, in the unit of the others, or leave the view out with `select`.")
+        let problem = format!(
+            "the photograph is absurdly bright in {views}: no light is so much brighter than in the others"
+        );
+        Finding::error(
+            "",
+            Vec::new(),
+            problem,
+            "Write the image again, in the unit of the others, or leave the view out with `select`.",
+        )
     });
-    add(&mut found, looks, "negative-pixels", |light| light.negative > SOME_NEGATIVE && !is_negative(light), |views| {
-        let problem = format!("more than a hundredth of the object's pixels are negative in {views}");
-        Finding::warning("", Vec::new(), problem, "Write the images without a sharpening filter, or clamp them at 0.")
-    });
-    add(&mut found, looks, "clipped", |light| light.clipped > MANY_CLIPPED, |views| {
-        let problem = format!("more than a twentieth of the object's pixels are clipped in {views}");
-        Finding::warning("", Vec::new(), problem, "Expose less, or write images with more range (16-bit PNG, EXR).")
-    });
+    add(
+        &mut found,
+        looks,
+        "negative-pixels",
+        |light| light.negative > SOME_NEGATIVE && !is_negative(light),
+        |views| {
+            let problem = format!("more than a hundredth of the object's pixels are negative in {views}");
+            Finding::warning(
+                "",
+                Vec::new(),
+                problem,
+                "Write the images without a sharpening filter, or clamp them at 0.",
+            )
+        },
+    );
+    add(
+        &mut found,
+        looks,
+        "clipped",
+        |light| light.clipped > MANY_CLIPPED,
+        |views| {
+            let problem = format!("more than a twentieth of the object's pixels are clipped in {views}");
+            Finding::warning(
+                "",
+                Vec::new(),
+                problem,
+                "Expose less, or write images with more range (16-bit PNG, EXR).",
+            )
+        },
+    );
     found
 }
 
@@ -121,7 +156,11 @@ pub fn compare(looks: &[Look], directions: &[Vec3], spoiled: &[bool]) -> (Vec<Co
     if !blurred.is_empty() {
         blurred.sort_by(|a, b| a.1.total_cmp(&b.1));
         let views: Vec<String> = blurred.iter().map(|(view, _)| looks[*view].name.clone()).collect();
-        let problem = format!("{} blurred beside views from nearly the same side: {}", is_or_are(&views), named(&views));
+        let problem = format!(
+            "{} blurred beside views from nearly the same side: {}",
+            is_or_are(&views),
+            named(&views)
+        );
         let help = "Leave blurred views out with `select`, or take them again.";
         found.push(Finding::warning("blurred", views, problem, help));
     }
@@ -165,7 +204,8 @@ fn stray_views(
     value: impl Fn(&Light) -> Option<f32>,
     floor: f32,
 ) -> Vec<Stray> {
-    let with_value = |(i, look): (usize, &Look)| Some((i, value(look.light.as_ref().filter(|_| !spoiled[i])?)?));
+    let with_value =
+        |(i, look): (usize, &Look)| Some((i, value(look.light.as_ref().filter(|_| !spoiled[i])?)?));
     let chosen: Vec<(usize, f32)> = looks.iter().enumerate().filter_map(with_value).collect();
     if chosen.len() < LEAST_VIEWS {
         return Vec::new();

@@ -39,7 +39,10 @@ impl Spot {
         }
         let middle = sum.map(|sum| sum / count as f32);
         let focal = (view.camera.focal[0] * view.camera.focal[1]).abs().sqrt();
-        let spot = || Self { sight: Sight::new(&view.camera, middle[0], middle[1]), size: (count as f32).sqrt() / focal };
+        let spot = || Self {
+            sight: Sight::new(&view.camera, middle[0], middle[1]),
+            size: (count as f32).sqrt() / focal,
+        };
         (count > 0).then(spot)
     }
 }
@@ -107,9 +110,16 @@ pub fn placement_cause(change: Change, radius: f32) -> Option<Cause> {
     }
     let words = if words.is_empty() { return None } else { format!("the mesh is {}", words.join(", and ")) };
     let [x, y, z] = shift.to_array().map(short);
-    let turn = if turned { format!("write its vertices (x, y, z) as {}, then ", formula(&turn)) } else { String::new() };
+    let turn = if turned {
+        format!("write its vertices (x, y, z) as {}, then ", formula(&turn))
+    } else {
+        String::new()
+    };
     let shift = if moved { format!(" and add ({x}, {y}, {z})") } else { String::new() };
-    let help = format!("Bring the mesh into the coordinates of the cameras: {turn}multiply them by {}{shift}.", short(factor));
+    let help = format!(
+        "Bring the mesh into the coordinates of the cameras: {turn}multiply them by {}{shift}.",
+        short(factor)
+    );
     Some(Cause { change, words, help })
 }
 
@@ -143,6 +153,9 @@ mod tests {
     fn numbers_are_short_and_units_are_recognized() {
         assert_eq!([1000.0, 0.001, 1.2345, -0.5].map(short), ["1000", "0.001", "1.23", "-0.5"]);
         assert_eq!((snapped(980.0), snapped(0.00098), snapped(3.0)), (1000.0, 0.001, 3.0));
-        assert_eq!((unit(0.0011), unit(3.0)), (" (as between meters and millimeters)".to_owned(), String::new()));
+        assert_eq!(
+            (unit(0.0011), unit(3.0)),
+            (" (as between meters and millimeters)".to_owned(), String::new())
+        );
     }
 }

@@ -28,8 +28,12 @@ const FLAGGED: Rgb<u8> = Rgb([210, 20, 20]);
 
 /// The sheet of a survey made with thumbnails.
 pub fn contact_sheet(survey: &Survey, title: &str) -> Sheet {
-    let mut medians: Vec<f32> =
-        survey.looks.iter().filter_map(|look| look.light.map(|light| light.median)).filter(|m| *m > 0.0).collect();
+    let mut medians: Vec<f32> = survey
+        .looks
+        .iter()
+        .filter_map(|look| look.light.map(|light| light.median))
+        .filter(|m| *m > 0.0)
+        .collect();
     let gain = median(&mut medians).map_or(1.0, |median| (MIDDLE / median).clamp(0.0, 1e12));
     let mut rows = plots(survey);
     let shown = shown(survey);
@@ -42,7 +46,14 @@ pub fn contact_sheet(survey: &Survey, title: &str) -> Sheet {
         };
         rows.push(SheetRow { heading, cells: row.to_vec() });
     }
-    Sheet { title: title.to_owned(), subtitle: verdict(survey), rows, theme: Theme::Light, cell_width: CELL, ..Sheet::default() }
+    Sheet {
+        title: title.to_owned(),
+        subtitle: verdict(survey),
+        rows,
+        theme: Theme::Light,
+        cell_width: CELL,
+        ..Sheet::default()
+    }
 }
 
 /// Names of the findings that tell a view from the others.
@@ -70,7 +81,11 @@ fn cell(survey: &Survey, i: usize, gain: f32) -> SheetCell {
     let flags = marks(survey, &look.name);
     let is_plain = look.split == Split::Train || look.name.starts_with("test/");
     let split = if is_plain { "" } else { " (test)" };
-    let label = if flags.is_empty() { format!("{}{split}", look.name) } else { format!("{}: {}", look.name, flags.join(", ")) };
+    let label = if flags.is_empty() {
+        format!("{}{split}", look.name)
+    } else {
+        format!("{}: {}", look.name, flags.join(", "))
+    };
     let mut image = picture(look, gain);
     if let Some(mask) = &look.mask {
         outline(&mut image, &mask.small);
@@ -85,7 +100,8 @@ fn cell(survey: &Survey, i: usize, gain: f32) -> SheetCell {
 fn picture(look: &Look, gain: f32) -> RgbImage {
     let Some(thumbnail) = &look.thumbnail else {
         let [width, height] = look.size;
-        let height = (u64::from(CELL) * u64::from(height) / u64::from(width.max(1))).clamp(1, 4 * u64::from(CELL));
+        let height =
+            (u64::from(CELL) * u64::from(height) / u64::from(width.max(1))).clamp(1, 4 * u64::from(CELL));
         return RgbImage::from_pixel(CELL, height as u32, Rgb(Theme::Light.mat()));
     };
     let mut picture = thumbnail.picture.clone();

@@ -57,7 +57,12 @@ mod tests {
 
     #[test]
     fn a_value_unlike_its_neighbors_strays() {
-        let directions: Vec<Vec3> = (0..24).map(|i| { let (s, c) = (0.26 * i as f32).sin_cos(); Vec3::new(s, c, 0.0) }).collect();
+        let directions: Vec<Vec3> = (0..24)
+            .map(|i| {
+                let (s, c) = (0.26 * i as f32).sin_cos();
+                Vec3::new(s, c, 0.0)
+            })
+            .collect();
         let near = neighbors(&directions, 4);
         assert!(near[7].contains(&6) && near[7].contains(&8) && !near[7].contains(&7), "{:?}", near[7]);
         let mut values: Vec<f32> = (0..24).map(|i| (0.26 * i as f32).sin()).collect();

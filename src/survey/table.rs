@@ -24,9 +24,16 @@ pub fn rows(survey: &Survey, estimate: &Estimate) -> Vec<(&'static str, String)>
 pub fn findings(survey: &Survey) -> String {
     let words = |severity| if severity == Severity::Error { "error" } else { "warning" };
     let line = |finding: &Finding| {
-        format!("{} ({}): {}\n  help: {}\n", words(finding.severity), finding.name, finding.problem, finding.help)
+        format!(
+            "{} ({}): {}\n  help: {}\n",
+            words(finding.severity),
+            finding.name,
+            finding.problem,
+            finding.help
+        )
     };
-    let first = survey.findings.iter().take_while(|finding| finding.severity == Severity::Error).take(1).count();
+    let first =
+        survey.findings.iter().take_while(|finding| finding.severity == Severity::Error).take(1).count();
     survey.findings.iter().skip(first).map(line).collect()
 }
 
@@ -64,11 +71,12 @@ fn sizes<'a>(looks: impl Iterator<Item = &'a Look>) -> String {
 
 fn masks(looks: &[Look]) -> String {
     let count = |source| looks.iter().filter(|look| look.mask_source == source).count();
-    let of: Vec<String> = [(MaskSource::File, "files"), (MaskSource::Alpha, "alpha"), (MaskSource::Nowhere, "none")]
-        .into_iter()
-        .filter(|(source, _)| count(*source) > 0)
-        .map(|(source, name)| format!("{name} of {}", counted(count(source), "view")))
-        .collect();
+    let of: Vec<String> =
+        [(MaskSource::File, "files"), (MaskSource::Alpha, "alpha"), (MaskSource::Nowhere, "none")]
+            .into_iter()
+            .filter(|(source, _)| count(*source) > 0)
+            .map(|(source, name)| format!("{name} of {}", counted(count(source), "view")))
+            .collect();
     let masks = || looks.iter().filter_map(|look| Some((look, look.mask.as_ref()?)));
     let mut coverage: Vec<f32> = masks().map(|(_, mask)| 100.0 * mask.coverage).collect();
     let Some(middle) = median(&mut coverage) else { return of.join(", ") };
@@ -83,7 +91,8 @@ fn masks(looks: &[Look]) -> String {
 
 fn exposure(looks: &[Look]) -> Option<String> {
     let lights: Vec<&Light> = looks.iter().filter_map(|look| look.light.as_ref()).collect();
-    let mut medians: Vec<f32> = lights.iter().map(|light| light.median).filter(|median| *median > 0.0).collect();
+    let mut medians: Vec<f32> =
+        lights.iter().map(|light| light.median).filter(|median| *median > 0.0).collect();
     let middle = median(&mut medians)?;
     let stops = |value: Option<f32>| (value.unwrap_or(middle) / middle).log2();
     let (low, high) = (stops(quantile(&mut medians, 0.0)), stops(quantile(&mut medians, 1.0)));
@@ -94,7 +103,8 @@ fn exposure(looks: &[Look]) -> Option<String> {
         clipped(a).total_cmp(&clipped(b)).then(b.name.cmp(&a.name))
     })?;
     let share = 100.0 * most.light?.clipped;
-    let where_most = if share > 0.0 { format!(", most in `{}`: {share:.2} %", most.name) } else { String::new() };
+    let where_most =
+        if share > 0.0 { format!(", most in `{}`: {share:.2} %", most.name) } else { String::new() };
     Some(format!(
         "median luminance in the object {middle:.3}, {low:+.1} to {high:+.1} stops; clipped {clipped:.2} % of its pixels{where_most}"
     ))
@@ -110,7 +120,9 @@ fn sharpness(survey: &Survey) -> Option<String> {
 
 fn agreement(survey: &Survey) -> Option<String> {
     if let Some(hull) = survey.hull_iou {
-        return Some(format!("masks agree with their visual hull to {hull:.2} (mean intersection over union)"));
+        return Some(format!(
+            "masks agree with their visual hull to {hull:.2} (mean intersection over union)"
+        ));
     }
     let mut found: Vec<f32> = survey.mesh_iou.iter().flatten().copied().collect();
     let middle = median(&mut found)?;

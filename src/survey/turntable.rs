@@ -49,7 +49,8 @@ pub fn sameness(backgrounds: &[Background]) -> Option<f32> {
         return None;
     }
     let one = |row: &Vec<f32>| {
-        let others: Vec<f32> = sums.iter().zip(row).map(|(sum, value)| (sum - value) / (count - 1.0)).collect();
+        let others: Vec<f32> =
+            sums.iter().zip(row).map(|(sum, value)| (sum - value) / (count - 1.0)).collect();
         correlation(row, &others)
     };
     median(&mut rows.iter().map(one).collect::<Vec<_>>())

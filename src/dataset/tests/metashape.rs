@@ -64,7 +64,11 @@ fn cameras_come_in_the_chunks_world() {
     let camera = dataset.views[0].camera;
     assert!(camera.position().distance(Vec3::new(1.0, 2.0, 3.0)) < 1e-6);
     let (x, y, depth) = camera.project(Vec3::new(1.0, 4.0, 3.0)).unwrap();
-    assert!((depth - 2.0).abs() < 1e-6 && (x - camera.center[0]).abs() < 1e-5 && (y - camera.center[1]).abs() < 1e-5);
+    assert!(
+        (depth - 2.0).abs() < 1e-6
+            && (x - camera.center[0]).abs() < 1e-5
+            && (y - camera.center[1]).abs() < 1e-5
+    );
     let (right, ..) = camera.project(Vec3::new(1.1, 4.0, 3.0)).unwrap();
     let (_, above, _) = camera.project(Vec3::new(1.0, 4.0, 3.1)).unwrap();
     assert!(right > x && above < y, "world +X is right, +Z up");
@@ -91,7 +95,10 @@ fn lenses_project_as_the_manual_says() {
         let v = 4.0 - 0.25 + bent_y * 20.0;
         let bent = lens.distortion.distort(DVec2::new(x, y));
         let (column, row, _) = camera.project(bent.extend(1.0).as_vec3()).unwrap();
-        assert!((f64::from(column) - u).abs() < 1e-4 && (f64::from(row) - v).abs() < 1e-4, "{column} {u} {row} {v}");
+        assert!(
+            (f64::from(column) - u).abs() < 1e-4 && (f64::from(row) - v).abs() < 1e-4,
+            "{column} {u} {row} {v}"
+        );
     }
 }
 
@@ -140,7 +147,10 @@ fn bad_values_are_named_with_their_lines() {
     assert_says(&error("<f>20</f>", "<f>-3</f>"), &["camera `a`", "focal length"]);
     assert_says(&error("<k1>-0.02", "<k1>inf"), &["line 8", "<k1> is not finite"]);
     assert_says(&error("<k1>", "<k4>0.1</k4><k1>"), &["line 8", "k4 is 0.1", "cannot be read"]);
-    assert_says(&error("calibration type=\"frame\"", "calibration type=\"fisheye\""), &["sensor 3", "type fisheye"]);
+    assert_says(
+        &error("calibration type=\"frame\"", "calibration type=\"fisheye\""),
+        &["sensor 3", "type fisheye"],
+    );
     assert_says(&error("width=\"12\"", "width=\"12.5\""), &["the width or the height is not a whole number"]);
     assert_says(&error("sensor id=\"3\"", "sensor id=\"4\""), &["line 14", "no sensor 3"]);
     assert_says(&error("calibration", "kalibration"), &["line 5", "sensor 3 has no calibration"]);

@@ -158,7 +158,9 @@ fn mask_of(view: &ViewRecord) -> Mask {
 fn write_photograph(path: &Path, factor: u32) {
     let [width, height] = [SIZE.0 as u32 * factor, SIZE.1 as u32 * factor];
     fs::create_dir_all(path.parent().unwrap()).unwrap();
-    image::RgbImage::from_fn(width, height, |x, y| image::Rgb([90 + x as u8, 90 + y as u8, 90])).save(path).unwrap();
+    image::RgbImage::from_fn(width, height, |x, y| image::Rgb([90 + x as u8, 90 + y as u8, 90]))
+        .save(path)
+        .unwrap();
 }
 
 /// Writes a mask of [`SIZE`] that covers the left four columns.

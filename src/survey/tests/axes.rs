@@ -48,7 +48,8 @@ const OPENGL: Mat3A = Mat3A::from_cols(Vec3A::X, Vec3A::NEG_Y, Vec3A::NEG_Z);
 #[test]
 fn confused_axes_are_named_with_a_mesh() {
     let mesh = object();
-    let named = |views: &[OpenView], words: &[&str]| expect(&surveyed(views, Some(&mesh)), "other-axes", &[], words);
+    let named =
+        |views: &[OpenView], words: &[&str]| expect(&surveyed(views, Some(&mesh)), "other-axes", &[], words);
     named(&with_axes(OPENGL), &["y and z of the camera axes are negated", "OpenGL"]);
     named(&inverted(), &["camera_from_world is taken for world_from_camera"]);
     named(&mirrored(), &["mirrored left to right"]);
@@ -70,17 +71,28 @@ fn confused_axes_are_named_without_a_mesh() {
 
 #[test]
 fn a_turned_or_mirrored_mesh_is_named() {
-    let named = |mesh: &Mesh, words: &[&str]| expect(&surveyed(&good(), Some(mesh)), "other-axes", &[], words);
-    named(&moved(|p| Vec3::new(p.x, -p.z, p.y)), &["the mesh has +Z up, the cameras have +Y up", "(x, z, -y)"]);
-    named(&moved(|p| Vec3::new(p.x, p.z, -p.y)), &["the mesh has +Y up, the cameras have +Z up", "(x, -z, y)"]);
+    let named =
+        |mesh: &Mesh, words: &[&str]| expect(&surveyed(&good(), Some(mesh)), "other-axes", &[], words);
+    named(
+        &moved(|p| Vec3::new(p.x, -p.z, p.y)),
+        &["the mesh has +Z up, the cameras have +Y up", "(x, z, -y)"],
+    );
+    named(
+        &moved(|p| Vec3::new(p.x, p.z, -p.y)),
+        &["the mesh has +Y up, the cameras have +Z up", "(x, -z, y)"],
+    );
     named(&moved(|p| Vec3::new(p.y, p.z, p.x)), &["the mesh is turned", "(z, x, y)"]);
     named(&moved(|p| Vec3::new(-p.x, p.y, p.z)), &["the mesh is mirrored", "(-x, y, z)"]);
 }
 
 #[test]
 fn another_unit_or_place_is_named() {
-    let named = |mesh: &Mesh, words: &[&str]| expect(&surveyed(&good(), Some(mesh)), "other-place", &[], words);
-    named(&moved(|p| p * 0.001), &["1000 times too small", "meters and millimeters", "multiply them by 1000."]);
+    let named =
+        |mesh: &Mesh, words: &[&str]| expect(&surveyed(&good(), Some(mesh)), "other-place", &[], words);
+    named(
+        &moved(|p| p * 0.001),
+        &["1000 times too small", "meters and millimeters", "multiply them by 1000."],
+    );
     named(&moved(|p| p * 1000.0), &["1000 times too large", "multiply them by 0.001."]);
     named(&moved(|p| p + Vec3::new(0.9, 0.0, 0.3)), &["in another place"]);
     named(&moved(|p| Vec3::new(p.x, -p.z, p.y) * 0.01), &["turned", "100 times too small"]);
@@ -103,5 +115,10 @@ fn one_view_that_does_not_agree_is_named() {
     let mut views = good();
     let other = views[3].mask.clone();
     views[12].mask = other;
-    expect(&surveyed(&views, Some(&object())), "stray-view", &["v12"], &["does not agree with the mesh in view `v12`"]);
+    expect(
+        &surveyed(&views, Some(&object())),
+        "stray-view",
+        &["v12"],
+        &["does not agree with the mesh in view `v12`"],
+    );
 }

@@ -3,8 +3,8 @@
 use super::{camera, looks};
 use crate::math::fibonacci::fibonacci_axes;
 use crate::survey::cameras::{Arrangement, Kind};
-use crate::survey::turntable::{Background, is_turntable, sameness};
 use crate::survey::look::OpenView;
+use crate::survey::turntable::{Background, is_turntable, sameness};
 use crate::view::Split;
 use glam::Vec3;
 
@@ -34,7 +34,10 @@ fn arrangements_are_recognized() {
     assert!(sphere.target.length() < 0.2 && (sphere.distance[1] - 3.0).abs() < 0.2, "{sphere:?}");
     let hemisphere = arrangement(fibonacci_axes(80).into_iter().take(40));
     assert_eq!(hemisphere.kind, Kind::Hemisphere);
-    assert!(hemisphere.elevation_degrees[0] > -5.0 && hemisphere.elevation_degrees[1] > 70.0, "{hemisphere:?}");
+    assert!(
+        hemisphere.elevation_degrees[0] > -5.0 && hemisphere.elevation_degrees[1] > 70.0,
+        "{hemisphere:?}"
+    );
     assert_eq!(arrangement(ring(24, 0.3)).kind, Kind::Rings(1));
     assert_eq!(arrangement(ring(24, 0.2).chain(ring(12, 0.9))).kind, Kind::Rings(2));
     let tilted = arrangement(ring(24, 0.3).map(|d| Vec3::new(d.y, d.x, d.z)));
@@ -42,7 +45,10 @@ fn arrangements_are_recognized() {
     let half = arrangement(fibonacci_axes(80).into_iter().filter(|axis| axis.z > 0.3));
     assert_eq!(half.kind, Kind::OneSide);
     assert!(half.azimuth_gap_degrees > 120.0 && half.words().contains("from one side"), "{half:?}");
-    assert_eq!(arrangement(fibonacci_axes(80).into_iter().filter(|axis| axis.y.abs() < 0.3)).kind, Kind::Belt);
+    assert_eq!(
+        arrangement(fibonacci_axes(80).into_iter().filter(|axis| axis.y.abs() < 0.3)).kind,
+        Kind::Belt
+    );
 }
 
 /// Backgrounds of `count` photographs, by pixel and number, with the object in the middle.
@@ -60,7 +66,8 @@ fn backgrounds(count: usize, value: impl Fn(f32, f32, usize) -> f32) -> Vec<Back
 
 #[test]
 fn a_turntable_is_a_ring_before_the_same_background() {
-    let shelf = |x: f32, y: f32, k: usize| 0.4 + 0.1 * (x * 0.4).sin() + 0.01 * y + 0.001 * ((k * 7) % 5) as f32;
+    let shelf =
+        |x: f32, y: f32, k: usize| 0.4 + 0.1 * (x * 0.4).sin() + 0.01 * y + 0.001 * ((k * 7) % 5) as f32;
     let same = sameness(&backgrounds(8, shelf));
     assert!(same.unwrap() > 0.95, "{same:?}");
     let ring = arrangement(ring(24, 0.3));

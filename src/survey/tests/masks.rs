@@ -1,8 +1,8 @@
 //! Faults of masks.
 
 use super::{expect, good, object, surveyed};
-use crate::survey::{Severity, Subject, examine};
 use crate::survey::look::OpenView;
+use crate::survey::{Severity, Subject, examine};
 use crate::view::Mask;
 use glam::Vec3;
 
@@ -46,7 +46,11 @@ fn soft_masks_are_warned_of_and_cannot_be_scored() {
     change(test, |coverage| 0.95 * coverage);
     let survey = surveyed(&views, Some(&object()));
     let error = survey.findings_of(Severity::Error).next().unwrap();
-    assert_eq!((error.name, error.views.as_slice()), ("unscorable-masks", &["t2".to_owned()][..]), "{error:?}");
+    assert_eq!(
+        (error.name, error.views.as_slice()),
+        ("unscorable-masks", &["t2".to_owned()][..]),
+        "{error:?}"
+    );
     assert!(survey.findings_of(Severity::Warning).any(|warning| warning.name == "soft-masks"));
     // Nothing is scored: no error.
     let mesh = object();
@@ -59,7 +63,12 @@ fn soft_masks_are_warned_of_and_cannot_be_scored() {
 fn missing_masks_are_named() {
     let mut views = good();
     views[23].mask = None;
-    expect(&surveyed(&views, Some(&object())), "missing-masks", &["t3"], &["view `t3` (1 view of the test split)"]);
+    expect(
+        &surveyed(&views, Some(&object())),
+        "missing-masks",
+        &["t3"],
+        &["view `t3` (1 view of the test split)"],
+    );
     views.iter_mut().for_each(|view| view.mask = None);
     assert_eq!(surveyed(&views, Some(&object())).findings, [], "a mesh needs no masks");
     let survey = surveyed(&views, None);
@@ -83,7 +92,12 @@ fn an_object_that_most_frames_cut_is_warned_of() {
         photograph.saturated.truncate(keep);
     }
     let survey = surveyed(&views, Some(&object()));
-    expect(&survey, "cut", &survey.findings[0].views.iter().map(String::as_str).collect::<Vec<_>>(), &["the frame cuts the object"]);
+    expect(
+        &survey,
+        "cut",
+        &survey.findings[0].views.iter().map(String::as_str).collect::<Vec<_>>(),
+        &["the frame cuts the object"],
+    );
     let without = surveyed(&views, None);
     assert!(without.findings.iter().any(|finding| finding.name == "cut" || finding.name == "masks"));
 }

@@ -10,8 +10,8 @@ use crate::math::fibonacci::fibonacci_axes;
 use crate::mesh::bvh::TriangleBvh;
 use crate::mesh::primitive::box_mesh;
 use crate::mesh::triangles::Mesh;
-use crate::survey::{Look, MaskSource, Subject, Survey, examine};
 use crate::survey::look::{OpenPhotograph, OpenView};
+use crate::survey::{Look, MaskSource, Subject, Survey, examine};
 use crate::view::{Camera, Image, Mask, Split};
 use glam::Vec3;
 use std::sync::OnceLock;
@@ -82,7 +82,8 @@ fn good() -> Vec<OpenView> {
         let bvh = TriangleBvh::new(&object());
         let views = |split: Split, count: usize, letter: char| {
             let directions = fibonacci_axes(count).into_iter().enumerate();
-            let turned = directions.map(|(i, d)| (i, if split == Split::Test { Vec3::new(d.z, d.y, -d.x) } else { d }));
+            let turned = directions
+                .map(|(i, d)| (i, if split == Split::Test { Vec3::new(d.z, d.y, -d.x) } else { d }));
             turned
                 .map(|(i, direction)| photographed(&format!("{letter}{i}"), split, camera(direction), &bvh))
                 .collect::<Vec<_>>()
@@ -93,7 +94,8 @@ fn good() -> Vec<OpenView> {
 }
 
 fn looks(views: &[OpenView]) -> Vec<Look> {
-    let look = |view: &OpenView| Look::new(view, [view.camera.width, view.camera.height], MaskSource::File, true);
+    let look =
+        |view: &OpenView| Look::new(view, [view.camera.width, view.camera.height], MaskSource::File, true);
     views.iter().map(look).collect()
 }
 

@@ -32,7 +32,11 @@ fn the_table_says_what_there_is() {
     let text = |label: &str| rows.iter().find(|row| row.0 == label).unwrap().1.clone();
     assert!(text("data").contains("20 training views of 80×80, 4 test views of 80×80"), "{}", text("data"));
     assert!(text("masks").starts_with("files of 24 views; the object covers"), "{}", text("masks"));
-    assert!(text("cameras").starts_with("all around, from above and below: elevation -"), "{}", text("cameras"));
+    assert!(
+        text("cameras").starts_with("all around, from above and below: elevation -"),
+        "{}",
+        text("cameras")
+    );
     assert!(text("overlap").contains("overlap to 1.000"), "{}", text("overlap"));
     assert!(text("light").contains("clipped 0.00 %"), "{}", text("light"));
     assert_eq!((table::verdict(&survey), table::findings(&survey)), ("fine".to_owned(), String::new()));
@@ -52,11 +56,15 @@ fn json_and_sheet_flag_the_view() {
     let sheet = sheet::contact_sheet(&survey, "a scene");
     let labels: Vec<&str> =
         sheet.rows.iter().flat_map(|row| &row.cells).map(|cell| cell.label.as_str()).collect();
-    assert!(labels.contains(&"v4: black") && labels.contains(&"v5") && labels.contains(&"t0 (test)"), "{labels:?}");
+    assert!(
+        labels.contains(&"v4: black") && labels.contains(&"v5") && labels.contains(&"t0 (test)"),
+        "{labels:?}"
+    );
     assert!(labels.contains(&"from above"), "{labels:?}");
     let picture = compose(&sheet).unwrap();
     assert!(picture.width() > 8 * 152 && picture.height() > 3 * 152, "{:?}", picture.dimensions());
-    let outlined = |cell: &&SheetCell| cell.image.pixels().filter(|pixel| pixel.0 == [255, 40, 160]).count() > 40;
+    let outlined =
+        |cell: &&SheetCell| cell.image.pixels().filter(|pixel| pixel.0 == [255, 40, 160]).count() > 40;
     assert_eq!(sheet.rows.iter().flat_map(|row| &row.cells).filter(outlined).count(), 24);
 }
 

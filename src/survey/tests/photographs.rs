@@ -1,8 +1,8 @@
 //! Faults of single photographs.
 
 use super::{expect, good, object, surveyed};
-use crate::survey::{Severity, Survey};
 use crate::survey::look::OpenView;
+use crate::survey::{Severity, Survey};
 use glam::Vec3;
 
 /// A survey of good views after a change of one photograph's pixels.
@@ -59,7 +59,8 @@ fn a_blurred_view_is_named() {
             let (x, y) = ((x + dx).clamp(0, side as i64 - 1), (y + dy).clamp(0, side as i64 - 1));
             sharp[y as usize * side + x as usize]
         };
-        let taps: Vec<Vec3> = (-2..=2).flat_map(|dy| (-2..=2).map(move |dx| (dx, dy))).map(|(dx, dy)| tap(dx, dy)).collect();
+        let taps: Vec<Vec3> =
+            (-2..=2).flat_map(|dy| (-2..=2).map(move |dx| (dx, dy))).map(|(dx, dy)| tap(dx, dy)).collect();
         taps.iter().sum::<Vec3>() / taps.len() as f32
     };
     *pixels(&mut views[11]) = (0..sharp.len()).map(mean).collect();
@@ -85,7 +86,12 @@ fn the_same_photograph_twice_is_named() {
     copy.name = "t9".into();
     copy.split = views[21].split;
     views.push(copy);
-    expect(&surveyed(&views, Some(&object())), "duplicates", &["v6", "t9"], &["the same photograph", "`v6`, `t9`"]);
+    expect(
+        &surveyed(&views, Some(&object())),
+        "duplicates",
+        &["v6", "t9"],
+        &["the same photograph", "`v6`, `t9`"],
+    );
 }
 
 #[test]
