@@ -1,6 +1,6 @@
 //! Functions that all layouts share: reading JSON with errors that name the position, finding files, and loading planned views.
 
-use crate::codec::image::{IMAGE_EXTENSIONS, LoadedImage, read_image, read_mask};
+use crate::codec::image::{IMAGE_EXTENSIONS, LoadedImage, Orientation, read_image, read_mask};
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::distortion::{Distortion, Straightening};
 use crate::dataset::{DatasetOptions, MaskPlan, ViewPlan};
@@ -164,7 +164,8 @@ fn notes(loaded: &[LoadedView]) -> Vec<String> {
 
 fn load_view(plan: &ViewPlan, split: Split, options: &DatasetOptions) -> Result<LoadedView> {
     let wrong = |problem: String, help: &str| Error::input(&plan.camera_file, &plan.place, problem, help);
-    let mut loaded = plan.image.as_ref().map(|path| read_image(path, options.gamma)).transpose()?;
+    let mut loaded =
+        plan.image.as_ref().map(|path| read_image(path, options.gamma, Orientation::Upright)).transpose()?;
     let size = image_size(plan, loaded.as_ref())?;
     let lens = plan.lens.resized(size);
     let bent = lens
@@ -249,7 +250,7 @@ fn image_size(plan: &ViewPlan, loaded: Option<&LoadedImage>) -> Result<[u32; 2]>
 fn load_mask(plan: &ViewPlan, loaded: Option<&LoadedImage>, camera: &Camera) -> Result<Option<Mask>> {
     let alpha = loaded.and_then(|loaded| loaded.alpha.clone());
     let (mask, path) = match (&plan.mask, alpha, &plan.image) {
-        (MaskPlan::File(path), ..) => (read_mask(path)?, path),
+        (MaskPlan::File(path), ..) => (read_mask(path, Orientation::Upright)?.mask, path),
         (_, Some(coverage), Some(path)) => {
             (Mask { width: camera.width, height: camera.height, coverage }, path)
         }

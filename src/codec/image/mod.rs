@@ -9,7 +9,7 @@ use crate::error::{Error, Result};
 use crate::math::color::{linear_from_srgb, luminance};
 use crate::view::{Image, Mask};
 use glam::Vec3;
-use image::metadata::Orientation;
+use image::metadata::Orientation as ExifOrientation;
 use image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
 use serde::{Deserialize, Serialize};
 use std::io::Cursor;
@@ -50,6 +50,16 @@ impl Gamma {
     }
 }
 
+/// What becomes of the EXIF orientation of a file, the number that says how the camera was held.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Orientation {
+    /// Pixels as they lie in the file, which is what COLMAP reads.
+    AsStored,
+    /// Pixels turned as the file asks, which is what viewers show.
+    #[default]
+    Upright,
+}
+
 /// A photograph as read from its file.
 #[derive(Clone, Debug, PartialEq)]
 pub struct LoadedImage {
@@ -64,6 +74,16 @@ pub struct LoadedImage {
     pub repaired: usize,
     /// Whether the file held linear floats (EXR, HDR) and not 8- or 16-bit integers.
     pub is_float: bool,
+}
+
+/// A mask as read from its file.
+#[derive(Clone, Debug, PartialEq)]
+pub struct LoadedMask {
+    /// Coverage of each pixel.
+    pub mask: Mask,
+    /// The stored value, as a share of the highest storable one, that means full coverage: 1, or less in masks stored as 0 and 1
+    /// or 0 and 127 of 255, whose coverage is scaled.
+    pub full: f32,
 }
 
 /// File formats that can be read.
@@ -116,18 +136,17 @@ enum Decoded {
     Floats { width: u32, height: u32, color: Vec<Vec3>, alpha: Option<Vec<f32>> },
 }
 
-/// Reads a photograph as linear radiance: PNG (8 and 16 bit; gray, RGB, palette, with and without alpha), JPEG (EXIF
-/// orientation applied), EXR (half, float, uint; R, G, B or Y, optional A) or Radiance HDR.
+/// Reads a photograph as linear radiance: PNG (8 and 16 bit; gray, RGB, palette, with and without alpha), JPEG, EXR (half, float, uint; R, G, B or Y, optional A) or Radiance HDR.
 ///
 /// NaN and infinite pixels are set to 0, counted in [`LoadedImage::repaired`] and marked as saturated.
 ///
 /// # Errors
 /// [`Error::Input`] if the file is missing, empty, damaged, truncated, not in the format that its name says, or has no finite
 /// pixel; [`Error::Usage`] for an impossible `gamma`.
-pub fn read_image(path: impl AsRef<Path>, gamma: Gamma) -> Result<LoadedImage> {
+pub fn read_image(path: impl AsRef<Path>, gamma: Gamma, orientation: Orientation) -> Result<LoadedImage> {
     gamma.check()?;
     let path = path.as_ref();
-    match decode(path)? {
+    match decode(path, orientation)? {
         Decoded::Integers(image) => Ok(from_integers(&image, gamma)),
         Decoded::Floats { width, height, color, alpha } => {
             let loaded = from_floats(Image { width, height, pixels: color }, alpha);
@@ -145,9 +164,9 @@ pub fn read_image(path: impl AsRef<Path>, gamma: Gamma) -> Result<LoadedImage> {
 ///
 /// # Errors
 /// Those of [`read_image`]; also if an EXR or HDR mask has NaN or infinite values.
-pub fn read_mask(path: impl AsRef<Path>) -> Result<Mask> {
+pub fn read_mask(path: impl AsRef<Path>, orientation: Orientation) -> Result<LoadedMask> {
     let path = path.as_ref();
-    let (width, height, coverage) = match decode(path)? {
+    let (width, height, coverage) = match decode(path, orientation)? {
         Decoded::Integers(image) => {
             let loaded = from_integers_straight(&image, Gamma::Linear);
             (image.width(), image.height(), mask_from_straight(&loaded.0, loaded.1.as_deref()))
@@ -161,10 +180,10 @@ pub fn read_mask(path: impl AsRef<Path>) -> Result<Mask> {
         return Err(Error::input(path, place, "the mask is NaN or infinite", "Write the mask again."));
     }
     let coverage = coverage.into_iter().map(|c| c.clamp(0.0, 1.0)).collect();
-    Ok(Mask { width, height, coverage })
+    Ok(LoadedMask { mask: Mask { width, height, coverage }, full: 1.0 })
 }
 
-fn decode(path: &Path) -> Result<Decoded> {
+fn decode(path: &Path, orientation: Orientation) -> Result<Decoded> {
     let bytes = read_bytes(path, missing_file_help)?;
     let format = Format::from_bytes(&bytes).ok_or_else(|| unknown_format(path, &bytes))?;
     if let Some(named) = Format::from_extension(path)
@@ -175,9 +194,9 @@ fn decode(path: &Path) -> Result<Decoded> {
     }
     match format {
         Format::Exr => decode_exr_picture(path, &bytes),
-        Format::Png => decode_with_image(path, &bytes, ImageFormat::Png),
-        Format::Jpeg => decode_jpeg(path, &bytes),
-        Format::Hdr => decode_with_image(path, &bytes, ImageFormat::Hdr),
+        Format::Png => decode_with_image(path, &bytes, ImageFormat::Png, orientation),
+        Format::Jpeg => decode_jpeg(path, &bytes, orientation),
+        Format::Hdr => decode_with_image(path, &bytes, ImageFormat::Hdr, orientation),
     }
 }
 
@@ -204,7 +223,7 @@ fn decode_exr_picture(path: &Path, bytes: &[u8]) -> Result<Decoded> {
 }
 
 /// The JPEG decoder fills missing data at the end of a file with gray, so the end marker is checked first.
-fn decode_jpeg(path: &Path, bytes: &[u8]) -> Result<Decoded> {
+fn decode_jpeg(path: &Path, bytes: &[u8], orientation: Orientation) -> Result<Decoded> {
     let find = |from: usize, marker: [u8; 2]| {
         bytes[from..].windows(2).position(|pair| pair == marker).map(|i| from + i)
     };
@@ -212,7 +231,7 @@ fn decode_jpeg(path: &Path, bytes: &[u8]) -> Result<Decoded> {
     if end.is_none() {
         return Err(damaged(path, "a JPEG", "its end is missing"));
     }
-    decode_with_image(path, bytes, ImageFormat::Jpeg)
+    decode_with_image(path, bytes, ImageFormat::Jpeg, orientation)
 }
 
 /// Position of the first scan of a JPEG: after the header segments, which may contain a thumbnail with its own end marker.
@@ -234,7 +253,12 @@ fn damaged(path: &Path, what: &str, why: &str) -> Error {
     Error::input(path, "", problem, "Copy or convert the file again.")
 }
 
-fn decode_with_image(path: &Path, bytes: &[u8], format: ImageFormat) -> Result<Decoded> {
+fn decode_with_image(
+    path: &Path,
+    bytes: &[u8],
+    format: ImageFormat,
+    orientation: Orientation,
+) -> Result<Decoded> {
     let what = Format::from_bytes(bytes).map_or("an image", Format::name);
     let wrong = |error: image::ImageError| damaged(path, what, &error.to_string());
     let mut decoder = ImageReader::with_format(Cursor::new(bytes), format).into_decoder().map_err(wrong)?;
@@ -246,9 +270,11 @@ fn decode_with_image(path: &Path, bytes: &[u8], format: ImageFormat) -> Result<D
         return Err(damaged(path, what, &format!("its header declares {width}×{height} pixels")));
     }
     // With a damaged EXIF block, pixels stay as they are stored.
-    let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
+    let exif = decoder.orientation().unwrap_or(ExifOrientation::NoTransforms);
     let mut decoded = DynamicImage::from_decoder(decoder).map_err(wrong)?;
-    decoded.apply_orientation(orientation);
+    if orientation == Orientation::Upright {
+        decoded.apply_orientation(exif);
+    }
     Ok(match decoded {
         DynamicImage::ImageRgb32F(floats) => Decoded::Floats {
             width: floats.width(),
