@@ -1,6 +1,8 @@
 //! Functions that all layouts share: reading JSON with errors that name the position, finding files, and loading planned views.
 
-use crate::codec::image::{Gamma, IMAGE_EXTENSIONS, LoadedImage, Orientation, read_image, read_mask};
+use crate::codec::image::{
+    Gamma, IMAGE_EXTENSIONS, LoadedImage, Orientation, Repairs, read_mask, read_photograph,
+};
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::distortion::{Distortion, Straightening};
 use crate::dataset::{DatasetOptions, MaskPlan, ViewPlan};
@@ -132,8 +134,8 @@ pub struct PlannedView {
 pub struct LoadedView {
     /// The view.
     pub record: ViewRecord,
-    /// Number of NaN or infinite pixels, which are set to 0.
-    pub repaired: usize,
+    /// What was repaired in a float photograph.
+    pub repairs: Repairs,
     /// Whether the background outside the mask is made black.
     pub blackened: bool,
 }
@@ -184,7 +186,7 @@ impl PlannedView {
     pub fn load(&self) -> Result<LoadedView> {
         let plan = &self.plan;
         let wrong = |problem: String, help: &str| Error::input(&plan.camera_file, &plan.place, problem, help);
-        let read = |path| read_image(path, self.gamma, Orientation::Upright);
+        let read = |path| read_photograph(path, self.gamma, Orientation::Upright);
         let mut loaded = plan.image.as_ref().map(read).transpose()?;
         let size = image_size(plan, loaded.as_ref())?;
         let lens = plan.lens.resized(size);
@@ -203,7 +205,7 @@ impl PlannedView {
             (Some(loaded), Some(mask)) if !loaded.is_float && loaded.alpha.is_none() => blacken(loaded, mask),
             _ => false,
         };
-        let repaired = loaded.as_ref().map_or(0, |loaded| loaded.repaired);
+        let repairs = loaded.as_ref().map(|loaded| loaded.repairs.clone()).unwrap_or_default();
         let record = ViewRecord {
             name: plan.name.clone(),
             split: self.split,
@@ -211,26 +213,31 @@ impl PlannedView {
             photograph: loaded.map(|loaded| photograph(loaded, self.downscale)),
             mask: mask.map(|mask| mask.downscaled(self.downscale)),
         };
-        Ok(LoadedView { record, repaired, blackened })
+        Ok(LoadedView { record, repairs, blackened })
     }
 }
 
 /// Notes for the user about what was done to loaded views, with counts.
 pub fn load_notes(loaded: &[LoadedView]) -> Vec<String> {
     let mut notes = Vec::new();
-    let broken: Vec<String> = loaded
-        .iter()
-        .filter(|view| view.repaired > 0)
-        .map(|view| format!("{}: {}", view.record.name, view.repaired))
-        .collect();
-    if !broken.is_empty() {
-        let total: usize = loaded.iter().map(|view| view.repaired).sum();
-        let rest = broken.len().saturating_sub(5);
-        let rest = if rest > 0 { format!(" and {rest} more") } else { String::new() };
-        let list = broken.into_iter().take(5).collect::<Vec<_>>().join(", ");
-        notes
-            .push(format!("{total} NaN or infinite pixels set to 0 and left out of the loss ({list}{rest})"));
-    }
+    let mut count = |of: fn(&Repairs) -> usize, what: &str| {
+        let broken: Vec<(&str, usize)> = loaded
+            .iter()
+            .map(|view| (view.record.name.as_str(), of(&view.repairs)))
+            .filter(|(_, count)| *count > 0)
+            .collect();
+        if !broken.is_empty() {
+            let total: usize = broken.iter().map(|(_, count)| count).sum();
+            let rest = broken.len().saturating_sub(5);
+            let rest = if rest > 0 { format!(" and {rest} more") } else { String::new() };
+            let list: Vec<String> =
+                broken.iter().take(5).map(|(name, count)| format!("{name}: {count}")).collect();
+            notes.push(format!("{total} {what} ({}{rest})", list.join(", ")));
+        }
+    };
+    count(|repairs| repairs.not_finite, "NaN or infinite pixels set to 0 and left out of the loss");
+    count(|repairs| repairs.too_bright, "absurdly bright pixels set to 0 and left out of the loss");
+    count(|repairs| repairs.negative, "negative pixels set to 0");
     let blackened = loaded.iter().filter(|view| view.blackened).count();
     if blackened > 0 {
         notes.push(format!(
