@@ -3,7 +3,7 @@
 //! | module | reads | writes |
 //! | --- | --- | --- |
 //! | [`mod@file`] | whole files | whole files, never incomplete |
-//! | [`image`] | PNG, JPEG, EXR, HDR to linear images and masks | |
+//! | [`image`] | PNG, JPEG, TIFF, WebP, EXR, HDR: headers, samples, linear images and masks | |
 //! | [`exr`], [`frame`] | EXR layers | EXR layers, rendered frames |
 //! | [`png_file`], [`animation`] | | PNG; GIF, APNG, MP4 |
 //! | [`envmap`], `hdr` | EXR and Radiance HDR environment maps | EXR |

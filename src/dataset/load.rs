@@ -1,6 +1,8 @@
 //! Functions that all layouts share: reading JSON with errors that name the position, finding files, and loading planned views.
 
-use crate::codec::image::{Gamma, IMAGE_EXTENSIONS, LoadedImage, read_image, read_mask};
+use crate::codec::image::{
+    Gamma, IMAGE_EXTENSIONS, LoadedImage, Orientation, Repairs, read_mask, read_photograph,
+};
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::distortion::{Distortion, Straightening};
 use crate::dataset::{DatasetOptions, MaskPlan, ViewPlan};
@@ -140,8 +142,8 @@ pub struct PlannedView {
 pub struct LoadedView {
     /// The view.
     pub record: ViewRecord,
-    /// Number of NaN or infinite pixels, which are set to 0.
-    pub repaired: usize,
+    /// What was repaired in a float photograph.
+    pub repairs: Repairs,
     /// Whether the background outside the mask is made black.
     pub blackened: bool,
 }
@@ -194,7 +196,8 @@ impl PlannedView {
     pub fn load(&self) -> Result<LoadedView> {
         let plan = &self.plan;
         let wrong = |problem: String, help: &str| Error::input(&plan.camera_file, &plan.place, problem, help);
-        let mut loaded = plan.image.as_ref().map(|path| read_image(path, self.gamma)).transpose()?;
+        let read = |path| read_photograph(path, self.gamma, Orientation::Upright);
+        let mut loaded = plan.image.as_ref().map(read).transpose()?;
         let size = image_size(plan, loaded.as_ref())?;
         let lens = plan.lens.resized(size);
         let bent = lens
@@ -214,7 +217,7 @@ impl PlannedView {
             }
             _ => false,
         };
-        let repaired = loaded.as_ref().map_or(0, |loaded| loaded.repaired);
+        let repairs = loaded.as_ref().map(|loaded| loaded.repairs.clone()).unwrap_or_default();
         let is_resampled = self.downscale > 1 || lens.distortion != Distortion::NONE;
         let mask = mask.map(|mask| if self.downscale > 1 { mask.downscaled(self.downscale) } else { mask });
         let photograph = loaded.map(|loaded| kept(loaded, self.downscale, mask.as_ref(), is_resampled));
@@ -225,26 +228,31 @@ impl PlannedView {
             photograph: photograph.transpose()?,
             mask: mask.as_ref().map(StoredMask::new),
         };
-        Ok(LoadedView { record, repaired, blackened })
+        Ok(LoadedView { record, repairs, blackened })
     }
 }
 
 /// Notes for the user about what was done to loaded views, with counts.
 pub fn load_notes(loaded: &[LoadedView]) -> Vec<String> {
     let mut notes = Vec::new();
-    let broken: Vec<String> = loaded
-        .iter()
-        .filter(|view| view.repaired > 0)
-        .map(|view| format!("{}: {}", view.record.name, view.repaired))
-        .collect();
-    if !broken.is_empty() {
-        let total: usize = loaded.iter().map(|view| view.repaired).sum();
-        let rest = broken.len().saturating_sub(5);
-        let rest = if rest > 0 { format!(" and {rest} more") } else { String::new() };
-        let list = broken.into_iter().take(5).collect::<Vec<_>>().join(", ");
-        notes
-            .push(format!("{total} NaN or infinite pixels set to 0 and left out of the loss ({list}{rest})"));
-    }
+    let mut count = |of: fn(&Repairs) -> usize, what: &str| {
+        let broken: Vec<(&str, usize)> = loaded
+            .iter()
+            .map(|view| (view.record.name.as_str(), of(&view.repairs)))
+            .filter(|(_, count)| *count > 0)
+            .collect();
+        if !broken.is_empty() {
+            let total: usize = broken.iter().map(|(_, count)| count).sum();
+            let rest = broken.len().saturating_sub(5);
+            let rest = if rest > 0 { format!(" and {rest} more") } else { String::new() };
+            let list: Vec<String> =
+                broken.iter().take(5).map(|(name, count)| format!("{name}: {count}")).collect();
+            notes.push(format!("{total} {what} ({}{rest})", list.join(", ")));
+        }
+    };
+    count(|repairs| repairs.not_finite, "NaN or infinite pixels set to 0 and left out of the loss");
+    count(|repairs| repairs.too_bright, "absurdly bright pixels set to 0 and left out of the loss");
+    count(|repairs| repairs.negative, "negative pixels set to 0");
     let blackened = loaded.iter().filter(|view| view.blackened).count();
     if blackened > 0 {
         notes.push(format!(
@@ -314,7 +322,7 @@ fn image_size(plan: &ViewPlan, loaded: Option<&LoadedImage>) -> Result<[u32; 2]>
 fn load_mask(plan: &ViewPlan, loaded: Option<&LoadedImage>, camera: &Camera) -> Result<Option<Mask>> {
     let alpha = loaded.and_then(|loaded| loaded.alpha.clone());
     let (mask, path) = match (&plan.mask, alpha, &plan.image) {
-        (MaskPlan::File(path), ..) => (read_mask(path)?, path),
+        (MaskPlan::File(path), ..) => (read_mask(path, Orientation::Upright)?.mask, path),
         (_, Some(coverage), Some(path)) => {
             (Mask { width: camera.width, height: camera.height, coverage }, path)
         }
