@@ -1,7 +1,7 @@
 //! Reading a scene's data for a survey: every view once, small, with few of them in memory at a time.
 
 use crate::codec::gltf::import::read_mesh;
-use crate::codec::image::{Gamma, read_image};
+use crate::codec::image::{Gamma, Orientation, read_image};
 use crate::dataset::{DatasetOptions, Layout, LoadedView, PlannedView, has_split, load_notes, open_dataset};
 use crate::error::Result;
 use crate::math::color::luminance;
@@ -98,10 +98,10 @@ impl<'a> OpenScene<'a> {
 pub fn survey(scene: &Scene, with_thumbnails: bool) -> Result<Option<Survey>> {
     let Some(open) = OpenScene::new(scene)? else { return Ok(None) };
     let look_at = |view: &PlannedView| {
-        let LoadedView { record, repaired, blackened } = open.load(view)?;
+        let LoadedView { record, repairs, blackened } = open.load(view)?;
         let look = open.look(view, &record, with_thumbnails);
         let rest = ViewRecord { photograph: None, mask: None, ..record };
-        Ok((look, LoadedView { record: rest, repaired, blackened }))
+        Ok((look, LoadedView { record: rest, repairs, blackened }))
     };
     let looked: Vec<Result<(Look, LoadedView)>> = open.views.par_iter().map(look_at).collect();
     let looked = looked.into_iter().collect::<Result<Vec<_>>>()?;
@@ -208,7 +208,7 @@ fn backgrounds(planned: &[PlannedView], looks: &[Look], gamma: Gamma) -> Result<
 /// A photograph as its file has it, without the object and a pixel around it; `None` if it has alpha.
 fn background(view: &PlannedView, mask: &SmallMask, gamma: Gamma) -> Result<Option<Background>> {
     let Some(path) = view.image_path() else { return Ok(None) };
-    let loaded = read_image(path, gamma)?;
+    let loaded = read_image(path, gamma, Orientation::Upright)?;
     if loaded.alpha.is_some() {
         return Ok(None);
     }

@@ -2,7 +2,7 @@
 //!
 //! The first bytes of a file determine its format; a file name with another format is an error. Embedded color profiles and gamma
 //! chunks are ignored: [`Gamma`] says how 8- and 16-bit values are read. Headers are read and checked before pixels are decoded:
-//! [`image_header`]. [`decode_samples`] gives pixels as compact as the file has them; [`read_image`], [`read_photograph`] and
+//! [`image_header`]. [`decode_samples`] and [`decode_photograph`] give pixels as compact as the file has them; [`read_image`] and
 //! [`read_mask`] convert these to linear radiance and coverage.
 
 mod decode;
@@ -20,7 +20,7 @@ pub use decode::{decode_samples, image_header};
 pub use format::{Format, IMAGE_EXTENSIONS};
 pub use header::{ImageHeader, MOST_PIXELS, Orientation};
 pub use mask::{LoadedMask, read_mask};
-pub use photograph::{Gamma, LoadedImage, decode_photograph, read_image, read_photograph};
+pub use photograph::{Gamma, LoadedImage, decode_photograph, linear_image, read_image};
 pub use repair::{BRIGHTEST, Repairs};
 pub use samples::{Decoded, Samples};
 

@@ -82,27 +82,13 @@ pub fn read_image(path: impl AsRef<Path>, gamma: Gamma, orientation: Orientation
     let mut decoded = decode_samples(path, orientation)?;
     let repairs = decoded.repair();
     repairs.check(path, decoded.pixels())?;
-    Ok(linear(&decoded, repairs, gamma))
+    Ok(linear_image(&decoded, repairs, gamma))
 }
 
-/// [`read_image`] of a photograph, in which negative colors are set to 0.
+/// The samples of a photograph, repaired as [`read_image`] does; negative colors are set to 0.
 ///
 /// # Errors
-/// Those of [`read_image`]; also if most pixels that are not black are negative.
-pub fn read_photograph(
-    path: impl AsRef<Path>,
-    gamma: Gamma,
-    orientation: Orientation,
-) -> Result<LoadedImage> {
-    gamma.check()?;
-    let (decoded, repairs) = decode_photograph(path, orientation)?;
-    Ok(linear(&decoded, repairs, gamma))
-}
-
-/// The samples of a photograph, repaired as [`read_photograph`] does.
-///
-/// # Errors
-/// Those of [`read_photograph`].
+/// Those of [`read_image`] for its file; also if most pixels that are not black are negative.
 pub fn decode_photograph(path: impl AsRef<Path>, orientation: Orientation) -> Result<(Decoded, Repairs)> {
     let path = path.as_ref();
     let mut decoded = decode_samples(path, orientation)?;
@@ -114,7 +100,8 @@ pub fn decode_photograph(path: impl AsRef<Path>, orientation: Orientation) -> Re
     Ok((decoded, repairs))
 }
 
-fn linear(decoded: &Decoded, repairs: Repairs, gamma: Gamma) -> LoadedImage {
+/// Samples as linear light.
+pub fn linear_image(decoded: &Decoded, repairs: Repairs, gamma: Gamma) -> LoadedImage {
     let channels = decoded.channels();
     match &decoded.samples {
         Samples::Bytes8(samples) => {

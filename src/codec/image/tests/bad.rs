@@ -177,7 +177,7 @@ fn absurdly_bright_pixels_are_set_to_zero_and_counted_or_refused() {
         let mut red = vec![0.5; 400];
         red[10..10 + bright].fill(value);
         write_exr(&at("a.exr"), 20, 20, &[("R", red), ("G", vec![0.5; 400]), ("B", vec![0.5; 400])]);
-        read_photograph(at("a.exr"), Gamma::Srgb, Orientation::Upright)
+        decode_photograph(at("a.exr"), Orientation::Upright)
     };
     for value in [1e38, 1e36, 2e6, -1e20] {
         let loaded = write(2, value).unwrap();
@@ -201,14 +201,14 @@ fn negative_pixels_are_set_to_zero_in_photographs_and_refused_if_most_are() {
         write_exr(&at("a.exr"), count, 1, &[("Y", values)]);
     };
     write(vec![0.5, -0.01, 0.0, 0.25]);
-    let loaded = read_photograph(at("a.exr"), Gamma::Srgb, Orientation::Upright).unwrap();
+    let loaded = decode_photograph(at("a.exr"), Orientation::Upright).unwrap();
     assert_eq!((loaded.repairs.negative, loaded.repairs.zeroed()), (1, 0));
     assert_eq!(loaded.image.pixels.iter().map(|p| p.x).collect::<Vec<_>>(), [0.5, 0.0, 0.0, 0.25]);
     // Normals are read by the same code.
     let kept = read_image(at("a.exr"), Gamma::Srgb, Orientation::Upright).unwrap();
     assert_eq!((kept.image.pixels[1].x, kept.repairs.negative), (-0.01, 1));
     write(vec![-0.5, -0.01, 0.0, 0.25]);
-    let problem = problem_of(read_photograph(at("a.exr"), Gamma::Srgb, Orientation::Upright));
+    let problem = problem_of(decode_photograph(at("a.exr"), Orientation::Upright));
     assert!(problem.contains("2 of 3 pixels that are not black are negative"), "{problem}");
     read_image(at("a.exr"), Gamma::Srgb, Orientation::Upright).unwrap();
 }
