@@ -170,6 +170,12 @@ fn other_formats_are_named_with_the_tool_that_converts_them() {
     }
 }
 
+/// A photograph as linear light.
+fn photograph(path: &Path) -> Result<LoadedImage> {
+    let (decoded, repairs) = decode_photograph(path, Orientation::Upright)?;
+    Ok(linear_image(&decoded, repairs, Gamma::Srgb))
+}
+
 #[test]
 fn absurdly_bright_pixels_are_set_to_zero_and_counted_or_refused() {
     let (_dir, at) = folder();
@@ -177,7 +183,7 @@ fn absurdly_bright_pixels_are_set_to_zero_and_counted_or_refused() {
         let mut red = vec![0.5; 400];
         red[10..10 + bright].fill(value);
         write_exr(&at("a.exr"), 20, 20, &[("R", red), ("G", vec![0.5; 400]), ("B", vec![0.5; 400])]);
-        decode_photograph(at("a.exr"), Orientation::Upright)
+        photograph(&at("a.exr"))
     };
     for value in [1e38, 1e36, 2e6, -1e20] {
         let loaded = write(2, value).unwrap();
@@ -201,14 +207,14 @@ fn negative_pixels_are_set_to_zero_in_photographs_and_refused_if_most_are() {
         write_exr(&at("a.exr"), count, 1, &[("Y", values)]);
     };
     write(vec![0.5, -0.01, 0.0, 0.25]);
-    let loaded = decode_photograph(at("a.exr"), Orientation::Upright).unwrap();
+    let loaded = photograph(&at("a.exr")).unwrap();
     assert_eq!((loaded.repairs.negative, loaded.repairs.zeroed()), (1, 0));
     assert_eq!(loaded.image.pixels.iter().map(|p| p.x).collect::<Vec<_>>(), [0.5, 0.0, 0.0, 0.25]);
     // Normals are read by the same code.
     let kept = read_image(at("a.exr"), Gamma::Srgb, Orientation::Upright).unwrap();
     assert_eq!((kept.image.pixels[1].x, kept.repairs.negative), (-0.01, 1));
     write(vec![-0.5, -0.01, 0.0, 0.25]);
-    let problem = problem_of(decode_photograph(at("a.exr"), Orientation::Upright));
+    let problem = problem_of(photograph(&at("a.exr")));
     assert!(problem.contains("2 of 3 pixels that are not black are negative"), "{problem}");
     read_image(at("a.exr"), Gamma::Srgb, Orientation::Upright).unwrap();
 }
