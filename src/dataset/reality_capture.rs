@@ -74,7 +74,8 @@ struct Row {
 }
 
 fn rows(file: &Path) -> Result<Vec<Row>> {
-    let text = read_text(file)?;
+    // The reader counts lines by single line breaks.
+    let text = read_text(file)?.replace("\r\n", "\n");
     let mut reader = ReaderBuilder::new().trim(Trim::All).from_reader(text.as_bytes());
     let broken = |error: csv::Error| {
         let place = error.position().map(place_of).unwrap_or_default();

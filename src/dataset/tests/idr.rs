@@ -203,7 +203,7 @@ proptest! {
         let pose = DMat4::from_mat3_translation(rotation, position);
         let product = (DMat4::from_mat3(k) * pose.inverse() * factor).transpose().to_cols_array();
         let matrix = Matrix { rows: 3, columns: 4, values: product[..12].to_vec() };
-        let (lens, found) = idr::taken_apart(&matrix).unwrap();
+        let (lens, found) = crate::dataset::idr::taken_apart(&matrix).unwrap();
         let camera = lens.camera([6, 4], found.to_affine(), 0.0);
         prop_assume!(camera.is_ok());
         let Some(lens::Focal::Pixels(fy)) = lens.focal_y else { panic!("no focal length") };
