@@ -4,6 +4,7 @@ use super::args::CheckArgs;
 use super::scene_files::load_options;
 use super::terminal::print;
 use lobelia::Result;
+use lobelia::pass::preflight::check_sizes;
 use lobelia::scene::Pass;
 use lobelia::scene::{LoadOptions, LoadedScene, load, unknown_parts};
 use lobelia::scene::{Scene, Surface, Views};
@@ -12,7 +13,9 @@ use std::fmt::Write as _;
 /// Runs the command.
 pub fn run(args: &CheckArgs) -> Result<()> {
     let options = LoadOptions { without_data: true, ..load_options(&args.scene) };
-    print(&summary(&load(&args.scene.scene, &options)?))
+    let loaded = load(&args.scene.scene, &options)?;
+    check_sizes(&loaded.scene)?;
+    print(&summary(&loaded))
 }
 
 /// What `check` prints.

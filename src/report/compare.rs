@@ -1,5 +1,6 @@
 //! `lobelia eval PREDICTION TRUTH`: scores two folders of images, or two images, against each other.
 
+use crate::codec::file::read_folder;
 use crate::codec::image::{Gamma, IMAGE_EXTENSIONS, LoadedImage, read_image};
 use crate::report::metrics;
 use crate::report::scores;
@@ -126,7 +127,7 @@ fn match_folders(prediction: &Path, truth: &Path) -> Result<Matched> {
 /// The images of a folder by stem.
 fn images_in(folder: &Path) -> Result<BTreeMap<String, PathBuf>> {
     let mut found: BTreeMap<String, (usize, PathBuf)> = BTreeMap::new();
-    for entry in std::fs::read_dir(folder).map_err(Error::io("read", folder))? {
+    for entry in read_folder(folder)? {
         let path = entry.map_err(Error::io("read", folder))?.path();
         let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let kind = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();

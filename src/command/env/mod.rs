@@ -14,7 +14,7 @@ use lobelia::light::convention::MapConvention;
 use lobelia::light::map_fit::{MapFit, MapFitReport, fit_map_with, target_of};
 use lobelia::light::{EnvironmentMap, LightLobe};
 use lobelia::pass::progress::Progress;
-use lobelia::spawn::light_file::{LightConventions, LightFile, read_light, read_map};
+use lobelia::spawn::light_file::{LightConventions, LightFile, check_lit, read_light, read_map};
 use lobelia::{Error, Result};
 use preview::{before_and_after, picture, preview_factor};
 use std::path::Path;
@@ -62,6 +62,7 @@ fn fit(args: &FitArgs) -> Result<()> {
     let (map, notes) = read_map(&args.map, conventions(args.conventions).map)?;
     notes.iter().for_each(|note| progress.note(note));
     let options = MapFit { upper_hemisphere: args.upper_hemisphere, white: args.white, ..MapFit::default() };
+    check_lit(&args.map, &target_of(&map, &options))?;
     print("lobes  mean squared error  relative rms  power kept r g b         seconds\n")?;
     for &count in &args.lobes {
         let started = Instant::now();
