@@ -1,6 +1,6 @@
 //! Functions that all layouts share: reading JSON with errors that name the position, finding files, and loading planned views.
 
-use crate::codec::image::{IMAGE_EXTENSIONS, LoadedImage, read_image, read_mask};
+use crate::codec::image::{Gamma, IMAGE_EXTENSIONS, LoadedImage, read_image, read_mask};
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::distortion::{Distortion, Straightening};
 use crate::dataset::{DatasetOptions, MaskPlan, ViewPlan};
@@ -8,7 +8,6 @@ use crate::error::{Error, Result};
 use crate::view::raster::any_downscaled;
 use crate::view::{Camera, Mask, Photograph, Split, ViewRecord};
 use glam::Vec3;
-use rayon::prelude::*;
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -118,27 +117,105 @@ impl StemIndex {
     }
 }
 
-/// A loaded view, with notes about it.
-struct LoadedView {
-    record: ViewRecord,
-    repaired: usize,
-    blackened: bool,
-}
-
-/// Loads views in parallel; records and notes come in the order of the plans, and so does the first error.
-pub(super) fn load_views(
-    plans: &[ViewPlan],
+/// A view of a data set whose files are found and not read.
+#[derive(Clone, Debug)]
+pub struct PlannedView {
+    plan: ViewPlan,
     split: Split,
-    options: &DatasetOptions,
-) -> Result<(Vec<ViewRecord>, Vec<String>)> {
-    let loaded: Vec<Result<LoadedView>> =
-        plans.par_iter().map(|plan| load_view(plan, split, options)).collect();
-    let loaded = loaded.into_iter().collect::<Result<Vec<_>>>()?;
-    let notes = notes(&loaded);
-    Ok((loaded.into_iter().map(|view| view.record).collect(), notes))
+    gamma: Gamma,
+    pixel_center: f32,
+    downscale: u32,
 }
 
-fn notes(loaded: &[LoadedView]) -> Vec<String> {
+/// A loaded view, with what was done to it.
+#[derive(Clone, Debug)]
+pub struct LoadedView {
+    /// The view.
+    pub record: ViewRecord,
+    /// Number of NaN or infinite pixels, which are set to 0.
+    pub repaired: usize,
+    /// Whether the background outside the mask is made black.
+    pub blackened: bool,
+}
+
+impl PlannedView {
+    pub(super) fn new(plan: ViewPlan, split: Split, options: &DatasetOptions) -> Self {
+        let DatasetOptions { gamma, pixel_center, downscale, .. } = *options;
+        Self { plan, split, gamma, pixel_center, downscale }
+    }
+
+    /// Name of the view.
+    pub fn name(&self) -> &str {
+        &self.plan.name
+    }
+
+    /// Which part of the data set.
+    pub fn split(&self) -> Split {
+        self.split
+    }
+
+    /// The file of the photograph, unless the data set has cameras only.
+    pub fn image_path(&self) -> Option<&Path> {
+        self.plan.image.as_deref()
+    }
+
+    /// The file of the mask, unless alpha is the mask.
+    pub fn mask_path(&self) -> Option<&Path> {
+        match &self.plan.mask {
+            MaskPlan::File(path) => Some(path),
+            MaskPlan::Alpha | MaskPlan::AlphaRequired(_) => None,
+        }
+    }
+
+    /// Factor by which the view is downscaled along each axis.
+    pub fn downscale(&self) -> u32 {
+        self.downscale
+    }
+
+    /// The same view, downscaled by this factor along each axis instead.
+    pub fn with_downscale(&self, downscale: u32) -> Self {
+        Self { downscale, ..self.clone() }
+    }
+
+    /// Reads photograph and mask.
+    ///
+    /// # Errors
+    /// [`Error::Input`] that names file and place if photograph, mask or camera is unusable.
+    pub fn load(&self) -> Result<LoadedView> {
+        let plan = &self.plan;
+        let wrong = |problem: String, help: &str| Error::input(&plan.camera_file, &plan.place, problem, help);
+        let mut loaded = plan.image.as_ref().map(|path| read_image(path, self.gamma)).transpose()?;
+        let size = image_size(plan, loaded.as_ref())?;
+        let lens = plan.lens.resized(size);
+        let bent = lens
+            .camera(size, plan.world_from_camera, self.pixel_center)
+            .map_err(|problem| wrong(problem, "Correct the camera's intrinsics."))?;
+        if self.downscale > size[0].min(size[1]) {
+            let problem = format!("downscale: {} leaves no pixel of {}×{}", self.downscale, size[0], size[1]);
+            return Err(wrong(problem, "Use a smaller `downscale`."));
+        }
+        let mut mask = load_mask(plan, loaded.as_ref(), &bent)?;
+        let camera = straighten(lens.distortion, &bent, &mut loaded, &mut mask).map_err(|problem| {
+            wrong(problem, "Undistort the photographs first, or correct the coefficients.")
+        })?;
+        let blackened = match (&mut loaded, &mask) {
+            (Some(loaded), Some(mask)) if !loaded.is_float && loaded.alpha.is_none() => blacken(loaded, mask),
+            _ => false,
+        };
+        let repaired = loaded.as_ref().map_or(0, |loaded| loaded.repaired);
+        let record = ViewRecord {
+            name: plan.name.clone(),
+            split: self.split,
+            camera: camera.scaled(self.downscale),
+            photograph: loaded.map(|loaded| photograph(loaded, self.downscale)),
+            mask: mask.map(|mask| mask.downscaled(self.downscale)),
+        };
+        Ok(LoadedView { record, repaired, blackened })
+    }
+}
+
+/// Notes for the user about what was done to loaded views, with counts.
+pub fn load_notes(loaded: &[LoadedView]) -> Vec<String> {
     let mut notes = Vec::new();
     let broken: Vec<String> = loaded
         .iter()
@@ -160,36 +237,6 @@ fn notes(loaded: &[LoadedView]) -> Vec<String> {
         ));
     }
     notes
-}
-
-fn load_view(plan: &ViewPlan, split: Split, options: &DatasetOptions) -> Result<LoadedView> {
-    let wrong = |problem: String, help: &str| Error::input(&plan.camera_file, &plan.place, problem, help);
-    let mut loaded = plan.image.as_ref().map(|path| read_image(path, options.gamma)).transpose()?;
-    let size = image_size(plan, loaded.as_ref())?;
-    let lens = plan.lens.resized(size);
-    let bent = lens
-        .camera(size, plan.world_from_camera, options.pixel_center)
-        .map_err(|problem| wrong(problem, "Correct the camera's intrinsics."))?;
-    if options.downscale > size[0].min(size[1]) {
-        let problem = format!("downscale: {} leaves no pixel of {}×{}", options.downscale, size[0], size[1]);
-        return Err(wrong(problem, "Use a smaller `downscale`."));
-    }
-    let mut mask = load_mask(plan, loaded.as_ref(), &bent)?;
-    let camera = straighten(lens.distortion, &bent, &mut loaded, &mut mask)
-        .map_err(|problem| wrong(problem, "Undistort the photographs first, or correct the coefficients."))?;
-    let blackened = match (&mut loaded, &mask) {
-        (Some(loaded), Some(mask)) if !loaded.is_float && loaded.alpha.is_none() => blacken(loaded, mask),
-        _ => false,
-    };
-    let repaired = loaded.as_ref().map_or(0, |loaded| loaded.repaired);
-    let record = ViewRecord {
-        name: plan.name.clone(),
-        split,
-        camera: camera.scaled(options.downscale),
-        photograph: loaded.map(|loaded| photograph(loaded, options.downscale)),
-        mask: mask.map(|mask| mask.downscaled(options.downscale)),
-    };
-    Ok(LoadedView { record, repaired, blackened })
 }
 
 /// Resamples photograph and mask to a camera without distortion, and returns that camera.

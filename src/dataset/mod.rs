@@ -36,6 +36,8 @@ use glam::{Affine3A, Vec3};
 use layout::find_layout;
 pub use layout::has_split;
 use lens::Lens;
+pub use load::{LoadedView, PlannedView, load_notes};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 
@@ -135,7 +137,8 @@ pub struct Dataset {
     pub notes: Vec<String>,
 }
 
-/// A view before its files are read.
+/// What a layout says of a view.
+#[derive(Clone, Debug)]
 struct ViewPlan {
     /// File stem of the image.
     name: String,
@@ -150,6 +153,7 @@ struct ViewPlan {
 }
 
 /// The source of the mask of a view.
+#[derive(Clone, Debug)]
 enum MaskPlan {
     /// A separate file.
     File(PathBuf),
@@ -165,15 +169,23 @@ struct Plan {
     notes: Vec<String>,
 }
 
-/// Reads a split of the data set in folder `dir`: cameras, photographs and masks, in natural name order.
-///
-/// Views are loaded in parallel; the result does not depend on the number of threads. A view's photograph is `None` if the
-/// data set has cameras only, its mask if there is neither a mask file nor alpha.
+/// A split of a data set whose views are known and not read.
+#[derive(Clone, Debug)]
+pub struct OpenDataset {
+    /// The views, in natural name order (`r_2` before `r_10`).
+    pub views: Vec<PlannedView>,
+    /// The layout that was found; never `Auto`.
+    pub layout: Layout,
+    /// Notes for the user about all views.
+    pub notes: Vec<String>,
+}
+
+/// Opens a split of the data set in folder `dir`: reads camera files and looks for photographs and masks, but reads none of these.
 ///
 /// # Errors
-/// [`Error::Input`] that names file and place if the layout cannot be determined, the split is absent, or any camera, image or
-/// mask is missing or unusable; [`Error::Usage`] if `options` are out of range or leave no view.
-pub fn read_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOptions) -> Result<Dataset> {
+/// [`Error::Input`] that names file and place if the layout cannot be determined, the split is absent, or a camera file is
+/// unusable or names a file that is missing; [`Error::Usage`] if `options` are out of range or leave no view.
+pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOptions) -> Result<OpenDataset> {
     let dir = dir.as_ref();
     options.check()?;
     let layout = find_layout(dir, options.layout)?;
@@ -197,9 +209,23 @@ pub fn read_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
         return Err(Error::input(dir, "", problem, help));
     }
     refuse_far_away(&wanted)?;
-    let (views, mut notes) = load::load_views(&wanted, split, options)?;
-    notes.splice(0..0, plan.notes);
-    Ok(Dataset { views, layout, notes })
+    let view = |plan| PlannedView::new(plan, split, options);
+    Ok(OpenDataset { views: wanted.into_iter().map(view).collect(), layout, notes: plan.notes })
+}
+
+/// Reads a split of the data set in folder `dir`: cameras, photographs and masks, in natural name order.
+///
+/// Views are loaded in parallel; the result does not depend on the number of threads. A view's photograph is `None` if the
+/// data set has cameras only, its mask if there is neither a mask file nor alpha.
+///
+/// # Errors
+/// Those of [`open_dataset`], and [`Error::Input`] if an image or mask is unusable.
+pub fn read_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOptions) -> Result<Dataset> {
+    let OpenDataset { views, layout, mut notes } = open_dataset(dir, split, options)?;
+    let loaded: Vec<Result<LoadedView>> = views.par_iter().map(PlannedView::load).collect();
+    let loaded = loaded.into_iter().collect::<Result<Vec<_>>>()?;
+    notes.extend(load_notes(&loaded));
+    Ok(Dataset { views: loaded.into_iter().map(|view| view.record).collect(), layout, notes })
 }
 
 /// The views of a split, from all views, ordered by name.
