@@ -69,7 +69,8 @@ impl Folder {
         } else {
             Command::new(program)
         };
-        command.args(arguments).current_dir(self.0.path());
+        // An arena for each thread would count as address space.
+        command.args(arguments).current_dir(self.0.path()).env("MALLOC_ARENA_MAX", "2");
         let [stdout, stderr] = ["stdout", "stderr"].map(|name| tempfile::tempfile().expect(name));
         let handle = |file: &std::fs::File| Stdio::from(file.try_clone().unwrap());
         command.stdin(Stdio::null()).stdout(handle(&stdout)).stderr(handle(&stderr));
@@ -160,12 +161,15 @@ fn scenes_with_long_lines() {
         }
     }
     let word = "x".repeat(65_536);
-    Folder::with_scene(scene("\"front\"", &format!("{word:?}"))).refused_by_both(&["name is \"xxx", "1 to 100"]);
-    Folder::with_scene(scene("version: 1", &format!("version: 1, {word}: 2"))).refused_by_both(&["unknown field"]);
+    Folder::with_scene(scene("\"front\"", &format!("{word:?}")))
+        .refused_by_both(&["name is \"xxx", "1 to 100"]);
+    Folder::with_scene(scene("version: 1", &format!("version: 1, {word}: 2")))
+        .refused_by_both(&["unknown field"]);
     Folder::with_scene(scene("Sphere", &word)).refused_by_both(&["unknown choice"]);
     Folder::with_scene(scene("0.8", &word)).refused_by_both(&["expected a number"]);
     Folder::with_scene(&word).refused(&["check", "scene.ron"], &["scene.ron"]);
-    Folder::with_scene(format!("Scene({}", " ".repeat(65_536))).refused(&["check", "scene.ron"], &["closing `)`"]);
+    Folder::with_scene(format!("Scene({}", " ".repeat(65_536)))
+        .refused(&["check", "scene.ron"], &["closing `)`"]);
 }
 
 #[test]
@@ -180,7 +184,13 @@ fn scenes_that_would_take_much_memory() {
         .refused_by_both(&["scene.ron"]);
     Folder::with_scene("(".repeat(100_000)).refused_by_both(&["fewer brackets inside each other"]);
     let cameras = format!("{CAMERA}, ").repeat(3000);
-    Folder::with_scene(scene(CAMERA, &cameras)).refused_by_both(&["2999 problems", "and 2979 more"]);
+    let said = Folder::with_scene(scene(CAMERA, &cameras)).lobelia(&["check", "scene.ron"]);
+    assert!(said.code == Some(2) && said.stderr.len() < 20_000, "{} bytes", said.stderr.len());
+    assert!(
+        said.stderr.contains("2999 problems") && said.stderr.contains("and 2979 more"),
+        "{}",
+        said.stderr
+    );
 }
 
 #[test]
@@ -225,7 +235,9 @@ fn pipes_devices_and_broken_links() {
 /// An `.npy` file with this dictionary, or one of `<f4` in this shape.
 fn npy(dictionary: &str, data: &[u8]) -> Vec<u8> {
     let text = match dictionary {
-        shape if shape.ends_with("7)") => format!("{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}}}"),
+        shape if shape.ends_with("7)") => {
+            format!("{{'descr': '<f4', 'fortran_order': False, 'shape': {shape}}}")
+        }
         other => other.to_owned(),
     };
     [b"\x93NUMPY\x01\x00", &(text.len() as u16).to_le_bytes()[..], text.as_bytes(), data].concat()
@@ -234,7 +246,8 @@ fn npy(dictionary: &str, data: &[u8]) -> Vec<u8> {
 #[test]
 fn light_files_of_numbers() {
     let row: Vec<u8> = [0.0_f32, 1.0, 0.0, 5.0, 1.0, 1.0, 1.0].iter().flat_map(|v| v.to_le_bytes()).collect();
-    let bright: Vec<u8> = [0.0_f32, 1.0, 0.0, 5.0, 1.0, 1e38, 1.0].iter().flat_map(|v| v.to_le_bytes()).collect();
+    let bright: Vec<u8> =
+        [0.0_f32, 1.0, 0.0, 5.0, 1.0, 1e38, 1.0].iter().flat_map(|v| v.to_le_bytes()).collect();
     let folder = Folder::with_scene(scene(LIGHT, r#"Npy(path: "light.npy")"#));
     let cases = [
         (npy(&"(".repeat(24), b""), "broken header"),
@@ -256,7 +269,9 @@ fn light_files_of_numbers() {
 #[test]
 fn lights_that_no_picture_can_hold() {
     let lobe = |sharpness: &str, amplitude: &str, scale: &str| {
-        format!("Lobes(lobes: [(axis: (0, 1, 0), sharpness: {sharpness}, amplitude: ({amplitude}, 1, 1))], scale: {scale})")
+        format!(
+            "Lobes(lobes: [(axis: (0, 1, 0), sharpness: {sharpness}, amplitude: ({amplitude}, 1, 1))], scale: {scale})"
+        )
     };
     for (light, words) in [
         (lobe("5", "1e38", "1"), "lobe 0: amplitude 1e38"),
@@ -288,7 +303,7 @@ fn maps_without_light_or_with_too_much() {
     let folder = Folder::new();
     std::fs::write(folder.path("below.hdr"), radiance([0; 4], [200, 200, 200, 129])).unwrap();
     std::fs::write(folder.path("black.hdr"), radiance([0; 4], [0; 4])).unwrap();
-    std::fs::write(folder.path("glaring.hdr"), radiance([255; 4], [1, 1, 1, 129])).unwrap();
+    std::fs::write(folder.path("glaring.hdr"), radiance([255; 4], [2, 2, 2, 129])).unwrap();
     let fit = |map: &'static str| ["env", "fit", map, "--lobes", "2", "--upper-hemisphere", "--quiet"];
     folder.refused(&fit("below.hdr"), &["below.hdr: the map gives no light from above"]);
     folder.refused(&fit("black.hdr"), &["black.hdr", "black everywhere"]);
@@ -314,8 +329,13 @@ fn pictures_that_take_more_memory_than_there_may_be() {
     let film = film.replace("16384, frames: 2", "1024, frames: 10000");
     let folder = Folder::with_scene(scene(r#"Render(name: "novel")"#, &film));
     folder.refused_by_both(&["a film with 10000 frames of 1024×1024 pixels takes 58"]);
+    std::fs::write(folder.path("light.ron"), LIGHT).unwrap();
+    folder.refused(
+        &["env", "render", "light.ron", "--size", "16384x16384", "a.exr"],
+        &["a map of 16384×16384 pixels takes 9.0 GiB"],
+    );
     let made = format!(
-        "Photographed(cameras: (count: 1000, size: 4096), truth: (albedo: Constant(0.5, 0.5, 0.5), light: {LIGHT}))"
+        "Photographed(cameras: (count: 1000, size: 4096), truth: (albedo: Constant(0.5, 0.5, 0.5), specular: (albedo: (0, 0, 0), roughness: 1), light: {LIGHT}))"
     );
     let folder = Folder::with_scene(scene(&format!("Cameras([{CAMERA}])"), &made));
     folder.refused_by_both(&["photographs of 4096×4096 pixels takes"]);
@@ -348,10 +368,12 @@ fn names_that_files_cannot_have() {
         let camera = CAMERA.replace("front", name);
         Folder::with_scene(scene(CAMERA, &camera)).refused_by_both(&["name is", "1 to 100 letters, digits"]);
         let pass = format!(r#"Render(name: "{name}")"#);
-        Folder::with_scene(scene(r#"Render(name: "novel")"#, &pass)).refused_by_both(&["1 to 100 letters, digits"]);
+        Folder::with_scene(scene(r#"Render(name: "novel")"#, &pass))
+            .refused_by_both(&["1 to 100 letters, digits"]);
     }
     let two = format!("{CAMERA}, {}", CAMERA.replace("front", "Front"));
-    Folder::with_scene(scene(CAMERA, &two)).refused_by_both(&["two cameras are called \"Front\"", "cases apart"]);
+    Folder::with_scene(scene(CAMERA, &two))
+        .refused_by_both(&["two cameras are called \"Front\"", "cases apart"]);
     let two = r#"Render(name: "novel"), Render(name: "NOVEL")"#;
     Folder::with_scene(scene(r#"Render(name: "novel")"#, two))
         .refused_by_both(&["two passes are called \"NOVEL\"", "cases apart"]);

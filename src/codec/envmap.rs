@@ -7,8 +7,8 @@ use std::path::Path;
 use crate::codec::file;
 use crate::codec::finite::check_finite;
 use crate::codec::hdr::RadianceReader;
-use crate::light::{EnvironmentMap, validate_map};
 use crate::light::envmap::BoxFilter;
+use crate::light::{EnvironmentMap, validate_map};
 use crate::{Error, Result};
 use exr::prelude::{
     MetaData, ReadChannels, ReadLayers, ReadSpecificChannel, SpecificChannels, WritableImage,

@@ -162,7 +162,8 @@ pub fn validate_lobes(lobes: &[LightLobe]) -> Result<(), String> {
             return Err(format!("lobe {i}: axis {} has length {length}, not 1", lobe.axis));
         }
         if !(0.0..=MAX_SHARPNESS).contains(&lobe.sharpness) {
-            let problem = format!("lobe {i}: sharpness {:e} must be from 0 to {MAX_SHARPNESS:e}", lobe.sharpness);
+            let problem =
+                format!("lobe {i}: sharpness {:e} must be from 0 to {MAX_SHARPNESS:e}", lobe.sharpness);
             return Err(problem);
         }
         if let Some(bad) = lobe.amplitude.to_array().into_iter().find(|a| !(0.0..=MAX_RADIANCE).contains(a)) {
@@ -182,7 +183,9 @@ pub fn validate_map(map: &EnvironmentMap) -> Result<(), String> {
         Some(k) => {
             let (i, j) = (k % map.width as usize, k / map.width as usize);
             let [r, g, b] = map.radiance[k].to_array();
-            Err(format!("texel ({i}, {j}) has radiance ({r:e}, {g:e}, {b:e}), not from 0 to {MAX_RADIANCE:e}"))
+            Err(format!(
+                "texel ({i}, {j}) has radiance ({r:e}, {g:e}, {b:e}), not from 0 to {MAX_RADIANCE:e}"
+            ))
         }
         None => Ok(()),
     }

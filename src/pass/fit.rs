@@ -270,7 +270,8 @@ fn write_results(world: &mut World, atlas: &TexelAtlas, folder: &Path, scale: &S
         write_roughness(&materials, &blends, atlas, folder)?;
     }
     let path = folder.join("materials.ron");
-    let numbers = |(_, lobe): &(usize, SpecularLobe)| [lobe.albedo.to_array().as_slice(), &[lobe.roughness]].concat();
+    let numbers =
+        |(_, lobe): &(usize, SpecularLobe)| [lobe.albedo.to_array().as_slice(), &[lobe.roughness]].concat();
     let numbers: Vec<f32> = materials.iter().flat_map(numbers).collect();
     check_finite(&path, numbers, |at| format!("base material {} is not finite", at / 4))?;
     write_bytes(&path, materials_ron(&materials, scale).as_bytes())

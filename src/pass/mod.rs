@@ -47,7 +47,6 @@ use crate::view::mask_check::check_masks;
 use crate::view::{Split, ViewRecord};
 use photograph::{TrueObject, camera_of};
 use progress::Progress;
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -90,17 +89,8 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
 
 /// An output folder that is not empty is an error, unless `force`.
 fn refuse_used(out: &Path, force: bool) -> Result<()> {
-    let used = match std::fs::read_dir(out) {
-        Ok(mut entries) => entries.next().is_some() && !force,
-        Err(error) if error.kind() == ErrorKind::NotFound => false,
-        Err(error) if error.kind() == ErrorKind::NotADirectory => {
-            let problem = format!("the output folder {} is a file", out.display());
-            return Err(Error::usage(problem, "Choose another folder with --out."));
-        }
-        // What else keeps it from being written into is told by the checks of the output.
-        Err(_) => false,
-    };
-    if used {
+    // What else keeps it from being written into is told by the checks of the output.
+    if !force && std::fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_some()) {
         let problem = format!("the output folder {} is not empty", out.display());
         return Err(Error::usage(problem, "Choose another with --out, or write into it with --force."));
     }

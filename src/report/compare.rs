@@ -182,18 +182,15 @@ fn check_finite(path: &Path, loaded: &LoadedImage, mask: &[bool]) -> Result<()> 
 mod tests {
     use super::*;
     use crate::codec::exr::ExrLayers;
-    use crate::codec::{frame, png_file};
+    use crate::codec::png_file;
+    use crate::codec::test_data::write_exr;
     use image::RgbImage;
 
     fn exr(path: &Path, size: [usize; 2], value: impl Fn(usize) -> f32, alpha: Option<Vec<f32>>) {
         let values: Vec<f32> = (0..size[0] * size[1]).map(value).collect();
-        let mut channels: BTreeMap<String, Vec<f32>> =
-            ["R", "G", "B"].into_iter().map(|name| (name.to_owned(), values.clone())).collect();
-        if let Some(alpha) = alpha {
-            channels.insert("A".to_owned(), alpha);
-        }
-        let [width, height] = size.map(|n| n as u32);
-        frame::write_channels(path, &ExrLayers { width, height, channels }).unwrap();
+        let mut channels: Vec<(&str, Vec<f32>)> = ["R", "G", "B"].map(|name| (name, values.clone())).into();
+        channels.extend(alpha.map(|alpha| ("A", alpha)));
+        write_exr(path, size[0], size[1], &channels);
     }
 
     /// Folders `p` and `t`.

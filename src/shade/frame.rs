@@ -31,7 +31,7 @@ pub fn frame_bytes(width: u32, height: u32) -> u64 {
     // The color and four layers of three floats, alpha and depth.
     const FRAME: u64 = 17 * 4;
     let per_pixel = (size_of::<PixelSums>() as u64 + FRAME).max(3 * FRAME);
-    u64::from(width) * u64::from(height) * per_pixel
+    (u64::from(width) * u64::from(height)).saturating_mul(per_pixel)
 }
 
 /// Checks that pictures of `width` × `height` pixels fit into [`MOST_FRAME_BYTES`], beside `other` bytes; `what` names them.
@@ -39,7 +39,14 @@ pub fn frame_bytes(width: u32, height: u32) -> u64 {
 /// # Errors
 /// [`Error::Usage`] with the size, the memory and the limit.
 pub fn check_frame(what: &str, width: u32, height: u32, other: u64) -> Result<()> {
-    let bytes = frame_bytes(width, height).saturating_add(other);
+    check_memory(what, width, height, frame_bytes(width, height).saturating_add(other))
+}
+
+/// Checks that `bytes` are at most [`MOST_FRAME_BYTES`]; `what` names the picture that takes them.
+///
+/// # Errors
+/// [`Error::Usage`] with the size, the memory and the limit.
+pub fn check_memory(what: &str, width: u32, height: u32, bytes: u64) -> Result<()> {
     if bytes <= MOST_FRAME_BYTES {
         return Ok(());
     }
@@ -242,7 +249,10 @@ mod tests {
         let error = check_frame("view front", 16_384, 16_384, 0).unwrap_err();
         assert_eq!(error.exit_code(), 2);
         let text = error.to_string();
-        assert!(text.contains("view front of 16384×16384 pixels takes 51.0 GiB") && text.contains("8 GiB"), "{text}");
+        assert!(
+            text.contains("view front of 16384×16384 pixels takes 51.0 GiB") && text.contains("8 GiB"),
+            "{text}"
+        );
         assert!(check_frame("a film", 64, 64, MOST_FRAME_BYTES).is_err());
         assert!(check_frame("a view", u32::MAX, u32::MAX, u64::MAX).is_err());
     }

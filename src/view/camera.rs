@@ -256,7 +256,10 @@ impl Camera {
         let focal = [focal; 2];
         let camera = Self { width, height, focal, center, skew: 0.0, world_from_camera, pixel_center: 0.5 };
         camera.check().map_err(|problem| {
-            Error::usage(format!("a camera cannot be used: {problem}"), "Correct its field of view and place.")
+            Error::usage(
+                format!("a camera cannot be used: {problem}"),
+                "Correct its field of view and place.",
+            )
         })?;
         Ok(camera)
     }

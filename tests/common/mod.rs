@@ -177,8 +177,9 @@ pub fn write_unchecked(path: &Path, layers: &ExrLayers) {
     use exr::prelude::{
         AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, WritableImage,
     };
-    let channel =
-        |(name, values): (&String, &Vec<f32>)| AnyChannel::new(name.as_str(), FlatSamples::F32(values.clone()));
+    let channel = |(name, values): (&String, &Vec<f32>)| {
+        AnyChannel::new(name.as_str(), FlatSamples::F32(values.clone()))
+    };
     let channels = AnyChannels::sort(layers.channels.iter().map(channel).collect());
     let size = (layers.width as usize, layers.height as usize);
     let layer = Layer::new(size, LayerAttributes::default(), Encoding::FAST_LOSSLESS, channels);

@@ -59,8 +59,7 @@ fn existing_folder(folder: &Path) -> Result<&Path> {
         match fs::metadata(place) {
             Ok(found) if found.is_dir() => return Ok(place),
             Ok(_) => {
-                let problem =
-                    format!("{} cannot be made: {} is a file", folder.display(), place.display());
+                let problem = format!("{} cannot be made: {} is a file", folder.display(), place.display());
                 return Err(Error::usage(problem, "Choose another folder with --out."));
             }
             Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {
@@ -102,7 +101,9 @@ fn room(folder: &Path, free: Option<u64>, needed: u64) -> Result<()> {
         Some(free) if free < needed => {
             let mib = |bytes: u64| bytes.div_ceil(1 << 20);
             let (place, needed, free) = (folder.display(), mib(needed), free >> 20);
-            let problem = format!("the disk of {place} is full: the results need {needed} MiB, and {free} MiB are free");
+            let problem = format!(
+                "the disk of {place} is full: the results need {needed} MiB, and {free} MiB are free"
+            );
             Err(Error::usage(problem, "Make room, or choose a folder on another disk with --out."))
         }
         _ => Ok(()),

@@ -75,7 +75,8 @@ fn refusal(path: &Path, kind: Kind, error: &std::io::Error) -> Obstacle {
     match error.kind() {
         ErrorKind::NotFound => match fs::read_link(path) {
             Ok(target) => {
-                let problem = format!("this is a symbolic link to {}, which does not exist", target.display());
+                let problem =
+                    format!("this is a symbolic link to {}, which does not exist", target.display());
                 Obstacle::new(problem, "Restore what the link leads to, or name another file.")
             }
             Err(_) => Obstacle::new(format!("there is no such {noun}"), ""),

@@ -132,8 +132,8 @@ fn cameras(checks: &mut Checks, cameras: &[CameraSpec]) {
         checks.direction(&path("up"), camera.up);
         let forward = camera.target - camera.eye;
         checks.require(forward != Vec3::ZERO, &path("eye"), camera.eye, "another point than the target");
-        if forward.normalize_or_zero().cross(camera.up.normalize_or_zero()).length() < 1e-4
-            && forward != Vec3::ZERO
+        if let (Some(forward), Some(up)) = (forward.try_normalize(), camera.up.try_normalize())
+            && forward.cross(up).length() < 1e-4
         {
             checks.fail(&path("up"), "up is along the line of sight", "expected another direction", "");
         }

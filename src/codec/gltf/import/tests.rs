@@ -297,7 +297,7 @@ fn ranges_are_checked() {
     document.root["accessors"][0]["count"] = json!(4);
     assert_refused(document.read(), "accessor 0: is out of range: needs 48 bytes");
     document.root["accessors"][0]["count"] = json!(u64::MAX);
-    assert_refused(document.read(), "elements");
+    assert_refused(document.read(), "all instances counted");
     let mut document = Document::triangle();
     document.root["accessors"][0]["byteOffset"] = json!(u64::MAX - 3);
     assert_refused(document.read(), "out of range");
@@ -443,7 +443,7 @@ fn sizes_that_no_byte_of_the_file_bears_out_are_refused_at_once() {
 #[test]
 fn instances_are_counted_before_their_triangles_are_made() {
     let mut document = Document::new();
-    let positions: Vec<f32> = (0..90_000).map(|k| (k * k % 977) as f32).collect();
+    let positions: Vec<f32> = (0..90_000_u64).map(|k| (k * k % 977) as f32).collect();
     let accessor = document.floats(&positions, 3);
     document.primitive(json!({"attributes": {"POSITION": accessor}}));
     let instances = |count: usize| {
