@@ -274,9 +274,9 @@ fn lights_that_no_picture_can_hold() {
         )
     };
     for (light, words) in [
-        (lobe("5", "1e38", "1"), "lobe 0: amplitude 1e38"),
+        (lobe("5", "1e38", "1"), "amplitude is"),
         (lobe("5", "1e14", "1e38"), "lobe 0: amplitude inf"),
-        (lobe("1e38", "1", "1"), "lobe 0: sharpness 1e38"),
+        (lobe("1e38", "1", "1"), "sharpness is"),
         (lobe("5", "NaN", "1"), "amplitude"),
         (lobe("inf", "1", "1"), "sharpness"),
     ] {

@@ -181,7 +181,6 @@ fn check_finite(path: &Path, loaded: &LoadedImage, mask: &[bool]) -> Result<()> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::codec::exr::ExrLayers;
     use crate::codec::png_file;
     use crate::codec::test_data::write_exr;
     use image::RgbImage;
