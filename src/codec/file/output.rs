@@ -23,7 +23,7 @@ pub fn check_file_name(name: &str) -> Result<(), String> {
         return Err("stands for a folder".to_owned());
     }
     match name.chars().find(|&c| matches!(c, '/' | '\\') || c.is_control()) {
-        Some(c) => Err(format!("holds {:?}, which a file name must not", c)),
+        Some(c) => Err(format!("holds {c:?}, which a file name must not")),
         None => Ok(()),
     }
 }
