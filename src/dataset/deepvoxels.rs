@@ -92,7 +92,7 @@ fn pose_files(folder: &Path) -> Result<Vec<(String, PathBuf)>> {
         return Err(missing());
     }
     let mut files = Vec::new();
-    for entry in std::fs::read_dir(folder).map_err(Error::io("read", folder))? {
+    for entry in crate::codec::file::read_folder(folder)? {
         let path = entry.map_err(Error::io("read", folder))?.path();
         if path.extension().is_some_and(|kind| kind == "txt") {
             files.push((path.file_stem().unwrap_or_default().to_string_lossy().into_owned(), path));

@@ -12,11 +12,12 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+/// Most bytes of a camera file. COLMAP's text model of a thousand views has some hundred MiB.
+const MOST_TEXT: u64 = 2 << 30;
+
 /// Reads a text file, as [`Error::Input`] if it is not UTF-8.
 pub(super) fn read_text(path: &Path) -> Result<String> {
-    let bytes = crate::codec::file::read_bytes(path, missing_file_help)?;
-    String::from_utf8(bytes)
-        .map_err(|_| Error::input(path, "", "the file is not UTF-8 text", "Is it a JSON file?"))
+    crate::codec::file::read_text(path, MOST_TEXT, missing_file_help)
 }
 
 /// Parses JSON; errors name line and column.
@@ -74,7 +75,7 @@ pub(super) fn find_image(path: &Path) -> Option<PathBuf> {
 /// A folder's image files in the order of their names; hidden files are none.
 pub(super) fn image_files(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut paths = Vec::new();
-    for entry in std::fs::read_dir(folder).map_err(Error::io("read", folder))? {
+    for entry in crate::codec::file::read_folder(folder)? {
         paths.push(entry.map_err(Error::io("read", folder))?.path());
     }
     let is_hidden =

@@ -34,6 +34,7 @@ pub mod llff;
 mod load;
 mod masks;
 pub mod metashape;
+mod names;
 pub mod nerf;
 mod photographs;
 pub mod physg;
@@ -51,6 +52,7 @@ use layout::find_format;
 pub use layout::has_split;
 use lens::Lens;
 pub use load::{LoadedView, PlannedView, load_notes};
+use names::check_names;
 use picture::Curves;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -215,7 +217,7 @@ pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
     let format = find_format(dir, options.layout)?;
     let mut plan = format.plan(dir, split, options.hold_out)?;
     plan.views.sort_by(|a, b| natural_order(&a.name, &b.name));
-    refuse_duplicates(&plan.views)?;
+    plan.notes.extend(check_names(&plan.views)?);
     let wanted = selected(plan.views, options)?;
     if wanted.is_empty() {
         let problem = format!("the {} split has no views", split_name(split));
@@ -287,19 +289,6 @@ fn refuse_far_away(plans: &[ViewPlan]) -> Result<()> {
     );
     let help = format!("Subtract ({:.0}, {:.0}, {:.0}) from all positions.", middle.x, middle.y, middle.z);
     Err(Error::input(&plans[0].camera_file, "", problem, help))
-}
-
-/// Plans are sorted by name.
-fn refuse_duplicates(plans: &[ViewPlan]) -> Result<()> {
-    match plans.windows(2).find(|pair| pair[0].name == pair[1].name) {
-        Some(pair) => Err(Error::input(
-            &pair[1].camera_file,
-            &pair[1].place,
-            format!("two views are called `{}`; the other is {}", pair[0].name, pair[0].place),
-            "Output files have the view's name: remove one, or give the images different names.",
-        )),
-        None => Ok(()),
-    }
 }
 
 fn selected(plans: Vec<ViewPlan>, options: &DatasetOptions) -> Result<Vec<ViewPlan>> {
