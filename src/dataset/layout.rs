@@ -9,8 +9,12 @@ use std::path::Path;
 /// The layouts, their names in errors, and the files that identify them.
 const LAYOUTS: [(Layout, &str, &str); 4] = [
     (Layout::PhySg, "PhySg", "train/cam_dict_norm.json or test/cam_dict_norm.json"),
-    (Layout::Nerf, "Nerf", "transforms_train.json or transforms_test.json"),
-    (Layout::Colmap, "Colmap", "cameras and images, .bin or .txt, in sparse/0 or sparse"),
+    (Layout::Nerf, "Nerf", "transforms_train.json, transforms_test.json or transforms.json"),
+    (
+        Layout::Colmap,
+        "Colmap",
+        "cameras and images, .bin or .txt, in sparse/0, sparse, colmap/sparse or dense/sparse",
+    ),
     (Layout::DeepVoxels, "DeepVoxels", "intrinsics.txt, or train/intrinsics.txt"),
 ];
 
@@ -23,7 +27,7 @@ pub fn has_split(dir: impl AsRef<Path>, split: Split, options: &DatasetOptions) 
     let holds_out = split == Split::Train || options.hold_out > 0;
     Ok(match find_layout(dir, options.layout)? {
         Layout::PhySg => physg::camera_file(dir, split).is_file(),
-        Layout::Nerf | Layout::Auto => nerf::camera_file(dir, split).is_file(),
+        Layout::Nerf | Layout::Auto => nerf::has_split(dir, split) && (holds_out || !nerf::is_undivided(dir)),
         Layout::Colmap => holds_out,
         Layout::DeepVoxels => {
             deepvoxels::split_folder(dir, split).is_some_and(|(_, is_all)| !is_all || holds_out)
@@ -51,8 +55,8 @@ pub(super) fn find_layout(dir: &Path, asked: Layout) -> Result<Layout> {
 fn is_there(dir: &Path, layout: Layout) -> bool {
     [Split::Train, Split::Test].into_iter().any(|split| match layout {
         Layout::PhySg => physg::camera_file(dir, split).is_file(),
-        Layout::Nerf => nerf::camera_file(dir, split).is_file(),
-        Layout::Colmap => colmap::camera_file(dir).is_some(),
+        Layout::Nerf => nerf::has_split(dir, split),
+        Layout::Colmap => colmap::is_there(dir),
         Layout::DeepVoxels => deepvoxels::split_folder(dir, split).is_some(),
         Layout::Auto => false,
     })

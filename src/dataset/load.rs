@@ -2,7 +2,8 @@
 
 use crate::codec::image::{Gamma, IMAGE_EXTENSIONS, LoadedImage, Orientation, read_image, read_mask};
 use crate::codec::nearby::missing_file_help;
-use crate::dataset::distortion::{Distortion, Straightening};
+use crate::dataset::distortion::Distortion;
+use crate::dataset::straighten::Straightening;
 use crate::dataset::{DatasetOptions, MaskPlan, ViewPlan};
 use crate::error::{Error, Result};
 use crate::view::raster::any_downscaled;
@@ -73,7 +74,7 @@ pub(super) fn find_image(path: &Path) -> Option<PathBuf> {
 
 /// A folder's image files by name without extension.
 pub(super) struct StemIndex {
-    folder: PathBuf,
+    pub folder: PathBuf,
     files: BTreeMap<String, PathBuf>,
 }
 
@@ -99,7 +100,8 @@ impl StemIndex {
 
     /// The file called `key`, or another image with its stem.
     pub fn find(&self, key: &str) -> Result<PathBuf> {
-        let found = self.exact(key).or_else(|| self.files.get(&view_name(key)).cloned());
+        let exact = Some(self.folder.join(key)).filter(|path| path.is_file());
+        let found = exact.or_else(|| self.stem(&view_name(key)));
         found.ok_or_else(|| {
             let path = self.folder.join(key);
             let problem = "the camera file names this view, but its image is missing (with any extension)";
@@ -107,9 +109,9 @@ impl StemIndex {
         })
     }
 
-    /// The file with the name `name`, if it exists.
-    pub fn exact(&self, name: &str) -> Option<PathBuf> {
-        Some(self.folder.join(name)).filter(|path| path.is_file())
+    /// The image with this file stem, if there is one.
+    pub fn stem(&self, stem: &str) -> Option<PathBuf> {
+        self.files.get(stem).cloned()
     }
 
     pub fn stems(&self) -> impl Iterator<Item = &str> {
@@ -184,7 +186,7 @@ impl PlannedView {
     pub fn load(&self) -> Result<LoadedView> {
         let plan = &self.plan;
         let wrong = |problem: String, help: &str| Error::input(&plan.camera_file, &plan.place, problem, help);
-        let read = |path| read_image(path, self.gamma, Orientation::Upright);
+        let read = |path| read_image(path, self.gamma, plan.orientation);
         let mut loaded = plan.image.as_ref().map(read).transpose()?;
         let size = image_size(plan, loaded.as_ref())?;
         let lens = plan.lens.resized(size);
@@ -267,21 +269,29 @@ fn photograph(loaded: LoadedImage, downscale: u32) -> Photograph {
     Photograph { image: loaded.image.downscaled(downscale), saturated }
 }
 
+const TURN_HELP: &str = "Images of this layout are taken as stored. Turn their pixels and drop the orientation, e.g. with \
+                         `mogrify -auto-orient`.";
+const KEEP_HELP: &str =
+    "Images of this layout are turned upright. Remove their orientation, e.g. with `exiftool -Orientation=`.";
+
 /// Width and height from the image and the camera file, which must be equal if both state them.
 fn image_size(plan: &ViewPlan, loaded: Option<&LoadedImage>) -> Result<[u32; 2]> {
     let of_image = loaded.map(|loaded| [loaded.image.width, loaded.image.height]);
     match (of_image, of_image.map_or(plan.lens.size, |size| plan.lens.resized(size).size)) {
         (Some(image), Some(camera)) if image != camera => {
-            let problem = format!(
-                "the image has {}×{} pixels, its camera {}×{}",
-                image[0], image[1], camera[0], camera[1]
-            );
             let path = plan.image.as_ref().unwrap_or(&plan.camera_file);
-            let help = format!(
-                "Resize the image, or scale the intrinsics at {} in {}.",
-                plan.place,
-                plan.camera_file.display()
-            );
+            let file = plan.camera_file.display();
+            let (problem, help) = match (turned(plan, image, "its camera", camera), plan.orientation) {
+                (Some(problem), Orientation::AsStored) => (problem, TURN_HELP.to_owned()),
+                (Some(problem), Orientation::Upright) => (problem, KEEP_HELP.to_owned()),
+                (None, _) => (
+                    format!(
+                        "the image has {}×{} pixels, its camera {}×{}",
+                        image[0], image[1], camera[0], camera[1]
+                    ),
+                    format!("Resize the image, or scale the intrinsics at {} in {file}.", plan.place),
+                ),
+            };
             Err(Error::input(path, "", problem, help))
         }
         (Some(size), _) | (None, Some(size)) => Ok(size),
@@ -294,10 +304,26 @@ fn image_size(plan: &ViewPlan, loaded: Option<&LoadedImage>) -> Result<[u32; 2]>
     }
 }
 
+/// What is wrong if the EXIF orientation of the view's image explains why `other`, of size `whose`, has not its size.
+fn turned(plan: &ViewPlan, image: [u32; 2], other: &str, whose: [u32; 2]) -> Option<String> {
+    let path = plan.image.as_ref().filter(|_| whose == [image[1], image[0]])?;
+    let (unread, stored, upright) = match plan.orientation {
+        Orientation::AsStored => (Orientation::Upright, image, whose),
+        Orientation::Upright => (Orientation::AsStored, whose, image),
+    };
+    let seen = read_image(path, Gamma::Linear, unread).ok()?.image;
+    ([seen.width, seen.height] == whose).then(|| {
+        format!(
+            "the image is {}×{} as stored and {}×{} as its EXIF orientation shows it; {other} is {}×{}",
+            stored[0], stored[1], upright[0], upright[1], whose[0], whose[1]
+        )
+    })
+}
+
 fn load_mask(plan: &ViewPlan, loaded: Option<&LoadedImage>, camera: &Camera) -> Result<Option<Mask>> {
     let alpha = loaded.and_then(|loaded| loaded.alpha.clone());
     let (mask, path) = match (&plan.mask, alpha, &plan.image) {
-        (MaskPlan::File(path), ..) => (read_mask(path, Orientation::Upright)?.mask, path),
+        (MaskPlan::File(path), ..) => (read_mask(path, plan.orientation)?.mask, path),
         (_, Some(coverage), Some(path)) => {
             (Mask { width: camera.width, height: camera.height, coverage }, path)
         }
@@ -307,12 +333,13 @@ fn load_mask(plan: &ViewPlan, loaded: Option<&LoadedImage>, camera: &Camera) -> 
         }
         _ => return Ok(None),
     };
-    if (mask.width, mask.height) != (camera.width, camera.height) {
-        let problem = format!(
-            "the mask has {}×{} pixels, its view {}×{}",
-            mask.width, mask.height, camera.width, camera.height
-        );
-        return Err(Error::input(path, "", problem, "Resize the mask to the size of its image."));
+    let (size, view) = ([mask.width, mask.height], [camera.width, camera.height]);
+    if size != view {
+        let problem = turned(plan, view, "its mask", size).unwrap_or_else(|| {
+            format!("the mask has {}×{} pixels, its view {}×{}", size[0], size[1], view[0], view[1])
+        });
+        let help = "Resize or turn the mask, so that it fits the pixels of its image.";
+        return Err(Error::input(path, "", problem, help));
     }
     if mask.coverage.iter().all(|&coverage| coverage == 0.0) {
         let problem = format!("the mask of view `{}` is empty: no pixel is covered", plan.name);

@@ -2,8 +2,9 @@
 //!
 //! The files in the folder determine the layout:
 //! - **PhySG** ([`physg`]): `DIR/{train,test}/{image,mask}/` and `DIR/{train,test}/cam_dict_norm.json`;
-//! - **NeRF/Blender** ([`nerf`]): `DIR/transforms_{train,test}.json` and the images it names;
-//! - **COLMAP** ([`colmap`]): `DIR/sparse/0/{cameras,images}.{bin,txt}`, `DIR/images/`, `DIR/masks/`;
+//! - **NeRF/Blender** ([`nerf`]): `DIR/transforms_{train,test}.json`, or one `DIR/transforms.json` as of nerfstudio, Polycam and
+//!   instant-ngp, and the images it names;
+//! - **COLMAP** ([`colmap`]): `DIR/sparse/0/{cameras,images}.{bin,txt}` or other usual places, `DIR/images/`, `DIR/masks/`;
 //! - **DeepVoxels** ([`deepvoxels`]): `intrinsics.txt`, `pose/`, `rgb/`, in `DIR` or `DIR/{train,validation,test}`.
 //!
 //! | option | type | unit | default | meaning |
@@ -24,18 +25,21 @@ mod distortion;
 mod layout;
 mod lens;
 mod load;
+mod masks;
 pub mod nerf;
+mod nerf_lens;
 pub mod physg;
 mod pose;
+mod straighten;
 
-use crate::codec::image::Gamma;
+use crate::codec::image::{Gamma, Orientation};
 use crate::codec::nearby::{closest, natural_order};
 use crate::error::{Error, Result};
 use crate::view::{Split, ViewRecord};
 use glam::{Affine3A, Vec3};
 use layout::find_layout;
 pub use layout::has_split;
-use lens::Lens;
+use lens::{Lens, crop_note};
 pub use load::{LoadedView, PlannedView, load_notes};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -148,6 +152,8 @@ struct ViewPlan {
     place: String,
     image: Option<PathBuf>,
     mask: MaskPlan,
+    /// What the layout's own programs do with the EXIF orientation of photographs.
+    orientation: Orientation,
     lens: Lens,
     world_from_camera: Affine3A,
 }
@@ -191,6 +197,9 @@ pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
     let layout = find_layout(dir, options.layout)?;
     let mut plan = match layout {
         Layout::PhySg => physg::plan(dir, split)?,
+        Layout::Nerf | Layout::Auto if nerf::is_undivided(dir) => {
+            held_out(nerf::plan(dir, split)?, split, options.hold_out)
+        }
         Layout::Nerf | Layout::Auto => nerf::plan(dir, split)?,
         Layout::Colmap => held_out(colmap::plan(dir)?, split, options.hold_out),
         Layout::DeepVoxels => match deepvoxels::split_folder(dir, split) {
@@ -209,6 +218,7 @@ pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
         return Err(Error::input(dir, "", problem, help));
     }
     refuse_far_away(&wanted)?;
+    plan.notes.extend(crop_note(wanted.iter().map(|view| &view.lens)));
     let view = |plan| PlannedView::new(plan, split, options);
     Ok(OpenDataset { views: wanted.into_iter().map(view).collect(), layout, notes: plan.notes })
 }

@@ -3,7 +3,9 @@
 mod bad;
 mod colmap;
 mod deepvoxels;
+mod distortion;
 mod good;
+mod transforms;
 
 use super::*;
 use crate::codec::test_data::write_exr;
