@@ -2,8 +2,9 @@
 //!
 //! The files in the folder determine the layout:
 //! - **PhySG** ([`physg`]): `DIR/{train,test}/{image,mask}/` and `DIR/{train,test}/cam_dict_norm.json`;
-//! - **NeRF/Blender** ([`nerf`]): `DIR/transforms_{train,test}.json` and the images it names;
-//! - **COLMAP** ([`colmap`]): `DIR/sparse/0/{cameras,images}.{bin,txt}`, `DIR/images/`, `DIR/masks/`;
+//! - **NeRF/Blender** ([`nerf`]): `DIR/transforms_{train,test}.json`, or one `DIR/transforms.json` as of nerfstudio, Polycam and
+//!   instant-ngp, and the images it names;
+//! - **COLMAP** ([`colmap`]): `DIR/sparse/0/{cameras,images}.{bin,txt}` or other usual places, `DIR/images/`, `DIR/masks/`;
 //! - **DeepVoxels** ([`deepvoxels`]): `intrinsics.txt`, `pose/`, `rgb/`, in `DIR` or `DIR/{train,validation,test}`;
 //! - **IDR, NeuS, VolSDF** ([`idr`]): `DIR/cameras_sphere.npz`, `DIR/image/`, `DIR/mask/`;
 //! - **LLFF, NeRD** ([`llff`]): `DIR/poses_bounds.npy`, `DIR/images/`, `DIR/masks/`;
@@ -36,21 +37,23 @@ mod masks;
 pub mod metashape;
 mod names;
 pub mod nerf;
+mod nerf_lens;
 mod photographs;
 pub mod physg;
 mod picture;
 mod pose;
 pub mod reality_capture;
 pub mod stanford_orb;
+mod straighten;
 
-use crate::codec::image::Gamma;
+use crate::codec::image::{Gamma, Orientation};
 use crate::codec::nearby::{closest, natural_order};
 use crate::error::{Error, Result};
 use crate::view::{Split, ViewRecord};
 use glam::{Affine3A, Vec3};
 use layout::find_format;
 pub use layout::has_split;
-use lens::Lens;
+use lens::{Lens, crop_note};
 pub use load::{LoadedView, PlannedView, load_notes};
 use names::check_names;
 use picture::Curves;
@@ -174,6 +177,8 @@ struct ViewPlan {
     place: String,
     image: Option<PathBuf>,
     mask: MaskPlan,
+    /// What the layout's own programs do with the EXIF orientation of photographs.
+    orientation: Orientation,
     lens: Lens,
     world_from_camera: Affine3A,
 }
@@ -226,6 +231,7 @@ pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
         return Err(Error::input(dir, "", problem, help));
     }
     refuse_far_away(&wanted)?;
+    plan.notes.extend(crop_note(wanted.iter().map(|view| &view.lens)));
     let curves = Arc::new(Curves::new(options.gamma));
     let view = |plan| PlannedView::new(plan, split, options, format.pixel_center, &curves);
     Ok(OpenDataset {

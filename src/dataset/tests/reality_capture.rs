@@ -85,7 +85,7 @@ fn distortion_is_undone_and_columns_may_stand_in_any_order() {
     let plan = crate::dataset::reality_capture::plan(dir.path()).unwrap();
     assert_eq!(
         plan.views[0].lens.distortion,
-        distortion::Distortion::brown_conrady([-0.02, 0.0, 0.0], [0.0; 2])
+        crate::dataset::distortion::Distortion::brown_conrady([-0.02, 0.0, 0.0], [0.0; 2])
     );
     let dataset = read_all(dir.path()).unwrap();
     assert_says(&dataset.notes.join(" "), &["1 images in", "have no camera"]);
