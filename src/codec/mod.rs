@@ -4,7 +4,7 @@
 //! | --- | --- | --- |
 //! | [`mod@file`] | whole files | whole files, never incomplete |
 //! | [`image`] | PNG, JPEG, EXR, HDR to linear images and masks | |
-//! | [`exr`], [`frame`] | EXR layers | EXR layers, rendered frames |
+//! | [`exr`], [`frame`], `exr_rows` | EXR layers | EXR layers, rendered frames |
 //! | [`png_file`], [`animation`] | | PNG; GIF, APNG, MP4 |
 //! | [`envmap`], `hdr` | EXR and Radiance HDR environment maps | EXR |
 //! | [`npy`] | light lobes in both conventions; matrices | light lobes |
@@ -16,6 +16,7 @@
 pub mod animation;
 pub mod envmap;
 pub mod exr;
+mod exr_rows;
 pub mod file;
 pub mod frame;
 pub mod gltf;
