@@ -43,6 +43,7 @@
 //! | [`fit`] | the fit of light and material |
 //! | [`shape`] | the fit of the shape |
 //! | [`report`] | pictures, contact sheets, scores |
+//! | [`survey`] | what of a data set cannot work, before a run |
 //! | [`pass`] | the passes of a scene file |
 //! | [`math`] | the kernels under all of these, from the crate `lobelia-math` |
 //! | [`error`] | the one error type |
@@ -80,6 +81,7 @@ pub mod sdf;
 pub mod shade;
 pub mod shape;
 pub mod spawn;
+pub mod survey;
 pub mod view;
 pub mod visibility;
 

@@ -3,13 +3,14 @@
 //! | theme | files |
 //! | --- | --- |
 //! | runs of the command | [`run`], [`photos`], [`gloss`], [`ggx`], [`scale`], [`export`], [`shown`], [`env`] |
-//! | what is refused, and how | [`bad_input`], [`scene_errors`] |
+//! | what is refused, and how | [`bad_input`], [`check`], [`scene_errors`] |
 //! | systems in a world, pictures | [`ecs`], [`swap`], [`visibility`], [`frames`] |
 //! | the documentation, the layers of the code | [`docs`], [`rooms`] |
 
 mod common;
 
 mod bad_input;
+mod check;
 mod docs;
 mod ecs;
 mod env;

@@ -18,6 +18,10 @@ use glam::Vec3;
 const WIDEST_KEPT: u32 = 4096;
 /// The greatest width after averaging down.
 const WIDEST_AVERAGED: u32 = 2048;
+/// The greatest radiance of a texel. The disc of the sun has 1.6·10⁹ cd/m².
+const BRIGHTEST_TEXEL: f32 = 1.0e10;
+/// The share of brighter texels from which on a map is refused: they are no stray ones.
+const MOST_TOO_BRIGHT: f64 = 0.01;
 /// Maps wider than this are an error (the file would take minutes and gigabytes to decode).
 const WIDEST_READ: usize = 32_768;
 
@@ -34,13 +38,13 @@ impl EnvironmentMap {
     /// Reads a map and returns notes about repairs and changes, one sentence each.
     ///
     /// EXR: half, float or uint samples, channels R, G, B in any order, or Y as gray; other channels are ignored; the
-    /// first layer that has them is read. Negative values are clamped to 0 and non-finite ones set to 0, both counted
-    /// in a note. Maps wider than 4096 texels are averaged to at most 2048 while they are
+    /// first layer that has them is read. Negative values are clamped to 0, non-finite ones set to 0, and so are texels
+    /// above 10¹⁰; each is counted in a note. Maps wider than 4096 texels are averaged to at most 2048 while they are
     /// read, a block or scanline at a time: memory does not grow with the file.
     ///
     /// # Errors
     /// [`Error::Input`] for: no such file, another format, a truncated or damaged file, no usable channels, a shape
-    /// that is not exactly 2:1, more than 32 768 texels across, all values non-finite, all black.
+    /// that is not exactly 2:1, more than 32 768 texels across, all values non-finite, all black, more than 1 % of texels absurdly bright.
     pub fn read_with_notes(path: impl AsRef<Path>) -> Result<(Self, Vec<String>)> {
         let path = path.as_ref();
         let open = || file::open(path, |_| "check the path of the environment map".to_owned());
@@ -84,6 +88,7 @@ struct Sink {
     filter: BoxFilter,
     finite: u64,
     repaired: u64,
+    too_bright: u64,
     clamped: u64,
     bright: bool,
 }
@@ -96,6 +101,7 @@ impl Sink {
             filter: BoxFilter::new(size, kept_size(size)),
             finite: 0,
             repaired: 0,
+            too_bright: 0,
             clamped: 0,
             bright: false,
         }
@@ -109,6 +115,10 @@ impl Sink {
             self.repaired += 1;
             repaired = Vec3::from_array(value.to_array().map(|c| if c.is_finite() { c } else { 0.0 }));
         }
+        if repaired.abs().max_element() > BRIGHTEST_TEXEL {
+            self.too_bright += 1;
+            repaired = Vec3::ZERO;
+        }
         if repaired.min_element() < 0.0 {
             self.clamped += 1;
             repaired = repaired.max(Vec3::ZERO);
@@ -121,6 +131,14 @@ impl Sink {
         if self.finite == 0 {
             return Err(Error::input(path, "", "every texel is NaN or infinite", EXPORT_HELP));
         }
+        let texels = f64::from(self.size[0]) * f64::from(self.size[1]);
+        if self.too_bright as f64 > MOST_TOO_BRIGHT * texels {
+            let problem = format!(
+                "{} of {texels} texels are absurdly bright (above {BRIGHTEST_TEXEL:e})",
+                self.too_bright
+            );
+            return Err(Error::input(path, "", problem, "divide its values so that a gray sky is about 1"));
+        }
         if !self.bright {
             let problem = "the map is black everywhere: it gives no light";
             return Err(Error::input(path, "", problem, "check the export, or use another map"));
@@ -128,6 +146,10 @@ impl Sink {
         let mut notes = Vec::new();
         if self.repaired > 0 {
             notes.push(format!("{}: {} NaN or infinite texels set to 0", path.display(), self.repaired));
+        }
+        if self.too_bright > 0 {
+            let count = self.too_bright;
+            notes.push(format!("{}: {count} absurdly bright texels set to 0", path.display()));
         }
         if self.clamped > 0 {
             notes.push(format!("{}: {} negative texels clamped to 0", path.display(), self.clamped));
@@ -247,6 +269,7 @@ fn read_hdr(path: &Path, reader: impl BufRead) -> Result<Sink> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::codec::test_data::hdr_bytes;
     use exr::prelude::{AnyChannel, AnyChannels, Encoding, FlatSamples, Layer, LayerAttributes, f16};
     use std::path::PathBuf;
 
@@ -324,6 +347,22 @@ mod tests {
     }
 
     #[test]
+    fn absurdly_bright_texels_are_set_to_zero_and_counted_or_refused() {
+        let folder = folder();
+        let path = folder.path().join("map.exr");
+        let mut map = gradient(40, 20);
+        (map.radiance[3].x, map.radiance[7].z, map.radiance[9].y) = (1e38, 1e36, 1.6e9);
+        map.write_exr(&path).unwrap();
+        let (back, notes) = EnvironmentMap::read_with_notes(&path).unwrap();
+        assert_eq!((back.radiance[3], back.radiance[7]), (Vec3::ZERO, Vec3::ZERO));
+        assert_eq!(back.radiance[9], map.radiance[9], "the sun is kept");
+        assert!(notes.len() == 1 && notes[0].contains("2 absurdly bright texels"), "{notes:?}");
+        map.radiance[..9].fill(Vec3::splat(3e12));
+        map.write_exr(&path).unwrap();
+        assert!(error_of(&path).contains("9 of 800 texels are absurdly bright"));
+    }
+
+    #[test]
     fn wrong_shapes_are_refused_with_their_size() {
         let folder = folder();
         let path = folder.path().join("map.exr");
@@ -356,9 +395,7 @@ mod tests {
         let folder = folder();
         let path = folder.path().join("map.hdr");
         let map = gradient(16, 8);
-        let pixels: Vec<_> = map.radiance.iter().map(|r| image::Rgb(r.to_array())).collect();
-        let mut bytes = Vec::new();
-        image::codecs::hdr::HdrEncoder::new(&mut bytes).encode(&pixels, 16, 8).unwrap();
+        let bytes = hdr_bytes(16, 8, &map.radiance);
         std::fs::write(&path, &bytes).unwrap();
         let back = EnvironmentMap::read(&path).unwrap();
         // Shared exponent, eight bits of mantissa.
@@ -379,9 +416,7 @@ mod tests {
         let map = gradient(16, 8);
         map.write_exr(&path).unwrap();
         let exr = std::fs::read(&path).unwrap();
-        let pixels: Vec<_> = map.radiance.iter().map(|r| image::Rgb(r.to_array())).collect();
-        let mut hdr = Vec::new();
-        image::codecs::hdr::HdrEncoder::new(&mut hdr).encode(&pixels, 16, 8).unwrap();
+        let hdr = hdr_bytes(16, 8, &map.radiance);
         for whole in [exr, hdr] {
             for at in 0..whole.len() {
                 for value in [0, 0xff] {

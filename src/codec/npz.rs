@@ -68,7 +68,9 @@ fn damaged(path: &Path, name: &str, error: &ZipError) -> Error {
     let place = if name.is_empty() { String::new() } else { format!("`{name}`") };
     let problem = match error {
         ZipError::UnsupportedArchive(what) => format!("the archive cannot be read: {what}"),
-        ZipError::CompressionMethodNotSupported(_) => "it is compressed in another way than NumPy's".to_owned(),
+        ZipError::CompressionMethodNotSupported(_) => {
+            "it is compressed in another way than NumPy's".to_owned()
+        }
         error => format!("this is not an .npz file, or it is damaged or truncated ({error})"),
     };
     Error::input(path, place, problem, HELP)
@@ -137,7 +139,11 @@ mod tests {
         let large = npy_matrix(1000, 1000, &[0.0; 1_000_000]);
         let text = [b"\x93NUMPY\x01\x00\x02\x00{}".to_vec(), b"hello".to_vec()];
         let [header, hello] = text;
-        write_npz(&path, CompressionMethod::Deflated, &[("large", large), ("header", header), ("hello", hello)]);
+        write_npz(
+            &path,
+            CompressionMethod::Deflated,
+            &[("large", large), ("header", header), ("hello", hello)],
+        );
         assert!(std::fs::metadata(&path).unwrap().len() < 20_000);
         let mut npz = open(&path).unwrap();
         assert!(refused(npz.matrix("large")).contains("`large`: the array has more than 1 MiB"));

@@ -3,6 +3,7 @@
 use exr::prelude::{
     AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, WritableImage,
 };
+use glam::Vec3;
 use std::io::{Cursor, Write};
 use std::path::Path;
 
@@ -51,4 +52,15 @@ pub fn write_npz(path: &Path, method: zip::CompressionMethod, arrays: &[(impl As
         archive.write_all(bytes).unwrap();
     }
     archive.finish().unwrap();
+}
+/// A Radiance HDR file without runs; mantissas are truncated to eight bits.
+pub fn hdr_bytes(width: usize, height: usize, pixels: &[Vec3]) -> Vec<u8> {
+    let mut bytes = format!("#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n").into_bytes();
+    for pixel in pixels {
+        let exponent = pixel.max_element().max(1e-30).log2().floor() + 1.0;
+        let mantissas = (*pixel * (8.0 - exponent).exp2()).to_array().map(|mantissa| mantissa as u8);
+        bytes.extend(mantissas);
+        bytes.push((exponent + 128.0) as u8);
+    }
+    bytes
 }

@@ -1,7 +1,7 @@
 //! Images in texture space: albedo textures and region masks, resampled to the object's atlas.
 
 use crate::codec::exr::read_exr_layers;
-use crate::codec::image::{Gamma, read_image, read_mask};
+use crate::codec::image::{Gamma, Orientation, read_image, read_mask};
 use crate::error::{Error, Result};
 use crate::material::{MAX_SPECULAR_LOBES, SpecularBlend};
 use crate::math::color::linear_from_srgb;
@@ -14,7 +14,7 @@ use std::path::Path;
 /// # Errors
 /// If the file cannot be read.
 pub fn read_texture(path: &Path, width: u32, height: u32) -> Result<Vec<Vec3>> {
-    let image = read_image(path, Gamma::Srgb)?.image;
+    let image = read_image(path, Gamma::Srgb, Orientation::Upright)?.image;
     Ok(resample(&image.pixels, [image.width, image.height], [width, height]))
 }
 
@@ -38,7 +38,7 @@ pub fn decode_texture(path: &Path, bytes: &[u8], width: u32, height: u32) -> Res
 /// # Errors
 /// If the file cannot be read.
 pub fn read_texture_mask(path: &Path, width: u32, height: u32) -> Result<Vec<f32>> {
-    let mask = read_mask(path)?;
+    let mask = read_mask(path, Orientation::Upright)?.mask;
     let values: Vec<Vec3> = mask.coverage.iter().map(|c| Vec3::splat(*c)).collect();
     let resampled = resample(&values, [mask.width, mask.height], [width, height]);
     Ok(resampled.into_iter().map(|v| v.x).collect())

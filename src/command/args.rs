@@ -91,7 +91,7 @@ pub enum Command {
     /// Run the passes of a scene file
     #[command(long_about = RUN_LONG, after_long_help = EXAMPLES)]
     Run(RunArgs),
-    /// Read a scene file, look for its files, and say what it would do; write nothing
+    /// Read a scene file, look at its photographs and masks, and say what it would do and what is wrong
     Check(CheckArgs),
     /// Compare two images, or the images of two folders by name: PSNR and SSIM in linear light
     Eval(EvalArgs),
@@ -158,6 +158,12 @@ pub struct CheckArgs {
     /// Which scene.
     #[command(flatten)]
     pub scene: SceneArgs,
+    /// Write a contact sheet of all views, with masks and cameras, and survey.json into this folder
+    #[arg(long, value_name = "DIR")]
+    pub out: Option<PathBuf>,
+    /// How many threads.
+    #[command(flatten)]
+    pub threads: ThreadArgs,
 }
 
 /// `lobelia eval`.

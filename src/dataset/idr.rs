@@ -56,7 +56,8 @@ fn camera_count(file: &Path, names: &[String]) -> Result<usize> {
     if numbers.is_empty() {
         let near: Vec<&str> = names.iter().take(4).map(String::as_str).collect();
         let problem = "there is no `world_mat_0`, so there are no cameras";
-        let help = if near.is_empty() { HELP.to_owned() } else { format!("{HELP} There is {}.", near.join(", ")) };
+        let help =
+            if near.is_empty() { HELP.to_owned() } else { format!("{HELP} There is {}.", near.join(", ")) };
         return Err(Error::input(file, "", problem, help));
     }
     match numbers.iter().enumerate().find(|(n, number)| n != *number) {
@@ -85,7 +86,8 @@ pub(super) fn taken_apart(matrix: &Matrix) -> Result<(Lens, Rigid), String> {
     let scale = if linear.determinant() < 0.0 { -unit } else { unit };
     linear *= 1.0 / scale;
     last /= scale;
-    let volume = linear.determinant() / (linear.x_axis.length() * linear.y_axis.length() * linear.z_axis.length());
+    let volume =
+        linear.determinant() / (linear.x_axis.length() * linear.y_axis.length() * linear.z_axis.length());
     // Also if it is NaN.
     if !(volume > LEAST_VOLUME) {
         return Err("is singular: it is no camera's".to_owned());

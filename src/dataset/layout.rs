@@ -3,9 +3,7 @@
 use crate::codec::image::IMAGE_EXTENSIONS;
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::{DatasetOptions, Layout, Plan};
-use crate::dataset::{
-    colmap, deepvoxels, idr, llff, metashape, nerf, physg, reality_capture, stanford_orb,
-};
+use crate::dataset::{colmap, deepvoxels, idr, llff, metashape, nerf, physg, reality_capture, stanford_orb};
 use crate::error::{Error, Result};
 use crate::view::Split;
 use std::path::{Path, PathBuf};
@@ -124,7 +122,8 @@ static FORMATS: [Format; 9] = [
 
 /// NeRF's layout with folders of masks beside those of the photographs.
 fn is_stanford_orb(dir: &Path) -> bool {
-    let is_there = |split| nerf::camera_file(dir, split).is_file() && stanford_orb::mask_folder(dir, split).is_dir();
+    let is_there =
+        |split| nerf::camera_file(dir, split).is_file() && stanford_orb::mask_folder(dir, split).is_dir();
     is_there(Split::Train) || is_there(Split::Test)
 }
 
@@ -209,7 +208,8 @@ fn near_miss(dir: &Path) -> Option<String> {
         return Some("This is one split; give the folder above it.".to_owned());
     }
     if has("cameras.bin") || has("cameras.txt") {
-        let help = "This is a COLMAP model; give the folder that has it in sparse/0, beside images and masks.";
+        let help =
+            "This is a COLMAP model; give the folder that has it in sparse/0, beside images and masks.";
         return Some(help.to_owned());
     }
     let entries: Vec<PathBuf> = std::fs::read_dir(dir).ok()?.flatten().map(|entry| entry.path()).collect();
@@ -218,7 +218,11 @@ fn near_miss(dir: &Path) -> Option<String> {
         entries.iter().filter_map(|path| Some((path, is_data(path)?))).collect();
     inside.sort_by_key(|(path, _)| *path);
     if let Some((path, format)) = inside.first() {
-        return Some(format!("{} is a data set (layout {}): give that folder.", path.display(), format.name()));
+        return Some(format!(
+            "{} is a data set (layout {}): give that folder.",
+            path.display(),
+            format.name()
+        ));
     }
     if let Some(above) = dir.parent().filter(|above| is_data(above).is_some()) {
         return Some(format!("Give the folder above it: {}.", above.display()));
@@ -239,7 +243,10 @@ fn unposed(dir: &Path, entries: &[PathBuf]) -> Option<String> {
         } else {
             "RealityCapture: Alignment, Registration, Internal/External camera parameters"
         };
-        return Some(format!("{} is a project. Export its cameras beside the photographs ({menu}).", project.display()));
+        return Some(format!(
+            "{} is a project. Export its cameras beside the photographs ({menu}).",
+            project.display()
+        ));
     }
     let photographs = |folder: &Path| {
         let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();

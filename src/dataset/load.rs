@@ -1,16 +1,16 @@
 //! Functions that all layouts share: reading JSON with errors that name the position, finding files, and loading planned views.
 
-use crate::codec::image::{Gamma, IMAGE_EXTENSIONS, LoadedImage, read_image, read_mask};
+use crate::codec::image::{IMAGE_EXTENSIONS, Orientation, Repairs, read_mask};
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::distortion::{Distortion, Straightening};
+use crate::dataset::picture::{Curves, Picture};
 use crate::dataset::{DatasetOptions, MaskPlan, ViewPlan};
 use crate::error::{Error, Result};
-use crate::view::raster::any_downscaled;
-use crate::view::{Camera, Mask, Photograph, PixelWindow, Split, StoredMask, ViewRecord};
-use glam::Vec3;
+use crate::view::{Camera, Mask, Split, StoredMask, ViewRecord};
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// Reads a text file, as [`Error::Input`] if it is not UTF-8.
 pub(super) fn read_text(path: &Path) -> Result<String> {
@@ -77,7 +77,8 @@ pub(super) fn image_files(folder: &Path) -> Result<Vec<PathBuf>> {
     for entry in std::fs::read_dir(folder).map_err(Error::io("read", folder))? {
         paths.push(entry.map_err(Error::io("read", folder))?.path());
     }
-    let is_hidden = |path: &Path| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
+    let is_hidden =
+        |path: &Path| path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
     paths.retain(|path| has_image_extension(path) && !is_hidden(path));
     paths.sort();
     Ok(paths)
@@ -129,7 +130,7 @@ impl StemIndex {
 pub struct PlannedView {
     plan: ViewPlan,
     split: Split,
-    gamma: Gamma,
+    curves: Arc<Curves>,
     pixel_center: f32,
     downscale: u32,
 }
@@ -139,18 +140,23 @@ pub struct PlannedView {
 pub struct LoadedView {
     /// The view.
     pub record: ViewRecord,
-    /// Number of NaN or infinite pixels, which are set to 0.
-    pub repaired: usize,
+    /// What was repaired in a float photograph.
+    pub repairs: Repairs,
     /// Whether the background outside the mask is made black.
     pub blackened: bool,
 }
 
 impl PlannedView {
     /// `pixel_center` is that of the layout, which holds unless the options say otherwise.
-    pub(super) fn new(plan: ViewPlan, split: Split, options: &DatasetOptions, pixel_center: f32) -> Self {
-        let DatasetOptions { gamma, downscale, .. } = *options;
+    pub(super) fn new(
+        plan: ViewPlan,
+        split: Split,
+        options: &DatasetOptions,
+        pixel_center: f32,
+        curves: &Arc<Curves>,
+    ) -> Self {
         let pixel_center = options.pixel_center.unwrap_or(pixel_center);
-        Self { plan, split, gamma, pixel_center, downscale }
+        Self { plan, split, curves: curves.clone(), pixel_center, downscale: options.downscale }
     }
 
     /// Name of the view.
@@ -193,8 +199,11 @@ impl PlannedView {
     pub fn load(&self) -> Result<LoadedView> {
         let plan = &self.plan;
         let wrong = |problem: String, help: &str| Error::input(&plan.camera_file, &plan.place, problem, help);
-        let mut loaded = plan.image.as_ref().map(|path| read_image(path, self.gamma)).transpose()?;
-        let size = image_size(plan, loaded.as_ref())?;
+        let is_resampled = self.downscale > 1 || plan.lens.distortion != Distortion::NONE;
+        let read =
+            |path: &PathBuf| Picture::read(path, self.curves.gamma(), Orientation::Upright, is_resampled);
+        let mut picture = plan.image.as_ref().map(read).transpose()?;
+        let size = image_size(plan, picture.as_ref())?;
         let lens = plan.lens.resized(size);
         let bent = lens
             .camera(size, plan.world_from_camera, self.pixel_center)
@@ -203,20 +212,15 @@ impl PlannedView {
             let problem = format!("downscale: {} leaves no pixel of {}×{}", self.downscale, size[0], size[1]);
             return Err(wrong(problem, "Use a smaller `downscale`."));
         }
-        let mut mask = load_mask(plan, loaded.as_ref(), &bent)?;
-        let camera = straighten(lens.distortion, &bent, &mut loaded, &mut mask).map_err(|problem| {
+        let mut mask = load_mask(plan, picture.as_ref(), &bent)?;
+        let camera = straighten(lens.distortion, &bent, &mut picture, &mut mask).map_err(|problem| {
             wrong(problem, "Undistort the photographs first, or correct the coefficients.")
         })?;
-        let blackened = match (&mut loaded, &mask) {
-            (Some(loaded), Some(mask)) if loaded.alpha.is_none() && shows_background(loaded, mask) => {
-                blacken(loaded, mask)
-            }
-            _ => false,
-        };
-        let repaired = loaded.as_ref().map_or(0, |loaded| loaded.repaired);
-        let is_resampled = self.downscale > 1 || lens.distortion != Distortion::NONE;
+        let blackened =
+            picture.as_mut().zip(mask.as_ref()).is_some_and(|(picture, mask)| picture.blacken(mask));
+        let repairs = picture.as_ref().map(|picture| picture.repairs().clone()).unwrap_or_default();
         let mask = mask.map(|mask| if self.downscale > 1 { mask.downscaled(self.downscale) } else { mask });
-        let photograph = loaded.map(|loaded| kept(loaded, self.downscale, mask.as_ref(), is_resampled));
+        let photograph = picture.map(|picture| picture.keep(self.downscale, mask.as_ref(), &self.curves));
         let record = ViewRecord {
             name: plan.name.clone(),
             split: self.split,
@@ -224,26 +228,31 @@ impl PlannedView {
             photograph: photograph.transpose()?,
             mask: mask.as_ref().map(StoredMask::new),
         };
-        Ok(LoadedView { record, repaired, blackened })
+        Ok(LoadedView { record, repairs, blackened })
     }
 }
 
 /// Notes for the user about what was done to loaded views, with counts.
 pub fn load_notes(loaded: &[LoadedView]) -> Vec<String> {
     let mut notes = Vec::new();
-    let broken: Vec<String> = loaded
-        .iter()
-        .filter(|view| view.repaired > 0)
-        .map(|view| format!("{}: {}", view.record.name, view.repaired))
-        .collect();
-    if !broken.is_empty() {
-        let total: usize = loaded.iter().map(|view| view.repaired).sum();
-        let rest = broken.len().saturating_sub(5);
-        let rest = if rest > 0 { format!(" and {rest} more") } else { String::new() };
-        let list = broken.into_iter().take(5).collect::<Vec<_>>().join(", ");
-        notes
-            .push(format!("{total} NaN or infinite pixels set to 0 and left out of the loss ({list}{rest})"));
-    }
+    let mut count = |of: fn(&Repairs) -> usize, what: &str| {
+        let broken: Vec<(&str, usize)> = loaded
+            .iter()
+            .map(|view| (view.record.name.as_str(), of(&view.repairs)))
+            .filter(|(_, count)| *count > 0)
+            .collect();
+        if !broken.is_empty() {
+            let total: usize = broken.iter().map(|(_, count)| count).sum();
+            let rest = broken.len().saturating_sub(5);
+            let rest = if rest > 0 { format!(" and {rest} more") } else { String::new() };
+            let list: Vec<String> =
+                broken.iter().take(5).map(|(name, count)| format!("{name}: {count}")).collect();
+            notes.push(format!("{total} {what} ({}{rest})", list.join(", ")));
+        }
+    };
+    count(|repairs| repairs.not_finite, "NaN or infinite pixels set to 0 and left out of the loss");
+    count(|repairs| repairs.too_bright, "absurdly bright pixels set to 0 and left out of the loss");
+    count(|repairs| repairs.negative, "negative pixels set to 0");
     let blackened = loaded.iter().filter(|view| view.blackened).count();
     if blackened > 0 {
         notes.push(format!(
@@ -257,35 +266,23 @@ pub fn load_notes(loaded: &[LoadedView]) -> Vec<String> {
 fn straighten(
     distortion: Distortion,
     bent: &Camera,
-    loaded: &mut Option<LoadedImage>,
+    picture: &mut Option<Picture>,
     mask: &mut Option<Mask>,
 ) -> Result<Camera, String> {
     if distortion == Distortion::NONE {
         return Ok(*bent);
     }
     let way = Straightening::new(distortion, bent)?;
-    if let Some(loaded) = loaded {
-        loaded.image = way.image(&loaded.image);
-        loaded.saturated = way.flags(&loaded.saturated);
+    if let Some(picture) = picture {
+        picture.straighten(&way);
     }
     *mask = mask.as_ref().map(|mask| way.mask(mask));
     Ok(way.camera)
 }
 
-/// The photograph as it is kept: cropped to its mask, and rounded to half floats if its pixels are means anyway.
-fn kept(loaded: LoadedImage, downscale: u32, mask: Option<&Mask>, is_resampled: bool) -> Result<Photograph> {
-    let LoadedImage { mut image, mut saturated, .. } = loaded;
-    if downscale > 1 {
-        saturated = any_downscaled(&saturated, image.width, image.height, downscale);
-        image = image.downscaled(downscale);
-    }
-    let window = mask.map_or(PixelWindow::whole(image.width, image.height), PixelWindow::of_mask);
-    Photograph::new(&image, &saturated, window, is_resampled)
-}
-
 /// Width and height from the image and the camera file, which must be equal if both state them.
-fn image_size(plan: &ViewPlan, loaded: Option<&LoadedImage>) -> Result<[u32; 2]> {
-    let of_image = loaded.map(|loaded| [loaded.image.width, loaded.image.height]);
+fn image_size(plan: &ViewPlan, picture: Option<&Picture>) -> Result<[u32; 2]> {
+    let of_image = picture.map(Picture::size);
     match (of_image, of_image.map_or(plan.lens.size, |size| plan.lens.resized(size).size)) {
         (Some(image), Some(camera)) if image != camera => {
             let problem = format!(
@@ -310,10 +307,10 @@ fn image_size(plan: &ViewPlan, loaded: Option<&LoadedImage>) -> Result<[u32; 2]>
     }
 }
 
-fn load_mask(plan: &ViewPlan, loaded: Option<&LoadedImage>, camera: &Camera) -> Result<Option<Mask>> {
-    let alpha = loaded.and_then(|loaded| loaded.alpha.clone());
+fn load_mask(plan: &ViewPlan, picture: Option<&Picture>, camera: &Camera) -> Result<Option<Mask>> {
+    let alpha = picture.and_then(Picture::alpha);
     let (mask, path) = match (&plan.mask, alpha, &plan.image) {
-        (MaskPlan::File(path), ..) => (read_mask(path)?, path),
+        (MaskPlan::File(path), ..) => (read_mask(path, Orientation::Upright)?.mask, path),
         (_, Some(coverage), Some(path)) => {
             (Mask { width: camera.width, height: camera.height, coverage }, path)
         }
@@ -336,25 +333,4 @@ fn load_mask(plan: &ViewPlan, loaded: Option<&LoadedImage>, camera: &Camera) -> 
         return Err(Error::input(path, "", problem, help));
     }
     Ok(Some(mask))
-}
-
-/// Whether a picture without alpha may show more than the object. A float image is often a rendering on black, whose light at
-/// the rim reaches beyond a mask of 8 bits; that is left as it is.
-fn shows_background(loaded: &LoadedImage, mask: &Mask) -> bool {
-    const RIM_SHARE: f32 = 0.05;
-    let outside = || loaded.image.pixels.iter().zip(&mask.coverage).filter(|(_, coverage)| **coverage == 0.0);
-    let lit = outside().filter(|(pixel, _)| **pixel != Vec3::ZERO).count();
-    !loaded.is_float || lit as f32 > RIM_SHARE * outside().count() as f32
-}
-
-/// Makes a photograph black where its mask is empty, so that it is on black like all others; returns whether anything changed.
-fn blacken(loaded: &mut LoadedImage, mask: &Mask) -> bool {
-    let mut changed = false;
-    let outside = |coverage: &f32| *coverage == 0.0;
-    for (i, _) in mask.coverage.iter().enumerate().filter(|(_, coverage)| outside(coverage)) {
-        changed |= loaded.image.pixels[i] != Vec3::ZERO;
-        loaded.image.pixels[i] = Vec3::ZERO;
-        loaded.saturated[i] = false;
-    }
-    changed
 }

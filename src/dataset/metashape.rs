@@ -74,8 +74,10 @@ impl<'a, 'input: 'a> Xml<'a, 'input> {
         let photographs = Photographs::find(dir, &["images", "image", ""])?;
         let (mut views, mut left_out) = (Vec::new(), Vec::new());
         let groups = chunk.children().filter(|node| node.has_tag_name("cameras"));
-        for camera in groups.flat_map(|group| group.descendants()).filter(|node| node.has_tag_name("camera")) {
-            let label = camera.attribute("label").ok_or_else(|| self.wrong(camera, "the camera has no label"))?;
+        for camera in groups.flat_map(|group| group.descendants()).filter(|node| node.has_tag_name("camera"))
+        {
+            let label =
+                camera.attribute("label").ok_or_else(|| self.wrong(camera, "the camera has no label"))?;
             let is_off = matches!(camera.attribute("enabled"), Some("0" | "false"));
             let Some(transform) = child(camera, "transform").filter(|_| !is_off) else {
                 left_out.push(label);
@@ -93,7 +95,9 @@ impl<'a, 'input: 'a> Xml<'a, 'input> {
         let mut notes = Vec::new();
         if let Some(first) = left_out.first() {
             let count = left_out.len();
-            notes.push(format!("{count} cameras have no pose or are disabled, and are left out (the first is {first})"));
+            notes.push(format!(
+                "{count} cameras have no pose or are disabled, and are left out (the first is {first})"
+            ));
         } else {
             notes.extend(photographs.unused(&views));
         }
@@ -126,13 +130,18 @@ impl<'a, 'input: 'a> Xml<'a, 'input> {
 
     fn similarity(&self, transform: Node<'a, 'input>) -> Result<Similarity> {
         let of = |name: &str| child(transform, name);
-        let r: [f64; 9] = of("rotation").map_or(Ok([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]), |node| self.numbers(node))?;
+        let r: [f64; 9] = of("rotation")
+            .map_or(Ok([1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]), |node| self.numbers(node))?;
         let t: [f64; 3] = of("translation").map_or(Ok([0.0; 3]), |node| self.numbers(node))?;
         let [scale] = of("scale").map_or(Ok([1.0]), |node| self.numbers(node))?;
-        let rows = [r[0], r[1], r[2], t[0], r[3], r[4], r[5], t[1], r[6], r[7], r[8], t[2], 0.0, 0.0, 0.0, 1.0];
-        let rigid = Rigid::from_rows(&rows).map_err(|problem| self.wrong(transform, format!("the transform {problem}")))?;
+        let rows =
+            [r[0], r[1], r[2], t[0], r[3], r[4], r[5], t[1], r[6], r[7], r[8], t[2], 0.0, 0.0, 0.0, 1.0];
+        let rigid = Rigid::from_rows(&rows)
+            .map_err(|problem| self.wrong(transform, format!("the transform {problem}")))?;
         if !(scale > 0.0 && scale.is_finite()) {
-            return Err(self.wrong(transform, format!("the transform's scale is {scale}; it must be above 0")));
+            return Err(
+                self.wrong(transform, format!("the transform's scale is {scale}; it must be above 0"))
+            );
         }
         Ok(Similarity { rigid, scale })
     }
@@ -145,7 +154,8 @@ impl<'a, 'input: 'a> Xml<'a, 'input> {
         let all = || sensor.children().filter(|node| node.has_tag_name("calibration"));
         let adjusted = all().find(|node| node.attribute("class") == Some("adjusted"));
         let calibration = adjusted.or_else(|| all().next());
-        let calibration = calibration.ok_or_else(|| self.wrong(sensor, format!("sensor {id} has no calibration")))?;
+        let calibration =
+            calibration.ok_or_else(|| self.wrong(sensor, format!("sensor {id} has no calibration")))?;
         for kind in [sensor.attribute("type"), calibration.attribute("type")].into_iter().flatten() {
             if !matches!(kind, "frame" | "brown") {
                 let problem = format!("sensor {id} is of the type {kind}; only frame cameras can be read");
@@ -173,7 +183,8 @@ impl<'a, 'input: 'a> Xml<'a, 'input> {
         for name in ["k4", "p3", "p4"] {
             if value(name)? != 0.0 {
                 let problem = format!("{name} is {}, which cannot be read", value(name)?);
-                let help = "Optimize the cameras without it, or export undistorted photographs and their cameras.";
+                let help =
+                    "Optimize the cameras without it, or export undistorted photographs and their cameras.";
                 return Err(Error::input(self.file, self.place(calibration), problem, help));
             }
         }

@@ -37,6 +37,7 @@ pub mod metashape;
 pub mod nerf;
 mod photographs;
 pub mod physg;
+mod picture;
 mod pose;
 pub mod reality_capture;
 pub mod stanford_orb;
@@ -50,9 +51,11 @@ use layout::find_format;
 pub use layout::has_split;
 use lens::Lens;
 pub use load::{LoadedView, PlannedView, load_notes};
+use picture::Curves;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 /// How a data set's folder is laid out.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -135,10 +138,7 @@ impl DatasetOptions {
             );
         }
         if let Some(center) = self.pixel_center.filter(|center| !center.is_finite()) {
-            return wrong(
-                format!("pixel_center: {center}"),
-                "Give 0.5, or 0.0 for PhySG's own code.",
-            );
+            return wrong(format!("pixel_center: {center}"), "Give 0.5, or 0.0 for PhySG's own code.");
         }
         if self.up.try_normalize().is_none() {
             return wrong(
@@ -224,7 +224,8 @@ pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
         return Err(Error::input(dir, "", problem, help));
     }
     refuse_far_away(&wanted)?;
-    let view = |plan| PlannedView::new(plan, split, options, format.pixel_center);
+    let curves = Arc::new(Curves::new(options.gamma));
+    let view = |plan| PlannedView::new(plan, split, options, format.pixel_center, &curves);
     Ok(OpenDataset {
         views: wanted.into_iter().map(view).collect(),
         layout: format.layout,

@@ -107,7 +107,8 @@ impl Photographs {
             let masks = self.masks.as_ref()?;
             let bare = self.files.iter().filter(|file| mask_file(masks, &file_name(file)).is_none());
             let bare: Vec<String> = bare.map(|file| file_name(file)).collect();
-            return (bare.len() == stems.len() - cameras).then(|| format!("Without a mask: {}", named(&bare)));
+            return (bare.len() == stems.len() - cameras)
+                .then(|| format!("Without a mask: {}", named(&bare)));
         }
         let of_masks = self.masks.iter().flat_map(StemIndex::stems).map(str::to_owned);
         let lone: Vec<String> = of_masks.filter(|stem| !stems.contains(stem)).collect();

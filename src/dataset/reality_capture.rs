@@ -24,8 +24,7 @@ const NEEDED: [&str; 8] = ["name", "x", "y", "alt", "heading", "pitch", "roll", 
 const OPTIONAL: [&str; 8] = ["px", "py", "k1", "k2", "k3", "k4", "t1", "t2"];
 /// Width of the frame that focal lengths refer to, in millimeters.
 const FRAME_MM: f64 = 36.0;
-const EXPORT_HELP: &str =
-    "Export it again: Alignment, Registration, Internal/External camera parameters, with commas between values.";
+const EXPORT_HELP: &str = "Export it again: Alignment, Registration, Internal/External camera parameters, with commas between values.";
 
 /// The file of cameras.
 pub(super) const EXPORT: Export = Export {
@@ -75,7 +74,8 @@ struct Row {
 }
 
 fn rows(file: &Path) -> Result<Vec<Row>> {
-    let text = read_text(file)?;
+    // The reader counts lines by single line breaks.
+    let text = read_text(file)?.replace("\r\n", "\n");
     let mut reader = ReaderBuilder::new().trim(Trim::All).from_reader(text.as_bytes());
     let broken = |error: csv::Error| {
         let place = error.position().map(place_of).unwrap_or_default();
@@ -153,7 +153,8 @@ impl Row {
             return Err(format!("the position {translation} is too far away"));
         }
         let [heading, pitch, roll] = [heading, pitch, roll].map(f64::to_radians);
-        let rotation = DMat3::from_rotation_z(-heading) * DMat3::from_rotation_x(pitch) * DMat3::from_rotation_y(roll);
+        let rotation =
+            DMat3::from_rotation_z(-heading) * DMat3::from_rotation_x(pitch) * DMat3::from_rotation_y(roll);
         Ok(Rigid { rotation, translation }.in_opencv_axes())
     }
 }

@@ -4,7 +4,7 @@
 
 use crate::codec::frame::{Frame, read_frame};
 use crate::codec::gltf::import::read_mesh;
-use crate::codec::image::{Gamma, IMAGE_EXTENSIONS, read_image};
+use crate::codec::image::{Gamma, IMAGE_EXTENSIONS, Orientation, read_image};
 use crate::error::{Error, Result};
 use crate::mesh::chamfer::chamfer_distance;
 use crate::pass::render::{ChosenView, chosen_views};
@@ -187,7 +187,7 @@ pub fn true_layer_path(folder: &Path, layer: &str, view: &str) -> PathBuf {
 /// # Errors
 /// [`Error::Input`] if the image cannot be read or its size does not match the view.
 pub fn read_fitting(path: &Path, gamma: Gamma, camera: &Camera) -> Result<Vec<Vec3>> {
-    let image = read_image(path, gamma)?.image;
+    let image = read_image(path, gamma, Orientation::Upright)?.image;
     let factor = image.width / camera.width.max(1);
     let fitting = if factor > 1 { image.downscaled(factor) } else { image.clone() };
     if (fitting.width, fitting.height) == (camera.width, camera.height) {

@@ -32,19 +32,17 @@ pub mod show;
 pub use interrupt::{INTERRUPTED, check_interrupted};
 pub use session::{Lights, MOST_VISIBILITY_BYTES, Session};
 
-use crate::dataset::{DatasetOptions, has_split, read_dataset};
 use crate::error::{Error, Result};
 use crate::fit::run::{FirstGuess, FitPlugin};
 use crate::mesh::Surface;
 use crate::pipeline::Pipeline;
 use crate::report::scores::Scores;
 use crate::scene::load::LoadedScene;
-use crate::scene::{Albedo, CameraSpec, Light, Scene, Surface as SurfaceSpec, Views};
-use crate::scene::{EditPass, Pass, RelightPass, RenderPass, ViewChoice};
+use crate::scene::{Albedo, CameraSpec, Light, Scene, Views};
+use crate::scene::{EditPass, Pass, RelightPass, RenderPass};
 use crate::shade::frame::FramePlugin;
 use crate::spawn::{SurfaceUse, make_surface, spawn};
-use crate::view::mask_check::check_masks;
-use crate::view::{Split, ViewRecord};
+use crate::view::ViewRecord;
 use photograph::{TrueObject, camera_of};
 use progress::Progress;
 use std::io::ErrorKind;
@@ -107,10 +105,6 @@ fn refuse_used(out: &Path, force: bool) -> Result<()> {
 /// Reads all inputs of the scene into a world. Nothing is written yet.
 fn open<'a>(scene: &'a Scene, options: &RunOptions, progress: &'a dyn Progress) -> Result<Session<'a>> {
     let mut views = read_views(scene, progress)?;
-    if matches!(scene.surface, SurfaceSpec::Unknown { .. }) {
-        let train: Vec<&ViewRecord> = views.iter().filter(|view| view.split == Split::Train).collect();
-        check_masks(&train)?.iter().for_each(|note| progress.note(note));
-    }
     let (surface, notes) = make_surface(&scene.surface, &views, use_of(scene))?;
     notes.iter().for_each(|note| progress.note(note));
     let surface = Arc::new(surface);
@@ -143,34 +137,10 @@ fn open<'a>(scene: &'a Scene, options: &RunOptions, progress: &'a dyn Progress) 
     })
 }
 
-/// Reads the views that do not depend on the object; rendered photographs come later.
+/// Reads the views that do not depend on the object; rendered photographs come later. Photographs that cannot work end the run here.
 fn read_views(scene: &Scene, progress: &dyn Progress) -> Result<Vec<ViewRecord>> {
     match &scene.views {
-        Views::Dataset(spec) => {
-            let options = DatasetOptions {
-                layout: spec.layout,
-                gamma: spec.gamma,
-                pixel_center: spec.pixel_center,
-                downscale: spec.downscale,
-                every: spec.every,
-                hold_out: spec.hold_out,
-                select: (!spec.select.is_empty()).then(|| spec.select.clone()),
-                up: scene.up,
-            };
-            let mut views = Vec::new();
-            for split in [Split::Train, Split::Test] {
-                if !needs(scene, split) && !has_split(&spec.path, split, &options)? {
-                    continue;
-                }
-                let part = read_dataset(&spec.path, split, &options)?;
-                part.notes.iter().for_each(|note| progress.note(note));
-                views.extend(part.views);
-            }
-            views
-                .iter_mut()
-                .for_each(|view| view.camera.focal = view.camera.focal.map(|f| f * spec.focal_scale));
-            Ok(views)
-        }
+        Views::Dataset(_) => preflight::read_data(scene, progress),
         Views::Cameras(specs) => specs.iter().map(bare_view).collect(),
         Views::Photographed(_) => Ok(Vec::new()),
     }
@@ -182,15 +152,6 @@ fn use_of(scene: &Scene) -> SurfaceUse {
         Some(Pass::Shape(_)) => SurfaceUse::UntilShape,
         _ => SurfaceUse::Lasting,
     }
-}
-
-/// Whether a pass needs views of this split, so that a data set without it is an error.
-fn needs(scene: &Scene, split: Split) -> bool {
-    let choice = if split == Split::Train { ViewChoice::Train } else { ViewChoice::Test };
-    scene.passes.iter().any(|pass| match pass {
-        Pass::Fit(_) | Pass::Shape(_) => split == Split::Train,
-        _ => pass.render().is_some_and(|settings| settings.views == choice),
-    })
 }
 
 fn bare_view(spec: &CameraSpec) -> Result<ViewRecord> {

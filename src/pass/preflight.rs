@@ -4,18 +4,50 @@
 use crate::codec::gltf::import::read_mesh;
 use crate::codec::image::Gamma;
 use crate::codec::nearby::closest;
+use crate::dataset::{LoadedView, PlannedView, load_notes};
 use crate::error::{Error, Result};
 use crate::material::SpecularBlend;
 use crate::material::shown::recovered_material;
 use crate::pass::edit::{apply_edits, edits_of_nothing};
 use crate::pass::evaluate::{read_fitting, true_image_path, true_layer_path};
+use crate::pass::progress::Progress;
 use crate::pass::render::{ChosenView, chosen_views};
 use crate::pass::session::Session;
 use crate::scene::Gloss;
-use crate::scene::{EvaluatePass, LayerTruth, Pass, RenderSettings, Truth, ViewChoice};
-use crate::view::{Photograph, ViewName};
+use crate::scene::{EvaluatePass, LayerTruth, Pass, RenderSettings, Scene, Surface, Truth, ViewChoice};
+use crate::survey::open::OpenScene;
+use crate::survey::{Look, Severity};
+use crate::view::{Photograph, ViewName, ViewRecord};
 use bevy_ecs::prelude::World;
 use rayon::prelude::*;
+
+/// Reads the views of a data set, and surveys those that passes learn from or are scored against: a warning is a note, the first
+/// error ends the run.
+///
+/// # Errors
+/// [`Error::Usage`] for the first thing that cannot work; those of reading the data.
+pub fn read_data(scene: &Scene, progress: &dyn Progress) -> Result<Vec<ViewRecord>> {
+    let Some(open) = OpenScene::new(scene)? else { return Ok(Vec::new()) };
+    let learns = |pass: &Pass| matches!(pass, Pass::Fit(_) | Pass::Shape(_) | Pass::Evaluate(_));
+    let is_used = matches!(scene.surface, Surface::Unknown { .. }) || scene.passes.iter().any(learns);
+    let read = |view: &PlannedView| {
+        let loaded = open.load(view)?;
+        let look = is_used.then(|| open.look(view, &loaded.record, false));
+        Ok((loaded, look))
+    };
+    let read: Vec<Result<(LoadedView, Option<Look>)>> = open.views.par_iter().map(read).collect();
+    let (loaded, looks): (Vec<LoadedView>, Vec<Option<Look>>) =
+        read.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
+    open.notes.iter().chain(&load_notes(&loaded)).for_each(|note| progress.note(note));
+    if is_used {
+        let survey = open.examine(looks.into_iter().flatten().collect())?;
+        survey.findings_of(Severity::Warning).for_each(|warning| progress.note(&warning.problem));
+        if let Some(error) = survey.findings_of(Severity::Error).next() {
+            return Err(error.to_error());
+        }
+    }
+    Ok(loaded.into_iter().map(|view| view.record).collect())
+}
 
 /// Checks every pass against the world before any of them runs.
 ///

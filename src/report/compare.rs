@@ -1,6 +1,6 @@
 //! `lobelia eval PREDICTION TRUTH`: scores two folders of images, or two images, against each other.
 
-use crate::codec::image::{Gamma, IMAGE_EXTENSIONS, LoadedImage, read_image};
+use crate::codec::image::{Gamma, IMAGE_EXTENSIONS, LoadedImage, Orientation, read_image};
 use crate::report::metrics;
 use crate::report::scores;
 use crate::report::scores::{EvalView, PassScores, Scaling};
@@ -140,7 +140,8 @@ fn images_in(folder: &Path) -> Result<BTreeMap<String, PathBuf>> {
 }
 
 fn load_view(name: &str, prediction: &Path, truth: &Path) -> Result<EvalView> {
-    let (predicted, true_image) = (read_image(prediction, Gamma::Srgb)?, read_image(truth, Gamma::Srgb)?);
+    let read = |path| read_image(path, Gamma::Srgb, Orientation::Upright);
+    let (predicted, true_image) = (read(prediction)?, read(truth)?);
     let (width, height) = (true_image.image.width as usize, true_image.image.height as usize);
     let size = [predicted.image.width as usize, predicted.image.height as usize];
     if size != [width, height] {

@@ -5,7 +5,6 @@
 //! | module | holds |
 //! | --- | --- |
 //! | [`camera`] | the pinhole camera, projection, construction by target point, orbits |
-//! | [`mask_check`] | checks of cameras and masks before reconstruction |
 //! | [`raster`] | box filtering, bilinear look-up, mask erosion |
 //! | [`stored`] | photographs and masks as they are kept: small, and cropped |
 //!
@@ -26,7 +25,6 @@
 //! | `width`, `height` | `u32` | pixels | 512 | image size |
 
 pub mod camera;
-pub mod mask_check;
 pub mod raster;
 pub mod stored;
 

@@ -147,6 +147,21 @@ pub enum IntegerSamples<'a> {
     Words(&'a [u16]),
 }
 
+/// Tables from stored integers to linear radiance and to coverage, shared by photographs.
+#[derive(Clone, Debug)]
+pub struct Curve {
+    color: Arc<[f32]>,
+    alpha: Arc<[f32]>,
+}
+
+impl Curve {
+    /// From the linear radiance of each stored value.
+    pub fn new(color: Vec<f32>) -> Self {
+        let top = color.len().saturating_sub(1).max(1) as f32;
+        Self { alpha: (0..color.len()).map(|stored| stored as f32 / top).collect(), color: color.into() }
+    }
+}
+
 /// A photograph as it is kept.
 ///
 /// Pixels are numbered `y * width + x`. Outside its window a photograph is black and not saturated.
@@ -199,40 +214,35 @@ impl Photograph {
         Self { width, height, window, channels: 3, color, alpha: None, saturated: Flags(Vec::new()) }
     }
 
-    /// From integer samples of 1 to 4 channels (an even count has straight alpha as the last), inside a window. `curve` maps stored
-    /// color to linear radiance and has as many entries as there are stored values; `is_kept` says which pixels are not made black.
+    /// From integer samples of 1 to 4 channels (an even count has straight alpha as the last), inside a window.
     pub fn of_integers(
         size: [u32; 2],
         samples: IntegerSamples,
         channels: usize,
-        curve: &Arc<[f32]>,
+        curve: &Curve,
         window: PixelWindow,
-        is_kept: impl Fn(usize) -> bool,
     ) -> Self {
         let [width, height] = size;
         let colors = if channels < 3 { 1 } else { 3 };
         let inside = || window.pixels(width);
-        let top = curve.len() - 1;
+        let top = curve.color.len() - 1;
         let stored = |i: usize| match samples {
             IntegerSamples::Bytes(bytes) => usize::from(bytes[i]),
             IntegerSamples::Words(words) => usize::from(words[i]),
         };
-        let kept = |pixel: usize, channel: usize| {
-            if is_kept(pixel) { stored(pixel * channels + channel) } else { 0 }
-        };
+        let color_of = |pixel: usize, channel: usize| stored(pixel * channels + channel);
         let is_saturated = |pixel: usize| {
             let covered = colors == channels || stored(pixel * channels + colors) > 0;
-            covered && (0..colors).any(|channel| kept(pixel, channel) == top)
+            covered && (0..colors).any(|channel| color_of(pixel, channel) == top)
         };
         let pack = |table: Arc<[f32]>, values: &mut dyn Iterator<Item = usize>| match samples {
             IntegerSamples::Bytes(_) => Numbers::Bytes(values.map(|v| v as u8).collect(), table),
             IntegerSamples::Words(_) => Numbers::Words(values.map(|v| v as u16).collect(), table),
         };
-        let mut color = inside().flat_map(|pixel| (0..colors).map(move |channel| kept(pixel, channel)));
-        let color = pack(curve.clone(), &mut color);
-        let even: Arc<[f32]> = (0..=top).map(|v| v as f32 / top as f32).collect();
+        let mut color = inside().flat_map(|pixel| (0..colors).map(move |channel| color_of(pixel, channel)));
+        let color = pack(curve.color.clone(), &mut color);
         let mut alpha = inside().map(|pixel| stored(pixel * channels + colors));
-        let alpha = (channels > colors).then(|| pack(even, &mut alpha));
+        let alpha = (channels > colors).then(|| pack(curve.alpha.clone(), &mut alpha));
         let saturated = Flags::of(inside().map(is_saturated));
         Self { width, height, window, channels: colors, color, alpha, saturated }
     }
@@ -390,17 +400,17 @@ mod tests {
 
     #[test]
     fn integers_are_kept_as_stored() {
-        let curve: Arc<[f32]> = (0..=255).map(|v| (v as f32 / 255.0).powi(2)).collect();
+        let square: Vec<f32> = (0..=255).map(|v| (v as f32 / 255.0).powi(2)).collect();
+        let curve = Curve::new(square.clone());
         let samples: Vec<u8> = (0..20u8).flat_map(|i| [i, 255, 3, if i == 7 { 0 } else { 51 }]).collect();
         let samples = IntegerSamples::Bytes(&samples);
-        let kept = Photograph::of_integers([5, 4], samples, 4, &curve, middle(), |pixel| pixel != 12);
-        assert_eq!(kept.radiance(8), Vec3::new(curve[8], 1.0, curve[3]) * 0.2);
+        let kept = Photograph::of_integers([5, 4], samples, 4, &curve, middle());
+        assert_eq!(kept.radiance(8), Vec3::new(square[8], 1.0, square[3]) * 0.2);
         assert_eq!(kept.bytes(), 6 * 4 + 1);
         assert!(kept.is_saturated(6) && !kept.is_saturated(7), "nothing is covered at 7");
-        assert!(!kept.is_saturated(12) && kept.radiance(12) == Vec3::ZERO, "12 is made black");
         let gray = IntegerSamples::Words(&[65535; 20]);
-        let curve: Arc<[f32]> = (0..=65535).map(|v| v as f32 / 65535.0).collect();
-        let kept = Photograph::of_integers([5, 4], gray, 1, &curve, middle(), |_| true);
+        let curve = Curve::new((0..=65535).map(|v| v as f32 / 65535.0).collect());
+        let kept = Photograph::of_integers([5, 4], gray, 1, &curve, middle());
         assert_eq!((kept.radiance(6), kept.is_saturated(6)), (Vec3::ONE, true));
     }
 

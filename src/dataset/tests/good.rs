@@ -113,10 +113,10 @@ fn cameras_without_images_are_read() {
 #[test]
 fn nan_and_infinite_pixels_are_counted_in_a_note() {
     let set = PhySg::new(2);
-    let mut red = vec![1.0; 24];
+    let mut red = on_black(1.0);
     red[0] = f32::NAN;
     red[7] = f32::INFINITY;
-    let channels = [("R", red), ("G", vec![1.0; 24]), ("B", vec![1.0; 24])];
+    let channels = [("R", red), ("G", on_black(1.0)), ("B", on_black(1.0))];
     write_exr(&set.path("train/image/v_1.exr"), 6, 4, &channels);
     let dataset = set.read().unwrap();
     assert_eq!(dataset.notes.len(), 1);
@@ -140,6 +140,40 @@ fn photographs_without_alpha_are_put_on_black() {
     let photograph = dataset.views[0].photograph.as_ref().unwrap();
     assert_eq!((photograph.radiance(4), photograph.radiance(3).x), (Vec3::ZERO, 1.0));
     assert_eq!([3, 4].map(|i| photograph.is_saturated(i)), [true, false]);
+}
+
+#[test]
+fn float_photographs_lose_their_background_and_renderings_keep_their_rim() {
+    let set = PhySg::new(1);
+    let write = |background: f32, lit: usize| {
+        let mut values = on_black(1.0);
+        let outside = (0..values.len()).filter(|i| i % SIZE.0 >= 4);
+        outside.take(lit).for_each(|i| values[i] = background);
+        let channels = ["R", "G", "B"].map(|c| (c, values.clone()));
+        write_exr(&set.path("train/image/v_0.exr"), SIZE.0, SIZE.1, &channels);
+        let dataset = set.read().unwrap();
+        (dataset.notes.join(" "), dataset.views[0].photograph.as_ref().unwrap().image.pixels[4])
+    };
+    let (note, pixel) = write(3.0, 8);
+    assert_says(&note, &["made black in 1 photographs"]);
+    assert_eq!(pixel, Vec3::ZERO);
+    assert_eq!(write(3.0, 0), (String::new(), Vec3::ZERO));
+    // Large enough that one lit pixel is a rim.
+    let set = PhySg::new(1);
+    let wide = (60, 4);
+    let mut values: Vec<f32> = (0..240).map(|i| if i % 60 < 20 { 1.0 } else { 0.0 }).collect();
+    values[20] = 0.001;
+    let channels = ["R", "G", "B"].map(|c| (c, values.clone()));
+    write_exr(&set.path("train/image/v_0.exr"), wide.0, wide.1, &channels);
+    let mask = GrayImage::from_fn(60, 4, |x, _| image::Luma([if x < 20 { 255 } else { 0 }]));
+    mask.save(set.path("train/mask/v_0.png")).unwrap();
+    let mut camera = physg_camera();
+    camera["img_size"] = json!([60, 4]);
+    let cameras = json!({ "v_0.exr": camera });
+    fs::write(set.path("train/cam_dict_norm.json"), cameras.to_string()).unwrap();
+    let dataset = set.read().unwrap();
+    assert!(dataset.notes.is_empty(), "{:?}", dataset.notes);
+    assert_eq!(dataset.views[0].photograph.as_ref().unwrap().image.pixels[20], Vec3::splat(0.001));
 }
 
 #[test]

@@ -44,7 +44,8 @@ impl Idr {
             write_mask(&set.path(&format!("mask/{n:03}.png")));
             let factor = if n % 2 == 0 { 1.0 } else { -3.7 };
             set.arrays.push((format!("world_mat_{n}"), npy_matrix(4, 4, &projection(pose(n), factor))));
-            let mut scale = [164.0, 0.0, 0.0, -28.0, 0.0, 164.0, 0.0, -28.0, 0.0, 0.0, 164.0, 640.0, 0.0, 0.0, 0.0, 1.0];
+            let mut scale =
+                [164.0, 0.0, 0.0, -28.0, 0.0, 164.0, 0.0, -28.0, 0.0, 0.0, 164.0, 640.0, 0.0, 0.0, 0.0, 1.0];
             scale[3] -= 1.0;
             set.arrays.push((format!("scale_mat_{n}"), npy_matrix(4, 4, &scale)));
         }
@@ -80,7 +81,10 @@ fn projections_become_cameras_in_the_world_of_the_capture() {
     for (n, view) in dataset.views.iter().enumerate() {
         let camera = view.camera;
         let near = |a: f32, b: f64| (f64::from(a) - b).abs() < 1e-4;
-        assert!((0..2).all(|k| near(camera.focal[k], FOCAL[k]) && near(camera.center[k], CENTER[k])), "{camera:?}");
+        assert!(
+            (0..2).all(|k| near(camera.focal[k], FOCAL[k]) && near(camera.center[k], CENTER[k])),
+            "{camera:?}"
+        );
         assert!(near(camera.skew, SKEW));
         assert!(camera.position().as_dvec3().distance(pose(n).w_axis.truncate()) < 1e-3);
         let p = projection(pose(n), 1.0);
@@ -90,7 +94,10 @@ fn projections_become_cameras_in_the_world_of_the_capture() {
         // The center of the first pixel is (0, 0) in the file and (0.5, 0.5) in `project`.
         assert!(near(x, row(0) / row(2) + 0.5) && near(y, row(1) / row(2) + 0.5), "({x}, {y})");
         assert!(f64::from(depth) > 0.0 && (f64::from(depth) - row(2)).abs() < 1e-2);
-        assert_eq!((camera.pixel_center, view.mask.as_ref().unwrap().coverage[3..5].to_vec()), (0.0, vec![1.0, 0.0]));
+        assert_eq!(
+            (camera.pixel_center, view.mask.as_ref().unwrap().coverage[3..5].to_vec()),
+            (0.0, vec![1.0, 0.0])
+        );
     }
 }
 
@@ -101,7 +108,10 @@ fn every_nth_view_is_held_out_and_options_go_first() {
     assert_eq!(names(&test), ["000000", "000008"]);
     assert_eq!(read_split(set.dir.path(), Split::Train).unwrap().views.len(), 7);
     assert!(has_split(set.dir.path(), Split::Test, &DatasetOptions::default()).unwrap());
-    assert!(!has_split(set.dir.path(), Split::Test, &DatasetOptions { hold_out: 0, ..Default::default() }).unwrap());
+    assert!(
+        !has_split(set.dir.path(), Split::Test, &DatasetOptions { hold_out: 0, ..Default::default() })
+            .unwrap()
+    );
     let options = DatasetOptions { pixel_center: Some(0.5), ..DatasetOptions::default() };
     let views = read_dataset(set.dir.path(), Split::Test, &options).unwrap().views;
     assert_eq!(views[0].camera.pixel_center, 0.5);
@@ -193,7 +203,7 @@ proptest! {
         let pose = DMat4::from_mat3_translation(rotation, position);
         let product = (DMat4::from_mat3(k) * pose.inverse() * factor).transpose().to_cols_array();
         let matrix = Matrix { rows: 3, columns: 4, values: product[..12].to_vec() };
-        let (lens, found) = idr::taken_apart(&matrix).unwrap();
+        let (lens, found) = crate::dataset::idr::taken_apart(&matrix).unwrap();
         let camera = lens.camera([6, 4], found.to_affine(), 0.0);
         prop_assume!(camera.is_ok());
         let Some(lens::Focal::Pixels(fy)) = lens.focal_y else { panic!("no focal length") };

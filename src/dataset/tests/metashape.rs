@@ -64,7 +64,11 @@ fn cameras_come_in_the_chunks_world() {
     let camera = dataset.views[0].camera;
     assert!(camera.position().distance(Vec3::new(1.0, 2.0, 3.0)) < 1e-6);
     let (x, y, depth) = camera.project(Vec3::new(1.0, 4.0, 3.0)).unwrap();
-    assert!((depth - 2.0).abs() < 1e-6 && (x - camera.center[0]).abs() < 1e-5 && (y - camera.center[1]).abs() < 1e-5);
+    assert!(
+        (depth - 2.0).abs() < 1e-6
+            && (x - camera.center[0]).abs() < 1e-5
+            && (y - camera.center[1]).abs() < 1e-5
+    );
     let (right, ..) = camera.project(Vec3::new(1.1, 4.0, 3.0)).unwrap();
     let (_, above, _) = camera.project(Vec3::new(1.0, 4.0, 3.1)).unwrap();
     assert!(right > x && above < y, "world +X is right, +Z up");
@@ -77,7 +81,7 @@ fn cameras_come_in_the_chunks_world() {
 fn lenses_project_as_the_manual_says() {
     let set = Metashape::new();
     set.read().unwrap();
-    let plan = metashape::plan(set.dir.path()).unwrap();
+    let plan = crate::dataset::metashape::plan(set.dir.path()).unwrap();
     let lens = plan.views[0].lens;
     let camera = lens.camera([12, 8], glam::Affine3A::IDENTITY, 0.5).unwrap();
     for (x, y) in [(0.1, 0.2), (-0.25, 0.1), (0.2, -0.15)] {
@@ -91,7 +95,10 @@ fn lenses_project_as_the_manual_says() {
         let v = 4.0 - 0.25 + bent_y * 20.0;
         let bent = lens.distortion.distort(DVec2::new(x, y));
         let (column, row, _) = camera.project(bent.extend(1.0).as_vec3()).unwrap();
-        assert!((f64::from(column) - u).abs() < 1e-4 && (f64::from(row) - v).abs() < 1e-4, "{column} {u} {row} {v}");
+        assert!(
+            (f64::from(column) - u).abs() < 1e-4 && (f64::from(row) - v).abs() < 1e-4,
+            "{column} {u} {row} {v}"
+        );
     }
 }
 
@@ -113,7 +120,7 @@ fn transforms_of_component_or_chunk_are_applied() {
     assert!(set.read().unwrap().views[0].camera.position().distance(Vec3::new(1.0, 2.0, 3.0)) < 1e-6);
     let bad = |from: &str, to: &str| error("<cameras>", &format!("{}<cameras>", transform.replace(from, to)));
     assert_says(&bad(">2<", ">0<"), &["scale is 0"]);
-    assert_says(&bad("0 -1 0", "0 0 0"), &["line 12", "the transform is singular"]);
+    assert_says(&bad("0 -1 0", "0 0 0"), &["line 11", "the transform is singular"]);
     assert_says(&bad("10 20 30", "10 20"), &["<translation> has 2 numbers, not 3"]);
     assert_says(&bad("10 20 30", "1e300 0 0"), &["NaN or infinite"]);
 }
@@ -131,20 +138,23 @@ fn cameras_without_pose_are_left_out() {
 
 #[test]
 fn bad_values_are_named_with_their_lines() {
-    assert_says(&error("0 0 1 2", "0 0 x 2"), &["cameras.xml, line 15", "<transform> is not finite numbers"]);
-    assert_says(&error("0 0 1 2", "0 0 NaN 2"), &["line 15", "<transform> is not finite numbers"]);
-    assert_says(&error("0 0 1 2", "0 0 1"), &["line 15", "<transform> has 15 numbers, not 16"]);
-    assert_says(&error("0 0 1 2", "0 0 0 2"), &["line 15", "the camera's transform is singular"]);
-    assert_says(&error("0 0 1 2", "0 0 2 2"), &["line 15", "not rigid"]);
+    assert_says(&error("0 0 1 2", "0 0 x 2"), &["cameras.xml, line 13", "<transform> is not finite numbers"]);
+    assert_says(&error("0 0 1 2", "0 0 NaN 2"), &["line 13", "<transform> is not finite numbers"]);
+    assert_says(&error("0 0 1 2", "0 0 1"), &["line 13", "<transform> has 15 numbers, not 16"]);
+    assert_says(&error("0 0 1 2", "0 0 0 2"), &["line 13", "the camera's transform is singular"]);
+    assert_says(&error("0 0 1 2", "0 0 2 2"), &["line 13", "not rigid"]);
     assert_says(&error("<f>20</f>", ""), &["line 8", "no focal length <f>"]);
     assert_says(&error("<f>20</f>", "<f>-3</f>"), &["camera `a`", "focal length"]);
     assert_says(&error("<k1>-0.02", "<k1>inf"), &["line 8", "<k1> is not finite"]);
     assert_says(&error("<k1>", "<k4>0.1</k4><k1>"), &["line 8", "k4 is 0.1", "cannot be read"]);
-    assert_says(&error("calibration type=\"frame\"", "calibration type=\"fisheye\""), &["sensor 3", "type fisheye"]);
+    assert_says(
+        &error("calibration type=\"frame\"", "calibration type=\"fisheye\""),
+        &["sensor 3", "type fisheye"],
+    );
     assert_says(&error("width=\"12\"", "width=\"12.5\""), &["the width or the height is not a whole number"]);
-    assert_says(&error("sensor id=\"3\"", "sensor id=\"4\""), &["line 14", "no sensor 3"]);
+    assert_says(&error("sensor id=\"3\"", "sensor id=\"4\""), &["line 12", "no sensor 3"]);
     assert_says(&error("calibration", "kalibration"), &["line 5", "sensor 3 has no calibration"]);
-    assert_says(&error("label=\"a\"", "name=\"a\""), &["line 14", "no label"]);
+    assert_says(&error("label=\"a\"", "name=\"a\""), &["line 12", "no label"]);
     assert_says(&error("label=\"a\"", "label=\"c\""), &["images/c", "image is missing"]);
     assert_says(&error("</chunk>", "</chunk><chunk/>"), &["more than one chunk"]);
 }

@@ -30,6 +30,11 @@ fn physg_camera() -> Value {
     })
 }
 
+/// An EXR channel of this value where masks cover, the left four columns, and 0 elsewhere.
+fn on_black(value: f32) -> Vec<f32> {
+    (0..SIZE.0 * SIZE.1).map(|i| if i % SIZE.0 < 4 { value } else { 0.0 }).collect()
+}
+
 /// A PhySG data set of EXR images with PNG masks, and cameras that can be spoiled before they are written.
 struct PhySg {
     dir: TempDir,
@@ -45,8 +50,7 @@ impl PhySg {
         let mut set = Self { dir, cameras: serde_json::Map::new() };
         for i in 0..views {
             set.cameras.insert(format!("v_{i}.exr"), physg_camera());
-            let pixels = SIZE.0 * SIZE.1;
-            let channels = ["R", "G", "B"].map(|c| (c, vec![i as f32 + 0.5; pixels]));
+            let channels = ["R", "G", "B"].map(|c| (c, on_black(i as f32 + 0.5)));
             write_exr(&set.path(&format!("train/image/v_{i}.exr")), SIZE.0, SIZE.1, &channels);
             set.write_mask(i, |x, _| if x < 4 { 255 } else { 0 });
         }
@@ -158,7 +162,9 @@ fn mask_of(view: &ViewRecord) -> Mask {
 fn write_photograph(path: &Path, factor: u32) {
     let [width, height] = [SIZE.0 as u32 * factor, SIZE.1 as u32 * factor];
     fs::create_dir_all(path.parent().unwrap()).unwrap();
-    image::RgbImage::from_fn(width, height, |x, y| image::Rgb([90 + x as u8, 90 + y as u8, 90])).save(path).unwrap();
+    image::RgbImage::from_fn(width, height, |x, y| image::Rgb([90 + x as u8, 90 + y as u8, 90]))
+        .save(path)
+        .unwrap();
 }
 
 /// Writes a mask of [`SIZE`] that covers the left four columns.

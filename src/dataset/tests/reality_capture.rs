@@ -85,7 +85,7 @@ fn intrinsics_scale_with_the_longer_side() {
 fn distortion_is_undone_and_columns_may_stand_in_any_order() {
     let row = "\u{feff}#name,f,x,y,alt,heading,pitch,roll,k1";
     let dir = set(&[row, "a.jpg,18,0,0,5,0,0,0,-0.02"]);
-    let plan = reality_capture::plan(dir.path()).unwrap();
+    let plan = crate::dataset::reality_capture::plan(dir.path()).unwrap();
     assert_eq!(plan.views[0].lens.distortion, distortion::Distortion::brown_conrady([-0.02, 0.0, 0.0], [0.0; 2]));
     let dataset = read_all(dir.path()).unwrap();
     assert_says(&dataset.notes.join(" "), &["1 images in", "have no camera"]);
@@ -115,7 +115,7 @@ fn bad_lines_are_named() {
     assert_says(&error(&[HEADER, good, &good.replace("18", "")]), &[place, "f is ``"]);
     assert_says(&error(&[HEADER, good, &good.replace("18", "NaN")]), &[place, "f is NaN", "not finite"]);
     assert_says(&error(&[HEADER, good, &good.replace('5', "1e300")]), &[place, "too far away"]);
-    assert_says(&error(&[HEADER, good, &good.replace(",0,0,0,0,0,0", ",0,0,0,1,0,0")]), &[place, "k4 is 1", "Brown3"]);
+    assert_says(&error(&[HEADER, good, "b.jpg,0,0,5,0,0,0,18,0,0,0,0,0,1,0,0"]), &[place, "k4 is 1", "Brown3"]);
     assert_says(&error(&[HEADER, &good.replace("18", "-18")]), &["line 2", "focal length is -3"]);
     assert_says(&error(&[HEADER, good, good]), &["two views are called `a`", "line 2"]);
     assert_says(&error(&[HEADER, &good.replace("a.jpg", "c.jpg")]), &["c.jpg", "image is missing", "2 .jpg files"]);

@@ -4,7 +4,9 @@
 //! if cameras and masks are consistent. The point minimizes the sum of distances, so that a few wrong views do not affect it.
 
 use crate::error::{Error, Result};
-use crate::view::{Camera, StoredMask, ViewRecord};
+use crate::survey::finding::{Finding, named};
+use crate::survey::look::{Bounds, Look, MaskLook};
+use crate::view::Camera;
 use glam::{DMat3, DVec3, Vec3};
 
 /// Views with masks that a shape needs.
@@ -16,42 +18,50 @@ const MEETING_STEPS: usize = 30;
 const SELECT_HELP: &str = "Repair the mask, or leave the view out with `select`.";
 
 /// The bounding box of a mask in pixels, and the ray through its center.
-struct Outline<'a> {
+pub struct Outline<'a> {
     name: &'a str,
-    camera: &'a Camera,
-    /// First and one past the last covered pixel.
-    low: [f32; 2],
-    high: [f32; 2],
-    origin: DVec3,
-    direction: DVec3,
+    camera: Camera,
+    bounds: Bounds,
+    ray: Sight,
+    is_cut: bool,
+}
+
+/// A line of sight.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sight {
+    /// Where it starts.
+    pub origin: DVec3,
+    /// Its direction, of unit length.
+    pub direction: DVec3,
+}
+
+impl Sight {
+    /// Through a place of a camera's image, in pixels.
+    pub fn new(camera: &Camera, x: f32, y: f32) -> Self {
+        let ray = camera.ray(x, y);
+        Self { origin: ray.origin.as_dvec3(), direction: ray.direction.as_dvec3() }
+    }
 }
 
 impl<'a> Outline<'a> {
-    /// `None` if the mask is empty.
-    fn new(name: &'a str, camera: &'a Camera, mask: &StoredMask) -> Option<Self> {
-        let (mut low, mut high) = ([f32::INFINITY; 2], [0.0f32; 2]);
-        let [width, _] = mask.size();
-        for i in mask.window().pixels(width).filter(|i| mask.coverage(*i) >= 0.5) {
-            let at = [i as u32 % width, i as u32 / width];
-            for k in 0..2 {
-                low[k] = low[k].min(at[k] as f32);
-                high[k] = high[k].max(at[k] as f32 + 1.0);
-            }
-        }
-        let ray = camera.ray(0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]));
-        let (origin, direction) = (ray.origin.as_dvec3(), ray.direction.as_dvec3());
-        (high[0] > 0.0).then_some(Self { name, camera, low, high, origin, direction })
+    /// `None` if there is no mask, or it is empty.
+    pub fn new(look: &'a Look) -> Option<Self> {
+        let mask = look.mask.as_ref()?;
+        let Bounds { low, high } = mask.bounds?;
+        let ray = Sight::new(&look.camera, 0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]));
+        let (camera, bounds) = (look.camera, Bounds { low, high });
+        Some(Self { name: &look.name, camera, bounds, ray, is_cut: mask.is_cut(&camera) })
     }
 
-    fn is_cut(&self) -> bool {
-        let size = [self.camera.width as f32, self.camera.height as f32];
-        (0..2).any(|k| self.low[k] == 0.0 || self.high[k] == size[k])
+    /// The ray through the center of the box.
+    pub fn sight(&self) -> Sight {
+        self.ray
     }
 
     /// Half the shorter side of the box, as a length at the distance of `point`.
-    fn radius_at(&self, point: DVec3) -> f64 {
-        let halves = [0, 1].map(|k| 0.5 * (self.high[k] - self.low[k]) / self.camera.focal[k]);
-        f64::from(halves[0].min(halves[1])) * self.origin.distance(point)
+    pub fn radius_at(&self, point: DVec3) -> f64 {
+        let halves = [0, 1].map(|k| 0.5 * (self.bounds.high[k] - self.bounds.low[k]) / self.camera.focal[k]);
+        f64::from(halves[0].min(halves[1])) * self.ray.origin.distance(point)
     }
 
     /// Distance of the projection of `point` from the box, in sizes of the box; infinity behind the camera, 0 outside the frame.
@@ -62,36 +72,37 @@ impl<'a> Outline<'a> {
             return 0.0;
         }
         let beyond = |k: usize| {
-            let outside = (self.low[k] - at[k]).max(at[k] - self.high[k]).max(0.0);
-            outside / (self.high[k] - self.low[k] + 0.04 * size[k])
+            let outside = (self.bounds.low[k] - at[k]).max(at[k] - self.bounds.high[k]).max(0.0);
+            outside / (self.bounds.high[k] - self.bounds.low[k] + 0.04 * size[k])
         };
         beyond(0).max(beyond(1))
     }
 }
 
-/// Checks that the masks of the views are usable for reconstruction; the notes name views that are inconsistent with the others.
+/// Checks that the masks of the views are usable for reconstruction; a warning names views that are inconsistent with the others.
 ///
 /// # Errors
 /// [`Error::Usage`] that names a view and a remedy: fewer than three masks, a mask that is all covered, an object cut by every
 /// frame, views along one line, a camera inside the object, cameras that look away from it, or cameras and masks that are
 /// inconsistent.
-pub fn check_masks(views: &[&ViewRecord]) -> Result<Vec<String>> {
+pub fn check_masks(views: &[&Look]) -> Result<Option<Finding>> {
     let masks = || views.iter().filter_map(|view| Some((*view, view.mask.as_ref()?)));
     if masks().count() < MIN_VIEWS {
         return Err(too_few(views, masks().count()));
     }
-    if let Some((view, _)) = masks().find(|(_, mask)| mask.is_full()) {
+    let is_white = |mask: &MaskLook| mask.all_covered;
+    if let Some((view, _)) = masks().find(|(_, mask)| is_white(mask)) {
         let problem = format!("the mask of view `{}` is all white: it has no silhouette", view.name);
         return Err(Error::usage(problem, SELECT_HELP));
     }
-    let outlines: Vec<Outline> =
-        masks().filter_map(|(view, mask)| Outline::new(&view.name, &view.camera, mask)).collect();
-    if let (Some(first), true) = (outlines.first(), outlines.iter().all(Outline::is_cut)) {
+    let outlines: Vec<Outline> = views.iter().filter_map(|view| Outline::new(view)).collect();
+    if let (Some(first), true) = (outlines.first(), outlines.iter().all(|outline| outline.is_cut)) {
         let problem = format!("every frame cuts the object (the first is view `{}`)", first.name);
         let help = "A shape needs views that show the whole object: move the camera back, or remove other objects from the masks.";
         return Err(Error::usage(problem, help));
     }
-    let meeting = meeting_point(&outlines).ok_or_else(|| {
+    let sights: Vec<Sight> = outlines.iter().map(Outline::sight).collect();
+    let meeting = meeting_point(&sights).ok_or_else(|| {
         let problem = "all views look along one line: the distance of the object cannot be determined";
         Error::usage(problem, "Add views from other sides.")
     })?;
@@ -99,7 +110,7 @@ pub fn check_masks(views: &[&ViewRecord]) -> Result<Vec<String>> {
     strangers(&outlines, meeting)
 }
 
-fn too_few(views: &[&ViewRecord], masks: usize) -> Error {
+fn too_few(views: &[&Look], masks: usize) -> Error {
     let without = views.iter().find(|view| view.mask.is_none());
     let without = without.map_or(String::new(), |view| format!(" (view `{}` has none)", view.name));
     let problem = format!("a shape needs at least three views with masks; there are {masks}{without}");
@@ -108,17 +119,17 @@ fn too_few(views: &[&ViewRecord], masks: usize) -> Error {
 }
 
 /// The point with the least sum of distances to all rays; `None` if they are parallel.
-fn meeting_point(outlines: &[Outline]) -> Option<DVec3> {
-    let base = outlines.iter().map(|outline| outline.origin).sum::<DVec3>() / outlines.len() as f64;
-    let mut weights = vec![1.0; outlines.len()];
+pub fn meeting_point(sights: &[Sight]) -> Option<DVec3> {
+    let base = sights.iter().map(|sight| sight.origin).sum::<DVec3>() / sights.len() as f64;
+    let mut weights = vec![1.0; sights.len()];
     let mut point = DVec3::ZERO;
     for _ in 0..MEETING_STEPS {
         let (mut a, mut b) = (DMat3::ZERO, DVec3::ZERO);
-        for (outline, weight) in outlines.iter().zip(&weights) {
-            let d = outline.direction;
+        for (sight, weight) in sights.iter().zip(&weights) {
+            let d = sight.direction;
             let across = (DMat3::IDENTITY - DMat3::from_cols(d * d.x, d * d.y, d * d.z)) * *weight;
             a += across;
-            b += across * (outline.origin - base);
+            b += across * (sight.origin - base);
         }
         let total: f64 = weights.iter().sum();
         point = a.inverse() * b;
@@ -126,10 +137,8 @@ fn meeting_point(outlines: &[Outline]) -> Option<DVec3> {
         if !sound {
             return None;
         }
-        let distances: Vec<f64> = outlines
-            .iter()
-            .map(|outline| outline.direction.cross(point - (outline.origin - base)).length())
-            .collect();
+        let apart = |sight: &Sight| sight.direction.cross(point - (sight.origin - base)).length();
+        let distances: Vec<f64> = sights.iter().map(apart).collect();
         let floor = 1e-3 * distances.iter().sum::<f64>() / distances.len() as f64;
         weights = distances.iter().map(|distance| 1.0 / distance.max(floor).max(f64::MIN_POSITIVE)).collect();
         let largest = weights.iter().copied().fold(0.0, f64::max);
@@ -140,8 +149,10 @@ fn meeting_point(outlines: &[Outline]) -> Option<DVec3> {
 
 /// Checks that cameras look at the object, from outside.
 fn check_places(outlines: &[Outline], meeting: DVec3) -> Result<()> {
-    let behind: Vec<&Outline> =
-        outlines.iter().filter(|outline| outline.direction.dot(meeting - outline.origin) < 0.0).collect();
+    let behind: Vec<&Outline> = outlines
+        .iter()
+        .filter(|outline| outline.ray.direction.dot(meeting - outline.ray.origin) < 0.0)
+        .collect();
     if let (Some(first), true) = (behind.first(), 2 * behind.len() > outlines.len()) {
         let problem = format!(
             "{} of {} cameras look away from where their views meet (the first is view `{}`)",
@@ -156,11 +167,11 @@ fn check_places(outlines: &[Outline], meeting: DVec3) -> Result<()> {
     let mut radii: Vec<f64> = outlines.iter().map(|outline| outline.radius_at(meeting)).collect();
     radii.sort_by(f64::total_cmp);
     let radius = radii[radii.len() / 2];
-    match outlines.iter().find(|outline| outline.origin.distance(meeting) < 0.9 * radius) {
+    match outlines.iter().find(|outline| outline.ray.origin.distance(meeting) < 0.9 * radius) {
         None => Ok(()),
         Some(outline) => {
             let problem = format!("the camera of view `{}` is inside the object", outline.name);
-            let at = outline.origin;
+            let at = outline.ray.origin;
             let help = format!(
                 "It is at ({:.3}, {:.3}, {:.3}), the object around ({:.3}, {:.3}, {:.3}): correct the pose, or leave the \
                  view out with `select`.",
@@ -172,19 +183,20 @@ fn check_places(outlines: &[Outline], meeting: DVec3) -> Result<()> {
 }
 
 /// Views whose mask is far from the point on which the others agree.
-fn strangers(outlines: &[Outline], meeting: DVec3) -> Result<Vec<String>> {
+fn strangers(outlines: &[Outline], meeting: DVec3) -> Result<Option<Finding>> {
     let point = meeting.as_vec3();
     let far = outlines.iter().map(|outline| (outline.stray(point), outline.name)).filter(|far| far.0 > 0.5);
     let mut far: Vec<(f32, &str)> = far.collect();
     far.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(b.1)));
-    let Some(worst) = far.first() else { return Ok(Vec::new()) };
+    let Some(worst) = far.first() else { return Ok(None) };
     let (count, all, name) = (far.len(), outlines.len(), worst.1);
     if count as f64 <= FORGIVEN * all as f64 {
-        let names: Vec<&str> = far.iter().map(|far| far.1).collect();
-        let names = names.join(", ");
-        return Ok(vec![format!(
-            "mask or camera of {names} disagrees with the other views; the shape ignores it"
-        )]);
+        let names: Vec<String> = far.iter().map(|far| far.1.to_owned()).collect();
+        let problem = format!(
+            "mask or camera disagrees with the other views in {}; the shape ignores it",
+            named(&names)
+        );
+        return Ok(Some(Finding::warning("stray-view", names, problem, SELECT_HELP)));
     }
     let problem = format!(
         "cameras and masks are inconsistent: in {count} of {all} views the place where the others see the object \
@@ -197,39 +209,42 @@ fn strangers(outlines: &[Outline], meeting: DVec3) -> Result<Vec<String>> {
 mod tests {
     use super::*;
     use crate::math::fibonacci::fibonacci_axes;
-    use crate::view::Mask;
-    use crate::view::Split;
+    use crate::survey::look::{MaskSource, OpenView};
+    use crate::view::{Mask, Split};
 
     const SIDE: u32 = 64;
 
     /// Views of a ball of radius 1 around `center`, times `scale`.
-    fn ball(center: Vec3, scale: f32, count: usize) -> Vec<ViewRecord> {
+    fn ball(center: Vec3, scale: f32, count: usize) -> Vec<OpenView> {
         let view = |(i, axis): (usize, Vec3)| {
             let up = if axis.y.abs() > 0.9 { Vec3::X } else { Vec3::Y };
             let camera = Camera::look_at((center + 4.0 * axis) * scale, center * scale, up, 40.0, SIDE, SIDE);
             let name = format!("v{i}");
-            ViewRecord { name, split: Split::Train, camera: camera.unwrap(), photograph: None, mask: None }
+            OpenView { name, split: Split::Train, camera: camera.unwrap(), photograph: None, mask: None }
         };
-        let mut views: Vec<ViewRecord> = fibonacci_axes(count).into_iter().enumerate().map(view).collect();
+        let mut views: Vec<OpenView> = fibonacci_axes(count).into_iter().enumerate().map(view).collect();
         views.iter_mut().for_each(|view| view.mask = Some(disk([32.0, 32.0], 22.0)));
         views
     }
 
-    fn disk(center: [f32; 2], radius: f32) -> StoredMask {
+    fn disk(center: [f32; 2], radius: f32) -> Mask {
         let covered = |i: u32| {
             let (x, y) = ((i % SIDE) as f32 + 0.5 - center[0], (i / SIDE) as f32 + 0.5 - center[1]);
             if x * x + y * y < radius * radius { 1.0 } else { 0.0 }
         };
-        let coverage = (0..SIDE * SIDE).map(covered).collect();
-        StoredMask::new(&Mask { width: SIDE, height: SIDE, coverage })
+        Mask { width: SIDE, height: SIDE, coverage: (0..SIDE * SIDE).map(covered).collect() }
     }
 
-    fn check(views: &[ViewRecord]) -> Result<Vec<String>> {
-        check_masks(&views.iter().collect::<Vec<_>>())
+    fn check(views: &[OpenView]) -> Result<Option<Finding>> {
+        let look = |view: &OpenView| {
+            Look::new(view, [view.camera.width, view.camera.height], MaskSource::File, false)
+        };
+        let looks: Vec<Look> = views.iter().map(look).collect();
+        check_masks(&looks.iter().collect::<Vec<_>>())
     }
 
     #[track_caller]
-    fn refused(views: &[ViewRecord], words: &[&str]) {
+    fn refused(views: &[OpenView], words: &[&str]) {
         let error = check(views).unwrap_err();
         assert_eq!(error.exit_code(), 2);
         let text = format!("{error} | {}", error.help().unwrap());
@@ -241,14 +256,14 @@ mod tests {
         for (center, scale) in
             [(Vec3::ZERO, 1.0), (Vec3::new(50.0, -20.0, 30.0), 1000.0), (Vec3::splat(40.0), 1e-3)]
         {
-            assert!(check(&ball(center, scale, 20)).unwrap().is_empty());
+            assert_eq!(check(&ball(center, scale, 20)).unwrap(), None);
         }
     }
 
     #[test]
     fn masks_that_say_nothing_are_named() {
         let mut views = ball(Vec3::ZERO, 1.0, 12);
-        views[5].mask = Some(disk([32.0, 32.0], 100.0));
+        views[5].mask.as_mut().unwrap().coverage.fill(1.0);
         refused(&views, &["`v5`", "all white", "select"]);
         refused(&views[..2], &["at least three views", "there are 2"]);
         views.iter_mut().skip(2).for_each(|view| view.mask = None);
@@ -279,7 +294,7 @@ mod tests {
             (rotation.y_axis, rotation.z_axis) = (-rotation.y_axis, -rotation.z_axis);
         }
         refused(&views, &["24 of 24 cameras look away", "camera axes"]);
-        let same: Vec<ViewRecord> = vec![views[0].clone(); 5];
+        let same: Vec<OpenView> = vec![views[0].clone(); 5];
         refused(&same, &["along one line", "other sides"]);
     }
 
@@ -290,7 +305,10 @@ mod tests {
         refused(&views, &["1 of 24 views", "view `v9` is farthest off"]);
         let mut many = ball(Vec3::ZERO, 1.0, 60);
         many[9].mask = Some(disk([8.0, 8.0], 5.0));
-        let notes = check(&many).unwrap();
-        assert!(notes.len() == 1 && notes[0].contains("of v9 disagrees"), "{notes:?}");
+        let stray = check(&many).unwrap().unwrap();
+        assert!(
+            stray.views == ["v9"] && stray.problem.contains("disagrees with the other views"),
+            "{stray:?}"
+        );
     }
 }

@@ -1,0 +1,141 @@
+//! Reading headers and samples of all formats.
+
+use crate::codec::exr::{decode_exr_picture, exr_header};
+use crate::codec::file::open;
+use crate::codec::hdr::RadianceReader;
+use crate::codec::image::format::{Format, damaged, recognize};
+use crate::codec::image::header::{ImageHeader, Orientation, check_bytes, check_pixels};
+use crate::codec::image::samples::{Decoded, Samples};
+use crate::codec::image::{jpeg_file, tiff_file, webp_file};
+use crate::codec::nearby::missing_file_help;
+use crate::error::{Error, Result};
+use image::codecs::png::PngDecoder;
+use image::metadata::Orientation as ExifOrientation;
+use image::{DynamicImage, ImageDecoder, Limits};
+use std::fs::File;
+use std::io::{BufRead, BufReader, Seek};
+use std::path::Path;
+
+/// Bytes that the chunks of a PNG beside its pixels may have.
+const MOST_CHUNK_BYTES: u64 = 1 << 26;
+
+/// Reads the header of an image file, and checks format and size. No pixels are decoded.
+///
+/// # Errors
+/// [`Error::Input`] if the file is missing, empty, in a format that is not read (with the tool that converts it), not in the
+/// format that its name says, or damaged so that its header cannot be read; also if the declared size is above
+/// [`MOST_PIXELS`], or more than a file of so few bytes can hold.
+pub fn image_header(path: impl AsRef<Path>) -> Result<ImageHeader> {
+    let path = path.as_ref();
+    read_header(path, &mut open(path, missing_file_help)?)
+}
+
+/// [`image_header`] of a file at its beginning.
+pub(super) fn read_header(path: &Path, file: &mut BufReader<File>) -> Result<ImageHeader> {
+    let file_bytes = file.get_ref().metadata().map_err(Error::io("read", path))?.len();
+    let start = file.fill_buf().map_err(Error::io("read", path))?;
+    let format = recognize(path, start)?;
+    let header = match format {
+        Format::Png => png_header(path, file)?,
+        Format::Jpeg => jpeg_file::header(path, file)?,
+        Format::Tiff => tiff_file::header(path, file)?,
+        Format::Webp => webp_file::header(path, file, file_bytes)?,
+        Format::Exr => {
+            let of = exr_header(path, file)?;
+            let (width, height, channels, bits) = (of.width, of.height, of.channels, of.bits);
+            ImageHeader { format, width, height, channels, bits, is_float: true, exif: 1 }
+        }
+        Format::Hdr => {
+            let reader = RadianceReader::new(file).map_err(|problem| damaged(path, format, &problem))?;
+            let [width, height] = reader.size.map(|side| u32::try_from(side).unwrap_or(u32::MAX));
+            ImageHeader { format, width, height, channels: 3, bits: 32, is_float: true, exif: 1 }
+        }
+    };
+    check_pixels(path, format, [header.width, header.height])?;
+    check_bytes(path, &header, file_bytes)?;
+    Ok(header)
+}
+
+/// Reads the pixels of an image file as they are stored: nothing is converted to floats, and nothing is linearized.
+///
+/// # Errors
+/// Those of [`image_header`], and [`Error::Input`] if the pixels are damaged or truncated.
+pub fn decode_samples(path: impl AsRef<Path>, orientation: Orientation) -> Result<Decoded> {
+    let path = path.as_ref();
+    let mut file = open(path, missing_file_help)?;
+    let header = read_header(path, &mut file)?;
+    file.rewind().map_err(Error::io("read", path))?;
+    let samples = match header.format {
+        Format::Png => {
+            let wrong = |error: image::ImageError| damaged(path, header.format, &error.to_string());
+            let decoded = png_decoder(file).and_then(DynamicImage::from_decoder).map_err(wrong)?;
+            integers(path, &header, decoded)?
+        }
+        Format::Jpeg => integers(path, &header, jpeg_file::decode(path, &mut file)?)?,
+        Format::Tiff => tiff_file::decode(path, file, &header)?,
+        Format::Webp => Samples::Bytes8(webp_file::decode(path, &mut file, &header)?),
+        Format::Exr => Samples::Floats(decode_exr_picture(path, file)?.1),
+        Format::Hdr => Samples::Floats(decode_hdr(path, file)?),
+    };
+    let decoded = Decoded { header, width: header.width, height: header.height, samples };
+    Ok(match orientation {
+        Orientation::AsStored => decoded,
+        Orientation::Upright => decoded.upright(),
+    })
+}
+
+fn integers(path: &Path, header: &ImageHeader, decoded: DynamicImage) -> Result<Samples> {
+    let samples = match decoded {
+        DynamicImage::ImageLuma8(image) => Samples::Bytes8(image.into_raw()),
+        DynamicImage::ImageLumaA8(image) => Samples::Bytes8(image.into_raw()),
+        DynamicImage::ImageRgb8(image) => Samples::Bytes8(image.into_raw()),
+        DynamicImage::ImageRgba8(image) => Samples::Bytes8(image.into_raw()),
+        DynamicImage::ImageLuma16(image) => Samples::Words16(image.into_raw()),
+        DynamicImage::ImageLumaA16(image) => Samples::Words16(image.into_raw()),
+        DynamicImage::ImageRgb16(image) => Samples::Words16(image.into_raw()),
+        other => Samples::Words16(other.into_rgba16().into_raw()),
+    };
+    if samples.count() as u64 != u64::from(header.width) * u64::from(header.height) * header.channels as u64 {
+        return Err(damaged(path, header.format, "its pixels are not those that its header declares"));
+    }
+    Ok(samples)
+}
+
+fn decode_hdr(path: &Path, file: BufReader<File>) -> Result<Vec<f32>> {
+    let wrong = |problem: String| damaged(path, Format::Hdr, &problem);
+    let mut reader = RadianceReader::new(file).map_err(wrong)?;
+    let [width, height] = reader.size;
+    let mut samples = vec![0.0; 3 * width * height];
+    for row in samples.chunks_exact_mut(3 * width) {
+        let texel = |x: usize, value: glam::Vec3| row[3 * x..3 * x + 3].copy_from_slice(&value.to_array());
+        reader.scanline(texel).map_err(wrong)?;
+    }
+    Ok(samples)
+}
+
+fn png_header(path: &Path, file: &mut BufReader<File>) -> Result<ImageHeader> {
+    // The decoder takes memory for a row: the size is checked before.
+    let start = file.fill_buf().map_err(Error::io("read", path))?;
+    let Some(&[w3, w2, w1, w0, h3, h2, h1, h0]) = start.get(16..24).and_then(|size| size.first_chunk())
+    else {
+        return Err(damaged(path, Format::Png, "it ends in its header"));
+    };
+    let size = [u32::from_be_bytes([w3, w2, w1, w0]), u32::from_be_bytes([h3, h2, h1, h0])];
+    check_pixels(path, Format::Png, size)?;
+    let wrong = |error: image::ImageError| damaged(path, Format::Png, &error.to_string());
+    let mut decoder = png_decoder(file).map_err(wrong)?;
+    let (width, height) = decoder.dimensions();
+    let color = decoder.color_type();
+    let channels = usize::from(color.channel_count());
+    let bits = u32::from(color.bytes_per_pixel()) * 8 / channels as u32;
+    // With a damaged EXIF block, pixels stay as they are stored.
+    let exif = decoder.orientation().map_or(1, ExifOrientation::to_exif);
+    Ok(ImageHeader { format: Format::Png, width, height, channels, bits, is_float: false, exif })
+}
+
+/// A decoder of a PNG, with a bound on what its other chunks may take.
+fn png_decoder<R: BufRead + Seek>(source: R) -> image::ImageResult<PngDecoder<R>> {
+    let mut limits = Limits::no_limits();
+    limits.max_alloc = Some(MOST_CHUNK_BYTES);
+    PngDecoder::with_limits(source, limits)
+}

@@ -1,0 +1,163 @@
+//! Formats of image files: by their first bytes, by their names, and what to do with those that are not read.
+
+use crate::error::{Error, Result};
+use std::path::Path;
+
+/// File formats that can be read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Format {
+    /// PNG, 8 or 16 bit, or fewer.
+    Png,
+    /// JPEG, 8 bit.
+    Jpeg,
+    /// TIFF, 8 or 16 bit, or float.
+    Tiff,
+    /// WebP, lossy or lossless.
+    Webp,
+    /// OpenEXR.
+    Exr,
+    /// Radiance HDR.
+    Hdr,
+}
+
+/// Extensions of image files that can be read, in the order in which they are tried.
+pub const IMAGE_EXTENSIONS: [&str; 8] = ["exr", "png", "jpg", "jpeg", "tif", "tiff", "webp", "hdr"];
+
+/// Extensions of cameras' RAW files. Most of these are TIFF inside, whose first picture is a preview.
+const RAW_EXTENSIONS: [&str; 22] = [
+    "3fr", "arw", "cr2", "cr3", "crw", "dcr", "dng", "erf", "iiq", "kdc", "mrw", "nef", "nrw", "orf", "pef",
+    "raf", "rw2", "rwl", "sr2", "srf", "srw", "x3f",
+];
+
+/// First bytes of cameras' RAW files that are no TIFF, and of those that say so within TIFF.
+const RAW_STARTS: [(usize, &[u8]); 9] = [
+    (8, b"CR\x02\0"),
+    (0, b"FUJIFILMCCD-RAW"),
+    (0, b"IIRO"),
+    (0, b"IIRS"),
+    (0, b"MMOR"),
+    (0, b"IIU\0"),
+    (0, b"FOVb"),
+    (6, b"HEAPCCDR"),
+    (4, b"ftypcrx "),
+];
+
+const STARTS: [(usize, &[u8], Format); 10] = [
+    (0, b"\x89PNG\r\n\x1a\n", Format::Png),
+    (0, b"\xff\xd8\xff", Format::Jpeg),
+    (0, b"II*\0", Format::Tiff),
+    (0, b"MM\0*", Format::Tiff),
+    (0, b"II+\0", Format::Tiff),
+    (0, b"MM\0+", Format::Tiff),
+    (8, b"WEBPVP8", Format::Webp),
+    (0, b"\x76\x2f\x31\x01", Format::Exr),
+    (0, b"#?RADIANCE", Format::Hdr),
+    (0, b"#?RGBE", Format::Hdr),
+];
+
+const MAGICK: &str = "Convert it, e.g. with ImageMagick: `magick FILE FILE.png`.";
+const HEIC: &str = "Convert all of them with `heif-convert FILE.heic FILE.jpg`, or set the camera to JPEG.";
+
+/// What else is often found: the first bytes, the name, and what to do.
+const FOREIGN: [(usize, &[u8], &str, &str); 17] = [
+    (4, b"ftypavi", "an AVIF", "Convert it with `avifdec FILE.avif FILE.png`."),
+    (4, b"ftyphe", "a HEIC", HEIC),
+    (4, b"ftypmif1", "a HEIC", HEIC),
+    (4, b"ftypmsf1", "a HEIC", HEIC),
+    (4, b"ftyp", "a video", "Take its frames with `ffmpeg -i FILE -qscale:v 2 images/%04d.jpg`."),
+    (0, b"\0\0\0\x0cJXL ", "a JPEG XL", "Convert it with `djxl FILE.jxl FILE.png`."),
+    (0, b"\xff\x0a", "a JPEG XL", "Convert it with `djxl FILE.jxl FILE.png`."),
+    (0, b"\0\0\0\x0cjP  ", "a JPEG 2000", MAGICK),
+    (0, b"GIF8", "a GIF", MAGICK),
+    (0, b"BM", "a BMP", MAGICK),
+    (0, b"8BPS", "a Photoshop document", MAGICK),
+    (0, b"P5", "a PGM", MAGICK),
+    (0, b"P6", "a PPM", MAGICK),
+    (0, b"PF", "a PFM", MAGICK),
+    (0, b"qoif", "a QOI", MAGICK),
+    (0, b"<", "a web page or other text", "Fetch the file again: a server's answer was saved in its place."),
+    (0, b"version https://git-lfs", "a Git LFS pointer", "Fetch the files themselves with `git lfs pull`."),
+];
+
+fn starts(bytes: &[u8], at: usize, with: &[u8]) -> bool {
+    bytes.get(at..).is_some_and(|rest| rest.starts_with(with))
+}
+
+fn extension(path: &Path) -> Option<String> {
+    Some(path.extension()?.to_str()?.to_ascii_lowercase())
+}
+
+impl Format {
+    fn from_bytes(bytes: &[u8]) -> Option<Self> {
+        STARTS.iter().find(|(at, start, _)| starts(bytes, *at, start)).map(|&(.., format)| format)
+    }
+
+    fn from_extension(path: &Path) -> Option<Self> {
+        match extension(path)?.as_str() {
+            "png" => Some(Self::Png),
+            "jpg" | "jpeg" => Some(Self::Jpeg),
+            "tif" | "tiff" => Some(Self::Tiff),
+            "webp" => Some(Self::Webp),
+            "exr" => Some(Self::Exr),
+            "hdr" | "pic" => Some(Self::Hdr),
+            _ => None,
+        }
+    }
+
+    /// "a PNG", for messages.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Png => "a PNG",
+            Self::Jpeg => "a JPEG",
+            Self::Tiff => "a TIFF",
+            Self::Webp => "a WebP",
+            Self::Exr => "an OpenEXR",
+            Self::Hdr => "a Radiance HDR",
+        }
+    }
+}
+
+/// The format of a file with these first bytes.
+///
+/// # Errors
+/// [`Error::Input`] with what to do if the file is in another format, a camera's RAW file, or named as another format.
+pub(super) fn recognize(path: &Path, start: &[u8]) -> Result<Format> {
+    let format = Format::from_bytes(start);
+    let is_named_raw = extension(path).is_some_and(|name| RAW_EXTENSIONS.contains(&name.as_str()));
+    let is_raw = RAW_STARTS.iter().any(|(at, magic)| starts(start, *at, magic));
+    if is_raw || (is_named_raw && matches!(format, None | Some(Format::Tiff))) {
+        return Err(raw(path));
+    }
+    let Some(format) = format else {
+        let foreign = FOREIGN.iter().find(|(at, magic, ..)| starts(start, *at, magic));
+        return Err(match foreign {
+            Some((_, _, name, help)) => {
+                Error::input(path, "", format!("this is {name}, which is not read"), *help)
+            }
+            None => {
+                let problem = "the contents are neither PNG, JPEG, TIFF, WebP, OpenEXR nor Radiance HDR";
+                Error::input(path, "", problem, "Convert the image to one of these, or copy it again.")
+            }
+        });
+    };
+    if let Some(named) = Format::from_extension(path)
+        && named != format
+    {
+        let problem = format!("the file is named as {} but holds {}", named.name(), format.name());
+        return Err(Error::input(path, "", problem, "Rename it, or convert it to what its name says."));
+    }
+    Ok(format)
+}
+
+/// The error for a camera's RAW file.
+pub(super) fn raw(path: &Path) -> Error {
+    let help = "Develop all of them with the same settings to 16-bit TIFF: with `darktable-cli`, or with \
+                `dcraw -w -4 -T FILE`, whose values are linear (say `gamma: Linear`).";
+    Error::input(path, "", "this is a camera's RAW file, which is not read", help)
+}
+
+/// The error for a file that is damaged; `what` is "a PNG", `why` a clause.
+pub(super) fn damaged(path: &Path, format: Format, why: &str) -> Error {
+    let problem = format!("{} that is damaged or truncated: {why}", format.name());
+    Error::input(path, "", problem, "Copy or convert the file again.")
+}

@@ -1,0 +1,175 @@
+//! TIFF: gray and RGB with and without alpha, 8 and 16 bit and float.
+
+use crate::codec::exr::MAX_DECODED_BYTES;
+use crate::codec::image::format::{Format, damaged, raw};
+use crate::codec::image::header::ImageHeader;
+use crate::codec::image::samples::Samples;
+use crate::error::{Error, Result};
+use std::io::{Read, Seek};
+use std::num::NonZeroUsize;
+use std::path::Path;
+use tiff::ColorType;
+use tiff::TiffError;
+use tiff::decoder::{Decoder, DecodingResult, Limits};
+use tiff::tags::{ExtraSamples, SampleFormat, Tag};
+
+/// Version of DNG, in its files alone.
+const DNG_VERSION: Tag = Tag::Unknown(50_706);
+
+/// How the samples of a TIFF are to be understood.
+struct SampleLayout {
+    channels: usize,
+    bits: u8,
+    is_float: bool,
+    /// Whether alpha, if any, has been multiplied into the colors.
+    is_premultiplied: bool,
+}
+
+fn wrong(path: &Path, error: &TiffError) -> Error {
+    match error {
+        TiffError::UnsupportedError(what) => unsupported(path, &what.to_string()),
+        other => damaged(path, Format::Tiff, &other.to_string()),
+    }
+}
+
+fn unsupported(path: &Path, what: &str) -> Error {
+    let help = "Save it as RGB or gray of 8 or 16 bits or floats, without compression or with LZW or Deflate. \
+                Develop a camera's RAW file first.";
+    Error::input(path, "", format!("this kind of TIFF is not read: {what}"), help)
+}
+
+fn open<R: Read + Seek>(path: &Path, source: R) -> Result<Decoder<R>> {
+    let mut limits = Limits::default();
+    limits.decoding_buffer_size = MAX_DECODED_BYTES;
+    limits.intermediate_buffer_size = MAX_DECODED_BYTES;
+    Ok(Decoder::new(source).map_err(|error| wrong(path, &error))?.with_limits(limits))
+}
+
+fn layout<R: Read + Seek>(path: &Path, decoder: &mut Decoder<R>) -> Result<SampleLayout> {
+    let wrong = |error: TiffError| wrong(path, &error);
+    let is_reduced = decoder.find_tag_unsigned(Tag::NewSubfileType).map_err(wrong)?.unwrap_or(0u32) & 1 == 1;
+    if is_reduced || decoder.find_tag(DNG_VERSION).map_err(wrong)?.is_some() {
+        return Err(raw(path));
+    }
+    let color = decoder.colortype().map_err(wrong)?;
+    let channels = match color {
+        ColorType::Gray(_) => 1,
+        ColorType::Multiband { num_samples: 2, .. } => 2,
+        ColorType::RGB(_) => 3,
+        ColorType::RGBA(_) => 4,
+        other => return Err(unsupported(path, &format!("its colors are {other:?}"))),
+    };
+    let formats: Vec<u16> =
+        decoder.find_tag_unsigned_vec(Tag::SampleFormat).map_err(wrong)?.unwrap_or_default();
+    let format = formats.first().map_or(SampleFormat::Uint, |&code| SampleFormat::from_u16_exhaustive(code));
+    let bits = color.bit_depth();
+    let is_float = match (format, bits) {
+        (SampleFormat::Uint, 8 | 16) => false,
+        (SampleFormat::Uint, 1 | 2 | 4) if channels == 1 => false,
+        (SampleFormat::IEEEFP, 16 | 32 | 64) => true,
+        _ => return Err(unsupported(path, &format!("its samples are {format:?} of {bits} bits"))),
+    };
+    let extra: Vec<u16> =
+        decoder.find_tag_unsigned_vec(Tag::ExtraSamples).map_err(wrong)?.unwrap_or_default();
+    let is_premultiplied = extra.first() == Some(&ExtraSamples::AssociatedAlpha.to_u16());
+    Ok(SampleLayout { channels, bits, is_float, is_premultiplied })
+}
+
+/// Reads the header of a TIFF at its beginning.
+pub(super) fn header(path: &Path, source: impl Read + Seek) -> Result<ImageHeader> {
+    let mut decoder = open(path, source)?;
+    let SampleLayout { channels, bits, is_float, .. } = layout(path, &mut decoder)?;
+    let (width, height) = decoder.dimensions().map_err(|error| wrong(path, &error))?;
+    let exif =
+        decoder.find_tag_unsigned(Tag::Orientation).ok().flatten().filter(|exif| (1..=8).contains(exif));
+    let bits = u32::from(bits).clamp(8, 32);
+    let format = Format::Tiff;
+    Ok(ImageHeader { format, width, height, channels, bits, is_float, exif: exif.unwrap_or(1) })
+}
+
+/// Decodes a TIFF at its beginning, which has this header.
+pub(super) fn decode(path: &Path, source: impl Read + Seek, header: &ImageHeader) -> Result<Samples> {
+    let mut decoder = open(path, source)?;
+    let SampleLayout { channels, bits, is_float, is_premultiplied } = layout(path, &mut decoder)?;
+    let mut result = DecodingResult::U8(Vec::new());
+    let read = decoder.read_image_to_buffer(&mut result).map_err(|error| wrong(path, &error))?;
+    let pixels = header.width as usize * header.height as usize;
+    let plane = read.plane_stride.filter(|_| read.planes > 1);
+    let samples = match result {
+        DecodingResult::U8(packed) if bits < 8 => Samples::Bytes8(unpacked(&packed, header.width, bits)),
+        DecodingResult::U8(samples) => Samples::Bytes8(interleaved(samples, plane, 1, channels)),
+        DecodingResult::U16(samples) => Samples::Words16(interleaved(samples, plane, 2, channels)),
+        DecodingResult::F32(samples) => Samples::Floats(interleaved(samples, plane, 4, channels)),
+        DecodingResult::F16(samples) => {
+            let samples = samples.into_iter().map(|sample| sample.to_f32()).collect();
+            Samples::Floats(interleaved(samples, plane, 2, channels))
+        }
+        DecodingResult::F64(samples) => {
+            let samples = samples.into_iter().map(|sample| sample as f32).collect();
+            Samples::Floats(interleaved(samples, plane, 8, channels))
+        }
+        _ => return Err(unsupported(path, "its samples are signed or wider than 16 bits")),
+    };
+    if samples.count() != pixels * channels {
+        return Err(damaged(path, Format::Tiff, "it has fewer samples than its header declares"));
+    }
+    let has_alpha = channels.is_multiple_of(2);
+    Ok(if has_alpha && is_premultiplied != is_float { with_usual_alpha(samples, channels) } else { samples })
+}
+
+/// Samples of separate planes side by side; `plane` is the size of one, `bytes` that of a sample in the file.
+fn interleaved<T: Copy>(
+    samples: Vec<T>,
+    plane: Option<NonZeroUsize>,
+    bytes: usize,
+    channels: usize,
+) -> Vec<T> {
+    let Some(plane) = plane.map(|plane| plane.get() / bytes) else { return samples };
+    let whole = samples.len() >= plane * channels;
+    let pixels = if whole { plane } else { 0 };
+    (0..pixels)
+        .flat_map(|i| (0..channels).map(move |channel| channel * plane + i))
+        .map(|i| samples[i])
+        .collect()
+}
+
+/// Gray samples of 1, 2 or 4 bits, whose rows begin at whole bytes, as bytes.
+fn unpacked(packed: &[u8], width: u32, bits: u8) -> Vec<u8> {
+    let (width, bits) = (width as usize, usize::from(bits));
+    let top = (1u8 << bits) - 1;
+    let sample = |row: &[u8], x: usize| {
+        let at = x * bits;
+        (row[at / 8] >> (8 - bits - at % 8) & top) * (255 / top)
+    };
+    let rows = packed.chunks_exact((width * bits).div_ceil(8));
+    rows.flat_map(|row| (0..width).map(move |x| sample(row, x))).collect()
+}
+
+/// Integers with alpha multiplied in, without; floats without, with.
+fn with_usual_alpha(samples: Samples, channels: usize) -> Samples {
+    fn straight<T: Copy + Into<u32> + TryFrom<u32>>(
+        mut samples: Vec<T>,
+        channels: usize,
+        top: u32,
+    ) -> Vec<T> {
+        for pixel in samples.chunks_exact_mut(channels) {
+            let alpha: u32 = pixel[channels - 1].into();
+            for color in &mut pixel[..channels - 1] {
+                let value = ((*color).into() * top + alpha / 2).checked_div(alpha).unwrap_or(0).min(top);
+                *color = T::try_from(value).unwrap_or(*color);
+            }
+        }
+        samples
+    }
+    match samples {
+        Samples::Bytes8(samples) => Samples::Bytes8(straight(samples, channels, 255)),
+        Samples::Words16(samples) => Samples::Words16(straight(samples, channels, 65_535)),
+        Samples::Floats(mut samples) => {
+            for pixel in samples.chunks_exact_mut(channels) {
+                let alpha = pixel[channels - 1];
+                pixel[..channels - 1].iter_mut().for_each(|color| *color *= alpha);
+            }
+            Samples::Floats(samples)
+        }
+    }
+}

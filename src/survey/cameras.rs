@@ -1,0 +1,173 @@
+//! How cameras lie around the object: on a sphere, a hemisphere, rings, or on one side.
+
+use crate::survey::look::Look;
+use crate::survey::meeting::{Outline, Sight, meeting_point};
+use glam::{Mat3, Vec3};
+use serde::Serialize;
+
+/// Largest difference of elevations in one ring of cameras, degrees.
+const RING_DEGREES: f32 = 6.0;
+/// Cameras that a ring has at least.
+const RING_CAMERAS: usize = 6;
+/// Rings that a capture may have to count as made of rings.
+const MOST_RINGS: usize = 3;
+/// Largest gap between neighbors of a ring, degrees.
+const RING_GAP_DEGREES: f32 = 75.0;
+/// Largest gap in azimuth of cameras that are all around the object, degrees.
+const AROUND_GAP_DEGREES: f32 = 100.0;
+/// Elevations beyond which the object is seen from above and from below, degrees.
+const ABOVE_DEGREES: f32 = 40.0;
+const BELOW_DEGREES: f32 = -20.0;
+
+/// The kind of an arrangement.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Kind {
+    /// Circles around one axis, at one to three heights.
+    Rings(usize),
+    /// All around, from above and below.
+    Sphere,
+    /// All around, also from above.
+    Hemisphere,
+    /// All around, neither from above nor below.
+    Belt,
+    /// A side is not seen.
+    OneSide,
+}
+
+/// How the cameras lie.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Arrangement {
+    /// What they look like together.
+    pub kind: Kind,
+    /// What they look at, in world units.
+    pub target: Vec3,
+    /// The axis of rings, else the data's up direction; of unit length.
+    pub axis: Vec3,
+    /// Lowest and highest elevation above the plane through the target across `axis`, in degrees.
+    pub elevation_degrees: [f32; 2],
+    /// The largest gap between azimuths around `axis`, in degrees.
+    pub azimuth_gap_degrees: f32,
+    /// The least and the greatest distance from the target, in world units.
+    pub distance: [f32; 2],
+}
+
+impl Arrangement {
+    /// Of the cameras of `looks` around `center` if it is known, else around the point they look at. `None` without a camera apart
+    /// from that point.
+    pub fn new(looks: &[Look], center: Option<Vec3>, up: Vec3) -> Option<Self> {
+        let target = center.or_else(|| target(looks)).filter(|target| target.is_finite())?;
+        let offsets: Vec<Vec3> = looks.iter().map(|look| look.camera.position() - target).collect();
+        let directions: Vec<Vec3> = offsets.iter().filter_map(|offset| offset.try_normalize()).collect();
+        if directions.is_empty() {
+            return None;
+        }
+        let up = up.try_normalize().unwrap_or(Vec3::Y);
+        let rings = ring_axis(&directions, up).and_then(|axis| Some((count_rings(&directions, axis)?, axis)));
+        let axis = rings.map_or(up, |rings| rings.1);
+        let elevations: Vec<f32> = directions.iter().map(|direction| elevation(*direction, axis)).collect();
+        let elevation_degrees = range(&elevations);
+        let gap = largest_gap(&directions, axis);
+        let distances: Vec<f32> = offsets.iter().map(|offset| offset.length()).collect();
+        let kind = match rings {
+            Some((count, _)) => Kind::Rings(count),
+            None if gap > AROUND_GAP_DEGREES => Kind::OneSide,
+            None if elevation_degrees[1] < ABOVE_DEGREES => Kind::Belt,
+            None if elevation_degrees[0] < BELOW_DEGREES => Kind::Sphere,
+            None => Kind::Hemisphere,
+        };
+        let distance = range(&distances);
+        Some(Self { kind, target, axis, elevation_degrees, azimuth_gap_degrees: gap, distance })
+    }
+
+    /// "hemisphere: elevation −3° to 88°, widest gap 14°, distance 4.03 to 4.1".
+    pub fn words(&self) -> String {
+        let kind = match self.kind {
+            Kind::Rings(1) => "one ring".to_owned(),
+            Kind::Rings(count) => format!("{count} rings"),
+            Kind::Sphere => "all around, from above and below".to_owned(),
+            Kind::Hemisphere => "all around and from above".to_owned(),
+            Kind::Belt => "all around, near one height".to_owned(),
+            Kind::OneSide => "from one side".to_owned(),
+        };
+        let ([low, high], [near, far]) = (self.elevation_degrees, self.distance);
+        let gap = self.azimuth_gap_degrees;
+        format!(
+            "{kind}: elevation {low:.0}° to {high:.0}°, widest gap {gap:.0}°, distance {near:.3} to {far:.3}"
+        )
+    }
+
+    /// The unit direction of each view from the target.
+    pub fn directions(&self, looks: &[Look]) -> Vec<Vec3> {
+        looks.iter().map(|look| (look.camera.position() - self.target).normalize_or(self.axis)).collect()
+    }
+}
+
+/// Where the centers of the masks meet, or the middles of the frames.
+fn target(looks: &[Look]) -> Option<Vec3> {
+    let of_masks: Vec<Sight> =
+        looks.iter().filter_map(|look| Outline::new(look).map(|outline| outline.sight())).collect();
+    let middle = |look: &Look| {
+        Sight::new(&look.camera, 0.5 * look.camera.width as f32, 0.5 * look.camera.height as f32)
+    };
+    let sights = if of_masks.len() < 2 { looks.iter().map(middle).collect() } else { of_masks };
+    meeting_point(&sights).map(|point| point.as_vec3())
+}
+
+fn elevation(direction: Vec3, axis: Vec3) -> f32 {
+    direction.dot(axis).clamp(-1.0, 1.0).asin().to_degrees()
+}
+
+/// Least and greatest.
+fn range(values: &[f32]) -> [f32; 2] {
+    let least = values.iter().copied().fold(f32::INFINITY, f32::min);
+    [least, values.iter().copied().fold(f32::NEG_INFINITY, f32::max)]
+}
+
+/// The direction along which directions vary least, on the side of `up`: the eigenvector of their covariance with the smallest
+/// eigenvalue. `None` for directions that do not span a plane.
+fn ring_axis(directions: &[Vec3], up: Vec3) -> Option<Vec3> {
+    const ROUNDS: usize = 64;
+    let mean = directions.iter().sum::<Vec3>() / directions.len() as f32;
+    let outer = |d: Vec3| Mat3::from_cols(d * d.x, d * d.y, d * d.z);
+    let covariance = directions.iter().fold(Mat3::ZERO, |sum, d| sum + outer(*d - mean));
+    let trace = covariance.x_axis.x + covariance.y_axis.y + covariance.z_axis.z;
+    // The smallest eigenvalue of the covariance is the largest of this matrix.
+    let shifted = Mat3::from_diagonal(Vec3::splat(trace)) - covariance;
+    let mut axis = (up + Vec3::new(0.011, 0.023, 0.037)).normalize();
+    for _ in 0..ROUNDS {
+        axis = (shifted * axis).try_normalize()?;
+    }
+    Some(if axis.dot(up) < 0.0 { -axis } else { axis })
+}
+
+/// The number of rings around `axis`, if all directions lie on few.
+fn count_rings(directions: &[Vec3], axis: Vec3) -> Option<usize> {
+    let mut by_height: Vec<(f32, Vec3)> =
+        directions.iter().map(|direction| (elevation(*direction, axis), *direction)).collect();
+    by_height.sort_by(|a, b| a.0.total_cmp(&b.0));
+    let mut rings: Vec<Vec<(f32, Vec3)>> = Vec::new();
+    for camera in by_height {
+        match rings.last_mut().filter(|ring| camera.0 - ring[0].0 <= RING_DEGREES) {
+            Some(ring) => ring.push(camera),
+            None => rings.push(vec![camera]),
+        }
+    }
+    let is_round = |ring: &Vec<(f32, Vec3)>| {
+        let directions: Vec<Vec3> = ring.iter().map(|camera| camera.1).collect();
+        ring.len() >= RING_CAMERAS && largest_gap(&directions, axis) <= RING_GAP_DEGREES
+    };
+    (rings.len() <= MOST_RINGS && rings.iter().all(is_round)).then_some(rings.len())
+}
+
+/// The largest gap between azimuths around `axis`, in degrees; directions along the axis have none.
+fn largest_gap(directions: &[Vec3], axis: Vec3) -> f32 {
+    let (side, front) = axis.any_orthonormal_pair();
+    let across = |direction: &&Vec3| direction.cross(axis).length() > 0.05;
+    let azimuth = |direction: &Vec3| direction.dot(side).atan2(direction.dot(front)).to_degrees();
+    let mut azimuths: Vec<f32> = directions.iter().filter(across).map(azimuth).collect();
+    azimuths.sort_by(f32::total_cmp);
+    let (Some(first), Some(last)) = (azimuths.first(), azimuths.last()) else { return 360.0 };
+    let closing = first + 360.0 - last;
+    azimuths.windows(2).map(|pair| pair[1] - pair[0]).fold(closing, f32::max)
+}

@@ -1,0 +1,227 @@
+//! What a scene's passes will take: memory and time, by a plain formula.
+//!
+//! | part | memory | time of one thread |
+//! | --- | --- | --- |
+//! | photographs | pixels × [`PHOTOGRAPH_BYTES`] | pixels × [`DECODE_NANOS`] |
+//! | `Fit` | pixels in the pool × [`POOL_BYTES`] + texels × [`TEXEL_BYTES`] | steps × batch × lobes × [`FIT_PAIR_NANOS`] |
+//! | `Shape` | the same + cells³ × [`CELL_BYTES`] | steps × batch × [`SHAPE_PIXEL_NANOS`] |
+//! | shadows | texels × [`VisibilitySettings::bytes_per_texel`] | texels × directions × [`RAY_NANOS`] |
+//! | `Render` and the like | one view × [`FRAME_BYTES`] | samples in the object × lobes × [`RENDER_PAIR_NANOS`] |
+//!
+//! Time is divided by the threads. It is good to a factor of two on the machine that was measured, and a guess on others.
+
+use crate::sample::bundle::FitSample;
+use crate::scene::{
+    FitPass, Light, LightSource, Pass, RenderSettings, Scene, Shading, ShapePass, Surface, ViewChoice,
+    Visibility,
+};
+use crate::survey::Survey;
+use crate::survey::detail::ATLAS_FILL;
+use crate::survey::look::Look;
+use crate::view::Split;
+use crate::visibility::VisibilitySettings;
+use serde::Serialize;
+
+/// Bytes of a pixel of a photograph and its mask in memory: three floats, a flag and the coverage.
+pub const PHOTOGRAPH_BYTES: f64 = 17.0;
+/// Bytes of a pixel in the pool of a fit: its columns, and about 24 of the table around them.
+pub const POOL_BYTES: f64 = (size_of::<FitSample>() + 24) as f64;
+/// Bytes of a texel in a fit: albedo, gradient, two moments, what is shown, place, normal, and their table.
+pub const TEXEL_BYTES: f64 = 200.0;
+/// Bytes of a cell of a shape's grid, with its adjoints and moments.
+pub const CELL_BYTES: f64 = 40.0;
+/// Bytes of a pixel of a frame that is rendered: its layers, twice.
+pub const FRAME_BYTES: f64 = 160.0;
+/// Bytes of the program itself.
+pub const BASE_BYTES: f64 = 100e6;
+/// Reading a pixel of a PNG: 100 views of 800² in 3.2 s on two cores.
+pub const DECODE_NANOS: f64 = 100.0;
+/// A pair of pixel and lobe in a step of a fit: `scenes/spot.ron` without shadows, 1 200 steps in 13 s on two cores.
+pub const FIT_PAIR_NANOS: f64 = 27.0;
+/// A pixel in a step of a shape: `scenes/photos.ron` on `spot`, 700 steps in about 60 s on two cores.
+pub const SHAPE_PIXEL_NANOS: f64 = 21_000.0;
+/// A ray of the visibility: 108 789 texels in 512 directions in 7.0 s on two cores.
+pub const RAY_NANOS: f64 = 250.0;
+/// A pair of pixel sample and lobe in a frame, with tracing and gathering.
+pub const RENDER_PAIR_NANOS: f64 = 8.0;
+/// A path of the path tracer.
+pub const PATH_NANOS: f64 = 3_000.0;
+/// Share of a frame that the object covers, where no mask says.
+const USUAL_COVERAGE: f64 = 0.25;
+
+/// What one part takes.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Part {
+    /// What takes it: "photographs", "shadows", or a pass's name.
+    pub what: String,
+    /// Memory in bytes.
+    pub bytes: f64,
+    /// Time in seconds.
+    pub seconds: f64,
+    /// Whether the memory stays until the end of the run.
+    pub stays: bool,
+}
+
+/// What a run takes.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct Estimate {
+    /// Its parts.
+    pub parts: Vec<Part>,
+    /// How many threads the times are for.
+    pub threads: usize,
+}
+
+impl Estimate {
+    /// The most memory at a time: what stays, and the largest of what does not, in bytes.
+    pub fn bytes(&self) -> f64 {
+        let stays: f64 = self.parts.iter().filter(|part| part.stays).map(|part| part.bytes).sum();
+        let most = self.parts.iter().filter(|part| !part.stays).map(|part| part.bytes).fold(0.0, f64::max);
+        BASE_BYTES + stays + most
+    }
+
+    /// The time of all parts, in seconds.
+    pub fn seconds(&self) -> f64 {
+        self.parts.iter().map(|part| part.seconds).sum()
+    }
+
+    /// "about 1.2 GiB and 3 min on 2 threads (photographs 0.9 GiB, fit 2 min, …)".
+    pub fn words(&self) -> String {
+        let mut parts: Vec<&Part> =
+            self.parts.iter().filter(|part| part.seconds >= 1.0 || part.bytes > 64e6).collect();
+        parts.sort_by(|a, b| b.seconds.total_cmp(&a.seconds));
+        let part = |part: &&Part| format!("{} {}, {}", part.what, duration(part.seconds), memory(part.bytes));
+        let list: Vec<String> = parts.iter().take(4).map(part).collect();
+        let list = if list.is_empty() { String::new() } else { format!(" ({})", list.join("; ")) };
+        let threads =
+            if self.threads == 1 { "1 thread".to_owned() } else { format!("{} threads", self.threads) };
+        format!("about {} and {} on {threads}{list}", memory(self.bytes()), duration(self.seconds()))
+    }
+}
+
+/// "850 MiB", "1.2 GiB".
+pub fn memory(bytes: f64) -> String {
+    let mib = bytes / f64::from(1 << 20);
+    if mib < 1000.0 { format!("{mib:.0} MiB") } else { format!("{:.1} GiB", mib / 1024.0) }
+}
+
+/// "12 s", "3 min".
+pub fn duration(seconds: f64) -> String {
+    match seconds {
+        s if s < 100.0 => format!("{:.0} s", s.ceil()),
+        s if s < 6000.0 => format!("{:.0} min", s / 60.0),
+        s => format!("{:.1} h", s / 3600.0),
+    }
+}
+
+/// What the passes of `scene` will take on `threads` threads, for the views of a survey.
+pub fn estimate(survey: &Survey, scene: &Scene, threads: usize) -> Estimate {
+    let task = Task { looks: &survey.looks, scene, threads: threads.max(1) };
+    let mut parts = vec![task.photographs()];
+    parts.extend(task.shadows());
+    for pass in &scene.passes {
+        parts.extend(match pass {
+            Pass::Fit(fit) => Some(task.fit(fit)),
+            Pass::Shape(shape) => Some(task.shape(shape)),
+            other => other.render().map(|render| task.render(other.name(), render)),
+        });
+    }
+    Estimate { parts, threads: task.threads }
+}
+
+struct Task<'a> {
+    looks: &'a [Look],
+    scene: &'a Scene,
+    threads: usize,
+}
+
+fn pixels(look: &Look) -> f64 {
+    f64::from(look.size[0]) * f64::from(look.size[1])
+}
+
+fn object_pixels(look: &Look) -> f64 {
+    look.object_pixels().map_or(USUAL_COVERAGE * pixels(look), f64::from)
+}
+
+impl Task<'_> {
+    fn part(&self, what: &str, bytes: f64, nanos: f64, stays: bool) -> Part {
+        Part { what: what.to_owned(), bytes, seconds: nanos * 1e-9 / self.threads as f64, stays }
+    }
+
+    fn lobes(&self) -> f64 {
+        let lobes = match &self.scene.light {
+            Light::Unknown(light) => light.lobes as usize,
+            Light::Initial(LightSource::Lobes { lobes, .. })
+            | Light::Fixed(LightSource::Lobes { lobes, .. }) => lobes.len(),
+            Light::Initial(LightSource::Map { lobes, .. }) | Light::Fixed(LightSource::Map { lobes, .. }) => {
+                *lobes as usize
+            }
+            _ => 128,
+        };
+        lobes as f64
+    }
+
+    fn texels(&self) -> f64 {
+        let size = match self.scene.surface {
+            Surface::Mesh { texture_size, .. }
+            | Surface::Unknown { texture_size, .. }
+            | Surface::Sphere { texture_size, .. }
+            | Surface::Box { texture_size, .. } => f64::from(texture_size),
+        };
+        size * size
+    }
+
+    fn photographs(&self) -> Part {
+        let all: f64 = self.looks.iter().filter(|look| look.light.is_some()).map(pixels).sum();
+        self.part("photographs", all * PHOTOGRAPH_BYTES, all * DECODE_NANOS, true)
+    }
+
+    fn shadows(&self) -> Option<Part> {
+        let Visibility::Traced { directions, bounces, refresh_every } = self.scene.visibility else {
+            return None;
+        };
+        let settings = VisibilitySettings { directions, bounces, refresh_every };
+        let texels = f64::from(ATLAS_FILL) * self.texels();
+        let nanos = texels * f64::from(directions) * RAY_NANOS;
+        Some(self.part("shadows", texels * settings.bytes_per_texel() as f64, nanos, true))
+    }
+
+    /// Pixels that a fit visits.
+    fn pool(&self, most: u32) -> f64 {
+        let train = self.looks.iter().filter(|look| look.split == Split::Train && look.light.is_some());
+        train.map(object_pixels).sum::<f64>().min(f64::from(most))
+    }
+
+    fn fit(&self, fit: &FitPass) -> Part {
+        let pairs = f64::from(fit.steps) * f64::from(fit.batch) * self.lobes();
+        let bytes = self.pool(fit.max_pixels) * POOL_BYTES + self.texels() * TEXEL_BYTES;
+        self.part(&fit.name, bytes, pairs * FIT_PAIR_NANOS, false)
+    }
+
+    fn shape(&self, shape: &ShapePass) -> Part {
+        let steps: f64 = shape.levels.iter().map(|level| f64::from(level.steps)).sum();
+        let cells = shape.levels.iter().map(|level| f64::from(level.cells).powi(3)).fold(0.0, f64::max);
+        let bytes = self.pool(shape.max_pixels) * POOL_BYTES + cells * CELL_BYTES;
+        self.part(&shape.name, bytes, steps * f64::from(shape.batch) * SHAPE_PIXEL_NANOS, false)
+    }
+
+    fn render(&self, name: &str, render: &RenderSettings) -> Part {
+        let chosen = |look: &&Look| match &render.views {
+            ViewChoice::Test => look.split == Split::Test,
+            ViewChoice::Train => look.split == Split::Train,
+            ViewChoice::All => true,
+            ViewChoice::Named(names) => names.contains(&look.name),
+        };
+        let views: Vec<&Look> = self.looks.iter().filter(chosen).collect();
+        let orbit = render.orbit.as_ref().map_or((0.0, 0.0), |orbit| {
+            let frame = f64::from(orbit.size).powi(2);
+            (frame, frame * f64::from(orbit.frames) * USUAL_COVERAGE)
+        });
+        let object = views.iter().map(|look| object_pixels(look)).sum::<f64>() + orbit.1;
+        let nanos = match render.shading {
+            Shading::PathTraced { spp, .. } => f64::from(spp) * PATH_NANOS,
+            _ => f64::from(render.samples_per_pixel) * self.lobes() * RENDER_PAIR_NANOS,
+        };
+        let largest = views.iter().map(|look| pixels(look)).fold(orbit.0, f64::max);
+        self.part(name, largest * FRAME_BYTES, object * nanos, false)
+    }
+}

@@ -1,0 +1,47 @@
+//! The survey of a data set before a run: what is there, and what of it cannot work.
+//!
+//! Each view is read once, small, and reduced to a [`Look`]: a few numbers, a small mask, a thumbnail. Everything else is a pure function
+//! over looks, in seconds for a hundred views, with the same result at every run.
+//!
+//! | module | holds |
+//! | --- | --- |
+//! | [`look`] | what is kept of one view |
+//! | [`open`] | reading a scene's data |
+//! | [`photographs`] | black, negative, absurdly bright, blurred, differently exposed or repeated photographs |
+//! | [`masks`] | inverted, dim, soft or missing masks |
+//! | [`meeting`] | cameras and masks that do not belong together |
+//! | [`cameras`], [`turntable`] | how cameras lie, and whether the object turned instead |
+//! | [`silhouette`], [`hull`], [`agreement`] | whether the masks agree with a known mesh, or with each other |
+//! | [`change`], [`placement`] | other axes, mirrored photographs, another unit |
+//! | [`detail`] | texels beside pixels |
+//! | [`estimate`] | memory and time of a scene's passes |
+//! | [`table`], [`json`], [`sheet`] | the survey as text, as JSON, and as a contact sheet |
+
+pub mod agreement;
+pub mod cameras;
+pub mod change;
+pub mod detail;
+pub mod estimate;
+pub mod examine;
+pub mod finding;
+pub mod hull;
+pub mod json;
+pub mod look;
+pub mod masks;
+pub mod meeting;
+pub mod open;
+pub mod photographs;
+pub mod placement;
+pub mod sharpness;
+pub mod sheet;
+pub mod silhouette;
+pub mod statistics;
+pub mod table;
+pub mod turntable;
+
+pub use examine::{Subject, Survey, examine};
+pub use finding::{Finding, Severity};
+pub use look::{Look, MaskSource};
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,241 @@
+//! Findings about photographs: black, negative or absurdly bright ones, other exposures, blur, and the same picture twice.
+
+use crate::survey::finding::{Finding, named};
+use crate::survey::look::{Light, Look};
+use crate::survey::statistics::{median, neighbors, strays};
+use glam::Vec3;
+use std::collections::BTreeMap;
+
+/// A photograph whose brightest hundredth is this many times darker than the median of all is black.
+const BLACK: f32 = 1e-3;
+/// One that is this many times brighter than the median of all is absurd.
+const ABSURD: f32 = 512.0;
+/// A pixel beyond this radiance is no measurement, whatever the unit.
+const MOST_RADIANCE: f32 = 1e9;
+/// Shares of negative pixels that are worth a word, and that make a photograph useless.
+const SOME_NEGATIVE: f32 = 0.01;
+const MOSTLY_NEGATIVE: f32 = 0.5;
+/// Share of clipped pixels that is worth a word.
+const MANY_CLIPPED: f32 = 0.05;
+/// Views that a view is compared with, and the least number of views for that.
+const NEIGHBORS: usize = 6;
+const LEAST_VIEWS: usize = 8;
+/// A view this many stops apart from its neighbors is an outlier, if they are within `NEAR_DEGREES`; otherwise `FAR_STOPS`.
+const STOPS: f32 = 1.5;
+const FAR_STOPS: f32 = 2.5;
+const NEAR_DEGREES: f32 = 35.0;
+/// How far it must be beyond the usual difference, in standard deviations.
+const SIGMAS: f32 = 5.0;
+/// A view with this share of its neighbors' sharpness looks blurred.
+const BLURRED: f32 = 0.3;
+
+/// A view compared with its neighbors.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Compared {
+    /// Exposure above that of the neighbors, in stops.
+    pub stops: Option<f32>,
+    /// Sharpness relative to that of the neighbors.
+    pub sharpness: Option<f32>,
+}
+
+/// Photographs that cannot be photographs of the object.
+pub fn of_radiance(looks: &[Look]) -> Vec<Finding> {
+    let mut medians: Vec<f32> = lights(looks).map(|(_, light)| light.median).collect();
+    let Some(usual) = median(&mut medians) else { return Vec::new() };
+    let mut found = Vec::new();
+    let is_negative =
+        |light: &Light| light.negative > MOSTLY_NEGATIVE || (light.median < 0.0 && light.highest <= 0.0);
+    let is_black = |light: &Light| {
+        !is_negative(light) && (light.highest <= 0.0 || (usual > 0.0 && light.bright < BLACK * usual))
+    };
+    let is_bright = |light: &Light| {
+        light.highest > MOST_RADIANCE || (usual > 0.0 && light.median > ABSURD * usual && light.median > 1.0)
+    };
+    add(&mut found, looks, "black", is_black, |views| {
+        let problem = format!("the photograph is black where the object is, in {views}");
+        Finding::error("", Vec::new(), problem, "Replace it, or leave the view out with `select`.")
+    });
+    add(&mut found, looks, "negative", is_negative, |views| {
+        let problem = format!("the photograph is negative in most pixels of the object, in {views}");
+        Finding::error(
+            "",
+            Vec::new(),
+            problem,
+            "Radiance is 0 or more: write the image again, or leave the view out with `select`.",
+        )
+    });
+    add(&mut found, looks, "absurdly-bright", is_bright, |views| {
+        let problem = format!(
+            "the photograph is absurdly bright in {views}: no light is so much brighter than in the others"
+        );
+        Finding::error(
+            "",
+            Vec::new(),
+            problem,
+            "Write the image again, in the unit of the others, or leave the view out with `select`.",
+        )
+    });
+    add(
+        &mut found,
+        looks,
+        "negative-pixels",
+        |light| light.negative > SOME_NEGATIVE && !is_negative(light),
+        |views| {
+            let problem = format!("more than a hundredth of the object's pixels are negative in {views}");
+            Finding::warning(
+                "",
+                Vec::new(),
+                problem,
+                "Write the images without a sharpening filter, or clamp them at 0.",
+            )
+        },
+    );
+    add(
+        &mut found,
+        looks,
+        "clipped",
+        |light| light.clipped > MANY_CLIPPED,
+        |views| {
+            let problem = format!("more than a twentieth of the object's pixels are clipped in {views}");
+            Finding::warning(
+                "",
+                Vec::new(),
+                problem,
+                "Expose less, or write images with more range (16-bit PNG, EXR).",
+            )
+        },
+    );
+    found
+}
+
+fn lights(looks: &[Look]) -> impl Iterator<Item = (&Look, &Light)> {
+    looks.iter().filter_map(|look| Some((look, look.light.as_ref()?)))
+}
+
+/// Adds a finding about the views of which `is_bad` is true, if there are any.
+fn add(
+    found: &mut Vec<Finding>,
+    looks: &[Look],
+    name: &'static str,
+    is_bad: impl Fn(&Light) -> bool,
+    words: impl Fn(&str) -> Finding,
+) {
+    let views: Vec<String> =
+        lights(looks).filter(|(_, light)| is_bad(light)).map(|(look, _)| look.name.clone()).collect();
+    if !views.is_empty() {
+        let finding = words(&named(&views));
+        found.push(Finding { name, views, ..finding });
+    }
+}
+
+/// Compares each view with those that see nearly the same side; `directions` are those of the cameras from the object. Views with another
+/// fault (`spoiled`) are left out.
+pub fn compare(looks: &[Look], directions: &[Vec3], spoiled: &[bool]) -> (Vec<Compared>, Vec<Finding>) {
+    let mut compared = vec![Compared::default(); looks.len()];
+    let mut found = Vec::new();
+    let exposures = |light: &Light| (light.level > 0.0).then(|| light.level.log2());
+    let mut outliers = Vec::new();
+    for Stray { view, difference, sigmas, angle } in stray_views(looks, directions, spoiled, exposures, 0.1) {
+        compared[view].stops = Some(difference);
+        let limit = if angle < NEAR_DEGREES { STOPS } else { FAR_STOPS };
+        if difference.abs() > limit && sigmas.abs() > SIGMAS {
+            outliers.push((view, difference));
+        }
+    }
+    if let Some(finding) = exposure_finding(looks, outliers) {
+        found.push(finding);
+    }
+    let sharpness = |light: &Light| light.sharpness.map(f32::ln);
+    let mut blurred = Vec::new();
+    for Stray { view, difference, sigmas, .. } in stray_views(looks, directions, spoiled, sharpness, 0.15) {
+        compared[view].sharpness = Some(difference.exp());
+        if difference < BLURRED.ln() && sigmas < -SIGMAS {
+            blurred.push((view, difference));
+        }
+    }
+    if !blurred.is_empty() {
+        blurred.sort_by(|a, b| a.1.total_cmp(&b.1));
+        let views: Vec<String> = blurred.iter().map(|(view, _)| looks[*view].name.clone()).collect();
+        let problem = format!(
+            "{} blurred beside views from nearly the same side: {}",
+            is_or_are(&views),
+            named(&views)
+        );
+        let help = "Leave blurred views out with `select`, or take them again.";
+        found.push(Finding::warning("blurred", views, problem, help));
+    }
+    (compared, found)
+}
+
+fn is_or_are(views: &[String]) -> &'static str {
+    if views.len() == 1 { "a photograph looks" } else { "photographs look" }
+}
+
+fn exposure_finding(looks: &[Look], mut outliers: Vec<(usize, f32)>) -> Option<Finding> {
+    outliers.sort_by(|a, b| b.1.abs().total_cmp(&a.1.abs()));
+    let (worst, stops) = *outliers.first()?;
+    let views: Vec<String> = outliers.iter().map(|(view, _)| looks[*view].name.clone()).collect();
+    let way = if stops > 0.0 { "brighter" } else { "darker" };
+    let problem = format!(
+        "the exposure differs from that of views from nearly the same side in {}: `{}` is {:.1} stops {way}",
+        named(&views),
+        looks[worst].name,
+        stops.abs()
+    );
+    let help = "Use `exposure: true` in the pass that fits, or leave the view out with `select`.";
+    Some(Finding::warning("exposure", views, problem, help))
+}
+
+/// A view's difference from its neighbors.
+struct Stray {
+    view: usize,
+    difference: f32,
+    /// The same in standard deviations of such differences.
+    sigmas: f32,
+    /// Angle to the farthest neighbor, degrees.
+    angle: f32,
+}
+
+/// Compares a value of views that have one; nothing for few views.
+fn stray_views(
+    looks: &[Look],
+    directions: &[Vec3],
+    spoiled: &[bool],
+    value: impl Fn(&Light) -> Option<f32>,
+    floor: f32,
+) -> Vec<Stray> {
+    let with_value =
+        |(i, look): (usize, &Look)| Some((i, value(look.light.as_ref().filter(|_| !spoiled[i])?)?));
+    let chosen: Vec<(usize, f32)> = looks.iter().enumerate().filter_map(with_value).collect();
+    if chosen.len() < LEAST_VIEWS {
+        return Vec::new();
+    }
+    let values: Vec<f32> = chosen.iter().map(|(_, value)| *value).collect();
+    let directions: Vec<Vec3> = chosen.iter().map(|(i, _)| directions[*i]).collect();
+    let near = neighbors(&directions, NEIGHBORS);
+    let angle = |i: usize| {
+        let farthest = near[i].last().map_or(1.0, |&k| directions[i].dot(directions[k]));
+        farthest.clamp(-1.0, 1.0).acos().to_degrees()
+    };
+    let strays = strays(&values, &near, floor).into_iter().enumerate();
+    strays
+        .map(|(i, (difference, sigmas))| Stray { view: chosen[i].0, difference, sigmas, angle: angle(i) })
+        .collect()
+}
+
+/// Photographs that are the same as another, pixel by pixel.
+pub fn of_duplicates(looks: &[Look]) -> Option<Finding> {
+    let mut by_print: BTreeMap<(u64, [u32; 2]), Vec<&str>> = BTreeMap::new();
+    for (look, light) in lights(looks).filter(|(_, light)| light.highest > 0.0) {
+        by_print.entry((light.fingerprint, look.size)).or_default().push(&look.name);
+    }
+    let mut groups: Vec<Vec<&str>> = by_print.into_values().filter(|names| names.len() > 1).collect();
+    groups.sort();
+    let first = groups.first()?;
+    let views: Vec<String> = groups.iter().flatten().map(|name| (*name).to_owned()).collect();
+    let pair: Vec<String> = first.iter().map(|name| (*name).to_owned()).collect();
+    let rest = if groups.len() > 1 { format!(", and {} more", groups.len() - 1) } else { String::new() };
+    let problem = format!("the same photograph is there more than once: {}{rest}", named(&pair));
+    let help = "Leave the copies out with `select`; a copy in the test split makes scores meaningless.";
+    Some(Finding::warning("duplicates", views, problem, help))
+}

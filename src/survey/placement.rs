@@ -1,0 +1,161 @@
+//! Where and how large a mesh would have to be for its silhouettes to agree with the masks.
+
+use crate::mesh::bvh::TriangleBvh;
+use crate::survey::change::{Cause, Change, formula};
+use crate::survey::look::SmallMask;
+use crate::survey::meeting::{Sight, meeting_point};
+use crate::survey::silhouette::covered;
+use crate::survey::statistics::median;
+use glam::{Mat3A, Vec3};
+use rayon::prelude::*;
+
+/// Rounds of correcting size and place; each renders all views.
+const ROUNDS: usize = 4;
+/// A scale this close to that of a usual unit, relatively, is that unit.
+const UNIT_SLACK: f32 = 0.1;
+/// Ratios of units that meshes and cameras are written in, with their names.
+const UNITS: [(f32, &str); 5] = [
+    (1000.0, "meters and millimeters"),
+    (100.0, "meters and centimeters"),
+    (10.0, "centimeters and millimeters"),
+    (39.370_08, "meters and inches"),
+    (25.4, "inches and millimeters"),
+];
+
+/// Center and size of a silhouette: the ray through the middle of its box, and the root of its area as an angle.
+struct Spot {
+    sight: Sight,
+    size: f32,
+}
+
+impl Spot {
+    /// `None` if nothing is covered.
+    fn new(view: &SmallMask, inside: &[bool]) -> Option<Self> {
+        let width = view.camera.width as usize;
+        let (mut sum, mut count) = ([0.0f32; 2], 0usize);
+        for (i, _) in inside.iter().enumerate().filter(|(_, inside)| **inside) {
+            sum = [sum[0] + (i % width) as f32 + 0.5, sum[1] + (i / width) as f32 + 0.5];
+            count += 1;
+        }
+        let middle = sum.map(|sum| sum / count as f32);
+        let focal = (view.camera.focal[0] * view.camera.focal[1]).abs().sqrt();
+        let spot = || Self {
+            sight: Sight::new(&view.camera, middle[0], middle[1]),
+            size: (count as f32).sqrt() / focal,
+        };
+        (count > 0).then(spot)
+    }
+}
+
+/// The object as several silhouettes show it: where, and how large.
+fn place(spots: &[Spot]) -> Option<(Vec3, f32)> {
+    let sights: Vec<Sight> = spots.iter().map(|spot| spot.sight).collect();
+    let center = meeting_point(&sights).filter(|_| sights.len() >= 2)?;
+    let mut sizes: Vec<f32> =
+        spots.iter().map(|spot| spot.size * spot.sight.origin.distance(center) as f32).collect();
+    Some((center.as_vec3(), median(&mut sizes)?)).filter(|(center, size)| center.is_finite() && *size > 0.0)
+}
+
+/// The placing of a mesh, turned by `turn`, that makes its silhouettes agree with the masks in center and size. `None` if masks do not
+/// determine a place, or the mesh is never in sight.
+pub fn find_placement(bvh: &TriangleBvh, views: &[SmallMask], turn: Mat3A) -> Option<Change> {
+    let spots: Vec<Spot> = views.iter().filter_map(|view| Spot::new(view, &view.inside)).collect();
+    let (target, size) = place(&spots)?;
+    let (center, radius) = bvh.bounding_sphere();
+    let center = Vec3::from(turn * glam::Vec3A::from(center));
+    // The root of a disk's area is 1.77 radii; most objects fill less of their sphere.
+    let mut scale = size / (1.4 * radius);
+    let mut shift = target - center * scale;
+    for _ in 0..ROUNDS {
+        let change = Change::Placed { turn, scale, shift };
+        let rendered: Vec<Option<Spot>> = views
+            .par_iter()
+            .map(|view| {
+                // The box is seen in the mesh's own coordinates; its rays are those of the view as it is.
+                Spot::new(view, &covered(bvh, &change.of(view)))
+            })
+            .collect();
+        let spots: Vec<Spot> = rendered.into_iter().flatten().collect();
+        let (seen, seen_size) = place(&spots)?;
+        let factor = (size / seen_size).clamp(0.25, 4.0);
+        // Around the place where it is seen, then to where it should be.
+        shift = (shift - seen) * factor + target;
+        scale *= factor;
+    }
+    let change = Change::Placed { turn, scale, shift };
+    (scale.is_finite() && scale > 0.0 && shift.is_finite()).then_some(change)
+}
+
+/// A placing in words; one that is only a scale around the origin is snapped to a usual ratio of units, where it is near one.
+pub fn placement_cause(change: Change, radius: f32) -> Option<Cause> {
+    let Change::Placed { turn, scale, shift } = change else { return None };
+    let moved = shift.length() > 0.1 * radius * scale;
+    let turned = turn != Mat3A::IDENTITY;
+    let mut words = Vec::new();
+    if turned {
+        words.push(format!("turned: its coordinates should be {}", formula(&turn)));
+    }
+    let factor = snapped(scale);
+    if !(0.8..=1.25).contains(&scale) {
+        let size = if scale > 1.0 {
+            format!("{} times too small", short(factor))
+        } else {
+            format!("{} times too large", short(1.0 / factor))
+        };
+        words.push(format!("{size}{}", unit(scale)));
+    }
+    if moved {
+        let [x, y, z] = shift.to_array().map(short);
+        words.push(format!("in another place (it is to be moved by ({x}, {y}, {z}))"));
+    }
+    let words = if words.is_empty() { return None } else { format!("the mesh is {}", words.join(", and ")) };
+    let [x, y, z] = shift.to_array().map(short);
+    let turn = if turned {
+        format!("write its vertices (x, y, z) as {}, then ", formula(&turn))
+    } else {
+        String::new()
+    };
+    let shift = if moved { format!(" and add ({x}, {y}, {z})") } else { String::new() };
+    let help = format!(
+        "Bring the mesh into the coordinates of the cameras: {turn}multiply them by {}{shift}.",
+        short(factor)
+    );
+    Some(Cause { change, words, help })
+}
+
+fn snapped(scale: f32) -> f32 {
+    let near = |ratio: f32| (scale / ratio - 1.0).abs() < UNIT_SLACK;
+    let ratios = UNITS.iter().flat_map(|(ratio, _)| [*ratio, 1.0 / ratio]);
+    ratios.into_iter().find(|ratio| near(*ratio)).unwrap_or(scale)
+}
+
+fn unit(scale: f32) -> String {
+    let ratio = scale.max(1.0 / scale);
+    let near = UNITS.iter().find(|(of_unit, _)| (ratio / of_unit - 1.0).abs() < UNIT_SLACK);
+    near.map_or(String::new(), |(_, names)| format!(" (as between {names})"))
+}
+
+/// Three significant digits.
+fn short(value: f32) -> String {
+    if value == 0.0 || !value.is_finite() {
+        return format!("{value}");
+    }
+    let digits = (2 - value.abs().log10().floor() as i32).clamp(0, 9) as usize;
+    let text = format!("{value:.digits$}");
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_short_and_units_are_recognized() {
+        assert_eq!([1000.0, 0.001, 1.2345, -0.5].map(short), ["1000", "0.001", "1.23", "-0.5"]);
+        assert_eq!((snapped(980.0), snapped(0.00098), snapped(3.0)), (1000.0, 0.001, 3.0));
+        assert_eq!(
+            (unit(0.0011), unit(3.0)),
+            (" (as between meters and millimeters)".to_owned(), String::new())
+        );
+    }
+}

@@ -1,0 +1,124 @@
+//! Other axes, mirrored photographs, inverted poses, other units: the cause is named.
+
+use super::{expect, good, object, surveyed};
+use crate::mesh::primitive::box_mesh;
+use crate::mesh::triangles::Mesh;
+use crate::survey::Severity;
+use crate::survey::look::OpenView;
+use glam::{Affine3A, Mat3A, Vec3, Vec3A};
+
+/// Cameras with other axes: the right ones are these columns of theirs.
+fn with_axes(axes: Mat3A) -> Vec<OpenView> {
+    let mut views = good();
+    for view in &mut views {
+        let pose = &mut view.camera.world_from_camera;
+        pose.matrix3 *= axes.transpose();
+    }
+    views
+}
+
+fn inverted() -> Vec<OpenView> {
+    let mut views = good();
+    views.iter_mut().for_each(|view| {
+        let pose: Affine3A = view.camera.world_from_camera.inverse();
+        view.camera.world_from_camera = pose;
+    });
+    views
+}
+
+/// Photographs and masks mirrored left to right.
+fn mirrored() -> Vec<OpenView> {
+    let mut views = good();
+    for view in &mut views {
+        let width = view.camera.width as usize;
+        view.mask.as_mut().unwrap().coverage.chunks_mut(width).for_each(<[f32]>::reverse);
+        view.photograph.as_mut().unwrap().image.pixels.chunks_mut(width).for_each(<[Vec3]>::reverse);
+    }
+    views
+}
+
+fn moved(change: impl Fn(Vec3) -> Vec3) -> Mesh {
+    let mut mesh = object();
+    mesh.positions.iter_mut().for_each(|position| *position = change(*position));
+    mesh
+}
+
+const OPENGL: Mat3A = Mat3A::from_cols(Vec3A::X, Vec3A::NEG_Y, Vec3A::NEG_Z);
+
+#[test]
+fn confused_axes_are_named_with_a_mesh() {
+    let mesh = object();
+    let named =
+        |views: &[OpenView], words: &[&str]| expect(&surveyed(views, Some(&mesh)), "other-axes", &[], words);
+    named(&with_axes(OPENGL), &["y and z of the camera axes are negated", "OpenGL"]);
+    named(&inverted(), &["camera_from_world is taken for world_from_camera"]);
+    named(&mirrored(), &["mirrored left to right"]);
+    let upside_down = Mat3A::from_diagonal(Vec3::new(-1.0, -1.0, 1.0));
+    named(&with_axes(upside_down), &["upside down", "EXIF"]);
+    let quarter = Mat3A::from_cols(Vec3A::Y, Vec3A::NEG_X, Vec3A::Z);
+    named(&with_axes(quarter), &["turned by 90°"]);
+    let llff = Mat3A::from_cols(Vec3A::Y, Vec3A::X, Vec3A::NEG_Z);
+    named(&with_axes(llff), &["LLFF"]);
+}
+
+#[test]
+fn confused_axes_are_named_without_a_mesh() {
+    let named = |views: &[OpenView], words: &[&str]| expect(&surveyed(views, None), "other-axes", &[], words);
+    named(&with_axes(OPENGL), &["y and z of the camera axes are negated"]);
+    named(&inverted(), &["camera_from_world is taken for world_from_camera"]);
+    named(&mirrored(), &["mirrored left to right"]);
+}
+
+#[test]
+fn a_turned_or_mirrored_mesh_is_named() {
+    let named =
+        |mesh: &Mesh, words: &[&str]| expect(&surveyed(&good(), Some(mesh)), "other-axes", &[], words);
+    named(
+        &moved(|p| Vec3::new(p.x, -p.z, p.y)),
+        &["the mesh has +Z up, the cameras have +Y up", "(x, z, -y)"],
+    );
+    named(
+        &moved(|p| Vec3::new(p.x, p.z, -p.y)),
+        &["the mesh has +Y up, the cameras have +Z up", "(x, -z, y)"],
+    );
+    named(&moved(|p| Vec3::new(p.y, p.z, p.x)), &["the mesh is turned", "(z, x, y)"]);
+    named(&moved(|p| Vec3::new(-p.x, p.y, p.z)), &["the mesh is mirrored", "(-x, y, z)"]);
+}
+
+#[test]
+fn another_unit_or_place_is_named() {
+    let named =
+        |mesh: &Mesh, words: &[&str]| expect(&surveyed(&good(), Some(mesh)), "other-place", &[], words);
+    named(
+        &moved(|p| p * 0.001),
+        &["1000 times too small", "meters and millimeters", "multiply them by 1000."],
+    );
+    named(&moved(|p| p * 1000.0), &["1000 times too large", "multiply them by 0.001."]);
+    named(&moved(|p| p + Vec3::new(0.9, 0.0, 0.3)), &["in another place"]);
+    named(&moved(|p| Vec3::new(p.x, -p.z, p.y) * 0.01), &["turned", "100 times too small"]);
+}
+
+#[test]
+fn a_mesh_of_something_else_misses_the_masks() {
+    let rod = box_mesh(Vec3::new(0.0, -0.5, 0.0), Vec3::new(0.02, 0.02, 1.5)).unwrap();
+    let survey = surveyed(&good(), Some(&rod));
+    let finding = &survey.findings[0];
+    assert_eq!((finding.name, finding.severity), ("mesh-misses-masks", Severity::Error), "{finding:?}");
+    assert!(finding.problem.contains("the mesh does not cover the masks"), "{finding:?}");
+    // A mesh that is only a little off is no reason to stop.
+    let thick = moved(|p| p * Vec3::new(1.0, 1.0, 1.25));
+    assert_eq!(surveyed(&good(), Some(&thick)).findings, []);
+}
+
+#[test]
+fn one_view_that_does_not_agree_is_named() {
+    let mut views = good();
+    let other = views[3].mask.clone();
+    views[12].mask = other;
+    expect(
+        &surveyed(&views, Some(&object())),
+        "stray-view",
+        &["v12"],
+        &["does not agree with the mesh in view `v12`"],
+    );
+}

@@ -1,0 +1,84 @@
+//! How cameras lie, and turntables.
+
+use super::{camera, looks};
+use crate::math::fibonacci::fibonacci_axes;
+use crate::survey::cameras::{Arrangement, Kind};
+use crate::survey::look::OpenView;
+use crate::survey::turntable::{Background, is_turntable, sameness};
+use crate::view::Split;
+use glam::Vec3;
+
+fn arrangement(directions: impl IntoIterator<Item = Vec3>) -> Arrangement {
+    let view = |(i, direction): (usize, Vec3)| OpenView {
+        name: format!("v{i}"),
+        split: Split::Train,
+        camera: camera(direction.normalize()),
+        photograph: None,
+        mask: None,
+    };
+    let views: Vec<OpenView> = directions.into_iter().enumerate().map(view).collect();
+    Arrangement::new(&looks(&views), None, Vec3::Y).unwrap()
+}
+
+fn ring(count: usize, height: f32) -> impl Iterator<Item = Vec3> {
+    (0..count).map(move |i| {
+        let (sin, cos) = (std::f32::consts::TAU * i as f32 / count as f32).sin_cos();
+        Vec3::new(cos, height, sin)
+    })
+}
+
+#[test]
+fn arrangements_are_recognized() {
+    let sphere = arrangement(fibonacci_axes(40));
+    assert_eq!(sphere.kind, Kind::Sphere);
+    assert!(sphere.target.length() < 0.2 && (sphere.distance[1] - 3.0).abs() < 0.2, "{sphere:?}");
+    let hemisphere = arrangement(fibonacci_axes(80).into_iter().take(40));
+    assert_eq!(hemisphere.kind, Kind::Hemisphere);
+    assert!(
+        hemisphere.elevation_degrees[0] > -5.0 && hemisphere.elevation_degrees[1] > 70.0,
+        "{hemisphere:?}"
+    );
+    assert_eq!(arrangement(ring(24, 0.3)).kind, Kind::Rings(1));
+    assert_eq!(arrangement(ring(24, 0.2).chain(ring(12, 0.9))).kind, Kind::Rings(2));
+    let tilted = arrangement(ring(24, 0.3).map(|d| Vec3::new(d.y, d.x, d.z)));
+    assert!(tilted.kind == Kind::Rings(1) && tilted.axis.x.abs() > 0.98, "{tilted:?}");
+    let half = arrangement(fibonacci_axes(80).into_iter().filter(|axis| axis.z > 0.3));
+    assert_eq!(half.kind, Kind::OneSide);
+    assert!(half.azimuth_gap_degrees > 120.0 && half.words().contains("from one side"), "{half:?}");
+    assert_eq!(
+        arrangement(fibonacci_axes(80).into_iter().filter(|axis| axis.y.abs() < 0.3)).kind,
+        Kind::Belt
+    );
+}
+
+/// Backgrounds of `count` photographs, by pixel and number, with the object in the middle.
+fn backgrounds(count: usize, value: impl Fn(f32, f32, usize) -> f32) -> Vec<Background> {
+    let one = |k: usize| {
+        let pixel = |i: u32| {
+            let (x, y) = ((i % 32) as f32, (i / 32) as f32);
+            let is_object = (x - 16.0).hypot(y - 16.0) < 9.0;
+            (!is_object).then(|| value(x, y, k))
+        };
+        Background { size: [32, 32], values: (0..1024).map(pixel).collect() }
+    };
+    (0..count).map(one).collect()
+}
+
+#[test]
+fn a_turntable_is_a_ring_before_the_same_background() {
+    let shelf =
+        |x: f32, y: f32, k: usize| 0.4 + 0.1 * (x * 0.4).sin() + 0.01 * y + 0.001 * ((k * 7) % 5) as f32;
+    let same = sameness(&backgrounds(8, shelf));
+    assert!(same.unwrap() > 0.95, "{same:?}");
+    let ring = arrangement(ring(24, 0.3));
+    assert!(is_turntable(Some(&ring), same));
+    assert!(!is_turntable(Some(&arrangement(fibonacci_axes(40))), same), "cameras on a sphere");
+    // A room that the camera went through.
+    let room = |x: f32, _: f32, k: usize| 0.4 + 0.1 * (x * 0.4 + 2.1 * k as f32).sin();
+    let other = sameness(&backgrounds(8, room));
+    assert!(!is_turntable(Some(&ring), other), "{other:?}");
+    // Plain paper says nothing.
+    assert_eq!(sameness(&backgrounds(8, |x, _, _| 0.5 + 0.0002 * x)), None);
+    assert_eq!(sameness(&backgrounds(2, shelf)), None);
+    assert_eq!(sameness(&[]), None);
+}

@@ -1,0 +1,116 @@
+//! Faults of single photographs.
+
+use super::{expect, good, object, surveyed};
+use crate::survey::look::OpenView;
+use crate::survey::{Severity, Survey};
+use glam::Vec3;
+
+/// A survey of good views after a change of one photograph's pixels.
+fn changed(view: usize, change: impl Fn(Vec3) -> Vec3) -> Survey {
+    let mut views = good();
+    pixels(&mut views[view]).iter_mut().for_each(|pixel| *pixel = change(*pixel));
+    surveyed(&views, Some(&object()))
+}
+
+fn pixels(view: &mut OpenView) -> &mut Vec<Vec3> {
+    &mut view.photograph.as_mut().unwrap().image.pixels
+}
+
+#[test]
+fn photographs_without_light_or_with_too_much_are_named() {
+    let black = changed(4, |_| Vec3::ZERO);
+    expect(&black, "black", &["v4"], &["black where the object is, in view `v4`", "select"]);
+    assert_eq!(black.findings[0].severity, Severity::Error);
+    assert!(black.findings[0].to_error().exit_code() == 2);
+    // A lens cap lets a little noise through.
+    expect(&changed(4, |pixel| pixel * 1e-4), "black", &["v4"], &["`v4`"]);
+    expect(&changed(21, |pixel| -pixel), "negative", &["t1"], &["negative in most pixels", "`t1`"]);
+    let mut views = good();
+    let light = pixels(&mut views[7]);
+    let lit = light.iter().position(|pixel| pixel.x > 0.0).unwrap();
+    light[lit] = Vec3::splat(1e36);
+    expect(&surveyed(&views, Some(&object())), "absurdly-bright", &["v7"], &["absurdly bright in view `v7`"]);
+}
+
+#[test]
+fn a_whole_photograph_in_another_unit_is_absurdly_bright() {
+    let survey = changed(9, |pixel| pixel * 1e5);
+    assert_eq!(survey.findings[0].name, "absurdly-bright");
+    assert_eq!(survey.findings[0].views, ["v9"]);
+}
+
+#[test]
+fn another_exposure_is_named_with_its_stops() {
+    let survey = changed(5, |pixel| pixel * 8.0);
+    expect(&survey, "exposure", &["v5"], &["`v5` is 3.", "stops brighter", "exposure: true"]);
+    assert_eq!(survey.findings[0].severity, Severity::Warning);
+    expect(&changed(5, |pixel| pixel / 8.0), "exposure", &["v5"], &["stops darker"]);
+    assert_eq!(changed(5, |pixel| pixel * 1.3).findings, []);
+}
+
+#[test]
+fn a_blurred_view_is_named() {
+    let mut views = good();
+    let side = views[11].camera.width as usize;
+    let sharp = pixels(&mut views[11]).clone();
+    let mean = |i: usize| {
+        let (x, y) = ((i % side) as i64, (i / side) as i64);
+        let tap = |dx: i64, dy: i64| {
+            let (x, y) = ((x + dx).clamp(0, side as i64 - 1), (y + dy).clamp(0, side as i64 - 1));
+            sharp[y as usize * side + x as usize]
+        };
+        let taps: Vec<Vec3> =
+            (-2..=2).flat_map(|dy| (-2..=2).map(move |dx| (dx, dy))).map(|(dx, dy)| tap(dx, dy)).collect();
+        taps.iter().sum::<Vec3>() / taps.len() as f32
+    };
+    *pixels(&mut views[11]) = (0..sharp.len()).map(mean).collect();
+    expect(&surveyed(&views, Some(&object())), "blurred", &["v11"], &["looks blurred", "view `v11`"]);
+}
+
+#[test]
+fn clipped_and_negative_pixels_are_warned_of() {
+    let mut views = good();
+    views[2].photograph.as_mut().unwrap().saturated.fill(true);
+    expect(&surveyed(&views, Some(&object())), "clipped", &["v2"], &["clipped in view `v2`"]);
+    let mut views = good();
+    let light = pixels(&mut views[2]);
+    let lit: Vec<usize> = (0..light.len()).filter(|&i| light[i].x > 0.0).step_by(20).collect();
+    lit.into_iter().for_each(|i| light[i] = Vec3::splat(-0.05));
+    expect(&surveyed(&views, Some(&object())), "negative-pixels", &["v2"], &["negative in view `v2`"]);
+}
+
+#[test]
+fn the_same_photograph_twice_is_named() {
+    let mut views = good();
+    let mut copy = views[6].clone();
+    copy.name = "t9".into();
+    copy.split = views[21].split;
+    views.push(copy);
+    expect(
+        &surveyed(&views, Some(&object())),
+        "duplicates",
+        &["v6", "t9"],
+        &["the same photograph", "`v6`, `t9`"],
+    );
+}
+
+#[test]
+fn views_of_one_name_in_both_splits_are_told_apart() {
+    let mut views = good();
+    views[20].name = "v4".into();
+    pixels(&mut views[4]).fill(Vec3::ZERO);
+    let survey = surveyed(&views, Some(&object()));
+    expect(&survey, "black", &["train/v4"], &["view `train/v4`"]);
+    assert_eq!((survey.flags("test/v4").len(), survey.flags("train/v4").len()), (0, 1));
+}
+
+#[test]
+fn few_views_are_not_compared_and_cameras_alone_have_no_light() {
+    let mut views = good();
+    pixels(&mut views[1]).iter_mut().for_each(|pixel| *pixel *= 8.0);
+    let few = surveyed(&views[..5], Some(&object()));
+    assert!(few.findings.is_empty() && few.compared.iter().all(|compared| compared.stops.is_none()));
+    views.iter_mut().for_each(|view| (view.photograph, view.mask) = (None, None));
+    let bare = surveyed(&views, Some(&object()));
+    assert!(bare.findings.is_empty() && bare.arrangement.is_some(), "{:?}", bare.findings);
+}
