@@ -3,13 +3,8 @@
 //! | module | reads | writes |
 //! | --- | --- | --- |
 //! | [`mod@file`] | whole files | whole files, never incomplete |
-<<<<<<< HEAD
-//! | [`image`] | PNG, JPEG, EXR, HDR to linear images and masks | |
-//! | [`exr`], [`frame`], `exr_rows` | EXR layers | EXR layers, rendered frames |
-=======
 //! | [`image`] | PNG, JPEG, TIFF, WebP, EXR, HDR: headers, samples, linear images and masks | |
-//! | [`exr`], [`frame`] | EXR layers | EXR layers, rendered frames |
->>>>>>> main
+//! | [`exr`], [`frame`], `exr_rows` | EXR layers | EXR layers, rendered frames |
 //! | [`png_file`], [`animation`] | | PNG; GIF, APNG, MP4 |
 //! | [`envmap`], `hdr` | EXR and Radiance HDR environment maps | EXR |
 //! | [`npy`] | light lobes in both conventions; matrices | light lobes |
