@@ -320,15 +320,7 @@ fn maps_without_light_or_with_too_much() {
 
 #[test]
 fn pictures_that_take_more_memory_than_there_may_be() {
-    let camera = CAMERA.replace("width: 16, height: 16", "width: 16384, height: 16384");
-    let folder = Folder::with_scene(scene(CAMERA, &camera));
-    folder.refused_by_both(&["view front of 16384×16384 pixels takes 51.0 GiB", "8 GiB"]);
-    let film = r#"Render(name: "novel", render: (orbit: (size: 16384, frames: 2)))"#;
-    let folder = Folder::with_scene(scene(r#"Render(name: "novel")"#, film));
-    folder.refused_by_both(&["pass novel: a film with 2 frames of 16384×16384 pixels takes 54.0 GiB"]);
-    let film = film.replace("16384, frames: 2", "1024, frames: 10000");
-    let folder = Folder::with_scene(scene(r#"Render(name: "novel")"#, &film));
-    folder.refused_by_both(&["a film with 10000 frames of 1024×1024 pixels takes 58"]);
+    let folder = Folder::with_scene(scene(CAMERA, CAMERA));
     std::fs::write(folder.path("light.ron"), LIGHT).unwrap();
     folder.refused(
         &["env", "render", "light.ron", "--size", "16384x16384", "a.exr"],

@@ -4,7 +4,7 @@
 //! | --- | --- |
 //! | runs of the command | [`run`], [`photos`], [`gloss`], [`ggx`], [`scale`], [`export`], [`shown`], [`env`] |
 //! | what is refused, and how | [`bad_input`], [`check`], [`hostile`], [`scene_errors`] |
-//! | systems in a world | [`ecs`], [`swap`], [`visibility`] |
+//! | systems in a world, pictures | [`ecs`], [`swap`], [`visibility`], [`frames`] |
 //! | the documentation, the layers of the code | [`docs`], [`rooms`] |
 
 mod common;
@@ -15,6 +15,7 @@ mod docs;
 mod ecs;
 mod env;
 mod export;
+mod frames;
 mod ggx;
 mod gloss;
 mod hostile;

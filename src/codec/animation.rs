@@ -1,16 +1,16 @@
 //! Animations that loop forever: GIF, APNG, and MP4 where `ffmpeg` is on the PATH.
 
 use crate::codec::file;
-use crate::codec::palette::{Ditherer, Palette};
+use crate::codec::palette::{Colors, Ditherer, Palette};
 use crate::codec::png_file;
 use crate::{Error, Result};
-use image::codecs::gif::{GifEncoder, Repeat};
-use image::{Delay, Frame, ImageError, RgbImage};
+use image::RgbImage;
 use png::{BitDepth, ColorType, Compression, Encoder, SrgbRenderingIntent};
 use std::ffi::OsStr;
 use std::io::{Read, Write};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use tempfile::TempDir;
 
 /// Result of writing an MP4.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -21,33 +21,93 @@ pub enum Mp4 {
     NoFfmpeg,
 }
 
+/// The frames of a film: PNG files in a hidden folder, which goes when this is dropped, so that a film is never whole in memory.
+#[derive(Debug)]
+pub struct Film {
+    folder: TempDir,
+    /// Width and height in pixels of all frames.
+    size: [u32; 2],
+    count: usize,
+}
+
+impl Film {
+    /// A film without frames, whose files lie in `folder` (created if missing).
+    ///
+    /// # Errors
+    /// [`Error::Io`] if a folder cannot be created.
+    pub fn new(folder: &Path) -> Result<Self> {
+        std::fs::create_dir_all(folder).map_err(Error::io("create folder", folder))?;
+        let hidden = tempfile::Builder::new().prefix(".film").tempdir_in(folder);
+        let folder = hidden.map_err(Error::io("create a folder in", folder))?;
+        Ok(Self { folder, size: [0; 2], count: 0 })
+    }
+
+    /// Appends a frame.
+    ///
+    /// # Errors
+    /// [`Error::Run`] if it is empty or differs in size from those before; [`Error::Io`] if it cannot be written.
+    pub fn push(&mut self, frame: &RgbImage) -> Result<()> {
+        let (size, path) = ([frame.width(), frame.height()], self.path(self.count));
+        if self.count > 0 && size != self.size {
+            return Err(failure(&path, format!("frame {} and frame 0 differ in size", self.count)));
+        }
+        png_file::write_rgb8(&path, frame)?;
+        self.size = size;
+        self.count += 1;
+        Ok(())
+    }
+
+    /// The frames in order, each read when it is its turn.
+    fn frames(&self) -> impl Iterator<Item = Result<RgbImage>> {
+        (0..self.count).map(|i| png_file::read_rgb8(&self.path(i)))
+    }
+
+    fn path(&self, i: usize) -> PathBuf {
+        self.folder.path().join(format!("{i:06}.png"))
+    }
+}
+
+/// Peak memory in bytes of a film with frames of this width and height, beside that of rendering: one frame at a time, its numbers of
+/// colors or its filtered copy, and what it is compressed to.
+pub fn film_bytes([width, height]: [u32; 2]) -> u64 {
+    10 * u64::from(width) * u64::from(height)
+}
+
 /// Writes a GIF that loops forever, with one palette of 256 colors for all frames and a dither that is constant over time.
 ///
 /// `fps` is in frames per second. GIF counts in hundredths of a second; delays are rounded so that the whole animation keeps its
 /// length. Viewers slow down frames shorter than 0.02 s, so that `fps` above 50 plays at 50.
 ///
 /// # Errors
-/// [`Error::Run`] for no frames, unequal or empty frames, sides over 65 535 pixels, or an `fps` that is not positive;
-/// [`Error::Io`] if the file cannot be written.
-pub fn write_gif(path: impl AsRef<Path>, frames: &[RgbImage], fps: f32) -> Result<()> {
+/// [`Error::Run`] for no frames, sides over 65 535 pixels, or an `fps` that is not positive; [`Error::Io`] if the file cannot be
+/// written.
+pub fn write_gif(path: impl AsRef<Path>, film: &Film, fps: f32) -> Result<()> {
     let path = path.as_ref();
-    check(path, frames, fps)?;
-    let palette = Palette::of(frames, 256);
+    check(path, film, fps)?;
+    let sides = film.size.map(u16::try_from);
+    let [Ok(width), Ok(height)] = sides else {
+        return Err(failure(path, "the sides of a GIF are at most 65535 pixels"));
+    };
+    let mut colors = Colors::default();
+    film.frames().try_for_each(|frame| frame.map(|frame| colors.add(&frame)))?;
+    let palette = Palette::of(&colors, 256);
     let mut ditherer = Ditherer::new(&palette);
-    let failed = |error: ImageError| match error {
-        ImageError::IoError(source) => Error::io("write", path)(source),
+    let failed = |error: gif::EncodingError| match error {
+        gif::EncodingError::Io(source) => Error::io("write", path)(source),
         other => failure(path, other.to_string()),
     };
     file::write_file(path, |writer| {
-        // At most 256 colors per frame reach the encoder, which then keeps them exactly.
-        let mut encoder = GifEncoder::new_with_speed(writer, 10);
-        encoder.set_repeat(Repeat::Infinite).map_err(failed)?;
-        for (i, frame) in frames.iter().enumerate() {
-            let opaque = image::DynamicImage::from(ditherer.dithered(frame)).into_rgba8();
-            let delay = Delay::from_numer_denom_ms(10 * hundredths(i, fps), 1);
-            encoder.encode_frame(Frame::from_parts(opaque, 0, 0, delay)).map_err(failed)?;
+        let mut encoder =
+            gif::Encoder::new(writer, width, height, palette.colors.as_flattened()).map_err(failed)?;
+        encoder.set_repeat(gif::Repeat::Infinite).map_err(failed)?;
+        for (i, frame) in film.frames().enumerate() {
+            let buffer = ditherer.dithered(&frame?).into();
+            let delay = hundredths(i, fps) as u16;
+            let frame = gif::Frame { width, height, delay, buffer, ..gif::Frame::default() };
+            encoder.write_frame(&frame).map_err(failed)?;
         }
-        Ok(())
+        // This ends the file.
+        encoder.into_inner().map(|_| ()).map_err(failed)
     })
 }
 
@@ -61,22 +121,22 @@ fn hundredths(i: usize, fps: f32) -> u32 {
 ///
 /// # Errors
 /// Those of [`write_gif`], without the limit on the sides.
-pub fn write_apng(path: impl AsRef<Path>, frames: &[RgbImage], fps: f32) -> Result<()> {
+pub fn write_apng(path: impl AsRef<Path>, film: &Film, fps: f32) -> Result<()> {
     let path = path.as_ref();
-    check(path, frames, fps)?;
+    check(path, film, fps)?;
     let failed = |error| png_file::failed(path, error);
     let (numerator, denominator) = delay_ratio(fps);
     file::write_file(path, |writer| {
-        let mut encoder = Encoder::new(writer, frames[0].width(), frames[0].height());
+        let mut encoder = Encoder::new(writer, film.size[0], film.size[1]);
         encoder.set_color(ColorType::Rgb);
         encoder.set_depth(BitDepth::Eight);
         encoder.set_compression(Compression::Balanced);
         encoder.set_source_srgb(SrgbRenderingIntent::Perceptual);
-        encoder.set_animated(frames.len() as u32, 0).map_err(failed)?;
+        encoder.set_animated(film.count as u32, 0).map_err(failed)?;
         encoder.set_frame_delay(numerator, denominator).map_err(failed)?;
         let mut animation = encoder.write_header().map_err(failed)?;
-        for frame in frames {
-            animation.write_image_data(frame.as_raw()).map_err(failed)?;
+        for frame in film.frames() {
+            animation.write_image_data(frame?.as_raw()).map_err(failed)?;
         }
         animation.finish().map_err(failed)
     })
@@ -95,21 +155,21 @@ fn delay_ratio(fps: f32) -> (u16, u16) {
 ///
 /// # Errors
 /// Those of [`write_apng`]; [`Error::Run`] with the last line of ffmpeg's output if it fails. A missing `ffmpeg` is [`Mp4::NoFfmpeg`], not an error.
-pub fn write_mp4(path: impl AsRef<Path>, frames: &[RgbImage], fps: f32) -> Result<Mp4> {
-    write_mp4_with(OsStr::new("ffmpeg"), path.as_ref(), frames, fps)
+pub fn write_mp4(path: impl AsRef<Path>, film: &Film, fps: f32) -> Result<Mp4> {
+    write_mp4_with(OsStr::new("ffmpeg"), path.as_ref(), film, fps)
 }
 
 /// [`write_mp4`] with another program in place of `ffmpeg` (a name on the PATH, or a path).
 ///
 /// # Errors
 /// Those of [`write_mp4`].
-pub fn write_mp4_with(program: &OsStr, path: &Path, frames: &[RgbImage], fps: f32) -> Result<Mp4> {
-    check(path, frames, fps)?;
+pub fn write_mp4_with(program: &OsStr, path: &Path, film: &Film, fps: f32) -> Result<Mp4> {
+    check(path, film, fps)?;
     let mut outcome = Mp4::Written;
     let written = file::write_by_path(path, |temporary| {
-        let size = [frames[0].width(), frames[0].height()].map(|side| side.next_multiple_of(2));
+        let size = film.size.map(|side| side.next_multiple_of(2));
         match start(program, temporary, size, fps) {
-            Ok(child) => feed(child, path, frames),
+            Ok(child) => feed(child, path, film),
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
                 outcome = Mp4::NoFfmpeg;
                 // Returns an error from the closure, so that no empty file gets the final name.
@@ -152,7 +212,7 @@ fn start(program: &OsStr, output: &Path, [width, height]: [u32; 2], fps: f32) ->
 }
 
 /// Sends the frames to a running ffmpeg and waits for it.
-fn feed(mut child: Child, path: &Path, frames: &[RgbImage]) -> Result<()> {
+fn feed(mut child: Child, path: &Path, film: &Film) -> Result<()> {
     let stderr = child.stderr.take();
     // Read while writing: a full pipe on either side would block both programs.
     let listener = std::thread::spawn(move || {
@@ -162,9 +222,10 @@ fn feed(mut child: Child, path: &Path, frames: &[RgbImage]) -> Result<()> {
         }
         String::from_utf8_lossy(&said).into_owned()
     });
+    let unsent = |error| failure(path, format!("cannot send frames to ffmpeg: {error}"));
     let mut fed = Ok(());
     if let Some(mut stdin) = child.stdin.take() {
-        fed = frames.iter().try_for_each(|frame| stdin.write_all(even(frame).as_raw()));
+        fed = film.frames().try_for_each(|frame| stdin.write_all(even(&frame?).as_raw()).map_err(unsent));
     }
     let status = child.wait().map_err(|error| failure(path, format!("cannot wait for ffmpeg: {error}")))?;
     let said = listener.join().unwrap_or_default();
@@ -172,7 +233,7 @@ fn feed(mut child: Child, path: &Path, frames: &[RgbImage]) -> Result<()> {
         let last = said.lines().rev().find(|line| !line.trim().is_empty()).unwrap_or("it gave no reason");
         return Err(failure(path, format!("ffmpeg failed ({status}): {}", last.trim())));
     }
-    fed.map_err(|error| failure(path, format!("cannot send frames to ffmpeg: {error}")))
+    fed
 }
 
 /// `frame` with even sides; an odd side is extended by its last line.
@@ -185,20 +246,14 @@ fn even(frame: &RgbImage) -> std::borrow::Cow<'_, RgbImage> {
     std::borrow::Cow::Owned(RgbImage::from_fn(width.next_multiple_of(2), height.next_multiple_of(2), pixel))
 }
 
-fn check(path: &Path, frames: &[RgbImage], fps: f32) -> Result<()> {
+fn check(path: &Path, film: &Film, fps: f32) -> Result<()> {
     if !(fps.is_finite() && fps > 0.0) {
         return Err(failure(path, format!("{fps} frames per second are not possible")));
     }
-    let Some(first) = frames.first() else {
+    if film.count == 0 {
         return Err(failure(path, "an animation needs at least one frame"));
-    };
-    if first.width() == 0 || first.height() == 0 {
-        return Err(failure(path, "its frames have no pixels"));
     }
-    match frames.iter().position(|frame| frame.dimensions() != first.dimensions()) {
-        Some(i) => Err(failure(path, format!("frame {i} and frame 0 differ in size"))),
-        None => Ok(()),
-    }
+    Ok(())
 }
 
 fn failure(path: &Path, problem: impl Into<String>) -> Error {
@@ -211,6 +266,12 @@ mod tests {
     use image::codecs::gif::GifDecoder;
     use image::{AnimationDecoder, Rgb};
 
+    fn film(folder: &Path, frames: &[RgbImage]) -> Film {
+        let mut film = Film::new(folder).unwrap();
+        frames.iter().for_each(|frame| film.push(frame).unwrap());
+        film
+    }
+
     fn frames(count: u32) -> Vec<RgbImage> {
         let pixel = |i: u32| move |x: u32, y: u32| Rgb([(x * 20) as u8, (y * 25) as u8, (i * 40) as u8]);
         (0..count).map(|i| RgbImage::from_fn(9, 7, pixel(i))).collect()
@@ -220,7 +281,8 @@ mod tests {
     fn gif_keeps_colors_time_and_loops() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("orbit.gif");
-        write_gif(&path, &frames(3), 24.0).unwrap();
+        write_gif(&path, &film(folder.path(), &frames(3)), 24.0).unwrap();
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 1, "the frames' files are gone");
         let bytes = std::fs::read(&path).unwrap();
         assert!(bytes.windows(11).any(|w| w == b"NETSCAPE2.0"), "no loop");
         let decoder = GifDecoder::new(std::io::Cursor::new(&bytes)).unwrap();
@@ -237,7 +299,7 @@ mod tests {
     fn apng_keeps_every_frame() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("orbit.png");
-        write_apng(&path, &frames(4), 12.5).unwrap();
+        write_apng(&path, &film(folder.path(), &frames(4)), 12.5).unwrap();
         let file = std::io::BufReader::new(std::fs::File::open(&path).unwrap());
         let mut reader = png::Decoder::new(file).read_info().unwrap();
         let control = *reader.info().animation_control().unwrap();
@@ -264,15 +326,37 @@ mod tests {
     fn bad_animations_are_refused_and_leave_no_file() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("orbit.gif");
-        let mut unequal = frames(2);
-        unequal.push(RgbImage::new(3, 3));
-        for (frames, fps) in [(vec![], 10.0), (frames(2), 0.0), (frames(2), f32::NAN), (unequal, 10.0)] {
-            assert!(write_gif(&path, &frames, fps).is_err());
-            assert!(write_apng(&path, &frames, fps).is_err());
-            assert!(write_mp4(&path, &frames, fps).is_err());
+        for (count, fps) in [(0, 10.0), (2, 0.0), (2, f32::NAN)] {
+            let film = film(folder.path(), &frames(count));
+            assert!(write_gif(&path, &film, fps).is_err());
+            assert!(write_apng(&path, &film, fps).is_err());
+            assert!(write_mp4(&path, &film, fps).is_err());
         }
-        assert!(write_gif(&path, &[RgbImage::new(0, 0)], 10.0).is_err());
+        let mut unequal = film(folder.path(), &frames(2));
+        let error = unequal.push(&RgbImage::new(3, 3)).unwrap_err();
+        assert!(error.to_string().contains("frame 2 and frame 0 differ in size"), "{error}");
+        assert!(Film::new(folder.path()).unwrap().push(&RgbImage::new(0, 0)).is_err());
+        let wide = film(folder.path(), &[RgbImage::new(65_536, 1)]);
+        let error = write_gif(&path, &wide, 10.0).unwrap_err();
+        assert!(error.to_string().contains("at most 65535 pixels"), "{error}");
+        drop((unequal, wide));
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn a_frame_that_is_lost_is_an_error_and_leaves_no_film() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("out/orbit.film");
+        let film = film(folder.path(), &frames(3));
+        std::fs::remove_file(film.path(2)).unwrap();
+        assert!(matches!(write_gif(&path, &film, 10.0), Err(Error::Io { .. })));
+        assert!(matches!(write_apng(&path, &film, 10.0), Err(Error::Io { .. })));
+        #[cfg(unix)]
+        {
+            let program = script(folder.path(), "for last; do :; done\ncat > \"$last\"");
+            assert!(matches!(write_mp4_with(program.as_os_str(), &path, &film, 10.0), Err(Error::Io { .. })));
+        }
+        assert!(!path.exists());
     }
 
     #[test]
@@ -288,7 +372,12 @@ mod tests {
     fn a_missing_ffmpeg_is_a_note() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("orbit.mp4");
-        let outcome = write_mp4_with(OsStr::new("no-such-ffmpeg-anywhere"), &path, &frames(2), 10.0);
+        let outcome = write_mp4_with(
+            OsStr::new("no-such-ffmpeg-anywhere"),
+            &path,
+            &film(folder.path(), &frames(2)),
+            10.0,
+        );
         assert_eq!(outcome.unwrap(), Mp4::NoFfmpeg);
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }
@@ -309,7 +398,8 @@ mod tests {
         let path = folder.path().join("out/orbit.mp4");
         // The output is the last argument; the stand-in stores what it is fed.
         let program = script(folder.path(), "for last; do :; done\ncat > \"$last\"");
-        assert_eq!(write_mp4_with(program.as_os_str(), &path, &frames(3), 24.0).unwrap(), Mp4::Written);
+        let film = film(folder.path(), &frames(3));
+        assert_eq!(write_mp4_with(program.as_os_str(), &path, &film, 24.0).unwrap(), Mp4::Written);
         let fed: Vec<u8> = frames(3).iter().flat_map(|frame| even(frame).into_owned().into_raw()).collect();
         assert_eq!(std::fs::read(&path).unwrap(), fed);
     }
@@ -321,7 +411,8 @@ mod tests {
         let path = folder.path().join("out/orbit.mp4");
         let program =
             script(folder.path(), "echo first >&2\necho 'Unknown encoder libx264' >&2\necho >&2\nexit 3");
-        let error = write_mp4_with(program.as_os_str(), &path, &frames(200), 24.0).unwrap_err();
+        let film = film(folder.path(), &frames(200));
+        let error = write_mp4_with(program.as_os_str(), &path, &film, 24.0).unwrap_err();
         assert!(error.to_string().contains("Unknown encoder libx264"), "{error}");
         assert_eq!(std::fs::read_dir(folder.path().join("out")).unwrap().count(), 0);
     }

@@ -1,15 +1,13 @@
 //! Writing of OpenEXR: any channels by name, and the layered frame that a render pass writes, which can also be read.
 
 use crate::codec::exr::{ExrLayers, read_exr_layers};
-use crate::codec::file;
+use crate::codec::exr_rows::{ChannelRows, Column, Values, refused, write_rows};
 use crate::codec::finite::check_finite;
 use crate::{Error, Result};
-use exr::prelude::{
-    AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, LineOrder, SmallVec, Text,
-    Vec2, WritableImage,
-};
 use glam::Vec3;
 use std::path::Path;
+
+pub use crate::codec::exr_rows::BLOCK_ROWS;
 
 /// One rendered view with its layers; every list holds `width * height` values, row by row from the top left.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -42,18 +40,27 @@ const NORMAL: [&str; 3] = ["normal.X", "normal.Y", "normal.Z"];
 const ALPHA: &str = "A";
 const DEPTH: &str = "depth.Z";
 
+/// Bytes of one pixel of a [`Frame`], in memory and in a file before compression.
+pub const FRAME_PIXEL_BYTES: usize = (3 * 5 + 2) * size_of::<f32>();
+
 impl Frame {
-    fn channels(&self) -> ExrLayers {
-        let mut channels =
-            ExrLayers { width: self.width as u32, height: self.height as u32, ..ExrLayers::default() };
-        channels.insert_triple(COLOR, &self.color);
-        channels.insert_triple(DIFFUSE, &self.diffuse);
-        channels.insert_triple(SPECULAR, &self.specular);
-        channels.insert_triple(ALBEDO, &self.albedo);
-        channels.insert_triple(NORMAL, &self.normal);
-        channels.channels.insert(ALPHA.to_owned(), self.alpha.clone());
-        channels.channels.insert(DEPTH.to_owned(), self.depth.clone());
-        channels
+    /// The channels in the order of a file: by name.
+    fn columns(&self) -> Vec<Column<'_>> {
+        let plain = [(ALPHA, &self.alpha), (DEPTH, &self.depth)];
+        let triples = [
+            (COLOR, &self.color),
+            (DIFFUSE, &self.diffuse),
+            (SPECULAR, &self.specular),
+            (ALBEDO, &self.albedo),
+            (NORMAL, &self.normal),
+        ];
+        let plain = plain.map(|(name, values)| Column { name, values: Values::Plain(values) });
+        let triples = triples.into_iter().flat_map(|(names, values)| {
+            [0, 1, 2].map(|axis| Column { name: names[axis], values: Values::Axis(values, axis) })
+        });
+        let mut columns: Vec<Column> = plain.into_iter().chain(triples).collect();
+        columns.sort_by_key(|column| column.name);
+        columns
     }
 }
 
@@ -62,7 +69,44 @@ impl Frame {
 /// # Errors
 /// [`Error::Run`] if a list has the wrong length or holds a non-finite value; [`Error::Io`] if the file cannot be written.
 pub fn write_frame(path: impl AsRef<Path>, frame: &Frame) -> Result<()> {
-    write_channels(path, &frame.channels())
+    write_frame_rows(path, [frame.width, frame.height], |rows| rows.push(frame))
+}
+
+/// [`write_frame`] for a frame of `size` (width, height) that is never whole in memory: `fill` pushes its bands from the top. The file
+/// has the same bytes, however many rows a band has, and gets its name when `fill` has succeeded and all rows are there.
+///
+/// # Errors
+/// Those of [`write_frame`], and whatever `fill` returns.
+pub fn write_frame_rows(
+    path: impl AsRef<Path>,
+    size: [usize; 2],
+    fill: impl FnOnce(&mut FrameRows) -> Result<()>,
+) -> Result<()> {
+    let frame = Frame::default();
+    let names: Vec<&str> = frame.columns().iter().map(|column| column.name).collect();
+    write_rows(path.as_ref(), &names, size, |rows| fill(&mut FrameRows(rows)))
+}
+
+/// The rows of a frame that is being written.
+pub struct FrameRows<'r, 'a>(&'r mut ChannelRows<'a>);
+
+impl FrameRows<'_, '_> {
+    /// Writes the next rows.
+    ///
+    /// # Errors
+    /// Those of [`write_frame`]; [`Error::Run`] if the width differs or there are more rows than the frame has.
+    pub fn push(&mut self, band: &Frame) -> Result<()> {
+        let columns = band.columns();
+        for column in &columns {
+            if let Some(at) = (0..column.len()).find(|&i| !column.at(i).is_finite()) {
+                let width = band.width.max(1);
+                let pixel = (at % width, self.0.next_row + at / width);
+                let problem = format!("channel {} is not finite at pixel {pixel:?}", column.name);
+                return Err(refused(self.0.path, problem));
+            }
+        }
+        self.0.push([band.width, band.height], &columns)
+    }
 }
 
 /// Writes `channels` as one single-part EXR, 32-bit float, ZIP (lossless), increasing lines.
@@ -72,44 +116,18 @@ pub fn write_frame(path: impl AsRef<Path>, frame: &Frame) -> Result<()> {
 /// cannot be written.
 pub fn write_channels(path: impl AsRef<Path>, channels: &ExrLayers) -> Result<()> {
     let path = path.as_ref();
-    let count = channels.width as usize * channels.height as usize;
-    if count == 0 || channels.channels.is_empty() {
-        return Err(refused(path, "there are no pixels or no channels to write".to_owned()));
-    }
-    if let Some((name, values)) = channels.channels.iter().find(|(_, values)| values.len() != count) {
-        return Err(refused(path, format!("channel {name} has {} values, not {count}", values.len())));
-    }
     for (name, values) in &channels.channels {
         check_finite(path, values.iter().copied(), |at| {
-            let (x, y) = (at % channels.width as usize, at / channels.width as usize);
-            format!("channel {name} is not finite at pixel ({x}, {y})")
+            let width = channels.width.max(1) as usize;
+            format!("channel {name} is not finite at pixel ({}, {})", at % width, at / width)
         })?;
     }
-    let image = single_part(channels);
-    file::write_file(path, |writer| {
-        // One thread: callers write many views at once, and the bytes do not depend on the number of threads.
-        image.write().non_parallel().to_buffered(writer).map_err(|error| match error {
-            exr::error::Error::Io(source) => Error::io("write", path)(source),
-            other => refused(path, other.to_string()),
-        })
-    })
-}
-
-fn single_part(channels: &ExrLayers) -> Image<Layer<AnyChannels<FlatSamples>>> {
-    let list: SmallVec<[AnyChannel<FlatSamples>; 4]> = channels
-        .channels
-        .iter()
-        .map(|(name, values)| AnyChannel::new(name.as_str(), FlatSamples::F32(values.clone())))
-        .collect();
-    let attributes =
-        LayerAttributes { software_name: Some(Text::from("Lobelia")), ..LayerAttributes::default() };
-    let encoding = Encoding { line_order: LineOrder::Increasing, ..Encoding::SMALL_LOSSLESS };
-    let size = Vec2(channels.width as usize, channels.height as usize);
-    Image::from_layer(Layer::new(size, attributes, encoding, AnyChannels::sort(list)))
-}
-
-fn refused(path: &Path, problem: String) -> Error {
-    Error::run(format!("writing {}", path.display()), problem)
+    let size = [channels.width as usize, channels.height as usize];
+    let column = |(name, values)| Column { name, values: Values::Plain(values) };
+    let columns: Vec<Column> =
+        channels.channels.iter().map(|(name, values)| column((name.as_str(), values.as_slice()))).collect();
+    let names: Vec<&str> = columns.iter().map(|column| column.name).collect();
+    write_rows(path, &names, size, |rows| rows.push(size, &columns))
 }
 
 /// Reads a frame that [`write_frame`] wrote.
@@ -142,6 +160,10 @@ pub fn read_frame(path: impl AsRef<Path>) -> Result<Frame> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use exr::meta::attribute::Text;
+    use exr::meta::header::LayerAttributes;
+    use exr::prelude::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, Vec2, WritableImage};
+    use std::ops::Range;
 
     fn frame(width: usize, height: usize) -> Frame {
         let vectors = |seed: usize| -> Vec<Vec3> {
@@ -177,6 +199,81 @@ mod tests {
         let bytes = std::fs::read(&path).unwrap();
         write_frame(&path, &written).unwrap();
         assert_eq!(std::fs::read(&path).unwrap(), bytes, "the same frame must give the same bytes");
+    }
+
+    /// Rows `start..end` of `frame`.
+    fn band(frame: &Frame, rows: Range<usize>) -> Frame {
+        let pixels = rows.start * frame.width..rows.end * frame.width;
+        let vectors = |values: &[Vec3]| values[pixels.clone()].to_vec();
+        Frame {
+            width: frame.width,
+            height: rows.len(),
+            color: vectors(&frame.color),
+            alpha: frame.alpha[pixels.clone()].to_vec(),
+            diffuse: vectors(&frame.diffuse),
+            specular: vectors(&frame.specular),
+            albedo: vectors(&frame.albedo),
+            normal: vectors(&frame.normal),
+            depth: frame.depth[pixels.clone()].to_vec(),
+        }
+    }
+
+    fn write_in_bands(path: &Path, frame: &Frame, rows: usize) -> Result<()> {
+        write_frame_rows(path, [frame.width, frame.height], |file| {
+            (0..frame.height)
+                .step_by(rows)
+                .try_for_each(|start| file.push(&band(frame, start..(start + rows).min(frame.height))))
+        })
+    }
+
+    /// The file as the `exr` crate writes a whole image.
+    fn by_the_crate(frame: &Frame) -> Vec<u8> {
+        let all = |column: &Column| FlatSamples::F32((0..column.len()).map(|i| column.at(i)).collect());
+        let columns = frame.columns();
+        let list = columns.iter().map(|column| AnyChannel::new(column.name, all(column))).collect();
+        let attributes =
+            LayerAttributes { software_name: Some(Text::from("Lobelia")), ..LayerAttributes::default() };
+        let size = Vec2(frame.width, frame.height);
+        let layer = Layer::new(size, attributes, Encoding::SMALL_LOSSLESS, AnyChannels::sort(list));
+        let mut bytes = std::io::Cursor::new(Vec::new());
+        Image::from_layer(layer).write().to_buffered(&mut bytes).unwrap();
+        bytes.into_inner()
+    }
+
+    #[test]
+    fn bands_of_any_height_give_the_bytes_of_the_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("view.exr");
+        for height in [1, 15, 16, 37, 48] {
+            let whole = frame(11, height);
+            let bytes = by_the_crate(&whole);
+            for rows in [1, 3, 7, 16, 20, 32, 48] {
+                write_in_bands(&path, &whole, rows).unwrap();
+                assert_eq!(std::fs::read(&path).unwrap(), bytes, "{height} rows, {rows} at a time");
+            }
+        }
+    }
+
+    #[test]
+    fn rows_that_are_missing_or_too_many_are_refused_and_leave_no_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("view.exr");
+        let whole = frame(5, 20);
+        let refused = |bands: &[Frame]| {
+            let pushed = write_frame_rows(&path, [5, 20], |file| bands.iter().try_for_each(|b| file.push(b)));
+            pushed.unwrap_err().to_string()
+        };
+        let upper = band(&whole, 0..17);
+        assert!(refused(std::slice::from_ref(&upper)).contains("only 17 of 20 rows"));
+        let message = refused(&[upper.clone(), upper.clone()]);
+        assert!(message.contains("rows 17 to 34 of 5 pixels do not fit a picture of 5×20"), "{message}");
+        assert!(refused(&[frame(6, 20)]).contains("of 6 pixels do not fit"));
+        let mut nan = band(&whole, 17..20);
+        nan.depth[11] = f32::INFINITY;
+        assert!(refused(&[upper, nan]).contains("depth.Z is not finite at pixel (1, 19)"));
+        let stopped = write_frame_rows(&path, [5, 20], |_| Err(Error::Interrupted));
+        assert!(matches!(stopped, Err(Error::Interrupted)), "the reason comes out as it is");
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }
 
     #[test]

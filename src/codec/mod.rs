@@ -5,7 +5,7 @@
 //! | [`mod@file`] | whole files of bounded size | whole files, never incomplete |
 //! | [`finite`] | | the check that every writer of floats makes |
 //! | [`image`] | PNG, JPEG, TIFF, WebP, EXR, HDR: headers, samples, linear images and masks | |
-//! | [`exr`], [`frame`] | EXR layers | EXR layers, rendered frames |
+//! | [`exr`], [`frame`], `exr_rows` | EXR layers | EXR layers, rendered frames |
 //! | [`png_file`], [`animation`] | | PNG; GIF, APNG, MP4 |
 //! | [`envmap`], `hdr` | EXR and Radiance HDR environment maps | EXR |
 //! | [`npy`] | light lobes in both conventions; matrices | light lobes |
@@ -17,6 +17,7 @@
 pub mod animation;
 pub mod envmap;
 pub mod exr;
+mod exr_rows;
 pub mod file;
 pub mod finite;
 pub mod frame;

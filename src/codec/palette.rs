@@ -4,8 +4,8 @@
 //! (after X. Wu, "Efficient Statistical Computations for Optimal Color Quantization", Graphics Gems II, 1991) with a few rounds of
 //! Lloyd's algorithm, and an ordered dither (T. Knoll's pattern dithering) that depends on the position of a pixel only.
 
-use image::RgbImage;
-use std::collections::{BTreeMap, HashMap};
+use image::{Rgb, RgbImage};
+use std::collections::{BTreeSet, HashMap};
 
 /// A palette of at most 256 sRGB colors.
 #[derive(Clone, Debug, PartialEq)]
@@ -21,14 +21,57 @@ struct Bin {
     weight: f64,
 }
 
-impl Palette {
-    /// The palette of at most `most` colors (1 to 256) for all `frames`; exact if they have at most that many colors.
-    pub fn of(frames: &[RgbImage], most: usize) -> Self {
-        let most = most.clamp(1, 256);
-        if let Some(colors) = few_colors(frames, most) {
-            return Self { colors };
+/// The colors of frames that are seen one at a time.
+pub struct Colors {
+    /// All of them, until they are more than [`Self::FEW`].
+    few: BTreeSet<[u8; 3]>,
+    /// Sums and numbers of pixels by the top six bits of each channel.
+    cells: Vec<([u64; 3], u64)>,
+}
+
+impl Default for Colors {
+    fn default() -> Self {
+        Self { few: BTreeSet::new(), cells: vec![([0; 3], 0); 1 << 18] }
+    }
+}
+
+impl Colors {
+    /// The most colors that a palette can hold.
+    const FEW: usize = 256;
+
+    /// Counts the pixels of a frame.
+    pub fn add(&mut self, frame: &RgbImage) {
+        for pixel in frame.pixels() {
+            if self.few.len() <= Self::FEW {
+                self.few.insert(pixel.0);
+            }
+            let cell = pixel.0.iter().fold(0, |cell, c| cell << 6 | usize::from(c >> 2));
+            let (sum, count) = &mut self.cells[cell];
+            (0..3).for_each(|i| sum[i] += u64::from(pixel.0[i]));
+            *count += 1;
         }
-        let bins = histogram(frames);
+    }
+
+    /// The mean of each cell that has pixels.
+    fn bins(&self) -> Vec<Bin> {
+        let filled = self.cells.iter().filter(|(_, count)| *count > 0);
+        let bin = |(sum, count): &([u64; 3], u64)| Bin {
+            color: sum.map(|s| s as f64 / *count as f64),
+            // Weights grow more slowly than counts, so that a large uniform backdrop does not use up the palette.
+            weight: (*count as f64).powf(0.75),
+        };
+        filled.map(bin).collect()
+    }
+}
+
+impl Palette {
+    /// The palette of at most `most` colors (1 to 256) for frames of these colors; exact if they have at most that many.
+    pub fn of(colors: &Colors, most: usize) -> Self {
+        let most = most.clamp(1, Colors::FEW);
+        if colors.few.len() <= most {
+            return Self { colors: colors.few.iter().copied().collect() };
+        }
+        let bins = colors.bins();
         let mut boxes = vec![bins.clone()];
         while boxes.len() < most {
             let Some(widest) = widest(&boxes) else { break };
@@ -46,40 +89,11 @@ impl Palette {
         Self { colors }
     }
 
-    /// The color nearest to `color`, by squared sRGB distance; the first of equal ones.
-    fn nearest(&self, color: [i32; 3]) -> [u8; 3] {
+    /// Number of the color nearest to `color`, by squared sRGB distance; the first of equal ones.
+    fn nearest(&self, color: [i32; 3]) -> u8 {
         let distance = |c: &[u8; 3]| (0..3).map(|i| (i32::from(c[i]) - color[i]).pow(2)).sum::<i32>();
-        self.colors.iter().copied().min_by_key(distance).unwrap_or([0; 3])
+        (0..=u8::MAX).zip(&self.colors).min_by_key(|(_, c)| distance(c)).map_or(0, |(number, _)| number)
     }
-}
-
-/// All colors, sorted, if they are at most `most`.
-fn few_colors(frames: &[RgbImage], most: usize) -> Option<Vec<[u8; 3]>> {
-    let mut seen = std::collections::BTreeSet::new();
-    for pixel in frames.iter().flat_map(|frame| frame.pixels()) {
-        if seen.insert(pixel.0) && seen.len() > most {
-            return None;
-        }
-    }
-    Some(seen.into_iter().collect())
-}
-
-/// Pixels by the top six bits of each channel, with the mean of each cell.
-fn histogram(frames: &[RgbImage]) -> Vec<Bin> {
-    let mut cells: BTreeMap<[u8; 3], ([u64; 3], u64)> = BTreeMap::new();
-    for pixel in frames.iter().flat_map(|frame| frame.pixels()) {
-        let (sum, count) = cells.entry(pixel.0.map(|c| c >> 2)).or_default();
-        (0..3).for_each(|i| sum[i] += u64::from(pixel.0[i]));
-        *count += 1;
-    }
-    cells
-        .into_values()
-        .map(|(sum, count)| Bin {
-            color: sum.map(|s| s as f64 / count as f64),
-            // Weights grow more slowly than counts, so that a large uniform backdrop does not use up the palette.
-            weight: (count as f64).powf(0.75),
-        })
-        .collect()
 }
 
 fn mean(bins: &[Bin]) -> [f64; 3] {
@@ -136,11 +150,14 @@ const RANKS: [[usize; 4]; 4] = [[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [1
 /// Fraction of the remaining error that the next candidate corrects; a value below 1 reduces grain.
 const STRENGTH: f32 = 0.8;
 
+/// Colors that a cache holds before it begins anew.
+const CACHED: usize = 1 << 20;
+
 /// Dithers frames to a palette, with a cache per color.
 pub struct Ditherer<'a> {
     palette: &'a Palette,
-    candidates: HashMap<[u8; 3], [[u8; 3]; 16]>,
-    nearest: HashMap<[i32; 3], [u8; 3]>,
+    candidates: HashMap<[u8; 3], [u8; 16]>,
+    nearest: HashMap<[i32; 3], u8>,
 }
 
 impl<'a> Ditherer<'a> {
@@ -149,30 +166,34 @@ impl<'a> Ditherer<'a> {
         Self { palette, candidates: HashMap::new(), nearest: HashMap::new() }
     }
 
-    /// `frame` in colors of the palette only.
-    pub fn dithered(&mut self, frame: &RgbImage) -> RgbImage {
-        let mut result = frame.clone();
-        for (x, y, pixel) in result.enumerate_pixels_mut() {
-            pixel.0 = self.candidates_of(pixel.0)[RANKS[y as usize % 4][x as usize % 4]];
-        }
-        result
+    /// `frame` as numbers of the palette's colors, row by row.
+    pub fn dithered(&mut self, frame: &RgbImage) -> Vec<u8> {
+        let number = |(x, y, pixel): (u32, u32, &Rgb<u8>)| {
+            self.candidates_of(pixel.0)[RANKS[y as usize % 4][x as usize % 4]]
+        };
+        frame.enumerate_pixels().map(number).collect()
     }
 
-    /// Sixteen palette colors, dark to light, whose mean is about `color`; all equal if the palette contains it.
-    fn candidates_of(&mut self, color: [u8; 3]) -> [[u8; 3]; 16] {
+    /// Sixteen colors of the palette by number, dark to light, whose mean is about `color`; all equal if the palette contains it.
+    fn candidates_of(&mut self, color: [u8; 3]) -> [u8; 16] {
         if let Some(known) = self.candidates.get(&color) {
             return *known;
         }
+        if self.candidates.len().max(self.nearest.len()) > CACHED {
+            self.candidates.clear();
+            self.nearest.clear();
+        }
         let mut error = [0.0f32; 3];
-        let mut chosen = [[0u8; 3]; 16];
+        let mut chosen = [0u8; 16];
         for slot in &mut chosen {
             let aim: [i32; 3] =
                 std::array::from_fn(|c| (f32::from(color[c]) + STRENGTH * error[c]).round() as i32);
             *slot = *self.nearest.entry(aim).or_insert_with(|| self.palette.nearest(aim));
-            (0..3).for_each(|c| error[c] += f32::from(color[c]) - f32::from(slot[c]));
+            let near = self.palette.colors[usize::from(*slot)];
+            (0..3).for_each(|c| error[c] += f32::from(color[c]) - f32::from(near[c]));
         }
-        let luma = |c: &[u8; 3]| 299 * u32::from(c[0]) + 587 * u32::from(c[1]) + 114 * u32::from(c[2]);
-        chosen.sort_by_key(luma);
+        let luma = |c: [u8; 3]| 299 * u32::from(c[0]) + 587 * u32::from(c[1]) + 114 * u32::from(c[2]);
+        chosen.sort_by_key(|number| luma(self.palette.colors[usize::from(*number)]));
         self.candidates.insert(color, chosen);
         chosen
     }
@@ -181,27 +202,38 @@ impl<'a> Ditherer<'a> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use image::Rgb;
 
     fn ramp() -> RgbImage {
         RgbImage::from_fn(128, 64, |x, y| Rgb([x as u8 * 2, y as u8 * 4, (x + y) as u8]))
     }
 
+    fn palette(frame: &RgbImage, most: usize) -> Palette {
+        let mut colors = Colors::default();
+        colors.add(frame);
+        Palette::of(&colors, most)
+    }
+
+    /// `frame` in colors of the palette.
+    fn dithered(ditherer: &mut Ditherer, frame: &RgbImage) -> RgbImage {
+        let numbers = ditherer.dithered(frame);
+        let colors = numbers.iter().flat_map(|number| ditherer.palette.colors[usize::from(*number)]);
+        RgbImage::from_raw(frame.width(), frame.height(), colors.collect()).unwrap()
+    }
+
     #[test]
     fn few_colors_are_kept_exactly() {
         let frame = RgbImage::from_fn(16, 16, |x, y| Rgb([x as u8, y as u8, 77]));
-        let palette = Palette::of(std::slice::from_ref(&frame), 256);
+        let palette = palette(&frame, 256);
         assert_eq!(palette.colors.len(), 256);
-        assert_eq!(Ditherer::new(&palette).dithered(&frame), frame);
+        assert_eq!(dithered(&mut Ditherer::new(&palette), &frame), frame);
     }
 
     #[test]
     fn many_colors_are_met_on_average() {
         let frame = ramp();
-        let palette = Palette::of(std::slice::from_ref(&frame), 64);
+        let palette = palette(&frame, 64);
         assert!(palette.colors.len() > 60 && palette.colors.len() <= 64);
-        let dithered = Ditherer::new(&palette).dithered(&frame);
-        assert!(dithered.pixels().all(|p| palette.colors.contains(&p.0)));
+        let dithered = dithered(&mut Ditherer::new(&palette), &frame);
         let block_mean = |image: &RgbImage, left: u32, top: u32, c: usize| {
             let sum: u32 = (0..64).map(|i| u32::from(image.get_pixel(left + i % 8, top + i / 8).0[c])).sum();
             sum as f32 / 64.0
@@ -218,12 +250,12 @@ mod tests {
 
     #[test]
     fn dither_of_a_still_part_stands_still() {
-        let palette = Palette::of(&[ramp()], 32);
+        let palette = palette(&ramp(), 32);
         let mut ditherer = Ditherer::new(&palette);
-        let first = ditherer.dithered(&ramp());
+        let first = dithered(&mut ditherer, &ramp());
         let mut moved = ramp();
         (0..64).for_each(|y| moved.put_pixel(0, y, Rgb([255, 0, 255])));
-        let second = ditherer.dithered(&moved);
+        let second = dithered(&mut ditherer, &moved);
         assert!(first.enumerate_pixels().all(|(x, y, p)| x == 0 || second.get_pixel(x, y) == p));
     }
 }

@@ -4,6 +4,8 @@ use crate::codec::file;
 use crate::{Error, Result};
 use image::{RgbImage, RgbaImage};
 use png::{BitDepth, ColorType, Compression, Encoder, SrgbRenderingIntent};
+use std::fs::File;
+use std::io::{BufReader, Write};
 use std::path::Path;
 
 /// Writes an opaque sRGB picture.
@@ -23,16 +25,85 @@ pub fn write_rgba8(path: impl AsRef<Path>, picture: &RgbaImage) -> Result<()> {
 }
 
 fn write(path: &Path, width: u32, height: u32, color: ColorType, samples: &[u8]) -> Result<()> {
+    write_rows(path, [width, height], color, |rows| rows.push(samples))
+}
+
+/// Compressed bytes that are collected before they are written: one chunk of the file.
+const CHUNK_BYTES: usize = 1 << 20;
+
+/// Writes an 8-bit sRGB picture of `size` (width, height) that is never whole in memory: `fill` pushes its rows from the top. The file has
+/// the same bytes, however many rows are pushed at a time, and gets its name when `fill` has succeeded and all rows are there.
+///
+/// # Errors
+/// [`Error::Io`] if the file cannot be written, [`Error::Run`] for an empty picture or another number of rows, and whatever
+/// `fill` returns.
+pub fn write_rows(
+    path: impl AsRef<Path>,
+    size: [u32; 2],
+    color: ColorType,
+    fill: impl FnOnce(&mut PngRows) -> Result<()>,
+) -> Result<()> {
+    let path = path.as_ref();
+    let failed = |error| failed(path, error);
     file::write_file(path, |writer| {
-        let mut encoder = Encoder::new(writer, width, height);
+        let mut encoder = Encoder::new(writer, size[0], size[1]);
         encoder.set_color(color);
         encoder.set_depth(BitDepth::Eight);
         encoder.set_compression(Compression::Balanced);
         encoder.set_source_srgb(SrgbRenderingIntent::Perceptual);
-        let mut picture = encoder.write_header().map_err(|error| failed(path, error))?;
-        picture.write_image_data(samples).map_err(|error| failed(path, error))?;
-        picture.finish().map_err(|error| failed(path, error))
+        let mut picture = encoder.write_header().map_err(failed)?;
+        let mut stream = picture.stream_writer_with_size(CHUNK_BYTES).map_err(failed)?;
+        let left = size[0] as usize * size[1] as usize * color.samples();
+        let mut rows = PngRows { path, stream: &mut stream, left };
+        fill(&mut rows)?;
+        rows.complete()?;
+        stream.finish().map_err(failed)?;
+        picture.finish().map_err(failed)
     })
+}
+
+/// The rows of a picture that is being written.
+pub struct PngRows<'a> {
+    path: &'a Path,
+    stream: &'a mut dyn Write,
+    /// Samples still to come.
+    left: usize,
+}
+
+impl PngRows<'_> {
+    /// Writes the samples of the next rows: R, G, B and perhaps alpha of each pixel.
+    ///
+    /// # Errors
+    /// [`Error::Io`] if they cannot be written, [`Error::Run`] if there are more than the picture has.
+    pub fn push(&mut self, samples: &[u8]) -> Result<()> {
+        let more =
+            || Error::run(format!("writing {}", self.path.display()), "it has more rows than it should");
+        self.left = self.left.checked_sub(samples.len()).ok_or_else(more)?;
+        self.stream.write_all(samples).map_err(Error::io("write", self.path))
+    }
+
+    fn complete(&self) -> Result<()> {
+        if self.left == 0 {
+            return Ok(());
+        }
+        let problem = format!("{} of its samples were not rendered", self.left);
+        Err(Error::run(format!("writing {}", self.path.display()), problem))
+    }
+}
+
+/// Reads an opaque 8-bit picture that [`write_rgb8`] wrote.
+///
+/// # Errors
+/// [`Error::Io`] if the file cannot be opened, [`Error::Run`] if it is another or a damaged one.
+pub(super) fn read_rgb8(path: &Path) -> Result<RgbImage> {
+    let failed = |problem: String| Error::run(format!("reading {}", path.display()), problem);
+    let file = File::open(path).map_err(Error::io("read", path))?;
+    let mut reader =
+        png::Decoder::new(BufReader::new(file)).read_info().map_err(|error| failed(error.to_string()))?;
+    let size = [reader.info().width, reader.info().height];
+    let mut samples = vec![0; reader.output_buffer_size().unwrap_or(0)];
+    reader.next_frame(&mut samples).map_err(|error| failed(error.to_string()))?;
+    RgbImage::from_raw(size[0], size[1], samples).ok_or_else(|| failed("it is not 8-bit RGB".to_owned()))
 }
 
 /// Converts an error of the encoder.
@@ -58,6 +129,38 @@ mod tests {
         let rgba = RgbaImage::from_fn(3, 4, |x, y| Rgba([x as u8 * 30, 7, 9, y as u8 * 60]));
         write_rgba8(&path, &rgba).unwrap();
         assert_eq!(image::open(&path).unwrap().into_rgba8(), rgba);
+    }
+
+    #[test]
+    fn rows_at_a_time_give_the_bytes_of_the_whole() {
+        let folder = tempfile::tempdir().unwrap();
+        let (whole, parts) = (folder.path().join("whole.png"), folder.path().join("parts.png"));
+        let picture = RgbImage::from_fn(31, 19, |x, y| Rgb([x as u8 * 8, y as u8 * 13, (x * y) as u8]));
+        write_rgb8(&whole, &picture).unwrap();
+        for rows in [1, 3, 7] {
+            let parted =
+                |file: &mut PngRows| picture.as_raw().chunks(rows * 31 * 3).try_for_each(|r| file.push(r));
+            write_rows(&parts, [31, 19], ColorType::Rgb, parted).unwrap();
+            assert_eq!(std::fs::read(&parts).unwrap(), std::fs::read(&whole).unwrap(), "{rows}");
+        }
+        assert_eq!(read_rgb8(&parts).unwrap(), picture);
+        std::fs::write(&parts, &std::fs::read(&whole).unwrap()[..200]).unwrap();
+        assert!(matches!(read_rgb8(&parts), Err(Error::Run { .. })));
+    }
+
+    #[test]
+    fn missing_and_surplus_rows_are_refused_and_leave_no_file() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("a.png");
+        for rows in [0, 3, 5] {
+            let pushed = write_rows(&path, [2, 4], ColorType::Rgb, |file| {
+                (0..rows).try_for_each(|_| file.push(&[7; 6]))
+            });
+            assert!(matches!(pushed, Err(Error::Run { .. })), "{rows}");
+        }
+        let stopped = write_rows(&path, [2, 4], ColorType::Rgb, |_| Err(Error::Interrupted));
+        assert!(matches!(stopped, Err(Error::Interrupted)));
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }
 
     #[test]

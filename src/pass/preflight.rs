@@ -2,6 +2,7 @@
 //! not after a long fit.
 
 use crate::codec::file::{check_room, check_writable};
+use crate::codec::frame::FRAME_PIXEL_BYTES;
 use crate::codec::gltf::import::read_mesh;
 use crate::codec::image::Gamma;
 use crate::codec::nearby::closest;
@@ -18,7 +19,7 @@ use crate::scene::Gloss;
 use crate::scene::{
     EvaluatePass, LayerTruth, Pass, RenderSettings, Scene, Surface, Truth, ViewChoice, Views,
 };
-use crate::shade::frame::check_frame;
+use crate::shade::frame::{PixelSums, check_memory};
 use crate::survey::open::OpenScene;
 use crate::survey::{Look, Severity};
 use crate::view::{Photograph, ViewName, ViewRecord};
@@ -26,10 +27,8 @@ use bevy_ecs::prelude::World;
 use rayon::prelude::*;
 use std::path::Path;
 
-/// Bytes of a rendered photograph's pixel: radiance, whether it is clipped, and the mask.
-const PHOTOGRAPH_PIXEL_BYTES: u64 = 12 + 1 + 4;
-/// Bytes of a film's pixel: its 8-bit color, and that of the encoder.
-const FILM_PIXEL_BYTES: u64 = 3 + 3;
+/// Bytes of a rendered photograph's pixel: radiance and the mask.
+const PHOTOGRAPH_PIXEL_BYTES: u64 = 12 + 2;
 /// Room on the disk that any run takes.
 const LEAST_ROOM: u64 = 16 << 20;
 
@@ -97,30 +96,15 @@ pub fn check(session: &mut Session) -> Result<()> {
 /// Checks what a scene says of its pictures: each takes memory that is known before anything is read.
 ///
 /// # Errors
-/// [`Error::Usage`] for a camera or a film that takes more than there may be.
+/// [`Error::Usage`] for photographs that take more than there may be.
 pub fn check_sizes(scene: &Scene) -> Result<()> {
-    match &scene.views {
-        Views::Cameras(cameras) => {
-            for camera in cameras {
-                check_frame(&format!("view {}", camera.name), camera.width, camera.height, 0)?;
-            }
-        }
-        Views::Photographed(spec) => {
-            let ring = &spec.cameras;
-            let photographs = u64::from(ring.count) + u64::from(ring.test);
-            let kept = photographs * u64::from(ring.size).pow(2) * PHOTOGRAPH_PIXEL_BYTES;
-            check_frame(&format!("rendering {photographs} photographs"), ring.size, ring.size, kept)?;
-        }
-        Views::Dataset(_) => {}
-    }
-    for pass in &scene.passes {
-        if let Some(orbit) = pass.render().and_then(|settings| settings.orbit.as_ref()) {
-            let kept = u64::from(orbit.frames) * u64::from(orbit.size).pow(2) * FILM_PIXEL_BYTES;
-            let what = format!("pass {}: a film with {} frames", pass.name(), orbit.frames);
-            check_frame(&what, orbit.size, orbit.size, kept)?;
-        }
-    }
-    Ok(())
+    // Views and films are rendered in bands of rows, and take little whatever their size.
+    let Views::Photographed(spec) = &scene.views else { return Ok(()) };
+    let ring = &spec.cameras;
+    let (photographs, pixels) = (u64::from(ring.count) + u64::from(ring.test), u64::from(ring.size).pow(2));
+    let frame = (size_of::<PixelSums>() + 4 * FRAME_PIXEL_BYTES) as u64;
+    let bytes = pixels * (photographs * PHOTOGRAPH_PIXEL_BYTES + frame);
+    check_memory(&format!("rendering {photographs} photographs"), ring.size, ring.size, bytes)
 }
 
 /// Checks before any work that the folders of all passes can be written into, and that the disk is not full.
@@ -148,11 +132,7 @@ fn check_views(session: &mut Session, pass: &str, settings: &RenderSettings) -> 
             return Err(Error::usage(format!("pass {pass}: there is no view {missing}"), help));
         }
     }
-    let views = chosen_views(world, &settings.views);
-    for ChosenView { stem, camera, .. } in &views {
-        check_frame(&format!("view {stem}"), camera.width, camera.height, 0)?;
-    }
-    if settings.orbit.is_none() && views.is_empty() {
+    if settings.orbit.is_none() && chosen_views(world, &settings.views).is_empty() {
         let problem = format!("pass {pass} renders nothing: no view matches");
         let help = "Use `render: (views: All)`, or give it an `orbit`.";
         return Err(Error::usage(problem, help));

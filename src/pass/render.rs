@@ -1,7 +1,7 @@
 //! The `Render`, `Edit` and `Relight` passes: they render the material, light and shading that [`show`] swaps in.
 
-use crate::codec::animation::{Mp4, write_apng, write_gif, write_mp4};
-use crate::codec::frame::{Frame, write_frame};
+use crate::codec::animation::{Film, Mp4, write_apng, write_gif, write_mp4};
+use crate::codec::frame::{Frame, write_frame_rows};
 use crate::error::Result;
 use crate::light::lights::IncidentLight;
 use crate::math::ray::Illuminate;
@@ -10,9 +10,9 @@ use crate::pass::session::Session;
 use crate::pass::shading::camera_rays;
 use crate::pass::show::show;
 use crate::pipeline::Pipeline;
-use crate::report::tone::{Backdrop, Look, Picture, write_png};
+use crate::report::tone::{Backdrop, Look, Picture, write_png_rows};
 use crate::scene::{Orbit, OrbitFormat, Pass, RenderSettings, ViewChoice};
-use crate::shade::frame::{render_frame, resolve};
+use crate::shade::frame::{band_rows, render_bands};
 use crate::view::camera;
 use crate::view::camera::Camera;
 use crate::view::{Split, ViewName};
@@ -36,22 +36,16 @@ fn render_all(session: &mut Session, name: &str, settings: &RenderSettings) -> R
     let orbit = settings.orbit.as_ref().map(|orbit| orbit_cameras(session, orbit)).transpose()?;
     let frames = orbit.as_ref().map_or(0, Vec::len);
     let bar = session.progress.bar(name, (views.len() + frames) as u64);
-    let look = Look { exposure: settings.exposure, tone: settings.tone };
-    for ChosenView { stem, camera, .. } in &views {
+    for view in &views {
         check_interrupted()?;
-        let frame = picture(&mut session.pipeline, *camera, settings)?;
-        write_frame(folder.join(format!("{stem}.exr")), &frame)?;
-        let behind = settings.backdrop.then(|| backdrop(&session.pipeline.world, camera));
-        let developed = Picture::of(&frame);
-        let behind = behind.as_deref().map_or(Backdrop::Transparent, Backdrop::Radiance);
-        write_png(folder.join(format!("{stem}.png")), &developed, &look, behind)?;
+        write_view(&mut session.pipeline, &folder, view, settings)?;
         bar.inc(1);
     }
     if let (Some(orbit), Some(cameras)) = (&settings.orbit, &orbit) {
-        let mut film = Vec::new();
+        let mut film = Film::new(&folder)?;
         for camera in cameras {
             check_interrupted()?;
-            film.push(film_frame(session, *camera, settings, &look)?);
+            film.push(&film_frame(&mut session.pipeline, *camera, settings)?)?;
             bar.inc(1);
         }
         write_film(session, &folder, orbit, &film)?;
@@ -96,16 +90,58 @@ pub fn chosen_views(world: &mut World, choice: &ViewChoice) -> Vec<ChosenView> {
     views
 }
 
-/// Renders one picture with the systems in the slots.
-///
-/// # Errors
-/// If a system fails.
-pub fn picture(pipeline: &mut Pipeline, camera: Camera, settings: &RenderSettings) -> Result<Frame> {
-    Ok(resolve(&render_frame(pipeline, camera, camera_rays(settings))?))
+/// Renders a view and writes it as EXR and PNG, both band by band.
+fn write_view(
+    pipeline: &mut Pipeline,
+    folder: &Path,
+    view: &ChosenView,
+    settings: &RenderSettings,
+) -> Result<()> {
+    let path = |ending: &str| folder.join(format!("{}.{ending}", view.stem));
+    let camera = view.camera;
+    let size = [camera.width, camera.height];
+    write_frame_rows(path("exr"), size.map(|side| side as usize), |layers| {
+        write_png_rows(path("png"), size, !settings.backdrop, |colors| {
+            bands(pipeline, camera, settings, Backdrop::Transparent, &mut |frame, samples| {
+                layers.push(frame)?;
+                colors.push(samples)
+            })
+        })
+    })
 }
 
-/// The radiance of the light behind each pixel.
-fn backdrop(world: &World, camera: &Camera) -> Vec<Vec3> {
+/// A frame of a film.
+fn film_frame(pipeline: &mut Pipeline, camera: Camera, settings: &RenderSettings) -> Result<RgbImage> {
+    let mut picture = Vec::with_capacity(3 * camera.width as usize * camera.height as usize);
+    // Animations have no alpha: the backdrop is dark gray.
+    let gray = Backdrop::Solid(Vec3::splat(0.02));
+    bands(pipeline, camera, settings, gray, &mut |_, samples| {
+        picture.extend_from_slice(samples);
+        Ok(())
+    })?;
+    Ok(RgbImage::from_raw(camera.width, camera.height, picture).expect("its bands have all rows"))
+}
+
+/// Renders a picture; `take` gets each band and its 8-bit colors before the light, if the pass shows it, or else before `plain`.
+fn bands(
+    pipeline: &mut Pipeline,
+    camera: Camera,
+    settings: &RenderSettings,
+    plain: Backdrop,
+    take: &mut dyn FnMut(&Frame, &[u8]) -> Result<()>,
+) -> Result<()> {
+    let look = Look { exposure: settings.exposure, tone: settings.tone };
+    let (rays, rows) = (camera_rays(settings), band_rows(&camera));
+    render_bands(pipeline, camera, rays, rows, &mut |world, first_row, frame| {
+        check_interrupted()?;
+        let behind = settings.backdrop.then(|| backdrop(world, &camera, first_row, frame.height as u32));
+        let behind = behind.as_deref().map_or(plain, Backdrop::Radiance);
+        take(frame, &Picture::of(frame).samples8(&look, behind)?)
+    })
+}
+
+/// The radiance of the light behind each pixel of some rows.
+fn backdrop(world: &World, camera: &Camera, first_row: u32, rows: u32) -> Vec<Vec3> {
     let light = world.get_resource::<IncidentLight>().and_then(|light| light.distant.clone());
     let radiance = |x: u32, y: u32| {
         let ray = camera.ray(x as f32 + 0.5, y as f32 + 0.5);
@@ -113,7 +149,7 @@ fn backdrop(world: &World, camera: &Camera) -> Vec<Vec3> {
             .as_ref()
             .map_or(Vec3::ZERO, |light: &std::sync::Arc<dyn Illuminate>| light.radiance(ray.direction))
     };
-    (0..camera.height)
+    (first_row..first_row + rows)
         .flat_map(|y| (0..camera.width).map(move |x| (x, y)))
         .map(|(x, y)| radiance(x, y))
         .collect()
@@ -136,20 +172,7 @@ fn orbit_cameras(session: &Session, orbit: &Orbit) -> Result<Vec<Camera>> {
     })
 }
 
-fn film_frame(
-    session: &mut Session,
-    camera: Camera,
-    settings: &RenderSettings,
-    look: &Look,
-) -> Result<RgbImage> {
-    let frame = picture(&mut session.pipeline, camera, settings)?;
-    let behind = settings.backdrop.then(|| backdrop(&session.pipeline.world, &camera));
-    // Animations have no alpha: the backdrop is dark gray.
-    let behind = behind.as_deref().map_or(Backdrop::Solid(Vec3::splat(0.02)), Backdrop::Radiance);
-    Picture::of(&frame).rgb8(look, behind)
-}
-
-fn write_film(session: &Session, folder: &Path, orbit: &Orbit, film: &[RgbImage]) -> Result<()> {
+fn write_film(session: &Session, folder: &Path, orbit: &Orbit, film: &Film) -> Result<()> {
     let fps = orbit.fps as f32;
     match orbit.format {
         OrbitFormat::Gif => write_gif(folder.join("orbit.gif"), film, fps)?,

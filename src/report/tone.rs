@@ -1,11 +1,12 @@
 //! Conversion of linear radiance to a picture: exposure, tone curve, backdrop, 8-bit sRGB.
 
 use crate::codec::frame::Frame;
-use crate::codec::png_file;
+use crate::codec::png_file::{self, PngRows};
 use crate::math::color::srgb_from_linear;
 use crate::{Error, Result};
 use glam::{Mat3, Vec3};
 use image::{Rgb, RgbImage, Rgba, RgbaImage};
+use png::ColorType;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -151,6 +152,17 @@ impl<'a> Picture<'a> {
         Ok(RgbImage::from_fn(self.width as u32, self.height as u32, pixel))
     }
 
+    /// The samples of a PNG: those of [`Picture::rgba8`] for a transparent backdrop, else those of [`Picture::rgb8`].
+    ///
+    /// # Errors
+    /// [`Error::Run`] if a list does not have `width * height` entries.
+    pub fn samples8(&self, look: &Look, backdrop: Backdrop) -> Result<Vec<u8>> {
+        match backdrop {
+            Backdrop::Transparent => Ok(self.rgba8(look, backdrop)?.into_raw()),
+            _ => Ok(self.rgb8(look, backdrop)?.into_raw()),
+        }
+    }
+
     /// Display-referred linear value and alpha of a pixel.
     fn shown(&self, at: usize, look: &Look, backdrop: Backdrop) -> (Vec3, f32) {
         let (color, alpha) = (self.color[at], self.alpha[at].clamp(0.0, 1.0));
@@ -189,10 +201,25 @@ pub fn save_png(path: impl AsRef<Path>, frame: &Frame, look: &Look) -> Result<()
 /// # Errors
 /// [`Error::Run`] for lists of the wrong length, [`Error::Io`] if the file cannot be written.
 pub fn write_png(path: impl AsRef<Path>, picture: &Picture, look: &Look, backdrop: Backdrop) -> Result<()> {
-    match backdrop {
-        Backdrop::Transparent => png_file::write_rgba8(path, &picture.rgba8(look, backdrop)?),
-        _ => png_file::write_rgb8(path, &picture.rgb8(look, backdrop)?),
-    }
+    let size = [picture.width as u32, picture.height as u32];
+    write_png_rows(path, size, matches!(backdrop, Backdrop::Transparent), |rows| {
+        rows.push(&picture.samples8(look, backdrop)?)
+    })
+}
+
+/// [`write_png`] for a picture of `size` (width, height) that is never whole in memory: `fill` pushes [`Picture::samples8`] of its bands
+/// from the top, all with a `transparent` backdrop or none.
+///
+/// # Errors
+/// Those of [`png_file::write_rows`].
+pub fn write_png_rows(
+    path: impl AsRef<Path>,
+    size: [u32; 2],
+    transparent: bool,
+    fill: impl FnOnce(&mut PngRows) -> Result<()>,
+) -> Result<()> {
+    let color = if transparent { ColorType::Rgba } else { ColorType::Rgb };
+    png_file::write_rows(path, size, color, fill)
 }
 
 fn byte(value: f32) -> u8 {

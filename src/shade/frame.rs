@@ -1,7 +1,7 @@
-//! The Frame phase: one tile of a picture at a time, Sample ▸ Trace ▸ Gather ▸ Shade ▸ Resolve.
+//! The Frame phase: one tile of a picture, or of a band of its rows, at a time, Sample ▸ Trace ▸ Gather ▸ Shade ▸ Resolve.
 
 use super::systems::{gather_blends, gather_points, shade_closed_form};
-use crate::codec::frame::Frame;
+use crate::codec::frame::{BLOCK_ROWS, FRAME_PIXEL_BYTES, Frame};
 use crate::error::{Error, Result};
 use crate::light::lights::{IncidentLight, LightChoice, provide_light};
 use crate::material::shown::{mark_material_changed, show_recovered};
@@ -18,29 +18,13 @@ use crate::view::{Camera, ViewIndex};
 use bevy_ecs::prelude::{IntoScheduleConfigs, Res, ResMut, Resource, World};
 use glam::Vec3;
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Samples in the pool of a frame: enough to use all threads, few enough for cache and memory.
 const POOL: usize = 1 << 16;
 
 /// Most memory that one picture may be expected to take, in bytes.
 pub const MOST_FRAME_BYTES: u64 = 8 << 30;
-
-/// Memory that rendering and writing a picture of `width` × `height` pixels takes at its peak, in bytes: the sums of its pixels
-/// and the [`Frame`] at first; then the frame, its channels, and what the encoder holds of them.
-pub fn frame_bytes(width: u32, height: u32) -> u64 {
-    // The color and four layers of three floats, alpha and depth.
-    const FRAME: u64 = 17 * 4;
-    let per_pixel = (size_of::<PixelSums>() as u64 + FRAME).max(3 * FRAME);
-    (u64::from(width) * u64::from(height)).saturating_mul(per_pixel)
-}
-
-/// Checks that pictures of `width` × `height` pixels fit into [`MOST_FRAME_BYTES`], beside `other` bytes; `what` names them.
-///
-/// # Errors
-/// [`Error::Usage`] with the size, the memory and the limit.
-pub fn check_frame(what: &str, width: u32, height: u32, other: u64) -> Result<()> {
-    check_memory(what, width, height, frame_bytes(width, height).saturating_add(other))
-}
 
 /// Checks that `bytes` are at most [`MOST_FRAME_BYTES`]; `what` names the picture that takes them.
 ///
@@ -76,25 +60,32 @@ pub struct PixelSums {
     pub distance: f32,
 }
 
-/// The picture that is rendered.
+/// The picture that is rendered, or a band of its rows.
 #[derive(Resource, Clone, Debug)]
 pub struct FrameTarget {
-    /// The camera.
+    /// The camera of the whole picture.
     pub camera: Camera,
     /// Camera rays along each side of a pixel's grid of samples.
     pub side: u32,
-    /// Sums per pixel, row by row.
+    /// The rows of the picture that are rendered.
+    pub rows: Range<u32>,
+    /// Sums per pixel of these rows, row by row.
     pub pixels: Vec<PixelSums>,
-    /// First sample of the current tile.
+    /// First sample of the current tile, counted over the whole picture.
     cursor: usize,
 }
 
 impl FrameTarget {
     /// An empty picture with about `samples_per_pixel` camera rays per pixel, on a square grid.
     pub fn new(camera: Camera, samples_per_pixel: u32) -> Self {
+        Self::band(camera, samples_per_pixel, 0..camera.height)
+    }
+
+    /// Only `rows` of that picture. Rays and random numbers of a pixel are the same in any band.
+    pub fn band(camera: Camera, samples_per_pixel: u32, rows: Range<u32>) -> Self {
         let side = (f64::from(samples_per_pixel.max(1))).sqrt().round().max(1.0) as u32;
-        let count = camera.width as usize * camera.height as usize;
-        Self { camera, side, pixels: vec![PixelSums::default(); count], cursor: 0 }
+        let count = camera.width as usize * rows.len();
+        Self { camera, side, rows, pixels: vec![PixelSums::default(); count], cursor: 0 }
     }
 
     /// Camera rays per pixel.
@@ -102,11 +93,19 @@ impl FrameTarget {
         (self.side * self.side) as usize
     }
 
-    fn samples(&self) -> usize {
-        self.pixels.len() * self.samples_per_pixel()
+    /// Number in the whole picture of the first pixel.
+    fn first_pixel(&self) -> usize {
+        self.rows.start as usize * self.camera.width as usize
     }
 
-    /// Pixel and ray of sample `index`; the samples of a pixel are consecutive.
+    /// The samples of these rows, counted over the whole picture.
+    fn samples(&self) -> Range<usize> {
+        let first = self.first_pixel();
+        let per_pixel = self.samples_per_pixel();
+        first * per_pixel..(first + self.pixels.len()) * per_pixel
+    }
+
+    /// Pixel and ray of sample `index` of the whole picture; the samples of a pixel are consecutive.
     fn sample(&self, index: usize) -> (PixelOf, ViewRay) {
         let per_pixel = self.samples_per_pixel();
         let (pixel, within) = (index / per_pixel, (index % per_pixel) as u32);
@@ -157,24 +156,90 @@ pub fn add_gathering<M: MaterialSource>(pipeline: &mut Pipeline, phase: Phase) {
     pipeline.add_systems(phase, Stage::Gather, materials.chain().in_set(GatherPoints));
 }
 
-/// Renders one picture with the systems in the slots of the Frame phase.
+/// Renders one picture with the systems in the slots of the Frame phase. All of it is in memory, [`PixelSums`] per pixel; for a large
+/// one see [`render_bands`].
 ///
 /// # Errors
 /// The first error of a system.
 pub fn render_frame(pipeline: &mut Pipeline, camera: Camera, samples_per_pixel: u32) -> Result<FrameTarget> {
     let target = FrameTarget::new(camera, samples_per_pixel);
-    let total = target.samples();
+    spawn_pool(&mut pipeline.world, &camera, target.samples().len());
+    let rendered = render_rows(pipeline, target);
     despawn_pool(&mut pipeline.world);
+    rendered
+}
+
+/// Renders one picture in bands of `rows_per_band` rows (at least 1), from the top, so that its height needs no memory. `take` gets the
+/// world, the number of the band's first row and the band; the pixels have the bits of [`render_frame`].
+///
+/// # Errors
+/// The first error of a system or of `take`.
+pub fn render_bands(
+    pipeline: &mut Pipeline,
+    camera: Camera,
+    samples_per_pixel: u32,
+    rows_per_band: u32,
+    take: &mut dyn FnMut(&World, u32, &Frame) -> Result<()>,
+) -> Result<()> {
+    let band = |rows: Range<u32>| FrameTarget::band(camera, samples_per_pixel, rows);
+    let samples = camera.width as usize * camera.height as usize * band(0..0).samples_per_pixel();
+    spawn_pool(&mut pipeline.world, &camera, samples);
+    let height = rows_per_band.max(1);
+    let outcome = (0..camera.height).step_by(height as usize).try_for_each(|start| {
+        let rows = start..start.saturating_add(height).min(camera.height);
+        // The sums go before the band is taken, which needs memory of its own.
+        let frame = resolve(&render_rows(pipeline, band(rows))?);
+        take(&pipeline.world, start, &frame)
+    });
+    despawn_pool(&mut pipeline.world);
+    outcome
+}
+
+/// Pixels of a band: enough to use all threads, few enough for memory.
+const BAND_PIXELS: u32 = 1 << 19;
+
+/// Rows of a band for [`render_bands`]: about half a million pixels, and whole blocks of [`BLOCK_ROWS`] where a band has several.
+pub fn band_rows(camera: &Camera) -> u32 {
+    let rows = (BAND_PIXELS / camera.width.max(1)).max(1);
+    let whole_blocks = rows - rows % BLOCK_ROWS as u32;
+    (if whole_blocks > 0 { whole_blocks } else { rows }).min(camera.height.max(1))
+}
+
+/// Peak memory in bytes of rendering a picture in bands of [`band_rows`] and writing it as EXR and PNG: it grows with the width only.
+/// What the scene itself takes is not included.
+pub fn frame_bytes(camera: &Camera) -> u64 {
+    let band = u64::from(camera.width) * u64::from(band_rows(camera));
+    // A block that is not complete waits for the next band.
+    let waiting = u64::from(camera.width) * BLOCK_ROWS as u64;
+    // The band, its light behind and its 8-bit colors; its blocks raw, reordered and compressed.
+    let per_pixel = FRAME_PIXEL_BYTES + size_of::<Vec3>() + 4 + 4 * FRAME_PIXEL_BYTES;
+    // The pool and what shading makes of it.
+    let pool = 2 * POOL * size_of::<FrameSample>();
+    band * per_pixel as u64 + waiting * FRAME_PIXEL_BYTES as u64 + pool as u64
+}
+
+/// Spawns the pool of samples for a picture of `samples` samples.
+fn spawn_pool(world: &mut World, camera: &Camera, samples: usize) {
+    despawn_pool(world);
     let blank = |row| FrameSample::blank(SampleIndex(row), camera.ray(0.0, 0.0));
-    pipeline.world.spawn_batch((0..total.min(POOL) as u32).map(blank).collect::<Vec<_>>());
+    world.spawn_batch((0..samples.min(POOL) as u32).map(blank).collect::<Vec<_>>());
+}
+
+/// Renders the rows of `target`, tile by tile.
+fn render_rows(pipeline: &mut Pipeline, target: FrameTarget) -> Result<FrameTarget> {
+    let samples = target.samples();
     pipeline.world.insert_resource(target);
-    for start in (0..total).step_by(POOL) {
-        pipeline.world.resource_mut::<FrameTarget>().cursor = start;
-        pipeline.world.resource_mut::<Window>().0 = 0..POOL.min(total - start);
-        pipeline.run(Phase::Frame)?;
-    }
-    despawn_pool(&mut pipeline.world);
-    Ok(pipeline.world.remove_resource::<FrameTarget>().expect("it was inserted above"))
+    // Tiles begin at the same samples of the picture whatever the rows: a sample has the same place in the pool, and with it the same
+    // random numbers, in any band.
+    let first = samples.start - samples.start % POOL;
+    let outcome = (first..samples.end).step_by(POOL).try_for_each(|cursor| {
+        pipeline.world.resource_mut::<FrameTarget>().cursor = cursor;
+        let end = samples.end.min(cursor + POOL);
+        pipeline.world.resource_mut::<Window>().0 = samples.start.max(cursor) - cursor..end - cursor;
+        pipeline.run(Phase::Frame)
+    });
+    let target = pipeline.world.remove_resource::<FrameTarget>().expect("it was inserted above");
+    outcome.map(|()| target)
 }
 
 /// Converts sums over samples to the layers of a frame: radiance averages over all samples, other layers over samples with a hit.
@@ -184,7 +249,7 @@ pub fn resolve(target: &FrameTarget) -> Frame {
     let each = |f: &dyn Fn(&PixelSums) -> Vec3| target.pixels.iter().map(f).collect();
     Frame {
         width: target.camera.width as usize,
-        height: target.camera.height as usize,
+        height: target.rows.len(),
         color: each(&|p| (p.diffuse + p.specular) / samples),
         alpha: target.pixels.iter().map(|p| p.hits as f32 / samples).collect(),
         diffuse: each(&|p| p.diffuse / samples),
@@ -226,8 +291,9 @@ pub fn resolve_pixels(
     samples: Samples<(&PixelOf, &SurfacePoint, &ShadePoint, &Layers)>,
 ) -> SystemResult {
     let (pixels, points, gathered, shaded) = samples.columns()?;
+    let first = target.first_pixel();
     for i in (0..points.len()).filter(|&i| points[i].is_hit()) {
-        let sums = &mut target.pixels[pixels[i].pixel as usize];
+        let sums = &mut target.pixels[pixels[i].pixel as usize - first];
         sums.hits += 1;
         sums.diffuse += Vec3::from(shaded[i].diffuse);
         sums.specular += Vec3::from(shaded[i].specular);
@@ -243,17 +309,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn pictures_that_take_too_much_memory_are_refused_with_the_number() {
-        assert_eq!(frame_bytes(10, 10), 100 * 204);
-        check_frame("a view", 4096, 4096, 0).unwrap();
-        let error = check_frame("view front", 16_384, 16_384, 0).unwrap_err();
+    fn what_takes_too_much_memory_is_refused_with_the_number() {
+        check_memory("a map", 4096, 4096, MOST_FRAME_BYTES).unwrap();
+        let error = check_memory("a map", 16_384, 16_384, 51 << 30).unwrap_err();
         assert_eq!(error.exit_code(), 2);
         let text = error.to_string();
         assert!(
-            text.contains("view front of 16384×16384 pixels takes 51.0 GiB") && text.contains("8 GiB"),
+            text.contains("a map of 16384×16384 pixels takes 51.0 GiB") && text.contains("8 GiB"),
             "{text}"
         );
-        assert!(check_frame("a film", 64, 64, MOST_FRAME_BYTES).is_err());
-        assert!(check_frame("a view", u32::MAX, u32::MAX, u64::MAX).is_err());
     }
 }
