@@ -173,6 +173,7 @@ fn float_photographs_lose_their_background_and_renderings_keep_their_rim() {
     fs::write(set.path("train/cam_dict_norm.json"), cameras.to_string()).unwrap();
     let dataset = set.read().unwrap();
     assert!(dataset.notes.is_empty(), "{:?}", dataset.notes);
+    assert_eq!(dataset.views[0].photograph.as_ref().unwrap().radiance(20), Vec3::splat(0.001));
 }
 
 #[test]
