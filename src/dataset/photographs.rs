@@ -1,6 +1,6 @@
 //! Photographs and masks of layouts whose camera files do not say where they are.
 
-use crate::codec::image::{Orientation, image_header};
+use crate::codec::image::Orientation;
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::lens::Lens;
 use crate::dataset::load::{StemIndex, image_files, view_name};
@@ -149,11 +149,6 @@ fn gaps(stems: &[String]) -> Vec<String> {
     }
     let missing = (low..high).filter(|number| !numbers.contains(number));
     missing.map(|number| format!("{prefix}{number:0digits$}")).collect()
-}
-
-/// The size of an image file as stored, from its header.
-pub(super) fn stored_size(path: &Path) -> Result<[u32; 2]> {
-    image_header(path).map(|header| header.size(Orientation::AsStored))
 }
 
 /// The view that shows a photograph.

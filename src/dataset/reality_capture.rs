@@ -6,12 +6,13 @@
 //! down (−z) and the top of the image is north (+y); roll turns it around the top of the image, pitch around its right
 //! (east), heading clockwise seen from above. There is no test split: see [`crate::dataset::DatasetOptions::hold_out`].
 
+use crate::codec::image::{Orientation, image_header};
 use crate::dataset::Plan;
 use crate::dataset::distortion::Distortion;
 use crate::dataset::exports::Export;
 use crate::dataset::lens::Lens;
 use crate::dataset::load::read_text;
-use crate::dataset::photographs::{Photographs, stored_size, view_of};
+use crate::dataset::photographs::{Photographs, view_of};
 use crate::dataset::pose::Rigid;
 use crate::error::{Error, Result};
 use csv::{Position, ReaderBuilder, StringRecord, Trim};
@@ -52,7 +53,9 @@ pub(super) fn plan(dir: &Path) -> Result<Plan> {
     for row in rows(file)? {
         let wrong = |problem: String| Error::input(file, &row.place, problem, EXPORT_HELP);
         let photograph = photographs.called(&row.name)?;
-        let lens = row.lens(stored_size(&photograph.0)?).map_err(wrong)?;
+        // RealityCapture ignores the EXIF orientation.
+        let size = image_header(&photograph.0)?.size(Orientation::AsStored);
+        let lens = row.lens(size).map_err(wrong)?;
         let world_from_camera = row.pose().map_err(wrong)?;
         views.push(view_of(photograph, file, row.place.clone(), lens, world_from_camera));
     }

@@ -146,7 +146,7 @@ fn missing_masks_and_second_files_are_named() {
     fs::remove_file(dir.path().join("more.csv")).unwrap();
     fs::write(dir.path().join("images/a.jpg"), "no image").unwrap();
     write_mask(&dir.path().join("masks/a_mask.png"));
-    assert_says(&input_error(read_all(dir.path())), &["a.jpg", "size of the image cannot be read"]);
+    assert_says(&input_error(read_all(dir.path())), &["a.jpg", "neither PNG, JPEG"]);
     fs::remove_dir_all(dir.path().join("images")).unwrap();
     assert_says(
         &input_error(read_all(dir.path())),
