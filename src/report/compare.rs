@@ -1,7 +1,7 @@
 //! `lobelia eval PREDICTION TRUTH`: scores two folders of images, or two images, against each other.
 
 use crate::codec::file::read_folder;
-use crate::codec::image::{Gamma, IMAGE_EXTENSIONS, LoadedImage, Orientation, read_image};
+use crate::codec::image::{BRIGHTEST, Gamma, IMAGE_EXTENSIONS, LoadedImage, Orientation, read_image};
 use crate::report::metrics;
 use crate::report::scores;
 use crate::report::scores::{EvalView, PassScores, Scaling};
@@ -172,8 +172,8 @@ fn check_finite(path: &Path, loaded: &LoadedImage, mask: &[bool]) -> Result<()> 
         Some(at) => {
             let width = loaded.image.width as usize;
             let place = format!("pixel ({}, {})", at % width, at / width);
-            let help = "write the image again without NaN or infinite values";
-            Err(Error::input(path, place, "is not a finite number", help))
+            let help = "write the image again without NaN, infinite or absurd values";
+            Err(Error::input(path, place, format!("is not a finite number up to {BRIGHTEST}"), help))
         }
         None => Ok(()),
     }
@@ -276,7 +276,7 @@ mod tests {
         assert_eq!(code, 2);
         std::fs::remove_file(t.join("a.exr")).unwrap();
         std::fs::write(t.join("a.png"), b"not a PNG").unwrap();
-        assert!(refused(&p, &t).0.contains("neither PNG, JPEG, OpenEXR"));
+        assert!(refused(&p, &t).0.contains("neither PNG, JPEG, TIFF"));
         std::fs::write(root.path().join("x.txt"), b"").unwrap();
         assert!(refused(&p.join("a.exr"), &root.path().join("x.txt")).0.contains("is empty"));
     }

@@ -9,9 +9,6 @@ use std::path::Path;
 pub const MOST_PIXELS: u64 = LONGEST_SIDE * LONGEST_SIDE;
 const LONGEST_SIDE: u64 = 16_384;
 
-/// Size in bytes of the largest file that is read.
-const MOST_FILE_BYTES: u64 = 4 << 30;
-
 /// What becomes of the EXIF orientation of a file, the number that says how the camera was held.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Orientation {
@@ -86,7 +83,9 @@ pub(super) fn check_pixels(path: &Path, format: Format, [width, height]: [u32; 2
 pub(super) fn check_bytes(path: &Path, header: &ImageHeader, file_bytes: u64) -> Result<()> {
     let ImageHeader { format, width, height, .. } = *header;
     let decoded = header.decoded_bytes();
-    if decoded > MAX_DECODED_BYTES as u64 || file_bytes > MOST_FILE_BYTES {
+    // A JPEG is read as a whole, the others piece by piece.
+    let held = if format == Format::Jpeg { decoded.max(file_bytes) } else { decoded };
+    if held > MAX_DECODED_BYTES as u64 {
         let mib = |bytes: u64| bytes >> 20;
         let problem = format!(
             "{width}×{height} pixels in {} MiB, {} MiB when decoded, more than the {} MiB that are read",
