@@ -3,7 +3,7 @@
 //! | theme | files |
 //! | --- | --- |
 //! | runs of the command | [`run`], [`photos`], [`gloss`], [`ggx`], [`scale`], [`export`], [`shown`], [`env`] |
-//! | what is refused, and how | [`bad_input`], [`check`], [`scene_errors`] |
+//! | what is refused, and how | [`bad_input`], [`check`], [`hostile`], [`scene_errors`] |
 //! | systems in a world | [`ecs`], [`swap`], [`visibility`] |
 //! | the documentation, the layers of the code | [`docs`], [`rooms`] |
 
@@ -17,6 +17,7 @@ mod env;
 mod export;
 mod ggx;
 mod gloss;
+mod hostile;
 mod photos;
 mod rooms;
 mod run;

@@ -170,7 +170,7 @@ fn zero_lobes_are_refused() {
 #[test]
 fn a_missing_file_is_shown_with_its_neighbours() {
     let scene = wrong("Sphere(radius: 0.8)", "Mesh(path: \"scene.rom\")");
-    refused(&scene, "\"scene.rom\"", &["scene.rom does not exist", "did you mean `scene.ron`?"]);
+    refused(&scene, "\"scene.rom\"", &["scene.rom: there is no such file", "did you mean `scene.ron`?"]);
     let scene = wrong("Sphere(radius: 0.8)", "Mesh(path: \"$DATA/mesh.glb\")");
     refused_with("run", &scene, &[], "\"$DATA/mesh.glb\"", &scene, &["--data DIR"]);
     let outcome = lobelia("check", &scene, &[]);
@@ -180,7 +180,7 @@ fn a_missing_file_is_shown_with_its_neighbours() {
         outcome.stdout
     );
     let scene = wrong("Constant(0.5, 0.5, 0.5)", "Texture(\"none/albedo.png\")");
-    refused(&scene, "\"none/albedo.png\"", &["none/albedo.png does not exist", "has no `none`"]);
+    refused(&scene, "\"none/albedo.png\"", &["none/albedo.png: there is no such file", "has no `none`"]);
 }
 
 #[test]
@@ -260,7 +260,7 @@ fn a_scene_file_that_cannot_be_read_is_named() {
     };
     let folder = tempfile::tempdir().unwrap();
     let (code, stderr) = run(&folder.path().join("none.ron"));
-    assert!(code == Some(2) && stderr.contains("none.ron: there is no such scene file"), "{stderr}");
+    assert!(code == Some(2) && stderr.contains("none.ron: there is no such file"), "{stderr}");
     let (code, stderr) = run(folder.path());
     assert!(code == Some(2) && stderr.contains("is a folder"), "{stderr}");
     let binary = folder.path().join("binary.ron");

@@ -5,9 +5,10 @@ use std::io::{BufRead, BufReader, Cursor};
 use std::path::Path;
 
 use crate::codec::file;
+use crate::codec::finite::check_finite;
 use crate::codec::hdr::RadianceReader;
-use crate::light::EnvironmentMap;
 use crate::light::envmap::BoxFilter;
+use crate::light::{EnvironmentMap, validate_map};
 use crate::{Error, Result};
 use exr::prelude::{
     MetaData, ReadChannels, ReadLayers, ReadSpecificChannel, SpecificChannels, WritableImage,
@@ -60,6 +61,9 @@ impl EnvironmentMap {
     }
 
     /// Writes an OpenEXR file with `f32` R, G, B channels; `path` is created only when the file is complete.
+    ///
+    /// # Errors
+    /// [`Error::Run`] for a map without texels or with a radiance that is not finite; [`Error::Io`] if the file cannot be written.
     pub fn write_exr(&self, path: impl AsRef<Path>) -> Result<()> {
         let path = path.as_ref();
         let size = (self.width as usize, self.height as usize);
@@ -67,6 +71,10 @@ impl EnvironmentMap {
             let problem = format!("{} texels do not fill {} × {}", self.radiance.len(), size.0, size.1);
             return Err(Error::run(format!("writing {}", path.display()), problem));
         }
+        check_finite(path, self.radiance.iter().flat_map(Vec3::to_array), |at| {
+            let (i, j) = (at / 3 % size.0, at / 3 / size.0);
+            format!("texel ({i}, {j}) is not finite")
+        })?;
         let channels = SpecificChannels::rgb(|position: exr::math::Vec2<usize>| {
             let texel = self.radiance[position.y() * size.0 + position.x()];
             (texel.x, texel.y, texel.z)
@@ -155,6 +163,9 @@ impl Sink {
             notes.push(format!("{}: {} negative texels clamped to 0", path.display(), self.clamped));
         }
         let map = self.filter.finish();
+        validate_map(&map).map_err(|problem| {
+            Error::input(path, "", problem, "check the unit of the map, or clamp its texels")
+        })?;
         if [map.width, map.height] != self.size {
             let [w, h] = self.size;
             let text =
@@ -288,6 +299,13 @@ mod tests {
         exr::image::Image::from_layer(layer).write().to_file(path).expect("a test file");
     }
 
+    /// A map as another program might write it.
+    fn write_unchecked(path: &PathBuf, map: &EnvironmentMap) {
+        let channel = |k: usize| FlatSamples::F32(map.radiance.iter().map(|r| r[k]).collect());
+        let channels = vec![("R", channel(0)), ("G", channel(1)), ("B", channel(2))];
+        write_channels(path, (map.width as usize, map.height as usize), channels);
+    }
+
     fn error_of(path: &Path) -> String {
         let error = EnvironmentMap::read(path).expect_err("a bad map must be refused");
         assert_eq!(error.exit_code(), 2, "{error}");
@@ -333,12 +351,13 @@ mod tests {
         map.radiance[3].x = f32::NAN;
         map.radiance[4] = Vec3::INFINITY;
         map.radiance[9].y = -2.0;
-        map.write_exr(&path).unwrap();
+        assert!(map.write_exr(&path).unwrap_err().to_string().contains("texel (3, 0) is not finite"));
+        write_unchecked(&path, &map);
         let (back, notes) = EnvironmentMap::read_with_notes(&path).unwrap();
         assert_eq!(back.radiance[3], Vec3::new(0.0, map.radiance[3].y, map.radiance[3].z));
         assert_eq!((back.radiance[4], back.radiance[9].y), (Vec3::ZERO, 0.0));
         assert!(notes[0].contains("2 NaN") && notes[1].contains("1 negative"), "{notes:?}");
-        EnvironmentMap { radiance: vec![Vec3::NAN; 32], ..map }.write_exr(&path).unwrap();
+        write_unchecked(&path, &EnvironmentMap { radiance: vec![Vec3::NAN; 32], ..map });
         assert!(error_of(&path).contains("every texel"));
         gradient(8, 4).scaled(Vec3::ZERO).write_exr(&path).unwrap();
         assert!(error_of(&path).contains("black"));

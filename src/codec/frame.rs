@@ -2,6 +2,7 @@
 
 use crate::codec::exr::{ExrLayers, read_exr_layers};
 use crate::codec::file;
+use crate::codec::finite::check_finite;
 use crate::{Error, Result};
 use exr::prelude::{
     AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, LineOrder, SmallVec, Text,
@@ -61,21 +62,14 @@ impl Frame {
 /// # Errors
 /// [`Error::Run`] if a list has the wrong length or holds a non-finite value; [`Error::Io`] if the file cannot be written.
 pub fn write_frame(path: impl AsRef<Path>, frame: &Frame) -> Result<()> {
-    let channels = frame.channels();
-    for (name, values) in &channels.channels {
-        if let Some(at) = values.iter().position(|value| !value.is_finite()) {
-            let width = channels.width.max(1) as usize;
-            let pixel = (at % width, at / width);
-            return Err(refused(path.as_ref(), format!("channel {name} is not finite at pixel {pixel:?}")));
-        }
-    }
-    write_channels(path, &channels)
+    write_channels(path, &frame.channels())
 }
 
 /// Writes `channels` as one single-part EXR, 32-bit float, ZIP (lossless), increasing lines.
 ///
 /// # Errors
-/// [`Error::Run`] if the image is empty or a channel has the wrong length; [`Error::Io`] if the file cannot be written.
+/// [`Error::Run`] if the image is empty or a channel has the wrong length or holds a non-finite value; [`Error::Io`] if the file
+/// cannot be written.
 pub fn write_channels(path: impl AsRef<Path>, channels: &ExrLayers) -> Result<()> {
     let path = path.as_ref();
     let count = channels.width as usize * channels.height as usize;
@@ -84,6 +78,12 @@ pub fn write_channels(path: impl AsRef<Path>, channels: &ExrLayers) -> Result<()
     }
     if let Some((name, values)) = channels.channels.iter().find(|(_, values)| values.len() != count) {
         return Err(refused(path, format!("channel {name} has {} values, not {count}", values.len())));
+    }
+    for (name, values) in &channels.channels {
+        check_finite(path, values.iter().copied(), |at| {
+            let (x, y) = (at % channels.width as usize, at / channels.width as usize);
+            format!("channel {name} is not finite at pixel ({x}, {y})")
+        })?;
     }
     let image = single_part(channels);
     file::write_file(path, |writer| {

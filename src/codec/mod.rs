@@ -2,7 +2,8 @@
 //!
 //! | module | reads | writes |
 //! | --- | --- | --- |
-//! | [`mod@file`] | whole files | whole files, never incomplete |
+//! | [`mod@file`] | whole files of bounded size | whole files, never incomplete |
+//! | [`finite`] | | the check that every writer of floats makes |
 //! | [`image`] | PNG, JPEG, TIFF, WebP, EXR, HDR: headers, samples, linear images and masks | |
 //! | [`exr`], [`frame`] | EXR layers | EXR layers, rendered frames |
 //! | [`png_file`], [`animation`] | | PNG; GIF, APNG, MP4 |
@@ -17,6 +18,7 @@ pub mod animation;
 pub mod envmap;
 pub mod exr;
 pub mod file;
+pub mod finite;
 pub mod frame;
 pub mod gltf;
 mod hdr;

@@ -38,6 +38,10 @@ fn compare_chunks(a: &str, b: &str) -> Ordering {
 
 /// Up to three of `candidates` that are similar to `name`, closest first.
 pub fn closest<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Vec<&'a str> {
+    // No file or view has so long a name, and comparing takes time in proportion to the length.
+    if name.len() > 1000 {
+        return Vec::new();
+    }
     let limit = 2 + name.chars().count() / 4;
     let mut scored: Vec<(usize, &str)> = candidates
         .into_iter()

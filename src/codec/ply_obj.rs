@@ -2,9 +2,10 @@
 //!
 //! Both keep the coordinates of the data and write numbers without loss.
 
+use crate::codec::finite::check_finite;
 use crate::mesh::triangles::Mesh;
 use crate::{Error, Result};
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 use std::collections::HashMap;
 use std::fmt::Write;
 use std::path::Path;
@@ -15,7 +16,7 @@ use std::path::Path;
 /// is closed in the file; the merged vertex has the color of the first.
 ///
 /// # Errors
-/// [`Error::Run`] if there is not one color for each vertex; [`Error::Io`] if the file cannot be written.
+/// [`Error::Run`] if there is not one color for each vertex, or a vertex is not finite; [`Error::Io`] if the file cannot be written.
 pub fn write_ply(path: &Path, mesh: &Mesh, colors: &[[u8; 3]]) -> Result<()> {
     if colors.len() != mesh.positions.len() || mesh.normals.len() != mesh.positions.len() {
         let problem = format!(
@@ -26,6 +27,7 @@ pub fn write_ply(path: &Path, mesh: &Mesh, colors: &[[u8; 3]]) -> Result<()> {
         );
         return Err(Error::run(format!("writing {}", path.display()), problem));
     }
+    check_vertices(path, mesh)?;
     let (kept, index) = joined_vertices(mesh);
     let header = format!(
         "ply\nformat binary_little_endian 1.0\nelement vertex {}\n\
@@ -48,6 +50,12 @@ pub fn write_ply(path: &Path, mesh: &Mesh, colors: &[[u8; 3]]) -> Result<()> {
         bytes.extend(triangle.iter().flat_map(|&vertex| index[vertex as usize].to_le_bytes()));
     }
     crate::codec::file::write_bytes(path, &bytes)
+}
+
+fn check_vertices(path: &Path, mesh: &Mesh) -> Result<()> {
+    let vectors = mesh.positions.iter().chain(&mesh.normals).flat_map(Vec3::to_array);
+    let values = vectors.chain(mesh.uvs.iter().flatten().flat_map(Vec2::to_array));
+    check_finite(path, values, |_| "a position, normal or texture coordinate is not finite".to_owned())
 }
 
 /// The first vertex of each position and normal, and for every vertex the number of its first.
@@ -82,12 +90,15 @@ pub struct ObjMaterial<'a> {
 /// 2/R⁴ − 2, at most 1000; `Pr` is R, for programs that support it.
 ///
 /// # Errors
-/// [`Error::Run`] for a mesh without texture coordinates; [`Error::Io`] if a file cannot be written.
+/// [`Error::Run`] for a mesh without texture coordinates, or a number that is not finite; [`Error::Io`] if a file cannot be written.
 pub fn write_obj(path: &Path, mesh: &Mesh, material: &ObjMaterial) -> Result<()> {
     let Some(uvs) = &mesh.uvs else {
         let context = format!("writing {}", path.display());
         return Err(Error::run(context, "the mesh has no texture coordinates"));
     };
+    check_vertices(path, mesh)?;
+    let material_values = material.specular.to_array().into_iter().chain([material.roughness]);
+    check_finite(path, material_values, |_| "the specular material is not finite".to_owned())?;
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     let mut text = format!("mtllib {stem}.mtl\no surface\nusemtl surface\n");
     // Writing to a `String` cannot fail.
@@ -147,6 +158,10 @@ mod tests {
         let corner = |k: usize| u32::from_le_bytes(bytes[face + 1 + 4 * k..][..4].try_into().unwrap());
         assert_eq!((bytes[face], [corner(0), corner(1), corner(2)]), (3, mesh.triangles[1]));
         assert!(matches!(write_ply(&path, &mesh, &colors[1..]), Err(Error::Run { .. })));
+        let mut broken = mesh.clone();
+        broken.normals[2].z = f32::NAN;
+        assert!(write_ply(&path, &broken, &colors).unwrap_err().to_string().contains("not finite"));
+        assert_eq!(std::fs::read(&path).unwrap(), bytes);
     }
 
     #[test]
@@ -185,6 +200,8 @@ mod tests {
             assert!(mtl.lines().any(|l| l == line), "{line} in {mtl}");
         }
         assert_eq!(std::fs::read(folder.path().join("mesh_albedo.png")).unwrap(), b"png");
+        let infinite = ObjMaterial { roughness: f32::INFINITY, ..material };
+        assert!(write_obj(&path, &mesh, &infinite).unwrap_err().to_string().contains("not finite"));
         let bare = Mesh { uvs: None, ..mesh };
         assert!(matches!(write_obj(&path, &bare, &material), Err(Error::Run { .. })));
     }

@@ -4,6 +4,7 @@ use super::args::CheckArgs;
 use super::scene_files::load_options;
 use super::terminal::print;
 use super::threads::start_threads;
+use lobelia::pass::preflight::check_sizes;
 use lobelia::report::sheet::write_sheet;
 use lobelia::scene::Pass;
 use lobelia::scene::{LoadOptions, LoadedScene, load, unknown_parts};
@@ -20,6 +21,7 @@ use std::path::Path;
 pub fn run(args: &CheckArgs) -> Result<()> {
     let options = LoadOptions { without_data: true, ..load_options(&args.scene) };
     let loaded = load(&args.scene.scene, &options)?;
+    check_sizes(&loaded.scene)?;
     start_threads(args.threads)?;
     let surveyed = if data_is_there(&loaded) { survey(&loaded.scene, args.out.is_some())? } else { None };
     let surveyed = surveyed.map(|survey| {

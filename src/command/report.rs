@@ -1,10 +1,11 @@
 //! How an error is drawn: the problem, the lines of a scene file that it is in, and help.
 
 use annotate_snippets::renderer::DecorStyle;
-use annotate_snippets::{AnnotationKind, Element, Group, Level, Renderer, Snippet};
+use annotate_snippets::{AnnotationKind, Element, Group, Level, Origin, Renderer, Snippet};
 use lobelia::Error;
 use lobelia::error::{Fault, SceneDiagnostic};
 use std::io::IsTerminal;
+use std::ops::Range;
 
 /// Columns of a report; longer sentences are wrapped.
 const WIDTH: usize = 100;
@@ -22,6 +23,12 @@ pub fn report(error: &Error) -> String {
     text
 }
 
+/// Faults that are drawn; the rest is counted.
+const MOST_FAULTS: usize = 20;
+
+/// Longest line that is drawn, in bytes. No person writes longer ones, and drawing them takes time.
+const LONGEST_LINE: usize = 2000;
+
 /// A scene's faults one below the other, each with its lines of the file.
 fn drawn(diagnostic: &SceneDiagnostic, renderer: Renderer) -> String {
     let renderer = renderer.decor_style(DecorStyle::Unicode).term_width(WIDTH);
@@ -30,9 +37,13 @@ fn drawn(diagnostic: &SceneDiagnostic, renderer: Renderer) -> String {
         let title = Level::ERROR.primary_title(diagnostic.to_string());
         parts.push(renderer.render(&[Group::with_title(title)]));
     }
-    for (i, fault) in diagnostic.faults.iter().enumerate() {
-        let note = if i + 1 == diagnostic.faults.len() { diagnostic.note.as_str() } else { "" };
+    let shown = diagnostic.faults.len().min(MOST_FAULTS);
+    for (i, fault) in diagnostic.faults[..shown].iter().enumerate() {
+        let note = if i + 1 == shown { diagnostic.note.as_str() } else { "" };
         parts.push(renderer.render(&[group(diagnostic, fault, note)]));
+    }
+    if shown < diagnostic.faults.len() {
+        parts.push(format!("… and {} more", diagnostic.faults.len() - shown));
     }
     parts.join("\n\n") + "\n"
 }
@@ -40,17 +51,39 @@ fn drawn(diagnostic: &SceneDiagnostic, renderer: Renderer) -> String {
 fn group<'a>(diagnostic: &'a SceneDiagnostic, fault: &'a Fault, note: &'a str) -> Group<'a> {
     let mut kinds =
         std::iter::once(AnnotationKind::Primary).chain(std::iter::repeat(AnnotationKind::Context));
-    let labels = fault.labels.iter().map(|label| {
-        let kind = kinds.next().unwrap_or(AnnotationKind::Context);
-        kind.span(label.at.clone()).label(label.text.as_str())
-    });
-    let snippet =
-        Snippet::source(diagnostic.text.as_str()).path(diagnostic.name.as_str()).annotations(labels);
+    let (first_line, lines) = lines_of(&diagnostic.text, fault);
+    let title = Level::ERROR.primary_title(fault.message.as_str());
+    let start = lines.start;
+    let text = &diagnostic.text[lines];
+    let shown = if text.lines().any(|line| line.len() > LONGEST_LINE) {
+        let label = &fault.labels[0];
+        let line_start = diagnostic.text[..label.at.start].rfind('\n').map_or(0, |at| at + 1);
+        let line = 1 + diagnostic.text[..line_start].matches('\n').count();
+        let column = 1 + diagnostic.text[line_start..label.at.start].chars().count();
+        let place = Origin::path(diagnostic.name.as_str()).line(line).char_column(column);
+        title.element(place).element(Level::NOTE.message(wrapped(&label.text)))
+    } else {
+        let labels = fault.labels.iter().map(|label| {
+            let kind = kinds.next().unwrap_or(AnnotationKind::Context);
+            kind.span(label.at.start - start..label.at.end - start).label(label.text.as_str())
+        });
+        let snippet = Snippet::source(text).line_start(first_line).path(diagnostic.name.as_str());
+        title.element(snippet.annotations(labels))
+    };
     let messages = [(Level::HELP, fault.help.as_str()), (Level::NOTE, note)]
         .into_iter()
         .filter(|(_, text)| !text.is_empty())
         .map(|(level, text)| Element::from(level.message(wrapped(text))));
-    Level::ERROR.primary_title(fault.message.as_str()).element(snippet).elements(messages)
+    shown.elements(messages)
+}
+
+/// The lines that hold a fault's labels: the number of the first, from 1, and the bytes.
+fn lines_of(text: &str, fault: &Fault) -> (usize, Range<usize>) {
+    let first = fault.labels.iter().map(|label| label.at.start).min().unwrap_or(0);
+    let last = fault.labels.iter().map(|label| label.at.end).max().unwrap_or(0);
+    let start = text[..first].rfind('\n').map_or(0, |at| at + 1);
+    let end = text[last..].find('\n').map_or(text.len(), |at| last + at);
+    (1 + text[..start].matches('\n').count(), start..end)
 }
 
 /// The text in lines of at most [`WIDTH`] columns with the margin, broken at blanks.
@@ -117,6 +150,29 @@ mod tests {
         assert!(text.starts_with("error: 2 problems in a.ron\n"), "{text}");
         assert!(text.contains("a.ron:2:14\n") && text.contains("a.ron:3:11\n"), "{text}");
         assert_eq!(text.matches("As edited.").count(), 1, "{text}");
+    }
+
+    #[test]
+    fn long_lines_are_named_and_not_drawn() {
+        let line = format!("Scene(\n    /*{}*/ seed: -3)", "ü".repeat(65_536));
+        let at = line.find("-3").unwrap();
+        let labels = vec![Label { at: at..at + 2, text: "expected a whole number".into() }];
+        let fault = Fault { message: "seed is wrong".into(), labels, help: String::new() };
+        let long = SceneDiagnostic { text: line, ..diagnostic(vec![fault]) };
+        for renderer in [Renderer::plain(), Renderer::styled()] {
+            let text = drawn(&long, renderer);
+            for words in ["seed is wrong", "a.ron:2:65552", "expected a whole number", "As edited."] {
+                assert!(text.contains(words), "no {words:?} in\n{text}");
+            }
+            assert!(text.len() < 1000, "{}", text.len());
+        }
+    }
+
+    #[test]
+    fn of_many_faults_the_first_are_drawn_and_the_rest_counted() {
+        let many = drawn(&diagnostic(vec![fault("seed", 33..35); 3000]), Renderer::plain());
+        assert_eq!(many.matches("seed is wrong").count(), 20);
+        assert!(many.starts_with("error: 3000 problems in a.ron\n") && many.contains("… and 2980 more"));
     }
 
     #[test]

@@ -1,35 +1,101 @@
-//! COLMAP's layout: a reconstruction in `DIR/sparse/0` (or `DIR/sparse`), photographs in `DIR/images`, masks in `DIR/masks`.
+//! COLMAP's layout: a reconstruction in `DIR/sparse/0`, photographs in `DIR/images`, masks in `DIR/masks`.
 //!
-//! The reconstruction is `cameras` and `images`, `.bin` or `.txt`; points are not needed. A mask has the name of its photograph,
-//! with `.png` added or in place of the extension; without a `masks` folder alpha is the mask. There is no test split: see
-//! [`crate::dataset::DatasetOptions::hold_out`].
+//! The reconstruction is `cameras` and `images`, `.bin` or `.txt`; points, rigs and frames are not needed. It may also be where COLMAP's
+//! own programs, nerfstudio and 3D Gaussian splatting leave it; of several models the one with the most images is read. Masks may have
+//! any usual name; without a folder of masks alpha is the mask. Photographs are taken as they are stored, since COLMAP ignores their
+//! EXIF orientation. There is no test split: see [`crate::dataset::DatasetOptions::hold_out`].
 
+use crate::codec::image::Orientation;
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::colmap_model;
-use crate::dataset::colmap_model::{ModelImage, read_model};
+use crate::dataset::colmap_model::{ModelImage, image_count, read_model};
 use crate::dataset::load::{StemIndex, view_name};
-use crate::dataset::masks::find_mask;
+use crate::dataset::masks::{find_mask, mask_folder};
 use crate::dataset::{MaskPlan, Plan, ViewPlan};
 use crate::error::{Error, Result};
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
+/// Where reconstructions are, and the folder of photographs that belongs to each: COLMAP's own, nerfstudio's, the outputs of COLMAP's
+/// `image_undistorter` and `automatic_reconstructor`, and what 3D Gaussian splatting keeps of the distorted photographs.
+const PLACES: [(&str, &str); 6] = [
+    ("sparse", "images"),
+    ("colmap/sparse", "images"),
+    ("colmap/sparse", "colmap/images"),
+    ("dense/sparse", "dense/images"),
+    ("dense/0/sparse", "dense/0/images"),
+    ("distorted/sparse", "input"),
+];
+
+/// A reconstruction that was found.
+struct Place {
+    /// The `images` files of its models; at least one.
+    models: Vec<PathBuf>,
+    photographs: PathBuf,
+}
+
 /// The `images` file of the folder's reconstruction, if it has one.
 pub fn camera_file(dir: &Path) -> Option<PathBuf> {
-    let sparse = dir.join("sparse");
-    [sparse.join("0"), sparse].iter().find_map(|folder| colmap_model::image_file(folder))
+    find_place(dir).and_then(|place| place.models.into_iter().next())
+}
+
+/// Whether the folder is a COLMAP data set. One with nerfstudio's `transforms.json` keeps its reconstruction in `colmap` for the record.
+pub fn is_there(dir: &Path) -> bool {
+    let is_for_the_record =
+        |file: &Path| file.starts_with(dir.join("colmap")) && dir.join("transforms.json").is_file();
+    camera_file(dir).is_some_and(|file| !is_for_the_record(&file))
+}
+
+/// The first place with both models and photographs, or else with models.
+fn find_place(dir: &Path) -> Option<Place> {
+    let places = PLACES.iter().map(|(models, photographs)| Place {
+        models: models_in(&dir.join(models)),
+        photographs: dir.join(photographs),
+    });
+    let mut places: Vec<Place> = places.filter(|place| !place.models.is_empty()).collect();
+    let complete = places.iter().position(|place| place.photographs.is_dir());
+    if places.is_empty() { None } else { Some(places.swap_remove(complete.unwrap_or(0))) }
+}
+
+/// The models in the folders `0`, `1`, … of `folder`, or else in itself.
+fn models_in(folder: &Path) -> Vec<PathBuf> {
+    let numbered = (0..).map(|i| folder.join(i.to_string())).take_while(|model| model.is_dir());
+    let models: Vec<PathBuf> = numbered.filter_map(|model| colmap_model::image_file(&model)).collect();
+    if models.is_empty() { colmap_model::image_file(folder).into_iter().collect() } else { models }
+}
+
+/// The model with the most images, the first of equals, and a note about the others.
+fn largest(models: Vec<PathBuf>) -> Result<(PathBuf, Option<String>)> {
+    if let [only] = models.as_slice() {
+        return Ok((only.clone(), None));
+    }
+    let counts = models.iter().map(|file| image_count(file)).collect::<Result<Vec<_>>>()?;
+    let most = counts.iter().copied().max().unwrap_or(0);
+    let chosen = counts.iter().position(|&count| count == most).unwrap_or(0);
+    let list: Vec<String> = counts.iter().map(u64::to_string).collect();
+    let note = format!(
+        "the reconstruction has {} models of {} images; only the largest, {}, is read",
+        models.len(),
+        list.join(", "),
+        models[chosen].parent().unwrap_or(Path::new("")).display()
+    );
+    Ok((models[chosen].clone(), Some(note)))
 }
 
 /// Plans all views, in the order of their names.
 pub(super) fn plan(dir: &Path) -> Result<Plan> {
-    let Some(file) = camera_file(dir) else {
-        let problem =
-            "there is no COLMAP model: looked for cameras and images, .bin or .txt, in sparse/0 and sparse";
+    let Some(place) = find_place(dir) else {
+        let looked: Vec<&str> = PLACES.iter().map(|(models, _)| *models).collect();
+        let problem = format!(
+            "there is no COLMAP model: looked for cameras and images, .bin or .txt, in sparse/0 and in {}",
+            looked.join(", ")
+        );
         return Err(Error::input(dir, "", problem, missing_file_help(&dir.join("sparse/0/cameras.bin"))));
     };
+    let (file, of_models) = largest(place.models)?;
     let model = read_model(file)?;
-    let mut photographs = Folders::below(&dir.join("images"));
-    let mut masks = Folders::below(&dir.join("masks"));
+    let mut photographs = Folders::below(&place.photographs);
+    let mut masks = place.photographs.parent().and_then(mask_folder).map(|folder| Folders::below(&folder));
     if !photographs.root.is_dir() {
         let help = missing_file_help(&photographs.root);
         return Err(Error::input(&photographs.root, "", "the folder of photographs is missing", help));
@@ -48,16 +114,13 @@ pub(super) fn plan(dir: &Path) -> Result<Plan> {
             camera_file: model.image_file.clone(),
             place,
             image: Some(photographs.photograph(&image.name)?),
-            mask: if masks.root.is_dir() {
-                MaskPlan::File(masks.mask(&image.name)?)
-            } else {
-                MaskPlan::Alpha
-            },
+            mask: masks.as_mut().map_or(Ok(MaskPlan::Alpha), |masks| masks.mask(&image.name))?,
+            orientation: Orientation::AsStored,
             lens,
             world_from_camera: image.camera_from_world.inverse().to_affine(),
         });
     }
-    let notes = notes(dir, &photographs, &images);
+    let notes = of_models.into_iter().chain(note_of_extra(&photographs, &images)).collect();
     Ok(Plan { views, notes })
 }
 
@@ -68,11 +131,7 @@ fn flat_name(image: &ModelImage) -> String {
     folders.collect::<String>() + &view_name(&image.name)
 }
 
-fn notes(dir: &Path, photographs: &Folders, images: &[ModelImage]) -> Vec<String> {
-    let mut notes = Vec::new();
-    if dir.join("sparse/1").is_dir() {
-        notes.push("the reconstruction has several models; only sparse/0 is read".to_owned());
-    }
+fn note_of_extra(photographs: &Folders, images: &[ModelImage]) -> Option<String> {
     let used: BTreeSet<PathBuf> =
         images.iter().map(|image| Path::new(&image.name).with_extension("")).collect();
     let extra: usize = photographs
@@ -80,11 +139,8 @@ fn notes(dir: &Path, photographs: &Folders, images: &[ModelImage]) -> Vec<String
         .iter()
         .map(|(folder, index)| index.stems().filter(|stem| !used.contains(&folder.join(stem))).count())
         .sum();
-    if extra > 0 {
-        let folder = photographs.root.display();
-        notes.push(format!("{extra} images in {folder} have no camera and are left out"));
-    }
-    notes
+    let folder = photographs.root.display();
+    (extra > 0).then(|| format!("{extra} images in {folder} have no camera and are left out"))
 }
 
 /// Image files below a folder, looked up by path.
@@ -123,8 +179,8 @@ impl Folders {
         folder.find(&key)
     }
 
-    fn mask(&mut self, name: &str) -> Result<PathBuf> {
-        let (folder, key) = self.folder(name)?;
-        find_mask(folder, &key)
+    fn mask(&mut self, photograph: &str) -> Result<MaskPlan> {
+        let (folder, key) = self.folder(photograph)?;
+        find_mask(folder, &key).map(MaskPlan::File)
     }
 }

@@ -4,33 +4,44 @@
 //! camera_from_world, OpenCV axes. Points are skipped.
 
 use crate::codec::nearby::missing_file_help;
-use crate::dataset::distortion::Distortion;
+use crate::dataset::distortion::{Distortion, Projection};
 use crate::dataset::lens::{Focal, Lens};
 use crate::dataset::load::read_text;
 use crate::dataset::pose::Rigid;
 use crate::error::{Error, Result};
-use glam::{DMat3, DQuat, DVec3};
+use glam::{Affine3A, DMat3, DQuat, DVec3};
 use std::collections::BTreeMap;
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
 
-/// COLMAP's camera models by number, with their parameter counts.
-const MODELS: [(&str, usize); 12] = [
-    ("SIMPLE_PINHOLE", 3),
-    ("PINHOLE", 4),
-    ("SIMPLE_RADIAL", 4),
-    ("RADIAL", 5),
-    ("OPENCV", 8),
-    ("OPENCV_FISHEYE", 8),
-    ("FULL_OPENCV", 12),
-    ("FOV", 5),
-    ("SIMPLE_RADIAL_FISHEYE", 4),
-    ("RADIAL_FISHEYE", 5),
-    ("THIN_PRISM_FISHEYE", 12),
-    ("RAD_TAN_THIN_PRISM_FISHEYE", 16),
+/// COLMAP's camera models by number, with their counts of focal lengths and of further coefficients. Two numbers for the principal
+/// point are between them.
+const MODELS: [(&str, usize, usize); 17] = [
+    ("SIMPLE_PINHOLE", 1, 0),
+    ("PINHOLE", 2, 0),
+    ("SIMPLE_RADIAL", 1, 1),
+    ("RADIAL", 1, 2),
+    ("OPENCV", 2, 4),
+    ("OPENCV_FISHEYE", 2, 4),
+    ("FULL_OPENCV", 2, 8),
+    ("FOV", 2, 1),
+    ("SIMPLE_RADIAL_FISHEYE", 1, 1),
+    ("RADIAL_FISHEYE", 1, 2),
+    ("THIN_PRISM_FISHEYE", 2, 8),
+    ("RAD_TAN_THIN_PRISM_FISHEYE", 2, 12),
+    ("SIMPLE_DIVISION", 1, 1),
+    ("DIVISION", 2, 1),
+    ("SIMPLE_FISHEYE", 1, 0),
+    ("FISHEYE", 2, 0),
+    ("EUCM", 2, 2),
 ];
-const UNKNOWN_MODEL_HELP: &str = "Undistort the photographs with COLMAP's image_undistorter and give its output folder \
-                                  (SIMPLE_PINHOLE, PINHOLE, SIMPLE_RADIAL, RADIAL and OPENCV are read).";
+/// The number and name of the model without focal length.
+const PANORAMA: (u32, &str) = (17, "EQUIRECTANGULAR");
+const UNKNOWN_MODEL_HELP: &str =
+    "Undistort the photographs with COLMAP's image_undistorter and give its output folder.";
+const PANORAMA_HELP: &str = "Cut the panoramas into perspective pictures before the reconstruction.";
+const PARAMETERS_HELP: &str = "Write the model again with COLMAP's model_converter, or correct the camera.";
 const CUT_SHORT_HELP: &str = "Copy the file again, or write the model again with COLMAP's model_converter.";
 
 /// One photograph of a reconstruction.
@@ -57,9 +68,24 @@ pub(super) fn image_file(folder: &Path) -> Option<PathBuf> {
         .map(|kind| folder.join(format!("images.{kind}")))
 }
 
+/// The number of photographs that the file `image_file` announces.
+pub(super) fn image_count(image_file: &Path) -> Result<u64> {
+    if is_text(image_file) {
+        return images_of_text(image_file).map(|images| images.len() as u64);
+    }
+    let mut count = [0; 8];
+    let mut file = crate::codec::file::open(image_file, missing_file_help)?;
+    file.read_exact(&mut count).map_err(|_| cut_short(image_file, 0))?;
+    Ok(u64::from_le_bytes(count))
+}
+
+fn is_text(file: &Path) -> bool {
+    file.extension().is_some_and(|kind| kind == "txt")
+}
+
 /// Reads the model of which `image_file` is the `images` file.
 pub(super) fn read_model(image_file: PathBuf) -> Result<Model> {
-    let is_text = image_file.extension().is_some_and(|kind| kind == "txt");
+    let is_text = is_text(&image_file);
     let camera_file = image_file.with_file_name(if is_text { "cameras.txt" } else { "cameras.bin" });
     let (cameras, images) = if is_text {
         (cameras_of_text(&camera_file)?, images_of_text(&image_file)?)
@@ -69,33 +95,91 @@ pub(super) fn read_model(image_file: PathBuf) -> Result<Model> {
     Ok(Model { cameras, images, image_file })
 }
 
-/// A lens from a camera model's name and parameters. `Err` is a problem and its remedy.
-fn lens_of(model: &str, size: [u64; 2], parameters: &[f64]) -> Result<Lens, (String, &'static str)> {
-    let count = MODELS.iter().find(|known| known.0 == model).map_or(0, |known| known.1);
-    let (focal, center, radial, tangential) = match (model, parameters) {
-        ("SIMPLE_PINHOLE", &[f, cx, cy]) => ([f, f], [cx, cy], [0.0; 2], [0.0; 2]),
-        ("PINHOLE", &[fx, fy, cx, cy]) => ([fx, fy], [cx, cy], [0.0; 2], [0.0; 2]),
-        ("SIMPLE_RADIAL", &[f, cx, cy, k]) => ([f, f], [cx, cy], [k, 0.0], [0.0; 2]),
-        ("RADIAL", &[f, cx, cy, k1, k2]) => ([f, f], [cx, cy], [k1, k2], [0.0; 2]),
-        ("OPENCV", &[fx, fy, cx, cy, k1, k2, p1, p2]) => ([fx, fy], [cx, cy], [k1, k2], [p1, p2]),
-        ("SIMPLE_PINHOLE" | "PINHOLE" | "SIMPLE_RADIAL" | "RADIAL" | "OPENCV", _) => {
-            let problem = format!("the {model} camera has {} parameters, not {count}", parameters.len());
-            return Err((problem, "Write the model again with COLMAP's model_converter."));
-        }
-        _ => return Err((format!("the camera model {model} cannot be read"), UNKNOWN_MODEL_HELP)),
+/// A problem of a camera, and its remedy.
+type Trouble = (String, &'static str);
+
+fn model_number(number: u32) -> Result<(&'static str, usize, usize), Trouble> {
+    let known = usize::try_from(number).ok().and_then(|number| MODELS.get(number).copied());
+    known.ok_or_else(|| match number {
+        number if number == PANORAMA.0 => is_panorama(),
+        _ => (format!("the camera model number {number} cannot be read"), UNKNOWN_MODEL_HELP),
+    })
+}
+
+fn is_panorama() -> Trouble {
+    (
+        format!("the camera model {} is a panorama, of which no pinhole camera shows all", PANORAMA.1),
+        PANORAMA_HELP,
+    )
+}
+
+/// A lens from a camera model's name and parameters.
+fn lens_of(model: &str, size: [u64; 2], parameters: &[f64]) -> Result<Lens, Trouble> {
+    if model == PANORAMA.1 {
+        return Err(is_panorama());
+    }
+    let Some(&(_, focals, others)) = MODELS.iter().find(|known| known.0 == model) else {
+        return Err((format!("the camera model {model} cannot be read"), UNKNOWN_MODEL_HELP));
     };
+    let (count, expected) = (parameters.len(), focals + 2 + others);
+    if count != expected {
+        return Err((format!("the {model} camera has {count} parameters, not {expected}"), PARAMETERS_HELP));
+    }
     let [width, height] = size.map(u32::try_from);
     let (Ok(width), Ok(height)) = (width, height) else {
         return Err((format!("the image size is {}×{}", size[0], size[1]), CUT_SHORT_HELP));
     };
-    Ok(Lens {
+    let (focal, rest) = parameters.split_at(focals);
+    let (center, coefficients) = rest.split_at(2);
+    let distortion = distortion_of(model, coefficients)
+        .ok_or_else(|| (format!("the camera model {model} cannot be read"), UNKNOWN_MODEL_HELP))?;
+    let lens = Lens {
         size: Some([width, height]),
         focal_x: Focal::Pixels(focal[0]),
-        focal_y: Some(Focal::Pixels(focal[1])),
-        center: center.map(Some),
+        focal_y: Some(Focal::Pixels(focal[focals - 1])),
+        center: [Some(center[0]), Some(center[1])],
         skew: 0.0,
-        distortion: Distortion { radial: [radial[0], radial[1], 0.0], tangential },
+        distortion,
         resizable: false,
+    };
+    match lens.camera([width, height], Affine3A::IDENTITY, 0.5) {
+        Ok(_) => Ok(lens),
+        Err(problem) => Err((problem, PARAMETERS_HELP)),
+    }
+}
+
+/// The distortion of a model in the order of its coefficients (COLMAP's `sensor/models`).
+pub(super) fn distortion_of(model: &str, coefficients: &[f64]) -> Option<Distortion> {
+    let lens = |projection| Distortion { projection, ..Distortion::NONE };
+    Some(match (model, coefficients) {
+        ("SIMPLE_PINHOLE" | "PINHOLE", []) => Distortion::NONE,
+        ("SIMPLE_RADIAL", &[k]) => Distortion::brown_conrady([k, 0.0, 0.0], [0.0; 2]),
+        ("RADIAL", &[k1, k2]) => Distortion::brown_conrady([k1, k2, 0.0], [0.0; 2]),
+        ("OPENCV", &[k1, k2, p1, p2]) => Distortion::brown_conrady([k1, k2, 0.0], [p1, p2]),
+        ("FULL_OPENCV", &[k1, k2, p1, p2, k3, k4, k5, k6]) => {
+            Distortion { divisor: [k4, k5, k6], ..Distortion::brown_conrady([k1, k2, k3], [p1, p2]) }
+        }
+        ("SIMPLE_FISHEYE" | "FISHEYE", []) => lens(Projection::Equidistant),
+        ("SIMPLE_RADIAL_FISHEYE", &[k]) => Distortion::fisheye([k, 0.0, 0.0, 0.0]),
+        ("RADIAL_FISHEYE", &[k1, k2]) => Distortion::fisheye([k1, k2, 0.0, 0.0]),
+        ("OPENCV_FISHEYE", &[k1, k2, k3, k4]) => Distortion::fisheye([k1, k2, k3, k4]),
+        ("THIN_PRISM_FISHEYE", &[k1, k2, p1, p2, k3, k4, sx, sy]) => Distortion {
+            tangential: [p1, p2],
+            prism: [sx, 0.0, sy, 0.0],
+            ..Distortion::fisheye([k1, k2, k3, k4])
+        },
+        // Its p₀ and p₁ are OpenCV's p₂ and p₁.
+        ("RAD_TAN_THIN_PRISM_FISHEYE", &[k0, k1, k2, k3, k4, k5, p0, p1, s0, s1, s2, s3]) => Distortion {
+            radial: [k0, k1, k2, k3, k4, k5],
+            tangential: [p1, p0],
+            prism: [s0, s1, s2, s3],
+            shifts_scaled: true,
+            ..lens(Projection::Equidistant)
+        },
+        ("FOV", &[omega]) => lens(Projection::Fov(omega)),
+        ("SIMPLE_DIVISION" | "DIVISION", &[k]) => lens(Projection::Division(k)),
+        ("EUCM", &[alpha, beta]) => lens(Projection::Unified { alpha, beta }),
+        _ => return None,
     })
 }
 
@@ -165,6 +249,11 @@ fn images_of_text(file: &Path) -> Result<Vec<ModelImage>> {
     Ok(images)
 }
 
+fn cut_short(file: &Path, byte: usize) -> Error {
+    let problem = "the file is truncated: it ends before the content that it announces";
+    Error::input(file, format!("byte {byte}"), problem, CUT_SHORT_HELP)
+}
+
 /// A binary file being read, little-endian.
 struct Bytes<'a> {
     file: &'a Path,
@@ -178,13 +267,7 @@ impl<'a> Bytes<'a> {
     }
 
     fn cut_short(&self) -> Error {
-        let place = format!("byte {}", self.at);
-        Error::input(
-            self.file,
-            place,
-            "the file is truncated: it ends before the content that it announces",
-            CUT_SHORT_HELP,
-        )
+        cut_short(self.file, self.at)
     }
 
     fn skip(&mut self, count: u64) -> Result<&[u8]> {
@@ -235,12 +318,11 @@ fn cameras_of_bytes(file: &Path) -> Result<BTreeMap<u32, Lens>> {
     for _ in 0..bytes.u64()? {
         let (id, model) = (bytes.u32()?, bytes.u32()?);
         let wrong = |problem: String, help: &str| Error::input(file, format!("camera {id}"), problem, help);
-        let Some(&(name, count)) = MODELS.get(model as usize) else {
-            return Err(wrong(format!("the camera model number {model} cannot be read"), UNKNOWN_MODEL_HELP));
-        };
+        let (name, focals, others) = model_number(model).map_err(|(problem, help)| wrong(problem, help))?;
         let size = [bytes.u64()?, bytes.u64()?];
-        let parameters =
-            (0..count).map(|_| bytes.f64s::<1>().map(|[value]| value)).collect::<Result<Vec<_>>>()?;
+        let parameters = (0..focals + 2 + others)
+            .map(|_| bytes.f64s::<1>().map(|[value]| value))
+            .collect::<Result<Vec<_>>>()?;
         let lens = lens_of(name, size, &parameters).map_err(|(problem, help)| wrong(problem, help))?;
         cameras.insert(id, lens);
     }

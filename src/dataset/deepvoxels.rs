@@ -5,6 +5,7 @@
 //! is 16 numbers, a row-major 4×4 matrix, world_from_camera with OpenCV axes. Masks are in `mask/`, or alpha. Without a
 //! `test` folder `validation` is the test split; without either see [`crate::dataset::DatasetOptions::hold_out`].
 
+use crate::codec::image::Orientation;
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::distortion::Distortion;
 use crate::dataset::lens::{Focal, Lens};
@@ -76,6 +77,7 @@ pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
             camera_file: file,
             place: String::new(),
             mask,
+            orientation: Orientation::AsStored,
             lens,
             world_from_camera: world_from_camera.to_affine(),
         });
@@ -92,7 +94,7 @@ fn pose_files(folder: &Path) -> Result<Vec<(String, PathBuf)>> {
         return Err(missing());
     }
     let mut files = Vec::new();
-    for entry in std::fs::read_dir(folder).map_err(Error::io("read", folder))? {
+    for entry in crate::codec::file::read_folder(folder)? {
         let path = entry.map_err(Error::io("read", folder))?.path();
         if path.extension().is_some_and(|kind| kind == "txt") {
             files.push((path.file_stem().unwrap_or_default().to_string_lossy().into_owned(), path));

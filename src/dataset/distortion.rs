@@ -1,246 +1,314 @@
-//! Lens distortion: its model, its inverse, and undistortion of photographs.
+//! Lens distortion: the models of camera files, and their inverses.
 //!
-//! The model is OpenCV's, of which COLMAP's are special cases: a radial polynomial and tangential terms, on the image plane
-//! at depth 1. A photograph is resampled to a pinhole camera of the same focal lengths, over the largest upright
-//! rectangle that the photograph fills.
+//! A ray meets the plane at depth 1 in a point p. The lens shows it where a pinhole camera of the same focal lengths shows another
+//! point of that plane, in three steps:
+//!
+//! 1. the [`Projection`] scales p by a function of its length; a fisheye lens shows the angle θ = atan ‖p‖ instead of its tangent;
+//! 2. a quotient of polynomials in the squared length scales the result;
+//! 3. tangential and thin-prism terms shift it.
+//!
+//! All models of OpenCV (`calib3d`) and of COLMAP (`sensor/models`) but panoramas are special cases.
 
-use crate::view::raster::{Tap, bilinear};
-use crate::view::{Camera, Image, Mask};
 use glam::{DMat2, DVec2};
+use std::fmt;
 
-/// Most Newton steps to invert the distortion; a few are enough where it is invertible.
-const NEWTON_STEPS: usize = 40;
-/// Samples along each edge of the photograph that determine the bounds of the undistorted one.
-const EDGE_SAMPLES: u32 = 64;
+/// Steps of the continuation from the image's center to a point, and Newton steps in each of them.
+const CONTINUATION_STEPS: u32 = 8;
+const NEWTON_STEPS: u32 = 12;
+/// Points between the center and an image point where folds are looked for.
+const FOLD_SAMPLES: u32 = 24;
+/// Least determinant of the Jacobian where an image counts as not folded.
+const LEAST_DETERMINANT: f64 = 1e-6;
+/// Points of the plane farther out than this are as good as behind the camera (89.9°).
+const FARTHEST: f64 = 1e3;
+/// Fisheye polynomials are calibrated up to the rim of the image circle; beyond this angle in radians a fold is that rim.
+const RIM: f64 = 1.2;
 
-/// OpenCV's coefficients.
+/// How far from the principal point, in focal lengths, a ray at the angle θ from the optical axis is seen.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Projection {
+    /// tan θ.
+    Pinhole,
+    /// θ: fisheye lenses.
+    Equidistant,
+    /// atan(2 tan θ tan(ω/2)) / ω, with ω in radians (Devernay and Faugeras 2001).
+    Fov(f64),
+    /// The r with tan θ = r / (1 + k r²) (Fitzgibbon 2001).
+    Division(f64),
+    /// tan θ / (α √(β tan²θ + 1) + 1 − α) (Khomutenko, Garcia and Martinet 2016).
+    Unified { alpha: f64, beta: f64 },
+}
+
+/// Why no point of the plane at depth 1 is seen at an image point.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Unseen {
+    /// The ray leads backward, or so far to the side that a pinhole camera does not show it.
+    Behind,
+    /// The distortion folds the image over before that point.
+    Folded,
+}
+
+impl Projection {
+    /// The factor on points at squared distance `r2`, and its derivative by `r2`; NaN where the lens has no image.
+    fn scale(self, r2: f64) -> (f64, f64) {
+        match self {
+            Self::Pinhole => (1.0, 0.0),
+            Self::Equidistant => arc(r2),
+            Self::Fov(omega) => {
+                let stretch = 2.0 * (0.5 * omega).tan();
+                let gain = if omega == 0.0 { 1.0 } else { stretch / omega };
+                let (factor, slope) = arc(stretch * stretch * r2);
+                (gain * factor, gain * stretch * stretch * slope)
+            }
+            Self::Division(k) => {
+                let root = (1.0 - 4.0 * k * r2).sqrt();
+                let factor = 2.0 / (1.0 + root);
+                (factor, k * factor * factor / root)
+            }
+            Self::Unified { alpha, beta } => {
+                let root = (beta * r2 + 1.0).sqrt();
+                let factor = 1.0 / (alpha * root + 1.0 - alpha);
+                (factor, -0.5 * alpha * beta * factor * factor / root)
+            }
+        }
+    }
+
+    /// The point of the plane that is seen at `q`.
+    fn inverse(self, q: DVec2) -> Result<DVec2, Unseen> {
+        let r = q.length();
+        let factor = match self {
+            Self::Pinhole => 1.0,
+            Self::Equidistant => tangent(r)?,
+            Self::Fov(0.0) => 1.0,
+            Self::Fov(omega) => omega * tangent(r * omega.abs())? / (2.0 * (0.5 * omega).tan()),
+            Self::Division(k) if k * r * r >= 1.0 => return Err(Unseen::Folded),
+            Self::Division(k) => 1.0 / (1.0 + k * r * r).max(0.0),
+            Self::Unified { alpha, beta } => {
+                let under_root = 1.0 - (2.0 * alpha - 1.0) * beta * r * r;
+                let depth = (1.0 - alpha * alpha * beta * r * r) / (alpha * under_root.sqrt() + 1.0 - alpha);
+                1.0 / depth.max(0.0)
+            }
+        };
+        let p = q * factor;
+        if p.length() < FARTHEST { Ok(p) } else { Err(Unseen::Behind) }
+    }
+
+    /// `Err` says what is wrong with the parameters, as a clause.
+    fn check(self) -> Result<(), String> {
+        match self {
+            Self::Fov(omega) if omega.abs() >= std::f64::consts::PI => Err(format!(
+                "the lens distortion's field of view ω is {omega} radians; it must lie between −π and π"
+            )),
+            Self::Unified { alpha, beta } if !((0.0..=1.0).contains(&alpha) && beta > 0.0) => Err(format!(
+                "the lens distortion's α is {alpha} and its β {beta}; α must lie between 0 and 1, β above 0"
+            )),
+            _ => Ok(()),
+        }
+    }
+
+    fn parameters(self) -> [f64; 2] {
+        match self {
+            Self::Pinhole | Self::Equidistant => [0.0; 2],
+            Self::Fov(value) | Self::Division(value) => [value, 0.0],
+            Self::Unified { alpha, beta } => [alpha, beta],
+        }
+    }
+}
+
+/// atan(r) / r for r = √`r2`, and its derivative by `r2`.
+fn arc(r2: f64) -> (f64, f64) {
+    if r2 < 1e-4 {
+        let factor = 1.0 - r2 * (1.0 / 3.0 - r2 * (1.0 / 5.0 - r2 / 7.0));
+        return (factor, -1.0 / 3.0 + r2 * (2.0 / 5.0 - r2 * (3.0 / 7.0 - r2 * 4.0 / 9.0)));
+    }
+    let r = r2.sqrt();
+    let factor = r.atan() / r;
+    (factor, (1.0 / (1.0 + r2) - factor) / (2.0 * r2))
+}
+
+/// tan(angle) / angle.
+fn tangent(angle: f64) -> Result<f64, Unseen> {
+    match angle {
+        angle if angle >= std::f64::consts::FRAC_PI_2 => Err(Unseen::Behind),
+        angle if angle < 1e-6 => Ok(1.0),
+        angle => Ok(angle.tan() / angle),
+    }
+}
+
+/// 1 + c₁x + c₂x² + …, and its derivative.
+fn polynomial(coefficients: &[f64], x: f64) -> (f64, f64) {
+    let terms = coefficients.iter().rev().copied().chain([1.0]);
+    terms.fold((0.0, 0.0), |(value, slope), c| (value * x + c, slope * x + value))
+}
+
+/// The derivative of p ↦ p · factor(‖p‖²), of which `slope` is the factor's derivative.
+fn derivative_of_scaling(p: DVec2, factor: f64, slope: f64) -> DMat2 {
+    DMat2::from_diagonal(DVec2::splat(factor)) + DMat2::from_cols(p * p.x, p * p.y) * (2.0 * slope)
+}
+
+/// A lens model without focal lengths and principal point. All coefficients are 0 in [`Distortion::NONE`].
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Distortion {
-    /// k₁, k₂, k₃ of 1 + k₁r² + k₂r⁴ + k₃r⁶.
-    pub radial: [f64; 3],
-    /// p₁, p₂.
+    pub projection: Projection,
+    /// k₁, k₂, … of 1 + k₁r² + k₂r⁴ + ….
+    pub radial: [f64; 6],
+    /// The same of the polynomial by which that is divided.
+    pub divisor: [f64; 3],
+    /// OpenCV's p₁, p₂.
     pub tangential: [f64; 2],
+    /// Thin prism: x is shifted by s₁r² + s₂r⁴, y by s₃r² + s₄r⁴.
+    pub prism: [f64; 4],
+    /// Whether the tangential and thin-prism terms are of the point after its radial scaling, not before.
+    pub shifts_scaled: bool,
 }
 
 impl Distortion {
-    pub const NONE: Self = Self { radial: [0.0; 3], tangential: [0.0; 2] };
+    pub const NONE: Self = Self {
+        projection: Projection::Pinhole,
+        radial: [0.0; 6],
+        divisor: [0.0; 3],
+        tangential: [0.0; 2],
+        prism: [0.0; 4],
+        shifts_scaled: false,
+    };
 
-    /// k₁, k₂, k₃ of 1 + k₁r² + k₂r⁴ + k₃r⁶, and OpenCV's p₁, p₂.
+    /// OpenCV's model with k₁, k₂, k₃ and p₁, p₂.
     pub fn brown_conrady(radial: [f64; 3], tangential: [f64; 2]) -> Self {
-        Self { radial, tangential }
+        let [k1, k2, k3] = radial;
+        Self { radial: [k1, k2, k3, 0.0, 0.0, 0.0], tangential, ..Self::NONE }
     }
 
-    /// The image point of the ray through `p`.
+    /// OpenCV's fisheye model: θ(1 + k₁θ² + k₂θ⁴ + k₃θ⁶ + k₄θ⁸).
+    pub fn fisheye(radial: [f64; 4]) -> Self {
+        let [k1, k2, k3, k4] = radial;
+        Self { projection: Projection::Equidistant, radial: [k1, k2, k3, k4, 0.0, 0.0], ..Self::NONE }
+    }
+
+    /// `Err` says which parameter is impossible, as a clause.
+    pub fn check(&self) -> Result<(), String> {
+        let groups: [&[f64]; 5] =
+            [&self.radial, &self.divisor, &self.tangential, &self.prism, &self.projection.parameters()];
+        match groups.into_iter().flatten().find(|value| !value.is_finite()) {
+            Some(value) => Err(format!("a coefficient of the lens distortion is {value}")),
+            None => self.projection.check(),
+        }
+    }
+
+    /// The image point of the ray through `p`, relative to a pinhole camera; NaN where the lens has no image.
     pub fn distort(&self, p: DVec2) -> DVec2 {
-        let r2 = p.length_squared();
-        let [k1, k2, k3] = self.radial;
+        self.warp(self.project(p)).0
+    }
+
+    /// The derivative of [`Self::distort`] by `p`.
+    #[cfg(test)]
+    pub fn derivative(&self, p: DVec2) -> DMat2 {
+        let (factor, slope) = self.projection.scale(p.length_squared());
+        self.warp(p * factor).1 * derivative_of_scaling(p, factor, slope)
+    }
+
+    /// The ray that is seen at `target`, as its point on the plane at depth 1.
+    pub fn undistort(&self, target: DVec2) -> Result<DVec2, Unseen> {
+        self.projection.inverse(self.unwarp(target)?)
+    }
+
+    /// Whether the image is not folded over between its center and the ray through `p`.
+    pub fn reaches(&self, p: DVec2) -> bool {
+        self.is_unfolded(self.project(p))
+    }
+
+    fn project(&self, p: DVec2) -> DVec2 {
+        p * self.projection.scale(p.length_squared()).0
+    }
+
+    /// Steps 2 and 3, and their derivative.
+    fn warp(&self, q: DVec2) -> (DVec2, DMat2) {
+        let r2 = q.length_squared();
+        let (over, over_slope) = polynomial(&self.radial, r2);
+        let (under, under_slope) = polynomial(&self.divisor, r2);
+        let factor = over / under;
+        let slope = (over_slope - factor * under_slope) / under;
+        let (scaled, by_q) = (q * factor, derivative_of_scaling(q, factor, slope));
+        if self.shifts_scaled {
+            let (shift, by_scaled) = self.shift(scaled);
+            (scaled + shift, by_q + by_scaled * by_q)
+        } else {
+            let (shift, shift_by_q) = self.shift(q);
+            (scaled + shift, by_q + shift_by_q)
+        }
+    }
+
+    /// The tangential and thin-prism terms, and their derivative.
+    fn shift(&self, p: DVec2) -> (DVec2, DMat2) {
+        let (r2, DVec2 { x, y }) = (p.length_squared(), p);
         let [p1, p2] = self.tangential;
-        let tangential = DVec2::new(
-            2.0 * p1 * p.x * p.y + p2 * (r2 + 2.0 * p.x * p.x),
-            p1 * (r2 + 2.0 * p.y * p.y) + 2.0 * p2 * p.x * p.y,
+        let [s1, s2, s3, s4] = self.prism;
+        let shift = DVec2::new(
+            2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x) + r2 * (s1 + s2 * r2),
+            2.0 * p2 * x * y + p1 * (r2 + 2.0 * y * y) + r2 * (s3 + s4 * r2),
         );
-        p * (1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))) + tangential
+        let (prism_x, prism_y) = (2.0 * (s1 + 2.0 * s2 * r2), 2.0 * (s3 + 2.0 * s4 * r2));
+        let across = 2.0 * (p1 * x + p2 * y);
+        let by_x = DVec2::new(2.0 * p1 * y + 6.0 * p2 * x + prism_x * x, across + prism_y * x);
+        let by_y = DVec2::new(across + prism_x * y, 6.0 * p1 * y + 2.0 * p2 * x + prism_y * y);
+        (shift, DMat2::from_cols(by_x, by_y))
     }
 
-    fn jacobian(&self, p: DVec2) -> DMat2 {
-        let r2 = p.length_squared();
-        let [k1, k2, k3] = self.radial;
-        let [p1, p2] = self.tangential;
-        let radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3));
-        let slope = 2.0 * (k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3));
-        let across = slope * p.x * p.y + 2.0 * (p1 * p.x + p2 * p.y);
-        let xx = radial + slope * p.x * p.x + 2.0 * p1 * p.y + 6.0 * p2 * p.x;
-        let yy = radial + slope * p.y * p.y + 6.0 * p1 * p.y + 2.0 * p2 * p.x;
-        DMat2::from_cols(DVec2::new(xx, across), DVec2::new(across, yy))
+    /// The inverse of [`Self::warp`] on the part of the image that hangs together with its center.
+    fn unwarp(&self, target: DVec2) -> Result<DVec2, Unseen> {
+        let mut q = DVec2::ZERO;
+        for step in 1..=CONTINUATION_STEPS {
+            let goal = target * (f64::from(step) / f64::from(CONTINUATION_STEPS));
+            q = self.newton(q, goal).ok_or_else(|| self.fold_toward(target))?;
+        }
+        if self.is_unfolded(q) { Ok(q) } else { Err(self.fold_toward(target)) }
     }
 
-    /// The ray with image point `target`; `None` where the distortion is not invertible.
-    pub fn undistort(&self, target: DVec2) -> Option<DVec2> {
-        let mut p = target;
+    /// What it means that the image is folded over on the way to `target`.
+    fn fold_toward(&self, target: DVec2) -> Unseen {
+        let is_fisheye = self.projection == Projection::Equidistant;
+        let is_rim = is_fisheye && self.is_unfolded(target.normalize_or_zero() * RIM);
+        if is_rim { Unseen::Behind } else { Unseen::Folded }
+    }
+
+    fn newton(&self, mut q: DVec2, goal: DVec2) -> Option<DVec2> {
         for _ in 0..NEWTON_STEPS {
-            let jacobian = self.jacobian(p);
-            let sound = jacobian.determinant() > 1e-6 && p.is_finite();
-            if !sound {
+            let (value, derivative) = self.warp(q);
+            let miss = value - goal;
+            if miss.length() < 1e-13 * (1.0 + goal.length()) {
+                return Some(q);
+            }
+            let determinant = derivative.determinant();
+            if determinant.is_nan() || determinant < LEAST_DETERMINANT {
                 return None;
             }
-            let miss = self.distort(p) - target;
-            if miss.length() < 1e-12 {
-                return Some(p);
-            }
-            p -= jacobian.inverse() * miss;
+            q -= derivative.inverse() * miss;
         }
-        ((self.distort(p) - target).length() < 1e-9).then_some(p)
-    }
-}
-
-/// Resampling of a distorted photograph to an undistorted one.
-pub(super) struct Straightening {
-    distortion: Distortion,
-    bent: Camera,
-    /// The pinhole camera of the undistorted photograph.
-    pub camera: Camera,
-}
-
-impl Straightening {
-    /// The resampling for photographs of the camera `bent`. `Err` says what is wrong with the coefficients, as a clause.
-    pub fn new(distortion: Distortion, bent: &Camera) -> Result<Self, String> {
-        let [x, y] = straight_bounds(&distortion, bent).ok_or_else(|| {
-            format!(
-                "the lens distortion {:?}, {:?} folds the image over",
-                distortion.radial, distortion.tangential
-            )
-        })?;
-        let sides = [x, y].map(|[first, last]| (last - first + 1).max(0) as u32);
-        if sides[0] < bent.width.div_ceil(4) || sides[1] < bent.height.div_ceil(4) {
-            return Err(format!("the lens distortion leaves {}×{} pixels of the image", sides[0], sides[1]));
-        }
-        let [width, height] = sides;
-        let center = [bent.center[0] - x[0] as f32, bent.center[1] - y[0] as f32];
-        Ok(Self { distortion, bent: *bent, camera: Camera { width, height, center, ..*bent } })
+        ((self.warp(q).0 - goal).length() < 1e-9).then_some(q)
     }
 
-    pub fn image(&self, image: &Image) -> Image {
-        let pixels = self.taps().map(|taps| taps.iter().map(|tap| image.pixels[tap.0] * tap.1).sum());
-        Image { width: self.camera.width, height: self.camera.height, pixels: pixels.collect() }
-    }
-
-    pub fn mask(&self, mask: &Mask) -> Mask {
-        let coverage = self.taps().map(|taps| taps.iter().map(|tap| mask.coverage[tap.0] * tap.1).sum());
-        Mask { width: self.camera.width, height: self.camera.height, coverage: coverage.collect() }
-    }
-
-    /// For each undistorted pixel, whether a flag of its source pixels is set.
-    pub fn flags(&self, flags: &[bool]) -> Vec<bool> {
-        self.taps().map(|taps| taps.iter().any(|tap| tap.1 > 1e-3 && flags[tap.0])).collect()
-    }
-
-    /// For each undistorted pixel, the distorted pixels that it is interpolated from, with their weights.
-    fn taps(&self) -> impl Iterator<Item = [Tap; 4]> + '_ {
-        let (bent, straight) = (&self.bent, &self.camera);
-        let pixels = (0..straight.height).flat_map(|y| (0..straight.width).map(move |x| (x, y)));
-        pixels.map(move |(x, y)| {
-            let p = self.distortion.distort(on_plane(straight, f64::from(x), f64::from(y)));
-            let at = in_pixels(bent, p);
-            bilinear(bent.width, bent.height, at.x as f32, at.y as f32)
+    fn is_unfolded(&self, q: DVec2) -> bool {
+        (0..=FOLD_SAMPLES).all(|i| {
+            let (value, derivative) = self.warp(q * (f64::from(i) / f64::from(FOLD_SAMPLES)));
+            value.is_finite() && derivative.determinant() > LEAST_DETERMINANT
         })
     }
 }
 
-/// The point on the image plane of pixel coordinates (x, y), which may be fractional.
-fn on_plane(camera: &Camera, x: f64, y: f64) -> DVec2 {
-    let [fx, fy] = camera.focal.map(f64::from);
-    let [cx, cy] = camera.center.map(|c| f64::from(c - camera.pixel_center));
-    let y_plane = (y - cy) / fy;
-    DVec2::new((x - cx - f64::from(camera.skew) * y_plane) / fx, y_plane)
-}
-
-/// The inverse of [`on_plane`].
-fn in_pixels(camera: &Camera, p: DVec2) -> DVec2 {
-    let [fx, fy] = camera.focal.map(f64::from);
-    let [cx, cy] = camera.center.map(|c| f64::from(c - camera.pixel_center));
-    DVec2::new(fx * p.x + f64::from(camera.skew) * p.y + cx, fy * p.y + cy)
-}
-
-/// First and last column, first and last row of the rectangle that the undistorted photograph fills, in pixels of the distorted
-/// one. It extends beyond the frame where the distortion moves edges inward, by at most half the size.
-fn straight_bounds(distortion: &Distortion, bent: &Camera) -> Option<[[i64; 2]; 2]> {
-    let last = [f64::from(bent.width - 1), f64::from(bent.height - 1)];
-    let mut low = DVec2::NEG_INFINITY;
-    let mut high = DVec2::INFINITY;
-    for i in 0..=EDGE_SAMPLES {
-        let t = f64::from(i) / f64::from(EDGE_SAMPLES);
-        let straight =
-            |x: f64, y: f64| distortion.undistort(on_plane(bent, x, y)).map(|p| in_pixels(bent, p));
-        low.x = low.x.max(straight(0.0, t * last[1])?.x);
-        high.x = high.x.min(straight(last[0], t * last[1])?.x);
-        low.y = low.y.max(straight(t * last[0], 0.0)?.y);
-        high.y = high.y.min(straight(t * last[0], last[1])?.y);
-    }
-    let (low, high) = (low.to_array(), high.to_array());
-    Some([0, 1].map(|k| {
-        let spare = 0.5 * last[k];
-        // Rounding must not remove the pixels of an edge that does not move.
-        [(low[k].max(-spare) - 1e-3).ceil() as i64, (high[k].min(last[k] + spare) + 1e-3).floor() as i64]
-    }))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use glam::{Affine3A, Vec3};
-    use proptest::prelude::*;
-
-    const BENT: Distortion = Distortion { radial: [-0.12, 0.03, 0.0], tangential: [0.004, -0.003] };
-
-    fn camera() -> Camera {
-        Camera {
-            width: 80,
-            height: 60,
-            focal: [70.0, 72.0],
-            center: [41.0, 29.5],
-            skew: 0.0,
-            world_from_camera: Affine3A::IDENTITY,
-            pixel_center: 0.5,
-        }
-    }
-
-    proptest! {
-        #[test]
-        fn undistorting_undoes(x in -0.7f64..0.7, y in -0.7f64..0.7) {
-            let p = DVec2::new(x, y);
-            let back = BENT.undistort(BENT.distort(p)).unwrap();
-            prop_assert!(back.distance(p) < 1e-9, "{back} {p}");
-            let h = 1e-6;
-            let slope = (BENT.distort(p + DVec2::new(h, 0.0)) - BENT.distort(p - DVec2::new(h, 0.0))) / (2.0 * h);
-            prop_assert!(slope.distance(BENT.jacobian(p).x_axis) < 1e-8);
-            let slope = (BENT.distort(p + DVec2::new(0.0, h)) - BENT.distort(p - DVec2::new(0.0, h))) / (2.0 * h);
-            prop_assert!(slope.distance(BENT.jacobian(p).y_axis) < 1e-8);
-        }
-    }
-
-    /// A smooth picture over the image plane.
-    fn picture(p: DVec2) -> f32 {
-        (0.5 + 0.3 * (6.0 * p.x).sin() * (5.0 * p.y).cos()) as f32
-    }
-
-    #[test]
-    fn a_bent_photograph_becomes_what_the_pinhole_sees() {
-        for k1 in [-0.12, 0.15] {
-            let bent = camera();
-            let distortion = Distortion { radial: [k1, 0.03, 0.0], ..BENT };
-            let pixels = (0..80 * 60).map(|i| {
-                let p = distortion.undistort(on_plane(&bent, f64::from(i % 80), f64::from(i / 80)));
-                Vec3::splat(picture(p.unwrap()))
-            });
-            let photograph = Image { width: 80, height: 60, pixels: pixels.collect() };
-            let way = Straightening::new(distortion, &bent).unwrap();
-            let straight = way.image(&photograph);
-            assert_eq!(k1 < 0.0, straight.width > 80, "barrels grow, pincushions shrink: {}", straight.width);
-            for (i, pixel) in straight.pixels.iter().enumerate() {
-                let (x, y) = (i as u32 % straight.width, i as u32 / straight.width);
-                let direction = way.camera.ray(x as f32 + 0.5, y as f32 + 0.5).direction.as_dvec3();
-                let expected = picture(direction.truncate() / direction.z);
-                assert!((pixel.x - expected).abs() < 3e-3, "({x}, {y}): {} {expected}", pixel.x);
+/// The projection, and the coefficients up to the last that is not 0.
+impl fmt::Display for Distortion {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{:?}", self.projection)?;
+        let groups: [(&str, &[f64]); 4] = [
+            ("radial", &self.radial),
+            ("divided by", &self.divisor),
+            ("tangential", &self.tangential),
+            ("prism", &self.prism),
+        ];
+        for (name, values) in groups {
+            if let Some(last) = values.iter().rposition(|&value| value != 0.0) {
+                write!(f, ", {name} {:?}", &values[..=last])?;
             }
         }
-    }
-
-    #[test]
-    fn no_distortion_changes_nothing() {
-        let way = Straightening::new(Distortion::NONE, &camera()).unwrap();
-        assert_eq!(way.camera, camera());
-        let flags: Vec<bool> = (0..80 * 60).map(|i| i % 7 == 0).collect();
-        assert_eq!(way.flags(&flags), flags);
-    }
-
-    #[test]
-    fn folding_coefficients_are_refused() {
-        let wrong = |radial| {
-            let distortion = Distortion { radial, tangential: [0.0; 2] };
-            Straightening::new(distortion, &camera()).map(|way| way.camera).unwrap_err()
-        };
-        assert!(wrong([-3.0, 0.0, 0.0]).contains("folds"));
-        assert!(wrong([f64::NAN, 0.0, 0.0]).contains("folds"));
-        assert!(wrong([400.0, 0.0, 0.0]).contains("leaves"));
+        Ok(())
     }
 }

@@ -56,18 +56,19 @@ static FORMATS: [Format; 9] = [
     Format {
         layout: Layout::Nerf,
         pixel_center: 0.5,
-        mark: "transforms_train.json or transforms_test.json",
-        splits: |dir| match is_stanford_orb(dir) {
-            true => Splits::Absent,
-            false => Splits::divided(|split| nerf::camera_file(dir, split).is_file()),
+        mark: "transforms_train.json, transforms_test.json or transforms.json",
+        splits: |dir| match (is_stanford_orb(dir), nerf::is_undivided(dir)) {
+            (true, _) => Splits::Absent,
+            (false, true) => Splits::Undivided,
+            (false, false) => Splits::divided(|split| nerf::has_split(dir, split)),
         },
         plan: nerf::plan,
     },
     Format {
         layout: Layout::Colmap,
         pixel_center: 0.5,
-        mark: "cameras and images, .bin or .txt, in sparse/0 or sparse",
-        splits: |dir| Splits::undivided(colmap::camera_file(dir).is_some()),
+        mark: "cameras and images, .bin or .txt, in sparse/0, sparse, colmap/sparse or dense/sparse",
+        splits: |dir| Splits::undivided(colmap::is_there(dir)),
         plan: |dir, _| colmap::plan(dir),
     },
     Format {

@@ -1,8 +1,14 @@
 //! Intrinsic parameters in camera files, and their conversion to a camera for an image of a known size.
 
 use crate::dataset::distortion::Distortion;
+use crate::dataset::straighten::Straightening;
 use crate::view::Camera;
 use glam::Affine3A;
+
+/// Range of focal lengths, as multiples of the larger side of the image: fields of view between 0.006° and 179°.
+const FOCAL_RANGE: [f64; 2] = [0.005, 10_000.0];
+/// How far outside the image the principal point may be, and how large the skew, in image sizes.
+const FARTHEST_CENTER: f64 = 10.0;
 
 /// A focal length, in either form.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -99,6 +105,16 @@ impl Lens {
         }
     }
 
+    /// The field of view in degrees that is left by undistortion, if it leaves out what the photograph shows.
+    fn cropped_field(&self) -> Option<[f64; 2]> {
+        if self.distortion == Distortion::NONE {
+            return None;
+        }
+        let bent = self.camera(self.size?, Affine3A::IDENTITY, 0.5).ok()?;
+        let way = Straightening::new(self.distortion, &bent).ok()?;
+        way.is_cropped.then(|| way.field_degrees())
+    }
+
     /// The camera for an image of `size` pixels. `Err` says what is wrong, as a clause.
     pub fn camera(
         &self,
@@ -110,31 +126,69 @@ impl Lens {
         if width == 0 || height == 0 {
             return Err(format!("the image size is {width}×{height}"));
         }
-        let focal_x = focal_pixels(self.focal_x, width)?;
-        let focal_y = self.focal_y.map_or(Ok(focal_x), |focal| focal_pixels(focal, height))?;
+        self.distortion.check()?;
+        let focal_x = focal_pixels(self.focal_x, width, size)?;
+        let focal_y = self.focal_y.map_or(Ok(focal_x), |focal| focal_pixels(focal, height, size))?;
         let center = [
             self.center[0].unwrap_or(f64::from(width) / 2.0),
             self.center[1].unwrap_or(f64::from(height) / 2.0),
         ];
-        let center = center.map(|c| c as f32);
-        if !center.iter().all(|c| c.is_finite()) {
-            return Err(format!("the principal point is {center:?}"));
+        let [sizes_x, sizes_y] = [0, 1].map(|k| center[k] / f64::from(size[k]) - 0.5);
+        if !(sizes_x.abs() <= FARTHEST_CENTER && sizes_y.abs() <= FARTHEST_CENTER) {
+            return Err(format!(
+                "the principal point is ({}, {}) pixels, more than {FARTHEST_CENTER} image sizes from the image's middle",
+                center[0], center[1]
+            ));
         }
+        if !(self.skew.abs() <= FARTHEST_CENTER * f64::from(width)) {
+            return Err(format!("the skew is {} pixels", self.skew));
+        }
+        let center = center.map(|c| c as f32);
         let focal = [focal_x as f32, focal_y as f32];
         let skew = self.skew as f32;
         Ok(Camera { width, height, focal, center, skew, world_from_camera, pixel_center })
     }
 }
 
-fn focal_pixels(focal: Focal, extent: u32) -> Result<f64, String> {
-    match focal {
-        Focal::Pixels(pixels) if pixels as f32 > 0.0 && (pixels as f32).is_finite() => Ok(pixels),
-        Focal::Pixels(pixels) => Err(format!("a focal length is {pixels} pixels; it must be above 0")),
-        Focal::Angle(angle) if angle > 1e-6 && angle < std::f64::consts::PI - 1e-6 => {
-            Ok(0.5 * f64::from(extent) / (0.5 * angle).tan())
+/// In pixels, of an axis of `extent` pixels.
+fn focal_pixels(focal: Focal, extent: u32, size: [u32; 2]) -> Result<f64, String> {
+    let pixels = match focal {
+        Focal::Pixels(pixels) if pixels > 0.0 && pixels.is_finite() => pixels,
+        Focal::Pixels(pixels) => {
+            return Err(format!("a focal length is {pixels} pixels; it must be above 0"));
+        }
+        Focal::Angle(angle) if angle > 0.0 && angle < std::f64::consts::PI => {
+            0.5 * f64::from(extent) / (0.5 * angle).tan()
         }
         Focal::Angle(angle) => {
-            Err(format!("a field of view is {angle} radians; it must lie between 0 and π"))
+            return Err(format!("a field of view is {angle} radians; it must lie between 0 and π"));
         }
+    };
+    let [width, height] = size;
+    let [least, most] = FOCAL_RANGE.map(|factor| factor * f64::from(width.max(height)));
+    if (least..=most).contains(&pixels) {
+        return Ok(pixels);
     }
+    Err(format!(
+        "a focal length is {pixels:e} pixels; for an image of {width}×{height} it must lie between {least} and {most}"
+    ))
+}
+
+/// A note on photographs whose edges undistortion leaves out. Lenses without a stated size are not looked at.
+pub(super) fn crop_note<'a>(lenses: impl Iterator<Item = &'a Lens>) -> Option<String> {
+    let mut fields: Vec<[f64; 2]> = Vec::new();
+    let mut last: Option<(&Lens, Option<[f64; 2]>)> = None;
+    for lens in lenses {
+        let field = match last {
+            Some((same, field)) if same == lens => field,
+            _ => lens.cropped_field(),
+        };
+        fields.extend(field);
+        last = Some((lens, field));
+    }
+    let [width, height] = *fields.first()?;
+    Some(format!(
+        "{} photographs show more than a pinhole camera can; undistorted they are cropped to {width:.0}° × {height:.0}°",
+        fields.len()
+    ))
 }

@@ -1,9 +1,10 @@
 //! Functions that all layouts share: reading JSON with errors that name the position, finding files, and loading planned views.
 
-use crate::codec::image::{IMAGE_EXTENSIONS, Orientation, Repairs, read_mask};
+use crate::codec::image::{IMAGE_EXTENSIONS, Orientation, Repairs, image_header, read_mask};
 use crate::codec::nearby::missing_file_help;
-use crate::dataset::distortion::{Distortion, Straightening};
+use crate::dataset::distortion::Distortion;
 use crate::dataset::picture::{Curves, Picture};
+use crate::dataset::straighten::Straightening;
 use crate::dataset::{DatasetOptions, MaskPlan, ViewPlan};
 use crate::error::{Error, Result};
 use crate::view::{Camera, Mask, Split, StoredMask, ViewRecord};
@@ -12,11 +13,12 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+/// Most bytes of a camera file. COLMAP's text model of a thousand views has some hundred MiB.
+const MOST_TEXT: u64 = 2 << 30;
+
 /// Reads a text file, as [`Error::Input`] if it is not UTF-8.
 pub(super) fn read_text(path: &Path) -> Result<String> {
-    let bytes = crate::codec::file::read_bytes(path, missing_file_help)?;
-    String::from_utf8(bytes)
-        .map_err(|_| Error::input(path, "", "the file is not UTF-8 text", "Is it a JSON file?"))
+    crate::codec::file::read_text(path, MOST_TEXT, missing_file_help)
 }
 
 /// Parses JSON; errors name line and column.
@@ -74,7 +76,7 @@ pub(super) fn find_image(path: &Path) -> Option<PathBuf> {
 /// A folder's image files in the order of their names; hidden files are none.
 pub(super) fn image_files(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut paths = Vec::new();
-    for entry in std::fs::read_dir(folder).map_err(Error::io("read", folder))? {
+    for entry in crate::codec::file::read_folder(folder)? {
         paths.push(entry.map_err(Error::io("read", folder))?.path());
     }
     let is_hidden =
@@ -200,8 +202,7 @@ impl PlannedView {
         let plan = &self.plan;
         let wrong = |problem: String, help: &str| Error::input(&plan.camera_file, &plan.place, problem, help);
         let is_resampled = self.downscale > 1 || plan.lens.distortion != Distortion::NONE;
-        let read =
-            |path: &PathBuf| Picture::read(path, self.curves.gamma(), Orientation::Upright, is_resampled);
+        let read = |path: &PathBuf| Picture::read(path, self.curves.gamma(), plan.orientation, is_resampled);
         let mut picture = plan.image.as_ref().map(read).transpose()?;
         let size = image_size(plan, picture.as_ref())?;
         let lens = plan.lens.resized(size);
@@ -280,21 +281,29 @@ fn straighten(
     Ok(way.camera)
 }
 
+const TURN_HELP: &str = "Images of this layout are taken as stored. Turn their pixels and drop the orientation, e.g. with \
+                         `mogrify -auto-orient`.";
+const KEEP_HELP: &str =
+    "Images of this layout are turned upright. Remove their orientation, e.g. with `exiftool -Orientation=`.";
+
 /// Width and height from the image and the camera file, which must be equal if both state them.
 fn image_size(plan: &ViewPlan, picture: Option<&Picture>) -> Result<[u32; 2]> {
     let of_image = picture.map(Picture::size);
     match (of_image, of_image.map_or(plan.lens.size, |size| plan.lens.resized(size).size)) {
         (Some(image), Some(camera)) if image != camera => {
-            let problem = format!(
-                "the image has {}×{} pixels, its camera {}×{}",
-                image[0], image[1], camera[0], camera[1]
-            );
             let path = plan.image.as_ref().unwrap_or(&plan.camera_file);
-            let help = format!(
-                "Resize the image, or scale the intrinsics at {} in {}.",
-                plan.place,
-                plan.camera_file.display()
-            );
+            let file = plan.camera_file.display();
+            let (problem, help) = match (turned(plan, image, "its camera", camera), plan.orientation) {
+                (Some(problem), Orientation::AsStored) => (problem, TURN_HELP.to_owned()),
+                (Some(problem), Orientation::Upright) => (problem, KEEP_HELP.to_owned()),
+                (None, _) => (
+                    format!(
+                        "the image has {}×{} pixels, its camera {}×{}",
+                        image[0], image[1], camera[0], camera[1]
+                    ),
+                    format!("Resize the image, or scale the intrinsics at {} in {file}.", plan.place),
+                ),
+            };
             Err(Error::input(path, "", problem, help))
         }
         (Some(size), _) | (None, Some(size)) => Ok(size),
@@ -307,10 +316,25 @@ fn image_size(plan: &ViewPlan, picture: Option<&Picture>) -> Result<[u32; 2]> {
     }
 }
 
+/// What is wrong if the EXIF orientation of the view's image explains why `other`, of size `whose`, has not its size.
+fn turned(plan: &ViewPlan, image: [u32; 2], other: &str, whose: [u32; 2]) -> Option<String> {
+    let path = plan.image.as_ref().filter(|_| whose == [image[1], image[0]])?;
+    let (unread, stored, upright) = match plan.orientation {
+        Orientation::AsStored => (Orientation::Upright, image, whose),
+        Orientation::Upright => (Orientation::AsStored, whose, image),
+    };
+    (image_header(path).ok()?.size(unread) == whose).then(|| {
+        format!(
+            "the image is {}×{} as stored and {}×{} as its EXIF orientation shows it; {other} is {}×{}",
+            stored[0], stored[1], upright[0], upright[1], whose[0], whose[1]
+        )
+    })
+}
+
 fn load_mask(plan: &ViewPlan, picture: Option<&Picture>, camera: &Camera) -> Result<Option<Mask>> {
     let alpha = picture.and_then(Picture::alpha);
     let (mask, path) = match (&plan.mask, alpha, &plan.image) {
-        (MaskPlan::File(path), ..) => (read_mask(path, Orientation::Upright)?.mask, path),
+        (MaskPlan::File(path), ..) => (read_mask(path, plan.orientation)?.mask, path),
         (_, Some(coverage), Some(path)) => {
             (Mask { width: camera.width, height: camera.height, coverage }, path)
         }
@@ -320,12 +344,13 @@ fn load_mask(plan: &ViewPlan, picture: Option<&Picture>, camera: &Camera) -> Res
         }
         _ => return Ok(None),
     };
-    if (mask.width, mask.height) != (camera.width, camera.height) {
-        let problem = format!(
-            "the mask has {}×{} pixels, its view {}×{}",
-            mask.width, mask.height, camera.width, camera.height
-        );
-        return Err(Error::input(path, "", problem, "Resize the mask to the size of its image."));
+    let (size, view) = ([mask.width, mask.height], [camera.width, camera.height]);
+    if size != view {
+        let problem = turned(plan, view, "its mask", size).unwrap_or_else(|| {
+            format!("the mask has {}×{} pixels, its view {}×{}", size[0], size[1], view[0], view[1])
+        });
+        let help = "Resize or turn the mask, so that it fits the pixels of its image.";
+        return Err(Error::input(path, "", problem, help));
     }
     if mask.coverage.iter().all(|&coverage| coverage == 0.0) {
         let problem = format!("the mask of view `{}` is empty: no pixel is covered", plan.name);

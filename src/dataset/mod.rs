@@ -2,8 +2,9 @@
 //!
 //! The files in the folder determine the layout:
 //! - **PhySG** ([`physg`]): `DIR/{train,test}/{image,mask}/` and `DIR/{train,test}/cam_dict_norm.json`;
-//! - **NeRF/Blender** ([`nerf`]): `DIR/transforms_{train,test}.json` and the images it names;
-//! - **COLMAP** ([`colmap`]): `DIR/sparse/0/{cameras,images}.{bin,txt}`, `DIR/images/`, `DIR/masks/`;
+//! - **NeRF/Blender** ([`nerf`]): `DIR/transforms_{train,test}.json`, or one `DIR/transforms.json` as of nerfstudio, Polycam and
+//!   instant-ngp, and the images it names;
+//! - **COLMAP** ([`colmap`]): `DIR/sparse/0/{cameras,images}.{bin,txt}` or other usual places, `DIR/images/`, `DIR/masks/`;
 //! - **DeepVoxels** ([`deepvoxels`]): `intrinsics.txt`, `pose/`, `rgb/`, in `DIR` or `DIR/{train,validation,test}`;
 //! - **IDR, NeuS, VolSDF** ([`idr`]): `DIR/cameras_sphere.npz`, `DIR/image/`, `DIR/mask/`;
 //! - **LLFF, NeRD** ([`llff`]): `DIR/poses_bounds.npy`, `DIR/images/`, `DIR/masks/`;
@@ -34,23 +35,27 @@ pub mod llff;
 mod load;
 mod masks;
 pub mod metashape;
+mod names;
 pub mod nerf;
+mod nerf_lens;
 mod photographs;
 pub mod physg;
 mod picture;
 mod pose;
 pub mod reality_capture;
 pub mod stanford_orb;
+mod straighten;
 
-use crate::codec::image::Gamma;
+use crate::codec::image::{Gamma, Orientation};
 use crate::codec::nearby::{closest, natural_order};
 use crate::error::{Error, Result};
 use crate::view::{Split, ViewRecord};
 use glam::{Affine3A, Vec3};
 use layout::find_format;
 pub use layout::has_split;
-use lens::Lens;
+use lens::{Lens, crop_note};
 pub use load::{LoadedView, PlannedView, load_notes};
+use names::check_names;
 use picture::Curves;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -172,6 +177,8 @@ struct ViewPlan {
     place: String,
     image: Option<PathBuf>,
     mask: MaskPlan,
+    /// What the layout's own programs do with the EXIF orientation of photographs.
+    orientation: Orientation,
     lens: Lens,
     world_from_camera: Affine3A,
 }
@@ -215,7 +222,7 @@ pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
     let format = find_format(dir, options.layout)?;
     let mut plan = format.plan(dir, split, options.hold_out)?;
     plan.views.sort_by(|a, b| natural_order(&a.name, &b.name));
-    refuse_duplicates(&plan.views)?;
+    plan.notes.extend(check_names(&plan.views)?);
     let wanted = selected(plan.views, options)?;
     if wanted.is_empty() {
         let problem = format!("the {} split has no views", split_name(split));
@@ -224,6 +231,7 @@ pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
         return Err(Error::input(dir, "", problem, help));
     }
     refuse_far_away(&wanted)?;
+    plan.notes.extend(crop_note(wanted.iter().map(|view| &view.lens)));
     let curves = Arc::new(Curves::new(options.gamma));
     let view = |plan| PlannedView::new(plan, split, options, format.pixel_center, &curves);
     Ok(OpenDataset {
@@ -287,19 +295,6 @@ fn refuse_far_away(plans: &[ViewPlan]) -> Result<()> {
     );
     let help = format!("Subtract ({:.0}, {:.0}, {:.0}) from all positions.", middle.x, middle.y, middle.z);
     Err(Error::input(&plans[0].camera_file, "", problem, help))
-}
-
-/// Plans are sorted by name.
-fn refuse_duplicates(plans: &[ViewPlan]) -> Result<()> {
-    match plans.windows(2).find(|pair| pair[0].name == pair[1].name) {
-        Some(pair) => Err(Error::input(
-            &pair[1].camera_file,
-            &pair[1].place,
-            format!("two views are called `{}`; the other is {}", pair[0].name, pair[0].place),
-            "Output files have the view's name: remove one, or give the images different names.",
-        )),
-        None => Ok(()),
-    }
 }
 
 fn selected(plans: Vec<ViewPlan>, options: &DatasetOptions) -> Result<Vec<ViewPlan>> {

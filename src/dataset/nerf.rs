@@ -1,25 +1,54 @@
-//! NeRF's and Blender's layout: `DIR/transforms_{train,test}.json` and the images it names.
+//! The layout of NeRF, Blender, nerfstudio, Polycam and instant-ngp: camera files `DIR/transforms_{train,test}.json`, or one
+//! `DIR/transforms.json` for all views, and the images they name.
 //!
-//! Each frame has a `transform_matrix` (4×4, world_from_camera with OpenGL axes: x right, y up, z backwards) and a
+//! Each frame has a `transform_matrix` (4×4 or 3×4, world_from_camera with OpenGL axes: x right, y up, z backward) and a
 //! `file_path` relative to `DIR`, with or without extension. Intrinsics are at the top level or in a frame; those of the frame
-//! have priority: `fl_x`, `fl_y`, `cx`, `cy`, `w`, `h` in pixels, or `camera_angle_x`, `camera_angle_y`, the full fields of view in
-//! radians. Alpha is the mask, unless a frame has a `mask_path`. If neither the images nor their folders exist, the views
-//! are cameras only and `w`, `h` are needed.
+//! have priority: `fl_x`, `fl_y`, `cx`, `cy`, `w`, `h` in pixels, or full fields of view: `camera_angle_x`, `camera_angle_y` in
+//! radians, `x_fov`, `y_fov` in degrees. `camera_model` (or `is_fisheye`) says which lens `k1` to `k6`, `p1` and `p2` are of.
+//!
+//! A frame may have a `mask_path`; of one file for all views without any, a folder of masks beside the images is read. Else alpha is the
+//! mask. If neither the images nor their folders exist, the views are cameras only and `w`, `h` are needed.
+//!
+//! One file for all views may have the lists `train_filenames`, `val_filenames` and `test_filenames`; without them see
+//! [`crate::dataset::DatasetOptions::hold_out`]. Its poses are taken as they are: `applied_transform` is not undone. Photographs are
+//! taken as they are stored, as all these programs read them.
 
-use crate::codec::nearby::missing_file_help;
-use crate::dataset::distortion::Distortion;
-use crate::dataset::lens::{Focal, Lens};
-use crate::dataset::load::{find_image, parse_json, read_text, view_name};
+use crate::codec::image::Orientation;
+use crate::codec::nearby::{closest, missing_file_help, natural_order};
+use crate::dataset::load::{StemIndex, find_image, parse_json, read_text, view_name};
+use crate::dataset::masks::{find_mask, mask_folder};
+use crate::dataset::nerf_lens::{Intrinsics, Levels};
 use crate::dataset::pose::Rigid;
 use crate::dataset::{MaskPlan, Plan, ViewPlan, absent_split, split_name};
 use crate::error::{Error, Result};
 use crate::view::Split;
 use serde::Deserialize;
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
-/// The file that describes the cameras of a split.
+/// The file that describes the cameras of one split.
 pub fn camera_file(dir: &Path, split: Split) -> PathBuf {
     dir.join(format!("transforms_{}.json", split_name(split)))
+}
+
+/// The file that describes the cameras of all splits, if the folder has that and none of a split.
+fn common_file(dir: &Path) -> Option<PathBuf> {
+    let is_split = [Split::Train, Split::Test].iter().any(|&split| camera_file(dir, split).is_file());
+    Some(dir.join("transforms.json")).filter(|file| !is_split && file.is_file())
+}
+
+/// Whether the folder has one camera file that does not say which view belongs to which split.
+pub fn is_undivided(dir: &Path) -> bool {
+    common_file(dir).is_some_and(|file| lists(&file).is_ok_and(|lists| !lists.are_stated()))
+}
+
+/// Whether the folder has this split, or views that are not divided into splits.
+pub fn has_split(dir: &Path, split: Split) -> bool {
+    match common_file(dir) {
+        None => camera_file(dir, split).is_file(),
+        // A file that cannot be read is reported when it is.
+        Some(file) => lists(&file).map_or(true, |lists| !lists.are_stated() || lists.has(split)),
+    }
 }
 
 #[derive(Deserialize)]
@@ -27,44 +56,6 @@ struct Frame {
     file_path: Option<String>,
     mask_path: Option<String>,
     transform_matrix: Vec<Vec<f64>>,
-}
-
-/// The fields that may be at the top level and in each frame.
-#[derive(Clone, Copy, Default, Deserialize)]
-#[serde(default)]
-struct Intrinsics {
-    camera_angle_x: Option<f64>,
-    camera_angle_y: Option<f64>,
-    fl_x: Option<f64>,
-    fl_y: Option<f64>,
-    cx: Option<f64>,
-    cy: Option<f64>,
-    w: Option<f64>,
-    h: Option<f64>,
-    k1: Option<f64>,
-    k2: Option<f64>,
-    k3: Option<f64>,
-    k4: Option<f64>,
-    p1: Option<f64>,
-    p2: Option<f64>,
-}
-
-impl Intrinsics {
-    /// Focal length along one axis: the frame's value has priority over the shared one, and pixels over angles.
-    fn focal(
-        frame: &Self,
-        shared: &Self,
-        pixels: fn(&Self) -> Option<f64>,
-        angle: fn(&Self) -> Option<f64>,
-    ) -> Option<Focal> {
-        [frame, shared]
-            .into_iter()
-            .find_map(|level| pixels(level).map(Focal::Pixels).or_else(|| angle(level).map(Focal::Angle)))
-    }
-
-    fn is_distorted(&self) -> bool {
-        [self.k1, self.k2, self.k3, self.k4, self.p1, self.p2].into_iter().flatten().any(|k| k != 0.0)
-    }
 }
 
 // `#[serde(flatten)]` loses the line and column of an error, so the text is parsed once for each of these.
@@ -78,28 +69,107 @@ struct FrameIntrinsics {
     frames: Vec<Intrinsics>,
 }
 
+/// nerfstudio's lists of the views of each split.
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct Lists {
+    train_filenames: Option<Vec<String>>,
+    val_filenames: Option<Vec<String>>,
+    test_filenames: Option<Vec<String>>,
+    applied_transform: Option<Vec<Vec<f64>>>,
+}
+
+fn lists(file: &Path) -> Result<Lists> {
+    parse_json(file, &read_text(file)?)
+}
+
+impl Lists {
+    fn are_stated(&self) -> bool {
+        self.train_filenames.is_some() || self.held_out().is_some()
+    }
+
+    fn has(&self, split: Split) -> bool {
+        split == Split::Train || self.held_out().is_some()
+    }
+
+    /// The test split, which may be called validation.
+    fn held_out(&self) -> Option<&Vec<String>> {
+        self.test_filenames.as_ref().or(self.val_filenames.as_ref())
+    }
+
+    fn all(&self) -> impl Iterator<Item = (&'static str, &String)> {
+        let lists = [
+            ("train_filenames", &self.train_filenames),
+            ("val_filenames", &self.val_filenames),
+            ("test_filenames", &self.test_filenames),
+        ];
+        lists.into_iter().flat_map(|(list, names)| names.iter().flatten().map(move |name| (list, name)))
+    }
+
+    /// Whether the split has the image `path`; without a list, the training split has those of no other list.
+    fn contains(&self, split: Split, path: &str) -> bool {
+        let is_in = |names: &Vec<String>| names.iter().any(|name| tidy(name) == path);
+        match (split, &self.train_filenames, self.held_out()) {
+            (Split::Train, Some(train), _) => is_in(train),
+            (Split::Train, None, _) => !self.all().any(|(_, name)| tidy(name) == path),
+            (Split::Test, _, Some(test)) => is_in(test),
+            (Split::Test, _, None) => false,
+        }
+    }
+}
+
+/// A path in a camera file as this program compares and opens it: Windows' separators and a leading `./` are replaced.
+fn tidy(path: &str) -> String {
+    let path = path.replace('\\', "/");
+    path.strip_prefix("./").map_or_else(|| path.clone(), str::to_owned)
+}
+
+/// Plans the views of a split, or all views, by name, if the folder [`is_undivided`].
 pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
-    let file = camera_file(dir, split);
+    let common = common_file(dir);
+    let file = common.clone().unwrap_or_else(|| camera_file(dir, split));
     if !file.is_file() {
         return Err(absent_split(dir, split, camera_file));
     }
     let text = read_text(&file)?;
-    let Frames { frames } = parse_json(&file, &text)?;
+    let Frames { mut frames } = parse_json(&file, &text)?;
+    for path in frames.iter_mut().flat_map(|frame| [&mut frame.file_path, &mut frame.mask_path]).flatten() {
+        *path = tidy(path);
+    }
     let shared: Intrinsics = parse_json(&file, &text)?;
     let FrameIntrinsics { frames: own } = parse_json(&file, &text)?;
+    let lists: Lists = parse_json(&file, &text)?;
     let images = find_images(dir, &file, &frames)?;
+    let masks = match common {
+        Some(_) if frames.iter().all(|frame| frame.mask_path.is_none()) => masks_beside(dir)?,
+        _ => None,
+    };
+    let reader = Reader { dir, file: &file, shared: &shared, masks };
     let mut views = Vec::with_capacity(frames.len());
     for (index, ((frame, own), image)) in frames.iter().zip(&own).zip(images).enumerate() {
-        views.push(plan_view(dir, &file, index, frame, own, &shared, image)?);
+        views.push(reader.plan_view(index, frame, own, image)?);
     }
-    let distorted = own.iter().filter(|own| own.is_distorted() || shared.is_distorted()).count();
-    let notes = match distorted {
-        0 => Vec::new(),
-        _ => vec![format!(
-            "{distorted} views state lens distortion, which is ignored: undistort the photographs first"
-        )],
-    };
+    // Notes about all views are reported once, with the training split.
+    let mut notes = note_of_transform(&lists).filter(|_| split == Split::Train).into_iter().collect();
+    if common.is_some() && lists.are_stated() {
+        views = reader.listed(&lists, split, &frames, views, &mut notes)?;
+    }
+    views.sort_by(|a, b| natural_order(&a.name, &b.name));
     Ok(Plan { views, notes })
+}
+
+fn masks_beside(dir: &Path) -> Result<Option<StemIndex>> {
+    mask_folder(dir).map_or(Ok(None), |folder| StemIndex::of_folder(&folder))
+}
+
+fn note_of_transform(lists: &Lists) -> Option<String> {
+    let rows = lists.applied_transform.as_ref()?;
+    let is_identity = rows
+        .iter()
+        .enumerate()
+        .all(|(i, row)| row.iter().enumerate().all(|(k, &value)| value == if i == k { 1.0 } else { 0.0 }));
+    let note = "the poses are taken as the file has them: applied_transform is not undone, and results are in that world";
+    (!is_identity).then(|| note.to_owned())
 }
 
 fn place_of(index: usize, frame: &Frame) -> String {
@@ -140,62 +210,87 @@ fn find_images(dir: &Path, file: &Path, frames: &[Frame]) -> Result<Vec<Option<P
     Ok(found)
 }
 
-fn plan_view(
-    dir: &Path,
-    file: &Path,
-    index: usize,
-    frame: &Frame,
-    own: &Intrinsics,
-    shared: &Intrinsics,
-    image: Option<PathBuf>,
-) -> Result<ViewPlan> {
-    let place = place_of(index, frame);
-    let wrong = |problem: String, help: &str| Error::input(file, place.clone(), problem, help);
-    let help = "transform_matrix is a rotation and a translation, from OpenGL camera axes to the world.";
-    let world_from_camera = matrix(&frame.transform_matrix)
-        .and_then(|rows| Rigid::from_rows(&rows))
-        .map_err(|problem| wrong(format!("transform_matrix {problem}"), help))?
-        .in_opencv_axes();
-    let lens = lens(own, shared)
-        .map_err(|problem| wrong(problem, "Add it to the frame or at the top of the file."))?;
-    let name = match &frame.file_path {
-        Some(path) => view_name(path),
-        None => format!("frame_{index:06}"),
-    };
-    let mask = match &frame.mask_path {
-        Some(path) if image.is_some() => MaskPlan::File(dir.join(path)),
-        _ => MaskPlan::Alpha,
-    };
-    let world_from_camera = world_from_camera.to_affine();
-    Ok(ViewPlan { name, camera_file: file.to_owned(), place, image, mask, lens, world_from_camera })
+/// What all frames of a camera file share.
+struct Reader<'a> {
+    dir: &'a Path,
+    file: &'a Path,
+    shared: &'a Intrinsics,
+    /// The folder of masks, if frames do not name theirs.
+    masks: Option<StemIndex>,
 }
 
-fn lens(own: &Intrinsics, shared: &Intrinsics) -> Result<Lens, String> {
-    let either = |value: fn(&Intrinsics) -> Option<f64>| value(own).or(value(shared));
-    let focal_x = Intrinsics::focal(own, shared, |i| i.fl_x, |i| i.camera_angle_x);
-    let focal_y = Intrinsics::focal(own, shared, |i| i.fl_y, |i| i.camera_angle_y);
-    let size = match (either(|i| i.w), either(|i| i.h)) {
-        (Some(w), Some(h)) => Some([whole(w)?, whole(h)?]),
-        (None, None) => None,
-        _ => return Err("only one of w and h is given".into()),
-    };
-    Ok(Lens {
-        size,
-        focal_x: focal_x.ok_or("there is neither camera_angle_x nor fl_x")?,
-        focal_y,
-        center: [either(|i| i.cx), either(|i| i.cy)],
-        skew: 0.0,
-        distortion: Distortion::NONE,
-        resizable: false,
-    })
-}
+impl Reader<'_> {
+    fn plan_view(
+        &self,
+        index: usize,
+        frame: &Frame,
+        own: &Intrinsics,
+        image: Option<PathBuf>,
+    ) -> Result<ViewPlan> {
+        let place = place_of(index, frame);
+        let wrong = |problem: String, help: &str| Error::input(self.file, place.clone(), problem, help);
+        let help = "transform_matrix is a rotation and a translation, from OpenGL camera axes to the world.";
+        let world_from_camera = matrix(&frame.transform_matrix)
+            .and_then(|rows| Rigid::from_rows(&rows))
+            .map_err(|problem| wrong(format!("transform_matrix {problem}"), help))?
+            .in_opencv_axes();
+        let lens =
+            Levels { own, shared: self.shared }.lens().map_err(|(problem, help)| wrong(problem, help))?;
+        let name = match &frame.file_path {
+            Some(path) => view_name(path),
+            None => format!("frame_{index:06}"),
+        };
+        Ok(ViewPlan {
+            name,
+            camera_file: self.file.to_owned(),
+            mask: self.mask(frame, image.as_deref())?,
+            place,
+            image,
+            orientation: Orientation::AsStored,
+            lens,
+            world_from_camera: world_from_camera.to_affine(),
+        })
+    }
 
-fn whole(value: f64) -> Result<u32, String> {
-    let is_size = value.fract() == 0.0 && (1.0..=f64::from(u32::MAX)).contains(&value);
-    if is_size {
-        Ok(value as u32)
-    } else {
-        Err(format!("the image size {value} is not a whole number above 0"))
+    fn mask(&self, frame: &Frame, image: Option<&Path>) -> Result<MaskPlan> {
+        let Some(image) = image else { return Ok(MaskPlan::Alpha) };
+        let photograph = image.file_name().unwrap_or_default().to_string_lossy();
+        Ok(match (&frame.mask_path, &self.masks) {
+            (Some(path), _) => {
+                let path = self.dir.join(path);
+                MaskPlan::File(find_image(&path).unwrap_or(path))
+            }
+            (None, Some(masks)) => MaskPlan::File(find_mask(masks, &photograph)?),
+            (None, None) => MaskPlan::Alpha,
+        })
+    }
+
+    /// The views that the lists give to a split.
+    fn listed(
+        &self,
+        lists: &Lists,
+        split: Split,
+        frames: &[Frame],
+        views: Vec<ViewPlan>,
+        notes: &mut Vec<String>,
+    ) -> Result<Vec<ViewPlan>> {
+        let paths: Vec<&str> = frames.iter().map(|frame| frame.file_path.as_deref().unwrap_or("")).collect();
+        let there: BTreeSet<&str> = paths.iter().copied().collect();
+        if let Some((list, name)) = lists.all().find(|(_, name)| !there.contains(tidy(name).as_str())) {
+            let near = closest(&tidy(name), paths.iter().copied()).join(", ");
+            let help = if near.is_empty() { String::new() } else { format!("Near: {near}.") };
+            return Err(Error::input(self.file, list, format!("no frame has the image `{name}`"), help));
+        }
+        let is_in = |split: Split, path: &&&str| lists.contains(split, path);
+        let unused =
+            paths.iter().filter(|path| !is_in(Split::Train, path) && !is_in(Split::Test, path)).count();
+        if unused > 0 && split == Split::Train {
+            notes.push(format!(
+                "{unused} frames are in neither the training nor the test list and are left out"
+            ));
+        }
+        let wanted = views.into_iter().zip(&paths).filter(|(_, path)| is_in(split, path));
+        Ok(wanted.map(|(view, _)| view).collect())
     }
 }
 

@@ -1,6 +1,6 @@
 //! Photographs and masks of layouts whose camera files do not say where they are.
 
-use crate::codec::file;
+use crate::codec::image::{Orientation, image_header};
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::lens::Lens;
 use crate::dataset::load::{StemIndex, image_files, view_name};
@@ -8,7 +8,6 @@ use crate::dataset::masks::{find_mask, mask_file, mask_folder};
 use crate::dataset::pose::Rigid;
 use crate::dataset::{MaskPlan, ViewPlan};
 use crate::error::{Error, Result};
-use image::ImageReader;
 use std::path::{Path, PathBuf};
 
 /// Most photographs or masks that an error names.
@@ -152,24 +151,9 @@ fn gaps(stems: &[String]) -> Vec<String> {
     missing.map(|number| format!("{prefix}{number:0digits$}")).collect()
 }
 
-/// The size of an image file, from its header.
+/// The size of an image file as stored, from its header.
 pub(super) fn stored_size(path: &Path) -> Result<[u32; 2]> {
-    let reader = file::open(path, missing_file_help)?;
-    let unreadable = |problem: String| {
-        let problem = format!("the size of the image cannot be read: {problem}");
-        Error::input(path, "", problem, "Convert it to PNG, JPEG or EXR.")
-    };
-    let is_exr = path.extension().is_some_and(|kind| kind.eq_ignore_ascii_case("exr"));
-    if is_exr {
-        let meta = exr::meta::MetaData::read_from_buffered(reader, false);
-        let meta = meta.map_err(|error| unreadable(error.to_string()))?;
-        let size = meta.headers.first().map(|header| header.layer_size);
-        let size = size.ok_or_else(|| unreadable("it has no layers".to_owned()))?;
-        return Ok([size.width() as u32, size.height() as u32]);
-    }
-    let reader = ImageReader::new(reader).with_guessed_format().map_err(Error::io("read", path))?;
-    let (width, height) = reader.into_dimensions().map_err(|error| unreadable(error.to_string()))?;
-    Ok([width, height])
+    image_header(path).map(|header| header.size(Orientation::AsStored))
 }
 
 /// The view that shows a photograph.
@@ -186,6 +170,7 @@ pub(super) fn view_of(
         place,
         image: Some(image),
         mask,
+        orientation: Orientation::AsStored,
         lens,
         world_from_camera: world_from_camera.to_affine(),
     }

@@ -3,7 +3,7 @@
 use crate::codec::image::{
     Decoded, Gamma, LoadedImage, Orientation, Repairs, Samples, decode_photograph, linear_image,
 };
-use crate::dataset::distortion::Straightening;
+use crate::dataset::straighten::Straightening;
 use crate::error::Result;
 use crate::view::raster::any_downscaled;
 use crate::view::stored::{Curve, IntegerSamples};

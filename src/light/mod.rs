@@ -43,6 +43,16 @@ use crate::math::published::Lobe;
 use crate::math::ray::Illuminate;
 use crate::math::sg;
 
+/// Most lobes of a light.
+pub const MOST_LOBES: usize = 512;
+
+/// Largest radiance of a light, linear: sums over lobes and their squares stay finite in `f32`. The sun's disc is below 10¹⁰ in
+/// any usual unit.
+pub const MAX_RADIANCE: f32 = 1e15;
+
+/// Largest sharpness of a lobe: its width of 10⁻⁶ radians is below any pixel.
+pub const MAX_SHARPNESS: f32 = 1e12;
+
 /// One SG of distant light: radiance μ exp(λ(ω·ξ − 1)) from direction ω.
 #[derive(Component, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -130,11 +140,15 @@ pub fn render_lobes(lobes: &[LightLobe], width: u32, height: u32) -> Environment
 /// Checks that the lobes are a valid light.
 ///
 /// # Errors
-/// A clause that names the first lobe (counted from 0) with a zero or non-unit axis (|length − 1| > 10⁻³), or a
-/// negative or non-finite sharpness or amplitude; or says that there are no lobes.
+/// A clause that names the first lobe (counted from 0) with a zero or non-unit axis (|length − 1| > 10⁻³), or a sharpness or
+/// amplitude that is negative, not finite, or above [`MAX_SHARPNESS`] or [`MAX_RADIANCE`]; or says that there are no lobes, or more than
+/// [`MOST_LOBES`].
 pub fn validate_lobes(lobes: &[LightLobe]) -> Result<(), String> {
     if lobes.is_empty() {
         return Err("there are no light lobes; at least one is needed".to_owned());
+    }
+    if lobes.len() > MOST_LOBES {
+        return Err(format!("there are {} light lobes; a light has at most {MOST_LOBES}", lobes.len()));
     }
     for (i, lobe) in lobes.iter().enumerate() {
         let length = lobe.axis.length();
@@ -147,14 +161,34 @@ pub fn validate_lobes(lobes: &[LightLobe]) -> Result<(), String> {
         if (length - 1.0).abs() > 1e-3 {
             return Err(format!("lobe {i}: axis {} has length {length}, not 1", lobe.axis));
         }
-        if !lobe.sharpness.is_finite() || lobe.sharpness < 0.0 {
-            return Err(format!("lobe {i}: sharpness {} must be finite and not negative", lobe.sharpness));
+        if !(0.0..=MAX_SHARPNESS).contains(&lobe.sharpness) {
+            let problem =
+                format!("lobe {i}: sharpness {:e} must be from 0 to {MAX_SHARPNESS:e}", lobe.sharpness);
+            return Err(problem);
         }
-        if !lobe.amplitude.is_finite() || lobe.amplitude.min_element() < 0.0 {
-            return Err(format!("lobe {i}: amplitude {} must be finite and not negative", lobe.amplitude));
+        if let Some(bad) = lobe.amplitude.to_array().into_iter().find(|a| !(0.0..=MAX_RADIANCE).contains(a)) {
+            return Err(format!("lobe {i}: amplitude {bad:e} must be from 0 to {MAX_RADIANCE:e}"));
         }
     }
     Ok(())
+}
+
+/// Checks that the map is a usable light.
+///
+/// # Errors
+/// A clause that names the first texel with a radiance that is negative, not finite, or above [`MAX_RADIANCE`].
+pub fn validate_map(map: &EnvironmentMap) -> Result<(), String> {
+    let usable = |r: &Vec3| r.to_array().iter().all(|channel| (0.0..=MAX_RADIANCE).contains(channel));
+    match map.radiance.iter().position(|r| !usable(r)) {
+        Some(k) => {
+            let (i, j) = (k % map.width as usize, k / map.width as usize);
+            let [r, g, b] = map.radiance[k].to_array();
+            Err(format!(
+                "texel ({i}, {j}) has radiance ({r:e}, {g:e}, {b:e}), not from 0 to {MAX_RADIANCE:e}"
+            ))
+        }
+        None => Ok(()),
+    }
 }
 
 #[cfg(test)]
@@ -175,12 +209,27 @@ mod tests {
             LightLobe { axis: Vec3::splat(2.0), ..lobe() },
             LightLobe { sharpness: -1.0, ..lobe() },
             LightLobe { sharpness: f32::INFINITY, ..lobe() },
+            LightLobe { sharpness: 1e38, ..lobe() },
+            LightLobe { amplitude: Vec3::new(1.0, 1.0, 1e38), ..lobe() },
             LightLobe { amplitude: Vec3::new(0.0, -1.0, 0.0), ..lobe() },
             LightLobe { amplitude: Vec3::new(f32::NAN, 1.0, 0.0), ..lobe() },
         ];
         for broken in bad {
             let message = validate_lobes(&[lobe(), broken]).unwrap_err();
             assert!(message.starts_with("lobe 1: "), "{message}");
+        }
+        assert!(validate_lobes(&vec![lobe(); MOST_LOBES]).is_ok());
+        assert!(validate_lobes(&vec![lobe(); MOST_LOBES + 1]).unwrap_err().contains("at most 512"));
+    }
+
+    #[test]
+    fn maps_with_unusable_texels_are_refused_with_their_place() {
+        let mut map = render_lobes(&[lobe()], 8, 4);
+        assert!(validate_map(&map).is_ok());
+        for bad in [f32::NAN, f32::INFINITY, -1.0, 1e38] {
+            map.radiance[11].y = bad;
+            let message = validate_map(&map).unwrap_err();
+            assert!(message.starts_with("texel (3, 1) has radiance"), "{message}");
         }
     }
 

@@ -2,6 +2,7 @@
 
 use crate::codec::exr::ExrLayers;
 use crate::codec::file::write_bytes;
+use crate::codec::finite::check_finite;
 use crate::codec::frame::write_channels;
 use crate::codec::npy::{NpyConvention, write_lobes};
 use crate::codec::png_file::write_rgb8;
@@ -268,7 +269,12 @@ fn write_results(world: &mut World, atlas: &TexelAtlas, folder: &Path, scale: &S
         let blends = read_column::<TexelIndex, SpecularBlend>(world)?;
         write_roughness(&materials, &blends, atlas, folder)?;
     }
-    write_bytes(&folder.join("materials.ron"), materials_ron(&materials, scale).as_bytes())
+    let path = folder.join("materials.ron");
+    let numbers =
+        |(_, lobe): &(usize, SpecularLobe)| [lobe.albedo.to_array().as_slice(), &[lobe.roughness]].concat();
+    let numbers: Vec<f32> = materials.iter().flat_map(numbers).collect();
+    check_finite(&path, numbers, |at| format!("base material {} is not finite", at / 4))?;
+    write_bytes(&path, materials_ron(&materials, scale).as_bytes())
 }
 
 fn write_light(lobes: &[LightLobe], folder: &Path) -> Result<()> {

@@ -1,6 +1,7 @@
 //! Output files of a fit about the views: optimized cameras, and exposures.
 
 use crate::codec::file::write_bytes;
+use crate::codec::finite::check_finite;
 use crate::error::{Error, Result};
 use crate::fit::cameras::{CameraFit, CameraPose, CameraUnknowns};
 use crate::fit::exposure::Exposures;
@@ -63,6 +64,11 @@ fn write_cameras(world: &mut World, folder: &Path, focal_scale: f32) -> Result<(
     let cameras: Map<String, Value> =
         train.map(|(name, camera, pose, _)| (name.0.clone(), in_json(&as_given(camera, pose)))).collect();
     let path = folder.join("cam_dict_norm.json");
+    for (name, camera, pose, _) in views.iter(world) {
+        as_given(camera, pose)
+            .check()
+            .map_err(|problem| Error::run("optimizing cameras", format!("view {}: {problem}", name.0)))?;
+    }
     let text = serde_json::to_string_pretty(&cameras).map_err(|e| Error::run("cameras", e.to_string()))?;
     write_bytes(&path, text.as_bytes())
 }
@@ -95,9 +101,12 @@ fn write_exposures(world: &mut World, folder: &Path) -> Result<()> {
         .collect();
     train.sort_unstable();
     let exposures = world.resource::<Exposures>();
-    for (view, name) in train {
+    let path = folder.join("exposures.csv");
+    let factors = train.iter().map(|(view, _)| exposures.factor(*view));
+    check_finite(&path, factors, |at| format!("the exposure of view {} is not finite", train[at].1))?;
+    for (view, name) in &train {
         // Writing to a String cannot fail.
-        let _ = writeln!(text, "{name},{:.5}", exposures.factor(view));
+        let _ = writeln!(text, "{name},{:.5}", exposures.factor(*view));
     }
-    write_bytes(&folder.join("exposures.csv"), text.as_bytes())
+    write_bytes(&path, text.as_bytes())
 }

@@ -45,7 +45,6 @@ use crate::spawn::{SurfaceUse, make_surface, spawn};
 use crate::view::ViewRecord;
 use photograph::{TrueObject, camera_of};
 use progress::Progress;
-use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -66,6 +65,8 @@ pub struct RunOptions {
 /// The first error of a pass; the outputs of earlier passes stay.
 pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) -> Result<()> {
     refuse_used(&options.out, options.force)?;
+    preflight::check_output(&loaded.scene, &options.out)?;
+    preflight::check_sizes(&loaded.scene)?;
     let mut session = open(&loaded.scene, options, progress)?;
     preflight::check(&mut session)?;
     for pass in &loaded.scene.passes {
@@ -86,16 +87,8 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
 
 /// An output folder that is not empty is an error, unless `force`.
 fn refuse_used(out: &Path, force: bool) -> Result<()> {
-    let used = match std::fs::read_dir(out) {
-        Ok(mut entries) => entries.next().is_some() && !force,
-        Err(error) if error.kind() == ErrorKind::NotFound => false,
-        Err(error) if error.kind() == ErrorKind::NotADirectory => {
-            let problem = format!("the output folder {} is a file", out.display());
-            return Err(Error::usage(problem, "Choose another folder with --out."));
-        }
-        Err(error) => return Err(Error::io("read", out)(error)),
-    };
-    if used {
+    // What else keeps it from being written into is told by the checks of the output.
+    if !force && std::fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_some()) {
         let problem = format!("the output folder {} is not empty", out.display());
         return Err(Error::usage(problem, "Choose another with --out, or write into it with --force."));
     }
@@ -159,8 +152,14 @@ fn bare_view(spec: &CameraSpec) -> Result<ViewRecord> {
     Ok(ViewRecord { name: spec.name.clone(), split: spec.split, camera, photograph: None, mask: None })
 }
 
-/// Checks that no camera is inside a closed object, where it sees only back faces.
+/// Checks that the cameras can be used, and that none is inside a closed object, where it sees only back faces.
 fn check_cameras(views: &[ViewRecord], surface: &Surface) -> Result<()> {
+    for view in views {
+        view.camera.check().map_err(|problem| {
+            let help = "Correct the camera, its field of view or `focal_scale`.";
+            Error::usage(format!("the camera of view {} cannot be used: {problem}", view.name), help)
+        })?;
+    }
     match views.iter().find(|view| surface.is_inside(view.camera.position())) {
         None => Ok(()),
         Some(view) => {

@@ -1,6 +1,7 @@
 //! Checks of all passes before the first one runs, so that a wrong name or a missing ground truth is an error at the start,
 //! not after a long fit.
 
+use crate::codec::file::{check_room, check_writable};
 use crate::codec::gltf::import::read_mesh;
 use crate::codec::image::Gamma;
 use crate::codec::nearby::closest;
@@ -14,12 +15,23 @@ use crate::pass::progress::Progress;
 use crate::pass::render::{ChosenView, chosen_views};
 use crate::pass::session::Session;
 use crate::scene::Gloss;
-use crate::scene::{EvaluatePass, LayerTruth, Pass, RenderSettings, Scene, Surface, Truth, ViewChoice};
+use crate::scene::{
+    EvaluatePass, LayerTruth, Pass, RenderSettings, Scene, Surface, Truth, ViewChoice, Views,
+};
+use crate::shade::frame::check_frame;
 use crate::survey::open::OpenScene;
 use crate::survey::{Look, Severity};
 use crate::view::{Photograph, ViewName, ViewRecord};
 use bevy_ecs::prelude::World;
 use rayon::prelude::*;
+use std::path::Path;
+
+/// Bytes of a rendered photograph's pixel: radiance, whether it is clipped, and the mask.
+const PHOTOGRAPH_PIXEL_BYTES: u64 = 12 + 1 + 4;
+/// Bytes of a film's pixel: its 8-bit color, and that of the encoder.
+const FILM_PIXEL_BYTES: u64 = 3 + 3;
+/// Room on the disk that any run takes.
+const LEAST_ROOM: u64 = 16 << 20;
 
 /// Reads the views of a data set, and surveys those that passes learn from or are scored against: a warning is a note, the first
 /// error ends the run.
@@ -82,6 +94,45 @@ pub fn check(session: &mut Session) -> Result<()> {
     Ok(())
 }
 
+/// Checks what a scene says of its pictures: each takes memory that is known before anything is read.
+///
+/// # Errors
+/// [`Error::Usage`] for a camera or a film that takes more than there may be.
+pub fn check_sizes(scene: &Scene) -> Result<()> {
+    match &scene.views {
+        Views::Cameras(cameras) => {
+            for camera in cameras {
+                check_frame(&format!("view {}", camera.name), camera.width, camera.height, 0)?;
+            }
+        }
+        Views::Photographed(spec) => {
+            let ring = &spec.cameras;
+            let photographs = u64::from(ring.count) + u64::from(ring.test);
+            let kept = photographs * u64::from(ring.size).pow(2) * PHOTOGRAPH_PIXEL_BYTES;
+            check_frame(&format!("rendering {photographs} photographs"), ring.size, ring.size, kept)?;
+        }
+        Views::Dataset(_) => {}
+    }
+    for pass in &scene.passes {
+        if let Some(orbit) = pass.render().and_then(|settings| settings.orbit.as_ref()) {
+            let kept = u64::from(orbit.frames) * u64::from(orbit.size).pow(2) * FILM_PIXEL_BYTES;
+            let what = format!("pass {}: a film with {} frames", pass.name(), orbit.frames);
+            check_frame(&what, orbit.size, orbit.size, kept)?;
+        }
+    }
+    Ok(())
+}
+
+/// Checks before any work that the folders of all passes can be written into, and that the disk is not full.
+///
+/// # Errors
+/// [`Error::Usage`] naming the folder.
+pub fn check_output(scene: &Scene, out: &Path) -> Result<()> {
+    check_writable(out)?;
+    scene.passes.iter().try_for_each(|pass| check_writable(&out.join(pass.name())))?;
+    check_room(out, LEAST_ROOM)
+}
+
 /// Checks that the views of a pass exist, and that there is something to render.
 fn check_views(session: &mut Session, pass: &str, settings: &RenderSettings) -> Result<()> {
     let world = &mut session.pipeline.world;
@@ -97,7 +148,11 @@ fn check_views(session: &mut Session, pass: &str, settings: &RenderSettings) -> 
             return Err(Error::usage(format!("pass {pass}: there is no view {missing}"), help));
         }
     }
-    if settings.orbit.is_none() && chosen_views(world, &settings.views).is_empty() {
+    let views = chosen_views(world, &settings.views);
+    for ChosenView { stem, camera, .. } in &views {
+        check_frame(&format!("view {stem}"), camera.width, camera.height, 0)?;
+    }
+    if settings.orbit.is_none() && views.is_empty() {
         let problem = format!("pass {pass} renders nothing: no view matches");
         let help = "Use `render: (views: All)`, or give it an `orbit`.";
         return Err(Error::usage(problem, help));

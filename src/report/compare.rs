@@ -1,5 +1,6 @@
 //! `lobelia eval PREDICTION TRUTH`: scores two folders of images, or two images, against each other.
 
+use crate::codec::file::read_folder;
 use crate::codec::image::{Gamma, IMAGE_EXTENSIONS, LoadedImage, Orientation, read_image};
 use crate::report::metrics;
 use crate::report::scores;
@@ -126,7 +127,7 @@ fn match_folders(prediction: &Path, truth: &Path) -> Result<Matched> {
 /// The images of a folder by stem.
 fn images_in(folder: &Path) -> Result<BTreeMap<String, PathBuf>> {
     let mut found: BTreeMap<String, (usize, PathBuf)> = BTreeMap::new();
-    for entry in std::fs::read_dir(folder).map_err(Error::io("read", folder))? {
+    for entry in read_folder(folder)? {
         let path = entry.map_err(Error::io("read", folder))?.path();
         let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
         let kind = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
@@ -181,19 +182,15 @@ fn check_finite(path: &Path, loaded: &LoadedImage, mask: &[bool]) -> Result<()> 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::codec::exr::ExrLayers;
-    use crate::codec::{frame, png_file};
+    use crate::codec::png_file;
+    use crate::codec::test_data::write_exr;
     use image::RgbImage;
 
     fn exr(path: &Path, size: [usize; 2], value: impl Fn(usize) -> f32, alpha: Option<Vec<f32>>) {
         let values: Vec<f32> = (0..size[0] * size[1]).map(value).collect();
-        let mut channels: BTreeMap<String, Vec<f32>> =
-            ["R", "G", "B"].into_iter().map(|name| (name.to_owned(), values.clone())).collect();
-        if let Some(alpha) = alpha {
-            channels.insert("A".to_owned(), alpha);
-        }
-        let [width, height] = size.map(|n| n as u32);
-        frame::write_channels(path, &ExrLayers { width, height, channels }).unwrap();
+        let mut channels: Vec<(&str, Vec<f32>)> = ["R", "G", "B"].map(|name| (name, values.clone())).into();
+        channels.extend(alpha.map(|alpha| ("A", alpha)));
+        write_exr(path, size[0], size[1], &channels);
     }
 
     /// Folders `p` and `t`.

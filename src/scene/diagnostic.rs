@@ -167,9 +167,22 @@ impl SceneText<'_> {
     }
 }
 
-/// A fault of one place; `help` may be empty.
+/// A fault of one place; `help` may be empty. Messages quote the text, which may have lines of any length.
 fn one(message: String, at: Range<usize>, label: String, help: String) -> Fault {
-    Fault { message, labels: vec![Label { at, text: label }], help }
+    let labels = vec![Label { at, text: shortened(label, 200) }];
+    Fault { message: shortened(message, 300), labels, help: shortened(help, 2000) }
+}
+
+/// The text, without its middle if it has more than `most` characters.
+fn shortened(text: String, most: usize) -> String {
+    let count = text.chars().count();
+    if count <= most {
+        return text;
+    }
+    let (head, tail) = (most * 2 / 3, most / 6);
+    let middle = text.char_indices().nth(head).map_or(text.len(), |(at, _)| at);
+    let end = text.char_indices().nth(count - tail).map_or(text.len(), |(at, _)| at);
+    format!("{} … {}", &text[..middle], &text[end..])
 }
 
 /// The innermost struct or choice with fields around `at`.
@@ -213,6 +226,10 @@ fn choices(kind: &str, found: &str, expected: &[&str]) -> String {
 
 /// The candidate with the fewest changed letters, if that is at most a third of them (rounded up).
 pub fn nearest<'a>(found: &str, candidates: impl IntoIterator<Item = &'a str>) -> Option<&'a str> {
+    // No name is so long, and comparing takes time in proportion to the length.
+    if found.len() > 1000 {
+        return None;
+    }
     let found_lower = found.to_lowercase();
     let limit = found.chars().count().div_ceil(3);
     candidates
@@ -249,6 +266,15 @@ mod tests {
         assert_eq!(nearest("published", ["Published", "PathTraced"]), Some("Published"));
         assert_eq!(nearest("colour", ["path", "scale"]), None);
         assert_eq!((distance("kitten", "sitting"), distance("", "ab"), distance("ab", "")), (3, 2, 2));
+    }
+
+    #[test]
+    fn long_texts_lose_their_middle() {
+        assert_eq!(shortened("fine".into(), 4), "fine");
+        let short = shortened(format!("unknown field `{}é`", "ü".repeat(65_536)), 300);
+        assert!(short.starts_with("unknown field `üü") && short.ends_with("üé`"), "{short}");
+        assert_eq!(short.chars().count(), 200 + 3 + 50);
+        assert_eq!(nearest(&"x".repeat(1001), ["x"]), None);
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! Reading a scene file: `--set`, parsing, paths and checks, each error with a caret. Nothing is written.
 
+use crate::codec::file::{Kind, MOST_TEXT, obstacle, read_text};
 use crate::scene::description::{Scene, VERSION};
 use crate::scene::diagnostic::{Problem, SceneText};
 use crate::scene::paths;
@@ -49,11 +50,14 @@ pub struct LoadedScene {
 /// [`Error::Input`] if the file cannot be read, [`Error::Usage`] for a `--set` that cannot be applied,
 /// [`Error::Scene`] with a caret for everything that is wrong in the text.
 pub fn load(path: &Path, options: &LoadOptions) -> Result<LoadedScene> {
-    if let Some(data) = options.data.as_deref().filter(|data| !data.is_dir()) {
-        let problem = format!("--data {}: there is no such folder", data.display());
+    if let Some(data) = &options.data
+        && let Some(obstacle) = obstacle(data, Kind::Folder)
+    {
+        let problem = format!("--data {}: {}", data.display(), obstacle.problem);
         return Err(Error::usage(problem, "Give the folder that `$DATA` stands for."));
     }
-    let mut text = read(path)?;
+    let help = |_: &Path| "Give a scene file, e.g. scenes/quickstart.ron.".to_owned();
+    let mut text = read_text(path, MOST_TEXT, help)?;
     for (target, value) in &options.sets {
         text = source::set(&text, target, value)
             .map_err(|(problem, help)| Error::usage(format!("--set {target}={value}: {problem}"), help))?;
@@ -103,30 +107,6 @@ pub fn to_ron(scene: &Scene) -> Result<String> {
 pub(crate) fn options() -> ron::Options {
     ron::Options::default()
         .with_default_extension(Extensions::IMPLICIT_SOME | Extensions::UNWRAP_VARIANT_NEWTYPES)
-}
-
-fn read(path: &Path) -> Result<String> {
-    if path.is_dir() {
-        return Err(Error::input(path, "", "is a folder", "Give a scene file, e.g. scenes/quickstart.ron."));
-    }
-    let bytes = std::fs::read(path).map_err(|error| match error.kind() {
-        std::io::ErrorKind::NotFound => Error::input(
-            path,
-            "",
-            "there is no such scene file",
-            "Check the path; it is relative to this folder.",
-        ),
-        _ => Error::input(path, "", format!("cannot be read: {error}"), "Check its permissions."),
-    })?;
-    String::from_utf8(bytes).map_err(|error| {
-        let place = format!("byte {}", error.utf8_error().valid_up_to());
-        Error::input(
-            path,
-            place,
-            "is not UTF-8 text",
-            "A scene file is RON text, e.g. scenes/quickstart.ron.",
-        )
-    })
 }
 
 /// The scene and, for carets, its tree of ranges.
@@ -256,6 +236,49 @@ mod tests {
         let loaded = load(&path, &LoadOptions { without_data: true, ..LoadOptions::default() }).unwrap();
         assert_eq!(loaded.files, [folder.path().join("a.png")]);
         assert_eq!(loaded.unseen, [PathBuf::from("$DATA/mesh.glb"), PathBuf::from("$DATA")]);
+    }
+
+    #[test]
+    fn a_byte_order_mark_is_no_part_of_the_text() {
+        let scene = load_text(&format!("\u{feff}{RICH}"), &LoadOptions::default()).unwrap();
+        assert_eq!(scene.text, RICH);
+    }
+
+    #[test]
+    fn the_largest_scenes_that_are_saved_are_far_below_the_limit() {
+        let camera = |k: usize| format!(r#"(name: "view_{k:06}", eye: ({k}.123456, 4.5678901, 2.3456789))"#);
+        let cameras: Vec<String> = (0..20_000).map(camera).collect();
+        let views = format!("Cameras([{}])", cameras.join(", "));
+        let text = format!("(version: 1, surface: Sphere(), views: {views})");
+        let scene = load_text(&text, &LoadOptions::default()).unwrap().scene;
+        assert!(to_ron(&scene).unwrap().len() as u64 * 2 < MOST_TEXT);
+        let more = text.replace("Cameras([", r#"Cameras([(name: "one_more", eye: (1, 2, 3)), "#);
+        let error = load_text(&more, &LoadOptions::default()).unwrap_err();
+        assert!(error.to_string().contains("20001 cameras"), "{error}");
+    }
+
+    #[test]
+    fn text_that_would_take_much_memory_or_time_is_refused() {
+        let started = std::time::Instant::now();
+        let refused = |text: &str, word: &str| {
+            let error = load_text(text, &LoadOptions::default()).unwrap_err();
+            assert_eq!(error.exit_code(), 2);
+            assert!(error.to_string().contains(word), "{word}: {error}");
+            assert!(error.to_string().len() < 400, "{}", error.to_string().len());
+        };
+        refused(&" ".repeat(MOST_TEXT as usize + 1), "at most 16.0 MiB are read");
+        refused(&format!("[{}", "1,".repeat(3_000_000)), "a scene file of fewer values");
+        refused(&"(".repeat(100_000), "fewer brackets");
+        refused(&"/*".repeat(100_000), "closing `*/`");
+        refused(&format!("({}: 1)", "x".repeat(65_536)), "unknown field `xxx");
+        refused("(\0version: 1)", "a value");
+        let pass = |k: usize| format!(r#"Render(name: "p{k}"), "#);
+        let passes: String = (0..1001).map(pass).collect();
+        let text = format!(
+            r#"(version: 1, surface: Sphere(), views: Cameras([(name: "a", eye: (0, 0, 3))]), passes: [{passes}])"#
+        );
+        refused(&text, "1001 passes");
+        assert!(started.elapsed().as_secs() < 20);
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! The files that a scene names: `$DATA` and relative paths resolved, and whether they exist.
 
+use crate::codec::file::{Kind, Obstacle, obstacle};
 use crate::scene::description::Scene;
 use crate::scene::diagnostic::{Problem, nearest};
 use crate::scene::edit::{DiffuseAction, Edit, Region};
@@ -10,13 +11,6 @@ use crate::scene::passes::Pass;
 use crate::scene::surface::Surface;
 use crate::scene::views::Views;
 use std::path::{Path, PathBuf};
-
-/// What must be at a path.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Kind {
-    File,
-    Folder,
-}
 
 /// The files that a scene names.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -72,15 +66,14 @@ fn place(path: &Path, base_dir: &Path, data: Option<&Path>) -> Option<PathBuf> {
 }
 
 fn complaint(path: &Path, kind: Kind) -> Option<(String, String)> {
-    let shown = path.display();
-    match (kind, path.is_file(), path.is_dir()) {
-        (Kind::File, true, _) | (Kind::Folder, _, true) => None,
-        (Kind::File, _, true) => Some((format!("{shown} is a folder"), "Name a file in it.".into())),
-        (Kind::Folder, true, _) => {
-            Some((format!("{shown} is a file"), "Name the folder that it is in.".into()))
-        }
-        _ => Some((format!("{shown} does not exist"), missing_help(path))),
-    }
+    let Obstacle { problem, help } = obstacle(path, kind)?;
+    let help = match kind {
+        _ if !help.is_empty() => help,
+        Kind::File if path.is_dir() => "Name a file in it.".into(),
+        Kind::Folder if path.is_file() => "Name the folder that it is in.".into(),
+        _ => missing_help(path),
+    };
+    Some((format!("{}: {problem}", path.display()), help))
 }
 
 /// What is there instead: the deepest folder that exists, and a name in it that is nearly the wanted one.

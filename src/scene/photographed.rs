@@ -38,7 +38,7 @@ pub struct CameraRing {
     pub target: Vec3,
     /// Distance from the target > 0. Default 2.8.
     pub radius: f32,
-    /// Field of view in degrees, in (0, 170]. Default 38.
+    /// Field of view in degrees, 0.001 to 170. Default 38.
     pub fov_degrees: f32,
     /// Image width and height in pixels, 1 to 16384. Default 96.
     pub size: u32,

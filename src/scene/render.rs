@@ -88,7 +88,7 @@ pub struct Orbit {
     pub elevation_degrees: f32,
     /// Distance from the object's centre > 0. Default: far enough that the object fills the picture.
     pub radius: Option<f32>,
-    /// Field of view in degrees, in (0, 170]. Default 38.
+    /// Field of view in degrees, 0.001 to 170. Default 38.
     pub fov_degrees: f32,
     /// Width and height in pixels, 1 to 16384. Default 256.
     pub size: u32,

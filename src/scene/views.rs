@@ -68,7 +68,7 @@ pub struct CameraSpec {
     /// Which direction is up in the image. Default (0, 1, 0).
     #[serde(default = "y_axis")]
     pub up: Vec3,
-    /// Vertical field of view in degrees, in (0, 170]. Default 38.
+    /// Vertical field of view in degrees, 0.001 to 170. Default 38.
     #[serde(default = "fov_degrees")]
     pub fov_degrees: f32,
     /// Image width in pixels, 1 to 16384. Default 256.

@@ -2,7 +2,7 @@
 
 use super::systems::{gather_blends, gather_points, shade_closed_form};
 use crate::codec::frame::Frame;
-use crate::error::Result;
+use crate::error::{Error, Result};
 use crate::light::lights::{IncidentLight, LightChoice, provide_light};
 use crate::material::shown::{mark_material_changed, show_recovered};
 use crate::material::source::{
@@ -21,6 +21,43 @@ use rayon::prelude::*;
 
 /// Samples in the pool of a frame: enough to use all threads, few enough for cache and memory.
 const POOL: usize = 1 << 16;
+
+/// Most memory that one picture may be expected to take, in bytes.
+pub const MOST_FRAME_BYTES: u64 = 8 << 30;
+
+/// Memory that rendering and writing a picture of `width` × `height` pixels takes at its peak, in bytes: the sums of its pixels
+/// and the [`Frame`] at first; then the frame, its channels, and what the encoder holds of them.
+pub fn frame_bytes(width: u32, height: u32) -> u64 {
+    // The color and four layers of three floats, alpha and depth.
+    const FRAME: u64 = 17 * 4;
+    let per_pixel = (size_of::<PixelSums>() as u64 + FRAME).max(3 * FRAME);
+    (u64::from(width) * u64::from(height)).saturating_mul(per_pixel)
+}
+
+/// Checks that pictures of `width` × `height` pixels fit into [`MOST_FRAME_BYTES`], beside `other` bytes; `what` names them.
+///
+/// # Errors
+/// [`Error::Usage`] with the size, the memory and the limit.
+pub fn check_frame(what: &str, width: u32, height: u32, other: u64) -> Result<()> {
+    check_memory(what, width, height, frame_bytes(width, height).saturating_add(other))
+}
+
+/// Checks that `bytes` are at most [`MOST_FRAME_BYTES`]; `what` names the picture that takes them.
+///
+/// # Errors
+/// [`Error::Usage`] with the size, the memory and the limit.
+pub fn check_memory(what: &str, width: u32, height: u32, bytes: u64) -> Result<()> {
+    if bytes <= MOST_FRAME_BYTES {
+        return Ok(());
+    }
+    let gib = |bytes: u64| bytes as f64 / f64::from(1 << 30);
+    let problem = format!(
+        "{what} of {width}×{height} pixels takes {:.1} GiB of memory; the limit is {:.0} GiB",
+        gib(bytes),
+        gib(MOST_FRAME_BYTES)
+    );
+    Err(Error::usage(problem, "Choose a smaller size, or fewer frames."))
+}
 
 /// Sums over the samples of one pixel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -199,4 +236,24 @@ pub fn resolve_pixels(
         sums.distance += points[i].distance;
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn pictures_that_take_too_much_memory_are_refused_with_the_number() {
+        assert_eq!(frame_bytes(10, 10), 100 * 204);
+        check_frame("a view", 4096, 4096, 0).unwrap();
+        let error = check_frame("view front", 16_384, 16_384, 0).unwrap_err();
+        assert_eq!(error.exit_code(), 2);
+        let text = error.to_string();
+        assert!(
+            text.contains("view front of 16384×16384 pixels takes 51.0 GiB") && text.contains("8 GiB"),
+            "{text}"
+        );
+        assert!(check_frame("a film", 64, 64, MOST_FRAME_BYTES).is_err());
+        assert!(check_frame("a view", u32::MAX, u32::MAX, u64::MAX).is_err());
+    }
 }

@@ -4,9 +4,9 @@ use crate::codec::npy::read_lobes;
 use crate::error::{Error, Result};
 use crate::light::illuminate::MapLight;
 use crate::light::map_fit::{MapFit, fit_map, target_of};
-use crate::light::{EnvironmentMap, LightLobe, rotate_lobes, scale_lobes, validate_lobes};
+use crate::light::{EnvironmentMap, LightLobe, rotate_lobes, scale_lobes, validate_lobes, validate_map};
 use crate::scene::{Light, LightSource};
-use crate::spawn::light_file::{inlined, rotation};
+use crate::spawn::light_file::{check_lit, inlined, rotation};
 use glam::Vec3;
 use std::sync::Arc;
 
@@ -45,15 +45,22 @@ pub fn load_light(source: &LightSource) -> Result<LoadedLight> {
         LightSource::Map { path, scale, rotation_degrees, lobes, convention, upper_hemisphere, white } => {
             let (map, notes) = EnvironmentMap::read_with_notes(path)?;
             let options = MapFit { upper_hemisphere: *upper_hemisphere, white: *white, ..MapFit::default() };
-            let map = target_of(&convention.to_lobelia(map).scaled(Vec3::splat(*scale)), &options);
+            let map = target_of(&convention.to_lobelia(map), &options);
+            check_lit(path, &map)?;
+            let map = map.scaled(Vec3::splat(*scale));
+            validate_map(&map).map_err(|problem| unusable(format!("{}: {problem}", path.display())))?;
             let fitted = fit_map(&map, *lobes as usize, &options)?.lobes;
             let turn = rotation(*rotation_degrees);
             let map = if *rotation_degrees == Vec3::ZERO { map } else { map.rotated(turn) };
             LoadedLight { lobes: rotate_lobes(&fitted, turn), map: Some(Arc::new(MapLight::new(map))), notes }
         }
     };
-    validate_lobes(&light.lobes).map_err(|problem| Error::run("light", problem))?;
+    validate_lobes(&light.lobes).map_err(unusable)?;
     Ok(light)
+}
+
+fn unusable(problem: String) -> Error {
+    Error::usage(format!("the light cannot be used: {problem}"), "Correct its lobes or texels, and `scale`.")
 }
 
 /// The lobes that a fit starts from, or the known ones.
@@ -84,6 +91,9 @@ mod tests {
         let axis = rotation(Vec3::new(-20.0, 70.0, 10.0)) * (rotation(Vec3::new(30.0, 40.0, 50.0)) * Vec3::Z);
         assert!(loaded.axis.distance(axis) < 1e-5, "{} {axis}", loaded.axis);
         assert!(loaded.amplitude.distance(Vec3::new(6.0, 12.0, 18.0)) < 1e-5);
+        let bright = LightSource::Ron { path: path.clone(), scale: 1e30, rotation_degrees: Vec3::ZERO };
+        let error = load_light(&bright).err().unwrap();
+        assert!(error.to_string().contains("lobe 0: amplitude") && error.exit_code() == 2, "{error}");
         std::fs::write(&path, "Ron(path: \"other.ron\")").unwrap();
         let error = inlined(&path, 1.0, Vec3::ZERO).unwrap_err();
         assert!(error.to_string().contains("another RON file") && error.exit_code() == 2, "{error}");

@@ -1,9 +1,13 @@
 //! A light in a file of its own: the RON text that a scene has after `light: Fixed(`, and `.npy` lobes, maps.
 
 use crate::codec::file;
+use crate::codec::finite::check_finite;
 use crate::codec::npy::{NpyConvention, read_lobes, write_lobes};
 use crate::light::convention::MapConvention;
-use crate::light::{EnvironmentMap, LightLobe, render_lobes, rotate_lobes, scale_lobes, validate_lobes};
+use crate::light::{
+    EnvironmentMap, LightLobe, MOST_LOBES, render_lobes, rotate_lobes, scale_lobes, validate_lobes,
+    validate_map,
+};
 use crate::scene::LightSource;
 use crate::scene::load::options;
 use crate::{Error, Result};
@@ -37,11 +41,17 @@ const HELP: &str = "Give a .ron light, .npy lobes, or an .exr or .hdr map.";
 /// # Errors
 /// [`Error::Input`] if the file is missing or wrong.
 pub fn read_light(path: &Path, conventions: LightConventions) -> Result<(LightFile, Vec<String>)> {
-    match extension(path).as_str() {
-        "ron" => read_ron(path),
+    let (light, notes) = match extension(path).as_str() {
+        "ron" => open(&inlined(path, 1.0, Vec3::ZERO)?),
         "npy" => Ok((LightFile::Lobes(read_lobes(path, conventions.npy)?), Vec::new())),
         _ => read_map(path, conventions.map).map(|(map, notes)| (LightFile::Map(map), notes)),
-    }
+    }?;
+    let valid = match &light {
+        LightFile::Lobes(lobes) => validate_lobes(lobes),
+        LightFile::Map(map) => validate_map(map),
+    };
+    valid.map_err(|problem| bad_ron(path, "", problem))?;
+    Ok((light, notes))
 }
 
 /// Reads an EXR or HDR map that faces as `convention` says; the notes say what was repaired.
@@ -62,12 +72,16 @@ fn bad_ron(path: &Path, place: &str, problem: String) -> Error {
     Error::input(path, place, problem, help)
 }
 
-fn read_ron(path: &Path) -> Result<(LightFile, Vec<String>)> {
-    let (light, notes) = open(&inlined(path, 1.0, Vec3::ZERO)?)?;
-    if let LightFile::Lobes(lobes) = &light {
-        validate_lobes(lobes).map_err(|problem| bad_ron(path, "", problem))?;
+/// Refuses a map of which nothing is lit that a fit looks at: `target` is what the fit's options leave of it.
+///
+/// # Errors
+/// [`Error::Input`].
+pub fn check_lit(path: &Path, target: &EnvironmentMap) -> Result<()> {
+    if target.radiance.iter().any(|r| r.max_element() > 0.0) {
+        return Ok(());
     }
-    Ok((light, notes))
+    let problem = "the map gives no light from above the horizon, and only that is wanted";
+    Err(Error::input(path, "", problem, "Leave `upper_hemisphere` out, or turn the map."))
 }
 
 /// What a RON light file says, with paths from where that file is; then scaled and turned.
@@ -75,12 +89,16 @@ fn read_ron(path: &Path) -> Result<(LightFile, Vec<String>)> {
 /// # Errors
 /// [`Error::Input`] if the file is missing or wrong, or names another RON file.
 pub fn inlined(path: &Path, scale: f32, rotation_degrees: Vec3) -> Result<LightSource> {
-    let bytes = file::read_bytes(path, |_| HELP.to_owned())?;
-    let text = String::from_utf8(bytes).map_err(|_| bad_ron(path, "", "is not UTF-8 text".to_owned()))?;
+    let text = file::read_text(path, file::MOST_TEXT, |_| HELP.to_owned())?;
     let mut source: LightSource = options().from_str(&text).map_err(|error| {
         let at = error.span.start;
         bad_ron(path, &format!("line {}, column {}", at.line, at.col), error.code.to_string())
     })?;
+    if let LightSource::Map { lobes, .. } = &source
+        && !(1..=MOST_LOBES as u32).contains(lobes)
+    {
+        return Err(bad_ron(path, "", format!("lobes is {lobes}, not from 1 to {MOST_LOBES}")));
+    }
     let (own_scale, own_degrees) = match &mut source {
         LightSource::Lobes { scale, rotation_degrees, .. } => (scale, rotation_degrees),
         LightSource::Npy { path: file, scale, rotation_degrees, .. }
@@ -185,10 +203,16 @@ impl LightFile {
     /// Writes the light: lobes as `.ron` or `.npy`, a map as `.exr`.
     ///
     /// # Errors
-    /// [`Error::Usage`] for another extension; [`Error::Io`] when the system refuses.
+    /// [`Error::Usage`] for another extension; [`Error::Run`] for a number that is not finite; [`Error::Io`] when the system refuses.
     pub fn write(&self, path: &Path, conventions: LightConventions) -> Result<()> {
         match (self, extension(path).as_str()) {
-            (Self::Lobes(lobes), "ron") => file::write_bytes(path, to_ron(lobes).as_bytes()),
+            (Self::Lobes(lobes), "ron") => {
+                let values = lobes.iter().flat_map(|l| {
+                    l.axis.to_array().into_iter().chain([l.sharpness]).chain(l.amplitude.to_array())
+                });
+                check_finite(path, values, |at| format!("lobe {} is not finite", at / 7))?;
+                file::write_bytes(path, to_ron(lobes).as_bytes())
+            }
             (Self::Lobes(lobes), "npy") => write_lobes(path, lobes, conventions.npy),
             (Self::Map(map), "exr") => conventions.map.from_lobelia(map.clone()).write_exr(path),
             (Self::Lobes(_), _) => Err(refused(path, "lobes are written as .ron or .npy")),
@@ -219,6 +243,7 @@ pub fn to_ron(lobes: &[LightLobe]) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::light::map_fit::{MapFit, target_of};
     use crate::math::fibonacci::fibonacci_axes;
 
     fn lobes() -> Vec<LightLobe> {
@@ -275,5 +300,46 @@ mod tests {
         refused("Lobes(lobes: [(axis: (0, 0, 0), sharpness: 1, amplitude: (1, 1, 1))])", "lobe 0");
         refused("Lobes(lobes: [(axis: (0, 1, 0), sharpness: 1, amplitude: (1, 1, 1))], scale: -1)", "scale");
         refused("Map(path: \"none.exr\")", "none.exr");
+        let one = |sharpness: &str, amplitude: &str, scale: &str| {
+            format!(
+                "Lobes(lobes: [(axis: (0, 1, 0), sharpness: {sharpness}, amplitude: ({amplitude}, 1, 1))], scale: {scale})"
+            )
+        };
+        refused(&one("1e38", "1", "1"), "sharpness 1e38");
+        refused(&one("1", "1e38", "1"), "amplitude 1e38");
+        refused(&one("1", "inf", "1"), "amplitude inf");
+        refused(&one("1", "NaN", "1"), "amplitude NaN");
+        refused(&one("1", "1e14", "1e30"), "lobe 0: amplitude inf");
+        let lobe = "(axis: (0, 1, 0), sharpness: 1, amplitude: (1, 1, 1)),";
+        refused(&format!("Lobes(lobes: [{}])", lobe.repeat(513)), "at most 512");
+        render_lobes(&lobes(), 32, 16).write_exr(folder.path().join("sky.exr")).unwrap();
+        refused("Map(path: \"sky.exr\", lobes: 4000000000)", "lobes is 4000000000");
+        refused("Map(path: \"sky.exr\", scale: 1e30)", "has radiance");
+        refused(&"(".repeat(100_000), "line 1");
+        std::fs::File::create(&path).unwrap().set_len(file::MOST_TEXT + 1).unwrap();
+        let error = read_light(&path, LightConventions::default()).unwrap_err();
+        assert!(error.to_string().contains("at most 16.0 MiB are read"), "{error}");
+    }
+
+    #[test]
+    fn lights_that_are_not_finite_are_not_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut broken = lobes();
+        broken[4].sharpness = f32::INFINITY;
+        for name in ["l.ron", "l.npy"] {
+            let path = folder.path().join(name);
+            let error =
+                LightFile::Lobes(broken.clone()).write(&path, LightConventions::default()).unwrap_err();
+            assert!(error.to_string().contains("lobe 4 is not finite") && !path.exists(), "{error}");
+        }
+    }
+
+    #[test]
+    fn a_map_lit_from_below_alone_is_refused_where_light_from_above_is_wanted() {
+        let map = EnvironmentMap::from_directions(8, 4, |d| Vec3::splat((-d.y).max(0.0)));
+        let options = MapFit { upper_hemisphere: true, ..MapFit::default() };
+        check_lit(Path::new("sky.exr"), &map).unwrap();
+        let error = check_lit(Path::new("sky.exr"), &target_of(&map, &options)).unwrap_err();
+        assert!(error.to_string().contains("sky.exr: the map gives no light from above"), "{error}");
     }
 }

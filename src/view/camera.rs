@@ -26,6 +26,14 @@ pub struct Camera {
     pub pixel_center: f32,
 }
 
+/// Focal lengths that rays can be computed with, as factors on an image's side: of the shorter one at least, of the longer one at
+/// most.
+const FOCAL_FACTORS: [f32; 2] = [1e-5, 1e6];
+/// Largest principal point and skew, as a factor on an image's longer side.
+const MOST_SHIFT: f32 = 1e4;
+/// Largest distance of a camera from the origin along an axis, in world units: squares stay finite.
+const FARTHEST: f32 = 1e9;
+
 /// A circle of cameras around a point, all looking at it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -96,6 +104,39 @@ impl Camera {
         let x = self.focal[0] * x_camera + self.skew * y_camera + self.center[0] - shift;
         let y = self.focal[1] * y_camera + self.center[1] - shift;
         Some((x, y, point.z))
+    }
+
+    /// Checks that rays through the camera can be computed.
+    ///
+    /// # Errors
+    /// A clause that says which of its numbers is not usable: no pixels, a focal length that is not from 10⁻⁵ to 10⁶ times the image's
+    /// side, a principal point or skew far outside the image, a place beyond 10⁹, anything that is not finite.
+    pub fn check(&self) -> Result<(), String> {
+        let (width, height) = (self.width, self.height);
+        let [shorter, longer] = [width.min(height) as f32, width.max(height) as f32];
+        if shorter == 0.0 {
+            return Err(format!("its image has {width}×{height} pixels"));
+        }
+        let [least, most] = [FOCAL_FACTORS[0] * shorter, FOCAL_FACTORS[1] * longer];
+        if let Some(focal) = self.focal.into_iter().find(|f| !(least..=most).contains(&f.abs())) {
+            return Err(format!(
+                "its focal length is {focal:e} pixels; for {width}×{height} pixels it is from {least:e} to {most:e}"
+            ));
+        }
+        let [x, y] = self.center;
+        let shifts = [x, y, self.skew, self.pixel_center];
+        if !shifts.iter().all(|shift| shift.abs() <= MOST_SHIFT * longer) {
+            let problem = format!(
+                "its principal point ({x:e}, {y:e}) or skew {:e} is far outside {width}×{height} pixels",
+                self.skew
+            );
+            return Err(problem);
+        }
+        let at = self.position();
+        if !self.world_from_camera.is_finite() || at.abs().max_element() > FARTHEST {
+            return Err(format!("its place ({:e}, {:e}, {:e}) or direction is not usable", at.x, at.y, at.z));
+        }
+        Ok(())
     }
 
     /// The position of the camera in the world.
@@ -211,12 +252,16 @@ impl Camera {
         let focal = 0.5 * height as f32 / (0.5 * fov_degrees.to_radians()).tan();
         let rotation = Mat3A::from_cols(right.into(), down.into(), forward.into());
         let world_from_camera = Affine3A { matrix3: rotation, translation: eye.into() };
-        if !world_from_camera.is_finite() || !focal.is_finite() {
-            return Err(Error::usage("a camera's position or direction is not finite", ""));
-        }
         let center = [0.5 * width as f32, 0.5 * height as f32];
         let focal = [focal; 2];
-        Ok(Self { width, height, focal, center, skew: 0.0, world_from_camera, pixel_center: 0.5 })
+        let camera = Self { width, height, focal, center, skew: 0.0, world_from_camera, pixel_center: 0.5 };
+        camera.check().map_err(|problem| {
+            Error::usage(
+                format!("a camera cannot be used: {problem}"),
+                "Correct its field of view and place.",
+            )
+        })?;
+        Ok(camera)
     }
 }
 
@@ -320,6 +365,8 @@ mod tests {
         assert!(at(Vec3::X, Vec3::Y, f32::NAN, 8).is_err());
         assert!(at(Vec3::X, Vec3::Y, 180.0, 8).is_err());
         assert!(at(Vec3::X, Vec3::Y, 40.0, 0).is_err());
+        assert!(at(Vec3::X, Vec3::Y, 1e-40, 8).unwrap_err().to_string().contains("focal length"));
+        assert!(at(Vec3::X * 1e30, Vec3::Y, 40.0, 8).is_err());
         for wrong in [
             Orbit { radius: 0.0, ..Orbit::default() },
             Orbit { radius: f32::INFINITY, ..Orbit::default() },
@@ -333,6 +380,25 @@ mod tests {
             let error = Camera::orbit(&wrong).unwrap_err();
             assert!(matches!(error, Error::Usage { .. }), "{error}");
         }
+    }
+
+    #[test]
+    fn numbers_that_rays_cannot_be_computed_with_are_named() {
+        let good = skewed(0.5);
+        assert_eq!(good.check(), Ok(()));
+        for focal in [1e-40, 1e30, 0.0, f32::NAN, f32::INFINITY] {
+            for focal in [[focal, 80.0], [90.0, focal]] {
+                assert!(Camera { focal, ..good }.check().unwrap_err().contains("focal length"));
+            }
+        }
+        for far in [1e30, f32::NAN, f32::NEG_INFINITY] {
+            assert!(Camera { center: [30.0, far], ..good }.check().unwrap_err().contains("principal point"));
+            assert!(Camera { skew: far, ..good }.check().unwrap_err().contains("skew"));
+            let mut moved = good;
+            moved.world_from_camera.translation.y = far;
+            assert!(moved.check().unwrap_err().contains("place"));
+        }
+        assert!(Camera { height: 0, ..good }.check().unwrap_err().contains("64×0"));
     }
 
     #[test]

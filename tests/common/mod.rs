@@ -128,7 +128,7 @@ impl Data {
     pub fn change_image(&self, relative: &str, change: impl FnOnce(&mut ExrLayers)) {
         let mut channels = read_exr_layers(self.path(relative)).unwrap();
         change(&mut channels);
-        write_channels(self.path(relative), &channels).unwrap();
+        write_unchecked(&self.path(relative), &channels);
     }
 
     /// Writes `text` as `scene.ron` and runs it into `out`.
@@ -170,6 +170,20 @@ pub fn write_image(path: &Path, pixels: &[Vec3], width: usize) {
     let mut layers = ExrLayers { width: width as u32, height, ..ExrLayers::default() };
     layers.insert_triple(["R", "G", "B"], pixels);
     write_channels(path, &layers).unwrap();
+}
+
+/// Writes an EXR as another program might: with NaN, too.
+pub fn write_unchecked(path: &Path, layers: &ExrLayers) {
+    use exr::prelude::{
+        AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, LayerAttributes, WritableImage,
+    };
+    let channel = |(name, values): (&String, &Vec<f32>)| {
+        AnyChannel::new(name.as_str(), FlatSamples::F32(values.clone()))
+    };
+    let channels = AnyChannels::sort(layers.channels.iter().map(channel).collect());
+    let size = (layers.width as usize, layers.height as usize);
+    let layer = Layer::new(size, LayerAttributes::default(), Encoding::FAST_LOSSLESS, channels);
+    Image::from_layer(layer).write().to_file(path).unwrap();
 }
 
 /// Writes a PNG; folders are made.

@@ -3,14 +3,18 @@
 //! The `gltf` crate supplies the JSON types. Its readers assume a validated file and panic on some invalid ones, so every
 //! index, offset and length is checked here instead.
 
+use crate::codec::file::read_bytes;
+use crate::codec::nearby::missing_file_help;
 use crate::{Error, Result};
 use gltf::json::accessor::{ComponentType, Type};
 use gltf::json::validation::Checked;
 use gltf::json::{self, Index, Root};
 use std::path::{Path, PathBuf};
 
-/// A file with more elements than this in one accessor is assumed to be damaged.
-const MAX_ELEMENTS: usize = 100_000_000;
+/// A file with more elements than this in one accessor is assumed to be damaged. Sparse accessors need no bytes for them.
+pub(super) const MAX_ELEMENTS: u64 = 30_000_000;
+/// Most bytes of all buffers together.
+const MAX_BYTES: u64 = 4 << 30;
 
 /// A parsed file with all its buffers in memory.
 pub(super) struct GltfFile {
@@ -28,7 +32,7 @@ struct Layout<'a> {
 impl GltfFile {
     /// Reads `path` and every buffer that it names.
     pub(super) fn open(path: &Path) -> Result<Self> {
-        let bytes = read_regular_file(path)?;
+        let bytes = read_bytes(path, missing_file_help)?;
         let (text, blob) =
             if bytes.starts_with(b"glTF") { split_glb(path, &bytes)? } else { (bytes.as_slice(), None) };
         let root = Root::from_slice(text).map_err(|e| {
@@ -41,6 +45,10 @@ impl GltfFile {
         })?;
         let mut file = Self { path: path.to_owned(), root, buffers: Vec::new() };
         file.check_extensions()?;
+        let wanted = file.root.buffers.iter().fold(0_u64, |sum, b| sum.saturating_add(b.byte_length.0));
+        if wanted > MAX_BYTES {
+            return Err(file.error("buffers", format!("claim {wanted} bytes, more than {MAX_BYTES}")));
+        }
         file.buffers =
             (0..file.root.buffers.len()).map(|index| file.read_buffer(index, blob)).collect::<Result<_>>()?;
         Ok(file)
@@ -84,7 +92,7 @@ impl GltfFile {
     fn read_buffer(&self, index: usize, blob: Option<&[u8]>) -> Result<Vec<u8>> {
         let place = format!("buffer {index}");
         let buffer = &self.root.buffers[index];
-        let bytes = match (&buffer.uri, blob) {
+        let mut bytes = match (&buffer.uri, blob) {
             (Some(uri), _) => self.read_uri(uri, &place)?,
             (None, Some(blob)) if index == 0 => blob.to_vec(),
             (None, _) => return Err(self.error(place, "has no data: neither a URI nor a binary chunk")),
@@ -93,6 +101,9 @@ impl GltfFile {
             let (found, wanted) = (bytes.len(), buffer.byte_length.0);
             return Err(self.error(place, format!("is truncated: {found} bytes of {wanted}")));
         }
+        // The rest is padding, or another buffer's.
+        bytes.truncate(buffer.byte_length.0 as usize);
+        bytes.shrink_to_fit();
         Ok(bytes)
     }
 
@@ -109,8 +120,8 @@ impl GltfFile {
         let name = percent_decoded(uri)
             .ok_or_else(|| self.error(place, format!("has a URI that is not valid UTF-8: {uri}")))?;
         let file = self.path.parent().unwrap_or(Path::new("")).join(name);
-        read_regular_file(&file).map_err(|e| {
-            let problem = format!("its data file {} cannot be read: {e}", file.display());
+        read_bytes(&file, missing_file_help).map_err(|e| {
+            let problem = format!("its data file cannot be read: {e}");
             Error::input(&self.path, place, problem, "keep the .bin files beside the .gltf, or use one .glb")
         })
     }
@@ -122,12 +133,17 @@ impl GltfFile {
         match (image.buffer_view, &image.uri) {
             (Some(view), _) => {
                 let length = self.item(&self.root.buffer_views, view, "buffer view", &place)?.byte_length.0;
-                let count = self.element_count(length, &place)?;
-                Ok(self.layout(view, 0, count, 1, &place)?.bytes.to_vec())
+                // Within a buffer, as `layout` checks.
+                Ok(self.layout(view, 0, length as usize, 1, &place)?.bytes.to_vec())
             }
             (None, Some(uri)) => self.read_uri(uri, &place),
             (None, None) => Err(self.error(place, "has no data: neither a URI nor a buffer view")),
         }
+    }
+
+    /// The number of elements that accessor `index` claims to have.
+    pub(super) fn count(&self, index: Index<json::Accessor>, place: &str) -> Result<u64> {
+        Ok(self.item(&self.root.accessors, index, "accessor", place)?.count.0)
     }
 
     /// The elements of accessor `index` as floats, `N` components each; integers are scaled if "normalized".
@@ -217,10 +233,10 @@ impl GltfFile {
     }
 
     fn element_count(&self, count: u64, place: &str) -> Result<usize> {
-        usize::try_from(count)
-            .ok()
-            .filter(|&n| n <= MAX_ELEMENTS)
-            .ok_or_else(|| self.error(place, format!("claims {count} elements, more than {MAX_ELEMENTS}")))
+        match count {
+            0..=MAX_ELEMENTS => Ok(count as usize),
+            _ => Err(self.error(place, format!("claims {count} elements, more than {MAX_ELEMENTS}"))),
+        }
     }
 
     /// The bytes of `count` elements of `size` bytes from `offset` in a buffer view, all within the view and its buffer.
@@ -252,15 +268,6 @@ impl GltfFile {
         })?;
         Ok(Layout { bytes, stride })
     }
-}
-
-/// Reads a whole regular file (a device or a pipe might never end).
-fn read_regular_file(path: &Path) -> Result<Vec<u8>> {
-    let metadata = std::fs::metadata(path).map_err(Error::io("read", path))?;
-    if !metadata.is_file() {
-        return Err(Error::input(path, "", "is not a regular file", "give the path of a .glb or .gltf file"));
-    }
-    std::fs::read(path).map_err(Error::io("read", path))
 }
 
 /// The JSON chunk and the binary chunk of a GLB (glTF 2.0 specification, section 4).

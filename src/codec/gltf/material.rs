@@ -123,7 +123,8 @@ pub fn read_material(path: &Path) -> Result<GltfMaterial> {
             .map_or(default.specular_color, |s| Vec3::from(s.specular_color_factor.0).max(Vec3::ZERO)),
         ior: ior.map_or(default.ior, |ior| ior.ior.0.max(1.0)),
     };
-    let finite = read.base_color.is_finite() && read.specular_color.is_finite() && read.roughness.is_finite();
+    let numbers = [read.roughness, read.specular, read.ior].iter().all(|x| x.is_finite());
+    let finite = read.base_color.is_finite() && read.specular_color.is_finite() && numbers;
     if finite { Ok(read) } else { Err(file.error(place, "has a value that is not finite")) }
 }
 

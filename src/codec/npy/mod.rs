@@ -12,7 +12,8 @@ use array::Floats;
 pub use array::{Matrix, parse_matrix};
 
 use crate::codec::file;
-use crate::light::LightLobe;
+use crate::codec::finite::check_finite;
+use crate::light::{LightLobe, MAX_RADIANCE, MAX_SHARPNESS, MOST_LOBES};
 use crate::{Error, Result};
 
 /// The convention of the axes in a file.
@@ -43,8 +44,8 @@ impl NpyConvention {
     }
 }
 
-/// Most lobes of a light.
-const MOST_LOBES: usize = 512;
+/// Largest file that is read: the most lobes in double precision take 28 kB, and the shape of a larger light is worth naming.
+const MOST_FILE_BYTES: u64 = 256 << 20;
 
 const HELP: &str =
     "save an array of float32 or float64 of shape [M, 7]: axis x y z, sharpness, amplitude r g b";
@@ -60,21 +61,27 @@ const HELP: &str =
 /// of another format, another shape or type, no rows or more than 512.
 pub fn read_lobes(path: impl AsRef<Path>, convention: NpyConvention) -> Result<Vec<LightLobe>> {
     let path = path.as_ref();
-    let bytes = file::read_bytes(path, |_| "check the path of the lobes".to_owned())?;
+    // More than a header and the most rows are read only to say that there are more.
+    let bytes = file::read_up_to(path, MOST_FILE_BYTES, |_| "check the path of the lobes".to_owned())?;
     let (values, columns) = read_table(path, &bytes)?;
     values.chunks_exact(columns).enumerate().map(|(row, v)| lobe_of_row(path, row, v, convention)).collect()
 }
 
 /// Writes lobes as an `f32`, little-endian, C-order `.npy` file of shape `[M, 7]`; it is created only when it is complete.
+///
+/// # Errors
+/// [`Error::Run`] for a lobe that is not finite; [`Error::Io`] if the file cannot be written.
 pub fn write_lobes(path: impl AsRef<Path>, lobes: &[LightLobe], convention: NpyConvention) -> Result<()> {
     let path = path.as_ref();
-    let mut bytes = header::for_singles([lobes.len(), 7]);
-    for lobe in lobes {
+    let row = |lobe: &LightLobe| {
         let axis = convention.file_from_world(lobe.axis);
         let [r, g, b] = lobe.amplitude.to_array();
-        let row = [axis.x, axis.y, axis.z, lobe.sharpness, r, g, b];
-        bytes.extend(row.into_iter().flat_map(f32::to_le_bytes));
-    }
+        [axis.x, axis.y, axis.z, lobe.sharpness, r, g, b]
+    };
+    let values: Vec<f32> = lobes.iter().flat_map(row).collect();
+    check_finite(path, values.iter().copied(), |at| format!("lobe {} is not finite", at / 7))?;
+    let mut bytes = header::for_singles([lobes.len(), 7]);
+    bytes.extend(values.into_iter().flat_map(f32::to_le_bytes));
     file::write_bytes(path, &bytes)
 }
 
@@ -110,6 +117,13 @@ fn lobe_of_row(path: &Path, row: usize, v: &[f64], convention: NpyConvention) ->
     let length = file_axis.length();
     if length < 1e-20 {
         return Err(bad("has a zero axis, so it has no direction"));
+    }
+    let light = v[4..].iter().fold(0.0, |most: f64, x| most.max(x.abs()));
+    if light > f64::from(MAX_RADIANCE) || v[3].abs() > f64::from(MAX_SHARPNESS) {
+        return Err(bad(&format!(
+            "has amplitude {light:.3e} and sharpness {:.3e}; at most {MAX_RADIANCE:e} and {MAX_SHARPNESS:e} are usable",
+            v[3].abs()
+        )));
     }
     let unit = if (length - 1.0).abs() > 1e-6 { file_axis / length } else { file_axis };
     let amplitude = if v.len() == 7 { DVec3::new(v[4], v[5], v[6]) } else { DVec3::splat(v[4]) };
@@ -258,7 +272,8 @@ mod tests {
         refused(&npy("<f4", false, "(2, 7)", &data(&[good, zero_axis])), "row 1");
         refused(&npy("<f4", false, "(2, 7)", &data(&[nan, good])), "row 0");
         refused(&npy("<f4", false, "(2, 7)", &data(&[good])), "truncated");
-        refused(&npy("<f4", false, "(9000000000, 7)", &data(&[good])), "truncated");
+        refused(&npy("<f4", false, "(512, 7)", &data(&[good])), "truncated");
+        refused(&npy("<f4", false, "(9000000000, 7)", &data(&[good])), "at most 512");
         refused(&npy("<f4", false, "(900000000000, 7)", &data(&[good])), "impossible");
         refused(&npy("<f4", false, "(0, 18446744073709551615, 7)", &data(&[good])), "impossible");
         refused(&npy("<f4", false, "(7,)", &data(&[good])), "shape");
@@ -271,5 +286,18 @@ mod tests {
         refused(b"PK\x03\x04", "not a NumPy");
         refused(b"\x93NUMPY\x01\x00\x10\x00{", "header");
         assert!(read_lobes("/no/such/file.npy", NpyConvention::Lobelia).is_err());
+        let mut bright = good;
+        bright[6] = 1e38;
+        refused(&npy("<f4", false, "(1, 7)", &data(&[bright])), "row 0");
+    }
+
+    #[test]
+    fn a_lobe_that_is_not_finite_is_not_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut broken = lobes();
+        broken[3].amplitude.y = f32::NAN;
+        let error = write_lobes(path_in(&folder), &broken, NpyConvention::PhySgFit).unwrap_err();
+        assert!(error.to_string().contains("lobe 3 is not finite"), "{error}");
+        assert!(!path_in(&folder).exists());
     }
 }

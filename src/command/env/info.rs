@@ -44,8 +44,12 @@ pub fn info(light: &LightFile, all: bool) -> String {
     // Writing to a `String` cannot fail.
     let _ = writeln!(text, "  mean radiance   {}", rgb(power / (4.0 * PI)));
     let _ = writeln!(text, "  power           {} (integral over the sphere, radiance × sr)", rgb(power));
-    let _ =
-        writeln!(text, "  from above      {:.1} % of the luminous power", 100.0 * upper / luminous(power));
+    let _ = match luminous(power) {
+        whole if whole > 0.0 => {
+            writeln!(text, "  from above      {:.1} % of the luminous power", 100.0 * upper / whole)
+        }
+        _ => writeln!(text, "  from above      nothing: it gives no light"),
+    };
     let _ = writeln!(text, "  peak            {} at {}", rgb(peak.as_dvec3()), direction(towards));
     if let LightFile::Lobes(lobes) = light {
         table(&mut text, lobes, if all { lobes.len() } else { TABLE_LINES });
@@ -142,6 +146,8 @@ mod tests {
         assert!(text.lines().any(|l| l.contains("peak") && l.contains("( 1.000,  0.000,  0.000)")), "{text}");
         let map = info(&LightFile::Map(render_lobes(&lobes(), 64, 32)), false);
         assert!(map.contains("64 × 32") && !map.contains("axis x y z"), "{map}");
+        let black = info(&LightFile::Lobes(vec![lobes()[2]]), false);
+        assert!(black.contains("it gives no light") && !black.contains("NaN"), "{black}");
         assert_eq!(half_width_degrees(0.0), 180.0);
         let cos = half_width_degrees(40.0).to_radians().cos();
         assert!(((40.0 * (cos - 1.0)).exp() - 0.5).abs() < 1e-4);

@@ -8,17 +8,22 @@ use super::terminal::{Terminal, print};
 use super::threads::start_threads;
 use glam::{EulerRot, Quat};
 use info::{info, sun_notes};
+use lobelia::codec::file::check_writable;
 use lobelia::codec::npy::NpyConvention;
 use lobelia::codec::png_file::write_rgb8;
 use lobelia::light::convention::MapConvention;
 use lobelia::light::map_fit::{MapFit, MapFitReport, fit_map_with, target_of};
 use lobelia::light::{EnvironmentMap, LightLobe};
 use lobelia::pass::progress::Progress;
-use lobelia::spawn::light_file::{LightConventions, LightFile, read_light, read_map};
+use lobelia::shade::frame::check_memory;
+use lobelia::spawn::light_file::{LightConventions, LightFile, check_lit, read_light, read_map};
 use lobelia::{Error, Result};
 use preview::{before_and_after, picture, preview_factor};
 use std::path::Path;
 use std::time::Instant;
+
+/// Bytes of a rendered map's texel: radiance by rows, joined, and encoded.
+const MAP_TEXEL_BYTES: u64 = 3 * 12;
 
 /// Runs `lobelia env`.
 pub fn run(command: &EnvCommand) -> Result<()> {
@@ -62,6 +67,7 @@ fn fit(args: &FitArgs) -> Result<()> {
     let (map, notes) = read_map(&args.map, conventions(args.conventions).map)?;
     notes.iter().for_each(|note| progress.note(note));
     let options = MapFit { upper_hemisphere: args.upper_hemisphere, white: args.white, ..MapFit::default() };
+    check_lit(&args.map, &target_of(&map, &options))?;
     print("lobes  mean squared error  relative rms  power kept r g b         seconds\n")?;
     for &count in &args.lobes {
         let started = Instant::now();
@@ -96,7 +102,7 @@ fn refuse_before_work(args: &FitArgs) -> Result<()> {
         let problem = format!("{}: lobes are written as .ron or .npy", out.display());
         return Err(Error::usage(problem, "Name the output accordingly."));
     }
-    Ok(())
+    check_writable(out.parent().unwrap_or(Path::new("")))
 }
 
 fn fit_one(
@@ -123,8 +129,9 @@ fn write_fit(out: &Path, map: &EnvironmentMap, report: &MapFitReport, as_said: C
 }
 
 fn render(args: &RenderArgs) -> Result<()> {
-    let light = read(&args.light, args.conventions)?;
     let (width, height) = args.size;
+    check_memory("a map", width, height, u64::from(width) * u64::from(height) * MAP_TEXEL_BYTES)?;
+    let light = read(&args.light, args.conventions)?;
     let map = light.to_map(width, height);
     let ways = conventions(args.conventions);
     if args.out.extension().is_some_and(|e| e.eq_ignore_ascii_case("png")) {

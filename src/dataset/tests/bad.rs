@@ -185,6 +185,56 @@ fn duplicate_frames_are_refused() {
 }
 
 #[test]
+fn views_with_names_that_output_files_cannot_have_are_refused() {
+    let long = "a".repeat(210);
+    for (name, words) in [
+        ("v\u{7}.exr", "the view name `v\\u{7}` holds '\\u{7}'"),
+        ("a\nb.exr", "the view name `a\\nb` holds '\\n'"),
+        (&format!("{long}.exr"), "has 210 bytes"),
+    ] {
+        let set = PhySg::new(1);
+        for (folder, ending) in [("image", "exr"), ("mask", "png")] {
+            let stem = name.strip_suffix(".exr").unwrap();
+            let folder = set.path(&format!("train/{folder}"));
+            fs::rename(folder.join(format!("v_0.{ending}")), folder.join(format!("{stem}.{ending}")))
+                .unwrap();
+        }
+        let cameras = json!({ name: physg_camera() });
+        fs::write(set.path("train/cam_dict_norm.json"), cameras.to_string()).unwrap();
+        assert_says(&input_error(set.read()), &["cam_dict_norm.json", words]);
+    }
+    for name in ["a\u{0}b", &"a".repeat(300)] {
+        let mut set = Nerf::new(1);
+        set.json["frames"][0]["file_path"] = json!(name);
+        set.write();
+        assert_says(&input_error(set.read()), &["transforms_test.json", "frame 0", "view name"]);
+    }
+}
+
+#[test]
+fn camera_files_may_begin_with_a_byte_order_mark() {
+    let set = PhySg::new(1);
+    let path = set.path("train/cam_dict_norm.json");
+    fs::write(&path, format!("\u{feff}{}", fs::read_to_string(&path).unwrap())).unwrap();
+    assert_eq!(set.read().unwrap().views.len(), 1);
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn views_whose_names_differ_in_case_are_noted() {
+    let mut set = PhySg::new(2);
+    for (folder, ending) in [("image", "exr"), ("mask", "png")] {
+        let folder = set.path(&format!("train/{folder}"));
+        fs::rename(folder.join(format!("v_1.{ending}")), folder.join(format!("V_0.{ending}"))).unwrap();
+    }
+    let camera = set.cameras.remove("v_1.exr").unwrap();
+    set.cameras.insert("V_0.exr".to_owned(), camera);
+    set.write_cameras();
+    let notes = set.read().unwrap().notes;
+    assert!(notes.iter().any(|note| note.contains("V_0 and v_0 differ only in case")), "{notes:?}");
+}
+
+#[test]
 fn nerf_cameras_need_a_lens_and_a_size() {
     let spoiled = |change: fn(&mut Value)| {
         let mut set = Nerf::new(1);

@@ -143,14 +143,41 @@ fn models_may_lie_in_sparse_itself_and_photographs_in_folders() {
     assert_eq!(mask_of(&dataset.views[0]).coverage[5], 1.0);
 }
 
+/// Every model of COLMAP in text and binary, with coefficients that hardly distort.
 #[test]
-fn distorted_photographs_are_straightened_with_their_masks() {
-    for camera in ["SIMPLE_RADIAL 6 4 8 3 2 0.1", "RADIAL 6 4 8 3 2 0.1 0", "OPENCV 6 4 8 8 3 2 0.1 0 0 0"] {
+fn all_models_are_read_and_photographs_straightened_with_their_masks() {
+    let models: [(u32, &str, &[f64]); 15] = [
+        (2, "SIMPLE_RADIAL", &[8.0, 3.0, 2.0, 0.1]),
+        (3, "RADIAL", &[8.0, 3.0, 2.0, 0.1, 0.0]),
+        (4, "OPENCV", &[8.0, 8.0, 3.0, 2.0, 0.1, 0.0, 0.0, 0.0]),
+        (5, "OPENCV_FISHEYE", &[8.0, 8.0, 3.0, 2.0, 0.5, 0.0, 0.0, 0.0]),
+        (6, "FULL_OPENCV", &[8.0, 8.0, 3.0, 2.0, 0.1, 0.0, 0.0, 0.0, 0.0, -0.1, 0.0, 0.0]),
+        (7, "FOV", &[8.0, 8.0, 3.0, 2.0, 1e-3]),
+        (8, "SIMPLE_RADIAL_FISHEYE", &[8.0, 3.0, 2.0, 0.5]),
+        (9, "RADIAL_FISHEYE", &[8.0, 3.0, 2.0, 0.5, 0.0]),
+        (10, "THIN_PRISM_FISHEYE", &[8.0, 8.0, 3.0, 2.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
+        (
+            11,
+            "RAD_TAN_THIN_PRISM_FISHEYE",
+            &[8.0, 8.0, 3.0, 2.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+        ),
+        (12, "SIMPLE_DIVISION", &[8.0, 3.0, 2.0, 0.1]),
+        (13, "DIVISION", &[8.0, 8.0, 3.0, 2.0, 0.1]),
+        (14, "SIMPLE_FISHEYE", &[8.0, 3.0, 2.0]),
+        (15, "FISHEYE", &[8.0, 8.0, 3.0, 2.0]),
+        (16, "EUCM", &[8.0, 8.0, 3.0, 2.0, 0.0, 1.0]),
+    ];
+    for (number, name, parameters) in models {
         let set = Colmap::new(1);
-        set.write_text(camera);
+        let words: Vec<String> = parameters.iter().map(f64::to_string).collect();
+        set.write_text(&format!("{name} 6 4 {}", words.join(" ")));
+        let text = set.read(Split::Test).unwrap().views.remove(0);
+        set.write_binary(number, [6, 4], parameters);
         let view = set.read(Split::Test).unwrap().views.remove(0);
+        assert_eq!((view.camera, mask_of(&view)), (text.camera, mask_of(&text)), "{name}");
         let size = (view.camera.width, view.camera.height);
-        assert!(size.0 < 6, "a pincushion's frame shrinks: {size:?}");
+        let pincushion = !["FOV", "SIMPLE_FISHEYE", "FISHEYE", "EUCM"].contains(&name);
+        assert_eq!(size.0 < 6, pincushion, "the frame of a pincushion shrinks: {name} {size:?}");
         let photograph = view.photograph.unwrap();
         let mask = view.mask.unwrap();
         assert_eq!((photograph.size(), mask.size()), ([size.0, size.1], [size.0, size.1]));
@@ -167,16 +194,15 @@ fn models_that_cannot_be_read_are_named() {
         set.write_text(camera);
         input_error(set.read(Split::Test))
     };
-    assert_says(
-        &text("OPENCV_FISHEYE 6 4 8 8 3 2 0 0 0 0"),
-        &["line 3", "camera 7", "OPENCV_FISHEYE", "image_undistorter"],
-    );
+    assert_says(&text("LENS_2030 6 4 8 3 2 0"), &["line 3", "camera 7", "LENS_2030", "image_undistorter"]);
+    assert_says(&text("EQUIRECTANGULAR 6 4 6 4"), &["line 3", "panorama", "perspective"]);
+    assert_says(&text("FOV 6 4 8 8 3 2"), &["FOV camera has 4 parameters, not 5"]);
     assert_says(&text("PINHOLE 6 4 8 3 2"), &["PINHOLE camera has 3 parameters, not 4"]);
     assert_says(&text("PINHOLE 6 4 8 x 3 2"), &["cameras.txt, line 3", "not a camera"]);
     assert_says(&text("PINHOLE 12 8 8 8 3 2"), &["6×4", "12×8"]);
     set.write_text("PINHOLE 6 4 8 8 3 2");
-    set.write_binary(7, [6, 4], &[0.0; 5]);
-    assert_says(&input_error(set.read(Split::Test)), &["cameras.bin, camera 7", "FOV", "image_undistorter"]);
+    set.write_binary(17, [6, 4], &[6.0, 4.0]);
+    assert_says(&input_error(set.read(Split::Test)), &["cameras.bin, camera 7", "EQUIRECTANGULAR"]);
     fs::write(
         set.path("sparse/0/cameras.bin"),
         [[1u8, 0, 0, 0].as_slice(), &[0; 8], &[99, 0, 0, 0]].concat(),
@@ -216,7 +242,169 @@ fn bad_image_lists_are_refused() {
     assert_says(&text("\n1 1 0 0 0 0 0 7 p00.png\n"), &["line 2", "neither an image nor points"]);
     assert_says(&text("1 1 0 0 0 0 0 3 7 gone.png\n"), &["gone.png", "missing"]);
     fs::remove_file(set.path("masks/p00.png")).unwrap();
-    assert_says(&text("1 1 0 0 0 0 0 3 7 p00.png\n"), &["masks/p00.png", "missing"]);
+    assert_says(
+        &text("1 1 0 0 0 0 0 3 7 p00.png\n"),
+        &["masks/p00.png", "mask of `p00.png` is missing", "p00_mask.png"],
+    );
     fs::remove_dir_all(set.path("images")).unwrap();
     assert_says(&text("1 1 0 0 0 0 0 3 7 p00.png\n"), &["images", "folder of photographs is missing"]);
+}
+
+/// Parameters that no lens has are found in the camera file, where they are.
+#[test]
+fn impossible_parameters_name_the_camera() {
+    let set = Colmap::new(1);
+    let text = |camera: &str| {
+        set.write_text(camera);
+        input_error(set.read(Split::Test))
+    };
+    let place = "cameras.txt, line 3";
+    assert_says(
+        &text("PINHOLE 6 4 1e-40 8 3 2"),
+        &[place, "camera 7: a focal length is 1e-40 pixels", "between"],
+    );
+    assert_says(&text("SIMPLE_PINHOLE 6 4 1e30 3 2"), &[place, "1e30"]);
+    assert_says(&text("SIMPLE_PINHOLE 6 4 8 3000 2"), &[place, "principal point is (3000, 2)"]);
+    assert_says(&text("SIMPLE_PINHOLE 6 4 8 NaN 2"), &[place, "principal point is (NaN, 2)"]);
+    assert_says(&text("SIMPLE_RADIAL 6 4 8 3 2 NaN"), &[place, "lens distortion is NaN"]);
+    assert_says(&text("FOV 6 4 8 8 3 2 4"), &[place, "ω is 4 radians"]);
+    assert_says(&text("EUCM 6 4 8 8 3 2 1.5 1"), &[place, "α is 1.5"]);
+    assert_says(&text("PINHOLE 0 4 8 8 3 2"), &[place, "image size is 0×4"]);
+    set.write_text("PINHOLE 6 4 8 8 3 2");
+    set.write_binary(1, [6, 4], &[f64::INFINITY, 8.0, 3.0, 2.0]);
+    assert_says(&input_error(set.read(Split::Test)), &["cameras.bin, camera 7", "focal length is inf"]);
+}
+
+#[test]
+fn reconstructions_are_found_where_they_are_usual() {
+    for (models, images) in [
+        ("sparse", "images"),
+        ("colmap/sparse/0", "images"),
+        ("colmap/sparse", "colmap/images"),
+        ("dense/sparse", "dense/images"),
+        ("dense/0/sparse", "dense/0/images"),
+        ("distorted/sparse/0", "input"),
+    ] {
+        let set = Colmap::new(2);
+        let moved = tempfile::tempdir().unwrap();
+        let (model, photographs) = (moved.path().join(models), moved.path().join(images));
+        for folder in [&model, &photographs] {
+            fs::create_dir_all(folder.parent().unwrap()).unwrap();
+        }
+        fs::rename(set.path("sparse/0"), model).unwrap();
+        fs::rename(set.path("images"), &photographs).unwrap();
+        fs::rename(set.path("masks"), photographs.with_file_name("masks")).unwrap();
+        let dataset = read_dataset(moved.path(), Split::Train, &DatasetOptions::default()).unwrap();
+        assert_eq!((dataset.layout, names(&dataset)), (Layout::Colmap, vec!["p01"]), "{models}");
+        assert!(dataset.views[0].mask.is_some(), "masks beside {images}");
+    }
+    // The output of image_undistorter beside the reconstruction it is of: the photographs decide.
+    let set = Colmap::new(2);
+    fs::create_dir_all(set.path("dense/sparse")).unwrap();
+    for name in ["cameras.txt", "images.txt"] {
+        fs::copy(set.path("sparse/0").join(name), set.path("dense/sparse").join(name)).unwrap();
+    }
+    fs::rename(set.path("images"), set.path("dense/images")).unwrap();
+    assert_eq!(set.read(Split::Train).unwrap().views.len(), 1);
+    fs::remove_dir_all(set.path("dense/images")).unwrap();
+    assert_says(&input_error(set.read(Split::Train)), &["images", "folder of photographs is missing"]);
+}
+
+#[test]
+fn the_largest_of_several_models_is_read() {
+    let set = Colmap::new(3);
+    fs::rename(set.path("sparse/0"), set.path("sparse/1")).unwrap();
+    fs::create_dir_all(set.path("sparse/0")).unwrap();
+    fs::write(set.path("sparse/0/cameras.txt"), "1 SIMPLE_PINHOLE 6 4 8 3 2").unwrap();
+    fs::write(set.path("sparse/0/images.txt"), "1 1 0 0 0 0 0 3 1 p00.png\n\n").unwrap();
+    let dataset = set.read(Split::Train).unwrap();
+    assert_eq!(dataset.views.len(), 2);
+    assert_says(&dataset.notes.join(" "), &["2 models of 1, 3 images", "sparse/1, is read"]);
+    // Binary ones are compared by their headers; of equals the first counts.
+    let other = Colmap::new(1);
+    other.write_binary(1, [6, 4], &[8.0, 9.0, 3.0, 2.0]);
+    for name in ["cameras.bin", "images.bin"] {
+        fs::rename(other.path("sparse/0").join(name), set.path("sparse/0").join(name)).unwrap();
+    }
+    assert_eq!(set.read(Split::Train).unwrap().views.len(), 2);
+    fs::write(set.path("sparse/0/images.bin"), [1, 2]).unwrap();
+    assert_says(&input_error(set.read(Split::Train)), &["images.bin, byte 0", "truncated"]);
+}
+
+#[test]
+fn rigs_and_frames_beside_the_images_change_nothing() {
+    let set = Colmap::new(2);
+    set.write_binary(1, [6, 4], &[8.0, 9.0, 3.0, 2.0]);
+    for name in ["rigs.bin", "frames.bin", "points3D.bin"] {
+        fs::write(set.path("sparse/0").join(name), [0; 8]).unwrap();
+    }
+    assert_eq!(names(&set.read(Split::Train).unwrap()), ["p01"]);
+}
+
+#[test]
+fn masks_may_have_any_usual_name() {
+    for folder in ["masks", "mask", "silhouettes", "segmentation"] {
+        for name in [
+            "p00.png.png",
+            "p00.png",
+            "p00.jpg",
+            "p00_mask.png",
+            "mask_p00.png",
+            "p00.mask.png",
+            "p00-mask.png",
+        ] {
+            let set = Colmap::new(1);
+            let path = set.path(folder).join(name);
+            if folder != "masks" {
+                fs::rename(set.path("masks"), set.path(folder)).unwrap();
+            }
+            fs::remove_file(set.path(folder).join("p00.png")).unwrap();
+            GrayImage::from_fn(6, 4, |_, y| image::Luma([if y < 2 { 255 } else { 0 }])).save(path).unwrap();
+            let mask = set.read(Split::Test).unwrap().views.remove(0).mask.unwrap();
+            assert!(mask.coverage(0) > 0.9 && mask.coverage(23) < 0.1, "{folder}/{name}");
+        }
+    }
+}
+
+/// Writes a JPEG with an EXIF orientation: bright on the left as stored.
+fn write_turned_jpeg(path: &Path, orientation: u8) {
+    use image::ImageEncoder;
+    let tiff =
+        [b"MM\0\x2a\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0".as_slice(), &[orientation, 0, 0, 0, 0, 0, 0]];
+    let image = image::RgbImage::from_fn(16, 8, |x, _| image::Rgb([if x < 8 { 240 } else { 10 }; 3]));
+    let mut encoder = image::codecs::jpeg::JpegEncoder::new(fs::File::create(path).unwrap());
+    encoder.set_exif_metadata(tiff.concat()).unwrap();
+    encoder.encode_image(&image).unwrap();
+}
+
+#[test]
+fn photographs_are_taken_as_stored() {
+    let set = Colmap::new(1);
+    fs::remove_file(set.path("images/p00.png")).unwrap();
+    fs::remove_dir_all(set.path("masks")).unwrap();
+    write_turned_jpeg(&set.path("images/p00.jpg"), 6);
+    set.write_text("PINHOLE 16 8 20 20 8 4");
+    let view = set.read(Split::Test).unwrap().views.remove(0);
+    let image = view.photograph.unwrap().image();
+    assert_eq!((image.width, image.height), (16, 8));
+    assert!(image.pixels[0].x > 0.7 && image.pixels[15].x < 0.1);
+
+    set.write_text("PINHOLE 8 16 20 20 4 8");
+    let text = input_error(set.read(Split::Test));
+    assert_says(
+        &text,
+        &["16×8 as stored and 8×16 as its EXIF orientation shows it; its camera is 8×16", "auto-orient"],
+    );
+    set.write_text("PINHOLE 8 15 20 20 4 8");
+    assert_says(&input_error(set.read(Split::Test)), &["the image has 16×8 pixels, its camera 8×15"]);
+    write_turned_jpeg(&set.path("images/p00.jpg"), 3);
+    set.write_text("PINHOLE 8 16 20 20 4 8");
+    assert_says(&input_error(set.read(Split::Test)), &["the image has 16×8 pixels, its camera 8×16"]);
+
+    write_turned_jpeg(&set.path("images/p00.jpg"), 8);
+    set.write_text("PINHOLE 16 8 20 20 8 4");
+    fs::create_dir_all(set.path("masks")).unwrap();
+    GrayImage::from_pixel(8, 16, image::Luma([255])).save(set.path("masks/p00.png")).unwrap();
+    let text = input_error(set.read(Split::Test));
+    assert_says(&text, &["masks/p00.png", "its mask is 8×16", "turn the mask"]);
 }

@@ -94,10 +94,7 @@ fn projections_become_cameras_in_the_world_of_the_capture() {
         // The center of the first pixel is (0, 0) in the file and (0.5, 0.5) in `project`.
         assert!(near(x, row(0) / row(2) + 0.5) && near(y, row(1) / row(2) + 0.5), "({x}, {y})");
         assert!(f64::from(depth) > 0.0 && (f64::from(depth) - row(2)).abs() < 1e-2);
-        assert_eq!(
-            (camera.pixel_center, view.mask.as_ref().unwrap().coverage[3..5].to_vec()),
-            (0.0, vec![1.0, 0.0])
-        );
+        assert_eq!((camera.pixel_center, mask_of(view).coverage[3..5].to_vec()), (0.0, vec![1.0, 0.0]));
     }
 }
 

@@ -58,7 +58,7 @@ fn axes_are_turned_and_focal_lengths_scaled() {
     assert!(camera.ray(3.0, 2.0).direction.distance(Vec3::NEG_Z) < 1e-6);
     let (x, y, _) = camera.project(Vec3::new(0.4, 0.6, 0.0)).unwrap();
     assert!(x > 3.0 && y < 2.0, "world +X is right, +Y up: ({x}, {y})");
-    assert_eq!(view.mask.as_ref().unwrap().coverage[3..5], [1.0, 0.0]);
+    assert_eq!(mask_of(view).coverage[3..5], [1.0, 0.0]);
     assert_eq!(names(&read_split(set.dir.path(), Split::Test).unwrap()), ["DSC_0007", "DSC_0015"]);
 }
 

@@ -74,7 +74,7 @@ fn cameras_come_in_the_chunks_world() {
     assert!(right > x && above < y, "world +X is right, +Z up");
     assert_eq!(camera.pixel_center, 0.5);
     assert_eq!(names(&read_split(set.dir.path(), Split::Test).unwrap()), ["a"]);
-    assert_eq!(dataset.views[1].mask.as_ref().unwrap().coverage[0], 1.0);
+    assert_eq!(mask_of(&dataset.views[1]).coverage[0], 1.0);
 }
 
 #[test]

@@ -3,6 +3,7 @@
 mod bad;
 mod colmap;
 mod deepvoxels;
+mod distortion;
 mod good;
 mod idr;
 mod llff;
@@ -10,6 +11,7 @@ mod metashape;
 mod reality_capture;
 mod recognition;
 mod stanford_orb;
+mod transforms;
 
 use super::*;
 use crate::codec::test_data::write_exr;

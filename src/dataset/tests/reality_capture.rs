@@ -66,18 +66,15 @@ fn angles_turn_about_axes_that_turn_along() {
 
 #[test]
 fn intrinsics_scale_with_the_longer_side() {
-    let dir = set(&[
-        HEADER,
-        "b.jpg,0,0,5,0,0,0,36,0.05,-0.025,0,0,0,0,0,0",
-        "a,0,0,5,0,0,0,18,0,0,0,0,0,0,0,0",
-    ]);
+    let dir =
+        set(&[HEADER, "b.jpg,0,0,5,0,0,0,36,0.05,-0.025,0,0,0,0,0,0", "a,0,0,5,0,0,0,18,0,0,0,0,0,0,0,0"]);
     let dataset = read_all(dir.path()).unwrap();
     assert_eq!((dataset.layout, names(&dataset)), (Layout::RealityCapture, vec!["a", "b"]));
     let [a, b] = [0, 1].map(|n| dataset.views[n].camera);
     assert_eq!((a.focal, a.center, a.pixel_center), ([3.0; 2], [3.0, 2.0], 0.5));
     assert_eq!(b.focal, [6.0; 2]);
     assert!((b.center[0] - 3.3).abs() < 1e-5 && (b.center[1] - 1.85).abs() < 1e-5, "{:?}", b.center);
-    assert_eq!(dataset.views[0].mask.as_ref().unwrap().coverage[3..5], [1.0, 0.0]);
+    assert_eq!(mask_of(&dataset.views[0]).coverage[3..5], [1.0, 0.0]);
     assert_eq!(names(&read_split(dir.path(), Split::Test).unwrap()), ["a"]);
 }
 
@@ -86,7 +83,10 @@ fn distortion_is_undone_and_columns_may_stand_in_any_order() {
     let row = "\u{feff}#name,f,x,y,alt,heading,pitch,roll,k1";
     let dir = set(&[row, "a.jpg,18,0,0,5,0,0,0,-0.02"]);
     let plan = crate::dataset::reality_capture::plan(dir.path()).unwrap();
-    assert_eq!(plan.views[0].lens.distortion, distortion::Distortion::brown_conrady([-0.02, 0.0, 0.0], [0.0; 2]));
+    assert_eq!(
+        plan.views[0].lens.distortion,
+        crate::dataset::distortion::Distortion::brown_conrady([-0.02, 0.0, 0.0], [0.0; 2])
+    );
     let dataset = read_all(dir.path()).unwrap();
     assert_says(&dataset.notes.join(" "), &["1 images in", "have no camera"]);
 }
@@ -115,10 +115,16 @@ fn bad_lines_are_named() {
     assert_says(&error(&[HEADER, good, &good.replace("18", "")]), &[place, "f is ``"]);
     assert_says(&error(&[HEADER, good, &good.replace("18", "NaN")]), &[place, "f is NaN", "not finite"]);
     assert_says(&error(&[HEADER, good, &good.replace('5', "1e300")]), &[place, "too far away"]);
-    assert_says(&error(&[HEADER, good, "b.jpg,0,0,5,0,0,0,18,0,0,0,0,0,1,0,0"]), &[place, "k4 is 1", "Brown3"]);
+    assert_says(
+        &error(&[HEADER, good, "b.jpg,0,0,5,0,0,0,18,0,0,0,0,0,1,0,0"]),
+        &[place, "k4 is 1", "Brown3"],
+    );
     assert_says(&error(&[HEADER, &good.replace("18", "-18")]), &["line 2", "focal length is -3"]);
     assert_says(&error(&[HEADER, good, good]), &["two views are called `a`", "line 2"]);
-    assert_says(&error(&[HEADER, &good.replace("a.jpg", "c.jpg")]), &["c.jpg", "image is missing", "2 .jpg files"]);
+    assert_says(
+        &error(&[HEADER, &good.replace("a.jpg", "c.jpg")]),
+        &["c.jpg", "image is missing", "2 .jpg files"],
+    );
     assert_says(&error(&[HEADER]), &["cameras.csv", "no cameras"]);
     assert_says(&error(&["#name,x,y,alt"]), &["not a data set"]);
     let broken = [HEADER.as_bytes(), b"\na.jpg,\xff\xfe"].concat();
@@ -142,5 +148,8 @@ fn missing_masks_and_second_files_are_named() {
     write_mask(&dir.path().join("masks/a_mask.png"));
     assert_says(&input_error(read_all(dir.path())), &["a.jpg", "size of the image cannot be read"]);
     fs::remove_dir_all(dir.path().join("images")).unwrap();
-    assert_says(&input_error(read_all(dir.path())), &["no photographs: looked for images in images, image, ."]);
+    assert_says(
+        &input_error(read_all(dir.path())),
+        &["no photographs: looked for images in images, image, ."],
+    );
 }

@@ -25,8 +25,8 @@ fn masks_come_from_their_own_folders_and_cut_the_background() {
     assert_eq!((train.layout, names(&train)), (Layout::StanfordOrb, vec!["0000", "0001"]));
     assert_says(&train.notes.join(" "), &["made black in 2 photographs"]);
     let view = &train.views[1];
-    assert_eq!(view.mask.as_ref().unwrap().coverage[3..5], [1.0, 0.0]);
-    assert_eq!(view.photograph.as_ref().unwrap().image.pixels[3..5], [Vec3::splat(2.5), Vec3::ZERO]);
+    assert_eq!(mask_of(view).coverage[3..5], [1.0, 0.0]);
+    assert_eq!(view.photograph.as_ref().unwrap().image().pixels[3..5], [Vec3::splat(2.5), Vec3::ZERO]);
     assert!((view.camera.focal[0] - 3.0 / 0.4f32.tan()).abs() < 1e-5);
     assert_eq!(names(&read_split(dir.path(), Split::Test).unwrap()), ["0000"]);
 }

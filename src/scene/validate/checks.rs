@@ -8,6 +8,9 @@ use std::ops::RangeInclusive;
 /// Least roughness: below it the specular lobe is sharper than `f32` can hold.
 pub const MIN_ROUGHNESS: f32 = 0.03;
 
+/// Least field of view, in degrees: a hundred times narrower than any telephoto lens.
+const MIN_FOV_DEGREES: f32 = 0.001;
+
 /// The problems found so far, and the common kinds of checks. A `path` is where a value is in the scene file.
 pub(super) struct Checks {
     pub(super) problems: Vec<Problem>,
@@ -94,9 +97,15 @@ impl Checks {
         self.number(path, value, MIN_ROUGHNESS..=1.0);
     }
 
+    /// A distance of cameras from what they look at.
+    pub(super) fn distance(&mut self, path: &str, value: f32) {
+        let expected = format!("a number above 0, at most {MAX_COORDINATE:e}");
+        self.require(value > 0.0 && value <= MAX_COORDINATE, path, value, &expected);
+    }
+
     /// A field of view.
     pub(super) fn fov(&mut self, path: &str, value: f32) {
-        self.require(value > 0.0 && value <= 170.0, path, value, "degrees above 0, at most 170");
+        self.number(path, value, MIN_FOV_DEGREES..=170.0);
     }
 
     /// An image's width or height.

@@ -1,5 +1,6 @@
 //! Whether lights make sense.
 
+use crate::light::{MAX_RADIANCE, MAX_SHARPNESS};
 use crate::scene::light::{Light, LightSource};
 use crate::scene::validate::checks::Checks;
 
@@ -20,8 +21,11 @@ pub(super) fn light_source(checks: &mut Checks, path: &str, source: &LightSource
             for (index, lobe) in lobes.iter().enumerate() {
                 let at = |field: &str| format!("{path}.lobes.{index}.{field}");
                 checks.direction(&at("axis"), lobe.axis);
-                checks.not_negative(&at("sharpness"), lobe.sharpness);
-                checks.factors(&at("amplitude"), lobe.amplitude);
+                checks.number(&at("sharpness"), lobe.sharpness, 0.0..=MAX_SHARPNESS);
+                let usable = |channel: &f32| (0.0..=MAX_RADIANCE).contains(channel);
+                let expected = format!("three numbers from 0 to {MAX_RADIANCE:e}");
+                let ok = lobe.amplitude.to_array().iter().all(usable);
+                checks.require(ok, &at("amplitude"), lobe.amplitude, &expected);
             }
             (scale, rotation_degrees)
         }

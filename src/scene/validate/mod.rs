@@ -27,6 +27,9 @@ use std::collections::BTreeSet;
 /// Least radius or edge length of a primitive, in world units.
 const MIN_LENGTH: f32 = 1e-9;
 
+/// Most cameras of a scene file: as many as one that is saved can have.
+const MOST_CAMERAS: usize = 20_000;
+
 /// Every value of the scene that makes no sense.
 pub fn check(scene: &Scene) -> Vec<Problem> {
     let mut checks = Checks { problems: Vec::new() };
@@ -108,30 +111,31 @@ fn dataset(checks: &mut Checks, dataset: &Dataset) {
 }
 
 fn cameras(checks: &mut Checks, cameras: &[CameraSpec]) {
-    if cameras.is_empty() {
-        checks.fail("views", "there is no camera", "expected at least one camera", "");
+    if !(1..=MOST_CAMERAS).contains(&cameras.len()) {
+        let expected = format!("expected 1 to {MOST_CAMERAS} cameras");
+        return checks.fail("views", format!("there are {} cameras", cameras.len()), expected, "");
     }
     let mut names = BTreeSet::new();
     for (index, camera) in cameras.iter().enumerate() {
         // `views` is the wrapper `Cameras([…])`, whose only item is the list.
         let path = |field: &str| format!("views.0.{index}.{field}");
         checks.name(&path("name"), &camera.name);
-        if !names.insert(&camera.name) {
-            let problem = format!("two cameras are called {:?}", camera.name);
+        if !names.insert(camera.name.to_lowercase()) {
+            let problem = format!("two cameras are called {:?} (case does not count)", camera.name);
             checks.fail(
                 &path("name"),
                 problem,
                 "expected another name",
-                "Output files carry the view's name.",
+                "Output files carry the view's name, and some file systems do not tell cases apart.",
             );
         }
-        checks.finite(&path("eye"), camera.eye);
-        checks.finite(&path("target"), camera.target);
+        checks.place(&path("eye"), camera.eye);
+        checks.place(&path("target"), camera.target);
         checks.direction(&path("up"), camera.up);
         let forward = camera.target - camera.eye;
         checks.require(forward != Vec3::ZERO, &path("eye"), camera.eye, "another point than the target");
-        if forward.normalize_or_zero().cross(camera.up.normalize_or_zero()).length() < 1e-4
-            && forward != Vec3::ZERO
+        if let (Some(forward), Some(up)) = (forward.try_normalize(), camera.up.try_normalize())
+            && forward.cross(up).length() < 1e-4
         {
             checks.fail(&path("up"), "up is along the line of sight", "expected another direction", "");
         }
@@ -145,8 +149,8 @@ fn photographed(checks: &mut Checks, photographed: &Photographed) {
     let ring = &photographed.cameras;
     checks.count("views.cameras.count", ring.count, 1..=10_000);
     checks.count("views.cameras.test", ring.test, 0..=10_000);
-    checks.finite("views.cameras.target", ring.target);
-    checks.positive("views.cameras.radius", ring.radius);
+    checks.place("views.cameras.target", ring.target);
+    checks.distance("views.cameras.radius", ring.radius);
     checks.fov("views.cameras.fov_degrees", ring.fov_degrees);
     checks.pixels("views.cameras.size", ring.size);
     checks.count("views.spp", photographed.spp, 1..=65536);

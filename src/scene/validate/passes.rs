@@ -16,19 +16,26 @@ use crate::scene::validate::checks::Checks;
 use crate::scene::validate::light::light_source;
 use crate::scene::views::Views;
 
+/// Most passes of a scene file.
+const MOST_PASSES: usize = 1000;
+
 /// Checks every pass of the scene.
 pub(super) fn passes(checks: &mut Checks, scene: &Scene) {
+    if scene.passes.len() > MOST_PASSES {
+        let problem = format!("there are {} passes", scene.passes.len());
+        return checks.fail("passes", problem, format!("expected at most {MOST_PASSES}"), "");
+    }
     let mut fitted = false;
     for (index, pass) in scene.passes.iter().enumerate() {
         let (at, earlier) = (format!("passes.{index}"), &scene.passes[..index]);
         checks.name(&format!("{at}.name"), pass.name());
-        if earlier.iter().any(|other| other.name() == pass.name()) {
-            let problem = format!("two passes are called {:?}", pass.name());
+        if earlier.iter().any(|other| other.name().eq_ignore_ascii_case(pass.name())) {
+            let problem = format!("two passes are called {:?} (case does not count)", pass.name());
             checks.fail(
                 &format!("{at}.name"),
                 problem,
                 "expected another name",
-                "A pass writes into OUT/<name>/.",
+                "A pass writes into OUT/<name>/, and some file systems do not tell cases apart.",
             );
         }
         match pass {
@@ -288,7 +295,7 @@ fn orbit(checks: &mut Checks, at: &str, orbit: &Orbit) {
     checks.count(&path("frames"), orbit.frames, 1..=10_000);
     checks.number(&path("elevation_degrees"), orbit.elevation_degrees, -89.0..=89.0);
     if let Some(radius) = orbit.radius {
-        checks.positive(&path("radius"), radius);
+        checks.distance(&path("radius"), radius);
     }
     checks.fov(&path("fov_degrees"), orbit.fov_degrees);
     checks.pixels(&path("size"), orbit.size);

@@ -9,8 +9,8 @@ use gltf::json::scene::Node;
 use gltf::json::validation::Checked;
 use std::path::Path;
 
-/// A file with more triangles than this in total is assumed to be damaged.
-const MAX_TRIANGLES: usize = 50_000_000;
+/// Most triangles of all instances together. An atlas has at most 4096² texels: more triangles would show nothing.
+const MAX_TRIANGLES: u64 = 10_000_000;
 
 /// What [`read_mesh_with_report`] left out or repaired.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -65,9 +65,11 @@ pub fn read_mesh(path: &Path) -> Result<Mesh> {
 /// Those of [`read_mesh`].
 pub fn read_mesh_with_report(path: &Path) -> Result<(Mesh, MeshReport)> {
     let file = GltfFile::open(path)?;
+    let placed = placed_nodes(&file)?;
+    check_size(&file, &placed)?;
     let mut gathered =
         Gathered { mesh: Mesh::default(), uvs: Vec::new(), with_uvs: 0, report: MeshReport::default() };
-    for (node, world_from_node) in placed_nodes(&file)? {
+    for (node, world_from_node) in placed {
         if let Some(mesh) = file.root.nodes[node].mesh {
             let place = format!("node {node}");
             for (k, primitive) in
@@ -79,6 +81,47 @@ pub fn read_mesh_with_report(path: &Path) -> Result<(Mesh, MeshReport)> {
         }
     }
     gathered.finish(&file)
+}
+
+/// Refuses more triangles or vertices than can be used, before any is read: a mesh counts once for each node that shows it.
+fn check_size(file: &GltfFile, placed: &[(usize, Mat4)]) -> Result<()> {
+    let mut shown = vec![0_u64; file.root.meshes.len()];
+    for (node, _) in placed {
+        if let Some(mesh) = file.root.nodes[*node].mesh {
+            file.item(&file.root.meshes, mesh, "mesh", &format!("node {node}"))?;
+            shown[mesh.value()] += 1;
+        }
+    }
+    let (mut triangles, mut vertices) = (0_u64, 0_u64);
+    for (index, times) in shown.into_iter().enumerate().filter(|(_, times)| *times > 0) {
+        for (k, primitive) in file.root.meshes[index].primitives.iter().enumerate() {
+            let place = format!("mesh {index}, primitive {k}");
+            let [t, v] = size(file, primitive, &place)?;
+            triangles = triangles.saturating_add(t.saturating_mul(times));
+            vertices = vertices.saturating_add(v.saturating_mul(times));
+        }
+    }
+    if triangles <= MAX_TRIANGLES && vertices <= 3 * MAX_TRIANGLES {
+        return Ok(());
+    }
+    let problem = format!(
+        "has {triangles} triangles and {vertices} vertices, all instances counted; the limits are {MAX_TRIANGLES} and {}",
+        3 * MAX_TRIANGLES
+    );
+    let help = "reduce the mesh in another program, or leave out the instances that do not matter";
+    Err(Error::input(&file.path, "", problem, help))
+}
+
+/// Triangles and vertices that a primitive claims to have; none for points and lines.
+fn size(file: &GltfFile, primitive: &Primitive, place: &str) -> Result<[u64; 2]> {
+    let positions = primitive.attributes.get(&Checked::Valid(Semantic::Positions));
+    let vertices = positions.map_or(Ok(0), |accessor| file.count(*accessor, place))?;
+    let corners = primitive.indices.map_or(Ok(vertices), |accessor| file.count(accessor, place))?;
+    Ok(match primitive.mode {
+        Checked::Valid(Mode::Triangles) => [corners / 3, vertices],
+        Checked::Valid(Mode::TriangleStrip | Mode::TriangleFan) => [corners.saturating_sub(2), vertices],
+        _ => [0, 0],
+    })
 }
 
 /// Every node to draw with its world transform, each once, parents first.
@@ -204,16 +247,17 @@ impl Gathered {
         let attribute = |semantic| primitive.attributes.get(&Checked::Valid(semantic)).copied();
         let accessor =
             attribute(Semantic::Positions).ok_or_else(|| file.error(place, "has no vertex positions"))?;
-        let positions = file.floats::<3>(accessor, place)?;
-        let normals = attribute(Semantic::Normals).map(|a| file.floats::<3>(a, place)).transpose()?;
-        let uvs = attribute(Semantic::TexCoords(0)).map(|a| file.floats::<2>(a, place)).transpose()?;
-        for other in [normals.as_ref().map(Vec::len), uvs.as_ref().map(Vec::len)].into_iter().flatten() {
-            if other != positions.len() {
-                let problem =
-                    format!("has {} positions but {other} normals or texture coordinates", positions.len());
+        let count = file.count(accessor, place)?;
+        for other in [attribute(Semantic::Normals), attribute(Semantic::TexCoords(0))].into_iter().flatten() {
+            let other = file.count(other, place)?;
+            if other != count {
+                let problem = format!("has {count} positions but {other} normals or texture coordinates");
                 return Err(file.error(place, problem));
             }
         }
+        let positions = file.floats::<3>(accessor, place)?;
+        let normals = attribute(Semantic::Normals).map(|a| file.floats::<3>(a, place)).transpose()?;
+        let uvs = attribute(Semantic::TexCoords(0)).map(|a| file.floats::<2>(a, place)).transpose()?;
         let indices = match primitive.indices {
             Some(accessor) => file.indices(accessor, place)?,
             None => (0..positions.len() as u32).collect(),
@@ -223,7 +267,7 @@ impl Gathered {
                 format!("vertex index {bad} is out of range: there are {} vertices", positions.len());
             return Err(file.error(place, problem));
         }
-        self.add_triangles(file, &indices, mode, world, place)?;
+        self.add_triangles(&indices, mode, world);
         self.add_positions(file, &positions, world, place)?;
         self.add_normals(normals, positions.len(), world);
         self.with_uvs += usize::from(uvs.is_some());
@@ -232,19 +276,9 @@ impl Gathered {
         Ok(())
     }
 
-    fn add_triangles(
-        &mut self,
-        file: &GltfFile,
-        indices: &[u32],
-        mode: Mode,
-        world: Mat4,
-        place: &str,
-    ) -> Result<()> {
+    fn add_triangles(&mut self, indices: &[u32], mode: Mode, world: Mat4) {
         let count = if mode == Mode::Triangles { indices.len() / 3 } else { indices.len().saturating_sub(2) };
         let first = self.mesh.positions.len();
-        if self.mesh.triangles.len() + count > MAX_TRIANGLES || first > 3 * MAX_TRIANGLES {
-            return Err(file.error(place, format!("the file has more than {MAX_TRIANGLES} triangles")));
-        }
         let mirrored = world.determinant() < 0.0;
         self.mesh.triangles.extend((0..count).map(|k| {
             let [a, b, c] = match mode {
@@ -255,7 +289,6 @@ impl Gathered {
             .map(|corner| indices[corner] + first as u32);
             if mirrored { [a, c, b] } else { [a, b, c] }
         }));
-        Ok(())
     }
 
     fn add_positions(

@@ -239,7 +239,7 @@ fn external_buffers_are_found_beside_the_file_or_missed_by_name() {
     let mut document = Document::triangle();
     document.root["buffers"] = json!([{"byteLength": document.bytes.len(), "uri": "the%20data.bin"}]);
     std::fs::write(&path, document.text()).unwrap();
-    assert_refused(read_mesh_with_report(&path), "the data.bin cannot be read");
+    assert_refused(read_mesh_with_report(&path), "the data.bin: there is no such file");
     std::fs::write(folder.path().join("the data.bin"), &document.bytes).unwrap();
     assert_eq!(read_mesh(&path).unwrap().triangles.len(), 1);
     std::fs::write(folder.path().join("the data.bin"), &document.bytes[1..]).unwrap();
@@ -259,16 +259,16 @@ fn external_buffers_are_found_beside_the_file_or_missed_by_name() {
 
 #[test]
 fn what_is_no_gltf_is_refused() {
-    assert_refused(read_bytes(b""), "not a readable glTF");
+    assert_refused(read_bytes(b""), "the file is empty");
     assert_refused(read_bytes(b"ply\nformat ascii 1.0"), "not a readable glTF");
     assert_refused(read_bytes(&[0xff; 64]), "not a readable glTF");
     assert_refused(read_bytes(b"glTF\x01\0\0\0\x14\0\0\0"), "version 1");
     // Nesting that would overflow a naive parser's stack.
     assert_refused(read_bytes("[".repeat(1_000_000).as_bytes()), "not a readable glTF");
     let nowhere = PathBuf::from("/nonexistent/mesh.glb");
-    assert!(matches!(read_mesh(&nowhere), Err(Error::Io { .. })));
+    assert!(matches!(read_mesh(&nowhere), Err(Error::Input { .. })));
     let folder = tempfile::tempdir().unwrap();
-    assert_refused(read_mesh_with_report(folder.path()), "not a regular file");
+    assert_refused(read_mesh_with_report(folder.path()), "this is a folder, not a file");
 }
 
 #[test]
@@ -297,7 +297,7 @@ fn ranges_are_checked() {
     document.root["accessors"][0]["count"] = json!(4);
     assert_refused(document.read(), "accessor 0: is out of range: needs 48 bytes");
     document.root["accessors"][0]["count"] = json!(u64::MAX);
-    assert_refused(document.read(), "elements");
+    assert_refused(document.read(), "all instances counted");
     let mut document = Document::triangle();
     document.root["accessors"][0]["byteOffset"] = json!(u64::MAX - 3);
     assert_refused(document.read(), "out of range");
@@ -404,4 +404,67 @@ fn required_extensions_that_matter_are_refused() {
     assert_refused(document.read(), "KHR_draco_mesh_compression");
     document.root["extensionsRequired"] = json!(["KHR_materials_ior", "KHR_texture_transform"]);
     assert_eq!(document.mesh().triangles.len(), 1);
+}
+
+/// A mesh of `count` positions that need no bytes: one sparse element over zeros.
+fn sparse(count: u64) -> Document {
+    let mut document = Document::new();
+    let at = document.accessor(&0_u32.to_le_bytes(), 5125, "SCALAR", 1);
+    let what = document.floats(&[1.0, 2.0, 3.0], 3);
+    let views = [at, what].map(|accessor| document.root["accessors"][accessor]["bufferView"].clone());
+    let accessor = document.push(
+        "accessors",
+        json!({"componentType": 5126, "count": count, "type": "VEC3", "sparse": {
+            "count": 1,
+            "indices": {"bufferView": views[0], "componentType": 5125},
+            "values": {"bufferView": views[1]},
+        }}),
+    );
+    document.primitive(json!({"attributes": {"POSITION": accessor}}));
+    document
+}
+
+#[test]
+fn sizes_that_no_byte_of_the_file_bears_out_are_refused_at_once() {
+    let started = std::time::Instant::now();
+    for count in [100_000_000, u64::from(u32::MAX), u64::MAX / 2] {
+        assert_refused(sparse(count).read(), "all instances counted; the limits are 10000000 and 30000000");
+    }
+    assert!(sparse(3).read().is_err_and(|error| error.to_string().contains("1 degenerate")));
+    // Attributes beside positions are compared before they are read.
+    let mut document = Document::triangle();
+    let huge = sparse(90_000_000).root["accessors"][2].clone();
+    let accessor = document.push("accessors", huge);
+    document.root["meshes"][0]["primitives"][0]["attributes"]["NORMAL"] = json!(accessor);
+    assert_refused(document.read(), "has 3 positions but 90000000 normals");
+    assert!(started.elapsed().as_secs() < 2);
+}
+
+#[test]
+fn instances_are_counted_before_their_triangles_are_made() {
+    let mut document = Document::new();
+    let positions: Vec<f32> = (0..90_000_u64).map(|k| (k * k % 977) as f32).collect();
+    let accessor = document.floats(&positions, 3);
+    document.primitive(json!({"attributes": {"POSITION": accessor}}));
+    let instances = |count: usize| {
+        json!((0..count).map(|k| json!({"mesh": 0, "translation": [k, 0, 0]})).collect::<Vec<_>>())
+    };
+    document.root["nodes"] = instances(1001);
+    document.root["scenes"] = json!([{"nodes": (0..1001).collect::<Vec<_>>()}]);
+    assert_refused(document.read(), "has 10010000 triangles and 30030000 vertices");
+    document.root["nodes"] = instances(2);
+    document.root["scenes"] = json!([{"nodes": [0, 1]}]);
+    let report = document.read().unwrap().1;
+    assert_eq!(report.primitives, 2);
+    document.root["nodes"][1]["mesh"] = json!(7);
+    assert_refused(document.read(), "refers to mesh 7, but the file has 1");
+}
+
+#[test]
+fn buffers_are_bounded_together() {
+    let mut document = Document::triangle();
+    let uri = "data:application/octet-stream;base64,AAAA";
+    let buffer = json!({"byteLength": 3_000_000_000_u64, "uri": uri});
+    document.root["buffers"] = json!([buffer, buffer]);
+    assert_refused(document.read(), "claim 6000000000 bytes, more than 4294967296");
 }

@@ -171,7 +171,7 @@ fn other_formats_are_named_with_the_tool_that_converts_them() {
 }
 
 /// A photograph as linear light.
-fn photograph(path: &Path) -> Result<LoadedImage> {
+fn photograph(path: &std::path::Path) -> Result<LoadedImage> {
     let (decoded, repairs) = decode_photograph(path, Orientation::Upright)?;
     Ok(linear_image(&decoded, repairs, Gamma::Srgb))
 }

@@ -1,39 +1,10 @@
-//! Reading and writing of whole files: reading has errors that name the problem, and writing never leaves an incomplete file under
-//! its final name (it writes a temporary file in the same folder, then renames it).
+//! Writing whole files: a temporary file in the same folder, which is renamed when it is complete.
 
 use crate::{Error, Result};
 use std::fs::{self, File};
-use std::io::{BufReader, BufWriter, Read, Write};
+use std::io::{BufWriter, Write};
 use std::path::{Path, PathBuf};
 use tempfile::{NamedTempFile, TempPath};
-
-/// Opens a file for reading; `help` returns the remedy for a missing file.
-///
-/// # Errors
-/// [`Error::Input`] if the file is missing, empty or a folder; [`Error::Io`] for other errors of the operating system.
-pub fn open(path: &Path, help: impl FnOnce(&Path) -> String) -> Result<BufReader<File>> {
-    if path.is_dir() {
-        return Err(Error::input(path, "", "this is a folder, not a file", help(path)));
-    }
-    if !path.exists() {
-        return Err(Error::input(path, "", "there is no such file", help(path)));
-    }
-    let file = File::open(path).map_err(Error::io("read", path))?;
-    if file.metadata().map_err(Error::io("read", path))?.len() == 0 {
-        return Err(Error::input(path, "", "the file is empty (0 bytes)", "Copy it again."));
-    }
-    Ok(BufReader::new(file))
-}
-
-/// Reads a whole file; `help` returns the remedy for a missing file.
-///
-/// # Errors
-/// [`Error::Input`] if the file is missing, empty or a folder; [`Error::Io`] for other errors of the operating system.
-pub fn read_bytes(path: &Path, help: impl FnOnce(&Path) -> String) -> Result<Vec<u8>> {
-    let mut bytes = Vec::new();
-    open(path, help)?.read_to_end(&mut bytes).map_err(Error::io("read", path))?;
-    Ok(bytes)
-}
 
 /// Writes `path` through `write`: the bytes go to a hidden temporary file in the same folder (created if missing), which
 /// gets the final name only when `write` and the last flush have succeeded. An existing file of that name is replaced;

@@ -1,0 +1,266 @@
+//! Reading whole files of bounded size, and the reasons why a path cannot be read.
+
+use crate::{Error, Result};
+use std::fs::{self, File, FileType, ReadDir};
+use std::io::{BufReader, ErrorKind, Read};
+use std::path::Path;
+
+/// Most bytes of a text file that people write: a scene, a light. The largest scene that a pass saves is a few MiB.
+pub const MOST_TEXT: u64 = 16 << 20;
+/// Most bytes of any file that is read whole.
+const MOST_BYTES: u64 = 4 << 30;
+
+/// What must be at a path.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// A regular file.
+    File,
+    /// A folder.
+    Folder,
+}
+
+/// Why a path cannot be read.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Obstacle {
+    /// A clause that follows the path: "there is no such file".
+    pub problem: String,
+    /// What to do about it; empty where that depends on what the file is for.
+    pub help: String,
+}
+
+impl Obstacle {
+    fn new(problem: impl Into<String>, help: &str) -> Self {
+        Self { problem: problem.into(), help: help.to_owned() }
+    }
+
+    /// The error; `help` gives the remedy where this has none.
+    fn error(self, path: &Path, help: impl FnOnce(&Path) -> String) -> Error {
+        let help = if self.help.is_empty() { help(path) } else { self.help };
+        Error::input(path, "", self.problem, help)
+    }
+}
+
+/// What keeps `path` from being read as a `kind`, if anything does. A pipe or a device is not opened.
+pub fn obstacle(path: &Path, kind: Kind) -> Option<Obstacle> {
+    match kind {
+        Kind::File => open_regular(path).err(),
+        Kind::Folder => open_folder(path).err(),
+    }
+}
+
+fn open_regular(path: &Path) -> Result<File, Obstacle> {
+    let refused = |error: std::io::Error| refusal(path, Kind::File, &error);
+    let found = fs::metadata(path).map_err(refused)?.file_type();
+    if found.is_dir() {
+        return Err(Obstacle::new("this is a folder, not a file", ""));
+    }
+    if !found.is_file() {
+        let problem = format!("this is a {}, not a regular file", special(found));
+        return Err(Obstacle::new(problem, "Copy its data into a file, and name that file."));
+    }
+    File::open(path).map_err(refused)
+}
+
+fn open_folder(path: &Path) -> Result<ReadDir, Obstacle> {
+    let refused = |error: std::io::Error| refusal(path, Kind::Folder, &error);
+    if !fs::metadata(path).map_err(refused)?.is_dir() {
+        return Err(Obstacle::new("this is a file, not a folder", ""));
+    }
+    fs::read_dir(path).map_err(refused)
+}
+
+/// The reason that the system gives, in words.
+fn refusal(path: &Path, kind: Kind, error: &std::io::Error) -> Obstacle {
+    let noun = if kind == Kind::File { "file" } else { "folder" };
+    match error.kind() {
+        ErrorKind::NotFound => match fs::read_link(path) {
+            Ok(target) => {
+                let problem =
+                    format!("this is a symbolic link to {}, which does not exist", target.display());
+                Obstacle::new(problem, "Restore what the link leads to, or name another file.")
+            }
+            Err(_) => Obstacle::new(format!("there is no such {noun}"), ""),
+        },
+        ErrorKind::PermissionDenied => Obstacle::new(
+            "permission denied: this user may not read it",
+            "Allow it: `chmod u+r` for the file, `chmod u+rx` for the folders that it is in.",
+        ),
+        ErrorKind::NotADirectory => Obstacle::new("a part of its path is a file, not a folder", ""),
+        ErrorKind::InvalidInput => Obstacle::new("its name holds a NUL character, which no file has", ""),
+        ErrorKind::InvalidFilename => Obstacle::new("its name is longer than a file system allows", ""),
+        _ => Obstacle::new(format!("it cannot be read: {error}"), ""),
+    }
+}
+
+/// What a file is that is neither a regular file nor a folder.
+#[cfg(unix)]
+fn special(found: FileType) -> &'static str {
+    use std::os::unix::fs::FileTypeExt;
+    match found {
+        pipe if pipe.is_fifo() => "pipe",
+        socket if socket.is_socket() => "socket",
+        _ => "device",
+    }
+}
+
+#[cfg(not(unix))]
+fn special(_: FileType) -> &'static str {
+    "device"
+}
+
+/// Opens a file for reading; `help` returns the remedy for a missing file.
+///
+/// # Errors
+/// [`Error::Input`] if the file is missing, empty, a folder, a pipe or a device, or may not be read.
+pub fn open(path: &Path, help: impl FnOnce(&Path) -> String) -> Result<BufReader<File>> {
+    let file = open_regular(path).map_err(|obstacle| obstacle.error(path, help))?;
+    if file.metadata().map_err(Error::io("read", path))?.len() == 0 {
+        return Err(Error::input(path, "", "the file is empty (0 bytes)", "Copy it again."));
+    }
+    Ok(BufReader::new(file))
+}
+
+/// Reads a whole file of at most 4 GiB; `help` returns the remedy for a missing file.
+///
+/// # Errors
+/// Those of [`read_up_to`].
+pub fn read_bytes(path: &Path, help: impl FnOnce(&Path) -> String) -> Result<Vec<u8>> {
+    read_up_to(path, MOST_BYTES, help)
+}
+
+/// Reads a whole file of at most `most` bytes; `help` returns the remedy for a missing file.
+///
+/// # Errors
+/// [`Error::Input`] for what [`open`] refuses, and for a larger file, before it is read; [`Error::Io`] if reading fails.
+pub fn read_up_to(path: &Path, most: u64, help: impl FnOnce(&Path) -> String) -> Result<Vec<u8>> {
+    let file = open(path, help)?;
+    let length = file.get_ref().metadata().map_err(Error::io("read", path))?.len();
+    let mut bytes = Vec::new();
+    if length <= most {
+        let reserved = bytes.try_reserve_exact(length as usize + 1);
+        reserved.map_err(|_| too_large(path, length, "more than there is memory for"))?;
+        // The file may grow while it is read.
+        file.take(most + 1).read_to_end(&mut bytes).map_err(Error::io("read", path))?;
+    }
+    let length = length.max(bytes.len() as u64);
+    if length > most {
+        return Err(too_large(path, length, &format!("and at most {} are read", size(most))));
+    }
+    Ok(bytes)
+}
+
+fn too_large(path: &Path, length: u64, why: &str) -> Error {
+    let problem = format!("the file has {}, {why}", size(length));
+    Error::input(path, "", problem, "Check that it is the right file.")
+}
+
+/// "16.0 MiB"
+fn size(bytes: u64) -> String {
+    match bytes {
+        0..0x40_0000 => format!("{bytes} bytes"),
+        _ => format!("{:.1} MiB", bytes as f64 / 1_048_576.0),
+    }
+}
+
+/// Reads a UTF-8 text of at most `most` bytes, without the byte order mark that some editors put in front; `help` returns the
+/// remedy for a missing file.
+///
+/// # Errors
+/// Those of [`read_up_to`], and [`Error::Input`] with the place of the first byte that is not UTF-8.
+pub fn read_text(path: &Path, most: u64, help: impl FnOnce(&Path) -> String) -> Result<String> {
+    let text = String::from_utf8(read_up_to(path, most, help)?).map_err(|error| {
+        let place = format!("byte {}", error.utf8_error().valid_up_to());
+        let wide = matches!(error.as_bytes(), [0xff, 0xfe, ..] | [0xfe, 0xff, ..]);
+        let help = if wide { "It is UTF-16: save it as UTF-8." } else { "Is it the right file?" };
+        Error::input(path, place, "is not UTF-8 text", help)
+    })?;
+    Ok(text.strip_prefix('\u{feff}').map(str::to_owned).unwrap_or(text))
+}
+
+/// The entries of a folder.
+///
+/// # Errors
+/// [`Error::Input`] if it is missing, a file, or may not be read.
+pub fn read_folder(path: &Path) -> Result<ReadDir> {
+    open_folder(path).map_err(|obstacle| obstacle.error(path, |_| String::new()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refused(path: &Path) -> (String, String) {
+        let error = read_bytes(path, |_| "look elsewhere".to_owned()).unwrap_err();
+        assert_eq!(error.exit_code(), 2, "{error}");
+        (error.to_string(), error.help().unwrap_or_default().to_owned())
+    }
+
+    #[test]
+    fn what_is_not_there_is_told_from_what_may_not_be_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let (problem, help) = refused(&folder.path().join("none"));
+        assert!(problem.ends_with("none: there is no such file") && help == "look elsewhere", "{problem}");
+        assert!(refused(folder.path()).0.contains("this is a folder"));
+        // Whoever runs the tests may read everything, perhaps: the system's answer is made up.
+        let denied = refusal(folder.path(), Kind::File, &ErrorKind::PermissionDenied.into());
+        assert!(denied.problem.contains("permission denied") && denied.help.contains("chmod"), "{denied:?}");
+        let other = refusal(folder.path(), Kind::Folder, &std::io::Error::other("the disk is on fire"));
+        assert!(other.problem.contains("on fire"), "{other:?}");
+        let file = folder.path().join("file");
+        fs::write(&file, "x").unwrap();
+        assert!(refused(&file.join("below")).0.contains("a part of its path is a file"));
+        assert!(refused(&folder.path().join("a\0b")).0.contains("NUL"));
+        assert!(refused(&folder.path().join("a".repeat(300))).0.contains("longer than"));
+        assert!(read_folder(&file).unwrap_err().to_string().contains("this is a file"));
+        assert!(read_folder(&folder.path().join("none")).unwrap_err().to_string().contains("no such folder"));
+        assert_eq!(obstacle(&file, Kind::File).or(obstacle(folder.path(), Kind::Folder)), None);
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn what_might_never_end_is_not_opened() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("special");
+        let made = std::process::Command::new("mkfifo").arg(&path).status();
+        assert!(made.unwrap().success());
+        assert!(refused(&path).0.contains("this is a pipe, not a regular file"));
+        fs::remove_file(&path).unwrap();
+        let _socket = std::os::unix::net::UnixListener::bind(&path).unwrap();
+        assert!(refused(&path).0.contains("this is a socket"));
+        assert!(refused(Path::new("/dev/zero")).0.contains("this is a device"));
+        let link = folder.path().join("link");
+        std::os::unix::fs::symlink("nowhere", &link).unwrap();
+        assert!(refused(&link).0.contains("symbolic link to nowhere, which does not exist"));
+        std::os::unix::fs::symlink("circle", folder.path().join("circle")).unwrap();
+        assert!(refused(&folder.path().join("circle")).0.contains("cannot be read"));
+    }
+
+    #[test]
+    fn sizes_are_bounded_before_anything_is_read() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("large");
+        // A sparse file: it takes no room on the disk.
+        File::create(&path).unwrap().set_len(MOST_BYTES + 1).unwrap();
+        let (problem, _) = refused(&path);
+        assert!(problem.contains("the file has 4096.0 MiB, and at most 4096.0 MiB"), "{problem}");
+        fs::write(&path, "12345").unwrap();
+        assert_eq!(read_up_to(&path, 5, |_| String::new()).unwrap(), b"12345");
+        let error = read_up_to(&path, 4, |_| String::new()).unwrap_err().to_string();
+        assert!(error.contains("the file has 5 bytes, and at most 4 bytes are read"), "{error}");
+    }
+
+    #[test]
+    fn texts_lose_their_byte_order_mark_and_name_bad_bytes() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("text");
+        let read = |bytes: &[u8]| {
+            fs::write(&path, bytes).unwrap();
+            read_text(&path, MOST_TEXT, |_| String::new())
+        };
+        assert_eq!(read("\u{feff}grün".as_bytes()).unwrap(), "grün");
+        assert_eq!(read("grün".as_bytes()).unwrap(), "grün");
+        let error = read(b"ab\xffc").unwrap_err();
+        assert!(error.to_string().contains("byte 2: is not UTF-8 text"), "{error}");
+        assert!(read(b"\xff\xfea\0").unwrap_err().help().unwrap().contains("UTF-16"));
+    }
+}
