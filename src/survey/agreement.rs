@@ -5,7 +5,7 @@ use crate::report::sheet::choose_evenly;
 use crate::survey::change::{Cause, Change, camera_causes, turns, world_causes};
 use crate::survey::finding::{Finding, named};
 use crate::survey::hull;
-use crate::survey::look::{Look, SmallMask};
+use crate::survey::look::{Look, MaskLook, SmallMask};
 use crate::survey::placement::{find_placement, placement_cause};
 use crate::survey::silhouette::{Agreement, median_agreement};
 use crate::survey::statistics::median;
@@ -77,12 +77,15 @@ pub const INVERT_HELP: &str = "A mask is white where the object is and black els
 
 /// Views whose background is the mesh.
 fn inverted(looks: &[Look], found: &[Option<Agreement>]) -> Vec<String> {
-    let is_inverted = |found: &Agreement| found.iou < MISSES && found.inverse_iou > AGREES;
-    let views = looks.iter().zip(found);
-    views
-        .filter(|(_, found)| found.as_ref().is_some_and(is_inverted))
-        .map(|(look, _)| look.name.clone())
-        .collect()
+    // A mesh that fills the frame covers the background as well; its mask is not white along the border.
+    let is_inverted = |found: &Agreement, mask: &MaskLook| {
+        found.iou < MISSES && found.inverse_iou > AGREES && mask.border > 0.5
+    };
+    let views = looks
+        .iter()
+        .zip(found)
+        .filter_map(|(look, found)| Some((look, found.as_ref()?, look.mask.as_ref()?)));
+    views.filter(|(_, found, mask)| is_inverted(found, mask)).map(|(look, ..)| look.name.clone()).collect()
 }
 
 /// Names of views with masks, the least overlap first.

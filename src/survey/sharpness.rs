@@ -3,8 +3,10 @@
 use crate::math::color::luminance;
 use crate::view::Image;
 
-/// Pixels of the halved picture with four neighbors that a measure needs.
-const LEAST_PIXELS: usize = 48;
+/// Pixels of the halved picture that a measure needs.
+const LEAST_PIXELS: usize = 32;
+/// Distance of a pixel of the halved picture from the silhouette.
+const MARGIN: usize = 2;
 /// Least detail that is measured: below it there is nothing but rounding.
 const LEAST_DETAIL: f64 = 1e-9;
 /// Brightest value that counts, in medians: highlights come and go from view to view.
@@ -13,7 +15,7 @@ const MOST: f32 = 4.0;
 /// Mean square of the Laplacian of a photograph's square root of luminance, relative to the median, in halved resolution (which takes most
 /// of the noise out). `median` is the median luminance in the object, `inside(i)` says whether pixel i is the object's.
 ///
-/// A blur of two pixels lowers it at least fourfold where the object has texture. `None` for fewer than 48 pixels, or no detail at all.
+/// A blur of two pixels lowers it at least fourfold where the object has texture. `None` for fewer than 32 pixels, or no detail at all.
 pub fn sharpness(image: &Image, median: f32, inside: impl Fn(usize) -> bool) -> Option<f32> {
     if median <= 0.0 || !median.is_finite() {
         return None;
@@ -28,9 +30,18 @@ pub fn sharpness(image: &Image, median: f32, inside: impl Fn(usize) -> bool) -> 
     };
     let halves: Vec<Option<f32>> = (0..width * height).map(halved).collect();
     let (mut energy, mut count) = (0.0f64, 0usize);
-    for y in 1..height.saturating_sub(1) {
-        for x in 1..width.saturating_sub(1) {
+    // The silhouette is no detail of the object, and a blurred one reaches a little way in.
+    let is_inner = |x: usize, y: usize| {
+        (y - MARGIN..=y + MARGIN).all(|row| {
+            halves[row * width + x - MARGIN..=row * width + x + MARGIN].iter().all(Option::is_some)
+        })
+    };
+    for y in MARGIN..height.saturating_sub(MARGIN) {
+        for x in MARGIN..width.saturating_sub(MARGIN) {
             let i = y * width + x;
+            if !is_inner(x, y) {
+                continue;
+            }
             let around = [i - width, i - 1, i + 1, i + width].map(|k| halves[k]);
             let (Some(here), [Some(a), Some(b), Some(c), Some(d)]) = (halves[i], around) else { continue };
             energy += f64::from(a + b + c + d - 4.0 * here).powi(2);

@@ -17,7 +17,7 @@ use glam::Vec3;
 use std::sync::OnceLock;
 
 /// Width and height of the photographs.
-const SIDE: u32 = 80;
+const SIDE: u32 = 96;
 /// Distance of the cameras.
 const DISTANCE: f32 = 3.0;
 /// Training and test views.

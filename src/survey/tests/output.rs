@@ -30,7 +30,7 @@ fn the_table_says_what_there_is() {
     let survey = surveyed(&good(), Some(&object()));
     let rows = table::rows(&survey, &Estimate::default());
     let text = |label: &str| rows.iter().find(|row| row.0 == label).unwrap().1.clone();
-    assert!(text("data").contains("20 training views of 80×80, 4 test views of 80×80"), "{}", text("data"));
+    assert!(text("data").contains("20 training views of 96×96, 4 test views of 96×96"), "{}", text("data"));
     assert!(text("masks").starts_with("files of 24 views; the object covers"), "{}", text("masks"));
     assert!(
         text("cameras").starts_with("all around, from above and below: elevation -"),
