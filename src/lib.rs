@@ -44,6 +44,7 @@
 //! | [`shape`] | the fit of the shape |
 //! | [`report`] | pictures, contact sheets, scores |
 //! | [`pass`] | the passes of a scene file |
+//! | [`prepare`] | from photographs without cameras to a data set and a scene file |
 //! | [`math`] | the kernels under all of these, from the crate `lobelia-math` |
 //! | [`error`] | the one error type |
 //!
@@ -73,6 +74,7 @@ pub mod mesh;
 pub mod pass;
 pub mod pipeline;
 pub mod prelude;
+pub mod prepare;
 pub mod report;
 pub mod sample;
 pub mod scene;

@@ -31,8 +31,11 @@ pub fn has_split(dir: impl AsRef<Path>, split: Split, options: &DatasetOptions) 
     })
 }
 
-/// The requested layout, or for `Auto` the only one that is present.
-pub(super) fn find_layout(dir: &Path, asked: Layout) -> Result<Layout> {
+/// The requested layout of the data set in folder `dir`, or for `Auto` the only one that is present.
+///
+/// # Errors
+/// [`Error::Input`] if there is no such folder, or for `Auto` not exactly one layout.
+pub fn find_layout(dir: &Path, asked: Layout) -> Result<Layout> {
     if !dir.is_dir() {
         let what = if dir.exists() { "this is a file, not a folder" } else { "there is no such folder" };
         return Err(Error::input(dir, "", what, missing_file_help(dir)));
