@@ -1,9 +1,11 @@
 //! What the tests of this room share: programs made of a few lines of shell, and photographs.
 
 use image::{Rgb, RgbImage};
+#[cfg(unix)]
 use std::path::{Path, PathBuf};
 
 /// An executable shell script.
+#[cfg(unix)]
 pub fn script(folder: &Path, name: &str, body: &str) -> PathBuf {
     use std::io::Write as _;
     use std::os::unix::fs::OpenOptionsExt as _;

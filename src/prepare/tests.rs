@@ -8,6 +8,7 @@ use crate::scene::{LoadOptions, load};
 use crate::view::Split;
 use std::cell::RefCell;
 use std::fs;
+use std::path::PathBuf;
 use tempfile::TempDir;
 
 /// Where the script finds the value of an option: `of --output_path "$@"`.
