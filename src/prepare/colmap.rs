@@ -149,7 +149,6 @@ impl Colmap {
         let command = if pairs == Pairs::All { "exhaustive_matcher" } else { "sequential_matcher" };
         let mut words = words(command, &[("--database_path", database)]);
         words.extend([self.naming.matching("use_gpu").into(), self.use_gpu()]);
-        words.extend([self.naming.matching("guided_matching").into(), "1".into()]);
         let (option, value) = match pairs {
             Pairs::All => ("--ExhaustiveMatching.block_size", MATCHING_BLOCK),
             Pairs::Sequence => ("--SequentialMatching.overlap", SEQUENCE_OVERLAP),
@@ -254,7 +253,7 @@ mod tests {
         assert_eq!(Naming::of_help("--SiftExtraction.use_gpu arg"), Naming::Sift);
         let naming = Naming::of_help("  --FeatureExtraction.use_gpu arg (=1)");
         let words = joined(&colmap(naming).matching(Path::new("db"), Pairs::All));
-        assert!(words.contains("--FeatureMatching.use_gpu 0 --FeatureMatching.guided_matching 1"), "{words}");
+        assert!(words.contains("--FeatureMatching.use_gpu 0"), "{words}");
         assert!(!words.contains("Sift"), "{words}");
     }
 
