@@ -10,9 +10,13 @@ pub(super) const INSTALL: &str = "Install COLMAP (Debian and Ubuntu: `apt instal
                                   colmap.github.io), or name the program with `--colmap PROGRAM`.";
 /// Photographs that are held in memory at once while all pairs are matched; progress is reported per pair of such blocks.
 const MATCHING_BLOCK: usize = 10;
-/// Largest distance in pixels of a feature from its point, beyond which it is taken for a mismatch. COLMAP's own 4 lets through enough
-/// of them to turn single cameras by a degree.
-const LARGEST_ERROR: &str = "2";
+/// Largest distance in pixels of a feature from its point, in photographs of [`ERROR_SIDE`] pixels and smaller ones. COLMAP's own 4 lets
+/// through enough mismatches to turn single cameras by a degree.
+const LEAST_ERROR: f64 = 1.2;
+/// COLMAP's own, which is not exceeded in larger photographs.
+const MOST_ERROR: f64 = 4.0;
+/// Longer side of a photograph whose features are good to [`LEAST_ERROR`]; in larger ones the distance grows with the side.
+const ERROR_SIDE: f64 = 1600.0;
 /// Neighbors that each frame of a sequence is matched with, on each side.
 const SEQUENCE_OVERLAP: usize = 20;
 
@@ -157,11 +161,13 @@ impl Colmap {
         words
     }
 
-    /// Cameras and points, as one or several models in folders of `models` with numbers as names.
-    pub fn mapping(&self, database: &Path, images: &Path, models: &Path) -> Vec<OsString> {
+    /// Cameras and points, as one or several models in folders of `models` with numbers as names. `side` is the longest side of the
+    /// photographs in pixels.
+    pub fn mapping(&self, database: &Path, images: &Path, models: &Path, side: u32) -> Vec<OsString> {
         let paths = [("--database_path", database), ("--image_path", images), ("--output_path", models)];
         let mut words = words("mapper", &paths);
-        words.extend(["--Mapper.filter_max_reproj_error", LARGEST_ERROR].map(OsString::from));
+        let error = (LEAST_ERROR * f64::from(side) / ERROR_SIDE).clamp(LEAST_ERROR, MOST_ERROR);
+        words.extend(["--Mapper.filter_max_reproj_error".into(), error.to_string().into()]);
         words
     }
 
@@ -244,6 +250,13 @@ mod tests {
         let words = colmap.matching(Path::new("db"), Pairs::Sequence);
         assert!(joined(&words).starts_with("sequential_matcher --database_path db --SiftMatching.use_gpu 0"));
         assert!(joined(&words).ends_with("--SequentialMatching.overlap 20"));
+        for (side, error) in [(800, "1.2"), (3200, "2.4"), (12_000, "4")] {
+            let words = joined(&colmap.mapping(Path::new("db"), Path::new("i"), Path::new("m"), side));
+            assert!(
+                words.ends_with(&format!("--output_path m --Mapper.filter_max_reproj_error {error}")),
+                "{words}"
+            );
+        }
         let words = colmap.undistortion(Path::new("i"), Path::new("m/0"), Path::new("d"));
         assert_eq!(joined(&words), "image_undistorter --image_path i --input_path m/0 --output_path d");
     }

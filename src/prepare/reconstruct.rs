@@ -144,7 +144,9 @@ impl Reconstruction<'_> {
 
     fn map(&self, work: &Work) -> Result<()> {
         let models = work.emptied("models")?;
-        let words = self.colmap.mapping(&work.path("database.db"), &work.path("photographs"), &models);
+        let side = self.photographs.iter().flat_map(|photograph| photograph.size).max().unwrap_or_default();
+        let (database, images) = (work.path("database.db"), work.path("photographs"));
+        let words = self.colmap.mapping(&database, &images, &models, side);
         let ran = self.colmap_step(work, "mapping", self.photographs.len() as u64, &words);
         let is_empty = fs::read_dir(&models).map_err(Error::io("read", &models))?.next().is_none();
         let log = fs::read(work.log("mapping")).unwrap_or_default();
