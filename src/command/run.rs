@@ -24,8 +24,8 @@ fn default_out(scene: &Path) -> PathBuf {
     Path::new("out").join(scene.file_stem().unwrap_or_default())
 }
 
-/// The first Ctrl-C lets the pass in progress end cleanly; a second one ends the process at once.
-fn stop_on_ctrl_c() -> Result<()> {
+/// The first Ctrl-C lets the work in progress end cleanly; a second one ends the process at once.
+pub fn stop_on_ctrl_c() -> Result<()> {
     ctrlc::set_handler(|| {
         if pass::INTERRUPTED.swap(true, Ordering::Relaxed) {
             std::process::exit(130);
