@@ -152,6 +152,10 @@ pub struct RunArgs {
     /// How many threads.
     #[command(flatten)]
     pub threads: ThreadArgs,
+    /// Memory that the run keeps to, by smaller pools of pixels, or is refused: 8GiB, 500MiB
+    /// [default: three quarters of the machine's]
+    #[arg(long, value_name = "SIZE", value_parser = lobelia::pass::memory::parse_bytes)]
+    pub memory: Option<u64>,
     /// While a shape is found, write its normals, depth and mesh every N steps
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub debug_every: Option<u32>,
