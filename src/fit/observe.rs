@@ -1,15 +1,16 @@
 //! The Prepare phase: every usable foreground pixel of the training views becomes one sample of the pool, traced once.
 
-use crate::error::Error;
+use crate::error::{Error, Result};
 use crate::fit::components::TexelSeen;
 use crate::material::Texels;
+use crate::math::ray::Ray;
 use crate::pipeline::SystemResult;
 use crate::sample::Samples;
 use crate::sample::bundle::{FitSample, FrameSample, despawn_pool};
-use crate::sample::pixel::{Observed, PixelOf, SATURATION, SampleIndex, ViewRay, Window};
+use crate::sample::pixel::{Observed, PixelOf, SATURATION, SampleIndex, Window};
 use crate::sample::point::{Scenery, SurfacePoint};
-use crate::view::{Camera, Photograph, PixelWindow, Split, StoredMask, ViewIndex, ViewMask};
-use bevy_ecs::prelude::{Commands, Query, Res, ResMut, Resource, World};
+use crate::view::{ByView, Camera, Photograph, PixelWindow, Split, StoredMask, ViewIndex, ViewMask};
+use bevy_ecs::prelude::{Query, Res, ResMut, Resource, With, World};
 use glam::Vec3;
 use rand::seq::SliceRandom;
 use rand::{SeedableRng, rngs::SmallRng};
@@ -25,10 +26,9 @@ pub struct PixelChoice {
 }
 
 /// A pixel before it is traced.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Default)]
 struct Candidate {
     pixel: PixelOf,
-    ray: ViewRay,
     observed: Observed,
 }
 
@@ -40,6 +40,9 @@ pub struct Candidates(Vec<Candidate>);
 pub const FULL_COVERAGE: f32 = 0.999;
 /// Most usable pixels whose order is shuffled; of more, the chosen ones are drawn one by one.
 const MOST_SHUFFLED: usize = 1 << 26;
+
+/// Rays that are traced at once.
+const TRACED_AT_ONCE: usize = 1 << 16;
 
 /// A training view with a photograph.
 struct ObservedView<'a> {
@@ -108,13 +111,14 @@ fn candidates_of(views: &[ObservedView], counts: &[usize], chosen: &[u32]) -> Ve
         parts.push((view, first, of_view));
         (rest, first) = (others, first + count);
     }
-    let found: Vec<Vec<Candidate>> =
-        parts.into_par_iter().map(|(view, first, numbers)| view.candidates(first, numbers)).collect();
-    let mut candidates: Vec<Option<Candidate>> = vec![None; chosen.len()];
+    let of_view =
+        |(view, first, numbers): (&ObservedView, usize, &[(u32, u32)])| view.candidates(first, numbers);
+    let found: Vec<Vec<Candidate>> = parts.into_par_iter().map(of_view).collect();
+    let mut candidates = vec![Candidate::default(); chosen.len()];
     for ((_, place), candidate) in by_number.iter().zip(found.into_iter().flatten()) {
-        candidates[*place as usize] = Some(candidate);
+        candidates[*place as usize] = candidate;
     }
-    candidates.into_iter().flatten().collect()
+    candidates
 }
 
 impl ObservedView<'_> {
@@ -141,59 +145,56 @@ impl ObservedView<'_> {
         let (radiance, saturated) = (self.photograph.radiance(pixel), self.photograph.is_saturated(pixel));
         Candidate {
             pixel: PixelOf { view: self.index, pixel: pixel as u32 },
-            ray: ViewRay(self.camera.pixel_ray(pixel as u32)),
             observed: Observed { radiance, saturated },
         }
     }
 }
 
 /// Trace: casts the chosen pixels' rays; those that meet the front of the surface become the pool.
-pub fn trace_pixels(
-    scenery: Res<Scenery>,
-    mut candidates: ResMut<Candidates>,
-    mut window: ResMut<Window>,
-    mut commands: Commands,
-) -> SystemResult {
-    let chosen = std::mem::take(&mut candidates.0);
-    let count = chosen.len();
-    let mut points: Vec<SurfacePoint> =
-        chosen.par_iter().map(|c| scenery.0.intersect(&c.ray.0, 0.0).into()).collect();
-    let mut samples: Vec<Candidate> = chosen;
-    keep_front(&mut samples, &mut points);
-    if samples.is_empty() {
+pub fn trace_pixels(world: &mut World) -> SystemResult {
+    let chosen = std::mem::take(&mut world.resource_mut::<Candidates>().0);
+    let scenery = world.resource::<Scenery>().0.clone();
+    let mut views = world.query_filtered::<(&ViewIndex, &Camera), With<Photograph>>();
+    let cameras: ByView<Camera> = views.iter(world).map(|(index, camera)| (*index, *camera)).collect();
+    despawn_pool(world);
+    let mut rows = 0;
+    // In parts: all points beside the pool would be a third of it.
+    for part in chosen.chunks(TRACED_AT_ONCE) {
+        let traced = |candidate: &Candidate| {
+            let ray = cameras.of(candidate.pixel.view)?.pixel_ray(candidate.pixel.pixel);
+            Ok((ray, SurfacePoint::from(scenery.intersect(&ray, 0.0))))
+        };
+        let traced: Vec<(Ray, SurfacePoint)> = part.par_iter().map(traced).collect::<Result<_>>()?;
+        let is_front =
+            |ray: &Ray, point: &SurfacePoint| point.is_hit() && point.normal.dot(ray.direction) < 0.0;
+        let front = part.iter().zip(traced).filter(|(_, (ray, point))| is_front(ray, point));
+        let samples: Vec<FitSample> = front
+            .zip(rows..)
+            .map(|((c, (ray, point)), row)| c.sample(SampleIndex(row), ray, point))
+            .collect();
+        rows += samples.len() as u32;
+        world.spawn_batch(samples);
+    }
+    if rows == 0 {
         return Err(Error::usage(
-            format!("fit: the rays of all {count} foreground pixels miss the surface"),
+            format!("fit: the rays of all {} foreground pixels miss the surface", chosen.len()),
             "Do the cameras and the mesh share one coordinate system? Does the mesh's outside face the cameras?",
         )
         .into());
     }
-    window.0 = 0..samples.len();
-    commands.queue(move |world: &mut World| {
-        despawn_pool(world);
-        // Made one by one: all of them beside the pool would be as large as the pool.
-        let rows = samples.into_iter().zip(points).zip(0..);
-        world.spawn_batch(rows.map(|((c, point), row)| FitSample {
-            frame: FrameSample { pixel: c.pixel, point, ..FrameSample::blank(SampleIndex(row), c.ray.0) },
-            observed: c.observed,
-            adjoint: Default::default(),
-            back: Default::default(),
-        }));
-    });
+    world.resource_mut::<Window>().0 = 0..rows as usize;
     Ok(())
 }
 
-/// Keeps the candidates whose rays meet the front of the surface, and where they do.
-fn keep_front(candidates: &mut Vec<Candidate>, points: &mut Vec<SurfacePoint>) {
-    let is_front = |c: &Candidate, p: &SurfacePoint| p.is_hit() && p.normal.dot(c.ray.0.direction) < 0.0;
-    let mut kept = 0;
-    for i in 0..points.len() {
-        if is_front(&candidates[i], &points[i]) {
-            (candidates[kept], points[kept]) = (candidates[i], points[i]);
-            kept += 1;
+impl Candidate {
+    fn sample(&self, row: SampleIndex, ray: Ray, point: SurfacePoint) -> FitSample {
+        FitSample {
+            frame: FrameSample { pixel: self.pixel, point, ..FrameSample::blank(row, ray) },
+            observed: self.observed,
+            adjoint: Default::default(),
+            back: Default::default(),
         }
     }
-    candidates.truncate(kept);
-    points.truncate(kept);
 }
 
 /// Gather: sums the weights of each texel over all samples.

@@ -110,7 +110,10 @@ pub fn fit_shape(
 ) -> Result<SdfSurface> {
     let mut silhouettes = training_silhouettes(&mut pipeline.world);
     let hull = visual_hull(&silhouettes, options.levels[0].cells)?;
-    pipeline.world.spawn_batch(silhouette_samples(&hull, &silhouettes, options.fit.pixels.seed));
+    // More than the longest level visits are of no use.
+    let visited = |level: &ShapeLevel| level.schedule.steps as usize * level.schedule.silhouette_batch;
+    let most = options.levels.iter().map(visited).max().unwrap_or(0);
+    pipeline.world.spawn_batch(silhouette_samples(&hull, &silhouettes, options.fit.pixels.seed, most));
     pipeline.add_plugin(&ShapePlugin);
     if options.cameras != CameraUnknowns::Given {
         pipeline.add_plugin(&ShapeCameraPlugin(options.cameras));
@@ -187,28 +190,36 @@ fn training_silhouettes(world: &mut World) -> Vec<Silhouette> {
     train.into_iter().filter_map(silhouette).collect()
 }
 
-/// The pixels around the silhouettes of all training masks that are consistent with the hull, shuffled.
+/// The pixels around the silhouettes of all training masks that are consistent with the hull, shuffled; at most `most`.
 fn silhouette_samples(
     hull: &SdfGrid,
     silhouettes: &[Silhouette],
     seed: u64,
+    most: usize,
 ) -> Vec<(SilhouetteIndex, SilhouetteSample)> {
-    let mut samples = Vec::new();
-    for silhouette in silhouettes {
-        let camera = &silhouette.camera;
-        let pixel_size = pixel_size(camera);
+    // Silhouette and pixel: a sample is ten times as large.
+    let mut near: Vec<(u32, u32)> = Vec::new();
+    for (number, silhouette) in (0..).zip(silhouettes) {
         let reliable = reliable_pixels(hull, silhouette);
-        let near =
-            (0..reliable.len()).filter(|&i| reliable[i] && silhouette.distance(i).abs() < SILHOUETTE_REACH);
-        samples.extend(near.map(|i| {
-            let pixel = PixelOf { view: silhouette.view, pixel: i as u32 };
-            let (distance, distance_gradient) = (silhouette.distance(i), silhouette.slope(i));
-            let (ray, coverage) = (camera.pixel_ray(pixel.pixel), silhouette.mask.coverage(i));
-            SilhouetteSample { pixel, ray, distance, distance_gradient, coverage, pixel_size }
-        }));
+        let is_near = |&i: &usize| reliable[i] && silhouette.distance(i).abs() < SILHOUETTE_REACH;
+        near.extend((0..reliable.len()).filter(is_near).map(|i| (number, i as u32)));
     }
-    samples.shuffle(&mut SmallRng::seed_from_u64(seed));
-    (0..).map(SilhouetteIndex).zip(samples).collect()
+    near.shuffle(&mut SmallRng::seed_from_u64(seed));
+    near.truncate(most);
+    let sample = |(number, pixel): (u32, u32)| silhouette_sample(&silhouettes[number as usize], pixel);
+    (0..).map(SilhouetteIndex).zip(near.into_iter().map(sample)).collect()
+}
+
+fn silhouette_sample(silhouette: &Silhouette, pixel: u32) -> SilhouetteSample {
+    let (camera, i) = (&silhouette.camera, pixel as usize);
+    SilhouetteSample {
+        pixel: PixelOf { view: silhouette.view, pixel },
+        ray: camera.pixel_ray(pixel),
+        distance: silhouette.distance(i),
+        distance_gradient: silhouette.slope(i),
+        coverage: silhouette.mask.coverage(i),
+        pixel_size: pixel_size(camera),
+    }
 }
 
 /// Albedo for a new lattice: interpolated from the old one where it has texels, else gray.
