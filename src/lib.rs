@@ -45,6 +45,7 @@
 //! | [`report`] | pictures, contact sheets, scores |
 //! | [`survey`] | what of a data set cannot work, before a run |
 //! | [`pass`] | the passes of a scene file |
+//! | [`prepare`] | from photographs without cameras to a data set and a scene file |
 //! | [`math`] | the kernels under all of these, from the crate `lobelia-math` |
 //! | [`error`] | the one error type |
 //!
@@ -74,6 +75,7 @@ pub mod mesh;
 pub mod pass;
 pub mod pipeline;
 pub mod prelude;
+pub mod prepare;
 pub mod report;
 pub mod sample;
 pub mod scene;

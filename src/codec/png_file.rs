@@ -1,8 +1,8 @@
-//! 8-bit sRGB pictures as PNG.
+//! 8-bit sRGB pictures and masks as PNG.
 
 use crate::codec::file;
 use crate::{Error, Result};
-use image::{RgbImage, RgbaImage};
+use image::{GrayImage, RgbImage, RgbaImage};
 use png::{BitDepth, ColorType, Compression, Encoder, SrgbRenderingIntent};
 use std::fs::File;
 use std::io::{BufReader, Write};
@@ -22,6 +22,14 @@ pub fn write_rgb8(path: impl AsRef<Path>, picture: &RgbImage) -> Result<()> {
 /// [`Error::Io`] if the file cannot be written, [`Error::Run`] for an empty picture.
 pub fn write_rgba8(path: impl AsRef<Path>, picture: &RgbaImage) -> Result<()> {
     write(path.as_ref(), picture.width(), picture.height(), ColorType::Rgba, picture.as_raw())
+}
+
+/// Writes a gray picture, such as a mask.
+///
+/// # Errors
+/// [`Error::Io`] if the file cannot be written, [`Error::Run`] for an empty picture.
+pub fn write_gray8(path: impl AsRef<Path>, picture: &GrayImage) -> Result<()> {
+    write(path.as_ref(), picture.width(), picture.height(), ColorType::Grayscale, picture.as_raw())
 }
 
 fn write(path: &Path, width: u32, height: u32, color: ColorType, samples: &[u8]) -> Result<()> {
@@ -117,7 +125,7 @@ pub(super) fn failed(path: &Path, error: png::EncodingError) -> Error {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use image::{Rgb, Rgba};
+    use image::{Luma, Rgb, Rgba};
 
     #[test]
     fn pictures_round_trip() {
@@ -129,6 +137,9 @@ mod tests {
         let rgba = RgbaImage::from_fn(3, 4, |x, y| Rgba([x as u8 * 30, 7, 9, y as u8 * 60]));
         write_rgba8(&path, &rgba).unwrap();
         assert_eq!(image::open(&path).unwrap().into_rgba8(), rgba);
+        let gray = GrayImage::from_fn(5, 2, |x, y| Luma([x as u8 * 50 + y as u8]));
+        write_gray8(&path, &gray).unwrap();
+        assert_eq!(image::open(&path).unwrap(), image::DynamicImage::ImageLuma8(gray));
     }
 
     #[test]

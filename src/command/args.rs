@@ -1,5 +1,6 @@
 //! What can be typed after `lobelia`: arguments, their help, and the values that are refused.
 
+use super::prepare_args::{NewArgs, PREPARE_EXAMPLES, PREPARE_LONG, PrepareArgs};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
@@ -11,6 +12,8 @@ Examples:
       Your own photographs: $DATA in the scene file stands for ~/data/spot.
   lobelia run scenes/spot.ron --data ~/data/spot --set passes.fit.steps=200 --set views.downscale=2
       A quick try of the same, without touching the file.
+  lobelia prepare ~/photos ~/data/vase --mask-command 'rembg i {in} {out}'
+      Photographs without cameras: COLMAP finds these, and a scene file is written.
   lobelia check scenes/spot.ron --data ~/data/spot
       Is everything there and sensible? Nothing is run or written. (Without --data, what is below $DATA is not
       looked for.)
@@ -93,6 +96,11 @@ pub enum Command {
     Run(RunArgs),
     /// Read a scene file, look at its photographs and masks, and say what it would do and what is wrong
     Check(CheckArgs),
+    /// From photographs or a video to a data set: cameras by COLMAP, masks, a scene file
+    #[command(long_about = PREPARE_LONG, after_long_help = PREPARE_EXAMPLES)]
+    Prepare(PrepareArgs),
+    /// Write a commented scene file for a data set
+    New(NewArgs),
     /// Compare two images, or the images of two folders by name: PSNR and SSIM in linear light
     Eval(EvalArgs),
     /// Shade a table of single points and add `diffuse` and `specular` to each case
@@ -144,6 +152,10 @@ pub struct RunArgs {
     /// How many threads.
     #[command(flatten)]
     pub threads: ThreadArgs,
+    /// Memory that the run keeps to, by smaller pools of pixels, or is refused: 8GiB, 500MiB
+    /// [default: three quarters of the machine's]
+    #[arg(long, value_name = "SIZE", value_parser = lobelia::pass::memory::parse_bytes)]
+    pub memory: Option<u64>,
     /// While a shape is found, write its normals, depth and mesh every N steps
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub debug_every: Option<u32>,

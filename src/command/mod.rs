@@ -2,8 +2,8 @@
 //!
 //! | file | holds |
 //! | --- | --- |
-//! | [`args`] | arguments and their help |
-//! | [`run`], [`check`], [`eval`], [`env`], [`bench`], [`shade_cases`] | the commands |
+//! | [`args`], [`prepare_args`] | arguments and their help |
+//! | [`run`], [`check`], [`prepare`], [`new`], [`eval`], [`env`], [`bench`], [`shade_cases`] | the commands |
 //! | [`terminal`] | bars, notes and results |
 //! | [`report`] | how an error is drawn |
 //! | [`scene_files`], [`threads`] | what several commands do before they start |
@@ -13,6 +13,9 @@ mod bench;
 mod check;
 mod env;
 mod eval;
+mod new;
+mod prepare;
+mod prepare_args;
 mod report;
 mod run;
 mod scene_files;
@@ -49,6 +52,8 @@ fn dispatch(command: &Command) -> Result<()> {
     match command {
         Command::Run(args) => run::run(args),
         Command::Check(args) => check::run(args),
+        Command::Prepare(args) => prepare::run(args),
+        Command::New(args) => new::run(args),
         Command::Eval(args) => eval::run(args),
         Command::ShadeCases(args) => shade_cases::run(args),
         Command::Bench(args) => bench::run(args),

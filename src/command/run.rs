@@ -4,6 +4,7 @@ use super::args::RunArgs;
 use super::scene_files::load_options;
 use super::terminal::Terminal;
 use super::threads::start_threads;
+use lobelia::pass::memory::usual_budget;
 use lobelia::pass::{self, RunOptions};
 use lobelia::scene::load;
 use lobelia::{Error, Result};
@@ -15,7 +16,8 @@ pub fn run(args: &RunArgs) -> Result<()> {
     let loaded = load(&args.scene.scene, &load_options(&args.scene))?;
     let out = args.out.clone().unwrap_or_else(|| default_out(&args.scene.scene));
     start_threads(args.threads)?;
-    let options = RunOptions { out, force: args.force, debug_every: args.debug_every };
+    let memory = args.memory.or_else(usual_budget);
+    let options = RunOptions { out, force: args.force, debug_every: args.debug_every, memory };
     stop_on_ctrl_c()?;
     pass::run(&loaded, &options, &Terminal::new(args.quiet))
 }
@@ -24,8 +26,8 @@ fn default_out(scene: &Path) -> PathBuf {
     Path::new("out").join(scene.file_stem().unwrap_or_default())
 }
 
-/// The first Ctrl-C lets the pass in progress end cleanly; a second one ends the process at once.
-fn stop_on_ctrl_c() -> Result<()> {
+/// The first Ctrl-C lets the work in progress end cleanly; a second one ends the process at once.
+pub fn stop_on_ctrl_c() -> Result<()> {
     ctrlc::set_handler(|| {
         if pass::INTERRUPTED.swap(true, Ordering::Relaxed) {
             std::process::exit(130);

@@ -82,6 +82,18 @@ fn largest(models: Vec<PathBuf>) -> Result<(PathBuf, Option<String>)> {
     Ok((models[chosen].clone(), Some(note)))
 }
 
+/// The names of the photographs that a model in `folder` has cameras for, as paths below the folder of photographs.
+///
+/// # Errors
+/// [`Error::Input`] if there is no model, or it cannot be read.
+pub fn registered_names(folder: &Path) -> Result<Vec<String>> {
+    let Some(file) = colmap_model::image_file(folder) else {
+        let problem = "there is no COLMAP model: looked for cameras and images, .bin or .txt";
+        return Err(Error::input(folder, "", problem, missing_file_help(&folder.join("cameras.bin"))));
+    };
+    Ok(read_model(file)?.images.into_iter().map(|image| image.name).collect())
+}
+
 /// Plans all views, in the order of their names.
 pub(super) fn plan(dir: &Path) -> Result<Plan> {
     let Some(place) = find_place(dir) else {

@@ -161,6 +161,14 @@ pub fn has_split(dir: impl AsRef<Path>, split: Split, options: &DatasetOptions) 
     })
 }
 
+/// The requested layout of the data set in folder `dir`, or for `Auto` the only one that is present.
+///
+/// # Errors
+/// [`Error::Input`] if there is no such folder, or for `Auto` not exactly one layout.
+pub fn find_layout(dir: impl AsRef<Path>, asked: Layout) -> Result<Layout> {
+    find_format(dir.as_ref(), asked).map(|format| format.layout)
+}
+
 /// The format of the requested layout, or for `Auto` of the only one that is present.
 pub(super) fn find_format(dir: &Path, asked: Layout) -> Result<&'static Format> {
     if !dir.is_dir() {

@@ -52,7 +52,7 @@ use crate::error::{Error, Result};
 use crate::view::{Split, ViewRecord};
 use glam::{Affine3A, Vec3};
 use layout::find_format;
-pub use layout::has_split;
+pub use layout::{find_layout, has_split};
 use lens::{Lens, crop_note};
 pub use load::{LoadedView, PlannedView, load_notes};
 use names::check_names;

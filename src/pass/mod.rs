@@ -19,6 +19,7 @@ pub mod fit;
 mod found_views;
 pub mod inspect;
 mod interrupt;
+pub mod memory;
 pub mod photograph;
 pub mod preflight;
 pub mod progress;
@@ -42,9 +43,11 @@ use crate::scene::{Albedo, CameraSpec, Light, Scene, Views};
 use crate::scene::{EditPass, Pass, RelightPass, RenderPass};
 use crate::shade::frame::FramePlugin;
 use crate::spawn::{SurfaceUse, make_surface, spawn};
+use crate::survey::Survey;
 use crate::view::ViewRecord;
 use photograph::{TrueObject, camera_of};
 use progress::Progress;
+use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -57,6 +60,8 @@ pub struct RunOptions {
     pub force: bool,
     /// Steps of a `Shape` between two looks at it, if it is looked at.
     pub debug_every: Option<u32>,
+    /// Memory that the run may take, in bytes; `None`: as much as it takes.
+    pub memory: Option<u64>,
 }
 
 /// Runs the passes of a scene in order, and reports to `progress`.
@@ -67,9 +72,14 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
     refuse_used(&options.out, options.force)?;
     preflight::check_output(&loaded.scene, &options.out)?;
     preflight::check_sizes(&loaded.scene)?;
-    let mut session = open(&loaded.scene, options, progress)?;
+    let (views, survey) = read_views(&loaded.scene, progress)?;
+    let scene = match &survey {
+        Some(survey) => memory::within(&loaded.scene, survey, options.memory, progress)?,
+        None => Cow::Borrowed(&loaded.scene),
+    };
+    let mut session = open(&scene, views, options, progress)?;
     preflight::check(&mut session)?;
-    for pass in &loaded.scene.passes {
+    for pass in &scene.passes {
         match pass {
             Pass::Fit(pass) => fit::run(&mut session, pass)?,
             Pass::Shape(pass) => shape::run(&mut session, pass)?,
@@ -95,9 +105,13 @@ fn refuse_used(out: &Path, force: bool) -> Result<()> {
     Ok(())
 }
 
-/// Reads all inputs of the scene into a world. Nothing is written yet.
-fn open<'a>(scene: &'a Scene, options: &RunOptions, progress: &'a dyn Progress) -> Result<Session<'a>> {
-    let mut views = read_views(scene, progress)?;
+/// Puts the scene and its views into a world, and reads its other inputs. Nothing is written yet.
+fn open<'a>(
+    scene: &'a Scene,
+    mut views: Vec<ViewRecord>,
+    options: &RunOptions,
+    progress: &'a dyn Progress,
+) -> Result<Session<'a>> {
     let (surface, notes) = make_surface(&scene.surface, &views, use_of(scene))?;
     notes.iter().for_each(|note| progress.note(note));
     let surface = Arc::new(surface);
@@ -131,11 +145,11 @@ fn open<'a>(scene: &'a Scene, options: &RunOptions, progress: &'a dyn Progress) 
 }
 
 /// Reads the views that do not depend on the object; rendered photographs come later. Photographs that cannot work end the run here.
-fn read_views(scene: &Scene, progress: &dyn Progress) -> Result<Vec<ViewRecord>> {
+fn read_views(scene: &Scene, progress: &dyn Progress) -> Result<(Vec<ViewRecord>, Option<Survey>)> {
     match &scene.views {
         Views::Dataset(_) => preflight::read_data(scene, progress),
-        Views::Cameras(specs) => specs.iter().map(bare_view).collect(),
-        Views::Photographed(_) => Ok(Vec::new()),
+        Views::Cameras(specs) => Ok((specs.iter().map(bare_view).collect::<Result<_>>()?, None)),
+        Views::Photographed(_) => Ok((Vec::new(), None)),
     }
 }
 

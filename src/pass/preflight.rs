@@ -21,7 +21,7 @@ use crate::scene::{
 };
 use crate::shade::frame::{PixelSums, check_memory};
 use crate::survey::open::OpenScene;
-use crate::survey::{Look, Severity};
+use crate::survey::{Look, Severity, Survey};
 use crate::view::{Photograph, ViewName, ViewRecord};
 use bevy_ecs::prelude::World;
 use rayon::prelude::*;
@@ -37,8 +37,8 @@ const LEAST_ROOM: u64 = 16 << 20;
 ///
 /// # Errors
 /// [`Error::Usage`] for the first thing that cannot work; those of reading the data.
-pub fn read_data(scene: &Scene, progress: &dyn Progress) -> Result<Vec<ViewRecord>> {
-    let Some(open) = OpenScene::new(scene)? else { return Ok(Vec::new()) };
+pub fn read_data(scene: &Scene, progress: &dyn Progress) -> Result<(Vec<ViewRecord>, Option<Survey>)> {
+    let Some(open) = OpenScene::new(scene)? else { return Ok((Vec::new(), None)) };
     let learns = |pass: &Pass| matches!(pass, Pass::Fit(_) | Pass::Shape(_) | Pass::Evaluate(_));
     let is_used = matches!(scene.surface, Surface::Unknown { .. }) || scene.passes.iter().any(learns);
     let read = |view: &PlannedView| {
@@ -50,14 +50,15 @@ pub fn read_data(scene: &Scene, progress: &dyn Progress) -> Result<Vec<ViewRecor
     let (loaded, looks): (Vec<LoadedView>, Vec<Option<Look>>) =
         read.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
     open.notes.iter().chain(&load_notes(&loaded)).for_each(|note| progress.note(note));
+    let mut survey = None;
     if is_used {
-        let survey = open.examine(looks.into_iter().flatten().collect())?;
+        let survey = survey.insert(open.examine(looks.into_iter().flatten().collect())?);
         survey.findings_of(Severity::Warning).for_each(|warning| progress.note(&warning.problem));
         if let Some(error) = survey.findings_of(Severity::Error).next() {
             return Err(error.to_error());
         }
     }
-    Ok(loaded.into_iter().map(|view| view.record).collect())
+    Ok((loaded.into_iter().map(|view| view.record).collect(), survey))
 }
 
 /// Checks every pass against the world before any of them runs.

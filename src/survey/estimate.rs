@@ -2,7 +2,7 @@
 //!
 //! | part | memory | time of one thread |
 //! | --- | --- | --- |
-//! | photographs | pixels × [`PHOTOGRAPH_BYTES`] | pixels × [`DECODE_NANOS`] |
+//! | photographs | pixels around the object × [`PHOTOGRAPH_BYTES`] | pixels × [`DECODE_NANOS`] |
 //! | `Fit` | pixels in the pool × [`POOL_BYTES`] + texels × [`TEXEL_BYTES`] | steps × batch × lobes × [`FIT_PAIR_NANOS`] |
 //! | `Shape` | the same + cells³ × [`CELL_BYTES`] | steps × batch × [`SHAPE_PIXEL_NANOS`] |
 //! | shadows | texels × [`VisibilitySettings::bytes_per_texel`] | texels × directions × [`RAY_NANOS`] |
@@ -19,13 +19,16 @@ use crate::scene::{
 use crate::shade::frame::frame_bytes;
 use crate::survey::Survey;
 use crate::survey::detail::ATLAS_FILL;
-use crate::survey::look::Look;
+use crate::survey::look::{Bounds, Look};
 use crate::view::Split;
 use crate::visibility::VisibilitySettings;
 use serde::Serialize;
 
-/// Bytes of a pixel of a photograph and its mask in memory: three floats, a flag and the coverage.
-pub const PHOTOGRAPH_BYTES: f64 = 17.0;
+/// Bytes of a pixel of a photograph and its mask in memory, in the rectangle around the object: 8-bit colors, alpha and coverage.
+/// Downscaled and undistorted photographs and EXR take half floats, two or three bytes more.
+pub const PHOTOGRAPH_BYTES: f64 = 6.0;
+/// Bytes of a pixel of a silhouette in memory: its signed distance as a half float.
+pub const SILHOUETTE_BYTES: f64 = 2.0;
 /// Bytes of a pixel in the pool of a fit: its columns, and about 24 of the table around them.
 pub const POOL_BYTES: f64 = (size_of::<FitSample>() + 24) as f64;
 /// Bytes of a texel in a fit: albedo, gradient, two moments, what is shown, place, normal, and their table.
@@ -138,6 +141,16 @@ fn pixels(look: &Look) -> f64 {
     f64::from(look.size[0]) * f64::from(look.size[1])
 }
 
+/// Pixels of the rectangle around the object.
+fn window_pixels(look: &Look) -> f64 {
+    let share = |bounds: &Bounds| {
+        let [x, y] = [0, 1].map(|k| bounds.high[k] - bounds.low[k]);
+        f64::from(x * y) / (f64::from(look.camera.width) * f64::from(look.camera.height))
+    };
+    let bounds = look.mask.as_ref().and_then(|mask| mask.bounds.as_ref());
+    bounds.map_or(1.0, share) * pixels(look)
+}
+
 fn object_pixels(look: &Look) -> f64 {
     look.object_pixels().map_or(USUAL_COVERAGE * pixels(look), f64::from)
 }
@@ -171,8 +184,14 @@ impl Task<'_> {
     }
 
     fn photographs(&self) -> Part {
-        let all: f64 = self.looks.iter().filter(|look| look.light.is_some()).map(pixels).sum();
-        self.part("photographs", all * PHOTOGRAPH_BYTES, all * DECODE_NANOS, true)
+        let photographs = || self.looks.iter().filter(|look| look.light.is_some());
+        let kept: f64 = photographs().map(window_pixels).sum();
+        let read: f64 = photographs().map(pixels).sum();
+        let bytes = match self.scene.surface {
+            Surface::Unknown { .. } => PHOTOGRAPH_BYTES + SILHOUETTE_BYTES,
+            _ => PHOTOGRAPH_BYTES,
+        };
+        self.part("photographs", kept * bytes, read * DECODE_NANOS, true)
     }
 
     fn shadows(&self) -> Option<Part> {

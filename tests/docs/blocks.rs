@@ -215,6 +215,8 @@ fn flags(help: &str) -> Vec<String> {
 const COMMANDS: &[&[&str]] = &[
     &["run"],
     &["check"],
+    &["prepare"],
+    &["new"],
     &["eval"],
     &["shade-cases"],
     &["bench"],

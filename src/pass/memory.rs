@@ -1,0 +1,142 @@
+//! The memory that a run may take: known before it begins, and kept by smaller pools or refused.
+
+use crate::error::{Error, Result};
+use crate::pass::progress::Progress;
+use crate::scene::{Pass, Scene};
+use crate::survey::Survey;
+use crate::survey::estimate::{Estimate, estimate, memory};
+use std::borrow::Cow;
+use std::fs::read_to_string;
+
+/// Share of the machine's memory that a run takes if nothing else is said.
+const USUAL_SHARE: f64 = 0.75;
+/// Fewest pixels of a pool: below, fits become poor.
+pub const LEAST_PIXELS: u32 = 200_000;
+
+/// What a run takes where nothing is said: three quarters of the machine's memory, in bytes; `None` if that is unknown.
+pub fn usual_budget() -> Option<u64> {
+    machine_memory().map(|bytes| (bytes as f64 * USUAL_SHARE) as u64)
+}
+
+/// Memory of the machine, or what its container is limited to, in bytes. Only Linux says it.
+pub fn machine_memory() -> Option<u64> {
+    let total = read_to_string("/proc/meminfo").ok().and_then(|text| total_of(&text))?;
+    let limit = read_to_string("/sys/fs/cgroup/memory.max").ok().and_then(|text| text.trim().parse().ok());
+    Some(limit.map_or(total, |limit: u64| limit.min(total)))
+}
+
+/// `MemTotal` of `/proc/meminfo`, in bytes.
+fn total_of(text: &str) -> Option<u64> {
+    let line = text.lines().find_map(|line| line.strip_prefix("MemTotal:"))?;
+    line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok().map(|kib| kib * 1024)
+}
+
+/// Bytes of "8GiB", "500 MB", "1.5g" or a plain number; `Err` says what is expected.
+pub fn parse_bytes(text: &str) -> Result<u64, String> {
+    let text = text.trim().to_ascii_lowercase();
+    let digits = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());
+    let (number, unit) = (text[..digits].trim(), &text[digits..]);
+    let factor: f64 = match unit {
+        "" | "b" => 1.0,
+        "kib" => 1024.0,
+        "mib" | "m" => 1048576.0,
+        "gib" | "g" => 1073741824.0,
+        "tib" | "t" => 1099511627776.0,
+        "kb" => 1e3,
+        "mb" => 1e6,
+        "gb" => 1e9,
+        "tb" => 1e12,
+        _ => 0.0,
+    };
+    let bytes = number.parse::<f64>().unwrap_or(f64::NAN) * factor;
+    if (1e6..1e18).contains(&bytes) {
+        Ok(bytes as u64)
+    } else {
+        Err("give an amount such as 8GiB or 500MiB".to_owned())
+    }
+}
+
+/// The scene as it keeps to a budget of `bytes`: the same if it does, else with smaller pools, which a note tells.
+///
+/// # Errors
+/// [`Error::Usage`] with the memory that would do, if the smallest pools take too much.
+pub fn within<'a>(
+    scene: &'a Scene,
+    survey: &Survey,
+    bytes: Option<u64>,
+    progress: &dyn Progress,
+) -> Result<Cow<'a, Scene>> {
+    let Some(budget) = bytes.map(|bytes| bytes as f64) else { return Ok(Cow::Borrowed(scene)) };
+    let needs = |scene: &Scene| estimate(survey, scene, 1);
+    let full = needs(scene);
+    if full.bytes() <= budget {
+        return Ok(Cow::Borrowed(scene));
+    }
+    let least = with_pools(scene, LEAST_PIXELS);
+    if needs(&least).bytes() > budget {
+        return Err(too_little(&full, &needs(&least), budget));
+    }
+    // The most pixels, to a thousandth, with which the estimate keeps to the budget.
+    let (mut low, mut high) = (LEAST_PIXELS, u32::MAX);
+    while high - low > low / 1000 {
+        let middle = low + (high - low) / 2;
+        if needs(&with_pools(scene, middle)).bytes() <= budget { low = middle } else { high = middle }
+    }
+    progress.note(&format!(
+        "this run would take about {}; to keep to {}, pools have at most {low} pixels (--memory allows more)",
+        memory(full.bytes()),
+        memory(budget)
+    ));
+    Ok(Cow::Owned(with_pools(scene, low)))
+}
+
+fn too_little(full: &Estimate, least: &Estimate, budget: f64) -> Error {
+    let most = least.parts.iter().max_by(|a, b| a.bytes.total_cmp(&b.bytes));
+    let most = most.map_or(String::new(), |part| format!(", most of it for {}", part.what));
+    let problem = format!(
+        "this run takes about {}, and {} with the smallest pools{most}; {} are allowed",
+        memory(full.bytes()),
+        memory(least.bytes()),
+        memory(budget)
+    );
+    let help = format!(
+        "Allow more with `--memory {:.1}GiB`, or make it smaller: `--set views.downscale=2`, a smaller `texture_size`, \
+         fewer `directions` of `visibility`.",
+        (least.bytes() / f64::from(1 << 30)).max(0.1) + 0.05
+    );
+    Error::usage(problem, help)
+}
+
+/// The scene with no pool above this many pixels.
+fn with_pools(scene: &Scene, most: u32) -> Scene {
+    let mut scene = scene.clone();
+    for pass in &mut scene.passes {
+        match pass {
+            Pass::Fit(fit) => fit.max_pixels = fit.max_pixels.min(most),
+            Pass::Shape(shape) => shape.max_pixels = shape.max_pixels.min(most),
+            _ => {}
+        }
+    }
+    scene
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn amounts_are_read_with_any_usual_unit() {
+        let read = |text| parse_bytes(text).unwrap();
+        assert_eq!((read("8GiB"), read("8 g"), read("500MB")), (8 << 30, 8 << 30, 500_000_000));
+        assert_eq!((read("1.5GiB"), read("2000000")), (3 << 29, 2_000_000));
+        for wrong in ["", "8", "GiB", "-1GiB", "8 elephants", "nanGiB", "1e30GiB", "infGiB"] {
+            assert!(parse_bytes(wrong).unwrap_err().contains("8GiB"), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn the_machines_memory_is_read() {
+        assert_eq!(total_of("MemTotal:       24607004 kB\nMemFree: 1 kB\n"), Some(24607004 * 1024));
+        assert_eq!(total_of("nothing"), None);
+    }
+}

@@ -1,0 +1,112 @@
+//! Whether the background stands still while the object turns.
+//!
+//! Cameras are found from what moves together. Before a camera that stands still, as at a turntable, background and object
+//! contradict each other, and only the object says where the camera is. If the camera moves, the background helps.
+
+use crate::error::{Error, Result};
+use crate::pass::check_interrupted;
+use crate::prepare::photographs::Photograph;
+use image::imageops::thumbnail;
+use image::{GrayImage, ImageReader};
+use std::path::Path;
+
+/// Photographs that are compared, spread over all.
+const COMPARED: usize = 10;
+/// Longer side of the small pictures that are compared.
+const SIDE: u32 = 64;
+/// Contrast of a background, in 8-bit steps, below which it says nothing of the camera.
+const PLAIN: f64 = 5.0;
+/// Mean difference of two photographs' backgrounds, as a part of their contrast, up to which they are the same.
+const SAME: f64 = 0.35;
+/// Part of a picture that is compared at least; with less, an object fills the frame.
+const LEAST_BACKGROUND: f64 = 0.05;
+
+/// Whether the background is the same in all photographs, or plain, or not to be seen.
+///
+/// # Errors
+/// [`Error::Input`] if a photograph or a mask cannot be read.
+pub(super) fn stands_still(photographs: &[Photograph], images: &Path, masks: &Path) -> Result<bool> {
+    if photographs.iter().any(|photograph| photograph.size != photographs[0].size) {
+        return Ok(false);
+    }
+    let mut pictures = Vec::new();
+    for photograph in photographs.iter().step_by(photographs.len().div_ceil(COMPARED)) {
+        check_interrupted()?;
+        let picture = small(&images.join(&photograph.name))?;
+        let mask = small(&masks.join(format!("{}.png", photograph.name)))?;
+        pictures.push((picture, mask));
+    }
+    let (mut difference, mut values, mut compared) = (0.0, Vec::new(), 0);
+    for (k, (picture, mask)) in pictures.iter().enumerate() {
+        let (other, other_mask) = &pictures[(k + 1) % pictures.len()];
+        for i in 0..picture.as_raw().len() {
+            if mask.as_raw()[i] == 0 && other_mask.as_raw()[i] == 0 {
+                let [a, b] = [picture, other].map(|picture| f64::from(picture.as_raw()[i]));
+                difference += (a - b).abs();
+                values.push(a);
+                compared += 1;
+            }
+        }
+    }
+    let pixels: usize = pictures.iter().map(|(picture, _)| picture.as_raw().len()).sum();
+    if (compared as f64) < LEAST_BACKGROUND * pixels as f64 {
+        return Ok(true);
+    }
+    let contrast = deviation(&values);
+    Ok(contrast < PLAIN || difference / (compared as f64) < SAME * contrast)
+}
+
+fn deviation(values: &[f64]) -> f64 {
+    let mean = values.iter().sum::<f64>() / values.len() as f64;
+    (values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / values.len() as f64).sqrt()
+}
+
+/// A picture in gray, a few pixels wide.
+fn small(path: &Path) -> Result<GrayImage> {
+    let damaged = |error: image::ImageError| {
+        Error::input(path, "", format!("the picture cannot be read: {error}"), "Copy it again, or remove it.")
+    };
+    let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format);
+    let picture = reader.map_err(Error::io("read", path))?.decode().map_err(damaged)?.into_luma8();
+    let (width, height) = picture.dimensions();
+    let shrink = (f64::from(width.max(height)) / f64::from(SIDE)).max(1.0);
+    let [width, height] = [width, height].map(|side| ((f64::from(side) / shrink) as u32).max(1));
+    Ok(thumbnail(&picture, width, height))
+}
+
+#[cfg(all(test, unix))]
+mod tests {
+    use super::*;
+    use crate::prepare::photographs::{list, place};
+    use image::{Luma, Rgb, RgbImage};
+    use std::fs;
+
+    /// Photographs whose background is `shade` at a place and a number, behind a square that changes.
+    fn judged(shade: impl Fn(u32, u32, u32) -> u8) -> bool {
+        let folder = tempfile::tempdir().unwrap();
+        let [photos, images, masks] = ["photos", "images", "masks"].map(|name| folder.path().join(name));
+        fs::create_dir(&photos).unwrap();
+        fs::create_dir(&masks).unwrap();
+        let inside = |x: u32, y: u32| (30..60).contains(&x) && (20..50).contains(&y);
+        for i in 0..6 {
+            let value = |x, y| if inside(x, y) { (40 * i) as u8 } else { shade(x, y, i) };
+            RgbImage::from_fn(96, 64, |x, y| Rgb([value(x, y); 3]))
+                .save(photos.join(format!("{i}.png")))
+                .unwrap();
+            let mask = GrayImage::from_fn(96, 64, |x, y| Luma([if inside(x, y) { 255 } else { 0 }]));
+            mask.save(masks.join(format!("{i}.png.png"))).unwrap();
+        }
+        let photographs = list(&photos).unwrap().photographs;
+        place(&photographs, &images).unwrap();
+        stands_still(&photographs, &images, &masks).unwrap()
+    }
+
+    #[test]
+    fn a_background_that_stays_is_told_from_one_that_moves() {
+        let pattern =
+            |x: u32, y: u32| (128.0 + 90.0 * (0.13 * x as f32).sin() * (0.17 * y as f32).cos()) as u8;
+        assert!(judged(|x, y, i| pattern(x, y).saturating_add(i as u8)));
+        assert!(!judged(|x, y, i| pattern(x + 17 * i, y + 5 * i)));
+        assert!(judged(|_, _, i| 200 + i as u8), "plain paper says nothing");
+    }
+}

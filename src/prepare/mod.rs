@@ -1,0 +1,175 @@
+//! From photographs, or a video, to a data set: cameras by COLMAP, masks, and a scene file to begin with.
+//!
+//! | module | holds |
+//! | --- | --- |
+//! | `photographs` | the photographs of a folder, by their headers |
+//! | `video` | frames of a video, by `ffmpeg` |
+//! | `masks`, `backdrop`, `regions` | masks from alpha, a folder, a command, or the color of a plain backdrop |
+//! | `background` | whether the background stands still while the object turns |
+//! | `colmap`, `model` | COLMAP's arguments and progress, and what its models hold |
+//! | `options` | what is prepared and how, and what came of it |
+//! | `reconstruct` | the steps that run it |
+//! | `program` | running another program |
+//! | `work` | the output folder: steps that are done once, results that get their names at the end |
+//! | [`scene_file`] | a commented scene file for a data set |
+//!
+//! | option | type | unit | default | meaning |
+//! | --- | --- | --- | --- | --- |
+//! | `photographs` | `PathBuf` | | | a folder of JPEG and PNG files, or a video |
+//! | `out` | `PathBuf` | | | the data set; new, empty, or begun before |
+//! | `masks` | [`MaskSource`] | | alpha | where masks come from |
+//! | `features` | [`FeatureArea`] | | `Auto` | whether the background shows where cameras are |
+//! | `matching` | [`Matching`] | | `Auto` | which pairs of photographs are matched |
+//! | `cameras` | [`CameraSharing`] | | `Shared` | which photographs share focal length and distortion |
+//! | `lens` | [`LensModel`] | | `SimpleRadial` | the distortion that is estimated |
+//! | `keep_distortion` | `bool` | | `false` | photographs are copied as they are, with cameras that have distortion |
+//! | `frames_per_second` | `f32` | 1/s | 2 | frames of a video that are used |
+//! | `gpu` | `bool` | | `false` | COLMAP uses the graphics card |
+//! | `colmap`, `ffmpeg` | `PathBuf` | | names on the PATH | the programs |
+
+mod backdrop;
+mod background;
+mod colmap;
+mod masks;
+mod model;
+mod options;
+mod photographs;
+mod program;
+mod reconstruct;
+mod regions;
+pub mod scene_file;
+#[cfg(test)]
+mod test_data;
+#[cfg(all(test, unix))]
+mod tests;
+mod video;
+mod work;
+
+pub use colmap::{CameraSharing, LensModel};
+pub use masks::MaskSource;
+pub use options::{FeatureArea, Matching, PrepareOptions, Prepared};
+
+use crate::codec::file::write_bytes;
+use crate::error::{Error, Result};
+use crate::pass::progress::Progress;
+use crate::prepare::colmap::Colmap;
+use crate::prepare::photographs::{Listing, Photograph};
+use crate::prepare::program::Program;
+use crate::prepare::reconstruct::Reconstruction;
+use crate::prepare::work::Work;
+use std::path::Path;
+
+/// Names of what a prepared data set consists of.
+const FINISHED: [&str; 4] = ["images", "masks", "sparse", "scene.ron"];
+
+/// Makes a data set in COLMAP's layout: `images`, `masks`, `sparse/0` and `scene.ron` in `options.out`.
+///
+/// The work lies in `.work` there until all of it is done; a run that was stopped goes on where it was. Programs write into `logs`.
+///
+/// # Errors
+/// [`Error::Usage`] if an option is out of range, the output folder has other files, or a program is missing; [`Error::Input`] if photographs or
+/// masks cannot be used, or no cameras are found; [`Error::Run`] with the last lines of a program that fails;
+/// [`Error::Interrupted`] after Ctrl-C.
+pub fn prepare(options: &PrepareOptions, progress: &dyn Progress) -> Result<Prepared> {
+    options.masks.check()?;
+    if !(options.frames_per_second > 0.0 && options.frames_per_second <= 60.0) {
+        let problem = format!("{} frames per second", options.frames_per_second);
+        return Err(Error::usage(problem, "Give a number above 0, at most 60."));
+    }
+    let colmap = Colmap::find(options.colmap.clone(), options.gpu)?;
+    let is_video = video::is_video(&options.photographs);
+    // A bad folder is refused before the output folder is made.
+    let given = if is_video { None } else { Some(photographs::list(&options.photographs)?) };
+    let mut work = Work::claim(&options.out, &FINISHED)?;
+    let Listing { photographs, notes } = match given {
+        Some(listing) => listing,
+        None => frames(options, &mut work, progress)?,
+    };
+    notes.iter().for_each(|note| progress.note(note));
+    work.step("photographs", &format!("{photographs:?}"), |work| {
+        photographs::place(&photographs, &work.emptied("photographs")?)
+    })?;
+    let has_masks = masks(options, &photographs, &mut work, progress)?;
+    let on_object = has_masks && on_object(options.features, &photographs, &work, progress)?;
+    let photographs = photographs.as_slice();
+    let steps = Reconstruction { options, colmap, photographs, is_video, has_masks, on_object, progress };
+    let prepared = steps.run(&mut work)?;
+    publish(&options.out, work, prepared)
+}
+
+/// The frames of a video, as a folder of photographs.
+fn frames(options: &PrepareOptions, work: &mut Work, progress: &dyn Progress) -> Result<Listing> {
+    let video = &options.photographs;
+    let metadata = video.metadata().map_err(Error::io("read", video))?;
+    let settings = format!("{video:?} {} bytes, {} per second", metadata.len(), options.frames_per_second);
+    work.step("video", &settings, |work| {
+        let ffmpeg = Program { path: options.ffmpeg.clone(), install: video::INSTALL };
+        let frames = work.emptied("frames")?;
+        video::extract(&ffmpeg, video, options.frames_per_second, &frames, &work.log("video"), progress)
+    })?;
+    photographs::list(&work.path("frames"))
+}
+
+/// Makes the masks, if there are to be any.
+fn masks(
+    options: &PrepareOptions,
+    photographs: &[Photograph],
+    work: &mut Work,
+    progress: &dyn Progress,
+) -> Result<bool> {
+    let has_masks = options.masks.gives_masks(photographs);
+    if !has_masks && photographs.iter().any(|photograph| photograph.has_alpha) {
+        progress.note("some photographs have alpha and some have none: no alpha is taken as mask");
+    }
+    work.step("masks", &format!("{has_masks} {:?}", options.masks), |work| {
+        let folder = work.emptied("masks")?;
+        let (images, log) = (work.path("photographs"), work.log("masks"));
+        if has_masks {
+            masks::write_masks(&options.masks, photographs, &images, &folder, &log, progress)
+        } else {
+            Ok(())
+        }
+    })?;
+    Ok(has_masks)
+}
+
+/// Whether features are taken from the object alone.
+fn on_object(
+    area: FeatureArea,
+    photographs: &[Photograph],
+    work: &Work,
+    progress: &dyn Progress,
+) -> Result<bool> {
+    let (images, masks) = (work.path("photographs"), work.path("masks"));
+    let on_object = match area {
+        FeatureArea::Object => true,
+        FeatureArea::All => false,
+        FeatureArea::Auto => background::stands_still(photographs, &images, &masks)?,
+    };
+    if area == FeatureArea::Auto {
+        progress.note(if on_object {
+            "the background is plain or the same in all photographs, as on a turntable: cameras are found by the object alone"
+        } else {
+            "the background moves with the object: cameras are found by both"
+        });
+    }
+    Ok(on_object)
+}
+
+/// Gives the results their names and writes the scene file.
+fn publish(out: &Path, work: Work, mut prepared: Prepared) -> Result<Prepared> {
+    let made = work.path("data");
+    if prepared.has_masks {
+        work.publish(&made.join("masks"), "masks")?;
+    }
+    work.publish(&made.join("images"), "images")?;
+    work.publish(&made.join("sparse"), "sparse/0")?;
+    if prepared.has_masks {
+        let scene = out.join("scene.ron");
+        let text = scene_file::scene_for(out, &scene)?;
+        write_bytes(&scene, text.as_bytes())?;
+        prepared.scene = Some(scene);
+    }
+    work.finish()?;
+    Ok(prepared)
+}

@@ -1,0 +1,115 @@
+//! What is prepared and how, and what came of it.
+
+use crate::prepare::colmap::{CameraSharing, LensModel};
+use crate::prepare::masks::MaskSource;
+use std::fmt;
+use std::path::PathBuf;
+
+/// Names in a message before "and so many more".
+const NAMED: usize = 10;
+
+/// Which pairs of photographs are matched.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Matching {
+    /// All pairs, or neighbors only for videos and very many photographs.
+    #[default]
+    Auto,
+    /// All pairs.
+    Exhaustive,
+    /// Each with those next to it by name.
+    Sequential,
+}
+
+/// What of a photograph with a mask shows where its camera is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum FeatureArea {
+    /// The object alone if the background is the same in all photographs, as on a turntable, or plain; else everything.
+    #[default]
+    Auto,
+    /// The object alone.
+    Object,
+    /// Everything.
+    All,
+}
+
+/// What is prepared, and how; see the table of [`prepare`](crate::prepare).
+#[derive(Clone, Debug, PartialEq)]
+pub struct PrepareOptions {
+    /// A folder of JPEG and PNG photographs, or a video.
+    pub photographs: PathBuf,
+    /// The folder of the data set.
+    pub out: PathBuf,
+    /// Where masks come from.
+    pub masks: MaskSource,
+    /// What of a photograph with a mask shows where its camera is.
+    pub features: FeatureArea,
+    /// Which pairs of photographs are matched.
+    pub matching: Matching,
+    /// Which photographs share focal length and distortion.
+    pub cameras: CameraSharing,
+    /// The distortion that is estimated.
+    pub lens: LensModel,
+    /// Copy photographs as they are, with cameras that have distortion, instead of removing it.
+    pub keep_distortion: bool,
+    /// Frames of a video that are used, per second, above 0 and at most 60.
+    pub frames_per_second: f32,
+    /// Whether COLMAP uses the graphics card.
+    pub gpu: bool,
+    /// COLMAP's program.
+    pub colmap: PathBuf,
+    /// ffmpeg's program.
+    pub ffmpeg: PathBuf,
+}
+
+impl PrepareOptions {
+    /// The defaults for these photographs.
+    pub fn new(photographs: impl Into<PathBuf>, out: impl Into<PathBuf>) -> Self {
+        Self {
+            photographs: photographs.into(),
+            out: out.into(),
+            masks: MaskSource::default(),
+            features: FeatureArea::default(),
+            matching: Matching::default(),
+            cameras: CameraSharing::default(),
+            lens: LensModel::default(),
+            keep_distortion: false,
+            frames_per_second: 2.0,
+            gpu: false,
+            colmap: "colmap".into(),
+            ffmpeg: "ffmpeg".into(),
+        }
+    }
+}
+
+/// What was prepared.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Prepared {
+    /// How many photographs there were.
+    pub photographs: usize,
+    /// The names of those whose camera was not found.
+    pub left_out: Vec<String>,
+    /// Mean distance in pixels between a point and its feature, if there are points.
+    pub reprojection_error: Option<f64>,
+    /// Whether there are masks.
+    pub has_masks: bool,
+    /// The scene file, if one could be written.
+    pub scene: Option<PathBuf>,
+}
+
+impl fmt::Display for Prepared {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let registered = self.photographs - self.left_out.len();
+        write!(f, "registered {registered} of {}", self.photographs)?;
+        if let Some(error) = self.reprojection_error {
+            write!(f, ", reprojection error {error:.2} px")?;
+        }
+        if self.left_out.is_empty() { Ok(()) } else { write!(f, "; left out: {}", names(&self.left_out)) }
+    }
+}
+
+/// The first names of a list.
+fn names(all: &[String]) -> String {
+    let more = all.len().saturating_sub(NAMED);
+    let more = if more > 0 { format!(" and {more} more") } else { String::new() };
+    format!("{}{more}", all[..all.len().min(NAMED)].join(", "))
+}

@@ -1,0 +1,366 @@
+//! The photographs of a folder: which files, what their headers say, and copies of them that no program turns.
+//!
+//! COLMAP takes pixels as they are stored and ignores EXIF's orientation. So that every other program does the same, a photograph
+//! that EXIF turns is copied with that entry reset; its pixels stay as they are.
+
+use crate::codec::nearby::natural_order;
+use crate::error::{Error, Result};
+use image::metadata::Orientation;
+use image::{ImageDecoder, ImageFormat, ImageReader};
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::io::{BufReader, Cursor};
+use std::path::{Path, PathBuf};
+
+/// Fewest photographs that cameras can be found for.
+const FEWEST: usize = 3;
+/// Formats of photographs that COLMAP cannot read, by extension.
+const UNREADABLE: [&str; 14] =
+    ["heic", "heif", "avif", "webp", "dng", "cr2", "cr3", "nef", "arw", "raf", "orf", "rw2", "exr", "hdr"];
+
+/// A photograph, by its header.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Photograph {
+    /// The file that was given.
+    pub source: PathBuf,
+    /// Its path below the folder of photographs in the data set.
+    pub name: String,
+    /// Width and height as stored.
+    pub size: [u32; 2],
+    /// How EXIF says that the stored pixels are to be turned.
+    pub orientation: Orientation,
+    /// Whether it has an alpha channel.
+    pub has_alpha: bool,
+    /// Whether it has 16 bits per channel.
+    pub is_deep: bool,
+    /// Focal length of EXIF in hundredths of a millimeter.
+    focal: Option<u32>,
+}
+
+/// Photographs of a folder, with notes for the user.
+pub(super) struct Listing {
+    /// In natural order of their names.
+    pub photographs: Vec<Photograph>,
+    pub notes: Vec<String>,
+}
+
+/// Lists the photographs of a folder: its JPEG and PNG files. Where their sizes or focal lengths differ, `name` has a folder for each.
+///
+/// # Errors
+/// [`Error::Input`] if the folder is missing, has fewer than three photographs, or one of them is damaged or not what its name says;
+/// or if two have the same name but for the extension.
+pub(super) fn list(folder: &Path) -> Result<Listing> {
+    if !folder.is_dir() {
+        let what = if folder.exists() { "this is a file, not a folder" } else { "there is no such folder" };
+        let help = "Give a folder of JPEG or PNG photographs, or a video file.";
+        return Err(Error::input(folder, "", what, help));
+    }
+    let (mut files, mut others) = (Vec::new(), BTreeMap::<String, usize>::new());
+    for entry in fs::read_dir(folder).map_err(Error::io("read", folder))? {
+        let path = entry.map_err(Error::io("read", folder))?.path();
+        let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+        if path.is_file() && ["jpg", "jpeg", "png"].contains(&extension.as_str()) {
+            files.push(path);
+        } else if path.is_file() && UNREADABLE.contains(&extension.as_str()) {
+            *others.entry(extension).or_default() += 1;
+        }
+    }
+    if files.len() < FEWEST {
+        return Err(too_few(folder, files.len(), &others));
+    }
+    files.sort_by(|a, b| natural_order(&a.to_string_lossy(), &b.to_string_lossy()));
+    let mut photographs = files.iter().map(|path| header(path)).collect::<Result<Vec<_>>>()?;
+    refuse_same_stems(&photographs)?;
+    sort_into_folders(&mut photographs);
+    let notes = others
+        .iter()
+        .map(|(extension, count)| {
+            format!("{count} .{extension} files are left out: only JPEG and PNG photographs are used")
+        })
+        .collect();
+    Ok(Listing { photographs, notes })
+}
+
+fn too_few(folder: &Path, found: usize, others: &BTreeMap<String, usize>) -> Error {
+    let problem = match found {
+        0 => "there are no JPEG or PNG photographs in this folder".to_owned(),
+        n => format!("{n} JPEG or PNG photographs are in this folder, and cameras need at least {FEWEST}"),
+    };
+    let help = match others.iter().max_by_key(|(_, count)| **count) {
+        Some((extension, count)) => format!(
+            "It has {count} .{extension} files: develop or convert them to JPEG or 16-bit PNG, all with the same settings."
+        ),
+        None => "Give the folder that has them directly in it: folders inside are not searched.".to_owned(),
+    };
+    Error::input(folder, "", problem, help)
+}
+
+fn refuse_same_stems(photographs: &[Photograph]) -> Result<()> {
+    let mut stems = BTreeSet::new();
+    let twice = photographs.iter().find(|photograph| !stems.insert(photograph.source.with_extension("")));
+    twice.map_or(Ok(()), |photograph| {
+        let problem = "another photograph has the same name with another extension";
+        Err(Error::input(&photograph.source, "", problem, "Rename one of them, or remove it."))
+    })
+}
+
+/// COLMAP's cameras per folder are one of each group of equal size and focal length.
+fn sort_into_folders(photographs: &mut [Photograph]) {
+    let group = |photograph: &Photograph| (photograph.size, photograph.focal);
+    let groups: BTreeSet<_> = photographs.iter().map(group).collect();
+    if groups.len() < 2 {
+        return;
+    }
+    for photograph in photographs {
+        let [width, height] = photograph.size;
+        let focal = photograph.focal.map_or_else(String::new, |f| format!("_{}mm", f64::from(f) / 100.0));
+        photograph.name = format!("{width}x{height}{focal}/{}", photograph.name);
+    }
+}
+
+/// How many folders the photographs' names have.
+pub(super) fn folders(photographs: &[Photograph]) -> usize {
+    let folder = |photograph: &Photograph| Path::new(&photograph.name).parent().map(Path::to_owned);
+    photographs.iter().map(folder).collect::<BTreeSet<_>>().len()
+}
+
+fn header(path: &Path) -> Result<Photograph> {
+    let damaged = |error: image::ImageError| {
+        let problem = format!("the photograph cannot be read: {error}");
+        Error::input(path, "", problem, "Copy it again, or remove it.")
+    };
+    let file = fs::File::open(path).map_err(Error::io("read", path))?;
+    let reader = ImageReader::new(BufReader::new(file));
+    let reader = reader.with_guessed_format().map_err(Error::io("read", path))?;
+    let format = reader.format();
+    if format != ImageFormat::from_path(path).ok() {
+        let what = match format {
+            Some(ImageFormat::Jpeg) => "it holds a JPEG".to_owned(),
+            Some(ImageFormat::Png) => "it holds a PNG".to_owned(),
+            _ => "it holds neither JPEG nor PNG".to_owned(),
+        };
+        let problem = format!("the file is not what its name says: {what}");
+        return Err(Error::input(path, "", problem, "Rename or convert it."));
+    }
+    let mut decoder = reader.into_decoder().map_err(damaged)?;
+    let (width, height) = decoder.dimensions();
+    let chunk = decoder.exif_metadata().ok().flatten().unwrap_or_default();
+    let Some(name) = path.file_name().and_then(|name| name.to_str()) else {
+        return Err(Error::input(path, "", "the name of the file is not UTF-8", "Rename it."));
+    };
+    let color = decoder.color_type();
+    Ok(Photograph {
+        source: path.to_owned(),
+        name: name.to_owned(),
+        size: [width, height],
+        orientation: Orientation::from_exif_chunk(&chunk).unwrap_or(Orientation::NoTransforms),
+        has_alpha: color.has_alpha(),
+        is_deep: color.bytes_per_pixel() > color.channel_count(),
+        focal: focal_length(chunk),
+    })
+}
+
+/// The focal length of an EXIF block in hundredths of a millimeter.
+fn focal_length(chunk: Vec<u8>) -> Option<u32> {
+    let block = exif::Reader::new().read_raw(chunk).ok()?;
+    let field = block.get_field(exif::Tag::FocalLength, exif::In::PRIMARY)?;
+    let exif::Value::Rational(values) = &field.value else { return None };
+    let hundredths = (100.0 * values.first()?.to_f64()).round();
+    (hundredths > 0.0 && hundredths < 1e9).then_some(hundredths as u32)
+}
+
+/// Puts the photographs under their names into `folder`, as links where that is possible.
+///
+/// # Errors
+/// [`Error::Io`] if one cannot be copied, [`Error::Input`] if one that EXIF turns is damaged.
+pub(super) fn place(photographs: &[Photograph], folder: &Path) -> Result<()> {
+    for photograph in photographs {
+        let to = folder.join(&photograph.name);
+        let parent = to.parent().unwrap_or(folder);
+        fs::create_dir_all(parent).map_err(Error::io("create folder", parent))?;
+        if photograph.orientation == Orientation::NoTransforms {
+            link(&photograph.source, &to)?;
+        } else {
+            fs::write(&to, unturned(&photograph.source)?).map_err(Error::io("write", &to))?;
+        }
+    }
+    Ok(())
+}
+
+#[cfg(unix)]
+fn link(from: &Path, to: &Path) -> Result<()> {
+    let whole = from.canonicalize().map_err(Error::io("read", from))?;
+    std::os::unix::fs::symlink(whole, to).map_err(Error::io("create", to))
+}
+
+#[cfg(not(unix))]
+fn link(from: &Path, to: &Path) -> Result<()> {
+    fs::copy(from, to).map(|_| ()).map_err(Error::io("copy", from))
+}
+
+/// A photograph's bytes with EXIF's orientation reset: of a JPEG two bytes change, a PNG is written again without EXIF.
+fn unturned(path: &Path) -> Result<Vec<u8>> {
+    let damaged = |error: image::ImageError| {
+        Error::input(
+            path,
+            "",
+            format!("the photograph cannot be read: {error}"),
+            "Copy it again, or remove it.",
+        )
+    };
+    let mut bytes = fs::read(path).map_err(Error::io("read", path))?;
+    if bytes.starts_with(&[0xff, 0xd8]) {
+        reset_orientation(&mut bytes).map_err(damaged)?;
+        return Ok(bytes);
+    }
+    let mut written = Cursor::new(Vec::new());
+    let pixels = image::load_from_memory(&bytes).map_err(damaged)?;
+    pixels.write_to(&mut written, ImageFormat::Png).map_err(damaged)?;
+    Ok(written.into_inner())
+}
+
+fn reset_orientation(jpeg: &mut [u8]) -> image::ImageResult<()> {
+    let chunk =
+        ImageReader::with_format(Cursor::new(&*jpeg), ImageFormat::Jpeg).into_decoder()?.exif_metadata()?;
+    let Some(chunk) = chunk.filter(|chunk| !chunk.is_empty()) else { return Ok(()) };
+    let mut reset = chunk.clone();
+    let turned = Orientation::remove_from_exif_chunk(&mut reset).is_some();
+    let at = jpeg.windows(chunk.len()).position(|window| window == chunk);
+    if let Some(at) = at.filter(|_| turned) {
+        jpeg[at..at + reset.len()].copy_from_slice(&reset);
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::codecs::jpeg::JpegEncoder;
+    use image::{ImageEncoder, RgbImage, Rgba, RgbaImage};
+
+    /// A little-endian EXIF block with an orientation and a focal length in millimeters.
+    fn exif_block(orientation: u16, focal: u32) -> Vec<u8> {
+        let entry = |tag: u16, kind: u16, value: u32| {
+            [&tag.to_le_bytes()[..], &kind.to_le_bytes(), &1u32.to_le_bytes(), &value.to_le_bytes()].concat()
+        };
+        let mut block = b"II*\0\x08\0\0\0".to_vec();
+        block.extend(2u16.to_le_bytes());
+        block.extend(entry(0x0112, 3, u32::from(orientation)));
+        // The EXIF directory follows the four bytes that say that there is no other.
+        block.extend(entry(0x8769, 4, 38));
+        block.extend(0u32.to_le_bytes());
+        block.extend(1u16.to_le_bytes());
+        block.extend(entry(0x920a, 5, 56));
+        block.extend(0u32.to_le_bytes());
+        block.extend([focal, 1].map(u32::to_le_bytes).concat());
+        block
+    }
+
+    fn jpeg(path: &Path, size: [u32; 2], block: Option<Vec<u8>>) {
+        let picture = RgbImage::from_fn(size[0], size[1], |x, y| image::Rgb([x as u8 * 9, y as u8 * 9, 40]));
+        let mut bytes = Vec::new();
+        let mut encoder = JpegEncoder::new_with_quality(&mut bytes, 95);
+        if let Some(block) = block {
+            encoder.set_exif_metadata(block).unwrap();
+        }
+        encoder.write_image(&picture, size[0], size[1], image::ExtendedColorType::Rgb8).unwrap();
+        fs::write(path, bytes).unwrap();
+    }
+
+    fn names(listing: &Listing) -> Vec<&str> {
+        listing.photographs.iter().map(|photograph| photograph.name.as_str()).collect()
+    }
+
+    #[test]
+    fn photographs_are_listed_in_order_with_what_is_left_out() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["a10.jpg", "a9.jpg", "a1.JPG"] {
+            jpeg(&folder.path().join(name), [8, 6], None);
+        }
+        for other in ["a1.nef", "a2.NEF", "notes.txt"] {
+            fs::write(folder.path().join(other), "x").unwrap();
+        }
+        let listing = list(folder.path()).unwrap();
+        assert_eq!(names(&listing), ["a1.JPG", "a9.jpg", "a10.jpg"]);
+        assert_eq!(listing.notes, ["2 .nef files are left out: only JPEG and PNG photographs are used"]);
+        assert_eq!(folders(&listing.photographs), 1);
+        assert_eq!(listing.photographs[0].size, [8, 6]);
+    }
+
+    #[test]
+    fn sizes_and_focal_lengths_have_folders() {
+        let folder = tempfile::tempdir().unwrap();
+        jpeg(&folder.path().join("a.jpg"), [8, 6], Some(exif_block(1, 35)));
+        jpeg(&folder.path().join("b.jpg"), [8, 6], Some(exif_block(1, 50)));
+        jpeg(&folder.path().join("c.jpg"), [6, 8], None);
+        jpeg(&folder.path().join("d.jpg"), [8, 6], Some(exif_block(1, 35)));
+        let listing = list(folder.path()).unwrap();
+        assert_eq!(names(&listing), ["8x6_35mm/a.jpg", "8x6_50mm/b.jpg", "6x8/c.jpg", "8x6_35mm/d.jpg"]);
+        assert_eq!(folders(&listing.photographs), 3);
+    }
+
+    #[test]
+    fn a_turned_photograph_keeps_its_pixels_and_loses_its_turn() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["a.jpg", "b.jpg", "c.jpg"] {
+            jpeg(
+                &folder.path().join(name),
+                [8, 6],
+                Some(exif_block(if name == "b.jpg" { 6 } else { 1 }, 35)),
+            );
+        }
+        let listing = list(folder.path()).unwrap();
+        assert_eq!(listing.photographs[1].orientation, Orientation::Rotate90);
+        assert_eq!(listing.photographs[1].size, [8, 6]);
+        assert_eq!(folders(&listing.photographs), 1, "they are of one camera");
+        let out = folder.path().join("out");
+        place(&listing.photographs, &out).unwrap();
+        let placed = list(&out).unwrap();
+        assert!(placed.photographs.iter().all(|p| p.orientation == Orientation::NoTransforms));
+        assert_eq!(placed.photographs[1].focal, Some(3500), "the rest of EXIF stays");
+        let pixels = |path: &Path| image::open(path).unwrap().into_rgb8();
+        assert_eq!(pixels(&out.join("b.jpg")), pixels(&folder.path().join("b.jpg")));
+        assert_eq!(fs::read(out.join("a.jpg")).unwrap(), fs::read(folder.path().join("a.jpg")).unwrap());
+    }
+
+    #[test]
+    fn what_png_holds_is_noticed() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["a.png", "b.png"] {
+            RgbaImage::from_pixel(4, 4, Rgba([1, 2, 3, 4])).save(folder.path().join(name)).unwrap();
+        }
+        let deep = image::ImageBuffer::from_pixel(4, 4, image::Rgb([1u16, 2, 3]));
+        image::DynamicImage::ImageRgb16(deep).save(folder.path().join("c.png")).unwrap();
+        let listing = list(folder.path()).unwrap();
+        let found: Vec<_> = listing.photographs.iter().map(|p| (p.has_alpha, p.is_deep)).collect();
+        assert_eq!(found, [(true, false), (true, false), (false, true)]);
+    }
+
+    #[test]
+    fn unusable_folders_are_refused_with_the_reason() {
+        let folder = tempfile::tempdir().unwrap();
+        let refused = |path: &Path| {
+            let error = list(path).err().unwrap();
+            assert_eq!(error.exit_code(), 2);
+            format!("{error} {}", error.help().unwrap_or_default())
+        };
+        assert!(refused(&folder.path().join("none")).contains("no such folder"));
+        assert!(refused(folder.path()).contains("no JPEG or PNG photographs"));
+        fs::write(folder.path().join("a.heic"), "x").unwrap();
+        assert!(refused(folder.path()).contains("1 .heic files: develop or convert"));
+        jpeg(&folder.path().join("a.jpg"), [8, 6], None);
+        jpeg(&folder.path().join("b.jpg"), [8, 6], None);
+        assert!(refused(folder.path()).contains("2 JPEG or PNG photographs"));
+        assert!(refused(&folder.path().join("a.jpg")).contains("a file, not a folder"));
+        fs::copy(folder.path().join("a.jpg"), folder.path().join("c.png")).unwrap();
+        assert!(refused(folder.path()).contains("it holds a JPEG"));
+        fs::write(folder.path().join("c.png"), "no picture").unwrap();
+        assert!(refused(folder.path()).contains("neither JPEG nor PNG"));
+        fs::remove_file(folder.path().join("c.png")).unwrap();
+        fs::write(folder.path().join("c.jpg"), [0xff, 0xd8, 0xff, 0xe0, 0, 4]).unwrap();
+        assert!(refused(folder.path()).contains("cannot be read"));
+        jpeg(&folder.path().join("c.jpg"), [8, 6], None);
+        RgbImage::new(8, 6).save(folder.path().join("b.png")).unwrap();
+        assert!(refused(folder.path()).contains("same name with another extension"));
+    }
+}

@@ -1,0 +1,260 @@
+//! The steps that run COLMAP: features, matching, mapping, undistortion.
+
+use crate::codec::png_file::write_gray8;
+use crate::dataset::colmap::registered_names;
+use crate::error::{Error, Result};
+use crate::pass::check_interrupted;
+use crate::pass::progress::Progress;
+use crate::prepare::colmap::{CameraSharing, Cameras, Colmap, Pairs, steps_done};
+use crate::prepare::model::{mean_reprojection_error, models};
+use crate::prepare::options::{Matching, PrepareOptions, Prepared};
+use crate::prepare::photographs::{Photograph, folders};
+use crate::prepare::work::Work;
+use image::codecs::jpeg::JpegEncoder;
+use image::{GrayImage, ImageError};
+use std::collections::BTreeSet;
+use std::ffi::OsString;
+use std::fs;
+use std::io::BufWriter;
+use std::path::Path;
+
+/// Photographs and frames of a video up to which all pairs are matched.
+const MOST_EXHAUSTIVE: [usize; 2] = [500, 100];
+/// Fewest photographs with cameras that are a data set.
+const FEWEST_REGISTERED: usize = 3;
+/// Fewest photographs of one camera that determine the center of its image.
+const FEWEST_FOR_CENTER: usize = 20;
+/// Grays of a resampled mask this near to black and white are these: the noise of its compression.
+const MASK_NOISE: u8 = 8;
+
+/// What to do if cameras are not found.
+const NO_CAMERAS_HELP: &str = "Neighboring photographs must overlap by 60 % and more and be sharp, and the object needs texture. On a \
+                               turntable, mask the background; before a plain object, mask nothing.";
+
+/// Photographs whose cameras are to be found.
+pub(super) struct Reconstruction<'a> {
+    pub options: &'a PrepareOptions,
+    pub colmap: Colmap,
+    pub photographs: &'a [Photograph],
+    pub is_video: bool,
+    pub has_masks: bool,
+    /// Whether features are taken from the object alone.
+    pub on_object: bool,
+    pub progress: &'a dyn Progress,
+}
+
+impl Reconstruction<'_> {
+    /// Does all steps. What they make lies in `data` of `work`, as `images`, `masks` and `sparse`.
+    ///
+    /// # Errors
+    /// Those of [`prepare`](crate::prepare::prepare).
+    pub fn run(&self, work: &mut Work) -> Result<Prepared> {
+        let (lens, cameras, pairs) = (self.options.lens, self.cameras(), self.pairs());
+        work.step("features", &format!("{lens:?} {cameras:?} {}", self.on_object), |work| {
+            self.extract(work, cameras)
+        })?;
+        work.step("matching", &format!("{pairs:?}"), |work| {
+            self.colmap_step(work, "matching", 100, &self.colmap.matching(&work.path("database.db"), pairs))
+        })?;
+        work.step("mapping", "", |work| self.map(work))?;
+        let found = models(&work.path("models"))?;
+        let largest = found.first().ok_or_else(|| self.no_cameras("COLMAP made no model"))?;
+        if found.len() > 1 {
+            let sizes: Vec<String> = found.iter().map(|model| model.images.to_string()).collect();
+            self.progress.note(&format!(
+                "COLMAP could not join all photographs: it made {} models, of {} photographs; the largest is used",
+                found.len(),
+                sizes.join(", ")
+            ));
+        }
+        let names: BTreeSet<String> = registered_names(&largest.folder)?.into_iter().collect();
+        if names.len() < FEWEST_REGISTERED {
+            return Err(
+                self.no_cameras(&format!("COLMAP found the cameras of {} photographs only", names.len()))
+            );
+        }
+        let refines = self.refines_center(names.len());
+        let model = if refines { work.path("refined") } else { largest.folder.clone() };
+        work.step("refinement", &format!("{refines} {}", largest.folder.display()), |work| {
+            let output = work.emptied("refined")?;
+            let words = self.colmap.refinement(&largest.folder, &output);
+            if refines { self.colmap_step(work, "refinement", 1, &words) } else { Ok(()) }
+        })?;
+        let error = mean_reprojection_error(&model)?;
+        let settings = self.options.keep_distortion.to_string();
+        work.step("undistortion", &settings, |work| self.finish(work, &model, &names))?;
+        let left_out = self.photographs.iter().map(|photograph| photograph.name.clone());
+        Ok(Prepared {
+            photographs: self.photographs.len(),
+            left_out: left_out.filter(|name| !names.contains(name)).collect(),
+            reprojection_error: error,
+            has_masks: self.has_masks,
+            scene: None,
+        })
+    }
+
+    fn cameras(&self) -> Cameras {
+        match self.options.cameras {
+            CameraSharing::PerImage => Cameras::PerImage,
+            CameraSharing::Shared if folders(self.photographs) > 1 => Cameras::PerFolder,
+            CameraSharing::Shared => Cameras::One,
+        }
+    }
+
+    fn pairs(&self) -> Pairs {
+        let few = self.photographs.len() <= MOST_EXHAUSTIVE[usize::from(self.is_video)];
+        match self.options.matching {
+            Matching::Exhaustive => Pairs::All,
+            Matching::Auto if few => Pairs::All,
+            Matching::Sequential => Pairs::Sequence,
+            Matching::Auto => {
+                let problem =
+                    "photographs are matched with their neighbors by name only, because they are many";
+                self.progress.note(&format!("{problem}; --matching exhaustive matches all pairs"));
+                Pairs::Sequence
+            }
+        }
+    }
+
+    /// Whether the center of the image is found too. It moves like a turn of the camera: only many photographs of one camera with features
+    /// over the whole frame tell the two apart.
+    fn refines_center(&self, registered: usize) -> bool {
+        self.cameras() == Cameras::One && !self.on_object && registered >= FEWEST_FOR_CENTER
+    }
+
+    fn no_cameras(&self, problem: &str) -> Error {
+        Error::input(&self.options.photographs, "", problem, NO_CAMERAS_HELP)
+    }
+
+    fn extract(&self, work: &Work, cameras: Cameras) -> Result<()> {
+        let database = work.path("database.db");
+        for rest in ["database.db", "database.db-wal", "database.db-shm"].map(|name| work.path(name)) {
+            match fs::remove_file(&rest) {
+                Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                    return Err(Error::io("remove", &rest)(error));
+                }
+                _ => {}
+            }
+        }
+        let masks = self.on_object.then(|| work.path("masks"));
+        let images = work.path("photographs");
+        let words = self.colmap.features(&database, &images, masks.as_deref(), self.options.lens, cameras);
+        self.colmap_step(work, "features", self.photographs.len() as u64, &words)
+    }
+
+    fn map(&self, work: &Work) -> Result<()> {
+        let models = work.emptied("models")?;
+        let side = self.photographs.iter().flat_map(|photograph| photograph.size).max().unwrap_or_default();
+        let (database, images) = (work.path("database.db"), work.path("photographs"));
+        let words = self.colmap.mapping(&database, &images, &models, side);
+        let ran = self.colmap_step(work, "mapping", self.photographs.len() as u64, &words);
+        let is_empty = fs::read_dir(&models).map_err(Error::io("read", &models))?.next().is_none();
+        let log = fs::read(work.log("mapping")).unwrap_or_default();
+        let log = String::from_utf8_lossy(&log);
+        let no_pair = ["failed to create sparse model", "No good initial image pair"]
+            .iter()
+            .any(|text| log.contains(text));
+        match ran {
+            Ok(()) | Err(Error::Run { .. }) if is_empty && no_pair => {
+                Err(self.no_cameras("COLMAP found no pair of photographs to start from"))
+            }
+            ran => ran,
+        }
+    }
+
+    /// Runs one of COLMAP's commands with a bar of `length` steps.
+    fn colmap_step(&self, work: &Work, name: &str, length: u64, words: &[OsString]) -> Result<()> {
+        let bar = self.progress.bar(name, length);
+        let ran = self.colmap.program.run(words, &work.log(name), &mut |line| {
+            if let Some(done) = steps_done(line, length) {
+                bar.set_position(done);
+            }
+        });
+        bar.finish_and_clear();
+        ran
+    }
+
+    /// Makes the data set of a model.
+    fn finish(&self, work: &Work, model: &Path, names: &BTreeSet<String>) -> Result<()> {
+        let data = work.emptied("data")?;
+        let photographs = work.path("photographs");
+        if self.options.keep_distortion {
+            copy_all(names.iter(), &photographs, &data.join("images"))?;
+            let masks: Vec<String> = names.iter().map(|name| format!("{name}.png")).collect();
+            if self.has_masks {
+                copy_all(masks.iter(), &work.path("masks"), &data.join("masks"))?;
+            }
+            return copy_folder(model, &data.join("sparse"));
+        }
+        if self.photographs.iter().any(|photograph| photograph.is_deep) {
+            let note = "COLMAP writes undistorted photographs with 8 bits; --keep-distortion keeps all 16";
+            self.progress.note(note);
+        }
+        let count = names.len() as u64;
+        self.colmap_step(work, "undistortion", count, &self.colmap.undistortion(&photographs, model, &data))?;
+        if self.has_masks {
+            self.undistort_masks(work, model, names)?;
+        }
+        Ok(())
+    }
+
+    /// COLMAP undistorts photographs. Masks are given to it as photographs of these names, so that they are moved alike.
+    fn undistort_masks(&self, work: &Work, model: &Path, names: &BTreeSet<String>) -> Result<()> {
+        let (bent, straight) = (work.emptied("bent_masks")?, work.emptied("straight_masks")?);
+        for name in names {
+            check_interrupted()?;
+            write_as(&bent.join(name), &read_gray(&work.path("masks").join(format!("{name}.png")))?)?;
+        }
+        let words = self.colmap.undistortion(&bent, model, &straight);
+        self.colmap_step(work, "undistortion of masks", names.len() as u64, &words)?;
+        for name in names {
+            let mut mask = read_gray(&straight.join("images").join(name))?;
+            for value in mask.iter_mut() {
+                *value = match *value {
+                    dark if dark <= MASK_NOISE => 0,
+                    light if light >= 255 - MASK_NOISE => 255,
+                    edge => edge,
+                };
+            }
+            write_gray8(work.path("data/masks").join(format!("{name}.png")), &mask)?;
+        }
+        Ok(())
+    }
+}
+
+fn read_gray(path: &Path) -> Result<GrayImage> {
+    let wrong = |error: ImageError| Error::run("undistorting masks", format!("{}: {error}", path.display()));
+    let reader = image::ImageReader::open(path).and_then(image::ImageReader::with_guessed_format);
+    Ok(reader.map_err(Error::io("read", path))?.decode().map_err(wrong)?.into_luma8())
+}
+
+/// Writes a mask in the format of its name, without visible loss.
+fn write_as(path: &Path, mask: &GrayImage) -> Result<()> {
+    let parent = path.parent().unwrap_or(path);
+    fs::create_dir_all(parent).map_err(Error::io("create folder", parent))?;
+    if path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("png")) {
+        return write_gray8(path, mask);
+    }
+    let file = BufWriter::new(fs::File::create(path).map_err(Error::io("write", path))?);
+    let written = mask.write_with_encoder(JpegEncoder::new_with_quality(file, 100));
+    written.map_err(|error| Error::run("undistorting masks", format!("{}: {error}", path.display())))
+}
+
+/// Copies files under the same names, what links lead to instead of links.
+fn copy_all<'a>(names: impl Iterator<Item = &'a String>, from: &Path, to: &Path) -> Result<()> {
+    for name in names {
+        check_interrupted()?;
+        let (source, target) = (from.join(name), to.join(name));
+        let parent = target.parent().unwrap_or(to);
+        fs::create_dir_all(parent).map_err(Error::io("create folder", parent))?;
+        fs::copy(&source, &target).map_err(Error::io("copy", &source))?;
+    }
+    Ok(())
+}
+
+fn copy_folder(from: &Path, to: &Path) -> Result<()> {
+    let entries = fs::read_dir(from).map_err(Error::io("read", from))?;
+    let names = entries
+        .map(|entry| Ok(entry.map_err(Error::io("read", from))?.file_name().to_string_lossy().into_owned()));
+    copy_all(names.collect::<Result<Vec<String>>>()?.iter(), from, to)
+}

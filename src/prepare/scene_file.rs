@@ -1,0 +1,335 @@
+//! A commented scene file for a data set: what is known of it, what a fit has to find, and what may be worth changing.
+
+use crate::dataset::{DatasetOptions, Layout, OpenDataset, find_layout, has_split, open_dataset};
+use crate::error::{Error, Result};
+use crate::view::Split;
+use std::path::{Path, PathBuf};
+
+/// Longer side of the photographs that a fit needs at most; larger ones are downscaled in a new scene file.
+const ENOUGH_PIXELS: u32 = 1600;
+/// Fewest views of which some are held out.
+const FEWEST_HELD_OUT: usize = 12;
+/// Extensions of meshes.
+const MESHES: [&str; 2] = ["glb", "gltf"];
+/// Extensions of photographs, to recognize a folder that has nothing else.
+const PHOTOGRAPHS: [&str; 8] = ["jpg", "jpeg", "png", "tif", "tiff", "heic", "dng", "nef"];
+
+/// What a data set has.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Survey {
+    /// The layout that was found.
+    pub layout: Layout,
+    /// The mesh in the folder, if there is exactly one or one called `mesh`.
+    pub mesh: Option<PathBuf>,
+    /// Training views when every view is one that the data set does not hold out itself.
+    pub views: usize,
+    /// Width and height of the first photograph in pixels.
+    pub size: [u32; 2],
+    /// Whether the first view has a mask.
+    pub has_masks: bool,
+    /// Whether the data set has a test split of its own.
+    pub has_test: bool,
+}
+
+/// Looks at a data set: its camera files, and the first photograph with its mask.
+///
+/// # Errors
+/// [`Error::Input`] if the folder is no data set, or its first view cannot be read.
+pub fn survey(data: &Path) -> Result<Survey> {
+    let layout = find_layout(data, Layout::Auto).map_err(|error| no_data_set(data, error))?;
+    let options = DatasetOptions { hold_out: 0, ..DatasetOptions::default() };
+    let OpenDataset { views, .. } = open_dataset(data, Split::Train, &options)?;
+    let first =
+        views.first().ok_or_else(|| Error::input(data, "", "the data set has no views", ""))?.load()?;
+    let (Some(photograph), mask) = (&first.record.photograph, &first.record.mask) else {
+        let problem = "the data set has cameras without photographs: there is nothing to fit to";
+        return Err(Error::input(data, "", problem, "Put the photographs where the cameras name them."));
+    };
+    Ok(Survey {
+        layout,
+        mesh: mesh_in(data)?,
+        views: views.len(),
+        size: photograph.size(),
+        has_masks: mask.is_some(),
+        has_test: has_split(data, Split::Test, &options)?,
+    })
+}
+
+/// The scene file `scene` for the data set in `data`, as text. A path in it starts at `scene` if that is inside `data`, else at `$DATA`.
+///
+/// # Errors
+/// Those of [`survey`]; [`Error::Input`] if a data set has neither masks nor a mesh: its shape can then not be found.
+pub fn scene_for(data: &Path, scene: &Path) -> Result<String> {
+    let survey = survey(data)?;
+    if survey.mesh.is_none() && !survey.has_masks {
+        let problem =
+            "the data set has neither masks nor a mesh: without one of them, there is no shape to fit";
+        let help = "Add a folder of masks or alpha to the photographs (`lobelia prepare` makes masks), or put mesh.glb into the folder.";
+        return Err(Error::input(data, "", problem, help));
+    }
+    Ok(scene_text(&survey, data, is_beside(data, scene)))
+}
+
+/// Whether the scene file lies directly in the data's folder.
+fn is_beside(data: &Path, scene: &Path) -> bool {
+    let folder = scene.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    matches!((folder.canonicalize(), data.canonicalize()), (Ok(a), Ok(b)) if a == b)
+}
+
+/// A folder of photographs without cameras is named as such.
+fn no_data_set(data: &Path, error: Error) -> Error {
+    let extension = |path: &Path| path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    let is_photograph = |path: &Path| PHOTOGRAPHS.contains(&extension(path).as_str());
+    let photographs = |folder: &Path| {
+        let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+        entries.filter(|entry| is_photograph(&entry.path())).count()
+    };
+    let folders = [data.to_owned(), data.join("images"), data.join("image")];
+    match folders.iter().find(|folder| photographs(folder) > 2) {
+        Some(folder) if data.is_dir() => {
+            let problem = format!("there are {} photographs here, and no cameras", photographs(folder));
+            let help = format!("Find the cameras first: lobelia prepare {} OUT", folder.display());
+            Error::input(folder, "", problem, help)
+        }
+        _ => error,
+    }
+}
+
+/// The mesh of a data set: `mesh.glb` or `mesh.gltf`, or the only one in the folder.
+fn mesh_in(data: &Path) -> Result<Option<PathBuf>> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(data).map_err(Error::io("read", data))? {
+        let path = entry.map_err(Error::io("read", data))?.path();
+        let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+        if path.is_file() && MESHES.contains(&extension.as_str()) {
+            found.push(path);
+        }
+    }
+    found.sort();
+    let named = found.iter().find(|path| path.file_stem().is_some_and(|stem| stem == "mesh"));
+    Ok(match (named, found.as_slice()) {
+        (Some(mesh), _) => Some(mesh.clone()),
+        (None, [only]) => Some(only.clone()),
+        _ => None,
+    })
+}
+
+/// What a new scene file says; it loads, and `lobelia check` passes.
+fn scene_text(survey: &Survey, data: &Path, is_beside: bool) -> String {
+    let downscale = survey.size[0].max(survey.size[1]).div_ceil(ENOUGH_PIXELS).max(1);
+    // Cameras that a data set splits itself come from a renderer or a rig; the others from photographs.
+    let is_captured = !survey.has_test;
+    let tests = survey.has_test || survey.views >= FEWEST_HELD_OUT;
+    let mut text = header(survey, data, is_beside);
+    text += "Scene(\n    version: 1,\n";
+    text += &surface(survey, is_beside);
+    text += &views(survey, is_beside, downscale);
+    text += MATERIAL;
+    text += "    passes: [\n";
+    text += &fits(survey, is_captured);
+    text += if tests {
+        "        // The held-out views, rendered and compared with their photographs.\n        Render(name: \"novel\"),\n        \
+         Evaluate(name: \"scores\", scores: [(pass: \"novel\", truth: Photographs)]),\n"
+    } else {
+        "        // No view is held out; the training views are rendered and compared with their photographs.\n        \
+         Render(name: \"again\", render: (views: Train)),\n        \
+         Evaluate(name: \"scores\", scores: [(pass: \"again\", truth: Photographs)]),\n"
+    };
+    text += LAST_PASSES;
+    text
+}
+
+fn header(survey: &Survey, data: &Path, is_beside: bool) -> String {
+    let [width, height] = survey.size;
+    let masks = if survey.has_masks { "with masks" } else { "without masks" };
+    // A line break in the name would end the comment.
+    let folder = data.display().to_string().replace(['\n', '\r'], " ");
+    let command = if is_beside {
+        format!("lobelia run {folder}/scene.ron --out OUT")
+    } else {
+        format!("lobelia run SCENE.ron --data {folder} --out OUT")
+    };
+    let layout = match survey.layout {
+        Layout::Colmap => "COLMAP".to_owned(),
+        other => format!("{other:?}"),
+    };
+    format!(
+        "// {} photographs of {width}×{height} pixels {masks}, in the layout of {layout}.\n// {command}\n\
+         // A quick try: --set views.downscale=4 --set passes.fit.steps=200\n",
+        survey.views
+    )
+}
+
+fn surface(survey: &Survey, is_beside: bool) -> String {
+    let folder = if is_beside { "" } else { "$DATA/" };
+    let name = survey.mesh.as_ref().and_then(|mesh| mesh.file_name());
+    match name.map(|name| name.to_string_lossy()) {
+        Some(name) => format!(
+            "    // The shape is known. `Unknown()` finds it from photographs and masks instead; it needs a `Shape()` pass first.\n    \
+             surface: Mesh(path: \"{}\"),\n",
+            quoted(&format!("{folder}{name}"))
+        ),
+        None => "    // The shape is found from photographs and masks. With a mesh: Mesh(path: \"mesh.glb\"), and no `Shape` pass.\n    \
+                 surface: Unknown(),\n"
+            .to_owned(),
+    }
+}
+
+/// Text inside the quotes of a RON string.
+fn quoted(text: &str) -> String {
+    text.replace('\\', "\\\\").replace('"', "\\\"")
+}
+
+fn views(survey: &Survey, is_beside: bool, downscale: u32) -> String {
+    let path = if is_beside { "." } else { "$DATA" };
+    let hold_out = match (survey.has_test, survey.views >= FEWEST_HELD_OUT) {
+        (true, _) => String::new(),
+        (false, true) => "        // Every 8th view is kept out of the fit to measure the quality; 0: none.\n        hold_out: 8,\n".into(),
+        (false, false) => "        // So few views are all needed; 8 would keep every 8th out of the fit.\n        hold_out: 0,\n".into(),
+    };
+    let size = if downscale > 1 {
+        format!(
+            "        // Full size needs more memory and time, and rarely gives more.\n        downscale: {downscale},\n"
+        )
+    } else {
+        "        // downscale: 2,        // half the size: a quarter of memory and time\n".to_owned()
+    };
+    format!(
+        "    views: Dataset(\n        path: \"{path}\",\n{hold_out}{size}        \
+         // gamma: Linear,       // 8- and 16-bit values are taken as sRGB; this says otherwise\n    ),\n"
+    )
+}
+
+/// Light and material are unknown by default.
+const MATERIAL: &str = "    // Light and material are unknown. What is known can be said, for example:\n    \
+    // light: Fixed(Map(path: \"sky.exr\")),\n    \
+    // material: (specular: (albedo: Fixed(0.04, 0.04, 0.04))),    // a plain dielectric\n    \
+    // material: (gloss: Blend(materials: 2)),                     // glossy and matte regions\n";
+
+fn fits(survey: &Survey, is_captured: bool) -> String {
+    let mut text = String::new();
+    if is_captured {
+        text += "        // Photographs of a camera: each has an exposure of its own, and poses are a little off. With a locked exposure\n        \
+                 // or exact poses, leave these out. On a turntable the light turns with the camera, which no option corrects.\n";
+    }
+    let unknowns = if is_captured { "exposure: true, cameras: Poses" } else { "" };
+    match survey.mesh {
+        Some(_) => text + &format!("        Fit({unknowns}),\n"),
+        None => {
+            let comma = if is_captured { ", " } else { "" };
+            text + &format!("        Shape({unknowns}),\n        Fit({unknowns}{comma}vertices: true),\n")
+        }
+    }
+}
+
+const LAST_PASSES: &str = "        // The object as a scene of its own, with everything known, and as meshes for other programs.\n        \
+    Save(name: \"saved\"),\n        Export(name: \"export\"),\n    ],\n)\n";
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::scene::{LoadOptions, load};
+    use image::{Luma, Rgb, RgbImage};
+    use std::fs;
+    use tempfile::TempDir;
+
+    /// A COLMAP data set as text, of photographs of this size.
+    fn data(views: usize, size: [u32; 2], masks: bool) -> TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        let at = |name: &str| folder.path().join(name);
+        for name in ["images", "sparse/0"] {
+            fs::create_dir_all(at(name)).unwrap();
+        }
+        let [width, height] = size;
+        fs::write(
+            at("sparse/0/cameras.txt"),
+            format!("1 PINHOLE {width} {height} 50 50 {} {}\n", width / 2, height / 2),
+        )
+        .unwrap();
+        let mut images = String::new();
+        for i in 0..views {
+            images += &format!("{} 1 0 0 0 {i} 0 4 1 {i}.png\n\n", i + 1);
+            RgbImage::from_pixel(width, height, Rgb([90; 3])).save(at(&format!("images/{i}.png"))).unwrap();
+            if masks {
+                fs::create_dir_all(at("masks")).unwrap();
+                image::GrayImage::from_fn(width, height, |x, _| Luma([if x > 1 { 255 } else { 0 }]))
+                    .save(at(&format!("masks/{i}.png")))
+                    .unwrap();
+            }
+        }
+        fs::write(at("sparse/0/images.txt"), images).unwrap();
+        folder
+    }
+
+    fn loads(folder: &Path, scene: &Path) -> String {
+        let text = scene_for(folder, scene).unwrap();
+        fs::write(scene, &text).unwrap();
+        let options = LoadOptions { data: Some(folder.to_owned()), ..LoadOptions::default() };
+        let loaded = load(scene, &options).unwrap_or_else(|error| panic!("{error:?}\n{text}"));
+        assert!(loaded.unseen.is_empty());
+        text
+    }
+
+    #[test]
+    fn an_unknown_shape_has_a_shape_pass() {
+        let data = data(13, [8, 6], true);
+        let inside = data.path().join("scene.ron");
+        let text = loads(data.path(), &inside);
+        for part in [
+            "surface: Unknown()",
+            "path: \".\"",
+            "hold_out: 8",
+            "Shape(exposure: true, cameras: Poses)",
+            "// 13 photographs of 8×6",
+            "name: \"novel\"",
+        ] {
+            assert!(text.contains(part), "{part}\n{text}");
+        }
+        let options = LoadOptions::default();
+        assert!(load(&inside, &options).is_ok(), "it needs no --data");
+        let elsewhere = tempfile::tempdir().unwrap();
+        assert!(loads(data.path(), &elsewhere.path().join("a.ron")).contains("path: \"$DATA\""));
+    }
+
+    #[test]
+    fn a_mesh_is_found_and_large_photographs_are_downscaled() {
+        let data = data(3, [1700, 4], false);
+        fs::write(data.path().join("statue.glb"), "glTF").unwrap();
+        let text = loads(data.path(), &data.path().join("scene.ron"));
+        for part in [
+            "Mesh(path: \"statue.glb\")",
+            "downscale: 2,",
+            "hold_out: 0",
+            "        Fit(exposure",
+            "views: Train",
+        ] {
+            assert!(text.contains(part), "{part}\n{text}");
+        }
+        fs::write(data.path().join("other.glb"), "glTF").unwrap();
+        assert_eq!(mesh_in(data.path()).unwrap(), None);
+        fs::write(data.path().join("mesh.gltf"), "{}").unwrap();
+        assert_eq!(mesh_in(data.path()).unwrap(), Some(data.path().join("mesh.gltf")));
+    }
+
+    #[test]
+    fn data_of_which_no_shape_follows_is_refused() {
+        let data = data(3, [8, 6], false);
+        let error = scene_for(data.path(), &data.path().join("scene.ron")).unwrap_err();
+        assert!(error.to_string().contains("neither masks nor a mesh") && error.exit_code() == 2, "{error}");
+    }
+
+    #[test]
+    fn photographs_without_cameras_lead_to_prepare() {
+        let data = data(3, [8, 6], false);
+        fs::remove_dir_all(data.path().join("sparse")).unwrap();
+        for folder in [data.path().to_owned(), data.path().join("images")] {
+            let error = survey(&folder).unwrap_err();
+            assert!(error.to_string().contains("3 photographs here, and no cameras"), "{error}");
+            assert!(error.help().unwrap().contains("lobelia prepare"), "{error}");
+        }
+        let empty = tempfile::tempdir().unwrap();
+        assert!(survey(empty.path()).unwrap_err().to_string().contains("not a data set"));
+        assert!(survey(&empty.path().join("none")).unwrap_err().to_string().contains("no such folder"));
+        assert!(survey(&data.path().join("images/0.png")).unwrap_err().to_string().contains("a file"));
+    }
+}

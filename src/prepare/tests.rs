@@ -1,0 +1,254 @@
+//! The whole of `prepare`, with a script in place of COLMAP.
+
+use super::*;
+use crate::dataset::{DatasetOptions, read_dataset};
+use crate::pass::progress::{Bar, Silent};
+use crate::prepare::test_data::{disc, script};
+use crate::scene::{LoadOptions, load};
+use crate::view::Split;
+use std::cell::RefCell;
+use std::fs;
+use std::path::PathBuf;
+use tempfile::TempDir;
+
+/// Where the script finds the value of an option: `of --output_path "$@"`.
+const OPTIONS: &str = r#"
+of() { wanted=$1; shift; while [ $# -gt 0 ]; do if [ "$1" = "$wanted" ]; then echo "$2"; return; fi; shift; done; }
+here=$(dirname "$0"); out=$(of --output_path "$@"); echo "$@" >> "$here/calls"
+"#;
+/// What COLMAP does, with models that lie beside the script.
+const COLMAP: &str = r#"
+if [ "$2" = -h ]; then echo "--ImageReader.single_camera arg --SiftExtraction.use_gpu arg"; exit 0; fi
+case $1 in
+  feature_extractor) echo made > "$(of --database_path "$@")"; echo "Processed file [3/3]" ;;
+  exhaustive_matcher) test -s "$(of --database_path "$@")" || exit 9; echo "Matching block [1/1, 1/1] in 1s" ;;
+  mapper) cp -r "$here"/models/. "$out"; echo "Registering image #1 (3)" ;;
+  image_undistorter) mkdir -p "$out/images" "$out/sparse"
+    cp -rL "$(of --image_path "$@")"/. "$out/images"; cp "$(of --input_path "$@")"/* "$out/sparse" ;;
+  *) echo "unknown command $1"; exit 1 ;;
+esac
+"#;
+
+struct Capture {
+    folder: TempDir,
+}
+
+impl Capture {
+    /// Four photographs of a disc, of which COLMAP finds the cameras of three.
+    fn new() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let capture = Self { folder };
+        fs::create_dir(capture.path("photos")).unwrap();
+        for name in ["a.jpg", "b.jpg", "c.png", "d.jpg"] {
+            disc(48, 36).save(capture.path("photos").join(name)).unwrap();
+        }
+        capture.model("0", &["a.jpg", "c.png", "d.jpg"]);
+        capture.colmap(COLMAP);
+        capture
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    fn colmap(&self, body: &str) {
+        script(self.folder.path(), "colmap", &format!("{OPTIONS}{body}"));
+    }
+
+    /// A binary model with these photographs and two points.
+    fn model(&self, name: &str, photographs: &[&str]) {
+        let model = self.path("models").join(name);
+        fs::create_dir_all(&model).unwrap();
+        let words = |values: &[u64]| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
+        let numbers =
+            |values: &[f64]| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
+        // Camera 1 of model 1, PINHOLE.
+        let camera = [
+            words(&[1]),
+            [1u32, 1].map(u32::to_le_bytes).concat(),
+            words(&[48, 36]),
+            numbers(&[60.0, 60.0, 24.0, 18.0]),
+        ];
+        fs::write(model.join("cameras.bin"), camera.concat()).unwrap();
+        let mut images = words(&[photographs.len() as u64]);
+        for (i, photograph) in photographs.iter().enumerate() {
+            images.extend((i as u32).to_le_bytes());
+            images.extend(numbers(&[1.0, 0.0, 0.0, 0.0, i as f64, 0.0, 4.0]));
+            images.extend(1u32.to_le_bytes());
+            images.extend(photograph.as_bytes());
+            images.push(0);
+            images.extend(words(&[0]));
+        }
+        fs::write(model.join("images.bin"), images).unwrap();
+        let point = |error: f64| {
+            [words(&[1]), numbers(&[0.0; 3]), vec![0; 3], numbers(&[error]), words(&[0])].concat()
+        };
+        fs::write(model.join("points3D.bin"), [words(&[2]), point(0.5), point(0.75)].concat()).unwrap();
+    }
+
+    fn options(&self) -> PrepareOptions {
+        let masks = MaskSource::Backdrop;
+        let colmap = self.path("colmap");
+        PrepareOptions { masks, colmap, ..PrepareOptions::new(self.path("photos"), self.path("out")) }
+    }
+
+    fn calls(&self) -> Vec<String> {
+        let text = fs::read_to_string(self.path("calls")).unwrap_or_default();
+        let _ = fs::remove_file(self.path("calls"));
+        let first = |line: &str| line.split(' ').next().unwrap_or_default().to_owned();
+        text.lines().filter(|line| !line.ends_with(" -h")).map(first).collect()
+    }
+
+    fn refused(&self, options: &PrepareOptions) -> String {
+        let error = prepare(options, &Silent).unwrap_err();
+        format!("{error} {}", error.help().unwrap_or_default())
+    }
+}
+
+#[test]
+fn photographs_become_a_data_set_that_is_read() {
+    let capture = Capture::new();
+    let prepared = prepare(&capture.options(), &Silent).unwrap();
+    assert_eq!(prepared.to_string(), "registered 3 of 4, reprojection error 0.62 px; left out: b.jpg");
+    let out = capture.path("out");
+    let options = DatasetOptions { hold_out: 0, ..DatasetOptions::default() };
+    let read = read_dataset(&out, Split::Train, &options).unwrap();
+    let names: Vec<&str> = read.views.iter().map(|view| view.name.as_str()).collect();
+    assert_eq!(names, ["a", "c", "d"]);
+    for view in &read.views {
+        let mask = view.mask.as_ref().unwrap();
+        assert!(mask.coverage(18 * 48 + 24) == 1.0 && mask.coverage(0) == 0.0, "{}", view.name);
+    }
+    let loaded = load(&out.join("scene.ron"), &LoadOptions::default()).unwrap();
+    assert_eq!(prepared.scene, Some(loaded.path));
+    assert!(!out.join(".work").exists() && out.join("logs/mapping.log").is_file());
+    assert!(capture.refused(&capture.options()).contains("is not empty"));
+}
+
+#[test]
+fn distorted_photographs_are_kept_byte_by_byte() {
+    let capture = Capture::new();
+    prepare(&PrepareOptions { keep_distortion: true, ..capture.options() }, &Silent).unwrap();
+    assert!(!capture.calls().contains(&"image_undistorter".to_owned()));
+    let bytes = |path: PathBuf| fs::read(path).unwrap();
+    let out = capture.path("out");
+    assert_eq!(bytes(out.join("images/a.jpg")), bytes(capture.path("photos/a.jpg")));
+    assert!(!out.join("images/a.jpg").is_symlink());
+    assert!(read_dataset(&out, Split::Train, &DatasetOptions::default()).is_ok());
+}
+
+#[test]
+fn without_masks_there_is_no_scene_file() {
+    let capture = Capture::new();
+    let prepared =
+        prepare(&PrepareOptions { masks: MaskSource::Alpha, ..capture.options() }, &Silent).unwrap();
+    assert!(prepared.scene.is_none() && !prepared.has_masks);
+    assert!(!capture.path("out/masks").exists() && !capture.path("out/scene.ron").exists());
+    assert!(capture.path("out/sparse/0/images.bin").is_file());
+}
+
+/// A step that fails leaves nothing under a final name, and what was done before it is not done again.
+#[test]
+fn a_failure_is_explained_and_work_goes_on_after_it() {
+    let capture = Capture::new();
+    capture.colmap(&COLMAP.replace("  mapper)", "  mapper) echo 'out of memory'; exit 1;;\n  unused)"));
+    let text = capture.refused(&capture.options());
+    assert!(text.contains("colmap mapper: it failed") && text.contains("out of memory"), "{text}");
+    assert!(text.contains("mapping.log"), "{text}");
+    let names: Vec<_> =
+        fs::read_dir(capture.path("out")).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    assert_eq!(names.len(), 2, "{names:?}");
+    assert_eq!(capture.calls(), ["feature_extractor", "exhaustive_matcher", "mapper"]);
+    capture.colmap(COLMAP);
+    prepare(&capture.options(), &Silent).unwrap();
+    assert_eq!(capture.calls(), ["mapper", "image_undistorter", "image_undistorter"]);
+}
+
+#[test]
+fn other_options_do_later_steps_again() {
+    let capture = Capture::new();
+    capture.colmap(&COLMAP.replace("  image_undistorter)", "  image_undistorter) exit 1;;\n  unused)"));
+    capture.refused(&capture.options());
+    capture.calls();
+    capture.colmap(COLMAP);
+    prepare(&PrepareOptions { lens: LensModel::Radial, ..capture.options() }, &Silent).unwrap();
+    assert_eq!(capture.calls()[..3], ["feature_extractor", "exhaustive_matcher", "mapper"]);
+}
+
+#[test]
+fn no_cameras_are_explained() {
+    let capture = Capture::new();
+    capture.colmap(
+        &COLMAP.replace(
+            "  mapper)",
+            "  mapper) echo 'ERROR: failed to create sparse model'; exit 1;;\n  unused)",
+        ),
+    );
+    let text = capture.refused(&capture.options());
+    assert!(text.contains("no pair of photographs to start from") && text.contains("overlap"), "{text}");
+    fs::remove_dir_all(capture.path("models")).unwrap();
+    capture.model("0", &["a.jpg", "d.jpg"]);
+    capture.colmap(COLMAP);
+    assert!(capture.refused(&capture.options()).contains("the cameras of 2 photographs only"));
+}
+
+/// Notes that are told.
+#[derive(Default)]
+struct Notes(RefCell<Vec<String>>);
+
+impl Progress for Notes {
+    fn note(&self, text: &str) {
+        self.0.borrow_mut().push(text.to_owned());
+    }
+
+    fn print(&self, _: &str) {}
+
+    fn bar(&self, _: &str, _: u64) -> Box<dyn Bar> {
+        Box::new(Silent)
+    }
+}
+
+#[test]
+fn of_several_models_the_largest_is_used_and_said() {
+    let capture = Capture::new();
+    capture.model("1", &["a.jpg", "b.jpg", "c.png", "d.jpg"]);
+    let notes = Notes::default();
+    let prepared = prepare(&capture.options(), &notes).unwrap();
+    assert!(prepared.left_out.is_empty());
+    let notes = notes.0.into_inner().join("\n");
+    assert!(notes.contains("2 models, of 4, 3 photographs"), "{notes}");
+    assert!(notes.contains("the background is plain"), "{notes}");
+}
+
+#[test]
+fn bad_input_leaves_no_folder() {
+    let capture = Capture::new();
+    let given = |change: &dyn Fn(&mut PrepareOptions)| {
+        let mut options = capture.options();
+        change(&mut options);
+        options
+    };
+    let text = capture.refused(&given(&|options| options.colmap = "no-such-colmap-anywhere".into()));
+    assert!(
+        text.contains("no program `no-such-colmap-anywhere` on the PATH")
+            && text.contains("apt install colmap"),
+        "{text}"
+    );
+    let text = capture.refused(&given(&|options| options.photographs = capture.path("none")));
+    assert!(text.contains("no such folder"), "{text}");
+    let text = capture.refused(&given(&|options| options.masks = MaskSource::Command("rembg".into())));
+    assert!(text.contains("has no {in}"), "{text}");
+    for bad in [0.0, -1.0, f32::NAN, f32::INFINITY] {
+        assert!(
+            capture.refused(&given(&|options| options.frames_per_second = bad)).contains("frames per second")
+        );
+    }
+    assert!(!capture.path("out").exists());
+    let other = script(capture.folder.path(), "other", "echo some other program");
+    let text = capture.refused(&given(&|options| options.colmap = other.clone()));
+    assert!(text.contains("is not COLMAP"), "{text}");
+    fs::create_dir(capture.path("out")).unwrap();
+    fs::write(capture.path("out/thesis.txt"), "x").unwrap();
+    assert!(capture.refused(&capture.options()).contains("it has thesis.txt"));
+    assert_eq!(fs::read_dir(capture.path("out")).unwrap().count(), 1);
+}
