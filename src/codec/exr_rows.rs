@@ -186,7 +186,6 @@ fn failed(path: &Path, error: exr::error::Error) -> Error {
     }
 }
 
-/// The error of a picture that cannot be written.
-pub(super) fn refused(path: &Path, problem: String) -> Error {
+fn refused(path: &Path, problem: String) -> Error {
     Error::run(format!("writing {}", path.display()), problem)
 }

@@ -1,7 +1,7 @@
 //! Writing of OpenEXR: any channels by name, and the layered frame that a render pass writes, which can also be read.
 
 use crate::codec::exr::{ExrLayers, read_exr_layers};
-use crate::codec::exr_rows::{ChannelRows, Column, Values, refused, write_rows};
+use crate::codec::exr_rows::{ChannelRows, Column, Values, write_rows};
 use crate::codec::finite::check_finite;
 use crate::{Error, Result};
 use glam::Vec3;
@@ -98,12 +98,15 @@ impl FrameRows<'_, '_> {
     pub fn push(&mut self, band: &Frame) -> Result<()> {
         let columns = band.columns();
         for column in &columns {
-            if let Some(at) = (0..column.len()).find(|&i| !column.at(i).is_finite()) {
-                let width = band.width.max(1);
-                let pixel = (at % width, self.0.next_row + at / width);
-                let problem = format!("channel {} is not finite at pixel {pixel:?}", column.name);
-                return Err(refused(self.0.path, problem));
-            }
+            check_finite(self.0.path, (0..column.len()).map(|i| column.at(i)), |at| {
+                let (width, first_row) = (band.width.max(1), self.0.next_row);
+                format!(
+                    "channel {} is not finite at pixel ({}, {})",
+                    column.name,
+                    at % width,
+                    first_row + at / width
+                )
+            })?;
         }
         self.0.push([band.width, band.height], &columns)
     }

@@ -131,7 +131,7 @@ fn bands(
     take: &mut dyn FnMut(&Frame, &[u8]) -> Result<()>,
 ) -> Result<()> {
     let look = Look { exposure: settings.exposure, tone: settings.tone };
-    let (rays, rows) = (camera_rays(settings), band_rows(&camera));
+    let (rays, rows) = (camera_rays(settings), band_rows([camera.width, camera.height]));
     render_bands(pipeline, camera, rays, rows, &mut |world, first_row, frame| {
         check_interrupted()?;
         let behind = settings.backdrop.then(|| backdrop(world, &camera, first_row, frame.height as u32));

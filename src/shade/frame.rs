@@ -198,19 +198,19 @@ pub fn render_bands(
 /// Pixels of a band: enough to use all threads, few enough for memory.
 const BAND_PIXELS: u32 = 1 << 19;
 
-/// Rows of a band for [`render_bands`]: about half a million pixels, and whole blocks of [`BLOCK_ROWS`] where a band has several.
-pub fn band_rows(camera: &Camera) -> u32 {
-    let rows = (BAND_PIXELS / camera.width.max(1)).max(1);
+/// Rows of a band for [`render_bands`] of a picture of this width and height: about half a million pixels, and whole blocks of [`BLOCK_ROWS`] where a band has several.
+pub fn band_rows([width, height]: [u32; 2]) -> u32 {
+    let rows = (BAND_PIXELS / width.max(1)).max(1);
     let whole_blocks = rows - rows % BLOCK_ROWS as u32;
-    (if whole_blocks > 0 { whole_blocks } else { rows }).min(camera.height.max(1))
+    (if whole_blocks > 0 { whole_blocks } else { rows }).min(height.max(1))
 }
 
-/// Peak memory in bytes of rendering a picture in bands of [`band_rows`] and writing it as EXR and PNG: it grows with the width only.
-/// What the scene itself takes is not included.
-pub fn frame_bytes(camera: &Camera) -> u64 {
-    let band = u64::from(camera.width) * u64::from(band_rows(camera));
+/// Peak memory in bytes of rendering a picture of this width and height in bands of [`band_rows`] and writing it as EXR and PNG: it grows
+/// with the width only. What the scene itself takes is not included.
+pub fn frame_bytes([width, height]: [u32; 2]) -> u64 {
+    let band = u64::from(width) * u64::from(band_rows([width, height]));
     // A block that is not complete waits for the next band.
-    let waiting = u64::from(camera.width) * BLOCK_ROWS as u64;
+    let waiting = u64::from(width) * BLOCK_ROWS as u64;
     // The band, its light behind and its 8-bit colors; its blocks raw, reordered and compressed.
     let per_pixel = FRAME_PIXEL_BYTES + size_of::<Vec3>() + 4 + 4 * FRAME_PIXEL_BYTES;
     // The pool and what shading makes of it.

@@ -6,15 +6,17 @@
 //! | `Fit` | pixels in the pool × [`POOL_BYTES`] + texels × [`TEXEL_BYTES`] | steps × batch × lobes × [`FIT_PAIR_NANOS`] |
 //! | `Shape` | the same + cells³ × [`CELL_BYTES`] | steps × batch × [`SHAPE_PIXEL_NANOS`] |
 //! | shadows | texels × [`VisibilitySettings::bytes_per_texel`] | texels × directions × [`RAY_NANOS`] |
-//! | `Render` and the like | one view × [`FRAME_BYTES`] | samples in the object × lobes × [`RENDER_PAIR_NANOS`] |
+//! | `Render` and the like | [`frame_bytes`] of the largest view; [`film_bytes`] of the film | samples in the object × lobes × [`RENDER_PAIR_NANOS`] |
 //!
 //! Time is divided by the threads. It is good to a factor of two on the machine that was measured, and a guess on others.
 
+use crate::codec::animation::film_bytes;
 use crate::sample::bundle::FitSample;
 use crate::scene::{
     FitPass, Light, LightSource, Pass, RenderSettings, Scene, Shading, ShapePass, Surface, ViewChoice,
     Visibility,
 };
+use crate::shade::frame::frame_bytes;
 use crate::survey::Survey;
 use crate::survey::detail::ATLAS_FILL;
 use crate::survey::look::{Bounds, Look};
@@ -33,8 +35,6 @@ pub const POOL_BYTES: f64 = (size_of::<FitSample>() + 24) as f64;
 pub const TEXEL_BYTES: f64 = 200.0;
 /// Bytes of a cell of a shape's grid, with its adjoints and moments.
 pub const CELL_BYTES: f64 = 40.0;
-/// Bytes of a pixel of a frame that is rendered: its layers, twice.
-pub const FRAME_BYTES: f64 = 160.0;
 /// Bytes of the program itself.
 pub const BASE_BYTES: f64 = 100e6;
 /// Reading a pixel of a PNG: 100 views of 800² in 3.2 s on two cores.
@@ -231,16 +231,17 @@ impl Task<'_> {
             ViewChoice::Named(names) => names.contains(&look.name),
         };
         let views: Vec<&Look> = self.looks.iter().filter(chosen).collect();
-        let orbit = render.orbit.as_ref().map_or((0.0, 0.0), |orbit| {
-            let frame = f64::from(orbit.size).powi(2);
-            (frame, frame * f64::from(orbit.frames) * USUAL_COVERAGE)
+        let orbit = render.orbit.as_ref().map_or((0, 0.0), |orbit| {
+            let size = [orbit.size; 2];
+            let pixels = f64::from(orbit.size).powi(2) * f64::from(orbit.frames);
+            (frame_bytes(size) + film_bytes(size), pixels * USUAL_COVERAGE)
         });
         let object = views.iter().map(|look| object_pixels(look)).sum::<f64>() + orbit.1;
         let nanos = match render.shading {
             Shading::PathTraced { spp, .. } => f64::from(spp) * PATH_NANOS,
             _ => f64::from(render.samples_per_pixel) * self.lobes() * RENDER_PAIR_NANOS,
         };
-        let largest = views.iter().map(|look| pixels(look)).fold(orbit.0, f64::max);
-        self.part(name, largest * FRAME_BYTES, object * nanos, false)
+        let largest = views.iter().map(|look| frame_bytes(look.size)).fold(orbit.0, u64::max);
+        self.part(name, largest as f64, object * nanos, false)
     }
 }
