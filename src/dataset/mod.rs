@@ -71,7 +71,7 @@ pub enum Layout {
     Auto,
     /// PhySG's: `{train,test}/{image,mask}` and `cam_dict_norm.json`.
     PhySg,
-    /// NeRF's and Blender's: `transforms_{train,test}.json`.
+    /// NeRF's and Blender's: `transforms_{train,test}.json`; nerfstudio's: `transforms.json`.
     Nerf,
     /// COLMAP's: `sparse/0`, `images` and `masks`.
     Colmap,

@@ -13,7 +13,7 @@
 //! [`crate::dataset::DatasetOptions::hold_out`]. Its poses are taken as they are: `applied_transform` is not undone. Photographs are
 //! taken as they are stored, as all these programs read them.
 
-use crate::codec::image::Orientation;
+use crate::codec::image::{IMAGE_EXTENSIONS, Orientation};
 use crate::codec::nearby::{closest, missing_file_help, natural_order};
 use crate::dataset::load::{StemIndex, find_image, parse_json, read_text, view_name};
 use crate::dataset::masks::{find_mask, mask_folder};
@@ -192,7 +192,8 @@ fn find_images(dir: &Path, file: &Path, frames: &[Frame]) -> Result<Vec<Option<P
     for (index, (path, image)) in named.iter().zip(&found).enumerate() {
         match (path, image) {
             (Some(path), None) => {
-                let problem = format!("the image {} (.exr, .png, .jpg, .hdr) is missing", path.display());
+                let kinds = IMAGE_EXTENSIONS.join(", ");
+                let problem = format!("the image {} ({kinds}) is missing", path.display());
                 return Err(Error::input(
                     file,
                     place_of(index, &frames[index]),

@@ -74,7 +74,8 @@ fn small(path: &Path) -> Result<GrayImage> {
     Ok(thumbnail(&picture, width, height))
 }
 
-#[cfg(all(test, unix))]
+#[cfg(unix)]
+#[cfg(test)]
 mod tests {
     use super::*;
     use crate::prepare::photographs::{list, place};

@@ -260,7 +260,8 @@ fn key(name: &str) -> String {
     short
 }
 
-#[cfg(all(test, unix))]
+#[cfg(unix)]
+#[cfg(test)]
 mod tests {
     use super::*;
     use crate::pass::progress::Silent;

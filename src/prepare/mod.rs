@@ -40,7 +40,8 @@ mod regions;
 pub mod scene_file;
 #[cfg(test)]
 mod test_data;
-#[cfg(all(test, unix))]
+#[cfg(unix)]
+#[cfg(test)]
 mod tests;
 mod video;
 mod work;

@@ -152,7 +152,8 @@ fn last_lines(output: &[u8]) -> String {
     if lines.is_empty() { "it gave no reason".to_owned() } else { lines.join("\n") }
 }
 
-#[cfg(all(test, unix))]
+#[cfg(unix)]
+#[cfg(test)]
 mod tests {
     use super::*;
     use crate::prepare::test_data::script;

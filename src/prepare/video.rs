@@ -134,7 +134,8 @@ fn sharpness(frame: &GrayImage) -> f64 {
     squares / count - (sum / count).powi(2)
 }
 
-#[cfg(all(test, unix))]
+#[cfg(unix)]
+#[cfg(test)]
 mod tests {
     use super::*;
     use crate::pass::progress::Silent;

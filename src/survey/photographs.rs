@@ -75,6 +75,13 @@ pub fn of_radiance(looks: &[Look]) -> Vec<Finding> {
             "Write the image again, in the unit of the others, or leave the view out with `select`.",
         )
     });
+    found.extend(of_some_pixels(looks, is_negative));
+    found
+}
+
+/// Photographs of which some pixels are no radiance.
+fn of_some_pixels(looks: &[Look], is_negative: impl Fn(&Light) -> bool) -> Vec<Finding> {
+    let mut found = Vec::new();
     add(
         &mut found,
         looks,

@@ -15,48 +15,27 @@
 //!
 //! | orbit field | type | unit | default | meaning |
 //! | --- | --- | --- | --- | --- |
-//! | `target` | [`Vec3`] | world | (0, 0, 0) | the point that all cameras look at |
+//! | `target` | `Vec3` | world | (0, 0, 0) | the point that all cameras look at |
 //! | `radius` | `f32` | world | 2.8 | distance from the target |
 //! | `elevation_degrees` | `f32` | degrees | 20 | height above the horizon, −90 to 90 |
 //! | `start_degrees` | `f32` | degrees | 0 | where the circle starts; 0 is in front |
 //! | `frames` | `u32` | | 60 | cameras on the circle |
-//! | `up` | [`Vec3`] | | (0, 1, 0) | the world's up direction |
+//! | `up` | `Vec3` | | (0, 1, 0) | the world's up direction |
 //! | `vertical_fov_degrees` | `f32` | degrees | 38 | full field of view |
 //! | `width`, `height` | `u32` | pixels | 512 | image size |
 
 pub mod camera;
+mod grid;
 pub mod raster;
 pub mod stored;
 
 pub use camera::{Camera, Orbit};
+pub use grid::{Image, Mask};
 pub use stored::{Photograph, PixelWindow, StoredMask};
 
 use crate::{Error, Result};
 use bevy_ecs::prelude::Component;
-use glam::Vec3;
 use serde::{Deserialize, Serialize};
-
-/// A linear RGB image, row by row from the top left.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Image {
-    /// Width in pixels.
-    pub width: u32,
-    /// Height in pixels.
-    pub height: u32,
-    /// `width * height` linear Rec. 709 radiances.
-    pub pixels: Vec<Vec3>,
-}
-
-/// Coverage of each pixel by the object, row by row from the top left.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Mask {
-    /// Width in pixels.
-    pub width: u32,
-    /// Height in pixels.
-    pub height: u32,
-    /// `width * height` values in `[0, 1]`.
-    pub coverage: Vec<f32>,
-}
 
 /// Name of a view; output files have this name.
 #[derive(Component, Clone, Debug, PartialEq, Eq)]

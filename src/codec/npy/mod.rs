@@ -88,8 +88,8 @@ pub fn write_lobes(path: impl AsRef<Path>, lobes: &[LightLobe], convention: NpyC
 /// The file's values in C order, as `f64`, and the number of columns.
 fn read_table(path: &Path, bytes: &[u8]) -> Result<(Vec<f64>, usize)> {
     let bad = |problem: String| Error::input(path, "", problem, HELP);
-    let floats = Floats::new(bytes).map_err(bad)?;
-    let (rows, columns) = match floats.shape() {
+    let (header, _) = header::split(bytes).map_err(bad)?;
+    let (rows, columns) = match header.shape.as_slice() {
         [rows, columns @ (5 | 7)] => (*rows as usize, *columns as usize),
         shape => return Err(bad(format!("has shape {shape:?}, not [M, 7]"))),
     };
@@ -104,7 +104,7 @@ fn read_table(path: &Path, bytes: &[u8]) -> Result<(Vec<f64>, usize)> {
             "Fit fewer lobes to the light: `lobelia env fit MAP --lobes 128`.",
         ));
     }
-    Ok((floats.matrix(rows, columns), columns))
+    Ok((Floats::new(bytes).map_err(bad)?.matrix(rows, columns), columns))
 }
 
 fn lobe_of_row(path: &Path, row: usize, v: &[f64], convention: NpyConvention) -> Result<LightLobe> {
