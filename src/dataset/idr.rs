@@ -88,8 +88,7 @@ pub(super) fn taken_apart(matrix: &Matrix) -> Result<(Lens, Rigid), String> {
     last /= scale;
     let volume =
         linear.determinant() / (linear.x_axis.length() * linear.y_axis.length() * linear.z_axis.length());
-    // Also if it is NaN.
-    if !(volume > LEAST_VOLUME) {
+    if volume.is_nan() || volume <= LEAST_VOLUME {
         return Err("is singular: it is no camera's".to_owned());
     }
     // Rows of K R from the last one: each is a combination of rows of R that begins one row later.

@@ -140,7 +140,7 @@ impl Lens {
                 center[0], center[1]
             ));
         }
-        if !(self.skew.abs() <= FARTHEST_CENTER * f64::from(width)) {
+        if self.skew.is_nan() || self.skew.abs() > FARTHEST_CENTER * f64::from(width) {
             return Err(format!("the skew is {} pixels", self.skew));
         }
         let center = center.map(|c| c as f32);

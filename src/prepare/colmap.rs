@@ -163,7 +163,7 @@ impl Colmap {
 
     /// Cameras and points, as one or several models in folders of `models` with numbers as names. `side` is the longest side of the
     /// photographs in pixels.
-    pub fn mapping(&self, database: &Path, images: &Path, models: &Path, side: u32) -> Vec<OsString> {
+    pub fn mapping(database: &Path, images: &Path, models: &Path, side: u32) -> Vec<OsString> {
         let paths = [("--database_path", database), ("--image_path", images), ("--output_path", models)];
         let mut words = words("mapper", &paths);
         let error = (LEAST_ERROR * f64::from(side) / ERROR_SIDE).clamp(LEAST_ERROR, MOST_ERROR);
@@ -172,14 +172,14 @@ impl Colmap {
     }
 
     /// The same model with the cameras' centers found as well, which a mapper takes for the middle of the image.
-    pub fn refinement(&self, model: &Path, output: &Path) -> Vec<OsString> {
+    pub fn refinement(model: &Path, output: &Path) -> Vec<OsString> {
         let mut words = words("bundle_adjuster", &[("--input_path", model), ("--output_path", output)]);
         words.extend(["--BundleAdjustment.refine_principal_point", "1"].map(OsString::from));
         words
     }
 
     /// Photographs without distortion, and their cameras.
-    pub fn undistortion(&self, images: &Path, model: &Path, output: &Path) -> Vec<OsString> {
+    pub fn undistortion(images: &Path, model: &Path, output: &Path) -> Vec<OsString> {
         let paths = [("--image_path", images), ("--input_path", model), ("--output_path", output)];
         words("image_undistorter", &paths)
     }
@@ -251,13 +251,13 @@ mod tests {
         assert!(joined(&words).starts_with("sequential_matcher --database_path db --SiftMatching.use_gpu 0"));
         assert!(joined(&words).ends_with("--SequentialMatching.overlap 20"));
         for (side, error) in [(800, "1.2"), (3200, "2.4"), (12_000, "4")] {
-            let words = joined(&colmap.mapping(Path::new("db"), Path::new("i"), Path::new("m"), side));
+            let words = joined(&Colmap::mapping(Path::new("db"), Path::new("i"), Path::new("m"), side));
             assert!(
                 words.ends_with(&format!("--output_path m --Mapper.filter_max_reproj_error {error}")),
                 "{words}"
             );
         }
-        let words = colmap.undistortion(Path::new("i"), Path::new("m/0"), Path::new("d"));
+        let words = Colmap::undistortion(Path::new("i"), Path::new("m/0"), Path::new("d"));
         assert_eq!(joined(&words), "image_undistorter --image_path i --input_path m/0 --output_path d");
     }
 

@@ -77,7 +77,7 @@ impl Reconstruction<'_> {
         let model = if refines { work.path("refined") } else { largest.folder.clone() };
         work.step("refinement", &format!("{refines} {}", largest.folder.display()), |work| {
             let output = work.emptied("refined")?;
-            let words = self.colmap.refinement(&largest.folder, &output);
+            let words = Colmap::refinement(&largest.folder, &output);
             if refines { self.colmap_step(work, "refinement", 1, &words) } else { Ok(()) }
         })?;
         let error = mean_reprojection_error(&model)?;
@@ -146,7 +146,7 @@ impl Reconstruction<'_> {
         let models = work.emptied("models")?;
         let side = self.photographs.iter().flat_map(|photograph| photograph.size).max().unwrap_or_default();
         let (database, images) = (work.path("database.db"), work.path("photographs"));
-        let words = self.colmap.mapping(&database, &images, &models, side);
+        let words = Colmap::mapping(&database, &images, &models, side);
         let ran = self.colmap_step(work, "mapping", self.photographs.len() as u64, &words);
         let is_empty = fs::read_dir(&models).map_err(Error::io("read", &models))?.next().is_none();
         let log = fs::read(work.log("mapping")).unwrap_or_default();
@@ -191,7 +191,7 @@ impl Reconstruction<'_> {
             self.progress.note(note);
         }
         let count = names.len() as u64;
-        self.colmap_step(work, "undistortion", count, &self.colmap.undistortion(&photographs, model, &data))?;
+        self.colmap_step(work, "undistortion", count, &Colmap::undistortion(&photographs, model, &data))?;
         if self.has_masks {
             self.undistort_masks(work, model, names)?;
         }
@@ -205,7 +205,7 @@ impl Reconstruction<'_> {
             check_interrupted()?;
             write_as(&bent.join(name), &read_gray(&work.path("masks").join(format!("{name}.png")))?)?;
         }
-        let words = self.colmap.undistortion(&bent, model, &straight);
+        let words = Colmap::undistortion(&bent, model, &straight);
         self.colmap_step(work, "undistortion of masks", names.len() as u64, &words)?;
         for name in names {
             let mut mask = read_gray(&straight.join("images").join(name))?;

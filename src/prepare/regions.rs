@@ -72,10 +72,10 @@ impl Bits {
         let (labels, sizes) = self.regions(false);
         let mut is_hole: Vec<bool> = sizes.iter().map(|size| *size <= most).collect();
         let (width, height) = (self.width, self.height);
-        for i in 0..self.pixels.len() {
+        for (i, label) in labels.iter().enumerate() {
             let (x, y) = (i % width, i / width);
             if (x == 0 || y == 0 || x + 1 == width || y + 1 == height)
-                && let Some(label) = labels[i]
+                && let Some(label) = *label
             {
                 is_hole[label as usize] = false;
             }

@@ -98,11 +98,11 @@ impl Capture {
         let first = |line: &str| line.split(' ').next().unwrap_or_default().to_owned();
         text.lines().filter(|line| !line.ends_with(" -h")).map(first).collect()
     }
+}
 
-    fn refused(&self, options: &PrepareOptions) -> String {
-        let error = prepare(options, &Silent).unwrap_err();
-        format!("{error} {}", error.help().unwrap_or_default())
-    }
+fn refused(options: &PrepareOptions) -> String {
+    let error = prepare(options, &Silent).unwrap_err();
+    format!("{error} {}", error.help().unwrap_or_default())
 }
 
 #[test]
@@ -122,7 +122,7 @@ fn photographs_become_a_data_set_that_is_read() {
     let loaded = load(&out.join("scene.ron"), &LoadOptions::default()).unwrap();
     assert_eq!(prepared.scene, Some(loaded.path));
     assert!(!out.join(".work").exists() && out.join("logs/mapping.log").is_file());
-    assert!(capture.refused(&capture.options()).contains("is not empty"));
+    assert!(refused(&capture.options()).contains("is not empty"));
 }
 
 #[test]
@@ -152,7 +152,7 @@ fn without_masks_there_is_no_scene_file() {
 fn a_failure_is_explained_and_work_goes_on_after_it() {
     let capture = Capture::new();
     capture.colmap(&COLMAP.replace("  mapper)", "  mapper) echo 'out of memory'; exit 1;;\n  unused)"));
-    let text = capture.refused(&capture.options());
+    let text = refused(&capture.options());
     assert!(text.contains("colmap mapper: it failed") && text.contains("out of memory"), "{text}");
     assert!(text.contains("mapping.log"), "{text}");
     let names: Vec<_> =
@@ -168,7 +168,7 @@ fn a_failure_is_explained_and_work_goes_on_after_it() {
 fn other_options_do_later_steps_again() {
     let capture = Capture::new();
     capture.colmap(&COLMAP.replace("  image_undistorter)", "  image_undistorter) exit 1;;\n  unused)"));
-    capture.refused(&capture.options());
+    refused(&capture.options());
     capture.calls();
     capture.colmap(COLMAP);
     prepare(&PrepareOptions { lens: LensModel::Radial, ..capture.options() }, &Silent).unwrap();
@@ -184,12 +184,12 @@ fn no_cameras_are_explained() {
             "  mapper) echo 'ERROR: failed to create sparse model'; exit 1;;\n  unused)",
         ),
     );
-    let text = capture.refused(&capture.options());
+    let text = refused(&capture.options());
     assert!(text.contains("no pair of photographs to start from") && text.contains("overlap"), "{text}");
     fs::remove_dir_all(capture.path("models")).unwrap();
     capture.model("0", &["a.jpg", "d.jpg"]);
     capture.colmap(COLMAP);
-    assert!(capture.refused(&capture.options()).contains("the cameras of 2 photographs only"));
+    assert!(refused(&capture.options()).contains("the cameras of 2 photographs only"));
 }
 
 /// Notes that are told.
@@ -228,27 +228,25 @@ fn bad_input_leaves_no_folder() {
         change(&mut options);
         options
     };
-    let text = capture.refused(&given(&|options| options.colmap = "no-such-colmap-anywhere".into()));
+    let text = refused(&given(&|options| options.colmap = "no-such-colmap-anywhere".into()));
     assert!(
         text.contains("no program `no-such-colmap-anywhere` on the PATH")
             && text.contains("apt install colmap"),
         "{text}"
     );
-    let text = capture.refused(&given(&|options| options.photographs = capture.path("none")));
+    let text = refused(&given(&|options| options.photographs = capture.path("none")));
     assert!(text.contains("no such folder"), "{text}");
-    let text = capture.refused(&given(&|options| options.masks = MaskSource::Command("rembg".into())));
+    let text = refused(&given(&|options| options.masks = MaskSource::Command("rembg".into())));
     assert!(text.contains("has no {in}"), "{text}");
     for bad in [0.0, -1.0, f32::NAN, f32::INFINITY] {
-        assert!(
-            capture.refused(&given(&|options| options.frames_per_second = bad)).contains("frames per second")
-        );
+        assert!(refused(&given(&|options| options.frames_per_second = bad)).contains("frames per second"));
     }
     assert!(!capture.path("out").exists());
     let other = script(capture.folder.path(), "other", "echo some other program");
-    let text = capture.refused(&given(&|options| options.colmap = other.clone()));
+    let text = refused(&given(&|options| options.colmap = other.clone()));
     assert!(text.contains("is not COLMAP"), "{text}");
     fs::create_dir(capture.path("out")).unwrap();
     fs::write(capture.path("out/thesis.txt"), "x").unwrap();
-    assert!(capture.refused(&capture.options()).contains("it has thesis.txt"));
+    assert!(refused(&capture.options()).contains("it has thesis.txt"));
     assert_eq!(fs::read_dir(capture.path("out")).unwrap().count(), 1);
 }

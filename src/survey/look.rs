@@ -263,10 +263,8 @@ fn bounds(mask: &Mask) -> Option<Bounds> {
     for (i, _) in mask.coverage.iter().enumerate().filter(|(_, coverage)| **coverage >= COVERED) {
         let at = [(i as u32 % mask.width) as f32, (i as u32 / mask.width) as f32];
         let found = found.get_or_insert(Bounds { low: at, high: at });
-        for k in 0..2 {
-            found.low[k] = found.low[k].min(at[k]);
-            found.high[k] = found.high[k].max(at[k] + 1.0);
-        }
+        found.low = [found.low[0].min(at[0]), found.low[1].min(at[1])];
+        found.high = [found.high[0].max(at[0] + 1.0), found.high[1].max(at[1] + 1.0)];
     }
     found
 }

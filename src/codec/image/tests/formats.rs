@@ -64,7 +64,7 @@ fn tiffs_of_integers_are_read_with_every_compression() {
 fn tiffs_of_floats_are_linear() {
     let (_dir, at) = folder();
     let bytes = tiff_bytes(|encoder| {
-        encoder.write_image::<RGB32Float>(2, 1, &[0.5, 2.0, 0.1, 9.0, 0.0, 0.2]).unwrap()
+        encoder.write_image::<RGB32Float>(2, 1, &[0.5, 2.0, 0.1, 9.0, 0.0, 0.2]).unwrap();
     });
     fs::write(at("a.tif"), bytes).unwrap();
     let loaded = read_image(at("a.tif"), Gamma::Srgb, Orientation::Upright).unwrap();
