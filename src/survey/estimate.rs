@@ -29,8 +29,8 @@ use serde::Serialize;
 pub const PHOTOGRAPH_BYTES: f64 = 6.0;
 /// Bytes of a pixel of a silhouette in memory: its signed distance as a half float.
 pub const SILHOUETTE_BYTES: f64 = 2.0;
-/// Bytes of a pixel in the pool of a fit: its columns, and about 24 of the table around them.
-pub const POOL_BYTES: f64 = (size_of::<FitSample>() + 24) as f64;
+/// Bytes of a pixel in the pool of a fit: its columns, two ticks for each of the eleven, and its entity.
+pub const POOL_BYTES: f64 = (size_of::<FitSample>() + 11 * 8 + 52) as f64;
 /// Bytes of a texel in a fit: albedo, gradient, two moments, what is shown, place, normal, and their table.
 pub const TEXEL_BYTES: f64 = 200.0;
 /// Bytes of a cell of a shape's grid, with its adjoints and moments.
