@@ -23,7 +23,7 @@ use std::ops::Range;
 /// Samples in the pool of a frame: enough to use all threads, few enough for cache and memory.
 const POOL: usize = 1 << 16;
 
-/// Most memory that one picture may be expected to take, in bytes.
+/// Most memory that a map, or the photographs that a scene renders itself, may be expected to take, in bytes.
 pub const MOST_FRAME_BYTES: u64 = 8 << 30;
 
 /// Checks that `bytes` are at most [`MOST_FRAME_BYTES`]; `what` names the picture that takes them.
