@@ -5,6 +5,7 @@ use lobelia::codec::frame::Frame;
 use lobelia::mesh::primitive::box_mesh;
 use lobelia::pipeline::pool::read_column;
 use lobelia::prelude::*;
+use lobelia::sample::observation::ObservationIndex;
 use lobelia::sample::pixel::SampleIndex;
 use lobelia::view::Camera;
 use std::ops::ControlFlow;
@@ -67,10 +68,14 @@ fn a_marker_on_one_texel_changes_neither_a_picture_nor_a_fit() {
 }
 
 #[test]
-fn a_marker_on_one_pixel_sample_does_not_change_a_fit() {
-    fn mark(samples: Query<(Entity, &SampleIndex)>, mut commands: Commands) {
-        let wanted = samples.iter().filter(|(_, index)| [0, 301].contains(&index.0));
+fn a_marker_on_an_observed_pixel_or_a_sample_does_not_change_a_fit() {
+    fn mark_sample(samples: Query<(Entity, &SampleIndex), Without<Marked>>, mut commands: Commands) {
+        let wanted = samples.iter().filter(|(_, index)| index.0 == 30);
         wanted.for_each(|(sample, _)| _ = commands.entity(sample).insert(Marked));
+    }
+    fn mark_pixels(pixels: Query<(Entity, &ObservationIndex)>, mut commands: Commands) {
+        let wanted = pixels.iter().filter(|(_, index)| [0, 301].contains(&index.0));
+        wanted.for_each(|(pixel, _)| _ = commands.entity(pixel).insert(Marked));
     }
     #[derive(Resource, Default)]
     struct Seen(usize);
@@ -79,10 +84,10 @@ fn a_marker_on_one_pixel_sample_does_not_change_a_fit() {
     }
     let mut with_marker = fitted(|pipeline| {
         pipeline.world.init_resource::<Seen>();
-        pipeline.add_systems(Phase::Prepare, Stage::Write, mark);
-        pipeline.add_systems(Phase::FitStep, Stage::Write, count);
+        pipeline.add_systems(Phase::Prepare, Stage::Write, mark_pixels);
+        pipeline.add_systems(Phase::FitStep, Stage::Write, (count, mark_sample).chain());
     });
-    assert_eq!(with_marker.world.resource::<Seen>().0, 2, "both were there at every step");
+    assert_eq!(with_marker.world.resource::<Seen>().0, 3, "all were there until the last step");
     assert_eq!(found(&mut with_marker), found(&mut fitted(|_| ())));
 }
 

@@ -1,9 +1,9 @@
 //! Writing of OpenEXR: any channels by name, and the layered frame that a render pass writes, which can also be read.
 
-use crate::codec::exr::{ExrLayers, read_exr_layers};
+use crate::Result;
+use crate::codec::exr::{ExrLayers, read_exr_groups};
 use crate::codec::exr_rows::{ChannelRows, Column, Values, write_rows};
 use crate::codec::finite::check_finite;
-use crate::{Error, Result};
 use glam::Vec3;
 use std::path::Path;
 
@@ -133,36 +133,80 @@ pub fn write_channels(path: impl AsRef<Path>, channels: &ExrLayers) -> Result<()
     write_rows(path, &names, size, |rows| rows.push(size, &columns))
 }
 
+/// A layer of a [`Frame`] in three channels, which can be left out on reading.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Layer {
+    /// [`Frame::diffuse`].
+    Diffuse,
+    /// [`Frame::specular`].
+    Specular,
+    /// [`Frame::albedo`].
+    Albedo,
+    /// [`Frame::normal`].
+    Normal,
+}
+
+impl Layer {
+    /// All of them.
+    pub const ALL: [Self; 4] = [Self::Diffuse, Self::Specular, Self::Albedo, Self::Normal];
+
+    fn channels(self) -> &'static [&'static str] {
+        match self {
+            Self::Diffuse => &DIFFUSE,
+            Self::Specular => &SPECULAR,
+            Self::Albedo => &ALBEDO,
+            Self::Normal => &NORMAL,
+        }
+    }
+
+    fn of(self, frame: &mut Frame) -> &mut Vec<Vec3> {
+        match self {
+            Self::Diffuse => &mut frame.diffuse,
+            Self::Specular => &mut frame.specular,
+            Self::Albedo => &mut frame.albedo,
+            Self::Normal => &mut frame.normal,
+        }
+    }
+}
+
 /// Reads a frame that [`write_frame`] wrote.
 ///
 /// # Errors
-/// Those of [`read_exr_layers`], and [`Error::Input`] if a layer is missing.
+/// Those of [`read_frame_layers`].
 pub fn read_frame(path: impl AsRef<Path>) -> Result<Frame> {
     let path = path.as_ref();
-    let mut channels = read_exr_layers(path)?;
-    let missing = |name: &str, has: &ExrLayers| {
-        Error::input(
-            path,
-            "",
-            format!("channel {name} is missing; it has {}", has.names()),
-            "a frame is an EXR that a render pass has written",
-        )
-    };
-    let triple = |names: [&str; 3]| channels.triple(names).ok_or_else(|| missing(names[0], &channels));
-    let (color, diffuse, specular) = (triple(COLOR)?, triple(DIFFUSE)?, triple(SPECULAR)?);
-    let (albedo, normal) = (triple(ALBEDO)?, triple(NORMAL)?);
-    let mut single = |name: &str| match channels.channels.remove(name) {
-        Some(values) => Ok(values),
-        None => Err(missing(name, &channels)),
-    };
-    let (alpha, depth) = (single(ALPHA)?, single(DEPTH)?);
-    let (width, height) = (channels.width as usize, channels.height as usize);
-    Ok(Frame { width, height, color, alpha, diffuse, specular, albedo, normal, depth })
+    let mut frame = read_frame_layers(path, &Layer::ALL)?;
+    frame.depth = read_exr_groups(path, &[&[DEPTH]])?.1.swap_remove(0);
+    Ok(frame)
+}
+
+/// Reads color, coverage and some other layers of a frame that [`write_frame`] wrote; the others, and depth, are empty.
+///
+/// # Errors
+/// Those of [`read_exr_layers`](crate::codec::exr::read_exr_layers), and [`Error::Input`] if a layer is missing.
+pub fn read_frame_layers(path: impl AsRef<Path>, layers: &[Layer]) -> Result<Frame> {
+    let mut groups: Vec<&[&str]> = vec![&[ALPHA], &COLOR];
+    groups.extend(layers.iter().map(|layer| layer.channels()));
+    let ([width, height], values) = read_exr_groups(path.as_ref(), &groups)?;
+    let mut values = values.into_iter();
+    let mut frame = Frame { width, height, ..Frame::default() };
+    frame.alpha = values.next().unwrap_or_default();
+    frame.color = values.next().map(vectors).unwrap_or_default();
+    for (layer, values) in layers.iter().zip(values) {
+        *layer.of(&mut frame) = vectors(values);
+    }
+    Ok(frame)
+}
+
+fn vectors(values: Vec<f32>) -> Vec<Vec3> {
+    values.chunks_exact(3).map(Vec3::from_slice).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::codec::exr::read_exr_layers;
+    use crate::error::Error;
     use exr::meta::attribute::Text;
     use exr::meta::header::LayerAttributes;
     use exr::prelude::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, Vec2, WritableImage};

@@ -1,13 +1,17 @@
-//! The Prepare phase: every usable foreground pixel of the training views becomes one sample of the pool, traced once.
+//! The Prepare phase: every usable foreground pixel of the training views becomes one row of the pool of observed pixels, traced once.
+//! Each step then takes some of them into the samples.
 
 use crate::error::{Error, Result};
 use crate::fit::components::TexelSeen;
 use crate::material::Texels;
-use crate::math::ray::Ray;
+use crate::math::ray::{Intersect, Ray};
 use crate::pipeline::SystemResult;
 use crate::sample::Samples;
-use crate::sample::bundle::{FitSample, FrameSample, despawn_pool};
-use crate::sample::pixel::{Observed, PixelOf, SATURATION, SampleIndex, Window};
+use crate::sample::bundle::{FitSample, despawn_pool};
+use crate::sample::observation::{
+    Observation, ObservationBundle, ObservationIndex, Observations, ObservedWindow, despawn_observations,
+};
+use crate::sample::pixel::{Observed, PixelOf, SATURATION, SampleIndex, ViewRay};
 use crate::sample::point::{Scenery, SurfacePoint};
 use crate::view::{ByView, Camera, Photograph, PixelWindow, Split, StoredMask, ViewIndex, ViewMask};
 use bevy_ecs::prelude::{Query, Res, ResMut, Resource, With, World};
@@ -150,30 +154,24 @@ impl ObservedView<'_> {
     }
 }
 
-/// Trace: casts the chosen pixels' rays; those that meet the front of the surface become the pool.
+/// Trace: casts the chosen pixels' rays; those that meet the front of the surface become the pool of observed pixels.
 pub fn trace_pixels(world: &mut World) -> SystemResult {
     let chosen = std::mem::take(&mut world.resource_mut::<Candidates>().0);
     let scenery = world.resource::<Scenery>().0.clone();
     let mut views = world.query_filtered::<(&ViewIndex, &Camera), With<Photograph>>();
     let cameras: ByView<Camera> = views.iter(world).map(|(index, camera)| (*index, *camera)).collect();
-    despawn_pool(world);
+    despawn_observations(world);
     let mut rows = 0;
-    // In parts: all points beside the pool would be a third of it.
+    // In parts: all points beside the pool would be half of it.
     for part in chosen.chunks(TRACED_AT_ONCE) {
-        let traced = |candidate: &Candidate| {
-            let ray = cameras.of(candidate.pixel.view)?.pixel_ray(candidate.pixel.pixel);
-            Ok((ray, SurfacePoint::from(scenery.intersect(&ray, 0.0))))
-        };
-        let traced: Vec<(Ray, SurfacePoint)> = part.par_iter().map(traced).collect::<Result<_>>()?;
-        let is_front =
-            |ray: &Ray, point: &SurfacePoint| point.is_hit() && point.normal.dot(ray.direction) < 0.0;
-        let front = part.iter().zip(traced).filter(|(_, (ray, point))| is_front(ray, point));
-        let samples: Vec<FitSample> = front
-            .zip(rows..)
-            .map(|((c, (ray, point)), row)| c.sample(SampleIndex(row), ray, point))
+        let trace = |candidate: &Candidate| candidate.trace(&cameras, scenery.as_ref());
+        let traced: Vec<Option<Observation>> = part.par_iter().map(trace).collect::<Result<_>>()?;
+        let bundles = traced.into_iter().flatten().zip(rows..);
+        let bundles: Vec<ObservationBundle> = bundles
+            .map(|(observation, row)| ObservationBundle { index: ObservationIndex(row), observation })
             .collect();
-        rows += samples.len() as u32;
-        world.spawn_batch(samples);
+        rows += bundles.len() as u32;
+        world.spawn_batch(bundles);
     }
     if rows == 0 {
         return Err(Error::usage(
@@ -182,39 +180,63 @@ pub fn trace_pixels(world: &mut World) -> SystemResult {
         )
         .into());
     }
-    world.resource_mut::<Window>().0 = 0..rows as usize;
+    world.resource_mut::<ObservedWindow>().0 = 0..rows as usize;
     Ok(())
 }
 
 impl Candidate {
-    fn sample(&self, row: SampleIndex, ray: Ray, point: SurfacePoint) -> FitSample {
-        FitSample {
-            frame: FrameSample { pixel: self.pixel, point, ..FrameSample::blank(row, ray) },
-            observed: self.observed,
-            adjoint: Default::default(),
-            back: Default::default(),
-        }
+    /// The observation, if its ray meets the front of the surface.
+    fn trace(&self, cameras: &ByView<Camera>, scenery: &dyn Intersect) -> Result<Option<Observation>> {
+        let ray = cameras.of(self.pixel.view)?.pixel_ray(self.pixel.pixel);
+        let point = SurfacePoint::from(scenery.intersect(&ray, 0.0));
+        let is_front = point.is_hit() && point.normal.dot(ray.direction) < 0.0;
+        Ok(is_front.then_some(Observation { pixel: self.pixel, observed: self.observed, point }))
     }
 }
 
-/// Gather: sums the weights of each texel over all samples.
-pub fn count_seen_texels(
-    samples: Samples<(&SurfacePoint, &Observed)>,
-    texels: Texels<&mut TexelSeen>,
+/// Spawns the samples of a step of `batch` pixels.
+pub fn spawn_samples(world: &mut World, batch: usize) {
+    despawn_pool(world);
+    let nowhere = Ray { origin: Vec3::ZERO, direction: Vec3::NEG_Z };
+    let blank = |row| FitSample::blank(SampleIndex(row), nowhere);
+    world.spawn_batch((0..batch as u32).map(blank).collect::<Vec<_>>());
+}
+
+/// The columns of a sample that say what it is a sample of.
+type TakenColumns =
+    (&'static mut PixelOf, &'static mut Observed, &'static mut SurfacePoint, &'static mut ViewRay);
+
+/// Sample: takes the observed pixels of this step into the samples, with rays through the cameras as they are now.
+pub fn take_observations(
+    taken: Res<ObservedWindow>,
+    observations: Observations,
+    views: Query<(&ViewIndex, &Camera), With<Photograph>>,
+    samples: Samples<TakenColumns>,
 ) -> SystemResult {
-    let (points, _) = samples.columns()?;
+    let cameras: ByView<Camera> = views.iter().map(|(index, camera)| (*index, *camera)).collect();
+    let observations = observations.rows(taken.0.clone())?;
+    let (mut pixels, mut observed, mut points, mut rays) = samples.columns()?;
+    let columns = pixels.par_iter_mut().zip(&mut *observed).zip(&mut *points).zip(&mut *rays);
+    let take = |((((pixel, observed), point), ray), from): (
+        (((&mut _, &mut _), &mut _), &mut ViewRay),
+        &Observation,
+    )| {
+        (*pixel, *observed, *point) = (from.pixel, from.observed, from.point);
+        ray.0 = cameras.of(from.pixel.view)?.pixel_ray(from.pixel.pixel);
+        Ok(())
+    };
+    columns.zip(&*observations).with_min_len(1024).try_for_each(take).map_err(|error: Error| error.into())
+}
+
+/// Gather: sums the weights of each texel over all observed pixels.
+pub fn count_seen_texels(observations: Observations, texels: Texels<&mut TexelSeen>) -> SystemResult {
+    let observations = observations.columns()?;
     let mut seen = texels.columns()?.quiet();
     seen.fill(TexelSeen(0.0));
-    for point in &*points {
+    for Observation { point, .. } in &*observations {
         for i in 0..4 {
             seen[point.texels.indices[i] as usize].0 += point.texels.weights[i];
         }
     }
     Ok(())
-}
-
-/// Mean radiance of the pool, the scale of the initialization.
-pub fn mean_radiance(observed: &[Observed]) -> Vec3 {
-    let sum = observed.iter().fold(glam::DVec3::ZERO, |sum, o| sum + o.radiance.as_dvec3());
-    (sum / observed.len().max(1) as f64).as_vec3()
 }

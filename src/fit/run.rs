@@ -7,7 +7,9 @@ use super::components::{
 use super::exposure::{Exposures, find_exposures};
 use super::initialization::initialize_light_and_albedo;
 use super::loss::{Loss, LossSums};
-use super::observe::{Candidates, PixelChoice, choose_pixels, count_seen_texels, trace_pixels};
+use super::observe::{
+    Candidates, PixelChoice, choose_pixels, count_seen_texels, spawn_samples, take_observations, trace_pixels,
+};
 use super::roughness::blend::{
     BlendAdjoints, BlendGradient, BlendMoments, TexelPlaces, move_blends, scatter_to_blends,
 };
@@ -24,9 +26,10 @@ use crate::material::{SpecularLobe, recovered_materials, texels_in_order};
 use crate::math::shading::ClosedForm;
 use crate::pipeline::{Phase, Pipeline, Plugin, ScatterAdjoints, Slot, Stage};
 use crate::sample::bundle::despawn_pool;
+use crate::sample::observation::{ObservedWindow, despawn_observations};
 use crate::sample::pixel::Window;
 use crate::shade::frame::{add_gathering, add_material_resources};
-use crate::shade::{gather_points, shade_closed_form};
+use crate::shade::shade_closed_form;
 use crate::visibility::systems::RefreshDue;
 use crate::visibility::{FitVisibilityPlugin, ObjectVisibility};
 use bevy_ecs::prelude::{Entity, IntoScheduleConfigs, With, Without, World};
@@ -138,6 +141,7 @@ pub struct FitPlugin;
 impl Plugin for FitPlugin {
     fn build(&self, pipeline: &mut Pipeline) {
         pipeline.world.init_resource::<Candidates>();
+        pipeline.world.init_resource::<ObservedWindow>();
         pipeline.world.init_resource::<StepGradient>();
         pipeline.world.init_resource::<BlendAdjoints>();
         pipeline.world.init_resource::<TexelPlaces>();
@@ -147,7 +151,8 @@ impl Plugin for FitPlugin {
         pipeline
             .add_systems(Phase::Prepare, Stage::Sample, choose_pixels)
             .add_systems(Phase::Prepare, Stage::Trace, trace_pixels)
-            .add_systems(Phase::Prepare, Stage::Gather, (count_seen_texels, gather_points::<Recovered>))
+            .add_systems(Phase::Prepare, Stage::Gather, count_seen_texels)
+            .add_systems(Phase::FitStep, Stage::Sample, take_observations)
             .swap(Phase::FitStep, Slot::Light, provide_light(LightChoice::Own, false))
             .swap(Phase::FitStep, Slot::Shading, shade_closed_form(ClosedForm::default()))
             .swap(Phase::FitStep, Slot::ShadingAdjoint, pull_back_radiance(ClosedForm::default()))
@@ -167,6 +172,7 @@ impl Plugin for FitPlugin {
 
     fn cleanup(world: &mut World) {
         world.remove_resource::<Candidates>();
+        world.remove_resource::<ObservedWindow>();
         world.remove_resource::<StepGradient>();
         world.remove_resource::<BlendAdjoints>();
         world.remove_resource::<TexelPlaces>();
@@ -207,6 +213,7 @@ pub fn run_fit(
         }
     }
     despawn_pool(&mut pipeline.world);
+    despawn_observations(&mut pipeline.world);
     summary.elapsed_secs = start.elapsed().as_secs_f64();
     Ok(summary)
 }
@@ -231,7 +238,7 @@ fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
     if shadowed {
         pipeline.add_plugin(&FitVisibilityPlugin);
     }
-    let pixels = pipeline.world.resource::<Window>().0.len();
+    let pixels = pipeline.world.resource::<ObservedWindow>().0.len();
     let unknowns = Unknowns {
         light: options.unknowns.light && options.guess.light,
         albedo: options.unknowns.albedo && options.guess.albedo,
@@ -241,12 +248,15 @@ fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
     if unknowns.light && unknowns.albedo {
         start_scale(&mut pipeline.world, options.scale)?;
     }
+    spawn_samples(&mut pipeline.world, options.batch.clamp(1, pixels));
     Ok(pixels)
 }
 
 fn run_step(pipeline: &mut Pipeline, options: &FitOptions, step: u32, pixels: usize) -> Result<()> {
     let world = &mut pipeline.world;
-    world.resource_mut::<Window>().0 = window_of(step, options.batch, pixels);
+    let taken = window_of(step, options.batch, pixels);
+    world.resource_mut::<Window>().0 = 0..taken.len();
+    world.resource_mut::<ObservedWindow>().0 = taken;
     world.insert_resource(rates_at(step, options));
     let every = world.get_resource::<ObjectVisibility>().map_or(1, |v| v.settings().refresh_every);
     world.insert_resource(RefreshDue((step - 1).is_multiple_of(every.max(1))));
@@ -254,7 +264,7 @@ fn run_step(pipeline: &mut Pipeline, options: &FitOptions, step: u32, pixels: us
     pipeline.run(Phase::FitStep)
 }
 
-/// Rows that a step visits: contiguous windows of the shuffled pool, in turn; the last one of a pass through the pool may be shorter.
+/// Observed pixels that a step visits: contiguous windows of the shuffled pool, in turn; the last one of a pass through the pool may be shorter.
 fn window_of(step: u32, batch: usize, pixels: usize) -> std::ops::Range<usize> {
     let batch = batch.clamp(1, pixels);
     let windows = pixels.div_ceil(batch);

@@ -85,7 +85,7 @@ pub enum Slot {
     ShadingAdjoint,
     /// Optimizer of light and material (in [`Stage::Update`]).
     Optimizer,
-    /// The rays of samples, if cameras are optimized (in [`Stage::Trace`]).
+    /// The rays of silhouettes, if cameras are optimized (in [`Stage::Trace`]).
     Recast,
     /// The surface points of samples, if rays or surface change (in [`Stage::Trace`], after [`Slot::Recast`]).
     Retrace,

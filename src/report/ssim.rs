@@ -1,6 +1,7 @@
 //! Structural similarity (Wang, Bovik, Sheikh and Simoncelli, "Image Quality Assessment", IEEE TIP 2004, eq. 13).
 
 use crate::report::metrics::Pair;
+use std::ops::Range;
 
 /// Half width of the 11×11 window.
 const RADIUS: usize = 5;
@@ -21,24 +22,59 @@ pub fn ssim(pair: &Pair) -> f64 {
     (0..3).map(|channel| channel_ssim(pair, channel)).sum::<f64>() / 3.0
 }
 
+/// Rows of the similarity map that are in memory at a time.
+const BAND: usize = 64;
+
 fn channel_ssim(pair: &Pair, channel: usize) -> f64 {
-    let size = [pair.width, pair.height];
+    let (mut sum, mut count) = (0.0, 0usize);
+    for top in (0..pair.height).step_by(BAND) {
+        let rows = top..pair.height.min(top + BAND);
+        let [p, t, pp, tt, pt] = blurred_band(pair, channel, rows);
+        let first = top * pair.width;
+        for i in (0..p.len()).filter(|&i| pair.mask[first + i]) {
+            sum += similarity([p[i], t[i]], [pp[i], tt[i], pt[i]]);
+            count += 1;
+        }
+    }
+    sum / count as f64
+}
+
+/// Prediction, truth, their squares and their product of one channel in some rows, blurred.
+fn blurred_band(pair: &Pair, channel: usize, rows: Range<usize>) -> [Vec<f64>; 5] {
+    let (width, weights) = (pair.width, weights());
+    let columns: Vec<usize> = (0..width + 2 * RADIUS).map(|x| reflected(x, width)).collect();
+    let mut blurred: [Vec<f64>; 5] = std::array::from_fn(|_| vec![0.0; rows.len() * width]);
+    let mut line = vec![0.0; width];
+    // Each row, blurred along itself, is added to the rows whose windows touch it.
+    for at in rows.start..rows.end + 2 * RADIUS {
+        for (plane, blurred) in planes(pair, channel, reflected(at, pair.height)).iter().zip(&mut blurred) {
+            for (x, out) in line.iter_mut().enumerate() {
+                *out = weights.iter().zip(&columns[x..]).map(|(w, &column)| w * plane[column]).sum();
+            }
+            for (tap, weight) in weights.iter().enumerate() {
+                let row = at.checked_sub(rows.start + tap).filter(|row| *row < rows.len());
+                let Some(row) = row else { continue };
+                let to = &mut blurred[row * width..][..width];
+                to.iter_mut().zip(&line).for_each(|(out, value)| *out += weight * value);
+            }
+        }
+    }
+    blurred
+}
+
+/// One row of one channel, clipped and black outside the mask: prediction, truth, their squares and their product.
+fn planes(pair: &Pair, channel: usize, row: usize) -> [Vec<f64>; 5] {
+    let run = row * pair.width..(row + 1) * pair.width;
     let plane = |pixels: &[glam::Vec3]| -> Vec<f64> {
         let value = |(pixel, &counts): (&glam::Vec3, &bool)| {
             if counts { f64::from(pixel[channel]).clamp(0.0, 1.0) } else { 0.0 }
         };
-        pixels.iter().zip(pair.mask).map(value).collect()
+        pixels[run.clone()].iter().zip(&pair.mask[run.clone()]).map(value).collect()
     };
     let (p, t) = (plane(pair.prediction), plane(pair.truth));
     let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).collect::<Vec<f64>>();
     let (pp, tt, pt) = (product(&p, &p), product(&t, &t), product(&p, &t));
-    let [p, t, pp, tt, pt] = [p, t, pp, tt, pt].map(|values| blur(size, &values));
-    let (mut sum, mut count) = (0.0, 0usize);
-    for i in (0..pair.mask.len()).filter(|&i| pair.mask[i]) {
-        sum += similarity([p[i], t[i]], [pp[i], tt[i], pt[i]]);
-        count += 1;
-    }
-    sum / count as f64
+    [p, t, pp, tt, pt]
 }
 
 /// SSIM of one window from its means and mean products.
@@ -61,27 +97,6 @@ fn reflected(at: usize, len: usize) -> usize {
     let period = 2 * len as isize;
     let folded = (at as isize - RADIUS as isize).rem_euclid(period);
     folded.min(period - 1 - folded) as usize
-}
-
-/// Separable Gaussian blur.
-fn blur(size: [usize; 2], values: &[f64]) -> Vec<f64> {
-    let [width, height] = size;
-    let weights = weights();
-    let mut rows = vec![0.0; values.len()];
-    let columns: Vec<usize> = (0..width + 2 * RADIUS).map(|x| reflected(x, width)).collect();
-    for (from, to) in values.chunks_exact(width).zip(rows.chunks_exact_mut(width)) {
-        for (x, out) in to.iter_mut().enumerate() {
-            *out = weights.iter().zip(&columns[x..]).map(|(w, &column)| w * from[column]).sum();
-        }
-    }
-    let mut blurred = vec![0.0; values.len()];
-    for (y, to) in blurred.chunks_exact_mut(width).enumerate() {
-        for (tap, weight) in weights.iter().enumerate() {
-            let from = reflected(y + tap, height) * width;
-            to.iter_mut().zip(&rows[from..from + width]).for_each(|(out, value)| *out += weight * value);
-        }
-    }
-    blurred
 }
 
 #[cfg(test)]
@@ -148,7 +163,7 @@ mod tests {
 
     #[test]
     fn equals_the_direct_definition() {
-        for size in [[17, 13], [6, 9]] {
+        for size in [[17, 13], [6, 9], [7, 150]] {
             let (prediction, truth) = images(size[0] * size[1]);
             let mask: Vec<bool> = (0..truth.len()).map(|i| i % 5 != 0 && i > size[0]).collect();
             let pair = Pair::new(size, &prediction, &truth, &mask).unwrap();

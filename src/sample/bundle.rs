@@ -56,6 +56,18 @@ pub struct FitSample {
     pub back: PointAdjoint,
 }
 
+impl FitSample {
+    /// A sample without a pixel; `ray` is a placeholder.
+    pub fn blank(index: SampleIndex, ray: Ray) -> Self {
+        Self {
+            frame: FrameSample::blank(index, ray),
+            observed: Observed::default(),
+            adjoint: RadianceAdjoint::default(),
+            back: PointAdjoint::default(),
+        }
+    }
+}
+
 /// Removes the pool.
 pub fn despawn_pool(world: &mut World) {
     let samples: Vec<Entity> = world.query_filtered::<Entity, With<SampleIndex>>().iter(world).collect();

@@ -33,13 +33,6 @@ pub struct ExrLayers {
 }
 
 impl ExrLayers {
-    /// Three channels as vectors; `None` if one is missing.
-    pub fn triple(&self, names: [&str; 3]) -> Option<Vec<Vec3>> {
-        let [x, y, z] = names.map(|name| self.channels.get(name));
-        let (x, y, z) = (x?, y?, z?);
-        Some(x.iter().zip(y).zip(z).map(|((&x, &y), &z)| Vec3::new(x, y, z)).collect())
-    }
-
     /// Inserts three channels from vectors.
     pub fn insert_triple(&mut self, names: [&str; 3], values: &[Vec3]) {
         for (axis, name) in names.into_iter().enumerate() {
@@ -117,6 +110,22 @@ pub fn read_exr_layers(path: impl AsRef<Path>) -> Result<ExrLayers> {
     decode_exr(path, open(path, missing_file_help)?)
 }
 
+/// Reads some channels of an EXR: those of a group lie side by side, pixel by pixel. Returns the size too; `path` is for messages.
+///
+/// # Errors
+/// Those of [`read_exr_layers`]; also if a channel is missing.
+pub(crate) fn read_exr_groups(path: &Path, groups: &[&[&str]]) -> Result<([usize; 2], Vec<Vec<f32>>)> {
+    let contents = Contents::open(path, open(path, missing_file_help)?)?;
+    let mut targets = Vec::new();
+    for (buffer, names) in groups.iter().enumerate() {
+        for (offset, name) in names.iter().enumerate() {
+            let place = *contents.channels.get(*name).ok_or_else(|| contents.missing(path, name))?;
+            targets.push(Target { place, buffer, offset, stride: names.len() });
+        }
+    }
+    Ok((contents.size(), contents.read(path, &targets)?))
+}
+
 /// [`read_exr_layers`] of a file already open; `path` is for messages.
 fn decode_exr(path: &Path, source: impl Read + Seek) -> Result<ExrLayers> {
     let contents = Contents::open(path, source)?;
@@ -172,10 +181,19 @@ impl<R: Read + Seek> Contents<R> {
         [self.window.size.width(), self.window.size.height()]
     }
 
+    /// "A, B, G, …", for messages.
+    fn names(&self) -> String {
+        self.channels.keys().map(String::as_str).collect::<Vec<_>>().join(", ")
+    }
+
+    fn missing(&self, path: &Path, name: &str) -> Error {
+        let problem = format!("channel {name} is missing; it has {}", self.names());
+        Error::input(path, "", problem, "a frame is an EXR that a render pass has written")
+    }
+
     fn picture(&self, path: &Path) -> Result<(ExrHeader, Vec<Place>)> {
         let Some(names) = picture(self.channels.keys().map(String::as_str)) else {
-            let names: Vec<&str> = self.channels.keys().map(String::as_str).collect();
-            let problem = format!("no channels R, G, B or Y; the file has {}", names.join(", "));
+            let problem = format!("no channels R, G, B or Y; the file has {}", self.names());
             return Err(Error::input(path, "", problem, "Write the picture as channels R, G, B."));
         };
         let places: Vec<Place> = names.iter().map(|name| self.channels[*name]).collect();

@@ -2,10 +2,11 @@
 //!
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |
-//! | [`recast_rays`] | Trace, `Slot::Recast` | cameras | the window's rays |
 //! | [`retrace_still_surface`] | Trace, `Slot::Retrace` | rays, `Scenery` | surface points; a moving surface has its own system |
 //! | [`align_photographs`] | Gradient, `Slot::CameraGradient` | points, radiance, photographs | [`CameraPose`]: normal equations |
 //! | [`move_cameras`] | Update, `Slot::CameraUpdate` | normal equations | [`CameraPose`], cameras |
+//!
+//! The rays of a step are cast through the cameras as they are then ([`crate::fit::observe::take_observations`]).
 //!
 //! The kernels and their references are in [`crate::fit::cameras::align`].
 pub mod align;
@@ -163,7 +164,6 @@ impl Plugin for CameraPlugin {
         let mut fit = pipeline.world.resource_mut::<CameraFit>();
         (fit.unknowns, fit.object_moves) = (self.0, false);
         pipeline
-            .swap(Phase::FitStep, Slot::Recast, recast_rays)
             .swap(Phase::FitStep, Slot::Retrace, retrace_still_surface)
             .swap(Phase::FitStep, Slot::CameraGradient, align_photographs)
             .swap(Phase::FitStep, Slot::CameraUpdate, move_cameras);
@@ -185,19 +185,6 @@ pub fn attach_poses(world: &mut World) {
     for (view, pose) in poses {
         world.entity_mut(view).insert(pose);
     }
-}
-
-/// Trace: casts the rays of the window through the current cameras.
-pub fn recast_rays(
-    views: Query<(&ViewIndex, &Camera), With<Photograph>>,
-    samples: Samples<(&PixelOf, &mut ViewRay)>,
-) -> SystemResult {
-    let cameras: ByView<Camera> = views.iter().map(|(index, camera)| (*index, *camera)).collect();
-    let (pixels, mut rays) = samples.columns()?;
-    for (ray, pixel) in rays.iter_mut().zip(&*pixels) {
-        ray.0 = cameras.of(pixel.view)?.pixel_ray(pixel.pixel);
-    }
-    Ok(())
 }
 
 /// Trace: intersects the rays of the window with a surface that does not move.

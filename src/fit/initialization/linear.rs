@@ -4,8 +4,7 @@
 use crate::math::brdf::Facets;
 use crate::math::published::Lobe;
 use crate::math::shading::{ClosedForm, Layers, Lighting, ShadePoint, SpecularValue, Visibility};
-use crate::sample::pixel::Observed;
-use crate::sample::point::SurfacePoint;
+use crate::sample::observation::Observation;
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -68,12 +67,12 @@ impl NormalEquations {
     }
 }
 
-/// Non-negative amplitudes of `lobes` (whose own amplitudes are ignored) that fit `observed` at `points` best in
+/// Non-negative amplitudes of `lobes` (whose own amplitudes are ignored) that fit the observed radiance at `points` best in
 /// the least-squares sense, given the albedo in `points`, the specular material and the visibility.
 pub fn solve_amplitudes(
     form: ClosedForm,
     points: &[ShadePoint],
-    observed: &[Observed],
+    observations: &[Observation],
     specular: &SpecularValue,
     lighting: Lighting<'_>,
     ridge: f64,
@@ -84,7 +83,7 @@ pub fn solve_amplitudes(
         .chunks(CHUNK)
         .map(|run| {
             let run = run[0]..run[run.len() - 1] + 1;
-            accumulate(form, points, observed, specular, lighting, run)
+            accumulate(form, points, observations, specular, lighting, run)
         })
         .collect();
     let mut sum = NormalEquations::zeros(lobes.len());
@@ -96,7 +95,7 @@ pub fn solve_amplitudes(
 fn accumulate(
     form: ClosedForm,
     points: &[ShadePoint],
-    observed: &[Observed],
+    observations: &[Observation],
     specular: &SpecularValue,
     Lighting { lobes, visibility }: Lighting<'_>,
     run: Range<usize>,
@@ -118,7 +117,7 @@ fn accumulate(
         }
         for (c, row) in rows.iter().enumerate() {
             let indirect = point.albedo[c] * around.indirect[c] * std::f32::consts::FRAC_1_PI;
-            sum.add(c, row, (observed[n].radiance[c] - indirect).max(0.0));
+            sum.add(c, row, (observations[n].observed.radiance[c] - indirect).max(0.0));
         }
     }
     sum
@@ -126,16 +125,10 @@ fn accumulate(
 
 /// Each texel's least-squares albedo given the light: `unit` is the radiance of the samples with albedo 1. Texels with
 /// few samples are drawn to `prior`. Results are in `[0.02, 0.98]`.
-pub fn solve_albedo(
-    points: &[SurfacePoint],
-    unit: &[Layers],
-    observed: &[Observed],
-    texels: usize,
-    prior: Vec3,
-) -> Vec<Vec3> {
+pub fn solve_albedo(observations: &[Observation], unit: &[Layers], texels: usize, prior: Vec3) -> Vec<Vec3> {
     let (mut above, mut below) = (vec![DVec3::ZERO; texels], vec![DVec3::ZERO; texels]);
     let mut power = DVec3::ZERO;
-    for ((point, unit), observed) in points.iter().zip(unit).zip(observed) {
+    for (Observation { point, observed, .. }, unit) in observations.iter().zip(unit) {
         let diffuse = Vec3::from(unit.diffuse).as_dvec3();
         let target = (observed.radiance - Vec3::from(unit.specular)).as_dvec3();
         power += diffuse * diffuse;
@@ -146,7 +139,7 @@ pub fn solve_albedo(
         }
     }
     // One twentieth of the weight of an average sample.
-    let lean = power * (0.05 / points.len().max(1) as f64) + DVec3::splat(1e-12);
+    let lean = power * (0.05 / observations.len().max(1) as f64) + DVec3::splat(1e-12);
     let prior = prior.as_dvec3();
     above
         .iter()

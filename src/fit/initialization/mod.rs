@@ -14,14 +14,15 @@ use crate::material::{
 };
 use crate::math::shading::{ClosedForm, Layers, Lighting, LobeColumns, PointVisibility, ShadePoint};
 use crate::pipeline::pool::write_column;
-use crate::sample::Samples;
-use crate::sample::pixel::Observed;
+use crate::sample::observation::{Observation, Observations};
 use crate::sample::point::SurfacePoint;
 use crate::shade::systems::kernel_specular;
+use crate::view::{ByView, Camera, Photograph, ViewIndex};
 use crate::visibility::{ObjectVisibility, WindowVisibility};
-use bevy_ecs::prelude::{Entity, Without, World};
+use bevy_ecs::prelude::{Entity, Query, With, Without, World};
 use bevy_ecs::system::SystemState;
 use glam::Vec3;
+use rayon::prelude::*;
 use std::ops::Range;
 
 /// Most pixels in a solve for the amplitudes.
@@ -80,8 +81,6 @@ struct Known<'a> {
     object: Option<&'a mut ObjectVisibility>,
 }
 
-type GuessColumns = (&'static SurfacePoint, &'static ShadePoint, &'static Observed);
-
 fn guess_from_samples(
     world: &mut World,
     lobes: &mut [LightLobe],
@@ -89,13 +88,14 @@ fn guess_from_samples(
     known: Known,
 ) -> Result<()> {
     let Known { form, specular, unknowns, object } = known;
-    let mut state = SystemState::<Samples<GuessColumns>>::new(world);
-    let samples = state.get(world).map_err(|error| Error::run("fit", error.to_string()))?;
-    let (points, gathered, observed) = samples.columns()?;
-    let mut guess =
-        Guess { form, points: &points, gathered: &gathered, observed: &observed, specular, unknowns, object };
-    guess.alternate(lobes, texels);
-    Ok(())
+    type Inputs<'w, 's> =
+        (Observations<'w, 's>, Query<'w, 's, (&'static ViewIndex, &'static Camera), With<Photograph>>);
+    let mut state = SystemState::<Inputs>::new(world);
+    let (observations, views) = state.get(world).map_err(|error| Error::run("fit", error.to_string()))?;
+    let cameras = views.iter().map(|(index, camera)| (*index, *camera)).collect();
+    let observations = observations.columns()?;
+    let mut guess = Guess { form, observations: &observations, cameras, specular, unknowns, object };
+    guess.alternate(lobes, texels)
 }
 
 /// The base material of least roughness that a texel has: it shows best where the light is. (With the mean of two, the fitted roughness is farther from the truth.)
@@ -112,62 +112,76 @@ fn least_rough(world: &mut World) -> SpecularLobe {
 /// The data of the initialization.
 struct Guess<'a> {
     form: ClosedForm,
-    points: &'a [SurfacePoint],
-    gathered: &'a [ShadePoint],
-    observed: &'a [Observed],
+    observations: &'a [Observation],
+    cameras: ByView<Camera>,
     specular: SpecularLobe,
     unknowns: Unknowns,
     object: Option<&'a mut ObjectVisibility>,
 }
 
 impl Guess<'_> {
-    fn alternate(&mut self, lobes: &mut [LightLobe], texels: &mut Vec<Vec3>) {
+    fn alternate(&mut self, lobes: &mut [LightLobe], texels: &mut Vec<Vec3>) -> Result<()> {
         for round in 0..ROUNDS {
             if self.unknowns.light {
                 if (1..=MOVES).contains(&round) {
                     move_lobes_to_the_light(lobes);
                 }
-                self.solve_light(lobes, texels);
+                self.solve_light(lobes, texels)?;
             }
             if self.unknowns.albedo {
-                let n = self.points.len().min(ALBEDO_PIXELS.max(PIXELS_PER_TEXEL * texels.len()));
-                *texels = self.albedo_under(lobes, texels, n);
+                let n = self.observations.len().min(ALBEDO_PIXELS.max(PIXELS_PER_TEXEL * texels.len()));
+                *texels = self.albedo_under(lobes, texels, n)?;
             }
         }
+        Ok(())
     }
 
-    fn solve_light(&mut self, lobes: &mut [LightLobe], texels: &[Vec3]) {
-        let n = self.points.len().min(AMPLITUDE_PIXELS);
-        let points: Vec<ShadePoint> = (0..n).map(|i| self.with_albedo(i, texels)).collect();
+    fn solve_light(&mut self, lobes: &mut [LightLobe], texels: &[Vec3]) -> Result<()> {
+        let n = self.observations.len().min(AMPLITUDE_PIXELS);
+        let points = self.gather(0..n, |point| point.texels.blend(texels))?;
         let columns = LobeColumns::from_lobes(lobes.iter().map(kernel_lobe));
         self.refresh(&columns, texels);
-        let (rows, seen) = self.seen(0..n);
+        let (rows, seen) = self.seen(0..n, &points);
         let lighting = Lighting { lobes: &columns, visibility: rows.view(&seen) };
         let specular = kernel_specular(&self.specular);
-        let amplitudes = solve_amplitudes(self.form, &points, &self.observed[..n], &specular, lighting, 1e-2);
+        let observations = &self.observations[..n];
+        let amplitudes = solve_amplitudes(self.form, &points, observations, &specular, lighting, 1e-2);
         for (lobe, amplitude) in lobes.iter_mut().zip(amplitudes) {
             lobe.amplitude = amplitude.max(Vec3::splat(1e-3));
         }
+        Ok(())
     }
 
-    fn with_albedo(&self, i: usize, texels: &[Vec3]) -> ShadePoint {
-        ShadePoint { albedo: self.points[i].texels.blend(texels).into(), ..self.gathered[i] }
-    }
-
-    fn albedo_under(&mut self, lobes: &[LightLobe], texels: &[Vec3], n: usize) -> Vec<Vec3> {
+    fn albedo_under(&mut self, lobes: &[LightLobe], texels: &[Vec3], n: usize) -> Result<Vec<Vec3>> {
         let columns = LobeColumns::from_lobes(lobes.iter().map(kernel_lobe));
         self.refresh(&columns, texels);
         let specular = kernel_specular(&self.specular);
-        let white: Vec<ShadePoint> =
-            self.gathered[..n].iter().map(|p| ShadePoint { albedo: [1.0; 3], ..*p }).collect();
         let mut unit = vec![Layers::default(); n];
         for start in (0..n).step_by(CHUNK) {
             let run = start..n.min(start + CHUNK);
-            let (rows, seen) = self.seen(run.clone());
+            let white = self.gather(run.clone(), |_| Vec3::ONE)?;
+            let (rows, seen) = self.seen(run.clone(), &white);
             let lighting = Lighting { lobes: &columns, visibility: rows.view(&seen) };
-            self.form.shade(&white[run.clone()], &specular, lighting, &mut unit[run]);
+            self.form.shade(&white, &specular, lighting, &mut unit[run]);
         }
-        solve_albedo(&self.points[..n], &unit, &self.observed[..n], texels.len(), Vec3::splat(0.4))
+        Ok(solve_albedo(&self.observations[..n], &unit, texels.len(), Vec3::splat(0.4)))
+    }
+
+    /// The inputs of shading at a range of observed pixels, with this albedo.
+    fn gather(
+        &self,
+        run: Range<usize>,
+        albedo: impl Fn(&SurfacePoint) -> Vec3 + Sync,
+    ) -> Result<Vec<ShadePoint>> {
+        let gathered = self.observations[run].par_iter().map(|Observation { pixel, point, .. }| {
+            let ray = self.cameras.of(pixel.view)?.pixel_ray(pixel.pixel);
+            Ok(ShadePoint {
+                normal: point.normal.into(),
+                to_viewer: (-ray.direction).into(),
+                albedo: albedo(point).into(),
+            })
+        });
+        gathered.collect()
     }
 
     fn refresh(&mut self, lobes: &LobeColumns, texels: &[Vec3]) {
@@ -177,13 +191,13 @@ impl Guess<'_> {
         }
     }
 
-    /// The visibility of a range of points; empty without visibility.
-    fn seen(&self, run: Range<usize>) -> (WindowVisibility, Vec<PointVisibility>) {
+    /// The visibility at a range of observed pixels, gathered in `points`; empty without visibility.
+    fn seen(&self, run: Range<usize>, points: &[ShadePoint]) -> (WindowVisibility, Vec<PointVisibility>) {
         let mut rows = WindowVisibility::default();
         let Some(object) = &self.object else { return (rows, Vec::new()) };
         let mut seen = vec![PointVisibility::OPEN; run.len()];
-        let (points, gathered) = (&self.points[run.clone()], &self.gathered[run]);
-        object.window(points, gathered, |_| self.specular.roughness, &mut rows, &mut seen);
+        let surface: Vec<SurfacePoint> = self.observations[run].iter().map(|o| o.point).collect();
+        object.window(&surface, points, |_| self.specular.roughness, &mut rows, &mut seen);
         (rows, seen)
     }
 }

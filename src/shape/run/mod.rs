@@ -1,9 +1,7 @@
 //! Fit of a shape: starts from the visual hull and runs one fit per level, on finer and finer grids.
 
 use crate::error::Result;
-use crate::fit::cameras::{
-    CameraFit, CameraPlugin, CameraUnknowns, align_photographs, attach_poses, recast_rays,
-};
+use crate::fit::cameras::{CameraFit, CameraPlugin, CameraUnknowns, align_photographs, attach_poses};
 use crate::fit::run::{FirstGuess, FitOptions, FitProgress, run_fit};
 use crate::material::{
     MAX_SPECULAR_LOBES, SpecularBlend, TexelIndex, recovered_albedo, recovered_materials, spawn_texels,
@@ -82,7 +80,7 @@ impl Plugin for ShapeCameraPlugin {
     fn build(&self, pipeline: &mut Pipeline) {
         pipeline
             .add_plugin(&CameraPlugin(self.0))
-            .swap(Phase::FitStep, Slot::Recast, (recast_rays, recast_silhouettes))
+            .swap(Phase::FitStep, Slot::Recast, recast_silhouettes)
             .swap(Phase::FitStep, Slot::Retrace, retrace_window)
             .swap(Phase::FitStep, Slot::CameraGradient, (align_photographs, align_silhouettes).chain());
         pipeline.world.resource_mut::<CameraFit>().object_moves = true;
