@@ -2,7 +2,7 @@
 //!
 //! | theme | files |
 //! | --- | --- |
-//! | runs of the command | [`run`], [`photos`], [`gloss`], [`ggx`], [`scale`], [`export`], [`shown`], [`env`] |
+//! | runs of the command | [`run`], [`photos`], [`gloss`], [`ggx`], [`scale`], [`export`], [`shown`], [`env`], [`scores`] |
 //! | what is refused, and how | [`bad_input`], [`check`], [`hostile`], [`scene_errors`] |
 //! | systems in a world, pictures | [`ecs`], [`swap`], [`visibility`], [`frames`] |
 //! | the documentation, the layers of the code | [`docs`], [`rooms`] |
@@ -24,6 +24,7 @@ mod rooms;
 mod run;
 mod scale;
 mod scene_errors;
+mod scores;
 mod shown;
 mod swap;
 mod visibility;

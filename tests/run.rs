@@ -169,7 +169,8 @@ fn check_metrics(out: &Path, table: &str) {
         }
         assert!(table.contains(pass), "{table}");
     }
-    for key in ["albedo_psnr", "normal_deg", "fit_secs", "peak_rss_mib"] {
+    for key in ["albedo_psnr", "normal_deg", "normal_median_deg", "normal_pixels", "fit_secs", "peak_rss_mib"]
+    {
         assert!(metrics[key].as_f64().is_some_and(f64::is_finite), "no {key} in {metrics}");
     }
     let value = |key: &str| metrics[key].as_f64().unwrap();
@@ -401,6 +402,7 @@ fn eval_compares_two_folders() {
     };
     let table = eval("out/novel", "test/image");
     assert!(table.contains("rgb_000000") && table.contains("rgb_000001"), "{table}");
+    assert!(table.contains("sRGB: mask "), "{table}");
     // The photographs bear no alpha, so the mask is the prediction's own, which is the true one here.
     let psnr = metrics(&data.path("out"))["passes"]["novel"]["psnr"].as_f64().unwrap();
     assert!(table.contains(&format!("{psnr:.2}")), "no {psnr:.2} in\n{table}");

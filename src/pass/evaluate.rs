@@ -1,16 +1,19 @@
-//! The `Evaluate` pass: scores earlier passes against ground truth, in linear light, with masks eroded by one pixel.
+//! The `Evaluate` pass: scores earlier passes against ground truth, in linear light, with masks eroded by one pixel; and against
+//! photographs also as the field's tables do, in sRGB.
 //!
 //! Predictions are read from the EXR files that the passes wrote, so that the scores apply to the written files.
 
 use crate::codec::frame::{Frame, Layer, read_frame_layers};
 use crate::codec::gltf::import::read_mesh;
-use crate::codec::image::{Gamma, IMAGE_EXTENSIONS, Orientation, read_image};
+use crate::codec::image::Gamma;
 use crate::error::{Error, Result};
 use crate::mesh::chamfer::chamfer_distance;
 use crate::pass::render::{ChosenView, chosen_views};
 use crate::pass::session::Session;
+use crate::pass::truth_files::{read_fitting, read_true_layer, true_image_path};
 use crate::report::heat::{factor_for, heat_map};
-use crate::report::metrics::{Pair, albedo_psnr, coverage_iou, erode, mean, mean_normal_angle_degrees};
+use crate::report::metrics::{Pair, albedo_psnr, coverage_iou, erode, mean};
+use crate::report::normals::NormalAngles;
 use crate::report::scores::{EvalView, PassScores, Scaling, score_views};
 use crate::report::sheet::{Sheet, SheetCell, SheetRow, Theme, choose_evenly, write_sheet};
 use crate::report::tone::{Backdrop, Look, Picture};
@@ -19,7 +22,7 @@ use crate::view::camera::Camera;
 use crate::view::{Photograph, ViewMask, ViewName};
 use bevy_ecs::prelude::World;
 use glam::Vec3;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Views shown in a row of the contact sheet.
 const SHEET_VIEWS: usize = 3;
@@ -30,9 +33,15 @@ struct ScoredView {
     camera: Camera,
     albedo: Vec<Vec3>,
     normal: Vec<Vec3>,
-    coverage: Vec<f32>,
     /// Intersection over union of the rendered object and the mask of the view, if it has one.
     mask_iou: Option<f64>,
+}
+
+impl ScoredView {
+    /// Coverage of the object: the view's mask, or as rendered if it has none.
+    fn outline(&self) -> &[f32] {
+        if self.eval.coverage.is_empty() { &self.eval.alpha } else { &self.eval.coverage }
+    }
 }
 
 /// A pass that is scored. Its views are read one at a time, with the layers that are needed: one takes 45 bytes a pixel, and 12 more a layer.
@@ -108,9 +117,10 @@ impl ScoredPass {
         let truth = self.truth(&session.pipeline.world, i)?;
         let mask = session.pipeline.world.get::<ViewMask>(view.entity).map(|mask| mask.0.mask());
         let mask_iou = mask.as_ref().and_then(|mask| coverage_iou(&frame.alpha, &mask.coverage));
-        let coverage = mask.map_or(frame.alpha, |mask| mask.coverage);
+        let coverage = mask.map(|mask| mask.coverage).unwrap_or_default();
+        let outline = if coverage.is_empty() { &frame.alpha } else { &coverage };
         let size = [frame.width, frame.height];
-        if truth.len() != frame.color.len() || coverage.len() != frame.color.len() {
+        if truth.len() != frame.color.len() || outline.len() != frame.color.len() {
             return Err(Error::run(
                 format!("{}, view {}", self.name, view.stem),
                 format!(
@@ -125,14 +135,17 @@ impl ScoredPass {
             name: view.stem.clone(),
             width: frame.width,
             height: frame.height,
-            mask: erode(size, &coverage),
+            mask: erode(size, outline),
             prediction: frame.color,
             diffuse: frame.diffuse,
             specular: frame.specular,
             truth,
+            alpha: frame.alpha,
+            coverage,
+            in_srgb: matches!(self.truths, TrueImages::Photographs),
         };
         let (camera, albedo, normal) = (view.camera, frame.albedo, frame.normal);
-        Ok(ScoredView { eval, camera, albedo, normal, coverage, mask_iou })
+        Ok(ScoredView { eval, camera, albedo, normal, mask_iou })
     }
 
     fn truth(&self, world: &World, i: usize) -> Result<Vec<Vec3>> {
@@ -178,38 +191,6 @@ fn scaling(rule: ScoreScale) -> Scaling {
     }
 }
 
-/// The file of the ground truth of a view: the first format that exists, EXR if none does.
-pub fn true_image_path(folder: &Path, name: &str) -> PathBuf {
-    let of_kind = |kind: &str| folder.join(format!("{name}.{kind}"));
-    let found = IMAGE_EXTENSIONS.iter().map(|kind| of_kind(kind)).find(|path| path.is_file());
-    found.unwrap_or_else(|| of_kind("exr"))
-}
-
-/// The file of the ground-truth albedo or normals of a view: `albedo_003.exr` for the view `003`, `r_003` or `test_003`.
-pub fn true_layer_path(folder: &Path, layer: &str, view: &str) -> PathBuf {
-    let number = view.rsplit('_').next().unwrap_or(view);
-    folder.join(format!("{layer}_{number}.exr"))
-}
-
-/// The pixels of the ground-truth image of a view. If views are downscaled on reading, so is their ground truth.
-///
-/// # Errors
-/// [`Error::Input`] if the image cannot be read or its size does not match the view.
-pub fn read_fitting(path: &Path, gamma: Gamma, camera: &Camera) -> Result<Vec<Vec3>> {
-    let image = read_image(path, gamma, Orientation::Upright)?.image;
-    let factor = image.width / camera.width.max(1);
-    let fitting = if factor > 1 { image.downscaled(factor) } else { image.clone() };
-    if (fitting.width, fitting.height) == (camera.width, camera.height) {
-        return Ok(fitting.pixels);
-    }
-    let problem = format!(
-        "the truth has {}×{} pixels, its view {}×{}",
-        image.width, image.height, camera.width, camera.height
-    );
-    let help = "A truth is as large as its view, or a whole number of times larger.";
-    Err(Error::input(path, "", problem, help))
-}
-
 /// The true object under the light and edits of the pass.
 fn self_made(session: &mut Session, pass: &str, views: &[ChosenView], spp: u32) -> Result<Vec<Vec<Vec3>>> {
     let found = session.scene.passes.iter().find(|p| p.name() == pass);
@@ -253,33 +234,36 @@ impl LayerPixels {
 /// Scores the albedo and normals of the views of a pass.
 fn score_layers(session: &mut Session, pass: &EvaluatePass, scored: &ScoredPass) -> Result<()> {
     if let Some(truth) = &pass.albedo {
-        let pixels = layer_pixels(session, scored, truth, Layer::Albedo)?;
+        let pixels = (0..scored.views.len())
+            .map(|i| layer_pixels(session, scored, truth, Layer::Albedo, i))
+            .collect::<Result<Vec<_>>>()?;
         let pairs = pixels.iter().map(LayerPixels::pair).collect::<Result<Vec<_>>>()?;
         session.scores.albedo_psnr = albedo_psnr(&pairs).map(|score| score.psnr);
     }
     if let Some(truth) = &pass.normal {
-        let pixels = layer_pixels(session, scored, truth, Layer::Normal)?;
-        let pairs = pixels.iter().map(LayerPixels::pair).collect::<Result<Vec<_>>>()?;
-        session.scores.normal_deg = mean_normal_angle_degrees(&pairs);
+        let mut angles = NormalAngles::default();
+        for i in 0..scored.views.len() {
+            angles.add(&layer_pixels(session, scored, truth, Layer::Normal, i)?.pair()?);
+        }
+        session.scores.normal_deg = angles.mean_degrees();
+        session.scores.normal_pixels = Some(angles.pixels() as u64);
+        session.scores.normal_median_deg = angles.median_degrees();
     }
     Ok(())
 }
 
+/// A layer of view `i`.
 fn layer_pixels(
     session: &mut Session,
     scored: &ScoredPass,
     truth: &LayerTruth,
     layer: Layer,
-) -> Result<Vec<LayerPixels>> {
-    let (name, normals) = if layer == Layer::Normal { ("normal", true) } else { ("albedo", false) };
-    let mut pixels = Vec::new();
-    for i in 0..scored.views.len() {
-        let view = scored.load(session, i, &[layer])?;
-        let truth = true_layer(session, &view, truth, name, i as u64)?;
-        let found = if normals { &view.normal } else { &view.albedo };
-        pixels.push(LayerPixels::new(&view, found, &truth)?);
-    }
-    Ok(pixels)
+    i: usize,
+) -> Result<LayerPixels> {
+    let view = scored.load(session, i, &[layer])?;
+    let truth = true_layer(session, &view, truth, layer, i as u64)?;
+    let found = if layer == Layer::Normal { &view.normal } else { &view.albedo };
+    LayerPixels::new(&view, found, &truth)
 }
 
 /// Ground-truth albedo or normals of a view.
@@ -287,21 +271,18 @@ fn true_layer(
     session: &mut Session,
     view: &ScoredView,
     truth: &LayerTruth,
-    layer: &str,
+    layer: Layer,
     number: u64,
 ) -> Result<Vec<Vec3>> {
     match truth {
-        LayerTruth::Folder(folder) => {
-            let path = true_layer_path(folder, layer, &view.eval.name);
-            read_fitting(&path, Gamma::Linear, &view.camera)
-        }
+        LayerTruth::Folder(folder) => read_true_layer(folder, layer, &view.eval.name, &view.camera),
         LayerTruth::SelfMade => {
             let seed = session.scene.seed.wrapping_add(number);
             let Some(object) = &mut session.truth else {
-                return Err(Error::run(layer, "only `Photographed` views have a true object"));
+                return Err(Error::run("evaluate", "only `Photographed` views have a true object"));
             };
             let frames = object.pictures(&[view.camera], None, &[], 16, seed, || ())?;
-            let pick = |f: Frame| if layer == "albedo" { f.albedo } else { f.normal };
+            let pick = |f: Frame| if layer == Layer::Albedo { f.albedo } else { f.normal };
             Ok(frames.into_iter().flat_map(pick).collect())
         }
     }
@@ -324,14 +305,15 @@ fn sheet_row(
         cells.push(cell("truth".to_owned(), &view, &eval.truth)?);
         let images = [shown.as_slice(), eval.truth.as_slice()];
         let size = [eval.width as u32, eval.height as u32];
-        let image = heat_map(size, images, &view.coverage, factor, Theme::Light.mat());
+        let image = heat_map(size, images, view.outline(), factor, Theme::Light.mat());
         cells.push(SheetCell { label: format!("error x {factor}"), image });
     }
     Ok(SheetRow { heading: format!("{}: {}", scored.name, scores.summary()), cells })
 }
 
 fn cell(label: String, view: &ScoredView, color: &[Vec3]) -> Result<SheetCell> {
-    let picture = Picture { width: view.eval.width, height: view.eval.height, color, alpha: &view.coverage };
+    let EvalView { width, height, .. } = view.eval;
+    let picture = Picture { width, height, color, alpha: view.outline() };
     let mat = Theme::Light.mat().map(|b| crate::math::color::linear_from_srgb(f32::from(b) / 255.0));
     let image = picture.rgb8(&Look::default(), Backdrop::Solid(Vec3::from(mat)))?;
     Ok(SheetCell { label, image })

@@ -29,6 +29,7 @@ mod session;
 mod shading;
 pub mod shape;
 pub mod show;
+mod truth_files;
 
 pub use interrupt::{INTERRUPTED, check_interrupted};
 pub use session::{Lights, MOST_VISIBILITY_BYTES, Session};

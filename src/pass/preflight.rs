@@ -2,7 +2,7 @@
 //! not after a long fit.
 
 use crate::codec::file::{check_room, check_writable};
-use crate::codec::frame::FRAME_PIXEL_BYTES;
+use crate::codec::frame::{FRAME_PIXEL_BYTES, Layer};
 use crate::codec::gltf::import::read_mesh;
 use crate::codec::image::Gamma;
 use crate::codec::nearby::closest;
@@ -11,10 +11,10 @@ use crate::error::{Error, Result};
 use crate::material::SpecularBlend;
 use crate::material::shown::recovered_material;
 use crate::pass::edit::{apply_edits, edits_of_nothing};
-use crate::pass::evaluate::{read_fitting, true_image_path, true_layer_path};
 use crate::pass::progress::Progress;
 use crate::pass::render::{ChosenView, chosen_views};
 use crate::pass::session::Session;
+use crate::pass::truth_files::{read_fitting, read_true_layer, true_image_path};
 use crate::scene::Gloss;
 use crate::scene::{
     EvaluatePass, LayerTruth, Pass, RenderSettings, Scene, Surface, Truth, ViewChoice, Views,
@@ -153,11 +153,10 @@ fn check_truths(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
         let world = &session.pipeline.world;
         views.par_iter().try_for_each(|view| check_image(world, &score.pass, &score.truth, view))?;
         // Layers are scored on the views of the first score.
-        for (truth, layer) in [(&pass.albedo, "albedo"), (&pass.normal, "normal")] {
+        for (truth, layer) in [(&pass.albedo, Layer::Albedo), (&pass.normal, Layer::Normal)] {
             if let (0, Some(LayerTruth::Folder(folder))) = (i, truth) {
                 views.par_iter().try_for_each(|view| {
-                    let path = true_layer_path(folder, layer, &view.stem);
-                    read_fitting(&path, Gamma::Linear, &view.camera).map(|_| ())
+                    read_true_layer(folder, layer, &view.stem, &view.camera).map(|_| ())
                 })?;
             }
         }

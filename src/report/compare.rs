@@ -5,6 +5,7 @@ use crate::codec::image::{BRIGHTEST, Gamma, IMAGE_EXTENSIONS, LoadedImage, Orien
 use crate::report::metrics;
 use crate::report::scores;
 use crate::report::scores::{EvalView, PassScores, Scaling};
+use crate::report::table::aligned;
 use crate::{Error, Result};
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -25,7 +26,8 @@ pub struct Comparison {
 /// files with one stem, the first extension in [`IMAGE_EXTENSIONS`] is used).
 ///
 /// Images are read like photographs: EXR and HDR are linear, others sRGB. Pixels in the mask count: the truth's alpha if it
-/// has one, else the prediction's, else the whole image; eroded by one pixel.
+/// has one, else the prediction's, else the whole image; eroded by one pixel. sRGB scores are of whole images, before any scale; an
+/// image without alpha has that of the other.
 ///
 /// # Errors
 /// [`Error::Usage`] for a file against a folder, no common stems, or [`Scaling::PerLayer`]; [`Error::Input`] for an unreadable image,
@@ -44,7 +46,7 @@ pub fn compare(prediction: &Path, truth: &Path, scaling: Scaling) -> Result<Comp
 }
 
 impl Comparison {
-    /// A table for the terminal: one line per file, the means, and the files that are left out.
+    /// A table for the terminal: one line per file, the means, those of sRGB values, and the files that are left out.
     pub fn table(&self) -> String {
         let scaled = self.scores.scaling != Scaling::None;
         let number = |value: f64| format!("{value:.2}");
@@ -56,10 +58,20 @@ impl Comparison {
         let mut rows = vec![head.map(str::to_owned)];
         rows.extend(self.scores.views.iter().map(|v| line(&v.name, v.psnr, v.psnr_raw, v.ssim)));
         rows.push(line("mean", self.scores.psnr, self.scores.psnr_raw, self.scores.ssim));
-        let mut text = scores::aligned(&rows);
+        let mut text = aligned(&rows);
         if scaled {
             let [r, g, b] = self.scores.scale;
             let _ = writeln!(text, "scale R {r:.4} G {g:.4} B {b:.4}");
+        }
+        if let Some(mean) = &self.scores.srgb {
+            let of = |psnr: f64, ssim: f64| format!("{psnr:.2} dB, SSIM {ssim:.4}");
+            let (white, black) = (of(mean.psnr_white, mean.ssim_white), of(mean.psnr_black, mean.ssim_black));
+            let unscaled = if scaled { ", unscaled" } else { "" };
+            let _ = writeln!(
+                text,
+                "sRGB{unscaled}: mask {:.2} dB · white {white} · black {black}",
+                mean.psnr_mask
+            );
         }
         for (what, names) in [("prediction", &self.only_prediction), ("truth", &self.only_truth)] {
             if let Some(first) = names.first() {
@@ -161,8 +173,19 @@ fn load_view(name: &str, prediction: &Path, truth: &Path) -> Result<EvalView> {
     }
     check_finite(prediction, &predicted, &mask)?;
     check_finite(truth, &true_image, &mask)?;
-    let (prediction, truth) = (predicted.image.pixels, true_image.image.pixels);
-    Ok(EvalView { name: name.to_owned(), width, height, prediction, truth, mask, ..EvalView::default() })
+    let coverage = alpha.cloned().unwrap_or_default();
+    Ok(EvalView {
+        name: name.to_owned(),
+        width,
+        height,
+        prediction: predicted.image.pixels,
+        truth: true_image.image.pixels,
+        mask,
+        alpha: predicted.alpha.unwrap_or_else(|| coverage.clone()),
+        coverage,
+        in_srgb: true,
+        ..EvalView::default()
+    })
 }
 
 /// NaN and infinite pixels are repaired on reading; inside the mask they are an error here.
@@ -230,6 +253,10 @@ mod tests {
         let found = compare(&p.join("a.exr"), &t.join("a.exr"), Scaling::PerChannel).unwrap();
         assert!(found.scores.psnr > 90.0 && found.scores.psnr_raw < 20.0);
         let table = found.table();
+        assert!(
+            table.contains("sRGB, unscaled: mask ") && found.scores.srgb.unwrap().psnr_mask < 30.0,
+            "{table}"
+        );
         assert!(table.contains("scale R 2.0000 G 2.0000 B 2.0000") && table.contains("mean"), "{table}");
         assert!(matches!(compare(&p, &t, Scaling::PerLayer).unwrap_err(), Error::Usage { .. }));
     }
@@ -246,7 +273,11 @@ mod tests {
         exr(&t.join("a.exr"), [8, 6], |_| 0.5, None);
         assert!(compare(&p, &t, Scaling::None).unwrap().scores.psnr < 15.0);
         exr(&p.join("a.exr"), [8, 6], wrong, Some(covered));
-        assert_eq!(compare(&p, &t, Scaling::None).unwrap().scores.psnr, 100.0);
+        let scores = compare(&p, &t, Scaling::None).unwrap().scores;
+        assert_eq!(scores.psnr, 100.0);
+        // Both have that alpha for sRGB scores, too.
+        let srgb = scores.srgb.unwrap();
+        assert_eq!([srgb.psnr_mask, srgb.psnr_white, srgb.psnr_black], [100.0; 3]);
     }
 
     fn refused(p: &Path, t: &Path) -> (String, u8) {

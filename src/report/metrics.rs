@@ -65,7 +65,7 @@ impl<'a> Pair<'a> {
     }
 
     /// Prediction and truth of every pixel that counts, in row order.
-    fn counted(&self) -> impl Iterator<Item = (DVec3, DVec3)> {
+    pub(super) fn counted(&self) -> impl Iterator<Item = (DVec3, DVec3)> {
         let pixels = self.prediction.iter().zip(self.truth).zip(self.mask);
         pixels.filter(|&(_, &counts)| counts).map(|((p, t), _)| (p.as_dvec3(), t.as_dvec3()))
     }
@@ -274,29 +274,18 @@ fn median_ratio(views: &[Pair], channel: usize) -> f64 {
 }
 
 /// Median (mean of the middle two for an even count) of finite values, which are reordered; `None` for no values.
-pub fn median(values: &mut [f64]) -> Option<f64> {
+pub fn median<T: Copy + Into<f64>>(values: &mut [T]) -> Option<f64> {
     let middle = values.len() / 2;
     if values.is_empty() {
         return None;
     }
     let even = values.len().is_multiple_of(2);
-    let (below, &mut upper, _) = values.select_nth_unstable_by(middle, f64::total_cmp);
-    let lower = if even { below.iter().copied().fold(f64::NEG_INFINITY, f64::max) } else { upper };
+    let (below, &mut upper, _) =
+        values.select_nth_unstable_by(middle, |a, b| (*a).into().total_cmp(&(*b).into()));
+    let upper = upper.into();
+    let lower =
+        if even { below.iter().map(|v| (*v).into()).fold(f64::NEG_INFINITY, f64::max) } else { upper };
     Some(0.5 * (lower + upper))
-}
-
-/// Mean angle in degrees between predicted and true normals over all counted pixels of all views. Both are normalized
-/// first (truth is an average over a pixel); a pixel where either is zero is skipped. `None` if no pixel is left.
-pub fn mean_normal_angle_degrees(views: &[Pair]) -> Option<f64> {
-    let (mut sum, mut count) = (0.0, 0usize);
-    for (prediction, truth) in views.iter().flat_map(|view| view.counted()) {
-        if prediction.length_squared() > 1e-12 && truth.length_squared() > 1e-12 {
-            // atan2 is exact for small angles, where acos of a dot product is not.
-            sum += prediction.cross(truth).length().atan2(prediction.dot(truth));
-            count += 1;
-        }
-    }
-    (count > 0).then(|| (sum / count as f64).to_degrees())
 }
 
 #[cfg(test)]
@@ -427,21 +416,9 @@ mod tests {
 
     #[test]
     fn medians() {
-        assert_eq!(median(&mut []), None);
+        assert_eq!(median::<f64>(&mut []), None);
         assert_eq!(median(&mut [3.0]), Some(3.0));
         assert_eq!(median(&mut [5.0, 1.0, 3.0]), Some(3.0));
-        assert_eq!(median(&mut [4.0, 1.0, 3.0, 2.0]), Some(2.5));
-    }
-
-    #[test]
-    fn normal_angles_by_hand() {
-        let x = Vec3::X;
-        let truth = [x * 0.5, x, x, x];
-        let prediction = [x, Vec3::Y * 3.0, Vec3::new(1.0, 1.0, 0.0), Vec3::ZERO];
-        // 0°, 90°, 45° and one without a normal.
-        let angle = mean_normal_angle_degrees(&[pair(&prediction, &truth, &ALL)]).unwrap();
-        assert!((angle - 45.0).abs() < 1e-6);
-        let none = [Vec3::ZERO; 4];
-        assert!(mean_normal_angle_degrees(&[pair(&none, &truth, &ALL)]).is_none());
+        assert_eq!(median(&mut [4.0f32, 1.0, 3.0, 2.0]), Some(2.5));
     }
 }

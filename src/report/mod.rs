@@ -1,8 +1,8 @@
 //! Reports: the outputs of passes.
 //!
 //! Frames as layered EXR, pictures as PNG, contact sheets, animations, and the scores of a prediction against its truth.
-//! Kernels ([`metrics`], [`ssim`], [`tone`], [`heat`]) work on slices; every file is written by [`crate::codec::file`], so that
-//! incomplete files never have their final name.
+//! Kernels ([`metrics`], [`ssim`], [`srgb`], [`normals`], [`tone`], [`heat`]) work on slices; every file is written by
+//! [`crate::codec::file`], so that incomplete files never have their final name.
 //!
 //! | name | type | unit | default | meaning |
 //! | --- | --- | --- | --- | --- |
@@ -19,7 +19,10 @@ pub mod compare;
 pub mod font;
 pub mod heat;
 pub mod metrics;
+pub mod normals;
 pub mod scores;
 pub mod sheet;
+pub mod srgb;
 pub mod ssim;
+mod table;
 pub mod tone;

@@ -1,15 +1,15 @@
-//! Scores of passes: computed view by view, written to `metrics.json`, and shown as a table.
+//! Scores of passes: computed view by view, and written to `metrics.json`.
 
 use crate::codec::file;
 use crate::report::metrics;
 use crate::report::metrics::{LayerScaleSums, LayerScales, Pair, ScaleSums};
+use crate::report::srgb::{Covered, SrgbScores, srgb_scores};
 use crate::report::ssim::ssim;
 use crate::{Error, Result};
 use glam::Vec3;
 use indexmap::IndexMap;
 use serde::{Deserialize, Serialize};
 use std::borrow::Borrow;
-use std::fmt::Write;
 use std::path::Path;
 
 /// The scale that is fitted to a prediction before scoring, by least squares over all views (unclipped, eroded masks).
@@ -44,15 +44,32 @@ pub struct EvalView {
     pub truth: Vec<Vec3>,
     /// Pixels that count: the eroded mask ([`metrics::erode`]).
     pub mask: Vec<bool>,
+    /// Coverage of the prediction; only read for sRGB scores. Empty: every pixel is covered.
+    pub alpha: Vec<f32>,
+    /// Coverage of the truth, likewise.
+    pub coverage: Vec<f32>,
+    /// Whether sRGB scores are wanted as well. They are those of the prediction before any scale.
+    pub in_srgb: bool,
 }
 
 impl EvalView {
     fn pair<'a>(&'a self, prediction: &'a [Vec3]) -> Result<Pair<'a>> {
-        Pair::new([self.width, self.height], prediction, &self.truth, &self.mask).map_err(|error| match error
-        {
+        Pair::new([self.width, self.height], prediction, &self.truth, &self.mask)
+            .map_err(|error| self.named(error))
+    }
+
+    fn srgb(&self) -> Result<Option<SrgbScores>> {
+        let prediction = Covered { radiance: &self.prediction, alpha: &self.alpha };
+        let truth = Covered { radiance: &self.truth, alpha: &self.coverage };
+        let scores = self.in_srgb.then(|| srgb_scores([self.width, self.height], prediction, truth));
+        scores.transpose().map_err(|error| self.named(error))
+    }
+
+    fn named(&self, error: Error) -> Error {
+        match error {
             Error::Run { context, problem } => Error::run(format!("{context} view {}", self.name), problem),
             other => other,
-        })
+        }
     }
 }
 
@@ -67,6 +84,9 @@ pub struct ViewScores {
     pub psnr_raw: f64,
     /// SSIM after scaling.
     pub ssim: f64,
+    /// Scores of sRGB values without scaling, if the view is scored against a photograph.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub srgb: Option<SrgbScores>,
 }
 
 /// Scores of one pass.
@@ -85,6 +105,9 @@ pub struct PassScores {
     /// The specular layer's factors, for [`Scaling::PerLayer`].
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub scale_specular: Option<[f64; 3]>,
+    /// Mean scores of sRGB values without scaling, if the pass is scored against photographs.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub srgb: Option<SrgbScores>,
     /// The scores of each view.
     pub views: Vec<ViewScores>,
 }
@@ -109,6 +132,12 @@ pub struct Scores {
     pub albedo_psnr: Option<f64>,
     /// Mean angle between normals, degrees; `null` if there are no true normals.
     pub normal_deg: Option<f64>,
+    /// Median angle between normals, degrees.
+    #[serde(default)]
+    pub normal_median_deg: Option<f64>,
+    /// Number of pixels whose normals are compared.
+    #[serde(default)]
+    pub normal_pixels: Option<u64>,
     /// Mean over the views of the first scored pass: pixels in both the view's mask and the object as rendered, over pixels in
     /// either; `null` if no view has a mask.
     pub mask_iou: Option<f64>,
@@ -148,7 +177,8 @@ pub fn score_views<V: Borrow<EvalView>>(
         Applied::Image(scale) => (scale, None),
         Applied::Layers(scales) => (scales.diffuse, Some(scales.specular)),
     };
-    Ok(PassScores { psnr, psnr_raw, ssim, scaling, scale, scale_specular, views })
+    let srgb = SrgbScores::mean(&views.iter().map(|view| view.srgb).collect::<Vec<_>>());
+    Ok(PassScores { psnr, psnr_raw, ssim, scaling, scale, scale_specular, srgb, views })
 }
 
 enum Applied {
@@ -187,17 +217,16 @@ fn find_scale<V: Borrow<EvalView>>(
 
 fn score_view(view: &EvalView, applied: &Applied) -> Result<ViewScores> {
     let raw = view.pair(&view.prediction)?;
-    let psnr_raw = metrics::psnr(&raw);
+    let (name, psnr_raw, srgb) = (view.name.clone(), metrics::psnr(&raw), view.srgb()?);
     let prediction = match applied {
         Applied::Nothing => {
-            let name = view.name.clone();
-            return Ok(ViewScores { name, psnr: psnr_raw, psnr_raw, ssim: ssim(&raw) });
+            return Ok(ViewScores { name, psnr: psnr_raw, psnr_raw, ssim: ssim(&raw), srgb });
         }
         Applied::Image(scale) => metrics::scaled(&view.prediction, *scale),
         Applied::Layers(scales) => scales.combine(&view.diffuse, &view.specular),
     };
     let scaled = view.pair(&prediction)?;
-    Ok(ViewScores { name: view.name.clone(), psnr: metrics::psnr(&scaled), psnr_raw, ssim: ssim(&scaled) })
+    Ok(ViewScores { name, psnr: metrics::psnr(&scaled), psnr_raw, ssim: ssim(&scaled), srgb })
 }
 
 impl PassScores {
@@ -233,75 +262,6 @@ impl Scores {
         text.push('\n');
         file::write_bytes(path, text.as_bytes())
     }
-
-    /// A table for the terminal, one line per pass and one for the rest; ends with a line break.
-    pub fn table(&self) -> String {
-        let mut rows = vec![["pass", "PSNR dB", "raw", "SSIM", "scale R", "G", "B"].map(str::to_owned)];
-        for (name, pass) in &self.passes {
-            rows.extend(pass_rows(name, pass));
-        }
-        let mut text = if self.passes.is_empty() { String::new() } else { aligned(&rows) };
-        let rest: Vec<String> = [
-            self.albedo_psnr.map(|v| format!("albedo {v:.2} dB")),
-            self.normal_deg.map(|v| format!("normals {v:.2}°")),
-            self.mask_iou.map(|v| format!("mask IoU {v:.4}")),
-            self.chamfer.map(|v| format!("Chamfer {v:.5}")),
-            self.fit_secs.map(|v| format!("fit {v:.1} s")),
-            self.peak_rss_mib.map(|v| format!("peak memory {v:.0} MiB")),
-        ]
-        .into_iter()
-        .flatten()
-        .collect();
-        if !rest.is_empty() {
-            let _ = writeln!(text, "{}", rest.join(" · "));
-        }
-        text
-    }
-}
-
-fn pass_rows(name: &str, pass: &PassScores) -> Vec<[String; 7]> {
-    let [r, g, b] = match pass.scaling {
-        Scaling::None => ["–", "–", "–"].map(str::to_owned),
-        _ => pass.scale.map(|s| format!("{s:.3}")),
-    };
-    let number = |value: f64| format!("{value:.2}");
-    let mut rows = vec![[
-        name.to_owned(),
-        number(pass.psnr),
-        number(pass.psnr_raw),
-        format!("{:.4}", pass.ssim),
-        r,
-        g,
-        b,
-    ]];
-    if let Some(specular) = pass.scale_specular {
-        let [r, g, b] = specular.map(|s| format!("{s:.3}"));
-        let blank = String::new;
-        rows.push(["  its specular layer".to_owned(), blank(), blank(), blank(), r, g, b]);
-    }
-    rows
-}
-
-/// Pads columns to their widest entry, with a rule under the first row; the first column is left-aligned, the others right-aligned.
-pub(super) fn aligned<const N: usize>(rows: &[[String; N]]) -> String {
-    let width: [usize; N] =
-        std::array::from_fn(|c| rows.iter().map(|row| row[c].chars().count()).max().unwrap_or(0));
-    let mut text = String::new();
-    for (i, row) in rows.iter().enumerate() {
-        let mut line = String::new();
-        for (c, entry) in row.iter().enumerate() {
-            let _ = if c == 0 {
-                write!(line, "{entry:<0$}", width[c])
-            } else {
-                write!(line, "  {entry:>0$}", width[c])
-            };
-        }
-        let _ = writeln!(text, "{}", line.trim_end());
-        if i == 0 {
-            let _ = writeln!(text, "{}", "─".repeat(width.iter().sum::<usize>() + 2 * (N - 1)));
-        }
-    }
-    text
 }
 
 /// Largest resident memory of this process so far in MiB (`VmHWM`); `None` without `/proc`.
@@ -337,6 +297,7 @@ mod tests {
             mask: vec![true; width * height],
             diffuse,
             specular,
+            ..EvalView::default()
         }
     }
 
@@ -384,11 +345,28 @@ mod tests {
     }
 
     #[test]
+    fn srgb_scores_are_of_the_unscaled_prediction_and_only_where_wanted() {
+        let wanted = |i: usize| EvalView { in_srgb: true, ..view(i, 1.25, 1.25) };
+        let scored = |scaling| score_views(2, scaling, |i| Ok(wanted(i))).unwrap();
+        let (plain, scaled) = (scored(Scaling::None), scored(Scaling::PerChannel));
+        let of_views: Vec<f64> = plain.views.iter().map(|v| v.srgb.unwrap().psnr_mask).collect();
+        assert_eq!(plain.srgb.unwrap().psnr_mask, (of_views[0] + of_views[1]) / 2.0);
+        assert_eq!(plain.srgb, scaled.srgb);
+        assert!(scaled.psnr > 90.0 && scaled.srgb.unwrap().psnr_mask < 30.0);
+        let unwanted = score_views(2, Scaling::None, |i| Ok(view(i, 1.25, 1.25))).unwrap();
+        assert_eq!((unwanted.srgb, unwanted.views[0].srgb), (None, None));
+        assert_eq!((unwanted.psnr, unwanted.ssim), (plain.psnr, plain.ssim));
+        let short = EvalView { alpha: vec![1.0], ..wanted(3) };
+        let message = score_views(1, Scaling::None, |_| Ok(&short)).unwrap_err().to_string();
+        assert!(message.contains("view_3") && message.contains("1 of coverage"), "{message}");
+    }
+
+    #[test]
     fn json_has_the_asked_for_form() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("metrics.json");
         let mut scores = Scores { albedo_psnr: Some(35.5), fit_secs: Some(61.25), ..Scores::default() };
-        let views = [view(0, 1.1, 1.1)];
+        let views = [EvalView { in_srgb: true, ..view(0, 1.1, 1.1) }];
         scores.passes.insert("relit".into(), score_views(1, Scaling::PerChannel, |i| Ok(&views[i])).unwrap());
         scores.write_json(&path).unwrap();
         let text = std::fs::read_to_string(&path).unwrap();
@@ -399,39 +377,25 @@ mod tests {
         assert_eq!(json["passes"]["relit"]["scaling"], "per_channel");
         assert_eq!(json["albedo_psnr"], 35.5);
         assert!(json["normal_deg"].is_null() && json.as_object().unwrap().contains_key("peak_rss_mib"));
+        for key in ["psnr_mask", "psnr_white", "psnr_black", "ssim_white", "ssim_black"] {
+            assert!(json["passes"]["relit"]["srgb"][key].is_f64(), "{text}");
+            assert!(json["passes"]["relit"]["views"][0]["srgb"][key].is_f64(), "{text}");
+        }
         let read: Scores = serde_json::from_str(&text).unwrap();
         let (read, made) = (&read.passes["relit"], &scores.passes["relit"]);
         assert_eq!((read.scaling, read.views.len()), (Scaling::PerChannel, 1));
         assert!((read.psnr_raw - made.psnr_raw).abs() < 1e-9 && (read.scale[1] - made.scale[1]).abs() < 1e-9);
-    }
-
-    #[test]
-    fn the_table_lines_up() {
-        let pass = |scaling, specular| PassScores {
-            psnr: 41.618,
-            psnr_raw: 9.5,
-            ssim: 0.98765,
-            scaling,
-            scale: [1.0, 0.5, 12.25],
-            scale_specular: specular,
-            views: Vec::new(),
-        };
-        let passes = IndexMap::from([
-            ("novel".to_owned(), pass(Scaling::None, None)),
-            ("edited_gold".to_owned(), pass(Scaling::PerLayer, Some([2.0; 3]))),
-        ]);
-        let scores =
-            Scores { passes, normal_deg: Some(0.125), peak_rss_mib: Some(812.4), ..Scores::default() };
-        let expected = "\
-pass                  PSNR dB   raw    SSIM  scale R      G       B
-───────────────────────────────────────────────────────────────────
-novel                   41.62  9.50  0.9877        –      –       –
-edited_gold             41.62  9.50  0.9877    1.000  0.500  12.250
-  its specular layer                           2.000  2.000   2.000
-normals 0.12° · peak memory 812 MiB
-";
-        assert_eq!(scores.table(), expected);
-        assert_eq!(Scores::default().table(), "");
+        // A file of before these were scored.
+        let mut old = json;
+        for key in ["normal_median_deg", "normal_pixels"] {
+            old.as_object_mut().unwrap().remove(key).unwrap();
+        }
+        old["passes"]["relit"].as_object_mut().unwrap().remove("srgb").unwrap();
+        let read: Scores = serde_json::from_value(old).unwrap();
+        assert_eq!(
+            (read.passes["relit"].srgb, read.normal_median_deg, read.normal_pixels),
+            (None, None, None)
+        );
     }
 
     #[test]

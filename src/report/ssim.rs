@@ -1,6 +1,8 @@
 //! Structural similarity (Wang, Bovik, Sheikh and Simoncelli, "Image Quality Assessment", IEEE TIP 2004, eq. 13).
 
 use crate::report::metrics::Pair;
+use glam::Vec3;
+use rayon::prelude::*;
 use std::ops::Range;
 
 /// Half width of the 11×11 window.
@@ -19,19 +21,40 @@ const C2: f64 = 0.03 * 0.03;
 /// averaged over the pixels that count. The window is an 11×11 Gaussian of σ 1.5, normalized to 1; variances are not
 /// bias-corrected, as in the original.
 pub fn ssim(pair: &Pair) -> f64 {
-    (0..3).map(|channel| channel_ssim(pair, channel)).sum::<f64>() / 3.0
+    let value = |pixel: usize, channel: usize| {
+        let clipped = |pixels: &[Vec3]| f64::from(pixels[pixel][channel]).clamp(0.0, 1.0);
+        if pair.mask[pixel] { [clipped(pair.prediction), clipped(pair.truth)] } else { [0.0; 2] }
+    };
+    ssim_of([pair.width, pair.height], |pixel| pair.mask[pixel], value)
+}
+
+/// The same of pictures that are computed as they are needed: `value(pixel, channel)` is the prediction and the truth, in `[0, 1]`, and
+/// `counts(pixel)` whether a pixel counts; at least one must. Values are asked for several times.
+pub fn ssim_of(
+    size: [usize; 2],
+    counts: impl Fn(usize) -> bool + Sync,
+    value: impl Fn(usize, usize) -> [f64; 2] + Sync,
+) -> f64 {
+    let of_channel = |channel: usize| channel_ssim(size, &counts, &|pixel| value(pixel, channel));
+    let channels: Vec<f64> = (0..3).into_par_iter().map(of_channel).collect();
+    channels.iter().sum::<f64>() / 3.0
 }
 
 /// Rows of the similarity map that are in memory at a time.
 const BAND: usize = 64;
 
-fn channel_ssim(pair: &Pair, channel: usize) -> f64 {
+fn channel_ssim(
+    size: [usize; 2],
+    counts: &impl Fn(usize) -> bool,
+    value: &impl Fn(usize) -> [f64; 2],
+) -> f64 {
+    let [width, height] = size;
     let (mut sum, mut count) = (0.0, 0usize);
-    for top in (0..pair.height).step_by(BAND) {
-        let rows = top..pair.height.min(top + BAND);
-        let [p, t, pp, tt, pt] = blurred_band(pair, channel, rows);
-        let first = top * pair.width;
-        for i in (0..p.len()).filter(|&i| pair.mask[first + i]) {
+    for top in (0..height).step_by(BAND) {
+        let rows = top..height.min(top + BAND);
+        let [p, t, pp, tt, pt] = blurred_band(size, value, rows);
+        let first = top * width;
+        for i in (0..p.len()).filter(|&i| counts(first + i)) {
             sum += similarity([p[i], t[i]], [pp[i], tt[i], pt[i]]);
             count += 1;
         }
@@ -40,14 +63,20 @@ fn channel_ssim(pair: &Pair, channel: usize) -> f64 {
 }
 
 /// Prediction, truth, their squares and their product of one channel in some rows, blurred.
-fn blurred_band(pair: &Pair, channel: usize, rows: Range<usize>) -> [Vec<f64>; 5] {
-    let (width, weights) = (pair.width, weights());
+fn blurred_band(
+    [width, height]: [usize; 2],
+    value: &impl Fn(usize) -> [f64; 2],
+    rows: Range<usize>,
+) -> [Vec<f64>; 5] {
+    let weights = weights();
     let columns: Vec<usize> = (0..width + 2 * RADIUS).map(|x| reflected(x, width)).collect();
     let mut blurred: [Vec<f64>; 5] = std::array::from_fn(|_| vec![0.0; rows.len() * width]);
     let mut line = vec![0.0; width];
     // Each row, blurred along itself, is added to the rows whose windows touch it.
     for at in rows.start..rows.end + 2 * RADIUS {
-        for (plane, blurred) in planes(pair, channel, reflected(at, pair.height)).iter().zip(&mut blurred) {
+        let row = reflected(at, height);
+        let planes = planes(value, row * width..(row + 1) * width);
+        for (plane, blurred) in planes.iter().zip(&mut blurred) {
             for (x, out) in line.iter_mut().enumerate() {
                 *out = weights.iter().zip(&columns[x..]).map(|(w, &column)| w * plane[column]).sum();
             }
@@ -62,16 +91,9 @@ fn blurred_band(pair: &Pair, channel: usize, rows: Range<usize>) -> [Vec<f64>; 5
     blurred
 }
 
-/// One row of one channel, clipped and black outside the mask: prediction, truth, their squares and their product.
-fn planes(pair: &Pair, channel: usize, row: usize) -> [Vec<f64>; 5] {
-    let run = row * pair.width..(row + 1) * pair.width;
-    let plane = |pixels: &[glam::Vec3]| -> Vec<f64> {
-        let value = |(pixel, &counts): (&glam::Vec3, &bool)| {
-            if counts { f64::from(pixel[channel]).clamp(0.0, 1.0) } else { 0.0 }
-        };
-        pixels[run.clone()].iter().zip(&pair.mask[run.clone()]).map(value).collect()
-    };
-    let (p, t) = (plane(pair.prediction), plane(pair.truth));
+/// Some pixels of one channel: prediction, truth, their squares and their product.
+fn planes(value: &impl Fn(usize) -> [f64; 2], pixels: Range<usize>) -> [Vec<f64>; 5] {
+    let (p, t): (Vec<f64>, Vec<f64>) = pixels.map(|pixel| value(pixel).into()).unzip();
     let product = |a: &[f64], b: &[f64]| a.iter().zip(b).map(|(a, b)| a * b).collect::<Vec<f64>>();
     let (pp, tt, pt) = (product(&p, &p), product(&t, &t), product(&p, &t));
     [p, t, pp, tt, pt]
@@ -102,7 +124,6 @@ fn reflected(at: usize, len: usize) -> usize {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::Vec3;
 
     /// Numbers in [0, 1) that look random.
     fn noise(seed: u32) -> f32 {

@@ -13,7 +13,9 @@ pub struct EvaluatePass {
     pub scores: Vec<Score>,
     /// True diffuse albedo of the test views (`albedo_<number>.exr`). Default: not scored.
     pub albedo: Option<LayerTruth>,
-    /// True world normals of the test views (`normal_<number>.exr`). Default: not scored.
+    /// True world normals of the test views: `normal_<number>.exr`, or `<view>_normal.png` as beside the photographs of NeRF's
+    /// synthetic sets. Such a PNG holds max(0, n) per component, encoded as sRGB, and only normals whose three components are positive
+    /// are known and scored; maps that hold (n + 1)/2 cannot be told from it and must be converted. Default: not scored.
     pub normal: Option<LayerTruth>,
     /// The true surface, a `.glb` or `.gltf` in the coordinates of the cameras; must exist. The Chamfer distance to it is scored, in
     /// the data's own unit. Default: not scored.

@@ -1,0 +1,151 @@
+//! Files of ground truth: what they are called, and reading them for a view.
+
+use crate::codec::frame::Layer;
+use crate::codec::image::{Gamma, IMAGE_EXTENSIONS, Orientation, read_image};
+use crate::error::{Error, Result};
+use crate::view::Image;
+use crate::view::camera::Camera;
+use glam::Vec3;
+use std::ops::RangeInclusive;
+use std::path::{Path, PathBuf};
+
+/// Lengths between which a normal of a PNG is known. Its components are rounded and averaged over a pixel, and one that is black
+/// may be negative.
+const KNOWN_LENGTHS: RangeInclusive<f32> = 0.9..=1.1;
+
+/// The file of the ground truth of a view: the first format that exists, EXR if none does.
+pub fn true_image_path(folder: &Path, name: &str) -> PathBuf {
+    let of_kind = |kind: &str| folder.join(format!("{name}.{kind}"));
+    let found = IMAGE_EXTENSIONS.iter().map(|kind| of_kind(kind)).find(|path| path.is_file());
+    found.unwrap_or_else(|| of_kind("exr"))
+}
+
+/// The true albedo or normals of a view, in linear light or world axes: `albedo_003.exr` for the view `003`, `r_003` or
+/// `test_003`. Normals are also read from `r_003_normal.png`, if there is no such EXR; unknown ones are zero.
+///
+/// # Errors
+/// Those of [`read_fitting`]; [`Error::Input`] if neither file of the normals is there.
+pub fn read_true_layer(folder: &Path, layer: Layer, view: &str, camera: &Camera) -> Result<Vec<Vec3>> {
+    let number = view.rsplit('_').next().unwrap_or(view);
+    let name = if layer == Layer::Normal { "normal" } else { "albedo" };
+    let exr = folder.join(format!("{name}_{number}.exr"));
+    let png = folder.join(format!("{view}_normal.png"));
+    if layer != Layer::Normal || exr.is_file() {
+        return read_fitting(&exr, Gamma::Linear, camera);
+    }
+    if !png.is_file() {
+        let help = format!("Name the folder that has it, or {view}_normal.png.");
+        return Err(Error::input(&exr, "", "there are no true normals of this view", help));
+    }
+    let mut image = read_image(&png, Gamma::Srgb, Orientation::Upright)?.image;
+    image.pixels.iter_mut().for_each(|normal| *normal = known_normal(*normal));
+    // Few normals of a block may be unknown, or they would be those of one side of an edge.
+    let fitting = fit(&png, image, camera)?;
+    Ok(fitting.into_iter().map(known_normal).collect())
+}
+
+/// The normal of a decoded pixel of a PNG, max(0, n) per component: known, and then made a unit vector, if no component is 0 and its
+/// length is nearly 1; else zero.
+fn known_normal(decoded: Vec3) -> Vec3 {
+    let known = decoded.min_element() > 0.0 && KNOWN_LENGTHS.contains(&decoded.length());
+    if known { decoded.normalize() } else { Vec3::ZERO }
+}
+
+/// The pixels of the ground-truth image of a view. If views are downscaled on reading, so is their ground truth.
+///
+/// # Errors
+/// [`Error::Input`] if the image cannot be read or its size does not match the view.
+pub fn read_fitting(path: &Path, gamma: Gamma, camera: &Camera) -> Result<Vec<Vec3>> {
+    fit(path, read_image(path, gamma, Orientation::Upright)?.image, camera)
+}
+
+/// The pixels of an image, downscaled to the view's size.
+fn fit(path: &Path, image: Image, camera: &Camera) -> Result<Vec<Vec3>> {
+    let factor = image.width / camera.width.max(1);
+    let fitting = if factor > 1 { image.downscaled(factor) } else { image.clone() };
+    if (fitting.width, fitting.height) == (camera.width, camera.height) {
+        return Ok(fitting.pixels);
+    }
+    let problem = format!(
+        "the truth has {}×{} pixels, its view {}×{}",
+        image.width, image.height, camera.width, camera.height
+    );
+    let help = "A truth is as large as its view, or a whole number of times larger.";
+    Err(Error::input(path, "", problem, help))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::codec::png_file::write_rgb8;
+    use crate::codec::test_data::write_exr;
+    use crate::report::metrics::Pair;
+    use crate::report::normals::NormalAngles;
+    use image::{Rgb, RgbImage};
+
+    fn camera(size: u32) -> Camera {
+        Camera::look_at(Vec3::Z, Vec3::ZERO, Vec3::Y, 40.0, size, size).unwrap()
+    }
+
+    /// A normal as NeRF's synthetic sets store it.
+    fn stored(normal: Vec3) -> Rgb<u8> {
+        let code = |n: f32| (255.0 * crate::math::color::srgb_from_linear(n)).round() as u8;
+        Rgb(normal.to_array().map(code))
+    }
+
+    /// The normals of view `r_3` as a picture of `side` pixels holds them, for a view of 2 × 2.
+    fn read(side: u32, normal: impl Fn(u32, u32) -> Vec3) -> Vec<Vec3> {
+        let folder = tempfile::tempdir().unwrap();
+        let image = RgbImage::from_fn(side, side, |x, y| stored(normal(x, y)));
+        write_rgb8(folder.path().join("r_3_normal.png"), &image).unwrap();
+        read_true_layer(folder.path(), Layer::Normal, "r_3", &camera(2)).unwrap()
+    }
+
+    #[test]
+    fn a_png_has_the_normals_that_are_positive() {
+        let (known, tilted) = (Vec3::new(2.0, 3.0, 6.0) / 7.0, Vec3::new(0.8, 0.599, 0.04).normalize());
+        let rows = [[known, tilted], [Vec3::new(0.6, -0.8, 1e-3), Vec3::splat(0.45)]];
+        let found = read(2, |x, y| rows[y as usize][x as usize]);
+        assert!(found[0].angle_between(known) < 0.01 && found[1].angle_between(tilted) < 0.01, "{found:?}");
+        assert!((found[0].length() - 1.0).abs() < 1e-6);
+        // A negative component, and a length of 0.78.
+        assert_eq!(found[2..], [Vec3::ZERO; 2]);
+    }
+
+    #[test]
+    fn a_known_angle_is_scored() {
+        // Turned by 10° about z, everywhere but in one unknown pixel.
+        let angle =
+            |degrees: f32| Vec3::new(degrees.to_radians().cos(), degrees.to_radians().sin(), 1.0).normalize();
+        let truth = read(2, |x, y| if x + y == 0 { Vec3::X } else { angle(40.0) });
+        let expected = angle(40.0).angle_between(angle(50.0)).to_degrees();
+        let mut angles = NormalAngles::default();
+        angles.add(&Pair::new([2, 2], &[angle(50.0); 4], &truth, &[true; 4]).unwrap());
+        assert_eq!(angles.pixels(), 3);
+        let (mean, median) = (angles.mean_degrees().unwrap(), angles.median_degrees().unwrap());
+        assert!((mean - f64::from(expected)).abs() < 0.3 && (median - mean).abs() < 1e-4, "{mean} {median}");
+    }
+
+    #[test]
+    fn larger_pngs_are_averaged_where_all_is_known() {
+        let known = Vec3::new(2.0, 3.0, 6.0) / 7.0;
+        let found = read(4, |x, y| if (x, y) == (1, 1) { Vec3::X } else { known });
+        assert_eq!(found[0], Vec3::ZERO);
+        assert!(found[1..].iter().all(|normal| normal.angle_between(known) < 0.01), "{found:?}");
+    }
+
+    #[test]
+    fn an_exr_is_read_first_and_a_missing_file_is_named() {
+        let folder = tempfile::tempdir().unwrap();
+        let read = |layer| read_true_layer(folder.path(), layer, "r_3", &camera(2));
+        let message = read(Layer::Normal).unwrap_err().to_string();
+        assert!(message.contains("normal_3.exr") && message.contains("no true normals"), "{message}");
+        assert!(read(Layer::Albedo).unwrap_err().to_string().contains("albedo_3.exr"));
+        write_rgb8(folder.path().join("r_3_normal.png"), &RgbImage::new(2, 2)).unwrap();
+        assert_eq!(read(Layer::Normal).unwrap(), [Vec3::ZERO; 4]);
+        let values = [("R", -1.0), ("G", 0.0), ("B", 0.0)].map(|(name, value)| (name, vec![value; 4]));
+        write_exr(&folder.path().join("normal_3.exr"), 2, 2, &values);
+        assert_eq!(read(Layer::Normal).unwrap(), [Vec3::NEG_X; 4]);
+        assert!(read(Layer::Albedo).is_err(), "a PNG is for normals only");
+    }
+}

@@ -1,0 +1,248 @@
+//! Scores as the field's tables have them: of sRGB values, in a mask that is not eroded, and of whole pictures on white and on black.
+//!
+//! NeRF's synthetic photographs are RGBA with straight, encoded colors; its tables are of those colors over a background, blended as
+//! they are encoded: encoded · α + background · (1 − α). Tables "in the mask", as IDR's and NeuS's, are of pixels at least half
+//! covered. Everything is computed pixel by pixel, so that no picture is copied.
+
+use crate::math::color::srgb_from_linear;
+use crate::report::metrics::{mean, psnr_of_mse};
+use crate::report::ssim::ssim_of;
+use crate::{Error, Result};
+use glam::Vec3;
+use serde::{Deserialize, Serialize};
+
+/// Coverage of the truth from which a pixel is in the mask.
+const IN_MASK: f32 = 0.5;
+
+/// Scores of sRGB values in `[0, 1]`: those of a view, or their means over views.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct SrgbScores {
+    /// PSNR over the pixels whose true coverage is at least half, dB; of colors that are not blended with a background.
+    pub psnr_mask: f64,
+    /// PSNR over all pixels, on white, dB.
+    pub psnr_white: f64,
+    /// PSNR over all pixels, on black, dB.
+    pub psnr_black: f64,
+    /// SSIM over all pixels, on white.
+    pub ssim_white: f64,
+    /// SSIM over all pixels, on black.
+    pub ssim_black: f64,
+}
+
+/// A picture with its coverage.
+#[derive(Clone, Copy, Debug)]
+pub struct Covered<'a> {
+    /// Linear radiance, coverage-weighted on black.
+    pub radiance: &'a [Vec3],
+    /// Coverage in `[0, 1]`, one value per pixel; empty: every pixel is covered.
+    pub alpha: &'a [f32],
+}
+
+impl Covered<'_> {
+    /// Coverage of a pixel, in `[0, 1]`.
+    fn coverage(&self, pixel: usize) -> f32 {
+        self.alpha.get(pixel).map_or(1.0, |alpha| alpha.clamp(0.0, 1.0))
+    }
+
+    /// A channel of the object's own color, encoded, in `[0, 1]`; 0 where nothing is covered.
+    fn encoded(&self, pixel: usize, channel: usize) -> f64 {
+        let coverage = self.coverage(pixel);
+        let straight = if coverage > 0.0 { self.radiance[pixel][channel] / coverage } else { 0.0 };
+        f64::from(srgb_from_linear(straight))
+    }
+
+    /// An encoded channel over a background of this encoded value.
+    fn over(&self, background: f64, pixel: usize, channel: usize) -> f64 {
+        let coverage = f64::from(self.coverage(pixel));
+        self.encoded(pixel, channel) * coverage + background * (1.0 - coverage)
+    }
+
+    fn check(&self, what: &str, [width, height]: [usize; 2]) -> Result<()> {
+        let count = width * height;
+        if self.radiance.len() != count || !(self.alpha.is_empty() || self.alpha.len() == count) {
+            let (pixels, alphas) = (self.radiance.len(), self.alpha.len());
+            let problem =
+                format!("the {what} has {pixels} pixels and {alphas} of coverage for {width} × {height}");
+            return Err(Error::run("sRGB scores", problem));
+        }
+        let finite = |i: usize| self.radiance[i].is_finite() && self.coverage(i).is_finite();
+        match (0..count).find(|&i| !finite(i)) {
+            None => Ok(()),
+            Some(at) => {
+                let place = format!("pixel ({}, {}) of the {what}", at % width, at / width);
+                Err(Error::run("sRGB scores", format!("{place} is not a finite number")))
+            }
+        }
+    }
+}
+
+/// Scores a prediction of `size` (width, height) pixels.
+///
+/// # Errors
+/// [`Error::Run`] if a list has another length, a pixel is not finite, or no pixel of the truth is at least half covered.
+pub fn srgb_scores(size: [usize; 2], prediction: Covered, truth: Covered) -> Result<SrgbScores> {
+    prediction.check("prediction", size)?;
+    truth.check("truth", size)?;
+    let errors = Errors::of(size[0] * size[1], &prediction, &truth);
+    if errors.in_mask == 0 {
+        return Err(Error::run("sRGB scores", "no pixel is in the mask: none is half covered"));
+    }
+    let psnr = |sum: f64, pixels: usize| psnr_of_mse(sum / (3 * pixels) as f64);
+    let ssim_on = |background: f64| {
+        let value = |pixel: usize, channel: usize| {
+            [&prediction, &truth].map(|picture| picture.over(background, pixel, channel))
+        };
+        ssim_of(size, |_| true, value)
+    };
+    Ok(SrgbScores {
+        psnr_mask: psnr(errors.mask, errors.in_mask),
+        psnr_white: psnr(errors.white, errors.pixels),
+        psnr_black: psnr(errors.black, errors.pixels),
+        ssim_white: ssim_on(1.0),
+        ssim_black: ssim_on(0.0),
+    })
+}
+
+/// Squared errors, summed over pixels and channels.
+#[derive(Default)]
+struct Errors {
+    mask: f64,
+    white: f64,
+    black: f64,
+    pixels: usize,
+    in_mask: usize,
+}
+
+impl Errors {
+    fn of(pixels: usize, prediction: &Covered, truth: &Covered) -> Self {
+        let mut errors = Self { pixels, ..Self::default() };
+        for pixel in 0..pixels {
+            let in_mask = truth.coverage(pixel) >= IN_MASK;
+            errors.in_mask += usize::from(in_mask);
+            let [a, b] = [prediction, truth].map(|picture| f64::from(picture.coverage(pixel)));
+            for channel in 0..3 {
+                let [p, t] = [prediction, truth].map(|picture| picture.encoded(pixel, channel));
+                let gap = p * a - t * b;
+                errors.black += gap * gap;
+                errors.white += (gap + (b - a)) * (gap + (b - a));
+                errors.mask += if in_mask { (p - t) * (p - t) } else { 0.0 };
+            }
+        }
+        errors
+    }
+}
+
+impl SrgbScores {
+    /// Means over views; `None` if a view has none, or there is no view.
+    pub fn mean(views: &[Option<Self>]) -> Option<Self> {
+        let views: Vec<Self> = views.iter().copied().collect::<Option<_>>()?;
+        let of = |score: fn(&Self) -> f64| mean(&views.iter().map(score).collect::<Vec<_>>());
+        Some(Self {
+            psnr_mask: of(|view| view.psnr_mask)?,
+            psnr_white: of(|view| view.psnr_white)?,
+            psnr_black: of(|view| view.psnr_black)?,
+            ssim_white: of(|view| view.ssim_white)?,
+            ssim_black: of(|view| view.ssim_black)?,
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::color::linear_from_srgb;
+    use crate::report::metrics::PSNR_CAP_DB;
+
+    /// Radiance of encoded gray values under a coverage.
+    fn radiance(encoded: &[f32], alpha: &[f32]) -> Vec<Vec3> {
+        encoded
+            .iter()
+            .zip(alpha)
+            .map(|(value, alpha)| Vec3::splat(linear_from_srgb(*value) * alpha))
+            .collect()
+    }
+
+    fn scores(size: [usize; 2], p: (&[f32], &[f32]), t: (&[f32], &[f32])) -> Result<SrgbScores> {
+        let (prediction, truth) = (radiance(p.0, p.1), radiance(t.0, t.1));
+        let prediction = Covered { radiance: &prediction, alpha: p.1 };
+        srgb_scores(size, prediction, Covered { radiance: &truth, alpha: t.1 })
+    }
+
+    fn db(mse: f64) -> f64 {
+        -10.0 * mse.log10()
+    }
+
+    #[test]
+    fn a_half_covered_pixel_by_hand() {
+        // 0.8 at full coverage against 0.4 at half: on white 0.8 and 0.7, on black 0.8 and 0.2; straight 0.8 and 0.4.
+        let found = scores([1, 1], (&[0.8], &[1.0]), (&[0.4], &[0.5])).unwrap();
+        assert!((found.psnr_white - 20.0).abs() < 1e-4, "{found:?}");
+        assert!((found.psnr_black - db(0.36)).abs() < 1e-4, "{found:?}");
+        assert!((found.psnr_mask - db(0.16)).abs() < 1e-4, "{found:?}");
+        // One pixel has no variance: SSIM is its luminance term.
+        let luminance = |p: f64, t: f64| (2.0 * p * t + 1e-4) / (p * p + t * t + 1e-4);
+        assert!((found.ssim_white - luminance(0.8, 0.7)).abs() < 1e-6, "{found:?}");
+        assert!((found.ssim_black - luminance(0.8, 0.2)).abs() < 1e-6, "{found:?}");
+    }
+
+    #[test]
+    fn the_masked_score_counts_half_covered_pixels_and_no_others() {
+        // In the mask: gaps of 0.1 and 0.3. A quarter covered: outside. On black all four count, weighted by coverage.
+        let alpha = [1.0, 0.5, 0.25, 0.0];
+        let found = scores([2, 2], (&[0.5, 0.6, 0.9, 0.0], &alpha), (&[0.6, 0.3, 0.1, 0.0], &alpha)).unwrap();
+        assert!((found.psnr_mask - db((0.01 + 0.09) / 2.0)).abs() < 1e-4, "{found:?}");
+        let black = (0.1f64.powi(2) + 0.15f64.powi(2) + 0.2f64.powi(2)) / 4.0;
+        assert!((found.psnr_black - db(black)).abs() < 1e-4, "{found:?}");
+        // Equal coverage: the background has no part in the error.
+        assert!((found.psnr_white - found.psnr_black).abs() < 1e-9, "{found:?}");
+    }
+
+    #[test]
+    fn equal_pictures_have_the_largest_scores() {
+        let (value, alpha) = ([0.1, 0.9, 0.4, 0.7, 0.2, 0.3], [1.0, 0.5, 0.0, 0.3, 1.0, 0.8]);
+        let found = scores([3, 2], (&value, &alpha), (&value, &alpha)).unwrap();
+        assert_eq!([found.psnr_mask, found.psnr_white, found.psnr_black], [PSNR_CAP_DB; 3]);
+        assert!(
+            (found.ssim_white - 1.0).abs() < 1e-12 && (found.ssim_black - 1.0).abs() < 1e-12,
+            "{found:?}"
+        );
+    }
+
+    #[test]
+    fn what_is_brighter_than_white_is_white() {
+        let (bright, white) = ([Vec3::splat(7.0); 4], [Vec3::ONE; 4]);
+        let picture = |radiance| Covered { radiance, alpha: &[] };
+        let found = srgb_scores([2, 2], picture(&bright), picture(&white)).unwrap();
+        assert_eq!([found.psnr_mask, found.psnr_white, found.psnr_black], [PSNR_CAP_DB; 3]);
+    }
+
+    #[test]
+    fn a_hole_shows_the_background() {
+        // The prediction misses the object: black in the mask and on black, white on white.
+        let found = scores([1, 1], (&[0.0], &[0.0]), (&[0.75], &[1.0])).unwrap();
+        assert!((found.psnr_mask - db(0.5625)).abs() < 1e-4, "{found:?}");
+        assert!((found.psnr_black - db(0.5625)).abs() < 1e-4, "{found:?}");
+        assert!((found.psnr_white - db(0.0625)).abs() < 1e-4, "{found:?}");
+    }
+
+    #[test]
+    fn bad_pictures_are_refused() {
+        let message =
+            |p: (&[f32], &[f32]), t: (&[f32], &[f32])| scores([2, 1], p, t).unwrap_err().to_string();
+        let good: (&[f32], &[f32]) = (&[0.5, 0.5], &[1.0, 1.0]);
+        assert!(message((&[0.5], &[1.0]), good).contains("the prediction has 1 pixels"));
+        assert!(message(good, (&[0.5, 0.5], &[0.25, 0.0])).contains("no pixel is in the mask"));
+        let bad = message(good, (&[0.5, f32::NAN], &[1.0, 1.0]));
+        assert!(bad.contains("pixel (1, 0) of the truth"), "{bad}");
+    }
+
+    #[test]
+    fn means_need_every_view() {
+        let a = SrgbScores { psnr_mask: 10.0, ssim_white: 0.5, ..SrgbScores::default() };
+        let b = SrgbScores { psnr_mask: 30.0, ssim_white: 1.0, ..SrgbScores::default() };
+        let mean = SrgbScores::mean(&[Some(a), Some(b)]).unwrap();
+        assert_eq!((mean.psnr_mask, mean.ssim_white), (20.0, 0.75));
+        assert_eq!(SrgbScores::mean(&[Some(a), None]), None);
+        assert_eq!(SrgbScores::mean(&[]), None);
+    }
+}

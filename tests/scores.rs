@@ -1,0 +1,84 @@
+//! Scores of pictures that need no fit: in sRGB, and of normals.
+
+use crate::common::{Data, SIZE};
+use lobelia::codec::exr::read_exr_layers;
+use serde_json::Value;
+
+/// A gray sphere under the other light.
+const SCENE: &str = r#"Scene(
+    version: 1,
+    surface: Mesh(path: "$DATA/mesh.glb", texture_size: 16),
+    views: Dataset(path: "$DATA"),
+    light: Fixed(Npy(path: "$DATA/evening.npy")),
+    material: (albedo: Fixed(Constant(0.4, 0.4, 0.4)), specular: (albedo: Fixed(0.2, 0.2, 0.2), roughness: Fixed(0.3))),
+    passes: [
+        Render(name: "novel"),
+        Relight(name: "relit", light: Npy(path: "$DATA/evening.npy")),
+        Evaluate(
+            scores: [
+                (pass: "novel", truth: Photographs, scale: PerChannel),
+                (pass: "relit", truth: Folder("$DATA/test/gt/relit")),
+            ],
+            normal: Folder("$DATA/test/gt"),
+        ),
+    ],
+)
+"#;
+
+fn metrics(data: &Data, out: &str) -> Value {
+    serde_json::from_slice(&std::fs::read(data.path(out).join("metrics.json")).unwrap()).unwrap()
+}
+
+#[test]
+fn passes_against_photographs_have_srgb_scores() {
+    let data = Data::new();
+    let table = data.run(SCENE, "out", &["--quiet"]).succeeded().stdout;
+    let metrics = metrics(&data, "out");
+    let passes = &metrics["passes"];
+    for scores in [&passes["novel"]["srgb"], &passes["novel"]["views"][1]["srgb"]] {
+        let value = |key: &str| scores[key].as_f64().unwrap_or_else(|| panic!("no {key} in {scores}"));
+        // Around the object nothing is wrong; its outline is right, so the background makes no difference to errors.
+        assert!(value("psnr_mask") > 5.0 && value("psnr_mask") + 1.0 < value("psnr_white"), "{scores}");
+        assert!((value("psnr_white") - value("psnr_black")).abs() < 0.5, "{scores}");
+        assert!(
+            ["ssim_white", "ssim_black"].iter().all(|key| value(key) > 0.1 && value(key) < 1.0),
+            "{scores}"
+        );
+    }
+    assert!(passes["relit"].get("srgb").is_none(), "{metrics}");
+    let psnr = passes["novel"]["srgb"]["psnr_white"].as_f64().unwrap();
+    assert!(table.contains("white dB") && table.contains(&format!("{psnr:.2}")), "{table}");
+}
+
+#[test]
+fn normals_of_pngs_are_scored_where_they_are_positive() {
+    let data = Data::new();
+    data.run(SCENE, "out", &["--quiet"]).succeeded();
+    let whole = metrics(&data, "out");
+    for view in ["000000", "000001"] {
+        let exr = data.path(&format!("test/gt/normal_{view}.exr"));
+        let normals = read_exr_layers(&exr).unwrap();
+        let png = image::RgbImage::from_fn(SIZE, SIZE, |x, y| {
+            let at = |c: &str| normals.channels[c][(y * SIZE + x) as usize].max(0.0);
+            image::Rgb(lobelia::report::tone::srgb8(glam::Vec3::from(["R", "G", "B"].map(at))))
+        });
+        let path = data.path(&format!("test/gt/rgb_{view}_normal.png"));
+        crate::common::save_png(&path, &image::DynamicImage::ImageRgb8(png));
+        std::fs::remove_file(exr).unwrap();
+    }
+    data.run(SCENE, "png", &["--quiet"]).succeeded();
+    let positive = metrics(&data, "png");
+    let value = |metrics: &Value, key: &str| metrics[key].as_f64().unwrap();
+    assert!(value(&whole, "normal_deg") < 0.1 && value(&whole, "normal_median_deg") < 0.1, "{whole}");
+    // Rounded to 8 bits.
+    assert!(
+        value(&positive, "normal_deg") < 0.5 && value(&positive, "normal_median_deg") < 0.5,
+        "{positive}"
+    );
+    let (all, known) = (value(&whole, "normal_pixels"), value(&positive, "normal_pixels"));
+    assert!(known > 20.0 && known < 0.6 * all, "{known} of {all}");
+    std::fs::remove_file(data.path("test/gt/rgb_000001_normal.png")).unwrap();
+    let refused = data.run(SCENE, "none", &["--quiet"]);
+    assert_eq!(refused.code, Some(2), "{}", refused.stderr);
+    assert!(refused.stderr.contains("rgb_000001_normal.png"), "{}", refused.stderr);
+}
