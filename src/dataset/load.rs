@@ -171,6 +171,11 @@ impl PlannedView {
         self.split
     }
 
+    /// The camera's axes (x right, y down, z forward) and position in the world.
+    pub fn world_from_camera(&self) -> glam::Affine3A {
+        self.plan.world_from_camera
+    }
+
     /// The file of the photograph, unless the data set has cameras only.
     pub fn image_path(&self) -> Option<&Path> {
         self.plan.image.as_deref()

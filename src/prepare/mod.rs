@@ -108,7 +108,17 @@ fn frames(options: &PrepareOptions, work: &mut Work, progress: &dyn Progress) ->
         let frames = work.emptied("frames")?;
         video::extract(&ffmpeg, video, options.frames_per_second, &frames, &work.log("video"), progress)
     })?;
-    photographs::list(&work.path("frames"))
+    let frames = work.path("frames");
+    let count = std::fs::read_dir(&frames).map_err(Error::io("read", &frames))?.count();
+    if count < photographs::FEWEST {
+        let problem = format!("the video gives {count} frames at {} per second", options.frames_per_second);
+        let help = format!(
+            "Cameras need at least {}: take more with --fps, or a longer video.",
+            photographs::FEWEST
+        );
+        return Err(Error::input(video, "", problem, help));
+    }
+    photographs::list(&frames)
 }
 
 /// Makes the masks, if there are to be any.
@@ -151,7 +161,7 @@ fn on_object(
         progress.note(if on_object {
             "the background is plain or the same in all photographs, as on a turntable: cameras are found by the object alone"
         } else {
-            "the background moves with the object: cameras are found by both"
+            "the background differs between photographs: it helps to find the cameras"
         });
     }
     Ok(on_object)

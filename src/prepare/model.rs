@@ -9,6 +9,10 @@ use std::path::{Path, PathBuf};
 const POINT_BYTES: usize = 8 + 3 * 8 + 3 + 8 + 8;
 /// Where in it the error is.
 const ERROR_AT: usize = 8 + 3 * 8 + 3;
+/// A photograph in `images.bin` up to its name: ID, rotation, translation, camera.
+const POSE_BYTES: usize = 4 + 7 * 8 + 4;
+/// A feature in it: its place, and the ID of its point or −1.
+const FEATURE_BYTES: usize = 3 * 8;
 /// A photograph and a feature in it.
 const TRACK_BYTES: usize = 8;
 
@@ -72,6 +76,35 @@ fn errors(bytes: &[u8]) -> Option<(f64, u64)> {
     (at <= bytes.len()).then_some((sum, points))
 }
 
+/// How many points of the model each photograph of `images.bin` sees, by name.
+///
+/// # Errors
+/// [`Error::Input`] if the file is missing or truncated.
+pub(super) fn points_seen(model: &Path) -> Result<Vec<(String, u64)>> {
+    let file = model.join("images.bin");
+    let bytes = read_bytes(&file, missing_file_help)?;
+    seen(&bytes).ok_or_else(|| cut_short(&file))
+}
+
+/// Names and numbers of points; `None` if the file is truncated.
+fn seen(bytes: &[u8]) -> Option<Vec<(String, u64)>> {
+    let photographs = u64::from_le_bytes(*bytes.first_chunk()?);
+    let (mut found, mut at) = (Vec::new(), 8_usize);
+    for _ in 0..photographs {
+        at = at.checked_add(POSE_BYTES)?;
+        let length = bytes.get(at..)?.iter().position(|byte| *byte == 0)?;
+        let name = String::from_utf8_lossy(&bytes[at..at + length]).into_owned();
+        at += length + 1;
+        let features = usize::try_from(u64::from_le_bytes(*bytes.get(at..)?.first_chunk()?)).ok()?;
+        let end = at.checked_add(8)?.checked_add(features.checked_mul(FEATURE_BYTES)?)?;
+        let features = bytes.get(at + 8..end)?.chunks_exact(FEATURE_BYTES);
+        let has_point = |feature: &&[u8]| feature[FEATURE_BYTES - 8..] != [0xff; 8];
+        found.push((name, features.filter(has_point).count() as u64));
+        at = end;
+    }
+    Some(found)
+}
+
 fn cut_short(file: &Path) -> Error {
     Error::input(file, "", "the file is truncated", "Delete the output folder and prepare the data again.")
 }
@@ -109,6 +142,36 @@ mod tests {
         endless[..8].copy_from_slice(&u64::MAX.to_le_bytes());
         std::fs::write(&file, &endless).unwrap();
         assert!(mean_reprojection_error(folder.path()).is_err());
+    }
+
+    /// `images.bin` of photographs whose features have these points.
+    fn photographs(features: &[(&str, &[i64])]) -> Vec<u8> {
+        let mut bytes = (features.len() as u64).to_le_bytes().to_vec();
+        for (name, points) in features {
+            bytes.extend([0; POSE_BYTES]);
+            bytes.extend(name.as_bytes());
+            bytes.push(0);
+            bytes.extend((points.len() as u64).to_le_bytes());
+            for point in *points {
+                bytes.extend([0; 16]);
+                bytes.extend(point.to_le_bytes());
+            }
+        }
+        bytes
+    }
+
+    #[test]
+    fn the_points_that_a_photograph_sees_are_counted() {
+        let folder = tempfile::tempdir().unwrap();
+        let file = folder.path().join("images.bin");
+        let whole = photographs(&[("a.jpg", &[4, -1, 7]), ("b/c.jpg", &[-1]), ("d.jpg", &[])]);
+        std::fs::write(&file, &whole).unwrap();
+        let expected = [("a.jpg".to_owned(), 2), ("b/c.jpg".to_owned(), 0), ("d.jpg".to_owned(), 0)];
+        assert_eq!(points_seen(folder.path()).unwrap(), expected);
+        for length in [3, 20, POSE_BYTES + 10, whole.len() - 1] {
+            std::fs::write(&file, &whole[..length]).unwrap();
+            assert!(points_seen(folder.path()).unwrap_err().to_string().contains("truncated"), "{length}");
+        }
     }
 
     #[test]

@@ -90,6 +90,8 @@ pub struct Prepared {
     pub left_out: Vec<String>,
     /// Mean distance in pixels between a point and its feature, if there are points.
     pub reprojection_error: Option<f64>,
+    /// The names of those that see far fewer points than the others: their cameras may be off.
+    pub weak: Vec<String>,
     /// Whether there are masks.
     pub has_masks: bool,
     /// The scene file, if one could be written.
@@ -103,7 +105,13 @@ impl fmt::Display for Prepared {
         if let Some(error) = self.reprojection_error {
             write!(f, ", reprojection error {error:.2} px")?;
         }
-        if self.left_out.is_empty() { Ok(()) } else { write!(f, "; left out: {}", names(&self.left_out)) }
+        if !self.left_out.is_empty() {
+            write!(f, "; left out: {}", names(&self.left_out))?;
+        }
+        if self.weak.is_empty() {
+            return Ok(());
+        }
+        write!(f, "; few points, so that their cameras may be off: {}", names(&self.weak))
     }
 }
 

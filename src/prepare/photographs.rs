@@ -13,7 +13,7 @@ use std::io::{BufReader, Cursor};
 use std::path::{Path, PathBuf};
 
 /// Fewest photographs that cameras can be found for.
-const FEWEST: usize = 3;
+pub(super) const FEWEST: usize = 3;
 /// Formats of photographs that COLMAP cannot read, by extension.
 const UNREADABLE: [&str; 14] =
     ["heic", "heif", "avif", "webp", "dng", "cr2", "cr3", "nef", "arw", "raf", "orf", "rw2", "exr", "hdr"];
@@ -90,6 +90,7 @@ fn too_few(folder: &Path, found: usize, others: &BTreeMap<String, usize>) -> Err
         Some((extension, count)) => format!(
             "It has {count} .{extension} files: develop or convert them to JPEG or 16-bit PNG, all with the same settings."
         ),
+        None if found > 0 => "Take 20 or more from all sides, each overlapping the next.".to_owned(),
         None => "Give the folder that has them directly in it: folders inside are not searched.".to_owned(),
     };
     Error::input(folder, "", problem, help)

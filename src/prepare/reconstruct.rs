@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 use crate::pass::check_interrupted;
 use crate::pass::progress::Progress;
 use crate::prepare::colmap::{CameraSharing, Cameras, Colmap, Pairs, steps_done};
-use crate::prepare::model::{mean_reprojection_error, models};
+use crate::prepare::model::{mean_reprojection_error, models, points_seen};
 use crate::prepare::options::{Matching, PrepareOptions, Prepared};
 use crate::prepare::photographs::{Photograph, folders};
 use crate::prepare::work::Work;
@@ -22,6 +22,8 @@ use std::path::Path;
 const MOST_EXHAUSTIVE: [usize; 2] = [500, 100];
 /// Fewest photographs with cameras that are a data set.
 const FEWEST_REGISTERED: usize = 3;
+/// A photograph that sees fewer points than the usual one divided by this is weak.
+const WEAK_SHARE: u64 = 4;
 /// Fewest photographs of one camera that determine the center of its image.
 const FEWEST_FOR_CENTER: usize = 20;
 /// Grays of a resampled mask this near to black and white are these: the noise of its compression.
@@ -41,6 +43,16 @@ pub(super) struct Reconstruction<'a> {
     /// Whether features are taken from the object alone.
     pub on_object: bool,
     pub progress: &'a dyn Progress,
+}
+
+/// The photographs that see far fewer points than the others: their cameras may be off.
+fn weak(mut seen: Vec<(String, u64)>) -> Vec<String> {
+    let mut counts: Vec<u64> = seen.iter().map(|(_, count)| *count).collect();
+    counts.sort_unstable();
+    let usual = counts.get(counts.len() / 2).copied().unwrap_or_default();
+    seen.retain(|(_, count)| count * WEAK_SHARE < usual);
+    seen.sort();
+    seen.into_iter().map(|(name, _)| name).collect()
 }
 
 impl Reconstruction<'_> {
@@ -88,6 +100,7 @@ impl Reconstruction<'_> {
             photographs: self.photographs.len(),
             left_out: left_out.filter(|name| !names.contains(name)).collect(),
             reprojection_error: error,
+            weak: weak(points_seen(&model)?),
             has_masks: self.has_masks,
             scene: None,
         })
@@ -257,4 +270,17 @@ fn copy_folder(from: &Path, to: &Path) -> Result<()> {
     let names = entries
         .map(|entry| Ok(entry.map_err(Error::io("read", from))?.file_name().to_string_lossy().into_owned()));
     copy_all(names.collect::<Result<Vec<String>>>()?.iter(), from, to)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn photographs_with_few_points_are_weak() {
+        let seen =
+            |counts: &[u64]| counts.iter().enumerate().map(|(i, count)| (format!("{i}"), *count)).collect();
+        assert_eq!(weak(seen(&[500, 119, 480, 20, 520, 126])), ["1", "3"]);
+        assert!(weak(seen(&[0, 0, 0])).is_empty() && weak(Vec::new()).is_empty());
+    }
 }

@@ -1,8 +1,11 @@
 //! A commented scene file for a data set: what is known of it, what a fit has to find, and what may be worth changing.
 
-use crate::dataset::{DatasetOptions, Layout, OpenDataset, find_layout, has_split, open_dataset};
+use crate::dataset::{
+    DatasetOptions, Layout, OpenDataset, PlannedView, find_layout, has_split, open_dataset,
+};
 use crate::error::{Error, Result};
 use crate::view::Split;
+use glam::Vec3;
 use std::path::{Path, PathBuf};
 
 /// Longer side of the photographs that a fit needs at most; larger ones are downscaled in a new scene file.
@@ -29,6 +32,8 @@ pub struct Survey {
     pub has_masks: bool,
     /// Whether the data set has a test split of its own.
     pub has_test: bool,
+    /// Up in the photographs on average, world space, where a layout's world has no up of its own.
+    pub up: Option<Vec3>,
 }
 
 /// Looks at a data set: its camera files, and the first photograph with its mask.
@@ -52,7 +57,15 @@ pub fn survey(data: &Path) -> Result<Survey> {
         size: photograph.size(),
         has_masks: mask.is_some(),
         has_test: has_split(data, Split::Test, &options)?,
+        up: if layout == Layout::Colmap { mean_up(&views) } else { None },
     })
+}
+
+/// The mean of what is up in the pictures, world space; `None` if they have none in common.
+fn mean_up(views: &[PlannedView]) -> Option<Vec3> {
+    let up = |view: &PlannedView| -Vec3::from(view.world_from_camera().matrix3.y_axis).normalize_or_zero();
+    let mean = views.iter().map(up).sum::<Vec3>() / views.len().max(1) as f32;
+    (mean.length() > 0.5).then(|| mean.normalize())
 }
 
 /// The scene file `scene` for the data set in `data`, as text. A path in it starts at `scene` if that is inside `data`, else at `$DATA`.
@@ -122,6 +135,12 @@ fn scene_text(survey: &Survey, data: &Path, is_beside: bool) -> String {
     let tests = survey.has_test || survey.views >= FEWEST_HELD_OUT;
     let mut text = header(survey, data, is_beside);
     text += "Scene(\n    version: 1,\n";
+    if let Some(up) = survey.up {
+        text += "    // Up in the photographs on average: orbits turn around it.\n";
+        // Adding 0 makes −0 positive.
+        let up = up + Vec3::ZERO;
+        text += &format!("    up: ({:.3}, {:.3}, {:.3}),\n", up.x, up.y, up.z);
+    }
     text += &surface(survey, is_beside);
     text += &views(survey, is_beside, downscale);
     text += MATERIAL;
@@ -281,6 +300,7 @@ mod tests {
             "hold_out: 8",
             "Shape(exposure: true, cameras: Poses)",
             "// 13 photographs of 8×6",
+            "up: (0.000, -1.000, 0.000)",
             "name: \"novel\"",
         ] {
             assert!(text.contains(part), "{part}\n{text}");

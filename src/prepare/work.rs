@@ -45,7 +45,14 @@ impl Work {
         if let Some(other) = names.iter().find(|name| !(goes_on && is_ours(name))) {
             let problem =
                 format!("the output folder {} is not empty: it has {}", out.display(), other.display());
-            return Err(Error::usage(problem, "Give a folder that is new or empty."));
+            let is_finished =
+                finished.iter().all(|known| *known == "masks" || names.iter().any(|n| n == *known));
+            let help = if is_finished {
+                "It holds a data set that is finished; for other options, give another folder."
+            } else {
+                "Give a folder that is new or empty."
+            };
+            return Err(Error::usage(problem, help));
         }
         let work = Self { out: out.to_owned(), settings: String::new(), stale: false };
         for folder in [out.join(WORK), out.join(LOGS)] {
