@@ -4,7 +4,7 @@
 //! | --- | --- |
 //! | results | [`Result`], [`Error`], [`SystemResult`] |
 //! | the pipeline | [`Pipeline`], [`Plugin`], [`Phase`], [`Stage`], [`Slot`], [`SlotLabel`], [`GatherPoints`], [`ScatterAdjoints`] |
-//! | pools | [`Texels`], [`Samples`], [`TexelIndex`], [`SampleIndex`], [`read_column`], [`write_column`] |
+//! | pools | [`Texels`], [`Samples`], [`TexelIndex`], [`SampleIndex`], [`Observation`], [`ObservationIndex`], [`read_column`], [`write_column`] |
 //! | surfaces | [`Surface`], [`Mesh`], [`sphere_mesh`], [`box_mesh`] |
 //! | views | [`Camera`], [`ViewRecord`], [`ViewIndex`], [`Photograph`], [`StoredMask`], [`Image`], [`Mask`], [`Split`] |
 //! | light | [`LightLobe`], [`EnvironmentMap`], [`MapLight`], [`MapConvention`], [`render_lobes`], [`fit_map`], [`MapFit`] |
@@ -42,6 +42,7 @@ pub use crate::material::{TexelIndex, Texels};
 pub use crate::pipeline::pool::{read_column, write_column};
 pub use crate::pipeline::{GatherPoints, Phase, Pipeline, Plugin, ScatterAdjoints, Slot, SlotLabel, Stage};
 pub use crate::sample::Samples;
+pub use crate::sample::observation::{Observation, ObservationIndex};
 pub use crate::sample::pixel::SampleIndex;
 
 // Surfaces and views.

@@ -5,7 +5,6 @@ use lobelia::codec::frame::Frame;
 use lobelia::mesh::primitive::box_mesh;
 use lobelia::pipeline::pool::read_column;
 use lobelia::prelude::*;
-use lobelia::sample::observation::ObservationIndex;
 use lobelia::sample::pixel::SampleIndex;
 use lobelia::view::Camera;
 use std::ops::ControlFlow;

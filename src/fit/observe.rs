@@ -9,7 +9,7 @@ use crate::pipeline::SystemResult;
 use crate::sample::Samples;
 use crate::sample::bundle::{FitSample, despawn_pool};
 use crate::sample::observation::{
-    Observation, ObservationBundle, ObservationIndex, Observations, ObservedWindow, despawn_observations,
+    Observation, ObservationIndex, Observations, ObservedWindow, despawn_observations,
 };
 use crate::sample::pixel::{Observed, PixelOf, SATURATION, SampleIndex, ViewRay};
 use crate::sample::point::{Scenery, SurfacePoint};
@@ -166,12 +166,10 @@ pub fn trace_pixels(world: &mut World) -> SystemResult {
     for part in chosen.chunks(TRACED_AT_ONCE) {
         let trace = |candidate: &Candidate| candidate.trace(&cameras, scenery.as_ref());
         let traced: Vec<Option<Observation>> = part.par_iter().map(trace).collect::<Result<_>>()?;
-        let bundles = traced.into_iter().flatten().zip(rows..);
-        let bundles: Vec<ObservationBundle> = bundles
-            .map(|(observation, row)| ObservationBundle { index: ObservationIndex(row), observation })
-            .collect();
-        rows += bundles.len() as u32;
-        world.spawn_batch(bundles);
+        let observations: Vec<(ObservationIndex, Observation)> =
+            (rows..).map(ObservationIndex).zip(traced.into_iter().flatten()).collect();
+        rows += observations.len() as u32;
+        world.spawn_batch(observations);
     }
     if rows == 0 {
         return Err(Error::usage(

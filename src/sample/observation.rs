@@ -3,7 +3,7 @@
 use crate::pipeline::pool::{Pool, pool_index};
 use crate::sample::pixel::{Observed, PixelOf};
 use crate::sample::point::SurfacePoint;
-use bevy_ecs::prelude::{Bundle, Component, Entity, Resource, With, World};
+use bevy_ecs::prelude::{Component, Entity, Resource, With, World};
 use std::ops::Range;
 
 pool_index! {
@@ -20,15 +20,6 @@ pub struct Observation {
     pub observed: Observed,
     /// The surface point of its ray when the fit began.
     pub point: SurfacePoint,
-}
-
-/// The columns of an observed pixel.
-#[derive(Bundle, Clone, Copy, Debug, PartialEq)]
-pub struct ObservationBundle {
-    /// Its row in the pool.
-    pub index: ObservationIndex,
-    /// What is known of it.
-    pub observation: Observation,
 }
 
 /// The observed pixels, as a system parameter.

@@ -11,7 +11,7 @@
 //! Time is divided by the threads. It is good to a factor of two on the machine that was measured, and a guess on others.
 
 use crate::codec::animation::film_bytes;
-use crate::sample::observation::ObservationBundle;
+use crate::sample::observation::{Observation, ObservationIndex};
 use crate::scene::{
     FitPass, Light, LightSource, Pass, RenderSettings, Scene, Shading, ShapePass, Surface, ViewChoice,
     Visibility,
@@ -30,7 +30,7 @@ pub const PHOTOGRAPH_BYTES: f64 = 6.0;
 /// Bytes of a pixel of a silhouette in memory: its signed distance as a half float.
 pub const SILHOUETTE_BYTES: f64 = 2.0;
 /// Bytes of a pixel in the pool of a fit: its columns, two ticks for each of the two, and its entity.
-pub const POOL_BYTES: f64 = (size_of::<ObservationBundle>() + 2 * 8 + 52) as f64;
+pub const POOL_BYTES: f64 = (size_of::<(ObservationIndex, Observation)>() + 2 * 8 + 52) as f64;
 /// Bytes of a texel in a fit: albedo, gradient, two moments, what is shown, place, normal, and their table.
 pub const TEXEL_BYTES: f64 = 200.0;
 /// Bytes of a cell of a shape's grid, with its adjoints and moments.
