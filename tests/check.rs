@@ -96,7 +96,7 @@ fn a_mesh_in_millimeters_stops_a_run_and_a_warning_does_not() {
     };
     copy("image", "exr");
     let outcome = check_data(&data, &[]).succeeded();
-    assert!(outcome.stdout.contains("fine, 1 warning"), "{}", outcome.stdout);
+    assert!(outcome.stdout.contains("scene.ron: 1 warning\n"), "{}", outcome.stdout);
     assert!(outcome.stdout.contains("warning (duplicates): the same photograph"), "{}", outcome.stdout);
     let run = data.run(SCENE, "out", &[]).succeeded();
     assert!(run.stderr.contains("note: the same photograph is there more than once"), "{}", run.stderr);

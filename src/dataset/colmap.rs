@@ -2,10 +2,9 @@
 //!
 //! The reconstruction is `cameras` and `images`, `.bin` or `.txt`; points, rigs and frames are not needed. It may also be where COLMAP's
 //! own programs, nerfstudio and 3D Gaussian splatting leave it; of several models the one with the most images is read. Masks may have
-//! any usual name; without a folder of masks alpha is the mask. Photographs are taken as they are stored, since COLMAP ignores their
+//! any usual name, and be beside the photographs or in `DIR`; without a folder of masks alpha is the mask. Photographs are taken as they are stored, since COLMAP ignores their
 //! EXIF orientation. There is no test split: see [`crate::dataset::DatasetOptions::hold_out`].
 
-use crate::codec::image::Orientation;
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::colmap_model;
 use crate::dataset::colmap_model::{ModelImage, image_count, read_model};
@@ -107,7 +106,8 @@ pub(super) fn plan(dir: &Path) -> Result<Plan> {
     let (file, of_models) = largest(place.models)?;
     let model = read_model(file)?;
     let mut photographs = Folders::below(&place.photographs);
-    let mut masks = place.photographs.parent().and_then(mask_folder).map(|folder| Folders::below(&folder));
+    let masks = place.photographs.parent().and_then(mask_folder).or_else(|| mask_folder(dir));
+    let mut masks = masks.map(|folder| Folders::below(&folder));
     if !photographs.root.is_dir() {
         let help = missing_file_help(&photographs.root);
         return Err(Error::input(&photographs.root, "", "the folder of photographs is missing", help));
@@ -127,7 +127,6 @@ pub(super) fn plan(dir: &Path) -> Result<Plan> {
             place,
             image: Some(photographs.photograph(&image.name)?),
             mask: masks.as_mut().map_or(Ok(MaskPlan::Alpha), |masks| masks.mask(&image.name))?,
-            orientation: Orientation::AsStored,
             lens,
             world_from_camera: image.camera_from_world.inverse().to_affine(),
         });

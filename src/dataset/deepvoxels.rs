@@ -5,7 +5,6 @@
 //! is 16 numbers, a row-major 4×4 matrix, world_from_camera with OpenCV axes. Masks are in `mask/`, or alpha. Without a
 //! `test` folder `validation` is the test split; without either see [`crate::dataset::DatasetOptions::hold_out`].
 
-use crate::codec::image::Orientation;
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::distortion::Distortion;
 use crate::dataset::lens::{Focal, Lens};
@@ -77,7 +76,6 @@ pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
             camera_file: file,
             place: String::new(),
             mask,
-            orientation: Orientation::AsStored,
             lens,
             world_from_camera: world_from_camera.to_affine(),
         });

@@ -1,7 +1,7 @@
 //! The layouts: what identifies each, which splits a folder has in it, and who reads it.
 
 use crate::codec::image::IMAGE_EXTENSIONS;
-use crate::codec::nearby::missing_file_help;
+use crate::codec::nearby::{missing_file_help, natural_order};
 use crate::dataset::{DatasetOptions, Layout, Plan};
 use crate::dataset::{colmap, deepvoxels, idr, llff, metashape, nerf, physg, reality_capture, stanford_orb};
 use crate::error::{Error, Result};
@@ -41,7 +41,7 @@ pub(super) struct Format {
     /// The files that identify it, for errors.
     mark: &'static str,
     splits: fn(&Path) -> Splits,
-    /// Plans the views of a split; all views, by name, if the folder has no splits.
+    /// Plans the views of a split; all views if the folder has no splits.
     plan: fn(&Path, Split) -> Result<Plan>,
 }
 
@@ -129,9 +129,10 @@ fn is_stanford_orb(dir: &Path) -> bool {
 }
 
 impl Format {
-    /// Plans the views of a split; of data without splits, those that `hold_out` gives it.
+    /// Plans the views of a split, in natural order of their names; of data without splits, those that `hold_out` gives it.
     pub fn plan(&self, dir: &Path, split: Split, hold_out: u32) -> Result<Plan> {
-        let plan = (self.plan)(dir, split)?;
+        let mut plan = (self.plan)(dir, split)?;
+        plan.views.sort_by(|a, b| natural_order(&a.name, &b.name));
         Ok(if (self.splits)(dir) == Splits::Undivided { held_out(plan, split, hold_out) } else { plan })
     }
 

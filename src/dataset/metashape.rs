@@ -29,7 +29,7 @@ pub(super) const EXPORT: Export = Export {
     help: EXPORT_HELP,
 };
 
-/// Plans all views, in the order of their names.
+/// Plans all views, in the order of the file.
 pub(super) fn plan(dir: &Path) -> Result<Plan> {
     let file = &EXPORT.only(dir)?;
     let text = read_text(file)?;
@@ -91,7 +91,6 @@ impl<'a, 'input: 'a> Xml<'a, 'input> {
         if views.is_empty() {
             return Err(self.wrong(chunk, "the chunk has no cameras with a pose"));
         }
-        views.sort_by(|a, b| a.name.cmp(&b.name));
         let mut notes = Vec::new();
         if let Some(first) = left_out.first() {
             let count = left_out.len();

@@ -13,8 +13,8 @@
 //! [`crate::dataset::DatasetOptions::hold_out`]. Its poses are taken as they are: `applied_transform` is not undone. Photographs are
 //! taken as they are stored, as all these programs read them.
 
-use crate::codec::image::{IMAGE_EXTENSIONS, Orientation};
-use crate::codec::nearby::{closest, missing_file_help, natural_order};
+use crate::codec::image::IMAGE_EXTENSIONS;
+use crate::codec::nearby::{closest, missing_file_help};
 use crate::dataset::load::{StemIndex, find_image, parse_json, read_text, view_name};
 use crate::dataset::masks::{find_mask, mask_folder};
 use crate::dataset::nerf_lens::{Intrinsics, Levels};
@@ -124,7 +124,7 @@ fn tidy(path: &str) -> String {
     path.strip_prefix("./").map_or_else(|| path.clone(), str::to_owned)
 }
 
-/// Plans the views of a split, or all views, by name, if the folder [`is_undivided`].
+/// Plans the views of a split, or all views if the folder [`is_undivided`].
 pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
     let common = common_file(dir);
     let file = common.clone().unwrap_or_else(|| camera_file(dir, split));
@@ -154,7 +154,6 @@ pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
     if common.is_some() && lists.are_stated() {
         views = reader.listed(&lists, split, &frames, views, &mut notes)?;
     }
-    views.sort_by(|a, b| natural_order(&a.name, &b.name));
     Ok(Plan { views, notes })
 }
 
@@ -247,7 +246,6 @@ impl Reader<'_> {
             mask: self.mask(frame, image.as_deref())?,
             place,
             image,
-            orientation: Orientation::AsStored,
             lens,
             world_from_camera: world_from_camera.to_affine(),
         })

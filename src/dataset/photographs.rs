@@ -1,6 +1,5 @@
 //! Photographs and masks of layouts whose camera files do not say where they are.
 
-use crate::codec::image::Orientation;
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::lens::Lens;
 use crate::dataset::load::{StemIndex, image_files, view_name};
@@ -165,7 +164,6 @@ pub(super) fn view_of(
         place,
         image: Some(image),
         mask,
-        orientation: Orientation::AsStored,
         lens,
         world_from_camera: world_from_camera.to_affine(),
     }

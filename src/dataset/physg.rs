@@ -4,7 +4,6 @@
 //! axes) and `img_size` (`[width, height]`). Without an `image` folder the views are cameras only. Images and masks are
 //! found by file stem, so a mask may be a PNG beside an EXR. Without a `mask` folder the images' alpha is the mask.
 
-use crate::codec::image::Orientation;
 use crate::dataset::lens::Lens;
 use crate::dataset::load::{StemIndex, parse_json, read_text, view_name};
 use crate::dataset::pose::Rigid;
@@ -114,8 +113,7 @@ fn plan_view(
         )),
     };
     let world_from_camera = camera_from_world.inverse().to_affine();
-    let (camera_file, orientation) = (file.to_owned(), Orientation::AsStored);
-    Ok(ViewPlan { name, camera_file, place, image, mask, orientation, lens, world_from_camera })
+    Ok(ViewPlan { name, camera_file: file.to_owned(), place, image, mask, lens, world_from_camera })
 }
 
 fn sixteen(values: &[f64]) -> Result<[f64; 16], String> {

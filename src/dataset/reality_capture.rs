@@ -63,7 +63,6 @@ pub(super) fn plan(dir: &Path) -> Result<Plan> {
         return Err(Error::input(file, "", "the file has no cameras", EXPORT_HELP));
     }
     let notes = photographs.unused(&views).into_iter().collect();
-    views.sort_by(|a, b| a.name.cmp(&b.name));
     Ok(Plan { views, notes })
 }
 

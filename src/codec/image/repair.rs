@@ -79,7 +79,7 @@ impl Repairs {
         if self.too_bright as f64 > MOST_TOO_BRIGHT * pixels as f64 {
             let problem =
                 format!("{} of {pixels} pixels are absurdly bright (above {BRIGHTEST})", self.too_bright);
-            let help = "Divide the values so that white is about 1, in all images by the same number.";
+            let help = "Divide the values so that white is about 1, in all images by the same number, or replace this one.";
             return Err(Error::input(path, "", problem, help));
         }
         Ok(())
