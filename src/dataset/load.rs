@@ -1,6 +1,9 @@
 //! Functions that all layouts share: reading JSON with errors that name the position, finding files, and loading planned views.
 
-use crate::codec::image::{IMAGE_EXTENSIONS, ImageHeader, Orientation, Repairs, image_header, read_mask};
+use crate::codec::file::is_there;
+use crate::codec::image::{
+    IMAGE_EXTENSIONS, ImageHeader, Orientation, Repairs, image_header, is_unread_name, read_mask,
+};
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::distortion::Distortion;
 use crate::dataset::picture::{Curves, Picture};
@@ -60,9 +63,10 @@ pub(super) fn view_name(path: &str) -> String {
     name.unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// The file itself if it exists, else with an image extension added.
+/// The file itself if it exists, else with an image extension added. What is called as an image and is none, or may not be read, is
+/// found as well: reading it says why.
 pub(super) fn find_image(path: &Path) -> Option<PathBuf> {
-    if path.is_file() {
+    if path.is_file() || (has_image_extension(path) && is_there(path)) {
         return Some(path.to_owned());
     }
     IMAGE_EXTENSIONS.iter().find_map(|extension| {
@@ -86,6 +90,17 @@ pub(super) fn image_files(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(paths)
 }
 
+/// Why the first file of a folder that is named as an image of a format that is not read is not read; of those with this stem, if one
+/// is given. `None` if there is no such file.
+pub(super) fn refusal_of_unread(folder: &Path, stem: Option<&str>) -> Option<Error> {
+    let is_wanted = |path: &PathBuf| {
+        let has_stem = |stem: &str| path.file_stem().is_some_and(|found| found.to_string_lossy() == stem);
+        is_unread_name(path) && stem.is_none_or(has_stem)
+    };
+    let entries = std::fs::read_dir(folder).ok()?.flatten().map(|entry| entry.path());
+    image_header(entries.filter(is_wanted).min()?).err()
+}
+
 /// A folder's image files by name without extension.
 pub(super) struct StemIndex {
     pub folder: PathBuf,
@@ -95,7 +110,7 @@ pub(super) struct StemIndex {
 impl StemIndex {
     /// `None` if there is no such folder.
     pub fn of_folder(folder: &Path) -> Result<Option<Self>> {
-        if !folder.is_dir() {
+        if !is_there(folder) {
             return Ok(None);
         }
         let mut files = BTreeMap::new();
@@ -106,14 +121,16 @@ impl StemIndex {
         Ok(Some(Self { folder: folder.to_owned(), files }))
     }
 
-    /// The file called `key`, or another image with its stem.
-    pub fn find(&self, key: &str) -> Result<PathBuf> {
-        let exact = Some(self.folder.join(key)).filter(|path| path.is_file());
-        let found = exact.or_else(|| self.stem(&view_name(key)));
+    /// The file called `key`, or another image with its stem; `what` is "image" or "mask".
+    pub fn find(&self, key: &str, what: &str) -> Result<PathBuf> {
+        let path = self.folder.join(key);
+        let is_exact = path.is_file() || (has_image_extension(&path) && is_there(&path));
+        let found = if is_exact { Some(path.clone()) } else { self.stem(&view_name(key)) };
         found.ok_or_else(|| {
-            let path = self.folder.join(key);
-            let problem = "the camera file names this view, but its image is missing (with any extension)";
-            Error::input(&path, "", problem, missing_file_help(&path))
+            let problem =
+                format!("the camera file names this view, but its {what} is missing (with any extension)");
+            refusal_of_unread(&self.folder, Some(&view_name(key)))
+                .unwrap_or_else(|| Error::input(&path, "", problem, missing_file_help(&path)))
         })
     }
 

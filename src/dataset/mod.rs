@@ -28,6 +28,7 @@ mod colmap_model;
 pub mod deepvoxels;
 mod distortion;
 mod exports;
+mod folders;
 pub mod idr;
 mod layout;
 mod lens;

@@ -205,14 +205,14 @@ fn check_image(world: &World, pass: &str, truth: &Truth, view: &ChosenView) -> R
     }
 }
 
-#[cfg(all(test, unix))]
+#[cfg(test)]
 mod tests {
-    use super::*;
-    use crate::scene::{LoadOptions, load};
-    use std::os::unix::ffi::OsStrExt;
-
+    #[cfg(unix)]
     #[test]
     fn data_that_no_scene_file_can_name_is_refused_if_one_is_to_be_written() {
+        use super::{Views, check_paths};
+        use crate::scene::{LoadOptions, load};
+        use std::os::unix::ffi::OsStrExt;
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("scene.ron");
         let scene = |passes: &str| {

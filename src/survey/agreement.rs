@@ -175,7 +175,7 @@ fn mesh_cause(bvh: &TriangleBvh, views: &[SmallMask], given: f32) -> Option<(Cau
         return found;
     }
     let (center, radius) = bvh.bounding_sphere();
-    let placed = |turn: Mat3A| placement_cause(find_placement(bvh, views, turn)?, center.into(), radius);
+    let placed = |turn: Mat3A| placement_cause(find_placement(bvh, views, turn)?, center, radius);
     let upright = placed(Mat3A::IDENTITY).into_iter();
     if let found @ Some(_) =
         best(upright, given, EXPLAINS, BETTER, |cause| agreement_after(bvh, views, cause))

@@ -85,7 +85,7 @@ fn turned(looks: &[Look]) -> Option<Finding> {
         turned.iter().filter(|look| look.mask_source == MaskSource::File && look.exif[1] != look.exif[0]);
     let masks = match masks.count() {
         0 => String::new(),
-        count => format!("; {} of their masks have another", count),
+        count => format!("; {count} of their masks have another"),
     };
     let problem = || {
         let views = named(&views);

@@ -65,11 +65,6 @@ impl Decoded {
 }
 
 impl Repairs {
-    /// Number of pixels that were set to 0.
-    pub fn zeroed(&self) -> usize {
-        self.pixels.len()
-    }
-
     /// Whether anything is left of an image of so many pixels.
     pub(super) fn check(&self, path: &Path, pixels: usize) -> Result<()> {
         if self.not_finite == pixels {
