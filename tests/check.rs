@@ -96,8 +96,52 @@ fn a_mesh_in_millimeters_stops_a_run_and_a_warning_does_not() {
     };
     copy("image", "exr");
     let outcome = check_data(&data, &[]).succeeded();
-    assert!(outcome.stdout.contains("fine, 1 warning"), "{}", outcome.stdout);
+    assert!(outcome.stdout.contains("scene.ron: 1 warning\n"), "{}", outcome.stdout);
     assert!(outcome.stdout.contains("warning (duplicates): the same photograph"), "{}", outcome.stdout);
     let run = data.run(SCENE, "out", &[]).succeeded();
     assert!(run.stderr.contains("note: the same photograph is there more than once"), "{}", run.stderr);
+}
+
+#[test]
+fn check_refuses_what_a_run_refuses_before_its_first_pass() {
+    let data = Data::new();
+    std::fs::write(data.path("bad.npy"), "no numbers").unwrap();
+    std::fs::write(data.path("bad.glb"), "no mesh").unwrap();
+    let with =
+        |pass: &str| SCENE.replace("        Evaluate(", &format!("        {pass},\n        Evaluate("));
+    let evaluate = "Evaluate(name: \"scores\", ";
+    let cameras = r#"Scene(
+        version: 1,
+        surface: Sphere(texture_size: 16),
+        views: Cameras([(name: "front", eye: (0, 0, 3))]),
+        light: Fixed(Npy(path: "$DATA/bad.npy")),
+        material: (
+            albedo: Fixed(Constant(0.5, 0.5, 0.5)),
+            specular: (albedo: Fixed(0.05, 0.05, 0.05), roughness: Fixed(0.3)),
+        ),
+        passes: [Render(name: "novel", render: (views: All))],
+    )"#;
+    for (scene, words) in [
+        (with(r#"Relight(name: "relit", light: Npy(path: "$DATA/bad.npy"))"#), "bad.npy"),
+        (SCENE.replace(evaluate, &format!("{evaluate}mesh: \"$DATA/bad.glb\", ")), "bad.glb"),
+        (with(r#"Render(name: "one", render: (views: Named(["nope"])))"#), "there is no view nope"),
+        (cameras.to_owned(), "bad.npy"),
+    ] {
+        let looked = check(&data, &scene, &["--data", data.root().to_str().unwrap()]);
+        let run = data.run(&scene, "out", &["--quiet"]);
+        assert_eq!((looked.code, run.code), (Some(2), Some(2)), "{}", looked.stdout);
+        assert!(looked.stdout.contains("scene.ron: 1 error"), "{}", looked.stdout);
+        assert!(looked.stderr.contains(words), "{}", looked.stderr);
+        assert_eq!(looked.stderr, run.stderr);
+    }
+}
+
+#[test]
+fn an_output_that_cannot_be_written_is_refused_before_photographs_are_read() {
+    let data = Data::new();
+    let file = data.path("afile");
+    std::fs::write(&file, "").unwrap();
+    let outcome = check_data(&data, &["--out", file.to_str().unwrap()]);
+    assert_eq!((outcome.code, outcome.stdout.as_str()), (Some(2), ""), "{}", outcome.stderr);
+    assert!(outcome.stderr.contains("afile is a file"), "{}", outcome.stderr);
 }

@@ -148,7 +148,12 @@ impl Sink {
             return Err(Error::input(path, "", problem, "divide its values so that a gray sky is about 1"));
         }
         if !self.bright {
-            let problem = "the map is black everywhere: it gives no light";
+            let is_negative = self.clamped > 0;
+            let problem = if is_negative {
+                "no texel of the map is above 0, and some are negative: it gives no light"
+            } else {
+                "the map is black everywhere: it gives no light"
+            };
             return Err(Error::input(path, "", problem, "check the export, or use another map"));
         }
         let mut notes = Vec::new();
@@ -362,7 +367,7 @@ mod tests {
         gradient(8, 4).scaled(Vec3::ZERO).write_exr(&path).unwrap();
         assert!(error_of(&path).contains("black"));
         gradient(8, 4).scaled(Vec3::NEG_ONE).write_exr(&path).unwrap();
-        assert!(error_of(&path).contains("black"));
+        assert!(error_of(&path).contains("some are negative"));
     }
 
     #[test]

@@ -74,7 +74,13 @@ pub fn missing_file_help(path: &Path) -> String {
         Some(parent) if !parent.as_os_str().is_empty() => parent,
         _ => Path::new("."),
     };
-    let Ok(entries) = std::fs::read_dir(folder) else {
+    let entries = match std::fs::read_dir(folder) {
+        Err(error) if error.kind() == std::io::ErrorKind::PermissionDenied => {
+            return format!("The folder {} may not be read: `chmod u+rx` allows it.", folder.display());
+        }
+        entries => entries,
+    };
+    let Ok(entries) = entries else {
         let existing = folder.ancestors().find(|ancestor| ancestor.is_dir());
         return match existing {
             Some(existing) => {

@@ -4,7 +4,9 @@ use super::args::CheckArgs;
 use super::scene_files::load_options;
 use super::terminal::print;
 use super::threads::start_threads;
-use lobelia::pass::preflight::check_sizes;
+use lobelia::pass::preflight::{check_folder, check_paths, check_sizes};
+use lobelia::pass::progress::{Bar, Progress, Silent};
+use lobelia::pass::rehearse;
 use lobelia::report::sheet::write_sheet;
 use lobelia::scene::Pass;
 use lobelia::scene::{LoadOptions, LoadedScene, load, unknown_parts};
@@ -13,7 +15,9 @@ use lobelia::survey::estimate::{Estimate, estimate};
 use lobelia::survey::open::survey;
 use lobelia::survey::sheet::contact_sheet;
 use lobelia::survey::{Severity, Survey, json, table};
+use lobelia::view::ViewRecord;
 use lobelia::{Error, Result};
+use std::cell::RefCell;
 use std::fmt::Write as _;
 use std::path::Path;
 
@@ -22,23 +26,73 @@ pub fn run(args: &CheckArgs) -> Result<()> {
     let options = LoadOptions { without_data: true, ..load_options(&args.scene) };
     let loaded = load(&args.scene.scene, &options)?;
     check_sizes(&loaded.scene)?;
+    check_paths(&loaded.scene)?;
+    let has_photographs = data_is_there(&loaded);
+    if let Some(out) = &args.out {
+        check_out(out, has_photographs)?;
+    }
     start_threads(args.threads)?;
-    let surveyed = if data_is_there(&loaded) { survey(&loaded.scene, args.out.is_some())? } else { None };
+    let surveyed = if has_photographs { survey(&loaded.scene, args.out.is_some())? } else { None };
+    let (surveyed, views) = surveyed.map_or((None, Vec::new()), |(survey, views)| (Some(survey), views));
     let surveyed = surveyed.map(|survey| {
         let estimate = estimate(&survey, &loaded.scene, rayon::current_num_threads());
         (survey, estimate)
     });
-    print(&summary(&loaded, surveyed.as_ref()))?;
-    match (&args.out, &surveyed) {
-        (Some(out), Some((survey, estimate))) => write(out, &loaded, survey, estimate)?,
-        (Some(_), None) => {
-            let problem = "--out has nothing to show: no photographs are looked at";
-            return Err(Error::usage(problem, "Say --data DIR, with a scene whose views are a `Dataset`."));
-        }
-        (None, _) => {}
+    let outcome = Outcome::of(&loaded, surveyed.as_ref().map(|(survey, _)| survey), views);
+    print(&summary(&loaded, surveyed.as_ref(), &outcome))?;
+    if let (Some(out), Some((survey, estimate))) = (&args.out, &surveyed) {
+        write(out, &loaded, survey, estimate)?;
     }
-    let error = surveyed.as_ref().and_then(|(survey, _)| survey.findings_of(Severity::Error).next());
-    error.map_or(Ok(()), |error| Err(error.to_error()))
+    outcome.error.map_or(Ok(()), Err)
+}
+
+/// What a run would say and do before its first pass.
+struct Outcome {
+    notes: Vec<String>,
+    /// The error that it ends with.
+    error: Option<Error>,
+    /// Whether that is none of the survey's.
+    is_further: bool,
+}
+
+impl Outcome {
+    /// `surveyed` and `views` are of the scene's data set.
+    fn of(loaded: &LoadedScene, surveyed: Option<&Survey>, views: Vec<ViewRecord>) -> Self {
+        if let Some(error) = surveyed.and_then(|survey| survey.findings_of(Severity::Error).next()) {
+            return Self { notes: Vec::new(), error: Some(error.to_error()), is_further: false };
+        }
+        if !loaded.unseen.is_empty() {
+            return Self { notes: Vec::new(), error: None, is_further: false };
+        }
+        let notes = Notes::default();
+        let error = rehearse(&loaded.scene, views, &notes).err();
+        Self { notes: notes.0.into_inner(), is_further: error.is_some(), error }
+    }
+}
+
+/// Keeps what a rehearsal notes, for the summary.
+#[derive(Default)]
+struct Notes(RefCell<Vec<String>>);
+
+impl Progress for Notes {
+    fn note(&self, text: &str) {
+        self.0.borrow_mut().push(text.to_owned());
+    }
+
+    fn print(&self, _: &str) {}
+
+    fn bar(&self, _: &str, _: u64) -> Box<dyn Bar> {
+        Box::new(Silent)
+    }
+}
+
+/// Whether `--out` has something to show, and can be written: asked before photographs are read.
+fn check_out(out: &Path, has_photographs: bool) -> Result<()> {
+    if !has_photographs {
+        let problem = "--out has nothing to show: no photographs are looked at";
+        return Err(Error::usage(problem, "Say --data DIR, with a scene whose views are a `Dataset`."));
+    }
+    check_folder(out)
 }
 
 /// Whether nothing that a survey reads is below a `$DATA` that stands for nothing.
@@ -61,13 +115,14 @@ fn write(out: &Path, loaded: &LoadedScene, survey: &Survey, estimate: &Estimate)
 }
 
 /// What `check` prints.
-fn summary(loaded: &LoadedScene, surveyed: Option<&(Survey, Estimate)>) -> String {
+fn summary(loaded: &LoadedScene, surveyed: Option<&(Survey, Estimate)>, outcome: &Outcome) -> String {
     let scene = &loaded.scene;
     let unknown = unknown_parts(scene);
     let unknown = if unknown.is_empty() { "nothing".to_owned() } else { unknown.join(", ") };
     let passes: Vec<String> =
         scene.passes.iter().map(|pass| format!("{} ({})", pass.name(), kind(pass))).collect();
-    let verdict = surveyed.map_or("fine".to_owned(), |(survey, _)| table::verdict(survey));
+    let further = usize::from(outcome.is_further);
+    let verdict = table::verdict(surveyed.map(|(survey, _)| survey), further);
     let mut text = format!("{}: {verdict}\n", loaded.path.display());
     let mut line = |label: &str, value: &str| writeln!(text, "  {label:<8} {value}");
     // Writing to a `String` cannot fail.
@@ -83,6 +138,11 @@ fn summary(loaded: &LoadedScene, surveyed: Option<&(Survey, Estimate)>) -> Strin
         for (label, value) in table::rows(survey, estimate) {
             let _ = line(label, &value);
         }
+    }
+    for note in &outcome.notes {
+        let _ = line("note", note);
+    }
+    if let Some((survey, _)) = surveyed {
         text += &table::findings(survey);
     }
     text

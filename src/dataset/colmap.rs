@@ -2,18 +2,19 @@
 //!
 //! The reconstruction is `cameras` and `images`, `.bin` or `.txt`; points, rigs and frames are not needed. It may also be where COLMAP's
 //! own programs, nerfstudio and 3D Gaussian splatting leave it; of several models the one with the most images is read. Masks may have
-//! any usual name; without a folder of masks alpha is the mask. Photographs are taken as they are stored, since COLMAP ignores their
+//! any usual name, and be beside the photographs or in `DIR`; without a folder of masks alpha is the mask. Photographs are taken as they are stored, since COLMAP ignores their
 //! EXIF orientation. There is no test split: see [`crate::dataset::DatasetOptions::hold_out`].
 
-use crate::codec::image::Orientation;
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::colmap_model;
-use crate::dataset::colmap_model::{ModelImage, image_count, read_model};
-use crate::dataset::load::{StemIndex, view_name};
-use crate::dataset::masks::{find_mask, mask_folder};
+use crate::dataset::colmap_model::{image_count, read_model};
+use crate::dataset::folders::{Folders, flat_name};
+use crate::dataset::masks::mask_folder;
+use crate::dataset::names::quoted;
+use crate::dataset::photographs::note_of_unused;
 use crate::dataset::{MaskPlan, Plan, ViewPlan};
 use crate::error::{Error, Result};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// Where reconstructions are, and the folder of photographs that belongs to each: COLMAP's own, nerfstudio's, the outputs of COLMAP's
@@ -107,7 +108,8 @@ pub(super) fn plan(dir: &Path) -> Result<Plan> {
     let (file, of_models) = largest(place.models)?;
     let model = read_model(file)?;
     let mut photographs = Folders::below(&place.photographs);
-    let mut masks = place.photographs.parent().and_then(mask_folder).map(|folder| Folders::below(&folder));
+    let masks = place.photographs.parent().and_then(mask_folder).or_else(|| mask_folder(dir));
+    let mut masks = masks.map(|folder| Folders::below(&folder));
     if !photographs.root.is_dir() {
         let help = missing_file_help(&photographs.root);
         return Err(Error::input(&photographs.root, "", "the folder of photographs is missing", help));
@@ -116,83 +118,24 @@ pub(super) fn plan(dir: &Path) -> Result<Plan> {
     images.sort_by(|a, b| a.name.cmp(&b.name));
     let mut views = Vec::with_capacity(images.len());
     for image in &images {
-        let place = format!("image `{}`", image.name);
+        let place = format!("image {}", quoted(&image.name));
         let Some(lens) = model.cameras.get(&image.camera).copied() else {
             let problem = format!("there is no camera {} in the model", image.camera);
             return Err(Error::input(&model.image_file, place, problem, "Write the model again."));
         };
         views.push(ViewPlan {
-            name: flat_name(image),
+            name: flat_name(&image.name),
             camera_file: model.image_file.clone(),
             place,
             image: Some(photographs.photograph(&image.name)?),
             mask: masks.as_mut().map_or(Ok(MaskPlan::Alpha), |masks| masks.mask(&image.name))?,
-            orientation: Orientation::AsStored,
             lens,
             world_from_camera: image.camera_from_world.inverse().to_affine(),
         });
     }
-    let notes = of_models.into_iter().chain(note_of_extra(&photographs, &images)).collect();
-    Ok(Plan { views, notes })
-}
-
-/// The name of the view: the path below the image folder without extension, as one file name.
-fn flat_name(image: &ModelImage) -> String {
-    let folders = Path::new(&image.name).parent().into_iter().flat_map(Path::components);
-    let folders = folders.map(|part| format!("{}_", part.as_os_str().to_string_lossy()));
-    folders.collect::<String>() + &view_name(&image.name)
-}
-
-fn note_of_extra(photographs: &Folders, images: &[ModelImage]) -> Option<String> {
     let used: BTreeSet<PathBuf> =
         images.iter().map(|image| Path::new(&image.name).with_extension("")).collect();
-    let extra: usize = photographs
-        .found
-        .iter()
-        .map(|(folder, index)| index.stems().filter(|stem| !used.contains(&folder.join(stem))).count())
-        .sum();
-    let folder = photographs.root.display();
-    (extra > 0).then(|| format!("{extra} images in {folder} have no camera and are left out"))
-}
-
-/// Image files below a folder, looked up by path.
-struct Folders {
-    root: PathBuf,
-    found: BTreeMap<PathBuf, StemIndex>,
-}
-
-impl Folders {
-    fn below(root: &Path) -> Self {
-        Self { root: root.to_owned(), found: BTreeMap::new() }
-    }
-
-    fn folder(&mut self, name: &str) -> Result<(&StemIndex, String)> {
-        let path = Path::new(name);
-        let parent = path.parent().unwrap_or(Path::new("")).to_owned();
-        let key = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        if !self.found.contains_key(&parent) {
-            let folder = self.root.join(&parent);
-            let index = StemIndex::of_folder(&folder)?.ok_or_else(|| {
-                let help = missing_file_help(&folder);
-                Error::input(
-                    &folder,
-                    "",
-                    format!("the folder is missing, but `{name}` should be in it"),
-                    help,
-                )
-            })?;
-            self.found.insert(parent.clone(), index);
-        }
-        Ok((&self.found[&parent], key))
-    }
-
-    fn photograph(&mut self, name: &str) -> Result<PathBuf> {
-        let (folder, key) = self.folder(name)?;
-        folder.find(&key)
-    }
-
-    fn mask(&mut self, photograph: &str) -> Result<MaskPlan> {
-        let (folder, key) = self.folder(photograph)?;
-        find_mask(folder, &key).map(MaskPlan::File)
-    }
+    let extra = photographs.unused(|path| used.contains(path));
+    let notes = of_models.into_iter().chain(note_of_unused(extra, &photographs.root)).collect();
+    Ok(Plan { views, notes })
 }

@@ -3,6 +3,7 @@
 //! A camera model is a list of parameters; an image is a quaternion (w first) and a translation, both
 //! camera_from_world, OpenCV axes. Points are skipped.
 
+use crate::codec::file::is_there;
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::distortion::{Distortion, Projection};
 use crate::dataset::lens::{Focal, Lens};
@@ -64,7 +65,9 @@ pub(super) struct Model {
 pub(super) fn image_file(folder: &Path) -> Option<PathBuf> {
     ["bin", "txt"]
         .into_iter()
-        .find(|kind| ["cameras", "images"].iter().all(|name| folder.join(format!("{name}.{kind}")).is_file()))
+        .find(|kind| {
+            ["cameras", "images"].iter().all(|name| is_there(&folder.join(format!("{name}.{kind}"))))
+        })
         .map(|kind| folder.join(format!("images.{kind}")))
 }
 

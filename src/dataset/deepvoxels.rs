@@ -5,7 +5,7 @@
 //! is 16 numbers, a row-major 4×4 matrix, world_from_camera with OpenCV axes. Masks are in `mask/`, or alpha. Without a
 //! `test` folder `validation` is the test split; without either see [`crate::dataset::DatasetOptions::hold_out`].
 
-use crate::codec::image::Orientation;
+use crate::codec::file::is_there;
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::distortion::Distortion;
 use crate::dataset::lens::{Focal, Lens};
@@ -21,7 +21,7 @@ const INTRINSICS: &str = "intrinsics.txt";
 /// The folder of a split, and whether it contains the views of all splits, some of which are held out.
 pub fn split_folder(dir: &Path, split: Split) -> Option<(PathBuf, bool)> {
     let with_intrinsics =
-        |name: &str| Some(dir.join(name)).filter(|folder| folder.join(INTRINSICS).is_file());
+        |name: &str| Some(dir.join(name)).filter(|folder| is_there(&folder.join(INTRINSICS)));
     if let Some(folder) = with_intrinsics("") {
         return Some((folder, true));
     }
@@ -65,19 +65,18 @@ pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
         let pose = read_pose(&file)?;
         let world_from_camera = if poses_are_inverse { pose.inverse() } else { pose };
         let mask = match &masks {
-            Some(masks) => MaskPlan::File(masks.find(&name)?),
+            Some(masks) => MaskPlan::File(masks.find(&name, "mask")?),
             None => MaskPlan::AlphaRequired(format!(
                 "the view `{name}` has no mask: there is no folder {} and the image has no alpha",
                 folder.join("mask").display()
             )),
         };
         views.push(ViewPlan {
-            image: Some(images.find(&name)?),
+            image: Some(images.find(&name, "image")?),
             name,
             camera_file: file,
             place: String::new(),
             mask,
-            orientation: Orientation::AsStored,
             lens,
             world_from_camera: world_from_camera.to_affine(),
         });
@@ -90,7 +89,7 @@ pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
 /// Names and files of the poses, by name.
 fn pose_files(folder: &Path) -> Result<Vec<(String, PathBuf)>> {
     let missing = || Error::input(folder, "", "the folder of poses is missing", missing_file_help(folder));
-    if !folder.is_dir() {
+    if !is_there(folder) {
         return Err(missing());
     }
     let mut files = Vec::new();

@@ -23,19 +23,19 @@ pub(super) struct Export {
 impl Export {
     /// The files of this kind in `dir`, by name.
     pub fn files(&self, dir: &Path) -> Vec<PathBuf> {
+        let is_head =
+            |head: &[u8]| (self.is_head)(String::from_utf8_lossy(head).trim_start_matches('\u{feff}'));
+        self.heads(dir).into_iter().filter(|(_, head)| is_head(head)).map(|(file, _)| file).collect()
+    }
+
+    /// The files in `dir` with the extension of this kind, by name, and how each begins.
+    pub fn heads(&self, dir: &Path) -> Vec<(PathBuf, Vec<u8>)> {
         let entries = std::fs::read_dir(dir).into_iter().flatten().flatten().map(|entry| entry.path());
         let is_kind =
             |path: &PathBuf| path.extension().is_some_and(|kind| kind.eq_ignore_ascii_case(self.extension));
-        let mut files: Vec<PathBuf> = entries.filter(|path| is_kind(path) && self.is_file(path)).collect();
+        let mut files: Vec<PathBuf> = entries.filter(is_kind).collect();
         files.sort();
-        files
-    }
-
-    fn is_file(&self, path: &Path) -> bool {
-        let Ok(reader) = file::open(path, |_| String::new()) else { return false };
-        let mut head = Vec::new();
-        let read = reader.take(HEAD_BYTES).read_to_end(&mut head);
-        read.is_ok() && (self.is_head)(String::from_utf8_lossy(&head).trim_start_matches('\u{feff}'))
+        files.into_iter().filter_map(|file| head(&file).map(|head| (file, head))).collect()
     }
 
     /// The only file of this kind in `dir`.
@@ -51,4 +51,11 @@ impl Export {
         }
         files.pop().ok_or_else(|| Error::input(dir, "", format!("there is no {}", self.mark), self.help))
     }
+}
+
+/// How a file begins, if it can be read.
+fn head(path: &Path) -> Option<Vec<u8>> {
+    let reader = file::open(path, |_| String::new()).ok()?;
+    let mut head = Vec::new();
+    reader.take(HEAD_BYTES).read_to_end(&mut head).ok().map(|_| head)
 }

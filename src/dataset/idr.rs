@@ -6,6 +6,7 @@
 //! have the names of the photographs, or their order. There is no test split: see
 //! [`crate::dataset::DatasetOptions::hold_out`].
 
+use crate::codec::file::is_there;
 use crate::codec::nearby::missing_file_help;
 use crate::codec::npy::Matrix;
 use crate::codec::npz::Npz;
@@ -26,7 +27,7 @@ const HELP: &str =
 
 /// The file of cameras, if the folder has one.
 pub fn camera_file(dir: &Path) -> Option<PathBuf> {
-    CAMERA_FILES.iter().map(|name| dir.join(name)).find(|file| file.is_file())
+    CAMERA_FILES.iter().map(|name| dir.join(name)).find(|file| is_there(file))
 }
 
 /// Plans all views, in the order of their names.

@@ -1,7 +1,8 @@
 //! The layouts: what identifies each, which splits a folder has in it, and who reads it.
 
-use crate::codec::image::IMAGE_EXTENSIONS;
-use crate::codec::nearby::missing_file_help;
+use crate::codec::file::{Kind, Obstacle, is_there, obstacle};
+use crate::codec::image::{IMAGE_EXTENSIONS, is_unread_name};
+use crate::codec::nearby::{missing_file_help, natural_order};
 use crate::dataset::{DatasetOptions, Layout, Plan};
 use crate::dataset::{colmap, deepvoxels, idr, llff, metashape, nerf, physg, reality_capture, stanford_orb};
 use crate::error::{Error, Result};
@@ -41,7 +42,7 @@ pub(super) struct Format {
     /// The files that identify it, for errors.
     mark: &'static str,
     splits: fn(&Path) -> Splits,
-    /// Plans the views of a split; all views, by name, if the folder has no splits.
+    /// Plans the views of a split; all views if the folder has no splits.
     plan: fn(&Path, Split) -> Result<Plan>,
 }
 
@@ -50,7 +51,7 @@ static FORMATS: [Format; 9] = [
         layout: Layout::PhySg,
         pixel_center: 0.5,
         mark: "train/cam_dict_norm.json or test/cam_dict_norm.json",
-        splits: |dir| Splits::divided(|split| physg::camera_file(dir, split).is_file()),
+        splits: |dir| Splits::divided(|split| is_there(&physg::camera_file(dir, split))),
         plan: physg::plan,
     },
     Format {
@@ -92,7 +93,7 @@ static FORMATS: [Format; 9] = [
         layout: Layout::Llff,
         pixel_center: 0.5,
         mark: "poses_bounds.npy",
-        splits: |dir| Splits::undivided(llff::camera_file(dir).is_file()),
+        splits: |dir| Splits::undivided(is_there(&llff::camera_file(dir))),
         plan: |dir, _| llff::plan(dir),
     },
     Format {
@@ -100,7 +101,7 @@ static FORMATS: [Format; 9] = [
         pixel_center: 0.5,
         mark: "train_mask beside transforms_train.json",
         splits: |dir| match is_stanford_orb(dir) {
-            true => Splits::divided(|split| nerf::camera_file(dir, split).is_file()),
+            true => Splits::divided(|split| is_there(&nerf::camera_file(dir, split))),
             false => Splits::Absent,
         },
         plan: stanford_orb::plan,
@@ -124,14 +125,15 @@ static FORMATS: [Format; 9] = [
 /// NeRF's layout with folders of masks beside those of the photographs.
 fn is_stanford_orb(dir: &Path) -> bool {
     let is_there =
-        |split| nerf::camera_file(dir, split).is_file() && stanford_orb::mask_folder(dir, split).is_dir();
+        |split| is_there(&nerf::camera_file(dir, split)) && is_there(&stanford_orb::mask_folder(dir, split));
     is_there(Split::Train) || is_there(Split::Test)
 }
 
 impl Format {
-    /// Plans the views of a split; of data without splits, those that `hold_out` gives it.
+    /// Plans the views of a split, in natural order of their names; of data without splits, those that `hold_out` gives it.
     pub fn plan(&self, dir: &Path, split: Split, hold_out: u32) -> Result<Plan> {
-        let plan = (self.plan)(dir, split)?;
+        let mut plan = (self.plan)(dir, split)?;
+        plan.views.sort_by(|a, b| natural_order(&a.name, &b.name));
         Ok(if (self.splits)(dir) == Splits::Undivided { held_out(plan, split, hold_out) } else { plan })
     }
 
@@ -171,9 +173,9 @@ pub fn find_layout(dir: impl AsRef<Path>, asked: Layout) -> Result<Layout> {
 
 /// The format of the requested layout, or for `Auto` of the only one that is present.
 pub(super) fn find_format(dir: &Path, asked: Layout) -> Result<&'static Format> {
-    if !dir.is_dir() {
-        let what = if dir.exists() { "this is a file, not a folder" } else { "there is no such folder" };
-        return Err(Error::input(dir, "", what, missing_file_help(dir)));
+    if let Some(Obstacle { problem, help }) = obstacle(dir, Kind::Folder) {
+        let help = if help.is_empty() { missing_file_help(dir) } else { help };
+        return Err(Error::input(dir, "", problem, help));
     }
     if let Some(format) = FORMATS.iter().find(|format| format.layout == asked) {
         return Ok(format);
@@ -236,7 +238,7 @@ fn near_miss(dir: &Path) -> Option<String> {
     if let Some(above) = dir.parent().filter(|above| is_data(above).is_some()) {
         return Some(format!("Give the folder above it: {}.", above.display()));
     }
-    unposed(dir, &entries)
+    reality_capture::near_miss(dir).or_else(|| unposed(dir, &entries))
 }
 
 /// Help for photographs, a film or another program's project without cameras.
@@ -259,7 +261,8 @@ fn unposed(dir: &Path, entries: &[PathBuf]) -> Option<String> {
     }
     let photographs = |folder: &Path| {
         let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-        entries.filter(|entry| is_kind(&entry.path(), &IMAGE_EXTENSIONS)).count()
+        let is_image = |path: &Path| is_kind(path, &IMAGE_EXTENSIONS) || is_unread_name(path);
+        entries.filter(|entry| is_image(&entry.path())).count()
     };
     let folders = ["", "images", "image", "rgb"].map(|name| dir.join(name));
     if let Some((folder, count)) = folders.iter().map(|f| (f, photographs(f))).find(|(_, count)| *count > 1) {

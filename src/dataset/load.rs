@@ -1,6 +1,9 @@
 //! Functions that all layouts share: reading JSON with errors that name the position, finding files, and loading planned views.
 
-use crate::codec::image::{IMAGE_EXTENSIONS, Orientation, Repairs, image_header, read_mask};
+use crate::codec::file::is_there;
+use crate::codec::image::{
+    IMAGE_EXTENSIONS, ImageHeader, Orientation, Repairs, image_header, is_unread_name, read_mask,
+};
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::distortion::Distortion;
 use crate::dataset::picture::{Curves, Picture};
@@ -60,9 +63,10 @@ pub(super) fn view_name(path: &str) -> String {
     name.unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// The file itself if it exists, else with an image extension added.
+/// The file itself if it exists, else with an image extension added. What is called as an image and is none, or may not be read, is
+/// found as well: reading it says why.
 pub(super) fn find_image(path: &Path) -> Option<PathBuf> {
-    if path.is_file() {
+    if path.is_file() || (has_image_extension(path) && is_there(path)) {
         return Some(path.to_owned());
     }
     IMAGE_EXTENSIONS.iter().find_map(|extension| {
@@ -86,6 +90,17 @@ pub(super) fn image_files(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(paths)
 }
 
+/// Why the first file of a folder that is named as an image of a format that is not read is not read; of those with this stem, if one
+/// is given. `None` if there is no such file.
+pub(super) fn refusal_of_unread(folder: &Path, stem: Option<&str>) -> Option<Error> {
+    let is_wanted = |path: &PathBuf| {
+        let has_stem = |stem: &str| path.file_stem().is_some_and(|found| found.to_string_lossy() == stem);
+        is_unread_name(path) && stem.is_none_or(has_stem)
+    };
+    let entries = std::fs::read_dir(folder).ok()?.flatten().map(|entry| entry.path());
+    image_header(entries.filter(is_wanted).min()?).err()
+}
+
 /// A folder's image files by name without extension.
 pub(super) struct StemIndex {
     pub folder: PathBuf,
@@ -95,7 +110,7 @@ pub(super) struct StemIndex {
 impl StemIndex {
     /// `None` if there is no such folder.
     pub fn of_folder(folder: &Path) -> Result<Option<Self>> {
-        if !folder.is_dir() {
+        if !is_there(folder) {
             return Ok(None);
         }
         let mut files = BTreeMap::new();
@@ -106,14 +121,16 @@ impl StemIndex {
         Ok(Some(Self { folder: folder.to_owned(), files }))
     }
 
-    /// The file called `key`, or another image with its stem.
-    pub fn find(&self, key: &str) -> Result<PathBuf> {
-        let exact = Some(self.folder.join(key)).filter(|path| path.is_file());
-        let found = exact.or_else(|| self.stem(&view_name(key)));
+    /// The file called `key`, or another image with its stem; `what` is "image" or "mask".
+    pub fn find(&self, key: &str, what: &str) -> Result<PathBuf> {
+        let path = self.folder.join(key);
+        let is_exact = path.is_file() || (has_image_extension(&path) && is_there(&path));
+        let found = if is_exact { Some(path.clone()) } else { self.stem(&view_name(key)) };
         found.ok_or_else(|| {
-            let path = self.folder.join(key);
-            let problem = "the camera file names this view, but its image is missing (with any extension)";
-            Error::input(&path, "", problem, missing_file_help(&path))
+            let problem =
+                format!("the camera file names this view, but its {what} is missing (with any extension)");
+            refusal_of_unread(&self.folder, Some(&view_name(key)))
+                .unwrap_or_else(|| Error::input(&path, "", problem, missing_file_help(&path)))
         })
     }
 
@@ -146,6 +163,8 @@ pub struct LoadedView {
     pub repairs: Repairs,
     /// Whether the background outside the mask is made black.
     pub blackened: bool,
+    /// EXIF orientations of photograph and mask, 1 to 8, which are ignored; 1 where the size tells that the pixels are meant as stored.
+    pub exif: [u8; 2],
 }
 
 impl PlannedView {
@@ -194,22 +213,15 @@ impl PlannedView {
         self.downscale
     }
 
-    /// The same view, downscaled by this factor along each axis instead.
-    pub fn with_downscale(&self, downscale: u32) -> Self {
-        Self { downscale, ..self.clone() }
-    }
-
-    /// Reads photograph and mask.
+    /// Reads photograph and mask: first what their headers say, so that no pixel is decoded of files that do not fit.
     ///
     /// # Errors
     /// [`Error::Input`] that names file and place if photograph, mask or camera is unusable.
     pub fn load(&self) -> Result<LoadedView> {
         let plan = &self.plan;
         let wrong = |problem: String, help: &str| Error::input(&plan.camera_file, &plan.place, problem, help);
-        let is_resampled = self.downscale > 1 || plan.lens.distortion != Distortion::NONE;
-        let read = |path: &PathBuf| Picture::read(path, self.curves.gamma(), plan.orientation, is_resampled);
-        let mut picture = plan.image.as_ref().map(read).transpose()?;
-        let size = image_size(plan, picture.as_ref())?;
+        let header = plan.image.as_ref().map(image_header).transpose()?;
+        let size = image_size(plan, header.as_ref())?;
         let lens = plan.lens.resized(size);
         let bent = lens
             .camera(size, plan.world_from_camera, self.pixel_center)
@@ -218,6 +230,11 @@ impl PlannedView {
             let problem = format!("downscale: {} leaves no pixel of {}×{}", self.downscale, size[0], size[1]);
             return Err(wrong(problem, "Use a smaller `downscale`."));
         }
+        let mask_header = self.mask_path().map(image_header).transpose()?;
+        check_mask_size(plan, header.as_ref(), mask_header.as_ref(), size)?;
+        let is_resampled = self.downscale > 1 || plan.lens.distortion != Distortion::NONE;
+        let read = |path: &PathBuf| Picture::read(path, self.curves.gamma(), is_resampled);
+        let mut picture = plan.image.as_ref().map(read).transpose()?;
         let mut mask = load_mask(plan, picture.as_ref(), &bent)?;
         let camera = straighten(lens.distortion, &bent, &mut picture, &mut mask).map_err(|problem| {
             wrong(problem, "Undistort the photographs first, or correct the coefficients.")
@@ -234,7 +251,8 @@ impl PlannedView {
             photograph: photograph.transpose()?,
             mask: mask.as_ref().map(StoredMask::new),
         };
-        Ok(LoadedView { record, repairs, blackened })
+        let exif = [header, mask_header].map(|header| header.map_or(1, |header| silent_exif(&header)));
+        Ok(LoadedView { record, repairs, blackened, exif })
     }
 }
 
@@ -288,20 +306,22 @@ fn straighten(
 
 const TURN_HELP: &str = "Images of this layout are taken as stored. Turn their pixels and drop the orientation, e.g. with \
                          `mogrify -auto-orient`.";
-const KEEP_HELP: &str =
-    "Images of this layout are turned upright. Remove their orientation, e.g. with `exiftool -Orientation=`.";
+
+/// The EXIF orientation of a file whose size is the same with and without it; else 1.
+fn silent_exif(header: &ImageHeader) -> u8 {
+    if header.is_turned() && header.width != header.height { 1 } else { header.exif }
+}
 
 /// Width and height from the image and the camera file, which must be equal if both state them.
-fn image_size(plan: &ViewPlan, picture: Option<&Picture>) -> Result<[u32; 2]> {
-    let of_image = picture.map(Picture::size);
+fn image_size(plan: &ViewPlan, header: Option<&ImageHeader>) -> Result<[u32; 2]> {
+    let of_image = header.map(|header| header.size(Orientation::AsStored));
     match (of_image, of_image.map_or(plan.lens.size, |size| plan.lens.resized(size).size)) {
         (Some(image), Some(camera)) if image != camera => {
             let path = plan.image.as_ref().unwrap_or(&plan.camera_file);
             let file = plan.camera_file.display();
-            let (problem, help) = match (turned(plan, image, "its camera", camera), plan.orientation) {
-                (Some(problem), Orientation::AsStored) => (problem, TURN_HELP.to_owned()),
-                (Some(problem), Orientation::Upright) => (problem, KEEP_HELP.to_owned()),
-                (None, _) => (
+            let (problem, help) = match turned(header, "its camera", camera) {
+                Some(problem) => (problem, TURN_HELP.to_owned()),
+                None => (
                     format!(
                         "the image has {}×{} pixels, its camera {}×{}",
                         image[0], image[1], camera[0], camera[1]
@@ -321,14 +341,11 @@ fn image_size(plan: &ViewPlan, picture: Option<&Picture>) -> Result<[u32; 2]> {
     }
 }
 
-/// What is wrong if the EXIF orientation of the view's image explains why `other`, of size `whose`, has not its size.
-fn turned(plan: &ViewPlan, image: [u32; 2], other: &str, whose: [u32; 2]) -> Option<String> {
-    let path = plan.image.as_ref().filter(|_| whose == [image[1], image[0]])?;
-    let (unread, stored, upright) = match plan.orientation {
-        Orientation::AsStored => (Orientation::Upright, image, whose),
-        Orientation::Upright => (Orientation::AsStored, whose, image),
-    };
-    (image_header(path).ok()?.size(unread) == whose).then(|| {
+/// What is wrong if the EXIF orientation of a view's image explains why `other`, of size `whose`, has not its size.
+fn turned(header: Option<&ImageHeader>, other: &str, whose: [u32; 2]) -> Option<String> {
+    let upright = header?.size(Orientation::Upright);
+    let stored = header?.size(Orientation::AsStored);
+    (upright == whose && stored != whose).then(|| {
         format!(
             "the image is {}×{} as stored and {}×{} as its EXIF orientation shows it; {other} is {}×{}",
             stored[0], stored[1], upright[0], upright[1], whose[0], whose[1]
@@ -336,10 +353,28 @@ fn turned(plan: &ViewPlan, image: [u32; 2], other: &str, whose: [u32; 2]) -> Opt
     })
 }
 
+/// Refuses a mask file that has not the size of its view.
+fn check_mask_size(
+    plan: &ViewPlan,
+    image: Option<&ImageHeader>,
+    mask: Option<&ImageHeader>,
+    view: [u32; 2],
+) -> Result<()> {
+    let (Some(mask), MaskPlan::File(path)) = (mask, &plan.mask) else { return Ok(()) };
+    let size = mask.size(Orientation::AsStored);
+    if size == view {
+        return Ok(());
+    }
+    let problem = turned(image, "its mask", size).unwrap_or_else(|| {
+        format!("the mask has {}×{} pixels, its view {}×{}", size[0], size[1], view[0], view[1])
+    });
+    Err(Error::input(path, "", problem, "Resize or turn the mask, so that it fits the pixels of its image."))
+}
+
 fn load_mask(plan: &ViewPlan, picture: Option<&Picture>, camera: &Camera) -> Result<Option<Mask>> {
     let alpha = picture.and_then(Picture::alpha);
     let (mask, path) = match (&plan.mask, alpha, &plan.image) {
-        (MaskPlan::File(path), ..) => (read_mask(path, plan.orientation)?.mask, path),
+        (MaskPlan::File(path), ..) => (read_mask(path, Orientation::AsStored)?.mask, path),
         (_, Some(coverage), Some(path)) => {
             (Mask { width: camera.width, height: camera.height, coverage }, path)
         }
@@ -349,14 +384,6 @@ fn load_mask(plan: &ViewPlan, picture: Option<&Picture>, camera: &Camera) -> Res
         }
         _ => return Ok(None),
     };
-    let (size, view) = ([mask.width, mask.height], [camera.width, camera.height]);
-    if size != view {
-        let problem = turned(plan, view, "its mask", size).unwrap_or_else(|| {
-            format!("the mask has {}×{} pixels, its view {}×{}", size[0], size[1], view[0], view[1])
-        });
-        let help = "Resize or turn the mask, so that it fits the pixels of its image.";
-        return Err(Error::input(path, "", problem, help));
-    }
     if mask.coverage.iter().all(|&coverage| coverage == 0.0) {
         let problem = format!("the mask of view `{}` is empty: no pixel is covered", plan.name);
         let help = "Repair the mask, or leave the view out with `select`.";

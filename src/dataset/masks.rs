@@ -1,5 +1,6 @@
 //! Masks in files of their own, under the usual names of folders and files.
 
+use crate::codec::file::is_there;
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::load::{StemIndex, view_name};
 use crate::error::{Error, Result};
@@ -11,7 +12,7 @@ const FOLDERS: [&str; 7] =
 
 /// The folder of masks in `dir`, if it has one.
 pub(super) fn mask_folder(dir: &Path) -> Option<PathBuf> {
-    FOLDERS.iter().map(|name| dir.join(name)).find(|folder| folder.is_dir())
+    FOLDERS.iter().map(|name| dir.join(name)).find(|folder| is_there(folder))
 }
 
 /// The mask of the photograph with the file name `photograph`, e.g. `a.jpg`: `a.jpg.png`, `a.png`, `a_mask.png`, `mask_a.png` and the

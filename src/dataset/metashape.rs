@@ -11,6 +11,7 @@ use crate::dataset::distortion::Distortion;
 use crate::dataset::exports::Export;
 use crate::dataset::lens::Lens;
 use crate::dataset::load::read_text;
+use crate::dataset::names::quoted;
 use crate::dataset::photographs::{Photographs, view_of};
 use crate::dataset::pose::Rigid;
 use crate::error::{Error, Result};
@@ -29,7 +30,7 @@ pub(super) const EXPORT: Export = Export {
     help: EXPORT_HELP,
 };
 
-/// Plans all views, in the order of their names.
+/// Plans all views, in the order of the file.
 pub(super) fn plan(dir: &Path) -> Result<Plan> {
     let file = &EXPORT.only(dir)?;
     let text = read_text(file)?;
@@ -86,12 +87,17 @@ impl<'a, 'input: 'a> Xml<'a, 'input> {
             let world_from_camera = self.pose(chunk, camera, transform)?;
             let lens = self.lens(chunk, camera)?;
             let photograph = photographs.called(label)?;
-            views.push(view_of(photograph, self.file, format!("camera `{label}`"), lens, world_from_camera));
+            views.push(view_of(
+                photograph,
+                self.file,
+                format!("camera {}", quoted(label)),
+                lens,
+                world_from_camera,
+            ));
         }
         if views.is_empty() {
             return Err(self.wrong(chunk, "the chunk has no cameras with a pose"));
         }
-        views.sort_by(|a, b| a.name.cmp(&b.name));
         let mut notes = Vec::new();
         if let Some(first) = left_out.first() {
             let count = left_out.len();

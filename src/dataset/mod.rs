@@ -28,6 +28,7 @@ mod colmap_model;
 pub mod deepvoxels;
 mod distortion;
 mod exports;
+mod folders;
 pub mod idr;
 mod layout;
 mod lens;
@@ -46,8 +47,8 @@ pub mod reality_capture;
 pub mod stanford_orb;
 mod straighten;
 
-use crate::codec::image::{Gamma, Orientation};
-use crate::codec::nearby::{closest, natural_order};
+use crate::codec::image::Gamma;
+use crate::codec::nearby::closest;
 use crate::error::{Error, Result};
 use crate::view::{Split, ViewRecord};
 use glam::{Affine3A, Vec3};
@@ -177,8 +178,6 @@ struct ViewPlan {
     place: String,
     image: Option<PathBuf>,
     mask: MaskPlan,
-    /// What the layout's own programs do with the EXIF orientation of photographs.
-    orientation: Orientation,
     lens: Lens,
     world_from_camera: Affine3A,
 }
@@ -221,7 +220,6 @@ pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
     options.check()?;
     let format = find_format(dir, options.layout)?;
     let mut plan = format.plan(dir, split, options.hold_out)?;
-    plan.views.sort_by(|a, b| natural_order(&a.name, &b.name));
     plan.notes.extend(check_names(&plan.views)?);
     let wanted = selected(plan.views, options)?;
     if wanted.is_empty() {

@@ -4,6 +4,27 @@ use crate::codec::file::check_file_name;
 use crate::dataset::ViewPlan;
 use crate::error::{Error, Result};
 use std::collections::HashMap;
+use std::path::Path;
+
+/// Most characters of a name in a message.
+const LONGEST: usize = 60;
+
+/// A name of a file or view between backticks, without control characters, and cut where it is long.
+pub(super) fn quoted(name: &str) -> String {
+    let shown: String = name.chars().take(LONGEST).flat_map(char::escape_debug).collect();
+    if name.chars().nth(LONGEST).is_some() { format!("`{shown}…`") } else { format!("`{shown}`") }
+}
+
+/// Refuses a view's name that files cannot have.
+///
+/// # Errors
+/// [`Error::Input`] that names the view, the camera file and the place in it.
+pub(super) fn check_name(name: &str, camera_file: &Path, place: &str) -> Result<()> {
+    check_file_name(name).map_err(|problem| {
+        let help = "Output files have the view's name: give the image another.";
+        Error::input(camera_file, place, format!("the view name {} {problem}", quoted(name)), help)
+    })
+}
 
 /// Refuses names that files cannot have, and names that two views have. Names that differ only in case give a note: some file
 /// systems take them for the same.
@@ -16,11 +37,7 @@ pub(super) fn check_names(plans: &[ViewPlan]) -> Result<Vec<String>> {
     };
     let (mut seen, mut notes) = (HashMap::new(), Vec::new());
     for plan in plans {
-        check_file_name(&plan.name).map_err(|problem| {
-            let name: String = plan.name.escape_debug().take(60).collect();
-            let help = "Output files have the view's name: give the image another.";
-            wrong(plan, format!("the view name `{name}` {problem}"), help)
-        })?;
+        check_name(&plan.name, &plan.camera_file, &plan.place)?;
         match seen.insert(plan.name.to_lowercase(), plan) {
             Some(other) if other.name == plan.name => {
                 let problem = format!("two views are called `{}`; the other is {}", plan.name, other.place);

@@ -6,23 +6,27 @@
 //! have priority: `fl_x`, `fl_y`, `cx`, `cy`, `w`, `h` in pixels, or full fields of view: `camera_angle_x`, `camera_angle_y` in
 //! radians, `x_fov`, `y_fov` in degrees. `camera_model` (or `is_fisheye`) says which lens `k1` to `k6`, `p1` and `p2` are of.
 //!
-//! A frame may have a `mask_path`; of one file for all views without any, a folder of masks beside the images is read. Else alpha is the
-//! mask. If neither the images nor their folders exist, the views are cameras only and `w`, `h` are needed.
+//! A frame may have a `mask_path`; of one file for all views without any, a folder of masks beside the images is read, with the same
+//! folders in it. Else alpha is the mask. If neither the images nor their folders exist, the views are cameras only and `w`, `h` are needed.
 //!
 //! One file for all views may have the lists `train_filenames`, `val_filenames` and `test_filenames`; without them see
 //! [`crate::dataset::DatasetOptions::hold_out`]. Its poses are taken as they are: `applied_transform` is not undone. Photographs are
 //! taken as they are stored, as all these programs read them.
 
-use crate::codec::image::{IMAGE_EXTENSIONS, Orientation};
-use crate::codec::nearby::{closest, missing_file_help, natural_order};
-use crate::dataset::load::{StemIndex, find_image, parse_json, read_text, view_name};
-use crate::dataset::masks::{find_mask, mask_folder};
+use crate::codec::file::is_there;
+use crate::codec::image::IMAGE_EXTENSIONS;
+use crate::codec::nearby::{closest, missing_file_help};
+use crate::dataset::folders::{Folders, flat_name};
+use crate::dataset::load::{find_image, parse_json, read_text, refusal_of_unread, view_name};
+use crate::dataset::masks::mask_folder;
+use crate::dataset::names::{check_name, quoted};
 use crate::dataset::nerf_lens::{Intrinsics, Levels};
 use crate::dataset::pose::Rigid;
 use crate::dataset::{MaskPlan, Plan, ViewPlan, absent_split, split_name};
 use crate::error::{Error, Result};
 use crate::view::Split;
 use serde::Deserialize;
+use std::cell::RefCell;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -33,8 +37,8 @@ pub fn camera_file(dir: &Path, split: Split) -> PathBuf {
 
 /// The file that describes the cameras of all splits, if the folder has that and none of a split.
 fn common_file(dir: &Path) -> Option<PathBuf> {
-    let is_split = [Split::Train, Split::Test].iter().any(|&split| camera_file(dir, split).is_file());
-    Some(dir.join("transforms.json")).filter(|file| !is_split && file.is_file())
+    let is_split = [Split::Train, Split::Test].iter().any(|&split| is_there(&camera_file(dir, split)));
+    Some(dir.join("transforms.json")).filter(|file| !is_split && is_there(file))
 }
 
 /// Whether the folder has one camera file that does not say which view belongs to which split.
@@ -45,7 +49,7 @@ pub fn is_undivided(dir: &Path) -> bool {
 /// Whether the folder has this split, or views that are not divided into splits.
 pub fn has_split(dir: &Path, split: Split) -> bool {
     match common_file(dir) {
-        None => camera_file(dir, split).is_file(),
+        None => is_there(&camera_file(dir, split)),
         // A file that cannot be read is reported when it is.
         Some(file) => lists(&file).map_or(true, |lists| !lists.are_stated() || lists.has(split)),
     }
@@ -124,11 +128,11 @@ fn tidy(path: &str) -> String {
     path.strip_prefix("./").map_or_else(|| path.clone(), str::to_owned)
 }
 
-/// Plans the views of a split, or all views, by name, if the folder [`is_undivided`].
+/// Plans the views of a split, or all views if the folder [`is_undivided`].
 pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
     let common = common_file(dir);
     let file = common.clone().unwrap_or_else(|| camera_file(dir, split));
-    if !file.is_file() {
+    if !is_there(&file) {
         return Err(absent_split(dir, split, camera_file));
     }
     let text = read_text(&file)?;
@@ -139,12 +143,16 @@ pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
     let shared: Intrinsics = parse_json(&file, &text)?;
     let FrameIntrinsics { frames: own } = parse_json(&file, &text)?;
     let lists: Lists = parse_json(&file, &text)?;
+    check_paths(&file, &frames)?;
     let images = find_images(dir, &file, &frames)?;
     let masks = match common {
-        Some(_) if frames.iter().all(|frame| frame.mask_path.is_none()) => masks_beside(dir)?,
+        Some(_) if frames.iter().all(|frame| frame.mask_path.is_none()) => {
+            mask_folder(dir).map(|folder| Folders::below(&folder))
+        }
         _ => None,
     };
-    let reader = Reader { dir, file: &file, shared: &shared, masks };
+    let masks = masks.map(RefCell::new);
+    let reader = Reader { dir, file: &file, shared: &shared, masks, root: common_folder(&frames) };
     let mut views = Vec::with_capacity(frames.len());
     for (index, ((frame, own), image)) in frames.iter().zip(&own).zip(images).enumerate() {
         views.push(reader.plan_view(index, frame, own, image)?);
@@ -154,12 +162,30 @@ pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
     if common.is_some() && lists.are_stated() {
         views = reader.listed(&lists, split, &frames, views, &mut notes)?;
     }
-    views.sort_by(|a, b| natural_order(&a.name, &b.name));
     Ok(Plan { views, notes })
 }
 
-fn masks_beside(dir: &Path) -> Result<Option<StemIndex>> {
-    mask_folder(dir).map_or(Ok(None), |folder| StemIndex::of_folder(&folder))
+/// The folder that all images are in, below that of the camera file, if they are in several folders.
+fn common_folder(frames: &[Frame]) -> Option<PathBuf> {
+    let paths = || frames.iter().filter_map(|frame| Path::new(frame.file_path.as_deref()?).parent());
+    let first = paths().next()?;
+    if paths().all(|folder| folder == first) {
+        return None;
+    }
+    first.ancestors().find(|above| paths().all(|folder| folder.starts_with(above))).map(Path::to_owned)
+}
+
+/// Refuses paths that no view can be named after, before files are looked for.
+fn check_paths(file: &Path, frames: &[Frame]) -> Result<()> {
+    for (index, frame) in frames.iter().enumerate() {
+        let Some(path) = &frame.file_path else { continue };
+        if path.trim().is_empty() {
+            let help = "Write the path of the frame's image, from the folder of this file on.";
+            return Err(Error::input(file, format!("frame {index}"), "file_path is empty", help));
+        }
+        check_name(&view_name(path), file, &place_of(index, frame))?;
+    }
+    Ok(())
 }
 
 fn note_of_transform(lists: &Lists) -> Option<String> {
@@ -174,7 +200,7 @@ fn note_of_transform(lists: &Lists) -> Option<String> {
 
 fn place_of(index: usize, frame: &Frame) -> String {
     match &frame.file_path {
-        Some(path) => format!("frame {index} (`{path}`)"),
+        Some(path) => format!("frame {index} ({})", quoted(path)),
         None => format!("frame {index}"),
     }
 }
@@ -192,6 +218,11 @@ fn find_images(dir: &Path, file: &Path, frames: &[Frame]) -> Result<Vec<Option<P
     for (index, (path, image)) in named.iter().zip(&found).enumerate() {
         match (path, image) {
             (Some(path), None) => {
+                let stem = path.file_name().unwrap_or_default().to_string_lossy();
+                let folder = path.parent().unwrap_or(dir);
+                if let Some(refusal) = refusal_of_unread(folder, Some(&stem)) {
+                    return Err(refusal);
+                }
                 let kinds = IMAGE_EXTENSIONS.join(", ");
                 let problem = format!("the image {} ({kinds}) is missing", path.display());
                 return Err(Error::input(
@@ -217,7 +248,9 @@ struct Reader<'a> {
     file: &'a Path,
     shared: &'a Intrinsics,
     /// The folder of masks, if frames do not name theirs.
-    masks: Option<StemIndex>,
+    masks: Option<RefCell<Folders>>,
+    /// The folder of all images, if they are in several below it.
+    root: Option<PathBuf>,
 }
 
 impl Reader<'_> {
@@ -238,7 +271,7 @@ impl Reader<'_> {
         let lens =
             Levels { own, shared: self.shared }.lens().map_err(|(problem, help)| wrong(problem, help))?;
         let name = match &frame.file_path {
-            Some(path) => view_name(path),
+            Some(path) => self.name(path),
             None => format!("frame_{index:06}"),
         };
         Ok(ViewPlan {
@@ -247,21 +280,26 @@ impl Reader<'_> {
             mask: self.mask(frame, image.as_deref())?,
             place,
             image,
-            orientation: Orientation::AsStored,
             lens,
             world_from_camera: world_from_camera.to_affine(),
         })
     }
 
+    /// The name of a view: that of its image, with its folders if images are in several.
+    fn name(&self, path: &str) -> String {
+        let below = self.root.as_ref().and_then(|root| Path::new(path).strip_prefix(root).ok());
+        below.map_or_else(|| view_name(path), |below| flat_name(&below.to_string_lossy()))
+    }
+
     fn mask(&self, frame: &Frame, image: Option<&Path>) -> Result<MaskPlan> {
         let Some(image) = image else { return Ok(MaskPlan::Alpha) };
-        let photograph = image.file_name().unwrap_or_default().to_string_lossy();
+        let photograph = image.strip_prefix(self.dir).unwrap_or(image).to_string_lossy();
         Ok(match (&frame.mask_path, &self.masks) {
             (Some(path), _) => {
                 let path = self.dir.join(path);
                 MaskPlan::File(find_image(&path).unwrap_or(path))
             }
-            (None, Some(masks)) => MaskPlan::File(find_mask(masks, &photograph)?),
+            (None, Some(masks)) => masks.borrow_mut().mask_anywhere(&photograph)?,
             (None, None) => MaskPlan::Alpha,
         })
     }

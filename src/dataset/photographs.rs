@@ -1,9 +1,9 @@
 //! Photographs and masks of layouts whose camera files do not say where they are.
 
-use crate::codec::image::Orientation;
+use crate::codec::file::is_there;
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::lens::Lens;
-use crate::dataset::load::{StemIndex, image_files, view_name};
+use crate::dataset::load::{StemIndex, image_files, refusal_of_unread, view_name};
 use crate::dataset::masks::{find_mask, mask_file, mask_folder};
 use crate::dataset::pose::Rigid;
 use crate::dataset::{MaskPlan, ViewPlan};
@@ -25,12 +25,15 @@ pub(super) struct Photographs {
 impl Photographs {
     /// Those in the first of `folders` below `dir` that has any; the folder `""` is `dir` itself.
     pub fn find(dir: &Path, folders: &[&str]) -> Result<Self> {
-        for folder in folders.iter().map(|name| dir.join(name)).filter(|folder| folder.is_dir()) {
+        for folder in folders.iter().map(|name| dir.join(name)).filter(|folder| is_there(folder)) {
             let files = image_files(&folder)?;
             if let (false, Some(index)) = (files.is_empty(), StemIndex::of_folder(&folder)?) {
                 let masks = mask_folder(dir).map(|masks| StemIndex::of_folder(&masks)).transpose()?.flatten();
                 return Ok(Self { folder, files, index, masks });
             }
+        }
+        if let Some(refusal) = folders.iter().find_map(|name| refusal_of_unread(&dir.join(name), None)) {
+            return Err(refusal);
         }
         let first = dir.join(folders.first().copied().unwrap_or_default());
         let names: Vec<&str> = folders.iter().map(|name| if name.is_empty() { "." } else { *name }).collect();
@@ -65,7 +68,7 @@ impl Photographs {
 
     /// The photograph called `name`, with or without extension, and its mask.
     pub fn called(&self, name: &str) -> Result<(PathBuf, MaskPlan)> {
-        let file = self.index.find(name)?;
+        let file = self.index.find(name, "image")?;
         let mask = match &self.masks {
             Some(masks) => MaskPlan::File(find_mask(masks, &file_name(&file))?),
             None => MaskPlan::Alpha,
@@ -80,8 +83,7 @@ impl Photographs {
             views.iter().any(|view| view.image == file)
         };
         let extra = self.index.stems().filter(|stem| !is_used(stem)).count();
-        let folder = self.folder.display();
-        (extra > 0).then(|| format!("{extra} images in {folder} have no camera and are left out"))
+        note_of_unused(extra, &self.folder)
     }
 
     /// The error for cameras and photographs that belong together by their order, but differ in number.
@@ -117,6 +119,11 @@ impl Photographs {
         let gaps = gaps(&stems);
         (gaps.len() == cameras - stems.len()).then(|| format!("Missing in the sequence: {}", named(&gaps)))
     }
+}
+
+/// A note on so many images in a folder that no view shows.
+pub(super) fn note_of_unused(extra: usize, folder: &Path) -> Option<String> {
+    (extra > 0).then(|| format!("{extra} images in {} have no camera and are left out", folder.display()))
 }
 
 fn file_name(path: &Path) -> String {
@@ -165,7 +172,6 @@ pub(super) fn view_of(
         place,
         image: Some(image),
         mask,
-        orientation: Orientation::AsStored,
         lens,
         world_from_camera: world_from_camera.to_affine(),
     }

@@ -4,9 +4,11 @@
 //! axes) and `img_size` (`[width, height]`). Without an `image` folder the views are cameras only. Images and masks are
 //! found by file stem, so a mask may be a PNG beside an EXR. Without a `mask` folder the images' alpha is the mask.
 
-use crate::codec::image::Orientation;
+use crate::codec::file::is_there;
 use crate::dataset::lens::Lens;
 use crate::dataset::load::{StemIndex, parse_json, read_text, view_name};
+use crate::dataset::names::quoted;
+use crate::dataset::photographs::note_of_unused;
 use crate::dataset::pose::Rigid;
 use crate::dataset::{MaskPlan, Plan, ViewPlan, absent_split, split_name};
 use crate::error::{Error, Result};
@@ -55,7 +57,7 @@ impl<'de> Deserialize<'de> for Entries {
 
 pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
     let file = camera_file(dir, split);
-    if !file.is_file() {
+    if !is_there(&file) {
         return Err(absent_split(dir, split, camera_file));
     }
     let Entries(entries) = parse_json(&file, &read_text(&file)?)?;
@@ -68,14 +70,7 @@ pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
     }
     let names: BTreeSet<&str> = views.iter().map(|view| view.name.as_str()).collect();
     let extra = images.map_or(0, |images| images.stems().filter(|stem| !names.contains(stem)).count());
-    let notes = match extra {
-        0 => Vec::new(),
-        _ => vec![format!(
-            "{extra} images in {} have no camera and are left out",
-            folder.join("image").display()
-        )],
-    };
-    Ok(Plan { views, notes })
+    Ok(Plan { views, notes: note_of_unused(extra, &folder.join("image")).into_iter().collect() })
 }
 
 fn plan_view(
@@ -85,7 +80,7 @@ fn plan_view(
     images: Option<&StemIndex>,
     masks: Option<&StemIndex>,
 ) -> Result<ViewPlan> {
-    let place = format!("camera `{key}`");
+    let place = format!("camera {}", quoted(key));
     let wrong = |problem: String, help: &str| Error::input(file, place.clone(), problem, help);
     let k =
         sixteen(&entry.k).map_err(|problem| wrong(format!("K {problem}"), "K is a row-major 4×4 matrix."))?;
@@ -105,17 +100,16 @@ fn plan_view(
         )
     })?;
     let name = view_name(key);
-    let image = images.map(|images| images.find(key)).transpose()?;
+    let image = images.map(|images| images.find(key, "image")).transpose()?;
     let mask = match masks {
-        Some(masks) => MaskPlan::File(masks.find(key)?),
+        Some(masks) => MaskPlan::File(masks.find(key, "mask")?),
         None => MaskPlan::AlphaRequired(format!(
             "the view `{name}` has no mask: there is no folder {} and the image has no alpha",
             file.with_file_name("mask").display()
         )),
     };
     let world_from_camera = camera_from_world.inverse().to_affine();
-    let (camera_file, orientation) = (file.to_owned(), Orientation::AsStored);
-    Ok(ViewPlan { name, camera_file, place, image, mask, orientation, lens, world_from_camera })
+    Ok(ViewPlan { name, camera_file: file.to_owned(), place, image, mask, lens, world_from_camera })
 }
 
 fn sixteen(values: &[f64]) -> Result<[f64; 16], String> {

@@ -52,9 +52,9 @@ pub(super) enum Picture {
 
 impl Picture {
     /// Reads a photograph, of which pixels of the view are means if it `is_resampled`.
-    pub fn read(path: &Path, gamma: Gamma, orientation: Orientation, is_resampled: bool) -> Result<Self> {
+    pub fn read(path: &Path, gamma: Gamma, is_resampled: bool) -> Result<Self> {
         gamma.check()?;
-        let (decoded, repairs) = decode_photograph(path, orientation)?;
+        let (decoded, repairs) = decode_photograph(path, Orientation::AsStored)?;
         if is_resampled || decoded.header.is_float {
             return Ok(Self::Linear { loaded: linear_image(&decoded, repairs, gamma), is_resampled });
         }

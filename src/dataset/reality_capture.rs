@@ -40,6 +40,18 @@ fn has_columns(head: &str) -> bool {
     NEEDED.iter().all(|needed| names.iter().any(|name| name == needed))
 }
 
+/// What keeps a file in `dir` from being an export of this kind, if one nearly is.
+pub(super) fn near_miss(dir: &Path) -> Option<String> {
+    EXPORT.heads(dir).into_iter().find_map(|(file, head)| {
+        if matches!(head.as_slice(), [0xff, 0xfe, ..] | [0xfe, 0xff, ..]) {
+            return Some(format!("{} is UTF-16: save it as UTF-8.", file.display()));
+        }
+        let head = String::from_utf8_lossy(&head).replace([';', '\t'], ",");
+        let words = || format!("The values of {} are not separated by commas. {EXPORT_HELP}", file.display());
+        has_columns(&head).then(words)
+    })
+}
+
 /// A column's name as the constants have it.
 fn plain_name(name: &str) -> String {
     name.trim().trim_start_matches('\u{feff}').trim_start_matches('#').to_ascii_lowercase()
@@ -63,7 +75,6 @@ pub(super) fn plan(dir: &Path) -> Result<Plan> {
         return Err(Error::input(file, "", "the file has no cameras", EXPORT_HELP));
     }
     let notes = photographs.unused(&views).into_iter().collect();
-    views.sort_by(|a, b| a.name.cmp(&b.name));
     Ok(Plan { views, notes })
 }
 

@@ -40,7 +40,7 @@ use crate::mesh::Surface;
 use crate::pipeline::Pipeline;
 use crate::report::scores::Scores;
 use crate::scene::load::LoadedScene;
-use crate::scene::{Albedo, CameraSpec, Light, Scene, Views};
+use crate::scene::{Albedo, CameraSpec, Light, Photographed, Scene, Views};
 use crate::scene::{EditPass, Pass, RelightPass, RenderPass};
 use crate::shade::frame::FramePlugin;
 use crate::spawn::{SurfaceUse, make_surface, spawn};
@@ -73,13 +73,13 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
     refuse_used(&options.out, options.force)?;
     preflight::check_output(&loaded.scene, &options.out)?;
     preflight::check_sizes(&loaded.scene)?;
+    preflight::check_paths(&loaded.scene)?;
     let (views, survey) = read_views(&loaded.scene, progress)?;
     let scene = match &survey {
         Some(survey) => memory::within(&loaded.scene, survey, options.memory, progress)?,
         None => Cow::Borrowed(&loaded.scene),
     };
-    let mut session = open(&scene, views, options, progress)?;
-    preflight::check(&mut session)?;
+    let mut session = open(&scene, views, options, progress, photograph::take)?;
     for pass in &scene.passes {
         match pass {
             Pass::Fit(pass) => fit::run(&mut session, pass)?,
@@ -96,6 +96,20 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
     session.finish()
 }
 
+/// Does what [`run`] does before the first pass of a scene, without any photograph: what the scene names is read and checked, no pass
+/// is run, and nothing is written. `views` are those of a data set ([`survey`](crate::survey::open::survey)), if the scene has one.
+///
+/// # Errors
+/// Those that [`run`] ends with before its first pass.
+pub fn rehearse(scene: &Scene, views: Vec<ViewRecord>, progress: &dyn Progress) -> Result<()> {
+    let views = match &scene.views {
+        Views::Cameras(specs) => specs.iter().map(bare_view).collect::<Result<_>>()?,
+        Views::Dataset(_) | Views::Photographed(_) => views,
+    };
+    let options = RunOptions { out: PathBuf::new(), force: false, debug_every: None, memory: None };
+    open(scene, views, &options, progress, photograph::imagine).map(drop)
+}
+
 /// An output folder that is not empty is an error, unless `force`.
 fn refuse_used(out: &Path, force: bool) -> Result<()> {
     // What else keeps it from being written into is told by the checks of the output.
@@ -106,12 +120,16 @@ fn refuse_used(out: &Path, force: bool) -> Result<()> {
     Ok(())
 }
 
-/// Puts the scene and its views into a world, and reads its other inputs. Nothing is written yet.
+/// How a scene gets the photographs that it makes of its own object.
+type Take = fn(&mut TrueObject, &Photographed, &Scene, &dyn Progress) -> Result<Vec<ViewRecord>>;
+
+/// Puts the scene and its views into a world, reads its other inputs, and checks all passes. Nothing is written yet.
 fn open<'a>(
     scene: &'a Scene,
     mut views: Vec<ViewRecord>,
     options: &RunOptions,
     progress: &'a dyn Progress,
+    take: Take,
 ) -> Result<Session<'a>> {
     let (surface, notes) = make_surface(&scene.surface, &views, use_of(scene))?;
     notes.iter().for_each(|note| progress.note(note));
@@ -120,7 +138,7 @@ fn open<'a>(
     let mut truth = None;
     if let Views::Photographed(spec) = &scene.views {
         let truth = truth.insert(TrueObject::new(spec, &surface)?);
-        views = photograph::take(truth, spec, scene, progress)?;
+        views = take(truth, spec, scene, progress)?;
     }
     check_cameras(&views, &surface)?;
     let mut pipeline = Pipeline::new();
@@ -131,7 +149,7 @@ fn open<'a>(
         light: matches!(scene.light, Light::Unknown(_)),
         albedo: matches!(scene.material.albedo, Albedo::Unknown),
     };
-    Ok(Session {
+    let mut session = Session {
         scene,
         pipeline,
         surface,
@@ -142,7 +160,9 @@ fn open<'a>(
         debug_every: options.debug_every,
         progress,
         scores: Scores::default(),
-    })
+    };
+    preflight::check(&mut session)?;
+    Ok(session)
 }
 
 /// Reads the views that do not depend on the object; rendered photographs come later. Photographs that cannot work end the run here.

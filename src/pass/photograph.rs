@@ -120,6 +120,24 @@ pub fn take(
     Ok(records.collect())
 }
 
+/// The views of [`take`] with photographs that are not rendered, for checks that look at no pixel.
+///
+/// # Errors
+/// If a camera cannot be used.
+pub fn imagine(
+    _: &mut TrueObject,
+    spec: &Photographed,
+    scene: &Scene,
+    _: &dyn Progress,
+) -> Result<Vec<ViewRecord>> {
+    let view = |spec: CameraSpec| {
+        let camera = camera_of(&spec)?;
+        let photograph = Some(Photograph::without_pixels(camera.width, camera.height));
+        Ok(ViewRecord { name: spec.name, split: spec.split, camera, photograph, mask: None })
+    };
+    ring(&spec.cameras, scene.up).into_iter().map(view).collect()
+}
+
 /// Cameras distributed over a sphere around the target; every n-th is a test view, so that test views lie between the others.
 pub fn ring(spec: &CameraRing, up: Vec3) -> Vec<CameraSpec> {
     let total = (spec.count + spec.test) as usize;

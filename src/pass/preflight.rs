@@ -1,5 +1,5 @@
 //! Checks of all passes before the first one runs, so that a wrong name or a missing ground truth is an error at the start,
-//! not after a long fit.
+//! not after a long fit. `lobelia check` makes the same checks.
 
 use crate::codec::file::{check_room, check_writable};
 use crate::codec::frame::{FRAME_PIXEL_BYTES, Layer};
@@ -43,7 +43,7 @@ pub fn read_data(scene: &Scene, progress: &dyn Progress) -> Result<(Vec<ViewReco
     let is_used = matches!(scene.surface, Surface::Unknown { .. }) || scene.passes.iter().any(learns);
     let read = |view: &PlannedView| {
         let loaded = open.load(view)?;
-        let look = is_used.then(|| open.look(view, &loaded.record, false));
+        let look = is_used.then(|| open.look(view, &loaded, false));
         Ok((loaded, look))
     };
     let read: Vec<Result<(LoadedView, Option<Look>)>> = open.views.par_iter().map(read).collect();
@@ -113,9 +113,35 @@ pub fn check_sizes(scene: &Scene) -> Result<()> {
 /// # Errors
 /// [`Error::Usage`] naming the folder.
 pub fn check_output(scene: &Scene, out: &Path) -> Result<()> {
+    check_folder(out)?;
+    scene.passes.iter().try_for_each(|pass| check_writable(&out.join(pass.name())))
+}
+
+/// Checks before any work that a folder of results can be written into, and that its disk is not full.
+///
+/// # Errors
+/// [`Error::Usage`] naming the folder.
+pub fn check_folder(out: &Path) -> Result<()> {
     check_writable(out)?;
-    scene.passes.iter().try_for_each(|pass| check_writable(&out.join(pass.name())))?;
     check_room(out, LEAST_ROOM)
+}
+
+/// Checks that a scene file can name the data, if a pass writes one: RON is UTF-8.
+///
+/// # Errors
+/// [`Error::Usage`] naming the folder of the data; [`Error::Io`] if the current folder cannot be found.
+pub fn check_paths(scene: &Scene) -> Result<()> {
+    let (Views::Dataset(data), true) =
+        (&scene.views, scene.passes.iter().any(|p| matches!(p, Pass::Save(_))))
+    else {
+        return Ok(());
+    };
+    let path = std::path::absolute(&data.path).map_err(Error::io("find", &data.path))?;
+    if path.to_str().is_some() {
+        return Ok(());
+    }
+    let problem = format!("a scene file cannot name {}, which is not UTF-8", path.display());
+    Err(Error::usage(problem, "Rename the folder, or leave out the `Save` pass."))
 }
 
 /// Checks that the views of a pass exist, and that there is something to render.
@@ -175,5 +201,31 @@ fn check_image(world: &World, pass: &str, truth: &Truth, view: &ChosenView) -> R
             read_fitting(&true_image_path(folder, name), Gamma::Srgb, &view.camera).map(|_| ())
         }
         Truth::Photographs | Truth::SelfMade { .. } => Ok(()),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    #[cfg(unix)]
+    #[test]
+    fn data_that_no_scene_file_can_name_is_refused_if_one_is_to_be_written() {
+        use super::{Views, check_paths};
+        use crate::scene::{LoadOptions, load};
+        use std::os::unix::ffi::OsStrExt;
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scene.ron");
+        let scene = |passes: &str| {
+            let text =
+                format!("(version: 1, surface: Sphere(), views: Dataset(path: \".\"), passes: [{passes}])");
+            std::fs::write(&path, text).unwrap();
+            let mut scene = load(&path, &LoadOptions::default()).unwrap().scene;
+            let name = std::ffi::OsStr::from_bytes(b"/data/\xff");
+            let Views::Dataset(data) = &mut scene.views else { panic!() };
+            data.path = name.into();
+            scene
+        };
+        let error = check_paths(&scene("Fit(), Save()")).unwrap_err();
+        assert!(error.to_string().contains("which is not UTF-8") && error.exit_code() == 2, "{error}");
+        check_paths(&scene("Fit(), Export()")).unwrap();
     }
 }

@@ -2,6 +2,7 @@
 //! another unit. Each is a change of the cameras that would put it right.
 
 use crate::survey::look::SmallMask;
+use crate::view::Camera;
 use glam::{Affine3A, Mat3A, Vec3, Vec3A};
 
 /// A change of all cameras.
@@ -9,6 +10,9 @@ use glam::{Affine3A, Mat3A, Vec3, Vec3A};
 pub enum Change {
     /// Camera axes: the camera's own are these columns.
     CameraAxes(Mat3A),
+    /// Photographs and masks are turned or mirrored: as `CameraAxes`, and the intrinsics turn with the picture. Only the first two axes
+    /// change.
+    Picture(Mat3A),
     /// The poses are the other way around; then as `CameraAxes`.
     Inverted(Mat3A),
     /// The world of the mesh is turned or mirrored by this against that of the cameras: cameras move into it.
@@ -41,14 +45,38 @@ impl Change {
         let pose = view.camera.world_from_camera;
         let turned = |pose: Affine3A, axes: &Mat3A| Affine3A { matrix3: pose.matrix3 * *axes, ..pose };
         let world_from_camera = match self {
-            Self::CameraAxes(axes) => turned(pose, axes),
+            Self::CameraAxes(axes) | Self::Picture(axes) => turned(pose, axes),
             Self::Inverted(axes) => turned(inverse(pose), axes),
             Self::World(turn) => into_world(pose, turn, 1.0, Vec3::ZERO),
             Self::Placed { turn, scale, shift } => into_world(pose, turn, *scale, *shift),
         };
         let mut changed = view.clone();
         changed.camera.world_from_camera = world_from_camera;
+        if let Self::Picture(axes) = self {
+            turn_intrinsics(&mut changed.camera, axes);
+        }
         changed
+    }
+}
+
+/// The intrinsics of the picture with these axes of the camera's own. Width and height stay: of a picture that is not square a quarter
+/// turn leaves the intrinsics as they are.
+fn turn_intrinsics(camera: &mut Camera, axes: &Mat3A) {
+    let given = *camera;
+    let old_axis = [axes.x_axis, axes.y_axis].map(|axis| axis.abs().max_position());
+    if old_axis[0] == 1 && given.width != given.height {
+        return;
+    }
+    let size = [given.width as f32, given.height as f32];
+    let is_mirrored = [0, 1].map(|k| axes.col(k).min_element() < -0.5);
+    for k in 0..2 {
+        let from = old_axis[k];
+        camera.focal[k] = given.focal[from];
+        // Places are measured from the corner of the first pixel.
+        camera.center[k] = if is_mirrored[k] { size[from] - given.center[from] } else { given.center[from] };
+    }
+    if is_mirrored[0] != is_mirrored[1] {
+        camera.skew = -given.skew;
     }
 }
 
@@ -85,33 +113,40 @@ pub fn camera_causes() -> Vec<Cause> {
     let axes = |axes, words, help| cause(Change::CameraAxes(axes), words, help);
     let poses =
         "Write the matrices of the layout's convention (see the manual, Data layouts): invert each of them.";
-    let convention = "Write the axes of the layout's convention (see the manual, Data layouts): negate the second and the third column \
-                      of each camera's rotation.";
+    let convention = "Write the axes of the layout's convention (see the manual, Data layouts).";
+    let opengl_help = "Write the axes of the layout's convention (see the manual, Data layouts): negate the second and the third \
+                       column of each camera's rotation.";
+    let picture = |axes, words, help| cause(Change::Picture(axes), words, help);
     let mirror = "Mirror the photographs and masks back, or the cameras with them.";
     let turn = "Turn photographs and masks as the cameras are; check the EXIF orientation that was applied.";
     vec![
-        axes(opengl(), "y and z of the camera axes are negated (OpenGL and OpenCV are confused)", convention),
+        axes(
+            opengl(),
+            "y and z of the camera axes are negated (OpenGL and OpenCV are confused)",
+            opengl_help,
+        ),
         cause(Change::Inverted(Mat3A::IDENTITY), "camera_from_world is taken for world_from_camera", poses),
         cause(
             Change::Inverted(opengl()),
             "camera_from_world is taken for world_from_camera, and y and z of the camera axes are negated",
             poses,
         ),
-        axes(diagonal(-1.0, 1.0, 1.0), "photographs are mirrored left to right", mirror),
-        axes(diagonal(1.0, -1.0, 1.0), "photographs are mirrored top to bottom", mirror),
-        axes(diagonal(-1.0, -1.0, 1.0), "photographs are upside down", turn),
-        axes(
+        picture(diagonal(-1.0, 1.0, 1.0), "photographs are mirrored left to right", mirror),
+        picture(diagonal(1.0, -1.0, 1.0), "photographs are mirrored top to bottom", mirror),
+        picture(diagonal(-1.0, -1.0, 1.0), "photographs are upside down", turn),
+        picture(
             Mat3A::from_cols(Vec3A::Y, -Vec3A::X, Vec3A::Z),
             "photographs are turned by 90° counterclockwise",
             turn,
         ),
-        axes(
+        picture(
             Mat3A::from_cols(-Vec3A::Y, Vec3A::X, Vec3A::Z),
             "photographs are turned by 90° clockwise",
             turn,
         ),
         axes(llff(), "the camera axes are LLFF's (down, right, backward)", convention),
         axes(diagonal(-1.0, 1.0, -1.0), "x and z of the camera axes are negated", convention),
+        axes(diagonal(-1.0, -1.0, 1.0), "x and y of the camera axes are negated", convention),
     ]
 }
 

@@ -72,7 +72,7 @@ pub fn examine(mut looks: Vec<Look>, subject: &Subject, backgrounds: &[Backgroun
     let mut survey = Survey { looks, ..Survey::default() };
     survey.findings = photographs::of_radiance(&survey.looks);
     survey.findings.extend(photographs::of_duplicates(&survey.looks));
-    survey.findings.extend(masks::of_masks(&survey.looks, subject.scored));
+    survey.findings.extend(masks::of_masks(&survey.looks, subject.scored, subject.mesh.is_some()));
     match subject.mesh.filter(|mesh| !mesh.triangles.is_empty()) {
         Some(mesh) => beside_mesh(&mut survey, mesh, subject.up),
         None => beside_hull(&mut survey, subject.up),
@@ -145,7 +145,7 @@ fn tidy(survey: &mut Survey) {
     let inverted = survey.findings.iter().find(|finding| finding.name == "inverted-masks");
     let inverted: Vec<String> = inverted.map_or(Vec::new(), |finding| finding.views.clone());
     let is_explained = |finding: &Finding| {
-        let of_light = ["black", "negative", "unscorable-masks", "duplicates", "coarse-texture", "cut"];
+        let of_light = ["black", "unscorable-masks", "duplicates", "white-masks", "coarse-texture", "cut"];
         of_light.contains(&finding.name)
             && !inverted.is_empty()
             && finding.views.iter().all(|view| inverted.contains(view))

@@ -1,12 +1,13 @@
 //! What a survey keeps of one view: a few numbers, a small mask and a thumbnail, so that a thousand views fit into little memory.
 
+use crate::dataset::LoadedView;
 use crate::math::color::luminance;
 use crate::report::metrics::erode;
 use crate::report::tone::srgb8;
 use crate::survey::sharpness::sharpness;
 use crate::survey::statistics::quantile;
 use crate::view::raster::FULL_COVERAGE;
-use crate::view::{Camera, Image, Mask, Split, ViewRecord};
+use crate::view::{Camera, Image, Mask, Split};
 use glam::Vec3;
 use image::{Rgb, RgbImage};
 
@@ -41,6 +42,10 @@ pub struct OpenView {
     pub photograph: Option<OpenPhotograph>,
     /// The mask, unless there is none.
     pub mask: Option<Mask>,
+    /// As [`Look::negative`].
+    pub negative: f32,
+    /// As [`LoadedView::exif`].
+    pub exif: [u8; 2],
 }
 
 /// A photograph with all its pixels.
@@ -53,8 +58,8 @@ pub struct OpenPhotograph {
 }
 
 impl OpenView {
-    /// From a view as it is kept.
-    pub fn new(record: &ViewRecord) -> Self {
+    /// From a view as it was read.
+    pub fn new(LoadedView { record, repairs, exif, .. }: &LoadedView) -> Self {
         let photograph = record.photograph.as_ref().map(|kept| {
             let image = kept.image();
             let saturated = (0..image.pixels.len()).map(|i| kept.is_saturated(i)).collect();
@@ -66,6 +71,8 @@ impl OpenView {
             camera: record.camera,
             photograph,
             mask: record.mask.as_ref().map(|mask| mask.mask()),
+            negative: repairs.negative as f32 / repairs.lit.max(1) as f32,
+            exif: *exif,
         }
     }
 }
@@ -83,6 +90,10 @@ pub struct Look {
     pub camera: Camera,
     /// The photograph, unless there is none.
     pub light: Option<Light>,
+    /// Share of the photograph's pixels that are not black which were negative in its file and are 0 now, in `[0, 1]`.
+    pub negative: f32,
+    /// As [`LoadedView::exif`].
+    pub exif: [u8; 2],
     /// Where the mask comes from.
     pub mask_source: MaskSource,
     /// The mask, unless there is none.
@@ -102,8 +113,6 @@ pub struct Light {
     pub bright: f32,
     /// The highest channel of any pixel.
     pub highest: f32,
-    /// Share of pixels with a channel below zero by more than a thousandth of the median, in `[0, 1]`.
-    pub negative: f32,
     /// Share of pixels with a channel at the top of its range, in `[0, 1]`.
     pub clipped: f32,
     /// Fine detail ([`sharpness`]); `None` if the object is too small or has none.
@@ -171,6 +180,8 @@ impl Look {
             size,
             camera: view.camera,
             light: photograph.map(|photograph| Light::new(photograph, mask)),
+            negative: view.negative,
+            exif: view.exif,
             mask_source: if mask.is_some() { mask_source } else { MaskSource::Nowhere },
             mask: mask.map(|mask| MaskLook::new(mask, &view.camera)),
             thumbnail: photograph.filter(|_| with_thumbnail).and_then(Thumbnail::new),
@@ -195,7 +206,6 @@ impl Light {
         }
         let mut lights: Vec<f32> = chosen.iter().map(|&i| luminance(pixels[i])).collect();
         let median = quantile(&mut lights, 0.5).unwrap_or(0.0);
-        let below = -1e-3 * median.abs();
         let most = 4.0 * median.max(0.0);
         let level =
             lights.iter().map(|light| f64::from(light.min(most))).sum::<f64>() / lights.len().max(1) as f64;
@@ -205,7 +215,6 @@ impl Light {
             level: level as f32,
             bright: quantile(&mut lights, 0.99).unwrap_or(0.0),
             highest: chosen.iter().map(|&i| pixels[i].max_element()).fold(f32::NEG_INFINITY, f32::max),
-            negative: share(chosen.iter().filter(|&&i| pixels[i].min_element() < below).count()),
             clipped: share(chosen.iter().filter(|&&i| photograph.saturated[i]).count()),
             sharpness: sharpness(&photograph.image, median, inside),
             fingerprint: fingerprint(pixels),

@@ -9,17 +9,19 @@ use crate::view::Split;
 const DIM: f32 = 0.9;
 /// Share of soft pixels from which on a mask is no silhouette.
 const SOFT: f32 = 0.5;
+const MASKS_HELP: &str = "Without a mask the background counts where the object is rendered: add masks, white where the object is.";
 /// A mask that covers this much of the frame's border and leaves this much of the frame is the background's.
 const BORDER: f32 = 0.95;
 const LEFT_OUT: f32 = 0.03;
 
-/// Findings about the masks of all views; `scored` says whether test views are compared with their photographs.
-pub fn of_masks(looks: &[Look], scored: bool) -> Vec<Finding> {
+/// Findings about the masks of all views; `scored` says whether test views are compared with their photographs, `has_mesh` whether the
+/// shape is known.
+pub fn of_masks(looks: &[Look], scored: bool, has_mesh: bool) -> Vec<Finding> {
     let mut found = Vec::new();
     found.extend(dim(looks));
     found.extend(inverted(looks));
     found.extend(soft(looks));
-    found.extend(missing(looks));
+    found.extend(missing(looks, has_mesh));
     if scored {
         found.extend(unscorable(looks));
     }
@@ -66,18 +68,22 @@ fn soft(looks: &[Look]) -> Option<Finding> {
     (!views.is_empty()).then(|| Finding::warning("soft-masks", views.clone(), problem(), help))
 }
 
-/// Views without masks where others have one.
-fn missing(looks: &[Look]) -> Option<Finding> {
+/// Views without masks. That none has one is told beside a mesh; without, it is an error of its own.
+fn missing(looks: &[Look], has_mesh: bool) -> Option<Finding> {
     let without = looks.iter().filter(|look| look.mask.is_none() && look.light.is_some());
     let views: Vec<String> = without.map(|look| look.name.clone()).collect();
-    if views.is_empty() || looks.iter().all(|look| look.mask.is_none()) {
+    let has_none = looks.iter().all(|look| look.mask.is_none());
+    if views.is_empty() || (has_none && !has_mesh) {
         return None;
+    }
+    if has_none {
+        let problem = "no view has a mask: there is neither a folder of masks nor alpha";
+        return Some(Finding::warning("missing-masks", Vec::new(), problem, MASKS_HELP));
     }
     let of_test = looks.iter().filter(|look| look.split == Split::Test && views.contains(&look.name)).count();
     let problem =
         format!("there is no mask in {} ({} of the test split)", named(&views), counted(of_test, "view"));
-    let help = "Without a mask the background counts where the object is rendered: add masks, white where the object is.";
-    Some(Finding::warning("missing-masks", views, problem, help))
+    Some(Finding::warning("missing-masks", views, problem, MASKS_HELP))
 }
 
 /// Test views of which no pixel would count in a score.

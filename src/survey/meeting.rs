@@ -220,7 +220,15 @@ mod tests {
             let up = if axis.y.abs() > 0.9 { Vec3::X } else { Vec3::Y };
             let camera = Camera::look_at((center + 4.0 * axis) * scale, center * scale, up, 40.0, SIDE, SIDE);
             let name = format!("v{i}");
-            OpenView { name, split: Split::Train, camera: camera.unwrap(), photograph: None, mask: None }
+            OpenView {
+                name,
+                split: Split::Train,
+                camera: camera.unwrap(),
+                photograph: None,
+                mask: None,
+                negative: 0.0,
+                exif: [1; 2],
+            }
         };
         let mut views: Vec<OpenView> = fibonacci_axes(count).into_iter().enumerate().map(view).collect();
         views.iter_mut().for_each(|view| view.mask = Some(disk([32.0, 32.0], 22.0)));

@@ -12,7 +12,7 @@ use crate::scene::{Dataset, Pass, Scene, Surface, Truth, ViewChoice, Views};
 use crate::survey::examine::{Subject, Survey, examine};
 use crate::survey::look::{Look, MaskSource, OpenPhotograph, OpenView, SmallMask};
 use crate::survey::turntable::{BACKGROUND_SIDE, BACKGROUNDS, Background};
-use crate::view::{Mask, Split, ViewRecord};
+use crate::view::{Mask, Photograph, Split, ViewRecord};
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -61,10 +61,11 @@ impl<'a> OpenScene<'a> {
     }
 
     /// Looks at a view that was read.
-    pub fn look(&self, view: &PlannedView, record: &ViewRecord, with_thumbnail: bool) -> Look {
-        let size = [record.camera.width, record.camera.height];
+    pub fn look(&self, view: &PlannedView, loaded: &LoadedView, with_thumbnail: bool) -> Look {
+        let camera = &loaded.record.camera;
+        let size = [camera.width, camera.height];
         let source = if view.mask_path().is_some() { MaskSource::File } else { MaskSource::Alpha };
-        Look::new(&reduced(OpenView::new(record)), size, source, with_thumbnail)
+        Look::new(&reduced(OpenView::new(loaded)), size, source, with_thumbnail)
     }
 
     /// The survey of what was looked at, one look for each view.
@@ -90,25 +91,33 @@ impl<'a> OpenScene<'a> {
     }
 }
 
-/// Surveys the data set of a scene; `None` if its views are not a data set. Of each view that is read a few numbers are kept.
-/// Thumbnails are for contact sheets alone.
+/// Surveys the data set of a scene; `None` if its views are not a data set. Of each view that is read a few numbers are kept, and its
+/// record without the pixels of the photograph, and without the mask unless the surface is made of it. Thumbnails are for contact
+/// sheets alone.
 ///
 /// # Errors
 /// Those of [`OpenScene::new`]; the first, in the order of the views, of reading photographs and masks; those of reading the mesh.
-pub fn survey(scene: &Scene, with_thumbnails: bool) -> Result<Option<Survey>> {
+pub fn survey(scene: &Scene, with_thumbnails: bool) -> Result<Option<(Survey, Vec<ViewRecord>)>> {
     let Some(open) = OpenScene::new(scene)? else { return Ok(None) };
+    let needs_masks = matches!(scene.surface, Surface::Unknown { .. });
     let look_at = |view: &PlannedView| {
-        let LoadedView { record, repairs, blackened } = open.load(view)?;
-        let look = open.look(view, &record, with_thumbnails);
-        let rest = ViewRecord { photograph: None, mask: None, ..record };
-        Ok((look, LoadedView { record: rest, repairs, blackened }))
+        let loaded = open.load(view)?;
+        let look = open.look(view, &loaded, with_thumbnails);
+        let LoadedView { record, .. } = loaded;
+        let [width, height] = [record.camera.width, record.camera.height];
+        let rest = ViewRecord {
+            photograph: record.photograph.map(|_| Photograph::without_pixels(width, height)),
+            mask: record.mask.filter(|_| needs_masks),
+            ..record
+        };
+        Ok((look, LoadedView { record: rest, ..loaded }))
     };
     let looked: Vec<Result<(Look, LoadedView)>> = open.views.par_iter().map(look_at).collect();
     let looked = looked.into_iter().collect::<Result<Vec<_>>>()?;
     let (looks, loaded): (Vec<Look>, Vec<LoadedView>) = looked.into_iter().unzip();
     let mut survey = open.examine(looks)?;
     survey.notes.splice(0..0, open.notes.into_iter().chain(load_notes(&loaded)));
-    Ok(Some(survey))
+    Ok(Some((survey, loaded.into_iter().map(|view| view.record).collect())))
 }
 
 /// How a scene's data set is read.
@@ -208,7 +217,7 @@ fn backgrounds(planned: &[PlannedView], looks: &[Look], gamma: Gamma) -> Result<
 /// A photograph as its file has it, without the object and a pixel around it; `None` if it has alpha.
 fn background(view: &PlannedView, mask: &SmallMask, gamma: Gamma) -> Result<Option<Background>> {
     let Some(path) = view.image_path() else { return Ok(None) };
-    let loaded = read_image(path, gamma, Orientation::Upright)?;
+    let loaded = read_image(path, gamma, Orientation::AsStored)?;
     if loaded.alpha.is_some() {
         return Ok(None);
     }

@@ -1,7 +1,7 @@
 //! Findings about photographs: black, negative or absurdly bright ones, other exposures, blur, and the same picture twice.
 
 use crate::survey::finding::{Finding, named};
-use crate::survey::look::{Light, Look};
+use crate::survey::look::{Light, Look, MaskSource};
 use crate::survey::statistics::{median, neighbors, strays};
 use glam::Vec3;
 use std::collections::BTreeMap;
@@ -10,11 +10,8 @@ use std::collections::BTreeMap;
 const BLACK: f32 = 1e-3;
 /// One that is this many times brighter than the median of all is absurd.
 const ABSURD: f32 = 512.0;
-/// A pixel beyond this radiance is no measurement, whatever the unit.
-const MOST_RADIANCE: f32 = 1e9;
-/// Shares of negative pixels that are worth a word, and that make a photograph useless.
+/// Share of negative pixels that is worth a word. A photograph that is mostly negative is not read.
 const SOME_NEGATIVE: f32 = 0.01;
-const MOSTLY_NEGATIVE: f32 = 0.5;
 /// Share of clipped pixels that is worth a word.
 const MANY_CLIPPED: f32 = 0.05;
 /// Views that a view is compared with, and the least number of views for that.
@@ -43,26 +40,11 @@ pub fn of_radiance(looks: &[Look]) -> Vec<Finding> {
     let mut medians: Vec<f32> = lights(looks).map(|(_, light)| light.median).collect();
     let Some(usual) = median(&mut medians) else { return Vec::new() };
     let mut found = Vec::new();
-    let is_negative =
-        |light: &Light| light.negative > MOSTLY_NEGATIVE || (light.median < 0.0 && light.highest <= 0.0);
-    let is_black = |light: &Light| {
-        !is_negative(light) && (light.highest <= 0.0 || (usual > 0.0 && light.bright < BLACK * usual))
-    };
-    let is_bright = |light: &Light| {
-        light.highest > MOST_RADIANCE || (usual > 0.0 && light.median > ABSURD * usual && light.median > 1.0)
-    };
+    let is_black = |light: &Light| light.highest <= 0.0 || (usual > 0.0 && light.bright < BLACK * usual);
+    let is_bright = |light: &Light| usual > 0.0 && light.median > ABSURD * usual && light.median > 1.0;
     add(&mut found, looks, "black", is_black, |views| {
         let problem = format!("the photograph is black where the object is, in {views}");
         Finding::error("", Vec::new(), problem, "Replace it, or leave the view out with `select`.")
-    });
-    add(&mut found, looks, "negative", is_negative, |views| {
-        let problem = format!("the photograph is negative in most pixels of the object, in {views}");
-        Finding::error(
-            "",
-            Vec::new(),
-            problem,
-            "Radiance is 0 or more: write the image again, or leave the view out with `select`.",
-        )
     });
     add(&mut found, looks, "absurdly-bright", is_bright, |views| {
         let problem = format!(
@@ -75,28 +57,8 @@ pub fn of_radiance(looks: &[Look]) -> Vec<Finding> {
             "Write the image again, in the unit of the others, or leave the view out with `select`.",
         )
     });
-    found.extend(of_some_pixels(looks, is_negative));
-    found
-}
-
-/// Photographs of which some pixels are no radiance.
-fn of_some_pixels(looks: &[Look], is_negative: impl Fn(&Light) -> bool) -> Vec<Finding> {
-    let mut found = Vec::new();
-    add(
-        &mut found,
-        looks,
-        "negative-pixels",
-        |light| light.negative > SOME_NEGATIVE && !is_negative(light),
-        |views| {
-            let problem = format!("more than a hundredth of the object's pixels are negative in {views}");
-            Finding::warning(
-                "",
-                Vec::new(),
-                problem,
-                "Write the images without a sharpening filter, or clamp them at 0.",
-            )
-        },
-    );
+    found.extend(negative(looks));
+    found.extend(turned(looks));
     add(
         &mut found,
         looks,
@@ -113,6 +75,41 @@ fn of_some_pixels(looks: &[Look], is_negative: impl Fn(&Light) -> bool) -> Vec<F
         },
     );
     found
+}
+
+/// Photographs with an EXIF orientation of which no size tells whether cameras and masks are of the pixels as they are stored.
+fn turned(looks: &[Look]) -> Option<Finding> {
+    let turned: Vec<&Look> = looks.iter().filter(|look| look.light.is_some() && look.exif[0] != 1).collect();
+    let views: Vec<String> = turned.iter().map(|look| look.name.clone()).collect();
+    let masks =
+        turned.iter().filter(|look| look.mask_source == MaskSource::File && look.exif[1] != look.exif[0]);
+    let masks = match masks.count() {
+        0 => String::new(),
+        count => format!("; {count} of their masks have another"),
+    };
+    let problem = || {
+        let views = named(&views);
+        format!(
+            "the EXIF orientation of photographs is ignored, as this layout's programs do, in {views}{masks}"
+        )
+    };
+    let help = "If cameras or masks were made of upright pictures, run `mogrify -auto-orient` on the photographs first; otherwise \
+                remove the orientation.";
+    (!views.is_empty()).then(|| Finding::warning("exif-orientation", views.clone(), problem(), help))
+}
+
+/// Photographs of which some pixels are no radiance, as sharpening filters leave them.
+fn negative(looks: &[Look]) -> Option<Finding> {
+    let views = looks.iter().filter(|look| look.negative > SOME_NEGATIVE).map(|look| look.name.clone());
+    let views: Vec<String> = views.collect();
+    let problem = || {
+        let views = named(&views);
+        format!(
+            "more than a hundredth of the pixels that are not black are negative, and set to 0, in {views}"
+        )
+    };
+    let help = "Write the images without a sharpening filter, or clamp them at 0.";
+    (!views.is_empty()).then(|| Finding::warning("negative-pixels", views.clone(), problem(), help))
 }
 
 fn lights(looks: &[Look]) -> impl Iterator<Item = (&Look, &Light)> {

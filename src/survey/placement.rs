@@ -6,12 +6,12 @@ use crate::survey::look::SmallMask;
 use crate::survey::meeting::{Sight, meeting_point};
 use crate::survey::silhouette::covered;
 use crate::survey::statistics::median;
-use glam::{Mat3A, Vec3};
+use glam::{Mat3A, Vec3, Vec3A};
 use rayon::prelude::*;
 
 /// Rounds of correcting size and place; each renders all views.
 const ROUNDS: usize = 4;
-/// A scale this close to that of a usual unit, relatively, is that unit.
+/// A scale this close to that of a usual unit, or to 1, relatively, is that.
 const UNIT_SLACK: f32 = 0.1;
 /// Ratios of units that meshes and cameras are written in, with their names.
 const UNITS: [(f32, &str); 5] = [
@@ -86,17 +86,20 @@ pub fn find_placement(bvh: &TriangleBvh, views: &[SmallMask], turn: Mat3A) -> Op
     (scale.is_finite() && scale > 0.0 && shift.is_finite()).then_some(change)
 }
 
-/// A placing in words; one that is only a scale around the origin is snapped to a usual ratio of units, where it is near one.
-pub fn placement_cause(change: Change, radius: f32) -> Option<Cause> {
+/// A placing in words; its scale is snapped to 1 or a usual ratio of units, where it is near one.
+/// `center` and `radius` are those of the mesh's bounding sphere.
+pub fn placement_cause(change: Change, center: Vec3, radius: f32) -> Option<Cause> {
     let Change::Placed { turn, scale, shift } = change else { return None };
+    // The size is measured; what is meant is a ratio of units, or none. The place of the mesh's middle stays.
+    let factor = snapped(scale);
+    let shift = shift + Vec3::from(turn * Vec3A::from(center)) * (scale - factor);
     let moved = shift.length() > 0.1 * radius * scale;
     let turned = turn != Mat3A::IDENTITY;
     let mut words = Vec::new();
     if turned {
         words.push(format!("turned: its coordinates should be {}", formula(&turn)));
     }
-    let factor = snapped(scale);
-    if !(0.8..=1.25).contains(&scale) {
+    if factor != 1.0 {
         let size = if scale > 1.0 {
             format!("{} times too small", short(factor))
         } else {
@@ -115,18 +118,17 @@ pub fn placement_cause(change: Change, radius: f32) -> Option<Cause> {
     } else {
         String::new()
     };
-    let shift = if moved { format!(" and add ({x}, {y}, {z})") } else { String::new() };
-    let help = format!(
-        "Bring the mesh into the coordinates of the cameras: {turn}multiply them by {}{shift}.",
-        short(factor)
-    );
+    let shift = if moved { format!("add ({x}, {y}, {z}) to its vertices") } else { String::new() };
+    let size = if factor == 1.0 { String::new() } else { format!("multiply them by {}", short(factor)) };
+    let steps: Vec<String> = [size, shift].into_iter().filter(|step| !step.is_empty()).collect();
+    let help = format!("Bring the mesh into the coordinates of the cameras: {turn}{}.", steps.join(" and "));
     Some(Cause { change, words, help })
 }
 
 fn snapped(scale: f32) -> f32 {
     let near = |ratio: f32| (scale / ratio - 1.0).abs() < UNIT_SLACK;
-    let ratios = UNITS.iter().flat_map(|(ratio, _)| [*ratio, 1.0 / ratio]);
-    ratios.into_iter().find(|ratio| near(*ratio)).unwrap_or(scale)
+    let mut ratios = UNITS.iter().flat_map(|(ratio, _)| [*ratio, 1.0 / ratio]).chain([1.0]);
+    ratios.find(|ratio| near(*ratio)).unwrap_or(scale)
 }
 
 fn unit(scale: f32) -> String {
@@ -150,9 +152,22 @@ mod tests {
     use super::*;
 
     #[test]
+    fn a_scale_near_one_is_one_and_the_middle_stays() {
+        let (center, wanted) = (Vec3::new(2.0, 0.0, 0.0), Vec3::new(3.0, 1.0, 0.0));
+        let scale = 0.98;
+        let change = Change::Placed { turn: Mat3A::IDENTITY, scale, shift: wanted - center * scale };
+        let cause = placement_cause(change, center, 0.5).unwrap();
+        assert!(!cause.help.contains("multiply") && cause.help.contains("add (1, 1, 0)"), "{}", cause.help);
+        let unit = Change::Placed { turn: Mat3A::IDENTITY, scale: 0.00098, shift: Vec3::ZERO };
+        let cause = placement_cause(unit, Vec3::ZERO, 0.5).unwrap();
+        assert!(cause.help.ends_with("multiply them by 0.001."), "{}", cause.help);
+    }
+
+    #[test]
     fn numbers_are_short_and_units_are_recognized() {
         assert_eq!([1000.0, 0.001, 1.2345, -0.5].map(short), ["1000", "0.001", "1.23", "-0.5"]);
         assert_eq!((snapped(980.0), snapped(0.00098), snapped(3.0)), (1000.0, 0.001, 3.0));
+        assert_eq!([0.93, 0.97, 1.0, 1.07, 1.2].map(snapped), [1.0, 1.0, 1.0, 1.0, 1.2]);
         assert_eq!(
             (unit(0.0011), unit(3.0)),
             (" (as between meters and millimeters)".to_owned(), String::new())

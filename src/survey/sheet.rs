@@ -48,7 +48,7 @@ pub fn contact_sheet(survey: &Survey, title: &str) -> Sheet {
     }
     Sheet {
         title: title.to_owned(),
-        subtitle: verdict(survey),
+        subtitle: verdict(Some(survey), 0),
         rows,
         theme: Theme::Light,
         cell_width: CELL,

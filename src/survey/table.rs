@@ -37,12 +37,12 @@ pub fn findings(survey: &Survey) -> String {
     survey.findings.iter().skip(first).map(line).collect()
 }
 
-/// "fine", "fine, 2 warnings", "1 error, 2 warnings".
-pub fn verdict(survey: &Survey) -> String {
-    let count = |severity| survey.findings_of(severity).count();
-    match (count(Severity::Error), count(Severity::Warning)) {
+/// "fine", "2 warnings", "1 error, 2 warnings"; `further_errors` are those that no survey finds.
+pub fn verdict(survey: Option<&Survey>, further_errors: usize) -> String {
+    let count = |severity| survey.map_or(0, |survey| survey.findings_of(severity).count());
+    match (count(Severity::Error) + further_errors, count(Severity::Warning)) {
         (0, 0) => "fine".to_owned(),
-        (0, warnings) => format!("fine, {}", counted(warnings, "warning")),
+        (0, warnings) => counted(warnings, "warning"),
         (errors, 0) => counted(errors, "error"),
         (errors, warnings) => format!("{}, {}", counted(errors, "error"), counted(warnings, "warning")),
     }

@@ -214,6 +214,13 @@ impl Photograph {
         Self { width, height, window, channels: 3, color, alpha: None, saturated: Flags(Vec::new()) }
     }
 
+    /// The place of a photograph whose pixels nobody looks at: black.
+    pub fn without_pixels(width: u32, height: u32) -> Self {
+        let window = PixelWindow { width: 0, height: 0, ..PixelWindow::whole(width, height) };
+        let color = Numbers::of(std::iter::empty(), false);
+        Self { width, height, window, channels: 3, color, alpha: None, saturated: Flags(Vec::new()) }
+    }
+
     /// From integer samples of 1 to 4 channels (an even count has straight alpha as the last), inside a window.
     pub fn of_integers(
         size: [u32; 2],

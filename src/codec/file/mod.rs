@@ -14,5 +14,7 @@ mod read;
 mod write;
 
 pub use output::{check_file_name, check_room, check_writable, free_bytes};
-pub use read::{Kind, MOST_TEXT, Obstacle, obstacle, open, read_bytes, read_folder, read_text, read_up_to};
+pub use read::{
+    Kind, MOST_TEXT, Obstacle, is_there, obstacle, open, read_bytes, read_folder, read_text, read_up_to,
+};
 pub use write::{write_by_path, write_bytes, write_file};

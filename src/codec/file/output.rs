@@ -102,7 +102,7 @@ fn room(folder: &Path, free: Option<u64>, needed: u64) -> Result<()> {
             let mib = |bytes: u64| bytes.div_ceil(1 << 20);
             let (place, needed, free) = (folder.display(), mib(needed), free >> 20);
             let problem = format!(
-                "the disk of {place} is full: the results need {needed} MiB, and {free} MiB are free"
+                "the disk of {place} is full: {free} MiB are free, and any results need {needed} MiB"
             );
             Err(Error::usage(problem, "Make room, or choose a folder on another disk with --out."))
         }
@@ -175,7 +175,7 @@ mod tests {
         check_room(folder.path(), 0).unwrap();
         assert!(check_room(folder.path(), u64::MAX).is_err() || cfg!(not(unix)));
         let error = room(folder.path(), Some(5 << 20), (7 << 20) + 1).unwrap_err();
-        assert!(error.to_string().contains("need 8 MiB, and 5 MiB are free"), "{error}");
+        assert!(error.to_string().contains("5 MiB are free, and any results need 8 MiB"), "{error}");
         assert_eq!(error.exit_code(), 2);
         room(folder.path(), None, u64::MAX).unwrap();
     }

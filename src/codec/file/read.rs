@@ -48,6 +48,11 @@ pub fn obstacle(path: &Path, kind: Kind) -> Option<Obstacle> {
     }
 }
 
+/// Whether something is at a path, be it what may: reading it says what. Where the system does not tell, something may be.
+pub fn is_there(path: &Path) -> bool {
+    fs::symlink_metadata(path).map_or_else(|error| error.kind() == ErrorKind::PermissionDenied, |_| true)
+}
+
 fn open_regular(path: &Path) -> Result<File, Obstacle> {
     let refused = |error: std::io::Error| refusal(path, Kind::File, &error);
     let found = fs::metadata(path).map_err(refused)?.file_type();
@@ -63,10 +68,13 @@ fn open_regular(path: &Path) -> Result<File, Obstacle> {
 
 fn open_folder(path: &Path) -> Result<ReadDir, Obstacle> {
     let refused = |error: std::io::Error| refusal(path, Kind::Folder, &error);
-    if !fs::metadata(path).map_err(refused)?.is_dir() {
-        return Err(Obstacle::new("this is a file, not a folder", ""));
+    let found = fs::metadata(path).map_err(refused)?.file_type();
+    if !found.is_dir() {
+        let what = if found.is_file() { "file" } else { special(found) };
+        return Err(Obstacle::new(format!("this is a {what}, not a folder"), ""));
     }
-    fs::read_dir(path).map_err(refused)
+    // What is in a folder may be listed and yet not be opened.
+    fs::metadata(path.join(".")).and_then(|_| fs::read_dir(path)).map_err(refused)
 }
 
 /// The reason that the system gives, in words.

@@ -29,6 +29,18 @@ const RAW_EXTENSIONS: [&str; 22] = [
     "raf", "rw2", "rwl", "sr2", "srf", "srw", "x3f",
 ];
 
+/// Extensions of other image files that are not read: what they are and what to do is told by their first bytes.
+const FOREIGN_EXTENSIONS: [&str; 16] = [
+    "heic", "heif", "hif", "avif", "jxl", "jp2", "j2k", "gif", "bmp", "psd", "pgm", "ppm", "pnm", "pfm",
+    "qoi", "tga",
+];
+
+/// Whether a file is named as an image of a format that is not read.
+pub fn is_unread_name(path: &Path) -> bool {
+    let is_one = |name: &str| RAW_EXTENSIONS.contains(&name) || FOREIGN_EXTENSIONS.contains(&name);
+    extension(path).is_some_and(|name| is_one(&name))
+}
+
 /// First bytes of cameras' RAW files that are no TIFF, and of those that say so within TIFF.
 const RAW_STARTS: [(usize, &[u8]); 9] = [
     (8, b"CR\x02\0"),

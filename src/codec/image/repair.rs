@@ -65,11 +65,6 @@ impl Decoded {
 }
 
 impl Repairs {
-    /// Number of pixels that were set to 0.
-    pub fn zeroed(&self) -> usize {
-        self.pixels.len()
-    }
-
     /// Whether anything is left of an image of so many pixels.
     pub(super) fn check(&self, path: &Path, pixels: usize) -> Result<()> {
         if self.not_finite == pixels {
@@ -79,7 +74,7 @@ impl Repairs {
         if self.too_bright as f64 > MOST_TOO_BRIGHT * pixels as f64 {
             let problem =
                 format!("{} of {pixels} pixels are absurdly bright (above {BRIGHTEST})", self.too_bright);
-            let help = "Divide the values so that white is about 1, in all images by the same number.";
+            let help = "Divide the values so that white is about 1, in all images by the same number, or replace this one.";
             return Err(Error::input(path, "", problem, help));
         }
         Ok(())

@@ -408,3 +408,31 @@ fn photographs_are_taken_as_stored() {
     let text = input_error(set.read(Split::Test));
     assert_says(&text, &["masks/p00.png", "its mask is 8×16", "turn the mask"]);
 }
+
+#[test]
+fn masks_of_undistorted_photographs_may_be_in_the_root() {
+    let set = Colmap::new(2);
+    fs::create_dir(set.path("dense")).unwrap();
+    for folder in ["sparse", "images"] {
+        fs::rename(set.path(folder), set.path(&format!("dense/{folder}"))).unwrap();
+    }
+    let views = read_all(set.dir.path()).unwrap().views;
+    assert!(views.len() == 2 && views.iter().all(|view| view.mask.is_some()));
+}
+
+#[test]
+fn views_are_held_out_in_natural_order() {
+    let set = Colmap::new(3);
+    for (from, to) in [("p00", "p2"), ("p01", "p10"), ("p02", "p1")] {
+        for folder in ["images", "masks"] {
+            let path = |name: &str| set.path(&format!("{folder}/{name}.png"));
+            fs::rename(path(from), path(to)).unwrap();
+        }
+        let file = set.path("sparse/0/images.txt");
+        let text = fs::read_to_string(&file).unwrap().replace(&format!("{from}.png"), &format!("{to}.png"));
+        fs::write(&file, text).unwrap();
+    }
+    let options = DatasetOptions { hold_out: 2, ..DatasetOptions::default() };
+    let test = read_dataset(set.dir.path(), Split::Test, &options).unwrap();
+    assert_eq!(names(&test), ["p1", "p10"]);
+}

@@ -112,3 +112,14 @@ fn counts_that_differ_say_which_photograph() {
     fs::remove_file(set.path("masks/DSC_0010.png")).unwrap();
     assert_says(&set.error(), &["the mask of `DSC_0010.jpg` is missing"]);
 }
+
+#[test]
+fn photographs_of_a_format_that_is_not_read_say_so() {
+    let set = Llff::new(3);
+    fs::remove_dir_all(set.path("images")).unwrap();
+    fs::create_dir(set.path("images")).unwrap();
+    for name in ["b.avif", "a.avif"] {
+        fs::write(set.path("images").join(name), b"\0\0\0\x18ftypavif\0\0\0\0").unwrap();
+    }
+    assert_says(&set.error(), &["images/a.avif: this is an AVIF, which is not read", "avifdec"]);
+}

@@ -4,6 +4,7 @@ mod bad;
 mod colmap;
 mod deepvoxels;
 mod distortion;
+mod files;
 mod good;
 mod idr;
 mod llff;

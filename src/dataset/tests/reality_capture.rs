@@ -127,6 +127,13 @@ fn bad_lines_are_named() {
     );
     assert_says(&error(&[HEADER]), &["cameras.csv", "no cameras"]);
     assert_says(&error(&["#name,x,y,alt"]), &["not a data set"]);
+    assert_says(
+        &error(&[&HEADER.replace(',', ";")]),
+        &["not a data set", "not separated by commas", "Export it again"],
+    );
+    let wide: Vec<u8> = HEADER.encode_utf16().flat_map(u16::to_le_bytes).collect();
+    fs::write(dir.path().join("cameras.csv"), [b"\xff\xfe", wide.as_slice()].concat()).unwrap();
+    assert_says(&input_error(read_all(dir.path())), &["cameras.csv is UTF-16"]);
     let broken = [HEADER.as_bytes(), b"\na.jpg,\xff\xfe"].concat();
     fs::write(dir.path().join("cameras.csv"), broken).unwrap();
     assert_says(&input_error(read_all(dir.path())), &["cameras.csv", "not UTF-8"]);

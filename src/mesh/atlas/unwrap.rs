@@ -34,7 +34,7 @@ pub struct UnwrappedMesh {
 /// unwrapped, and a note says why.
 ///
 /// # Errors
-/// [`Error::Run`] if the mesh cannot be unwrapped or its charts do not fit the texture.
+/// [`Error::Usage`] if the charts do not fit the texture, [`Error::Run`] if the mesh cannot be unwrapped.
 pub fn unwrap_mesh(mesh: &Mesh, texture_size: u32) -> Result<UnwrappedMesh> {
     let Some(uvs) = &mesh.uvs else { return unwrap_again(mesh, texture_size, None) };
     match fault(mesh, uvs, texture_size) {
@@ -117,8 +117,8 @@ fn unwrap_again(mesh: &Mesh, texture_size: u32, note: Option<String>) -> Result<
         .map_err(|e| Error::run(context(), e.to_string()))?;
     if atlas.page_count > 1 || atlas.width > texture_size || atlas.height > texture_size {
         let charts = atlas.chart_count;
-        let problem = format!("{charts} charts do not fit {texture_size}² texels; use a larger texture");
-        return Err(Error::run(context(), problem));
+        let problem = format!("the {charts} charts of the unwrapped mesh do not fit {texture_size}² texels");
+        return Err(Error::usage(problem, "Say a larger `texture_size` in `surface`."));
     }
     // The page is cropped to the used part; the texture stays square.
     let scale = Vec2::new(atlas.width as f32, atlas.height as f32) / texture_size as f32;
@@ -189,8 +189,7 @@ mod tests {
 
     #[test]
     fn a_texture_that_is_too_small_is_an_error() {
-        assert!(matches!(unwrap_mesh(&bare_sphere(), 4), Err(Error::Run { .. })));
-        assert!(matches!(unwrap_mesh(&bare_sphere(), 0), Err(Error::Run { .. })));
+        assert!(unwrap_mesh(&bare_sphere(), 4).is_err() && unwrap_mesh(&bare_sphere(), 0).is_err());
         // Sixty separate triangles need more than a few texels each.
         let mut scattered = Mesh::default();
         for k in 0..300u32 {
@@ -199,6 +198,8 @@ mod tests {
             scattered.triangles.push([3 * k, 3 * k + 1, 3 * k + 2]);
         }
         scattered.repair_normals();
-        assert!(unwrap_mesh(&scattered, 16).unwrap_err().to_string().contains("larger texture"));
+        let error = unwrap_mesh(&scattered, 16).unwrap_err();
+        assert!(error.to_string().contains("charts of the unwrapped mesh do not fit 16²"), "{error}");
+        assert!(error.exit_code() == 2 && error.help().unwrap().contains("texture_size"), "{error:?}");
     }
 }

@@ -1,10 +1,13 @@
 //! Other axes, mirrored photographs, inverted poses, other units: the cause is named.
 
 use super::{expect, good, object, surveyed};
+use crate::math::fibonacci::fibonacci_axes;
+use crate::mesh::bvh::TriangleBvh;
 use crate::mesh::primitive::box_mesh;
 use crate::mesh::triangles::Mesh;
 use crate::survey::Severity;
 use crate::survey::look::OpenView;
+use crate::view::Split;
 use glam::{Affine3A, Mat3A, Vec3, Vec3A};
 
 /// Cameras with other axes: the right ones are these columns of theirs.
@@ -37,6 +40,27 @@ fn mirrored() -> Vec<OpenView> {
     views
 }
 
+/// Views through lenses whose middle is not that of the picture, each seen with its pixels at other places: `place` is that of a pixel
+/// in the turned picture.
+fn off_center(place: impl Fn(usize, usize) -> (usize, usize)) -> Vec<OpenView> {
+    let bvh = TriangleBvh::new(&object());
+    let seen = |(i, direction): (usize, Vec3)| {
+        let mut camera = super::camera(direction);
+        camera.center = [camera.center[0] + 11.0, camera.center[1] - 8.0];
+        let mut view = super::photographed(&format!("v{i}"), Split::Train, camera, &bvh);
+        let side = camera.width as usize;
+        let (mask, photograph) = (view.mask.as_mut().unwrap(), view.photograph.as_mut().unwrap());
+        let (coverage, pixels) = (mask.coverage.clone(), photograph.image.pixels.clone());
+        for from in 0..side * side {
+            let (x, y) = place(from % side, from / side);
+            mask.coverage[y * side + x] = coverage[from];
+            photograph.image.pixels[y * side + x] = pixels[from];
+        }
+        view
+    };
+    fibonacci_axes(20).into_iter().enumerate().map(seen).collect()
+}
+
 fn moved(change: impl Fn(Vec3) -> Vec3) -> Mesh {
     let mut mesh = object();
     mesh.positions.iter_mut().for_each(|position| *position = change(*position));
@@ -67,6 +91,21 @@ fn confused_axes_are_named_without_a_mesh() {
     named(&with_axes(OPENGL), &["y and z of the camera axes are negated"]);
     named(&inverted(), &["camera_from_world is taken for world_from_camera"]);
     named(&mirrored(), &["mirrored left to right"]);
+}
+
+#[test]
+fn turned_pictures_are_named_with_the_principal_point_off_the_middle() {
+    let last = super::SIDE as usize - 1;
+    let mesh = object();
+    let named = |views: &[OpenView], mesh: Option<&Mesh>, word: &str| {
+        expect(&surveyed(views, mesh), "other-axes", &[], &[word]);
+    };
+    named(&off_center(|x, y| (last - x, y)), Some(&mesh), "mirrored left to right");
+    named(&off_center(|x, y| (x, last - y)), None, "mirrored top to bottom");
+    named(&off_center(|x, y| (last - x, last - y)), Some(&mesh), "upside down");
+    named(&off_center(|x, y| (y, last - x)), None, "turned by 90° counterclockwise");
+    named(&off_center(|x, y| (last - y, x)), Some(&mesh), "turned by 90° clockwise");
+    assert_eq!(surveyed(&off_center(|x, y| (x, y)), Some(&mesh)).findings, []);
 }
 
 #[test]

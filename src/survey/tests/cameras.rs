@@ -15,6 +15,8 @@ fn arrangement(directions: impl IntoIterator<Item = Vec3>) -> Arrangement {
         camera: camera(direction.normalize()),
         photograph: None,
         mask: None,
+        negative: 0.0,
+        exif: [1; 2],
     };
     let views: Vec<OpenView> = directions.into_iter().enumerate().map(view).collect();
     Arrangement::new(&looks(&views), None, Vec3::Y).unwrap()

@@ -30,6 +30,23 @@ fn inverted_masks_are_named() {
 }
 
 #[test]
+fn masks_that_are_white_everywhere_are_named() {
+    let mesh = object();
+    let mut views = good();
+    change(&mut views[..3], |_| 1.0);
+    let survey = surveyed(&views, Some(&mesh));
+    let named = survey.findings.iter().find(|finding| finding.name == "white-masks").unwrap();
+    assert_eq!((named.severity, named.views.join(" ")), (Severity::Warning, "v0 v1 v2".to_owned()));
+    assert_eq!(survey.findings_of(Severity::Error).count(), 0, "{:?}", survey.findings);
+    change(&mut views, |_| 1.0);
+    let survey = surveyed(&views, Some(&mesh));
+    let first = &survey.findings[0];
+    assert_eq!((first.name, first.severity), ("white-masks", Severity::Error), "{first:?}");
+    assert!(first.problem.contains("no silhouette"), "{first:?}");
+    assert_eq!(survey.findings_of(Severity::Error).count(), 1, "{:?}", survey.findings);
+}
+
+#[test]
 fn masks_that_are_never_white_are_named() {
     let mut views = good();
     change(&mut views, |coverage| 127.0 / 255.0 * coverage);
@@ -70,7 +87,9 @@ fn missing_masks_are_named() {
         &["view `t3` (1 view of the test split)"],
     );
     views.iter_mut().for_each(|view| view.mask = None);
-    assert_eq!(surveyed(&views, Some(&object())).findings, [], "a mesh needs no masks");
+    let beside_mesh = surveyed(&views, Some(&object()));
+    expect(&beside_mesh, "missing-masks", &[], &["no view has a mask"]);
+    assert_eq!(beside_mesh.findings[0].severity, Severity::Warning, "a mesh needs no masks");
     let survey = surveyed(&views, None);
     expect(&survey, "masks", &[], &["at least three views with masks", "there are 0"]);
 }

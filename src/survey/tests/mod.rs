@@ -66,6 +66,8 @@ fn photographed(name: &str, split: Split, camera: Camera, bvh: &TriangleBvh) -> 
         camera,
         photograph: Some(OpenPhotograph { saturated: vec![false; image.pixels.len()], image }),
         mask: Some(Mask { width, height, coverage }),
+        negative: 0.0,
+        exif: [1; 2],
     }
 }
 

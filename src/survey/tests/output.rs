@@ -39,9 +39,15 @@ fn the_table_says_what_there_is() {
     );
     assert!(text("overlap").contains("overlap to 1.000"), "{}", text("overlap"));
     assert!(text("light").contains("clipped 0.00 %"), "{}", text("light"));
-    assert_eq!((table::verdict(&survey), table::findings(&survey)), ("fine".to_owned(), String::new()));
+    assert_eq!(
+        (table::verdict(Some(&survey), 0), table::findings(&survey)),
+        ("fine".to_owned(), String::new())
+    );
     let black = with_a_black_view();
-    assert_eq!(table::verdict(&black), "1 error");
+    assert_eq!(
+        (table::verdict(Some(&black), 0), table::verdict(None, 1)),
+        ("1 error".into(), "1 error".into())
+    );
     assert_eq!(table::findings(&black), "", "the first error is what the program ends with");
 }
 

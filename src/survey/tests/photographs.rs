@@ -24,12 +24,6 @@ fn photographs_without_light_or_with_too_much_are_named() {
     assert!(black.findings[0].to_error().exit_code() == 2);
     // A lens cap lets a little noise through.
     expect(&changed(4, |pixel| pixel * 1e-4), "black", &["v4"], &["`v4`"]);
-    expect(&changed(21, |pixel| -pixel), "negative", &["t1"], &["negative in most pixels", "`t1`"]);
-    let mut views = good();
-    let light = pixels(&mut views[7]);
-    let lit = light.iter().position(|pixel| pixel.x > 0.0).unwrap();
-    light[lit] = Vec3::splat(1e36);
-    expect(&surveyed(&views, Some(&object())), "absurdly-bright", &["v7"], &["absurdly bright in view `v7`"]);
 }
 
 #[test]
@@ -73,10 +67,13 @@ fn clipped_and_negative_pixels_are_warned_of() {
     views[2].photograph.as_mut().unwrap().saturated.fill(true);
     expect(&surveyed(&views, Some(&object())), "clipped", &["v2"], &["clipped in view `v2`"]);
     let mut views = good();
-    let light = pixels(&mut views[2]);
-    let lit: Vec<usize> = (0..light.len()).filter(|&i| light[i].x > 0.0).step_by(20).collect();
-    lit.into_iter().for_each(|i| light[i] = Vec3::splat(-0.05));
-    expect(&surveyed(&views, Some(&object())), "negative-pixels", &["v2"], &["negative in view `v2`"]);
+    views[2].negative = 0.05;
+    expect(
+        &surveyed(&views, Some(&object())),
+        "negative-pixels",
+        &["v2"],
+        &["are negative, and set to 0, in view `v2`"],
+    );
 }
 
 #[test]
@@ -113,4 +110,14 @@ fn few_views_are_not_compared_and_cameras_alone_have_no_light() {
     views.iter_mut().for_each(|view| (view.photograph, view.mask) = (None, None));
     let bare = surveyed(&views, Some(&object()));
     assert!(bare.findings.is_empty() && bare.arrangement.is_some(), "{:?}", bare.findings);
+}
+
+#[test]
+fn an_orientation_that_is_ignored_is_warned_of() {
+    let mut views = good();
+    views[3].exif = [3, 1];
+    views[7].exif = [6, 6];
+    let survey = surveyed(&views, Some(&object()));
+    expect(&survey, "exif-orientation", &["v3", "v7"], &["`v3`, `v7`; 1 of their masks", "auto-orient"]);
+    assert_eq!(survey.findings[0].severity, Severity::Warning);
 }

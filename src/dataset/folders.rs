@@ -1,0 +1,84 @@
+//! Photographs and masks in folders below a folder, looked up by path.
+
+use crate::codec::nearby::missing_file_help;
+use crate::dataset::MaskPlan;
+use crate::dataset::load::{StemIndex, view_name};
+use crate::dataset::masks::{find_mask, mask_file};
+use crate::error::{Error, Result};
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+/// The name of a view: the path of its image below the folder of images, without extension, as one file name.
+pub(super) fn flat_name(path: &str) -> String {
+    let folders = Path::new(path).parent().into_iter().flat_map(Path::components);
+    let folders = folders.map(|part| format!("{}_", part.as_os_str().to_string_lossy()));
+    folders.collect::<String>() + &view_name(path)
+}
+
+/// Image files below a folder.
+pub(super) struct Folders {
+    pub root: PathBuf,
+    /// The folders that were looked into, by their paths below the root.
+    found: BTreeMap<PathBuf, StemIndex>,
+}
+
+impl Folders {
+    pub fn below(root: &Path) -> Self {
+        Self { root: root.to_owned(), found: BTreeMap::new() }
+    }
+
+    /// The photograph with this path below the root.
+    pub fn photograph(&mut self, name: &str) -> Result<PathBuf> {
+        let (folder, key) = self.folder(name)?;
+        folder.find(&key, "image")
+    }
+
+    /// The mask of the photograph with this path below the folder of photographs.
+    pub fn mask(&mut self, photograph: &str) -> Result<MaskPlan> {
+        let (folder, key) = self.folder(photograph)?;
+        find_mask(folder, &key).map(MaskPlan::File)
+    }
+
+    /// The mask of the photograph with this path below the data set: the folders of masks are those of photographs, but for some above
+    /// them.
+    pub fn mask_anywhere(&mut self, photograph: &str) -> Result<MaskPlan> {
+        let mut rest = Path::new(photograph);
+        loop {
+            let name = rest.to_string_lossy().into_owned();
+            let is_there = self.root.join(rest).parent().is_some_and(Path::is_dir);
+            if is_there {
+                let (folder, key) = self.folder(&name)?;
+                if let Some(mask) = mask_file(folder, &key) {
+                    return Ok(MaskPlan::File(mask));
+                }
+            }
+            let mut parts = rest.components();
+            parts.next();
+            if parts.as_path().as_os_str().is_empty() {
+                return self.mask(&name);
+            }
+            rest = parts.as_path();
+        }
+    }
+
+    /// Files that are none of `views`, given as paths below the root without extension.
+    pub fn unused(&self, is_used: impl Fn(&Path) -> bool) -> usize {
+        let stems = self.found.iter().flat_map(|(folder, index)| index.stems().map(|stem| folder.join(stem)));
+        stems.filter(|path| !is_used(path)).count()
+    }
+
+    fn folder(&mut self, name: &str) -> Result<(&StemIndex, String)> {
+        let path = Path::new(name);
+        let parent = path.parent().unwrap_or(Path::new("")).to_owned();
+        let key = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        if !self.found.contains_key(&parent) {
+            let folder = self.root.join(&parent);
+            let index = StemIndex::of_folder(&folder)?.ok_or_else(|| {
+                let problem = format!("the folder is missing, but `{name}` should be in it");
+                Error::input(&folder, "", problem, missing_file_help(&folder))
+            })?;
+            self.found.insert(parent.clone(), index);
+        }
+        Ok((&self.found[&parent], key))
+    }
+}
