@@ -185,16 +185,17 @@ pub fn read_frame(path: impl AsRef<Path>) -> Result<Frame> {
 /// # Errors
 /// Those of [`read_exr_layers`](crate::codec::exr::read_exr_layers), and [`Error::Input`] if a layer is missing.
 pub fn read_frame_layers(path: impl AsRef<Path>, layers: &[Layer]) -> Result<Frame> {
-    let mut groups: Vec<&[&str]> = vec![&[ALPHA], &COLOR];
+    let mut groups: Vec<&[&str]> = vec![&COLOR];
     groups.extend(layers.iter().map(|layer| layer.channels()));
+    groups.push(&[ALPHA]);
     let ([width, height], values) = read_exr_groups(path.as_ref(), &groups)?;
     let mut values = values.into_iter();
     let mut frame = Frame { width, height, ..Frame::default() };
-    frame.alpha = values.next().unwrap_or_default();
     frame.color = values.next().map(vectors).unwrap_or_default();
-    for (layer, values) in layers.iter().zip(values) {
-        *layer.of(&mut frame) = vectors(values);
+    for layer in layers {
+        *layer.of(&mut frame) = values.next().map(vectors).unwrap_or_default();
     }
+    frame.alpha = values.next().unwrap_or_default();
     Ok(frame)
 }
 
