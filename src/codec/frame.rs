@@ -67,7 +67,7 @@ impl Frame {
 /// Writes `frame` as one single-part EXR with the channels named in [`Frame`], 32-bit float, ZIP (lossless).
 ///
 /// # Errors
-/// [`Error::Run`] if a list has the wrong length or holds a non-finite value; [`Error::Io`] if the file cannot be written.
+/// [`Error::Run`](crate::Error::Run) if a list has the wrong length or holds a non-finite value; [`Error::Io`](crate::Error::Io) if the file cannot be written.
 pub fn write_frame(path: impl AsRef<Path>, frame: &Frame) -> Result<()> {
     write_frame_rows(path, [frame.width, frame.height], |rows| rows.push(frame))
 }
@@ -94,7 +94,7 @@ impl FrameRows<'_, '_> {
     /// Writes the next rows.
     ///
     /// # Errors
-    /// Those of [`write_frame`]; [`Error::Run`] if the width differs or there are more rows than the frame has.
+    /// Those of [`write_frame`]; [`Error::Run`](crate::Error::Run) if the width differs or there are more rows than the frame has.
     pub fn push(&mut self, band: &Frame) -> Result<()> {
         let columns = band.columns();
         for column in &columns {
@@ -115,7 +115,7 @@ impl FrameRows<'_, '_> {
 /// Writes `channels` as one single-part EXR, 32-bit float, ZIP (lossless), increasing lines.
 ///
 /// # Errors
-/// [`Error::Run`] if the image is empty or a channel has the wrong length or holds a non-finite value; [`Error::Io`] if the file
+/// [`Error::Run`](crate::Error::Run) if the image is empty or a channel has the wrong length or holds a non-finite value; [`Error::Io`](crate::Error::Io) if the file
 /// cannot be written.
 pub fn write_channels(path: impl AsRef<Path>, channels: &ExrLayers) -> Result<()> {
     let path = path.as_ref();
@@ -183,7 +183,7 @@ pub fn read_frame(path: impl AsRef<Path>) -> Result<Frame> {
 /// Reads color, coverage and some other layers of a frame that [`write_frame`] wrote; the others, and depth, are empty.
 ///
 /// # Errors
-/// Those of [`read_exr_layers`](crate::codec::exr::read_exr_layers), and [`Error::Input`] if a layer is missing.
+/// Those of [`read_exr_layers`](crate::codec::exr::read_exr_layers), and [`Error::Input`](crate::Error::Input) if a layer is missing.
 pub fn read_frame_layers(path: impl AsRef<Path>, layers: &[Layer]) -> Result<Frame> {
     let mut groups: Vec<&[&str]> = vec![&COLOR];
     groups.extend(layers.iter().map(|layer| layer.channels()));
