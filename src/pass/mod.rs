@@ -79,7 +79,7 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
         Some(survey) => memory::within(&loaded.scene, survey, options.memory, progress)?,
         None => Cow::Borrowed(&loaded.scene),
     };
-    let mut session = open(&scene, views, options, progress, photograph::take)?;
+    let mut session = open(&scene, views, options, progress, photograph::take, use_of(&scene))?;
     for pass in &scene.passes {
         match pass {
             Pass::Fit(pass) => fit::run(&mut session, pass)?,
@@ -97,7 +97,7 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
 }
 
 /// Does what [`run`] does before the first pass of a scene, without any photograph: what the scene names is read and checked, no pass
-/// is run, and nothing is written. `views` are those of a data set ([`survey`](crate::survey::open::survey)), if the scene has one.
+/// is run, no hull of an unknown surface is made, and nothing is written. `views` are those of a data set ([`survey`](crate::survey::open::survey)), if the scene has one.
 ///
 /// # Errors
 /// Those that [`run`] ends with before its first pass.
@@ -107,7 +107,7 @@ pub fn rehearse(scene: &Scene, views: Vec<ViewRecord>, progress: &dyn Progress) 
         Views::Dataset(_) | Views::Photographed(_) => views,
     };
     let options = RunOptions { out: PathBuf::new(), force: false, debug_every: None, memory: None };
-    open(scene, views, &options, progress, photograph::imagine).map(drop)
+    open(scene, views, &options, progress, photograph::imagine, SurfaceUse::Checks).map(drop)
 }
 
 /// An output folder that is not empty is an error, unless `force`.
@@ -130,8 +130,9 @@ fn open<'a>(
     options: &RunOptions,
     progress: &'a dyn Progress,
     take: Take,
+    use_of: SurfaceUse,
 ) -> Result<Session<'a>> {
-    let (surface, notes) = make_surface(&scene.surface, &views, use_of(scene))?;
+    let (surface, notes) = make_surface(&scene.surface, &views, use_of)?;
     notes.iter().for_each(|note| progress.note(note));
     let surface = Arc::new(surface);
     let lights = Lights::load(scene, progress)?;

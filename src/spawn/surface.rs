@@ -11,6 +11,7 @@ use crate::shape::hull::visual_hull;
 use crate::shape::repair::check_hull;
 use crate::shape::silhouette::Silhouette;
 use crate::view::{Split, ViewRecord};
+use glam::Vec3;
 
 /// What a surface is made for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -19,7 +20,12 @@ pub enum SurfaceUse {
     Lasting,
     /// Those before a `Shape` puts another in place of an unknown one: a coarse one will do.
     UntilShape,
+    /// Checks alone: a speck stands for an unknown one, whose masks a survey has looked at.
+    Checks,
 }
+
+/// Radius of that speck, world units: no camera is inside.
+const SPECK: f32 = 1e-6;
 
 /// Most cells and texels a side of an unknown surface that is to be replaced.
 const DRAFT: (u32, u32) = (48, 256);
@@ -34,13 +40,16 @@ pub fn make_surface(
     use_of: SurfaceUse,
 ) -> Result<(Surface, Vec<String>)> {
     match spec {
+        SurfaceSpec::Unknown { .. } if use_of == SurfaceUse::Checks => {
+            Ok((Surface::new(sphere_mesh(Vec3::ZERO, SPECK)?, DRAFT.1)?, Vec::new()))
+        }
         SurfaceSpec::Unknown { cells, texture_size } => {
             let train = views.iter().filter(|view| view.split == Split::Train);
             let silhouette =
                 |view: &ViewRecord| Silhouette::new(&view.name, &view.camera, view.mask.as_ref()?);
             let silhouettes: Vec<Silhouette> = train.filter_map(silhouette).collect();
             let (cells, texture_size) = match use_of {
-                SurfaceUse::Lasting => (*cells, *texture_size),
+                SurfaceUse::Lasting | SurfaceUse::Checks => (*cells, *texture_size),
                 SurfaceUse::UntilShape => (DRAFT.0.min(*cells), DRAFT.1.min(*texture_size)),
             };
             let hull = visual_hull(&silhouettes, cells)?;
