@@ -271,7 +271,9 @@ impl TriangleBvh {
         if !scaled_origin.is_finite() {
             return None;
         }
-        let query = obvhs::ray::Ray::new(scaled_origin.into(), ray.direction.into(), 0.0, limit);
+        // Without negative zeros, of which the box test takes the inverse to be negative and the order of children does not.
+        let direction = ray.direction + Vec3::ZERO;
+        let query = obvhs::ray::Ray::new(scaled_origin.into(), direction.into(), 0.0, limit);
         Some((RayFrame::new(origin, ray.direction), query, skipped))
     }
 }
@@ -324,6 +326,16 @@ mod tests {
         let mesh = crate::mesh::primitive::sphere_mesh(Vec3::ZERO, 1.0).unwrap();
         let (a, b) = (TriangleBvh::new(&mesh), TriangleBvh::new(&mesh));
         assert!(matches!((&a.hierarchy, &b.hierarchy), (Hierarchy::Wide(a), Hierarchy::Wide(b)) if a == b));
+    }
+
+    #[test]
+    fn rays_with_negative_zeros_meet_what_lies_ahead() {
+        let at = |z: f32| [Vec3::new(-1.0, -1.0, z), Vec3::new(1.0, -1.0, z), Vec3::new(0.0, 1.0, z)];
+        let bvh = TriangleBvh::new(&mesh_of([at(0.0), at(-1.0)].into_iter()));
+        for direction in [Vec3::new(0.0, 0.0, -1.0), Vec3::new(-0.0, -0.0, -1.0)] {
+            let ray = Ray { origin: Vec3::new(0.1, 0.2, 1.0), direction };
+            assert_eq!(bvh.nearest(&ray, 0.0).map(|hit| hit.distance), Some(1.0));
+        }
     }
 
     #[test]

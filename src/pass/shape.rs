@@ -9,6 +9,7 @@ use crate::material::recovered_albedo;
 use crate::math::accurate::Quality;
 use crate::mesh::Surface;
 use crate::mesh::atlas::unwrap_mesh;
+use crate::mesh::triangles::Mesh;
 use crate::pass::fit::closed_form;
 use crate::pass::found_views;
 use crate::pass::inspect::ShapeInspector;
@@ -19,7 +20,10 @@ use crate::scene::Surface as SurfaceSpec;
 use crate::scene::{GridLevel, ShapePass};
 use crate::sdf::extract::extract_mesh;
 use crate::sdf::volume::SdfSurface;
-use crate::shape::run::{ShapeLevel, ShapeOptions, ShapeProgress, fit_shape, replace_texels};
+use crate::shape::run::{
+    ShapeLevel, ShapeOptions, ShapeProgress, fit_shape, refine_by_stereo, replace_texels,
+};
+use crate::shape::stereo::ROUNDS as STEREO_ROUNDS;
 use crate::shape::systems::ShapeSchedule;
 use crate::spawn::unknowns;
 use crate::view::Camera;
@@ -69,7 +73,11 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     bar.finish_and_clear();
     failure.map_or(Ok(()), Err)?;
     let guessed = std::mem::replace(&mut session.guess, FirstGuess::NONE);
-    put_in_place(session, &surface, texture_size)?;
+    let mut mesh = extract_mesh(&surface.grid);
+    if pass.stereo {
+        match_views(session, pass, &mut mesh);
+    }
+    put_in_place(session, &surface, &mesh, texture_size)?;
     if guessed == FirstGuess::ALL {
         // The light still has the color from the initialization with gray albedo.
         start_scale(&mut session.pipeline.world, session.scene.scale)?;
@@ -131,9 +139,28 @@ fn shape_level(pass: &ShapePass, level: &GridLevel) -> ShapeLevel {
     }
 }
 
-/// Extracts the mesh, gives it an atlas, and transfers the texels.
-fn put_in_place(session: &mut Session, found: &SdfSurface, texture_size: u32) -> Result<()> {
-    let mesh = unwrap_mesh(&extract_mesh(&found.grid), texture_size)?.mesh;
+/// Moves the mesh to where neighboring photographs agree, and says what came of it.
+fn match_views(session: &mut Session, pass: &ShapePass, mesh: &mut Mesh) {
+    let start = Instant::now();
+    let bar = session.progress.bar(&pass.name, STEREO_ROUNDS.len() as u64);
+    let report = refine_by_stereo(&mut session.pipeline.world, mesh, |round| {
+        bar.set_position(round as u64);
+        bar.set_message("stereo".into());
+        if INTERRUPTED.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    });
+    bar.finish_and_clear();
+    let seconds = start.elapsed().as_secs_f64();
+    let found = if report.moved > 0.0 {
+        format!("{:.0} % of the surface follows it", 100.0 * report.trusted)
+    } else {
+        "it adds nothing to the shading here".into()
+    };
+    session.progress.print(&format!("{}: stereo in {seconds:.1} s, {found}", pass.name));
+}
+
+/// Gives the mesh an atlas, and transfers the texels.
+fn put_in_place(session: &mut Session, found: &SdfSurface, mesh: &Mesh, texture_size: u32) -> Result<()> {
+    let mesh = unwrap_mesh(mesh, texture_size)?.mesh;
     let surface = Arc::new(Surface::new(mesh, texture_size)?);
     let world = &mut session.pipeline.world;
     let volume = recovered_albedo(world)?;

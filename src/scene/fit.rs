@@ -84,6 +84,8 @@ pub struct ShapePass {
     pub blur: u32,
     /// Adam's step sizes of light and material.
     pub rates: Rates,
+    /// Whether the mesh then moves to where neighboring photographs agree, if that says more than the shading. Default true.
+    pub stereo: bool,
     /// Whether each photograph has an exposure of its own that is not known, as in [`FitPass::exposure`]. Default false.
     pub exposure: bool,
     /// What of the training views' cameras is a little off and found too. Default `Given`: nothing.
@@ -107,6 +109,7 @@ impl Default for ShapePass {
             smoothness: 1e-6,
             blur: 8,
             rates: Rates::default(),
+            stereo: true,
             exposure: false,
             cameras: CameraUnknowns::Given,
         }

@@ -5,7 +5,7 @@ use crate::sdf::SdfGrid;
 use crate::sdf::volume::SdfSurface;
 use crate::shape::adjoint::FieldAdjoint;
 use bevy_ecs::prelude::{Component, Resource};
-use glam::UVec3;
+use glam::{UVec3, Vec3};
 
 /// Vertices per side of a brick.
 pub const BRICK_SIDE: u32 = 8;
@@ -54,6 +54,39 @@ impl SdfField {
         let adjoint = FieldAdjoint::zeros(&surface.grid);
         let scratch = vec![0.0; surface.grid.values.len()];
         Self { surface, adjoint, scratch, mean_square: 0.0 }
+    }
+}
+
+/// The squared error of the model, summed at the vertices of a grid around the surface points of samples. Errors are of luminance with
+/// the curve of sRGB, as patches of photographs are compared.
+#[derive(Resource, Clone, Debug)]
+pub struct ModelError {
+    /// The grid.
+    pub grid: SdfGrid,
+    /// Sums of weighted squared errors and of weights.
+    pub sums: Vec<[f32; 2]>,
+}
+
+impl ModelError {
+    /// Without samples.
+    pub fn new(grid: &SdfGrid) -> Self {
+        Self { grid: grid.clone(), sums: vec![[0.0; 2]; grid.values.len()] }
+    }
+
+    /// Adds a sample.
+    pub fn add(&mut self, point: Vec3, squared: f32) {
+        for (row, weight) in self.grid.corners(point) {
+            let sum = &mut self.sums[row];
+            *sum = [sum[0] + weight * squared, sum[1] + weight];
+        }
+    }
+
+    /// The sums of squared errors and of weights around a point.
+    pub fn around(&self, point: Vec3) -> (f32, f32) {
+        let corners = self.grid.corners(point).into_iter();
+        corners.fold((0.0, 0.0), |(error, count), (row, weight)| {
+            (error + weight * self.sums[row][0], count + weight * self.sums[row][1])
+        })
     }
 }
 
@@ -123,7 +156,6 @@ impl BrickValues {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use glam::Vec3;
 
     #[test]
     fn bricks_hold_every_value_near_the_surface_once() {

@@ -18,5 +18,6 @@ pub mod repair;
 pub mod run;
 pub mod silhouette;
 pub(crate) mod silhouette_loss;
+pub mod stereo;
 pub mod systems;
 pub mod vertices;

@@ -2,16 +2,18 @@
 
 use crate::fit::cameras::{AlignedRow, CameraFit, CameraPose, FIRST_STEP, retrace};
 use crate::fit::components::StepRates;
+use crate::fit::exposure::Exposures;
 use crate::material::{DiffuseAlbedo, Texels};
-use crate::math::shading::PointAdjoint;
+use crate::math::color::{luminance, srgb_from_linear};
+use crate::math::shading::{Layers, PointAdjoint};
 use crate::pipeline::SystemResult;
 use crate::pipeline::pool::Pool;
 use crate::sample::Samples;
-use crate::sample::pixel::ViewRay;
+use crate::sample::pixel::{Observed, PixelOf, ViewRay};
 use crate::sample::point::SurfacePoint;
 use crate::sdf::SdfGrid;
 use crate::shape::field::{
-    BAND_CELLS, BrickAt, BrickGradient, BrickIndex, BrickMoments, BrickValues, SdfField,
+    BAND_CELLS, BrickAt, BrickGradient, BrickIndex, BrickMoments, BrickValues, ModelError, SdfField,
 };
 use crate::shape::silhouette_loss::{SilhouetteIndex, SilhouetteSample, add_silhouettes, aligned_silhouette};
 use crate::view::{ByView, Camera, Photograph, ViewIndex};
@@ -88,6 +90,27 @@ pub fn pull_back_to_field(
             let gradient = surface.volume.gradient(point.position, &point.texels, value);
             adjoint.add_position(&surface.grid, point.position, ray.0.direction, gradient);
         }
+    }
+    Ok(())
+}
+
+/// Gradient: sums the squared error of the window's samples around their surface points, in the second half of a level.
+pub fn sum_model_error(
+    rates: Res<StepRates>,
+    schedule: Res<ShapeSchedule>,
+    exposures: Res<Exposures>,
+    samples: Samples<(&SurfacePoint, &Layers, &Observed, &PixelOf)>,
+    mut error: ResMut<ModelError>,
+) -> SystemResult {
+    if schedule.progress(rates.step).is_none_or(|progress| progress < 0.5) {
+        return Ok(());
+    }
+    let (points, shaded, observed, pixels) = samples.columns()?;
+    let code = |radiance: Vec3| srgb_from_linear(luminance(radiance).clamp(0.0, 1.0));
+    for (i, point) in points.iter().enumerate().filter(|(_, point)| point.is_hit()) {
+        let radiance = Vec3::from(shaded[i].diffuse) + Vec3::from(shaded[i].specular);
+        let shown = code(exposures.factor(pixels[i].view) * radiance);
+        error.add(point.position, (shown - code(observed[i].radiance)).powi(2));
     }
     Ok(())
 }

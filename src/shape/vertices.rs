@@ -79,10 +79,10 @@ pub struct MovingMesh {
 }
 
 /// The triangles and neighbors of merged vertices.
-struct VertexGraph {
+pub(crate) struct VertexGraph {
     /// The merged vertex of each vertex of the mesh.
-    of: Vec<u32>,
-    triangles: Vec<[u32; 3]>,
+    pub(crate) of: Vec<u32>,
+    pub(crate) triangles: Vec<[u32; 3]>,
     /// Neighbors of vertex i: `neighbors[starts[i]..starts[i + 1]]`.
     starts: Vec<usize>,
     neighbors: Vec<u32>,
@@ -90,7 +90,7 @@ struct VertexGraph {
 
 impl VertexGraph {
     /// The graph, and the vertices' positions.
-    fn new(mesh: &Mesh) -> (Self, Vec<Vec3>) {
+    pub(crate) fn new(mesh: &Mesh) -> (Self, Vec<Vec3>) {
         let first = mesh.welded_vertices();
         let (mut of, mut positions) = (vec![0; first.len()], Vec::new());
         for (vertex, first) in first.iter().map(|v| *v as usize).enumerate() {
@@ -113,7 +113,7 @@ impl VertexGraph {
         (Self { of, triangles, starts, neighbors }, positions)
     }
 
-    fn around(&self, vertex: usize) -> &[u32] {
+    pub(crate) fn around(&self, vertex: usize) -> &[u32] {
         &self.neighbors[self.starts[vertex]..self.starts[vertex + 1]]
     }
 
@@ -128,7 +128,7 @@ impl VertexGraph {
     }
 
     /// (I + λL)⁻¹ b, by conjugate gradients.
-    fn smoothed(&self, b: &[f32], lambda: f32) -> Vec<f32> {
+    pub(crate) fn smoothed(&self, b: &[f32], lambda: f32) -> Vec<f32> {
         let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| f64::from(a * b)).sum::<f64>();
         let (mut x, mut residual, mut along) = (vec![0.0; b.len()], b.to_vec(), b.to_vec());
         let mut size = dot(&residual, &residual);
@@ -150,7 +150,7 @@ impl VertexGraph {
     }
 
     /// Doubled area vectors of the triangles summed at each vertex.
-    fn area_vectors(&self, positions: &[Vec3]) -> Vec<Vec3> {
+    pub(crate) fn area_vectors(&self, positions: &[Vec3]) -> Vec<Vec3> {
         let mut sums = vec![Vec3::ZERO; positions.len()];
         for triangle in &self.triangles {
             let [a, b, c] = triangle.map(|v| positions[v as usize]);
@@ -182,7 +182,7 @@ impl VertexGraph {
     }
 
     /// Mean length of the edges.
-    fn mean_edge(&self, positions: &[Vec3]) -> f32 {
+    pub(crate) fn mean_edge(&self, positions: &[Vec3]) -> f32 {
         let length = |i: usize| {
             let lengths = self.around(i).iter().map(|&j| positions[i].distance(positions[j as usize]));
             f64::from(lengths.sum::<f32>())

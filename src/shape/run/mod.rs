@@ -6,21 +6,24 @@ use crate::fit::run::{FirstGuess, FitOptions, FitProgress, run_fit};
 use crate::material::{
     MAX_SPECULAR_LOBES, SpecularBlend, TexelIndex, recovered_albedo, recovered_materials, spawn_texels,
 };
+use crate::mesh::triangles::Mesh;
 use crate::pipeline::{Phase, Pipeline, Plugin, Slot};
 use crate::sample::pixel::PixelOf;
 use crate::sample::point::Scenery;
 use crate::sdf::SdfGrid;
 use crate::sdf::volume::{SdfSurface, TexelVolume};
 use crate::shape::field::{
-    BRICK_LEN, BrickAt, BrickGradient, BrickIndex, BrickMoments, BrickValues, SdfField, bricks_near_surface,
+    BRICK_LEN, BrickAt, BrickGradient, BrickIndex, BrickMoments, BrickValues, ModelError, SdfField,
+    bricks_near_surface,
 };
 use crate::shape::hull::{FORGIVEN, visual_hull};
 use crate::shape::repair::{regrow, reliable_pixels};
 use crate::shape::silhouette::{Silhouette, pixel_size};
 use crate::shape::silhouette_loss::{SilhouetteIndex, SilhouetteSample};
+use crate::shape::stereo::{StereoReport, StereoView, refine};
 use crate::shape::systems::{
     ShapeSchedule, align_silhouettes, hand_out_to_bricks, move_bricks, pull_back_silhouettes,
-    pull_back_to_field, recast_silhouettes, retrace_window,
+    pull_back_to_field, recast_silhouettes, retrace_window, sum_model_error,
 };
 use crate::view::{ByView, Camera, Photograph, Split, ViewIndex, ViewMask, ViewName};
 use bevy_ecs::prelude::{Component, Entity, IntoScheduleConfigs, With, World};
@@ -67,7 +70,7 @@ impl Plugin for ShapePlugin {
             .swap(
                 Phase::FitStep,
                 Slot::ShapeGradient,
-                (pull_back_to_field, pull_back_silhouettes, hand_out_to_bricks).chain(),
+                (sum_model_error, pull_back_to_field, pull_back_silhouettes, hand_out_to_bricks).chain(),
             )
             .swap(Phase::FitStep, Slot::ShapeUpdate, move_bricks);
     }
@@ -97,7 +100,7 @@ pub struct ShapeProgress<'a> {
     pub field: &'a SdfField,
 }
 
-/// Fits shape, light and material; the texels of the finest lattice stay in the world.
+/// Fits shape, light and material; the texels of the finest lattice stay in the world, with the [`ModelError`] of the last level.
 ///
 /// # Errors
 /// If the masks have no hull, or a fit fails.
@@ -163,6 +166,24 @@ fn fit_levels(
     }
     let volume = texels.map(|t| t.0).unwrap_or_else(|| TexelVolume::new(&grid, 1, 0.0));
     Ok(SdfSurface { grid, volume })
+}
+
+/// Moves the vertices of a mesh of the found surface to where the training photographs agree ([`stereo`](crate::shape::stereo)).
+/// Nothing moves without a [`ModelError`] in the world, which this removes.
+pub fn refine_by_stereo(
+    world: &mut World,
+    mesh: &mut Mesh,
+    go_on: impl FnMut(usize) -> ControlFlow<()>,
+) -> StereoReport {
+    let Some(error) = world.remove_resource::<ModelError>() else { return StereoReport::default() };
+    let mut query = world.query::<(&ViewIndex, &Camera, &Photograph, &ViewMask, &Split)>();
+    let mut train: Vec<_> = query.iter(world).filter(|(.., split)| **split == Split::Train).collect();
+    train.sort_by_key(|(index, ..)| **index);
+    let views: Vec<StereoView> = train
+        .into_iter()
+        .map(|(_, camera, photograph, mask, _)| StereoView { camera, photograph, mask: &mask.0 })
+        .collect();
+    refine(mesh, &views, &error, go_on)
 }
 
 fn half_side(grid: &SdfGrid) -> f32 {
@@ -254,6 +275,7 @@ fn enter(world: &mut World, surface: SdfSurface, schedule: ShapeSchedule) {
         .collect();
     world.spawn_batch(bricks);
     world.insert_resource(Scenery(Arc::new(surface.clone())));
+    world.insert_resource(ModelError::new(&surface.grid));
     world.insert_resource(SdfField::new(surface));
     world.insert_resource(schedule);
 }

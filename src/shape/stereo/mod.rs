@@ -1,0 +1,279 @@
+//! Stereo: moves a mesh to where neighboring photographs agree.
+//!
+//! Silhouettes show no hollows, and shading shows slopes rather than positions; a printed pattern even looks like slopes. Where
+//! photographs have texture, patches of neighboring views agree at the right depth only. Each view is compared with its neighbors
+//! at several depths around the mesh ([`mod@sweep`]), all views together vote for displacements of vertices ([`votes`]), and a thin
+//! plate carries these across places without votes ([`plate`]). Coarse pictures come first, then finer ones.
+//!
+//! A highlight moves over the surface from view to view, so that patches of a glossy object agree at wrong depths. Two things tell
+//! that apart: the model explains such photographs already, and the views contradict each other. Votes count only where neither
+//! holds, and an object of which that is true as a whole is left alone.
+//!
+//! | file | holds |
+//! | --- | --- |
+//! | [`picture`] | photographs in gray for matching, and which of them are neighbors |
+//! | [`mod@sweep`] | the search along rays: depth and trust per pixel |
+//! | [`votes`] | sums over views per vertex, and how far they are trusted |
+//! | [`plate`] | smooth displacements from votes |
+//!
+//! Sources: a search along rays with normalized cross-correlation, the best of several views (Goesele, Curless and Seitz, "Multi-View
+//! Stereo Revisited", CVPR 2006); displacements of a mesh with thin-plate smoothness (Vu et al., "High Accuracy and
+//! Visibility-Consistent Dense Multiview Stereo", PAMI 2012).
+
+pub mod picture;
+pub mod plate;
+pub mod sweep;
+pub mod votes;
+
+use crate::math::ray::Ray;
+use crate::mesh::bvh::TriangleBvh;
+use crate::mesh::triangles::Mesh;
+use crate::shape::field::ModelError;
+use crate::shape::silhouette::pixel_size;
+use crate::shape::vertices::VertexGraph;
+use crate::view::{Camera, Photograph, StoredMask};
+use glam::Vec3;
+use picture::{MatchPicture, neighbors};
+use plate::{Plate, bent, faired};
+use rayon::prelude::*;
+use std::ops::ControlFlow;
+use sweep::{Seen, Source, Sweep, cast, sweep};
+use votes::{LOCAL, Shell, Votes, gates, gather, median, object_gate, smooth_step};
+
+/// From coarse to fine: size of a pixel relative to the finest picture's, and the search around the mesh.
+pub(crate) const ROUNDS: [(u32, Sweep); 4] = [
+    (4, Sweep { steps: 3, step: 1.0 }),
+    (2, Sweep { steps: 3, step: 0.5 }),
+    (1, Sweep { steps: 3, step: 0.5 }),
+    (1, Sweep { steps: 2, step: 0.5 }),
+];
+/// Pixels of the finest pictures per edge of the mesh; finer ones show what the mesh cannot.
+const PIXELS_PER_EDGE: f32 = 5.0;
+/// Share of votes in what a vertex is seen by at which they count half.
+const HALF_SHARE: f32 = 0.1;
+/// How strongly each vertex is held where it is, in units of full trust.
+const HELD: f32 = 0.03;
+/// Weight of the squared Laplacian of displacements.
+const BENDING: f32 = 2.0;
+/// Weight of the squared Laplacian of positions, where votes are trusted.
+const FAIRNESS: f32 = 2.0;
+/// Largest displacement of a round, in mean edges.
+const REACH: f32 = 3.0;
+/// Largest part of the distance to the opposite side, within or across a gap, that a vertex moves in a round.
+const ROOM: f32 = 0.15;
+/// Height of a ray's start above the surface, relative to that reach.
+const LIFT: f32 = 0.02;
+/// Trust from which a vertex counts as one that follows its votes.
+const TRUSTED: f32 = 0.25;
+/// Chunks of views that are summed apart.
+const CHUNKS: usize = 16;
+/// Least cosine between the normals of a triangle before and after a move; others are folded.
+const LEAST_TURN: f32 = 0.3;
+/// Attempts to unfold triangles by halving the displacement of their corners.
+const UNFOLDINGS: usize = 4;
+
+/// A photograph with what is known of its view.
+#[derive(Clone, Copy)]
+pub struct StereoView<'a> {
+    /// Its camera.
+    pub camera: &'a Camera,
+    /// Linear radiance.
+    pub photograph: &'a Photograph,
+    /// The pixels that show the object.
+    pub mask: &'a StoredMask,
+}
+
+/// What [`refine`] did.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct StereoReport {
+    /// Fraction of the vertices whose votes were trusted in the last round, in [0, 1].
+    pub trusted: f32,
+    /// Root mean square of the displacement of all rounds, world units.
+    pub moved: f32,
+}
+
+/// Moves the vertices of `mesh` to where the photographs agree, where that is better known than by shading; `error` is what the
+/// shading leaves unexplained. `go_on` is asked before each round.
+pub fn refine(
+    mesh: &mut Mesh,
+    views: &[StereoView],
+    error: &ModelError,
+    mut go_on: impl FnMut(usize) -> ControlFlow<()>,
+) -> StereoReport {
+    let mut report = StereoReport::default();
+    let start = mesh.positions.clone();
+    let Some(finest) = finest_factor(mesh, views) else { return report };
+    let mut object = None;
+    for (round, (relative, search)) in ROUNDS.into_iter().enumerate() {
+        if go_on(round).is_break() {
+            break;
+        }
+        let factor = finest * relative;
+        let picture = |v: &StereoView| MatchPicture::new(v.camera, v.photograph, v.mask, factor);
+        let pictures: Vec<MatchPicture> = views.par_iter().filter_map(picture).collect();
+        report.trusted = refine_round(mesh, &pictures, error, search, &mut object);
+        if report.trusted == 0.0 {
+            break;
+        }
+    }
+    let squares = start.iter().zip(&mesh.positions).map(|(a, b)| f64::from(a.distance_squared(*b)));
+    report.moved = (squares.sum::<f64>() / start.len().max(1) as f64).sqrt() as f32;
+    report
+}
+
+/// How many times smaller than the photographs the finest pictures are; `None` without views or triangles.
+fn finest_factor(mesh: &Mesh, views: &[StereoView]) -> Option<u32> {
+    let (graph, positions) = VertexGraph::new(mesh);
+    let center = positions.iter().sum::<Vec3>() / positions.len().max(1) as f32;
+    let footprint = |v: &StereoView| pixel_size(v.camera) * v.camera.position().distance(center);
+    let footprint = median(views.iter().map(footprint).collect())?;
+    let factor = graph.mean_edge(&positions) / (PIXELS_PER_EDGE * footprint);
+    (!mesh.triangles.is_empty()).then(|| factor.round().max(1.0) as u32)
+}
+
+/// One round; returns the fraction of the vertices whose votes are trusted. `object` is how far stereo serves this object at all,
+/// from the first round.
+fn refine_round(
+    mesh: &mut Mesh,
+    pictures: &[MatchPicture],
+    error: &ModelError,
+    search: Sweep,
+    object: &mut Option<f32>,
+) -> f32 {
+    let bvh = TriangleBvh::new(mesh);
+    let shell = Shell::new(mesh);
+    let votes = all_votes(&bvh, &shell, pictures, search);
+    let gates = gates(&shell, &votes, error);
+    let object = *object.get_or_insert_with(|| object_gate(&gates));
+    if object == 0.0 {
+        return 0.0;
+    }
+    let trusted = |(v, gate): (&Votes, &f32)| object * smooth_step(*gate, LOCAL) * v.share(HALF_SHARE);
+    let trust: Vec<f32> = votes.iter().zip(&gates).map(trusted).collect();
+    let moved = moved_positions(&bvh, &shell, pictures, &votes, &trust);
+    put(mesh, &shell, &moved);
+    trust.iter().filter(|trust| **trust > TRUSTED).count() as f32 / trust.len().max(1) as f32
+}
+
+/// Where the votes bring the vertices.
+fn moved_positions(
+    bvh: &TriangleBvh,
+    shell: &Shell,
+    pictures: &[MatchPicture],
+    votes: &[Votes],
+    trust: &[f32],
+) -> Vec<Vec3> {
+    let Shell { graph, positions, normals } = shell;
+    let plate = |(v, trust): (&Votes, &f32)| Plate {
+        hold: trust + v.silhouette() + HELD,
+        pull: trust * v.displacement(),
+    };
+    let plates: Vec<Plate> = votes.iter().zip(trust).map(plate).collect();
+    let along = bent(graph, &plates, BENDING);
+    let reach = REACH * graph.mean_edge(positions);
+    let bent: Vec<Vec3> =
+        (0..positions.len()).map(|i| positions[i] + normals[i] * along[i].clamp(-reach, reach)).collect();
+    let wanted = faired(graph, &bent, trust, FAIRNESS);
+    let steps = within_room(bvh, positions, normals, &wanted, LIFT * reach);
+    let within: Vec<Vec3> = positions.iter().zip(&steps).map(|(p, step)| *p + *step).collect();
+    let within = within_silhouettes(pictures, shell, &within);
+    let steps = within.iter().zip(positions).map(|(to, from)| *to - *from).collect();
+    unfolded(graph, positions, steps)
+}
+
+/// The votes of all views.
+fn all_votes(bvh: &TriangleBvh, shell: &Shell, pictures: &[MatchPicture], search: Sweep) -> Vec<Votes> {
+    let (center, _) = bvh.bounding_sphere();
+    let seen: Vec<Vec<Seen>> = pictures.par_iter().map(|picture| cast(bvh, picture)).collect();
+    let of_views = |views: &[usize]| {
+        let mut votes = vec![Votes::default(); shell.positions.len()];
+        for &i in views {
+            let near = neighbors(pictures, i, center);
+            let sources: Vec<Source> =
+                near.iter().map(|&j| Source { picture: &pictures[j], seen: &seen[j] }).collect();
+            if let Some(found) = sweep(&pictures[i], &seen[i], &sources, center, search) {
+                gather(&mut votes, &pictures[i], &seen[i], &found, shell);
+            }
+        }
+        votes
+    };
+    // Chunks of fixed size, added in order: the same bits with any number of threads.
+    let all: Vec<usize> = (0..pictures.len()).collect();
+    let parts: Vec<Vec<Votes>> = all.par_chunks(all.len().div_ceil(CHUNKS).max(1)).map(of_views).collect();
+    let mut sums = vec![Votes::default(); shell.positions.len()];
+    for part in parts {
+        sums.iter_mut().zip(part).for_each(|(sum, votes)| sum.add(&votes));
+    }
+    sums
+}
+
+/// Displacements toward `wanted` that leave room to the opposite side; rays start `lift` away from the surface.
+fn within_room(
+    bvh: &TriangleBvh,
+    positions: &[Vec3],
+    normals: &[Vec3],
+    wanted: &[Vec3],
+    lift: f32,
+) -> Vec<Vec3> {
+    let step = |i: usize| {
+        let step = wanted[i] - positions[i];
+        let along = step.dot(normals[i]);
+        let direction = normals[i] * along.signum();
+        if along == 0.0 || direction == Vec3::ZERO {
+            return step;
+        }
+        let ray = Ray { origin: positions[i] + direction * lift, direction };
+        let room = bvh.nearest(&ray, 0.0).map_or(f32::INFINITY, |hit| ROOM * hit.distance);
+        step * (room / along.abs()).min(1.0)
+    };
+    (0..positions.len()).into_par_iter().map(step).collect()
+}
+
+/// Displacements that do not leave more silhouettes than the vertices did before; those that do are taken back.
+fn within_silhouettes(pictures: &[MatchPicture], shell: &Shell, wanted: &[Vec3]) -> Vec<Vec3> {
+    let missed = |point: Vec3| pictures.iter().filter(|picture| picture.misses(point)).count();
+    let kept = |i: usize| {
+        let (before, after) = (shell.positions[i], wanted[i]);
+        if missed(after) > missed(before) { before } else { after }
+    };
+    (0..wanted.len()).into_par_iter().map(kept).collect()
+}
+
+/// The moved positions; displacements that fold triangles are halved.
+fn unfolded(graph: &VertexGraph, positions: &[Vec3], mut steps: Vec<Vec3>) -> Vec<Vec3> {
+    let area = |at: &[Vec3], corners: &[u32; 3]| {
+        let [a, b, c] = corners.map(|v| at[v as usize]);
+        (b - a).cross(c - a)
+    };
+    let place = |steps: &[Vec3]| positions.iter().zip(steps).map(|(p, s)| *p + *s).collect::<Vec<Vec3>>();
+    let mut moved = place(&steps);
+    for _ in 0..UNFOLDINGS {
+        let mut folded = vec![false; positions.len()];
+        for corners in &graph.triangles {
+            let (before, after) = (area(positions, corners), area(&moved, corners));
+            let (least, turned) = (before.length() * after.length(), before.dot(after));
+            if turned < LEAST_TURN * least || after.length() < 0.1 * before.length() {
+                corners.iter().for_each(|&v| folded[v as usize] = true);
+            }
+        }
+        if !folded.contains(&true) {
+            break;
+        }
+        steps.iter_mut().zip(&folded).filter(|(_, folded)| **folded).for_each(|(step, _)| *step *= 0.5);
+        moved = place(&steps);
+    }
+    moved
+}
+
+/// Writes positions; normals turn as those of the triangles do.
+fn put(mesh: &mut Mesh, shell: &Shell, after: &[Vec3]) {
+    let areas = shell.graph.area_vectors(after);
+    for (vertex, of) in shell.graph.of.iter().map(|of| *of as usize).enumerate() {
+        mesh.positions[vertex] = after[of];
+        let normal = mesh.normals[vertex] + areas[of].normalize_or_zero() - shell.normals[of];
+        mesh.normals[vertex] = normal.try_normalize().unwrap_or(mesh.normals[vertex]);
+    }
+}
+
+#[cfg(test)]
+mod tests;

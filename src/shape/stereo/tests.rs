@@ -1,0 +1,132 @@
+use super::*;
+use crate::mesh::primitive::sphere_mesh;
+use crate::sdf::SdfGrid;
+use crate::view::{Image, Mask};
+use std::ops::ControlFlow::Continue;
+
+const SIZE: u32 = 160;
+
+/// A sphere of radius 1 with a fine pattern, without shading, as cameras around it see it.
+struct Pictures {
+    cameras: Vec<Camera>,
+    photographs: Vec<Photograph>,
+    masks: Vec<StoredMask>,
+}
+
+impl Pictures {
+    fn new() -> Self {
+        let cameras = Camera::around(60, 3.5, 40.0, SIZE).unwrap();
+        let (mut photographs, mut masks) = (Vec::new(), Vec::new());
+        for camera in &cameras {
+            let shown: Vec<Option<Vec3>> =
+                (0..SIZE * SIZE).map(|pixel| pattern(&camera.pixel_ray(pixel))).collect();
+            let pixels = shown.iter().map(|color| color.unwrap_or(Vec3::ZERO)).collect();
+            photographs.push(Photograph::of_image(&Image { width: SIZE, height: SIZE, pixels }));
+            let coverage = shown.iter().map(|color| f32::from(u8::from(color.is_some()))).collect();
+            masks.push(StoredMask::new(&Mask { width: SIZE, height: SIZE, coverage }));
+        }
+        Self { cameras, photographs, masks }
+    }
+
+    fn views(&self) -> Vec<StereoView<'_>> {
+        let parts = self.cameras.iter().zip(&self.photographs).zip(&self.masks);
+        parts.map(|((camera, photograph), mask)| StereoView { camera, photograph, mask }).collect()
+    }
+}
+
+fn pattern(ray: &Ray) -> Option<Vec3> {
+    let middle = -ray.origin.dot(ray.direction);
+    let root = middle * middle - ray.origin.length_squared() + 1.0;
+    let p = ray.origin + ray.direction * (middle - root.max(0.0).sqrt());
+    let waves = (31.0 * p.x).sin()
+        + (27.0 * p.y + 1.0).sin()
+        + (29.0 * p.z + 2.0).sin()
+        + (17.0 * (p.x + p.y - p.z)).sin();
+    (root > 0.0).then(|| Vec3::splat(0.3 + 0.06 * waves))
+}
+
+/// A sphere with bumps and dents of up to 3 % of its radius.
+fn bumpy() -> Mesh {
+    let mut mesh = sphere_mesh(Vec3::ZERO, 1.0).unwrap();
+    mesh.uvs = None;
+    for p in &mut mesh.positions {
+        *p *= 1.0 + 0.03 * (4.0 * p.x).sin() * (3.0 * p.y + 1.0).cos();
+    }
+    mesh
+}
+
+/// A model error of this size everywhere.
+fn error(squared: f32) -> ModelError {
+    let mut error = ModelError::new(&SdfGrid::from_fn(Vec3::ZERO, 1.3, 24, |p| p.length() - 1.0));
+    error.sums.fill([squared, 1.0]);
+    error
+}
+
+fn off(mesh: &Mesh) -> f32 {
+    mesh.positions.iter().map(|p| (p.length() - 1.0).abs()).sum::<f32>() / mesh.positions.len() as f32
+}
+
+#[test]
+fn a_mesh_moves_to_where_photographs_agree() {
+    let (pictures, mut mesh) = (Pictures::new(), bumpy());
+    let (before, triangles) = (off(&mesh), mesh.triangles.clone());
+    let report = refine(&mut mesh, &pictures.views(), &error(0.01), |_| Continue(()));
+    assert!(off(&mesh) < 0.25 * before, "{before} {} {report:?}", off(&mesh));
+    assert!(report.trusted > 0.5 && report.moved > 0.005);
+    assert_eq!(mesh.triangles, triangles);
+    assert!(mesh.normals.iter().all(|n| (n.length() - 1.0).abs() < 1e-4));
+    let turned = mesh.normals.iter().zip(&mesh.positions).map(|(n, p)| n.angle_between(*p));
+    assert!(turned.sum::<f32>() / (mesh.normals.len() as f32) < 0.1);
+}
+
+#[test]
+fn a_mesh_stays_where_the_model_explains_the_photographs() {
+    let (pictures, mut mesh) = (Pictures::new(), bumpy());
+    let before = mesh.clone();
+    let report = refine(&mut mesh, &pictures.views(), &error(1e-5), |_| Continue(()));
+    assert_eq!(report, StereoReport::default());
+    assert_eq!(mesh, before);
+}
+
+#[test]
+fn bits_do_not_depend_on_the_number_of_threads() {
+    let pictures = Pictures::new();
+    let refined = |threads: usize| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let mut mesh = bumpy();
+        pool.install(|| refine(&mut mesh, &pictures.views(), &error(0.01), |_| Continue(())));
+        mesh
+    };
+    assert_eq!(refined(1), refined(3));
+}
+
+#[test]
+fn nothing_moves_without_views_or_when_stopped() {
+    let (pictures, mut mesh) = (Pictures::new(), bumpy());
+    let before = mesh.clone();
+    assert_eq!(refine(&mut mesh, &[], &error(0.01), |_| Continue(())), StereoReport::default());
+    assert_eq!(refine(&mut mesh, &pictures.views(), &error(0.01), |_| ControlFlow::Break(())).moved, 0.0);
+    assert_eq!(mesh, before);
+}
+
+#[test]
+fn a_thin_plate_is_not_pushed_through_itself() {
+    // Two sheets 0.02 apart; both are to move 0.1 toward each other.
+    let corner = |x: f32, y: f32, z: f32| Vec3::new(x, y, z);
+    let positions = vec![
+        corner(-1.0, -1.0, 0.01),
+        corner(1.0, -1.0, 0.01),
+        corner(0.0, 1.0, 0.01),
+        corner(-1.0, -1.0, -0.01),
+        corner(1.0, -1.0, -0.01),
+        corner(0.0, 1.0, -0.01),
+    ];
+    let normals: Vec<Vec3> = positions.iter().map(|p| Vec3::Z * p.z.signum()).collect();
+    let triangles = vec![[0, 1, 2], [3, 5, 4]];
+    // Inset, so that the rays of corners meet the other sheet.
+    let start: Vec<Vec3> = positions.iter().map(|p| Vec3::new(0.9 * p.x, 0.9 * p.y - 0.02, p.z)).collect();
+    let bvh = TriangleBvh::new(&Mesh { positions, normals: normals.clone(), uvs: None, triangles });
+    let wanted: Vec<Vec3> = start.iter().zip(&normals).map(|(p, n)| *p - *n * 0.1).collect();
+    let steps = within_room(&bvh, &start, &normals, &wanted, 1e-4);
+    assert!(steps.iter().all(|step| (step.length() - ROOM * 0.0199).abs() < 1e-5), "{steps:?}");
+}
