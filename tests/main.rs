@@ -2,7 +2,7 @@
 //!
 //! | theme | files |
 //! | --- | --- |
-//! | runs of the command | [`run`], [`photos`], [`gloss`], [`ggx`], [`scale`], [`export`], [`shown`], [`env`], [`scores`] |
+//! | runs of the command | [`run`], [`photos`], [`gloss`], [`ggx`], [`scale`], [`light_frame`], [`export`], [`shown`], [`env`], [`scores`] |
 //! | what is refused, and how | [`bad_input`], [`check`], [`hostile`], [`scene_errors`] |
 //! | systems in a world, pictures | [`ecs`], [`swap`], [`visibility`], [`frames`] |
 //! | the documentation, the layers of the code | [`docs`], [`rooms`] |
@@ -19,6 +19,7 @@ mod frames;
 mod ggx;
 mod gloss;
 mod hostile;
+mod light_frame;
 mod photos;
 mod rooms;
 mod run;

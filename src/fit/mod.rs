@@ -4,7 +4,7 @@
 //! | --- | --- |
 //! | [`run`] | a whole fit: settings, plugin, loop |
 //! | [`observe`] | the Prepare phase: the pool of observed pixels |
-//! | `initialization` | amplitudes and albedo before the first step, by linear least squares |
+//! | `initialization` | amplitudes and albedo before the first step, by linear least squares; the frame in which the light stands still |
 //! | [`systems`], [`loss`], [`adam`] | the systems of the stages, the image loss, the optimizer |
 //! | [`roughness`] | roughness that varies over the surface |
 //! | [`scale`], [`exposure`], [`cameras`] | further unknowns: the scale between light and albedo, exposures, cameras |
@@ -21,3 +21,5 @@ pub mod roughness;
 pub mod run;
 pub mod scale;
 pub mod systems;
+
+pub use initialization::frame::{FramesTried, ObjectTurned};

@@ -5,6 +5,7 @@ use super::components::{
     StepGradient, StepRates, TexelSeen, Unknowns,
 };
 use super::exposure::{Exposures, find_exposures};
+use super::initialization::frame::find_light_frame;
 use super::initialization::initialize_light_and_albedo;
 use super::loss::{Loss, LossSums};
 use super::observe::{
@@ -20,6 +21,7 @@ use super::systems::{
 };
 use crate::error::Result;
 use crate::light::LightLobe;
+use crate::light::frame::{LightFrame, OwnLightFrame};
 use crate::light::lights::{LightChoice, LobeOf, provide_light};
 use crate::material::source::{PlainBlends, Recovered};
 use crate::material::{SpecularLobe, recovered_materials, texels_in_order};
@@ -66,6 +68,8 @@ pub struct FitOptions {
     pub exposure: bool,
     /// The rule for the scale between light and albedo, if both are unknown.
     pub scale: ScaleRule,
+    /// The frame in which the light stands still; `None`: found with the first guess of the light, and kept after that.
+    pub light_frame: Option<LightFrame>,
 }
 
 impl Default for FitOptions {
@@ -85,6 +89,7 @@ impl Default for FitOptions {
             visibility: false,
             exposure: false,
             scale: ScaleRule::default(),
+            light_frame: Some(LightFrame::World),
         }
     }
 }
@@ -244,6 +249,11 @@ fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
         albedo: options.unknowns.albedo && options.guess.albedo,
         ..options.unknowns
     };
+    match options.light_frame {
+        Some(frame) => pipeline.world.insert_resource(OwnLightFrame(frame)),
+        None if unknowns.light => find_light_frame(&mut pipeline.world, unknowns, options.form)?,
+        None => {}
+    }
     initialize_light_and_albedo(&mut pipeline.world, unknowns, options.form, shadowed)?;
     if unknowns.light && unknowns.albedo {
         start_scale(&mut pipeline.world, options.scale)?;

@@ -19,6 +19,7 @@ use crate::pipeline::SystemResult;
 use crate::sample::Samples;
 use crate::sample::pixel::{Observed, PixelOf};
 use crate::sample::point::{PointBlend, SurfacePoint};
+use crate::sample::turn::LightTurns;
 use crate::shade::systems::kernel_materials;
 use crate::visibility::WindowVisibility;
 use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut};
@@ -51,8 +52,8 @@ type PullBackColumns = (
     &'static ShadePoint,
     &'static PointBlend,
     &'static PointVisibility,
-    &'static Layers,
-    &'static RadianceAdjoint,
+    (&'static Layers, &'static RadianceAdjoint),
+    &'static PixelOf,
     &'static mut PointAdjoint,
 );
 
@@ -64,9 +65,10 @@ pub fn pull_back_radiance(form: ClosedForm) -> ScheduleConfigs<ScheduleSystem> {
                        visibility: Option<Res<WindowVisibility>>,
                        mut gradient: ResMut<StepGradient>,
                        mut blend_adjoints: ResMut<BlendAdjoints>,
+                       turns: LightTurns,
                        samples: Samples<PullBackColumns>|
           -> SystemResult {
-        let (points, blends, seen, shaded, adjoint, mut back) = samples.columns()?;
+        let (points, blends, seen, (shaded, adjoint), pixels, mut back) = samples.columns()?;
         let visibility = visibility.as_ref().and_then(|visibility| visibility.view(&seen));
         let lighting = Lighting { lobes: &light.lobes, visibility };
         let gradient = &mut *gradient;
@@ -77,17 +79,24 @@ pub fn pull_back_radiance(form: ClosedForm) -> ScheduleConfigs<ScheduleSystem> {
             form.shade_adjoint(&points, &material, lighting, radiance, &mut back, &mut gradient.shared);
             gradient.specular.clear();
             gradient.specular.push(gradient.shared.specular);
-            return Ok(());
+        } else {
+            let samples = BlendedSamples {
+                points: &points,
+                blends: &blends,
+                seen: &seen,
+                shaded: &shaded,
+                adjoint: &adjoint,
+            };
+            let adjoints = &mut blend_adjoints.0;
+            pull_back_blended(form, &samples, &kernel_materials, lighting, &mut back, gradient, adjoints);
         }
-        let samples = BlendedSamples {
-            points: &points,
-            blends: &blends,
-            seen: &seen,
-            shaded: &shaded,
-            adjoint: &adjoint,
-        };
-        let adjoints = &mut blend_adjoints.0;
-        pull_back_blended(form, &samples, &kernel_materials, lighting, &mut back, gradient, adjoints);
+        // Normals were rotated into the light's frame.
+        let turns = turns.table();
+        for (back, pixel) in back.iter_mut().zip(&*pixels) {
+            if let Some(turn) = turns.of(pixel.view) {
+                back.normal = (turn.transpose() * Vec3::from(back.normal)).into();
+            }
+        }
         Ok(())
     };
     system.into_configs()

@@ -6,17 +6,21 @@
 //!
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |
-//! | [`provide_light`] | Gather, `Slot::Light` | [`LightLobe`], [`LobeOf`], [`LightName`], [`LightMap`] | [`IncidentLight`] |
+//! | [`provide_light`] | Gather, `Slot::Light` | [`LightLobe`], [`LobeOf`], [`LightName`], [`LightMap`], [`LightFrame`], [`OwnLightFrame`] | [`IncidentLight`] |
 
+use super::frame::{LightFrame, OwnLightFrame, PictureRotation};
 use super::illuminate::{LobeLight, MapLight};
-use super::{LightLobe, kernel_lobe};
+use super::{LightLobe, kernel_lobe, rotate_lobes};
 use crate::error::{Error, Result};
 use crate::math::ray::Illuminate;
 use crate::math::shading::LobeColumns;
 use crate::pipeline::SystemResult;
-use bevy_ecs::prelude::{Component, Entity, IntoScheduleConfigs, Query, ResMut, Resource, Without, World};
+use bevy_ecs::prelude::{
+    Component, Entity, IntoScheduleConfigs, Query, Res, ResMut, Resource, Without, World,
+};
 use bevy_ecs::schedule::ScheduleConfigs;
 use bevy_ecs::system::{ScheduleSystem, SystemParam};
+use glam::{Mat3, Quat};
 use std::sync::Arc;
 
 /// Name of a light other than the scene's own.
@@ -47,6 +51,10 @@ pub struct IncidentLight {
     pub entities: Vec<Entity>,
     /// The same light in a form that can be sampled, for path tracing.
     pub distant: Option<Arc<dyn Illuminate>>,
+    /// The frame of the lobes, for samples of several views. A picture's light is in the world, turned as its camera has it.
+    pub frame: LightFrame,
+    /// The rotation from the light's frame into the world that the lobes have had already.
+    pub turn: Mat3,
 }
 
 /// The active light.
@@ -69,6 +77,9 @@ pub struct Lights<'w, 's> {
     own_map: Query<'w, 's, &'static LightMap, Without<LightName>>,
     named: Query<'w, 's, (&'static LightName, &'static LobesOf, Option<&'static LightMap>)>,
     lobes: Query<'w, 's, (Entity, &'static LightLobe), bevy_ecs::prelude::With<LobeOf>>,
+    own_frame: Option<Res<'w, OwnLightFrame>>,
+    frames: Query<'w, 's, (&'static LightName, &'static LightFrame)>,
+    picture: Option<Res<'w, PictureRotation>>,
 }
 
 impl Lights<'_, '_> {
@@ -93,16 +104,39 @@ impl Lights<'_, '_> {
     }
 }
 
+impl Lights<'_, '_> {
+    /// The frame of the lobes of a light after a rotation into the world, and that rotation.
+    fn placed(&self, choice: &LightChoice) -> (LightFrame, Mat3) {
+        // Other lights stand in the world, if they do not say otherwise: a relit object turns under them.
+        let frame = match choice {
+            LightChoice::Own => self.own_frame.as_deref().map(|own| own.0),
+            LightChoice::Named(name) => {
+                self.frames.iter().find(|(of, _)| of.0 == *name).map(|(_, frame)| *frame)
+            }
+        };
+        let frame = frame.unwrap_or_default();
+        match &self.picture {
+            Some(picture) => (LightFrame::World, frame.light_from_world(picture.0).transpose()),
+            None => (frame, Mat3::IDENTITY),
+        }
+    }
+}
+
 /// For [`Slot::Light`](crate::pipeline::Slot::Light): selects the active light. With `by_map`, path tracing samples its map, if it has
 /// one; closed forms always use its lobes.
 pub fn provide_light(choice: LightChoice, by_map: bool) -> ScheduleConfigs<ScheduleSystem> {
     let system = move |lights: Lights, mut light: ResMut<IncidentLight>| -> SystemResult {
         let (lobes, map) = lights.of(&choice)?;
-        let lobes_only: Vec<LightLobe> = lobes.iter().map(|(_, lobe)| *lobe).collect();
+        let mut lobes_only: Vec<LightLobe> = lobes.iter().map(|(_, lobe)| *lobe).collect();
+        (light.frame, light.turn) = lights.placed(&choice);
+        if light.turn != Mat3::IDENTITY {
+            lobes_only = rotate_lobes(&lobes_only, Quat::from_mat3(&light.turn));
+        }
         light.entities = lobes.iter().map(|(entity, _)| *entity).collect();
         light.lobes = LobeColumns::from_lobes(lobes_only.iter().map(kernel_lobe));
         light.distant = Some(match map.filter(|_| by_map) {
-            Some(map) => map,
+            Some(map) if light.turn == Mat3::IDENTITY => map,
+            Some(map) => Arc::new(MapLight::new(map.map().rotated(Quat::from_mat3(&light.turn)))),
             None => Arc::new(LobeLight::new(&lobes_only)),
         });
         Ok(())

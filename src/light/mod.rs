@@ -3,6 +3,7 @@
 //! | module | holds |
 //! | --- | --- |
 //! | [`convention`] | orientation of maps in other programs |
+//! | [`frame`] | the frame in which a light stands still: the world's, the camera's or a turntable's |
 //! | [`envmap`] | the latitude-longitude grid: directions, solid angles, bilinear look-up, rotation |
 //! | [`illuminate`] | [`Illuminate`] for a map and for lobes, both with importance sampling |
 //! | [`lights`] | lobes and named lights as entities, and the system in `Slot::Light` |
@@ -30,6 +31,7 @@
 //! | `white` | `bool` | | false | gray lobes, fitted to the map's luminance |
 pub mod convention;
 pub mod envmap;
+pub mod frame;
 pub mod illuminate;
 pub mod lights;
 pub mod map_fit;

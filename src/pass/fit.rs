@@ -83,6 +83,7 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     let summary = summary?;
     session.guess = FirstGuess::NONE;
     bar.finish_and_clear();
+    session.report_light_frame(&pass.name);
     let known = !options.unknowns.light || !options.unknowns.albedo;
     let scale = scale_found(session, if known { "Known".to_owned() } else { options.scale.words() })?;
     let unseen = fill_texels(session)?;
@@ -153,6 +154,7 @@ fn options(session: &mut Session, pass: &FitPass) -> Result<FitOptions> {
         visibility: pass.shading == FitShading::Accurate && session.has_visibility()?,
         exposure: pass.exposure,
         scale: session.scene.scale,
+        light_frame: session.light_frame(),
     })
 }
 

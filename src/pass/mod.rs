@@ -35,6 +35,7 @@ pub use interrupt::{INTERRUPTED, check_interrupted};
 pub use session::{Lights, MOST_VISIBILITY_BYTES, Session};
 
 use crate::error::{Error, Result};
+use crate::fit::ObjectTurned;
 use crate::fit::run::{FirstGuess, FitPlugin};
 use crate::mesh::Surface;
 use crate::pipeline::Pipeline;
@@ -80,6 +81,9 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
         None => Cow::Borrowed(&loaded.scene),
     };
     let mut session = open(&scene, views, options, progress, photograph::take, use_of(&scene))?;
+    if survey.is_some_and(|survey| survey.is_turntable()) {
+        session.pipeline.world.insert_resource(ObjectTurned);
+    }
     for pass in &scene.passes {
         match pass {
             Pass::Fit(pass) => fit::run(&mut session, pass)?,

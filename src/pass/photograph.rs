@@ -2,6 +2,7 @@
 
 use crate::codec::frame::Frame;
 use crate::error::Result;
+use crate::light::frame::LightFrame;
 use crate::light::lights::{LightChoice, provide_light, spawn_light};
 use crate::material::edit::MaterialState;
 use crate::material::shown::{show_edited, spawn_material};
@@ -31,6 +32,7 @@ pub struct TrueObject {
     pipeline: Pipeline,
     surface: Arc<Surface>,
     light: LoadedLight,
+    light_frame: LightFrame,
     max_bounces: u32,
 }
 
@@ -52,7 +54,13 @@ impl TrueObject {
         apply_edits(&mut material, &spec.truth.edits, surface)?;
         spawn_material(&mut pipeline.world, &material);
         let light = load_light(&spec.truth.light)?;
-        Ok(Self { pipeline, surface: surface.clone(), light, max_bounces: spec.max_bounces })
+        Ok(Self {
+            pipeline,
+            surface: surface.clone(),
+            light,
+            light_frame: spec.truth.light_frame,
+            max_bounces: spec.max_bounces,
+        })
     }
 
     /// Path-traced pictures of the true object, optionally under another light or with edits.
@@ -68,9 +76,11 @@ impl TrueObject {
         seed: u64,
         mut done: impl FnMut(),
     ) -> Result<Vec<Frame>> {
+        let frame = light.map_or(self.light_frame, |_| LightFrame::World);
         let light = light.unwrap_or(&self.light);
         spawn_edits(&mut self.pipeline.world, TRUTH, edits, &self.surface)?;
-        spawn_light(&mut self.pipeline.world, TRUTH, &light.lobes, light.map.clone());
+        let spawned = spawn_light(&mut self.pipeline.world, TRUTH, &light.lobes, light.map.clone());
+        self.pipeline.world.entity_mut(spawned).insert(frame);
         let choice = LightChoice::Named(TRUTH.to_owned());
         self.pipeline.swap(Phase::Frame, Slot::Material, show_edited(TRUTH)).swap(
             Phase::Frame,

@@ -8,6 +8,7 @@ use crate::codec::nearby::missing_file_help;
 use crate::codec::npy::{NpyConvention, write_lobes};
 use crate::error::{Error, Result};
 use crate::fit::cameras::CameraFit;
+use crate::light::frame::OwnLightFrame;
 use crate::light::lights::own_lobes;
 use crate::material::edit::MaterialState;
 use crate::material::{SpecularBlend, SpecularLobe};
@@ -42,6 +43,9 @@ pub fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
     texture.insert_triple(["R", "G", "B"], &colors);
     write_channels(folder.join("albedo.exr"), &texture)?;
     let light = save_light(session, pass.of.as_deref(), &folder)?;
+    let relit = session.pass_named(pass.of.as_deref()).is_some_and(|of| of.light().is_some());
+    let own = session.pipeline.world.get_resource::<OwnLightFrame>().filter(|_| !relit);
+    let frame = own.map(|own| own.0).unwrap_or_default();
     let specular = save_materials(&material, surface.atlas(), &folder)?;
     let saved = Scene {
         surface: SurfaceSpec::Mesh {
@@ -51,6 +55,7 @@ pub fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
         },
         views: saved_views(session)?,
         light: Light::Fixed(light),
+        light_frame: frame.into(),
         material: Material { albedo: Albedo::Fixed(AlbedoSource::Texture("albedo.exr".into())), ..specular },
         passes: session.scene.passes.iter().filter(|pass| matches!(pass, Pass::Render(_))).cloned().collect(),
         ..session.scene.clone()

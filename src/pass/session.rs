@@ -1,7 +1,9 @@
 //! What the passes of one run share.
 
 use crate::error::{Error, Result};
+use crate::fit::FramesTried;
 use crate::fit::run::FirstGuess;
+use crate::light::frame::{LightFrame, OwnLightFrame};
 use crate::mesh::Surface;
 use crate::pass::photograph::TrueObject;
 use crate::pass::progress::Progress;
@@ -104,6 +106,30 @@ impl Session<'_> {
 }
 
 impl<'a> Session<'a> {
+    /// The frame in which the scene's own light stands still; `None` if a fit is to find it.
+    pub fn light_frame(&self) -> Option<LightFrame> {
+        self.scene.light_frame.frame(&self.scene.light)
+    }
+
+    /// Says which frame the pass found the light to stand still in, if it looked for it.
+    pub(super) fn report_light_frame(&mut self, pass: &str) {
+        let world = &mut self.pipeline.world;
+        let Some(FramesTried(tried)) = world.remove_resource::<FramesTried>() else { return };
+        let frame = world.get_resource::<OwnLightFrame>().map(|own| own.0).unwrap_or_default();
+        self.scores.light_frame = ron::to_string(&frame).ok();
+        let error = |of: LightFrame| tried.iter().find(|(frame, _)| *frame == of).map(|(_, error)| *error);
+        if let (Some(own), Some(world)) = (error(frame), error(LightFrame::World)) {
+            let found = frame.words();
+            let beside = match frame {
+                LightFrame::World => String::new(),
+                _ => format!(
+                    " (error of the first guess {own:.4}; as one that stands around the object {world:.4})"
+                ),
+            };
+            self.progress.print(&format!("{pass}: the light {found}{beside}"));
+        }
+    }
+
     /// The pass of this name.
     pub fn pass_named(&self, name: Option<&str>) -> Option<&'a Pass> {
         self.scene.passes.iter().find(|pass| Some(pass.name()) == name)

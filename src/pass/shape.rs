@@ -72,6 +72,7 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     })?;
     bar.finish_and_clear();
     failure.map_or(Ok(()), Err)?;
+    session.report_light_frame(&pass.name);
     let guessed = std::mem::replace(&mut session.guess, FirstGuess::NONE);
     let mut mesh = extract_mesh(&surface.grid);
     if pass.stereo {
@@ -117,6 +118,7 @@ fn options(session: &Session, pass: &ShapePass) -> ShapeOptions {
             exposure: pass.exposure,
             // Without shadows, dark regions would bias the color of the highlights.
             scale: ScaleRule::Free,
+            light_frame: session.light_frame(),
         },
         cameras: pass.cameras,
     }

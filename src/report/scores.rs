@@ -148,6 +148,9 @@ pub struct Scores {
     /// The scale between light and albedo after the last fit; `null` if nothing is fitted.
     #[serde(default)]
     pub scale: Option<ScaleFound>,
+    /// The frame in which a fit found the light to stand still, as a scene file writes it; `null` if none was looked for.
+    #[serde(default)]
+    pub light_frame: Option<String>,
     /// Time of all fits, seconds.
     pub fit_secs: Option<f64>,
     /// Largest resident memory of the process so far, MiB.

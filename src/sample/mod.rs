@@ -5,12 +5,14 @@
 //! | [`pixel`] | the pixel of a sample, its ray, its radiance in the photograph; the [`Window`] of a run |
 //! | [`observation`] | the pool of all pixels that a fit may visit |
 //! | [`point`] | its surface point; the [`Scenery`](point::Scenery) that rays are cast against |
+//! | [`turn`] | rotations of views for a light that does not stand still in the world |
 //! | [`bundle`] | all columns of a sample, for rendering and for fitting |
 
 pub mod bundle;
 pub mod observation;
 pub mod pixel;
 pub mod point;
+pub mod turn;
 
 use crate::error::Result;
 use crate::pipeline::pool::{Columns, Pool};

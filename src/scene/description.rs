@@ -5,7 +5,7 @@
 
 use crate::fit::scale::ScaleRule;
 use crate::scene::defaults::y_axis;
-use crate::scene::light::Light;
+use crate::scene::light::{Light, LightFrameChoice};
 use crate::scene::material::Material;
 use crate::scene::passes::Pass;
 use crate::scene::surface::Surface;
@@ -37,6 +37,9 @@ pub struct Scene {
     /// The light around the object. Default `Unknown(lobes: 128)`.
     #[serde(default)]
     pub light: Light,
+    /// In which frame the light stands still. Default `Auto`: found from the photographs, if the light is unknown.
+    #[serde(default)]
+    pub light_frame: LightFrameChoice,
     /// The object's material. Default: all unknown.
     #[serde(default)]
     pub material: Material,

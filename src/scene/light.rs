@@ -3,6 +3,7 @@
 use crate::codec::npy::NpyConvention;
 use crate::light::LightLobe;
 use crate::light::convention::MapConvention;
+use crate::light::frame::LightFrame;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;
@@ -21,6 +22,44 @@ pub enum Light {
 impl Default for Light {
     fn default() -> Self {
         Self::Unknown(UnknownLight::default())
+    }
+}
+
+/// In which frame the light stands still.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub enum LightFrameChoice {
+    /// The first fit of an unknown light finds it from the photographs; a light that is given stands in the world.
+    #[default]
+    Auto,
+    /// The world: the camera goes around the object.
+    World,
+    /// The camera: the object turns on a turntable before one camera, or lamps move with the camera. The light's x, y and z are right, up
+    /// and backward in the picture.
+    Camera,
+    /// A turntable with this axis (not zero, in the world) before a camera that is raised or tilted between rounds:
+    /// `Turntable(0, 1, 0)`.
+    Turntable(Vec3),
+}
+
+impl LightFrameChoice {
+    /// The frame; `None` if a fit is to find it.
+    pub fn frame(self, light: &Light) -> Option<LightFrame> {
+        match self {
+            Self::Auto if matches!(light, Light::Unknown(_)) => None,
+            Self::Auto | Self::World => Some(LightFrame::World),
+            Self::Camera => Some(LightFrame::Camera),
+            Self::Turntable(axis) => Some(LightFrame::Turntable(axis)),
+        }
+    }
+}
+
+impl From<LightFrame> for LightFrameChoice {
+    fn from(frame: LightFrame) -> Self {
+        match frame {
+            LightFrame::World => Self::World,
+            LightFrame::Camera => Self::Camera,
+            LightFrame::Turntable(axis) => Self::Turntable(axis),
+        }
     }
 }
 

@@ -31,7 +31,7 @@ pub use description::{Scene, VERSION};
 pub use edit::{ColorAction, DiffuseAction, Edit, Region, ScalarAction};
 pub use evaluate::{EvaluatePass, LayerTruth, Score, ScoreScale, Truth};
 pub use fit::{FitPass, FitShading, GridLevel, Rates, ShapePass};
-pub use light::{Light, LightSource, UnknownLight};
+pub use light::{Light, LightFrameChoice, LightSource, UnknownLight};
 pub use load::{LoadOptions, LoadedScene, load, to_ron};
 pub use material::{Albedo, AlbedoSource, Gloss, Material, Roughness, Specular, SpecularAlbedo};
 pub use output::{ExportPass, MeshFormat, SavePass};

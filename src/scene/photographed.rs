@@ -2,6 +2,7 @@
 //!
 //! Conventions as in [`description`](crate::scene::description).
 
+use crate::light::frame::LightFrame;
 use crate::material::SpecularLobe;
 use crate::scene::defaults::{fov_degrees, y_axis};
 use crate::scene::edit::Edit;
@@ -60,6 +61,9 @@ pub struct TruthObject {
     pub specular: SpecularLobe,
     /// The light.
     pub light: LightSource,
+    /// The frame in which it stands still, as `light_frame` of the scene. Default `World`.
+    #[serde(default)]
+    pub light_frame: LightFrame,
     /// What else is done to the material: regions of other colour or gloss. Default [].
     #[serde(default)]
     pub edits: Vec<Edit>,

@@ -3,6 +3,7 @@
 use super::systems::{gather_blends, gather_points, shade_closed_form};
 use crate::codec::frame::{BLOCK_ROWS, FRAME_PIXEL_BYTES, Frame};
 use crate::error::{Error, Result};
+use crate::light::frame::PictureRotation;
 use crate::light::lights::{IncidentLight, LightChoice, provide_light};
 use crate::material::shown::{mark_material_changed, show_recovered};
 use crate::material::source::{
@@ -228,6 +229,7 @@ fn spawn_pool(world: &mut World, camera: &Camera, samples: usize) {
 /// Renders the rows of `target`, tile by tile.
 fn render_rows(pipeline: &mut Pipeline, target: FrameTarget) -> Result<FrameTarget> {
     let samples = target.samples();
+    pipeline.world.insert_resource(PictureRotation(target.camera.world_from_camera.matrix3.into()));
     pipeline.world.insert_resource(target);
     // Tiles begin at the same samples of the picture whatever the rows: a sample has the same place in the pool, and with it the same
     // random numbers, in any band.
@@ -238,6 +240,7 @@ fn render_rows(pipeline: &mut Pipeline, target: FrameTarget) -> Result<FrameTarg
         pipeline.world.resource_mut::<Window>().0 = samples.start.max(cursor) - cursor..end - cursor;
         pipeline.run(Phase::Frame)
     });
+    pipeline.world.remove_resource::<PictureRotation>();
     let target = pipeline.world.remove_resource::<FrameTarget>().expect("it was inserted above");
     outcome.map(|()| target)
 }

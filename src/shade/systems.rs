@@ -15,11 +15,13 @@ use crate::pipeline::pool::Columns;
 use crate::sample::Samples;
 use crate::sample::pixel::{PixelOf, SampleIndex, ViewRay};
 use crate::sample::point::{PointBlend, Scenery, SurfacePoint};
+use crate::sample::turn::LightTurns;
 use crate::shade::path_tracer::{PathEstimate, PathPoint, PathQuery, PathScene, PathSettings, shade_points};
 use crate::visibility::WindowVisibility;
 use bevy_ecs::prelude::{IntoScheduleConfigs, Res};
 use bevy_ecs::schedule::ScheduleConfigs;
 use bevy_ecs::system::ScheduleSystem;
+use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 
 /// Settings of path tracing.
@@ -45,18 +47,29 @@ pub fn kernel_materials(materials: &BaseMaterials) -> Vec<(usize, SpecularValue)
     materials.by_number().map(|(number, lobe)| (number, kernel_specular(lobe))).collect()
 }
 
-/// Gather: interpolates the texels of a material at each surface point into the inputs of shading.
+/// Gather: interpolates the texels of a material at each surface point into the inputs of shading, in the light's frame.
 pub fn gather_points<M: MaterialSource>(
     texels: Texels<&M::Albedo>,
-    samples: Samples<(&SurfacePoint, &ViewRay, &mut ShadePoint)>,
+    turns: LightTurns,
+    samples: Samples<(&SurfacePoint, &ViewRay, &PixelOf, &mut ShadePoint)>,
 ) -> SystemResult {
     let texels = texels.columns()?;
-    let (points, rays, mut gathered) = samples.columns()?;
-    let inputs = points.par_iter().zip(&*rays).with_min_len(1024);
-    gathered.par_iter_mut().zip(inputs).for_each(|(out, (point, ray))| {
+    let turns = turns.table();
+    let (points, rays, pixels, mut gathered) = samples.columns()?;
+    let inputs = points.par_iter().zip(&*rays).zip(&*pixels).with_min_len(1024);
+    gathered.par_iter_mut().zip(inputs).for_each(|(out, ((point, ray), pixel))| {
         *out = gather_point(point, ray, &texels);
+        if let Some(turn) = turns.of(pixel.view) {
+            *out = turned(out, turn);
+        }
     });
     Ok(())
+}
+
+/// A point with its directions rotated into the light's frame.
+pub fn turned(point: &ShadePoint, light_from_world: Mat3) -> ShadePoint {
+    let turned = |direction: [f32; 3]| (light_from_world * Vec3::from(direction)).into();
+    ShadePoint { normal: turned(point.normal), to_viewer: turned(point.to_viewer), ..*point }
 }
 
 fn gather_point<A: AlbedoColumn>(point: &SurfacePoint, ray: &ViewRay, texels: &[A]) -> ShadePoint {
@@ -64,7 +77,7 @@ fn gather_point<A: AlbedoColumn>(point: &SurfacePoint, ray: &ViewRay, texels: &[
         return ShadePoint::default();
     }
     let address = &point.texels;
-    let albedo: glam::Vec3 =
+    let albedo: Vec3 =
         (0..4).map(|i| texels[address.indices[i] as usize].albedo() * address.weights[i]).sum();
     ShadePoint { normal: point.normal.into(), to_viewer: (-ray.0.direction).into(), albedo: albedo.into() }
 }

@@ -12,6 +12,7 @@ pub use surface::{SurfaceUse, make_surface};
 use crate::error::Result;
 use crate::fit::components::Unknowns;
 use crate::light::LightLobe;
+use crate::light::frame::OwnLightFrame;
 use crate::light::lights::LightMap;
 use crate::material::{SpecularBlend, SpecularLobe, spawn_materials, spawn_texels};
 use crate::mesh::Surface;
@@ -50,6 +51,7 @@ pub fn spawn(
     world.insert_resource(Scenery(surface.clone()));
     world.insert_resource(unknowns(scene));
     spawn_views(world, views);
+    world.insert_resource(OwnLightFrame(scene.light_frame.frame(&scene.light).unwrap_or_default()));
     world.spawn_batch(lobes);
     if let Some(map) = light.and_then(|light| light.map.clone()) {
         world.spawn(LightMap(map));

@@ -54,6 +54,11 @@ pub struct Survey {
 }
 
 impl Survey {
+    /// Whether the cameras lie on rings and the background says that the object turned before them.
+    pub fn is_turntable(&self) -> bool {
+        turntable::is_turntable(self.arrangement.as_ref(), self.background)
+    }
+
     /// Findings of one severity.
     pub fn findings_of(&self, severity: Severity) -> impl Iterator<Item = &Finding> {
         self.findings.iter().filter(move |finding| finding.severity == severity)
@@ -91,7 +96,7 @@ pub fn examine(mut looks: Vec<Look>, subject: &Subject, backgrounds: &[Backgroun
     }
     survey.findings.extend(detail::finding(&survey.looks, subject.texture_size));
     survey.background = turntable::sameness(backgrounds);
-    if turntable::is_turntable(survey.arrangement.as_ref(), survey.background) {
+    if survey.is_turntable() {
         survey.findings.extend(survey.background.map(turntable::finding));
     }
     tidy(&mut survey);

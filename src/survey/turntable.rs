@@ -1,4 +1,5 @@
-//! Captures on a turntable: cameras on rings, before a background that is the same in all photographs.
+//! Captures on a turntable: cameras on rings, before a background that is the same in all photographs. The light's own frame is found by a
+//! fit, with or without a background.
 
 use crate::survey::cameras::{Arrangement, Kind};
 use crate::survey::finding::Finding;
@@ -82,6 +83,6 @@ pub fn finding(sameness: f32) -> Finding {
         "this is a turntable capture: the cameras lie on a ring and the background is the same in all photographs (correlation \
          {sameness:.2}), so the light did not turn with the object"
     );
-    let help = "A fit assumes one light, seen from the object; see Turntables in the manual's chapter on photographs.";
+    let help = "A fit of an unknown light finds that by itself, unless `light_frame` says otherwise; see Turntables in the manual's chapter on photographs.";
     Finding::warning("turntable", Vec::new(), problem, help)
 }

@@ -27,15 +27,22 @@ pub use systems::{FitVisibilityPlugin, FrameVisibilityPlugin};
 use crate::material::source::MaterialSource;
 use crate::math::brdf::ndf_sharpness;
 use crate::math::fibonacci::fibonacci_axes;
-use crate::math::shading::{LobeColumns, PointVisibility, ShadePoint, Visibility};
+use crate::math::shading::{LobeColumns, PointVisibility, Visibility};
 use crate::mesh::Surface;
 use crate::sample::point::SurfacePoint;
-use crate::visibility::occlusion::{Blend, Bounce, Sky, light_rows, point_visibility};
+use crate::visibility::occlusion::{Blend, Bounce, Sky, light_one_row, light_rows, point_visibility};
 use crate::visibility::trace::TexelVisibility;
 use bevy_ecs::prelude::{Entity, Resource};
-use glam::Vec3;
+use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 use std::any::TypeId;
+
+/// Cosine of the angle from which on two rotations count as one: 2°.
+const SAME_TURN: f32 = 0.9994;
+/// Most rotations of a light that turns with the views that are told apart.
+const MOST_SKIES: usize = 96;
+/// Rotations of which the interreflection is the mean.
+const MEAN_SKIES: usize = 6;
 
 /// Settings of shadows and interreflection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -69,17 +76,23 @@ pub struct ObjectVisibility {
     texels: TexelVisibility,
     /// The inputs of the last update.
     made: Option<Made>,
-    sky: Sky,
+    /// The light as the object sees it: one, or several of a light that turns with the views.
+    skies: Vec<Sky>,
+    /// The sky of each view, if there are several.
+    sky_of_view: Vec<usize>,
     bounce: Bounce,
+    /// The part of each lobe that reaches each row, if there is one sky.
     parts: Vec<u8>,
     stride: usize,
 }
 
 /// The inputs of shadows and interreflection.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 struct Made {
     /// The light's lobes and the base materials, by entity.
     from: Vec<Entity>,
+    /// The rotation that the light of a picture has had.
+    turn: Mat3,
     /// The type of the material: recovered or shown.
     source: TypeId,
 }
@@ -109,25 +122,56 @@ impl ObjectVisibility {
     }
 
     /// Computes shadows and interreflection for this light and this reflectance (diffuse and specular, by texel).
-    pub fn refresh(&mut self, lobes: &LobeColumns, reflectance: &(dyn Fn(u32) -> Vec3 + Sync)) {
+    ///
+    /// `turns` are the rotations of the views into the frame of a light that turns with them, by index; empty if it does not. Then shadows
+    /// are those of each view, interreflection is the mean of some.
+    pub fn refresh(
+        &mut self,
+        lobes: &LobeColumns,
+        turns: &[Mat3],
+        reflectance: &(dyn Fn(u32) -> Vec3 + Sync),
+    ) {
         self.made = None;
-        self.sky = Sky::new(&self.texels.directions, lobes);
+        let (distinct, of_view) = distinct_turns(turns);
+        self.sky_of_view = of_view;
+        let sky = |turn: &Mat3| Sky::new(&self.texels.directions, lobes, turn.transpose());
+        self.skies = distinct.par_iter().map(sky).collect();
         self.stride = lobes.stride();
-        let mut direct = Vec::new();
-        light_rows(&self.texels, &self.sky, &mut self.parts, &mut direct);
+        let mut direct = self.mean_direct();
+        if self.skies.len() == 1 {
+            light_rows(&self.texels, &self.skies[0], &mut self.parts, &mut direct);
+        }
         self.bounce = Bounce::new(&self.texels, &direct, reflectance, self.settings.bounces);
     }
 
-    /// Whether the last update was for this material, these lobes and base materials.
-    fn is_made_from<M: MaterialSource>(&self, from: &[Entity]) -> bool {
-        self.made.as_ref().is_some_and(|made| made.from == from && made.source == TypeId::of::<M>())
+    /// Irradiance of each row, the mean of up to [`MEAN_SKIES`] of several skies.
+    fn mean_direct(&mut self) -> Vec<Vec3> {
+        let mut mean = vec![Vec3::ZERO; self.texels.len()];
+        if self.skies.len() > 1 {
+            let every = self.skies.len().div_ceil(MEAN_SKIES);
+            let some: Vec<&Sky> = self.skies.iter().step_by(every).collect();
+            let mut direct = Vec::new();
+            for sky in &some {
+                light_rows(&self.texels, sky, &mut self.parts, &mut direct);
+                mean.iter_mut().zip(&direct).for_each(|(mean, direct)| *mean += *direct / some.len() as f32);
+            }
+            self.parts = Vec::new();
+        }
+        mean
     }
 
-    /// Computes the visibility of points, given the roughness of each by index; overwrites `rows` and `seen`.
+    /// Whether the last update was for this material, these lobes and base materials.
+    fn is_made_from<M: MaterialSource>(&self, from: &[Entity], turn: Mat3) -> bool {
+        let same = |made: &Made| made.from == from && made.turn == turn && made.source == TypeId::of::<M>();
+        self.made.as_ref().is_some_and(same)
+    }
+
+    /// Computes the visibility of points, given the direction to the viewer, the view and the roughness of each by index; overwrites
+    /// `rows` and `seen`.
     pub fn window(
         &self,
         points: &[SurfacePoint],
-        gathered: &[ShadePoint],
+        viewer: impl Fn(usize) -> (Vec3, usize) + Sync,
         roughness: impl Fn(usize) -> f32 + Sync,
         rows: &mut WindowVisibility,
         seen: &mut [PointVisibility],
@@ -135,15 +179,26 @@ impl ObjectVisibility {
         rows.stride = self.stride;
         rows.rows.resize(points.len() * self.stride, 255);
         let outputs = rows.rows.par_chunks_mut(self.stride.max(1)).zip(seen);
-        let each = outputs.zip(points.par_iter().zip(gathered)).enumerate().with_min_len(256);
-        each.for_each(|(i, ((parts, seen), (point, gathered)))| {
-            *seen = PointVisibility::OPEN;
-            parts.fill(255);
-            let Some(blend) = self.blend(point).filter(|_| point.is_hit()) else { return };
-            self.blend_parts(&blend, parts);
-            let sharpness = ndf_sharpness(roughness(i));
-            *seen = point_visibility(&self.texels, &self.sky, &self.bounce, &blend, gathered, sharpness);
-        });
+        let each = outputs.zip(points).enumerate().with_min_len(256);
+        each.for_each_init(
+            || vec![0.0; self.stride],
+            |hidden, (i, ((parts, seen), point))| {
+                *seen = PointVisibility::OPEN;
+                parts.fill(255);
+                let Some(blend) = self.blend(point).filter(|_| point.is_hit()) else { return };
+                let (to_viewer, view) = viewer(i);
+                let sky = &self.skies[self.sky_of_view.get(view).copied().unwrap_or(0)];
+                if self.skies.len() == 1 {
+                    self.blend_parts(&blend, parts);
+                } else {
+                    let nearest = blend.iter().max_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(row, _)| *row);
+                    light_one_row(&self.texels, sky, nearest, hidden, parts);
+                }
+                let directions = [point.normal, to_viewer];
+                let sharpness = ndf_sharpness(roughness(i));
+                *seen = point_visibility(&self.texels, sky, &self.bounce, &blend, directions, sharpness);
+            },
+        );
     }
 
     /// The rows that are interpolated at a point.
@@ -174,6 +229,33 @@ impl ObjectVisibility {
     }
 }
 
+/// The different ones among rotations, up to [`SAME_TURN`] and at most [`MOST_SKIES`], and which of them each is or is nearest to. The
+/// identity alone if there are none.
+fn distinct_turns(turns: &[Mat3]) -> (Vec<Mat3>, Vec<usize>) {
+    let mut distinct: Vec<Mat3> = turns.iter().take(1).copied().collect();
+    let cosine = |a: &Mat3, b: &Mat3| {
+        let trace = a.x_axis.dot(b.x_axis) + a.y_axis.dot(b.y_axis) + a.z_axis.dot(b.z_axis);
+        0.5 * (trace - 1.0)
+    };
+    let mut of_view = Vec::with_capacity(turns.len());
+    for turn in turns {
+        let nearest = (0..distinct.len()).max_by(|&a, &b| {
+            cosine(&distinct[a], turn).total_cmp(&cosine(&distinct[b], turn)).then(b.cmp(&a))
+        });
+        let nearest = nearest.unwrap_or(0);
+        if cosine(&distinct[nearest], turn) < SAME_TURN && distinct.len() < MOST_SKIES {
+            of_view.push(distinct.len());
+            distinct.push(*turn);
+        } else {
+            of_view.push(nearest);
+        }
+    }
+    if distinct.is_empty() {
+        distinct.push(Mat3::IDENTITY);
+    }
+    (distinct, of_view)
+}
+
 /// The visibility of the lobes at the points of the current window.
 #[derive(Resource, Default)]
 pub struct WindowVisibility {
@@ -186,5 +268,22 @@ impl WindowVisibility {
     pub fn view<'a>(&'a self, points: &'a [PointVisibility]) -> Option<Visibility<'a>> {
         let there = self.stride > 0 && self.rows.len() == points.len() * self.stride;
         there.then_some(Visibility { lobes: &self.rows, points })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn turns_that_hardly_differ_share_a_sky() {
+        let turns: Vec<Mat3> = [0.0, 0.01, 1.0, 2.0, 1.01].into_iter().map(Mat3::from_rotation_y).collect();
+        let (distinct, of_view) = distinct_turns(&turns);
+        assert_eq!((distinct.len(), of_view), (3, vec![0, 0, 1, 2, 1]));
+        let (distinct, of_view) = distinct_turns(&[]);
+        assert_eq!((distinct, of_view), (vec![Mat3::IDENTITY], Vec::new()));
+        let many: Vec<Mat3> = (0..300).map(|i| Mat3::from_rotation_z(0.05 * i as f32)).collect();
+        let (distinct, of_view) = distinct_turns(&many);
+        assert!(distinct.len() == MOST_SKIES && of_view.iter().all(|sky| *sky < MOST_SKIES));
     }
 }

@@ -9,10 +9,10 @@ use crate::math::color::luminance;
 use crate::math::lanes::{Lanes, Row};
 use crate::math::real::{Real, dot};
 use crate::math::sg::sphere_integral;
-use crate::math::shading::{LobeColumns, PointVisibility, ShadePoint};
+use crate::math::shading::{LobeColumns, PointVisibility};
 use crate::visibility::trace::{MAX_DIRECTIONS, TexelVisibility, set_bits};
 use fearless_simd::{Level, Simd, dispatch};
-use glam::Vec3;
+use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 
 /// Rows that a thread processes at a time.
@@ -37,8 +37,8 @@ pub struct Sky {
 }
 
 impl Sky {
-    /// The light of `lobes` at `directions`.
-    pub fn new(directions: &[Vec3], lobes: &LobeColumns) -> Self {
+    /// The light at `directions` of `lobes`, which are rotated into the world.
+    pub fn new(directions: &[Vec3], lobes: &LobeColumns, world_from_light: Mat3) -> Self {
         let stride = lobes.stride();
         let mut sky = Self {
             weights: vec![0.0; directions.len() * stride],
@@ -49,7 +49,7 @@ impl Sky {
         };
         let cell = directions.len() as f32 / 2.0;
         for (i, lobe) in (0..lobes.len()).map(|i| lobes.get(i)).enumerate() {
-            let [x, y, z] = lobe.axis;
+            let [x, y, z] = (world_from_light * Vec3::from(lobe.axis)).into();
             let sharpness = widened(lobe.sharpness, cell);
             let [r, g, b] = lobe.amplitude.map(|a| a * integral(lobe.sharpness) / integral(sharpness));
             let values = [x, y, z, sharpness, r, g, b];
@@ -87,18 +87,26 @@ pub fn light_rows(visibility: &TexelVisibility, sky: &Sky, parts: &mut Vec<u8>, 
     if sky.stride == 0 {
         return;
     }
-    let level = Level::new();
     let chunks = parts.par_chunks_mut(CHUNK * sky.stride).zip(direct.par_chunks_mut(CHUNK));
     chunks.enumerate().for_each(|(chunk, (parts, direct))| {
         let mut hidden = vec![0.0; sky.stride];
         for (i, (parts, direct)) in parts.chunks_exact_mut(sky.stride).zip(direct).enumerate() {
-            let row = chunk * CHUNK + i;
-            *direct = dispatch!(level, simd => light_row(simd, visibility, sky, row, &mut hidden, parts));
+            *direct = light_one_row(visibility, sky, chunk * CHUNK + i, &mut hidden, parts);
         }
     });
 }
 
-/// [`light_rows`] for one row; returns the irradiance.
+/// [`light_rows`] for one row, with working memory of the lobes' stride.
+pub fn light_one_row(
+    visibility: &TexelVisibility,
+    sky: &Sky,
+    row: usize,
+    hidden: &mut [f32],
+    parts: &mut [u8],
+) -> Vec3 {
+    dispatch!(Level::new(), simd => light_row(simd, visibility, sky, row, hidden, parts))
+}
+
 #[inline(always)]
 fn light_row<S: Simd>(
     simd: S,
@@ -204,12 +212,11 @@ pub fn point_visibility(
     sky: &Sky,
     bounce: &Bounce,
     blend: &Blend,
-    point: &ShadePoint,
+    [normal, to_viewer]: [Vec3; 2],
     lobe_sharpness: f32,
 ) -> PointVisibility {
     let indirect: Vec3 = blend.iter().map(|(row, weight)| bounce.indirect[*row] * *weight).sum();
     let open = blend.iter().all(|(row, weight)| *weight == 0.0 || visibility.sees_all(*row));
-    let (normal, to_viewer) = (Vec3::from(point.normal), Vec3::from(point.to_viewer));
     let up = normal.dot(to_viewer);
     if open || up <= 0.0 {
         return PointVisibility { indirect: indirect.into(), ..PointVisibility::OPEN };

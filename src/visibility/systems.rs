@@ -3,7 +3,7 @@
 //! | system | reads | writes |
 //! | --- | --- | --- |
 //! | [`refresh_visibility`] | [`IncidentLight`], [`BaseMaterials`], texels, [`ObjectVisibility`] | [`ObjectVisibility`] |
-//! | [`gather_visibility`] | the same, [`ShadePoint`], texel addresses | [`PointVisibility`], [`WindowVisibility`] |
+//! | [`gather_visibility`] | the same, rays, texel addresses | [`PointVisibility`], [`WindowVisibility`] |
 //!
 //! Shadows and interreflection are updated when light or material have changed ([`light_or_material_changed`]), in a fit at most
 //! every few steps ([`refresh_is_due`]).
@@ -15,10 +15,12 @@ use crate::material::SpecularBlend;
 use crate::material::source::{
     AlbedoColumn, BaseMaterials, BlendColumn, MaterialSource, MaterialTexels, Recovered, Shown,
 };
-use crate::math::shading::{PointVisibility, ShadePoint};
+use crate::math::shading::PointVisibility;
 use crate::pipeline::{Phase, Pipeline, Plugin, Slot, SystemResult};
 use crate::sample::Samples;
+use crate::sample::pixel::{PixelOf, ViewRay};
 use crate::sample::point::{PointBlend, SurfacePoint};
+use crate::sample::turn::LightTurns;
 use bevy_ecs::prelude::{
     Changed, Entity, IntoScheduleConfigs, Or, Query, Res, ResMut, Resource, SystemCondition, World,
 };
@@ -87,7 +89,7 @@ pub fn light_or_material_changed<M: MaterialSource>(
     changed: Query<(), Inputs<M>>,
 ) -> bool {
     let sources = sources(&light, &materials);
-    !object.is_some_and(|object| object.is_made_from::<M>(&sources)) || !changed.is_empty()
+    !object.is_some_and(|object| object.is_made_from::<M>(&sources, light.turn)) || !changed.is_empty()
 }
 
 fn sources(light: &IncidentLight, materials: &BaseMaterials) -> Vec<Entity> {
@@ -99,6 +101,7 @@ pub fn refresh_visibility<M: MaterialSource>(
     light: Res<IncidentLight>,
     materials: Res<BaseMaterials>,
     texels: MaterialTexels<M>,
+    turns: LightTurns,
     mut object: ResMut<ObjectVisibility>,
 ) -> SystemResult {
     let (albedo, blends) = texels.columns()?;
@@ -108,15 +111,20 @@ pub fn refresh_visibility<M: MaterialSource>(
         let specular: Vec3 = materials.by_number().map(|(k, lobe)| lobe.albedo * blend[k]).sum();
         (albedo[texel as usize].albedo() + specular).min(Vec3::ONE)
     };
-    object.refresh(&light.lobes, &reflectance);
+    object.refresh(&light.lobes, turns.table().all(), &reflectance);
     let from = sources(&light, &materials);
-    object.made = Some(Made { from, source: TypeId::of::<M>() });
+    object.made = Some(Made { from, turn: light.turn, source: TypeId::of::<M>() });
     Ok(())
 }
 
 /// The columns that the visibility of a point depends on.
-type PointColumns =
-    (&'static SurfacePoint, &'static ShadePoint, &'static PointBlend, &'static mut PointVisibility);
+type PointColumns = (
+    &'static SurfacePoint,
+    &'static ViewRay,
+    &'static PixelOf,
+    &'static PointBlend,
+    &'static mut PointVisibility,
+);
 
 /// Gather: the visibility of the points of the window.
 pub fn gather_visibility(
@@ -125,11 +133,12 @@ pub fn gather_visibility(
     samples: Samples<PointColumns>,
     mut out: ResMut<WindowVisibility>,
 ) -> SystemResult {
-    let (points, gathered, blends, mut seen) = samples.columns()?;
+    let (points, rays, pixels, blends, mut seen) = samples.columns()?;
+    let viewer = |i: usize| (-rays[i].0.direction, pixels[i].view.0 as usize);
     let mean = |i: usize| match materials.lobes.as_slice() {
         [(_, one)] => one.roughness,
         _ => SpecularBlend(blends[i].0).roughness(materials.by_number()),
     };
-    object.window(&points, &gathered, mean, &mut out, &mut seen);
+    object.window(&points, viewer, mean, &mut out, &mut seen);
     Ok(())
 }

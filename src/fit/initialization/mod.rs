@@ -1,4 +1,5 @@
 //! The initialization of a fit: solves alternately for amplitudes and albedo, starting from gray albedo and uniform light.
+pub mod frame;
 pub mod linear;
 pub mod place_lobes;
 
@@ -6,6 +7,7 @@ use crate::error::{Error, Result};
 use crate::fit::components::Unknowns;
 use crate::fit::initialization::linear::{solve_albedo, solve_amplitudes};
 use crate::fit::initialization::place_lobes::move_lobes_to_the_light;
+use crate::light::frame::OwnLightFrame;
 use crate::light::lights::LobeOf;
 use crate::light::{LightLobe, kernel_lobe};
 use crate::material::{
@@ -16,7 +18,8 @@ use crate::math::shading::{ClosedForm, Layers, Lighting, LobeColumns, PointVisib
 use crate::pipeline::pool::write_column;
 use crate::sample::observation::{Observation, Observations};
 use crate::sample::point::SurfacePoint;
-use crate::shade::systems::kernel_specular;
+use crate::sample::turn::TurnTable;
+use crate::shade::systems::{kernel_specular, turned};
 use crate::view::{ByView, Camera, Photograph, ViewIndex};
 use crate::visibility::{ObjectVisibility, WindowVisibility};
 use bevy_ecs::prelude::{Entity, Query, With, Without, World};
@@ -31,6 +34,8 @@ const AMPLITUDE_PIXELS: usize = 6144;
 const ALBEDO_PIXELS: usize = 400_000;
 /// …or this many per texel, if that is more.
 const PIXELS_PER_TEXEL: usize = 4;
+/// Most pixels over which the error of an initialization is the mean.
+const ERROR_PIXELS: usize = 100_000;
 /// Rounds, each of light and then albedo.
 const ROUNDS: usize = 4;
 /// Rounds, after the first, that begin by moving faint lobes to bright regions.
@@ -40,7 +45,7 @@ const MOVES: usize = 1;
 const CHUNK: usize = 1 << 16;
 
 /// Solves alternately for amplitudes and albedo, where they are unknown, starting from gray, with the closed form `form`; if `shadowed`,
-/// with occlusion and interreflection from [`ObjectVisibility`].
+/// with occlusion and interreflection from [`ObjectVisibility`]. The light stands still in the frame that the resource [`OwnLightFrame`] says.
 ///
 /// # Errors
 /// If a pool is incomplete.
@@ -53,15 +58,14 @@ pub fn initialize_light_and_albedo(
     if !unknowns.light && !unknowns.albedo {
         return Ok(());
     }
-    let mut query = world.query_filtered::<(Entity, &LightLobe), Without<LobeOf>>();
-    let (entities, mut lobes): (Vec<Entity>, Vec<LightLobe>) =
-        query.iter(world).map(|(entity, lobe)| (entity, *lobe)).unzip();
+    let (entities, mut lobes) = lobes_of(world);
     let specular = least_rough(world);
     let mut texels = recovered_albedo(world)?;
     let mut visibility = if shadowed { world.remove_resource::<ObjectVisibility>() } else { None };
     let object = visibility.as_mut();
-    let guessed =
-        guess_from_samples(world, &mut lobes, &mut texels, Known { form, specular, unknowns, object });
+    let guessed = with_guess(world, Known { form, specular, unknowns, object }, |guess| {
+        guess.alternate(&mut lobes, &mut texels)
+    });
     if let Some(visibility) = visibility {
         world.insert_resource(visibility);
     }
@@ -73,6 +77,12 @@ pub fn initialize_light_and_albedo(
     write_column::<TexelIndex, DiffuseAlbedo>(world, &texels)
 }
 
+/// The lobes of the scene's own light.
+fn lobes_of(world: &mut World) -> (Vec<Entity>, Vec<LightLobe>) {
+    let mut query = world.query_filtered::<(Entity, &LightLobe), Without<LobeOf>>();
+    query.iter(world).map(|(entity, lobe)| (entity, *lobe)).unzip()
+}
+
 /// The inputs of the initialization besides samples.
 struct Known<'a> {
     form: ClosedForm,
@@ -81,21 +91,18 @@ struct Known<'a> {
     object: Option<&'a mut ObjectVisibility>,
 }
 
-fn guess_from_samples(
-    world: &mut World,
-    lobes: &mut [LightLobe],
-    texels: &mut Vec<Vec3>,
-    known: Known,
-) -> Result<()> {
+/// Calls `run` with the data of the initialization.
+fn with_guess<T>(world: &mut World, known: Known, run: impl FnOnce(&mut Guess) -> Result<T>) -> Result<T> {
     let Known { form, specular, unknowns, object } = known;
     type Inputs<'w, 's> =
         (Observations<'w, 's>, Query<'w, 's, (&'static ViewIndex, &'static Camera), With<Photograph>>);
+    let frame = world.get_resource::<OwnLightFrame>().map(|own| own.0).unwrap_or_default();
     let mut state = SystemState::<Inputs>::new(world);
     let (observations, views) = state.get(world).map_err(|error| Error::run("fit", error.to_string()))?;
-    let cameras = views.iter().map(|(index, camera)| (*index, *camera)).collect();
+    let cameras: ByView<Camera> = views.iter().map(|(index, camera)| (*index, *camera)).collect();
+    let turns = TurnTable::new(frame, views.iter().map(|(index, camera)| (*index, camera)));
     let observations = observations.columns()?;
-    let mut guess = Guess { form, observations: &observations, cameras, specular, unknowns, object };
-    guess.alternate(lobes, texels)
+    run(&mut Guess { form, observations: &observations, cameras, turns, specular, unknowns, object })
 }
 
 /// The base material of least roughness that a texel has: it shows best where the light is. (With the mean of two, the fitted roughness is farther from the truth.)
@@ -114,6 +121,7 @@ struct Guess<'a> {
     form: ClosedForm,
     observations: &'a [Observation],
     cameras: ByView<Camera>,
+    turns: TurnTable,
     specular: SpecularLobe,
     unknowns: Unknowns,
     object: Option<&'a mut ObjectVisibility>,
@@ -141,7 +149,7 @@ impl Guess<'_> {
         let points = self.gather(0..n, |point| point.texels.blend(texels))?;
         let columns = LobeColumns::from_lobes(lobes.iter().map(kernel_lobe));
         self.refresh(&columns, texels);
-        let (rows, seen) = self.seen(0..n, &points);
+        let (rows, seen) = self.seen(0..n)?;
         let lighting = Lighting { lobes: &columns, visibility: rows.view(&seen) };
         let specular = kernel_specular(&self.specular);
         let observations = &self.observations[..n];
@@ -160,7 +168,7 @@ impl Guess<'_> {
         for start in (0..n).step_by(CHUNK) {
             let run = start..n.min(start + CHUNK);
             let white = self.gather(run.clone(), |_| Vec3::ONE)?;
-            let (rows, seen) = self.seen(run.clone(), &white);
+            let (rows, seen) = self.seen(run.clone())?;
             let lighting = Lighting { lobes: &columns, visibility: rows.view(&seen) };
             self.form.shade(&white, &specular, lighting, &mut unit[run]);
         }
@@ -175,11 +183,12 @@ impl Guess<'_> {
     ) -> Result<Vec<ShadePoint>> {
         let gathered = self.observations[run].par_iter().map(|Observation { pixel, point, .. }| {
             let ray = self.cameras.of(pixel.view)?.pixel_ray(pixel.pixel);
-            Ok(ShadePoint {
+            let point = ShadePoint {
                 normal: point.normal.into(),
                 to_viewer: (-ray.direction).into(),
                 albedo: albedo(point).into(),
-            })
+            };
+            Ok(self.turns.of(pixel.view).map_or(point, |turn| turned(&point, turn)))
         });
         gathered.collect()
     }
@@ -187,17 +196,40 @@ impl Guess<'_> {
     fn refresh(&mut self, lobes: &LobeColumns, texels: &[Vec3]) {
         let gloss = self.specular.albedo;
         if let Some(object) = &mut self.object {
-            object.refresh(lobes, &|texel| (texels[texel as usize] + gloss).min(Vec3::ONE));
+            object.refresh(lobes, self.turns.all(), &|texel| (texels[texel as usize] + gloss).min(Vec3::ONE));
         }
     }
 
-    /// The visibility at a range of observed pixels, gathered in `points`; empty without visibility.
-    fn seen(&self, run: Range<usize>, points: &[ShadePoint]) -> (WindowVisibility, Vec<PointVisibility>) {
+    /// The visibility at a range of observed pixels; empty without visibility.
+    fn seen(&self, run: Range<usize>) -> Result<(WindowVisibility, Vec<PointVisibility>)> {
         let mut rows = WindowVisibility::default();
-        let Some(object) = &self.object else { return (rows, Vec::new()) };
-        let mut seen = vec![PointVisibility::OPEN; run.len()];
-        let surface: Vec<SurfacePoint> = self.observations[run].iter().map(|o| o.point).collect();
-        object.window(&surface, points, |_| self.specular.roughness, &mut rows, &mut seen);
-        (rows, seen)
+        let Some(object) = &self.object else { return Ok((rows, Vec::new())) };
+        let observations = &self.observations[run];
+        let mut seen = vec![PointVisibility::OPEN; observations.len()];
+        let surface: Vec<SurfacePoint> = observations.iter().map(|o| o.point).collect();
+        let viewer = |Observation { pixel, .. }: &Observation| {
+            Ok(-self.cameras.of(pixel.view)?.pixel_ray(pixel.pixel).direction)
+        };
+        let viewers: Vec<Vec3> = observations.iter().map(viewer).collect::<Result<_>>()?;
+        let viewer = |i: usize| (viewers[i], observations[i].pixel.view.0 as usize);
+        object.window(&surface, viewer, |_| self.specular.roughness, &mut rows, &mut seen);
+        Ok((rows, seen))
+    }
+
+    /// Mean absolute difference between the first observed pixels and what this light and albedo show, over pixels and channels.
+    fn error(&self, lobes: &[LightLobe], texels: &[Vec3]) -> Result<f32> {
+        let n = self.observations.len().min(ERROR_PIXELS);
+        let points = self.gather(0..n, |point| point.texels.blend(texels))?;
+        let columns = LobeColumns::from_lobes(lobes.iter().map(kernel_lobe));
+        let (rows, seen) = self.seen(0..n)?;
+        let lighting = Lighting { lobes: &columns, visibility: rows.view(&seen) };
+        let mut shaded = vec![Layers::default(); n];
+        self.form.shade(&points, &kernel_specular(&self.specular), lighting, &mut shaded);
+        let of = |(shaded, Observation { observed, .. }): (&Layers, &Observation)| {
+            let channel = |c: usize| observed.difference(c, shaded.diffuse[c] + shaded.specular[c]).abs();
+            f64::from((0..3).map(channel).sum::<f32>())
+        };
+        let sum: f64 = shaded.iter().zip(self.observations).map(of).sum();
+        Ok((sum / (3 * n.max(1)) as f64) as f32)
     }
 }

@@ -1,8 +1,15 @@
 //! Whether lights make sense.
 
 use crate::light::{MAX_RADIANCE, MAX_SHARPNESS};
-use crate::scene::light::{Light, LightSource};
+use crate::scene::light::{Light, LightFrameChoice, LightSource};
 use crate::scene::validate::checks::Checks;
+
+/// The frame of a light at `path`.
+pub(super) fn light_frame(checks: &mut Checks, path: &str, frame: LightFrameChoice) {
+    if let LightFrameChoice::Turntable(axis) = frame {
+        checks.direction(path, axis);
+    }
+}
 
 pub(super) fn light(checks: &mut Checks, light: &Light) {
     match light {

@@ -18,7 +18,7 @@ use crate::scene::material::{Albedo, AlbedoSource, Gloss, Material, Roughness, S
 use crate::scene::photographed::{Pattern, Photographed};
 use crate::scene::surface::Surface;
 use crate::scene::validate::checks::Checks;
-use crate::scene::validate::light::{light, light_source};
+use crate::scene::validate::light::{light, light_frame, light_source};
 use crate::scene::views::{CameraSpec, Dataset, Views};
 use crate::scene::visibility::Visibility;
 use glam::Vec3;
@@ -45,6 +45,7 @@ pub fn check(scene: &Scene) -> Vec<Problem> {
     }
     views(&mut checks, &scene.views);
     light(&mut checks, &scene.light);
+    light_frame(&mut checks, "light_frame", scene.light_frame);
     material(&mut checks, &scene.material);
     if scene.own_material().is_some() && scene.material != Material::default() {
         let help = "Remove `material`, or `own_material` from the surface.";
@@ -160,6 +161,7 @@ fn photographed(checks: &mut Checks, photographed: &Photographed) {
     checks.color("views.truth.specular.albedo", truth.specular.albedo);
     checks.roughness("views.truth.specular.roughness", truth.specular.roughness);
     light_source(checks, "views.truth.light", &truth.light);
+    light_frame(checks, "views.truth.light_frame", truth.light_frame.into());
     passes::edits(checks, "views.truth", &truth.edits);
 }
 

@@ -5,6 +5,7 @@ use crate::fit::observe::PixelChoice;
 use crate::fit::run::FitPlugin;
 use crate::fit::scale::ScaleRule;
 use crate::light::LightLobe;
+use crate::light::frame::LightFrame;
 use crate::light::kernel_lobe;
 use crate::material::SpecularLobe;
 use crate::math::brdf::Ndf;
@@ -112,6 +113,7 @@ fn options(steps: u32) -> ShapeOptions {
             visibility: false,
             exposure: false,
             scale: ScaleRule::Free,
+            light_frame: Some(LightFrame::World),
         },
         cameras: CameraUnknowns::Given,
     }

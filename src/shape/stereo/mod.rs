@@ -65,6 +65,8 @@ const ROOM: f32 = 0.15;
 const LIFT: f32 = 0.02;
 /// Trust from which a vertex counts as one that follows its votes.
 const TRUSTED: f32 = 0.25;
+/// Most pixels that vote in a round; of more views, some do, evenly chosen. All serve as neighbors.
+const MOST_PIXELS: usize = 6_000_000;
 /// Chunks of views that are summed apart.
 const CHUNKS: usize = 16;
 /// Least cosine between the normals of a triangle before and after a move; others are folded.
@@ -197,8 +199,9 @@ fn all_votes(bvh: &TriangleBvh, shell: &Shell, pictures: &[MatchPicture], search
         }
         votes
     };
+    let pixels = seen.iter().flatten().filter(|seen| seen.distance.is_finite()).count();
     // Chunks of fixed size, added in order: the same bits with any number of threads.
-    let all: Vec<usize> = (0..pictures.len()).collect();
+    let all: Vec<usize> = (0..pictures.len()).step_by(pixels.div_ceil(MOST_PIXELS).max(1)).collect();
     let parts: Vec<Vec<Votes>> = all.par_chunks(all.len().div_ceil(CHUNKS).max(1)).map(of_views).collect();
     let mut sums = vec![Votes::default(); shell.positions.len()];
     for part in parts {
