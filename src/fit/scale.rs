@@ -32,9 +32,9 @@ use serde::{Deserialize, Serialize};
 pub enum ScaleRule {
     /// The light has the color of the highlights; the mean albedo starts from 0.4.
     Highlights {
-        /// Weight ≥ 0, relative to the image loss, of a prior toward white light: half the sum of the squared differences between the
-        /// logarithms of its mean radiance and their mean. For objects with weak highlights. Default 0.
-        #[serde(default)]
+        /// Weight ≥ 0, relative to the image loss, of a prior that the light's mean radiance has the color of a lamp or a sky: that of a
+        /// black body of about 3 000 to 20 000 K, all of them alike. It decides where highlights are weak. Default 0.002.
+        #[serde(default = "white_light")]
         white_light: f32,
     },
     /// The light's mean radiance over the sphere is gray; the mean albedo starts from 0.4.
@@ -45,9 +45,13 @@ pub enum ScaleRule {
     Free,
 }
 
+fn white_light() -> f32 {
+    0.002
+}
+
 impl Default for ScaleRule {
     fn default() -> Self {
-        Self::Highlights { white_light: 0.0 }
+        Self::Highlights { white_light: white_light() }
     }
 }
 
@@ -97,7 +101,7 @@ pub fn move_scale(
         }
         ScaleRule::Highlights { white_light } => {
             let (layers, adjoint) = samples.columns()?;
-            let gradient = highlight_derivative(&layers, &adjoint) + white_light * off_gray;
+            let gradient = highlight_derivative(&layers, &adjoint) + white_light * lamp_derivative(off_gray);
             let adam = AdamStep::new(RATE * rates.light, rates.step);
             -without_mean(Vec3::from(adam.advance(&mut moments.0, &without_mean(gradient).to_array())))
         }
@@ -141,6 +145,29 @@ fn rescale<'a>(factor: Vec3, lobes: impl Iterator<Item = &'a mut LightLobe>, alb
 fn highlight_derivative(layers: &[Layers], adjoint: &[RadianceAdjoint]) -> Vec3 {
     let each = layers.iter().zip(adjoint).map(|(l, a)| (Vec3::from(l.specular) * Vec3::from(a.0)).as_dvec3());
     each.sum::<DVec3>().as_vec3()
+}
+
+/// Directions in the space of the three channels' logarithms: (red − blue)/√2 and (2 green − red − blue)/√6. In linear Rec. 709, black bodies
+/// from 3 200 to 15 000 K lie within 0.02 of the line green = 0.14 warm − 0.04, from −0.55 to 1.16 along `WARM`.
+const WARM: Vec3 = Vec3::new(std::f32::consts::FRAC_1_SQRT_2, 0.0, -std::f32::consts::FRAC_1_SQRT_2);
+const GREEN: Vec3 = Vec3::new(-0.408_248_3, 0.816_496_6, -0.408_248_3);
+const LINE: (f32, f32) = (0.14, -0.04);
+/// Lights along that line, and how far beside it they may be: all of these are equally usual.
+const USUAL_WARM: (f32, f32) = (-0.65, 1.3);
+const USUAL_GREEN: f32 = 0.08;
+/// Logarithm beyond what is usual over which the prior grows as a square; farther away it grows linearly.
+const NEAR: f32 = 0.24;
+/// Weight of a unit of logarithm squared, relative to that across the line.
+const ALONG: f32 = 0.2;
+
+/// Derivative, with respect to the logarithm of the light's color, of a distance to the colors of lamps and skies; zero among them.
+fn lamp_derivative(log_color: Vec3) -> Vec3 {
+    let beyond =
+        |x: f32, low: f32, high: f32| (x - x.clamp(low, high)).clamp(-NEAR, NEAR) / USUAL_GREEN.powi(2);
+    let (warm, green) = (log_color.dot(WARM), log_color.dot(GREEN));
+    let along = ALONG * beyond(warm, USUAL_WARM.0, USUAL_WARM.1);
+    let across = beyond(green - LINE.0 * warm - LINE.1, -USUAL_GREEN, USUAL_GREEN);
+    (along - LINE.0 * across) * WARM + across * GREEN
 }
 
 /// Mean radiance of lobes over the sphere.
@@ -194,6 +221,42 @@ mod tests {
             let exact = (at(1e-2, &mut unused) - at(-1e-2, &mut unused)) / 2e-2;
             let found = f64::from(gradient.dot(axis));
             assert!((found - exact).abs() < 1e-3 * exact.abs() + 1e-6, "{found} {exact}");
+        }
+    }
+
+    #[test]
+    fn lamps_and_skies_are_left_alone_and_green_light_is_not() {
+        // Linear Rec. 709 of black bodies of 3 200, 6 500 and 15 000 K, by the CIE 1931 color matching functions.
+        for color in
+            [Vec3::new(1.747, 0.913, 0.341), Vec3::new(1.022, 0.965, 1.014), Vec3::new(0.678, 0.854, 1.468)]
+        {
+            assert_eq!(lamp_derivative(log_color(color)), Vec3::ZERO, "{color}");
+        }
+        let green = lamp_derivative(log_color(Vec3::new(1.37, 3.23, 0.53)));
+        assert!(green.y > 10.0 && green.x < 0.0, "{green}");
+        assert!(green.element_sum().abs() < 1e-3);
+        let red = lamp_derivative(log_color(Vec3::new(4.0, 1.0, 0.1)));
+        assert!(red.x > 0.0 && red.z < 0.0, "{red}");
+    }
+
+    #[test]
+    fn the_prior_is_the_derivative_of_a_distance() {
+        let distance = |log: Vec3| {
+            let huber = |x: f32, low: f32, high: f32| {
+                let over = (x - x.clamp(low, high)).abs();
+                let near = over.min(NEAR);
+                (0.5 * near * near + NEAR * (over - near)) / USUAL_GREEN.powi(2)
+            };
+            let (warm, green) = (log.dot(WARM), log.dot(GREEN));
+            ALONG * huber(warm, USUAL_WARM.0, USUAL_WARM.1)
+                + huber(green - LINE.0 * warm - LINE.1, -USUAL_GREEN, USUAL_GREEN)
+        };
+        for log in [Vec3::new(0.1, 0.2, -0.3), Vec3::new(-0.4, 0.6, -0.2), Vec3::new(2.0, -0.5, -1.5)] {
+            let found = lamp_derivative(log);
+            for axis in [Vec3::X, Vec3::Y, Vec3::Z] {
+                let exact = (distance(log + 1e-2 * axis) - distance(log - 1e-2 * axis)) / 2e-2;
+                assert!((found.dot(axis) - exact).abs() < 1e-2 * exact.abs().max(1.0), "{log} {exact}");
+            }
         }
     }
 
