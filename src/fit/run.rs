@@ -69,6 +69,7 @@ pub struct FitOptions {
     /// The rule for the scale between light and albedo, if both are unknown.
     pub scale: ScaleRule,
     /// The frame in which the light stands still; `None`: found with the first guess of the light, and kept after that.
+    /// `Some` replaces what the world has.
     pub light_frame: Option<LightFrame>,
 }
 

@@ -2,13 +2,37 @@
 
 use std::f64::consts::PI;
 
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Mat3, Vec3};
+use std::sync::Arc;
 
 use crate::light::map_fit::exp::exp_nonpositive;
 use crate::light::{EnvironmentMap, LightLobe};
 use crate::math::color::luminance;
 use crate::math::ray::{Illuminate, LightSample};
 use crate::math::sg;
+
+/// A light that is rotated as a whole.
+pub struct TurnedLight {
+    /// The light in its own frame.
+    pub light: Arc<dyn Illuminate>,
+    /// The rotation from that frame into the world.
+    pub world_from_light: Mat3,
+}
+
+impl Illuminate for TurnedLight {
+    fn radiance(&self, direction: Vec3) -> Vec3 {
+        self.light.radiance(self.world_from_light.transpose() * direction)
+    }
+
+    fn sample(&self, uniform: [f32; 3]) -> LightSample {
+        let sample = self.light.sample(uniform);
+        LightSample { direction: self.world_from_light * sample.direction, ..sample }
+    }
+
+    fn pdf(&self, direction: Vec3) -> f32 {
+        self.light.pdf(self.world_from_light.transpose() * direction)
+    }
+}
 
 /// The sample of a light that emits nothing.
 const NO_SAMPLE: LightSample = LightSample { direction: Vec3::Y, radiance: Vec3::ZERO, pdf: 0.0 };

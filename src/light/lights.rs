@@ -9,7 +9,7 @@
 //! | [`provide_light`] | Gather, `Slot::Light` | [`LightLobe`], [`LobeOf`], [`LightName`], [`LightMap`], [`LightFrame`], [`OwnLightFrame`] | [`IncidentLight`] |
 
 use super::frame::{LightFrame, OwnLightFrame, PictureRotation};
-use super::illuminate::{LobeLight, MapLight};
+use super::illuminate::{LobeLight, MapLight, TurnedLight};
 use super::{LightLobe, kernel_lobe, rotate_lobes};
 use crate::error::{Error, Result};
 use crate::math::ray::Illuminate;
@@ -136,7 +136,7 @@ pub fn provide_light(choice: LightChoice, by_map: bool) -> ScheduleConfigs<Sched
         light.lobes = LobeColumns::from_lobes(lobes_only.iter().map(kernel_lobe));
         light.distant = Some(match map.filter(|_| by_map) {
             Some(map) if light.turn == Mat3::IDENTITY => map,
-            Some(map) => Arc::new(MapLight::new(map.map().rotated(Quat::from_mat3(&light.turn)))),
+            Some(light_of_map) => Arc::new(TurnedLight { light: light_of_map, world_from_light: light.turn }),
             None => Arc::new(LobeLight::new(&lobes_only)),
         });
         Ok(())

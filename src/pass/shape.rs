@@ -20,6 +20,7 @@ use crate::scene::Surface as SurfaceSpec;
 use crate::scene::{GridLevel, ShapePass};
 use crate::sdf::extract::extract_mesh;
 use crate::sdf::volume::SdfSurface;
+use crate::shape::field::ModelError;
 use crate::shape::run::{
     ShapeLevel, ShapeOptions, ShapeProgress, fit_shape, refine_by_stereo, replace_texels,
 };
@@ -74,10 +75,7 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     failure.map_or(Ok(()), Err)?;
     session.report_light_frame(&pass.name);
     let guessed = std::mem::replace(&mut session.guess, FirstGuess::NONE);
-    let mut mesh = extract_mesh(&surface.grid);
-    if pass.stereo {
-        match_views(session, pass, &mut mesh);
-    }
+    let mesh = found_mesh(session, pass, &surface);
     put_in_place(session, &surface, &mesh, texture_size)?;
     if guessed == FirstGuess::ALL {
         // The light still has the color from the initialization with gray albedo.
@@ -89,6 +87,17 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     session.progress.print(&format!("{}: {triangles} triangles in {elapsed:.1} s", pass.name));
     found_views::write(session, &pass.name, pass.cameras, pass.exposure)?;
     check_interrupted()
+}
+
+/// The mesh of the surface that was found, moved by stereo if the pass says so.
+fn found_mesh(session: &mut Session, pass: &ShapePass, surface: &SdfSurface) -> Mesh {
+    let mut mesh = extract_mesh(&surface.grid);
+    if pass.stereo {
+        match_views(session, pass, &mut mesh);
+    } else {
+        session.pipeline.world.remove_resource::<ModelError>();
+    }
+    mesh
 }
 
 /// An inspector with the camera of the first view.
@@ -151,6 +160,9 @@ fn match_views(session: &mut Session, pass: &ShapePass, mesh: &mut Mesh) {
         if INTERRUPTED.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
     bar.finish_and_clear();
+    if INTERRUPTED.load(Ordering::Relaxed) {
+        return;
+    }
     let seconds = start.elapsed().as_secs_f64();
     let found = if report.moved > 0.0 {
         format!("{:.0} % of the surface follows it", 100.0 * report.trusted)

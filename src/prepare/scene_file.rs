@@ -229,7 +229,7 @@ fn fits(survey: &Survey, is_captured: bool) -> String {
     let mut text = String::new();
     if is_captured {
         text += "        // Photographs of a camera: each has an exposure of its own, and poses are a little off. With a locked exposure\n        \
-                 // or exact poses, leave these out. On a turntable the light turns with the camera, which no option corrects.\n";
+                 // or exact poses, leave these out. A light that turns with the camera, as on a turntable, is found.\n";
     }
     let unknowns = if is_captured { "exposure: true, cameras: Poses" } else { "" };
     match survey.mesh {

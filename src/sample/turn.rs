@@ -2,16 +2,16 @@
 
 use crate::light::frame::LightFrame;
 use crate::light::lights::IncidentLight;
-use crate::view::{Camera, ViewIndex};
-use bevy_ecs::prelude::{Query, Res};
+use crate::view::{Camera, Photograph, ViewIndex};
+use bevy_ecs::prelude::{Query, Res, With};
 use bevy_ecs::system::SystemParam;
 use glam::Mat3;
 
-/// The rotation of each view, as a system parameter.
+/// The rotation of each photograph, as a system parameter.
 #[derive(SystemParam)]
 pub struct LightTurns<'w, 's> {
     light: Res<'w, IncidentLight>,
-    views: Query<'w, 's, (&'static ViewIndex, &'static Camera)>,
+    views: Query<'w, 's, (&'static ViewIndex, &'static Camera), With<Photograph>>,
 }
 
 impl LightTurns<'_, '_> {
@@ -23,7 +23,7 @@ impl LightTurns<'_, '_> {
 
 /// The rotation from the world into the light's frame of each view, by its index; empty for a light that stands still in the world.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct TurnTable(Vec<Mat3>);
+pub struct TurnTable(Vec<Option<Mat3>>);
 
 impl TurnTable {
     /// The rotations of these views for a light in this frame.
@@ -35,9 +35,9 @@ impl TurnTable {
         for (index, camera) in views {
             let index = index.0 as usize;
             if table.len() <= index {
-                table.resize(index + 1, Mat3::IDENTITY);
+                table.resize(index + 1, None);
             }
-            table[index] = frame.light_from_world(camera.world_from_camera.matrix3.into());
+            table[index] = Some(frame.light_from_world(camera.world_from_camera.matrix3.into()));
         }
         Self(table)
     }
@@ -45,11 +45,11 @@ impl TurnTable {
     /// The rotation of one view; `None` if the light stands still in the world.
     #[inline]
     pub fn of(&self, view: ViewIndex) -> Option<Mat3> {
-        self.0.get(view.0 as usize).copied()
+        self.0.get(view.0 as usize).copied().flatten()
     }
 
-    /// All rotations, by the views' indices.
-    pub fn all(&self) -> &[Mat3] {
+    /// All rotations, by the views' indices; `None` where there is no photograph.
+    pub fn all(&self) -> &[Option<Mat3>] {
         &self.0
     }
 }

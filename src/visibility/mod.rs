@@ -37,8 +37,8 @@ use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 use std::any::TypeId;
 
-/// Cosine of the angle from which on two rotations count as one: 2°.
-const SAME_TURN: f32 = 0.9994;
+/// Angle below which two rotations count as one: 2°.
+const SAME_TURN: f32 = 0.035;
 /// Most rotations of a light that turns with the views that are told apart.
 const MOST_SKIES: usize = 96;
 /// Rotations of which the interreflection is the mean.
@@ -128,7 +128,7 @@ impl ObjectVisibility {
     pub fn refresh(
         &mut self,
         lobes: &LobeColumns,
-        turns: &[Mat3],
+        turns: &[Option<Mat3>],
         reflectance: &(dyn Fn(u32) -> Vec3 + Sync),
     ) {
         self.made = None;
@@ -229,30 +229,39 @@ impl ObjectVisibility {
     }
 }
 
-/// The different ones among rotations, up to [`SAME_TURN`] and at most [`MOST_SKIES`], and which of them each is or is nearest to. The
-/// identity alone if there are none.
-fn distinct_turns(turns: &[Mat3]) -> (Vec<Mat3>, Vec<usize>) {
-    let mut distinct: Vec<Mat3> = turns.iter().take(1).copied().collect();
+/// The different ones among the views' rotations, and which of them each is or is nearest to. Those that differ by less than [`SAME_TURN`]
+/// count as one, or by less than a multiple of it that leaves at most [`MOST_SKIES`]. The identity alone if there are none.
+fn distinct_turns(turns: &[Option<Mat3>]) -> (Vec<Mat3>, Vec<usize>) {
+    let mut apart = SAME_TURN;
+    loop {
+        let (distinct, of_view) = turns_apart(turns, apart);
+        if distinct.len() <= MOST_SKIES {
+            let one = if distinct.is_empty() { vec![Mat3::IDENTITY] } else { distinct };
+            return (one, of_view);
+        }
+        apart *= 1.5;
+    }
+}
+
+/// The rotations of which none is within an angle of one before it, and the nearest of these to each.
+fn turns_apart(turns: &[Option<Mat3>], angle: f32) -> (Vec<Mat3>, Vec<usize>) {
     let cosine = |a: &Mat3, b: &Mat3| {
         let trace = a.x_axis.dot(b.x_axis) + a.y_axis.dot(b.y_axis) + a.z_axis.dot(b.z_axis);
         0.5 * (trace - 1.0)
     };
-    let mut of_view = Vec::with_capacity(turns.len());
-    for turn in turns {
-        let nearest = (0..distinct.len()).max_by(|&a, &b| {
-            cosine(&distinct[a], turn).total_cmp(&cosine(&distinct[b], turn)).then(b.cmp(&a))
-        });
-        let nearest = nearest.unwrap_or(0);
-        if cosine(&distinct[nearest], turn) < SAME_TURN && distinct.len() < MOST_SKIES {
-            of_view.push(distinct.len());
+    let mut distinct: Vec<Mat3> = Vec::new();
+    for turn in turns.iter().flatten() {
+        if distinct.iter().all(|other| cosine(other, turn) < angle.min(3.0).cos()) {
             distinct.push(*turn);
-        } else {
-            of_view.push(nearest);
         }
     }
-    if distinct.is_empty() {
-        distinct.push(Mat3::IDENTITY);
-    }
+    let nearest = |turn: &Option<Mat3>| {
+        let Some(turn) = turn else { return 0 };
+        let by_angle =
+            |a: &usize, b: &usize| cosine(&distinct[*a], turn).total_cmp(&cosine(&distinct[*b], turn));
+        (0..distinct.len()).max_by(by_angle).unwrap_or(0)
+    };
+    let of_view = turns.iter().map(nearest).collect();
     (distinct, of_view)
 }
 
@@ -277,13 +286,22 @@ mod tests {
 
     #[test]
     fn turns_that_hardly_differ_share_a_sky() {
-        let turns: Vec<Mat3> = [0.0, 0.01, 1.0, 2.0, 1.01].into_iter().map(Mat3::from_rotation_y).collect();
+        let about = |angles: &[f32]| -> Vec<Option<Mat3>> {
+            angles.iter().map(|angle| Some(Mat3::from_rotation_y(*angle))).collect()
+        };
+        let mut turns = about(&[0.0, 0.01, 1.0, 2.0, 1.01]);
+        turns.push(None);
         let (distinct, of_view) = distinct_turns(&turns);
-        assert_eq!((distinct.len(), of_view), (3, vec![0, 0, 1, 2, 1]));
+        assert_eq!((distinct.len(), of_view), (3, vec![0, 0, 1, 2, 1, 0]));
         let (distinct, of_view) = distinct_turns(&[]);
         assert_eq!((distinct, of_view), (vec![Mat3::IDENTITY], Vec::new()));
-        let many: Vec<Mat3> = (0..300).map(|i| Mat3::from_rotation_z(0.05 * i as f32)).collect();
-        let (distinct, of_view) = distinct_turns(&many);
-        assert!(distinct.len() == MOST_SKIES && of_view.iter().all(|sky| *sky < MOST_SKIES));
+        // Of many, each has one that is near, whatever their order.
+        let angles: Vec<f32> = (0..300).map(|i| i as f32 * 0.02).collect();
+        let (distinct, of_view) = distinct_turns(&about(&angles));
+        assert!(distinct.len() <= MOST_SKIES && distinct.len() > MOST_SKIES / 3);
+        for (angle, sky) in angles.iter().zip(&of_view) {
+            let apart = Mat3::from_rotation_y(*angle) * distinct[*sky].transpose();
+            assert!(apart.x_axis.x > 0.99, "{angle}");
+        }
     }
 }

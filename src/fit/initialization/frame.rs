@@ -49,7 +49,9 @@ pub fn find_light_frame(world: &mut World, unknowns: Unknowns, form: ClosedForm)
     }
     let turned = world.contains_resource::<ObjectTurned>();
     world.insert_resource(OwnLightFrame(best(&tried, turned)));
-    world.insert_resource(FramesTried(tried));
+    if !tried.is_empty() {
+        world.insert_resource(FramesTried(tried));
+    }
     Ok(())
 }
 

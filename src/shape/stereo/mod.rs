@@ -88,7 +88,7 @@ pub struct StereoView<'a> {
 /// What [`refine`] did.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct StereoReport {
-    /// Fraction of the vertices whose votes were trusted in the last round, in [0, 1].
+    /// Fraction of the vertices whose votes were trusted in the last round that moved any, in [0, 1].
     pub trusted: f32,
     /// Root mean square of the displacement of all rounds, world units.
     pub moved: f32,
@@ -113,10 +113,11 @@ pub fn refine(
         let factor = finest * relative;
         let picture = |v: &StereoView| MatchPicture::new(v.camera, v.photograph, v.mask, factor);
         let pictures: Vec<MatchPicture> = views.par_iter().filter_map(picture).collect();
-        report.trusted = refine_round(mesh, &pictures, error, search, &mut object);
-        if report.trusted == 0.0 {
+        let trusted = refine_round(mesh, &pictures, error, search, &mut object);
+        if trusted == 0.0 {
             break;
         }
+        report.trusted = trusted;
     }
     let squares = start.iter().zip(&mesh.positions).map(|(a, b)| f64::from(a.distance_squared(*b)));
     report.moved = (squares.sum::<f64>() / start.len().max(1) as f64).sqrt() as f32;
@@ -130,7 +131,7 @@ fn finest_factor(mesh: &Mesh, views: &[StereoView]) -> Option<u32> {
     let footprint = |v: &StereoView| pixel_size(v.camera) * v.camera.position().distance(center);
     let footprint = median(views.iter().map(footprint).collect())?;
     let factor = graph.mean_edge(&positions) / (PIXELS_PER_EDGE * footprint);
-    (!mesh.triangles.is_empty()).then(|| factor.round().max(1.0) as u32)
+    (!mesh.triangles.is_empty()).then(|| factor.round().clamp(1.0, 1024.0) as u32)
 }
 
 /// One round; returns the fraction of the vertices whose votes are trusted. `object` is how far stereo serves this object at all,
