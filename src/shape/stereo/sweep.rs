@@ -88,7 +88,7 @@ pub struct Matched {
     pub step: f32,
 }
 
-/// Sums over a patch: weight, a, b, a², b², ab, of pixels that count in both pictures.
+/// Sums over a patch: weight, a, b, a², b², ab, of pixels that count in both pictures; two more are unused, so that a vector holds all.
 type Sums = [f32; 8];
 
 /// Searches for the depths of `reference`; `None` if it has fewer than two neighbors.
