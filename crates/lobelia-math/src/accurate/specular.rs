@@ -184,8 +184,9 @@ pub(super) fn place<F: Real>(view: Vec2Of<F>, ndf: &NdfTerms<F>, light: &LocalLi
     let at = expand(view, ndf, light, x);
     let zero = x[0].zero();
     let mut g = at.cosine_gradient;
-    // At the pole of n·ω any direction is valid.
-    g[0] += dot2(g, g).select_lt(g[0].lit(1e-8), g[0].lit(1e-4), zero);
+    // At the pole of n·ω any direction is valid; the step keeps the sign of g, which it would otherwise cancel.
+    let apart = g[0].select_lt(zero, zero.lit(-1e-4), zero.lit(1e-4));
+    g[0] += dot2(g, g).select_lt(zero.lit(1e-8), apart, zero);
     let inverse = at.hessian.inverse_determinant();
     let steepest = at.hessian.adjugate_times(g);
     let step = at.hessian.adjugate_times(at.gradient);
