@@ -3,8 +3,9 @@
 //!
 //! The highlights determine the color of that factor: the specular albedo of a dielectric is gray, so highlights have the color of the
 //! light. A change of the factor changes all lobes and texels together, and hardly anything except the highlights. Adam on single
-//! parameters is slow along this direction, so the factor is a separate parameter here. The level stays as in the initialization (a mean
-//! albedo of about 0.4), because only the Fresnel term distinguishes a bright light from a bright specular albedo.
+//! parameters is slow along this direction, so the factor is a separate parameter here. The level, the factor's mean over the channels, stays
+//! as in the initialization (a mean albedo of about 0.4), because only the Fresnel term distinguishes a bright light from a bright specular
+//! albedo. But no albedo is above one: where texels at that bound are darker than the photographs, color and level give way.
 //!
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |
@@ -17,12 +18,12 @@ use crate::light::LightLobe;
 use crate::light::lights::{LobeOf, own_lobes};
 use crate::material::{DiffuseAlbedo, TexelIndex, Texels};
 use crate::math::sg::sphere_integral;
-use crate::math::shading::{Layers, RadianceAdjoint};
+use crate::math::shading::{Layers, RadianceAdjoint, ShadePoint};
 use crate::pipeline::SystemResult;
 use crate::pipeline::pool::{read_column, write_column};
 use crate::sample::Samples;
 use bevy_ecs::prelude::{Query, Res, ResMut, Resource, Without, World};
-use glam::{DVec3, Vec3};
+use glam::{DVec3, Vec3, Vec4};
 use serde::{Deserialize, Serialize};
 
 /// The rule for the scale between light and albedo, one factor per channel, when both are unknown.
@@ -67,9 +68,9 @@ impl ScaleRule {
     }
 }
 
-/// Adam's moments of the logarithm of the factor.
+/// Adam's moments of the logarithm of the factor: its color (3), its level.
 #[derive(Resource, Clone, Copy, Debug, Default)]
-pub struct ScaleMoments(Moments<3>);
+pub struct ScaleMoments(Moments<4>);
 
 /// Rate relative to that of the light.
 const RATE: f32 = 0.15;
@@ -77,6 +78,12 @@ const RATE: f32 = 0.15;
 const START: f32 = 0.5;
 /// Largest albedo that the factor may result in.
 const MOST_ALBEDO: f32 = 0.98;
+/// Albedo from which a texel counts as being at its bound.
+const AT_BOUND: f32 = 0.95;
+/// Weight, relative to the image loss, of the prior that the mean albedo is [`USUAL_ALBEDO`], per unit of its logarithm.
+const LEVEL_WEIGHT: f32 = 0.016;
+/// Mean albedo of an initialization.
+const USUAL_ALBEDO: f32 = 0.4;
 
 /// Update: a step along the scale, or a projection onto the rule, if light and albedo are both unknown.
 pub fn move_scale(
@@ -84,7 +91,7 @@ pub fn move_scale(
     unknowns: Res<Unknowns>,
     rule: Res<ScaleRule>,
     mut moments: ResMut<ScaleMoments>,
-    samples: Samples<(&Layers, &RadianceAdjoint)>,
+    samples: Samples<(&ShadePoint, &Layers, &RadianceAdjoint)>,
     mut lobes: Query<&mut LightLobe, Without<LobeOf>>,
     texels: Texels<(&mut DiffuseAlbedo, &TexelSeen)>,
 ) -> SystemResult {
@@ -100,10 +107,15 @@ pub fn move_scale(
             (mean_albedo(&albedo, &seen) / wanted).max(Vec3::splat(1e-6)).map(f32::ln)
         }
         ScaleRule::Highlights { white_light } => {
-            let (layers, adjoint) = samples.columns()?;
-            let gradient = highlight_derivative(&layers, &adjoint) + white_light * lamp_derivative(off_gray);
-            let adam = AdamStep::new(RATE * rates.light, rates.step);
-            -without_mean(Vec3::from(adam.advance(&mut moments.0, &without_mean(gradient).to_array())))
+            let (points, layers, adjoint) = samples.columns()?;
+            let bound = bound_derivative(&points, &layers, &adjoint);
+            let color =
+                highlight_derivative(&layers, &adjoint) + white_light * lamp_derivative(off_gray) + bound;
+            let level = level_derivative(bound, mean_albedo(&albedo, &seen));
+            let gradient = without_mean(color).extend(level).to_array();
+            let step =
+                Vec4::from(AdamStep::new(RATE * rates.light, rates.step).advance(&mut moments.0, &gradient));
+            -(without_mean(step.truncate()) + step.w)
         }
     };
     rescale(log_factor.exp(), lobes.iter_mut().map(|lobe| lobe.into_inner()), &mut albedo);
@@ -145,6 +157,24 @@ fn rescale<'a>(factor: Vec3, lobes: impl Iterator<Item = &'a mut LightLobe>, alb
 fn highlight_derivative(layers: &[Layers], adjoint: &[RadianceAdjoint]) -> Vec3 {
     let each = layers.iter().zip(adjoint).map(|(l, a)| (Vec3::from(l.specular) * Vec3::from(a.0)).as_dvec3());
     each.sum::<DVec3>().as_vec3()
+}
+
+/// Derivative of the loss with respect to the logarithm of the factor where albedos are at their bound: such a texel cannot give way to a
+/// darker light, and its diffuse radiance is multiplied by the factor.
+fn bound_derivative(points: &[ShadePoint], layers: &[Layers], adjoint: &[RadianceAdjoint]) -> Vec3 {
+    let each = points.iter().zip(layers).zip(adjoint).map(|((point, l), a)| {
+        let at_bound = Vec3::from(point.albedo).cmpge(Vec3::splat(AT_BOUND));
+        Vec3::select(at_bound, Vec3::from(l.diffuse) * Vec3::from(a.0), Vec3::ZERO).as_dvec3()
+    });
+    each.sum::<DVec3>().as_vec3()
+}
+
+/// Derivative with respect to the logarithm of the level. Without texels that are too dark at their bound the level is left alone; with
+/// them, the usual mean albedo speaks against a few that no light should explain.
+fn level_derivative(bound: Vec3, mean_albedo: Vec3) -> f32 {
+    let darker = bound.element_sum().min(0.0);
+    let prior = LEVEL_WEIGHT * (USUAL_ALBEDO / (mean_albedo.element_sum() / 3.0).max(1e-3)).ln();
+    (darker + prior.max(0.0)).min(0.0)
 }
 
 /// Directions in the space of the three channels' logarithms: (red − blue)/√2 and (2 green − red − blue)/√6. In linear Rec. 709, black bodies
@@ -222,6 +252,23 @@ mod tests {
             let found = f64::from(gradient.dot(axis));
             assert!((found - exact).abs() < 1e-3 * exact.abs() + 1e-6, "{found} {exact}");
         }
+    }
+
+    #[test]
+    fn texels_at_their_bound_ask_for_more_light_in_their_channel() {
+        let point = |blue: f32| ShadePoint { albedo: [0.5, 0.5, blue], ..ShadePoint::default() };
+        let points = [point(0.97), point(0.3)];
+        let layers = [Layers { diffuse: [0.5, 0.5, 0.7], specular: [0.0; 3] }; 2];
+        let observed = vec![Observed { radiance: Vec3::new(0.5, 0.5, 0.9), saturated: false }; 2];
+        let mut adjoint = vec![RadianceAdjoint::default(); 2];
+        image_loss(Loss::L1, &layers, &observed, |_| 1.0, &mut adjoint);
+        // Only the first point cannot follow with its albedo: −1/6 per unit of radiance, of which there is 0.7.
+        let bound = bound_derivative(&points, &layers, &adjoint);
+        assert!((bound - Vec3::new(0.0, 0.0, -0.7 / 6.0)).length() < 1e-6, "{bound}");
+        assert!(level_derivative(bound, Vec3::splat(USUAL_ALBEDO)) < 0.0);
+        // A few of them do not make the rest black, and without them the level stays.
+        assert_eq!(level_derivative(0.05 * bound, Vec3::splat(0.1)), 0.0);
+        assert_eq!(level_derivative(Vec3::ZERO, Vec3::splat(0.7)), 0.0);
     }
 
     #[test]

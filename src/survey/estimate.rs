@@ -5,7 +5,7 @@
 //! | photographs | pixels around the object × [`PHOTOGRAPH_BYTES`] | pixels × [`DECODE_NANOS`] |
 //! | `Fit` | pixels in the pool × [`POOL_BYTES`] + texels × [`TEXEL_BYTES`] | steps × batch × lobes × [`FIT_PAIR_NANOS`] |
 //! | `Shape` | the same + cells³ × [`CELL_BYTES`] | steps × batch × [`SHAPE_PIXEL_NANOS`] |
-//! | shadows | texels × [`VisibilitySettings::bytes_per_texel`] | texels × directions × [`RAY_NANOS`] |
+//! | shadows | [`VisibilitySettings::bytes`] of the texels | rows × directions × [`RAY_NANOS`] |
 //! | `Render` and the like | [`frame_bytes`] of the largest view; [`film_bytes`] of the film | samples in the object × lobes × [`RENDER_PAIR_NANOS`] |
 //!
 //! Time is divided by the threads. It is good to a factor of two on the machine that was measured, and a guess on others.
@@ -199,9 +199,9 @@ impl Task<'_> {
             return None;
         };
         let settings = VisibilitySettings { directions, bounces, refresh_every };
-        let texels = f64::from(ATLAS_FILL) * self.texels();
-        let nanos = texels * f64::from(directions) * RAY_NANOS;
-        Some(self.part("shadows", texels * settings.bytes_per_texel() as f64, nanos, true))
+        let texels = (f64::from(ATLAS_FILL) * self.texels()) as usize;
+        let nanos = settings.rows(texels) as f64 * f64::from(directions) * RAY_NANOS;
+        Some(self.part("shadows", settings.bytes(texels) as f64, nanos, true))
     }
 
     /// Pixels that a fit visits.

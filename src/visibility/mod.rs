@@ -10,6 +10,7 @@
 //!
 //! | module | holds |
 //! | --- | --- |
+//! | `patch` | which texels share their shadows, in a fine texture |
 //! | `trace` | the occluded directions of each texel, and the texels that occlude them |
 //! | `occlusion` | kernels: light on a set of directions, and the part of it that reaches texels and points |
 //! | [`systems`] | the systems in `Slot::Visibility`, and their run conditions |
@@ -19,6 +20,7 @@
 //! factors and the interreflection are constant.
 
 pub(crate) mod occlusion;
+pub(crate) mod patch;
 pub mod systems;
 pub(crate) mod trace;
 
@@ -44,6 +46,9 @@ const MOST_SKIES: usize = 96;
 /// Rotations of which the interreflection is the mean.
 const MEAN_SKIES: usize = 6;
 
+/// Most rows of shadows, but for squares of texels across borders of charts.
+const MOST_ROWS: usize = 1 << 18;
+
 /// Settings of shadows and interreflection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct VisibilitySettings {
@@ -56,10 +61,15 @@ pub struct VisibilitySettings {
 }
 
 impl VisibilitySettings {
-    /// Estimated bytes per texel, with 128 lobes and a quarter of the directions above it occluded.
-    pub fn bytes_per_texel(&self) -> usize {
+    /// Rows of shadows for so many covered texels: each its own, or squares of them.
+    pub fn rows(&self, texels: usize) -> usize {
+        texels.min(MOST_ROWS)
+    }
+
+    /// Estimated bytes for so many covered texels, with 128 lobes and a quarter of the directions above a row occluded.
+    pub fn bytes(&self, texels: usize) -> usize {
         let directions = self.directions as usize;
-        directions / 8 + directions / 2 + 128 + 48
+        self.rows(texels) * (directions / 8 + directions / 2 + 128 + 48) + texels * size_of::<u32>()
     }
 }
 
@@ -101,7 +111,7 @@ impl ObjectVisibility {
     /// Traces a surface.
     pub fn new(surface: &Surface, settings: VisibilitySettings) -> Self {
         let directions = fibonacci_axes(settings.directions.next_multiple_of(64).max(64) as usize);
-        let texels = TexelVisibility::trace(surface.atlas(), surface, directions);
+        let texels = TexelVisibility::trace(surface.atlas(), surface, directions, MOST_ROWS);
         Self { settings, texels, ..Self::default() }
     }
 

@@ -167,9 +167,8 @@ impl Bounce {
         bounces: u32,
     ) -> Self {
         let rows = 0..visibility.len();
-        let sent = |row: usize, irradiance: Vec3| {
-            reflectance(visibility.texels[row]) * irradiance * std::f32::consts::FRAC_1_PI
-        };
+        let reflectance = visibility.mean(reflectance);
+        let sent = |row: usize, irradiance: Vec3| reflectance[row] * irradiance * std::f32::consts::FRAC_1_PI;
         let mut leaving: Vec<Vec3> = direct.iter().enumerate().map(|(row, e)| sent(row, *e)).collect();
         let mut indirect = vec![Vec3::ZERO; visibility.len()];
         for _ in 0..bounces {

@@ -1,17 +1,19 @@
 //! Tracing of the directions of each texel that other parts of the surface occlude.
 //!
 //! Rays are cast from every covered texel into the hemisphere above it, along a set of near-uniform directions that is common to all
-//! texels. A texel stores one bit per direction, and for each occluded direction the texel that occludes it, for interreflection
-//! ([`crate::visibility`]).
+//! texels. A row stores one bit per direction, and for each occluded direction the texel that occludes it, for interreflection
+//! ([`crate::visibility`]). In a fine texture a row stands for a small square of texels ([`crate::visibility::patch`]): shadows need less
+//! resolution than albedo, and their memory and time stay bounded.
 //!
 //! | parameter | type | unit | default | meaning |
 //! | --- | --- | --- | --- | --- |
 //! | `directions` | `Vec<Vec3>` | unit | none | near-uniform directions over the whole sphere, a multiple of 64 |
 //!
-//! Memory per covered texel: one bit per direction, and 4 bytes per occluded direction.
+//! Memory per row: one bit per direction, and 4 bytes per occluded direction.
 
 use crate::math::ray::{Intersect, Ray};
 use crate::mesh::atlas::TexelAtlas;
+use crate::visibility::patch::{NO_ROW, Patches};
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -30,7 +32,7 @@ pub struct TexelVisibility {
     pub directions: Vec<Vec3>,
     /// Row of each texel; [`TexelVisibility::NONE`] for texels that are not covered.
     pub rows: Vec<u32>,
-    /// The texel of each row.
+    /// The texel of each row from which it is traced.
     pub texels: Vec<u32>,
     /// Unit shading normal of each row.
     pub normals: Vec<Vec3>,
@@ -66,18 +68,22 @@ struct Traced {
 
 impl TexelVisibility {
     /// Row of a texel that has none.
-    pub const NONE: u32 = u32::MAX;
+    pub const NONE: u32 = NO_ROW;
 
-    /// Traces `directions` from every covered texel of `atlas` against `surface`, which has the same texels.
+    /// Traces `directions` from the covered texels of `atlas`, or of more than `most_rows` from squares of them, against `surface`, which
+    /// has the same texels.
     ///
     /// # Panics
     /// If the number of directions is not a multiple of 64, or more than [`MAX_DIRECTIONS`].
-    pub fn trace(atlas: &TexelAtlas, surface: &dyn Intersect, directions: Vec<Vec3>) -> Self {
+    pub fn trace(
+        atlas: &TexelAtlas,
+        surface: &dyn Intersect,
+        directions: Vec<Vec3>,
+        most_rows: usize,
+    ) -> Self {
         assert!(directions.len().is_multiple_of(64), "the number of directions is a multiple of 64");
         assert!(directions.len() <= MAX_DIRECTIONS, "at most {MAX_DIRECTIONS} directions");
-        let texels: Vec<u32> = (0..atlas.covered.len() as u32)
-            .filter(|&t| atlas.covered[t as usize] && atlas.normal[t as usize] != Vec3::ZERO)
-            .collect();
+        let Patches { rows, texels } = Patches::of(atlas, most_rows);
         let traced: Vec<Traced> = texels
             .par_chunks(CHUNK)
             .map(|run| {
@@ -87,15 +93,12 @@ impl TexelVisibility {
             })
             .collect();
         let mut all = Self {
-            rows: vec![Self::NONE; atlas.covered.len()],
+            rows,
             normals: texels.iter().map(|&t| atlas.normal[t as usize]).collect(),
             first: vec![0],
             directions,
             ..Self::default()
         };
-        for (row, &texel) in texels.iter().enumerate() {
-            all.rows[texel as usize] = row as u32;
-        }
         all.texels = texels;
         for part in traced {
             all.hidden.extend(part.hidden);
@@ -105,6 +108,17 @@ impl TexelVisibility {
             all.hiders.extend(part.hiders);
         }
         all
+    }
+
+    /// Mean over the texels of each row of a value per texel.
+    pub fn mean(&self, value: &(dyn Fn(u32) -> Vec3 + Sync)) -> Vec<Vec3> {
+        let mut sums = vec![(Vec3::ZERO, 0.0f32); self.texels.len()];
+        for (texel, &row) in self.rows.iter().enumerate().filter(|(_, row)| **row != Self::NONE) {
+            let (sum, count) = &mut sums[row as usize];
+            *sum += value(texel as u32);
+            *count += 1.0;
+        }
+        sums.into_iter().map(|(sum, count)| sum / count.max(1.0)).collect()
     }
 
     /// Number of rows.
@@ -201,7 +215,7 @@ mod tests {
 
     fn traced(mesh: Mesh) -> (Surface, TexelVisibility) {
         let surface = Surface::new(mesh, 64).unwrap();
-        let visibility = TexelVisibility::trace(surface.atlas(), &surface, fibonacci_axes(512));
+        let visibility = TexelVisibility::trace(surface.atlas(), &surface, fibonacci_axes(512), usize::MAX);
         (surface, visibility)
     }
 
@@ -229,7 +243,7 @@ mod tests {
         uvs.iter_mut().for_each(|uv| uv.x *= 0.5);
         uvs.extend(ball.uvs.unwrap().iter().map(|uv| glam::Vec2::new(0.5 + 0.5 * uv.x, uv.y)));
         let surface = Surface::new(mesh, 64).unwrap();
-        let visibility = TexelVisibility::trace(surface.atlas(), &surface, fibonacci_axes(4096));
+        let visibility = TexelVisibility::trace(surface.atlas(), &surface, fibonacci_axes(4096), usize::MAX);
         let middle = |row: &usize| {
             let at = surface.atlas().position[visibility.texels[*row] as usize];
             at.xz().length() < 0.1 && at.y > 0.0 && at.y < 0.1

@@ -63,6 +63,20 @@ impl TexelAtlas {
         atlas
     }
 
+    /// Median distance in the world between covered texels that are neighbors in a row; zero if nothing is covered.
+    pub fn texel_size(&self) -> f32 {
+        let width = self.width as usize;
+        let pairs =
+            (1..self.covered.len()).filter(|t| t % width > 0 && self.covered[*t] && self.covered[t - 1]);
+        let mut distances: Vec<f32> =
+            pairs.map(|t| self.position[t].distance(self.position[t - 1])).collect();
+        let middle = distances.len() / 2;
+        if distances.is_empty() {
+            return 0.0;
+        }
+        *distances.select_nth_unstable_by(middle, f32::total_cmp).1
+    }
+
     /// Fraction of all texels that is covered, in `[0, 1]`.
     pub fn utilization(&self) -> f32 {
         let covered = self.covered.iter().filter(|&&covered| covered).count();
