@@ -5,6 +5,7 @@ use crate::fit::FramesTried;
 use crate::fit::run::FirstGuess;
 use crate::light::frame::{LightFrame, OwnLightFrame};
 use crate::mesh::Surface;
+use crate::pass::files::METRICS;
 use crate::pass::photograph::TrueObject;
 use crate::pass::progress::Progress;
 use crate::pipeline::Pipeline;
@@ -143,7 +144,7 @@ impl<'a> Session<'a> {
     /// Writes the metrics and shows the table.
     pub(super) fn finish(mut self) -> Result<()> {
         self.scores.peak_rss_mib = crate::report::scores::peak_rss_mib();
-        self.scores.write_json(self.out.join("metrics.json"))?;
+        self.scores.write_json(self.out.join(METRICS))?;
         self.progress.print(&self.scores.table());
         self.progress.print(&format!("Results are in {}.", self.out.display()));
         Ok(())
