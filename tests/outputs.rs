@@ -242,6 +242,18 @@ impl AtWork {
         at_work
     }
 
+    /// Waits for the end of the run, and returns its exit code.
+    fn ended(mut self) -> Option<i32> {
+        let started = Instant::now();
+        loop {
+            if let Some(status) = self.0.try_wait().unwrap() {
+                return status.code();
+            }
+            assert!(started.elapsed() < Duration::from_secs(120), "the run does not end");
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
+
     fn kill(mut self) {
         self.0.kill().unwrap();
         self.0.wait().unwrap();
@@ -309,12 +321,7 @@ fn a_run_that_fails_late_says_so() {
     // A folder in the way of a result.
     std::fs::create_dir_all(data.path("out/again/light.npy/x")).unwrap();
     interrupt(&at_work.0);
-    let mut at_work = at_work;
-    let started = Instant::now();
-    while at_work.0.try_wait().unwrap().is_none() {
-        assert!(started.elapsed() < Duration::from_secs(60), "it does not end");
-        std::thread::sleep(Duration::from_millis(10));
-    }
+    assert_eq!(at_work.ended(), Some(1));
     let after = manifest(&data.path("out"));
     assert_eq!((&before["state"], &after["state"]), (&"finished".into(), &"failed".into()));
     assert!(after["error"].as_str().unwrap().contains("light.npy"), "{after}");
@@ -322,7 +329,35 @@ fn a_run_that_fails_late_says_so() {
         (&after["passes"][1]["state"], &after["passes"][2]["state"]),
         (&"finished".into(), &"failed".into())
     );
-    assert!(!data.path("out/metrics.json").exists(), "those of the run before");
+    let metrics = metrics(&data);
+    assert!(
+        metrics["passes"].as_object().is_none_or(|passes| passes.is_empty()),
+        "of the run before: {metrics}"
+    );
+}
+
+#[test]
+fn a_pass_that_fails_ends_only_what_needs_it() {
+    let data = Data::new();
+    let rest = r#"Relight(name: "relit", light: Npy(path: "$DATA/evening.npy")),
+        Evaluate(name: "broken", scores: [(pass: "relit", truth: Photographs)]), "#;
+    let text = scene(&[FIT, NOVEL, rest, SCORES, SAVE].concat()).replace("steps: 10", "steps: 400");
+    let at_work = AtWork::start(&data, &text, &[], "fit");
+    // A folder where a picture goes.
+    std::fs::create_dir_all(data.path("out/relit/rgb_000000.exr/x")).unwrap();
+    assert_eq!(at_work.ended(), Some(1));
+    let manifest = manifest(&data.path("out"));
+    let states: Vec<&str> =
+        manifest["passes"].as_array().unwrap().iter().map(|pass| pass["state"].as_str().unwrap()).collect();
+    assert_eq!(states, ["finished", "finished", "failed", "skipped", "finished", "finished"]);
+    assert_eq!(manifest["state"], "failed");
+    assert!(manifest["error"].as_str().unwrap().contains("rgb_000000.exr"), "{manifest}");
+    assert!(metrics(&data)["passes"]["novel"]["psnr"].is_number(), "scores that can be taken are written");
+    assert!(data.path("out/saved/scene.ron").exists() && data.path("out/scores/contact_sheet.png").exists());
+}
+
+fn metrics(data: &Data) -> Value {
+    serde_json::from_slice(&std::fs::read(data.path("out/metrics.json")).unwrap()).unwrap()
 }
 
 #[cfg(unix)]

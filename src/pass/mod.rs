@@ -28,6 +28,7 @@ pub mod progress;
 pub mod record;
 pub mod render;
 pub mod save;
+mod sequence;
 mod session;
 mod shading;
 pub mod shape;
@@ -44,9 +45,9 @@ use crate::fit::run::{FirstGuess, FitPlugin};
 use crate::mesh::Surface;
 use crate::pipeline::Pipeline;
 use crate::report::scores::Scores;
+use crate::scene::Pass;
 use crate::scene::load::LoadedScene;
 use crate::scene::{Albedo, CameraSpec, Light, Photographed, Scene, Views};
-use crate::scene::{EditPass, Pass, RelightPass, RenderPass};
 use crate::shade::frame::FramePlugin;
 use crate::spawn::{SurfaceUse, make_surface, spawn};
 use crate::survey::Survey;
@@ -54,7 +55,7 @@ use crate::survey::open::OpenScene;
 use crate::view::ViewRecord;
 use photograph::{TrueObject, camera_of};
 use progress::Progress;
-use record::{Claim, RunRecord, RunState};
+use record::Claim;
 use std::borrow::Cow;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -78,7 +79,7 @@ pub struct RunOptions {
 /// `OUT/run.json` says how far the run is.
 ///
 /// # Errors
-/// The first error of a pass; the outputs of earlier passes stay. [`Error::Usage`] if a file that would be written is an input, or is of
+/// The first error of a pass; passes that do not need it are run all the same, and the scores written. [`Error::Usage`] if a file that would be written is an input, or is of
 /// something else than an earlier run, or if another run writes into the output folder.
 pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) -> Result<()> {
     record::check_used(&options.out, options.force)?;
@@ -98,8 +99,9 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
     }
     check_interrupted()?;
     let mut record = claim.begin(&loaded.path, &options.arguments)?;
-    let ended = run_passes(&mut session, &mut record).and_then(|()| session.finish());
-    record.end(ended)
+    let ended = sequence::run(&mut session, &mut record);
+    let finished = if matches!(ended, Err(Error::Interrupted)) { Ok(()) } else { session.finish() };
+    record.end(ended.and(finished))
 }
 
 /// Takes the output folder, once it is clear that nothing in it is read or somebody else's.
@@ -113,38 +115,6 @@ fn claim(loaded: &LoadedScene, data: Option<&OpenScene>, options: &RunOptions) -
     let help = "Choose another folder with --out, or give the pass another name. Inputs are never replaced, --force or not.";
     check_apart(&files::inputs(loaded, data), &outputs, help)?;
     Claim::new(&options.out, plan)
-}
-
-fn run_passes(session: &mut Session, record: &mut RunRecord) -> Result<()> {
-    let scene = session.scene;
-    for (index, pass) in scene.passes.iter().enumerate() {
-        record.pass(index, RunState::Running)?;
-        let ended = run_pass(session, pass);
-        record.pass(
-            index,
-            match &ended {
-                Ok(()) => RunState::Finished,
-                Err(Error::Interrupted) => RunState::Interrupted,
-                Err(_) => RunState::Failed,
-            },
-        )?;
-        ended?;
-        check_interrupted()?;
-    }
-    Ok(())
-}
-
-fn run_pass(session: &mut Session, pass: &Pass) -> Result<()> {
-    match pass {
-        Pass::Fit(pass) => fit::run(session, pass),
-        Pass::Shape(pass) => shape::run(session, pass),
-        Pass::Render(RenderPass { render, .. })
-        | Pass::Edit(EditPass { render, .. })
-        | Pass::Relight(RelightPass { render, .. }) => render::run(session, pass, render),
-        Pass::Evaluate(pass) => evaluate::run(session, pass),
-        Pass::Save(pass) => save::run(session, pass),
-        Pass::Export(pass) => export::run(session, pass),
-    }
 }
 
 /// Does what [`run`] does before the first pass of a scene, without any photograph: what the scene names is read and checked, no pass

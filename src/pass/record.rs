@@ -25,6 +25,8 @@ pub enum RunState {
     Finished,
     /// It ended with an error.
     Failed,
+    /// It was left out, because it needs a pass that failed.
+    Skipped,
     /// It was stopped by Ctrl-C; what was found until then is whole.
     Interrupted,
 }
