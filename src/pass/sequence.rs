@@ -26,9 +26,12 @@ pub(super) fn run(session: &mut Session, record: &mut RunRecord) -> Result<()> {
         }
         record.pass(index, RunState::Running)?;
         let ended = run_pass(session, pass);
-        record.pass(index, state_of(&ended))?;
-        let Err(error) = ended.and_then(|()| check_interrupted()) else { continue };
-        if ends_all(&error) {
+        let recorded = record.pass(index, state_of(&ended));
+        let Err(error) = ended.and_then(|()| check_interrupted()) else {
+            recorded?;
+            continue;
+        };
+        if recorded.is_err() || ends_all(&error) {
             return Err(first.unwrap_or(error));
         }
         failed.push(pass);
