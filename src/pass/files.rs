@@ -15,8 +15,6 @@ use std::path::{Path, PathBuf};
 
 /// The manifest of a run, in its output folder.
 pub const RUN: &str = "run.json";
-/// The scores of a run, in its output folder.
-pub const METRICS: &str = "metrics.json";
 
 /// What a pass may write, by paths below the output folder, with `/` between their parts. One that ends with `/` is a folder of
 /// which all files are the pass's.

@@ -110,7 +110,7 @@ fn claim(loaded: &LoadedScene, data: Option<&OpenScene>, options: &RunOptions) -
     let used = |name: &str, by: String| FileUse::new(options.out.join(name), by);
     let of_passes =
         plan.iter().flat_map(|pass| pass.files.iter().map(|file| used(file, format!("pass {}", pass.pass))));
-    let of_run = [files::RUN, files::METRICS].map(|name| used(name, "the run".to_owned()));
+    let of_run = [files::RUN, session::METRICS].map(|name| used(name, "the run".to_owned()));
     let outputs: Vec<FileUse> = of_passes.chain(of_run).collect();
     let help = "Choose another folder with --out, or give the pass another name. Inputs are never replaced, --force or not.";
     check_apart(&files::inputs(loaded, data), &outputs, help)?;

@@ -3,7 +3,8 @@
 
 use crate::codec::file::{FolderLock, LOCK, MOST_TEXT, clear_scratch, is_there, read_text, write_bytes};
 use crate::error::{Error, Result};
-use crate::pass::files::{METRICS, PassFiles, RUN};
+use crate::pass::files::{PassFiles, RUN};
+use crate::pass::session::METRICS;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::ffi::OsStr;

@@ -1,10 +1,15 @@
 //! The passes of a scene, one after another; one that fails ends only what needs it.
 
 use crate::error::{Error, Result};
+use crate::pass::evaluate;
+use crate::pass::export;
+use crate::pass::fit;
 use crate::pass::interrupt::check_interrupted;
 use crate::pass::record::{RunRecord, RunState};
+use crate::pass::render;
+use crate::pass::save;
 use crate::pass::session::Session;
-use crate::pass::{evaluate, export, fit, render, save, shape};
+use crate::pass::shape;
 use crate::scene::{EditPass, Pass, RelightPass, RenderPass};
 use std::io::ErrorKind;
 

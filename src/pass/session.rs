@@ -5,7 +5,6 @@ use crate::fit::FramesTried;
 use crate::fit::run::FirstGuess;
 use crate::light::frame::{LightFrame, OwnLightFrame};
 use crate::mesh::Surface;
-use crate::pass::files::METRICS;
 use crate::pass::photograph::TrueObject;
 use crate::pass::progress::Progress;
 use crate::pipeline::Pipeline;
@@ -17,6 +16,9 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
+
+/// The scores of a run, in its output folder.
+pub const METRICS: &str = "metrics.json";
 
 /// Everything the passes of one run share.
 pub struct Session<'a> {
