@@ -80,6 +80,37 @@ fn a_map_becomes_lobes_a_picture_and_a_map_again() {
     assert_eq!((size("back.png"), size("sky.png")), ((512, 256), (64, 64)));
 }
 
+/// A file that is read, or a picture that is somebody else's, is not replaced.
+#[test]
+fn a_light_is_never_written_over_what_it_is_made_of() {
+    let folder = Folder::new();
+    let bytes = |name: &str| std::fs::read(folder.path(name)).unwrap();
+    let picture = image::RgbImage::new(4, 4);
+    picture.save(folder.path("sky.png")).unwrap();
+    let (map, photograph) = (bytes("sky.exr"), bytes("sky.png"));
+    folder.refused(
+        &["fit", "sky.exr", "--lobes", "2", "--out", "sky.ron"],
+        &["sky.png exists", "another name"],
+    );
+    std::fs::write(folder.path("sky.png"), "no picture").unwrap();
+    folder.refused(&["fit", "sky.exr", "--lobes", "2", "--out", "sky.ron"], &["sky.png exists"]);
+    std::fs::write(folder.path("sky.png"), &photograph).unwrap();
+    folder.refused(&["render", "sky.exr", "./sky.exr"], &["the picture would replace", "sky.exr"]);
+    folder.refused(&["rotate", "sky.exr", "--euler", "0,90,0", "--out", "sky.exr"], &["--out would replace"]);
+    #[cfg(unix)]
+    {
+        std::os::unix::fs::symlink("sky.exr", folder.path("link.exr")).unwrap();
+        folder.refused(&["render", "sky.exr", "link.exr"], &["the picture would replace"]);
+        folder.refused(&["render", "link.exr", "sky.exr"], &["the picture would replace"]);
+    }
+    assert!(bytes("sky.exr") == map && bytes("sky.png") == photograph);
+    std::fs::remove_file(folder.path("sky.png")).unwrap();
+    // The picture of an earlier fit is.
+    for out in ["sky.ron", "sky.npy"] {
+        folder.env(&["fit", "sky.exr", "--lobes", "2", "--out", out, "--quiet"]).succeeded();
+    }
+}
+
 #[test]
 fn several_counts_make_a_table_and_options_change_the_light() {
     let folder = Folder::new();

@@ -3,6 +3,7 @@
 //! | theme | files |
 //! | --- | --- |
 //! | runs of the command | [`run`], [`photos`], [`gloss`], [`ggx`], [`scale`], [`light_frame`], [`export`], [`shown`], [`env`], [`scores`] |
+//! | what is written where, and what never is | [`outputs`] |
 //! | what is refused, and how | [`bad_input`], [`check`], [`hostile`], [`scene_errors`] |
 //! | systems in a world, pictures | [`ecs`], [`swap`], [`visibility`], [`frames`] |
 //! | the documentation, the layers of the code | [`docs`], [`rooms`] |
@@ -20,6 +21,7 @@ mod ggx;
 mod gloss;
 mod hostile;
 mod light_frame;
+mod outputs;
 mod photos;
 mod rooms;
 mod run;

@@ -36,10 +36,7 @@ impl Film {
     /// # Errors
     /// [`Error::Io`] if a folder cannot be created.
     pub fn new(folder: &Path) -> Result<Self> {
-        std::fs::create_dir_all(folder).map_err(Error::io("create folder", folder))?;
-        let hidden = tempfile::Builder::new().prefix(".film").tempdir_in(folder);
-        let folder = hidden.map_err(Error::io("create a folder in", folder))?;
-        Ok(Self { folder, size: [0; 2], count: 0 })
+        Ok(Self { folder: file::scratch_folder(folder)?, size: [0; 2], count: 0 })
     }
 
     /// Appends a frame.

@@ -32,10 +32,29 @@ pub fn write_gray8(path: impl AsRef<Path>, picture: &GrayImage) -> Result<()> {
     write(path.as_ref(), picture.width(), picture.height(), ColorType::Grayscale, picture.as_raw())
 }
 
+/// [`write_rgb8`] with a line of text that says which program wrote it ([`software_of`]).
+///
+/// # Errors
+/// Those of [`write_rgb8`].
+pub fn write_rgb8_by(path: impl AsRef<Path>, picture: &RgbImage, software: &str) -> Result<()> {
+    let size = [picture.width(), picture.height()];
+    write_rows_by(path.as_ref(), size, ColorType::Rgb, Some(software), |rows| rows.push(picture.as_raw()))
+}
+
+/// The program that a PNG says it was written by; `None` if it is no PNG, or does not say.
+pub fn software_of(path: impl AsRef<Path>) -> Option<String> {
+    let file = file::open(path.as_ref(), |_| String::new()).ok()?;
+    let reader = png::Decoder::new(file).read_info().ok()?;
+    let texts = &reader.info().uncompressed_latin1_text;
+    texts.iter().find(|text| text.keyword == SOFTWARE).map(|text| text.text.clone())
+}
+
 fn write(path: &Path, width: u32, height: u32, color: ColorType, samples: &[u8]) -> Result<()> {
     write_rows(path, [width, height], color, |rows| rows.push(samples))
 }
 
+/// The keyword that the PNG specification has for the program.
+const SOFTWARE: &str = "Software";
 /// Compressed bytes that are collected before they are written: one chunk of the file.
 const CHUNK_BYTES: usize = 1 << 20;
 
@@ -51,7 +70,16 @@ pub fn write_rows(
     color: ColorType,
     fill: impl FnOnce(&mut PngRows) -> Result<()>,
 ) -> Result<()> {
-    let path = path.as_ref();
+    write_rows_by(path.as_ref(), size, color, None, fill)
+}
+
+fn write_rows_by(
+    path: &Path,
+    size: [u32; 2],
+    color: ColorType,
+    software: Option<&str>,
+    fill: impl FnOnce(&mut PngRows) -> Result<()>,
+) -> Result<()> {
     let failed = |error| failed(path, error);
     file::write_file(path, |writer| {
         let mut encoder = Encoder::new(writer, size[0], size[1]);
@@ -59,6 +87,9 @@ pub fn write_rows(
         encoder.set_depth(BitDepth::Eight);
         encoder.set_compression(Compression::Balanced);
         encoder.set_source_srgb(SrgbRenderingIntent::Perceptual);
+        if let Some(software) = software {
+            encoder.add_text_chunk(SOFTWARE.to_owned(), software.to_owned()).map_err(failed)?;
+        }
         let mut picture = encoder.write_header().map_err(failed)?;
         let mut stream = picture.stream_writer_with_size(CHUNK_BYTES).map_err(failed)?;
         let left = size[0] as usize * size[1] as usize * color.samples();

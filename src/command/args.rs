@@ -27,7 +27,10 @@ Runs the passes of a scene file in their order.
 
 A scene file says what is known about an object (its surface, the photographs, the light, the material), what is
 not, and what to do: Fit what is unknown, Render views, Edit the material, Relight it, Evaluate against the
-truth, Save it as a scene of its own, Export it as .glb. Every pass has a name and writes into OUT/<name>/.";
+truth, Save it as a scene of its own, Export it as .glb. Every pass has a name and writes into OUT/<name>/.
+
+Inputs are never replaced, whatever OUT and passes are called. OUT/run.json says how far the run is and lists its
+files; --force replaces those of an earlier run and nothing else. Only one run at a time writes into OUT.";
 
 const SET_LONG: &str = "\
 Replaces a value of the scene file, or adds it where it is left out. May be given many times.
@@ -146,7 +149,7 @@ pub struct RunArgs {
     /// The output folder [default: out/<name of the scene file>]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
-    /// Write into the output folder even if it has files in it
+    /// Replace the results of an earlier run in the output folder, and nothing else
     #[arg(long)]
     pub force: bool,
     /// How many threads.
@@ -334,7 +337,8 @@ pub struct FitArgs {
     #[arg(long, value_name = "N[,N…]", value_delimiter = ',', default_value = "128",
         value_parser = clap::value_parser!(u16).range(1..=512))]
     pub lobes: Vec<u16>,
-    /// Write the lobes here (.ron or .npy), and beside it a .png of the map and what the lobes make of it
+    /// Write the lobes here (.ron or .npy), and beside it a .png of the map and what the lobes make of it, unless another
+    /// picture is there
     #[arg(long, value_name = "FILE")]
     pub out: Option<PathBuf>,
     /// Light from above only: the map below the horizon counts as black, no lobe's axis points below it

@@ -4,6 +4,8 @@ use super::args::CheckArgs;
 use super::scene_files::load_options;
 use super::terminal::print;
 use super::threads::start_threads;
+use lobelia::codec::file::{FileUse, check_apart};
+use lobelia::pass::files;
 use lobelia::pass::preflight::{check_folder, check_paths, check_sizes};
 use lobelia::pass::progress::{Bar, Progress, Silent};
 use lobelia::pass::rehearse;
@@ -12,7 +14,7 @@ use lobelia::scene::Pass;
 use lobelia::scene::{LoadOptions, LoadedScene, load, unknown_parts};
 use lobelia::scene::{Scene, Surface, Views};
 use lobelia::survey::estimate::{Estimate, estimate};
-use lobelia::survey::open::survey;
+use lobelia::survey::open::{OpenScene, survey};
 use lobelia::survey::sheet::contact_sheet;
 use lobelia::survey::{Severity, Survey, json, table};
 use lobelia::view::ViewRecord;
@@ -20,6 +22,11 @@ use lobelia::{Error, Result};
 use std::cell::RefCell;
 use std::fmt::Write as _;
 use std::path::Path;
+
+/// The contact sheet.
+const SHEET: &str = "contact_sheet.png";
+/// The survey.
+const JSON: &str = "survey.json";
 
 /// Runs the command.
 pub fn run(args: &CheckArgs) -> Result<()> {
@@ -30,6 +37,7 @@ pub fn run(args: &CheckArgs) -> Result<()> {
     let has_photographs = data_is_there(&loaded);
     if let Some(out) = &args.out {
         check_out(out, has_photographs)?;
+        check_inputs(out, &loaded)?;
     }
     start_threads(args.threads)?;
     let surveyed = if has_photographs { survey(&loaded.scene, args.out.is_some())? } else { None };
@@ -95,6 +103,13 @@ fn check_out(out: &Path, has_photographs: bool) -> Result<()> {
     check_folder(out)
 }
 
+/// Refuses to replace what the scene reads.
+fn check_inputs(out: &Path, loaded: &LoadedScene) -> Result<()> {
+    let inputs = files::inputs(loaded, OpenScene::new(&loaded.scene)?.as_ref());
+    let outputs = [SHEET, JSON].map(|name| FileUse::new(out.join(name), "--out"));
+    check_apart(&inputs, &outputs, "Choose another folder with --out.")
+}
+
 /// Whether nothing that a survey reads is below a `$DATA` that stands for nothing.
 fn data_is_there(loaded: &LoadedScene) -> bool {
     let is_there = |path: &Path| !loaded.unseen.iter().any(|unseen| unseen == path);
@@ -108,7 +123,7 @@ fn data_is_there(loaded: &LoadedScene) -> bool {
 /// Writes the contact sheet and the survey as JSON.
 fn write(out: &Path, loaded: &LoadedScene, survey: &Survey, estimate: &Estimate) -> Result<()> {
     std::fs::create_dir_all(out).map_err(Error::io("create", out))?;
-    let (sheet, data) = (out.join("contact_sheet.png"), out.join("survey.json"));
+    let (sheet, data) = (out.join(SHEET), out.join(JSON));
     write_sheet(&sheet, &contact_sheet(survey, &loaded.path.display().to_string()))?;
     json::write_json(&data, survey, estimate)?;
     print(&format!("written: {}, {}\n", sheet.display(), data.display()))

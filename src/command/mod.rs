@@ -6,8 +6,9 @@
 //! | [`run`], [`check`], [`prepare`], [`new`], [`eval`], [`env`], [`bench`], [`shade_cases`] | the commands |
 //! | [`terminal`] | bars, notes and results |
 //! | [`report`] | how an error is drawn |
-//! | [`scene_files`], [`threads`] | what several commands do before they start |
+//! | [`scene_files`], [`threads`], [`apart`] | what several commands do before they start |
 
+mod apart;
 mod args;
 mod bench;
 mod check;

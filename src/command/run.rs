@@ -17,7 +17,8 @@ pub fn run(args: &RunArgs) -> Result<()> {
     let out = args.out.clone().unwrap_or_else(|| default_out(&args.scene.scene));
     start_threads(args.threads)?;
     let memory = args.memory.or_else(usual_budget);
-    let options = RunOptions { out, force: args.force, debug_every: args.debug_every, memory };
+    let arguments = std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()).collect();
+    let options = RunOptions { out, force: args.force, debug_every: args.debug_every, memory, arguments };
     stop_on_ctrl_c()?;
     pass::run(&loaded, &options, &Terminal::new(args.quiet))
 }

@@ -6,12 +6,14 @@ use crate::dataset::load::{StemIndex, view_name};
 use crate::dataset::masks::{find_mask, mask_file};
 use crate::error::{Error, Result};
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
-/// The name of a view: the path of its image below the folder of images, without extension, as one file name.
+/// The name of a view: the path of its image below the folder of images, without extension, as one file name. An absolute path is taken
+/// without its root.
 pub(super) fn flat_name(path: &str) -> String {
     let folders = Path::new(path).parent().into_iter().flat_map(Path::components);
-    let folders = folders.map(|part| format!("{}_", part.as_os_str().to_string_lossy()));
+    let named = folders.filter(|part| !matches!(part, Component::RootDir | Component::Prefix(_)));
+    let folders = named.map(|part| format!("{}_", part.as_os_str().to_string_lossy()));
     folders.collect::<String>() + &view_name(path)
 }
 

@@ -195,6 +195,11 @@ impl PlannedView {
         self.plan.world_from_camera
     }
 
+    /// The file that describes the camera.
+    pub fn camera_file(&self) -> &Path {
+        &self.plan.camera_file
+    }
+
     /// The file of the photograph, unless the data set has cameras only.
     pub fn image_path(&self) -> Option<&Path> {
         self.plan.image.as_deref()

@@ -46,7 +46,7 @@ pub(super) fn check_names(plans: &[ViewPlan]) -> Result<Vec<String>> {
                 return Err(wrong(plan, problem, help));
             }
             Some(other) => notes.push(format!(
-                "the views {} and {} differ only in case: on some file systems one replaces the other",
+                "the views {} and {} differ only in case: where both are rendered, the files of one get a number",
                 other.name, plan.name
             )),
             None => {}

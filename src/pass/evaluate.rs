@@ -17,7 +17,7 @@ use crate::report::normals::NormalAngles;
 use crate::report::scores::{EvalView, PassScores, Scaling, score_views};
 use crate::report::sheet::{Sheet, SheetCell, SheetRow, Theme, choose_evenly, write_sheet};
 use crate::report::tone::{Backdrop, Look, Picture};
-use crate::scene::{EvaluatePass, LayerTruth, Pass, Score, ScoreScale, Truth, ViewChoice};
+use crate::scene::{EvaluatePass, LayerTruth, Pass, Score, ScoreScale, Truth};
 use crate::view::camera::Camera;
 use crate::view::{Photograph, ViewMask, ViewName};
 use bevy_ecs::prelude::World;
@@ -177,10 +177,9 @@ fn layers_of(rule: ScoreScale) -> &'static [Layer] {
 /// The views that a pass rendered, by the scene file.
 fn views_of(session: &mut Session, pass: &str) -> Result<Vec<ChosenView>> {
     let settings = session.scene.passes.iter().find(|p| p.name() == pass).and_then(Pass::render);
-    let choice: &ViewChoice = &settings
-        .ok_or_else(|| Error::run("evaluate", format!("there is no earlier pass {pass} that renders")))?
-        .views;
-    Ok(chosen_views(&mut session.pipeline.world, choice))
+    let settings = settings
+        .ok_or_else(|| Error::run("evaluate", format!("there is no earlier pass {pass} that renders")))?;
+    Ok(chosen_views(&mut session.pipeline.world, settings))
 }
 
 fn scaling(rule: ScoreScale) -> Scaling {

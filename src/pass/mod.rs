@@ -10,11 +10,13 @@
 //! | `Save` | [`save`] | `scene.ron` with side files |
 //! | `Export` | [`export`] | `mesh.glb`, `mesh.ply`, `mesh.obj` with `mesh.mtl` and `mesh_albedo.png` |
 //!
-//! [`preflight`] checks the inputs of all passes before the first one runs.
+//! [`preflight`] checks the inputs of all passes before the first one runs; [`files`] knows all files that they may write, so that
+//! none of them is one that is read; [`record`] keeps `OUT/run.json`, which says what belongs together.
 
 pub mod edit;
 pub mod evaluate;
 pub mod export;
+pub mod files;
 pub mod fit;
 mod found_views;
 pub mod inspect;
@@ -23,8 +25,10 @@ pub mod memory;
 pub mod photograph;
 pub mod preflight;
 pub mod progress;
+pub mod record;
 pub mod render;
 pub mod save;
+mod sequence;
 mod session;
 mod shading;
 pub mod shape;
@@ -34,48 +38,57 @@ mod truth_files;
 pub use interrupt::{INTERRUPTED, check_interrupted};
 pub use session::{Lights, MOST_VISIBILITY_BYTES, Session};
 
+use crate::codec::file::{FileUse, check_apart};
 use crate::error::{Error, Result};
 use crate::fit::ObjectTurned;
 use crate::fit::run::{FirstGuess, FitPlugin};
 use crate::mesh::Surface;
 use crate::pipeline::Pipeline;
 use crate::report::scores::Scores;
+use crate::scene::Pass;
 use crate::scene::load::LoadedScene;
 use crate::scene::{Albedo, CameraSpec, Light, Photographed, Scene, Views};
-use crate::scene::{EditPass, Pass, RelightPass, RenderPass};
 use crate::shade::frame::FramePlugin;
 use crate::spawn::{SurfaceUse, make_surface, spawn};
 use crate::survey::Survey;
+use crate::survey::open::OpenScene;
 use crate::view::ViewRecord;
 use photograph::{TrueObject, camera_of};
 use progress::Progress;
+use record::Claim;
 use std::borrow::Cow;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::sync::Arc;
 
 /// How a loaded scene is run.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct RunOptions {
     /// The output folder.
     pub out: PathBuf,
-    /// Write into `out` although it exists and is not empty.
+    /// Replace what an earlier run wrote into `out`.
     pub force: bool,
     /// Steps of a `Shape` between two looks at it, if it is looked at.
     pub debug_every: Option<u32>,
     /// Memory that the run may take, in bytes; `None`: as much as it takes.
     pub memory: Option<u64>,
+    /// The command line, for the manifest.
+    pub arguments: Vec<String>,
 }
 
-/// Runs the passes of a scene in order, and reports to `progress`.
+/// Runs the passes of a scene in order, and reports to `progress`. What will be written is known before anything is read, and
+/// `OUT/run.json` says how far the run is.
 ///
 /// # Errors
-/// The first error of a pass; the outputs of earlier passes stay.
+/// The first error of a pass; passes that do not need it are run all the same, and the scores written. [`Error::Usage`] if a file that would be written is an input, or is of
+/// something else than an earlier run, or if another run writes into the output folder.
 pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) -> Result<()> {
-    refuse_used(&options.out, options.force)?;
+    record::check_used(&options.out, options.force)?;
     preflight::check_output(&loaded.scene, &options.out)?;
     preflight::check_sizes(&loaded.scene)?;
     preflight::check_paths(&loaded.scene)?;
-    let (views, survey) = read_views(&loaded.scene, progress)?;
+    let data = OpenScene::new(&loaded.scene)?;
+    let claim = claim(loaded, data.as_ref(), options)?;
+    let (views, survey) = read_views(&loaded.scene, data.as_ref(), progress)?;
     let scene = match &survey {
         Some(survey) => memory::within(&loaded.scene, survey, options.memory, progress)?,
         None => Cow::Borrowed(&loaded.scene),
@@ -84,20 +97,24 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
     if survey.is_some_and(|survey| survey.is_turntable()) {
         session.pipeline.world.insert_resource(ObjectTurned);
     }
-    for pass in &scene.passes {
-        match pass {
-            Pass::Fit(pass) => fit::run(&mut session, pass)?,
-            Pass::Shape(pass) => shape::run(&mut session, pass)?,
-            Pass::Render(RenderPass { render, .. })
-            | Pass::Edit(EditPass { render, .. })
-            | Pass::Relight(RelightPass { render, .. }) => render::run(&mut session, pass, render)?,
-            Pass::Evaluate(pass) => evaluate::run(&mut session, pass)?,
-            Pass::Save(pass) => save::run(&mut session, pass)?,
-            Pass::Export(pass) => export::run(&mut session, pass)?,
-        }
-        check_interrupted()?;
-    }
-    session.finish()
+    check_interrupted()?;
+    let mut record = claim.begin(&loaded.path, &options.arguments)?;
+    let ended = sequence::run(&mut session, &mut record);
+    let finished = if matches!(ended, Err(Error::Interrupted)) { Ok(()) } else { session.finish() };
+    record.end(ended.and(finished))
+}
+
+/// Takes the output folder, once it is clear that nothing in it is read or somebody else's.
+fn claim(loaded: &LoadedScene, data: Option<&OpenScene>, options: &RunOptions) -> Result<Claim> {
+    let plan = files::outputs(&loaded.scene, data, options.debug_every);
+    let used = |name: &str, by: String| FileUse::new(options.out.join(name), by);
+    let of_passes =
+        plan.iter().flat_map(|pass| pass.files.iter().map(|file| used(file, format!("pass {}", pass.pass))));
+    let of_run = [files::RUN, session::METRICS].map(|name| used(name, "the run".to_owned()));
+    let outputs: Vec<FileUse> = of_passes.chain(of_run).collect();
+    let help = "Choose another folder with --out, or give the pass another name. Inputs are never replaced, --force or not.";
+    check_apart(&files::inputs(loaded, data), &outputs, help)?;
+    Claim::new(&options.out, plan)
 }
 
 /// Does what [`run`] does before the first pass of a scene, without any photograph: what the scene names is read and checked, no pass
@@ -110,18 +127,8 @@ pub fn rehearse(scene: &Scene, views: Vec<ViewRecord>, progress: &dyn Progress) 
         Views::Cameras(specs) => specs.iter().map(bare_view).collect::<Result<_>>()?,
         Views::Dataset(_) | Views::Photographed(_) => views,
     };
-    let options = RunOptions { out: PathBuf::new(), force: false, debug_every: None, memory: None };
+    let options = RunOptions::default();
     open(scene, views, &options, progress, photograph::imagine, SurfaceUse::Checks).map(drop)
-}
-
-/// An output folder that is not empty is an error, unless `force`.
-fn refuse_used(out: &Path, force: bool) -> Result<()> {
-    // What else keeps it from being written into is told by the checks of the output.
-    if !force && std::fs::read_dir(out).is_ok_and(|mut entries| entries.next().is_some()) {
-        let problem = format!("the output folder {} is not empty", out.display());
-        return Err(Error::usage(problem, "Choose another with --out, or write into it with --force."));
-    }
-    Ok(())
 }
 
 /// How a scene gets the photographs that it makes of its own object.
@@ -171,11 +178,15 @@ fn open<'a>(
 }
 
 /// Reads the views that do not depend on the object; rendered photographs come later. Photographs that cannot work end the run here.
-fn read_views(scene: &Scene, progress: &dyn Progress) -> Result<(Vec<ViewRecord>, Option<Survey>)> {
-    match &scene.views {
-        Views::Dataset(_) => preflight::read_data(scene, progress),
-        Views::Cameras(specs) => Ok((specs.iter().map(bare_view).collect::<Result<_>>()?, None)),
-        Views::Photographed(_) => Ok((Vec::new(), None)),
+fn read_views(
+    scene: &Scene,
+    data: Option<&OpenScene>,
+    progress: &dyn Progress,
+) -> Result<(Vec<ViewRecord>, Option<Survey>)> {
+    match (&scene.views, data) {
+        (Views::Dataset(_), Some(data)) => preflight::read_data(scene, data, progress),
+        (Views::Cameras(specs), _) => Ok((specs.iter().map(bare_view).collect::<Result<_>>()?, None)),
+        (Views::Photographed(_) | Views::Dataset(_), _) => Ok((Vec::new(), None)),
     }
 }
 

@@ -32,13 +32,16 @@ const PHOTOGRAPH_PIXEL_BYTES: u64 = 12 + 2;
 /// Room on the disk that any run takes.
 const LEAST_ROOM: u64 = 16 << 20;
 
-/// Reads the views of a data set, and surveys those that passes learn from or are scored against: a warning is a note, the first
+/// Reads the views of a data set that is open, and surveys those that passes learn from or are scored against: a warning is a note, the first
 /// error ends the run.
 ///
 /// # Errors
-/// [`Error::Usage`] for the first thing that cannot work; those of reading the data.
-pub fn read_data(scene: &Scene, progress: &dyn Progress) -> Result<(Vec<ViewRecord>, Option<Survey>)> {
-    let Some(open) = OpenScene::new(scene)? else { return Ok((Vec::new(), None)) };
+/// [`Error::Usage`] for the first thing that cannot work; those of reading photographs and masks.
+pub fn read_data(
+    scene: &Scene,
+    open: &OpenScene,
+    progress: &dyn Progress,
+) -> Result<(Vec<ViewRecord>, Option<Survey>)> {
     let learns = |pass: &Pass| matches!(pass, Pass::Fit(_) | Pass::Shape(_) | Pass::Evaluate(_));
     let is_used = matches!(scene.surface, Surface::Unknown { .. }) || scene.passes.iter().any(learns);
     let read = |view: &PlannedView| {
@@ -159,7 +162,7 @@ fn check_views(session: &mut Session, pass: &str, settings: &RenderSettings) -> 
             return Err(Error::usage(format!("pass {pass}: there is no view {missing}"), help));
         }
     }
-    if settings.orbit.is_none() && chosen_views(world, &settings.views).is_empty() {
+    if settings.orbit.is_none() && chosen_views(world, settings).is_empty() {
         let problem = format!("pass {pass} renders nothing: no view matches");
         let help = "Use `render: (views: All)`, or give it an `orbit`.";
         return Err(Error::usage(problem, help));
@@ -175,7 +178,7 @@ fn check_truths(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
     for (i, score) in pass.scores.iter().enumerate() {
         let settings = session.scene.passes.iter().find(|p| p.name() == score.pass).and_then(Pass::render);
         let Some(settings) = settings else { continue };
-        let views = chosen_views(&mut session.pipeline.world, &settings.views);
+        let views = chosen_views(&mut session.pipeline.world, settings);
         let world = &session.pipeline.world;
         views.par_iter().try_for_each(|view| check_image(world, &score.pass, &score.truth, view))?;
         // Layers are scored on the views of the first score.

@@ -1,6 +1,7 @@
 //! The `Render`, `Edit` and `Relight` passes: they render the material, light and shading that [`show`] swaps in.
 
 use crate::codec::animation::{Film, Mp4, write_apng, write_gif, write_mp4};
+use crate::codec::file::file_stems;
 use crate::codec::frame::{Frame, write_frame_rows};
 use crate::error::Result;
 use crate::light::lights::IncidentLight;
@@ -19,7 +20,13 @@ use crate::view::{Split, ViewName};
 use bevy_ecs::prelude::{Entity, World};
 use glam::Vec3;
 use image::RgbImage;
+use std::collections::HashMap;
 use std::path::Path;
+
+/// Stem of the files of a film.
+const FILM: &str = "orbit";
+/// The film as a video, where there is a program that makes one.
+pub const FILM_MP4: &str = "orbit.mp4";
 
 /// Runs one of the three passes.
 ///
@@ -32,7 +39,7 @@ pub fn run(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> Res
 
 fn render_all(session: &mut Session, name: &str, settings: &RenderSettings) -> Result<()> {
     let folder = session.folder(name);
-    let views = chosen_views(&mut session.pipeline.world, &settings.views);
+    let views = chosen_views(&mut session.pipeline.world, settings);
     let orbit = settings.orbit.as_ref().map(|orbit| orbit_cameras(session, orbit)).transpose()?;
     let frames = orbit.as_ref().map_or(0, Vec::len);
     let bar = session.progress.bar(name, (views.len() + frames) as u64);
@@ -67,27 +74,43 @@ pub struct ChosenView {
     pub camera: Camera,
 }
 
-/// The chosen views, by name.
-pub fn chosen_views(world: &mut World, choice: &ViewChoice) -> Vec<ChosenView> {
-    let wanted = |name: &str, split: Split| match choice {
+/// The chosen views, by the stems of their files.
+pub fn chosen_views(world: &mut World, settings: &RenderSettings) -> Vec<ChosenView> {
+    let mut query = world.query::<(Entity, &ViewName, &Camera, &Split)>();
+    let all: Vec<_> = query.iter(world).collect();
+    let names: Vec<(&str, Split)> =
+        all.iter().map(|(_, name, _, split)| (name.0.as_str(), **split)).collect();
+    let chosen = chosen_stems(&names, settings).into_iter().map(|(i, stem)| {
+        let (entity, _, camera, _) = all[i];
+        ChosenView { stem, entity, camera: *camera }
+    });
+    chosen.collect()
+}
+
+/// Which of these views are chosen, with the stems of their files, by these. The one place that makes names of files of names of views.
+pub fn chosen_stems(views: &[(&str, Split)], settings: &RenderSettings) -> Vec<(usize, String)> {
+    let is_wanted = |(name, split): (&str, Split)| match &settings.views {
         ViewChoice::Test => split == Split::Test,
         ViewChoice::Train => split == Split::Train,
         ViewChoice::All => true,
         ViewChoice::Named(names) => names.iter().any(|n| n == name),
     };
-    let mut query = world.query::<(Entity, &ViewName, &Camera, &Split)>();
-    let chosen: Vec<_> = query.iter(world).filter(|(_, name, _, split)| wanted(&name.0, **split)).collect();
-    let mut views: Vec<ChosenView> = chosen
-        .iter()
-        .map(|(entity, name, camera, split)| {
-            let shared = chosen.iter().filter(|other| other.1 == *name).count() > 1;
-            let part = if **split == Split::Train { "train" } else { "test" };
-            let stem = if shared { format!("{part}_{}", name.0) } else { name.0.clone() };
-            ChosenView { stem, entity: *entity, camera: **camera }
-        })
-        .collect();
-    views.sort_by(|a, b| a.stem.cmp(&b.stem));
-    views
+    let mut chosen: Vec<usize> = (0..views.len()).filter(|&i| is_wanted(views[i])).collect();
+    let mut uses: HashMap<&str, usize> = HashMap::new();
+    chosen.iter().for_each(|&i| *uses.entry(views[i].0).or_default() += 1);
+    let named = |i: usize| {
+        let (name, split) = views[i];
+        let part = if split == Split::Train { "train" } else { "test" };
+        if uses[name] > 1 { format!("{part}_{name}") } else { name.to_owned() }
+    };
+    chosen.sort_by_cached_key(|&i| named(i));
+    let names: Vec<String> = chosen.iter().map(|&i| named(i)).collect();
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
+    // The film lies beside the views.
+    let taken: &[&str] = if settings.orbit.is_some() { &[FILM] } else { &[] };
+    let mut stems: Vec<(usize, String)> = chosen.into_iter().zip(file_stems(&names, taken)).collect();
+    stems.sort_by(|a, b| a.1.cmp(&b.1));
+    stems
 }
 
 /// Renders a view and writes it as EXR and PNG, both band by band.
@@ -172,13 +195,21 @@ fn orbit_cameras(session: &Session, orbit: &Orbit) -> Result<Vec<Camera>> {
     })
 }
 
-fn write_film(session: &Session, folder: &Path, orbit: &Orbit, film: &Film) -> Result<()> {
-    let fps = orbit.fps as f32;
-    match orbit.format {
-        OrbitFormat::Gif => write_gif(folder.join("orbit.gif"), film, fps)?,
-        OrbitFormat::Apng => write_apng(folder.join("orbit.png"), film, fps)?,
+/// The file of a film.
+pub fn film_name(format: OrbitFormat) -> String {
+    match format {
+        OrbitFormat::Gif => format!("{FILM}.gif"),
+        OrbitFormat::Apng => format!("{FILM}.png"),
     }
-    if write_mp4(folder.join("orbit.mp4"), film, fps)? == Mp4::NoFfmpeg {
+}
+
+fn write_film(session: &Session, folder: &Path, orbit: &Orbit, film: &Film) -> Result<()> {
+    let (fps, path) = (orbit.fps as f32, folder.join(film_name(orbit.format)));
+    match orbit.format {
+        OrbitFormat::Gif => write_gif(path, film, fps)?,
+        OrbitFormat::Apng => write_apng(path, film, fps)?,
+    }
+    if write_mp4(folder.join(FILM_MP4), film, fps)? == Mp4::NoFfmpeg {
         session.progress.note("no ffmpeg on the PATH, so there is no orbit.mp4");
     }
     Ok(())

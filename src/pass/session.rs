@@ -17,6 +17,9 @@ use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Instant;
 
+/// The scores of a run, in its output folder.
+pub const METRICS: &str = "metrics.json";
+
 /// Everything the passes of one run share.
 pub struct Session<'a> {
     /// The scene that is run.
@@ -143,7 +146,7 @@ impl<'a> Session<'a> {
     /// Writes the metrics and shows the table.
     pub(super) fn finish(mut self) -> Result<()> {
         self.scores.peak_rss_mib = crate::report::scores::peak_rss_mib();
-        self.scores.write_json(self.out.join("metrics.json"))?;
+        self.scores.write_json(self.out.join(METRICS))?;
         self.progress.print(&self.scores.table());
         self.progress.print(&format!("Results are in {}.", self.out.display()));
         Ok(())

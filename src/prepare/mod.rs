@@ -50,7 +50,7 @@ pub use colmap::{CameraSharing, LensModel};
 pub use masks::MaskSource;
 pub use options::{FeatureArea, Matching, PrepareOptions, Prepared};
 
-use crate::codec::file::write_bytes;
+use crate::codec::file::{lies_in, write_bytes};
 use crate::error::{Error, Result};
 use crate::pass::progress::Progress;
 use crate::prepare::colmap::Colmap;
@@ -77,6 +77,7 @@ pub fn prepare(options: &PrepareOptions, progress: &dyn Progress) -> Result<Prep
         let problem = format!("{} frames per second", options.frames_per_second);
         return Err(Error::usage(problem, "Give a number above 0, at most 60."));
     }
+    check_apart(options)?;
     let colmap = Colmap::find(options.colmap.clone(), options.gpu)?;
     let is_video = video::is_video(&options.photographs);
     // A bad folder is refused before the output folder is made.
@@ -96,6 +97,23 @@ pub fn prepare(options: &PrepareOptions, progress: &dyn Progress) -> Result<Prep
     let steps = Reconstruction { options, colmap, photographs, is_video, has_masks, on_object, progress };
     let prepared = steps.run(&mut work)?;
     publish(&options.out, work, prepared)
+}
+
+/// Checks that nothing that is read lies where results go: those of work in progress are replaced.
+fn check_apart(options: &PrepareOptions) -> Result<()> {
+    let masks = match &options.masks {
+        MaskSource::Folder(folder) => Some(folder),
+        MaskSource::Alpha | MaskSource::Backdrop | MaskSource::Command(_) => None,
+    };
+    for (path, what) in [(Some(&options.photographs), "photographs"), (masks, "masks")] {
+        if let Some(path) = path.filter(|path| lies_in(path, &options.out)) {
+            let (path, out) = (path.display(), options.out.display());
+            let problem =
+                format!("the {what}, {path}, are in the output folder {out}, where they could be replaced");
+            return Err(Error::usage(problem, "Give a folder that is new or empty."));
+        }
+    }
+    Ok(())
 }
 
 /// The frames of a video, as a folder of photographs.

@@ -125,6 +125,23 @@ fn photographs_become_a_data_set_that_is_read() {
     assert!(refused(&capture.options()).contains("is not empty"));
 }
 
+/// What has the name of a result is replaced while work goes on.
+#[test]
+fn photographs_and_masks_in_the_output_folder_are_refused() {
+    let capture = Capture::new();
+    let out = capture.path("photos");
+    fs::create_dir_all(out.join(".work")).unwrap();
+    fs::rename(capture.path("photos/a.jpg"), capture.path("a.jpg")).unwrap();
+    fs::create_dir(out.join("images")).unwrap();
+    fs::rename(capture.path("a.jpg"), out.join("images/a.jpg")).unwrap();
+    let given = PrepareOptions { photographs: out.join("images"), out: out.clone(), ..capture.options() };
+    assert!(refused(&given).contains("the photographs, "), "{}", refused(&given));
+    let masks = MaskSource::Folder(out.join("images"));
+    let given = PrepareOptions { photographs: capture.path("models"), out, masks, ..capture.options() };
+    assert!(refused(&given).contains("the masks, "), "{}", refused(&given));
+    assert!(capture.path("photos/images/a.jpg").is_file());
+}
+
 #[test]
 fn distorted_photographs_are_kept_byte_by_byte() {
     let capture = Capture::new();

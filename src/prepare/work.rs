@@ -1,7 +1,7 @@
 //! The folder that a data set is prepared in: nothing gets its final name before all of it is done, and what was done is not done
 //! again.
 
-use crate::codec::file::write_bytes;
+use crate::codec::file::{FolderLock, write_bytes};
 use crate::error::{Error, Result};
 use std::fs;
 use std::io::ErrorKind;
@@ -19,13 +19,14 @@ pub(super) struct Work {
     settings: String,
     /// Whether a step was done anew, after which no later one holds.
     stale: bool,
+    lock: FolderLock,
 }
 
 impl Work {
     /// Takes `out`, which is new, empty, or holds work in progress. `finished` are the names of what will lie in it.
     ///
     /// # Errors
-    /// [`Error::Usage`] if there is anything else in it, [`Error::Io`] if it cannot be written.
+    /// [`Error::Usage`] if there is anything else in it or another process works there, [`Error::Io`] if it cannot be written.
     pub fn claim(out: &Path, finished: &[&str]) -> Result<Self> {
         let names = match fs::read_dir(out) {
             Ok(entries) => entries
@@ -54,11 +55,11 @@ impl Work {
             };
             return Err(Error::usage(problem, help));
         }
-        let work = Self { out: out.to_owned(), settings: String::new(), stale: false };
         for folder in [out.join(WORK), out.join(LOGS)] {
             fs::create_dir_all(&folder).map_err(Error::io("create folder", &folder))?;
         }
-        Ok(work)
+        let lock = FolderLock::take(&out.join(WORK))?;
+        Ok(Self { out: out.to_owned(), settings: String::new(), stale: false, lock })
     }
 
     /// A path of work in progress.
@@ -120,7 +121,9 @@ impl Work {
 
     /// Removes what the work needed.
     pub fn finish(self) -> Result<()> {
-        remove(&self.out.join(WORK))
+        let Self { out, lock, .. } = self;
+        drop(lock);
+        remove(&out.join(WORK))
     }
 }
 
@@ -167,6 +170,9 @@ mod tests {
             Err(Error::Interrupted)
         });
         assert!(matches!(failed, Err(Error::Interrupted)));
+        let busy = Work::claim(folder.path(), &[]).err().unwrap();
+        assert!(busy.to_string().contains("another run"), "{busy}");
+        drop(work);
         let mut work = Work::claim(folder.path(), &[]).unwrap();
         assert!(!work.step("a", "", |_| Ok(())).unwrap());
         let again = work.step("b", "", |work| {

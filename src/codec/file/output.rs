@@ -1,6 +1,7 @@
 //! Whether results can be written, asked before hours of work: names, permissions and room.
 
 use crate::{Error, Result};
+use std::collections::HashSet;
 use std::fs;
 use std::io::ErrorKind;
 use std::path::Path;
@@ -26,6 +27,42 @@ pub fn check_file_name(name: &str) -> Result<(), String> {
         Some(c) => Err(format!("holds {c:?}, which a file name must not")),
         None => Ok(()),
     }
+}
+
+/// The stems of the files of things with these names, in the order of the names, apart from each other and from those that are `taken`
+/// even where case does not count. A name that can be a stem is one; what a file's name must not hold becomes `_`, and what is no longer
+/// alone gets a number. No stem leads out of the folder that it is put into.
+pub fn file_stems(names: &[&str], taken: &[&str]) -> Vec<String> {
+    let mut used: HashSet<String> = taken.iter().map(|stem| stem.to_lowercase()).collect();
+    let mut stems = vec![String::new(); names.len()];
+    // Names that can stay as they are come first: another one must not take their place.
+    for is_kept in [true, false] {
+        for (name, place) in names.iter().zip(&mut stems) {
+            if check_file_name(name).is_ok() == is_kept {
+                *place = alone(&file_stem(name), &mut used);
+            }
+        }
+    }
+    stems
+}
+
+/// The stem, or the first of it with a number that is not used; it is used then.
+fn alone(stem: &str, used: &mut HashSet<String>) -> String {
+    let numbered = (2u64..).map(|number| format!("{stem}_{number}"));
+    let mut candidates = std::iter::once(stem.to_owned()).chain(numbered);
+    candidates.find(|candidate| used.insert(candidate.to_lowercase())).unwrap_or_default()
+}
+
+fn file_stem(name: &str) -> String {
+    if check_file_name(name).is_ok() {
+        return name.to_owned();
+    }
+    let allowed = |c: char| if matches!(c, '/' | '\\') || c.is_control() { '_' } else { c };
+    let mut stem: String = name.chars().map(allowed).collect();
+    while stem.len() > MOST_NAME_BYTES {
+        stem.pop();
+    }
+    if matches!(stem.as_str(), "" | "." | "..") { "_".repeat(stem.len().max(1)) } else { stem }
 }
 
 /// Checks that files can be made in `folder`, which need not exist yet: a file without a name is made in the nearest folder
@@ -134,6 +171,38 @@ mod tests {
             let problem = check_file_name(bad).unwrap_err();
             assert!(problem.contains(word), "{bad:?}: {problem}");
         }
+    }
+
+    #[test]
+    fn names_of_views_become_names_of_files_that_stay_in_their_folder() {
+        let long = "ä".repeat(300);
+        let names = [
+            "../up", "/abs/a", "a", "A", "a\\b", "a/b", "..", ".", "", "a\0b", &long, "orbit", "_abs_a",
+            "a_b",
+        ];
+        let stems = file_stems(&names, &["orbit"]);
+        let expected = [
+            ".._up",
+            "_abs_a_2",
+            "a",
+            "A_2",
+            "a_b_2",
+            "a_b_3",
+            "__",
+            "_",
+            "__2",
+            "a_b_4",
+            &"ä".repeat(100),
+            "orbit_2",
+            "_abs_a",
+            "a_b",
+        ];
+        assert_eq!(stems, expected);
+        for stem in &stems {
+            check_file_name(stem).unwrap();
+        }
+        let apart: HashSet<String> = stems.iter().map(|stem| stem.to_lowercase()).collect();
+        assert_eq!(apart.len(), names.len());
     }
 
     #[test]

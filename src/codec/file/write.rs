@@ -1,13 +1,15 @@
-//! Writing whole files: a temporary file in the same folder, which is renamed when it is complete.
+//! Writing whole files: a temporary file in the same folder, which is renamed when it is complete and on the disk.
 
+use crate::codec::file::scratch::{PREFIX, is_scratch};
 use crate::{Error, Result};
 use std::fs::{self, File};
-use std::io::{BufWriter, Write};
+use std::io::BufWriter;
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use tempfile::{NamedTempFile, TempPath};
 
 /// Writes `path` through `write`: the bytes go to a hidden temporary file in the same folder (created if missing), which
-/// gets the final name only when `write` and the last flush have succeeded. An existing file of that name is replaced;
+/// gets the final name only when `write` has succeeded and the bytes are on the disk. An existing file of that name is replaced;
 /// on failure it stays as it was and the temporary file is removed.
 ///
 /// # Errors
@@ -16,9 +18,8 @@ pub fn write_file(path: &Path, write: impl FnOnce(&mut BufWriter<File>) -> Resul
     let (file, temporary) = temporary_beside(path)?.into_parts();
     let mut writer = BufWriter::new(file);
     write(&mut writer)?;
-    writer.flush().map_err(Error::io("write", path))?;
-    drop(writer);
-    rename(temporary, path)
+    let file = writer.into_inner().map_err(|failed| Error::io("write", path)(failed.into_error()))?;
+    finish(&file, temporary, path)
 }
 
 /// [`write_file`] for bytes that are already in memory.
@@ -35,7 +36,8 @@ pub fn write_by_path(path: &Path, write: impl FnOnce(&Path) -> Result<()>) -> Re
     let (file, temporary) = temporary_beside(path)?.into_parts();
     drop(file);
     write(&temporary)?;
-    rename(temporary, path)
+    let file = File::options().write(true).open(&temporary).map_err(Error::io("write", path))?;
+    finish(&file, temporary, path)
 }
 
 fn temporary_beside(path: &Path) -> Result<NamedTempFile> {
@@ -46,7 +48,7 @@ fn temporary_beside(path: &Path) -> Result<NamedTempFile> {
         None => ".part".to_owned(),
     };
     let mut builder = tempfile::Builder::new();
-    builder.prefix(".").suffix(&suffix);
+    builder.prefix(PREFIX).suffix(&suffix);
     // A temporary file is private to its owner by default; a result has the usual permissions (0666 less umask).
     #[cfg(unix)]
     let builder = builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
@@ -60,8 +62,34 @@ fn folder_of(path: &Path) -> PathBuf {
     }
 }
 
-fn rename(temporary: TempPath, path: &Path) -> Result<()> {
-    temporary.persist(path).map_err(|refused| Error::io("write", path)(refused.error))
+/// Gives a complete file its name. After a power cut there is the old file or the new one, never an empty one.
+fn finish(file: &File, temporary: TempPath, path: &Path) -> Result<()> {
+    let counts = !is_scratch(path);
+    if counts {
+        file.sync_all().map_err(Error::io("write", path))?;
+    }
+    temporary.persist(path).map_err(|refused| Error::io("write", path)(refused.error))?;
+    if counts { sync_folder(&folder_of(path)) } else { Ok(()) }
+}
+
+/// Puts the names in a folder on the disk.
+#[cfg(unix)]
+fn sync_folder(folder: &Path) -> Result<()> {
+    use rustix::io::Errno;
+    let synced = File::open(folder).and_then(|opened| opened.sync_all());
+    match synced {
+        Err(error) if matches!(Errno::from_io_error(&error), Some(Errno::IO | Errno::NOSPC)) => {
+            Err(Error::io("write", folder)(error))
+        }
+        // Some file systems have no such thing, and some folders may be written but not read.
+        _ => Ok(()),
+    }
+}
+
+/// This system writes the names in a folder by itself.
+#[cfg(not(unix))]
+fn sync_folder(_: &Path) -> Result<()> {
+    Ok(())
 }
 
 #[cfg(test)]

@@ -3,14 +3,15 @@
 mod info;
 mod preview;
 
+use super::apart::refuse_input;
 use super::args::{ConventionArgs, EnvCommand, FitArgs, MapName, NpyName, RenderArgs, RotateArgs};
 use super::terminal::{Terminal, print};
 use super::threads::start_threads;
 use glam::{EulerRot, Quat};
 use info::{info, sun_notes};
-use lobelia::codec::file::check_writable;
+use lobelia::codec::file::{check_writable, is_there};
 use lobelia::codec::npy::NpyConvention;
-use lobelia::codec::png_file::write_rgb8;
+use lobelia::codec::png_file::{software_of, write_rgb8, write_rgb8_by};
 use lobelia::light::convention::MapConvention;
 use lobelia::light::map_fit::{MapFit, MapFitReport, fit_map_with, target_of};
 use lobelia::light::{EnvironmentMap, LightLobe};
@@ -24,6 +25,9 @@ use std::time::Instant;
 
 /// Bytes of a rendered map's texel: radiance by rows, joined, and encoded.
 const MAP_TEXEL_BYTES: u64 = 3 * 12;
+
+/// What pictures of fits say of their origin, by which a later fit knows that it may replace them.
+const PICTURE_BY: &str = "lobelia env fit";
 
 /// Runs `lobelia env`.
 pub fn run(command: &EnvCommand) -> Result<()> {
@@ -102,6 +106,15 @@ fn refuse_before_work(args: &FitArgs) -> Result<()> {
         let problem = format!("{}: lobes are written as .ron or .npy", out.display());
         return Err(Error::usage(problem, "Name the output accordingly."));
     }
+    let shown = out.with_extension("png");
+    refuse_input(&args.map, &[(out, "--out"), (&shown, "the picture beside --out")])?;
+    if is_there(&shown) && software_of(&shown).as_deref() != Some(PICTURE_BY) {
+        let problem = format!("{} exists, and is no picture that `env fit` made", shown.display());
+        return Err(Error::usage(
+            problem,
+            "A picture goes beside --out: choose another name, or move that file.",
+        ));
+    }
     check_writable(out.parent().unwrap_or(Path::new("")))
 }
 
@@ -124,11 +137,12 @@ fn write_fit(out: &Path, map: &EnvironmentMap, report: &MapFitReport, as_said: C
     let lobes: Vec<LightLobe> = report.lobes.clone();
     LightFile::Lobes(lobes).write(out, conventions(as_said))?;
     let shown = out.with_extension("png");
-    write_rgb8(&shown, &before_and_after(map, report))?;
+    write_rgb8_by(&shown, &before_and_after(map, report), PICTURE_BY)?;
     print(&format!("Written: {} and {}\n", out.display(), shown.display()))
 }
 
 fn render(args: &RenderArgs) -> Result<()> {
+    refuse_input(&args.light, &[(&args.out, "the picture")])?;
     let (width, height) = args.size;
     check_memory("a map", width, height, u64::from(width) * u64::from(height) * MAP_TEXEL_BYTES)?;
     let light = read(&args.light, args.conventions)?;
@@ -142,6 +156,7 @@ fn render(args: &RenderArgs) -> Result<()> {
 }
 
 fn rotate(args: &RotateArgs) -> Result<()> {
+    refuse_input(&args.light, &[(&args.out, "--out")])?;
     let turn = match (args.euler, args.quaternion) {
         (Some(degrees), _) => {
             let [x, y, z] = degrees.map(f32::to_radians);

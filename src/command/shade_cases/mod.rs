@@ -10,6 +10,7 @@ mod estimate;
 mod mode;
 mod table;
 
+use super::apart::refuse_input;
 use super::args::{CaseMode, CasePrecision, CaseQuality, ShadeCasesArgs};
 use super::terminal::print;
 use super::threads::start_threads;
@@ -52,6 +53,7 @@ struct ShadeCasesReport {
 
 /// Runs the command.
 pub fn run(args: &ShadeCasesArgs) -> Result<()> {
+    refuse_input(&args.cases, &[(&args.out, "the shaded table")])?;
     start_threads(args.threads)?;
     let mode = match args.mode {
         CaseMode::Published => ShadeMode::ClosedForm(ClosedForm::Published),

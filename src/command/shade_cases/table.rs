@@ -1,10 +1,10 @@
 //! A table of cases, read with every field checked and every problem named with its case, and written.
 
-use lobelia::codec::file::read_bytes;
+use lobelia::codec::file::{read_bytes, write_bytes};
 use lobelia::codec::nearby::missing_file_help;
 use lobelia::{Error, Result};
 use serde_json::{Map, Value};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// One point under one SG of light; all directions have unit length, colours are linear RGB.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -152,24 +152,15 @@ fn color(object: &Map<String, Value>, field: &'static str) -> Checked<[f64; 3]> 
     Ok(v)
 }
 
-/// Writes the objects: to a file beside `output` first, which is then renamed.
+/// Writes the objects, all or nothing.
 pub(super) fn write_table(output: &Path, objects: Vec<Map<String, Value>>) -> Result<()> {
     let list = Value::Array(objects.into_iter().map(Value::Object).collect());
     let text = format!("{list:#}\n");
-    let Some(name) = output.file_name() else {
+    if output.file_name().is_none() {
         return Err(Error::usage(
             format!("{} is not a file name to write to", output.display()),
             "name a .json file",
         ));
-    };
-    let mut hidden = std::ffi::OsString::from(".");
-    hidden.push(name);
-    hidden.push(format!(".{}.part", std::process::id()));
-    let temporary: PathBuf = output.with_file_name(hidden);
-    let written = std::fs::write(&temporary, text).and_then(|()| std::fs::rename(&temporary, output));
-    written.map_err(|source| {
-        // The first error is the one to tell; a part file that was never made cannot be removed.
-        let _ = std::fs::remove_file(&temporary);
-        Error::io("write", output)(source)
-    })
+    }
+    write_bytes(output, text.as_bytes())
 }

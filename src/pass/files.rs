@@ -1,0 +1,173 @@
+//! The files of a run, known before it begins: those that its passes may write, and those that it reads.
+
+use crate::codec::file::FileUse;
+use crate::fit::cameras::CameraUnknowns;
+use crate::pass::photograph::ring;
+use crate::pass::render::{FILM_MP4, chosen_stems, film_name};
+use crate::scene::load::LoadedScene;
+use crate::scene::{EvaluatePass, ExportPass, Light, LightSource, MeshFormat, Pass, Scene, Views};
+use crate::scene::{LayerTruth, Truth};
+use crate::spawn::light_file::inlined;
+use crate::survey::open::OpenScene;
+use crate::view::Split;
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+/// The manifest of a run, in its output folder.
+pub const RUN: &str = "run.json";
+
+/// What a pass may write, by paths below the output folder, with `/` between their parts. One that ends with `/` is a folder of
+/// which all files are the pass's.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct PassFiles {
+    /// The pass's name.
+    pub pass: String,
+    /// The files.
+    pub files: Vec<String>,
+}
+
+/// What the passes of a scene may write: no less than what they will. `open` is the scene's data set, if it has one.
+pub fn outputs(scene: &Scene, open: Option<&OpenScene>, debug_every: Option<u32>) -> Vec<PassFiles> {
+    let views = views(scene, open);
+    let views: Vec<(&str, Split)> = views.iter().map(|(name, split)| (name.as_str(), *split)).collect();
+    let of_pass = |pass: &Pass| {
+        let names = match pass {
+            Pass::Fit(fit) => [of_fit(), of_views(fit.cameras, fit.exposure)].concat(),
+            Pass::Shape(shape) => {
+                let debug = debug_every.map(|_| "debug/".to_owned());
+                [of_views(shape.cameras, shape.exposure), debug.into_iter().collect()].concat()
+            }
+            Pass::Render(_) | Pass::Edit(_) | Pass::Relight(_) => of_pictures(pass, &views),
+            Pass::Evaluate(_) => vec!["contact_sheet.png".to_owned()],
+            Pass::Save(_) => of_save(scene),
+            Pass::Export(export) => of_export(export),
+        };
+        let files = names.iter().map(|name| format!("{}/{name}", pass.name())).collect();
+        PassFiles { pass: pass.name().to_owned(), files }
+    };
+    scene.passes.iter().map(of_pass).collect()
+}
+
+/// The names and splits of a scene's views, before any is read.
+fn views(scene: &Scene, open: Option<&OpenScene>) -> Vec<(String, Split)> {
+    match (&scene.views, open) {
+        (Views::Cameras(cameras), _) => cameras.iter().map(|view| (view.name.clone(), view.split)).collect(),
+        (Views::Photographed(spec), _) => {
+            ring(&spec.cameras, scene.up).into_iter().map(|view| (view.name, view.split)).collect()
+        }
+        (Views::Dataset(_), Some(open)) => {
+            open.views.iter().map(|view| (view.name().to_owned(), view.split())).collect()
+        }
+        (Views::Dataset(_), None) => Vec::new(),
+    }
+}
+
+fn owned(names: &[&str]) -> Vec<String> {
+    names.iter().map(|name| (*name).to_owned()).collect()
+}
+
+fn of_fit() -> Vec<String> {
+    let light = ["light.npy", "environment.exr", "environment.png"];
+    let albedo = ["albedo.png", "albedo.exr", "seen.png", "materials.ron", "log.csv"];
+    let gloss = ["blend.exr", "blend.png", "roughness.exr", "roughness.png"];
+    [owned(&light), owned(&albedo), owned(&gloss)].concat()
+}
+
+fn of_views(cameras: CameraUnknowns, exposure: bool) -> Vec<String> {
+    let cameras = (cameras != CameraUnknowns::Given).then(|| "cam_dict_norm.json".to_owned());
+    cameras.into_iter().chain(exposure.then(|| "exposures.csv".to_owned())).collect()
+}
+
+fn of_pictures(pass: &Pass, views: &[(&str, Split)]) -> Vec<String> {
+    let Some(settings) = pass.render() else { return Vec::new() };
+    let stems = chosen_stems(views, settings).into_iter();
+    let pictures = stems.flat_map(|(_, stem)| [format!("{stem}.exr"), format!("{stem}.png")]);
+    let film = settings.orbit.iter().flat_map(|orbit| [film_name(orbit.format), FILM_MP4.to_owned()]);
+    pictures.chain(film).collect()
+}
+
+fn of_save(scene: &Scene) -> Vec<String> {
+    let mut names = owned(&["scene.ron", "mesh.glb", "albedo.exr", "blend.exr", "light.npy"]);
+    // A map is copied, with its own extension.
+    for source in lights(scene) {
+        if let Some(LightSource::Map { path, .. }) = given(source) {
+            let name = Path::new("light").with_extension(path.extension().unwrap_or_default());
+            names.push(name.to_string_lossy().into_owned());
+        }
+    }
+    names
+}
+
+fn of_export(pass: &ExportPass) -> Vec<String> {
+    let of_format = |format: &MeshFormat| match format {
+        MeshFormat::Glb => owned(&["mesh.glb"]),
+        MeshFormat::Ply => owned(&["mesh.ply"]),
+        MeshFormat::Obj => owned(&["mesh.obj", "mesh.mtl", "mesh_albedo.png"]),
+    };
+    pass.formats.iter().flat_map(of_format).collect()
+}
+
+/// The lights that a scene names.
+fn lights(scene: &Scene) -> impl Iterator<Item = &LightSource> {
+    let own = match &scene.light {
+        Light::Initial(source) | Light::Fixed(source) => Some(source),
+        Light::Unknown(_) => None,
+    };
+    own.into_iter().chain(scene.passes.iter().filter_map(Pass::light))
+}
+
+/// A light, or what its RON file says; one that cannot be read is told of where it is loaded.
+fn given(source: &LightSource) -> Option<LightSource> {
+    match source {
+        LightSource::Ron { path, scale, rotation_degrees } => inlined(path, *scale, *rotation_degrees).ok(),
+        other => Some(other.clone()),
+    }
+}
+
+/// The files that a run reads: the scene file, what it names, and camera files, photographs and masks of the views. Of the folders that
+/// passes are scored against all files count.
+pub fn inputs(loaded: &LoadedScene, open: Option<&OpenScene>) -> Vec<FileUse> {
+    let mut inputs = vec![FileUse::new(&loaded.path, "the scene file")];
+    let files = loaded.files.iter().filter(|path| path.is_file());
+    inputs.extend(files.map(|path| FileUse::new(path, "which the scene file names")));
+    for source in lights(&loaded.scene) {
+        if let Some(LightSource::Map { path, .. } | LightSource::Npy { path, .. }) = given(source) {
+            inputs.push(FileUse::new(path, "a light of the scene"));
+        }
+    }
+    for folder in truths(&loaded.scene) {
+        let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+        let by = format!("which is in {}, a folder of ground truth", folder.display());
+        inputs.extend(entries.map(|entry| FileUse::new(entry.path(), &by)));
+    }
+    let views = open.map(|open| open.views.as_slice()).unwrap_or_default();
+    let cameras: BTreeSet<&Path> = views.iter().map(|view| view.camera_file()).collect();
+    inputs.extend(cameras.into_iter().map(|path| FileUse::new(path, "which has the cameras")));
+    for view in views {
+        let photograph = view.image_path().map(|path| FileUse::new(path, "a photograph"));
+        let mask = view.mask_path().map(|path| FileUse::new(path, "a mask"));
+        inputs.extend(photograph.into_iter().chain(mask));
+    }
+    inputs
+}
+
+/// The folders of ground truth.
+fn truths(scene: &Scene) -> BTreeSet<&PathBuf> {
+    let passes = scene.passes.iter().filter_map(|pass| match pass {
+        Pass::Evaluate(pass) => Some(pass),
+        _ => None,
+    });
+    passes.flat_map(truths_of).collect()
+}
+
+fn truths_of(pass: &EvaluatePass) -> impl Iterator<Item = &PathBuf> {
+    let images = pass.scores.iter().filter_map(|score| match &score.truth {
+        Truth::Folder(folder) => Some(folder),
+        Truth::Photographs | Truth::SelfMade { .. } => None,
+    });
+    let layers = [&pass.albedo, &pass.normal].into_iter().flatten().filter_map(|truth| match truth {
+        LayerTruth::Folder(folder) => Some(folder),
+        LayerTruth::SelfMade => None,
+    });
+    images.chain(layers)
+}

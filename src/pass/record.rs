@@ -1,0 +1,380 @@
+//! What a run leaves of itself in its output folder: `run.json`, which says what belongs together, and with which `--force` knows its
+//! own files from others.
+
+use crate::codec::file::{FolderLock, LOCK, MOST_TEXT, clear_scratch, is_there, read_text, write_bytes};
+use crate::error::{Error, Result};
+use crate::pass::files::{PassFiles, RUN};
+use crate::pass::session::METRICS;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+use std::ffi::OsStr;
+use std::fs;
+use std::path::{Component, Path, PathBuf};
+
+/// The program's name in a manifest.
+const PROGRAM: &str = "lobelia";
+
+/// How far something is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum RunState {
+    /// It has not begun.
+    Waiting,
+    /// It has begun; in a folder that no process holds: it was killed.
+    Running,
+    /// It is done, and all its files are whole.
+    Finished,
+    /// It ended with an error.
+    Failed,
+    /// It was left out, because it needs a pass that failed.
+    Skipped,
+    /// It was stopped by Ctrl-C; what was found until then is whole.
+    Interrupted,
+}
+
+/// A pass in a manifest.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct PassRecord {
+    name: String,
+    state: RunState,
+    /// Before it is finished: the files that it may write.
+    files: Vec<String>,
+}
+
+/// The manifest.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+struct Record {
+    program: String,
+    version: String,
+    state: RunState,
+    /// The error that the run ended with.
+    #[serde(default)]
+    error: Option<String>,
+    scene: String,
+    #[serde(default)]
+    arguments: Vec<String>,
+    passes: Vec<PassRecord>,
+    /// Files of the run that are of no pass.
+    files: Vec<String>,
+    /// Files of earlier runs, whose passes this one does not have. They do not belong to its results.
+    #[serde(default)]
+    earlier: Vec<String>,
+}
+
+impl Record {
+    /// The manifest in `out`; `None` if there is none that this program wrote.
+    fn read(out: &Path) -> Option<Self> {
+        let text = read_text(&out.join(RUN), MOST_TEXT, |_| String::new()).ok()?;
+        let record: Self = serde_json::from_str(&text).ok()?;
+        (record.program == PROGRAM).then_some(record)
+    }
+
+    fn write(&self, out: &Path) -> Result<()> {
+        let text = serde_json::to_string_pretty(self)
+            .map_err(|error| Error::run("writing run.json", error.to_string()))?;
+        write_bytes(&out.join(RUN), (text + "\n").as_bytes())
+    }
+
+    /// All that it lists, of any run.
+    fn listed(&self) -> impl Iterator<Item = &String> {
+        self.passes.iter().flat_map(|pass| &pass.files).chain(&self.files).chain(&self.earlier)
+    }
+}
+
+/// The files below `out` that a listed path stands for and that exist, as paths below `out`. What leads out of `out`, by `..` or by a
+/// link of a folder, stands for nothing.
+fn existing(out: &Path, listed: &str) -> Vec<String> {
+    let path = Path::new(listed);
+    let mut at = out.to_owned();
+    for part in path.components() {
+        let is_link = |path: &Path| path.symlink_metadata().is_ok_and(|found| found.is_symlink());
+        if !matches!(part, Component::Normal(_)) || (at != out && is_link(&at)) {
+            return Vec::new();
+        }
+        at.push(part);
+    }
+    if !listed.ends_with('/') {
+        let is_file = at.symlink_metadata().is_ok_and(|found| !found.is_dir());
+        return if is_file { vec![listed.to_owned()] } else { Vec::new() };
+    }
+    let is_folder = at.symlink_metadata().is_ok_and(|found| found.is_dir());
+    let entries = if is_folder { fs::read_dir(&at).ok() } else { None };
+    let entries = entries.into_iter().flatten().flatten();
+    let files = entries.filter(|entry| entry.file_type().is_ok_and(|kind| !kind.is_dir()));
+    files.map(|entry| format!("{listed}{}", entry.file_name().to_string_lossy())).collect()
+}
+
+/// Checks an output folder before anything is read: it is new or empty, or `force` may write into it; and no other run does.
+///
+/// # Errors
+/// [`Error::Usage`] that says what is in the way.
+pub fn check_used(out: &Path, force: bool) -> Result<()> {
+    FolderLock::check_free(out)?;
+    if force || !is_used(out) {
+        return Ok(());
+    }
+    let shown = out.display();
+    let (problem, help) = match Record::read(out).map(|record| record.state) {
+        Some(RunState::Finished) => (
+            format!("the output folder {shown} is not empty: it has the results of a run"),
+            "Choose another with --out, or replace them with --force.",
+        ),
+        Some(_) => (
+            format!("the output folder {shown} is not empty: it has a run that did not finish"),
+            "Choose another with --out, or replace what it left with --force.",
+        ),
+        None => (
+            format!("the output folder {shown} is not empty"),
+            "Choose another with --out. --force replaces the results of an earlier run and nothing else.",
+        ),
+    };
+    Err(Error::usage(problem, help))
+}
+
+/// Whether a folder has more than a lock that a killed process left. What else keeps it from being written is told elsewhere.
+fn is_used(out: &Path) -> bool {
+    let entries = fs::read_dir(out).into_iter().flatten().flatten();
+    entries.map(|entry| entry.file_name()).any(|name| name != OsStr::new(LOCK))
+}
+
+/// An output folder that this process alone writes into, in which nothing is changed yet.
+pub struct Claim {
+    lock: FolderLock,
+    out: PathBuf,
+    plan: Vec<PassFiles>,
+    /// The manifest of the run before.
+    before: Option<Record>,
+}
+
+impl Claim {
+    /// Takes an output folder for a run that may write `plan`, of which nothing may be there that no run has written.
+    ///
+    /// # Errors
+    /// [`Error::Usage`] if another run writes there, or something else is in the way.
+    pub fn new(out: &Path, plan: Vec<PassFiles>) -> Result<Self> {
+        let lock = FolderLock::take(out)?;
+        let before = Record::read(out);
+        if before.is_none() && is_used(out) {
+            let problem = format!(
+                "--force replaces the results of an earlier run, but {} has none: it has files and no {RUN} of a run",
+                out.display()
+            );
+            let help = "Choose another folder with --out. What an older version wrote is best moved away or removed.";
+            return Err(Error::usage(problem, help));
+        }
+        let known: BTreeSet<String> =
+            before.iter().flat_map(Record::listed).flat_map(|listed| existing(out, listed)).collect();
+        for pass in &plan {
+            check_pass(out, pass, &known)?;
+        }
+        if is_there(&out.join(METRICS)) && !known.contains(METRICS) {
+            return Err(foreign(&out.join(METRICS)));
+        }
+        Ok(Self { lock, out: out.to_owned(), plan, before })
+    }
+
+    /// Begins the run: writes its manifest, and then removes what earlier runs left of the same passes, so that old results are never beside new ones as if they were of one run.
+    ///
+    /// # Errors
+    /// [`Error::Io`] if something cannot be written or removed.
+    pub fn begin(self, scene: &Path, arguments: &[String]) -> Result<RunRecord> {
+        let Self { lock, out, plan, before } = self;
+        let names: BTreeSet<&str> = plan.iter().map(|pass| pass.pass.as_str()).collect();
+        let old: BTreeSet<String> =
+            before.iter().flat_map(Record::listed).flat_map(|listed| existing(&out, listed)).collect();
+        let is_stale = |file: &String| file.split('/').next().is_some_and(|first| names.contains(first));
+        let (stale, kept): (Vec<String>, Vec<String>) = old
+            .iter()
+            .filter(|file| *file != RUN)
+            .cloned()
+            .partition(|file| file == METRICS || is_stale(file));
+        let passes = plan
+            .iter()
+            .map(|pass| PassRecord {
+                name: pass.pass.clone(),
+                state: RunState::Waiting,
+                files: pass.files.clone(),
+            })
+            .collect();
+        let mut record = Record {
+            program: PROGRAM.into(),
+            version: env!("LOBELIA_VERSION").into(),
+            state: RunState::Running,
+            error: None,
+            scene: scene.to_string_lossy().into_owned(),
+            arguments: arguments.to_vec(),
+            passes,
+            files: vec![METRICS.into()],
+            earlier: [stale.clone(), kept.clone()].concat(),
+        };
+        record.write(&out)?;
+        clear(&out, stale, &plan)?;
+        record.earlier = kept;
+        record.write(&out)?;
+        Ok(RunRecord { record, out, _lock: lock })
+    }
+}
+
+/// Removes old files, and what was left unfinished.
+fn clear(out: &Path, mut stale: Vec<String>, plan: &[PassFiles]) -> Result<()> {
+    // A saved scene must not outlive the files that it names.
+    stale.sort_by_key(|file| !file.ends_with(".ron"));
+    for file in &stale {
+        let path = out.join(file);
+        fs::remove_file(&path).map_err(Error::io("remove", &path))?;
+    }
+    clear_scratch(out)?;
+    for pass in plan {
+        let folder = out.join(&pass.pass);
+        clear_scratch(&folder)?;
+        clear_scratch(&folder.join("debug"))?;
+        // Folders go if nothing is left in them.
+        let _ = fs::remove_dir(folder.join("debug"));
+        let _ = fs::remove_dir(folder);
+    }
+    Ok(())
+}
+
+/// Checks that a pass's folder is one, and that its files are not there but for those of earlier runs.
+fn check_pass(out: &Path, pass: &PassFiles, known: &BTreeSet<String>) -> Result<()> {
+    let folders = pass.files.iter().filter(|file| file.ends_with('/')).map(|file| out.join(file));
+    for folder in std::iter::once(out.join(&pass.pass)).chain(folders) {
+        // Without the last `/`, which would follow the link.
+        let folder: PathBuf = folder.components().collect();
+        if folder.symlink_metadata().is_ok_and(|found| found.is_symlink()) {
+            let problem = format!(
+                "{} is a symbolic link: pass {} would write outside the output folder",
+                folder.display(),
+                pass.pass
+            );
+            return Err(Error::usage(problem, "Remove the link, or choose another folder with --out."));
+        }
+    }
+    for file in &pass.files {
+        let there = if file.ends_with('/') {
+            existing(out, file)
+        } else if is_there(&out.join(file)) {
+            vec![file.clone()]
+        } else {
+            Vec::new()
+        };
+        if let Some(other) = there.iter().find(|file| !known.contains(*file)) {
+            return Err(foreign(&out.join(other)));
+        }
+    }
+    Ok(())
+}
+
+fn foreign(path: &Path) -> Error {
+    let problem = format!("{} is in the way: no run has written it", path.display());
+    Error::usage(problem, "Move it away, or choose another folder with --out.")
+}
+
+/// The manifest of a run that has begun; the folder is its own as long as this lives.
+pub struct RunRecord {
+    record: Record,
+    out: PathBuf,
+    _lock: FolderLock,
+}
+
+impl RunRecord {
+    /// Says how far a pass is.
+    ///
+    /// # Errors
+    /// [`Error::Io`] if the manifest cannot be written.
+    pub fn pass(&mut self, index: usize, state: RunState) -> Result<()> {
+        let Some(pass) = self.record.passes.get_mut(index) else { return Ok(()) };
+        pass.state = state;
+        if !matches!(state, RunState::Waiting | RunState::Running) {
+            pass.files = pass.files.iter().flat_map(|file| existing(&self.out, file)).collect();
+        }
+        self.record.write(&self.out)
+    }
+
+    /// Says how the run ended, and what it has written. The first error is the one to tell.
+    ///
+    /// # Errors
+    /// The run's; [`Error::Io`] if it has none and the manifest cannot be written.
+    pub fn end(mut self, result: Result<()>) -> Result<()> {
+        self.record.state = match &result {
+            Ok(()) => RunState::Finished,
+            Err(Error::Interrupted) => RunState::Interrupted,
+            Err(_) => RunState::Failed,
+        };
+        self.record.error = result.as_ref().err().map(ToString::to_string);
+        let out = &self.out;
+        for pass in &mut self.record.passes {
+            pass.files = pass.files.iter().flat_map(|file| existing(out, file)).collect();
+        }
+        self.record.files.retain(|file| is_there(&out.join(file)));
+        let written = self.record.write(out);
+        result.and(written)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn plan(files: &[&str]) -> Vec<PassFiles> {
+        let files = files.iter().map(|file| format!("novel/{file}")).collect();
+        vec![PassFiles { pass: "novel".into(), files }]
+    }
+
+    fn begin(out: &Path, files: &[&str]) -> RunRecord {
+        Claim::new(out, plan(files)).unwrap().begin(Path::new("scene.ron"), &[]).unwrap()
+    }
+
+    /// Manifests come with folders from anywhere.
+    #[test]
+    fn a_manifest_that_lists_what_is_elsewhere_removes_nothing_there() {
+        let root = tempfile::tempdir().unwrap();
+        let (out, photograph) = (root.path().join("out"), root.path().join("photo.png"));
+        fs::write(&photograph, "x").unwrap();
+        let mut record = begin(&out, &["a.png"]);
+        let absolute = photograph.to_string_lossy().into_owned();
+        record.record.files.extend([
+            "../photo.png".into(),
+            "novel/../../photo.png".into(),
+            absolute,
+            "..".into(),
+        ]);
+        record.record.passes[0].files.extend([
+            "../photo.png".into(),
+            "novel/../../".into(),
+            "link/photo.png".into(),
+        ]);
+        #[cfg(unix)]
+        std::os::unix::fs::symlink(root.path(), out.join("link")).unwrap();
+        record.record.write(&out).unwrap();
+        drop(record);
+        begin(&out, &["a.png"]).end(Ok(())).unwrap();
+        assert!(photograph.exists());
+        assert_eq!(Record::read(&out).unwrap().listed().count(), 0);
+    }
+
+    #[test]
+    fn states_and_files_are_those_of_the_run() {
+        let root = tempfile::tempdir().unwrap();
+        let out = root.path();
+        let mut record = begin(out, &["a.png", "never.png", "debug/"]);
+        record.pass(0, RunState::Running).unwrap();
+        write_bytes(&out.join("novel/a.png"), b"x").unwrap();
+        write_bytes(&out.join("novel/debug/1.png"), b"x").unwrap();
+        // Killed here: the next run knows the files.
+        drop(record);
+        assert_eq!(Record::read(out).unwrap().state, RunState::Running);
+        assert!(check_used(out, false).unwrap_err().to_string().contains("did not finish"));
+        let mut record = begin(out, &["a.png"]);
+        assert!(!out.join("novel").exists(), "old results are gone before new ones come");
+        write_bytes(&out.join("novel/a.png"), b"x").unwrap();
+        record.pass(0, RunState::Finished).unwrap();
+        record.end(Err(Error::run("late", "it failed"))).unwrap_err();
+        let read = Record::read(out).unwrap();
+        assert_eq!((read.state, read.passes[0].state), (RunState::Failed, RunState::Finished));
+        assert_eq!(
+            (read.error.as_deref(), read.passes[0].files.as_slice()),
+            (Some("late: it failed"), &["novel/a.png".to_owned()][..])
+        );
+    }
+}
