@@ -9,6 +9,7 @@
 //! | `Evaluate` | [`evaluate`] | a contact sheet; scores go to `OUT/metrics.json` |
 //! | `Save` | [`save`] | `scene.ron` with side files |
 //! | `Export` | [`export`] | `mesh.glb`, `mesh.ply`, `mesh.obj` with `mesh.mtl` and `mesh_albedo.png` |
+//! | `View` | [`view`] | `view.html` |
 //!
 //! [`preflight`] checks the inputs of all passes before the first one runs.
 
@@ -30,6 +31,7 @@ mod shading;
 pub mod shape;
 pub mod show;
 mod truth_files;
+pub mod view;
 
 pub use interrupt::{INTERRUPTED, check_interrupted};
 pub use session::{Lights, MOST_VISIBILITY_BYTES, Session};
@@ -41,10 +43,12 @@ use crate::mesh::Surface;
 use crate::pipeline::Pipeline;
 use crate::report::scores::Scores;
 use crate::scene::load::LoadedScene;
-use crate::scene::{Albedo, CameraSpec, Light, Photographed, Scene, Views};
+use crate::scene::{
+    Albedo, CameraSpec, Light, LightSource, Photographed, Scene, ViewPass, Views, unknown_parts,
+};
 use crate::scene::{EditPass, Pass, RelightPass, RenderPass};
 use crate::shade::frame::FramePlugin;
-use crate::spawn::{SurfaceUse, make_surface, spawn};
+use crate::spawn::{SurfaceUse, load_light, make_surface, spawn};
 use crate::survey::Survey;
 use crate::view::ViewRecord;
 use photograph::{TrueObject, camera_of};
@@ -94,10 +98,40 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
             Pass::Evaluate(pass) => evaluate::run(&mut session, pass)?,
             Pass::Save(pass) => save::run(&mut session, pass)?,
             Pass::Export(pass) => export::run(&mut session, pass)?,
+            Pass::View(pass) => view::run(&mut session, pass)?,
         }
         check_interrupted()?;
     }
     session.finish()
+}
+
+/// Writes the page of a scene in which everything is known, as `Save` writes it, to `path`; no pass of the scene is run, and nothing else
+/// is written. The page offers these lights besides the scene's own, by name.
+///
+/// # Errors
+/// [`Error::Usage`] if something is unknown; those of [`run`] before its first pass; those of the page.
+pub fn write_view(
+    loaded: &LoadedScene,
+    lights: &[(String, LightSource)],
+    path: &Path,
+    progress: &dyn Progress,
+) -> Result<()> {
+    if let Some(part) = unknown_parts(&loaded.scene).first() {
+        let problem = format!("the {part} of {} is unknown", loaded.path.display());
+        return Err(Error::usage(problem, "Run the scene; a `Save` pass writes one in which all is known."));
+    }
+    let scene = Scene { passes: Vec::new(), ..loaded.scene.clone() };
+    let mut named = Vec::new();
+    for (name, source) in lights {
+        let light = load_light(source)?;
+        light.notes.iter().for_each(|note| progress.note(note));
+        named.push((name.clone(), light.lobes));
+    }
+    let (views, _) = read_views(&scene, progress)?;
+    let out = path.parent().unwrap_or(Path::new("")).to_owned();
+    let options = RunOptions { out, force: true, debug_every: None, memory: None };
+    let mut session = open(&scene, views, &options, progress, photograph::imagine, SurfaceUse::Lasting)?;
+    view::write_page(&mut session, &ViewPass::default(), named, path)
 }
 
 /// Does what [`run`] does before the first pass of a scene, without any photograph: what the scene names is read and checked, no pass
