@@ -2,7 +2,7 @@
 //!
 //! | theme | files |
 //! | --- | --- |
-//! | runs of the command | [`run`], [`photos`], [`gloss`], [`ggx`], [`scale`], [`light_frame`], [`export`], [`shown`], [`env`], [`scores`] |
+//! | runs of the command | [`run`], [`photos`], [`gloss`], [`ggx`], [`scale`], [`light_frame`], [`export`], [`view_page`], [`shown`], [`env`], [`scores`] |
 //! | what is refused, and how | [`bad_input`], [`check`], [`hostile`], [`scene_errors`] |
 //! | systems in a world, pictures | [`ecs`], [`swap`], [`visibility`], [`frames`] |
 //! | the documentation, the layers of the code | [`docs`], [`rooms`] |
@@ -28,4 +28,5 @@ mod scene_errors;
 mod scores;
 mod shown;
 mod swap;
+mod view_page;
 mod visibility;

@@ -57,7 +57,7 @@ function reference(file, out, ron, view, layer) {
     lobelia("run", file, "--quiet", "--force", "--out", out, "--set", `passes=[${ron}]`);
     const rendered = join(out, "viewed", view);
     if (!layer) return readPng(readFileSync(`${rendered}.png`)).rgba;
-    return layerPicture(readExr(readFileSync(`${rendered}.exr`)), ["R", "G", "B"].map((c) => `${layer}.${c}`)).rgba;
+    return layerPicture(readExr(readFileSync(`${rendered}.exr`)), layer).rgba;
 }
 
 const browser = new Browser(chromium);

@@ -98,12 +98,14 @@ const srgb = (x) => {
     return Math.round(255 * (c <= 0.0031308 ? 12.92 * c : 1.055 * c ** (1 / 2.4) - 0.055));
 };
 
-/** A layer of an EXR as an 8-bit picture with straight alpha. */
-export function layerPicture({ width, height, planes }, names) {
+/** A layer of an EXR as an 8-bit picture with straight alpha; radiance is weighted by coverage, albedo is not. */
+export function layerPicture({ width, height, planes }, layer) {
+    const names = ["R", "G", "B"].map((c) => `${layer}.${c}`);
     const rgba = new Uint8Array(4 * width * height);
     for (let i = 0; i < width * height; i++) {
         const alpha = planes.A[i];
-        names.forEach((name, c) => (rgba[4 * i + c] = alpha > 1e-4 ? srgb(planes[name][i] / alpha) : 0));
+        const weight = layer === "albedo" ? 1 : alpha;
+        names.forEach((name, c) => (rgba[4 * i + c] = alpha > 1e-4 ? srgb(planes[name][i] / weight) : 0));
         rgba[4 * i + 3] = Math.round(255 * alpha);
     }
     return { width, height, rgba };

@@ -16,6 +16,8 @@ const STILL = 180;
 /** Frame times, in milliseconds, above and below which a moving picture gets fewer or more pixels. */
 const SLOW = 45;
 const FAST = 22;
+/** Time for all samples of a picture that stands still, in milliseconds; a slow machine takes fewer samples. */
+const PATIENCE = 3000;
 
 const SETTINGS = {
     light: 0, turn: 0, show: "full", exposure: 0, backdrop: "#ffffff", view: -1,
@@ -24,7 +26,7 @@ const SETTINGS = {
 
 class Page {
     constructor(scene, canvas, shaders) {
-        Object.assign(this, { scene, canvas, settings: { ...SETTINGS }, scale: 1, frames: [] });
+        Object.assign(this, { scene, canvas, settings: { ...SETTINGS }, scale: 0.7, frames: [], cost: 0 });
         this.orbit = new Orbit(scene);
         this.renderer = new Renderer(canvas, scene, shaders);
         this.drawn = 0;
@@ -112,7 +114,10 @@ class Page {
     tick(time) {
         this.waiting = false;
         const moving = performance.now() - this.changed < STILL;
-        if (moving && this.last !== null) this.pace(time - this.last);
+        if (this.last !== null) {
+            if (moving) this.pace(time - this.last);
+            else if (this.drawn > 1) this.cost = time - this.last;
+        }
         this.last = time;
         const scale = moving ? this.scale : 1;
         const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight].map((side) =>
@@ -122,7 +127,7 @@ class Page {
             this.renderer.begin(width, height);
             this.drawn = 0;
         }
-        const most = this.scale < 0.5 ? 4 : GRID.length;
+        const most = clamp(Math.floor(PATIENCE / Math.max(this.cost, 1)), 2, GRID.length);
         if (this.drawn < most) {
             const jitter = this.drawn === 0 && moving ? [0, 0] : GRID[this.drawn];
             this.renderer.sample(this.state, this.camera(width / height), jitter);

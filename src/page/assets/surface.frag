@@ -94,6 +94,17 @@ vec3 sentFrom(ivec2 texel, int d) {
     return hider == 4095 ? vec3(0.0) : texelFetch(leaving, ivec2(hider, 0), 0).rgb;
 }
 
+// Whether anything is hidden from any of four texels.
+bool hidesAny(ivec2 texels[4], int width) {
+    uvec4 all = uvec4(0u);
+    for (int block = 0; block < (directions + 127) / 128; block++) {
+        for (int i = 0; i < 4; i++) {
+            all |= hiddenBits(texels[i].y * width + texels[i].x, block);
+        }
+    }
+    return (all.x | all.y | all.z | all.w) != 0u;
+}
+
 // The ratio of the specular light to that without shadows, around the mirrored view.
 vec3 mirroredFactor(vec3 n, vec3 toViewer, float roughness) {
     float up = dot(n, toViewer);
@@ -113,6 +124,9 @@ vec3 mirroredFactor(vec3 n, vec3 toViewer, float roughness) {
         weights[i] *= texelFetch(albedoMap, texels[i], 0).a;
     }
     weights /= max(dot(weights, vec4(1.0)), 1e-6);
+    if (!hidesAny(texels, extent.x)) {
+        return vec3(1.0);
+    }
 
     vec3 mirror = 2.0 * up * n - toViewer;
     float cell = 0.5 * float(directions);
