@@ -142,9 +142,9 @@ pub fn html(contents: &Contents) -> Result<String> {
     Ok(text + rest)
 }
 
-/// JSON inside a script element, which ends at the first `</`.
+/// JSON inside a script element, in which no other element may seem to begin or end.
 fn in_script(value: &Value) -> String {
-    value.to_string().replace("</", "<\\/")
+    value.to_string().replace('<', "\\u003c")
 }
 
 /// Text inside an element.

@@ -80,7 +80,7 @@ fn a_page_asks_no_one_for_anything() {
         }
     }
     assert!(page.contains("default-src 'none'"));
-    assert!(page.len() < 200_000, "{} bytes", page.len());
+    assert!(page.len() < 300_000, "{} bytes", page.len());
 }
 
 #[test]
@@ -108,7 +108,7 @@ fn the_mesh_comes_back() {
         assert!(found.distance(*p) < 3e-5, "{found} {p}");
     }
     for (pair, normal) in shorts(&page, &scene, "normals").chunks(2).zip(&mesh.normals) {
-        assert!(mesh::direction([pair[0], pair[1]]).distance(*normal) < 6e-5);
+        assert!(mesh::direction([pair[0], pair[1]]).distance(*normal) < 1e-4);
     }
     let words = array(&page, &scene, "triangles", 4);
     let mut last = 0u32;
