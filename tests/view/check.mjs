@@ -108,7 +108,7 @@ async function live(home) {
     console.log(`page of lobelia view: ${(statSync(path).size / 2 ** 20).toFixed(2)} MiB`);
     await browser.open(pathToFileURL(path).href, 160, 120, true);
     await browser.evaluate(`document.getElementById("panel").classList.add("folded"),
-        document.querySelectorAll("header, #fold").forEach((e) => (e.style.display = "none")), lobelia.set({ view: 0 })`);
+        document.querySelectorAll("header, #fold").forEach((e) => (e.style.display = "none")), lobelia.set({ view: 0 }), lobelia.patience(1e6)`);
     await browser.until("lobelia.still()");
     const canvas = readPng(await browser.screenshot());
     const ron = finer(await browser.evaluate("lobelia.ron()"));

@@ -87,15 +87,15 @@ export function fillPanel(page) {
 async function copy(page) {
     const text = page.ron();
     by("ron").value = text;
-    let said = "Copied. Put this into the passes of a scene file, such as saved/scene.ron.";
-    try {
-        await navigator.clipboard.writeText(text);
-    } catch {
-        said = "Copy this into the passes of a scene file, such as saved/scene.ron.";
-    }
-    by("copied").textContent = said;
+    by("copied").textContent = "Copy this into the passes of a scene file, such as saved/scene.ron.";
     by("text").showModal();
     by("ron").select();
+    try {
+        await navigator.clipboard.writeText(text);
+        by("copied").textContent = "Copied. Put this into the passes of a scene file, such as saved/scene.ron.";
+    } catch {
+        // Not allowed here: the text is selected, to be copied by hand.
+    }
 }
 
 /** Pointers on the picture: one turns, two zoom and move. */

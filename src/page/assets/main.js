@@ -26,7 +26,7 @@ const SETTINGS = {
 
 class Page {
     constructor(scene, canvas, shaders) {
-        Object.assign(this, { scene, canvas, settings: { ...SETTINGS }, scale: 0.7, frames: [], cost: 0 });
+        Object.assign(this, { scene, canvas, settings: { ...SETTINGS }, scale: 0.7, frames: [], cost: 0, patience: PATIENCE });
         this.orbit = new Orbit(scene);
         this.renderer = new Renderer(canvas, scene, shaders);
         this.drawn = 0;
@@ -127,7 +127,7 @@ class Page {
             this.renderer.begin(width, height);
             this.drawn = 0;
         }
-        const most = clamp(Math.floor(PATIENCE / Math.max(this.cost, 1)), 2, GRID.length);
+        const most = clamp(Math.floor(this.patience / Math.max(this.cost, 1)), 2, GRID.length);
         if (this.drawn < most) {
             const jitter = this.drawn === 0 && moving ? [0, 0] : GRID[this.drawn];
             this.renderer.sample(this.state, this.camera(width / height), jitter);
@@ -156,6 +156,11 @@ function offer(page) {
         defaults: SETTINGS,
         settings: () => ({ ...page.settings }),
         camera: () => page.camera(1),
+        /** Sets the time, in milliseconds, that a picture that stands still may take for its samples. */
+        patience(time) {
+            page.patience = time;
+            page.redraw();
+        },
         /** Whether the picture has all its samples. */
         still: () => !page.waiting,
         set: (settings) => page.change(settings),
