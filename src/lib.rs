@@ -43,6 +43,7 @@
 //! | [`fit`] | the fit of light and material |
 //! | [`shape`] | the fit of the shape |
 //! | [`report`] | pictures, contact sheets, scores |
+//! | [`page`] | the page that shows the object in a browser |
 //! | [`survey`] | what of a data set cannot work, before a run |
 //! | [`pass`] | the passes of a scene file |
 //! | [`prepare`] | from photographs without cameras to a data set and a scene file |
@@ -72,6 +73,7 @@ pub mod fit;
 pub mod light;
 pub mod material;
 pub mod mesh;
+pub mod page;
 pub mod pass;
 pub mod pipeline;
 pub mod prelude;

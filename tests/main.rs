@@ -2,7 +2,7 @@
 //!
 //! | theme | files |
 //! | --- | --- |
-//! | runs of the command | [`run`], [`photos`], [`gloss`], [`ggx`], [`scale`], [`light_frame`], [`export`], [`shown`], [`env`], [`scores`] |
+//! | runs of the command | [`run`], [`photos`], [`gloss`], [`ggx`], [`scale`], [`light_frame`], [`export`], [`view_page`], [`shown`], [`env`], [`scores`] |
 //! | what is written where, and what never is | [`outputs`] |
 //! | what is refused, and how | [`bad_input`], [`check`], [`hostile`], [`scene_errors`] |
 //! | systems in a world, pictures | [`ecs`], [`swap`], [`visibility`], [`frames`] |
@@ -30,4 +30,5 @@ mod scene_errors;
 mod scores;
 mod shown;
 mod swap;
+mod view_page;
 mod visibility;

@@ -1,6 +1,8 @@
 //! What can be typed after `lobelia`: arguments, their help, and the values that are refused.
 
 use super::prepare_args::{NewArgs, PREPARE_EXAMPLES, PREPARE_LONG, PrepareArgs};
+use super::threads::ThreadArgs;
+use super::view_args::{VIEW_LONG, ViewArgs};
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
@@ -17,6 +19,8 @@ Examples:
   lobelia check scenes/spot.ron --data ~/data/spot
       Is everything there and sensible? Nothing is run or written. (Without --data, what is below $DATA is not
       looked for.)
+  lobelia view out/spot --light sky.hdr
+      A page to turn, relight and edit the result in a browser: out/spot/view.html.
   lobelia eval out/spot/novel ~/data/spot/test/image
       How close are these images to those?
 
@@ -104,6 +108,9 @@ pub enum Command {
     Prepare(PrepareArgs),
     /// Write a commented scene file for a data set
     New(NewArgs),
+    /// Write a page that shows a saved object in a browser: turned, relit, edited
+    #[command(long_about = VIEW_LONG)]
+    View(ViewArgs),
     /// Compare two images, or the images of two folders by name: PSNR and SSIM in linear light
     Eval(EvalArgs),
     /// Shade a table of single points and add `diffuse` and `specular` to each case
@@ -130,14 +137,6 @@ pub struct SceneArgs {
     /// Replace a value of the scene file, e.g. --set passes.fit.steps=4
     #[arg(long = "set", value_name = "PATH=VALUE", value_parser = path_and_value, long_help = SET_LONG)]
     pub sets: Vec<(String, String)>,
-}
-
-/// How many threads work.
-#[derive(Args, Clone, Copy, Debug)]
-pub struct ThreadArgs {
-    /// Worker threads, 1 to 1024 [default: one per processor]
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=1024))]
-    pub threads: Option<u16>,
 }
 
 /// `lobelia run`.

@@ -204,5 +204,6 @@ fn kind(pass: &Pass) -> &'static str {
         Pass::Evaluate(_) => "Evaluate",
         Pass::Save(_) => "Save",
         Pass::Export(_) => "Export",
+        Pass::View(_) => "View",
     }
 }

@@ -2,8 +2,8 @@
 //!
 //! | file | holds |
 //! | --- | --- |
-//! | [`args`], [`prepare_args`] | arguments and their help |
-//! | [`run`], [`check`], [`prepare`], [`new`], [`eval`], [`env`], [`bench`], [`shade_cases`] | the commands |
+//! | [`args`], [`prepare_args`], [`view_args`] | arguments and their help |
+//! | [`run`], [`check`], [`prepare`], [`new`], [`eval`], [`view`], [`env`], [`bench`], [`shade_cases`] | the commands |
 //! | [`terminal`] | bars, notes and results |
 //! | [`report`] | how an error is drawn |
 //! | [`scene_files`], [`threads`], [`apart`] | what several commands do before they start |
@@ -23,6 +23,8 @@ mod scene_files;
 mod shade_cases;
 mod terminal;
 mod threads;
+mod view;
+mod view_args;
 
 use args::{Cli, Command};
 use clap::Parser;
@@ -56,6 +58,7 @@ fn dispatch(command: &Command) -> Result<()> {
         Command::Prepare(args) => prepare::run(args),
         Command::New(args) => new::run(args),
         Command::Eval(args) => eval::run(args),
+        Command::View(args) => view::run(args),
         Command::ShadeCases(args) => shade_cases::run(args),
         Command::Bench(args) => bench::run(args),
         Command::Env(args) => env::run(&args.command),

@@ -4,6 +4,7 @@ use crate::codec::file::FileUse;
 use crate::fit::cameras::CameraUnknowns;
 use crate::pass::photograph::ring;
 use crate::pass::render::{FILM_MP4, chosen_stems, film_name};
+use crate::pass::view::PAGE;
 use crate::scene::load::LoadedScene;
 use crate::scene::{EvaluatePass, ExportPass, Light, LightSource, MeshFormat, Pass, Scene, Views};
 use crate::scene::{LayerTruth, Truth};
@@ -41,6 +42,7 @@ pub fn outputs(scene: &Scene, open: Option<&OpenScene>, debug_every: Option<u32>
             Pass::Evaluate(_) => vec!["contact_sheet.png".to_owned()],
             Pass::Save(_) => of_save(scene),
             Pass::Export(export) => of_export(export),
+            Pass::View(_) => vec![PAGE.to_owned()],
         };
         let files = names.iter().map(|name| format!("{}/{name}", pass.name())).collect();
         PassFiles { pass: pass.name().to_owned(), files }

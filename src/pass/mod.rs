@@ -9,6 +9,7 @@
 //! | `Evaluate` | [`evaluate`] | a contact sheet; scores go to `OUT/metrics.json` |
 //! | `Save` | [`save`] | `scene.ron` with side files |
 //! | `Export` | [`export`] | `mesh.glb`, `mesh.ply`, `mesh.obj` with `mesh.mtl` and `mesh_albedo.png` |
+//! | `View` | [`view`] | `view.html` |
 //!
 //! [`preflight`] checks the inputs of all passes before the first one runs; [`files`] knows all files that they may write, so that
 //! none of them is one that is read; [`record`] keeps `OUT/run.json`, which says what belongs together.
@@ -34,6 +35,7 @@ mod shading;
 pub mod shape;
 pub mod show;
 mod truth_files;
+pub mod view;
 
 pub use interrupt::{INTERRUPTED, check_interrupted};
 pub use session::{Lights, MOST_VISIBILITY_BYTES, Session};
@@ -47,9 +49,11 @@ use crate::pipeline::Pipeline;
 use crate::report::scores::Scores;
 use crate::scene::Pass;
 use crate::scene::load::LoadedScene;
-use crate::scene::{Albedo, CameraSpec, Light, Photographed, Scene, Views};
+use crate::scene::{
+    Albedo, CameraSpec, Light, LightSource, Photographed, Scene, ViewPass, Views, unknown_parts,
+};
 use crate::shade::frame::FramePlugin;
-use crate::spawn::{SurfaceUse, make_surface, spawn};
+use crate::spawn::{SurfaceUse, load_light, make_surface, spawn};
 use crate::survey::Survey;
 use crate::survey::open::OpenScene;
 use crate::view::ViewRecord;
@@ -57,7 +61,7 @@ use photograph::{TrueObject, camera_of};
 use progress::Progress;
 use record::Claim;
 use std::borrow::Cow;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// How a loaded scene is run.
@@ -79,8 +83,8 @@ pub struct RunOptions {
 /// `OUT/run.json` says how far the run is.
 ///
 /// # Errors
-/// The first error of a pass; passes that do not need it are run all the same, and the scores written. [`Error::Usage`] if a file that would be written is an input, or is of
-/// something else than an earlier run, or if another run writes into the output folder.
+/// The first error of a pass; passes that do not need it are run all the same, and the scores written. [`Error::Usage`] if a file that would be
+/// written is an input, or is of something else than an earlier run, or if another run writes into the output folder.
 pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) -> Result<()> {
     record::check_used(&options.out, options.force)?;
     preflight::check_output(&loaded.scene, &options.out)?;
@@ -115,6 +119,36 @@ fn claim(loaded: &LoadedScene, data: Option<&OpenScene>, options: &RunOptions) -
     let help = "Choose another folder with --out, or give the pass another name. Inputs are never replaced, --force or not.";
     check_apart(&files::inputs(loaded, data), &outputs, help)?;
     Claim::new(&options.out, plan)
+}
+
+/// Writes the page of a scene in which everything is known, as `Save` writes it, to `path`; no pass of the scene is run, and nothing else
+/// is written. The page offers these lights besides the scene's own, by name.
+///
+/// # Errors
+/// [`Error::Usage`] if something is unknown; those of [`run`] before its first pass; those of the page.
+pub fn write_view(
+    loaded: &LoadedScene,
+    lights: &[(String, LightSource)],
+    path: &Path,
+    progress: &dyn Progress,
+) -> Result<()> {
+    if let Some(part) = unknown_parts(&loaded.scene).first() {
+        let problem = format!("the {part} of {} is unknown", loaded.path.display());
+        return Err(Error::usage(problem, "Run the scene; a `Save` pass writes one in which all is known."));
+    }
+    let scene = Scene { passes: Vec::new(), ..loaded.scene.clone() };
+    let mut named = Vec::new();
+    for (name, source) in lights {
+        let light = load_light(source)?;
+        light.notes.iter().for_each(|note| progress.note(note));
+        named.push((name.clone(), light.lobes));
+    }
+    let data = OpenScene::new(&scene)?;
+    let (views, _) = read_views(&scene, data.as_ref(), progress)?;
+    let out = path.parent().unwrap_or(Path::new("")).to_owned();
+    let options = RunOptions { out, force: true, debug_every: None, memory: None, arguments: Vec::new() };
+    let mut session = open(&scene, views, &options, progress, photograph::imagine, SurfaceUse::Lasting)?;
+    view::write_page(&mut session, &ViewPass::default(), named, path)
 }
 
 /// Does what [`run`] does before the first pass of a scene, without any photograph: what the scene names is read and checked, no pass

@@ -10,6 +10,7 @@ use crate::pass::render;
 use crate::pass::save;
 use crate::pass::session::Session;
 use crate::pass::shape;
+use crate::pass::view;
 use crate::scene::{EditPass, Pass, RelightPass, RenderPass};
 use std::io::ErrorKind;
 
@@ -91,5 +92,6 @@ fn run_pass(session: &mut Session, pass: &Pass) -> Result<()> {
         Pass::Evaluate(pass) => evaluate::run(session, pass),
         Pass::Save(pass) => save::run(session, pass),
         Pass::Export(pass) => export::run(session, pass),
+        Pass::View(pass) => view::run(session, pass),
     }
 }

@@ -3,6 +3,7 @@
 use crate::codec::file::{Kind, MOST_TEXT, obstacle, read_text};
 use crate::scene::description::{Scene, VERSION};
 use crate::scene::diagnostic::{Problem, SceneText};
+use crate::scene::edit::Edit;
 use crate::scene::paths;
 use crate::scene::paths::Files;
 use crate::scene::ron_tree;
@@ -101,6 +102,15 @@ pub fn to_ron(scene: &Scene) -> Result<String> {
     let config = ron::ser::PrettyConfig::new().depth_limit(6).struct_names(false);
     let text = options().to_string_pretty(scene, config);
     text.map(|text| text + "\n").map_err(|error| Error::run("writing the scene as RON", error.to_string()))
+}
+
+/// An edit as RON text on one line, as a scene file has it.
+///
+/// # Errors
+/// As [`to_ron`].
+pub fn edit_to_ron(edit: &Edit) -> Result<String> {
+    let text = options().to_string(edit);
+    text.map_err(|error| Error::run("writing an edit as RON", error.to_string()))
 }
 
 /// The RON dialect of scene files.

@@ -1,4 +1,4 @@
-//! How the passes that write the object itself are described: `Save` and `Export`.
+//! How the passes that write the object itself are described: `Save`, `Export` and `View`.
 
 use serde::{Deserialize, Serialize};
 
@@ -36,6 +36,23 @@ pub struct ExportPass {
 impl Default for ExportPass {
     fn default() -> Self {
         Self { name: "export".into(), of: None, formats: vec![MeshFormat::Glb], triangles: None }
+    }
+}
+
+/// Writes a page, `view.html`, that shows the object in a browser: to be turned, relit and edited, with nothing else needed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct ViewPass {
+    /// The pass's name. Default "view".
+    pub name: String,
+    /// The `Edit` or `Relight` pass whose edited material and light the page begins with. Default: the material and light that were
+    /// found.
+    pub of: Option<String>,
+}
+
+impl Default for ViewPass {
+    fn default() -> Self {
+        Self { name: "view".into(), of: None }
     }
 }
 

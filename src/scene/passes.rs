@@ -4,7 +4,7 @@ use crate::scene::edit::Edit;
 use crate::scene::evaluate::EvaluatePass;
 use crate::scene::fit::{FitPass, ShapePass};
 use crate::scene::light::LightSource;
-use crate::scene::output::{ExportPass, SavePass};
+use crate::scene::output::{ExportPass, SavePass, ViewPass};
 use crate::scene::render::RenderSettings;
 use serde::{Deserialize, Serialize};
 
@@ -27,6 +27,8 @@ pub enum Pass {
     Save(SavePass),
     /// Writes the object as a mesh for other programs.
     Export(ExportPass),
+    /// Writes a page that shows the object in a browser.
+    View(ViewPass),
 }
 
 impl Pass {
@@ -41,6 +43,7 @@ impl Pass {
             Self::Evaluate(pass) => &pass.name,
             Self::Save(pass) => &pass.name,
             Self::Export(pass) => &pass.name,
+            Self::View(pass) => &pass.name,
         }
     }
 
@@ -54,7 +57,8 @@ impl Pass {
             | Self::Render(_)
             | Self::Evaluate(_)
             | Self::Save(_)
-            | Self::Export(_) => None,
+            | Self::Export(_)
+            | Self::View(_) => None,
         }
     }
 
@@ -68,7 +72,8 @@ impl Pass {
             | Self::Render(_)
             | Self::Evaluate(_)
             | Self::Save(_)
-            | Self::Export(_) => &[],
+            | Self::Export(_)
+            | Self::View(_) => &[],
         }
     }
 
@@ -78,7 +83,12 @@ impl Pass {
             Self::Render(pass) => Some(&pass.render),
             Self::Edit(pass) => Some(&pass.render),
             Self::Relight(pass) => Some(&pass.render),
-            Self::Fit(_) | Self::Shape(_) | Self::Evaluate(_) | Self::Save(_) | Self::Export(_) => None,
+            Self::Fit(_)
+            | Self::Shape(_)
+            | Self::Evaluate(_)
+            | Self::Save(_)
+            | Self::Export(_)
+            | Self::View(_) => None,
         }
     }
 }

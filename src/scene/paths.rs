@@ -158,7 +158,8 @@ fn pass_paths(at: &str, pass: &mut Pass, visit: &mut impl FnMut(&str, Kind, &mut
                 visit(&format!("{at}.mesh"), Kind::File, path);
             }
         }
-        Pass::Fit(_) | Pass::Shape(_) | Pass::Render(_) | Pass::Save(_) | Pass::Export(_) => {}
+        Pass::Fit(_) | Pass::Shape(_) | Pass::Render(_) | Pass::Save(_) | Pass::Export(_) | Pass::View(_) => {
+        }
     }
 }
 

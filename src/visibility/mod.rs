@@ -120,6 +120,11 @@ impl ObjectVisibility {
         (0..self.texels.len()).all(|row| self.texels.sees_all(row))
     }
 
+    /// Which directions are hidden from each texel.
+    pub(crate) fn texels(&self) -> &TexelVisibility {
+        &self.texels
+    }
+
     /// The settings.
     pub fn settings(&self) -> VisibilitySettings {
         self.settings

@@ -110,11 +110,17 @@ impl TexelVisibility {
         all
     }
 
+    /// The covered texels, each with its row.
+    pub fn covered(&self) -> impl Iterator<Item = (usize, usize)> {
+        let rows = self.rows.iter().enumerate().filter(|(_, row)| **row != Self::NONE);
+        rows.map(|(texel, row)| (texel, *row as usize))
+    }
+
     /// Mean over the texels of each row of a value per texel.
     pub fn mean(&self, value: &(dyn Fn(u32) -> Vec3 + Sync)) -> Vec<Vec3> {
         let mut sums = vec![(Vec3::ZERO, 0.0f32); self.texels.len()];
-        for (texel, &row) in self.rows.iter().enumerate().filter(|(_, row)| **row != Self::NONE) {
-            let (sum, count) = &mut sums[row as usize];
+        for (texel, row) in self.covered() {
+            let (sum, count) = &mut sums[row];
             *sum += value(texel as u32);
             *count += 1.0;
         }

@@ -49,6 +49,7 @@ pub(super) fn passes(checks: &mut Checks, scene: &Scene) {
                 self::shown_by(checks, &at, export.of.as_deref(), scene);
             }
             Pass::Save(save) => self::shown_by(checks, &at, save.of.as_deref(), scene),
+            Pass::View(view) => self::shown_by(checks, &at, view.of.as_deref(), scene),
             Pass::Render(_) => {}
         }
         if let Some(render) = pass.render() {
@@ -83,7 +84,7 @@ fn known_to_published(checks: &mut Checks, at: &str, pass: &Pass, scene: &Scene)
 /// Before a fit, a pass can only use what the scene file says.
 fn nothing_unknown(checks: &mut Checks, at: &str, pass: &Pass, scene: &Scene) {
     let light = match pass {
-        Pass::Render(_) | Pass::Save(_) => true,
+        Pass::Render(_) | Pass::Save(_) | Pass::View(_) => true,
         Pass::Edit(edit) => edit.light.is_none(),
         Pass::Fit(_) | Pass::Shape(_) | Pass::Relight(_) | Pass::Evaluate(_) | Pass::Export(_) => false,
     };

@@ -1,0 +1,77 @@
+//! `lobelia view`: the page of a saved object.
+
+use super::terminal::Terminal;
+use super::threads::start_threads;
+use super::view_args::ViewArgs;
+use lobelia::codec::npy::NpyConvention;
+use lobelia::glam::Vec3;
+use lobelia::light::convention::MapConvention;
+use lobelia::pass::view::PAGE;
+use lobelia::pass::write_view;
+use lobelia::scene::{LightSource, LoadOptions, load};
+use lobelia::{Error, Result};
+use std::path::{Path, PathBuf};
+
+/// Lobes that a map is fitted with, as in a scene file.
+const MAP_LOBES: u32 = 128;
+
+/// What every page has in its head.
+const SIGNATURE: &[u8] = br#"name="generator" content="Lobelia""#;
+
+/// Runs the command.
+pub fn run(args: &ViewArgs) -> Result<()> {
+    let (scene, folder) = scene_of(&args.out)?;
+    refuse_foreign(&folder.join(PAGE))?;
+    start_threads(args.threads)?;
+    let loaded = load(&scene, &LoadOptions::default())?;
+    let lights: Vec<(String, LightSource)> = args.lights.iter().map(|path| light(path)).collect();
+    write_view(&loaded, &lights, &folder.join(PAGE), &Terminal::new(false))
+}
+
+/// A file that is there must be an earlier page.
+fn refuse_foreign(page: &Path) -> Result<()> {
+    let signed = |bytes: &[u8]| bytes.windows(SIGNATURE.len()).any(|window| window == SIGNATURE);
+    match std::fs::read(page) {
+        Ok(bytes) if !signed(&bytes) => {
+            let problem = format!("{} is not a page that this program wrote", page.display());
+            Err(Error::usage(problem, "Move it away; it is not replaced."))
+        }
+        _ => Ok(()),
+    }
+}
+
+/// The scene file of what a run saved, and the folder that the page goes into.
+fn scene_of(out: &Path) -> Result<(PathBuf, PathBuf)> {
+    if out.is_file() {
+        return Ok((out.to_owned(), out.parent().unwrap_or(Path::new("")).to_owned()));
+    }
+    let places = [out.join("saved/scene.ron"), out.join("scene.ron")];
+    if let Some(scene) = places.into_iter().find(|place| place.is_file()) {
+        return Ok((scene, out.to_owned()));
+    }
+    let what = if out.is_dir() { "has no saved/scene.ron" } else { "is not there" };
+    let help = "Give the output folder of a run whose scene has a `Save(name: \"saved\")` pass, or the saved scene file.";
+    Err(Error::usage(format!("{} {what}", out.display()), help))
+}
+
+/// A light file, by its ending, under the name of the file.
+fn light(path: &Path) -> (String, LightSource) {
+    let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let path = path.to_owned();
+    let ending = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+    let (scale, rotation_degrees) = (1.0, Vec3::ZERO);
+    let source = match ending.as_str() {
+        "ron" => LightSource::Ron { path, scale, rotation_degrees },
+        "npy" => LightSource::Npy { path, convention: NpyConvention::default(), scale, rotation_degrees },
+        _ => LightSource::Map {
+            path,
+            scale,
+            rotation_degrees,
+            lobes: MAP_LOBES,
+            convention: MapConvention::default(),
+            upper_hemisphere: false,
+            white: false,
+        },
+    };
+    (name, source)
+}

@@ -1,0 +1,27 @@
+//! What can be typed after `lobelia view`.
+
+use super::threads::ThreadArgs;
+use clap::Args;
+use std::path::PathBuf;
+
+/// The long help.
+pub const VIEW_LONG: &str = "\
+Writes OUT/view.html: one page that shows the object that a run saved, and needs nothing else, no server and no network.
+
+The object is turned with mouse, touch or keyboard, under the light that was found or under lights given with
+--light; roughness, reflection, colour and exposure have sliders; what was done can be copied as a pass for a scene
+file. A pass View() in a scene file writes the same page, with the lights of the scene's own passes.";
+
+/// `lobelia view`.
+#[derive(Args, Debug)]
+pub struct ViewArgs {
+    /// The output folder of a run with a `Save` pass, or a scene file in which all is known
+    #[arg(value_name = "OUT")]
+    pub out: PathBuf,
+    /// Offer this light too: .ron, .npy lobes, or an OpenEXR or Radiance HDR map
+    #[arg(long = "light", value_name = "FILE")]
+    pub lights: Vec<PathBuf>,
+    /// How many threads.
+    #[command(flatten)]
+    pub threads: ThreadArgs,
+}

@@ -1,0 +1,191 @@
+// Pictures of the object: samples of every pixel are summed as linear radiance and then developed, as in Lobelia's own renders.
+
+import { clipFromWorld } from "lobelia/camera";
+import { Program, Target, Texture, cover } from "lobelia/gpu";
+import { lobeTable, lobesOf, turnedLobes } from "lobelia/light";
+import { clamp } from "lobelia/linear";
+import { Shadows, openSky } from "lobelia/shadow";
+
+/** What can be shown, in the order of the shader's numbers, and how it is encoded (develop.frag). */
+export const SHOWS = [
+    { name: "full", label: "All light", encoding: 0 },
+    { name: "diffuse", label: "Diffuse", encoding: 0 },
+    { name: "specular", label: "Specular", encoding: 0 },
+    { name: "albedo", label: "Albedo", encoding: 1 },
+    { name: "normals", label: "Normals", encoding: 2 },
+    { name: "visibility", label: "Visibility", encoding: 2 },
+    { name: "roughness", label: "Roughness", encoding: 2 },
+];
+
+/** The base materials and the albedo's factor after the page's edits: the same steps as those of `ron.js`, in the same order. */
+export function edited(scene, { tint, color, mix, level, roughness }) {
+    const materials = scene.materials.map((lobe) => ({
+        ...lobe,
+        albedo: lobe.albedo.map((old, c) => {
+            const blended = mix > 0 ? clamp(old + mix * (color[c] - old), 0, 1) : old;
+            return clamp(blended * level, 0, 1);
+        }),
+        roughness: clamp(lobe.roughness * roughness, 0.03, 1),
+    }));
+    return { materials, tint };
+}
+
+export class Renderer {
+    constructor(canvas, scene, shaders) {
+        const gl = canvas.getContext("webgl2", { antialias: false, alpha: false, powerPreference: "high-performance" });
+        if (!gl) throw new Error("this browser has no WebGL 2");
+        if (!gl.getExtension("EXT_color_buffer_float") && !gl.getExtension("EXT_color_buffer_half_float")) {
+            throw new Error("this browser cannot draw into floating-point textures");
+        }
+        gl.getExtension("EXT_float_blend");
+        Object.assign(this, { gl, canvas, scene, target: null, known: "" });
+        this.lights = scene.lights.map((light, i) => ({ ...light, lobes: lobesOf(scene.data[`light${i}`]) }));
+        const [width, height] = scene.texture;
+        this.albedo = new Texture(gl, "srgb8", { width, height, filter: true, data: scene.data.albedo });
+        this.blend = this.blendTexture(width, height);
+        this.surface = new Program(gl, shaders["surface.vert"], shaders.diffuse + shaders.specular + shaders["surface.frag"]);
+        this.depth = new Program(gl, shaders["surface.vert"], "void main() {}\n");
+        this.develop = new Program(gl, shaders["texels.vert"], shaders["develop.frag"]);
+        this.shadows = scene.visibility ? new Shadows(gl, scene, shaders) : openSky(gl);
+        this.loadMesh();
+    }
+
+    /** Blend weights of eight base materials a texel, four a layer. */
+    blendTexture(width, height) {
+        const { blend } = this.scene.data;
+        if (!blend) return new Texture(this.gl, "rgba8", { width: 1, height: 1, layers: 1 });
+        const layers = new Uint8Array(blend.length);
+        for (let i = 0; i < width * height; i++) {
+            for (let k = 0; k < 8; k++) layers[(k >> 2) * 4 * width * height + 4 * i + (k & 3)] = blend[8 * i + k];
+        }
+        return new Texture(this.gl, "rgba8", { width, height, layers: 2, filter: true, data: layers });
+    }
+
+    loadMesh() {
+        const { gl } = this;
+        const { positions, normals, uvs, triangles } = this.scene.data;
+        this.mesh = gl.createVertexArray();
+        gl.bindVertexArray(this.mesh);
+        [[positions, 3], [normals, 2], [uvs, 2]].forEach(([values, count], place) => {
+            gl.bindBuffer(gl.ARRAY_BUFFER, gl.createBuffer());
+            gl.bufferData(gl.ARRAY_BUFFER, values, gl.STATIC_DRAW);
+            gl.enableVertexAttribArray(place);
+            gl.vertexAttribPointer(place, count, gl.UNSIGNED_SHORT, true, 0, 0);
+        });
+        gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, gl.createBuffer());
+        gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, triangles, gl.STATIC_DRAW);
+        gl.bindVertexArray(null);
+        this.count = triangles.length;
+    }
+
+    /** The lobes of the state's light as they stand in the world before this camera. */
+    lobes(state, camera) {
+        return turnedLobes(this.lights[state.light], this.scene.up, state.turn, camera.axes);
+    }
+
+    /** Makes light and material of this state ready; what has not changed is kept. */
+    prepare(state, camera) {
+        const { gl } = this;
+        const material = edited(this.scene, state);
+        const standing = this.lights[state.light].frame === "world" ? null : camera.axes;
+        const now = JSON.stringify([state.light, state.turn, material, standing]);
+        if (now === this.known) return;
+        this.known = now;
+        const lobes = this.lobes(state, camera);
+        if (this.table?.height !== lobes.length) {
+            this.table?.free();
+            this.table = new Texture(gl, "rgba32f", { width: 4, height: lobes.length });
+        }
+        this.table.fill(lobeTable(lobes));
+        this.shadows.update(lobes, material);
+        const { materials } = material;
+        this.light = { lobes: this.table, lobeCount: lobes.length, tint: material.tint };
+        this.gloss = {
+            materials: materials.flatMap(({ albedo, roughness }) => [...albedo, roughness]),
+            kinds: materials.flatMap(({ number, ggx }) => [number, Number(ggx)]),
+            materialCount: materials.length, blended: this.scene.blended, blendMap: this.blend,
+        };
+    }
+
+    /** An empty sum of samples of this size. */
+    begin(width, height) {
+        const { gl } = this;
+        if (this.target?.width !== width || this.target?.height !== height) {
+            this.target?.free();
+            this.sum?.free();
+            this.sum = new Texture(gl, "rgba16f", { width, height });
+            this.target = new Target(gl, [[this.sum, 0]], true);
+        }
+        this.target.bind();
+        gl.clearColor(0, 0, 0, 0);
+        gl.clear(gl.COLOR_BUFFER_BIT);
+        this.samples = 0;
+    }
+
+    /** Adds one sample of every pixel, `jitter` pixels right and down of its center. */
+    sample(state, camera, jitter) {
+        const { gl, scene } = this;
+        this.prepare(state, camera);
+        this.target.bind();
+        const { low, size, uvLow, uvSize } = scene.mesh;
+        const place = { low, size, uvLow, uvSize };
+        place.clipFromWorld = clipFromWorld(camera, this.target.width, this.target.height, jitter, scene);
+        gl.bindVertexArray(this.mesh);
+        gl.enable(gl.DEPTH_TEST);
+        gl.depthMask(true);
+        gl.depthFunc(gl.LESS);
+        gl.clear(gl.DEPTH_BUFFER_BIT);
+        gl.disable(gl.BLEND);
+        gl.colorMask(false, false, false, false);
+        this.depth.use(place);
+        gl.drawElements(gl.TRIANGLES, this.count, gl.UNSIGNED_INT, 0);
+        gl.colorMask(true, true, true, true);
+        // Only the nearest surface is shaded and added.
+        gl.depthFunc(gl.EQUAL);
+        gl.depthMask(false);
+        gl.enable(gl.BLEND);
+        gl.blendFunc(gl.ONE, gl.ONE);
+        const show = SHOWS.findIndex(({ name }) => name === state.show);
+        const shared = { eye: camera.eye, show, albedoMap: this.albedo };
+        this.surface.use({ ...place, ...shared, ...this.light, ...this.gloss, ...this.shadows.uniforms });
+        gl.drawElements(gl.TRIANGLES, this.count, gl.UNSIGNED_INT, 0);
+        gl.depthMask(true);
+        this.samples += 1;
+    }
+
+    /** Develops the sum into the current frame buffer, side × side texels a pixel; `backdrop` null: straight alpha. */
+    finish(state, backdrop, side = 1) {
+        const { encoding } = SHOWS.find(({ name }) => name === state.show);
+        const shared = { sum: this.sum, samples: this.samples, exposure: state.exposure, encoding, side };
+        this.develop.use({ ...shared, backdrop: backdrop ?? [-1, -1, -1] });
+        cover(this.gl);
+    }
+
+    /** Develops the sum onto the canvas, which gets its size. */
+    present(state) {
+        const { gl, canvas } = this;
+        const { width, height } = this.target;
+        if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
+        gl.bindFramebuffer(gl.FRAMEBUFFER, null);
+        gl.viewport(0, 0, width, height);
+        this.finish(state, state.backdrop);
+    }
+
+    /** A picture with side × side samples a pixel: 8-bit RGBA rows from the top, with straight alpha. */
+    picture(state, camera, width, height, side) {
+        const { gl } = this;
+        this.begin(width * side, height * side);
+        this.sample(state, camera, [0, 0]);
+        const texture = new Texture(gl, "rgba8", { width, height });
+        const target = new Target(gl, [[texture, 0]]);
+        target.bind();
+        this.finish(state, null, side);
+        const below = new Uint8Array(4 * width * height);
+        gl.readPixels(0, 0, width, height, gl.RGBA, gl.UNSIGNED_BYTE, below);
+        target.free();
+        texture.free();
+        const rows = new Uint8Array(below.length);
+        for (let y = 0; y < height; y++) rows.set(below.subarray(4 * width * y, 4 * width * (y + 1)), 4 * width * (height - 1 - y));
+        return rows;
+    }
+}

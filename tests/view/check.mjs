@@ -1,0 +1,145 @@
+// The page against Lobelia's own closed-form renders: `node tests/view/check.mjs PROGRAM [FOLDER]`.
+//
+// For an object with shadows, with either distribution of normals, the page's pictures of several states are compared with what the
+// passes that "copy as RON" gives for these states render. FOLDER keeps what was compared, and screenshots. Skipped, with
+// exit code 0 and a word, where there is no Chromium.
+
+import { spawnSync } from "node:child_process";
+import { mkdirSync, mkdtempSync, readFileSync, statSync, writeFileSync } from "node:fs";
+import { tmpdir } from "node:os";
+import { join, resolve } from "node:path";
+import { pathToFileURL } from "node:url";
+import { Browser, findChromium } from "./browser.mjs";
+import { gltf, scene } from "./object.mjs";
+import { layerPicture, psnr, readExr, readPng } from "./pictures.mjs";
+
+/** Least PSNR of a state, in dB over the object's pixels. */
+const LEAST = 40;
+
+/** Samples along each side of a pixel: software GL places corners to 1/16 of a pixel only. */
+const SIDE = 4;
+
+/** States: the page, the view, the settings of the page, and the layer that is compared if it is not the
+ * whole; `once` with one distribution of normals alone. */
+const STATES = [
+    { name: "as found", page: "plain", view: 0, settings: {} },
+    { name: "as found, from below", once: true, page: "plain", view: 1, settings: {} },
+    { name: "relit", page: "plain", view: 0, settings: { light: 1 } },
+    { name: "relit and turned", once: true, page: "plain", view: 1, settings: { light: 1, turn: 75, exposure: 0.6 } },
+    { name: "own light turned", once: true, page: "plain", view: 0, settings: { turn: -130 } },
+    { name: "smoother", page: "plain", view: 0, settings: { roughness: -1 } },
+    { name: "golden", once: true, page: "plain", view: 1, settings: { roughness: 0.4, color: "#e6a530", mix: 0.8, level: 1.3, tint: "#6070a0", bright: 1.4 } },
+    { name: "diffuse alone", once: true, page: "plain", view: 0, settings: { show: "diffuse" }, layer: "diffuse" },
+    { name: "specular alone", page: "plain", view: 0, settings: { show: "specular" }, layer: "specular" },
+    { name: "albedo", once: true, page: "painted_page", view: 0, settings: { show: "albedo" }, layer: "albedo" },
+    { name: "painted", page: "painted_page", view: 0, settings: {} },
+    { name: "painted, relit, rougher", page: "painted_page", view: 1, settings: { light: 1, roughness: 0.8, turn: 20 } },
+];
+
+const [program, folder = mkdtempSync(join(tmpdir(), "lobelia-view-check-"))] = process.argv.slice(2);
+if (!program) throw new Error("usage: node tests/view/check.mjs PROGRAM [FOLDER]");
+const chromium = findChromium();
+if (!chromium) {
+    console.log("skipped: there is no Chromium; say where it is with CHROMIUM=…");
+    process.exit(0);
+}
+
+function lobelia(...args) {
+    const { status, stderr, error } = spawnSync(resolve(program), args, { encoding: "utf8" });
+    if (status !== 0) throw new Error(`lobelia ${args.join(" ")}:\n${error ?? stderr}`);
+}
+
+/** The passes with as many samples a pixel as the page's pictures have. */
+const finer = (ron) => ron.replace("render: (", `render: (samples_per_pixel: ${SIDE * SIDE}, `);
+
+/** What the page's passes render. */
+function reference(file, out, ron, view, layer) {
+    lobelia("run", file, "--quiet", "--force", "--out", out, "--set", `passes=[${ron}]`);
+    const rendered = join(out, "viewed", view);
+    if (!layer) return readPng(readFileSync(`${rendered}.png`)).rgba;
+    return layerPicture(readExr(readFileSync(`${rendered}.exr`)), layer).rgba;
+}
+
+const browser = new Browser(chromium);
+let failed = 0;
+const fail = (text) => (failed++, console.log(`FAILED: ${text}`));
+try {
+    for (const ndf of ["Sg", "Ggx"]) {
+        const home = resolve(folder, ndf);
+        mkdirSync(home, { recursive: true });
+        writeFileSync(join(home, "object.gltf"), gltf());
+        const file = join(home, "scene.ron");
+        writeFileSync(file, scene(ndf));
+        lobelia("run", file, "--quiet", "--force", "--out", join(home, "out"));
+        let open = "";
+        for (const [i, { name, page, view, settings, layer, once }] of STATES.entries()) {
+            if (once && ndf !== "Sg") continue;
+            if (open !== page) {
+                open = page;
+                await browser.open(pathToFileURL(join(home, "out", page, "view.html")).href, 900, 600);
+            }
+            const words = JSON.stringify({ ...settings, view });
+            await browser.evaluate(`lobelia.set({ ...lobelia.defaults, ...${words} })`);
+            const ron = finer(await browser.evaluate("lobelia.ron()"));
+            const shown = await browser.evaluate(`Array.from(lobelia.picture(${view}, ${SIDE}))`);
+            const viewName = await browser.evaluate(`lobelia.scene.cameras[${view}].name`);
+            const truth = reference(file, join(home, `state${i}`), ron, viewName, layer);
+            const found = psnr(shown, truth);
+            console.log(`${ndf.padEnd(4)} ${name.padEnd(26)} ${found.psnr.toFixed(1)} dB, at most ${found.most} of 255`);
+            if (!(found.psnr >= LEAST)) fail(`${ndf}, ${name}: below ${LEAST} dB`);
+            writeFileSync(join(home, `state${i}.ron`), ron);
+            writeFileSync(join(home, `state${i}.png`), await browser.screenshot());
+        }
+    }
+    await live(join(resolve(folder), "Sg"));
+    const kinds = browser.requests.filter((url) => !/^(file|data|blob):/.test(url) && url !== "about:blank");
+    if (kinds.length > 0) fail(`the page asked for ${kinds.join(", ")}`);
+    if (browser.messages.length > 0) fail(`the console says: ${browser.messages.join("; ")}`);
+} finally {
+    await browser.close();
+}
+console.log(failed === 0 ? `all as it should be; pictures are in ${folder}` : `${failed} failed`);
+process.exit(failed === 0 ? 0 : 1);
+
+/** The canvas itself, keys and dragging, and the page that `lobelia view` writes. */
+async function live(home) {
+    lobelia("view", join(home, "out"));
+    const path = join(home, "out", "view.html");
+    console.log(`page of lobelia view: ${(statSync(path).size / 2 ** 20).toFixed(2)} MiB`);
+    await browser.open(pathToFileURL(path).href, 160, 120, true);
+    await browser.evaluate(`document.getElementById("panel").classList.add("folded"),
+        document.querySelectorAll("header, #fold").forEach((e) => (e.style.display = "none")), lobelia.set({ view: 0 }), lobelia.patience(1e6)`);
+    await browser.until("lobelia.still()");
+    const canvas = readPng(await browser.screenshot());
+    const ron = finer(await browser.evaluate("lobelia.ron()"));
+    const truth = reference(join(home, "scene.ron"), join(home, "live"), ron, "above");
+    for (let i = 0; i < truth.length; i += 4) {
+        for (let c = 0; c < 3; c++) truth[i + c] = (truth[i + c] * truth[i + 3] + 255 * (255 - truth[i + 3])) / 255;
+        truth[i + 3] = 255;
+    }
+    const found = psnr(canvas.rgba, truth);
+    console.log(`the canvas as it is seen: ${found.psnr.toFixed(1)} dB over the whole picture`);
+    if (!(found.psnr >= LEAST)) fail("the canvas is not the render");
+
+    await browser.resize(390, 780, true);
+    await browser.open(pathToFileURL(path).href, 390, 780, true);
+    await browser.until("lobelia.still()");
+    writeFileSync(join(home, "phone.png"), await browser.screenshot());
+    await browser.open(pathToFileURL(path).href, 1200, 760);
+    await browser.until("lobelia.still()");
+    writeFileSync(join(home, "desk.png"), await browser.screenshot());
+    const before = await browser.evaluate("JSON.stringify(lobelia.camera())");
+    await browser.drag([300, 300], [420, 340]);
+    if (before === (await browser.evaluate("JSON.stringify(lobelia.camera())"))) fail("dragging does not turn the view");
+    await browser.drag([300, 300], [400, 300], 8);
+    if ((await browser.evaluate("lobelia.settings().turn")) !== 40) fail("shift-dragging does not turn the light by 40°");
+    await browser.key("5");
+    if ((await browser.evaluate("lobelia.settings().show")) !== "normals") fail("key 5 does not show normals");
+    await browser.key(".");
+    if ((await browser.evaluate("lobelia.settings().view")) !== 0) fail("the full stop does not step to a camera");
+    await browser.key("r");
+    if ((await browser.evaluate("lobelia.settings().turn")) !== 0) fail("R does not reset");
+    await browser.key("c");
+    if (!(await browser.evaluate("document.getElementById('text').open"))) fail("C does not show the passes");
+    writeFileSync(join(home, "copied.png"), await browser.screenshot());
+}
