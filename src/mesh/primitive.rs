@@ -113,6 +113,21 @@ pub fn box_mesh(center: Vec3, size: Vec3) -> Result<Mesh> {
     Ok(mesh)
 }
 
+/// A ball, its center at a height, over a plate of 2 × 2 around the origin; each has half of the texture.
+#[cfg(test)]
+pub(crate) fn ball_over_plate(thickness: f32, height: f32, radius: f32) -> Mesh {
+    let mut mesh = box_mesh(Vec3::ZERO, Vec3::new(2.0, thickness, 2.0)).unwrap();
+    let ball = sphere_mesh(Vec3::new(0.0, height, 0.0), radius).unwrap();
+    let offset = mesh.positions.len() as u32;
+    mesh.positions.extend(&ball.positions);
+    mesh.normals.extend(&ball.normals);
+    mesh.triangles.extend(ball.triangles.iter().map(|t| t.map(|v| v + offset)));
+    let uvs = mesh.uvs.as_mut().unwrap();
+    uvs.iter_mut().for_each(|uv| uv.x *= 0.5);
+    uvs.extend(ball.uvs.unwrap().iter().map(|uv| glam::Vec2::new(0.5 + 0.5 * uv.x, uv.y)));
+    mesh
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

@@ -150,19 +150,11 @@ fn hiders(texels: &TexelVisibility, patches: &Patches) -> Vec<u16> {
 mod tests {
     use super::*;
     use crate::math::fibonacci::fibonacci_axes;
-    use crate::mesh::primitive::{box_mesh, sphere_mesh};
+    use crate::mesh::primitive::ball_over_plate;
 
     /// A ball over a plate.
     fn scenery() -> (Surface, TexelVisibility) {
-        let mut mesh = box_mesh(Vec3::ZERO, Vec3::new(2.0, 0.1, 2.0)).unwrap();
-        let ball = sphere_mesh(Vec3::new(0.0, 0.6, 0.0), 0.4).unwrap();
-        let offset = mesh.positions.len() as u32;
-        mesh.positions.extend(&ball.positions);
-        mesh.normals.extend(&ball.normals);
-        mesh.triangles.extend(ball.triangles.iter().map(|t| t.map(|v| v + offset)));
-        let uvs = mesh.uvs.as_mut().unwrap();
-        uvs.iter_mut().for_each(|uv| uv.x *= 0.5);
-        uvs.extend(ball.uvs.unwrap().iter().map(|uv| glam::Vec2::new(0.5 + 0.5 * uv.x, uv.y)));
+        let mesh = ball_over_plate(0.1, 0.6, 0.4);
         let surface = Surface::new(mesh, 48).unwrap();
         let texels = TexelVisibility::trace(surface.atlas(), &surface, fibonacci_axes(128), usize::MAX);
         (surface, texels)

@@ -215,7 +215,7 @@ mod tests {
     use super::*;
     use crate::math::fibonacci::fibonacci_axes;
     use crate::mesh::Surface;
-    use crate::mesh::primitive::{box_mesh, sphere_mesh};
+    use crate::mesh::primitive::{ball_over_plate, box_mesh, sphere_mesh};
     use crate::mesh::triangles::Mesh;
     use glam::Vec3Swizzles;
 
@@ -239,15 +239,7 @@ mod tests {
     #[test]
     fn a_ball_above_a_plate_hides_its_own_disc() {
         // A ball of radius 0.3 at height 1 over the middle of a thin plate covers 1 − cos(asin 0.3) of 2π there.
-        let mut mesh = box_mesh(Vec3::ZERO, Vec3::new(2.0, 0.02, 2.0)).unwrap();
-        let ball = sphere_mesh(Vec3::new(0.0, 1.01, 0.0), 0.3).unwrap();
-        let offset = mesh.positions.len() as u32;
-        mesh.positions.extend(&ball.positions);
-        mesh.normals.extend(&ball.normals);
-        mesh.triangles.extend(ball.triangles.iter().map(|t| t.map(|v| v + offset)));
-        let uvs = mesh.uvs.as_mut().unwrap();
-        uvs.iter_mut().for_each(|uv| uv.x *= 0.5);
-        uvs.extend(ball.uvs.unwrap().iter().map(|uv| glam::Vec2::new(0.5 + 0.5 * uv.x, uv.y)));
+        let mesh = ball_over_plate(0.02, 1.01, 0.3);
         let surface = Surface::new(mesh, 64).unwrap();
         let visibility = TexelVisibility::trace(surface.atlas(), &surface, fibonacci_axes(4096), usize::MAX);
         let middle = |row: &usize| {
