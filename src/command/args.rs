@@ -24,7 +24,8 @@ Examples:
   lobelia eval out/spot/novel ~/data/spot/test/image
       How close are these images to those?
 
-Exit codes: 0 done, 1 ran and failed, 2 bad input, 130 stopped by Ctrl-C (what was finished is kept).";
+Exit codes: 0 done, 1 ran and failed, 2 bad input, 130, 143 or 129 stopped by Ctrl-C, SIGTERM or
+SIGHUP (what was found is kept).";
 
 const RUN_LONG: &str = "\
 Runs the passes of a scene file in their order.

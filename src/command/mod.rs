@@ -6,7 +6,7 @@
 //! | [`run`], [`check`], [`prepare`], [`new`], [`eval`], [`view`], [`env`], [`bench`], [`shade_cases`] | the commands |
 //! | [`terminal`] | bars, notes and results |
 //! | [`report`] | how an error is drawn |
-//! | [`scene_files`], [`threads`], [`apart`] | what several commands do before they start |
+//! | [`scene_files`], [`threads`], [`apart`], [`signals`] | what several commands do before they start |
 
 mod apart;
 mod args;
@@ -21,6 +21,7 @@ mod report;
 mod run;
 mod scene_files;
 mod shade_cases;
+mod signals;
 mod terminal;
 mod threads;
 mod view;

@@ -1,7 +1,7 @@
 //! `lobelia prepare`: from photographs or a video to a data set.
 
 use super::prepare_args::{CameraArg, FeatureArg, LensArg, MatchingArg, PrepareArgs};
-use super::run::stop_on_ctrl_c;
+use super::signals::stop_on_signals;
 use super::terminal::{Terminal, print};
 use lobelia::Result;
 use lobelia::pass::progress::Progress;
@@ -11,7 +11,7 @@ use lobelia::prepare::{
 
 /// Runs the command.
 pub fn run(args: &PrepareArgs) -> Result<()> {
-    stop_on_ctrl_c()?;
+    stop_on_signals()?;
     let terminal = Terminal::new(args.quiet);
     let prepared = prepare(&options(args), &terminal)?;
     if prepared.scene.is_none() {

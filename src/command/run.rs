@@ -2,14 +2,14 @@
 
 use super::args::RunArgs;
 use super::scene_files::load_options;
+use super::signals::stop_on_signals;
 use super::terminal::Terminal;
 use super::threads::start_threads;
 use lobelia::pass::memory::usual_budget;
 use lobelia::pass::{self, RunOptions};
 use lobelia::scene::load;
-use lobelia::{Error, Result};
+use lobelia::Result;
 use std::path::{Path, PathBuf};
-use std::sync::atomic::Ordering;
 
 /// Runs the command.
 pub fn run(args: &RunArgs) -> Result<()> {
@@ -19,20 +19,10 @@ pub fn run(args: &RunArgs) -> Result<()> {
     let memory = args.memory.or_else(usual_budget);
     let arguments = std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()).collect();
     let options = RunOptions { out, force: args.force, debug_every: args.debug_every, memory, arguments };
-    stop_on_ctrl_c()?;
+    stop_on_signals()?;
     pass::run(&loaded, &options, &Terminal::new(args.quiet))
 }
 
 fn default_out(scene: &Path) -> PathBuf {
     Path::new("out").join(scene.file_stem().unwrap_or_default())
-}
-
-/// The first Ctrl-C lets the work in progress end cleanly; a second one ends the process at once.
-pub fn stop_on_ctrl_c() -> Result<()> {
-    ctrlc::set_handler(|| {
-        if pass::INTERRUPTED.swap(true, Ordering::Relaxed) {
-            std::process::exit(130);
-        }
-    })
-    .map_err(|error| Error::run("listening for Ctrl-C", error.to_string()))
 }

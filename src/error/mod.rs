@@ -2,9 +2,10 @@
 //!
 //! An error is created where the cause is known, propagated unchanged with `?`, and reported once, at the
 //! edge (the command), which also chooses the exit code: 2 for [`Error::Input`], [`Error::Scene`] and
-//! [`Error::Usage`], 130 for [`Error::Interrupted`], 1 for the rest.
+//! [`Error::Usage`], that of the signal for [`Error::Interrupted`], 1 for the rest.
 
 mod scene;
+pub mod stop;
 
 pub use scene::{Fault, Label, SceneDiagnostic};
 
@@ -59,7 +60,7 @@ pub enum Error {
         /// Why.
         problem: String,
     },
-    /// The user pressed Ctrl-C; finished results are kept.
+    /// The run was asked to stop ([`stop`]); finished results are kept.
     #[error("interrupted")]
     Interrupted,
 }
@@ -108,11 +109,11 @@ impl Error {
         }
     }
 
-    /// The exit code of the process: 2 for bad input, 130 for Ctrl-C, 1 for all other errors.
+    /// The exit code of the process: 2 for bad input, 130, 143 or 129 for Ctrl-C, SIGTERM or SIGHUP, 1 for all other errors.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Input { .. } | Self::Scene(_) | Self::Usage { .. } => 2,
-            Self::Interrupted => 130,
+            Self::Interrupted => stop::stopped_by().unwrap_or(stop::StopSignal::Interrupt).exit_code(),
             Self::Io { .. } | Self::Run { .. } => 1,
         }
     }

@@ -1,6 +1,7 @@
 //! The Prepare phase: every usable foreground pixel of the training views becomes one row of the pool of observed pixels, traced once.
 //! Each step then takes some of them into the samples.
 
+use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::fit::components::TexelSeen;
 use crate::material::Texels;
@@ -164,6 +165,7 @@ pub fn trace_pixels(world: &mut World) -> SystemResult {
     let mut rows = 0;
     // In parts: all points beside the pool would be half of it.
     for part in chosen.chunks(TRACED_AT_ONCE) {
+        check_interrupted()?;
         let trace = |candidate: &Candidate| candidate.trace(&cameras, scenery.as_ref());
         let traced: Vec<Option<Observation>> = part.par_iter().map(trace).collect::<Result<_>>()?;
         let observations: Vec<(ObservationIndex, Observation)> =

@@ -191,8 +191,20 @@ impl Plugin for FitPlugin {
 /// Runs a whole fit in the pipeline's world. `watch` is called after every step and may stop the fit.
 ///
 /// # Errors
-/// If there is nothing to fit to, or a system fails.
+/// If there is nothing to fit to, or a system fails; [`Error::Interrupted`](crate::Error::Interrupted) if the run is stopped before
+/// the first step.
 pub fn run_fit(
+    pipeline: &mut Pipeline,
+    options: &FitOptions,
+    watch: &mut dyn FnMut(&FitProgress, &World) -> ControlFlow<()>,
+) -> Result<FitSummary> {
+    let fitted = fit(pipeline, options, watch);
+    despawn_pool(&mut pipeline.world);
+    despawn_observations(&mut pipeline.world);
+    fitted
+}
+
+fn fit(
     pipeline: &mut Pipeline,
     options: &FitOptions,
     watch: &mut dyn FnMut(&FitProgress, &World) -> ControlFlow<()>,
@@ -218,8 +230,6 @@ pub fn run_fit(
             break;
         }
     }
-    despawn_pool(&mut pipeline.world);
-    despawn_observations(&mut pipeline.world);
     summary.elapsed_secs = start.elapsed().as_secs_f64();
     Ok(summary)
 }

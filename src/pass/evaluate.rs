@@ -6,6 +6,7 @@
 use crate::codec::frame::{Frame, Layer, read_frame_layers};
 use crate::codec::gltf::import::read_mesh;
 use crate::codec::image::Gamma;
+use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::mesh::chamfer::chamfer_distance;
 use crate::pass::render::{ChosenView, chosen_views};
@@ -111,6 +112,7 @@ impl ScoredPass {
     }
 
     fn load(&self, session: &Session, i: usize, layers: &[Layer]) -> Result<ScoredView> {
+        check_interrupted()?;
         let view = &self.views[i];
         let path = session.folder(&self.name).join(format!("{}.exr", view.stem));
         let frame = read_frame_layers(path, layers)?;

@@ -6,7 +6,8 @@ use crate::codec::finite::check_finite;
 use crate::codec::frame::write_channels;
 use crate::codec::npy::{NpyConvention, write_lobes};
 use crate::codec::png_file::write_rgb8;
-use crate::error::Result;
+use crate::error::stop::{heed_stop, is_stopping};
+use crate::error::{Error, Result};
 use crate::fit::cameras::{CameraPlugin, CameraUnknowns};
 use crate::fit::components::TexelSeen;
 use crate::fit::observe::PixelChoice;
@@ -27,7 +28,6 @@ use crate::math::accurate::Quality;
 use crate::math::shading::ClosedForm;
 use crate::mesh::atlas::{TexelAtlas, fill_uncovered};
 use crate::pass::found_views;
-use crate::pass::interrupt::{INTERRUPTED, check_interrupted};
 use crate::pass::save::write_weights;
 use crate::pass::session::Session;
 use crate::pipeline::pool::{read_column, write_column};
@@ -45,7 +45,6 @@ use image::{Rgb, RgbImage};
 use std::fmt::Write as _;
 use std::ops::ControlFlow;
 use std::path::Path;
-use std::sync::atomic::Ordering;
 
 /// Steps between two lines of the log.
 const LOG_EVERY: u32 = 20;
@@ -56,12 +55,12 @@ const ENVIRONMENT_SIZE: (u32, u32) = (512, 256);
 /// Runs the pass.
 ///
 /// # Errors
-/// If there are no pixels to fit to, a system fails, or the results cannot be written; [`crate::Error::Interrupted`] after
-/// Ctrl-C, once the results so far are written.
+/// If there are no pixels to fit to, a system fails, or the results cannot be written; [`Error::Interrupted`] if the run is
+/// stopped, once the results so far are written.
 pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     // Created first, so that an unwritable folder is detected before the fit.
     let folder = session.folder(&pass.name);
-    std::fs::create_dir_all(&folder).map_err(crate::Error::io("create", &folder))?;
+    std::fs::create_dir_all(&folder).map_err(Error::io("create", &folder))?;
     let options = options(session, pass)?;
     let atlas = session.surface.atlas();
     let place = |(at, covered): (&Vec3, &bool)| if *covered { *at } else { Vec3::NAN };
@@ -77,10 +76,13 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
             bar.set_message(format!("{:.1} dB", at.sums.psnr()));
             log_line(&mut log, at);
         }
-        if INTERRUPTED.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        if is_stopping() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
     hold_geometry(session);
     let summary = summary?;
+    // The results so far are written.
+    heed_stop();
+    session.has_object = true;
     session.guess = FirstGuess::NONE;
     bar.finish_and_clear();
     session.report_light_frame(&pass.name);
@@ -92,7 +94,7 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     write_bytes(&folder.join("log.csv"), log.as_bytes())?;
     session.scores.scale = Some(scale);
     found_views::write(session, &pass.name, pass.cameras, pass.exposure)?;
-    check_interrupted()
+    if summary.stopped { Err(Error::Interrupted) } else { Ok(()) }
 }
 
 /// Swaps in the systems that optimize cameras and vertices, if the pass enables them.

@@ -21,7 +21,6 @@ pub mod files;
 pub mod fit;
 mod found_views;
 pub mod inspect;
-mod interrupt;
 pub mod memory;
 pub mod photograph;
 pub mod preflight;
@@ -37,10 +36,10 @@ pub mod show;
 mod truth_files;
 pub mod view;
 
-pub use interrupt::{INTERRUPTED, check_interrupted};
 pub use session::{Lights, MOST_VISIBILITY_BYTES, Session};
 
 use crate::codec::file::{FileUse, check_apart};
+use crate::error::stop::{check_interrupted, stopped_by};
 use crate::error::{Error, Result};
 use crate::fit::ObjectTurned;
 use crate::fit::run::{FirstGuess, FitPlugin};
@@ -104,7 +103,10 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
     check_interrupted()?;
     let mut record = claim.begin(&loaded.path, &options.arguments)?;
     let ended = sequence::run(&mut session, &mut record);
-    let finished = if matches!(ended, Err(Error::Interrupted)) { Ok(()) } else { session.finish() };
+    let finished = session.finish();
+    if let Some(signal) = stopped_by() {
+        progress.print(&format!("Stopped by {signal}."));
+    }
     record.end(ended.and(finished))
 }
 
@@ -206,6 +208,7 @@ fn open<'a>(
         debug_every: options.debug_every,
         progress,
         scores: Scores::default(),
+        has_object: !scene.passes.iter().any(|pass| matches!(pass, Pass::Shape(_) | Pass::Fit(_))),
     };
     preflight::check(&mut session)?;
     Ok(session)

@@ -2,6 +2,7 @@
 
 use crate::codec::frame::Frame;
 use crate::error::Result;
+use crate::error::stop::check_interrupted;
 use crate::light::frame::LightFrame;
 use crate::light::lights::{LightChoice, provide_light, spawn_light};
 use crate::material::edit::MaterialState;
@@ -11,7 +12,6 @@ use crate::math::fibonacci::fibonacci_axes;
 use crate::math::ray::Intersect;
 use crate::mesh::Surface;
 use crate::pass::edit::{apply_edits, spawn_edits};
-use crate::pass::interrupt::check_interrupted;
 use crate::pass::progress::Progress;
 use crate::pass::shading::set_shading;
 use crate::pipeline::{Phase, Pipeline, Slot};

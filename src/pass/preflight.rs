@@ -7,6 +7,7 @@ use crate::codec::gltf::import::read_mesh;
 use crate::codec::image::Gamma;
 use crate::codec::nearby::closest;
 use crate::dataset::{LoadedView, PlannedView, load_notes};
+use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::material::SpecularBlend;
 use crate::material::shown::recovered_material;
@@ -45,6 +46,7 @@ pub fn read_data(
     let learns = |pass: &Pass| matches!(pass, Pass::Fit(_) | Pass::Shape(_) | Pass::Evaluate(_));
     let is_used = matches!(scene.surface, Surface::Unknown { .. }) || scene.passes.iter().any(learns);
     let read = |view: &PlannedView| {
+        check_interrupted()?;
         let loaded = open.load(view)?;
         let look = is_used.then(|| open.look(view, &loaded, false));
         Ok((loaded, look))

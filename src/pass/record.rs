@@ -28,7 +28,7 @@ pub enum RunState {
     Failed,
     /// It was left out, because it needs a pass that failed.
     Skipped,
-    /// It was stopped by Ctrl-C; what was found until then is whole.
+    /// It was stopped, by Ctrl-C, SIGTERM or SIGHUP; what was found until then is whole.
     Interrupted,
 }
 

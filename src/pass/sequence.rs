@@ -1,10 +1,10 @@
 //! The passes of a scene, one after another; one that fails ends only what needs it.
 
+use crate::error::stop::{heed_stop, stopped_by};
 use crate::error::{Error, Result};
 use crate::pass::evaluate;
 use crate::pass::export;
 use crate::pass::fit;
-use crate::pass::interrupt::check_interrupted;
 use crate::pass::record::{RunRecord, RunState};
 use crate::pass::render;
 use crate::pass::save;
@@ -14,42 +14,69 @@ use crate::pass::view;
 use crate::scene::{EditPass, Pass, RelightPass, RenderPass};
 use std::io::ErrorKind;
 
-/// Runs all passes, but those that need one that failed.
+/// The passes that are not finished, and why.
+#[derive(Default)]
+struct Unfinished<'a> {
+    /// They failed, or need one that did.
+    failed: Vec<&'a Pass>,
+    /// The run was stopped before their end.
+    stopped: Vec<&'a Pass>,
+    /// The first error of a pass.
+    first: Option<Error>,
+}
+
+/// Runs all passes, but those that need one that failed. Once the run is asked to stop, only what was found until then is written:
+/// scored, saved and exported.
 ///
 /// # Errors
-/// The first error of a pass.
+/// The first error of a pass; [`Error::Interrupted`] if the run was stopped.
 pub(super) fn run(session: &mut Session, record: &mut RunRecord) -> Result<()> {
     let scene = session.scene;
-    let mut failed: Vec<&Pass> = Vec::new();
-    let mut first = None;
+    let mut unfinished = Unfinished::default();
     for (index, pass) in scene.passes.iter().enumerate() {
-        if let Some(needed) = failed.iter().find(|failed| needs(pass, failed)) {
+        if let Some(needed) = unfinished.failed.iter().find(|failed| needs(pass, failed)) {
             let text = format!("pass {} is left out: it needs {}", pass.name(), needed.name());
             session.progress.note(&text);
             record.pass(index, RunState::Skipped)?;
-            failed.push(pass);
+            unfinished.failed.push(pass);
+            continue;
+        }
+        if stopped_by().is_some() && !(session.has_object && writes_results(pass, &unfinished.stopped)) {
+            unfinished.stopped.push(pass);
             continue;
         }
         record.pass(index, RunState::Running)?;
         let ended = run_pass(session, pass);
+        heed_stop();
         let recorded = record.pass(index, state_of(&ended));
-        let Err(error) = ended.and_then(|()| check_interrupted()) else {
-            recorded?;
-            continue;
-        };
-        if recorded.is_err() || ends_all(&error) {
-            return Err(first.unwrap_or(error));
-        }
-        failed.push(pass);
-        match &first {
-            None => {
-                session.progress.note(&format!("pass {} failed; what does not need it goes on", pass.name()));
-                first = Some(error);
-            }
-            Some(_) => session.progress.note(&format!("pass {} failed: {error}", pass.name())),
-        }
+        unfinished.note(session, pass, ended, recorded)?;
     }
-    first.map_or(Ok(()), Err)
+    let stopped = if stopped_by().is_some() { Err(Error::Interrupted) } else { Ok(()) };
+    unfinished.first.map_or(stopped, Err)
+}
+
+impl<'a> Unfinished<'a> {
+    /// Notes how a pass ended; an error is one that ends the run.
+    fn note(&mut self, session: &Session, pass: &'a Pass, ended: Result<()>, recorded: Result<()>) -> Result<()> {
+        match ended {
+            Ok(()) => return recorded,
+            Err(Error::Interrupted) => {
+                self.stopped.push(pass);
+                return recorded;
+            }
+            Err(error) if recorded.is_err() || ends_all(&error) => return Err(self.first.take().unwrap_or(error)),
+            Err(error) => {
+                self.failed.push(pass);
+                let text = match &self.first {
+                    None => format!("pass {} failed; what does not need it goes on", pass.name()),
+                    Some(_) => format!("pass {} failed: {error}", pass.name()),
+                };
+                session.progress.note(&text);
+                self.first.get_or_insert(error);
+            }
+        }
+        Ok(())
+    }
 }
 
 fn state_of(ended: &Result<()>) -> RunState {
@@ -57,6 +84,17 @@ fn state_of(ended: &Result<()>) -> RunState {
         Ok(()) => RunState::Finished,
         Err(Error::Interrupted) => RunState::Interrupted,
         Err(_) => RunState::Failed,
+    }
+}
+
+/// Whether a pass writes what was found when a run is stopped: it takes little time, and all that it needs is there.
+fn writes_results(pass: &Pass, stopped: &[&Pass]) -> bool {
+    match pass {
+        Pass::Save(_) | Pass::Export(_) => true,
+        Pass::Evaluate(evaluate) => {
+            !evaluate.scores.iter().any(|score| stopped.iter().any(|pass| pass.name() == score.pass))
+        }
+        _ => false,
     }
 }
 
@@ -73,7 +111,6 @@ fn needs(pass: &Pass, failed: &Pass) -> bool {
 /// Whether later passes would end in the same way.
 fn ends_all(error: &Error) -> bool {
     match error {
-        Error::Interrupted => true,
         Error::Io { source, .. } => matches!(
             source.kind(),
             ErrorKind::StorageFull | ErrorKind::QuotaExceeded | ErrorKind::ReadOnlyFilesystem

@@ -1,5 +1,6 @@
 //! What the passes of one run share.
 
+use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::fit::FramesTried;
 use crate::fit::run::FirstGuess;
@@ -42,6 +43,8 @@ pub struct Session<'a> {
     pub progress: &'a dyn Progress,
     /// Scores so far.
     pub scores: Scores,
+    /// Whether there is an object to write: all is given, or a `Shape` or `Fit` has found something.
+    pub has_object: bool,
 }
 
 /// The lights that a scene names; read before anything is fitted, so that a bad file is found at once.
@@ -99,6 +102,7 @@ impl Session<'_> {
             }
             let start = Instant::now();
             let traced = ObjectVisibility::new(&self.surface, settings);
+            check_interrupted()?;
             let (mib, elapsed) = (traced.bytes() as f64 / 1048576.0, start.elapsed().as_secs_f64());
             self.progress.print(&format!("visibility: traced in {elapsed:.1} s, {mib:.1} MiB"));
             self.pipeline.world.insert_resource(traced);

@@ -1,5 +1,6 @@
 //! The `Shape` pass: recovers an unknown surface from photographs and masks, and replaces the visual hull by it.
 
+use crate::error::stop::{heed_stop, is_stopping};
 use crate::error::{Error, Result};
 use crate::fit::observe::PixelChoice;
 use crate::fit::roughness::blend::TexelPlaces;
@@ -13,7 +14,6 @@ use crate::mesh::triangles::Mesh;
 use crate::pass::fit::closed_form;
 use crate::pass::found_views;
 use crate::pass::inspect::ShapeInspector;
-use crate::pass::interrupt::{INTERRUPTED, check_interrupted};
 use crate::pass::session::Session;
 use crate::sample::point::Scenery;
 use crate::scene::Surface as SurfaceSpec;
@@ -32,7 +32,6 @@ use crate::visibility::ObjectVisibility;
 use glam::Vec3;
 use std::ops::ControlFlow;
 use std::sync::Arc;
-use std::sync::atomic::Ordering;
 use std::time::Instant;
 
 /// Steps between two redistancings.
@@ -56,7 +55,7 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     let total: u32 = pass.levels.iter().map(|level| level.steps).sum();
     let bar = session.progress.bar(&pass.name, u64::from(total));
     let inspector = session.debug_every.map(|every| inspector(session, &pass.name, every));
-    let mut failure = None;
+    let (mut failure, mut stopped) = (None, false);
     let surface = fit_shape(&mut session.pipeline, &options, &mut |at: &ShapeProgress| {
         let before: u32 = pass.levels[..at.level].iter().map(|level| level.steps).sum();
         bar.set_position(u64::from(before + at.fit.step));
@@ -68,14 +67,20 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
         {
             failure = inspector.look(at, before + at.fit.step).err();
         }
-        let stop = failure.is_some() || INTERRUPTED.load(Ordering::Relaxed);
-        if stop { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        stopped |= failure.is_some() || is_stopping();
+        if stopped { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     })?;
     bar.finish_and_clear();
     failure.map_or(Ok(()), Err)?;
+    if stopped {
+        heed_stop();
+    }
     session.report_light_frame(&pass.name);
     let guessed = std::mem::replace(&mut session.guess, FirstGuess::NONE);
-    let mesh = found_mesh(session, pass, &surface);
+    let mesh = found_mesh(session, &surface, pass.stereo && !stopped, &pass.name);
+    // What was found is put in place, and the pass ends early all the same.
+    stopped |= is_stopping();
+    heed_stop();
     put_in_place(session, &surface, &mesh, texture_size)?;
     if guessed == FirstGuess::ALL {
         // The light still has the color from the initialization with gray albedo.
@@ -86,14 +91,14 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     let triangles = session.surface.mesh().triangles.len();
     session.progress.print(&format!("{}: {triangles} triangles in {elapsed:.1} s", pass.name));
     found_views::write(session, &pass.name, pass.cameras, pass.exposure)?;
-    check_interrupted()
+    if stopped { Err(Error::Interrupted) } else { Ok(()) }
 }
 
-/// The mesh of the surface that was found, moved by stereo if the pass says so.
-fn found_mesh(session: &mut Session, pass: &ShapePass, surface: &SdfSurface) -> Mesh {
+/// The mesh of the surface that was found, moved by stereo if that is wanted.
+fn found_mesh(session: &mut Session, surface: &SdfSurface, by_stereo: bool, name: &str) -> Mesh {
     let mut mesh = extract_mesh(&surface.grid);
-    if pass.stereo {
-        match_views(session, pass, &mut mesh);
+    if by_stereo {
+        match_views(session, name, &mut mesh);
     } else {
         session.pipeline.world.remove_resource::<ModelError>();
     }
@@ -151,16 +156,16 @@ fn shape_level(pass: &ShapePass, level: &GridLevel) -> ShapeLevel {
 }
 
 /// Moves the mesh to where neighboring photographs agree, and says what came of it.
-fn match_views(session: &mut Session, pass: &ShapePass, mesh: &mut Mesh) {
+fn match_views(session: &mut Session, name: &str, mesh: &mut Mesh) {
     let start = Instant::now();
-    let bar = session.progress.bar(&pass.name, STEREO_ROUNDS.len() as u64);
+    let bar = session.progress.bar(name, STEREO_ROUNDS.len() as u64);
     let report = refine_by_stereo(&mut session.pipeline.world, mesh, |round| {
         bar.set_position(round as u64);
         bar.set_message("stereo".into());
-        if INTERRUPTED.load(Ordering::Relaxed) { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        if is_stopping() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
     bar.finish_and_clear();
-    if INTERRUPTED.load(Ordering::Relaxed) {
+    if is_stopping() {
         return;
     }
     let seconds = start.elapsed().as_secs_f64();
@@ -169,7 +174,7 @@ fn match_views(session: &mut Session, pass: &ShapePass, mesh: &mut Mesh) {
     } else {
         "it adds nothing to the shading here".into()
     };
-    session.progress.print(&format!("{}: stereo in {seconds:.1} s, {found}", pass.name));
+    session.progress.print(&format!("{name}: stereo in {seconds:.1} s, {found}"));
 }
 
 /// Gives the mesh an atlas, and transfers the texels.
@@ -188,5 +193,6 @@ fn put_in_place(session: &mut Session, found: &SdfSurface, mesh: &Mesh, texture_
     world.insert_resource(Scenery(surface.clone()));
     world.remove_resource::<ObjectVisibility>();
     session.surface = surface;
+    session.has_object = true;
     Ok(())
 }

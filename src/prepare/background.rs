@@ -3,8 +3,8 @@
 //! Cameras are found from what moves together. Before a camera that stands still, as at a turntable, background and object
 //! contradict each other, and only the object says where the camera is. If the camera moves, the background helps.
 
+use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
-use crate::pass::check_interrupted;
 use crate::prepare::photographs::Photograph;
 use image::imageops::thumbnail;
 use image::{GrayImage, ImageReader};

@@ -1,7 +1,7 @@
 //! Running another program: its output goes to a log file that is read while it works, and Ctrl-C stops it.
 
+use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
-use crate::pass::check_interrupted;
 use std::ffi::{OsStr, OsString};
 use std::fs::File;
 use std::io::{ErrorKind, Read};

@@ -2,8 +2,8 @@
 
 use crate::codec::png_file::write_gray8;
 use crate::dataset::colmap::registered_names;
+use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
-use crate::pass::check_interrupted;
 use crate::pass::progress::Progress;
 use crate::prepare::colmap::{CameraSharing, Cameras, Colmap, Pairs, steps_done};
 use crate::prepare::model::{mean_reprojection_error, models, points_seen};

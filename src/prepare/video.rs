@@ -1,8 +1,8 @@
 //! Frames of a video, by `ffmpeg`: of each group of frames the sharpest.
 
 use crate::codec::nearby::natural_order;
+use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
-use crate::pass::check_interrupted;
 use crate::pass::progress::Progress;
 use crate::prepare::program::Program;
 use image::GrayImage;

@@ -2,6 +2,7 @@
 
 use super::systems::{gather_blends, gather_points, shade_closed_form};
 use crate::codec::frame::{BLOCK_ROWS, FRAME_PIXEL_BYTES, Frame};
+use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::light::frame::PictureRotation;
 use crate::light::lights::{IncidentLight, LightChoice, provide_light};
@@ -238,7 +239,9 @@ fn render_rows(pipeline: &mut Pipeline, target: FrameTarget) -> Result<FrameTarg
         pipeline.world.resource_mut::<FrameTarget>().cursor = cursor;
         let end = samples.end.min(cursor + POOL);
         pipeline.world.resource_mut::<Window>().0 = samples.start.max(cursor) - cursor..end - cursor;
-        pipeline.run(Phase::Frame)
+        pipeline.run(Phase::Frame)?;
+        // A tile that was stopped is not whole.
+        check_interrupted()
     });
     pipeline.world.remove_resource::<PictureRotation>();
     let target = pipeline.world.remove_resource::<FrameTarget>().expect("it was inserted above");

@@ -5,6 +5,7 @@
 //! the point, or see it at the border of the frame, abstain: what the frame cuts is kept. What a few masks remove
 //! although many show it is restored ([`crate::shape::repair`]).
 
+use crate::error::stop::{check_interrupted, is_stopping};
 use crate::sdf::SdfGrid;
 use crate::shape::repair::regrow;
 use crate::shape::silhouette::{MIN_VIEWS, Silhouette, hull_distance};
@@ -35,10 +36,12 @@ pub fn visual_hull(silhouettes: &[Silhouette], cells: u32) -> Result<SdfGrid> {
     let radius = silhouettes.iter().map(reach).fold(0.0, f32::max);
     let mut coarse = carve(silhouettes, center, 1.1 * radius, COARSE_CELLS);
     regrow(&mut coarse, silhouettes, FORGIVEN_AT_GAPS);
+    check_interrupted()?;
     let (low, high) = bounds_inside(&coarse).ok_or_else(|| no_hull(silhouettes, &coarse))?;
     let half = 0.5 * (high - low).max_element() + coarse.spacing;
     let mut hull = carve(silhouettes, 0.5 * (low + high), half, cells);
     regrow(&mut hull, silhouettes, FORGIVEN_AT_GAPS);
+    check_interrupted()?;
     if hull.values.iter().all(|value| *value >= 0.0) {
         return Err(no_hull(silhouettes, &hull));
     }
@@ -69,7 +72,9 @@ fn no_hull(silhouettes: &[Silhouette], coarse: &SdfGrid) -> Error {
 
 fn carve(silhouettes: &[Silhouette], center: Vec3, half_side: f32, cells: u32) -> SdfGrid {
     let outside = 2.0 * half_side / cells as f32;
-    SdfGrid::from_fn(center, half_side, cells, |point| hull_distance(silhouettes, point, FORGIVEN, outside))
+    // What is not carved is dropped by whoever asked for it.
+    let distance = |point| hull_distance(silhouettes, point, FORGIVEN, outside);
+    SdfGrid::from_fn(center, half_side, cells, |point| if is_stopping() { outside } else { distance(point) })
 }
 
 /// The point nearest to all middle rays, in the least-squares sense; `None` if they are parallel.

@@ -4,6 +4,7 @@
 //! miss the hull. Where such rays of several views cross, and most views see the object, the part is restored. The same step
 //! restores parts that a coarse grid or a step of the fit lost.
 
+use crate::error::stop::{check_interrupted, is_stopping};
 use crate::error::{Error, Result};
 use crate::sdf::SdfGrid;
 use crate::sdf::silhouette::signed_distance;
@@ -27,7 +28,8 @@ const SHARE_STRIDE: usize = 7;
 const NOTED_SHARE: f32 = 0.9;
 const REFUSED_SHARE: f32 = 0.6;
 
-/// Restores what all masks but a share of `forgiven` show and `grid` lacks. Changed values are not exact distances.
+/// Restores what all masks but a share of `forgiven` show and `grid` lacks. Changed values are not exact distances. A run that is
+/// stopping ([`is_stopping`]) restores not all.
 pub fn regrow(grid: &mut SdfGrid, silhouettes: &[Silhouette], forgiven: f32) {
     let gaps: Vec<Silhouette> = silhouettes.par_iter().filter_map(|view| gaps(grid, view)).collect();
     let needed = GAP_VIEWS.max((GAP_SHARE * silhouettes.len() as f32).ceil() as usize);
@@ -36,6 +38,9 @@ pub fn regrow(grid: &mut SdfGrid, silhouettes: &[Silhouette], forgiven: f32) {
     }
     let (whole, reach) = (&*grid, GAP_REACH * grid.spacing);
     let grown = |row: usize| {
+        if is_stopping() {
+            return whole.values[row];
+        }
         let point = whole.position(whole.vertex(row));
         let mut near: Vec<f32> = gaps.iter().filter_map(|gap| gap.world_distance(point)).collect();
         if near.len() < needed {
@@ -54,7 +59,7 @@ pub fn regrow(grid: &mut SdfGrid, silhouettes: &[Silhouette], forgiven: f32) {
 fn gaps(grid: &SdfGrid, view: &Silhouette) -> Option<Silhouette> {
     let misses = |i: usize| {
         let (x, y) = view.center(i);
-        let inside = view.distance(i) < -GAP_DEPTH && is_inner(&view.camera, x, y);
+        let inside = view.distance(i) < -GAP_DEPTH && is_inner(&view.camera, x, y) && !is_stopping();
         if inside && grid.first_crossing(&view.camera.ray(x, y), 0.0).is_none() { 1.0 } else { 0.0 }
     };
     let coverage = (0..view.pixel_count()).map(misses).collect();
@@ -72,6 +77,9 @@ fn covered_share(grid: &SdfGrid, view: &Silhouette) -> f32 {
     // Near counts as met, to half the diagonal of a cell: what is thinner falls between the grid's vertices.
     let near = 0.87 * grid.spacing;
     let hits = |i: &&usize| {
+        if is_stopping() {
+            return false;
+        }
         let (x, y) = view.center(**i);
         let ray = view.camera.ray(x, y);
         grid.least_distance(&ray, near).is_some_and(|least| least.value < near)
@@ -87,6 +95,7 @@ fn covered_share(grid: &SdfGrid, view: &Silhouette) -> f32 {
 pub fn check_hull(hull: &SdfGrid, silhouettes: &[Silhouette]) -> Result<Vec<String>> {
     let mut shares: Vec<(f32, &str)> =
         silhouettes.par_iter().map(|view| (covered_share(hull, view), view.name.as_str())).collect();
+    check_interrupted()?;
     shares.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(b.1)));
     let percent = |share: f32| (100.0 * share).round();
     let Some((median, worst)) = shares.get(shares.len() / 2).zip(shares.first()) else {
@@ -124,7 +133,7 @@ pub fn reliable_pixels(hull: &SdfGrid, view: &Silhouette) -> Vec<bool> {
     let tolerance = OUTLINE_TOLERANCE.max(1.0 + cell);
     let pixels = (0..view.pixel_count()).into_par_iter().with_min_len(1024);
     let contradicts = |i: usize| {
-        let far = (tolerance..3.0 * tolerance).contains(&view.distance(i).abs());
+        let far = !is_stopping() && (tolerance..3.0 * tolerance).contains(&view.distance(i).abs());
         let (x, y) = view.center(i);
         let hit = || hull.first_crossing(&camera.ray(x, y), 0.0).is_some();
         if far && is_inner(camera, x, y) && hit() != (view.distance(i) < 0.0) { 1.0 } else { 0.0 }

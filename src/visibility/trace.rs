@@ -11,6 +11,7 @@
 //!
 //! Memory per row: one bit per direction, and 4 bytes per occluded direction.
 
+use crate::error::stop::is_stopping;
 use crate::math::ray::{Intersect, Ray};
 use crate::mesh::atlas::TexelAtlas;
 use crate::visibility::patch::{NO_ROW, Patches};
@@ -188,9 +189,12 @@ fn trace_texel(
     let reach = OFFSET * surface.radius();
     let origin = atlas.position[texel] + normal * reach;
     let before = out.hiders.len();
+    // Whoever asked for it drops what is not traced ([`is_stopping`]).
+    let is_traced = !is_stopping();
     for directions in directions.chunks(64) {
         let mut word = 0u64;
-        for (bit, &direction) in directions.iter().enumerate().filter(|(_, d)| d.dot(normal) > 0.0) {
+        let above = |d: &Vec3| is_traced && d.dot(normal) > 0.0;
+        for (bit, &direction) in directions.iter().enumerate().filter(|(_, d)| above(d)) {
             let ray = Ray { origin, direction };
             if let Some(hit) = surface.intersect(&ray, 0.0) {
                 word |= 1 << bit;

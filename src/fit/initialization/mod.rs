@@ -3,6 +3,7 @@ pub mod frame;
 pub mod linear;
 pub mod place_lobes;
 
+use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::fit::components::Unknowns;
 use crate::fit::initialization::linear::{solve_albedo, solve_amplitudes};
@@ -130,12 +131,14 @@ struct Guess<'a> {
 impl Guess<'_> {
     fn alternate(&mut self, lobes: &mut [LightLobe], texels: &mut Vec<Vec3>) -> Result<()> {
         for round in 0..ROUNDS {
+            check_interrupted()?;
             if self.unknowns.light {
                 if (1..=MOVES).contains(&round) {
                     move_lobes_to_the_light(lobes);
                 }
                 self.solve_light(lobes, texels)?;
             }
+            check_interrupted()?;
             if self.unknowns.albedo {
                 let n = self.observations.len().min(ALBEDO_PIXELS.max(PIXELS_PER_TEXEL * texels.len()));
                 *texels = self.albedo_under(lobes, texels, n)?;

@@ -18,6 +18,7 @@ use std::f64::consts::{PI, TAU};
 use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
+use crate::error::stop::{check_interrupted, is_stopping};
 use crate::light::map_fit::kernel::{FitLobe, derivatives};
 use crate::light::map_fit::place::{Level, place};
 use crate::light::map_fit::solve::{Bounds, fit_amplitudes, keep_power, levenberg_marquardt, prune};
@@ -141,6 +142,7 @@ pub fn fit_map_with(
         let unit = rest.scaled(Vec3::splat((1.0 / scale) as f32));
         let mut tell = |p: MapFitProgress| progress(MapFitProgress { mse: p.mse * scale * scale, ..p });
         let found = fit_unit_map(&unit, lobes - suns.len(), options, &mut tell);
+        check_interrupted()?;
         fitted.extend(found.iter().map(|lobe| plain(lobe, scale, options.white)));
     }
     Ok(report(&target, with_spares(fitted, lobes), suns))
@@ -290,6 +292,9 @@ fn relocate(levels: &[Level], lobes: &mut Vec<FitLobe>, rounds: usize, bounds: B
     let mut best = derivatives(tiles, lobes).error;
     let mut before = best;
     for round in 0..rounds {
+        if is_stopping() {
+            break;
+        }
         let moved = (count / MOVED_ONE_IN[round % MOVED_ONE_IN.len()]).max(1);
         let mut trial = lobes.clone();
         trial.extend(place(levels, &trial, moved, bounds));

@@ -1,5 +1,6 @@
 //! Steps of the map fit: Levenberg–Marquardt on all parameters, and amplitudes alone.
 
+use crate::error::stop::is_stopping;
 use crate::light::map_fit::gram::Gram;
 use crate::light::map_fit::kernel::{Derivatives, FitLobe, Tile, derivatives};
 use crate::light::map_fit::linear::{cholesky, descend_nonnegative, solve_factored};
@@ -26,6 +27,9 @@ pub fn levenberg_marquardt(tiles: &[Tile], lobes: &mut Vec<FitLobe>, steps: usiz
     let mut damping = 1e-2;
     let mut reached = derivatives(tiles, lobes);
     for _ in 0..steps {
+        if is_stopping() {
+            break;
+        }
         let Some((better, lower)) = improve(tiles, lobes, &reached, &mut damping, bounds) else { break };
         let gain = reached.error - lower.error;
         *lobes = better;

@@ -14,6 +14,7 @@
 //! | `ray_offset` | `f32` | radii of the scene | 2e-5 | offset of the ray origin from the surface, along the geometric normal |
 //! | `strategy` | [`Strategy`] | – | `Combined` | sampling strategy; the others are for tests |
 
+use crate::error::stop::is_stopping;
 use crate::material::shown::{ShownAlbedo, ShownBlend};
 use crate::material::{MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
 use crate::math::ray::{Hit, Illuminate, Intersect, Ray, TexelAddress};
@@ -155,7 +156,8 @@ pub fn shade_point(
 
 /// [`shade_point`] for every query, in parallel; `out` is as long as `queries` (excess entries of either are ignored).
 ///
-/// Each result depends on its own query only, so that it is independent of threads and of the partition of queries.
+/// Each result depends on its own query only, so that it is independent of threads and of the partition of queries. A run that is
+/// stopping ([`is_stopping`]) leaves entries as they are.
 pub fn shade_points(
     scene: &PathScene,
     settings: &PathSettings,
@@ -166,6 +168,9 @@ pub fn shade_points(
     debug_assert_eq!(queries.len(), out.len());
     out.par_chunks_mut(CHUNK).zip(queries.par_chunks(CHUNK)).for_each(|(out, queries)| {
         for (estimate, query) in out.iter_mut().zip(queries) {
+            if is_stopping() {
+                return;
+            }
             *estimate = shade_point(scene, settings, query, samples);
         }
     });

@@ -1,6 +1,7 @@
 //! Fit of a shape: starts from the visual hull and runs one fit per level, on finer and finer grids.
 
-use crate::error::Result;
+use crate::error::stop::{check_interrupted, is_stopping};
+use crate::error::{Error, Result};
 use crate::fit::cameras::{CameraFit, CameraPlugin, CameraUnknowns, align_photographs, attach_poses};
 use crate::fit::run::{FirstGuess, FitOptions, FitProgress, run_fit};
 use crate::material::{
@@ -110,11 +111,14 @@ pub fn fit_shape(
     watch: &mut dyn FnMut(&ShapeProgress) -> ControlFlow<()>,
 ) -> Result<SdfSurface> {
     let mut silhouettes = training_silhouettes(&mut pipeline.world);
+    check_interrupted()?;
     let hull = visual_hull(&silhouettes, options.levels[0].cells)?;
     // More than the longest level visits are of no use.
     let visited = |level: &ShapeLevel| level.schedule.steps as usize * level.schedule.silhouette_batch;
     let most = options.levels.iter().map(visited).max().unwrap_or(0);
-    pipeline.world.spawn_batch(silhouette_samples(&hull, &silhouettes, options.fit.pixels.seed, most));
+    let samples = silhouette_samples(&hull, &silhouettes, options.fit.pixels.seed, most);
+    check_interrupted()?;
+    pipeline.world.spawn_batch(samples);
     pipeline.add_plugin(&ShapePlugin);
     if options.cameras != CameraUnknowns::Given {
         pipeline.add_plugin(&ShapeCameraPlugin(options.cameras));
@@ -160,8 +164,12 @@ fn fit_levels(
         grid = leave(&mut pipeline.world);
         let world = &mut pipeline.world;
         texels = Some((volume, recovered_albedo(world)?));
-        if result?.stopped {
-            break;
+        match result {
+            // What earlier levels found is there.
+            Err(Error::Interrupted) if index > 0 => break,
+            Err(error) => return Err(error),
+            Ok(summary) if summary.stopped => break,
+            Ok(_) => {}
         }
     }
     let volume = texels.map(|t| t.0).unwrap_or_else(|| TexelVolume::new(&grid, 1, 0.0));
@@ -206,7 +214,7 @@ fn training_silhouettes(world: &mut World) -> Vec<Silhouette> {
     let silhouette = |(index, name, camera, mask, _): (&ViewIndex, &ViewName, &Camera, &ViewMask, _)| {
         Some(Silhouette::new(&name.0, camera, &mask.0)?.of_view(*index))
     };
-    train.into_iter().filter_map(silhouette).collect()
+    train.into_iter().take_while(|_| !is_stopping()).filter_map(silhouette).collect()
 }
 
 /// The pixels around the silhouettes of all training masks that are consistent with the hull, shuffled; at most `most`.
@@ -218,7 +226,7 @@ fn silhouette_samples(
 ) -> Vec<(SilhouetteIndex, SilhouetteSample)> {
     // Silhouette and pixel: a sample is ten times as large.
     let mut near: Vec<(u32, u32)> = Vec::new();
-    for (number, silhouette) in (0..).zip(silhouettes) {
+    for (number, silhouette) in (0..).zip(silhouettes).take_while(|_| !is_stopping()) {
         let reliable = reliable_pixels(hull, silhouette);
         let is_near = |&i: &usize| reliable[i] && silhouette.distance(i).abs() < SILHOUETTE_REACH;
         near.extend((0..reliable.len()).filter(is_near).map(|i| (number, i as u32)));

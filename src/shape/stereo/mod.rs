@@ -25,6 +25,7 @@ pub mod plate;
 pub mod sweep;
 pub mod votes;
 
+use crate::error::stop::is_stopping;
 use crate::math::ray::Ray;
 use crate::mesh::bvh::TriangleBvh;
 use crate::mesh::triangles::Mesh;
@@ -146,6 +147,9 @@ fn refine_round(
     let bvh = TriangleBvh::new(mesh);
     let shell = Shell::new(mesh);
     let votes = all_votes(&bvh, &shell, pictures, search);
+    if is_stopping() {
+        return 0.0;
+    }
     let gates = gates(&shell, &votes, error);
     let object = *object.get_or_insert_with(|| object_gate(&gates));
     if object == 0.0 {
@@ -187,10 +191,11 @@ fn moved_positions(
 /// The votes of all views.
 fn all_votes(bvh: &TriangleBvh, shell: &Shell, pictures: &[MatchPicture], search: Sweep) -> Vec<Votes> {
     let (center, _) = bvh.bounding_sphere();
-    let seen: Vec<Vec<Seen>> = pictures.par_iter().map(|picture| cast(bvh, picture)).collect();
+    let cast = |picture| if is_stopping() { Vec::new() } else { cast(bvh, picture) };
+    let seen: Vec<Vec<Seen>> = pictures.par_iter().map(cast).collect();
     let of_views = |views: &[usize]| {
         let mut votes = vec![Votes::default(); shell.positions.len()];
-        for &i in views {
+        for &i in views.iter().take_while(|_| !is_stopping()) {
             let near = neighbors(pictures, i, center);
             let sources: Vec<Source> =
                 near.iter().map(|&j| Source { picture: &pictures[j], seen: &seen[j] }).collect();
