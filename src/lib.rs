@@ -37,6 +37,7 @@
 //! | [`material`] | texels, base materials, edits, and the material that is shown |
 //! | [`spawn`] | from a scene, or from values in code, to entities |
 //! | [`pipeline`] | phases, stages, slots, plugins, and pools of entities as slices |
+//! | [`checkpoint`] | what a run goes on from after it was killed |
 //! | [`sample`] | pixel samples: rays, surface points, windows |
 //! | [`visibility`] | shadows and interreflection for closed forms |
 //! | [`shade`] | the Frame phase: closed forms and the path tracer |
@@ -66,6 +67,7 @@
 //! and parametrizations; *Extending Lobelia* is the guide to systems, slots and plugins of your own. The folder `examples` has
 //! short programs.
 
+pub mod checkpoint;
 pub mod codec;
 pub mod dataset;
 pub mod error;

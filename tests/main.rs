@@ -3,7 +3,7 @@
 //! | theme | files |
 //! | --- | --- |
 //! | runs of the command | [`run`], [`photos`], [`gloss`], [`ggx`], [`scale`], [`light_frame`], [`export`], [`view_page`], [`shown`], [`env`], [`scores`] |
-//! | what is written where, and what never is | [`outputs`] |
+//! | what is written where, and what never is; runs that are stopped | [`outputs`], [`resume`], `stop` |
 //! | what is refused, and how | [`bad_input`], [`check`], [`hostile`], [`scene_errors`] |
 //! | systems in a world, pictures | [`ecs`], [`swap`], [`visibility`], [`frames`] |
 //! | the documentation, the layers of the code | [`docs`], [`rooms`] |
@@ -23,12 +23,15 @@ mod hostile;
 mod light_frame;
 mod outputs;
 mod photos;
+mod resume;
 mod rooms;
 mod run;
 mod scale;
 mod scene_errors;
 mod scores;
 mod shown;
+#[cfg(unix)]
+mod stop;
 mod swap;
 mod view_page;
 mod visibility;

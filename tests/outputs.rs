@@ -1,12 +1,10 @@
 //! Outputs never touch inputs, whatever passes, views and folders are called; two runs never mix; and `run.json` says what belongs
 //! together, whatever became of the run.
 
-use crate::common::{Data, Outcome, SIZE, command, files_below, is_temporary};
+use crate::common::{AtWork, Data, Outcome, SIZE, command, files_below, is_temporary, manifest};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
-use std::process::{Child, Stdio};
-use std::time::{Duration, Instant};
 
 /// A short fit, a picture and scores; `{}` is more passes.
 fn scene(passes: &str) -> String {
@@ -55,10 +53,6 @@ fn refused(data: &Data, scene: &str, out: &str, arguments: &[&str], words: &[&st
         assert!(said.contains(word), "no {word:?} in\n{said}");
     }
     assert!(before == contents(data.root()), "something was changed");
-}
-
-fn manifest(out: &Path) -> Value {
-    serde_json::from_slice(&std::fs::read(out.join("run.json")).unwrap()).unwrap()
 }
 
 /// The files that a manifest lists as the run's.
@@ -141,7 +135,7 @@ fn a_manifest_lists_every_file() {
     // Again, with other views: those of before are gone.
     let other = scene.replace("views: All, ", "views: Train, ");
     data.run(&other, "out", &["--quiet", "--force"]).succeeded();
-    assert_eq!(listed(&self::manifest(&out)), files_below(&out));
+    assert_eq!(listed(&crate::common::manifest(&out)), files_below(&out));
     assert!(!out.join("film/test_rgb_000000.png").exists());
 }
 
@@ -217,57 +211,6 @@ fn views_with_names_of_paths_are_rendered_into_the_output_folder() {
     );
 }
 
-/// A run that is at work, and is ended with the test.
-struct AtWork(Child);
-
-impl AtWork {
-    /// Starts a run and waits until a pass is at work.
-    fn start(data: &Data, scene: &str, arguments: &[&str], pass: &str) -> Self {
-        std::fs::write(data.path("scene.ron"), scene).unwrap();
-        let mut run = command(&["run", "--quiet"]);
-        run.arg(data.path("scene.ron")).arg("--data").arg(data.root()).arg("--out").arg(data.path("out"));
-        let child = run.args(arguments).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
-        let (mut at_work, started) = (Self(child), Instant::now());
-        let is_running = || -> Option<bool> {
-            let text = std::fs::read(data.path("out/run.json")).ok()?;
-            let manifest: Value = serde_json::from_slice(&text).ok()?;
-            let passes = manifest["passes"].as_array()?.clone();
-            Some(passes.iter().any(|found| found["name"] == pass && found["state"] == "running"))
-        };
-        while is_running() != Some(true) {
-            assert!(at_work.0.try_wait().unwrap().is_none(), "the run ended");
-            assert!(started.elapsed() < Duration::from_secs(300), "{pass} does not begin");
-            std::thread::sleep(Duration::from_millis(10));
-        }
-        at_work
-    }
-
-    /// Waits for the end of the run, and returns its exit code.
-    fn ended(mut self) -> Option<i32> {
-        let started = Instant::now();
-        loop {
-            if let Some(status) = self.0.try_wait().unwrap() {
-                return status.code();
-            }
-            assert!(started.elapsed() < Duration::from_secs(300), "the run does not end");
-            std::thread::sleep(Duration::from_millis(10));
-        }
-    }
-
-    fn kill(mut self) {
-        self.0.kill().unwrap();
-        self.0.wait().unwrap();
-    }
-}
-
-impl Drop for AtWork {
-    fn drop(&mut self) {
-        // It may have ended already.
-        let _ = self.0.kill();
-        let _ = self.0.wait();
-    }
-}
-
 #[test]
 fn a_killed_run_leaves_no_mixture_and_no_lock() {
     let data = Data::new();
@@ -307,7 +250,7 @@ fn a_killed_run_leaves_no_mixture_and_no_lock() {
     data.run(&whole, "out", &["--force"]).succeeded();
     let files = files_below(&out);
     assert!(!files.iter().any(|file| is_temporary(file)), "{files:?}");
-    assert_eq!(listed(&self::manifest(&out)), files);
+    assert_eq!(listed(&crate::common::manifest(&out)), files);
 }
 
 #[cfg(unix)]
@@ -320,7 +263,7 @@ fn a_run_that_fails_late_says_so() {
     let at_work = AtWork::start(&data, &late, &["--force"], "again");
     // A folder in the way of a result.
     std::fs::create_dir_all(data.path("out/again/light.npy/x")).unwrap();
-    interrupt(&at_work.0);
+    at_work.signal("INT");
     assert_eq!(at_work.ended(), Some(1));
     let after = manifest(&data.path("out"));
     assert_eq!((&before["state"], &after["state"]), (&"finished".into(), &"failed".into()));
@@ -358,12 +301,6 @@ fn a_pass_that_fails_ends_only_what_needs_it() {
 
 fn metrics(data: &Data) -> Value {
     serde_json::from_slice(&std::fs::read(data.path("out/metrics.json")).unwrap()).unwrap()
-}
-
-#[cfg(unix)]
-fn interrupt(child: &Child) {
-    let id = child.id().to_string();
-    assert!(std::process::Command::new("kill").args(["-INT", &id]).status().unwrap().success());
 }
 
 #[test]

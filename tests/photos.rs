@@ -35,7 +35,7 @@ const MARGIN: u32 = 6;
 const WIDE: u32 = SIZE + 2 * MARGIN;
 
 /// The usual data with wider frames.
-fn photographs() -> Data {
+pub fn photographs() -> Data {
     let data = Data::new();
     for split in ["train", "test"] {
         let path = data.path(split).join("cam_dict_norm.json");

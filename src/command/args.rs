@@ -1,6 +1,7 @@
 //! What can be typed after `lobelia`: arguments, their help, and the values that are refused.
 
 use super::prepare_args::{NewArgs, PREPARE_EXAMPLES, PREPARE_LONG, PrepareArgs};
+use super::run_args::{RUN_LONG, RunArgs, SceneArgs};
 use super::threads::ThreadArgs;
 use super::view_args::{VIEW_LONG, ViewArgs};
 use clap::{Args, Parser, Subcommand, ValueEnum};
@@ -26,26 +27,6 @@ Examples:
 
 Exit codes: 0 done, 1 ran and failed, 2 bad input, 130, 143 or 129 stopped by Ctrl-C, SIGTERM or
 SIGHUP (what was found is kept).";
-
-const RUN_LONG: &str = "\
-Runs the passes of a scene file in their order.
-
-A scene file says what is known about an object (its surface, the photographs, the light, the material), what is
-not, and what to do: Fit what is unknown, Render views, Edit the material, Relight it, Evaluate against the
-truth, Save it as a scene of its own, Export it as .glb. Every pass has a name and writes into OUT/<name>/.
-
-Inputs are never replaced, whatever OUT and passes are called. OUT/run.json says how far the run is and lists its
-files; --force replaces those of an earlier run and nothing else. Only one run at a time writes into OUT.";
-
-const SET_LONG: &str = "\
-Replaces a value of the scene file, or adds it where it is left out. May be given many times.
-
-PATH joins field names by dots. An item of a list is named by its number, by its `name`, or by its kind:
-  --set seed=7
-  --set passes.fit.rates.light=0.01
-  --set passes.novel.render.shading='PathTraced(spp: 64)'
-  --set material.specular.roughness='Fixed(0.25)'
-  --set light.path=other.exr";
 
 const BENCH_LONG: &str = "\
 Measures how long shading takes per point and light lobe on this machine, in about a minute.
@@ -121,50 +102,6 @@ pub enum Command {
     Bench(BenchArgs),
     /// Environment light: fit SG lobes to a map, draw lobes as a map, turn a light, say what is in it
     Env(EnvArgs),
-}
-
-/// Which scene, and what the command line adds to it.
-#[derive(Args, Debug)]
-pub struct SceneArgs {
-    /// The scene file
-    #[arg(value_name = "SCENE.ron")]
-    pub scene: PathBuf,
-    /// The folder that $DATA stands for in the scene file
-    #[arg(long, value_name = "DIR")]
-    pub data: Option<PathBuf>,
-    /// Seed of every random choice, instead of the scene's own
-    #[arg(long, value_name = "S", allow_negative_numbers = true)]
-    pub seed: Option<u64>,
-    /// Replace a value of the scene file, e.g. --set passes.fit.steps=4
-    #[arg(long = "set", value_name = "PATH=VALUE", value_parser = path_and_value, long_help = SET_LONG)]
-    pub sets: Vec<(String, String)>,
-}
-
-/// `lobelia run`.
-#[derive(Args, Debug)]
-pub struct RunArgs {
-    /// Which scene.
-    #[command(flatten)]
-    pub scene: SceneArgs,
-    /// The output folder [default: out/<name of the scene file>]
-    #[arg(long, value_name = "DIR")]
-    pub out: Option<PathBuf>,
-    /// Replace the results of an earlier run in the output folder, and nothing else
-    #[arg(long)]
-    pub force: bool,
-    /// How many threads.
-    #[command(flatten)]
-    pub threads: ThreadArgs,
-    /// Memory that the run keeps to, by smaller pools of pixels, or is refused: 8GiB, 500MiB
-    /// [default: three quarters of the machine's]
-    #[arg(long, value_name = "SIZE", value_parser = lobelia::pass::memory::parse_bytes)]
-    pub memory: Option<u64>,
-    /// While a shape is found, write its normals, depth and mesh every N steps
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
-    pub debug_every: Option<u32>,
-    /// No progress bars
-    #[arg(long)]
-    pub quiet: bool,
 }
 
 /// `lobelia check`.
@@ -433,15 +370,6 @@ fn seconds(text: &str) -> Result<f64, String> {
     }
 }
 
-fn path_and_value(text: &str) -> Result<(String, String), String> {
-    match text.split_once('=') {
-        Some((path, value)) if !path.trim().is_empty() && !value.trim().is_empty() => {
-            Ok((path.trim().to_owned(), value.trim().to_owned()))
-        }
-        _ => Err("expected PATH=VALUE, e.g. passes.fit.steps=4".to_owned()),
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -473,13 +401,5 @@ mod tests {
         for bad in ["1,2", "1,2,3,4", "1,2,nan", "", "1,,2"] {
             assert!(numbers::<3>(bad).is_err(), "{bad}");
         }
-    }
-
-    #[test]
-    fn set_takes_the_first_equals_sign() {
-        assert_eq!(path_and_value("a.b = x=1"), Ok(("a.b".into(), "x=1".into())));
-        assert!(
-            path_and_value("a.b").is_err() && path_and_value("=1").is_err() && path_and_value("a=").is_err()
-        );
     }
 }

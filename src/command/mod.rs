@@ -2,7 +2,7 @@
 //!
 //! | file | holds |
 //! | --- | --- |
-//! | [`args`], [`prepare_args`], [`view_args`] | arguments and their help |
+//! | [`args`], [`run_args`], [`prepare_args`], [`view_args`] | arguments and their help |
 //! | [`run`], [`check`], [`prepare`], [`new`], [`eval`], [`view`], [`env`], [`bench`], [`shade_cases`] | the commands |
 //! | [`terminal`] | bars, notes and results |
 //! | [`report`] | how an error is drawn |
@@ -19,6 +19,7 @@ mod prepare;
 mod prepare_args;
 mod report;
 mod run;
+mod run_args;
 mod scene_files;
 mod shade_cases;
 mod signals;

@@ -1,6 +1,6 @@
 //! `lobelia run`: the passes of a scene file, in their order.
 
-use super::args::RunArgs;
+use super::run_args::RunArgs;
 use super::scene_files::load_options;
 use super::signals::stop_on_signals;
 use super::terminal::Terminal;
@@ -18,7 +18,15 @@ pub fn run(args: &RunArgs) -> Result<()> {
     start_threads(args.threads)?;
     let memory = args.memory.or_else(usual_budget);
     let arguments = std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()).collect();
-    let options = RunOptions { out, force: args.force, debug_every: args.debug_every, memory, arguments };
+    let options = RunOptions {
+        out,
+        force: args.force,
+        debug_every: args.debug_every,
+        memory,
+        arguments,
+        checkpoint: args.checkpoint.0,
+        resume: args.resume,
+    };
     stop_on_signals()?;
     pass::run(&loaded, &options, &Terminal::new(args.quiet))
 }

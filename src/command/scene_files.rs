@@ -1,6 +1,6 @@
 //! The scene file that the command line names.
 
-use super::args::SceneArgs;
+use super::run_args::SceneArgs;
 use lobelia::scene::LoadOptions;
 
 /// What the command line adds to a scene file, as the library reads it.

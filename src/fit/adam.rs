@@ -1,14 +1,19 @@
 //! Adam (Kingma and Ba 2015) on small arrays, and the smooth reparameterization that keeps parameters in their ranges.
 
+use crate::checkpoint::packed::array;
+use serde::{Deserialize, Serialize};
+
 /// Decay rates of the two moments, and the constant that keeps the quotient finite.
 const BETA_1: f32 = 0.9;
 const BETA_2: f32 = 0.999;
 const EPSILON: f32 = 1e-12;
 
 /// First and second moments of `N` parameters.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Moments<const N: usize> {
+    #[serde(with = "array")]
     first: [f32; N],
+    #[serde(with = "array")]
     second: [f32; N],
 }
 

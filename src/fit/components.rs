@@ -5,13 +5,14 @@ use crate::fit::loss::{Loss, LossSums};
 use crate::math::shading::{SharedGradient, SpecularAdjoint};
 use bevy_ecs::prelude::{Component, Resource};
 use glam::Vec3;
+use serde::{Deserialize, Serialize};
 
 /// Gradient of the loss with respect to a texel's diffuse albedo.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
 pub struct AlbedoGradient(pub Vec3);
 
 /// Adam's moments of a texel.
-#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct AlbedoMoments(pub Moments<3>);
 
 /// Sum of the weights of a texel over all fitted pixels.
@@ -19,7 +20,7 @@ pub struct AlbedoMoments(pub Moments<3>);
 pub struct TexelSeen(pub f32);
 
 /// Adam's moments of a light lobe: axis (3), sharpness, amplitude (3).
-#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LobeMoments(pub Moments<7>);
 
 /// Gradient of the loss with respect to a light lobe, in the order of [`LobeMoments`].
@@ -27,7 +28,7 @@ pub struct LobeMoments(pub Moments<7>);
 pub struct LobeGradient(pub [f32; 7]);
 
 /// Adam's moments of a specular lobe: albedo (3), roughness.
-#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct SpecularMoments(pub Moments<4>);
 
 /// Gradient of the loss with respect to a specular lobe, in the order of [`SpecularMoments`].

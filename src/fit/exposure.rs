@@ -11,6 +11,7 @@ use crate::sample::Samples;
 use crate::sample::pixel::{Observed, PixelOf, SATURATION};
 use crate::view::ViewIndex;
 use bevy_ecs::prelude::{Res, ResMut, Resource};
+use serde::{Deserialize, Serialize};
 
 /// Decay factor of the sums, per window.
 const MEMORY: f64 = 0.97;
@@ -22,7 +23,7 @@ const SQUARE_BELOW: f32 = 0.03;
 const RANGE: (f32, f32) = (0.2, 5.0);
 
 /// The photographs' exposures.
-#[derive(Resource, Clone, Debug, Default)]
+#[derive(Resource, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Exposures {
     /// Whether they are optimized and used.
     pub unknown: bool,

@@ -16,7 +16,7 @@ pub enum Loss {
 }
 
 /// Sums over the pixels of one window.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct LossSums {
     /// Sum of the loss over pixels and channels.
     pub loss: f64,

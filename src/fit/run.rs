@@ -4,8 +4,9 @@ use super::components::{
     AlbedoGradient, AlbedoMoments, LobeGradient, LobeMoments, LossState, SpecularGradient, SpecularMoments,
     StepGradient, StepRates, TexelSeen, Unknowns,
 };
+use super::cameras::{CameraFit, CameraPose};
 use super::exposure::{Exposures, find_exposures};
-use super::initialization::frame::find_light_frame;
+use super::initialization::frame::{FramesTried, find_light_frame};
 use super::initialization::initialize_light_and_albedo;
 use super::loss::{Loss, LossSums};
 use super::observe::{
@@ -14,17 +15,21 @@ use super::observe::{
 use super::roughness::blend::{
     BlendAdjoints, BlendGradient, BlendMoments, TexelPlaces, move_blends, scatter_to_blends,
 };
+use super::roughness::texel::{RoughnessMoments, TexelRoughness};
 use super::scale::{ScaleMoments, ScaleRule, move_scale, start_scale};
 use super::systems::{
     compare_with_photographs, hand_out_gradient, move_lobes, move_specular, move_texels, pull_back_radiance,
     scatter_to_texels,
 };
+use crate::checkpoint::{has_step_ahead, is_due, keep_each, keep_pool, keep_resource, keep_step, resume_step, Span};
 use crate::error::Result;
 use crate::light::LightLobe;
 use crate::light::frame::{LightFrame, OwnLightFrame};
 use crate::light::lights::{LightChoice, LobeOf, provide_light};
 use crate::material::source::{PlainBlends, Recovered};
-use crate::material::{SpecularLobe, recovered_materials, texels_in_order};
+use crate::material::{
+    DiffuseAlbedo, SpecularBlend, SpecularLobe, TexelIndex, recovered_materials, texels_in_order,
+};
 use crate::math::shading::ClosedForm;
 use crate::pipeline::{Phase, Pipeline, Plugin, ScatterAdjoints, Slot, Stage};
 use crate::sample::bundle::despawn_pool;
@@ -32,10 +37,12 @@ use crate::sample::observation::{ObservedWindow, despawn_observations};
 use crate::sample::pixel::Window;
 use crate::shade::frame::{add_gathering, add_material_resources};
 use crate::shade::shade_closed_form;
+use crate::view::{Camera, ViewName};
 use crate::visibility::systems::RefreshDue;
 use crate::visibility::{FitVisibilityPlugin, ObjectVisibility};
 use bevy_ecs::prelude::{Entity, IntoScheduleConfigs, With, Without, World};
 use glam::Vec3;
+use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
 use std::time::Instant;
 
@@ -96,7 +103,7 @@ impl Default for FitOptions {
 }
 
 /// The unknowns that a fit initializes from the data before its first step; the others start from their current values.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct FirstGuess {
     /// The amplitudes of the light.
     pub light: bool,
@@ -174,6 +181,7 @@ impl Plugin for FitPlugin {
                 (move_scale, move_texels, move_blends, move_lobes, move_specular).chain(),
             );
         add_gathering::<Recovered>(pipeline, Phase::FitStep);
+        keep_state(&mut pipeline.world);
     }
 
     fn cleanup(world: &mut World) {
@@ -196,7 +204,7 @@ impl Plugin for FitPlugin {
 pub fn run_fit(
     pipeline: &mut Pipeline,
     options: &FitOptions,
-    watch: &mut dyn FnMut(&FitProgress, &World) -> ControlFlow<()>,
+    watch: &mut dyn FnMut(&FitProgress, &mut World) -> ControlFlow<()>,
 ) -> Result<FitSummary> {
     let fitted = fit(pipeline, options, watch);
     despawn_pool(&mut pipeline.world);
@@ -204,16 +212,25 @@ pub fn run_fit(
     fitted
 }
 
+/// What the loop over steps keeps beside the world.
+#[derive(Default, Serialize, Deserialize)]
+struct Loop {
+    /// The last steps' sums, for the caller.
+    recent: Vec<LossSums>,
+    elapsed_secs: f64,
+}
+
 fn fit(
     pipeline: &mut Pipeline,
     options: &FitOptions,
-    watch: &mut dyn FnMut(&FitProgress, &World) -> ControlFlow<()>,
+    watch: &mut dyn FnMut(&FitProgress, &mut World) -> ControlFlow<()>,
 ) -> Result<FitSummary> {
     let start = Instant::now();
     let pixels = prepare(pipeline, options)?;
-    let mut recent: Vec<LossSums> = Vec::new();
-    let mut summary = FitSummary { steps: 0, pixels, elapsed_secs: 0.0, stopped: false };
-    for step in 1..=options.steps {
+    let (done, Loop { mut recent, elapsed_secs }) = resume_step(&mut pipeline.world)?.unwrap_or_default();
+    let elapsed = || elapsed_secs + start.elapsed().as_secs_f64();
+    let mut summary = FitSummary { steps: done, pixels, elapsed_secs, stopped: false };
+    for step in done + 1..=options.steps {
         run_step(pipeline, options, step, pixels)?;
         recent.push(pipeline.world.resource::<LossState>().last);
         recent.drain(..recent.len().saturating_sub(20));
@@ -223,15 +240,51 @@ fn fit(
             steps: options.steps,
             sums: recent.iter().fold(LossSums::default(), |a, b| a.merged(*b)),
             specular: first_specular(&mut pipeline.world),
-            elapsed_secs: start.elapsed().as_secs_f64(),
+            elapsed_secs: elapsed(),
         };
-        if watch(&progress, &pipeline.world).is_break() {
-            summary.stopped = true;
+        summary.stopped = watch(&progress, &mut pipeline.world).is_break();
+        if is_due(&pipeline.world) && refresh_is_next(&pipeline.world, step) {
+            keep_step(&mut pipeline.world, step, &Loop { recent: recent.clone(), elapsed_secs: elapsed() })?;
+        }
+        if summary.stopped {
             break;
         }
     }
-    summary.elapsed_secs = start.elapsed().as_secs_f64();
+    summary.elapsed_secs = elapsed();
     Ok(summary)
+}
+
+/// The lobes of the scene's own light.
+type OwnLobes = (With<LightLobe>, Without<LobeOf>);
+
+/// Registers what a fit, or a pass after it, goes on from.
+fn keep_state(world: &mut World) {
+    keep_each::<LightLobe, OwnLobes>(world, Span::Run);
+    keep_each::<SpecularLobe, With<SpecularLobe>>(world, Span::Run);
+    keep_each::<Camera, With<ViewName>>(world, Span::Run);
+    keep_each::<CameraPose, With<ViewName>>(world, Span::Run);
+    keep_pool::<TexelIndex, DiffuseAlbedo>(world, Span::Run);
+    keep_pool::<TexelIndex, SpecularBlend>(world, Span::Run);
+    keep_pool::<TexelIndex, TexelRoughness>(world, Span::Run);
+    keep_resource::<OwnLightFrame>(world, Span::Run);
+    keep_resource::<Exposures>(world, Span::Run);
+    keep_resource::<CameraFit>(world, Span::Run);
+    keep_each::<LobeMoments, OwnLobes>(world, Span::Pass);
+    keep_each::<SpecularMoments, With<SpecularLobe>>(world, Span::Pass);
+    keep_pool::<TexelIndex, AlbedoMoments>(world, Span::Pass);
+    keep_pool::<TexelIndex, BlendMoments>(world, Span::Pass);
+    keep_pool::<TexelIndex, RoughnessMoments>(world, Span::Pass);
+    keep_resource::<ScaleMoments>(world, Span::Pass);
+    keep_resource::<FramesTried>(world, Span::Pass);
+}
+
+/// Whether the step after this one computes shadows and reflections anew, so that they need not be kept.
+fn refresh_is_next(world: &World, step: u32) -> bool {
+    step.is_multiple_of(refresh_every(world))
+}
+
+fn refresh_every(world: &World) -> u32 {
+    world.get_resource::<ObjectVisibility>().map_or(1, |v| v.settings().refresh_every).max(1)
 }
 
 /// Makes the pool and initializes; returns the number of pixels.
@@ -255,9 +308,11 @@ fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
         pipeline.add_plugin(&FitVisibilityPlugin);
     }
     let pixels = pipeline.world.resource::<ObservedWindow>().0.len();
+    // A fit that is resumed has its guess behind it.
+    let guess = if has_step_ahead(&pipeline.world) { FirstGuess::NONE } else { options.guess };
     let unknowns = Unknowns {
-        light: options.unknowns.light && options.guess.light,
-        albedo: options.unknowns.albedo && options.guess.albedo,
+        light: options.unknowns.light && guess.light,
+        albedo: options.unknowns.albedo && guess.albedo,
         ..options.unknowns
     };
     match options.light_frame {
@@ -279,8 +334,8 @@ fn run_step(pipeline: &mut Pipeline, options: &FitOptions, step: u32, pixels: us
     world.resource_mut::<Window>().0 = 0..taken.len();
     world.resource_mut::<ObservedWindow>().0 = taken;
     world.insert_resource(rates_at(step, options));
-    let every = world.get_resource::<ObjectVisibility>().map_or(1, |v| v.settings().refresh_every);
-    world.insert_resource(RefreshDue((step - 1).is_multiple_of(every.max(1))));
+    let every = refresh_every(world);
+    world.insert_resource(RefreshDue((step - 1).is_multiple_of(every)));
     world.resource_mut::<TexelPlaces>().progress = step as f32 / options.steps as f32;
     pipeline.run(Phase::FitStep)
 }
@@ -316,7 +371,7 @@ fn attach_state(world: &mut World) {
         }
     }
     let lobes: Vec<Entity> =
-        world.query_filtered::<Entity, (With<LightLobe>, Without<LobeOf>)>().iter(world).collect();
+        world.query_filtered::<Entity, OwnLobes>().iter(world).collect();
     for lobe in lobes {
         world.entity_mut(lobe).insert((LobeGradient::default(), LobeMoments::default()));
     }

@@ -69,7 +69,7 @@ impl ScaleRule {
 }
 
 /// Adam's moments of the logarithm of the factor: its color (3), its level.
-#[derive(Resource, Clone, Copy, Debug, Default)]
+#[derive(Resource, Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub struct ScaleMoments(Moments<4>);
 
 /// Rate relative to that of the light.

@@ -27,7 +27,7 @@ pub enum LightFrame {
 }
 
 /// The frame of the scene's own light.
-#[derive(Resource, Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Resource, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct OwnLightFrame(pub LightFrame);
 
 impl LightFrame {

@@ -62,7 +62,7 @@ impl SpecularLobe {
 }
 
 /// Diffuse albedo of a material texel, linear RGB in `[0, 1]`.
-#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[require(SpecularBlend, shown::ShownAlbedo)]
 pub struct DiffuseAlbedo(pub Vec3);
 
@@ -70,7 +70,7 @@ pub struct DiffuseAlbedo(pub Vec3);
 pub const MAX_SPECULAR_LOBES: usize = 8;
 
 /// Blend weights of the base materials at a texel; they sum to at most one; the remainder has no specular light.
-#[derive(Component, Clone, Copy, Debug, PartialEq)]
+#[derive(Component, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[require(shown::ShownBlend)]
 pub struct SpecularBlend(pub [f32; MAX_SPECULAR_LOBES]);
 

@@ -1,12 +1,13 @@
 //! Triangle meshes in world space.
 
 use glam::{DVec3, Vec2, Vec3};
+use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 
 /// An indexed triangle mesh in world space.
 ///
 /// All vertex arrays have the same length; `triangles` index into them, counter-clockwise seen from outside.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Mesh {
     /// Vertex positions, world units, finite.
     pub positions: Vec<Vec3>,

@@ -153,6 +153,13 @@ pub fn inputs(loaded: &LoadedScene, open: Option<&OpenScene>) -> Vec<FileUse> {
     inputs
 }
 
+/// The files of [`inputs`] whose contents a run depends on, beside the scene, sorted.
+pub fn contents(loaded: &LoadedScene, open: Option<&OpenScene>) -> Vec<PathBuf> {
+    let inputs = inputs(loaded, open).into_iter().map(|input| input.path);
+    let files: BTreeSet<PathBuf> = inputs.filter(|path| *path != loaded.path && path.is_file()).collect();
+    files.into_iter().collect()
+}
+
 /// The folders of ground truth.
 fn truths(scene: &Scene) -> BTreeSet<&PathBuf> {
     let passes = scene.passes.iter().filter_map(|pass| match pass {

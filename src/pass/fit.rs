@@ -1,5 +1,6 @@
 //! The `Fit` pass: recovers the unknowns from the training views and writes the results.
 
+use crate::checkpoint::{Span, keep_resource};
 use crate::codec::exr::ExrLayers;
 use crate::codec::file::write_bytes;
 use crate::codec::finite::check_finite;
@@ -39,15 +40,26 @@ use crate::scene::{FitPass, FitShading};
 use crate::shape::vertices::{MovingMesh, VertexPlugin};
 use crate::spawn::{initial_specular, unknowns};
 use crate::visibility::ObjectVisibility;
-use bevy_ecs::prelude::{IntoScheduleConfigs, World};
+use bevy_ecs::prelude::{IntoScheduleConfigs, Resource, World};
 use glam::Vec3;
 use image::{Rgb, RgbImage};
+use serde::{Deserialize, Serialize};
 use std::fmt::Write as _;
 use std::ops::ControlFlow;
 use std::path::Path;
 
 /// Steps between two lines of the log.
 const LOG_EVERY: u32 = 20;
+
+/// The text of `log.csv`.
+#[derive(Resource, Serialize, Deserialize)]
+struct FitLog(String);
+
+impl FitLog {
+    fn new() -> Self {
+        Self("step,elapsed_secs,loss,psnr,specular_r,specular_g,specular_b,roughness\n".into())
+    }
+}
 
 /// Size of the picture of the recovered light, in texels.
 const ENVIRONMENT_SIZE: (u32, u32) = (512, 256);
@@ -68,13 +80,14 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     session.pipeline.world.insert_resource(TexelPlaces { positions, progress: 0.0 });
     give_texels_roughness(session);
     let bar = session.progress.bar(&pass.name, u64::from(options.steps));
-    let mut log = String::from("step,elapsed_secs,loss,psnr,specular_r,specular_g,specular_b,roughness\n");
+    keep_resource::<FitLog>(&mut session.pipeline.world, Span::Pass);
+    session.pipeline.world.insert_resource(FitLog::new());
     let_geometry_move(session, pass);
-    let summary = run_fit(&mut session.pipeline, &options, &mut |at, _| {
+    let summary = run_fit(&mut session.pipeline, &options, &mut |at, world| {
         bar.set_position(u64::from(at.step));
         if at.step % LOG_EVERY == 0 || at.step == at.steps {
             bar.set_message(format!("{:.1} dB", at.sums.psnr()));
-            log_line(&mut log, at);
+            log_line(&mut world.resource_mut::<FitLog>().0, at);
         }
         if is_stopping() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
@@ -91,7 +104,8 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     let unseen = fill_texels(session)?;
     report(session, &pass.name, &summary, unseen);
     write_results(&mut session.pipeline.world, session.surface.atlas(), &folder, &scale)?;
-    write_bytes(&folder.join("log.csv"), log.as_bytes())?;
+    let log = session.pipeline.world.remove_resource::<FitLog>();
+    write_bytes(&folder.join("log.csv"), log.unwrap_or(FitLog::new()).0.as_bytes())?;
     session.scores.scale = Some(scale);
     found_views::write(session, &pass.name, pass.cameras, pass.exposure)?;
     if summary.stopped { Err(Error::Interrupted) } else { Ok(()) }
@@ -116,6 +130,7 @@ fn hold_geometry(session: &mut Session) {
     pipeline.remove_plugin::<VertexPlugin>();
     if let Some(moved) = moved {
         session.surface = moved;
+        session.surface_found = true;
         // Visibility of the changed mesh is traced again when it is needed.
         session.pipeline.world.remove_resource::<ObjectVisibility>();
     }

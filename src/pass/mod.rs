@@ -11,6 +11,8 @@
 //! | `Export` | [`export`] | `mesh.glb`, `mesh.ply`, `mesh.obj` with `mesh.mtl` and `mesh_albedo.png` |
 //! | `View` | [`view`] | `view.html` |
 //!
+//! `resume` keeps checkpoints in `OUT/.checkpoint`, and takes a run up where it was.
+//!
 //! [`preflight`] checks the inputs of all passes before the first one runs; [`files`] knows all files that they may write, so that
 //! none of them is one that is read; [`record`] keeps `OUT/run.json`, which says what belongs together.
 
@@ -27,6 +29,7 @@ pub mod preflight;
 pub mod progress;
 pub mod record;
 pub mod render;
+mod resume;
 pub mod save;
 mod sequence;
 mod session;
@@ -58,10 +61,12 @@ use crate::survey::open::OpenScene;
 use crate::view::ViewRecord;
 use photograph::{TrueObject, camera_of};
 use progress::Progress;
-use record::Claim;
+use record::{Claim, RunRecord, RunState};
+use resume::Begun;
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use std::time::Duration;
 
 /// How a loaded scene is run.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -76,16 +81,31 @@ pub struct RunOptions {
     pub memory: Option<u64>,
     /// The command line, for the manifest.
     pub arguments: Vec<String>,
+    /// Time between two checkpoints of a pass that takes long; `None`: no checkpoints.
+    pub checkpoint: Option<Duration>,
+    /// Go on with the run in `out`, if there is one that has not finished.
+    pub resume: bool,
 }
+
+/// Time between two checkpoints where nothing is said.
+pub const USUAL_CHECKPOINT: Duration = Duration::from_secs(30);
 
 /// Runs the passes of a scene in order, and reports to `progress`. What will be written is known before anything is read, and
 /// `OUT/run.json` says how far the run is.
 ///
 /// # Errors
-/// The first error of a pass; passes that do not need it are run all the same, and the scores written. [`Error::Usage`] if a file that would be
-/// written is an input, or is of something else than an earlier run, or if another run writes into the output folder.
+/// The first error of a pass; passes that do not need it are run all the same, and the scores written. [`Error::Interrupted`] if the run is
+/// stopped, once what it found is written. [`Error::Usage`] if a file that would be written is an input, or is of something else than an
+/// earlier run, if another run writes into the output folder, or if a run is to go on with something else than it was begun with.
 pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) -> Result<()> {
-    record::check_used(&options.out, options.force)?;
+    record::check_used(&options.out, options.force || options.resume)?;
+    resume::check_folder(&options.out)?;
+    let begun = if options.resume { Begun::read(&options.out)? } else { None };
+    if options.resume && record::state_of_run(&options.out) == Some(RunState::Finished) {
+        progress.note(&format!("the run in {} has finished: nothing is left to do", options.out.display()));
+        return Ok(());
+    }
+    begun.as_ref().map_or(Ok(()), |begun| begun.check_scene(&loaded.scene))?;
     preflight::check_output(&loaded.scene, &options.out)?;
     preflight::check_sizes(&loaded.scene)?;
     preflight::check_paths(&loaded.scene)?;
@@ -101,13 +121,51 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
         session.pipeline.world.insert_resource(ObjectTurned);
     }
     check_interrupted()?;
-    let mut record = claim.begin(&loaded.path, &options.arguments)?;
-    let ended = sequence::run(&mut session, &mut record);
+    let (mut record, done) = begin(&mut session, claim, (loaded, data.as_ref()), options, begun)?;
+    let ended = sequence::run(&mut session, &mut record, done);
     let finished = session.finish();
-    if let Some(signal) = stopped_by() {
-        progress.print(&format!("Stopped by {signal}."));
+    let ended = ended.and(finished);
+    match &ended {
+        Ok(()) => resume::clear(&options.out)?,
+        Err(_) => say_how_to_go_on(options, progress),
     }
-    record.end(ended.and(finished))
+    record.end(ended)
+}
+
+/// Begins a run, or goes on with one that was `begun`. Returns its manifest, and how many of its passes are done.
+fn begin(
+    session: &mut Session,
+    claim: Claim,
+    (loaded, data): (&LoadedScene, Option<&OpenScene>),
+    options: &RunOptions,
+    begun: Option<Begun>,
+) -> Result<(RunRecord, usize)> {
+    let keeps = options.checkpoint.is_some() || begun.is_some();
+    let now = keeps.then(|| Begun::new(&loaded.scene, session.scene, &files::contents(loaded, data)));
+    let (now, every) = (now.transpose()?, options.checkpoint.unwrap_or(USUAL_CHECKPOINT));
+    if let (Some(begun), Some(now)) = (&begun, &now) {
+        begun.check_data(now, session.progress)?;
+        let done = resume::take_up(session, begun, true, every)?;
+        return Ok((claim.begin(&loaded.path, &options.arguments, done)?, done));
+    }
+    // Checkpoints of an earlier run go first: its results will, and nothing goes on from there.
+    resume::clear(&options.out)?;
+    let record = claim.begin(&loaded.path, &options.arguments, 0)?;
+    if let Some(now) = now {
+        now.write(&options.out)?;
+        resume::take_up(session, &now, false, every)?;
+    }
+    Ok((record, 0))
+}
+
+/// What can be done with a run that has not finished.
+fn say_how_to_go_on(options: &RunOptions, progress: &dyn Progress) {
+    if let Some(signal) = stopped_by() {
+        progress.print(&format!("Stopped by {signal}; what was found until then is written."));
+    }
+    if options.checkpoint.is_some() {
+        progress.print("The same command with --resume goes on from the last checkpoint.");
+    }
 }
 
 /// Takes the output folder, once it is clear that nothing in it is read or somebody else's.
@@ -148,7 +206,7 @@ pub fn write_view(
     let data = OpenScene::new(&scene)?;
     let (views, _) = read_views(&scene, data.as_ref(), progress)?;
     let out = path.parent().unwrap_or(Path::new("")).to_owned();
-    let options = RunOptions { out, force: true, debug_every: None, memory: None, arguments: Vec::new() };
+    let options = RunOptions { out, force: true, ..RunOptions::default() };
     let mut session = open(&scene, views, &options, progress, photograph::imagine, SurfaceUse::Lasting)?;
     view::write_page(&mut session, &ViewPass::default(), named, path)
 }
@@ -208,6 +266,7 @@ fn open<'a>(
         debug_every: options.debug_every,
         progress,
         scores: Scores::default(),
+        surface_found: false,
         has_object: !scene.passes.iter().any(|pass| matches!(pass, Pass::Shape(_) | Pass::Fit(_))),
     };
     preflight::check(&mut session)?;

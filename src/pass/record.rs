@@ -121,7 +121,7 @@ pub fn check_used(out: &Path, force: bool) -> Result<()> {
         ),
         Some(_) => (
             format!("the output folder {shown} is not empty: it has a run that did not finish"),
-            "Choose another with --out, or replace what it left with --force.",
+            "Go on with it: --resume. Or choose another with --out, or replace what it left with --force.",
         ),
         None => (
             format!("the output folder {shown} is not empty"),
@@ -129,6 +129,11 @@ pub fn check_used(out: &Path, force: bool) -> Result<()> {
         ),
     };
     Err(Error::usage(problem, help))
+}
+
+/// How far the run in `out` is; `None` if there is none.
+pub fn state_of_run(out: &Path) -> Option<RunState> {
+    Record::read(out).map(|record| record.state)
 }
 
 /// Whether a folder has more than a lock that a killed process left. What else keeps it from being written is told elsewhere.
@@ -173,29 +178,31 @@ impl Claim {
         Ok(Self { lock, out: out.to_owned(), plan, before })
     }
 
-    /// Begins the run: writes its manifest, and then removes what earlier runs left of the same passes, so that old results are never beside new ones as if they were of one run.
+    /// Begins the run: writes its manifest, and then removes what earlier runs left of the same passes, so that old results are never
+    /// beside new ones as if they were of one run. The first `done` passes are of this run, which is resumed.
     ///
     /// # Errors
     /// [`Error::Io`] if something cannot be written or removed.
-    pub fn begin(self, scene: &Path, arguments: &[String]) -> Result<RunRecord> {
+    pub fn begin(self, scene: &Path, arguments: &[String], done: usize) -> Result<RunRecord> {
         let Self { lock, out, plan, before } = self;
-        let names: BTreeSet<&str> = plan.iter().map(|pass| pass.pass.as_str()).collect();
-        let old: BTreeSet<String> =
+        let names: BTreeSet<&str> = plan.iter().skip(done).map(|pass| pass.pass.as_str()).collect();
+        let done: Vec<PassRecord> = plan.iter().take(done).map(|pass| finished(&out, pass)).collect();
+        let is_done = |file: &String| done.iter().any(|pass| pass.files.contains(file));
+        let mut old: BTreeSet<String> =
             before.iter().flat_map(Record::listed).flat_map(|listed| existing(&out, listed)).collect();
+        old.retain(|file| !is_done(file));
         let is_stale = |file: &String| file.split('/').next().is_some_and(|first| names.contains(first));
         let (stale, kept): (Vec<String>, Vec<String>) = old
             .iter()
             .filter(|file| *file != RUN)
             .cloned()
             .partition(|file| file == METRICS || is_stale(file));
-        let passes = plan
-            .iter()
-            .map(|pass| PassRecord {
-                name: pass.pass.clone(),
-                state: RunState::Waiting,
-                files: pass.files.clone(),
-            })
-            .collect();
+        let waiting = plan.iter().skip(done.len()).map(|pass| PassRecord {
+            name: pass.pass.clone(),
+            state: RunState::Waiting,
+            files: pass.files.clone(),
+        });
+        let passes = done.into_iter().chain(waiting).collect();
         let mut record = Record {
             program: PROGRAM.into(),
             version: env!("LOBELIA_VERSION").into(),
@@ -213,6 +220,12 @@ impl Claim {
         record.write(&out)?;
         Ok(RunRecord { record, out, _lock: lock })
     }
+}
+
+/// A pass that a run before its break has finished, with its files.
+fn finished(out: &Path, pass: &PassFiles) -> PassRecord {
+    let files = pass.files.iter().flat_map(|file| existing(out, file)).collect();
+    PassRecord { name: pass.pass.clone(), state: RunState::Finished, files }
 }
 
 /// Removes old files, and what was left unfinished.
@@ -322,7 +335,7 @@ mod tests {
     }
 
     fn begin(out: &Path, files: &[&str]) -> RunRecord {
-        Claim::new(out, plan(files)).unwrap().begin(Path::new("scene.ron"), &[]).unwrap()
+        Claim::new(out, plan(files)).unwrap().begin(Path::new("scene.ron"), &[], 0).unwrap()
     }
 
     /// Manifests come with folders from anywhere.

@@ -1,5 +1,6 @@
 //! The passes of a scene, one after another; one that fails ends only what needs it.
 
+use crate::checkpoint::{Checkpoints, begin_pass};
 use crate::error::stop::{heed_stop, stopped_by};
 use crate::error::{Error, Result};
 use crate::pass::evaluate;
@@ -7,6 +8,7 @@ use crate::pass::export;
 use crate::pass::fit;
 use crate::pass::record::{RunRecord, RunState};
 use crate::pass::render;
+use crate::pass::resume::keep;
 use crate::pass::save;
 use crate::pass::session::Session;
 use crate::pass::shape;
@@ -25,15 +27,15 @@ struct Unfinished<'a> {
     first: Option<Error>,
 }
 
-/// Runs all passes, but those that need one that failed. Once the run is asked to stop, only what was found until then is written:
+/// Runs all passes after the first `done`, but those that need one that failed. Once the run is asked to stop, only what was found until then is written:
 /// scored, saved and exported.
 ///
 /// # Errors
 /// The first error of a pass; [`Error::Interrupted`] if the run was stopped.
-pub(super) fn run(session: &mut Session, record: &mut RunRecord) -> Result<()> {
+pub(super) fn run(session: &mut Session, record: &mut RunRecord, done: usize) -> Result<()> {
     let scene = session.scene;
     let mut unfinished = Unfinished::default();
-    for (index, pass) in scene.passes.iter().enumerate() {
+    for (index, pass) in scene.passes.iter().enumerate().skip(done) {
         if let Some(needed) = unfinished.failed.iter().find(|failed| needs(pass, failed)) {
             let text = format!("pass {} is left out: it needs {}", pass.name(), needed.name());
             session.progress.note(&text);
@@ -46,10 +48,17 @@ pub(super) fn run(session: &mut Session, record: &mut RunRecord) -> Result<()> {
             continue;
         }
         record.pass(index, RunState::Running)?;
+        begin_pass(&mut session.pipeline.world, index as u32);
         let ended = run_pass(session, pass);
         heed_stop();
         let recorded = record.pass(index, state_of(&ended));
         unfinished.note(session, pass, ended, recorded)?;
+        if unfinished.failed.is_empty() {
+            keep(session, index + 1)?;
+        } else {
+            // A run that goes on repeats all from the first failure.
+            session.pipeline.world.remove_resource::<Checkpoints>();
+        }
     }
     let stopped = if stopped_by().is_some() { Err(Error::Interrupted) } else { Ok(()) };
     unfinished.first.map_or(stopped, Err)

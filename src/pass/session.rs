@@ -43,6 +43,8 @@ pub struct Session<'a> {
     pub progress: &'a dyn Progress,
     /// Scores so far.
     pub scores: Scores,
+    /// Whether a pass has found the surface, or moved it.
+    pub surface_found: bool,
     /// Whether there is an object to write: all is given, or a `Shape` or `Fit` has found something.
     pub has_object: bool,
 }

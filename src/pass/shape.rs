@@ -193,6 +193,6 @@ fn put_in_place(session: &mut Session, found: &SdfSurface, mesh: &Mesh, texture_
     world.insert_resource(Scenery(surface.clone()));
     world.remove_resource::<ObjectVisibility>();
     session.surface = surface;
-    session.has_object = true;
+    (session.surface_found, session.has_object) = (true, true);
     Ok(())
 }

@@ -25,9 +25,10 @@ pub mod volume;
 pub use trace::LeastDistance;
 
 use glam::{UVec3, Vec3};
+use serde::{Deserialize, Serialize};
 
 /// Signed distances at the vertices of a cubic grid, negative inside.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SdfGrid {
     /// Vertices per side, ≥ 2.
     pub side: u32,

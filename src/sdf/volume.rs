@@ -6,12 +6,13 @@
 use crate::math::ray::{Hit, Intersect, Ray, TexelAddress};
 use crate::sdf::SdfGrid;
 use glam::{UVec3, Vec2, Vec3};
+use serde::{Deserialize, Serialize};
 
 /// Marks a vertex without texel.
 const NONE: u32 = u32::MAX;
 
 /// The texels around a surface.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct TexelVolume {
     side: u32,
     origin: Vec3,
@@ -121,7 +122,7 @@ fn descending(t: Vec3) -> [usize; 3] {
 }
 
 /// An SDF with its texels, as a surface that rays can be cast against.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct SdfSurface {
     /// The distances.
     pub grid: SdfGrid,

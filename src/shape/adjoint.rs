@@ -4,18 +4,22 @@
 //! vertices first, and from there by one divergence stencil to the values. The position moves along its ray as the values change
 //! (implicit differentiation; IDR eq. 3, Niemeyer et al. 2020): dx/dφ = −d / (∇φ·d).
 
+use crate::checkpoint::packed::sparse;
 use crate::sdf::SdfGrid;
 use glam::{UVec3, Vec3};
+use serde::{Deserialize, Serialize};
 
 /// Lower bound of |∇φ·d| in the adjoint of a position, because the derivative is unbounded at grazing rays.
 const LEAST_DERIVATIVE: f32 = 0.15;
 
 /// Adjoints at the vertices of an SDF.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct FieldAdjoint {
     /// Adjoint of the values.
+    #[serde(with = "sparse")]
     pub value: Vec<f32>,
     /// Adjoint of the central differences at the vertices.
+    #[serde(with = "sparse")]
     pub gradient: Vec<Vec3>,
 }
 

@@ -1,11 +1,15 @@
 //! The SDF as parameters: bricks of 8 × 8 × 8 values near the surface are entities, the whole field a resource.
 
+use crate::checkpoint::packed::{array, from_bytes, sparse, to_bytes};
+use crate::checkpoint::{Span, keep_pool, keep_resource, keep_with};
+use crate::error::{Error, Result};
 use crate::pipeline::pool::pool_index;
 use crate::sdf::SdfGrid;
 use crate::sdf::volume::SdfSurface;
 use crate::shape::adjoint::FieldAdjoint;
-use bevy_ecs::prelude::{Component, Resource};
+use bevy_ecs::prelude::{Component, Resource, World};
 use glam::{UVec3, Vec3};
+use serde::{Deserialize, Serialize};
 
 /// Vertices per side of a brick.
 pub const BRICK_SIDE: u32 = 8;
@@ -24,16 +28,16 @@ pool_index! {
 pub struct BrickAt(pub UVec3);
 
 /// A brick's values, world units; those outside the grid are not used.
-#[derive(Component, Clone, Copy, Debug, PartialEq)]
-pub struct BrickValues(pub [f32; BRICK_LEN]);
+#[derive(Component, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct BrickValues(#[serde(with = "array")] pub [f32; BRICK_LEN]);
 
 /// Gradient of the loss with respect to a brick's values.
 #[derive(Component, Clone, Copy, Debug, PartialEq)]
 pub struct BrickGradient(pub [f32; BRICK_LEN]);
 
 /// Running mean of a brick's gradient.
-#[derive(Component, Clone, Copy, Debug, PartialEq)]
-pub struct BrickMoments(pub [f32; BRICK_LEN]);
+#[derive(Component, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct BrickMoments(#[serde(with = "array")] pub [f32; BRICK_LEN]);
 
 /// The field as the Trace stage reads it, and its adjoints.
 #[derive(Resource, Clone, Debug)]
@@ -59,11 +63,12 @@ impl SdfField {
 
 /// The squared error of the model, summed at the vertices of a grid around the surface points of samples. Errors are of luminance with
 /// the curve of sRGB, as patches of photographs are compared.
-#[derive(Resource, Clone, Debug)]
+#[derive(Resource, Clone, Debug, Serialize, Deserialize)]
 pub struct ModelError {
     /// The grid.
     pub grid: SdfGrid,
     /// Sums of weighted squared errors and of weights.
+    #[serde(with = "sparse")]
     pub sums: Vec<[f32; 2]>,
 }
 
@@ -88,6 +93,41 @@ impl ModelError {
             (error + weight * self.sums[row][0], count + weight * self.sums[row][1])
         })
     }
+}
+
+/// What of a field changes during a level: its texels lie still, and the scratch is written before it is read.
+#[derive(Serialize, Deserialize)]
+struct FieldState {
+    values: Vec<f32>,
+    /// Bricks clear their own adjoints at every step, and read those beside them.
+    adjoint: FieldAdjoint,
+    mean_square: f32,
+}
+
+/// Registers the field and its bricks as state.
+pub(super) fn keep_field(world: &mut World) {
+    keep_pool::<BrickIndex, BrickValues>(world, Span::Pass);
+    keep_pool::<BrickIndex, BrickMoments>(world, Span::Pass);
+    keep_resource::<ModelError>(world, Span::Pass);
+    keep_with(world, "field", Span::Pass, save_field, load_field);
+}
+
+fn save_field(world: &mut World) -> Result<Option<Vec<u8>>> {
+    let Some(SdfField { surface, adjoint, mean_square, .. }) = world.get_resource::<SdfField>() else {
+        return Ok(None);
+    };
+    let (values, adjoint) = (surface.grid.values.clone(), adjoint.clone());
+    to_bytes(&FieldState { values, adjoint, mean_square: *mean_square }).map(Some)
+}
+
+fn load_field(world: &mut World, bytes: &[u8]) -> Result<()> {
+    let FieldState { values, adjoint, mean_square } = from_bytes(bytes)?;
+    let field = world.get_resource_mut::<SdfField>();
+    let field = field.filter(|field| field.surface.grid.values.len() == values.len());
+    let mut field = field.ok_or_else(|| Error::run("resuming", "the checkpoint is of another field"))?;
+    field.surface.grid.values = values;
+    (field.adjoint, field.mean_square) = (adjoint, mean_square);
+    Ok(())
 }
 
 /// The bricks with a value near the zero level, lowest first.

@@ -10,7 +10,9 @@
 //! | [`pull_back_to_vertices`] | Gradient, `Slot::ShapeGradient` | adjoints of normals | [`VertexAdjoint`] |
 //! | [`move_vertices`] | Update, `Slot::ShapeUpdate` | [`VertexAdjoint`] | [`VertexPosition`], the surface |
 
-use crate::error::Result;
+use crate::checkpoint::packed::{from_bytes, to_bytes};
+use crate::checkpoint::{Span, keep_pool, keep_with};
+use crate::error::{Error, Result};
 use crate::fit::components::StepRates;
 use crate::math::shading::PointAdjoint;
 use crate::mesh::Surface;
@@ -25,6 +27,7 @@ use crate::shape::systems::{OUTLIER, root_mean_square};
 use bevy_ecs::prelude::{Component, Entity, Res, ResMut, Resource, With, World};
 use glam::Vec3;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// Steps between two moves; adjoints are summed over these.
@@ -53,15 +56,15 @@ pool_index! {
 pub type Vertices<'w, 's, D> = Pool<'w, 's, VertexIndex, D>;
 
 /// World position of a vertex; vertices at the same position are merged.
-#[derive(Component, Clone, Copy, Debug, PartialEq)]
+#[derive(Component, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct VertexPosition(pub Vec3);
 
 /// Adjoint of a vertex's unit normal, summed since the last move.
-#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct VertexAdjoint(pub Vec3);
 
 /// Running mean of the smoothed gradient of a vertex along its normal.
-#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct VertexMoment(pub f32);
 
 /// The mesh that moves.
@@ -224,6 +227,10 @@ impl Plugin for VertexPlugin {
             found,
             steps: self.steps,
         });
+        keep_pool::<VertexIndex, VertexPosition>(&mut pipeline.world, Span::Pass);
+        keep_pool::<VertexIndex, VertexAdjoint>(&mut pipeline.world, Span::Pass);
+        keep_pool::<VertexIndex, VertexMoment>(&mut pipeline.world, Span::Pass);
+        keep_with(&mut pipeline.world, "moving mesh", Span::Pass, save_mesh, load_mesh);
         pipeline
             .swap(Phase::FitStep, Slot::Retrace, retrace_vertices)
             .swap(Phase::FitStep, Slot::ShapeGradient, pull_back_to_vertices)
@@ -236,6 +243,21 @@ impl Plugin for VertexPlugin {
         vertices.into_iter().for_each(|vertex| _ = world.despawn(vertex));
         world.remove_resource::<MovingMesh>();
     }
+}
+
+/// The moved mesh; all else of [`MovingMesh`] is derived from the given one.
+fn save_mesh(world: &mut World) -> Result<Option<Vec<u8>>> {
+    world.get_resource::<MovingMesh>().map(|moving| to_bytes(moving.surface.mesh())).transpose()
+}
+
+fn load_mesh(world: &mut World, bytes: &[u8]) -> Result<()> {
+    let mesh: Mesh = from_bytes(bytes)?;
+    let moving = world.get_resource_mut::<MovingMesh>();
+    let mut moving = moving.ok_or_else(|| Error::run("resuming", "the checkpoint is of a mesh that moves"))?;
+    let surface = Arc::new(Surface::new(mesh, moving.surface.atlas().width)?);
+    moving.surface = surface.clone();
+    world.insert_resource(Scenery(surface));
+    Ok(())
 }
 
 /// Trace: intersects the rays of the window with the current mesh.

@@ -15,8 +15,9 @@ use lobelia::spawn::spawn_object;
 use lobelia::view::Camera;
 use serde_json::{Map, Value, json};
 use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
+use std::process::{Child, Command, Output, Stdio};
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 /// Width and height of all images.
@@ -242,4 +243,78 @@ pub fn files_below(folder: &Path) -> Vec<String> {
 pub fn is_temporary(file: &str) -> bool {
     let name = file.rsplit('/').next().unwrap_or(file);
     name.starts_with('.') || name.contains(".part") || name.ends_with(".tmp")
+}
+
+/// The manifest of a run.
+pub fn manifest(out: &Path) -> Value {
+    serde_json::from_slice(&std::fs::read(out.join("run.json")).unwrap()).unwrap()
+}
+
+/// The states of the passes in a manifest.
+pub fn states(manifest: &Value) -> Vec<String> {
+    let passes = manifest["passes"].as_array().unwrap();
+    passes.iter().map(|pass| pass["state"].as_str().unwrap().to_owned()).collect()
+}
+
+/// A run that is at work, and is ended with the test.
+pub struct AtWork(Child);
+
+impl AtWork {
+    /// Starts a run of `scene.ron`.
+    pub fn begin(data: &Data, arguments: &[&str]) -> Self {
+        let mut run = command(&["run", "--quiet"]);
+        run.arg(data.path("scene.ron")).arg("--data").arg(data.root()).arg("--out").arg(data.path("out"));
+        Self(run.args(arguments).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap())
+    }
+
+    /// Starts a run and waits until a pass is at work.
+    pub fn start(data: &Data, scene: &str, arguments: &[&str], pass: &str) -> Self {
+        std::fs::write(data.path("scene.ron"), scene).unwrap();
+        let (mut at_work, started) = (Self::begin(data, arguments), Instant::now());
+        let is_running = || -> Option<bool> {
+            let text = std::fs::read(data.path("out/run.json")).ok()?;
+            let manifest: Value = serde_json::from_slice(&text).ok()?;
+            let passes = manifest["passes"].as_array()?.clone();
+            Some(passes.iter().any(|found| found["name"] == pass && found["state"] == "running"))
+        };
+        while is_running() != Some(true) {
+            assert!(at_work.0.try_wait().unwrap().is_none(), "the run ended");
+            assert!(started.elapsed() < Duration::from_secs(300), "{pass} does not begin");
+            std::thread::sleep(Duration::from_millis(10));
+        }
+        at_work
+    }
+
+    /// Waits for the end of the run, and returns its exit code.
+    pub fn ended(mut self) -> Option<i32> {
+        let started = Instant::now();
+        loop {
+            if let Some(status) = self.0.try_wait().unwrap() {
+                return status.code();
+            }
+            assert!(started.elapsed() < Duration::from_secs(300), "the run does not end");
+            std::thread::sleep(Duration::from_millis(10));
+        }
+    }
+
+    /// Sends it a signal, by name.
+    #[cfg(unix)]
+    pub fn signal(&self, name: &str) {
+        let id = self.0.id().to_string();
+        assert!(Command::new("kill").args([&format!("-{name}"), &id]).status().unwrap().success());
+    }
+
+    /// Kills it, as a power cut would.
+    pub fn kill(mut self) {
+        self.0.kill().unwrap();
+        self.0.wait().unwrap();
+    }
+}
+
+impl Drop for AtWork {
+    fn drop(&mut self) {
+        // It may have ended already.
+        let _ = self.0.kill();
+        let _ = self.0.wait();
+    }
 }

@@ -12,6 +12,7 @@
 use crate::light::map_fit::linear::{cholesky, solve_factored};
 use crate::view::Camera;
 use glam::{Affine3A, Quat, Vec3};
+use serde::{Deserialize, Serialize};
 
 /// Parameters of a pose.
 pub const POSE: usize = 6;
@@ -61,7 +62,7 @@ pub fn projection_jacobian(
 }
 
 /// Normal equations of one view: the lower triangle of JᵀWJ, and JᵀWr.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PoseSums {
     matrix: [[f64; JACOBIAN_COLUMNS]; JACOBIAN_COLUMNS],
     right: [f64; JACOBIAN_COLUMNS],

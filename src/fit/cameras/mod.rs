@@ -42,7 +42,7 @@ const PRIOR: f64 = 20.0;
 const MEMORY: f32 = 0.95;
 
 /// The given camera of a view, and its correction.
-#[derive(Component, Clone, Debug)]
+#[derive(Component, Clone, Copy, Debug, Serialize, Deserialize)]
 pub struct CameraPose {
     /// The camera that was given.
     pub given: Camera,
@@ -125,7 +125,7 @@ impl AlignedRow {
 }
 
 /// The state that all views share.
-#[derive(Resource, Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Resource, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct CameraFit {
     /// Logarithm of the factor on all focal lengths.
     pub log_focal: f64,

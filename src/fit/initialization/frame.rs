@@ -12,6 +12,7 @@ use crate::math::shading::ClosedForm;
 use crate::view::{Camera, Photograph};
 use bevy_ecs::prelude::{Resource, With, World};
 use glam::{Mat3, Vec3};
+use serde::{Deserialize, Serialize};
 
 /// Fewest views that tell frames apart.
 const LEAST_VIEWS: usize = 6;
@@ -21,7 +22,7 @@ const BETTER: f32 = 0.9;
 const TILTED: f32 = 0.03;
 
 /// The frames that were tried, and the mean absolute error of radiance in each.
-#[derive(Resource, Clone, Debug, Default, PartialEq)]
+#[derive(Resource, Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FramesTried(pub Vec<(LightFrame, f32)>);
 
 /// Present if the background of the photographs says that the object turned, and not the camera.

@@ -25,6 +25,7 @@ use crate::shade::systems::Showing;
 use bevy_ecs::prelude::{Component, Res, Resource};
 use glam::{UVec3, Vec3};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 /// One value per base material.
 pub type PerMaterial = [f32; MAX_SPECULAR_LOBES];
@@ -34,7 +35,7 @@ pub type PerMaterial = [f32; MAX_SPECULAR_LOBES];
 pub struct BlendGradient(pub PerMaterial);
 
 /// Adam's moments of a texel's logits.
-#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct BlendMoments(pub Moments<MAX_SPECULAR_LOBES>);
 
 /// Adjoints of the blend weights at the window's samples.

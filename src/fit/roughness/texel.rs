@@ -17,6 +17,7 @@ use crate::pipeline::SystemResult;
 use bevy_ecs::prelude::{Component, Query, Res, Resource, World};
 use glam::Vec3;
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 
 /// Roughnesses of the base materials. A blend of two neighbors is close to a lobe of a roughness between them.
 pub const BASE_ROUGHNESSES: [f32; 6] = [0.1, 0.15, 0.225, 0.3375, 0.506_25, 0.759_375];
@@ -34,7 +35,7 @@ const KINK: f32 = 0.02;
 const NEAR: f32 = 3.0;
 
 /// Roughness of a texel.
-#[derive(Component, Clone, Copy, Debug, PartialEq)]
+#[derive(Component, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TexelRoughness {
     /// Roughness R, in the range of [`BASE_ROUGHNESSES`].
     pub roughness: f32,
@@ -85,7 +86,7 @@ impl TexelRoughness {
 }
 
 /// Adam's moments of the roughness of a texel.
-#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RoughnessMoments(Moments<2>);
 
 /// The smoothness prior between neighboring texels.

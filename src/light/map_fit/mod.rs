@@ -276,6 +276,9 @@ fn grow(levels: &[Level], count: usize, bounds: Bounds, teller: &mut Teller) -> 
     let mut lobes = vec![FitLobe::new(DVec3::Y, 0.5_f64.min(bounds.sharpest), [0.5; 3])];
     fit_amplitudes(tiles, &mut lobes);
     for batch in 1..=BATCHES {
+        if is_stopping() {
+            break;
+        }
         let wanted = (count * batch).div_ceil(BATCHES).saturating_sub(lobes.len());
         lobes.extend(place(levels, &lobes, wanted, bounds));
         fit_amplitudes(tiles, &mut lobes);

@@ -1,5 +1,6 @@
 //! Fit of a shape: starts from the visual hull and runs one fit per level, on finer and finer grids.
 
+use crate::checkpoint::{keep_level, resume_level};
 use crate::error::stop::{check_interrupted, is_stopping};
 use crate::error::{Error, Result};
 use crate::fit::cameras::{CameraFit, CameraPlugin, CameraUnknowns, align_photographs, attach_poses};
@@ -15,7 +16,7 @@ use crate::sdf::SdfGrid;
 use crate::sdf::volume::{SdfSurface, TexelVolume};
 use crate::shape::field::{
     BRICK_LEN, BrickAt, BrickGradient, BrickIndex, BrickMoments, BrickValues, ModelError, SdfField,
-    bricks_near_surface,
+    bricks_near_surface, keep_field,
 };
 use crate::shape::hull::{FORGIVEN, visual_hull};
 use crate::shape::repair::{regrow, reliable_pixels};
@@ -66,6 +67,7 @@ pub struct ShapePlugin;
 
 impl Plugin for ShapePlugin {
     fn build(&self, pipeline: &mut Pipeline) {
+        keep_field(&mut pipeline.world);
         pipeline
             .swap(Phase::FitStep, Slot::Retrace, retrace_window)
             .swap(
@@ -132,48 +134,91 @@ pub fn fit_shape(
 /// Fits one level after the other, until `watch` stops it.
 fn fit_levels(
     pipeline: &mut Pipeline,
-    mut grid: SdfGrid,
+    hull: SdfGrid,
     silhouettes: &mut [Silhouette],
     options: &ShapeOptions,
     watch: &mut dyn FnMut(&ShapeProgress) -> ControlFlow<()>,
 ) -> Result<SdfSurface> {
-    let mut texels: Option<(TexelVolume, Vec<Vec3>)> = None;
-    for (index, level) in options.levels.iter().enumerate() {
-        if options.cameras != CameraUnknowns::Given {
-            attach_poses(&mut pipeline.world);
+    let blank = |world: &mut World, kept: &SdfSurface| {
+        replace_texels(world, &vec![Vec3::ZERO; kept.volume.len()]);
+        Ok(())
+    };
+    let resumed = resume_level(&mut pipeline.world, blank)?;
+    let begun = resumed.as_ref().map_or(0, |(level, _)| *level as usize);
+    let mut surface = match resumed {
+        Some((_, kept)) => kept,
+        None => first_surface(&mut pipeline.world, hull, options),
+    };
+    for (index, level) in options.levels.iter().enumerate().skip(begun) {
+        if index > begun {
+            surface = next_surface(&mut pipeline.world, surface, silhouettes, options, index)?;
+            keep_level(&mut pipeline.world, index as u32, &surface)?;
         }
-        if index > 0 {
-            let cameras = photographed_cameras(&mut pipeline.world);
-            for silhouette in silhouettes.iter_mut() {
-                silhouette.camera = *cameras.of(silhouette.view)?;
-            }
-            grid = grid.resampled(level.cells);
-            regrow(&mut grid, silhouettes, FORGIVEN);
-        }
-        grid.redistance();
-        let volume = TexelVolume::new(&grid, level.texel_cells, TEXEL_REACH * half_side(&grid));
-        let albedo = carried_albedo(&volume, texels.as_ref());
-        replace_texels(&mut pipeline.world, &albedo);
-        enter(&mut pipeline.world, SdfSurface { grid, volume: volume.clone() }, level.schedule);
+        let volume = surface.volume.clone();
+        enter(&mut pipeline.world, surface, level.schedule);
         let guess = if index == 0 { options.fit.guess } else { FirstGuess::NONE };
         let fit = FitOptions { steps: level.schedule.steps, guess, ..options.fit.clone() };
         let result = run_fit(pipeline, &fit, &mut |progress, world| {
             let field = world.resource::<SdfField>();
             watch(&ShapeProgress { level: index, fit: progress, field })
         });
-        grid = leave(&mut pipeline.world);
-        let world = &mut pipeline.world;
-        texels = Some((volume, recovered_albedo(world)?));
+        surface = SdfSurface { grid: leave(&mut pipeline.world), volume };
         match result {
             // What earlier levels found is there.
-            Err(Error::Interrupted) if index > 0 => break,
+            Err(Error::Interrupted) if index > 0 => return Ok(surface),
             Err(error) => return Err(error),
-            Ok(summary) if summary.stopped => break,
+            Ok(summary) if summary.stopped => return Ok(surface),
             Ok(_) => {}
         }
     }
-    let volume = texels.map(|t| t.0).unwrap_or_else(|| TexelVolume::new(&grid, 1, 0.0));
-    Ok(SdfSurface { grid, volume })
+    if begun < options.levels.len() {
+        keep_level(&mut pipeline.world, options.levels.len() as u32, &surface)?;
+    }
+    Ok(surface)
+}
+
+/// What the first level starts from: the hull, with gray texels.
+fn first_surface(world: &mut World, mut hull: SdfGrid, options: &ShapeOptions) -> SdfSurface {
+    if options.cameras != CameraUnknowns::Given {
+        attach_poses(world);
+    }
+    hull.redistance();
+    with_texels(world, hull, &options.levels[0], None)
+}
+
+/// What level `index` starts from: the surface that the level before has found, on its own grid and with its own texels.
+fn next_surface(
+    world: &mut World,
+    found: SdfSurface,
+    silhouettes: &mut [Silhouette],
+    options: &ShapeOptions,
+    index: usize,
+) -> Result<SdfSurface> {
+    if options.cameras != CameraUnknowns::Given {
+        attach_poses(world);
+    }
+    let cameras = photographed_cameras(world);
+    for silhouette in silhouettes.iter_mut() {
+        silhouette.camera = *cameras.of(silhouette.view)?;
+    }
+    let level = &options.levels[index];
+    let mut grid = found.grid.resampled(level.cells);
+    regrow(&mut grid, silhouettes, FORGIVEN);
+    grid.redistance();
+    let albedo = recovered_albedo(world)?;
+    Ok(with_texels(world, grid, level, Some((&found.volume, &albedo))))
+}
+
+/// The surface of a level, whose texels replace those in the world.
+fn with_texels(
+    world: &mut World,
+    grid: SdfGrid,
+    level: &ShapeLevel,
+    old: Option<(&TexelVolume, &[Vec3])>,
+) -> SdfSurface {
+    let volume = TexelVolume::new(&grid, level.texel_cells, TEXEL_REACH * half_side(&grid));
+    replace_texels(world, &carried_albedo(&volume, old));
+    SdfSurface { grid, volume }
 }
 
 /// Moves the vertices of a mesh of the found surface to where the training photographs agree ([`stereo`](crate::shape::stereo)).
@@ -250,7 +295,7 @@ fn silhouette_sample(silhouette: &Silhouette, pixel: u32) -> SilhouetteSample {
 }
 
 /// Albedo for a new lattice: interpolated from the old one where it has texels, else gray.
-fn carried_albedo(volume: &TexelVolume, old: Option<&(TexelVolume, Vec<Vec3>)>) -> Vec<Vec3> {
+fn carried_albedo(volume: &TexelVolume, old: Option<(&TexelVolume, &[Vec3])>) -> Vec<Vec3> {
     let gray = Vec3::splat(0.4);
     let carried = |at: Vec3| {
         let (old, albedo) = old?;

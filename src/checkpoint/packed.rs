@@ -1,0 +1,90 @@
+//! Bytes of values, and `serde` forms that these are short in.
+
+use crate::error::{Error, Result};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+
+/// A value as bytes, in postcard's format.
+///
+/// # Errors
+/// [`Error::Run`] for a value that has no length or no serialized form; no state is one.
+pub fn to_bytes<T: Serialize + ?Sized>(value: &T) -> Result<Vec<u8>> {
+    postcard::to_allocvec(value).map_err(|error| Error::run("writing a checkpoint", error.to_string()))
+}
+
+/// The value that these are the bytes of.
+///
+/// # Errors
+/// [`Error::Run`] for bytes of another type.
+pub fn from_bytes<T: DeserializeOwned>(bytes: &[u8]) -> Result<T> {
+    let (value, rest) = postcard::take_from_bytes(bytes).map_err(|error| damaged(&error.to_string()))?;
+    if rest.is_empty() { Ok(value) } else { Err(damaged("there is more")) }
+}
+
+fn damaged(problem: &str) -> Error {
+    Error::run("reading a checkpoint", problem)
+}
+
+/// Arrays of any length, for `#[serde(with = "array")]`.
+pub mod array {
+    use serde::de::{Deserialize, Error};
+    use serde::{Deserializer, Serialize, Serializer};
+
+    /// Writes it as a list.
+    ///
+    /// # Errors
+    /// The serializer's.
+    pub fn serialize<S: Serializer, T: Serialize, const N: usize>(
+        values: &[T; N],
+        to: S,
+    ) -> Result<S::Ok, S::Error> {
+        values.as_slice().serialize(to)
+    }
+
+    /// Reads it back.
+    ///
+    /// # Errors
+    /// The deserializer's; a list of another length is one.
+    pub fn deserialize<'de, D: Deserializer<'de>, T: Deserialize<'de>, const N: usize>(
+        from: D,
+    ) -> Result<[T; N], D::Error> {
+        let values = Vec::<T>::deserialize(from)?;
+        let count = values.len();
+        values.try_into().map_err(|_| D::Error::custom(format!("{count} values for {N}")))
+    }
+}
+
+/// Columns that are mostly zero, for `#[serde(with = "sparse")]`: the length, and the rows that are not.
+pub mod sparse {
+    use serde::de::{Deserialize, Error};
+    use serde::{Deserializer, Serialize, Serializer};
+
+    /// Writes the rows that differ from the default.
+    ///
+    /// # Errors
+    /// The serializer's.
+    pub fn serialize<S: Serializer, T: Serialize + Default + PartialEq>(
+        values: &[T],
+        to: S,
+    ) -> Result<S::Ok, S::Error> {
+        let none = T::default();
+        let rows: Vec<(u32, &T)> = (0..).zip(values).filter(|(_, value)| **value != none).collect();
+        (values.len() as u32, rows).serialize(to)
+    }
+
+    /// Reads them back.
+    ///
+    /// # Errors
+    /// The deserializer's; a row beyond the length is one.
+    pub fn deserialize<'de, D: Deserializer<'de>, T: Deserialize<'de> + Default + Clone>(
+        from: D,
+    ) -> Result<Vec<T>, D::Error> {
+        let (count, rows) = <(u32, Vec<(u32, T)>)>::deserialize(from)?;
+        let mut values = vec![T::default(); count as usize];
+        for (row, value) in rows {
+            let place = values.get_mut(row as usize);
+            *place.ok_or_else(|| D::Error::custom(format!("row {row} of {count}")))? = value;
+        }
+        Ok(values)
+    }
+}

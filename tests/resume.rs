@@ -1,0 +1,259 @@
+//! Runs that are killed go on where they were, and end with the same bits as runs without a break.
+
+use crate::common::{AtWork, Data, Outcome, command, files_below, manifest, states};
+use crate::photos::photographs;
+use glam::Vec3;
+use lobelia::Result;
+use lobelia::codec::gltf::export::write_glb;
+use lobelia::mesh::primitive::sphere_mesh;
+use lobelia::pass::progress::{Bar, Progress};
+use lobelia::pass::{self, RunOptions};
+use lobelia::scene::{LoadOptions, load};
+use serde_json::Value;
+use std::collections::BTreeMap;
+use std::panic::{AssertUnwindSafe, catch_unwind, resume_unwind};
+use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
+
+/// Where a run is killed: a pass, and the position of its bar.
+type Death = (&'static str, u64);
+
+/// Ends the run without any of its code after that, when a pass comes to a step.
+struct Killer(Option<Death>);
+
+struct Fuse {
+    at: Option<u64>,
+    position: AtomicU64,
+}
+
+impl Progress for Killer {
+    fn note(&self, _: &str) {}
+
+    fn print(&self, _: &str) {}
+
+    fn bar(&self, title: &str, _: u64) -> Box<dyn Bar> {
+        let at = self.0.filter(|(pass, _)| *pass == title).map(|(_, at)| at);
+        Box::new(Fuse { at, position: AtomicU64::new(0) })
+    }
+}
+
+impl Bar for Fuse {
+    fn inc(&self, steps: u64) {
+        self.set_position(self.position.load(Ordering::Relaxed) + steps);
+    }
+
+    fn set_position(&self, steps: u64) {
+        self.position.store(steps, Ordering::Relaxed);
+        if self.at == Some(steps) {
+            resume_unwind(Box::new("killed"));
+        }
+    }
+
+    fn set_message(&self, _: String) {}
+
+    fn finish_and_clear(&self) {}
+}
+
+/// Runs a scene into `out`; `Err` if it was killed.
+fn run(data: &Data, scene: &str, out: &str, resume: bool, death: Option<Death>) -> Result<Result<()>, ()> {
+    let path = data.path("scene.ron");
+    std::fs::write(&path, scene).unwrap();
+    let options = LoadOptions { data: Some(data.root().to_owned()), ..LoadOptions::default() };
+    let loaded = load(&path, &options).unwrap();
+    let checkpoint = Some(Duration::ZERO);
+    let options = RunOptions { out: data.path(out), checkpoint, resume, ..RunOptions::default() };
+    catch_unwind(AssertUnwindSafe(|| pass::run(&loaded, &options, &Killer(death)))).map_err(|_| ())
+}
+
+/// The results of a run, without times and what the manifest says of the run itself.
+fn results(out: &Path) -> BTreeMap<String, String> {
+    let read = |file: String| {
+        let bytes = std::fs::read(out.join(&file)).unwrap();
+        let shown = match file.rsplit('/').next().unwrap() {
+            "log.csv" => {
+                let text = String::from_utf8(bytes).unwrap();
+                let untimed = |line: &str| {
+                    let columns = line.split(',').enumerate().filter(|(i, _)| *i != 1);
+                    columns.map(|(_, column)| column).collect::<Vec<_>>().join(",")
+                };
+                text.lines().map(untimed).collect::<Vec<_>>().join("\n")
+            }
+            "metrics.json" => {
+                let mut scores: Value = serde_json::from_slice(&bytes).unwrap();
+                ["fit_secs", "peak_rss_mib"].map(|time| scores[time].take());
+                scores.to_string()
+            }
+            "run.json" => states(&manifest(out)).join(" "),
+            "contact_sheet.png" | "scene.ron" => String::new(),
+            _ => bytes.iter().fold(0u64, |sum, byte| sum.rotate_left(7) ^ u64::from(*byte) ^ sum.wrapping_mul(31)).to_string(),
+        };
+        (file, shown)
+    };
+    files_below(out).into_iter().map(read).collect()
+}
+
+/// Runs a scene without a break, and with a break at each of these deaths in turn: the results must be the same.
+#[track_caller]
+fn survives(data: &Data, scene: &str, deaths: &[Death]) {
+    run(data, scene, "whole", false, None).unwrap().unwrap();
+    for (i, death) in deaths.iter().enumerate() {
+        let killed = run(data, scene, "broken", i > 0, Some(*death));
+        assert!(killed.is_err(), "{death:?}: the run was not killed but ended: {killed:?}");
+        assert_eq!(manifest(&data.path("broken"))["state"], "running");
+    }
+    run(data, scene, "broken", true, None).unwrap().unwrap();
+    let (whole, broken) = (results(&data.path("whole")), results(&data.path("broken")));
+    assert_eq!(whole.keys().collect::<Vec<_>>(), broken.keys().collect::<Vec<_>>());
+    for (file, bits) in &whole {
+        assert!(*bits == broken[file], "{file} differs:\n{bits}\n{}", broken[file]);
+    }
+}
+
+/// A ball with a small one before it, so that there are shadows.
+fn two_balls(data: &Data) {
+    let mut mesh = sphere_mesh(Vec3::ZERO, 0.8).unwrap();
+    let small = sphere_mesh(Vec3::new(0.0, 0.0, 0.95), 0.1).unwrap();
+    let first = mesh.positions.len() as u32;
+    mesh.triangles.extend(small.triangles.iter().map(|corners| corners.map(|v| v + first)));
+    mesh.positions.extend(small.positions);
+    mesh.normals.extend(small.normals);
+    mesh.uvs = None;
+    write_glb(&data.path("mesh.glb"), &mesh, None).unwrap();
+}
+
+fn scene(surface: &str, material: &str, passes: &str) -> String {
+    format!(
+        r#"Scene(
+    version: 1,
+    surface: {surface},
+    views: Dataset(path: "$DATA"),
+    light: Unknown(lobes: 6),
+    visibility: Traced(directions: 64, refresh_every: 4),
+    {material}
+    passes: [{passes}],
+)
+"#
+    )
+}
+
+const MESH: &str = r#"Mesh(path: "$DATA/mesh.glb", texture_size: 48)"#;
+
+#[test]
+fn a_fit_of_everything_goes_on_from_any_step() {
+    let data = Data::new();
+    two_balls(&data);
+    let passes = r#"Fit(name: "fit", steps: 110, batch: 128, cameras: PosesAndFocal, exposure: true, vertices: true),
+        Render(name: "novel"), Evaluate(name: "scores", scores: [(pass: "novel", truth: Photographs)]), Save(), Export(),"#;
+    let text = scene(MESH, "material: (gloss: Blend(materials: 2)),", passes);
+    // Before the first checkpoint, amid two refreshes, after a move of the cameras, after the last step, amid the pictures.
+    survives(&data, &text, &[("fit", 2), ("fit", 51), ("fit", 90), ("fit", 110), ("novel", 1)]);
+}
+
+#[test]
+fn roughness_of_texels_goes_on_through_two_fits() {
+    let data = Data::new();
+    let passes = r#"Fit(name: "fit", steps: 12, batch: 128), Render(name: "novel"),
+        Fit(name: "again", steps: 12, batch: 128), Save(),"#;
+    let text = scene(MESH, "material: (gloss: Texels()),", passes);
+    survives(&data, &text, &[("fit", 9), ("again", 10)]);
+}
+
+#[test]
+fn a_shape_goes_on_from_any_level_and_step() {
+    let data = photographs();
+    let passes = r#"Shape(name: "shape", levels: [
+            (cells: 16, texel_cells: 12, steps: 60, hold: 5), (cells: 20, texel_cells: 16, steps: 60, hold: 0),
+        ], batch: 128, silhouette_batch: 64, cameras: PosesAndFocal, exposure: true),
+        Fit(name: "fit", steps: 20, batch: 128, vertices: true), Render(name: "novel"), Save(), Export(),"#;
+    let text = scene("Unknown(cells: 16, texture_size: 128)", "", passes);
+    survives(&data, &text, &[("shape", 56), ("shape", 61), ("shape", 115), ("fit", 17)]);
+}
+
+/// A fit that takes some seconds.
+fn long_fit() -> String {
+    let passes = r#"Fit(name: "fit", steps: 300, batch: 256), Save(),"#;
+    scene(MESH, "", passes)
+}
+
+fn resumed(data: &Data, arguments: &[&str]) -> Outcome {
+    let mut run = command(&["run", "--quiet", "--threads", "2", "--resume"]);
+    run.arg(data.path("scene.ron")).arg("--data").arg(data.root()).arg("--out").arg(data.path("out"));
+    Outcome::of(run.args(arguments))
+}
+
+/// Waits until a run has kept a checkpoint of a step.
+fn kept_a_step(data: &Data) {
+    let folder = data.path("out/.checkpoint");
+    let is_step = |file: &String| file.ends_with(".state") && !file.ends_with("-0.state");
+    let start = std::time::Instant::now();
+    while !files_below(&folder).iter().any(is_step) {
+        assert!(start.elapsed() < Duration::from_secs(300), "no checkpoint");
+        std::thread::sleep(Duration::from_millis(5));
+    }
+}
+
+#[test]
+fn a_killed_process_goes_on_with_what_it_was_begun_with_and_nothing_else() {
+    let data = Data::new();
+    let arguments = ["--threads", "2", "--checkpoint", "0s"];
+    data.run(&long_fit(), "whole", &[&["--quiet"], &arguments[..]].concat()).succeeded();
+    let at_work = AtWork::start(&data, &long_fit(), &arguments, "fit");
+    kept_a_step(&data);
+    at_work.kill();
+    let refused = |arguments: &[&str], words: &[&str]| {
+        let outcome = resumed(&data, arguments);
+        assert_eq!(outcome.code, Some(2), "{arguments:?}: {}", outcome.stderr);
+        for word in words {
+            assert!(outcome.stderr.contains(word), "no {word:?} in\n{}", outcome.stderr);
+        }
+    };
+    refused(&["--seed", "9"], &["scene is not the one", "--force"]);
+    refused(&["--set", "passes.fit.rates.light=0.011"], &["scene is not the one"]);
+    refused(&["--force"], &["--resume"]);
+    let (photograph, other) = (data.path("train/image/rgb_000000.exr"), data.path("train/image/rgb_000001.exr"));
+    let bytes = std::fs::read(&photograph).unwrap();
+    std::fs::copy(other, &photograph).unwrap();
+    refused(&[], &["rgb_000000.exr is not what it was", "Put it back"]);
+    std::fs::write(&photograph, bytes).unwrap();
+    let begun = data.path("out/.checkpoint/begun.json");
+    let text = std::fs::read_to_string(&begun).unwrap();
+    let version = serde_json::from_str::<Value>(&text).unwrap()["version"].as_str().unwrap().to_owned();
+    std::fs::write(&begun, text.replace(&version, "0.0.1")).unwrap();
+    refused(&[], &["begun by version 0.0.1"]);
+    std::fs::write(&begun, text).unwrap();
+    resumed(&data, &[]).succeeded();
+    assert_eq!(results(&data.path("out")), results(&data.path("whole")));
+    let again = resumed(&data, &[]).succeeded();
+    assert_eq!(results(&data.path("out")), results(&data.path("whole")), "{}", again.stderr);
+}
+
+#[cfg(unix)]
+#[test]
+fn a_stopped_process_goes_on_and_its_first_results_are_replaced() {
+    let data = Data::new();
+    data.run(&long_fit(), "whole", &["--quiet", "--threads", "2"]).succeeded();
+    let at_work = AtWork::start(&data, &long_fit(), &["--threads", "2", "--checkpoint", "0s"], "fit");
+    kept_a_step(&data);
+    at_work.signal("TERM");
+    assert_eq!(at_work.ended(), Some(143));
+    assert_eq!(states(&manifest(&data.path("out"))), ["interrupted", "finished"]);
+    resumed(&data, &[]).succeeded();
+    assert_eq!(results(&data.path("out")), results(&data.path("whole")));
+}
+
+#[test]
+fn without_a_run_to_go_on_with_one_begins() {
+    let data = Data::new();
+    let text = scene(MESH, "", r#"Fit(name: "fit", steps: 4, batch: 128),"#);
+    std::fs::write(data.path("scene.ron"), &text).unwrap();
+    resumed(&data, &["--checkpoint", "off"]).succeeded();
+    assert_eq!(manifest(&data.path("out"))["state"], "finished");
+    assert!(!data.path("out/.checkpoint").exists());
+    // What no run has written is left alone.
+    std::fs::create_dir(data.path("other")).unwrap();
+    std::fs::write(data.path("other/mine.txt"), "mine").unwrap();
+    let outcome = data.run(&text, "other", &["--resume"]);
+    assert_eq!(outcome.code, Some(2), "{}", outcome.stderr);
+    assert_eq!(files_below(&data.path("other")), ["mine.txt"]);
+}

@@ -1,0 +1,121 @@
+//! Runs that are asked to stop: they end soon, wherever they are, and keep what they have found.
+
+use crate::common::{AtWork, Data, files_below, is_temporary, manifest, states};
+use crate::photos::photographs;
+use serde_json::Value;
+use std::time::{Duration, Instant};
+
+/// How long a run may take to stop; a program without optimization on a busy machine gets more than the two seconds that it needs.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+fn scene(passes: &str) -> String {
+    format!(
+        r#"Scene(
+    version: 1,
+    surface: Mesh(path: "$DATA/mesh.glb", texture_size: 16),
+    views: Dataset(path: "$DATA"),
+    light: Unknown(lobes: 6),
+    passes: [{passes}],
+)
+"#
+    )
+}
+
+const FIT: &str = r#"Fit(name: "fit", steps: 10, batch: 256), "#;
+const ENDLESS: &str = r#"Fit(name: "endless", steps: 1500000000, batch: 256), "#;
+const NOVEL: &str = r#"Render(name: "novel"), "#;
+/// A picture that takes minutes.
+const SLOW: &str =
+    r#"Render(name: "slow", render: (shading: PathTraced(spp: 65536), samples_per_pixel: 64)), "#;
+const REST: &str = r#"Evaluate(scores: [(pass: "novel", truth: Photographs)]), Save(), Export(), "#;
+
+/// Sends a signal to a run whose pass is at work; returns its exit code and its manifest, once it has ended in time.
+fn stopped(data: &Data, passes: &str, pass: &str, signal: &str) -> (Option<i32>, Value) {
+    let at_work = AtWork::start(data, &scene(passes), &[], pass);
+    std::thread::sleep(Duration::from_millis(2500));
+    let start = Instant::now();
+    at_work.signal(signal);
+    let code = at_work.ended();
+    assert!(start.elapsed() < PATIENCE, "{signal} in {pass}: {:?}", start.elapsed());
+    let files = files_below(&data.path("out"));
+    assert!(!files.iter().any(|file| is_temporary(file)), "{files:?}");
+    (code, manifest(&data.path("out")))
+}
+
+#[test]
+fn any_signal_stops_a_fit_and_what_it_found_is_saved() {
+    for (signal, code) in [("TERM", 143), ("HUP", 129), ("INT", 130)] {
+        let data = Data::new();
+        let (ended, manifest) = stopped(&data, &[ENDLESS, NOVEL, REST].concat(), "endless", signal);
+        assert_eq!(ended, Some(code), "{signal}");
+        assert_eq!(manifest["state"], "interrupted", "{signal}");
+        // Nothing was rendered that could be scored.
+        assert_eq!(states(&manifest), ["interrupted", "waiting", "waiting", "finished", "finished"]);
+        for file in ["endless/light.npy", "saved/scene.ron", "export/mesh.glb", "metrics.json"] {
+            assert!(data.path("out").join(file).exists(), "{signal}: no {file}");
+        }
+    }
+}
+
+#[test]
+fn a_picture_is_stopped_between_two_samples_and_earlier_ones_are_scored() {
+    let data = Data::new();
+    let (code, manifest) = stopped(&data, &[FIT, NOVEL, SLOW, ENDLESS, REST].concat(), "slow", "TERM");
+    assert_eq!(code, Some(143));
+    let expected = ["finished", "finished", "interrupted", "waiting", "finished", "finished", "finished"];
+    assert_eq!(states(&manifest), expected);
+    let metrics: Value =
+        serde_json::from_slice(&std::fs::read(data.path("out/metrics.json")).unwrap()).unwrap();
+    assert!(metrics["passes"]["novel"]["psnr"].is_number(), "{metrics}");
+    let left = files_below(&data.path("out/slow"));
+    assert!(left.is_empty(), "a picture that is not whole is none: {left:?}");
+}
+
+#[test]
+fn a_shape_that_is_stopped_is_a_mesh() {
+    let data = photographs();
+    let shape = r#"Shape(name: "endless", levels: [(cells: 16, texel_cells: 16, steps: 1500000000)]), "#;
+    let text = scene(&[shape, "Save(), Export(), "].concat())
+        .replace(r#"Mesh(path: "$DATA/mesh.glb", texture_size: 16)"#, "Unknown(cells: 16, texture_size: 128)");
+    let at_work = AtWork::start(&data, &text, &[], "endless");
+    std::thread::sleep(Duration::from_millis(4000));
+    at_work.signal("TERM");
+    assert_eq!(at_work.ended(), Some(143));
+    let manifest = manifest(&data.path("out"));
+    assert_eq!(states(&manifest), ["interrupted", "finished", "finished"]);
+    let mesh = lobelia::codec::gltf::import::read_mesh(&data.path("out/export/mesh.glb")).unwrap();
+    assert!(mesh.triangles.len() > 100, "{}", mesh.triangles.len());
+    let text = std::fs::read_to_string(data.path("out/saved/scene.ron")).unwrap();
+    assert!(text.contains("surface: Mesh("), "{text}");
+}
+
+#[test]
+fn a_second_signal_ends_a_run_at_once() {
+    let data = Data::new();
+    let at_work = AtWork::start(&data, &scene(ENDLESS), &[], "endless");
+    at_work.signal("TERM");
+    at_work.signal("INT");
+    // Of two signals at nearly the same time either may be the first.
+    let code = at_work.ended();
+    assert!(matches!(code, Some(130 | 143)), "{code:?}");
+}
+
+#[test]
+fn a_run_that_is_stopped_before_its_first_pass_leaves_nothing() {
+    let data = Data::new();
+    let text = scene(FIT).replace(
+        "light: Unknown(lobes: 6)",
+        r#"light: Initial(Map(path: "$DATA/sky.exr", lobes: 128))"#,
+    );
+    let pixels: Vec<glam::Vec3> =
+        (0..256 * 128).map(|i| glam::Vec3::splat(0.1 + ((i * 7919) % 1000) as f32 / 500.0)).collect();
+    crate::common::write_image(&data.path("sky.exr"), &pixels, 256);
+    std::fs::write(data.path("scene.ron"), text).unwrap();
+    let at_work = AtWork::begin(&data, &[]);
+    std::thread::sleep(Duration::from_millis(1000));
+    let start = Instant::now();
+    at_work.signal("TERM");
+    assert_eq!(at_work.ended(), Some(143));
+    assert!(start.elapsed() < PATIENCE, "{:?}", start.elapsed());
+    assert_eq!(files_below(&data.path("out")), Vec::<String>::new());
+}
