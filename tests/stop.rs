@@ -31,8 +31,10 @@ const REST: &str = r#"Evaluate(scores: [(pass: "novel", truth: Photographs)]), S
 
 /// Sends a signal to a run whose pass is at work; returns its exit code and its manifest, once it has ended in time.
 fn stopped(data: &Data, passes: &str, pass: &str, signal: &str) -> (Option<i32>, Value) {
-    let at_work = AtWork::start(data, &scene(passes), &[], pass);
-    std::thread::sleep(Duration::from_millis(2500));
+    let at_work = AtWork::start(data, &scene(passes), &["--checkpoint", "0s"], pass);
+    if pass == "endless" {
+        at_work.until_a_step_is_kept(data);
+    }
     let start = Instant::now();
     at_work.signal(signal);
     let code = at_work.ended();
@@ -77,8 +79,8 @@ fn a_shape_that_is_stopped_is_a_mesh() {
     let shape = r#"Shape(name: "endless", levels: [(cells: 16, texel_cells: 16, steps: 1500000000)]), "#;
     let text = scene(&[shape, "Save(), Export(), "].concat())
         .replace(r#"Mesh(path: "$DATA/mesh.glb", texture_size: 16)"#, "Unknown(cells: 16, texture_size: 128)");
-    let at_work = AtWork::start(&data, &text, &[], "endless");
-    std::thread::sleep(Duration::from_millis(4000));
+    let at_work = AtWork::start(&data, &text, &["--checkpoint", "0s"], "endless");
+    at_work.until_a_step_is_kept(&data);
     at_work.signal("TERM");
     assert_eq!(at_work.ended(), Some(143));
     let manifest = manifest(&data.path("out"));

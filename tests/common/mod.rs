@@ -285,6 +285,16 @@ impl AtWork {
         at_work
     }
 
+    /// Waits until the run, which has `--checkpoint 0s`, has kept a step of a pass.
+    pub fn until_a_step_is_kept(&self, data: &Data) {
+        let is_step = |file: &String| file.ends_with(".state") && !file.ends_with("-0.state");
+        let start = Instant::now();
+        while !files_below(&data.path("out/.checkpoint")).iter().any(is_step) {
+            assert!(start.elapsed() < Duration::from_secs(300), "no step is kept");
+            std::thread::sleep(Duration::from_millis(2));
+        }
+    }
+
     /// Waits for the end of the run, and returns its exit code.
     pub fn ended(mut self) -> Option<i32> {
         let started = Instant::now();
