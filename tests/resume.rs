@@ -87,7 +87,10 @@ fn results(out: &Path) -> BTreeMap<String, String> {
             }
             "run.json" => states(&manifest(out)).join(" "),
             "contact_sheet.png" | "scene.ron" => String::new(),
-            _ => bytes.iter().fold(0u64, |sum, byte| sum.rotate_left(7) ^ u64::from(*byte) ^ sum.wrapping_mul(31)).to_string(),
+            _ => bytes
+                .iter()
+                .fold(0u64, |sum, byte| sum.rotate_left(7) ^ u64::from(*byte) ^ sum.wrapping_mul(31))
+                .to_string(),
         };
         (file, shown)
     };
@@ -200,7 +203,8 @@ fn a_killed_process_goes_on_with_what_it_was_begun_with_and_nothing_else() {
     refused(&["--seed", "9"], &["scene is not the one", "--force"]);
     refused(&["--set", "passes.fit.rates.light=0.011"], &["scene is not the one"]);
     refused(&["--force"], &["--resume"]);
-    let (photograph, other) = (data.path("train/image/rgb_000000.exr"), data.path("train/image/rgb_000001.exr"));
+    let (photograph, other) =
+        (data.path("train/image/rgb_000000.exr"), data.path("train/image/rgb_000001.exr"));
     let bytes = std::fs::read(&photograph).unwrap();
     std::fs::copy(other, &photograph).unwrap();
     refused(&[], &["rgb_000000.exr is not what it was", "Put it back"]);

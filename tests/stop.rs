@@ -77,8 +77,10 @@ fn a_picture_is_stopped_between_two_samples_and_earlier_ones_are_scored() {
 fn a_shape_that_is_stopped_is_a_mesh() {
     let data = photographs();
     let shape = r#"Shape(name: "endless", levels: [(cells: 16, texel_cells: 16, steps: 1500000000)]), "#;
-    let text = scene(&[shape, "Save(), Export(), "].concat())
-        .replace(r#"Mesh(path: "$DATA/mesh.glb", texture_size: 16)"#, "Unknown(cells: 16, texture_size: 128)");
+    let text = scene(&[shape, "Save(), Export(), "].concat()).replace(
+        r#"Mesh(path: "$DATA/mesh.glb", texture_size: 16)"#,
+        "Unknown(cells: 16, texture_size: 128)",
+    );
     let at_work = AtWork::start(&data, &text, &["--checkpoint", "0s"], "endless");
     at_work.until_a_step_is_kept(&data);
     at_work.signal("TERM");
@@ -89,6 +91,20 @@ fn a_shape_that_is_stopped_is_a_mesh() {
     assert!(mesh.triangles.len() > 100, "{}", mesh.triangles.len());
     let text = std::fs::read_to_string(data.path("out/saved/scene.ron")).unwrap();
     assert!(text.contains("surface: Mesh("), "{text}");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_run_that_ignores_hangups_goes_on() {
+    let data = Data::new();
+    let text = scene(ENDLESS);
+    std::fs::write(data.path("scene.ron"), text).unwrap();
+    let at_work = AtWork::begin_by(&data, &["nohup"], &["--checkpoint", "0s"]);
+    at_work.until_a_step_is_kept(&data);
+    at_work.signal("HUP");
+    std::thread::sleep(Duration::from_millis(500));
+    at_work.signal("TERM");
+    assert_eq!(at_work.ended(), Some(143), "not 129");
 }
 
 #[test]
@@ -105,10 +121,8 @@ fn a_second_signal_ends_a_run_at_once() {
 #[test]
 fn a_run_that_is_stopped_before_its_first_pass_leaves_nothing() {
     let data = Data::new();
-    let text = scene(FIT).replace(
-        "light: Unknown(lobes: 6)",
-        r#"light: Initial(Map(path: "$DATA/sky.exr", lobes: 128))"#,
-    );
+    let text = scene(FIT)
+        .replace("light: Unknown(lobes: 6)", r#"light: Initial(Map(path: "$DATA/sky.exr", lobes: 128))"#);
     let pixels: Vec<glam::Vec3> =
         (0..256 * 128).map(|i| glam::Vec3::splat(0.1 + ((i * 7919) % 1000) as f32 / 500.0)).collect();
     crate::common::write_image(&data.path("sky.exr"), &pixels, 256);

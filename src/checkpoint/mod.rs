@@ -19,8 +19,8 @@ pub mod state;
 
 pub use state::{Span, keep_each, keep_pool, keep_resource, keep_with};
 
+use crate::error::Result;
 use crate::error::stop::{is_stopping, stopped_by};
-use crate::error::{Error, Result};
 use bevy_ecs::prelude::{Resource, World};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
@@ -216,15 +216,11 @@ fn resume<T: DeserializeOwned>(
     let here = checkpoints.ahead.pop_front_if(|(next, _)| is_here(at, *next));
     let Some((place, checkpoint)) = here else { return Ok(None) };
     checkpoints.at = Place { step: 0, ..place };
-    let own: T = packed::from_bytes(&checkpoint.own).map_err(|_| foreign("what it holds beside the world"))?;
+    let own: T =
+        packed::from_bytes(&checkpoint.own).map_err(|_| packed::foreign("what it holds beside the world"))?;
     prepare(world, &own)?;
     state::load(world, &checkpoint.parts)?;
     Ok(Some((place, own)))
-}
-
-/// The error for a checkpoint whose bytes are right and that does not fit the world all the same.
-fn foreign(part: &str) -> Error {
-    Error::run("resuming", format!("the checkpoint does not fit this run: {part}; start again with --force"))
 }
 
 #[cfg(test)]

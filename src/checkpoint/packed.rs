@@ -25,6 +25,11 @@ fn damaged(problem: &str) -> Error {
     Error::run("reading a checkpoint", problem)
 }
 
+/// The error for a checkpoint whose bytes are right and that does not fit the world all the same.
+pub(super) fn foreign(part: &str) -> Error {
+    Error::run("resuming", format!("the checkpoint does not fit this run: {part}; start again with --force"))
+}
+
 /// Arrays of any length, for `#[serde(with = "array")]`.
 pub mod array {
     use serde::de::{Deserialize, Error};

@@ -1,6 +1,6 @@
 //! The parts of a world that are state: registered by name, saved as bytes, put back.
 
-use crate::checkpoint::{foreign, packed};
+use crate::checkpoint::packed::{self, foreign};
 use crate::error::Result;
 use crate::pipeline::pool::PoolIndex;
 use bevy_ecs::prelude::{Component, Entity, Resource, World};
@@ -112,7 +112,12 @@ fn load_each<T: Component + Copy + DeserializeOwned, F: QueryFilter>(
     let mut sorted = entities.clone();
     sorted.sort_unstable();
     if sorted.len() != values.len() {
-        return Err(foreign(&format!("{} values for {} of {}", values.len(), sorted.len(), type_name::<T>())));
+        return Err(foreign(&format!(
+            "{} values for {} of {}",
+            values.len(),
+            sorted.len(),
+            type_name::<T>()
+        )));
     }
     // In the order in which a system would insert them: that of sums over these entities depends on it.
     for entity in entities {
@@ -124,7 +129,10 @@ fn load_each<T: Component + Copy + DeserializeOwned, F: QueryFilter>(
 
 /// The parts of this span and of longer ones, by name.
 pub(super) fn save(world: &mut World, span: Span) -> Result<Vec<(String, Vec<u8>)>> {
-    let parts: Vec<(&'static str, Save)> = world.get_resource_or_init::<Kept>().0.iter()
+    let parts: Vec<(&'static str, Save)> = world
+        .get_resource_or_init::<Kept>()
+        .0
+        .iter()
         .filter(|part| part.span <= span)
         .map(|part| (part.name, part.save))
         .collect();

@@ -84,7 +84,10 @@ fn a_run_goes_on_from_what_was_kept() {
     keep_pass(&mut first, 2, &"a pass").unwrap();
     keep_step(&mut first, 9, &vec![1u8, 2]).unwrap();
     let ahead = written.lock().unwrap().clone();
-    assert_eq!(ahead.iter().map(|(place, _)| *place).collect::<Vec<_>>(), Place { pass: 2, level: 0, step: 9 }.way());
+    assert_eq!(
+        ahead.iter().map(|(place, _)| *place).collect::<Vec<_>>(),
+        Place { pass: 2, level: 0, step: 9 }.way()
+    );
 
     let (mut second, _) = world(4, ahead);
     let resumed = resume_pass::<String>(&mut second, |_, _| Ok(())).unwrap();

@@ -30,7 +30,8 @@ mod view_args;
 
 use args::{Cli, Command};
 use clap::Parser;
-use lobelia::Result;
+use lobelia::error::stop::{StopSignal, stopped_by};
+use lobelia::{Error, Result};
 use std::io::Write as _;
 use std::process::ExitCode;
 
@@ -48,7 +49,8 @@ pub fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             let _ = std::io::stderr().write_all(report::report(&error).as_bytes());
-            ExitCode::from(error.exit_code())
+            let signal = stopped_by().filter(|_| matches!(error, Error::Interrupted));
+            ExitCode::from(signal.map_or(error.exit_code(), StopSignal::exit_code))
         }
     }
 }

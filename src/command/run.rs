@@ -5,10 +5,10 @@ use super::scene_files::load_options;
 use super::signals::stop_on_signals;
 use super::terminal::Terminal;
 use super::threads::start_threads;
+use lobelia::Result;
 use lobelia::pass::memory::usual_budget;
 use lobelia::pass::{self, RunOptions};
 use lobelia::scene::load;
-use lobelia::Result;
 use std::path::{Path, PathBuf};
 
 /// Runs the command.

@@ -123,7 +123,10 @@ mod tests {
         let time = |text: &str| checkpoint_time(text).unwrap().0;
         assert_eq!(time("off"), None);
         assert_eq!((time("30s"), time("30")), (Some(Duration::from_secs(30)), Some(Duration::from_secs(30))));
-        assert_eq!((time("5 min"), time("1.5h")), (Some(Duration::from_secs(300)), Some(Duration::from_secs(5400))));
+        assert_eq!(
+            (time("5 min"), time("1.5h")),
+            (Some(Duration::from_secs(300)), Some(Duration::from_secs(5400)))
+        );
         for wrong in ["", "on", "-1s", "5 parsecs", "nan", "1e9h", "s"] {
             assert!(checkpoint_time(wrong).unwrap_err().contains("30s"), "{wrong}");
         }

@@ -3,12 +3,13 @@
 use lobelia::error::stop::{StopSignal, ask_to_stop};
 use lobelia::{Error, Result};
 
-/// Listens for Ctrl-C, SIGTERM and SIGHUP from now on.
+/// Listens for Ctrl-C, SIGTERM and SIGHUP from now on, but for those that the process was told to ignore: `nohup` does so with SIGHUP.
 #[cfg(unix)]
 pub fn stop_on_signals() -> Result<()> {
     use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
     use signal_hook::iterator::Signals;
-    let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP]).map_err(refused)?;
+    let heard = [SIGINT, SIGTERM, SIGHUP].into_iter().filter(|signal| !is_ignored(*signal));
+    let mut signals = Signals::new(heard).map_err(refused)?;
     let listen = move || {
         for signal in signals.forever() {
             stop(match signal {
@@ -19,6 +20,15 @@ pub fn stop_on_signals() -> Result<()> {
         }
     };
     std::thread::Builder::new().name("signals".into()).spawn(listen).map(|_| ()).map_err(refused)
+}
+
+/// Whether the process was started with a signal ignored. Only Linux says it without a system call that Rust has no safe name for.
+#[cfg(unix)]
+fn is_ignored(signal: i32) -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let mask =
+        status.lines().find_map(|line| u64::from_str_radix(line.strip_prefix("SigIgn:")?.trim(), 16).ok());
+    mask.is_some_and(|mask| mask >> (signal - 1) & 1 == 1)
 }
 
 /// Listens for Ctrl-C from now on.

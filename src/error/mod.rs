@@ -2,7 +2,7 @@
 //!
 //! An error is created where the cause is known, propagated unchanged with `?`, and reported once, at the
 //! edge (the command), which also chooses the exit code: 2 for [`Error::Input`], [`Error::Scene`] and
-//! [`Error::Usage`], that of the signal for [`Error::Interrupted`], 1 for the rest.
+//! [`Error::Usage`], 130 (or that of the signal) for [`Error::Interrupted`], 1 for the rest.
 
 mod scene;
 pub mod stop;
@@ -109,11 +109,12 @@ impl Error {
         }
     }
 
-    /// The exit code of the process: 2 for bad input, 130, 143 or 129 for Ctrl-C, SIGTERM or SIGHUP, 1 for all other errors.
+    /// The exit code of the process: 2 for bad input, 130 for a run that was stopped (that of its signal is
+    /// [`StopSignal::exit_code`](stop::StopSignal::exit_code)), 1 for all other errors.
     pub fn exit_code(&self) -> u8 {
         match self {
             Self::Input { .. } | Self::Scene(_) | Self::Usage { .. } => 2,
-            Self::Interrupted => stop::stopped_by().unwrap_or(stop::StopSignal::Interrupt).exit_code(),
+            Self::Interrupted => 130,
             Self::Io { .. } | Self::Run { .. } => 1,
         }
     }

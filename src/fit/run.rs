@@ -1,10 +1,10 @@
 //! Running a fit: prepare the pool, initialize, and take steps.
 
+use super::cameras::{CameraFit, CameraPose};
 use super::components::{
     AlbedoGradient, AlbedoMoments, LobeGradient, LobeMoments, LossState, SpecularGradient, SpecularMoments,
     StepGradient, StepRates, TexelSeen, Unknowns,
 };
-use super::cameras::{CameraFit, CameraPose};
 use super::exposure::{Exposures, find_exposures};
 use super::initialization::frame::{FramesTried, find_light_frame};
 use super::initialization::initialize_light_and_albedo;
@@ -21,7 +21,9 @@ use super::systems::{
     compare_with_photographs, hand_out_gradient, move_lobes, move_specular, move_texels, pull_back_radiance,
     scatter_to_texels,
 };
-use crate::checkpoint::{has_step_ahead, is_due, keep_each, keep_pool, keep_resource, keep_step, resume_step, Span};
+use crate::checkpoint::{
+    Span, has_step_ahead, is_due, keep_each, keep_pool, keep_resource, keep_step, resume_step,
+};
 use crate::error::Result;
 use crate::light::LightLobe;
 use crate::light::frame::{LightFrame, OwnLightFrame};
@@ -370,8 +372,7 @@ fn attach_state(world: &mut World) {
             world.entity_mut(texel).insert((BlendGradient::default(), BlendMoments::default()));
         }
     }
-    let lobes: Vec<Entity> =
-        world.query_filtered::<Entity, OwnLobes>().iter(world).collect();
+    let lobes: Vec<Entity> = world.query_filtered::<Entity, OwnLobes>().iter(world).collect();
     for lobe in lobes {
         world.entity_mut(lobe).insert((LobeGradient::default(), LobeMoments::default()));
     }

@@ -148,6 +148,9 @@ fn begin(
         let done = resume::take_up(session, begun, true, every)?;
         return Ok((claim.begin(&loaded.path, &options.arguments, done)?, done));
     }
+    if options.resume {
+        session.progress.note("there is no checkpoint to go on from: the run begins");
+    }
     // Checkpoints of an earlier run go first: its results will, and nothing goes on from there.
     resume::clear(&options.out)?;
     let record = claim.begin(&loaded.path, &options.arguments, 0)?;

@@ -66,14 +66,22 @@ pub(super) fn run(session: &mut Session, record: &mut RunRecord, done: usize) ->
 
 impl<'a> Unfinished<'a> {
     /// Notes how a pass ended; an error is one that ends the run.
-    fn note(&mut self, session: &Session, pass: &'a Pass, ended: Result<()>, recorded: Result<()>) -> Result<()> {
+    fn note(
+        &mut self,
+        session: &Session,
+        pass: &'a Pass,
+        ended: Result<()>,
+        recorded: Result<()>,
+    ) -> Result<()> {
         match ended {
             Ok(()) => return recorded,
             Err(Error::Interrupted) => {
                 self.stopped.push(pass);
                 return recorded;
             }
-            Err(error) if recorded.is_err() || ends_all(&error) => return Err(self.first.take().unwrap_or(error)),
+            Err(error) if recorded.is_err() || ends_all(&error) => {
+                return Err(self.first.take().unwrap_or(error));
+            }
             Err(error) => {
                 self.failed.push(pass);
                 let text = match &self.first {

@@ -76,22 +76,34 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
         heed_stop();
     }
     session.report_light_frame(&pass.name);
-    let guessed = std::mem::replace(&mut session.guess, FirstGuess::NONE);
-    let mesh = found_mesh(session, &surface, pass.stereo && !stopped, &pass.name);
-    // What was found is put in place, and the pass ends early all the same.
-    stopped |= is_stopping();
-    heed_stop();
-    put_in_place(session, &surface, &mesh, texture_size)?;
-    if guessed == FirstGuess::ALL {
-        // The light still has the color from the initialization with gray albedo.
-        start_scale(&mut session.pipeline.world, session.scene.scale)?;
-    }
+    stopped |= take_over(session, pass, &surface, texture_size, stopped)?;
     let elapsed = start.elapsed().as_secs_f64();
     session.scores.fit_secs = Some(session.scores.fit_secs.unwrap_or(0.0) + elapsed);
     let triangles = session.surface.mesh().triangles.len();
     session.progress.print(&format!("{}: {triangles} triangles in {elapsed:.1} s", pass.name));
     found_views::write(session, &pass.name, pass.cameras, pass.exposure)?;
     if stopped { Err(Error::Interrupted) } else { Ok(()) }
+}
+
+/// Replaces the hull by the surface that was found. What was found is put in place even if the run is `stopped`; returns whether it is by
+/// now.
+fn take_over(
+    session: &mut Session,
+    pass: &ShapePass,
+    found: &SdfSurface,
+    texture_size: u32,
+    stopped: bool,
+) -> Result<bool> {
+    let guessed = std::mem::replace(&mut session.guess, FirstGuess::NONE);
+    let mesh = found_mesh(session, found, pass.stereo && !stopped, &pass.name);
+    let stopped = is_stopping();
+    heed_stop();
+    put_in_place(session, found, &mesh, texture_size)?;
+    if guessed == FirstGuess::ALL {
+        // The light still has the color from the initialization with gray albedo.
+        start_scale(&mut session.pipeline.world, session.scene.scale)?;
+    }
+    Ok(stopped)
 }
 
 /// The mesh of the surface that was found, moved by stereo if that is wanted.

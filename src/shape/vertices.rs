@@ -253,7 +253,8 @@ fn save_mesh(world: &mut World) -> Result<Option<Vec<u8>>> {
 fn load_mesh(world: &mut World, bytes: &[u8]) -> Result<()> {
     let mesh: Mesh = from_bytes(bytes)?;
     let moving = world.get_resource_mut::<MovingMesh>();
-    let mut moving = moving.ok_or_else(|| Error::run("resuming", "the checkpoint is of a mesh that moves"))?;
+    let mut moving =
+        moving.ok_or_else(|| Error::run("resuming", "the checkpoint is of a mesh that moves"))?;
     let surface = Arc::new(Surface::new(mesh, moving.surface.atlas().width)?);
     moving.surface = surface.clone();
     world.insert_resource(Scenery(surface));

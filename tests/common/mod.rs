@@ -262,7 +262,14 @@ pub struct AtWork(Child);
 impl AtWork {
     /// Starts a run of `scene.ron`.
     pub fn begin(data: &Data, arguments: &[&str]) -> Self {
-        let mut run = command(&["run", "--quiet"]);
+        Self::begin_by(data, &[], arguments)
+    }
+
+    /// The same through another program, which becomes the run.
+    pub fn begin_by(data: &Data, by: &[&str], arguments: &[&str]) -> Self {
+        let words = [by, &[env!("CARGO_BIN_EXE_lobelia"), "run", "--quiet"]].concat();
+        let mut run = Command::new(words[0]);
+        run.args(&words[1..]);
         run.arg(data.path("scene.ron")).arg("--data").arg(data.root()).arg("--out").arg(data.path("out"));
         Self(run.args(arguments).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap())
     }

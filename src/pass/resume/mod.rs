@@ -93,7 +93,8 @@ impl Begun {
         }
         if self.scene != hash_of(scene) {
             let problem = "the scene is not the one that the run was begun with";
-            let help = "Resume it with the same scene file, --data, --set and --seed, or start again with --force.";
+            let help =
+                "Resume it with the same scene file, --data, --set and --seed, or start again with --force.";
             return Err(Error::usage(problem, help));
         }
         Ok(())
@@ -112,7 +113,8 @@ impl Begun {
             return Err(Error::usage(problem, "Put it back as it was, or start again with --force."));
         }
         if self.within_memory != now.within_memory {
-            let problem = "the run was begun with other sizes of its pools, because it was allowed other memory";
+            let problem =
+                "the run was begun with other sizes of its pools, because it was allowed other memory";
             return Err(Error::usage(problem, "Give the same --memory, or start again with --force."));
         }
         if self.threads != now.threads {
@@ -130,7 +132,8 @@ impl Begun {
     /// # Errors
     /// [`Error::Io`] if it cannot be written.
     pub fn write(&self, out: &Path) -> Result<()> {
-        let text = serde_json::to_string_pretty(self).map_err(|error| Error::run(BEGUN, error.to_string()))?;
+        let text =
+            serde_json::to_string_pretty(self).map_err(|error| Error::run(BEGUN, error.to_string()))?;
         write_bytes(&out.join(FOLDER).join(BEGUN), (text + "\n").as_bytes())
     }
 
@@ -299,7 +302,8 @@ pub(super) fn clear(out: &Path) -> Result<()> {
 pub(super) fn check_folder(out: &Path) -> Result<()> {
     let folder = out.join(FOLDER);
     if folder.symlink_metadata().is_ok_and(|found| found.is_symlink()) {
-        let problem = format!("{} is a symbolic link: checkpoints would be written elsewhere", folder.display());
+        let problem =
+            format!("{} is a symbolic link: checkpoints would be written elsewhere", folder.display());
         return Err(Error::usage(problem, "Remove the link, or choose another folder with --out."));
     }
     Ok(())
