@@ -13,7 +13,9 @@ use glam::DVec2;
 /// Largest part of the area that may face away from the view.
 const MOST_HIDDEN: f64 = 0.3;
 /// Rounds of unfolding.
-const UNFOLDING_ROUNDS: usize = 12;
+const UNFOLDING_ROUNDS: usize = 4;
+/// Rounds of moving vertices of the last turned triangles between their neighbors.
+const UNTANGLING_ROUNDS: usize = 16;
 /// Steps of evening out; the least part of the rest that a step must gain; an energy that is good enough.
 const EVENING: (usize, f64, f64) = (16, 0.02, 4.02);
 
@@ -45,6 +47,7 @@ pub fn flatten(patch: &Patch, tolerance: &Tolerance) -> Option<Vec<DVec2>> {
         }
         unfold(patch, &shapes, &laplacian, &mut map);
     }
+    untangle(patch, &laplacian, &shapes, &mut map);
     let descent = Descent::new(patch, &shapes, &laplacian);
     let found = descent.run(&mut map, EVENING.0, EVENING.1, EVENING.2);
     let grown = enlarge(patch, &mut map);
@@ -70,6 +73,27 @@ fn hidden_part(patch: &Patch, shapes: &[Shape], map: &[DVec2]) -> f64 {
         if visible { 0.0 } else { shape.area }
     };
     patch.triangles.iter().zip(shapes).map(turned).sum::<f64>() / patch.area
+}
+
+/// Moves vertices of turned triangles to the middle of their neighbors, until there are none or the rounds are over.
+fn untangle(patch: &Patch, laplacian: &Laplacian, shapes: &[Shape], map: &mut [DVec2]) {
+    for _ in 0..UNTANGLING_ROUNDS {
+        let turned = |(t, shape): &(&[u32; 3], &Shape)| {
+            !energy(shape.jacobian(t.map(|v| map[v as usize]))).is_finite()
+        };
+        let of_turned = patch.triangles.iter().zip(shapes).filter(turned).flat_map(|(t, _)| *t);
+        let mut vertices: Vec<u32> = of_turned.collect();
+        if vertices.is_empty() {
+            return;
+        }
+        vertices.sort_unstable();
+        vertices.dedup();
+        for vertex in vertices {
+            let around = laplacian.edges(vertex as usize);
+            let sum: DVec2 = around.iter().map(|(other, _)| map[*other as usize]).sum();
+            map[vertex as usize] = sum / around.len() as f64;
+        }
+    }
 }
 
 /// Makes the map as large as the patch; false if that cannot be.

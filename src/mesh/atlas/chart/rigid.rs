@@ -7,7 +7,7 @@ use super::patch::{Patch, Shape};
 use glam::DVec2;
 
 /// Accuracy and most rounds of the linear system.
-const ACCURACY: (f64, usize) = (0.02, 80);
+const ACCURACY: (f64, usize) = (0.05, 40);
 
 /// One round: turns each triangle to fit the map as it is, and moves the vertices to where these turned triangles meet best.
 pub fn unfold(patch: &Patch, shapes: &[Shape], laplacian: &Laplacian, map: &mut [DVec2]) {
