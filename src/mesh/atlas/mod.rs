@@ -2,7 +2,9 @@
 //!
 //! Texel (i, j) has its center at uv = ((i + ½)/W, (j + ½)/H); lookups are bilinear and clamp at the borders.
 
+mod chart;
 mod fill;
+mod pack;
 mod unwrap;
 
 pub use fill::fill_uncovered;

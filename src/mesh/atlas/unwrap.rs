@@ -1,13 +1,13 @@
 //! Texture coordinates for meshes that have none, or unusable ones.
 
+use crate::mesh::atlas::chart::{Chart, charts};
+use crate::mesh::atlas::pack::pack;
 use crate::mesh::atlas::{DVec2, texels_near, texture_corners};
 use crate::mesh::triangles::Mesh;
 use crate::{Error, Result};
 use glam::Vec2;
-use uvunwrap::{Density, MeshInput, Options, Packing};
+use std::collections::HashMap;
 
-/// Empty texels around each chart, so that charts are at least twice as far apart.
-const PADDING: u32 = 2;
 /// Largest fraction of the covered texels on which existing coordinates may overlap.
 const MAX_OVERLAP: f64 = 0.01;
 /// Largest fraction of the surface area that may have no area in the texture.
@@ -104,33 +104,61 @@ fn overlapping_part(mesh: &Mesh, grid: u32) -> f64 {
 }
 
 fn unwrap_again(mesh: &Mesh, texture_size: u32, note: Option<String>) -> Result<UnwrappedMesh> {
-    let context = || "unwrapping the mesh".to_owned();
-    let positions: Vec<[f32; 3]> = mesh.positions.iter().map(|p| p.to_array()).collect();
-    let indices = mesh.triangles.as_flattened();
-    let options = Options {
-        density: Density::Auto { page_size: texture_size },
-        padding: PADDING,
-        packing: Packing::Shape,
-        ..Options::default()
-    };
-    let atlas = uvunwrap::generate(&[MeshInput::new(&positions, indices)], &options)
-        .map_err(|e| Error::run(context(), e.to_string()))?;
-    if atlas.page_count > 1 || atlas.width > texture_size || atlas.height > texture_size {
-        let charts = atlas.chart_count;
-        let problem = format!("the {charts} charts of the unwrapped mesh do not fit {texture_size}² texels");
+    check(mesh).map_err(|problem| Error::run("unwrapping the mesh", problem))?;
+    let mut charts = charts(mesh);
+    let count = charts.len() as u32;
+    if !pack(&mut charts, texture_size) {
+        let problem = format!("the {count} charts of the unwrapped mesh do not fit {texture_size}² texels");
         return Err(Error::usage(problem, "Say a larger `texture_size` in `surface`."));
     }
-    // The page is cropped to the used part; the texture stays square.
-    let scale = Vec2::new(atlas.width as f32, atlas.height as f32) / texture_size as f32;
-    let output = &atlas.meshes[0];
-    let source = |v: &uvunwrap::OutputVertex| v.xref as usize;
-    let mesh = Mesh {
-        positions: output.vertices.iter().map(|v| mesh.positions[source(v)]).collect(),
-        normals: output.vertices.iter().map(|v| mesh.normals[source(v)]).collect(),
-        uvs: Some(output.vertices.iter().map(|v| Vec2::from(v.uv) * scale).collect()),
-        triangles: output.indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect(),
-    };
-    Ok(UnwrappedMesh { mesh, charts: Some(atlas.chart_count), note })
+    Ok(UnwrappedMesh { mesh: with_places(mesh, &charts, texture_size), charts: Some(count), note })
+}
+
+/// What is wrong with a mesh that cannot be unwrapped.
+fn check(mesh: &Mesh) -> std::result::Result<(), String> {
+    let count = mesh.positions.len();
+    if mesh.normals.len() != count {
+        return Err(format!(
+            "the mesh has {count} positions and {} normals; these must be equal",
+            mesh.normals.len()
+        ));
+    }
+    if let Some(vertex) = mesh.positions.iter().position(|p| !p.is_finite()) {
+        return Err(format!("vertex {vertex} is not finite"));
+    }
+    match mesh.triangles.iter().position(|t| t.iter().any(|vertex| *vertex as usize >= count)) {
+        Some(triangle) => {
+            Err(format!("triangle {triangle} names a vertex beyond the {count} that there are"))
+        }
+        None => Ok(()),
+    }
+}
+
+/// The mesh with texture coordinates from places in texels. A triangle in no chart, which has no area, collapses to a point of the texture.
+fn with_places(mesh: &Mesh, charts: &[Chart], texture_size: u32) -> Mesh {
+    let mut places = vec![None; mesh.triangles.len()];
+    for (number, chart) in charts.iter().enumerate() {
+        for (face, corners) in chart.faces.iter().zip(&chart.triangles) {
+            places[*face as usize] = Some((number as u32, *corners));
+        }
+    }
+    let mut made = Mesh { uvs: Some(Vec::new()), ..Mesh::default() };
+    // By the vertex, and chart and place there.
+    let mut vertices: HashMap<(u32, u32, u32), u32> = HashMap::new();
+    for (triangle, place) in mesh.triangles.iter().zip(places) {
+        let (chart, corners) = place.unwrap_or((u32::MAX, [0; 3]));
+        made.triangles.push([0, 1, 2].map(|k| {
+            let (source, place) = (triangle[k], corners[k]);
+            *vertices.entry((source, chart, place)).or_insert_with(|| {
+                let at = charts.get(chart as usize).map_or(DVec2::ZERO, |chart| chart.places[place as usize]);
+                made.positions.push(mesh.positions[source as usize]);
+                made.normals.push(mesh.normals[source as usize]);
+                made.uvs.iter_mut().for_each(|uvs| uvs.push((at / f64::from(texture_size)).as_vec2()));
+                made.positions.len() as u32 - 1
+            })
+        }));
+    }
+    made
 }
 
 #[cfg(test)]

@@ -34,7 +34,8 @@ pub fn flatten(patch: &Patch, tolerance: &Tolerance) -> Option<Vec<DVec2>> {
     if !patch.is_planar() {
         return None;
     }
-    let shapes: Vec<Shape> = patch.triangles.iter().map(|t| Shape::new(t.map(|v| patch.points[v as usize]))).collect();
+    let shapes: Vec<Shape> =
+        patch.triangles.iter().map(|t| Shape::new(t.map(|v| patch.points[v as usize]))).collect();
     let mut map = view(patch);
     let hidden = hidden_part(patch, &shapes, &map);
     if hidden > MOST_HIDDEN {
@@ -63,7 +64,11 @@ fn view(patch: &Patch) -> Vec<DVec2> {
     let normal = patch.area_vector.try_normalize().unwrap_or(glam::DVec3::Z);
     let (right, up) = normal.any_orthonormal_pair();
     // Counter-clockwise triangles stay so: (right, up, normal) is right-handed.
-    patch.points.iter().map(|p| DVec2::new((*p - patch.points[0]).dot(right), (*p - patch.points[0]).dot(up))).collect()
+    patch
+        .points
+        .iter()
+        .map(|p| DVec2::new((*p - patch.points[0]).dot(right), (*p - patch.points[0]).dot(up)))
+        .collect()
 }
 
 /// The part of the patch's area in triangles that are turned over, or have no area.

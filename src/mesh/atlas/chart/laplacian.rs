@@ -71,7 +71,8 @@ impl Laplacian {
         let mut image = direction.clone();
         let (mut before, mut first) = (0.0, 0.0);
         for round in 0..rounds {
-            let weighted: f64 = residual.iter().zip(&self.diagonal).map(|(r, d)| r.length_squared() / d).sum();
+            let weighted: f64 =
+                residual.iter().zip(&self.diagonal).map(|(r, d)| r.length_squared() / d).sum();
             if round == 0 {
                 first = weighted;
             }

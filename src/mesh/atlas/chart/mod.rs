@@ -62,7 +62,8 @@ pub fn charts(mesh: &Mesh) -> Vec<Chart> {
     let mut found = Vec::new();
     let mut open = tree.roots.clone();
     while !open.is_empty() {
-        let tried: Vec<(u32, Option<Chart>)> = open.par_iter().map(|node| (*node, chart_of(&topology, tree.triangles(*node), &USUAL))).collect();
+        let tried: Vec<(u32, Option<Chart>)> =
+            open.par_iter().map(|node| (*node, chart_of(&topology, tree.triangles(*node), &USUAL))).collect();
         open.clear();
         for (node, chart) in tried {
             match (chart, tree.nodes[node as usize]) {

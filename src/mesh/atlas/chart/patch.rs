@@ -31,7 +31,8 @@ impl Patch {
             let neighbor = topology.neighbors[faces[i] as usize][k];
             if neighbor == NONE { None } else { faces.binary_search(&neighbor).ok() }
         };
-        let inner: Vec<[Option<usize>; 3]> = (0..faces.len()).map(|i| [0, 1, 2].map(|k| across(i, k))).collect();
+        let inner: Vec<[Option<usize>; 3]> =
+            (0..faces.len()).map(|i| [0, 1, 2].map(|k| across(i, k))).collect();
         let roots = joined_corners(topology, &faces, &inner);
         let mut vertex_of = vec![NONE; roots.len()];
         let (mut points, mut triangles) = (Vec::new(), Vec::with_capacity(faces.len()));

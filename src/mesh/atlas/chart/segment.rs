@@ -9,11 +9,12 @@ use super::topology::{NONE, Topology};
 use glam::DVec3;
 use std::cmp::Ordering;
 use std::collections::{BinaryHeap, HashMap};
+use std::hash::{BuildHasherDefault, Hasher};
 
 /// Largest error of a region per area: 0 is flat, 0.36 half a cylinder, 0.5 half a ball.
 const MAX_BEND: f64 = 0.42;
 /// Weight of squared perimeters, over 4π, against errors: straight seams and round charts.
-const ROUNDNESS: f64 = 0.02;
+const ROUNDNESS: f64 = 0.15;
 /// How much dearer a merge becomes where the shared border is a crease, by 1 − cos of the angle between normals there.
 const CREASE: f64 = 4.0;
 /// A crease on the inside hides a seam better than one on the outside.
@@ -79,6 +80,30 @@ struct Border {
     entry: u32,
 }
 
+/// One number for two regions, in either order.
+fn key(a: u32, b: u32) -> u64 {
+    u64::from(a.min(b)) << 32 | u64::from(a.max(b))
+}
+
+/// Multiplicative hashing of such a number (Knuth, The Art of Computer Programming 3, section 6.4).
+#[derive(Default)]
+struct PairHasher(u64);
+
+impl Hasher for PairHasher {
+    fn write(&mut self, bytes: &[u8]) {
+        bytes.iter().for_each(|byte| self.write_u64(self.0 ^ u64::from(*byte)));
+    }
+
+    fn write_u64(&mut self, number: u64) {
+        let product = u128::from(number) * 0x9e37_79b9_7f4a_7c15;
+        self.0 = (product >> 64) as u64 ^ product as u64;
+    }
+
+    fn finish(&self) -> u64 {
+        self.0
+    }
+}
+
 /// An entry of the queue: the lowest cost comes first, then the oldest.
 #[derive(PartialEq)]
 struct Entry {
@@ -113,8 +138,8 @@ struct Merging {
     perimeter: Vec<f64>,
     /// Regions that share a border, and some that are no more.
     neighbors: Vec<Vec<u32>>,
-    /// By the two regions, the lower first.
-    borders: HashMap<(u32, u32), Border>,
+    /// By the two regions ([`key`]).
+    borders: HashMap<u64, Border, BuildHasherDefault<PairHasher>>,
     queue: BinaryHeap<Entry>,
     next_entry: u32,
 }
@@ -134,7 +159,7 @@ impl Merging {
             area,
             perimeter,
             neighbors: vec![Vec::new(); count],
-            borders: HashMap::with_capacity(2 * count),
+            borders: HashMap::with_capacity_and_hasher(2 * count, BuildHasherDefault::default()),
             queue: BinaryHeap::new(),
             next_entry: 0,
         };
@@ -151,7 +176,7 @@ impl Merging {
     /// Adds edge k of triangle `t` to what `t` and `other` share.
     fn add_edge(&mut self, topology: &Topology, t: u32, other: u32, k: usize) {
         let length = topology.edge_length(t, k);
-        let border = self.borders.entry((t, other)).or_default();
+        let border = self.borders.entry(key(t, other)).or_default();
         border.length += length;
         border.crease += length * crease(topology, t, other);
         for (a, b) in [(t, other), (other, t)] {
@@ -180,7 +205,7 @@ impl Merging {
     fn queue(&mut self, pair: (u32, u32)) {
         self.next_entry += 1;
         let id = self.next_entry;
-        let Some(border) = self.borders.get_mut(&pair) else { return };
+        let Some(border) = self.borders.get_mut(&key(pair.0, pair.1)) else { return };
         border.entry = id;
         let border = *border;
         if let Some(cost) = self.cost(pair, &border) {
@@ -204,7 +229,9 @@ impl Merging {
     fn run(&mut self) -> bool {
         let mut any = false;
         while let Some(Entry { cost, id, pair }) = self.queue.pop() {
-            let Some(border) = self.borders.get(&pair).filter(|border| border.entry == id).copied() else {
+            let Some(border) =
+                self.borders.get(&key(pair.0, pair.1)).filter(|border| border.entry == id).copied()
+            else {
                 continue;
             };
             // Both may have grown since the entry was made: costs are looked at again only here.
@@ -231,7 +258,7 @@ impl Merging {
         let normal = self.normal[gone];
         self.normal[kept] += normal;
         self.perimeter[kept] += self.perimeter[gone] - 2.0 * border.length;
-        self.borders.remove(&(a, b));
+        self.borders.remove(&key(a, b));
         for other in std::mem::take(&mut self.neighbors[gone]) {
             if self.alive[other as usize] && other as usize != kept {
                 self.hand_over(gone as u32, kept as u32, other);
@@ -241,13 +268,13 @@ impl Merging {
 
     /// What `gone` shared with `other`, `kept` shares now.
     fn hand_over(&mut self, gone: u32, kept: u32, other: u32) {
-        let Some(border) = self.borders.remove(&(gone.min(other), gone.max(other))) else { return };
+        let Some(border) = self.borders.remove(&key(gone, other)) else { return };
         let pair = (kept.min(other), kept.max(other));
-        if let Some(shared) = self.borders.get_mut(&pair) {
+        if let Some(shared) = self.borders.get_mut(&key(pair.0, pair.1)) {
             shared.length += border.length;
             shared.crease += border.crease;
         } else {
-            self.borders.insert(pair, border);
+            self.borders.insert(key(kept, other), border);
             self.neighbors[kept as usize].push(other);
             self.neighbors[other as usize].push(kept);
         }

@@ -31,7 +31,11 @@ impl Mask {
         for triangle in triangles {
             for run in rows(triangle) {
                 let y = run.y.min(size.y - 1) as usize;
-                set(&mut bits[y * stride..(y + 1) * stride], run.from.min(size.x - 1), run.to.min(size.x - 1));
+                set(
+                    &mut bits[y * stride..(y + 1) * stride],
+                    run.from.min(size.x - 1),
+                    run.to.min(size.x - 1),
+                );
             }
         }
         let rows = bits.chunks_exact(stride).enumerate();

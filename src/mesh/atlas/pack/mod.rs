@@ -20,12 +20,20 @@ use upright::set_upright;
 pub const GUTTER: u32 = 4;
 /// Texels at the border of the texture that no chart touches, at least.
 pub const MARGIN: u32 = 2;
-/// Most cells along a side of the page: cells of larger textures are squares of texels.
+/// Most cells along a side of the page: cells of larger textures are squares of texels, if charts are large.
 const MOST_CELLS: u32 = 512;
+/// Cells along the side of a mean chart's share of the page, at least.
+const CHART_CELLS: f64 = 32.0;
 /// Part of the texture that the first trial fills, with gutters.
 const FIRST_FILL: f64 = 0.9;
-/// The first step between trials, and the last, as ratios of scales.
-const STEPS: (f64, f64) = (1.08, 1.008);
+/// The first step between trials, as a ratio of scales, and the step at which the search ends.
+const STEPS: (f64, f64) = (1.08, 1.02);
+/// Orders of the charts that are tried then, and the gain in scale that each must bring.
+const ORDERS: (usize, f64) = (32, 1.005);
+/// Charts that all these orders together may place: thousands of charts fill a texture well at once.
+const MOST_PLACED: usize = 8192;
+/// How far chance moves a chart in the order, as a part of its size.
+const SHUFFLE: f64 = 0.25;
 /// Charts are not made smaller than this, in texels along the longest of them.
 const SMALLEST: f64 = 1.0;
 /// Masks up to this large share the row where the search begins.
@@ -67,8 +75,6 @@ struct Placed {
 struct Packing<'a> {
     charts: &'a [Chart],
     corners: &'a [DVec2],
-    /// The largest first.
-    order: Vec<usize>,
     size: u32,
     /// Texels along a cell, and cells along the page.
     cell: u32,
@@ -77,10 +83,20 @@ struct Packing<'a> {
 
 impl<'a> Packing<'a> {
     fn new(charts: &'a [Chart], corners: &'a [DVec2], size: u32) -> Self {
-        let mut order: Vec<usize> = (0..charts.len()).collect();
-        order.sort_by(|a, b| corners[*b].element_sum().total_cmp(&corners[*a].element_sum()).then(a.cmp(b)));
-        let cell = size.div_ceil(MOST_CELLS).max(1);
-        Self { charts, corners, order, size, cell, side: size / cell }
+        let share = f64::from(size) / (charts.len() as f64).sqrt();
+        let cell = size.div_ceil(MOST_CELLS).min((share / CHART_CELLS) as u32).max(1);
+        Self { charts, corners, size, cell, side: size / cell }
+    }
+
+    /// The charts, the largest first; of number 1 on, with some chance in what counts as large.
+    fn order(&self, number: u64) -> Vec<usize> {
+        let size = |i: usize| {
+            let by_chance = SHUFFLE * chance(number, i as u64) * number.min(1) as f64;
+            self.corners[i].element_sum() * (1.0 + by_chance)
+        };
+        let mut order: Vec<(f64, usize)> = (0..self.charts.len()).map(|i| (size(i), i)).collect();
+        order.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+        order.into_iter().map(|(_, i)| i).collect()
     }
 
     /// The largest scale that is found, in texels per world unit, and where the charts are then.
@@ -90,31 +106,47 @@ impl<'a> Packing<'a> {
         if count * f64::from(1 + GUTTER).powi(2) > room * room || self.size <= 2 * MARGIN {
             return None;
         }
-        let longest = self.corners.iter().fold(0.0, |longest, corner| corner.x.max(longest));
-        let mut scale = self.first_scale().clamp(SMALLEST / longest, room / longest);
-        let mut best = self.place(scale).map(|placed| (scale, placed));
-        let up = best.is_some();
-        let mut step = STEPS.0;
-        // Up or down until it fits no more, or does.
-        loop {
-            let next = if up { scale * step } else { scale / step };
-            let placed = if next * longest < SMALLEST { return best } else { self.place(next) };
-            let fits = placed.is_some();
-            if let Some(placed) = placed {
-                best = Some((next, placed));
+        let mut best = self.first_fit(&self.order(0), room)?;
+        let mut masks = self.masks(best.0 * ORDERS.1);
+        for number in 1..=ORDERS.0.min(MOST_PLACED / self.charts.len()) {
+            let order = self.order(number as u64);
+            while let Some(placed) = self.place(&masks, &order) {
+                best = (best.0 * ORDERS.1, placed);
+                masks = self.masks(best.0 * ORDERS.1);
             }
-            if fits != up {
-                break;
-            }
-            scale = next;
-            step = if up { step } else { step * step };
         }
-        let mut low = best.as_ref()?.0;
-        let mut high = low * step;
-        while high > low * STEPS.1 {
-            let middle = (low * high).sqrt();
-            match self.place(middle) {
-                Some(placed) => (best, low) = (Some((middle, placed)), middle),
+        Some(best)
+    }
+
+    /// A scale at which the charts fit in this order and, a step further, do not.
+    fn first_fit(&self, order: &[usize], room: f64) -> Option<(f64, Vec<Placed>)> {
+        let longest = self.corners.iter().fold(0.0, |longest, corner| corner.x.max(longest));
+        let try_at = |scale: f64| {
+            let placed =
+                if scale * longest < SMALLEST { None } else { self.place(&self.masks(scale), order) };
+            placed.map(|placed| (scale, placed))
+        };
+        let mut scale = self.first_scale().clamp(SMALLEST / longest, room / longest);
+        let (mut best, mut step, mut high) = (try_at(scale), STEPS.0, scale);
+        if best.is_some() {
+            while let Some(found) = try_at(scale * step) {
+                scale = found.0;
+                best = Some(found);
+            }
+            high = scale * step;
+        } else {
+            // In growing steps down.
+            while best.is_none() && scale * longest >= SMALLEST {
+                scale /= step;
+                best = try_at(scale);
+                high = scale * step;
+                step *= step;
+            }
+        }
+        while best.is_some() && high > scale * STEPS.1 {
+            let middle = (scale * high).sqrt();
+            match try_at(middle) {
+                Some(found) => (best, scale) = (Some(found), middle),
                 None => high = middle,
             }
         }
@@ -132,10 +164,9 @@ impl<'a> Packing<'a> {
         2.0 * rest / (b + (b * b + 4.0 * areas * rest).sqrt())
     }
 
-    /// Places all charts at a scale, if they fit.
-    fn place(&self, scale: f64) -> Option<Vec<Placed>> {
+    /// Places all charts in this order, if they fit.
+    fn place(&self, masks: &[[Mask; 4]], order: &[usize]) -> Option<Vec<Placed>> {
         let gutter = GUTTER.div_ceil(self.cell);
-        let masks: Vec<[Mask; 4]> = self.order.par_iter().map(|&i| self.masks(i, scale / f64::from(self.cell))).collect();
         if masks.iter().map(|turns| turns[0].cells()).sum::<usize>() > self.side.pow(2) as usize {
             return None;
         }
@@ -143,32 +174,46 @@ impl<'a> Packing<'a> {
         let mut placed = vec![Placed { at: UVec2::ZERO, turn: 0 }; self.charts.len()];
         let mut begin: HashMap<UVec2, u32> = HashMap::new();
         let mut scratch = Scratch::default();
-        for (&i, turns) in self.order.iter().zip(&masks) {
+        for &i in order {
+            // That turn whose middle is lowest.
             let mut best: Option<(u32, Placed)> = None;
-            for (turn, mask) in turns.iter().enumerate() {
+            for (turn, mask) in masks[i].iter().enumerate() {
                 let small = mask.size.max_element() <= SMALL_MASK;
                 let first = if small { begin.get(&mask.size).copied().unwrap_or(0) } else { 0 };
-                let limit = best.map_or(self.side, |(top, _)| top.saturating_sub(1));
-                let Some(at) = page.find(mask, first, limit, &mut scratch) else { continue };
-                best = Some((at.y + mask.size.y, Placed { at, turn }));
+                let end =
+                    best.map_or(self.side, |(middle, _)| middle.saturating_sub(mask.size.y).div_ceil(2));
+                let Some(at) = page.find(mask, first..end, &mut scratch) else { continue };
+                best = Some((2 * at.y + mask.size.y, Placed { at, turn }));
                 if small {
                     begin.insert(mask.size, at.y);
                 }
             }
             let (_, here) = best?;
-            page.take(&turns[here.turn], here.at, gutter);
+            page.take(&masks[i][here.turn], here.at, gutter);
             placed[i] = here;
         }
         Some(placed)
     }
 
-    /// A chart's cells in each quarter turn; `scale` in cells per world unit.
-    fn masks(&self, i: usize, scale: f64) -> [Mask; 4] {
-        let (chart, corner) = (&self.charts[i], self.corners[i] * scale);
-        [0, 1, 2, 3].map(|turn| {
-            let place = |v: u32| turned(chart.places[v as usize] * scale, corner, turn).max(DVec2::ZERO);
-            let far = if turn % 2 == 0 { corner } else { corner.yx() };
-            Mask::new(chart.triangles.iter().map(|t| t.map(place)), far)
-        })
+    /// The charts' cells in each quarter turn, at a scale in texels per world unit.
+    fn masks(&self, scale: f64) -> Vec<[Mask; 4]> {
+        let scale = scale / f64::from(self.cell);
+        let of_chart = |(chart, corner): (&Chart, &DVec2)| {
+            let corner = *corner * scale;
+            [0, 1, 2, 3].map(|turn| {
+                let place = |v: u32| turned(chart.places[v as usize] * scale, corner, turn).max(DVec2::ZERO);
+                let far = if turn % 2 == 0 { corner } else { corner.yx() };
+                Mask::new(chart.triangles.iter().map(|t| t.map(place)), far)
+            })
+        };
+        self.charts.par_iter().zip(self.corners).map(of_chart).collect()
     }
+}
+
+/// A number in [−1, 1) that looks like chance: SplitMix64 (Steele, Lea, Flood: "Fast splittable pseudorandom number generators", OOPSLA 2014).
+fn chance(series: u64, index: u64) -> f64 {
+    let mut z = (series << 32 | index).wrapping_add(1).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    z = (z ^ z >> 30).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
+    (z ^ z >> 31) as i64 as f64 / 2f64.powi(63)
 }

@@ -5,6 +5,7 @@
 
 use super::mask::{Mask, Run, set};
 use glam::UVec2;
+use std::ops::Range;
 
 /// A square page.
 #[derive(Clone, Debug)]
@@ -71,13 +72,13 @@ impl Page {
         self.longest_free[y as usize] = longest;
     }
 
-    /// The lowest row from `first` on where the mask touches no taken cell, below row `limit` with all its cells, and the first column there.
-    pub fn find(&self, mask: &Mask, first: u32, limit: u32, scratch: &mut Scratch) -> Option<UVec2> {
-        let end = (limit.min(self.side) + 1).checked_sub(mask.size.y)?;
+    /// The lowest of `rows` where the mask touches no taken cell, and the first column there.
+    pub fn find(&self, mask: &Mask, rows: Range<u32>, scratch: &mut Scratch) -> Option<UVec2> {
+        let end = rows.end.min((self.side + 1).checked_sub(mask.size.y)?);
         if mask.size.x > self.side {
             return None;
         }
-        (first..end).find_map(|y| Some(UVec2::new(self.column(mask, y, scratch)?, y)))
+        (rows.start..end).find_map(|y| Some(UVec2::new(self.column(mask, y, scratch)?, y)))
     }
 
     /// The first column where the mask fits in row `y`.
@@ -117,7 +118,8 @@ impl Page {
     /// Takes the cells of a mask at `at`, and those at most `gutter` cells away in each direction.
     pub fn take(&mut self, mask: &Mask, at: UVec2, gutter: u32) {
         for run in &mask.runs {
-            let (from, to) = ((at.x + run.from).saturating_sub(gutter), (at.x + run.to + gutter).min(self.side - 1));
+            let (from, to) =
+                ((at.x + run.from).saturating_sub(gutter), (at.x + run.to + gutter).min(self.side - 1));
             let rows = (at.y + run.y).saturating_sub(gutter)..=(at.y + run.y + gutter).min(self.side - 1);
             rows.for_each(|y| set(self.row_mut(y), from, to));
         }
