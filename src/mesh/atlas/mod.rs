@@ -4,6 +4,8 @@
 
 mod chart;
 mod fill;
+#[cfg(test)]
+mod meshes;
 mod pack;
 mod unwrap;
 

@@ -164,6 +164,7 @@ fn with_places(mesh: &Mesh, charts: &[Chart], texture_size: u32) -> Mesh {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mesh::atlas::meshes::{ball, scattered};
     use crate::mesh::primitive::{box_mesh, sphere_mesh};
     use glam::Vec3;
 
@@ -184,6 +185,59 @@ mod tests {
             assert_eq!(made.mesh.corners(t), bare.corners(t));
         }
         assert_eq!(unwrap_mesh(&bare, 128).unwrap(), made, "not deterministic");
+    }
+
+    #[test]
+    fn every_triangle_has_texels_that_no_other_chart_has() {
+        let mesh = ball(12, 0.01);
+        let made = unwrap_mesh(&mesh, 256).unwrap().mesh;
+        let uvs = made.uvs.as_ref().unwrap();
+        let density = |t: usize| {
+            let [a, b, c] = mesh.corners(t);
+            let [u, v, w] = made.triangles[t].map(|vertex| uvs[vertex as usize] * 256.0);
+            (v - u).perp_dot(w - u) / (b - a).cross(c - a).length()
+        };
+        let all: Vec<f32> = (0..mesh.triangles.len()).map(density).collect();
+        let mean = all.iter().sum::<f32>() / all.len() as f32;
+        assert!(all.iter().all(|d| (0.25..4.0).contains(&(d / mean))), "{mean} {all:?}");
+        assert_eq!(overlapping_part(&made, 4096), 0.0);
+        // Vertices are doubled on seams alone.
+        assert!(made.positions.len() < mesh.welded_vertices().len() + 400, "{}", made.positions.len());
+    }
+
+    #[test]
+    fn threads_make_no_difference() {
+        let mesh = ball(12, 0.01);
+        let with = |threads| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let [one, three] = [1, 3].map(|threads| with(threads).install(|| unwrap_mesh(&mesh, 128).unwrap()));
+        assert!(one == three);
+    }
+
+    #[test]
+    fn triangles_without_area_take_no_room() {
+        let mut mesh = scattered(3);
+        mesh.triangles.insert(1, [0, 0, 4]);
+        let made = unwrap_mesh(&mesh, 64).unwrap();
+        assert_eq!((made.charts, made.mesh.triangles.len()), (Some(3), 4));
+        for t in 0..4 {
+            assert_eq!(made.mesh.corners(t), mesh.corners(t));
+        }
+        let uvs = made.mesh.uvs.unwrap();
+        assert!(made.mesh.triangles[1].iter().all(|v| uvs[*v as usize] == Vec2::ZERO));
+        assert_eq!(unwrap_mesh(&Mesh::default(), 64).unwrap().charts, Some(0));
+    }
+
+    #[test]
+    fn a_mesh_that_is_none_is_an_error() {
+        let good = scattered(2);
+        let wrong = |change: &dyn Fn(&mut Mesh)| {
+            let mut mesh = good.clone();
+            change(&mut mesh);
+            unwrap_mesh(&mesh, 64).unwrap_err().to_string()
+        };
+        assert!(wrong(&|m| m.triangles[1][2] = 6).contains("triangle 1 names a vertex beyond the 6"));
+        assert!(wrong(&|m| m.positions[4].y = f32::NAN).contains("vertex 4 is not finite"));
+        assert!(wrong(&|m| m.normals.truncate(5)).contains("6 positions and 5 normals"));
     }
 
     #[test]
@@ -218,15 +272,8 @@ mod tests {
     #[test]
     fn a_texture_that_is_too_small_is_an_error() {
         assert!(unwrap_mesh(&bare_sphere(), 4).is_err() && unwrap_mesh(&bare_sphere(), 0).is_err());
-        // Sixty separate triangles need more than a few texels each.
-        let mut scattered = Mesh::default();
-        for k in 0..300u32 {
-            let p = Vec3::new(k as f32, 0.0, 0.0);
-            scattered.positions.extend([p, p + Vec3::X * 0.5, p + Vec3::Y]);
-            scattered.triangles.push([3 * k, 3 * k + 1, 3 * k + 2]);
-        }
-        scattered.repair_normals();
-        let error = unwrap_mesh(&scattered, 16).unwrap_err();
+        // Separate triangles need more than a few texels each.
+        let error = unwrap_mesh(&scattered(300), 16).unwrap_err();
         assert!(error.to_string().contains("charts of the unwrapped mesh do not fit 16²"), "{error}");
         assert!(error.exit_code() == 2 && error.help().unwrap().contains("texture_size"), "{error:?}");
     }

@@ -12,22 +12,27 @@ mod simple;
 mod stretch;
 mod topology;
 
+use crate::mesh::triangles::Mesh;
 use flatten::{Tolerance, flatten};
 use glam::DVec2;
-use patch::Patch;
+use patch::{Patch, Shape};
 use rayon::prelude::*;
 use segment::{Region, RegionTree};
 use std::collections::BTreeMap;
 use topology::{NONE, Topology};
 
-use crate::mesh::triangles::Mesh;
-
+/// So many times a region is tried before its halves; deeper in the tree only regions of at most so many triangles are tried.
+const LEVELS: (usize, u32) = (24, 256);
 /// What a chart may be distorted.
 const USUAL: Tolerance = Tolerance { mean: 4.5, uneven: 0.01 };
 /// What a chart may be distorted that has taken in a small one.
 const JOINED: Tolerance = Tolerance { mean: 4.7, uneven: 0.03 };
 /// A chart of at most this part of the mean chart's area is small.
 const SMALL: f64 = 0.1;
+/// Most neighbors that a small chart tries to join.
+const MOST_TRIES: usize = 3;
+/// Triangles that may be flattened to join small charts, for each of the mesh.
+const MOST_WORK: usize = 8;
 
 /// A part of the surface in the plane.
 #[derive(Clone, Debug)]
@@ -41,10 +46,6 @@ pub struct Chart {
 }
 
 impl Chart {
-    fn new(patch: Patch, places: Vec<DVec2>) -> Self {
-        Self { faces: patch.faces, triangles: patch.triangles, places }
-    }
-
     /// Area, squared world units.
     pub fn area(&self) -> f64 {
         let doubled = |t: &[u32; 3]| {
@@ -61,32 +62,48 @@ pub fn charts(mesh: &Mesh) -> Vec<Chart> {
     let tree = RegionTree::new(&topology);
     let mut found = Vec::new();
     let mut open = tree.roots.clone();
-    while !open.is_empty() {
-        let tried: Vec<(u32, Option<Chart>)> =
-            open.par_iter().map(|node| (*node, chart_of(&topology, tree.triangles(*node), &USUAL))).collect();
+    for level in 0.. {
+        if open.is_empty() {
+            break;
+        }
+        let try_whole = |node: &u32| level < LEVELS.0 || tree.counts[*node as usize] <= LEVELS.1;
+        let flat = |node: &u32| {
+            try_whole(node).then(|| chart_of(&topology, tree.triangles(*node), &USUAL)).flatten()
+        };
+        let tried: Vec<(u32, Option<Chart>)> = open.par_iter().map(|node| (*node, flat(node))).collect();
         open.clear();
         for (node, chart) in tried {
             match (chart, tree.nodes[node as usize]) {
                 (Some(chart), _) => found.push(chart),
                 (None, Region::Pair(a, b)) => open.extend([a, b]),
-                // Never: a triangle with area lies flat.
-                (None, Region::Triangle(_)) => {}
+                (None, Region::Triangle(face)) => found.push(single(&topology, face)),
             }
         }
     }
     join_small(&topology, found)
 }
 
+/// The chart of one triangle.
+fn single(topology: &Topology, face: u32) -> Chart {
+    let shape = Shape::new(topology.corners(face));
+    Chart {
+        faces: vec![face],
+        triangles: vec![[0, 1, 2]],
+        places: vec![DVec2::ZERO, DVec2::new(shape.base, 0.0), shape.tip],
+    }
+}
+
+/// Triangles of the surface as a chart, if they lie flat.
 fn chart_of(topology: &Topology, faces: Vec<u32>, tolerance: &Tolerance) -> Option<Chart> {
     let patch = Patch::new(topology, faces);
     let places = flatten(&patch, tolerance)?;
-    Some(Chart::new(patch, places))
+    Some(Chart { faces: patch.faces, triangles: patch.triangles, places })
 }
 
 /// Small charts join the neighbor with which they share most of their border, if the two lie flat together; from the smallest up.
 fn join_small(topology: &Topology, charts: Vec<Chart>) -> Vec<Chart> {
     let mut chart_of_face = vec![NONE; topology.triangles.len()];
-    let mut areas: Vec<f64> = charts.iter().map(Chart::area).collect();
+    let areas: Vec<f64> = charts.iter().map(Chart::area).collect();
     for (i, chart) in charts.iter().enumerate() {
         chart.faces.iter().for_each(|face| chart_of_face[*face as usize] = i as u32);
     }
@@ -94,19 +111,21 @@ fn join_small(topology: &Topology, charts: Vec<Chart>) -> Vec<Chart> {
     let mut charts: Vec<Option<Chart>> = charts.into_iter().map(Some).collect();
     let mut order: Vec<usize> = (0..charts.len()).filter(|&i| areas[i] <= largest).collect();
     order.sort_by(|a, b| areas[*a].total_cmp(&areas[*b]).then(a.cmp(b)));
+    let mut work = MOST_WORK * topology.triangles.len();
     for small in order {
         let Some(chart) = &charts[small] else { continue };
-        for neighbor in neighbors(topology, &chart_of_face, &chart.faces) {
-            let Some(other) = charts[neighbor].as_ref() else { continue };
+        let around = neighbors(topology, &chart_of_face, &chart.faces);
+        let joined = around.into_iter().take(MOST_TRIES).find_map(|neighbor| {
+            let other = charts[neighbor].as_ref()?;
             let mut faces = [&chart.faces[..], &other.faces].concat();
+            work = work.checked_sub(faces.len())?;
             faces.sort_unstable();
-            if let Some(joined) = chart_of(topology, faces, &JOINED) {
-                chart.faces.iter().for_each(|face| chart_of_face[*face as usize] = neighbor as u32);
-                areas[neighbor] += areas[small];
-                charts[neighbor] = Some(joined);
-                charts[small] = None;
-                break;
-            }
+            Some((neighbor, chart_of(topology, faces, &JOINED)?))
+        });
+        if let Some((neighbor, joined)) = joined {
+            chart.faces.iter().for_each(|face| chart_of_face[*face as usize] = neighbor as u32);
+            charts[neighbor] = Some(joined);
+            charts[small] = None;
         }
     }
     charts.into_iter().flatten().collect()
@@ -128,3 +147,6 @@ fn neighbors(topology: &Topology, chart_of_face: &[u32], faces: &[u32]) -> Vec<u
     found.sort_by(|a, b| b.1.total_cmp(&a.1));
     found.into_iter().map(|(chart, _)| chart as usize).collect()
 }
+
+#[cfg(test)]
+mod tests;

@@ -36,6 +36,8 @@ pub enum Region {
 pub struct RegionTree {
     /// Nodes; those of a pair come before it.
     pub nodes: Vec<Region>,
+    /// Number of triangles of each node.
+    pub counts: Vec<u32>,
     /// The largest regions.
     pub roots: Vec<u32>,
 }
@@ -52,7 +54,14 @@ impl RegionTree {
             }
         }
         let roots = (0..merging.node.len()).filter(|&r| merging.alive[r]).map(|r| merging.node[r]).collect();
-        Self { nodes: merging.nodes, roots }
+        let mut counts: Vec<u32> = Vec::with_capacity(merging.nodes.len());
+        for node in &merging.nodes {
+            counts.push(match *node {
+                Region::Triangle(_) => 1,
+                Region::Pair(a, b) => counts[a as usize] + counts[b as usize],
+            });
+        }
+        Self { nodes: merging.nodes, counts, roots }
     }
 
     /// The triangles of a node, in ascending order.

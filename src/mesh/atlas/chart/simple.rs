@@ -1,13 +1,42 @@
-//! Whether a border crosses itself.
+//! Whether a map of a patch covers a point twice, seen from its border.
 
 use glam::{DVec2, IVec2};
 
 /// Most cells of the grid along a side.
 const MOST_CELLS: f64 = 512.0;
+/// A hole that has turned inside out by less than this part of the outer loop's area is a slit.
+const SLIT: f64 = 1e-9;
 
-/// Whether no two segments without a common end meet. A map of a planar patch in which no triangle is turned over and whose border is such
-/// covers no point twice.
+/// Whether a map without turned triangles covers no point twice. `border` holds closed loops, one after another, with the patch on their left.
+///
+/// The number of times that a point is covered is the sum of how often the loops wind around it. If no two segments cross, each loop winds
+/// once: around the patch if it is the outer one, the other way if it is that of a hole. A hole may have closed to a slit.
 pub fn is_simple(border: &[[u32; 2]], map: &[DVec2]) -> bool {
+    let areas = loop_areas(border, map);
+    let outer = areas.iter().copied().fold(0.0, f64::max);
+    areas.iter().filter(|area| **area > SLIT * outer).count() == 1 && !crosses(border, map)
+}
+
+/// The area inside each loop, negative if it runs clockwise.
+fn loop_areas(border: &[[u32; 2]], map: &[DVec2]) -> Vec<f64> {
+    let mut areas = Vec::new();
+    let mut first = None;
+    for [a, b] in border {
+        let start = *first.get_or_insert_with(|| {
+            areas.push(0.0);
+            *a
+        });
+        let [from, to] = [a, b].map(|v| map[*v as usize] - map[start as usize]);
+        areas.iter_mut().last().into_iter().for_each(|area| *area += 0.5 * from.perp_dot(to));
+        if *b == start {
+            first = None;
+        }
+    }
+    areas
+}
+
+/// Whether any two segments cross.
+fn crosses(border: &[[u32; 2]], map: &[DVec2]) -> bool {
     let ends = |[a, b]: [u32; 2]| [map[a as usize], map[b as usize]];
     let grid = Grid::over(border.iter().map(|segment| ends(*segment)));
     // (cell, segment), so that those of a cell lie together.
@@ -16,11 +45,11 @@ pub fn is_simple(border: &[[u32; 2]], map: &[DVec2]) -> bool {
         entries.extend(grid.cells(ends(*segment)).map(|cell| (cell, i as u32)));
     }
     entries.sort_unstable();
-    entries.chunk_by(|a, b| a.0 == b.0).all(|cell| {
-        cell.iter().enumerate().all(|(k, (_, i))| {
-            cell[..k].iter().all(|(_, j)| {
+    entries.chunk_by(|a, b| a.0 == b.0).any(|cell| {
+        cell.iter().enumerate().any(|(k, (_, i))| {
+            cell[..k].iter().any(|(_, j)| {
                 let (one, two) = (border[*i as usize], border[*j as usize]);
-                one.iter().any(|v| two.contains(v)) || !meet(ends(one), ends(two))
+                !one.iter().any(|v| two.contains(v)) && cross(ends(one), ends(two))
             })
         })
     })
@@ -58,14 +87,8 @@ impl Grid {
     }
 }
 
-/// Whether two segments have a point in common.
-fn meet([a, b]: [DVec2; 2], [c, d]: [DVec2; 2]) -> bool {
+/// Whether two segments cross inside both.
+fn cross([a, b]: [DVec2; 2], [c, d]: [DVec2; 2]) -> bool {
     let side = |from: DVec2, to: DVec2, at: DVec2| (to - from).perp_dot(at - from);
-    let (of_c, of_d) = (side(a, b, c), side(a, b, d));
-    let (of_a, of_b) = (side(c, d, a), side(c, d, b));
-    if of_c == 0.0 && of_d == 0.0 {
-        // On one line: whether their boxes meet.
-        return a.max(b).cmpge(c.min(d)).all() && c.max(d).cmpge(a.min(b)).all();
-    }
-    of_c * of_d <= 0.0 && of_a * of_b <= 0.0
+    side(a, b, c) * side(a, b, d) < 0.0 && side(c, d, a) * side(c, d, b) < 0.0
 }

@@ -56,7 +56,8 @@ impl<'a> Descent<'a> {
         self.jacobians(map).map(|(_, shape, j)| shape.area * energy(j)).sum::<f64>() / self.patch.area
     }
 
-    fn gradient(&self, map: &[DVec2]) -> Vec<DVec2> {
+    /// The adjoint of the map for [`Self::mean_energy`].
+    pub fn gradient(&self, map: &[DVec2]) -> Vec<DVec2> {
         let mut sums = vec![DVec2::ZERO; map.len()];
         for (triangle, shape, j) in self.jacobians(map) {
             let weight = shape.area / self.patch.area;

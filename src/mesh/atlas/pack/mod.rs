@@ -42,6 +42,9 @@ const SMALL_MASK: u32 = 12;
 /// Packs charts into a texture of `size`² texels. All get the same scale; their places become texels. False, and no change but of places, if
 /// they do not fit.
 pub fn pack(charts: &mut [Chart], size: u32) -> bool {
+    if charts.is_empty() {
+        return true;
+    }
     let corners: Vec<DVec2> = charts.par_iter_mut().map(|chart| set_upright(&mut chart.places)).collect();
     let packing = Packing::new(charts, &corners, size);
     let Some((scale, placed)) = packing.largest() else { return false };
@@ -217,3 +220,6 @@ fn chance(series: u64, index: u64) -> f64 {
     z = (z ^ z >> 27).wrapping_mul(0x94d0_49bb_1331_11eb);
     (z ^ z >> 31) as i64 as f64 / 2f64.powi(63)
 }
+
+#[cfg(test)]
+mod tests;
