@@ -62,8 +62,8 @@ impl Laplacian {
         x[vertex] * self.diagonal[vertex] - others
     }
 
-    /// About the solution of L x = `right`, whose sum is zero, from `x` = 0: until the residual has fallen to `tolerance` of the right side,
-    /// or for `rounds`. Whatever the round, −x is a direction in which half xᵀLx + rightᵀx grows.
+    /// About the solution of L x = `right`, whose sum is zero, from x = 0: until the residual has fallen to `tolerance` of the right side, or
+    /// for `rounds`. If `right` is a gradient, −x is a direction of descent whatever the round.
     pub fn solve(&self, right: &[DVec2], tolerance: f64, rounds: usize) -> Vec<DVec2> {
         let mut x = vec![DVec2::ZERO; right.len()];
         let mut residual = right.to_vec();

@@ -39,15 +39,20 @@ fn loop_areas(border: &[[u32; 2]], map: &[DVec2]) -> Vec<f64> {
 fn crosses(border: &[[u32; 2]], map: &[DVec2]) -> bool {
     let ends = |[a, b]: [u32; 2]| [map[a as usize], map[b as usize]];
     let grid = Grid::over(border.iter().map(|segment| ends(*segment)));
-    // (cell, segment), so that those of a cell lie together.
-    let mut entries: Vec<(u32, u32)> = Vec::with_capacity(4 * border.len());
-    for (i, segment) in border.iter().enumerate() {
-        entries.extend(grid.cells(ends(*segment)).map(|cell| (cell, i as u32)));
+    let width_of = |i: u32| {
+        let [a, b] = ends(border[i as usize]);
+        (a.x.min(b.x), a.x.max(b.x))
+    };
+    // Cell, left end and segment, so that those of a cell lie together and from left to right.
+    let mut entries: Vec<(u32, f64, u32)> = Vec::with_capacity(4 * border.len());
+    for i in 0..border.len() as u32 {
+        entries.extend(grid.cells(ends(border[i as usize])).map(|cell| (cell, width_of(i).0, i)));
     }
-    entries.sort_unstable();
+    entries.sort_unstable_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.cmp(&b.2)));
     entries.chunk_by(|a, b| a.0 == b.0).any(|cell| {
-        cell.iter().enumerate().any(|(k, (_, i))| {
-            cell[..k].iter().any(|(_, j)| {
+        cell.iter().enumerate().any(|(k, (_, _, i))| {
+            let right = width_of(*i).1;
+            cell[k + 1..].iter().take_while(|(_, left, _)| *left <= right).any(|(_, _, j)| {
                 let (one, two) = (border[*i as usize], border[*j as usize]);
                 !one.iter().any(|v| two.contains(v)) && cross(ends(one), ends(two))
             })
