@@ -1,13 +1,13 @@
 //! Texture coordinates for meshes that have none, or unusable ones.
 
+use crate::mesh::atlas::chart::{Chart, charts};
+use crate::mesh::atlas::pack::pack;
 use crate::mesh::atlas::{DVec2, texels_near, texture_corners};
 use crate::mesh::triangles::Mesh;
 use crate::{Error, Result};
 use glam::Vec2;
-use uvunwrap::{Density, MeshInput, Options, Packing};
+use std::collections::HashMap;
 
-/// Empty texels around each chart, so that charts are at least twice as far apart.
-const PADDING: u32 = 2;
 /// Largest fraction of the covered texels on which existing coordinates may overlap.
 const MAX_OVERLAP: f64 = 0.01;
 /// Largest fraction of the surface area that may have no area in the texture.
@@ -104,38 +104,67 @@ fn overlapping_part(mesh: &Mesh, grid: u32) -> f64 {
 }
 
 fn unwrap_again(mesh: &Mesh, texture_size: u32, note: Option<String>) -> Result<UnwrappedMesh> {
-    let context = || "unwrapping the mesh".to_owned();
-    let positions: Vec<[f32; 3]> = mesh.positions.iter().map(|p| p.to_array()).collect();
-    let indices = mesh.triangles.as_flattened();
-    let options = Options {
-        density: Density::Auto { page_size: texture_size },
-        padding: PADDING,
-        packing: Packing::Shape,
-        ..Options::default()
-    };
-    let atlas = uvunwrap::generate(&[MeshInput::new(&positions, indices)], &options)
-        .map_err(|e| Error::run(context(), e.to_string()))?;
-    if atlas.page_count > 1 || atlas.width > texture_size || atlas.height > texture_size {
-        let charts = atlas.chart_count;
-        let problem = format!("the {charts} charts of the unwrapped mesh do not fit {texture_size}² texels");
+    check(mesh).map_err(|problem| Error::run("unwrapping the mesh", problem))?;
+    let mut charts = charts(mesh);
+    let count = charts.len() as u32;
+    if !pack(&mut charts, texture_size) {
+        let problem = format!("the {count} charts of the unwrapped mesh do not fit {texture_size}² texels");
         return Err(Error::usage(problem, "Say a larger `texture_size` in `surface`."));
     }
-    // The page is cropped to the used part; the texture stays square.
-    let scale = Vec2::new(atlas.width as f32, atlas.height as f32) / texture_size as f32;
-    let output = &atlas.meshes[0];
-    let source = |v: &uvunwrap::OutputVertex| v.xref as usize;
-    let mesh = Mesh {
-        positions: output.vertices.iter().map(|v| mesh.positions[source(v)]).collect(),
-        normals: output.vertices.iter().map(|v| mesh.normals[source(v)]).collect(),
-        uvs: Some(output.vertices.iter().map(|v| Vec2::from(v.uv) * scale).collect()),
-        triangles: output.indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect(),
-    };
-    Ok(UnwrappedMesh { mesh, charts: Some(atlas.chart_count), note })
+    Ok(UnwrappedMesh { mesh: with_places(mesh, &charts, texture_size), charts: Some(count), note })
+}
+
+/// What is wrong with a mesh that cannot be unwrapped.
+fn check(mesh: &Mesh) -> std::result::Result<(), String> {
+    let count = mesh.positions.len();
+    if mesh.normals.len() != count {
+        return Err(format!(
+            "the mesh has {count} positions and {} normals; these must be equal",
+            mesh.normals.len()
+        ));
+    }
+    if let Some(vertex) = mesh.positions.iter().position(|p| !p.is_finite()) {
+        return Err(format!("vertex {vertex} is not finite"));
+    }
+    match mesh.triangles.iter().position(|t| t.iter().any(|vertex| *vertex as usize >= count)) {
+        Some(triangle) => {
+            Err(format!("triangle {triangle} names a vertex beyond the {count} that there are"))
+        }
+        None => Ok(()),
+    }
+}
+
+/// The mesh with texture coordinates from places in texels. A triangle in no chart, which has no area, collapses to a point of the texture.
+fn with_places(mesh: &Mesh, charts: &[Chart], texture_size: u32) -> Mesh {
+    let mut places = vec![None; mesh.triangles.len()];
+    for (number, chart) in charts.iter().enumerate() {
+        for (face, corners) in chart.faces.iter().zip(&chart.triangles) {
+            places[*face as usize] = Some((number as u32, *corners));
+        }
+    }
+    let mut made = Mesh { uvs: Some(Vec::new()), ..Mesh::default() };
+    // By the vertex, and chart and place there.
+    let mut vertices: HashMap<(u32, u32, u32), u32> = HashMap::new();
+    for (triangle, place) in mesh.triangles.iter().zip(places) {
+        let (chart, corners) = place.unwrap_or((u32::MAX, [0; 3]));
+        made.triangles.push([0, 1, 2].map(|k| {
+            let (source, place) = (triangle[k], corners[k]);
+            *vertices.entry((source, chart, place)).or_insert_with(|| {
+                let at = charts.get(chart as usize).map_or(DVec2::ZERO, |chart| chart.places[place as usize]);
+                made.positions.push(mesh.positions[source as usize]);
+                made.normals.push(mesh.normals[source as usize]);
+                made.uvs.iter_mut().for_each(|uvs| uvs.push((at / f64::from(texture_size)).as_vec2()));
+                made.positions.len() as u32 - 1
+            })
+        }));
+    }
+    made
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mesh::atlas::meshes::{ball, scattered};
     use crate::mesh::primitive::{box_mesh, sphere_mesh};
     use glam::Vec3;
 
@@ -156,6 +185,59 @@ mod tests {
             assert_eq!(made.mesh.corners(t), bare.corners(t));
         }
         assert_eq!(unwrap_mesh(&bare, 128).unwrap(), made, "not deterministic");
+    }
+
+    #[test]
+    fn every_triangle_has_texels_that_no_other_chart_has() {
+        let mesh = ball(12, 0.01);
+        let made = unwrap_mesh(&mesh, 256).unwrap().mesh;
+        let uvs = made.uvs.as_ref().unwrap();
+        let density = |t: usize| {
+            let [a, b, c] = mesh.corners(t);
+            let [u, v, w] = made.triangles[t].map(|vertex| uvs[vertex as usize] * 256.0);
+            (v - u).perp_dot(w - u) / (b - a).cross(c - a).length()
+        };
+        let all: Vec<f32> = (0..mesh.triangles.len()).map(density).collect();
+        let mean = all.iter().sum::<f32>() / all.len() as f32;
+        assert!(all.iter().all(|d| (0.25..4.0).contains(&(d / mean))), "{mean} {all:?}");
+        assert_eq!(overlapping_part(&made, 4096), 0.0);
+        // Vertices are doubled on seams alone.
+        assert!(made.positions.len() < mesh.welded_vertices().len() + 400, "{}", made.positions.len());
+    }
+
+    #[test]
+    fn threads_make_no_difference() {
+        let mesh = ball(12, 0.01);
+        let with = |threads| rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        let [one, three] = [1, 3].map(|threads| with(threads).install(|| unwrap_mesh(&mesh, 128).unwrap()));
+        assert!(one == three);
+    }
+
+    #[test]
+    fn triangles_without_area_take_no_room() {
+        let mut mesh = scattered(3);
+        mesh.triangles.insert(1, [0, 0, 4]);
+        let made = unwrap_mesh(&mesh, 64).unwrap();
+        assert_eq!((made.charts, made.mesh.triangles.len()), (Some(3), 4));
+        for t in 0..4 {
+            assert_eq!(made.mesh.corners(t), mesh.corners(t));
+        }
+        let uvs = made.mesh.uvs.unwrap();
+        assert!(made.mesh.triangles[1].iter().all(|v| uvs[*v as usize] == Vec2::ZERO));
+        assert_eq!(unwrap_mesh(&Mesh::default(), 64).unwrap().charts, Some(0));
+    }
+
+    #[test]
+    fn a_mesh_that_is_none_is_an_error() {
+        let good = scattered(2);
+        let wrong = |change: &dyn Fn(&mut Mesh)| {
+            let mut mesh = good.clone();
+            change(&mut mesh);
+            unwrap_mesh(&mesh, 64).unwrap_err().to_string()
+        };
+        assert!(wrong(&|m| m.triangles[1][2] = 6).contains("triangle 1 names a vertex beyond the 6"));
+        assert!(wrong(&|m| m.positions[4].y = f32::NAN).contains("vertex 4 is not finite"));
+        assert!(wrong(&|m| m.normals.truncate(5)).contains("6 positions and 5 normals"));
     }
 
     #[test]
@@ -190,15 +272,8 @@ mod tests {
     #[test]
     fn a_texture_that_is_too_small_is_an_error() {
         assert!(unwrap_mesh(&bare_sphere(), 4).is_err() && unwrap_mesh(&bare_sphere(), 0).is_err());
-        // Sixty separate triangles need more than a few texels each.
-        let mut scattered = Mesh::default();
-        for k in 0..300u32 {
-            let p = Vec3::new(k as f32, 0.0, 0.0);
-            scattered.positions.extend([p, p + Vec3::X * 0.5, p + Vec3::Y]);
-            scattered.triangles.push([3 * k, 3 * k + 1, 3 * k + 2]);
-        }
-        scattered.repair_normals();
-        let error = unwrap_mesh(&scattered, 16).unwrap_err();
+        // Separate triangles need more than a few texels each.
+        let error = unwrap_mesh(&scattered(300), 16).unwrap_err();
         assert!(error.to_string().contains("charts of the unwrapped mesh do not fit 16²"), "{error}");
         assert!(error.exit_code() == 2 && error.help().unwrap().contains("texture_size"), "{error:?}");
     }
