@@ -18,11 +18,12 @@ use crate::pass::session::Session;
 use crate::sample::point::Scenery;
 use crate::scene::Surface as SurfaceSpec;
 use crate::scene::{GridLevel, ShapePass};
+use crate::sdf::SdfGrid;
 use crate::sdf::extract::extract_mesh;
 use crate::sdf::volume::SdfSurface;
 use crate::shape::field::ModelError;
 use crate::shape::run::{
-    ShapeLevel, ShapeOptions, ShapeProgress, fit_shape, refine_by_stereo, replace_texels,
+    ShapeLevel, ShapeOptions, ShapeProgress, fit_shape, refine_by_outlines, refine_by_stereo, replace_texels,
 };
 use crate::shape::stereo::ROUNDS as STEREO_ROUNDS;
 use crate::shape::systems::ShapeSchedule;
@@ -76,7 +77,7 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
         heed_stop();
     }
     session.report_light_frame(&pass.name);
-    stopped |= take_over(session, pass, &surface, texture_size, stopped)?;
+    stopped |= take_over(session, pass, surface, texture_size, stopped)?;
     let elapsed = start.elapsed().as_secs_f64();
     session.scores.fit_secs = Some(session.scores.fit_secs.unwrap_or(0.0) + elapsed);
     let triangles = session.surface.mesh().triangles.len();
@@ -90,15 +91,18 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
 fn take_over(
     session: &mut Session,
     pass: &ShapePass,
-    found: &SdfSurface,
+    mut found: SdfSurface,
     texture_size: u32,
     stopped: bool,
 ) -> Result<bool> {
     let guessed = std::mem::replace(&mut session.guess, FirstGuess::NONE);
-    let mesh = found_mesh(session, found, pass.stereo && !stopped, &pass.name);
+    if !stopped {
+        match_outlines(session, &pass.name, &mut found.grid);
+    }
+    let mesh = found_mesh(session, &found, pass.stereo && !is_stopping(), &pass.name);
     let stopped = is_stopping();
     heed_stop();
-    put_in_place(session, found, &mesh, texture_size)?;
+    put_in_place(session, &found, &mesh, texture_size)?;
     if guessed == FirstGuess::ALL {
         // The light still has the color from the initialization with gray albedo.
         start_scale(&mut session.pipeline.world, session.scene.scale)?;
@@ -165,6 +169,15 @@ fn shape_level(pass: &ShapePass, level: &GridLevel) -> ShapeLevel {
             redistance_every: REDISTANCE_EVERY,
         },
     }
+}
+
+/// Moves the contours of the field to the outlines of the masks, and says what came of it.
+fn match_outlines(session: &mut Session, name: &str, grid: &mut SdfGrid) {
+    let start = Instant::now();
+    let report = refine_by_outlines(&mut session.pipeline.world, grid);
+    let seconds = start.elapsed().as_secs_f64();
+    let found = format!("{:.2} pixels off before, {:.2} after", report.before, report.after);
+    session.progress.print(&format!("{name}: outlines in {seconds:.1} s, {found}"));
 }
 
 /// Moves the mesh to where neighboring photographs agree, and says what came of it.

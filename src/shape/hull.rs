@@ -19,6 +19,10 @@ pub(super) const FORGIVEN: f32 = 0.02;
 pub(super) const FORGIVEN_AT_GAPS: f32 = 0.12;
 /// Cells a side of the grid that finds out how large the object is.
 const COARSE_CELLS: u32 = 48;
+/// Cells that a surface may lie outside the hull.
+const TRIM_SLACK: f32 = 0.25;
+/// Cells around the surface that are trimmed: what a fit adds beyond the hull is thin.
+const TRIM_REACH: f32 = 3.0;
 
 /// The visual hull of an object, on a grid of `cells` cells a side that just holds it.
 ///
@@ -75,6 +79,22 @@ fn carve(silhouettes: &[Silhouette], center: Vec3, half_side: f32, cells: u32) -
     // What is not carved is dropped by whoever asked for it.
     let distance = |point| hull_distance(silhouettes, point, FORGIVEN, outside);
     SdfGrid::from_fn(center, half_side, cells, |point| if is_stopping() { outside } else { distance(point) })
+}
+
+/// Removes from `grid` what lies outside the hull, as [`visual_hull`] has it, by more than [`TRIM_SLACK`] cells, and restores what most
+/// masks show. Changed values are not exact distances.
+pub(super) fn trim(grid: &mut SdfGrid, silhouettes: &[Silhouette]) {
+    let (whole, cell) = (&*grid, grid.spacing);
+    let trimmed = |row: usize| {
+        let value = whole.values[row];
+        if value.abs() > TRIM_REACH * cell || is_stopping() {
+            return value;
+        }
+        let point = whole.position(whole.vertex(row));
+        value.max(hull_distance(silhouettes, point, FORGIVEN, value) - TRIM_SLACK * cell)
+    };
+    grid.values = (0..grid.values.len()).into_par_iter().map(trimmed).collect();
+    regrow(grid, silhouettes, FORGIVEN_AT_GAPS);
 }
 
 /// The point nearest to all middle rays, in the least-squares sense; `None` if they are parallel.
@@ -152,6 +172,21 @@ mod tests {
         views[7].1.coverage.iter_mut().enumerate().for_each(|(i, c)| *c = if i == 0 { 1.0 } else { 0.0 });
         let grid = visual_hull(&silhouettes(&views), 24).unwrap();
         assert!(grid.value(Vec3::ZERO) < -0.5);
+    }
+
+    /// A fin beyond the masks goes; what is inside stays as it is.
+    #[test]
+    fn what_lies_outside_the_hull_is_trimmed() {
+        let views = silhouettes(&ball_views(Vec3::ZERO, 0.9, 40));
+        let fin = |p: Vec3| (p.abs() - Vec3::new(1.2, 0.06, 0.2)).max_element();
+        let mut grid = SdfGrid::from_fn(Vec3::ZERO, 1.3, 52, |p| (p.length() - 0.88).min(fin(p)));
+        let before = grid.clone();
+        trim(&mut grid, &views);
+        for (i, value) in grid.values.iter().enumerate() {
+            let distance = grid.position(grid.vertex(i)).length();
+            assert!(distance < 1.0 || *value > 0.0, "{distance} {value}");
+            assert!(distance > 0.8 || *value == before.values[i], "{distance} {value}");
+        }
     }
 
     #[test]

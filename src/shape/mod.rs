@@ -9,11 +9,16 @@
 //! | [`silhouette`] | a mask with its camera, and distances from it |
 //! | `silhouette_loss` | the loss of masks |
 //! | [`systems`] | the systems, which are swapped in during the fit of a shape ([`run`]) |
+//! | [`outline`] | moves the contours of the surface to the outlines of the masks |
+//! | `displace` | moves a field by displacements of the vertices of its surface |
+//! | [`stereo`] | moves a mesh to where neighboring photographs agree |
 //! | [`vertices`] | a mesh's vertices as parameters of a fit |
 
 pub(crate) mod adjoint;
+pub(crate) mod displace;
 pub mod field;
 pub mod hull;
+pub mod outline;
 pub mod repair;
 pub mod run;
 pub mod silhouette;

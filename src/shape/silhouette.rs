@@ -95,6 +95,11 @@ impl Silhouette {
     /// Gradient of the distance in the image at a pixel, per pixel.
     pub(super) fn slope(&self, pixel: usize) -> Vec2 {
         let (x, y) = self.center(pixel);
+        self.slope_at(x, y)
+    }
+
+    /// The same at an image position.
+    pub(super) fn slope_at(&self, x: f32, y: f32) -> Vec2 {
         let across = self.pixels(x + 1.0, y) - self.pixels(x - 1.0, y);
         0.5 * Vec2::new(across, self.pixels(x, y + 1.0) - self.pixels(x, y - 1.0))
     }
@@ -106,7 +111,7 @@ impl Silhouette {
     }
 
     /// The bilinear distance in pixels at an image position.
-    fn pixels(&self, x: f32, y: f32) -> f32 {
+    pub(super) fn pixels(&self, x: f32, y: f32) -> f32 {
         let (width, height) = (self.camera.width as usize, self.camera.height as usize);
         let (x, y) = ((x - 0.5).clamp(0.0, (width - 1) as f32), (y - 0.5).clamp(0.0, (height - 1) as f32));
         let (x0, y0) = (x as usize, y as usize);

@@ -18,7 +18,8 @@ use crate::shape::field::{
     BRICK_LEN, BrickAt, BrickGradient, BrickIndex, BrickMoments, BrickValues, ModelError, SdfField,
     bricks_near_surface, keep_field,
 };
-use crate::shape::hull::{FORGIVEN, visual_hull};
+use crate::shape::hull::{FORGIVEN, trim, visual_hull};
+use crate::shape::outline::{OutlineReport, fit_outlines};
 use crate::shape::repair::{regrow, reliable_pixels};
 use crate::shape::silhouette::{Silhouette, pixel_size};
 use crate::shape::silhouette_loss::{SilhouetteIndex, SilhouetteSample};
@@ -221,6 +222,15 @@ fn with_texels(
     SdfSurface { grid, volume }
 }
 
+/// Removes from the found field what lies outside the hull, and moves its contours to the outlines of the training masks
+/// ([`outline`](crate::shape::outline)).
+pub fn refine_by_outlines(world: &mut World, grid: &mut SdfGrid) -> OutlineReport {
+    let silhouettes = training_silhouettes(world);
+    trim(grid, &silhouettes);
+    grid.redistance();
+    fit_outlines(grid, &silhouettes)
+}
+
 /// Moves the vertices of a mesh of the found surface to where the training photographs agree ([`stereo`](crate::shape::stereo)).
 /// Nothing moves without a [`ModelError`] in the world, which this removes.
 pub fn refine_by_stereo(
@@ -229,6 +239,7 @@ pub fn refine_by_stereo(
     go_on: impl FnMut(usize) -> ControlFlow<()>,
 ) -> StereoReport {
     let Some(error) = world.remove_resource::<ModelError>() else { return StereoReport::default() };
+    let silhouettes = training_silhouettes(world);
     let mut query = world.query::<(&ViewIndex, &Camera, &Photograph, &ViewMask, &Split)>();
     let mut train: Vec<_> = query.iter(world).filter(|(.., split)| **split == Split::Train).collect();
     train.sort_by_key(|(index, ..)| **index);
@@ -236,7 +247,7 @@ pub fn refine_by_stereo(
         .into_iter()
         .map(|(_, camera, photograph, mask, _)| StereoView { camera, photograph, mask: &mask.0 })
         .collect();
-    refine(mesh, &views, &error, go_on)
+    refine(mesh, &views, &silhouettes, &error, go_on)
 }
 
 fn half_side(grid: &SdfGrid) -> f32 {

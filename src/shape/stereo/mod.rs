@@ -26,11 +26,12 @@ pub mod sweep;
 pub mod votes;
 
 use crate::error::stop::is_stopping;
-use crate::math::ray::Ray;
 use crate::mesh::bvh::TriangleBvh;
 use crate::mesh::triangles::Mesh;
+use crate::shape::displace::room;
 use crate::shape::field::ModelError;
-use crate::shape::silhouette::pixel_size;
+use crate::shape::outline::{Contours, Vote};
+use crate::shape::silhouette::{Silhouette, pixel_size};
 use crate::shape::vertices::VertexGraph;
 use crate::view::{Camera, Photograph, StoredMask};
 use glam::Vec3;
@@ -60,8 +61,6 @@ const BENDING: f32 = 2.0;
 const FAIRNESS: f32 = 2.0;
 /// Largest displacement of a round, in mean edges.
 const REACH: f32 = 3.0;
-/// Largest part of the distance to the opposite side, within or across a gap, that a vertex moves in a round.
-const ROOM: f32 = 0.15;
 /// Height of a ray's start above the surface, relative to that reach.
 const LIFT: f32 = 0.02;
 /// Trust from which a vertex counts as one that follows its votes.
@@ -96,10 +95,11 @@ pub struct StereoReport {
 }
 
 /// Moves the vertices of `mesh` to where the photographs agree, where that is better known than by shading; `error` is what the
-/// shading leaves unexplained. `go_on` is asked before each round.
+/// shading leaves unexplained. Contours stay at the outlines of `silhouettes`. `go_on` is asked before each round.
 pub fn refine(
     mesh: &mut Mesh,
     views: &[StereoView],
+    silhouettes: &[Silhouette],
     error: &ModelError,
     mut go_on: impl FnMut(usize) -> ControlFlow<()>,
 ) -> StereoReport {
@@ -114,7 +114,7 @@ pub fn refine(
         let factor = finest * relative;
         let picture = |v: &StereoView| MatchPicture::new(v.camera, v.photograph, v.mask, factor);
         let pictures: Vec<MatchPicture> = views.par_iter().filter_map(picture).collect();
-        let trusted = refine_round(mesh, &pictures, error, search, &mut object);
+        let trusted = refine_round(mesh, &pictures, silhouettes, error, search, &mut object);
         if trusted == 0.0 {
             break;
         }
@@ -140,6 +140,7 @@ fn finest_factor(mesh: &Mesh, views: &[StereoView]) -> Option<u32> {
 fn refine_round(
     mesh: &mut Mesh,
     pictures: &[MatchPicture],
+    silhouettes: &[Silhouette],
     error: &ModelError,
     search: Sweep,
     object: &mut Option<f32>,
@@ -157,7 +158,9 @@ fn refine_round(
     }
     let trusted = |(v, gate): (&Votes, &f32)| object * smooth_step(*gate, LOCAL) * v.share(HALF_SHARE);
     let trust: Vec<f32> = votes.iter().zip(&gates).map(trusted).collect();
-    let moved = moved_positions(&bvh, &shell, pictures, &votes, &trust);
+    let outlines = Contours::new(&shell, &bvh).votes(silhouettes);
+    let outlines: Vec<Plate> = outlines.of_vertices.iter().map(Vote::plate).collect();
+    let moved = moved_positions(&bvh, &shell, pictures, (&votes, &trust), &outlines);
     put(mesh, &shell, &moved);
     trust.iter().filter(|trust| **trust > TRUSTED).count() as f32 / trust.len().max(1) as f32
 }
@@ -167,20 +170,22 @@ fn moved_positions(
     bvh: &TriangleBvh,
     shell: &Shell,
     pictures: &[MatchPicture],
-    votes: &[Votes],
-    trust: &[f32],
+    (votes, trust): (&[Votes], &[f32]),
+    outlines: &[Plate],
 ) -> Vec<Vec3> {
     let Shell { graph, positions, normals } = shell;
-    let plate = |(v, trust): (&Votes, &f32)| Plate {
-        hold: trust + v.silhouette() + HELD,
-        pull: trust * v.displacement(),
+    let plate = |i: usize| Plate {
+        hold: trust[i] + votes[i].silhouette() + outlines[i].hold + HELD,
+        pull: trust[i] * votes[i].displacement() + outlines[i].pull,
     };
-    let plates: Vec<Plate> = votes.iter().zip(trust).map(plate).collect();
+    let plates: Vec<Plate> = (0..positions.len()).map(plate).collect();
     let along = bent(graph, &plates, BENDING);
     let reach = REACH * graph.mean_edge(positions);
     let bent: Vec<Vec3> =
         (0..positions.len()).map(|i| positions[i] + normals[i] * along[i].clamp(-reach, reach)).collect();
-    let wanted = faired(graph, &bent, trust, FAIRNESS);
+    // Fairing would pull outlines inward.
+    let free: Vec<f32> = trust.iter().zip(outlines).map(|(trust, o)| trust / (1.0 + o.hold)).collect();
+    let wanted = faired(graph, &bent, &free, FAIRNESS);
     let steps = within_room(bvh, positions, normals, &wanted, LIFT * reach);
     let within: Vec<Vec3> = positions.iter().zip(&steps).map(|(p, step)| *p + *step).collect();
     let within = within_silhouettes(pictures, shell, &within);
@@ -231,9 +236,7 @@ fn within_room(
         if along == 0.0 || direction == Vec3::ZERO {
             return step;
         }
-        let ray = Ray { origin: positions[i] + direction * lift, direction };
-        let room = bvh.nearest(&ray, 0.0).map_or(f32::INFINITY, |hit| ROOM * hit.distance);
-        step * (room / along.abs()).min(1.0)
+        step * (room(bvh, positions[i], direction, lift) / along.abs()).min(1.0)
     };
     (0..positions.len()).into_par_iter().map(step).collect()
 }

@@ -1,0 +1,307 @@
+//! Outlines: moves the surface so that its contours meet the outlines of the masks.
+//!
+//! A fit of the field determines an object's outline to a fraction of a cell, and smoothness pulls it inward; masks show it to a
+//! fraction of a pixel. An edge of the extracted mesh between a triangle that faces the camera and one that does not lies on a contour. Where
+//! nothing of the object is seen just beyond it, this contour is the object's outline in that view, and its distance to the mask's is what
+//! its vertices are to move along their normals. All views vote; a thin plate carries the votes to the vertices that are contours in no view.
+//!
+//! Source: contour generators as constraints on a surface (Cipolla and Giblin, "Visual Motion of Curves and Surfaces", 2000);
+//! the plate as in [`stereo`](crate::shape::stereo).
+
+use crate::error::stop::is_stopping;
+use crate::math::ray::Ray;
+use crate::mesh::bvh::TriangleBvh;
+use crate::sdf::SdfGrid;
+use crate::sdf::extract::extract_mesh;
+use crate::shape::displace::displace;
+use crate::shape::silhouette::{Silhouette, is_inner, pixel_size};
+use crate::shape::stereo::plate::{Plate, bent};
+use crate::shape::stereo::votes::Shell;
+use glam::{Vec2, Vec3};
+use rayon::prelude::*;
+
+/// Rounds: a moved surface has other contours.
+const ROUNDS: usize = 3;
+/// Farthest outline that is taken for that of a contour, in mean edges and in pixels, whichever is more.
+const REACH: (f32, f32) = (2.0, 4.0);
+/// Distance at which a vote counts a quarter, relative to the mean, and the least in pixels: masks that are wrong lose against those that
+/// are not.
+const QUARTER_DISTANCE: (f32, f32) = (2.0, 1.0);
+/// Pixels beyond a contour at which nothing of the object may be seen. More would count the dents between bumps as outlines.
+const BEYOND: f32 = 0.25;
+/// Least cosine in the picture between a contour's normal and the direction to the mask's outline.
+const LEAST_COSINE: f32 = 0.5;
+/// How strongly each vertex is held where it is, in votes.
+const HELD: f32 = 0.005;
+/// Votes beyond which more do not hold a vertex more strongly.
+const MOST_VOTES: f32 = 4.0;
+/// Weight of the squared Laplacian of displacements.
+const BENDING: f32 = 10.0;
+
+/// What [`fit_outlines`] did.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct OutlineReport {
+    /// Mean distance between the outlines of surface and masks before, pixels.
+    pub before: f32,
+    /// The same after it.
+    pub after: f32,
+}
+
+/// Moves the surface of `grid` so that its contours meet the outlines of the masks. A run that is stopping
+/// ([`is_stopping`]) moves it no further.
+pub fn fit_outlines(grid: &mut SdfGrid, silhouettes: &[Silhouette]) -> OutlineReport {
+    let mut report = OutlineReport::default();
+    for round in 0..=ROUNDS {
+        let mesh = extract_mesh(grid);
+        let (bvh, shell) = (TriangleBvh::new(&mesh), Shell::new(&mesh));
+        let votes = Contours::new(&shell, &bvh).votes(silhouettes);
+        report.after = votes.mean_distance;
+        if round == 0 {
+            report.before = report.after;
+        }
+        if round == ROUNDS || votes.none || is_stopping() {
+            break;
+        }
+        let held = |vote: &Vote| Plate { hold: HELD + vote.plate().hold, ..vote.plate() };
+        let plates: Vec<Plate> = votes.of_vertices.iter().map(held).collect();
+        displace(grid, &bvh, &shell, &bent(&shell.graph, &plates, BENDING));
+    }
+    report
+}
+
+/// What contours say of a vertex.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Vote {
+    /// Σ w c², c the cosine between the vertex's normal and the contour's.
+    hold: f32,
+    /// Σ w c δ, δ the displacement that the contour needs, world units.
+    pull: f32,
+}
+
+impl Vote {
+    /// The spring that pulls the vertex to the outlines.
+    pub(crate) fn plate(&self) -> Plate {
+        let share = MOST_VOTES / self.hold.max(MOST_VOTES);
+        Plate { hold: share * self.hold, pull: share * self.pull }
+    }
+}
+
+/// A vertex of a contour beside a mask's outline.
+struct Seen {
+    vertex: u32,
+    /// Cosine between the vertex's normal and the contour's.
+    cosine: f32,
+    /// How far the mask's outline lies beyond, pixels.
+    distance: f32,
+    /// World size of a pixel there.
+    pixel_size: f32,
+}
+
+/// The votes of all views.
+pub(crate) struct Votes {
+    /// One for each vertex of the shell.
+    pub(crate) of_vertices: Vec<Vote>,
+    /// Mean distance of outlines in pixels.
+    mean_distance: f32,
+    /// Whether no view has an outline.
+    none: bool,
+}
+
+impl Votes {
+    fn new(seen: &[Vec<Seen>], vertices: usize) -> Self {
+        let all = || seen.iter().flatten();
+        let (count, sum) = all().fold((0, 0.0), |(n, sum), s| (n + 1, sum + f64::from(s.distance.abs())));
+        let mean_distance = (sum / f64::from(count.max(1))) as f32;
+        let scale = (QUARTER_DISTANCE.0 * mean_distance).max(QUARTER_DISTANCE.1);
+        let mut of_vertices = vec![Vote::default(); vertices];
+        for seen in all() {
+            let weight = 0.5 / (1.0 + (seen.distance / scale).powi(2)).powi(2);
+            let vote = &mut of_vertices[seen.vertex as usize];
+            vote.hold += weight * seen.cosine * seen.cosine;
+            vote.pull += weight * seen.cosine * seen.distance * seen.pixel_size;
+        }
+        Self { of_vertices, mean_distance, none: count == 0 }
+    }
+}
+
+/// An edge and the two triangles that share it.
+struct Edge {
+    ends: [u32; 2],
+    triangles: [u32; 2],
+}
+
+/// Where the mask's outline is, as seen from a contour.
+struct Outline {
+    /// How far it lies beyond the contour, pixels.
+    distance: f32,
+    /// World size of a pixel at the contour.
+    pixel_size: f32,
+    /// Unit vector outward, across the ray.
+    outward: Vec3,
+}
+
+/// A surface whose contours are compared with masks.
+pub(crate) struct Contours<'a> {
+    shell: &'a Shell,
+    bvh: &'a TriangleBvh,
+    edges: Vec<Edge>,
+    /// Normals of the triangles, twice their area long.
+    normals: Vec<Vec3>,
+    mean_edge: f32,
+}
+
+impl<'a> Contours<'a> {
+    /// Of a mesh.
+    pub(crate) fn new(shell: &'a Shell, bvh: &'a TriangleBvh) -> Self {
+        let normal = |triangle: &[u32; 3]| {
+            let [a, b, c] = triangle.map(|v| shell.positions[v as usize]);
+            (b - a).cross(c - a)
+        };
+        Self {
+            bvh,
+            edges: shared_edges(&shell.graph.triangles),
+            normals: shell.graph.triangles.iter().map(normal).collect(),
+            mean_edge: shell.graph.mean_edge(&shell.positions),
+            shell,
+        }
+    }
+
+    /// The votes of all views, added in their order.
+    pub(crate) fn votes(&self, silhouettes: &[Silhouette]) -> Votes {
+        let seen: Vec<Vec<Seen>> = silhouettes.par_iter().map(|view| self.seen(view)).collect();
+        Votes::new(&seen, self.shell.positions.len())
+    }
+
+    /// The vertices of a view's outline; none once a run is stopping.
+    fn seen(&self, view: &Silhouette) -> Vec<Seen> {
+        let eye = view.camera.position();
+        let mut seen = Vec::new();
+        for edge in self.edges.iter().filter(|_| !is_stopping()) {
+            let [a, b] = edge.ends.map(|v| v as usize);
+            let at = 0.5 * (self.shell.positions[a] + self.shell.positions[b]);
+            let [first, second] = edge.triangles.map(|t| self.normals[t as usize].dot(at - eye));
+            if first * second > 0.0 {
+                continue;
+            }
+            let normal = self.shell.normals[a] + self.shell.normals[b];
+            let Some(Outline { distance, pixel_size, outward }) = self.outline(view, at, normal) else {
+                continue;
+            };
+            seen.extend(edge.ends.map(|vertex| {
+                let cosine = self.shell.normals[vertex as usize].dot(outward).max(0.0);
+                Seen { vertex, cosine, distance, pixel_size }
+            }));
+        }
+        seen
+    }
+
+    /// The mask's outline beside a contour at `at`; `None` if the contour is not the object's outline, or the mask has none nearby.
+    fn outline(&self, view: &Silhouette, at: Vec3, normal: Vec3) -> Option<Outline> {
+        let (camera, eye) = (&view.camera, view.camera.position());
+        let (x, y, depth) = camera.project(at)?;
+        if !is_inner(camera, x, y) {
+            return None;
+        }
+        let pixel_size = depth * pixel_size(camera);
+        let distance = view.pixels(x, y);
+        if distance.abs() > REACH.1.max(REACH.0 * self.mean_edge / pixel_size) {
+            return None;
+        }
+        let along = (at - eye).normalize();
+        let outward = (normal - along * normal.dot(along)).try_normalize()?;
+        let (beyond_x, beyond_y, _) = camera.project(at + outward * pixel_size)?;
+        let direction = Vec2::new(beyond_x - x, beyond_y - y).try_normalize()?;
+        let slope = view.slope_at(x, y).dot(direction);
+        if slope < LEAST_COSINE {
+            return None;
+        }
+        let beyond = at + outward * (BEYOND * pixel_size);
+        let ray = Ray { origin: eye, direction: (beyond - eye).normalize() };
+        let is_outline = self.bvh.nearest(&ray, 0.0).is_none();
+        is_outline.then_some(Outline { distance: -distance / slope, pixel_size, outward })
+    }
+}
+
+/// The edges with exactly two triangles.
+fn shared_edges(triangles: &[[u32; 3]]) -> Vec<Edge> {
+    let sides =
+        |(t, &[a, b, c]): (u32, &[u32; 3])| [(a, b), (b, c), (c, a)].map(|(a, b)| ([a.min(b), a.max(b)], t));
+    let mut sides: Vec<([u32; 2], u32)> = (0..).zip(triangles).flat_map(sides).collect();
+    sides.sort_unstable();
+    let pairs = sides.chunk_by(|a, b| a.0 == b.0).filter(|same| same.len() == 2);
+    pairs.map(|same| Edge { ends: same[0].0, triangles: [same[0].1, same[1].1] }).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::view::{Camera, Mask, StoredMask};
+
+    const SIZE: u32 = 128;
+
+    /// Masks of a ball around the origin, seen from all around, with anti-aliased outlines.
+    fn ball(radius: f32) -> Vec<Silhouette> {
+        let cameras = Camera::around(40, 3.5, 40.0, SIZE).unwrap();
+        cameras.iter().map(|camera| silhouette(camera, Vec3::ZERO, radius)).collect()
+    }
+
+    fn silhouette(camera: &Camera, center: Vec3, radius: f32) -> Silhouette {
+        let covered = |pixel: u32| {
+            let ray = camera.pixel_ray(pixel);
+            let offset = center - ray.origin;
+            let miss = ray.direction.cross(offset).length() - radius;
+            (0.5 - miss / (pixel_size(camera) * offset.dot(ray.direction))).clamp(0.0, 1.0)
+        };
+        let coverage = (0..SIZE * SIZE).map(covered).collect();
+        let mask = StoredMask::new(&Mask { width: SIZE, height: SIZE, coverage });
+        Silhouette::new("ball", camera, &mask).unwrap()
+    }
+
+    fn sphere(radius: f32) -> SdfGrid {
+        SdfGrid::from_fn(Vec3::ZERO, 1.3, 40, |p| p.length() - radius)
+    }
+
+    /// Largest difference of the vertices' distance from the origin to `radius`.
+    fn off(grid: &SdfGrid, radius: f32) -> f32 {
+        extract_mesh(grid).positions.iter().map(|p| (p.length() - radius).abs()).fold(0.0, f32::max)
+    }
+
+    #[test]
+    fn a_surface_moves_to_the_outlines_from_inside_and_from_outside() {
+        for start in [0.95, 1.04] {
+            let mut grid = sphere(start);
+            let report = fit_outlines(&mut grid, &ball(1.0));
+            assert!(off(&grid, 1.0) < 0.006, "{start}: {} {report:?}", off(&grid, 1.0));
+            assert!(report.before > 1.0 && report.after < 0.15, "{report:?}");
+        }
+    }
+
+    #[test]
+    fn one_wrong_mask_of_many_does_not_bend_the_outline() {
+        let (mut grid, mut masks) = (sphere(0.97), ball(1.0));
+        let camera = masks[7].camera;
+        masks[7] = silhouette(&camera, Vec3::ZERO, 0.9);
+        fit_outlines(&mut grid, &masks);
+        assert!(off(&grid, 1.0) < 0.015, "{}", off(&grid, 1.0));
+    }
+
+    #[test]
+    fn masks_that_show_something_else_move_nothing() {
+        let mut grid = sphere(0.6);
+        let before = off(&grid, 0.6);
+        fit_outlines(&mut grid, &ball(1.0));
+        assert_eq!(off(&grid, 0.6), before, "an outline that far away is not that of the contour");
+    }
+
+    #[test]
+    fn bits_do_not_depend_on_the_number_of_threads() {
+        let masks = ball(1.0);
+        let moved = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let mut grid = sphere(0.96);
+            pool.install(|| fit_outlines(&mut grid, &masks));
+            grid
+        };
+        assert_eq!(moved(1), moved(3));
+    }
+}
