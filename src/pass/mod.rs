@@ -6,13 +6,14 @@
 //! | `Shape` | [`shape`] | with `--debug-every N`, normals, depth and mesh every N steps |
 //! | both | `found_views` | `cam_dict_norm.json` of optimized cameras, `exposures.csv` |
 //! | `Render`, `Edit`, `Relight` | [`render`] | an EXR with layers and a PNG per view, the animation of an orbit |
-//! | `Evaluate` | [`evaluate`] | a contact sheet; scores go to `OUT/metrics.json` |
+//! | `Evaluate` | [`evaluate`] | a contact sheet, and a folder per scored pass with small pictures of its views; scores go to `OUT/metrics.json` |
 //! | `Save` | [`save`] | `scene.ron` with side files |
 //! | `Export` | [`export`] | `mesh.glb`, `mesh.ply`, `mesh.obj` with `mesh.mtl` and `mesh_albedo.png` |
 //! | `View` | [`view`] | `view.html` |
 //!
 //! [`preflight`] checks the inputs of all passes before the first one runs; [`files`] knows all files that they may write, so that
-//! none of them is one that is read; [`record`] keeps `OUT/run.json`, which says what belongs together.
+//! none of them is one that is read; [`record`] keeps `OUT/run.json`, which says what belongs together; [`summary`] makes `OUT/report.html`
+//! of what is in the folder.
 
 pub mod edit;
 pub mod evaluate;
@@ -22,6 +23,7 @@ pub mod fit;
 mod found_views;
 pub mod inspect;
 mod interrupt;
+mod machine;
 pub mod memory;
 pub mod photograph;
 pub mod preflight;
@@ -34,6 +36,7 @@ mod session;
 mod shading;
 pub mod shape;
 pub mod show;
+pub mod summary;
 mod truth_files;
 pub mod view;
 
@@ -58,11 +61,12 @@ use crate::survey::Survey;
 use crate::survey::open::OpenScene;
 use crate::view::ViewRecord;
 use photograph::{TrueObject, camera_of};
-use progress::Progress;
+use progress::{Progress, Told};
 use record::Claim;
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
+use summary::Reporter;
 
 /// How a loaded scene is run.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -86,6 +90,8 @@ pub struct RunOptions {
 /// The first error of a pass; passes that do not need it are run all the same, and the scores written. [`Error::Usage`] if a file that would be
 /// written is an input, or is of something else than an earlier run, or if another run writes into the output folder.
 pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) -> Result<()> {
+    let told = Told::new(progress);
+    let progress: &dyn Progress = &told;
     record::check_used(&options.out, options.force)?;
     preflight::check_output(&loaded.scene, &options.out)?;
     preflight::check_sizes(&loaded.scene)?;
@@ -102,10 +108,12 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
         session.pipeline.world.insert_resource(ObjectTurned);
     }
     check_interrupted()?;
-    let mut record = claim.begin(&loaded.path, &options.arguments)?;
-    let ended = sequence::run(&mut session, &mut record);
+    let mut record = claim.begin(loaded, &options.arguments)?;
+    let mut report = Reporter::default();
+    let ended = sequence::run(&mut session, &mut record, &told, &mut report);
     let finished = if matches!(ended, Err(Error::Interrupted)) { Ok(()) } else { session.finish() };
-    record.end(ended.and(finished))
+    // The folder is the run's own until its report says how it ended.
+    record.end(ended.and(finished)).and(report.write(&options.out))
 }
 
 /// Takes the output folder, once it is clear that nothing in it is read or somebody else's.
@@ -114,7 +122,7 @@ fn claim(loaded: &LoadedScene, data: Option<&OpenScene>, options: &RunOptions) -
     let used = |name: &str, by: String| FileUse::new(options.out.join(name), by);
     let of_passes =
         plan.iter().flat_map(|pass| pass.files.iter().map(|file| used(file, format!("pass {}", pass.pass))));
-    let of_run = [files::RUN, session::METRICS].map(|name| used(name, "the run".to_owned()));
+    let of_run = record::OF_RUN.into_iter().chain([files::RUN]).map(|name| used(name, "the run".to_owned()));
     let outputs: Vec<FileUse> = of_passes.chain(of_run).collect();
     let help = "Choose another folder with --out, or give the pass another name. Inputs are never replaced, --force or not.";
     check_apart(&files::inputs(loaded, data), &outputs, help)?;

@@ -5,34 +5,45 @@ use crate::pass::evaluate;
 use crate::pass::export;
 use crate::pass::fit;
 use crate::pass::interrupt::check_interrupted;
+use crate::pass::progress::Told;
 use crate::pass::record::{RunRecord, RunState};
 use crate::pass::render;
 use crate::pass::save;
 use crate::pass::session::Session;
 use crate::pass::shape;
+use crate::pass::summary::Reporter;
 use crate::pass::view;
 use crate::scene::{EditPass, Pass, RelightPass, RenderPass};
 use std::io::ErrorKind;
 
-/// Runs all passes, but those that need one that failed.
+/// Runs all passes, but those that need one that failed; scores and report are written after each.
 ///
 /// # Errors
 /// The first error of a pass.
-pub(super) fn run(session: &mut Session, record: &mut RunRecord) -> Result<()> {
+pub(super) fn run(
+    session: &mut Session,
+    record: &mut RunRecord,
+    told: &Told,
+    report: &mut Reporter,
+) -> Result<()> {
     let scene = session.scene;
+    record.said_before(told.take());
+    report.write(&session.out)?;
     let mut failed: Vec<&Pass> = Vec::new();
     let mut first = None;
     for (index, pass) in scene.passes.iter().enumerate() {
         if let Some(needed) = failed.iter().find(|failed| needs(pass, failed)) {
             let text = format!("pass {} is left out: it needs {}", pass.name(), needed.name());
             session.progress.note(&text);
-            record.pass(index, RunState::Skipped)?;
+            record.pass(index, RunState::Skipped, told.take())?;
             failed.push(pass);
             continue;
         }
-        record.pass(index, RunState::Running)?;
+        record.pass(index, RunState::Running, Vec::new())?;
         let ended = run_pass(session, pass);
-        let recorded = record.pass(index, state_of(&ended));
+        let recorded = record.pass(index, state_of(&ended), told.take());
+        let recorded =
+            recorded.and_then(|()| session.write_scores()).and_then(|()| report.write(&session.out));
         let Err(error) = ended.and_then(|()| check_interrupted()) else {
             recorded?;
             continue;
