@@ -56,7 +56,8 @@ impl Axis {
             (true, false) => (low / 2.0, high * 2.0),
             (false, false) => (low - low.abs().max(1.0) * 0.1, high + high.abs().max(1.0) * 0.1),
         };
-        let marks = if logarithmic { decades(low, high) } else { round_steps(low, high) };
+        let decades = if logarithmic { decades(low, high) } else { Vec::new() };
+        let marks = if decades.len() >= 3 { decades } else { round_steps(low, high) };
         Some(Self { low, high, logarithmic, marks })
     }
 
@@ -210,6 +211,9 @@ mod tests {
             let text = chart(&points, logarithmic);
             assert!(text.contains("<circle") && !text.contains("NaN") && !text.contains("inf"), "{text}");
         }
+        // Within less than a decade there are no three of its marks.
+        let text = chart(&[[0.0, 0.006], [1.0, 0.009]], true);
+        assert!(text.contains(">0.007<") && text.contains(">0.009<"), "{text}");
         let text = chart(&[[0.0, 1e-12], [1e9, 1e12]], true);
         assert!(!text.contains("NaN") && text.len() < 6000, "{text}");
     }

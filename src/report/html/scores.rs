@@ -22,7 +22,11 @@ const AMOUNT: Unit = Unit { digits: 1, better: -1.0 };
 
 /// The scores of the passes, and the others.
 pub fn section(runs: &[RunReport]) -> String {
-    let mut text = pass_table(runs);
+    let linear = "Passes against their ground truth, in linear light, the mask eroded by a pixel";
+    let mut text = pass_table(runs, linear, &COLUMNS, |_| true);
+    let srgb =
+        "Passes against photographs, in sRGB: over the mask, and over all pixels on white and on black";
+    text += &pass_table(runs, srgb, &SRGB_COLUMNS, |pass| pass.srgb.is_some());
     text += &by_run(runs, "The object as a whole", &other_rows(runs));
     let better = runs.len() > 1 && !text.is_empty();
     let note =
@@ -47,76 +51,77 @@ fn cell(value: Option<f64>, first: Option<f64>, unit: Unit) -> String {
     format!("{shown} <small class=\"{class}\">({mark}{rounded})</small>")
 }
 
-/// A column of the table of passes.
-type Column = (&'static str, Unit, fn(&PassScores) -> Option<f64>);
+/// A column of a table of passes.
+type Column = (&'static str, Show);
 
-const COLUMNS: [Column; 3] = [
-    ("PSNR dB", DECIBEL, |s| Some(s.psnr)),
-    ("unscaled dB", DECIBEL, |s| Some(s.psnr_raw)),
-    ("SSIM", RATIO, |s| Some(s.ssim)),
+/// What is in a column: a score, or the factors that were taken out before scoring.
+#[derive(Clone, Copy)]
+enum Show {
+    Score(Unit, fn(&PassScores) -> Option<f64>),
+    Scale,
+}
+
+const COLUMNS: [Column; 4] = [
+    ("PSNR dB", Show::Score(DECIBEL, |s| Some(s.psnr))),
+    ("unscaled dB", Show::Score(DECIBEL, |s| Some(s.psnr_raw))),
+    ("SSIM", Show::Score(RATIO, |s| Some(s.ssim))),
+    ("scale removed", Show::Scale),
 ];
 
-/// Those of passes that are scored against photographs.
 const SRGB_COLUMNS: [Column; 5] = [
-    ("sRGB, mask dB", DECIBEL, |s| srgb(s, |s| s.psnr_mask)),
-    ("on white dB", DECIBEL, |s| srgb(s, |s| s.psnr_white)),
-    ("SSIM on white", RATIO, |s| srgb(s, |s| s.ssim_white)),
-    ("on black dB", DECIBEL, |s| srgb(s, |s| s.psnr_black)),
-    ("SSIM on black", RATIO, |s| srgb(s, |s| s.ssim_black)),
+    ("mask dB", Show::Score(DECIBEL, |s| srgb(s, |s| s.psnr_mask))),
+    ("white dB", Show::Score(DECIBEL, |s| srgb(s, |s| s.psnr_white))),
+    ("SSIM", Show::Score(RATIO, |s| srgb(s, |s| s.ssim_white))),
+    ("black dB", Show::Score(DECIBEL, |s| srgb(s, |s| s.psnr_black))),
+    ("SSIM", Show::Score(RATIO, |s| srgb(s, |s| s.ssim_black))),
 ];
 
 fn srgb(scores: &PassScores, of: fn(&SrgbScores) -> f64) -> Option<f64> {
     scores.srgb.as_ref().map(of)
 }
 
-/// The names of the passes that any run scores, in their order.
-pub fn scored_passes(runs: &[RunReport]) -> Vec<&str> {
+/// A row per run of each pass that counts in any run; empty if none does.
+fn pass_table(
+    runs: &[RunReport],
+    caption: &str,
+    columns: &[Column],
+    counts: fn(&PassScores) -> bool,
+) -> String {
     let mut names: Vec<&str> = Vec::new();
-    for name in runs.iter().flat_map(|run| run.scores.passes.keys()) {
-        if !names.contains(&name.as_str()) {
+    for (name, scores) in runs.iter().flat_map(|run| &run.scores.passes) {
+        if counts(scores) && !names.contains(&name.as_str()) {
             names.push(name);
         }
     }
-    names
-}
-
-/// A row per pass and run; empty if nothing is scored.
-fn pass_table(runs: &[RunReport]) -> String {
-    let names = scored_passes(runs);
     if names.is_empty() {
         return String::new();
     }
-    let any_srgb = runs.iter().flat_map(|run| run.scores.passes.values()).any(|pass| pass.srgb.is_some());
-    let columns: Vec<Column> =
-        COLUMNS.into_iter().chain(if any_srgb { SRGB_COLUMNS.to_vec() } else { Vec::new() }).collect();
-    let heads: String = columns.iter().map(|(name, ..)| format!("<th scope=\"col\">{name}</th>")).collect();
+    let heads: String = columns.iter().map(|(name, _)| format!("<th scope=\"col\">{name}</th>")).collect();
     let run_head = if runs.len() > 1 { "<th scope=\"col\">run</th>" } else { "" };
-    let rows: String = names.iter().map(|name| pass_rows(runs, name, &columns)).collect();
+    let rows: String = names.iter().map(|name| pass_rows(runs, name, columns)).collect();
     format!(
-        "<div class=\"wide\"><table class=\"numbers\">\n<caption>Passes against their ground truth, in linear light, the mask eroded by a pixel</caption>\n\
-         <thead><tr><th scope=\"col\">pass</th>{run_head}{heads}<th scope=\"col\">scale removed</th></tr></thead>\n<tbody>\n{rows}</tbody>\n</table></div>\n"
+        "<div class=\"wide\"><table class=\"numbers\">\n<caption>{caption}</caption>\n\
+         <thead><tr><th scope=\"col\">pass</th>{run_head}{heads}</tr></thead>\n<tbody>\n{rows}</tbody>\n</table></div>\n"
     )
 }
 
 fn pass_rows(runs: &[RunReport], name: &str, columns: &[Column]) -> String {
-    let of_run = |run: &RunReport| run.scores.passes.get(name).cloned();
-    let first = of_run(&runs[0]);
+    let first = runs[0].scores.passes.get(name);
     let mut text = String::new();
     for (i, run) in runs.iter().enumerate() {
-        let scores = of_run(run);
-        let cells = columns.iter().map(|(_, unit, of)| {
-            let compared = if i > 0 { first.as_ref().and_then(of) } else { None };
-            format!("<td>{}</td>", cell(scores.as_ref().and_then(of), compared, *unit))
+        let scores = run.scores.passes.get(name);
+        let cells = columns.iter().map(|(_, show)| match show {
+            Show::Score(unit, of) => cell(scores.and_then(of), first.filter(|_| i > 0).and_then(of), *unit),
+            Show::Scale => scores.map_or_else(|| "–".to_owned(), scale_words),
         });
-        let cells: String = cells.collect();
+        let cells: String = cells.map(|cell| format!("<td>{cell}</td>")).collect();
         let run_cell = if runs.len() > 1 { format!("<td>{}</td>", run_name(runs, i)) } else { String::new() };
         let head = match i {
             0 => format!("<th scope=\"rowgroup\" rowspan=\"{}\">{}</th>", runs.len(), escaped(name)),
             _ => String::new(),
         };
-        let scale = scores.as_ref().map_or_else(|| "–".to_owned(), scale_words);
         let class = if i == 0 { " class=\"first\"" } else { "" };
-        text += &format!("<tr{class}>{head}{run_cell}{cells}<td>{scale}</td></tr>\n");
+        text += &format!("<tr{class}>{head}{run_cell}{cells}</tr>\n");
     }
     text
 }

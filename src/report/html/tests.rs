@@ -78,7 +78,7 @@ fn a_run_is_one_page_with_all_parts() {
     );
     has(
         part(&page, "scores"),
-        &["<td>30.00</td><td>29.00</td><td>0.9500</td>", "sRGB, mask dB", "normal error, mean °"],
+        &["<td>30.00</td><td>29.00</td><td>0.9500</td><td>none</td>", "in sRGB", "normal error, mean °"],
     );
     has(
         part(&page, "views"),

@@ -68,11 +68,13 @@ fn pass_views(runs: &[RunReport], pass: &str) -> String {
     let photographs =
         runs.iter().filter_map(|run| run.scores.passes.get(pass)).any(|scores| scores.srgb.is_some());
     let drawn: Vec<String> = cards.iter().map(|card| drawn(runs, pass, card, photographs)).collect();
+    let is_pair = |card: &Card| card.of_run.iter().flatten().any(|view| view.truth.is_some());
+    let size = if cards.iter().any(is_pair) { "" } else { " small" };
     let (shown, folded) = drawn.split_at(UNFOLDED.min(drawn.len()));
     let more = match folded.len() {
         0 => String::new(),
         count => format!(
-            "<details><summary>{count} more {}</summary>\n<div class=\"cards\">\n{}</div>\n</details>\n",
+            "<details><summary>{count} more {}</summary>\n<div class=\"cards{size}\">\n{}</div>\n</details>\n",
             if count == 1 { "view" } else { "views" },
             folded.concat()
         ),
@@ -82,11 +84,11 @@ fn pass_views(runs: &[RunReport], pass: &str) -> String {
         0 => String::new(),
         count => format!("<p class=\"note\">{count} more in the folder of the pass.</p>\n"),
     };
-    let score = runs.iter().filter_map(|run| run.scores.passes.get(pass)).next();
+    let only = if runs.len() == 1 { runs[0].scores.passes.get(pass) } else { None };
     let score =
-        score.map(|scores| format!(" <small>{}</small>", escaped(&scores.summary()))).unwrap_or_default();
+        only.map(|scores| format!(" <small>{}</small>", escaped(&scores.summary()))).unwrap_or_default();
     format!(
-        "<h3>{}{score}</h3>\n<div class=\"cards\">\n{}</div>\n{more}{elsewhere}",
+        "<h3>{}{score}</h3>\n<div class=\"cards{size}\">\n{}</div>\n{more}{elsewhere}",
         escaped(pass),
         shown.concat()
     )
@@ -122,20 +124,23 @@ fn drawn(runs: &[RunReport], pass: &str, card: &Card, photographs: bool) -> Stri
     let label = |i: usize, what: &str| {
         if several { format!("{}: {what}", escaped(&runs[i].name)) } else { what.to_owned() }
     };
-    let part = |what: String, address: &str| {
+    let part = |class: &str, what: String, address: &str| {
         format!(
-            "<span><img src=\"{}\" alt=\"{what} of view {name}\" decoding=\"async\"><em>{what}</em></span>",
+            "<span class=\"{class}\"><img src=\"{}\" alt=\"{what} of view {name}\" decoding=\"async\"><em>{what}</em></span>",
             escaped(address)
         )
     };
     let mut parts = Vec::new();
-    if let Some(truth) = card.of_run.iter().flatten().find_map(|view| view.truth.as_ref()) {
-        parts.push(part(if photographs { "photograph" } else { "truth" }.to_owned(), truth));
+    let truth = card.of_run.iter().flatten().find_map(|view| view.truth.as_ref());
+    // Runs stand below each other, beside the truth.
+    let rows = if several && truth.is_some() { " several" } else { "" };
+    if let Some(truth) = truth {
+        parts.push(part("t", if photographs { "photograph" } else { "truth" }.to_owned(), truth));
     }
     for (i, view) in card.of_run.iter().enumerate() {
         let Some(view) = view else { continue };
-        parts.extend(view.render.iter().map(|address| part(label(i, "render"), address)));
-        parts.extend(view.error.iter().map(|address| part(label(i, "error"), address)));
+        parts.extend(view.render.iter().map(|address| part("r", label(i, "render"), address)));
+        parts.extend(view.error.iter().map(|address| part("e", label(i, "error"), address)));
     }
     let scores = card.scores.iter().enumerate().filter_map(|(i, scores)| {
         let scores = (*scores)?;
@@ -144,7 +149,7 @@ fn drawn(runs: &[RunReport], pass: &str, card: &Card, photographs: bool) -> Stri
     });
     let scores: String = scores.collect();
     format!(
-        "<figure class=\"card\"><button type=\"button\" class=\"strip\" data-view=\"{}: {name}\" aria-label=\"Compare the pictures of view {name}\">{}</button>\
+        "<figure class=\"card\"><button type=\"button\" class=\"strip{rows}\" data-view=\"{}: {name}\" aria-label=\"Compare the pictures of view {name}\">{}</button>\
          <figcaption><b>{name}</b>{scores}</figcaption></figure>\n",
         escaped(pass),
         parts.concat()

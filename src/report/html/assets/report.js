@@ -32,6 +32,8 @@ function show(index) {
         choose(side, keep ? before[i] : Math.min(i, names.length - 1));
     });
     const several = names.length > 1;
+    const { naturalWidth: width, naturalHeight: height } = strips[shown].querySelector("img");
+    stage.style.setProperty("--aspect", width && height ? width / height : 1);
     slider.hidden = !several;
     by("line").hidden = !several;
 }
