@@ -9,6 +9,7 @@ use crate::codec::gltf::import::read_mesh;
 use crate::codec::image::Gamma;
 use crate::error::{Error, Result};
 use crate::mesh::chamfer::chamfer_distance;
+use crate::pass::interrupt::check_interrupted;
 use crate::pass::render::{ChosenView, chosen_views};
 use crate::pass::session::Session;
 use crate::pass::truth_files::{read_fitting, read_true_layer, true_image_path};
@@ -310,6 +311,7 @@ fn write_parts(
     side: u32,
 ) -> Result<()> {
     for (i, chosen) in scored.views.iter().enumerate() {
+        check_interrupted()?;
         let view = scored.load(session, i, layers)?;
         let EvalView { width, height, truth, .. } = &view.eval;
         let shown = scores.scored_prediction(&view.eval);
