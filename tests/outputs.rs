@@ -338,6 +338,8 @@ fn a_run_that_fails_late_says_so() {
         metrics["passes"].as_object().is_none_or(|passes| passes.is_empty()),
         "of the run before: {metrics}"
     );
+    let report = std::fs::read_to_string(data.path("out/report.html")).unwrap();
+    assert!(report.contains("s-failed") && report.contains("light.npy"), "the error is in the report");
 }
 
 #[test]

@@ -396,6 +396,8 @@ fn ctrl_c_ends_a_fit_cleanly_and_keeps_it() {
         assert!(files.iter().any(|f| f == file), "no {file} in {files:?}");
     }
     assert!(!files.iter().any(|file| file.starts_with("novel/")), "no pass follows: {files:?}");
+    let report = String::from_utf8(read(out.join("report.html"))).unwrap();
+    assert!(report.contains("s-interrupted") && report.contains("fit: recovered light"), "what there is");
     let light = lobelia::codec::npy::read_lobes(out.join("fit/light.npy"), Default::default()).unwrap();
     assert_eq!(light.len(), 6);
 }
