@@ -141,7 +141,7 @@ fn scene(surface: &str, material: &str, passes: &str) -> String {
     )
 }
 
-const MESH: &str = r#"Mesh(path: "$DATA/mesh.glb", texture_size: 24)"#;
+const MESH: &str = r#"Mesh(path: "$DATA/mesh.glb", texture_size: 64)"#;
 
 #[test]
 fn a_fit_of_everything_goes_on_from_any_step() {
