@@ -126,10 +126,8 @@ impl<'a> Session<'a> {
         let Some(FramesTried(tried)) = world.remove_resource::<FramesTried>() else { return };
         let frame = world.get_resource::<OwnLightFrame>().map(|own| own.0).unwrap_or_default();
         self.scores.light_frame = ron::to_string(&frame).ok();
-        self.scores.light_frames_tried = tried
-            .iter()
-            .map(|(frame, error)| FrameTried { frame: frame.words().to_owned(), error: *error })
-            .collect();
+        self.scores.light_frames_tried =
+            tried.iter().map(|(frame, error)| FrameTried { frame: frame.words(), error: *error }).collect();
         let error = |of: LightFrame| tried.iter().find(|(frame, _)| *frame == of).map(|(_, error)| *error);
         if let (Some(own), Some(world)) = (error(frame), error(LightFrame::World)) {
             let found = frame.words();

@@ -48,7 +48,7 @@ impl Axis {
     fn around(values: impl Iterator<Item = f64>, logarithmic: bool) -> Option<Self> {
         let (low, high) =
             values.fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), v| (low.min(v), high.max(v)));
-        if !(low <= high) {
+        if low > high {
             return None;
         }
         let (low, high) = match (logarithmic, low < high) {
@@ -140,9 +140,9 @@ fn draw_axes(text: &mut String, across: &Axis, up: &Axis, label: &str) {
     // Writing to a String cannot fail.
     for mark in &up.marks {
         let y = top_of(up, *mark);
-        let _ = write!(
+        let _ = writeln!(
             text,
-            "<path class=\"grid\" d=\"M{LEFT} {y:.1}H{right}\"/><text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>\n",
+            "<path class=\"grid\" d=\"M{LEFT} {y:.1}H{right}\"/><text x=\"{:.1}\" y=\"{:.1}\" text-anchor=\"end\">{}</text>",
             LEFT - 6.0,
             y + 4.0,
             short(*mark)
@@ -150,16 +150,16 @@ fn draw_axes(text: &mut String, across: &Axis, up: &Axis, label: &str) {
     }
     for mark in &across.marks {
         let x = left_of(across, *mark);
-        let _ = write!(
+        let _ = writeln!(
             text,
-            "<path class=\"tick\" d=\"M{x:.1} {bottom}v4\"/><text x=\"{x:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>\n",
+            "<path class=\"tick\" d=\"M{x:.1} {bottom}v4\"/><text x=\"{x:.1}\" y=\"{:.1}\" text-anchor=\"middle\">{}</text>",
             bottom + 17.0,
             short(*mark)
         );
     }
-    let _ = write!(
+    let _ = writeln!(
         text,
-        "<path class=\"axis\" d=\"M{LEFT} {bottom}H{right}\"/><text x=\"{right}\" y=\"{:.1}\" text-anchor=\"end\" class=\"unit\">{}</text>\n",
+        "<path class=\"axis\" d=\"M{LEFT} {bottom}H{right}\"/><text x=\"{right}\" y=\"{:.1}\" text-anchor=\"end\" class=\"unit\">{}</text>",
         HEIGHT - 4.0,
         escaped(label)
     );
@@ -173,7 +173,7 @@ fn draw_curve(text: &mut String, series: &Series, across: &Axis, up: &Axis) {
         let _ = write!(text, "<circle cx=\"{x:.1}\" cy=\"{y:.1}\" r=\"3\"/>");
     } else {
         let points: Vec<String> =
-            series.points.iter().map(|p| at(p)).map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
+            series.points.iter().map(at).map(|(x, y)| format!("{x:.1},{y:.1}")).collect();
         let _ = write!(text, "<polyline points=\"{}\"/>", points.join(" "));
     }
     *text += "</g>\n";
