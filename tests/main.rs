@@ -2,7 +2,7 @@
 //!
 //! | theme | files |
 //! | --- | --- |
-//! | runs of the command | [`run`], [`photos`], [`gloss`], [`ggx`], [`scale`], [`light_frame`], [`export`], [`view_page`], [`shown`], [`env`], [`scores`] |
+//! | runs of the command | [`run`], [`photos`], [`gloss`], [`ggx`], [`scale`], [`light_frame`], [`export`], [`view_page`], [`report`], [`shown`], [`env`], [`scores`] |
 //! | what is written where, and what never is; runs that are stopped | [`outputs`], [`resume`], `stop` |
 //! | what is refused, and how | [`bad_input`], [`check`], [`hostile`], [`scene_errors`] |
 //! | systems in a world, pictures | [`ecs`], [`swap`], [`visibility`], [`frames`] |
@@ -23,6 +23,7 @@ mod hostile;
 mod light_frame;
 mod outputs;
 mod photos;
+mod report;
 mod resume;
 mod rooms;
 mod run;

@@ -230,9 +230,13 @@ fn a_killed_run_leaves_no_mixture_and_no_lock() {
     let states: Vec<&str> =
         manifest["passes"].as_array().unwrap().iter().map(|pass| pass["state"].as_str().unwrap()).collect();
     assert_eq!(states, ["finished", "finished", "running", "waiting", "waiting"]);
-    for old in ["metrics.json", "novel/rgb_000000.exr", "scores/contact_sheet.png"] {
+    for old in ["novel/rgb_000000.exr", "scores/contact_sheet.png", "scores/novel"] {
         assert!(!out.join(old).exists(), "{old} is of the run before");
     }
+    // Scores and report are those of the passes that ended.
+    let scores: Value = serde_json::from_slice(&std::fs::read(out.join("metrics.json")).unwrap()).unwrap();
+    assert!(scores["passes"].as_object().unwrap().is_empty() && scores["fit_secs"].is_number(), "{scores}");
+    assert!(std::fs::read_to_string(out.join("report.html")).unwrap().contains("s-running"));
     // What is whole can be used.
     let mut again = command(&["run", "--quiet"]);
     again.arg(out.join("saved/scene.ron")).arg("--out").arg(data.path("from_saved"));
@@ -277,6 +281,8 @@ fn a_run_that_fails_late_says_so() {
         metrics["passes"].as_object().is_none_or(|passes| passes.is_empty()),
         "of the run before: {metrics}"
     );
+    let report = std::fs::read_to_string(data.path("out/report.html")).unwrap();
+    assert!(report.contains("s-failed") && report.contains("light.npy"), "the error is in the report");
 }
 
 #[test]

@@ -86,7 +86,7 @@ fn results(out: &Path) -> BTreeMap<String, String> {
                 scores.to_string()
             }
             "run.json" => states(&manifest(out)).join(" "),
-            "contact_sheet.png" | "scene.ron" => String::new(),
+            "contact_sheet.png" | "scene.ron" | "report.html" => String::new(),
             _ => bytes
                 .iter()
                 .fold(0u64, |sum, byte| sum.rotate_left(7) ^ u64::from(*byte) ^ sum.wrapping_mul(31))
@@ -141,7 +141,7 @@ fn scene(surface: &str, material: &str, passes: &str) -> String {
     )
 }
 
-const MESH: &str = r#"Mesh(path: "$DATA/mesh.glb", texture_size: 24)"#;
+const MESH: &str = r#"Mesh(path: "$DATA/mesh.glb", texture_size: 64)"#;
 
 #[test]
 fn a_fit_of_everything_goes_on_from_any_step() {
@@ -219,6 +219,28 @@ fn a_killed_process_goes_on_with_what_it_was_begun_with_and_nothing_else() {
     assert_eq!(results(&data.path("out")), results(&data.path("whole")));
     let again = resumed(&data, &[]).succeeded();
     assert_eq!(results(&data.path("out")), results(&data.path("whole")), "{}", again.stderr);
+}
+
+#[test]
+fn a_resumed_run_reports_what_was_done_before_its_break() {
+    let data = Data::new();
+    let passes = r#"Fit(name: "fit", steps: 6, batch: 64), Fit(name: "again", steps: 6, batch: 64),"#;
+    let (text, out) = (scene(MESH, "", passes), data.path("out"));
+    let page = || std::fs::read_to_string(out.join("report.html")).unwrap();
+    run(&data, &text, "out", false, Some(("again", 5))).unwrap_err();
+    let before = manifest(&out)["passes"][0].clone();
+    assert!(before["secs"].is_number() && before["said"].to_string().contains("6 steps"), "{before}");
+    assert!(page().contains("s-running") && page().contains("fit: albedo"));
+    run(&data, &text, "out", true, None).unwrap().unwrap();
+    let after = manifest(&out);
+    assert_eq!(after["passes"][0], before);
+    assert!(after["said"].to_string().contains("goes on in pass again"), "{after}");
+    assert!(
+        after["passes"][1]["secs"].is_number() && after["passes"][1]["said"].to_string().contains("6 steps")
+    );
+    for words in ["s-finished", "fit: albedo", "again: albedo", "fit: 6 steps", "again: 6 steps"] {
+        assert!(page().contains(words), "no {words:?} in the report");
+    }
 }
 
 #[cfg(unix)]

@@ -74,7 +74,8 @@ fn same_bytes(a: &Path, b: &Path) {
     assert_eq!(files, files_below(b));
     let timeless = |file: &&String| {
         // The contact sheet bears the name of the output folder, the saved scene the data's path, which is the same here.
-        !["metrics.json", "run.json", "fit/log.csv", "scores/contact_sheet.png"].contains(&file.as_str())
+        !["metrics.json", "run.json", "report.html", "fit/log.csv", "scores/contact_sheet.png"]
+            .contains(&file.as_str())
     };
     let compared: Vec<&String> = files.iter().filter(timeless).collect();
     assert!(compared.iter().filter(|file| file.ends_with(".exr")).count() >= 9, "{compared:?}");
@@ -107,6 +108,7 @@ fn a_whole_run_writes_everything() {
         "fit/materials.ron",
         "fit/seen.png",
         "metrics.json",
+        "report.html",
         "run.json",
         "saved/albedo.exr",
         "saved/light.npy",
@@ -123,6 +125,11 @@ fn a_whole_run_writes_everything() {
     for pass in ["after", "gloss", "novel", "relit"] {
         for view in ["rgb_000000", "rgb_000001"] {
             expected.extend(["exr", "png"].map(|kind| format!("{pass}/{view}.{kind}")));
+            if pass != "after" {
+                expected.extend(
+                    ["truth", "render", "error"].map(|part| format!("scores/{pass}/{view}_{part}.jpg")),
+                );
+            }
         }
     }
     expected.sort();
@@ -389,6 +396,8 @@ fn ctrl_c_ends_a_fit_cleanly_and_keeps_it() {
         assert!(files.iter().any(|f| f == file), "no {file} in {files:?}");
     }
     assert!(!files.iter().any(|file| file.starts_with("novel/")), "no pass follows: {files:?}");
+    let report = String::from_utf8(read(out.join("report.html"))).unwrap();
+    assert!(report.contains("s-interrupted") && report.contains("fit: recovered light"), "what there is");
     let light = lobelia::codec::npy::read_lobes(out.join("fit/light.npy"), Default::default()).unwrap();
     assert_eq!(light.len(), 6);
 }

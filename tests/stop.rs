@@ -56,6 +56,8 @@ fn any_signal_stops_a_fit_and_what_it_found_is_saved() {
         for file in ["endless/light.npy", "saved/scene.ron", "export/mesh.glb", "metrics.json"] {
             assert!(data.path("out").join(file).exists(), "{signal}: no {file}");
         }
+        let report = std::fs::read_to_string(data.path("out/report.html")).unwrap();
+        assert!(report.contains("s-interrupted") && report.contains("endless: albedo"), "{signal}");
     }
 }
 

@@ -1,6 +1,7 @@
 //! What can be typed after `lobelia`: arguments, their help, and the values that are refused.
 
 use super::prepare_args::{NewArgs, PREPARE_EXAMPLES, PREPARE_LONG, PrepareArgs};
+use super::report_args::{REPORT_LONG, ReportArgs};
 use super::run_args::{RUN_LONG, RunArgs, SceneArgs};
 use super::threads::ThreadArgs;
 use super::view_args::{VIEW_LONG, ViewArgs};
@@ -22,6 +23,8 @@ Examples:
       looked for.)
   lobelia view out/spot --light sky.hdr
       A page to turn, relight and edit the result in a browser: out/spot/view.html.
+  lobelia report out/spot out/spot-again --out both.html
+      Two runs side by side. The page of one run is written with it: out/spot/report.html.
   lobelia eval out/spot/novel ~/data/spot/test/image
       How close are these images to those?
 
@@ -93,6 +96,9 @@ pub enum Command {
     /// Write a page that shows a saved object in a browser: turned, relit, edited
     #[command(long_about = VIEW_LONG)]
     View(ViewArgs),
+    /// Write a page that shows a run, or sets several side by side: scores, views, curves
+    #[command(long_about = REPORT_LONG)]
+    Report(ReportArgs),
     /// Compare two images, or the images of two folders by name: PSNR and SSIM in linear light
     Eval(EvalArgs),
     /// Shade a table of single points and add `diffuse` and `specular` to each case

@@ -2,8 +2,8 @@
 //!
 //! | file | holds |
 //! | --- | --- |
-//! | [`args`], [`run_args`], [`prepare_args`], [`view_args`] | arguments and their help |
-//! | [`run`], [`check`], [`prepare`], [`new`], [`eval`], [`view`], [`env`], [`bench`], [`shade_cases`] | the commands |
+//! | [`args`], [`run_args`], [`prepare_args`], [`report_args`], [`view_args`] | arguments and their help |
+//! | [`run`], [`check`], [`prepare`], [`new`], [`eval`], [`view`], [`run_report`], [`env`], [`bench`], [`shade_cases`] | the commands |
 //! | [`terminal`] | bars, notes and results |
 //! | [`report`] | how an error is drawn |
 //! | [`scene_files`], [`threads`], [`apart`], [`signals`] | what several commands do before they start |
@@ -18,8 +18,10 @@ mod new;
 mod prepare;
 mod prepare_args;
 mod report;
+mod report_args;
 mod run;
 mod run_args;
+mod run_report;
 mod scene_files;
 mod shade_cases;
 mod signals;
@@ -63,6 +65,7 @@ fn dispatch(command: &Command) -> Result<()> {
         Command::New(args) => new::run(args),
         Command::Eval(args) => eval::run(args),
         Command::View(args) => view::run(args),
+        Command::Report(args) => run_report::run(args),
         Command::ShadeCases(args) => shade_cases::run(args),
         Command::Bench(args) => bench::run(args),
         Command::Env(args) => env::run(&args.command),

@@ -1,5 +1,6 @@
 //! `lobelia view`: the page of a saved object.
 
+use super::apart::refuse_foreign;
 use super::terminal::Terminal;
 use super::threads::start_threads;
 use super::view_args::ViewArgs;
@@ -16,28 +17,16 @@ use std::path::{Path, PathBuf};
 const MAP_LOBES: u32 = 128;
 
 /// What every page has in its head.
-const SIGNATURE: &[u8] = br#"name="generator" content="Lobelia""#;
+const SIGNATURE: &str = r#"name="generator" content="Lobelia""#;
 
 /// Runs the command.
 pub fn run(args: &ViewArgs) -> Result<()> {
     let (scene, folder) = scene_of(&args.out)?;
-    refuse_foreign(&folder.join(PAGE))?;
+    refuse_foreign(&folder.join(PAGE), SIGNATURE)?;
     start_threads(args.threads)?;
     let loaded = load(&scene, &LoadOptions::default())?;
     let lights: Vec<(String, LightSource)> = args.lights.iter().map(|path| light(path)).collect();
     write_view(&loaded, &lights, &folder.join(PAGE), &Terminal::new(false))
-}
-
-/// A file that is there must be an earlier page.
-fn refuse_foreign(page: &Path) -> Result<()> {
-    let signed = |bytes: &[u8]| bytes.windows(SIGNATURE.len()).any(|window| window == SIGNATURE);
-    match std::fs::read(page) {
-        Ok(bytes) if !signed(&bytes) => {
-            let problem = format!("{} is not a page that this program wrote", page.display());
-            Err(Error::usage(problem, "Move it away; it is not replaced."))
-        }
-        _ => Ok(()),
-    }
 }
 
 /// The scene file of what a run saved, and the folder that the page goes into.

@@ -14,7 +14,7 @@ pub mod mesh;
 pub mod pack;
 pub mod shadow;
 
-use crate::error::{Error, Result};
+use crate::error::Result;
 use crate::light::LightLobe;
 use crate::light::frame::LightFrame;
 use crate::material::edit::MaterialState;
@@ -22,6 +22,8 @@ use crate::material::{MAX_SPECULAR_LOBES, SpecularBlend};
 use crate::math::brdf::Ndf;
 use crate::math::color::srgb_from_linear;
 use crate::mesh::Surface;
+use crate::report::html::filled;
+use crate::report::html::text::escaped;
 use crate::view::{Camera, Split};
 use crate::visibility::ObjectVisibility;
 use base64::Engine as _;
@@ -128,28 +130,12 @@ pub fn html(contents: &Contents) -> Result<String> {
         ("{{SCENE}}", in_script(&scene)),
         ("{{BLOCK}}", pack.block()?),
     ];
-    // One pass over the page, so that nothing of the data is taken for a slot.
-    let mut text = String::new();
-    let mut rest = PAGE;
-    for (slot, value) in slots {
-        let Some((before, after)) = rest.split_once(slot) else {
-            return Err(Error::run("writing the page", format!("its template lacks {slot}")));
-        };
-        text += before;
-        text += &value;
-        rest = after;
-    }
-    Ok(text + rest)
+    filled(PAGE, &slots)
 }
 
 /// JSON inside a script element, in which no other element may seem to begin or end.
 fn in_script(value: &Value) -> String {
     value.to_string().replace('<', "\\u003c")
-}
-
-/// Text inside an element.
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }
 
 /// What is in the page besides arrays, which go into `pack`.

@@ -1,7 +1,8 @@
 //! The `Evaluate` pass: scores earlier passes against ground truth, in linear light, with masks eroded by one pixel; and against
 //! photographs also as the field's tables do, in sRGB.
 //!
-//! Predictions are read from the EXR files that the passes wrote, so that the scores apply to the written files.
+//! The pass writes a contact sheet of a few views, and for the report small pictures of all views: `<scored pass>/<view>_truth.jpg`, `_render.jpg` and
+//! `_error.jpg`. Predictions are read from the EXR files that the passes wrote, so that the scores apply to the written files.
 
 use crate::codec::frame::{Frame, Layer, read_frame_layers};
 use crate::codec::gltf::import::read_mesh;
@@ -12,21 +13,26 @@ use crate::mesh::chamfer::chamfer_distance;
 use crate::pass::render::{ChosenView, chosen_views};
 use crate::pass::session::Session;
 use crate::pass::truth_files::{read_fitting, read_true_layer, true_image_path};
-use crate::report::heat::{factor_for, heat_map};
+use crate::report::heat::{error_map, factor_for, heat_map};
 use crate::report::metrics::{Pair, albedo_psnr, coverage_iou, erode, mean};
 use crate::report::normals::NormalAngles;
 use crate::report::scores::{EvalView, PassScores, Scaling, score_views};
 use crate::report::sheet::{Sheet, SheetCell, SheetRow, Theme, choose_evenly, write_sheet};
+use crate::report::thumbnail::{side_for, write_thumbnail};
 use crate::report::tone::{Backdrop, Look, Picture};
 use crate::scene::{EvaluatePass, LayerTruth, Pass, Score, ScoreScale, Truth};
 use crate::view::camera::Camera;
 use crate::view::{Photograph, ViewMask, ViewName};
 use bevy_ecs::prelude::World;
 use glam::Vec3;
-use std::path::PathBuf;
+use image::RgbImage;
+use std::path::{Path, PathBuf};
 
 /// Views shown in a row of the contact sheet.
 const SHEET_VIEWS: usize = 3;
+
+/// What is shown of every view, by the ends of the names of the files.
+pub const PARTS: [&str; 3] = ["truth", "render", "error"];
 
 /// One view of a scored pass.
 struct ScoredView {
@@ -66,6 +72,11 @@ enum TrueImages {
 /// If a prediction or a ground truth is missing or has the wrong size.
 pub fn run(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
     let mut rows = Vec::new();
+    let mut views = 0;
+    for score in &pass.scores {
+        views += views_of(session, &score.pass)?.len();
+    }
+    let side = side_for(views * PARTS.len());
     for (i, score) in pass.scores.iter().enumerate() {
         let scored = ScoredPass::open(session, score)?;
         let mut overlaps = vec![None; scored.views.len()];
@@ -75,6 +86,8 @@ pub fn run(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
             Ok(view.eval)
         })?;
         rows.push(sheet_row(session, &scored, &scores, layers_of(score.scale))?);
+        let folder = session.folder(&pass.name).join(&score.pass);
+        write_parts(session, &scored, &scores, layers_of(score.scale), &folder, side)?;
         session.scores.passes.insert(score.pass.clone(), scores);
         if i == 0 {
             session.scores.mask_iou = mean(&overlaps.into_iter().flatten().collect::<Vec<_>>());
@@ -289,6 +302,30 @@ fn true_layer(
     }
 }
 
+/// Writes small pictures of all views: ground truth, prediction as it is scored, error.
+fn write_parts(
+    session: &Session,
+    scored: &ScoredPass,
+    scores: &PassScores,
+    layers: &[Layer],
+    folder: &Path,
+    side: u32,
+) -> Result<()> {
+    for (i, chosen) in scored.views.iter().enumerate() {
+        check_interrupted()?;
+        let view = scored.load(session, i, layers)?;
+        let EvalView { width, height, truth, .. } = &view.eval;
+        let shown = scores.scored_prediction(&view.eval);
+        let size = [*width as u32, *height as u32];
+        let error = error_map(size, [&shown, truth], view.outline(), Theme::Light.mat());
+        let pictures = [picture(&view, truth)?, picture(&view, &shown)?, error];
+        for (part, picture) in PARTS.iter().zip(&pictures) {
+            write_thumbnail(&folder.join(format!("{}_{part}.jpg", chosen.stem)), picture, side)?;
+        }
+    }
+    Ok(())
+}
+
 /// A few views: prediction, ground truth, error.
 fn sheet_row(
     session: &Session,
@@ -313,9 +350,13 @@ fn sheet_row(
 }
 
 fn cell(label: String, view: &ScoredView, color: &[Vec3]) -> Result<SheetCell> {
+    Ok(SheetCell { label, image: picture(view, color)? })
+}
+
+/// Radiance of a view as a picture on the mat of a light sheet.
+fn picture(view: &ScoredView, color: &[Vec3]) -> Result<RgbImage> {
     let EvalView { width, height, .. } = view.eval;
     let picture = Picture { width, height, color, alpha: view.outline() };
     let mat = Theme::Light.mat().map(|b| crate::math::color::linear_from_srgb(f32::from(b) / 255.0));
-    let image = picture.rgb8(&Look::default(), Backdrop::Solid(Vec3::from(mat)))?;
-    Ok(SheetCell { label, image })
+    picture.rgb8(&Look::default(), Backdrop::Solid(Vec3::from(mat)))
 }

@@ -2,6 +2,8 @@
 
 use crate::codec::file::FileUse;
 use crate::fit::cameras::CameraUnknowns;
+use crate::pass::evaluate::PARTS;
+use crate::pass::fit::TRUE_ENVIRONMENT;
 use crate::pass::photograph::ring;
 use crate::pass::render::{FILM_MP4, chosen_stems, film_name};
 use crate::pass::view::PAGE;
@@ -33,13 +35,13 @@ pub fn outputs(scene: &Scene, open: Option<&OpenScene>, debug_every: Option<u32>
     let views: Vec<(&str, Split)> = views.iter().map(|(name, split)| (name.as_str(), *split)).collect();
     let of_pass = |pass: &Pass| {
         let names = match pass {
-            Pass::Fit(fit) => [of_fit(), of_views(fit.cameras, fit.exposure)].concat(),
+            Pass::Fit(fit) => [of_fit(scene), of_views(fit.cameras, fit.exposure)].concat(),
             Pass::Shape(shape) => {
                 let debug = debug_every.map(|_| "debug/".to_owned());
                 [of_views(shape.cameras, shape.exposure), debug.into_iter().collect()].concat()
             }
             Pass::Render(_) | Pass::Edit(_) | Pass::Relight(_) => of_pictures(pass, &views),
-            Pass::Evaluate(_) => vec!["contact_sheet.png".to_owned()],
+            Pass::Evaluate(evaluate) => of_scores(scene, evaluate, &views),
             Pass::Save(_) => of_save(scene),
             Pass::Export(export) => of_export(export),
             Pass::View(_) => vec![PAGE.to_owned()],
@@ -68,11 +70,13 @@ fn owned(names: &[&str]) -> Vec<String> {
     names.iter().map(|name| (*name).to_owned()).collect()
 }
 
-fn of_fit() -> Vec<String> {
+fn of_fit(scene: &Scene) -> Vec<String> {
+    let known = matches!(scene.views, Views::Photographed(_));
+    let truth = if known { owned(&[TRUE_ENVIRONMENT]) } else { Vec::new() };
     let light = ["light.npy", "environment.exr", "environment.png"];
     let albedo = ["albedo.png", "albedo.exr", "seen.png", "materials.ron", "log.csv"];
     let gloss = ["blend.exr", "blend.png", "roughness.exr", "roughness.png"];
-    [owned(&light), owned(&albedo), owned(&gloss)].concat()
+    [owned(&light), truth, owned(&albedo), owned(&gloss)].concat()
 }
 
 fn of_views(cameras: CameraUnknowns, exposure: bool) -> Vec<String> {
@@ -86,6 +90,18 @@ fn of_pictures(pass: &Pass, views: &[(&str, Split)]) -> Vec<String> {
     let pictures = stems.flat_map(|(_, stem)| [format!("{stem}.exr"), format!("{stem}.png")]);
     let film = settings.orbit.iter().flat_map(|orbit| [film_name(orbit.format), FILM_MP4.to_owned()]);
     pictures.chain(film).collect()
+}
+
+/// A contact sheet, and small pictures of all views of the scored passes, each in a folder of that pass's name.
+fn of_scores(scene: &Scene, pass: &EvaluatePass, views: &[(&str, Split)]) -> Vec<String> {
+    let mut names = owned(&["contact_sheet.png"]);
+    for score in &pass.scores {
+        let scored = scene.passes.iter().find(|pass| pass.name() == score.pass).and_then(Pass::render);
+        for (_, stem) in scored.map(|settings| chosen_stems(views, settings)).unwrap_or_default() {
+            names.extend(PARTS.map(|part| format!("{}/{stem}_{part}.jpg", score.pass)));
+        }
+    }
+    names
 }
 
 fn of_save(scene: &Scene) -> Vec<String> {

@@ -20,7 +20,7 @@ use crate::fit::run::{FirstGuess, FitOptions, FitProgress, FitSummary, run_fit};
 use crate::fit::scale::{means, move_scale};
 use crate::fit::systems::{move_lobes, move_specular, move_texels};
 use crate::light::lights::own_lobes;
-use crate::light::{LightLobe, render_lobes};
+use crate::light::{EnvironmentMap, LightLobe, render_lobes};
 use crate::material::{
     DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, TexelIndex, recovered_albedo,
     recovered_materials,
@@ -60,6 +60,9 @@ impl FitLog {
         Self("step,elapsed_secs,loss,psnr,specular_r,specular_g,specular_b,roughness\n".into())
     }
 }
+
+/// A picture of the light of the object that took its own photographs, as `environment.png` is of the recovered one.
+pub const TRUE_ENVIRONMENT: &str = "true_environment.png";
 
 /// Size of the picture of the recovered light, in texels.
 const ENVIRONMENT_SIZE: (u32, u32) = (512, 256);
@@ -104,6 +107,9 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     let unseen = fill_texels(session)?;
     report(session, &pass.name, &summary, unseen);
     write_results(&mut session.pipeline.world, session.surface.atlas(), &folder, &scale)?;
+    if let Some(truth) = &session.truth {
+        write_environment(&folder.join(TRUE_ENVIRONMENT), &environment(truth.lobes()))?;
+    }
     let log = session.pipeline.world.remove_resource::<FitLog>();
     write_bytes(&folder.join("log.csv"), log.unwrap_or(FitLog::new()).0.as_bytes())?;
     session.scores.scale = Some(scale);
@@ -298,10 +304,17 @@ fn write_results(world: &mut World, atlas: &TexelAtlas, folder: &Path, scale: &S
 
 fn write_light(lobes: &[LightLobe], folder: &Path) -> Result<()> {
     write_lobes(folder.join("light.npy"), lobes, NpyConvention::Lobelia)?;
-    let environment = render_lobes(lobes, ENVIRONMENT_SIZE.0, ENVIRONMENT_SIZE.1);
+    let environment = environment(lobes);
     environment.write_exr(folder.join("environment.exr"))?;
-    let picture = preview(&environment.radiance, environment.width, environment.height);
-    write_rgb8(folder.join("environment.png"), &picture)
+    write_environment(&folder.join("environment.png"), &environment)
+}
+
+fn environment(lobes: &[LightLobe]) -> EnvironmentMap {
+    render_lobes(lobes, ENVIRONMENT_SIZE.0, ENVIRONMENT_SIZE.1)
+}
+
+fn write_environment(path: &Path, map: &EnvironmentMap) -> Result<()> {
+    write_rgb8(path, &preview(&map.radiance, map.width, map.height))
 }
 
 /// Writes the blend weights of several base materials, and the resulting roughness.

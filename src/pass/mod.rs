@@ -6,7 +6,7 @@
 //! | `Shape` | [`shape`] | with `--debug-every N`, normals, depth and mesh every N steps |
 //! | both | `found_views` | `cam_dict_norm.json` of optimized cameras, `exposures.csv` |
 //! | `Render`, `Edit`, `Relight` | [`render`] | an EXR with layers and a PNG per view, the animation of an orbit |
-//! | `Evaluate` | [`evaluate`] | a contact sheet; scores go to `OUT/metrics.json` |
+//! | `Evaluate` | [`evaluate`] | a contact sheet, and a folder per scored pass with small pictures of its views; scores go to `OUT/metrics.json` |
 //! | `Save` | [`save`] | `scene.ron` with side files |
 //! | `Export` | [`export`] | `mesh.glb`, `mesh.ply`, `mesh.obj` with `mesh.mtl` and `mesh_albedo.png` |
 //! | `View` | [`view`] | `view.html` |
@@ -14,7 +14,8 @@
 //! `resume` keeps checkpoints in `OUT/.checkpoint`, and takes a run up where it was.
 //!
 //! [`preflight`] checks the inputs of all passes before the first one runs; [`files`] knows all files that they may write, so that
-//! none of them is one that is read; [`record`] keeps `OUT/run.json`, which says what belongs together.
+//! none of them is one that is read; [`record`] keeps `OUT/run.json`, which says what belongs together; [`summary`] makes `OUT/report.html`
+//! of what is in the folder.
 
 pub mod edit;
 pub mod evaluate;
@@ -23,6 +24,7 @@ pub mod files;
 pub mod fit;
 mod found_views;
 pub mod inspect;
+mod machine;
 pub mod memory;
 pub mod photograph;
 pub mod preflight;
@@ -36,6 +38,7 @@ mod session;
 mod shading;
 pub mod shape;
 pub mod show;
+pub mod summary;
 mod truth_files;
 pub mod view;
 
@@ -60,13 +63,14 @@ use crate::survey::Survey;
 use crate::survey::open::OpenScene;
 use crate::view::ViewRecord;
 use photograph::{TrueObject, camera_of};
-use progress::Progress;
+use progress::{Progress, Told};
 use record::{Claim, RunRecord, RunState};
 use resume::Begun;
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
+use summary::Reporter;
 
 /// How a loaded scene is run.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -98,6 +102,8 @@ pub const USUAL_CHECKPOINT: Duration = Duration::from_secs(30);
 /// stopped, once what it found is written. [`Error::Usage`] if a file that would be written is an input, or is of something else than an
 /// earlier run, if another run writes into the output folder, or if a run is to go on with something else than it was begun with.
 pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) -> Result<()> {
+    let told = Told::new(progress);
+    let progress: &dyn Progress = &told;
     record::check_used(&options.out, options.force || options.resume)?;
     resume::check_folder(&options.out)?;
     let begun = if options.resume { Begun::read(&options.out)? } else { None };
@@ -122,14 +128,16 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
     }
     check_interrupted()?;
     let (mut record, done) = begin(&mut session, claim, (loaded, data.as_ref()), options, begun)?;
-    let ended = sequence::run(&mut session, &mut record, done);
+    let mut report = Reporter::default();
+    let ended = sequence::run(&mut session, (&mut record, &mut report), &told, done);
     let finished = session.finish();
     let ended = ended.and(finished);
     match &ended {
         Ok(()) => resume::clear(&options.out)?,
         Err(_) => say_how_to_go_on(options, progress),
     }
-    record.end(ended)
+    // The folder is the run's own until its report says how it ended.
+    record.end(ended).and(report.write(&options.out))
 }
 
 /// Begins a run, or goes on with one that was `begun`. Returns its manifest, and how many of its passes are done.
@@ -146,14 +154,14 @@ fn begin(
     if let (Some(begun), Some(now)) = (&begun, &now) {
         begun.check_data(now, session.progress)?;
         let done = resume::take_up(session, begun, true, every)?;
-        return Ok((claim.begin(&loaded.path, &options.arguments, done)?, done));
+        return Ok((claim.begin(loaded, &options.arguments, done)?, done));
     }
     if options.resume {
         session.progress.note("there is no checkpoint to go on from: the run begins");
     }
     // Checkpoints of an earlier run go first: its results will, and nothing goes on from there.
     resume::clear(&options.out)?;
-    let record = claim.begin(&loaded.path, &options.arguments, 0)?;
+    let record = claim.begin(loaded, &options.arguments, 0)?;
     if let Some(now) = now {
         now.write(&options.out)?;
         resume::take_up(session, &now, false, every)?;
@@ -177,7 +185,7 @@ fn claim(loaded: &LoadedScene, data: Option<&OpenScene>, options: &RunOptions) -
     let used = |name: &str, by: String| FileUse::new(options.out.join(name), by);
     let of_passes =
         plan.iter().flat_map(|pass| pass.files.iter().map(|file| used(file, format!("pass {}", pass.pass))));
-    let of_run = [files::RUN, session::METRICS].map(|name| used(name, "the run".to_owned()));
+    let of_run = record::OF_RUN.into_iter().chain([files::RUN]).map(|name| used(name, "the run".to_owned()));
     let outputs: Vec<FileUse> = of_passes.chain(of_run).collect();
     let help = "Choose another folder with --out, or give the pass another name. Inputs are never replaced, --force or not.";
     check_apart(&files::inputs(loaded, data), &outputs, help)?;

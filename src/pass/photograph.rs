@@ -3,6 +3,7 @@
 use crate::codec::frame::Frame;
 use crate::error::Result;
 use crate::error::stop::check_interrupted;
+use crate::light::LightLobe;
 use crate::light::frame::LightFrame;
 use crate::light::lights::{LightChoice, provide_light, spawn_light};
 use crate::material::edit::MaterialState;
@@ -61,6 +62,11 @@ impl TrueObject {
             light_frame: spec.truth.light_frame,
             max_bounces: spec.max_bounces,
         })
+    }
+
+    /// The lobes of its light.
+    pub fn lobes(&self) -> &[LightLobe] {
+        &self.light.lobes
     }
 
     /// Path-traced pictures of the true object, optionally under another light or with edits.

@@ -1,5 +1,7 @@
 //! Output of passes while they run. The library prints nothing itself: the caller supplies a [`Progress`].
 
+use std::cell::RefCell;
+
 /// Receives the notes, results and progress bars of a run.
 pub trait Progress {
     /// A note for the user that is not an error.
@@ -27,6 +29,40 @@ pub trait Bar: Send + Sync {
     fn finish_and_clear(&self);
 }
 
+/// A [`Progress`] that passes everything on, and keeps lines of result and notes for the run's record.
+pub struct Told<'a> {
+    to: &'a dyn Progress,
+    lines: RefCell<Vec<String>>,
+}
+
+impl<'a> Told<'a> {
+    /// Passes on to `to`.
+    pub fn new(to: &'a dyn Progress) -> Self {
+        Self { to, lines: RefCell::default() }
+    }
+
+    /// The lines since this was called last.
+    pub fn take(&self) -> Vec<String> {
+        self.lines.take()
+    }
+}
+
+impl Progress for Told<'_> {
+    fn note(&self, text: &str) {
+        self.lines.borrow_mut().push(text.to_owned());
+        self.to.note(text);
+    }
+
+    fn print(&self, text: &str) {
+        self.lines.borrow_mut().push(text.to_owned());
+        self.to.print(text);
+    }
+
+    fn bar(&self, title: &str, length: u64) -> Box<dyn Bar> {
+        self.to.bar(title, length)
+    }
+}
+
 /// A [`Progress`] and a [`Bar`] without output.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Silent;
@@ -49,4 +85,19 @@ impl Bar for Silent {
     fn set_message(&self, _: String) {}
 
     fn finish_and_clear(&self) {}
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_was_said_is_kept_once() {
+        let told = Told::new(&Silent);
+        told.note("a note");
+        told.print("a result");
+        told.bar("bar", 3).inc(1);
+        assert_eq!(told.take(), ["a note", "a result"]);
+        assert!(told.take().is_empty());
+    }
 }

@@ -4,15 +4,23 @@
 use crate::codec::file::{FolderLock, LOCK, MOST_TEXT, clear_scratch, is_there, read_text, write_bytes};
 use crate::error::{Error, Result};
 use crate::pass::files::{PassFiles, RUN};
+use crate::pass::machine::Machine;
 use crate::pass::session::METRICS;
+use crate::report::html::REPORT;
+use crate::report::scores::peak_rss_mib;
+use crate::scene::load::LoadedScene;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeSet;
 use std::ffi::OsStr;
 use std::fs;
 use std::path::{Component, Path, PathBuf};
+use std::time::Instant;
 
 /// The program's name in a manifest.
 const PROGRAM: &str = "lobelia";
+
+/// The files of a run that are of no pass, besides the manifest.
+pub const OF_RUN: [&str; 2] = [METRICS, REPORT];
 
 /// How far something is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -32,28 +40,85 @@ pub enum RunState {
     Interrupted,
 }
 
+impl RunState {
+    /// The word in a manifest.
+    pub(super) fn word(self) -> &'static str {
+        match self {
+            Self::Waiting => "waiting",
+            Self::Running => "running",
+            Self::Finished => "finished",
+            Self::Failed => "failed",
+            Self::Skipped => "skipped",
+            Self::Interrupted => "interrupted",
+        }
+    }
+}
+
 /// A pass in a manifest.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-struct PassRecord {
-    name: String,
-    state: RunState,
+pub(super) struct PassRecord {
+    pub(super) name: String,
+    pub(super) state: RunState,
+    /// Time that it took, in seconds; `None` until it has ended.
+    #[serde(default)]
+    pub(super) secs: Option<f64>,
+    /// Largest resident memory of the process when it had ended, in MiB.
+    #[serde(default)]
+    pub(super) peak_rss_mib: Option<f64>,
+    /// Its lines of result and its notes.
+    #[serde(default)]
+    pub(super) said: Vec<String>,
     /// Before it is finished: the files that it may write.
-    files: Vec<String>,
+    pub(super) files: Vec<String>,
+}
+
+impl PassRecord {
+    fn waiting(pass: &PassFiles) -> Self {
+        Self {
+            name: pass.pass.clone(),
+            state: RunState::Waiting,
+            secs: None,
+            peak_rss_mib: None,
+            said: Vec::new(),
+            files: pass.files.clone(),
+        }
+    }
+
+    /// A pass that the run before its break has finished: with its files, and what the manifest of `before` says of it.
+    fn finished(out: &Path, pass: &PassFiles, before: Option<&Record>) -> Self {
+        let is_same = |old: &&Self| old.name == pass.pass && old.state == RunState::Finished;
+        let old = before.and_then(|before| before.passes.iter().find(is_same).cloned());
+        Self {
+            state: RunState::Finished,
+            files: pass.files.iter().flat_map(|file| existing(out, file)).collect(),
+            ..old.unwrap_or(Self::waiting(pass))
+        }
+    }
 }
 
 /// The manifest.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-struct Record {
+pub(super) struct Record {
     program: String,
-    version: String,
-    state: RunState,
+    pub(super) version: String,
+    pub(super) state: RunState,
     /// The error that the run ended with.
     #[serde(default)]
-    error: Option<String>,
-    scene: String,
+    pub(super) error: Option<String>,
+    pub(super) scene: String,
+    /// The text of the scene file, with `--set` applied.
     #[serde(default)]
-    arguments: Vec<String>,
-    passes: Vec<PassRecord>,
+    pub(super) scene_text: String,
+    #[serde(default)]
+    pub(super) seed: Option<u64>,
+    #[serde(default)]
+    pub(super) arguments: Vec<String>,
+    #[serde(default)]
+    pub(super) machine: Option<Machine>,
+    /// Notes before the first pass.
+    #[serde(default)]
+    pub(super) said: Vec<String>,
+    pub(super) passes: Vec<PassRecord>,
     /// Files of the run that are of no pass.
     files: Vec<String>,
     /// Files of earlier runs, whose passes this one does not have. They do not belong to its results.
@@ -63,7 +128,7 @@ struct Record {
 
 impl Record {
     /// The manifest in `out`; `None` if there is none that this program wrote.
-    fn read(out: &Path) -> Option<Self> {
+    pub(super) fn read(out: &Path) -> Option<Self> {
         let text = read_text(&out.join(RUN), MOST_TEXT, |_| String::new()).ok()?;
         let record: Self = serde_json::from_str(&text).ok()?;
         (record.program == PROGRAM).then_some(record)
@@ -172,8 +237,10 @@ impl Claim {
         for pass in &plan {
             check_pass(out, pass, &known)?;
         }
-        if is_there(&out.join(METRICS)) && !known.contains(METRICS) {
-            return Err(foreign(&out.join(METRICS)));
+        for file in OF_RUN {
+            if is_there(&out.join(file)) && !known.contains(file) {
+                return Err(foreign(&out.join(file)));
+            }
         }
         Ok(Self { lock, out: out.to_owned(), plan, before })
     }
@@ -183,10 +250,11 @@ impl Claim {
     ///
     /// # Errors
     /// [`Error::Io`] if something cannot be written or removed.
-    pub fn begin(self, scene: &Path, arguments: &[String], done: usize) -> Result<RunRecord> {
+    pub fn begin(self, loaded: &LoadedScene, arguments: &[String], done: usize) -> Result<RunRecord> {
         let Self { lock, out, plan, before } = self;
         let names: BTreeSet<&str> = plan.iter().skip(done).map(|pass| pass.pass.as_str()).collect();
-        let done: Vec<PassRecord> = plan.iter().take(done).map(|pass| finished(&out, pass)).collect();
+        let done: Vec<PassRecord> =
+            plan.iter().take(done).map(|pass| PassRecord::finished(&out, pass, before.as_ref())).collect();
         let is_done = |file: &String| done.iter().any(|pass| pass.files.contains(file));
         let mut old: BTreeSet<String> =
             before.iter().flat_map(Record::listed).flat_map(|listed| existing(&out, listed)).collect();
@@ -196,36 +264,30 @@ impl Claim {
             .iter()
             .filter(|file| *file != RUN)
             .cloned()
-            .partition(|file| file == METRICS || is_stale(file));
-        let waiting = plan.iter().skip(done.len()).map(|pass| PassRecord {
-            name: pass.pass.clone(),
-            state: RunState::Waiting,
-            files: pass.files.clone(),
-        });
+            .partition(|file| OF_RUN.contains(&file.as_str()) || is_stale(file));
+        let waiting = plan.iter().skip(done.len()).map(PassRecord::waiting);
         let passes = done.into_iter().chain(waiting).collect();
         let mut record = Record {
             program: PROGRAM.into(),
             version: env!("LOBELIA_VERSION").into(),
             state: RunState::Running,
             error: None,
-            scene: scene.to_string_lossy().into_owned(),
+            scene: loaded.path.to_string_lossy().into_owned(),
+            scene_text: loaded.text.clone(),
+            seed: Some(loaded.scene.seed),
             arguments: arguments.to_vec(),
+            machine: Some(Machine::this()),
+            said: Vec::new(),
             passes,
-            files: vec![METRICS.into()],
+            files: OF_RUN.map(str::to_owned).to_vec(),
             earlier: [stale.clone(), kept.clone()].concat(),
         };
         record.write(&out)?;
         clear(&out, stale, &plan)?;
         record.earlier = kept;
         record.write(&out)?;
-        Ok(RunRecord { record, out, _lock: lock })
+        Ok(RunRecord { record, out, began: Instant::now(), _lock: lock })
     }
-}
-
-/// A pass that a run before its break has finished, with its files.
-fn finished(out: &Path, pass: &PassFiles) -> PassRecord {
-    let files = pass.files.iter().flat_map(|file| existing(out, file)).collect();
-    PassRecord { name: pass.pass.clone(), state: RunState::Finished, files }
 }
 
 /// Removes old files, and what was left unfinished.
@@ -237,23 +299,30 @@ fn clear(out: &Path, mut stale: Vec<String>, plan: &[PassFiles]) -> Result<()> {
         fs::remove_file(&path).map_err(Error::io("remove", &path))?;
     }
     clear_scratch(out)?;
-    for pass in plan {
-        let folder = out.join(&pass.pass);
+    let folders: BTreeSet<String> =
+        plan.iter().flat_map(folders_of).chain(stale.iter().flat_map(|file| parents(file))).collect();
+    // Those inside come before those around them.
+    for folder in folders.iter().rev().map(|folder| out.join(folder)) {
         clear_scratch(&folder)?;
-        clear_scratch(&folder.join("debug"))?;
         // Folders go if nothing is left in them.
-        let _ = fs::remove_dir(folder.join("debug"));
         let _ = fs::remove_dir(folder);
     }
     Ok(())
 }
 
+/// The folders that a listed path lies in, as paths below the output folder. One that ends with `/` is itself one of them.
+fn parents(listed: &str) -> impl Iterator<Item = String> + use<'_> {
+    listed.match_indices('/').map(|(at, _)| listed[..at].to_owned())
+}
+
+/// The folders that a pass may write into, as paths below the output folder.
+fn folders_of(pass: &PassFiles) -> BTreeSet<String> {
+    pass.files.iter().flat_map(|file| parents(file)).chain([pass.pass.clone()]).collect()
+}
+
 /// Checks that a pass's folder is one, and that its files are not there but for those of earlier runs.
 fn check_pass(out: &Path, pass: &PassFiles, known: &BTreeSet<String>) -> Result<()> {
-    let folders = pass.files.iter().filter(|file| file.ends_with('/')).map(|file| out.join(file));
-    for folder in std::iter::once(out.join(&pass.pass)).chain(folders) {
-        // Without the last `/`, which would follow the link.
-        let folder: PathBuf = folder.components().collect();
+    for folder in folders_of(pass).iter().map(|folder| out.join(folder)) {
         if folder.symlink_metadata().is_ok_and(|found| found.is_symlink()) {
             let problem = format!(
                 "{} is a symbolic link: pass {} would write outside the output folder",
@@ -287,17 +356,32 @@ fn foreign(path: &Path) -> Error {
 pub struct RunRecord {
     record: Record,
     out: PathBuf,
+    /// When the pass that runs began.
+    began: Instant,
     _lock: FolderLock,
 }
 
 impl RunRecord {
-    /// Says how far a pass is.
+    /// Keeps notes from before the first pass; the manifest has them from its next change on.
+    pub fn said_before(&mut self, said: Vec<String>) {
+        self.record.said = said;
+    }
+
+    /// Says how far a pass is, and what it said.
     ///
     /// # Errors
     /// [`Error::Io`] if the manifest cannot be written.
-    pub fn pass(&mut self, index: usize, state: RunState) -> Result<()> {
+    pub fn pass(&mut self, index: usize, state: RunState, said: Vec<String>) -> Result<()> {
         let Some(pass) = self.record.passes.get_mut(index) else { return Ok(()) };
         pass.state = state;
+        pass.said.extend(said);
+        if state == RunState::Running {
+            self.began = Instant::now();
+        }
+        if !matches!(state, RunState::Waiting | RunState::Running | RunState::Skipped) {
+            pass.secs = Some(self.began.elapsed().as_secs_f64());
+            pass.peak_rss_mib = peak_rss_mib();
+        }
         if !matches!(state, RunState::Waiting | RunState::Running) {
             pass.files = pass.files.iter().flat_map(|file| existing(&self.out, file)).collect();
         }
@@ -308,7 +392,7 @@ impl RunRecord {
     ///
     /// # Errors
     /// The run's; [`Error::Io`] if it has none and the manifest cannot be written.
-    pub fn end(mut self, result: Result<()>) -> Result<()> {
+    pub fn end(&mut self, result: Result<()>) -> Result<()> {
         self.record.state = match &result {
             Ok(()) => RunState::Finished,
             Err(Error::Interrupted) => RunState::Interrupted,
@@ -328,14 +412,29 @@ impl RunRecord {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::scene::load::{LoadOptions, load};
 
     fn plan(files: &[&str]) -> Vec<PassFiles> {
         let files = files.iter().map(|file| format!("novel/{file}")).collect();
         vec![PassFiles { pass: "novel".into(), files }]
     }
 
+    const SCENE: &str = r#"Scene(
+        version: 1,
+        surface: Sphere(),
+        views: Cameras([(name: "a", eye: (0, 0, 3), width: 4, height: 4)]),
+        seed: 7,
+    )"#;
+
+    fn scene() -> LoadedScene {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("scene.ron");
+        fs::write(&path, SCENE).unwrap();
+        load(&path, &LoadOptions::default()).unwrap()
+    }
+
     fn begin(out: &Path, files: &[&str]) -> RunRecord {
-        Claim::new(out, plan(files)).unwrap().begin(Path::new("scene.ron"), &[], 0).unwrap()
+        Claim::new(out, plan(files)).unwrap().begin(&scene(), &[], 0).unwrap()
     }
 
     /// Manifests come with folders from anywhere.
@@ -371,7 +470,7 @@ mod tests {
         let root = tempfile::tempdir().unwrap();
         let out = root.path();
         let mut record = begin(out, &["a.png", "never.png", "debug/"]);
-        record.pass(0, RunState::Running).unwrap();
+        record.pass(0, RunState::Running, Vec::new()).unwrap();
         write_bytes(&out.join("novel/a.png"), b"x").unwrap();
         write_bytes(&out.join("novel/debug/1.png"), b"x").unwrap();
         // Killed here: the next run knows the files.
@@ -381,13 +480,17 @@ mod tests {
         let mut record = begin(out, &["a.png"]);
         assert!(!out.join("novel").exists(), "old results are gone before new ones come");
         write_bytes(&out.join("novel/a.png"), b"x").unwrap();
-        record.pass(0, RunState::Finished).unwrap();
+        record.pass(0, RunState::Finished, vec!["1 view".into()]).unwrap();
         record.end(Err(Error::run("late", "it failed"))).unwrap_err();
+        drop(record);
         let read = Record::read(out).unwrap();
         assert_eq!((read.state, read.passes[0].state), (RunState::Failed, RunState::Finished));
         assert_eq!(
             (read.error.as_deref(), read.passes[0].files.as_slice()),
             (Some("late: it failed"), &["novel/a.png".to_owned()][..])
         );
+        assert_eq!((read.seed, read.passes[0].said.len()), (Some(7), 1));
+        assert!(read.scene_text.starts_with("Scene(") && read.machine.is_some());
+        assert!(read.passes[0].secs.is_some_and(|secs| (0.0..60.0).contains(&secs)));
     }
 }

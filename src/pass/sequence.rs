@@ -6,12 +6,14 @@ use crate::error::{Error, Result};
 use crate::pass::evaluate;
 use crate::pass::export;
 use crate::pass::fit;
+use crate::pass::progress::Told;
 use crate::pass::record::{RunRecord, RunState};
 use crate::pass::render;
 use crate::pass::resume::keep;
 use crate::pass::save;
 use crate::pass::session::Session;
 use crate::pass::shape;
+use crate::pass::summary::Reporter;
 use crate::pass::view;
 use crate::scene::{EditPass, Pass, RelightPass, RenderPass};
 use std::io::ErrorKind;
@@ -27,19 +29,29 @@ struct Unfinished<'a> {
     first: Option<Error>,
 }
 
-/// Runs all passes after the first `done`, but those that need one that failed. Once the run is asked to stop, only what was found until then is written:
-/// scored, saved and exported.
+/// Runs all passes after the first `done`, but those that need one that failed; scores and report are written after each. Once the run is
+/// asked to stop, only what was found until then is written: scored, saved and exported.
 ///
 /// # Errors
 /// The first error of a pass; [`Error::Interrupted`] if the run was stopped.
-pub(super) fn run(session: &mut Session, record: &mut RunRecord, done: usize) -> Result<()> {
+pub(super) fn run(
+    session: &mut Session,
+    (record, report): (&mut RunRecord, &mut Reporter),
+    told: &Told,
+    done: usize,
+) -> Result<()> {
     let scene = session.scene;
     let mut unfinished = Unfinished::default();
+    record.said_before(told.take());
+    if done > 0 {
+        session.write_scores()?;
+    }
+    report.write(&session.out)?;
     for (index, pass) in scene.passes.iter().enumerate().skip(done) {
         if let Some(needed) = unfinished.failed.iter().find(|failed| needs(pass, failed)) {
             let text = format!("pass {} is left out: it needs {}", pass.name(), needed.name());
             session.progress.note(&text);
-            record.pass(index, RunState::Skipped)?;
+            record.pass(index, RunState::Skipped, told.take())?;
             unfinished.failed.push(pass);
             continue;
         }
@@ -47,12 +59,18 @@ pub(super) fn run(session: &mut Session, record: &mut RunRecord, done: usize) ->
             unfinished.stopped.push(pass);
             continue;
         }
-        record.pass(index, RunState::Running)?;
+        record.pass(index, RunState::Running, Vec::new())?;
         begin_pass(&mut session.pipeline.world, index as u32);
         let ended = run_pass(session, pass);
         heed_stop();
-        let recorded = record.pass(index, state_of(&ended));
-        unfinished.note(session, pass, ended, recorded)?;
+        let state = state_of(&ended);
+        let ends_all = unfinished.note(session, pass, ended);
+        let recorded = record.pass(index, state, told.take());
+        let recorded =
+            recorded.and_then(|()| session.write_scores()).and_then(|()| report.write(&session.out));
+        if ends_all || recorded.is_err() {
+            return unfinished.first.map_or(recorded, Err);
+        }
         if unfinished.failed.is_empty() {
             keep(session, index + 1)?;
         } else {
@@ -65,34 +83,27 @@ pub(super) fn run(session: &mut Session, record: &mut RunRecord, done: usize) ->
 }
 
 impl<'a> Unfinished<'a> {
-    /// Notes how a pass ended; an error is one that ends the run.
-    fn note(
-        &mut self,
-        session: &Session,
-        pass: &'a Pass,
-        ended: Result<()>,
-        recorded: Result<()>,
-    ) -> Result<()> {
-        match ended {
-            Ok(()) => return recorded,
+    /// Notes how a pass ended. Returns whether later passes would end in the same way.
+    fn note(&mut self, session: &Session, pass: &'a Pass, ended: Result<()>) -> bool {
+        let error = match ended {
+            Ok(()) => return false,
             Err(Error::Interrupted) => {
                 self.stopped.push(pass);
-                return recorded;
+                return false;
             }
-            Err(error) if recorded.is_err() || ends_all(&error) => {
-                return Err(self.first.take().unwrap_or(error));
+            Err(error) => error,
+        };
+        let ends_all = ends_all(&error);
+        match &self.first {
+            _ if ends_all => {}
+            None => {
+                session.progress.note(&format!("pass {} failed; what does not need it goes on", pass.name()));
             }
-            Err(error) => {
-                self.failed.push(pass);
-                let text = match &self.first {
-                    None => format!("pass {} failed; what does not need it goes on", pass.name()),
-                    Some(_) => format!("pass {} failed: {error}", pass.name()),
-                };
-                session.progress.note(&text);
-                self.first.get_or_insert(error);
-            }
+            Some(_) => session.progress.note(&format!("pass {} failed: {error}", pass.name())),
         }
-        Ok(())
+        self.failed.push(pass);
+        self.first.get_or_insert(error);
+        ends_all
     }
 }
 

@@ -9,7 +9,7 @@ use crate::mesh::Surface;
 use crate::pass::photograph::TrueObject;
 use crate::pass::progress::Progress;
 use crate::pipeline::Pipeline;
-use crate::report::scores::Scores;
+use crate::report::scores::{FrameTried, Scores};
 use crate::scene::{Light, Pass, Scene, Visibility};
 use crate::spawn::{LoadedLight, load_light};
 use crate::visibility::{ObjectVisibility, VisibilitySettings};
@@ -126,6 +126,8 @@ impl<'a> Session<'a> {
         let Some(FramesTried(tried)) = world.remove_resource::<FramesTried>() else { return };
         let frame = world.get_resource::<OwnLightFrame>().map(|own| own.0).unwrap_or_default();
         self.scores.light_frame = ron::to_string(&frame).ok();
+        self.scores.light_frames_tried =
+            tried.iter().map(|(frame, error)| FrameTried { frame: frame.words(), error: *error }).collect();
         let error = |of: LightFrame| tried.iter().find(|(frame, _)| *frame == of).map(|(_, error)| *error);
         if let (Some(own), Some(world)) = (error(frame), error(LightFrame::World)) {
             let found = frame.words();
@@ -149,10 +151,15 @@ impl<'a> Session<'a> {
         self.out.join(pass)
     }
 
-    /// Writes the metrics and shows the table.
-    pub(super) fn finish(mut self) -> Result<()> {
+    /// Writes the scores so far.
+    pub(super) fn write_scores(&mut self) -> Result<()> {
         self.scores.peak_rss_mib = crate::report::scores::peak_rss_mib();
-        self.scores.write_json(self.out.join(METRICS))?;
+        self.scores.write_json(self.out.join(METRICS))
+    }
+
+    /// Writes the scores and shows the table.
+    pub(super) fn finish(mut self) -> Result<()> {
+        self.write_scores()?;
         self.progress.print(&self.scores.table());
         self.progress.print(&format!("Results are in {}.", self.out.display()));
         Ok(())

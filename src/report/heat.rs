@@ -39,22 +39,42 @@ fn difference(prediction: Vec3, truth: Vec3) -> f32 {
 ///
 /// `prediction`, `truth` and `coverage` hold `width * height` entries; missing entries are shown as `outside`.
 pub fn heat_map(
-    [width, height]: [u32; 2],
+    size: [u32; 2],
     images: [&[Vec3]; 2],
     coverage: &[f32],
     factor: f32,
     outside: [u8; 3],
+) -> RgbImage {
+    map_of(size, images, coverage, outside, |error| error * factor)
+}
+
+/// The colors of errors at the places that `place` gives them on the scale.
+fn map_of(
+    [width, height]: [u32; 2],
+    images: [&[Vec3]; 2],
+    coverage: &[f32],
+    outside: [u8; 3],
+    place: impl Fn(f32) -> f32,
 ) -> RgbImage {
     RgbImage::from_fn(width, height, |x, y| {
         let at = y as usize * width as usize + x as usize;
         let pixel = images[0].get(at).zip(images[1].get(at)).zip(coverage.get(at));
         match pixel {
             Some(((&prediction, &truth), &covered)) if covered > 0.0 => {
-                Rgb(heat_color(difference(prediction, truth) * factor))
+                Rgb(heat_color(place(difference(prediction, truth))))
             }
             _ => Rgb(outside),
         }
     })
+}
+
+/// The error at the end of the scale of [`error_map`].
+pub const LARGEST_ERROR: f32 = 0.25;
+
+/// Error map of `width` × `height` pixels on a scale that is the same for all pictures: the color at √(error / [`LARGEST_ERROR`]), so that small
+/// errors are seen and large ones told apart. Otherwise as [`heat_map`].
+pub fn error_map(size: [u32; 2], images: [&[Vec3]; 2], coverage: &[f32], outside: [u8; 3]) -> RgbImage {
+    map_of(size, images, coverage, outside, |error| (error / LARGEST_ERROR).sqrt())
 }
 
 /// A factor (4, 8, 16, 32 or 64) for a PSNR of `psnr` dB: an error of three times the root
@@ -87,6 +107,14 @@ mod tests {
         let map = heat_map([2, 1], [&p, &t], &[1.0, 0.0], 5.0, [9, 9, 9]);
         assert_eq!(map.get_pixel(0, 0).0, heat_color(0.1 * 5.0));
         assert_eq!(map.get_pixel(1, 0).0, [9, 9, 9]);
+    }
+
+    #[test]
+    fn the_scale_of_a_report_does_not_depend_on_the_run() {
+        let (p, t) = ([Vec3::splat(0.5), Vec3::ONE, Vec3::ONE], [Vec3::splat(0.49), Vec3::ZERO, Vec3::ZERO]);
+        let map = error_map([3, 1], [&p, &t], &[1.0, 1.0, 0.0], [9, 9, 9]);
+        assert_eq!(map.get_pixel(0, 0).0, heat_color(0.2));
+        assert_eq!((map.get_pixel(1, 0).0, map.get_pixel(2, 0).0), (INFERNO[8], [9, 9, 9]));
     }
 
     #[test]

@@ -1,6 +1,7 @@
 //! Reports: the outputs of passes.
 //!
-//! Frames as layered EXR, pictures as PNG, contact sheets, animations, and the scores of a prediction against its truth.
+//! Frames as layered EXR, pictures as PNG, contact sheets, animations, the scores of a prediction against its truth, and the page that
+//! shows all of a run ([`html`]).
 //! Kernels ([`metrics`], [`ssim`], [`srgb`], [`normals`], [`tone`], [`heat`]) work on slices; every file is written by
 //! [`crate::codec::file`], so that incomplete files never have their final name.
 //!
@@ -18,6 +19,7 @@
 pub mod compare;
 pub mod font;
 pub mod heat;
+pub mod html;
 pub mod metrics;
 pub mod normals;
 pub mod scores;
@@ -25,4 +27,5 @@ pub mod sheet;
 pub mod srgb;
 pub mod ssim;
 mod table;
+pub mod thumbnail;
 pub mod tone;

@@ -123,6 +123,15 @@ pub struct ScaleFound {
     pub mean_albedo: [f32; 3],
 }
 
+/// A frame in which the light could stand still.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct FrameTried {
+    /// In words: "stands around the object".
+    pub frame: String,
+    /// Mean absolute error of radiance of the first guess in it.
+    pub error: f32,
+}
+
 /// All scores of a run; `metrics.json`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Scores {
@@ -151,6 +160,9 @@ pub struct Scores {
     /// The frame in which a fit found the light to stand still, as a scene file writes it; `null` if none was looked for.
     #[serde(default)]
     pub light_frame: Option<String>,
+    /// The frames that were tried.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub light_frames_tried: Vec<FrameTried>,
     /// Time of all fits, seconds.
     pub fit_secs: Option<f64>,
     /// Largest resident memory of the process so far, MiB.

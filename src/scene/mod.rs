@@ -11,6 +11,7 @@ mod description;
 pub mod diagnostic;
 mod edit;
 mod evaluate;
+pub mod fields;
 mod fit;
 mod light;
 pub mod load;

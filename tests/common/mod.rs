@@ -297,7 +297,7 @@ impl AtWork {
         let is_step = |file: &String| file.ends_with(".state") && !file.ends_with("-0.state");
         let start = Instant::now();
         while !files_below(&data.path("out/.checkpoint")).iter().any(is_step) {
-            assert!(start.elapsed() < Duration::from_secs(300), "no step is kept");
+            assert!(start.elapsed() < Duration::from_secs(300), "process {} keeps no step", self.0.id());
             std::thread::sleep(Duration::from_millis(2));
         }
     }

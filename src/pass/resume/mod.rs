@@ -211,7 +211,7 @@ fn places(folder: &Path) -> Vec<Place> {
 
 fn read_checkpoint(folder: &Path, place: Place, mark: u64) -> Result<Checkpoint> {
     let path = folder.join(file_name(place));
-    let bytes = read_bytes(&path, |_| String::new())?;
+    let bytes = read_bytes(&path, |_| START_AGAIN.to_owned())?;
     let damaged = || Error::input(&path, "", "the checkpoint is damaged", START_AGAIN);
     let (head, rest) = bytes.split_at_checked(HEAD).ok_or_else(damaged)?;
     if *head != [MAGIC, mark.to_le_bytes(), hash_of_bytes(rest).to_le_bytes()].concat() {

@@ -77,24 +77,24 @@ impl Laplacian {
                 first = weighted;
             }
             // Also where the right side is zero, or not a number.
-            if !(weighted > tolerance * tolerance * first && weighted.is_normal()) {
+            let open = weighted > tolerance * tolerance * first && weighted.is_normal();
+            if !open {
                 break;
             }
             let share = if before > 0.0 { weighted / before } else { 0.0 };
             before = weighted;
-            for i in 0..x.len() {
-                direction[i] = residual[i] / self.diagonal[i] + direction[i] * share;
+            for ((direction, residual), weight) in direction.iter_mut().zip(&residual).zip(&self.diagonal) {
+                *direction = *residual / *weight + *direction * share;
             }
-            (0..x.len()).for_each(|i| image[i] = self.row_times(i, &direction));
+            image.iter_mut().enumerate().for_each(|(i, image)| *image = self.row_times(i, &direction));
             let curvature: f64 = direction.iter().zip(&image).map(|(d, i)| d.dot(*i)).sum();
-            if !(curvature > 0.0 && curvature.is_finite()) {
+            let convex = curvature > 0.0 && curvature.is_finite();
+            if !convex {
                 break;
             }
             let step = weighted / curvature;
-            for i in 0..x.len() {
-                x[i] += direction[i] * step;
-                residual[i] -= image[i] * step;
-            }
+            x.iter_mut().zip(&direction).for_each(|(x, direction)| *x += *direction * step);
+            residual.iter_mut().zip(&image).for_each(|(residual, image)| *residual -= *image * step);
         }
         x
     }

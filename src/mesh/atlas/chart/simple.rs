@@ -19,7 +19,7 @@ pub fn is_simple(border: &[[u32; 2]], map: &[DVec2]) -> bool {
 
 /// The area inside each loop, negative if it runs clockwise.
 fn loop_areas(border: &[[u32; 2]], map: &[DVec2]) -> Vec<f64> {
-    let mut areas = Vec::new();
+    let mut areas: Vec<f64> = Vec::new();
     let mut first = None;
     for [a, b] in border {
         let start = *first.get_or_insert_with(|| {
@@ -27,7 +27,9 @@ fn loop_areas(border: &[[u32; 2]], map: &[DVec2]) -> Vec<f64> {
             *a
         });
         let [from, to] = [a, b].map(|v| map[*v as usize] - map[start as usize]);
-        areas.iter_mut().last().into_iter().for_each(|area| *area += 0.5 * from.perp_dot(to));
+        if let Some(area) = areas.last_mut() {
+            *area += 0.5 * from.perp_dot(to);
+        }
         if *b == start {
             first = None;
         }

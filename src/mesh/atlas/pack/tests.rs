@@ -118,8 +118,8 @@ fn plain_find(taken: &[bool], side: u32, mask: &Mask) -> Option<UVec2> {
             .all(|run| (run.from..=run.to).all(|x| !taken[((at.y + run.y) * side + at.x + x) as usize]))
     };
     let end = |length: u32| (side + 1).saturating_sub(length);
-    let places = (0..end(mask.size.y)).flat_map(|y| (0..end(mask.size.x)).map(move |x| UVec2::new(x, y)));
-    places.into_iter().find(|at| free(*at))
+    let mut places = (0..end(mask.size.y)).flat_map(|y| (0..end(mask.size.x)).map(move |x| UVec2::new(x, y)));
+    places.find(|at| free(*at))
 }
 
 #[test]

@@ -1,0 +1,68 @@
+//! `lobelia report`: a run, or several side by side, as one page.
+
+use super::apart::refuse_foreign;
+use super::report_args::ReportArgs;
+use super::terminal::print;
+use lobelia::codec::file::write_bytes;
+use lobelia::pass::summary::read_run;
+use lobelia::report::html::data::RunReport;
+use lobelia::report::html::{REPORT, SIGNATURE, html};
+use lobelia::{Error, Result};
+use std::path::{Component, Path, PathBuf};
+
+/// Runs the command.
+pub fn run(args: &ReportArgs) -> Result<()> {
+    let page = match (&args.out, args.runs.as_slice()) {
+        (Some(out), _) => out.clone(),
+        (None, [run]) => run.join(REPORT),
+        (None, _) => PathBuf::from(REPORT),
+    };
+    refuse_foreign(&page, SIGNATURE)?;
+    if page.is_dir() {
+        let problem = format!("--out {}: it is a folder", page.display());
+        return Err(Error::usage(problem, "Give the file to write, as --out report.html."));
+    }
+    let mut runs: Vec<RunReport> = args.runs.iter().map(|run| read_run(run)).collect::<Result<_>>()?;
+    name_apart(&mut runs, &args.runs);
+    let text = html(&runs)?;
+    write_bytes(&page, text.as_bytes())?;
+    print(&format!("{}: {:.1} MiB\n", page.display(), text.len() as f64 / 1_048_576.0))
+}
+
+/// Folders of one name are called by as much of their paths as tells them apart.
+fn name_apart(runs: &mut [RunReport], paths: &[PathBuf]) {
+    let parts: Vec<Vec<String>> = paths.iter().map(|path| parts(path)).collect();
+    let most = parts.iter().map(Vec::len).max().unwrap_or(0);
+    for length in 2..=most {
+        let names: Vec<String> = runs.iter().map(|run| run.name.clone()).collect();
+        for (i, run) in runs.iter_mut().enumerate() {
+            let is_shared = names.iter().filter(|name| **name == names[i]).count() > 1;
+            if is_shared && parts[i].len() >= length {
+                run.name = parts[i][parts[i].len() - length..].join("/");
+            }
+        }
+    }
+}
+
+fn parts(path: &Path) -> Vec<String> {
+    let full = path.canonicalize().unwrap_or_else(|_| path.to_owned());
+    let normal = full.components().filter_map(|part| match part {
+        Component::Normal(name) => Some(name.to_string_lossy().into_owned()),
+        _ => None,
+    });
+    normal.collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn runs_of_one_name_are_told_apart() {
+        let paths = ["/a/one/spot", "/a/two/spot", "/a/other"].map(PathBuf::from);
+        let named = |name: &str| RunReport { name: name.into(), ..RunReport::default() };
+        let mut runs = [named("spot"), named("spot"), named("other")];
+        name_apart(&mut runs, &paths);
+        assert_eq!(runs.map(|run| run.name), ["one/spot", "two/spot", "other"]);
+    }
+}

@@ -1,0 +1,186 @@
+use super::data::{Finding, FitLog, PassReport, PassViews, RunReport, Shown, ViewReport};
+use super::*;
+use crate::report::scores::{PassScores, Scores, ViewScores};
+use crate::report::srgb::SrgbScores;
+use indexmap::IndexMap;
+
+fn view_scores(name: &str, psnr: f64) -> ViewScores {
+    ViewScores { name: name.into(), psnr, psnr_raw: psnr - 1.0, ssim: 0.9, srgb: None }
+}
+
+fn view(name: &str) -> ViewReport {
+    let address = |part: &str| Some(format!("data:image/jpeg;base64,{name}{part}"));
+    ViewReport { name: name.into(), truth: address("T"), render: address("R"), error: address("E") }
+}
+
+fn run(name: &str, psnr: f64) -> RunReport {
+    let pass = PassScores {
+        psnr,
+        psnr_raw: psnr - 1.0,
+        ssim: 0.95,
+        scale: [1.0; 3],
+        srgb: Some(SrgbScores { psnr_mask: 20.0, ..SrgbScores::default() }),
+        views: vec![view_scores("good", psnr + 2.0), view_scores("bad", psnr - 2.0)],
+        ..PassScores::default()
+    };
+    let columns = ["step", "elapsed_secs", "loss", "psnr", "roughness"];
+    RunReport {
+        name: name.into(),
+        state: "finished".into(),
+        facts: vec![("seed".into(), "7".into())],
+        scene_text: "Scene(version: 1)".into(),
+        fields: vec![("version".into(), "1".into()), ("passes.fit.steps".into(), psnr.to_string())],
+        passes: vec![PassReport {
+            name: "fit".into(),
+            state: "finished".into(),
+            secs: Some(125.2),
+            ..PassReport::default()
+        }],
+        scores: Scores {
+            passes: IndexMap::from([("novel".into(), pass)]),
+            normal_deg: Some(psnr / 10.0),
+            ..Scores::default()
+        },
+        logs: vec![FitLog {
+            pass: "fit".into(),
+            columns: columns.map(|name| (name.to_owned(), vec![1.0, 20.0])).to_vec(),
+        }],
+        pictures: vec![Shown { title: "fit: albedo".into(), address: "data:image/jpeg;base64,A".into() }],
+        views: vec![PassViews { pass: "novel".into(), views: vec![view("good"), view("bad")], left_out: 0 }],
+        findings: vec![Finding {
+            what: "mean light".into(),
+            value: "1, 1, 1".into(),
+            color: Some([9, 8, 7]),
+        }],
+        ..RunReport::default()
+    }
+}
+
+/// The part of the page with this identifier.
+fn part<'a>(page: &'a str, id: &str) -> &'a str {
+    let (_, after) = page.split_once(&format!("<section id=\"{id}\"")).unwrap_or_else(|| panic!("no {id}"));
+    after.split_once("</section>").unwrap().0
+}
+
+#[track_caller]
+fn has(text: &str, all: &[&str]) {
+    for words in all {
+        assert!(text.contains(words), "no {words:?} in\n{text}");
+    }
+}
+
+#[test]
+fn a_run_is_one_page_with_all_parts() {
+    let page = html(&[run("spot", 30.0)]).unwrap();
+    has(
+        &page,
+        &["<title>spot</title>", SIGNATURE, "s-finished\">finished<", "<dt>novel</dt><dd>30.0 <small>dB"],
+    );
+    has(
+        part(&page, "scores"),
+        &["<td>30.00</td><td>29.00</td><td>0.9500</td><td>none</td>", "in sRGB", "normal error, mean °"],
+    );
+    has(
+        part(&page, "views"),
+        &["photograph of view bad", "base64,badE", "28.00 dB, SSIM 0.9000", "novel: good"],
+    );
+    has(part(&page, "light"), &["base64,A", "fit: albedo"]);
+    has(part(&page, "curves"), &["Loss", "PSNR of training pixels", "over seconds", "<polyline"]);
+    has(part(&page, "found"), &["mean light", "rgb(9 8 7)"]);
+    has(part(&page, "passes"), &["2 min 05 s"]);
+    has(part(&page, "scene"), &["Scene(version: 1)"]);
+    has(part(&page, "run"), &["seed", "<td>7</td>"]);
+    let worst_first = |a: &str, b: &str| page.find(a).unwrap() < page.find(b).unwrap();
+    assert!(worst_first("base64,badR", "base64,goodR"));
+    // No log has these columns, so no chart has them.
+    assert!(!page.contains("Specular albedo, mean"), "{page}");
+    assert!(!page.contains("{{") && !page.contains("http://") && !page.contains("https://"));
+}
+
+#[test]
+fn runs_stand_side_by_side_with_differences() {
+    let (first, mut second) = (run("a", 30.0), run("b", 31.5));
+    second.views[0].views.push(view("new"));
+    second.scores.passes["novel"].ssim = 0.95;
+    second.fields.push(("seed".into(), "3".into()));
+    let page = html(&[first, second]).unwrap();
+    has(
+        part(&page, "scores"),
+        &["31.50 <small class=\"better\">(▲ +1.50)</small>", "0.9500 <small class=\"same\">(+0.0000)"],
+    );
+    has(part(&page, "scores"), &["3.150 <small class=\"worse\">(▼ +0.150)</small>", "rowspan=\"2\""]);
+    let views = part(&page, "views");
+    has(views, &["a: render of view bad", "b: error of view bad", "b: render of view new", "novel: new"]);
+    assert_eq!(views.matches("photograph of view bad").count(), 1, "{views}");
+    has(part(&page, "scene"), &["passes.fit.steps", "<td>30</td><td>31.5</td>", "<td>–</td><td>3</td>"]);
+    assert!(!part(&page, "scene").contains("<th scope=\"row\">version<"));
+    assert_eq!(part(&page, "curves").matches("<g class=\"c1\"").count(), 6);
+}
+
+#[test]
+fn runs_of_one_scene_say_so() {
+    let page = html(&[run("a", 30.0), run("b", 30.0)]).unwrap();
+    has(part(&page, "scene"), &["The scene files have the same values."]);
+}
+
+#[test]
+fn an_interrupted_run_has_a_report_of_what_there_is() {
+    let empty = RunReport {
+        name: "x".into(),
+        state: "failed".into(),
+        error: Some("fit: no <pixels>".into()),
+        passes: vec![PassReport { name: "fit".into(), state: "failed".into(), ..PassReport::default() }],
+        ..RunReport::default()
+    };
+    let page = html(&[empty]).unwrap();
+    has(&page, &["fit: no &lt;pixels&gt;", "s-failed", "failed –"]);
+    for missing in ["scores", "views", "light", "curves", "found", "scene", "run"] {
+        assert!(
+            !page.contains(&format!("id=\"{missing}\"")) && !page.contains(&format!("#{missing}\"")),
+            "{missing}"
+        );
+    }
+}
+
+#[test]
+fn nothing_of_a_users_files_is_markup() {
+    let evil = "<script>alert('x')</script>\"&{{BODY}}";
+    let mut bad = run(evil, 30.0);
+    bad.state = evil.into();
+    bad.error = Some(evil.into());
+    bad.facts.push((evil.into(), evil.into()));
+    bad.scene_text = evil.into();
+    bad.fields.push((evil.into(), evil.into()));
+    bad.said = vec![evil.into()];
+    bad.passes.push(PassReport {
+        name: evil.into(),
+        state: evil.into(),
+        said: vec![evil.into()],
+        ..PassReport::default()
+    });
+    bad.logs[0].pass = evil.into();
+    bad.pictures.push(Shown { title: evil.into(), address: evil.into() });
+    bad.findings.push(Finding { what: evil.into(), value: evil.into(), color: None });
+    bad.views.push(PassViews { pass: evil.into(), views: vec![view(evil)], left_out: 1 });
+    let scores = bad.scores.passes["novel"].clone();
+    bad.scores.passes.insert(evil.into(), PassScores { views: vec![view_scores(evil, 1.0)], ..scores });
+    for runs in [vec![bad.clone()], vec![run("a", 1.0), bad]] {
+        let page = html(&runs).unwrap();
+        assert_eq!(page.matches("<script>").count(), 1, "only the page's own");
+        assert!(!page.contains("alert('x')") && !page.contains("\"\"&"), "{page}");
+        assert!(page.matches("{{BODY}}").count() > 10, "values are no slots");
+    }
+}
+
+#[test]
+fn many_views_are_folded_and_too_many_runs_refused() {
+    let mut many = run("many", 30.0);
+    many.views[0].views = (0..40).map(|i| view(&format!("v{i}"))).collect();
+    many.views[0].left_out = 3;
+    let page = html(&[many]).unwrap();
+    has(part(&page, "views"), &["28 more views", "3 more in the folder"]);
+    assert!(html(&[]).is_err());
+    let error = html(&vec![RunReport::default(); 9]).unwrap_err();
+    assert!(error.to_string().contains("1 to 8 runs, not 9"), "{error}");
+    assert!(filled("no slot", &[("{{A}}", String::new())]).is_err());
+}

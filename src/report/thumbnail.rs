@@ -1,0 +1,77 @@
+//! Small pictures for pages: JPEG, of a size that keeps a page within its budget.
+
+use crate::codec::file::write_bytes;
+use crate::error::{Error, Result};
+use image::RgbImage;
+use image::codecs::jpeg::JpegEncoder;
+use image::imageops::thumbnail;
+use std::path::Path;
+
+/// Quality of the JPEGs, 1 to 100: traces of compression are not seen.
+const QUALITY: u8 = 85;
+/// Bytes that all small pictures of the views of a run may take together.
+const BUDGET: f64 = 5.5e6;
+/// Bytes of a pixel of a picture of an object, about: measured on renders and error maps at [`QUALITY`].
+const BYTES_PER_PIXEL: f64 = 0.2;
+/// Longest sides: of few pictures, and of so many that the budget is not kept.
+const LONGEST: f64 = 512.0;
+const SHORTEST: f64 = 96.0;
+
+/// The longest side of each of `count` pictures that are to keep to the budget together, in pixels.
+pub fn side_for(count: usize) -> u32 {
+    let side = (BUDGET / BYTES_PER_PIXEL / count.max(1) as f64).sqrt();
+    side.clamp(SHORTEST, LONGEST) as u32
+}
+
+/// The picture as a JPEG whose longer side is at most `side` pixels; it is never enlarged.
+///
+/// # Errors
+/// [`Error::Run`] for a picture without pixels.
+pub fn thumbnail_jpeg(picture: &RgbImage, side: u32) -> Result<Vec<u8>> {
+    let (width, height) = picture.dimensions();
+    let factor = f64::from(side.max(1)) / f64::from(width.max(height).max(1));
+    let scaled = |length: u32| ((f64::from(length) * factor).round() as u32).max(1);
+    let small = (factor < 1.0).then(|| thumbnail(picture, scaled(width), scaled(height)));
+    let mut bytes = Vec::new();
+    JpegEncoder::new_with_quality(&mut bytes, QUALITY)
+        .encode_image(small.as_ref().unwrap_or(picture))
+        .map_err(|error| Error::run("a small picture", error.to_string()))?;
+    Ok(bytes)
+}
+
+/// Writes [`thumbnail_jpeg`] to a file.
+///
+/// # Errors
+/// Those of [`thumbnail_jpeg`]; [`Error::Io`] if the file cannot be written.
+pub fn write_thumbnail(path: &Path, picture: &RgbImage, side: u32) -> Result<()> {
+    write_bytes(path, &thumbnail_jpeg(picture, side)?)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::Rgb;
+
+    #[test]
+    fn few_pictures_are_large_and_many_keep_to_the_budget() {
+        assert_eq!((side_for(0), side_for(3)), (512, 512));
+        let side = f64::from(side_for(900));
+        assert!(side < 200.0 && 900.0 * side * side * BYTES_PER_PIXEL <= BUDGET, "{side}");
+        assert_eq!(side_for(1_000_000), 96);
+    }
+
+    #[test]
+    fn pictures_keep_their_shape_and_are_not_enlarged() {
+        let size = |width, height, side| {
+            let picture = RgbImage::from_pixel(width, height, Rgb([200, 40, 10]));
+            let read = image::load_from_memory(&thumbnail_jpeg(&picture, side).unwrap()).unwrap().to_rgb8();
+            let [r, g, b] = read.get_pixel(0, 0).0;
+            assert!(r.abs_diff(200) < 6 && g.abs_diff(40) < 6 && b.abs_diff(10) < 6, "{r} {g} {b}");
+            read.dimensions()
+        };
+        assert_eq!(size(40, 20, 512), (40, 20));
+        assert_eq!(size(40, 20, 10), (10, 5));
+        assert_eq!(size(1, 300, 10), (1, 10));
+        assert!(thumbnail_jpeg(&RgbImage::new(0, 4), 10).is_err());
+    }
+}
