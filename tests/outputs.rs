@@ -264,7 +264,9 @@ fn a_run_that_fails_late_says_so() {
     data.run(&usual(), "out", &["--quiet"]).succeeded();
     let before = manifest(&data.path("out"));
     let late = scene(&[FIT, NOVEL, ENDLESS].concat());
-    let at_work = AtWork::start(&data, &late, &["--force"], "again");
+    let at_work = AtWork::start(&data, &late, &["--force", "--checkpoint", "0s"], "again");
+    // A fit that is stopped before its first step has nothing to write.
+    at_work.until_a_step_is_kept(&data);
     // A folder in the way of a result.
     std::fs::create_dir_all(data.path("out/again/light.npy/x")).unwrap();
     at_work.signal("INT");
