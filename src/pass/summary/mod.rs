@@ -3,8 +3,8 @@
 //!
 //! | module | holds |
 //! | --- | --- |
-//! | [`pictures`] | pictures of the folder as `data:` addresses, within a budget |
-//! | [`findings`] | lights, textures and what the fits found |
+//! | `pictures` | pictures of the folder as `data:` addresses, within a budget |
+//! | `findings` | lights, textures and what the fits found |
 
 mod findings;
 mod pictures;
