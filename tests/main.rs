@@ -2,7 +2,7 @@
 //!
 //! | theme | files |
 //! | --- | --- |
-//! | runs of the command | [`run`], [`photos`], [`gloss`], [`ggx`], [`scale`], [`light_frame`], [`export`], [`view_page`], [`report`], [`shown`], [`env`], [`scores`] |
+//! | runs of the command | [`run`], [`photos`], [`gloss`], [`sheen`], [`ggx`], [`scale`], [`light_frame`], [`export`], [`view_page`], [`report`], [`shown`], [`env`], [`scores`] |
 //! | what is written where, and what never is; runs that are stopped | [`outputs`], [`resume`], `stop` |
 //! | what is refused, and how | [`bad_input`], [`check`], [`hostile`], [`scene_errors`] |
 //! | systems in a world, pictures | [`ecs`], [`swap`], [`visibility`], [`frames`] |
@@ -30,6 +30,7 @@ mod run;
 mod scale;
 mod scene_errors;
 mod scores;
+mod sheen;
 mod shown;
 #[cfg(unix)]
 mod stop;

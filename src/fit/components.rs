@@ -40,6 +40,8 @@ pub struct SpecularGradient(pub [f32; 4]);
 pub struct Unknowns {
     /// Texel albedo.
     pub albedo: bool,
+    /// Texel sheen; only together with `albedo`.
+    pub sheen: bool,
     /// Light lobes.
     pub light: bool,
     /// Specular albedo.
@@ -53,10 +55,11 @@ pub struct Unknowns {
 }
 
 impl Default for Unknowns {
-    /// All except blends; the specular albedo is gray.
+    /// All except sheen and blends; the specular albedo is gray.
     fn default() -> Self {
         Self {
             albedo: true,
+            sheen: false,
             light: true,
             specular_albedo: true,
             mono_specular: true,
@@ -71,6 +74,8 @@ impl Default for Unknowns {
 pub struct StepRates {
     /// Number of the step, from 1.
     pub step: u32,
+    /// Completed part of the fit, in [0, 1).
+    pub progress: f32,
     /// Rate of the logit of texel albedo.
     pub albedo: f32,
     /// Rate of lobe axes, log sharpness and log amplitude.

@@ -20,6 +20,7 @@ pub mod observe;
 pub mod roughness;
 pub mod run;
 pub mod scale;
+pub mod sheen;
 pub mod systems;
 
 pub use initialization::frame::{FramesTried, ObjectTurned};

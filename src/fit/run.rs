@@ -25,9 +25,12 @@ use crate::checkpoint::{
     Span, has_step_ahead, is_due, keep_each, keep_pool, keep_resource, keep_step, resume_step,
 };
 use crate::error::Result;
+use crate::fit::sheen::evidence::{SheenEvidence, choose_sheen, look_for_sheen, note_residuals};
+use crate::fit::sheen::{SheenGradient, SheenMoments, move_sheen, scatter_to_sheen};
 use crate::light::LightLobe;
 use crate::light::frame::{LightFrame, OwnLightFrame};
 use crate::light::lights::{LightChoice, LobeOf, provide_light};
+use crate::material::DiffuseSheen;
 use crate::material::source::{PlainBlends, Recovered};
 use crate::material::{
     DiffuseAlbedo, SpecularBlend, SpecularLobe, TexelIndex, recovered_materials, texels_in_order,
@@ -73,6 +76,8 @@ pub struct FitOptions {
     pub guess: FirstGuess,
     /// Whether shading includes shadows and reflections; the world then needs an [`ObjectVisibility`].
     pub visibility: bool,
+    /// Whether the fit decides by itself if the surface has a sheen.
+    pub looks_for_sheen: bool,
     /// Whether each photograph's exposure is unknown.
     pub exposure: bool,
     /// The rule for the scale between light and albedo, if both are unknown.
@@ -97,6 +102,7 @@ impl Default for FitOptions {
             pixels: PixelChoice { seed: 0, max_pixels: 2_000_000 },
             guess: FirstGuess::ALL,
             visibility: false,
+            looks_for_sheen: false,
             exposure: false,
             scale: ScaleRule::default(),
             light_frame: Some(LightFrame::World),
@@ -148,6 +154,8 @@ pub struct FitSummary {
     pub elapsed_secs: f64,
     /// Whether the caller stopped it early.
     pub stopped: bool,
+    /// Part of the squared residuals of views kept aside that a sheen explains, if the fit has decided about it.
+    pub explained_by_sheen: Option<f64>,
 }
 
 /// The fit's systems: Adam on texels, light lobes and the specular lobe, with closed-form shading.
@@ -171,16 +179,22 @@ impl Plugin for FitPlugin {
             .swap(Phase::FitStep, Slot::Light, provide_light(LightChoice::Own, false))
             .swap(Phase::FitStep, Slot::Shading, shade_closed_form(ClosedForm::default()))
             .swap(Phase::FitStep, Slot::ShadingAdjoint, pull_back_radiance(ClosedForm::default()))
-            .add_systems(Phase::FitStep, Stage::Loss, (find_exposures, compare_with_photographs).chain())
+            .add_systems(
+                Phase::FitStep,
+                Stage::Loss,
+                (find_exposures, compare_with_photographs, note_residuals).chain(),
+            )
             .add_systems(
                 Phase::FitStep,
                 Stage::Gradient,
-                (scatter_to_texels, scatter_to_blends, hand_out_gradient).chain().in_set(ScatterAdjoints),
+                (scatter_to_texels, scatter_to_sheen, scatter_to_blends, hand_out_gradient)
+                    .chain()
+                    .in_set(ScatterAdjoints),
             )
             .swap(
                 Phase::FitStep,
                 Slot::Optimizer,
-                (move_scale, move_texels, move_blends, move_lobes, move_specular).chain(),
+                (move_scale, move_texels, move_sheen, move_blends, move_lobes, move_specular).chain(),
             );
         add_gathering::<Recovered>(pipeline, Phase::FitStep);
         keep_state(&mut pipeline.world);
@@ -231,8 +245,10 @@ fn fit(
     let pixels = prepare(pipeline, options)?;
     let (done, Loop { mut recent, elapsed_secs }) = resume_step(&mut pipeline.world)?.unwrap_or_default();
     let elapsed = || elapsed_secs + start.elapsed().as_secs_f64();
-    let mut summary = FitSummary { steps: done, pixels, elapsed_secs, stopped: false };
+    let mut summary =
+        FitSummary { steps: done, pixels, elapsed_secs, stopped: false, explained_by_sheen: None };
     for step in done + 1..=options.steps {
+        choose_sheen(&mut pipeline.world, (step - 1) as f32 / options.steps as f32);
         run_step(pipeline, options, step, pixels)?;
         recent.push(pipeline.world.resource::<LossState>().last);
         recent.drain(..recent.len().saturating_sub(20));
@@ -252,6 +268,8 @@ fn fit(
             break;
         }
     }
+    summary.explained_by_sheen =
+        pipeline.world.get_resource::<SheenEvidence>().and_then(|evidence| evidence.explained);
     summary.elapsed_secs = elapsed();
     Ok(summary)
 }
@@ -266,6 +284,7 @@ fn keep_state(world: &mut World) {
     keep_each::<Camera, With<ViewName>>(world, Span::Run);
     keep_each::<CameraPose, With<ViewName>>(world, Span::Run);
     keep_pool::<TexelIndex, DiffuseAlbedo>(world, Span::Run);
+    keep_pool::<TexelIndex, DiffuseSheen>(world, Span::Run);
     keep_pool::<TexelIndex, SpecularBlend>(world, Span::Run);
     keep_pool::<TexelIndex, TexelRoughness>(world, Span::Run);
     keep_resource::<OwnLightFrame>(world, Span::Run);
@@ -274,10 +293,12 @@ fn keep_state(world: &mut World) {
     keep_each::<LobeMoments, OwnLobes>(world, Span::Pass);
     keep_each::<SpecularMoments, With<SpecularLobe>>(world, Span::Pass);
     keep_pool::<TexelIndex, AlbedoMoments>(world, Span::Pass);
+    keep_pool::<TexelIndex, SheenMoments>(world, Span::Pass);
     keep_pool::<TexelIndex, BlendMoments>(world, Span::Pass);
     keep_pool::<TexelIndex, RoughnessMoments>(world, Span::Pass);
     keep_resource::<ScaleMoments>(world, Span::Pass);
     keep_resource::<FramesTried>(world, Span::Pass);
+    keep_resource::<SheenEvidence>(world, Span::Pass);
 }
 
 /// Whether the step after this one computes shadows and reflections anew, so that they need not be kept.
@@ -291,9 +312,14 @@ fn refresh_every(world: &World) -> u32 {
 
 /// Makes the pool and initializes; returns the number of pixels.
 fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
-    attach_state(&mut pipeline.world);
+    let sheen = options.unknowns.sheen || (options.looks_for_sheen && options.unknowns.albedo);
+    attach_state(&mut pipeline.world, sheen);
     pipeline.world.insert_resource(options.pixels);
     pipeline.world.insert_resource(options.unknowns);
+    pipeline.world.remove_resource::<SheenEvidence>();
+    if options.looks_for_sheen && options.unknowns.albedo {
+        look_for_sheen(&mut pipeline.world)?;
+    }
     pipeline.world.insert_resource(options.scale);
     pipeline.world.insert_resource(ScaleMoments::default());
     pipeline.world.insert_resource(LossState { loss: options.loss, last: LossSums::default() });
@@ -355,7 +381,7 @@ fn rates_at(step: u32, options: &FitOptions) -> StepRates {
     let passed = options.milestones.iter().filter(|m| **m <= done).count();
     let factor = options.decay.powi(passed as i32);
     let [albedo, light, specular] = options.rates.map(|rate| rate * factor);
-    StepRates { step, albedo, light, specular }
+    StepRates { step, progress: done, albedo, light, specular }
 }
 
 pub(super) fn first_specular(world: &mut World) -> SpecularLobe {
@@ -363,11 +389,14 @@ pub(super) fn first_specular(world: &mut World) -> SpecularLobe {
 }
 
 /// Gives texels, lobes and base materials zero gradients and moments.
-fn attach_state(world: &mut World) {
+fn attach_state(world: &mut World, sheen: bool) {
     let blended = world.query::<&SpecularLobe>().iter(world).len() > 1;
     for texel in texels_in_order(world) {
         let state = (AlbedoGradient::default(), AlbedoMoments::default(), TexelSeen::default());
         world.entity_mut(texel).insert(state);
+        if sheen {
+            world.entity_mut(texel).insert((SheenGradient::default(), SheenMoments::default()));
+        }
         if blended {
             world.entity_mut(texel).insert((BlendGradient::default(), BlendMoments::default()));
         }

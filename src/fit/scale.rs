@@ -16,6 +16,7 @@ use crate::fit::adam::{AdamStep, Moments};
 use crate::fit::components::{StepRates, TexelSeen, Unknowns};
 use crate::light::LightLobe;
 use crate::light::lights::{LobeOf, own_lobes};
+use crate::material::DiffuseSheen;
 use crate::material::{DiffuseAlbedo, TexelIndex, Texels};
 use crate::math::sg::sphere_integral;
 use crate::math::shading::{Layers, RadianceAdjoint, ShadePoint};
@@ -93,12 +94,12 @@ pub fn move_scale(
     mut moments: ResMut<ScaleMoments>,
     samples: Samples<(&ShadePoint, &Layers, &RadianceAdjoint)>,
     mut lobes: Query<&mut LightLobe, Without<LobeOf>>,
-    texels: Texels<(&mut DiffuseAlbedo, &TexelSeen)>,
+    texels: Texels<(&mut DiffuseAlbedo, &mut DiffuseSheen, &TexelSeen)>,
 ) -> SystemResult {
     if !unknowns.light || !unknowns.albedo || *rule == ScaleRule::Free {
         return Ok(());
     }
-    let (mut albedo, seen) = texels.columns()?;
+    let (mut albedo, mut sheen, seen) = texels.columns()?;
     let off_gray = log_color(mean_light(lobes.iter()));
     let log_factor = match *rule {
         ScaleRule::Free => Vec3::ZERO,
@@ -119,6 +120,9 @@ pub fn move_scale(
         }
     };
     rescale(log_factor.exp(), lobes.iter_mut().map(|lobe| lobe.into_inner()), &mut albedo);
+    if unknowns.sheen {
+        rescale_sheen(log_factor.exp(), &albedo, &mut sheen);
+    }
     Ok(())
 }
 
@@ -151,6 +155,14 @@ pub fn means(world: &mut World) -> Result<[Vec3; 2]> {
 fn rescale<'a>(factor: Vec3, lobes: impl Iterator<Item = &'a mut LightLobe>, albedo: &mut [DiffuseAlbedo]) {
     lobes.for_each(|lobe| lobe.amplitude *= factor);
     albedo.iter_mut().for_each(|albedo| albedo.0 = (albedo.0 / factor).min(Vec3::splat(MOST_ALBEDO)));
+}
+
+/// Divides the sheen by the factor, after the albedo.
+fn rescale_sheen(factor: Vec3, albedo: &[DiffuseAlbedo], sheen: &mut [DiffuseSheen]) {
+    let texels = sheen.iter_mut().zip(albedo);
+    texels.for_each(|(sheen, albedo)| {
+        sheen.0 = (albedo.0 + sheen.0 / factor).clamp(Vec3::ZERO, Vec3::splat(MOST_ALBEDO)) - albedo.0;
+    });
 }
 
 /// Derivative of the loss with respect to the logarithm of the factor: diffuse light does not change, specular light is multiplied by it.

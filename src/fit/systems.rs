@@ -139,13 +139,13 @@ pub fn hand_out_gradient(
     }
 }
 
-/// Update: Adam on the logit of each texel's albedo; clears the gradient.
+/// Update: Adam on the logit of each texel's albedo, if it has no unknown sheen; clears the gradient.
 pub fn move_texels(
     rates: Res<StepRates>,
     unknowns: Res<Unknowns>,
     texels: Texels<(&mut DiffuseAlbedo, &mut AlbedoGradient, &mut AlbedoMoments)>,
 ) -> SystemResult {
-    if !unknowns.albedo {
+    if !unknowns.albedo || unknowns.sheen {
         return Ok(());
     }
     let (mut albedo, gradient, moments) = texels.columns()?;
@@ -156,7 +156,8 @@ pub fn move_texels(
     Ok(())
 }
 
-fn move_texel(
+/// Adam on the logit of a texel's albedo; clears its gradient.
+pub(super) fn move_texel(
     adam: &AdamStep,
     albedo: &mut DiffuseAlbedo,
     gradient: &mut AlbedoGradient,

@@ -6,7 +6,7 @@
 //! An edit of the specular material inside a region splits every base material with a weight there: the edited copy gets
 //! the region's part of the blend weights, so that roughness may vary over the surface.
 
-use super::{BaseMaterial, DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
+use super::{BaseMaterial, DiffuseAlbedo, DiffuseSheen, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
 use crate::error::{Error, Result};
 use bevy_ecs::prelude::Component;
 use glam::Vec3;
@@ -80,6 +80,8 @@ pub struct EditRegion(pub Option<Arc<[f32]>>);
 pub struct MaterialState {
     /// Diffuse albedo per texel.
     pub albedo: Vec<DiffuseAlbedo>,
+    /// Sheen per texel.
+    pub sheen: Vec<DiffuseSheen>,
     /// Blend weights per texel.
     pub blends: Vec<SpecularBlend>,
     /// The specular lobe of each base material, by number; unused numbers are `None`.
@@ -140,9 +142,12 @@ pub fn apply_edit(
     }
     match target {
         EditTarget::Diffuse => {
-            for (i, albedo) in state.albedo.iter_mut().enumerate() {
+            for (i, (albedo, sheen)) in state.albedo.iter_mut().zip(&mut state.sheen).enumerate() {
                 let weight = region.map_or(1.0, |r| r[i]);
+                // What is seen along the surface is edited like what is seen straight on.
+                let along = albedo.0 + sheen.0;
                 albedo.0 = albedo.0.lerp(action.color(albedo.0, i), weight);
+                sheen.0 = along.lerp(action.color(along, i), weight) - albedo.0;
             }
             Ok(())
         }
@@ -201,6 +206,7 @@ mod tests {
     fn state() -> MaterialState {
         MaterialState {
             albedo: vec![DiffuseAlbedo(Vec3::splat(0.5)); 3],
+            sheen: vec![DiffuseSheen(Vec3::splat(0.25)); 3],
             blends: vec![SpecularBlend::default(); 3],
             lobes: vec![Some(SpecularLobe::new(Vec3::splat(0.3), 0.4))],
         }

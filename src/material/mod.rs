@@ -9,10 +9,12 @@
 //! | module | holds |
 //! | --- | --- |
 //! | [`shown`] | the shown material and its systems: as recovered, or edited |
+//! | [`sheen`] | albedo that depends on the angle of view |
 //! | [`edit`] | edits as components, and the kernel that applies them |
 //! | [`source`] | traits for systems that read the recovered or the shown material |
 
 pub mod edit;
+pub mod sheen;
 pub mod shown;
 pub mod source;
 
@@ -63,8 +65,14 @@ impl SpecularLobe {
 
 /// Diffuse albedo of a material texel, linear RGB in `[0, 1]`.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[require(SpecularBlend, shown::ShownAlbedo)]
+#[require(SpecularBlend, DiffuseSheen, shown::ShownAlbedo)]
 pub struct DiffuseAlbedo(pub Vec3);
+
+/// Difference s between a texel's diffuse albedo along the surface and straight on, linear RGB in [−1, 1]; the sum with
+/// [`DiffuseAlbedo`] is in [0, 1]. See [`sheen`].
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[require(shown::ShownSheen)]
+pub struct DiffuseSheen(pub Vec3);
 
 /// Most specular lobes an object may have.
 pub const MAX_SPECULAR_LOBES: usize = 8;
@@ -99,10 +107,11 @@ impl Default for SpecularBlend {
     }
 }
 
-/// Spawns the texels of an atlas, in order; both lists have one entry per texel.
-pub fn spawn_texels(world: &mut World, albedo: &[Vec3], blends: &[SpecularBlend]) {
-    let texels = (0..).zip(albedo.iter().zip(blends));
-    let texels = texels.map(|(i, (albedo, blend))| (TexelIndex(i), DiffuseAlbedo(*albedo), *blend));
+/// Spawns the texels of an atlas, in order; all lists have one entry per texel.
+pub fn spawn_texels(world: &mut World, albedo: &[Vec3], sheen: &[DiffuseSheen], blends: &[SpecularBlend]) {
+    let texels = (0..).zip(albedo.iter().zip(sheen).zip(blends));
+    let texels =
+        texels.map(|(i, ((albedo, sheen), blend))| (TexelIndex(i), DiffuseAlbedo(*albedo), *sheen, *blend));
     world.spawn_batch(texels.collect::<Vec<_>>());
 }
 

@@ -9,7 +9,9 @@
 //! | your own system | what it writes into [`ShownAlbedo`], [`ShownBlend`] and [`ShownSpecular`] |
 
 use super::edit::{EditAction, EditName, EditOrder, EditRegion, EditTarget, MaterialState, apply_edit};
-use super::{BaseMaterial, DiffuseAlbedo, SpecularBlend, SpecularLobe, TexelIndex, Texels, spawn_texels};
+use super::{
+    BaseMaterial, DiffuseAlbedo, DiffuseSheen, SpecularBlend, SpecularLobe, TexelIndex, Texels, spawn_texels,
+};
 use crate::error::Result;
 use crate::math::brdf::Ndf;
 use crate::pipeline::SystemResult;
@@ -28,6 +30,10 @@ use glam::Vec3;
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
 pub struct ShownAlbedo(pub Vec3);
 
+/// Sheen that a texel shows.
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
+pub struct ShownSheen(pub Vec3);
+
 /// Blend weights that a texel shows.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
 pub struct ShownBlend(pub SpecularBlend);
@@ -44,14 +50,16 @@ impl Default for ShownSpecular {
     }
 }
 
+/// What a texel's shown material is made of.
+type RecoveredTexel = (&'static DiffuseAlbedo, &'static DiffuseSheen, &'static SpecularBlend);
+
+/// What a texel shows.
+type ShownTexel = (&'static mut ShownAlbedo, &'static mut ShownSheen, &'static mut ShownBlend);
+
 /// The system parameter that reads the recovered material and writes the shown one.
 #[derive(SystemParam)]
 pub struct Composition<'w, 's> {
-    texels: Texels<
-        'w,
-        's,
-        (&'static DiffuseAlbedo, &'static SpecularBlend, &'static mut ShownAlbedo, &'static mut ShownBlend),
-    >,
+    texels: Texels<'w, 's, (RecoveredTexel, ShownTexel)>,
     recovered: Query<'w, 's, (&'static BaseMaterial, &'static SpecularLobe, &'static mut ShownSpecular)>,
     added: Query<'w, 's, Entity, (With<ShownSpecular>, Without<SpecularLobe>)>,
     commands: Commands<'w, 's>,
@@ -60,13 +68,16 @@ pub struct Composition<'w, 's> {
 impl Composition<'_, '_> {
     /// Writes the recovered material after `edit`.
     fn compose(mut self, edit: impl FnOnce(&mut MaterialState) -> Result<()>) -> SystemResult {
-        let (albedo, blends, mut shown_albedo, mut shown_blends) = self.texels.columns()?;
-        let mut state = MaterialState { albedo: albedo.to_vec(), blends: blends.to_vec(), lobes: Vec::new() };
+        let ((albedo, sheen, blends), (mut shown_albedo, mut shown_sheen, mut shown_blends)) =
+            self.texels.columns()?;
+        let (albedo, sheen, blends) = (albedo.to_vec(), sheen.to_vec(), blends.to_vec());
+        let mut state = MaterialState { albedo, sheen, blends, lobes: Vec::new() };
         for (number, lobe, _) in &self.recovered {
             state.set_lobe(*number, *lobe)?;
         }
         edit(&mut state)?;
         shown_albedo.iter_mut().zip(&state.albedo).for_each(|(shown, albedo)| shown.0 = albedo.0);
+        shown_sheen.iter_mut().zip(&state.sheen).for_each(|(shown, sheen)| shown.0 = sheen.0);
         shown_blends.iter_mut().zip(&state.blends).for_each(|(shown, blend)| shown.0 = *blend);
         for (number, _, mut shown) in &mut self.recovered {
             if let Some(lobe) = state.lobes.get_mut(number.0 as usize).and_then(Option::take) {
@@ -84,7 +95,8 @@ impl Composition<'_, '_> {
 }
 
 /// Changes of the recovered material after which the shown one is stale.
-type RecoveredChanged = Or<(Changed<DiffuseAlbedo>, Changed<SpecularBlend>, Changed<SpecularLobe>)>;
+type RecoveredChanged =
+    Or<(Changed<DiffuseAlbedo>, Changed<DiffuseSheen>, Changed<SpecularBlend>, Changed<SpecularLobe>)>;
 
 /// Run condition: whether the recovered material has changed, or base materials have been added or removed.
 pub fn recovered_changed(
@@ -152,7 +164,8 @@ type EditColumns =
 pub fn recovered_material(world: &mut World) -> Result<MaterialState> {
     let albedo = read_column::<TexelIndex, DiffuseAlbedo>(world)?;
     let blends = read_column::<TexelIndex, SpecularBlend>(world)?;
-    let mut state = MaterialState { albedo, blends, lobes: Vec::new() };
+    let sheen = read_column::<TexelIndex, DiffuseSheen>(world)?;
+    let mut state = MaterialState { albedo, sheen, blends, lobes: Vec::new() };
     for (number, lobe) in world.query::<(&BaseMaterial, &SpecularLobe)>().iter(world) {
         state.set_lobe(*number, *lobe)?;
     }
@@ -162,7 +175,7 @@ pub fn recovered_material(world: &mut World) -> Result<MaterialState> {
 /// Spawns texels and base materials with this state as the recovered material.
 pub fn spawn_material(world: &mut World, state: &MaterialState) {
     let albedo: Vec<Vec3> = state.albedo.iter().map(|albedo| albedo.0).collect();
-    spawn_texels(world, &albedo, &state.blends);
+    spawn_texels(world, &albedo, &state.sheen, &state.blends);
     for (number, lobe) in state.materials() {
         world.spawn((BaseMaterial(number as u32), *lobe));
     }
@@ -174,9 +187,11 @@ pub fn mark_material_changed(world: &mut World) {
         world.query::<&mut T>().iter_mut(world).for_each(|mut component| component.set_changed());
     }
     mark::<DiffuseAlbedo>(world);
+    mark::<DiffuseSheen>(world);
     mark::<SpecularBlend>(world);
     mark::<SpecularLobe>(world);
     mark::<ShownAlbedo>(world);
+    mark::<ShownSheen>(world);
     mark::<ShownBlend>(world);
     mark::<ShownSpecular>(world);
 }

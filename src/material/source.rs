@@ -1,8 +1,9 @@
 //! The material that a system reads: the recovered one of a fit, or the shown one of a frame.
 
-use super::shown::{ShownAlbedo, ShownBlend, ShownSpecular};
+use super::shown::{ShownAlbedo, ShownBlend, ShownSheen, ShownSpecular};
 use super::{
-    BaseMaterial, DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, TexelIndex, Texels,
+    BaseMaterial, DiffuseAlbedo, DiffuseSheen, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, TexelIndex,
+    Texels,
 };
 use crate::error::{Error, Result};
 use crate::pipeline::SystemResult;
@@ -16,6 +17,12 @@ use std::marker::PhantomData;
 pub trait AlbedoColumn: Component<Mutability = Mutable> + Copy {
     /// Linear RGB in `[0, 1]`.
     fn albedo(&self) -> Vec3;
+}
+
+/// A column of sheen.
+pub trait SheenColumn: Component<Mutability = Mutable> + Copy {
+    /// Difference of albedo, linear RGB in [−1, 1].
+    fn sheen(&self) -> Vec3;
 }
 
 /// A column of blend weights.
@@ -38,6 +45,18 @@ impl AlbedoColumn for DiffuseAlbedo {
 
 impl AlbedoColumn for ShownAlbedo {
     fn albedo(&self) -> Vec3 {
+        self.0
+    }
+}
+
+impl SheenColumn for DiffuseSheen {
+    fn sheen(&self) -> Vec3 {
+        self.0
+    }
+}
+
+impl SheenColumn for ShownSheen {
+    fn sheen(&self) -> Vec3 {
         self.0
     }
 }
@@ -70,6 +89,8 @@ impl SpecularColumn for ShownSpecular {
 pub trait MaterialSource: Send + Sync + 'static {
     /// Diffuse albedo of texels.
     type Albedo: AlbedoColumn;
+    /// Sheen of texels.
+    type Sheen: SheenColumn;
     /// Blend weights of texels.
     type Blend: BlendColumn;
     /// Specular part of base materials.
@@ -84,12 +105,14 @@ pub struct Shown;
 
 impl MaterialSource for Recovered {
     type Albedo = DiffuseAlbedo;
+    type Sheen = DiffuseSheen;
     type Blend = SpecularBlend;
     type Specular = SpecularLobe;
 }
 
 impl MaterialSource for Shown {
     type Albedo = ShownAlbedo;
+    type Sheen = ShownSheen;
     type Blend = ShownBlend;
     type Specular = ShownSpecular;
 }
@@ -179,10 +202,20 @@ pub(crate) fn check_numbers(rising: impl Iterator<Item = usize>) -> Result<()> {
     Ok(())
 }
 
-/// Albedo and blends of all texels.
-pub type TexelColumns<'w, M> =
-    (Column<'w, <M as MaterialSource>::Albedo>, Column<'w, <M as MaterialSource>::Blend>);
+/// Albedo, sheen and blends of all texels.
+pub type TexelColumns<'w, M> = (
+    Column<'w, <M as MaterialSource>::Albedo>,
+    Column<'w, <M as MaterialSource>::Sheen>,
+    Column<'w, <M as MaterialSource>::Blend>,
+);
 
 /// The texels of one material, as a system parameter.
-pub type MaterialTexels<'w, 's, M> =
-    Texels<'w, 's, (&'static <M as MaterialSource>::Albedo, &'static <M as MaterialSource>::Blend)>;
+pub type MaterialTexels<'w, 's, M> = Texels<
+    'w,
+    's,
+    (
+        &'static <M as MaterialSource>::Albedo,
+        &'static <M as MaterialSource>::Sheen,
+        &'static <M as MaterialSource>::Blend,
+    ),
+>;

@@ -18,6 +18,7 @@ use crate::error::Result;
 use crate::light::LightLobe;
 use crate::light::frame::LightFrame;
 use crate::material::edit::MaterialState;
+use crate::material::sheen::has_sheen;
 use crate::material::{MAX_SPECULAR_LOBES, SpecularBlend};
 use crate::math::brdf::Ndf;
 use crate::math::color::srgb_from_linear;
@@ -144,7 +145,10 @@ fn describe(contents: &Contents, pack: &mut Pack) -> Result<Value> {
     let atlas = surface.atlas();
     let (center, radius) = surface.bounding_sphere();
     let mesh = pack_mesh(pack, surface.mesh());
-    pack.bytes("albedo", &albedo_bytes(contents));
+    pack.bytes("albedo", &albedo_bytes(contents, |i| material.albedo[i].0));
+    if has_sheen(&material.sheen) {
+        pack.bytes("along", &albedo_bytes(contents, |i| material.albedo[i].0 + material.sheen[i].0));
+    }
     let blended = material.uniform().is_none();
     if blended {
         pack.bytes("blend", &material.blends.iter().flat_map(blend_bytes).collect::<Vec<_>>());
@@ -174,14 +178,15 @@ fn describe(contents: &Contents, pack: &mut Pack) -> Result<Value> {
 }
 
 /// sRGB albedo of each texel, and whether the texel has a place on the surface.
-fn albedo_bytes(contents: &Contents) -> Vec<u8> {
+fn albedo_bytes(contents: &Contents, albedo: impl Fn(usize) -> Vec3) -> Vec<u8> {
     let atlas = contents.surface.atlas();
-    let texel = |(i, albedo): (usize, &crate::material::DiffuseAlbedo)| {
+    let texel = |i: usize| {
         let byte = |value: f32| (srgb_from_linear(value) * 255.0 + 0.5) as u8;
         let there = atlas.covered[i] && atlas.normal[i] != Vec3::ZERO;
-        [byte(albedo.0.x), byte(albedo.0.y), byte(albedo.0.z), if there { 255 } else { 0 }]
+        let [r, g, b] = albedo(i).to_array().map(byte);
+        [r, g, b, if there { 255 } else { 0 }]
     };
-    contents.material.albedo.iter().enumerate().flat_map(texel).collect()
+    (0..contents.material.albedo.len()).flat_map(texel).collect()
 }
 
 fn blend_bytes(blend: &SpecularBlend) -> [u8; MAX_SPECULAR_LOBES] {

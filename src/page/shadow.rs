@@ -7,6 +7,7 @@
 use crate::error::{Error, Result};
 use crate::material::MAX_SPECULAR_LOBES;
 use crate::material::edit::MaterialState;
+use crate::material::sheen::mean_albedo;
 use crate::mesh::Surface;
 use crate::page::mesh::octahedral;
 use crate::page::pack::Pack;
@@ -105,8 +106,9 @@ impl Patches {
         let mut counts = vec![0.0; self.count];
         for (texel, row) in texels.covered() {
             let patch = usize::from(self.of_texel[texel]);
-            let (normal, albedo) = (texels.normals[row].to_array(), material.albedo[texel].0.to_array());
-            let values = normal.into_iter().chain(albedo).chain(material.blends[texel].0);
+            let normal = texels.normals[row].to_array();
+            let albedo = mean_albedo(material.albedo[texel].0, material.sheen[texel].0);
+            let values = normal.into_iter().chain(albedo.to_array()).chain(material.blends[texel].0);
             sums[patch].iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
             counts[patch] += 1.0;
         }

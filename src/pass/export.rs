@@ -4,6 +4,7 @@ use crate::codec::gltf::export::write_glb;
 use crate::codec::gltf::material::{GltfMaterial, diffuse_share};
 use crate::codec::ply_obj::{ObjMaterial, write_obj, write_ply};
 use crate::error::{Error, Result};
+use crate::material::sheen::mean_albedo;
 use crate::material::{SpecularBlend, SpecularLobe};
 use crate::mesh::Surface;
 use crate::mesh::atlas::{address, fill_uncovered, unwrap_mesh};
@@ -49,7 +50,9 @@ pub fn run(session: &mut Session, pass: &ExportPass) -> Result<()> {
 fn object(session: &mut Session, of: Option<&str>) -> Result<Object> {
     let material = material_of(session, of)?;
     let surface = session.surface.clone();
-    let albedo = material.albedo.iter().map(|albedo| albedo.0).collect();
+    // Other programs know no sheen of this kind: they get its mean.
+    let both = material.albedo.iter().zip(&material.sheen);
+    let albedo = both.map(|(albedo, sheen)| mean_albedo(albedo.0, sheen.0)).collect();
     if let Some(specular) = material.uniform() {
         return Ok(Object { surface, albedo, specular, roughness: None });
     }

@@ -74,7 +74,15 @@ fn of_fit(scene: &Scene) -> Vec<String> {
     let known = matches!(scene.views, Views::Photographed(_));
     let truth = if known { owned(&[TRUE_ENVIRONMENT]) } else { Vec::new() };
     let light = ["light.npy", "environment.exr", "environment.png"];
-    let albedo = ["albedo.png", "albedo.exr", "seen.png", "materials.ron", "log.csv"];
+    let albedo = [
+        "albedo.png",
+        "albedo.exr",
+        "albedo_along.png",
+        "albedo_along.exr",
+        "seen.png",
+        "materials.ron",
+        "log.csv",
+    ];
     let gloss = ["blend.exr", "blend.png", "roughness.exr", "roughness.png"];
     [owned(&light), truth, owned(&albedo), owned(&gloss)].concat()
 }
@@ -105,7 +113,8 @@ fn of_scores(scene: &Scene, pass: &EvaluatePass, views: &[(&str, Split)]) -> Vec
 }
 
 fn of_save(scene: &Scene) -> Vec<String> {
-    let mut names = owned(&["scene.ron", "mesh.glb", "albedo.exr", "blend.exr", "light.npy"]);
+    let mut names =
+        owned(&["scene.ron", "mesh.glb", "albedo.exr", "albedo_along.exr", "blend.exr", "light.npy"]);
     // A map is copied, with its own extension.
     for source in lights(scene) {
         if let Some(LightSource::Map { path, .. }) = given(source) {

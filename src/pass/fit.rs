@@ -18,9 +18,12 @@ use crate::fit::roughness::texel::{
 };
 use crate::fit::run::{FirstGuess, FitOptions, FitProgress, FitSummary, run_fit};
 use crate::fit::scale::{means, move_scale};
+use crate::fit::sheen::move_sheen;
 use crate::fit::systems::{move_lobes, move_specular, move_texels};
 use crate::light::lights::own_lobes;
 use crate::light::{EnvironmentMap, LightLobe, render_lobes};
+use crate::material::DiffuseSheen;
+use crate::material::sheen::has_sheen;
 use crate::material::{
     DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, TexelIndex, recovered_albedo,
     recovered_materials,
@@ -35,8 +38,8 @@ use crate::pipeline::pool::{read_column, write_column};
 use crate::pipeline::{Phase, Slot};
 use crate::report::scores::ScaleFound;
 use crate::report::tone::srgb8;
-use crate::scene::Gloss;
 use crate::scene::{FitPass, FitShading};
+use crate::scene::{Gloss, Sheen};
 use crate::shape::vertices::{MovingMesh, VertexPlugin};
 use crate::spawn::{initial_specular, unknowns};
 use crate::visibility::ObjectVisibility;
@@ -149,7 +152,9 @@ fn give_texels_roughness(session: &mut Session) {
     let prior = RoughnessPrior::new(session.surface.atlas(), smoothness, color_width, specular);
     session.pipeline.world.insert_resource(prior);
     attach_roughness(&mut session.pipeline.world, first, specular);
-    let systems = (move_scale, move_texels, move_roughness, move_lobes, tie_specular, move_specular).chain();
+    let systems =
+        (move_scale, move_texels, move_sheen, move_roughness, move_lobes, tie_specular, move_specular)
+            .chain();
     session.pipeline.swap(Phase::FitStep, Slot::Optimizer, systems);
 }
 
@@ -175,6 +180,7 @@ fn options(session: &mut Session, pass: &FitPass) -> Result<FitOptions> {
         guess: session.guess,
         // The published formulas are for comparison and include neither shadows nor interreflection.
         visibility: pass.shading == FitShading::Accurate && session.has_visibility()?,
+        looks_for_sheen: session.scene.material.sheen == Sheen::Auto,
         exposure: pass.exposure,
         scale: session.scene.scale,
         light_frame: session.light_frame(),
@@ -210,6 +216,7 @@ fn fill_texels(session: &mut Session) -> Result<usize> {
     }
     if unknowns.albedo {
         let mut values = recovered_albedo(world)?;
+        fill_sheen(world, &values, &seen, atlas)?;
         fill_uncovered(&mut values, &seen, atlas);
         let values: Vec<DiffuseAlbedo> = values.into_iter().map(DiffuseAlbedo).collect();
         write_column::<TexelIndex, DiffuseAlbedo>(world, &values)?;
@@ -222,6 +229,20 @@ fn fill_texels(session: &mut Session) -> Result<usize> {
     let fitted = unknowns.albedo || unknowns.blends;
     let unseen = atlas.covered.iter().zip(&seen).filter(|(covered, seen)| **covered && !**seen);
     Ok(if fitted { unseen.count() } else { 0 })
+}
+
+/// Fills the sheen of texels that no view sees, so that their albedo along the surface is that of their neighbors.
+fn fill_sheen(world: &mut World, albedo: &[Vec3], seen: &[bool], atlas: &TexelAtlas) -> Result<()> {
+    let mut straight = albedo.to_vec();
+    let sheen = read_column::<TexelIndex, DiffuseSheen>(world)?;
+    if !has_sheen(&sheen) {
+        return Ok(());
+    }
+    let mut along: Vec<Vec3> = albedo.iter().zip(&sheen).map(|(albedo, sheen)| *albedo + sheen.0).collect();
+    fill_uncovered(&mut straight, seen, atlas);
+    fill_uncovered(&mut along, seen, atlas);
+    let filled = along.iter().zip(&straight).map(|(along, straight)| DiffuseSheen(*along - *straight));
+    write_column::<TexelIndex, DiffuseSheen>(world, &filled.collect::<Vec<_>>())
 }
 
 /// Fills the blend weights of texels that no view sees, three base materials at a time.
@@ -273,6 +294,13 @@ fn report(session: &mut Session, name: &str, summary: &FitSummary, unseen: usize
         summary.elapsed_secs,
         if summary.stopped { " (stopped early)" } else { "" }
     ));
+    if let Some(part) = summary.explained_by_sheen.map(|part| 100.0 * part) {
+        let found = has_sheen(&read_column::<TexelIndex, DiffuseSheen>(world).unwrap_or_default());
+        let words = if found { "a sheen" } else { "no sheen" };
+        session.progress.print(&format!(
+            "{name}: {words}: it explains {part:.1} % of the squared error of views kept aside"
+        ));
+    }
     if unseen > 0 {
         session.progress.note(&format!("{unseen} texels that no view sees are filled from their neighbors"));
     }
@@ -282,10 +310,12 @@ fn report(session: &mut Session, name: &str, summary: &FitSummary, unseen: usize
 fn write_results(world: &mut World, atlas: &TexelAtlas, folder: &Path, scale: &ScaleFound) -> Result<()> {
     write_light(&own_lobes(world), folder)?;
     let albedo = recovered_albedo(world)?;
-    write_rgb8(folder.join("albedo.png"), &preview(&albedo, atlas.width, atlas.height))?;
-    let mut linear = ExrLayers { width: atlas.width, height: atlas.height, ..ExrLayers::default() };
-    linear.insert_triple(["R", "G", "B"], &albedo);
-    write_channels(folder.join("albedo.exr"), &linear)?;
+    write_texture(&folder.join("albedo"), &albedo, atlas)?;
+    let sheen = read_column::<TexelIndex, DiffuseSheen>(world)?;
+    if has_sheen(&sheen) {
+        let along: Vec<Vec3> = albedo.iter().zip(&sheen).map(|(albedo, sheen)| *albedo + sheen.0).collect();
+        write_texture(&folder.join("albedo_along"), &along, atlas)?;
+    }
     let seen = read_column::<TexelIndex, TexelSeen>(world)?;
     let marks: Vec<Vec3> = seen.iter().map(|s| Vec3::splat(if s.0 > 1e-3 { 1.0 } else { 0.0 })).collect();
     write_rgb8(folder.join("seen.png"), &preview(&marks, atlas.width, atlas.height))?;
@@ -300,6 +330,14 @@ fn write_results(world: &mut World, atlas: &TexelAtlas, folder: &Path, scale: &S
     let numbers: Vec<f32> = materials.iter().flat_map(numbers).collect();
     check_finite(&path, numbers, |at| format!("base material {} is not finite", at / 4))?;
     write_bytes(&path, materials_ron(&materials, scale).as_bytes())
+}
+
+/// Writes a texture as sRGB PNG and linear EXR.
+fn write_texture(path: &Path, colors: &[Vec3], atlas: &TexelAtlas) -> Result<()> {
+    write_rgb8(path.with_extension("png"), &preview(colors, atlas.width, atlas.height))?;
+    let mut linear = ExrLayers { width: atlas.width, height: atlas.height, ..ExrLayers::default() };
+    linear.insert_triple(["R", "G", "B"], colors);
+    write_channels(path.with_extension("exr"), &linear)
 }
 
 fn write_light(lobes: &[LightLobe], folder: &Path) -> Result<()> {

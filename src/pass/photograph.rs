@@ -6,6 +6,7 @@ use crate::error::stop::check_interrupted;
 use crate::light::LightLobe;
 use crate::light::frame::LightFrame;
 use crate::light::lights::{LightChoice, provide_light, spawn_light};
+use crate::material::DiffuseSheen;
 use crate::material::edit::MaterialState;
 use crate::material::shown::{show_edited, spawn_material};
 use crate::material::{DiffuseAlbedo, SpecularBlend};
@@ -51,7 +52,8 @@ impl TrueObject {
             surface.atlas().position.iter().map(|p| DiffuseAlbedo(pattern_at(&spec.truth.albedo, *p)));
         let albedo: Vec<DiffuseAlbedo> = albedo.collect();
         let blends = vec![SpecularBlend::default(); albedo.len()];
-        let mut material = MaterialState { albedo, blends, lobes: vec![Some(spec.truth.specular)] };
+        let sheen = vec![DiffuseSheen::default(); albedo.len()];
+        let mut material = MaterialState { albedo, sheen, blends, lobes: vec![Some(spec.truth.specular)] };
         apply_edits(&mut material, &spec.truth.edits, surface)?;
         spawn_material(&mut pipeline.world, &material);
         let light = load_light(&spec.truth.light)?;

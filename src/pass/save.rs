@@ -11,6 +11,7 @@ use crate::fit::cameras::CameraFit;
 use crate::light::frame::OwnLightFrame;
 use crate::light::lights::own_lobes;
 use crate::material::edit::MaterialState;
+use crate::material::sheen::has_sheen;
 use crate::material::{SpecularBlend, SpecularLobe};
 use crate::mesh::atlas::TexelAtlas;
 use crate::pass::photograph::ring;
@@ -20,8 +21,8 @@ use crate::scene::Pass;
 use crate::scene::SavePass;
 use crate::scene::load::to_ron;
 use crate::scene::{
-    Albedo, AlbedoSource, Gloss, Light, LightSource, Material, Roughness, Scene, Specular, SpecularAlbedo,
-    Surface as SurfaceSpec, Views,
+    Albedo, AlbedoSource, Gloss, Light, LightSource, Material, Roughness, Scene, Sheen, Specular,
+    SpecularAlbedo, Surface as SurfaceSpec, Views,
 };
 use crate::spawn::light_file::inlined;
 use glam::Vec3;
@@ -42,6 +43,7 @@ pub fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
     let mut texture = ExrLayers { width: atlas.width, height: atlas.height, ..ExrLayers::default() };
     texture.insert_triple(["R", "G", "B"], &colors);
     write_channels(folder.join("albedo.exr"), &texture)?;
+    let sheen = save_sheen(&material, atlas, &folder)?;
     let light = save_light(session, pass.of.as_deref(), &folder)?;
     let relit = session.pass_named(pass.of.as_deref()).is_some_and(|of| of.light().is_some());
     let own = session.pipeline.world.get_resource::<OwnLightFrame>().filter(|_| !relit);
@@ -56,7 +58,11 @@ pub fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
         views: saved_views(session)?,
         light: Light::Fixed(light),
         light_frame: frame.into(),
-        material: Material { albedo: Albedo::Fixed(AlbedoSource::Texture("albedo.exr".into())), ..specular },
+        material: Material {
+            albedo: Albedo::Fixed(AlbedoSource::Texture("albedo.exr".into())),
+            sheen,
+            ..specular
+        },
         passes: session.scene.passes.iter().filter(|pass| matches!(pass, Pass::Render(_))).cloned().collect(),
         ..session.scene.clone()
     };
@@ -65,6 +71,18 @@ pub fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
     write_bytes(&folder.join("scene.ron"), text.as_bytes())?;
     session.progress.print(&format!("{}: {}", pass.name, folder.join("scene.ron").display()));
     Ok(())
+}
+
+/// The sheen as in a scene file: the albedo along the surface goes to a separate file.
+fn save_sheen(material: &MaterialState, atlas: &TexelAtlas, folder: &Path) -> Result<Sheen> {
+    if !has_sheen(&material.sheen) {
+        return Ok(Sheen::None);
+    }
+    let along = material.albedo.iter().zip(&material.sheen).map(|(albedo, sheen)| albedo.0 + sheen.0);
+    let mut texture = ExrLayers { width: atlas.width, height: atlas.height, ..ExrLayers::default() };
+    texture.insert_triple(["R", "G", "B"], &along.collect::<Vec<_>>());
+    write_channels(folder.join("albedo_along.exr"), &texture)?;
+    Ok(Sheen::Fixed(AlbedoSource::Texture("albedo_along.exr".into())))
 }
 
 /// The specular material as in a scene file; the weights of several base materials go to a separate file.

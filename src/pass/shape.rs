@@ -2,6 +2,7 @@
 
 use crate::error::stop::{heed_stop, is_stopping};
 use crate::error::{Error, Result};
+use crate::fit::components::Unknowns;
 use crate::fit::observe::PixelChoice;
 use crate::fit::roughness::blend::TexelPlaces;
 use crate::fit::run::{FirstGuess, FitOptions};
@@ -140,11 +141,13 @@ fn options(session: &Session, pass: &ShapePass) -> ShapeOptions {
             rates: [pass.rates.albedo, pass.rates.light, pass.rates.specular],
             milestones: vec![0.6, 0.85],
             decay: 0.4,
-            unknowns: unknowns(session.scene),
+            // While the surface moves, its normals would take part in a sheen.
+            unknowns: Unknowns { sheen: false, ..unknowns(session.scene) },
             pixels: PixelChoice { seed: session.scene.seed, max_pixels: pass.max_pixels as usize },
             guess: session.guess,
             // Visibility of a moving surface would have to be traced at every step.
             visibility: false,
+            looks_for_sheen: false,
             exposure: pass.exposure,
             // Without shadows, dark regions would bias the color of the highlights.
             scale: ScaleRule::Free,

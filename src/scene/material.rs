@@ -12,6 +12,8 @@ use std::path::PathBuf;
 pub struct Material {
     /// Diffuse albedo, one colour per texel. Default `Unknown`.
     pub albedo: Albedo,
+    /// How the diffuse albedo depends on the angle of view. Default `Auto`.
+    pub sheen: Sheen,
     /// The specular lobe that the whole object shares. Default: unknown.
     pub specular: Specular,
     /// Gloss that varies over the surface. Default `One`.
@@ -27,6 +29,21 @@ pub enum Albedo {
     /// A first guess, which a fit improves.
     Initial(AlbedoSource),
     /// Known; a fit leaves it as it is.
+    Fixed(AlbedoSource),
+}
+
+/// How the diffuse albedo depends on the angle of view, as that of woven, coated and dusty surfaces does. Toward a viewer at the
+/// cosine c = n·v it is c times `albedo` and 1 − c times that along the surface.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub enum Sheen {
+    /// A fit decides: like `Unknown` if that predicts photographs it was not fitted to clearly better, else like `None`.
+    #[default]
+    Auto,
+    /// Not at all: Lambertian.
+    None,
+    /// A fit finds it, one color per texel; only with an albedo that is not `Fixed`.
+    Unknown,
+    /// Known: the diffuse albedo along the surface, in [0, 1], as `Save` writes it. `Fixed(Texture("albedo_along.exr"))`.
     Fixed(AlbedoSource),
 }
 

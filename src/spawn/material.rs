@@ -4,11 +4,12 @@ use crate::codec::gltf::material::{diffuse_share, read_material};
 use crate::codec::texture;
 use crate::error::Result;
 use crate::fit::roughness::texel::{BASE_ROUGHNESSES, TexelRoughness};
+use crate::material::DiffuseSheen;
 use crate::material::{SpecularBlend, SpecularLobe};
 use crate::math::brdf::Ndf;
 use crate::mesh::Surface;
 use crate::scene::validate::MIN_ROUGHNESS;
-use crate::scene::{Albedo, AlbedoSource, Gloss, Roughness, Specular, SpecularAlbedo};
+use crate::scene::{Albedo, AlbedoSource, Gloss, Roughness, Sheen, Specular, SpecularAlbedo};
 use glam::Vec3;
 use std::path::Path;
 
@@ -44,16 +45,30 @@ pub(super) fn initial_gloss(
     }
 }
 
+/// The sheen of each texel that a fit starts from, or the known one, beside this albedo.
+pub(super) fn initial_sheen(sheen: &Sheen, albedo: &[Vec3], surface: &Surface) -> Result<Vec<DiffuseSheen>> {
+    match sheen {
+        Sheen::Auto | Sheen::None | Sheen::Unknown => Ok(vec![DiffuseSheen::default(); albedo.len()]),
+        Sheen::Fixed(source) => {
+            let along = given_albedo(source, surface)?;
+            Ok(along.iter().zip(albedo).map(|(along, albedo)| DiffuseSheen(*along - *albedo)).collect())
+        }
+    }
+}
+
 /// The albedo of each texel that a fit starts from, or the known one.
 pub(super) fn initial_albedo(albedo: &Albedo, surface: &Surface) -> Result<Vec<Vec3>> {
-    let (width, height) = (surface.atlas().width, surface.atlas().height);
-    let grey = vec![Vec3::splat(0.4); (width * height) as usize];
     match albedo {
-        Albedo::Unknown => Ok(grey),
-        Albedo::Initial(source) | Albedo::Fixed(source) => match source {
-            AlbedoSource::Constant(color) => Ok(vec![*color; grey.len()]),
-            AlbedoSource::Texture(path) => texture::read_texture(path, width, height),
-        },
+        Albedo::Unknown => given_albedo(&AlbedoSource::Constant(Vec3::splat(0.4)), surface),
+        Albedo::Initial(source) | Albedo::Fixed(source) => given_albedo(source, surface),
+    }
+}
+
+fn given_albedo(source: &AlbedoSource, surface: &Surface) -> Result<Vec<Vec3>> {
+    let (width, height) = (surface.atlas().width, surface.atlas().height);
+    match source {
+        AlbedoSource::Constant(color) => Ok(vec![*color; (width * height) as usize]),
+        AlbedoSource::Texture(path) => texture::read_texture(path, width, height),
     }
 }
 

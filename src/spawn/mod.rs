@@ -14,16 +14,17 @@ use crate::fit::components::Unknowns;
 use crate::light::LightLobe;
 use crate::light::frame::OwnLightFrame;
 use crate::light::lights::LightMap;
+use crate::material::DiffuseSheen;
 use crate::material::{SpecularBlend, SpecularLobe, spawn_materials, spawn_texels};
 use crate::mesh::Surface;
 use crate::pipeline::Pipeline;
 use crate::sample::point::Scenery;
-use crate::scene::{Albedo, Gloss, Light, Material, Roughness, Scene, SpecularAlbedo};
+use crate::scene::{Albedo, Gloss, Light, Material, Roughness, Scene, Sheen, SpecularAlbedo};
 use crate::view::{ViewIndex, ViewMask, ViewName, ViewRecord};
 use bevy_ecs::prelude::World;
 use glam::Vec3;
 use light::initial_lobes;
-use material::{initial_albedo, initial_gloss, own_material};
+use material::{initial_albedo, initial_gloss, initial_sheen, own_material};
 use std::sync::Arc;
 
 /// Puts the scene into the pipeline's world: surface, views, light lobes, texels, the specular lobe, and what is unknown.
@@ -56,7 +57,8 @@ pub fn spawn(
     if let Some(map) = light.and_then(|light| light.map.clone()) {
         world.spawn(LightMap(map));
     }
-    spawn_texels(world, &albedo, &blends);
+    let sheen = initial_sheen(&scene.material.sheen, &albedo, surface)?;
+    spawn_texels(world, &albedo, &sheen, &blends);
     spawn_materials(world, &specular);
     Ok(())
 }
@@ -85,18 +87,20 @@ pub fn spawn_object(
     light: &[LightLobe],
 ) {
     world.insert_resource(Scenery(surface.clone()));
-    spawn_texels(world, albedo, &vec![SpecularBlend::default(); albedo.len()]);
+    let (sheen, blends) = (DiffuseSheen::default(), SpecularBlend::default());
+    spawn_texels(world, albedo, &vec![sheen; albedo.len()], &vec![blends; albedo.len()]);
     spawn_materials(world, materials);
     world.spawn_batch(light.to_vec());
 }
 
 /// What a fit of this scene may move.
 pub fn unknowns(scene: &Scene) -> Unknowns {
-    let Material { albedo, specular, gloss } = &scene.material;
+    let Material { albedo, sheen, specular, gloss } = &scene.material;
     let open = scene.own_material().is_none();
     let open_gloss = open && !matches!(gloss, Gloss::Fixed { .. });
     Unknowns {
         albedo: open && !matches!(albedo, Albedo::Fixed(_)),
+        sheen: open && !matches!(albedo, Albedo::Fixed(_)) && *sheen == Sheen::Unknown,
         light: !matches!(scene.light, Light::Fixed(_)),
         specular_albedo: open_gloss && matches!(specular.albedo, SpecularAlbedo::Unknown { .. }),
         mono_specular: matches!(specular.albedo, SpecularAlbedo::Unknown { mono: true, .. }),

@@ -12,8 +12,9 @@ use super::{Made, ObjectVisibility, WindowVisibility};
 use crate::light::LightLobe;
 use crate::light::lights::IncidentLight;
 use crate::material::SpecularBlend;
+use crate::material::sheen::mean_albedo;
 use crate::material::source::{
-    AlbedoColumn, BaseMaterials, BlendColumn, MaterialSource, MaterialTexels, Recovered, Shown,
+    AlbedoColumn, BaseMaterials, BlendColumn, MaterialSource, MaterialTexels, Recovered, SheenColumn, Shown,
 };
 use crate::math::shading::PointVisibility;
 use crate::pipeline::{Phase, Pipeline, Plugin, Slot, SystemResult};
@@ -78,6 +79,7 @@ type Inputs<M> = Or<(
     Changed<LightLobe>,
     Changed<<M as MaterialSource>::Specular>,
     Changed<<M as MaterialSource>::Albedo>,
+    Changed<<M as MaterialSource>::Sheen>,
     Changed<<M as MaterialSource>::Blend>,
 )>;
 
@@ -104,12 +106,13 @@ pub fn refresh_visibility<M: MaterialSource>(
     turns: LightTurns,
     mut object: ResMut<ObjectVisibility>,
 ) -> SystemResult {
-    let (albedo, blends) = texels.columns()?;
+    let (albedo, sheen, blends) = texels.columns()?;
     // Interreflected specular light is treated as diffuse: its energy is right, its direction is not.
     let reflectance = |texel: u32| {
         let blend = blends[texel as usize].blend().0;
         let specular: Vec3 = materials.by_number().map(|(k, lobe)| lobe.albedo * blend[k]).sum();
-        (albedo[texel as usize].albedo() + specular).min(Vec3::ONE)
+        let diffuse = mean_albedo(albedo[texel as usize].albedo(), sheen[texel as usize].sheen());
+        (diffuse + specular).min(Vec3::ONE)
     };
     object.refresh(&light.lobes, turns.table().all(), &reflectance);
     let from = sources(&light, &materials);

@@ -83,7 +83,14 @@ fn traced_in_f32(case: &Case<f32>, stream: u64, samples: u32) -> [[f64; 3]; 2] {
         amplitude: case.lobe_amplitude.into(),
     });
     let specular = [Some(SpecularLobe::new(case.specular.into(), case.roughness))];
-    let scene = PathScene { surface: &Empty, light: &light, albedo: &[], blends: &[], specular: &specular };
+    let scene = PathScene {
+        surface: &Empty,
+        light: &light,
+        albedo: &[],
+        sheen: &[],
+        blends: &[],
+        specular: &specular,
+    };
     let settings = PathSettings { max_bounces: 1, seed: SEED, ..Default::default() };
     let normal = Vec3::from(case.normal);
     let point = PathPoint {

@@ -42,6 +42,9 @@ export class Renderer {
         this.lights = scene.lights.map((light, i) => ({ ...light, lobes: lobesOf(scene.data[`light${i}`]) }));
         const [width, height] = scene.texture;
         this.albedo = new Texture(gl, "srgb8", { width, height, filter: true, data: scene.data.albedo });
+        // What is seen along the surface; the same without a sheen.
+        const { along } = scene.data;
+        this.along = along ? new Texture(gl, "srgb8", { width, height, filter: true, data: along }) : this.albedo;
         this.blend = this.blendTexture(width, height);
         this.surface = new Program(gl, shaders["surface.vert"], shaders.diffuse + shaders.specular + shaders["surface.frag"]);
         this.depth = new Program(gl, shaders["surface.vert"], "void main() {}\n");
@@ -146,7 +149,7 @@ export class Renderer {
         gl.enable(gl.BLEND);
         gl.blendFunc(gl.ONE, gl.ONE);
         const show = SHOWS.findIndex(({ name }) => name === state.show);
-        const shared = { eye: camera.eye, show, albedoMap: this.albedo };
+        const shared = { eye: camera.eye, show, albedoMap: this.albedo, alongMap: this.along };
         this.surface.use({ ...place, ...shared, ...this.light, ...this.gloss, ...this.shadows.uniforms });
         gl.drawElements(gl.TRIANGLES, this.count, gl.UNSIGNED_INT, 0);
         gl.depthMask(true);

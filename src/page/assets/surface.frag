@@ -9,6 +9,7 @@ uniform vec3 eye;
 uniform int show;
 uniform vec3 tint;
 uniform sampler2D albedoMap;
+uniform sampler2D alongMap;
 uniform mediump sampler2DArray blendMap;
 uniform sampler2D lobes;
 uniform int lobeCount;
@@ -178,7 +179,8 @@ void main() {
     vec3 n = normalize(normal);
     vec3 toViewer = normalize(eye - position);
     vec4 base = texture(albedoMap, uv);
-    vec3 albedo = clamp(base.rgb * tint, 0.0, 1.0);
+    vec3 along = clamp(texture(alongMap, uv).rgb * tint, 0.0, 1.0);
+    vec3 albedo = mix(along, clamp(base.rgb * tint, 0.0, 1.0), clamp(dot(n, toViewer), 0.0, 1.0));
     float coverage = max(base.a, 1e-3);
     vec4 blendLow = blended ? texture(blendMap, vec3(uv, 0.0)) : vec4(1.0, 0.0, 0.0, 0.0);
     vec4 blendHigh = blended ? texture(blendMap, vec3(uv, 1.0)) : vec4(0.0);

@@ -14,7 +14,9 @@ use crate::material::MAX_SPECULAR_LOBES;
 use crate::mesh::MAX_COORDINATE;
 use crate::scene::description::{Scene, VERSION};
 use crate::scene::diagnostic::Problem;
-use crate::scene::material::{Albedo, AlbedoSource, Gloss, Material, Roughness, Specular, SpecularAlbedo};
+use crate::scene::material::{
+    Albedo, AlbedoSource, Gloss, Material, Roughness, Sheen, Specular, SpecularAlbedo,
+};
 use crate::scene::photographed::{Pattern, Photographed};
 use crate::scene::surface::Surface;
 use crate::scene::validate::checks::Checks;
@@ -209,6 +211,20 @@ fn unknown_roughness(checks: &mut Checks, material: &Material) {
     }
 }
 
+fn sheen(checks: &mut Checks, material: &Material) {
+    if let Sheen::Fixed(AlbedoSource::Constant(color)) = material.sheen {
+        checks.color("material.sheen", color);
+    }
+    if material.sheen == Sheen::Unknown && matches!(material.albedo, Albedo::Fixed(_)) {
+        checks.fail(
+            "material.sheen",
+            "the sheen is unknown, but the albedo is said to be known",
+            "expected `None` or `Fixed(…)`, because a fit finds both together",
+            "Leave `sheen` out, or let the fit improve the albedo: `albedo: Initial(…)`.",
+        );
+    }
+}
+
 fn material(checks: &mut Checks, material: &Material) {
     match &material.gloss {
         Gloss::One => {}
@@ -244,6 +260,7 @@ fn material(checks: &mut Checks, material: &Material) {
     {
         checks.color("material.albedo", color);
     }
+    sheen(checks, material);
     match material.specular.albedo {
         SpecularAlbedo::Unknown { initial, .. } => checks.color("material.specular.albedo.initial", initial),
         SpecularAlbedo::Fixed(color) => checks.color("material.specular.albedo", color),

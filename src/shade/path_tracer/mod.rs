@@ -15,7 +15,8 @@
 //! | `strategy` | [`Strategy`] | – | `Combined` | sampling strategy; the others are for tests |
 
 use crate::error::stop::is_stopping;
-use crate::material::shown::{ShownAlbedo, ShownBlend};
+use crate::material::sheen::albedo_toward;
+use crate::material::shown::{ShownAlbedo, ShownBlend, ShownSheen};
 use crate::material::{MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
 use crate::math::ray::{Hit, Illuminate, Intersect, Ray, TexelAddress};
 use crate::shade::sampling::sequence::Sequence;
@@ -32,6 +33,8 @@ pub struct PathScene<'a> {
     pub light: &'a dyn Illuminate,
     /// Diffuse albedo of every texel of the surface, linear RGB in `[0, 1]`.
     pub albedo: &'a [ShownAlbedo],
+    /// Sheen of every texel; empty if there is none.
+    pub sheen: &'a [ShownSheen],
     /// Blend weights of the base materials at every texel; empty if all of the surface is material 0.
     pub blends: &'a [ShownBlend],
     /// Base materials by number; `None` has no specular light.
@@ -68,15 +71,15 @@ pub struct PathPoint {
     pub normal: Vec3,
     /// Unit geometric normal, same side as `normal`.
     pub geometric_normal: Vec3,
-    /// Diffuse albedo, linear RGB in `[0, 1]`.
+    /// Diffuse albedo toward the viewer, linear RGB in `[0, 1]`.
     pub albedo: Vec3,
     /// Blend weights of the base materials, summing to at most one.
     pub blend: [f32; MAX_SPECULAR_LOBES],
 }
 
 impl PathPoint {
-    /// The point of a hit, with its material interpolated from the texels.
-    pub fn from_hit(hit: &Hit, scene: &PathScene) -> Self {
+    /// The point of a hit, with its material toward a viewer, interpolated from the texels.
+    pub fn from_hit(hit: &Hit, to_viewer: Vec3, scene: &PathScene) -> Self {
         let TexelAddress { indices, weights } = hit.texels;
         let blend = match scene.blends {
             [] => SpecularBlend::default().0,
@@ -84,11 +87,14 @@ impl PathPoint {
                 std::array::from_fn(|k| (0..4).map(|i| blends[indices[i] as usize].0.0[k] * weights[i]).sum())
             }
         };
+        let facing = hit.normal.dot(to_viewer);
+        let sheen = |texel: usize| scene.sheen.get(texel).map_or(Vec3::ZERO, |sheen| sheen.0);
+        let toward = |texel: usize| albedo_toward(scene.albedo[texel].0, sheen(texel), facing);
         Self {
             position: hit.position,
             normal: hit.normal,
             geometric_normal: hit.geometric_normal,
-            albedo: (0..4).map(|i| scene.albedo[indices[i] as usize].0 * weights[i]).sum(),
+            albedo: (0..4).map(|i| toward(indices[i] as usize) * weights[i]).sum(),
             blend,
         }
     }
@@ -259,8 +265,8 @@ impl Path<'_> {
             let Some((direction, onward)) = self.follow_brdf(&vertex, &scatterer) else { return };
             let Some(hit) = onward.hit else { return };
             let Some(survived) = self.roulette(depth, onward.carried) else { return };
-            point = PathPoint::from_hit(&hit, self.scene);
             to_viewer = -direction;
+            point = PathPoint::from_hit(&hit, to_viewer, self.scene);
             carried = Some(survived);
         }
     }

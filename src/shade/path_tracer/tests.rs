@@ -136,6 +136,7 @@ fn open_sky_matches_numerical_integration() {
                 surface: &Empty,
                 light: &light,
                 albedo: &[],
+                sheen: &[],
                 blends: &[],
                 specular: &specular.map(Some),
             };
@@ -163,6 +164,7 @@ fn a_ball_overhead_casts_its_shadow() {
         surface: &ball,
         light: &light,
         albedo: &[ShownAlbedo(Vec3::ZERO)],
+        sheen: &[],
         blends: &[],
         specular: &[],
     };
@@ -181,6 +183,7 @@ fn the_inside_of_a_closed_shell_is_black() {
         surface: &shell,
         light: &light,
         albedo: &[ShownAlbedo(Vec3::splat(0.5))],
+        sheen: &[],
         blends: &[],
         specular: &GRAY_SPECULAR.map(Some),
     };
@@ -199,6 +202,7 @@ fn a_convex_surface_does_not_shadow_itself() {
             surface: &ball,
             light: &light,
             albedo: &[ShownAlbedo(Vec3::ONE)],
+            sheen: &[],
             blends: &[],
             specular: &[],
         };
@@ -217,7 +221,8 @@ fn a_bowl_gathers_its_geometric_series() {
     let (albedo, open) = (0.8f64, 0.3);
     let light = Constant(Vec3::new(1.0, 0.5, 2.0));
     let texels = [ShownAlbedo(Vec3::splat(albedo as f32))];
-    let scene = PathScene { surface: &bowl, light: &light, albedo: &texels, blends: &[], specular: &[] };
+    let scene =
+        PathScene { surface: &bowl, light: &light, albedo: &texels, sheen: &[], blends: &[], specular: &[] };
     for max_bounces in [1, 2, 3, 6, 60] {
         let expected: f64 = (0..max_bounces).map(|i| albedo * open * (albedo * (1.0 - open)).powi(i)).sum();
         let settings = PathSettings { max_bounces: max_bounces as u32, ..Default::default() };
@@ -241,6 +246,7 @@ fn every_strategy_has_the_same_mean() {
         surface: &bowl,
         light: &light,
         albedo: &texels,
+        sheen: &[],
         blends: &[],
         specular: &GRAY_SPECULAR.map(Some),
     };
@@ -269,6 +275,7 @@ fn reported_variance_is_conservative() {
         surface: &Empty,
         light: &light,
         albedo: &[],
+        sheen: &[],
         blends: &[],
         specular: &GRAY_SPECULAR.map(Some),
     };
@@ -290,6 +297,7 @@ fn results_depend_on_the_query_alone() {
         surface: &bowl,
         light: &light,
         albedo: &texels,
+        sheen: &[],
         blends: &[],
         specular: &GRAY_SPECULAR.map(Some),
     };
@@ -317,6 +325,7 @@ fn what_cannot_be_shaded_is_black_and_counted() {
         surface: &Empty,
         light: &light,
         albedo: &[],
+        sheen: &[],
         blends: &[],
         specular: &GRAY_SPECULAR.map(Some),
     };

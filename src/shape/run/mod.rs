@@ -5,6 +5,7 @@ use crate::error::stop::{check_interrupted, is_stopping};
 use crate::error::{Error, Result};
 use crate::fit::cameras::{CameraFit, CameraPlugin, CameraUnknowns, align_photographs, attach_poses};
 use crate::fit::run::{FirstGuess, FitOptions, FitProgress, run_fit};
+use crate::material::DiffuseSheen;
 use crate::material::{
     MAX_SPECULAR_LOBES, SpecularBlend, TexelIndex, recovered_albedo, recovered_materials, spawn_texels,
 };
@@ -324,7 +325,8 @@ pub fn replace_texels(world: &mut World, albedo: &[Vec3]) {
         blend = SpecularBlend([0.0; MAX_SPECULAR_LOBES]);
         materials.iter().for_each(|(number, _)| blend.0[*number] = 1.0 / materials.len() as f32);
     }
-    spawn_texels(world, albedo, &vec![blend; albedo.len()]);
+    let sheen = vec![DiffuseSheen::default(); albedo.len()];
+    spawn_texels(world, albedo, &sheen, &vec![blend; albedo.len()]);
 }
 
 /// Inserts a field and its bricks into the world.

@@ -90,6 +90,7 @@ fn options(steps: u32) -> ShapeOptions {
         redistance_every: 40,
     };
     let only_albedo = Unknowns {
+        sheen: false,
         albedo: true,
         light: false,
         specular_albedo: false,
@@ -111,6 +112,7 @@ fn options(steps: u32) -> ShapeOptions {
             pixels: PixelChoice { seed: 1, max_pixels: 100_000 },
             guess: FirstGuess { light: false, albedo: true },
             visibility: false,
+            looks_for_sheen: false,
             exposure: false,
             scale: ScaleRule::Free,
             light_frame: Some(LightFrame::World),

@@ -1,0 +1,213 @@
+//! Whether the surface has a sheen, decided by the photographs: a richer material is let in only if it predicts views that it was not
+//! fitted to.
+//!
+//! A fit without sheen leaves residuals r at observed pixels. In each cell of a lattice over the surface they are explained by a
+//! changed albedo, r = a u, or also by a sheen, r = (a + s (1 − c)) u, where u is the diffuse radiance per unit of albedo. Both are
+//! solved from half of the views and judged on the other half. All of that needs only sums, which the steps of a part of the fit
+//! collect.
+
+use crate::fit::components::{StepRates, Unknowns};
+use crate::fit::exposure::Exposures;
+use crate::material::sheen::{grazing, has_sheen};
+use crate::material::{DiffuseSheen, TexelIndex};
+use crate::math::shading::{Layers, ShadePoint};
+use crate::pipeline::SystemResult;
+use crate::pipeline::pool::read_column;
+use crate::sample::Samples;
+use crate::sample::pixel::{Observed, PixelOf};
+use crate::sample::point::SurfacePoint;
+use bevy_ecs::prelude::{Res, ResMut, Resource, World};
+use glam::Vec3;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+
+/// Parts of a fit between which residuals are collected; at the end of them the choice is made.
+const COLLECTED: (f32, f32) = (0.15, 0.3);
+/// Part of the squared residuals of views kept aside that a sheen must explain.
+const CONVINCING: f64 = 0.1;
+/// Cells along the longest side of the object.
+const CELLS: f32 = 32.0;
+/// Residuals count relative to the observed radiance plus this, which is close to how they are seen.
+const DARK: f32 = 0.1;
+
+/// Sums over the pixels of a cell, a half of the views and a channel, with weights w.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+struct Sums {
+    /// w u², w u² g, w u² g² with g = 1 − c.
+    uu: [f64; 3],
+    /// w u r, w u g r.
+    ur: [f64; 2],
+    /// w r².
+    rr: f64,
+}
+
+impl Sums {
+    fn add(&mut self, u: f64, g: f64, r: f64, weight: f64) {
+        let uu = weight * u * u;
+        self.uu = [self.uu[0] + uu, self.uu[1] + uu * g, self.uu[2] + uu * g * g];
+        self.ur = [self.ur[0] + weight * u * r, self.ur[1] + weight * u * g * r];
+        self.rr += weight * r * r;
+    }
+
+    /// The change of albedo that explains most, without a sheen.
+    fn albedo(&self) -> [f64; 2] {
+        [self.ur[0] / (self.uu[0] + self.ridge()), 0.0]
+    }
+
+    /// The change of albedo and the sheen that together explain most.
+    fn albedo_and_sheen(&self) -> [f64; 2] {
+        let ridge = self.ridge();
+        let [a, b, c] = [self.uu[0] + ridge, self.uu[1], self.uu[2] + ridge];
+        let [x, y] = self.ur;
+        let determinant = (a * c - b * b).max(1e-30);
+        [(c * x - b * y) / determinant, (a * y - b * x) / determinant]
+    }
+
+    /// Keeps cells that are seen from few angles, or hardly at all, from explaining noise.
+    fn ridge(&self) -> f64 {
+        1e-2 * self.uu[0] + 1e-9
+    }
+
+    /// The squared residual that is left.
+    fn left(&self, [a, s]: [f64; 2]) -> f64 {
+        let explained = 2.0 * (a * self.ur[0] + s * self.ur[1]);
+        self.rr - explained + a * a * self.uu[0] + 2.0 * a * s * self.uu[1] + s * s * self.uu[2]
+    }
+}
+
+/// What has been collected for the choice, and the choice.
+#[derive(Resource, Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct SheenEvidence {
+    /// By cell, then by half of the views and channel.
+    cells: BTreeMap<[i32; 3], [[Sums; 3]; 2]>,
+    /// Side of a cell, in world units; 0 before the first window.
+    side: f32,
+    /// Part of the squared residuals of views kept aside that a sheen explains, once it has been decided.
+    pub explained: Option<f64>,
+}
+
+impl SheenEvidence {
+    /// Whether the surface has a sheen, as far as the evidence says.
+    pub fn is_convincing(&self) -> bool {
+        self.explained.is_some_and(|explained| explained > CONVINCING)
+    }
+
+    /// The part of the squared residuals of views kept aside that a sheen explains: below 0 if it makes them worse.
+    fn explained_part(&self) -> f64 {
+        let (mut without, mut with) = (0.0, 0.0);
+        for halves in self.cells.values() {
+            for (c, half) in (0..3).flat_map(|c| [(c, 0), (c, 1)]) {
+                let (fitted, judged) = (&halves[half][c], &halves[1 - half][c]);
+                without += judged.left(fitted.albedo());
+                with += judged.left(fitted.albedo_and_sheen());
+            }
+        }
+        1.0 - with / without.max(1e-30)
+    }
+}
+
+/// Loss: collects the residuals of a window, while they are wanted.
+pub fn note_residuals(
+    rates: Res<StepRates>,
+    exposures: Res<Exposures>,
+    evidence: Option<ResMut<SheenEvidence>>,
+    samples: Samples<(&SurfacePoint, &ShadePoint, &PixelOf, (&Layers, &Observed))>,
+) -> SystemResult {
+    let Some(mut evidence) = evidence else { return Ok(()) };
+    if evidence.explained.is_some() || rates.progress < COLLECTED.0 {
+        return Ok(());
+    }
+    let (points, gathered, pixels, (shaded, observed)) = samples.columns()?;
+    if evidence.side == 0.0 {
+        evidence.side = side_of_a_cell(&points);
+    }
+    let side = evidence.side;
+    let rows = points.iter().zip(&*gathered).zip(&*pixels).zip(shaded.iter().zip(&*observed));
+    for (((point, gathered), pixel), (shaded, observed)) in rows.filter(|(((p, _), _), _)| p.is_hit()) {
+        let cell = (point.position / side).floor().as_ivec3().to_array();
+        let half = &mut evidence.cells.entry(cell).or_default()[pixel.view.0 as usize % 2];
+        let along = grazing(Vec3::from(gathered.normal).dot(Vec3::from(gathered.to_viewer)));
+        let exposure = exposures.factor(pixel.view);
+        for (c, sums) in half.iter_mut().enumerate() {
+            let unit = exposure * shaded.diffuse[c] / gathered.albedo[c].max(1e-3);
+            let residual = -observed.difference(c, exposure * (shaded.diffuse[c] + shaded.specular[c]));
+            let weight = (observed.radiance[c].max(0.0) + DARK).powi(-2);
+            sums.add(f64::from(unit), f64::from(along), f64::from(residual), f64::from(weight));
+        }
+    }
+    Ok(())
+}
+
+fn side_of_a_cell(points: &[SurfacePoint]) -> f32 {
+    let hits = || points.iter().filter(|point| point.is_hit()).map(|point| point.position);
+    let (low, high) = (hits().reduce(Vec3::min), hits().reduce(Vec3::max));
+    let extent = low.zip(high).map_or(0.0, |(low, high)| (high - low).max_element());
+    extent.max(1e-6) / CELLS
+}
+
+/// Makes the choice once enough of the fit is done (`progress` in [0, 1]), and keeps to it.
+pub fn choose_sheen(world: &mut World, progress: f32) {
+    let Some(mut evidence) = world.get_resource_mut::<SheenEvidence>() else { return };
+    if progress >= COLLECTED.1 && evidence.explained.is_none() {
+        evidence.explained = Some(evidence.explained_part());
+        evidence.cells.clear();
+    }
+    let convincing = evidence.is_convincing();
+    let mut unknowns = world.resource_mut::<Unknowns>();
+    unknowns.sheen |= convincing && unknowns.albedo;
+}
+
+/// Begins to look for evidence, unless a fit before this one has found a sheen: then this one goes on with it.
+///
+/// # Errors
+/// If the pool of texels is incomplete.
+pub fn look_for_sheen(world: &mut World) -> crate::error::Result<()> {
+    if has_sheen(&read_column::<TexelIndex, DiffuseSheen>(world)?) {
+        world.resource_mut::<Unknowns>().sheen = true;
+    } else {
+        world.insert_resource(SheenEvidence::default());
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Residuals of a cell whose albedo is off by `albedo` and that has a sheen, with noise.
+    fn evidence(albedo: f64, sheen: f64, noise: f64) -> SheenEvidence {
+        let mut evidence = SheenEvidence::default();
+        for i in 0..400 {
+            let (u, g) = (0.5 + 0.001 * f64::from(i % 37), f64::from(i * 29 % 100) / 100.0);
+            let random = f64::from(i * 7919 % 1000) / 500.0 - 1.0;
+            let r = (albedo + sheen * g) * u + noise * random;
+            let halves = evidence.cells.entry([0, i % 4, 0]).or_default();
+            halves[i as usize / 4 % 2].iter_mut().for_each(|sums| sums.add(u, g, r, 1.0));
+        }
+        evidence
+    }
+
+    #[test]
+    fn a_sheen_is_seen_in_views_kept_aside() {
+        assert!(evidence(0.1, 0.3, 0.02).explained_part() > 0.7);
+        assert!(evidence(0.1, 0.3, 0.2).explained_part() > CONVINCING);
+    }
+
+    #[test]
+    fn neither_a_wrong_albedo_nor_noise_is_taken_for_a_sheen() {
+        assert!(evidence(0.3, 0.0, 0.02).explained_part() < CONVINCING);
+        assert!(evidence(0.0, 0.0, 0.2).explained_part() < CONVINCING);
+        assert!(evidence(0.0, 0.0, 0.0).explained_part().is_finite());
+        assert!(!SheenEvidence::default().is_convincing());
+    }
+
+    #[test]
+    fn what_is_left_is_the_sum_of_squares() {
+        let rows = [(0.5, 0.1, 0.3, 1.0), (0.8, 0.7, -0.2, 2.0), (0.3, 0.4, 0.1, 0.5)];
+        let mut sums = Sums::default();
+        rows.iter().for_each(|(u, g, r, w)| sums.add(*u, *g, *r, *w));
+        let (a, s) = (0.2, -0.4);
+        let exact: f64 = rows.iter().map(|(u, g, r, w)| w * (r - (a + s * g) * u).powi(2)).sum();
+        assert!((sums.left([a, s]) - exact).abs() < 1e-12);
+    }
+}

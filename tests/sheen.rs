@@ -1,0 +1,111 @@
+//! A surface whose diffuse albedo depends on the angle of view: shown alike by both kinds of shading, found by a fit if the
+//! photographs say so, saved and opened again.
+
+use crate::common::{Outcome, camera, command, day, shoot, studio};
+use lobelia::codec::exr::read_exr_layers;
+use lobelia::fit::components::Unknowns;
+use lobelia::pipeline::pool::{read_column, write_column};
+use lobelia::prelude::*;
+use lobelia::view::Camera;
+use std::ops::ControlFlow;
+
+/// Red along the surface.
+const SHEEN: DiffuseSheen = DiffuseSheen(Vec3::new(0.35, -0.1, -0.1));
+
+/// The studio, with a sheen or without, and hardly any specular light.
+fn cloth(sheen: DiffuseSheen) -> Pipeline {
+    let mut pipeline = studio(&day());
+    let count = read_column::<TexelIndex, DiffuseAlbedo>(&mut pipeline.world).unwrap().len();
+    write_column::<TexelIndex, DiffuseSheen>(&mut pipeline.world, &vec![sheen; count]).unwrap();
+    pipeline
+}
+
+/// A fit of the albedo of twelve photographs under the known light; returns the mean sheen of the texels that were seen.
+fn found(truth: DiffuseSheen) -> Vec3 {
+    let mut truth = cloth(truth);
+    let mut pipeline = studio(&day());
+    pipeline.add_plugin(&FitPlugin);
+    let photograph = |camera: Camera| {
+        let frame = shoot(&mut truth, camera);
+        let (width, height) = (camera.width, camera.height);
+        let photograph = Photograph::of_image(&Image { width, height, pixels: frame.color });
+        let mask = Some(StoredMask::new(&Mask { width, height, coverage: frame.alpha }));
+        ViewRecord { name: "v".into(), split: Split::Train, camera, photograph: Some(photograph), mask }
+    };
+    let views = Camera::around(12, 2.8, 38.0, 48).unwrap().into_iter().map(photograph).collect();
+    spawn_views(&mut pipeline.world, views);
+    let unknowns = Unknowns { light: false, specular_albedo: false, roughness: false, ..Unknowns::default() };
+    let options =
+        FitOptions { steps: 240, batch: 1024, unknowns, looks_for_sheen: true, ..FitOptions::default() };
+    run_fit(&mut pipeline, &options, &mut |_, _| ControlFlow::Continue(())).unwrap();
+    let sheen = read_column::<TexelIndex, DiffuseSheen>(&mut pipeline.world).unwrap();
+    let moved: Vec<Vec3> = sheen.iter().map(|sheen| sheen.0).filter(|sheen| *sheen != Vec3::ZERO).collect();
+    moved.iter().sum::<Vec3>() / moved.len().max(1) as f32
+}
+
+#[test]
+fn a_fit_finds_a_sheen_and_none_where_there_is_none() {
+    let red = found(SHEEN);
+    assert!((red - SHEEN.0).length() < 0.15, "{red}");
+    assert_eq!(found(DiffuseSheen::default()), Vec3::ZERO);
+}
+
+#[test]
+fn closed_form_and_path_tracer_show_the_same_sheen() {
+    let mut pipeline = cloth(SHEEN);
+    let view = camera([0.2, 0.3, 1.0], 24);
+    let closed = shoot(&mut pipeline, view);
+    let plain = shoot(&mut cloth(DiffuseSheen::default()), view);
+    let paths = PathTracing { paths_per_sample: 64, max_bounces: 1, seed: 1, samples_per_pixel: 4 };
+    pipeline.swap(Phase::Frame, Slot::Shading, shade_path_traced(paths));
+    let traced = shoot(&mut pipeline, view);
+    let total = |frame: &[Vec3]| frame.iter().map(|color| color.element_sum()).sum::<f32>();
+    let red = |frame: &[Vec3]| frame.iter().map(|color| color.x).sum::<f32>();
+    assert!((total(&closed.color) / total(&traced.color) - 1.0).abs() < 0.03);
+    assert!((red(&closed.color) / red(&traced.color) - 1.0).abs() < 0.03);
+    assert!(red(&closed.color) > 1.1 * red(&plain.color));
+}
+
+const SCENE: &str = r#"Scene(
+    version: 1,
+    surface: Sphere(radius: 0.9, texture_size: 32),
+    views: Cameras([(name: "front", eye: (0, 0.5, 3), fov_degrees: 38, width: 32, height: 32)]),
+    light: Fixed(Lobes(lobes: [(axis: (0, 0.6, 0.8), sharpness: 1, amplitude: (1, 1, 1))])),
+    material: (
+        albedo: Fixed(Constant(0.2, 0.3, 0.4)),
+        sheen: Fixed(Constant(0.7, 0.3, 0.1)),
+        specular: (albedo: Fixed(0.05, 0.05, 0.05), roughness: Fixed(0.5)),
+    ),
+    passes: [Render(name: "novel"), Save(name: "saved")],
+)
+"#;
+
+#[test]
+fn a_saved_sheen_opens_with_the_same_bits() {
+    let folder = tempfile::tempdir().unwrap();
+    let (scene, out, again) =
+        (folder.path().join("scene.ron"), folder.path().join("out"), folder.path().join("again"));
+    std::fs::write(&scene, SCENE).unwrap();
+    for (scene, out) in [(&scene, &out), (&out.join("saved/scene.ron"), &again)] {
+        Outcome::of(command(&["run", "--quiet"]).arg(scene).arg("--out").arg(out)).succeeded();
+    }
+    let along = read_exr_layers(out.join("saved/albedo_along.exr")).unwrap();
+    assert!((along.channels["R"][40] - 0.7).abs() < 1e-6);
+    let pictures = [&out, &again].map(|out| {
+        let mut files = std::fs::read_dir(out.join("novel")).unwrap().map(|entry| entry.unwrap().path());
+        std::fs::read(files.find(|path| path.extension().is_some_and(|e| e == "exr")).unwrap()).unwrap()
+    });
+    assert!(pictures[0] == pictures[1], "the saved object looks different");
+}
+
+#[test]
+fn an_unknown_sheen_beside_a_known_albedo_is_refused() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = folder.path().join("scene.ron");
+    std::fs::write(&scene, SCENE.replace("sheen: Fixed(Constant(0.7, 0.3, 0.1))", "sheen: Unknown")).unwrap();
+    let outcome = Outcome::of(command(&["check"]).arg(&scene));
+    assert_eq!(outcome.code, Some(2));
+    assert!(
+        outcome.stderr.contains("sheen: Unknown") && outcome.stderr.contains("a fit finds both together")
+    );
+}
