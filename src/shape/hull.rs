@@ -8,7 +8,8 @@
 use crate::error::stop::{check_interrupted, is_stopping};
 use crate::sdf::SdfGrid;
 use crate::shape::repair::regrow;
-use crate::shape::silhouette::{MIN_VIEWS, Silhouette, hull_distance};
+use crate::shape::silhouette::{MIN_VIEWS, Silhouette};
+use crate::shape::trust::{hull_distance, mark_trusted};
 use crate::{Error, Result};
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
@@ -21,14 +22,14 @@ pub(super) const FORGIVEN_AT_GAPS: f32 = 0.12;
 const COARSE_CELLS: u32 = 48;
 /// Cells that a surface may lie outside the hull.
 const TRIM_SLACK: f32 = 0.25;
-/// Cells around the surface that are trimmed: what a fit adds beyond the hull is thin.
+/// Cells outside the surface that are trimmed as well.
 const TRIM_REACH: f32 = 3.0;
 
-/// The visual hull of an object, on a grid of `cells` cells a side that just holds it.
+/// The visual hull of an object, on a grid of `cells` cells a side that just holds it. Marks the views that it trusts.
 ///
 /// # Errors
 /// [`Error::Usage`] if there are fewer than three masks, their middle rays do not meet, or no point is inside all masks.
-pub fn visual_hull(silhouettes: &[Silhouette], cells: u32) -> Result<SdfGrid> {
+pub fn visual_hull(silhouettes: &mut [Silhouette], cells: u32) -> Result<SdfGrid> {
     if silhouettes.len() < MIN_VIEWS {
         let problem = "a shape needs at least three views with masks that are not empty";
         return Err(Error::usage(problem, "Give more photographs a mask, white where the object is."));
@@ -40,6 +41,7 @@ pub fn visual_hull(silhouettes: &[Silhouette], cells: u32) -> Result<SdfGrid> {
     let radius = silhouettes.iter().map(reach).fold(0.0, f32::max);
     let mut coarse = carve(silhouettes, center, 1.1 * radius, COARSE_CELLS);
     regrow(&mut coarse, silhouettes, FORGIVEN_AT_GAPS);
+    mark_trusted(silhouettes, &coarse);
     check_interrupted()?;
     let (low, high) = bounds_inside(&coarse).ok_or_else(|| no_hull(silhouettes, &coarse))?;
     let half = 0.5 * (high - low).max_element() + coarse.spacing;
@@ -82,12 +84,14 @@ fn carve(silhouettes: &[Silhouette], center: Vec3, half_side: f32, cells: u32) -
 }
 
 /// Removes from `grid` what lies outside the hull, as [`visual_hull`] has it, by more than [`TRIM_SLACK`] cells, and restores what most
-/// masks show. Changed values are not exact distances.
-pub(super) fn trim(grid: &mut SdfGrid, silhouettes: &[Silhouette]) {
+/// masks show. Marks the views that it trusts. Changed values are not exact distances.
+pub(super) fn trim(grid: &mut SdfGrid, silhouettes: &mut [Silhouette]) {
+    mark_trusted(silhouettes, grid);
+    let silhouettes = &*silhouettes;
     let (whole, cell) = (&*grid, grid.spacing);
     let trimmed = |row: usize| {
         let value = whole.values[row];
-        if value.abs() > TRIM_REACH * cell || is_stopping() {
+        if value > TRIM_REACH * cell || is_stopping() {
             return value;
         }
         let point = whole.position(whole.vertex(row));
@@ -157,7 +161,7 @@ mod tests {
     #[test]
     fn the_hull_of_a_ball_is_the_ball_wherever_it_lies() {
         let (center, radius) = (Vec3::new(5.0, -3.0, 2.0), 0.9);
-        let grid = visual_hull(&silhouettes(&ball_views(center, radius, 40)), 40).unwrap();
+        let grid = visual_hull(&mut silhouettes(&ball_views(center, radius, 40)), 40).unwrap();
         for (i, value) in grid.values.iter().enumerate() {
             let exact = grid.position(grid.vertex(i)).distance(center) - radius;
             if exact.abs() < 0.3 {
@@ -170,18 +174,18 @@ mod tests {
     fn one_wrong_mask_of_many_does_not_carve_the_object_away() {
         let mut views = ball_views(Vec3::ZERO, 0.9, 60);
         views[7].1.coverage.iter_mut().enumerate().for_each(|(i, c)| *c = if i == 0 { 1.0 } else { 0.0 });
-        let grid = visual_hull(&silhouettes(&views), 24).unwrap();
+        let grid = visual_hull(&mut silhouettes(&views), 24).unwrap();
         assert!(grid.value(Vec3::ZERO) < -0.5);
     }
 
     /// A fin beyond the masks goes; what is inside stays as it is.
     #[test]
     fn what_lies_outside_the_hull_is_trimmed() {
-        let views = silhouettes(&ball_views(Vec3::ZERO, 0.9, 40));
+        let mut views = silhouettes(&ball_views(Vec3::ZERO, 0.9, 40));
         let fin = |p: Vec3| (p.abs() - Vec3::new(1.2, 0.06, 0.2)).max_element();
         let mut grid = SdfGrid::from_fn(Vec3::ZERO, 1.3, 52, |p| (p.length() - 0.88).min(fin(p)));
         let before = grid.clone();
-        trim(&mut grid, &views);
+        trim(&mut grid, &mut views);
         for (i, value) in grid.values.iter().enumerate() {
             let distance = grid.position(grid.vertex(i)).length();
             assert!(distance < 1.0 || *value > 0.0, "{distance} {value}");
@@ -198,12 +202,12 @@ mod tests {
                 .enumerate()
                 .for_each(|(p, c)| *c = if p == 300 + 997 * i % 9000 { 1.0 } else { 0.0 });
         }
-        let error = visual_hull(&silhouettes(&views), 24).unwrap_err();
+        let error = visual_hull(&mut silhouettes(&views), 24).unwrap_err();
         assert_eq!(error.exit_code(), 2);
         assert!(
             error.to_string().contains("inside all masks") && error.to_string().contains("view `v"),
             "{error}"
         );
-        assert!(visual_hull(&silhouettes(&views[..2]), 24).is_err());
+        assert!(visual_hull(&mut silhouettes(&views[..2]), 24).is_err());
     }
 }

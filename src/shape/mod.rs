@@ -3,6 +3,7 @@
 //! | file | holds |
 //! | --- | --- |
 //! | [`hull`] | the position of the object, and the robust visual hull of its masks as a signed distance field |
+//! | `trust` | finds masks that no other mask contradicts, which may carve alone |
 //! | [`repair`] | restores parts that a few wrong masks remove from the hull, and selects the silhouettes that the other masks confirm |
 //! | [`field`] | the field as parameters: bricks of values (entities) and the field as a whole (a resource) |
 //! | `adjoint` | kernels that propagate adjoints of normals, positions and silhouettes back to the values |
@@ -25,4 +26,5 @@ pub mod silhouette;
 pub(crate) mod silhouette_loss;
 pub mod stereo;
 pub mod systems;
+pub(crate) mod trust;
 pub mod vertices;

@@ -30,6 +30,8 @@ pub struct Silhouette {
     /// The ray through the middle of the mask, and the tangent of the angle around it that holds all of the mask.
     pub(super) middle: Vec3,
     pub(super) spread: f32,
+    /// Where the mask carves alone; `None` if it is not trusted ([`trust`](crate::shape::trust)).
+    pub(super) carves: Option<Outside>,
 }
 
 impl Silhouette {
@@ -53,6 +55,7 @@ impl Silhouette {
             near: window.pixels(width).map(|i| f16::from_f32(distance[i])).collect(),
             middle,
             spread,
+            carves: None,
         })
     }
 
@@ -122,6 +125,47 @@ impl Silhouette {
     }
 }
 
+/// The background around a mask, without the mask's holes.
+#[derive(Clone, Debug)]
+pub(super) struct Outside {
+    window: PixelWindow,
+    /// For each pixel of the window, whether it is background that reaches the window's border.
+    reached: Vec<bool>,
+}
+
+impl Outside {
+    /// That of a silhouette.
+    pub(super) fn of(silhouette: &Silhouette) -> Self {
+        let window = silhouette.mask.window();
+        let (width, height) = (window.width as usize, window.height as usize);
+        let pixels: Vec<usize> = window.pixels(silhouette.camera.width).collect();
+        let mut reached = vec![false; pixels.len()];
+        let is_rim =
+            |i: &usize| [0, width - 1].contains(&(i % width)) || [0, height - 1].contains(&(i / width));
+        let mut open: Vec<usize> = (0..pixels.len()).filter(is_rim).collect();
+        while let Some(i) = open.pop() {
+            if reached[i] || silhouette.mask.coverage(pixels[i]) >= 0.5 {
+                continue;
+            }
+            reached[i] = true;
+            let (x, y) = (i % width, i / width);
+            open.extend((x > 0).then(|| i - 1));
+            open.extend((x + 1 < width).then_some(i + 1));
+            open.extend((y > 0).then(|| i - width));
+            open.extend((y + 1 < height).then_some(i + width));
+        }
+        Self { window, reached }
+    }
+
+    /// Whether an image position is outside.
+    pub(super) fn contains(&self, x: f32, y: f32) -> bool {
+        let (column, row) = (x as i64 - i64::from(self.window.x), y as i64 - i64::from(self.window.y));
+        let (width, height) = (i64::from(self.window.width), i64::from(self.window.height));
+        let in_window = (0..width).contains(&column) && (0..height).contains(&row);
+        !in_window || self.reached[(row * width + column) as usize]
+    }
+}
+
 /// A window with [`MARGIN`] pixels more on each side, as far as the frame goes.
 fn with_margin(window: PixelWindow, size: [u32; 2]) -> PixelWindow {
     let (x, y) = (window.x.saturating_sub(MARGIN), window.y.saturating_sub(MARGIN));
@@ -140,15 +184,4 @@ pub(super) fn is_inner(camera: &Camera, x: f32, y: f32) -> bool {
 /// Size of a pixel at distance 1.
 pub(super) fn pixel_size(camera: &Camera) -> f32 {
     2.0 / (camera.focal[0] + camera.focal[1])
-}
-
-/// The hull's signed distance at a point, with this share of the views forgiven; `outside` if too few see it.
-pub(super) fn hull_distance(silhouettes: &[Silhouette], point: Vec3, forgiven: f32, outside: f32) -> f32 {
-    let mut seen: Vec<f32> = silhouettes.iter().filter_map(|s| s.world_distance(point)).collect();
-    if seen.len() < MIN_VIEWS {
-        return outside;
-    }
-    let forgiven = (forgiven * seen.len() as f32).floor() as usize;
-    let (_, kth, _) = seen.select_nth_unstable_by(forgiven, |a, b| b.total_cmp(a));
-    *kth
 }

@@ -47,12 +47,12 @@ pub fn make_surface(
             let train = views.iter().filter(|view| view.split == Split::Train);
             let silhouette =
                 |view: &ViewRecord| Silhouette::new(&view.name, &view.camera, view.mask.as_ref()?);
-            let silhouettes: Vec<Silhouette> = train.filter_map(silhouette).collect();
+            let mut silhouettes: Vec<Silhouette> = train.filter_map(silhouette).collect();
             let (cells, texture_size) = match use_of {
                 SurfaceUse::Lasting | SurfaceUse::Checks => (*cells, *texture_size),
                 SurfaceUse::UntilShape => (DRAFT.0.min(*cells), DRAFT.1.min(*texture_size)),
             };
-            let hull = visual_hull(&silhouettes, cells)?;
+            let hull = visual_hull(&mut silhouettes, cells)?;
             let notes = check_hull(&hull, &silhouettes)?;
             let unwrapped = unwrap_mesh(&extract_mesh(&hull), texture_size)?;
             Ok((Surface::new(unwrapped.mesh, texture_size)?, notes))

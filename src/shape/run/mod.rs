@@ -116,7 +116,7 @@ pub fn fit_shape(
 ) -> Result<SdfSurface> {
     let mut silhouettes = training_silhouettes(&mut pipeline.world);
     check_interrupted()?;
-    let hull = visual_hull(&silhouettes, options.levels[0].cells)?;
+    let hull = visual_hull(&mut silhouettes, options.levels[0].cells)?;
     // More than the longest level visits are of no use.
     let visited = |level: &ShapeLevel| level.schedule.steps as usize * level.schedule.silhouette_batch;
     let most = options.levels.iter().map(visited).max().unwrap_or(0);
@@ -226,8 +226,8 @@ fn with_texels(
 /// Removes from the found field what lies outside the hull, and moves its contours to the outlines of the training masks
 /// ([`outline`](crate::shape::outline)).
 pub fn refine_by_outlines(world: &mut World, grid: &mut SdfGrid) -> OutlineReport {
-    let silhouettes = training_silhouettes(world);
-    trim(grid, &silhouettes);
+    let mut silhouettes = training_silhouettes(world);
+    trim(grid, &mut silhouettes);
     grid.redistance();
     fit_outlines(grid, &silhouettes)
 }
