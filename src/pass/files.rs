@@ -6,7 +6,7 @@ use crate::pass::evaluate::PARTS;
 use crate::pass::export;
 use crate::pass::fit::TRUE_ENVIRONMENT;
 use crate::pass::photograph::ring;
-use crate::pass::render::{FILM_MP4, chosen_stems, film_name};
+use crate::pass::render::{chosen_stems, film_files};
 use crate::pass::view::PAGE;
 use crate::scene::load::LoadedScene;
 use crate::scene::{EvaluatePass, Light, LightSource, Pass, Scene, Views};
@@ -97,7 +97,7 @@ fn of_pictures(pass: &Pass, views: &[(&str, Split)]) -> Vec<String> {
     let Some(settings) = pass.render() else { return Vec::new() };
     let stems = chosen_stems(views, settings).into_iter();
     let pictures = stems.flat_map(|(_, stem)| [format!("{stem}.exr"), format!("{stem}.png")]);
-    let film = settings.orbit.iter().flat_map(|orbit| [film_name(orbit.format), FILM_MP4.to_owned()]);
+    let film = settings.orbit.iter().flat_map(|orbit| film_files(orbit.format));
     pictures.chain(film).collect()
 }
 

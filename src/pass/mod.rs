@@ -21,6 +21,7 @@ pub mod edit;
 pub mod evaluate;
 pub mod export;
 pub mod files;
+mod film;
 pub mod fit;
 mod found_views;
 pub mod inspect;

@@ -70,12 +70,6 @@ pub fn write_page(
     Ok(())
 }
 
-/// The direction that is up in the data.
-pub(super) fn upward(session: &mut Session) -> Vec3 {
-    let up = session.scene.up;
-    upright(&cameras(session), up)
-}
-
 /// The direction that is up in most photographs, or that of the scene if they do not agree: data sets have their own axes. It is an axis of
 /// the world if one is near.
 fn upright(cameras: &[PageCamera], scene_up: Vec3) -> Vec3 {

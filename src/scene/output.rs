@@ -39,7 +39,7 @@ pub struct ExportPass {
     pub scale: ExportScale,
 }
 
-/// Which axis of an exported object is up. In the data, up is what the photographs agree on, or else the scene's `up`.
+/// Which axis of an exported object is up. In the data, that is the scene's `up`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ExportUp {
     /// The axes of the data.

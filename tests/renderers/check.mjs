@@ -15,12 +15,28 @@ import { fileURLToPath } from "node:url";
 import { Browser, findChromium } from "../view/browser.mjs";
 import { readExr } from "../view/pictures.mjs";
 
-/** Specular albedo, roughness, distribution of normals, and how far another renderer may be from Lobelia in mean radiance. */
+/** Specular albedo, roughness and distribution of normals. */
 const MATERIALS = [
-    { specular: 0.04, roughness: 0.4, ndf: "Sg", most: 0.03 },
-    { specular: 0.1, roughness: 0.25, ndf: "Sg", most: 0.03 },
-    { specular: 0.2, roughness: 0.5, ndf: "Ggx", most: 0.05 },
-    { specular: 0.05, roughness: 0.8, ndf: "Sg", most: 0.03 },
+    { specular: 0.04, roughness: 0.4, ndf: "Sg" },
+    { specular: 0.1, roughness: 0.25, ndf: "Sg" },
+    { specular: 0.2, roughness: 0.5, ndf: "Ggx" },
+    { specular: 0.05, roughness: 0.8, ndf: "Sg" },
+];
+
+/**
+ * Lights, and how far each renderer may be from Lobelia in mean radiance. Light from all sides alike shows the material alone. Lamps show
+ * that the map is turned right, and how the renderer blurs it: three.js takes its roughest reflection for the cosine of diffuse light.
+ * Blender has no reflectance along the surface, and so a brighter rim.
+ */
+const LIGHTS = [
+    { name: "even", most: { "three.js": 0.03, Cycles: 0.06 }, lobes: "(axis: (0, 1, 0), sharpness: 0, amplitude: (0.7, 0.7, 0.7))" },
+    {
+        name: "lamps",
+        most: { "three.js": 0.08, Cycles: 0.04 },
+        lobes: `(axis: (0, 1, 0), sharpness: 0.7, amplitude: (0.5, 0.5, 0.5)),
+        (axis: (0.5, 0.6, 0.62), sharpness: 15, amplitude: (3, 2.8, 2.5)),
+        (axis: (-0.8, 0.1, 0.3), sharpness: 40, amplitude: (2, 3, 5))`,
+    },
 ];
 
 const CAMERA = { eye: [1.9, 1.4, 2.6], fov: 38, size: 192 };
@@ -31,17 +47,13 @@ const HERE = dirname(fileURLToPath(import.meta.url));
 const [program, folder = mkdtempSync(join(tmpdir(), "lobelia-renderers-"))] = process.argv.slice(2);
 if (!program) throw new Error("usage: node tests/renderers/check.mjs PROGRAM [FOLDER]");
 
-function scene({ specular, roughness, ndf }) {
+function scene({ specular, roughness, ndf }, { lobes }) {
     const { eye, fov, size } = CAMERA;
     return `Scene(
     version: 1,
     surface: Sphere(texture_size: 32),
     views: Cameras([(name: "a", eye: (${eye.join(", ")}), fov_degrees: ${fov}, width: ${size}, height: ${size})]),
-    light: Fixed(Lobes(lobes: [
-        (axis: (0, 1, 0), sharpness: 0.7, amplitude: (0.5, 0.5, 0.5)),
-        (axis: (0.5, 0.6, 0.62), sharpness: 15, amplitude: (3, 2.8, 2.5)),
-        (axis: (-0.8, 0.1, 0.3), sharpness: 40, amplitude: (2, 3, 5)),
-    ])),
+    light: Fixed(Lobes(lobes: [${lobes}])),
     material: (
         albedo: Fixed(Constant(0.45, 0.3, 0.2)),
         specular: (albedo: Fixed(${specular}, ${specular}, ${specular}), roughness: Fixed(${roughness}), ndf: ${ndf}),
@@ -62,9 +74,9 @@ function mean(planes) {
     return ["R", "G", "B"].map(channel);
 }
 
-function lobelia(home, material) {
+function lobelia(home, material, light) {
     const file = join(home, "scene.ron");
-    writeFileSync(file, scene(material));
+    writeFileSync(file, scene(material, light));
     const { status, stderr } = spawnSync(resolve(program), ["run", file, "--quiet", "--force", "--out", join(home, "out")], { encoding: "utf8" });
     if (status !== 0) throw new Error(stderr);
     const read = (pass) => mean(readExr(readFileSync(join(home, "out", pass, "a.exr"))).planes);
@@ -116,7 +128,7 @@ function cycles() {
     }
     const render = async (name) => {
         const job = JSON.stringify({ folder: resolve(folder, name, "out/export"), camera: CAMERA, covered: COVERED });
-        const { status, stdout, stderr } = spawnSync(python, [join(HERE, "cycles.py"), job], { encoding: "utf8" });
+        const { status, stdout, stderr } = spawnSync(python, [join(HERE, "blender.py"), job], { encoding: "utf8" });
         const found = stdout.split("\n").find((line) => line.startsWith("MEAN "));
         if (status !== 0 || !found) throw new Error(`Cycles: ${stderr || stdout}`);
         return JSON.parse(found.slice(5));
@@ -134,13 +146,15 @@ const say = (words, ratio, most) => {
 };
 try {
     for (const [i, material] of MATERIALS.entries()) {
-        const name = `material_${i}`;
-        mkdirSync(join(folder, name), { recursive: true });
-        const own = lobelia(join(folder, name), material);
-        const words = `specular ${material.specular}, roughness ${material.roughness}, ${material.ndf}`;
-        say(`${words}: path tracer over closed forms`, sum(own.paths) / sum(own.closed), 0.02);
-        for (const [renderer, at] of Object.entries(renderers).filter(([, at]) => at)) {
-            say(`${words}: ${renderer} over the path tracer`, sum(await at.render(name)) / sum(own.paths), material.most);
+        for (const light of LIGHTS) {
+            const name = `${light.name}_${i}`;
+            mkdirSync(join(folder, name), { recursive: true });
+            const own = lobelia(join(folder, name), material, light);
+            const words = `${light.name}, specular ${material.specular}, roughness ${material.roughness}, ${material.ndf}`;
+            say(`${words}: path tracer over closed forms`, sum(own.paths) / sum(own.closed), 0.02);
+            for (const [renderer, at] of Object.entries(renderers).filter(([, at]) => at)) {
+                say(`${words}: ${renderer} over the path tracer`, sum(await at.render(name)) / sum(own.paths), light.most[renderer]);
+            }
         }
     }
 } finally {

@@ -43,7 +43,7 @@ pub fn run(session: &mut Session, pass: &ExportPass) -> Result<()> {
     if let Some(target) = pass.triangles.filter(|&n| (n as usize) < object.triangles()) {
         object = object.coarser(target as usize)?;
     }
-    let placement = Placement::new(session, pass, object.mesh());
+    let placement = Placement::new(session.scene.up, pass, object.mesh());
     let folder = session.folder(&pass.name);
     let has_light = with_light(pass) && write_light(session, pass, placement.turn, &folder)?;
     let exported = Exported { mesh: placement.placed(object.mesh()), object, up: placement.up, has_light };

@@ -2,8 +2,6 @@
 
 use crate::codec::usd::UpAxis;
 use crate::mesh::triangles::Mesh;
-use crate::pass::session::Session;
-use crate::pass::view::upward;
 use crate::scene::{ExportPass, ExportScale, ExportUp};
 use glam::{Quat, Vec3};
 
@@ -19,12 +17,8 @@ pub struct Placement {
 }
 
 impl Placement {
-    /// As the pass says.
-    pub fn new(session: &mut Session, pass: &ExportPass, mesh: &Mesh) -> Self {
-        Self::with_up(upward(session), pass, mesh)
-    }
-
-    fn with_up(data_up: Vec3, pass: &ExportPass, mesh: &Mesh) -> Self {
+    /// As the pass says, for data in which `data_up` is up.
+    pub fn new(data_up: Vec3, pass: &ExportPass, mesh: &Mesh) -> Self {
         let data_up = data_up.normalize_or(Vec3::Y);
         let (turn, up) = match pass.up {
             ExportUp::Data if data_up.z.abs() > data_up.y.abs() => (Quat::IDENTITY, UpAxis::Z),
@@ -81,7 +75,7 @@ mod tests {
     fn the_data_stay_as_they_are_unless_something_is_said() {
         let mesh = box_mesh(Vec3::new(3.0, 4.0, 5.0), Vec3::new(1.0, 2.0, 4.0)).unwrap();
         for (up, axis) in [(Vec3::Y, UpAxis::Y), (Vec3::Z, UpAxis::Z), (-Vec3::Z, UpAxis::Z)] {
-            let placement = Placement::with_up(up, &pass(), &mesh);
+            let placement = Placement::new(up, &pass(), &mesh);
             assert_eq!((placement.placed(&mesh), placement.up), (mesh.clone(), axis));
         }
     }
@@ -90,7 +84,7 @@ mod tests {
     fn up_center_and_size_are_as_asked() {
         let mesh = box_mesh(Vec3::new(3.0, 4.0, 5.0), Vec3::new(1.0, 2.0, 4.0)).unwrap();
         let asked = ExportPass { up: ExportUp::Y, center: true, scale: ExportScale::Size(2.0), ..pass() };
-        let placement = Placement::with_up(Vec3::Z * 3.0, &asked, &mesh);
+        let placement = Placement::new(Vec3::Z * 3.0, &asked, &mesh);
         let placed = placement.placed(&mesh);
         let (low, high) = placed.bounds().unwrap();
         // What was up, 4 long, is y now and 2 long; x keeps its direction.
@@ -105,7 +99,7 @@ mod tests {
             assert!((b - a).cross(c - a).dot(normal) > 0.0);
         }
         let factor = ExportPass { up: ExportUp::Z, scale: ExportScale::Factor(10.0), ..pass() };
-        let (low, high) = Placement::with_up(-Vec3::Y, &factor, &mesh).placed(&mesh).bounds().unwrap();
+        let (low, high) = Placement::new(-Vec3::Y, &factor, &mesh).placed(&mesh).bounds().unwrap();
         assert!((low.z + 50.0).abs() < 1e-3 && (high.z + 30.0).abs() < 1e-3, "{low} {high}");
     }
 }

@@ -308,6 +308,7 @@ fn orbit(checks: &mut Checks, at: &str, orbit: &Orbit) {
     checks.fov(&path("fov_degrees"), orbit.fov_degrees);
     checks.pixels(&path("size"), orbit.size);
     checks.count(&path("fps"), orbit.fps, 1..=100);
+    super::film::film(checks, at, orbit);
 }
 
 fn evaluate(checks: &mut Checks, at: &str, evaluate: &EvaluatePass, scene: &Scene, earlier: &[Pass]) {
