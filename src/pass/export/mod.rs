@@ -5,7 +5,7 @@
 //! | [`object`] | the surface with its material, with fewer triangles if asked, and its textures |
 //! | [`placement`] | the axes, origin and size of the exported object |
 //! | [`light`] | the light as environment maps |
-//! | [`page`] | a page with the object and its light |
+//! | [`mod@page`] | a page with the object and its light |
 
 pub mod light;
 pub mod object;
