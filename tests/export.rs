@@ -2,7 +2,8 @@
 
 use crate::common::{Data, files_below, write_image};
 use glam::Vec3;
-use lobelia::codec::frame::read_frame;
+use lobelia::codec::exr::ExrLayers;
+use lobelia::codec::frame::{read_frame, write_channels};
 use serde_json::Value;
 
 /// A box with a painted texture; `{SURFACE}`, `{MATERIAL}` and `{PASSES}` are filled in.
@@ -74,7 +75,16 @@ fn a_tenth_of_the_triangles_looks_nearly_the_same() {
         Evaluate(mesh: "mesh.glb")"#;
     let sphere = "Sphere(texture_size: 128)";
     data.run(&scene(sphere, PAINTED, passes), "out", &["--quiet"]).succeeded();
-    let files = ["mesh.glb", "mesh.mtl", "mesh.obj", "mesh.ply", "mesh_albedo.png"];
+    let files = [
+        "light.hdr",
+        "light_blender.hdr",
+        "mesh.glb",
+        "mesh.mtl",
+        "mesh.obj",
+        "mesh.ply",
+        "mesh_albedo.png",
+        "model-viewer.html",
+    ];
     assert_eq!(files_below(&data.path("out/export")), files);
     let metrics: Value =
         serde_json::from_slice(&std::fs::read(data.path("out/metrics.json")).unwrap()).unwrap();
@@ -99,4 +109,63 @@ fn a_mesh_without_its_material_is_refused() {
         "{}",
         outcome.stderr
     );
+}
+
+#[test]
+fn an_object_set_upright_is_lit_as_before() {
+    let data = studio();
+    let upward = |text: &str| text.replace("version: 1,", "version: 1, up: (0, 0, 1),");
+    let with_up = |text: &str, up: &str| text.replace("width: 96", &format!("up: {up}, width: 96"));
+    let export = r#"Export(name: "export", up: Y, center: true, scale: Factor(2))"#;
+    let first = with_up(&upward(&scene("Box(texture_size: 64)", PAINTED, export)), "(0, 0, 1)");
+    data.run(&first, "out", &["--quiet"]).succeeded();
+    // (x, y, z) to 2 (x, z, −y): what was at +Z is at +Y.
+    let surface = r#"Mesh(path: "out/export/mesh.glb", texture_size: 64, own_material: true)"#;
+    let again = with_up(&scene(surface, "", ""), "(0, 1, 0)");
+    let again = again
+        .replace("(1.6, 1.3, 1.9)", "(3.2, 3.8, -2.6)")
+        .replace("(-1.9, -1.2, -1.1)", "(-3.8, -2.2, 2.4)");
+    let (start, end) = (again.find("Fixed(Lobes").unwrap(), again.find("])),").unwrap() + 4);
+    for (file, convention) in [("light", "ThreeJs"), ("light_blender", "BlenderYUp")] {
+        let map = format!("Map(path: \"out/export/{file}.hdr\", convention: {convention}, lobes: 12)");
+        let text = [&again[..start], &format!("Fixed({map}),"), &again[end..]].concat();
+        data.run(&text, file, &["--quiet"]).succeeded();
+        let found = psnr(&data, "out", file);
+        assert!(found > 38.0, "{file}: {found}");
+    }
+}
+
+#[test]
+fn usd_files_name_their_textures_and_the_light() {
+    let data = studio();
+    let blend = r#"material: (
+        albedo: Fixed(Texture("paint.exr")),
+        gloss: Fixed(lobes: [
+            (albedo: (0.05, 0.05, 0.05), roughness: 0.6),
+            (albedo: (0.4, 0.3, 0.1), roughness: 0.2),
+        ], weights: "weights.exr"),
+    ),"#;
+    let share: Vec<f32> = (0..64 * 64).map(|i| (i % 64) as f32 / 63.0).collect();
+    let mut weights = ExrLayers { width: 64, height: 64, ..ExrLayers::default() };
+    weights.channels.insert("weight0".to_owned(), share.iter().map(|x| 1.0 - x).collect());
+    weights.channels.insert("weight1".to_owned(), share);
+    write_channels(data.path("weights.exr"), &weights).unwrap();
+    let passes = r#"Export(name: "export", formats: [Glb, Usda, Usdz])"#;
+    data.run(&scene("Box(texture_size: 64)", blend, passes), "out", &["--quiet"]).succeeded();
+    let textures = ["mesh_base_color.png", "mesh_reflectance.png", "mesh_roughness.png"];
+    let text = std::fs::read_to_string(data.path("out/export/mesh.usda")).unwrap();
+    for name in textures {
+        let size = image::image_dimensions(data.path(&format!("out/export/{name}"))).unwrap();
+        assert!(size == (64, 64) && text.contains(&format!("@{name}@")), "{name} {size:?}");
+    }
+    assert!(text.contains("@light.hdr@") && text.contains("upAxis = \"Y\""));
+    assert!(data.path("out/export/mesh.usdz").exists());
+    let glb = std::fs::read(data.path("out/export/mesh.glb")).unwrap();
+    let length = u32::from_le_bytes(glb[12..16].try_into().unwrap()) as usize;
+    let root: Value = serde_json::from_slice(&glb[20..20 + length]).unwrap();
+    let material = &root["materials"][0];
+    let specular = &material["extensions"]["KHR_materials_specular"];
+    assert_eq!(root["images"].as_array().unwrap().len(), 3);
+    assert_eq!(specular["specularTexture"], specular["specularColorTexture"]);
+    assert_eq!(material["pbrMetallicRoughness"]["roughnessFactor"], 1.0);
 }

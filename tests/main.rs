@@ -5,7 +5,7 @@
 //! | runs of the command | [`run`], [`photos`], [`gloss`], [`sheen`], [`ggx`], [`scale`], [`light_frame`], [`export`], [`view_page`], [`report`], [`shown`], [`env`], [`scores`] |
 //! | what is written where, and what never is; runs that are stopped | [`outputs`], [`resume`], `stop` |
 //! | what is refused, and how | [`bad_input`], [`check`], [`hostile`], [`scene_errors`] |
-//! | systems in a world, pictures | [`ecs`], [`swap`], [`visibility`], [`frames`] |
+//! | systems in a world, pictures | [`ecs`], [`swap`], [`visibility`], [`frames`], [`films`] |
 //! | the documentation, the layers of the code | [`docs`], [`rooms`] |
 
 mod common;
@@ -16,6 +16,7 @@ mod docs;
 mod ecs;
 mod env;
 mod export;
+mod films;
 mod frames;
 mod ggx;
 mod gloss;

@@ -98,7 +98,10 @@ fn a_whole_run_writes_everything() {
     let files = files_below(&out);
     assert!(!files.iter().any(|file| is_temporary(file)), "{files:?}");
     let mut expected: Vec<String> = [
+        "export/light.hdr",
+        "export/light_blender.hdr",
         "export/mesh.glb",
+        "export/model-viewer.html",
         "fit/albedo.exr",
         "fit/albedo.png",
         "fit/environment.exr",

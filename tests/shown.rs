@@ -3,6 +3,9 @@
 use crate::common::{Data, Outcome, command};
 use lobelia::codec::exr::read_exr_layers;
 use lobelia::codec::gltf::material::read_material;
+use lobelia::light::EnvironmentMap;
+use lobelia::light::convention::MapConvention;
+use lobelia::material::SpecularLobe;
 
 const SCENE: &str = r#"
 Scene(
@@ -57,8 +60,14 @@ fn what_a_pass_shows_is_saved_and_opens_again_with_the_same_bits() {
         }
     }
     let read = |name: &str| read_material(&data.path(&format!("out/{name}/mesh.glb")));
-    let noon = read("export_noon").unwrap().specular_albedo();
+    let noon = read("export_noon").unwrap();
+    let noon = noon.specular_albedo(&SpecularLobe::new(glam::Vec3::ONE, noon.roughness));
     assert!((noon - glam::Vec3::new(0.9, 0.6, 0.3)).abs().max_element() < 0.02, "{noon}");
+    // The light of that pass lies beside it: brightest above, where it is white.
+    let map = data.path("out/export_noon/light.hdr");
+    let map = MapConvention::ThreeJs.to_lobelia(EnvironmentMap::read(map).unwrap());
+    let (up, down) = (map.sample_bilinear(glam::Vec3::Y), map.sample_bilinear(glam::Vec3::NEG_Y));
+    assert!((up - glam::Vec3::ONE).length() < 0.02 && down.max_element() < 0.03, "{up} {down}");
     // Two base materials are a texture of roughness, which is written and not read back.
     let painted = read("export_painted").map(|_| ()).unwrap_err().to_string();
     assert!(painted.contains("has a roughness texture"), "{painted}");

@@ -21,22 +21,30 @@ pub enum Mp4 {
     NoFfmpeg,
 }
 
-/// The frames of a film: PNG files in a hidden folder, which goes when this is dropped, so that a film is never whole in memory.
+/// The frames of a film: PNG files, so that a film is never whole in memory.
 #[derive(Debug)]
 pub struct Film {
-    folder: TempDir,
+    folder: PathBuf,
+    /// The hidden folder, which goes when this is dropped, unless frames are to stay.
+    _scratch: Option<TempDir>,
     /// Width and height in pixels of all frames.
     size: [u32; 2],
     count: usize,
 }
 
 impl Film {
-    /// A film without frames, whose files lie in `folder` (created if missing).
+    /// A film without frames, whose files lie in a hidden folder in `folder` (created if missing) until this is dropped.
     ///
     /// # Errors
     /// [`Error::Io`] if a folder cannot be created.
     pub fn new(folder: &Path) -> Result<Self> {
-        Ok(Self { folder: file::scratch_folder(folder)?, size: [0; 2], count: 0 })
+        let scratch = file::scratch_folder(folder)?;
+        Ok(Self { folder: scratch.path().to_owned(), _scratch: Some(scratch), size: [0; 2], count: 0 })
+    }
+
+    /// A film without frames, whose files stay in `folder`: 000000.png and so on.
+    pub fn kept(folder: PathBuf) -> Self {
+        Self { folder, _scratch: None, size: [0; 2], count: 0 }
     }
 
     /// Appends a frame.
@@ -60,7 +68,7 @@ impl Film {
     }
 
     fn path(&self, i: usize) -> PathBuf {
-        self.folder.path().join(format!("{i:06}.png"))
+        self.folder.join(format!("{i:06}.png"))
     }
 }
 
@@ -154,6 +162,18 @@ fn delay_ratio(fps: f32) -> (u16, u16) {
 /// Those of [`write_apng`]; [`Error::Run`] with the last line of ffmpeg's output if it fails. A missing `ffmpeg` is [`Mp4::NoFfmpeg`], not an error.
 pub fn write_mp4(path: impl AsRef<Path>, film: &Film, fps: f32) -> Result<Mp4> {
     write_mp4_with(OsStr::new("ffmpeg"), path.as_ref(), film, fps)
+}
+
+/// Whether there is an `ffmpeg` on the PATH that starts.
+pub fn has_ffmpeg() -> bool {
+    has_ffmpeg_with(OsStr::new("ffmpeg"))
+}
+
+/// [`has_ffmpeg`] with another program in place of `ffmpeg`.
+pub fn has_ffmpeg_with(program: &OsStr) -> bool {
+    let mut command = Command::new(program);
+    command.arg("-version").stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+    command.status().is_ok_and(|status| status.success())
 }
 
 /// [`write_mp4`] with another program in place of `ffmpeg` (a name on the PATH, or a path).
@@ -354,6 +374,22 @@ mod tests {
             assert!(matches!(write_mp4_with(program.as_os_str(), &path, &film, 10.0), Err(Error::Io { .. })));
         }
         assert!(!path.exists());
+    }
+
+    #[test]
+    fn frames_stay_if_they_are_to() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut film = Film::kept(folder.path().join("frames"));
+        frames(2).iter().for_each(|frame| film.push(frame).unwrap());
+        let missing = OsStr::new("no-such-ffmpeg-anywhere");
+        assert!(!has_ffmpeg_with(missing));
+        let outcome = write_mp4_with(missing, &folder.path().join("orbit.mp4"), &film, 10.0);
+        assert_eq!(outcome.unwrap(), Mp4::NoFfmpeg);
+        drop(film);
+        for (i, frame) in frames(2).iter().enumerate() {
+            let path = folder.path().join(format!("frames/{i:06}.png"));
+            assert_eq!(png_file::read_rgb8(&path).unwrap(), *frame);
+        }
     }
 
     #[test]

@@ -1,10 +1,14 @@
-//! Radiance RGBE pictures (`.hdr`), one scanline at a time, so that memory does not grow with the picture.
+//! Radiance RGBE pictures (`.hdr`): read one scanline at a time, so that memory does not grow with the picture; maps are written.
 //!
 //! G. Ward, "Real Pixels", Graphics Gems II (1991): four bytes per texel, three mantissas and a shared exponent. Scanlines
 //! are flat, with old runs (a texel 1 1 1 n repeats the one before), or with new runs (each byte plane separately).
 
 use std::io::{BufRead, Read};
+use std::path::Path;
 
+use crate::codec::file;
+use crate::light::{EnvironmentMap, validate_map};
+use crate::{Error, Result};
 use glam::Vec3;
 
 /// Most bytes of a header line that are read.
@@ -25,7 +29,7 @@ impl<R: BufRead> RadianceReader<R> {
     ///
     /// # Errors
     /// A clause that says what is wrong.
-    pub fn new(mut reader: R) -> Result<Self, String> {
+    pub fn new(mut reader: R) -> std::result::Result<Self, String> {
         let mut first = true;
         for _ in 0..MOST_LINES {
             let line = line(&mut reader)?;
@@ -48,7 +52,7 @@ impl<R: BufRead> RadianceReader<R> {
     ///
     /// # Errors
     /// A clause that says what is wrong.
-    pub fn scanline(&mut self, mut texel: impl FnMut(usize, Vec3)) -> Result<(), String> {
+    pub fn scanline(&mut self, mut texel: impl FnMut(usize, Vec3)) -> std::result::Result<(), String> {
         let width = self.size[0];
         let start = self.quad()?;
         let run_length = usize::from(start[2]) << 8 | usize::from(start[3]);
@@ -63,20 +67,20 @@ impl<R: BufRead> RadianceReader<R> {
         Ok(())
     }
 
-    fn quad(&mut self) -> Result<[u8; 4], String> {
+    fn quad(&mut self) -> std::result::Result<[u8; 4], String> {
         let mut bytes = [0; 4];
         self.reader.read_exact(&mut bytes).map_err(cut_short)?;
         Ok(bytes)
     }
 
-    fn byte(&mut self) -> Result<u8, String> {
+    fn byte(&mut self) -> std::result::Result<u8, String> {
         let mut bytes = [0];
         self.reader.read_exact(&mut bytes).map_err(cut_short)?;
         Ok(bytes[0])
     }
 
     /// One byte of every texel: a count over 128 repeats the next byte, another copies as many.
-    fn plane(&mut self, plane: usize) -> Result<(), String> {
+    fn plane(&mut self, plane: usize) -> std::result::Result<(), String> {
         let (mut x, width) = (0, self.scanline.len());
         while x < width {
             let count = self.byte()?;
@@ -100,7 +104,7 @@ impl<R: BufRead> RadianceReader<R> {
     }
 
     /// Texels of four bytes, with the old runs.
-    fn flat(&mut self, first: [u8; 4]) -> Result<(), String> {
+    fn flat(&mut self, first: [u8; 4]) -> std::result::Result<(), String> {
         let (width, mut next, mut shift) = (self.size[0], first, 0);
         loop {
             match (next, self.scanline.last().copied()) {
@@ -132,7 +136,7 @@ fn cut_short(error: std::io::Error) -> String {
     }
 }
 
-fn line(reader: &mut impl BufRead) -> Result<String, String> {
+fn line(reader: &mut impl BufRead) -> std::result::Result<String, String> {
     let mut bytes = Vec::new();
     reader.take(LONGEST_LINE).read_until(b'\n', &mut bytes).map_err(cut_short)?;
     if bytes.pop() != Some(b'\n') {
@@ -141,7 +145,7 @@ fn line(reader: &mut impl BufRead) -> Result<String, String> {
     Ok(String::from_utf8_lossy(&bytes).trim_end().to_owned())
 }
 
-fn size(line: &str) -> Result<[usize; 2], String> {
+fn size(line: &str) -> std::result::Result<[usize; 2], String> {
     let words: Vec<&str> = line.split_whitespace().collect();
     let sides = match words[..] {
         ["-Y", height, "+X", width] => width.parse().ok().zip(height.parse().ok()),
@@ -161,9 +165,97 @@ fn decoded([r, g, b, exponent]: [u8; 4]) -> Vec3 {
     Vec3::new(f32::from(r), f32::from(g), f32::from(b)) * (f32::from(exponent) - 136.0).exp2()
 }
 
+impl EnvironmentMap {
+    /// Writes a Radiance HDR file, for programs that read no OpenEXR; `path` is created only when the file is complete.
+    ///
+    /// # Errors
+    /// [`Error::Run`] for a map of another size than its texels, or with a radiance that is negative, not finite or above
+    /// [`MAX_RADIANCE`](crate::light::MAX_RADIANCE); [`Error::Io`] if the file cannot be written.
+    pub fn write_hdr(&self, path: &Path) -> Result<()> {
+        let wrong = |problem: String| Error::run(format!("writing {}", path.display()), problem);
+        let (width, height) = (self.width as usize, self.height as usize);
+        if self.radiance.len() != width * height || self.radiance.is_empty() {
+            return Err(wrong(format!("{} texels do not fill {width} × {height}", self.radiance.len())));
+        }
+        validate_map(self).map_err(wrong)?;
+        let mut bytes =
+            format!("#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n").into_bytes();
+        for row in self.radiance.chunks_exact(width) {
+            let texels: Vec<[u8; 4]> = row.iter().map(|texel| encoded(*texel)).collect();
+            if (8..1 << 15).contains(&width) {
+                bytes.extend([2, 2, (width >> 8) as u8, width as u8]);
+                (0..4).for_each(|plane| push_plane(&mut bytes, texels.iter().map(|texel| texel[plane])));
+            } else {
+                bytes.extend(texels.as_flattened());
+            }
+        }
+        file::write_bytes(path, &bytes)
+    }
+}
+
+/// The nearest RGBE of a radiance; inverse of [`decoded`].
+fn encoded(radiance: Vec3) -> [u8; 4] {
+    let largest = f64::from(radiance.max_element());
+    if largest < f64::from(f32::MIN_POSITIVE) {
+        return [0; 4];
+    }
+    let mut exponent = largest.log2().floor() as i32 + 1;
+    // Rounding may need a ninth bit.
+    if (largest * f64::from(8 - exponent).exp2()).round() > 255.0 {
+        exponent += 1;
+    }
+    let mantissa = |x: f32| (f64::from(x) * f64::from(8 - exponent).exp2()).round() as u8;
+    let [r, g, b] = radiance.to_array().map(mantissa);
+    [r, g, b, (exponent + 128).clamp(1, 255) as u8]
+}
+
+/// Appends a byte of every texel, with runs of three and more as runs.
+fn push_plane(out: &mut Vec<u8>, plane: impl Iterator<Item = u8>) {
+    let plane: Vec<u8> = plane.collect();
+    let mut at = 0;
+    while at < plane.len() {
+        let run = plane[at..].iter().take(127).take_while(|byte| **byte == plane[at]).count();
+        if run >= 3 {
+            out.extend([128 + run as u8, plane[at]]);
+            at += run;
+            continue;
+        }
+        let alike = |at: usize| plane[at..].windows(3).next().is_some_and(|w| w[0] == w[1] && w[1] == w[2]);
+        let length = (at..plane.len()).take(128).take_while(|at| !alike(*at)).count();
+        out.push(length as u8);
+        out.extend(&plane[at..at + length]);
+        at += length;
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_written_map_comes_back_within_eight_bits() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("map.hdr");
+        for width in [6, 64, 300] {
+            let mut map = EnvironmentMap::from_directions(width, width / 2, |d| {
+                Vec3::new(d.x.max(0.0) * 1e3, (d.y * 9.0).exp(), 0.25 + d.z * d.z * 1e-3)
+            });
+            map.radiance[3] = Vec3::ZERO;
+            map.radiance[5] = Vec3::new(0.9999, 0.1, 0.0);
+            map.write_hdr(&path).unwrap();
+            let back = EnvironmentMap::read(&path).unwrap();
+            for (found, written) in back.radiance.iter().zip(&map.radiance) {
+                let error = (*found - *written).abs().max_element();
+                assert!(error <= written.max_element() / 255.0, "{found} {written}");
+            }
+        }
+        let flat = EnvironmentMap::from_directions(512, 256, |_| Vec3::new(0.5, 0.25, 1.0));
+        flat.write_hdr(&path).unwrap();
+        assert_eq!(EnvironmentMap::read(&path).unwrap(), flat);
+        assert!(std::fs::metadata(&path).unwrap().len() < 256 * 50, "runs are written as runs");
+        let bad = EnvironmentMap::from_directions(8, 4, |_| Vec3::splat(-1.0));
+        assert!(bad.write_hdr(&path).unwrap_err().to_string().contains("radiance"));
+    }
 
     fn picture(size: &str, data: &[u8]) -> Vec<u8> {
         let mut bytes = format!("#?RADIANCE\n# a comment\nFORMAT=32-bit_rle_rgbe\n\n{size}\n").into_bytes();
@@ -171,7 +263,7 @@ mod tests {
         bytes
     }
 
-    fn texels(bytes: &[u8]) -> Result<Vec<Vec3>, String> {
+    fn texels(bytes: &[u8]) -> std::result::Result<Vec<Vec3>, String> {
         let mut reader = RadianceReader::new(bytes)?;
         let mut all = Vec::new();
         for _ in 0..reader.size[1] {

@@ -7,11 +7,11 @@
 //! | [`image`] | PNG, JPEG, TIFF, WebP, EXR, HDR: headers, samples, linear images and masks | |
 //! | [`exr`], [`frame`], `exr_rows` | EXR layers | EXR layers, rendered frames |
 //! | [`png_file`], [`animation`] | | PNG; GIF, APNG, MP4 |
-//! | [`envmap`], `hdr` | EXR and Radiance HDR environment maps | EXR |
+//! | [`envmap`], `hdr` | EXR and Radiance HDR environment maps | the same |
 //! | [`npy`] | light lobes in both conventions; matrices | light lobes |
 //! | [`npz`] | archives of matrices | |
 //! | [`texture`] | images as texels of an atlas | |
-//! | [`gltf`], [`ply_obj`] | glTF meshes and materials | glTF; PLY, OBJ |
+//! | [`gltf`], [`ply_obj`], [`usd`] | glTF meshes and materials | glTF; PLY, OBJ; USDA, USDZ |
 //! | [`nearby`] | | suggestions for wrong file and view names |
 
 pub mod animation;
@@ -33,3 +33,4 @@ pub mod png_file;
 #[cfg(test)]
 pub(crate) mod test_data;
 pub mod texture;
+pub mod usd;

@@ -125,10 +125,22 @@ impl Lights<'_, '_> {
 /// For [`Slot::Light`](crate::pipeline::Slot::Light): selects the active light. With `by_map`, path tracing samples its map, if it has
 /// one; closed forms always use its lobes.
 pub fn provide_light(choice: LightChoice, by_map: bool) -> ScheduleConfigs<ScheduleSystem> {
+    provide_turned_light(choice, by_map, Quat::IDENTITY)
+}
+
+/// [`provide_light`], turned in the world: light from direction d comes from `turn * d`.
+pub fn provide_turned_light(
+    choice: LightChoice,
+    by_map: bool,
+    turn: Quat,
+) -> ScheduleConfigs<ScheduleSystem> {
     let system = move |lights: Lights, mut light: ResMut<IncidentLight>| -> SystemResult {
         let (lobes, map) = lights.of(&choice)?;
         let mut lobes_only: Vec<LightLobe> = lobes.iter().map(|(_, lobe)| *lobe).collect();
         (light.frame, light.turn) = lights.placed(&choice);
+        if turn != Quat::IDENTITY {
+            light.turn = Mat3::from_quat(turn) * light.turn;
+        }
         if light.turn != Mat3::IDENTITY {
             lobes_only = rotate_lobes(&lobes_only, Quat::from_mat3(&light.turn));
         }

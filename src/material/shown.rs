@@ -153,6 +153,26 @@ pub fn show_edited(name: impl Into<String>) -> ScheduleConfigs<ScheduleSystem> {
     system.run_if(recovered_changed.or_eager(edits_changed))
 }
 
+/// For [`Slot::Material`](crate::pipeline::Slot::Material): shows what [`show_edited`] does, or without a name [`show_recovered`], with
+/// `factors` applied to the whole object after it.
+pub fn show_scaled(
+    name: Option<String>,
+    factors: Vec<(EditTarget, EditAction)>,
+) -> ScheduleConfigs<ScheduleSystem> {
+    let system = move |composition: Composition, edits: Query<EditColumns>| {
+        let mut own: Vec<_> = edits.iter().filter(|(of, ..)| Some(&of.0) == name.as_ref()).collect();
+        own.sort_by_key(|(_, order, ..)| **order);
+        composition.compose(|state| {
+            for (.., target, action, region) in own {
+                apply_edit(state, *target, action, region)?;
+            }
+            let mut factors = factors.iter();
+            factors.try_for_each(|(target, action)| apply_edit(state, *target, action, &EditRegion(None)))
+        })
+    };
+    system.run_if(recovered_changed.or_eager(edits_changed))
+}
+
 /// The components of an edit.
 type EditColumns =
     (&'static EditName, &'static EditOrder, &'static EditTarget, &'static EditAction, &'static EditRegion);

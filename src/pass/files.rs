@@ -3,12 +3,13 @@
 use crate::codec::file::FileUse;
 use crate::fit::cameras::CameraUnknowns;
 use crate::pass::evaluate::PARTS;
+use crate::pass::export;
 use crate::pass::fit::TRUE_ENVIRONMENT;
 use crate::pass::photograph::ring;
-use crate::pass::render::{FILM_MP4, chosen_stems, film_name};
+use crate::pass::render::{chosen_stems, film_files};
 use crate::pass::view::PAGE;
 use crate::scene::load::LoadedScene;
-use crate::scene::{EvaluatePass, ExportPass, Light, LightSource, MeshFormat, Pass, Scene, Views};
+use crate::scene::{EvaluatePass, Light, LightSource, Pass, Scene, Views};
 use crate::scene::{LayerTruth, Truth};
 use crate::spawn::light_file::inlined;
 use crate::survey::open::OpenScene;
@@ -43,7 +44,7 @@ pub fn outputs(scene: &Scene, open: Option<&OpenScene>, debug_every: Option<u32>
             Pass::Render(_) | Pass::Edit(_) | Pass::Relight(_) => of_pictures(pass, &views),
             Pass::Evaluate(evaluate) => of_scores(scene, evaluate, &views),
             Pass::Save(_) => of_save(scene),
-            Pass::Export(export) => of_export(export),
+            Pass::Export(export) => export::files(export),
             Pass::View(_) => vec![PAGE.to_owned()],
         };
         let files = names.iter().map(|name| format!("{}/{name}", pass.name())).collect();
@@ -96,7 +97,7 @@ fn of_pictures(pass: &Pass, views: &[(&str, Split)]) -> Vec<String> {
     let Some(settings) = pass.render() else { return Vec::new() };
     let stems = chosen_stems(views, settings).into_iter();
     let pictures = stems.flat_map(|(_, stem)| [format!("{stem}.exr"), format!("{stem}.png")]);
-    let film = settings.orbit.iter().flat_map(|orbit| [film_name(orbit.format), FILM_MP4.to_owned()]);
+    let film = settings.orbit.iter().flat_map(|orbit| film_files(orbit.format));
     pictures.chain(film).collect()
 }
 
@@ -123,15 +124,6 @@ fn of_save(scene: &Scene) -> Vec<String> {
         }
     }
     names
-}
-
-fn of_export(pass: &ExportPass) -> Vec<String> {
-    let of_format = |format: &MeshFormat| match format {
-        MeshFormat::Glb => owned(&["mesh.glb"]),
-        MeshFormat::Ply => owned(&["mesh.ply"]),
-        MeshFormat::Obj => owned(&["mesh.obj", "mesh.mtl", "mesh_albedo.png"]),
-    };
-    pass.formats.iter().flat_map(of_format).collect()
 }
 
 /// The lights that a scene names.

@@ -8,7 +8,7 @@
 //! | `Render`, `Edit`, `Relight` | [`render`] | an EXR with layers and a PNG per view, the animation of an orbit |
 //! | `Evaluate` | [`evaluate`] | a contact sheet, and a folder per scored pass with small pictures of its views; scores go to `OUT/metrics.json` |
 //! | `Save` | [`save`] | `scene.ron` with side files |
-//! | `Export` | [`export`] | `mesh.glb`, `mesh.ply`, `mesh.obj` with `mesh.mtl` and `mesh_albedo.png` |
+//! | `Export` | [`export`] | `mesh.glb`, `mesh.ply`, `mesh.obj`, `mesh.usda`, `mesh.usdz` with their textures; the light as `.hdr`; a page |
 //! | `View` | [`view`] | `view.html` |
 //!
 //! `resume` keeps checkpoints in `OUT/.checkpoint`, and takes a run up where it was.
@@ -21,6 +21,7 @@ pub mod edit;
 pub mod evaluate;
 pub mod export;
 pub mod files;
+mod film;
 pub mod fit;
 mod found_views;
 pub mod inspect;

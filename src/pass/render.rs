@@ -3,10 +3,11 @@
 use crate::codec::animation::{Film, Mp4, write_apng, write_gif, write_mp4};
 use crate::codec::file::file_stems;
 use crate::codec::frame::{Frame, write_frame_rows};
-use crate::error::Result;
 use crate::error::stop::check_interrupted;
+use crate::error::{Error, Result};
 use crate::light::lights::IncidentLight;
 use crate::math::ray::Illuminate;
+use crate::pass::film;
 use crate::pass::session::Session;
 use crate::pass::shading::camera_rays;
 use crate::pass::show::show;
@@ -14,7 +15,6 @@ use crate::pipeline::Pipeline;
 use crate::report::tone::{Backdrop, Look, Picture, write_png_rows};
 use crate::scene::{Orbit, OrbitFormat, Pass, RenderSettings, ViewChoice};
 use crate::shade::frame::{band_rows, render_bands};
-use crate::view::camera;
 use crate::view::camera::Camera;
 use crate::view::{Split, ViewName};
 use bevy_ecs::prelude::{Entity, World};
@@ -26,7 +26,9 @@ use std::path::Path;
 /// Stem of the files of a film.
 const FILM: &str = "orbit";
 /// The film as a video, where there is a program that makes one.
-pub const FILM_MP4: &str = "orbit.mp4";
+const FILM_MP4: &str = "orbit.mp4";
+/// The folder of a film's frames, where they stay.
+const FRAMES: &str = "orbit_frames";
 
 /// Runs one of the three passes.
 ///
@@ -34,13 +36,14 @@ pub const FILM_MP4: &str = "orbit.mp4";
 /// If an edit's image cannot be read, a system fails, or a picture cannot be written.
 pub fn run(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> Result<()> {
     show(session, pass, settings)?;
-    render_all(session, pass.name(), settings)
+    render_all(session, pass, settings)
 }
 
-fn render_all(session: &mut Session, name: &str, settings: &RenderSettings) -> Result<()> {
+fn render_all(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> Result<()> {
+    let name = pass.name();
     let folder = session.folder(name);
     let views = chosen_views(&mut session.pipeline.world, settings);
-    let orbit = settings.orbit.as_ref().map(|orbit| orbit_cameras(session, orbit)).transpose()?;
+    let orbit = settings.orbit.as_ref().map(|orbit| film::cameras(session, orbit)).transpose()?;
     let frames = orbit.as_ref().map_or(0, Vec::len);
     let bar = session.progress.bar(name, (views.len() + frames) as u64);
     for view in &views {
@@ -49,9 +52,13 @@ fn render_all(session: &mut Session, name: &str, settings: &RenderSettings) -> R
         bar.inc(1);
     }
     if let (Some(orbit), Some(cameras)) = (&settings.orbit, &orbit) {
-        let mut film = Film::new(&folder)?;
-        for camera in cameras {
+        let mut film = match orbit.format {
+            OrbitFormat::Mp4 => Film::kept(folder.join(FRAMES)),
+            OrbitFormat::Gif | OrbitFormat::Apng => Film::new(&folder)?,
+        };
+        for (frame, camera) in (0..).zip(cameras) {
             check_interrupted()?;
+            film::show_moment(session, pass, settings, (orbit, frame));
             film.push(&film_frame(&mut session.pipeline, *camera, settings)?)?;
             bar.inc(1);
         }
@@ -178,39 +185,31 @@ fn backdrop(world: &World, camera: &Camera, first_row: u32, rows: u32) -> Vec<Ve
         .collect()
 }
 
-fn orbit_cameras(session: &Session, orbit: &Orbit) -> Result<Vec<Camera>> {
-    let (center, radius) = session.surface.bounding_sphere();
-    // A tenth more than the smallest distance at which the object fits.
-    let fitting = 1.1 * radius / (orbit.fov_degrees.to_radians() / 2.0).sin();
-    Camera::orbit(&camera::Orbit {
-        target: center,
-        radius: orbit.radius.unwrap_or(fitting),
-        elevation_degrees: orbit.elevation_degrees,
-        frames: orbit.frames,
-        up: session.scene.up,
-        vertical_fov_degrees: orbit.fov_degrees,
-        width: orbit.size,
-        height: orbit.size,
-        ..Default::default()
-    })
-}
-
-/// The file of a film.
-pub fn film_name(format: OrbitFormat) -> String {
+/// The files of a film; one that ends with `/` is a folder.
+pub fn film_files(format: OrbitFormat) -> Vec<String> {
     match format {
-        OrbitFormat::Gif => format!("{FILM}.gif"),
-        OrbitFormat::Apng => format!("{FILM}.png"),
+        OrbitFormat::Gif => vec![format!("{FILM}.gif"), FILM_MP4.to_owned()],
+        OrbitFormat::Apng => vec![format!("{FILM}.png"), FILM_MP4.to_owned()],
+        OrbitFormat::Mp4 => vec![FILM_MP4.to_owned(), format!("{FRAMES}/")],
     }
 }
 
 fn write_film(session: &Session, folder: &Path, orbit: &Orbit, film: &Film) -> Result<()> {
-    let (fps, path) = (orbit.fps as f32, folder.join(film_name(orbit.format)));
+    let (fps, path) = (orbit.fps as f32, |ending: &str| folder.join(format!("{FILM}.{ending}")));
     match orbit.format {
-        OrbitFormat::Gif => write_gif(path, film, fps)?,
-        OrbitFormat::Apng => write_apng(path, film, fps)?,
+        OrbitFormat::Gif => write_gif(path("gif"), film, fps)?,
+        OrbitFormat::Apng => write_apng(path("png"), film, fps)?,
+        OrbitFormat::Mp4 => {}
     }
-    if write_mp4(folder.join(FILM_MP4), film, fps)? == Mp4::NoFfmpeg {
-        session.progress.note("no ffmpeg on the PATH, so there is no orbit.mp4");
+    match (write_mp4(folder.join(FILM_MP4), film, fps)?, orbit.format) {
+        (Mp4::NoFfmpeg, OrbitFormat::Mp4) => {
+            let problem = format!("no ffmpeg on the PATH any more; the frames are in {FRAMES}/");
+            Err(Error::run(format!("writing {}", folder.join(FILM_MP4).display()), problem))
+        }
+        (Mp4::NoFfmpeg, _) => {
+            session.progress.note("no ffmpeg on the PATH, so there is no orbit.mp4");
+            Ok(())
+        }
+        (Mp4::Written, _) => Ok(()),
     }
-    Ok(())
 }

@@ -41,18 +41,23 @@ fn show_material(session: &mut Session, pass: &Pass) -> Result<()> {
 
 /// Swaps in the light of a pass: its own, or the light of the scene.
 fn show_light(session: &mut Session, pass: &Pass, shading: Shading) {
+    if let Some(light) = session.lights.of_passes.get(pass.name()) {
+        spawn_light(&mut session.pipeline.world, pass.name(), &light.lobes, light.map.clone());
+    }
+    let (choice, by_map) = chosen_light(session, pass, shading);
+    session.pipeline.swap(Phase::Frame, Slot::Light, provide_light(choice, by_map));
+}
+
+/// The light of a pass, and whether path tracing takes its map.
+pub(super) fn chosen_light(session: &Session, pass: &Pass, shading: Shading) -> (LightChoice, bool) {
     let by_map = matches!(shading, Shading::PathTraced { map: true, .. });
     let choice = match session.lights.of_passes.get(pass.name()) {
-        Some(light) => {
-            let (name, map) = (pass.name().to_owned(), light.map.clone());
-            spawn_light(&mut session.pipeline.world, name.clone(), &light.lobes, map);
-            LightChoice::Named(name)
-        }
+        Some(_) => LightChoice::Named(pass.name().to_owned()),
         None => LightChoice::Own,
     };
     // After a fit the lobes may differ from the map that they were initialized from.
     let by_map = by_map && (choice != LightChoice::Own || matches!(session.scene.light, Light::Fixed(_)));
-    session.pipeline.swap(Phase::Frame, Slot::Light, provide_light(choice, by_map));
+    (choice, by_map)
 }
 
 /// The shown material of the pass `of`, or the recovered one.

@@ -31,11 +31,52 @@ pub struct ExportPass {
     /// Write about this many triangles ≥ 4 instead of all, closed where the surface is, with new texture coordinates and the albedo
     /// carried over. Sharp edges become smoothly shaded. Default: all triangles, as they are.
     pub triangles: Option<u32>,
+    /// Which way is up in the files; the light is turned with the object. Default `Data`.
+    pub up: ExportUp,
+    /// Put the middle of the object's box at the origin. Default false.
+    pub center: bool,
+    /// Size of the object in the files. Default `Factor(1)`.
+    pub scale: ExportScale,
+}
+
+/// Which axis of an exported object is up. In the data, that is the scene's `up`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ExportUp {
+    /// The axes of the data.
+    #[default]
+    Data,
+    /// +Y, as glTF has it.
+    Y,
+    /// +Z, for programs that take coordinates as they are and have +Z up.
+    Z,
+}
+
+/// How large an exported object is.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum ExportScale {
+    /// Lengths of the data times this, > 0. glTF counts in meters.
+    Factor(f32),
+    /// The longest side of the object's box is this long, > 0.
+    Size(f32),
+}
+
+impl Default for ExportScale {
+    fn default() -> Self {
+        Self::Factor(1.0)
+    }
 }
 
 impl Default for ExportPass {
     fn default() -> Self {
-        Self { name: "export".into(), of: None, formats: vec![MeshFormat::Glb], triangles: None }
+        Self {
+            name: "export".into(),
+            of: None,
+            formats: vec![MeshFormat::Glb],
+            triangles: None,
+            up: ExportUp::Data,
+            center: false,
+            scale: ExportScale::Factor(1.0),
+        }
     }
 }
 
@@ -59,10 +100,15 @@ impl Default for ViewPass {
 /// A file that a mesh is written to.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum MeshFormat {
-    /// `mesh.glb`: binary glTF with textures, roughness and reflectance.
+    /// `mesh.glb`: binary glTF with textures, roughness and reflectance; the light as `light.hdr` and `light_blender.hdr`; and a page for
+    /// browsers, `model-viewer.html`.
     Glb,
     /// `mesh.ply`: binary, with normals and the albedo as vertex colours.
     Ply,
     /// `mesh.obj` with `mesh.mtl` and `mesh_albedo.png`.
     Obj,
+    /// `mesh.usda`: USD as text, with textures and the light beside it.
+    Usda,
+    /// `mesh.usdz`: USD with its textures in one file; the light lies beside it.
+    Usdz,
 }

@@ -2,6 +2,7 @@
 
 use crate::math::accurate::Quality;
 use crate::report::tone::Tone;
+use crate::scene::film::{LightSweep, MaterialSweep, OrbitKey};
 use serde::{Deserialize, Serialize};
 
 /// Which pictures are rendered, and how.
@@ -96,6 +97,12 @@ pub struct Orbit {
     pub fps: u32,
     /// What the film is written as, besides an MP4 where `ffmpeg` is on the PATH. Default `Gif`.
     pub format: OrbitFormat,
+    /// Where the camera is over time, in the order of time, instead of one even turn at one height and distance. Default [].
+    pub keys: Vec<OrbitKey>,
+    /// The light turns over the frames. Default: it stands still.
+    pub light: Option<LightSweep>,
+    /// The material changes over the frames. Default: it stays as it is.
+    pub material: Option<MaterialSweep>,
 }
 
 impl Default for Orbit {
@@ -108,6 +115,9 @@ impl Default for Orbit {
             size: 256,
             fps: 20,
             format: OrbitFormat::Gif,
+            keys: Vec::new(),
+            light: None,
+            material: None,
         }
     }
 }
@@ -120,6 +130,8 @@ pub enum OrbitFormat {
     Gif,
     /// All colours.
     Apng,
+    /// H.264 only, by the `ffmpeg` on the PATH, which must be there; the frames stay as PNG files in `orbit_frames/`.
+    Mp4,
 }
 
 fn spp() -> u32 {

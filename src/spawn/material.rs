@@ -1,12 +1,11 @@
 //! The material that a scene describes: what a fit starts from, or what is known.
 
-use crate::codec::gltf::material::{diffuse_share, read_material};
+use crate::codec::gltf::material::read_material;
 use crate::codec::texture;
 use crate::error::Result;
 use crate::fit::roughness::texel::{BASE_ROUGHNESSES, TexelRoughness};
 use crate::material::DiffuseSheen;
 use crate::material::{SpecularBlend, SpecularLobe};
-use crate::math::brdf::Ndf;
 use crate::mesh::Surface;
 use crate::scene::validate::MIN_ROUGHNESS;
 use crate::scene::{Albedo, AlbedoSource, Gloss, Roughness, Sheen, Specular, SpecularAlbedo};
@@ -88,18 +87,19 @@ pub fn initial_specular(specular: &Specular) -> SpecularLobe {
     }
 }
 
-/// The material of a mesh file, with what glTF dims by 1 − F taken off the base colour.
+/// The material of a mesh file, with what glTF's lobe leaves of the base color as albedo.
 pub(super) fn own_material(path: &Path, surface: &Surface) -> Result<(Vec<Vec3>, SpecularLobe)> {
     let material = read_material(path)?;
-    let albedo = material.specular_albedo();
-    let factor = material.base_color * diffuse_share(albedo);
+    let roughness = material.roughness.clamp(MIN_ROUGHNESS, 1.0);
+    // As this project writes it: a file made by other programs means GGX, but does not say what wrote it.
+    let lobe = SpecularLobe::new(Vec3::ONE, roughness);
+    let albedo = material.specular_albedo(&lobe);
+    let factor = material.base_color * material.diffuse_share(roughness);
     let (width, height) = (surface.atlas().width, surface.atlas().height);
     let mut texels = match &material.base_color_image {
         Some(bytes) => texture::decode_texture(path, bytes, width, height)?,
         None => vec![Vec3::ONE; (width * height) as usize],
     };
     texels.iter_mut().for_each(|texel| *texel *= factor);
-    let roughness = material.roughness.clamp(MIN_ROUGHNESS, 1.0);
-    // As this project writes it: a file made by other programs means GGX, but does not say what wrote it.
-    Ok((texels, SpecularLobe { albedo, roughness, ndf: Ndf::default() }))
+    Ok((texels, SpecularLobe { albedo, ..lobe }))
 }

@@ -11,6 +11,7 @@
 //! | [`accurate`], [`published`] | the formulas of the closed forms: one point × one lobe |
 //! | [`model`] | the interface between a closed form and the slice kernels |
 //! | [`columns`], [`lighting`], [`sample`] | inputs and outputs of the slice kernels |
+//! | [`reflectance`] | what the specular parts of this BRDF and of glTF's reflect in all |
 //! | [`brdf`], [`sg`], [`lobe`], [`dual`], [`ray`], [`color`], [`fibonacci`] | shared terms |
 //! | [`lanes`], [`real`] | numbers: scalars and SIMD vectors |
 
@@ -27,6 +28,7 @@ pub mod model;
 pub mod published;
 pub mod ray;
 pub mod real;
+pub mod reflectance;
 pub mod sample;
 pub mod sg;
 pub mod shading;

@@ -61,8 +61,8 @@ fn check(mesh: &Mesh, material: Option<&GltfMaterial>) -> std::result::Result<()
         return Err("a position, normal or texture coordinate is not finite".to_owned());
     }
     let Some(material) = material else { return Ok(()) };
-    let textured = material.base_color_image.is_some() || material.roughness_image.is_some();
-    if textured && mesh.uvs.is_none() {
+    let images = [&material.base_color_image, &material.roughness_image, &material.specular_image];
+    if images.iter().any(|image| image.is_some()) && mesh.uvs.is_none() {
         return Err("a texture needs texture coordinates".to_owned());
     }
     let scalars = [material.roughness, material.specular, material.ior];
@@ -140,33 +140,37 @@ fn add_material(root: &mut Value, binary: &mut Binary, material: &GltfMaterial) 
         "metallicFactor": 0.0,
         "roughnessFactor": material.roughness,
     });
-    let textures = [
-        ("baseColorTexture", &material.base_color_image),
-        ("metallicRoughnessTexture", &material.roughness_image),
-    ];
-    let (mut images, mut sources) = (Vec::new(), Vec::new());
-    for (name, png) in textures.into_iter().filter_map(|(name, png)| Some((name, png.as_ref()?))) {
-        let view = binary.add_view(png.iter().copied(), None);
-        metallic_roughness[name] = json!({"index": images.len()});
-        sources.push(json!({"source": images.len(), "sampler": 0}));
-        images.push(json!({"bufferView": view, "mimeType": "image/png"}));
+    let mut specular = json!({
+        "specularFactor": material.specular,
+        "specularColorFactor": material.specular_color.to_array(),
+    });
+    let mut textures = Vec::new();
+    let mut texture = |binary: &mut Binary, png: &[u8]| {
+        textures.push(binary.add_view(png.iter().copied(), None));
+        json!({"index": textures.len() - 1})
+    };
+    if let Some(png) = &material.base_color_image {
+        metallic_roughness["baseColorTexture"] = texture(binary, png);
     }
-    if !images.is_empty() {
+    if let Some(png) = &material.roughness_image {
+        metallic_roughness["metallicRoughnessTexture"] = texture(binary, png);
+    }
+    if let Some(png) = &material.specular_image {
+        specular["specularColorTexture"] = texture(binary, png);
+        specular["specularTexture"] = specular["specularColorTexture"].clone();
+    }
+    if !textures.is_empty() {
         // Linear filtering, clamped at the borders, as for texels in this crate.
         root["samplers"] = json!([{"magFilter": 9729, "minFilter": 9729, "wrapS": 33071, "wrapT": 33071}]);
-        root["images"] = json!(images);
-        root["textures"] = json!(sources);
+        let image = |view: &usize| json!({"bufferView": view, "mimeType": "image/png"});
+        root["images"] = textures.iter().map(image).collect();
+        root["textures"] =
+            (0..textures.len()).map(|source| json!({"source": source, "sampler": 0})).collect();
     }
     root["materials"] = json!([{
         "name": material.name,
         "pbrMetallicRoughness": metallic_roughness,
-        "extensions": {
-            "KHR_materials_specular": {
-                "specularFactor": material.specular,
-                "specularColorFactor": material.specular_color.to_array(),
-            },
-            "KHR_materials_ior": {"ior": material.ior},
-        },
+        "extensions": {"KHR_materials_specular": specular, "KHR_materials_ior": {"ior": material.ior}},
     }]);
     root["extensionsUsed"] = json!(["KHR_materials_specular", "KHR_materials_ior"]);
 }

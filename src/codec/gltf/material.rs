@@ -1,19 +1,22 @@
 //! Conversion between glTF materials and the BRDF of this crate.
 //!
-//! A dielectric in glTF is a diffuse base color times 1 − F plus a GGX lobe with Schlick's F and reflectance F0; here the
-//! diffuse part has no factor 1 − F. With m the largest channel of the specular albedo s:
+//! A dielectric in glTF is a GGX lobe with Schlick's F from F0 to F90, and what it leaves of a diffuse base color; here the diffuse part
+//! is not dimmed, and the lobe has another F and G. [`dielectric`](crate::codec::gltf::dielectric) finds F0 and F90 whose lobe reflects as
+//! much at all angles. With r the largest channel of F0/F90:
 //!
 //! | glTF | value | lost |
 //! | --- | --- | --- |
-//! | base color | min(1, a / (1 − F̄)), F̄ = m + (1 − m)/21, the mean of F over the hemisphere | an albedo above 1 − F̄ is clamped to it; the falloff toward grazing angles differs |
+//! | base color | min(1, a / d), d the mean over the hemisphere of what the lobe leaves | an albedo above d is clamped to it; the falloff toward grazing angles differs |
 //! | `metallicFactor` | 0 | |
 //! | `roughnessFactor` | R | D is an SG here and GGX in glTF: the same peak, a longer tail |
-//! | `KHR_materials_ior` | (1 + √m) / (1 − √m), m at most 0.99 | |
-//! | `KHR_materials_specular` | factor 1, color s/m | |
+//! | `KHR_materials_ior` | (1 + √r) / (1 − √r), r at most 0.99 | |
+//! | `KHR_materials_specular` | factor F90, color F0 / (F90 r) | |
 //!
 //! Reading inverts this: a material that was written is read back, except for the clamping and the eight bits of the texture.
 
+use crate::codec::gltf::dielectric::{Dielectric, GltfReflectance, LobeReflectance};
 use crate::codec::gltf::file::GltfFile;
+use crate::material::SpecularLobe;
 use crate::{Error, Result};
 use glam::Vec3;
 use gltf::json::{Index, Material};
@@ -36,6 +39,8 @@ pub struct GltfMaterial {
     pub specular: f32,
     /// `specularColorFactor` of `KHR_materials_specular`, linear RGB ≥ 0.
     pub specular_color: Vec3,
+    /// A PNG with factors on `specular_color` in its colors (sRGB) and on `specular` in its alpha. Not read back.
+    pub specular_image: Option<Vec<u8>>,
     /// Index of refraction of `KHR_materials_ior`, ≥ 1 (1.5 is glTF's default, a reflectance of 0.04).
     pub ior: f32,
 }
@@ -51,41 +56,47 @@ impl Default for GltfMaterial {
             roughness_image: None,
             specular: 1.0,
             specular_color: Vec3::ONE,
+            specular_image: None,
             ior: 1.5,
         }
     }
 }
 
-/// Largest reflectance; 1 needs an infinite index of refraction.
-const MAX_REFLECTANCE: f32 = 0.99;
+/// Largest ratio of F0 and F90; 1 needs an infinite index of refraction.
+const MAX_RATIO: f32 = 0.99;
 
 impl GltfMaterial {
-    /// The specular lobe as a glTF material with a white base color.
-    pub fn of_lobe(specular_albedo: Vec3, roughness: f32) -> Self {
-        let strongest = strongest(specular_albedo);
+    /// A dielectric as a glTF material with a white base color.
+    pub fn of_dielectric(found: &Dielectric, roughness: f32) -> Self {
+        let Dielectric { f0, f90, .. } = *found;
+        let ratio = if f90 > 0.0 { f0 / f90 } else { Vec3::ZERO };
+        let strongest = ratio.max_element().clamp(0.0, MAX_RATIO);
         let root = strongest.sqrt();
         Self {
             roughness,
+            specular: f90,
             ior: (1.0 + root) / (1.0 - root),
-            specular_color: if strongest > 0.0 { specular_albedo / strongest } else { Vec3::ONE },
+            specular_color: if strongest > 0.0 { ratio / strongest } else { Vec3::ONE },
             ..Self::default()
         }
     }
 
     /// F0, linear RGB in `[0, 1]`.
-    pub fn specular_albedo(&self) -> Vec3 {
+    pub fn f0(&self) -> Vec3 {
         let root = (self.ior - 1.0) / (self.ior + 1.0);
         (self.specular_color * root * root).min(Vec3::ONE) * self.specular
     }
-}
 
-/// The factor on diffuse light in glTF, 1 − F̄: the mean of Schlick's 1 − F over the hemisphere, in the strongest channel.
-pub fn diffuse_share(specular_albedo: Vec3) -> f32 {
-    (1.0 - strongest(specular_albedo)) * (20.0 / 21.0)
-}
+    /// The specular albedo with which `lobe` reflects as much, whatever its own is.
+    pub fn specular_albedo(&self, lobe: &SpecularLobe) -> Vec3 {
+        let reflectance = GltfReflectance::of(lobe.roughness);
+        reflectance.specular_albedo(self.f0(), self.specular, &LobeReflectance::of(lobe))
+    }
 
-fn strongest(specular_albedo: Vec3) -> f32 {
-    specular_albedo.max_element().clamp(0.0, MAX_REFLECTANCE)
+    /// The part of diffuse light that the specular part leaves.
+    pub fn diffuse_share(&self, roughness: f32) -> f32 {
+        GltfReflectance::of(roughness).diffuse_share(self.f0(), self.specular)
+    }
 }
 
 /// Reads the one material that all primitives of a `.glb` or `.gltf` file have.
@@ -121,6 +132,7 @@ pub fn read_material(path: &Path) -> Result<GltfMaterial> {
         specular: specular.map_or(default.specular, |s| s.specular_factor.0.clamp(0.0, 1.0)),
         specular_color: specular
             .map_or(default.specular_color, |s| Vec3::from(s.specular_color_factor.0).max(Vec3::ZERO)),
+        specular_image: None,
         ior: ior.map_or(default.ior, |ior| ior.ior.0.max(1.0)),
     };
     let numbers = [read.roughness, read.specular, read.ior].iter().all(|x| x.is_finite());
@@ -164,6 +176,7 @@ fn beyond_words(file: &GltfFile, material: &Material) -> Option<&'static str> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::codec::gltf::dielectric::dielectric_of;
     use crate::codec::gltf::export::write_glb;
     use crate::mesh::primitive::box_mesh;
 
@@ -172,26 +185,33 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("mesh.glb");
         let mesh = box_mesh(Vec3::ZERO, Vec3::ONE).unwrap();
-        for specular in [Vec3::new(0.3, 0.2, 0.05), Vec3::splat(0.04), Vec3::ZERO, Vec3::new(1.0, 0.9, 0.0)] {
+        for specular in [Vec3::new(0.3, 0.2, 0.05), Vec3::splat(0.04), Vec3::new(0.9, 0.5, 0.1)] {
+            let lobe = SpecularLobe::new(specular, 0.35);
+            let found = dielectric_of(&lobe);
             let written = GltfMaterial {
                 base_color: Vec3::new(0.1, 0.7, 1.0),
                 base_color_image: Some(vec![1, 2, 3]),
-                ..GltfMaterial::of_lobe(specular, 0.35)
+                ..GltfMaterial::of_dielectric(&found, 0.35)
             };
             write_glb(&path, &mesh, Some(&written)).unwrap();
             let read = read_material(&path).unwrap();
             assert_eq!(read, written);
-            assert!(read.specular_albedo().distance(specular) < 2e-6, "{specular} {read:?}");
-            assert!((diffuse_share(read.specular_albedo()) - diffuse_share(specular)).abs() < 1e-5);
+            assert!(read.f0().distance(found.f0) < 2e-6, "{specular} {read:?}");
+            assert!(read.specular_albedo(&lobe).distance(specular) < 2e-3, "{specular} {read:?}");
+            assert!((read.diffuse_share(0.35) - found.diffuse_share).abs() < 1e-5);
         }
     }
 
     #[test]
     fn four_percent_is_the_default_dielectric() {
-        let material = GltfMaterial::of_lobe(Vec3::splat(0.04), 0.5);
+        let usual = Dielectric { f0: Vec3::splat(0.04), f90: 1.0, diffuse_share: 1.0 };
+        let material = GltfMaterial::of_dielectric(&usual, 0.5);
         assert!((material.ior - 1.5).abs() < 1e-6 && material.specular_color == Vec3::ONE);
-        // The mean of (1 − 0.04)(1 − (1 − c)⁵) weighted by 2c over c in [0, 1].
-        assert!((diffuse_share(Vec3::splat(0.04)) - 0.96 * 20.0 / 21.0).abs() < 1e-6);
+        // A mirror leaves the mean of (1 − 0.04)(1 − (1 − c)⁵) weighted by 2c over c in [0, 1].
+        assert!((material.diffuse_share(0.02) - 0.96 * 20.0 / 21.0).abs() < 3e-3);
+        let black = Dielectric { f0: Vec3::ZERO, f90: 0.0, diffuse_share: 1.0 };
+        let material = GltfMaterial::of_dielectric(&black, 0.5);
+        assert_eq!((material.f0(), material.specular, material.diffuse_share(0.5)), (Vec3::ZERO, 0.0, 1.0));
     }
 
     #[test]

@@ -1,5 +1,6 @@
 //! Reading and writing of glTF 2.0: triangle meshes and their material.
 
+pub mod dielectric;
 pub mod export;
 mod file;
 pub mod import;

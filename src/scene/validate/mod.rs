@@ -3,6 +3,7 @@
 //! What the types already rule out is not repeated here, and files are looked for in [`crate::scene::paths`].
 
 mod checks;
+mod film;
 mod light;
 pub mod passes;
 

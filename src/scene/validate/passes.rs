@@ -8,7 +8,7 @@ use crate::scene::evaluate::{EvaluatePass, LayerTruth, Truth};
 use crate::scene::fit::{FitPass, FitShading, ShapePass};
 use crate::scene::light::Light;
 use crate::scene::material::{Albedo, Gloss, Roughness, SpecularAlbedo};
-use crate::scene::output::ExportPass;
+use crate::scene::output::{ExportPass, ExportScale};
 use crate::scene::passes::{EditPass, Pass, RelightPass};
 use crate::scene::render::{Orbit, RenderSettings, Shading, ViewChoice};
 use crate::scene::surface::Surface;
@@ -192,8 +192,15 @@ fn fit(checks: &mut Checks, at: &str, fit: &FitPass, scene: &Scene) {
 fn export(checks: &mut Checks, at: &str, export: &ExportPass) {
     if export.formats.is_empty() {
         let path = format!("{at}.formats");
-        checks.fail(&path, "there is no format", "expected some of `Glb`, `Ply` and `Obj`", "");
+        checks.fail(
+            &path,
+            "there is no format",
+            "expected some of `Glb`, `Ply`, `Obj`, `Usda` and `Usdz`",
+            "",
+        );
     }
+    let (ExportScale::Factor(scale) | ExportScale::Size(scale)) = export.scale;
+    checks.positive(&format!("{at}.scale"), scale);
     if let Some(triangles) = export.triangles {
         checks.count(&format!("{at}.triangles"), triangles, 4..=u32::MAX);
     }
@@ -301,6 +308,7 @@ fn orbit(checks: &mut Checks, at: &str, orbit: &Orbit) {
     checks.fov(&path("fov_degrees"), orbit.fov_degrees);
     checks.pixels(&path("size"), orbit.size);
     checks.count(&path("fps"), orbit.fps, 1..=100);
+    super::film::film(checks, at, orbit);
 }
 
 fn evaluate(checks: &mut Checks, at: &str, evaluate: &EvaluatePass, scene: &Scene, earlier: &[Pass]) {

@@ -1,0 +1,119 @@
+//! Films: what changes over their frames, and what an MP4 needs.
+
+use crate::common::{Data, Outcome, command, files_below};
+use image::RgbImage;
+use std::path::Path;
+
+/// A gray sphere under a lamp at the side; `{ORBIT}` is filled in.
+const SCENE: &str = r#"Scene(
+    version: 1,
+    surface: Sphere(texture_size: 16),
+    views: Cameras([(name: "a", eye: (0, 0, 3), width: 16, height: 16)]),
+    light: Fixed(Lobes(lobes: [(axis: (1, 0.2, 0.5), sharpness: 4, amplitude: (1, 1, 1))])),
+    material: (albedo: Fixed(Constant(0.5, 0.5, 0.5)), specular: (albedo: Fixed(0.1, 0.1, 0.1), roughness: Fixed(0.3))),
+    passes: [Render(name: "film", render: (views: Named([]), orbit: (frames: 4, size: 48, format: Mp4, {ORBIT})))],
+)"#;
+
+/// Runs the scene with the programs of a folder on the PATH.
+fn run(data: &Data, orbit: &str, out: &str, path: &str) -> Outcome {
+    let scene = data.path("scene.ron");
+    std::fs::write(&scene, SCENE.replace("{ORBIT}", orbit)).unwrap();
+    let mut program = command(&["run", "--quiet"]);
+    Outcome::of(program.arg(&scene).arg("--out").arg(data.path(out)).env("PATH", path))
+}
+
+/// A folder with an `ffmpeg` that stores what it is fed as its last argument.
+#[cfg(unix)]
+fn stand_in(data: &Data) -> String {
+    use std::os::unix::fs::PermissionsExt;
+    let folder = data.path("programs");
+    std::fs::create_dir_all(&folder).unwrap();
+    let script =
+        "#!/bin/sh\nif [ \"$1\" = -version ]; then exit 0; fi\nfor last; do :; done\ncat > \"$last\"\n";
+    std::fs::write(folder.join("ffmpeg"), script).unwrap();
+    std::fs::set_permissions(folder.join("ffmpeg"), PermissionsExt::from_mode(0o755)).unwrap();
+    format!("{}:/usr/bin:/bin", folder.display())
+}
+
+fn frames(folder: &Path) -> Vec<RgbImage> {
+    let frame = |i| image::open(folder.join(format!("orbit_frames/{i:06}.png"))).unwrap().into_rgb8();
+    (0..4).map(frame).collect()
+}
+
+/// Mean difference of two frames, in steps of 8 bits.
+fn difference(a: &RgbImage, b: &RgbImage) -> f64 {
+    let sum: u64 = a.as_raw().iter().zip(b.as_raw()).map(|(a, b)| u64::from(a.abs_diff(*b))).sum();
+    sum as f64 / a.as_raw().len() as f64
+}
+
+#[cfg(unix)]
+#[test]
+fn the_light_may_go_with_the_camera_and_the_frames_stay() {
+    let data = Data::new();
+    let path = stand_in(&data);
+    run(&data, "", "still", &path).succeeded();
+    let files = files_below(&data.path("still/film"));
+    let expected = ["orbit.mp4", "orbit_frames/000000.png", "orbit_frames/000003.png"];
+    assert!(
+        files.len() == 5 && expected.iter().all(|name| files.iter().any(|file| file == name)),
+        "{files:?}"
+    );
+    let still = frames(&data.path("still/film"));
+    let fed: Vec<u8> = still.iter().flat_map(|frame| frame.as_raw().clone()).collect();
+    assert_eq!(std::fs::read(data.path("still/film/orbit.mp4")).unwrap(), fed);
+    assert!(difference(&still[0], &still[2]) > 20.0, "the lamp is on the other side after half a turn");
+    run(&data, "light: ()", "turned", &path).succeeded();
+    let turned = frames(&data.path("turned/film"));
+    assert!(difference(&turned[0], &still[0]) < 0.1);
+    for frame in &turned[1..] {
+        let found = difference(&turned[0], frame);
+        assert!(found < 1.0, "a sphere looks alike from all sides if the light comes along: {found}");
+    }
+}
+
+#[cfg(unix)]
+#[test]
+fn keys_move_the_camera_and_the_material_changes() {
+    let data = Data::new();
+    let path = stand_in(&data);
+    let still = "keys: [(at: 0, angle_degrees: 30)]";
+    run(&data, still, "still", &path).succeeded();
+    let frames_of = |out: &str| frames(&data.path(out).join("film"));
+    let kept = frames_of("still");
+    assert!(kept.iter().all(|frame| *frame == kept[0]), "one key is a camera that stands");
+    run(&data, &format!("{still}, material: (albedo: (1, 0.2), specular: (1, 0))"), "darker", &path)
+        .succeeded();
+    let darker = frames_of("darker");
+    let mean = |frame: &RgbImage| frame.as_raw().iter().map(|x| f64::from(*x)).sum::<f64>();
+    assert_eq!(darker[0], kept[0]);
+    assert!(darker.windows(2).all(|pair| mean(&pair[1]) < mean(&pair[0])));
+    let away = "keys: [(at: 0, angle_degrees: 30, radius: 4), (at: 1, radius: 8)]";
+    run(&data, away, "away", &path).succeeded();
+    let covered = |frame: &RgbImage| frame.pixels().filter(|pixel| pixel[0] > 60).count();
+    let covers: Vec<usize> = frames_of("away").iter().map(covered).collect();
+    assert!(covers.windows(2).all(|pair| pair[1] < pair[0]), "{covers:?}");
+}
+
+#[test]
+fn an_mp4_without_ffmpeg_is_refused_before_any_work() {
+    let data = Data::new();
+    let outcome = run(&data, "", "out", "");
+    assert_eq!(outcome.code, Some(2), "{}", outcome.stderr);
+    let said: String = outcome.stderr.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(said.contains("needs an ffmpeg on the PATH") && said.contains("Install ffmpeg"), "{said}");
+    assert!(!data.path("out/film").exists());
+}
+
+#[test]
+fn keys_that_make_no_sense_are_shown() {
+    let data = Data::new();
+    for (orbit, word) in [
+        ("keys: [(at: 0.5, radius: 3), (at: 0.2, radius: 4)]", "0.5 to 1"),
+        ("keys: [(at: 0.5)]", "gives no value"),
+        ("light: (axis: (0, 0, 0))", "direction"),
+        ("material: (albedo: (1, -1))", "not below 0"),
+    ] {
+        let outcome = run(&data, orbit, "out", "");
+        assert!(outcome.code == Some(2) && outcome.stderr.contains(word), "{word}: {}", outcome.stderr);
+    }
+}
