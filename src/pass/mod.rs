@@ -6,7 +6,7 @@
 //! | `Shape` | [`shape`] | with `--debug-every N`, normals, depth and mesh every N steps |
 //! | both | `found_views` | `cam_dict_norm.json` of optimized cameras, `exposures.csv` |
 //! | `Render`, `Edit`, `Relight` | [`render`] | an EXR with layers and a PNG per view, the animation of an orbit |
-//! | `Evaluate` | [`evaluate`] | a contact sheet, and a folder per scored pass with small pictures of its views; scores go to `OUT/metrics.json` |
+//! | `Evaluate` | [`evaluate`] | a contact sheet, `views.csv`, and a folder per scored pass with small pictures of its views; scores go to `OUT/metrics.json` |
 //! | `Save` | [`save`] | `scene.ron` with side files |
 //! | `Export` | [`export`] | `mesh.glb`, `mesh.ply`, `mesh.obj` with `mesh.mtl` and `mesh_albedo.png` |
 //! | `View` | [`view`] | `view.html` |
@@ -23,6 +23,7 @@ pub mod export;
 pub mod files;
 pub mod fit;
 mod found_views;
+mod inputs;
 pub mod inspect;
 mod machine;
 pub mod memory;
@@ -41,6 +42,7 @@ pub mod show;
 pub mod summary;
 mod truth_files;
 pub mod view;
+mod view_report;
 
 pub use session::{Lights, MOST_VISIBILITY_BYTES, Session};
 
@@ -62,6 +64,7 @@ use crate::spawn::{SurfaceUse, load_light, make_surface, spawn};
 use crate::survey::Survey;
 use crate::survey::open::OpenScene;
 use crate::view::ViewRecord;
+use inputs::Watched;
 use photograph::{TrueObject, camera_of};
 use progress::{Progress, Told};
 use record::{Claim, RunRecord, RunState};
@@ -116,7 +119,9 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
     preflight::check_sizes(&loaded.scene)?;
     preflight::check_paths(&loaded.scene)?;
     let data = OpenScene::new(&loaded.scene)?;
+    files::check_within(loaded, data.as_ref())?;
     let claim = claim(loaded, data.as_ref(), options)?;
+    let watched = Watched::new(files::contents(loaded, data.as_ref()));
     let (views, survey) = read_views(&loaded.scene, data.as_ref(), progress)?;
     let scene = match &survey {
         Some(survey) => memory::within(&loaded.scene, survey, options.memory, progress)?,
@@ -127,6 +132,8 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
         session.pipeline.world.insert_resource(ObjectTurned);
     }
     check_interrupted()?;
+    watched.check()?;
+    session.watched = watched;
     let (mut record, done) = begin(&mut session, claim, (loaded, data.as_ref()), options, begun)?;
     let mut report = Reporter::default();
     let ended = sequence::run(&mut session, (&mut record, &mut report), &told, done);
@@ -215,6 +222,7 @@ pub fn write_view(
         named.push((name.clone(), light.lobes));
     }
     let data = OpenScene::new(&scene)?;
+    files::check_within(loaded, data.as_ref())?;
     let (views, _) = read_views(&scene, data.as_ref(), progress)?;
     let out = path.parent().unwrap_or(Path::new("")).to_owned();
     let options = RunOptions { out, force: true, ..RunOptions::default() };
@@ -278,6 +286,7 @@ fn open<'a>(
         progress,
         scores: Scores::default(),
         surface_found: false,
+        watched: Watched::default(),
         has_object: !scene.passes.iter().any(|pass| matches!(pass, Pass::Shape(_) | Pass::Fit(_))),
     };
     preflight::check(&mut session)?;
