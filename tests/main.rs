@@ -4,6 +4,7 @@
 //! | --- | --- |
 //! | runs of the command | [`run`], [`photos`], [`gloss`], [`sheen`], [`ggx`], [`scale`], [`light_frame`], [`export`], [`view_page`], [`report`], [`shown`], [`env`], [`scores`] |
 //! | what is written where, and what never is; runs that are stopped | [`outputs`], [`resume`], `stop` |
+//! | late failures, nonsense, edges | [`trust`] |
 //! | what is refused, and how | [`bad_input`], [`check`], [`hostile`], [`scene_errors`] |
 //! | systems in a world, pictures | [`ecs`], [`swap`], [`visibility`], [`frames`] |
 //! | the documentation, the layers of the code | [`docs`], [`rooms`] |
@@ -35,5 +36,6 @@ mod shown;
 #[cfg(unix)]
 mod stop;
 mod swap;
+mod trust;
 mod view_page;
 mod visibility;

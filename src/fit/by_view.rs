@@ -86,7 +86,8 @@ pub fn sum_by_view(
     }
     let (pixels, shaded, observed) = samples.columns()?;
     for ((pixel, shaded), observed) in pixels.iter().zip(&*shaded).zip(&*observed) {
-        let predicted = exposures.factor(pixel.view) * (Vec3::from(shaded.diffuse) + Vec3::from(shaded.specular));
+        let predicted =
+            exposures.factor(pixel.view) * (Vec3::from(shaded.diffuse) + Vec3::from(shaded.specular));
         let difference = |c: usize| match observed.difference(c, predicted[c]) {
             // A saturated channel that is predicted brighter is right.
             0.0 => 0.0,

@@ -156,7 +156,8 @@ pub fn check_adjoints(
     samples: Samples<(&PixelOf, &SurfacePoint, &RadianceAdjoint, &mut PointAdjoint)>,
 ) -> SystemResult {
     let (pixels, points, radiance, mut back) = samples.columns()?;
-    let bad = back.iter().position(|back| !is_sound(&back.albedo, LARGEST) || !is_sound(&back.normal, LARGEST));
+    let bad =
+        back.iter().position(|back| !is_sound(&back.albedo, LARGEST) || !is_sound(&back.normal, LARGEST));
     if let Some(i) = bad {
         let is_albedo = !is_sound(&back[i].albedo, LARGEST);
         let parameter = if is_albedo { of_texel(&points[i]) } else { "the normal of the surface".into() };
@@ -247,7 +248,8 @@ fn words(world: &mut World, fault: &Fault) -> String {
 /// # Errors
 /// [`Error::Run`] that names the first parameter that is not finite.
 pub fn check_parameters(world: &mut World) -> Result<()> {
-    let refuse = |what: String| Err(Error::run("fit", format!("{what} is not finite: nothing of it is written")));
+    let refuse =
+        |what: String| Err(Error::run("fit", format!("{what} is not finite: nothing of it is written")));
     let mut lobes = world.query_filtered::<&LightLobe, Without<LobeOf>>();
     let is_finite =
         |lobe: &LightLobe| lobe.axis.is_finite() && lobe.sharpness.is_finite() && lobe.amplitude.is_finite();

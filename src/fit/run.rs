@@ -1,13 +1,15 @@
 //! Running a fit: prepare the pool, initialize, and take steps.
 
+use super::by_view::{ViewSums, count_pool, sum_by_view};
 use super::cameras::{CameraFit, CameraPose};
 use super::components::{
     AlbedoGradient, AlbedoMoments, LobeGradient, LobeMoments, LossState, SpecularGradient, SpecularMoments,
     StepGradient, StepRates, TexelSeen, Unknowns,
 };
-use super::by_view::{ViewSums, count_pool, sum_by_view};
 use super::exposure::{Exposures, find_exposures};
-use super::guard::{StepGuard, begin_step, check_adjoints, check_loss, check_shading, end_step, step_is_sound};
+use super::guard::{
+    StepGuard, begin_step, check_adjoints, check_loss, check_shading, end_step, step_is_sound,
+};
 use super::initialization::frame::{FramesTried, find_light_frame};
 use super::initialization::initialize_light_and_albedo;
 use super::loss::{Loss, LossSums};

@@ -198,11 +198,12 @@ pub fn check_within(loaded: &LoadedScene, open: Option<&OpenScene>) -> Result<()
     match inputs(loaded, open).iter().find(|input| !is_within(&input.path)) {
         None => Ok(()),
         Some(FileUse { path, by }) => {
-            let problem = format!(
-                "{}, {by}, is outside the folder of the scene file and --data",
-                path.display()
-            );
-            Err(Error::usage(problem, "Say --data with a folder that it is in, or --allow-outside to read it all the same."))
+            let problem =
+                format!("{}, {by}, is outside the folder of the scene file and --data", path.display());
+            Err(Error::usage(
+                problem,
+                "Say --data with a folder that it is in, or --allow-outside to read it all the same.",
+            ))
         }
     }
 }

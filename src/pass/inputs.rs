@@ -28,7 +28,13 @@ pub(super) struct Watched(Vec<(PathBuf, Option<Stamp>)>);
 impl Watched {
     /// Watches these files from now on.
     pub fn new(files: Vec<PathBuf>) -> Self {
-        Self(files.into_iter().map(|path| (Stamp::of(&path), path)).map(|(stamp, path)| (path, stamp)).collect())
+        Self(
+            files
+                .into_iter()
+                .map(|path| (Stamp::of(&path), path))
+                .map(|(stamp, path)| (path, stamp))
+                .collect(),
+        )
     }
 
     /// Checks that no file has changed.
@@ -77,7 +83,10 @@ mod tests {
         watched.check().unwrap();
         fs::write(at("truth/a.png"), "newer").unwrap();
         let error = watched.check().unwrap_err();
-        assert!(error.to_string().contains("a.png: the file has changed") && error.exit_code() == 2, "{error}");
+        assert!(
+            error.to_string().contains("a.png: the file has changed") && error.exit_code() == 2,
+            "{error}"
+        );
         watched.check_below(&[at("photo.png")]).unwrap();
         assert!(watched.check_below(&[at("truth")]).is_err());
         fs::remove_file(at("photo.png")).unwrap();

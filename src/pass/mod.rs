@@ -20,6 +20,8 @@
 pub mod edit;
 pub mod evaluate;
 pub mod export;
+#[cfg(test)]
+mod fault_tests;
 pub mod files;
 pub mod fit;
 mod found_views;

@@ -165,7 +165,9 @@ fn warnings(views: &[(ViewOutcome, ViewSum)], factors: Vec<f32>, lobes: &[LightL
     let mut shares: Vec<f32> = views.iter().filter_map(|(view, _)| Some(view.outliers? as f32)).collect();
     let usual = f64::from(median(&mut shares).unwrap_or(0.0));
     let wrong = names(&|view, _| view.outliers.is_some_and(|share| share > OUTLIERS && share > 2.0 * usual));
-    add(&wrong, &|views| format!("most pixels of {views} are not explained: a wrong pose, mask or exposure?"));
+    add(&wrong, &|views| {
+        format!("most pixels of {views} are not explained: a wrong pose, mask or exposure?")
+    });
     found.extend(runaway(lobes, views));
     found
 }
@@ -290,8 +292,13 @@ mod tests {
         let good = || ["a", "b", "c"].iter().map(|name| view(name, 0.95, 0.02)).collect::<Vec<_>>();
         let with = |bad: (ViewOutcome, ViewSum)| said(&[good(), vec![bad]].concat(), 1.0, 3.0).join("\n");
         let (outcome, sum) = view("d", 0.95, 0.02);
-        assert!(with((outcome.clone(), ViewSum { pool: 0, ..sum })).contains("no pixel of view `d` was used"));
-        assert!(with((outcome, ViewSum { observed: 1e-4, ..sum })).contains("black in the photograph of view `d`"));
+        assert!(
+            with((outcome.clone(), ViewSum { pool: 0, ..sum })).contains("no pixel of view `d` was used")
+        );
+        assert!(
+            with((outcome, ViewSum { observed: 1e-4, ..sum }))
+                .contains("black in the photograph of view `d`")
+        );
         let stray = with(view("d", 0.3, 0.02));
         assert!(stray.contains("less than 0.6 in view `d`") && !stray.contains("times"), "{stray}");
         assert!(with(view("d", 0.95, 0.8)).contains("most pixels of view `d`"));

@@ -45,30 +45,27 @@ impl Bounds<'_> {
     fn hold(self, path: &Path) -> bool {
         self.roots().iter().any(|folder| lies_in(path, folder))
     }
+}
 
-    fn problem(self, at: &str, path: &Path, kind: Kind) -> Problem {
-        let folder = if kind == Kind::Folder { path } else { path.parent().unwrap_or(path) };
-        Problem {
-            path: at.to_owned(),
-            problem: format!("{}: this is outside the folder of the scene file and --data", path.display()),
-            expected: "expected a path within".into(),
-            help: format!(
-                "A scene that a `Save` pass wrote names its data by path: give the folder of the data, --data {}, or say \
-                 --allow-outside to read whatever this scene names.",
-                folder.display()
-            ),
-        }
+/// The problem of a path that is not within.
+fn outside(at: &str, path: &Path, kind: Kind) -> Problem {
+    let folder = if kind == Kind::Folder { path } else { path.parent().unwrap_or(path) };
+    Problem {
+        path: at.to_owned(),
+        problem: format!("{}: this is outside the folder of the scene file and --data", path.display()),
+        expected: "expected a path within".into(),
+        help: format!(
+            "A scene that a `Save` pass wrote names its data by path: give the folder of the data, --data {}, or say \
+             --allow-outside to read whatever this scene names.",
+            folder.display()
+        ),
     }
 }
 
 /// Resolves every path of the scene in place and looks for it; what is not there, or not within `bounds`, becomes a problem.
 ///
 /// `$DATA/…` starts at the data and is left as it is without; other relative paths start at the folder of the scene file.
-pub fn resolve(
-    scene: &mut Scene,
-    bounds: Bounds,
-    problems: &mut Vec<Problem>,
-) -> Files {
+pub fn resolve(scene: &mut Scene, bounds: Bounds, problems: &mut Vec<Problem>) -> Files {
     let mut files = Files::default();
     for_each_path(scene, &mut |at, kind, path| match place(path, bounds.base_dir, bounds.data) {
         Some(full) => {
@@ -79,7 +76,7 @@ pub fn resolve(
                     expected: if kind == Kind::File { "expected a file" } else { "expected a folder" }.into(),
                     help,
                 }),
-                None if bounds.confined && !bounds.hold(&full) => problems.push(bounds.problem(at, &full, kind)),
+                None if bounds.confined && !bounds.hold(&full) => problems.push(outside(at, &full, kind)),
                 None if !files.found.contains(&full) => files.found.push(full.clone()),
                 None => {}
             }
