@@ -37,5 +37,6 @@ pub fn photograph() -> Vec<u8> {
 pub fn dataset() {
     use lobelia::dataset::{DatasetOptions, read_dataset};
     read("images/a.hdr", &photograph(), |_| ());
-    let _ = read_dataset(folder(), lobelia::view::Split::Train, &DatasetOptions::default());
+    let options = DatasetOptions { hold_out: 0, ..DatasetOptions::default() };
+    let _ = read_dataset(folder(), lobelia::view::Split::Train, &options);
 }

@@ -18,9 +18,11 @@ const SURFACES: [&str; 6] = [
 ];
 const VIEWS: [&str; 5] = [
     r#"Dataset(path: "$DATA")"#,
+    "Photographed(cameras: (count: 3, test: 1, size: 16), truth: (albedo: Constant(0.5, 0.3, 0.2), \
+     specular: (albedo: (0.2, 0.2, 0.2), roughness: 0.3), \
+     light: Lobes(lobes: [(axis: (0, 1, 0), sharpness: 3, amplitude: (1, 1, 1))])))",
     r#"Dataset(path: "$DATA", downscale: 2)"#,
     r#"Dataset(path: "$DATA", select: ["nope"])"#,
-    "Photographed(cameras: (count: 3, test: 1, size: 16))",
     r#"Cameras([(name: "rgb_000000", eye: (0, 0, 3), width: 16, height: 16, split: Test)])"#,
 ];
 const LIGHTS: [&str; 4] = [
@@ -31,17 +33,17 @@ const LIGHTS: [&str; 4] = [
 ];
 const PASSES: [&str; 12] = [
     r#"Fit(name: "more", steps: 2, batch: 64)"#,
-    r#"Render(name: "novel")"#,
-    r#"Render(name: "named", render: (views: Named(["rgb_000000"])))"#,
-    r#"Render(name: "wrong", render: (views: Named(["nope"])))"#,
     r#"Edit(name: "edit", edits: [Roughness(action: Set(0.2))])"#,
-    r#"Edit(name: "edit", edits: [Diffuse(action: Texture("$DATA/mesh.glb"))])"#,
     r#"Relight(name: "relit", light: Npy(path: "$DATA/evening.npy"))"#,
     r#"Evaluate(scores: [(pass: "novel", truth: Photographs)])"#,
-    r#"Evaluate(scores: [(pass: "novel", truth: Folder("$DATA/test/gt"))])"#,
-    r#"Evaluate(mesh: "$DATA/mesh.glb")"#,
     "Save()",
     "Export(formats: [Glb, Ply])",
+    r#"Evaluate(name: "meshes", mesh: "$DATA/mesh.glb")"#,
+    r#"Render(name: "named", render: (views: Named(["rgb_000000"])))"#,
+    r#"Render(name: "wrong", render: (views: Named(["nope"])))"#,
+    r#"Edit(name: "edit", edits: [Diffuse(action: Texture("$DATA/mesh.glb"))])"#,
+    r#"Evaluate(name: "folder", scores: [(pass: "novel", truth: Folder("$DATA/test/gt"))])"#,
+    r#"Evaluate(name: "relit_scores", scores: [(pass: "relit", truth: Folder("$DATA/test/gt/relit"))])"#,
 ];
 
 /// A scene of random words; most of them are right.
@@ -49,12 +51,13 @@ fn scene(seed: u64) -> String {
     let mut random = SmallRng::seed_from_u64(seed);
     let mut pick = |words: &[&'static str]| {
         // The first are right: they are taken more often.
-        let most = if random.random_range(0..3) == 0 { words.len() } else { words.len().div_ceil(2) };
+        let most = if random.random_range(0..5) == 0 { words.len() } else { words.len().div_ceil(2) };
         words[random.random_range(0..most)]
     };
     let (surface, views, light) = (pick(&SURFACES), pick(&VIEWS), pick(&LIGHTS));
-    let mut passes: Vec<&str> = vec![r#"Fit(name: "fit", steps: 2, batch: 64)"#];
-    passes.extend((0..3).map(|_| pick(&PASSES)));
+    let mut passes: Vec<&str> = vec![r#"Fit(name: "fit", steps: 2, batch: 64)"#, r#"Render(name: "novel")"#];
+    passes.extend((0..2).map(|_| pick(&PASSES)));
+    passes.dedup();
     let passes = passes.join(",\n        ");
     format!(
         "Scene(\n    version: 1,\n    surface: {surface},\n    views: {views},\n    light: {light},\n    visibility: None,\n    passes: [\n        \

@@ -30,8 +30,20 @@ const MUTANTS: u64 = 300;
 const MOST_TIME: Duration = Duration::from_secs(10);
 
 /// What numbers in texts are replaced by.
-const NUMBERS: [&str; 12] =
-    ["-1", "0", "1e999", "-1e38", "nan", "18446744073709551616", "4294967295", "0.0000001", "\"x\"", "[]", "{}", ""];
+const NUMBERS: [&str; 12] = [
+    "-1",
+    "0",
+    "1e999",
+    "-1e38",
+    "nan",
+    "18446744073709551616",
+    "4294967295",
+    "0.0000001",
+    "\"x\"",
+    "[]",
+    "{}",
+    "",
+];
 
 fn mutant(good: &[u8], seed: u64) -> Vec<u8> {
     let mut random = SmallRng::seed_from_u64(seed);
@@ -124,11 +136,14 @@ fn scene_files() {
 fn light_files() {
     let folder = Folder::new();
     let light = "Lobes(lobes: [(axis: (0, 1, 0), sharpness: 5, amplitude: (1, 0.5, 0.25))], scale: 2)";
-    survives(&folder.file("light.ron", light), |path| read_light(path, LightConventions::default()).map(drop));
+    survives(&folder.file("light.ron", light), |path| {
+        read_light(path, LightConventions::default()).map(drop)
+    });
 }
 
 fn dataset(root: &Path) -> Result<(), lobelia::Error> {
-    read_dataset(root, Split::Train, &DatasetOptions::default()).map(drop)
+    let options = DatasetOptions { hold_out: 0, ..DatasetOptions::default() };
+    read_dataset(root, Split::Train, &options).map(drop)
 }
 
 #[test]
@@ -218,7 +233,11 @@ fn meshes() {
     let folder = Folder::new();
     let path = folder.path("mesh.glb");
     write_glb(&path, &box_mesh(Vec3::ZERO, Vec3::ONE).unwrap(), None).unwrap();
-    survives(&path, |path| read_mesh(path).map(drop).and(read_material(path).map(drop)));
+    survives(&path, |path| {
+        // Most have no material.
+        let _ = read_material(path);
+        read_mesh(path).map(drop)
+    });
 }
 
 fn frame() -> Frame {

@@ -115,6 +115,7 @@ fn a_whole_run_writes_everything() {
         "saved/mesh.glb",
         "saved/scene.ron",
         "scores/contact_sheet.png",
+        "scores/views.csv",
         "traced/test_rgb_000001.exr",
         "traced/test_rgb_000001.png",
         "traced/train_rgb_000001.exr",

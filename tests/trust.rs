@@ -218,7 +218,14 @@ fn views_are_reported_and_nothing_is_wrong_with_sound_data() {
     let data = Data::new();
     data.run(&scene(&[FIT, NOVEL, SCORES].concat()), "out", &["--quiet"]).succeeded();
     let metrics = metrics(&data.path("out"));
-    assert_eq!((&metrics["steps_taken_back"], &metrics["warnings"]), (&0.into(), &Value::Array(Vec::new())));
+    assert_eq!(metrics["steps_taken_back"], 0);
+    // What a survey says before the fit may be there.
+    let warnings = metrics["warnings"].to_string();
+    for words in
+        ["no pixel of", "is black in", "overlap to less", "are not explained", "ran away", "taken back"]
+    {
+        assert!(!warnings.contains(words), "{warnings}");
+    }
     let table = std::fs::read_to_string(data.path("out/scores/views.csv")).unwrap();
     let mut rows = csv::Reader::from_reader(table.as_bytes());
     assert_eq!(

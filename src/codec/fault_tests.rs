@@ -68,6 +68,20 @@ fn shown(value: impl std::fmt::Debug) -> Result<String> {
     Ok(format!("{value:?}"))
 }
 
+fn write_tiff(path: &Path) {
+    let mut bytes = std::io::Cursor::new(Vec::new());
+    let mut encoder = tiff::encoder::TiffEncoder::new(&mut bytes).unwrap();
+    encoder.write_image::<tiff::encoder::colortype::RGB8>(19, 13, picture().as_raw()).unwrap();
+    std::fs::write(path, bytes.into_inner()).unwrap();
+}
+
+fn write_webp(path: &Path) {
+    let mut bytes = Vec::new();
+    let encoder = image_webp::WebPEncoder::new(&mut bytes);
+    encoder.encode(picture().as_raw(), 19, 13, image_webp::ColorType::Rgb8).unwrap();
+    std::fs::write(path, bytes).unwrap();
+}
+
 fn save(path: &Path, format: image::ImageFormat) {
     picture().save_with_format(path, format).unwrap();
 }
@@ -75,8 +89,8 @@ fn save(path: &Path, format: image::ImageFormat) {
 const READERS: [Reader; 14] = [
     ("a.png", |path| write_rgb8(path, &picture()).unwrap(), read_any),
     ("a.jpg", |path| save(path, image::ImageFormat::Jpeg), read_any),
-    ("a.tif", |path| save(path, image::ImageFormat::Tiff), read_any),
-    ("a.webp", |path| save(path, image::ImageFormat::WebP), read_any),
+    ("a.tif", write_tiff, read_any),
+    ("a.webp", write_webp, read_any),
     ("b.exr", |path| write_frame(path, &frame()).unwrap(), read_any),
     (
         "b.hdr",

@@ -201,11 +201,6 @@ impl Plugin for FitPlugin {
             .add_systems(
                 Phase::FitStep,
                 Stage::Gradient,
-                check_adjoints.after(Slot::ShadingAdjoint).before(ScatterAdjoints),
-            )
-            .add_systems(
-                Phase::FitStep,
-                Stage::Gradient,
                 (scatter_to_texels, scatter_to_sheen, scatter_to_blends, hand_out_gradient)
                     .chain()
                     .in_set(ScatterAdjoints),
@@ -215,9 +210,7 @@ impl Plugin for FitPlugin {
                 Slot::Optimizer,
                 (move_scale, move_texels, move_sheen, move_blends, move_lobes, move_specular).chain(),
             );
-        // Also what other plugins put into these stages: shapes and cameras.
-        let held_back = (Stage::Gradient.run_if(step_is_sound), Stage::Update.run_if(step_is_sound));
-        pipeline.schedule_mut(Phase::FitStep).configure_sets(held_back);
+        hold_back_unsound_steps(pipeline);
         add_gathering::<Recovered>(pipeline, Phase::FitStep);
         keep_state(&mut pipeline.world);
     }
@@ -234,6 +227,14 @@ impl Plugin for FitPlugin {
         world.remove_resource::<ViewSums>();
         world.remove_resource::<PlainBlends<Recovered>>();
     }
+}
+
+/// Leaves the rest of a step out once something of it is not finite, also what other plugins put into these stages: shapes and cameras.
+fn hold_back_unsound_steps(pipeline: &mut Pipeline) {
+    let check = check_adjoints.after(Slot::ShadingAdjoint).before(ScatterAdjoints);
+    pipeline.add_systems(Phase::FitStep, Stage::Gradient, check);
+    let held_back = (Stage::Gradient.run_if(step_is_sound), Stage::Update.run_if(step_is_sound));
+    pipeline.schedule_mut(Phase::FitStep).configure_sets(held_back);
 }
 
 /// Runs a whole fit in the pipeline's world. `watch` is called after every step and may stop the fit.

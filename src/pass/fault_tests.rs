@@ -13,7 +13,14 @@ use std::time::Duration;
 const SCENE: &str = r#"Scene(
     version: 1,
     surface: Sphere(radius: 0.8, texture_size: 16),
-    views: Photographed(cameras: (count: 4, test: 1, size: 16)),
+    views: Photographed(
+        cameras: (count: 4, test: 1, size: 16),
+        truth: (
+            albedo: Constant(0.5, 0.3, 0.2),
+            specular: (albedo: (0.2, 0.2, 0.2), roughness: 0.3),
+            light: Lobes(lobes: [(axis: (0, 1, 0), sharpness: 3, amplitude: (1, 1, 1))]),
+        ),
+    ),
     light: Unknown(lobes: 6),
     visibility: None,
     passes: [

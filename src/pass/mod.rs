@@ -63,8 +63,8 @@ use crate::scene::{
 };
 use crate::shade::frame::FramePlugin;
 use crate::spawn::{SurfaceUse, load_light, make_surface, spawn};
-use crate::survey::Survey;
 use crate::survey::open::OpenScene;
+use crate::survey::{Severity, Survey};
 use crate::view::ViewRecord;
 use inputs::Watched;
 use photograph::{TrueObject, camera_of};
@@ -130,6 +130,8 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
         None => Cow::Borrowed(&loaded.scene),
     };
     let mut session = open(&scene, views, options, progress, photograph::take, use_of(&scene))?;
+    let warnings = survey.iter().flat_map(|survey| survey.findings_of(Severity::Warning));
+    session.scores.warnings = warnings.map(|warning| warning.problem.clone()).collect();
     if survey.is_some_and(|survey| survey.is_turntable()) {
         session.pipeline.world.insert_resource(ObjectTurned);
     }

@@ -13,7 +13,8 @@ fn licences_of_all_dependencies_are_listed() {
     let locked: BTreeSet<String> = packages.map(name).collect();
     let page = read("docs/licenses.md");
     let rows = page.lines().filter(|line| line.starts_with("| ") && line.contains('`'));
-    let listed: BTreeSet<String> = rows.flat_map(|row| row.split('`').skip(1).step_by(2)).map(str::to_owned).collect();
+    let listed: BTreeSet<String> =
+        rows.flat_map(|row| row.split('`').skip(1).step_by(2)).map(str::to_owned).collect();
     let missing: Vec<&String> = locked.difference(&listed).collect();
     assert!(missing.is_empty(), "docs/licenses.md lacks {missing:?}: `cargo metadata` says their licences");
     let gone: Vec<&String> = listed.difference(&locked).collect();

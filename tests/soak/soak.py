@@ -26,7 +26,7 @@ def scene(pick):
     shape = pick(["Sphere(radius: 0.8, texture_size: 24)", "Box(size: (0.9, 1.1, 0.8), texture_size: 24)"])
     sheen = pick(["", "sheen: None, "])
     gloss = pick(["", "", "gloss: Texels(), "])
-    visibility = pick(["None", "Traced(directions: 32)", "Traced(directions: 32, bounces: 0)"])
+    visibility = pick(["None", "Traced(directions: 64)", "Traced(directions: 64, bounces: 0)"])
     steps, batch = pick([20, 60, 150]), pick([64, 256])
     loss, more = pick(["L1", "L2"]), pick(["", ", exposure: true", ", cameras: Poses"])
     shading = pick(["Accurate", "Published"])
@@ -46,7 +46,14 @@ def scene(pick):
     version: 1,
     seed: {pick(range(1000))},
     surface: {shape},
-    views: Photographed(cameras: (count: {pick([4, 6])}, test: 2, size: {pick([16, 24])})),
+    views: Photographed(
+        cameras: (count: {pick([4, 6])}, test: 2, size: {pick([16, 24])}),
+        truth: (
+            albedo: {pick(["Constant(0.5, 0.3, 0.2)", "Stripes(colors: [(0.7, 0.2, 0.1), (0.1, 0.2, 0.6)])"])},
+            specular: (albedo: (0.2, 0.2, 0.2), roughness: {pick([0.15, 0.3, 0.6])}),
+            light: Lobes(lobes: [(axis: (0, 1, 0), sharpness: {pick([1, 5, 20])}, amplitude: (1, 1, 1))]),
+        ),
+    ),
     light: Unknown(lobes: {pick([4, 8])}),
     material: ({sheen}{gloss}),
     visibility: {visibility},
@@ -123,7 +130,8 @@ def try_scene(program, folder, seed, watch):
     path = os.path.join(folder, "scene.ron")
     with open(path, "w") as file:
         file.write(scene(dice.choice))
-    whole, broken = os.path.join(folder, "whole"), os.path.join(folder, "broken")
+    # Pages have the name of the folder.
+    whole, broken = os.path.join(folder, "whole", "out"), os.path.join(folder, "broken", "out")
     start = time.monotonic()
     code = run(program, path, whole, False, watch)
     assert code == 0, f"exit code {code}"

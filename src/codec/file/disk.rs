@@ -1,7 +1,7 @@
 //! The one file through which everything is read and written. Tests give it the faults of disks and pipes.
 
 use std::fs::File;
-use std::io::{Read, Result, Seek, SeekFrom, Write};
+use std::io::{ErrorKind, Read, Result, Seek, SeekFrom, Write};
 use std::path::Path;
 
 /// A file on the disk.
@@ -36,6 +36,23 @@ impl DiskFile {
         self.file.metadata()
     }
 
+    /// Reads once, and meets the faults of tests.
+    fn read_once(&mut self, buffer: &mut [u8]) -> Result<usize> {
+        #[cfg(test)]
+        let buffer = {
+            let length = super::faults::meet(&self.path, super::faults::Call::Read, buffer.len())?;
+            &mut buffer[..length]
+        };
+        self.file.read(buffer)
+    }
+
+    /// Writes once, and meets the faults of tests.
+    fn write_once(&mut self, buffer: &[u8]) -> Result<usize> {
+        #[cfg(test)]
+        let buffer = &buffer[..super::faults::meet(&self.path, super::faults::Call::Write, buffer.len())?];
+        self.file.write(buffer)
+    }
+
     /// Puts its bytes on the disk.
     pub(super) fn sync_all(&self) -> Result<()> {
         #[cfg(test)]
@@ -44,22 +61,25 @@ impl DiskFile {
     }
 }
 
+/// Tries again what a signal has interrupted: not every decoder does.
+fn uninterrupted(mut call: impl FnMut() -> Result<usize>) -> Result<usize> {
+    loop {
+        match call() {
+            Err(error) if error.kind() == ErrorKind::Interrupted => {}
+            ended => return ended,
+        }
+    }
+}
+
 impl Read for DiskFile {
     fn read(&mut self, buffer: &mut [u8]) -> Result<usize> {
-        #[cfg(test)]
-        let buffer = {
-            let length = super::faults::meet(&self.path, super::faults::Call::Read, buffer.len())?;
-            &mut buffer[..length]
-        };
-        self.file.read(buffer)
+        uninterrupted(|| self.read_once(buffer))
     }
 }
 
 impl Write for DiskFile {
     fn write(&mut self, buffer: &[u8]) -> Result<usize> {
-        #[cfg(test)]
-        let buffer = &buffer[..super::faults::meet(&self.path, super::faults::Call::Write, buffer.len())?];
-        self.file.write(buffer)
+        uninterrupted(|| self.write_once(buffer))
     }
 
     fn flush(&mut self) -> Result<()> {

@@ -149,11 +149,9 @@ pub fn read_parts(path: &Path, mut take: impl FnMut(&[u8])) -> Result<()> {
     let mut file = DiskFile::open(path).map_err(Error::io("read", path))?;
     let mut part = vec![0; 1 << 18];
     loop {
-        match file.read(&mut part) {
-            Ok(0) => return Ok(()),
-            Ok(count) => take(&part[..count]),
-            Err(error) if error.kind() == ErrorKind::Interrupted => {}
-            Err(error) => return Err(Error::io("read", path)(error)),
+        match file.read(&mut part).map_err(Error::io("read", path))? {
+            0 => return Ok(()),
+            count => take(&part[..count]),
         }
     }
 }
