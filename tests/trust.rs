@@ -383,6 +383,40 @@ fn a_light_within_that_names_a_map_outside_is_refused() {
 }
 
 #[test]
+fn a_data_set_within_that_names_photographs_outside_is_refused() {
+    let data = Data::new();
+    std::fs::create_dir_all(data.path("mine/set")).unwrap();
+    let picture = image::RgbaImage::from_pixel(8, 8, image::Rgba([90, 120, 60, 255]));
+    save_png(&data.path("elsewhere/a.png"), &image::DynamicImage::ImageRgba8(picture));
+    let cameras = r#"{"fl_x": 10, "fl_y": 10, "cx": 4, "cy": 4, "w": 8, "h": 8, "frames": [{"file_path": "../../elsewhere/a.png",
+        "transform_matrix": [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 3], [0, 0, 0, 1]]}]}"#;
+    std::fs::write(data.path("mine/set/transforms.json"), cameras).unwrap();
+    let scene = data.path("mine/scene.ron");
+    let text = r#"Scene(version: 1, surface: Sphere(radius: 0.8, texture_size: 16), views: Dataset(path: "set", hold_out: 0),
+        light: Unknown(lobes: 4), passes: [Fit(name: "fit", steps: 2)])"#;
+    std::fs::write(&scene, text).unwrap();
+    for outcome in check_and_run(&data, &scene, &[]) {
+        let said = flat(&outcome.stderr);
+        assert!(
+            outcome.code == Some(2) && said.contains("a.png, a photograph, is outside the folder"),
+            "{said}"
+        );
+    }
+    for outcome in check_and_run(&data, &scene, &["--allow-outside"]) {
+        assert!(!outcome.stderr.contains("is outside"), "{}", outcome.stderr);
+    }
+}
+
+#[test]
+fn a_finished_run_that_was_killed_at_its_very_end_leaves_no_lock_once_it_is_resumed() {
+    let data = Data::new();
+    data.run(&scene(FIT), "out", &["--quiet"]).succeeded();
+    std::fs::write(data.path("out/.lobelia.lock"), "").unwrap();
+    data.run(&scene(FIT), "out", &["--quiet", "--resume"]).succeeded();
+    assert!(!data.path("out/.lobelia.lock").exists());
+}
+
+#[test]
 fn a_saved_scene_says_what_it_needs() {
     let data = Data::new();
     data.run(&scene(&[FIT, NOVEL, "Save(), "].concat()), "out", &["--quiet"]).succeeded();

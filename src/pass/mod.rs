@@ -48,7 +48,7 @@ mod view_report;
 
 pub use session::{Lights, MOST_VISIBILITY_BYTES, Session};
 
-use crate::codec::file::{FileUse, check_apart};
+use crate::codec::file::{FileUse, FolderLock, check_apart};
 use crate::error::stop::{check_interrupted, stopped_by};
 use crate::error::{Error, Result};
 use crate::fit::ObjectTurned;
@@ -113,6 +113,8 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
     resume::check_folder(&options.out)?;
     let begun = if options.resume { Begun::read(&options.out)? } else { None };
     if options.resume && record::state_of_run(&options.out) == Some(RunState::Finished) {
+        // A process that was killed once all was written has left its lock: it goes with this one.
+        drop(FolderLock::take(&options.out)?);
         progress.note(&format!("the run in {} has finished: nothing is left to do", options.out.display()));
         return Ok(());
     }
