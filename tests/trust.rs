@@ -408,12 +408,15 @@ fn a_data_set_within_that_names_photographs_outside_is_refused() {
 }
 
 #[test]
-fn a_finished_run_that_was_killed_at_its_very_end_leaves_no_lock_once_it_is_resumed() {
+fn a_run_that_was_killed_at_its_very_end_is_tidy_once_it_is_resumed() {
     let data = Data::new();
     data.run(&scene(FIT), "out", &["--quiet"]).succeeded();
+    let report = std::fs::read(data.path("out/report.html")).unwrap();
     std::fs::write(data.path("out/.lobelia.lock"), "").unwrap();
+    std::fs::write(data.path("out/report.html"), "of before").unwrap();
     data.run(&scene(FIT), "out", &["--quiet", "--resume"]).succeeded();
     assert!(!data.path("out/.lobelia.lock").exists());
+    assert!(report == std::fs::read(data.path("out/report.html")).unwrap());
 }
 
 #[test]

@@ -113,8 +113,10 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
     resume::check_folder(&options.out)?;
     let begun = if options.resume { Begun::read(&options.out)? } else { None };
     if options.resume && record::state_of_run(&options.out) == Some(RunState::Finished) {
-        // A process that was killed once all was written has left its lock: it goes with this one.
-        drop(FolderLock::take(&options.out)?);
+        // A process that was killed at its very end has left its lock, and a report that says that it runs. Neither is worth an error.
+        if let Ok(_lock) = FolderLock::take(&options.out) {
+            let _ = Reporter::default().write(&options.out);
+        }
         progress.note(&format!("the run in {} has finished: nothing is left to do", options.out.display()));
         return Ok(());
     }
