@@ -3,6 +3,7 @@
 
 mod blocks;
 mod defaults;
+mod licenses;
 mod markdown;
 mod pages;
 mod reference;

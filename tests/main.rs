@@ -4,12 +4,14 @@
 //! | --- | --- |
 //! | runs of the command | [`run`], [`photos`], [`gloss`], [`sheen`], [`ggx`], [`scale`], [`light_frame`], [`export`], [`view_page`], [`report`], [`shown`], [`env`], [`scores`] |
 //! | what is written where, and what never is; runs that are stopped | [`outputs`], [`resume`], `stop` |
-//! | what is refused, and how | [`bad_input`], [`check`], [`hostile`], [`scene_errors`] |
+//! | late failures, nonsense, edges | [`trust`] |
+//! | what is refused, and how | [`agree`], [`bad_input`], [`check`], [`hostile`], [`mutants`], [`scene_errors`] |
 //! | systems in a world, pictures | [`ecs`], [`swap`], [`visibility`], [`frames`], [`films`] |
 //! | the documentation, the layers of the code | [`docs`], [`rooms`] |
 
 mod common;
 
+mod agree;
 mod bad_input;
 mod check;
 mod docs;
@@ -22,6 +24,7 @@ mod ggx;
 mod gloss;
 mod hostile;
 mod light_frame;
+mod mutants;
 mod outputs;
 mod photos;
 mod report;
@@ -36,5 +39,6 @@ mod shown;
 #[cfg(unix)]
 mod stop;
 mod swap;
+mod trust;
 mod view_page;
 mod visibility;

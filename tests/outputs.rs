@@ -165,7 +165,7 @@ fn links_lead_no_output_to_an_input() {
     let saved = std::fs::read_to_string(data.path("out/saved/scene.ron")).unwrap();
     std::fs::write(data.path("out/saved/scene.ron"), saved.replace("passes: [", "passes: [Save(), "))
         .unwrap();
-    let mut run = command(&["run", "--force"]);
+    let mut run = command(&["run", "--force", "--allow-outside"]);
     let outcome = Outcome::of(run.arg(data.path("out/saved/scene.ron")).arg("--out").arg(data.path("out")));
     assert_eq!(outcome.code, Some(2), "{}", outcome.stderr);
     assert!(outcome.stderr.contains("pass saved would replace"), "{}", outcome.stderr);
@@ -238,7 +238,7 @@ fn a_killed_run_leaves_no_mixture_and_no_lock() {
     assert!(scores["passes"].as_object().unwrap().is_empty() && scores["fit_secs"].is_number(), "{scores}");
     assert!(std::fs::read_to_string(out.join("report.html")).unwrap().contains("s-running"));
     // What is whole can be used.
-    let mut again = command(&["run", "--quiet"]);
+    let mut again = command(&["run", "--quiet", "--allow-outside"]);
     again.arg(out.join("saved/scene.ron")).arg("--out").arg(data.path("from_saved"));
     Outcome::of(again.args(["--set", "passes=[Export()]"])).succeeded();
     // What was left unfinished goes with the next run, and the lock of the dead is none.

@@ -202,6 +202,8 @@ fn moved_vertices_and_a_found_focal_length_are_saved() {
     assert!(!saved.contains("focal_scale: 1.0,"), "the focal length did not move");
     let again = command(&["run", "--quiet"])
         .arg(data.path("out/saved/scene.ron"))
+        .arg("--data")
+        .arg(data.root())
         .arg("--out")
         .arg(data.path("again"))
         .output()

@@ -39,9 +39,8 @@ Scene(
 fn again(data: &Data, saved: &str) -> String {
     let out = format!("{saved}_again");
     let scene = data.path(&format!("out/{saved}/scene.ron"));
-    let arguments =
-        ["run", scene.to_str().unwrap(), "--out", data.path(&out).to_str().unwrap()].map(str::to_owned);
-    Outcome::of(command(&[]).args(arguments)).succeeded();
+    let run = ["run", "--allow-outside", "--out", data.path(&out).to_str().unwrap()].map(str::to_owned);
+    Outcome::of(command(&[]).args(run).arg(scene)).succeeded();
     out
 }
 

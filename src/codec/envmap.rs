@@ -1,6 +1,5 @@
 //! Environment maps from OpenEXR and Radiance HDR files, and back to OpenEXR.
 
-use std::fs::File;
 use std::io::{BufRead, BufReader, Cursor};
 use std::path::Path;
 
@@ -50,7 +49,7 @@ impl EnvironmentMap {
         let path = path.as_ref();
         let open = || file::open(path, |_| "check the path of the environment map".to_owned());
         let mut first = open()?;
-        let start = first.fill_buf().map_err(Error::io("read", path))?;
+        let start = file::first_bytes(path, &mut first, 16)?;
         if start.starts_with(&[0x76, 0x2f, 0x31, 0x01]) {
             read_exr(path, open)?.finish(path)
         } else if start.starts_with(b"#?") {
@@ -204,7 +203,7 @@ fn checked_size(path: &Path, width: usize, height: usize) -> Result<[u32; 2]> {
     Ok([width as u32, height as u32])
 }
 
-fn read_exr(path: &Path, open: impl Fn() -> Result<BufReader<File>>) -> Result<Sink> {
+fn read_exr(path: &Path, open: impl Fn() -> Result<BufReader<file::DiskFile>>) -> Result<Sink> {
     let broken = |e: exr::error::Error| {
         Error::input(path, "", format!("cannot be decoded as OpenEXR ({e})"), EXPORT_HELP)
     };

@@ -18,6 +18,8 @@ pub mod animation;
 pub mod envmap;
 pub mod exr;
 mod exr_rows;
+#[cfg(test)]
+mod fault_tests;
 pub mod file;
 pub mod finite;
 pub mod frame;

@@ -4,7 +4,6 @@ use crate::codec::file;
 use crate::{Error, Result};
 use image::{GrayImage, RgbImage, RgbaImage};
 use png::{BitDepth, ColorType, Compression, Encoder, SrgbRenderingIntent};
-use std::fs::File;
 use std::io::{BufReader, Write};
 use std::path::Path;
 
@@ -136,7 +135,7 @@ impl PngRows<'_> {
 /// [`Error::Io`] if the file cannot be opened, [`Error::Run`] if it is another or a damaged one.
 pub(super) fn read_rgb8(path: &Path) -> Result<RgbImage> {
     let failed = |problem: String| Error::run(format!("reading {}", path.display()), problem);
-    let file = File::open(path).map_err(Error::io("read", path))?;
+    let file = file::DiskFile::open(path).map_err(Error::io("read", path))?;
     let mut reader =
         png::Decoder::new(BufReader::new(file)).read_info().map_err(|error| failed(error.to_string()))?;
     let size = [reader.info().width, reader.info().height];

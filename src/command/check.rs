@@ -35,6 +35,9 @@ pub fn run(args: &CheckArgs) -> Result<()> {
     check_sizes(&loaded.scene)?;
     check_paths(&loaded.scene)?;
     let has_photographs = data_is_there(&loaded);
+    if loaded.unseen.is_empty() {
+        files::check_within(&loaded, OpenScene::new(&loaded.scene)?.as_ref())?;
+    }
     if let Some(out) = &args.out {
         check_out(out, has_photographs)?;
         check_inputs(out, &loaded)?;

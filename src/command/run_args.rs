@@ -38,6 +38,9 @@ pub struct SceneArgs {
     /// The folder that $DATA stands for in the scene file
     #[arg(long, value_name = "DIR")]
     pub data: Option<PathBuf>,
+    /// Read also what the scene file names outside its own folder and --data
+    #[arg(long)]
+    pub allow_outside: bool,
     /// Seed of every random choice, instead of the scene's own
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     pub seed: Option<u64>,

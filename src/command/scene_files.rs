@@ -5,5 +5,11 @@ use lobelia::scene::LoadOptions;
 
 /// What the command line adds to a scene file, as the library reads it.
 pub fn load_options(args: &SceneArgs) -> LoadOptions {
-    LoadOptions { data: args.data.clone(), sets: args.sets.clone(), seed: args.seed, without_data: false }
+    LoadOptions {
+        data: args.data.clone(),
+        sets: args.sets.clone(),
+        seed: args.seed,
+        without_data: false,
+        confined: !args.allow_outside,
+    }
 }

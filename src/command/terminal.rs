@@ -33,7 +33,8 @@ impl Progress for Terminal {
     /// On standard error.
     fn note(&self, text: &str) {
         if !self.quiet {
-            eprintln!("note: {text}");
+            // A note that nobody can read is no reason to lose a run.
+            let _ = writeln!(std::io::stderr().lock(), "note: {text}");
         }
     }
 

@@ -24,7 +24,9 @@ pub fn run(args: &ViewArgs) -> Result<()> {
     let (scene, folder) = scene_of(&args.out)?;
     refuse_foreign(&folder.join(PAGE), SIGNATURE)?;
     start_threads(args.threads)?;
-    let loaded = load(&scene, &LoadOptions::default())?;
+    let options =
+        LoadOptions { data: args.data.clone(), confined: !args.allow_outside, ..LoadOptions::default() };
+    let loaded = load(&scene, &options)?;
     let lights: Vec<(String, LightSource)> = args.lights.iter().map(|path| light(path)).collect();
     write_view(&loaded, &lights, &folder.join(PAGE), &Terminal::new(false))
 }

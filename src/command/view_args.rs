@@ -21,6 +21,12 @@ pub struct ViewArgs {
     /// Offer this light too: .ron, .npy lobes, or an OpenEXR or Radiance HDR map
     #[arg(long = "light", value_name = "FILE")]
     pub lights: Vec<PathBuf>,
+    /// The folder that $DATA stands for in the scene file, and that its photographs may be in
+    #[arg(long, value_name = "DIR")]
+    pub data: Option<PathBuf>,
+    /// Read also what the scene file names outside its own folder and --data
+    #[arg(long)]
+    pub allow_outside: bool,
     /// How many threads.
     #[command(flatten)]
     pub threads: ThreadArgs,

@@ -8,12 +8,15 @@
 //! | [`systems`], [`loss`], [`adam`] | the systems of the stages, the image loss, the optimizer |
 //! | [`roughness`] | roughness that varies over the surface |
 //! | [`scale`], [`exposure`], [`cameras`] | further unknowns: the scale between light and albedo, exposures, cameras |
+//! | [`guard`], [`by_view`] | steps that are not finite and are not taken; how each photograph is explained |
 //! | [`components`] | gradients, moments and state |
 
 pub mod adam;
+pub mod by_view;
 pub mod cameras;
 pub mod components;
 pub mod exposure;
+pub mod guard;
 mod initialization;
 pub mod loss;
 pub mod observe;

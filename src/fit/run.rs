@@ -1,11 +1,15 @@
 //! Running a fit: prepare the pool, initialize, and take steps.
 
+use super::by_view::{ViewSums, count_pool, sum_by_view};
 use super::cameras::{CameraFit, CameraPose};
 use super::components::{
     AlbedoGradient, AlbedoMoments, LobeGradient, LobeMoments, LossState, SpecularGradient, SpecularMoments,
     StepGradient, StepRates, TexelSeen, Unknowns,
 };
 use super::exposure::{Exposures, find_exposures};
+use super::guard::{
+    StepGuard, begin_step, check_adjoints, check_loss, check_shading, end_step, step_is_sound,
+};
 use super::initialization::frame::{FramesTried, find_light_frame};
 use super::initialization::initialize_light_and_albedo;
 use super::loss::{Loss, LossSums};
@@ -170,6 +174,8 @@ impl Plugin for FitPlugin {
         pipeline.world.init_resource::<TexelPlaces>();
         pipeline.world.init_resource::<ScaleMoments>();
         pipeline.world.init_resource::<Exposures>();
+        pipeline.world.init_resource::<StepGuard>();
+        pipeline.world.init_resource::<ViewSums>();
         add_material_resources::<Recovered>(&mut pipeline.world);
         pipeline
             .add_systems(Phase::Prepare, Stage::Sample, choose_pixels)
@@ -182,7 +188,15 @@ impl Plugin for FitPlugin {
             .add_systems(
                 Phase::FitStep,
                 Stage::Loss,
-                (find_exposures, compare_with_photographs, note_residuals).chain(),
+                (
+                    check_shading,
+                    find_exposures.run_if(step_is_sound),
+                    compare_with_photographs,
+                    check_loss,
+                    note_residuals.run_if(step_is_sound),
+                    sum_by_view,
+                )
+                    .chain(),
             )
             .add_systems(
                 Phase::FitStep,
@@ -196,6 +210,7 @@ impl Plugin for FitPlugin {
                 Slot::Optimizer,
                 (move_scale, move_texels, move_sheen, move_blends, move_lobes, move_specular).chain(),
             );
+        hold_back_unsound_steps(pipeline);
         add_gathering::<Recovered>(pipeline, Phase::FitStep);
         keep_state(&mut pipeline.world);
     }
@@ -208,8 +223,18 @@ impl Plugin for FitPlugin {
         world.remove_resource::<TexelPlaces>();
         world.remove_resource::<ScaleMoments>();
         world.remove_resource::<Exposures>();
+        world.remove_resource::<StepGuard>();
+        world.remove_resource::<ViewSums>();
         world.remove_resource::<PlainBlends<Recovered>>();
     }
+}
+
+/// Leaves the rest of a step out once something of it is not finite, also what other plugins put into these stages: shapes and cameras.
+fn hold_back_unsound_steps(pipeline: &mut Pipeline) {
+    let check = check_adjoints.after(Slot::ShadingAdjoint).before(ScatterAdjoints);
+    pipeline.add_systems(Phase::FitStep, Stage::Gradient, check);
+    let held_back = (Stage::Gradient.run_if(step_is_sound), Stage::Update.run_if(step_is_sound));
+    pipeline.schedule_mut(Phase::FitStep).configure_sets(held_back);
 }
 
 /// Runs a whole fit in the pipeline's world. `watch` is called after every step and may stop the fit.
@@ -290,6 +315,8 @@ fn keep_state(world: &mut World) {
     keep_resource::<OwnLightFrame>(world, Span::Run);
     keep_resource::<Exposures>(world, Span::Run);
     keep_resource::<CameraFit>(world, Span::Run);
+    keep_resource::<StepGuard>(world, Span::Run);
+    keep_resource::<ViewSums>(world, Span::Pass);
     keep_each::<LobeMoments, OwnLobes>(world, Span::Pass);
     keep_each::<SpecularMoments, With<SpecularLobe>>(world, Span::Pass);
     keep_pool::<TexelIndex, AlbedoMoments>(world, Span::Pass);
@@ -336,6 +363,7 @@ fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
         pipeline.add_plugin(&FitVisibilityPlugin);
     }
     let pixels = pipeline.world.resource::<ObservedWindow>().0.len();
+    count_pool(&mut pipeline.world);
     // A fit that is resumed has its guess behind it.
     let guess = if has_step_ahead(&pipeline.world) { FirstGuess::NONE } else { options.guess };
     let unknowns = Unknowns {
@@ -365,7 +393,16 @@ fn run_step(pipeline: &mut Pipeline, options: &FitOptions, step: u32, pixels: us
     let every = refresh_every(world);
     world.insert_resource(RefreshDue((step - 1).is_multiple_of(every)));
     world.resource_mut::<TexelPlaces>().progress = step as f32 / options.steps as f32;
-    pipeline.run(Phase::FitStep)
+    world.resource_mut::<ViewSums>().counts = is_last_visit(step, options, pixels);
+    begin_step(world);
+    pipeline.run(Phase::FitStep)?;
+    end_step(&mut pipeline.world, step)
+}
+
+/// Whether a step is one of the last that visit every pixel once.
+fn is_last_visit(step: u32, options: &FitOptions, pixels: usize) -> bool {
+    let windows = pixels.div_ceil(options.batch.clamp(1, pixels));
+    (options.steps - step) as usize <= windows.saturating_sub(1)
 }
 
 /// Observed pixels that a step visits: contiguous windows of the shuffled pool, in turn; the last one of a pass through the pool may be shorter.

@@ -13,6 +13,7 @@ use crate::mesh::chamfer::chamfer_distance;
 use crate::pass::render::{ChosenView, chosen_views};
 use crate::pass::session::Session;
 use crate::pass::truth_files::{read_fitting, read_true_layer, true_image_path};
+use crate::pass::view_report::{self, outlier_share};
 use crate::report::heat::{error_map, factor_for, heat_map};
 use crate::report::metrics::{Pair, albedo_psnr, coverage_iou, erode, mean};
 use crate::report::normals::NormalAngles;
@@ -80,14 +81,19 @@ pub fn run(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
     for (i, score) in pass.scores.iter().enumerate() {
         let scored = ScoredPass::open(session, score)?;
         let mut overlaps = vec![None; scored.views.len()];
+        let mut outliers = vec![(String::new(), None); scored.views.len()];
         let scores = score_views(scored.views.len(), scaling(score.scale), |k| {
             let view = scored.load(session, k, layers_of(score.scale))?;
             overlaps[k] = view.mask_iou;
+            outliers[k] = (scored.name_of(session, k), outlier_share(&view.eval, &view.eval.prediction));
             Ok(view.eval)
         })?;
         rows.push(sheet_row(session, &scored, &scores, layers_of(score.scale))?);
         let folder = session.folder(&pass.name).join(&score.pass);
         write_parts(session, &scored, &scores, layers_of(score.scale), &folder, side)?;
+        if i == 0 {
+            view_report::write(session, &session.folder(&pass.name), &scores, &outliers)?;
+        }
         session.scores.passes.insert(score.pass.clone(), scores);
         if i == 0 {
             session.scores.mask_iou = mean(&overlaps.into_iter().flatten().collect::<Vec<_>>());
@@ -161,6 +167,12 @@ impl ScoredPass {
         };
         let (camera, albedo, normal) = (view.camera, frame.albedo, frame.normal);
         Ok(ScoredView { eval, camera, albedo, normal, mask_iou })
+    }
+
+    /// The name of view `i`, as the data has it.
+    fn name_of(&self, session: &Session, i: usize) -> String {
+        let name = session.pipeline.world.get::<ViewName>(self.views[i].entity);
+        name.map_or(String::new(), |name| name.0.clone())
     }
 
     fn truth(&self, world: &World, i: usize) -> Result<Vec<Vec3>> {

@@ -1,6 +1,7 @@
 //! The files of a run, known before it begins: those that its passes may write, and those that it reads.
 
-use crate::codec::file::FileUse;
+use crate::codec::file::{FileUse, lies_in};
+use crate::error::{Error, Result};
 use crate::fit::cameras::CameraUnknowns;
 use crate::pass::evaluate::PARTS;
 use crate::pass::export;
@@ -8,14 +9,16 @@ use crate::pass::fit::TRUE_ENVIRONMENT;
 use crate::pass::photograph::ring;
 use crate::pass::render::{chosen_stems, film_files};
 use crate::pass::view::PAGE;
+use crate::pass::view_report::VIEWS;
 use crate::scene::load::LoadedScene;
+use crate::scene::paths::paths_of;
 use crate::scene::{EvaluatePass, Light, LightSource, Pass, Scene, Views};
 use crate::scene::{LayerTruth, Truth};
 use crate::spawn::light_file::inlined;
 use crate::survey::open::OpenScene;
 use crate::view::Split;
 use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 
 /// The manifest of a run, in its output folder.
 pub const RUN: &str = "run.json";
@@ -101,9 +104,9 @@ fn of_pictures(pass: &Pass, views: &[(&str, Split)]) -> Vec<String> {
     pictures.chain(film).collect()
 }
 
-/// A contact sheet, and small pictures of all views of the scored passes, each in a folder of that pass's name.
+/// A contact sheet, a table of the views, and small pictures of all views of the scored passes, each in a folder of that pass's name.
 fn of_scores(scene: &Scene, pass: &EvaluatePass, views: &[(&str, Split)]) -> Vec<String> {
-    let mut names = owned(&["contact_sheet.png"]);
+    let mut names = owned(&["contact_sheet.png", VIEWS]);
     for score in &pass.scores {
         let scored = scene.passes.iter().find(|pass| pass.name() == score.pass).and_then(Pass::render);
         for (_, stem) in scored.map(|settings| chosen_stems(views, settings)).unwrap_or_default() {
@@ -170,11 +173,67 @@ pub fn inputs(loaded: &LoadedScene, open: Option<&OpenScene>) -> Vec<FileUse> {
     inputs
 }
 
+/// Checks that a confined scene reads nothing outside its folders through files that it names: a light, a camera file. Links that are
+/// within a data set may lead where they will, for whoever gave the data made them.
+///
+/// # Errors
+/// [`Error::Usage`] that names the first file outside.
+pub fn check_within(loaded: &LoadedScene, open: Option<&OpenScene>) -> Result<()> {
+    let Some(roots) = &loaded.roots else { return Ok(()) };
+    let spelled = |path: &Path| std::path::absolute(path).map(|path| plain(&path)).unwrap_or_default();
+    let within: Vec<PathBuf> = roots.iter().map(|root| spelled(root)).collect();
+    let is_within = |path: &Path| {
+        let path_as_spelled = spelled(path);
+        within.iter().any(|root| path_as_spelled.starts_with(root))
+            || roots.iter().any(|root| lies_in(path, root))
+    };
+    match inputs(loaded, open).iter().find(|input| !is_within(&input.path)) {
+        None => Ok(()),
+        Some(FileUse { path, by }) => {
+            let problem =
+                format!("{}, {by}, is outside the folder of the scene file and --data", path.display());
+            Err(Error::usage(
+                problem,
+                "Say --data with a folder that it is in, or --allow-outside to read it all the same.",
+            ))
+        }
+    }
+}
+
+/// A path without `.` and `..`, by its words alone.
+fn plain(path: &Path) -> PathBuf {
+    let mut plain = PathBuf::new();
+    for part in path.components() {
+        match part {
+            Component::ParentDir => drop(plain.pop()),
+            Component::CurDir => {}
+            part => plain.push(part),
+        }
+    }
+    plain
+}
+
 /// The files of [`inputs`] whose contents a run depends on, beside the scene, sorted.
 pub fn contents(loaded: &LoadedScene, open: Option<&OpenScene>) -> Vec<PathBuf> {
     let inputs = inputs(loaded, open).into_iter().map(|input| input.path);
     let files: BTreeSet<PathBuf> = inputs.filter(|path| *path != loaded.path && path.is_file()).collect();
     files.into_iter().collect()
+}
+
+/// What a pass reads only when it runs: files, and folders of files.
+pub fn read_late(scene: &Scene, pass: &Pass) -> Vec<PathBuf> {
+    match pass {
+        // A map is copied as it is.
+        Pass::Save(_) => lights(scene)
+            .filter_map(given)
+            .filter_map(|light| match light {
+                LightSource::Map { path, .. } => Some(path),
+                _ => None,
+            })
+            .collect(),
+        Pass::Fit(_) | Pass::Shape(_) | Pass::Render(_) | Pass::Export(_) | Pass::View(_) => Vec::new(),
+        Pass::Evaluate(_) | Pass::Edit(_) | Pass::Relight(_) => paths_of(pass),
+    }
 }
 
 /// The folders of ground truth.

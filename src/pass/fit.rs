@@ -11,6 +11,7 @@ use crate::error::stop::{heed_stop, is_stopping};
 use crate::error::{Error, Result};
 use crate::fit::cameras::{CameraPlugin, CameraUnknowns};
 use crate::fit::components::TexelSeen;
+use crate::fit::guard::check_parameters;
 use crate::fit::observe::PixelChoice;
 use crate::fit::roughness::blend::TexelPlaces;
 use crate::fit::roughness::texel::{
@@ -34,6 +35,7 @@ use crate::mesh::atlas::{TexelAtlas, fill_uncovered};
 use crate::pass::found_views;
 use crate::pass::save::write_weights;
 use crate::pass::session::Session;
+use crate::pass::view_report::note_fit;
 use crate::pipeline::pool::{read_column, write_column};
 use crate::pipeline::{Phase, Slot};
 use crate::report::scores::ScaleFound;
@@ -101,6 +103,7 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     let summary = summary?;
     // The results so far are written.
     heed_stop();
+    check_parameters(&mut session.pipeline.world)?;
     session.has_object = true;
     session.guess = FirstGuess::NONE;
     bar.finish_and_clear();
@@ -108,6 +111,7 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     let known = !options.unknowns.light || !options.unknowns.albedo;
     let scale = scale_found(session, if known { "Known".to_owned() } else { options.scale.words() })?;
     let unseen = fill_texels(session)?;
+    note_fit(session);
     report(session, &pass.name, &summary, unseen);
     write_results(&mut session.pipeline.world, session.surface.atlas(), &folder, &scale)?;
     if let Some(truth) = &session.truth {

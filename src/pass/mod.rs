@@ -6,7 +6,7 @@
 //! | `Shape` | [`shape`] | with `--debug-every N`, normals, depth and mesh every N steps |
 //! | both | `found_views` | `cam_dict_norm.json` of optimized cameras, `exposures.csv` |
 //! | `Render`, `Edit`, `Relight` | [`render`] | an EXR with layers and a PNG per view, the animation of an orbit |
-//! | `Evaluate` | [`evaluate`] | a contact sheet, and a folder per scored pass with small pictures of its views; scores go to `OUT/metrics.json` |
+//! | `Evaluate` | [`evaluate`] | a contact sheet, `views.csv`, and a folder per scored pass with small pictures of its views; scores go to `OUT/metrics.json` |
 //! | `Save` | [`save`] | `scene.ron` with side files |
 //! | `Export` | [`export`] | `mesh.glb`, `mesh.ply`, `mesh.obj`, `mesh.usda`, `mesh.usdz` with their textures; the light as `.hdr`; a page |
 //! | `View` | [`view`] | `view.html` |
@@ -20,10 +20,13 @@
 pub mod edit;
 pub mod evaluate;
 pub mod export;
+#[cfg(test)]
+mod fault_tests;
 pub mod files;
 mod film;
 pub mod fit;
 mod found_views;
+mod inputs;
 pub mod inspect;
 mod machine;
 pub mod memory;
@@ -42,10 +45,11 @@ pub mod show;
 pub mod summary;
 mod truth_files;
 pub mod view;
+mod view_report;
 
 pub use session::{Lights, MOST_VISIBILITY_BYTES, Session};
 
-use crate::codec::file::{FileUse, check_apart};
+use crate::codec::file::{FileUse, FolderLock, check_apart};
 use crate::error::stop::{check_interrupted, stopped_by};
 use crate::error::{Error, Result};
 use crate::fit::ObjectTurned;
@@ -60,9 +64,10 @@ use crate::scene::{
 };
 use crate::shade::frame::FramePlugin;
 use crate::spawn::{SurfaceUse, load_light, make_surface, spawn};
-use crate::survey::Survey;
 use crate::survey::open::OpenScene;
+use crate::survey::{Severity, Survey};
 use crate::view::ViewRecord;
+use inputs::Watched;
 use photograph::{TrueObject, camera_of};
 use progress::{Progress, Told};
 use record::{Claim, RunRecord, RunState};
@@ -109,6 +114,10 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
     resume::check_folder(&options.out)?;
     let begun = if options.resume { Begun::read(&options.out)? } else { None };
     if options.resume && record::state_of_run(&options.out) == Some(RunState::Finished) {
+        // A process that was killed at its very end has left its lock, and a report that says that it runs. Neither is worth an error.
+        if let Ok(_lock) = FolderLock::take(&options.out) {
+            let _ = Reporter::default().write(&options.out);
+        }
         progress.note(&format!("the run in {} has finished: nothing is left to do", options.out.display()));
         return Ok(());
     }
@@ -117,17 +126,23 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
     preflight::check_sizes(&loaded.scene)?;
     preflight::check_paths(&loaded.scene)?;
     let data = OpenScene::new(&loaded.scene)?;
+    files::check_within(loaded, data.as_ref())?;
     let claim = claim(loaded, data.as_ref(), options)?;
+    let watched = Watched::new(files::contents(loaded, data.as_ref()));
     let (views, survey) = read_views(&loaded.scene, data.as_ref(), progress)?;
     let scene = match &survey {
         Some(survey) => memory::within(&loaded.scene, survey, options.memory, progress)?,
         None => Cow::Borrowed(&loaded.scene),
     };
     let mut session = open(&scene, views, options, progress, photograph::take, use_of(&scene))?;
+    let warnings = survey.iter().flat_map(|survey| survey.findings_of(Severity::Warning));
+    session.scores.warnings = warnings.map(|warning| warning.problem.clone()).collect();
     if survey.is_some_and(|survey| survey.is_turntable()) {
         session.pipeline.world.insert_resource(ObjectTurned);
     }
     check_interrupted()?;
+    watched.check()?;
+    session.watched = watched;
     let (mut record, done) = begin(&mut session, claim, (loaded, data.as_ref()), options, begun)?;
     let mut report = Reporter::default();
     let ended = sequence::run(&mut session, (&mut record, &mut report), &told, done);
@@ -216,6 +231,7 @@ pub fn write_view(
         named.push((name.clone(), light.lobes));
     }
     let data = OpenScene::new(&scene)?;
+    files::check_within(loaded, data.as_ref())?;
     let (views, _) = read_views(&scene, data.as_ref(), progress)?;
     let out = path.parent().unwrap_or(Path::new("")).to_owned();
     let options = RunOptions { out, force: true, ..RunOptions::default() };
@@ -279,6 +295,7 @@ fn open<'a>(
         progress,
         scores: Scores::default(),
         surface_found: false,
+        watched: Watched::default(),
         has_object: !scene.passes.iter().any(|pass| matches!(pass, Pass::Shape(_) | Pass::Fit(_))),
     };
     preflight::check(&mut session)?;

@@ -5,6 +5,7 @@ use crate::error::stop::{heed_stop, stopped_by};
 use crate::error::{Error, Result};
 use crate::pass::evaluate;
 use crate::pass::export;
+use crate::pass::files::read_late;
 use crate::pass::fit;
 use crate::pass::progress::Told;
 use crate::pass::record::{RunRecord, RunState};
@@ -148,6 +149,7 @@ fn ends_all(error: &Error) -> bool {
 }
 
 fn run_pass(session: &mut Session, pass: &Pass) -> Result<()> {
+    session.watched.check_below(&read_late(session.scene, pass))?;
     match pass {
         Pass::Fit(pass) => fit::run(session, pass),
         Pass::Shape(pass) => shape::run(session, pass),

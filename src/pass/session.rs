@@ -3,9 +3,11 @@
 use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::fit::FramesTried;
+use crate::fit::guard::StepGuard;
 use crate::fit::run::FirstGuess;
 use crate::light::frame::{LightFrame, OwnLightFrame};
 use crate::mesh::Surface;
+use crate::pass::inputs::Watched;
 use crate::pass::photograph::TrueObject;
 use crate::pass::progress::Progress;
 use crate::pipeline::Pipeline;
@@ -45,6 +47,8 @@ pub struct Session<'a> {
     pub scores: Scores,
     /// Whether a pass has found the surface, or moved it.
     pub surface_found: bool,
+    /// The files that the run reads, as they were when it began.
+    pub(super) watched: Watched,
     /// Whether there is an object to write: all is given, or a `Shape` or `Fit` has found something.
     pub has_object: bool,
 }
@@ -153,6 +157,8 @@ impl<'a> Session<'a> {
 
     /// Writes the scores so far.
     pub(super) fn write_scores(&mut self) -> Result<()> {
+        let guard = self.pipeline.world.get_resource::<StepGuard>();
+        self.scores.steps_taken_back = guard.map_or(0, |guard| guard.taken_back);
         self.scores.peak_rss_mib = crate::report::scores::peak_rss_mib();
         self.scores.write_json(self.out.join(METRICS))
     }

@@ -39,6 +39,9 @@ use std::time::Instant;
 /// Steps between two redistancings.
 const REDISTANCE_EVERY: u32 = 40;
 
+/// Most texels a side that a texture is made wider to.
+const MOST_TEXELS: u32 = 4096;
+
 /// Runs the pass.
 ///
 /// # Errors
@@ -205,10 +208,31 @@ fn match_views(session: &mut Session, name: &str, mesh: &mut Mesh) {
     session.progress.print(&format!("{name}: stereo in {seconds:.1} s, {found}"));
 }
 
+/// Gives the mesh texture coordinates for `texture_size` texels a side, or for more if its charts do not fit: what was found is not lost
+/// for that.
+///
+/// # Errors
+/// If they do not fit the largest texture either.
+fn unwrap_within(mesh: &Mesh, texture_size: u32) -> Result<(Mesh, u32)> {
+    let mut size = texture_size;
+    loop {
+        match unwrap_mesh(mesh, size) {
+            Ok(unwrapped) => return Ok((unwrapped.mesh, size)),
+            Err(error) if 2 * size > MOST_TEXELS => return Err(error),
+            Err(_) => size *= 2,
+        }
+    }
+}
+
 /// Gives the mesh an atlas, and transfers the texels.
 fn put_in_place(session: &mut Session, found: &SdfSurface, mesh: &Mesh, texture_size: u32) -> Result<()> {
-    let mesh = unwrap_mesh(mesh, texture_size)?.mesh;
-    let surface = Arc::new(Surface::new(mesh, texture_size)?);
+    let (mesh, wider) = unwrap_within(mesh, texture_size)?;
+    if wider > texture_size {
+        session.progress.note(&format!(
+            "the surface that was found does not fit a texture of {texture_size}² texels: it gets {wider}²"
+        ));
+    }
+    let surface = Arc::new(Surface::new(mesh, wider)?);
     let world = &mut session.pipeline.world;
     let volume = recovered_albedo(world)?;
     let atlas = surface.atlas();
@@ -223,4 +247,27 @@ fn put_in_place(session: &mut Session, found: &SdfSurface, mesh: &Mesh, texture_
     session.surface = surface;
     (session.surface_found, session.has_object) = (true, true);
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mesh::primitive::box_mesh;
+
+    #[test]
+    fn a_texture_that_is_too_small_for_what_was_found_is_made_wider() {
+        // Every box is a chart at least, and no chart takes less than a texel.
+        let mut mesh = Mesh::default();
+        for i in 0..60 {
+            let part = box_mesh(3.0 * Vec3::X * i as f32, Vec3::ONE).unwrap();
+            let first = mesh.positions.len() as u32;
+            mesh.triangles.extend(part.triangles.iter().map(|corners| corners.map(|corner| corner + first)));
+            mesh.positions.extend(part.positions);
+            mesh.normals.extend(part.normals);
+        }
+        assert!(unwrap_mesh(&mesh, 8).is_err());
+        let (unwrapped, size) = unwrap_within(&mesh, 8).unwrap();
+        assert!(size > 8 && size <= 512 && unwrapped.uvs.is_some(), "{size}");
+        assert_eq!(unwrap_within(&box_mesh(Vec3::ZERO, Vec3::ONE).unwrap(), 64).unwrap().1, 64);
+    }
 }

@@ -132,6 +132,25 @@ pub struct FrameTried {
     pub error: f32,
 }
 
+/// How one view came out; what is not known is `null`.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ViewOutcome {
+    /// Name of the view.
+    pub name: String,
+    /// `train` or `test`.
+    pub split: String,
+    /// Pixels that a fit may visit: they show the object, and their rays meet the surface.
+    pub pixels: Option<u64>,
+    /// Share of the mask that the surface covers.
+    pub hit: Option<f64>,
+    /// Pixels in both mask and surface over pixels in either.
+    pub mask_iou: Option<f64>,
+    /// PSNR: of training views as the fit sees them, of others as they are scored, dB.
+    pub psnr: Option<f64>,
+    /// Share of pixels whose sRGB luminance is off by more than 0.1.
+    pub outliers: Option<f64>,
+}
+
 /// All scores of a run; `metrics.json`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Scores {
@@ -163,6 +182,15 @@ pub struct Scores {
     /// The frames that were tried.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub light_frames_tried: Vec<FrameTried>,
+    /// Steps of fits that were not taken, because loss or gradient were not finite.
+    #[serde(default)]
+    pub steps_taken_back: u32,
+    /// What went wrong, in sentences; empty if nothing did.
+    #[serde(default)]
+    pub warnings: Vec<String>,
+    /// How each view came out of the last fit, and of scores.
+    #[serde(default)]
+    pub views: Vec<ViewOutcome>,
     /// Time of all fits, seconds.
     pub fit_secs: Option<f64>,
     /// Largest resident memory of the process so far, MiB.

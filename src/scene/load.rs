@@ -5,7 +5,7 @@ use crate::scene::description::{Scene, VERSION};
 use crate::scene::diagnostic::{Problem, SceneText};
 use crate::scene::edit::Edit;
 use crate::scene::paths;
-use crate::scene::paths::Files;
+use crate::scene::paths::{Bounds, Files};
 use crate::scene::ron_tree;
 use crate::scene::ron_tree::Node;
 use crate::scene::source;
@@ -26,6 +26,9 @@ pub struct LoadOptions {
     /// Without `data`, leave `$DATA/…` as it is and do not look for it, instead of refusing the scene: such a
     /// scene can be checked but not run.
     pub without_data: bool,
+    /// Refuse paths that lead out of the scene file's folder and of `data`, by `..`, by links, or because they are absolute. For scene
+    /// files from elsewhere; the program sets it unless `--allow-outside` is given.
+    pub confined: bool,
 }
 
 /// A scene that was read and checked.
@@ -43,6 +46,8 @@ pub struct LoadedScene {
     pub files: Vec<PathBuf>,
     /// What was not looked for, because `$DATA` stands for nothing ([`LoadOptions::without_data`]).
     pub unseen: Vec<PathBuf>,
+    /// The folders that files may be in ([`LoadOptions::confined`]); `None`: any.
+    pub roots: Option<Vec<PathBuf>>,
 }
 
 /// Reads and checks a scene file.
@@ -70,8 +75,8 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<LoadedScene> {
     }
     let base_dir = path.parent().map_or_else(PathBuf::new, Path::to_owned);
     let mut problems = validate::check(&scene);
-    let Files { found, mut unseen, at } =
-        paths::resolve(&mut scene, &base_dir, options.data.as_deref(), &mut problems);
+    let bounds = Bounds { base_dir: &base_dir, data: options.data.as_deref(), confined: options.confined };
+    let Files { found, mut unseen, at } = paths::resolve(&mut scene, bounds, &mut problems);
     if !options.without_data
         && let Some(at) = at
     {
@@ -81,7 +86,8 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<LoadedScene> {
     if !problems.is_empty() {
         return Err(words.problems(root.as_ref(), problems));
     }
-    Ok(LoadedScene { scene, path: path.to_owned(), base_dir, text, files: found, unseen })
+    let roots = options.confined.then(|| bounds.roots());
+    Ok(LoadedScene { scene, path: path.to_owned(), text, files: found, unseen, roots, base_dir })
 }
 
 /// One report stands for every `$DATA/…`: they have the same mend.

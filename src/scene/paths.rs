@@ -1,6 +1,6 @@
 //! The files that a scene names: `$DATA` and relative paths resolved, and whether they exist.
 
-use crate::codec::file::{Kind, Obstacle, obstacle};
+use crate::codec::file::{Kind, Obstacle, lies_in, obstacle};
 use crate::scene::description::Scene;
 use crate::scene::diagnostic::{Problem, nearest};
 use crate::scene::edit::{DiffuseAction, Edit, Region};
@@ -23,17 +23,51 @@ pub struct Files {
     pub at: Option<String>,
 }
 
-/// Resolves every path of the scene in place and looks for it; what is not there becomes a problem.
+/// Where the files of a scene are.
+#[derive(Clone, Copy, Debug)]
+pub struct Bounds<'a> {
+    /// Where relative paths start: the folder of the scene file.
+    pub base_dir: &'a Path,
+    /// What `$DATA` stands for.
+    pub data: Option<&'a Path>,
+    /// Whether nothing beyond these is read.
+    pub confined: bool,
+}
+
+impl Bounds<'_> {
+    /// The folders.
+    pub fn roots(self) -> Vec<PathBuf> {
+        let base_dir = if self.base_dir.as_os_str().is_empty() { Path::new(".") } else { self.base_dir };
+        std::iter::once(base_dir).chain(self.data).map(Path::to_owned).collect()
+    }
+
+    /// Whether a file that exists lies within, whatever links lead there.
+    fn hold(self, path: &Path) -> bool {
+        self.roots().iter().any(|folder| lies_in(path, folder))
+    }
+}
+
+/// The problem of a path that is not within.
+fn outside(at: &str, path: &Path, kind: Kind) -> Problem {
+    let folder = if kind == Kind::Folder { path } else { path.parent().unwrap_or(path) };
+    Problem {
+        path: at.to_owned(),
+        problem: format!("{}: this is outside the folder of the scene file and --data", path.display()),
+        expected: "expected a path within".into(),
+        help: format!(
+            "A scene that a `Save` pass wrote names its data by path: give the folder of the data, --data {}, or say \
+             --allow-outside to read whatever this scene names.",
+            folder.display()
+        ),
+    }
+}
+
+/// Resolves every path of the scene in place and looks for it; what is not there, or not within `bounds`, becomes a problem.
 ///
-/// `$DATA/…` starts at `data` and is left as it is without `data`; other relative paths start at `base_dir`.
-pub fn resolve(
-    scene: &mut Scene,
-    base_dir: &Path,
-    data: Option<&Path>,
-    problems: &mut Vec<Problem>,
-) -> Files {
+/// `$DATA/…` starts at the data and is left as it is without; other relative paths start at the folder of the scene file.
+pub fn resolve(scene: &mut Scene, bounds: Bounds, problems: &mut Vec<Problem>) -> Files {
     let mut files = Files::default();
-    for_each_path(scene, &mut |at, kind, path| match place(path, base_dir, data) {
+    for_each_path(scene, &mut |at, kind, path| match place(path, bounds.base_dir, bounds.data) {
         Some(full) => {
             match complaint(&full, kind) {
                 Some((problem, help)) => problems.push(Problem {
@@ -42,6 +76,7 @@ pub fn resolve(
                     expected: if kind == Kind::File { "expected a file" } else { "expected a folder" }.into(),
                     help,
                 }),
+                None if bounds.confined && !bounds.hold(&full) => problems.push(outside(at, &full, kind)),
                 None if !files.found.contains(&full) => files.found.push(full.clone()),
                 None => {}
             }
@@ -132,6 +167,13 @@ fn for_each_path(scene: &mut Scene, visit: &mut impl FnMut(&str, Kind, &mut Path
     for (index, pass) in scene.passes.iter_mut().enumerate() {
         pass_paths(&format!("passes.{index}"), pass, visit);
     }
+}
+
+/// The files and folders that a pass names.
+pub fn paths_of(pass: &Pass) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    pass_paths("", &mut pass.clone(), &mut |_, _, path| found.push(path.clone()));
+    found
 }
 
 fn pass_paths(at: &str, pass: &mut Pass, visit: &mut impl FnMut(&str, Kind, &mut PathBuf)) {

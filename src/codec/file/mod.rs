@@ -4,16 +4,20 @@
 //!
 //! | function | does |
 //! | --- | --- |
-//! | [`open`], [`read_bytes`], [`read_up_to`], [`read_text`], [`read_folder`] | read |
+//! | [`open`], [`read_bytes`], [`read_up_to`], [`read_text`], [`read_parts`], [`first_bytes`], [`read_folder`] | read |
 //! | [`obstacle`] | says what keeps a file or folder from being read |
 //! | [`write_file`], [`write_bytes`], [`write_by_path`] | write, all or nothing |
 //! | [`check_writable`], [`check_room`], [`free_bytes`], [`check_file_name`] | say before the work whether results can be written |
 //! | [`check_apart`], [`lies_in`] | say whether what is written is something that is read |
+//! | [`DiskFile`] | the one file through which all of this goes |
 //! | [`FolderLock`] | keeps two processes from writing into one folder |
 //! | [`file_stems`] | the one way from names of views to names of files |
 //! | [`scratch_folder`], [`clear_scratch`] | what is unfinished, and its end |
 
 mod apart;
+mod disk;
+#[cfg(test)]
+pub(crate) mod faults;
 mod lock;
 mod output;
 mod read;
@@ -21,10 +25,12 @@ mod scratch;
 mod write;
 
 pub use apart::{FileUse, check_apart, lies_in};
+pub use disk::DiskFile;
 pub use lock::{FolderLock, LOCK};
 pub use output::{check_file_name, check_room, check_writable, file_stems, free_bytes};
 pub use read::{
-    Kind, MOST_TEXT, Obstacle, is_there, obstacle, open, read_bytes, read_folder, read_text, read_up_to,
+    Kind, MOST_TEXT, Obstacle, first_bytes, is_there, obstacle, open, read_bytes, read_folder, read_parts,
+    read_text, read_up_to,
 };
 pub use scratch::{clear_scratch, scratch_folder};
 pub use write::{write_by_path, write_bytes, write_file};

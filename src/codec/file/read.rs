@@ -1,8 +1,9 @@
 //! Reading whole files of bounded size, and the reasons why a path cannot be read.
 
+use crate::codec::file::disk::DiskFile;
 use crate::{Error, Result};
-use std::fs::{self, File, FileType, ReadDir};
-use std::io::{BufReader, ErrorKind, Read};
+use std::fs::{self, FileType, ReadDir};
+use std::io::{BufReader, ErrorKind, Read, Seek as _};
 use std::path::Path;
 
 /// Most bytes of a text file that people write: a scene, a light. The largest scene that a pass saves is a few MiB.
@@ -53,7 +54,7 @@ pub fn is_there(path: &Path) -> bool {
     fs::symlink_metadata(path).map_or_else(|error| error.kind() == ErrorKind::PermissionDenied, |_| true)
 }
 
-fn open_regular(path: &Path) -> Result<File, Obstacle> {
+fn open_regular(path: &Path) -> Result<DiskFile, Obstacle> {
     let refused = |error: std::io::Error| refusal(path, Kind::File, &error);
     let found = fs::metadata(path).map_err(refused)?.file_type();
     if found.is_dir() {
@@ -63,7 +64,7 @@ fn open_regular(path: &Path) -> Result<File, Obstacle> {
         let problem = format!("this is a {}, not a regular file", special(found));
         return Err(Obstacle::new(problem, "Copy its data into a file, and name that file."));
     }
-    File::open(path).map_err(refused)
+    DiskFile::open(path).map_err(refused)
 }
 
 fn open_folder(path: &Path) -> Result<ReadDir, Obstacle> {
@@ -120,12 +121,39 @@ fn special(_: FileType) -> &'static str {
 ///
 /// # Errors
 /// [`Error::Input`] if the file is missing, empty, a folder, a pipe or a device, or may not be read.
-pub fn open(path: &Path, help: impl FnOnce(&Path) -> String) -> Result<BufReader<File>> {
+pub fn open(path: &Path, help: impl FnOnce(&Path) -> String) -> Result<BufReader<DiskFile>> {
     let file = open_regular(path).map_err(|obstacle| obstacle.error(path, help))?;
     if file.metadata().map_err(Error::io("read", path))?.len() == 0 {
         return Err(Error::input(path, "", "the file is empty (0 bytes)", "Copy it again."));
     }
     Ok(BufReader::new(file))
+}
+
+/// The first `count` bytes of a file that is at its beginning, or all if it has fewer; it is at its beginning again then. A single read may
+/// give fewer, as from a network.
+///
+/// # Errors
+/// [`Error::Io`] if it cannot be read.
+pub fn first_bytes(path: &Path, file: &mut BufReader<DiskFile>, count: usize) -> Result<Vec<u8>> {
+    let mut bytes = Vec::with_capacity(count);
+    let read = file.take(count as u64).read_to_end(&mut bytes);
+    read.and_then(|_| file.rewind()).map_err(Error::io("read", path))?;
+    Ok(bytes)
+}
+
+/// Reads a file of any size in parts.
+///
+/// # Errors
+/// [`Error::Io`] if it cannot be read.
+pub fn read_parts(path: &Path, mut take: impl FnMut(&[u8])) -> Result<()> {
+    let mut file = DiskFile::open(path).map_err(Error::io("read", path))?;
+    let mut part = vec![0; 1 << 18];
+    loop {
+        match file.read(&mut part).map_err(Error::io("read", path))? {
+            0 => return Ok(()),
+            count => take(&part[..count]),
+        }
+    }
 }
 
 /// Reads a whole file of at most 4 GiB; `help` returns the remedy for a missing file.
@@ -248,7 +276,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("large");
         // A sparse file: it takes no room on the disk.
-        File::create(&path).unwrap().set_len(MOST_BYTES + 1).unwrap();
+        fs::File::create(&path).unwrap().set_len(MOST_BYTES + 1).unwrap();
         let (problem, _) = refused(&path);
         assert!(problem.contains("the file has 4096.0 MiB, and at most 4096.0 MiB"), "{problem}");
         fs::write(&path, "12345").unwrap();

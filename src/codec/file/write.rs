@@ -1,5 +1,6 @@
 //! Writing whole files: a temporary file in the same folder, which is renamed when it is complete and on the disk.
 
+use crate::codec::file::disk::DiskFile;
 use crate::codec::file::scratch::{PREFIX, is_scratch};
 use crate::{Error, Result};
 use std::fs::{self, File};
@@ -14,9 +15,9 @@ use tempfile::{NamedTempFile, TempPath};
 ///
 /// # Errors
 /// Whatever `write` returns, or [`Error::Io`] for other errors of the operating system.
-pub fn write_file(path: &Path, write: impl FnOnce(&mut BufWriter<File>) -> Result<()>) -> Result<()> {
+pub fn write_file(path: &Path, write: impl FnOnce(&mut BufWriter<DiskFile>) -> Result<()>) -> Result<()> {
     let (file, temporary) = temporary_beside(path)?.into_parts();
-    let mut writer = BufWriter::new(file);
+    let mut writer = BufWriter::new(DiskFile::new(file, path));
     write(&mut writer)?;
     let file = writer.into_inner().map_err(|failed| Error::io("write", path)(failed.into_error()))?;
     finish(&file, temporary, path)
@@ -37,7 +38,7 @@ pub fn write_by_path(path: &Path, write: impl FnOnce(&Path) -> Result<()>) -> Re
     drop(file);
     write(&temporary)?;
     let file = File::options().write(true).open(&temporary).map_err(Error::io("write", path))?;
-    finish(&file, temporary, path)
+    finish(&DiskFile::new(file, path), temporary, path)
 }
 
 fn temporary_beside(path: &Path) -> Result<NamedTempFile> {
@@ -63,7 +64,7 @@ fn folder_of(path: &Path) -> PathBuf {
 }
 
 /// Gives a complete file its name. After a power cut there is the old file or the new one, never an empty one.
-fn finish(file: &File, temporary: TempPath, path: &Path) -> Result<()> {
+fn finish(file: &DiskFile, temporary: TempPath, path: &Path) -> Result<()> {
     let counts = !is_scratch(path);
     if counts {
         file.sync_all().map_err(Error::io("write", path))?;

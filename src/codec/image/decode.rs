@@ -1,7 +1,7 @@
 //! Reading headers and samples of all formats.
 
 use crate::codec::exr::{decode_exr_picture, exr_header};
-use crate::codec::file::open;
+use crate::codec::file::{DiskFile, first_bytes, open};
 use crate::codec::hdr::RadianceReader;
 use crate::codec::image::format::{Format, damaged, recognize};
 use crate::codec::image::header::{ImageHeader, Orientation, check_bytes, check_pixels};
@@ -12,10 +12,11 @@ use crate::error::{Error, Result};
 use image::codecs::png::PngDecoder;
 use image::metadata::Orientation as ExifOrientation;
 use image::{DynamicImage, ImageDecoder, Limits};
-use std::fs::File;
 use std::io::{BufRead, BufReader, Seek};
 use std::path::Path;
 
+/// Bytes at the start of a file that say which format it has.
+const RECOGNIZED_BY: usize = 64;
 /// Bytes that the chunks of a PNG beside its pixels may have.
 const MOST_CHUNK_BYTES: u64 = 1 << 26;
 
@@ -31,10 +32,9 @@ pub fn image_header(path: impl AsRef<Path>) -> Result<ImageHeader> {
 }
 
 /// [`image_header`] of a file at its beginning.
-pub(super) fn read_header(path: &Path, file: &mut BufReader<File>) -> Result<ImageHeader> {
+pub(super) fn read_header(path: &Path, file: &mut BufReader<DiskFile>) -> Result<ImageHeader> {
     let file_bytes = file.get_ref().metadata().map_err(Error::io("read", path))?.len();
-    let start = file.fill_buf().map_err(Error::io("read", path))?;
-    let format = recognize(path, start)?;
+    let format = recognize(path, &first_bytes(path, file, RECOGNIZED_BY)?)?;
     let header = match format {
         Format::Png => png_header(path, file)?,
         Format::Jpeg => jpeg_file::header(path, file)?,
@@ -101,7 +101,7 @@ fn integers(path: &Path, header: &ImageHeader, decoded: DynamicImage) -> Result<
     Ok(samples)
 }
 
-fn decode_hdr(path: &Path, file: BufReader<File>) -> Result<Vec<f32>> {
+fn decode_hdr(path: &Path, file: BufReader<DiskFile>) -> Result<Vec<f32>> {
     let wrong = |problem: String| damaged(path, Format::Hdr, &problem);
     let mut reader = RadianceReader::new(file).map_err(wrong)?;
     let [width, height] = reader.size;
@@ -113,9 +113,9 @@ fn decode_hdr(path: &Path, file: BufReader<File>) -> Result<Vec<f32>> {
     Ok(samples)
 }
 
-fn png_header(path: &Path, file: &mut BufReader<File>) -> Result<ImageHeader> {
+fn png_header(path: &Path, file: &mut BufReader<DiskFile>) -> Result<ImageHeader> {
     // The decoder takes memory for a row: the size is checked before.
-    let start = file.fill_buf().map_err(Error::io("read", path))?;
+    let start = first_bytes(path, file, 24)?;
     let Some(&[w3, w2, w1, w0, h3, h2, h1, h0]) = start.get(16..24).and_then(|size| size.first_chunk())
     else {
         return Err(damaged(path, Format::Png, "it ends in its header"));

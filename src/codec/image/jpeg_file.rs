@@ -1,12 +1,12 @@
 //! JPEG: its header segment by segment, and its pixels.
 
+use crate::codec::file::DiskFile;
 use crate::codec::image::format::{Format, damaged};
 use crate::codec::image::header::ImageHeader;
 use crate::error::{Error, Result};
 use image::DynamicImage;
 use image::codecs::jpeg::JpegDecoder;
 use image::metadata::Orientation as ExifOrientation;
-use std::fs::File;
 use std::io::{self, BufReader, Cursor, Read};
 use std::path::Path;
 
@@ -24,7 +24,7 @@ struct Segments {
 }
 
 /// Reads the header of a JPEG at its beginning.
-pub(super) fn header(path: &Path, source: &mut BufReader<File>) -> Result<ImageHeader> {
+pub(super) fn header(path: &Path, source: &mut BufReader<DiskFile>) -> Result<ImageHeader> {
     let segments = segments(source).map_err(|error| damaged(path, Format::Jpeg, &error.to_string()))?;
     let Segments { size: [width, height], bits, components, exif, .. } = segments;
     if bits != 8 {
@@ -38,7 +38,7 @@ pub(super) fn header(path: &Path, source: &mut BufReader<File>) -> Result<ImageH
 /// Decodes a JPEG at its beginning.
 ///
 /// The decoder fills missing data at the end of a file with gray, so the end marker is checked first.
-pub(super) fn decode(path: &Path, source: &mut BufReader<File>) -> Result<DynamicImage> {
+pub(super) fn decode(path: &Path, source: &mut BufReader<DiskFile>) -> Result<DynamicImage> {
     let wrong = |why: &str| damaged(path, Format::Jpeg, why);
     let mut bytes = Vec::new();
     source.read_to_end(&mut bytes).map_err(Error::io("read", path))?;

@@ -1,17 +1,17 @@
 //! WebP: lossy and lossless, with and without alpha.
 
+use crate::codec::file::DiskFile;
 use crate::codec::image::format::{Format, damaged};
 use crate::codec::image::header::ImageHeader;
 use crate::error::{Error, Result};
 use image::metadata::Orientation as ExifOrientation;
 use image_webp::{DecodingError, WebPDecoder};
-use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
 
-type Decoder<'a> = WebPDecoder<&'a mut BufReader<File>>;
+type Decoder<'a> = WebPDecoder<&'a mut BufReader<DiskFile>>;
 
-fn open<'a>(path: &Path, source: &'a mut BufReader<File>, file_bytes: u64) -> Result<Decoder<'a>> {
+fn open<'a>(path: &Path, source: &'a mut BufReader<DiskFile>, file_bytes: u64) -> Result<Decoder<'a>> {
     let mut decoder = WebPDecoder::new(source).map_err(|error| wrong(path, &error))?;
     // Of a chunk that is read whole, which a file cannot have larger than itself.
     decoder.set_memory_limit(usize::try_from(file_bytes).unwrap_or(usize::MAX));
@@ -27,7 +27,7 @@ fn wrong(path: &Path, error: &DecodingError) -> Error {
 }
 
 /// Reads the header of a WebP at its beginning.
-pub(super) fn header(path: &Path, source: &mut BufReader<File>, file_bytes: u64) -> Result<ImageHeader> {
+pub(super) fn header(path: &Path, source: &mut BufReader<DiskFile>, file_bytes: u64) -> Result<ImageHeader> {
     let mut decoder = open(path, source, file_bytes)?;
     let (width, height) = decoder.dimensions();
     let channels = if decoder.has_alpha() { 4 } else { 3 };
@@ -38,7 +38,7 @@ pub(super) fn header(path: &Path, source: &mut BufReader<File>, file_bytes: u64)
 }
 
 /// Decodes a WebP at its beginning, which has this header.
-pub(super) fn decode(path: &Path, source: &mut BufReader<File>, header: &ImageHeader) -> Result<Vec<u8>> {
+pub(super) fn decode(path: &Path, source: &mut BufReader<DiskFile>, header: &ImageHeader) -> Result<Vec<u8>> {
     let mut decoder = open(path, source, u64::MAX)?;
     let mut samples = vec![0; header.decoded_bytes() as usize];
     decoder.read_image(&mut samples).map_err(|error| wrong(path, &error))?;

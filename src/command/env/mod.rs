@@ -60,7 +60,7 @@ fn conventions(args: ConventionArgs) -> LightConventions {
 
 fn read(path: &Path, said: ConventionArgs) -> Result<LightFile> {
     let (light, notes) = read_light(path, conventions(said))?;
-    notes.iter().for_each(|note| eprintln!("note: {note}"));
+    notes.iter().for_each(|note| Terminal::new(false).note(note));
     Ok(light)
 }
 

@@ -4,7 +4,7 @@
 //! whole and of this run, and if those on the way to it are. The last two places are kept, so that there is one if the last is damaged.
 
 use crate::checkpoint::{self, Checkpoint, Checkpoints, Place, Store, packed};
-use crate::codec::file::{MOST_TEXT, is_there, read_bytes, read_text, write_bytes, write_file};
+use crate::codec::file::{MOST_TEXT, is_there, read_bytes, read_parts, read_text, write_bytes, write_file};
 use crate::error::{Error, Result};
 use crate::fit::run::FirstGuess;
 use crate::mesh::Surface;
@@ -20,9 +20,9 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::fmt::Debug;
-use std::fs::{self, File};
+use std::fs;
 use std::hash::{DefaultHasher, Hasher};
-use std::io::{Read, Write as _};
+use std::io::Write as _;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -156,14 +156,9 @@ fn hash_of_bytes(bytes: &[u8]) -> u64 {
 }
 
 fn hash_of_file(path: &Path) -> Result<u64> {
-    let mut file = File::open(path).map_err(Error::io("read", path))?;
-    let (mut hasher, mut part) = (DefaultHasher::new(), vec![0; 1 << 18]);
-    loop {
-        match file.read(&mut part).map_err(Error::io("read", path))? {
-            0 => return Ok(hasher.finish()),
-            count => hasher.write(&part[..count]),
-        }
-    }
+    let mut hasher = DefaultHasher::new();
+    read_parts(path, |part| hasher.write(part))?;
+    Ok(hasher.finish())
 }
 
 /// Checkpoints as files.

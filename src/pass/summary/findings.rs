@@ -37,6 +37,7 @@ pub fn fit_pictures(out: &Path, pass: &str, pictures: &mut Pictures) -> Vec<Show
 pub fn findings(out: &Path, fits: &[&str], scores: &Scores) -> Vec<Finding> {
     let mut found: Vec<Finding> = scores.scale.iter().flat_map(of_scale).collect();
     found.extend(of_light_frame(scores));
+    found.extend(scores.warnings.iter().map(|warning| plain("warning", warning.clone())));
     for pass in fits {
         let folder = out.join(pass);
         let of_pass = of_light(&folder).into_iter().chain(of_materials(&folder)).chain(of_exposures(&folder));

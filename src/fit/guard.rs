@@ -1,0 +1,276 @@
+//! What keeps a fit from nonsense: a step whose loss or gradient is not finite is traced to its pixel and parameter, and not taken.
+//!
+//! | system | stage | does |
+//! | --- | --- | --- |
+//! | [`check_shading`] | Loss, first | looks at radiance and photographs |
+//! | [`check_loss`] | Loss, after the comparison | looks at the loss and its adjoint |
+//! | [`check_adjoints`] | Gradient, after `Slot::ShadingAdjoint` | looks at the adjoints of points, light and materials |
+//!
+//! What is not finite is set to zero, so that nothing that is kept from step to step takes it up; [`step_is_sound`] then holds the rest of
+//! Gradient and all of Update back.
+
+use super::components::{LossState, StepGradient};
+use super::loss::LossSums;
+use super::roughness::blend::BlendAdjoints;
+use crate::error::{Error, Result};
+use crate::light::LightLobe;
+use crate::light::lights::{IncidentLight, LobeOf};
+use crate::material::{DiffuseAlbedo, DiffuseSheen, SpecularBlend, SpecularLobe, TexelIndex};
+use crate::math::shading::{Layers, LobeColumns, PointAdjoint, RadianceAdjoint, ShadePoint};
+use crate::pipeline::SystemResult;
+use crate::pipeline::pool::read_column;
+use crate::sample::Samples;
+use crate::sample::pixel::{Observed, PixelOf};
+use crate::sample::point::SurfacePoint;
+use crate::view::{Camera, ViewIndex, ViewName};
+use bevy_ecs::prelude::{Res, ResMut, Resource, Without, World};
+use serde::{Deserialize, Serialize};
+
+/// Steps in a row that may be taken back; one more ends the fit.
+const MOST_IN_A_ROW: u32 = 9;
+/// Adjoints beyond this count as not finite: their squares, times the range of an amplitude, must not overflow.
+const LARGEST: f32 = 1e12;
+/// Radiance beyond this counts as not finite.
+const BRIGHTEST: f32 = 1e15;
+
+/// Where a step fails first.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Fault {
+    /// What is not finite: "the radiance", "the gradient".
+    pub what: String,
+    /// The pixel, if it is one's.
+    pub pixel: Option<(u32, u32)>,
+    /// The parameter that it is traced to: "light lobe 3", "the albedo of texel 517".
+    pub parameter: String,
+}
+
+/// Counts the steps that were taken back, over all fits of a run.
+#[derive(Resource, Clone, Debug, Default, Serialize, Deserialize)]
+pub struct StepGuard {
+    /// The fault of the step at work.
+    fault: Option<Fault>,
+    /// Steps that were not taken.
+    pub taken_back: u32,
+    /// In words: where the first of them failed.
+    pub first: Option<String>,
+    in_a_row: u32,
+}
+
+impl StepGuard {
+    /// Whether nothing of this step was found that is not finite.
+    pub fn is_sound(&self) -> bool {
+        self.fault.is_none()
+    }
+
+    fn find(&mut self, what: &str, pixel: Option<PixelOf>, parameter: impl Into<String>) {
+        let pixel = pixel.map(|pixel| (pixel.view.0, pixel.pixel));
+        self.fault.get_or_insert(Fault { what: what.into(), pixel, parameter: parameter.into() });
+    }
+}
+
+/// Whether nothing of this step was found that is not finite.
+pub fn step_is_sound(guard: Option<Res<StepGuard>>) -> bool {
+    guard.is_none_or(|guard| guard.is_sound())
+}
+
+fn is_sound(values: &[f32], largest: f32) -> bool {
+    // Not `all`, whose early exit keeps the loop from being a vector loop; comparisons with NaN are false.
+    values.iter().fold(true, |sound, value| sound & (value.abs() <= largest))
+}
+
+/// Loss: looks for radiance and photographs that are not finite.
+pub fn check_shading(
+    light: Res<IncidentLight>,
+    mut guard: ResMut<StepGuard>,
+    samples: Samples<(&PixelOf, &ShadePoint, &SurfacePoint, &mut Layers, &mut Observed)>,
+) -> SystemResult {
+    let (pixels, gathered, points, mut shaded, mut observed) = samples.columns()?;
+    for i in 0..pixels.len() {
+        let layers = &shaded[i];
+        if !is_sound(&layers.diffuse, BRIGHTEST) || !is_sound(&layers.specular, BRIGHTEST) {
+            let parameter = cause(&light.lobes, &gathered[i], &points[i]);
+            guard.find("the radiance", Some(pixels[i]), parameter);
+            shaded[i] = Layers::default();
+        }
+        if !is_sound(&observed[i].radiance.to_array(), BRIGHTEST) {
+            guard.find("the photograph", Some(pixels[i]), "the photograph itself");
+            observed[i] = Observed::default();
+        }
+    }
+    Ok(())
+}
+
+/// The parameter that makes the radiance of a point what it is.
+fn cause(lobes: &LobeColumns, gathered: &ShadePoint, point: &SurfacePoint) -> String {
+    let is_bad = |i: &usize| {
+        let lobe = lobes.get(*i);
+        !is_sound(&lobe.axis, BRIGHTEST)
+            || !is_sound(&lobe.amplitude, BRIGHTEST)
+            || !lobe.sharpness.is_finite()
+    };
+    if let Some(lobe) = (0..lobes.len()).find(is_bad) {
+        return format!("light lobe {lobe}");
+    }
+    if !is_sound(&gathered.albedo, BRIGHTEST) {
+        return of_texel(point);
+    }
+    if !is_sound(&gathered.normal, BRIGHTEST) {
+        return "the normal of the surface".into();
+    }
+    "no parameter: all are finite".into()
+}
+
+/// The albedo of the texel that counts most at a point.
+fn of_texel(point: &SurfacePoint) -> String {
+    let most = (0..4).max_by(|a, b| point.texels.weights[*a].total_cmp(&point.texels.weights[*b]));
+    format!("the albedo of texel {}", point.texels.indices[most.unwrap_or(0)])
+}
+
+/// Loss: looks for a loss, or an adjoint of it, that is not finite.
+pub fn check_loss(
+    mut state: ResMut<LossState>,
+    mut guard: ResMut<StepGuard>,
+    samples: Samples<(&PixelOf, &mut RadianceAdjoint)>,
+) -> SystemResult {
+    let (pixels, mut adjoint) = samples.columns()?;
+    for (pixel, adjoint) in pixels.iter().zip(adjoint.iter_mut()) {
+        if !is_sound(&adjoint.0, LARGEST) {
+            guard.find("the loss", Some(*pixel), "the radiance there");
+            *adjoint = RadianceAdjoint::default();
+        }
+    }
+    if !(state.last.loss.is_finite() && state.last.clipped_squares.is_finite()) {
+        guard.find("the loss", None, "the sum over the pixels of the step");
+    }
+    if guard.fault.is_some() {
+        state.last = LossSums::default();
+    }
+    Ok(())
+}
+
+/// Gradient: looks for adjoints that are not finite; with one, all become zero.
+pub fn check_adjoints(
+    mut guard: ResMut<StepGuard>,
+    mut gradient: ResMut<StepGradient>,
+    mut blends: ResMut<BlendAdjoints>,
+    samples: Samples<(&PixelOf, &SurfacePoint, &RadianceAdjoint, &mut PointAdjoint)>,
+) -> SystemResult {
+    let (pixels, points, radiance, mut back) = samples.columns()?;
+    let bad =
+        back.iter().position(|back| !is_sound(&back.albedo, LARGEST) || !is_sound(&back.normal, LARGEST));
+    if let Some(i) = bad {
+        let is_albedo = !is_sound(&back[i].albedo, LARGEST);
+        let parameter = if is_albedo { of_texel(&points[i]) } else { "the normal of the surface".into() };
+        guard.find("the gradient", Some(pixels[i]), parameter);
+    }
+    let blended = blends.0.iter().position(|blend| !is_sound(blend, LARGEST));
+    if let Some(i) = blended {
+        guard.find("the gradient", pixels.get(i).copied(), "the blend of base materials there");
+    }
+    if let Some(parameter) = shared_fault(&gradient) {
+        // Sums do not say whose they are: the pixel with the largest adjoint is the likeliest.
+        let weight = |i: &usize| radiance[*i].0.iter().map(|value| value.abs()).fold(0.0, f32::max);
+        let worst = (0..pixels.len()).max_by(|a, b| weight(a).total_cmp(&weight(b)));
+        guard.find("the gradient", worst.map(|i| pixels[i]), parameter);
+    }
+    if guard.fault.is_some() {
+        back.fill(PointAdjoint::default());
+        blends.0.iter_mut().for_each(|blend| blend.fill(0.0));
+        gradient.shared.lobes = LobeColumns::zeros(gradient.shared.lobes.len());
+        gradient.shared.specular = Default::default();
+        gradient.specular.iter_mut().for_each(|specular| *specular = Default::default());
+    }
+    Ok(())
+}
+
+/// The first light lobe or base material whose gradient is not finite.
+fn shared_fault(gradient: &StepGradient) -> Option<String> {
+    let lobes = &gradient.shared.lobes;
+    let of_lobe = |i: usize| {
+        let lobe = lobes.get(i);
+        let parts = [("axis", lobe.axis), ("amplitude", lobe.amplitude), ("sharpness", [lobe.sharpness; 3])];
+        let bad = parts.into_iter().find(|(_, values)| !is_sound(values, LARGEST));
+        bad.map(|(part, _)| format!("the {part} of light lobe {i}"))
+    };
+    let of_material = |(k, specular): (usize, &crate::math::shading::SpecularAdjoint)| {
+        let parts = [("specular albedo", specular.albedo), ("roughness", [specular.roughness; 3])];
+        let bad = parts.into_iter().find(|(_, values)| !is_sound(values, LARGEST));
+        bad.map(|(part, _)| format!("the {part} of base material {k}"))
+    };
+    (0..lobes.len()).find_map(of_lobe).or_else(|| gradient.specular.iter().enumerate().find_map(of_material))
+}
+
+/// Forgets the fault of the step before.
+pub(super) fn begin_step(world: &mut World) {
+    world.resource_mut::<StepGuard>().fault = None;
+}
+
+/// Counts a step that was not taken.
+///
+/// # Errors
+/// [`Error::Run`] if too many in a row were not.
+pub(super) fn end_step(world: &mut World, step: u32) -> Result<()> {
+    let Some(fault) = world.resource_mut::<StepGuard>().fault.take() else {
+        world.resource_mut::<StepGuard>().in_a_row = 0;
+        return Ok(());
+    };
+    let place = words(world, &fault);
+    let mut guard = world.resource_mut::<StepGuard>();
+    guard.taken_back += 1;
+    guard.in_a_row += 1;
+    guard.first.get_or_insert_with(|| format!("step {step}: {place}"));
+    if guard.in_a_row <= MOST_IN_A_ROW {
+        return Ok(());
+    }
+    let problem = format!("{} steps in a row cannot be taken: {place}", guard.in_a_row);
+    guard.in_a_row = 0;
+    Err(Error::run(format!("fit, step {step}"), problem))
+}
+
+/// "the gradient is not finite at view rgb_000003, pixel (12, 40), by the albedo of texel 517"
+fn words(world: &mut World, fault: &Fault) -> String {
+    let at = fault.pixel.map(|(view, pixel)| {
+        let mut views = world.query::<(&ViewIndex, &ViewName, &Camera)>();
+        let found = views.iter(world).find(|(index, ..)| index.0 == view);
+        match found {
+            Some((_, name, camera)) => {
+                let width = camera.width.max(1);
+                format!(" at view {}, pixel ({}, {})", name.0, pixel % width, pixel / width)
+            }
+            None => format!(" at view number {view}, pixel {pixel}"),
+        }
+    });
+    format!("{} is not finite{}, by {}", fault.what, at.unwrap_or_default(), fault.parameter)
+}
+
+/// Checks what a fit has found before any of it is written.
+///
+/// # Errors
+/// [`Error::Run`] that names the first parameter that is not finite.
+pub fn check_parameters(world: &mut World) -> Result<()> {
+    let refuse =
+        |what: String| Err(Error::run("fit", format!("{what} is not finite: nothing of it is written")));
+    let mut lobes = world.query_filtered::<&LightLobe, Without<LobeOf>>();
+    let is_finite =
+        |lobe: &LightLobe| lobe.axis.is_finite() && lobe.sharpness.is_finite() && lobe.amplitude.is_finite();
+    if let Some(i) = lobes.iter(world).position(|lobe| !is_finite(lobe)) {
+        return refuse(format!("light lobe {i}"));
+    }
+    let mut materials = world.query::<&SpecularLobe>();
+    if !materials.iter(world).all(|lobe| lobe.albedo.is_finite() && lobe.roughness.is_finite()) {
+        return refuse("a specular lobe".into());
+    }
+    let albedo = read_column::<TexelIndex, DiffuseAlbedo>(world)?;
+    if let Some(i) = albedo.iter().position(|albedo| !albedo.0.is_finite()) {
+        return refuse(format!("the albedo of texel {i}"));
+    }
+    let sheen = read_column::<TexelIndex, DiffuseSheen>(world)?;
+    if let Some(i) = sheen.iter().position(|sheen| !sheen.0.is_finite()) {
+        return refuse(format!("the sheen of texel {i}"));
+    }
+    let blends = read_column::<TexelIndex, SpecularBlend>(world)?;
+    match blends.iter().position(|blend| !blend.0.iter().all(|weight| weight.is_finite())) {
+        Some(i) => refuse(format!("the blend of texel {i}")),
+        None => Ok(()),
+    }
+}
