@@ -164,6 +164,7 @@ fn shape_level(pass: &ShapePass, level: &GridLevel) -> ShapeLevel {
     ShapeLevel {
         cells: level.cells,
         texel_cells: level.texel_cells,
+        least_pixels: level.pixels,
         schedule: ShapeSchedule {
             steps: level.steps,
             hold: level.hold,

@@ -68,7 +68,8 @@ pub struct ShapePass {
     pub loss: Loss,
     /// The closed form that shades. Default `Accurate`.
     pub shading: FitShading,
-    /// The grids, from coarse to fine. Default: 64 cells for 300 steps, the shape held for 50; then 128 for 400.
+    /// The grids, from coarse to fine. Default: 64 cells for 300 steps, the shape held for 50; then 128 for 400; then 192 for 200, if its
+    /// cells are two pixels wide.
     pub levels: Vec<GridLevel>,
     /// Pixels per step ≥ 1. Default 8192.
     pub batch: u32,
@@ -101,6 +102,7 @@ impl Default for ShapePass {
             levels: vec![
                 GridLevel { cells: 64, hold: 50, steps: 300, rates: (0.05, 0.01), ..GridLevel::default() },
                 GridLevel { texel_cells: 96, ..GridLevel::default() },
+                GridLevel { cells: 192, texel_cells: 128, steps: 200, pixels: 2.0, ..GridLevel::default() },
             ],
             batch: 8192,
             max_pixels: 2_000_000,
@@ -130,11 +132,14 @@ pub struct GridLevel {
     pub hold: u32,
     /// Typical step of a distance at the first and the last step, in cells. Default (0.05, 0.002).
     pub rates: (f32, f32),
+    /// Pixels that a cell is wide in a typical photograph, below which the fit ends with the level before ≥ 0; the first level is
+    /// always fitted. Default 0.
+    pub pixels: f32,
 }
 
 impl Default for GridLevel {
     fn default() -> Self {
-        Self { cells: 128, texel_cells: 64, steps: 400, hold: 0, rates: (0.05, 0.002) }
+        Self { cells: 128, texel_cells: 64, steps: 400, hold: 0, rates: (0.05, 0.002), pixels: 0.0 }
     }
 }
 

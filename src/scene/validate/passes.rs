@@ -151,6 +151,7 @@ fn shape(checks: &mut Checks, at: &str, shape: &ShapePass, scene: &Scene) {
         checks.count(&path("steps"), level.steps, 1..=u32::MAX);
         checks.number(&path("rates"), level.rates.0, 1e-6..=1.0);
         checks.number(&path("rates"), level.rates.1, 1e-6..=1.0);
+        checks.not_negative(&path("pixels"), level.pixels);
     }
     if !matches!(scene.surface, Surface::Unknown { .. }) {
         let help = "Write `surface: Unknown()`, or remove the `Shape`.";

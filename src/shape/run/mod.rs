@@ -31,7 +31,7 @@ use crate::shape::systems::{
 };
 use crate::view::{ByView, Camera, Photograph, Split, ViewIndex, ViewMask, ViewName};
 use bevy_ecs::prelude::{Component, Entity, IntoScheduleConfigs, With, World};
-use glam::Vec3;
+use glam::{UVec3, Vec3};
 use rand::seq::SliceRandom;
 use rand::{SeedableRng, rngs::SmallRng};
 use std::ops::ControlFlow;
@@ -49,6 +49,8 @@ pub struct ShapeLevel {
     pub cells: u32,
     /// Cells per side of the lattice of texels.
     pub texel_cells: u32,
+    /// Width of a cell in a typical photograph, in pixels, below which the fit ends with the level before; the first is always fitted.
+    pub least_pixels: f32,
     /// Schedule of the optimization.
     pub schedule: ShapeSchedule,
 }
@@ -153,6 +155,9 @@ fn fit_levels(
     };
     for (index, level) in options.levels.iter().enumerate().skip(begun) {
         if index > begun {
+            if cell_pixels(&surface.grid, level.cells, silhouettes) < level.least_pixels {
+                break;
+            }
             surface = next_surface(&mut pipeline.world, surface, silhouettes, options, index)?;
             keep_level(&mut pipeline.world, index as u32, &surface)?;
         }
@@ -177,6 +182,16 @@ fn fit_levels(
         keep_level(&mut pipeline.world, options.levels.len() as u32, &surface)?;
     }
     Ok(surface)
+}
+
+/// Width in pixels of a cell in the median photograph, if the grid had `cells` cells a side.
+fn cell_pixels(grid: &SdfGrid, cells: u32, silhouettes: &[Silhouette]) -> f32 {
+    let width = 2.0 * half_side(grid) / cells as f32;
+    let middle = grid.position(UVec3::splat(grid.side / 2));
+    let pixels = |s: &Silhouette| width / (pixel_size(&s.camera) * s.camera.position().distance(middle));
+    let mut widths: Vec<f32> = silhouettes.iter().map(pixels).collect();
+    widths.sort_by(f32::total_cmp);
+    widths.get(widths.len() / 2).copied().unwrap_or(0.0)
 }
 
 /// What the first level starts from: the hull, with gray texels.

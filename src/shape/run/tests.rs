@@ -99,7 +99,7 @@ fn options(steps: u32) -> ShapeOptions {
         blends: false,
     };
     ShapeOptions {
-        levels: vec![ShapeLevel { cells: 40, texel_cells: 12, schedule }],
+        levels: vec![ShapeLevel { cells: 40, texel_cells: 12, least_pixels: 0.0, schedule }],
         fit: FitOptions {
             loss: Loss::L1,
             form: ClosedForm::default(),
@@ -150,4 +150,16 @@ fn the_systems_leave_when_the_fit_ends() {
     let options = FitOptions { steps: 2, ..options(2).fit };
     let summary = run_fit(&mut pipeline, &options, &mut |_, _| ControlFlow::Continue(())).unwrap();
     assert_eq!(summary.steps, 2);
+}
+
+#[test]
+fn a_level_finer_than_the_pictures_is_left_out() {
+    let side = |least_pixels: f32| {
+        let mut options = options(2);
+        options.levels.push(ShapeLevel { cells: 60, least_pixels, ..options.levels[0] });
+        let mut pipeline = world_of_photographs();
+        fit_shape(&mut pipeline, &options, &mut |_| ControlFlow::Continue(())).unwrap().grid.side
+    };
+    // A cell of the second level is 0.6 pixels wide.
+    assert!(side(0.4) > 60 && side(0.9) < 60, "{} {}", side(0.4), side(0.9));
 }
