@@ -6,8 +6,8 @@
 //! | [`check_loss`] | Loss, after the comparison | looks at the loss and its adjoint |
 //! | [`check_adjoints`] | Gradient, after `Slot::ShadingAdjoint` | looks at the adjoints of points, light and materials |
 //!
-//! What is not finite is set to zero, so that nothing that is kept from step to step takes it up; [`step_is_sound`] then holds the rest of
-//! Gradient and all of Update back.
+//! What is not finite is set to zero, so that nothing that is kept from step to step takes it up; [`step_is_sound`] then holds Update
+//! back, and Gradient too if the fault is found in Loss. After a fault found in Gradient the rest of that stage runs on zeros.
 
 use super::components::{LossState, StepGradient};
 use super::loss::LossSums;

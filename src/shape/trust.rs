@@ -100,8 +100,11 @@ fn taken_pixels(
         }
         let Some(first) = surface.first_crossing(&ray, 0.0) else { continue };
         let step = STEP * surface.spacing;
-        let along = (1..).map(|k| ray.origin + ray.direction * (first + k as f32 * step));
-        let inside: Vec<Vec3> = along.take_while(|point| surface.value(*point) < 0.0).collect();
+        let along = |k: u32| ray.origin + ray.direction * (first + k as f32 * step);
+        // No ray is longer within the grid, beyond which values go on as they are at its border.
+        let last = 4 * surface.side;
+        let behind = (1..=last).map(along).take_while(|point| surface.value(*point) < 0.0);
+        let inside: Vec<Vec3> = std::iter::once(along(0)).chain(behind).collect();
         let carves = |point: &Vec3, row: usize| carve_distance(&all[row], *point).is_some_and(|d| d > 0.0);
         takers.extend((0..all.len()).filter(|row| inside.iter().any(|point| carves(point, *row))));
     }

@@ -25,6 +25,8 @@ use std::collections::BTreeMap;
 const COLLECTED: (f32, f32) = (0.15, 0.3);
 /// Part of the squared residuals of views kept aside that a sheen must explain.
 const CONVINCING: f64 = 0.1;
+/// Sums of squared residuals below this are none.
+const NO_RESIDUALS: f64 = 1e-12;
 /// Cells along the longest side of the object.
 const CELLS: f32 = 32.0;
 /// Residuals count relative to the observed radiance plus this, which is close to how they are seen.
@@ -92,7 +94,7 @@ impl SheenEvidence {
         self.explained.is_some_and(|explained| explained > CONVINCING)
     }
 
-    /// The part of the squared residuals of views kept aside that a sheen explains: below 0 if it makes them worse.
+    /// The part of the squared residuals of views kept aside that a sheen explains: below 0 if it makes them worse, 0 if there are none.
     fn explained_part(&self) -> f64 {
         let (mut without, mut with) = (0.0, 0.0);
         for halves in self.cells.values() {
@@ -102,7 +104,7 @@ impl SheenEvidence {
                 with += judged.left(fitted.albedo_and_sheen());
             }
         }
-        1.0 - with / without.max(1e-30)
+        if without < NO_RESIDUALS { 0.0 } else { 1.0 - with / without }
     }
 }
 
@@ -197,7 +199,8 @@ mod tests {
     fn neither_a_wrong_albedo_nor_noise_is_taken_for_a_sheen() {
         assert!(evidence(0.3, 0.0, 0.02).explained_part() < CONVINCING);
         assert!(evidence(0.0, 0.0, 0.2).explained_part() < CONVINCING);
-        assert!(evidence(0.0, 0.0, 0.0).explained_part().is_finite());
+        assert_eq!(evidence(0.0, 0.0, 0.0).explained_part(), 0.0);
+        assert_eq!(SheenEvidence::default().explained_part(), 0.0);
         assert!(!SheenEvidence::default().is_convincing());
     }
 
