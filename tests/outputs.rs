@@ -1,24 +1,10 @@
 //! Outputs never touch inputs, whatever passes, views and folders are called; two runs never mix; and `run.json` says what belongs
 //! together, whatever became of the run.
 
-use crate::common::{AtWork, Data, Outcome, SIZE, command, files_below, is_temporary, manifest};
+use crate::common::{AtWork, Data, Outcome, SIZE, command, files_below, is_temporary, manifest, scene};
 use serde_json::Value;
 use std::collections::BTreeMap;
 use std::path::Path;
-
-/// A short fit, a picture and scores; `{}` is more passes.
-fn scene(passes: &str) -> String {
-    format!(
-        r#"Scene(
-    version: 1,
-    surface: Mesh(path: "$DATA/mesh.glb", texture_size: 16),
-    views: Dataset(path: "$DATA"),
-    light: Unknown(lobes: 6),
-    passes: [{passes}],
-)
-"#
-    )
-}
 
 const FIT: &str = r#"Fit(name: "fit", steps: 10, batch: 256), "#;
 const NOVEL: &str = r#"Render(name: "novel"), "#;

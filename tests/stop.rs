@@ -1,25 +1,12 @@
 //! Runs that are asked to stop: they end soon, wherever they are, and keep what they have found.
 
-use crate::common::{AtWork, Data, files_below, is_temporary, manifest, states};
+use crate::common::{AtWork, Data, files_below, is_temporary, manifest, scene, states};
 use crate::photos::photographs;
 use serde_json::Value;
 use std::time::{Duration, Instant};
 
 /// How long a run may take to stop; a program without optimization on a busy machine gets more than the two seconds that it needs.
 const PATIENCE: Duration = Duration::from_secs(20);
-
-fn scene(passes: &str) -> String {
-    format!(
-        r#"Scene(
-    version: 1,
-    surface: Mesh(path: "$DATA/mesh.glb", texture_size: 16),
-    views: Dataset(path: "$DATA"),
-    light: Unknown(lobes: 6),
-    passes: [{passes}],
-)
-"#
-    )
-}
 
 const FIT: &str = r#"Fit(name: "fit", steps: 10, batch: 256), "#;
 const ENDLESS: &str = r#"Fit(name: "endless", steps: 1500000000, batch: 256), "#;

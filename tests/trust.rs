@@ -1,7 +1,7 @@
 //! Late failures come first or lose nothing, nonsense is told of, and a scene reads nothing that it must not.
 
 use crate::common::{
-    Data, Outcome, camera, command, day, files_below, manifest, save_png, shoot, states, studio,
+    Data, Outcome, camera, command, day, files_below, manifest, save_png, scene, shoot, states, studio,
 };
 use lobelia::error::Result;
 use lobelia::fit::guard::StepGuard;
@@ -17,20 +17,6 @@ use std::ops::ControlFlow;
 use std::path::Path;
 use std::process::Stdio;
 use std::time::Duration;
-
-/// A short fit, a picture and scores; `{}` is more passes.
-fn scene(passes: &str) -> String {
-    format!(
-        r#"Scene(
-    version: 1,
-    surface: Mesh(path: "$DATA/mesh.glb", texture_size: 16),
-    views: Dataset(path: "$DATA"),
-    light: Unknown(lobes: 6),
-    passes: [{passes}],
-)
-"#
-    )
-}
 
 const FIT: &str = r#"Fit(name: "fit", steps: 30, batch: 256), "#;
 const NOVEL: &str = r#"Render(name: "novel"), "#;

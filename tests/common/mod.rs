@@ -335,3 +335,17 @@ impl Drop for AtWork {
         let _ = self.0.wait();
     }
 }
+
+/// A scene of a data set with its mesh and an unknown light, and with these passes.
+pub fn scene(passes: &str) -> String {
+    format!(
+        r#"Scene(
+    version: 1,
+    surface: Mesh(path: "$DATA/mesh.glb", texture_size: 16),
+    views: Dataset(path: "$DATA"),
+    light: Unknown(lobes: 6),
+    passes: [{passes}],
+)
+"#
+    )
+}
