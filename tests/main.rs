@@ -14,6 +14,7 @@ mod common;
 mod agree;
 mod bad_input;
 mod check;
+mod detail;
 mod docs;
 mod ecs;
 mod env;

@@ -30,11 +30,13 @@ pub struct PixelChoice {
     pub max_pixels: usize,
 }
 
-/// A pixel before it is traced.
+/// A pixel of a training photograph, before it is traced.
 #[derive(Clone, Copy, Default)]
-struct Candidate {
-    pixel: PixelOf,
-    observed: Observed,
+pub(super) struct Candidate {
+    /// The pixel.
+    pub pixel: PixelOf,
+    /// Its radiance.
+    pub observed: Observed,
 }
 
 /// Pixels that are chosen and not yet traced.
@@ -57,22 +59,47 @@ struct ObservedView<'a> {
     mask: Option<&'a StoredMask>,
 }
 
+/// The columns of a view with a photograph.
+type ViewColumns =
+    (&'static ViewIndex, &'static Camera, &'static Photograph, Option<&'static ViewMask>, &'static Split);
+
+/// A row of [`ViewColumns`].
+type ViewRow<'a> = (&'a ViewIndex, &'a Camera, &'a Photograph, Option<&'a ViewMask>, &'a Split);
+
+/// The training views among these, in the order of their indices.
+fn training_views<'a>(views: impl Iterator<Item = ViewRow<'a>>) -> Vec<ObservedView<'a>> {
+    let observed = |(index, camera, photograph, mask, _): ViewRow<'a>| ObservedView {
+        index: *index,
+        camera,
+        photograph,
+        mask: mask.map(|mask| &mask.0),
+    };
+    let mut training: Vec<_> = views.filter(|(.., split)| **split == Split::Train).map(observed).collect();
+    training.sort_by_key(|view| view.index);
+    training
+}
+
+/// The training views in order, and the number of usable foreground pixels of each.
+pub(super) fn usable_by_view(world: &mut World) -> Vec<(ViewIndex, usize)> {
+    let mut views = world.query::<ViewColumns>();
+    let training = training_views(views.iter(world));
+    training.par_iter().map(|view| (view.index, view.usable().count())).collect()
+}
+
+/// Every n-th usable foreground pixel of a training view, row by row.
+pub(super) fn usable_pixels(world: &mut World, of: ViewIndex, every: usize) -> Vec<Candidate> {
+    let mut views = world.query::<ViewColumns>();
+    let training = training_views(views.iter(world).filter(|(index, ..)| **index == of));
+    training.iter().flat_map(|view| view.usable().step_by(every).map(|pixel| view.candidate(pixel))).collect()
+}
+
 /// Sample: chooses the usable foreground pixels of the training views, in an order shuffled by the seed.
 pub fn choose_pixels(
     choice: Res<PixelChoice>,
-    views: Query<(&ViewIndex, &Camera, &Photograph, Option<&ViewMask>, &Split)>,
+    views: Query<ViewColumns>,
     mut candidates: ResMut<Candidates>,
 ) -> SystemResult {
-    let training = views.iter().filter(|(.., split)| **split == Split::Train);
-    let mut training: Vec<ObservedView> = training
-        .map(|(index, camera, photograph, mask, _)| ObservedView {
-            index: *index,
-            camera,
-            photograph,
-            mask: mask.map(|mask| &mask.0),
-        })
-        .collect();
-    training.sort_by_key(|view| view.index);
+    let training = training_views(views.iter());
     let counts: Vec<usize> = training.par_iter().map(|view| view.usable().count()).collect();
     let total: usize = counts.iter().sum();
     if total == 0 {

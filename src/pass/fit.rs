@@ -32,6 +32,7 @@ use crate::material::{
 use crate::math::accurate::Quality;
 use crate::math::shading::ClosedForm;
 use crate::mesh::atlas::{TexelAtlas, fill_uncovered};
+use crate::pass::detail::refine_texture;
 use crate::pass::found_views;
 use crate::pass::save::write_weights;
 use crate::pass::session::Session;
@@ -109,8 +110,13 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     bar.finish_and_clear();
     session.report_light_frame(&pass.name);
     let known = !options.unknowns.light || !options.unknowns.albedo;
-    let scale = scale_found(session, if known { "Known".to_owned() } else { options.scale.words() })?;
-    let unseen = fill_texels(session)?;
+    let rule = if known { "Known".to_owned() } else { options.scale.words() };
+    let mut unseen = fill_texels(session)?;
+    if pass.detail && options.unknowns.albedo && !summary.stopped {
+        refine_texture(session, pass, &options)?;
+        unseen = fill_texels(session)?;
+    }
+    let scale = scale_found(session, rule)?;
     note_fit(session);
     report(session, &pass.name, &summary, unseen);
     write_results(&mut session.pipeline.world, session.surface.atlas(), &folder, &scale)?;

@@ -17,6 +17,7 @@
 //! none of them is one that is read; [`record`] keeps `OUT/run.json`, which says what belongs together; [`summary`] makes `OUT/report.html`
 //! of what is in the folder.
 
+mod detail;
 pub mod edit;
 pub mod evaluate;
 pub mod export;

@@ -54,13 +54,15 @@ pub enum Phase {
     Prepare,
     /// One step of a fit.
     FitStep,
+    /// Some pixels of the training photographs, which say what is left to change of their texels.
+    Detail,
     /// One tile of a picture.
     Frame,
 }
 
 impl Phase {
     /// Every built-in phase.
-    pub const ALL: [Self; 3] = [Self::Prepare, Self::FitStep, Self::Frame];
+    pub const ALL: [Self; 4] = [Self::Prepare, Self::FitStep, Self::Detail, Self::Frame];
 }
 
 /// A set for one exchangeable system (or chain of systems), inside a stage.

@@ -236,7 +236,9 @@ fn fits(survey: &Survey, is_captured: bool) -> String {
         Some(_) => text + &format!("        Fit({unknowns}),\n"),
         None => {
             let comma = if is_captured { ", " } else { "" };
-            text + &format!("        Shape({unknowns}),\n        Fit({unknowns}{comma}vertices: true),\n")
+            text + &format!(
+                "        Shape({unknowns}),\n        Fit({unknowns}{comma}vertices: true, detail: true),\n"
+            )
         }
     }
 }

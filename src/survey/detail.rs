@@ -21,15 +21,19 @@ pub fn pixels_per_texel(looks: &[Look], texture_size: u32) -> Option<f32> {
     median(&mut areas).map(|area| (4.0 * area / texels).sqrt())
 }
 
-/// A texture that is too small for the photographs.
-pub fn finding(looks: &[Look], texture_size: u32) -> Option<Finding> {
+/// A texture that is too small for the photographs, if no fit refines it (`is_refined`).
+pub fn finding(looks: &[Look], texture_size: u32, is_refined: bool) -> Option<Finding> {
+    if is_refined {
+        return None;
+    }
     let wide =
         pixels_per_texel(looks, texture_size).filter(|wide| *wide > COARSE && texture_size < MOST_TEXTURE)?;
     let enough = ((texture_size as f32 * wide).ceil() as u32).next_power_of_two().min(MOST_TEXTURE);
     let problem = format!(
         "the texture is too small for the photographs: a texel of {texture_size}² is about {wide:.1} pixels wide"
     );
-    let help =
-        format!("Say `texture_size: {enough}` in `surface`, or shrink the photographs with `downscale`.");
+    let help = format!(
+        "Say `Fit(detail: true)` or `texture_size: {enough}` in `surface`, or shrink the photographs with `downscale`."
+    );
     Some(Finding::warning("coarse-texture", Vec::new(), problem, help))
 }

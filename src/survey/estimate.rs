@@ -11,6 +11,7 @@
 //! Time is divided by the threads. It is good to a factor of two on the machine that was measured, and a guess on others.
 
 use crate::codec::animation::film_bytes;
+use crate::fit::detail::{MOST_PIXELS, MOST_SIDE, SWEEPS};
 use crate::sample::observation::{Observation, ObservationIndex};
 use crate::scene::{
     FitPass, Light, LightSource, Pass, RenderSettings, Scene, Shading, ShapePass, Surface, ViewChoice,
@@ -18,7 +19,7 @@ use crate::scene::{
 };
 use crate::shade::frame::frame_bytes;
 use crate::survey::Survey;
-use crate::survey::detail::ATLAS_FILL;
+use crate::survey::detail::{ATLAS_FILL, pixels_per_texel};
 use crate::survey::look::{Bounds, Look};
 use crate::view::Split;
 use crate::visibility::VisibilitySettings;
@@ -41,6 +42,8 @@ pub const BASE_BYTES: f64 = 100e6;
 pub const DECODE_NANOS: f64 = 100.0;
 /// A pair of pixel and lobe in a step of a fit: `scenes/spot.ron` without shadows, 1 200 steps in 13 s on two cores.
 pub const FIT_PAIR_NANOS: f64 = 27.0;
+/// A pixel in a sweep over the detail of a texture: `chair`, three sweeps over 11 million pixels in 110 s of one thread.
+pub const DETAIL_PIXEL_NANOS: f64 = 3300.0;
 /// A pixel in a step of a shape: `scenes/photos.ron` on `spot`, 700 steps in about 60 s on two cores.
 pub const SHAPE_PIXEL_NANOS: f64 = 21_000.0;
 /// A ray of the visibility: 108 789 texels in 512 directions in 7.0 s on two cores.
@@ -213,7 +216,15 @@ impl Task<'_> {
     fn fit(&self, fit: &FitPass) -> Part {
         let pairs = f64::from(fit.steps) * f64::from(fit.batch) * self.lobes();
         let bytes = self.pool(fit.max_pixels) * POOL_BYTES + self.texels() * TEXEL_BYTES;
-        self.part(&fit.name, bytes, pairs * FIT_PAIR_NANOS, false)
+        if !fit.detail {
+            return self.part(&fit.name, bytes, pairs * FIT_PAIR_NANOS, false);
+        }
+        let wide = pixels_per_texel(self.looks, self.texels().sqrt() as u32).unwrap_or(1.0).round().max(1.0);
+        let side =
+            (self.texels().sqrt() * f64::from(wide)).min(f64::from(MOST_SIDE)).max(self.texels().sqrt());
+        let sweeps = f64::from(SWEEPS) * self.pool(MOST_PIXELS as u32) * DETAIL_PIXEL_NANOS;
+        let finest = side * side * TEXEL_BYTES;
+        self.part(&fit.name, bytes.max(finest), pairs * FIT_PAIR_NANOS + sweeps, false)
     }
 
     fn shape(&self, shape: &ShapePass) -> Part {

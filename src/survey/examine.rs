@@ -25,6 +25,8 @@ pub struct Subject<'a> {
     pub up: Vec3,
     /// Width and height of the texture in texels.
     pub texture_size: u32,
+    /// Whether a fit makes the texture as fine as the photographs.
+    pub refined: bool,
     /// Whether test views are scored against their photographs.
     pub scored: bool,
 }
@@ -94,7 +96,7 @@ pub fn examine(mut looks: Vec<Look>, subject: &Subject, backgrounds: &[Backgroun
         survey.compared = compared;
         survey.findings.extend(findings);
     }
-    survey.findings.extend(detail::finding(&survey.looks, subject.texture_size));
+    survey.findings.extend(detail::finding(&survey.looks, subject.texture_size, subject.refined));
     survey.background = turntable::sameness(backgrounds);
     if survey.is_turntable() {
         survey.findings.extend(survey.background.map(turntable::finding));

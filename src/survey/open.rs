@@ -82,6 +82,7 @@ impl<'a> OpenScene<'a> {
             mesh: mesh.as_ref(),
             up: self.scene.up,
             texture_size: *texture_size,
+            refined: is_refined(self.scene),
             scored: is_scored(self.scene),
         };
         let backgrounds = backgrounds(&self.views, &looks, self.spec.gamma)?;
@@ -155,6 +156,11 @@ fn needs(scene: &Scene, split: Split) -> bool {
         Pass::Fit(_) | Pass::Shape(_) => split == Split::Train,
         _ => pass.render().is_some_and(|settings| settings.views == choice),
     })
+}
+
+/// Whether a fit makes the texture as fine as the photographs.
+fn is_refined(scene: &Scene) -> bool {
+    scene.passes.iter().any(|pass| matches!(pass, Pass::Fit(fit) if fit.detail))
 }
 
 /// Whether photographs of test views are what a pass is scored against.

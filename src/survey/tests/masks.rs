@@ -71,7 +71,8 @@ fn soft_masks_are_warned_of_and_cannot_be_scored() {
     assert!(survey.findings_of(Severity::Warning).any(|warning| warning.name == "soft-masks"));
     // Nothing is scored: no error.
     let mesh = object();
-    let subject = Subject { mesh: Some(&mesh), up: Vec3::Y, texture_size: 128, scored: false };
+    let subject =
+        Subject { mesh: Some(&mesh), up: Vec3::Y, texture_size: 128, refined: false, scored: false };
     let survey = examine(super::looks(&views), &subject, &[]);
     assert_eq!(survey.findings_of(Severity::Error).count(), 0, "{:?}", survey.findings);
 }
@@ -135,7 +136,9 @@ fn a_mask_of_another_view_is_named_without_a_mesh_too() {
 #[test]
 fn a_texture_too_small_for_the_photographs_is_named() {
     let mesh = object();
-    let subject = Subject { mesh: Some(&mesh), up: Vec3::Y, texture_size: 8, scored: true };
+    let subject = Subject { mesh: Some(&mesh), up: Vec3::Y, texture_size: 8, refined: false, scored: true };
     let survey = examine(super::looks(&good()), &subject, &[]);
-    expect(&survey, "coarse-texture", &[], &["a texel of 8²", "texture_size: 1"]);
+    expect(&survey, "coarse-texture", &[], &["a texel of 8²", "texture_size: 1", "detail: true"]);
+    let survey = examine(super::looks(&good()), &Subject { refined: true, ..subject }, &[]);
+    assert!(survey.findings.iter().all(|finding| finding.name != "coarse-texture"), "the fit makes it finer");
 }

@@ -103,7 +103,7 @@ fn looks(views: &[OpenView]) -> Vec<Look> {
 
 /// A survey of views of a mesh, or of an unknown object.
 fn surveyed(views: &[OpenView], mesh: Option<&Mesh>) -> Survey {
-    let subject = Subject { mesh, up: Vec3::Y, texture_size: 128, scored: true };
+    let subject = Subject { mesh, up: Vec3::Y, texture_size: 128, refined: false, scored: true };
     examine(looks(views), &subject, &[])
 }
 

@@ -1,0 +1,241 @@
+//! The detail of a texture: each texel's albedo and sheen, from every pixel that shows it.
+//!
+//! A fit by small random steps finds light, shape and specular lobes from a part of the pixels; more pixels and finer texels
+//! would only make it slower. The detail of the albedo needs all of them. With everything else held, the radiance is linear in albedo and
+//! sheen, so that least squares over all training photographs gives both at once ([`equations`]): a step of variable projection (Golub
+//! and Pereyra 2003). A pixel sees a bilinear mixture of four texels; its residual counts for each by its weight, and some sweeps
+//! over all pixels take back what this blurs (as SIRT does, Gilbert 1972). Pixels that disagree with the others of a texel, by highlights
+//! and shadows that the model does not have, count less.
+//!
+//! | system | stage, slot | writes |
+//! | --- | --- | --- |
+//! | [`show_pixels`] | Detail: Sample | the pixels of this run as samples |
+//! | `trace_samples` | Detail: Trace | where their rays meet the surface |
+//! | those of [`GatherPoints`], [`whiten_points`] | Detail: Gather | what shading needs, for a white surface |
+//! | `provide_light`, `refresh_visibility`, `gather_visibility` | Detail: `Slot::Light`, `Slot::Visibility` | light and shadows as in a fit |
+//! | `shade_closed_form` | Detail: `Slot::Shading` | diffuse radiance of a white surface, specular radiance |
+//! | [`collect_equations`] | Detail: Gradient | [`DetailEquations`] |
+
+pub mod equations;
+
+use crate::error::Result;
+use crate::error::stop::is_stopping;
+use crate::fit::components::TexelSeen;
+use crate::fit::exposure::Exposures;
+use crate::fit::observe::{Candidate, spawn_samples, usable_by_view, usable_pixels};
+use crate::light::lights::{LightChoice, provide_light};
+use crate::material::sheen::{albedo_toward, grazing, has_sheen};
+use crate::material::source::Recovered;
+use crate::material::{DiffuseAlbedo, DiffuseSheen, TexelIndex, Texels};
+use crate::math::shading::{ClosedForm, Layers, ShadePoint};
+use crate::pipeline::pool::{read_column, write_column};
+use crate::pipeline::{GatherPoints, Phase, Pipeline, Plugin, Slot, Stage, SystemResult};
+use crate::sample::Samples;
+use crate::sample::bundle::despawn_pool;
+use crate::sample::pixel::{Observed, PixelOf, ViewRay, Window};
+use crate::sample::point::SurfacePoint;
+use crate::shade::frame::{add_gathering, add_material_resources, trace_samples};
+use crate::shade::shade_closed_form;
+use crate::view::{ByView, Camera, Photograph, ViewIndex};
+use crate::visibility::WindowVisibility;
+use crate::visibility::systems::{gather_visibility, light_or_material_changed, refresh_visibility};
+use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut, Resource, With, World};
+use equations::TexelEquations;
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// Sweeps over all pixels.
+pub const SWEEPS: u32 = 3;
+/// Most texels a side that a texture is refined to.
+pub const MOST_SIDE: u32 = 1536;
+/// Pixels of one run of the phase.
+const BATCH: usize = 1 << 16;
+/// Most pixels of a sweep; of more, every n-th is visited.
+pub const MOST_PIXELS: usize = 1 << 24;
+/// Residual relative to the radiance (and [`DARK`]) at which a pixel counts half.
+const TOLERATED: f32 = 0.3;
+/// Radiance below which residuals count as if it were this.
+const DARK: f32 = 0.1;
+
+/// Settings of the solution.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DetailOptions {
+    /// The closed form used for shading.
+    pub form: ClosedForm,
+    /// Whether shading includes shadows and reflections; the world then needs an [`ObjectVisibility`](crate::visibility::ObjectVisibility).
+    pub visibility: bool,
+}
+
+/// The systems of [`Phase::Detail`].
+pub struct DetailPlugin(pub DetailOptions);
+
+impl Plugin for DetailPlugin {
+    fn build(&self, pipeline: &mut Pipeline) {
+        pipeline.world.init_resource::<PresentPixels>();
+        pipeline.world.init_resource::<DetailEquations>();
+        pipeline.world.init_resource::<Exposures>();
+        add_material_resources::<Recovered>(&mut pipeline.world);
+        add_gathering::<Recovered>(pipeline, Phase::Detail);
+        pipeline
+            .add_systems(Phase::Detail, Stage::Sample, show_pixels)
+            .add_systems(Phase::Detail, Stage::Trace, trace_samples)
+            .add_systems(Phase::Detail, Stage::Gather, whiten_points.after(GatherPoints))
+            .swap(Phase::Detail, Slot::Light, provide_light(LightChoice::Own, false))
+            .swap(Phase::Detail, Slot::Shading, shade_closed_form(self.0.form))
+            .add_systems(Phase::Detail, Stage::Gradient, collect_equations);
+        pipeline.world.insert_resource(WindowVisibility::default());
+        if self.0.visibility {
+            let refresh = refresh_visibility::<Recovered>.run_if(light_or_material_changed::<Recovered>);
+            pipeline.swap(Phase::Detail, Slot::Visibility, (refresh, gather_visibility).chain());
+        }
+    }
+
+    fn cleanup(world: &mut World) {
+        world.remove_resource::<PresentPixels>();
+        world.remove_resource::<DetailEquations>();
+        world.insert_resource(WindowVisibility::default());
+    }
+}
+
+/// The pixels of one run of the phase.
+#[derive(Resource, Default)]
+pub struct PresentPixels(Vec<Candidate>);
+
+/// The equations of all texels, by [`TexelIndex`].
+#[derive(Resource, Default)]
+pub struct DetailEquations(Vec<TexelEquations>);
+
+/// Solves for albedo and sheen of all texels, in [`SWEEPS`] sweeps over the pixels of the training photographs. `watch` is called with
+/// the part of the work that is done. Writes [`TexelSeen`]. A run that is stopped keeps the sweeps before.
+///
+/// # Errors
+/// The first error of a system.
+pub fn solve_detail(
+    pipeline: &mut Pipeline,
+    options: DetailOptions,
+    watch: &mut dyn FnMut(f32),
+) -> Result<()> {
+    pipeline.add_plugin(&DetailPlugin(options));
+    spawn_samples(&mut pipeline.world, BATCH);
+    let solved = (0..SWEEPS).try_for_each(|number| {
+        if is_stopping() {
+            return Ok(());
+        }
+        sweep(pipeline, &mut |part| watch((number as f32 + part) / SWEEPS as f32))
+    });
+    despawn_pool(&mut pipeline.world);
+    pipeline.remove_plugin::<DetailPlugin>();
+    solved
+}
+
+/// Visits all pixels, then moves the texels.
+fn sweep(pipeline: &mut Pipeline, watch: &mut dyn FnMut(f32)) -> Result<()> {
+    let world = &mut pipeline.world;
+    let texels = read_column::<TexelIndex, DiffuseAlbedo>(world)?.len();
+    world.insert_resource(DetailEquations(vec![TexelEquations::default(); texels]));
+    let views = usable_by_view(world);
+    let total: usize = views.iter().map(|(_, count)| count).sum();
+    let every = total.div_ceil(MOST_PIXELS).max(1);
+    for (done, (view, _)) in views.iter().enumerate() {
+        let pixels = usable_pixels(&mut pipeline.world, *view, every);
+        for part in pixels.chunks(BATCH) {
+            if is_stopping() {
+                return Ok(());
+            }
+            pipeline.world.resource_mut::<Window>().0 = 0..part.len();
+            pipeline.world.resource_mut::<PresentPixels>().0 = part.to_vec();
+            pipeline.run(Phase::Detail)?;
+        }
+        watch((done + 1) as f32 / views.len() as f32);
+    }
+    move_by_equations(&mut pipeline.world)
+}
+
+/// The columns of a sample that say what it is a sample of.
+type PixelColumns = (&'static mut PixelOf, &'static mut Observed, &'static mut ViewRay);
+
+/// Sample: the pixels of this run become the samples.
+pub fn show_pixels(
+    present: Res<PresentPixels>,
+    views: Query<(&ViewIndex, &Camera), With<Photograph>>,
+    samples: Samples<PixelColumns>,
+) -> SystemResult {
+    let cameras: ByView<Camera> = views.iter().map(|(index, camera)| (*index, *camera)).collect();
+    let (mut pixels, mut observed, mut rays) = samples.columns()?;
+    let columns = pixels.iter_mut().zip(&mut *observed).zip(&mut *rays);
+    for (((pixel, observed), ray), from) in columns.zip(&present.0) {
+        (*pixel, *observed) = (from.pixel, from.observed);
+        ray.0 = cameras.of(from.pixel.view)?.pixel_ray(from.pixel.pixel);
+    }
+    Ok(())
+}
+
+/// Gather: shading is that of a white surface, because radiance per unit of albedo is wanted, also of black texels.
+pub fn whiten_points(samples: Samples<&mut ShadePoint>) -> SystemResult {
+    samples.columns()?.iter_mut().for_each(|point| point.albedo = [1.0; 3]);
+    Ok(())
+}
+
+/// The columns that the equations are made of.
+type ShadedColumns =
+    (&'static SurfacePoint, &'static ShadePoint, &'static Layers, (&'static Observed, &'static PixelOf));
+
+/// Gradient: adds what the pixels say to the equations of their texels.
+pub fn collect_equations(
+    exposures: Res<Exposures>,
+    texels: Texels<(&DiffuseAlbedo, &DiffuseSheen)>,
+    samples: Samples<ShadedColumns>,
+    mut equations: ResMut<DetailEquations>,
+) -> SystemResult {
+    let (albedo, sheen) = texels.columns()?;
+    let (points, gathered, shaded, (observed, pixels)) = samples.columns()?;
+    let sums = &mut equations.0;
+    for (i, point) in points.iter().enumerate().filter(|(_, point)| point.is_hit()) {
+        let facing = Vec3::from(gathered[i].normal).dot(Vec3::from(gathered[i].to_viewer));
+        if facing <= 0.0 {
+            continue;
+        }
+        let address = &point.texels;
+        let mixed = |of: &dyn Fn(usize) -> Vec3| -> Vec3 {
+            (0..4).map(|k| of(address.indices[k] as usize) * address.weights[k]).sum()
+        };
+        let toward = albedo_toward(mixed(&|t| albedo[t].0), mixed(&|t| sheen[t].0), facing);
+        let exposure = exposures.factor(pixels[i].view);
+        let unit = Vec3::from(shaded[i].diffuse) * exposure;
+        let predicted = toward * unit + Vec3::from(shaded[i].specular) * exposure;
+        let residual = Vec3::from_array(std::array::from_fn(|c| -observed[i].difference(c, predicted[c])));
+        // A pixel seen at an angle shows more than its texels.
+        let weight = facing * facing * agreement(residual, predicted);
+        for (texel, share) in address.indices.into_iter().zip(address.weights) {
+            sums[texel as usize].add(unit, grazing(facing), residual, share * weight);
+        }
+    }
+    Ok(())
+}
+
+/// How much a pixel counts whose residual may be that of something the model does not have (Geman and McClure's weight), in [0, 1].
+fn agreement(residual: Vec3, predicted: Vec3) -> f32 {
+    let relative = residual.length() / (predicted.length() + DARK);
+    (1.0 + (relative / TOLERATED).powi(2)).recip()
+}
+
+/// Moves albedo and sheen of all texels to the solution, within their bounds. Without any sheen so far there will be none.
+fn move_by_equations(world: &mut World) -> Result<()> {
+    let mut albedo = read_column::<TexelIndex, DiffuseAlbedo>(world)?;
+    let mut sheen = read_column::<TexelIndex, DiffuseSheen>(world)?;
+    let with_sheen = has_sheen(&sheen);
+    let equations = std::mem::take(&mut world.resource_mut::<DetailEquations>().0);
+    let columns = albedo.par_iter_mut().zip(&mut sheen).zip(&equations).with_min_len(4096);
+    columns.for_each(|((albedo, sheen), equations)| {
+        let [change, along] = equations.solve(with_sheen);
+        let along = (albedo.0 + sheen.0 + change + along).clamp(Vec3::ZERO, Vec3::ONE);
+        albedo.0 = (albedo.0 + change).clamp(Vec3::ZERO, Vec3::ONE);
+        if with_sheen {
+            sheen.0 = along - albedo.0;
+        }
+    });
+    let seen: Vec<TexelSeen> = equations.iter().map(|equations| TexelSeen(equations.seen())).collect();
+    write_column::<TexelIndex, DiffuseAlbedo>(world, &albedo)?;
+    write_column::<TexelIndex, DiffuseSheen>(world, &sheen)?;
+    write_column::<TexelIndex, TexelSeen>(world, &seen)
+}

@@ -1,0 +1,138 @@
+//! A texture that is made as fine as the photographs, and solved for from all their pixels.
+
+use crate::common::{Outcome, camera, command, day, shoot, studio};
+use lobelia::fit::components::TexelSeen;
+use lobelia::fit::detail::{DetailOptions, solve_detail};
+use lobelia::pipeline::pool::{read_column, write_column};
+use lobelia::prelude::*;
+use lobelia::view::Camera;
+use std::path::Path;
+
+/// Stripes that are finer than the texels.
+const SCENE: &str = r#"Scene(
+    version: 1,
+    surface: Sphere(radius: 0.9, texture_size: 48),
+    views: Photographed(
+        cameras: (count: 14, test: 2, size: 160),
+        spp: 16,
+        max_bounces: 1,
+        truth: (
+            albedo: Stripes(colors: [(0.7, 0.2, 0.2), (0.2, 0.3, 0.7)], width: 0.09),
+            specular: (albedo: (0.1, 0.1, 0.1), roughness: 0.4),
+            light: Lobes(lobes: [
+                (axis: (0, 1, 0), sharpness: 0.7, amplitude: (0.8, 0.8, 0.8)),
+                (axis: (0.5, 0.6, 0.62), sharpness: 12, amplitude: (2, 2, 2)),
+            ]),
+        ),
+    ),
+    light: Fixed(Lobes(lobes: [
+        (axis: (0, 1, 0), sharpness: 0.7, amplitude: (0.8, 0.8, 0.8)),
+        (axis: (0.5, 0.6, 0.62), sharpness: 12, amplitude: (2, 2, 2)),
+    ])),
+    material: (specular: (albedo: Fixed(0.1, 0.1, 0.1), roughness: Fixed(0.4))),
+    passes: [
+        Fit(name: "fit", steps: 60, batch: 2048, detail: DETAIL),
+        Render(name: "novel"),
+        Evaluate(name: "scores", scores: [(pass: "novel", truth: Photographs)]),
+        Save(name: "saved"),
+    ],
+)
+"#;
+
+/// PSNR of the novel views, and the saved scene.
+fn run(folder: &Path, detail: bool) -> (f64, String) {
+    let (scene, out) = (folder.join("scene.ron"), folder.join(format!("{detail}")));
+    std::fs::write(&scene, SCENE.replace("DETAIL", if detail { "true" } else { "false" })).unwrap();
+    Outcome::of(command(&["run", "--quiet"]).arg(&scene).arg("--out").arg(&out)).succeeded();
+    let metrics = std::fs::read_to_string(out.join("metrics.json")).unwrap();
+    let metrics: serde_json::Value = serde_json::from_str(&metrics).unwrap();
+    let saved = std::fs::read_to_string(out.join("saved/scene.ron")).unwrap();
+    (metrics["passes"]["novel"]["psnr"].as_f64().unwrap(), saved)
+}
+
+#[test]
+fn a_finer_texture_shows_what_the_photographs_show() {
+    let folder = tempfile::tempdir().unwrap();
+    let (coarse, saved) = run(folder.path(), false);
+    assert!(saved.contains("texture_size: 48"), "{saved}");
+    let (fine, saved) = run(folder.path(), true);
+    assert!(fine > coarse + 4.0, "{coarse} {fine}");
+    assert!(saved.contains("texture_size: 144") || saved.contains("texture_size: 192"), "{saved}");
+    // What was saved is rendered again from the finer texture.
+    let (saved, again) = (folder.path().join("true/saved/scene.ron"), folder.path().join("again"));
+    Outcome::of(command(&["run", "--quiet"]).arg(&saved).arg("--out").arg(&again)).succeeded();
+    for name in ["test_000.exr", "test_001.exr"] {
+        let read = |out: &str| std::fs::read(folder.path().join(out).join("novel").join(name)).unwrap();
+        assert!(read("true") == read("again"), "{name}");
+    }
+}
+
+/// The studio with gray texels, and photographs of it with `albedo`, of which view 0 is `spoiled`.
+fn gray_studio(albedo: Vec3, spoiled: impl Fn(Vec3) -> Vec3) -> Pipeline {
+    let mut truth = studio(&day());
+    let count = read_column::<TexelIndex, DiffuseAlbedo>(&mut truth.world).unwrap().len();
+    write_column::<TexelIndex, DiffuseAlbedo>(&mut truth.world, &vec![DiffuseAlbedo(albedo); count]).unwrap();
+    let mut pipeline = studio(&day());
+    pipeline.add_plugin(&FitPlugin);
+    let gray = vec![DiffuseAlbedo(Vec3::splat(0.4)); count];
+    write_column::<TexelIndex, DiffuseAlbedo>(&mut pipeline.world, &gray).unwrap();
+    for texel in lobelia::material::texels_in_order(&mut pipeline.world) {
+        pipeline.world.entity_mut(texel).insert(TexelSeen::default());
+    }
+    let photograph = |(number, camera): (usize, Camera)| {
+        let mut frame = shoot(&mut truth, camera);
+        if number == 0 {
+            frame.color.iter_mut().for_each(|color| *color = spoiled(*color));
+        }
+        let (width, height) = (camera.width, camera.height);
+        let photograph = Photograph::of_image(&Image { width, height, pixels: frame.color });
+        let mask = Some(StoredMask::new(&Mask { width, height, coverage: frame.alpha }));
+        ViewRecord { name: "v".into(), split: Split::Train, camera, photograph: Some(photograph), mask }
+    };
+    let views = Camera::around(12, 2.8, 38.0, 48).unwrap().into_iter().enumerate().map(photograph).collect();
+    spawn_views(&mut pipeline.world, views);
+    pipeline
+}
+
+/// The albedo of the texels that are well seen, and of one that no view sees.
+fn solved(mut pipeline: Pipeline) -> Vec<Vec3> {
+    let options = DetailOptions { form: ClosedForm::default(), visibility: false };
+    let mut done = 0.0;
+    solve_detail(&mut pipeline, options, &mut |part| done = part).unwrap();
+    assert_eq!(done, 1.0);
+    let albedo = read_column::<TexelIndex, DiffuseAlbedo>(&mut pipeline.world).unwrap();
+    let seen = read_column::<TexelIndex, TexelSeen>(&mut pipeline.world).unwrap();
+    for (albedo, _) in albedo.iter().zip(&seen).filter(|(_, seen)| seen.0 == 0.0) {
+        assert_eq!(albedo.0, Vec3::splat(0.4), "a texel that no view sees");
+    }
+    albedo.iter().zip(&seen).filter(|(_, seen)| seen.0 > 4.0).map(|(albedo, _)| albedo.0).collect()
+}
+
+#[test]
+fn the_albedo_is_that_of_the_photographs() {
+    for truth in [Vec3::new(0.7, 0.3, 0.1), Vec3::ONE, Vec3::ZERO] {
+        let found = solved(gray_studio(truth, |color| color));
+        assert!(found.len() > 100, "{}", found.len());
+        let off = found.iter().map(|found| (*found - truth).abs().max_element()).fold(0.0, f32::max);
+        assert!(off < 0.02, "{truth}: off by {off}");
+    }
+}
+
+#[test]
+fn a_photograph_that_disagrees_with_the_others_counts_less() {
+    let truth = Vec3::new(0.5, 0.3, 0.2);
+    let spoiled = solved(gray_studio(truth, |color| color + 1.0));
+    let mean = |found: &[Vec3]| found.iter().sum::<Vec3>() / found.len() as f32;
+    // The plain mean of some four photographs of a texel is off by a quarter of what one of them is off.
+    assert!((mean(&spoiled) - truth).length() < 0.04, "{}", mean(&spoiled));
+}
+
+#[test]
+fn a_camera_that_sees_nothing_is_no_error() {
+    let mut pipeline = gray_studio(Vec3::splat(0.6), |color| color);
+    let mut cameras = pipeline.world.query::<&mut Camera>();
+    for mut seen in cameras.iter_mut(&mut pipeline.world) {
+        *seen = camera([0.0, 0.0, 1.0], 48);
+    }
+    assert!(solved(pipeline).iter().all(|albedo| albedo.is_finite()));
+}
