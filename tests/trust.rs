@@ -22,7 +22,7 @@ const FIT: &str = r#"Fit(name: "fit", steps: 30, batch: 256), "#;
 const NOVEL: &str = r#"Render(name: "novel"), "#;
 const SCORES: &str = r#"Evaluate(scores: [(pass: "novel", truth: Photographs)]), "#;
 
-fn flat(text: &str) -> String {
+pub(crate) fn flat(text: &str) -> String {
     let words = text.split(|c: char| c.is_whitespace() || c == '│').filter(|word| !word.is_empty());
     words.collect::<Vec<_>>().join(" ")
 }
@@ -51,7 +51,7 @@ fn a_test_mask_of_another_size_ends_check_and_run_before_the_first_pass() {
 }
 
 /// Changes the data while a pass is at work.
-struct Meddler<F: Fn() + Clone + Send + Sync + 'static>(&'static str, F);
+pub(crate) struct Meddler<F: Fn() + Clone + Send + Sync + 'static>(pub &'static str, pub F);
 
 struct Trigger<F: Fn()>(F);
 
@@ -79,7 +79,7 @@ impl<F: Fn() + Send + Sync> Bar for Trigger<F> {
     fn finish_and_clear(&self) {}
 }
 
-fn run_in(data: &Data, scene: &str, resume: bool, progress: &dyn Progress) -> Result<()> {
+pub(crate) fn run_in(data: &Data, scene: &str, resume: bool, progress: &dyn Progress) -> Result<()> {
     let path = data.path("scene.ron");
     std::fs::write(&path, scene).unwrap();
     let options = LoadOptions { data: Some(data.root().to_owned()), ..LoadOptions::default() };
@@ -287,7 +287,7 @@ fn a_reader_that_goes_away_does_not_fail_a_run() {
 }
 
 /// A scene in a folder of its own, whose mesh is named by `path`.
-fn confined(data: &Data, path: &str) -> std::path::PathBuf {
+pub(crate) fn confined(data: &Data, path: &str) -> std::path::PathBuf {
     let folder = data.path("mine");
     std::fs::create_dir_all(&folder).unwrap();
     let text = format!(
@@ -302,7 +302,7 @@ fn confined(data: &Data, path: &str) -> std::path::PathBuf {
     scene
 }
 
-fn check_and_run(data: &Data, scene: &Path, arguments: &[&str]) -> [Outcome; 2] {
+pub(crate) fn check_and_run(data: &Data, scene: &Path, arguments: &[&str]) -> [Outcome; 2] {
     let out = data.path("mine/out");
     let _ = std::fs::remove_dir_all(&out);
     let check = Outcome::of(command(&["check"]).arg(scene).args(arguments));

@@ -24,10 +24,9 @@ use crate::fit::systems::{move_lobes, move_specular, move_texels};
 use crate::light::lights::own_lobes;
 use crate::light::{EnvironmentMap, LightLobe, render_lobes};
 use crate::material::DiffuseSheen;
-use crate::material::sheen::has_sheen;
+use crate::material::sheen::{has_sheen, write_albedo};
 use crate::material::{
-    DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, TexelIndex, recovered_albedo,
-    recovered_materials,
+    MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, TexelIndex, recovered_albedo, recovered_materials,
 };
 use crate::math::accurate::Quality;
 use crate::math::shading::ClosedForm;
@@ -222,8 +221,7 @@ fn fill_texels(session: &mut Session) -> Result<usize> {
         let mut values = recovered_albedo(world)?;
         fill_sheen(world, &values, &seen, atlas)?;
         fill_uncovered(&mut values, &seen, atlas);
-        let values: Vec<DiffuseAlbedo> = values.into_iter().map(DiffuseAlbedo).collect();
-        write_column::<TexelIndex, DiffuseAlbedo>(world, &values)?;
+        write_albedo(world, values)?;
     }
     if unknowns.blends {
         let mut blends = read_column::<TexelIndex, SpecularBlend>(world)?;

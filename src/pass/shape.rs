@@ -28,7 +28,7 @@ use crate::shape::run::{
 };
 use crate::shape::stereo::ROUNDS as STEREO_ROUNDS;
 use crate::shape::systems::ShapeSchedule;
-use crate::spawn::unknowns;
+use crate::spawn::{insert_known_along, unknowns};
 use crate::view::Camera;
 use crate::visibility::ObjectVisibility;
 use glam::Vec3;
@@ -242,6 +242,7 @@ fn put_in_place(session: &mut Session, found: &SdfSurface, mesh: &Mesh, texture_
         address.map_or(Vec3::splat(0.4), |address| address.blend(&volume))
     };
     let albedo: Vec<Vec3> = atlas.position.iter().zip(&atlas.covered).map(carried).collect();
+    insert_known_along(world, &session.scene.material.sheen, &surface)?;
     replace_texels(world, &albedo);
     world.insert_resource(Scenery(surface.clone()));
     world.remove_resource::<ObjectVisibility>();

@@ -6,6 +6,7 @@ use crate::error::{Error, Result};
 use crate::fit::cameras::{CameraFit, CameraPlugin, CameraUnknowns, align_photographs, attach_poses};
 use crate::fit::run::{FirstGuess, FitOptions, FitProgress, run_fit};
 use crate::material::DiffuseSheen;
+use crate::material::sheen::KnownAlong;
 use crate::material::{
     MAX_SPECULAR_LOBES, SpecularBlend, TexelIndex, recovered_albedo, recovered_materials, spawn_texels,
 };
@@ -331,7 +332,7 @@ fn carried_albedo(volume: &TexelVolume, old: Option<(&TexelVolume, &[Vec3])>) ->
     volume.positions().map(|at| carried(at).unwrap_or(gray)).collect()
 }
 
-/// Replaces the texels in the world by texels with this albedo.
+/// Replaces the texels in the world by texels with this albedo, and no sheen but a known one.
 pub fn replace_texels(world: &mut World, albedo: &[Vec3]) {
     despawn_with::<TexelIndex>(world);
     let materials = recovered_materials(world);
@@ -340,7 +341,8 @@ pub fn replace_texels(world: &mut World, albedo: &[Vec3]) {
         blend = SpecularBlend([0.0; MAX_SPECULAR_LOBES]);
         materials.iter().for_each(|(number, _)| blend.0[*number] = 1.0 / materials.len() as f32);
     }
-    let sheen = vec![DiffuseSheen::default(); albedo.len()];
+    let known = world.get_resource::<KnownAlong>().and_then(|known| known.sheen(albedo));
+    let sheen = known.unwrap_or_else(|| vec![DiffuseSheen::default(); albedo.len()]);
     spawn_texels(world, albedo, &sheen, &vec![blend; albedo.len()]);
 }
 
