@@ -11,7 +11,7 @@ use crate::error::stop::{heed_stop, is_stopping};
 use crate::error::{Error, Result};
 use crate::fit::cameras::{CameraPlugin, CameraUnknowns};
 use crate::fit::components::TexelSeen;
-use crate::fit::guard::check_parameters;
+use crate::fit::guard::{check_numbers, check_parameters};
 use crate::fit::observe::PixelChoice;
 use crate::fit::roughness::blend::TexelPlaces;
 use crate::fit::roughness::texel::{
@@ -103,6 +103,10 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     // The results so far are written.
     heed_stop();
     check_parameters(&mut session.pipeline.world)?;
+    check_numbers(
+        "the surface's coordinate",
+        session.surface.mesh().positions.iter().flat_map(|at| at.to_array()),
+    )?;
     session.has_object = true;
     session.guess = FirstGuess::NONE;
     bar.finish_and_clear();

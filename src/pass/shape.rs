@@ -3,6 +3,7 @@
 use crate::error::stop::{heed_stop, is_stopping};
 use crate::error::{Error, Result};
 use crate::fit::components::Unknowns;
+use crate::fit::guard::{check_numbers, check_parameters};
 use crate::fit::observe::PixelChoice;
 use crate::fit::roughness::blend::TexelPlaces;
 use crate::fit::run::{FirstGuess, FitOptions};
@@ -100,10 +101,13 @@ fn take_over(
     stopped: bool,
 ) -> Result<bool> {
     let guessed = std::mem::replace(&mut session.guess, FirstGuess::NONE);
+    check_parameters(&mut session.pipeline.world)?;
+    check_numbers("the value of the field at point", found.grid.values.iter().copied())?;
     if !stopped {
         match_outlines(session, &pass.name, &mut found.grid);
     }
     let mesh = found_mesh(session, &found, pass.stereo && !is_stopping(), &pass.name);
+    check_numbers("the surface's coordinate", mesh.positions.iter().flat_map(|at| at.to_array()))?;
     let stopped = is_stopping();
     heed_stop();
     put_in_place(session, &found, &mesh, texture_size)?;

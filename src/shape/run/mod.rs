@@ -27,7 +27,7 @@ use crate::shape::silhouette::{Silhouette, pixel_size};
 use crate::shape::silhouette_loss::{SilhouetteIndex, SilhouetteSample};
 use crate::shape::stereo::{StereoReport, StereoView, refine};
 use crate::shape::systems::{
-    ShapeSchedule, align_silhouettes, hand_out_to_bricks, move_bricks, pull_back_silhouettes,
+    ShapeSchedule, align_silhouettes, check_bricks, hand_out_to_bricks, move_bricks, pull_back_silhouettes,
     pull_back_to_field, recast_silhouettes, retrace_window, sum_model_error,
 };
 use crate::view::{ByView, Camera, Photograph, Split, ViewIndex, ViewMask, ViewName};
@@ -78,7 +78,14 @@ impl Plugin for ShapePlugin {
             .swap(
                 Phase::FitStep,
                 Slot::ShapeGradient,
-                (sum_model_error, pull_back_to_field, pull_back_silhouettes, hand_out_to_bricks).chain(),
+                (
+                    sum_model_error,
+                    pull_back_to_field,
+                    pull_back_silhouettes,
+                    hand_out_to_bricks,
+                    check_bricks,
+                )
+                    .chain(),
             )
             .swap(Phase::FitStep, Slot::ShapeUpdate, move_bricks);
     }
