@@ -12,6 +12,7 @@
 //! back, and Gradient too if the fault is found in Loss. After a fault found in Gradient the rest of that stage runs on zeros.
 
 use super::components::{AlbedoGradient, LossState, StepGradient};
+use super::exposure::Exposures;
 use super::loss::LossSums;
 use super::roughness::blend::{BlendAdjoints, BlendGradient};
 use super::sheen::SheenGradient;
@@ -210,9 +211,15 @@ fn shared_fault(gradient: &StepGradient) -> Option<String> {
     (0..lobes.len()).find_map(of_lobe).or_else(|| gradient.specular.iter().enumerate().find_map(of_material))
 }
 
+/// Exposures before the step at work: they are found before its loss is.
+#[derive(Resource)]
+struct ExposuresBefore(Exposures);
+
 /// Forgets the fault of the step before.
 pub(super) fn begin_step(world: &mut World) {
     world.resource_mut::<StepGuard>().fault = None;
+    let before = world.resource::<Exposures>().clone();
+    world.insert_resource(ExposuresBefore(before));
 }
 
 /// Counts a step that was not taken.
@@ -220,6 +227,7 @@ pub(super) fn begin_step(world: &mut World) {
 /// # Errors
 /// [`Error::Run`] if too many in a row were not.
 pub(super) fn end_step(world: &mut World, step: u32) -> Result<()> {
+    let before = world.remove_resource::<ExposuresBefore>();
     let Some(fault) = world.resource_mut::<StepGuard>().fault.take() else {
         world.resource_mut::<StepGuard>().in_a_row = 0;
         return Ok(());
@@ -229,6 +237,7 @@ pub(super) fn end_step(world: &mut World, step: u32) -> Result<()> {
     forget::<AlbedoGradient>(world);
     forget::<SheenGradient>(world);
     forget::<BlendGradient>(world);
+    world.insert_resource(before.map_or_else(Exposures::default, |before| before.0));
     let mut guard = world.resource_mut::<StepGuard>();
     guard.taken_back += 1;
     guard.in_a_row += 1;

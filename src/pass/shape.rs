@@ -58,12 +58,14 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     // Base materials have equal weights until the shape is recovered.
     session.pipeline.world.insert_resource(TexelPlaces::default());
     let options = options(session, pass);
-    let total: u32 = pass.levels.iter().map(|level| level.steps).sum();
-    let bar = session.progress.bar(&pass.name, u64::from(total));
+    let most: u32 = pass.levels.iter().map(|level| level.steps).sum();
+    let bar = session.progress.bar(&pass.name, u64::from(most));
     let inspector = session.debug_every.map(|every| inspector(session, &pass.name, every));
     let (mut failure, mut stopped) = (None, false);
     let surface = fit_shape(&mut session.pipeline, &options, &mut |at: &ShapeProgress| {
         let before: u32 = pass.levels[..at.level].iter().map(|level| level.steps).sum();
+        let total: u32 = pass.levels[..at.levels].iter().map(|level| level.steps).sum();
+        bar.set_length(u64::from(total));
         bar.set_position(u64::from(before + at.fit.step));
         if at.fit.step.is_multiple_of(20) {
             bar.set_message(format!("{:.1} dB", at.fit.sums.psnr()));
@@ -219,12 +221,17 @@ fn match_views(session: &mut Session, name: &str, mesh: &mut Mesh) {
 /// # Errors
 /// If they do not fit the largest texture either.
 fn unwrap_within(mesh: &Mesh, texture_size: u32) -> Result<(Mesh, u32)> {
+    unwrap_by(texture_size, |size| unwrap_mesh(mesh, size).map(|unwrapped| unwrapped.mesh))
+}
+
+fn unwrap_by(texture_size: u32, mut unwrap: impl FnMut(u32) -> Result<Mesh>) -> Result<(Mesh, u32)> {
     let mut size = texture_size;
     loop {
-        match unwrap_mesh(mesh, size) {
-            Ok(unwrapped) => return Ok((unwrapped.mesh, size)),
-            Err(error) if 2 * size > MOST_TEXELS => return Err(error),
-            Err(_) => size *= 2,
+        match unwrap(size) {
+            Ok(mesh) => return Ok((mesh, size)),
+            // No other error goes away with a larger texture.
+            Err(Error::Usage { .. }) if 2 * size <= MOST_TEXELS => size *= 2,
+            Err(error) => return Err(error),
         }
     }
 }
@@ -275,5 +282,19 @@ mod tests {
         let (unwrapped, size) = unwrap_within(&mesh, 8).unwrap();
         assert!(size > 8 && size <= 512 && unwrapped.uvs.is_some(), "{size}");
         assert_eq!(unwrap_within(&box_mesh(Vec3::ZERO, Vec3::ONE).unwrap(), 64).unwrap().1, 64);
+    }
+
+    #[test]
+    fn an_error_that_no_texture_mends_is_told_as_it_is() {
+        let mut mesh = box_mesh(Vec3::ZERO, Vec3::ONE).unwrap();
+        mesh.uvs = None;
+        mesh.positions[3].x = f32::NAN;
+        let mut tried = Vec::new();
+        let error = unwrap_by(64, |size| {
+            tried.push(size);
+            unwrap_mesh(&mesh, size).map(|unwrapped| unwrapped.mesh)
+        });
+        assert!(error.unwrap_err().to_string().contains("vertex 3 is not finite"));
+        assert_eq!(tried, [64]);
     }
 }

@@ -109,6 +109,8 @@ impl Plugin for ShapeCameraPlugin {
 pub struct ShapeProgress<'a> {
     /// Index of the level.
     pub level: usize,
+    /// Levels that will be fitted: those that the photographs resolve.
+    pub levels: usize,
     /// The fit of that level.
     pub fit: &'a FitProgress,
     /// The current field.
@@ -155,17 +157,15 @@ fn fit_levels(
         replace_texels(world, &vec![Vec3::ZERO; kept.volume.len()]);
         Ok(())
     };
+    let levels = resolved_levels(&hull, &options.levels, silhouettes);
     let resumed = resume_level(&mut pipeline.world, blank)?;
     let begun = resumed.as_ref().map_or(0, |(level, _)| *level as usize);
     let mut surface = match resumed {
         Some((_, kept)) => kept,
         None => first_surface(&mut pipeline.world, hull, options),
     };
-    for (index, level) in options.levels.iter().enumerate().skip(begun) {
+    for (index, level) in levels.iter().enumerate().skip(begun) {
         if index > begun {
-            if cell_pixels(&surface.grid, level.cells, silhouettes) < level.least_pixels {
-                break;
-            }
             surface = next_surface(&mut pipeline.world, surface, silhouettes, options, index)?;
             keep_level(&mut pipeline.world, index as u32, &surface)?;
         }
@@ -175,7 +175,7 @@ fn fit_levels(
         let fit = FitOptions { steps: level.schedule.steps, guess, ..options.fit.clone() };
         let result = run_fit(pipeline, &fit, &mut |progress, world| {
             let field = world.resource::<SdfField>();
-            watch(&ShapeProgress { level: index, fit: progress, field })
+            watch(&ShapeProgress { level: index, levels: levels.len(), fit: progress, field })
         });
         surface = SdfSurface { grid: leave(&mut pipeline.world), volume };
         match result {
@@ -186,10 +186,21 @@ fn fit_levels(
             Ok(_) => {}
         }
     }
-    if begun < options.levels.len() {
-        keep_level(&mut pipeline.world, options.levels.len() as u32, &surface)?;
+    if begun < levels.len() {
+        keep_level(&mut pipeline.world, levels.len() as u32, &surface)?;
     }
     Ok(surface)
+}
+
+/// The levels up to the first whose cells the photographs do not resolve; at least one.
+fn resolved_levels<'a>(
+    hull: &SdfGrid,
+    levels: &'a [ShapeLevel],
+    silhouettes: &[Silhouette],
+) -> &'a [ShapeLevel] {
+    let too_fine = |level: &ShapeLevel| cell_pixels(hull, level.cells, silhouettes) < level.least_pixels;
+    let count = levels.iter().skip(1).position(too_fine).map_or(levels.len(), |place| place + 1);
+    &levels[..count]
 }
 
 /// Width in pixels of a cell in the median photograph, if the grid had `cells` cells a side.

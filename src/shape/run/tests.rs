@@ -158,8 +158,16 @@ fn a_level_finer_than_the_pictures_is_left_out() {
     let side = |least_pixels: f32| {
         let mut options = options(2);
         options.levels.push(ShapeLevel { cells: 60, least_pixels, ..options.levels[0] });
-        let mut pipeline = world_of_photographs();
-        fit_shape(&mut pipeline, &options, &mut |_| ControlFlow::Continue(())).unwrap().grid.side
+        let (mut pipeline, mut levels) = (world_of_photographs(), Vec::new());
+        let found = fit_shape(&mut pipeline, &options, &mut |at| {
+            levels.push(at.levels);
+            ControlFlow::Continue(())
+        });
+        // What will be fitted is known from the first step on.
+        let side = found.unwrap().grid.side;
+        let fitted = if side > 60 { 2 } else { 1 };
+        assert_eq!(levels, vec![fitted; 2 * fitted]);
+        side
     };
     // A cell of the second level is 0.6 pixels wide.
     assert!(side(0.4) > 60 && side(0.9) < 60, "{} {}", side(0.4), side(0.9));
