@@ -4,7 +4,7 @@
 //! | --- | --- |
 //! | runs of the command | [`run`], [`photos`], [`gloss`], [`sheen`], [`ggx`], [`scale`], [`light_frame`], [`export`], [`view_page`], [`report`], [`shown`], [`env`], [`scores`] |
 //! | what is written where, and what never is; runs that are stopped | [`outputs`], [`resume`], `stop` |
-//! | late failures, nonsense, edges | [`trust`] |
+//! | late failures, nonsense, edges; what a scene may not read | [`trust`], [`confined`], [`guard`] |
 //! | what is refused, and how | [`agree`], [`bad_input`], [`check`], [`hostile`], [`mutants`], [`scene_errors`] |
 //! | systems in a world, pictures | [`ecs`], [`swap`], [`visibility`], [`frames`], [`films`] |
 //! | the documentation, the layers of the code | [`docs`], [`rooms`] |
@@ -14,6 +14,7 @@ mod common;
 mod agree;
 mod bad_input;
 mod check;
+mod confined;
 mod detail;
 mod docs;
 mod ecs;
@@ -23,6 +24,7 @@ mod films;
 mod frames;
 mod ggx;
 mod gloss;
+mod guard;
 mod hostile;
 mod light_frame;
 mod mutants;

@@ -82,3 +82,57 @@ fn normals_of_pngs_are_scored_where_they_are_positive() {
     assert_eq!(refused.code, Some(2), "{}", refused.stderr);
     assert!(refused.stderr.contains("rgb_000001_normal.png"), "{}", refused.stderr);
 }
+
+/// Rows of a `views.csv`.
+fn rows(data: &Data, table: &str) -> Vec<csv::StringRecord> {
+    let text = std::fs::read_to_string(data.path(table)).unwrap();
+    csv::Reader::from_reader(text.as_bytes()).records().map(|row| row.unwrap()).collect()
+}
+
+#[test]
+fn a_view_is_reported_as_itself_and_by_the_evaluation_that_scored_it() {
+    let data = Data::new();
+    // Training and test views have the same names, and nothing was fitted to the first.
+    let second =
+        r#"    Evaluate(name: "again", scores: [(pass: "relit", truth: Folder("$DATA/test/gt/relit"))]), ]"#;
+    let scene = SCENE.replace("\n    ]", second);
+    data.run(&scene, "out", &["--quiet"]).succeeded();
+    let [first, again] = ["scores", "again"].map(|pass| rows(&data, &format!("out/{pass}/views.csv")));
+    let named = |rows: &[csv::StringRecord]| -> Vec<[String; 2]> {
+        rows.iter().map(|row| [row[0].to_owned(), row[1].to_owned()]).collect()
+    };
+    assert_eq!(named(&first), [["rgb_000000", "test"], ["rgb_000001", "test"]]);
+    assert_eq!(named(&again), named(&first));
+    let metrics = metrics(&data, "out");
+    for (rows, pass) in [(first, "novel"), (again, "relit")] {
+        for (i, row) in rows.iter().enumerate() {
+            let psnr = metrics["passes"][pass]["views"][i]["psnr"].as_f64().unwrap();
+            assert!((row[5].parse::<f64>().unwrap() - psnr).abs() < 1e-3, "{pass}: {row:?}, {psnr}");
+        }
+    }
+    assert_eq!(metrics["views"].as_array().unwrap().len(), 2);
+}
+
+#[test]
+fn outliers_are_those_of_the_picture_that_is_scored() {
+    let data = Data::new();
+    // The photographs are the object's own under a quarter of its light.
+    let scene = |scale: &str| {
+        let light = |scale: f32| format!(r#"Npy(path: "$DATA/evening.npy", scale: {scale})"#);
+        format!(
+            r#"Scene(version: 1, surface: Sphere(radius: 0.8, texture_size: 16),
+            views: Photographed(cameras: (count: 2, test: 1, size: 24), spp: 64, truth: (albedo: Constant(0.4, 0.4, 0.4),
+                specular: (albedo: (0.2, 0.2, 0.2), roughness: 0.3), light: {})),
+            light: Fixed({}),
+            material: (albedo: Fixed(Constant(0.4, 0.4, 0.4)), specular: (albedo: Fixed(0.2, 0.2, 0.2), roughness: Fixed(0.3))),
+            passes: [Render(name: "novel"), Evaluate(scores: [(pass: "novel", truth: Photographs, scale: {scale})])])"#,
+            light(0.25),
+            light(1.0)
+        )
+    };
+    for (scale, range) in [("None", 0.3..1.01), ("PerChannel", 0.0..0.1), ("PerLayer", 0.0..0.1)] {
+        data.run(&scene(scale), scale, &["--quiet"]).succeeded();
+        let outliers: f64 = rows(&data, &format!("{scale}/scores/views.csv"))[0][6].parse().unwrap();
+        assert!(range.contains(&outliers), "{scale}: {outliers}");
+    }
+}

@@ -3,7 +3,9 @@
 
 use crate::common::{Outcome, camera, command, day, shoot, studio};
 use lobelia::codec::exr::read_exr_layers;
-use lobelia::fit::components::Unknowns;
+use lobelia::fit::components::{TexelSeen, Unknowns};
+use lobelia::fit::run::FirstGuess;
+use lobelia::material::sheen::{KnownAlong, write_albedo};
 use lobelia::pipeline::pool::{read_column, write_column};
 use lobelia::prelude::*;
 use lobelia::view::Camera;
@@ -108,4 +110,64 @@ fn an_unknown_sheen_beside_a_known_albedo_is_refused() {
     assert!(
         outcome.stderr.contains("sheen: Unknown") && outcome.stderr.contains("a fit finds both together")
     );
+}
+
+#[test]
+fn an_unknown_albedo_is_fitted_beside_a_known_one_along_the_surface() {
+    let mut truth = cloth(SHEEN);
+    let mut pipeline = studio(&day());
+    pipeline.add_plugin(&FitPlugin);
+    let photograph = |camera: Camera| {
+        let frame = shoot(&mut truth, camera);
+        let (width, height) = (camera.width, camera.height);
+        let photograph = Photograph::of_image(&Image { width, height, pixels: frame.color });
+        let mask = Some(StoredMask::new(&Mask { width, height, coverage: frame.alpha }));
+        ViewRecord { name: "v".into(), split: Split::Train, camera, photograph: Some(photograph), mask }
+    };
+    let views = Camera::around(12, 2.8, 38.0, 48).unwrap().into_iter().map(photograph).collect();
+    spawn_views(&mut pipeline.world, views);
+    let world = &mut pipeline.world;
+    let albedo = read_column::<TexelIndex, DiffuseAlbedo>(world).unwrap();
+    let along: Vec<Vec3> = albedo.iter().map(|albedo| albedo.0 + SHEEN.0).collect();
+    world.insert_resource(KnownAlong::Texels(along.clone()));
+    write_albedo(world, vec![Vec3::splat(0.4); albedo.len()]).unwrap();
+    let unknowns = Unknowns { light: false, specular_albedo: false, roughness: false, ..Unknowns::default() };
+    let options = FitOptions {
+        steps: 240,
+        batch: 1024,
+        unknowns,
+        guess: FirstGuess { light: false, albedo: true },
+        ..FitOptions::default()
+    };
+    run_fit(&mut pipeline, &options, &mut |_, _| ControlFlow::Continue(())).unwrap();
+    let world = &mut pipeline.world;
+    let found = read_column::<TexelIndex, DiffuseAlbedo>(world).unwrap();
+    let sheen = read_column::<TexelIndex, DiffuseSheen>(world).unwrap();
+    assert!((0..along.len()).all(|i| (found[i].0 + sheen[i].0).abs_diff_eq(along[i], 1e-6)));
+    let seen = read_column::<TexelIndex, TexelSeen>(world).unwrap();
+    let off: Vec<f32> = (0..along.len())
+        .filter(|i| seen[*i].0 > 1.0)
+        .map(|i| (found[i].0 - albedo[i].0).abs().max_element())
+        .collect();
+    let mean = off.iter().sum::<f32>() / off.len() as f32;
+    assert!(off.len() > 100 && mean < 0.03, "{mean} over {}", off.len());
+}
+
+#[test]
+fn a_fit_of_a_scene_keeps_a_known_albedo_along_the_surface() {
+    let folder = tempfile::tempdir().unwrap();
+    let scene = folder.path().join("scene.ron");
+    let text = r#"Scene(version: 1, surface: Sphere(radius: 0.9, texture_size: 32),
+        views: Photographed(cameras: (count: 4, test: 1, size: 24), spp: 4, truth: (albedo: Constant(0.2, 0.3, 0.4),
+            specular: (albedo: (0.05, 0.05, 0.05), roughness: 0.5),
+            light: Lobes(lobes: [(axis: (0, 0.6, 0.8), sharpness: 1, amplitude: (1, 1, 1))]))),
+        light: Unknown(lobes: 6), material: (sheen: Fixed(Constant(0.7, 0.3, 0.1))), passes: [Fit(name: "fit", steps: 30, batch: 256)])"#;
+    std::fs::write(&scene, text).unwrap();
+    let out = folder.path().join("out");
+    Outcome::of(command(&["run", "--quiet"]).arg(&scene).arg("--out").arg(&out)).succeeded();
+    let along = read_exr_layers(out.join("fit/albedo_along.exr")).unwrap();
+    for (channel, expected) in [("R", 0.7), ("G", 0.3), ("B", 0.1)] {
+        let off = along.channels[channel].iter().map(|found| (found - expected).abs()).fold(0.0, f32::max);
+        assert!(off < 1e-3, "{channel}: off by {off}");
+    }
 }

@@ -1,19 +1,11 @@
 //! Late failures come first or lose nothing, nonsense is told of, and a scene reads nothing that it must not.
 
-use crate::common::{
-    Data, Outcome, camera, command, day, files_below, manifest, save_png, scene, shoot, states, studio,
-};
+use crate::common::{Data, Outcome, command, files_below, manifest, save_png, scene, states};
 use lobelia::error::Result;
-use lobelia::fit::guard::StepGuard;
-use lobelia::math::shading::Layers;
 use lobelia::pass::progress::{Bar, Progress, Silent};
 use lobelia::pass::{self, RunOptions};
-use lobelia::pipeline::pool::read_column;
-use lobelia::prelude::*;
-use lobelia::sample::Samples;
 use lobelia::scene::{LoadOptions, load};
 use serde_json::Value;
-use std::ops::ControlFlow;
 use std::path::Path;
 use std::process::Stdio;
 use std::time::Duration;
@@ -22,7 +14,7 @@ const FIT: &str = r#"Fit(name: "fit", steps: 30, batch: 256), "#;
 const NOVEL: &str = r#"Render(name: "novel"), "#;
 const SCORES: &str = r#"Evaluate(scores: [(pass: "novel", truth: Photographs)]), "#;
 
-fn flat(text: &str) -> String {
+pub(crate) fn flat(text: &str) -> String {
     let words = text.split(|c: char| c.is_whitespace() || c == '│').filter(|word| !word.is_empty());
     words.collect::<Vec<_>>().join(" ")
 }
@@ -51,7 +43,7 @@ fn a_test_mask_of_another_size_ends_check_and_run_before_the_first_pass() {
 }
 
 /// Changes the data while a pass is at work.
-struct Meddler<F: Fn() + Clone + Send + Sync + 'static>(&'static str, F);
+pub(crate) struct Meddler<F: Fn() + Clone + Send + Sync + 'static>(pub &'static str, pub F);
 
 struct Trigger<F: Fn()>(F);
 
@@ -79,7 +71,7 @@ impl<F: Fn() + Send + Sync> Bar for Trigger<F> {
     fn finish_and_clear(&self) {}
 }
 
-fn run_in(data: &Data, scene: &str, resume: bool, progress: &dyn Progress) -> Result<()> {
+pub(crate) fn run_in(data: &Data, scene: &str, resume: bool, progress: &dyn Progress) -> Result<()> {
     let path = data.path("scene.ron");
     std::fs::write(&path, scene).unwrap();
     let options = LoadOptions { data: Some(data.root().to_owned()), ..LoadOptions::default() };
@@ -126,78 +118,7 @@ fn a_photograph_that_changes_after_the_run_began_is_not_gone_on_with() {
     run_in(&data, &scene, true, &Silent).unwrap();
 }
 
-// No silent nonsense.
-
-/// Makes the radiance of a sample in some steps NaN.
-#[derive(Resource)]
-struct Poison {
-    from: u32,
-    to: u32,
-    step: u32,
-}
-
-fn poison(mut poison: ResMut<Poison>, samples: Samples<&mut Layers>) -> lobelia::pipeline::SystemResult {
-    poison.step += 1;
-    if (poison.from..poison.to).contains(&poison.step) {
-        samples.columns()?[3].specular[1] = f32::NAN;
-    }
-    Ok(())
-}
-
-/// A fit of eight photographs of the studio, of which steps `from` to `to` are poisoned.
-fn poisoned(from: u32, to: u32) -> (Pipeline, Result<FitSummary>) {
-    let mut truth = studio(&day());
-    let mut pipeline = studio(&LightLobe::even(16));
-    pipeline.add_plugin(&FitPlugin);
-    let mut photograph = |camera: lobelia::view::Camera| {
-        let frame = shoot(&mut truth, camera);
-        let (width, height) = (camera.width, camera.height);
-        let photograph = Photograph::of_image(&Image { width, height, pixels: frame.color });
-        let mask = Some(StoredMask::new(&Mask { width, height, coverage: frame.alpha }));
-        ViewRecord { name: "front".into(), split: Split::Train, camera, photograph: Some(photograph), mask }
-    };
-    spawn_views(&mut pipeline.world, vec![photograph(camera([0.1, 0.2, 1.0], 24))]);
-    pipeline.world.insert_resource(Poison { from, to, step: 0 });
-    pipeline.add_systems(Phase::FitStep, Stage::Shade, poison.after(Slot::Shading));
-    let options = FitOptions { steps: 40, batch: 64, ..FitOptions::default() };
-    let summary = run_fit(&mut pipeline, &options, &mut |_, _| ControlFlow::Continue(()));
-    (pipeline, summary)
-}
-
-#[test]
-fn a_step_that_is_not_finite_is_taken_back_and_counted() {
-    let (mut pipeline, summary) = poisoned(10, 14);
-    assert_eq!(summary.unwrap().steps, 40);
-    let guard = pipeline.world.resource::<StepGuard>();
-    assert_eq!(guard.taken_back, 4);
-    let first = guard.first.clone().unwrap();
-    assert!(first.starts_with("step 10: the radiance is not finite at view front, pixel ("), "{first}");
-    let world = &mut pipeline.world;
-    let albedo = read_column::<TexelIndex, DiffuseAlbedo>(world).unwrap();
-    assert!(albedo.iter().all(|albedo| albedo.0.is_finite()));
-    assert!(world.query::<&LightLobe>().iter(world).all(|lobe| lobe.amplitude.is_finite()));
-}
-
-#[test]
-fn the_steps_that_are_taken_back_change_nothing_else() {
-    let found =
-        |mut pipeline: Pipeline| read_column::<TexelIndex, DiffuseAlbedo>(&mut pipeline.world).unwrap();
-    // The last steps: what is found is what was found before them.
-    let (short, _) = poisoned(33, 99);
-    let (long, summary) = poisoned(99, 99);
-    assert!(summary.is_ok());
-    assert_ne!(found(short), found(long));
-    let (a, b) = (poisoned(33, 99).0, poisoned(33, 99).0);
-    assert_eq!(found(a), found(b));
-}
-
-#[test]
-fn a_fit_of_which_no_step_is_finite_ends_with_the_place() {
-    let error = poisoned(5, 99).1.unwrap_err().to_string();
-    for word in ["fit, step 14", "10 steps in a row", "at view front, pixel (", "no parameter"] {
-        assert!(error.contains(word), "no {word:?} in {error}");
-    }
-}
+// No silent nonsense: see also `guard`.
 
 #[test]
 fn views_are_reported_and_nothing_is_wrong_with_sound_data() {
@@ -287,7 +208,7 @@ fn a_reader_that_goes_away_does_not_fail_a_run() {
 }
 
 /// A scene in a folder of its own, whose mesh is named by `path`.
-fn confined(data: &Data, path: &str) -> std::path::PathBuf {
+pub(crate) fn confined(data: &Data, path: &str) -> std::path::PathBuf {
     let folder = data.path("mine");
     std::fs::create_dir_all(&folder).unwrap();
     let text = format!(
@@ -302,7 +223,7 @@ fn confined(data: &Data, path: &str) -> std::path::PathBuf {
     scene
 }
 
-fn check_and_run(data: &Data, scene: &Path, arguments: &[&str]) -> [Outcome; 2] {
+pub(crate) fn check_and_run(data: &Data, scene: &Path, arguments: &[&str]) -> [Outcome; 2] {
     let out = data.path("mine/out");
     let _ = std::fs::remove_dir_all(&out);
     let check = Outcome::of(command(&["check"]).arg(scene).args(arguments));

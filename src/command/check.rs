@@ -35,15 +35,14 @@ pub fn run(args: &CheckArgs) -> Result<()> {
     check_sizes(&loaded.scene)?;
     check_paths(&loaded.scene)?;
     let has_photographs = data_is_there(&loaded);
-    if loaded.unseen.is_empty() {
-        files::check_within(&loaded, OpenScene::new(&loaded.scene)?.as_ref())?;
-    }
+    files::check_within(&loaded)?;
     if let Some(out) = &args.out {
         check_out(out, has_photographs)?;
         check_inputs(out, &loaded)?;
     }
     start_threads(args.threads)?;
-    let surveyed = if has_photographs { survey(&loaded.scene, args.out.is_some())? } else { None };
+    let roots = loaded.roots.as_deref();
+    let surveyed = if has_photographs { survey(&loaded.scene, roots, args.out.is_some())? } else { None };
     let (surveyed, views) = surveyed.map_or((None, Vec::new()), |(survey, views)| (Some(survey), views));
     let surveyed = surveyed.map(|survey| {
         let estimate = estimate(&survey, &loaded.scene, rayon::current_num_threads());
@@ -108,7 +107,7 @@ fn check_out(out: &Path, has_photographs: bool) -> Result<()> {
 
 /// Refuses to replace what the scene reads.
 fn check_inputs(out: &Path, loaded: &LoadedScene) -> Result<()> {
-    let inputs = files::inputs(loaded, OpenScene::new(&loaded.scene)?.as_ref());
+    let inputs = files::inputs(loaded, OpenScene::new(&loaded.scene, loaded.roots.as_deref())?.as_ref());
     let outputs = [SHEET, JSON].map(|name| FileUse::new(out.join(name), "--out"));
     check_apart(&inputs, &outputs, "Choose another folder with --out.")
 }

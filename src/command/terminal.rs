@@ -73,6 +73,10 @@ impl Bar for TerminalBar {
         self.0.set_position(steps);
     }
 
+    fn set_length(&self, steps: u64) {
+        self.0.set_length(steps);
+    }
+
     fn set_message(&self, message: String) {
         self.0.set_message(message);
     }

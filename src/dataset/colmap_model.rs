@@ -144,6 +144,7 @@ fn lens_of(model: &str, size: [u64; 2], parameters: &[f64]) -> Result<Lens, Trou
         skew: 0.0,
         distortion,
         resizable: false,
+        by_side: false,
     };
     match lens.camera([width, height], Affine3A::IDENTITY, 0.5) {
         Ok(_) => Ok(lens),

@@ -139,6 +139,7 @@ fn read_intrinsics(file: &Path) -> Result<(Lens, bool)> {
         skew: 0.0,
         distortion: Distortion::NONE,
         resizable: true,
+        by_side: false,
     };
     Ok((lens, lines.get(5).is_some_and(|line| line.trim() == "1")))
 }

@@ -2,7 +2,7 @@
 
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::MaskPlan;
-use crate::dataset::load::{StemIndex, view_name};
+use crate::dataset::load::{StemIndex, leads_away, view_name};
 use crate::dataset::masks::{find_mask, mask_file};
 use crate::error::{Error, Result};
 use std::collections::BTreeMap;
@@ -75,10 +75,11 @@ impl Folders {
         let key = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
         if !self.found.contains_key(&parent) {
             let folder = self.root.join(&parent);
-            let index = StemIndex::of_folder(&folder)?.ok_or_else(|| {
+            let mut index = StemIndex::of_folder(&folder)?.ok_or_else(|| {
                 let problem = format!("the folder is missing, but `{name}` should be in it");
                 Error::input(&folder, "", problem, missing_file_help(&folder))
             })?;
+            index.explains = !leads_away(name);
             self.found.insert(parent.clone(), index);
         }
         Ok((&self.found[&parent], key))

@@ -35,6 +35,9 @@ pub(super) struct Lens {
     pub distortion: Distortion,
     /// Whether `size` is only the reference size of the numbers; an image of another size is then a scaled version.
     pub resizable: bool,
+    /// Whether lengths are in units of the longer side of an image whose size is not stated, and the principal point is its distance from
+    /// the image's middle.
+    pub by_side: bool,
 }
 
 impl Lens {
@@ -48,6 +51,7 @@ impl Lens {
             skew: 0.0,
             distortion: Distortion::NONE,
             resizable: false,
+            by_side: false,
         }
     }
 
@@ -80,7 +84,30 @@ impl Lens {
             skew: value(0, 1),
             distortion: Distortion::NONE,
             resizable: false,
+            by_side: false,
         })
+    }
+
+    /// The lens in pixels of an image of this size.
+    pub fn measured(&self, size: [u32; 2]) -> Self {
+        if !self.by_side {
+            return *self;
+        }
+        let longer = f64::from(size[0].max(size[1]));
+        let measured = |focal| match focal {
+            Focal::Pixels(sides) => Focal::Pixels(sides * longer),
+            Focal::Angle(angle) => Focal::Angle(angle),
+        };
+        let center = |k: usize| self.center[k].map(|sides| 0.5 * f64::from(size[k]) + sides * longer);
+        Self {
+            size: Some(size),
+            focal_x: measured(self.focal_x),
+            focal_y: self.focal_y.map(measured),
+            center: [center(0), center(1)],
+            skew: self.skew * longer,
+            by_side: false,
+            ..*self
+        }
     }
 
     /// The lens of the same picture scaled to `size` pixels; unchanged if that is not possible.

@@ -1,6 +1,6 @@
 //! Functions that all layouts share: reading JSON with errors that name the position, finding files, and loading planned views.
 
-use crate::codec::file::is_there;
+use crate::codec::file::{FileUse, is_there};
 use crate::codec::image::{
     IMAGE_EXTENSIONS, ImageHeader, Orientation, Repairs, image_header, is_unread_name, read_mask,
 };
@@ -13,7 +13,7 @@ use crate::error::{Error, Result};
 use crate::view::{Camera, Mask, Split, StoredMask, ViewRecord};
 use serde::de::DeserializeOwned;
 use std::collections::BTreeMap;
-use std::path::{Path, PathBuf};
+use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
 
 /// Most bytes of a camera file. COLMAP's text model of a thousand views has some hundred MiB.
@@ -101,9 +101,17 @@ pub(super) fn refusal_of_unread(folder: &Path, stem: Option<&str>) -> Option<Err
     image_header(entries.filter(is_wanted).min()?).err()
 }
 
+/// Whether a path in a camera file leads out of the folder that it starts from, by its spelling.
+pub(super) fn leads_away(path: &str) -> bool {
+    let is_up = |part| !matches!(part, Component::Normal(_) | Component::CurDir);
+    Path::new(path).components().any(is_up)
+}
+
 /// A folder's image files by name without extension.
 pub(super) struct StemIndex {
     pub folder: PathBuf,
+    /// Whether files in it may be opened to say why one is missing.
+    pub explains: bool,
     files: BTreeMap<String, PathBuf>,
 }
 
@@ -118,7 +126,7 @@ impl StemIndex {
             let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
             files.entry(stem).or_insert(path);
         }
-        Ok(Some(Self { folder: folder.to_owned(), files }))
+        Ok(Some(Self { folder: folder.to_owned(), explains: true, files }))
     }
 
     /// The file called `key`, or another image with its stem; `what` is "image" or "mask".
@@ -129,7 +137,10 @@ impl StemIndex {
         found.ok_or_else(|| {
             let problem =
                 format!("the camera file names this view, but its {what} is missing (with any extension)");
-            refusal_of_unread(&self.folder, Some(&view_name(key)))
+            let refusal = || refusal_of_unread(&self.folder, Some(&view_name(key)));
+            self.explains
+                .then(refusal)
+                .flatten()
                 .unwrap_or_else(|| Error::input(&path, "", problem, missing_file_help(&path)))
         })
     }
@@ -207,10 +218,12 @@ impl PlannedView {
 
     /// The file of the mask, unless alpha is the mask.
     pub fn mask_path(&self) -> Option<&Path> {
-        match &self.plan.mask {
-            MaskPlan::File(path) => Some(path),
-            MaskPlan::Alpha | MaskPlan::AlphaRequired(_) => None,
-        }
+        self.plan.mask_path()
+    }
+
+    /// Photograph and mask, as files that are read.
+    pub fn pictures(&self) -> impl Iterator<Item = FileUse> {
+        self.plan.pictures()
     }
 
     /// Factor by which the view is downscaled along each axis.

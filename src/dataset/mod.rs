@@ -47,7 +47,8 @@ pub mod reality_capture;
 pub mod stanford_orb;
 mod straighten;
 
-use crate::codec::image::Gamma;
+use crate::codec::file::{FileUse, Links, check_inside};
+use crate::codec::image::{Gamma, Orientation, image_header};
 use crate::codec::nearby::closest;
 use crate::error::{Error, Result};
 use crate::view::{Split, ViewRecord};
@@ -111,6 +112,8 @@ pub struct DatasetOptions {
     pub select: Option<Vec<String>>,
     /// The data's up direction, for orbits and the like; nothing is rotated. Need not have unit length.
     pub up: Vec3,
+    /// Folders in which what camera files name must lie; links in them may lead elsewhere. `None`: it may be anywhere.
+    pub roots: Option<Vec<PathBuf>>,
 }
 
 impl Default for DatasetOptions {
@@ -124,6 +127,7 @@ impl Default for DatasetOptions {
             hold_out: 8,
             select: None,
             up: Vec3::Y,
+            roots: None,
         }
     }
 }
@@ -182,6 +186,38 @@ struct ViewPlan {
     world_from_camera: Affine3A,
 }
 
+impl ViewPlan {
+    /// The file of the mask, unless alpha is the mask.
+    fn mask_path(&self) -> Option<&Path> {
+        match &self.mask {
+            MaskPlan::File(path) => Some(path),
+            MaskPlan::Alpha | MaskPlan::AlphaRequired(_) => None,
+        }
+    }
+
+    /// Photograph and mask, as files that are read.
+    fn pictures(&self) -> impl Iterator<Item = FileUse> {
+        let photograph = self.image.as_deref().map(|path| FileUse::new(path, "a photograph"));
+        let mask = self.mask_path().map(|path| FileUse::new(path, "a mask"));
+        photograph.into_iter().chain(mask)
+    }
+
+    fn check_inside(&self, roots: Option<&[PathBuf]>) -> Result<()> {
+        let Some(roots) = roots else { return Ok(()) };
+        let cameras = FileUse::new(&self.camera_file, "which has the cameras");
+        let mut files = std::iter::once(cameras).chain(self.pictures());
+        files.try_for_each(|file| check_inside(roots, &file, Links::Trusted))
+    }
+
+    /// Looks into the photograph for its size, where the lens needs it: as it is stored, without its EXIF orientation.
+    fn measure(&mut self) -> Result<()> {
+        if let (true, Some(image)) = (self.lens.by_side, &self.image) {
+            self.lens = self.lens.measured(image_header(image)?.size(Orientation::AsStored));
+        }
+        Ok(())
+    }
+}
+
 /// The source of the mask of a view.
 #[derive(Clone, Debug)]
 enum MaskPlan {
@@ -221,7 +257,7 @@ pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
     let format = find_format(dir, options.layout)?;
     let mut plan = format.plan(dir, split, options.hold_out)?;
     plan.notes.extend(check_names(&plan.views)?);
-    let wanted = selected(plan.views, options)?;
+    let mut wanted = selected(plan.views, options)?;
     if wanted.is_empty() {
         let problem = format!("the {} split has no views", split_name(split));
         let help =
@@ -229,6 +265,11 @@ pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
         return Err(Error::input(dir, "", problem, help));
     }
     refuse_far_away(&wanted)?;
+    // No file that a camera file names is read before it is known to lie where it may.
+    for view in &wanted {
+        view.check_inside(options.roots.as_deref())?;
+    }
+    wanted.iter_mut().try_for_each(ViewPlan::measure)?;
     plan.notes.extend(crop_note(wanted.iter().map(|view| &view.lens)));
     let curves = Arc::new(Curves::new(options.gamma));
     let view = |plan| PlannedView::new(plan, split, options, format.pixel_center, &curves);

@@ -17,7 +17,7 @@ use crate::codec::file::is_there;
 use crate::codec::image::IMAGE_EXTENSIONS;
 use crate::codec::nearby::{closest, missing_file_help};
 use crate::dataset::folders::{Folders, flat_name};
-use crate::dataset::load::{find_image, parse_json, read_text, refusal_of_unread, view_name};
+use crate::dataset::load::{find_image, leads_away, parse_json, read_text, refusal_of_unread, view_name};
 use crate::dataset::masks::mask_folder;
 use crate::dataset::names::{check_name, quoted};
 use crate::dataset::nerf_lens::{Intrinsics, Levels};
@@ -220,7 +220,8 @@ fn find_images(dir: &Path, file: &Path, frames: &[Frame]) -> Result<Vec<Option<P
             (Some(path), None) => {
                 let stem = path.file_name().unwrap_or_default().to_string_lossy();
                 let folder = path.parent().unwrap_or(dir);
-                if let Some(refusal) = refusal_of_unread(folder, Some(&stem)) {
+                let is_own = frames[index].file_path.as_deref().is_some_and(|path| !leads_away(path));
+                if is_own && let Some(refusal) = refusal_of_unread(folder, Some(&stem)) {
                     return Err(refusal);
                 }
                 let kinds = IMAGE_EXTENSIONS.join(", ");

@@ -78,6 +78,7 @@ impl Levels<'_> {
             skew: 0.0,
             distortion: self.distortion()?,
             resizable: false,
+            by_side: false,
         })
     }
 

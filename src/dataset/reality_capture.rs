@@ -6,7 +6,6 @@
 //! down (−z) and the top of the image is north (+y); roll turns it around the top of the image, pitch around its right
 //! (east), heading clockwise seen from above. There is no test split: see [`crate::dataset::DatasetOptions::hold_out`].
 
-use crate::codec::image::{Orientation, image_header};
 use crate::dataset::Plan;
 use crate::dataset::distortion::Distortion;
 use crate::dataset::exports::Export;
@@ -65,9 +64,7 @@ pub(super) fn plan(dir: &Path) -> Result<Plan> {
     for row in rows(file)? {
         let wrong = |problem: String| Error::input(file, &row.place, problem, EXPORT_HELP);
         let photograph = photographs.called(&row.name)?;
-        // RealityCapture ignores the EXIF orientation.
-        let size = image_header(&photograph.0)?.size(Orientation::AsStored);
-        let lens = row.lens(size).map_err(wrong)?;
+        let lens = row.lens().map_err(wrong)?;
         let world_from_camera = row.pose().map_err(wrong)?;
         views.push(view_of(photograph, file, row.place.clone(), lens, world_from_camera));
     }
@@ -144,19 +141,16 @@ fn number(record: &StringRecord, column: Option<usize>, name: &str) -> Result<Op
 
 impl Row {
     /// `Err` says what is wrong.
-    fn lens(&self, size: [u32; 2]) -> Result<Lens, String> {
+    fn lens(&self) -> Result<Lens, String> {
         let [px, py, k1, k2, k3, k4, t1, t2] = self.optional;
         if k4 != 0.0 {
             return Err(format!(
                 "k4 is {k4}: a fourth radial coefficient cannot be read (choose the distortion model Brown3)"
             ));
         }
-        let longer = f64::from(size[0].max(size[1]));
-        let focal = self.needed[6] / FRAME_MM * longer;
-        let center = [px, py].map(|offset| offset * longer);
-        let center = [0, 1].map(|k| Some(0.5 * f64::from(size[k]) + center[k]));
+        let focal = self.needed[6] / FRAME_MM;
         let distortion = Distortion::brown_conrady([k1, k2, k3], [t1, t2]);
-        Ok(Lens { size: Some(size), distortion, ..Lens::pinhole([focal; 2], center) })
+        Ok(Lens { by_side: true, distortion, ..Lens::pinhole([focal; 2], [Some(px), Some(py)]) })
     }
 
     /// World_from_camera; `Err` says what is wrong.

@@ -6,12 +6,16 @@
 //! | [`check_loss`] | Loss, after the comparison | looks at the loss and its adjoint |
 //! | [`check_adjoints`] | Gradient, after `Slot::ShadingAdjoint` | looks at the adjoints of points, light and materials |
 //!
+//! Shapes, vertices and cameras look at their own gradients, with [`is_usable`], and tell the [`StepGuard`].
+//!
 //! What is not finite is set to zero, so that nothing that is kept from step to step takes it up; [`step_is_sound`] then holds Update
 //! back, and Gradient too if the fault is found in Loss. After a fault found in Gradient the rest of that stage runs on zeros.
 
-use super::components::{LossState, StepGradient};
+use super::components::{AlbedoGradient, LossState, StepGradient};
+use super::exposure::Exposures;
 use super::loss::LossSums;
-use super::roughness::blend::BlendAdjoints;
+use super::roughness::blend::{BlendAdjoints, BlendGradient};
+use super::sheen::SheenGradient;
 use crate::error::{Error, Result};
 use crate::light::LightLobe;
 use crate::light::lights::{IncidentLight, LobeOf};
@@ -23,7 +27,8 @@ use crate::sample::Samples;
 use crate::sample::pixel::{Observed, PixelOf};
 use crate::sample::point::SurfacePoint;
 use crate::view::{Camera, ViewIndex, ViewName};
-use bevy_ecs::prelude::{Res, ResMut, Resource, Without, World};
+use bevy_ecs::component::Mutable;
+use bevy_ecs::prelude::{Component, Res, ResMut, Resource, Without, World};
 use serde::{Deserialize, Serialize};
 
 /// Steps in a row that may be taken back; one more ends the fit.
@@ -62,7 +67,8 @@ impl StepGuard {
         self.fault.is_none()
     }
 
-    fn find(&mut self, what: &str, pixel: Option<PixelOf>, parameter: impl Into<String>) {
+    /// Notes what is not finite, and the parameter that it is traced to; the first of a step counts.
+    pub fn find(&mut self, what: &str, pixel: Option<PixelOf>, parameter: impl Into<String>) {
         let pixel = pixel.map(|pixel| (pixel.view.0, pixel.pixel));
         self.fault.get_or_insert(Fault { what: what.into(), pixel, parameter: parameter.into() });
     }
@@ -76,6 +82,11 @@ pub fn step_is_sound(guard: Option<Res<StepGuard>>) -> bool {
 fn is_sound(values: &[f32], largest: f32) -> bool {
     // Not `all`, whose early exit keeps the loop from being a vector loop; comparisons with NaN are false.
     values.iter().fold(true, |sound, value| sound & (value.abs() <= largest))
+}
+
+/// Whether a gradient can be used: it is finite, and so is what is made of it.
+pub fn is_usable(gradient: &[f32]) -> bool {
+    is_sound(gradient, LARGEST)
 }
 
 /// Loss: looks for radiance and photographs that are not finite.
@@ -200,9 +211,15 @@ fn shared_fault(gradient: &StepGradient) -> Option<String> {
     (0..lobes.len()).find_map(of_lobe).or_else(|| gradient.specular.iter().enumerate().find_map(of_material))
 }
 
+/// Exposures before the step at work: they are found before its loss is.
+#[derive(Resource)]
+struct ExposuresBefore(Exposures);
+
 /// Forgets the fault of the step before.
 pub(super) fn begin_step(world: &mut World) {
     world.resource_mut::<StepGuard>().fault = None;
+    let before = world.resource::<Exposures>().clone();
+    world.insert_resource(ExposuresBefore(before));
 }
 
 /// Counts a step that was not taken.
@@ -210,11 +227,17 @@ pub(super) fn begin_step(world: &mut World) {
 /// # Errors
 /// [`Error::Run`] if too many in a row were not.
 pub(super) fn end_step(world: &mut World, step: u32) -> Result<()> {
+    let before = world.remove_resource::<ExposuresBefore>();
     let Some(fault) = world.resource_mut::<StepGuard>().fault.take() else {
         world.resource_mut::<StepGuard>().in_a_row = 0;
         return Ok(());
     };
     let place = words(world, &fault);
+    // What is summed until the next step must not reach it.
+    forget::<AlbedoGradient>(world);
+    forget::<SheenGradient>(world);
+    forget::<BlendGradient>(world);
+    world.insert_resource(before.map_or_else(Exposures::default, |before| before.0));
     let mut guard = world.resource_mut::<StepGuard>();
     guard.taken_back += 1;
     guard.in_a_row += 1;
@@ -225,6 +248,10 @@ pub(super) fn end_step(world: &mut World, step: u32) -> Result<()> {
     let problem = format!("{} steps in a row cannot be taken: {place}", guard.in_a_row);
     guard.in_a_row = 0;
     Err(Error::run(format!("fit, step {step}"), problem))
+}
+
+fn forget<T: Component<Mutability = Mutable> + Default>(world: &mut World) {
+    world.query::<&mut T>().iter_mut(world).for_each(|mut gradient| *gradient = T::default());
 }
 
 /// "the gradient is not finite at view rgb_000003, pixel (12, 40), by the albedo of texel 517"
@@ -248,8 +275,7 @@ fn words(world: &mut World, fault: &Fault) -> String {
 /// # Errors
 /// [`Error::Run`] that names the first parameter that is not finite.
 pub fn check_parameters(world: &mut World) -> Result<()> {
-    let refuse =
-        |what: String| Err(Error::run("fit", format!("{what} is not finite: nothing of it is written")));
+    let refuse = |what: String| Err(not_finite(what));
     let mut lobes = world.query_filtered::<&LightLobe, Without<LobeOf>>();
     let is_finite =
         |lobe: &LightLobe| lobe.axis.is_finite() && lobe.sharpness.is_finite() && lobe.amplitude.is_finite();
@@ -268,9 +294,28 @@ pub fn check_parameters(world: &mut World) -> Result<()> {
     if let Some(i) = sheen.iter().position(|sheen| !sheen.0.is_finite()) {
         return refuse(format!("the sheen of texel {i}"));
     }
+    let mut views = world.query::<(&ViewName, &Camera)>();
+    if let Some((name, problem)) = views.iter(world).find_map(|(name, c)| Some((name, c.check().err()?))) {
+        return Err(Error::run("fit", format!("the camera of view {} is lost: {problem}", name.0)));
+    }
     let blends = read_column::<TexelIndex, SpecularBlend>(world)?;
     match blends.iter().position(|blend| !blend.0.iter().all(|weight| weight.is_finite())) {
         Some(i) => refuse(format!("the blend of texel {i}")),
         None => Ok(()),
     }
+}
+
+/// Checks numbers of a surface that was found, such as values of a field or coordinates of vertices, before any of it is written.
+///
+/// # Errors
+/// [`Error::Run`] that names the first that is not finite: `what` and its place.
+pub fn check_numbers(what: &str, mut numbers: impl Iterator<Item = f32>) -> Result<()> {
+    match numbers.position(|number| !number.is_finite()) {
+        Some(i) => Err(not_finite(format!("{what} {i}"))),
+        None => Ok(()),
+    }
+}
+
+fn not_finite(what: String) -> Error {
+    Error::run("fit", format!("{what} is not finite: nothing of it is written"))
 }

@@ -30,7 +30,9 @@ use crate::checkpoint::{
 };
 use crate::error::Result;
 use crate::fit::sheen::evidence::{SheenEvidence, choose_sheen, look_for_sheen, note_residuals};
-use crate::fit::sheen::{SheenGradient, SheenMoments, move_sheen, scatter_to_sheen};
+use crate::fit::sheen::{
+    SheenGradient, SheenMoments, follow_known, move_sheen, scatter_to_sheen, share_with_known,
+};
 use crate::light::LightLobe;
 use crate::light::frame::{LightFrame, OwnLightFrame};
 use crate::light::lights::{LightChoice, LobeOf, provide_light};
@@ -201,7 +203,7 @@ impl Plugin for FitPlugin {
             .add_systems(
                 Phase::FitStep,
                 Stage::Gradient,
-                (scatter_to_texels, scatter_to_sheen, scatter_to_blends, hand_out_gradient)
+                (scatter_to_texels, scatter_to_sheen, share_with_known, scatter_to_blends, hand_out_gradient)
                     .chain()
                     .in_set(ScatterAdjoints),
             )
@@ -209,7 +211,8 @@ impl Plugin for FitPlugin {
                 Phase::FitStep,
                 Slot::Optimizer,
                 (move_scale, move_texels, move_sheen, move_blends, move_lobes, move_specular).chain(),
-            );
+            )
+            .add_systems(Phase::FitStep, Stage::Update, follow_known.after(Slot::Optimizer));
         hold_back_unsound_steps(pipeline);
         add_gathering::<Recovered>(pipeline, Phase::FitStep);
         keep_state(&mut pipeline.world);

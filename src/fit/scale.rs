@@ -17,11 +17,12 @@ use crate::fit::components::{StepRates, TexelSeen, Unknowns};
 use crate::light::LightLobe;
 use crate::light::lights::{LobeOf, own_lobes};
 use crate::material::DiffuseSheen;
+use crate::material::sheen::write_albedo;
 use crate::material::{DiffuseAlbedo, TexelIndex, Texels};
 use crate::math::sg::sphere_integral;
 use crate::math::shading::{Layers, RadianceAdjoint, ShadePoint};
 use crate::pipeline::SystemResult;
-use crate::pipeline::pool::{read_column, write_column};
+use crate::pipeline::pool::read_column;
 use crate::sample::Samples;
 use bevy_ecs::prelude::{Query, Res, ResMut, Resource, Without, World};
 use glam::{DVec3, Vec3, Vec4};
@@ -138,7 +139,7 @@ pub fn start_scale(world: &mut World, rule: ScaleRule) -> Result<()> {
     let mut texels = read_column::<TexelIndex, DiffuseAlbedo>(world)?;
     let mut lobes = world.query_filtered::<&mut LightLobe, Without<LobeOf>>();
     rescale(log_factor.exp(), lobes.iter_mut(world).map(|lobe| lobe.into_inner()), &mut texels);
-    write_column::<TexelIndex, DiffuseAlbedo>(world, &texels)
+    write_albedo(world, texels.into_iter().map(|texel| texel.0).collect())
 }
 
 /// The current scale: mean radiance of the light over the sphere, and mean albedo of the texels that are seen.

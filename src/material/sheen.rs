@@ -9,7 +9,10 @@
 //! interreflection stay as they are. The blend by c is that of a layer's *facing* weight in production shaders; it is not
 //! reciprocal. Of `chair`'s error with a single gray specular lobe it explains more than a colored specular albedo per texel does.
 
-use super::DiffuseSheen;
+use super::{DiffuseAlbedo, DiffuseSheen, TexelIndex};
+use crate::error::Result;
+use crate::pipeline::pool::write_column;
+use bevy_ecs::prelude::{Resource, World};
 use glam::Vec3;
 
 /// The mean of 1 − c over the hemisphere, weighted by c.
@@ -35,9 +38,46 @@ pub fn has_sheen(sheen: &[DiffuseSheen]) -> bool {
     sheen.iter().any(|sheen| sheen.0 != Vec3::ZERO)
 }
 
+/// The albedo along the surface where it is known: what moves the albedo straight on moves the sheen, which is their difference.
+#[derive(Resource, Clone, Debug, PartialEq)]
+pub enum KnownAlong {
+    /// The same everywhere, whatever the texels are.
+    Everywhere(Vec3),
+    /// That of each texel of the surface.
+    Texels(Vec<Vec3>),
+}
+
+impl KnownAlong {
+    /// The sheen of all texels beside their albedo; `None` for texels of another surface.
+    pub fn sheen(&self, albedo: &[Vec3]) -> Option<Vec<DiffuseSheen>> {
+        let of = |(along, albedo): (&Vec3, &Vec3)| DiffuseSheen(*along - *albedo);
+        match self {
+            Self::Everywhere(along) => Some(albedo.iter().map(|albedo| of((along, albedo))).collect()),
+            Self::Texels(along) if along.len() == albedo.len() => {
+                Some(along.iter().zip(albedo).map(of).collect())
+            }
+            Self::Texels(_) => None,
+        }
+    }
+}
+
+/// Sets the recovered albedo of all texels. Where that along the surface is known, the sheen follows.
+///
+/// # Errors
+/// If the pool of texels is incomplete.
+pub fn write_albedo(world: &mut World, albedo: Vec<Vec3>) -> Result<()> {
+    let sheen = world.get_resource::<KnownAlong>().and_then(|known| known.sheen(&albedo));
+    if let Some(sheen) = sheen {
+        write_column::<TexelIndex, DiffuseSheen>(world, &sheen)?;
+    }
+    let albedo: Vec<DiffuseAlbedo> = albedo.into_iter().map(DiffuseAlbedo).collect();
+    write_column::<TexelIndex, DiffuseAlbedo>(world, &albedo)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pipeline::pool::read_column;
 
     #[test]
     fn albedo_goes_from_that_straight_on_to_that_along_the_surface() {
@@ -62,5 +102,29 @@ mod tests {
             (sum + albedo_toward(albedo, sheen, c) * c, weight + c)
         });
         assert!((sum / weight - mean_albedo(albedo, sheen)).length() < 1e-4);
+    }
+
+    #[test]
+    fn a_known_albedo_along_the_surface_stays_when_that_straight_on_moves() {
+        let mut world = World::new();
+        let (old, new) = (vec![Vec3::splat(0.4); 3], vec![Vec3::splat(0.1), Vec3::X, Vec3::ZERO]);
+        crate::material::spawn_texels(
+            &mut world,
+            &old,
+            &[DiffuseSheen::default(); 3],
+            &[Default::default(); 3],
+        );
+        write_albedo(&mut world, new.clone()).unwrap();
+        let sheen = |world: &mut World| read_column::<TexelIndex, DiffuseSheen>(world).unwrap();
+        assert!(!has_sheen(&sheen(&mut world)));
+        for known in [KnownAlong::Everywhere(Vec3::Y), KnownAlong::Texels(vec![Vec3::Y; 3])] {
+            world.insert_resource(known);
+            write_albedo(&mut world, new.clone()).unwrap();
+            let along = |(sheen, albedo): (&DiffuseSheen, &Vec3)| sheen.0 + *albedo;
+            assert!(
+                sheen(&mut world).iter().zip(&new).map(along).all(|along| along.abs_diff_eq(Vec3::Y, 1e-6))
+            );
+        }
+        assert_eq!(KnownAlong::Texels(Vec::new()).sheen(&new), None);
     }
 }

@@ -13,7 +13,7 @@ use crate::mesh::chamfer::chamfer_distance;
 use crate::pass::render::{ChosenView, chosen_views};
 use crate::pass::session::Session;
 use crate::pass::truth_files::{read_fitting, read_true_layer, true_image_path};
-use crate::pass::view_report::{self, outlier_share};
+use crate::pass::view_report::{self, ScoredOutcome, outlier_share};
 use crate::report::heat::{error_map, factor_for, heat_map};
 use crate::report::metrics::{Pair, albedo_psnr, coverage_iou, erode, mean};
 use crate::report::normals::NormalAngles;
@@ -81,18 +81,16 @@ pub fn run(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
     for (i, score) in pass.scores.iter().enumerate() {
         let scored = ScoredPass::open(session, score)?;
         let mut overlaps = vec![None; scored.views.len()];
-        let mut outliers = vec![(String::new(), None); scored.views.len()];
         let scores = score_views(scored.views.len(), scaling(score.scale), |k| {
             let view = scored.load(session, k, layers_of(score.scale))?;
             overlaps[k] = view.mask_iou;
-            outliers[k] = (scored.name_of(session, k), outlier_share(&view.eval, &view.eval.prediction));
             Ok(view.eval)
         })?;
         rows.push(sheet_row(session, &scored, &scores, layers_of(score.scale))?);
         let folder = session.folder(&pass.name).join(&score.pass);
-        write_parts(session, &scored, &scores, layers_of(score.scale), &folder, side)?;
+        let outliers = write_parts(session, &scored, &scores, layers_of(score.scale), &folder, side)?;
         if i == 0 {
-            view_report::write(session, &session.folder(&pass.name), &scores, &outliers)?;
+            view_report::write(session, &session.folder(&pass.name), &scored.outcomes(&scores, &outliers))?;
         }
         session.scores.passes.insert(score.pass.clone(), scores);
         if i == 0 {
@@ -169,10 +167,15 @@ impl ScoredPass {
         Ok(ScoredView { eval, camera, albedo, normal, mask_iou })
     }
 
-    /// The name of view `i`, as the data has it.
-    fn name_of(&self, session: &Session, i: usize) -> String {
-        let name = session.pipeline.world.get::<ViewName>(self.views[i].entity);
-        name.map_or(String::new(), |name| name.0.clone())
+    /// PSNR and share of outliers of each view.
+    fn outcomes(&self, scores: &PassScores, outliers: &[Option<f64>]) -> Vec<ScoredOutcome> {
+        let each = self.views.iter().zip(&scores.views).zip(outliers);
+        each.map(|((view, scores), outliers)| ScoredOutcome {
+            view: view.entity,
+            psnr: scores.psnr,
+            outliers: *outliers,
+        })
+        .collect()
     }
 
     fn truth(&self, world: &World, i: usize) -> Result<Vec<Vec3>> {
@@ -314,7 +317,8 @@ fn true_layer(
     }
 }
 
-/// Writes small pictures of all views: ground truth, prediction as it is scored, error.
+/// Writes small pictures of all views: ground truth, prediction as it is scored, error. Returns the share of outliers of each view, of the
+/// prediction as it is scored.
 fn write_parts(
     session: &Session,
     scored: &ScoredPass,
@@ -322,12 +326,14 @@ fn write_parts(
     layers: &[Layer],
     folder: &Path,
     side: u32,
-) -> Result<()> {
+) -> Result<Vec<Option<f64>>> {
+    let mut outliers = Vec::new();
     for (i, chosen) in scored.views.iter().enumerate() {
         check_interrupted()?;
         let view = scored.load(session, i, layers)?;
         let EvalView { width, height, truth, .. } = &view.eval;
         let shown = scores.scored_prediction(&view.eval);
+        outliers.push(outlier_share(&view.eval, &shown));
         let size = [*width as u32, *height as u32];
         let error = error_map(size, [&shown, truth], view.outline(), Theme::Light.mat());
         let pictures = [picture(&view, truth)?, picture(&view, &shown)?, error];
@@ -335,7 +341,7 @@ fn write_parts(
             write_thumbnail(&folder.join(format!("{}_{part}.jpg", chosen.stem)), picture, side)?;
         }
     }
-    Ok(())
+    Ok(outliers)
 }
 
 /// A few views: prediction, ground truth, error.

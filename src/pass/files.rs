@@ -1,7 +1,8 @@
 //! The files of a run, known before it begins: those that its passes may write, and those that it reads.
 
-use crate::codec::file::{FileUse, lies_in};
-use crate::error::{Error, Result};
+use crate::codec::file::{FileUse, Links, check_inside};
+use crate::codec::gltf::side_files;
+use crate::error::Result;
 use crate::fit::cameras::CameraUnknowns;
 use crate::pass::evaluate::PARTS;
 use crate::pass::export;
@@ -12,13 +13,13 @@ use crate::pass::view::PAGE;
 use crate::pass::view_report::VIEWS;
 use crate::scene::load::LoadedScene;
 use crate::scene::paths::paths_of;
-use crate::scene::{EvaluatePass, Light, LightSource, Pass, Scene, Views};
+use crate::scene::{EvaluatePass, Light, LightSource, Pass, Scene, Surface, Views};
 use crate::scene::{LayerTruth, Truth};
 use crate::spawn::light_file::inlined;
 use crate::survey::open::OpenScene;
 use crate::view::Split;
 use std::collections::BTreeSet;
-use std::path::{Component, Path, PathBuf};
+use std::path::{Path, PathBuf};
 
 /// The manifest of a run, in its output folder.
 pub const RUN: &str = "run.json";
@@ -129,13 +130,35 @@ fn of_save(scene: &Scene) -> Vec<String> {
     names
 }
 
-/// The lights that a scene names.
+/// The lights that a scene shows the object under.
 fn lights(scene: &Scene) -> impl Iterator<Item = &LightSource> {
     let own = match &scene.light {
         Light::Initial(source) | Light::Fixed(source) => Some(source),
         Light::Unknown(_) => None,
     };
     own.into_iter().chain(scene.passes.iter().filter_map(Pass::light))
+}
+
+/// All lights that a scene names: also the one that its photographs are taken under.
+fn all_lights(scene: &Scene) -> impl Iterator<Item = &LightSource> {
+    let of_truth = match &scene.views {
+        Views::Photographed(made) => Some(&made.truth.light),
+        Views::Dataset(_) | Views::Cameras(_) => None,
+    };
+    lights(scene).chain(of_truth)
+}
+
+/// The meshes that a scene names.
+fn meshes(scene: &Scene) -> impl Iterator<Item = &PathBuf> {
+    let own = match &scene.surface {
+        Surface::Mesh { path, .. } => Some(path),
+        Surface::Unknown { .. } | Surface::Sphere { .. } | Surface::Box { .. } => None,
+    };
+    let of_passes = scene.passes.iter().filter_map(|pass| match pass {
+        Pass::Evaluate(pass) => pass.mesh.as_ref(),
+        _ => None,
+    });
+    own.into_iter().chain(of_passes)
 }
 
 /// A light, or what its RON file says; one that cannot be read is told of where it is loaded.
@@ -146,17 +169,33 @@ fn given(source: &LightSource) -> Option<LightSource> {
     }
 }
 
-/// The files that a run reads: the scene file, what it names, and camera files, photographs and masks of the views. Of the folders that
-/// passes are scored against all files count.
+/// The files that a run reads: the scene file, what it names, what these name, and camera files, photographs and masks of the views. Of the
+/// folders that passes are scored against all files count.
 pub fn inputs(loaded: &LoadedScene, open: Option<&OpenScene>) -> Vec<FileUse> {
+    [named(loaded), of_data(loaded, open)].concat()
+}
+
+/// The scene file, the files that it names, and those that its lights and meshes name.
+fn named(loaded: &LoadedScene) -> Vec<FileUse> {
     let mut inputs = vec![FileUse::new(&loaded.path, "the scene file")];
     let files = loaded.files.iter().filter(|path| path.is_file());
     inputs.extend(files.map(|path| FileUse::new(path, "which the scene file names")));
-    for source in lights(&loaded.scene) {
+    for source in all_lights(&loaded.scene) {
         if let Some(LightSource::Map { path, .. } | LightSource::Npy { path, .. }) = given(source) {
             inputs.push(FileUse::new(path, "a light of the scene"));
         }
     }
+    for mesh in meshes(&loaded.scene) {
+        let by = format!("which {} names", mesh.display());
+        inputs.extend(side_files(mesh).into_iter().map(|path| FileUse::new(path, &by)));
+    }
+    inputs.retain(|input| !loaded.unseen.contains(&input.path));
+    inputs
+}
+
+/// The files in folders of data: ground truths, camera files, photographs, masks.
+fn of_data(loaded: &LoadedScene, open: Option<&OpenScene>) -> Vec<FileUse> {
+    let mut inputs = Vec::new();
     for folder in truths(&loaded.scene) {
         let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
         let by = format!("which is in {}, a folder of ground truth", folder.display());
@@ -165,52 +204,21 @@ pub fn inputs(loaded: &LoadedScene, open: Option<&OpenScene>) -> Vec<FileUse> {
     let views = open.map(|open| open.views.as_slice()).unwrap_or_default();
     let cameras: BTreeSet<&Path> = views.iter().map(|view| view.camera_file()).collect();
     inputs.extend(cameras.into_iter().map(|path| FileUse::new(path, "which has the cameras")));
-    for view in views {
-        let photograph = view.image_path().map(|path| FileUse::new(path, "a photograph"));
-        let mask = view.mask_path().map(|path| FileUse::new(path, "a mask"));
-        inputs.extend(photograph.into_iter().chain(mask));
-    }
+    inputs.extend(views.iter().flat_map(|view| view.pictures()));
     inputs
 }
 
-/// Checks that a confined scene reads nothing outside its folders through files that it names: a light, a camera file. Links that are
-/// within a data set may lead where they will, for whoever gave the data made them.
+/// Checks that a confined scene reads nothing outside its folders through files that it names: a light, a mesh. Camera files of a data set
+/// are held to that when it is opened ([`OpenScene::new`]). Links that are within a data set may lead where they will, for whoever gave the
+/// data made them; all others count by what they lead to.
 ///
 /// # Errors
-/// [`Error::Usage`] that names the first file outside.
-pub fn check_within(loaded: &LoadedScene, open: Option<&OpenScene>) -> Result<()> {
+/// [`Error::Usage`](crate::Error::Usage) that names the first file outside.
+pub fn check_within(loaded: &LoadedScene) -> Result<()> {
     let Some(roots) = &loaded.roots else { return Ok(()) };
-    let spelled = |path: &Path| std::path::absolute(path).map(|path| plain(&path)).unwrap_or_default();
-    let within: Vec<PathBuf> = roots.iter().map(|root| spelled(root)).collect();
-    let is_within = |path: &Path| {
-        let path_as_spelled = spelled(path);
-        within.iter().any(|root| path_as_spelled.starts_with(root))
-            || roots.iter().any(|root| lies_in(path, root))
-    };
-    match inputs(loaded, open).iter().find(|input| !is_within(&input.path)) {
-        None => Ok(()),
-        Some(FileUse { path, by }) => {
-            let problem =
-                format!("{}, {by}, is outside the folder of the scene file and --data", path.display());
-            Err(Error::usage(
-                problem,
-                "Say --data with a folder that it is in, or --allow-outside to read it all the same.",
-            ))
-        }
-    }
-}
-
-/// A path without `.` and `..`, by its words alone.
-fn plain(path: &Path) -> PathBuf {
-    let mut plain = PathBuf::new();
-    for part in path.components() {
-        match part {
-            Component::ParentDir => drop(plain.pop()),
-            Component::CurDir => {}
-            part => plain.push(part),
-        }
-    }
-    plain
+    let check = |input: &FileUse, links| check_inside(roots, input, links);
+    named(loaded).iter().try_for_each(|input| check(input, Links::Followed))?;
+    of_data(loaded, None).iter().try_for_each(|input| check(input, Links::Trusted))
 }
 
 /// The files of [`inputs`] whose contents a run depends on, beside the scene, sorted.
@@ -232,7 +240,11 @@ pub fn read_late(scene: &Scene, pass: &Pass) -> Vec<PathBuf> {
             })
             .collect(),
         Pass::Fit(_) | Pass::Shape(_) | Pass::Render(_) | Pass::Export(_) | Pass::View(_) => Vec::new(),
-        Pass::Evaluate(_) | Pass::Edit(_) | Pass::Relight(_) => paths_of(pass),
+        Pass::Evaluate(evaluate) => {
+            let beside_mesh = evaluate.mesh.iter().flat_map(|mesh| side_files(mesh));
+            paths_of(pass).into_iter().chain(beside_mesh).collect()
+        }
+        Pass::Edit(_) | Pass::Relight(_) => paths_of(pass),
     }
 }
 

@@ -7,7 +7,7 @@ use crate::material::shown::show_scaled;
 use crate::pass::session::Session;
 use crate::pass::show::chosen_light;
 use crate::pipeline::{Phase, Slot};
-use crate::scene::{LightSweep, MaterialSweep, Orbit, OrbitKey, Pass, RenderSettings};
+use crate::scene::{Easing, LightSweep, MaterialSweep, Orbit, OrbitKey, Pass, RenderSettings};
 use crate::view::camera::{self, Camera};
 use glam::{Quat, Vec3};
 
@@ -97,7 +97,8 @@ pub fn show_moment(
 
 fn light_turn(sweep: &LightSweep, up: Vec3, time: Time) -> Quat {
     let axis = sweep.axis.unwrap_or(up).normalize_or(Vec3::Y);
-    let part = sweep.easing.at(time.turned);
+    // A jump is made at the last frame: one frame later nobody would see it.
+    let part = sweep.easing.at(if sweep.easing == Easing::Hold { time.done } else { time.turned });
     let degrees = sweep.from_degrees + (sweep.to_degrees - sweep.from_degrees) * part;
     Quat::from_axis_angle(axis, degrees.to_radians())
 }
@@ -116,7 +117,6 @@ fn factors(sweep: &MaterialSweep, time: Time) -> Vec<(EditTarget, EditAction)> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::scene::Easing;
 
     fn key(at: f32, elevation: Option<f32>, angle: Option<f32>) -> OrbitKey {
         OrbitKey {
@@ -157,6 +157,9 @@ mod tests {
         let sweep = LightSweep::default();
         let quarter = light_turn(&sweep, Vec3::Y * 2.0, Time::of(15, 60));
         assert!((quarter * Vec3::Z).distance(Vec3::X) < 1e-5);
+        let held = LightSweep { to_degrees: 90.0, easing: Easing::Hold, ..sweep };
+        let turned = |frame| light_turn(&held, Vec3::Y, Time::of(frame, 60)) * Vec3::Z;
+        assert!(turned(58) == Vec3::Z && turned(59).distance(Vec3::X) < 1e-5, "{}", turned(59));
         let sweep = MaterialSweep { roughness: (0.5, 2.0), ..MaterialSweep::default() };
         let at = |frame| factors(&sweep, Time::of(frame, 4))[2].1.clone();
         assert_eq!(at(0), EditAction::Scale(Vec3::splat(0.5)));

@@ -11,7 +11,7 @@ use crate::error::stop::{heed_stop, is_stopping};
 use crate::error::{Error, Result};
 use crate::fit::cameras::{CameraPlugin, CameraUnknowns};
 use crate::fit::components::TexelSeen;
-use crate::fit::guard::check_parameters;
+use crate::fit::guard::{check_numbers, check_parameters};
 use crate::fit::observe::PixelChoice;
 use crate::fit::roughness::blend::TexelPlaces;
 use crate::fit::roughness::texel::{
@@ -24,10 +24,9 @@ use crate::fit::systems::{move_lobes, move_specular, move_texels};
 use crate::light::lights::own_lobes;
 use crate::light::{EnvironmentMap, LightLobe, render_lobes};
 use crate::material::DiffuseSheen;
-use crate::material::sheen::has_sheen;
+use crate::material::sheen::{has_sheen, write_albedo};
 use crate::material::{
-    DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, TexelIndex, recovered_albedo,
-    recovered_materials,
+    MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, TexelIndex, recovered_albedo, recovered_materials,
 };
 use crate::math::accurate::Quality;
 use crate::math::shading::ClosedForm;
@@ -105,6 +104,10 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     // The results so far are written.
     heed_stop();
     check_parameters(&mut session.pipeline.world)?;
+    check_numbers(
+        "the surface's coordinate",
+        session.surface.mesh().positions.iter().flat_map(|at| at.to_array()),
+    )?;
     session.has_object = true;
     session.guess = FirstGuess::NONE;
     bar.finish_and_clear();
@@ -228,8 +231,7 @@ fn fill_texels(session: &mut Session) -> Result<usize> {
         let mut values = recovered_albedo(world)?;
         fill_sheen(world, &values, &seen, atlas)?;
         fill_uncovered(&mut values, &seen, atlas);
-        let values: Vec<DiffuseAlbedo> = values.into_iter().map(DiffuseAlbedo).collect();
-        write_column::<TexelIndex, DiffuseAlbedo>(world, &values)?;
+        write_albedo(world, values)?;
     }
     if unknowns.blends {
         let mut blends = read_column::<TexelIndex, SpecularBlend>(world)?;

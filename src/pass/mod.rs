@@ -126,8 +126,8 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
     preflight::check_output(&loaded.scene, &options.out)?;
     preflight::check_sizes(&loaded.scene)?;
     preflight::check_paths(&loaded.scene)?;
-    let data = OpenScene::new(&loaded.scene)?;
-    files::check_within(loaded, data.as_ref())?;
+    files::check_within(loaded)?;
+    let data = OpenScene::new(&loaded.scene, loaded.roots.as_deref())?;
     let claim = claim(loaded, data.as_ref(), options)?;
     let watched = Watched::new(files::contents(loaded, data.as_ref()));
     let (views, survey) = read_views(&loaded.scene, data.as_ref(), progress)?;
@@ -231,8 +231,8 @@ pub fn write_view(
         light.notes.iter().for_each(|note| progress.note(note));
         named.push((name.clone(), light.lobes));
     }
-    let data = OpenScene::new(&scene)?;
-    files::check_within(loaded, data.as_ref())?;
+    files::check_within(loaded)?;
+    let data = OpenScene::new(&scene, loaded.roots.as_deref())?;
     let (views, _) = read_views(&scene, data.as_ref(), progress)?;
     let out = path.parent().unwrap_or(Path::new("")).to_owned();
     let options = RunOptions { out, force: true, ..RunOptions::default() };

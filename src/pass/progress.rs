@@ -22,6 +22,9 @@ pub trait Bar: Send + Sync {
     /// Sets the number of finished steps.
     fn set_position(&self, steps: u64);
 
+    /// Sets the number of all steps, once it is known better.
+    fn set_length(&self, _steps: u64) {}
+
     /// Sets the message beside the bar.
     fn set_message(&self, message: String);
 

@@ -3,6 +3,7 @@
 use crate::error::stop::{heed_stop, is_stopping};
 use crate::error::{Error, Result};
 use crate::fit::components::Unknowns;
+use crate::fit::guard::{check_numbers, check_parameters};
 use crate::fit::observe::PixelChoice;
 use crate::fit::roughness::blend::TexelPlaces;
 use crate::fit::run::{FirstGuess, FitOptions};
@@ -28,7 +29,7 @@ use crate::shape::run::{
 };
 use crate::shape::stereo::ROUNDS as STEREO_ROUNDS;
 use crate::shape::systems::ShapeSchedule;
-use crate::spawn::unknowns;
+use crate::spawn::{insert_known_along, unknowns};
 use crate::view::Camera;
 use crate::visibility::ObjectVisibility;
 use glam::Vec3;
@@ -57,12 +58,14 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     // Base materials have equal weights until the shape is recovered.
     session.pipeline.world.insert_resource(TexelPlaces::default());
     let options = options(session, pass);
-    let total: u32 = pass.levels.iter().map(|level| level.steps).sum();
-    let bar = session.progress.bar(&pass.name, u64::from(total));
+    let most: u32 = pass.levels.iter().map(|level| level.steps).sum();
+    let bar = session.progress.bar(&pass.name, u64::from(most));
     let inspector = session.debug_every.map(|every| inspector(session, &pass.name, every));
     let (mut failure, mut stopped) = (None, false);
     let surface = fit_shape(&mut session.pipeline, &options, &mut |at: &ShapeProgress| {
         let before: u32 = pass.levels[..at.level].iter().map(|level| level.steps).sum();
+        let total: u32 = pass.levels[..at.levels].iter().map(|level| level.steps).sum();
+        bar.set_length(u64::from(total));
         bar.set_position(u64::from(before + at.fit.step));
         if at.fit.step.is_multiple_of(20) {
             bar.set_message(format!("{:.1} dB", at.fit.sums.psnr()));
@@ -100,10 +103,13 @@ fn take_over(
     stopped: bool,
 ) -> Result<bool> {
     let guessed = std::mem::replace(&mut session.guess, FirstGuess::NONE);
+    check_parameters(&mut session.pipeline.world)?;
+    check_numbers("the value of the field at point", found.grid.values.iter().copied())?;
     if !stopped {
         match_outlines(session, &pass.name, &mut found.grid);
     }
     let mesh = found_mesh(session, &found, pass.stereo && !is_stopping(), &pass.name);
+    check_numbers("the surface's coordinate", mesh.positions.iter().flat_map(|at| at.to_array()))?;
     let stopped = is_stopping();
     heed_stop();
     put_in_place(session, &found, &mesh, texture_size)?;
@@ -215,12 +221,17 @@ fn match_views(session: &mut Session, name: &str, mesh: &mut Mesh) {
 /// # Errors
 /// If they do not fit the largest texture either.
 fn unwrap_within(mesh: &Mesh, texture_size: u32) -> Result<(Mesh, u32)> {
+    unwrap_by(texture_size, |size| unwrap_mesh(mesh, size).map(|unwrapped| unwrapped.mesh))
+}
+
+fn unwrap_by(texture_size: u32, mut unwrap: impl FnMut(u32) -> Result<Mesh>) -> Result<(Mesh, u32)> {
     let mut size = texture_size;
     loop {
-        match unwrap_mesh(mesh, size) {
-            Ok(unwrapped) => return Ok((unwrapped.mesh, size)),
-            Err(error) if 2 * size > MOST_TEXELS => return Err(error),
-            Err(_) => size *= 2,
+        match unwrap(size) {
+            Ok(mesh) => return Ok((mesh, size)),
+            // No other error goes away with a larger texture.
+            Err(Error::Usage { .. }) if 2 * size <= MOST_TEXELS => size *= 2,
+            Err(error) => return Err(error),
         }
     }
 }
@@ -242,6 +253,7 @@ fn put_in_place(session: &mut Session, found: &SdfSurface, mesh: &Mesh, texture_
         address.map_or(Vec3::splat(0.4), |address| address.blend(&volume))
     };
     let albedo: Vec<Vec3> = atlas.position.iter().zip(&atlas.covered).map(carried).collect();
+    insert_known_along(world, &session.scene.material.sheen, &surface)?;
     replace_texels(world, &albedo);
     world.insert_resource(Scenery(surface.clone()));
     world.remove_resource::<ObjectVisibility>();
@@ -270,5 +282,19 @@ mod tests {
         let (unwrapped, size) = unwrap_within(&mesh, 8).unwrap();
         assert!(size > 8 && size <= 512 && unwrapped.uvs.is_some(), "{size}");
         assert_eq!(unwrap_within(&box_mesh(Vec3::ZERO, Vec3::ONE).unwrap(), 64).unwrap().1, 64);
+    }
+
+    #[test]
+    fn an_error_that_no_texture_mends_is_told_as_it_is() {
+        let mut mesh = box_mesh(Vec3::ZERO, Vec3::ONE).unwrap();
+        mesh.uvs = None;
+        mesh.positions[3].x = f32::NAN;
+        let mut tried = Vec::new();
+        let error = unwrap_by(64, |size| {
+            tried.push(size);
+            unwrap_mesh(&mesh, size).map(|unwrapped| unwrapped.mesh)
+        });
+        assert!(error.unwrap_err().to_string().contains("vertex 3 is not finite"));
+        assert_eq!(tried, [64]);
     }
 }

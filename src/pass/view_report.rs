@@ -8,11 +8,11 @@ use crate::light::LightLobe;
 use crate::light::lights::own_lobes;
 use crate::mesh::Surface;
 use crate::pass::session::Session;
-use crate::report::scores::{EvalView, PassScores, ViewOutcome};
+use crate::report::scores::{EvalView, ViewOutcome};
 use crate::survey::finding::named;
 use crate::survey::statistics::median;
 use crate::view::{Camera, Photograph, Split, StoredMask, ViewIndex, ViewMask, ViewName};
-use bevy_ecs::prelude::World;
+use bevy_ecs::prelude::{Entity, With, World};
 use rayon::prelude::*;
 use std::fmt::Write as _;
 use std::path::Path;
@@ -33,8 +33,19 @@ const OUTLIERS: f64 = 0.5;
 /// Radiance of a lobe beyond this, relative to the photographs, is no light that they show.
 const RUNAWAY: f32 = 1e4;
 
+/// How a view of the first score came out.
+pub(super) struct ScoredOutcome {
+    /// The view: names repeat, as those of training and test views.
+    pub view: Entity,
+    /// PSNR as it is scored, in dB.
+    pub psnr: f64,
+    /// Share of outliers of the prediction as it is scored.
+    pub outliers: Option<f64>,
+}
+
 /// A view of the world, as far as its silhouette needs it.
 struct Outline {
+    entity: Entity,
     name: String,
     split: Split,
     index: ViewIndex,
@@ -95,14 +106,22 @@ fn outcome(view: &Outline, overlap: Option<Overlap>, sum: Option<ViewSum>) -> Vi
     }
 }
 
+type OutlineView = (
+    Entity,
+    &'static ViewName,
+    &'static Split,
+    &'static ViewIndex,
+    &'static Camera,
+    Option<&'static ViewMask>,
+);
+
 /// Views with photographs, in the order of their numbers.
 fn outlines(world: &mut World, split: Option<Split>) -> Vec<Outline> {
-    let mut query =
-        world.query::<(&ViewName, &Split, &ViewIndex, &Camera, Option<&ViewMask>, Option<&Photograph>)>();
-    let with_photograph =
-        query.iter(world).filter(|view| view.5.is_some() && split.is_none_or(|split| *view.1 == split));
-    let mut outlines: Vec<Outline> = with_photograph
-        .map(|(name, split, index, camera, mask, _)| Outline {
+    let mut query = world.query_filtered::<OutlineView, With<Photograph>>();
+    let wanted = query.iter(world).filter(|view| split.is_none_or(|split| *view.2 == split));
+    let mut outlines: Vec<Outline> = wanted
+        .map(|(entity, name, split, index, camera, mask)| Outline {
+            entity,
             name: name.0.clone(),
             split: *split,
             index: *index,
@@ -212,24 +231,21 @@ pub(super) fn outlier_share(view: &EvalView, predicted: &[glam::Vec3]) -> Option
     (counted > 0).then(|| outliers as f64 / counted as f64)
 }
 
-/// Adds scored views that no fit has told of, and writes the report of all views.
+/// Adds scored views that no fit has told of, in place of those that an earlier `Evaluate` has told of, and writes the report of all views.
 ///
 /// # Errors
 /// If it cannot be written.
-pub(super) fn write(
-    session: &mut Session,
-    folder: &Path,
-    scored: &PassScores,
-    of_views: &[(String, Option<f64>)],
-) -> Result<()> {
+pub(super) fn write(session: &mut Session, folder: &Path, scored: &[ScoredOutcome]) -> Result<()> {
     let outlines = outlines(&mut session.pipeline.world, None);
     let overlaps = overlaps(&session.surface, &outlines);
+    // Those of a fit say how many pixels it may visit.
+    session.scores.views.retain(|view| view.pixels.is_some());
     for (view, overlap) in outlines.iter().zip(&overlaps) {
         let new = outcome(view, *overlap, None);
         let is_known = |old: &ViewOutcome| old.name == new.name && old.split == new.split;
-        let scores = scored.views.iter().zip(of_views).find(|(_, (name, _))| *name == view.name);
-        if let (Some((scores, (_, outliers))), false) = (scores, session.scores.views.iter().any(is_known)) {
-            let new = ViewOutcome { psnr: Some(scores.psnr), outliers: *outliers, ..new };
+        let found = scored.iter().find(|scored| scored.view == view.entity);
+        if let (Some(found), false) = (found, session.scores.views.iter().any(is_known)) {
+            let new = ViewOutcome { psnr: Some(found.psnr), outliers: found.outliers, ..new };
             session.scores.views.push(new);
         }
     }

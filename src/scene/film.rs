@@ -61,7 +61,7 @@ pub struct LightSweep {
     pub axis: Option<Vec3>,
     /// Angle at the first frame in degrees. Default 0.
     pub from_degrees: f32,
-    /// Angle one frame after the last, so that whole turns play without a break. Default 360.
+    /// Angle one frame after the last, so that whole turns play without a break; with `Hold` at the last frame. Default 360.
     pub to_degrees: f32,
     /// How it changes. Default `Linear`.
     pub easing: Easing,

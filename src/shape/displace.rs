@@ -28,7 +28,10 @@ pub(crate) fn displace(grid: &mut SdfGrid, bvh: &TriangleBvh, shell: &Shell, alo
     let most = MOST * grid.spacing;
     let along: Vec<f32> = (0..along.len())
         .into_par_iter()
-        .map(|i| within_room(bvh, shell, i, along[i].clamp(-most, most), LIFT * grid.spacing))
+        .map(|i| {
+            let along = along[i].clamp(-most, most);
+            within_room(bvh, shell.positions[i], shell.normals[i], along, LIFT * grid.spacing)
+        })
         .collect();
     let mut sums = vec![[0.0f32; 2]; grid.values.len()];
     for ((position, normal), along) in shell.positions.iter().zip(&shell.normals).zip(&along) {
@@ -65,14 +68,14 @@ fn carry(grid: &SdfGrid, position: Vec3, normal: Vec3, along: f32, sums: &mut [[
 }
 
 /// A displacement of a vertex that leaves room to the opposite side.
-fn within_room(bvh: &TriangleBvh, shell: &Shell, vertex: usize, along: f32, lift: f32) -> f32 {
-    let room = room(bvh, shell.positions[vertex], shell.normals[vertex] * along.signum(), lift);
+pub(crate) fn within_room(bvh: &TriangleBvh, position: Vec3, normal: Vec3, along: f32, lift: f32) -> f32 {
+    let room = room(bvh, position, normal * along.signum(), lift);
     along.clamp(-room, room)
 }
 
 /// How far a point of the surface may move in a direction (a unit vector): a part of the distance to the opposite side, within or across a gap.
 /// The ray that looks for it starts `lift` away. Zero without a direction.
-pub(crate) fn room(bvh: &TriangleBvh, position: Vec3, direction: Vec3, lift: f32) -> f32 {
+fn room(bvh: &TriangleBvh, position: Vec3, direction: Vec3, lift: f32) -> f32 {
     if direction == Vec3::ZERO {
         return 0.0;
     }

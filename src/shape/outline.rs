@@ -62,7 +62,10 @@ pub fn fit_outlines(grid: &mut SdfGrid, silhouettes: &[Silhouette]) -> OutlineRe
         if round == ROUNDS || votes.none || is_stopping() {
             break;
         }
-        let held = |vote: &Vote| Plate { hold: HELD + vote.plate().hold, ..vote.plate() };
+        let held = |vote: &Vote| {
+            let plate = vote.plate();
+            Plate { hold: HELD + plate.hold, ..plate }
+        };
         let plates: Vec<Plate> = votes.of_vertices.iter().map(held).collect();
         displace(grid, &bvh, &shell, &bent(&shell.graph, &plates, BENDING));
     }

@@ -1,8 +1,9 @@
 //! The systems that fit an SDF: retrace, propagate adjoints, smooth, update. Each fetches columns and calls a kernel.
 
-use crate::fit::cameras::{AlignedRow, CameraFit, CameraPose, FIRST_STEP, retrace};
+use crate::fit::cameras::{AlignedRow, CameraFit, CameraPose, FIRST_STEP, are_usable, retrace};
 use crate::fit::components::StepRates;
 use crate::fit::exposure::Exposures;
+use crate::fit::guard::{StepGuard, is_usable};
 use crate::material::{DiffuseAlbedo, Texels};
 use crate::math::color::{luminance, srgb_from_linear};
 use crate::math::shading::{Layers, PointAdjoint};
@@ -151,6 +152,7 @@ pub fn align_silhouettes(
     schedule: Res<ShapeSchedule>,
     field: Res<SdfField>,
     mut fit: ResMut<CameraFit>,
+    mut guard: ResMut<StepGuard>,
     mut views: Query<(&ViewIndex, &Camera, &mut CameraPose), With<Photograph>>,
     samples: Silhouettes<&SilhouetteSample>,
 ) -> SystemResult {
@@ -163,6 +165,9 @@ pub fn align_silhouettes(
     };
     let samples = samples.rows_of(|count| schedule.silhouette_rows(rates.step, count))?;
     let rows: Vec<(ViewIndex, AlignedRow)> = samples.par_iter().with_min_len(64).filter_map(row).collect();
+    if !are_usable(&rows, &mut guard) {
+        return Ok(());
+    }
     let noise = fit.observe(1, &rows);
     for (view, row) in &rows {
         views.of_mut(*view)?.2.add(row, noise);
@@ -216,6 +221,27 @@ pub fn hand_out_to_bricks(
     for run in at.iter().flat_map(|brick| brick.runs(grid)) {
         adjoint.value[run.rows()].fill(0.0);
         adjoint.gradient[run.rows()].fill(Vec3::ZERO);
+    }
+    Ok(())
+}
+
+/// Gradient: looks for gradients of bricks that are not finite; then all adjoints of the field begin anew.
+pub fn check_bricks(
+    rates: Res<StepRates>,
+    schedule: Res<ShapeSchedule>,
+    bricks: Bricks<(&BrickAt, &BrickGradient)>,
+    mut field: ResMut<SdfField>,
+    mut guard: ResMut<StepGuard>,
+) -> SystemResult {
+    if schedule.progress(rates.step).is_none() {
+        return Ok(());
+    }
+    let (at, gradients) = bricks.columns()?;
+    if let Some(bad) = gradients.par_iter().position_first(|gradient| !is_usable(&gradient.0)) {
+        let Vec3 { x, y, z } = field.surface.grid.position(at[bad].0);
+        guard.find("the gradient", None, format!("the field near ({x:.3}, {y:.3}, {z:.3})"));
+        field.adjoint.value.fill(0.0);
+        field.adjoint.gradient.fill(Vec3::ZERO);
     }
     Ok(())
 }

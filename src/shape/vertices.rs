@@ -14,6 +14,7 @@ use crate::checkpoint::packed::{from_bytes, to_bytes};
 use crate::checkpoint::{Span, keep_pool, keep_with};
 use crate::error::{Error, Result};
 use crate::fit::components::StepRates;
+use crate::fit::guard::{StepGuard, is_usable};
 use crate::math::shading::PointAdjoint;
 use crate::mesh::Surface;
 use crate::mesh::bvh::TriangleHit;
@@ -280,6 +281,7 @@ pub fn retrace_vertices(
 /// Gradient: propagates the normal adjoints of the samples to the normals of vertices.
 pub fn pull_back_to_vertices(
     mesh: Res<MovingMesh>,
+    mut guard: ResMut<StepGuard>,
     samples: Samples<(&SurfacePoint, &PointAdjoint)>,
     vertices: Vertices<&mut VertexAdjoint>,
 ) -> SystemResult {
@@ -288,14 +290,20 @@ pub fn pull_back_to_vertices(
     let vertices = &mut *vertices;
     let limit = OUTLIER * root_mean_square(&back);
     let normals = &mesh.surface.mesh().normals;
+    let mut shares = Vec::new();
     for ((point, back), found) in points.iter().zip(&*back).zip(&mesh.found) {
         let Some(found) = found.filter(|_| point.is_hit()) else { continue };
         let corners = mesh.surface.mesh().triangles[found.triangle as usize];
         let blended: Vec3 = (0..3).map(|k| normals[corners[k] as usize] * found.weights[k]).sum();
         let by_blend = pull_back_unit(blended, Vec3::from(back.normal).clamp_length_max(limit));
         for (corner, weight) in corners.into_iter().zip(found.weights) {
-            vertices[mesh.graph.of[corner as usize] as usize].0 += weight * by_blend;
+            shares.push((mesh.graph.of[corner as usize], weight * by_blend));
         }
+    }
+    // Sums last for several steps: nothing of one that is not taken reaches them.
+    match shares.iter().find(|(_, share)| !is_usable(&share.to_array())) {
+        Some((vertex, _)) => guard.find("the gradient", None, format!("vertex {vertex} of the surface")),
+        None => shares.iter().for_each(|(vertex, share)| vertices[*vertex as usize].0 += *share),
     }
     Ok(())
 }
@@ -327,7 +335,11 @@ pub fn move_vertices(
     let reach = REACH * mesh.graph.mean_edge(&mesh.start);
     let near = |(moved, start): (Vec3, &Vec3)| *start + (moved - *start).clamp_length_max(reach);
     let moved: Vec<Vec3> = moved.into_iter().zip(&mesh.start).map(near).collect();
-    // A move that makes a triangle degenerate is rejected.
+    // A move that makes a triangle degenerate is rejected, and one that has no end begins anew.
+    if moved.iter().any(|at| !at.is_finite()) {
+        moments.fill(VertexMoment::default());
+        return Ok(());
+    }
     if let Ok(surface) = with_positions(&mesh.surface, &mesh.graph, &moved) {
         mesh.surface = Arc::new(surface);
         scenery.0 = mesh.surface.clone();

@@ -5,10 +5,12 @@ use crate::codec::texture;
 use crate::error::Result;
 use crate::fit::roughness::texel::{BASE_ROUGHNESSES, TexelRoughness};
 use crate::material::DiffuseSheen;
+use crate::material::sheen::KnownAlong;
 use crate::material::{SpecularBlend, SpecularLobe};
 use crate::mesh::Surface;
 use crate::scene::validate::MIN_ROUGHNESS;
 use crate::scene::{Albedo, AlbedoSource, Gloss, Roughness, Sheen, Specular, SpecularAlbedo};
+use bevy_ecs::prelude::World;
 use glam::Vec3;
 use std::path::Path;
 
@@ -44,15 +46,25 @@ pub(super) fn initial_gloss(
     }
 }
 
-/// The sheen of each texel that a fit starts from, or the known one, beside this albedo.
-pub(super) fn initial_sheen(sheen: &Sheen, albedo: &[Vec3], surface: &Surface) -> Result<Vec<DiffuseSheen>> {
+/// Puts what is known of the albedo along this surface into the world.
+///
+/// # Errors
+/// If a texture cannot be read.
+pub fn insert_known_along(world: &mut World, sheen: &Sheen, surface: &Surface) -> Result<()> {
     match sheen {
-        Sheen::Auto | Sheen::None | Sheen::Unknown => Ok(vec![DiffuseSheen::default(); albedo.len()]),
+        Sheen::Auto | Sheen::None | Sheen::Unknown => drop(world.remove_resource::<KnownAlong>()),
+        Sheen::Fixed(AlbedoSource::Constant(color)) => world.insert_resource(KnownAlong::Everywhere(*color)),
         Sheen::Fixed(source) => {
-            let along = given_albedo(source, surface)?;
-            Ok(along.iter().zip(albedo).map(|(along, albedo)| DiffuseSheen(*along - *albedo)).collect())
+            world.insert_resource(KnownAlong::Texels(given_albedo(source, surface)?));
         }
     }
+    Ok(())
+}
+
+/// The sheen of each texel that a fit starts from, or the known one, beside this albedo.
+pub(super) fn initial_sheen(world: &World, albedo: &[Vec3]) -> Vec<DiffuseSheen> {
+    let known = world.get_resource::<KnownAlong>().and_then(|known| known.sheen(albedo));
+    known.unwrap_or_else(|| vec![DiffuseSheen::default(); albedo.len()])
 }
 
 /// The albedo of each texel that a fit starts from, or the known one.

@@ -6,7 +6,7 @@ mod material;
 mod surface;
 
 pub use light::{LoadedLight, load_light};
-pub use material::initial_specular;
+pub use material::{initial_specular, insert_known_along};
 pub use surface::{SurfaceUse, make_surface};
 
 use crate::error::Result;
@@ -57,7 +57,8 @@ pub fn spawn(
     if let Some(map) = light.and_then(|light| light.map.clone()) {
         world.spawn(LightMap(map));
     }
-    let sheen = initial_sheen(&scene.material.sheen, &albedo, surface)?;
+    insert_known_along(world, &scene.material.sheen, surface)?;
+    let sheen = initial_sheen(world, &albedo);
     spawn_texels(world, &albedo, &sheen, &blends);
     spawn_materials(world, &specular);
     Ok(())

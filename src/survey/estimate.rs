@@ -14,13 +14,14 @@ use crate::codec::animation::film_bytes;
 use crate::fit::detail::{MOST_PIXELS, MOST_SIDE, SWEEPS};
 use crate::sample::observation::{Observation, ObservationIndex};
 use crate::scene::{
-    FitPass, Light, LightSource, Pass, RenderSettings, Scene, Shading, ShapePass, Surface, ViewChoice,
-    Visibility,
+    FitPass, GridLevel, Light, LightSource, Pass, RenderSettings, Scene, Shading, ShapePass, Surface,
+    ViewChoice, Visibility,
 };
 use crate::shade::frame::frame_bytes;
 use crate::survey::Survey;
 use crate::survey::detail::{ATLAS_FILL, pixels_per_texel};
 use crate::survey::look::{Bounds, Look};
+use crate::survey::statistics::median;
 use crate::view::Split;
 use crate::visibility::VisibilitySettings;
 use serde::Serialize;
@@ -119,6 +120,9 @@ pub fn duration(seconds: f64) -> String {
     }
 }
 
+/// Part of the width that a level's cells must have in photographs from which on it counts: the grid is not exactly as wide as the object.
+const NEARLY: f32 = 0.9;
+
 /// What the passes of `scene` will take on `threads` threads, for the views of a survey.
 pub fn estimate(survey: &Survey, scene: &Scene, threads: usize) -> Estimate {
     let task = Task { looks: &survey.looks, scene, threads: threads.max(1) };
@@ -152,6 +156,13 @@ fn window_pixels(look: &Look) -> f64 {
     };
     let bounds = look.mask.as_ref().and_then(|mask| mask.bounds.as_ref());
     bounds.map_or(1.0, share) * pixels(look)
+}
+
+/// Longer side of the rectangle around the object, in pixels of the photograph.
+fn object_width(look: &Look) -> Option<f32> {
+    let bounds = look.mask.as_ref()?.bounds?;
+    let side = (bounds.high[0] - bounds.low[0]).max(bounds.high[1] - bounds.low[1]);
+    Some(side * look.size[0] as f32 / look.camera.width as f32)
 }
 
 fn object_pixels(look: &Look) -> f64 {
@@ -228,10 +239,21 @@ impl Task<'_> {
     }
 
     fn shape(&self, shape: &ShapePass) -> Part {
-        let steps: f64 = shape.levels.iter().map(|level| f64::from(level.steps)).sum();
-        let cells = shape.levels.iter().map(|level| f64::from(level.cells).powi(3)).fold(0.0, f64::max);
+        let levels = self.resolved(&shape.levels);
+        let steps: f64 = levels.iter().map(|level| f64::from(level.steps)).sum();
+        let cells = levels.iter().map(|level| f64::from(level.cells).powi(3)).fold(0.0, f64::max);
         let bytes = self.pool(shape.max_pixels) * POOL_BYTES + cells * CELL_BYTES;
         self.part(&shape.name, bytes, steps * f64::from(shape.batch) * SHAPE_PIXEL_NANOS, false)
+    }
+
+    /// The levels that photographs of this size resolve, as far as their masks tell; a level that is nearly resolved counts.
+    fn resolved<'a>(&self, levels: &'a [GridLevel]) -> &'a [GridLevel] {
+        let train = self.looks.iter().filter(|look| look.split == Split::Train && look.light.is_some());
+        let mut widths: Vec<f32> = train.filter_map(object_width).collect();
+        let Some(width) = median(&mut widths) else { return levels };
+        let too_fine = |level: &GridLevel| width / (level.cells as f32) < NEARLY * level.pixels;
+        let count = levels.iter().skip(1).position(too_fine).map_or(levels.len(), |place| place + 1);
+        &levels[..count]
     }
 
     fn render(&self, name: &str, render: &RenderSettings) -> Part {

@@ -15,6 +15,7 @@ use crate::survey::turntable::{BACKGROUND_SIDE, BACKGROUNDS, Background};
 use crate::view::{Mask, Photograph, Split, ViewRecord};
 use glam::Vec3;
 use rayon::prelude::*;
+use std::path::PathBuf;
 
 /// Most pixels along a side of the pictures that are looked at.
 const LOOK_SIDE: u32 = 1024;
@@ -32,13 +33,15 @@ pub struct OpenScene<'a> {
 }
 
 impl<'a> OpenScene<'a> {
-    /// Opens the data set; `None` if the scene's views are none.
+    /// Opens the data set; `None` if the scene's views are none. Nothing outside `roots` is read, if there are any
+    /// ([`LoadedScene::roots`](crate::scene::LoadedScene::roots)).
     ///
     /// # Errors
     /// Those of [`open_dataset`].
-    pub fn new(scene: &'a Scene) -> Result<Option<Self>> {
+    pub fn new(scene: &'a Scene, roots: Option<&[PathBuf]>) -> Result<Option<Self>> {
         let Views::Dataset(spec) = &scene.views else { return Ok(None) };
-        let options = dataset_options(spec, scene.up);
+        let roots = roots.map(<[PathBuf]>::to_vec);
+        let options = DatasetOptions { roots, ..dataset_options(spec, scene.up) };
         let mut open = Self { scene, spec, layout: spec.layout, views: Vec::new(), notes: Vec::new() };
         for split in wanted_splits(scene, spec, &options)? {
             let opened = open_dataset(&spec.path, split, &options)?;
@@ -98,8 +101,12 @@ impl<'a> OpenScene<'a> {
 ///
 /// # Errors
 /// Those of [`OpenScene::new`]; the first, in the order of the views, of reading photographs and masks; those of reading the mesh.
-pub fn survey(scene: &Scene, with_thumbnails: bool) -> Result<Option<(Survey, Vec<ViewRecord>)>> {
-    let Some(open) = OpenScene::new(scene)? else { return Ok(None) };
+pub fn survey(
+    scene: &Scene,
+    roots: Option<&[PathBuf]>,
+    with_thumbnails: bool,
+) -> Result<Option<(Survey, Vec<ViewRecord>)>> {
+    let Some(open) = OpenScene::new(scene, roots)? else { return Ok(None) };
     let needs_masks = matches!(scene.surface, Surface::Unknown { .. });
     let look_at = |view: &PlannedView| {
         let loaded = open.load(view)?;
@@ -132,6 +139,7 @@ fn dataset_options(spec: &Dataset, up: Vec3) -> DatasetOptions {
         hold_out: spec.hold_out,
         select: (!spec.select.is_empty()).then(|| spec.select.clone()),
         up,
+        roots: None,
     }
 }
 

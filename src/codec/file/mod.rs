@@ -9,6 +9,7 @@
 //! | [`write_file`], [`write_bytes`], [`write_by_path`] | write, all or nothing |
 //! | [`check_writable`], [`check_room`], [`free_bytes`], [`check_file_name`] | say before the work whether results can be written |
 //! | [`check_apart`], [`lies_in`] | say whether what is written is something that is read |
+//! | [`check_inside`] | says whether what is read lies where it may |
 //! | [`DiskFile`] | the one file through which all of this goes |
 //! | [`FolderLock`] | keeps two processes from writing into one folder |
 //! | [`file_stems`] | the one way from names of views to names of files |
@@ -18,6 +19,7 @@ mod apart;
 mod disk;
 #[cfg(test)]
 pub(crate) mod faults;
+mod inside;
 mod lock;
 mod output;
 mod read;
@@ -26,6 +28,7 @@ mod write;
 
 pub use apart::{FileUse, check_apart, lies_in};
 pub use disk::DiskFile;
+pub use inside::{Links, check_inside};
 pub use lock::{FolderLock, LOCK};
 pub use output::{check_file_name, check_room, check_writable, file_stems, free_bytes};
 pub use read::{

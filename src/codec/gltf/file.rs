@@ -3,12 +3,13 @@
 //! The `gltf` crate supplies the JSON types. Its readers assume a validated file and panic on some invalid ones, so every
 //! index, offset and length is checked here instead.
 
-use crate::codec::file::read_bytes;
+use crate::codec::file::{first_bytes, open, read_bytes};
 use crate::codec::nearby::missing_file_help;
 use crate::{Error, Result};
 use gltf::json::accessor::{ComponentType, Type};
 use gltf::json::validation::Checked;
 use gltf::json::{self, Index, Root};
+use std::io::Read as _;
 use std::path::{Path, PathBuf};
 
 /// A file with more elements than this in one accessor is assumed to be damaged. Sparse accessors need no bytes for them.
@@ -117,9 +118,8 @@ impl GltfFile {
         if uri.contains("://") {
             return Err(self.error(place, format!("lies outside the file system: {uri}")));
         }
-        let name = percent_decoded(uri)
+        let file = file_of(&self.path, uri)
             .ok_or_else(|| self.error(place, format!("has a URI that is not valid UTF-8: {uri}")))?;
-        let file = self.path.parent().unwrap_or(Path::new("")).join(name);
         read_bytes(&file, missing_file_help).map_err(|e| {
             let problem = format!("its data file cannot be read: {e}");
             Error::input(&self.path, place, problem, "keep the .bin files beside the .gltf, or use one .glb")
@@ -268,6 +268,35 @@ impl GltfFile {
         })?;
         Ok(Layout { bytes, stride })
     }
+}
+
+/// The files that a `.glb` or `.gltf` file names: buffers, and images that are not in a buffer. A file that cannot be read names none; what
+/// is wrong with it is said when it is read.
+pub fn side_files(path: &Path) -> Vec<PathBuf> {
+    let Some(root) = read_json(path).and_then(|text| Root::from_slice(&text).ok()) else { return Vec::new() };
+    let buffers = root.buffers.iter().map(|buffer| buffer.uri.as_ref());
+    let images = root.images.iter().map(|image| image.uri.as_ref());
+    let uris =
+        buffers.chain(images).flatten().filter(|uri| !uri.starts_with("data:") && !uri.contains("://"));
+    uris.filter_map(|uri| file_of(path, uri)).collect()
+}
+
+/// The file that a URI in the glTF file at `path` names; `None` if it is not UTF-8.
+fn file_of(path: &Path, uri: &str) -> Option<PathBuf> {
+    Some(path.parent().unwrap_or(Path::new("")).join(percent_decoded(uri)?))
+}
+
+/// The JSON of a `.glb` or `.gltf` file, without the buffer of the first; `None` if it cannot be read.
+fn read_json(path: &Path) -> Option<Vec<u8>> {
+    let mut file = open(path, missing_file_help).ok()?;
+    let head = first_bytes(path, &mut file, 20).ok()?;
+    if !head.starts_with(b"glTF") {
+        return read_bytes(path, missing_file_help).ok();
+    }
+    let length = u32::from_le_bytes(head.get(12..16)?.try_into().ok()?);
+    let mut bytes = Vec::new();
+    file.take(20 + u64::from(length)).read_to_end(&mut bytes).ok()?;
+    Some(bytes.split_off(20.min(bytes.len())))
 }
 
 /// The JSON chunk and the binary chunk of a GLB (glTF 2.0 specification, section 4).

@@ -5,3 +5,5 @@ pub mod export;
 mod file;
 pub mod import;
 pub mod material;
+
+pub use file::side_files;

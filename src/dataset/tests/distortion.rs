@@ -226,6 +226,7 @@ fn wide_fisheye_photographs_are_cropped_to_what_a_pinhole_shows() {
             skew: 0.0,
             distortion: Distortion::fisheye([0.0; 4]),
             resizable: false,
+            by_side: false,
         };
         let note = crop_note([lens, lens].iter());
         assert_eq!(note.is_some(), is_cropped, "{note:?}");
@@ -294,6 +295,7 @@ fn focal_lengths_and_principal_points_have_bounds() {
         skew: 0.0,
         distortion: Distortion::NONE,
         resizable: false,
+        by_side: false,
     };
     let camera = |lens: Lens| lens.camera([80, 60], Affine3A::IDENTITY, 0.5);
     assert_eq!(camera(good).unwrap().focal, [70.0; 2]);

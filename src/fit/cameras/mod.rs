@@ -17,6 +17,7 @@ use crate::fit::cameras::align::{
 };
 use crate::fit::components::StepRates;
 use crate::fit::exposure::Exposures;
+use crate::fit::guard::{StepGuard, is_usable};
 use crate::fit::observe::FULL_COVERAGE;
 use crate::math::ray::Intersect;
 use crate::math::shading::Layers;
@@ -224,6 +225,7 @@ pub fn align_photographs(
     rates: Res<StepRates>,
     exposures: Res<Exposures>,
     mut fit: ResMut<CameraFit>,
+    mut guard: ResMut<StepGuard>,
     mut views: Query<AlignedViews>,
     samples: Samples<AlignColumns>,
 ) -> SystemResult {
@@ -232,7 +234,7 @@ pub fn align_photographs(
     }
     let (pixels, points, shaded, observed) = samples.columns()?;
     let mut views: ByView<_> = views.iter_mut().map(|view| (*view.0, view)).collect();
-    let center = *fit.center.get_or_insert_with(|| middle(&points));
+    let center = fit.center.unwrap_or_else(|| middle(&points));
     let row = |i: usize| {
         let (_, camera, photograph, mask, _) = views.of(pixels[i].view).ok()?;
         let gradient = image_gradient(camera, photograph, *mask, pixels[i].pixel as usize)?;
@@ -244,11 +246,25 @@ pub fn align_photographs(
     };
     let rows: Vec<(ViewIndex, AlignedRow)> =
         (0..points.len()).into_par_iter().with_min_len(256).filter_map(row).collect();
+    if !are_usable(&rows, &mut guard) {
+        return Ok(());
+    }
+    fit.center = Some(center);
     let noise = fit.observe(0, &rows);
     for (view, row) in &rows {
         views.of_mut(*view)?.4.add(row, noise);
     }
     Ok(())
+}
+
+/// Whether residuals and their derivatives are finite; else tells the guard, and none of them may be added.
+pub fn are_usable(rows: &[(ViewIndex, AlignedRow)], guard: &mut StepGuard) -> bool {
+    let is_bad = |row: &AlignedRow| !is_usable(&row.jacobian) || !is_usable(&[row.residual, row.depth]);
+    let bad = rows.iter().find(|(_, row)| is_bad(row));
+    if let Some((view, _)) = bad {
+        guard.find("the gradient", None, format!("the camera of view number {}", view.0));
+    }
+    bad.is_none()
 }
 
 /// Mean of the hit points.
@@ -305,7 +321,12 @@ pub fn move_cameras(
     // If it is not optimized, it keeps its value from an earlier pass.
     let from = if fit.unknowns == CameraUnknowns::PosesAndFocal { fit.log_focal } else { 0.0 };
     let object = AlignedObject { center: fit.center.unwrap_or_default(), known: !fit.object_moves };
-    let (steps, by_focal) = solve(&aligned, object, from);
+    let (mut steps, mut by_focal) = solve(&aligned, object, from);
+    if !(by_focal.is_finite() && steps.iter().flatten().all(|step| step.is_finite())) {
+        // Cameras stay where they are, and their sums begin anew.
+        steps.fill([0.0; POSE]);
+        by_focal = 0.0;
+    }
     fit.log_focal += by_focal.clamp(-0.01, 0.01);
     for ((camera, pose), step) in views.iter_mut().zip(&steps) {
         pose.advance(step);

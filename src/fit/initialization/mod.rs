@@ -11,12 +11,11 @@ use crate::fit::initialization::place_lobes::move_lobes_to_the_light;
 use crate::light::frame::OwnLightFrame;
 use crate::light::lights::LobeOf;
 use crate::light::{LightLobe, kernel_lobe};
+use crate::material::sheen::write_albedo;
 use crate::material::{
-    DiffuseAlbedo, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, TexelIndex, recovered_albedo,
-    recovered_materials,
+    MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, recovered_albedo, recovered_materials,
 };
 use crate::math::shading::{ClosedForm, Layers, Lighting, LobeColumns, PointVisibility, ShadePoint};
-use crate::pipeline::pool::write_column;
 use crate::sample::observation::{Observation, Observations};
 use crate::sample::point::SurfacePoint;
 use crate::sample::turn::TurnTable;
@@ -74,8 +73,7 @@ pub fn initialize_light_and_albedo(
     for (entity, guess) in entities.into_iter().zip(&lobes) {
         world.entity_mut(entity).insert(*guess);
     }
-    let texels: Vec<DiffuseAlbedo> = texels.into_iter().map(DiffuseAlbedo).collect();
-    write_column::<TexelIndex, DiffuseAlbedo>(world, &texels)
+    write_albedo(world, texels)
 }
 
 /// The lobes of the scene's own light.

@@ -16,7 +16,8 @@ use crate::pipeline::pool::read_column;
 use crate::sample::Samples;
 use crate::sample::pixel::{Observed, PixelOf};
 use crate::sample::point::SurfacePoint;
-use bevy_ecs::prelude::{Res, ResMut, Resource, World};
+use crate::view::{Camera, Photograph, Split, ViewIndex};
+use bevy_ecs::prelude::{Res, ResMut, Resource, With, World};
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -82,6 +83,8 @@ impl Sums {
 pub struct SheenEvidence {
     /// By cell, then by half of the views and channel.
     cells: BTreeMap<[i32; 3], [[Sums; 3]; 2]>,
+    /// The half of each view, by [`ViewIndex`].
+    halves: Vec<u8>,
     /// Side of a cell, in world units; 0 before the first window.
     side: f32,
     /// Part of the squared residuals of views kept aside that a sheen explains, once it has been decided.
@@ -127,7 +130,8 @@ pub fn note_residuals(
     let rows = points.iter().zip(&*gathered).zip(&*pixels).zip(shaded.iter().zip(&*observed));
     for (((point, gathered), pixel), (shaded, observed)) in rows.filter(|(((p, _), _), _)| p.is_hit()) {
         let cell = (point.position / side).floor().as_ivec3().to_array();
-        let half = &mut evidence.cells.entry(cell).or_default()[pixel.view.0 as usize % 2];
+        let half = evidence.halves.get(pixel.view.0 as usize).map_or(0, |half| usize::from(*half));
+        let half = &mut evidence.cells.entry(cell).or_default()[half];
         let along = grazing(Vec3::from(gathered.normal).dot(Vec3::from(gathered.to_viewer)));
         let exposure = exposures.factor(pixel.view);
         for (c, sums) in half.iter_mut().enumerate() {
@@ -167,9 +171,56 @@ pub fn look_for_sheen(world: &mut World) -> crate::error::Result<()> {
     if has_sheen(&read_column::<TexelIndex, DiffuseSheen>(world)?) {
         world.resource_mut::<Unknowns>().sheen = true;
     } else {
-        world.insert_resource(SheenEvidence::default());
+        let halves = halves_of_views(world);
+        world.insert_resource(SheenEvidence { halves, ..SheenEvidence::default() });
     }
     Ok(())
+}
+
+/// The half of each training view, by its index.
+fn halves_of_views(world: &mut World) -> Vec<u8> {
+    let mut query = world.query_filtered::<(&ViewIndex, &Camera, &Split), With<Photograph>>();
+    let train = query.iter(world).filter(|(.., split)| **split == Split::Train);
+    let (indices, positions): (Vec<ViewIndex>, Vec<Vec3>) =
+        train.map(|(index, camera, _)| (*index, camera.position())).unzip();
+    let count = indices.iter().map(|index| index.0 as usize + 1).max().unwrap_or(0);
+    let mut halves = vec![0; count];
+    for (index, half) in indices.iter().zip(halves_of(&positions)) {
+        halves[index.0 as usize] = half;
+    }
+    halves
+}
+
+/// Two halves of cameras that see alike: of two neighbors each gets one. Where the cameras stand decides alone, not their order: a capture may
+/// alternate between two rings, or end with one.
+fn halves_of(positions: &[Vec3]) -> Vec<u8> {
+    let by_place = |a: &usize, b: &usize| {
+        let [a, b] = [positions[*a], positions[*b]];
+        a.x.total_cmp(&b.x).then(a.y.total_cmp(&b.y)).then(a.z.total_cmp(&b.z))
+    };
+    let mut left: Vec<usize> = (0..positions.len()).collect();
+    left.sort_by(by_place);
+    let mut halves = vec![0; positions.len()];
+    while let [first, others @ ..] = left.as_slice() {
+        let (first, from) = (*first, positions[*first]);
+        let near = |at: &usize| positions[*at].distance_squared(from);
+        let nearest = (0..others.len()).min_by(|a, b| near(&others[*a]).total_cmp(&near(&others[*b])));
+        // A coin for each pair: else one half might have all cameras of one side.
+        let coin = coin(from);
+        halves[first] = coin;
+        if let Some(nearest) = nearest {
+            halves[others[nearest]] = 1 - coin;
+            left.remove(nearest + 1);
+        }
+        left.remove(0);
+    }
+    halves
+}
+
+/// 0 or 1, by the bits of a place.
+fn coin(at: Vec3) -> u8 {
+    let mix = |sum: u64, value: f32| (sum ^ u64::from(value.to_bits())).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+    (at.to_array().into_iter().fold(0, mix) >> 63) as u8
 }
 
 #[cfg(test)]
@@ -212,5 +263,34 @@ mod tests {
         let (a, s) = (0.2, -0.4);
         let exact: f64 = rows.iter().map(|(u, g, r, w)| w * (r - (a + s * g) * u).powi(2)).sum();
         assert!((sums.left([a, s]) - exact).abs() < 1e-12);
+    }
+
+    #[test]
+    fn views_are_halved_by_where_they_stand_and_not_by_their_order() {
+        let ring = |height: f32, turn: f32| {
+            (0..12).map(move |i| {
+                let (sin, cos) = (std::f32::consts::FRAC_PI_6 * (i as f32 + turn)).sin_cos();
+                Vec3::new(3.0 * cos, height, 3.0 * sin)
+            })
+        };
+        for turn in [0.0, 0.5] {
+            let (low, high): (Vec<Vec3>, Vec<Vec3>) = (ring(0.3, 0.0).collect(), ring(2.0, turn).collect());
+            let one_by_one: Vec<Vec3> = low.iter().zip(&high).flat_map(|(a, b)| [*a, *b]).collect();
+            let after: Vec<Vec3> = [low.clone(), high].concat();
+            let of = |positions: &[Vec3], at: Vec3| {
+                halves_of(positions)[positions.iter().position(|found| *found == at).unwrap()]
+            };
+            for at in &after {
+                assert_eq!(of(&one_by_one, *at), of(&after, *at), "{at}");
+            }
+            for ring in after.chunks(12) {
+                let second = ring.iter().filter(|at| of(&after, **at) == 1).count();
+                assert!((3..=9).contains(&second), "{second} of 12 are in the second half");
+            }
+            let all: usize = halves_of(&after).iter().map(|half| usize::from(*half)).sum();
+            assert_eq!(all, 12);
+        }
+        assert_eq!(halves_of(&[Vec3::X; 3]).len(), 3);
+        assert!(halves_of(&[]).is_empty());
     }
 }

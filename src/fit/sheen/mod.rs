@@ -6,7 +6,9 @@
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |
 //! | [`scatter_to_sheen`] | Gradient, `ScatterAdjoints` | samples | [`SheenGradient`], `AlbedoGradient` |
+//! | [`share_with_known`] | Gradient, `ScatterAdjoints` | samples, [`KnownAlong`] | `AlbedoGradient` |
 //! | [`move_sheen`] | Update, `Slot::Optimizer`, instead of `move_texels` | [`SheenGradient`], `AlbedoGradient` | `DiffuseSheen`, `DiffuseAlbedo` |
+//! | [`follow_known`] | Update, after `Slot::Optimizer` | [`KnownAlong`], `DiffuseAlbedo` | `DiffuseSheen` |
 
 pub mod evidence;
 
@@ -14,7 +16,7 @@ use crate::fit::adam::{AdamStep, Bounded, Moments};
 use crate::fit::components::{AlbedoGradient, AlbedoMoments, StepRates, Unknowns};
 use crate::fit::systems::move_texel;
 use crate::material::DiffuseSheen;
-use crate::material::sheen::grazing;
+use crate::material::sheen::{KnownAlong, grazing};
 use crate::material::{DiffuseAlbedo, Texels};
 use crate::math::shading::{PointAdjoint, ShadePoint};
 use crate::pipeline::SystemResult;
@@ -50,17 +52,59 @@ pub fn scatter_to_sheen(
     let (albedo, sheen) = texels.columns()?;
     let (mut albedo, mut sheen) = (albedo.quiet(), sheen.quiet());
     let (albedo, sheen) = (&mut *albedo, &mut *sheen);
-    for ((point, gathered), back) in points.iter().zip(&*gathered).zip(&*back) {
-        if !point.is_hit() {
-            continue;
-        }
+    shares(&points, &gathered, &back, |texel, weight, part| {
+        albedo[texel].0 -= part;
+        sheen[texel].0 += part;
+        sheen[texel].1 += weight / points.len() as f32;
+    });
+    Ok(())
+}
+
+/// Gradient: takes from the albedo adjoints, which `scatter_to_texels` has added to the albedo straight on, the share of a known albedo
+/// along the surface.
+pub fn share_with_known(
+    unknowns: Res<Unknowns>,
+    known: Option<Res<KnownAlong>>,
+    samples: Samples<(&SurfacePoint, &ShadePoint, &PointAdjoint)>,
+    texels: Texels<&mut AlbedoGradient>,
+) -> SystemResult {
+    if known.is_none() || !unknowns.albedo {
+        return Ok(());
+    }
+    let (points, gathered, back) = samples.columns()?;
+    let mut albedo = texels.columns()?.quiet();
+    let albedo = &mut *albedo;
+    shares(&points, &gathered, &back, |texel, _, part| albedo[texel].0 -= part);
+    Ok(())
+}
+
+/// Calls `take` with each texel of each sample that meets the surface, its weight, and the part of its adjoint that is that of the albedo
+/// along the surface.
+fn shares(
+    points: &[SurfacePoint],
+    gathered: &[ShadePoint],
+    back: &[PointAdjoint],
+    mut take: impl FnMut(usize, f32, Vec3),
+) {
+    for ((point, gathered), back) in points.iter().zip(gathered).zip(back).filter(|((p, _), _)| p.is_hit()) {
         let along = grazing(Vec3::from(gathered.normal).dot(Vec3::from(gathered.to_viewer)));
         for (texel, weight) in point.texels.indices.into_iter().zip(point.texels.weights) {
-            let part = Vec3::from(back.albedo) * (weight * along);
-            albedo[texel as usize].0 -= part;
-            sheen[texel as usize].0 += part;
-            sheen[texel as usize].1 += weight / points.len() as f32;
+            take(texel as usize, weight, Vec3::from(back.albedo) * (weight * along));
         }
+    }
+}
+
+/// Update: the sheen beside a known albedo along the surface, once the albedo straight on has moved.
+pub fn follow_known(
+    unknowns: Res<Unknowns>,
+    known: Option<Res<KnownAlong>>,
+    texels: Texels<(&DiffuseAlbedo, &mut DiffuseSheen)>,
+) -> SystemResult {
+    let Some(known) = known.filter(|_| unknowns.albedo) else { return Ok(()) };
+    let (albedo, mut sheen) = texels.columns()?;
+    let albedo: Vec<Vec3> = albedo.iter().map(|albedo| albedo.0).collect();
+    if let Some(found) = known.sheen(&albedo) {
+        sheen.copy_from_slice(&found);
     }
     Ok(())
 }

@@ -15,6 +15,7 @@ use crate::report::scores::Scores;
 use crate::sample::point::Scenery;
 use crate::scene::Scene;
 use crate::shape::run::replace_texels;
+use crate::spawn::insert_known_along;
 use glam::Vec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -334,10 +335,12 @@ pub(super) fn keep(session: &mut Session, done: usize) -> Result<()> {
 /// Takes up the session where a pass begins, if that is ahead.
 fn restore(session: &mut Session) -> Result<()> {
     let mut found = None;
+    let sheen = &session.scene.material.sheen;
     let prepare = |world: &mut bevy_ecs::prelude::World, state: &SessionState| {
         let Some((mesh, width)) = &state.surface else { return Ok(()) };
         let surface = Arc::new(Surface::new(mesh.clone(), *width)?);
         world.insert_resource(Scenery(surface.clone()));
+        insert_known_along(world, sheen, &surface)?;
         replace_texels(world, &vec![Vec3::ZERO; surface.atlas().position.len()]);
         found = Some(surface);
         Ok(())

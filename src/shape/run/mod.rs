@@ -6,6 +6,7 @@ use crate::error::{Error, Result};
 use crate::fit::cameras::{CameraFit, CameraPlugin, CameraUnknowns, align_photographs, attach_poses};
 use crate::fit::run::{FirstGuess, FitOptions, FitProgress, run_fit};
 use crate::material::DiffuseSheen;
+use crate::material::sheen::KnownAlong;
 use crate::material::{
     MAX_SPECULAR_LOBES, SpecularBlend, TexelIndex, recovered_albedo, recovered_materials, spawn_texels,
 };
@@ -26,7 +27,7 @@ use crate::shape::silhouette::{Silhouette, pixel_size};
 use crate::shape::silhouette_loss::{SilhouetteIndex, SilhouetteSample};
 use crate::shape::stereo::{StereoReport, StereoView, refine};
 use crate::shape::systems::{
-    ShapeSchedule, align_silhouettes, hand_out_to_bricks, move_bricks, pull_back_silhouettes,
+    ShapeSchedule, align_silhouettes, check_bricks, hand_out_to_bricks, move_bricks, pull_back_silhouettes,
     pull_back_to_field, recast_silhouettes, retrace_window, sum_model_error,
 };
 use crate::view::{ByView, Camera, Photograph, Split, ViewIndex, ViewMask, ViewName};
@@ -77,7 +78,14 @@ impl Plugin for ShapePlugin {
             .swap(
                 Phase::FitStep,
                 Slot::ShapeGradient,
-                (sum_model_error, pull_back_to_field, pull_back_silhouettes, hand_out_to_bricks).chain(),
+                (
+                    sum_model_error,
+                    pull_back_to_field,
+                    pull_back_silhouettes,
+                    hand_out_to_bricks,
+                    check_bricks,
+                )
+                    .chain(),
             )
             .swap(Phase::FitStep, Slot::ShapeUpdate, move_bricks);
     }
@@ -101,6 +109,8 @@ impl Plugin for ShapeCameraPlugin {
 pub struct ShapeProgress<'a> {
     /// Index of the level.
     pub level: usize,
+    /// Levels that will be fitted: those that the photographs resolve.
+    pub levels: usize,
     /// The fit of that level.
     pub fit: &'a FitProgress,
     /// The current field.
@@ -147,17 +157,15 @@ fn fit_levels(
         replace_texels(world, &vec![Vec3::ZERO; kept.volume.len()]);
         Ok(())
     };
+    let levels = resolved_levels(&hull, &options.levels, silhouettes);
     let resumed = resume_level(&mut pipeline.world, blank)?;
     let begun = resumed.as_ref().map_or(0, |(level, _)| *level as usize);
     let mut surface = match resumed {
         Some((_, kept)) => kept,
         None => first_surface(&mut pipeline.world, hull, options),
     };
-    for (index, level) in options.levels.iter().enumerate().skip(begun) {
+    for (index, level) in levels.iter().enumerate().skip(begun) {
         if index > begun {
-            if cell_pixels(&surface.grid, level.cells, silhouettes) < level.least_pixels {
-                break;
-            }
             surface = next_surface(&mut pipeline.world, surface, silhouettes, options, index)?;
             keep_level(&mut pipeline.world, index as u32, &surface)?;
         }
@@ -167,7 +175,7 @@ fn fit_levels(
         let fit = FitOptions { steps: level.schedule.steps, guess, ..options.fit.clone() };
         let result = run_fit(pipeline, &fit, &mut |progress, world| {
             let field = world.resource::<SdfField>();
-            watch(&ShapeProgress { level: index, fit: progress, field })
+            watch(&ShapeProgress { level: index, levels: levels.len(), fit: progress, field })
         });
         surface = SdfSurface { grid: leave(&mut pipeline.world), volume };
         match result {
@@ -178,10 +186,21 @@ fn fit_levels(
             Ok(_) => {}
         }
     }
-    if begun < options.levels.len() {
-        keep_level(&mut pipeline.world, options.levels.len() as u32, &surface)?;
+    if begun < levels.len() {
+        keep_level(&mut pipeline.world, levels.len() as u32, &surface)?;
     }
     Ok(surface)
+}
+
+/// The levels up to the first whose cells the photographs do not resolve; at least one.
+fn resolved_levels<'a>(
+    hull: &SdfGrid,
+    levels: &'a [ShapeLevel],
+    silhouettes: &[Silhouette],
+) -> &'a [ShapeLevel] {
+    let too_fine = |level: &ShapeLevel| cell_pixels(hull, level.cells, silhouettes) < level.least_pixels;
+    let count = levels.iter().skip(1).position(too_fine).map_or(levels.len(), |place| place + 1);
+    &levels[..count]
 }
 
 /// Width in pixels of a cell in the median photograph, if the grid had `cells` cells a side.
@@ -331,7 +350,7 @@ fn carried_albedo(volume: &TexelVolume, old: Option<(&TexelVolume, &[Vec3])>) ->
     volume.positions().map(|at| carried(at).unwrap_or(gray)).collect()
 }
 
-/// Replaces the texels in the world by texels with this albedo.
+/// Replaces the texels in the world by texels with this albedo, and no sheen but a known one.
 pub fn replace_texels(world: &mut World, albedo: &[Vec3]) {
     despawn_with::<TexelIndex>(world);
     let materials = recovered_materials(world);
@@ -340,7 +359,8 @@ pub fn replace_texels(world: &mut World, albedo: &[Vec3]) {
         blend = SpecularBlend([0.0; MAX_SPECULAR_LOBES]);
         materials.iter().for_each(|(number, _)| blend.0[*number] = 1.0 / materials.len() as f32);
     }
-    let sheen = vec![DiffuseSheen::default(); albedo.len()];
+    let known = world.get_resource::<KnownAlong>().and_then(|known| known.sheen(albedo));
+    let sheen = known.unwrap_or_else(|| vec![DiffuseSheen::default(); albedo.len()]);
     spawn_texels(world, albedo, &sheen, &vec![blend; albedo.len()]);
 }
 

@@ -14,6 +14,7 @@ use crate::math::ray::Intersect;
 use crate::math::shading::{ClosedForm, Layers, LobeColumns, ShadePoint};
 use crate::shade::systems::kernel_specular;
 use crate::view::{Image, Mask, Photograph, StoredMask};
+use bevy_ecs::prelude::ResMut;
 
 const SIZE: u32 = 48;
 const SPECULAR: SpecularLobe = SpecularLobe { albedo: Vec3::splat(0.3), roughness: 0.4, ndf: Ndf::Sg };
@@ -157,9 +158,56 @@ fn a_level_finer_than_the_pictures_is_left_out() {
     let side = |least_pixels: f32| {
         let mut options = options(2);
         options.levels.push(ShapeLevel { cells: 60, least_pixels, ..options.levels[0] });
-        let mut pipeline = world_of_photographs();
-        fit_shape(&mut pipeline, &options, &mut |_| ControlFlow::Continue(())).unwrap().grid.side
+        let (mut pipeline, mut levels) = (world_of_photographs(), Vec::new());
+        let found = fit_shape(&mut pipeline, &options, &mut |at| {
+            levels.push(at.levels);
+            ControlFlow::Continue(())
+        });
+        // What will be fitted is known from the first step on.
+        let side = found.unwrap().grid.side;
+        let fitted = if side > 60 { 2 } else { 1 };
+        assert_eq!(levels, vec![fitted; 2 * fitted]);
+        side
     };
     // A cell of the second level is 0.6 pixels wide.
     assert!(side(0.4) > 60 && side(0.9) < 60, "{} {}", side(0.4), side(0.9));
+}
+
+/// Steps in which a gradient of the field is NaN.
+fn poison(rates: bevy_ecs::prelude::Res<crate::fit::components::StepRates>, field: Option<ResMut<SdfField>>) {
+    if let (50..54, Some(mut field)) = (rates.step, field) {
+        let near = field.surface.grid.values.iter().position(|value| value.abs() < 0.02).unwrap();
+        field.adjoint.value[near] = f32::NAN;
+    }
+}
+
+#[test]
+fn a_step_of_a_field_that_is_not_finite_is_taken_back() {
+    let mut pipeline = world_of_photographs();
+    let between = poison.after(pull_back_silhouettes).before(hand_out_to_bricks);
+    pipeline.add_systems(Phase::FitStep, crate::pipeline::Stage::Gradient, between);
+    let mut values = Vec::new();
+    let found = fit_shape(&mut pipeline, &options(60), &mut |at| {
+        values.push(at.field.surface.grid.values.clone());
+        ControlFlow::Continue(())
+    });
+    assert!(found.unwrap().grid.values.iter().all(|value| value.is_finite()));
+    assert!(values[48] == values[52] && values[47] != values[48] && values[53] != values[52]);
+    let guard = pipeline.world.resource::<crate::fit::guard::StepGuard>();
+    let first = guard.first.clone().unwrap();
+    assert_eq!(guard.taken_back, 4);
+    assert!(first.starts_with("step 50: the gradient is not finite, by the field near ("), "{first}");
+}
+
+#[test]
+fn texels_that_are_replaced_keep_a_known_albedo_along_the_surface() {
+    let mut pipeline = world_of_photographs();
+    let along = Vec3::new(0.7, 0.3, 0.1);
+    pipeline.world.insert_resource(KnownAlong::Everywhere(along));
+    let found = fit_shape(&mut pipeline, &options(42), &mut |_| ControlFlow::Continue(())).unwrap();
+    let albedo = recovered_albedo(&mut pipeline.world).unwrap();
+    let sheen = crate::pipeline::pool::read_column::<TexelIndex, DiffuseSheen>(&mut pipeline.world).unwrap();
+    assert_eq!(albedo.len(), found.volume.len());
+    assert!(albedo.iter().zip(&sheen).all(|(albedo, sheen)| (*albedo + sheen.0).abs_diff_eq(along, 1e-6)));
+    assert!(albedo.iter().any(|color| color.distance(albedo[0]) > 0.01));
 }

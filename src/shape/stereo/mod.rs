@@ -28,7 +28,7 @@ pub mod votes;
 use crate::error::stop::is_stopping;
 use crate::mesh::bvh::TriangleBvh;
 use crate::mesh::triangles::Mesh;
-use crate::shape::displace::room;
+use crate::shape::displace::within_room;
 use crate::shape::field::ModelError;
 use crate::shape::outline::{Contours, Vote};
 use crate::shape::silhouette::{Silhouette, pixel_size};
@@ -186,7 +186,7 @@ fn moved_positions(
     // Fairing would pull outlines inward.
     let free: Vec<f32> = trust.iter().zip(outlines).map(|(trust, o)| trust / (1.0 + o.hold)).collect();
     let wanted = faired(graph, &bent, &free, FAIRNESS);
-    let steps = within_room(bvh, positions, normals, &wanted, LIFT * reach);
+    let steps = steps_within_room(bvh, positions, normals, &wanted, LIFT * reach);
     let within: Vec<Vec3> = positions.iter().zip(&steps).map(|(p, step)| *p + *step).collect();
     let within = within_silhouettes(pictures, shell, &within);
     let steps = within.iter().zip(positions).map(|(to, from)| *to - *from).collect();
@@ -222,7 +222,7 @@ fn all_votes(bvh: &TriangleBvh, shell: &Shell, pictures: &[MatchPicture], search
 }
 
 /// Displacements toward `wanted` that leave room to the opposite side; rays start `lift` away from the surface.
-fn within_room(
+fn steps_within_room(
     bvh: &TriangleBvh,
     positions: &[Vec3],
     normals: &[Vec3],
@@ -232,11 +232,10 @@ fn within_room(
     let step = |i: usize| {
         let step = wanted[i] - positions[i];
         let along = step.dot(normals[i]);
-        let direction = normals[i] * along.signum();
-        if along == 0.0 || direction == Vec3::ZERO {
+        if along == 0.0 {
             return step;
         }
-        step * (room(bvh, positions[i], direction, lift) / along.abs()).min(1.0)
+        step * (within_room(bvh, positions[i], normals[i], along, lift) / along)
     };
     (0..positions.len()).into_par_iter().map(step).collect()
 }

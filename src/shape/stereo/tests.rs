@@ -131,6 +131,6 @@ fn a_thin_plate_is_not_pushed_through_itself() {
     let start: Vec<Vec3> = positions.iter().map(|p| Vec3::new(0.9 * p.x, 0.9 * p.y - 0.02, p.z)).collect();
     let bvh = TriangleBvh::new(&Mesh { positions, normals: normals.clone(), uvs: None, triangles });
     let wanted: Vec<Vec3> = start.iter().zip(&normals).map(|(p, n)| *p - *n * 0.1).collect();
-    let steps = within_room(&bvh, &start, &normals, &wanted, 1e-4);
+    let steps = steps_within_room(&bvh, &start, &normals, &wanted, 1e-4);
     assert!(steps.iter().all(|step| (step.length() - 0.15 * 0.0199).abs() < 1e-5), "{steps:?}");
 }

@@ -2,7 +2,7 @@
 
 use super::{good, object, surveyed};
 use crate::report::sheet::{SheetCell, compose};
-use crate::scene::{FitPass, LoadOptions, Pass, Scene, load};
+use crate::scene::{FitPass, LoadOptions, Pass, Scene, ShapePass, load};
 use crate::survey::estimate::{Estimate, duration, estimate, memory};
 use crate::survey::finding::named;
 use crate::survey::{Survey, json, sheet, table};
@@ -92,6 +92,23 @@ fn more_work_takes_more_time_and_memory() {
     let fit = long.parts.iter().find(|part| part.what == "fit").unwrap();
     assert!((fit.seconds - 0.5e-9 * pairs * crate::survey::estimate::FIT_PAIR_NANOS).abs() < 1e-9);
     assert!(long.words().contains("on 2 threads"), "{}", long.words());
+}
+
+#[test]
+fn levels_that_photographs_do_not_resolve_take_nothing() {
+    let survey = surveyed(&good(), None);
+    let of = |survey: &Survey, levels: usize| {
+        let mut shape = ShapePass::default();
+        shape.levels.truncate(levels);
+        let scene = Scene { passes: vec![Pass::Shape(shape)], ..scene("") };
+        let estimate = estimate(survey, &scene, 2);
+        estimate.parts.into_iter().find(|part| part.what == "shape").unwrap()
+    };
+    let (two, three) = (of(&survey, 2), of(&survey, 3));
+    assert_eq!((two.seconds, two.bytes), (three.seconds, three.bytes));
+    let mut large = survey;
+    large.looks.iter_mut().for_each(|look| look.size = [2048; 2]);
+    assert!(of(&large, 3).seconds > of(&large, 2).seconds && of(&large, 3).bytes > of(&large, 2).bytes);
 }
 
 #[test]
