@@ -11,6 +11,7 @@ use crate::material::{
 };
 use crate::mesh::triangles::Mesh;
 use crate::pipeline::{Phase, Pipeline, Plugin, Slot};
+use crate::profile::stage;
 use crate::sample::pixel::PixelOf;
 use crate::sample::point::Scenery;
 use crate::sdf::SdfGrid;
@@ -116,6 +117,7 @@ pub fn fit_shape(
     options: &ShapeOptions,
     watch: &mut dyn FnMut(&ShapeProgress) -> ControlFlow<()>,
 ) -> Result<SdfSurface> {
+    let carving = stage("hull");
     let mut silhouettes = training_silhouettes(&mut pipeline.world);
     check_interrupted()?;
     let hull = visual_hull(&mut silhouettes, options.levels[0].cells)?;
@@ -123,6 +125,7 @@ pub fn fit_shape(
     let visited = |level: &ShapeLevel| level.schedule.steps as usize * level.schedule.silhouette_batch;
     let most = options.levels.iter().map(visited).max().unwrap_or(0);
     let samples = silhouette_samples(&hull, &silhouettes, options.fit.pixels.seed, most);
+    drop(carving);
     check_interrupted()?;
     pipeline.world.spawn_batch(samples);
     pipeline.add_plugin(&ShapePlugin);
@@ -154,6 +157,7 @@ fn fit_levels(
         None => first_surface(&mut pipeline.world, hull, options),
     };
     for (index, level) in options.levels.iter().enumerate().skip(begun) {
+        let _level = stage(format_args!("level {}", index + 1));
         if index > begun {
             if cell_pixels(&surface.grid, level.cells, silhouettes) < level.least_pixels {
                 break;
