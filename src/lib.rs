@@ -37,6 +37,7 @@
 //! | [`material`] | texels, base materials, edits, and the material that is shown |
 //! | [`spawn`] | from a scene, or from values in code, to entities |
 //! | [`pipeline`] | phases, stages, slots, plugins, and pools of entities as slices |
+//! | [`profile`] | where the time of a run goes |
 //! | [`checkpoint`] | what a run goes on from after it was killed |
 //! | [`sample`] | pixel samples: rays, surface points, windows |
 //! | [`visibility`] | shadows and interreflection for closed forms |
@@ -80,6 +81,7 @@ pub mod pass;
 pub mod pipeline;
 pub mod prelude;
 pub mod prepare;
+pub mod profile;
 pub mod report;
 pub mod sample;
 pub mod scene;

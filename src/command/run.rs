@@ -26,6 +26,7 @@ pub fn run(args: &RunArgs) -> Result<()> {
         arguments,
         checkpoint: args.checkpoint.0,
         resume: args.resume,
+        profile: args.profile(),
     };
     stop_on_signals()?;
     pass::run(&loaded, &options, &Terminal::new(args.quiet))

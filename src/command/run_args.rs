@@ -1,7 +1,8 @@
 //! Arguments of `lobelia run`, and those that say which scene.
 
 use super::threads::ThreadArgs;
-use clap::Args;
+use clap::{Args, ValueEnum};
+use lobelia::pass::Profiling;
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -78,9 +79,33 @@ pub struct RunArgs {
     /// While a shape is found, write its normals, depth and mesh every N steps
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub debug_every: Option<u32>,
+    /// Measure where the time goes: a table at the end and in metrics.json; with `trace` also OUT/trace.json, which
+    /// Perfetto opens
+    #[arg(long, value_name = "FORM", num_args = 0..=1, require_equals = true, default_missing_value = "table")]
+    profile: Option<ProfileForm>,
     /// No progress bars
     #[arg(long)]
     pub quiet: bool,
+}
+
+/// What `--profile` leaves.
+#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
+enum ProfileForm {
+    /// A table, and a section of metrics.json
+    Table,
+    /// Also a trace
+    Trace,
+}
+
+impl RunArgs {
+    /// Whether the run measures where its time goes.
+    pub fn profile(&self) -> Profiling {
+        match self.profile {
+            None => Profiling::Off,
+            Some(ProfileForm::Table) => Profiling::Table,
+            Some(ProfileForm::Trace) => Profiling::Trace,
+        }
+    }
 }
 
 /// Time between two checkpoints; `None`: there are none.

@@ -43,6 +43,7 @@ use crate::material::{
 };
 use crate::math::shading::ClosedForm;
 use crate::pipeline::{Phase, Pipeline, Plugin, ScatterAdjoints, Slot, Stage};
+use crate::profile::stage;
 use crate::sample::bundle::despawn_pool;
 use crate::sample::observation::{ObservedWindow, despawn_observations};
 use crate::sample::pixel::Window;
@@ -270,7 +271,10 @@ fn fit(
     watch: &mut dyn FnMut(&FitProgress, &mut World) -> ControlFlow<()>,
 ) -> Result<FitSummary> {
     let start = Instant::now();
+    let preparing = stage("prepared");
     let pixels = prepare(pipeline, options)?;
+    drop(preparing);
+    let _steps = stage("steps");
     let (done, Loop { mut recent, elapsed_secs }) = resume_step(&mut pipeline.world)?.unwrap_or_default();
     let elapsed = || elapsed_secs + start.elapsed().as_secs_f64();
     let mut summary =
@@ -376,13 +380,18 @@ fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
     };
     match options.light_frame {
         Some(frame) => pipeline.world.insert_resource(OwnLightFrame(frame)),
-        None if unknowns.light => find_light_frame(&mut pipeline.world, unknowns, options.form)?,
+        None if unknowns.light => {
+            let _finding = stage("light frame");
+            find_light_frame(&mut pipeline.world, unknowns, options.form)?;
+        }
         None => {}
     }
+    let guessing = stage("first guess");
     initialize_light_and_albedo(&mut pipeline.world, unknowns, options.form, shadowed)?;
     if unknowns.light && unknowns.albedo {
         start_scale(&mut pipeline.world, options.scale)?;
     }
+    drop(guessing);
     spawn_samples(&mut pipeline.world, options.batch.clamp(1, pixels));
     Ok(pixels)
 }

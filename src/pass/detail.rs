@@ -13,6 +13,7 @@ use crate::mesh::Surface;
 use crate::mesh::atlas::address;
 use crate::pass::session::Session;
 use crate::pipeline::pool::read_column;
+use crate::profile::stage;
 use crate::sample::point::Scenery;
 use crate::scene::FitPass;
 use crate::view::{Camera, Photograph, Split};
@@ -27,6 +28,7 @@ use std::time::Instant;
 /// # Errors
 /// The first error of a system; a surface whose shadows would take too much memory.
 pub fn refine_texture(session: &mut Session, pass: &FitPass, options: &FitOptions) -> Result<()> {
+    let _detail = stage("texture");
     let start = Instant::now();
     let bar = session.progress.bar(&pass.name, 100);
     bar.set_message("texture".into());

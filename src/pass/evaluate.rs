@@ -14,6 +14,7 @@ use crate::pass::render::{ChosenView, chosen_views};
 use crate::pass::session::Session;
 use crate::pass::truth_files::{read_fitting, read_true_layer, true_image_path};
 use crate::pass::view_report::{self, ScoredOutcome, outlier_share};
+use crate::profile::stage;
 use crate::report::heat::{error_map, factor_for, heat_map};
 use crate::report::metrics::{Pair, albedo_psnr, coverage_iou, erode, mean};
 use crate::report::normals::NormalAngles;
@@ -130,6 +131,7 @@ impl ScoredPass {
 
     fn load(&self, session: &Session, i: usize, layers: &[Layer]) -> Result<ScoredView> {
         check_interrupted()?;
+        let _reading = stage("views read");
         let view = &self.views[i];
         let path = session.folder(&self.name).join(format!("{}.exr", view.stem));
         let frame = read_frame_layers(path, layers)?;
@@ -328,6 +330,7 @@ fn write_parts(
     side: u32,
 ) -> Result<Vec<Option<f64>>> {
     let mut outliers = Vec::new();
+    let _drawing = stage("pictures");
     for (i, chosen) in scored.views.iter().enumerate() {
         check_interrupted()?;
         let view = scored.load(session, i, layers)?;
@@ -351,6 +354,7 @@ fn sheet_row(
     scores: &PassScores,
     layers: &[Layer],
 ) -> Result<SheetRow> {
+    let _drawing = stage("pictures");
     let factor = factor_for(scores.psnr);
     let mut cells = Vec::new();
     for i in choose_evenly(scored.views.len(), SHEET_VIEWS) {

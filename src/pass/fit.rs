@@ -38,6 +38,7 @@ use crate::pass::session::Session;
 use crate::pass::view_report::note_fit;
 use crate::pipeline::pool::{read_column, write_column};
 use crate::pipeline::{Phase, Slot};
+use crate::profile::stage;
 use crate::report::scores::ScaleFound;
 use crate::report::tone::srgb8;
 use crate::scene::{FitPass, FitShading};
@@ -120,6 +121,7 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
         unseen = fill_texels(session)?;
     }
     let scale = scale_found(session, rule)?;
+    let _writing = stage("results written");
     note_fit(session);
     report(session, &pass.name, &summary, unseen);
     write_results(&mut session.pipeline.world, session.surface.atlas(), &folder, &scale)?;

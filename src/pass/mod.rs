@@ -57,6 +57,7 @@ use crate::fit::ObjectTurned;
 use crate::fit::run::{FirstGuess, FitPlugin};
 use crate::mesh::Surface;
 use crate::pipeline::Pipeline;
+use crate::profile::{Profiler, stage};
 use crate::report::scores::Scores;
 use crate::scene::Pass;
 use crate::scene::load::LoadedScene;
@@ -96,6 +97,20 @@ pub struct RunOptions {
     pub checkpoint: Option<Duration>,
     /// Go on with the run in `out`, if there is one that has not finished.
     pub resume: bool,
+    /// Whether to measure where the time goes.
+    pub profile: Profiling,
+}
+
+/// Whether a run measures where its time goes.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Profiling {
+    /// It does not.
+    #[default]
+    Off,
+    /// A table at its end, and the section `profile` of `metrics.json`.
+    Table,
+    /// The same, and `OUT/trace.json`, which Perfetto opens.
+    Trace,
 }
 
 /// Time between two checkpoints where nothing is said.
@@ -109,17 +124,28 @@ pub const USUAL_CHECKPOINT: Duration = Duration::from_secs(30);
 /// stopped, once what it found is written. [`Error::Usage`] if a file that would be written is an input, or is of something else than an
 /// earlier run, if another run writes into the output folder, or if a run is to go on with something else than it was begun with.
 pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) -> Result<()> {
+    let profiler = match options.profile {
+        Profiling::Off => return run_passes(loaded, options, progress, None),
+        Profiling::Table => Profiler::new(false),
+        Profiling::Trace => Profiler::new(true),
+    };
+    profiler.during(|| run_passes(loaded, options, progress, Some(profiler.clone())))
+}
+
+/// [`run`], under its profiler.
+fn run_passes(
+    loaded: &LoadedScene,
+    options: &RunOptions,
+    progress: &dyn Progress,
+    profiler: Option<Profiler>,
+) -> Result<()> {
     let told = Told::new(progress);
     let progress: &dyn Progress = &told;
     record::check_used(&options.out, options.force || options.resume)?;
     resume::check_folder(&options.out)?;
     let begun = if options.resume { Begun::read(&options.out)? } else { None };
     if options.resume && record::state_of_run(&options.out) == Some(RunState::Finished) {
-        // A process that was killed at its very end has left its lock, and a report that says that it runs. Neither is worth an error.
-        if let Ok(_lock) = FolderLock::take(&options.out) {
-            let _ = Reporter::default().write(&options.out);
-        }
-        progress.note(&format!("the run in {} has finished: nothing is left to do", options.out.display()));
+        leave_finished(&options.out, progress);
         return Ok(());
     }
     begun.as_ref().map_or(Ok(()), |begun| begun.check_scene(&loaded.scene))?;
@@ -143,7 +169,7 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
     }
     check_interrupted()?;
     watched.check()?;
-    session.watched = watched;
+    (session.watched, session.profiler) = (watched, profiler);
     let (mut record, done) = begin(&mut session, claim, (loaded, data.as_ref()), options, begun)?;
     let mut report = Reporter::default();
     let ended = sequence::run(&mut session, (&mut record, &mut report), &told, done);
@@ -155,6 +181,15 @@ pub fn run(loaded: &LoadedScene, options: &RunOptions, progress: &dyn Progress) 
     }
     // The folder is the run's own until its report says how it ended.
     record.end(ended).and(report.write(&options.out))
+}
+
+/// Says that a run that is to go on has finished.
+fn leave_finished(out: &Path, progress: &dyn Progress) {
+    // A process that was killed at its very end has left its lock, and a report that says that it runs. Neither is worth an error.
+    if let Ok(_lock) = FolderLock::take(out) {
+        let _ = Reporter::default().write(out);
+    }
+    progress.note(&format!("the run in {} has finished: nothing is left to do", out.display()));
 }
 
 /// Begins a run, or goes on with one that was `begun`. Returns its manifest, and how many of its passes are done.
@@ -266,6 +301,7 @@ fn open<'a>(
     take: Take,
     use_of: SurfaceUse,
 ) -> Result<Session<'a>> {
+    let _opening = stage("scene opened");
     let (surface, notes) = make_surface(&scene.surface, &views, use_of)?;
     notes.iter().for_each(|note| progress.note(note));
     let surface = Arc::new(surface);
@@ -297,6 +333,7 @@ fn open<'a>(
         scores: Scores::default(),
         surface_found: false,
         watched: Watched::default(),
+        profiler: None,
         has_object: !scene.passes.iter().any(|pass| matches!(pass, Pass::Shape(_) | Pass::Fit(_))),
     };
     preflight::check(&mut session)?;
@@ -309,6 +346,7 @@ fn read_views(
     data: Option<&OpenScene>,
     progress: &dyn Progress,
 ) -> Result<(Vec<ViewRecord>, Option<Survey>)> {
+    let _reading = stage("photographs read");
     match (&scene.views, data) {
         (Views::Dataset(_), Some(data)) => preflight::read_data(scene, data, progress),
         (Views::Cameras(specs), _) => Ok((specs.iter().map(bare_view).collect::<Result<_>>()?, None)),

@@ -12,6 +12,7 @@ use crate::pass::session::Session;
 use crate::pass::shading::camera_rays;
 use crate::pass::show::show;
 use crate::pipeline::Pipeline;
+use crate::profile::stage;
 use crate::report::tone::{Backdrop, Look, Picture, write_png_rows};
 use crate::scene::{Orbit, OrbitFormat, Pass, RenderSettings, ViewChoice};
 use crate::shade::frame::{band_rows, render_bands};
@@ -164,6 +165,7 @@ fn bands(
     let (rays, rows) = (camera_rays(settings), band_rows([camera.width, camera.height]));
     render_bands(pipeline, camera, rays, rows, &mut |world, first_row, frame| {
         check_interrupted()?;
+        let _writing = stage("pixels encoded");
         let behind = settings.backdrop.then(|| backdrop(world, &camera, first_row, frame.height as u32));
         let behind = behind.as_deref().map_or(plain, Backdrop::Radiance);
         take(frame, &Picture::of(frame).samples8(&look, behind)?)

@@ -16,6 +16,7 @@ use crate::pass::session::Session;
 use crate::pass::shape;
 use crate::pass::summary::Reporter;
 use crate::pass::view;
+use crate::profile;
 use crate::scene::{EditPass, Pass, RelightPass, RenderPass};
 use std::io::ErrorKind;
 
@@ -62,10 +63,13 @@ pub(super) fn run(
         }
         record.pass(index, RunState::Running, Vec::new())?;
         begin_pass(&mut session.pipeline.world, index as u32);
+        let at_work = profile::pass(pass.name());
         let ended = run_pass(session, pass);
+        drop(at_work);
         heed_stop();
         let state = state_of(&ended);
         let ends_all = unfinished.note(session, pass, ended);
+        let _after = profile::stage("scores, report, checkpoint");
         let recorded = record.pass(index, state, told.take());
         let recorded =
             recorded.and_then(|()| session.write_scores()).and_then(|()| report.write(&session.out));

@@ -1,5 +1,6 @@
 //! What the passes of one run share.
 
+use crate::codec::file::write_file;
 use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::fit::FramesTried;
@@ -11,6 +12,8 @@ use crate::pass::inputs::Watched;
 use crate::pass::photograph::TrueObject;
 use crate::pass::progress::Progress;
 use crate::pipeline::Pipeline;
+use crate::profile::{Profiler, stage};
+use crate::report::profile::profile_table;
 use crate::report::scores::{FrameTried, Scores};
 use crate::scene::{Light, Pass, Scene, Visibility};
 use crate::spawn::{LoadedLight, load_light};
@@ -22,6 +25,9 @@ use std::time::Instant;
 
 /// The scores of a run, in its output folder.
 pub const METRICS: &str = "metrics.json";
+
+/// The trace of a profiled run, in its output folder.
+pub const TRACE: &str = "trace.json";
 
 /// Everything the passes of one run share.
 pub struct Session<'a> {
@@ -49,6 +55,8 @@ pub struct Session<'a> {
     pub surface_found: bool,
     /// The files that the run reads, as they were when it began.
     pub(super) watched: Watched,
+    /// What measures the run, if it is profiled.
+    pub(super) profiler: Option<Profiler>,
     /// Whether there is an object to write: all is given, or a `Shape` or `Fit` has found something.
     pub has_object: bool,
 }
@@ -107,6 +115,7 @@ impl Session<'_> {
                 return Err(Error::usage(problem, help));
             }
             let start = Instant::now();
+            let _tracing = stage("shadows traced");
             let traced = ObjectVisibility::new(&self.surface, settings);
             check_interrupted()?;
             let (mib, elapsed) = (traced.bytes() as f64 / 1048576.0, start.elapsed().as_secs_f64());
@@ -159,14 +168,28 @@ impl<'a> Session<'a> {
     pub(super) fn write_scores(&mut self) -> Result<()> {
         let guard = self.pipeline.world.get_resource::<StepGuard>();
         self.scores.steps_taken_back = guard.map_or(0, |guard| guard.taken_back);
+        self.scores.profile = self.profiler.as_ref().map(Profiler::profile);
         self.scores.peak_rss_mib = crate::report::scores::peak_rss_mib();
         self.scores.write_json(self.out.join(METRICS))
+    }
+
+    /// Writes the trace of a profiled run, if it keeps one.
+    fn write_trace(&self) -> Result<()> {
+        let Some(profiler) = self.profiler.as_ref().filter(|profiler| profiler.keeps_events()) else {
+            return Ok(());
+        };
+        let path = self.out.join(TRACE);
+        write_file(&path, |writer| profiler.write_trace(writer).map_err(Error::io("write", &path)))
     }
 
     /// Writes the scores and shows the table.
     pub(super) fn finish(mut self) -> Result<()> {
         self.write_scores()?;
         self.progress.print(&self.scores.table());
+        if let Some(profile) = &self.scores.profile {
+            self.progress.print(&profile_table(profile));
+        }
+        self.write_trace()?;
         self.progress.print(&format!("Results are in {}.", self.out.display()));
         Ok(())
     }

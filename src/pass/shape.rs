@@ -17,6 +17,7 @@ use crate::pass::fit::closed_form;
 use crate::pass::found_views;
 use crate::pass::inspect::ShapeInspector;
 use crate::pass::session::Session;
+use crate::profile::stage;
 use crate::sample::point::Scenery;
 use crate::scene::Surface as SurfaceSpec;
 use crate::scene::{GridLevel, ShapePass};
@@ -187,6 +188,7 @@ fn shape_level(pass: &ShapePass, level: &GridLevel) -> ShapeLevel {
 /// Moves the contours of the field to the outlines of the masks, and says what came of it.
 fn match_outlines(session: &mut Session, name: &str, grid: &mut SdfGrid) {
     let start = Instant::now();
+    let _matching = stage("outlines");
     let report = refine_by_outlines(&mut session.pipeline.world, grid);
     let seconds = start.elapsed().as_secs_f64();
     let found = format!("{:.2} pixels off before, {:.2} after", report.before, report.after);
@@ -196,6 +198,7 @@ fn match_outlines(session: &mut Session, name: &str, grid: &mut SdfGrid) {
 /// Moves the mesh to where neighboring photographs agree, and says what came of it.
 fn match_views(session: &mut Session, name: &str, mesh: &mut Mesh) {
     let start = Instant::now();
+    let _matching = stage("stereo");
     let bar = session.progress.bar(name, STEREO_ROUNDS.len() as u64);
     let report = refine_by_stereo(&mut session.pipeline.world, mesh, |round| {
         bar.set_position(round as u64);
@@ -238,6 +241,7 @@ fn unwrap_by(texture_size: u32, mut unwrap: impl FnMut(u32) -> Result<Mesh>) -> 
 
 /// Gives the mesh an atlas, and transfers the texels.
 fn put_in_place(session: &mut Session, found: &SdfSurface, mesh: &Mesh, texture_size: u32) -> Result<()> {
+    let _placing = stage("mesh unwrapped");
     let (mesh, wider) = unwrap_within(mesh, texture_size)?;
     if wider > texture_size {
         session.progress.note(&format!(

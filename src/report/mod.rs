@@ -22,6 +22,7 @@ pub mod heat;
 pub mod html;
 pub mod metrics;
 pub mod normals;
+pub mod profile;
 pub mod scores;
 pub mod sheet;
 pub mod srgb;

@@ -1,6 +1,7 @@
 //! Scores of passes: computed view by view, and written to `metrics.json`.
 
 use crate::codec::file;
+use crate::profile::Profile;
 use crate::report::metrics;
 use crate::report::metrics::{LayerScaleSums, LayerScales, Pair, ScaleSums};
 use crate::report::srgb::{Covered, SrgbScores, srgb_scores};
@@ -195,6 +196,9 @@ pub struct Scores {
     pub fit_secs: Option<f64>,
     /// Largest resident memory of the process so far, MiB.
     pub peak_rss_mib: Option<f64>,
+    /// Where the time went, if the run is profiled.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub profile: Option<Profile>,
 }
 
 /// Scores `count` views. `load(i)` gives view `i`, borrowed or owned; it is called once for each view, and once more before that

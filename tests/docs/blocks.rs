@@ -208,7 +208,8 @@ impl Help {
 /// The flags that a help text describes.
 fn flags(help: &str) -> Vec<String> {
     let described = help.lines().map(str::trim_start).filter(|line| line.starts_with('-'));
-    let words = described.flat_map(|line| line.split([' ', ',', '='])).filter(|word| word.starts_with("--"));
+    let words =
+        described.flat_map(|line| line.split([' ', ',', '=', '['])).filter(|word| word.starts_with("--"));
     words.map(str::to_owned).collect()
 }
 

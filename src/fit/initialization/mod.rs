@@ -16,6 +16,7 @@ use crate::material::{
     MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, recovered_albedo, recovered_materials,
 };
 use crate::math::shading::{ClosedForm, Layers, Lighting, LobeColumns, PointVisibility, ShadePoint};
+use crate::profile::stage;
 use crate::sample::observation::{Observation, Observations};
 use crate::sample::point::SurfacePoint;
 use crate::sample::turn::TurnTable;
@@ -146,6 +147,7 @@ impl Guess<'_> {
     }
 
     fn solve_light(&mut self, lobes: &mut [LightLobe], texels: &[Vec3]) -> Result<()> {
+        let _solving = stage("light");
         let n = self.observations.len().min(AMPLITUDE_PIXELS);
         let points = self.gather(0..n, |point| point.texels.blend(texels))?;
         let columns = LobeColumns::from_lobes(lobes.iter().map(kernel_lobe));
@@ -162,6 +164,7 @@ impl Guess<'_> {
     }
 
     fn albedo_under(&mut self, lobes: &[LightLobe], texels: &[Vec3], n: usize) -> Result<Vec<Vec3>> {
+        let _solving = stage("albedo");
         let columns = LobeColumns::from_lobes(lobes.iter().map(kernel_lobe));
         self.refresh(&columns, texels);
         let specular = kernel_specular(&self.specular);
@@ -195,6 +198,7 @@ impl Guess<'_> {
     }
 
     fn refresh(&mut self, lobes: &LobeColumns, texels: &[Vec3]) {
+        let _refreshing = stage("shadows");
         let gloss = self.specular.albedo;
         if let Some(object) = &mut self.object {
             object.refresh(lobes, self.turns.all(), &|texel| (texels[texel as usize] + gloss).min(Vec3::ONE));

@@ -5,7 +5,7 @@ use crate::codec::file::{FolderLock, LOCK, MOST_TEXT, clear_scratch, is_there, r
 use crate::error::{Error, Result};
 use crate::pass::files::{PassFiles, RUN};
 use crate::pass::machine::Machine;
-use crate::pass::session::METRICS;
+use crate::pass::session::{METRICS, TRACE};
 use crate::report::html::REPORT;
 use crate::report::scores::peak_rss_mib;
 use crate::scene::load::LoadedScene;
@@ -20,7 +20,7 @@ use std::time::Instant;
 const PROGRAM: &str = "lobelia";
 
 /// The files of a run that are of no pass, besides the manifest.
-pub const OF_RUN: [&str; 2] = [METRICS, REPORT];
+pub const OF_RUN: [&str; 3] = [METRICS, REPORT, TRACE];
 
 /// How far something is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]

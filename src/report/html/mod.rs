@@ -54,13 +54,14 @@ pub fn html(runs: &[RunReport]) -> Result<String> {
         let problem = format!("a report shows 1 to {MOST_RUNS} runs, not {}", runs.len());
         return Err(Error::usage(problem, "Give the output folders of fewer runs."));
     }
-    let sections: [Section; 8] = [
+    let sections: [Section; 9] = [
         ("scores", "Scores", scores::section(runs)),
         ("views", "Views", views::section(runs)),
         ("light", "Light and textures", sections::pictures(runs)),
         ("curves", "Curves", sections::curves(runs)),
         ("found", "What was found", sections::findings(runs)),
         ("passes", "Passes: time and memory", sections::passes(runs)),
+        ("profile", "Where the time goes", sections::profiles(runs)),
         ("scene", "Scene", sections::scene(runs)),
         ("run", "Run", sections::facts(runs)),
     ];

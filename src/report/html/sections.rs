@@ -4,6 +4,7 @@ use crate::report::html::chart::{Chart, Series, svg};
 use crate::report::html::data::{FitLog, RunReport};
 use crate::report::html::tables::{Row, by_run, named_rows, run_name};
 use crate::report::html::text::escaped;
+use crate::report::profile::profile_table;
 
 /// Values of a scene file longer than this are cut in tables.
 const LONGEST_VALUE: usize = 120;
@@ -211,6 +212,16 @@ fn cut(value: &str) -> String {
         return value.to_owned();
     }
     value.chars().take(LONGEST_VALUE).chain(['…']).collect()
+}
+
+/// The time of profiled runs, by part.
+pub fn profiles(runs: &[RunReport]) -> String {
+    let of_run = |(i, run): (usize, &RunReport)| {
+        let table = profile_table(run.scores.profile.as_ref()?);
+        let name = if runs.len() > 1 { format!("<h3>{}</h3>\n", run_name(runs, i)) } else { String::new() };
+        Some(format!("{name}<pre class=\"table\">{}</pre>\n", escaped(&table)))
+    };
+    runs.iter().enumerate().filter_map(of_run).collect()
 }
 
 /// Version, seed, arguments, machine.

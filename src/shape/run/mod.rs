@@ -12,6 +12,7 @@ use crate::material::{
 };
 use crate::mesh::triangles::Mesh;
 use crate::pipeline::{Phase, Pipeline, Plugin, Slot};
+use crate::profile::stage;
 use crate::sample::pixel::PixelOf;
 use crate::sample::point::Scenery;
 use crate::sdf::SdfGrid;
@@ -126,6 +127,7 @@ pub fn fit_shape(
     options: &ShapeOptions,
     watch: &mut dyn FnMut(&ShapeProgress) -> ControlFlow<()>,
 ) -> Result<SdfSurface> {
+    let carving = stage("hull");
     let mut silhouettes = training_silhouettes(&mut pipeline.world);
     check_interrupted()?;
     let hull = visual_hull(&mut silhouettes, options.levels[0].cells)?;
@@ -133,6 +135,7 @@ pub fn fit_shape(
     let visited = |level: &ShapeLevel| level.schedule.steps as usize * level.schedule.silhouette_batch;
     let most = options.levels.iter().map(visited).max().unwrap_or(0);
     let samples = silhouette_samples(&hull, &silhouettes, options.fit.pixels.seed, most);
+    drop(carving);
     check_interrupted()?;
     pipeline.world.spawn_batch(samples);
     pipeline.add_plugin(&ShapePlugin);
@@ -165,6 +168,7 @@ fn fit_levels(
         None => first_surface(&mut pipeline.world, hull, options),
     };
     for (index, level) in levels.iter().enumerate().skip(begun) {
+        let _level = stage(format_args!("level {}", index + 1));
         if index > begun {
             surface = next_surface(&mut pipeline.world, surface, silhouettes, options, index)?;
             keep_level(&mut pipeline.world, index as u32, &surface)?;
