@@ -78,7 +78,7 @@ fn a_profiled_run_says_where_its_time_went() {
     }
     assert!(manifest(&data.path("out"))["files"].as_array().unwrap().contains(&"trace.json".into()));
     let page = std::fs::read_to_string(data.path("out/report.html")).unwrap();
-    assert!(page.contains("Where the time goes") && page.contains("take_observations"));
+    assert!(page.contains("Where the time goes") && page.contains("FitStep"));
 }
 
 #[test]

@@ -35,6 +35,7 @@ use crate::sample::point::SurfacePoint;
 use crate::visibility::occlusion::{Blend, Bounce, Sky, light_one_row, light_rows, point_visibility};
 use crate::visibility::trace::TexelVisibility;
 use bevy_ecs::prelude::{Entity, Resource};
+use fearless_simd::{Level, dispatch};
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 use std::any::TypeId;
@@ -203,7 +204,9 @@ impl ObjectVisibility {
                 let Some(blend) = self.blend(point).filter(|_| point.is_hit()) else { return };
                 let (to_viewer, view) = viewer(i);
                 let sky = &self.skies[self.sky_of_view.get(view).copied().unwrap_or(0)];
-                if self.skies.len() == 1 {
+                if self.is_open(&blend) {
+                    // All of every lobe arrives.
+                } else if self.skies.len() == 1 {
                     self.blend_parts(&blend, parts);
                 } else {
                     let nearest = blend.iter().max_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(row, _)| *row);
@@ -231,16 +234,27 @@ impl ObjectVisibility {
         (total > 0.0).then_some(blend)
     }
 
+    /// Whether nothing is hidden from the rows around a point.
+    fn is_open(&self, blend: &Blend) -> bool {
+        blend.iter().all(|(row, weight)| *weight == 0.0 || self.texels.sees_all(*row))
+    }
+
     /// Interpolates the visibility of the lobes at a point.
     fn blend_parts(&self, blend: &Blend, out: &mut [u8]) {
         let rows = blend.map(|(row, _)| &self.parts[row * self.stride..][..self.stride]);
         // Weights in units of 1/65536, so that 255 in all four rows stays 255.
         let mut weights = blend.map(|(_, weight)| (weight * 65536.0) as u32);
         weights[0] += 65536 - weights.iter().sum::<u32>();
-        for (i, out) in out.iter_mut().enumerate() {
-            let sum: u32 = (0..4).map(|k| u32::from(rows[k][i]) * weights[k]).sum();
-            *out = (sum >> 16) as u8;
-        }
+        dispatch!(Level::new(), _simd => mix_parts(rows, weights, out));
+    }
+}
+
+/// The mean of four rows, with weights that sum to 65536.
+#[inline(always)]
+fn mix_parts([a, b, c, d]: [&[u8]; 4], weights: [u32; 4], out: &mut [u8]) {
+    for ((((out, a), b), c), d) in out.iter_mut().zip(a).zip(b).zip(c).zip(d) {
+        let [a, b, c, d] = [a, b, c, d].map(|part| u32::from(*part));
+        *out = ((a * weights[0] + b * weights[1] + c * weights[2] + d * weights[3]) >> 16) as u8;
     }
 }
 
@@ -298,6 +312,22 @@ impl WindowVisibility {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn rows_are_mixed_by_their_weights() {
+        let rows: [Vec<u8>; 4] = std::array::from_fn(|k| (0..37).map(|i| (i * 7 + k * 60) as u8).collect());
+        let weights = [30_000, 20_000, 15_536, 0];
+        let mut mixed = [0; 37];
+        dispatch!(Level::new(), _simd => mix_parts(rows.each_ref().map(Vec::as_slice), weights, &mut mixed));
+        for (i, mixed) in mixed.into_iter().enumerate() {
+            let mean: u32 = (0..4).map(|k| u32::from(rows[k][i]) * weights[k]).sum();
+            assert_eq!(u32::from(mixed), mean / 65_536);
+        }
+        let full = [&[255u8; 9][..]; 4];
+        let mut open = [0; 9];
+        mix_parts(full, [65_533, 1, 1, 1], &mut open);
+        assert_eq!(open, [255; 9]);
+    }
 
     #[test]
     fn turns_that_hardly_differ_share_a_sky() {

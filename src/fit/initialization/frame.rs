@@ -1,4 +1,5 @@
-//! Which frame the light stands still in, found from the photographs: the initialization is tried in each, without shadows.
+//! Which frame the light stands still in, found from the photographs: the initialization is tried in each, without shadows, on a part of a
+//! surface of many pixels.
 //!
 //! Albedo takes up what of the shading does not depend on the view. In the wrong frame the light on a surface point should change from view
 //! to view, or should not, where the photographs show the opposite; that is an error that no albedo takes up.
@@ -42,7 +43,8 @@ pub fn find_light_frame(world: &mut World, unknowns: Unknowns, form: ClosedForm)
     for &frame in candidates.iter().filter(|_| candidates.len() > 1) {
         world.insert_resource(OwnLightFrame(frame));
         let (mut lobes, mut texels) = (lobes.clone(), texels.clone());
-        let error = with_guess(world, Known { form, specular, unknowns, object: None }, |guess| {
+        let known = Known { form, specular, unknowns, object: None, in_part: true };
+        let error = with_guess(world, known, |guess| {
             guess.alternate(&mut lobes, &mut texels)?;
             guess.error(&lobes, &texels)
         })?;

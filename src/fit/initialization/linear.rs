@@ -5,6 +5,7 @@ use crate::math::brdf::Facets;
 use crate::math::published::Lobe;
 use crate::math::shading::{ClosedForm, Layers, Lighting, ShadePoint, SpecularValue, Visibility};
 use crate::sample::observation::Observation;
+use fearless_simd::{Level, dispatch};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::ops::Range;
@@ -30,13 +31,9 @@ impl NormalEquations {
 
     /// Adds one pixel; `row` is its response to each lobe of unit amplitude.
     fn add(&mut self, channel: usize, row: &[f32], observed: f32) {
-        let matrix = &mut self.matrix[channel];
-        for (i, a) in row.iter().enumerate() {
-            let line = &mut matrix[i * self.lobes..][..=i];
-            for (sum, b) in line.iter_mut().zip(row) {
-                *sum += f64::from(a * b);
-            }
-            self.right[channel][i] += f64::from(a * observed);
+        dispatch!(Level::new(), _simd => add_products(&mut self.matrix[channel], row));
+        for (sum, a) in self.right[channel].iter_mut().zip(row) {
+            *sum += f64::from(a * observed);
         }
     }
 
@@ -50,21 +47,56 @@ impl NormalEquations {
     /// Non-negative solution by cyclic coordinate descent, with a prior toward equal amplitudes of weight `ridge` (relative to
     /// the mean diagonal of the matrix), which determines lobes that no pixel distinguishes.
     fn solve(&self, channel: usize, ridge: f64) -> Vec<f32> {
-        let (n, matrix, right) = (self.lobes, &self.matrix[channel], &self.right[channel]);
-        let at = |i: usize, j: usize| if j <= i { matrix[i * n + j] } else { matrix[j * n + i] };
-        let diagonal: f64 = (0..n).map(|i| at(i, i)).sum::<f64>() / n as f64;
-        let total: f64 = (0..n).map(|i| (0..n).map(|j| at(i, j)).sum::<f64>()).sum();
-        let level = (right.iter().sum::<f64>() / total.max(1e-30)).max(0.0);
-        let pull = ridge * diagonal + 1e-30;
-        let mut x = vec![level; n];
-        for _ in 0..300 {
-            for i in 0..n {
-                let rest: f64 = (0..n).filter(|&j| j != i).map(|j| at(i, j) * x[j]).sum();
-                x[i] = ((right[i] - rest + pull * level) / (at(i, i) + pull)).max(0.0);
-            }
-        }
-        x.into_iter().map(|x| x as f32).collect()
+        let (n, lower) = (self.lobes, &self.matrix[channel]);
+        let both = |at: usize| lower[(at / n).max(at % n) * n + (at / n).min(at % n)];
+        let matrix: Vec<f64> = (0..n * n).map(both).collect();
+        let solved = dispatch!(Level::new(), _simd => descend(&matrix, &self.right[channel], ridge));
+        solved.into_iter().map(|x| x as f32).collect()
     }
+}
+
+/// Adds the products of all pairs of a row to the lower triangle of a matrix.
+#[inline(always)]
+fn add_products(matrix: &mut [f64], row: &[f32]) {
+    for (i, (line, a)) in matrix.chunks_exact_mut(row.len().max(1)).zip(row).enumerate() {
+        for (sum, b) in line[..=i].iter_mut().zip(row) {
+            *sum += f64::from(a * b);
+        }
+    }
+}
+
+/// [`NormalEquations::solve`] for a whole symmetric matrix, row by row.
+#[inline(always)]
+fn descend(matrix: &[f64], right: &[f64], ridge: f64) -> Vec<f64> {
+    let n = right.len();
+    let diagonal: f64 = (0..n).map(|i| matrix[i * n + i]).sum::<f64>() / n as f64;
+    let total: f64 = matrix.iter().sum();
+    let level = (right.iter().sum::<f64>() / total.max(1e-30)).max(0.0);
+    let pull = ridge * diagonal + 1e-30;
+    let mut x = vec![level; n];
+    for _ in 0..300 {
+        for i in 0..n {
+            let row = &matrix[i * n..][..n];
+            let rest = product(row, &x) - row[i] * x[i];
+            x[i] = ((right[i] - rest + pull * level) / (row[i] + pull)).max(0.0);
+        }
+    }
+    x
+}
+
+/// Sum of products, in eight partial sums of a fixed order.
+#[inline(always)]
+fn product(a: &[f64], b: &[f64]) -> f64 {
+    let (a_whole, a_rest) = a.as_chunks::<8>();
+    let (b_whole, b_rest) = b.as_chunks::<8>();
+    let mut sums = [0.0; 8];
+    for (a, b) in a_whole.iter().zip(b_whole) {
+        for k in 0..8 {
+            sums[k] += a[k] * b[k];
+        }
+    }
+    let rest: f64 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
+    sums.iter().sum::<f64>() + rest
 }
 
 /// Non-negative amplitudes of `lobes` (whose own amplitudes are ignored) that fit the observed radiance at `points` best in
@@ -88,8 +120,8 @@ pub fn solve_amplitudes(
         .collect();
     let mut sum = NormalEquations::zeros(lobes.len());
     partial.iter().for_each(|p| sum.merge(p));
-    let [r, g, b] = std::array::from_fn(|c| sum.solve(c, ridge));
-    (0..lobes.len()).map(|i| Vec3::new(r[i], g[i], b[i])).collect()
+    let solved: Vec<Vec<f32>> = (0..3).into_par_iter().map(|channel| sum.solve(channel, ridge)).collect();
+    (0..lobes.len()).map(|i| Vec3::from_array(std::array::from_fn(|c| solved[c][i]))).collect()
 }
 
 fn accumulate(
@@ -149,4 +181,50 @@ pub fn solve_albedo(observations: &[Observation], unit: &[Layers], texels: usize
             albedo.clamp(DVec3::splat(0.02), DVec3::splat(0.98)).as_vec3()
         })
         .collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn amplitudes_are_found_again_and_none_is_negative() {
+        let lobes = 11;
+        let response = |pixel: usize, lobe: usize| ((pixel * 31 + lobe * lobe * 17) % 23) as f32 / 23.0;
+        let truth: Vec<f32> =
+            (0..lobes).map(|i| if i % 3 == 0 { 0.0 } else { 0.3 + 0.1 * i as f32 }).collect();
+        let mut sum = NormalEquations::zeros(lobes);
+        for pixel in 0..200 {
+            let row: Vec<f32> = (0..lobes).map(|lobe| response(pixel, lobe)).collect();
+            let observed = row.iter().zip(&truth).map(|(a, x)| a * x).sum();
+            sum.add(1, &row, observed);
+        }
+        let found = sum.solve(1, 0.0);
+        for (found, truth) in found.iter().zip(&truth) {
+            assert!((found - truth).abs() < 1e-2 && *found >= 0.0, "{found} {truth}");
+        }
+        // The prior makes of nothing at all the same nothing everywhere.
+        assert_eq!(sum.solve(0, 1e-2), vec![0.0; lobes]);
+    }
+
+    #[test]
+    fn a_descent_agrees_with_one_written_out() {
+        let n = 19;
+        let at =
+            |i: usize, j: usize| 1.0 / (1.0 + (i as f64 - j as f64).abs()) + if i == j { 0.5 } else { 0.0 };
+        let matrix: Vec<f64> = (0..n * n).map(|k| at(k / n, k % n)).collect();
+        let right: Vec<f64> = (0..n).map(|i| (i as f64 * 0.7).sin() + 0.4).collect();
+        let pull = 1e-2 * 1.5 + 1e-30;
+        let level = right.iter().sum::<f64>() / matrix.iter().sum::<f64>();
+        let mut x = vec![level; n];
+        for _ in 0..300 {
+            for i in 0..n {
+                let rest: f64 = (0..n).filter(|j| *j != i).map(|j| at(i, j) * x[j]).sum();
+                x[i] = ((right[i] - rest + pull * level) / (at(i, i) + pull)).max(0.0);
+            }
+        }
+        let found = descend(&matrix, &right, 1e-2);
+        assert!(x.iter().zip(&found).all(|(x, found)| (x - found).abs() < 1e-9), "{x:?} {found:?}");
+        assert!(found.contains(&0.0) && found.iter().any(|x| *x > 0.1));
+    }
 }

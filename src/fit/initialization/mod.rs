@@ -37,6 +37,10 @@ const ALBEDO_PIXELS: usize = 400_000;
 const PIXELS_PER_TEXEL: usize = 4;
 /// Most pixels over which the error of an initialization is the mean.
 const ERROR_PIXELS: usize = 100_000;
+/// Pixels on the part of the surface that frames of the light are tried on, about.
+const PART_PIXELS: usize = 150_000;
+/// Cells along the longest side of the object, of which that part has some.
+const PART_CELLS: f32 = 16.0;
 /// Rounds, each of light and then albedo.
 const ROUNDS: usize = 4;
 /// Rounds, after the first, that begin by moving faint lobes to bright regions.
@@ -64,9 +68,8 @@ pub fn initialize_light_and_albedo(
     let mut texels = recovered_albedo(world)?;
     let mut visibility = if shadowed { world.remove_resource::<ObjectVisibility>() } else { None };
     let object = visibility.as_mut();
-    let guessed = with_guess(world, Known { form, specular, unknowns, object }, |guess| {
-        guess.alternate(&mut lobes, &mut texels)
-    });
+    let known = Known { form, specular, unknowns, object, in_part: false };
+    let guessed = with_guess(world, known, |guess| guess.alternate(&mut lobes, &mut texels));
     if let Some(visibility) = visibility {
         world.insert_resource(visibility);
     }
@@ -89,11 +92,13 @@ struct Known<'a> {
     specular: SpecularLobe,
     unknowns: Unknowns,
     object: Option<&'a mut ObjectVisibility>,
+    /// Whether [`part_of_surface`] is enough.
+    in_part: bool,
 }
 
 /// Calls `run` with the data of the initialization.
 fn with_guess<T>(world: &mut World, known: Known, run: impl FnOnce(&mut Guess) -> Result<T>) -> Result<T> {
-    let Known { form, specular, unknowns, object } = known;
+    let Known { form, specular, unknowns, object, in_part } = known;
     type Inputs<'w, 's> =
         (Observations<'w, 's>, Query<'w, 's, (&'static ViewIndex, &'static Camera), With<Photograph>>);
     let frame = world.get_resource::<OwnLightFrame>().map(|own| own.0).unwrap_or_default();
@@ -102,7 +107,30 @@ fn with_guess<T>(world: &mut World, known: Known, run: impl FnOnce(&mut Guess) -
     let cameras: ByView<Camera> = views.iter().map(|(index, camera)| (*index, *camera)).collect();
     let turns = TurnTable::new(frame, views.iter().map(|(index, camera)| (*index, camera)));
     let observations = observations.columns()?;
-    run(&mut Guess { form, observations: &observations, cameras, turns, specular, unknowns, object })
+    let part = if in_part { part_of_surface(&observations) } else { None };
+    let observations = part.as_deref().unwrap_or(&observations);
+    run(&mut Guess { form, observations, cameras, turns, specular, unknowns, object })
+}
+
+/// The pixels on a part of the surface, about [`PART_PIXELS`]: all that see it, so that its texels are known as well as if all of the surface
+/// were looked at. `None` if there are not twice as many in all.
+fn part_of_surface(all: &[Observation]) -> Option<Vec<Observation>> {
+    let every = (all.len() / PART_PIXELS) as u32;
+    if every < 2 {
+        return None;
+    }
+    let at = all.par_iter().map(|observation| [observation.point.position; 2]);
+    let [low, high] = at.reduce_with(|a, b| [a[0].min(b[0]), a[1].max(b[1])])?;
+    let side = (high - low).max_element().max(1e-6) / PART_CELLS;
+    let is_in = |observation: &&Observation| {
+        let cell = ((observation.point.position - low) / side).as_uvec3();
+        let mixed = cell.x.wrapping_mul(0x9e37_79b1)
+            ^ cell.y.wrapping_mul(0x85eb_ca77)
+            ^ cell.z.wrapping_mul(0xc2b2_ae3d);
+        ((mixed ^ mixed >> 15).wrapping_mul(0x2c1b_3c6d) >> 12).is_multiple_of(every)
+    };
+    let part: Vec<Observation> = all.par_iter().filter(is_in).copied().collect();
+    (part.len() >= PART_PIXELS / 4).then_some(part)
 }
 
 /// The base material of least roughness that a texel has: it shows best where the light is. (With the mean of two, the fitted roughness is farther from the truth.)
@@ -236,5 +264,29 @@ impl Guess<'_> {
         };
         let sum: f64 = shaded.iter().zip(self.observations).map(of).sum();
         Ok((sum / (3 * n.max(1)) as f64) as f32)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::sample::pixel::{Observed, PixelOf};
+
+    #[test]
+    fn a_part_of_the_surface_has_all_pixels_of_its_places() {
+        let seen = |place: usize| {
+            let [x, y] = [place % 600, place / 600 % 600].map(|at| at as f32 / 300.0 - 1.0);
+            let point = SurfacePoint { position: Vec3::new(x, y, x * y), ..SurfacePoint::default() };
+            let observed = Observed { radiance: Vec3::ONE, saturated: false };
+            Observation { pixel: PixelOf { view: ViewIndex(0), pixel: place as u32 }, observed, point }
+        };
+        // Each of 360 000 places is seen three times.
+        let all: Vec<Observation> = (0..3 * 360_000).map(seen).collect();
+        assert!(part_of_surface(&all[..2 * PART_PIXELS - 1]).is_none());
+        let part = part_of_surface(&all).unwrap();
+        assert!((PART_PIXELS / 2..PART_PIXELS * 2).contains(&part.len()), "{}", part.len());
+        let mut times = vec![0; 360_000];
+        part.iter().for_each(|seen| times[seen.pixel.pixel as usize % 360_000] += 1);
+        assert!(times.iter().all(|times| [0, 3].contains(times)));
     }
 }
