@@ -11,6 +11,7 @@
 
 use super::{DiffuseAlbedo, DiffuseSheen, TexelIndex};
 use crate::error::Result;
+use crate::math::ray::TexelAddress;
 use crate::pipeline::pool::write_column;
 use bevy_ecs::prelude::{Resource, World};
 use glam::Vec3;
@@ -57,6 +58,14 @@ impl KnownAlong {
                 Some(along.iter().zip(albedo).map(of).collect())
             }
             Self::Texels(_) => None,
+        }
+    }
+
+    /// The same for texels of the same surface that lie at these places among those of now.
+    pub fn divided(&self, from: &[TexelAddress]) -> Self {
+        match self {
+            Self::Everywhere(along) => Self::Everywhere(*along),
+            Self::Texels(along) => Self::Texels(from.iter().map(|at| at.blend(along)).collect()),
         }
     }
 }

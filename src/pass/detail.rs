@@ -5,6 +5,7 @@ use crate::fit::components::TexelSeen;
 use crate::fit::detail::{DetailOptions, MOST_SIDE, solve_detail};
 use crate::fit::roughness::texel::TexelRoughness;
 use crate::fit::run::FitOptions;
+use crate::material::sheen::KnownAlong;
 use crate::material::{
     DiffuseAlbedo, DiffuseSheen, SpecularBlend, TexelIndex, recovered_albedo, texels_in_order,
 };
@@ -94,6 +95,9 @@ fn divide_texels(world: &mut World, from: &[TexelAddress]) -> Result<()> {
         let most = (0..4).max_by(|a, b| address.weights[*a].total_cmp(&address.weights[*b])).unwrap_or(0);
         address.indices[most] as usize
     };
+    if let Some(known) = world.get_resource::<KnownAlong>().map(|known| known.divided(from)) {
+        world.insert_resource(known);
+    }
     for texel in texels_in_order(world) {
         world.despawn(texel);
     }

@@ -51,11 +51,21 @@ pub fn evening() -> Vec<LightLobe> {
 
 /// The known object, a glossy sphere of two colours, under `lobes`, ready to be rendered.
 pub fn studio(lobes: &[LightLobe]) -> Pipeline {
+    painted_studio(
+        lobes,
+        32,
+        |at| {
+            if at.y > 0.0 { Vec3::new(0.6, 0.3, 0.2) } else { Vec3::new(0.2, 0.35, 0.5) }
+        },
+    )
+}
+
+/// The same with another albedo, in a texture of `texture_size`² texels.
+pub fn painted_studio(lobes: &[LightLobe], texture_size: u32, color: impl Fn(&Vec3) -> Vec3) -> Pipeline {
     let mesh = sphere_mesh(Vec3::ZERO, RADIUS).unwrap();
-    let surface = Arc::new(Surface::new(mesh, 32).unwrap());
+    let surface = Arc::new(Surface::new(mesh, texture_size).unwrap());
     let mut pipeline = Pipeline::new();
     pipeline.add_plugin(&FramePlugin);
-    let color = |at: &Vec3| if at.y > 0.0 { Vec3::new(0.6, 0.3, 0.2) } else { Vec3::new(0.2, 0.35, 0.5) };
     let albedo: Vec<Vec3> = surface.atlas().position.iter().map(color).collect();
     let material = SpecularLobe::new(Vec3::splat(0.25), 0.35);
     spawn_object(&mut pipeline.world, &surface, &albedo, &[material], lobes);
@@ -96,8 +106,7 @@ impl Data {
         write_glb(&data.path("mesh.glb"), &sphere_mesh(Vec3::ZERO, RADIUS).unwrap(), None).unwrap();
         write_lobes(data.path("evening.npy"), &evening(), NpyConvention::Lobelia).unwrap();
         let mut studio = studio(&day());
-        write_split(&data.path("train"), &mut studio, &TRAIN);
-        write_split(&data.path("test"), &mut studio, &TEST);
+        data.photograph(&mut studio, SIZE);
         let mut relit = self::studio(&evening());
         for (i, from) in TEST.into_iter().enumerate() {
             let frame = shoot(&mut relit, camera(from, SIZE));
@@ -107,6 +116,12 @@ impl Data {
             write_image(&gt.join(format!("normal_{i:06}.exr")), &frame.normal, frame.width);
         }
         data
+    }
+
+    /// Takes the photographs of both splits anew, of what this pipeline shows, `size` pixels wide and high.
+    pub fn photograph(&self, studio: &mut Pipeline, size: u32) {
+        write_split(&self.path("train"), studio, &TRAIN, size);
+        write_split(&self.path("test"), studio, &TEST, size);
     }
 
     pub fn root(&self) -> &Path {
@@ -142,15 +157,15 @@ impl Data {
     }
 }
 
-fn write_split(folder: &Path, studio: &mut Pipeline, views: &[[f32; 3]]) {
+fn write_split(folder: &Path, studio: &mut Pipeline, views: &[[f32; 3]], size: u32) {
     let mut cameras = Map::new();
     for (i, from) in views.iter().enumerate() {
-        let camera = camera(*from, SIZE);
+        let camera = camera(*from, size);
         let frame = shoot(studio, camera);
         let name = format!("rgb_{i:06}");
         write_image(&folder.join(format!("image/{name}.exr")), &frame.color, frame.width);
-        let mask = image::GrayImage::from_fn(SIZE, SIZE, |x, y| {
-            image::Luma([(frame.alpha[(y * SIZE + x) as usize] * 255.0).round() as u8])
+        let mask = image::GrayImage::from_fn(size, size, |x, y| {
+            image::Luma([(frame.alpha[(y * size + x) as usize] * 255.0).round() as u8])
         });
         save_png(&folder.join(format!("mask/{name}.png")), &image::DynamicImage::ImageLuma8(mask));
         cameras.insert(format!("{name}.exr"), camera_entry(&camera));

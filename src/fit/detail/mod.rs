@@ -24,7 +24,7 @@ use crate::fit::components::TexelSeen;
 use crate::fit::exposure::Exposures;
 use crate::fit::observe::{Candidate, spawn_samples, usable_by_view, usable_pixels};
 use crate::light::lights::{LightChoice, provide_light};
-use crate::material::sheen::{albedo_toward, grazing, has_sheen};
+use crate::material::sheen::{KnownAlong, albedo_toward, grazing, has_sheen, write_albedo};
 use crate::material::source::Recovered;
 use crate::material::{DiffuseAlbedo, DiffuseSheen, TexelIndex, Texels};
 use crate::math::shading::{ClosedForm, Layers, ShadePoint};
@@ -183,6 +183,7 @@ type ShadedColumns =
 /// Gradient: adds what the pixels say to the equations of their texels.
 pub fn collect_equations(
     exposures: Res<Exposures>,
+    known: Option<Res<KnownAlong>>,
     texels: Texels<(&DiffuseAlbedo, &DiffuseSheen)>,
     samples: Samples<ShadedColumns>,
     mut equations: ResMut<DetailEquations>,
@@ -206,8 +207,11 @@ pub fn collect_equations(
         let residual = Vec3::from_array(std::array::from_fn(|c| -observed[i].difference(c, predicted[c])));
         // A pixel seen at an angle shows more than its texels.
         let weight = facing * facing * agreement(residual, predicted);
+        // Beside a known albedo along the surface the unknown one has only its part.
+        let along = grazing(facing);
+        let (unit, along) = if known.is_some() { (unit * (1.0 - along), 0.0) } else { (unit, along) };
         for (texel, share) in address.indices.into_iter().zip(address.weights) {
-            sums[texel as usize].add(unit, grazing(facing), residual, share * weight);
+            sums[texel as usize].add(unit, along, residual, share * weight);
         }
     }
     Ok(())
@@ -223,7 +227,7 @@ fn agreement(residual: Vec3, predicted: Vec3) -> f32 {
 fn move_by_equations(world: &mut World) -> Result<()> {
     let mut albedo = read_column::<TexelIndex, DiffuseAlbedo>(world)?;
     let mut sheen = read_column::<TexelIndex, DiffuseSheen>(world)?;
-    let with_sheen = has_sheen(&sheen);
+    let with_sheen = has_sheen(&sheen) && !world.contains_resource::<KnownAlong>();
     let equations = std::mem::take(&mut world.resource_mut::<DetailEquations>().0);
     let columns = albedo.par_iter_mut().zip(&mut sheen).zip(&equations).with_min_len(4096);
     columns.for_each(|((albedo, sheen), equations)| {
@@ -235,7 +239,7 @@ fn move_by_equations(world: &mut World) -> Result<()> {
         }
     });
     let seen: Vec<TexelSeen> = equations.iter().map(|equations| TexelSeen(equations.seen())).collect();
-    write_column::<TexelIndex, DiffuseAlbedo>(world, &albedo)?;
     write_column::<TexelIndex, DiffuseSheen>(world, &sheen)?;
+    write_albedo(world, albedo.into_iter().map(|albedo| albedo.0).collect())?;
     write_column::<TexelIndex, TexelSeen>(world, &seen)
 }
