@@ -88,11 +88,35 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     let positions = atlas.position.iter().zip(&atlas.covered).map(place).collect();
     session.pipeline.world.insert_resource(TexelPlaces { positions, progress: 0.0 });
     give_texels_roughness(session);
+    let mut summary = take_steps(session, pass, &options)?;
+    session.has_object = true;
+    session.guess = FirstGuess::NONE;
+    session.report_light_frame(&pass.name);
+    let known = !options.unknowns.light || !options.unknowns.albedo;
+    let rule = if known { "Known".to_owned() } else { options.scale.words() };
+    let unseen = finish_texels(session, pass, &options, &mut summary)?;
+    let scale = scale_found(session, rule)?;
+    let _writing = stage("results written");
+    note_fit(session);
+    report(session, &pass.name, &summary, unseen);
+    write_results(&mut session.pipeline.world, session.surface.atlas(), &folder, &scale)?;
+    if let Some(truth) = &session.truth {
+        write_environment(&folder.join(TRUE_ENVIRONMENT), &environment(truth.lobes()))?;
+    }
+    let log = session.pipeline.world.remove_resource::<FitLog>();
+    write_bytes(&folder.join("log.csv"), log.unwrap_or(FitLog::new()).0.as_bytes())?;
+    session.scores.scale = Some(scale);
+    found_views::write(session, &pass.name, pass.cameras, pass.exposure)?;
+    if summary.stopped { Err(Error::Interrupted) } else { Ok(()) }
+}
+
+/// Runs the fit. What it has found is checked, and kept also if it is stopped.
+fn take_steps(session: &mut Session, pass: &FitPass, options: &FitOptions) -> Result<FitSummary> {
     let bar = session.progress.bar(&pass.name, u64::from(options.steps));
     keep_resource::<FitLog>(&mut session.pipeline.world, Span::Pass);
     session.pipeline.world.insert_resource(FitLog::new());
     let_geometry_move(session, pass);
-    let summary = run_fit(&mut session.pipeline, &options, &mut |at, world| {
+    let summary = run_fit(&mut session.pipeline, options, &mut |at, world| {
         bar.set_position(u64::from(at.step));
         if at.step % LOG_EVERY == 0 || at.step == at.steps {
             bar.set_message(format!("{:.1} dB", at.sums.psnr()));
@@ -109,30 +133,30 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
         "the surface's coordinate",
         session.surface.mesh().positions.iter().flat_map(|at| at.to_array()),
     )?;
-    session.has_object = true;
-    session.guess = FirstGuess::NONE;
     bar.finish_and_clear();
-    session.report_light_frame(&pass.name);
-    let known = !options.unknowns.light || !options.unknowns.albedo;
-    let rule = if known { "Known".to_owned() } else { options.scale.words() };
-    let mut unseen = fill_texels(session)?;
-    if pass.detail && options.unknowns.albedo && !summary.stopped {
-        refine_texture(session, pass, &options)?;
-        unseen = fill_texels(session)?;
+    Ok(summary)
+}
+
+/// Refines the texture if that is wanted, and fills the texels that no view sees; returns the number of covered texels among them.
+fn finish_texels(
+    session: &mut Session,
+    pass: &FitPass,
+    options: &FitOptions,
+    summary: &mut FitSummary,
+) -> Result<usize> {
+    let unseen = fill_texels(session)?;
+    if !pass.detail || !options.unknowns.albedo || summary.stopped {
+        return Ok(unseen);
     }
-    let scale = scale_found(session, rule)?;
-    let _writing = stage("results written");
-    note_fit(session);
-    report(session, &pass.name, &summary, unseen);
-    write_results(&mut session.pipeline.world, session.surface.atlas(), &folder, &scale)?;
-    if let Some(truth) = &session.truth {
-        write_environment(&folder.join(TRUE_ENVIRONMENT), &environment(truth.lobes()))?;
+    // What was solved for until a stop is written.
+    match refine_texture(session, pass, options) {
+        Err(Error::Interrupted) | Ok(()) => {}
+        failed => failed?,
     }
-    let log = session.pipeline.world.remove_resource::<FitLog>();
-    write_bytes(&folder.join("log.csv"), log.unwrap_or(FitLog::new()).0.as_bytes())?;
-    session.scores.scale = Some(scale);
-    found_views::write(session, &pass.name, pass.cameras, pass.exposure)?;
-    if summary.stopped { Err(Error::Interrupted) } else { Ok(()) }
+    summary.stopped = is_stopping();
+    heed_stop();
+    check_parameters(&mut session.pipeline.world)?;
+    fill_texels(session)
 }
 
 /// Swaps in the systems that optimize cameras and vertices, if the pass enables them.

@@ -47,13 +47,13 @@ use rayon::prelude::*;
 /// Sweeps over all pixels.
 pub const SWEEPS: u32 = 3;
 /// Most texels a side that a texture is refined to.
-pub const MOST_SIDE: u32 = 1536;
+pub const MOST_SIDE: u32 = 1024;
 /// Pixels of one run of the phase.
 const BATCH: usize = 1 << 16;
 /// Most pixels of a sweep; of more, every n-th is visited.
 pub const MOST_PIXELS: usize = 1 << 24;
 /// Residual relative to the radiance (and [`DARK`]) at which a pixel counts half.
-const TOLERATED: f32 = 0.3;
+const TOLERATED: f32 = 1.0;
 /// Radiance below which residuals count as if it were this.
 const DARK: f32 = 0.1;
 
