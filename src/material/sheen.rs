@@ -5,7 +5,7 @@
 //!
 //! ρ(v) = ρ + (1 − c) s,
 //!
-//! where ρ is the texel's [`DiffuseAlbedo`](super::DiffuseAlbedo) and s its [`DiffuseSheen`]: linear in both, so that closed forms, shadows and
+//! where ρ is the texel's [`DiffuseAlbedo`] and s its [`DiffuseSheen`]: linear in both, so that closed forms, shadows and
 //! interreflection stay as they are. The blend by c is that of a layer's *facing* weight in production shaders; it is not
 //! reciprocal. Of `chair`'s error with a single gray specular lobe it explains more than a colored specular albedo per texel does.
 
