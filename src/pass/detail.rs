@@ -90,6 +90,7 @@ fn divide_texels(world: &mut World, from: &[TexelAddress]) -> Result<()> {
     let sheen = read_column::<TexelIndex, DiffuseSheen>(world)?;
     let sheen: Vec<Vec3> = sheen.into_iter().map(|sheen| sheen.0).collect();
     let blends = read_column::<TexelIndex, SpecularBlend>(world)?;
+    let seen = read_column::<TexelIndex, TexelSeen>(world)?;
     let gloss = read_column::<TexelIndex, TexelRoughness>(world).ok();
     let nearest = |address: &TexelAddress| {
         let most = (0..4).max_by(|a, b| address.weights[*a].total_cmp(&address.weights[*b])).unwrap_or(0);
@@ -104,7 +105,7 @@ fn divide_texels(world: &mut World, from: &[TexelAddress]) -> Result<()> {
     // With all their components at once: bevy would keep the room of a table that they leave.
     world.spawn_batch((0..).map(TexelIndex).zip(from).map(|(index, at)| {
         let sheen = DiffuseSheen(at.blend(&sheen));
-        (index, DiffuseAlbedo(at.blend(&albedo)), sheen, blends[nearest(at)], TexelSeen::default())
+        (index, DiffuseAlbedo(at.blend(&albedo)), sheen, blends[nearest(at)], seen[nearest(at)])
     }));
     if let Some(gloss) = gloss.filter(|gloss| !gloss.is_empty()) {
         give_texels(world, &from.iter().map(|at| gloss[nearest(at)]).collect::<Vec<_>>());

@@ -205,6 +205,9 @@ pub fn collect_equations(
         let unit = Vec3::from(shaded[i].diffuse) * exposure;
         let predicted = toward * unit + Vec3::from(shaded[i].specular) * exposure;
         let residual = Vec3::from_array(std::array::from_fn(|c| -observed[i].difference(c, predicted[c])));
+        if !(unit.is_finite() && residual.is_finite()) {
+            continue;
+        }
         // A pixel seen at an angle shows more than its texels.
         let weight = facing * facing * agreement(residual, predicted);
         // Beside a known albedo along the surface the unknown one has only its part.
@@ -238,7 +241,9 @@ fn move_by_equations(world: &mut World) -> Result<()> {
             sheen.0 = along - albedo.0;
         }
     });
-    let seen: Vec<TexelSeen> = equations.iter().map(|equations| TexelSeen(equations.seen())).collect();
+    // A texel that no pixel meets between texels that the fit has seen keeps what the fit has found there.
+    let mut seen = read_column::<TexelIndex, TexelSeen>(world)?;
+    seen.iter_mut().zip(&equations).for_each(|(seen, equations)| seen.0 = seen.0.max(equations.seen()));
     write_column::<TexelIndex, DiffuseSheen>(world, &sheen)?;
     write_albedo(world, albedo.into_iter().map(|albedo| albedo.0).collect())?;
     write_column::<TexelIndex, TexelSeen>(world, &seen)
