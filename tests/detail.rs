@@ -1,6 +1,6 @@
 //! A texture that is made as fine as the photographs, and solved for from all their pixels.
 
-use crate::common::{Data, Outcome, camera, command, day, painted_studio, scene, shoot, studio};
+use crate::common::{Data, Outcome, camera, command, day, painted_studio, photographs_of, scene, studio};
 use lobelia::codec::npy::{NpyConvention, write_lobes};
 use lobelia::fit::components::TexelSeen;
 use lobelia::fit::detail::{DetailOptions, solve_detail};
@@ -65,22 +65,17 @@ fn gray_studio(albedo: Vec3, spoiled: impl Fn(Vec3) -> Vec3) -> Pipeline {
     for texel in lobelia::material::texels_in_order(&mut pipeline.world) {
         pipeline.world.entity_mut(texel).insert(TexelSeen::default());
     }
-    let photograph = |(number, camera): (usize, Camera)| {
-        let mut frame = shoot(&mut truth, camera);
+    let spoil = |number: usize, frame: &mut Frame| {
         if number == 0 {
             frame.color.iter_mut().for_each(|color| *color = spoiled(*color));
         }
-        let (width, height) = (camera.width, camera.height);
-        let photograph = Photograph::of_image(&Image { width, height, pixels: frame.color });
-        let mask = Some(StoredMask::new(&Mask { width, height, coverage: frame.alpha }));
-        ViewRecord { name: "v".into(), split: Split::Train, camera, photograph: Some(photograph), mask }
     };
-    let views = Camera::around(12, 2.8, 38.0, 48).unwrap().into_iter().enumerate().map(photograph).collect();
+    let views = photographs_of(&mut truth, 12, 48, spoil);
     spawn_views(&mut pipeline.world, views);
     pipeline
 }
 
-/// The albedo of the texels that are well seen, and of one that no view sees.
+/// The albedo of the texels that are well seen; those that no view sees stay as they were.
 fn solved(mut pipeline: Pipeline) -> Vec<Vec3> {
     let options = DetailOptions { form: ClosedForm::default(), visibility: false };
     let mut done = 0.0;

@@ -1,6 +1,6 @@
 //! What users of bevy do by instinct works: markers, despawning, sorting, change detection, systems and plugins of one's own.
 
-use crate::common::{camera, day, evening, shoot, studio};
+use crate::common::{camera, day, evening, photographs_of, shoot, studio};
 use lobelia::codec::frame::Frame;
 use lobelia::mesh::primitive::box_mesh;
 use lobelia::pipeline::pool::read_column;
@@ -21,14 +21,7 @@ fn fitted(change: impl FnOnce(&mut Pipeline)) -> Pipeline {
     let mut truth = studio(&day());
     let mut pipeline = studio(&LightLobe::even(16));
     pipeline.add_plugin(&FitPlugin);
-    let photograph = |camera: Camera| {
-        let frame = shoot(&mut truth, camera);
-        let (width, height) = (camera.width, camera.height);
-        let photograph = Photograph::of_image(&Image { width, height, pixels: frame.color });
-        let mask = Some(StoredMask::new(&Mask { width, height, coverage: frame.alpha }));
-        ViewRecord { name: "v".into(), split: Split::Train, camera, photograph: Some(photograph), mask }
-    };
-    let views = Camera::around(8, 2.8, 38.0, 24).unwrap().into_iter().map(photograph).collect();
+    let views = photographs_of(&mut truth, 8, 24, |_, _| {});
     spawn_views(&mut pipeline.world, views);
     change(&mut pipeline);
     let options = FitOptions { steps: 12, batch: 256, ..FitOptions::default() };

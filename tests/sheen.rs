@@ -1,14 +1,13 @@
 //! A surface whose diffuse albedo depends on the angle of view: shown alike by both kinds of shading, found by a fit if the
 //! photographs say so, saved and opened again.
 
-use crate::common::{Outcome, camera, command, day, shoot, studio};
+use crate::common::{Outcome, camera, command, day, photographs_of, shoot, studio};
 use lobelia::codec::exr::read_exr_layers;
 use lobelia::fit::components::{TexelSeen, Unknowns};
 use lobelia::fit::run::FirstGuess;
 use lobelia::material::sheen::{KnownAlong, write_albedo};
 use lobelia::pipeline::pool::{read_column, write_column};
 use lobelia::prelude::*;
-use lobelia::view::Camera;
 use std::ops::ControlFlow;
 
 /// Red along the surface.
@@ -27,14 +26,7 @@ fn found(truth: DiffuseSheen) -> Vec3 {
     let mut truth = cloth(truth);
     let mut pipeline = studio(&day());
     pipeline.add_plugin(&FitPlugin);
-    let photograph = |camera: Camera| {
-        let frame = shoot(&mut truth, camera);
-        let (width, height) = (camera.width, camera.height);
-        let photograph = Photograph::of_image(&Image { width, height, pixels: frame.color });
-        let mask = Some(StoredMask::new(&Mask { width, height, coverage: frame.alpha }));
-        ViewRecord { name: "v".into(), split: Split::Train, camera, photograph: Some(photograph), mask }
-    };
-    let views = Camera::around(12, 2.8, 38.0, 48).unwrap().into_iter().map(photograph).collect();
+    let views = photographs_of(&mut truth, 12, 48, |_, _| {});
     spawn_views(&mut pipeline.world, views);
     let unknowns = Unknowns { light: false, specular_albedo: false, roughness: false, ..Unknowns::default() };
     let options =
@@ -117,14 +109,7 @@ fn an_unknown_albedo_is_fitted_beside_a_known_one_along_the_surface() {
     let mut truth = cloth(SHEEN);
     let mut pipeline = studio(&day());
     pipeline.add_plugin(&FitPlugin);
-    let photograph = |camera: Camera| {
-        let frame = shoot(&mut truth, camera);
-        let (width, height) = (camera.width, camera.height);
-        let photograph = Photograph::of_image(&Image { width, height, pixels: frame.color });
-        let mask = Some(StoredMask::new(&Mask { width, height, coverage: frame.alpha }));
-        ViewRecord { name: "v".into(), split: Split::Train, camera, photograph: Some(photograph), mask }
-    };
-    let views = Camera::around(12, 2.8, 38.0, 48).unwrap().into_iter().map(photograph).collect();
+    let views = photographs_of(&mut truth, 12, 48, |_, _| {});
     spawn_views(&mut pipeline.world, views);
     let world = &mut pipeline.world;
     let albedo = read_column::<TexelIndex, DiffuseAlbedo>(world).unwrap();

@@ -10,6 +10,7 @@ use lobelia::material::SpecularLobe;
 use lobelia::mesh::Surface;
 use lobelia::mesh::primitive::sphere_mesh;
 use lobelia::pipeline::Pipeline;
+use lobelia::prelude::{Image, Mask, Photograph, Split, StoredMask, ViewRecord};
 use lobelia::shade::frame::{FramePlugin, render_frame, resolve};
 use lobelia::spawn::spawn_object;
 use lobelia::view::Camera;
@@ -81,6 +82,24 @@ pub fn camera(from: [f32; 3], size: u32) -> Camera {
 /// What the studio's systems see through `camera`.
 pub fn shoot(pipeline: &mut Pipeline, camera: Camera) -> Frame {
     resolve(&render_frame(pipeline, camera, 4).unwrap())
+}
+
+/// Training photographs of what `truth` shows, by `count` cameras around it; `change` gets the number of each and its frame.
+pub fn photographs_of(
+    truth: &mut Pipeline,
+    count: usize,
+    size: u32,
+    change: impl Fn(usize, &mut Frame),
+) -> Vec<ViewRecord> {
+    let photograph = |(number, camera): (usize, Camera)| {
+        let mut frame = shoot(truth, camera);
+        change(number, &mut frame);
+        let (width, height) = (camera.width, camera.height);
+        let photograph = Photograph::of_image(&Image { width, height, pixels: frame.color });
+        let mask = Some(StoredMask::new(&Mask { width, height, coverage: frame.alpha }));
+        ViewRecord { name: "v".into(), split: Split::Train, camera, photograph: Some(photograph), mask }
+    };
+    Camera::around(count, DISTANCE, 38.0, size).unwrap().into_iter().enumerate().map(photograph).collect()
 }
 
 const TRAIN: [[f32; 3]; 6] = [
