@@ -106,7 +106,7 @@ pub struct PresentPixels(Vec<Candidate>);
 pub struct DetailEquations(Vec<TexelEquations>);
 
 /// Solves for albedo and sheen of all texels, in [`SWEEPS`] sweeps over the pixels of the training photographs. `watch` is called with
-/// the part of the work that is done. Writes [`TexelSeen`]. A run that is stopped keeps the sweeps before.
+/// the part of the work that is done. Raises [`TexelSeen`] where the sweeps see more than the fit did. A run that is stopped keeps the sweeps before.
 ///
 /// # Errors
 /// The first error of a system.
