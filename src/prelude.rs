@@ -9,8 +9,8 @@
 //! | views | [`Camera`], [`ViewRecord`], [`ViewIndex`], [`Photograph`], [`StoredMask`], [`Image`], [`Mask`], [`Split`] |
 //! | light | [`LightLobe`], [`EnvironmentMap`], [`MapLight`], [`MapConvention`], [`render_lobes`], [`fit_map`], [`MapFit`] |
 //! | lights in a world | [`spawn_light`], [`provide_light`], [`LightChoice`], [`LightName`], [`LobeOf`] |
-//! | recovered material | [`DiffuseAlbedo`], [`DiffuseSheen`], [`SpecularBlend`], [`SpecularLobe`], [`BaseMaterial`] |
-//! | shown material | [`ShownAlbedo`], [`ShownSheen`], [`ShownBlend`], [`ShownSpecular`], [`show_recovered`], [`show_edited`], [`recovered_changed`] |
+//! | recovered material | [`DiffuseAlbedo`], [`DiffuseSheen`], [`DiffuseTilt`], [`SpecularBlend`], [`SpecularLobe`], [`BaseMaterial`] |
+//! | shown material | [`ShownAlbedo`], [`ShownSheen`], [`ShownTilt`], [`ShownBlend`], [`ShownSpecular`], [`show_recovered`], [`show_edited`], [`recovered_changed`] |
 //! | edits | [`EditName`], [`EditOrder`], [`EditTarget`], [`EditAction`], [`EditRegion`] |
 //! | rendering | [`spawn_object`], [`FramePlugin`], [`render_frame`], [`resolve`], [`Frame`], [`save_png`], [`Look`] |
 //! | shading | [`shade_closed_form`], [`ClosedForm`], [`Quality`], [`shade_path_traced`], [`PathTracing`] |
@@ -61,9 +61,12 @@ pub use crate::light::{EnvironmentMap, LightLobe, render_lobes};
 // Material and edits.
 pub use crate::material::edit::{EditAction, EditName, EditOrder, EditRegion, EditTarget};
 pub use crate::material::shown::{
-    ShownAlbedo, ShownBlend, ShownSheen, ShownSpecular, recovered_changed, show_edited, show_recovered,
+    ShownAlbedo, ShownBlend, ShownSheen, ShownSpecular, ShownTilt, recovered_changed, show_edited,
+    show_recovered,
 };
-pub use crate::material::{BaseMaterial, DiffuseAlbedo, DiffuseSheen, SpecularBlend, SpecularLobe};
+pub use crate::material::{
+    BaseMaterial, DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe,
+};
 
 // Rendering.
 pub use crate::codec::frame::Frame;

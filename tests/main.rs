@@ -43,6 +43,7 @@ mod shown;
 #[cfg(unix)]
 mod stop;
 mod swap;
+mod tilt;
 mod trust;
 mod view_page;
 mod visibility;

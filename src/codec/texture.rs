@@ -44,6 +44,27 @@ pub fn read_texture_mask(path: &Path, width: u32, height: u32) -> Result<Vec<f32
     Ok(resampled.into_iter().map(|v| v.x).collect())
 }
 
+/// Reads an EXR of vectors, one channel for each of `axes`, as `width * height` values, row 0 at v = 0; resampled like [`read_texture`].
+///
+/// # Errors
+/// [`Error::Input`] if the file is not an EXR with these channels, all finite.
+pub fn read_vectors(path: &Path, axes: [&str; 3], width: u32, height: u32) -> Result<Vec<Vec3>> {
+    let layers = read_exr_layers(path)?;
+    let bad =
+        |problem: String| Error::input(path, "", problem, "Use the file that `Save` wrote beside the scene.");
+    let channel = |name: &str| {
+        let values = layers.channels.get(name).ok_or_else(|| bad(format!("has no channel {name}")))?;
+        if values.iter().all(|value| value.is_finite()) {
+            Ok(values)
+        } else {
+            Err(bad(format!("channel {name} has values that are not finite")))
+        }
+    };
+    let [x, y, z] = [channel(axes[0])?, channel(axes[1])?, channel(axes[2])?];
+    let vectors: Vec<Vec3> = (0..x.len()).map(|i| Vec3::new(x[i], y[i], z[i])).collect();
+    Ok(resample(&vectors, [layers.width, layers.height], [width, height]))
+}
+
 /// Reads blend weights: channels `weight0`, `weight1` and so on, one for each of `materials`; weights with a sum above one are
 /// normalized to sum to one.
 ///

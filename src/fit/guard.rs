@@ -19,7 +19,7 @@ use super::sheen::SheenGradient;
 use crate::error::{Error, Result};
 use crate::light::LightLobe;
 use crate::light::lights::{IncidentLight, LobeOf};
-use crate::material::{DiffuseAlbedo, DiffuseSheen, SpecularBlend, SpecularLobe, TexelIndex};
+use crate::material::{DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe, TexelIndex};
 use crate::math::shading::{Layers, LobeColumns, PointAdjoint, RadianceAdjoint, ShadePoint};
 use crate::pipeline::SystemResult;
 use crate::pipeline::pool::read_column;
@@ -293,6 +293,10 @@ pub fn check_parameters(world: &mut World) -> Result<()> {
     let sheen = read_column::<TexelIndex, DiffuseSheen>(world)?;
     if let Some(i) = sheen.iter().position(|sheen| !sheen.0.is_finite()) {
         return refuse(format!("the sheen of texel {i}"));
+    }
+    let tilt = read_column::<TexelIndex, DiffuseTilt>(world)?;
+    if let Some(i) = tilt.iter().position(|tilt| !tilt.0.is_finite()) {
+        return refuse(format!("the tilt of texel {i}"));
     }
     let mut views = world.query::<(&ViewName, &Camera)>();
     if let Some((name, problem)) = views.iter(world).find_map(|(name, c)| Some((name, c.check().err()?))) {

@@ -7,7 +7,7 @@
 //! | `initialization` | amplitudes and albedo before the first step, by linear least squares; the frame in which the light stands still |
 //! | [`systems`], [`loss`], [`adam`] | the systems of the stages, the image loss, the optimizer |
 //! | [`roughness`] | roughness that varies over the surface |
-//! | [`detail`] | albedo and sheen of a finer texture, from all pixels |
+//! | [`detail`] | albedo, sheen and tilt of a finer texture, from all pixels |
 //! | [`scale`], [`exposure`], [`cameras`] | further unknowns: the scale between light and albedo, exposures, cameras |
 //! | [`guard`], [`by_view`] | steps that are not finite and are not taken; how each photograph is explained |
 //! | [`components`] | gradients, moments and state |

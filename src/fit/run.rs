@@ -36,12 +36,14 @@ use crate::fit::sheen::{
 use crate::light::LightLobe;
 use crate::light::frame::{LightFrame, OwnLightFrame};
 use crate::light::lights::{LightChoice, LobeOf, provide_light};
-use crate::material::DiffuseSheen;
 use crate::material::source::{PlainBlends, Recovered};
+use crate::material::tilt::has_tilt;
 use crate::material::{
     DiffuseAlbedo, SpecularBlend, SpecularLobe, TexelIndex, recovered_materials, texels_in_order,
 };
+use crate::material::{DiffuseSheen, DiffuseTilt};
 use crate::math::shading::ClosedForm;
+use crate::pipeline::pool::{read_column, write_column};
 use crate::pipeline::{Phase, Pipeline, Plugin, ScatterAdjoints, Slot, Stage};
 use crate::profile::stage;
 use crate::sample::bundle::despawn_pool;
@@ -317,6 +319,7 @@ fn keep_state(world: &mut World) {
     keep_each::<CameraPose, With<ViewName>>(world, Span::Run);
     keep_pool::<TexelIndex, DiffuseAlbedo>(world, Span::Run);
     keep_pool::<TexelIndex, DiffuseSheen>(world, Span::Run);
+    keep_pool::<TexelIndex, DiffuseTilt>(world, Span::Run);
     keep_pool::<TexelIndex, SpecularBlend>(world, Span::Run);
     keep_pool::<TexelIndex, TexelRoughness>(world, Span::Run);
     keep_resource::<OwnLightFrame>(world, Span::Run);
@@ -348,6 +351,9 @@ fn refresh_every(world: &World) -> u32 {
 fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
     let sheen = options.unknowns.sheen || (options.looks_for_sheen && options.unknowns.albedo);
     attach_state(&mut pipeline.world, sheen);
+    if options.unknowns.albedo {
+        forget_tilt(&mut pipeline.world)?;
+    }
     pipeline.world.insert_resource(options.pixels);
     pipeline.world.insert_resource(options.unknowns);
     pipeline.world.remove_resource::<SheenEvidence>();
@@ -435,6 +441,15 @@ fn rates_at(step: u32, options: &FitOptions) -> StepRates {
 
 pub(super) fn first_specular(world: &mut World) -> SpecularLobe {
     recovered_materials(world).first().map_or(SpecularLobe::new(Vec3::ZERO, 1.0), |(_, lobe)| *lobe)
+}
+
+/// A tilt belongs to the albedo that it was found with: steps move an albedo without one.
+fn forget_tilt(world: &mut World) -> Result<()> {
+    let tilt = read_column::<TexelIndex, DiffuseTilt>(world)?;
+    if has_tilt(&tilt) {
+        write_column::<TexelIndex, DiffuseTilt>(world, &vec![DiffuseTilt::default(); tilt.len()])?;
+    }
+    Ok(())
 }
 
 /// Gives texels, lobes and base materials zero gradients and moments.

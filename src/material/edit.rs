@@ -6,7 +6,9 @@
 //! An edit of the specular material inside a region splits every base material with a weight there: the edited copy gets
 //! the region's part of the blend weights, so that roughness may vary over the surface.
 
-use super::{BaseMaterial, DiffuseAlbedo, DiffuseSheen, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
+use super::{
+    BaseMaterial, DiffuseAlbedo, DiffuseSheen, DiffuseTilt, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe,
+};
 use crate::error::{Error, Result};
 use bevy_ecs::prelude::Component;
 use glam::Vec3;
@@ -62,6 +64,15 @@ impl EditAction {
         }
     }
 
+    /// The part of what was there that is left, in [0, 1].
+    fn left(&self) -> f32 {
+        match self {
+            Self::Set(_) | Self::PerTexel(_) => 0.0,
+            Self::Scale(_) => 1.0,
+            Self::Blend { weight, .. } => 1.0 - weight,
+        }
+    }
+
     fn color(&self, old: Vec3, texel: usize) -> Vec3 {
         self.apply(old, texel).clamp(Vec3::ZERO, Vec3::ONE)
     }
@@ -82,6 +93,8 @@ pub struct MaterialState {
     pub albedo: Vec<DiffuseAlbedo>,
     /// Sheen per texel.
     pub sheen: Vec<DiffuseSheen>,
+    /// Tilt per texel.
+    pub tilt: Vec<DiffuseTilt>,
     /// Blend weights per texel.
     pub blends: Vec<SpecularBlend>,
     /// The specular lobe of each base material, by number; unused numbers are `None`.
@@ -142,8 +155,10 @@ pub fn apply_edit(
     }
     match target {
         EditTarget::Diffuse => {
-            for (i, (albedo, sheen)) in state.albedo.iter_mut().zip(&mut state.sheen).enumerate() {
+            let colors = state.albedo.iter_mut().zip(&mut state.sheen).zip(&mut state.tilt);
+            for (i, ((albedo, sheen), tilt)) in colors.enumerate() {
                 let weight = region.map_or(1.0, |r| r[i]);
+                tilt.0 *= 1.0 - weight * (1.0 - action.left());
                 // What is seen along the surface is edited like what is seen straight on.
                 let along = albedo.0 + sheen.0;
                 albedo.0 = albedo.0.lerp(action.color(albedo.0, i), weight);
@@ -207,6 +222,7 @@ mod tests {
         MaterialState {
             albedo: vec![DiffuseAlbedo(Vec3::splat(0.5)); 3],
             sheen: vec![DiffuseSheen(Vec3::splat(0.25)); 3],
+            tilt: vec![DiffuseTilt(Vec3::new(0.5, 0.0, -0.25)); 3],
             blends: vec![SpecularBlend::default(); 3],
             lobes: vec![Some(SpecularLobe::new(Vec3::splat(0.3), 0.4))],
         }

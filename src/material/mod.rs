@@ -10,6 +10,7 @@
 //! | --- | --- |
 //! | [`shown`] | the shown material and its systems: as recovered, or edited |
 //! | [`sheen`] | albedo that depends on the angle of view |
+//! | [`tilt`] | albedo that depends on the side of view |
 //! | [`edit`] | edits as components, and the kernel that applies them |
 //! | [`source`] | traits for systems that read the recovered or the shown material |
 
@@ -17,6 +18,7 @@ pub mod edit;
 pub mod sheen;
 pub mod shown;
 pub mod source;
+pub mod tilt;
 
 use crate::error::Result;
 use crate::math::brdf::{Facets, Ndf};
@@ -65,7 +67,7 @@ impl SpecularLobe {
 
 /// Diffuse albedo of a material texel, linear RGB in `[0, 1]`.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
-#[require(SpecularBlend, DiffuseSheen, shown::ShownAlbedo)]
+#[require(SpecularBlend, DiffuseSheen, DiffuseTilt, shown::ShownAlbedo)]
 pub struct DiffuseAlbedo(pub Vec3);
 
 /// Difference s between a texel's diffuse albedo along the surface and straight on, linear RGB in [−1, 1]; the sum with
@@ -73,6 +75,12 @@ pub struct DiffuseAlbedo(pub Vec3);
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[require(shown::ShownSheen)]
 pub struct DiffuseSheen(pub Vec3);
+
+/// How much brighter a texel's diffuse albedo is toward one side: a vector in the object's axes, at most
+/// [`MOST_TILT`](tilt::MOST_TILT) long. See [`tilt`].
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[require(shown::ShownTilt)]
+pub struct DiffuseTilt(pub Vec3);
 
 /// Most specular lobes an object may have.
 pub const MAX_SPECULAR_LOBES: usize = 8;
@@ -108,10 +116,18 @@ impl Default for SpecularBlend {
 }
 
 /// Spawns the texels of an atlas, in order; all lists have one entry per texel.
-pub fn spawn_texels(world: &mut World, albedo: &[Vec3], sheen: &[DiffuseSheen], blends: &[SpecularBlend]) {
-    let texels = (0..).zip(albedo.iter().zip(sheen).zip(blends));
-    let texels =
-        texels.map(|(i, ((albedo, sheen), blend))| (TexelIndex(i), DiffuseAlbedo(*albedo), *sheen, *blend));
+pub fn spawn_texels(
+    world: &mut World,
+    albedo: &[Vec3],
+    sheen: &[DiffuseSheen],
+    tilt: &[DiffuseTilt],
+    blends: &[SpecularBlend],
+) {
+    let colors = albedo.iter().zip(sheen).zip(tilt).zip(blends);
+    let texels = (0..).map(TexelIndex).zip(colors);
+    let texels = texels.map(|(index, (((albedo, sheen), tilt), blend))| {
+        (index, DiffuseAlbedo(*albedo), *sheen, *tilt, *blend)
+    });
     world.spawn_batch(texels.collect::<Vec<_>>());
 }
 

@@ -122,6 +122,7 @@ mod tests {
             &old,
             &[DiffuseSheen::default(); 3],
             &[Default::default(); 3],
+            &[Default::default(); 3],
         );
         write_albedo(&mut world, new.clone()).unwrap();
         let sheen = |world: &mut World| read_column::<TexelIndex, DiffuseSheen>(world).unwrap();

@@ -6,11 +6,12 @@
 //! | --- | --- |
 //! | [`show_recovered`] | the recovered material as it is |
 //! | [`show_edited`] | the recovered material with the edits of one name ([`EditName`]), in their order |
-//! | your own system | what it writes into [`ShownAlbedo`], [`ShownBlend`] and [`ShownSpecular`] |
+//! | your own system | what it writes into [`ShownAlbedo`], [`ShownSheen`], [`ShownTilt`], [`ShownBlend`] and [`ShownSpecular`] |
 
 use super::edit::{EditAction, EditName, EditOrder, EditRegion, EditTarget, MaterialState, apply_edit};
 use super::{
-    BaseMaterial, DiffuseAlbedo, DiffuseSheen, SpecularBlend, SpecularLobe, TexelIndex, Texels, spawn_texels,
+    BaseMaterial, DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe, TexelIndex, Texels,
+    spawn_texels,
 };
 use crate::error::Result;
 use crate::math::brdf::Ndf;
@@ -34,6 +35,10 @@ pub struct ShownAlbedo(pub Vec3);
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
 pub struct ShownSheen(pub Vec3);
 
+/// Tilt that a texel shows.
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
+pub struct ShownTilt(pub Vec3);
+
 /// Blend weights that a texel shows.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
 pub struct ShownBlend(pub SpecularBlend);
@@ -51,10 +56,12 @@ impl Default for ShownSpecular {
 }
 
 /// What a texel's shown material is made of.
-type RecoveredTexel = (&'static DiffuseAlbedo, &'static DiffuseSheen, &'static SpecularBlend);
+type RecoveredTexel =
+    (&'static DiffuseAlbedo, &'static DiffuseSheen, &'static DiffuseTilt, &'static SpecularBlend);
 
 /// What a texel shows.
-type ShownTexel = (&'static mut ShownAlbedo, &'static mut ShownSheen, &'static mut ShownBlend);
+type ShownTexel =
+    (&'static mut ShownAlbedo, &'static mut ShownSheen, &'static mut ShownTilt, &'static mut ShownBlend);
 
 /// The system parameter that reads the recovered material and writes the shown one.
 #[derive(SystemParam)]
@@ -68,17 +75,17 @@ pub struct Composition<'w, 's> {
 impl Composition<'_, '_> {
     /// Writes the recovered material after `edit`.
     fn compose(mut self, edit: impl FnOnce(&mut MaterialState) -> Result<()>) -> SystemResult {
-        let ((albedo, sheen, blends), (mut shown_albedo, mut shown_sheen, mut shown_blends)) =
-            self.texels.columns()?;
+        let ((albedo, sheen, tilt, blends), mut shown) = self.texels.columns()?;
         let (albedo, sheen, blends) = (albedo.to_vec(), sheen.to_vec(), blends.to_vec());
-        let mut state = MaterialState { albedo, sheen, blends, lobes: Vec::new() };
+        let mut state = MaterialState { albedo, sheen, tilt: tilt.to_vec(), blends, lobes: Vec::new() };
         for (number, lobe, _) in &self.recovered {
             state.set_lobe(*number, *lobe)?;
         }
         edit(&mut state)?;
-        shown_albedo.iter_mut().zip(&state.albedo).for_each(|(shown, albedo)| shown.0 = albedo.0);
-        shown_sheen.iter_mut().zip(&state.sheen).for_each(|(shown, sheen)| shown.0 = sheen.0);
-        shown_blends.iter_mut().zip(&state.blends).for_each(|(shown, blend)| shown.0 = *blend);
+        shown.0.iter_mut().zip(&state.albedo).for_each(|(shown, albedo)| shown.0 = albedo.0);
+        shown.1.iter_mut().zip(&state.sheen).for_each(|(shown, sheen)| shown.0 = sheen.0);
+        shown.2.iter_mut().zip(&state.tilt).for_each(|(shown, tilt)| shown.0 = tilt.0);
+        shown.3.iter_mut().zip(&state.blends).for_each(|(shown, blend)| shown.0 = *blend);
         for (number, _, mut shown) in &mut self.recovered {
             if let Some(lobe) = state.lobes.get_mut(number.0 as usize).and_then(Option::take) {
                 shown.0 = lobe;
@@ -95,8 +102,13 @@ impl Composition<'_, '_> {
 }
 
 /// Changes of the recovered material after which the shown one is stale.
-type RecoveredChanged =
-    Or<(Changed<DiffuseAlbedo>, Changed<DiffuseSheen>, Changed<SpecularBlend>, Changed<SpecularLobe>)>;
+type RecoveredChanged = Or<(
+    Changed<DiffuseAlbedo>,
+    Changed<DiffuseSheen>,
+    Changed<DiffuseTilt>,
+    Changed<SpecularBlend>,
+    Changed<SpecularLobe>,
+)>;
 
 /// Run condition: whether the recovered material has changed, or base materials have been added or removed.
 pub fn recovered_changed(
@@ -185,7 +197,8 @@ pub fn recovered_material(world: &mut World) -> Result<MaterialState> {
     let albedo = read_column::<TexelIndex, DiffuseAlbedo>(world)?;
     let blends = read_column::<TexelIndex, SpecularBlend>(world)?;
     let sheen = read_column::<TexelIndex, DiffuseSheen>(world)?;
-    let mut state = MaterialState { albedo, sheen, blends, lobes: Vec::new() };
+    let tilt = read_column::<TexelIndex, DiffuseTilt>(world)?;
+    let mut state = MaterialState { albedo, sheen, tilt, blends, lobes: Vec::new() };
     for (number, lobe) in world.query::<(&BaseMaterial, &SpecularLobe)>().iter(world) {
         state.set_lobe(*number, *lobe)?;
     }
@@ -195,7 +208,7 @@ pub fn recovered_material(world: &mut World) -> Result<MaterialState> {
 /// Spawns texels and base materials with this state as the recovered material.
 pub fn spawn_material(world: &mut World, state: &MaterialState) {
     let albedo: Vec<Vec3> = state.albedo.iter().map(|albedo| albedo.0).collect();
-    spawn_texels(world, &albedo, &state.sheen, &state.blends);
+    spawn_texels(world, &albedo, &state.sheen, &state.tilt, &state.blends);
     for (number, lobe) in state.materials() {
         world.spawn((BaseMaterial(number as u32), *lobe));
     }
@@ -208,10 +221,12 @@ pub fn mark_material_changed(world: &mut World) {
     }
     mark::<DiffuseAlbedo>(world);
     mark::<DiffuseSheen>(world);
+    mark::<DiffuseTilt>(world);
     mark::<SpecularBlend>(world);
     mark::<SpecularLobe>(world);
     mark::<ShownAlbedo>(world);
     mark::<ShownSheen>(world);
+    mark::<ShownTilt>(world);
     mark::<ShownBlend>(world);
     mark::<ShownSpecular>(world);
 }

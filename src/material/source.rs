@@ -1,9 +1,9 @@
 //! The material that a system reads: the recovered one of a fit, or the shown one of a frame.
 
-use super::shown::{ShownAlbedo, ShownBlend, ShownSheen, ShownSpecular};
+use super::shown::{ShownAlbedo, ShownBlend, ShownSheen, ShownSpecular, ShownTilt};
 use super::{
-    BaseMaterial, DiffuseAlbedo, DiffuseSheen, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, TexelIndex,
-    Texels,
+    BaseMaterial, DiffuseAlbedo, DiffuseSheen, DiffuseTilt, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe,
+    TexelIndex, Texels,
 };
 use crate::error::{Error, Result};
 use crate::pipeline::SystemResult;
@@ -23,6 +23,12 @@ pub trait AlbedoColumn: Component<Mutability = Mutable> + Copy {
 pub trait SheenColumn: Component<Mutability = Mutable> + Copy {
     /// Difference of albedo, linear RGB in [−1, 1].
     fn sheen(&self) -> Vec3;
+}
+
+/// A column of tilt.
+pub trait TiltColumn: Component<Mutability = Mutable> + Copy {
+    /// A vector in the object's axes.
+    fn tilt(&self) -> Vec3;
 }
 
 /// A column of blend weights.
@@ -61,6 +67,18 @@ impl SheenColumn for ShownSheen {
     }
 }
 
+impl TiltColumn for DiffuseTilt {
+    fn tilt(&self) -> Vec3 {
+        self.0
+    }
+}
+
+impl TiltColumn for ShownTilt {
+    fn tilt(&self) -> Vec3 {
+        self.0
+    }
+}
+
 impl BlendColumn for SpecularBlend {
     fn blend(&self) -> SpecularBlend {
         *self
@@ -91,6 +109,8 @@ pub trait MaterialSource: Send + Sync + 'static {
     type Albedo: AlbedoColumn;
     /// Sheen of texels.
     type Sheen: SheenColumn;
+    /// Tilt of texels.
+    type Tilt: TiltColumn;
     /// Blend weights of texels.
     type Blend: BlendColumn;
     /// Specular part of base materials.
@@ -106,6 +126,7 @@ pub struct Shown;
 impl MaterialSource for Recovered {
     type Albedo = DiffuseAlbedo;
     type Sheen = DiffuseSheen;
+    type Tilt = DiffuseTilt;
     type Blend = SpecularBlend;
     type Specular = SpecularLobe;
 }
@@ -113,6 +134,7 @@ impl MaterialSource for Recovered {
 impl MaterialSource for Shown {
     type Albedo = ShownAlbedo;
     type Sheen = ShownSheen;
+    type Tilt = ShownTilt;
     type Blend = ShownBlend;
     type Specular = ShownSpecular;
 }
@@ -202,10 +224,11 @@ pub(crate) fn check_numbers(rising: impl Iterator<Item = usize>) -> Result<()> {
     Ok(())
 }
 
-/// Albedo, sheen and blends of all texels.
+/// Albedo, sheen, tilt and blends of all texels.
 pub type TexelColumns<'w, M> = (
     Column<'w, <M as MaterialSource>::Albedo>,
     Column<'w, <M as MaterialSource>::Sheen>,
+    Column<'w, <M as MaterialSource>::Tilt>,
     Column<'w, <M as MaterialSource>::Blend>,
 );
 
@@ -216,6 +239,7 @@ pub type MaterialTexels<'w, 's, M> = Texels<
     (
         &'static <M as MaterialSource>::Albedo,
         &'static <M as MaterialSource>::Sheen,
+        &'static <M as MaterialSource>::Tilt,
         &'static <M as MaterialSource>::Blend,
     ),
 >;

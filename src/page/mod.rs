@@ -19,6 +19,7 @@ use crate::light::LightLobe;
 use crate::light::frame::LightFrame;
 use crate::material::edit::MaterialState;
 use crate::material::sheen::has_sheen;
+use crate::material::tilt::has_tilt;
 use crate::material::{MAX_SPECULAR_LOBES, SpecularBlend};
 use crate::math::brdf::Ndf;
 use crate::math::color::srgb_from_linear;
@@ -149,6 +150,9 @@ fn describe(contents: &Contents, pack: &mut Pack) -> Result<Value> {
     if has_sheen(&material.sheen) {
         pack.bytes("along", &albedo_bytes(contents, |i| material.albedo[i].0 + material.sheen[i].0));
     }
+    if has_tilt(&material.tilt) {
+        pack.bytes("tilt", &material.tilt.iter().flat_map(|tilt| tilt_bytes(tilt.0)).collect::<Vec<_>>());
+    }
     let blended = material.uniform().is_none();
     if blended {
         pack.bytes("blend", &material.blends.iter().flat_map(blend_bytes).collect::<Vec<_>>());
@@ -187,6 +191,12 @@ fn albedo_bytes(contents: &Contents, albedo: impl Fn(usize) -> Vec3) -> Vec<u8> 
         [r, g, b, if there { 255 } else { 0 }]
     };
     (0..contents.material.albedo.len()).flat_map(texel).collect()
+}
+
+/// Each component of a tilt as 128 and 4 times a number from −31 to 31, because fewer values are packed into less, and 255.
+fn tilt_bytes(tilt: Vec3) -> [u8; 4] {
+    let [x, y, z] = tilt.to_array().map(|t| (128.0 + 4.0 * (31.0 * t.clamp(-1.0, 1.0)).round()) as u8);
+    [x, y, z, 255]
 }
 
 fn blend_bytes(blend: &SpecularBlend) -> [u8; MAX_SPECULAR_LOBES] {

@@ -1,6 +1,6 @@
 use super::*;
-use crate::material::DiffuseSheen;
 use crate::material::{DiffuseAlbedo, SpecularLobe};
+use crate::material::{DiffuseSheen, DiffuseTilt};
 use crate::mesh::primitive::sphere_mesh;
 use flate2::read::DeflateDecoder;
 use std::io::Read as _;
@@ -12,6 +12,7 @@ fn page() -> String {
     let material = MaterialState {
         albedo: vec![DiffuseAlbedo(Vec3::new(0.5, 0.25, 1.0)); count],
         sheen: vec![DiffuseSheen(Vec3::new(0.25, 0.0, -0.5)); count],
+        tilt: vec![DiffuseTilt(Vec3::new(0.25, 0.0, -0.5)); count],
         blends: vec![SpecularBlend::even(2); count],
         lobes: vec![Some(SpecularLobe::new(Vec3::splat(0.04), 0.5)), Some(SpecularLobe::new(Vec3::ONE, 0.2))],
     };
@@ -134,6 +135,8 @@ fn the_scene_says_what_it_was_given() {
     assert_eq!(albedo[..3].concat(), [188, 137, 255]);
     let along = array(&page, &scene, "along", 1);
     assert_eq!(along[..3].concat(), [225, 137, 188], "albedo and sheen");
+    let tilt = array(&page, &scene, "tilt", 1);
+    assert_eq!(tilt[..4].concat(), [160, 128, 64, 255], "31 steps to each side of 128, 4 apart");
     let light: Vec<f32> = array(&page, &scene, "light1", 4)
         .iter()
         .map(|b| f32::from_le_bytes([b[0], b[1], b[2], b[3]]))

@@ -7,7 +7,7 @@ use crate::fit::roughness::texel::TexelRoughness;
 use crate::fit::run::FitOptions;
 use crate::material::sheen::KnownAlong;
 use crate::material::{
-    DiffuseAlbedo, DiffuseSheen, SpecularBlend, TexelIndex, recovered_albedo, texels_in_order,
+    DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, TexelIndex, recovered_albedo, texels_in_order,
 };
 use crate::math::ray::TexelAddress;
 use crate::mesh::Surface;
@@ -16,7 +16,7 @@ use crate::pass::session::Session;
 use crate::pipeline::pool::read_column;
 use crate::profile::stage;
 use crate::sample::point::Scenery;
-use crate::scene::FitPass;
+use crate::scene::{FitPass, Tilt};
 use crate::view::{Camera, Photograph, Split};
 use crate::visibility::ObjectVisibility;
 use bevy_ecs::prelude::{Component, With, World};
@@ -24,7 +24,7 @@ use glam::{Vec2, Vec3};
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Makes the texture as fine as the photographs, if it is not, and solves for its albedo and sheen.
+/// Makes the texture as fine as the photographs, if it is not, and solves for its albedo, sheen and tilt.
 ///
 /// # Errors
 /// The first error of a system; a surface whose shadows would take too much memory.
@@ -38,7 +38,8 @@ pub fn refine_texture(session: &mut Session, pass: &FitPass, options: &FitOption
         refine(session, factor)?;
     }
     let visibility = options.visibility && session.has_visibility()?;
-    let settings = DetailOptions { form: options.form, visibility };
+    let tilt = session.scene.material.tilt == Tilt::Unknown;
+    let settings = DetailOptions { form: options.form, visibility, tilt };
     solve_detail(&mut session.pipeline, settings, &mut |done| bar.set_position((100.0 * done) as u64))?;
     bar.finish_and_clear();
     let (side, seconds) = (session.surface.atlas().width, start.elapsed().as_secs_f64());
@@ -89,6 +90,8 @@ fn divide_texels(world: &mut World, from: &[TexelAddress]) -> Result<()> {
     let albedo: Vec<Vec3> = recovered_albedo(world)?;
     let sheen = read_column::<TexelIndex, DiffuseSheen>(world)?;
     let sheen: Vec<Vec3> = sheen.into_iter().map(|sheen| sheen.0).collect();
+    let tilt = read_column::<TexelIndex, DiffuseTilt>(world)?;
+    let tilt: Vec<Vec3> = tilt.into_iter().map(|tilt| tilt.0).collect();
     let blends = read_column::<TexelIndex, SpecularBlend>(world)?;
     let seen = read_column::<TexelIndex, TexelSeen>(world)?;
     let gloss = read_column::<TexelIndex, TexelRoughness>(world).ok();
@@ -104,8 +107,8 @@ fn divide_texels(world: &mut World, from: &[TexelAddress]) -> Result<()> {
     }
     // With all their components at once: bevy would keep the room of a table that they leave.
     world.spawn_batch((0..).map(TexelIndex).zip(from).map(|(index, at)| {
-        let sheen = DiffuseSheen(at.blend(&sheen));
-        (index, DiffuseAlbedo(at.blend(&albedo)), sheen, blends[nearest(at)], seen[nearest(at)])
+        let (sheen, tilt) = (DiffuseSheen(at.blend(&sheen)), DiffuseTilt(at.blend(&tilt)));
+        (index, DiffuseAlbedo(at.blend(&albedo)), sheen, tilt, blends[nearest(at)], seen[nearest(at)])
     }));
     if let Some(gloss) = gloss.filter(|gloss| !gloss.is_empty()) {
         give_texels(world, &from.iter().map(|at| gloss[nearest(at)]).collect::<Vec<_>>());

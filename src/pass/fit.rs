@@ -23,8 +23,9 @@ use crate::fit::sheen::move_sheen;
 use crate::fit::systems::{move_lobes, move_specular, move_texels};
 use crate::light::lights::own_lobes;
 use crate::light::{EnvironmentMap, LightLobe, render_lobes};
-use crate::material::DiffuseSheen;
 use crate::material::sheen::{has_sheen, write_albedo};
+use crate::material::tilt::has_tilt;
+use crate::material::{DiffuseSheen, DiffuseTilt};
 use crate::material::{
     MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, TexelIndex, recovered_albedo, recovered_materials,
 };
@@ -256,6 +257,7 @@ fn fill_texels(session: &mut Session) -> Result<usize> {
     if unknowns.albedo {
         let mut values = recovered_albedo(world)?;
         fill_sheen(world, &values, &seen, atlas)?;
+        fill_tilt(world, &seen, atlas)?;
         fill_uncovered(&mut values, &seen, atlas);
         write_albedo(world, values)?;
     }
@@ -281,6 +283,18 @@ fn fill_sheen(world: &mut World, albedo: &[Vec3], seen: &[bool], atlas: &TexelAt
     fill_uncovered(&mut along, seen, atlas);
     let filled = along.iter().zip(&straight).map(|(along, straight)| DiffuseSheen(*along - *straight));
     write_column::<TexelIndex, DiffuseSheen>(world, &filled.collect::<Vec<_>>())
+}
+
+/// Fills the tilt of texels that no view sees; without any tilt there stays none.
+fn fill_tilt(world: &mut World, seen: &[bool], atlas: &TexelAtlas) -> Result<()> {
+    let tilt = read_column::<TexelIndex, DiffuseTilt>(world)?;
+    if !has_tilt(&tilt) {
+        return Ok(());
+    }
+    let mut vectors: Vec<Vec3> = tilt.into_iter().map(|tilt| tilt.0).collect();
+    fill_uncovered(&mut vectors, seen, atlas);
+    let filled: Vec<DiffuseTilt> = vectors.into_iter().map(DiffuseTilt).collect();
+    write_column::<TexelIndex, DiffuseTilt>(world, &filled)
 }
 
 /// Fills the blend weights of texels that no view sees, three base materials at a time.

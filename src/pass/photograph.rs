@@ -6,10 +6,10 @@ use crate::error::stop::check_interrupted;
 use crate::light::LightLobe;
 use crate::light::frame::LightFrame;
 use crate::light::lights::{LightChoice, provide_light, spawn_light};
-use crate::material::DiffuseSheen;
 use crate::material::edit::MaterialState;
 use crate::material::shown::{show_edited, spawn_material};
 use crate::material::{DiffuseAlbedo, SpecularBlend};
+use crate::material::{DiffuseSheen, DiffuseTilt};
 use crate::math::fibonacci::fibonacci_axes;
 use crate::math::ray::Intersect;
 use crate::mesh::Surface;
@@ -53,7 +53,9 @@ impl TrueObject {
         let albedo: Vec<DiffuseAlbedo> = albedo.collect();
         let blends = vec![SpecularBlend::default(); albedo.len()];
         let sheen = vec![DiffuseSheen::default(); albedo.len()];
-        let mut material = MaterialState { albedo, sheen, blends, lobes: vec![Some(spec.truth.specular)] };
+        let tilt = vec![DiffuseTilt::default(); albedo.len()];
+        let mut material =
+            MaterialState { albedo, sheen, tilt, blends, lobes: vec![Some(spec.truth.specular)] };
         apply_edits(&mut material, &spec.truth.edits, surface)?;
         spawn_material(&mut pipeline.world, &material);
         let light = load_light(&spec.truth.light)?;

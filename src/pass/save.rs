@@ -12,6 +12,7 @@ use crate::light::frame::OwnLightFrame;
 use crate::light::lights::own_lobes;
 use crate::material::edit::MaterialState;
 use crate::material::sheen::has_sheen;
+use crate::material::tilt::has_tilt;
 use crate::material::{SpecularBlend, SpecularLobe};
 use crate::mesh::atlas::TexelAtlas;
 use crate::pass::photograph::ring;
@@ -22,7 +23,7 @@ use crate::scene::SavePass;
 use crate::scene::load::to_ron;
 use crate::scene::{
     Albedo, AlbedoSource, Gloss, Light, LightSource, Material, Roughness, Scene, Sheen, Specular,
-    SpecularAlbedo, Surface as SurfaceSpec, Views,
+    SpecularAlbedo, Surface as SurfaceSpec, Tilt, Views,
 };
 use crate::spawn::light_file::inlined;
 use glam::Vec3;
@@ -44,6 +45,7 @@ pub fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
     texture.insert_triple(["R", "G", "B"], &colors);
     write_channels(folder.join("albedo.exr"), &texture)?;
     let sheen = save_sheen(&material, atlas, &folder)?;
+    let tilt = save_tilt(&material, atlas, &folder)?;
     let light = save_light(session, pass.of.as_deref(), &folder)?;
     let relit = session.pass_named(pass.of.as_deref()).is_some_and(|of| of.light().is_some());
     let own = session.pipeline.world.get_resource::<OwnLightFrame>().filter(|_| !relit);
@@ -61,6 +63,7 @@ pub fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
         material: Material {
             albedo: Albedo::Fixed(AlbedoSource::Texture("albedo.exr".into())),
             sheen,
+            tilt,
             ..specular
         },
         passes: session.scene.passes.iter().filter(|pass| matches!(pass, Pass::Render(_))).cloned().collect(),
@@ -83,6 +86,18 @@ fn save_sheen(material: &MaterialState, atlas: &TexelAtlas, folder: &Path) -> Re
     texture.insert_triple(["R", "G", "B"], &along.collect::<Vec<_>>());
     write_channels(folder.join("albedo_along.exr"), &texture)?;
     Ok(Sheen::Fixed(AlbedoSource::Texture("albedo_along.exr".into())))
+}
+
+/// The tilt as in a scene file; its vectors go to a separate file.
+fn save_tilt(material: &MaterialState, atlas: &TexelAtlas, folder: &Path) -> Result<Tilt> {
+    if !has_tilt(&material.tilt) {
+        return Ok(Tilt::None);
+    }
+    let tilt: Vec<Vec3> = material.tilt.iter().map(|tilt| tilt.0).collect();
+    let mut texture = ExrLayers { width: atlas.width, height: atlas.height, ..ExrLayers::default() };
+    texture.insert_triple(["X", "Y", "Z"], &tilt);
+    write_channels(folder.join("albedo_tilt.exr"), &texture)?;
+    Ok(Tilt::Fixed("albedo_tilt.exr".into()))
 }
 
 /// The specular material as in a scene file; the weights of several base materials go to a separate file.

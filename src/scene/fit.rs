@@ -36,7 +36,7 @@ pub struct FitPass {
     pub cameras: CameraUnknowns,
     /// Whether the mesh is a little off and its vertices move along their normals, which then are smooth. Default false.
     pub vertices: bool,
-    /// Whether the texture is then made as fine as the photographs, up to 1 024 texels a side, and its albedo and sheen are solved for
+    /// Whether the texture is then made as fine as the photographs, up to 1 024 texels a side, and its albedo, sheen and tilt are solved for
     /// from all pixels. Default false.
     pub detail: bool,
 }

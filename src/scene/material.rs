@@ -14,6 +14,8 @@ pub struct Material {
     pub albedo: Albedo,
     /// How the diffuse albedo depends on the angle of view. Default `Auto`.
     pub sheen: Sheen,
+    /// How the diffuse albedo depends on the side of view. Default `Unknown`.
+    pub tilt: Tilt,
     /// The specular lobe that the whole object shares. Default: unknown.
     pub specular: Specular,
     /// Gloss that varies over the surface. Default `One`.
@@ -45,6 +47,20 @@ pub enum Sheen {
     Unknown,
     /// Known: the diffuse albedo along the surface, in [0, 1], as `Save` writes it. `Fixed(Texture("albedo_along.exr"))`.
     Fixed(AlbedoSource),
+}
+
+/// How the diffuse albedo depends on the side that it is seen from, as that of fabric, brushed paint and relief finer than the mesh does:
+/// each texel is brighter toward one side, and darker toward the other.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub enum Tilt {
+    /// A `Fit` with `detail` finds it together with the albedo; another fit leaves it out.
+    #[default]
+    Unknown,
+    /// Not at all.
+    None,
+    /// Known, beside an albedo that is `Fixed`: an EXR of vectors in the object's axes (channels X, Y, Z), as `Save` writes it; must
+    /// exist. `Fixed("albedo_tilt.exr")`.
+    Fixed(PathBuf),
 }
 
 /// A diffuse albedo that is given.

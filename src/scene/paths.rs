@@ -6,7 +6,7 @@ use crate::scene::diagnostic::{Problem, nearest};
 use crate::scene::edit::{DiffuseAction, Edit, Region};
 use crate::scene::evaluate::{LayerTruth, Truth};
 use crate::scene::light::{Light, LightSource};
-use crate::scene::material::{Albedo, AlbedoSource, Gloss, Sheen};
+use crate::scene::material::{Albedo, AlbedoSource, Gloss, Sheen, Tilt};
 use crate::scene::passes::Pass;
 use crate::scene::surface::Surface;
 use crate::scene::views::Views;
@@ -163,6 +163,9 @@ fn for_each_path(scene: &mut Scene, visit: &mut impl FnMut(&str, Kind, &mut Path
     }
     if let Sheen::Fixed(AlbedoSource::Texture(path)) = &mut scene.material.sheen {
         visit("material.sheen.0", Kind::File, path);
+    }
+    if let Tilt::Fixed(path) = &mut scene.material.tilt {
+        visit("material.tilt.0", Kind::File, path);
     }
     for (index, pass) in scene.passes.iter_mut().enumerate() {
         pass_paths(&format!("passes.{index}"), pass, visit);

@@ -3,10 +3,10 @@
 
 use crate::error::Error;
 use crate::light::lights::IncidentLight;
-use crate::material::sheen::albedo_toward;
 use crate::material::source::{
-    AlbedoColumn, BaseMaterials, BlendColumn, MaterialSource, MaterialTexels, SheenColumn, Shown,
+    AlbedoColumn, BaseMaterials, BlendColumn, MaterialSource, MaterialTexels, SheenColumn, Shown, TiltColumn,
 };
+use crate::material::tilt::DirectionalAlbedo;
 use crate::material::{MAX_SPECULAR_LOBES, SpecularLobe, Texels};
 use crate::math::shading::{
     ClosedForm, Layers, Lighting, PointVisibility, ShadePoint, SpecularValue, Visibility,
@@ -50,16 +50,16 @@ pub fn kernel_materials(materials: &BaseMaterials) -> Vec<(usize, SpecularValue)
 
 /// Gather: interpolates the texels of a material at each surface point into the inputs of shading, in the light's frame.
 pub fn gather_points<M: MaterialSource>(
-    texels: Texels<(&M::Albedo, &M::Sheen)>,
+    texels: Texels<(&M::Albedo, &M::Sheen, &M::Tilt)>,
     turns: LightTurns,
     samples: Samples<(&SurfacePoint, &ViewRay, &PixelOf, &mut ShadePoint)>,
 ) -> SystemResult {
-    let (albedo, sheen) = texels.columns()?;
+    let (albedo, sheen, tilt) = texels.columns()?;
     let turns = turns.table();
     let (points, rays, pixels, mut gathered) = samples.columns()?;
     let inputs = points.par_iter().zip(&*rays).zip(&*pixels).with_min_len(1024);
     gathered.par_iter_mut().zip(inputs).for_each(|(out, ((point, ray), pixel))| {
-        *out = gather_point(point, ray, &albedo, &sheen);
+        *out = gather_point(point, ray, &albedo, &sheen, &tilt);
         if let Some(turn) = turns.of(pixel.view) {
             *out = turned(out, turn);
         }
@@ -73,20 +73,24 @@ pub fn turned(point: &ShadePoint, light_from_world: Mat3) -> ShadePoint {
     ShadePoint { normal: turned(point.normal), to_viewer: turned(point.to_viewer), ..*point }
 }
 
-fn gather_point<A: AlbedoColumn, S: SheenColumn>(
+fn gather_point<A: AlbedoColumn, S: SheenColumn, T: TiltColumn>(
     point: &SurfacePoint,
     ray: &ViewRay,
-    texels: &[A],
+    albedo: &[A],
     sheen: &[S],
+    tilt: &[T],
 ) -> ShadePoint {
     if !point.is_hit() {
         return ShadePoint::default();
     }
     let address = &point.texels;
     let to_viewer = -ray.0.direction;
-    let facing = point.normal.dot(to_viewer);
-    let toward = |texel: usize| albedo_toward(texels[texel].albedo(), sheen[texel].sheen(), facing);
-    let albedo: Vec3 = (0..4).map(|i| toward(address.indices[i] as usize) * address.weights[i]).sum();
+    let mixed = DirectionalAlbedo::mixed(address, |texel| DirectionalAlbedo {
+        albedo: albedo[texel].albedo(),
+        sheen: sheen[texel].sheen(),
+        tilt: tilt[texel].tilt(),
+    });
+    let albedo = mixed.toward(point.normal, to_viewer);
     ShadePoint { normal: point.normal.into(), to_viewer: to_viewer.into(), albedo: albedo.into() }
 }
 
@@ -225,7 +229,7 @@ pub fn shade_path_traced(paths: PathTracing) -> ScheduleConfigs<ScheduleSystem> 
         let Some(distant) = &light.distant else {
             return Err(Error::run("path tracing", "there is no light").into());
         };
-        let (albedo, sheen, blends) = texels.columns()?;
+        let (albedo, sheen, tilt, blends) = texels.columns()?;
         let mut specular = [None; MAX_SPECULAR_LOBES];
         materials.by_number().for_each(|(number, lobe)| specular[number] = Some(*lobe));
         let count = materials.lobes.last().map_or(0, |(number, _)| number + 1);
@@ -234,6 +238,7 @@ pub fn shade_path_traced(paths: PathTracing) -> ScheduleConfigs<ScheduleSystem> 
             light: distant.as_ref(),
             albedo: &albedo,
             sheen: &sheen,
+            tilt: &tilt,
             blends: if materials.blended { &blends } else { &[] },
             specular: &specular[..count],
         };

@@ -4,12 +4,12 @@ use crate::codec::gltf::material::read_material;
 use crate::codec::texture;
 use crate::error::Result;
 use crate::fit::roughness::texel::{BASE_ROUGHNESSES, TexelRoughness};
-use crate::material::DiffuseSheen;
 use crate::material::sheen::KnownAlong;
-use crate::material::{SpecularBlend, SpecularLobe};
+use crate::material::tilt::MOST_TILT;
+use crate::material::{DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe};
 use crate::mesh::Surface;
 use crate::scene::validate::MIN_ROUGHNESS;
-use crate::scene::{Albedo, AlbedoSource, Gloss, Roughness, Sheen, Specular, SpecularAlbedo};
+use crate::scene::{Albedo, AlbedoSource, Gloss, Roughness, Sheen, Specular, SpecularAlbedo, Tilt};
 use bevy_ecs::prelude::World;
 use glam::Vec3;
 use std::path::Path;
@@ -65,6 +65,16 @@ pub fn insert_known_along(world: &mut World, sheen: &Sheen, surface: &Surface) -
 pub(super) fn initial_sheen(world: &World, albedo: &[Vec3]) -> Vec<DiffuseSheen> {
     let known = world.get_resource::<KnownAlong>().and_then(|known| known.sheen(albedo));
     known.unwrap_or_else(|| vec![DiffuseSheen::default(); albedo.len()])
+}
+
+/// The tilt of each texel: none, or the known one.
+pub(super) fn initial_tilt(tilt: &Tilt, surface: &Surface) -> Result<Vec<DiffuseTilt>> {
+    let (width, height) = (surface.atlas().width, surface.atlas().height);
+    let Tilt::Fixed(path) = tilt else {
+        return Ok(vec![DiffuseTilt::default(); (width * height) as usize]);
+    };
+    let known = texture::read_vectors(path, ["X", "Y", "Z"], width, height)?;
+    Ok(known.into_iter().map(|tilt| DiffuseTilt(tilt.clamp_length_max(MOST_TILT))).collect())
 }
 
 /// The albedo of each texel that a fit starts from, or the known one.

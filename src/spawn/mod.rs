@@ -14,7 +14,7 @@ use crate::fit::components::Unknowns;
 use crate::light::LightLobe;
 use crate::light::frame::OwnLightFrame;
 use crate::light::lights::LightMap;
-use crate::material::DiffuseSheen;
+use crate::material::{DiffuseSheen, DiffuseTilt};
 use crate::material::{SpecularBlend, SpecularLobe, spawn_materials, spawn_texels};
 use crate::mesh::Surface;
 use crate::pipeline::Pipeline;
@@ -24,7 +24,7 @@ use crate::view::{ViewIndex, ViewMask, ViewName, ViewRecord};
 use bevy_ecs::prelude::World;
 use glam::Vec3;
 use light::initial_lobes;
-use material::{initial_albedo, initial_gloss, initial_sheen, own_material};
+use material::{initial_albedo, initial_gloss, initial_sheen, initial_tilt, own_material};
 use std::sync::Arc;
 
 /// Puts the scene into the pipeline's world: surface, views, light lobes, texels, the specular lobe, and what is unknown.
@@ -59,7 +59,8 @@ pub fn spawn(
     }
     insert_known_along(world, &scene.material.sheen, surface)?;
     let sheen = initial_sheen(world, &albedo);
-    spawn_texels(world, &albedo, &sheen, &blends);
+    let tilt = initial_tilt(&scene.material.tilt, surface)?;
+    spawn_texels(world, &albedo, &sheen, &tilt, &blends);
     spawn_materials(world, &specular);
     Ok(())
 }
@@ -88,15 +89,16 @@ pub fn spawn_object(
     light: &[LightLobe],
 ) {
     world.insert_resource(Scenery(surface.clone()));
-    let (sheen, blends) = (DiffuseSheen::default(), SpecularBlend::default());
-    spawn_texels(world, albedo, &vec![sheen; albedo.len()], &vec![blends; albedo.len()]);
+    let count = albedo.len();
+    let (sheen, tilt) = (vec![DiffuseSheen::default(); count], vec![DiffuseTilt::default(); count]);
+    spawn_texels(world, albedo, &sheen, &tilt, &vec![SpecularBlend::default(); count]);
     spawn_materials(world, materials);
     world.spawn_batch(light.to_vec());
 }
 
 /// What a fit of this scene may move.
 pub fn unknowns(scene: &Scene) -> Unknowns {
-    let Material { albedo, sheen, specular, gloss } = &scene.material;
+    let Material { albedo, sheen, specular, gloss, .. } = &scene.material;
     let open = scene.own_material().is_none();
     let open_gloss = open && !matches!(gloss, Gloss::Fixed { .. });
     Unknowns {

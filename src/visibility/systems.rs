@@ -106,7 +106,7 @@ pub fn refresh_visibility<M: MaterialSource>(
     turns: LightTurns,
     mut object: ResMut<ObjectVisibility>,
 ) -> SystemResult {
-    let (albedo, sheen, blends) = texels.columns()?;
+    let (albedo, sheen, _, blends) = texels.columns()?;
     // Interreflected specular light is treated as diffuse: its energy is right, its direction is not.
     let reflectance = |texel: u32| {
         let blend = blends[texel as usize].blend().0;

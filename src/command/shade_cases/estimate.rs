@@ -88,6 +88,7 @@ fn traced_in_f32(case: &Case<f32>, stream: u64, samples: u32) -> [[f64; 3]; 2] {
         light: &light,
         albedo: &[],
         sheen: &[],
+        tilt: &[],
         blends: &[],
         specular: &specular,
     };

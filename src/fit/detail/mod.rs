@@ -1,8 +1,8 @@
-//! The detail of a texture: each texel's albedo and sheen, from every pixel that shows it.
+//! The detail of a texture: each texel's albedo, sheen and tilt, from every pixel that shows it.
 //!
 //! A fit by small random steps finds light, shape and specular lobes from a part of the pixels; more pixels and finer texels
 //! would only make it slower. The detail of the albedo needs all of them. With everything else held, the radiance is linear in albedo and
-//! sheen, so that least squares over all training photographs gives both at once ([`equations`]): a step of variable projection (Golub
+//! sheen, and nearly so in the tilt, so that least squares over all training photographs gives them at once ([`equations`]): a step of variable projection (Golub
 //! and Pereyra 2003). A pixel sees a bilinear mixture of four texels; its residual counts for each by its weight, and some sweeps
 //! over all pixels take back what this blurs (as SIRT does, Gilbert 1972). Pixels that disagree with the others of a texel, by highlights
 //! and shadows that the model does not have, count less.
@@ -24,9 +24,10 @@ use crate::fit::components::TexelSeen;
 use crate::fit::exposure::Exposures;
 use crate::fit::observe::{Candidate, spawn_samples, usable_by_view, usable_pixels};
 use crate::light::lights::{LightChoice, provide_light};
-use crate::material::sheen::{KnownAlong, albedo_toward, grazing, has_sheen, write_albedo};
+use crate::material::sheen::{KnownAlong, grazing, has_sheen, mean_albedo, write_albedo};
 use crate::material::source::Recovered;
-use crate::material::{DiffuseAlbedo, DiffuseSheen, TexelIndex, Texels};
+use crate::material::tilt::{DirectionalAlbedo, MOST_TILT, along_surface};
+use crate::material::{DiffuseAlbedo, DiffuseSheen, DiffuseTilt, TexelIndex, Texels};
 use crate::math::shading::{ClosedForm, Layers, ShadePoint};
 use crate::pipeline::pool::{read_column, write_column};
 use crate::pipeline::{GatherPoints, Phase, Pipeline, Plugin, Slot, Stage, SystemResult};
@@ -40,7 +41,7 @@ use crate::view::{ByView, Camera, Photograph, ViewIndex};
 use crate::visibility::WindowVisibility;
 use crate::visibility::systems::{gather_visibility, light_or_material_changed, refresh_visibility};
 use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut, Resource, With, World};
-use equations::TexelEquations;
+use equations::{LEAST_COLOR, TexelEquations};
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -64,6 +65,8 @@ pub struct DetailOptions {
     pub form: ClosedForm,
     /// Whether shading includes shadows and reflections; the world then needs an [`ObjectVisibility`](crate::visibility::ObjectVisibility).
     pub visibility: bool,
+    /// Whether the tilt is unknown as well.
+    pub tilt: bool,
 }
 
 /// The systems of [`Phase::Detail`].
@@ -105,7 +108,7 @@ pub struct PresentPixels(Vec<Candidate>);
 #[derive(Resource, Default)]
 pub struct DetailEquations(Vec<TexelEquations>);
 
-/// Solves for albedo and sheen of all texels, in [`SWEEPS`] sweeps over the pixels of the training photographs. `watch` is called with
+/// Solves for albedo, sheen and tilt of all texels, in [`SWEEPS`] sweeps over the pixels of the training photographs. `watch` is called with
 /// the part of the work that is done. Raises [`TexelSeen`] where the sweeps see more than the fit did. A run that is stopped keeps the sweeps before.
 ///
 /// # Errors
@@ -121,7 +124,7 @@ pub fn solve_detail(
         if is_stopping() {
             return Ok(());
         }
-        sweep(pipeline, &mut |part| watch((number as f32 + part) / SWEEPS as f32))
+        sweep(pipeline, options.tilt, &mut |part| watch((number as f32 + part) / SWEEPS as f32))
     });
     despawn_pool(&mut pipeline.world);
     pipeline.remove_plugin::<DetailPlugin>();
@@ -129,7 +132,7 @@ pub fn solve_detail(
 }
 
 /// Visits all pixels, then moves the texels.
-fn sweep(pipeline: &mut Pipeline, watch: &mut dyn FnMut(f32)) -> Result<()> {
+fn sweep(pipeline: &mut Pipeline, tilt: bool, watch: &mut dyn FnMut(f32)) -> Result<()> {
     let world = &mut pipeline.world;
     let texels = read_column::<TexelIndex, DiffuseAlbedo>(world)?.len();
     world.insert_resource(DetailEquations(vec![TexelEquations::default(); texels]));
@@ -148,7 +151,7 @@ fn sweep(pipeline: &mut Pipeline, watch: &mut dyn FnMut(f32)) -> Result<()> {
         }
         watch((done + 1) as f32 / views.len() as f32);
     }
-    move_by_equations(&mut pipeline.world)
+    move_by_equations(&mut pipeline.world, tilt)
 }
 
 /// The columns of a sample that say what it is a sample of.
@@ -178,32 +181,35 @@ pub fn whiten_points(samples: Samples<&mut ShadePoint>) -> SystemResult {
 
 /// The columns that the equations are made of.
 type ShadedColumns =
-    (&'static SurfacePoint, &'static ShadePoint, &'static Layers, (&'static Observed, &'static PixelOf));
+    ((&'static SurfacePoint, &'static ViewRay), &'static Layers, (&'static Observed, &'static PixelOf));
 
 /// Gradient: adds what the pixels say to the equations of their texels.
 pub fn collect_equations(
     exposures: Res<Exposures>,
     known: Option<Res<KnownAlong>>,
-    texels: Texels<(&DiffuseAlbedo, &DiffuseSheen)>,
+    texels: Texels<(&DiffuseAlbedo, &DiffuseSheen, &DiffuseTilt)>,
     samples: Samples<ShadedColumns>,
     mut equations: ResMut<DetailEquations>,
 ) -> SystemResult {
-    let (albedo, sheen) = texels.columns()?;
-    let (points, gathered, shaded, (observed, pixels)) = samples.columns()?;
+    let (albedo, sheen, tilt) = texels.columns()?;
+    let ((points, rays), shaded, (observed, pixels)) = samples.columns()?;
     let sums = &mut equations.0;
     for (i, point) in points.iter().enumerate().filter(|(_, point)| point.is_hit()) {
-        let facing = Vec3::from(gathered[i].normal).dot(Vec3::from(gathered[i].to_viewer));
+        let to_viewer = -rays[i].0.direction;
+        let facing = point.normal.dot(to_viewer);
         if facing <= 0.0 {
             continue;
         }
         let address = &point.texels;
-        let mixed = |of: &dyn Fn(usize) -> Vec3| -> Vec3 {
-            (0..4).map(|k| of(address.indices[k] as usize) * address.weights[k]).sum()
-        };
-        let toward = albedo_toward(mixed(&|t| albedo[t].0), mixed(&|t| sheen[t].0), facing);
+        let mixed = DirectionalAlbedo::mixed(address, |texel| DirectionalAlbedo {
+            albedo: albedo[texel].0,
+            sheen: sheen[texel].0,
+            tilt: tilt[texel].0,
+        });
         let exposure = exposures.factor(pixels[i].view);
         let unit = Vec3::from(shaded[i].diffuse) * exposure;
-        let predicted = toward * unit + Vec3::from(shaded[i].specular) * exposure;
+        let predicted =
+            mixed.toward(point.normal, to_viewer) * unit + Vec3::from(shaded[i].specular) * exposure;
         let residual = Vec3::from_array(std::array::from_fn(|c| -observed[i].difference(c, predicted[c])));
         if !(unit.is_finite() && residual.is_finite()) {
             continue;
@@ -213,8 +219,9 @@ pub fn collect_equations(
         // Beside a known albedo along the surface the unknown one has only its part.
         let along = grazing(facing);
         let (unit, along) = if known.is_some() { (unit * (1.0 - along), 0.0) } else { (unit, along) };
+        let side = along_surface(point.normal, to_viewer);
         for (texel, share) in address.indices.into_iter().zip(address.weights) {
-            sums[texel as usize].add(unit, along, residual, share * weight);
+            sums[texel as usize].add(unit, along, side, residual, share * weight);
         }
     }
     Ok(())
@@ -226,25 +233,34 @@ fn agreement(residual: Vec3, predicted: Vec3) -> f32 {
     (1.0 + (relative / TOLERATED).powi(2)).recip()
 }
 
-/// Moves albedo and sheen of all texels to the solution, within their bounds. Without any sheen so far there will be none.
-fn move_by_equations(world: &mut World) -> Result<()> {
+/// Moves albedo, sheen and `tilt` of all texels to the solution, within their bounds. Without any sheen so far there will be none.
+fn move_by_equations(world: &mut World, tilt: bool) -> Result<()> {
     let mut albedo = read_column::<TexelIndex, DiffuseAlbedo>(world)?;
     let mut sheen = read_column::<TexelIndex, DiffuseSheen>(world)?;
-    let with_sheen = has_sheen(&sheen) && !world.contains_resource::<KnownAlong>();
+    let is_known = world.contains_resource::<KnownAlong>();
+    let (with_sheen, with_tilt) = (has_sheen(&sheen) && !is_known, tilt && !is_known);
+    let mut tilt = read_column::<TexelIndex, DiffuseTilt>(world)?;
     let equations = std::mem::take(&mut world.resource_mut::<DetailEquations>().0);
-    let columns = albedo.par_iter_mut().zip(&mut sheen).zip(&equations).with_min_len(4096);
-    columns.for_each(|((albedo, sheen), equations)| {
-        let [change, along] = equations.solve(with_sheen);
-        let along = (albedo.0 + sheen.0 + change + along).clamp(Vec3::ZERO, Vec3::ONE);
-        albedo.0 = (albedo.0 + change).clamp(Vec3::ZERO, Vec3::ONE);
+    let columns = albedo.par_iter_mut().zip(&mut sheen).zip(&mut tilt).zip(&equations).with_min_len(4096);
+    columns.for_each(|(((albedo, sheen), tilt), equations)| {
+        let mean = mean_albedo(albedo.0, sheen.0);
+        let before = with_tilt.then_some((mean, tilt.0));
+        let change = equations.solve(with_sheen, before);
+        let along = (albedo.0 + sheen.0 + change.albedo + change.sheen).clamp(Vec3::ZERO, Vec3::ONE);
+        albedo.0 = (albedo.0 + change.albedo).clamp(Vec3::ZERO, Vec3::ONE);
         if with_sheen {
             sheen.0 = along - albedo.0;
         }
+        // The difference between sides is what was solved for, not its part of the albedo, which changes as well.
+        let now = mean_albedo(albedo.0, sheen.0);
+        let part = mean.dot(now) / now.length_squared().max(LEAST_COLOR);
+        tilt.0 = ((tilt.0 + change.tilt) * part).clamp_length_max(MOST_TILT);
     });
     // A texel that no pixel meets between texels that the fit has seen keeps what the fit has found there.
     let mut seen = read_column::<TexelIndex, TexelSeen>(world)?;
     seen.iter_mut().zip(&equations).for_each(|(seen, equations)| seen.0 = seen.0.max(equations.seen()));
     write_column::<TexelIndex, DiffuseSheen>(world, &sheen)?;
+    write_column::<TexelIndex, DiffuseTilt>(world, &tilt)?;
     write_albedo(world, albedo.into_iter().map(|albedo| albedo.0).collect())?;
     write_column::<TexelIndex, TexelSeen>(world, &seen)
 }

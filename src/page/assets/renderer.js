@@ -45,12 +45,20 @@ export class Renderer {
         // What is seen along the surface; the same without a sheen.
         const { along } = scene.data;
         this.along = along ? new Texture(gl, "srgb8", { width, height, filter: true, data: along }) : this.albedo;
+        this.tilt = this.tiltTexture(width, height);
         this.blend = this.blendTexture(width, height);
         this.surface = new Program(gl, shaders["surface.vert"], shaders.diffuse + shaders.specular + shaders["surface.frag"]);
         this.depth = new Program(gl, shaders["surface.vert"], "void main() {}\n");
         this.develop = new Program(gl, shaders["texels.vert"], shaders["develop.frag"]);
         this.shadows = scene.visibility ? new Shadows(gl, scene, shaders) : openSky(gl);
         this.loadMesh();
+    }
+
+    /** How the albedo depends on the side of view: bytes around 128; one texel of 128 without. */
+    tiltTexture(width, height) {
+        const { tilt } = this.scene.data;
+        if (tilt) return new Texture(this.gl, "rgba8", { width, height, filter: true, data: tilt });
+        return new Texture(this.gl, "rgba8", { width: 1, height: 1, data: new Uint8Array([128, 128, 128, 255]) });
     }
 
     /** Blend weights of eight base materials a texel, four a layer. */
@@ -149,7 +157,8 @@ export class Renderer {
         gl.enable(gl.BLEND);
         gl.blendFunc(gl.ONE, gl.ONE);
         const show = SHOWS.findIndex(({ name }) => name === state.show);
-        const shared = { eye: camera.eye, show, albedoMap: this.albedo, alongMap: this.along };
+        const maps = { albedoMap: this.albedo, alongMap: this.along, tiltMap: this.tilt };
+        const shared = { eye: camera.eye, show, ...maps };
         this.surface.use({ ...place, ...shared, ...this.light, ...this.gloss, ...this.shadows.uniforms });
         gl.drawElements(gl.TRIANGLES, this.count, gl.UNSIGNED_INT, 0);
         gl.depthMask(true);

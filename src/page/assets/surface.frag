@@ -10,6 +10,7 @@ uniform int show;
 uniform vec3 tint;
 uniform sampler2D albedoMap;
 uniform sampler2D alongMap;
+uniform sampler2D tiltMap;
 uniform mediump sampler2DArray blendMap;
 uniform sampler2D lobes;
 uniform int lobeCount;
@@ -181,6 +182,9 @@ void main() {
     vec4 base = texture(albedoMap, uv);
     vec3 along = clamp(texture(alongMap, uv).rgb * tint, 0.0, 1.0);
     vec3 albedo = mix(along, clamp(base.rgb * tint, 0.0, 1.0), clamp(dot(n, toViewer), 0.0, 1.0));
+    vec3 tilt = (255.0 * texture(tiltMap, uv).rgb - 128.0) / 124.0;
+    vec3 mean = (2.0 * clamp(base.rgb * tint, 0.0, 1.0) + along) / 3.0;
+    albedo = clamp(albedo + mean * dot(tilt, toViewer - n * dot(n, toViewer)), 0.0, 1.0);
     float coverage = max(base.a, 1e-3);
     vec4 blendLow = blended ? texture(blendMap, vec3(uv, 0.0)) : vec4(1.0, 0.0, 0.0, 0.0);
     vec4 blendHigh = blended ? texture(blendMap, vec3(uv, 1.0)) : vec4(0.0);

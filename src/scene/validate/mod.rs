@@ -16,7 +16,7 @@ use crate::mesh::MAX_COORDINATE;
 use crate::scene::description::{Scene, VERSION};
 use crate::scene::diagnostic::Problem;
 use crate::scene::material::{
-    Albedo, AlbedoSource, Gloss, Material, Roughness, Sheen, Specular, SpecularAlbedo,
+    Albedo, AlbedoSource, Gloss, Material, Roughness, Sheen, Specular, SpecularAlbedo, Tilt,
 };
 use crate::scene::photographed::{Pattern, Photographed};
 use crate::scene::surface::Surface;
@@ -226,6 +226,17 @@ fn sheen(checks: &mut Checks, material: &Material) {
     }
 }
 
+fn tilt(checks: &mut Checks, material: &Material) {
+    if matches!(material.tilt, Tilt::Fixed(_)) && !matches!(material.albedo, Albedo::Fixed(_)) {
+        checks.fail(
+            "material.tilt",
+            "the tilt is said to be known, but the albedo is not",
+            "expected `Unknown` or `None`, because a fit finds both together",
+            "Leave `tilt` out, or say that the albedo is known: `albedo: Fixed(…)`.",
+        );
+    }
+}
+
 fn material(checks: &mut Checks, material: &Material) {
     match &material.gloss {
         Gloss::One => {}
@@ -262,6 +273,7 @@ fn material(checks: &mut Checks, material: &Material) {
         checks.color("material.albedo", color);
     }
     sheen(checks, material);
+    tilt(checks, material);
     match material.specular.albedo {
         SpecularAlbedo::Unknown { initial, .. } => checks.color("material.specular.albedo.initial", initial),
         SpecularAlbedo::Fixed(color) => checks.color("material.specular.albedo", color),

@@ -15,8 +15,8 @@
 //! | `strategy` | [`Strategy`] | – | `Combined` | sampling strategy; the others are for tests |
 
 use crate::error::stop::is_stopping;
-use crate::material::sheen::albedo_toward;
-use crate::material::shown::{ShownAlbedo, ShownBlend, ShownSheen};
+use crate::material::shown::{ShownAlbedo, ShownBlend, ShownSheen, ShownTilt};
+use crate::material::tilt::DirectionalAlbedo;
 use crate::material::{MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
 use crate::math::ray::{Hit, Illuminate, Intersect, Ray, TexelAddress};
 use crate::shade::sampling::sequence::Sequence;
@@ -35,6 +35,8 @@ pub struct PathScene<'a> {
     pub albedo: &'a [ShownAlbedo],
     /// Sheen of every texel; empty if there is none.
     pub sheen: &'a [ShownSheen],
+    /// Tilt of every texel; empty if there is none.
+    pub tilt: &'a [ShownTilt],
     /// Blend weights of the base materials at every texel; empty if all of the surface is material 0.
     pub blends: &'a [ShownBlend],
     /// Base materials by number; `None` has no specular light.
@@ -87,14 +89,16 @@ impl PathPoint {
                 std::array::from_fn(|k| (0..4).map(|i| blends[indices[i] as usize].0.0[k] * weights[i]).sum())
             }
         };
-        let facing = hit.normal.dot(to_viewer);
-        let sheen = |texel: usize| scene.sheen.get(texel).map_or(Vec3::ZERO, |sheen| sheen.0);
-        let toward = |texel: usize| albedo_toward(scene.albedo[texel].0, sheen(texel), facing);
+        let mixed = DirectionalAlbedo::mixed(&hit.texels, |texel| DirectionalAlbedo {
+            albedo: scene.albedo[texel].0,
+            sheen: scene.sheen.get(texel).map_or(Vec3::ZERO, |sheen| sheen.0),
+            tilt: scene.tilt.get(texel).map_or(Vec3::ZERO, |tilt| tilt.0),
+        });
         Self {
             position: hit.position,
             normal: hit.normal,
             geometric_normal: hit.geometric_normal,
-            albedo: (0..4).map(|i| toward(indices[i] as usize) * weights[i]).sum(),
+            albedo: mixed.toward(hit.normal, to_viewer),
             blend,
         }
     }

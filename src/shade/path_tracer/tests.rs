@@ -137,6 +137,7 @@ fn open_sky_matches_numerical_integration() {
                 light: &light,
                 albedo: &[],
                 sheen: &[],
+                tilt: &[],
                 blends: &[],
                 specular: &specular.map(Some),
             };
@@ -165,6 +166,7 @@ fn a_ball_overhead_casts_its_shadow() {
         light: &light,
         albedo: &[ShownAlbedo(Vec3::ZERO)],
         sheen: &[],
+        tilt: &[],
         blends: &[],
         specular: &[],
     };
@@ -184,6 +186,7 @@ fn the_inside_of_a_closed_shell_is_black() {
         light: &light,
         albedo: &[ShownAlbedo(Vec3::splat(0.5))],
         sheen: &[],
+        tilt: &[],
         blends: &[],
         specular: &GRAY_SPECULAR.map(Some),
     };
@@ -203,6 +206,7 @@ fn a_convex_surface_does_not_shadow_itself() {
             light: &light,
             albedo: &[ShownAlbedo(Vec3::ONE)],
             sheen: &[],
+            tilt: &[],
             blends: &[],
             specular: &[],
         };
@@ -221,8 +225,15 @@ fn a_bowl_gathers_its_geometric_series() {
     let (albedo, open) = (0.8f64, 0.3);
     let light = Constant(Vec3::new(1.0, 0.5, 2.0));
     let texels = [ShownAlbedo(Vec3::splat(albedo as f32))];
-    let scene =
-        PathScene { surface: &bowl, light: &light, albedo: &texels, sheen: &[], blends: &[], specular: &[] };
+    let scene = PathScene {
+        surface: &bowl,
+        light: &light,
+        albedo: &texels,
+        sheen: &[],
+        tilt: &[],
+        blends: &[],
+        specular: &[],
+    };
     for max_bounces in [1, 2, 3, 6, 60] {
         let expected: f64 = (0..max_bounces).map(|i| albedo * open * (albedo * (1.0 - open)).powi(i)).sum();
         let settings = PathSettings { max_bounces: max_bounces as u32, ..Default::default() };
@@ -247,6 +258,7 @@ fn every_strategy_has_the_same_mean() {
         light: &light,
         albedo: &texels,
         sheen: &[],
+        tilt: &[],
         blends: &[],
         specular: &GRAY_SPECULAR.map(Some),
     };
@@ -276,6 +288,7 @@ fn reported_variance_is_conservative() {
         light: &light,
         albedo: &[],
         sheen: &[],
+        tilt: &[],
         blends: &[],
         specular: &GRAY_SPECULAR.map(Some),
     };
@@ -298,6 +311,7 @@ fn results_depend_on_the_query_alone() {
         light: &light,
         albedo: &texels,
         sheen: &[],
+        tilt: &[],
         blends: &[],
         specular: &GRAY_SPECULAR.map(Some),
     };
@@ -326,6 +340,7 @@ fn what_cannot_be_shaded_is_black_and_counted() {
         light: &light,
         albedo: &[],
         sheen: &[],
+        tilt: &[],
         blends: &[],
         specular: &GRAY_SPECULAR.map(Some),
     };

@@ -5,8 +5,8 @@ use crate::error::stop::{check_interrupted, is_stopping};
 use crate::error::{Error, Result};
 use crate::fit::cameras::{CameraFit, CameraPlugin, CameraUnknowns, align_photographs, attach_poses};
 use crate::fit::run::{FirstGuess, FitOptions, FitProgress, run_fit};
-use crate::material::DiffuseSheen;
 use crate::material::sheen::KnownAlong;
+use crate::material::{DiffuseSheen, DiffuseTilt};
 use crate::material::{
     MAX_SPECULAR_LOBES, SpecularBlend, TexelIndex, recovered_albedo, recovered_materials, spawn_texels,
 };
@@ -365,7 +365,8 @@ pub fn replace_texels(world: &mut World, albedo: &[Vec3]) {
     }
     let known = world.get_resource::<KnownAlong>().and_then(|known| known.sheen(albedo));
     let sheen = known.unwrap_or_else(|| vec![DiffuseSheen::default(); albedo.len()]);
-    spawn_texels(world, albedo, &sheen, &vec![blend; albedo.len()]);
+    let (tilt, blends) = (vec![DiffuseTilt::default(); albedo.len()], vec![blend; albedo.len()]);
+    spawn_texels(world, albedo, &sheen, &tilt, &blends);
 }
 
 /// Inserts a field and its bricks into the world.
