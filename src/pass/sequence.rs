@@ -10,6 +10,7 @@ use crate::pass::fit;
 use crate::pass::progress::Told;
 use crate::pass::record::{RunRecord, RunState};
 use crate::pass::render;
+use crate::pass::renew;
 use crate::pass::resume::keep;
 use crate::pass::save;
 use crate::pass::session::Session;
@@ -78,6 +79,10 @@ pub(super) fn run(
         }
         if unfinished.failed.is_empty() {
             keep(session, index + 1)?;
+            let is_last = index + 1 == scene.passes.len();
+            if stopped_by().is_none() && !is_last && renew::is_due(scene, pass) {
+                renew::renew(session)?;
+            }
         } else {
             // A run that goes on repeats all from the first failure.
             session.pipeline.world.remove_resource::<Checkpoints>();
