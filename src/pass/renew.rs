@@ -8,12 +8,14 @@ use crate::checkpoint::{carry, put_down};
 use crate::error::Result;
 use crate::fit::ObjectTurned;
 use crate::fit::run::FitPlugin;
+use crate::material::TexelIndex;
 use crate::pass::session::Session;
 use crate::pipeline::Pipeline;
 use crate::profile::stage;
 use crate::sample::point::Scenery;
-use crate::scene::{Albedo, AlbedoSource, Gloss, Pass, Scene, Sheen, Surface};
+use crate::scene::{Albedo, AlbedoSource, Gloss, Scene, Sheen, Surface};
 use crate::shade::frame::FramePlugin;
+use crate::shape::field::ModelError;
 use crate::shape::run::replace_texels;
 use crate::spawn::{insert_known_along, spawn};
 use crate::view::{Camera, Photograph, Split, ViewIndex, ViewMask, ViewName, ViewRecord};
@@ -21,8 +23,8 @@ use crate::visibility::ObjectVisibility;
 use bevy_ecs::prelude::{Entity, World};
 use glam::Vec3;
 
-/// Whether the world is worth leaving after a pass, and can be made again without a file that may be gone by now.
-pub(super) fn is_due(scene: &Scene, after: &Pass) -> bool {
+/// Whether the world can be made again without a file that may be gone by now.
+fn reads_nothing(scene: &Scene) -> bool {
     let read = |source: &AlbedoSource| matches!(source, AlbedoSource::Texture(_));
     let material = &scene.material;
     let reads = match &material.albedo {
@@ -32,20 +34,24 @@ pub(super) fn is_due(scene: &Scene, after: &Pass) -> bool {
     let reads = reads
         || matches!(&material.sheen, Sheen::Fixed(source) if read(source))
         || matches!(material.gloss, Gloss::Fixed { .. });
-    let has_pools = matches!(after, Pass::Shape(_) | Pass::Fit(_));
-    has_pools && !reads && matches!(scene.surface, Surface::Unknown { .. })
+    !reads && matches!(scene.surface, Surface::Unknown { .. })
 }
 
-/// Puts what later passes need into a new world, in place of the session's.
+/// Puts what the rest of a run needs into a new world, in place of the session's. Nothing changes where the scene has files to read again.
 ///
 /// # Errors
 /// Those of state that cannot be put back; no state is such.
 pub(super) fn renew(session: &mut Session) -> Result<()> {
+    if !reads_nothing(session.scene) {
+        return Ok(());
+    }
     let _renewing = stage("world renewed");
     let carried = carry(&mut session.pipeline.world)?;
     let views = take_views(&mut session.pipeline.world);
     let turned = session.pipeline.world.remove_resource::<ObjectTurned>();
     let traced = session.pipeline.world.remove_resource::<ObjectVisibility>();
+    let error = session.pipeline.world.remove_resource::<ModelError>();
+    let texels = session.pipeline.world.query::<&TexelIndex>().iter(&session.pipeline.world).len();
     // The old world goes before the new one is filled.
     session.pipeline = Pipeline::new();
     session.pipeline.add_plugin(&FramePlugin).add_plugin(&FitPlugin);
@@ -54,8 +60,10 @@ pub(super) fn renew(session: &mut Session) -> Result<()> {
     if session.surface_found {
         world.insert_resource(Scenery(session.surface.clone()));
         insert_known_along(world, &session.scene.material.sheen, &session.surface)?;
-        replace_texels(world, &vec![Vec3::ZERO; session.surface.atlas().position.len()]);
     }
+    // Amid a `Shape` these are not the texels of an atlas.
+    replace_texels(world, &vec![Vec3::ZERO; texels]);
+    error.into_iter().for_each(|error| world.insert_resource(error));
     turned.into_iter().for_each(|turned| world.insert_resource(turned));
     traced.into_iter().for_each(|traced| world.insert_resource(traced.unlit()));
     put_down(world, carried)

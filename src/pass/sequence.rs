@@ -80,7 +80,7 @@ pub(super) fn run(
         if unfinished.failed.is_empty() {
             keep(session, index + 1)?;
             let is_last = index + 1 == scene.passes.len();
-            if stopped_by().is_none() && !is_last && renew::is_due(scene, pass) {
+            if !is_last && matches!(pass, Pass::Shape(_) | Pass::Fit(_)) && stopped_by().is_none() {
                 renew::renew(session)?;
             }
         } else {
