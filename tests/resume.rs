@@ -173,6 +173,32 @@ fn a_shape_goes_on_from_any_level_and_step() {
     survives(&data, &text, &[("shape", 53), ("shape", 63), ("fit", 7)]);
 }
 
+/// Runs leave the world of a `Shape` and of a `Fit`, but not where the scene would have to read a texture again: the bits are the same.
+#[test]
+fn a_new_world_between_passes_changes_no_bit() {
+    let data = photographs();
+    image::RgbImage::from_pixel(4, 4, image::Rgb([255; 3])).save(data.path("white.png")).unwrap();
+    let passes = r#"Shape(name: "shape", levels: [
+            (cells: 16, texel_cells: 12, steps: 54, hold: 5), (cells: 20, texel_cells: 16, steps: 12),
+        ], batch: 64, silhouette_batch: 32, cameras: PosesAndFocal, exposure: true),
+        Fit(name: "fit", steps: 10, batch: 64, vertices: true, detail: true), Render(name: "novel"), Save(), Export(), View(),"#;
+    let with = |albedo: &str, out: &str| {
+        let material = format!("material: (albedo: Initial({albedo})),");
+        let text = scene("Unknown(cells: 16, texture_size: 128)", &material, passes);
+        run(&data, &text, out, false, None).unwrap().unwrap();
+        // The scene is what differs, and the page of its report.
+        let mut results = results(&data.path(out));
+        results.retain(|file, _| file != "run.json");
+        results
+    };
+    let (renewed, kept) =
+        (with("Constant(1.0, 1.0, 1.0)", "renewed/run"), with("Texture(\"$DATA/white.png\")", "kept/run"));
+    assert_eq!(renewed.keys().collect::<Vec<_>>(), kept.keys().collect::<Vec<_>>());
+    for (file, bits) in &renewed {
+        assert!(*bits == kept[file], "{file} differs:\n{bits}\n{}", kept[file]);
+    }
+}
+
 /// A fit that takes some seconds.
 fn long_fit() -> String {
     let passes = r#"Fit(name: "fit", steps: 600, batch: 64), Save(),"#;

@@ -223,5 +223,31 @@ fn resume<T: DeserializeOwned>(
     Ok(Some((place, own)))
 }
 
+/// What of a world lasts from one pass to the next, on its way to another world.
+pub struct Carried {
+    parts: Vec<(String, Vec<u8>)>,
+    checkpoints: Option<Checkpoints>,
+}
+
+/// Takes up what lasts from one pass to the next, and the run's checkpoints.
+///
+/// # Errors
+/// If state has no serialized form; no state is such.
+pub fn carry(world: &mut World) -> Result<Carried> {
+    let parts = state::save(world, Span::Run)?;
+    Ok(Carried { parts, checkpoints: world.remove_resource::<Checkpoints>() })
+}
+
+/// Puts it into another world, which has the same entities.
+///
+/// # Errors
+/// If it has others.
+pub fn put_down(world: &mut World, carried: Carried) -> Result<()> {
+    if let Some(checkpoints) = carried.checkpoints {
+        world.insert_resource(checkpoints);
+    }
+    state::load(world, &carried.parts)
+}
+
 #[cfg(test)]
 mod tests;

@@ -3,6 +3,7 @@
 use crate::error::{Error, Result};
 use serde::Serialize;
 use serde::de::DeserializeOwned;
+use std::io::{self, Write};
 
 /// A value as bytes, in postcard's format.
 ///
@@ -10,6 +11,41 @@ use serde::de::DeserializeOwned;
 /// [`Error::Run`] for a value that has no length or no serialized form; no state is one.
 pub fn to_bytes<T: Serialize + ?Sized>(value: &T) -> Result<Vec<u8>> {
     postcard::to_allocvec(value).map_err(|error| Error::run("writing a checkpoint", error.to_string()))
+}
+
+/// Writes the bytes of a value, without ever having all of them.
+///
+/// # Errors
+/// Those of the writer.
+pub fn write_to<T: Serialize + ?Sized>(value: &T, to: impl Write) -> io::Result<()> {
+    let mut to = Remembering { to, failed: None };
+    let written = postcard::to_io(value, &mut to).map(drop);
+    match to.failed {
+        Some(error) => Err(error),
+        None => written.map_err(io::Error::other),
+    }
+}
+
+/// A writer with its first error, which postcard forgets.
+struct Remembering<W> {
+    to: W,
+    failed: Option<io::Error>,
+}
+
+impl<W: Write> Write for Remembering<W> {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.to.write(bytes).map_err(|error| {
+            let kind = error.kind();
+            if kind != io::ErrorKind::Interrupted {
+                self.failed.get_or_insert(error);
+            }
+            kind.into()
+        })
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        self.to.flush()
+    }
 }
 
 /// The value that these are the bytes of.

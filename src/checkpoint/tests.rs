@@ -101,6 +101,41 @@ fn a_run_goes_on_from_what_was_kept() {
 }
 
 #[test]
+fn what_lasts_is_carried_into_another_world_with_the_checkpoints() {
+    let (mut first, written) = world(4, Vec::new());
+    begin_pass(&mut first, 3);
+    work(&mut first);
+    let (mut second, _) = world(4, Vec::new());
+    second.remove_resource::<Checkpoints>();
+    let carried = carry(&mut first).unwrap();
+    put_down(&mut second, carried).unwrap();
+    let (rows, weights, _) = found(&mut first);
+    assert_eq!(found(&mut second), (rows, weights, vec![0.0; 5]), "sums are state within a pass only");
+    keep_step(&mut second, 9, &0u8).unwrap();
+    assert_eq!(written.lock().unwrap()[0].0, Place { pass: 3, level: 0, step: 9 });
+    let carried = carry(&mut second).unwrap();
+    assert!(put_down(&mut world(5, Vec::new()).0, carried).is_err());
+}
+
+#[test]
+fn bytes_are_written_as_they_would_be_kept_and_errors_stay_what_they_are() {
+    let value = (vec![1u32, 300, 70_000], "text".to_owned());
+    let mut written = Vec::new();
+    packed::write_to(&value, &mut written).unwrap();
+    assert_eq!(written, packed::to_bytes(&value).unwrap());
+    struct Full;
+    impl std::io::Write for Full {
+        fn write(&mut self, _: &[u8]) -> std::io::Result<usize> {
+            Err(std::io::ErrorKind::StorageFull.into())
+        }
+        fn flush(&mut self) -> std::io::Result<()> {
+            Ok(())
+        }
+    }
+    assert_eq!(packed::write_to(&value, Full).unwrap_err().kind(), std::io::ErrorKind::StorageFull);
+}
+
+#[test]
 fn what_does_not_fit_is_an_error() {
     let (mut first, written) = world(4, Vec::new());
     work(&mut first);

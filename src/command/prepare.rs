@@ -6,7 +6,8 @@ use super::terminal::{Terminal, print};
 use lobelia::Result;
 use lobelia::pass::progress::Progress;
 use lobelia::prepare::{
-    CameraSharing, FeatureArea, LensModel, MaskSource, Matching, PrepareOptions, Prepared, prepare,
+    CameraSharing, FeatureArea, FrameCount, LensModel, MaskSource, Matching, PrepareOptions, Prepared,
+    prepare,
 };
 
 /// Runs the command.
@@ -55,11 +56,19 @@ fn options(args: &PrepareArgs) -> PrepareOptions {
             LensArg::OpencvFisheye => LensModel::OpenCvFisheye,
         },
         keep_distortion: args.keep_distortion,
-        frames_per_second: args.fps,
+        frames: frames(args),
         gpu: args.gpu,
         colmap: args.colmap.clone(),
         ffmpeg: args.ffmpeg.clone(),
         ..PrepareOptions::new(&args.photos, &args.out)
+    }
+}
+
+fn frames(args: &PrepareArgs) -> FrameCount {
+    match (args.frames, args.fps) {
+        (Some(frames), _) => FrameCount::Count(frames),
+        (None, Some(rate)) => FrameCount::PerSecond(rate),
+        (None, None) => FrameCount::Auto,
     }
 }
 

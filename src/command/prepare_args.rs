@@ -18,8 +18,8 @@ Examples:
       Masks by a program of your own: it is run once per photograph.
   lobelia prepare ~/photos ~/data/vase --backdrop
       An object before plain paper, on a turntable or not.
-  lobelia prepare walk.mp4 ~/data/statue --fps 3 --masks ~/masks
-      A video: of each third of a second the sharpest frame.
+  lobelia prepare walk.mp4 ~/data/statue --frames 120
+      A video: the sharpest frame of each of 120 intervals. Needs ffmpeg.
   lobelia run ~/data/vase/scene.ron --out out/vase
       What to do then.";
 
@@ -54,9 +54,12 @@ pub struct PrepareArgs {
     /// Copy photographs as they are, for Lobelia to remove the distortion: keeps 16 bits
     #[arg(long)]
     pub keep_distortion: bool,
-    /// Frames of a video that are used, per second
-    #[arg(long, value_name = "N", default_value_t = 2.0)]
-    pub fps: f32,
+    /// Frames of a video that are used, evenly spaced, each the sharpest of its interval; else 150, or a quarter of fewer than 600
+    #[arg(long, value_name = "N", conflicts_with = "fps")]
+    pub frames: Option<u32>,
+    /// The same as frames per second
+    #[arg(long, value_name = "N")]
+    pub fps: Option<f32>,
     /// Let COLMAP use the graphics card (it must be built with CUDA)
     #[arg(long)]
     pub gpu: bool,

@@ -13,7 +13,7 @@ use crate::math::ray::TexelAddress;
 use crate::mesh::Surface;
 use crate::mesh::atlas::address;
 use crate::pass::session::Session;
-use crate::pipeline::pool::read_column;
+use crate::pipeline::pool::{despawn_rows, read_column};
 use crate::profile::stage;
 use crate::sample::point::Scenery;
 use crate::scene::{FitPass, Tilt};
@@ -102,9 +102,8 @@ fn divide_texels(world: &mut World, from: &[TexelAddress]) -> Result<()> {
     if let Some(known) = world.get_resource::<KnownAlong>().map(|known| known.divided(from)) {
         world.insert_resource(known);
     }
-    for texel in texels_in_order(world) {
-        world.despawn(texel);
-    }
+    let old = texels_in_order(world);
+    despawn_rows(world, &old);
     // With all their components at once: bevy would keep the room of a table that they leave.
     world.spawn_batch((0..).map(TexelIndex).zip(from).map(|(index, at)| {
         let (sheen, tilt) = (DiffuseSheen(at.blend(&sheen)), DiffuseTilt(at.blend(&tilt)));

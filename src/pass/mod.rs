@@ -11,7 +11,7 @@
 //! | `Export` | [`export`] | `mesh.glb`, `mesh.ply`, `mesh.obj`, `mesh.usda`, `mesh.usdz` with their textures; the light as `.hdr`; a page |
 //! | `View` | [`view`] | `view.html` |
 //!
-//! `resume` keeps checkpoints in `OUT/.checkpoint`, and takes a run up where it was.
+//! `resume` keeps checkpoints in `OUT/.checkpoint`, and takes a run up where it was. `renew` leaves the pools of a `Shape` or `Fit` behind.
 //!
 //! [`preflight`] checks the inputs of all passes before the first one runs; [`files`] knows all files that they may write, so that
 //! none of them is one that is read; [`record`] keeps `OUT/run.json`, which says what belongs together; [`summary`] makes `OUT/report.html`
@@ -36,6 +36,7 @@ pub mod preflight;
 pub mod progress;
 pub mod record;
 pub mod render;
+mod renew;
 mod resume;
 pub mod save;
 mod sequence;

@@ -10,6 +10,7 @@ use crate::pass::fit;
 use crate::pass::progress::Told;
 use crate::pass::record::{RunRecord, RunState};
 use crate::pass::render;
+use crate::pass::renew::renew;
 use crate::pass::resume::keep;
 use crate::pass::save;
 use crate::pass::session::Session;
@@ -77,7 +78,7 @@ pub(super) fn run(
             return unfinished.first.map_or(recorded, Err);
         }
         if unfinished.failed.is_empty() {
-            keep(session, index + 1)?;
+            go_on_after(session, index)?;
         } else {
             // A run that goes on repeats all from the first failure.
             session.pipeline.world.remove_resource::<Checkpoints>();
@@ -85,6 +86,15 @@ pub(super) fn run(
     }
     let stopped = if stopped_by().is_some() { Err(Error::Interrupted) } else { Ok(()) };
     unfinished.first.map_or(stopped, Err)
+}
+
+/// Keeps what later passes start from, and leaves what an earlier one needed.
+fn go_on_after(session: &mut Session, index: usize) -> Result<()> {
+    keep(session, index + 1)?;
+    let passes = &session.scene.passes;
+    let is_last = index + 1 == passes.len();
+    let had_pools = matches!(passes[index], Pass::Shape(_) | Pass::Fit(_));
+    if had_pools && !is_last && stopped_by().is_none() { renew(session) } else { Ok(()) }
 }
 
 impl<'a> Unfinished<'a> {

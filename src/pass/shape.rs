@@ -16,6 +16,7 @@ use crate::mesh::triangles::Mesh;
 use crate::pass::fit::closed_form;
 use crate::pass::found_views;
 use crate::pass::inspect::ShapeInspector;
+use crate::pass::renew::renew;
 use crate::pass::session::Session;
 use crate::profile::stage;
 use crate::sample::point::Scenery;
@@ -85,6 +86,10 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
         heed_stop();
     }
     session.report_light_frame(&pass.name);
+    if !stopped {
+        // The pools of the fit would be there beside the photographs as stereo compares them.
+        renew(session)?;
+    }
     stopped |= take_over(session, pass, surface, texture_size, stopped)?;
     let elapsed = start.elapsed().as_secs_f64();
     session.scores.fit_secs = Some(session.scores.fit_secs.unwrap_or(0.0) + elapsed);

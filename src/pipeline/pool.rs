@@ -9,7 +9,7 @@
 use crate::error::{Error, Result};
 use bevy_ecs::change_detection::ContiguousMut;
 use bevy_ecs::component::Mutable;
-use bevy_ecs::prelude::{Component, Query, World};
+use bevy_ecs::prelude::{Component, Entity, Query, World};
 use bevy_ecs::query::ContiguousQueryData;
 use bevy_ecs::system::{SystemParam, SystemState};
 use std::ops::{Deref, DerefMut, Range};
@@ -310,6 +310,20 @@ tuple_columns!(A a, B b, C c);
 tuple_columns!(A a, B b, C c, D d);
 tuple_columns!(A a, B b, C c, D d, E e);
 tuple_columns!(A a, B b, C c, D d, E e, F f);
+
+/// Rows that are despawned before the messages of their removal are dropped.
+const DESPAWNED_AT_ONCE: usize = 1 << 16;
+
+/// Removes rows of a pool. Of many rows `RemovedComponents` tells of the last alone: the world keeps the room of these messages, which
+/// for the pixels of a fit is as large as the pool.
+pub fn despawn_rows(world: &mut World, rows: &[Entity]) {
+    for (number, part) in rows.chunks(DESPAWNED_AT_ONCE).enumerate() {
+        if number > 0 {
+            world.clear_trackers();
+        }
+        part.iter().for_each(|row| _ = world.despawn(*row));
+    }
+}
 
 /// A copy of one column of a pool, all rows; empty if the pool is.
 ///

@@ -1,6 +1,6 @@
 use super::*;
 use bevy_ecs::error::ErrorContext;
-use bevy_ecs::prelude::{In, IntoSystem, ResMut, Resource};
+use bevy_ecs::prelude::{Component, Entity, In, IntoSystem, ResMut, Resource, World};
 use bevy_ecs::schedule::{FixedBitSet, MultiThreadedExecutor, SystemExecutor, SystemSchedule};
 
 #[derive(Resource, Default)]
@@ -245,4 +245,17 @@ fn systems_that_hand_a_value_on_can_be_piped() -> Result<()> {
     pipeline.run(Phase::Frame)?;
     assert_eq!(trail(&mut pipeline), "sample piped write");
     Ok(())
+}
+
+#[test]
+fn many_rows_are_removed_without_a_message_for_each() {
+    #[derive(Component)]
+    struct Row;
+    let mut world = World::new();
+    let count = 3 * (1 << 16) + 5;
+    let rows: Vec<Entity> = world.spawn_batch((0..count).map(|_| Row).collect::<Vec<_>>()).collect();
+    pool::despawn_rows(&mut world, &rows);
+    assert_eq!(world.query::<&Row>().iter(&world).count(), 0);
+    let told = world.removed::<Row>().count();
+    assert!(told <= 2 << 16, "{told}");
 }

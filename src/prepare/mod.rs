@@ -23,7 +23,7 @@
 //! | `cameras` | [`CameraSharing`] | | `Shared` | which photographs share focal length and distortion |
 //! | `lens` | [`LensModel`] | | `SimpleRadial` | the distortion that is estimated |
 //! | `keep_distortion` | `bool` | | `false` | photographs are copied as they are, with cameras that have distortion |
-//! | `frames_per_second` | `f32` | 1/s | 2 | frames of a video that are used |
+//! | `frames` | [`FrameCount`] | | `Auto` | how many frames of a video are used |
 //! | `gpu` | `bool` | | `false` | COLMAP uses the graphics card |
 //! | `colmap`, `ffmpeg` | `PathBuf` | | names on the PATH | the programs |
 
@@ -48,7 +48,7 @@ mod work;
 
 pub use colmap::{CameraSharing, LensModel};
 pub use masks::MaskSource;
-pub use options::{FeatureArea, Matching, PrepareOptions, Prepared};
+pub use options::{FeatureArea, FrameCount, Matching, PrepareOptions, Prepared};
 
 use crate::codec::file::{lies_in, write_bytes};
 use crate::error::{Error, Result};
@@ -57,6 +57,7 @@ use crate::prepare::colmap::Colmap;
 use crate::prepare::photographs::{Listing, Photograph};
 use crate::prepare::program::Program;
 use crate::prepare::reconstruct::Reconstruction;
+use crate::prepare::video::FramePlan;
 use crate::prepare::work::Work;
 use std::path::Path;
 
@@ -73,19 +74,16 @@ const FINISHED: [&str; 4] = ["images", "masks", "sparse", "scene.ron"];
 /// [`Error::Interrupted`] after Ctrl-C.
 pub fn prepare(options: &PrepareOptions, progress: &dyn Progress) -> Result<Prepared> {
     options.masks.check()?;
-    if !(options.frames_per_second > 0.0 && options.frames_per_second <= 60.0) {
-        let problem = format!("{} frames per second", options.frames_per_second);
-        return Err(Error::usage(problem, "Give a number above 0, at most 60."));
-    }
+    options.frames.check()?;
     check_apart(options)?;
     let colmap = Colmap::find(options.colmap.clone(), options.gpu)?;
-    let is_video = video::is_video(&options.photographs);
-    // A bad folder is refused before the output folder is made.
-    let given = if is_video { None } else { Some(photographs::list(&options.photographs)?) };
+    // A bad folder or video is refused before the output folder is made.
+    let source = Source::open(options)?;
     let mut work = Work::claim(&options.out, &FINISHED)?;
-    let Listing { photographs, notes } = match given {
-        Some(listing) => listing,
-        None => frames(options, &mut work, progress)?,
+    let video_frames = source.video_frames();
+    let Listing { photographs, notes } = match source {
+        Source::Photographs(listing) => listing,
+        Source::Video(ffmpeg, plan) => frames(options, &ffmpeg, plan, &mut work, progress)?,
     };
     notes.iter().for_each(|note| progress.note(note));
     work.step("photographs", &format!("{photographs:?}"), |work| {
@@ -93,9 +91,9 @@ pub fn prepare(options: &PrepareOptions, progress: &dyn Progress) -> Result<Prep
     })?;
     let has_masks = masks(options, &photographs, &mut work, progress)?;
     let on_object = has_masks && on_object(options.features, &photographs, &work, progress)?;
-    let photographs = photographs.as_slice();
+    let (photographs, is_video) = (photographs.as_slice(), video_frames.is_some());
     let steps = Reconstruction { options, colmap, photographs, is_video, has_masks, on_object, progress };
-    let prepared = steps.run(&mut work)?;
+    let prepared = Prepared { video_frames, ..steps.run(&mut work)? };
     publish(&options.out, work, prepared)
 }
 
@@ -116,27 +114,49 @@ fn check_apart(options: &PrepareOptions) -> Result<()> {
     Ok(())
 }
 
+/// What is prepared, before anything is written.
+enum Source {
+    Photographs(Listing),
+    /// The program that reads the video, and which of its frames are used.
+    Video(Program, FramePlan),
+}
+
+impl Source {
+    fn open(options: &PrepareOptions) -> Result<Self> {
+        let path = &options.photographs;
+        if !video::is_video(path) {
+            return photographs::list(path).map(Self::Photographs);
+        }
+        let ffmpeg = Program { path: options.ffmpeg.clone(), install: video::INSTALL };
+        let plan = video::plan(&ffmpeg, path, options.frames)?;
+        Ok(Self::Video(ffmpeg, plan))
+    }
+
+    /// How many frames the video has, if it is one.
+    fn video_frames(&self) -> Option<u64> {
+        match self {
+            Self::Photographs(_) => None,
+            Self::Video(_, plan) => Some(plan.total),
+        }
+    }
+}
+
 /// The frames of a video, as a folder of photographs.
-fn frames(options: &PrepareOptions, work: &mut Work, progress: &dyn Progress) -> Result<Listing> {
+fn frames(
+    options: &PrepareOptions,
+    ffmpeg: &Program,
+    plan: FramePlan,
+    work: &mut Work,
+    progress: &dyn Progress,
+) -> Result<Listing> {
     let video = &options.photographs;
     let metadata = video.metadata().map_err(Error::io("read", video))?;
-    let settings = format!("{video:?} {} bytes, {} per second", metadata.len(), options.frames_per_second);
+    let settings = format!("{video:?} {} bytes, {plan:?}", metadata.len());
     work.step("video", &settings, |work| {
-        let ffmpeg = Program { path: options.ffmpeg.clone(), install: video::INSTALL };
         let frames = work.emptied("frames")?;
-        video::extract(&ffmpeg, video, options.frames_per_second, &frames, &work.log("video"), progress)
+        video::extract(ffmpeg, video, plan, &frames, &work.log("video"), progress)
     })?;
-    let frames = work.path("frames");
-    let count = std::fs::read_dir(&frames).map_err(Error::io("read", &frames))?.count();
-    if count < photographs::FEWEST {
-        let problem = format!("the video gives {count} frames at {} per second", options.frames_per_second);
-        let help = format!(
-            "Cameras need at least {}: take more with --fps, or a longer video.",
-            photographs::FEWEST
-        );
-        return Err(Error::input(video, "", problem, help));
-    }
-    photographs::list(&frames)
+    photographs::list(&work.path("frames"))
 }
 
 /// Makes the masks, if there are to be any.

@@ -1,7 +1,9 @@
 //! What is prepared and how, and what came of it.
 
+use crate::error::{Error, Result};
 use crate::prepare::colmap::{CameraSharing, LensModel};
 use crate::prepare::masks::MaskSource;
+use crate::prepare::photographs::FEWEST;
 use std::fmt;
 use std::path::PathBuf;
 
@@ -32,6 +34,36 @@ pub enum FeatureArea {
     All,
 }
 
+/// How many frames of a video are used, evenly spaced.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum FrameCount {
+    /// 150, or of a short video a quarter of its frames.
+    #[default]
+    Auto,
+    /// This many, 3 or more.
+    Count(u32),
+    /// This many per second, above 0 and at most 60.
+    PerSecond(f32),
+}
+
+impl FrameCount {
+    /// # Errors
+    /// [`Error::Usage`] if it is out of range.
+    pub(super) fn check(self) -> Result<()> {
+        match self {
+            Self::PerSecond(rate) if !(rate > 0.0 && rate <= 60.0) => {
+                let problem = format!("{rate} frames per second");
+                Err(Error::usage(problem, "Give a number above 0, at most 60."))
+            }
+            Self::Count(frames) if (frames as usize) < FEWEST => {
+                let problem = format!("{frames} frames of a video, and cameras need at least {FEWEST}");
+                Err(Error::usage(problem, "Give 50 or more."))
+            }
+            Self::Auto | Self::Count(_) | Self::PerSecond(_) => Ok(()),
+        }
+    }
+}
+
 /// What is prepared, and how; see the table of [`prepare`](crate::prepare).
 #[derive(Clone, Debug, PartialEq)]
 pub struct PrepareOptions {
@@ -51,8 +83,8 @@ pub struct PrepareOptions {
     pub lens: LensModel,
     /// Copy photographs as they are, with cameras that have distortion, instead of removing it.
     pub keep_distortion: bool,
-    /// Frames of a video that are used, per second, above 0 and at most 60.
-    pub frames_per_second: f32,
+    /// How many frames of a video are used.
+    pub frames: FrameCount,
     /// Whether COLMAP uses the graphics card.
     pub gpu: bool,
     /// COLMAP's program.
@@ -73,7 +105,7 @@ impl PrepareOptions {
             cameras: CameraSharing::default(),
             lens: LensModel::default(),
             keep_distortion: false,
-            frames_per_second: 2.0,
+            frames: FrameCount::default(),
             gpu: false,
             colmap: "colmap".into(),
             ffmpeg: "ffmpeg".into(),
@@ -86,6 +118,8 @@ impl PrepareOptions {
 pub struct Prepared {
     /// How many photographs there were.
     pub photographs: usize,
+    /// How many frames the video has whose sharpest these are, if it is one.
+    pub video_frames: Option<u64>,
     /// The names of those whose camera was not found.
     pub left_out: Vec<String>,
     /// Mean distance in pixels between a point and its feature, if there are points.
@@ -100,6 +134,10 @@ pub struct Prepared {
 
 impl fmt::Display for Prepared {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if let Some(frames) = self.video_frames {
+            let used = grouped(self.photographs as u64);
+            writeln!(f, "{used} of {} frames, the sharpest of each interval", grouped(frames))?;
+        }
         let registered = self.photographs - self.left_out.len();
         write!(f, "registered {registered} of {}", self.photographs)?;
         if let Some(error) = self.reprojection_error {
@@ -120,4 +158,24 @@ fn names(all: &[String]) -> String {
     let more = all.len().saturating_sub(NAMED);
     let more = if more > 0 { format!(" and {more} more") } else { String::new() };
     format!("{}{more}", all[..all.len().min(NAMED)].join(", "))
+}
+
+/// A number in groups of three digits.
+fn grouped(number: u64) -> String {
+    let digits = number.to_string();
+    let breaks = |(i, digit): (usize, char)| {
+        let space = i > 0 && (digits.len() - i).is_multiple_of(3);
+        space.then_some(' ').into_iter().chain([digit])
+    };
+    digits.chars().enumerate().flat_map(breaks).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn long_numbers_have_groups() {
+        assert_eq!([7, 150, 1820, 1234567].map(grouped), ["7", "150", "1 820", "1 234 567"]);
+    }
 }

@@ -18,6 +18,10 @@ pub(super) const FEWEST: usize = 3;
 const UNREADABLE: [&str; 14] =
     ["heic", "heif", "avif", "webp", "dng", "cr2", "cr3", "nef", "arw", "raf", "orf", "rw2", "exr", "hdr"];
 
+/// Extensions of video files.
+pub(super) const VIDEOS: [&str; 10] =
+    ["mp4", "mov", "m4v", "mkv", "webm", "avi", "mpg", "mpeg", "mts", "m2ts"];
+
 /// A photograph, by its header.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) struct Photograph {
@@ -61,7 +65,7 @@ pub(super) fn list(folder: &Path) -> Result<Listing> {
         let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
         if path.is_file() && ["jpg", "jpeg", "png"].contains(&extension.as_str()) {
             files.push(path);
-        } else if path.is_file() && UNREADABLE.contains(&extension.as_str()) {
+        } else if path.is_file() && UNREADABLE.iter().chain(&VIDEOS).any(|known| extension == *known) {
             *others.entry(extension).or_default() += 1;
         }
     }
@@ -87,6 +91,9 @@ fn too_few(folder: &Path, found: usize, others: &BTreeMap<String, usize>) -> Err
         n => format!("{n} JPEG or PNG photographs are in this folder, and cameras need at least {FEWEST}"),
     };
     let help = match others.iter().max_by_key(|(_, count)| **count) {
+        Some((extension, _)) if VIDEOS.contains(&extension.as_str()) => {
+            format!("It has a .{extension} file: give that file instead of the folder.")
+        }
         Some((extension, count)) => format!(
             "It has {count} .{extension} files: develop or convert them to JPEG or 16-bit PNG, all with the same settings."
         ),
@@ -349,6 +356,8 @@ mod tests {
         assert!(refused(folder.path()).contains("no JPEG or PNG photographs"));
         fs::write(folder.path().join("a.heic"), "x").unwrap();
         assert!(refused(folder.path()).contains("1 .heic files: develop or convert"));
+        fs::rename(folder.path().join("a.heic"), folder.path().join("a.mp4")).unwrap();
+        assert!(refused(folder.path()).contains("give that file instead of the folder"));
         jpeg(&folder.path().join("a.jpg"), [8, 6], None);
         jpeg(&folder.path().join("b.jpg"), [8, 6], None);
         assert!(refused(folder.path()).contains("2 JPEG or PNG photographs"));

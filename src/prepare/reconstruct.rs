@@ -98,6 +98,7 @@ impl Reconstruction<'_> {
         let left_out = self.photographs.iter().map(|photograph| photograph.name.clone());
         Ok(Prepared {
             photographs: self.photographs.len(),
+            video_frames: None,
             left_out: left_out.filter(|name| !names.contains(name)).collect(),
             reprojection_error: error,
             weak: weak(points_seen(&model)?),

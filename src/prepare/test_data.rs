@@ -17,6 +17,21 @@ pub fn script(folder: &Path, name: &str, body: &str) -> PathBuf {
     path
 }
 
+/// An ffmpeg that counts this many frames in a video of this length, and writes the frames that lie beside it as `000001.jpg`….
+#[cfg(unix)]
+pub fn fake_ffmpeg(folder: &Path, frames: u64, length: &str) -> PathBuf {
+    // The last argument is the pattern of the frames, or nothing that is written.
+    let body = format!(
+        r#"here=$(dirname "$0"); echo "$@" >> "$here/ffmpeg-calls"; for last; do :; done
+if [ "$last" = - ]; then
+  echo "  Duration: {length}, start: 0.0" >&2; echo frame={frames}; echo out_time=00:00:01.500000
+else
+  cp "$here"/0*.jpg "$(dirname "$last")"; echo frame=1
+fi"#
+    );
+    script(folder, "ffmpeg", &body)
+}
+
 /// A photograph of a reddish disc in front of a gray backdrop that gets darker to the right.
 pub fn disc(width: u32, height: u32) -> RgbImage {
     let (x0, y0) = (width as f32 / 2.0, height as f32 / 2.0);

@@ -3,7 +3,7 @@
 use super::*;
 use crate::dataset::{DatasetOptions, read_dataset};
 use crate::pass::progress::{Bar, Silent};
-use crate::prepare::test_data::{disc, script};
+use crate::prepare::test_data::{disc, fake_ffmpeg, script};
 use crate::scene::{LoadOptions, load};
 use crate::view::Split;
 use std::cell::RefCell;
@@ -123,6 +123,41 @@ fn photographs_become_a_data_set_that_is_read() {
     assert_eq!(prepared.scene, Some(loaded.path));
     assert!(!out.join(".work").exists() && out.join("logs/mapping.log").is_file());
     assert!(refused(&capture.options()).contains("is not empty"));
+}
+
+/// The sharpest frames take the place of photographs; a second run, after a stop, does not extract them again.
+#[test]
+fn a_video_becomes_a_data_set_of_its_sharpest_frames() {
+    let capture = Capture::new();
+    let names = |numbers: &[u32]| numbers.iter().map(|n| format!("{n:06}.jpg")).collect::<Vec<_>>();
+    for (i, name) in names(&[1, 2, 3, 4, 5, 6, 7, 8]).iter().enumerate() {
+        let sharp = disc(48, 36);
+        let frame = if i % 2 == 1 { sharp } else { image::imageops::blur(&sharp, 1.5) };
+        frame.save(capture.path(name)).unwrap();
+    }
+    let kept = names(&[2, 4, 6, 8]);
+    fs::remove_dir_all(capture.path("models")).unwrap();
+    capture.model("0", &kept.iter().map(String::as_str).collect::<Vec<_>>());
+    fs::write(capture.path("clip.mov"), b"\0\0\0\x18ftypqt  \0\0\0\0").unwrap();
+    let ffmpeg = fake_ffmpeg(capture.folder.path(), 8, "00:00:00.32");
+    let (photographs, frames) = (capture.path("clip.mov"), FrameCount::Count(4));
+    let options = PrepareOptions { photographs, frames, ffmpeg, ..capture.options() };
+    capture.colmap(&COLMAP.replace("  mapper)", "  mapper) exit 1;;\n  unused)"));
+    assert!(refused(&options).contains("colmap mapper"));
+    capture.colmap(COLMAP);
+    let prepared = prepare(&options, &Silent).unwrap();
+    let expected =
+        "4 of 8 frames, the sharpest of each interval\nregistered 4 of 4, reprojection error 0.62 px";
+    assert_eq!(prepared.to_string(), expected);
+    let mut made: Vec<_> = fs::read_dir(capture.path("out/images"))
+        .unwrap()
+        .map(|entry| entry.unwrap().file_name().into_string().unwrap())
+        .collect();
+    made.sort();
+    assert_eq!(made, kept);
+    let said = fs::read_to_string(capture.path("ffmpeg-calls")).unwrap();
+    assert_eq!(said.lines().filter(|line| line.contains("select=")).count(), 1, "{said}");
+    assert!(!capture.path("out/.work").exists() && prepared.scene.is_some());
 }
 
 /// What has the name of a result is replaced while work goes on.
@@ -256,8 +291,24 @@ fn bad_input_leaves_no_folder() {
     let text = refused(&given(&|options| options.masks = MaskSource::Command("rembg".into())));
     assert!(text.contains("has no {in}"), "{text}");
     for bad in [0.0, -1.0, f32::NAN, f32::INFINITY] {
-        assert!(refused(&given(&|options| options.frames_per_second = bad)).contains("frames per second"));
+        let given = given(&|options| options.frames = FrameCount::PerSecond(bad));
+        assert!(refused(&given).contains("frames per second"));
     }
+    let text = refused(&given(&|options| options.frames = FrameCount::Count(2)));
+    assert!(text.contains("2 frames of a video, and cameras need at least 3"), "{text}");
+    let video = capture.path("clip");
+    fs::write(&video, b"\0\0\0\x18ftypqt  \0\0\0\0").unwrap();
+    let of_video = |ffmpeg: PathBuf| {
+        refused(&given(&|options| {
+            (options.photographs, options.ffmpeg) = (video.clone(), ffmpeg.clone());
+            options.frames = FrameCount::Count(50);
+        }))
+    };
+    assert!(of_video("no-such-ffmpeg-anywhere".into()).contains("apt install ffmpeg"));
+    let broken = script(capture.folder.path(), "broken", "echo moov atom not found >&2; exit 1");
+    assert!(of_video(broken).contains("moov atom not found"));
+    let text = of_video(fake_ffmpeg(capture.folder.path(), 40, "00:00:01.60"));
+    assert!(text.contains("40 frames, fewer than the 50 of --frames 50"), "{text}");
     assert!(!capture.path("out").exists());
     let other = script(capture.folder.path(), "other", "echo some other program");
     let text = refused(&given(&|options| options.colmap = other.clone()));

@@ -1,6 +1,6 @@
 //! Observed pixels: what a fit compares with. Their pool holds all pixels that a fit may visit; the pool of samples holds those of one step.
 
-use crate::pipeline::pool::{Pool, pool_index};
+use crate::pipeline::pool::{Pool, despawn_rows, pool_index};
 use crate::sample::pixel::{Observed, PixelOf};
 use crate::sample::point::SurfacePoint;
 use bevy_ecs::prelude::{Component, Entity, Resource, With, World};
@@ -32,7 +32,5 @@ pub struct ObservedWindow(pub Range<usize>);
 /// Removes the pool.
 pub fn despawn_observations(world: &mut World) {
     let rows: Vec<Entity> = world.query_filtered::<Entity, With<ObservationIndex>>().iter(world).collect();
-    for row in rows {
-        world.despawn(row);
-    }
+    despawn_rows(world, &rows);
 }

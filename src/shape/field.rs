@@ -65,7 +65,7 @@ impl SdfField {
 /// the curve of sRGB, as patches of photographs are compared.
 #[derive(Resource, Clone, Debug, Serialize, Deserialize)]
 pub struct ModelError {
-    /// The grid.
+    /// The grid, without its values.
     pub grid: SdfGrid,
     /// Sums of weighted squared errors and of weights.
     #[serde(with = "sparse")]
@@ -75,7 +75,8 @@ pub struct ModelError {
 impl ModelError {
     /// Without samples.
     pub fn new(grid: &SdfGrid) -> Self {
-        Self { grid: grid.clone(), sums: vec![[0.0; 2]; grid.values.len()] }
+        let lattice = SdfGrid { values: Vec::new(), ..*grid };
+        Self { grid: lattice, sums: vec![[0.0; 2]; grid.values.len()] }
     }
 
     /// Adds a sample.
@@ -95,14 +96,9 @@ impl ModelError {
     }
 }
 
-/// What of a field changes during a level: its texels lie still, and the scratch is written before it is read.
-#[derive(Serialize, Deserialize)]
-struct FieldState {
-    values: Vec<f32>,
-    /// Bricks clear their own adjoints at every step, and read those beside them.
-    adjoint: FieldAdjoint,
-    mean_square: f32,
-}
+/// What of a field changes during a level: its texels lie still, and the scratch is written before it is read. Values; adjoints, of which
+/// bricks clear their own at every step, and read those beside them; the mean square.
+type FieldState<V, A> = (V, A, f32);
 
 /// Registers the field and its bricks as state.
 pub(super) fn keep_field(world: &mut World) {
@@ -116,12 +112,12 @@ fn save_field(world: &mut World) -> Result<Option<Vec<u8>>> {
     let Some(SdfField { surface, adjoint, mean_square, .. }) = world.get_resource::<SdfField>() else {
         return Ok(None);
     };
-    let (values, adjoint) = (surface.grid.values.clone(), adjoint.clone());
-    to_bytes(&FieldState { values, adjoint, mean_square: *mean_square }).map(Some)
+    let state: FieldState<&Vec<f32>, &FieldAdjoint> = (&surface.grid.values, adjoint, *mean_square);
+    to_bytes(&state).map(Some)
 }
 
 fn load_field(world: &mut World, bytes: &[u8]) -> Result<()> {
-    let FieldState { values, adjoint, mean_square } = from_bytes(bytes)?;
+    let (values, adjoint, mean_square): FieldState<Vec<f32>, FieldAdjoint> = from_bytes(bytes)?;
     let field = world.get_resource_mut::<SdfField>();
     let field = field.filter(|field| field.surface.grid.values.len() == values.len());
     let mut field = field.ok_or_else(|| Error::run("resuming", "the checkpoint is of another field"))?;

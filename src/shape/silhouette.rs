@@ -46,13 +46,15 @@ impl Silhouette {
         let spread = rays().map(|ray| middle.cross(ray).length() / middle.dot(ray)).fold(0.0, f32::max);
         let window = with_margin(mask.window(), [width, height]);
         let distance = signed_distance(&mask.mask().coverage, width as usize, height as usize);
+        let mut near = Vec::with_capacity(window.len());
+        near.extend(window.pixels(width).map(|i| f16::from_f32(distance[i])));
         Some(Self {
             view: ViewIndex::default(),
             name: name.to_owned(),
             camera: *camera,
             mask: mask.clone(),
             window,
-            near: window.pixels(width).map(|i| f16::from_f32(distance[i])).collect(),
+            near,
             middle,
             spread,
             carves: None,

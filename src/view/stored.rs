@@ -88,9 +88,9 @@ impl Numbers {
             rounded.to_f32() == value || may_round && rounded.is_finite()
         };
         if values.clone().all(holds) {
-            Self::Halves(values.map(f16::from_f32).collect())
+            Self::Halves(tight(values.map(f16::from_f32)))
         } else {
-            Self::Floats(values.collect())
+            Self::Floats(tight(values))
         }
     }
 
@@ -112,6 +112,13 @@ impl Numbers {
             Self::Floats(stored) => 4 * stored.len(),
         }
     }
+}
+
+/// Values without the room that a list grows by.
+fn tight<T>(values: impl Iterator<Item = T>) -> Vec<T> {
+    let mut list: Vec<T> = values.collect();
+    list.shrink_to_fit();
+    list
 }
 
 /// Flags, eight in a byte.
@@ -243,8 +250,8 @@ impl Photograph {
             covered && (0..colors).any(|channel| color_of(pixel, channel) == top)
         };
         let pack = |table: Arc<[f32]>, values: &mut dyn Iterator<Item = usize>| match samples {
-            IntegerSamples::Bytes(_) => Numbers::Bytes(values.map(|v| v as u8).collect(), table),
-            IntegerSamples::Words(_) => Numbers::Words(values.map(|v| v as u16).collect(), table),
+            IntegerSamples::Bytes(_) => Numbers::Bytes(tight(values.map(|v| v as u8)), table),
+            IntegerSamples::Words(_) => Numbers::Words(tight(values.map(|v| v as u16)), table),
         };
         let mut color = inside().flat_map(|pixel| (0..colors).map(move |channel| color_of(pixel, channel)));
         let color = pack(curve.color.clone(), &mut color);
@@ -318,7 +325,7 @@ impl StoredMask {
         let table: Arc<[f32]> = (0..=255u8).map(|v| f32::from(v) / 255.0).collect();
         let nearest = |coverage: f32| (coverage * 255.0).round() as u8;
         let coverage = if values.clone().all(|c| table[usize::from(nearest(c))] == c) {
-            Numbers::Bytes(values.map(nearest).collect(), table)
+            Numbers::Bytes(tight(values.map(nearest)), table)
         } else {
             Numbers::of(values, true)
         };

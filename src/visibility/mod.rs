@@ -116,6 +116,11 @@ impl ObjectVisibility {
         Self { settings, texels, ..Self::default() }
     }
 
+    /// The same as it was traced, without the light of the last update: for another world.
+    pub fn unlit(self) -> Self {
+        Self { settings: self.settings, texels: self.texels, ..Self::default() }
+    }
+
     /// Whether no texel occludes another.
     pub fn sees_all(&self) -> bool {
         (0..self.texels.len()).all(|row| self.texels.sees_all(row))

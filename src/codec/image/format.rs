@@ -70,13 +70,19 @@ const STARTS: [(usize, &[u8], Format); 10] = [
 const MAGICK: &str = "Convert it, e.g. with ImageMagick: `magick FILE FILE.png`.";
 const HEIC: &str = "Convert all of them with `heif-convert FILE.heic FILE.jpg`, or set the camera to JPEG.";
 
+const VIDEO: &str = "a video";
+const FRAMES: &str = "`lobelia prepare FILE DATA` makes a data set of it; `ffmpeg -i FILE -qscale:v 2 images/%04d.jpg` takes its frames.";
+
 /// What else is often found: the first bytes, the name, and what to do.
-const FOREIGN: [(usize, &[u8], &str, &str); 17] = [
+const FOREIGN: [(usize, &[u8], &str, &str); 20] = [
     (4, b"ftypavi", "an AVIF", "Convert it with `avifdec FILE.avif FILE.png`."),
     (4, b"ftyphe", "a HEIC", HEIC),
     (4, b"ftypmif1", "a HEIC", HEIC),
     (4, b"ftypmsf1", "a HEIC", HEIC),
-    (4, b"ftyp", "a video", "Take its frames with `ffmpeg -i FILE -qscale:v 2 images/%04d.jpg`."),
+    (4, b"ftyp", VIDEO, FRAMES),
+    (0, b"\x1a\x45\xdf\xa3", VIDEO, FRAMES),
+    (8, b"AVI ", VIDEO, FRAMES),
+    (0, b"\0\0\x01\xba", VIDEO, FRAMES),
     (0, b"\0\0\0\x0cJXL ", "a JPEG XL", "Convert it with `djxl FILE.jxl FILE.png`."),
     (0, b"\xff\x0a", "a JPEG XL", "Convert it with `djxl FILE.jxl FILE.png`."),
     (0, b"\0\0\0\x0cjP  ", "a JPEG 2000", MAGICK),
@@ -90,6 +96,13 @@ const FOREIGN: [(usize, &[u8], &str, &str); 17] = [
     (0, b"<", "a web page or other text", "Fetch the file again: a server's answer was saved in its place."),
     (0, b"version https://git-lfs", "a Git LFS pointer", "Fetch the files themselves with `git lfs pull`."),
 ];
+
+/// Whether a file with these first bytes is a video, of MP4, `QuickTime`, Matroska, `WebM`, AVI or MPEG.
+pub fn is_video_start(start: &[u8]) -> bool {
+    let is_raw = RAW_STARTS.iter().any(|(at, magic)| starts(start, *at, magic));
+    let first = FOREIGN.iter().find(|(at, magic, ..)| starts(start, *at, magic));
+    !is_raw && first.is_some_and(|(_, _, name, _)| *name == VIDEO)
+}
 
 fn starts(bytes: &[u8], at: usize, with: &[u8]) -> bool {
     bytes.get(at..).is_some_and(|rest| rest.starts_with(with))

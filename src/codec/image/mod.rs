@@ -17,7 +17,7 @@ mod tiff_file;
 mod webp_file;
 
 pub use decode::{decode_samples, image_header};
-pub use format::{Format, IMAGE_EXTENSIONS, is_unread_name};
+pub use format::{Format, IMAGE_EXTENSIONS, is_unread_name, is_video_start};
 pub use header::{ImageHeader, MOST_PIXELS, Orientation};
 pub use mask::{LoadedMask, read_mask};
 pub use photograph::{Gamma, LoadedImage, decode_photograph, linear_image, read_image};

@@ -23,7 +23,7 @@ use std::collections::BTreeMap;
 use std::fmt::Debug;
 use std::fs;
 use std::hash::{DefaultHasher, Hasher};
-use std::io::Write as _;
+use std::io::{self, BufWriter, Write as _};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::time::Duration;
@@ -162,6 +162,20 @@ fn hash_of_file(path: &Path) -> Result<u64> {
     Ok(hasher.finish())
 }
 
+/// A writer that only hashes.
+struct Hashing(DefaultHasher);
+
+impl io::Write for Hashing {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.write(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
 /// Checkpoints as files.
 struct Files {
     folder: PathBuf,
@@ -173,10 +187,14 @@ struct Files {
 impl Store for Files {
     fn write(&mut self, place: Place, checkpoint: &Checkpoint) -> Result<()> {
         let path = self.folder.join(file_name(place));
-        let bytes = packed::to_bytes(checkpoint)?;
+        // Twice from the state, because its bytes beside it would double what it takes.
+        let mut hashing = BufWriter::with_capacity(1 << 16, Hashing(DefaultHasher::new()));
+        packed::write_to(checkpoint, &mut hashing).map_err(Error::io("write", &path))?;
+        let hashed = hashing.into_inner().map_err(|error| Error::io("write", &path)(error.into_error()))?;
         write_file(&path, |writer| {
-            let head = [MAGIC, self.mark.to_le_bytes(), hash_of_bytes(&bytes).to_le_bytes()].concat();
-            writer.write_all(&head).and_then(|()| writer.write_all(&bytes)).map_err(Error::io("write", &path))
+            let head = [MAGIC, self.mark.to_le_bytes(), hashed.0.finish().to_le_bytes()].concat();
+            let written = writer.write_all(&head).and_then(|()| packed::write_to(checkpoint, writer));
+            written.map_err(Error::io("write", &path))
         })?;
         let needed = [place.way(), self.last.way()].concat();
         self.last = place;

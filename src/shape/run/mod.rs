@@ -4,13 +4,15 @@ use crate::checkpoint::{keep_level, resume_level};
 use crate::error::stop::{check_interrupted, is_stopping};
 use crate::error::{Error, Result};
 use crate::fit::cameras::{CameraFit, CameraPlugin, CameraUnknowns, align_photographs, attach_poses};
+use crate::fit::components::{AlbedoGradient, AlbedoMoments, TexelSeen};
 use crate::fit::run::{FirstGuess, FitOptions, FitProgress, run_fit};
 use crate::material::sheen::KnownAlong;
-use crate::material::{DiffuseSheen, DiffuseTilt};
+use crate::material::{DiffuseAlbedo, DiffuseSheen, DiffuseTilt};
 use crate::material::{
     MAX_SPECULAR_LOBES, SpecularBlend, TexelIndex, recovered_albedo, recovered_materials, spawn_texels,
 };
 use crate::mesh::triangles::Mesh;
+use crate::pipeline::pool::despawn_rows;
 use crate::pipeline::{Phase, Pipeline, Plugin, Slot};
 use crate::profile::stage;
 use crate::sample::pixel::PixelOf;
@@ -257,7 +259,7 @@ fn with_texels(
     old: Option<(&TexelVolume, &[Vec3])>,
 ) -> SdfSurface {
     let volume = TexelVolume::new(&grid, level.texel_cells, TEXEL_REACH * half_side(&grid));
-    replace_texels(world, &carried_albedo(&volume, old));
+    replace_by_fitted_texels(world, &carried_albedo(&volume, old));
     SdfSurface { grid, volume }
 }
 
@@ -356,6 +358,23 @@ fn carried_albedo(volume: &TexelVolume, old: Option<(&TexelVolume, &[Vec3])>) ->
 
 /// Replaces the texels in the world by texels with this albedo, and no sheen but a known one.
 pub fn replace_texels(world: &mut World, albedo: &[Vec3]) {
+    let (blend, sheen) = new_material(world, albedo);
+    let (tilt, blends) = (vec![DiffuseTilt::default(); albedo.len()], vec![blend; albedo.len()]);
+    spawn_texels(world, albedo, &sheen, &tilt, &blends);
+}
+
+/// The same with what a fit attaches to texels: one table holds them, and none that they left keeps its room.
+fn replace_by_fitted_texels(world: &mut World, albedo: &[Vec3]) {
+    let (blend, sheen) = new_material(world, albedo);
+    let texels = (0..).map(TexelIndex).zip(albedo.iter().zip(sheen));
+    world.spawn_batch(texels.map(|(index, (albedo, sheen))| {
+        let state = (AlbedoGradient::default(), AlbedoMoments::default(), TexelSeen::default());
+        (index, DiffuseAlbedo(*albedo), sheen, blend, state)
+    }));
+}
+
+/// Removes the texels; returns the blend weights of those that replace them, and their sheen.
+fn new_material(world: &mut World, albedo: &[Vec3]) -> (SpecularBlend, Vec<DiffuseSheen>) {
     despawn_with::<TexelIndex>(world);
     let materials = recovered_materials(world);
     let mut blend = SpecularBlend::even(materials.len().max(1));
@@ -364,9 +383,7 @@ pub fn replace_texels(world: &mut World, albedo: &[Vec3]) {
         materials.iter().for_each(|(number, _)| blend.0[*number] = 1.0 / materials.len() as f32);
     }
     let known = world.get_resource::<KnownAlong>().and_then(|known| known.sheen(albedo));
-    let sheen = known.unwrap_or_else(|| vec![DiffuseSheen::default(); albedo.len()]);
-    let (tilt, blends) = (vec![DiffuseTilt::default(); albedo.len()], vec![blend; albedo.len()]);
-    spawn_texels(world, albedo, &sheen, &tilt, &blends);
+    (blend, known.unwrap_or_else(|| vec![DiffuseSheen::default(); albedo.len()]))
 }
 
 /// Inserts a field and its bricks into the world.
@@ -395,9 +412,7 @@ fn leave(world: &mut World) -> SdfGrid {
 
 fn despawn_with<T: Component>(world: &mut World) {
     let entities: Vec<Entity> = world.query_filtered::<Entity, With<T>>().iter(world).collect();
-    for entity in entities {
-        world.despawn(entity);
-    }
+    despawn_rows(world, &entities);
 }
 
 #[cfg(test)]

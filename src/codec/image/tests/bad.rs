@@ -158,6 +158,7 @@ fn other_formats_are_named_with_the_tool_that_converts_them() {
         ("b.heif", b"\0\0\0\x18ftypmif1\0\0\0\0", ["a HEIC", "heif-convert"]),
         ("c.avif", b"\0\0\0\x18ftypavif\0\0\0\0", ["an AVIF", "avifdec"]),
         ("d.mp4", b"\0\0\0\x18ftypisom\0\0\0\0", ["a video", "ffmpeg"]),
+        ("d.webm", b"\x1a\x45\xdf\xa3\x01\0\0\0", ["a video", "lobelia prepare"]),
         ("e.jxl", b"\xff\x0a\0\0", ["a JPEG XL", "djxl"]),
         ("f.gif", b"GIF89a", ["a GIF", "magick"]),
         ("g.bmp", b"BM\0\0\0\0", ["a BMP", "magick"]),
