@@ -23,6 +23,7 @@ use crate::shape::field::{
 };
 use crate::shape::hull::{FORGIVEN, trim, visual_hull};
 use crate::shape::outline::{OutlineReport, fit_outlines};
+use crate::shape::parts::extract_parts;
 use crate::shape::repair::{regrow, reliable_pixels};
 use crate::shape::silhouette::{Silhouette, pixel_size};
 use crate::shape::silhouette_loss::{SilhouetteIndex, SilhouetteSample};
@@ -287,6 +288,11 @@ pub fn refine_by_stereo(
         .map(|(_, camera, photograph, mask, _)| StereoView { camera, photograph, mask: &mask.0 })
         .collect();
     refine(mesh, &views, &silhouettes, &error, go_on)
+}
+
+/// The mesh of a field: its largest component, and others that the training masks show ([`parts`](crate::shape::parts)).
+pub fn mesh_of_parts(world: &mut World, grid: &SdfGrid) -> Mesh {
+    extract_parts(grid, &training_silhouettes(world))
 }
 
 fn half_side(grid: &SdfGrid) -> f32 {
