@@ -164,6 +164,7 @@ fn options(session: &Session, pass: &ShapePass) -> ShapeOptions {
             light_frame: session.light_frame(),
         },
         cameras: pass.cameras,
+        hollows: pass.hollows,
     }
 }
 
