@@ -23,11 +23,11 @@ use crate::sample::point::Scenery;
 use crate::scene::Surface as SurfaceSpec;
 use crate::scene::{GridLevel, ShapePass};
 use crate::sdf::SdfGrid;
-use crate::sdf::extract::extract_mesh;
 use crate::sdf::volume::SdfSurface;
 use crate::shape::field::ModelError;
 use crate::shape::run::{
-    ShapeLevel, ShapeOptions, ShapeProgress, fit_shape, refine_by_outlines, refine_by_stereo, replace_texels,
+    ShapeLevel, ShapeOptions, ShapeProgress, fit_shape, mesh_of_parts, refine_by_outlines, refine_by_stereo,
+    replace_texels,
 };
 use crate::shape::stereo::ROUNDS as STEREO_ROUNDS;
 use crate::shape::systems::ShapeSchedule;
@@ -128,7 +128,7 @@ fn take_over(
 
 /// The mesh of the surface that was found, moved by stereo if that is wanted.
 fn found_mesh(session: &mut Session, surface: &SdfSurface, by_stereo: bool, name: &str) -> Mesh {
-    let mut mesh = extract_mesh(&surface.grid);
+    let mut mesh = mesh_of_parts(&mut session.pipeline.world, &surface.grid);
     if by_stereo {
         match_views(session, name, &mut mesh);
     } else {
@@ -169,6 +169,7 @@ fn options(session: &Session, pass: &ShapePass) -> ShapeOptions {
             light_frame: session.light_frame(),
         },
         cameras: pass.cameras,
+        hollows: pass.hollows,
     }
 }
 

@@ -6,7 +6,7 @@ use crate::sdf::manifold::make_manifold;
 use fast_surface_nets::ndshape::{RuntimeShape, Shape};
 use fast_surface_nets::{SurfaceNetsBuffer, surface_nets};
 use glam::Vec3;
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
 /// Newton steps that project a vertex onto the zero level.
 const PROJECTIONS: usize = 3;
@@ -15,6 +15,11 @@ const PROJECTIONS: usize = 3;
 ///
 /// The border of the grid closes the surface. Only the largest connected component is kept.
 pub fn extract_mesh(grid: &SdfGrid) -> Mesh {
+    extract_components(grid).into_iter().next().unwrap_or_default()
+}
+
+/// The connected components of the zero level, as [`extract_mesh`] has it, those with most triangles first.
+pub fn extract_components(grid: &SdfGrid) -> Vec<Mesh> {
     let shape = RuntimeShape::<u32, 3>::new([grid.side; 3]);
     let mut values = grid.values.clone();
     let last = grid.side - 1;
@@ -35,7 +40,7 @@ pub fn extract_mesh(grid: &SdfGrid) -> Mesh {
     let normals = positions.iter().map(|p| grid.gradient(*p).try_normalize().unwrap_or(Vec3::Y)).collect();
     let mut mesh = Mesh { positions, normals, uvs: None, triangles };
     mesh.drop_degenerate_triangles();
-    keep_largest_component(mesh)
+    components(&mesh)
 }
 
 /// A point projected onto the zero level, at most one cell away.
@@ -48,9 +53,8 @@ fn project(grid: &SdfGrid, start: Vec3) -> Vec3 {
     if point.distance_squared(start) < grid.spacing * grid.spacing { point } else { start }
 }
 
-/// Keeps the component with the most triangles, connected by edges (small parts may touch it at a vertex only), and removes
-/// unused vertices.
-fn keep_largest_component(mesh: Mesh) -> Mesh {
+/// The components, connected by edges (small parts may touch others at a vertex only), those with most triangles first.
+fn components(mesh: &Mesh) -> Vec<Mesh> {
     let mut parent: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
     let mut triangle_at: HashMap<(u32, u32), u32> = HashMap::new();
     for (t, &[a, b, c]) in mesh.triangles.iter().enumerate() {
@@ -60,28 +64,28 @@ fn keep_largest_component(mesh: Mesh) -> Mesh {
             parent[x as usize] = y;
         }
     }
-    let mut counts = vec![0u32; mesh.triangles.len()];
-    for t in 0..counts.len() {
-        counts[root(&mut parent, t as u32) as usize] += 1;
+    let mut of_root: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
+    for t in 0..mesh.triangles.len() {
+        of_root.entry(root(&mut parent, t as u32)).or_default().push(t);
     }
-    let Some(largest) = (0..counts.len()).max_by_key(|&i| (counts[i], std::cmp::Reverse(i))) else {
-        return mesh;
-    };
-    let mut new_index = vec![u32::MAX; mesh.positions.len()];
+    let mut rows: Vec<Vec<usize>> = of_root.into_values().collect();
+    rows.sort_by_key(|rows| (std::cmp::Reverse(rows.len()), rows[0]));
+    rows.iter().map(|rows| part(mesh, rows)).collect()
+}
+
+/// The mesh of some triangles, with the vertices that they use.
+fn part(mesh: &Mesh, triangles: &[usize]) -> Mesh {
+    let mut new_index: HashMap<u32, u32> = HashMap::new();
     let mut kept = Mesh::default();
-    for (t, triangle) in mesh.triangles.iter().enumerate() {
-        if root(&mut parent, t as u32) as usize != largest {
-            continue;
-        }
-        kept.triangles.push(triangle.map(|v| {
-            let v = v as usize;
-            if new_index[v] == u32::MAX {
-                new_index[v] = kept.positions.len() as u32;
-                kept.positions.push(mesh.positions[v]);
-                kept.normals.push(mesh.normals[v]);
-            }
-            new_index[v]
-        }));
+    for &t in triangles {
+        let corners = mesh.triangles[t].map(|v| {
+            *new_index.entry(v).or_insert_with(|| {
+                kept.positions.push(mesh.positions[v as usize]);
+                kept.normals.push(mesh.normals[v as usize]);
+                kept.positions.len() as u32 - 1
+            })
+        });
+        kept.triangles.push(corners);
     }
     kept
 }
@@ -99,14 +103,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_hangs_on_by_a_corner_is_dropped() {
+    fn what_hangs_on_by_a_corner_is_another_component() {
         let positions: Vec<Vec3> = (0..6).map(|i| Vec3::splat(i as f32)).collect();
         let triangles = vec![[3, 4, 5], [0, 1, 2], [2, 1, 3]];
         let mesh = Mesh { normals: positions.clone(), positions, uvs: None, triangles };
-        let kept = keep_largest_component(mesh);
-        assert_eq!(kept.triangles, [[0, 1, 2], [2, 1, 3]]);
-        assert_eq!(kept.positions, (0..4).map(|i| Vec3::splat(i as f32)).collect::<Vec<_>>());
-        assert!(keep_largest_component(Mesh::default()).triangles.is_empty());
+        let found = components(&mesh);
+        assert_eq!(found[0].triangles, [[0, 1, 2], [2, 1, 3]]);
+        assert_eq!(found[0].positions, (0..4).map(|i| Vec3::splat(i as f32)).collect::<Vec<_>>());
+        assert_eq!((found.len(), found[1].positions[0]), (2, Vec3::splat(3.0)));
+        assert!(components(&Mesh::default()).is_empty());
     }
 
     #[test]
@@ -130,7 +135,9 @@ mod tests {
     #[test]
     fn a_ball_comes_back_as_a_closed_mesh_without_the_floater() {
         let field = |p: Vec3| (p.length() - 0.6).min((p - Vec3::splat(0.8)).length() - 0.1);
-        let mesh = extract_mesh(&SdfGrid::from_fn(Vec3::ZERO, 1.0, 40, field));
+        let grid = SdfGrid::from_fn(Vec3::ZERO, 1.0, 40, field);
+        let mesh = extract_mesh(&grid);
+        assert_eq!(extract_components(&grid).len(), 2);
         assert!(mesh.triangles.len() > 500);
         for (p, n) in mesh.positions.iter().zip(&mesh.normals) {
             assert!((p.length() - 0.6).abs() < 2e-3, "{p}");

@@ -3,6 +3,8 @@
 //! | file | holds |
 //! | --- | --- |
 //! | [`hull`] | the position of the object, and the robust visual hull of its masks as a signed distance field |
+//! | [`hollows`] | removes from the hull what photographs look through |
+//! | [`parts`] | which components of a surface are the object's |
 //! | `trust` | finds masks that no other mask contradicts, which may carve alone |
 //! | [`repair`] | restores parts that a few wrong masks remove from the hull, and selects the silhouettes that the other masks confirm |
 //! | [`field`] | the field as parameters: bricks of values (entities) and the field as a whole (a resource) |
@@ -18,8 +20,10 @@
 pub(crate) mod adjoint;
 pub(crate) mod displace;
 pub mod field;
+pub mod hollows;
 pub mod hull;
 pub mod outline;
+pub mod parts;
 pub mod repair;
 pub mod run;
 pub mod silhouette;

@@ -12,8 +12,8 @@ use crate::error::stop::is_stopping;
 use crate::math::ray::Ray;
 use crate::mesh::bvh::TriangleBvh;
 use crate::sdf::SdfGrid;
-use crate::sdf::extract::extract_mesh;
 use crate::shape::displace::displace;
+use crate::shape::parts::extract_parts;
 use crate::shape::silhouette::{Silhouette, is_inner, pixel_size};
 use crate::shape::stereo::plate::{Plate, bent};
 use crate::shape::stereo::votes::Shell;
@@ -52,7 +52,7 @@ pub struct OutlineReport {
 pub fn fit_outlines(grid: &mut SdfGrid, silhouettes: &[Silhouette]) -> OutlineReport {
     let mut report = OutlineReport::default();
     for round in 0..=ROUNDS {
-        let mesh = extract_mesh(grid);
+        let mesh = extract_parts(grid, silhouettes);
         let (bvh, shell) = (TriangleBvh::new(&mesh), Shell::new(&mesh));
         let votes = Contours::new(&shell, &bvh).votes(silhouettes);
         report.after = votes.mean_distance;
@@ -238,6 +238,7 @@ fn shared_edges(triangles: &[[u32; 3]]) -> Vec<Edge> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::sdf::extract::extract_mesh;
     use crate::view::{Camera, Mask, StoredMask};
 
     const SIZE: u32 = 128;

@@ -6,8 +6,8 @@ use crate::mesh::atlas::unwrap_mesh;
 use crate::mesh::primitive::{box_mesh, sphere_mesh};
 use crate::mesh::{MAX_COORDINATE, Surface};
 use crate::scene::Surface as SurfaceSpec;
-use crate::sdf::extract::extract_mesh;
 use crate::shape::hull::visual_hull;
+use crate::shape::parts::extract_parts;
 use crate::shape::repair::check_hull;
 use crate::shape::silhouette::Silhouette;
 use crate::view::{Split, ViewRecord};
@@ -54,7 +54,7 @@ pub fn make_surface(
             };
             let hull = visual_hull(&mut silhouettes, cells)?;
             let notes = check_hull(&hull, &silhouettes)?;
-            let unwrapped = unwrap_mesh(&extract_mesh(&hull), texture_size)?;
+            let unwrapped = unwrap_mesh(&extract_parts(&hull, &silhouettes), texture_size)?;
             Ok((Surface::new(unwrapped.mesh, texture_size)?, notes))
         }
         SurfaceSpec::Mesh { path, texture_size, own_material } => {

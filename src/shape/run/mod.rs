@@ -23,8 +23,10 @@ use crate::shape::field::{
     BRICK_LEN, BrickAt, BrickGradient, BrickIndex, BrickMoments, BrickValues, ModelError, SdfField,
     bricks_near_surface, keep_field,
 };
+use crate::shape::hollows::carve_hollows;
 use crate::shape::hull::{FORGIVEN, trim, visual_hull};
 use crate::shape::outline::{OutlineReport, fit_outlines};
+use crate::shape::parts::extract_parts;
 use crate::shape::repair::{regrow, reliable_pixels};
 use crate::shape::silhouette::{Silhouette, pixel_size};
 use crate::shape::silhouette_loss::{SilhouetteIndex, SilhouetteSample};
@@ -68,6 +70,8 @@ pub struct ShapeOptions {
     pub fit: FitOptions,
     /// The camera parameters that are optimized as well.
     pub cameras: CameraUnknowns,
+    /// Whether what photographs look through is removed from the hull first ([`hollows`](crate::shape::hollows)).
+    pub hollows: bool,
 }
 
 /// The systems that fit a shape; removing the plugin removes them.
@@ -132,12 +136,15 @@ pub fn fit_shape(
     let carving = stage("hull");
     let mut silhouettes = training_silhouettes(&mut pipeline.world);
     check_interrupted()?;
-    let hull = visual_hull(&mut silhouettes, options.levels[0].cells)?;
+    let mut hull = visual_hull(&mut silhouettes, options.levels[0].cells)?;
     // More than the longest level visits are of no use.
     let visited = |level: &ShapeLevel| level.schedule.steps as usize * level.schedule.silhouette_batch;
     let most = options.levels.iter().map(visited).max().unwrap_or(0);
     let samples = silhouette_samples(&hull, &silhouettes, options.fit.pixels.seed, most);
     drop(carving);
+    if options.hollows {
+        open_hollows(&mut pipeline.world, &mut hull, &silhouettes);
+    }
     check_interrupted()?;
     pipeline.world.spawn_batch(samples);
     pipeline.add_plugin(&ShapePlugin);
@@ -281,6 +288,22 @@ pub fn refine_by_stereo(
 ) -> StereoReport {
     let Some(error) = world.remove_resource::<ModelError>() else { return StereoReport::default() };
     let silhouettes = training_silhouettes(world);
+    with_training_views(world, |views| refine(mesh, views, &silhouettes, &error, go_on))
+}
+
+/// The mesh of a field: its largest component, and others that the training masks show ([`parts`](crate::shape::parts)).
+pub fn mesh_of_parts(world: &mut World, grid: &SdfGrid) -> Mesh {
+    extract_parts(grid, &training_silhouettes(world))
+}
+
+/// Removes from the hull what the training photographs look through.
+fn open_hollows(world: &mut World, hull: &mut SdfGrid, silhouettes: &[Silhouette]) {
+    let _opening = stage("hollows");
+    with_training_views(world, |views| carve_hollows(hull, silhouettes, views));
+}
+
+/// Hands the training photographs with their masks to `use_of`.
+fn with_training_views<T>(world: &mut World, use_of: impl FnOnce(&[StereoView]) -> T) -> T {
     let mut query = world.query::<(&ViewIndex, &Camera, &Photograph, &ViewMask, &Split)>();
     let mut train: Vec<_> = query.iter(world).filter(|(.., split)| **split == Split::Train).collect();
     train.sort_by_key(|(index, ..)| **index);
@@ -288,7 +311,7 @@ pub fn refine_by_stereo(
         .into_iter()
         .map(|(_, camera, photograph, mask, _)| StereoView { camera, photograph, mask: &mask.0 })
         .collect();
-    refine(mesh, &views, &silhouettes, &error, go_on)
+    use_of(&views)
 }
 
 fn half_side(grid: &SdfGrid) -> f32 {

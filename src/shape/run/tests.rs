@@ -119,6 +119,7 @@ fn options(steps: u32) -> ShapeOptions {
             light_frame: Some(LightFrame::World),
         },
         cameras: CameraUnknowns::Given,
+        hollows: false,
     }
 }
 

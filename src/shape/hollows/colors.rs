@@ -1,0 +1,282 @@
+//! Small photographs in color, and at which depth behind a surface they agree with those around them.
+
+use crate::error::stop::is_stopping;
+use crate::math::color::srgb_from_linear;
+use crate::math::ray::Ray;
+use crate::mesh::bvh::TriangleBvh;
+use crate::view::{Camera, Photograph, PixelWindow, StoredMask};
+use glam::Vec3;
+
+/// Coverage of a block of pixels from which it shows the object alone.
+const WHOLE: f32 = 0.95;
+/// Angles in degrees between a view and those around it: less shows no depth, from more the same is seldom seen.
+const ANGLES: (f32, f32) = (6.0, 50.0);
+/// Most views around one.
+const MOST_SOURCES: usize = 10;
+/// Sine of the angle to a typical one.
+const SINE: f32 = 0.3;
+/// Length of a step of the search, in pixels of a view around, and the most steps.
+const STEP: f32 = 0.5;
+const MOST_STEPS: usize = 200;
+/// Steps before the surface, and behind it, at which what is seen is the surface.
+const AT_SURFACE: usize = 3;
+/// Half width of a patch in pixels, and share of it that both pictures must show.
+const RADIUS: usize = 1;
+const LEAST_PIXELS: u8 = 5;
+/// Largest difference of colors (the sum of three channels in [0, 1]) that counts.
+const MOST_DIFFERENCE: f32 = 0.6;
+/// Views that must see a depth, and share of them whose colors must agree: from the others something may hide it.
+const LEAST_SOURCES: usize = 3;
+const BEST_SHARE: f32 = 0.5;
+/// How many times smaller the difference of colors must be than at the surface, and by how much.
+const RATIO: f32 = 2.0;
+const CLEAR: f32 = 0.06;
+
+/// A photograph in color, with the curve of sRGB.
+#[derive(Clone, Debug)]
+pub struct ColorPicture {
+    /// The camera of the small picture.
+    pub camera: Camera,
+    window: PixelWindow,
+    /// The window's pixels; negative where the object is not alone.
+    values: Vec<Vec3>,
+}
+
+/// What a comparison found for each pixel of the window.
+#[derive(Clone, Debug)]
+pub struct Compared {
+    /// Distance along the ray to what is seen; 0 if that is not known.
+    pub depths: Vec<f32>,
+    /// One pixel of a view around, along the ray, relative to the distance.
+    pub step: f32,
+}
+
+impl ColorPicture {
+    /// From a photograph, `factor` times smaller along each axis; `None` if the mask is empty.
+    pub fn new(camera: &Camera, photograph: &Photograph, mask: &StoredMask, factor: u32) -> Option<Self> {
+        let small = camera.scaled(factor);
+        let whole = mask.window();
+        let (x, y) = (whole.x / factor, whole.y / factor);
+        let right = (whole.x + whole.width).div_ceil(factor).min(small.width);
+        let bottom = (whole.y + whole.height).div_ceil(factor).min(small.height);
+        if right <= x || bottom <= y {
+            return None;
+        }
+        let window = PixelWindow { x, y, width: right - x, height: bottom - y };
+        let block = |pixel: usize| {
+            let (x, y) = (pixel as u32 % small.width * factor, pixel as u32 / small.width * factor);
+            let pixels = (0..factor * factor).map(|k| (y + k / factor) * camera.width + x + k % factor);
+            let (light, covered) = pixels.fold((Vec3::ZERO, 0.0), |(light, covered), i| {
+                (light + photograph.radiance(i as usize), covered + mask.coverage(i as usize))
+            });
+            let alone = covered >= WHOLE * (factor * factor) as f32;
+            let encoded = (light / covered.max(1e-6)).clamp(Vec3::ZERO, Vec3::ONE).map(srgb_from_linear);
+            if alone { encoded } else { Vec3::NEG_ONE }
+        };
+        Some(Self { camera: small, window, values: window.pixels(small.width).map(block).collect() })
+    }
+
+    /// How far the rays of the window's pixels go to the surface; infinitely where there is none or the object is not alone.
+    pub fn cast(&self, bvh: &TriangleBvh) -> Vec<f32> {
+        let far = |(at, pixel): (usize, usize)| {
+            let alone = self.values[at].x >= 0.0 && !is_stopping();
+            let hit = if alone { bvh.nearest(&self.camera.pixel_ray(pixel as u32), 0.0) } else { None };
+            hit.map_or(f32::INFINITY, |hit| hit.distance)
+        };
+        self.window.pixels(self.camera.width).enumerate().map(far).collect()
+    }
+
+    /// The window's pixel that shows a point, if it shows the object alone.
+    pub fn place(&self, point: Vec3) -> Option<usize> {
+        let (x, y, _) = self.camera.project(point)?;
+        let (x, y) = (x - self.window.x as f32, y - self.window.y as f32);
+        let inside = x >= 0.0 && y >= 0.0 && x < self.window.width as f32 && y < self.window.height as f32;
+        let place = inside.then(|| y as usize * self.window.width as usize + x as usize)?;
+        (self.values[place].x >= 0.0).then_some(place)
+    }
+
+    /// The bilinear color where a point is seen, with the nearest pixel of the window; `None` if a pixel around it does not show the object alone.
+    #[inline]
+    fn at(&self, point: Vec3) -> Option<(Vec3, usize)> {
+        let (x, y, _) = self.camera.project(point)?;
+        let (x, y) = (x - 0.5 - self.window.x as f32, y - 0.5 - self.window.y as f32);
+        let (width, height) = (self.window.width as usize, self.window.height as usize);
+        if !(x >= 0.0 && y >= 0.0 && x < (width - 1) as f32 && y < (height - 1) as f32) {
+            return None;
+        }
+        let (left, top) = (x as usize, y as usize);
+        let (tx, ty) = (x - left as f32, y - top as f32);
+        let first = top * width + left;
+        let [a, b, c, d] = [first, first + 1, first + width, first + width + 1].map(|i| self.values[i]);
+        if a.x.min(b.x).min(c.x).min(d.x) < 0.0 {
+            return None;
+        }
+        let nearest = first + usize::from(tx >= 0.5) + if ty >= 0.5 { width } else { 0 };
+        Some((a.lerp(b, tx).lerp(c.lerp(d, tx), ty), nearest))
+    }
+}
+
+/// The views around picture `of` as seen from `center`, from near to far, evenly chosen.
+pub fn around(pictures: &[ColorPicture], of: usize, center: Vec3) -> Vec<usize> {
+    let direction = |i: usize| (pictures[i].camera.position() - center).normalize_or_zero();
+    let angle = |i: usize| direction(i).angle_between(direction(of)).to_degrees();
+    let all = (0..pictures.len()).filter(|i| *i != of).map(|i| (angle(i), i));
+    let mut near: Vec<(f32, usize)> =
+        all.filter(|(angle, _)| (ANGLES.0..=ANGLES.1).contains(angle)).collect();
+    near.sort_by(|a, b| a.0.total_cmp(&b.0).then(a.1.cmp(&b.1)));
+    let stride = (near.len() as f32 / MOST_SOURCES as f32).max(1.0);
+    let count = near.len().min(MOST_SOURCES);
+    (0..count).map(|k| near[((k as f32 + 0.5) * stride) as usize].1).collect()
+}
+
+/// Finds what a picture sees: the surface, whose distances are `seen`, or what lies behind it. `sources` are views around it with the same
+/// distances of their own.
+pub fn compare(
+    bvh: &TriangleBvh,
+    picture: &ColorPicture,
+    seen: &[f32],
+    sources: &[(&ColorPicture, &[f32])],
+) -> Compared {
+    let step = 2.0 / ((picture.camera.focal[0].abs() + picture.camera.focal[1].abs()) * SINE);
+    let mut compared = Compared { depths: vec![0.0; seen.len()], step };
+    if sources.len() < LEAST_SOURCES {
+        return compared;
+    }
+    let mut search = Search::new(picture, seen, sources, step);
+    let far = far_sides(bvh, picture, seen);
+    let last = |at: usize| {
+        (((far[at] / seen[at] - 1.0) / (STEP * step)).ceil() as usize + AT_SURFACE).min(MOST_STEPS)
+    };
+    let lasts: Vec<usize> =
+        (0..seen.len()).map(|at| if seen[at].is_finite() { last(at) } else { 0 }).collect();
+    let steps = lasts.iter().copied().max().unwrap_or(0);
+    // The least difference at the surface, and of all depths with its step.
+    let mut surface = vec![f32::INFINITY; seen.len()];
+    let mut least = vec![(f32::INFINITY, 0); seen.len()];
+    for k in 0..=steps {
+        if is_stopping() {
+            return compared;
+        }
+        if k == 2 * AT_SURFACE + 1 {
+            search.leave_out(&surface);
+        }
+        for (at, difference) in search.differences((k as f32 - AT_SURFACE as f32) * STEP) {
+            if k <= lasts[at].max(2 * AT_SURFACE) && difference < least[at].0 {
+                least[at] = (difference, k);
+            }
+            if k <= 2 * AT_SURFACE {
+                surface[at] = surface[at].min(difference);
+            }
+        }
+    }
+    for (at, (difference, k)) in least.into_iter().enumerate().filter(|(_, (d, _))| d.is_finite()) {
+        let limit = (surface[at] - CLEAR).min(surface[at] / RATIO);
+        if k <= 2 * AT_SURFACE || difference < limit {
+            compared.depths[at] = seen[at] * (1.0 + (k as f32 - AT_SURFACE as f32) * STEP * step);
+        }
+    }
+    compared
+}
+
+/// Where each pixel's ray leaves the surface for good.
+fn far_sides(bvh: &TriangleBvh, picture: &ColorPicture, seen: &[f32]) -> Vec<f32> {
+    let (center, radius) = bvh.bounding_sphere();
+    let beyond = picture.camera.position().distance(center) + 2.0 * radius;
+    let far = |(at, pixel): (usize, usize)| {
+        let ray = picture.camera.pixel_ray(pixel as u32);
+        let back = Ray { origin: ray.origin + ray.direction * beyond, direction: -ray.direction };
+        let hit = if seen[at].is_finite() { bvh.nearest(&back, 0.0) } else { None };
+        hit.map_or(0.0, |hit| beyond - hit.distance)
+    };
+    picture.window.pixels(picture.camera.width).enumerate().map(far).collect()
+}
+
+struct Search<'a> {
+    picture: &'a ColorPicture,
+    seen: &'a [f32],
+    sources: &'a [(&'a ColorPicture, &'a [f32])],
+    rays: Vec<Vec3>,
+    step: f32,
+    /// Pixels that are asked, and those whose colors are looked up for their patches.
+    asked: Vec<usize>,
+    looked_up: Vec<bool>,
+}
+
+impl<'a> Search<'a> {
+    fn new(
+        picture: &'a ColorPicture,
+        seen: &'a [f32],
+        sources: &'a [(&'a ColorPicture, &'a [f32])],
+        step: f32,
+    ) -> Self {
+        let camera = &picture.camera;
+        let rays =
+            picture.window.pixels(camera.width).map(|i| camera.pixel_ray(i as u32).direction).collect();
+        let asked = (0..seen.len()).filter(|&at| seen[at].is_finite()).collect();
+        let looked_up = seen.iter().map(|seen| seen.is_finite()).collect();
+        Self { picture, seen, sources, rays, step, asked, looked_up }
+    }
+
+    /// Asks no longer for pixels whose colors agree so well at the surface that no other depth can be much better.
+    fn leave_out(&mut self, surface: &[f32]) {
+        self.asked.retain(|&at| surface[at] > CLEAR);
+        self.looked_up.fill(false);
+        for at in &self.asked {
+            for i in self.patch(*at) {
+                self.looked_up[i] = self.seen[i].is_finite();
+            }
+        }
+    }
+
+    /// The pixels of the patch around one.
+    fn patch(&self, at: usize) -> impl Iterator<Item = usize> + use<> {
+        let (width, height) = (self.picture.window.width as usize, self.picture.window.height as usize);
+        let (x, y) = (at % width, at / width);
+        let rows = y.saturating_sub(RADIUS)..(y + RADIUS + 1).min(height);
+        let columns = x.saturating_sub(RADIUS)..(x + RADIUS + 1).min(width);
+        rows.flat_map(move |y| columns.clone().map(move |x| y * width + x))
+    }
+
+    /// How much the best of the views around differ in each pixel's patch, if the surface is moved along the rays by `shift` pixels.
+    fn differences(&self, shift: f32) -> Vec<(usize, f32)> {
+        let of_sources: Vec<Vec<f32>> =
+            self.sources.iter().map(|source| self.warped(source, shift)).collect();
+        let mut all = Vec::with_capacity(self.sources.len());
+        let mut found = Vec::with_capacity(self.asked.len());
+        for &at in &self.asked {
+            all.clear();
+            for differences in &of_sources {
+                let (sum, count) = self.patch(at).fold((0.0, 0u8), |(sum, count), i| {
+                    if differences[i] < 0.0 { (sum, count) } else { (sum + differences[i], count + 1) }
+                });
+                if count >= LEAST_PIXELS {
+                    all.push(sum / f32::from(count));
+                }
+            }
+            if all.len() >= LEAST_SOURCES {
+                all.sort_by(f32::total_cmp);
+                let best = ((BEST_SHARE * all.len() as f32).round() as usize).max(2);
+                found.push((at, all[..best].iter().sum::<f32>() / best as f32));
+            }
+        }
+        found
+    }
+
+    /// The difference of colors of each pixel and of a view around; −1 where it is not known.
+    fn warped(&self, (source, theirs): &(&ColorPicture, &[f32]), shift: f32) -> Vec<f32> {
+        let origin = self.picture.camera.position();
+        let eye = source.camera.position();
+        let difference = |at: usize| {
+            if !self.looked_up[at] {
+                return None;
+            }
+            let point = origin + self.rays[at] * (self.seen[at] * (1.0 + shift * self.step));
+            let (color, place) = source.at(point)?;
+            // A point well behind what the other view sees there is hidden from it.
+            let slack = self.step * self.seen[at] * (3.0 + 2.0 * shift.abs());
+            let hidden = eye.distance(point) > theirs[place] + slack;
+            (!hidden).then(|| (color - self.picture.values[at]).abs().element_sum().min(MOST_DIFFERENCE))
+        };
+        (0..self.seen.len()).map(|at| difference(at).unwrap_or(-1.0)).collect()
+    }
+}

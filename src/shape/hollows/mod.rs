@@ -1,0 +1,142 @@
+//! Hollows that no silhouette shows: removes from the hull what photographs look through.
+//!
+//! The hull closes a cup with a lid. What is seen through the lid moves against it from view to view, so that photographs disagree on
+//! the lid's color, and agree far behind it. Each view is compared with those around it ([`colors`]) at all depths from the surface to
+//! the far side. Where they agree much better at one of these than at the surface, the space in front of it is empty. All views vote, and
+//! what enough of them see through is removed; the next round knows better what hides what.
+//!
+//! A margin before the depth that was found stays: the walls of a hollow may be thin, and a fit moves a surface that is nearly in place.
+//!
+//! Sources: photo-consistency of color (Kutulakos and Seitz, "A Theory of Shape by Space Carving", IJCV 2000); votes for empty space
+//! (Merrell et al., "Real-Time Visibility-Based Fusion of Depth Maps", ICCV 2007).
+
+pub mod colors;
+
+use crate::error::stop::is_stopping;
+use crate::mesh::bvh::TriangleBvh;
+use crate::sdf::SdfGrid;
+use crate::shape::parts::extract_parts;
+use crate::shape::silhouette::{Silhouette, pixel_size};
+use crate::shape::stereo::StereoView;
+use colors::{ColorPicture, Compared, around, compare};
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// Pixels of a picture per cell of the grid.
+const PIXELS_PER_CELL: f32 = 1.5;
+/// Share of the object's volume that a round must remove for another one.
+const LEAST_SHARE: f32 = 1e-3;
+
+/// Rounds at most.
+const ROUNDS: usize = 3;
+/// Votes from which space is empty, and what a view that sees a surface there counts against one that sees through it. Reflections on a
+/// glossy object make a few views see too deep, each somewhere else.
+const ENOUGH: f32 = 3.0;
+const AGAINST: f32 = 1.5;
+/// What stays before the depth that was found, in cells and in pixels of a view around.
+const MARGIN: (f32, f32) = (0.75, 0.5);
+
+/// Removes from the hull the space that the photographs look through; returns the share of its volume that goes. A run that is stopping
+/// ([`is_stopping`]) removes nothing more.
+pub fn carve_hollows(grid: &mut SdfGrid, silhouettes: &[Silhouette], views: &[StereoView]) -> f32 {
+    let factor = picture_factor(grid, views);
+    let pictures: Vec<ColorPicture> =
+        views.par_iter().filter_map(|v| ColorPicture::new(v.camera, v.photograph, v.mask, factor)).collect();
+    let volume = |grid: &SdfGrid| grid.values.iter().filter(|value| **value < 0.0).count();
+    let whole = volume(grid);
+    for _ in 0..ROUNDS {
+        let before = volume(grid);
+        let depths = all_depths(grid, silhouettes, &pictures);
+        if is_stopping() {
+            break;
+        }
+        remove(grid, &pictures, &depths);
+        if (before.saturating_sub(volume(grid)) as f32) < LEAST_SHARE * whole as f32 {
+            break;
+        }
+    }
+    1.0 - volume(grid) as f32 / whole.max(1) as f32
+}
+
+/// How many times smaller than the photographs the pictures are that are compared.
+fn picture_factor(grid: &SdfGrid, views: &[StereoView]) -> u32 {
+    let middle = grid.origin + Vec3::splat(0.5 * grid.spacing * (grid.side - 1) as f32);
+    let footprint = |v: &StereoView| pixel_size(v.camera) * v.camera.position().distance(middle);
+    let mut footprints: Vec<f32> = views.iter().map(footprint).collect();
+    footprints.sort_by(f32::total_cmp);
+    let typical = footprints.get(footprints.len() / 2).copied().unwrap_or(grid.spacing);
+    (grid.spacing / (PIXELS_PER_CELL * typical)).round().clamp(1.0, 1024.0) as u32
+}
+
+/// What each picture shows of the field as it is.
+fn all_depths(grid: &SdfGrid, silhouettes: &[Silhouette], pictures: &[ColorPicture]) -> Vec<Compared> {
+    let bvh = TriangleBvh::new(&extract_parts(grid, silhouettes));
+    let (center, _) = bvh.bounding_sphere();
+    let seen: Vec<Vec<f32>> = pictures.par_iter().map(|picture| picture.cast(&bvh)).collect();
+    let of_picture = |i: usize| {
+        let sources: Vec<(&ColorPicture, &[f32])> =
+            around(pictures, i, center).into_iter().map(|j| (&pictures[j], &*seen[j])).collect();
+        compare(&bvh, &pictures[i], &seen[i], &sources)
+    };
+    (0..pictures.len()).into_par_iter().map(of_picture).collect()
+}
+
+/// Removes what enough pictures look through.
+fn remove(grid: &mut SdfGrid, pictures: &[ColorPicture], depths: &[Compared]) {
+    let votes: Vec<f32> =
+        (0..grid.values.len()).into_par_iter().map(|row| votes_at(grid, row, pictures, depths)).collect();
+    let carved = |row: usize| {
+        let empty = (spread(grid, &votes, row) / ENOUGH - 1.0).clamp(-1.0, 1.0);
+        grid.values[row].max(empty * grid.spacing)
+    };
+    grid.values = (0..votes.len()).into_par_iter().map(carved).collect();
+    grid.redistance();
+}
+
+/// How many pictures look through a vertex of the grid, less those that show a surface there.
+fn votes_at(grid: &SdfGrid, row: usize, pictures: &[ColorPicture], depths: &[Compared]) -> f32 {
+    if grid.values[row] > 2.0 * grid.spacing || is_stopping() {
+        return 0.0;
+    }
+    let point = grid.position(grid.vertex(row));
+    let vote = |(picture, compared): (&ColorPicture, &Compared)| {
+        let Some(depth) = picture.place(point).map(|place| compared.depths[place]).filter(|d| *d > 0.0)
+        else {
+            return 0.0;
+        };
+        let margin = MARGIN.0 * grid.spacing + MARGIN.1 * compared.step * depth;
+        let behind = picture.camera.position().distance(point) - depth;
+        if behind < -margin {
+            1.0
+        } else if behind < margin {
+            -AGAINST
+        } else {
+            0.0
+        }
+    };
+    pictures.iter().zip(depths).map(vote).sum()
+}
+
+/// The mean of the votes around a vertex, with weights 4, 2, 1 and ½ for itself and its neighbors across faces, edges and corners.
+fn spread(grid: &SdfGrid, votes: &[f32], row: usize) -> f32 {
+    let vertex = grid.vertex(row);
+    if vertex.min_element() == 0 || vertex.max_element() + 1 == grid.side {
+        return votes[row];
+    }
+    let side = grid.side as isize;
+    let (mut sum, mut weights) = (0.0, 0.0);
+    for z in -1..=1isize {
+        for y in -1..=1isize {
+            for x in -1..=1isize {
+                let weight = 4.0 * 0.5f32.powi((x.abs() + y.abs() + z.abs()) as i32);
+                let other = row as isize + x + side * (y + side * z);
+                sum += weight * votes[other as usize];
+                weights += weight;
+            }
+        }
+    }
+    sum / weights
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,102 @@
+use super::*;
+use crate::shape::hull::visual_hull;
+use crate::shape::silhouette::Silhouette;
+use crate::view::{Camera, Image, Mask, Photograph, StoredMask};
+
+const SIZE: u32 = 128;
+
+/// A cup: a cylinder without what is above its floor and within its wall, both 0.12 thick.
+fn cup(p: Vec3) -> f32 {
+    let cylinder =
+        |radius: f32, low: f32, high: f32| (p.with_y(0.0).length() - radius).max(p.y - high).max(low - p.y);
+    cylinder(0.6, -0.5, 0.5).max(-cylinder(0.48, -0.38, 2.0))
+}
+
+/// The same, filled to the brim.
+fn full(p: Vec3) -> f32 {
+    (p.with_y(0.0).length() - 0.6).max(p.y.abs() - 0.5)
+}
+
+/// Photographs of a field with a printed pattern, from all around, without shading.
+struct Pictures {
+    cameras: Vec<Camera>,
+    photographs: Vec<Photograph>,
+    masks: Vec<StoredMask>,
+}
+
+impl Pictures {
+    fn new(field: impl Fn(Vec3) -> f32 + Sync, pattern: impl Fn(Vec3) -> f32 + Sync) -> Self {
+        let grid = SdfGrid::from_fn(Vec3::ZERO, 0.8, 64, field);
+        let cameras = Camera::around(70, 3.0, 36.0, SIZE).unwrap();
+        let picture = |camera: &Camera| {
+            let color = |pixel: u32| {
+                let ray = camera.pixel_ray(pixel);
+                let distance = grid.first_crossing(&ray, 0.0)?;
+                Some(Vec3::splat(pattern(ray.origin + ray.direction * distance)))
+            };
+            (0..SIZE * SIZE).map(color).collect::<Vec<Option<Vec3>>>()
+        };
+        let shown: Vec<Vec<Option<Vec3>>> = cameras.par_iter().map(picture).collect();
+        let photograph = |shown: &Vec<Option<Vec3>>| {
+            let pixels = shown.iter().map(|color| color.unwrap_or(Vec3::ZERO)).collect();
+            Photograph::of_image(&Image { width: SIZE, height: SIZE, pixels })
+        };
+        let mask = |shown: &Vec<Option<Vec3>>| {
+            let coverage = shown.iter().map(|color| f32::from(u8::from(color.is_some()))).collect();
+            StoredMask::new(&Mask { width: SIZE, height: SIZE, coverage })
+        };
+        let photographs = shown.iter().map(photograph).collect();
+        Self { cameras, photographs, masks: shown.iter().map(mask).collect() }
+    }
+
+    /// The hull, what is left of it, and the share that went.
+    fn carved(&self) -> (SdfGrid, SdfGrid, f32) {
+        let views = self.cameras.iter().zip(&self.masks).enumerate();
+        let mut silhouettes: Vec<Silhouette> = views
+            .map(|(i, (camera, mask))| Silhouette::new(&format!("v{i}"), camera, mask).unwrap())
+            .collect();
+        let hull = visual_hull(&mut silhouettes, 40).unwrap();
+        let mut carved = hull.clone();
+        let parts = self.cameras.iter().zip(&self.photographs).zip(&self.masks);
+        let views: Vec<StereoView> =
+            parts.map(|((camera, photograph), mask)| StereoView { camera, photograph, mask }).collect();
+        let share = carve_hollows(&mut carved, &silhouettes, &views);
+        (hull, carved, share)
+    }
+}
+
+fn waves(p: Vec3) -> f32 {
+    let (a, b) = ((23.0 * p.x).sin() + (21.0 * p.z + 1.0).sin(), (19.0 * p.y + 2.0).sin());
+    0.3 + 0.05 * (a + b + (13.0 * (p.x + p.y - p.z)).sin())
+}
+
+#[test]
+fn a_cup_is_opened_and_keeps_its_wall() {
+    let (hull, carved, _) = Pictures::new(cup, waves).carved();
+    for height in [0.35, 0.2] {
+        let inside = Vec3::new(0.1, height, -0.1);
+        assert!(hull.value(inside) < -0.05, "no silhouette shows the hollow");
+        assert!(carved.value(inside) > 0.0, "{height}: {}", carved.value(inside));
+    }
+    let around = (0..24).map(|k| k as f32 * std::f32::consts::TAU / 24.0);
+    for angle in around {
+        for y in [-0.3, 0.0, 0.3] {
+            let wall = Vec3::new(0.54 * angle.cos(), y, 0.54 * angle.sin());
+            assert!(carved.value(wall) < 0.0, "{wall} {}", carved.value(wall));
+        }
+        let floor = Vec3::new(0.3 * angle.cos(), -0.44, 0.3 * angle.sin());
+        assert!(carved.value(floor) < 0.0, "{floor}");
+    }
+}
+
+#[test]
+fn what_is_full_stays_full() {
+    let (_, _, share) = Pictures::new(full, waves).carved();
+    assert!(share < 0.005, "{share}");
+}
+
+#[test]
+fn a_hollow_without_a_pattern_stays_closed() {
+    let (_, _, share) = Pictures::new(cup, |_| 0.4).carved();
+    assert!(share < 0.005, "{share}");
+}
