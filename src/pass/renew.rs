@@ -13,7 +13,7 @@ use crate::pass::session::Session;
 use crate::pipeline::Pipeline;
 use crate::profile::stage;
 use crate::sample::point::Scenery;
-use crate::scene::{Albedo, AlbedoSource, Gloss, Scene, Sheen, Surface};
+use crate::scene::{Albedo, AlbedoSource, Gloss, Scene, Sheen, Surface, Tilt};
 use crate::shade::frame::FramePlugin;
 use crate::shape::field::ModelError;
 use crate::shape::run::replace_texels;
@@ -33,6 +33,7 @@ fn reads_nothing(scene: &Scene) -> bool {
     };
     let reads = reads
         || matches!(&material.sheen, Sheen::Fixed(source) if read(source))
+        || matches!(material.tilt, Tilt::Fixed(_))
         || matches!(material.gloss, Gloss::Fixed { .. });
     !reads && matches!(scene.surface, Surface::Unknown { .. })
 }
