@@ -351,15 +351,9 @@ fn refresh_every(world: &World) -> u32 {
 fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
     let sheen = options.unknowns.sheen || (options.looks_for_sheen && options.unknowns.albedo);
     attach_state(&mut pipeline.world, sheen);
-    if options.unknowns.albedo {
-        forget_tilt(&mut pipeline.world)?;
-    }
     pipeline.world.insert_resource(options.pixels);
     pipeline.world.insert_resource(options.unknowns);
-    pipeline.world.remove_resource::<SheenEvidence>();
-    if options.looks_for_sheen && options.unknowns.albedo {
-        look_for_sheen(&mut pipeline.world)?;
-    }
+    begin_albedo(&mut pipeline.world, options)?;
     pipeline.world.insert_resource(options.scale);
     pipeline.world.insert_resource(ScaleMoments::default());
     pipeline.world.insert_resource(LossState { loss: options.loss, last: LossSums::default() });
@@ -443,8 +437,15 @@ pub(super) fn first_specular(world: &mut World) -> SpecularLobe {
     recovered_materials(world).first().map_or(SpecularLobe::new(Vec3::ZERO, 1.0), |(_, lobe)| *lobe)
 }
 
-/// A tilt belongs to the albedo that it was found with: steps move an albedo without one.
-fn forget_tilt(world: &mut World) -> Result<()> {
+/// A fit of the albedo begins without a tilt, which belongs to the albedo that it was found with, and may have to decide about a sheen.
+fn begin_albedo(world: &mut World, options: &FitOptions) -> Result<()> {
+    world.remove_resource::<SheenEvidence>();
+    if !options.unknowns.albedo {
+        return Ok(());
+    }
+    if options.looks_for_sheen {
+        look_for_sheen(world)?;
+    }
     let tilt = read_column::<TexelIndex, DiffuseTilt>(world)?;
     if has_tilt(&tilt) {
         write_column::<TexelIndex, DiffuseTilt>(world, &vec![DiffuseTilt::default(); tilt.len()])?;
