@@ -10,8 +10,8 @@ import { tmpdir } from "node:os";
 import { join, resolve } from "node:path";
 import { pathToFileURL } from "node:url";
 import { Browser, findChromium } from "./browser.mjs";
-import { gltf, scene } from "./object.mjs";
-import { layerPicture, psnr, readExr, readPng } from "./pictures.mjs";
+import { gltf, scene, tilt } from "./object.mjs";
+import { layerPicture, psnr, readExr, readPng, writeExr } from "./pictures.mjs";
 
 /** Least PSNR of a state, in dB over the object's pixels. */
 const LEAST = 40;
@@ -68,6 +68,7 @@ try {
         const home = resolve(folder, ndf);
         mkdirSync(home, { recursive: true });
         writeFileSync(join(home, "object.gltf"), gltf());
+        writeFileSync(join(home, "tilt.exr"), writeExr(128, 128, tilt(128)));
         const file = join(home, "scene.ron");
         writeFileSync(file, scene(ndf));
         lobelia("run", file, "--quiet", "--force", "--out", join(home, "out"));

@@ -61,6 +61,16 @@ export function gltf() {
     });
 }
 
+/** How its albedo depends on the side of view: width × width vectors, as channels. */
+export function tilt(width) {
+    const at = (wave) => Array.from({ length: width * width }, (_, i) => wave((i % width) / width, Math.floor(i / width) / width));
+    return {
+        X: at((x) => 0.5 * Math.sin(9 * x)),
+        Y: at((_, y) => 0.5 * Math.cos(7 * y)),
+        Z: at((x, y) => 0.5 * Math.sin(5 * (x + y))),
+    };
+}
+
 /** A scene of it: `ndf` is `Sg` or `Ggx`. */
 export const scene = (ndf) => `Scene(
     version: 1,
@@ -79,6 +89,7 @@ export const scene = (ndf) => `Scene(
     ])),
     material: (
         albedo: Fixed(Constant(0.55, 0.35, 0.2)),
+        tilt: Fixed("tilt.exr"),
         specular: (albedo: Fixed(0.25, 0.25, 0.25), roughness: Fixed(0.3), ndf: ${ndf}),
     ),
     passes: [

@@ -126,3 +126,31 @@ export function psnr(a, b) {
     }
     return { psnr: sum > 0 ? -10 * Math.log10(sum / count) : Infinity, most: Math.round(255 * most) };
 }
+
+/** An EXR of 32-bit float channels, without compression: `channels` by name, each of width × height values. */
+export function writeExr(width, height, channels) {
+    const names = Object.keys(channels).sort();
+    const int = (...values) => Buffer.from(Int32Array.from(values).buffer);
+    const float = (...values) => Buffer.from(Float32Array.from(values).buffer);
+    const text = (value) => Buffer.from(`${value}\0`, "latin1");
+    const entry = (name, kind, value) => Buffer.concat([text(name), text(kind), int(value.length), value]);
+    const listed = names.map((name) => Buffer.concat([text(name), int(2, 0, 1, 1)]));
+    const window = int(0, 0, width - 1, height - 1);
+    const header = Buffer.concat([
+        int(20000630, 2),
+        entry("channels", "chlist", Buffer.concat([...listed, Buffer.from([0])])),
+        entry("compression", "compression", Buffer.from([0])),
+        entry("dataWindow", "box2i", window),
+        entry("displayWindow", "box2i", window),
+        entry("lineOrder", "lineOrder", Buffer.from([0])),
+        entry("pixelAspectRatio", "float", float(1)),
+        entry("screenWindowCenter", "v2f", float(0, 0)),
+        entry("screenWindowWidth", "float", float(1)),
+        Buffer.from([0]),
+    ]);
+    const row = (y) => Buffer.concat(names.map((name) => float(...channels[name].slice(y * width, (y + 1) * width))));
+    const rows = Array.from({ length: height }, (_, y) => Buffer.concat([int(y, 4 * width * names.length), row(y)]));
+    const start = header.length + 8 * height;
+    const offsets = rows.map((bytes, y) => BigInt(start + y * bytes.length));
+    return Buffer.concat([header, Buffer.from(BigInt64Array.from(offsets).buffer), ...rows]);
+}
