@@ -102,7 +102,7 @@ fn force_replaces_what_a_run_wrote_and_nothing_else() {
 #[test]
 fn a_manifest_lists_every_file() {
     let data = Data::new();
-    let more = r#"Fit(name: "second", steps: 2, cameras: PosesAndFocal, exposure: true),
+    let more = r#"Fit(name: "second", steps: 2, cameras: PosesAndFocal, exposure: true, detail: true),
         Render(name: "film", render: (views: All, orbit: (frames: 2, size: 16, format: Apng))),
         Relight(name: "relit", light: Npy(path: "$DATA/evening.npy")),
         Save(name: "relit_object", of: "relit"),

@@ -44,11 +44,15 @@ impl DirectionalAlbedo {
         })
     }
 
-    /// ρ(v) for the unit `normal` and the unit direction `to_viewer`, in the object's axes; in [0, 1].
+    /// ρ(v) for the unit `normal` and the unit direction `to_viewer`, in the object's axes; with a tilt, clamped to [0, 1].
     pub fn toward(&self, normal: Vec3, to_viewer: Vec3) -> Vec3 {
         let straight = albedo_toward(self.albedo, self.sheen, normal.dot(to_viewer));
+        if self.tilt == Vec3::ZERO {
+            return straight;
+        }
         let side = mean_albedo(self.albedo, self.sheen) * self.tilt.dot(along_surface(normal, to_viewer));
-        (straight + side).clamp(Vec3::ZERO, Vec3::ONE)
+        // Unlike the clamp of vectors, that of numbers keeps what is not a number, which must not pass for black.
+        Vec3::from_array((straight + side).to_array().map(|channel| channel.clamp(0.0, 1.0)))
     }
 }
 
@@ -77,6 +81,15 @@ mod tests {
         assert_eq!(from(0.0), point.albedo, "straight on there are no sides");
         assert!(from(0.8).abs_diff_eq(Vec3::new(0.2 + 0.12 + 0.12, 0.4 + 0.16, 1.0), 1e-6), "{}", from(0.8));
         assert!(from(-0.8).abs_diff_eq(Vec3::new(0.2 + 0.12 - 0.12, 0.24, 0.54), 1e-6), "{}", from(-0.8));
+    }
+
+    #[test]
+    fn what_is_not_a_number_stays() {
+        for tilt in [Vec3::ZERO, Vec3::X] {
+            let point =
+                DirectionalAlbedo { albedo: Vec3::new(f32::NAN, 0.5, 0.5), tilt, ..Default::default() };
+            assert!(point.toward(Vec3::Z, Vec3::new(0.6, 0.0, 0.8)).x.is_nan());
+        }
     }
 
     #[test]

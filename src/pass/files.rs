@@ -118,8 +118,8 @@ fn of_scores(scene: &Scene, pass: &EvaluatePass, views: &[(&str, Split)]) -> Vec
 }
 
 fn of_save(scene: &Scene) -> Vec<String> {
-    let mut names =
-        owned(&["scene.ron", "mesh.glb", "albedo.exr", "albedo_along.exr", "blend.exr", "light.npy"]);
+    let textures = ["albedo.exr", "albedo_along.exr", "albedo_tilt.exr", "blend.exr"];
+    let mut names = owned(&[textures.as_slice(), &["scene.ron", "mesh.glb", "light.npy"]].concat());
     // A map is copied, with its own extension.
     for source in lights(scene) {
         if let Some(LightSource::Map { path, .. }) = given(source) {

@@ -71,7 +71,8 @@ pub(super) fn plan(ffmpeg: &Program, video: &Path, wanted: FrameCount) -> Result
     let used = match wanted {
         FrameCount::Auto => (total / CANDIDATES).clamp(FEWEST as u64, USUAL),
         FrameCount::Count(frames) => u64::from(frames),
-        FrameCount::PerSecond(rate) => (f64::from(rate) * counted.seconds).round() as u64,
+        // A stated length may be a little longer than that of the pictures.
+        FrameCount::PerSecond(rate) => ((f64::from(rate) * counted.seconds).round() as u64).min(total),
     };
     if total < FEWEST as u64 {
         let frames = if total == 1 { "frame" } else { "frames" };
@@ -137,6 +138,7 @@ fn count(ffmpeg: &Program, video: &Path) -> Result<Counted> {
     let reason = match ran {
         Ok(()) if counted.frames > 0 => return Ok(counted),
         Ok(()) => "it has no frames".to_owned(),
+        Err(error @ Error::Run { .. }) if counted.said.is_empty() => error.to_string(),
         Err(Error::Run { .. }) => counted.said,
         Err(other) => return Err(other),
     };
@@ -199,8 +201,15 @@ fn arguments(video: &Path, plan: FramePlan, frames: &Path) -> Vec<OsString> {
     let mut words = input_words(video);
     words.extend(["-vf".into(), filter.into()]);
     words.extend(["-r", "25", "-q:v", "1", "-qmin", "1"].map(OsString::from));
-    words.push(frames.join("%06d.jpg").into_os_string());
+    words.push(output_pattern(frames));
     words
+}
+
+/// Numbered files in a folder, in whose path `%` and `:` mean themselves.
+fn output_pattern(folder: &Path) -> OsString {
+    let folder = if folder.is_absolute() { folder.to_owned() } else { Path::new(".").join(folder) };
+    let folder = folder.to_str().map_or_else(|| folder.clone(), |text| text.replace('%', "%%").into());
+    folder.join("%06d.jpg").into_os_string()
 }
 
 /// Seconds of `Duration: 00:01:02.50`.
@@ -314,6 +323,13 @@ mod tests {
         let error = planned(ffmpeg, wanted).unwrap_err();
         assert_eq!(error.exit_code(), 2);
         format!("{error} {}", error.help().unwrap_or_default())
+    }
+
+    #[test]
+    fn a_folder_with_signs_of_ffmpeg_is_a_folder() {
+        let pattern = |folder: &str| output_pattern(Path::new(folder)).into_string().unwrap();
+        assert_eq!(pattern("/a/100% done"), "/a/100%% done/%06d.jpg");
+        assert_eq!(pattern("a:b"), "./a:b/%06d.jpg");
     }
 
     #[test]

@@ -53,7 +53,7 @@ pub enum Sheen {
 /// each texel is brighter toward one side, and darker toward the other.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub enum Tilt {
-    /// A `Fit` with `detail` finds it together with the albedo; another fit leaves it out.
+    /// A `Fit` with `detail` finds it together with the albedo; another fit, or one beside a known sheen, leaves it out.
     #[default]
     Unknown,
     /// Not at all.

@@ -3,7 +3,6 @@
 //! A field has floaters: space that no mask contradicts. They project into the masks, but always onto what the object covers anyway. A
 //! part of the object, such as a link of a chain, is needed: without it masks have pixels that show nothing.
 
-use crate::error::stop::is_stopping;
 use crate::math::ray::Ray;
 use crate::mesh::bvh::TriangleBvh;
 use crate::mesh::triangles::Mesh;
@@ -14,7 +13,7 @@ use rayon::prelude::*;
 
 /// Pixels inside a mask's outline beyond which a ray should meet the object.
 const DEPTH: f32 = 2.0;
-/// Stride of the pixels that are asked.
+/// One of as many pixels is asked.
 const STRIDE: usize = 7;
 /// Pixels of those in a view that a part must show alone for the view to need it.
 const LEAST_PIXELS: usize = 2;
@@ -49,8 +48,10 @@ pub fn extract_parts(grid: &SdfGrid, silhouettes: &[Silhouette]) -> Mesh {
 
 /// Rays through pixels well inside a mask that miss the surface.
 fn missing_rays(view: &Silhouette, surface: &TriangleBvh) -> Vec<Ray> {
-    let pixels =
-        (0..view.pixel_count()).step_by(STRIDE).filter(|i| view.distance(*i) < -DEPTH && !is_stopping());
+    // Other columns in each row, whatever the width.
+    let width = view.camera.width as usize;
+    let is_asked = |i: &usize| (i % width + 3 * (i / width)).is_multiple_of(STRIDE);
+    let pixels = (0..view.pixel_count()).filter(is_asked).filter(|i| view.distance(*i) < -DEPTH);
     let inner = pixels.map(|i| view.center(i)).filter(|(x, y)| is_inner(&view.camera, *x, *y));
     inner.map(|(x, y)| view.camera.ray(x, y)).filter(|ray| surface.nearest(ray, 0.0).is_none()).collect()
 }
@@ -103,6 +104,7 @@ mod tests {
         let mesh = extract_parts(&grid(beads), &silhouettes(beads));
         let (low, high) = width(&mesh);
         assert!((low + 0.9).abs() < 0.01 && (high - 0.9).abs() < 0.01, "{low} {high}");
+        assert!(mesh.positions.iter().any(|p| (p.x - 0.1).abs() < 0.05), "the bead between them");
         assert!(mesh.triangles.iter().flatten().all(|v| (*v as usize) < mesh.positions.len()));
     }
 

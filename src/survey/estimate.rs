@@ -11,6 +11,7 @@
 //! Time is divided by the threads. It is good to a factor of two on the machine that was measured, and a guess on others.
 
 use crate::codec::animation::film_bytes;
+use crate::fit::detail::equations::TexelEquations;
 use crate::fit::detail::{MOST_PIXELS, MOST_SIDE, SWEEPS};
 use crate::sample::observation::{Observation, ObservationIndex};
 use crate::scene::{
@@ -33,8 +34,8 @@ pub const PHOTOGRAPH_BYTES: f64 = 6.0;
 pub const SILHOUETTE_BYTES: f64 = 2.0;
 /// Bytes of a pixel in the pool of a fit: its columns, two ticks for each of the two, and its entity.
 pub const POOL_BYTES: f64 = (size_of::<(ObservationIndex, Observation)>() + 2 * 8 + 52) as f64;
-/// Bytes of a texel in a fit: albedo, gradient, two moments, what is shown, place, normal, and their table.
-pub const TEXEL_BYTES: f64 = 200.0;
+/// Bytes of a texel in a fit: albedo and tilt, gradient, two moments, what is shown, place, normal, and their table.
+pub const TEXEL_BYTES: f64 = 224.0;
 /// Bytes of a cell of a shape's grid, with its adjoints and moments.
 pub const CELL_BYTES: f64 = 40.0;
 /// Bytes of the program itself.
@@ -234,7 +235,7 @@ impl Task<'_> {
         let side =
             (self.texels().sqrt() * f64::from(wide)).min(f64::from(MOST_SIDE)).max(self.texels().sqrt());
         let sweeps = f64::from(SWEEPS) * self.pool(MOST_PIXELS as u32) * DETAIL_PIXEL_NANOS;
-        let finest = side * side * TEXEL_BYTES;
+        let finest = side * side * (TEXEL_BYTES + size_of::<TexelEquations>() as f64);
         self.part(&fit.name, bytes.max(finest), pairs * FIT_PAIR_NANOS + sweeps, false)
     }
 

@@ -171,7 +171,8 @@ pub fn compare(
     }
     for (at, (difference, k)) in least.into_iter().enumerate().filter(|(_, (d, _))| d.is_finite()) {
         let limit = (surface[at] - CLEAR).min(surface[at] / RATIO);
-        if k <= 2 * AT_SURFACE || difference < limit {
+        // Where nothing could be compared at the surface, nothing behind it is better.
+        if k <= 2 * AT_SURFACE || (surface[at].is_finite() && difference < limit) {
             compared.depths[at] = seen[at] * (1.0 + (k as f32 - AT_SURFACE as f32) * STEP * step);
         }
     }
