@@ -41,9 +41,7 @@ pub fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
     let atlas = surface.atlas();
     write_glb(&folder.join("mesh.glb"), surface.mesh(), None)?;
     let colors: Vec<Vec3> = material.albedo.iter().map(|a| a.0).collect();
-    let mut texture = ExrLayers { width: atlas.width, height: atlas.height, ..ExrLayers::default() };
-    texture.insert_triple(["R", "G", "B"], &colors);
-    write_channels(folder.join("albedo.exr"), &texture)?;
+    write_vectors(&folder.join("albedo.exr"), ["R", "G", "B"], &colors, atlas)?;
     let sheen = save_sheen(&material, atlas, &folder)?;
     let tilt = save_tilt(&material, atlas, &folder)?;
     let light = save_light(session, pass.of.as_deref(), &folder)?;
@@ -76,15 +74,20 @@ pub fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
     Ok(())
 }
 
+/// Writes a vector for each texel, as channels of these names.
+fn write_vectors(path: &Path, names: [&str; 3], values: &[Vec3], atlas: &TexelAtlas) -> Result<()> {
+    let mut texture = ExrLayers { width: atlas.width, height: atlas.height, ..ExrLayers::default() };
+    texture.insert_triple(names, values);
+    write_channels(path, &texture)
+}
+
 /// The sheen as in a scene file: the albedo along the surface goes to a separate file.
 fn save_sheen(material: &MaterialState, atlas: &TexelAtlas, folder: &Path) -> Result<Sheen> {
     if !has_sheen(&material.sheen) {
         return Ok(Sheen::None);
     }
     let along = material.albedo.iter().zip(&material.sheen).map(|(albedo, sheen)| albedo.0 + sheen.0);
-    let mut texture = ExrLayers { width: atlas.width, height: atlas.height, ..ExrLayers::default() };
-    texture.insert_triple(["R", "G", "B"], &along.collect::<Vec<_>>());
-    write_channels(folder.join("albedo_along.exr"), &texture)?;
+    write_vectors(&folder.join("albedo_along.exr"), ["R", "G", "B"], &along.collect::<Vec<_>>(), atlas)?;
     Ok(Sheen::Fixed(AlbedoSource::Texture("albedo_along.exr".into())))
 }
 
@@ -94,9 +97,7 @@ fn save_tilt(material: &MaterialState, atlas: &TexelAtlas, folder: &Path) -> Res
         return Ok(Tilt::None);
     }
     let tilt: Vec<Vec3> = material.tilt.iter().map(|tilt| tilt.0).collect();
-    let mut texture = ExrLayers { width: atlas.width, height: atlas.height, ..ExrLayers::default() };
-    texture.insert_triple(["X", "Y", "Z"], &tilt);
-    write_channels(folder.join("albedo_tilt.exr"), &texture)?;
+    write_vectors(&folder.join("albedo_tilt.exr"), ["X", "Y", "Z"], &tilt, atlas)?;
     Ok(Tilt::Fixed("albedo_tilt.exr".into()))
 }
 

@@ -10,6 +10,7 @@
 //! | [`field`] | the field as parameters: bricks of values (entities) and the field as a whole (a resource) |
 //! | `adjoint` | kernels that propagate adjoints of normals, positions and silhouettes back to the values |
 //! | [`silhouette`] | a mask with its camera, and distances from it |
+//! | `shrunk` | photographs made smaller, with the object alone |
 //! | `silhouette_loss` | the loss of masks |
 //! | [`systems`] | the systems, which are swapped in during the fit of a shape ([`run`]) |
 //! | [`outline`] | moves the contours of the surface to the outlines of the masks |
@@ -26,6 +27,7 @@ pub mod outline;
 pub mod parts;
 pub mod repair;
 pub mod run;
+mod shrunk;
 pub mod silhouette;
 pub(crate) mod silhouette_loss;
 pub mod stereo;

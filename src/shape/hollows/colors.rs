@@ -4,11 +4,10 @@ use crate::error::stop::is_stopping;
 use crate::math::color::srgb_from_linear;
 use crate::math::ray::Ray;
 use crate::mesh::bvh::TriangleBvh;
+use crate::shape::shrunk::shrunk;
 use crate::view::{Camera, Photograph, PixelWindow, StoredMask};
 use glam::Vec3;
 
-/// Coverage of a block of pixels from which it shows the object alone.
-const WHOLE: f32 = 0.95;
 /// Angles in degrees between a view and those around it: less shows no depth, from more the same is seldom seen.
 const ANGLES: (f32, f32) = (6.0, 50.0);
 /// Most views around one.
@@ -54,26 +53,10 @@ pub struct Compared {
 impl ColorPicture {
     /// From a photograph, `factor` times smaller along each axis; `None` if the mask is empty.
     pub fn new(camera: &Camera, photograph: &Photograph, mask: &StoredMask, factor: u32) -> Option<Self> {
-        let small = camera.scaled(factor);
-        let whole = mask.window();
-        let (x, y) = (whole.x / factor, whole.y / factor);
-        let right = (whole.x + whole.width).div_ceil(factor).min(small.width);
-        let bottom = (whole.y + whole.height).div_ceil(factor).min(small.height);
-        if right <= x || bottom <= y {
-            return None;
-        }
-        let window = PixelWindow { x, y, width: right - x, height: bottom - y };
-        let block = |pixel: usize| {
-            let (x, y) = (pixel as u32 % small.width * factor, pixel as u32 / small.width * factor);
-            let pixels = (0..factor * factor).map(|k| (y + k / factor) * camera.width + x + k % factor);
-            let (light, covered) = pixels.fold((Vec3::ZERO, 0.0), |(light, covered), i| {
-                (light + photograph.radiance(i as usize), covered + mask.coverage(i as usize))
-            });
-            let alone = covered >= WHOLE * (factor * factor) as f32;
-            let encoded = (light / covered.max(1e-6)).clamp(Vec3::ZERO, Vec3::ONE).map(srgb_from_linear);
-            if alone { encoded } else { Vec3::NEG_ONE }
-        };
-        Some(Self { camera: small, window, values: window.pixels(small.width).map(block).collect() })
+        let (small, window, pixels) = shrunk(camera, photograph, mask, factor)?;
+        let encoded = |light: Vec3| light.clamp(Vec3::ZERO, Vec3::ONE).map(srgb_from_linear);
+        let values = pixels.map(|light| light.map_or(Vec3::NEG_ONE, encoded)).collect();
+        Some(Self { camera: small, window, values })
     }
 
     /// How far the rays of the window's pixels go to the surface; infinitely where there is none or the object is not alone.

@@ -1,11 +1,10 @@
 //! Photographs for matching: small, gray, with the object alone.
 
 use crate::math::color::{luminance, srgb_from_linear};
+use crate::shape::shrunk::shrunk;
 use crate::view::{Camera, Photograph, PixelWindow, StoredMask};
 use glam::Vec3;
 
-/// Coverage of a block of pixels from which it shows the object alone.
-const WHOLE: f32 = 0.95;
 /// Angles in degrees between a view and its neighbors: less shows no depth, more does not look alike.
 const ANGLES: (f32, f32) = (6.0, 35.0);
 /// The angle at which a neighbor is most useful, degrees.
@@ -29,29 +28,12 @@ pub struct MatchPicture {
 impl MatchPicture {
     /// From a photograph, `factor` times smaller along each axis; `None` if the mask is empty.
     pub fn new(camera: &Camera, photograph: &Photograph, mask: &StoredMask, factor: u32) -> Option<Self> {
-        let small = camera.scaled(factor);
-        let whole = mask.window();
-        let (x, y) = (whole.x / factor, whole.y / factor);
-        let right = (whole.x + whole.width).div_ceil(factor).min(small.width);
-        let bottom = (whole.y + whole.height).div_ceil(factor).min(small.height);
-        if right <= x || bottom <= y {
-            return None;
-        }
-        let window = PixelWindow { x, y, width: right - x, height: bottom - y };
-        let block = |pixel: usize| {
-            let (x, y) = (pixel as u32 % small.width * factor, pixel as u32 / small.width * factor);
-            let pixels = (0..factor * factor).map(|k| (y + k / factor) * camera.width + x + k % factor);
-            let sum = pixels.fold((Vec3::ZERO, 0.0), |(light, covered), i| {
-                (light + photograph.radiance(i as usize), covered + mask.coverage(i as usize))
-            });
-            let count = (factor * factor) as f32;
-            if sum.1 < WHOLE * count {
-                return 0;
-            }
-            let encoded = srgb_from_linear(luminance(sum.0 / sum.1).clamp(0.0, 1.0));
-            (1.0 + encoded * 65534.0) as u16
+        let (small, window, pixels) = shrunk(camera, photograph, mask, factor)?;
+        let encoded = |light: Vec3| {
+            let value = srgb_from_linear(luminance(light).clamp(0.0, 1.0));
+            (1.0 + value * 65534.0) as u16
         };
-        let values = window.pixels(small.width).map(block).collect();
+        let values = pixels.map(|light| light.map_or(0, encoded)).collect();
         Some(Self { camera: small, window, values })
     }
 
