@@ -92,7 +92,7 @@ pub struct ShapePass {
     /// Whether the mesh then moves to where neighboring photographs agree, if that says more than the shading. Default true.
     pub stereo: bool,
     /// Whether space that photographs look through, such as a cup's inside, is first removed from the hull, where no silhouette shows
-    /// it. For photographs of equal exposure. Default false.
+    /// it. For photographs of equal exposure. Default true.
     pub hollows: bool,
     /// Whether each photograph has an exposure of its own that is not known, as in [`FitPass::exposure`]. Default false.
     pub exposure: bool,
@@ -119,7 +119,7 @@ impl Default for ShapePass {
             blur: 8,
             rates: Rates::default(),
             stereo: true,
-            hollows: false,
+            hollows: true,
             exposure: false,
             cameras: CameraUnknowns::Given,
         }

@@ -5,6 +5,7 @@
 //! the far side. Where they agree much better at one of these than at the surface, the space in front of it is empty. All views vote, and
 //! what enough of them see through is removed; the next round knows better what hides what.
 //!
+//! Only what is open to the outside is removed: a reflection that seems to lie far behind a glossy surface leaves no bubble inside the object.
 //! A margin before the depth that was found stays: the walls of a hollow may be thin, and a fit moves a surface that is nearly in place.
 //!
 //! Sources: photo-consistency of color (Kutulakos and Seitz, "A Theory of Shape by Space Carving", IJCV 2000); votes for empty space
@@ -31,7 +32,7 @@ const LEAST_SHARE: f32 = 1e-3;
 const ROUNDS: usize = 3;
 /// Votes from which space is empty, and what a view that sees a surface there counts against one that sees through it. Reflections on a
 /// glossy object make a few views see too deep, each somewhere else.
-const ENOUGH: f32 = 3.0;
+const ENOUGH: f32 = 2.0;
 const AGAINST: f32 = 1.5;
 /// What stays before the depth that was found, in cells and in pixels of a view around.
 const MARGIN: (f32, f32) = (0.75, 0.5);
@@ -85,12 +86,50 @@ fn all_depths(grid: &SdfGrid, silhouettes: &[Silhouette], pictures: &[ColorPictu
 fn remove(grid: &mut SdfGrid, pictures: &[ColorPicture], depths: &[Compared]) {
     let votes: Vec<f32> =
         (0..grid.values.len()).into_par_iter().map(|row| votes_at(grid, row, pictures, depths)).collect();
+    let emptiness = |row| (spread(grid, &votes, row) / ENOUGH - 1.0).clamp(-1.0, 1.0);
+    let empty: Vec<f32> = (0..votes.len()).into_par_iter().map(emptiness).collect();
+    let is_outside = outside(grid, &empty);
     let carved = |row: usize| {
-        let empty = (spread(grid, &votes, row) / ENOUGH - 1.0).clamp(-1.0, 1.0);
-        grid.values[row].max(empty * grid.spacing)
+        let is_next_to = || neighbors(row, grid.side).any(|other| is_outside[other]);
+        let most = if is_outside[row] {
+            1.0
+        } else if is_next_to() {
+            0.0
+        } else {
+            -1.0
+        };
+        grid.values[row].max(empty[row].min(most) * grid.spacing)
     };
     grid.values = (0..votes.len()).into_par_iter().map(carved).collect();
     grid.redistance();
+}
+
+/// The vertices that are reached from the border of the grid through what is not the object, or is `empty`.
+fn outside(grid: &SdfGrid, empty: &[f32]) -> Vec<bool> {
+    let is_open = |row: usize| grid.values[row] > 0.0 || empty[row] > 0.0;
+    let mut is_outside = vec![false; empty.len()];
+    let mut reached: Vec<usize> =
+        (0..empty.len()).filter(|&row| is_border(grid, row) && is_open(row)).collect();
+    while let Some(row) = reached.pop() {
+        if !std::mem::replace(&mut is_outside[row], true) {
+            reached.extend(neighbors(row, grid.side).filter(|&next| !is_outside[next] && is_open(next)));
+        }
+    }
+    is_outside
+}
+
+fn is_border(grid: &SdfGrid, row: usize) -> bool {
+    let vertex = grid.vertex(row);
+    vertex.min_element() == 0 || vertex.max_element() + 1 == grid.side
+}
+
+/// The up to six neighbors of a vertex in a grid of `side` vertices along each axis.
+fn neighbors(row: usize, side: u32) -> impl Iterator<Item = usize> {
+    let side = side as usize;
+    let along = [(1, row % side), (side, row / side % side), (side * side, row / (side * side))];
+    along.into_iter().flat_map(move |(stride, at)| {
+        [(at > 0).then(|| row - stride), (at + 1 < side).then(|| row + stride)].into_iter().flatten()
+    })
 }
 
 /// How many pictures look through a vertex of the grid, less those that show a surface there.
@@ -119,8 +158,7 @@ fn votes_at(grid: &SdfGrid, row: usize, pictures: &[ColorPicture], depths: &[Com
 
 /// The mean of the votes around a vertex, with weights 4, 2, 1 and ½ for itself and its neighbors across faces, edges and corners.
 fn spread(grid: &SdfGrid, votes: &[f32], row: usize) -> f32 {
-    let vertex = grid.vertex(row);
-    if vertex.min_element() == 0 || vertex.max_element() + 1 == grid.side {
+    if is_border(grid, row) {
         return votes[row];
     }
     let side = grid.side as isize;

@@ -2,6 +2,7 @@ use super::*;
 use crate::shape::hull::visual_hull;
 use crate::shape::silhouette::Silhouette;
 use crate::view::{Camera, Image, Mask, Photograph, StoredMask};
+use glam::UVec3;
 
 const SIZE: u32 = 128;
 
@@ -99,4 +100,17 @@ fn what_is_full_stays_full() {
 fn a_hollow_without_a_pattern_stays_closed() {
     let (_, _, share) = Pictures::new(cup, |_| 0.4).carved();
     assert!(share < 0.005, "{share}");
+}
+
+#[test]
+fn space_without_a_way_out_stays_full() {
+    let grid = SdfGrid::from_fn(Vec3::ZERO, 1.0, 20, |p| p.length() - 0.8);
+    let emptied = |is_empty: &dyn Fn(Vec3) -> bool| {
+        let rows = 0..grid.values.len();
+        let empty: Vec<f32> =
+            rows.map(|row| if is_empty(grid.position(grid.vertex(row))) { 1.0 } else { -1.0 }).collect();
+        outside(&grid, &empty)[grid.index(UVec3::splat(10))]
+    };
+    assert!(!emptied(&|p| p.length() < 0.4), "a bubble");
+    assert!(emptied(&|p| p.length() < 0.4 || (p.y > 0.0 && p.with_y(0.0).length() < 0.15)), "a bottle");
 }

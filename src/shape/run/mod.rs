@@ -23,6 +23,7 @@ use crate::shape::field::{
     BRICK_LEN, BrickAt, BrickGradient, BrickIndex, BrickMoments, BrickValues, ModelError, SdfField,
     bricks_near_surface, keep_field,
 };
+use crate::shape::film::span_unseen;
 use crate::shape::hollows::carve_hollows;
 use crate::shape::hull::{FORGIVEN, trim, visual_hull};
 use crate::shape::outline::{OutlineReport, fit_outlines};
@@ -145,6 +146,7 @@ pub fn fit_shape(
     if options.hollows {
         open_hollows(&mut pipeline.world, &mut hull, &silhouettes);
     }
+    span_hull(&mut hull, &silhouettes);
     check_interrupted()?;
     pipeline.world.spawn_batch(samples);
     pipeline.add_plugin(&ShapePlugin);
@@ -300,6 +302,12 @@ pub fn mesh_of_parts(world: &mut World, grid: &SdfGrid) -> Mesh {
 fn open_hollows(world: &mut World, hull: &mut SdfGrid, silhouettes: &[Silhouette]) {
     let _opening = stage("hollows");
     with_training_views(world, |views| carve_hollows(hull, silhouettes, views));
+}
+
+/// Spans what no training photograph sees of the hull.
+fn span_hull(hull: &mut SdfGrid, silhouettes: &[Silhouette]) {
+    let _spanning = stage("film");
+    span_unseen(hull, silhouettes);
 }
 
 /// Hands the training photographs with their masks to `use_of`.
