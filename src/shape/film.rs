@@ -15,10 +15,10 @@ use crate::shape::silhouette::{Silhouette, pixel_size};
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
-/// Cosine of the angle between ray and normal from which a view sees a surface, and the views that must see it: flat rays only touch the
+/// Cosine of the angle between ray and normal from which one view, and from which each of two, sees a surface: flatter rays only touch the
 /// cone that the masks leave.
-const LEAST_COSINE: f32 = 0.2;
-const LEAST_VIEWS: u8 = 2;
+const ONE_VIEW: f32 = 0.5;
+const TWO_VIEWS: f32 = 0.2;
 /// Rays of a view per cell, along each axis.
 const RAYS_PER_CELL: f32 = 2.0;
 /// Cells around the zero level that move.
@@ -41,6 +41,9 @@ pub fn span_unseen(grid: &mut SdfGrid, silhouettes: &[Silhouette]) -> f32 {
     let held: Vec<usize> = (0..hull.len()).filter(|&row| is_seen[row] && hull[row].abs() < reach).collect();
     let inside = |grid: &SdfGrid| grid.values.iter().filter(|value| **value < 0.0).count();
     let whole = inside(grid);
+    if hull.iter().zip(&is_seen).all(|(value, is_seen)| *is_seen || value.abs() >= grid.spacing) {
+        return 0.0;
+    }
     let mut last = whole;
     for step in (REDISTANCE..=MOST_STEPS).step_by(REDISTANCE) {
         if is_stopping() {
@@ -100,12 +103,13 @@ fn curvature(grid: &SdfGrid, row: usize) -> Option<f32> {
 /// The vertices within a cell of those around surface that enough views see.
 fn seen(grid: &SdfGrid, silhouettes: &[Silhouette]) -> Vec<bool> {
     let bvh = TriangleBvh::new(&extract_parts(grid, silhouettes));
-    let of_views: Vec<Vec<usize>> = silhouettes.par_iter().map(|view| seen_by(grid, &bvh, view)).collect();
-    let mut views = vec![0u8; grid.values.len()];
-    for row in of_views.into_iter().flatten() {
-        views[row] = views[row].saturating_add(1);
+    let of_views: Vec<_> = silhouettes.par_iter().map(|view| seen_by(grid, &bvh, view)).collect();
+    // Two halves are enough.
+    let mut halves = vec![0u8; grid.values.len()];
+    for (row, is_steep) in of_views.into_iter().flatten() {
+        halves[row] = halves[row].saturating_add(1 + u8::from(is_steep));
     }
-    let is_seen = |vertex: IVec3| views[grid.index(vertex.as_uvec3())] >= LEAST_VIEWS;
+    let is_seen = |vertex: IVec3| halves[grid.index(vertex.as_uvec3())] >= 2;
     let last = IVec3::splat(grid.side as i32 - 1);
     let is_near = |row: usize| {
         let vertex = grid.vertex(row).as_ivec3();
@@ -116,8 +120,8 @@ fn seen(grid: &SdfGrid, silhouettes: &[Silhouette]) -> Vec<bool> {
     (0..grid.values.len()).into_par_iter().map(is_near).collect()
 }
 
-/// The vertices around the surface that one view sees, each once.
-fn seen_by(grid: &SdfGrid, bvh: &TriangleBvh, view: &Silhouette) -> Vec<usize> {
+/// The vertices around the surface that one view sees, each once, and whether it sees them steeply enough to count alone.
+fn seen_by(grid: &SdfGrid, bvh: &TriangleBvh, view: &Silhouette) -> Vec<(usize, bool)> {
     let camera = &view.camera;
     let (center, _) = bvh.bounding_sphere();
     let footprint = pixel_size(camera) * camera.position().distance(center);
@@ -130,12 +134,14 @@ fn seen_by(grid: &SdfGrid, bvh: &TriangleBvh, view: &Silhouette) -> Vec<usize> {
         let ray = camera.pixel_ray(pixel as u32);
         let Some(hit) = bvh.nearest(&ray, 0.0) else { continue };
         let point = ray.origin + ray.direction * hit.distance;
-        if -grid.gradient(point).normalize_or_zero().dot(ray.direction) > LEAST_COSINE {
-            vertices.extend(grid.corners(point).map(|(row, _)| row));
+        let cosine = -grid.gradient(point).normalize_or_zero().dot(ray.direction);
+        if cosine > TWO_VIEWS {
+            vertices.extend(grid.corners(point).map(|(row, _)| (row, cosine > ONE_VIEW)));
         }
     }
-    vertices.sort_unstable();
-    vertices.dedup();
+    // Of several rays, the steepest counts.
+    vertices.sort_unstable_by_key(|&(row, is_steep)| (row, !is_steep));
+    vertices.dedup_by_key(|(row, _)| *row);
     vertices
 }
 
