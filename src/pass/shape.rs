@@ -169,7 +169,9 @@ fn options(session: &Session, pass: &ShapePass) -> ShapeOptions {
             light_frame: session.light_frame(),
         },
         cameras: pass.cameras,
-        hollows: pass.hollows,
+        // Colors of different exposures tell nothing of depth.
+        hollows: pass.hollows && !pass.exposure,
+        spans_unseen: pass.spans_unseen,
     }
 }
 

@@ -92,8 +92,11 @@ pub struct ShapePass {
     /// Whether the mesh then moves to where neighboring photographs agree, if that says more than the shading. Default true.
     pub stereo: bool,
     /// Whether space that photographs look through, such as a cup's inside, is first removed from the hull, where no silhouette shows
-    /// it. For photographs of equal exposure. Default true.
+    /// it. For photographs of equal exposure: not with `exposure: true`. Default true.
     pub hollows: bool,
+    /// Whether the part of the hull that no photograph sees, such as a cone below an object on a table, is spanned like a film of soap.
+    /// Default true.
+    pub spans_unseen: bool,
     /// Whether each photograph has an exposure of its own that is not known, as in [`FitPass::exposure`]. Default false.
     pub exposure: bool,
     /// What of the training views' cameras is a little off and found too. Default `Given`: nothing.
@@ -120,6 +123,7 @@ impl Default for ShapePass {
             rates: Rates::default(),
             stereo: true,
             hollows: true,
+            spans_unseen: true,
             exposure: false,
             cameras: CameraUnknowns::Given,
         }

@@ -3,7 +3,7 @@
 //! | file | holds |
 //! | --- | --- |
 //! | [`hull`] | the position of the object, and the robust visual hull of its masks as a signed distance field |
-//! | [`film`] | spans what no photograph sees |
+//! | [`unseen`] | spans what no photograph sees of the hull |
 //! | [`hollows`] | removes from the hull what photographs look through |
 //! | [`parts`] | which components of a surface are the object's |
 //! | `trust` | finds masks that no other mask contradicts, which may carve alone |
@@ -22,7 +22,6 @@
 pub(crate) mod adjoint;
 pub(crate) mod displace;
 pub mod field;
-pub mod film;
 pub mod hollows;
 pub mod hull;
 pub mod outline;
@@ -35,4 +34,5 @@ pub(crate) mod silhouette_loss;
 pub mod stereo;
 pub mod systems;
 pub(crate) mod trust;
+pub mod unseen;
 pub mod vertices;

@@ -88,20 +88,20 @@ fn remove(grid: &mut SdfGrid, pictures: &[ColorPicture], depths: &[Compared]) {
         (0..grid.values.len()).into_par_iter().map(|row| votes_at(grid, row, pictures, depths)).collect();
     let emptiness = |row| (spread(grid, &votes, row) / ENOUGH - 1.0).clamp(-1.0, 1.0);
     let empty: Vec<f32> = (0..votes.len()).into_par_iter().map(emptiness).collect();
-    let is_outside = outside(grid, &empty);
-    let carved = |row: usize| {
-        let is_next_to = || neighbors(row, grid.side).any(|other| is_outside[other]);
-        let most = if is_outside[row] {
-            1.0
-        } else if is_next_to() {
-            0.0
-        } else {
-            -1.0
-        };
-        grid.values[row].max(empty[row].min(most) * grid.spacing)
-    };
-    grid.values = (0..votes.len()).into_par_iter().map(carved).collect();
+    carve(grid, &empty);
     grid.redistance();
+}
+
+/// Removes what is `empty`, in cells, and open to the outside.
+fn carve(grid: &mut SdfGrid, empty: &[f32]) {
+    let is_outside = outside(grid, empty);
+    // The neighbors keep their share of a cell: the zero level lies between.
+    let is_carved = |row| is_outside[row] || neighbors(row, grid.side).any(|other| is_outside[other]);
+    let carved = |row: usize| {
+        let value = grid.values[row];
+        if is_carved(row) { value.max(empty[row] * grid.spacing) } else { value }
+    };
+    grid.values = (0..empty.len()).into_par_iter().map(carved).collect();
 }
 
 /// The vertices that are reached from the border of the grid through what is not the object, or is `empty`.

@@ -23,7 +23,6 @@ use crate::shape::field::{
     BRICK_LEN, BrickAt, BrickGradient, BrickIndex, BrickMoments, BrickValues, ModelError, SdfField,
     bricks_near_surface, keep_field,
 };
-use crate::shape::film::span_unseen;
 use crate::shape::hollows::carve_hollows;
 use crate::shape::hull::{FORGIVEN, trim, visual_hull};
 use crate::shape::outline::{OutlineReport, fit_outlines};
@@ -36,6 +35,7 @@ use crate::shape::systems::{
     ShapeSchedule, align_silhouettes, check_bricks, hand_out_to_bricks, move_bricks, pull_back_silhouettes,
     pull_back_to_field, recast_silhouettes, retrace_window, sum_model_error,
 };
+use crate::shape::unseen::span_unseen;
 use crate::view::{ByView, Camera, Photograph, Split, ViewIndex, ViewMask, ViewName};
 use bevy_ecs::prelude::{Component, Entity, IntoScheduleConfigs, With, World};
 use glam::{UVec3, Vec3};
@@ -73,6 +73,8 @@ pub struct ShapeOptions {
     pub cameras: CameraUnknowns,
     /// Whether what photographs look through is removed from the hull first ([`hollows`](crate::shape::hollows)).
     pub hollows: bool,
+    /// Whether what no photograph sees of the hull is spanned like a film of soap ([`unseen`](crate::shape::unseen)).
+    pub spans_unseen: bool,
 }
 
 /// The systems that fit a shape; removing the plugin removes them.
@@ -146,7 +148,9 @@ pub fn fit_shape(
     if options.hollows {
         open_hollows(&mut pipeline.world, &mut hull, &silhouettes);
     }
-    span_hull(&mut hull, &silhouettes);
+    if options.spans_unseen {
+        span_hull(&mut hull, &silhouettes);
+    }
     check_interrupted()?;
     pipeline.world.spawn_batch(samples);
     pipeline.add_plugin(&ShapePlugin);
@@ -306,7 +310,7 @@ fn open_hollows(world: &mut World, hull: &mut SdfGrid, silhouettes: &[Silhouette
 
 /// Spans what no training photograph sees of the hull.
 fn span_hull(hull: &mut SdfGrid, silhouettes: &[Silhouette]) {
-    let _spanning = stage("film");
+    let _spanning = stage("unseen");
     span_unseen(hull, silhouettes);
 }
 

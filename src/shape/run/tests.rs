@@ -120,6 +120,7 @@ fn options(steps: u32) -> ShapeOptions {
         },
         cameras: CameraUnknowns::Given,
         hollows: false,
+        spans_unseen: false,
     }
 }
 
