@@ -1,6 +1,6 @@
 //! The page that shows a saved object: what `View` and `lobelia view` write, and what they refuse.
 
-use crate::common::{Data, Outcome, command, files_below};
+use crate::common::{Data, Outcome, command, files_below, scene};
 use serde_json::Value;
 use std::path::Path;
 
@@ -52,6 +52,7 @@ fn pages_offer_the_lights_and_cameras_of_the_scene() {
     data.run(SCENE, "out", &["--quiet"]).succeeded();
     assert_eq!(files_below(&data.path("out/view")), ["view.html"]);
     let plain = scene_of(&data.path("out/view/view.html"));
+    assert!(with_photographs(&plain).is_empty(), "cameras alone");
     assert_eq!(names(&plain, "lights"), ["found", "evening"]);
     assert_eq!(names(&plain, "cameras"), ["front"]);
     assert_eq!(plain["title"], "out");
@@ -94,6 +95,67 @@ fn an_earlier_page_is_replaced_and_a_file_of_the_user_is_not() {
         outcome.stderr
     );
     assert_eq!(std::fs::read_to_string(&page).unwrap(), "<p>my own page</p>");
+}
+
+/// The views of a page that have photographs.
+fn with_photographs(scene: &Value) -> Vec<String> {
+    let views = scene["cameras"].as_array().unwrap().iter();
+    views
+        .filter(|view| !view["photograph"].is_null())
+        .map(|view| view["name"].as_str().unwrap().to_owned())
+        .collect()
+}
+
+#[test]
+fn pages_have_the_photographs_of_the_run_the_held_out_ones_first() {
+    let data = Data::new();
+    let passes = r#"Fit(name: "fit", steps: 2), Save(), View(), View(name: "few", photographs: 3), View(name: "none", photographs: 0)"#;
+    data.run(&scene(passes), "out", &["--quiet"]).succeeded();
+    let page = |name: &str| scene_of(&data.path(&format!("out/{name}/view.html")));
+    let all = page("view");
+    assert_eq!(with_photographs(&all), names(&all, "cameras"));
+    let few = page("few");
+    let test = |view: &&Value| view["test"] == true && !view["photograph"].is_null();
+    assert_eq!(with_photographs(&few).len(), 3);
+    assert_eq!(few["cameras"].as_array().unwrap().iter().filter(test).count(), 2);
+    assert!(with_photographs(&page("none")).is_empty());
+    let photograph = &few["cameras"][0]["photograph"];
+    assert!(photograph["address"].as_str().unwrap().starts_with("data:image/jpeg;base64,/9j/"));
+    let side = |key: &str, i: usize| photograph[key][i].as_u64().unwrap();
+    assert!(side("window", 2) <= 48 && side("size", 0) == side("window", 2), "{}", photograph["window"]);
+    assert!(few["arrays"]["coverage0"]["count"].as_u64().unwrap() == side("size", 0) * side("size", 1));
+}
+
+#[test]
+fn a_saved_object_finds_its_photographs_again_or_does_without() {
+    let data = Data::new();
+    data.run(&scene(r#"Fit(name: "fit", steps: 2), Save()"#), "out", &["--quiet"]).succeeded();
+    let (out, root) = (data.path("out"), data.root().to_str().unwrap().to_owned());
+    let page = || scene_of(&out.join("view.html"));
+    let seen = view(&[out.to_str().unwrap(), "--data", &root, "--photographs", "1"]).succeeded();
+    assert!(
+        seen.stderr.contains("1 photograph,") || seen.stdout.contains("1 photograph,"),
+        "{}",
+        seen.stderr
+    );
+    assert_eq!(with_photographs(&page()).len(), 1);
+    // A photograph that is gone, and then the whole data set.
+    std::fs::remove_file(data.path("train/image/rgb_000000.exr")).unwrap();
+    for gone in [false, true] {
+        if gone {
+            std::fs::rename(&out, data.path("moved")).unwrap();
+        }
+        let out = data.path(if gone { "moved" } else { "out" });
+        let saved = out.join("saved/scene.ron");
+        let text = std::fs::read_to_string(&saved).unwrap();
+        if gone {
+            std::fs::write(&saved, text.replace(&root, &format!("{root}/nowhere"))).unwrap();
+        }
+        let outcome = view(&[out.to_str().unwrap(), "--data", &root]).succeeded();
+        let said = outcome.stderr.matches("the page has neither photographs nor their cameras").count();
+        assert_eq!(said, 1, "{}", outcome.stderr);
+        assert!(names(&scene_of(&out.join("view.html")), "cameras").is_empty());
+    }
 }
 
 #[test]

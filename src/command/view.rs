@@ -7,9 +7,10 @@ use super::view_args::ViewArgs;
 use lobelia::codec::npy::NpyConvention;
 use lobelia::glam::Vec3;
 use lobelia::light::convention::MapConvention;
+use lobelia::pass::progress::Progress;
 use lobelia::pass::view::PAGE;
 use lobelia::pass::write_view;
-use lobelia::scene::{LightSource, LoadOptions, load};
+use lobelia::scene::{LightSource, LoadOptions, LoadedScene, ViewPass, load};
 use lobelia::{Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -26,9 +27,28 @@ pub fn run(args: &ViewArgs) -> Result<()> {
     start_threads(args.threads)?;
     let options =
         LoadOptions { data: args.data.clone(), confined: !args.allow_outside, ..LoadOptions::default() };
-    let loaded = load(&scene, &options)?;
+    let terminal = Terminal::new(false);
+    let loaded = load(&scene, &options).or_else(|error| without_data(&scene, &options, error, &terminal))?;
     let lights: Vec<(String, LightSource)> = args.lights.iter().map(|path| light(path)).collect();
-    write_view(&loaded, &lights, &folder.join(PAGE), &Terminal::new(false))
+    let pass = ViewPass { photographs: args.photographs, ..ViewPass::default() };
+    write_view(&loaded, &lights, &pass, &folder.join(PAGE), &terminal)
+}
+
+/// The scene without its views, and a note, if it is only their data set that is no longer there.
+fn without_data(
+    scene: &Path,
+    options: &LoadOptions,
+    error: Error,
+    progress: &dyn Progress,
+) -> Result<LoadedScene> {
+    // One that is there and may not be read is for the user to decide.
+    if load(scene, &LoadOptions { confined: false, ..options.clone() }).is_ok() {
+        return Err(error);
+    }
+    let none = LoadOptions { sets: vec![("views".into(), "Cameras([])".into())], ..options.clone() };
+    let Ok(loaded) = load(scene, &none) else { return Err(error) };
+    progress.note(&format!("the page has neither photographs nor their cameras:\n{error}"));
+    Ok(loaded)
 }
 
 /// The scene file of what a run saved, and the folder that the page goes into.

@@ -10,7 +10,8 @@ Writes OUT/view.html: one page that shows the object that a run saved, and needs
 
 The object is turned with mouse, touch or keyboard, under the light that was found or under lights given with
 --light; roughness, reflection, colour and exposure have sliders; what was done can be copied as a pass for a scene
-file. A pass View() in a scene file writes the same page, with the lights of the scene's own passes.";
+file. The photographs, if they are still there, are laid beside the picture under a wipe. A pass View() in a scene
+file writes the same page, with the lights of the scene's own passes.";
 
 /// `lobelia view`.
 #[derive(Args, Debug)]
@@ -21,6 +22,9 @@ pub struct ViewArgs {
     /// Offer this light too: .ron, .npy lobes, or an OpenEXR or Radiance HDR map
     #[arg(long = "light", value_name = "FILE")]
     pub lights: Vec<PathBuf>,
+    /// Most photographs in the page, beside which it shows its own picture; 0: none
+    #[arg(long, value_name = "N", default_value_t = 24)]
+    pub photographs: u32,
     /// The folder that $DATA stands for in the scene file, and that its photographs may be in
     #[arg(long, value_name = "DIR")]
     pub data: Option<PathBuf>,

@@ -193,6 +193,11 @@ fn edit_lobes(
         if !lives_there || edited == lobe {
             continue;
         }
+        // A material that lies in the region with all its weight needs no copy, such as that of an earlier edit of the region.
+        if state.blends.iter().zip(region).all(|(b, r)| *r >= 1.0 || b.0[k] <= 0.0) {
+            state.lobes[k] = Some(edited);
+            continue;
+        }
         // Edited lobes that are equal are merged.
         let same = state.lobes[before..].iter().position(|lobe| *lobe == Some(edited));
         let copy = same.map_or(state.lobes.len(), |number| before + number);
@@ -256,6 +261,20 @@ mod tests {
         assert_eq!(state.lobes.len(), 3);
         assert_eq!(state.blends[1].0[..3], [0.125, 0.375, 0.5]);
         assert_eq!(state.blends[2].0[..3], [0.0, 0.0, 1.0]);
+        Ok(())
+    }
+
+    #[test]
+    fn several_edits_of_a_region_with_a_hard_edge_need_one_copy() -> Result<()> {
+        let mut state = state();
+        let sharp = region(&[0.0, 0.0, 1.0]);
+        for (target, value) in [(EditTarget::Specular, 0.6), (EditTarget::Roughness, 0.2)] {
+            apply_edit(&mut state, target, &EditAction::Set(Vec3::splat(value)), &sharp)?;
+        }
+        let edited =
+            SpecularLobe { albedo: Vec3::splat(0.6), roughness: 0.2, ..SpecularLobe::new(Vec3::ZERO, 0.4) };
+        assert_eq!(state.lobes, [Some(SpecularLobe::new(Vec3::splat(0.3), 0.4)), Some(edited)]);
+        assert_eq!(state.blends[2].0[..2], [0.0, 1.0]);
         Ok(())
     }
 

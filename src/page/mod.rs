@@ -26,7 +26,7 @@ use crate::math::color::srgb_from_linear;
 use crate::mesh::Surface;
 use crate::report::html::filled;
 use crate::report::html::text::escaped;
-use crate::view::{Camera, Split};
+use crate::view::{Camera, PixelWindow, Split};
 use crate::visibility::ObjectVisibility;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
@@ -41,7 +41,7 @@ const PAGE: &str = include_str!("assets/page.html");
 /// Its style.
 const STYLE: &str = include_str!("assets/style.css");
 /// Its modules, by the names under which they import each other; the last one starts the page.
-const MODULES: [(&str, &str); 10] = [
+const MODULES: [(&str, &str); 15] = [
     ("data", include_str!("assets/data.js")),
     ("linear", include_str!("assets/linear.js")),
     ("gpu", include_str!("assets/gpu.js")),
@@ -49,7 +49,12 @@ const MODULES: [(&str, &str); 10] = [
     ("shadow", include_str!("assets/shadow.js")),
     ("camera", include_str!("assets/camera.js")),
     ("renderer", include_str!("assets/renderer.js")),
+    ("regions", include_str!("assets/regions.js")),
     ("ron", include_str!("assets/ron.js")),
+    ("history", include_str!("assets/history.js")),
+    ("lightfile", include_str!("assets/lightfile.js")),
+    ("lightball", include_str!("assets/lightball.js")),
+    ("compare", include_str!("assets/compare.js")),
     ("controls", include_str!("assets/controls.js")),
     ("main", include_str!("assets/main.js")),
 ];
@@ -87,6 +92,23 @@ pub struct PageCamera {
     pub split: Split,
     /// The camera.
     pub camera: Camera,
+    /// Its photograph, if the page has it.
+    pub photograph: Option<PagePhotograph>,
+}
+
+/// A photograph that the page lays beside its own picture.
+#[derive(Clone, Debug, PartialEq)]
+pub struct PagePhotograph {
+    /// The part of the camera's picture that it shows.
+    pub window: PixelWindow,
+    /// Its size in the page, in pixels.
+    pub size: [u32; 2],
+    /// The picture as a `data:` address, sRGB; outside the object it has the color of the mat.
+    pub address: String,
+    /// The color of the mat.
+    pub mat: [u8; 3],
+    /// How much of each pixel is the object, up to 255; none if the view has no mask.
+    pub coverage: Option<Vec<u8>>,
 }
 
 /// What a page shows.
@@ -173,11 +195,13 @@ fn describe(contents: &Contents, pack: &mut Pack) -> Result<Value> {
         .enumerate()
         .map(|(i, light)| light_json(i, light, pack))
         .collect::<Result<_>>()?;
+    let cameras = contents.cameras.iter().enumerate();
+    let cameras: Vec<Value> = cameras.map(|(i, view)| camera_json(i, view, pack)).collect();
     Ok(json!({
         "title": contents.title, "up": contents.up.normalize_or(Vec3::Y), "center": center, "radius": radius,
         "mesh": mesh, "texture": [atlas.width, atlas.height], "blended": blended, "materials": materials,
         "edits": contents.edits, "visibility": shadows, "lights": lights,
-        "cameras": contents.cameras.iter().map(camera_json).collect::<Vec<_>>(),
+        "cameras": cameras,
     }))
 }
 
@@ -217,7 +241,7 @@ fn light_json(index: usize, light: &PageLight, pack: &mut Pack) -> Result<Value>
     Ok(json!({ "name": light.name, "own": light.own, "frame": frame }))
 }
 
-fn camera_json(view: &PageCamera) -> Value {
+fn camera_json(index: usize, view: &PageCamera, pack: &mut Pack) -> Value {
     let camera = &view.camera;
     let rotation: [Vec3; 3] = [
         camera.world_from_camera.matrix3.x_axis.into(),
@@ -229,6 +253,17 @@ fn camera_json(view: &PageCamera) -> Value {
         "name": view.name, "test": view.split == Split::Test, "width": camera.width, "height": camera.height,
         "focal": camera.focal, "center": camera.center.map(|c| c - shift), "skew": camera.skew,
         "eye": camera.position(), "axes": rotation,
+        "photograph": view.photograph.as_ref().map(|photograph| photograph_json(index, photograph, pack)),
+    })
+}
+
+fn photograph_json(index: usize, photograph: &PagePhotograph, pack: &mut Pack) -> Value {
+    let PagePhotograph { window, size, address, mat, coverage } = photograph;
+    if let Some(coverage) = coverage {
+        pack.bytes(&format!("coverage{index}"), coverage);
+    }
+    json!({
+        "window": [window.x, window.y, window.width, window.height], "size": size, "mat": mat, "address": address,
     })
 }
 

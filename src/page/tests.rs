@@ -31,10 +31,25 @@ fn page() -> String {
         material: &material,
         edits: vec!["Roughness(action: Set(0.2))".into()],
         lights: vec![light("found", true), light("</script>{{BLOCK}}", false)],
-        cameras: vec![PageCamera { name: "front".into(), split: Split::Test, camera }],
+        cameras: vec![
+            PageCamera { name: "bare".into(), split: Split::Train, camera, photograph: None },
+            PageCamera { name: "front".into(), split: Split::Test, camera, photograph: Some(photograph()) },
+        ],
         visibility: None,
     };
     html(&contents).unwrap()
+}
+
+fn photograph() -> PagePhotograph {
+    let window = PixelWindow { x: 3, y: 4, width: 8, height: 4 };
+    let coverage = Some((0..8).collect());
+    PagePhotograph {
+        window,
+        size: [4, 2],
+        address: "data:image/jpeg;base64,AAAA".into(),
+        mat: [1, 2, 3],
+        coverage,
+    }
 }
 
 /// What is between two texts.
@@ -130,6 +145,14 @@ fn the_scene_says_what_it_was_given() {
     assert_eq!((&scene["blended"], &scene["visibility"]), (&json!(true), &Value::Null));
     assert_eq!(scene["materials"][1]["number"], 1);
     assert_eq!(scene["cameras"][0]["eye"], json!([0.0, 0.0, 3.0]));
+    assert_eq!(scene["cameras"][0]["photograph"], Value::Null);
+    let photograph = &scene["cameras"][1]["photograph"];
+    assert_eq!((&photograph["window"], &photograph["size"]), (&json!([3, 4, 8, 4]), &json!([4, 2])));
+    assert_eq!(
+        (&photograph["mat"], &photograph["address"]),
+        (&json!([1, 2, 3]), &json!("data:image/jpeg;base64,AAAA"))
+    );
+    assert_eq!(array(&page, &scene, "coverage1", 1).concat(), [0, 1, 2, 3, 4, 5, 6, 7]);
     assert_eq!(scene["edits"], json!(["Roughness(action: Set(0.2))"]));
     let albedo = array(&page, &scene, "albedo", 1);
     assert_eq!(albedo[..3].concat(), [188, 137, 255]);

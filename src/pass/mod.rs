@@ -47,6 +47,7 @@ pub mod show;
 pub mod summary;
 mod truth_files;
 pub mod view;
+mod view_photographs;
 mod view_report;
 
 pub use session::{Lights, MOST_VISIBILITY_BYTES, Session};
@@ -246,13 +247,15 @@ fn claim(loaded: &LoadedScene, data: Option<&OpenScene>, options: &RunOptions) -
 }
 
 /// Writes the page of a scene in which everything is known, as `Save` writes it, to `path`; no pass of the scene is run, and nothing else
-/// is written. The page offers these lights besides the scene's own, by name.
+/// is written. The page offers these lights besides the scene's own, by name, and has the photographs of `pass` if the data set can be
+/// read; if not, a note says why.
 ///
 /// # Errors
 /// [`Error::Usage`] if something is unknown; those of [`run`] before its first pass; those of the page.
 pub fn write_view(
     loaded: &LoadedScene,
     lights: &[(String, LightSource)],
+    pass: &ViewPass,
     path: &Path,
     progress: &dyn Progress,
 ) -> Result<()> {
@@ -268,12 +271,20 @@ pub fn write_view(
         named.push((name.clone(), light.lobes));
     }
     files::check_within(loaded)?;
-    let data = OpenScene::new(&scene, loaded.roots.as_deref())?;
-    let (views, _) = read_views(&scene, data.as_ref(), progress)?;
+    let views = OpenScene::new(&scene, loaded.roots.as_deref())
+        .and_then(|data| Ok(read_views(&scene, data.as_ref(), progress)?.0));
+    let views = views.or_else(|error| without_photographs(&error, progress))?;
     let out = path.parent().unwrap_or(Path::new("")).to_owned();
     let options = RunOptions { out, force: true, ..RunOptions::default() };
     let mut session = open(&scene, views, &options, progress, photograph::imagine, SurfaceUse::Lasting)?;
-    view::write_page(&mut session, &ViewPass::default(), named, path)
+    view::write_page(&mut session, pass, named, path)
+}
+
+/// No views, and a note on what kept their photographs from being read; a page is worth having without them.
+fn without_photographs(error: &Error, progress: &dyn Progress) -> Result<Vec<ViewRecord>> {
+    check_interrupted()?;
+    progress.note(&format!("the page has neither photographs nor their cameras: {error}"));
+    Ok(Vec::new())
 }
 
 /// Does what [`run`] does before the first pass of a scene, without any photograph: what the scene names is read and checked, no pass

@@ -8,10 +8,12 @@ use crate::light::lights::own_lobes;
 use crate::page::{Contents, PageCamera, PageLight, html};
 use crate::pass::session::Session;
 use crate::pass::show::material_of;
+use crate::pass::view_photographs::add_photographs;
 use crate::scene::load::edit_to_ron;
 use crate::scene::{Pass, ViewPass};
 use crate::view::{Camera, Split, ViewName};
 use crate::visibility::ObjectVisibility;
+use bevy_ecs::prelude::Entity;
 use glam::Vec3;
 use std::path::Path;
 
@@ -51,7 +53,8 @@ pub fn write_page(
     let edits = session.pass_named(pass.of.as_deref()).map_or(&[][..], Pass::edits);
     let edits = edits.iter().map(edit_to_ron).collect::<Result<Vec<String>>>()?;
     let shadows = session.has_visibility()?;
-    let cameras = cameras(session);
+    let (views, mut cameras): (Vec<Entity>, Vec<PageCamera>) = cameras(session).into_iter().unzip();
+    let embedded = add_photographs(&session.pipeline.world, &views, &mut cameras, pass.photographs as usize)?;
     let lights = lights(session, pass.of.as_deref(), named);
     let contents = Contents {
         title: &title(session),
@@ -66,7 +69,12 @@ pub fn write_page(
     let text = html(&contents)?;
     write_bytes(path, text.as_bytes())?;
     let mib = text.len() as f64 / 1048576.0;
-    session.progress.print(&format!("{}: {}, {mib:.1} MiB", pass.name, path.display()));
+    let with = match embedded {
+        0 => String::new(),
+        1 => ", 1 photograph".to_owned(),
+        count => format!(", {count} photographs"),
+    };
+    session.progress.print(&format!("{}: {}{with}, {mib:.1} MiB", pass.name, path.display()));
     Ok(())
 }
 
@@ -108,16 +116,14 @@ fn lights(session: &mut Session, of: Option<&str>, named: Vec<(String, Vec<Light
 }
 
 /// The cameras of all views: those held out first, each group by name.
-fn cameras(session: &mut Session) -> Vec<PageCamera> {
+fn cameras(session: &mut Session) -> Vec<(Entity, PageCamera)> {
     let world = &mut session.pipeline.world;
-    let mut query = world.query::<(&ViewName, &Camera, &Split)>();
-    let camera = |(name, camera, split): (&ViewName, &Camera, &Split)| PageCamera {
-        name: name.0.clone(),
-        split: *split,
-        camera: *camera,
+    let mut query = world.query::<(Entity, &ViewName, &Camera, &Split)>();
+    let camera = |(view, name, camera, split): (Entity, &ViewName, &Camera, &Split)| {
+        (view, PageCamera { name: name.0.clone(), split: *split, camera: *camera, photograph: None })
     };
-    let mut cameras: Vec<PageCamera> = query.iter(world).map(camera).collect();
-    cameras.sort_by(|a, b| {
+    let mut cameras: Vec<(Entity, PageCamera)> = query.iter(world).map(camera).collect();
+    cameras.sort_by(|(_, a), (_, b)| {
         let key = |c: &PageCamera| (c.split != Split::Test, c.name.clone());
         key(a).cmp(&key(b))
     });
@@ -130,7 +136,7 @@ mod tests {
 
     fn looking_from(eye: Vec3, up: Vec3) -> PageCamera {
         let camera = Camera::look_at(eye, Vec3::ZERO, up, 40.0, 64, 64).unwrap();
-        PageCamera { name: String::new(), split: Split::Test, camera }
+        PageCamera { name: String::new(), split: Split::Test, camera, photograph: None }
     }
 
     #[test]

@@ -2,9 +2,11 @@
 
 use crate::codec::file::write_bytes;
 use crate::error::{Error, Result};
-use image::RgbImage;
+use base64::Engine as _;
+use base64::engine::general_purpose::STANDARD;
 use image::codecs::jpeg::JpegEncoder;
 use image::imageops::thumbnail;
+use image::{GrayImage, RgbImage};
 use std::path::Path;
 
 /// Quality of the JPEGs, 1 to 100: traces of compression are not seen.
@@ -17,10 +19,33 @@ const BYTES_PER_PIXEL: f64 = 0.2;
 const LONGEST: f64 = 512.0;
 const SHORTEST: f64 = 96.0;
 
-/// The longest side of each of `count` pictures that are to keep to the budget together, in pixels.
+/// The longest side of each of `count` pictures that are to keep to the budget of a run together, in pixels.
 pub fn side_for(count: usize) -> u32 {
-    let side = (BUDGET / BYTES_PER_PIXEL / count.max(1) as f64).sqrt();
+    side_within(count, BUDGET)
+}
+
+/// The longest side of each of `count` pictures that are to keep to about `budget` bytes together, in pixels.
+pub fn side_within(count: usize, budget: f64) -> u32 {
+    let side = (budget / BYTES_PER_PIXEL / count.max(1) as f64).sqrt();
     side.clamp(SHORTEST, LONGEST) as u32
+}
+
+/// A JPEG as an address, for a page that holds its pictures.
+pub fn jpeg_address(bytes: &[u8]) -> String {
+    format!("data:image/jpeg;base64,{}", STANDARD.encode(bytes))
+}
+
+/// The size of a picture whose longer side is at most `side` pixels; `None` if it is no larger.
+fn smaller((width, height): (u32, u32), side: u32) -> Option<(u32, u32)> {
+    let factor = f64::from(side.max(1)) / f64::from(width.max(height).max(1));
+    let scaled = |length: u32| ((f64::from(length) * factor).round() as u32).max(1);
+    (factor < 1.0).then(|| (scaled(width), scaled(height)))
+}
+
+/// A mask at the size of [`thumbnail_jpeg`].
+pub fn thumbnail_mask(mask: &GrayImage, side: u32) -> GrayImage {
+    smaller(mask.dimensions(), side)
+        .map_or_else(|| mask.clone(), |(width, height)| thumbnail(mask, width, height))
 }
 
 /// The picture as a JPEG whose longer side is at most `side` pixels; it is never enlarged.
@@ -28,10 +53,7 @@ pub fn side_for(count: usize) -> u32 {
 /// # Errors
 /// [`Error::Run`] for a picture without pixels.
 pub fn thumbnail_jpeg(picture: &RgbImage, side: u32) -> Result<Vec<u8>> {
-    let (width, height) = picture.dimensions();
-    let factor = f64::from(side.max(1)) / f64::from(width.max(height).max(1));
-    let scaled = |length: u32| ((f64::from(length) * factor).round() as u32).max(1);
-    let small = (factor < 1.0).then(|| thumbnail(picture, scaled(width), scaled(height)));
+    let small = smaller(picture.dimensions(), side).map(|(width, height)| thumbnail(picture, width, height));
     let mut bytes = Vec::new();
     JpegEncoder::new_with_quality(&mut bytes, QUALITY)
         .encode_image(small.as_ref().unwrap_or(picture))
@@ -50,7 +72,7 @@ pub fn write_thumbnail(path: &Path, picture: &RgbImage, side: u32) -> Result<()>
 #[cfg(test)]
 mod tests {
     use super::*;
-    use image::Rgb;
+    use image::{Luma, Rgb};
 
     #[test]
     fn few_pictures_are_large_and_many_keep_to_the_budget() {
@@ -58,6 +80,7 @@ mod tests {
         let side = f64::from(side_for(900));
         assert!(side < 200.0 && 900.0 * side * side * BYTES_PER_PIXEL <= BUDGET, "{side}");
         assert_eq!(side_for(1_000_000), 96);
+        assert!(side_within(100, 1e6) < side_within(100, 2e6));
     }
 
     #[test]
@@ -72,6 +95,10 @@ mod tests {
         assert_eq!(size(40, 20, 512), (40, 20));
         assert_eq!(size(40, 20, 10), (10, 5));
         assert_eq!(size(1, 300, 10), (1, 10));
+        let mask =
+            |width, height, side| thumbnail_mask(&GrayImage::from_pixel(width, height, Luma([9])), side);
+        assert_eq!((mask(1, 300, 10).dimensions(), mask(40, 20, 512).dimensions()), ((1, 10), (40, 20)));
+        assert_eq!(mask(40, 20, 10).get_pixel(3, 3).0, [9]);
         assert!(thumbnail_jpeg(&RgbImage::new(0, 4), 10).is_err());
     }
 }

@@ -89,11 +89,14 @@ pub struct ViewPass {
     /// The `Edit` or `Relight` pass whose edited material and light the page begins with. Default: the material and light that were
     /// found.
     pub of: Option<String>,
+    /// Most photographs in the page, to be laid over its own picture under a wipe: test views, then training views, evenly chosen and
+    /// made small; 0: none. Default 24.
+    pub photographs: u32,
 }
 
 impl Default for ViewPass {
     fn default() -> Self {
-        Self { name: "view".into(), of: None }
+        Self { name: "view".into(), of: None, photographs: 24 }
     }
 }
 

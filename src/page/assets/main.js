@@ -1,8 +1,13 @@
 // The page: its settings, what follows from them, and when to draw.
 
 import { Orbit, viewCamera } from "lobelia/camera";
-import { fillPanel, linearOf, listenToKeys, listenToPointers, shownOf, showSettings } from "lobelia/controls";
+import { Compare, listenToWipe } from "lobelia/compare";
+import { addLightChoice, fillPanel, linearOf, listenToFiles, listenToKeys, listenToPointers, say, shownOf, showSettings } from "lobelia/controls";
 import { readScene, readShaders } from "lobelia/data";
+import { History } from "lobelia/history";
+import { LightBall } from "lobelia/lightball";
+import { lightOfFile } from "lobelia/lightfile";
+import { UNCHANGED, cornersOf, mostRegions, pick } from "lobelia/regions";
 import { Renderer, edited } from "lobelia/renderer";
 import { passes } from "lobelia/ron";
 import { clamp } from "lobelia/linear";
@@ -20,15 +25,28 @@ const FAST = 22;
 const PATIENCE = 3000;
 
 const SETTINGS = {
-    light: 0, turn: 0, show: "full", exposure: 0, backdrop: "#ffffff", view: -1,
-    roughness: 0, level: 1, color: "#e6c065", mix: 0, tint: "#ffffff", bright: 1,
+    light: 0, turn: 0, show: "full", exposure: 0, backdrop: "#ffffff", view: -1, ...UNCHANGED,
+    // Places with edits of their own, the one that the sliders change (-1: the whole object), and whether a click makes another.
+    regions: [], region: -1, placing: false,
+    // Whether photographs are compared, what is left and right of the line, and where it is, in percent; the light's ball.
+    compare: false, left: "photograph", right: "render", wipe: 50, ball: false,
 };
+/** Radius of a new place, in radii of the object, and the part of it over which its edits set in. */
+const PLACE = { radius: 0.3, soft: 0.3 };
+
+/** Settings of edits as the renderer reads them. */
+function look({ roughness, level, color, mix, tint, bright }) {
+    return { level, mix, roughness: 2 ** roughness, color: linearOf(color), tint: linearOf(tint).map((c) => c * bright) };
+}
 
 class Page {
     constructor(scene, canvas, shaders) {
         Object.assign(this, { scene, canvas, settings: { ...SETTINGS }, scale: 0.7, frames: [], cost: 0, patience: PATIENCE });
         this.orbit = new Orbit(scene);
         this.renderer = new Renderer(canvas, scene, shaders);
+        this.history = new History();
+        this.compare = new Compare(this);
+        this.ball = new LightBall(document.getElementById("ball"));
         this.drawn = 0;
         this.changed = 0;
         this.waiting = false;
@@ -36,11 +54,49 @@ class Page {
 
     /** The settings as the renderer reads them. */
     get state() {
-        const { light, turn, show, exposure, backdrop, roughness, level, color, mix, tint, bright } = this.settings;
+        const { light, turn, show, exposure, backdrop, regions } = this.settings;
         return {
-            light, turn, show, exposure, level, mix, roughness: 2 ** roughness,
-            backdrop: shownOf(backdrop), color: linearOf(color), tint: linearOf(tint).map((c) => c * bright),
+            light, turn, show, exposure, backdrop: shownOf(backdrop), ...look(this.settings),
+            regions: regions.map((region) => ({ ...region, ...look(region) })),
         };
+    }
+
+    /** What the sliders of the material change: a place, or the whole object. */
+    get edited() {
+        return this.settings.regions[this.settings.region] ?? this.settings;
+    }
+
+    edit(values) {
+        const { regions, region } = this.settings;
+        if (this.edited === this.settings) this.change(values);
+        else this.change({ regions: regions.map((old, i) => (i === region ? { ...old, ...values } : old)) });
+    }
+
+    /** Makes a place where a point of the canvas shows the object. */
+    place(x, y) {
+        const { canvas, scene } = this;
+        const size = [canvas.clientWidth, canvas.clientHeight];
+        this.corners ??= cornersOf(scene);
+        const center = pick(this.corners, scene.data.triangles, this.camera(size[0] / size[1]), [x, y], size);
+        if (!center) return say("There is nothing of the object here.");
+        const { regions } = this.settings;
+        const made = { ...UNCHANGED, center, radius: PLACE.radius * scene.radius, soft: PLACE.soft };
+        this.change({ regions: [...regions, made], region: regions.length, placing: false });
+        return say(`Place ${regions.length + 1}: the sliders of the material change it alone.`);
+    }
+
+    /** Begins or leaves the making of a place, if there may be another. */
+    startPlacing() {
+        const { placing, regions } = this.settings;
+        const most = mostRegions(this.scene.materials.length);
+        if (!placing && regions.length >= most) return say(`At most ${most} ${most === 1 ? "place" : "places"} can be edited.`);
+        this.change({ placing: !placing });
+        return say(placing ? "" : "Click on the object, or press Enter for the middle of the picture.");
+    }
+
+    removePlace() {
+        const { regions, region } = this.settings;
+        this.change({ regions: regions.filter((_, i) => i !== region), region: -1 });
     }
 
     /** The view whose camera is looked through. */
@@ -53,16 +109,33 @@ class Page {
     }
 
     change(settings) {
-        Object.assign(this.settings, settings);
+        const before = this.settings;
+        this.settings = { ...before, ...settings };
+        this.history.note(before, this.settings, performance.now());
+        this.refresh();
+    }
+
+    /** Shows the settings, and draws. */
+    refresh() {
         showSettings(this);
+        this.compare.show();
         this.redraw();
+    }
+
+    /** Goes back to earlier settings, or on to later ones. */
+    goBack(way) {
+        const found = this.history[way](this.settings);
+        if (!found) return say(way === "undo" ? "There is nothing to undo." : "There is nothing to do again.");
+        this.settings = { ...this.settings, ...found };
+        if (this.settings.region >= this.settings.regions.length) this.settings.region = -1;
+        return this.refresh();
     }
 
     /** Moves the camera; from a view's camera it goes on freely. */
     move(how) {
         if (this.view) this.orbit.follow(this.view);
         how(this.orbit);
-        this.change({ view: -1 });
+        this.change({ view: -1, compare: false });
     }
 
     turnLight(degrees) {
@@ -70,14 +143,27 @@ class Page {
         this.change({ turn: ((((turn + 180) % 360) + 360) % 360) - 180 });
     }
 
+    /** Goes to the next camera; while photographs are compared, to the next one that has a photograph. */
     stepView(step) {
-        const count = this.scene.cameras.length;
-        if (count > 0) this.change({ view: (((this.settings.view + step) % count) + count) % count });
+        const places = this.settings.compare ? this.compare.places : this.scene.cameras.map((_, i) => i);
+        const { length } = places;
+        const at = places.indexOf(this.settings.view);
+        if (length > 0) this.change({ view: places[(((Math.max(at, step > 0 ? -1 : 0) + step) % length) + length) % length] });
+    }
+
+    /** Begins or ends the comparison with photographs; it begins with the last one. */
+    compareViews(compare) {
+        const { places } = this.compare;
+        if (places.length === 0) return;
+        const { view } = this.settings;
+        const last = [view, this.lastView].find((at) => places.includes(at)) ?? places[0];
+        this.lastView = last;
+        this.change(compare ? { compare, view: last } : { compare });
     }
 
     resetView() {
         this.orbit.reset();
-        this.change({ view: -1 });
+        this.change({ view: -1, compare: false });
     }
 
     reset() {
@@ -85,9 +171,26 @@ class Page {
         this.change(SETTINGS);
     }
 
+    /** Offers and shows the light of a file. */
+    async openLight(file) {
+        try {
+            const light = await lightOfFile(file);
+            this.renderer.lights.push(light);
+            this.scene.lights.push({ name: light.name, own: false, frame: light.frame });
+            addLightChoice(light.name, this.scene.lights.length - 1);
+            this.change({ light: this.scene.lights.length - 1, turn: 0 });
+            say(`${file.name}: ${light.lobes.length} light lobes`);
+        } catch (error) {
+            say(`${file.name}: ${error.message}.`);
+        }
+    }
+
     /** Roughness of the base materials after the page's factor. */
     roughnessText(factor) {
-        const { materials } = edited(this.scene, { ...this.state, roughness: factor });
+        const { state } = this;
+        const whole = this.edited === this.settings ? { ...state, roughness: factor } : state;
+        const apart = whole === state ? factor : 1;
+        const materials = edited(this.scene, whole).materials.map(({ roughness }) => ({ roughness: clamp(roughness * apart, 0.03, 1) }));
         const [low, high] = [Math.min, Math.max].map((of) => of(...materials.map(({ roughness }) => roughness)).toFixed(2));
         return low === high ? low : `${low} to ${high}`;
     }
@@ -122,6 +225,8 @@ class Page {
         const scale = moving ? this.scale : 1;
         const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight].map((side) =>
             clamp(Math.round(side * Math.min(window.devicePixelRatio, 2) * scale), 1, 4096));
+        // An error map is of a picture that the renderer draws on the way.
+        if (!moving && this.compare.refresh()) this.drawn = 0;
         const resized = this.renderer.target?.width !== width || this.renderer.target?.height !== height;
         if (this.drawn === 0 || resized) {
             this.renderer.begin(width, height);
@@ -130,14 +235,21 @@ class Page {
         const most = clamp(Math.floor(this.patience / Math.max(this.cost, 1)), 2, GRID.length);
         if (this.drawn < most) {
             const jitter = this.drawn === 0 && moving ? [0, 0] : GRID[this.drawn];
-            this.renderer.sample(this.state, this.camera(width / height), jitter);
+            const camera = this.camera(width / height);
+            this.renderer.sample({ ...this.state, mark: this.settings.region }, camera, jitter);
             this.renderer.present(this.state);
             this.drawn += 1;
+            this.drawBall(camera);
         }
         if (moving || this.drawn < most) {
             this.waiting = true;
             requestAnimationFrame((next) => this.tick(next));
         }
+    }
+
+    drawBall({ axes }) {
+        const { light, turn, exposure, ball } = this.settings;
+        if (ball) this.ball.draw(this.renderer.lights[light], { up: this.scene.up, turn, exposure, axes });
     }
 
     /** Fewer pixels while frames are slow. */
@@ -166,6 +278,8 @@ function offer(page) {
         set: (settings) => page.change(settings),
         ron: () => page.ron(),
         frames: () => [...page.frames],
+        /** The error of the photograph that is compared, as PSNR in dB; null until it is known. */
+        psnr: () => page.compare.psnr,
         /** A view's picture with side × side samples a pixel: RGBA bytes with straight alpha. */
         picture(view, side) {
             const camera = viewCamera(page.scene.cameras[view]);
@@ -177,7 +291,6 @@ function offer(page) {
 }
 
 async function start() {
-    const status = document.getElementById("status");
     const canvas = document.getElementById("picture");
     try {
         const scene = await readScene();
@@ -185,14 +298,16 @@ async function start() {
         fillPanel(page);
         listenToPointers(page, canvas);
         listenToKeys(page);
+        listenToWipe(page);
+        listenToFiles(page);
         page.change({});
-        new ResizeObserver(() => page.redraw()).observe(canvas);
-        canvas.addEventListener("webglcontextlost", () => (status.textContent = "The graphics card was taken away. Reload the page."));
+        new ResizeObserver(() => page.refresh()).observe(canvas);
+        canvas.addEventListener("webglcontextlost", () => say("The graphics card was taken away. Reload the page."));
         const lobes = page.renderer.lights[0].lobes.length;
-        status.textContent = `${scene.data.triangles.length / 3} triangles, ${lobes} light lobes`;
+        say(`${scene.data.triangles.length / 3} triangles, ${lobes} light lobes`);
         Object.assign(globalThis.lobelia, offer(page));
     } catch (error) {
-        status.textContent = `This object cannot be shown: ${error.message}.`;
+        say(`This object cannot be shown: ${error.message}.`);
         throw error;
     }
 }

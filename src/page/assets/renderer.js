@@ -3,7 +3,7 @@
 import { clipFromWorld } from "lobelia/camera";
 import { Program, Target, Texture, cover } from "lobelia/gpu";
 import { lobeTable, lobesOf, turnedLobes } from "lobelia/light";
-import { clamp } from "lobelia/linear";
+import { editedMaterial, regionUniforms } from "lobelia/regions";
 import { Shadows, openSky } from "lobelia/shadow";
 
 /** What can be shown, in the order of the shader's numbers, and how it is encoded (develop.frag). */
@@ -17,17 +17,9 @@ export const SHOWS = [
     { name: "roughness", label: "Roughness", encoding: 2 },
 ];
 
-/** The base materials and the albedo's factor after the page's edits: the same steps as those of `ron.js`, in the same order. */
-export function edited(scene, { tint, color, mix, level, roughness }) {
-    const materials = scene.materials.map((lobe) => ({
-        ...lobe,
-        albedo: lobe.albedo.map((old, c) => {
-            const blended = mix > 0 ? clamp(old + mix * (color[c] - old), 0, 1) : old;
-            return clamp(blended * level, 0, 1);
-        }),
-        roughness: clamp(lobe.roughness * roughness, 0.03, 1),
-    }));
-    return { materials, tint };
+/** The base materials, the albedo's factor and the places of other edits: the same steps as those of `ron.js`, in the same order. */
+export function edited(scene, state) {
+    return { materials: scene.materials.map((lobe) => editedMaterial(lobe, state)), tint: state.tint, regions: state.regions };
 }
 
 export class Renderer {
@@ -159,7 +151,8 @@ export class Renderer {
         const show = SHOWS.findIndex(({ name }) => name === state.show);
         const maps = { albedoMap: this.albedo, alongMap: this.along, tiltMap: this.tilt };
         const shared = { eye: camera.eye, show, ...maps };
-        this.surface.use({ ...place, ...shared, ...this.light, ...this.gloss, ...this.shadows.uniforms });
+        const regions = regionUniforms(state.regions, state.mark);
+        this.surface.use({ ...place, ...shared, ...regions, ...this.light, ...this.gloss, ...this.shadows.uniforms });
         gl.drawElements(gl.TRIANGLES, this.count, gl.UNSIGNED_INT, 0);
         gl.depthMask(true);
         this.samples += 1;

@@ -1,6 +1,7 @@
 // What was done in the page, as passes of a scene file.
 
 import { add, scale } from "lobelia/linear";
+import { falloffOf, hardRadius } from "lobelia/regions";
 
 /** A number as RON has it: short, and as exact as single precision. */
 const number = (x) => String(Number(x.toPrecision(7)));
@@ -9,14 +10,26 @@ const triple = (v) => `(${v.map(number).join(", ")})`;
 const values = (v) => v.map(number).join(", ");
 const same = (v, value) => v.every((x) => x === value);
 
-/** The page's edits, in the order in which `edited` of renderer.js applies them. */
-function edits(scene, { tint, color, mix, level, roughness }) {
-    const made = [...scene.edits];
-    if (!same(tint, 1)) made.push(`Diffuse(action: Scale(${values(tint)}))`);
-    if (mix > 0) made.push(`Specular(action: Blend(color: ${triple(color)}, weight: ${number(mix)}))`);
-    if (level !== 1) made.push(`Specular(action: Scale(${values([level, level, level])}))`);
-    if (roughness !== 1) made.push(`Roughness(action: Scale(${number(roughness)}))`);
+/** The edits of the whole object, or of a place, in the order in which `editedMaterial` of regions.js applies them. */
+function changes({ tint, color, mix, level, roughness }, soft = "", hard = "") {
+    const made = [];
+    if (!same(tint, 1)) made.push(`Diffuse(action: Scale(${values(tint)})${soft})`);
+    if (mix > 0) made.push(`Specular(action: Blend(color: ${triple(color)}, weight: ${number(mix)})${hard})`);
+    if (level !== 1) made.push(`Specular(action: Scale(${values([level, level, level])})${hard})`);
+    if (roughness !== 1) made.push(`Roughness(action: Scale(${number(roughness)})${hard})`);
     return made;
+}
+
+/** Those of a place: its material has a hard edge in the middle of the border over which its albedo changes. */
+function changesOf(region) {
+    const ball = `, region: Sphere(center: ${triple(region.center)}, radius: `;
+    const soft = `${ball}${number(region.radius)}, falloff: ${number(falloffOf(region))})`;
+    return changes(region, soft, `${ball}${number(hardRadius(region))})`);
+}
+
+/** All edits: the scene's, then the page's. */
+function edits(scene, state) {
+    return [...scene.edits, ...changes(state), ...state.regions.flatMap(changesOf)];
 }
 
 function lightLines(lobes) {

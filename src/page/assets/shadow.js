@@ -3,6 +3,7 @@
 
 import { Program, Target, Texture, cover } from "lobelia/gpu";
 import { lobeTable, sphereIntegral } from "lobelia/light";
+import { placesOfPatches, reflectedAt } from "lobelia/regions";
 
 const NONE = 4095;
 const STEPS = 15;
@@ -62,6 +63,7 @@ export class Shadows {
         const { hidden, texelNormals, patchOfTexel, hiders, patchMeans, albedo } = scene.data;
         Object.assign(this, { gl, directions, bounces, patches, means: patchMeans, lobeCount: -1 });
         this.ways = spiral(directions);
+        this.places = placesOfPatches(scene, patches);
         const table = bitsOfTexels(hidden, width * height, directions);
         this.hidden = new Texture(gl, "rgba32ui", { width: BITS_WIDTH, height: table.height, data: table.bits });
         const normals = decoded(texelNormals, (i) => albedo[4 * i + 3] > 0);
@@ -189,14 +191,14 @@ export class Shadows {
         });
     }
 
-    reflectances({ tint, materials }) {
+    reflectances({ tint, materials, regions }) {
         const out = new Float32Array(3 * this.patches);
         for (let p = 0; p < this.patches; p++) {
             const mean = this.means.subarray(EACH_PATCH * p, EACH_PATCH * (p + 1));
-            for (let c = 0; c < 3; c++) {
-                const specular = materials.reduce((sum, { number, albedo }) => sum + mean[6 + number] * albedo[c], 0);
-                out[3 * p + c] = Math.min(Math.min(mean[3 + c] * tint[c], 1) + specular, 1);
-            }
+            let diffuse = [0, 1, 2].map((c) => Math.min(mean[3 + c] * tint[c], 1));
+            let specular = [0, 1, 2].map((c) => materials.reduce((sum, { number, albedo }) => sum + mean[6 + number] * albedo[c], 0));
+            if (this.places[p]) [diffuse, specular] = reflectedAt(this.places[p], diffuse, specular, regions);
+            for (let c = 0; c < 3; c++) out[3 * p + c] = Math.min(diffuse[c] + specular[c], 1);
         }
         return out;
     }

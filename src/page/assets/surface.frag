@@ -30,6 +30,17 @@ uniform sampler2D leaving;
 uniform sampler2D sky;
 uniform int directions;
 
+// Places with edits of their own: balls; the length over which the diffuse edit sets in, and the radius of the material's hard edge.
+uniform int regionCount;
+uniform vec4 regionBall[3];
+uniform vec2 regionSoft[3];
+uniform vec3 regionTint[3];
+// The color that the specular albedo moves toward, and how far; then factors on specular albedo and roughness.
+uniform vec4 regionColor[3];
+uniform vec2 regionGloss[3];
+// A ball that is outlined, if its radius is positive.
+uniform vec4 mark;
+
 out vec4 result;
 
 const int FULL = 0, DIFFUSE = 1, SPECULAR = 2, ALBEDO = 3, NORMALS = 4, VISIBILITY = 5, ROUGHNESS = 6;
@@ -176,25 +187,67 @@ vec3 mirroredFactor(vec3 n, vec3 toViewer, float roughness) {
     return clamp(arriving / max(unhidden, vec3(least3)), 0.0, MOST_MIRRORED);
 }
 
+// As `weight_at` of `pass::edit`.
+float weightAt(float depth, float falloff) {
+    if (depth < 0.0) {
+        return 0.0;
+    }
+    float t = depth < falloff ? depth / falloff : 1.0;
+    return t * t * (3.0 - 2.0 * t);
+}
+
+// The albedo of a map after the diffuse edits.
+vec3 tinted(vec3 albedo) {
+    vec3 edited = clamp(albedo * tint, 0.0, 1.0);
+    for (int r = 0; r < regionCount; r++) {
+        float depth = regionBall[r].w - distance(position, regionBall[r].xyz);
+        edited = mix(edited, clamp(edited * regionTint[r], 0.0, 1.0), weightAt(depth, regionSoft[r].x));
+    }
+    return edited;
+}
+
+// A base material after the edits of the places that this point is in.
+vec4 shined(vec4 material) {
+    for (int r = 0; r < regionCount; r++) {
+        if (distance(position, regionBall[r].xyz) <= regionSoft[r].y) {
+            vec3 blended = clamp(mix(material.rgb, regionColor[r].rgb, regionColor[r].a), 0.0, 1.0);
+            material.rgb = clamp(blended * regionGloss[r].x, 0.0, 1.0);
+            material.w = clamp(material.w * regionGloss[r].y, 0.03, 1.0);
+        }
+    }
+    return material;
+}
+
+// Dashes along the outline of the marked ball.
+vec3 outlined(vec3 shown) {
+    float away = distance(position, mark.xyz) - mark.w;
+    float width = 1.2 * fwidth(away);
+    float dash = step(0.5, fract((gl_FragCoord.x + gl_FragCoord.y) / 14.0));
+    return mark.w > 0.0 && abs(away) < width ? vec3(dash) : shown;
+}
+
 void main() {
     vec3 n = normalize(normal);
     vec3 toViewer = normalize(eye - position);
     vec4 base = texture(albedoMap, uv);
-    vec3 along = clamp(texture(alongMap, uv).rgb * tint, 0.0, 1.0);
-    vec3 albedo = mix(along, clamp(base.rgb * tint, 0.0, 1.0), clamp(dot(n, toViewer), 0.0, 1.0));
+    vec3 along = tinted(texture(alongMap, uv).rgb);
+    vec3 straight = tinted(base.rgb);
+    vec3 albedo = mix(along, straight, clamp(dot(n, toViewer), 0.0, 1.0));
     vec3 tilt = (255.0 * texture(tiltMap, uv).rgb - 128.0) / 124.0;
-    vec3 mean = (2.0 * clamp(base.rgb * tint, 0.0, 1.0) + along) / 3.0;
+    vec3 mean = (2.0 * straight + along) / 3.0;
     albedo = clamp(albedo + mean * dot(tilt, toViewer - n * dot(n, toViewer)), 0.0, 1.0);
     float coverage = max(base.a, 1e-3);
     vec4 blendLow = blended ? texture(blendMap, vec3(uv, 0.0)) : vec4(1.0, 0.0, 0.0, 0.0);
     vec4 blendHigh = blended ? texture(blendMap, vec3(uv, 1.0)) : vec4(0.0);
     float weightSum = 0.0, roughness = 0.0;
     float weights[8];
+    vec4 here[8];
     for (int m = 0; m < materialCount; m++) {
         int number = kinds[m].x;
+        here[m] = shined(materials[m]);
         weights[m] = number < 4 ? blendLow[number] : blendHigh[number - 4];
         weightSum += weights[m];
-        roughness += weights[m] * materials[m].w;
+        roughness += weights[m] * here[m].w;
     }
     roughness = weightSum > 0.0 ? roughness / weightSum : 1.0;
 
@@ -222,11 +275,12 @@ void main() {
             vec3 specular = vec3(0.0);
             for (int m = 0; m < materialCount; m++) {
                 if (weights[m] > 0.0) {
-                    specular += weights[m] * specularLight(at, dot(n, toViewer), materials[m], kinds[m].y != 0);
+                    specular += weights[m] * specularLight(at, dot(n, toViewer), here[m], kinds[m].y != 0);
                 }
             }
             shown += specular * (shadowed ? mirroredFactor(n, toViewer, roughness) : vec3(1.0));
         }
     }
+    shown = outlined(shown);
     result = vec4(min(shown, 60000.0 / 16.0), 1.0);
 }

@@ -2,9 +2,7 @@
 
 use crate::codec::file::read_up_to;
 use crate::report::sheet::Theme;
-use crate::report::thumbnail::thumbnail_jpeg;
-use base64::Engine as _;
-use base64::engine::general_purpose::STANDARD;
+use crate::report::thumbnail::{jpeg_address, thumbnail_jpeg};
 use image::{Rgb, RgbImage, RgbaImage};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -43,7 +41,7 @@ impl Pictures {
 
     fn address(&mut self, path: &Path, bytes: impl FnOnce() -> Option<Vec<u8>>) -> Option<String> {
         if !self.known.contains_key(path) {
-            let address = format!("data:image/jpeg;base64,{}", STANDARD.encode(bytes()?));
+            let address = jpeg_address(&bytes()?);
             self.known.insert(path.to_owned(), address);
         }
         let address = self.known.get(path)?;
@@ -67,6 +65,8 @@ fn on_mat(picture: &RgbaImage) -> RgbImage {
 mod tests {
     use super::*;
     use crate::codec::png_file::write_rgba8;
+    use base64::Engine as _;
+    use base64::engine::general_purpose::STANDARD;
     use image::Rgba;
 
     #[test]

@@ -1,0 +1,183 @@
+//! Photographs in the page of `View`: small, and only the part that shows the object.
+
+use crate::error::Result;
+use crate::error::stop::check_interrupted;
+use crate::fit::exposure::Exposures;
+use crate::math::color::linear_from_srgb;
+use crate::page::{PageCamera, PagePhotograph};
+use crate::report::sheet::{Theme, choose_evenly};
+use crate::report::thumbnail::{jpeg_address, side_within, thumbnail_jpeg, thumbnail_mask};
+use crate::report::tone::{Backdrop, Look, Picture};
+use crate::view::{Photograph, PixelWindow, Split, ViewIndex, ViewMask};
+use bevy_ecs::prelude::{Entity, World};
+use glam::Vec3;
+use image::{GrayImage, Luma};
+
+/// Bytes of all photographs of a page, about; addresses take a third more.
+const BUDGET: f64 = 1.5e6;
+/// Bytes of addresses that are never exceeded: further photographs are left out.
+const MOST_BYTES: usize = 3_000_000;
+/// Part of the longer side of the object's window that is added around it.
+const MARGIN: f32 = 0.04;
+
+/// Adds photographs to at most `most` of the cameras, which are of these views: held-out views first, evenly chosen. Returns to how many.
+///
+/// # Errors
+/// [`Error::Interrupted`](crate::Error::Interrupted).
+pub(super) fn add_photographs(
+    world: &World,
+    views: &[Entity],
+    cameras: &mut [PageCamera],
+    most: usize,
+) -> Result<usize> {
+    let chosen = chosen(world, views, cameras, most);
+    let side = side_within(chosen.len(), BUDGET);
+    let (mut bytes, mut count) = (0, 0);
+    for place in chosen {
+        check_interrupted()?;
+        let Some(photograph) = embedded(world, views[place], side)? else { continue };
+        bytes += photograph.address.len();
+        if bytes > MOST_BYTES {
+            break;
+        }
+        cameras[place].photograph = Some(photograph);
+        count += 1;
+    }
+    Ok(count)
+}
+
+/// The places of the views whose photographs are shown: of those held out as many as may be, then training views.
+fn chosen(world: &World, views: &[Entity], cameras: &[PageCamera], most: usize) -> Vec<usize> {
+    let of = |split: Split| -> Vec<usize> {
+        let is_there = |view: Entity| {
+            world.get::<Photograph>(view).is_some_and(|photograph| !photograph.window().is_empty())
+        };
+        (0..views.len()).filter(|i| cameras[*i].split == split && is_there(views[*i])).collect()
+    };
+    let mut chosen = Vec::new();
+    for split in [Split::Test, Split::Train] {
+        let there = of(split);
+        chosen.extend(choose_evenly(there.len(), most - chosen.len()).into_iter().map(|i| there[i]));
+    }
+    chosen
+}
+
+/// A view's photograph at the exposure of renders; `None` if it does not show the object.
+fn embedded(world: &World, view: Entity, side: u32) -> Result<Option<PagePhotograph>> {
+    let Some(photograph) = world.get::<Photograph>(view) else { return Ok(None) };
+    let mask = world.get::<ViewMask>(view).map(|mask| &mask.0).filter(|mask| !mask.is_full());
+    let window = match mask {
+        Some(mask) => around(mask.window(), photograph.size()),
+        None => photograph.window(),
+    };
+    if window.is_empty() || mask.is_some_and(|mask| mask.window().is_empty()) {
+        return Ok(None);
+    }
+    let factor = world.get_resource::<Exposures>().zip(world.get::<ViewIndex>(view));
+    let factor = factor.map_or(1.0, |(exposures, index)| exposures.factor(*index));
+    let pixels = || window.pixels(photograph.size()[0]);
+    let color: Vec<Vec3> = pixels().map(|i| photograph.radiance(i) / factor).collect();
+    let alpha: Vec<f32> = pixels().map(|i| mask.map_or(1.0, |mask| mask.coverage(i))).collect();
+    let mat = Theme::Light.mat();
+    let behind = Vec3::from(mat.map(|byte| linear_from_srgb(f32::from(byte) / 255.0)));
+    let (width, height) = (window.width as usize, window.height as usize);
+    let picture = Picture { width, height, color: &color, alpha: &alpha };
+    let jpeg = thumbnail_jpeg(&picture.rgb8(&Look::default(), Backdrop::Solid(behind))?, side)?;
+    let covered = |x: u32, y: u32| Luma([(alpha[y as usize * width + x as usize] * 255.0 + 0.5) as u8]);
+    let coverage = thumbnail_mask(&GrayImage::from_fn(window.width, window.height, covered), side);
+    let size = coverage.dimensions().into();
+    let coverage = mask.map(|_| coverage.into_raw());
+    Ok(Some(PagePhotograph { window, size, address: jpeg_address(&jpeg), mat, coverage }))
+}
+
+/// The window with a margin, as far as the picture reaches.
+fn around(window: PixelWindow, [width, height]: [u32; 2]) -> PixelWindow {
+    let margin = (MARGIN * window.width.max(window.height) as f32).ceil() as u32;
+    let (x, y) = (window.x.saturating_sub(margin), window.y.saturating_sub(margin));
+    let right = (window.x + window.width + margin).min(width);
+    let bottom = (window.y + window.height + margin).min(height);
+    PixelWindow { x, y, width: right - x, height: bottom - y }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::view::{Camera, Image, Mask, StoredMask, ViewName};
+
+    /// Views of 40 × 30 pixels: training views, and then test views, whose object is a red square.
+    fn world(train: usize, test: usize) -> (World, Vec<Entity>, Vec<PageCamera>) {
+        let (width, height) = (40, 30);
+        let inside = |i: u32| (10..20).contains(&(i % width)) && (6..16).contains(&(i / width));
+        let red = |i: u32| if inside(i) { Vec3::new(0.5, 0.0, 0.0) } else { Vec3::ZERO };
+        let pixels = (0..width * height).map(red).collect();
+        let photograph = Photograph::of_image(&Image { width, height, pixels });
+        let coverage = (0..width * height).map(|i| f32::from(u8::from(inside(i)))).collect();
+        let mask = StoredMask::new(&Mask { width, height, coverage });
+        let camera = Camera::look_at(Vec3::Z, Vec3::ZERO, Vec3::Y, 40.0, width, height).unwrap();
+        let mut world = World::new();
+        let mut views = Vec::new();
+        let mut cameras = Vec::new();
+        for i in 0..train + test {
+            let split = if i < train { Split::Train } else { Split::Test };
+            let name = format!("{i}");
+            let view = (ViewName(name.clone()), split, photograph.clone(), ViewMask(mask.clone()));
+            views.push(world.spawn(view).id());
+            cameras.push(PageCamera { name, split, camera, photograph: None });
+        }
+        (world, views, cameras)
+    }
+
+    fn with(cameras: &[PageCamera]) -> Vec<usize> {
+        (0..cameras.len()).filter(|i| cameras[*i].photograph.is_some()).collect()
+    }
+
+    #[test]
+    fn held_out_views_come_first_and_few_are_chosen_evenly() {
+        let (world, views, mut cameras) = world(10, 2);
+        assert_eq!(add_photographs(&world, &views, &mut cameras, 5).unwrap(), 5);
+        assert_eq!(with(&cameras), [0, 5, 9, 10, 11]);
+        cameras.iter_mut().for_each(|camera| camera.photograph = None);
+        assert_eq!(add_photographs(&world, &views, &mut cameras, 1).unwrap(), 1);
+        assert_eq!(with(&cameras), [10]);
+        cameras.iter_mut().for_each(|camera| camera.photograph = None);
+        assert_eq!(add_photographs(&world, &views, &mut cameras, 0).unwrap(), 0);
+        assert!(with(&cameras).is_empty());
+    }
+
+    #[test]
+    fn the_part_with_the_object_is_shown_on_the_mat() {
+        let (world, views, mut cameras) = world(0, 1);
+        add_photographs(&world, &views, &mut cameras, 24).unwrap();
+        let photograph = cameras[0].photograph.clone().unwrap();
+        assert_eq!(photograph.window, PixelWindow { x: 9, y: 5, width: 12, height: 12 });
+        assert_eq!(photograph.size, [12, 12]);
+        let coverage = photograph.coverage.unwrap();
+        assert_eq!((coverage[0], coverage[12 * 6 + 6], coverage.len()), (0, 255, 144));
+        assert!(photograph.address.starts_with("data:image/jpeg;base64,"));
+    }
+
+    #[test]
+    fn views_without_a_photograph_or_without_the_object_are_left_out() {
+        let (mut world, views, mut cameras) = world(0, 3);
+        world.entity_mut(views[0]).remove::<Photograph>();
+        let empty = StoredMask::new(&Mask { width: 40, height: 30, coverage: vec![0.0; 1200] });
+        world.entity_mut(views[1]).insert(ViewMask(empty));
+        assert_eq!(add_photographs(&world, &views, &mut cameras, 24).unwrap(), 1);
+        assert_eq!(with(&cameras), [2]);
+    }
+
+    #[test]
+    fn photographs_are_shown_at_the_exposure_of_renders() {
+        let (mut world, views, mut cameras) = world(1, 0);
+        let address = |world: &World, cameras: &mut [PageCamera]| {
+            add_photographs(world, &views, cameras, 1).unwrap();
+            cameras[0].photograph.clone().unwrap().address
+        };
+        let plain = address(&world, &mut cameras);
+        world.entity_mut(views[0]).insert(ViewIndex(0));
+        let mut exposures = Exposures::default();
+        (exposures.unknown, exposures.factors) = (true, vec![2.0]);
+        world.insert_resource(exposures);
+        assert_ne!(address(&world, &mut cameras), plain);
+    }
+}
