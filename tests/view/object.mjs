@@ -61,6 +61,15 @@ export function gltf() {
     });
 }
 
+/** Its light, as RON. */
+const LIGHT = `Lobes(lobes: [
+        (axis: (0, 1, 0), sharpness: 0.7, amplitude: (0.35, 0.45, 0.6)),
+        (axis: (0.5, 0.6, 0.62), sharpness: 40, amplitude: (5.5, 4.8, 3.9)),
+        (axis: (-0.8, 0.3, 0.3), sharpness: 15, amplitude: (0.9, 1.1, 1.6)),
+        (axis: (0.2, 0.2, -0.96), sharpness: 300, amplitude: (6, 6, 6)),
+        (axis: (0, -1, 0), sharpness: 1, amplitude: (0.25, 0.18, 0.12)),
+    ])`;
+
 /** How its albedo depends on the side of view: width × width vectors, as channels. */
 export function tilt(width) {
     const at = (wave) => Array.from({ length: width * width }, (_, i) => wave((i % width) / width, Math.floor(i / width) / width));
@@ -71,6 +80,24 @@ export function tilt(width) {
     };
 }
 
+/** A scene in which everything is known, of photographs that Lobelia's path tracer takes of it. */
+export const photographed = () => `Scene(
+    version: 1,
+    surface: Mesh(path: "object.gltf", texture_size: 128),
+    views: Photographed(
+        cameras: (count: 3, test: 2, size: 128),
+        spp: 64,
+        truth: (light: ${LIGHT}, albedo: Constant(0.55, 0.35, 0.2), specular: (albedo: (0.25, 0.25, 0.25), roughness: 0.3)),
+    ),
+    light: Fixed(${LIGHT}),
+    material: (
+        albedo: Fixed(Constant(0.55, 0.35, 0.2)),
+        specular: (albedo: Fixed(0.25, 0.25, 0.25), roughness: Fixed(0.3)),
+    ),
+    passes: [View(photographs: 4)],
+)
+`;
+
 /** A scene of it: `ndf` is `Sg` or `Ggx`. */
 export const scene = (ndf) => `Scene(
     version: 1,
@@ -80,13 +107,7 @@ export const scene = (ndf) => `Scene(
         (name: "low", eye: (-2.1, 0.5, 0.9), width: 160, height: 120),
         (name: "tiny", eye: (-2.1, 0.5, 0.9), width: 16, height: 12),
     ]),
-    light: Fixed(Lobes(lobes: [
-        (axis: (0, 1, 0), sharpness: 0.7, amplitude: (0.35, 0.45, 0.6)),
-        (axis: (0.5, 0.6, 0.62), sharpness: 40, amplitude: (5.5, 4.8, 3.9)),
-        (axis: (-0.8, 0.3, 0.3), sharpness: 15, amplitude: (0.9, 1.1, 1.6)),
-        (axis: (0.2, 0.2, -0.96), sharpness: 300, amplitude: (6, 6, 6)),
-        (axis: (0, -1, 0), sharpness: 1, amplitude: (0.25, 0.18, 0.12)),
-    ])),
+    light: Fixed(${LIGHT}),
     material: (
         albedo: Fixed(Constant(0.55, 0.35, 0.2)),
         tilt: Fixed("tilt.exr"),

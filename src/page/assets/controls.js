@@ -114,7 +114,10 @@ export function fillPanel(page) {
 
 function listenToButtons(page) {
     by("light").addEventListener("change", () => page.change({ light: Number(by("light").value) }));
-    by("view").addEventListener("change", () => page.change({ view: Number(by("view").value) }));
+    by("view").addEventListener("change", () => {
+        const view = Number(by("view").value);
+        page.change(view < 0 ? { view, compare: false } : { view });
+    });
     by("before").addEventListener("click", () => page.stepView(-1));
     by("after").addEventListener("click", () => page.stepView(1));
     by("region").addEventListener("change", () => page.change({ region: Number(by("region").value), placing: false }));

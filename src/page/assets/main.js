@@ -90,6 +90,7 @@ class Page {
         const { placing, regions } = this.settings;
         const most = mostRegions(this.scene.materials.length);
         if (!placing && regions.length >= most) return say(`At most ${most} ${most === 1 ? "place" : "places"} can be edited.`);
+        this.canvas.focus({ preventScroll: true });
         this.change({ placing: !placing });
         return say(placing ? "" : "Click on the object, or press Enter for the middle of the picture.");
     }
@@ -134,6 +135,7 @@ class Page {
     /** Moves the camera; from a view's camera it goes on freely. */
     move(how) {
         if (this.view) this.orbit.follow(this.view);
+        if (this.settings.compare) this.lastView = this.settings.view;
         how(this.orbit);
         this.change({ view: -1, compare: false });
     }
