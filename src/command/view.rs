@@ -10,7 +10,7 @@ use lobelia::light::convention::MapConvention;
 use lobelia::pass::progress::Progress;
 use lobelia::pass::view::PAGE;
 use lobelia::pass::write_view;
-use lobelia::scene::{LightSource, LoadOptions, LoadedScene, ViewPass, load};
+use lobelia::scene::{LightSource, LoadOptions, LoadedScene, ViewPass, Views, load};
 use lobelia::{Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -45,8 +45,11 @@ fn without_data(
     if load(scene, &LoadOptions { confined: false, ..options.clone() }).is_ok() {
         return Err(error);
     }
-    let none = LoadOptions { sets: vec![("views".into(), "Cameras([])".into())], ..options.clone() };
-    let Ok(loaded) = load(scene, &none) else { return Err(error) };
+    // A scene has at least one camera.
+    let sets = [("views", r#"Cameras([(name: "none", eye: (0, 0, 1))])"#), ("passes", "[]")];
+    let sets = sets.map(|(path, value)| (path.to_owned(), value.to_owned())).to_vec();
+    let Ok(mut loaded) = load(scene, &LoadOptions { sets, ..options.clone() }) else { return Err(error) };
+    loaded.scene.views = Views::Cameras(Vec::new());
     progress.note(&format!("the page has neither photographs nor their cameras:\n{error}"));
     Ok(loaded)
 }
