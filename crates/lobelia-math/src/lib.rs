@@ -13,7 +13,7 @@
 //! | [`columns`], [`lighting`], [`sample`] | inputs and outputs of the slice kernels |
 //! | [`reflectance`] | what the specular parts of this BRDF and of glTF's reflect in all |
 //! | [`brdf`], [`sg`], [`lobe`], [`dual`], [`ray`], [`color`], [`fibonacci`] | shared terms |
-//! | [`lanes`], [`real`] | numbers: scalars and SIMD vectors |
+//! | [`two`], [`lanes`], [`real`] | numbers: scalars, SIMD vectors, two of these |
 
 pub mod accurate;
 pub mod brdf;
@@ -32,6 +32,7 @@ pub mod reflectance;
 pub mod sample;
 pub mod sg;
 pub mod shading;
+pub mod two;
 pub mod workload;
 
 #[cfg(test)]

@@ -10,7 +10,7 @@ use crate::lobe::Shape;
 use crate::real::{Real, Vec3Of};
 use crate::sample::ShadePoint;
 
-/// A fixed number of values: the terms of a point, a lobe or a pair. Implemented for arrays, and for pairs of an array and an
+/// A fixed number of values, at least one: the terms of a point, a lobe or a pair. Implemented for arrays, and for pairs of an array and an
 /// array of arrays.
 pub trait Terms<F>: Copy {
     /// Number of values.
@@ -26,8 +26,13 @@ pub trait Terms<F>: Copy {
 impl<F: Copy, const N: usize> Terms<F> for [F; N] {
     const LEN: usize = N;
     #[inline(always)]
-    fn from_fn(value: impl FnMut(usize) -> F) -> Self {
-        std::array::from_fn(value)
+    fn from_fn(mut value: impl FnMut(usize) -> F) -> Self {
+        // A loop: closures inside the functions of arrays are not always inlined.
+        let mut all = [value(0); N];
+        for (i, each) in all.iter_mut().enumerate().skip(1) {
+            *each = value(i);
+        }
+        all
     }
     #[inline(always)]
     fn at(&self, index: usize) -> F {
@@ -45,8 +50,17 @@ impl<F: Copy, const N: usize, const EACH: usize, const PARTS: usize> Terms<F>
     const LEN: usize = N + EACH * PARTS;
     #[inline(always)]
     fn from_fn(mut value: impl FnMut(usize) -> F) -> Self {
-        let shared = std::array::from_fn(&mut value);
-        (shared, std::array::from_fn(|p| std::array::from_fn(|i| value(N + EACH * p + i))))
+        let mut shared = [value(0); N];
+        for (i, each) in shared.iter_mut().enumerate().skip(1) {
+            *each = value(i);
+        }
+        let mut parts = [[shared[0]; EACH]; PARTS];
+        for (p, part) in parts.iter_mut().enumerate() {
+            for (i, each) in part.iter_mut().enumerate() {
+                *each = value(N + EACH * p + i);
+            }
+        }
+        (shared, parts)
     }
     #[inline(always)]
     fn at(&self, index: usize) -> F {
@@ -64,17 +78,21 @@ pub type Part = u8;
 pub const DIFFUSE: Part = 1;
 /// The specular part alone.
 pub const SPECULAR: Part = 2;
+/// The specular part by the model's rule for lobes that are narrow against the point's response ([`PairModel::narrow`]).
+pub const NARROW: Part = 4;
 /// Both.
 pub const BOTH: Part = DIFFUSE | SPECULAR;
 
-/// The directions from which a point receives specular light: its response to a lobe (axis ξ, sharpness λ) is at most about the
-/// response to an aligned lobe times e^(−aλ/(a + λ)·(1 − r·ξ)).
+/// Bounds of the specular light that a point receives from a lobe (axis ξ, sharpness λ): at most about the light from an aligned lobe
+/// times e^(−aλ/(a + λ)·(1 − r·ξ)), and at most the lobe's irradiance times the BRDF's largest value.
 #[derive(Clone, Copy)]
 pub struct Reach<F> {
     /// r, a unit direction.
     pub axis: Vec3Of<F>,
     /// a.
     pub sharpness: F,
+    /// The BRDF's largest value, or more.
+    pub brightest: F,
 }
 
 /// The light of one pair for unit amplitude.
@@ -120,12 +138,16 @@ pub trait PairModel: Copy + Send + Sync {
     /// Whether the kernels may skip the specular part of pairs by [`PairModel::reach`]. The kernels then evaluate the two parts of
     /// such a model separately, and its specular part must not read the terms of the lobe.
     const CULLS: bool;
+    /// Whether there is a rule for narrow lobes, [`NARROW`].
+    const HAS_NARROW: bool = false;
     /// The terms of a point that a pair reads.
     type Point<F: Copy>: Terms<F>;
     /// The terms of a point that only its weights and the last part of its adjoint read.
     type Frozen<F: Copy>: Terms<F>;
     /// The terms of a lobe that a pair reads in addition to the shape: computed from the sharpness once per call, stored in columns.
     type Lobe<F: Copy>: Terms<F>;
+    /// Where the nodes of a pair's specular part lie.
+    type Placed<F: Copy>: Copy;
     /// The specular terms of a pair.
     type Specular<F: Copy>: Terms<F>;
     /// The sums over lobes that a point's adjoint needs.
@@ -149,8 +171,41 @@ pub trait PairModel: Copy + Send + Sync {
         specular: &SpecularValue,
     ) -> Self::Specular<Vec3Of<f32>>;
 
-    /// The directions from which the point receives specular light; called only if [`PairModel::CULLS`].
+    /// Bounds of the specular light of the point; called only if [`PairModel::CULLS`].
     fn reach<F: Real>(&self, point: &Self::Point<F>) -> Reach<F>;
+
+    /// How narrow a lobe is against the response of the point, and what the BRDF's largest value may be divided by for its axis. From 1
+    /// on the lobe is for [`NARROW`].
+    fn narrow<F: Real>(&self, _point: &Self::Point<F>, shape: &Shape<F>) -> (F, F) {
+        (shape.sharpness.zero(), shape.sharpness.one())
+    }
+
+    /// Places the nodes of the specular part `PART` of a pair; called only if [`PairModel::CULLS`].
+    fn place<F: Real, const PART: Part>(&self, point: &Self::Point<F>, shape: &Shape<F>) -> Self::Placed<F>;
+
+    /// [`PairModel::place`] for two pairs of a point together, which takes less time than one after the other.
+    fn place_two<F: Real, const PART: Part>(
+        &self,
+        point: &Self::Point<F>,
+        shapes: [&Shape<F>; 2],
+    ) -> [Self::Placed<F>; 2];
+
+    /// The specular part `PART` of a pair, given its nodes; called only if [`PairModel::CULLS`].
+    fn specular<F: Real, const PART: Part>(
+        &self,
+        point: &Self::Point<F>,
+        shape: &Shape<F>,
+        placed: &Self::Placed<F>,
+    ) -> Self::Specular<F>;
+
+    /// [`PairModel::specular`] and its adjoints, given the adjoint of each term; called only if [`PairModel::CULLS`].
+    fn pull_back_specular<F: Real, const PART: Part>(
+        &self,
+        point: &Self::Point<F>,
+        shape: &Shape<F>,
+        placed: &Self::Placed<F>,
+        adjoint: &Self::Specular<F>,
+    ) -> (Self::Specular<F>, PairAdjoint<F, Self::Sums<F>>);
 
     /// Evaluates one point × lobe.
     fn evaluate<F: Real, const PART: Part>(

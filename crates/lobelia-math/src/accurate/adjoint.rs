@@ -1,10 +1,11 @@
 //! One point × one lobe: the adjoint of its integrals, with the specular nodes and weights held fixed.
 
 use super::diffuse::cosine_integral;
-use super::pair::Pair;
+use super::narrow::{MOST_SGS, is_narrow, parts};
+use super::pair::{Pair, Placements, place_sgs};
 use super::point::{PointSums, PointTerms};
 use super::rule::across;
-use super::specular::{LocalLight, Node, PointTermsView, node, place};
+use super::specular::{GGX, LocalLight, Node, PointTermsView, SG, Tail, node, place};
 use super::unroll::unroll;
 use crate::dual::Dual;
 use crate::real::{Real, Vec3Of, add, dot, scale};
@@ -61,16 +62,38 @@ pub fn pull_back_specular<F: Real, const ALONG: usize, const ACROSS: usize, cons
     point: &PointTerms<F, NDF>,
     axis: Vec3Of<F>,
     sharpness: F,
-    [constant_adjoint, slope_adjoint]: [F; 2],
+    adjoint: [F; 2],
 ) -> ([F; 2], PairAdjoint<F, NDF>) {
     let light = LocalLight { axis: point.in_frame(axis), sharpness };
+    if is_narrow(point, axis, sharpness) {
+        let placed = place::<F, GGX>(point.view, &point.ndf[NDF - 1], &light);
+        return pull_back_nodes::<F, ALONG, ACROSS, NDF, GGX>(point, &light, &[placed; MOST_SGS], adjoint);
+    }
+    let placed = place_sgs(point, &light, None);
+    pull_back_nodes::<F, ALONG, ACROSS, NDF, SG>(point, &light, &placed, adjoint)
+}
+
+/// [`pull_back_specular`], given the placements of the nodes.
+#[inline(always)]
+pub(super) fn pull_back_nodes<
+    F: Real,
+    const ALONG: usize,
+    const ACROSS: usize,
+    const NDF: usize,
+    const TAIL: Tail,
+>(
+    point: &PointTerms<F, NDF>,
+    light: &LocalLight<F>,
+    placed: &Placements<F>,
+    [constant_adjoint, slope_adjoint]: [F; 2],
+) -> ([F; 2], PairAdjoint<F, NDF>) {
     let view = PointTermsView::new(point);
-    let zero = sharpness.zero();
+    let zero = light.sharpness.zero();
     let (mut constant, mut total) = (zero, zero);
     let mut sums = NodeSums::new(zero);
     let mut out = PointSums::zero(zero);
-    for (m, ndf) in point.ndf.iter().enumerate() {
-        let placement = place(point.view, ndf, &light);
+    for (m, placement) in parts::<NDF, TAIL>().zip(placed) {
+        let ndf = &point.ndf[m];
         let (mut powered, mut plain) = (zero, zero);
         let weights = [(constant_adjoint - slope_adjoint) * ndf.scale, slope_adjoint * ndf.scale];
         let before = sums.value;
@@ -78,11 +101,11 @@ pub fn pull_back_specular<F: Real, const ALONG: usize, const ACROSS: usize, cons
         unroll!(i < ALONG, {
             let row = placement.row(ALONG, i);
             unroll!(j < ACROSS, {
-                let node = node(&view, ndf, &light, &placement, &row, across(ACROSS, j));
+                let node = node::<F, TAIL>(&view, ndf, light, placement, &row, across(ACROSS, j));
                 let value = node.over_cosine * node.cosine;
                 plain += value;
                 powered = value.mul_add(node.fresnel, powered);
-                sums.add(&node, weights, ndf.sharpness, point.shadowing, &mut drop);
+                sums.add(&node, weights, point.shadowing, &mut drop);
             });
         });
         let value = sums.value - before;
@@ -92,7 +115,7 @@ pub fn pull_back_specular<F: Real, const ALONG: usize, const ACROSS: usize, cons
     }
     out.normal = sums.normal;
     out.shadowing = -sums.shadowing;
-    let axis = point.in_world(scale(sums.offset, sharpness));
+    let axis = point.in_world(scale(sums.offset, light.sharpness));
     ([constant, total - constant], PairAdjoint { axis, sharpness: -sums.half_square, point: out })
 }
 
@@ -112,7 +135,7 @@ impl<F: Real> NodeSums<F> {
     }
 
     #[inline(always)]
-    fn add(&mut self, node: &Node<F>, [powered, plain]: [F; 2], ndf_sharpness: F, k: F, drop: &mut F) {
+    fn add(&mut self, node: &Node<F>, [powered, plain]: [F; 2], k: F, drop: &mut F) {
         let over_cosine = node.over_cosine * powered.mul_add(node.fresnel, plain);
         let value = over_cosine * node.cosine;
         self.value += value;
@@ -123,7 +146,7 @@ impl<F: Real> NodeSums<F> {
         // Below the horizon the derivatives are 0; `value` is 0 there because of its cosine.
         let zero = k.zero();
         let turn = zero.select_lt(node.cosine, over_cosine * node.shadowing * k, zero);
-        let tilt = value * ndf_sharpness;
+        let tilt = value * node.toward;
         for c in 0..2 {
             let through_half = tilt.mul_add(node.half[c], self.normal[c]);
             self.normal[c] = turn.mul_add(node.direction[c], through_half);

@@ -28,6 +28,7 @@ mod adjoint;
 pub mod diffuse;
 pub mod ggx;
 mod model;
+mod narrow;
 mod pair;
 mod point;
 mod quality;

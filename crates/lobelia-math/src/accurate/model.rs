@@ -1,20 +1,22 @@
 //! The accurate integrals as a [`PairModel`].
 
-use super::adjoint::{self, pull_back_diffuse, pull_back_specular};
+use super::adjoint::{self, pull_back_diffuse, pull_back_nodes, pull_back_specular};
 use super::diffuse::{SharpnessTerms, prepared_cosine_integral};
-use super::ggx::{GGX_LOBES, ggx_mixture};
-use super::pair::evaluate_specular;
+use super::ggx::{GGX_TERMS, ggx_terms};
+use super::narrow::{MOST_SGS, mirror, narrowness};
+use super::pair::{evaluate_specular, place_sgs, sum_nodes};
 use super::point::{
     NdfTerms, PointDerivatives, PointSums, PointTerms, one_sg, prepare_with_ndf, pull_back_point,
 };
+use super::specular::{GGX, LocalLight, Placement, SG, place, place_two};
 use crate::brdf::{SpecularAdjoint, SpecularValue};
 use crate::lobe::Shape;
 use crate::model::{
-    self, DIFFUSE, PairAdjoint, PairModel, Part, PointEnd, PulledBack, Reach, Response, SPECULAR,
+    self, DIFFUSE, NARROW, PairAdjoint, PairModel, Part, PointEnd, PulledBack, Reach, Response, SPECULAR,
 };
-use crate::real::{Real, Vec3Of, add, dot, scale};
+use crate::real::{Real, Vec3Of, add, dot};
 
-/// An NDF that is a mixture of `NDF` SGs in h.
+/// An NDF of one SG in h, or of several followed by the distribution that they approximate.
 pub trait Mixture<const NDF: usize>: Copy + Send + Sync {
     /// [L, w] of every SG, D = Σ w·(L/2π)·e^{L(h·n − 1)}, and their [dL/dR, d(ln w)/dR].
     fn of<F: Real>(&self, roughness: F) -> ([[F; 2]; NDF], [[F; 2]; NDF]);
@@ -35,18 +37,20 @@ impl Mixture<1> for OneSg {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct GgxSgs;
 
-impl Mixture<GGX_LOBES> for GgxSgs {
+impl Mixture<GGX_TERMS> for GgxSgs {
     #[inline(always)]
-    fn of<F: Real>(&self, roughness: F) -> ([[F; 2]; GGX_LOBES], [[F; 2]; GGX_LOBES]) {
-        ggx_mixture(roughness)
+    fn of<F: Real>(&self, roughness: F) -> ([[F; 2]; GGX_TERMS], [[F; 2]; GGX_TERMS]) {
+        ggx_terms(roughness)
     }
 }
 
-/// The accurate integrals with `ALONG` × `ACROSS` nodes for the specular part (2 to 4, 1 to 3) of each of `NDF` SGs.
+/// The accurate integrals with `ALONG` × `ACROSS` nodes for the specular part (2 to 4, 1 to 3) of each of the SGs of an
+/// NDF. `NDF` is 1 for one SG; for several, one more than there are, for the distribution itself.
 ///
 /// Specular parts of negligible pairs are left out. By half-vector geometry ∠(ω, r) ≤ 2∠(h, n), so |ω − r| ≤ 2|X| and the NDF
 /// e^(−L|X|²/2) is below an SG of sharpness L/4 around the mirror direction r; its product with the light's SG is at most
-/// e^(−aλ/(a + λ)·(1 − r·ξ)) with a = L/4. The broadest of several SGs bounds all of them.
+/// e^(−aλ/(a + λ)·(1 − r·ξ)) with a = L/4. The broadest of several SGs bounds all of them. Independently, the specular light is at most
+/// the irradiance times the BRDF's largest value.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct Accurate<D, const NDF: usize, const ALONG: usize, const ACROSS: usize>(D);
 
@@ -55,9 +59,9 @@ pub const ACCURATE_DEFAULT: Accurate<OneSg, 1, 3, 2> = Accurate(OneSg);
 /// [`Quality::High`](super::quality::Quality::High).
 pub const ACCURATE_HIGH: Accurate<OneSg, 1, 4, 3> = Accurate(OneSg);
 /// [`Quality::Default`](super::quality::Quality::Default) with GGX for the NDF.
-pub const GGX_DEFAULT: Accurate<GgxSgs, GGX_LOBES, 3, 2> = Accurate(GgxSgs);
+pub const GGX_DEFAULT: Accurate<GgxSgs, GGX_TERMS, 3, 2> = Accurate(GgxSgs);
 /// [`Quality::High`](super::quality::Quality::High) with GGX for the NDF.
-pub const GGX_HIGH: Accurate<GgxSgs, GGX_LOBES, 4, 3> = Accurate(GgxSgs);
+pub const GGX_HIGH: Accurate<GgxSgs, GGX_TERMS, 4, 3> = Accurate(GgxSgs);
 
 /// [`PointTerms`] as numbers: sharpness, start and scale of each SG come last.
 type PointNumbers<F, const NDF: usize> = ([F; 12], [[F; 3]; NDF]);
@@ -69,15 +73,23 @@ impl<F: Copy, const NDF: usize> PointTerms<F, NDF> {
     fn to_numbers(self) -> PointNumbers<F, NDF> {
         let [[a, b, c], [d, e, f], [g, h, i]] = self.frame;
         let [v, w] = self.view;
-        let ndf = self.ndf.map(|n| [n.sharpness, n.start, n.scale]);
+        let first = self.ndf[0];
+        let mut ndf = [[first.sharpness, first.start, first.scale]; NDF];
+        for (numbers, n) in ndf.iter_mut().zip(self.ndf) {
+            *numbers = [n.sharpness, n.start, n.scale];
+        }
         ([a, b, c, d, e, f, g, h, i, v, w, self.shadowing], ndf)
     }
 
     #[inline(always)]
     fn from_numbers(([a, b, c, d, e, f, g, h, i, v, w, shadowing], ndf): PointNumbers<F, NDF>) -> Self {
         let frame = [[a, b, c], [d, e, f], [g, h, i]];
-        let ndf = ndf.map(|[sharpness, start, scale]| NdfTerms { sharpness, start, scale });
-        Self { frame, view: [v, w], shadowing, ndf }
+        let [sharpness, start, scale] = ndf[0];
+        let mut terms = [NdfTerms { sharpness, start, scale }; NDF];
+        for (terms, [sharpness, start, scale]) in terms.iter_mut().zip(ndf) {
+            *terms = NdfTerms { sharpness, start, scale };
+        }
+        Self { frame, view: [v, w], shadowing, ndf: terms }
     }
 }
 
@@ -119,9 +131,11 @@ impl<D: Mixture<NDF>, const NDF: usize, const ALONG: usize, const ACROSS: usize>
     for Accurate<D, NDF, ALONG, ACROSS>
 {
     const CULLS: bool = true;
+    const HAS_NARROW: bool = NDF > 1;
     type Point<F: Copy> = PointNumbers<F, NDF>;
     type Frozen<F: Copy> = ([F; 1], [[F; 2]; NDF]);
     type Lobe<F: Copy> = [F; 8];
+    type Placed<F: Copy> = Option<Placement<F>>;
     type Specular<F: Copy> = [F; 2];
     type Sums<F: Copy> = SumNumbers<F, NDF>;
 
@@ -154,9 +168,78 @@ impl<D: Mixture<NDF>, const NDF: usize, const ALONG: usize, const ACROSS: usize>
         for ndf in &point.ndf[1..] {
             broadest = broadest.min(ndf.sharpness);
         }
-        let [along, up] = point.view;
-        let axis = add(scale(point.frame[0], -along), scale(point.frame[2], up));
-        Reach { axis, sharpness: broadest.times(0.25) }
+        // F ≤ 1, and the light's factor of G over its cosine is at most 1/k.
+        let brightest = (point.ndf[NDF - 1].scale * point.shadowing.inverse()).times(0.25);
+        Reach { axis: mirror(&point), sharpness: broadest.times(0.25), brightest }
+    }
+
+    #[inline(always)]
+    fn narrow<F: Real>(&self, point: &Self::Point<F>, shape: &Shape<F>) -> (F, F) {
+        narrowness(&PointTerms::from_numbers(*point), shape.axis, shape.sharpness)
+    }
+
+    #[inline(always)]
+    fn place<F: Real, const PART: Part>(&self, point: &Self::Point<F>, shape: &Shape<F>) -> Self::Placed<F> {
+        let point = PointTerms::from_numbers(*point);
+        let light = LocalLight::new(&point, shape);
+        match (PART, NDF) {
+            (NARROW, _) => Some(place::<F, GGX>(point.view, &point.ndf[NDF - 1], &light)),
+            (_, 1) => Some(place::<F, SG>(point.view, &point.ndf[0], &light)),
+            _ => None,
+        }
+    }
+
+    #[inline(always)]
+    fn place_two<F: Real, const PART: Part>(
+        &self,
+        point: &Self::Point<F>,
+        [one, two]: [&Shape<F>; 2],
+    ) -> [Self::Placed<F>; 2] {
+        let point = PointTerms::from_numbers(*point);
+        let (ndf, view) = (&point.ndf[NDF - 1], point.view);
+        let lights = [&LocalLight::new(&point, one), &LocalLight::new(&point, two)];
+        let [one, two] = match (PART, NDF) {
+            (NARROW, _) => place_two::<F, GGX>(view, [ndf, ndf], lights),
+            (_, 1) => place_two::<F, SG>(view, [ndf, ndf], lights),
+            _ => return [None, None],
+        };
+        [Some(one), Some(two)]
+    }
+
+    #[inline(always)]
+    fn specular<F: Real, const PART: Part>(
+        &self,
+        point: &Self::Point<F>,
+        shape: &Shape<F>,
+        placed: &Self::Placed<F>,
+    ) -> [F; 2] {
+        let point = PointTerms::from_numbers(*point);
+        let light = LocalLight::new(&point, shape);
+        if let (NARROW, Some(placed)) = (PART, *placed) {
+            return sum_nodes::<F, ALONG, ACROSS, NDF, GGX>(&point, &light, &[placed; MOST_SGS]);
+        }
+        let placed = place_sgs(&point, &light, *placed);
+        sum_nodes::<F, ALONG, ACROSS, NDF, SG>(&point, &light, &placed)
+    }
+
+    #[inline(always)]
+    fn pull_back_specular<F: Real, const PART: Part>(
+        &self,
+        point: &Self::Point<F>,
+        shape: &Shape<F>,
+        placed: &Self::Placed<F>,
+        adjoint: &[F; 2],
+    ) -> ([F; 2], PairAdjoint<F, Self::Sums<F>>) {
+        let point = PointTerms::from_numbers(*point);
+        let light = LocalLight::new(&point, shape);
+        let (value, back) = if let (NARROW, Some(placed)) = (PART, *placed) {
+            let placed = [placed; MOST_SGS];
+            pull_back_nodes::<F, ALONG, ACROSS, NDF, GGX>(&point, &light, &placed, *adjoint)
+        } else {
+            let placed = place_sgs(&point, &light, *placed);
+            pull_back_nodes::<F, ALONG, ACROSS, NDF, SG>(&point, &light, &placed, *adjoint)
+        };
+        (value, PairAdjoint::new(back))
     }
 
     #[inline(always)]

@@ -2,10 +2,11 @@
 
 use super::diffuse::cosine_integral;
 use super::ggx::prepare_ggx_point;
+use super::narrow::{MOST_SGS, is_narrow, parts};
 use super::point::{PointTerms, prepare_point};
 use super::quality::Quality;
 use super::rule::across;
-use super::specular::{LocalLight, PointTermsView, node, place};
+use super::specular::{GGX, LocalLight, Placement, PointTermsView, SG, Tail, node, place, place_two};
 use super::unroll::unroll;
 use crate::brdf::{Facets, Ndf};
 use crate::dual::Dual;
@@ -44,15 +45,57 @@ pub fn evaluate_specular<F: Real, const ALONG: usize, const ACROSS: usize, const
     sharpness: F,
 ) -> [F; 2] {
     let light = LocalLight { axis: point.in_frame(axis), sharpness };
+    if is_narrow(point, axis, sharpness) {
+        let placed = place::<F, GGX>(point.view, &point.ndf[NDF - 1], &light);
+        return sum_nodes::<F, ALONG, ACROSS, NDF, GGX>(point, &light, &[placed; MOST_SGS]);
+    }
+    let placed = place_sgs(point, &light, None);
+    sum_nodes::<F, ALONG, ACROSS, NDF, SG>(point, &light, &placed)
+}
+
+/// The placements of a pair's nodes for each SG of the distribution of normals, or first for GGX.
+pub(super) type Placements<F> = [Placement<F>; MOST_SGS];
+
+/// Places the nodes for the SGs, given those for the first if there are any yet.
+#[inline(always)]
+pub(super) fn place_sgs<F: Real, const NDF: usize>(
+    point: &PointTerms<F, NDF>,
+    light: &LocalLight<F>,
+    first: Option<Placement<F>>,
+) -> Placements<F> {
+    if NDF == 1 {
+        let only = match first {
+            Some(first) => first,
+            None => place::<F, SG>(point.view, &point.ndf[0], light),
+        };
+        return [only; MOST_SGS];
+    }
+    let [one, two] = place_two::<F, SG>(point.view, [&point.ndf[0], &point.ndf[1]], [light, light]);
+    [one, two, place::<F, SG>(point.view, &point.ndf[2], light)]
+}
+
+/// The sum over nodes: `[constant, slope]`.
+#[inline(always)]
+pub(super) fn sum_nodes<
+    F: Real,
+    const ALONG: usize,
+    const ACROSS: usize,
+    const NDF: usize,
+    const TAIL: Tail,
+>(
+    point: &PointTerms<F, NDF>,
+    light: &LocalLight<F>,
+    placed: &Placements<F>,
+) -> [F; 2] {
     let view = PointTermsView::new(point);
-    let (mut constant, mut total) = (sharpness.zero(), sharpness.zero());
-    for ndf in &point.ndf {
-        let placement = place(point.view, ndf, &light);
-        let (mut powered, mut plain) = (sharpness.zero(), sharpness.zero());
+    let (mut constant, mut total) = (light.sharpness.zero(), light.sharpness.zero());
+    for (m, placement) in parts::<NDF, TAIL>().zip(placed) {
+        let ndf = &point.ndf[m];
+        let (mut powered, mut plain) = (light.sharpness.zero(), light.sharpness.zero());
         unroll!(i < ALONG, {
             let row = placement.row(ALONG, i);
             unroll!(j < ACROSS, {
-                let node = node(&view, ndf, &light, &placement, &row, across(ACROSS, j));
+                let node = node::<F, TAIL>(&view, ndf, light, placement, &row, across(ACROSS, j));
                 let value = node.over_cosine * node.cosine;
                 plain += value;
                 powered = value.mul_add(node.fresnel, powered);

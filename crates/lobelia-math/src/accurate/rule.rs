@@ -8,6 +8,7 @@
 //! nodes (they reproduce the first K moments), so that the fitting error of the nodes has no effect to first order.
 
 use crate::real::Real;
+use crate::two::Two;
 
 /// Gauss–Hermite node or weight, and the coefficients of P from the constant up.
 type Fit<const N: usize> = (f64, [f64; N]);
@@ -91,6 +92,31 @@ pub struct AlongNode<F> {
     pub offset: F,
     /// Fraction of the mass.
     pub weight: F,
+}
+
+impl<F: Copy> Clipped<Two<F>> {
+    /// The first and the second.
+    #[inline(always)]
+    pub fn split(self) -> [Clipped<F>; 2] {
+        let Self { shift, width, share, mass, tau, gap_squared: gap } = self;
+        let one = Clipped {
+            shift: shift.0,
+            width: width.0,
+            share: share.0,
+            mass: mass.0,
+            tau: tau.0,
+            gap_squared: gap.0,
+        };
+        let two = Clipped {
+            shift: shift.1,
+            width: width.1,
+            share: share.1,
+            mass: mass.1,
+            tau: tau.1,
+            gap_squared: gap.1,
+        };
+        [one, two]
+    }
 }
 
 impl<F: Real> Clipped<F> {

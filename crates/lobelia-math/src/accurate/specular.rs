@@ -14,7 +14,9 @@
 use super::diffuse::fading_exp;
 use super::point::{NdfTerms, PointTerms};
 use super::rule::Clipped;
+use crate::lobe::Shape;
 use crate::real::{Real, Vec3Of};
+use crate::two::Two;
 
 type Vec2Of<F> = [F; 2];
 
@@ -35,15 +37,54 @@ pub(super) struct LocalLight<F> {
     pub sharpness: F,
 }
 
+impl<F: Real> LocalLight<F> {
+    #[inline(always)]
+    pub(super) fn new<const NDF: usize>(point: &PointTerms<F, NDF>, shape: &Shape<F>) -> Self {
+        Self { axis: point.in_frame(shape.axis), sharpness: shape.sharpness }
+    }
+}
+
 /// The Gaussian, cut by the horizon, that nodes are placed on.
 #[derive(Clone, Copy)]
-pub(super) struct Placement<F> {
+pub struct Placement<F> {
     peak: Vec2Of<F>,
     along: Vec2Of<F>,
     across: Vec2Of<F>,
     clipped: Clipped<F>,
     weight: F,
 }
+
+impl<F: Copy> Placement<Two<F>> {
+    /// The first and the second.
+    #[inline(always)]
+    fn split(self) -> [Placement<F>; 2] {
+        let Self { peak: [p, q], along: [a, b], across: [c, d], clipped, weight } = self;
+        let [one, two] = clipped.split();
+        [
+            Placement {
+                peak: [p.0, q.0],
+                along: [a.0, b.0],
+                across: [c.0, d.0],
+                clipped: one,
+                weight: weight.0,
+            },
+            Placement {
+                peak: [p.1, q.1],
+                along: [a.1, b.1],
+                across: [c.1, d.1],
+                clipped: two,
+                weight: weight.1,
+            },
+        ]
+    }
+}
+
+/// The shape of a distribution of normals, for a constant parameter of the functions here.
+pub(super) type Tail = bool;
+/// e^(−Ld), with d = 1 − h·n.
+pub(super) const SG: Tail = false;
+/// (1 + Ld(2 − d)/4)⁻², which is GGX for L = 4(1/α² − 1): the same curvature at the peak.
+pub(super) const GGX: Tail = true;
 
 #[inline(always)]
 fn dot2<F: Real>(a: Vec2Of<F>, b: Vec2Of<F>) -> F {
@@ -100,32 +141,58 @@ fn view_half_gradient<F: Real>(view: Vec2Of<F>, x: Vec2Of<F>, q: F, quarter: F) 
 
 /// Initialization of the peak: the half vector of the light and the peak of the NDF, weighted by their curvatures.
 #[inline(always)]
-fn start<F: Real>(point_view: Vec2Of<F>, ndf: &NdfTerms<F>, light: &LocalLight<F>) -> Vec2Of<F> {
+fn start<F: Real, const TAIL: Tail>(
+    point_view: Vec2Of<F>,
+    ndf: &NdfTerms<F>,
+    light: &LocalLight<F>,
+) -> Vec2Of<F> {
     let l = light.sharpness;
     let up = light.axis[2].max(l.plus(1.0 / LIFT).inverse());
     let sum = [point_view[0] + light.axis[0], light.axis[1], point_view[1] + up];
     let square = dot2([sum[0], sum[1]], [sum[0], sum[1]]) + sum[2] * sum[2];
-    let inverse = square.max(l.lit(1e-12)).quick_rsqrt();
+    let inverse = square.max(l.lit(1e-12)).rough_rsqrt();
     let half = [sum[0] * inverse, sum[1] * inverse, sum[2] * inverse];
     // q = cos(θ/2), and X = h_xy/q.
     let q2 = half[2].plus(1.0).times(0.5);
-    let inverse_q = q2.quick_rsqrt();
+    let inverse_q = q2.rough_rsqrt();
     let q = q2 * inverse_q;
     let x = [half[0] * inverse_q, half[1] * inverse_q];
     let gradient = view_half_gradient(point_view, x, q, inverse_q.times(0.25));
     let view_half = point_view[0].mul_add(half[0], point_view[1] * half[2]).relu();
     // x + H⁻¹·L(NDF's peak − x) with H = αI + 4λggᵀ, inverted by Sherman and Morrison's formula.
     let four = l.times(4.0);
-    let alpha = (four * view_half).mul_add(view_half, ndf.sharpness);
+    let mut toward = ndf.sharpness;
+    if TAIL == GGX {
+        toward = toward * half[2] * spread(ndf, dot2(x, x).times(0.5)).inverse();
+    }
+    let alpha = (four * view_half).mul_add(view_half, toward);
     let pull = [ndf.start - x[0], -x[1]];
     let beta = dot2(gradient, gradient).mul_add(four, alpha);
-    let inverse = (alpha * beta).inverse() * ndf.sharpness;
+    let inverse = (alpha * beta).inverse() * toward;
     let along = -(four * inverse * dot2(gradient, pull));
     let plain = inverse * beta;
     [
         along.mul_add(gradient[0], plain.mul_add(pull[0], x[0])),
         along.mul_add(gradient[1], plain.mul_add(pull[1], x[1])),
     ]
+}
+
+/// 1 + Ld(2 − d)/4 of GGX at d = 1 − h·n.
+#[inline(always)]
+fn spread<F: Real>(ndf: &NdfTerms<F>, drop: F) -> F {
+    let square = drop * (-drop).plus(2.0);
+    (ndf.sharpness.times(0.25)).mul_add(square, drop.one())
+}
+
+/// The NDF pulls toward the normal with Λx, and has the curvature ΛI − h·xxᵀ: Λ and h, which is Λ²/2 + L/(1 + u) for GGX.
+#[inline(always)]
+fn pull_of_ndf<F: Real, const TAIL: Tail>(ndf: &NdfTerms<F>, radius2: F, up: F) -> (F, F) {
+    if TAIL == SG {
+        return (ndf.sharpness, up.zero());
+    }
+    let fading = ndf.sharpness * spread(ndf, radius2.times(0.5)).inverse();
+    let pulls = fading * up.relu();
+    (pulls, (pulls * pulls).mul_add(up.lit(0.5), fading))
 }
 
 /// The logarithm of the integrand to second order at X, without n·ω.
@@ -137,7 +204,12 @@ struct Expansion<F> {
 }
 
 #[inline(always)]
-fn expand<F: Real>(view: Vec2Of<F>, ndf: &NdfTerms<F>, light: &LocalLight<F>, x: Vec2Of<F>) -> Expansion<F> {
+fn expand<F: Real, const TAIL: Tail>(
+    view: Vec2Of<F>,
+    ndf: &NdfTerms<F>,
+    light: &LocalLight<F>,
+    x: Vec2Of<F>,
+) -> Expansion<F> {
     let l = light.sharpness;
     let radius2 = dot2(x, x).min(l.lit(CHART_LIMIT));
     let q2 = radius2.times(-0.25).plus(1.0);
@@ -157,13 +229,17 @@ fn expand<F: Real>(view: Vec2Of<F>, ndf: &NdfTerms<F>, light: &LocalLight<F>, x:
     let double = l.times(2.0);
     let mut gradient =
         combine(double * view_half, axis_gradient, double.mul_add(axis_half, over_half), view_gradient);
-    let toward = -ndf.sharpness;
-    gradient = [toward.mul_add(x[0], gradient[0]), toward.mul_add(x[1], gradient[1])];
+    let (pulls, hollow) = pull_of_ndf::<F, TAIL>(ndf, radius2, up);
+    gradient = [(-pulls).mul_add(x[0], gradient[0]), (-pulls).mul_add(x[1], gradient[1])];
     // The light's metric 4(∇(v·h)∇(v·h)ᵀ + (v·h)²·g) with the chart's g = q²I + (1 + q²)/(4q²)·XXᵀ; and −∇² of ln(v·h), ln(n·ω).
     let four = l.times(4.0);
     let spread = four * view_half * view_half;
-    let rounding = spread * (q2.plus(1.0)) * inverse_q * quarter;
-    let isotropic = spread.mul_add(q2, ndf.sharpness) + (view_half * up.relu() * over_cosine).plus(1.0);
+    let mut rounding = spread * (q2.plus(1.0)) * inverse_q * quarter;
+    let isotropic = spread.mul_add(q2, pulls) + (view_half * up.relu() * over_cosine).plus(1.0);
+    if TAIL == GGX {
+        let most = isotropic.times(0.2) * radius2.max(l.lit(1e-6)).inverse();
+        rounding = rounding - hollow.min(most);
+    }
     // The curvature of n·ω is indefinite, by up to |g − x|²/4 of its factor; it is limited so that a quarter of the isotropic part remains.
     let apart = [view_gradient[0] - x[0], view_gradient[1] - x[1]];
     let most = isotropic.times(3.0) * dot2(apart, apart).max(l.lit(1e-6)).inverse();
@@ -179,9 +255,13 @@ fn expand<F: Real>(view: Vec2Of<F>, ndf: &NdfTerms<F>, light: &LocalLight<F>, x:
 
 /// Places the rule for one light and one SG of the NDF.
 #[inline(always)]
-pub(super) fn place<F: Real>(view: Vec2Of<F>, ndf: &NdfTerms<F>, light: &LocalLight<F>) -> Placement<F> {
-    let x = start(view, ndf, light);
-    let at = expand(view, ndf, light, x);
+pub(super) fn place<F: Real, const TAIL: Tail>(
+    view: Vec2Of<F>,
+    ndf: &NdfTerms<F>,
+    light: &LocalLight<F>,
+) -> Placement<F> {
+    let x = start::<F, TAIL>(view, ndf, light);
+    let at = expand::<F, TAIL>(view, ndf, light, x);
     let zero = x[0].zero();
     let mut g = at.cosine_gradient;
     // At the pole of n·ω any direction is valid; the step keeps the sign of g, which it would otherwise cancel.
@@ -207,6 +287,24 @@ pub(super) fn place<F: Real>(view: Vec2Of<F>, ndf: &NdfTerms<F>, light: &LocalLi
         clipped,
         weight: (inverse_root * clipped.mass * clipped.width).times(2.0 * std::f64::consts::PI),
     }
+}
+
+/// Places the rules for two lights or two SGs together.
+#[inline(always)]
+pub(super) fn place_two<F: Real, const TAIL: Tail>(
+    view: Vec2Of<F>,
+    [n, m]: [&NdfTerms<F>; 2],
+    [l, k]: [&LocalLight<F>; 2],
+) -> [Placement<F>; 2] {
+    let ndf = NdfTerms {
+        sharpness: Two(n.sharpness, m.sharpness),
+        start: Two(n.start, m.start),
+        scale: Two(n.scale, m.scale),
+    };
+    let ([x, y, z], [u, v, w]) = (l.axis, k.axis);
+    let light =
+        LocalLight { axis: [Two(x, u), Two(y, v), Two(z, w)], sharpness: Two(l.sharpness, k.sharpness) };
+    place::<_, TAIL>([Two(view[0], view[0]), Two(view[1], view[1])], &ndf, &light).split()
 }
 
 /// A row of nodes: those at the same position along the clipped direction.
@@ -244,8 +342,10 @@ pub(super) struct Node<F> {
     pub direction: Vec2Of<F>,
     /// h along tangent and bitangent.
     pub half: Vec2Of<F>,
-    /// 1 − h·n.
+    /// −d(ln D)/dL: 1 − h·n for an SG.
     pub half_drop: F,
+    /// d(ln D)/d(h·n): L for an SG.
+    pub toward: F,
     /// |ω − ξ|²/2.
     pub half_square: F,
     /// n·ω, 0 below the horizon.
@@ -259,7 +359,7 @@ pub(super) struct Node<F> {
 }
 
 #[inline(always)]
-pub(super) fn node<F: Real>(
+pub(super) fn node<F: Real, const TAIL: Tail>(
     point: &PointTermsView<F>,
     ndf: &NdfTerms<F>,
     light: &LocalLight<F>,
@@ -279,20 +379,53 @@ pub(super) fn node<F: Real>(
     let offset = [direction[0] - light.axis[0], direction[1] - light.axis[1], cosine - light.axis[2]];
     let half_square =
         (dot2([offset[0], offset[1]], [offset[0], offset[1]]) + offset[2] * offset[2]).times(0.5);
-    let exponent = row.exponent - ndf.sharpness.mul_add(drop, light.sharpness * half_square);
     let cosine = cosine.relu();
-    let shadowing = cosine.mul_add(point.one_minus_k, point.k).inverse();
-    let bell = fading_exp(exponent) * view_half * shadowing * row.weight.times(weight);
+    let mut exponent = row.exponent - light.sharpness * half_square;
+    if TAIL == SG {
+        exponent = (-ndf.sharpness).mul_add(drop, exponent);
+    }
+    let Factors { distribution, shadowing, half_drop, toward } =
+        factors::<F, TAIL>(ndf, [drop, up], cosine.mul_add(point.one_minus_k, point.k));
+    let bell = fading_exp(exponent) * view_half * distribution * row.weight.times(weight);
     Node {
         offset,
         direction,
         half,
-        half_drop: drop,
+        half_drop,
+        toward,
         half_square,
         cosine,
         shadowing,
         over_cosine: bell,
         fresnel: fresnel(view_half),
+    }
+}
+
+/// Factors of the integrand at a node.
+struct Factors<F> {
+    /// `shadowing`, times D/D(n) of GGX; that of an SG is in the exponent.
+    distribution: F,
+    shadowing: F,
+    half_drop: F,
+    toward: F,
+}
+
+/// The factors at d = 1 − h·n and `up` = h·n, given n·ω(1 − k) + k.
+#[inline(always)]
+fn factors<F: Real, const TAIL: Tail>(ndf: &NdfTerms<F>, [drop, up]: [F; 2], blocked: F) -> Factors<F> {
+    if TAIL == SG {
+        let shadowing = blocked.inverse();
+        return Factors { distribution: shadowing, shadowing, half_drop: drop, toward: ndf.sharpness };
+    }
+    let spread = spread(ndf, drop);
+    let fading = blocked * spread;
+    let distribution = (fading * spread).inverse();
+    let inverse = distribution * fading;
+    Factors {
+        distribution,
+        shadowing: distribution * spread * spread,
+        half_drop: drop * (-drop).mul_add(drop.lit(0.5), drop.one()) * inverse,
+        toward: ndf.sharpness * up * inverse,
     }
 }
 

@@ -4,7 +4,7 @@ use super::cubature::{Integrals, integrand, integrate};
 use super::diffuse::{cosine_integral, scaled_erfc};
 use super::point::{prepare_point, pull_back_point};
 use super::rule::across;
-use super::specular::{LocalLight, PointTermsView, node, place};
+use super::specular::{LocalLight, PointTermsView, SG, node, place};
 use super::*;
 use crate::brdf::Ndf;
 use crate::cases::{Case, direction, unit};
@@ -106,12 +106,12 @@ fn frozen<const ALONG: usize, const ACROSS: usize>(case: &Case) -> Frozen {
     let (point, _) = prepare_point(case.normal, case.to_viewer, case.roughness);
     let light = LocalLight { axis: point.in_frame(case.axis), sharpness: case.sharpness };
     let (view, ndf) = (PointTermsView::new(&point), &point.ndf[0]);
-    let placement = place(point.view, ndf, &light);
+    let placement = place::<f64, SG>(point.view, ndf, &light);
     let mut nodes = vec![];
     for i in 0..ALONG {
         let row = placement.row(ALONG, i);
         for j in 0..ACROSS {
-            let node = node(&view, ndf, &light, &placement, &row, across(ACROSS, j));
+            let node = node::<f64, SG>(&view, ndf, &light, &placement, &row, across(ACROSS, j));
             let omega = unit(point.in_world([node.direction[0], node.direction[1], node.cosine]));
             let [_, constant, slope] = integrand(case, Ndf::Sg, omega);
             let value = node.over_cosine * node.cosine * ndf.scale;

@@ -44,11 +44,15 @@ fn response<F: Real>(pair: &Pair<F>) -> Response<F, [F; 1]> {
     Response { diffuse: pair.diffuse.value, specular: [pair.specular] }
 }
 
+/// Why a method of [`PairModel`] is not called.
+const NO_NODES: &str = "published shading culls nothing and has no nodes";
+
 impl PairModel for Published {
     const CULLS: bool = false;
     type Point<F: Copy> = [F; 8];
     type Frozen<F: Copy> = [F; 8];
     type Lobe<F: Copy> = [F; SHARPNESS_COLUMNS];
+    type Placed<F: Copy> = ();
     type Specular<F: Copy> = [F; 1];
     type Sums<F: Copy> = [F; 8];
 
@@ -79,7 +83,35 @@ impl PairModel for Published {
     #[inline(always)]
     fn reach<F: Real>(&self, point: &[F; 8]) -> Reach<F> {
         let point = PointTerms::from_array(*point);
-        Reach { axis: point.mirror, sharpness: point.warp_sharpness }
+        let sharpness = point.warp_sharpness;
+        Reach { axis: point.mirror, sharpness, brightest: sharpness.lit(1e30) }
+    }
+
+    fn place<F: Real, const PART: Part>(&self, _point: &[F; 8], _shape: &Shape<F>) {
+        unreachable!("{NO_NODES}")
+    }
+
+    fn place_two<F: Real, const PART: Part>(&self, _point: &[F; 8], _shapes: [&Shape<F>; 2]) -> [(); 2] {
+        unreachable!("{NO_NODES}")
+    }
+
+    fn specular<F: Real, const PART: Part>(
+        &self,
+        _point: &[F; 8],
+        _shape: &Shape<F>,
+        _placed: &(),
+    ) -> [F; 1] {
+        unreachable!("{NO_NODES}")
+    }
+
+    fn pull_back_specular<F: Real, const PART: Part>(
+        &self,
+        _point: &[F; 8],
+        _shape: &Shape<F>,
+        _placed: &(),
+        _adjoint: &[F; 1],
+    ) -> ([F; 1], PairAdjoint<F, Self::Sums<F>>) {
+        unreachable!("{NO_NODES}")
     }
 
     #[inline(always)]

@@ -1,6 +1,7 @@
 //! Adjoint of a chunk of points: like [`super::forward`], with the response of every pair computed again.
 
 use super::blocks::{LobeVector, reaching};
+use super::cull::{Gathered, Picked};
 use super::light::{Light, Sums, mul_add3, splat3};
 use super::prepared::{Chunk, Prepared, Shared, splat};
 use super::walk::{Visit, walk};
@@ -8,8 +9,7 @@ use crate::brdf::SpecularAdjoint;
 use crate::columns::LOBE_COLUMNS;
 use crate::lanes::{Lanes, MAX_LANES, Row};
 use crate::lighting::{PointVisibility, Visibility};
-use crate::lobe::Shape;
-use crate::model::{DIFFUSE, PairModel, Part, PointEnd, Response, SPECULAR, Terms};
+use crate::model::{DIFFUSE, PairAdjoint, PairModel, Part, PointEnd, Response, SPECULAR, Terms};
 use crate::real::{Vec3Of, dot, scale};
 use crate::sample::{Layers, PointAdjoint, RadianceAdjoint, RadianceColumns, ShadePoint};
 use fearless_simd::Simd;
@@ -63,6 +63,7 @@ pub fn adjoint_chunk<S: Simd, M: PairModel>(
     let (lobe_gradient, specular_row) = partial.split_at_mut(partial.len() - 1);
     let mut gradient = SpecularAdjoint::default();
     let mut prepared = None;
+    let mut picked = [Picked::new(), Picked::new()];
     for (i, point) in points.iter().enumerate() {
         let lane = i % Lanes::<S>::LEN;
         if lane == 0 {
@@ -75,7 +76,7 @@ pub fn adjoint_chunk<S: Simd, M: PairModel>(
         let (row, around) = Visibility::point(visibility, i, shared.stride());
         let weights = Weights::new(shared, point, &around, &frozen, &shaded[i], &adjoint[i]);
         let wide = splat::<S, M>(simd, &terms);
-        let (light, sums) = pull_back_lobes(simd, shared, &wide, row, &weights, lobe_gradient);
+        let (light, sums) = pull_back_lobes(simd, shared, &wide, row, &weights, &mut picked, lobe_gradient);
         let incident = |c: usize| light.diffuse[c] + around.indirect[c];
         out[i].albedo = std::array::from_fn(|c| weights.diffuse[c] / PI * incident(c));
         let end = PointEnd {
@@ -102,6 +103,7 @@ fn pull_back_lobes<S: Simd, M: PairModel>(
     terms: &M::Point<Lanes<S>>,
     row: Option<&[u8]>,
     weights: &Weights<M>,
+    picked: &mut [Picked; 2],
     gradient: &mut [Row],
 ) -> (Sums<M>, M::Sums<f32>) {
     let ks: M::Specular<Vec3Of<Lanes<S>>> = Terms::from_fn(|b| splat3(simd, weights.specular_light.at(b)));
@@ -117,7 +119,7 @@ fn pull_back_lobes<S: Simd, M: PairModel>(
         sums: Terms::from_fn(|_| zero),
         gradient,
     };
-    walk(simd, shared, terms, &mut back);
+    walk(simd, shared, terms, picked, &mut back);
     let mut total: M::Sums<f32> = Terms::from_fn(|_| 0.0);
     for i in 0..M::Sums::<f32>::LEN {
         *total.at_mut(i) = back.sums.at(i).sum();
@@ -141,65 +143,79 @@ struct PullBack<'a, S: Simd, M: PairModel> {
 }
 
 impl<S: Simd, M: PairModel> PullBack<'_, S, M> {
-    /// Evaluates the adjoint of the part `PART` of a vector of lobes; returns the gradient of the lobes in columns.
+    /// Adjoint of a response to a vector of lobes.
     #[inline(always)]
-    fn pull_back<const PART: Part>(
+    fn adjoint_of(&self, mu: Vec3Of<Lanes<S>>) -> Response<Lanes<S>, M::Specular<Lanes<S>>> {
+        Response { diffuse: dot(self.kd, mu), specular: Terms::from_fn(|b| dot(self.ks.at(b), mu)) }
+    }
+
+    /// Adds what one vector of lobes contributes to the point; returns the gradient of the lobes in columns.
+    #[inline(always)]
+    fn take<const PART: Part>(
         &mut self,
         mu: Vec3Of<Lanes<S>>,
-        shape: &Shape<Lanes<S>>,
-        lobe: &M::Lobe<Lanes<S>>,
-        reaching: Lanes<S>,
+        response: &Response<Lanes<S>, M::Specular<Lanes<S>>>,
+        back: &PairAdjoint<Lanes<S>, M::Sums<Lanes<S>>>,
     ) -> [Lanes<S>; LOBE_COLUMNS] {
-        let zero = Lanes::splat(self.simd, 0.0);
-        let mut specular: M::Specular<Lanes<S>> = Terms::from_fn(|_| zero);
-        for b in 0..M::Specular::<f32>::LEN {
-            *specular.at_mut(b) = dot(self.ks.at(b), mu);
-        }
-        let adjoint = Response { diffuse: dot(self.kd, mu) * reaching, specular };
-        let (mut response, back) = self.model.pull_back::<_, PART>(self.terms, shape, lobe, &adjoint);
-        response.diffuse = response.diffuse * reaching;
-        let (axis, [mut r, mut g, mut b]) = (back.shape.axis, [zero; 3]);
+        let mut color = [Lanes::splat(self.simd, 0.0); 3];
         if PART & DIFFUSE != 0 {
-            [r, g, b] = scale(self.kd, response.diffuse);
+            color = scale(self.kd, response.diffuse);
         }
         if PART & SPECULAR != 0 {
             for i in 0..M::Specular::<f32>::LEN {
-                [r, g, b] = mul_add3(self.ks.at(i), response.specular.at(i), [r, g, b]);
+                color = mul_add3(self.ks.at(i), response.specular.at(i), color);
             }
         }
-        self.light.add::<PART>(mu, &response);
+        self.light.add::<PART>(mu, response);
         for i in 0..M::Sums::<f32>::LEN {
             *self.sums.at_mut(i) += back.point.at(i);
         }
-        [axis[0], axis[1], axis[2], back.shape.sharpness, r, g, b]
+        let ([x, y, z], [r, g, b]) = (back.shape.axis, color);
+        [x, y, z, back.shape.sharpness, r, g, b]
     }
 }
 
 impl<S: Simd, M: PairModel> Visit<S, M> for PullBack<'_, S, M> {
     #[inline(always)]
-    fn block<const PART: Part>(&mut self, b: usize, at: usize, lobe: &LobeVector<S, M>) {
+    fn block<const PART: Part>(&mut self, b: usize, at: usize, lobe: &LobeVector<S, M>) -> Lanes<S> {
         let reaching = reaching(self.simd, self.row, b, at);
-        let columns = self.pull_back::<PART>(lobe.amplitude, &lobe.shape, &lobe.terms, reaching);
+        let mut adjoint = self.adjoint_of(lobe.amplitude);
+        adjoint.diffuse = adjoint.diffuse * reaching;
+        let (mut response, back) =
+            self.model.pull_back::<_, PART>(self.terms, &lobe.shape, &lobe.terms, &adjoint);
+        let irradiance = response.diffuse;
+        response.diffuse = irradiance * reaching;
+        let columns = self.take::<PART>(lobe.amplitude, &response, &back);
         let rows = &mut self.gradient[b * LOBE_COLUMNS..(b + 1) * LOBE_COLUMNS];
         for (row, value) in rows.iter_mut().zip(columns) {
             value.add_to(&mut row.0[at..at + Lanes::<S>::LEN]);
         }
+        irradiance
     }
 
     #[inline(always)]
-    fn picked(&mut self, index: &[usize], shape: &Shape<Lanes<S>>, amplitude: Vec3Of<Lanes<S>>) {
-        let zero = Lanes::splat(self.simd, 0.0);
-        let unread: M::Lobe<Lanes<S>> = Terms::from_fn(|_| zero);
-        let columns = self.pull_back::<SPECULAR>(amplitude, shape, &unread, zero);
-        let mut values = [Row::ZERO; LOBE_COLUMNS];
-        for (row, value) in values.iter_mut().zip(columns) {
-            value.store(&mut row.0[..Lanes::<S>::LEN]);
-        }
-        for (i, lobe) in index.iter().enumerate() {
-            let rows = &mut self.gradient[lobe / MAX_LANES * LOBE_COLUMNS..][..LOBE_COLUMNS];
-            for (row, value) in rows.iter_mut().zip(&values) {
-                row.0[lobe % MAX_LANES] += value.0[i];
-            }
+    fn picked<const PART: Part>(&mut self, lobes: &Gathered<'_, S>, placed: &M::Placed<Lanes<S>>) {
+        let (shape, mu) = (lobes.shape(), lobes.amplitude());
+        let adjoint = self.adjoint_of(mu);
+        let (specular, back) =
+            self.model.pull_back_specular::<_, PART>(self.terms, &shape, placed, &adjoint.specular);
+        let response = Response { diffuse: adjoint.diffuse, specular };
+        scatter(self.take::<SPECULAR>(mu, &response, &back), lobes.index, self.gradient);
+    }
+}
+
+/// Adds the gradient of a vector of selected lobes to the rows of the lobes.
+#[inline(always)]
+fn scatter<S: Simd>(columns: [Lanes<S>; LOBE_COLUMNS], index: &[f32], gradient: &mut [Row]) {
+    let mut values = [Row::ZERO; LOBE_COLUMNS];
+    for (row, value) in values.iter_mut().zip(columns) {
+        value.store(&mut row.0[..Lanes::<S>::LEN]);
+    }
+    for (i, lobe) in index.iter().enumerate() {
+        let lobe = *lobe as usize;
+        let rows = &mut gradient[lobe / MAX_LANES * LOBE_COLUMNS..][..LOBE_COLUMNS];
+        for (row, value) in rows.iter_mut().zip(&values) {
+            row.0[lobe % MAX_LANES] += value.0[i];
         }
     }
 }

@@ -1,17 +1,40 @@
 //! Lobes regrouped into blocks of [`MAX_LANES`]: a block has one [`Row`] per column (axis, sharpness, amplitude, then the
 //! terms of the model), so that the values of a lobe are close in memory for any number of lobes.
 
-use super::limits::exponent_limits;
+use super::limits::{STRICTNESS, exponent_limits};
 use crate::columns::{LOBE_COLUMNS, LobeColumns};
-use crate::lanes::{Lanes, MAX_LANES, Row};
+use crate::lanes::{Lanes, MAX_LANES, RECORD, Row};
 use crate::lobe::Shape;
 use crate::model::{PairModel, Terms};
 use crate::real::Vec3Of;
 use fearless_simd::Simd;
 
-/// Number of rows of a block of prepared lobes: columns of lobes, terms of the model, and the exponent above which a specular part is skipped.
+/// Number of rows of a block of prepared lobes: columns of lobes, terms of the model, the [`limit_rows`], and the columns of each lobe
+/// side by side ([`record`]).
 pub const fn block_rows<M: PairModel>() -> usize {
-    LOBE_COLUMNS + <M::Lobe<f32> as Terms<f32>>::LEN + 1
+    limits_at::<M>() + 2 + RECORD
+}
+
+/// Where the [`limit_rows`] begin.
+const fn limits_at<M: PairModel>() -> usize {
+    LOBE_COLUMNS + <M::Lobe<f32> as Terms<f32>>::LEN
+}
+
+/// Lobes to a row of [`record`]s.
+const RECORDS: usize = MAX_LANES / RECORD;
+
+/// Axis, sharpness and amplitude of a lobe, and a zero.
+#[inline(always)]
+pub fn record<M: PairModel>(lobes: &[Row], lobe: usize) -> &[f32] {
+    let (block, lane) = (lobe / MAX_LANES, lobe % MAX_LANES);
+    let row = &lobes[block * block_rows::<M>() + limits_at::<M>() + 2 + lane / RECORDS].0;
+    &row[lane % RECORDS * RECORD..][..RECORD]
+}
+
+/// The exponent above which a specular part is skipped, and the response below which it is.
+#[inline(always)]
+pub fn limit_rows<M: PairModel>(block: &[Row]) -> [&Row; 2] {
+    [&block[limits_at::<M>()], &block[limits_at::<M>() + 1]]
 }
 
 /// Regroups lobes into blocks and adds the terms of the model.
@@ -30,8 +53,14 @@ pub fn prepare_lobes<S: Simd, M: PairModel>(simd: S, model: M, lobes: &LobeColum
                 terms.at(c).store(&mut block[LOBE_COLUMNS + c].0[at..at + Lanes::<S>::LEN]);
             }
         }
-        for (i, value) in block[block_rows::<M>() - 1].0.iter_mut().enumerate() {
-            *value = limit(b * MAX_LANES + i);
+        let (columns, rest) = block.split_at_mut(limits_at::<M>());
+        for i in 0..MAX_LANES {
+            let exponent = limit(b * MAX_LANES + i);
+            rest[0].0[i] = exponent;
+            rest[1].0[i] = STRICTNESS * (-exponent).exp();
+            for (c, column) in columns[..LOBE_COLUMNS].iter().enumerate() {
+                rest[2 + i / RECORDS].0[i % RECORDS * RECORD + c] = column.0[i];
+            }
         }
     }
 }

@@ -1,13 +1,13 @@
 //! Radiance of a chunk of points.
 
 use super::blocks::{LobeVector, reaching};
+use super::cull::{Gathered, Picked};
 use super::light::{Light, Sums};
 use super::prepared::{Chunk, Prepared, Shared, splat};
 use super::walk::{Visit, walk};
 use crate::lanes::Lanes;
 use crate::lighting::{PointVisibility, Visibility};
-use crate::lobe::Shape;
-use crate::model::{PairModel, Part, SPECULAR, Terms};
+use crate::model::{PairModel, Part, Response, SPECULAR, Terms};
 use crate::real::Vec3Of;
 use crate::sample::{Layers, ShadePoint};
 use fearless_simd::Simd;
@@ -22,6 +22,7 @@ pub fn shade_chunk<S: Simd, M: PairModel>(
     out: &mut [Layers],
 ) {
     let mut prepared = None;
+    let mut picked = [Picked::new(), Picked::new()];
     for (i, (point, out)) in points.iter().zip(out).enumerate() {
         let lane = i % Lanes::<S>::LEN;
         if lane == 0 {
@@ -32,7 +33,7 @@ pub fn shade_chunk<S: Simd, M: PairModel>(
         let Some(prepared) = prepared.as_ref().filter(|_| !point.is_missed()) else { continue };
         let (terms, frozen) = prepared.point(lane);
         let (row, around) = Visibility::point(visibility, i, shared.stride());
-        let light = light_of(simd, shared, &splat::<S, M>(simd, &terms), row);
+        let light = light_of(simd, shared, &splat::<S, M>(simd, &terms), row, &mut picked);
         let weights = shared.model.specular_weights(&frozen, shared.specular);
         *out = layers::<M>(point, &around, &light, &weights);
     }
@@ -64,9 +65,10 @@ fn light_of<S: Simd, M: PairModel>(
     shared: &Shared<'_, M>,
     terms: &M::Point<Lanes<S>>,
     row: Option<&[u8]>,
+    picked: &mut [Picked; 2],
 ) -> Sums<M> {
     let mut shading = Shading { simd, model: shared.model, terms, row, light: Light::zero(simd) };
-    walk(simd, shared, terms, &mut shading);
+    walk(simd, shared, terms, picked, &mut shading);
     shading.light.total()
 }
 
@@ -82,17 +84,18 @@ struct Shading<'a, S: Simd, M: PairModel> {
 
 impl<S: Simd, M: PairModel> Visit<S, M> for Shading<'_, S, M> {
     #[inline(always)]
-    fn block<const PART: Part>(&mut self, b: usize, at: usize, lobe: &LobeVector<S, M>) {
+    fn block<const PART: Part>(&mut self, b: usize, at: usize, lobe: &LobeVector<S, M>) -> Lanes<S> {
         let mut response = self.model.evaluate::<_, PART>(self.terms, &lobe.shape, &lobe.terms);
-        response.diffuse = response.diffuse * reaching(self.simd, self.row, b, at);
+        let irradiance = response.diffuse;
+        response.diffuse = irradiance * reaching(self.simd, self.row, b, at);
         self.light.add::<PART>(lobe.amplitude, &response);
+        irradiance
     }
 
     #[inline(always)]
-    fn picked(&mut self, _index: &[usize], shape: &Shape<Lanes<S>>, amplitude: Vec3Of<Lanes<S>>) {
-        let zero = Lanes::splat(self.simd, 0.0);
-        let unread: M::Lobe<Lanes<S>> = Terms::from_fn(|_| zero);
-        let response = self.model.evaluate::<_, SPECULAR>(self.terms, shape, &unread);
-        self.light.add::<SPECULAR>(amplitude, &response);
+    fn picked<const PART: Part>(&mut self, lobes: &Gathered<'_, S>, placed: &M::Placed<Lanes<S>>) {
+        let specular = self.model.specular::<_, PART>(self.terms, &lobes.shape(), placed);
+        let response = Response { diffuse: Lanes::splat(self.simd, 0.0), specular };
+        self.light.add::<SPECULAR>(lobes.amplitude(), &response);
     }
 }

@@ -6,6 +6,10 @@ use crate::columns::LobeColumns;
 /// are far lower: with 128 lobes, 0.07 % of the specular light at R = 0.1, 0.03 % at R = 0.3, 0.004 % at R = 0.5.
 const CULLED: f32 = 0.1;
 
+/// The part of that bound for lobes that are left out because of their irradiance, most of them below the horizon, where a rough
+/// surface would receive light from each of them otherwise.
+pub const STRICTNESS: f32 = 0.01;
+
 /// The exponent per lobe above which its specular part is negligible: e^(−exponent)·amplitude < CULLED/lobes · mean radiance.
 /// A dim lobe counts as a lobe of mean amplitude, because the gradient of its amplitude does not shrink with the amplitude.
 pub fn exponent_limits(lobes: &LobeColumns) -> impl Fn(usize) -> f32 {

@@ -250,8 +250,9 @@ fn check_accurate_slices<const NDF: usize>(
 fn what_is_left_out_is_negligible() {
     let mut work = crate::workload::Workload::new(600, 128, 0.3);
     let wide = |v: [f32; 3]| v.map(f64::from);
-    let sg = [0.1, 0.3, 0.5].map(|roughness| (Ndf::Sg, roughness));
-    for (ndf, roughness) in sg.into_iter().chain([(Ndf::Ggx, 0.1), (Ndf::Ggx, 0.3)]) {
+    let sg = [0.1, 0.3, 0.5, 0.7, 0.9].map(|roughness| (Ndf::Sg, roughness));
+    for (ndf, roughness) in sg.into_iter().chain([0.1, 0.3, 0.5, 0.7].map(|roughness| (Ndf::Ggx, roughness)))
+    {
         (work.specular.ndf, work.specular.roughness) = (ndf, roughness);
         let form = ClosedForm::default();
         assert!(form.culled_part(&work.points, &work.specular, &work.lobes) > 0.1, "{ndf:?} {roughness}");
