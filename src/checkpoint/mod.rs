@@ -168,6 +168,17 @@ pub fn has_step_ahead(world: &World) -> bool {
     next.is_some_and(|(at, next)| next.step > 0 && Place { step: 0, ..next } == at)
 }
 
+/// Whether a resumed run has a later level of the pass at work ahead, so that what its first one starts from need not be found again.
+pub fn has_level_ahead(world: &World) -> bool {
+    let next = world.get_resource::<Checkpoints>().and_then(|kept| Some((kept.at, kept.ahead.front()?.0)));
+    next.is_some_and(|(at, next)| is_level_of(at, next))
+}
+
+/// Whether `next` is the beginning of a later level of the pass that is at work at `at`.
+fn is_level_of(at: Place, next: Place) -> bool {
+    next.pass == at.pass && next.level > 0 && next.step == 0
+}
+
 /// Takes up the run at the beginning of a pass, if that is ahead; returns what the checkpoint has of its own. `prepare` gets the world ready
 /// for the state, which lacks what is derived.
 ///
@@ -189,8 +200,7 @@ pub fn resume_level<T: DeserializeOwned>(
     world: &mut World,
     prepare: impl FnOnce(&mut World, &T) -> Result<()>,
 ) -> Result<Option<(u32, T)>> {
-    let is_level = |at: Place, next: Place| next.pass == at.pass && next.level > 0 && next.step == 0;
-    let found = resume(world, is_level, prepare)?;
+    let found = resume(world, is_level_of, prepare)?;
     Ok(found.map(|(place, own)| (place.level, own)))
 }
 

@@ -101,6 +101,24 @@ fn a_run_goes_on_from_what_was_kept() {
 }
 
 #[test]
+fn a_later_level_ahead_is_known_before_it_is_taken_up() {
+    let (mut first, written) = world(4, Vec::new());
+    begin_pass(&mut first, 2);
+    assert!(!has_level_ahead(&first));
+    keep_pass(&mut first, 2, &0u8).unwrap();
+    keep_level(&mut first, 1, &1u8).unwrap();
+    keep_step(&mut first, 9, &2u8).unwrap();
+    let ahead = written.lock().unwrap().clone();
+
+    let (mut second, _) = world(4, ahead);
+    assert!(!has_level_ahead(&second), "the pass is taken up first");
+    resume_pass::<u8>(&mut second, |_, _| Ok(())).unwrap();
+    assert!(has_level_ahead(&second) && !has_step_ahead(&second));
+    assert_eq!(resume_level::<u8>(&mut second, |_, _| Ok(())).unwrap(), Some((1, 1)));
+    assert!(!has_level_ahead(&second) && has_step_ahead(&second));
+}
+
+#[test]
 fn what_lasts_is_carried_into_another_world_with_the_checkpoints() {
     let (mut first, written) = world(4, Vec::new());
     begin_pass(&mut first, 3);

@@ -16,6 +16,7 @@ use crate::mesh::triangles::Mesh;
 use crate::pass::fit::closed_form;
 use crate::pass::found_views;
 use crate::pass::inspect::ShapeInspector;
+use crate::pass::progress::{Bar, Progress};
 use crate::pass::renew::renew;
 use crate::pass::session::Session;
 use crate::profile::stage;
@@ -26,8 +27,8 @@ use crate::sdf::SdfGrid;
 use crate::sdf::volume::SdfSurface;
 use crate::shape::field::ModelError;
 use crate::shape::run::{
-    ShapeLevel, ShapeOptions, ShapeProgress, fit_shape, mesh_of_parts, refine_by_outlines, refine_by_stereo,
-    replace_texels,
+    HullReport, ShapeLevel, ShapeOptions, ShapeProgress, fit_shape, mesh_of_parts, refine_by_outlines,
+    refine_by_stereo, replace_texels,
 };
 use crate::shape::stereo::ROUNDS as STEREO_ROUNDS;
 use crate::shape::systems::ShapeSchedule;
@@ -63,19 +64,16 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     let most: u32 = pass.levels.iter().map(|level| level.steps).sum();
     let bar = session.progress.bar(&pass.name, u64::from(most));
     let inspector = session.debug_every.map(|every| inspector(session, &pass.name, every));
-    let (mut failure, mut stopped) = (None, false);
+    let (mut failure, mut stopped, mut has_hull) = (None, false, false);
     let surface = fit_shape(&mut session.pipeline, &options, &mut |at: &ShapeProgress| {
-        let before: u32 = pass.levels[..at.level].iter().map(|level| level.steps).sum();
-        let total: u32 = pass.levels[..at.levels].iter().map(|level| level.steps).sum();
-        bar.set_length(u64::from(total));
-        bar.set_position(u64::from(before + at.fit.step));
-        if at.fit.step.is_multiple_of(20) {
-            bar.set_message(format!("{:.1} dB", at.fit.sums.psnr()));
+        if !std::mem::replace(&mut has_hull, true) {
+            tell_of_hull(session.progress, &pass.name, at.hull);
         }
+        let step = show_step(&*bar, pass, at);
         if let Some(inspector) =
             inspector.as_ref().filter(|inspector| at.fit.step.is_multiple_of(inspector.every))
         {
-            failure = inspector.look(at, before + at.fit.step).err();
+            failure = inspector.look(at, step).err();
         }
         stopped |= failure.is_some() || is_stopping();
         if stopped { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
@@ -97,6 +95,18 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     session.progress.print(&format!("{}: {triangles} triangles in {elapsed:.1} s", pass.name));
     found_views::write(session, &pass.name, pass.cameras, pass.exposure)?;
     if stopped { Err(Error::Interrupted) } else { Ok(()) }
+}
+
+/// Shows a step of the fit on the bar; returns its number among those of all levels.
+fn show_step(bar: &dyn Bar, pass: &ShapePass, at: &ShapeProgress) -> u32 {
+    let steps = |levels: &[GridLevel]| -> u32 { levels.iter().map(|level| level.steps).sum() };
+    let step = steps(&pass.levels[..at.level]) + at.fit.step;
+    bar.set_length(u64::from(steps(&pass.levels[..at.levels])));
+    bar.set_position(u64::from(step));
+    if at.fit.step.is_multiple_of(20) {
+        bar.set_message(format!("{:.1} dB", at.fit.sums.psnr()));
+    }
+    step
 }
 
 /// Replaces the hull by the surface that was found. What was found is put in place even if the run is `stopped`; returns whether it is by
@@ -190,6 +200,19 @@ fn shape_level(pass: &ShapePass, level: &GridLevel) -> ShapeLevel {
             blur: pass.blur,
             redistance_every: REDISTANCE_EVERY,
         },
+    }
+}
+
+/// Says how much of the hull was removed before the fit, where that can be seen.
+fn tell_of_hull(progress: &dyn Progress, name: &str, report: HullReport) {
+    let told = [(report.opened, "photographs look through"), (report.spanned, "no photograph sees")];
+    let shares: Vec<String> = told
+        .into_iter()
+        .filter(|(share, _)| *share >= 0.0005)
+        .map(|(share, what)| format!("{:.1} % that {what}", 100.0 * share))
+        .collect();
+    if !shares.is_empty() {
+        progress.print(&format!("{name}: hull without {}", shares.join(", and ")));
     }
 }
 

@@ -1,8 +1,11 @@
-//! The silhouette loss: the coverage of a pixel against the least distance of its ray to the surface.
+//! The silhouette loss: the distance of a pixel to the outline of the mask against the least distance of its ray to the surface.
 //!
-//! Coverage is c = clamp(½ − φ/(w ρ), 0, 1), where φ is the least signed distance along the ray, ρ the size of a pixel there
-//! and w a width in pixels. The loss is Huber's of c minus the coverage of the mask; its gradient acts on the surface at the point
-//! where the ray is nearest.
+//! Both as coverage: c = clamp(½ − φ/(w ρ), 0, 1), where φ is the least signed distance along the ray, ρ the size of a pixel there
+//! and w a width in pixels; of the mask, c = clamp(½ − d/w, 0, 1) with the signed distance d in pixels. The loss is Huber's of the
+//! difference; its gradient acts on the surface at the point where the ray is nearest.
+//!
+//! A ray that meets the surface inside the mask pulls nothing outward, however short its way through the object: −φ is at most half of
+//! the thickness, and thin parts would swell. Rays beside it that miss do pull.
 
 use crate::fit::cameras::AlignedRow;
 use crate::math::ray::Ray;
@@ -34,8 +37,6 @@ pub struct SilhouetteSample {
     pub distance: f32,
     /// Gradient of that distance in the image, per pixel.
     pub distance_gradient: Vec2,
-    /// Coverage of the pixel, in [0, 1].
-    pub coverage: f32,
     /// Size of a pixel at distance 1.
     pub pixel_size: f32,
 }
@@ -63,9 +64,10 @@ fn derivative(grid: &SdfGrid, sample: &SilhouetteSample, width: f32) -> Option<(
     let least = grid.least_distance(&sample.ray, enough)?;
     let scale = width * sample.pixel_size * least.distance;
     let coverage = (0.5 - least.value / scale).clamp(0.0, 1.0);
-    let residual = coverage - sample.coverage;
+    let residual = coverage - (0.5 - sample.distance / width).clamp(0.0, 1.0);
+    let is_thin = residual < 0.0 && least.value < 0.0;
     // A wrong pixel keeps its derivative where coverage is clamped, so that a missing part can grow back.
-    let right = residual == 0.0 || least.value.abs() > 8.0 * scale.max(grid.spacing);
+    let right = residual == 0.0 || is_thin || least.value.abs() > 8.0 * scale.max(grid.spacing);
     (!right).then(|| {
         let position = sample.ray.origin + sample.ray.direction * least.distance;
         (position, -residual.clamp(-HUBER, HUBER) / scale)
@@ -92,4 +94,71 @@ pub fn aligned_silhouette(
     let point = sample.ray.origin + sample.ray.direction * least.distance;
     let row = AlignedRow::new(camera, point, center, sample.distance_gradient, sample.distance - pixels);
     row.filter(|_| pixels.abs() < ALIGNED_REACH)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::view::ViewIndex;
+
+    const WIDTH: f32 = 2.0;
+    /// Size of a pixel at distance 1; the camera is 3 away.
+    const PIXEL: f32 = 0.02;
+    const EDGE: f32 = 0.6;
+
+    /// A square plate across the z axis, of half the thickness `half`.
+    fn plate(half: f32, edge: f32) -> SdfGrid {
+        SdfGrid::from_fn(Vec3::ZERO, 1.0, 80, |p| {
+            let out = p.abs() - Vec3::new(edge, edge, half);
+            out.max(Vec3::ZERO).length() + out.max_element().min(0.0)
+        })
+    }
+
+    /// A ray down on the plate, at `x`; the edge of the mask is at [`EDGE`].
+    fn sample(x: f32) -> SilhouetteSample {
+        SilhouetteSample {
+            pixel: PixelOf { view: ViewIndex(0), pixel: 0 },
+            ray: Ray { origin: Vec3::new(x, 0.013, 3.0), direction: -Vec3::Z },
+            distance: (x - EDGE) / (3.0 * PIXEL),
+            distance_gradient: Vec2::X,
+            pixel_size: PIXEL,
+        }
+    }
+
+    #[test]
+    fn a_thin_plate_that_fills_its_mask_is_left_as_it_is() {
+        // Half of the thickness is a third of a pixel.
+        let plate = plate(0.02, EDGE);
+        for x in [0.3, 0.45, 0.53, 0.58] {
+            assert_eq!(derivative(&plate, &sample(x), WIDTH), None, "{x}");
+        }
+    }
+
+    #[test]
+    fn what_a_mask_shows_and_the_surface_lacks_pulls_outward_and_the_reverse_inward() {
+        let pull =
+            |grid: &SdfGrid, x: f32| derivative(grid, &sample(x), WIDTH).map(|(_, derivative)| derivative);
+        assert!(pull(&plate(0.02, 0.45), 0.55).unwrap() > 0.0);
+        assert!(pull(&plate(0.02, 0.75), 0.65).unwrap() < 0.0);
+        assert!(pull(&plate(0.2, 0.75), 0.65).unwrap() < 0.0);
+    }
+
+    #[test]
+    fn the_derivative_is_that_of_the_loss() {
+        let loss = |grid: &SdfGrid, x: f32| {
+            let least = grid.least_distance(&sample(x).ray, -1.0).unwrap();
+            let scale = WIDTH * PIXEL * least.distance;
+            let mask = (0.5 - sample(x).distance / WIDTH).clamp(0.0, 1.0);
+            let residual = ((0.5 - least.value / scale).clamp(0.0, 1.0) - mask).abs();
+            if residual < HUBER { 0.5 * residual * residual } else { HUBER * (residual - 0.5 * HUBER) }
+        };
+        // The surface is outside of the mask's edge, and inside.
+        for (radius, x) in [(0.62, 0.61), (0.66, 0.63), (0.58, 0.61)] {
+            let ball = |by: f32| SdfGrid::from_fn(Vec3::ZERO, 1.0, 80, |p| p.length() - radius + by);
+            let moved = |by: f32| f64::from(loss(&ball(by), x));
+            let expected = (moved(1e-3) - moved(-1e-3)) / 2e-3;
+            let found = f64::from(derivative(&ball(0.0), &sample(x), WIDTH).unwrap().1);
+            assert!((found - expected).abs() < 0.05 * expected.abs() + 1e-3, "{found} {expected}");
+        }
+    }
 }

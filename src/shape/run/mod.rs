@@ -1,6 +1,6 @@
 //! Fit of a shape: starts from the visual hull and runs one fit per level, on finer and finer grids.
 
-use crate::checkpoint::{keep_level, resume_level};
+use crate::checkpoint::{has_level_ahead, keep_level, resume_level};
 use crate::error::stop::{check_interrupted, is_stopping};
 use crate::error::{Error, Result};
 use crate::fit::cameras::{CameraFit, CameraPlugin, CameraUnknowns, align_photographs, attach_poses};
@@ -115,8 +115,25 @@ impl Plugin for ShapeCameraPlugin {
     }
 }
 
+/// What was removed from the visual hull before the fit, as shares of its volume.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct HullReport {
+    /// What photographs look through.
+    pub opened: f32,
+    /// What lies outside of what spans the unseen, of what is left then.
+    pub spanned: f32,
+}
+
+/// What the first level starts from.
+struct Hull {
+    grid: SdfGrid,
+    report: HullReport,
+}
+
 /// The state of a running fit, for the caller.
 pub struct ShapeProgress<'a> {
+    /// What was removed from the hull; nothing in a run that is resumed at a later level.
+    pub hull: HullReport,
     /// Index of the level.
     pub level: usize,
     /// Levels that will be fitted: those that the photographs resolve.
@@ -139,25 +156,20 @@ pub fn fit_shape(
     let carving = stage("hull");
     let mut silhouettes = training_silhouettes(&mut pipeline.world);
     check_interrupted()?;
-    let mut hull = visual_hull(&mut silhouettes, options.levels[0].cells)?;
+    let mut grid = visual_hull(&mut silhouettes, options.levels[0].cells)?;
     // More than the longest level visits are of no use.
     let visited = |level: &ShapeLevel| level.schedule.steps as usize * level.schedule.silhouette_batch;
     let most = options.levels.iter().map(visited).max().unwrap_or(0);
-    let samples = silhouette_samples(&hull, &silhouettes, options.fit.pixels.seed, most);
+    let samples = silhouette_samples(&grid, &silhouettes, options.fit.pixels.seed, most);
     drop(carving);
-    if options.hollows {
-        open_hollows(&mut pipeline.world, &mut hull, &silhouettes);
-    }
-    if options.spans_unseen {
-        span_hull(&mut hull, &silhouettes);
-    }
+    let report = reduce_hull(&mut pipeline.world, &mut grid, &silhouettes, options);
     check_interrupted()?;
     pipeline.world.spawn_batch(samples);
     pipeline.add_plugin(&ShapePlugin);
     if options.cameras != CameraUnknowns::Given {
         pipeline.add_plugin(&ShapeCameraPlugin(options.cameras));
     }
-    let found = fit_levels(pipeline, hull, &mut silhouettes, options, watch);
+    let found = fit_levels(pipeline, Hull { grid, report }, &mut silhouettes, options, watch);
     pipeline.remove_plugin::<ShapeCameraPlugin>().remove_plugin::<ShapePlugin>();
     despawn_with::<SilhouetteSample>(&mut pipeline.world);
     found
@@ -166,7 +178,7 @@ pub fn fit_shape(
 /// Fits one level after the other, until `watch` stops it.
 fn fit_levels(
     pipeline: &mut Pipeline,
-    hull: SdfGrid,
+    hull: Hull,
     silhouettes: &mut [Silhouette],
     options: &ShapeOptions,
     watch: &mut dyn FnMut(&ShapeProgress) -> ControlFlow<()>,
@@ -175,12 +187,12 @@ fn fit_levels(
         replace_texels(world, &vec![Vec3::ZERO; kept.volume.len()]);
         Ok(())
     };
-    let levels = resolved_levels(&hull, &options.levels, silhouettes);
+    let levels = resolved_levels(&hull.grid, &options.levels, silhouettes);
     let resumed = resume_level(&mut pipeline.world, blank)?;
     let begun = resumed.as_ref().map_or(0, |(level, _)| *level as usize);
     let mut surface = match resumed {
         Some((_, kept)) => kept,
-        None => first_surface(&mut pipeline.world, hull, options),
+        None => first_surface(&mut pipeline.world, hull.grid, options),
     };
     for (index, level) in levels.iter().enumerate().skip(begun) {
         let _level = stage(format_args!("level {}", index + 1));
@@ -194,7 +206,8 @@ fn fit_levels(
         let fit = FitOptions { steps: level.schedule.steps, guess, ..options.fit.clone() };
         let result = run_fit(pipeline, &fit, &mut |progress, world| {
             let field = world.resource::<SdfField>();
-            watch(&ShapeProgress { level: index, levels: levels.len(), fit: progress, field })
+            let (hull, levels) = (hull.report, levels.len());
+            watch(&ShapeProgress { hull, level: index, levels, fit: progress, field })
         });
         surface = SdfSurface { grid: leave(&mut pipeline.world), volume };
         match result {
@@ -302,16 +315,27 @@ pub fn mesh_of_parts(world: &mut World, grid: &SdfGrid) -> Mesh {
     extract_parts(grid, &training_silhouettes(world))
 }
 
-/// Removes from the hull what the training photographs look through.
-fn open_hollows(world: &mut World, hull: &mut SdfGrid, silhouettes: &[Silhouette]) {
-    let _opening = stage("hollows");
-    with_training_views(world, |views| carve_hollows(hull, silhouettes, views));
-}
-
-/// Spans what no training photograph sees of the hull.
-fn span_hull(hull: &mut SdfGrid, silhouettes: &[Silhouette]) {
-    let _spanning = stage("unseen");
-    span_unseen(hull, silhouettes);
+/// Removes from the hull what the training photographs look through, and spans what none of them sees. A run that is resumed at a later
+/// level needs neither.
+fn reduce_hull(
+    world: &mut World,
+    hull: &mut SdfGrid,
+    silhouettes: &[Silhouette],
+    options: &ShapeOptions,
+) -> HullReport {
+    let mut report = HullReport::default();
+    if has_level_ahead(world) {
+        return report;
+    }
+    if options.hollows {
+        let _opening = stage("hollows");
+        report.opened = with_training_views(world, |views| carve_hollows(hull, silhouettes, views));
+    }
+    if options.spans_unseen {
+        let _spanning = stage("unseen");
+        report.spanned = span_unseen(hull, silhouettes);
+    }
+    report
 }
 
 /// Hands the training photographs with their masks to `use_of`.
@@ -376,7 +400,6 @@ fn silhouette_sample(silhouette: &Silhouette, pixel: u32) -> SilhouetteSample {
         ray: camera.pixel_ray(pixel),
         distance: silhouette.distance(i),
         distance_gradient: silhouette.slope(i),
-        coverage: silhouette.mask.coverage(i),
         pixel_size: pixel_size(camera),
     }
 }

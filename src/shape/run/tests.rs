@@ -156,6 +156,32 @@ fn the_systems_leave_when_the_fit_ends() {
 }
 
 #[test]
+fn what_the_hull_loses_is_reported_with_every_step() {
+    let reports = |options: ShapeOptions, half: bool| {
+        let mut pipeline = world_of_photographs();
+        if half {
+            let mut views = pipeline.world.query::<(Entity, &Camera)>();
+            let behind = views.iter(&pipeline.world).filter(|(_, camera)| camera.position().z < 0.0);
+            let behind: Vec<Entity> = behind.map(|(entity, _)| entity).collect();
+            behind.into_iter().for_each(|entity| assert!(pipeline.world.despawn(entity)));
+        }
+        let mut reports = Vec::new();
+        fit_shape(&mut pipeline, &options, &mut |at| {
+            reports.push(at.hull);
+            ControlFlow::Continue(())
+        })
+        .unwrap();
+        reports
+    };
+    assert_eq!(reports(options(2), true), [HullReport::default(); 2]);
+    let spanning = |steps| ShapeOptions { spans_unseen: true, ..options(steps) };
+    // From one side only, the hull is drawn out to the other.
+    let behind = reports(spanning(2), true);
+    assert!(behind[0] == behind[1] && behind[0].opened == 0.0 && behind[0].spanned > 0.01, "{behind:?}");
+    assert_eq!(reports(spanning(1), false), [HullReport::default()]);
+}
+
+#[test]
 fn a_level_finer_than_the_pictures_is_left_out() {
     let side = |least_pixels: f32| {
         let mut options = options(2);
