@@ -30,6 +30,8 @@ export class History {
         const changed = differing(before, after);
         const goesOn = changed === this.last && time - this.time < TOGETHER && this.past.length > 0;
         if (!goesOn) this.past.push(old);
+        // A change and its reverse are none.
+        else if (this.past.at(-1) === now) return Object.assign(this, { past: this.past.slice(0, -1), last: "" });
         if (this.past.length > MOST) this.past.shift();
         Object.assign(this, { future: [], last: changed, time });
     }

@@ -60,9 +60,9 @@ export class LightBall {
     /** Draws a light as it stands for a camera. */
     draw(light, { up, turn, exposure, axes }) {
         const side = Math.round(this.canvas.clientWidth * Math.min(window.devicePixelRatio, 2));
-        const wanted = JSON.stringify([light.name, light.lobes.length, up, turn, exposure, axes, side]);
-        if (wanted === this.drawn || side === 0) return;
-        this.drawn = wanted;
+        const wanted = JSON.stringify([up, turn, exposure, axes, side]);
+        if ((light === this.light && wanted === this.drawn) || side === 0) return;
+        Object.assign(this, { light, drawn: wanted });
         if (this.canvas.width !== side) Object.assign(this.canvas, { width: side, height: side });
         this.context.putImageData(this.painted(light, { up, turn, exposure, axes }, side), 0, 0);
         this.mark(turnedLobes(light, up, turn, axes), axes, side);

@@ -10,7 +10,7 @@ const MOST_BYTES = 1 << 20;
 
 /** Numbers, words and marks of RON text; comments are left out. */
 function tokens(text) {
-    const plain = text.replace(/\/\/[^\n]*|\/\*[\s\S]*?\*\//g, " ");
+    const plain = text.replace(/\/\/[^\n]*|\/\*[\s\S]*?(?:\*\/|$)/g, " ");
     return plain.match(/[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?|[A-Za-z_]\w*|"(?:[^"\\]|\\.)*"|[()[\]:,]/g) ?? [];
 }
 
@@ -98,7 +98,7 @@ function checked(lobes) {
     lobes.forEach(({ axis, sharpness, amplitude }, i) => {
         const within = (value, most) => typeof value === "number" && value >= 0 && value <= most;
         const fits = within(sharpness, MOST_SHARPNESS) && amplitude.every((value) => within(value, MOST_RADIANCE));
-        if (!fits || !axis.every(Number.isFinite) || length(axis) < 1e-20) throw new Error(`lobe ${i} is no light`);
+        if (!fits || !(length(axis) >= 1e-20 && length(axis) < Infinity)) throw new Error(`lobe ${i} is no light`);
     });
     return lobes.map((lobe) => ({ ...lobe, axis: normalize(lobe.axis) }));
 }

@@ -75,6 +75,7 @@ class Page {
     /** Makes a place where a point of the canvas shows the object. */
     place(x, y) {
         const { canvas, scene } = this;
+        if (this.settings.regions.length >= mostRegions(scene.materials.length)) return this.change({ placing: false });
         const size = [canvas.clientWidth, canvas.clientHeight];
         this.corners ??= cornersOf(scene);
         const center = pick(this.corners, scene.data.triangles, this.camera(size[0] / size[1]), [x, y], size);
@@ -127,7 +128,7 @@ class Page {
     goBack(way) {
         const found = this.history[way](this.settings);
         if (!found) return say(way === "undo" ? "There is nothing to undo." : "There is nothing to do again.");
-        this.settings = { ...this.settings, ...found };
+        this.settings = { ...this.settings, ...found, placing: false };
         if (this.settings.region >= this.settings.regions.length) this.settings.region = -1;
         return this.refresh();
     }

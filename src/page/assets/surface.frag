@@ -1,5 +1,5 @@
 // Radiance of a surface point: all lobes, all base materials, shadows and reflected light. Follows `shade_closed_form` and
-// `visibility::occlusion::point_visibility`.
+// `visibility::occlusion::point_visibility`; GGX is three SGs for narrow lobes too.
 
 in vec3 position;
 in vec3 normal;

@@ -400,6 +400,7 @@ fn silhouette_sample(silhouette: &Silhouette, pixel: u32) -> SilhouetteSample {
         ray: camera.pixel_ray(pixel),
         distance: silhouette.distance(i),
         distance_gradient: silhouette.slope(i),
+        coverage: silhouette.mask.coverage(i),
         pixel_size: pixel_size(camera),
     }
 }
