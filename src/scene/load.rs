@@ -107,7 +107,24 @@ fn data_is_missing(at: String) -> Problem {
 pub fn to_ron(scene: &Scene) -> Result<String> {
     let config = ron::ser::PrettyConfig::new().depth_limit(6).struct_names(false);
     let text = options().to_string_pretty(scene, config);
-    text.map(|text| text + "\n").map_err(|error| Error::run("writing the scene as RON", error.to_string()))
+    let text = text.map_err(|error| Error::run("writing the scene as RON", error.to_string()))?;
+    Ok(with_plain_none(text) + "\n")
+}
+
+/// `r#None`, as the serializer writes a variant with that name, becomes `None`, as people write it. No field of a scene is an option of
+/// such a type, so that both are read alike.
+fn with_plain_none(mut text: String) -> String {
+    const RAW: &str = "r#None";
+    let Ok(root) = ron_tree::parse(&text) else { return text };
+    let mut found = Vec::new();
+    let mut open = vec![&root];
+    while let Some(node) = open.pop() {
+        found.extend((&text[node.span.clone()] == RAW).then(|| node.span.clone()));
+        open.extend(node.children());
+    }
+    found.sort_by_key(|span| std::cmp::Reverse(span.start));
+    found.into_iter().for_each(|span| text.replace_range(span, "None"));
+    text
 }
 
 /// An edit as RON text on one line, as a scene file has it.
@@ -211,6 +228,17 @@ mod tests {
         assert_eq!(again.scene, loaded.scene, "{text}");
         let Pass::Render(render) = &again.scene.passes[1] else { panic!("{text}") };
         assert_eq!(render.render.orbit.as_ref().unwrap().radius, Some(3.0));
+    }
+
+    #[test]
+    fn a_variant_called_none_is_written_as_people_write_it() {
+        let text = r#"(version: 1, surface: Sphere(), views: Cameras([(name: "r#None", eye: (0, 0, 3))]),
+            material: (sheen: None, tilt: None))"#;
+        let scene = load_text(text, &LoadOptions::default()).unwrap().scene;
+        let written = to_ron(&scene).unwrap();
+        assert!(written.contains("sheen: None,") && written.contains("tilt: None,"), "{written}");
+        assert!(written.contains(r#"name: "r#None""#), "a name that only looks like it changed: {written}");
+        assert_eq!(load_text(&written, &LoadOptions::default()).unwrap().scene, scene);
     }
 
     #[test]
