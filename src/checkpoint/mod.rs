@@ -1,7 +1,7 @@
 //! Checkpoints: what a run depends on from here on, so that a process that was killed goes on with the same bits.
 //!
-//! A plugin says which of its resources and components are state, by name ([`keep_resource`], [`keep_pool`], [`keep_each`],
-//! [`keep_with`]); all else is derived from these and from the scene by the code that a resumed run goes through again. A run has
+//! A plugin says which of its resources and components are state, by name ([`keep_resource`], [`keep_pool`], [`keep_keyed`],
+//! [`keep_each`], [`keep_with`]); all else is derived from these and from the scene by the code that a resumed run goes through again. A run has
 //! [`Place`]s at which it can be taken up: between two passes, between two levels of a pass, after a step. To go on at a step, it
 //! goes through the beginning of the pass and of the level first, from their own checkpoints, because what is derived there (the pool
 //! of pixels, the bricks of a field) depends on the state at that time.
@@ -17,7 +17,7 @@
 pub mod packed;
 pub mod state;
 
-pub use state::{Span, keep_each, keep_pool, keep_resource, keep_with};
+pub use state::{Key, Span, keep_each, keep_keyed, keep_pool, keep_resource, keep_with};
 
 use crate::error::Result;
 use crate::error::stop::{is_stopping, stopped_by};

@@ -174,6 +174,44 @@ fn what_does_not_fit_is_an_error() {
     assert!(resume_pass::<String>(&mut other, |_, _| Ok(())).is_err());
 }
 
+/// What lamps of another kind are known by.
+#[derive(Component, Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+struct Number(u8);
+
+/// A world with an entity for each of these numbers, in that order.
+fn numbered(numbers: &[u8], ahead: Vec<(Place, Checkpoint)>) -> (World, Written) {
+    let mut world = World::new();
+    world.spawn_batch(numbers.iter().map(|number| Number(*number)).collect::<Vec<_>>());
+    keep_keyed::<Number, Value, With<Number>>(&mut world, Span::Run);
+    let written = Written::default();
+    world.insert_resource(Checkpoints::new(Box::new(Memory(written.clone())), Duration::ZERO, ahead));
+    (world, written)
+}
+
+#[test]
+fn what_has_a_number_is_found_by_it_in_whatever_order() {
+    let (mut first, written) = numbered(&[0, 1, 2, 5], Vec::new());
+    let mut numbers = first.query::<(bevy_ecs::prelude::Entity, &Number)>();
+    let found: Vec<_> = numbers.iter(&first).map(|(entity, number)| (entity, *number)).collect();
+    for (entity, number) in found {
+        first.entity_mut(entity).insert(Value(f32::from(number.0)));
+    }
+    keep_pass(&mut first, 1, &0u8).unwrap();
+    let ahead = || written.lock().unwrap().clone();
+
+    let mut second = numbered(&[2, 0, 5, 1], ahead()).0;
+    resume_pass::<u8>(&mut second, |_, _| Ok(())).unwrap();
+    let mut values = second.query::<(&Number, &Value)>();
+    assert_eq!(values.iter(&second).len(), 4);
+    assert!(values.iter(&second).all(|(number, value)| value.0 == f32::from(number.0)));
+
+    for others in [[0, 1, 2, 4].as_slice(), &[0, 1, 2], &[0, 1, 2, 5, 5], &[0, 1, 2, 2]] {
+        let mut other = numbered(others, ahead()).0;
+        let error = resume_pass::<u8>(&mut other, |_, _| Ok(())).unwrap_err();
+        assert!(error.to_string().contains("does not fit this run"), "{others:?}: {error}");
+    }
+}
+
 #[test]
 fn without_a_store_nothing_is_kept_and_nothing_is_ahead() {
     let mut world = World::new();

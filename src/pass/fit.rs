@@ -13,14 +13,11 @@ use crate::fit::cameras::{CameraPlugin, CameraUnknowns};
 use crate::fit::components::TexelSeen;
 use crate::fit::guard::{check_numbers, check_parameters};
 use crate::fit::observe::PixelChoice;
+use crate::fit::optimizer::optimizer_of_texel_roughness;
 use crate::fit::roughness::blend::TexelPlaces;
-use crate::fit::roughness::texel::{
-    RoughnessPrior, TexelRoughness, attach_roughness, move_roughness, tie_specular,
-};
+use crate::fit::roughness::texel::{RoughnessPrior, TexelRoughness, attach_roughness};
 use crate::fit::run::{FirstGuess, FitOptions, FitProgress, FitSummary, run_fit};
-use crate::fit::scale::{means, move_scale};
-use crate::fit::sheen::move_sheen;
-use crate::fit::systems::{move_lobes, move_specular, move_texels};
+use crate::fit::scale::means;
 use crate::light::lights::own_lobes;
 use crate::light::{EnvironmentMap, LightLobe, render_lobes};
 use crate::material::sheen::{has_sheen, write_albedo};
@@ -47,7 +44,7 @@ use crate::scene::{Gloss, Sheen};
 use crate::shape::vertices::{MovingMesh, VertexPlugin};
 use crate::spawn::{initial_specular, unknowns};
 use crate::visibility::ObjectVisibility;
-use bevy_ecs::prelude::{IntoScheduleConfigs, Resource, World};
+use bevy_ecs::prelude::{Resource, World};
 use glam::Vec3;
 use image::{Rgb, RgbImage};
 use serde::{Deserialize, Serialize};
@@ -192,10 +189,7 @@ fn give_texels_roughness(session: &mut Session) {
     let prior = RoughnessPrior::new(session.surface.atlas(), smoothness, color_width, specular);
     session.pipeline.world.insert_resource(prior);
     attach_roughness(&mut session.pipeline.world, first, specular);
-    let systems =
-        (move_scale, move_texels, move_sheen, move_roughness, move_lobes, tie_specular, move_specular)
-            .chain();
-    session.pipeline.swap(Phase::FitStep, Slot::Optimizer, systems);
+    session.pipeline.swap(Phase::FitStep, Slot::Optimizer, optimizer_of_texel_roughness());
 }
 
 /// The closed form for the settings of a scene file.
