@@ -13,11 +13,11 @@ struct Places(Vec<Vec3>);
 fn paint_stripes(places: Res<Places>, composition: Composition) -> SystemResult {
     composition.compose(|material| {
         let texels = material.albedo.iter_mut().zip(&mut material.sheen).zip(&places.0);
-        for ((albedo, sheen), place) in
-            texels.filter(|(_, place)| (place.y / 0.2).floor().rem_euclid(2.0) == 0.0)
-        {
-            albedo.0 = albedo.0.lerp(Vec3::new(0.8, 0.5, 0.1), 0.9);
-            sheen.0 *= 0.1;
+        for ((albedo, sheen), place) in texels {
+            if (place.y / 0.2).floor().rem_euclid(2.0) == 0.0 {
+                albedo.0 = albedo.0.lerp(Vec3::new(0.8, 0.5, 0.1), 0.9);
+                sheen.0 *= 0.1;
+            }
         }
         Ok(())
     })

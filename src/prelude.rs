@@ -15,7 +15,7 @@
 //! | rendering | [`spawn_object`], [`FramePlugin`], [`render_frame`], [`resolve`], [`Frame`], [`save_png`], [`Look`] |
 //! | shading | [`shade_closed_form`], [`ClosedForm`], [`Quality`], [`shade_path_traced`], [`PathTracing`] |
 //! | shadows and interreflection | [`FrameVisibilityPlugin`], [`ObjectVisibility`], [`VisibilitySettings`] |
-//! | fitting | [`spawn_views`], [`FitPlugin`], [`run_fit`], [`FitOptions`], [`Unknowns`], [`FirstGuess`], [`FitProgress`], [`FitSummary`] |
+//! | fitting | [`spawn_views`], [`FitPlugin`], [`run_fit`], [`FitOptions`], [`Unknowns`], [`Initialize`], [`FitProgress`], [`FitSummary`] |
 //! | from other crates | the prelude of [`bevy_ecs`], [`ScheduleLabel`], [`Vec3`], [`Arc`] |
 //!
 //! ```
@@ -80,7 +80,7 @@ pub use crate::visibility::{FrameVisibilityPlugin, ObjectVisibility, VisibilityS
 
 // Fitting.
 pub use crate::fit::components::Unknowns;
-pub use crate::fit::run::{FirstGuess, FitOptions, FitPlugin, FitProgress, FitSummary, run_fit};
+pub use crate::fit::run::{FitOptions, FitPlugin, FitProgress, FitSummary, Initialize, run_fit};
 pub use crate::spawn::spawn_views;
 
 // Other crates. The derive macros of bevy_ecs look for a crate or module of that name.

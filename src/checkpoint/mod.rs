@@ -45,7 +45,7 @@ impl Place {
     }
 
     /// The places whose checkpoints a resumed run goes through to get here, itself the last. A run begins without one.
-    pub fn way(self) -> Vec<Self> {
+    pub fn route(self) -> Vec<Self> {
         let mut way = vec![Self::of_pass(self.pass), Self { step: 0, ..self }, self];
         way.dedup();
         way.retain(|place| *place != Self::default());
@@ -252,7 +252,7 @@ pub fn carry(world: &mut World) -> Result<Carried> {
 ///
 /// # Errors
 /// If it has others.
-pub fn put_down(world: &mut World, carried: Carried) -> Result<()> {
+pub fn restore(world: &mut World, carried: Carried) -> Result<()> {
     if let Some(checkpoints) = carried.checkpoints {
         world.insert_resource(checkpoints);
     }

@@ -14,7 +14,7 @@ use std::any::type_name;
 pub enum Span {
     /// From one pass to the next.
     Run,
-    /// Within a pass alone: the next one sets it anew.
+    /// Within a pass alone: the next one sets it again.
     Pass,
 }
 

@@ -68,10 +68,10 @@ fn found(world: &mut World) -> (Vec<(u32, f32)>, Vec<Weight>, Vec<f32>) {
 #[test]
 fn the_way_to_a_place_goes_through_its_beginnings() {
     let place = |pass, level, step| Place { pass, level, step };
-    assert_eq!(place(0, 0, 7).way(), [place(0, 0, 7)]);
-    assert_eq!(place(0, 2, 7).way(), [place(0, 2, 0), place(0, 2, 7)]);
-    assert_eq!(place(3, 0, 0).way(), [place(3, 0, 0)]);
-    assert_eq!(place(3, 1, 2).way(), [place(3, 0, 0), place(3, 1, 0), place(3, 1, 2)]);
+    assert_eq!(place(0, 0, 7).route(), [place(0, 0, 7)]);
+    assert_eq!(place(0, 2, 7).route(), [place(0, 2, 0), place(0, 2, 7)]);
+    assert_eq!(place(3, 0, 0).route(), [place(3, 0, 0)]);
+    assert_eq!(place(3, 1, 2).route(), [place(3, 0, 0), place(3, 1, 0), place(3, 1, 2)]);
     assert!(place(0, 1, 0) > place(0, 0, 9) && place(1, 0, 0) > place(0, 9, 9));
 }
 
@@ -86,7 +86,7 @@ fn a_run_goes_on_from_what_was_kept() {
     let ahead = written.lock().unwrap().clone();
     assert_eq!(
         ahead.iter().map(|(place, _)| *place).collect::<Vec<_>>(),
-        Place { pass: 2, level: 0, step: 9 }.way()
+        Place { pass: 2, level: 0, step: 9 }.route()
     );
 
     let (mut second, _) = world(4, ahead);
@@ -126,13 +126,13 @@ fn what_lasts_is_carried_into_another_world_with_the_checkpoints() {
     let (mut second, _) = world(4, Vec::new());
     second.remove_resource::<Checkpoints>();
     let carried = carry(&mut first).unwrap();
-    put_down(&mut second, carried).unwrap();
+    restore(&mut second, carried).unwrap();
     let (rows, weights, _) = found(&mut first);
     assert_eq!(found(&mut second), (rows, weights, vec![0.0; 5]), "sums are state within a pass only");
     keep_step(&mut second, 9, &0u8).unwrap();
     assert_eq!(written.lock().unwrap()[0].0, Place { pass: 3, level: 0, step: 9 });
     let carried = carry(&mut second).unwrap();
-    assert!(put_down(&mut world(5, Vec::new()).0, carried).is_err());
+    assert!(restore(&mut world(5, Vec::new()).0, carried).is_err());
 }
 
 #[test]

@@ -76,7 +76,7 @@ pub struct FitOptions {
     /// Which pixels are visited.
     pub pixels: PixelChoice,
     /// What is initialized from the data before the first step.
-    pub guess: FirstGuess,
+    pub initialize: Initialize,
     /// Whether shading includes shadows and reflections; the world then needs an [`ObjectVisibility`].
     pub visibility: bool,
     /// Whether the fit decides by itself if the surface has a sheen.
@@ -85,7 +85,7 @@ pub struct FitOptions {
     pub exposure: bool,
     /// The rule for the scale between light and albedo, if both are unknown.
     pub scale: ScaleRule,
-    /// The frame in which the light stands still; `None`: found with the first guess of the light, and kept after that.
+    /// The frame in which the light stands still; `None`: found when the light is initialized, and kept after that.
     /// `Some` replaces what the world has.
     pub light_frame: Option<LightFrame>,
 }
@@ -103,7 +103,7 @@ impl Default for FitOptions {
             decay: 0.4,
             unknowns: Unknowns::default(),
             pixels: PixelChoice { seed: 0, max_pixels: 2_000_000 },
-            guess: FirstGuess::ALL,
+            initialize: Initialize::ALL,
             visibility: false,
             looks_for_sheen: false,
             exposure: false,
@@ -115,14 +115,14 @@ impl Default for FitOptions {
 
 /// The unknowns that a fit initializes from the data before its first step; the others start from their current values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct FirstGuess {
+pub struct Initialize {
     /// The amplitudes of the light.
     pub light: bool,
     /// The albedo.
     pub albedo: bool,
 }
 
-impl FirstGuess {
+impl Initialize {
     /// Light and albedo.
     pub const ALL: Self = Self { light: true, albedo: true };
     /// Nothing: a fit that continues another.
@@ -336,7 +336,7 @@ fn keep_state(world: &mut World) {
     keep_resource::<SheenEvidence>(world, Span::Pass);
 }
 
-/// Whether the step after this one computes shadows and reflections anew, so that they need not be kept.
+/// Whether the step after this one computes shadows and reflections again, so that they need not be kept.
 fn refresh_is_next(world: &World, step: u32) -> bool {
     step.is_multiple_of(refresh_every(world))
 }
@@ -369,11 +369,11 @@ fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
     }
     let pixels = pipeline.world.resource::<ObservedWindow>().0.len();
     count_pool(&mut pipeline.world);
-    // A fit that is resumed has its guess behind it.
-    let guess = if has_step_ahead(&pipeline.world) { FirstGuess::NONE } else { options.guess };
+    // A fit that is resumed is initialized.
+    let initialize = if has_step_ahead(&pipeline.world) { Initialize::NONE } else { options.initialize };
     let unknowns = Unknowns {
-        light: options.unknowns.light && guess.light,
-        albedo: options.unknowns.albedo && guess.albedo,
+        light: options.unknowns.light && initialize.light,
+        albedo: options.unknowns.albedo && initialize.albedo,
         ..options.unknowns
     };
     match options.light_frame {
@@ -384,12 +384,12 @@ fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
         }
         None => {}
     }
-    let guessing = stage("first guess");
+    let initializing = stage("initialization");
     initialize_light_and_albedo(&mut pipeline.world, unknowns, options.form, shadowed)?;
     if unknowns.light && unknowns.albedo {
         start_scale(&mut pipeline.world, options.scale)?;
     }
-    drop(guessing);
+    drop(initializing);
     spawn_samples(&mut pipeline.world, options.batch.clamp(1, pixels));
     Ok(pixels)
 }

@@ -7,7 +7,7 @@ use crate::codec::finite::check_finite;
 use crate::codec::frame::write_channels;
 use crate::codec::npy::{NpyConvention, write_lobes};
 use crate::codec::png_file::write_rgb8;
-use crate::error::stop::{heed_stop, is_stopping};
+use crate::error::stop::{finish_stopping, is_stopping};
 use crate::error::{Error, Result};
 use crate::fit::cameras::{CameraPlugin, CameraUnknowns};
 use crate::fit::components::TexelSeen;
@@ -16,7 +16,7 @@ use crate::fit::observe::PixelChoice;
 use crate::fit::optimizer::optimizer_of_texel_roughness;
 use crate::fit::roughness::blend::TexelPlaces;
 use crate::fit::roughness::texel::{RoughnessPrior, TexelRoughness, attach_roughness};
-use crate::fit::run::{FirstGuess, FitOptions, FitProgress, FitSummary, run_fit};
+use crate::fit::run::{FitOptions, FitProgress, FitSummary, Initialize, run_fit};
 use crate::fit::scale::means;
 use crate::light::lights::own_lobes;
 use crate::light::{EnvironmentMap, LightLobe, render_lobes};
@@ -88,7 +88,7 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     give_texels_roughness(session);
     let mut summary = take_steps(session, pass, &options)?;
     session.has_object = true;
-    session.guess = FirstGuess::NONE;
+    session.initialize = Initialize::NONE;
     session.report_light_frame(&pass.name);
     let known = !options.unknowns.light || !options.unknowns.albedo;
     let rule = if known { "Known".to_owned() } else { options.scale.words() };
@@ -125,7 +125,7 @@ fn take_steps(session: &mut Session, pass: &FitPass, options: &FitOptions) -> Re
     hold_geometry(session);
     let summary = summary?;
     // The results so far are written.
-    heed_stop();
+    finish_stopping();
     check_parameters(&mut session.pipeline.world)?;
     check_numbers(
         "the surface's coordinate",
@@ -152,7 +152,7 @@ fn finish_texels(
         failed => failed?,
     }
     summary.stopped = is_stopping();
-    heed_stop();
+    finish_stopping();
     check_parameters(&mut session.pipeline.world)?;
     fill_texels(session)
 }
@@ -211,7 +211,7 @@ fn options(session: &mut Session, pass: &FitPass) -> Result<FitOptions> {
         decay: pass.decay,
         unknowns: unknowns(session.scene),
         pixels: PixelChoice { seed: session.scene.seed, max_pixels: pass.max_pixels as usize },
-        guess: session.guess,
+        initialize: session.initialize,
         // The published formulas are for comparison and include neither shadows nor interreflection.
         visibility: pass.shading == FitShading::Accurate && session.has_visibility()?,
         looks_for_sheen: session.scene.material.sheen == Sheen::Auto,

@@ -66,13 +66,10 @@ struct Added {
     cleanup: fn(&mut World),
 }
 
-/// A condition that a stage of a phase has.
-#[derive(PartialEq)]
-struct StageCondition {
-    phase: InternedScheduleLabel,
-    stage: Stage,
-    condition: TypeId,
-}
+/// A set around a stage, for one condition of that type. A stage itself keeps none: in `bevy_ecs`, conditions that are added to a set
+/// which has some, after a run, are lost.
+#[derive(SystemSet, Clone, Copy, Debug, PartialEq, Eq, Hash)]
+struct StageIf(Stage, TypeId);
 
 /// A world and its phases.
 pub struct Pipeline {
@@ -83,7 +80,8 @@ pub struct Pipeline {
     /// The plugins that were added and not removed, in the order in which they were.
     added: Vec<Added>,
     marks: Vec<MarkAfterFailure>,
-    conditions: Vec<StageCondition>,
+    /// The conditions of stages, by phase.
+    conditions: Vec<(InternedScheduleLabel, StageIf)>,
 }
 
 impl Default for Pipeline {
@@ -217,10 +215,10 @@ impl Pipeline {
         stage: Stage,
         condition: C,
     ) -> &mut Self {
-        let given = StageCondition { phase: phase.intern(), stage, condition: TypeId::of::<C>() };
-        if !self.conditions.contains(&given) {
-            self.schedule_mut(given.phase).configure_sets(stage.run_if(condition));
-            self.conditions.push(given);
+        let (phase, around) = (phase.intern(), StageIf(stage, TypeId::of::<C>()));
+        if !self.conditions.contains(&(phase, around)) {
+            self.schedule_mut(phase).configure_sets((around.run_if(condition), stage.in_set(around)));
+            self.conditions.push((phase, around));
         }
         self
     }
@@ -245,7 +243,7 @@ impl Pipeline {
     /// Runs a phase once. As in an update of a bevy app, what was removed can be read (`RemovedComponents`) until the end of the
     /// next run but one.
     ///
-    /// During the run the world's error handler is the pipeline's; afterwards it is again what it was before. At most 16 runs of a
+    /// During the run the world's error handler is the pipeline's; afterward it is again what it was before. At most 16 runs of a
     /// process go on at once, others wait for one of them to end. A run that a system starts inside another one counts as well: 16 runs
     /// that each start one inside at the same time wait for each other forever.
     ///

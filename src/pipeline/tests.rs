@@ -304,9 +304,13 @@ fn a_plugin_that_is_added_again_replaces_the_first() -> Result<()> {
 
 static ASKED: AtomicU32 = AtomicU32::new(0);
 
-/// Holds a stage back, and counts how often it is asked.
-fn counts_and_holds() -> bool {
+/// A condition that counts how often it is asked.
+fn counts() -> bool {
     ASKED.fetch_add(1, Ordering::Relaxed);
+    true
+}
+
+fn never() -> bool {
     false
 }
 
@@ -319,7 +323,10 @@ struct Guard;
 
 impl Plugin for Guard {
     fn build(&self, pipeline: &mut Pipeline) {
-        pipeline.run_stage_if(Phase::Frame, Stage::Loss, counts_and_holds).mark_after_failure(say_failed);
+        pipeline
+            .run_stage_if(Phase::Frame, Stage::Loss, counts)
+            .run_stage_if(Phase::Frame, Stage::Resolve, never)
+            .mark_after_failure(say_failed);
     }
 }
 
@@ -327,11 +334,18 @@ impl Plugin for Guard {
 fn a_stage_has_a_condition_once_and_what_follows_a_failure_goes_with_its_plugin() -> Result<()> {
     let mut pipeline = pipeline();
     pipeline.add_systems(Phase::Frame, Stage::Loss, say("loss"));
-    pipeline.add_plugin(&Guard).add_plugin(&Guard);
-    pipeline.run_stage_if(Phase::Frame, Stage::Loss, counts_and_holds);
+    pipeline.add_systems(Phase::Frame, Stage::Resolve, say("resolve"));
+    pipeline.run_stage_if(Phase::Frame, Stage::Loss, counts).add_plugin(&Guard).add_plugin(&Guard);
     pipeline.run(Phase::Frame)?;
-    assert_eq!(trail(&mut pipeline), "sample shade write");
+    assert_eq!(trail(&mut pipeline), "sample shade loss write");
     assert_eq!(ASKED.load(Ordering::Relaxed), 1);
+    pipeline.run_stage_if(Phase::Frame, Stage::Loss, never);
+    pipeline.run(Phase::Frame)?;
+    assert_eq!(
+        trail(&mut pipeline),
+        "sample shade write",
+        "another condition of a stage that has one and has run"
+    );
     pipeline.swap(Phase::Frame, Slot::Shading, fail).mark_after_failure(say_failed);
     assert!(pipeline.run(Phase::Frame).is_err());
     assert_eq!(trail(&mut pipeline), "sample failed", "it is called once");

@@ -13,7 +13,7 @@ use std::path::PathBuf;
 pub enum Light {
     /// Nothing: a fit finds it.
     Unknown(UnknownLight),
-    /// A first guess, which a fit improves: `Initial(Npy(path: "light.npy"))`.
+    /// An initial value, which a fit improves: `Initial(Npy(path: "light.npy"))`.
     Initial(LightSource),
     /// Known; a fit leaves it as it is: `Fixed(Map(path: "sky.exr"))`.
     Fixed(LightSource),
@@ -138,7 +138,7 @@ pub enum LightSource {
         /// `rotation_degrees`). Default false.
         #[serde(default)]
         upper_hemisphere: bool,
-        /// Grey light: the map's luminance. Default false.
+        /// Gray light: the map's luminance. Default false.
         #[serde(default)]
         white: bool,
     },
