@@ -325,7 +325,7 @@ pub struct RotateArgs {
     #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true,
         required_unless_present = "quaternion", conflicts_with = "quaternion")]
     pub euler: Option<[f32; 3]>,
-    /// Turn by a quaternion, which is normalised
+    /// Turn by a quaternion, which is normalized
     #[arg(long, value_name = "X,Y,Z,W", value_parser = numbers::<4>, allow_hyphen_values = true)]
     pub quaternion: Option<[f32; 4]>,
     /// The file to write: .ron or .npy for lobes, .exr for a map

@@ -83,7 +83,7 @@ impl Default for UnknownLight {
 pub enum LightSource {
     /// SG lobes, written out.
     Lobes {
-        /// The lobes, 1 to 512; axes are normalised, sharpness and amplitude are ≥ 0.
+        /// The lobes, 1 to 512; axes are normalized, sharpness and amplitude are ≥ 0.
         lobes: Vec<LightLobe>,
         /// Factor on the radiance ≥ 0. Default 1.
         #[serde(default = "one")]

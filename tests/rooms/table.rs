@@ -34,7 +34,7 @@ pub fn table(page: &str) -> (Vec<Room>, Vec<String>) {
                 allowed.push(entry.to_owned());
             } else {
                 problems.push(format!(
-                    "{PAGE}:{line}: `{name}` may import `{entry}`, which is no room above it: rooms import downwards only, \
+                    "{PAGE}:{line}: `{name}` may import `{entry}`, which is no room above it: rooms import downward only, \
                      and a lower room has a row further up"
                 ));
             }
