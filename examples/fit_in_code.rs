@@ -28,12 +28,12 @@ fn main() -> Result<()> {
     let photographs = photographs.map(|(i, camera)| photograph(&mut studio, format!("view_{i}"), camera));
     let photographs: Vec<ViewRecord> = photographs.collect::<Result<_>>()?;
 
-    // A world that starts ignorant: grey, 32 equal lobes, a middling roughness.
+    // A world that starts ignorant: gray, 32 equal lobes, a middling roughness.
     let mut pipeline = Pipeline::new();
     pipeline.add_plugin(&FramePlugin).add_plugin(&FitPlugin);
-    let grey = vec![Vec3::splat(0.4); places.len()];
+    let gray = vec![Vec3::splat(0.4); places.len()];
     let start = SpecularLobe::new(Vec3::splat(0.3), 0.45);
-    spawn_object(&mut pipeline.world, &surface, &grey, &[start], &LightLobe::even(32));
+    spawn_object(&mut pipeline.world, &surface, &gray, &[start], &LightLobe::even(32));
     spawn_views(&mut pipeline.world, photographs);
     let summary = run_fit(&mut pipeline, &FitOptions::default(), &mut |at, _| {
         if at.step.is_multiple_of(50) {

@@ -13,7 +13,7 @@ const MARGIN: u32 = 10;
 const LINE: u32 = 22;
 const INK: [u8; 3] = [40; 3];
 
-/// The six directions of a world, each with its label and colour.
+/// The six directions of a world, each with its label and color.
 const MARKS: [(Vec3, &str, Vec3); 6] = [
     (Vec3::X, "+X", Vec3::new(0.9, 0.1, 0.1)),
     (Vec3::NEG_X, "-X", Vec3::new(0.9, 0.6, 0.6)),

@@ -9,19 +9,18 @@ use lobelia::prelude::*;
 #[derive(Resource)]
 struct Places(Vec<Vec3>);
 
-/// The edit: what a texel shows, of what was recovered and where the texel lies.
-fn paint_stripes(
-    places: Res<Places>,
-    mut texels: Query<(&TexelIndex, &DiffuseAlbedo, &SpecularBlend, &mut ShownAlbedo, &mut ShownBlend)>,
-    mut materials: Query<(&SpecularLobe, &mut ShownSpecular)>,
-) {
-    for (index, recovered, blend, mut shown, mut shown_blend) in &mut texels {
-        let height = places.0[index.0 as usize].y;
-        let painted = (height / 0.2).floor().rem_euclid(2.0) == 0.0;
-        let paint = if painted { recovered.0.lerp(Vec3::new(0.8, 0.5, 0.1), 0.9) } else { recovered.0 };
-        (shown.0, shown_blend.0) = (paint, *blend);
-    }
-    materials.iter_mut().for_each(|(recovered, mut shown)| shown.0 = *recovered);
+/// The edit: what a texel shows, of what was recovered and where the texel lies. What it leaves alone is shown as it was recovered.
+fn paint_stripes(places: Res<Places>, composition: Composition) -> SystemResult {
+    composition.compose(|material| {
+        let texels = material.albedo.iter_mut().zip(&mut material.sheen).zip(&places.0);
+        for ((albedo, sheen), place) in texels {
+            if (place.y / 0.2).floor().rem_euclid(2.0) == 0.0 {
+                albedo.0 = albedo.0.lerp(Vec3::new(0.8, 0.5, 0.1), 0.9);
+                sheen.0 *= 0.1;
+            }
+        }
+        Ok(())
+    })
 }
 
 fn main() -> Result<()> {

@@ -26,11 +26,11 @@ fn main() -> Result<()> {
     Ok(())
 }
 
-/// A grey glossy box on a slab, under a sky and a lamp.
+/// A gray glossy box on a slab, under a sky and a lamp.
 fn small_world() -> Result<Pipeline> {
     let slab = box_mesh(Vec3::new(0.0, -0.4, 0.0), Vec3::new(1.6, 0.1, 1.6))?;
     let on_slab = box_mesh(Vec3::ZERO, Vec3::new(0.5, 0.7, 0.4))?;
-    // Both use the whole texture, which is of one colour.
+    // Both use the whole texture, which is of one color.
     let surface = Arc::new(Surface::new(joined(slab, &on_slab), 64)?);
     let albedo = vec![Vec3::new(0.5, 0.45, 0.4); surface.atlas().position.len()];
     let light = [

@@ -10,12 +10,12 @@
 //! | light | [`LightLobe`], [`EnvironmentMap`], [`MapLight`], [`MapConvention`], [`render_lobes`], [`fit_map`], [`MapFit`] |
 //! | lights in a world | [`spawn_light`], [`provide_light`], [`LightChoice`], [`LightName`], [`LobeOf`] |
 //! | recovered material | [`DiffuseAlbedo`], [`DiffuseSheen`], [`DiffuseTilt`], [`SpecularBlend`], [`SpecularLobe`], [`BaseMaterial`] |
-//! | shown material | [`ShownAlbedo`], [`ShownSheen`], [`ShownTilt`], [`ShownBlend`], [`ShownSpecular`], [`show_recovered`], [`show_edited`], [`recovered_changed`] |
+//! | shown material | [`ShownAlbedo`], [`ShownSheen`], [`ShownTilt`], [`ShownBlend`], [`ShownSpecular`], [`show_recovered`], [`show_edited`], [`Composition`], [`recovered_changed`], [`frame_material`] |
 //! | edits | [`EditName`], [`EditOrder`], [`EditTarget`], [`EditAction`], [`EditRegion`] |
 //! | rendering | [`spawn_object`], [`FramePlugin`], [`render_frame`], [`resolve`], [`Frame`], [`save_png`], [`Look`] |
 //! | shading | [`shade_closed_form`], [`ClosedForm`], [`Quality`], [`shade_path_traced`], [`PathTracing`] |
 //! | shadows and interreflection | [`FrameVisibilityPlugin`], [`ObjectVisibility`], [`VisibilitySettings`] |
-//! | fitting | [`spawn_views`], [`FitPlugin`], [`run_fit`], [`FitOptions`], [`Unknowns`], [`FirstGuess`], [`FitProgress`], [`FitSummary`] |
+//! | fitting | [`spawn_views`], [`FitPlugin`], [`run_fit`], [`FitOptions`], [`Unknowns`], [`Initialize`], [`FitProgress`], [`FitSummary`] |
 //! | from other crates | the prelude of [`bevy_ecs`], [`ScheduleLabel`], [`Vec3`], [`Arc`] |
 //!
 //! ```
@@ -61,8 +61,8 @@ pub use crate::light::{EnvironmentMap, LightLobe, render_lobes};
 // Material and edits.
 pub use crate::material::edit::{EditAction, EditName, EditOrder, EditRegion, EditTarget};
 pub use crate::material::shown::{
-    ShownAlbedo, ShownBlend, ShownSheen, ShownSpecular, ShownTilt, recovered_changed, show_edited,
-    show_recovered,
+    Composition, ShownAlbedo, ShownBlend, ShownSheen, ShownSpecular, ShownTilt, recovered_changed,
+    show_edited, show_recovered,
 };
 pub use crate::material::{
     BaseMaterial, DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe,
@@ -73,14 +73,14 @@ pub use crate::codec::frame::Frame;
 pub use crate::math::accurate::Quality;
 pub use crate::math::shading::ClosedForm;
 pub use crate::report::tone::{Look, save_png};
-pub use crate::shade::frame::{FramePlugin, render_frame, resolve};
+pub use crate::shade::frame::{FramePlugin, frame_material, render_frame, resolve};
 pub use crate::shade::{PathTracing, shade_closed_form, shade_path_traced};
 pub use crate::spawn::spawn_object;
 pub use crate::visibility::{FrameVisibilityPlugin, ObjectVisibility, VisibilitySettings};
 
 // Fitting.
 pub use crate::fit::components::Unknowns;
-pub use crate::fit::run::{FirstGuess, FitOptions, FitPlugin, FitProgress, FitSummary, run_fit};
+pub use crate::fit::run::{FitOptions, FitPlugin, FitProgress, FitSummary, Initialize, run_fit};
 pub use crate::spawn::spawn_views;
 
 // Other crates. The derive macros of bevy_ecs look for a crate or module of that name.

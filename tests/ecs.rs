@@ -1,12 +1,19 @@
 //! What users of bevy do by instinct works: markers, despawning, sorting, change detection, systems and plugins of one's own.
 
-use crate::common::{camera, day, evening, photographs_of, shoot, studio};
+use crate::common::{RADIUS, camera, day, evening, photographs_of, shoot, studio};
+use lobelia::codec::exr::read_exr_layers;
 use lobelia::codec::frame::Frame;
+use lobelia::fit::components::{LossState, StepRates};
+use lobelia::fit::observe::PixelChoice;
+use lobelia::fit::scale::ScaleRule;
+use lobelia::material::shown::recovered_material;
 use lobelia::mesh::primitive::box_mesh;
+use lobelia::pass::save::write_material;
 use lobelia::pipeline::pool::read_column;
 use lobelia::prelude::*;
 use lobelia::sample::pixel::SampleIndex;
 use lobelia::view::Camera;
+use lobelia::visibility::systems::RefreshDue;
 use std::ops::ControlFlow;
 
 #[derive(Component)]
@@ -193,14 +200,96 @@ fn shadows_are_computed_again_when_light_or_material_change_and_only_then() {
     assert_eq!(refreshes(&mut pipeline), 7);
 }
 
-/// An edit as a system of one's own: green above, read from what was recovered.
-fn paint_green(texels: Texels<(&DiffuseAlbedo, &mut ShownAlbedo, &mut ShownBlend)>) -> SystemResult {
-    let (recovered, mut shown, mut blends) = texels.columns()?;
-    for (shown, recovered) in shown.iter_mut().zip(&*recovered) {
-        shown.0 = if recovered.0.x > 0.5 { Vec3::Y } else { recovered.0 };
+/// An edit as a system of one's own: what is red becomes green, from every side.
+fn paint_green(composition: Composition) -> SystemResult {
+    composition.compose(|material| {
+        let texels = material.albedo.iter_mut().zip(&mut material.sheen).zip(&mut material.tilt);
+        for ((albedo, sheen), tilt) in texels.filter(|((albedo, ..), _)| albedo.0.x > 0.5) {
+            (albedo.0, sheen.0, tilt.0) = (Vec3::Y, Vec3::ZERO, Vec3::ZERO);
+        }
+        Ok(())
+    })
+}
+
+/// The studio with a sheen and a tilt on all texels.
+fn studio_with_sheen_and_tilt() -> Pipeline {
+    let mut pipeline = studio(&day());
+    let mut texels = pipeline.world.query::<(&mut DiffuseSheen, &mut DiffuseTilt)>();
+    for (mut sheen, mut tilt) in texels.iter_mut(&mut pipeline.world) {
+        (sheen.0, tilt.0) = (Vec3::splat(0.2), Vec3::new(0.1, 0.2, 0.0));
     }
-    blends.fill(ShownBlend::default());
-    Ok(())
+    pipeline
+}
+
+#[test]
+fn an_edit_of_ones_own_shows_the_sheen_and_tilt_that_it_leaves() {
+    let mut pipeline = studio_with_sheen_and_tilt();
+    pipeline.swap(Phase::Frame, Slot::Material, paint_green.run_if(recovered_changed));
+    let painted = shoot(&mut pipeline, front());
+    let shown = frame_material(&mut pipeline).unwrap();
+    let plain = recovered_material(&mut pipeline.world).unwrap();
+    let is_red = |texel: usize| plain.albedo[texel].0.x > 0.5;
+    for texel in 0..plain.albedo.len() {
+        let expected = match is_red(texel) {
+            true => (DiffuseAlbedo(Vec3::Y), DiffuseSheen::default(), DiffuseTilt::default()),
+            false => (plain.albedo[texel], plain.sheen[texel], plain.tilt[texel]),
+        };
+        assert_eq!((shown.albedo[texel], shown.sheen[texel], shown.tilt[texel]), expected, "texel {texel}");
+    }
+    assert!((0..plain.albedo.len()).any(is_red) && !(0..plain.albedo.len()).all(is_red));
+    let region: Arc<[f32]> =
+        (0..plain.albedo.len()).map(|texel| f32::from(u8::from(is_red(texel)))).collect();
+    let edit =
+        (EditName("green".into()), EditTarget::Diffuse, EditAction::Set(Vec3::Y), EditRegion(Some(region)));
+    pipeline.world.spawn(edit);
+    pipeline.swap(Phase::Frame, Slot::Material, show_edited("green"));
+    assert!(close(&shoot(&mut pipeline, front()), &painted), "the same but for rounding of the sheen");
+}
+
+#[test]
+fn what_a_system_of_ones_own_shows_can_be_written() {
+    let mut pipeline = studio_with_sheen_and_tilt();
+    pipeline.swap(Phase::Frame, Slot::Material, paint_green);
+    // Without a picture before it.
+    let shown = frame_material(&mut pipeline).unwrap();
+    assert_ne!(shown, recovered_material(&mut pipeline.world).unwrap());
+    let surface = Surface::new(sphere_mesh(Vec3::ZERO, RADIUS).unwrap(), 32).unwrap();
+    let folder = tempfile::tempdir().unwrap();
+    write_material(folder.path(), &shown, surface.atlas()).unwrap();
+    let albedo = read_exr_layers(folder.path().join("albedo.exr")).unwrap();
+    for (channel, component) in [("R", 0), ("G", 1), ("B", 2)] {
+        let expected: Vec<f32> = shown.albedo.iter().map(|albedo| albedo.0[component]).collect();
+        assert!(albedo.channels[channel] == expected, "{channel}");
+    }
+    assert!(
+        folder.path().join("albedo_along.exr").exists() && folder.path().join("albedo_tilt.exr").exists()
+    );
+    pipeline.swap(Phase::Frame, Slot::Material, show_recovered());
+    assert_eq!(frame_material(&mut pipeline).unwrap(), recovered_material(&mut pipeline.world).unwrap());
+}
+
+#[test]
+fn rendering_and_fitting_that_are_added_twice_do_all_once() {
+    let once = shoot(&mut studio(&day()), front());
+    let mut twice = studio(&day());
+    twice.add_plugin(&FramePlugin);
+    assert_eq!(shoot(&mut twice, front()), once);
+    let mut added_again = fitted(|pipeline| _ = pipeline.add_plugin(&FitPlugin));
+    assert_eq!(found(&mut added_again), found(&mut fitted(|_| ())));
+}
+
+#[test]
+fn a_fit_that_is_removed_leaves_none_of_its_resources() {
+    let mut pipeline = fitted(|_| ());
+    pipeline.remove_plugin::<FitPlugin>();
+    let world = &pipeline.world;
+    assert!(!world.contains_resource::<Unknowns>() && !world.contains_resource::<StepRates>());
+    assert!(!world.contains_resource::<LossState>() && !world.contains_resource::<RefreshDue>());
+    assert!(!world.contains_resource::<PixelChoice>() && !world.contains_resource::<ScaleRule>());
+    pipeline.add_plugin(&FitPlugin);
+    let options = FitOptions { steps: 3, batch: 256, ..FitOptions::default() };
+    let again = run_fit(&mut pipeline, &options, &mut |_, _| ControlFlow::Continue(())).unwrap();
+    assert_eq!(again.steps, 3);
 }
 
 #[test]

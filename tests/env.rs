@@ -142,7 +142,7 @@ fn lights_are_turned_and_described() {
     folder.env(&["rotate", "sky.exr", "--euler", "0,-90,0", "--out", "turned.exr"]).succeeded();
     let LightFile::Map(turned) = folder.light("turned.exr") else { panic!("a map") };
     let d = Vec3::new(-0.6, 0.6, 0.5).normalize();
-    assert!(turned.sample_bilinear(d).x > 2.0, "the bright spot went from +Z towards −X");
+    assert!(turned.sample_bilinear(d).x > 2.0, "the bright spot went from +Z toward −X");
     let said = folder.env(&["info", "l.ron"]).succeeded().stdout;
     let power = format!("{:.4}", lobes_power(&lobes()).x);
     assert!(said.contains("3 lobes") && said.contains(&power) && said.contains("axis"), "{said}");
@@ -177,15 +177,15 @@ fn bad_maps_are_refused_with_one_message() {
     std::fs::write(folder.path("text.exr"), "sky").unwrap();
     folder.refused(&["info", "text.exr"], &["neither"]);
     folder.refused(&["info", "none.exr"], &["no such file"]);
-    let mut mended = flat(16, 8, 1.0);
-    mended.radiance[3].x = f32::INFINITY;
-    mended.radiance[4].y = -1.0;
-    write_map(&folder.path("mended.exr"), &mended);
-    let said = folder.env(&["fit", "mended.exr", "--lobes", "2"]).succeeded().stderr;
+    let mut repaired = flat(16, 8, 1.0);
+    repaired.radiance[3].x = f32::INFINITY;
+    repaired.radiance[4].y = -1.0;
+    write_map(&folder.path("repaired.exr"), &repaired);
+    let said = folder.env(&["fit", "repaired.exr", "--lobes", "2"]).succeeded().stderr;
     assert!(said.contains("1 NaN or infinite") && said.contains("1 negative"), "{said}");
 }
 
-/// A flat Radiance picture of one grey, `width` × `height`, in runs: a gigantic map in a small file.
+/// A flat Radiance picture of one gray, `width` × `height`, in runs: a gigantic map in a small file.
 fn write_gigantic(path: &Path, width: usize, height: usize) {
     let mut scanline = vec![2, 2, (width >> 8) as u8, width as u8];
     for byte in [128, 128, 128, 129] {
@@ -210,7 +210,7 @@ fn a_gigantic_map_is_averaged_down_as_it_is_read() {
 }
 
 /// A sphere seen from +Z with +X to the right, lit by a map with one bright texel; which of the picture's quarters (left,
-/// right, top, bottom) and its centre is brightest.
+/// right, top, bottom) and its center is brightest.
 fn brightest_part(
     folder: &Folder,
     texel: (u32, u32),
@@ -238,7 +238,7 @@ fn brightest_part(
     Outcome::of(command(&run).current_dir(folder.0.path())).succeeded();
     let layers = read_exr_layers(folder.path("out/lit/front.exr")).unwrap();
     let red = &layers.channels["R"];
-    let places = [("left", 5, 16), ("right", 27, 16), ("top", 16, 5), ("bottom", 16, 27), ("centre", 16, 16)];
+    let places = [("left", 5, 16), ("right", 27, 16), ("top", 16, 5), ("bottom", 16, 27), ("center", 16, 16)];
     let at = |&(_, x, y): &(&str, usize, usize)| red[y * 33 + x];
     places.iter().max_by(|a, b| at(a).total_cmp(&at(b))).unwrap().0
 }
@@ -250,17 +250,17 @@ fn one_bright_texel_lights_the_right_side_of_a_sphere() {
     // Columns 8, 16, 24 of 32 are a quarter, the middle, three quarters; rows 0 and 15 are the poles.
     let cases = [
         (Lobelia, (8, 8), "right"),
-        (Lobelia, (16, 8), "centre"),
+        (Lobelia, (16, 8), "center"),
         (Lobelia, (24, 8), "left"),
         (Lobelia, (5, 0), "top"),
         (Lobelia, (5, 15), "bottom"),
         (ThreeJs, (16, 8), "right"),
-        (ThreeJs, (24, 8), "centre"),
+        (ThreeJs, (24, 8), "center"),
         (ThreeJs, (0, 8), "left"),
         // Blender's +Z, its maps' top, looks into the camera; its −Y, at three quarters, is down in this picture.
         (Blender, (16, 8), "right"),
         (Blender, (24, 8), "bottom"),
-        (Blender, (5, 0), "centre"),
+        (Blender, (5, 0), "center"),
     ];
     for (convention, texel, side) in cases {
         for shading in ["Published", "PathTraced(spp: 32)"] {

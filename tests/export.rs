@@ -42,7 +42,7 @@ fn studio() -> Data {
     data
 }
 
-/// PSNR of the colours of two runs' pictures, display range, over the pixels that the first shows anything in.
+/// PSNR of the colors of two runs' pictures, display range, over the pixels that the first shows anything in.
 fn psnr(data: &Data, a: &str, b: &str) -> f64 {
     let (mut sum, mut count) = (0.0, 0);
     for view in ["a", "b"] {

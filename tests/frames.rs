@@ -63,7 +63,7 @@ fn bands_have_the_bits_of_the_whole_picture() {
     }
 }
 
-/// A tile has 2¹⁶ samples; here tiles end amid rows, and amid the samples of a pixel.
+/// A tile has 2¹⁶ samples; here tiles end within rows, and within the samples of a pixel.
 #[test]
 fn bands_have_the_bits_of_the_whole_picture_across_tiles() {
     let mut pipeline = studio(&day());

@@ -4,7 +4,7 @@ use crate::common::{Outcome, command};
 use lobelia::codec::exr::read_exr_layers;
 use std::path::{Path, PathBuf};
 
-/// A sphere of one colour, which a fit finds with its roughness and specular albedo; nothing can hide anything.
+/// A sphere of one color, which a fit finds with its roughness and specular albedo; nothing can hide anything.
 const SCENE: &str = r#"Scene(
     version: 1,
     surface: Sphere(radius: 0.9, texture_size: 32),

@@ -2,7 +2,7 @@
 //!
 //! | theme | files |
 //! | --- | --- |
-//! | runs of the command | [`run`], [`photos`], [`gloss`], [`sheen`], [`ggx`], [`scale`], [`light_frame`], [`export`], [`view_page`], [`report`], [`shown`], [`env`], [`scores`], [`profile`] |
+//! | runs of the command | [`run`], [`photos`], [`gloss`], [`sheen`], [`tilt`], [`detail`], [`ggx`], [`scale`], [`light_frame`], [`export`], [`view_page`], [`report`], [`shown`], [`env`], [`scores`], [`profile`], [`shade_cases`] |
 //! | what is written where, and what never is; runs that are stopped | [`outputs`], [`resume`], `stop` |
 //! | late failures, nonsense, edges; what a scene may not read | [`trust`], [`confined`], [`guard`] |
 //! | what is refused, and how | [`agree`], [`bad_input`], [`check`], [`hostile`], [`mutants`], [`scene_errors`] |
@@ -38,6 +38,7 @@ mod run;
 mod scale;
 mod scene_errors;
 mod scores;
+mod shade_cases;
 mod sheen;
 mod shown;
 #[cfg(unix)]

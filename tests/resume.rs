@@ -150,7 +150,7 @@ fn a_fit_of_everything_goes_on_from_any_step() {
     let passes = r#"Fit(name: "fit", steps: 80, batch: 64, cameras: PosesAndFocal, exposure: true, vertices: true),
         Render(name: "novel"), Evaluate(name: "scores", scores: [(pass: "novel", truth: Photographs)]), Save(), Export(),"#;
     let text = scene(MESH, "material: (gloss: Blend(materials: 2)),", passes);
-    // Before and after the cameras have moved, and amid the pictures.
+    // Before and after the cameras have moved, and during the pictures.
     survives(&data, &text, &[("fit", 30), ("fit", 77), ("novel", 1)]);
 }
 

@@ -41,7 +41,7 @@ fn means(folder: &Path, scale: &str) -> [[f64; 3]; 2] {
 }
 
 #[test]
-fn rules_hold_what_they_say_and_highlights_find_the_colour() {
+fn rules_hold_what_they_say_and_highlights_find_the_color() {
     let folder = tempfile::tempdir().unwrap();
     let [light, _] = means(folder.path(), "WhiteLight");
     assert!((light[0] / light[2] - 1.0).abs() < 1e-3, "{light:?}");

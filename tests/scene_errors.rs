@@ -24,7 +24,7 @@ struct Outcome {
     code: Option<i32>,
     stdout: String,
     stderr: String,
-    /// What the folder holds afterwards, besides the scene file.
+    /// What the folder holds afterward, besides the scene file.
     written: Vec<PathBuf>,
 }
 
@@ -168,7 +168,7 @@ fn zero_lobes_are_refused() {
 }
 
 #[test]
-fn a_missing_file_is_shown_with_its_neighbours() {
+fn a_missing_file_is_shown_with_its_neighbors() {
     let scene = wrong("Sphere(radius: 0.8)", "Mesh(path: \"scene.rom\")");
     refused(&scene, "\"scene.rom\"", &["scene.rom: there is no such file", "did you mean `scene.ron`?"]);
     let scene = wrong("Sphere(radius: 0.8)", "Mesh(path: \"$DATA/mesh.glb\")");

@@ -4,7 +4,7 @@
 use crate::common::{Outcome, camera, command, day, photographs_of, shoot, studio};
 use lobelia::codec::exr::read_exr_layers;
 use lobelia::fit::components::{TexelSeen, Unknowns};
-use lobelia::fit::run::FirstGuess;
+use lobelia::fit::run::Initialize;
 use lobelia::material::sheen::{KnownAlong, write_albedo};
 use lobelia::pipeline::pool::{read_column, write_column};
 use lobelia::prelude::*;
@@ -121,7 +121,7 @@ fn an_unknown_albedo_is_fitted_beside_a_known_one_along_the_surface() {
         steps: 240,
         batch: 1024,
         unknowns,
-        guess: FirstGuess { light: false, albedo: true },
+        initialize: Initialize { light: false, albedo: true },
         ..FitOptions::default()
     };
     run_fit(&mut pipeline, &options, &mut |_, _| ControlFlow::Continue(())).unwrap();

@@ -25,7 +25,7 @@ fn traced_shading() -> ScheduleConfigs<ScheduleSystem> {
     })
 }
 
-/// Mean colour over the pixels that are wholly on the object, in the part of the picture that `part` picks by column.
+/// Mean color over the pixels that are wholly on the object, in the part of the picture that `part` picks by column.
 fn mean(frame: &Frame, part: impl Fn(usize) -> bool) -> Vec3 {
     let inside = |i: &usize| frame.alpha[*i] == 1.0 && part(*i % frame.width);
     let pixels: Vec<Vec3> = (0..frame.color.len()).filter(inside).map(|i| frame.color[i]).collect();
@@ -41,7 +41,7 @@ fn right(frame: &Frame) -> f32 {
     mean(frame, |x| x >= frame.width / 2).element_sum()
 }
 
-/// A map that is bright towards −X, on the left of a camera in front.
+/// A map that is bright toward −X, on the left of a camera in front.
 fn left_sky() -> EnvironmentMap {
     EnvironmentMap::from_directions(64, 32, |d| {
         Vec3::new(1.0, 0.8, 0.6) * (3.0 * (6.0 * (d.dot(Vec3::NEG_X) - 1.0)).exp() + 0.05)

@@ -1,7 +1,7 @@
 //! Checkpoints: what a run depends on from here on, so that a process that was killed goes on with the same bits.
 //!
-//! A plugin says which of its resources and components are state, by name ([`keep_resource`], [`keep_pool`], [`keep_each`],
-//! [`keep_with`]); all else is derived from these and from the scene by the code that a resumed run goes through again. A run has
+//! A plugin says which of its resources and components are state, by name ([`keep_resource`], [`keep_pool`], [`keep_keyed`],
+//! [`keep_each`], [`keep_with`]); all else is derived from these and from the scene by the code that a resumed run goes through again. A run has
 //! [`Place`]s at which it can be taken up: between two passes, between two levels of a pass, after a step. To go on at a step, it
 //! goes through the beginning of the pass and of the level first, from their own checkpoints, because what is derived there (the pool
 //! of pixels, the bricks of a field) depends on the state at that time.
@@ -17,7 +17,7 @@
 pub mod packed;
 pub mod state;
 
-pub use state::{Span, keep_each, keep_pool, keep_resource, keep_with};
+pub use state::{Key, Span, keep_each, keep_keyed, keep_pool, keep_resource, keep_with};
 
 use crate::error::Result;
 use crate::error::stop::{is_stopping, stopped_by};
@@ -45,7 +45,7 @@ impl Place {
     }
 
     /// The places whose checkpoints a resumed run goes through to get here, itself the last. A run begins without one.
-    pub fn way(self) -> Vec<Self> {
+    pub fn route(self) -> Vec<Self> {
         let mut way = vec![Self::of_pass(self.pass), Self { step: 0, ..self }, self];
         way.dedup();
         way.retain(|place| *place != Self::default());
@@ -252,7 +252,7 @@ pub fn carry(world: &mut World) -> Result<Carried> {
 ///
 /// # Errors
 /// If it has others.
-pub fn put_down(world: &mut World, carried: Carried) -> Result<()> {
+pub fn restore(world: &mut World, carried: Carried) -> Result<()> {
     if let Some(checkpoints) = carried.checkpoints {
         world.insert_resource(checkpoints);
     }

@@ -14,7 +14,7 @@ use std::any::type_name;
 pub enum Span {
     /// From one pass to the next.
     Run,
-    /// Within a pass alone: the next one sets it anew.
+    /// Within a pass alone: the next one sets it again.
     Pass,
 }
 
@@ -63,7 +63,21 @@ where
     keep_with(world, type_name::<(I, T)>(), span, save_pool::<I, T>, load_pool::<I, T>);
 }
 
-/// Registers a component of a few entities that a filter selects, which are spawned before anything is found.
+/// What entities of a few are known by: a number that is the same in every run of a scene, such as that of a base material.
+pub trait Key: Component + Copy + Ord + Serialize + DeserializeOwned {}
+
+impl<K: Component + Copy + Ord + Serialize + DeserializeOwned> Key for K {}
+
+/// Registers a component of a few entities that a filter selects, by their [`Key`] `K`: it does not matter in which order they are spawned.
+pub fn keep_keyed<K: Key, T, F: QueryFilter + 'static>(world: &mut World, span: Span)
+where
+    T: Component + Copy + Serialize + DeserializeOwned,
+{
+    keep_with(world, type_name::<(K, T, F)>(), span, save_keyed::<K, T, F>, load_keyed::<K, T, F>);
+}
+
+/// Registers a component of a few entities that a filter selects and that nothing tells apart, such as light lobes. They are known by the
+/// order in which they were spawned: a run that is resumed must spawn them in that order, before anything is found, and never sort them.
 pub fn keep_each<T, F: QueryFilter + 'static>(world: &mut World, span: Span)
 where
     T: Component + Copy + Serialize + DeserializeOwned,
@@ -89,6 +103,38 @@ fn load_pool<I: PoolIndex, T: Component + DeserializeOwned>(world: &mut World, b
     }
     // In the order of the pool, so that its tables keep it.
     world.insert_batch(rows.into_iter().map(|(_, entity)| entity).zip(values).collect::<Vec<_>>());
+    Ok(())
+}
+
+fn save_keyed<K: Key, T: Component + Copy + Serialize, F: QueryFilter>(
+    world: &mut World,
+) -> Result<Option<Vec<u8>>> {
+    let mut query = world.query_filtered::<(&K, Option<&T>), F>();
+    let each: Option<Vec<(K, T)>> =
+        query.iter(world).map(|(key, value)| value.map(|value| (*key, *value))).collect();
+    let Some(mut each) = each.filter(|each| !each.is_empty()) else { return Ok(None) };
+    each.sort_unstable_by_key(|(key, _)| *key);
+    packed::to_bytes(&each).map(Some)
+}
+
+fn load_keyed<K: Key, T: Component + Copy + DeserializeOwned, F: QueryFilter>(
+    world: &mut World,
+    bytes: &[u8],
+) -> Result<()> {
+    let values: Vec<(K, T)> = packed::from_bytes(bytes)?;
+    let entities: Vec<(Entity, K)> =
+        world.query_filtered::<(Entity, &K), F>().iter(world).map(|(entity, key)| (entity, *key)).collect();
+    let mut keys: Vec<K> = entities.iter().map(|(_, key)| *key).collect();
+    keys.sort_unstable();
+    if !keys.iter().eq(values.iter().map(|(key, _)| key)) || !keys.is_sorted_by(|a, b| a < b) {
+        let (found, kept) = (keys.len(), values.len());
+        return Err(foreign(&format!("{kept} values of {} for {found} others", type_name::<T>())));
+    }
+    // In the order in which a system would insert them: that of sums over these entities depends on it.
+    for (entity, key) in entities {
+        let place = values.partition_point(|(other, _)| *other < key);
+        world.entity_mut(entity).insert(values[place].1);
+    }
     Ok(())
 }
 

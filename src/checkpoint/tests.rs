@@ -68,10 +68,10 @@ fn found(world: &mut World) -> (Vec<(u32, f32)>, Vec<Weight>, Vec<f32>) {
 #[test]
 fn the_way_to_a_place_goes_through_its_beginnings() {
     let place = |pass, level, step| Place { pass, level, step };
-    assert_eq!(place(0, 0, 7).way(), [place(0, 0, 7)]);
-    assert_eq!(place(0, 2, 7).way(), [place(0, 2, 0), place(0, 2, 7)]);
-    assert_eq!(place(3, 0, 0).way(), [place(3, 0, 0)]);
-    assert_eq!(place(3, 1, 2).way(), [place(3, 0, 0), place(3, 1, 0), place(3, 1, 2)]);
+    assert_eq!(place(0, 0, 7).route(), [place(0, 0, 7)]);
+    assert_eq!(place(0, 2, 7).route(), [place(0, 2, 0), place(0, 2, 7)]);
+    assert_eq!(place(3, 0, 0).route(), [place(3, 0, 0)]);
+    assert_eq!(place(3, 1, 2).route(), [place(3, 0, 0), place(3, 1, 0), place(3, 1, 2)]);
     assert!(place(0, 1, 0) > place(0, 0, 9) && place(1, 0, 0) > place(0, 9, 9));
 }
 
@@ -86,7 +86,7 @@ fn a_run_goes_on_from_what_was_kept() {
     let ahead = written.lock().unwrap().clone();
     assert_eq!(
         ahead.iter().map(|(place, _)| *place).collect::<Vec<_>>(),
-        Place { pass: 2, level: 0, step: 9 }.way()
+        Place { pass: 2, level: 0, step: 9 }.route()
     );
 
     let (mut second, _) = world(4, ahead);
@@ -126,13 +126,13 @@ fn what_lasts_is_carried_into_another_world_with_the_checkpoints() {
     let (mut second, _) = world(4, Vec::new());
     second.remove_resource::<Checkpoints>();
     let carried = carry(&mut first).unwrap();
-    put_down(&mut second, carried).unwrap();
+    restore(&mut second, carried).unwrap();
     let (rows, weights, _) = found(&mut first);
     assert_eq!(found(&mut second), (rows, weights, vec![0.0; 5]), "sums are state within a pass only");
     keep_step(&mut second, 9, &0u8).unwrap();
     assert_eq!(written.lock().unwrap()[0].0, Place { pass: 3, level: 0, step: 9 });
     let carried = carry(&mut second).unwrap();
-    assert!(put_down(&mut world(5, Vec::new()).0, carried).is_err());
+    assert!(restore(&mut world(5, Vec::new()).0, carried).is_err());
 }
 
 #[test]
@@ -172,6 +172,44 @@ fn what_does_not_fit_is_an_error() {
     refused(less);
     let mut other = world(4, ahead()).0;
     assert!(resume_pass::<String>(&mut other, |_, _| Ok(())).is_err());
+}
+
+/// What lamps of another kind are known by.
+#[derive(Component, Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+struct Number(u8);
+
+/// A world with an entity for each of these numbers, in that order.
+fn numbered(numbers: &[u8], ahead: Vec<(Place, Checkpoint)>) -> (World, Written) {
+    let mut world = World::new();
+    world.spawn_batch(numbers.iter().map(|number| Number(*number)).collect::<Vec<_>>());
+    keep_keyed::<Number, Value, With<Number>>(&mut world, Span::Run);
+    let written = Written::default();
+    world.insert_resource(Checkpoints::new(Box::new(Memory(written.clone())), Duration::ZERO, ahead));
+    (world, written)
+}
+
+#[test]
+fn what_has_a_number_is_found_by_it_in_whatever_order() {
+    let (mut first, written) = numbered(&[0, 1, 2, 5], Vec::new());
+    let mut numbers = first.query::<(bevy_ecs::prelude::Entity, &Number)>();
+    let found: Vec<_> = numbers.iter(&first).map(|(entity, number)| (entity, *number)).collect();
+    for (entity, number) in found {
+        first.entity_mut(entity).insert(Value(f32::from(number.0)));
+    }
+    keep_pass(&mut first, 1, &0u8).unwrap();
+    let ahead = || written.lock().unwrap().clone();
+
+    let mut second = numbered(&[2, 0, 5, 1], ahead()).0;
+    resume_pass::<u8>(&mut second, |_, _| Ok(())).unwrap();
+    let mut values = second.query::<(&Number, &Value)>();
+    assert_eq!(values.iter(&second).len(), 4);
+    assert!(values.iter(&second).all(|(number, value)| value.0 == f32::from(number.0)));
+
+    for others in [[0, 1, 2, 4].as_slice(), &[0, 1, 2], &[0, 1, 2, 5, 5], &[0, 1, 2, 2]] {
+        let mut other = numbered(others, ahead()).0;
+        let error = resume_pass::<u8>(&mut other, |_, _| Ok(())).unwrap_err();
+        assert!(error.to_string().contains("does not fit this run"), "{others:?}: {error}");
+    }
 }
 
 #[test]

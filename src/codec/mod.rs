@@ -4,7 +4,8 @@
 //! | --- | --- | --- |
 //! | [`mod@file`] | whole files of bounded size | whole files, never incomplete |
 //! | [`finite`] | | the check that every writer of floats makes |
-//! | [`image`] | PNG, JPEG, TIFF, WebP, EXR, HDR: headers, samples, linear images and masks | |
+//! | [`image`] | PNG, JPEG, TIFF, WebP, EXR, HDR: headers, samples, linear images and masks | PNG and JPEG in memory |
+//! | [`deflate`] | | compressed bytes |
 //! | [`exr`], [`frame`], `exr_rows` | EXR layers | EXR layers, rendered frames |
 //! | [`png_file`], [`animation`] | | PNG; GIF, APNG, MP4 |
 //! | [`envmap`], `hdr` | EXR and Radiance HDR environment maps | the same |
@@ -15,6 +16,7 @@
 //! | [`nearby`] | | suggestions for wrong file and view names |
 
 pub mod animation;
+pub mod deflate;
 pub mod envmap;
 pub mod exr;
 mod exr_rows;

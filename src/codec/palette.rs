@@ -150,7 +150,7 @@ const RANKS: [[usize; 4]; 4] = [[0, 8, 2, 10], [12, 4, 14, 6], [3, 11, 1, 9], [1
 /// Fraction of the remaining error that the next candidate corrects; a value below 1 reduces grain.
 const STRENGTH: f32 = 0.8;
 
-/// Colors that a cache holds before it begins anew.
+/// Colors that a cache holds before it starts again.
 const CACHED: usize = 1 << 20;
 
 /// Dithers frames to a palette, with a cache per color.

@@ -59,7 +59,7 @@ Examples:
   lobelia env fit sky.exr --lobes 16,32,64,128,256
       How good would how many be? A table, nothing written.
   lobelia env fit studio.hdr --convention blender --white --upper-hemisphere --out studio.npy
-      A map made for Blender's world; grey light from above only; as [M, 7] array.
+      A map made for Blender's world; gray light from above only; as [M, 7] array.
   lobelia env render sky.ron --size 512x256 back.exr
       The lobes as a map again; a .png instead gives a picture to look at.
   lobelia env rotate sky.ron --euler 0,90,0 --out turned.ron
@@ -287,7 +287,7 @@ pub struct FitArgs {
     /// Light from above only: the map below the horizon counts as black, no lobe's axis points below it
     #[arg(long)]
     pub upper_hemisphere: bool,
-    /// Grey light: fit the map's luminance
+    /// Gray light: fit the map's luminance
     #[arg(long)]
     pub white: bool,
     /// How files are to be understood.
@@ -306,7 +306,7 @@ pub struct FitArgs {
 pub struct RenderArgs {
     /// A .ron light, .npy lobes, or a map
     pub light: PathBuf,
-    /// The file to write: .exr (radiance) or .png (a picture, exposed to a mid-grey mean)
+    /// The file to write: .exr (radiance) or .png (a picture, exposed to a mid-gray mean)
     pub out: PathBuf,
     /// Width and height of the map in texels
     #[arg(long, value_name = "WxH", value_parser = size, default_value = "512x256")]
@@ -325,7 +325,7 @@ pub struct RotateArgs {
     #[arg(long, value_name = "X,Y,Z", value_parser = numbers::<3>, allow_hyphen_values = true,
         required_unless_present = "quaternion", conflicts_with = "quaternion")]
     pub euler: Option<[f32; 3]>,
-    /// Turn by a quaternion, which is normalised
+    /// Turn by a quaternion, which is normalized
     #[arg(long, value_name = "X,Y,Z,W", value_parser = numbers::<4>, allow_hyphen_values = true)]
     pub quaternion: Option<[f32; 4]>,
     /// The file to write: .ron or .npy for lobes, .exr for a map

@@ -10,7 +10,7 @@ use std::ops::Range;
 /// Columns of a report; longer sentences are wrapped.
 const WIDTH: usize = 100;
 
-/// An error as a person reads it on standard error: in colour on a terminal, unless `NO_COLOR` is set.
+/// An error as a person reads it on standard error: in color on a terminal, unless `NO_COLOR` is set.
 pub fn report(error: &Error) -> String {
     if let Error::Scene(diagnostic) = error {
         let plain = !std::io::stderr().is_terminal() || std::env::var_os("NO_COLOR").is_some();
@@ -121,7 +121,7 @@ mod tests {
             Label { at, text: format!("{word} expected") },
             Label { at: 5..6, text: "opened here".into() },
         ];
-        Fault { message: format!("{word} is wrong"), labels, help: "Mend it. ".repeat(20) }
+        Fault { message: format!("{word} is wrong"), labels, help: "Repair it. ".repeat(20) }
     }
 
     #[test]
@@ -139,8 +139,8 @@ mod tests {
         }
         assert!(text.lines().all(|line| line.chars().count() <= WIDTH), "{text}");
         assert!(!text.contains('\x1b'), "{text}");
-        let coloured = drawn(&diagnostic(vec![fault("seed", 33..35)]), Renderer::styled());
-        assert!(coloured.contains("\x1b[") && coloured.contains("seed expected"), "{coloured}");
+        let colored = drawn(&diagnostic(vec![fault("seed", 33..35)]), Renderer::styled());
+        assert!(colored.contains("\x1b[") && colored.contains("seed expected"), "{colored}");
     }
 
     #[test]

@@ -9,7 +9,7 @@ pub const VIEW_LONG: &str = "\
 Writes OUT/view.html: one page that shows the object that a run saved, and needs nothing else, no server and no network.
 
 The object is turned with mouse, touch or keyboard, under the light that was found or under lights given with
---light; roughness, reflection, colour and exposure have sliders; what was done can be copied as a pass for a scene
+--light; roughness, reflection, color and exposure have sliders; what was done can be copied as a pass for a scene
 file. The photographs, if they are still there, are laid beside the picture under a wipe. A pass View() in a scene
 file writes the same page, with the lights of the scene's own passes.";
 

@@ -37,14 +37,14 @@ pub(super) fn plan(dir: &Path) -> Result<Plan> {
     let count = camera_count(&file, &cameras.names())?;
     let photographs = Photographs::find(dir, &["image", "images", "rgb"])?.in_order(&file, count)?;
     let mut views = Vec::with_capacity(count);
-    for (n, photograph) in photographs.into_iter().enumerate() {
+    for (n, (image, mask)) in photographs.into_iter().enumerate() {
         let place = format!("`world_mat_{n}`");
         let wrong = |problem: String| Error::input(&file, &place, problem, HELP);
         let matrix = cameras.matrix(&format!("world_mat_{n}"))?;
         let matrix = matrix.ok_or_else(|| wrong("the matrix is missing".to_owned()))?;
         let (lens, world_from_camera) =
             taken_apart(&matrix).map_err(|problem| wrong(format!("the matrix {problem}")))?;
-        views.push(view_of(photograph, &file, place, lens, world_from_camera));
+        views.push(view_of(image, mask, &file, place, lens, world_from_camera));
     }
     Ok(Plan { views, notes: Vec::new() })
 }

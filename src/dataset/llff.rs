@@ -39,10 +39,10 @@ pub(super) fn plan(dir: &Path) -> Result<Plan> {
     }
     let photographs = Photographs::find(dir, &FOLDERS)?.in_order(&file, rows)?;
     let mut views = Vec::with_capacity(rows);
-    for ((n, photograph), row) in photographs.into_iter().enumerate().zip(values.chunks_exact(COLUMNS)) {
+    for ((n, (image, mask)), row) in photographs.into_iter().enumerate().zip(values.chunks_exact(COLUMNS)) {
         let place = format!("row {n}");
         let (lens, world_from_camera) = camera_of_row(row).map_err(|problem| wrong(&place, problem))?;
-        views.push(view_of(photograph, &file, place, lens, world_from_camera));
+        views.push(view_of(image, mask, &file, place, lens, world_from_camera));
     }
     Ok(Plan { views, notes: Vec::new() })
 }

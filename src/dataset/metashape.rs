@@ -86,9 +86,10 @@ impl<'a, 'input: 'a> Xml<'a, 'input> {
             };
             let world_from_camera = self.pose(chunk, camera, transform)?;
             let lens = self.lens(chunk, camera)?;
-            let photograph = photographs.called(label)?;
+            let (image, mask) = photographs.called(label)?;
             views.push(view_of(
-                photograph,
+                image,
+                mask,
                 self.file,
                 format!("camera {}", quoted(label)),
                 lens,

@@ -160,7 +160,8 @@ fn gaps(stems: &[String]) -> Vec<String> {
 
 /// The view that shows a photograph.
 pub(super) fn view_of(
-    (image, mask): (PathBuf, MaskPlan),
+    image: PathBuf,
+    mask: MaskPlan,
     camera_file: &Path,
     place: String,
     lens: Lens,

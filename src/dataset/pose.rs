@@ -33,7 +33,7 @@ impl Rigid {
         Self { rotation, translation: -(rotation * self.translation) }
     }
 
-    /// The same camera in OpenCV axes, if this is world_from_camera in OpenGL axes (y up, z backwards).
+    /// The same camera in OpenCV axes, if this is world_from_camera in OpenGL axes (y up, z backward).
     pub fn in_opencv_axes(self) -> Self {
         let flip = DMat3::from_diagonal(DVec3::new(1.0, -1.0, -1.0));
         Self { rotation: self.rotation * flip, translation: self.translation }

@@ -63,10 +63,10 @@ pub(super) fn plan(dir: &Path) -> Result<Plan> {
     let mut views = Vec::new();
     for row in rows(file)? {
         let wrong = |problem: String| Error::input(file, &row.place, problem, EXPORT_HELP);
-        let photograph = photographs.called(&row.name)?;
+        let (image, mask) = photographs.called(&row.name)?;
         let lens = row.lens().map_err(wrong)?;
         let world_from_camera = row.pose().map_err(wrong)?;
-        views.push(view_of(photograph, file, row.place.clone(), lens, world_from_camera));
+        views.push(view_of(image, mask, file, row.place.clone(), lens, world_from_camera));
     }
     if views.is_empty() {
         return Err(Error::input(file, "", "the file has no cameras", EXPORT_HELP));

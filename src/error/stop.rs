@@ -1,4 +1,7 @@
 //! How a run is stopped from outside, and how its work finds out: one flag that every long loop asks.
+//!
+//! The flag is of the process, as a signal is: it stops the work of all pipelines and threads, and is never reset. A program that runs several
+//! and wants to stop one of them returns `ControlFlow::Break` from that fit's `watch` instead.
 
 use crate::error::{Error, Result};
 use std::fmt;
@@ -39,19 +42,19 @@ impl fmt::Display for StopSignal {
     }
 }
 
-/// The signal, and [`HEEDED`].
+/// The signal, and [`FINISHING`].
 static STOP: AtomicU8 = AtomicU8::new(0);
 /// Set once the work has ended and only its results are written.
-const HEEDED: u8 = 0x80;
+const FINISHING: u8 = 0x80;
 
-/// Asks the work in progress to stop; returns whether it is the first to ask.
+/// Asks all work in progress in this process to stop; returns whether it is the first to ask.
 pub fn ask_to_stop(signal: StopSignal) -> bool {
     STOP.compare_exchange(0, signal as u8, Ordering::Relaxed, Ordering::Relaxed).is_ok()
 }
 
 /// What asked the run to stop, if anything has.
 pub fn stopped_by() -> Option<StopSignal> {
-    let signal = STOP.load(Ordering::Relaxed) & !HEEDED;
+    let signal = STOP.load(Ordering::Relaxed) & !FINISHING;
     StopSignal::ALL.into_iter().find(|known| *known as u8 == signal)
 }
 
@@ -60,7 +63,7 @@ pub fn stopped_by() -> Option<StopSignal> {
 #[inline]
 pub fn is_stopping() -> bool {
     let stop = STOP.load(Ordering::Relaxed);
-    stop != 0 && stop & HEEDED == 0
+    stop != 0 && stop & FINISHING == 0
 }
 
 /// [`Error::Interrupted`] if the work in progress is to stop.
@@ -73,8 +76,8 @@ pub fn check_interrupted() -> Result<()> {
 }
 
 /// Says that the work has ended: what was found until then can be written, and nothing stops that.
-pub fn heed_stop() {
+pub fn finish_stopping() {
     if is_stopping() {
-        STOP.fetch_or(HEEDED, Ordering::Relaxed);
+        STOP.fetch_or(FINISHING, Ordering::Relaxed);
     }
 }

@@ -1,4 +1,4 @@
-//! What keeps a fit from nonsense: a step whose loss or gradient is not finite is traced to its pixel and parameter, and not taken.
+//! Guards against steps that are not finite: a step whose loss or gradient is not finite is traced to its pixel and parameter, and not taken.
 //!
 //! | system | stage | does |
 //! | --- | --- | --- |
@@ -9,7 +9,7 @@
 //! Shapes, vertices and cameras look at their own gradients, with [`is_usable`], and tell the [`StepGuard`].
 //!
 //! What is not finite is set to zero, so that nothing that is kept from step to step takes it up; [`step_is_sound`] then holds Update
-//! back, and Gradient too if the fault is found in Loss. After a fault found in Gradient the rest of that stage runs on zeros.
+//! back, and Gradient too if it is found in Loss. If it is found in Gradient, the rest of that stage runs on zeros.
 
 use super::components::{AlbedoGradient, LossState, StepGradient};
 use super::exposure::Exposures;
@@ -38,9 +38,9 @@ const LARGEST: f32 = 1e12;
 /// Radiance beyond this counts as not finite.
 const BRIGHTEST: f32 = 1e15;
 
-/// Where a step fails first.
+/// Where a step that is not taken fails first.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Fault {
+pub struct BadStep {
     /// What is not finite: "the radiance", "the gradient".
     pub what: String,
     /// The pixel, if it is one's.
@@ -52,8 +52,8 @@ pub struct Fault {
 /// Counts the steps that were taken back, over all fits of a run.
 #[derive(Resource, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct StepGuard {
-    /// The fault of the step at work.
-    fault: Option<Fault>,
+    /// Why the step at work is not taken.
+    bad_step: Option<BadStep>,
     /// Steps that were not taken.
     pub taken_back: u32,
     /// In words: where the first of them failed.
@@ -62,19 +62,19 @@ pub struct StepGuard {
 }
 
 impl StepGuard {
-    /// Whether nothing of this step was found that is not finite.
+    /// Whether everything in this step is finite.
     pub fn is_sound(&self) -> bool {
-        self.fault.is_none()
+        self.bad_step.is_none()
     }
 
     /// Notes what is not finite, and the parameter that it is traced to; the first of a step counts.
     pub fn find(&mut self, what: &str, pixel: Option<PixelOf>, parameter: impl Into<String>) {
         let pixel = pixel.map(|pixel| (pixel.view.0, pixel.pixel));
-        self.fault.get_or_insert(Fault { what: what.into(), pixel, parameter: parameter.into() });
+        self.bad_step.get_or_insert(BadStep { what: what.into(), pixel, parameter: parameter.into() });
     }
 }
 
-/// Whether nothing of this step was found that is not finite.
+/// Whether everything in this step is finite.
 pub fn step_is_sound(guard: Option<Res<StepGuard>>) -> bool {
     guard.is_none_or(|guard| guard.is_sound())
 }
@@ -153,7 +153,7 @@ pub fn check_loss(
     if !(state.last.loss.is_finite() && state.last.clipped_squares.is_finite()) {
         guard.find("the loss", None, "the sum over the pixels of the step");
     }
-    if guard.fault.is_some() {
+    if guard.bad_step.is_some() {
         state.last = LossSums::default();
     }
     Ok(())
@@ -178,13 +178,13 @@ pub fn check_adjoints(
     if let Some(i) = blended {
         guard.find("the gradient", pixels.get(i).copied(), "the blend of base materials there");
     }
-    if let Some(parameter) = shared_fault(&gradient) {
+    if let Some(parameter) = shared_parameter(&gradient) {
         // Sums do not say whose they are: the pixel with the largest adjoint is the likeliest.
         let weight = |i: &usize| radiance[*i].0.iter().map(|value| value.abs()).fold(0.0, f32::max);
         let worst = (0..pixels.len()).max_by(|a, b| weight(a).total_cmp(&weight(b)));
         guard.find("the gradient", worst.map(|i| pixels[i]), parameter);
     }
-    if guard.fault.is_some() {
+    if guard.bad_step.is_some() {
         back.fill(PointAdjoint::default());
         blends.0.iter_mut().for_each(|blend| blend.fill(0.0));
         gradient.shared.lobes = LobeColumns::zeros(gradient.shared.lobes.len());
@@ -195,7 +195,7 @@ pub fn check_adjoints(
 }
 
 /// The first light lobe or base material whose gradient is not finite.
-fn shared_fault(gradient: &StepGradient) -> Option<String> {
+fn shared_parameter(gradient: &StepGradient) -> Option<String> {
     let lobes = &gradient.shared.lobes;
     let of_lobe = |i: usize| {
         let lobe = lobes.get(i);
@@ -215,9 +215,9 @@ fn shared_fault(gradient: &StepGradient) -> Option<String> {
 #[derive(Resource)]
 struct ExposuresBefore(Exposures);
 
-/// Forgets the fault of the step before.
+/// Forgets why the step before was not taken.
 pub(super) fn begin_step(world: &mut World) {
-    world.resource_mut::<StepGuard>().fault = None;
+    world.resource_mut::<StepGuard>().bad_step = None;
     let before = world.resource::<Exposures>().clone();
     world.insert_resource(ExposuresBefore(before));
 }
@@ -228,11 +228,11 @@ pub(super) fn begin_step(world: &mut World) {
 /// [`Error::Run`] if too many in a row were not.
 pub(super) fn end_step(world: &mut World, step: u32) -> Result<()> {
     let before = world.remove_resource::<ExposuresBefore>();
-    let Some(fault) = world.resource_mut::<StepGuard>().fault.take() else {
+    let Some(bad_step) = world.resource_mut::<StepGuard>().bad_step.take() else {
         world.resource_mut::<StepGuard>().in_a_row = 0;
         return Ok(());
     };
-    let place = words(world, &fault);
+    let place = words(world, &bad_step);
     // What is summed until the next step must not reach it.
     forget::<AlbedoGradient>(world);
     forget::<SheenGradient>(world);
@@ -255,8 +255,8 @@ fn forget<T: Component<Mutability = Mutable> + Default>(world: &mut World) {
 }
 
 /// "the gradient is not finite at view rgb_000003, pixel (12, 40), by the albedo of texel 517"
-fn words(world: &mut World, fault: &Fault) -> String {
-    let at = fault.pixel.map(|(view, pixel)| {
+fn words(world: &mut World, bad_step: &BadStep) -> String {
+    let at = bad_step.pixel.map(|(view, pixel)| {
         let mut views = world.query::<(&ViewIndex, &ViewName, &Camera)>();
         let found = views.iter(world).find(|(index, ..)| index.0 == view);
         match found {
@@ -267,7 +267,7 @@ fn words(world: &mut World, fault: &Fault) -> String {
             None => format!(" at view number {view}, pixel {pixel}"),
         }
     });
-    format!("{} is not finite{}, by {}", fault.what, at.unwrap_or_default(), fault.parameter)
+    format!("{} is not finite{}, by {}", bad_step.what, at.unwrap_or_default(), bad_step.parameter)
 }
 
 /// Checks what a fit has found before any of it is written.

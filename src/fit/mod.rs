@@ -5,7 +5,7 @@
 //! | [`run`] | a whole fit: settings, plugin, loop |
 //! | [`observe`] | the Prepare phase: the pool of observed pixels |
 //! | `initialization` | amplitudes and albedo before the first step, by linear least squares; the frame in which the light stands still |
-//! | [`systems`], [`loss`], [`adam`] | the systems of the stages, the image loss, the optimizer |
+//! | [`systems`], [`loss`], [`adam`], [`optimizer`] | the systems of the stages, the image loss, Adam, and what moves in which order |
 //! | [`roughness`] | roughness that varies over the surface |
 //! | [`detail`] | albedo, sheen and tilt of a finer texture, from all pixels |
 //! | [`scale`], [`exposure`], [`cameras`] | further unknowns: the scale between light and albedo, exposures, cameras |
@@ -22,6 +22,7 @@ pub mod guard;
 mod initialization;
 pub mod loss;
 pub mod observe;
+pub mod optimizer;
 pub mod roughness;
 pub mod run;
 pub mod scale;

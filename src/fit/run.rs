@@ -16,32 +16,26 @@ use super::loss::{Loss, LossSums};
 use super::observe::{
     Candidates, PixelChoice, choose_pixels, count_seen_texels, spawn_samples, take_observations, trace_pixels,
 };
-use super::roughness::blend::{
-    BlendAdjoints, BlendGradient, BlendMoments, TexelPlaces, move_blends, scatter_to_blends,
-};
+use super::optimizer::optimizer;
+use super::roughness::blend::{BlendAdjoints, BlendGradient, BlendMoments, TexelPlaces, scatter_to_blends};
 use super::roughness::texel::{RoughnessMoments, TexelRoughness};
-use super::scale::{ScaleMoments, ScaleRule, move_scale, start_scale};
-use super::systems::{
-    compare_with_photographs, hand_out_gradient, move_lobes, move_specular, move_texels, pull_back_radiance,
-    scatter_to_texels,
-};
+use super::scale::{ScaleMoments, ScaleRule, start_scale};
+use super::systems::{compare_with_photographs, hand_out_gradient, pull_back_radiance, scatter_to_texels};
 use crate::checkpoint::{
-    Span, has_step_ahead, is_due, keep_each, keep_pool, keep_resource, keep_step, resume_step,
+    Span, has_step_ahead, is_due, keep_each, keep_keyed, keep_pool, keep_resource, keep_step, resume_step,
 };
 use crate::error::Result;
 use crate::fit::sheen::evidence::{SheenEvidence, choose_sheen, look_for_sheen, note_residuals};
-use crate::fit::sheen::{
-    SheenGradient, SheenMoments, follow_known, move_sheen, scatter_to_sheen, share_with_known,
-};
+use crate::fit::sheen::{SheenGradient, SheenMoments, follow_known, scatter_to_sheen, share_with_known};
 use crate::light::LightLobe;
 use crate::light::frame::{LightFrame, OwnLightFrame};
 use crate::light::lights::{LightChoice, LobeOf, provide_light};
 use crate::material::source::{PlainBlends, Recovered};
 use crate::material::tilt::has_tilt;
 use crate::material::{
-    DiffuseAlbedo, SpecularBlend, SpecularLobe, TexelIndex, recovered_materials, texels_in_order,
+    BaseMaterial, DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe, TexelIndex,
+    recovered_materials, texels_in_order,
 };
-use crate::material::{DiffuseSheen, DiffuseTilt};
 use crate::math::shading::ClosedForm;
 use crate::pipeline::pool::{read_column, write_column};
 use crate::pipeline::{Phase, Pipeline, Plugin, ScatterAdjoints, Slot, Stage};
@@ -51,7 +45,7 @@ use crate::sample::observation::{ObservedWindow, despawn_observations};
 use crate::sample::pixel::Window;
 use crate::shade::frame::{add_gathering, add_material_resources};
 use crate::shade::shade_closed_form;
-use crate::view::{Camera, ViewName};
+use crate::view::{Camera, ViewIndex, ViewName};
 use crate::visibility::systems::RefreshDue;
 use crate::visibility::{FitVisibilityPlugin, ObjectVisibility};
 use bevy_ecs::prelude::{Entity, IntoScheduleConfigs, With, Without, World};
@@ -82,7 +76,7 @@ pub struct FitOptions {
     /// Which pixels are visited.
     pub pixels: PixelChoice,
     /// What is initialized from the data before the first step.
-    pub guess: FirstGuess,
+    pub initialize: Initialize,
     /// Whether shading includes shadows and reflections; the world then needs an [`ObjectVisibility`].
     pub visibility: bool,
     /// Whether the fit decides by itself if the surface has a sheen.
@@ -91,7 +85,7 @@ pub struct FitOptions {
     pub exposure: bool,
     /// The rule for the scale between light and albedo, if both are unknown.
     pub scale: ScaleRule,
-    /// The frame in which the light stands still; `None`: found with the first guess of the light, and kept after that.
+    /// The frame in which the light stands still; `None`: found when the light is initialized, and kept after that.
     /// `Some` replaces what the world has.
     pub light_frame: Option<LightFrame>,
 }
@@ -109,7 +103,7 @@ impl Default for FitOptions {
             decay: 0.4,
             unknowns: Unknowns::default(),
             pixels: PixelChoice { seed: 0, max_pixels: 2_000_000 },
-            guess: FirstGuess::ALL,
+            initialize: Initialize::ALL,
             visibility: false,
             looks_for_sheen: false,
             exposure: false,
@@ -121,14 +115,14 @@ impl Default for FitOptions {
 
 /// The unknowns that a fit initializes from the data before its first step; the others start from their current values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct FirstGuess {
+pub struct Initialize {
     /// The amplitudes of the light.
     pub light: bool,
     /// The albedo.
     pub albedo: bool,
 }
 
-impl FirstGuess {
+impl Initialize {
     /// Light and albedo.
     pub const ALL: Self = Self { light: true, albedo: true };
     /// Nothing: a fit that continues another.
@@ -210,11 +204,7 @@ impl Plugin for FitPlugin {
                     .chain()
                     .in_set(ScatterAdjoints),
             )
-            .swap(
-                Phase::FitStep,
-                Slot::Optimizer,
-                (move_scale, move_texels, move_sheen, move_blends, move_lobes, move_specular).chain(),
-            )
+            .swap(Phase::FitStep, Slot::Optimizer, optimizer())
             .add_systems(Phase::FitStep, Stage::Update, follow_known.after(Slot::Optimizer));
         hold_back_unsound_steps(pipeline);
         add_gathering::<Recovered>(pipeline, Phase::FitStep);
@@ -232,6 +222,13 @@ impl Plugin for FitPlugin {
         world.remove_resource::<StepGuard>();
         world.remove_resource::<ViewSums>();
         world.remove_resource::<PlainBlends<Recovered>>();
+        // Those of a run.
+        world.remove_resource::<LossState>();
+        world.remove_resource::<StepRates>();
+        world.remove_resource::<Unknowns>();
+        world.remove_resource::<PixelChoice>();
+        world.remove_resource::<ScaleRule>();
+        world.remove_resource::<RefreshDue>();
     }
 }
 
@@ -239,8 +236,9 @@ impl Plugin for FitPlugin {
 fn hold_back_unsound_steps(pipeline: &mut Pipeline) {
     let check = check_adjoints.after(Slot::ShadingAdjoint).before(ScatterAdjoints);
     pipeline.add_systems(Phase::FitStep, Stage::Gradient, check);
-    let held_back = (Stage::Gradient.run_if(step_is_sound), Stage::Update.run_if(step_is_sound));
-    pipeline.schedule_mut(Phase::FitStep).configure_sets(held_back);
+    for stage in [Stage::Gradient, Stage::Update] {
+        pipeline.run_stage_if(Phase::FitStep, stage, step_is_sound);
+    }
 }
 
 /// Runs a whole fit in the pipeline's world. `watch` is called after every step and may stop the fit.
@@ -314,9 +312,9 @@ type OwnLobes = (With<LightLobe>, Without<LobeOf>);
 /// Registers what a fit, or a pass after it, goes on from.
 fn keep_state(world: &mut World) {
     keep_each::<LightLobe, OwnLobes>(world, Span::Run);
-    keep_each::<SpecularLobe, With<SpecularLobe>>(world, Span::Run);
-    keep_each::<Camera, With<ViewName>>(world, Span::Run);
-    keep_each::<CameraPose, With<ViewName>>(world, Span::Run);
+    keep_keyed::<BaseMaterial, SpecularLobe, With<SpecularLobe>>(world, Span::Run);
+    keep_keyed::<ViewIndex, Camera, With<ViewName>>(world, Span::Run);
+    keep_keyed::<ViewIndex, CameraPose, With<ViewName>>(world, Span::Run);
     keep_pool::<TexelIndex, DiffuseAlbedo>(world, Span::Run);
     keep_pool::<TexelIndex, DiffuseSheen>(world, Span::Run);
     keep_pool::<TexelIndex, DiffuseTilt>(world, Span::Run);
@@ -328,7 +326,7 @@ fn keep_state(world: &mut World) {
     keep_resource::<StepGuard>(world, Span::Run);
     keep_resource::<ViewSums>(world, Span::Pass);
     keep_each::<LobeMoments, OwnLobes>(world, Span::Pass);
-    keep_each::<SpecularMoments, With<SpecularLobe>>(world, Span::Pass);
+    keep_keyed::<BaseMaterial, SpecularMoments, With<SpecularLobe>>(world, Span::Pass);
     keep_pool::<TexelIndex, AlbedoMoments>(world, Span::Pass);
     keep_pool::<TexelIndex, SheenMoments>(world, Span::Pass);
     keep_pool::<TexelIndex, BlendMoments>(world, Span::Pass);
@@ -338,7 +336,7 @@ fn keep_state(world: &mut World) {
     keep_resource::<SheenEvidence>(world, Span::Pass);
 }
 
-/// Whether the step after this one computes shadows and reflections anew, so that they need not be kept.
+/// Whether the step after this one computes shadows and reflections again, so that they need not be kept.
 fn refresh_is_next(world: &World, step: u32) -> bool {
     step.is_multiple_of(refresh_every(world))
 }
@@ -371,11 +369,11 @@ fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
     }
     let pixels = pipeline.world.resource::<ObservedWindow>().0.len();
     count_pool(&mut pipeline.world);
-    // A fit that is resumed has its guess behind it.
-    let guess = if has_step_ahead(&pipeline.world) { FirstGuess::NONE } else { options.guess };
+    // A fit that is resumed is initialized.
+    let initialize = if has_step_ahead(&pipeline.world) { Initialize::NONE } else { options.initialize };
     let unknowns = Unknowns {
-        light: options.unknowns.light && guess.light,
-        albedo: options.unknowns.albedo && guess.albedo,
+        light: options.unknowns.light && initialize.light,
+        albedo: options.unknowns.albedo && initialize.albedo,
         ..options.unknowns
     };
     match options.light_frame {
@@ -386,12 +384,12 @@ fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
         }
         None => {}
     }
-    let guessing = stage("first guess");
+    let initializing = stage("initialization");
     initialize_light_and_albedo(&mut pipeline.world, unknowns, options.form, shadowed)?;
     if unknowns.light && unknowns.albedo {
         start_scale(&mut pipeline.world, options.scale)?;
     }
-    drop(guessing);
+    drop(initializing);
     spawn_samples(&mut pipeline.world, options.batch.clamp(1, pixels));
     Ok(pixels)
 }

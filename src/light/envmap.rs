@@ -91,7 +91,7 @@ impl EnvironmentMap {
         Self { radiance, ..*self }
     }
 
-    /// The map rotated by `rotation`: light from direction d comes from `rotation * d` afterwards.
+    /// The map rotated by `rotation`: light from direction d comes from `rotation * d` afterward.
     ///
     /// Resampled bilinearly at texel centers, at the same size; the identity returns the same bits. A light that is
     /// smaller than a texel keeps its power only up to the accuracy of the interpolation.

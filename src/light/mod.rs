@@ -117,7 +117,7 @@ pub fn lobes_power(lobes: &[LightLobe]) -> DVec3 {
     lobes.iter().map(LightLobe::power).sum()
 }
 
-/// The lobes rotated by `rotation`: light from direction d comes from `rotation * d` afterwards.
+/// The lobes rotated by `rotation`: light from direction d comes from `rotation * d` afterward.
 ///
 /// The identity keeps every bit, so that a saved light is read back unchanged.
 pub fn rotate_lobes(lobes: &[LightLobe], rotation: Quat) -> Vec<LightLobe> {

@@ -6,7 +6,7 @@
 //! | --- | --- |
 //! | [`show_recovered`] | the recovered material as it is |
 //! | [`show_edited`] | the recovered material with the edits of one name ([`EditName`]), in their order |
-//! | your own system | what it writes into [`ShownAlbedo`], [`ShownSheen`], [`ShownTilt`], [`ShownBlend`] and [`ShownSpecular`] |
+//! | your own system | what it makes of the recovered material ([`Composition::compose`]) |
 
 use super::edit::{EditAction, EditName, EditOrder, EditRegion, EditTarget, MaterialState, apply_edit};
 use super::{
@@ -63,7 +63,7 @@ type RecoveredTexel =
 type ShownTexel =
     (&'static mut ShownAlbedo, &'static mut ShownSheen, &'static mut ShownTilt, &'static mut ShownBlend);
 
-/// The system parameter that reads the recovered material and writes the shown one.
+/// The system parameter that reads the recovered material and writes the shown one, all of it: see [`Composition::compose`].
 #[derive(SystemParam)]
 pub struct Composition<'w, 's> {
     texels: Texels<'w, 's, (RecoveredTexel, ShownTexel)>,
@@ -73,8 +73,12 @@ pub struct Composition<'w, 's> {
 }
 
 impl Composition<'_, '_> {
-    /// Writes the recovered material after `edit`.
-    fn compose(mut self, edit: impl FnOnce(&mut MaterialState) -> Result<()>) -> SystemResult {
+    /// Shows what `edit` makes of the recovered material; what it leaves alone is shown as it was recovered. A system of one's own in
+    /// [`Slot::Material`](crate::pipeline::Slot::Material) is a call of this.
+    ///
+    /// # Errors
+    /// If the pool of texels is incomplete, base materials share a number, or `edit` fails.
+    pub fn compose(mut self, edit: impl FnOnce(&mut MaterialState) -> Result<()>) -> SystemResult {
         let ((albedo, sheen, tilt, blends), mut shown) = self.texels.columns()?;
         let (albedo, sheen, blends) = (albedo.to_vec(), sheen.to_vec(), blends.to_vec());
         let mut state = MaterialState { albedo, sheen, tilt: tilt.to_vec(), blends, lobes: Vec::new() };
@@ -152,17 +156,7 @@ pub fn show_recovered() -> ScheduleConfigs<ScheduleSystem> {
 /// For [`Slot::Material`](crate::pipeline::Slot::Material): shows the recovered material with the edits of this name, by ascending
 /// [`EditOrder`]; runs when one of these has changed.
 pub fn show_edited(name: impl Into<String>) -> ScheduleConfigs<ScheduleSystem> {
-    let name = name.into();
-    let system = move |composition: Composition, edits: Query<EditColumns>| {
-        let mut own: Vec<_> = edits.iter().filter(|(of, ..)| of.0 == name).collect();
-        own.sort_by_key(|(_, order, ..)| **order);
-        let mut own = own.into_iter();
-        composition.compose(|state| {
-            own.try_for_each(|(.., target, action, region)| apply_edit(state, *target, action, region))
-        })
-    };
-    // Not short-circuited, because both conditions update their state.
-    system.run_if(recovered_changed.or_eager(edits_changed))
+    show_scaled(Some(name.into()), Vec::new())
 }
 
 /// For [`Slot::Material`](crate::pipeline::Slot::Material): shows what [`show_edited`] does, or without a name [`show_recovered`], with
@@ -182,6 +176,7 @@ pub fn show_scaled(
             factors.try_for_each(|(target, action)| apply_edit(state, *target, action, &EditRegion(None)))
         })
     };
+    // Not short-circuited, because both conditions update their state.
     system.run_if(recovered_changed.or_eager(edits_changed))
 }
 
@@ -201,6 +196,28 @@ pub fn recovered_material(world: &mut World) -> Result<MaterialState> {
     let mut state = MaterialState { albedo, sheen, tilt, blends, lobes: Vec::new() };
     for (number, lobe) in world.query::<(&BaseMaterial, &SpecularLobe)>().iter(world) {
         state.set_lobe(*number, *lobe)?;
+    }
+    Ok(state)
+}
+
+/// The material that was shown last, as plain columns; base materials that exist only there have their numbers.
+///
+/// # Errors
+/// If the pool of texels is not whole.
+pub fn shown_material(world: &mut World) -> Result<MaterialState> {
+    let albedo = read_column::<TexelIndex, ShownAlbedo>(world)?;
+    let sheen = read_column::<TexelIndex, ShownSheen>(world)?;
+    let tilt = read_column::<TexelIndex, ShownTilt>(world)?;
+    let blends = read_column::<TexelIndex, ShownBlend>(world)?;
+    let mut state = MaterialState {
+        albedo: albedo.into_iter().map(|shown| DiffuseAlbedo(shown.0)).collect(),
+        sheen: sheen.into_iter().map(|shown| DiffuseSheen(shown.0)).collect(),
+        tilt: tilt.into_iter().map(|shown| DiffuseTilt(shown.0)).collect(),
+        blends: blends.into_iter().map(|shown| shown.0).collect(),
+        lobes: Vec::new(),
+    };
+    for (number, shown) in world.query::<(&BaseMaterial, &ShownSpecular)>().iter(world) {
+        state.set_lobe(*number, shown.0)?;
     }
     Ok(state)
 }

@@ -87,7 +87,7 @@ pub fn box_mesh(center: Vec3, size: Vec3) -> Result<Mesh> {
         ));
     }
     let mut mesh = Mesh { uvs: Some(Vec::new()), ..Mesh::default() };
-    // Right and down as seen from outside, so that right × down points inwards.
+    // Right and down as seen from outside, so that right × down points inward.
     let faces = [
         (Vec3::X, Vec3::NEG_Z, Vec3::NEG_Y),
         (Vec3::NEG_X, Vec3::Z, Vec3::NEG_Y),

@@ -148,19 +148,19 @@ fn a_hit_carries_interpolated_attributes() {
     let surface = Surface::new(sphere_mesh(center, radius).unwrap(), 64).unwrap();
     let mut rng = StdRng::seed_from_u64(2);
     for k in 0..2_000 {
-        let outwards = unit_vector(&mut rng);
+        let outward = unit_vector(&mut rng);
         // Radial rays from outside and from the center: the normal is the outer one in both.
         let ray = if k % 2 == 0 {
-            Ray { origin: center + outwards * 10.0, direction: -outwards }
+            Ray { origin: center + outward * 10.0, direction: -outward }
         } else {
-            Ray { origin: center, direction: outwards }
+            Ray { origin: center, direction: outward }
         };
         let hit = surface.intersect(&ray, 0.0).unwrap();
         let distance = if k % 2 == 0 { 10.0 - radius } else { radius };
         assert!((hit.distance - distance).abs() < 2e-3);
-        assert!((hit.normal - outwards).length() < 2e-3 && hit.normal.is_normalized());
-        assert!(hit.geometric_normal.dot(outwards) > 0.999);
-        let phi = outwards.y.acos() / std::f32::consts::PI;
+        assert!((hit.normal - outward).length() < 2e-3 && hit.normal.is_normalized());
+        assert!(hit.geometric_normal.dot(outward) > 0.999);
+        let phi = outward.y.acos() / std::f32::consts::PI;
         assert!((hit.uv.y - phi).abs() < 2e-3, "{} {phi}", hit.uv.y);
         let weights: f32 = hit.texels.weights.iter().sum();
         assert!((weights - 1.0).abs() < 1e-6);
@@ -176,10 +176,10 @@ fn no_ray_slips_through_a_closed_sphere() {
     for k in 0..100_000 {
         let inside = center + unit_vector(&mut rng) * radius * rng.random_range(0.0..0.95f32);
         let outside = center + unit_vector(&mut rng) * radius * [1.5, 4.0, 40.0, 1000.0][k % 4];
-        let inwards = Ray { origin: outside, direction: (inside - outside).normalize() };
-        assert!(surface.intersect(&inwards, 0.0).is_some(), "from {outside} to {inside}");
-        let outwards = Ray { origin: inside, direction: unit_vector(&mut rng) };
-        assert!(surface.occluded(&outwards, 0.0, f32::INFINITY), "from {inside}");
+        let inward = Ray { origin: outside, direction: (inside - outside).normalize() };
+        assert!(surface.intersect(&inward, 0.0).is_some(), "from {outside} to {inside}");
+        let outward = Ray { origin: inside, direction: unit_vector(&mut rng) };
+        assert!(surface.occluded(&outward, 0.0, f32::INFINITY), "from {inside}");
     }
 }
 
@@ -198,9 +198,9 @@ fn no_ray_slips_between_triangles_at_edges_and_corners() {
             let target = t[0].lerp(t[1], part);
             let center = surface.bounding_sphere().0;
             // Towards the edge from where it is not a silhouette: within 30° of the outward direction.
-            let outwards = (target - center).normalize();
+            let outward = (target - center).normalize();
             let origin = target
-                + (outwards + unit_vector(&mut rng) * 0.5).normalize() * scale * [0.01, 2.0, 9.0][k / 3 % 3];
+                + (outward + unit_vector(&mut rng) * 0.5).normalize() * scale * [0.01, 2.0, 9.0][k / 3 % 3];
             let ray = Ray { origin, direction: (target - origin).normalize() };
             let hit = surface.intersect(&ray, 0.0).unwrap_or_else(|| panic!("slipped through at {target}"));
             let miss_by = (hit.distance - target.distance(origin)).abs();

@@ -3,12 +3,11 @@
 //! Each array may be kept as differences from the element `delta` places before, and its bytes are sorted by significance; both
 //! make the block smaller under deflate, and `data.js` undoes them. Numbers are little-endian.
 
+use crate::codec::deflate::deflate;
 use crate::error::{Error, Result};
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
-use flate2::{Compression, write::DeflateEncoder};
 use serde_json::{Map, Value, json};
-use std::io::Write as _;
 
 /// The type of an array's numbers, as the page names it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -100,10 +99,7 @@ impl Pack {
     /// # Errors
     /// If it cannot be compressed, which does not happen in memory.
     pub fn block(&self) -> Result<String> {
-        let refused = |error: std::io::Error| Error::run("compressing the page", error.to_string());
-        let mut encoder = DeflateEncoder::new(Vec::new(), Compression::best());
-        encoder.write_all(&self.bytes).map_err(refused)?;
-        Ok(STANDARD.encode(encoder.finish().map_err(refused)?))
+        Ok(STANDARD.encode(deflate(&self.bytes)?))
     }
 }
 

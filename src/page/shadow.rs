@@ -1,6 +1,6 @@
 //! What the page needs to find shadows and reflected light under any light, as [`visibility`](crate::visibility) does.
 //!
-//! Which directions are hidden is kept for every texel, one picture of bits per direction: neighbouring texels are alike, and a
+//! Which directions are hidden is kept for every texel, one picture of bits per direction: neighboring texels are alike, and a
 //! picture of them is small once deflated. What hides a direction is kept for patches of the surface, of which there are at most
 //! [`MOST_PATCHES`]: cells of a grid in space, divided by the side that the surface faces.
 

@@ -77,12 +77,7 @@ fn between_keys(keys: &[OrbitKey], pick: impl Fn(&OrbitKey) -> Option<f32>, time
 }
 
 /// Swaps in light and material of a frame, if the film changes them.
-pub fn show_moment(
-    session: &mut Session,
-    pass: &Pass,
-    settings: &RenderSettings,
-    (orbit, frame): (&Orbit, u32),
-) {
+pub fn show_moment(session: &mut Session, pass: &Pass, settings: &RenderSettings, orbit: &Orbit, frame: u32) {
     let time = Time::of(frame, orbit.frames);
     if let Some(sweep) = &orbit.light {
         let (choice, by_map) = chosen_light(session, pass, settings.shading);

@@ -7,20 +7,17 @@ use crate::codec::finite::check_finite;
 use crate::codec::frame::write_channels;
 use crate::codec::npy::{NpyConvention, write_lobes};
 use crate::codec::png_file::write_rgb8;
-use crate::error::stop::{heed_stop, is_stopping};
+use crate::error::stop::{finish_stopping, is_stopping};
 use crate::error::{Error, Result};
 use crate::fit::cameras::{CameraPlugin, CameraUnknowns};
 use crate::fit::components::TexelSeen;
 use crate::fit::guard::{check_numbers, check_parameters};
 use crate::fit::observe::PixelChoice;
+use crate::fit::optimizer::optimizer_of_texel_roughness;
 use crate::fit::roughness::blend::TexelPlaces;
-use crate::fit::roughness::texel::{
-    RoughnessPrior, TexelRoughness, attach_roughness, move_roughness, tie_specular,
-};
-use crate::fit::run::{FirstGuess, FitOptions, FitProgress, FitSummary, run_fit};
-use crate::fit::scale::{means, move_scale};
-use crate::fit::sheen::move_sheen;
-use crate::fit::systems::{move_lobes, move_specular, move_texels};
+use crate::fit::roughness::texel::{RoughnessPrior, TexelRoughness, attach_roughness};
+use crate::fit::run::{FitOptions, FitProgress, FitSummary, Initialize, run_fit};
+use crate::fit::scale::means;
 use crate::light::lights::own_lobes;
 use crate::light::{EnvironmentMap, LightLobe, render_lobes};
 use crate::material::sheen::{has_sheen, write_albedo};
@@ -47,7 +44,7 @@ use crate::scene::{Gloss, Sheen};
 use crate::shape::vertices::{MovingMesh, VertexPlugin};
 use crate::spawn::{initial_specular, unknowns};
 use crate::visibility::ObjectVisibility;
-use bevy_ecs::prelude::{IntoScheduleConfigs, Resource, World};
+use bevy_ecs::prelude::{Resource, World};
 use glam::Vec3;
 use image::{Rgb, RgbImage};
 use serde::{Deserialize, Serialize};
@@ -91,7 +88,7 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     give_texels_roughness(session);
     let mut summary = take_steps(session, pass, &options)?;
     session.has_object = true;
-    session.guess = FirstGuess::NONE;
+    session.initialize = Initialize::NONE;
     session.report_light_frame(&pass.name);
     let known = !options.unknowns.light || !options.unknowns.albedo;
     let rule = if known { "Known".to_owned() } else { options.scale.words() };
@@ -128,7 +125,7 @@ fn take_steps(session: &mut Session, pass: &FitPass, options: &FitOptions) -> Re
     hold_geometry(session);
     let summary = summary?;
     // The results so far are written.
-    heed_stop();
+    finish_stopping();
     check_parameters(&mut session.pipeline.world)?;
     check_numbers(
         "the surface's coordinate",
@@ -155,7 +152,7 @@ fn finish_texels(
         failed => failed?,
     }
     summary.stopped = is_stopping();
-    heed_stop();
+    finish_stopping();
     check_parameters(&mut session.pipeline.world)?;
     fill_texels(session)
 }
@@ -192,10 +189,7 @@ fn give_texels_roughness(session: &mut Session) {
     let prior = RoughnessPrior::new(session.surface.atlas(), smoothness, color_width, specular);
     session.pipeline.world.insert_resource(prior);
     attach_roughness(&mut session.pipeline.world, first, specular);
-    let systems =
-        (move_scale, move_texels, move_sheen, move_roughness, move_lobes, tie_specular, move_specular)
-            .chain();
-    session.pipeline.swap(Phase::FitStep, Slot::Optimizer, systems);
+    session.pipeline.swap(Phase::FitStep, Slot::Optimizer, optimizer_of_texel_roughness());
 }
 
 /// The closed form for the settings of a scene file.
@@ -217,7 +211,7 @@ fn options(session: &mut Session, pass: &FitPass) -> Result<FitOptions> {
         decay: pass.decay,
         unknowns: unknowns(session.scene),
         pixels: PixelChoice { seed: session.scene.seed, max_pixels: pass.max_pixels as usize },
-        guess: session.guess,
+        initialize: session.initialize,
         // The published formulas are for comparison and include neither shadows nor interreflection.
         visibility: pass.shading == FitShading::Accurate && session.has_visibility()?,
         looks_for_sheen: session.scene.material.sheen == Sheen::Auto,

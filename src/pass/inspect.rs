@@ -52,12 +52,12 @@ fn normal_picture(camera: &Camera, hits: &[Option<Hit>]) -> RgbImage {
     picture(camera, |i| hits[i].map_or([0; 3], |hit| hit.normal.to_array().map(byte)))
 }
 
-/// Distance along the ray: the nearest point white, the farthest dark grey, nothing black.
+/// Distance along the ray: the nearest point white, the farthest dark gray, nothing black.
 fn depth_picture(camera: &Camera, hits: &[Option<Hit>]) -> RgbImage {
     let distances = || hits.iter().flatten().map(|hit| hit.distance);
     let (near, far) = (distances().fold(f32::INFINITY, f32::min), distances().fold(0.0, f32::max));
-    let grey = |distance: f32| (255.0 - 200.0 * (distance - near) / (far - near).max(1e-12)) as u8;
-    picture(camera, |i| hits[i].map_or([0; 3], |hit| [grey(hit.distance); 3]))
+    let gray = |distance: f32| (255.0 - 200.0 * (distance - near) / (far - near).max(1e-12)) as u8;
+    picture(camera, |i| hits[i].map_or([0; 3], |hit| [gray(hit.distance); 3]))
 }
 
 fn picture(camera: &Camera, pixel: impl Fn(usize) -> [u8; 3]) -> RgbImage {

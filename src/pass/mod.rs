@@ -56,7 +56,7 @@ use crate::codec::file::{FileUse, FolderLock, check_apart};
 use crate::error::stop::{check_interrupted, stopped_by};
 use crate::error::{Error, Result};
 use crate::fit::ObjectTurned;
-use crate::fit::run::{FirstGuess, FitPlugin};
+use crate::fit::run::{FitPlugin, Initialize};
 use crate::mesh::Surface;
 use crate::pipeline::Pipeline;
 use crate::profile::{Profiler, stage};
@@ -73,9 +73,9 @@ use crate::survey::{Severity, Survey};
 use crate::view::ViewRecord;
 use inputs::Watched;
 use photograph::{TrueObject, camera_of};
-use progress::{Progress, Told};
+use progress::{Progress, RecordedMessages};
 use record::{Claim, RunRecord, RunState};
-use resume::Begun;
+use resume::RunStart;
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -141,11 +141,11 @@ fn run_passes(
     progress: &dyn Progress,
     profiler: Option<Profiler>,
 ) -> Result<()> {
-    let told = Told::new(progress);
+    let told = RecordedMessages::new(progress);
     let progress: &dyn Progress = &told;
     record::check_used(&options.out, options.force || options.resume)?;
     resume::check_folder(&options.out)?;
-    let begun = if options.resume { Begun::read(&options.out)? } else { None };
+    let begun = if options.resume { RunStart::read(&options.out)? } else { None };
     if options.resume && record::state_of_run(&options.out) == Some(RunState::Finished) {
         leave_finished(&options.out, progress);
         return Ok(());
@@ -172,9 +172,9 @@ fn run_passes(
     check_interrupted()?;
     watched.check()?;
     (session.watched, session.profiler) = (watched, profiler);
-    let (mut record, done) = begin(&mut session, claim, (loaded, data.as_ref()), options, begun)?;
+    let (mut record, done) = begin(&mut session, claim, loaded, data.as_ref(), options, begun)?;
     let mut report = Reporter::default();
-    let ended = sequence::run(&mut session, (&mut record, &mut report), &told, done);
+    let ended = sequence::run(&mut session, &mut record, &mut report, &told, done);
     let finished = session.finish();
     let ended = ended.and(finished);
     match &ended {
@@ -198,12 +198,13 @@ fn leave_finished(out: &Path, progress: &dyn Progress) {
 fn begin(
     session: &mut Session,
     claim: Claim,
-    (loaded, data): (&LoadedScene, Option<&OpenScene>),
+    loaded: &LoadedScene,
+    data: Option<&OpenScene>,
     options: &RunOptions,
-    begun: Option<Begun>,
+    begun: Option<RunStart>,
 ) -> Result<(RunRecord, usize)> {
     let keeps = options.checkpoint.is_some() || begun.is_some();
-    let now = keeps.then(|| Begun::new(&loaded.scene, session.scene, &files::contents(loaded, data)));
+    let now = keeps.then(|| RunStart::new(&loaded.scene, session.scene, &files::contents(loaded, data)));
     let (now, every) = (now.transpose()?, options.checkpoint.unwrap_or(USUAL_CHECKPOINT));
     if let (Some(begun), Some(now)) = (&begun, &now) {
         begun.check_data(now, session.progress)?;
@@ -328,7 +329,7 @@ fn open<'a>(
     pipeline.add_plugin(&FramePlugin).add_plugin(&FitPlugin);
     spawn(&mut pipeline, scene, &surface, views, lights.own.as_ref())?;
     let out = options.out.clone();
-    let guess = FirstGuess {
+    let initialize = Initialize {
         light: matches!(scene.light, Light::Unknown(_)),
         albedo: matches!(scene.material.albedo, Albedo::Unknown),
     };
@@ -339,7 +340,7 @@ fn open<'a>(
         truth,
         out,
         lights,
-        guess,
+        initialize,
         debug_every: options.debug_every,
         progress,
         scores: Scores::default(),

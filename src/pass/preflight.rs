@@ -23,7 +23,7 @@ use crate::scene::{
 };
 use crate::shade::frame::{PixelSums, check_memory};
 use crate::survey::open::OpenScene;
-use crate::survey::{Look, Severity, Survey};
+use crate::survey::{Severity, Survey, ViewLook};
 use crate::view::{Photograph, ViewName, ViewRecord};
 use bevy_ecs::prelude::World;
 use rayon::prelude::*;
@@ -52,8 +52,8 @@ pub fn read_data(
         let look = is_used.then(|| open.look(view, &loaded, false));
         Ok((loaded, look))
     };
-    let read: Vec<Result<(LoadedView, Option<Look>)>> = open.views.par_iter().map(read).collect();
-    let (loaded, looks): (Vec<LoadedView>, Vec<Option<Look>>) =
+    let read: Vec<Result<(LoadedView, Option<ViewLook>)>> = open.views.par_iter().map(read).collect();
+    let (loaded, looks): (Vec<LoadedView>, Vec<Option<ViewLook>>) =
         read.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
     open.notes.iter().chain(&load_notes(&loaded)).for_each(|note| progress.note(note));
     let mut survey = None;

@@ -33,12 +33,12 @@ pub trait Bar: Send + Sync {
 }
 
 /// A [`Progress`] that passes everything on, and keeps lines of result and notes for the run's record.
-pub struct Told<'a> {
+pub struct RecordedMessages<'a> {
     to: &'a dyn Progress,
     lines: RefCell<Vec<String>>,
 }
 
-impl<'a> Told<'a> {
+impl<'a> RecordedMessages<'a> {
     /// Passes on to `to`.
     pub fn new(to: &'a dyn Progress) -> Self {
         Self { to, lines: RefCell::default() }
@@ -50,7 +50,7 @@ impl<'a> Told<'a> {
     }
 }
 
-impl Progress for Told<'_> {
+impl Progress for RecordedMessages<'_> {
     fn note(&self, text: &str) {
         self.lines.borrow_mut().push(text.to_owned());
         self.to.note(text);
@@ -96,7 +96,7 @@ mod tests {
 
     #[test]
     fn what_was_said_is_kept_once() {
-        let told = Told::new(&Silent);
+        let told = RecordedMessages::new(&Silent);
         told.note("a note");
         told.print("a result");
         told.bar("bar", 3).inc(1);

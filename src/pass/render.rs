@@ -59,7 +59,7 @@ fn render_all(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> 
         };
         for (frame, camera) in (0..).zip(cameras) {
             check_interrupted()?;
-            film::show_moment(session, pass, settings, (orbit, frame));
+            film::show_moment(session, pass, settings, orbit, frame);
             film.push(&film_frame(&mut session.pipeline, *camera, settings)?)?;
             bar.inc(1);
         }

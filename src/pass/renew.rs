@@ -4,7 +4,7 @@
 //! or a `Fit` needs stay allocated when their entities are gone. State and derived data are told apart for checkpoints
 //! ([`checkpoint`](crate::checkpoint)), so that a world can be left as well: photographs move, state is put back, the rest is made again.
 
-use crate::checkpoint::{carry, put_down};
+use crate::checkpoint::{carry, restore};
 use crate::error::Result;
 use crate::fit::ObjectTurned;
 use crate::fit::run::FitPlugin;
@@ -62,12 +62,12 @@ pub(super) fn renew(session: &mut Session) -> Result<()> {
         world.insert_resource(Scenery(session.surface.clone()));
         insert_known_along(world, &session.scene.material.sheen, &session.surface)?;
     }
-    // Amid a `Shape` these are not the texels of an atlas.
+    // During a `Shape` these are not the texels of an atlas.
     replace_texels(world, &vec![Vec3::ZERO; texels]);
     error.into_iter().for_each(|error| world.insert_resource(error));
     turned.into_iter().for_each(|turned| world.insert_resource(turned));
     traced.into_iter().for_each(|traced| world.insert_resource(traced.unlit()));
-    put_down(world, carried)
+    restore(world, carried)
 }
 
 /// Takes the views out of a world, in their order.

@@ -40,15 +40,11 @@ pub fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
     let surface = session.surface.clone();
     let atlas = surface.atlas();
     write_glb(&folder.join("mesh.glb"), surface.mesh(), None)?;
-    let colors: Vec<Vec3> = material.albedo.iter().map(|a| a.0).collect();
-    write_vectors(&folder.join("albedo.exr"), ["R", "G", "B"], &colors, atlas)?;
-    let sheen = save_sheen(&material, atlas, &folder)?;
-    let tilt = save_tilt(&material, atlas, &folder)?;
+    let material = write_material(&folder, &material, atlas)?;
     let light = save_light(session, pass.of.as_deref(), &folder)?;
     let relit = session.pass_named(pass.of.as_deref()).is_some_and(|of| of.light().is_some());
     let own = session.pipeline.world.get_resource::<OwnLightFrame>().filter(|_| !relit);
     let frame = own.map(|own| own.0).unwrap_or_default();
-    let specular = save_materials(&material, surface.atlas(), &folder)?;
     let saved = Scene {
         surface: SurfaceSpec::Mesh {
             path: "mesh.glb".into(),
@@ -58,12 +54,7 @@ pub fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
         views: saved_views(session)?,
         light: Light::Fixed(light),
         light_frame: frame.into(),
-        material: Material {
-            albedo: Albedo::Fixed(AlbedoSource::Texture("albedo.exr".into())),
-            sheen,
-            tilt,
-            ..specular
-        },
+        material,
         passes: session.scene.passes.iter().filter(|pass| matches!(pass, Pass::Render(_))).cloned().collect(),
         ..session.scene.clone()
     };
@@ -72,6 +63,22 @@ pub fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
     write_bytes(&folder.join("scene.ron"), text.as_bytes())?;
     session.progress.print(&format!("{}: {}", pass.name, folder.join("scene.ron").display()));
     Ok(())
+}
+
+/// Writes the textures of a material into a folder; returns it as in a scene file there, all fixed. The material may be the
+/// [recovered](crate::material::shown::recovered_material) or the [shown](crate::shade::frame::frame_material) one.
+///
+/// # Errors
+/// If a file cannot be written.
+pub fn write_material(folder: &Path, material: &MaterialState, atlas: &TexelAtlas) -> Result<Material> {
+    let colors: Vec<Vec3> = material.albedo.iter().map(|a| a.0).collect();
+    write_vectors(&folder.join("albedo.exr"), ["R", "G", "B"], &colors, atlas)?;
+    Ok(Material {
+        albedo: Albedo::Fixed(AlbedoSource::Texture("albedo.exr".into())),
+        sheen: save_sheen(material, atlas, folder)?,
+        tilt: save_tilt(material, atlas, folder)?,
+        ..save_materials(material, atlas, folder)?
+    })
 }
 
 /// Writes a vector for each texel, as channels of these names.

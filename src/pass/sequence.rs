@@ -1,13 +1,13 @@
 //! The passes of a scene, one after another; one that fails ends only what needs it.
 
 use crate::checkpoint::{Checkpoints, begin_pass};
-use crate::error::stop::{heed_stop, stopped_by};
+use crate::error::stop::{finish_stopping, stopped_by};
 use crate::error::{Error, Result};
 use crate::pass::evaluate;
 use crate::pass::export;
 use crate::pass::files::read_late;
 use crate::pass::fit;
-use crate::pass::progress::Told;
+use crate::pass::progress::RecordedMessages;
 use crate::pass::record::{RunRecord, RunState};
 use crate::pass::render;
 use crate::pass::renew::renew;
@@ -39,18 +39,18 @@ struct Unfinished<'a> {
 /// The first error of a pass; [`Error::Interrupted`] if the run was stopped.
 pub(super) fn run(
     session: &mut Session,
-    (record, report): (&mut RunRecord, &mut Reporter),
-    told: &Told,
+    record: &mut RunRecord,
+    report: &mut Reporter,
+    told: &RecordedMessages,
     done: usize,
 ) -> Result<()> {
-    let scene = session.scene;
     let mut unfinished = Unfinished::default();
     record.said_before(told.take());
     if done > 0 {
         session.write_scores()?;
     }
     report.write(&session.out)?;
-    for (index, pass) in scene.passes.iter().enumerate().skip(done) {
+    for (index, pass) in session.scene.passes.iter().enumerate().skip(done) {
         if let Some(needed) = unfinished.failed.iter().find(|failed| needs(pass, failed)) {
             let text = format!("pass {} is left out: it needs {}", pass.name(), needed.name());
             session.progress.note(&text);
@@ -67,7 +67,7 @@ pub(super) fn run(
         let at_work = profile::pass(pass.name());
         let ended = run_pass(session, pass);
         drop(at_work);
-        heed_stop();
+        finish_stopping();
         let state = state_of(&ended);
         let ends_all = unfinished.note(session, pass, ended);
         let _after = profile::stage("scores, report, checkpoint");

@@ -5,7 +5,7 @@ use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::fit::FramesTried;
 use crate::fit::guard::StepGuard;
-use crate::fit::run::FirstGuess;
+use crate::fit::run::Initialize;
 use crate::light::frame::{LightFrame, OwnLightFrame};
 use crate::mesh::Surface;
 use crate::pass::inputs::Watched;
@@ -43,8 +43,8 @@ pub struct Session<'a> {
     pub out: PathBuf,
     /// The lights that the scene names, loaded.
     pub lights: Lights,
-    /// What the next fit guesses before its first step: what is unknown without an initial value, until there has been one.
-    pub guess: FirstGuess,
+    /// What the next fit initializes from the data: what is unknown without an initial value, until there has been one.
+    pub initialize: Initialize,
     /// Steps of a `Shape` between two looks at it.
     pub debug_every: Option<u32>,
     /// What the terminal shows.
@@ -147,7 +147,7 @@ impl<'a> Session<'a> {
             let beside = match frame {
                 LightFrame::World => String::new(),
                 _ => format!(
-                    " (error of the first guess {own:.4}; as one that stands around the object {world:.4})"
+                    " (error of the initialization {own:.4}; as one that stands around the object {world:.4})"
                 ),
             };
             self.progress.print(&format!("{pass}: the light {found}{beside}"));

@@ -1,12 +1,12 @@
 //! The `Shape` pass: recovers an unknown surface from photographs and masks, and replaces the visual hull by it.
 
-use crate::error::stop::{heed_stop, is_stopping};
+use crate::error::stop::{finish_stopping, is_stopping};
 use crate::error::{Error, Result};
 use crate::fit::components::Unknowns;
 use crate::fit::guard::{check_numbers, check_parameters};
 use crate::fit::observe::PixelChoice;
 use crate::fit::roughness::blend::TexelPlaces;
-use crate::fit::run::{FirstGuess, FitOptions};
+use crate::fit::run::{FitOptions, Initialize};
 use crate::fit::scale::{ScaleRule, start_scale};
 use crate::material::recovered_albedo;
 use crate::math::accurate::Quality;
@@ -81,7 +81,7 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     bar.finish_and_clear();
     failure.map_or(Ok(()), Err)?;
     if stopped {
-        heed_stop();
+        finish_stopping();
     }
     session.report_light_frame(&pass.name);
     if !stopped {
@@ -118,7 +118,7 @@ fn take_over(
     texture_size: u32,
     stopped: bool,
 ) -> Result<bool> {
-    let guessed = std::mem::replace(&mut session.guess, FirstGuess::NONE);
+    let initialized = std::mem::replace(&mut session.initialize, Initialize::NONE);
     check_parameters(&mut session.pipeline.world)?;
     check_numbers("the value of the field at point", found.grid.values.iter().copied())?;
     if !stopped {
@@ -127,9 +127,9 @@ fn take_over(
     let mesh = found_mesh(session, &found, pass.stereo && !is_stopping(), &pass.name);
     check_numbers("the surface's coordinate", mesh.positions.iter().flat_map(|at| at.to_array()))?;
     let stopped = is_stopping();
-    heed_stop();
+    finish_stopping();
     put_in_place(session, &found, &mesh, texture_size)?;
-    if guessed == FirstGuess::ALL {
+    if initialized == Initialize::ALL {
         // The light still has the color from the initialization with gray albedo.
         start_scale(&mut session.pipeline.world, session.scene.scale)?;
     }
@@ -169,7 +169,7 @@ fn options(session: &Session, pass: &ShapePass) -> ShapeOptions {
             // While the surface moves, its normals would take part in a sheen.
             unknowns: Unknowns { sheen: false, ..unknowns(session.scene) },
             pixels: PixelChoice { seed: session.scene.seed, max_pixels: pass.max_pixels as usize },
-            guess: session.guess,
+            initialize: session.initialize,
             // Visibility of a moving surface would have to be traced at every step.
             visibility: false,
             looks_for_sheen: false,

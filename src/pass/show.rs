@@ -5,11 +5,12 @@ use crate::error::Result;
 use crate::light::lights::{LightChoice, provide_light, spawn_light};
 use crate::material::edit::MaterialState;
 use crate::material::shown::{recovered_material, show_edited, show_recovered};
-use crate::pass::edit::{apply_edits, spawn_edits};
+use crate::pass::edit::spawn_edits;
 use crate::pass::session::Session;
 use crate::pass::shading::set_shading;
 use crate::pipeline::{Phase, Slot};
 use crate::scene::{Light, Pass, RenderSettings, Shading};
+use crate::shade::frame::frame_material;
 use crate::visibility::FrameVisibilityPlugin;
 
 /// Swaps in the material, light, shading and visibility of a pass.
@@ -60,14 +61,16 @@ pub(super) fn chosen_light(session: &Session, pass: &Pass, shading: Shading) -> 
     (choice, by_map)
 }
 
-/// The shown material of the pass `of`, or the recovered one.
+/// The material that the pass `of` shows, by the system that it swaps in; or the recovered one.
 ///
 /// # Errors
-/// If an image of an edit cannot be read.
+/// If an image of an edit cannot be read, or a system fails.
 pub fn material_of(session: &mut Session, of: Option<&str>) -> Result<MaterialState> {
-    let mut material = recovered_material(&mut session.pipeline.world)?;
-    if let Some(pass) = session.pass_named(of) {
-        apply_edits(&mut material, pass.edits(), &session.surface)?;
-    }
-    Ok(material)
+    let Some(pass) = session.pass_named(of) else {
+        return recovered_material(&mut session.pipeline.world);
+    };
+    show_material(session, pass)?;
+    // What is written needs no shadows; a pass that renders puts them back.
+    session.pipeline.remove_plugin::<FrameVisibilityPlugin>();
+    frame_material(&mut session.pipeline)
 }

@@ -9,7 +9,7 @@ use bevy_ecs::error::{BevyError, ErrorContext, ErrorHandler, FallbackErrorHandle
 use bevy_ecs::prelude::{Res, Resource, World};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
-/// Most concurrent runs in one process; further runs wait.
+/// Most concurrent runs in one process; further runs wait, those inside other runs as well.
 const CELLS: usize = 16;
 
 /// The contents of a cell.
@@ -57,14 +57,17 @@ const HANDLERS: [ErrorHandler; CELLS] = [
 #[derive(Resource, Clone, Copy)]
 pub(super) struct RunCell(usize);
 
-/// A cell that is reserved for one run until it is dropped.
-pub(super) struct Failure {
+/// A run that is watched: the world has a cell's handler while this lives, and what it had before when this is dropped.
+pub(super) struct Failure<'w> {
+    pub(super) world: &'w mut World,
     cell: usize,
+    handler_before: Option<FallbackErrorHandler>,
+    cell_before: Option<RunCell>,
 }
 
-impl Failure {
+impl<'w> Failure<'w> {
     /// Reserves a cell, waits if none is free, and installs its handler.
-    pub(super) fn watch(world: &mut World) -> Self {
+    pub(super) fn watch(world: &'w mut World) -> Self {
         let mut cells = table();
         let cell = loop {
             match cells.iter().position(|cell| !cell.taken) {
@@ -74,9 +77,11 @@ impl Failure {
         };
         cells[cell] = Cell { taken: true, first: None };
         drop(cells);
+        let handler_before = world.remove_resource::<FallbackErrorHandler>();
+        let cell_before = world.remove_resource::<RunCell>();
         world.insert_resource(FallbackErrorHandler(HANDLERS[cell]));
         world.insert_resource(RunCell(cell));
-        Self { cell }
+        Self { world, cell, handler_before, cell_before }
     }
 
     /// The first error of the run.
@@ -85,10 +90,20 @@ impl Failure {
     }
 }
 
-impl Drop for Failure {
+impl Drop for Failure<'_> {
     fn drop(&mut self) {
+        put_back(self.world, self.handler_before.take());
+        put_back(self.world, self.cell_before.take());
         table()[self.cell] = Cell::default();
         RELEASED.notify_one();
+    }
+}
+
+/// Gives the world the resource that it had before, or none.
+fn put_back<R: Resource>(world: &mut World, before: Option<R>) {
+    match before {
+        Some(before) => world.insert_resource(before),
+        None => _ = world.remove_resource::<R>(),
     }
 }
 

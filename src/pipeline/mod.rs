@@ -23,7 +23,7 @@ pub use stage::{GatherPoints, Phase, ScatterAdjoints, Slot, SlotLabel, Stage};
 
 use crate::error::{Error, Result};
 use bevy_ecs::error::BevyError;
-use bevy_ecs::prelude::{IntoScheduleConfigs, Resource, Schedule, Schedules, SystemSet, World};
+use bevy_ecs::prelude::{IntoScheduleConfigs, Schedule, Schedules, SystemCondition, SystemSet, World};
 use bevy_ecs::schedule::{
     InternedScheduleLabel, InternedSystemSet, ScheduleCleanupPolicy, ScheduleLabel, SingleThreadedExecutor,
 };
@@ -51,9 +51,25 @@ pub type SystemResult = std::result::Result<(), BevyError>;
 #[derive(SystemSet, Clone, Copy, Debug, PartialEq, Eq, Hash)]
 struct AddedBy(TypeId);
 
-/// What is called after a run that failed.
-#[derive(Resource, Default)]
-struct MarkAfterFailure(Vec<fn(&mut World)>);
+/// A function that is called after a run that failed.
+struct MarkAfterFailure {
+    mark: fn(&mut World),
+    /// The plugins that were being built when it was given.
+    of: Vec<TypeId>,
+}
+
+/// A plugin that is in the pipeline.
+struct Added {
+    plugin: TypeId,
+    /// The plugins that added it, outermost first.
+    inside: Vec<TypeId>,
+    cleanup: fn(&mut World),
+}
+
+/// A set around a stage, for one condition of that type. A stage itself keeps none: in `bevy_ecs`, conditions that are added to a set
+/// which has some, after a run, are lost.
+#[derive(SystemSet, Clone, Copy, Debug, PartialEq, Eq, Hash)]
+struct StageIf(Stage, TypeId);
 
 /// A world and its phases.
 pub struct Pipeline {
@@ -61,6 +77,11 @@ pub struct Pipeline {
     pub world: World,
     /// The plugins that are being built, outermost first.
     building: Vec<TypeId>,
+    /// The plugins that were added and not removed, in the order in which they were.
+    added: Vec<Added>,
+    marks: Vec<MarkAfterFailure>,
+    /// The conditions of stages, by phase.
+    conditions: Vec<(InternedScheduleLabel, StageIf)>,
 }
 
 impl Default for Pipeline {
@@ -72,7 +93,13 @@ impl Default for Pipeline {
 impl Pipeline {
     /// A pipeline with an empty world and the built-in phases, without systems.
     pub fn new() -> Self {
-        let mut pipeline = Self { world: World::new(), building: Vec::new() };
+        let mut pipeline = Self {
+            world: World::new(),
+            building: Vec::new(),
+            added: Vec::new(),
+            marks: Vec::new(),
+            conditions: Vec::new(),
+        };
         for phase in Phase::ALL {
             pipeline.add_phase(phase);
         }
@@ -101,22 +128,33 @@ impl Pipeline {
             .unwrap_or_else(|| panic!("there is no phase {label:?}: add it with add_phase"))
     }
 
-    /// Builds a plugin into the pipeline.
+    /// Builds a plugin into the pipeline. One of the same type that is there already is removed first, so that no system runs twice.
     pub fn add_plugin<P: Plugin>(&mut self, plugin: &P) -> &mut Self {
-        self.building.push(TypeId::of::<P>());
+        let own = TypeId::of::<P>();
+        if self.added.iter().any(|added| added.plugin == own) {
+            self.remove_plugin::<P>();
+        }
+        self.added.push(Added { plugin: own, inside: self.building.clone(), cleanup: P::cleanup });
+        self.building.push(own);
         plugin.build(self);
         self.building.pop();
         self
     }
 
-    /// Removes every system that a plugin of this type has added (and those of plugins that it added), then runs [`Plugin::cleanup`].
-    /// Slots that it filled are empty afterward.
+    /// Removes every system that a plugin of this type has added (and those of plugins that it added), then runs [`Plugin::cleanup`], that
+    /// of inner plugins first. Slots that it filled are empty afterward.
     pub fn remove_plugin<P: Plugin>(&mut self) -> &mut Self {
+        let own = TypeId::of::<P>();
         let schedules = self.world.resource::<Schedules>();
         let phases: Vec<InternedScheduleLabel> = schedules.iter().map(|(_, s)| s.label()).collect();
         for phase in phases {
-            self.remove_systems(phase, AddedBy(TypeId::of::<P>()).intern());
+            self.remove_systems(phase, AddedBy(own).intern());
         }
+        self.marks.retain(|mark| !mark.of.contains(&own));
+        let is_removed = |added: &mut Added| added.plugin == own || added.inside.contains(&own);
+        let removed: Vec<Added> = self.added.extract_if(.., is_removed).collect();
+        let inner = removed.iter().rev().filter(|removed| removed.plugin != own);
+        inner.for_each(|inner| (inner.cleanup)(&mut self.world));
         P::cleanup(&mut self.world);
         self
     }
@@ -166,41 +204,70 @@ impl Pipeline {
         debug_assert!(matches!(removed, Ok(Ok(_))), "{phase:?} {set:?}: {removed:?}");
     }
 
-    /// Has `mark` called after every run that fails. Conditions of skipped systems are evaluated all the same and then hold the changes
-    /// they saw for dealt with: `mark` marks what such systems read as changed.
-    pub fn mark_after_failure(&mut self, mark: fn(&mut World)) -> &mut Self {
-        let marks = &mut self.world.get_resource_or_init::<MarkAfterFailure>().0;
-        if !marks.iter().any(|known| std::ptr::fn_addr_eq(*known, mark)) {
-            marks.push(mark);
+    /// Lets a stage of a phase run only if `condition` holds, also what other plugins put into that stage. A stage has each condition
+    /// once, however often it is given one, and keeps it: `condition` must hold where the plugin that gave it is removed.
+    ///
+    /// # Panics
+    /// If there is no such phase.
+    pub fn run_stage_if<M, C: SystemCondition<M> + 'static>(
+        &mut self,
+        phase: impl ScheduleLabel,
+        stage: Stage,
+        condition: C,
+    ) -> &mut Self {
+        let (phase, around) = (phase.intern(), StageIf(stage, TypeId::of::<C>()));
+        if !self.conditions.contains(&(phase, around)) {
+            self.schedule_mut(phase).configure_sets((around.run_if(condition), stage.in_set(around)));
+            self.conditions.push((phase, around));
         }
         self
     }
 
+    /// Has `mark` called after every run that fails, until the plugin that is being built is removed. Conditions of skipped systems are
+    /// evaluated all the same and then hold the changes they saw for dealt with: `mark` marks what such systems read as changed.
+    pub fn mark_after_failure(&mut self, mark: fn(&mut World)) -> &mut Self {
+        self.marks.push(MarkAfterFailure { mark, of: self.building.clone() });
+        self
+    }
+
     fn after_failure(&mut self) {
-        let marks = self.world.get_resource::<MarkAfterFailure>().map(|marks| marks.0.clone());
-        marks.unwrap_or_default().into_iter().for_each(|mark| mark(&mut self.world));
+        let mut called: Vec<fn(&mut World)> = Vec::new();
+        for MarkAfterFailure { mark, .. } in &self.marks {
+            if !called.iter().any(|known| std::ptr::fn_addr_eq(*known, *mark)) {
+                called.push(*mark);
+                mark(&mut self.world);
+            }
+        }
     }
 
     /// Runs a phase once. As in an update of a bevy app, what was removed can be read (`RemovedComponents`) until the end of the
     /// next run but one.
     ///
+    /// During the run the world's error handler is the pipeline's; afterward it is again what it was before. At most 16 runs of a
+    /// process go on at once, others wait for one of them to end. A run that a system starts inside another one counts as well: 16 runs
+    /// that each start one inside at the same time wait for each other forever.
+    ///
     /// # Errors
     /// The first error of a system, from any thread; the systems after it are skipped.
     /// [`Error::Run`] if there is no such phase.
     pub fn run(&mut self, phase: impl ScheduleLabel) -> Result<()> {
-        let label = phase.intern();
-        let failure = Failure::watch(&mut self.world);
-        self.world.try_run_schedule(label).map_err(|_| {
-            Error::run("pipeline", format!("there is no phase {label:?}: add it with add_phase"))
-        })?;
-        // Otherwise the messages of every despawned sample's components pile up: some hundred bytes a sample of every picture.
-        self.world.clear_trackers();
-        match failure.first() {
+        match self.run_watched(phase.intern())? {
             None => Ok(()),
             Some(error) => {
                 self.after_failure();
                 Err(error)
             }
         }
+    }
+
+    /// Runs a phase once; returns the first error of a system.
+    fn run_watched(&mut self, phase: InternedScheduleLabel) -> Result<Option<Error>> {
+        let failure = Failure::watch(&mut self.world);
+        failure.world.try_run_schedule(phase).map_err(|_| {
+            Error::run("pipeline", format!("there is no phase {phase:?}: add it with add_phase"))
+        })?;
+        // Otherwise the messages of every despawned sample's components pile up: some hundred bytes a sample of every picture.
+        failure.world.clear_trackers();
+        Ok(failure.first())
     }
 }

@@ -62,7 +62,7 @@ impl<'w, 's, I: PoolIndex, D: Columns + 'static> Pool<'w, 's, I, D> {
     /// The columns of some rows. Writing does not mark them as changed: use this for data that every run recomputes.
     ///
     /// # Errors
-    /// If rows are missing or duplicate.
+    /// If one of these rows is missing, or duplicate where no table has all of them in order: if one does, no other table is searched.
     pub fn rows(self, rows: Range<usize>) -> Result<D::Slices<'w>> {
         let chunks = self.chunks()?;
         slices::<I, D>(chunks, rows, false)
@@ -71,7 +71,7 @@ impl<'w, 's, I: PoolIndex, D: Columns + 'static> Pool<'w, 's, I, D> {
     /// The columns of the rows that `choose` returns for the length of the pool; otherwise like [`Self::rows`].
     ///
     /// # Errors
-    /// If rows are missing or duplicate.
+    /// Those of [`Self::rows`].
     pub fn rows_of(self, choose: impl FnOnce(usize) -> Range<usize>) -> Result<D::Slices<'w>> {
         let chunks = self.chunks()?;
         let count = chunks.iter().map(|(index, _)| index.len()).sum();
@@ -98,7 +98,7 @@ fn slices<'w, 's, I: PoolIndex, D: Columns>(
 ) -> Result<D::Slices<'w>> {
     let mut chunks = chunks;
     if let Some(only) = chunks.iter().position(|(index, _)| in_order(index, &rows)) {
-        // The other chunks, if any, have none of these rows.
+        // The other chunks, if any, have none of these rows, or duplicates of them, which are not searched for.
         let (_, chunk) = chunks.swap_remove(only);
         return Ok(D::slices(chunk, rows, marks));
     }
@@ -277,7 +277,7 @@ impl<T: Component<Mutability = Mutable> + Copy> Columns for &'static mut T {
     }
 }
 
-/// Tuples of columns, up to eight.
+/// Tuples of columns, up to six.
 macro_rules! tuple_columns {
     ($($name:ident $value:ident),*) => {
         #[allow(non_snake_case)]
@@ -339,7 +339,7 @@ pub fn read_column<I: PoolIndex, T: Component + Copy>(world: &mut World) -> Resu
 /// Writes one column of a pool, all rows.
 ///
 /// # Errors
-/// If rows are missing or there twice, or `values` has another length.
+/// If rows are missing or duplicate, or `values` has another length.
 pub fn write_column<I: PoolIndex, T>(world: &mut World, values: &[T]) -> Result<()>
 where
     T: Component<Mutability = Mutable> + Copy,

@@ -1,7 +1,10 @@
+use super::failure::RunCell;
 use super::*;
-use bevy_ecs::error::ErrorContext;
+use bevy_ecs::error::{ErrorContext, FallbackErrorHandler};
 use bevy_ecs::prelude::{Component, Entity, In, IntoSystem, ResMut, Resource, World};
 use bevy_ecs::schedule::{FixedBitSet, MultiThreadedExecutor, SystemExecutor, SystemSchedule};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, Mutex};
 
 #[derive(Resource, Default)]
 struct Trail(Vec<&'static str>);
@@ -120,6 +123,55 @@ fn errors_on_other_threads_reach_their_own_callers() {
     }
 }
 
+static COUNTED: AtomicU32 = AtomicU32::new(0);
+
+/// An error handler of a user's own.
+fn counting(_: BevyError, _: ErrorContext) {
+    COUNTED.fetch_add(1, Ordering::Relaxed);
+}
+
+#[test]
+fn a_run_leaves_the_error_handler_of_the_world_as_it_was() -> Result<()> {
+    let mut plain = pipeline();
+    plain.run(Phase::Frame)?;
+    let is_left = |world: &World| {
+        world.contains_resource::<FallbackErrorHandler>() || world.contains_resource::<RunCell>()
+    };
+    assert!(!is_left(&plain.world), "after a run");
+    plain.swap(Phase::Frame, Slot::Shading, fail);
+    assert!(plain.run(Phase::Frame).is_err() && !is_left(&plain.world), "after a failure");
+    assert!(plain.run(Preview).is_err() && !is_left(&plain.world), "after a run of no phase");
+
+    let mut own = pipeline();
+    own.world.insert_resource(FallbackErrorHandler(counting));
+    own.swap(Phase::Frame, Slot::Shading, fail);
+    let before = COUNTED.load(Ordering::Relaxed);
+    assert!(own.run(Phase::Frame).is_err());
+    assert_eq!(COUNTED.load(Ordering::Relaxed), before, "the run has the pipeline's handler");
+    own.world.run_schedule(Phase::Frame);
+    assert_eq!(COUNTED.load(Ordering::Relaxed), before + 1, "the user's is back");
+    assert_eq!(trail(&mut own), "sample sample write", "and no cell of a run holds systems back");
+    Ok(())
+}
+
+#[test]
+fn a_schedule_that_is_run_by_hand_neither_hears_of_another_pipeline_nor_tells_it() -> Result<()> {
+    let mut first = pipeline();
+    first.run(Phase::Frame)?;
+    assert_eq!(trail(&mut first), "sample shade write");
+    let first = Arc::new(Mutex::new(first));
+    // The cell of the first run is free again: the other pipeline is likely to get it, and has failed when the first goes on.
+    let mut other = pipeline();
+    other.swap(Phase::Frame, Slot::Shading, fail);
+    let inside = first.clone();
+    let run_first = move || inside.lock().expect("nothing panics").world.run_schedule(Phase::Frame);
+    other.schedule_mut(Phase::Frame).add_systems(run_first.in_set(Stage::Write));
+    let error = other.run(Phase::Frame).expect_err("it fails");
+    assert_eq!(error.to_string(), "a.png, pixel (3, 4): not finite");
+    assert_eq!(trail(&mut first.lock().expect("nothing panics")), "sample shade write");
+    Ok(())
+}
+
 #[test]
 fn a_missing_resource_and_a_missing_phase_are_errors_not_panics() {
     let mut pipeline = Pipeline::new();
@@ -231,9 +283,79 @@ fn a_plugin_is_removed_again_with_what_it_brought() -> Result<()> {
     pipeline.run(Phase::Frame)?;
     assert_eq!(trail(&mut pipeline), "sample shade outer write");
     pipeline.add_plugin(&Outer).remove_plugin::<Outer>();
+    assert!(!pipeline.world.contains_resource::<InnerState>(), "inner plugins take out what is theirs");
     pipeline.run(Phase::Frame)?;
     pipeline.run(Phase::FitStep)?;
     assert_eq!(trail(&mut pipeline), "sample shade write", "also the first that was added, and its slots");
+    Ok(())
+}
+
+#[test]
+fn a_plugin_that_is_added_again_replaces_the_first() -> Result<()> {
+    let mut pipeline = pipeline();
+    pipeline.add_plugin(&Outer).add_plugin(&Outer).add_plugin(&Inner);
+    pipeline.run(Phase::Frame)?;
+    assert_eq!(trail(&mut pipeline), "sample shade outer inner write");
+    pipeline.remove_plugin::<Outer>();
+    pipeline.run(Phase::Frame)?;
+    assert_eq!(trail(&mut pipeline), "sample shade inner write", "the last was added on its own");
+    Ok(())
+}
+
+static ASKED: AtomicU32 = AtomicU32::new(0);
+
+/// A condition that counts how often it is asked.
+fn counts() -> bool {
+    ASKED.fetch_add(1, Ordering::Relaxed);
+    true
+}
+
+fn never() -> bool {
+    false
+}
+
+fn say_failed(world: &mut World) {
+    world.resource_mut::<Trail>().0.push("failed");
+}
+
+/// A capability that holds a stage back, and looks at failed runs.
+struct Guard;
+
+impl Plugin for Guard {
+    fn build(&self, pipeline: &mut Pipeline) {
+        pipeline
+            .run_stage_if(Phase::Frame, Stage::Loss, counts)
+            .run_stage_if(Phase::Frame, Stage::Resolve, never)
+            .mark_after_failure(say_failed);
+    }
+}
+
+#[test]
+fn a_stage_has_a_condition_once_and_what_follows_a_failure_goes_with_its_plugin() -> Result<()> {
+    let mut pipeline = pipeline();
+    pipeline.add_systems(Phase::Frame, Stage::Loss, say("loss"));
+    pipeline.add_systems(Phase::Frame, Stage::Resolve, say("resolve"));
+    pipeline.run_stage_if(Phase::Frame, Stage::Loss, counts).add_plugin(&Guard).add_plugin(&Guard);
+    pipeline.run(Phase::Frame)?;
+    assert_eq!(trail(&mut pipeline), "sample shade loss write");
+    assert_eq!(ASKED.load(Ordering::Relaxed), 1);
+    pipeline.run_stage_if(Phase::Frame, Stage::Loss, never);
+    pipeline.run(Phase::Frame)?;
+    assert_eq!(
+        trail(&mut pipeline),
+        "sample shade write",
+        "another condition of a stage that has one and has run"
+    );
+    pipeline.swap(Phase::Frame, Slot::Shading, fail).mark_after_failure(say_failed);
+    assert!(pipeline.run(Phase::Frame).is_err());
+    assert_eq!(trail(&mut pipeline), "sample failed", "it is called once");
+    pipeline.remove_plugin::<Guard>();
+    assert!(pipeline.run(Phase::Frame).is_err());
+    assert_eq!(trail(&mut pipeline), "sample failed", "it was given outside of the plugin as well");
+    let mut other = self::pipeline();
+    other.swap(Phase::Frame, Slot::Shading, fail).add_plugin(&Guard).remove_plugin::<Guard>();
+    assert!(other.run(Phase::Frame).is_err());
+    assert_eq!(trail(&mut other), "sample");
     Ok(())
 }
 

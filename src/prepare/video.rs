@@ -192,7 +192,7 @@ fn input_words(video: &Path) -> Vec<OsString> {
 /// ffmpeg turns frames as the video says, so that they are upright.
 fn arguments(video: &Path, plan: FramePlan, frames: &Path) -> Vec<OsString> {
     let (total, chosen) = (plan.total, plan.candidates());
-    // JPEG files have the colors of BT.601, videos mostly those of BT.709. The frames are numbered anew, so that none is written
+    // JPEG files have the colors of BT.601, videos mostly those of BT.709. The frames are renumbered, so that none is written
     // twice or dropped for the sake of an even rate.
     let filter = format!(
         "select='gt(floor((n+1)*{chosen}/{total}),floor(n*{chosen}/{total}))',\

@@ -17,7 +17,7 @@ pub(super) struct Work {
     out: PathBuf,
     /// The settings of all steps so far, each after the steps that it depends on.
     settings: String,
-    /// Whether a step was done anew, after which no later one holds.
+    /// Whether a step was done again, after which no later one holds.
     stale: bool,
     lock: FolderLock,
 }

@@ -59,17 +59,17 @@ use tracing::span::EnteredSpan;
 
 /// A stage that is at work until this is dropped.
 #[must_use = "a stage ends when this is dropped"]
-pub struct Stage(#[expect(dead_code, reason = "it is dropped")] EnteredSpan);
+pub struct StageGuard(#[expect(dead_code, reason = "it is dropped")] EnteredSpan);
 
 /// Begins a stage inside whatever is at work: a part of a pass, of a fit, of a program of your own. Stages of one name inside the same part
 /// are summed up.
-pub fn stage(name: impl Display) -> Stage {
-    Stage(tracing::info_span!("stage", name = %name).entered())
+pub fn stage(name: impl Display) -> StageGuard {
+    StageGuard(tracing::info_span!("stage", name = %name).entered())
 }
 
 /// Begins a pass of a scene, as [`stage`] does a stage.
-pub fn pass(name: impl Display) -> Stage {
-    Stage(tracing::info_span!("pass", name = %name).entered())
+pub fn pass(name: impl Display) -> StageGuard {
+    StageGuard(tracing::info_span!("pass", name = %name).entered())
 }
 
 /// Measures what goes on under it. Clones are the same profiler.

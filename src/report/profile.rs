@@ -10,13 +10,13 @@ const HEAD: [&str; 7] = ["time by part", "runs", "wall s", "share", "CPU s", "sh
 /// A table with a line per part, inner ones indented, and a line for what is in none of the parts inside another. Ends with a line break.
 pub fn profile_table(profile: &Profile) -> String {
     let mut rows = vec![HEAD.map(str::to_owned)];
-    add_rows(&profile.whole, 0, (&profile.whole, &mut rows));
+    add_rows(&profile.whole, 0, &profile.whole, &mut rows);
     let threads =
         if profile.threads == 1 { "1 thread".to_owned() } else { format!("{} threads", profile.threads) };
     format!("{}Of {threads}; parts below {} % are in metrics.json alone.\n", aligned(&rows), 100.0 * LEAST)
 }
 
-fn add_rows(part: &Part, depth: usize, (whole, rows): (&Part, &mut Vec<[String; 7]>)) {
+fn add_rows(part: &Part, depth: usize, whole: &Part, rows: &mut Vec<[String; 7]>) {
     if !is_shown(part.wall_share, part.cpu_share) {
         return;
     }
@@ -26,7 +26,7 @@ fn add_rows(part: &Part, depth: usize, (whole, rows): (&Part, &mut Vec<[String; 
     };
     rows.push(row(format!("{:1$}{name}", "", 2 * depth), Some(part.runs), part));
     for inside in &part.parts {
-        add_rows(inside, depth + 1, (whole, rows));
+        add_rows(inside, depth + 1, whole, rows);
     }
     let rest = rest_of(part, whole);
     if !part.parts.is_empty() && is_shown(rest.wall_share, rest.cpu_share) {

@@ -129,7 +129,7 @@ pub struct ScaleFound {
 pub struct FrameTried {
     /// In words: "stands around the object".
     pub frame: String,
-    /// Mean absolute error of radiance of the first guess in it.
+    /// Mean absolute error of radiance of the initialization in it.
     pub error: f32,
 }
 

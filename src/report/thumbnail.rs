@@ -1,10 +1,10 @@
 //! Small pictures for pages: JPEG, of a size that keeps a page within its budget.
 
 use crate::codec::file::write_bytes;
-use crate::error::{Error, Result};
+use crate::codec::image::encode_jpeg;
+use crate::error::Result;
 use base64::Engine as _;
 use base64::engine::general_purpose::STANDARD;
-use image::codecs::jpeg::JpegEncoder;
 use image::imageops::thumbnail;
 use image::{GrayImage, RgbImage};
 use std::path::Path;
@@ -51,20 +51,16 @@ pub fn thumbnail_mask(mask: &GrayImage, side: u32) -> GrayImage {
 /// The picture as a JPEG whose longer side is at most `side` pixels; it is never enlarged.
 ///
 /// # Errors
-/// [`Error::Run`] for a picture without pixels.
+/// [`Error::Run`](crate::Error::Run) for a picture without pixels.
 pub fn thumbnail_jpeg(picture: &RgbImage, side: u32) -> Result<Vec<u8>> {
     let small = smaller(picture.dimensions(), side).map(|(width, height)| thumbnail(picture, width, height));
-    let mut bytes = Vec::new();
-    JpegEncoder::new_with_quality(&mut bytes, QUALITY)
-        .encode_image(small.as_ref().unwrap_or(picture))
-        .map_err(|error| Error::run("a small picture", error.to_string()))?;
-    Ok(bytes)
+    encode_jpeg(small.as_ref().unwrap_or(picture), QUALITY)
 }
 
 /// Writes [`thumbnail_jpeg`] to a file.
 ///
 /// # Errors
-/// Those of [`thumbnail_jpeg`]; [`Error::Io`] if the file cannot be written.
+/// Those of [`thumbnail_jpeg`]; [`Error::Io`](crate::Error::Io) if the file cannot be written.
 pub fn write_thumbnail(path: &Path, picture: &RgbImage, side: u32) -> Result<()> {
     write_bytes(path, &thumbnail_jpeg(picture, side)?)
 }
@@ -72,6 +68,7 @@ pub fn write_thumbnail(path: &Path, picture: &RgbImage, side: u32) -> Result<()>
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::codec::image::decode;
     use image::{Luma, Rgb};
 
     #[test]
@@ -87,7 +84,7 @@ mod tests {
     fn pictures_keep_their_shape_and_are_not_enlarged() {
         let size = |width, height, side| {
             let picture = RgbImage::from_pixel(width, height, Rgb([200, 40, 10]));
-            let read = image::load_from_memory(&thumbnail_jpeg(&picture, side).unwrap()).unwrap().to_rgb8();
+            let read = decode(&thumbnail_jpeg(&picture, side).unwrap()).unwrap().to_rgb8();
             let [r, g, b] = read.get_pixel(0, 0).0;
             assert!(r.abs_diff(200) < 6 && g.abs_diff(40) < 6 && b.abs_diff(10) < 6, "{r} {g} {b}");
             read.dimensions()

@@ -1,6 +1,6 @@
 //! A whole scene file.
 //!
-//! Unless a field says otherwise, lengths are in the data set's own unit, colours are linear Rec. 709 and
+//! Unless a field says otherwise, lengths are in the data set's own unit, colors are linear Rec. 709 and
 //! paths may begin with `$DATA` (the folder given by `--data`) or are relative to the scene file.
 
 use crate::fit::scale::ScaleRule;

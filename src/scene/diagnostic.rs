@@ -151,7 +151,7 @@ impl SceneText<'_> {
             Ron::InvalidValueForType { expected, .. } => (format!("expected {expected}"), String::new()),
             Ron::ExpectedFloat | Ron::ExpectedInteger if self.text[node.span.clone()].starts_with('(') => (
                 "expected a number".into(),
-                "A colour in a choice has one pair of brackets: `Constant(0.5, 0.5, 0.5)`.".into(),
+                "A color in a choice has one pair of brackets: `Constant(0.5, 0.5, 0.5)`.".into(),
             ),
             Ron::ExpectedFloat => ("expected a number".into(), String::new()),
             // An integer is read up to its decimal point, and then a comma is missed.

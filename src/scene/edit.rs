@@ -53,9 +53,9 @@ pub enum DiffuseAction {
     Set(Vec3),
     /// Multiplies it: `Scale(1.2, 1, 1)`, ≥ 0.
     Scale(Vec3),
-    /// Moves it towards a colour: old + weight (color − old).
+    /// Moves it toward a color: old + weight (color − old).
     Blend {
-        /// The colour, in [0, 1].
+        /// The color, in [0, 1].
         color: Vec3,
         /// In [0, 1].
         weight: f32,
@@ -64,7 +64,7 @@ pub enum DiffuseAction {
     Texture(PathBuf),
 }
 
-/// What is done to a colour; results are clamped to [0, 1].
+/// What is done to a color; results are clamped to [0, 1].
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub enum ColorAction {
@@ -72,9 +72,9 @@ pub enum ColorAction {
     Set(Vec3),
     /// Multiplies it: `Scale(1.2, 1, 1)`, ≥ 0.
     Scale(Vec3),
-    /// Moves it towards a colour: old + weight (color − old).
+    /// Moves it toward a color: old + weight (color − old).
     Blend {
-        /// The colour, in [0, 1].
+        /// The color, in [0, 1].
         color: Vec3,
         /// In [0, 1].
         weight: f32,
@@ -89,7 +89,7 @@ pub enum ScalarAction {
     Set(f32),
     /// Multiplies it: `Scale(0.5)`, ≥ 0.
     Scale(f32),
-    /// Moves it towards a value: old + weight (value − old).
+    /// Moves it toward a value: old + weight (value − old).
     Blend {
         /// The value, in [0.03, 1].
         value: f32,
@@ -117,7 +117,7 @@ pub enum Region {
     },
     /// Inside a ball in world space.
     Sphere {
-        /// Centre.
+        /// Center.
         center: Vec3,
         /// Radius > 0.
         radius: f32,

@@ -15,7 +15,7 @@ pub struct OrbitKey {
     /// Height of the camera over the horizon in degrees, −89 to 89. Default: no key.
     #[serde(default)]
     pub elevation_degrees: Option<f32>,
-    /// Distance from the object's centre > 0. Default: no key.
+    /// Distance from the object's center > 0. Default: no key.
     #[serde(default)]
     pub radius: Option<f32>,
     /// How the values change from the key before to this one. Default `Smooth`.

@@ -32,9 +32,9 @@ pub struct FitPass {
     /// Whether each photograph has an exposure of its own that is not known: a factor on its radiance, 0.2 to 5, their
     /// geometric mean 1. Views are rendered without. Default false.
     pub exposure: bool,
-    /// What of the training views' cameras is a little off and found too. Default `Given`: nothing.
+    /// Which camera parameters of the training views are refined. Default `Given`: none.
     pub cameras: CameraUnknowns,
-    /// Whether the mesh is a little off and its vertices move along their normals, which then are smooth. Default false.
+    /// Whether the vertices of the mesh are refined: they move along their normals, which then are smooth. Default false.
     pub vertices: bool,
     /// Whether the texture is then made as fine as the photographs, up to 1 024 texels a side, and its albedo, sheen and tilt are solved for
     /// from all pixels. Default false.
@@ -85,7 +85,7 @@ pub struct ShapePass {
     pub silhouette: f32,
     /// Weight of the field's smoothness ≥ 0 at the end of each level, relaxed from ten times that. Default 1e-6.
     pub smoothness: f32,
-    /// Rounds of averaging the shape's gradient over neighbouring vertices. Default 8.
+    /// Rounds of averaging the shape's gradient over neighboring vertices. Default 8.
     pub blur: u32,
     /// Adam's step sizes of light and material.
     pub rates: Rates,
@@ -99,7 +99,7 @@ pub struct ShapePass {
     pub spans_unseen: bool,
     /// Whether each photograph has an exposure of its own that is not known, as in [`FitPass::exposure`]. Default false.
     pub exposure: bool,
-    /// What of the training views' cameras is a little off and found too. Default `Given`: nothing.
+    /// Which camera parameters of the training views are refined. Default `Given`: none.
     pub cameras: CameraUnknowns,
 }
 

@@ -13,7 +13,7 @@ use std::path::PathBuf;
 pub enum Light {
     /// Nothing: a fit finds it.
     Unknown(UnknownLight),
-    /// A first guess, which a fit improves: `Initial(Npy(path: "light.npy"))`.
+    /// An initial value, which a fit improves: `Initial(Npy(path: "light.npy"))`.
     Initial(LightSource),
     /// Known; a fit leaves it as it is: `Fixed(Map(path: "sky.exr"))`.
     Fixed(LightSource),
@@ -83,7 +83,7 @@ impl Default for UnknownLight {
 pub enum LightSource {
     /// SG lobes, written out.
     Lobes {
-        /// The lobes, 1 to 512; axes are normalised, sharpness and amplitude are ≥ 0.
+        /// The lobes, 1 to 512; axes are normalized, sharpness and amplitude are ≥ 0.
         lobes: Vec<LightLobe>,
         /// Factor on the radiance ≥ 0. Default 1.
         #[serde(default = "one")]
@@ -138,7 +138,7 @@ pub enum LightSource {
         /// `rotation_degrees`). Default false.
         #[serde(default)]
         upper_hemisphere: bool,
-        /// Grey light: the map's luminance. Default false.
+        /// Gray light: the map's luminance. Default false.
         #[serde(default)]
         white: bool,
     },

@@ -90,7 +90,7 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<LoadedScene> {
     Ok(LoadedScene { scene, path: path.to_owned(), text, files: found, unseen, roots, base_dir })
 }
 
-/// One report stands for every `$DATA/…`: they have the same mend.
+/// One report stands for every `$DATA/…`: they have the same remedy.
 fn data_is_missing(at: String) -> Problem {
     Problem {
         path: at,

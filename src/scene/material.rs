@@ -10,7 +10,7 @@ use std::path::PathBuf;
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Material {
-    /// Diffuse albedo, one colour per texel. Default `Unknown`.
+    /// Diffuse albedo, one color per texel. Default `Unknown`.
     pub albedo: Albedo,
     /// How the diffuse albedo depends on the angle of view. Default `Auto`.
     pub sheen: Sheen,
@@ -28,7 +28,7 @@ pub enum Albedo {
     /// Nothing: a fit finds it.
     #[default]
     Unknown,
-    /// A first guess, which a fit improves.
+    /// An initial value, which a fit improves.
     Initial(AlbedoSource),
     /// Known; a fit leaves it as it is.
     Fixed(AlbedoSource),
@@ -66,7 +66,7 @@ pub enum Tilt {
 /// A diffuse albedo that is given.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum AlbedoSource {
-    /// One colour in [0, 1] everywhere: `Constant(0.5, 0.5, 0.5)`.
+    /// One color in [0, 1] everywhere: `Constant(0.5, 0.5, 0.5)`.
     Constant(Vec3),
     /// A texture: PNG (sRGB) or EXR (linear), any size; must exist. `Texture("albedo.exr")`.
     Texture(PathBuf),
@@ -91,7 +91,7 @@ pub struct Specular {
 pub enum SpecularAlbedo {
     /// A fit finds it.
     Unknown {
-        /// One grey value instead of three channels. Default true.
+        /// One gray value instead of three channels. Default true.
         #[serde(default = "yes")]
         mono: bool,
         /// Where the fit starts, in [0, 1]. Default (0.3, 0.3, 0.3).
@@ -142,14 +142,14 @@ pub enum Gloss {
         #[serde(default = "base_materials")]
         materials: u32,
     },
-    /// A roughness for each texel, in [0.1, 0.76], tied to its neighbours by a prior; the specular albedo in `specular` is one for all.
+    /// A roughness for each texel, in [0.1, 0.76], tied to its neighbors by a prior; the specular albedo in `specular` is one for all.
     /// Not together with a `Shape` pass.
     Texels {
         /// Weight ≥ 0, beside the image loss, of the mean difference of the logarithm of roughness (and of the specular lobe's share)
-        /// between neighbouring texels. Default 0.003.
+        /// between neighboring texels. Default 0.003.
         #[serde(default = "gloss_smoothness")]
         smoothness: f32,
-        /// Difference of chromaticity (albedo over its sum) > 0 at which neighbours are tied half as much as those of one colour.
+        /// Difference of chromaticity (albedo over its sum) > 0 at which neighbors are tied half as much as those of one color.
         /// Default 0.1.
         #[serde(default = "gloss_color_width")]
         color_width: f32,

@@ -106,7 +106,7 @@ pub enum MeshFormat {
     /// `mesh.glb`: binary glTF with textures, roughness and reflectance; the light as `light.hdr` and `light_blender.hdr`; and a page for
     /// browsers, `model-viewer.html`.
     Glb,
-    /// `mesh.ply`: binary, with normals and the albedo as vertex colours.
+    /// `mesh.ply`: binary, with normals and the albedo as vertex colors.
     Ply,
     /// `mesh.obj` with `mesh.mtl` and `mesh_albedo.png`.
     Obj,

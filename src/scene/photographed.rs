@@ -64,28 +64,28 @@ pub struct TruthObject {
     /// The frame in which it stands still, as `light_frame` of the scene. Default `World`.
     #[serde(default)]
     pub light_frame: LightFrame,
-    /// What else is done to the material: regions of other colour or gloss. Default [].
+    /// What else is done to the material: regions of other color or gloss. Default [].
     #[serde(default)]
     pub edits: Vec<Edit>,
 }
 
-/// A diffuse albedo that varies with the position in space. Colours are in [0, 1].
+/// A diffuse albedo that varies with the position in space. Colors are in [0, 1].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub enum Pattern {
     /// The same everywhere: `Constant(0.5, 0.5, 0.5)`.
     Constant(Vec3),
-    /// Cubes of two alternating colours.
+    /// Cubes of two alternating colors.
     Checker {
-        /// The two colours.
+        /// The two colors.
         colors: (Vec3, Vec3),
         /// Edge length of a cube > 0. Default 0.3.
         #[serde(default = "pattern_size")]
         size: f32,
     },
-    /// Slabs whose colours repeat.
+    /// Slabs whose colors repeat.
     Stripes {
-        /// The colours in order, at least one.
+        /// The colors in order, at least one.
         colors: Vec<Vec3>,
         /// The direction across the slabs, not zero. Default (0, 1, 0).
         #[serde(default = "y_axis")]
@@ -94,9 +94,9 @@ pub enum Pattern {
         #[serde(default = "pattern_size")]
         width: f32,
     },
-    /// Smooth waves in space that blend between two colours.
+    /// Smooth waves in space that blend between two colors.
     Waves {
-        /// The two colours.
+        /// The two colors.
         colors: (Vec3, Vec3),
         /// Wavelength > 0. Default 0.3.
         #[serde(default = "pattern_size")]

@@ -87,7 +87,7 @@ pub struct Orbit {
     pub frames: u32,
     /// Height of the camera over the horizon in degrees, −89 to 89. Default 20.
     pub elevation_degrees: f32,
-    /// Distance from the object's centre > 0. Default: far enough that the object fills the picture.
+    /// Distance from the object's center > 0. Default: far enough that the object fills the picture.
     pub radius: Option<f32>,
     /// Field of view in degrees, 0.001 to 170. Default 38.
     pub fov_degrees: f32,
@@ -125,10 +125,10 @@ impl Default for Orbit {
 /// What an orbit is written as.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum OrbitFormat {
-    /// 256 colours, plays everywhere.
+    /// 256 colors, plays everywhere.
     #[default]
     Gif,
-    /// All colours.
+    /// All colors.
     Apng,
     /// H.264 only, by the `ffmpeg` on the PATH, which must be there; the frames stay as PNG files in `orbit_frames/`.
     Mp4,

@@ -15,7 +15,7 @@ pub enum Surface {
         /// Width and height of the albedo texture in texels, 8 to 4096. Default 256.
         #[serde(default = "mesh_texture_size")]
         texture_size: u32,
-        /// Take the file's own material, as `Export` writes it: one dielectric, no metal, no textures but the base colour's. It
+        /// Take the file's own material, as `Export` writes it: one dielectric, no metal, no textures but the base color's. It
         /// counts as fixed, and `material` must not be given. Default false.
         #[serde(default)]
         own_material: bool,
@@ -31,7 +31,7 @@ pub enum Surface {
     },
     /// A sphere.
     Sphere {
-        /// Centre. Default (0, 0, 0).
+        /// Center. Default (0, 0, 0).
         #[serde(default)]
         center: Vec3,
         /// Radius > 0. Default 0.8.
@@ -43,7 +43,7 @@ pub enum Surface {
     },
     /// A box with axis-aligned faces.
     Box {
-        /// Centre. Default (0, 0, 0).
+        /// Center. Default (0, 0, 0).
         #[serde(default)]
         center: Vec3,
         /// Edge lengths > 0. Default (1, 1, 1).

@@ -32,7 +32,7 @@ pub struct Dataset {
     /// How 8- and 16-bit images are decoded to linear light (EXR and HDR are linear). Default `Srgb`.
     #[serde(default)]
     pub gamma: Gamma,
-    /// Where in a pixel its centre is, in pixels from its upper left corner, 0 to 1; 0 for data of PhySG's own code. Default: 0 in
+    /// Where in a pixel its center is, in pixels from its upper left corner, 0 to 1; 0 for data of PhySG's own code. Default: 0 in
     /// the layout `Idr`, 0.5 in all others.
     #[serde(default)]
     pub pixel_center: Option<f32>,

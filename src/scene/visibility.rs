@@ -16,7 +16,7 @@ pub enum Visibility {
         /// Reflections from one part of the object onto another, 0 (shadows alone) to 8. Default 2.
         #[serde(default = "bounces")]
         bounces: u32,
-        /// Steps of a fit after which shadows and reflections are made anew ≥ 1. Default 50.
+        /// Steps of a fit after which shadows and reflections are recomputed ≥ 1. Default 50.
         #[serde(default = "refresh_every")]
         refresh_every: u32,
     },

@@ -6,7 +6,8 @@ use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::light::frame::PictureRotation;
 use crate::light::lights::{IncidentLight, LightChoice, provide_light};
-use crate::material::shown::{mark_material_changed, show_recovered};
+use crate::material::edit::MaterialState;
+use crate::material::shown::{mark_material_changed, show_recovered, shown_material};
 use crate::material::source::{
     BaseMaterials, MaterialSource, PlainBlends, Shown, blends_changed, gather_materials, note_plain_blends,
 };
@@ -246,6 +247,22 @@ fn render_rows(pipeline: &mut Pipeline, target: FrameTarget) -> Result<FrameTarg
     pipeline.world.remove_resource::<PictureRotation>();
     let target = pipeline.world.remove_resource::<FrameTarget>().expect("it was inserted above");
     outcome.map(|()| target)
+}
+
+/// The material that a frame would show now: the Frame phase runs for no pixel, so that the system in [`Slot::Material`] has its turn.
+///
+/// # Errors
+/// The first error of a system; if the pool of texels is not whole.
+pub fn frame_material(pipeline: &mut Pipeline) -> Result<MaterialState> {
+    let camera = Camera::look_at(Vec3::Z, Vec3::ZERO, Vec3::Y, 40.0, 1, 1)?;
+    let target = FrameTarget::band(camera, 1, 0..0);
+    despawn_pool(&mut pipeline.world);
+    pipeline.world.insert_resource(target);
+    pipeline.world.resource_mut::<Window>().0 = 0..0;
+    let shown = pipeline.run(Phase::Frame);
+    pipeline.world.remove_resource::<FrameTarget>();
+    shown?;
+    shown_material(&mut pipeline.world)
 }
 
 /// Converts sums over samples to the layers of a frame: radiance averages over all samples, other layers over samples with a hit.

@@ -71,8 +71,7 @@ fn no_hull(silhouettes: &[Silhouette], coarse: &SdfGrid) -> Error {
         "no point of space is inside all masks: the best is in {inside} of {all}; view `{}` is farthest off",
         worst.name
     );
-    let help =
-        "Do cameras and masks belong together? Mend that view's pose or mask, or leave it out with `select`.";
+    let help = "Do cameras and masks belong together? Repair that view's pose or mask, or leave it out with `select`.";
     Error::usage(problem, help)
 }
 

@@ -101,7 +101,7 @@ struct Seen {
 }
 
 /// The votes of all views.
-pub(crate) struct Votes {
+pub(crate) struct OutlineVotes {
     /// One for each vertex of the shell.
     pub(crate) of_vertices: Vec<Vote>,
     /// Mean distance of outlines in pixels.
@@ -110,7 +110,7 @@ pub(crate) struct Votes {
     none: bool,
 }
 
-impl Votes {
+impl OutlineVotes {
     fn new(seen: &[Vec<Seen>], vertices: usize) -> Self {
         let all = || seen.iter().flatten();
         let (count, sum) = all().fold((0, 0.0), |(n, sum), s| (n + 1, sum + f64::from(s.distance.abs())));
@@ -170,9 +170,9 @@ impl<'a> Contours<'a> {
     }
 
     /// The votes of all views, added in their order.
-    pub(crate) fn votes(&self, silhouettes: &[Silhouette]) -> Votes {
+    pub(crate) fn votes(&self, silhouettes: &[Silhouette]) -> OutlineVotes {
         let seen: Vec<Vec<Seen>> = silhouettes.par_iter().map(|view| self.seen(view)).collect();
-        Votes::new(&seen, self.shell.positions.len())
+        OutlineVotes::new(&seen, self.shell.positions.len())
     }
 
     /// The vertices of a view's outline; none once a run is stopping.

@@ -91,7 +91,7 @@ impl Silhouette {
         near + (x.abs_diff(near_x) as f32).hypot(y.abs_diff(near_y) as f32)
     }
 
-    /// Image position of a pixel's centre.
+    /// Image position of a pixel's center.
     pub(super) fn center(&self, pixel: usize) -> (f32, f32) {
         let width = self.camera.width as usize;
         ((pixel % width) as f32 + 0.5, (pixel / width) as f32 + 0.5)

@@ -225,7 +225,7 @@ pub fn hand_out_to_bricks(
     Ok(())
 }
 
-/// Gradient: looks for gradients of bricks that are not finite; then all adjoints of the field begin anew.
+/// Gradient: looks for gradients of bricks that are not finite; then all adjoints of the field start again from zero.
 pub fn check_bricks(
     rates: Res<StepRates>,
     schedule: Res<ShapeSchedule>,

@@ -335,7 +335,7 @@ pub fn move_vertices(
     let reach = REACH * mesh.graph.mean_edge(&mesh.start);
     let near = |(moved, start): (Vec3, &Vec3)| *start + (moved - *start).clamp_length_max(reach);
     let moved: Vec<Vec3> = moved.into_iter().zip(&mesh.start).map(near).collect();
-    // A move that makes a triangle degenerate is rejected, and one that has no end begins anew.
+    // A move that makes a triangle degenerate is rejected, and one that is not finite starts again from rest.
     if moved.iter().any(|at| !at.is_finite()) {
         moments.fill(VertexMoment::default());
         return Ok(());

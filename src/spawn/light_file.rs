@@ -185,7 +185,7 @@ impl LightFile {
         }
     }
 
-    /// The light as a map of `width` × `height` texels (at least 1): lobes are evaluated at texel centres; a map is averaged
+    /// The light as a map of `width` × `height` texels (at least 1): lobes are evaluated at texel centers; a map is averaged
     /// down where it is larger and blended where it is smaller.
     pub fn to_map(&self, width: u32, height: u32) -> EnvironmentMap {
         match self {

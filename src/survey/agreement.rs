@@ -5,7 +5,7 @@ use crate::report::sheet::choose_evenly;
 use crate::survey::change::{Cause, Change, camera_causes, turns, world_causes};
 use crate::survey::finding::{Finding, Severity, named};
 use crate::survey::hull;
-use crate::survey::look::{Look, MaskLook, SmallMask};
+use crate::survey::look::{MaskLook, SmallMask, ViewLook};
 use crate::survey::placement::{find_placement, placement_cause};
 use crate::survey::silhouette::{Agreement, median_agreement};
 use crate::survey::statistics::median;
@@ -38,7 +38,7 @@ const HULL_VIEWS: usize = 24;
 const HULL_SIDE: u32 = 96;
 
 /// What is wrong with how a known mesh and the masks agree.
-pub fn of_mesh(bvh: &TriangleBvh, looks: &[Look], found: &[Option<Agreement>]) -> Vec<Finding> {
+pub fn of_mesh(bvh: &TriangleBvh, looks: &[ViewLook], found: &[Option<Agreement>]) -> Vec<Finding> {
     let mut all: Vec<f32> = found.iter().flatten().map(|found| found.iou).collect();
     let Some(middle) = median(&mut all) else { return Vec::new() };
     let white = white(looks, found);
@@ -88,7 +88,7 @@ pub fn of_mesh(bvh: &TriangleBvh, looks: &[Look], found: &[Option<Agreement>]) -
 }
 
 /// Views whose mask has no silhouette, though the mesh does not fill their frames.
-fn white(looks: &[Look], found: &[Option<Agreement>]) -> Vec<String> {
+fn white(looks: &[ViewLook], found: &[Option<Agreement>]) -> Vec<String> {
     let views = looks.iter().zip(found).filter(|(look, found)| {
         let is_white = look.mask.as_ref().is_some_and(|mask| mask.all_covered);
         is_white && found.is_some_and(|found| found.iou < AGREES)
@@ -111,7 +111,7 @@ fn white_finding(white: &[String], all: usize) -> Option<Finding> {
 pub const INVERT_HELP: &str = "A mask is white where the object is and black elsewhere: invert it.";
 
 /// Views whose background is the mesh.
-fn inverted(looks: &[Look], found: &[Option<Agreement>]) -> Vec<String> {
+fn inverted(looks: &[ViewLook], found: &[Option<Agreement>]) -> Vec<String> {
     // A mesh that fills the frame covers the background as well; its mask is not white along the border.
     let is_inverted = |found: &Agreement, mask: &MaskLook| {
         found.iou < MISSES && found.inverse_iou > AGREES && mask.border > 0.5
@@ -124,7 +124,7 @@ fn inverted(looks: &[Look], found: &[Option<Agreement>]) -> Vec<String> {
 }
 
 /// Names of views with masks, the least overlap first.
-fn worst(looks: &[Look], found: &[Option<Agreement>]) -> Vec<String> {
+fn worst(looks: &[ViewLook], found: &[Option<Agreement>]) -> Vec<String> {
     let mut views: Vec<(f32, &str)> = looks
         .iter()
         .zip(found)
@@ -135,7 +135,7 @@ fn worst(looks: &[Look], found: &[Option<Agreement>]) -> Vec<String> {
 }
 
 /// Single views that do not agree where the others do.
-fn strays(looks: &[Look], found: &[Option<Agreement>], middle: f32) -> Vec<Finding> {
+fn strays(looks: &[ViewLook], found: &[Option<Agreement>], middle: f32) -> Vec<Finding> {
     let inverted = inverted(looks, found);
     let mut findings = Vec::new();
     let limit = STRAY.min(middle - STRAY_BY);
@@ -158,7 +158,7 @@ fn strays(looks: &[Look], found: &[Option<Agreement>], middle: f32) -> Vec<Findi
 }
 
 /// A few small masks, evenly chosen among those of training views, or of all if there are few.
-fn tried(looks: &[Look], most: usize, side: u32) -> Vec<SmallMask> {
+fn tried(looks: &[ViewLook], most: usize, side: u32) -> Vec<SmallMask> {
     let of = |train: bool| {
         let views = looks.iter().filter(|look| !train || look.split == Split::Train);
         let masks = views.filter_map(|look| look.mask.as_ref().filter(|mask| !mask.all_covered));
@@ -206,13 +206,13 @@ fn best(
 }
 
 /// How masks agree with each other, where no mesh is known; `None` for fewer than three masks.
-pub fn hull_agreement(looks: &[Look]) -> Option<f32> {
+pub fn hull_agreement(looks: &[ViewLook]) -> Option<f32> {
     hull::consistency(&tried(looks, HULL_VIEWS, HULL_SIDE))
 }
 
 /// What is wrong with how masks and cameras agree, where no mesh is known. `given` is [`hull_agreement`], `complaint` what
 /// [`check_masks`](crate::survey::meeting::check_masks) has to say.
-pub fn of_masks(looks: &[Look], given: f32, complaint: Option<Finding>) -> Option<Finding> {
+pub fn of_masks(looks: &[ViewLook], given: f32, complaint: Option<Finding>) -> Option<Finding> {
     if given >= CONSISTENT && complaint.is_none() {
         return None;
     }

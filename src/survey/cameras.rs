@@ -1,6 +1,6 @@
 //! How cameras lie around the object: on a sphere, a hemisphere, rings, or on one side.
 
-use crate::survey::look::Look;
+use crate::survey::look::ViewLook;
 use crate::survey::meeting::{Outline, Sight, meeting_point};
 use glam::{Mat3, Vec3};
 use serde::Serialize;
@@ -55,7 +55,7 @@ pub struct Arrangement {
 impl Arrangement {
     /// Of the cameras of `looks` around `center` if it is known, else around the point they look at. `None` without a camera apart
     /// from that point.
-    pub fn new(looks: &[Look], center: Option<Vec3>, up: Vec3) -> Option<Self> {
+    pub fn new(looks: &[ViewLook], center: Option<Vec3>, up: Vec3) -> Option<Self> {
         let target = center.or_else(|| target(looks)).filter(|target| target.is_finite())?;
         let offsets: Vec<Vec3> = looks.iter().map(|look| look.camera.position() - target).collect();
         let directions: Vec<Vec3> = offsets.iter().filter_map(|offset| offset.try_normalize()).collect();
@@ -98,16 +98,16 @@ impl Arrangement {
     }
 
     /// The unit direction of each view from the target.
-    pub fn directions(&self, looks: &[Look]) -> Vec<Vec3> {
+    pub fn directions(&self, looks: &[ViewLook]) -> Vec<Vec3> {
         looks.iter().map(|look| (look.camera.position() - self.target).normalize_or(self.axis)).collect()
     }
 }
 
 /// Where the centers of the masks meet, or the middles of the frames.
-fn target(looks: &[Look]) -> Option<Vec3> {
+fn target(looks: &[ViewLook]) -> Option<Vec3> {
     let of_masks: Vec<Sight> =
         looks.iter().filter_map(|look| Outline::new(look).map(|outline| outline.sight())).collect();
-    let middle = |look: &Look| {
+    let middle = |look: &ViewLook| {
         Sight::new(&look.camera, 0.5 * look.camera.width as f32, 0.5 * look.camera.height as f32)
     };
     let sights = if of_masks.len() < 2 { looks.iter().map(middle).collect() } else { of_masks };

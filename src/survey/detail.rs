@@ -1,7 +1,7 @@
 //! Whether the texture has as much detail as the photographs.
 
 use crate::survey::finding::Finding;
-use crate::survey::look::Look;
+use crate::survey::look::ViewLook;
 use crate::survey::statistics::median;
 use crate::view::Split;
 
@@ -14,15 +14,15 @@ const MOST_TEXTURE: u32 = 4096;
 
 /// How wide a texel is in pixels of the training photographs, for a texture of `texture_size`² texels. A view shows about a quarter of the
 /// surface: the mean projected area of a convex object (Cauchy). `None` without masks.
-pub fn pixels_per_texel(looks: &[Look], texture_size: u32) -> Option<f32> {
+pub fn pixels_per_texel(looks: &[ViewLook], texture_size: u32) -> Option<f32> {
     let train = looks.iter().filter(|look| look.split == Split::Train && look.light.is_some());
-    let mut areas: Vec<f32> = train.filter_map(Look::object_pixels).collect();
+    let mut areas: Vec<f32> = train.filter_map(ViewLook::object_pixels).collect();
     let texels = ATLAS_FILL * (texture_size as f32).powi(2);
     median(&mut areas).map(|area| (4.0 * area / texels).sqrt())
 }
 
 /// A texture that is too small for the photographs, if no fit refines it (`is_refined`).
-pub fn finding(looks: &[Look], texture_size: u32, is_refined: bool) -> Option<Finding> {
+pub fn finding(looks: &[ViewLook], texture_size: u32, is_refined: bool) -> Option<Finding> {
     if is_refined {
         return None;
     }

@@ -21,7 +21,7 @@ use crate::scene::{
 use crate::shade::frame::frame_bytes;
 use crate::survey::Survey;
 use crate::survey::detail::{ATLAS_FILL, pixels_per_texel};
-use crate::survey::look::{Bounds, Look};
+use crate::survey::look::{Bounds, ViewLook};
 use crate::survey::statistics::median;
 use crate::view::Split;
 use crate::visibility::VisibilitySettings;
@@ -140,17 +140,17 @@ pub fn estimate(survey: &Survey, scene: &Scene, threads: usize) -> Estimate {
 }
 
 struct Task<'a> {
-    looks: &'a [Look],
+    looks: &'a [ViewLook],
     scene: &'a Scene,
     threads: usize,
 }
 
-fn pixels(look: &Look) -> f64 {
+fn pixels(look: &ViewLook) -> f64 {
     f64::from(look.size[0]) * f64::from(look.size[1])
 }
 
 /// Pixels of the rectangle around the object.
-fn window_pixels(look: &Look) -> f64 {
+fn window_pixels(look: &ViewLook) -> f64 {
     let share = |bounds: &Bounds| {
         let [x, y] = [0, 1].map(|k| bounds.high[k] - bounds.low[k]);
         f64::from(x * y) / (f64::from(look.camera.width) * f64::from(look.camera.height))
@@ -160,13 +160,13 @@ fn window_pixels(look: &Look) -> f64 {
 }
 
 /// Longer side of the rectangle around the object, in pixels of the photograph.
-fn object_width(look: &Look) -> Option<f32> {
+fn object_width(look: &ViewLook) -> Option<f32> {
     let bounds = look.mask.as_ref()?.bounds?;
     let side = (bounds.high[0] - bounds.low[0]).max(bounds.high[1] - bounds.low[1]);
     Some(side * look.size[0] as f32 / look.camera.width as f32)
 }
 
-fn object_pixels(look: &Look) -> f64 {
+fn object_pixels(look: &ViewLook) -> f64 {
     look.object_pixels().map_or(USUAL_COVERAGE * pixels(look), f64::from)
 }
 
@@ -258,13 +258,13 @@ impl Task<'_> {
     }
 
     fn render(&self, name: &str, render: &RenderSettings) -> Part {
-        let chosen = |look: &&Look| match &render.views {
+        let chosen = |look: &&ViewLook| match &render.views {
             ViewChoice::Test => look.split == Split::Test,
             ViewChoice::Train => look.split == Split::Train,
             ViewChoice::All => true,
             ViewChoice::Named(names) => names.contains(&look.name),
         };
-        let views: Vec<&Look> = self.looks.iter().filter(chosen).collect();
+        let views: Vec<&ViewLook> = self.looks.iter().filter(chosen).collect();
         let orbit = render.orbit.as_ref().map_or((0, 0.0), |orbit| {
             let size = [orbit.size; 2];
             let pixels = f64::from(orbit.size).powi(2) * f64::from(orbit.frames);

@@ -7,7 +7,7 @@ use crate::survey::agreement;
 use crate::survey::cameras::Arrangement;
 use crate::survey::detail;
 use crate::survey::finding::{Finding, Severity};
-use crate::survey::look::Look;
+use crate::survey::look::ViewLook;
 use crate::survey::masks;
 use crate::survey::meeting::check_masks;
 use crate::survey::photographs::{self, Compared};
@@ -40,7 +40,7 @@ pub struct Survey {
     pub notes: Vec<String>,
     /// The views: training views, then test views, each in natural order of their names; a name that both splits have is written
     /// `train/NAME` or `test/NAME`.
-    pub looks: Vec<Look>,
+    pub looks: Vec<ViewLook>,
     /// Each view beside those from nearly the same side.
     pub compared: Vec<Compared>,
     /// Intersection over union of each view's mask with the known mesh.
@@ -74,7 +74,7 @@ impl Survey {
 }
 
 /// Finds what is wrong with views of `subject`; `backgrounds` are those of some photographs, before masks make them black.
-pub fn examine(mut looks: Vec<Look>, subject: &Subject, backgrounds: &[Background]) -> Survey {
+pub fn examine(mut looks: Vec<ViewLook>, subject: &Subject, backgrounds: &[Background]) -> Survey {
     tell_apart(&mut looks);
     let mut survey = Survey { looks, ..Survey::default() };
     survey.findings = photographs::of_radiance(&survey.looks);
@@ -90,7 +90,7 @@ pub fn examine(mut looks: Vec<Look>, subject: &Subject, backgrounds: &[Backgroun
         let directions = arrangement.directions(&survey.looks);
         let spoils = |finding: &&Finding| finding.severity == Severity::Error || finding.name == "stray-view";
         let faults: Vec<&Finding> = survey.findings.iter().filter(spoils).collect();
-        let is_spoiled = |look: &Look| faults.iter().any(|fault| fault.views.contains(&look.name));
+        let is_spoiled = |look: &ViewLook| faults.iter().any(|fault| fault.views.contains(&look.name));
         let spoiled: Vec<bool> = survey.looks.iter().map(is_spoiled).collect();
         let (compared, findings) = photographs::compare(&survey.looks, &directions, &spoiled);
         survey.compared = compared;
@@ -106,7 +106,7 @@ pub fn examine(mut looks: Vec<Look>, subject: &Subject, backgrounds: &[Backgroun
 }
 
 /// Names of views that both splits have get that of their split in front.
-fn tell_apart(looks: &mut [Look]) {
+fn tell_apart(looks: &mut [ViewLook]) {
     let names = |split| looks.iter().filter(move |look| look.split == split).map(|look| look.name.as_str());
     let test: BTreeSet<&str> = names(Split::Test).collect();
     let both: BTreeSet<String> =
@@ -126,7 +126,7 @@ fn beside_mesh(survey: &mut Survey, mesh: &Mesh, up: Vec3) {
 }
 
 fn beside_hull(survey: &mut Survey, up: Vec3) {
-    let train: Vec<&Look> = survey.looks.iter().filter(|look| look.split == Split::Train).collect();
+    let train: Vec<&ViewLook> = survey.looks.iter().filter(|look| look.split == Split::Train).collect();
     let complaint = match check_masks(&train) {
         Ok(stray) => {
             survey.findings.extend(stray);

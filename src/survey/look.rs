@@ -42,7 +42,7 @@ pub struct OpenView {
     pub photograph: Option<OpenPhotograph>,
     /// The mask, unless there is none.
     pub mask: Option<Mask>,
-    /// As [`Look::negative`].
+    /// As [`ViewLook::negative`].
     pub negative: f32,
     /// As [`LoadedView::exif`].
     pub exif: [u8; 2],
@@ -79,7 +79,7 @@ impl OpenView {
 
 /// One view.
 #[derive(Clone, Debug)]
-pub struct Look {
+pub struct ViewLook {
     /// The view's name.
     pub name: String,
     /// Which part of the data it is of.
@@ -169,7 +169,7 @@ pub struct Thumbnail {
     pub white: f32,
 }
 
-impl Look {
+impl ViewLook {
     /// Looks at a view of `size` pixels, which `view` may show smaller. Thumbnails are for contact sheets alone.
     pub fn new(view: &OpenView, size: [u32; 2], mask_source: MaskSource, with_thumbnail: bool) -> Self {
         let mask = view.mask.as_ref();

@@ -2,7 +2,7 @@
 
 use crate::survey::agreement::INVERT_HELP;
 use crate::survey::finding::{Finding, counted, named};
-use crate::survey::look::{Look, MaskLook};
+use crate::survey::look::{MaskLook, ViewLook};
 use crate::view::Split;
 
 /// Highest coverage below which a mask never says that a pixel is the object's.
@@ -16,7 +16,7 @@ const LEFT_OUT: f32 = 0.03;
 
 /// Findings about the masks of all views; `scored` says whether test views are compared with their photographs, `has_mesh` whether the
 /// shape is known.
-pub fn of_masks(looks: &[Look], scored: bool, has_mesh: bool) -> Vec<Finding> {
+pub fn of_masks(looks: &[ViewLook], scored: bool, has_mesh: bool) -> Vec<Finding> {
     let mut found = Vec::new();
     found.extend(dim(looks));
     found.extend(inverted(looks));
@@ -29,12 +29,12 @@ pub fn of_masks(looks: &[Look], scored: bool, has_mesh: bool) -> Vec<Finding> {
     found
 }
 
-fn names(looks: &[Look], is_bad: impl Fn(&Look, &MaskLook) -> bool) -> Vec<String> {
+fn names(looks: &[ViewLook], is_bad: impl Fn(&ViewLook, &MaskLook) -> bool) -> Vec<String> {
     let masks = looks.iter().filter_map(|look| Some((look, look.mask.as_ref()?)));
     masks.filter(|(look, mask)| is_bad(look, mask)).map(|(look, _)| look.name.clone()).collect()
 }
 
-fn dim(looks: &[Look]) -> Option<Finding> {
+fn dim(looks: &[ViewLook]) -> Option<Finding> {
     let views = names(looks, |_, mask| mask.highest < DIM);
     let first = looks.iter().find(|look| views.first() == Some(&look.name))?;
     let highest = 255.0 * first.mask.as_ref()?.highest;
@@ -47,8 +47,8 @@ fn dim(looks: &[Look]) -> Option<Finding> {
 }
 
 /// Masks of the background: all around the frame, with a hole.
-fn inverted(looks: &[Look]) -> Option<Finding> {
-    let is_inverted = |_: &Look, mask: &MaskLook| mask.border > BORDER && mask.coverage < 1.0 - LEFT_OUT;
+fn inverted(looks: &[ViewLook]) -> Option<Finding> {
+    let is_inverted = |_: &ViewLook, mask: &MaskLook| mask.border > BORDER && mask.coverage < 1.0 - LEFT_OUT;
     let views = names(looks, is_inverted);
     if views.is_empty() {
         return None;
@@ -61,7 +61,7 @@ fn inverted(looks: &[Look]) -> Option<Finding> {
     Some(Finding::warning("inverted-masks", views, problem, INVERT_HELP))
 }
 
-fn soft(looks: &[Look]) -> Option<Finding> {
+fn soft(looks: &[ViewLook]) -> Option<Finding> {
     let views = names(looks, |_, mask| mask.soft > SOFT && mask.highest >= DIM);
     let problem = || format!("most pixels of the mask are neither black nor white in {}", named(&views));
     let help = "Pixels count only where the mask is white: raise its contrast.";
@@ -69,7 +69,7 @@ fn soft(looks: &[Look]) -> Option<Finding> {
 }
 
 /// Views without masks. That none has one is told beside a mesh; without, it is an error of its own.
-fn missing(looks: &[Look], has_mesh: bool) -> Option<Finding> {
+fn missing(looks: &[ViewLook], has_mesh: bool) -> Option<Finding> {
     let without = looks.iter().filter(|look| look.mask.is_none() && look.light.is_some());
     let views: Vec<String> = without.map(|look| look.name.clone()).collect();
     let has_none = looks.iter().all(|look| look.mask.is_none());
@@ -87,8 +87,8 @@ fn missing(looks: &[Look], has_mesh: bool) -> Option<Finding> {
 }
 
 /// Test views of which no pixel would count in a score.
-fn unscorable(looks: &[Look]) -> Option<Finding> {
-    let is_whole = |look: &Look| look.size == [look.camera.width, look.camera.height];
+fn unscorable(looks: &[ViewLook]) -> Option<Finding> {
+    let is_whole = |look: &ViewLook| look.size == [look.camera.width, look.camera.height];
     let views = names(looks, |look, mask| {
         look.split == Split::Test
             && look.light.is_some()
@@ -108,7 +108,7 @@ fn unscorable(looks: &[Look]) -> Option<Finding> {
 }
 
 /// More than half of the frames cut the object.
-fn cut(looks: &[Look]) -> Option<Finding> {
+fn cut(looks: &[ViewLook]) -> Option<Finding> {
     let views =
         names(looks, |look, mask| mask.is_cut(&look.camera) && !mask.all_covered && mask.border < BORDER);
     let all = looks.iter().filter(|look| look.mask.is_some()).count();

@@ -5,7 +5,7 @@
 
 use crate::error::{Error, Result};
 use crate::survey::finding::{Finding, named};
-use crate::survey::look::{Bounds, Look, MaskLook};
+use crate::survey::look::{Bounds, MaskLook, ViewLook};
 use crate::view::Camera;
 use glam::{DMat3, DVec3, Vec3};
 
@@ -45,7 +45,7 @@ impl Sight {
 
 impl<'a> Outline<'a> {
     /// `None` if there is no mask, or it is empty.
-    pub fn new(look: &'a Look) -> Option<Self> {
+    pub fn new(look: &'a ViewLook) -> Option<Self> {
         let mask = look.mask.as_ref()?;
         let Bounds { low, high } = mask.bounds?;
         let ray = Sight::new(&look.camera, 0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]));
@@ -85,7 +85,7 @@ impl<'a> Outline<'a> {
 /// [`Error::Usage`] that names a view and a remedy: fewer than three masks, a mask that is all covered, an object cut by every
 /// frame, views along one line, a camera inside the object, cameras that look away from it, or cameras and masks that are
 /// inconsistent.
-pub fn check_masks(views: &[&Look]) -> Result<Option<Finding>> {
+pub fn check_masks(views: &[&ViewLook]) -> Result<Option<Finding>> {
     let masks = || views.iter().filter_map(|view| Some((*view, view.mask.as_ref()?)));
     if masks().count() < MIN_VIEWS {
         return Err(too_few(views, masks().count()));
@@ -110,7 +110,7 @@ pub fn check_masks(views: &[&Look]) -> Result<Option<Finding>> {
     strangers(&outlines, meeting)
 }
 
-fn too_few(views: &[&Look], masks: usize) -> Error {
+fn too_few(views: &[&ViewLook], masks: usize) -> Error {
     let without = views.iter().find(|view| view.mask.is_none());
     let without = without.map_or(String::new(), |view| format!(" (view `{}` has none)", view.name));
     let problem = format!("a shape needs at least three views with masks; there are {masks}{without}");
@@ -245,9 +245,9 @@ mod tests {
 
     fn check(views: &[OpenView]) -> Result<Option<Finding>> {
         let look = |view: &OpenView| {
-            Look::new(view, [view.camera.width, view.camera.height], MaskSource::File, false)
+            ViewLook::new(view, [view.camera.width, view.camera.height], MaskSource::File, false)
         };
-        let looks: Vec<Look> = views.iter().map(look).collect();
+        let looks: Vec<ViewLook> = views.iter().map(look).collect();
         check_masks(&looks.iter().collect::<Vec<_>>())
     }
 

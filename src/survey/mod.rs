@@ -1,6 +1,6 @@
 //! The survey of a data set before a run: what is there, and what of it cannot work.
 //!
-//! Each view is read once, small, and reduced to a [`Look`]: a few numbers, a small mask, a thumbnail. Everything else is a pure function
+//! Each view is read once, small, and reduced to a [`ViewLook`]: a few numbers, a small mask, a thumbnail. Everything else is a pure function
 //! over looks, in seconds for a hundred views, with the same result at every run.
 //!
 //! | module | holds |
@@ -41,7 +41,7 @@ pub mod turntable;
 
 pub use examine::{Subject, Survey, examine};
 pub use finding::{Finding, Severity};
-pub use look::{Look, MaskSource};
+pub use look::{MaskSource, ViewLook};
 
 #[cfg(test)]
 mod tests;

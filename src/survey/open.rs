@@ -10,7 +10,7 @@ use crate::mesh::triangles::Mesh;
 use crate::report::sheet::choose_evenly;
 use crate::scene::{Dataset, Pass, Scene, Surface, Truth, ViewChoice, Views};
 use crate::survey::examine::{Subject, Survey, examine};
-use crate::survey::look::{Look, MaskSource, OpenPhotograph, OpenView, SmallMask};
+use crate::survey::look::{MaskSource, OpenPhotograph, OpenView, SmallMask, ViewLook};
 use crate::survey::turntable::{BACKGROUND_SIDE, BACKGROUNDS, Background};
 use crate::view::{Mask, Photograph, Split, ViewRecord};
 use glam::Vec3;
@@ -64,18 +64,18 @@ impl<'a> OpenScene<'a> {
     }
 
     /// Looks at a view that was read.
-    pub fn look(&self, view: &PlannedView, loaded: &LoadedView, with_thumbnail: bool) -> Look {
+    pub fn look(&self, view: &PlannedView, loaded: &LoadedView, with_thumbnail: bool) -> ViewLook {
         let camera = &loaded.record.camera;
         let size = [camera.width, camera.height];
         let source = if view.mask_path().is_some() { MaskSource::File } else { MaskSource::Alpha };
-        Look::new(&reduced(OpenView::new(loaded)), size, source, with_thumbnail)
+        ViewLook::new(&reduced(OpenView::new(loaded)), size, source, with_thumbnail)
     }
 
     /// The survey of what was looked at, one look for each view.
     ///
     /// # Errors
     /// Those of reading the mesh, and some photographs again.
-    pub fn examine(&self, looks: Vec<Look>) -> Result<Survey> {
+    pub fn examine(&self, looks: Vec<ViewLook>) -> Result<Survey> {
         let mesh = known_mesh(&self.scene.surface)?;
         let (Surface::Mesh { texture_size, .. }
         | Surface::Unknown { texture_size, .. }
@@ -120,9 +120,9 @@ pub fn survey(
         };
         Ok((look, LoadedView { record: rest, ..loaded }))
     };
-    let looked: Vec<Result<(Look, LoadedView)>> = open.views.par_iter().map(look_at).collect();
+    let looked: Vec<Result<(ViewLook, LoadedView)>> = open.views.par_iter().map(look_at).collect();
     let looked = looked.into_iter().collect::<Result<Vec<_>>>()?;
-    let (looks, loaded): (Vec<Look>, Vec<LoadedView>) = looked.into_iter().unzip();
+    let (looks, loaded): (Vec<ViewLook>, Vec<LoadedView>) = looked.into_iter().unzip();
     let mut survey = open.examine(looks)?;
     survey.notes.splice(0..0, open.notes.into_iter().chain(load_notes(&loaded)));
     Ok(Some((survey, loaded.into_iter().map(|view| view.record).collect())))
@@ -215,7 +215,7 @@ fn mostly(flags: &[bool], width: u32, height: u32, factor: u32) -> Vec<bool> {
 }
 
 /// Backgrounds of some photographs that have masks of their own and no alpha.
-fn backgrounds(planned: &[PlannedView], looks: &[Look], gamma: Gamma) -> Result<Vec<Background>> {
+fn backgrounds(planned: &[PlannedView], looks: &[ViewLook], gamma: Gamma) -> Result<Vec<Background>> {
     let masked: Vec<(&PlannedView, &SmallMask)> = planned
         .iter()
         .zip(looks)

@@ -1,7 +1,7 @@
 //! Findings about photographs: black, negative or absurdly bright ones, other exposures, blur, and the same picture twice.
 
 use crate::survey::finding::{Finding, named};
-use crate::survey::look::{Light, Look, MaskSource};
+use crate::survey::look::{Light, MaskSource, ViewLook};
 use crate::survey::statistics::{median, neighbors, strays};
 use glam::Vec3;
 use std::collections::BTreeMap;
@@ -36,7 +36,7 @@ pub struct Compared {
 }
 
 /// Photographs that cannot be photographs of the object.
-pub fn of_radiance(looks: &[Look]) -> Vec<Finding> {
+pub fn of_radiance(looks: &[ViewLook]) -> Vec<Finding> {
     let mut medians: Vec<f32> = lights(looks).map(|(_, light)| light.median).collect();
     let Some(usual) = median(&mut medians) else { return Vec::new() };
     let mut found = Vec::new();
@@ -78,8 +78,9 @@ pub fn of_radiance(looks: &[Look]) -> Vec<Finding> {
 }
 
 /// Photographs with an EXIF orientation of which no size tells whether cameras and masks are of the pixels as they are stored.
-fn turned(looks: &[Look]) -> Option<Finding> {
-    let turned: Vec<&Look> = looks.iter().filter(|look| look.light.is_some() && look.exif[0] != 1).collect();
+fn turned(looks: &[ViewLook]) -> Option<Finding> {
+    let turned: Vec<&ViewLook> =
+        looks.iter().filter(|look| look.light.is_some() && look.exif[0] != 1).collect();
     let views: Vec<String> = turned.iter().map(|look| look.name.clone()).collect();
     let masks =
         turned.iter().filter(|look| look.mask_source == MaskSource::File && look.exif[1] != look.exif[0]);
@@ -99,7 +100,7 @@ fn turned(looks: &[Look]) -> Option<Finding> {
 }
 
 /// Photographs of which some pixels are no radiance, as sharpening filters leave them.
-fn negative(looks: &[Look]) -> Option<Finding> {
+fn negative(looks: &[ViewLook]) -> Option<Finding> {
     let views = looks.iter().filter(|look| look.negative > SOME_NEGATIVE).map(|look| look.name.clone());
     let views: Vec<String> = views.collect();
     let problem = || {
@@ -112,14 +113,14 @@ fn negative(looks: &[Look]) -> Option<Finding> {
     (!views.is_empty()).then(|| Finding::warning("negative-pixels", views.clone(), problem(), help))
 }
 
-fn lights(looks: &[Look]) -> impl Iterator<Item = (&Look, &Light)> {
+fn lights(looks: &[ViewLook]) -> impl Iterator<Item = (&ViewLook, &Light)> {
     looks.iter().filter_map(|look| Some((look, look.light.as_ref()?)))
 }
 
 /// Adds a finding about the views of which `is_bad` is true, if there are any.
 fn add(
     found: &mut Vec<Finding>,
-    looks: &[Look],
+    looks: &[ViewLook],
     name: &'static str,
     is_bad: impl Fn(&Light) -> bool,
     words: impl Fn(&str) -> Finding,
@@ -134,7 +135,7 @@ fn add(
 
 /// Compares each view with those that see nearly the same side; `directions` are those of the cameras from the object. Views with another
 /// fault (`spoiled`) are left out.
-pub fn compare(looks: &[Look], directions: &[Vec3], spoiled: &[bool]) -> (Vec<Compared>, Vec<Finding>) {
+pub fn compare(looks: &[ViewLook], directions: &[Vec3], spoiled: &[bool]) -> (Vec<Compared>, Vec<Finding>) {
     let mut compared = vec![Compared::default(); looks.len()];
     let mut found = Vec::new();
     let exposures = |light: &Light| (light.level > 0.0).then(|| light.level.log2());
@@ -175,7 +176,7 @@ fn is_or_are(views: &[String]) -> &'static str {
     if views.len() == 1 { "a photograph looks" } else { "photographs look" }
 }
 
-fn exposure_finding(looks: &[Look], mut outliers: Vec<(usize, f32)>) -> Option<Finding> {
+fn exposure_finding(looks: &[ViewLook], mut outliers: Vec<(usize, f32)>) -> Option<Finding> {
     outliers.sort_by(|a, b| b.1.abs().total_cmp(&a.1.abs()));
     let (worst, stops) = *outliers.first()?;
     let views: Vec<String> = outliers.iter().map(|(view, _)| looks[*view].name.clone()).collect();
@@ -202,14 +203,14 @@ struct Stray {
 
 /// Compares a value of views that have one; nothing for few views.
 fn stray_views(
-    looks: &[Look],
+    looks: &[ViewLook],
     directions: &[Vec3],
     spoiled: &[bool],
     value: impl Fn(&Light) -> Option<f32>,
     floor: f32,
 ) -> Vec<Stray> {
     let with_value =
-        |(i, look): (usize, &Look)| Some((i, value(look.light.as_ref().filter(|_| !spoiled[i])?)?));
+        |(i, look): (usize, &ViewLook)| Some((i, value(look.light.as_ref().filter(|_| !spoiled[i])?)?));
     let chosen: Vec<(usize, f32)> = looks.iter().enumerate().filter_map(with_value).collect();
     if chosen.len() < LEAST_VIEWS {
         return Vec::new();
@@ -228,7 +229,7 @@ fn stray_views(
 }
 
 /// Photographs that are the same as another, pixel by pixel.
-pub fn of_duplicates(looks: &[Look]) -> Option<Finding> {
+pub fn of_duplicates(looks: &[ViewLook]) -> Option<Finding> {
     let mut by_print: BTreeMap<(u64, [u32; 2]), Vec<&str>> = BTreeMap::new();
     for (look, light) in lights(looks).filter(|(_, light)| light.highest > 0.0) {
         by_print.entry((light.fingerprint, look.size)).or_default().push(&look.name);

@@ -4,7 +4,7 @@ use crate::math::color::linear_from_srgb;
 use crate::report::sheet::{Sheet, SheetCell, SheetRow, Theme, choose_evenly};
 use crate::report::tone::srgb8;
 use crate::survey::examine::Survey;
-use crate::survey::look::{Look, SmallMask};
+use crate::survey::look::{SmallMask, ViewLook};
 use crate::survey::statistics::median;
 use crate::survey::table::verdict;
 use crate::view::Split;
@@ -97,7 +97,7 @@ fn cell(survey: &Survey, i: usize, gain: f32) -> SheetCell {
 }
 
 /// The thumbnail, as bright as the others of the same exposure; a gray one of the right shape if there is none.
-fn picture(look: &Look, gain: f32) -> RgbImage {
+fn picture(look: &ViewLook, gain: f32) -> RgbImage {
     let Some(thumbnail) = &look.thumbnail else {
         let [width, height] = look.size;
         let height =

@@ -1,7 +1,7 @@
 //! Silhouettes of a known mesh beside the masks, at few pixels.
 
 use crate::mesh::bvh::TriangleBvh;
-use crate::survey::look::{Look, SmallMask};
+use crate::survey::look::{SmallMask, ViewLook};
 use crate::survey::statistics::median;
 use rayon::prelude::*;
 
@@ -33,8 +33,8 @@ pub struct Agreement {
 }
 
 /// For each view that has a mask, how it agrees with the mesh.
-pub fn agreements(bvh: &TriangleBvh, looks: &[Look]) -> Vec<Option<Agreement>> {
-    let of_view = |look: &Look| {
+pub fn agreements(bvh: &TriangleBvh, looks: &[ViewLook]) -> Vec<Option<Agreement>> {
+    let of_view = |look: &ViewLook| {
         let mask = &look.mask.as_ref()?.small;
         let mesh = covered(bvh, mask);
         let outside: Vec<bool> = mask.inside.iter().map(|inside| !inside).collect();

@@ -3,7 +3,7 @@
 use crate::survey::estimate::Estimate;
 use crate::survey::examine::Survey;
 use crate::survey::finding::{Finding, Severity, counted};
-use crate::survey::look::{Light, Look, MaskLook, MaskSource};
+use crate::survey::look::{Light, MaskLook, MaskSource, ViewLook};
 use crate::survey::statistics::{median, quantile};
 use crate::view::Split;
 
@@ -58,7 +58,7 @@ fn data(survey: &Survey) -> String {
 }
 
 /// "800×600", "640×480 to 4000×3000".
-fn sizes<'a>(looks: impl Iterator<Item = &'a Look>) -> String {
+fn sizes<'a>(looks: impl Iterator<Item = &'a ViewLook>) -> String {
     let mut sizes: Vec<[u32; 2]> = looks.map(|look| look.size).collect();
     sizes.sort_by_key(|size| u64::from(size[0]) * u64::from(size[1]));
     let words = |size: &[u32; 2]| format!("{}×{}", size[0], size[1]);
@@ -69,7 +69,7 @@ fn sizes<'a>(looks: impl Iterator<Item = &'a Look>) -> String {
     }
 }
 
-fn masks(looks: &[Look]) -> String {
+fn masks(looks: &[ViewLook]) -> String {
     let count = |source| looks.iter().filter(|look| look.mask_source == source).count();
     let of: Vec<String> =
         [(MaskSource::File, "files"), (MaskSource::Alpha, "alpha"), (MaskSource::Nowhere, "none")]
@@ -81,7 +81,7 @@ fn masks(looks: &[Look]) -> String {
     let mut coverage: Vec<f32> = masks().map(|(_, mask)| 100.0 * mask.coverage).collect();
     let Some(middle) = median(&mut coverage) else { return of.join(", ") };
     let [least, most] = [0.0, 1.0].map(|share| quantile(&mut coverage, share).unwrap_or(middle));
-    let cut = masks().filter(|(look, mask): &(&Look, &MaskLook)| mask.is_cut(&look.camera)).count();
+    let cut = masks().filter(|(look, mask): &(&ViewLook, &MaskLook)| mask.is_cut(&look.camera)).count();
     format!(
         "{}; the object covers {least:.1} to {most:.1} % of the frame, median {middle:.1} %; the frame cuts it in {}",
         of.join(", "),
@@ -89,7 +89,7 @@ fn masks(looks: &[Look]) -> String {
     )
 }
 
-fn exposure(looks: &[Look]) -> Option<String> {
+fn exposure(looks: &[ViewLook]) -> Option<String> {
     let lights: Vec<&Light> = looks.iter().filter_map(|look| look.light.as_ref()).collect();
     let mut medians: Vec<f32> =
         lights.iter().map(|light| light.median).filter(|median| *median > 0.0).collect();
@@ -99,7 +99,7 @@ fn exposure(looks: &[Look]) -> Option<String> {
     let clipped = 100.0 * lights.iter().map(|light| light.clipped).sum::<f32>() / lights.len() as f32;
     let most = looks.iter().filter(|look| look.light.is_some());
     let most = most.max_by(|a, b| {
-        let clipped = |look: &Look| look.light.map_or(0.0, |light| light.clipped);
+        let clipped = |look: &ViewLook| look.light.map_or(0.0, |light| light.clipped);
         clipped(a).total_cmp(&clipped(b)).then(b.name.cmp(&a.name))
     })?;
     let share = 100.0 * most.light?.clipped;

@@ -42,7 +42,9 @@ use serde::{Deserialize, Serialize};
 pub struct ViewName(pub String);
 
 /// Number of a view, by which pixel samples refer to it. Unique, and otherwise arbitrary.
-#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(
+    Component, Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize,
+)]
 pub struct ViewIndex(pub u32);
 
 /// One value per view, by the index of the view.

@@ -62,6 +62,7 @@ impl Plugin for FitVisibilityPlugin {
 
     fn cleanup(world: &mut World) {
         world.insert_resource(WindowVisibility::default());
+        world.remove_resource::<RefreshDue>();
     }
 }
 

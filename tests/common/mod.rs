@@ -25,7 +25,7 @@ use tempfile::TempDir;
 pub const SIZE: u32 = 24;
 /// Radius of the object.
 pub const RADIUS: f32 = 0.8;
-/// Distance of the cameras from its centre.
+/// Distance of the cameras from its center.
 pub const DISTANCE: f32 = 2.8;
 
 /// The light that the photographs are taken under.
@@ -50,7 +50,7 @@ pub fn evening() -> Vec<LightLobe> {
     ]
 }
 
-/// The known object, a glossy sphere of two colours, under `lobes`, ready to be rendered.
+/// The known object, a glossy sphere of two colors, under `lobes`, ready to be rendered.
 pub fn studio(lobes: &[LightLobe]) -> Pipeline {
     painted_studio(
         lobes,
@@ -137,7 +137,7 @@ impl Data {
         data
     }
 
-    /// Takes the photographs of both splits anew, of what this pipeline shows, `size` pixels wide and high.
+    /// Takes the photographs of both splits again, of what this pipeline shows, `size` pixels wide and high.
     pub fn photograph(&self, studio: &mut Pipeline, size: u32) {
         write_split(&self.path("train"), studio, &TRAIN, size);
         write_split(&self.path("test"), studio, &TEST, size);

@@ -4,8 +4,11 @@
 //! chunks are ignored: [`Gamma`] says how 8- and 16-bit values are read. Headers are read and checked before pixels are decoded:
 //! [`image_header`]. [`decode_samples`] and [`decode_photograph`] give pixels as compact as the file has them; [`read_image`] and
 //! [`read_mask`] convert these to linear radiance and coverage.
+//!
+//! [`encode_jpeg`], [`encode_png`] and [`decode`] are for pictures in memory, such as those that a page holds.
 
 mod decode;
+mod encode;
 mod format;
 mod header;
 mod jpeg_file;
@@ -17,6 +20,7 @@ mod tiff_file;
 mod webp_file;
 
 pub use decode::{decode_samples, image_header};
+pub use encode::{PngPixels, decode, encode_jpeg, encode_png};
 pub use format::{Format, IMAGE_EXTENSIONS, is_unread_name, is_video_start};
 pub use header::{ImageHeader, MOST_PIXELS, Orientation};
 pub use mask::{LoadedMask, read_mask};

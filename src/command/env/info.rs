@@ -36,7 +36,7 @@ pub fn info(light: &LightFile, all: bool) -> String {
         }
         LightFile::Map(map) => format!("map of {} × {} texels\n", map.width, map.height),
     };
-    let (power, (peak, towards)) = match light {
+    let (power, (peak, toward)) = match light {
         LightFile::Lobes(lobes) => (lobes_power(lobes), lobe_peak(lobes)),
         LightFile::Map(map) => (map.power(), map_peak(map)),
     };
@@ -50,7 +50,7 @@ pub fn info(light: &LightFile, all: bool) -> String {
         }
         _ => writeln!(text, "  from above      nothing: it gives no light"),
     };
-    let _ = writeln!(text, "  peak            {} at {}", rgb(peak.as_dvec3()), direction(towards));
+    let _ = writeln!(text, "  peak            {} at {}", rgb(peak.as_dvec3()), direction(toward));
     if let LightFile::Lobes(lobes) = light {
         table(&mut text, lobes, if all { lobes.len() } else { TABLE_LINES });
     }
@@ -135,7 +135,7 @@ mod tests {
     use lobelia::light::render_lobes;
 
     fn lobes() -> Vec<LightLobe> {
-        let lobe = |axis, sharpness, grey| LightLobe { axis, sharpness, amplitude: Vec3::splat(grey) };
+        let lobe = |axis, sharpness, gray| LightLobe { axis, sharpness, amplitude: Vec3::splat(gray) };
         vec![lobe(Vec3::Y, 1.0, 0.5), lobe(Vec3::X, 40.0, 9.0), lobe(Vec3::Z, 3.0, 0.0)]
     }
 

@@ -9,14 +9,14 @@ use lobelia::report::font::{draw_text, line_height};
 use lobelia::report::tone::{Tone, srgb8};
 use std::f64::consts::PI;
 
-/// Mid-grey, which the geometric mean luminance of a previewed map is brought to.
+/// Mid-gray, which the geometric mean luminance of a previewed map is brought to.
 const KEY: f32 = 0.18;
 /// Size of the text in pictures, pixels per font dot.
 const TEXT_SIZE: f32 = 2.0;
 /// Widest picture of a fit, in pixels; two stand one above the other.
 const WIDEST_PICTURE: u32 = 1024;
 
-/// Factor on a map's radiance for a preview: brings the solid-angle-weighted geometric mean luminance to mid-grey
+/// Factor on a map's radiance for a preview: brings the solid-angle-weighted geometric mean luminance to mid-gray
 /// (Reinhard et al. 2002, eq. 1).
 pub fn preview_factor(map: &EnvironmentMap) -> f32 {
     let mean = f64::from(luminance(map.power().as_vec3())) / (4.0 * PI);
@@ -63,7 +63,7 @@ mod tests {
     use lobelia::light::map_fit::{MapFit, fit_map};
 
     fn lobes() -> Vec<LightLobe> {
-        let lobe = |axis, sharpness, grey| LightLobe { axis, sharpness, amplitude: Vec3::splat(grey) };
+        let lobe = |axis, sharpness, gray| LightLobe { axis, sharpness, amplitude: Vec3::splat(gray) };
         vec![lobe(Vec3::Y, 1.0, 0.5), lobe(Vec3::X, 40.0, 9.0), lobe(Vec3::Z, 3.0, 0.0)]
     }
 

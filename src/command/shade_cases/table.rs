@@ -6,14 +6,14 @@ use lobelia::{Error, Result};
 use serde_json::{Map, Value};
 use std::path::Path;
 
-/// One point under one SG of light; all directions have unit length, colours are linear RGB.
+/// One point under one SG of light; all directions have unit length, colors are linear RGB.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Case<F> {
     /// Shading normal.
     pub normal: [F; 3],
     /// Direction from the point to the viewer.
     pub view: [F; 3],
-    /// ξ of the light, direction towards it.
+    /// ξ of the light, direction toward it.
     pub lobe_axis: [F; 3],
     /// λ ≥ 0 of the light.
     pub lobe_sharpness: F,

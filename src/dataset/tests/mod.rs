@@ -75,7 +75,7 @@ impl PhySg {
             .unwrap();
     }
 
-    /// Changes one camera's field and writes the file anew.
+    /// Changes one camera's field and writes the file again.
     fn spoil(&mut self, view: usize, field: &str, value: Value) {
         self.cameras[&format!("v_{view}.exr")][field] = value;
         self.write_cameras();

@@ -323,7 +323,7 @@ pub fn move_cameras(
     let object = AlignedObject { center: fit.center.unwrap_or_default(), known: !fit.object_moves };
     let (mut steps, mut by_focal) = solve(&aligned, object, from);
     if !(by_focal.is_finite() && steps.iter().flatten().all(|step| step.is_finite())) {
-        // Cameras stay where they are, and their sums begin anew.
+        // Cameras stay where they are, and their sums start again.
         steps.fill([0.0; POSE]);
         by_focal = 0.0;
     }

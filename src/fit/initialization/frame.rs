@@ -4,7 +4,7 @@
 //! Albedo takes up what of the shading does not depend on the view. In the wrong frame the light on a surface point should change from view
 //! to view, or should not, where the photographs show the opposite; that is an error that no albedo takes up.
 
-use super::{Known, least_rough, lobes_of, with_guess};
+use super::{Known, least_rough, lobes_of, with_initialization};
 use crate::error::Result;
 use crate::fit::components::Unknowns;
 use crate::light::frame::{LightFrame, OwnLightFrame, turning_axis};
@@ -44,9 +44,9 @@ pub fn find_light_frame(world: &mut World, unknowns: Unknowns, form: ClosedForm)
         world.insert_resource(OwnLightFrame(frame));
         let (mut lobes, mut texels) = (lobes.clone(), texels.clone());
         let known = Known { form, specular, unknowns, object: None, in_part: true };
-        let error = with_guess(world, known, |guess| {
-            guess.alternate(&mut lobes, &mut texels)?;
-            guess.error(&lobes, &texels)
+        let error = with_initialization(world, known, |problem| {
+            problem.alternate(&mut lobes, &mut texels)?;
+            problem.error(&lobes, &texels)
         })?;
         tried.push((frame, error));
     }

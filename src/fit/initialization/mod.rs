@@ -69,13 +69,13 @@ pub fn initialize_light_and_albedo(
     let mut visibility = if shadowed { world.remove_resource::<ObjectVisibility>() } else { None };
     let object = visibility.as_mut();
     let known = Known { form, specular, unknowns, object, in_part: false };
-    let guessed = with_guess(world, known, |guess| guess.alternate(&mut lobes, &mut texels));
+    let initialized = with_initialization(world, known, |problem| problem.alternate(&mut lobes, &mut texels));
     if let Some(visibility) = visibility {
         world.insert_resource(visibility);
     }
-    guessed?;
-    for (entity, guess) in entities.into_iter().zip(&lobes) {
-        world.entity_mut(entity).insert(*guess);
+    initialized?;
+    for (entity, lobe) in entities.into_iter().zip(&lobes) {
+        world.entity_mut(entity).insert(*lobe);
     }
     write_albedo(world, texels)
 }
@@ -97,7 +97,11 @@ struct Known<'a> {
 }
 
 /// Calls `run` with the data of the initialization.
-fn with_guess<T>(world: &mut World, known: Known, run: impl FnOnce(&mut Guess) -> Result<T>) -> Result<T> {
+fn with_initialization<T>(
+    world: &mut World,
+    known: Known,
+    run: impl FnOnce(&mut Initialization) -> Result<T>,
+) -> Result<T> {
     let Known { form, specular, unknowns, object, in_part } = known;
     type Inputs<'w, 's> =
         (Observations<'w, 's>, Query<'w, 's, (&'static ViewIndex, &'static Camera), With<Photograph>>);
@@ -109,7 +113,7 @@ fn with_guess<T>(world: &mut World, known: Known, run: impl FnOnce(&mut Guess) -
     let observations = observations.columns()?;
     let part = if in_part { part_of_surface(&observations) } else { None };
     let observations = part.as_deref().unwrap_or(&observations);
-    run(&mut Guess { form, observations, cameras, turns, specular, unknowns, object })
+    run(&mut Initialization { form, observations, cameras, turns, specular, unknowns, object })
 }
 
 /// The pixels on a part of the surface, about [`PART_PIXELS`]: all that see it, so that its texels are known as well as if all of the surface
@@ -145,7 +149,7 @@ fn least_rough(world: &mut World) -> SpecularLobe {
 }
 
 /// The data of the initialization.
-struct Guess<'a> {
+struct Initialization<'a> {
     form: ClosedForm,
     observations: &'a [Observation],
     cameras: ByView<Camera>,
@@ -155,7 +159,7 @@ struct Guess<'a> {
     object: Option<&'a mut ObjectVisibility>,
 }
 
-impl Guess<'_> {
+impl Initialization<'_> {
     fn alternate(&mut self, lobes: &mut [LightLobe], texels: &mut Vec<Vec3>) -> Result<()> {
         for round in 0..ROUNDS {
             check_interrupted()?;

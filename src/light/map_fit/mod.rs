@@ -444,16 +444,16 @@ mod tests {
 
     #[test]
     fn a_sun_gets_its_own_lobe_and_the_sky_is_fitted_beside_it() {
-        let towards = Vec3::new(0.48, 0.6, 0.64);
+        let toward = Vec3::new(0.48, 0.6, 0.64);
         let with_sun = EnvironmentMap::from_directions(128, 64, |d| {
-            let sun = if d.angle_between(towards) < 0.05 { 2e4 } else { 0.0 };
+            let sun = if d.angle_between(toward) < 0.05 { 2e4 } else { 0.0 };
             sky().sample_bilinear(d) + Vec3::splat(sun)
         });
         let fit = fit_map(&with_sun, 16, &quick()).unwrap();
         assert_eq!(fit.suns.len(), 1);
         assert_eq!(fit.lobes[0], fit.suns[0].lobe);
         assert!(fit.power_ratio.iter().all(|r| (r - 1.0).abs() < 0.01), "{:?}", fit.power_ratio);
-        let away: Vec<Vec3> = fibonacci_axes(400).into_iter().filter(|d| d.dot(towards) < 0.9).collect();
+        let away: Vec<Vec3> = fibonacci_axes(400).into_iter().filter(|d| d.dot(toward) < 0.9).collect();
         let square = |d: &Vec3| {
             (crate::light::lobes_radiance(&fit.lobes, *d) - sky().sample_bilinear(*d)).length_squared()
         };

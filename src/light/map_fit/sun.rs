@@ -52,11 +52,11 @@ fn take_one(map: &EnvironmentMap, sharpest: f64, whole: f64) -> Option<(Sun, Env
     let brightest = (0..map.radiance.len())
         .max_by(|&a, &b| luminance(map.radiance[a]).total_cmp(&luminance(map.radiance[b])).then(b.cmp(&a)))?;
     let peak = map.radiance[brightest];
-    let towards = direction(map, brightest);
-    let near = |k: usize| direction(map, k).dot(towards) > RADIUS_DEGREES.to_radians().cos();
+    let toward = direction(map, brightest);
+    let near = |k: usize| direction(map, k).dot(toward) > RADIUS_DEGREES.to_radians().cos();
     let bright = |k: &usize| luminance(map.radiance[*k]) > PART_OF_PEAK * luminance(peak) && near(*k);
     let texels: Vec<usize> = (0..map.radiance.len()).filter(bright).collect();
-    let (around, surroundings) = surroundings(map, &texels, towards);
+    let (around, surroundings) = surroundings(map, &texels, toward);
     let mut rest = map.clone();
     texels.iter().for_each(|&k| rest.radiance[k] = around.min(map.radiance[k]));
     let mean = luminous(rest.power()) / (4.0 * std::f64::consts::PI);
@@ -74,8 +74,8 @@ fn direction(map: &EnvironmentMap, texel: usize) -> DVec3 {
 }
 
 /// Median (by luminance) of the texels around the sun's, and how many those are.
-fn surroundings(map: &EnvironmentMap, texels: &[usize], towards: DVec3) -> (Vec3, usize) {
-    let angle = |k: usize| direction(map, k).angle_between(towards);
+fn surroundings(map: &EnvironmentMap, texels: &[usize], toward: DVec3) -> (Vec3, usize) {
+    let angle = |k: usize| direction(map, k).angle_between(toward);
     let radius = texels.iter().map(|&k| angle(k)).fold(0.0, f64::max);
     let outer = 1.5 * radius + 3.0 * std::f64::consts::PI / f64::from(map.height);
     let mut ring: Vec<Vec3> = (0..map.radiance.len())
@@ -118,9 +118,9 @@ mod tests {
     use super::*;
 
     fn sky(sun: f32) -> EnvironmentMap {
-        let towards = Vec3::new(0.48, 0.6, 0.64);
+        let toward = Vec3::new(0.48, 0.6, 0.64);
         EnvironmentMap::from_directions(256, 128, |d| {
-            let disk = d.angle_between(towards) < 0.03;
+            let disk = d.angle_between(toward) < 0.03;
             if disk { Vec3::new(1.0, 0.9, 0.7) * sun } else { Vec3::new(0.3, 0.5, 0.9) }
         })
     }

@@ -39,7 +39,7 @@ pub fn torus(around: u32, across: u32) -> Mesh {
     })
 }
 
-/// A closed ball of radius 1, made of a cube with `count`² squares a face; each vertex is moved by at most `noise` outwards or inwards.
+/// A closed ball of radius 1, made of a cube with `count`² squares a face; each vertex is moved by at most `noise` outward or inward.
 pub fn ball(count: u32, noise: f32) -> Mesh {
     let mut mesh = Mesh::default();
     for axis in 0..3 {

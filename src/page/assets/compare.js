@@ -176,7 +176,7 @@ export class Compare {
         canvas.getContext("2d").putImageData(picture, 0, 0);
     }
 
-    /** Renders and compares anew if an error map is shown that is not of what is shown; returns whether the renderer was used. */
+    /** Renders and compares again if an error map is shown that is not of what is shown; returns whether the renderer was used. */
     refresh() {
         const { page } = this;
         const sides = this.sides.filter(({ side }) => page.settings[side] === "error");

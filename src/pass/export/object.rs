@@ -1,7 +1,8 @@
 //! The object that is exported: its surface, and the material of its texels.
 
 use crate::codec::gltf::dielectric::{Dielectric, GltfReflectance, GltfTable, LobeReflectance};
-use crate::error::{Error, Result};
+use crate::codec::image::{PngPixels, encode_png};
+use crate::error::Result;
 use crate::material::edit::MaterialState;
 use crate::material::sheen::mean_albedo;
 use crate::material::{MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
@@ -14,7 +15,6 @@ use crate::mesh::nearest::NearestTriangle;
 use crate::mesh::triangles::Mesh;
 use crate::report::tone::srgb8;
 use glam::{Vec2, Vec3};
-use image::{ExtendedColorType, ImageEncoder, codecs::png::PngEncoder};
 use rayon::prelude::*;
 use std::sync::Arc;
 
@@ -33,7 +33,7 @@ pub struct Object {
 }
 
 /// The material of texels in other programs.
-pub struct Look {
+pub struct TexelMaterial {
     /// Base color.
     pub base: Vec<Vec3>,
     /// Specular part: one for all, or one of each texel.
@@ -42,7 +42,7 @@ pub struct Look {
     pub roughness: Vec<f32>,
 }
 
-impl Look {
+impl TexelMaterial {
     /// What reflectance textures are multiplied by, and the textures, whose values are at most one.
     pub fn factors(&self) -> (Dielectric, Vec<(Vec3, f32)>) {
         let ratio = |d: &Dielectric| if d.f90 > 0.0 { d.f0 / d.f90 } else { Vec3::ZERO };
@@ -119,7 +119,7 @@ impl Object {
     }
 
     /// The material that reflects as much in other programs; `f90` is F90 where it is given.
-    pub fn look(&self, f90: Option<f32>) -> Look {
+    pub fn look(&self, f90: Option<f32>) -> TexelMaterial {
         let reflectances: Vec<_> = self
             .lobes
             .iter()
@@ -149,7 +149,7 @@ impl Object {
         };
         let share = |i: usize| dielectrics[i.min(dielectrics.len() - 1)].diffuse_share;
         let base = self.albedo.iter().enumerate().map(|(i, albedo)| (*albedo / share(i)).min(Vec3::ONE));
-        Look { base: base.collect(), dielectrics, roughness }
+        TexelMaterial { base: base.collect(), dielectrics, roughness }
     }
 
     /// The albedo of each vertex, sRGB.
@@ -162,19 +162,19 @@ impl Object {
     /// A texture of linear colors as an sRGB PNG.
     pub fn color_png(&self, colors: &[Vec3]) -> Result<Vec<u8>> {
         let bytes: Vec<u8> = colors.iter().flat_map(|color| srgb8(*color)).collect();
-        self.png(&bytes, ExtendedColorType::Rgb8)
+        self.png(&bytes, PngPixels::Rgb)
     }
 
     /// The roughness texture of glTF: roughness in green, linear; metallic in blue, 0.
     pub fn roughness_png(&self, roughness: &[f32]) -> Result<Vec<u8>> {
         let bytes: Vec<u8> = roughness.iter().flat_map(|r| [0, byte(*r), 0]).collect();
-        self.png(&bytes, ExtendedColorType::Rgb8)
+        self.png(&bytes, PngPixels::Rgb)
     }
 
     /// A texture of numbers in [0, 1], linear.
     pub fn gray_png(&self, values: &[f32]) -> Result<Vec<u8>> {
         let bytes: Vec<u8> = values.iter().map(|value| byte(*value)).collect();
-        self.png(&bytes, ExtendedColorType::L8)
+        self.png(&bytes, PngPixels::Gray)
     }
 
     /// Colors as sRGB, with linear numbers as alpha.
@@ -185,16 +185,12 @@ impl Object {
             [r, g, b, byte(*alpha)]
         };
         let bytes: Vec<u8> = texels.iter().flat_map(texel).collect();
-        self.png(&bytes, ExtendedColorType::Rgba8)
+        self.png(&bytes, PngPixels::Rgba)
     }
 
-    fn png(&self, bytes: &[u8], kind: ExtendedColorType) -> Result<Vec<u8>> {
+    fn png(&self, bytes: &[u8], pixels: PngPixels) -> Result<Vec<u8>> {
         let atlas = self.surface.atlas();
-        let mut png = Vec::new();
-        PngEncoder::new(&mut png)
-            .write_image(bytes, atlas.width, atlas.height, kind)
-            .map_err(|error| Error::run("export", format!("the texture cannot be encoded: {error}")))?;
-        Ok(png)
+        encode_png(bytes, [atlas.width, atlas.height], pixels)
     }
 }
 

@@ -12,7 +12,7 @@ pub struct Placement {
     pub turn: Quat,
     origin: Vec3,
     scale: f32,
-    /// The axis that is up afterwards, or the nearest of the two that files can name.
+    /// The axis that is up afterward, or the nearest of the two that files can name.
     pub up: UpAxis,
 }
 

@@ -6,7 +6,7 @@
 use crate::checkpoint::{self, Checkpoint, Checkpoints, Place, Store, packed};
 use crate::codec::file::{MOST_TEXT, is_there, read_bytes, read_parts, read_text, write_bytes, write_file};
 use crate::error::{Error, Result};
-use crate::fit::run::FirstGuess;
+use crate::fit::run::Initialize;
 use crate::mesh::Surface;
 use crate::mesh::triangles::Mesh;
 use crate::pass::progress::Progress;
@@ -41,7 +41,7 @@ const HEAD: usize = 24;
 
 /// What a run depends on: a resumed one must have the same.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-pub(super) struct Begun {
+pub(super) struct RunStart {
     version: String,
     /// Hash of the scene, with what the command line adds.
     scene: u64,
@@ -52,7 +52,7 @@ pub(super) struct Begun {
     inputs: BTreeMap<String, u64>,
 }
 
-impl Begun {
+impl RunStart {
     /// What a run is begun with now. `scene` is the loaded one as it keeps to its memory.
     ///
     /// # Errors
@@ -196,7 +196,7 @@ impl Store for Files {
             let written = writer.write_all(&head).and_then(|()| packed::write_to(checkpoint, writer));
             written.map_err(Error::io("write", &path))
         })?;
-        let needed = [place.way(), self.last.way()].concat();
+        let needed = [place.route(), self.last.route()].concat();
         self.last = place;
         for old in places(&self.folder).into_iter().filter(|old| !needed.contains(old)) {
             // One that cannot be removed is only in the way of nobody.
@@ -244,7 +244,7 @@ fn find(out: &Path, mark: u64, progress: &dyn Progress) -> Result<Vec<(Place, Ch
     candidates.sort_unstable_by(|a, b| b.cmp(a));
     let mut first = None;
     for place in candidates {
-        let way = place.way().into_iter().map(|at| Ok((at, read_checkpoint(&folder, at, mark)?)));
+        let way = place.route().into_iter().map(|at| Ok((at, read_checkpoint(&folder, at, mark)?)));
         match way.collect::<Result<Vec<_>>>() {
             Ok(way) => return Ok(way),
             Err(error) => {
@@ -260,7 +260,12 @@ fn find(out: &Path, mark: u64, progress: &dyn Progress) -> Result<Vec<(Place, Ch
 ///
 /// # Errors
 /// [`Error::Input`] if no checkpoint can be used; [`Error::Run`] if the state is of another world.
-pub(super) fn take_up(session: &mut Session, begun: &Begun, resumed: bool, every: Duration) -> Result<usize> {
+pub(super) fn take_up(
+    session: &mut Session,
+    begun: &RunStart,
+    resumed: bool,
+    every: Duration,
+) -> Result<usize> {
     let mark = begun.mark();
     let ahead = if resumed { find(&session.out, mark, session.progress)? } else { Vec::new() };
     let last = ahead.last().map_or(Place::default(), |(place, _)| *place);
@@ -326,7 +331,7 @@ pub(super) fn check_folder(out: &Path) -> Result<()> {
 /// What passes leave to those after them beside the world.
 #[derive(Serialize, Deserialize)]
 struct SessionState {
-    guess: FirstGuess,
+    initialize: Initialize,
     has_object: bool,
     /// In RON, which has numbers that are not finite.
     scores: String,
@@ -342,7 +347,7 @@ pub(super) fn keep(session: &mut Session, done: usize) -> Result<()> {
     let unwritten = |error: ron::Error| Error::run("writing a checkpoint", error.to_string());
     let surface = &session.surface;
     let state = SessionState {
-        guess: session.guess,
+        initialize: session.initialize,
         has_object: session.has_object,
         scores: ron::to_string(&session.scores).map_err(unwritten)?,
         surface: session.surface_found.then(|| (surface.mesh().clone(), surface.atlas().width)),
@@ -364,10 +369,10 @@ fn restore(session: &mut Session) -> Result<()> {
         Ok(())
     };
     let resumed = checkpoint::resume_pass(&mut session.pipeline.world, prepare)?;
-    let Some((_, SessionState { guess, has_object, scores, .. })) = resumed else { return Ok(()) };
+    let Some((_, SessionState { initialize, has_object, scores, .. })) = resumed else { return Ok(()) };
     let unread = |error: ron::error::SpannedError| Error::run("reading a checkpoint", error.to_string());
     session.scores = ron::from_str::<Scores>(&scores).map_err(unread)?;
-    (session.guess, session.has_object) = (guess, has_object);
+    (session.initialize, session.has_object) = (initialize, has_object);
     if let Some(surface) = found {
         (session.surface, session.surface_found) = (surface, true);
     }

@@ -27,7 +27,7 @@ fn found(out: &Path) -> Vec<Place> {
     find(out, MARK, &Silent).unwrap().into_iter().map(|(place, _)| place).collect()
 }
 
-/// Two passes, the second of two levels, killed amid the second level.
+/// Two passes, the second of two levels, killed during the second level.
 fn killed() -> tempfile::TempDir {
     let out = tempfile::tempdir().unwrap();
     let mut world = world(out.path());
@@ -116,14 +116,14 @@ fn a_folder_that_leads_elsewhere_is_refused() {
     assert_eq!(clear(out.path()).unwrap_err().exit_code(), 2);
 }
 
-fn begun() -> Begun {
+fn begun() -> RunStart {
     let inputs = [("a.png".to_owned(), 1), ("b.png".to_owned(), 2)].into();
-    Begun { version: "1".into(), scene: 1, within_memory: 2, threads: 2, inputs }
+    RunStart { version: "1".into(), scene: 1, within_memory: 2, threads: 2, inputs }
 }
 
 #[test]
 fn other_data_are_named() {
-    let refused = |change: fn(&mut Begun)| {
+    let refused = |change: fn(&mut RunStart)| {
         let mut now = begun();
         change(&mut now);
         let error = begun().check_data(&now, &Silent).unwrap_err();
@@ -135,16 +135,16 @@ fn other_data_are_named() {
     assert!(refused(|now| _ = now.inputs.insert("c.png".into(), 1)).starts_with("c.png"));
     assert!(refused(|now| now.within_memory = 9).contains("memory"));
     // Another number of threads changes bits alone.
-    begun().check_data(&Begun { threads: 1, ..begun() }, &Silent).unwrap();
+    begun().check_data(&RunStart { threads: 1, ..begun() }, &Silent).unwrap();
 }
 
 #[test]
 fn what_a_run_was_begun_with_is_read_back() {
     let out = tempfile::tempdir().unwrap();
-    assert_eq!(Begun::read(out.path()).unwrap(), None);
+    assert_eq!(RunStart::read(out.path()).unwrap(), None);
     begun().write(out.path()).unwrap();
-    assert_eq!(Begun::read(out.path()).unwrap(), Some(begun()));
+    assert_eq!(RunStart::read(out.path()).unwrap(), Some(begun()));
     std::fs::write(out.path().join(FOLDER).join(BEGUN), "{").unwrap();
-    let error = Begun::read(out.path()).unwrap_err();
+    let error = RunStart::read(out.path()).unwrap_err();
     assert!(error.exit_code() == 2 && error.to_string().contains("damaged"), "{error}");
 }

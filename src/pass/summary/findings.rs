@@ -77,7 +77,7 @@ fn of_light_frame(scores: &Scores) -> Option<Finding> {
         scores.light_frames_tried.iter().map(|tried| format!("{} {:.4}", tried.frame, tried.error)).collect();
     let sure = match errors.len() {
         0 | 1 => String::new(),
-        _ => format!("; error of the first guess if it {}", errors.join(", if it ")),
+        _ => format!("; error of the initialization if it {}", errors.join(", if it ")),
     };
     Some(plain("light stands still in", format!("{frame}{sure}")))
 }
@@ -165,7 +165,7 @@ mod tests {
         for words in [
             "albedo = WhiteLight — photographs",
             "mean light = 2.000, 1.000, 0.000",
-            "Camera; error of the first guess if it stands 0.0300, if it goes 0.0400",
+            "Camera; error of the initialization if it stands 0.0300, if it goes 0.0400",
             "fit: light = 3 lobes; 90 % of the power is in 1",
             "fit: specular albedo 1 = 0.300, 0.200, 0.100; roughness 0.250, distribution of normals Sg",
             "fit: exposures = 0.500 to 1.000, median 1.000, of 2 photographs",

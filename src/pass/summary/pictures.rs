@@ -1,6 +1,7 @@
 //! Pictures of a run's folder as `data:` addresses.
 
 use crate::codec::file::read_up_to;
+use crate::codec::image::decode;
 use crate::report::sheet::Theme;
 use crate::report::thumbnail::{jpeg_address, thumbnail_jpeg};
 use image::{Rgb, RgbImage, RgbaImage};
@@ -34,7 +35,7 @@ impl Pictures {
     pub fn small(&mut self, path: &Path, side: u32) -> Option<String> {
         self.address(path, || {
             let bytes = read_up_to(path, MOST_BYTES, |_| String::new()).ok()?;
-            let picture = image::load_from_memory(&bytes).ok()?.to_rgba8();
+            let picture = decode(&bytes).ok()?.to_rgba8();
             thumbnail_jpeg(&on_mat(&picture), side).ok()
         })
     }
@@ -78,7 +79,7 @@ mod tests {
         pictures.begin(1 << 20);
         let address = pictures.small(&path, 16).unwrap();
         let bytes = STANDARD.decode(address.strip_prefix("data:image/jpeg;base64,").unwrap()).unwrap();
-        let read = image::load_from_memory(&bytes).unwrap().to_rgb8();
+        let read = decode(&bytes).unwrap().to_rgb8();
         assert_eq!(read.dimensions(), (16, 8));
         assert!(read.get_pixel(3, 3).0.iter().zip(Theme::Light.mat()).all(|(a, b)| a.abs_diff(b) < 4));
         std::fs::remove_file(&path).unwrap();

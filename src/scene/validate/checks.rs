@@ -80,7 +80,7 @@ impl Checks {
         self.require(ok, path, value, &format!("three numbers, none beyond {MAX_COORDINATE:e}"));
     }
 
-    /// A colour with channels in [0, 1].
+    /// A color with channels in [0, 1].
     pub(super) fn color(&mut self, path: &str, value: Vec3) {
         let ok = value.to_array().iter().all(|channel| (0.0..=1.0).contains(channel));
         self.require(ok, path, value, "three numbers from 0 to 1");

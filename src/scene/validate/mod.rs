@@ -179,7 +179,7 @@ fn pattern(checks: &mut Checks, pattern: &Pattern) {
         }
         Pattern::Stripes { colors, axis, width } => {
             if colors.is_empty() {
-                checks.fail(&at("colors"), "there is no colour", "expected at least one colour", "");
+                checks.fail(&at("colors"), "there is no color", "expected at least one color", "");
             }
             for (index, color) in colors.iter().enumerate() {
                 checks.color(&at(&format!("colors.{index}")), *color);

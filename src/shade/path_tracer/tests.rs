@@ -41,7 +41,7 @@ struct Shell {
     center: Vec3,
     radius: f32,
     brim: f32,
-    /// 1: normals outwards; −1: inwards.
+    /// 1: normals outward; −1: inward.
     side: f32,
 }
 
@@ -53,12 +53,12 @@ impl Intersect for Shell {
         let c = (from.length() - self.radius) * (from.length() + self.radius);
         let root = (b * b - c).sqrt();
         [-b - root, -b + root].into_iter().find_map(|distance| {
-            let outwards = (from + ray.direction * distance) / self.radius;
-            (distance > min_distance && outwards.z <= self.brim).then(|| Hit {
+            let outward = (from + ray.direction * distance) / self.radius;
+            (distance > min_distance && outward.z <= self.brim).then(|| Hit {
                 distance,
-                position: self.center + outwards * self.radius,
-                normal: outwards.normalize() * self.side,
-                geometric_normal: outwards.normalize() * self.side,
+                position: self.center + outward * self.radius,
+                normal: outward.normalize() * self.side,
+                geometric_normal: outward.normalize() * self.side,
                 uv: Default::default(),
                 texels: TexelAddress { indices: [0; 4], weights: [1.0, 0.0, 0.0, 0.0] },
             })

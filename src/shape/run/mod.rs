@@ -5,7 +5,7 @@ use crate::error::stop::{check_interrupted, is_stopping};
 use crate::error::{Error, Result};
 use crate::fit::cameras::{CameraFit, CameraPlugin, CameraUnknowns, align_photographs, attach_poses};
 use crate::fit::components::{AlbedoGradient, AlbedoMoments, TexelSeen};
-use crate::fit::run::{FirstGuess, FitOptions, FitProgress, run_fit};
+use crate::fit::run::{FitOptions, FitProgress, Initialize, run_fit};
 use crate::material::sheen::KnownAlong;
 use crate::material::{DiffuseAlbedo, DiffuseSheen, DiffuseTilt};
 use crate::material::{
@@ -202,8 +202,8 @@ fn fit_levels(
         }
         let volume = surface.volume.clone();
         enter(&mut pipeline.world, surface, level.schedule);
-        let guess = if index == 0 { options.fit.guess } else { FirstGuess::NONE };
-        let fit = FitOptions { steps: level.schedule.steps, guess, ..options.fit.clone() };
+        let initialize = if index == 0 { options.fit.initialize } else { Initialize::NONE };
+        let fit = FitOptions { steps: level.schedule.steps, initialize, ..options.fit.clone() };
         let result = run_fit(pipeline, &fit, &mut |progress, world| {
             let field = world.resource::<SdfField>();
             let (hull, levels) = (hull.report, levels.len());

@@ -160,7 +160,7 @@ fn refine_round(
     let trust: Vec<f32> = votes.iter().zip(&gates).map(trusted).collect();
     let outlines = Contours::new(&shell, &bvh).votes(silhouettes);
     let outlines: Vec<Plate> = outlines.of_vertices.iter().map(Vote::plate).collect();
-    let moved = moved_positions(&bvh, &shell, pictures, (&votes, &trust), &outlines);
+    let moved = moved_positions(&bvh, &shell, pictures, &votes, &trust, &outlines);
     put(mesh, &shell, &moved);
     trust.iter().filter(|trust| **trust > TRUSTED).count() as f32 / trust.len().max(1) as f32
 }
@@ -170,7 +170,8 @@ fn moved_positions(
     bvh: &TriangleBvh,
     shell: &Shell,
     pictures: &[MatchPicture],
-    (votes, trust): (&[Votes], &[f32]),
+    votes: &[Votes],
+    trust: &[f32],
     outlines: &[Plate],
 ) -> Vec<Vec3> {
     let Shell { graph, positions, normals } = shell;

@@ -11,7 +11,7 @@ use crate::mesh::bvh::TriangleBvh;
 use crate::mesh::primitive::box_mesh;
 use crate::mesh::triangles::Mesh;
 use crate::survey::look::{OpenPhotograph, OpenView};
-use crate::survey::{Look, MaskSource, Subject, Survey, examine};
+use crate::survey::{MaskSource, Subject, Survey, ViewLook, examine};
 use crate::view::{Camera, Image, Mask, Split};
 use glam::Vec3;
 use std::sync::OnceLock;
@@ -95,9 +95,10 @@ fn good() -> Vec<OpenView> {
     VIEWS_ONCE.get_or_init(make).clone()
 }
 
-fn looks(views: &[OpenView]) -> Vec<Look> {
-    let look =
-        |view: &OpenView| Look::new(view, [view.camera.width, view.camera.height], MaskSource::File, true);
+fn looks(views: &[OpenView]) -> Vec<ViewLook> {
+    let look = |view: &OpenView| {
+        ViewLook::new(view, [view.camera.width, view.camera.height], MaskSource::File, true)
+    };
     views.iter().map(look).collect()
 }
 

@@ -95,7 +95,8 @@ pub(super) fn sum_nodes<
         unroll!(i < ALONG, {
             let row = placement.row(ALONG, i);
             unroll!(j < ACROSS, {
-                let node = node::<F, TAIL>(&view, ndf, light, placement, &row, across(ACROSS, j));
+                let (w, weight) = across(ACROSS, j);
+                let node = node::<F, TAIL>(&view, ndf, light, placement, &row, w, weight);
                 let value = node.over_cosine * node.cosine;
                 plain += value;
                 powered = value.mul_add(node.fresnel, powered);

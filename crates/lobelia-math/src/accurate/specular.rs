@@ -365,7 +365,8 @@ pub(super) fn node<F: Real, const TAIL: Tail>(
     light: &LocalLight<F>,
     placement: &Placement<F>,
     row: &Row<F>,
-    (w, weight): (f64, f64),
+    w: f64,
+    weight: f64,
 ) -> Node<F> {
     let x = [row.base[0] + placement.across[0].times(w), row.base[1] + placement.across[1].times(w)];
     let drop = dot2(x, x).times(0.5);

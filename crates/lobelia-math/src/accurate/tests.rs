@@ -111,7 +111,8 @@ fn frozen<const ALONG: usize, const ACROSS: usize>(case: &Case) -> Frozen {
     for i in 0..ALONG {
         let row = placement.row(ALONG, i);
         for j in 0..ACROSS {
-            let node = node::<f64, SG>(&view, ndf, &light, &placement, &row, across(ACROSS, j));
+            let (w, weight) = across(ACROSS, j);
+            let node = node::<f64, SG>(&view, ndf, &light, &placement, &row, w, weight);
             let omega = unit(point.in_world([node.direction[0], node.direction[1], node.cosine]));
             let [_, constant, slope] = integrand(case, Ndf::Sg, omega);
             let value = node.over_cosine * node.cosine * ndf.scale;

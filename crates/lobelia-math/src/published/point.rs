@@ -43,6 +43,39 @@ fn shadowing_factor<F: Real>(c: F, k: F, k_prime: F) -> (F, F, F) {
     (value, (k.plus(TINY)) * inverse * inverse, -(value * inverse) * (c.one() - c) * k_prime)
 }
 
+/// F of PhySG supp. eq. 6 without the specular albedo, at the mirror direction, and its derivative with respect to n·v.
+#[inline(always)]
+fn mirror_fresnel<F: Real>(nv: F) -> (F, F) {
+    // h = (r + v)/(|r + v| + 1e-6) with r + v = 2κ(n·v)n + (1 − κ)v.
+    let epsilon = 1.0 - SHRUNK;
+    let q = nv.times(2.0 * SHRUNK);
+    let length = (q * q + (q * nv).times(2.0 * epsilon)).plus(epsilon * epsilon).sqrt();
+    let length_prime = (q.times(SHRUNK * 2.0) + nv.times(4.0 * SHRUNK * epsilon)) / length;
+    let inverse_length = length.plus(TINY).recip();
+    let vh = (q * nv).plus(epsilon) * inverse_length;
+    let vh_prime = (nv.times(4.0 * SHRUNK) - vh * length_prime) * inverse_length;
+    let power = fresnel_power(vh);
+    let power_prime =
+        -(vh.times(2.0 * 5.55473).plus(6.8316)).times(std::f64::consts::LN_2) * power * vh_prime;
+    (power, power_prime)
+}
+
+/// Q = G/(4 (n·r)(n·v) + 1e-6) with n·r = κ n·v, and its derivatives with respect to n·v and to the roughness.
+#[inline(always)]
+fn shadowing_quotient<F: Real>(nv: F, roughness: F) -> [F; 3] {
+    let k = shadowing_k(roughness);
+    let k_prime = roughness.plus(1.0).times(0.25);
+    let nr = nv.times(SHRUNK);
+    let (g1, g1_by_c, g1_by_r) = shadowing_factor(nr, k, k_prime);
+    let (g2, g2_by_c, g2_by_r) = shadowing_factor(nv, k, k_prime);
+    let inverse = (nr * nv).times(4.0).plus(TINY).recip();
+    let quotient = g1 * g2 * inverse;
+    let quotient_by_c =
+        (g1_by_c.times(SHRUNK) * g2 + g1 * g2_by_c - quotient * nv.times(8.0 * SHRUNK)) * inverse;
+    let quotient_by_r = (g1_by_r * g2 + g1 * g2_by_r) * inverse;
+    [quotient, quotient_by_c, quotient_by_r]
+}
+
 /// Computes the terms that depend on the point and the specular material but not on the light.
 #[inline(always)]
 pub fn prepare_point<F: Real>(
@@ -58,31 +91,8 @@ pub fn prepare_point<F: Real>(
     let warp_sharpness = ndf_amplitude.times(2.0 * PI) * warp_denominator;
     let terms = PointTerms { normal, mirror, mirror_cosine: nv.times(SHRUNK), warp_sharpness };
 
-    // h = (r + v)/(|r + v| + 1e-6) with r + v = 2κ(n·v)n + (1 − κ)v.
-    let epsilon = 1.0 - SHRUNK;
-    let q = nv.times(2.0 * SHRUNK);
-    let length = (q * q + (q * nv).times(2.0 * epsilon)).plus(epsilon * epsilon).sqrt();
-    let length_prime = (q.times(SHRUNK * 2.0) + nv.times(4.0 * SHRUNK * epsilon)) / length;
-    let inverse_length = length.plus(TINY).recip();
-    let vh = (q * nv).plus(epsilon) * inverse_length;
-    let vh_prime = (nv.times(4.0 * SHRUNK) - vh * length_prime) * inverse_length;
-    // F of PhySG supp. eq. 6.
-    let power = fresnel_power(vh);
-    let power_prime =
-        -(vh.times(2.0 * 5.55473).plus(6.8316)).times(std::f64::consts::LN_2) * power * vh_prime;
-
-    // Q = G/(4 (n·r)(n·v) + 1e-6) with n·r = κ n·v, and the two factors of G.
-    let k = shadowing_k(roughness);
-    let k_prime = roughness.plus(1.0).times(0.25);
-    let nr = nv.times(SHRUNK);
-    let (g1, g1_by_c, g1_by_r) = shadowing_factor(nr, k, k_prime);
-    let (g2, g2_by_c, g2_by_r) = shadowing_factor(nv, k, k_prime);
-    let inverse = (nr * nv).times(4.0).plus(TINY).recip();
-    let quotient = g1 * g2 * inverse;
-    let quotient_by_c =
-        (g1_by_c.times(SHRUNK) * g2 + g1 * g2_by_c - quotient * nv.times(8.0 * SHRUNK)) * inverse;
-    let quotient_by_r = (g1_by_r * g2 + g1 * g2_by_r) * inverse;
-
+    let (power, power_prime) = mirror_fresnel(nv);
+    let [quotient, quotient_by_c, quotient_by_r] = shadowing_quotient(nv, roughness);
     let common = quotient * ndf_amplitude;
     let common_by_c = quotient_by_c * ndf_amplitude;
     let common_by_r = (quotient_by_r - quotient.times(4.0) / roughness) * ndf_amplitude;

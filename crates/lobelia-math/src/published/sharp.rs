@@ -105,9 +105,26 @@ fn tanh<F: Real>(y: F) -> (F, F) {
     (value, (-value).mul_add(value, e.one()))
 }
 
-/// E(λ, c) and its partial derivatives.
+/// The product of the lobe with the cosine's lobe.
+struct Product<F> {
+    /// min(c − 1, 0).
+    d: F,
+    /// The logarithm of its amplitude.
+    x: F,
+    /// Its sharpness is m = λ + h.
+    h: F,
+    /// h/λ.
+    step: F,
+    /// 1/m.
+    over_m: F,
+    /// Its cosine c′.
+    cosine: F,
+    /// c′ − c.
+    cosine_change: F,
+}
+
 #[inline(always)]
-pub fn cosine_integral<F: Real>(sharpness: F, terms: &SharpnessTerms<F>, c: F) -> Dual<F> {
+fn product<F: Real>(sharpness: F, terms: &SharpnessTerms<F>, c: F) -> Product<F> {
     let k = c.lit(COSINE_SHARPNESS);
     let one = c.one();
     let inverse = terms.inverse;
@@ -116,12 +133,50 @@ pub fn cosine_integral<F: Real>(sharpness: F, terms: &SharpnessTerms<F>, c: F) -
     let sz = terms.slope * d;
     let z = sz * inverse * (one - k * inverse);
     let x = sz * z.times(0.0625).plus(-0.125).mul_plus(z, 0.5);
-    // The product's sharpness m = λ + h and cosine c′.
     let h = x + k;
     let step = h * inverse;
     let over_m = inverse * (one - step + step * step);
-    let c_product = sharpness.mul_add(c, k) * over_m;
-    let c_change = (-h).mul_add(c, k) * over_m;
+    let cosine = sharpness.mul_add(c, k) * over_m;
+    let cosine_change = (-h).mul_add(c, k) * over_m;
+    Product { d, x, h, step, over_m, cosine, cosine_change }
+}
+
+/// Ratios of e^x A and e^x B at m to A and B at λ.
+struct Ratios<F> {
+    /// 1 − λ/m.
+    shrink: F,
+    /// α: that of A, less one.
+    even_change: F,
+    /// β: that of B, less one.
+    odd_change: F,
+}
+
+#[inline(always)]
+fn ratios<F: Real>(terms: &SharpnessTerms<F>, x: F, step: F, t_change: F) -> Ratios<F> {
+    let shrink = step * (x.one() - step + step * step);
+    let grown = exp_m1(x);
+    let even_change = (-grown).mul_add(shrink, grown - shrink);
+    let coth_change = -(terms.tail * t_change);
+    let odd_change = coth_change.mul_add(even_change, even_change + coth_change);
+    Ratios { shrink, even_change, odd_change }
+}
+
+/// Derivatives of H(λ, c) with respect to sharpness and cosine, given tanh(Tc) and its derivative.
+#[inline(always)]
+fn plain_slopes<F: Real>(terms: &SharpnessTerms<F>, c: F, tau: F, sigma: F) -> [F; 2] {
+    let [t, t_1, _] = terms.half_t;
+    let plain = terms.odd.mul_add(tau, terms.even);
+    let by_t = terms.odd * t_1 * sigma.mul_add(c, -(terms.tail * tau));
+    [(-plain).mul_add(terms.inverse, by_t), terms.odd * t * sigma]
+}
+
+/// E(λ, c) and its partial derivatives.
+#[inline(always)]
+pub fn cosine_integral<F: Real>(sharpness: F, terms: &SharpnessTerms<F>, c: F) -> Dual<F> {
+    let k = c.lit(COSINE_SHARPNESS);
+    let one = c.one();
+    let Product { d, x, h, step, over_m, cosine: c_product, cosine_change: c_change } =
+        product(sharpness, terms, c);
     let [t, t_1, t_2] = terms.half_t;
     let t_change = h * (h.times(0.5)).mul_add(t_2, t_1);
     // tanh at T′c′ = Tc + δ by Taylor: δ ≤ 0.008.
@@ -131,12 +186,7 @@ pub fn cosine_integral<F: Real>(sharpness: F, terms: &SharpnessTerms<F>, c: F) -
     let curve = (square.plus(-1.0 / 3.0)).mul_add(delta, -tau);
     let tau_change = sigma * delta * curve.mul_add(delta, one);
     let tau_product = tau + tau_change;
-    // Ratios of e^x A and e^x B.
-    let shrink = step * (one - step + step * step);
-    let grown = exp_m1(x);
-    let even_change = (-grown).mul_add(shrink, grown - shrink);
-    let coth_change = -(terms.tail * t_change);
-    let odd_change = coth_change.mul_add(even_change, even_change + coth_change);
+    let Ratios { shrink, even_change, odd_change } = ratios(terms, x, step, t_change);
     let gain = COSINE_AMPLITUDE - COSINE_OFFSET;
     let even_part = even_change.times(COSINE_AMPLITUDE).plus(gain);
     let odd_part = (odd_change.mul_add(tau_product, tau_change)).times(COSINE_AMPLITUDE) + tau.times(gain);
@@ -158,10 +208,7 @@ pub fn cosine_integral<F: Real>(sharpness: F, terms: &SharpnessTerms<F>, c: F) -
     let by_t = odd_product * t_1_product * sigma_product.mul_add(c_product, -(tail_product * tau_product));
     let product_by_m = (-product).mul_add(over_m, by_t);
     let product_by_c = odd_product * (t + t_change) * sigma_product;
-    let plain = terms.odd.mul_add(tau, terms.even);
-    let plain_by_t = terms.odd * t_1 * sigma.mul_add(c, -(terms.tail * tau));
-    let plain_by_l = (-plain).mul_add(inverse, plain_by_t);
-    let plain_by_c = terms.odd * t * sigma;
+    let [plain_by_l, plain_by_c] = plain_slopes(terms, c, tau, sigma);
     let both = |product: F, plain: F| product.times(COSINE_AMPLITUDE) - plain.times(COSINE_OFFSET);
     Dual {
         value,

@@ -17,7 +17,8 @@ const ROOM: usize = (BATCH + 1) * MAX_LANES;
 #[inline(always)]
 pub fn survivors<S: Simd, M: PairModel>(
     simd: S,
-    (model, terms): (M, &M::Point<Lanes<S>>),
+    model: M,
+    terms: &M::Point<Lanes<S>>,
     reach: &Reach<Lanes<S>>,
     block: &[Row],
     at: usize,

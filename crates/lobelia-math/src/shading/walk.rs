@@ -42,8 +42,8 @@ pub(super) fn walk<S: Simd, M: PairModel>(
             for at in (0..MAX_LANES).step_by(Lanes::<S>::LEN) {
                 let lobe = load_lobes::<S, M>(simd, block, at);
                 let irradiance = visitor.block::<DIFFUSE>(batch * BATCH + b, at, &lobe);
-                let model = (shared.model, terms);
-                let [wide, narrow] = survivors::<S, M>(simd, model, &reach, block, at, irradiance);
+                let [wide, narrow] =
+                    survivors::<S, M>(simd, shared.model, terms, &reach, block, at, irradiance);
                 picked[0].push(index, wide);
                 if M::HAS_NARROW {
                     picked[1].push(index, narrow);
@@ -100,8 +100,8 @@ pub fn count_kept<S: Simd, M: PairModel>(simd: S, shared: &Shared<'_, M>, points
             for at in (0..MAX_LANES).step_by(Lanes::<S>::LEN) {
                 let lobe = load_lobes::<S, M>(simd, block, at);
                 let response = shared.model.evaluate::<_, DIFFUSE>(&terms, &lobe.shape, &lobe.terms);
-                let model = (shared.model, &terms);
-                let [wide, narrow] = survivors::<S, M>(simd, model, &reach, block, at, response.diffuse);
+                let [wide, narrow] =
+                    survivors::<S, M>(simd, shared.model, &terms, &reach, block, at, response.diffuse);
                 kept += (wide | narrow).count_ones() as usize;
             }
         }
