@@ -5,6 +5,7 @@
 //! | [`pack`] | arrays of numbers in one compressed block |
 //! | [`mesh`] | the mesh in 16-bit numbers |
 //! | [`shadow`] | hidden directions of texels, and what hides them |
+//! | [`upright`] | which way is up |
 //! | `assets/` | the page itself: HTML, style, script and shaders, as they are served |
 //!
 //! The page shades every pixel by the closed forms of [`accurate`](crate::math::accurate), ported to GLSL, with all lobes, all base
@@ -13,6 +14,7 @@
 pub mod mesh;
 pub mod pack;
 pub mod shadow;
+pub mod upright;
 
 use crate::error::Result;
 use crate::light::LightLobe;
