@@ -12,7 +12,7 @@ export async function atWork(browser, program, scene, folder, fail) {
     try {
         const address = await new Promise((done, failed) => {
             let said = "";
-            run.stderr.on("data", (data) => ((said += data), /live: (\S+)/.test(said) && done(/live: (\S+)/.exec(said)[1])));
+            run.stderr.on("data", (data) => ((said += data), /live: (\S+)\n/.test(said) && done(/live: (\S+)/.exec(said)[1])));
             run.once("exit", () => failed(new Error(`the run ended: ${said}`)));
         });
         const before = browser.requests.length;
@@ -34,7 +34,7 @@ export async function atWork(browser, program, scene, folder, fail) {
         if ((await text("at")) === first) fail("the object is not renewed");
         if (!(await browser.evaluate("document.getElementById('over-seconds').checked"))) fail("new curves forget the axis");
         await browser.evaluate("globalThis.confirm = () => true, document.getElementById('stop').focus()");
-        await browser.key("Enter");
+        await browser.key(" ");
         await browser.until("document.getElementById('state').textContent === 'interrupted'");
         if ((await ended) !== 130) fail("the button of the live page does not stop the run as Ctrl-C does");
         const foreign = browser.requests.splice(before).filter((url) => !url.startsWith(address) && !url.startsWith("data:"));

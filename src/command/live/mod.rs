@@ -40,8 +40,9 @@ impl Live {
         let title =
             out.file_name().map_or_else(|| "run".to_owned(), |name| name.to_string_lossy().into_owned());
         server::serve(listener, Site::new(shared.clone(), title, port)?)?;
-        // Also with --quiet: without the address there is no page.
-        let _ = writeln!(std::io::stderr().lock(), "live: http://127.0.0.1:{port}/");
+        // Also with --quiet: without the address there is no page. In one piece, for a program that waits for it.
+        let address = format!("live: http://127.0.0.1:{port}/\n");
+        let _ = std::io::stderr().lock().write_all(address.as_bytes());
         Ok(Self { terminal, shared, bars: AtomicU64::new(1) })
     }
 
