@@ -67,7 +67,7 @@ fn run(data: &Data, scene: &str, out: &str, resume: bool, death: Option<Death>) 
 }
 
 /// The results of a run, without times and what the manifest says of the run itself.
-fn results(out: &Path) -> BTreeMap<String, String> {
+pub fn results(out: &Path) -> BTreeMap<String, String> {
     let read = |file: String| {
         let bytes = std::fs::read(out.join(&file)).unwrap();
         let shown = match file.rsplit('/').next().unwrap() {

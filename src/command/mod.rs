@@ -4,6 +4,7 @@
 //! | --- | --- |
 //! | [`args`], [`run_args`], [`prepare_args`], [`report_args`], [`view_args`] | arguments and their help |
 //! | [`run`], [`check`], [`prepare`], [`new`], [`eval`], [`view`], [`run_report`], [`env`], [`bench`], [`shade_cases`] | the commands |
+//! | [`live`] | the page of a run that is at work |
 //! | [`terminal`] | bars, notes and results |
 //! | [`report`] | how an error is drawn |
 //! | [`scene_files`], [`threads`], [`apart`], [`signals`] | what several commands do before they start |
@@ -14,6 +15,7 @@ mod bench;
 mod check;
 mod env;
 mod eval;
+mod live;
 mod new;
 mod prepare;
 mod prepare_args;

@@ -1,5 +1,6 @@
 //! `lobelia run`: the passes of a scene file, in their order.
 
+use super::live::Live;
 use super::run_args::RunArgs;
 use super::scene_files::load_options;
 use super::signals::stop_on_signals;
@@ -29,7 +30,12 @@ pub fn run(args: &RunArgs) -> Result<()> {
         profile: args.profile(),
     };
     stop_on_signals()?;
-    pass::run(&loaded, &options, &Terminal::new(args.quiet))
+    let terminal = Terminal::new(args.quiet);
+    let Some(port) = args.live else { return pass::run(&loaded, &options, &terminal) };
+    let live = Live::start(port, &options.out, terminal)?;
+    let ended = pass::run(&loaded, &options, &live);
+    live.end(&ended);
+    ended
 }
 
 fn default_out(scene: &Path) -> PathBuf {

@@ -18,7 +18,8 @@ Inputs are never replaced, whatever OUT and passes are called. OUT/run.json says
 files; --force replaces those of an earlier run and nothing else. Only one run at a time writes into OUT.
 
 Ctrl-C, SIGTERM and SIGHUP stop a run: what was found until then is scored, saved and exported. A run that was
-stopped, killed, or failed goes on where it was with the same command and --resume.";
+stopped, killed, or failed goes on where it was with the same command and --resume. --live shows a run that is at
+work in a browser.";
 
 const SET_LONG: &str = "\
 Replaces a value of the scene file, or adds it where it is left out. May be given many times.
@@ -83,6 +84,10 @@ pub struct RunArgs {
     /// Perfetto opens
     #[arg(long, value_name = "FORM", num_args = 0..=1, require_equals = true, default_missing_value = "table")]
     profile: Option<ProfileForm>,
+    /// Serve a page about the run on 127.0.0.1 while it works, at this port or one that is free: curves, the object as it is,
+    /// the worst views, a button that stops the run; its address goes to standard error
+    #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "0", value_parser = port)]
+    pub live: Option<u16>,
     /// No progress bars
     #[arg(long)]
     pub quiet: bool,
@@ -133,6 +138,11 @@ fn checkpoint_time(text: &str) -> Result<CheckpointTime, String> {
     }
 }
 
+fn port(text: &str) -> Result<u16, String> {
+    text.parse()
+        .map_err(|_| "give a port from 1 to 65535, or none; the scene file comes before `--live`".to_owned())
+}
+
 fn path_and_value(text: &str) -> Result<(String, String), String> {
     match text.split_once('=') {
         Some((path, value)) if !path.trim().is_empty() && !value.trim().is_empty() => {
@@ -157,6 +167,14 @@ mod tests {
         );
         for wrong in ["", "on", "-1s", "5 parsecs", "nan", "1e9h", "s"] {
             assert!(checkpoint_time(wrong).unwrap_err().contains("30s"), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn a_live_page_has_a_port_or_any() {
+        assert_eq!((port("8080"), port("0")), (Ok(8080), Ok(0)));
+        for wrong in ["scene.ron", "65536", "-1", ""] {
+            assert!(port(wrong).unwrap_err().contains("65535"), "{wrong}");
         }
     }
 

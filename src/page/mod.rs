@@ -5,6 +5,7 @@
 //! | [`pack`] | arrays of numbers in one compressed block |
 //! | [`mesh`] | the mesh in 16-bit numbers |
 //! | [`shadow`] | hidden directions of texels, and what hides them |
+//! | [`upright`] | which way is up |
 //! | `assets/` | the page itself: HTML, style, script and shaders, as they are served |
 //!
 //! The page shades every pixel by the closed forms of [`accurate`](crate::math::accurate), ported to GLSL, with all lobes, all base
@@ -13,6 +14,7 @@
 pub mod mesh;
 pub mod pack;
 pub mod shadow;
+pub mod upright;
 
 use crate::error::Result;
 use crate::light::LightLobe;
@@ -41,7 +43,7 @@ const PAGE: &str = include_str!("assets/page.html");
 /// Its style.
 const STYLE: &str = include_str!("assets/style.css");
 /// Its modules, by the names under which they import each other; the last one starts the page.
-const MODULES: [(&str, &str); 15] = [
+const MODULES: [(&str, &str); 17] = [
     ("data", include_str!("assets/data.js")),
     ("linear", include_str!("assets/linear.js")),
     ("gpu", include_str!("assets/gpu.js")),
@@ -52,6 +54,8 @@ const MODULES: [(&str, &str); 15] = [
     ("regions", include_str!("assets/regions.js")),
     ("ron", include_str!("assets/ron.js")),
     ("history", include_str!("assets/history.js")),
+    ("mapfile", include_str!("assets/mapfile.js")),
+    ("mapfit", include_str!("assets/mapfit.js")),
     ("lightfile", include_str!("assets/lightfile.js")),
     ("lightball", include_str!("assets/lightball.js")),
     ("compare", include_str!("assets/compare.js")),

@@ -31,6 +31,8 @@ use crate::math::shading::ClosedForm;
 use crate::mesh::atlas::{TexelAtlas, fill_uncovered};
 use crate::pass::detail::refine_texture;
 use crate::pass::found_views;
+use crate::pass::live::Snapshot;
+use crate::pass::progress::Moment;
 use crate::pass::save::write_weights;
 use crate::pass::session::Session;
 use crate::pass::view_report::note_fit;
@@ -114,12 +116,15 @@ fn take_steps(session: &mut Session, pass: &FitPass, options: &FitOptions) -> Re
     keep_resource::<FitLog>(&mut session.pipeline.world, Span::Pass);
     session.pipeline.world.insert_resource(FitLog::new());
     let_geometry_move(session, pass);
+    let (surface, up, progress) = (session.surface.clone(), session.scene.up, session.progress);
     let summary = run_fit(&mut session.pipeline, options, &mut |at, world| {
         bar.set_position(u64::from(at.step));
         if at.step % LOG_EVERY == 0 || at.step == at.steps {
             bar.set_message(format!("{:.1} dB", at.sums.psnr()));
             log_line(&mut world.resource_mut::<FitLog>().0, at);
         }
+        let moment = Moment::Step { level: [0, 1], step: [at.step, at.steps], fit: at };
+        progress.look(moment, &mut |before| Snapshot::copy(world, &surface, up, before));
         if is_stopping() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
     hold_geometry(session);

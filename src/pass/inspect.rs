@@ -6,7 +6,6 @@ use crate::error::Result;
 use crate::math::ray::{Hit, Intersect};
 use crate::sdf::extract::extract_mesh;
 use crate::sdf::volume::SdfSurface;
-use crate::shape::run::ShapeProgress;
 use crate::view::Camera;
 use image::{Rgb, RgbImage};
 use rayon::prelude::*;
@@ -27,8 +26,7 @@ impl ShapeInspector {
     ///
     /// # Errors
     /// If a file cannot be written, or the shape is empty.
-    pub fn look(&self, at: &ShapeProgress, step: u32) -> Result<()> {
-        let surface = &at.field.surface;
+    pub fn look(&self, surface: &SdfSurface, step: u32) -> Result<()> {
         std::fs::create_dir_all(&self.folder).map_err(crate::Error::io("create", &self.folder))?;
         let path = |kind: &str, ending: &str| self.folder.join(format!("{kind}_{step:06}.{ending}"));
         if let Some(camera) = &self.camera {

@@ -1,6 +1,38 @@
 //! Output of passes while they run. The library prints nothing itself: the caller supplies a [`Progress`].
 
+use crate::error::Result;
+use crate::fit::run::FitProgress;
+use crate::pass::live::Snapshot;
 use std::cell::RefCell;
+
+/// A moment of a run in which its state is whole.
+#[derive(Clone, Copy, Debug)]
+pub enum Moment<'a> {
+    /// A pass begins.
+    Pass {
+        /// Its name.
+        name: &'a str,
+        /// Its place among the passes of the scene, from 1.
+        number: usize,
+        /// How many there are.
+        count: usize,
+    },
+    /// A step of a `Fit` or `Shape` is done.
+    Step {
+        /// Index of the level, and how many there are; a `Fit` has one.
+        level: [usize; 2],
+        /// The step, counted over all levels, and how many there are.
+        step: [u32; 2],
+        /// The fit of the level.
+        fit: &'a FitProgress,
+    },
+}
+
+/// Copies the state at a [`Moment`]. It takes over what an earlier copy has of the photographs.
+///
+/// # Errors
+/// If there is no object yet.
+pub type Copier<'a> = dyn FnMut(Option<&Snapshot>) -> Result<Snapshot> + 'a;
 
 /// Receives the notes, results and progress bars of a run.
 pub trait Progress {
@@ -12,6 +44,9 @@ pub trait Progress {
 
     /// Creates a bar of `length` steps with a title; [`Bar::finish_and_clear`] or dropping removes it.
     fn bar(&self, title: &str, length: u64) -> Box<dyn Bar>;
+
+    /// Called at each [`Moment`]. The state is copied only if `copy` is called, which takes time from the run; it changes nothing of it.
+    fn look(&self, _at: Moment, _copy: &mut Copier) {}
 }
 
 /// The progress bar of a task.
@@ -63,6 +98,10 @@ impl Progress for RecordedMessages<'_> {
 
     fn bar(&self, title: &str, length: u64) -> Box<dyn Bar> {
         self.to.bar(title, length)
+    }
+
+    fn look(&self, at: Moment, copy: &mut Copier) {
+        self.to.look(at, copy);
     }
 }
 

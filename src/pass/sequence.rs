@@ -7,7 +7,8 @@ use crate::pass::evaluate;
 use crate::pass::export;
 use crate::pass::files::read_late;
 use crate::pass::fit;
-use crate::pass::progress::RecordedMessages;
+use crate::pass::live::Snapshot;
+use crate::pass::progress::{Moment, RecordedMessages};
 use crate::pass::record::{RunRecord, RunState};
 use crate::pass::render;
 use crate::pass::renew::renew;
@@ -63,7 +64,7 @@ pub(super) fn run(
             continue;
         }
         record.pass(index, RunState::Running, Vec::new())?;
-        begin_pass(&mut session.pipeline.world, index as u32);
+        begin(session, index);
         let at_work = profile::pass(pass.name());
         let ended = run_pass(session, pass);
         drop(at_work);
@@ -86,6 +87,18 @@ pub(super) fn run(
     }
     let stopped = if stopped_by().is_some() { Err(Error::Interrupted) } else { Ok(()) };
     unfinished.first.map_or(stopped, Err)
+}
+
+/// Begins a pass, and lets whoever watches the run look at the object before it.
+fn begin(session: &mut Session, index: usize) {
+    begin_pass(&mut session.pipeline.world, index as u32);
+    let (passes, up, progress) = (&session.scene.passes, session.scene.up, session.progress);
+    let moment = Moment::Pass { name: passes[index].name(), number: index + 1, count: passes.len() };
+    let (world, surface, has_object) = (&mut session.pipeline.world, &session.surface, session.has_object);
+    progress.look(moment, &mut |before| match has_object {
+        true => Snapshot::copy(world, surface, up, before),
+        false => Err(Error::run("the object", "nothing is found yet")),
+    });
 }
 
 /// Keeps what later passes start from, and leaves what an earlier one needed.

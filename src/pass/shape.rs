@@ -16,7 +16,8 @@ use crate::mesh::triangles::Mesh;
 use crate::pass::fit::closed_form;
 use crate::pass::found_views;
 use crate::pass::inspect::ShapeInspector;
-use crate::pass::progress::{Bar, Progress};
+use crate::pass::live::Snapshot;
+use crate::pass::progress::{Bar, Moment, Progress};
 use crate::pass::renew::renew;
 use crate::pass::session::Session;
 use crate::profile::stage;
@@ -25,7 +26,7 @@ use crate::scene::Surface as SurfaceSpec;
 use crate::scene::{GridLevel, ShapePass};
 use crate::sdf::SdfGrid;
 use crate::sdf::volume::SdfSurface;
-use crate::shape::field::ModelError;
+use crate::shape::field::{ModelError, SdfField};
 use crate::shape::run::{
     HullReport, ShapeLevel, ShapeOptions, ShapeProgress, fit_shape, mesh_of_parts, refine_by_outlines,
     refine_by_stereo, replace_texels,
@@ -35,6 +36,7 @@ use crate::shape::systems::ShapeSchedule;
 use crate::spawn::{insert_known_along, unknowns};
 use crate::view::Camera;
 use crate::visibility::ObjectVisibility;
+use bevy_ecs::prelude::World;
 use glam::Vec3;
 use std::ops::ControlFlow;
 use std::sync::Arc;
@@ -65,19 +67,23 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     let bar = session.progress.bar(&pass.name, u64::from(most));
     let inspector = session.debug_every.map(|every| inspector(session, &pass.name, every));
     let (mut failure, mut stopped, mut has_hull) = (None, false, false);
-    let surface = fit_shape(&mut session.pipeline, &options, &mut |at: &ShapeProgress| {
-        if !std::mem::replace(&mut has_hull, true) {
-            tell_of_hull(session.progress, &pass.name, at.hull);
-        }
-        let step = show_step(&*bar, pass, at);
-        if let Some(inspector) =
-            inspector.as_ref().filter(|inspector| at.fit.step.is_multiple_of(inspector.every))
-        {
-            failure = inspector.look(at, step).err();
-        }
-        stopped |= failure.is_some() || is_stopping();
-        if stopped { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-    })?;
+    let (hull, up, progress) = (session.surface.clone(), session.scene.up, session.progress);
+    let surface =
+        fit_shape(&mut session.pipeline, &options, &mut |at: &ShapeProgress, world: &mut World| {
+            if !std::mem::replace(&mut has_hull, true) {
+                tell_of_hull(progress, &pass.name, at.hull);
+            }
+            let step = show_step(&*bar, pass, at);
+            let moment = Moment::Step { level: [at.level, at.levels], step, fit: at.fit };
+            progress.look(moment, &mut |before| Snapshot::copy(world, &hull, up, before));
+            if let Some(inspector) =
+                inspector.as_ref().filter(|inspector| at.fit.step.is_multiple_of(inspector.every))
+            {
+                failure = inspector.look(&world.resource::<SdfField>().surface, step[0]).err();
+            }
+            stopped |= failure.is_some() || is_stopping();
+            if stopped { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        })?;
     bar.finish_and_clear();
     failure.map_or(Ok(()), Err)?;
     if stopped {
@@ -97,16 +103,16 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     if stopped { Err(Error::Interrupted) } else { Ok(()) }
 }
 
-/// Shows a step of the fit on the bar; returns its number among those of all levels.
-fn show_step(bar: &dyn Bar, pass: &ShapePass, at: &ShapeProgress) -> u32 {
+/// Shows a step of the fit on the bar; returns its number among those of all levels, and how many these are.
+fn show_step(bar: &dyn Bar, pass: &ShapePass, at: &ShapeProgress) -> [u32; 2] {
     let steps = |levels: &[GridLevel]| -> u32 { levels.iter().map(|level| level.steps).sum() };
-    let step = steps(&pass.levels[..at.level]) + at.fit.step;
-    bar.set_length(u64::from(steps(&pass.levels[..at.levels])));
+    let (step, all) = (steps(&pass.levels[..at.level]) + at.fit.step, steps(&pass.levels[..at.levels]));
+    bar.set_length(u64::from(all));
     bar.set_position(u64::from(step));
     if at.fit.step.is_multiple_of(20) {
         bar.set_message(format!("{:.1} dB", at.fit.sums.psnr()));
     }
-    step
+    [step, all]
 }
 
 /// Replaces the hull by the surface that was found. What was found is put in place even if the run is `stopped`; returns whether it is by

@@ -39,6 +39,7 @@ use fearless_simd::{Level, dispatch};
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 use std::any::TypeId;
+use std::sync::Arc;
 
 /// Angle below which two rotations count as one: 2°.
 const SAME_TURN: f32 = 0.035;
@@ -84,7 +85,7 @@ impl Default for VisibilitySettings {
 #[derive(Resource, Default)]
 pub struct ObjectVisibility {
     settings: VisibilitySettings,
-    texels: TexelVisibility,
+    texels: Arc<TexelVisibility>,
     /// The inputs of the last update.
     made: Option<Made>,
     /// The light as the object sees it: one, or several of a light that turns with the views.
@@ -113,12 +114,12 @@ impl ObjectVisibility {
     pub fn new(surface: &Surface, settings: VisibilitySettings) -> Self {
         let directions = fibonacci_axes(settings.directions.next_multiple_of(64).max(64) as usize);
         let texels = TexelVisibility::trace(surface.atlas(), surface, directions, MOST_ROWS);
-        Self { settings, texels, ..Self::default() }
+        Self { settings, texels: Arc::new(texels), ..Self::default() }
     }
 
     /// The same as it was traced, without the light of the last update: for another world.
-    pub fn unlit(self) -> Self {
-        Self { settings: self.settings, texels: self.texels, ..Self::default() }
+    pub fn unlit(&self) -> Self {
+        Self { settings: self.settings, texels: self.texels.clone(), ..Self::default() }
     }
 
     /// Whether no texel occludes another.

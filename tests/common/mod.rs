@@ -15,6 +15,7 @@ use lobelia::shade::frame::{FramePlugin, render_frame, resolve};
 use lobelia::spawn::spawn_object;
 use lobelia::view::Camera;
 use serde_json::{Map, Value, json};
+use std::io::{BufRead as _, BufReader};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::Arc;
@@ -306,6 +307,20 @@ impl AtWork {
         run.args(&words[1..]);
         run.arg(data.path("scene.ron")).arg("--data").arg(data.root()).arg("--out").arg(data.path("out"));
         Self(run.args(arguments).stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap())
+    }
+
+    /// Starts a run with a page, and returns the port at which it says it is.
+    pub fn begin_live(data: &Data, scene: &str, arguments: &[&str]) -> (Self, u16) {
+        std::fs::write(data.path("scene.ron"), scene).unwrap();
+        let mut run = command(&["run", "--quiet"]);
+        run.arg(data.path("scene.ron")).arg("--data").arg(data.root()).arg("--out").arg(data.path("out"));
+        run.args(arguments).arg("--live");
+        let mut at_work = Self(run.stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap());
+        let mut line = String::new();
+        BufReader::new(at_work.0.stderr.take().unwrap()).read_line(&mut line).unwrap();
+        let port =
+            line.trim().strip_prefix("live: http://127.0.0.1:").and_then(|rest| rest.strip_suffix('/'));
+        (at_work, port.unwrap_or_else(|| panic!("{line}")).parse().unwrap())
     }
 
     /// Starts a run and waits until a pass is at work.

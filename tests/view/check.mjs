@@ -10,7 +10,9 @@ import { tmpdir } from "node:os";
 import { join, resolve } from "node:path";
 import { pathToFileURL } from "node:url";
 import { Browser, findChromium } from "./browser.mjs";
-import { besidePhotographs, byHand } from "./hand.mjs";
+import { besidePhotographs, byHand, dropped } from "./hand.mjs";
+import { atWork } from "./live.mjs";
+import { droppedMap, fitted, readForms } from "./maps.mjs";
 import { gltf, photographed, scene, tilt } from "./object.mjs";
 import { layerPicture, psnr, readExr, readPng, writeExr } from "./pictures.mjs";
 
@@ -107,6 +109,12 @@ try {
     lobelia("run", join(pictures, "photographed.ron"), "--quiet", "--force", "--out", join(pictures, "photographed"));
     const page = pathToFileURL(join(pictures, "photographed", "view", "view.html")).href;
     console.log(`error of photographs of the same object: ${(await besidePhotographs(browser, page, fail, pictures)).toFixed(1)} dB`);
+    console.log(`128 lobes of a map: ${fitted(await readForms(fail), fail).toFixed(0)} ms`);
+    const address = pathToFileURL(join(pictures, "out", "plain", "view.html")).href;
+    const under = (ron, view) => reference(join(pictures, "scene.ron"), join(pictures, "under"), finer(ron), view);
+    const map = { lobelia, address, folder: pictures, dropped, reference: under, side: SIDE };
+    console.log(`under the lobes of a dropped map: ${(await droppedMap(browser, map, fail)).toFixed(1)} dB`);
+    await atWork(browser, resolve(program), join(pictures, "photographed.ron"), pictures, fail);
     const kinds = browser.requests.filter((url) => !/^(file|data|blob):/.test(url) && url !== "about:blank");
     if (kinds.length > 0) fail(`the page asked for ${kinds.join(", ")}`);
     if (browser.messages.length > 0) fail(`the console says: ${browser.messages.join("; ")}`);

@@ -13,7 +13,7 @@ const input = (id, value) =>
     `(() => { const e = document.getElementById("${id}"); e.value = "${value}"; e.dispatchEvent(new Event("input")); })()`;
 
 /** Drops a file with these bytes on the page. */
-const dropped = (name, bytes) => `(() => {
+export const dropped = (name, bytes) => `(() => {
     const data = new DataTransfer();
     data.items.add(new File([new Uint8Array(${JSON.stringify([...bytes])})], "${name}"));
     document.dispatchEvent(new DragEvent("drop", { dataTransfer: data, bubbles: true, cancelable: true }));
@@ -124,7 +124,7 @@ async function lights(browser, settings, fail) {
     if (!(await browser.evaluate("lobelia.ron()")).includes("(axis: (1, 0, 0), sharpness: 30, amplitude: (5, 4, 3))")) fail("an .npy light is not taken");
     const names = await browser.evaluate("[...document.getElementById('light').options].map((o) => o.textContent).join()");
     if (!names.endsWith("moon,lamp")) fail(`the lights are ${names}`);
-    const bad = { "sky.hdr": "lobelia env fit", "a.ron": "is not expected", "b.ron": "Lobes(lobes", "c.npy": "NUMPY|begin" };
+    const bad = { "sky.png": "lobelia env fit", "sky.hdr": "truncated|Radiance HDR", "sky.exr": "truncated|OpenEXR", "a.ron": "is not expected", "b.ron": "Lobes(lobes", "c.npy": "NUMPY|begin" };
     for (const [name, said] of Object.entries(bad)) {
         const bytes = Buffer.from({ "a.ron": "Lobes(lobes: [(axis: ]", "b.ron": "Map(path: x)" }[name] ?? "nothing like it");
         await browser.evaluate(dropped(name, bytes));

@@ -1,6 +1,6 @@
 // Reading of PNG and of the EXR files that Lobelia writes, and the difference of pictures.
 
-import { inflateSync } from "node:zlib";
+import { deflateSync, inflateSync } from "node:zlib";
 
 /** An 8-bit PNG without interlacing, as RGBA. */
 export function readPng(bytes) {
@@ -127,19 +127,51 @@ export function psnr(a, b) {
     return { psnr: sum > 0 ? -10 * Math.log10(sum / count) : Infinity, most: Math.round(255 * most) };
 }
 
-/** An EXR of 32-bit float channels, without compression: `channels` by name, each of width × height values. */
-export function writeExr(width, height, channels) {
+/** Bits of a 16-bit float of a value that it holds. */
+function halfBits(value) {
+    if (value === 0) return 0;
+    const exponent = Math.floor(Math.log2(value));
+    return exponent < -14 ? Math.round(value * 2 ** 24) : ((exponent + 15) << 10) + Math.round((value / 2 ** exponent - 1) * 1024);
+}
+
+/** What `unzipped` undoes. */
+function interleaved(data) {
+    const out = Buffer.alloc(data.length);
+    const middle = (data.length + 1) >> 1;
+    for (let i = 0; i < data.length; i++) out[i % 2 === 0 ? i >> 1 : middle + (i >> 1)] = data[i];
+    for (let i = out.length - 1; i > 0; i--) out[i] = out[i] - out[i - 1] + 128;
+    return out;
+}
+
+/** Runs of EXR: repeated bytes, and others as they are. */
+function runs(data) {
+    const out = [];
+    for (let at = 0; at < data.length; ) {
+        let length = 1;
+        while (length < 127 && data[at + length] === data[at]) length++;
+        if (length > 2) out.push(length - 1, data[at]);
+        else out.push(256 - length, ...data.subarray(at, at + length));
+        at += length;
+    }
+    return Buffer.from(out);
+}
+
+/** How EXR packs bytes, by the number of the compression; a block that does not get smaller stays as it is. */
+const PACK = [(data) => data, (data) => runs(interleaved(data)), (data) => deflateSync(interleaved(data)), (data) => deflateSync(interleaved(data))];
+
+/** An EXR of float channels of 32 or 16 bits: `channels` by name, each of width × height values. */
+export function writeExr(width, height, channels, { compression = 0, is16 = false } = {}) {
     const names = Object.keys(channels).sort();
     const int = (...values) => Buffer.from(Int32Array.from(values).buffer);
     const float = (...values) => Buffer.from(Float32Array.from(values).buffer);
     const text = (value) => Buffer.from(`${value}\0`, "latin1");
     const entry = (name, kind, value) => Buffer.concat([text(name), text(kind), int(value.length), value]);
-    const listed = names.map((name) => Buffer.concat([text(name), int(2, 0, 1, 1)]));
+    const listed = names.map((name) => Buffer.concat([text(name), int(is16 ? 1 : 2, 0, 1, 1)]));
     const window = int(0, 0, width - 1, height - 1);
     const header = Buffer.concat([
         int(20000630, 2),
         entry("channels", "chlist", Buffer.concat([...listed, Buffer.from([0])])),
-        entry("compression", "compression", Buffer.from([0])),
+        entry("compression", "compression", Buffer.from([compression])),
         entry("dataWindow", "box2i", window),
         entry("displayWindow", "box2i", window),
         entry("lineOrder", "lineOrder", Buffer.from([0])),
@@ -148,9 +180,17 @@ export function writeExr(width, height, channels) {
         entry("screenWindowWidth", "float", float(1)),
         Buffer.from([0]),
     ]);
-    const row = (y) => Buffer.concat(names.map((name) => float(...channels[name].slice(y * width, (y + 1) * width))));
-    const rows = Array.from({ length: height }, (_, y) => Buffer.concat([int(y, 4 * width * names.length), row(y)]));
-    const start = header.length + 8 * height;
-    const offsets = rows.map((bytes, y) => BigInt(start + y * bytes.length));
-    return Buffer.concat([header, Buffer.from(BigInt64Array.from(offsets).buffer), ...rows]);
+    const packed16 = (values) => Buffer.from(Uint16Array.from(values, halfBits).buffer);
+    const line = (values) => (is16 ? packed16(values) : float(...values));
+    const row = (y) => Buffer.concat(names.map((name) => line(channels[name].slice(y * width, (y + 1) * width))));
+    const deep = compression === 3 ? 16 : 1;
+    const blocks = Array.from({ length: Math.ceil(height / deep) }, (_, i) => {
+        const data = Buffer.concat(Array.from({ length: Math.min(deep, height - i * deep) }, (_, k) => row(i * deep + k)));
+        const packed = PACK[compression]?.(data) ?? data;
+        const kept = packed.length < data.length ? packed : data;
+        return Buffer.concat([int(i * deep, kept.length), kept]);
+    });
+    let start = header.length + 8 * blocks.length;
+    const offsets = blocks.map((bytes) => BigInt((start += bytes.length) - bytes.length));
+    return Buffer.concat([header, Buffer.from(BigInt64Array.from(offsets).buffer), ...blocks]);
 }

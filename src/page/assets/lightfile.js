@@ -1,12 +1,16 @@
-// Lights in files that are dropped on the page: lobes as RON (`Lobes(…)`), or an `.npy` array [M, 7].
+// Lights in files that are dropped on the page: lobes as RON (`Lobes(…)`), an `.npy` array [M, 7], or a map.
 
 import { length, normalize, product, rotation, times } from "lobelia/linear";
+import { MOST_MAP_BYTES, cellsOfExr, cellsOfHdr } from "lobelia/mapfile";
+import { lobesOfCells } from "lobelia/mapfit";
 
 /** The limits of a light, as Lobelia has them. */
 const MOST_LOBES = 512;
 const MOST_SHARPNESS = 1e12;
 const MOST_RADIANCE = 1e15;
 const MOST_BYTES = 1 << 20;
+/** Lobes that a map is fitted with, at least and at most. */
+const MAP_LOBES = [64, 128];
 
 /** Numbers, words and marks of RON text; comments are left out. */
 function tokens(text) {
@@ -103,14 +107,24 @@ function checked(lobes) {
     return lobes.map((lobe) => ({ ...lobe, axis: normalize(lobe.axis) }));
 }
 
-/** The light of a file, under its name. */
-export async function lightOfFile(file) {
+/** What reads a file of this ending; `usual` is how many lobes the found light has. */
+const KINDS = {
+    ron: async (file) => lobesOfRon(await file.text()),
+    npy: async (file) => lobesOfNpy(await file.arrayBuffer()),
+    exr: async (file, usual) => lobesOfCells(await cellsOfExr(await file.arrayBuffer()), mapLobes(usual)),
+    hdr: async (file, usual) => lobesOfCells(cellsOfHdr(await file.arrayBuffer()), mapLobes(usual)),
+};
+
+const mapLobes = (usual) => Math.min(Math.max(usual, MAP_LOBES[0]), MAP_LOBES[1]);
+
+/** The light of a file, under its name; a map gets about as many lobes as are `usual`. */
+export async function lightOfFile(file, usual) {
     const [, name, ending] = /^(.*?)(?:\.([^.]*))?$/.exec(file.name);
     const kind = (ending ?? "").toLowerCase();
-    if (kind !== "ron" && kind !== "npy") {
-        throw new Error("a light is a .ron file or an .npy array; `lobelia env fit` makes one of a map");
+    if (!Object.hasOwn(KINDS, kind)) {
+        throw new Error("a light is a .ron file, an .npy array, or an .exr or .hdr map; `lobelia env fit` makes one of other maps");
     }
-    if (file.size > MOST_BYTES) throw new Error("it is too large for a light");
-    const lobes = kind === "ron" ? lobesOfRon(await file.text()) : lobesOfNpy(await file.arrayBuffer());
+    if (file.size > (kind === "ron" || kind === "npy" ? MOST_BYTES : MOST_MAP_BYTES)) throw new Error("it is too large for a light");
+    const lobes = await KINDS[kind](file, usual);
     return { name, own: false, frame: "world", lobes: checked(lobes) };
 }

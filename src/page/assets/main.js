@@ -177,7 +177,7 @@ class Page {
     /** Offers and shows the light of a file. */
     async openLight(file) {
         try {
-            const light = await lightOfFile(file);
+            const light = await lightOfFile(file, this.renderer.lights[0].lobes.length);
             this.renderer.lights.push(light);
             this.scene.lights.push({ name: light.name, own: false, frame: light.frame });
             addLightChoice(light.name, this.scene.lights.length - 1);

@@ -37,10 +37,10 @@ pub const MOST_RUNS: usize = 8;
 
 /// The page without its content.
 const PAGE: &str = include_str!("assets/report.html");
-/// Its style.
-const STYLE: &str = include_str!("assets/report.css");
-/// Its script.
-const SCRIPT: &str = include_str!("assets/report.js");
+/// Its style, which other pages of a run share.
+pub const STYLE: &str = include_str!("assets/report.css");
+/// Its script, likewise.
+pub const SCRIPT: &str = include_str!("assets/report.js");
 
 /// A part of the page: its identifier, its heading and its content, which is empty if the runs have nothing for it.
 type Section = (&'static str, &'static str, String);
@@ -82,6 +82,13 @@ pub fn html(runs: &[RunReport]) -> Result<String> {
         ("{{SCRIPT}}", SCRIPT.to_owned()),
     ];
     filled(PAGE, &slots)
+}
+
+/// The dialog of the wipe, for other pages with views and the script.
+pub fn wipe_dialog() -> &'static str {
+    const END: &str = "</dialog>";
+    let dialog = PAGE.find("<dialog").zip(PAGE.find(END));
+    dialog.map_or("", |(start, end)| &PAGE[start..end + END.len()])
 }
 
 fn title(runs: &[RunReport]) -> String {

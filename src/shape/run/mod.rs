@@ -140,18 +140,17 @@ pub struct ShapeProgress<'a> {
     pub levels: usize,
     /// The fit of that level.
     pub fit: &'a FitProgress,
-    /// The current field.
-    pub field: &'a SdfField,
 }
 
-/// Fits shape, light and material; the texels of the finest lattice stay in the world, with the [`ModelError`] of the last level.
+/// Fits shape, light and material. `watch` is called after every step, with the current [`SdfField`] in the
+/// world. The texels of the finest lattice stay in the world, with the [`ModelError`] of the last level.
 ///
 /// # Errors
 /// If the masks have no hull, or a fit fails.
 pub fn fit_shape(
     pipeline: &mut Pipeline,
     options: &ShapeOptions,
-    watch: &mut dyn FnMut(&ShapeProgress) -> ControlFlow<()>,
+    watch: &mut dyn FnMut(&ShapeProgress, &mut World) -> ControlFlow<()>,
 ) -> Result<SdfSurface> {
     let carving = stage("hull");
     let mut silhouettes = training_silhouettes(&mut pipeline.world);
@@ -181,7 +180,7 @@ fn fit_levels(
     hull: Hull,
     silhouettes: &mut [Silhouette],
     options: &ShapeOptions,
-    watch: &mut dyn FnMut(&ShapeProgress) -> ControlFlow<()>,
+    watch: &mut dyn FnMut(&ShapeProgress, &mut World) -> ControlFlow<()>,
 ) -> Result<SdfSurface> {
     let blank = |world: &mut World, kept: &SdfSurface| {
         replace_texels(world, &vec![Vec3::ZERO; kept.volume.len()]);
@@ -205,9 +204,8 @@ fn fit_levels(
         let initialize = if index == 0 { options.fit.initialize } else { Initialize::NONE };
         let fit = FitOptions { steps: level.schedule.steps, initialize, ..options.fit.clone() };
         let result = run_fit(pipeline, &fit, &mut |progress, world| {
-            let field = world.resource::<SdfField>();
             let (hull, levels) = (hull.report, levels.len());
-            watch(&ShapeProgress { hull, level: index, levels, fit: progress, field })
+            watch(&ShapeProgress { hull, level: index, levels, fit: progress }, world)
         });
         surface = SdfSurface { grid: leave(&mut pipeline.world), volume };
         match result {

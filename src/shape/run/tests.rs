@@ -135,7 +135,7 @@ fn error_in_dent(found: &SdfGrid) -> f32 {
 fn shading_carves_a_dent_that_no_silhouette_shows() {
     let fit = |steps: u32| {
         let mut pipeline = world_of_photographs();
-        fit_shape(&mut pipeline, &options(steps), &mut |_| ControlFlow::Continue(())).unwrap().grid
+        fit_shape(&mut pipeline, &options(steps), &mut |_, _| ControlFlow::Continue(())).unwrap().grid
     };
     let (hull, found) = (error_in_dent(&fit(40)), error_in_dent(&fit(640)));
     assert!(hull > 0.03 && found < 0.6 * hull, "{found} of {hull}");
@@ -144,7 +144,7 @@ fn shading_carves_a_dent_that_no_silhouette_shows() {
 #[test]
 fn the_systems_leave_when_the_fit_ends() {
     let mut pipeline = world_of_photographs();
-    let stop_at_once = &mut |_: &ShapeProgress| ControlFlow::Break(());
+    let stop_at_once = &mut |_: &ShapeProgress, _: &mut World| ControlFlow::Break(());
     fit_shape(&mut pipeline, &options(50), stop_at_once).unwrap();
     assert!(pipeline.world.get_resource::<SdfField>().is_none());
     assert_eq!(pipeline.world.query::<&BrickAt>().iter(&pipeline.world).count(), 0);
@@ -166,7 +166,7 @@ fn what_the_hull_loses_is_reported_with_every_step() {
             behind.into_iter().for_each(|entity| assert!(pipeline.world.despawn(entity)));
         }
         let mut reports = Vec::new();
-        fit_shape(&mut pipeline, &options, &mut |at| {
+        fit_shape(&mut pipeline, &options, &mut |at, _| {
             reports.push(at.hull);
             ControlFlow::Continue(())
         })
@@ -187,7 +187,7 @@ fn a_level_finer_than_the_pictures_is_left_out() {
         let mut options = options(2);
         options.levels.push(ShapeLevel { cells: 60, least_pixels, ..options.levels[0] });
         let (mut pipeline, mut levels) = (world_of_photographs(), Vec::new());
-        let found = fit_shape(&mut pipeline, &options, &mut |at| {
+        let found = fit_shape(&mut pipeline, &options, &mut |at, _| {
             levels.push(at.levels);
             ControlFlow::Continue(())
         });
@@ -215,8 +215,8 @@ fn a_step_of_a_field_that_is_not_finite_is_taken_back() {
     let between = poison.after(pull_back_silhouettes).before(hand_out_to_bricks);
     pipeline.add_systems(Phase::FitStep, crate::pipeline::Stage::Gradient, between);
     let mut values = Vec::new();
-    let found = fit_shape(&mut pipeline, &options(60), &mut |at| {
-        values.push(at.field.surface.grid.values.clone());
+    let found = fit_shape(&mut pipeline, &options(60), &mut |_, world| {
+        values.push(world.resource::<SdfField>().surface.grid.values.clone());
         ControlFlow::Continue(())
     });
     assert!(found.unwrap().grid.values.iter().all(|value| value.is_finite()));
@@ -232,7 +232,7 @@ fn texels_that_are_replaced_keep_a_known_albedo_along_the_surface() {
     let mut pipeline = world_of_photographs();
     let along = Vec3::new(0.7, 0.3, 0.1);
     pipeline.world.insert_resource(KnownAlong::Everywhere(along));
-    let found = fit_shape(&mut pipeline, &options(42), &mut |_| ControlFlow::Continue(())).unwrap();
+    let found = fit_shape(&mut pipeline, &options(42), &mut |_, _| ControlFlow::Continue(())).unwrap();
     let albedo = recovered_albedo(&mut pipeline.world).unwrap();
     let sheen = crate::pipeline::pool::read_column::<TexelIndex, DiffuseSheen>(&mut pipeline.world).unwrap();
     assert_eq!(albedo.len(), found.volume.len());

@@ -3,7 +3,8 @@
 const by = (id) => document.getElementById(id);
 const [dialog, stage, slider] = ["wipe", "stage", "slider"].map(by);
 const sides = { left: [by("left"), by("left-choice")], right: [by("right"), by("right-choice")] };
-const strips = [...document.querySelectorAll(".strip")];
+// Views may be exchanged while the page is open.
+let strips = [];
 let shown = 0;
 
 function place(percent) {
@@ -38,12 +39,15 @@ function show(index) {
     by("line").hidden = !several;
 }
 
-strips.forEach((strip, index) => strip.addEventListener("click", () => {
-    show(index);
+addEventListener("click", (event) => {
+    const strip = event.target.closest?.(".strip");
+    if (!strip) return;
+    strips = [...document.querySelectorAll(".strip")];
+    show(strips.indexOf(strip));
     place(50);
     dialog.showModal();
     slider.focus();
-}));
+});
 dialog.addEventListener("close", () => {
     const strip = strips[shown];
     const folded = strip.closest("details");

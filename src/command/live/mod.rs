@@ -1,0 +1,119 @@
+//! `lobelia run --live`: a page on the loopback that shows the run while it works, with a button that stops it.
+//!
+//! | file | holds |
+//! | --- | --- |
+//! | [`shared`] | what the run says and the server reads |
+//! | [`server`], [`http`] | the server: threads, requests, answers |
+//! | [`site`] | what is served, and to whom |
+//! | `assets/` | the page |
+//!
+//! The run notes where it is at each step, and copies the object at the next one when a page asks. Server and drawing have threads of
+//! their own, which see neither the world nor its systems. What goes wrong there never ends the run.
+
+mod http;
+mod server;
+mod shared;
+mod site;
+
+use super::terminal::Terminal;
+use lobelia::pass::progress::{Bar, Copier, Moment, Progress};
+use lobelia::{Error, Result};
+use shared::{BarAt, Shared};
+use site::Site;
+use std::io::Write as _;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// The terminal, and the page beside it.
+pub struct Live {
+    terminal: Terminal,
+    shared: Arc<Shared>,
+    bars: AtomicU64,
+}
+
+impl Live {
+    /// Serves a page about the run into `out` at `port` (0: any that is free) from now on, and says where.
+    pub fn start(port: u16, out: &Path, terminal: Terminal) -> Result<Self> {
+        let (listener, port) = server::listen(port)?;
+        let shared = Arc::new(Shared::default());
+        let title =
+            out.file_name().map_or_else(|| "run".to_owned(), |name| name.to_string_lossy().into_owned());
+        server::serve(listener, Site::new(shared.clone(), title, port)?)?;
+        // Also with --quiet: without the address there is no page. In one piece, for a program that waits for it.
+        let address = format!("live: http://127.0.0.1:{port}/\n");
+        let _ = std::io::stderr().lock().write_all(address.as_bytes());
+        Ok(Self { terminal, shared, bars: AtomicU64::new(1) })
+    }
+
+    /// Tells the page how the run ended.
+    pub fn end(&self, ended: &Result<()>) {
+        self.shared.end(match ended {
+            Ok(()) => "finished",
+            Err(Error::Interrupted) => "interrupted",
+            Err(_) => "failed",
+        });
+    }
+}
+
+impl Progress for Live {
+    fn note(&self, text: &str) {
+        self.shared.say(text);
+        self.terminal.note(text);
+    }
+
+    fn print(&self, text: &str) {
+        self.shared.say(text);
+        self.terminal.print(text);
+    }
+
+    fn bar(&self, title: &str, length: u64) -> Box<dyn Bar> {
+        let id = self.bars.fetch_add(1, Ordering::Relaxed);
+        self.shared.show_bar(BarAt { id, title: title.to_owned(), length, ..BarAt::default() });
+        Box::new(LiveBar { id, shown: self.terminal.bar(title, length), shared: self.shared.clone() })
+    }
+
+    fn look(&self, at: Moment, copy: &mut Copier) {
+        self.shared.look(at, copy);
+    }
+}
+
+/// A bar of the terminal and of the page.
+struct LiveBar {
+    id: u64,
+    shown: Box<dyn Bar>,
+    shared: Arc<Shared>,
+}
+
+impl Bar for LiveBar {
+    fn inc(&self, steps: u64) {
+        self.shared.on_bar(self.id, |bar| bar.position += steps);
+        self.shown.inc(steps);
+    }
+
+    fn set_position(&self, steps: u64) {
+        self.shared.on_bar(self.id, |bar| bar.position = steps);
+        self.shown.set_position(steps);
+    }
+
+    fn set_length(&self, steps: u64) {
+        self.shared.on_bar(self.id, |bar| bar.length = steps);
+        self.shown.set_length(steps);
+    }
+
+    fn set_message(&self, message: String) {
+        self.shared.on_bar(self.id, |bar| bar.message.clone_from(&message));
+        self.shown.set_message(message);
+    }
+
+    fn finish_and_clear(&self) {
+        self.shared.hide_bar(self.id);
+        self.shown.finish_and_clear();
+    }
+}
+
+impl Drop for LiveBar {
+    fn drop(&mut self) {
+        self.shared.hide_bar(self.id);
+    }
+}
