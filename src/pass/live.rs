@@ -1,4 +1,4 @@
-//! The object as it is amid a run, for whoever looks at it: copied between two steps, and rendered in a world of its own.
+//! The object as it is during a run, for whoever looks at it: copied between two steps, and rendered in a world of its own.
 //!
 //! A copy reads the run's world and changes nothing in it. All else is done on the copy, by whichever thread has it.
 

@@ -15,7 +15,7 @@
 //!
 //! [`preflight`] checks the inputs of all passes before the first one runs; [`files`] knows all files that they may write, so that
 //! none of them is one that is read; [`record`] keeps `OUT/run.json`, which says what belongs together; [`summary`] makes `OUT/report.html`
-//! of what is in the folder. [`live`] copies and renders the state amid a pass, for whoever looks at a run.
+//! of what is in the folder. [`live`] copies and renders the state during a pass, for whoever looks at a run.
 
 mod detail;
 pub mod edit;
