@@ -96,6 +96,9 @@ fn a_fit_is_seen_while_it_works_and_ended_by_its_button() {
 
     refuses_others(&page);
     assert_eq!(page.press("/stop")["first"], true);
+    // A terminal that is closed now ends nothing at once.
+    #[cfg(unix)]
+    at_work.signal("INT");
     assert_eq!(at_work.ended(), Some(130));
     let manifest = manifest(&data.path("out"));
     assert_eq!(

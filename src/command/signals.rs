@@ -2,6 +2,10 @@
 
 use lobelia::error::stop::{StopSignal, ask_to_stop};
 use lobelia::{Error, Result};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Whether a signal has come. What else asks a run to stop, such as the button of a page, leaves the first signal what it is.
+static HEARD: AtomicBool = AtomicBool::new(false);
 
 /// Listens for Ctrl-C, SIGTERM and SIGHUP from now on, but for those that the process was told to ignore: `nohup` does so with SIGHUP.
 #[cfg(unix)]
@@ -39,7 +43,8 @@ pub fn stop_on_signals() -> Result<()> {
 }
 
 fn stop(signal: StopSignal) {
-    if !ask_to_stop(signal) {
+    ask_to_stop(signal);
+    if HEARD.swap(true, Ordering::Relaxed) {
         std::process::exit(i32::from(signal.exit_code()));
     }
 }

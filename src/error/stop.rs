@@ -17,15 +17,17 @@ pub enum StopSignal {
     Terminate = 2,
     /// SIGHUP: the terminal was closed.
     HangUp = 3,
+    /// The button of the page that `lobelia run --live` serves.
+    Page = 4,
 }
 
 impl StopSignal {
-    const ALL: [Self; 3] = [Self::Interrupt, Self::Terminate, Self::HangUp];
+    const ALL: [Self; 4] = [Self::Interrupt, Self::Terminate, Self::HangUp, Self::Page];
 
-    /// The exit code of a process that it stops: 128 plus the number of the signal.
+    /// The exit code of a process that it stops: 128 plus the number of the signal; that of Ctrl-C for the page.
     pub fn exit_code(self) -> u8 {
         match self {
-            Self::Interrupt => 130,
+            Self::Interrupt | Self::Page => 130,
             Self::Terminate => 143,
             Self::HangUp => 129,
         }
@@ -38,6 +40,7 @@ impl fmt::Display for StopSignal {
             Self::Interrupt => "Ctrl-C",
             Self::Terminate => "SIGTERM",
             Self::HangUp => "SIGHUP",
+            Self::Page => "the button of its page",
         })
     }
 }

@@ -228,8 +228,8 @@ impl Snapshot {
 
 /// A frame that is whole.
 fn shot(pipeline: &mut Pipeline, camera: Camera) -> Result<crate::codec::frame::Frame> {
-    check_interrupted()?;
     let before = stopped_by();
+    check_interrupted()?;
     let target = render_frame(pipeline, camera, SAMPLES)?;
     // While a run stops, loops leave rows as they are, and the run may have seen to that by now.
     if stopped_by() == before { Ok(resolve(&target)) } else { Err(Error::Interrupted) }

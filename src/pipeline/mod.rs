@@ -128,7 +128,8 @@ impl Pipeline {
             .unwrap_or_else(|| panic!("there is no phase {label:?}: add it with add_phase"))
     }
 
-    /// Builds a plugin into the pipeline. One of the same type that is there already is removed first, so that no system runs twice.
+    /// Builds a plugin into the pipeline. One of the same type that is there already is removed first, so that no system runs twice; what it
+    /// brought is from then on the new one's, also if another plugin had added the first.
     pub fn add_plugin<P: Plugin>(&mut self, plugin: &P) -> &mut Self {
         let own = TypeId::of::<P>();
         if self.added.iter().any(|added| added.plugin == own) {

@@ -13,7 +13,7 @@ export const SKY = "Lobes(lobes: [(axis: (0, 1, 0), sharpness: 0.7, amplitude: (
 const LEAST = 40;
 /** Longest time of a fit, in milliseconds, on a machine that does other things as well. */
 const LONGEST = 3000;
-const [WIDTH, HEIGHT] = [150, 70];
+const [WIDTH, HEIGHT] = [150, 75];
 
 /** Radiance that 16-bit floats and RGBE hold: quarters, with even rows and a peak. */
 const picture = () => {
@@ -82,6 +82,11 @@ export async function readForms(fail) {
     for (const [words, bytes] of Object.entries(refused)) {
         const said = await cellsOfExr(arrayBuffer(bytes)).then(() => "nothing", (error) => error.message);
         if (!said.includes(words) || !said.includes("lobelia env fit")) fail(`of a map with other ${words} the page says: ${said}`);
+    }
+    for (const [width, height, words] of [[4, 2, "too small"], [62, 31, "too small"], [128, 128, "twice as wide"], [1024, 1, "twice as wide"]]) {
+        let said = "nothing";
+        try { new Cells(width, height); } catch (error) { said = error.message; }
+        if (!said.includes(words)) fail(`of a map of ${width} × ${height} the page says: ${said}`);
     }
     return expected;
 }

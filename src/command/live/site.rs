@@ -172,7 +172,7 @@ fn worst_views(copied: &Copied) -> Result<String> {
 
 /// Does what the first Ctrl-C does; a second press does nothing more.
 fn stop() -> Response {
-    let is_first = ask_to_stop(StopSignal::Interrupt);
+    let is_first = ask_to_stop(StopSignal::Page);
     Response::json(&json!({ "first": is_first }))
 }
 

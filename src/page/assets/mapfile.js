@@ -1,26 +1,30 @@
 // Maps of a light in files: OpenEXR and Radiance HDR, averaged to few cells while they are read.
 
-/** Most cells of a map that lobes are fitted to, and most texels of a file. */
+/** Cells of a map that lobes are fitted to, and most texels of a file. Fewer cells than these leave the peaks of lobes free. */
 const CELLS = [64, 32];
 const MOST_TEXELS = 1 << 25;
 /** Most bytes of a file. */
 export const MOST_MAP_BYTES = 1 << 28;
+/** Radiance beyond which a texel is left out, as for a light of a scene file. */
+const MOST_TEXEL = 1e10;
 const ELSEWHERE = "`lobelia env fit` may read it";
 
 /** Means of radiance over the cells of a latitude-longitude map, by solid angle. */
 export class Cells {
     constructor(width, height) {
         if (!(width > 0 && height > 0 && width * height <= MOST_TEXELS)) throw new Error(`a map of ${width} × ${height} texels is not opened here; ${ELSEWHERE}`);
+        if (width !== 2 * height) throw new Error(`it is ${width} × ${height}, but a latitude-longitude map is twice as wide as high`);
+        if (width < CELLS[0]) throw new Error(`a map of ${width} × ${height} texels is too small for lobes to be fitted here; ${ELSEWHERE}`);
         this.texels = [width, height];
-        [this.width, this.height] = [Math.min(width, CELLS[0]), Math.min(height, CELLS[1])];
+        [this.width, this.height] = CELLS;
         this.radiance = new Float64Array(3 * this.width * this.height);
         this.solidAngle = new Float64Array(this.width * this.height);
     }
 
-    /** Adds a texel; negative values are none, and one that is not finite is left out. */
+    /** Adds a texel; negative values are none, and one that is not finite, or beyond all lights, is left out. */
     add(x, y, r, g, b) {
         const [width, height] = this.texels;
-        if (!Number.isFinite(r + g + b)) return;
+        if (!Number.isFinite(r + g + b) || Math.max(r, g, b) > MOST_TEXEL) return;
         const cell = Math.floor((y * this.height) / height) * this.width + Math.floor((x * this.width) / width);
         const weight = Math.sin((Math.PI * (y + 0.5)) / height);
         this.radiance[3 * cell] += weight * Math.max(r, 0);
@@ -107,7 +111,7 @@ function exrHeader(file) {
         file.at = end;
     }
     if (!header.box || ![0, 1, 2, 3].includes(header.compression)) throw new Error(`its compression is not read here; ${ELSEWHERE}`);
-    if (((version & 0x200) !== 0) !== (header.tiles !== null) || (header.tiles && header.tiles.mode !== 0)) throw new Error(`it has several levels of detail; ${ELSEWHERE}`);
+    if (((version & 0x200) !== 0) !== (header.tiles !== null) || (header.tiles && (header.tiles.mode & 15) !== 0)) throw new Error(`it has several levels of detail; ${ELSEWHERE}`);
     return header;
 }
 

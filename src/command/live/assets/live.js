@@ -4,7 +4,10 @@
     const token = document.body.dataset.token;
     const EVERY = 1000;
     const OFTEN = 60000;
+    const SELDOM = 5000;
     const LOST = 4;
+    /** Where this page saw a pass first: the steps before, of a run that was resumed, took no time of this one. */
+    let first = {};
     let [points, missed, number, renewing, renewed, over] = [0, 0, 0, false, 0, false];
 
     const minutes = (secs) => (secs < 100 ? `${secs.toFixed(0)} s` : `${Math.floor(secs / 60)} min ${String(Math.floor(secs % 60)).padStart(2, "0")} s`);
@@ -29,7 +32,10 @@
         const words = [`pass ${pass.name}, ${pass.number} of ${pass.count}, for ${minutes(pass.secs)}`];
         if (step && step.levels > 1) words.push(`level ${step.level} of ${step.levels}`);
         if (step) words.push(`step ${step.step} of ${step.steps}`);
-        const left = step && step.step > 0 && step.step < step.steps ? (pass.secs * (step.steps - step.step)) / step.step : 0;
+        if (step && first.pass !== pass.number) first = { pass: pass.number, level: step.level, step: step.step, secs: pass.secs };
+        if (step && first.level !== step.level) first = { ...first, level: step.level, step: step.step, secs: pass.secs };
+        const moved = step ? step.step - first.step : 0;
+        const left = moved > 0 ? ((pass.secs - first.secs) * (step.steps - step.step)) / moved : 0;
         if (left > 1 && left < 1e6) words.push(`about ${minutes(left)} left`);
         if (bar && !(step && bar.title === pass.name)) words.push(`${bar.title}: ${bar.position} of ${bar.length} ${bar.message}`);
         return words.join(" · ");
@@ -112,10 +118,10 @@
         } catch {
             missed += 1;
         }
-        if (!over && missed >= LOST) {
-            over = true;
-            by("state").textContent = "gone";
-            by("state").className = "s-failed";
+        const isLost = !over && missed >= LOST;
+        if (isLost) {
+            by("state").textContent = "no answer; the run may have ended";
+            by("state").className = "s-gone";
         }
         if (over) {
             by("doing").textContent += " · the run has ended; this page stays as it was";
@@ -123,7 +129,7 @@
             for (const id of ["stop", "renew", "often"]) by(id).disabled = true;
             return;
         }
-        setTimeout(look, EVERY);
+        setTimeout(look, isLost ? SELDOM : EVERY);
     }
 
     by("renew").addEventListener("click", renew);
