@@ -15,6 +15,7 @@ use crate::math::ray::Intersect;
 use crate::mesh::Surface;
 use crate::page::upright::upright;
 use crate::page::{Contents, PageCamera, PageLight, html};
+use crate::pass::page_cameras::page_cameras;
 use crate::pipeline::Pipeline;
 use crate::report::heat::error_map;
 use crate::report::html::data::{PassViews, RunReport, ViewReport};
@@ -28,7 +29,7 @@ use crate::sdf::volume::SdfSurface;
 use crate::shade::frame::{FramePlugin, render_frame, resolve};
 use crate::shape::field::SdfField;
 use crate::shape::vertices::MovingMesh;
-use crate::view::{Camera, Photograph, Split, ViewIndex, ViewMask, ViewName};
+use crate::view::{Camera, Photograph, Split, ViewIndex, ViewMask};
 use crate::visibility::{FrameVisibilityPlugin, ObjectVisibility};
 use bevy_ecs::prelude::World;
 use glam::Vec3;
@@ -261,20 +262,10 @@ fn address(picture: &RgbImage) -> Result<String> {
     Ok(jpeg_address(&thumbnail_jpeg(picture, FIELD_SIDE)?))
 }
 
-/// The cameras of all views: those held out first, each group by name.
+/// The cameras of all views, by number, in the order of the page.
 fn cameras(world: &mut World) -> Vec<(ViewIndex, PageCamera)> {
-    let mut query = world.query::<(&ViewIndex, &ViewName, &Camera, &Split)>();
-    let mut cameras: Vec<(ViewIndex, PageCamera)> = query
-        .iter(world)
-        .map(|(index, name, camera, split)| {
-            (*index, PageCamera { name: name.0.clone(), split: *split, camera: *camera, photograph: None })
-        })
-        .collect();
-    cameras.sort_by(|(_, a), (_, b)| {
-        let key = |camera: &PageCamera| (camera.split != Split::Test, camera.name.clone());
-        key(a).cmp(&key(b))
-    });
-    cameras
+    let cameras = page_cameras(world).into_iter();
+    cameras.filter_map(|(view, camera)| Some((*world.get::<ViewIndex>(view)?, camera))).collect()
 }
 
 /// A camera whose picture has at most about `side` pixels a side, and by which factor it is smaller.

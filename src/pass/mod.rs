@@ -32,6 +32,7 @@ pub mod inspect;
 pub mod live;
 mod machine;
 pub mod memory;
+mod page_cameras;
 pub mod photograph;
 pub mod preflight;
 pub mod progress;

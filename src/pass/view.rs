@@ -7,12 +7,12 @@ use crate::light::frame::{LightFrame, OwnLightFrame};
 use crate::light::lights::own_lobes;
 use crate::page::upright::upright;
 use crate::page::{Contents, PageCamera, PageLight, html};
+use crate::pass::page_cameras::page_cameras;
 use crate::pass::session::Session;
 use crate::pass::show::material_of;
 use crate::pass::view_photographs::add_photographs;
 use crate::scene::load::edit_to_ron;
 use crate::scene::{Pass, ViewPass};
-use crate::view::{Camera, Split, ViewName};
 use crate::visibility::ObjectVisibility;
 use bevy_ecs::prelude::Entity;
 use std::path::Path;
@@ -48,7 +48,8 @@ pub fn write_page(
     let edits = session.pass_named(pass.of.as_deref()).map_or(&[][..], Pass::edits);
     let edits = edits.iter().map(edit_to_ron).collect::<Result<Vec<String>>>()?;
     let shadows = session.has_visibility()?;
-    let (views, mut cameras): (Vec<Entity>, Vec<PageCamera>) = cameras(session).into_iter().unzip();
+    let (views, mut cameras): (Vec<Entity>, Vec<PageCamera>) =
+        page_cameras(&mut session.pipeline.world).into_iter().unzip();
     let embedded = add_photographs(&session.pipeline.world, &views, &mut cameras, pass.photographs as usize)?;
     let lights = lights(session, pass.of.as_deref(), named);
     let contents = Contents {
@@ -95,19 +96,4 @@ fn lights(session: &mut Session, of: Option<&str>, named: Vec<(String, Vec<Light
         lights[..=first].rotate_right(1);
     }
     lights
-}
-
-/// The cameras of all views: those held out first, each group by name.
-fn cameras(session: &mut Session) -> Vec<(Entity, PageCamera)> {
-    let world = &mut session.pipeline.world;
-    let mut query = world.query::<(Entity, &ViewName, &Camera, &Split)>();
-    let camera = |(view, name, camera, split): (Entity, &ViewName, &Camera, &Split)| {
-        (view, PageCamera { name: name.0.clone(), split: *split, camera: *camera, photograph: None })
-    };
-    let mut cameras: Vec<(Entity, PageCamera)> = query.iter(world).map(camera).collect();
-    cameras.sort_by(|(_, a), (_, b)| {
-        let key = |c: &PageCamera| (c.split != Split::Test, c.name.clone());
-        key(a).cmp(&key(b))
-    });
-    cameras
 }
