@@ -61,6 +61,12 @@ impl SpecularLobe {
         Self { albedo, roughness, ndf: Ndf::Sg }
     }
 
+    /// Whether its reflections have edges that photographs can be compared by (R < 0.5) and are brighter than those of plastic, glaze
+    /// and varnish (specular albedo 0.04 to 0.08), as those of metal are. They are seen at other depths than the surface.
+    pub fn is_mirror_like(&self) -> bool {
+        self.roughness < 0.5 && self.albedo.max_element() > 0.1
+    }
+
     /// Its distribution of microfacet normals.
     pub fn facets(&self) -> Facets<f32> {
         Facets { ndf: self.ndf, roughness: self.roughness }
@@ -161,4 +167,16 @@ pub fn texels_in_order(world: &mut World) -> Vec<Entity> {
     let mut texels: Vec<(TexelIndex, Entity)> = query.iter(world).map(|(e, index)| (*index, e)).collect();
     texels.sort_unstable();
     texels.into_iter().map(|(_, texel)| texel).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn metal_mirrors_and_varnish_does_not() {
+        assert!(SpecularLobe::new(Vec3::new(0.9, 0.7, 0.3), 0.2).is_mirror_like());
+        assert!(!SpecularLobe::new(Vec3::splat(0.04), 0.1).is_mirror_like(), "varnish");
+        assert!(!SpecularLobe::new(Vec3::splat(0.2), 0.8).is_mirror_like(), "reflections without edges");
+    }
 }

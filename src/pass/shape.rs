@@ -66,12 +66,13 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     let most: u32 = pass.levels.iter().map(|level| level.steps).sum();
     let bar = session.progress.bar(&pass.name, u64::from(most));
     let inspector = session.debug_every.map(|every| inspector(session, &pass.name, every));
-    let (mut failure, mut stopped, mut has_hull) = (None, false, false);
+    let (mut failure, mut stopped, mut told) = (None, false, HullReport::default());
     let (hull, up, progress) = (session.surface.clone(), session.scene.up, session.progress);
     let surface =
         fit_shape(&mut session.pipeline, &options, &mut |at: &ShapeProgress, world: &mut World| {
-            if !std::mem::replace(&mut has_hull, true) {
-                tell_of_hull(progress, &pass.name, at.hull);
+            if at.hull != told {
+                tell_of_hull(progress, &pass.name, told, at.hull);
+                told = at.hull;
             }
             let step = show_step(&*bar, pass, at);
             let moment = Moment::Step { level: [at.level, at.levels], step, fit: at.fit };
@@ -209,16 +210,21 @@ fn shape_level(pass: &ShapePass, level: &GridLevel) -> ShapeLevel {
     }
 }
 
-/// Says how much of the hull was removed before the fit, where that can be seen.
-fn tell_of_hull(progress: &dyn Progress, name: &str, report: HullReport) {
-    let told = [(report.opened, "photographs look through"), (report.spanned, "no photograph sees")];
-    let shares: Vec<String> = told
-        .into_iter()
-        .filter(|(share, _)| *share >= 0.0005)
-        .map(|(share, what)| format!("{:.1} % that {what}", 100.0 * share))
-        .collect();
-    if !shares.is_empty() {
-        progress.print(&format!("{name}: hull without {}", shares.join(", and ")));
+/// Says how much was removed from the hull since it was `told`, where that can be seen.
+fn tell_of_hull(progress: &dyn Progress, name: &str, told: HullReport, now: HullReport) {
+    let shares = |parts: &[(f32, &str)]| {
+        let seen = parts.iter().filter(|(share, _)| *share >= 0.0005);
+        let told: Vec<String> =
+            seen.map(|(share, what)| format!("{:.1} % that {what}", 100.0 * share)).collect();
+        (!told.is_empty()).then(|| told.join(", and "))
+    };
+    const THROUGH: &str = "photographs look through";
+    if told.opened_again != now.opened_again {
+        if let Some(share) = shares(&[(now.opened_again, THROUGH)]) {
+            progress.print(&format!("{name}: first level without {share}"));
+        }
+    } else if let Some(shares) = shares(&[(now.opened, THROUGH), (now.spanned, "no photograph sees")]) {
+        progress.print(&format!("{name}: hull without {shares}"));
     }
 }
 

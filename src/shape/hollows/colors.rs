@@ -6,7 +6,7 @@ use crate::math::ray::Ray;
 use crate::mesh::bvh::TriangleBvh;
 use crate::shape::shrunk::shrunk;
 use crate::view::{Camera, Photograph, PixelWindow, StoredMask};
-use glam::Vec3;
+use glam::{Vec3, Vec3A};
 
 /// Angles in degrees between a view and those around it: less shows no depth, from more the same is seldom seen.
 const ANGLES: (f32, f32) = (6.0, 50.0);
@@ -19,11 +19,15 @@ const STEP: f32 = 0.5;
 const MOST_STEPS: usize = 200;
 /// Steps before the surface, and behind it, at which what is seen is the surface.
 const AT_SURFACE: usize = 3;
+/// Steps after which the search leaves out the pixels whose rays have left the object.
+const LOOK_AGAIN: usize = 8;
 /// Half width of a patch in pixels, and share of it that both pictures must show.
 const RADIUS: usize = 1;
-const LEAST_PIXELS: u8 = 5;
+const LEAST_PIXELS: f32 = 5.0;
 /// Largest difference of colors (the sum of three channels in [0, 1]) that counts.
 const MOST_DIFFERENCE: f32 = 0.6;
+/// Stands for a difference that is not known.
+const UNKNOWN: f32 = -1.0;
 /// Views that must see a depth, and share of them whose colors must agree: from the others something may hide it.
 const LEAST_SOURCES: usize = 3;
 const BEST_SHARE: f32 = 0.5;
@@ -38,7 +42,7 @@ pub struct ColorPicture {
     pub camera: Camera,
     window: PixelWindow,
     /// The window's pixels; negative where the object is not alone.
-    values: Vec<Vec3>,
+    values: Vec<Vec3A>,
 }
 
 /// What a comparison found for each pixel of the window.
@@ -55,7 +59,7 @@ impl ColorPicture {
     pub fn new(camera: &Camera, photograph: &Photograph, mask: &StoredMask, factor: u32) -> Option<Self> {
         let (small, window, pixels) = shrunk(camera, photograph, mask, factor)?;
         let encoded = |light: Vec3| light.clamp(Vec3::ZERO, Vec3::ONE).map(srgb_from_linear);
-        let values = pixels.map(|light| light.map_or(Vec3::NEG_ONE, encoded)).collect();
+        let values = pixels.map(|light| Vec3A::from(light.map_or(Vec3::NEG_ONE, encoded))).collect();
         Some(Self { camera: small, window, values })
     }
 
@@ -80,7 +84,7 @@ impl ColorPicture {
 
     /// The bilinear color where a point is seen, with the nearest pixel of the window; `None` if a pixel around it does not show the object alone.
     #[inline]
-    fn at(&self, point: Vec3) -> Option<(Vec3, usize)> {
+    fn at(&self, point: Vec3) -> Option<(Vec3A, usize)> {
         let (x, y, _) = self.camera.project(point)?;
         let (x, y) = (x - 0.5 - self.window.x as f32, y - 0.5 - self.window.y as f32);
         let (width, height) = (self.window.width as usize, self.window.height as usize);
@@ -141,16 +145,19 @@ pub fn compare(
             return compared;
         }
         if k == 2 * AT_SURFACE + 1 {
-            search.leave_out(&surface);
+            // Where colors agree so well at the surface, no other depth can be much better.
+            search.ask_only(|at| surface[at] > CLEAR);
+        } else if k > 2 * AT_SURFACE && k % LOOK_AGAIN == 0 {
+            search.ask_only(|at| k <= lasts[at]);
         }
-        for (at, difference) in search.differences((k as f32 - AT_SURFACE as f32) * STEP) {
+        search.differences((k as f32 - AT_SURFACE as f32) * STEP, |at, difference| {
             if k <= lasts[at].max(2 * AT_SURFACE) && difference < least[at].0 {
                 least[at] = (difference, k);
             }
             if k <= 2 * AT_SURFACE {
                 surface[at] = surface[at].min(difference);
             }
-        }
+        });
     }
     for (at, (difference, k)) in least.into_iter().enumerate().filter(|(_, (d, _))| d.is_finite()) {
         let limit = (surface[at] - CLEAR).min(surface[at] / RATIO);
@@ -183,7 +190,9 @@ struct Search<'a> {
     step: f32,
     /// Pixels that are asked, and those whose colors are looked up for their patches.
     asked: Vec<usize>,
-    looked_up: Vec<bool>,
+    looked_up: Vec<usize>,
+    /// Differences of colors between each pixel and the views around it.
+    warped: Vec<[f32; MOST_SOURCES]>,
 }
 
 impl<'a> Search<'a> {
@@ -196,20 +205,20 @@ impl<'a> Search<'a> {
         let camera = &picture.camera;
         let rays =
             picture.window.pixels(camera.width).map(|i| camera.pixel_ray(i as u32).direction).collect();
-        let asked = (0..seen.len()).filter(|&at| seen[at].is_finite()).collect();
-        let looked_up = seen.iter().map(|seen| seen.is_finite()).collect();
-        Self { picture, seen, sources, rays, step, asked, looked_up }
+        let asked: Vec<usize> = (0..seen.len()).filter(|&at| seen[at].is_finite()).collect();
+        let warped = vec![[UNKNOWN; MOST_SOURCES]; seen.len()];
+        Self { picture, seen, sources, rays, step, looked_up: asked.clone(), asked, warped }
     }
 
-    /// Asks no longer for pixels whose colors agree so well at the surface that no other depth can be much better.
-    fn leave_out(&mut self, surface: &[f32]) {
-        self.asked.retain(|&at| surface[at] > CLEAR);
-        self.looked_up.fill(false);
-        for at in &self.asked {
-            for i in self.patch(*at) {
-                self.looked_up[i] = self.seen[i].is_finite();
-            }
+    /// Asks only for pixels that may have a better depth.
+    fn ask_only(&mut self, is_asked: impl Fn(usize) -> bool) {
+        self.asked.retain(|&at| is_asked(at));
+        let mut is_looked_up = vec![false; self.seen.len()];
+        for &at in &self.asked {
+            self.patch(at).for_each(|i| is_looked_up[i] = self.seen[i].is_finite());
         }
+        self.looked_up.retain(|&at| is_looked_up[at]);
+        self.warped.fill([UNKNOWN; MOST_SOURCES]);
     }
 
     /// The pixels of the patch around one.
@@ -221,46 +230,53 @@ impl<'a> Search<'a> {
         rows.flat_map(move |y| columns.clone().map(move |x| y * width + x))
     }
 
-    /// How much the best of the views around differ in each pixel's patch, if the surface is moved along the rays by `shift` pixels.
-    fn differences(&self, shift: f32) -> Vec<(usize, f32)> {
-        let of_sources: Vec<Vec<f32>> =
-            self.sources.iter().map(|source| self.warped(source, shift)).collect();
-        let mut all = Vec::with_capacity(self.sources.len());
-        let mut found = Vec::with_capacity(self.asked.len());
+    /// Hands out how much the best of the views around differ in each pixel's patch, if the surface is moved along the rays by `shift`
+    /// pixels.
+    fn differences(&mut self, shift: f32, mut found: impl FnMut(usize, f32)) {
+        self.warp(shift);
         for &at in &self.asked {
-            all.clear();
-            for differences in &of_sources {
-                let (sum, count) = self.patch(at).fold((0.0, 0u8), |(sum, count), i| {
-                    if differences[i] < 0.0 { (sum, count) } else { (sum + differences[i], count + 1) }
-                });
-                if count >= LEAST_PIXELS {
-                    all.push(sum / f32::from(count));
+            let (mut sums, mut counts) = ([0.0; MOST_SOURCES], [0.0; MOST_SOURCES]);
+            for i in self.patch(at) {
+                for (difference, (sum, count)) in self.warped[i].iter().zip(sums.iter_mut().zip(&mut counts))
+                {
+                    let is_known = f32::from(u8::from(*difference >= 0.0));
+                    *sum += is_known * difference;
+                    *count += is_known;
                 }
             }
-            if all.len() >= LEAST_SOURCES {
-                all.sort_by(f32::total_cmp);
-                let best = ((BEST_SHARE * all.len() as f32).round() as usize).max(2);
-                found.push((at, all[..best].iter().sum::<f32>() / best as f32));
+            let (mut all, mut many) = ([f32::INFINITY; MOST_SOURCES], 0);
+            for (sum, count) in sums.into_iter().zip(counts).filter(|(_, count)| *count >= LEAST_PIXELS) {
+                all[many] = sum / count;
+                many += 1;
+            }
+            if many >= LEAST_SOURCES {
+                all.sort_unstable_by(f32::total_cmp);
+                let best = ((BEST_SHARE * many as f32).round() as usize).max(2);
+                found(at, all[..best].iter().sum::<f32>() / best as f32);
             }
         }
-        found
     }
 
-    /// The difference of colors of each pixel and of a view around; −1 where it is not known.
-    fn warped(&self, (source, theirs): &(&ColorPicture, &[f32]), shift: f32) -> Vec<f32> {
+    /// Writes the differences of colors between each pixel that is looked up and the views around it.
+    fn warp(&mut self, shift: f32) {
         let origin = self.picture.camera.position();
-        let eye = source.camera.position();
-        let difference = |at: usize| {
-            if !self.looked_up[at] {
-                return None;
-            }
-            let point = origin + self.rays[at] * (self.seen[at] * (1.0 + shift * self.step));
-            let (color, place) = source.at(point)?;
+        for &at in &self.looked_up {
+            let (distance, color) = (self.seen[at], self.picture.values[at]);
+            let point = origin + self.rays[at] * (distance * (1.0 + shift * self.step));
             // A point well behind what the other view sees there is hidden from it.
-            let slack = self.step * self.seen[at] * (3.0 + 2.0 * shift.abs());
-            let hidden = eye.distance(point) > theirs[place] + slack;
-            (!hidden).then(|| (color - self.picture.values[at]).abs().element_sum().min(MOST_DIFFERENCE))
-        };
-        (0..self.seen.len()).map(|at| difference(at).unwrap_or(-1.0)).collect()
+            let slack = self.step * distance * (3.0 + 2.0 * shift.abs());
+            for ((theirs, distances), warped) in self.sources.iter().zip(&mut self.warped[at]) {
+                let is_seen = |place: usize| {
+                    let limit = distances[place] + slack;
+                    theirs.camera.position().distance_squared(point) <= limit * limit
+                };
+                *warped = match theirs.at(point) {
+                    Some((other, place)) if is_seen(place) => {
+                        (other - color).abs().element_sum().min(MOST_DIFFERENCE)
+                    }
+                    _ => UNKNOWN,
+                };
+            }
+        }
     }
 }

@@ -4,6 +4,7 @@
 //! the lid's color, and agree far behind it. Each view is compared with those around it ([`colors`]) at all depths from the surface to
 //! the far side. Where they agree much better at one of these than at the surface, the space in front of it is empty. All views vote, and
 //! what enough of them see through is removed; the next round knows better what hides what.
+//! The hull is coarse: what its cells do not resolve is looked for once more on the finer grid of the second level.
 //!
 //! Only what is open to the outside is removed: a reflection that seems to lie far behind a glossy surface leaves no bubble inside the object.
 //! A margin before the depth that was found stays: the walls of a hollow may be thin, and a fit moves a surface that is nearly in place.
@@ -25,8 +26,11 @@ use rayon::prelude::*;
 
 /// Pixels of a picture per cell of the grid.
 const PIXELS_PER_CELL: f32 = 1.5;
-/// Share of the object's volume that a round must remove for another one.
-const LEAST_SHARE: f32 = 1e-3;
+/// Share of the object's volume that a round must remove for another one, where the search begins. Rounds on a finer grid take
+/// several times as long.
+pub const HULL_SHARE: f32 = 1e-3;
+/// The same on the grid of a later level.
+pub const LEVEL_SHARE: f32 = 1e-2;
 
 /// Rounds at most.
 const ROUNDS: usize = 3;
@@ -37,9 +41,14 @@ const AGAINST: f32 = 1.5;
 /// What stays before the depth that was found, in cells and in pixels of a view around.
 const MARGIN: (f32, f32) = (0.75, 0.5);
 
-/// Removes from the hull the space that the photographs look through; returns the share of its volume that goes. A run that is stopping
-/// ([`is_stopping`]) removes nothing more.
-pub fn carve_hollows(grid: &mut SdfGrid, silhouettes: &[Silhouette], views: &[StereoView]) -> f32 {
+/// Removes the space that the photographs look through; returns the share of the volume that goes. Another round follows one that
+/// removes at least `least_share` of it. A run that is stopping ([`is_stopping`]) removes nothing more.
+pub fn carve_hollows(
+    grid: &mut SdfGrid,
+    silhouettes: &[Silhouette],
+    views: &[StereoView],
+    least_share: f32,
+) -> f32 {
     let factor = picture_factor(grid, views);
     let pictures: Vec<ColorPicture> =
         views.par_iter().filter_map(|v| ColorPicture::new(v.camera, v.photograph, v.mask, factor)).collect();
@@ -52,7 +61,7 @@ pub fn carve_hollows(grid: &mut SdfGrid, silhouettes: &[Silhouette], views: &[St
             break;
         }
         remove(grid, &pictures, &depths);
-        if (before.saturating_sub(volume(grid)) as f32) < LEAST_SHARE * whole as f32 {
+        if (before.saturating_sub(volume(grid)) as f32) < least_share * whole as f32 {
             break;
         }
     }

@@ -52,16 +52,21 @@ impl Pictures {
 
     /// The hull, what is left of it, and the share that went.
     fn carved(&self) -> (SdfGrid, SdfGrid, f32) {
+        self.carved_with(40)
+    }
+
+    /// The same on a grid of `cells` cells a side.
+    fn carved_with(&self, cells: u32) -> (SdfGrid, SdfGrid, f32) {
         let views = self.cameras.iter().zip(&self.masks).enumerate();
         let mut silhouettes: Vec<Silhouette> = views
             .map(|(i, (camera, mask))| Silhouette::new(&format!("v{i}"), camera, mask).unwrap())
             .collect();
-        let hull = visual_hull(&mut silhouettes, 40).unwrap();
+        let hull = visual_hull(&mut silhouettes, cells).unwrap();
         let mut carved = hull.clone();
         let parts = self.cameras.iter().zip(&self.photographs).zip(&self.masks);
         let views: Vec<StereoView> =
             parts.map(|((camera, photograph), mask)| StereoView { camera, photograph, mask }).collect();
-        let share = carve_hollows(&mut carved, &silhouettes, &views);
+        let share = carve_hollows(&mut carved, &silhouettes, &views, HULL_SHARE);
         (hull, carved, share)
     }
 }
@@ -88,6 +93,19 @@ fn a_cup_is_opened_and_keeps_its_wall() {
         let floor = Vec3::new(0.3 * angle.cos(), -0.44, 0.3 * angle.sin());
         assert!(carved.value(floor) < 0.0, "{floor}");
     }
+}
+
+#[test]
+fn a_narrow_hollow_needs_a_fine_grid() {
+    let bored = |p: Vec3| {
+        (p.with_y(0.0).length() - 0.6)
+            .max(p.y.abs() - 0.5)
+            .max(-(p.with_y(0.0).length() - 0.2).max(0.2 - p.y))
+    };
+    let pictures = Pictures::new(bored, waves);
+    let value = |cells| pictures.carved_with(cells).1.value(Vec3::new(0.0, 0.38, 0.0));
+    assert!(value(12) < 0.0, "{}", value(12));
+    assert!(value(48) > 0.0, "{}", value(48));
 }
 
 #[test]

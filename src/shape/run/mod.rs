@@ -23,7 +23,7 @@ use crate::shape::field::{
     BRICK_LEN, BrickAt, BrickGradient, BrickIndex, BrickMoments, BrickValues, ModelError, SdfField,
     bricks_near_surface, keep_field,
 };
-use crate::shape::hollows::carve_hollows;
+use crate::shape::hollows::{HULL_SHARE, LEVEL_SHARE, carve_hollows};
 use crate::shape::hull::{FORGIVEN, trim, visual_hull};
 use crate::shape::outline::{OutlineReport, fit_outlines};
 use crate::shape::parts::extract_parts;
@@ -115,13 +115,15 @@ impl Plugin for ShapeCameraPlugin {
     }
 }
 
-/// What was removed from the visual hull before the fit, as shares of its volume.
+/// What was removed from the visual hull before the fit, and from what the first level has found, as shares of the volume.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct HullReport {
     /// What photographs look through.
     pub opened: f32,
     /// What lies outside of what spans the unseen, of what is left then.
     pub spanned: f32,
+    /// What photographs look through of what the first level has found; 0 before the second.
+    pub opened_again: f32,
 }
 
 /// What the first level starts from.
@@ -193,10 +195,12 @@ fn fit_levels(
         Some((_, kept)) => kept,
         None => first_surface(&mut pipeline.world, hull.grid, options),
     };
+    let mut report = hull.report;
     for (index, level) in levels.iter().enumerate().skip(begun) {
         let _level = stage(format_args!("level {}", index + 1));
         if index > begun {
-            surface = next_surface(&mut pipeline.world, surface, silhouettes, options, index)?;
+            let (next, opened) = next_surface(&mut pipeline.world, surface, silhouettes, options, index)?;
+            (surface, report.opened_again) = (next, report.opened_again + opened);
             keep_level(&mut pipeline.world, index as u32, &surface)?;
         }
         let volume = surface.volume.clone();
@@ -204,8 +208,8 @@ fn fit_levels(
         let initialize = if index == 0 { options.fit.initialize } else { Initialize::NONE };
         let fit = FitOptions { steps: level.schedule.steps, initialize, ..options.fit.clone() };
         let result = run_fit(pipeline, &fit, &mut |progress, world| {
-            let (hull, levels) = (hull.report, levels.len());
-            watch(&ShapeProgress { hull, level: index, levels, fit: progress }, world)
+            let progress = ShapeProgress { hull: report, level: index, levels: levels.len(), fit: progress };
+            watch(&progress, world)
         });
         surface = SdfSurface { grid: leave(&mut pipeline.world), volume };
         match result {
@@ -252,14 +256,15 @@ fn first_surface(world: &mut World, mut hull: SdfGrid, options: &ShapeOptions) -
     with_texels(world, hull, &options.levels[0], None)
 }
 
-/// What level `index` starts from: the surface that the level before has found, on its own grid and with its own texels.
+/// What level `index` starts from: the surface that the level before has found, on its own grid and with its own texels. Hollows that
+/// the hull's grid is too coarse for are looked for on the grid of the second level, unless the object mirrors; their share is returned.
 fn next_surface(
     world: &mut World,
     found: SdfSurface,
     silhouettes: &mut [Silhouette],
     options: &ShapeOptions,
     index: usize,
-) -> Result<SdfSurface> {
+) -> Result<(SdfSurface, f32)> {
     if options.cameras != CameraUnknowns::Given {
         attach_poses(world);
     }
@@ -271,8 +276,19 @@ fn next_surface(
     let mut grid = found.grid.resampled(level.cells);
     regrow(&mut grid, silhouettes, FORGIVEN);
     grid.redistance();
+    let mut opened = 0.0;
+    if options.hollows && index == 1 && !is_mirror_like(world) {
+        let _opening = stage("hollows");
+        opened =
+            with_training_views(world, |views| carve_hollows(&mut grid, silhouettes, views, LEVEL_SHARE));
+    }
     let albedo = recovered_albedo(world)?;
-    Ok(with_texels(world, grid, level, Some((&found.volume, &albedo))))
+    Ok((with_texels(world, grid, level, Some((&found.volume, &albedo))), opened))
+}
+
+/// Whether a material mirrors: photographs disagree on its surface as if they looked through it.
+fn is_mirror_like(world: &mut World) -> bool {
+    recovered_materials(world).iter().any(|(_, lobe)| lobe.is_mirror_like())
 }
 
 /// The surface of a level, whose texels replace those in the world.
@@ -327,7 +343,8 @@ fn reduce_hull(
     }
     if options.hollows {
         let _opening = stage("hollows");
-        report.opened = with_training_views(world, |views| carve_hollows(hull, silhouettes, views));
+        report.opened =
+            with_training_views(world, |views| carve_hollows(hull, silhouettes, views, HULL_SHARE));
     }
     if options.spans_unseen {
         let _spanning = stage("unseen");
