@@ -70,10 +70,7 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     let (hull, up, progress) = (session.surface.clone(), session.scene.up, session.progress);
     let surface =
         fit_shape(&mut session.pipeline, &options, &mut |at: &ShapeProgress, world: &mut World| {
-            if at.hull != told {
-                tell_of_hull(progress, &pass.name, told, at.hull);
-                told = at.hull;
-            }
+            tell_of_hull(progress, &pass.name, &mut told, at.hull);
             let step = show_step(&*bar, pass, at);
             let moment = Moment::Step { level: [at.level, at.levels], step, fit: at.fit };
             progress.look(moment, &mut |before| Snapshot::copy(world, &hull, up, before));
@@ -210,16 +207,20 @@ fn shape_level(pass: &ShapePass, level: &GridLevel) -> ShapeLevel {
     }
 }
 
-/// Says how much was removed from the hull since it was `told`, where that can be seen.
-fn tell_of_hull(progress: &dyn Progress, name: &str, told: HullReport, now: HullReport) {
+/// Says how much was removed from the hull since it was `told`, where that can be seen; then all of it is `told`.
+fn tell_of_hull(progress: &dyn Progress, name: &str, told: &mut HullReport, now: HullReport) {
+    let before = std::mem::replace(told, now);
+    if before == now {
+        return;
+    }
     let shares = |parts: &[(f32, &str)]| {
         let seen = parts.iter().filter(|(share, _)| *share >= 0.0005);
-        let told: Vec<String> =
+        let words: Vec<String> =
             seen.map(|(share, what)| format!("{:.1} % that {what}", 100.0 * share)).collect();
-        (!told.is_empty()).then(|| told.join(", and "))
+        (!words.is_empty()).then(|| words.join(", and "))
     };
     const THROUGH: &str = "photographs look through";
-    if told.opened_again != now.opened_again {
+    if before.opened_again != now.opened_again {
         if let Some(share) = shares(&[(now.opened_again, THROUGH)]) {
             progress.print(&format!("{name}: first level without {share}"));
         }
