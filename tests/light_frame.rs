@@ -1,4 +1,5 @@
-//! A light that stands still before the camera, while the object turns, is found as such, saved and rendered as such.
+//! How a fit starts: a light that stands still before the camera, while the object turns, is found as such, saved and rendered as such, and
+//! the specular lobe starts as one that suits the photographs.
 
 use crate::common::{Outcome, command};
 use std::path::Path;
@@ -80,6 +81,32 @@ fn a_turntable_with_tilted_cameras_is_found_and_its_light_saved() {
     };
     let (first, again) = (exr(&folder.path().join("out")), exr(&out));
     assert!(!first.is_empty() && first == again);
+}
+
+/// Specular albedo and roughness that `lobelia run` finds in one step on a surface with the specular `lobe`, under a light whose frame it finds.
+fn lobe_after_a_step(lobe: &str) -> [f64; 2] {
+    let folder = tempfile::tempdir().unwrap();
+    let text =
+        SCENE.replace("albedo: (0.3, 0.3, 0.3), roughness: 0.3", lobe).replace("steps: 250", "steps: 1");
+    let scene = folder.path().join("scene.ron");
+    std::fs::write(&scene, text.replace("ASSUMED", "Auto").replace("TRUE", "World")).unwrap();
+    let out = folder.path().join("out");
+    Outcome::of(command(&["run", "--quiet"]).arg(&scene).arg("--out").arg(&out)).succeeded();
+    let saved = std::fs::read_to_string(out.join("saved/scene.ron")).unwrap();
+    assert!(saved.contains("light_frame: World"), "{saved}");
+    let found = std::fs::read_to_string(out.join("fit/materials.ron")).unwrap();
+    ["(albedo: (", "roughness: "].map(|word| {
+        let (_, after) = found.split_once(word).unwrap();
+        after.split([',', ')']).next().unwrap().parse().unwrap()
+    })
+}
+
+#[test]
+fn the_specular_lobe_starts_as_the_surface_looks() {
+    let matte = lobe_after_a_step("albedo: (0.04, 0.04, 0.04), roughness: 0.8");
+    assert!(matte[0] < 0.1 && matte[1] > 0.7, "{matte:?}");
+    let glossy = lobe_after_a_step("albedo: (0.3, 0.3, 0.3), roughness: 0.3");
+    assert!(glossy[0] > 0.2 && glossy[1] < 0.5, "{glossy:?}");
 }
 
 #[test]

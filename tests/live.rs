@@ -29,6 +29,13 @@ fn ask(port: u16, method: &str, path: &str, headers: &[(&str, &str)]) -> Option<
     let mut text = String::new();
     stream.read_to_string(&mut text).ok()?;
     let (head, body) = text.split_once("\r\n\r\n")?;
+    // The end of the process cuts an answer off.
+    let length = head
+        .lines()
+        .find_map(|line| line.to_ascii_lowercase().strip_prefix("content-length:")?.trim().parse().ok());
+    if length.is_some_and(|length: usize| body.len() < length) {
+        return None;
+    }
     Some((head.split(' ').nth(1)?.parse().ok()?, body.to_owned()))
 }
 

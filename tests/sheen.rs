@@ -121,7 +121,7 @@ fn an_unknown_albedo_is_fitted_beside_a_known_one_along_the_surface() {
         steps: 240,
         batch: 1024,
         unknowns,
-        initialize: Initialize { light: false, albedo: true },
+        initialize: Initialize { light: false, albedo: true, specular: false },
         ..FitOptions::default()
     };
     run_fit(&mut pipeline, &options, &mut |_, _| ControlFlow::Continue(())).unwrap();

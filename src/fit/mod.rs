@@ -29,4 +29,4 @@ pub mod scale;
 pub mod sheen;
 pub mod systems;
 
-pub use initialization::frame::{FramesTried, ObjectTurned};
+pub use initialization::start::{FramesTried, ObjectTurned};

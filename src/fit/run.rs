@@ -10,8 +10,8 @@ use super::exposure::{Exposures, find_exposures};
 use super::guard::{
     StepGuard, begin_step, check_adjoints, check_loss, check_shading, end_step, step_is_sound,
 };
-use super::initialization::frame::{FramesTried, find_light_frame};
 use super::initialization::initialize_light_and_albedo;
+use super::initialization::start::{Find, FramesTried, find_start};
 use super::loss::{Loss, LossSums};
 use super::observe::{
     Candidates, PixelChoice, choose_pixels, count_seen_texels, spawn_samples, take_observations, trace_pixels,
@@ -120,13 +120,15 @@ pub struct Initialize {
     pub light: bool,
     /// The albedo.
     pub albedo: bool,
+    /// Specular albedo and roughness, if both are unknown and there is one base material.
+    pub specular: bool,
 }
 
 impl Initialize {
-    /// Light and albedo.
-    pub const ALL: Self = Self { light: true, albedo: true };
+    /// Light, albedo and specular lobe.
+    pub const ALL: Self = Self { light: true, albedo: true, specular: true };
     /// Nothing: a fit that continues another.
-    pub const NONE: Self = Self { light: false, albedo: false };
+    pub const NONE: Self = Self { light: false, albedo: false, specular: false };
 }
 
 /// The state of a running fit, for the caller.
@@ -376,14 +378,12 @@ fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
         albedo: options.unknowns.albedo && initialize.albedo,
         ..options.unknowns
     };
-    match options.light_frame {
-        Some(frame) => pipeline.world.insert_resource(OwnLightFrame(frame)),
-        None if unknowns.light => {
-            let _finding = stage("light frame");
-            find_light_frame(&mut pipeline.world, unknowns, options.form)?;
-        }
-        None => {}
+    if let Some(frame) = options.light_frame {
+        pipeline.world.insert_resource(OwnLightFrame(frame));
     }
+    let finds =
+        Find { frame: options.light_frame.is_none() && unknowns.light, specular: initialize.specular };
+    find_start(&mut pipeline.world, finds, unknowns, options.form)?;
     let initializing = stage("initialization");
     initialize_light_and_albedo(&mut pipeline.world, unknowns, options.form, shadowed)?;
     if unknowns.light && unknowns.albedo {

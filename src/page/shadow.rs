@@ -137,7 +137,8 @@ fn hiders(texels: &TexelVisibility, patches: &Patches) -> Vec<u16> {
             let at = patch * directions + direction;
             counts[at] += 1;
             if found[at] == NONE {
-                found[at] = patches.of_texel.get(hider as usize).copied().unwrap_or(NONE);
+                let texel = texels.texels.get(hider as usize);
+                found[at] = texel.map_or(NONE, |texel| patches.of_texel[*texel as usize]);
             }
         }
     }

@@ -334,6 +334,7 @@ fn open<'a>(
     let initialize = Initialize {
         light: matches!(scene.light, Light::Unknown(_)),
         albedo: matches!(scene.material.albedo, Albedo::Unknown),
+        specular: scene.material.specular.is_open(),
     };
     let mut session = Session {
         scene,

@@ -133,7 +133,7 @@ fn take_over(
     let stopped = is_stopping();
     finish_stopping();
     put_in_place(session, &found, &mesh, texture_size)?;
-    if initialized == Initialize::ALL {
+    if initialized.light && initialized.albedo {
         // The light still has the color from the initialization with gray albedo.
         start_scale(&mut session.pipeline.world, session.scene.scale)?;
     }

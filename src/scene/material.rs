@@ -76,9 +76,9 @@ pub enum AlbedoSource {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Specular {
-    /// Specular albedo. Default `Unknown(mono: true, initial: (0.3, 0.3, 0.3))`.
+    /// Specular albedo. Default `Unknown(mono: true)`.
     pub albedo: SpecularAlbedo,
-    /// Roughness. Default `Unknown(initial: 0.4)`.
+    /// Roughness. Default `Unknown()`.
     pub roughness: Roughness,
     /// Distribution of microfacet normals: `Sg`, one spherical Gaussian as in the paper, or `Ggx`, whose highlights have the long
     /// tails of most renderers' and of glTF's. A choice, not fitted; not for `shading: Published`. Default `Sg`.
@@ -94,9 +94,9 @@ pub enum SpecularAlbedo {
         /// One gray value instead of three channels. Default true.
         #[serde(default = "yes")]
         mono: bool,
-        /// Where the fit starts, in [0, 1]. Default (0.3, 0.3, 0.3).
-        #[serde(default = "specular_initial")]
-        initial: Vec3,
+        /// Where the fit starts, in [0, 1]. If neither this nor the roughness's is given, the photographs choose a pair.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        initial: Option<Vec3>,
     },
     /// Known, in [0, 1]: `Fixed(0.3, 0.3, 0.3)`.
     Fixed(Vec3),
@@ -104,7 +104,15 @@ pub enum SpecularAlbedo {
 
 impl Default for SpecularAlbedo {
     fn default() -> Self {
-        Self::Unknown { mono: true, initial: specular_initial() }
+        Self::Unknown { mono: true, initial: None }
+    }
+}
+
+impl Specular {
+    /// Whether nothing at all is said of specular albedo and roughness.
+    pub fn is_open(&self) -> bool {
+        matches!(self.albedo, SpecularAlbedo::Unknown { initial: None, .. })
+            && matches!(self.roughness, Roughness::Unknown { initial: None })
     }
 }
 
@@ -114,9 +122,9 @@ impl Default for SpecularAlbedo {
 pub enum Roughness {
     /// A fit finds it.
     Unknown {
-        /// Where the fit starts, in [0.03, 1]. Default 0.4.
-        #[serde(default = "roughness_initial")]
-        initial: f32,
+        /// Where the fit starts, in [0.03, 1]. If neither this nor the specular albedo's is given, the photographs choose a pair.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        initial: Option<f32>,
     },
     /// Known, in [0.03, 1]: `Fixed(0.25)`.
     Fixed(f32),
@@ -124,7 +132,7 @@ pub enum Roughness {
 
 impl Default for Roughness {
     fn default() -> Self {
-        Self::Unknown { initial: roughness_initial() }
+        Self::Unknown { initial: None }
     }
 }
 
@@ -168,14 +176,6 @@ pub enum Gloss {
 
 fn yes() -> bool {
     true
-}
-
-fn specular_initial() -> Vec3 {
-    Vec3::splat(0.3)
-}
-
-fn roughness_initial() -> f32 {
-    0.4
 }
 
 fn gloss_smoothness() -> f32 {

@@ -93,16 +93,21 @@ fn given_albedo(source: &AlbedoSource, surface: &Surface) -> Result<Vec<Vec3>> {
     }
 }
 
+/// Specular albedo and roughness that a fit starts from where nothing else is said.
+const START: (f32, f32) = (0.3, 0.4);
+
 /// The lobe that a fit starts from, or the known one.
 pub fn initial_specular(specular: &Specular) -> SpecularLobe {
     SpecularLobe {
         albedo: match specular.albedo {
-            SpecularAlbedo::Unknown { mono: true, initial } => Vec3::splat(initial.element_sum() / 3.0),
-            SpecularAlbedo::Unknown { initial, .. } => initial,
+            SpecularAlbedo::Unknown { mono: true, initial: Some(initial) } => {
+                Vec3::splat(initial.element_sum() / 3.0)
+            }
+            SpecularAlbedo::Unknown { initial, .. } => initial.unwrap_or(Vec3::splat(START.0)),
             SpecularAlbedo::Fixed(value) => value,
         },
         roughness: match specular.roughness {
-            Roughness::Unknown { initial } => initial,
+            Roughness::Unknown { initial } => initial.unwrap_or(START.1),
             Roughness::Fixed(value) => value,
         },
         ndf: specular.ndf,

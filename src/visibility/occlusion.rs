@@ -10,7 +10,7 @@ use crate::math::lanes::{Lanes, Row};
 use crate::math::real::{Real, dot};
 use crate::math::sg::sphere_integral;
 use crate::math::shading::{LobeColumns, PointVisibility};
-use crate::visibility::trace::{MAX_DIRECTIONS, TexelVisibility, set_bits};
+use crate::visibility::trace::{MAX_DIRECTIONS, TexelVisibility};
 use fearless_simd::{Level, Simd, dispatch};
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
@@ -32,8 +32,8 @@ pub struct Sky {
     lobes: [Vec<f32>; 7],
     /// The coordinates of the directions, in columns.
     directions: [Vec<f32>; 3],
-    /// Radiance from each direction.
-    pub radiance: Vec<Vec3>,
+    /// Radiance from each direction, in columns.
+    radiance: [Vec<f32>; 3],
 }
 
 impl Sky {
@@ -45,7 +45,7 @@ impl Sky {
             stride,
             lobes: std::array::from_fn(|c| vec![if c == 3 { 1.0 } else { 0.0 }; stride]),
             directions: std::array::from_fn(|axis| directions.iter().map(|d| d[axis]).collect()),
-            radiance: vec![Vec3::ZERO; directions.len()],
+            radiance: Default::default(),
         };
         let cell = directions.len() as f32 / 2.0;
         for (i, lobe) in (0..lobes.len()).map(|i| lobes.get(i)).enumerate() {
@@ -56,7 +56,8 @@ impl Sky {
             sky.lobes.iter_mut().zip(values).for_each(|(column, value)| column[i] = value);
         }
         let columns = &sky.lobes;
-        let rows = sky.weights.par_chunks_mut(stride.max(1)).zip(&mut sky.radiance).zip(directions);
+        let mut radiance = vec![Vec3::ZERO; directions.len()];
+        let rows = sky.weights.par_chunks_mut(stride.max(1)).zip(&mut radiance).zip(directions);
         rows.for_each(|((row, radiance), direction)| {
             for (i, weight) in row[..lobes.len()].iter_mut().enumerate() {
                 let at = |c: usize| columns[c][i];
@@ -64,7 +65,13 @@ impl Sky {
                 *radiance += Vec3::new(at(4), at(5), at(6)) * *weight;
             }
         });
+        sky.radiance = std::array::from_fn(|c| radiance.iter().map(|r| r[c]).collect());
         sky
+    }
+
+    /// Radiance from a direction.
+    fn radiance(&self, direction: usize) -> Vec3 {
+        Vec3::from_array([0, 1, 2].map(|c| self.radiance[c][direction]))
     }
 }
 
@@ -190,12 +197,12 @@ fn gathered(visibility: &TexelVisibility, leaving: &[Vec3], row: usize) -> Vec3 
     let normal = visibility.normals[row];
     let light = visibility
         .hidden(row)
-        .map(|(d, texel)| sent_from(visibility, leaving, texel) * visibility.directions[d].dot(normal));
+        .map(|(d, hider)| sent_from(leaving, hider) * visibility.directions[d].dot(normal));
     light.sum::<Vec3>() * cell_angle(visibility)
 }
 
-fn sent_from(visibility: &TexelVisibility, leaving: &[Vec3], texel: u32) -> Vec3 {
-    let row = visibility.rows.get(texel as usize).copied().unwrap_or(TexelVisibility::NONE);
+/// Radiance that leaves a row; none for a back face.
+fn sent_from(leaving: &[Vec3], row: u32) -> Vec3 {
     leaving.get(row as usize).copied().unwrap_or(Vec3::ZERO)
 }
 
@@ -226,22 +233,19 @@ pub fn point_visibility(
     let least = 1.0 - MIRROR_REACH / sharpness;
     let mut near = [0; MAX_DIRECTIONS / 64];
     dispatch!(Level::new(), simd => directions_near(simd, &sky.directions, mirrored, least, &mut near));
-    if !blend.iter().any(|(row, part)| *part > 0.0 && visibility.hides_any(*row, &near)) {
+    let rows = blend.iter().filter(|(_, part)| *part > 0.0);
+    if !rows.clone().any(|(row, _)| visibility.hides_any(*row, &near)) {
         return PointVisibility { indirect: indirect.into(), ..PointVisibility::OPEN };
     }
-    let (mut arriving, mut unhidden) = (Vec3::ZERO, Vec3::ZERO);
-    for d in set_bits(&near) {
-        let direction = visibility.directions[d];
-        let weight = direction.dot(normal).max(0.0) * (sharpness * (direction.dot(mirrored) - 1.0)).exp();
-        unhidden += sky.radiance[d] * weight;
-        for (row, part) in blend.iter().filter(|(_, part)| *part > 0.0) {
-            let light = match visibility.hider(*row, d) {
-                Some(texel) => sent_from(visibility, &bounce.leaving, texel),
-                None => sky.radiance[d],
-            };
-            arriving += light * (weight * part);
-        }
-    }
+    let lobe = MirroredLobe { axis: mirrored, sharpness, least, normal };
+    let mut weights = [0.0; MAX_DIRECTIONS];
+    let unhidden = dispatch!(Level::new(), simd => weigh_directions(simd, sky, &lobe, &near, &mut weights));
+    let arriving = rows.fold(unhidden, |arriving, (row, part)| {
+        let instead = visibility
+            .hidden_among(*row, &near)
+            .map(|(d, hider)| (sent_from(&bounce.leaving, hider) - sky.radiance(d)) * weights[d]);
+        arriving + instead.sum::<Vec3>() * *part
+    });
     let floor = Vec3::splat(1e-6 * luminance(unhidden).max(1e-20));
     let specular = (arriving / unhidden.max(floor)).clamp(Vec3::ZERO, Vec3::splat(MOST_MIRRORED));
     PointVisibility { specular: specular.into(), indirect: indirect.into() }
@@ -257,4 +261,43 @@ fn directions_near<S: Simd>(simd: S, directions: &[Vec<f32>; 3], axis: Vec3, lea
         let bits = least.bits_below(dot([column(0), column(1), column(2)], axis));
         near[at / 64] |= bits << (at % 64);
     }
+}
+
+/// The lobe of the BRDF around the mirrored view, where its cosine to a direction is above `least`, times the cosine with `normal`.
+struct MirroredLobe {
+    axis: Vec3,
+    sharpness: f32,
+    least: f32,
+    normal: Vec3,
+}
+
+/// The lobe's value at each direction, in groups of lanes of which a bit of `near` is set, and the light of the whole sky weighted by it.
+#[inline(always)]
+fn weigh_directions<S: Simd>(
+    simd: S,
+    sky: &Sky,
+    lobe: &MirroredLobe,
+    near: &[u64],
+    weights: &mut [f32; MAX_DIRECTIONS],
+) -> Vec3 {
+    let [axis, normal] = [lobe.axis, lobe.normal].map(|v| v.to_array().map(|c| Lanes::splat(simd, c)));
+    let [least, sharpness, zero] = [lobe.least, lobe.sharpness, 0.0].map(|c| Lanes::splat(simd, c));
+    let mut light = [zero; 3];
+    let group = u64::MAX >> (64 - Lanes::<S>::LEN);
+    for at in (0..sky.directions[0].len()).step_by(Lanes::<S>::LEN) {
+        if near[at / 64] >> (at % 64) & group == 0 {
+            continue;
+        }
+        let load =
+            |columns: &[Vec<f32>; 3], c: usize| Lanes::load(simd, &columns[c][at..at + Lanes::<S>::LEN]);
+        let direction = [0, 1, 2].map(|c| load(&sky.directions, c));
+        let cosine = dot(direction, axis);
+        let value = (sharpness * (cosine - cosine.one()).min(zero)).decay() * dot(direction, normal).relu();
+        let value = least.select_lt(cosine, value, zero);
+        value.store(&mut weights[at..at + Lanes::<S>::LEN]);
+        for (c, sum) in light.iter_mut().enumerate() {
+            *sum += load(&sky.radiance, c) * value;
+        }
+    }
+    Vec3::from_array(light.map(Lanes::sum))
 }

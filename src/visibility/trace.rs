@@ -41,20 +41,21 @@ pub struct TexelVisibility {
     hidden: Vec<u64>,
     /// Start of the `hiders` of each row, and the end of the last.
     first: Vec<u32>,
-    /// The texel that occludes each occluded direction, in the order of the bits; [`TexelVisibility::NONE`] for a back face.
+    /// The row of what occludes each occluded direction, in the order of the bits; [`TexelVisibility::NONE`] for a back face.
     hiders: Vec<u32>,
 }
 
 /// The indices of the bits that are set.
-pub fn set_bits(words: &[u64]) -> impl Iterator<Item = usize> {
-    words.iter().enumerate().flat_map(|(w, &word)| {
-        let mut left = word;
-        std::iter::from_fn(move || {
-            (left != 0).then(|| {
-                let bit = left.trailing_zeros() as usize;
-                left &= left - 1;
-                w * 64 + bit
-            })
+fn set_bits(words: &[u64]) -> impl Iterator<Item = usize> {
+    words.iter().enumerate().flat_map(|(w, &word)| set_bits_of(word).map(move |bit| w * 64 + bit))
+}
+
+fn set_bits_of(mut word: u64) -> impl Iterator<Item = usize> {
+    std::iter::from_fn(move || {
+        (word != 0).then(|| {
+            let bit = word.trailing_zeros() as usize;
+            word &= word - 1;
+            bit
         })
     })
 }
@@ -108,6 +109,8 @@ impl TexelVisibility {
             }
             all.hiders.extend(part.hiders);
         }
+        let row_of = |texel: &u32| all.rows.get(*texel as usize).copied().unwrap_or(Self::NONE);
+        all.hiders = all.hiders.par_iter().map(row_of).collect();
         all
     }
 
@@ -143,7 +146,7 @@ impl TexelVisibility {
         self.first[row] == self.first[row + 1]
     }
 
-    /// The occluded directions of a row, by index, with the texels that occlude them.
+    /// The occluded directions of a row, by index, with the rows of what occludes them.
     pub fn hidden(&self, row: usize) -> impl Iterator<Item = (usize, u32)> {
         let hiders = &self.hiders[self.first[row] as usize..self.first[row + 1] as usize];
         let words = &self.hidden[row * self.words()..(row + 1) * self.words()];
@@ -156,17 +159,19 @@ impl TexelVisibility {
         self.hidden[row * self.words()..][..self.words()].iter().zip(among).any(|(a, b)| a & b != 0)
     }
 
-    /// The texel that occludes a direction of a row, if one does.
+    /// As [`Self::hidden`], of the directions whose bits are set in `among`.
     #[inline]
-    pub fn hider(&self, row: usize, direction: usize) -> Option<u32> {
-        let words = &self.hidden[row * self.words()..];
-        let (word, bit) = (direction / 64, direction % 64);
-        if words[word] >> bit & 1 == 0 {
-            return None;
-        }
-        let before: u32 = words[..word].iter().map(|w| w.count_ones()).sum();
-        let within = (words[word] & ((1 << bit) - 1)).count_ones();
-        Some(self.hiders[(self.first[row] + before + within) as usize])
+    pub fn hidden_among(&self, row: usize, among: &[u64]) -> impl Iterator<Item = (usize, u32)> {
+        let words = &self.hidden[row * self.words()..][..self.words()];
+        let mut first = self.first[row] as usize;
+        words.iter().zip(among).enumerate().flat_map(move |(w, (&word, among))| {
+            let hiders = &self.hiders[first..];
+            first += word.count_ones() as usize;
+            set_bits_of(word & among).map(move |bit| {
+                let before = (word & ((1 << bit) - 1)).count_ones();
+                (w * 64 + bit, hiders[before as usize])
+            })
+        })
     }
 
     /// Memory in bytes.
@@ -254,12 +259,14 @@ mod tests {
         let part = visibility.hidden(row).count() as f64 / 4096.0;
         let exact = (1.0 - 0.3f64.asin().cos()) / 2.0;
         assert!((part / exact - 1.0).abs() < 0.1, "{part} {exact}");
-        for (direction, texel) in visibility.hidden(row) {
-            assert_eq!(visibility.hider(row, direction), Some(texel));
-            let hider = surface.atlas().position[texel as usize];
+        for (_, hider) in visibility.hidden(row) {
+            let hider = surface.atlas().position[visibility.texels[hider as usize] as usize];
             assert!((hider - Vec3::new(0.0, 1.01, 0.0)).length() < 0.35, "{hider}");
         }
-        let seen = (0..4096).filter(|&d| visibility.hider(row, d).is_none()).count();
-        assert_eq!(seen + visibility.hidden(row).count(), 4096);
+        let among: Vec<u64> = (0..64).map(|word| 0x9e37_79b9_7f4a_7c15_u64.rotate_left(word)).collect();
+        let is_among = |(d, _): &(usize, u32)| among[d / 64] >> (d % 64) & 1 == 1;
+        let some: Vec<_> = visibility.hidden(row).filter(is_among).collect();
+        assert!(!some.is_empty() && some.len() < visibility.hidden(row).count());
+        assert!(visibility.hidden_among(row, &among).eq(some));
     }
 }

@@ -60,17 +60,28 @@ pub fn fresnel_power<F: Real>(cos_view_half: F) -> F {
     exponent.times(std::f64::consts::LN_2).exp()
 }
 
-/// One factor c/(c(1 − k) + k) of the shadowing term G (PhySG supp. eqs. 1–7) divided by c: 1/(c(1 − k) + k), with k = (R + 1)²/8.
+/// One factor c/(c(1 − k) + k) of the shadowing term G (PhySG supp. eqs. 1–7) divided by c: 1/(c(1 − k) + k), with k of
+/// [`shadowing_k`].
 #[inline(always)]
 pub fn shadowing_over_cosine<F: Real>(cosine: F, k: F) -> F {
     (cosine * (k.one() - k) + k).recip()
 }
 
-/// k = (R + 1)²/8 of the shadowing term G (PhySG supp. eqs. 1–7).
+/// k of the shadowing term G, and dk/dR: (R + 1)²/8 for the SG (PhySG supp. eqs. 1–7), 0.42 R³ for GGX.
+///
+/// The second is fitted to the height-correlated term of Smith (Heitz 2014) with α = R² at mirror directions: root mean square error
+/// of G 1.5 %, weighted by the cosine. The first is Epic's choice for lamps without size and 19 % off; it darkens smooth surfaces.
+/// Seen at 70° to the normal, a mirror of R = 0.25 keeps 53 % of its light with it, where Smith's term leaves 99 %.
 #[inline(always)]
-pub fn shadowing_k<F: Real>(roughness: F) -> F {
-    let s = roughness.plus(1.0);
-    s * s.lit(0.125) * s
+pub fn shadowing_k<F: Real>(facets: Facets<F>) -> [F; 2] {
+    let r = facets.roughness;
+    match facets.ndf {
+        Ndf::Sg => {
+            let s = r.plus(1.0);
+            [s * s.lit(0.125) * s, s.times(0.25)]
+        }
+        Ndf::Ggx => [r * r * r.times(0.42), (r * r).times(1.26)],
+    }
 }
 
 /// Sharpness 2/R⁴ of the SG that is the distribution of microfacet normals (PhySG supp. eq. 4).
@@ -118,10 +129,51 @@ pub fn specular_affine<F: Real>(
     let half = add(to_viewer, to_light);
     let half = scale(half, dot(half, half).max(half[0].lit(1e-12)).sqrt().recip());
     let power = fresnel_power(dot(to_viewer, half).relu());
-    let k = shadowing_k(facets.roughness);
+    let [k, _] = shadowing_k(facets);
     // G / ((n·ωo)(n·ωi)): the cosines of G's numerators cancel those of the denominator.
     let g =
         shadowing_over_cosine(dot(normal, to_viewer), k) * shadowing_over_cosine(dot(normal, to_light), k);
     let common = g.times(0.25) * normal_distribution(normal, half, facets);
     (common * power, common * (power.one() - power))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// G2 of Heitz 2014, "Understanding the Masking-Shadowing Function in Microfacet-Based BRDFs", eq. 99, at two equal cosines.
+    fn smith(alpha: f64, cosine: f64) -> f64 {
+        cosine / (alpha * alpha + (1.0 - alpha * alpha) * cosine * cosine).sqrt()
+    }
+
+    /// Root mean square difference of G from Smith's over cosines, weighted by them, averaged over roughness.
+    fn distance_to_smith(ndf: Ndf) -> f64 {
+        let of_roughness = |i: u32| {
+            let roughness = f64::from(i) / 40.0;
+            let [k, _] = shadowing_k(Facets { ndf, roughness });
+            let square = |j: u32| {
+                let cosine = (f64::from(j) + 0.5) / 200.0;
+                let ours = (cosine * shadowing_over_cosine(cosine, k)).powi(2);
+                2.0 * cosine * (ours - smith(roughness * roughness, cosine)).powi(2) / 200.0
+            };
+            (0..200).map(square).sum::<f64>().sqrt() / 39.0
+        };
+        (2..=40).map(of_roughness).sum()
+    }
+
+    #[test]
+    fn shadowing_of_ggx_is_close_to_smiths() {
+        let [ggx, sg] = [Ndf::Ggx, Ndf::Sg].map(distance_to_smith);
+        assert!(ggx < 0.016, "{ggx}");
+        assert!((0.17..0.21).contains(&sg), "{sg}");
+    }
+
+    #[test]
+    fn derivative_of_k_follows_k() {
+        for ndf in [Ndf::Sg, Ndf::Ggx] {
+            let k = |roughness: f64| shadowing_k(Facets { ndf, roughness });
+            let difference = (k(0.4001)[0] - k(0.3999)[0]) / 0.0002;
+            assert!((difference - k(0.4)[1]).abs() < 1e-6, "{difference}");
+        }
+    }
 }

@@ -27,7 +27,7 @@ pub fn weight(i: usize) -> f64 {
 
 /// `(constant, slope)` so that E = constant + slope·s for the specular albedo s.
 pub fn specular_reflectance(facets: Facets<f64>, cosine: f64) -> (f64, f64) {
-    let k = shadowing_k(facets.roughness);
+    let [k, _] = shadowing_k(facets);
     let alpha2 = facets.roughness.powi(4);
     let sharpness = ndf_sharpness(facets.roughness);
     // The part of the SG over the whole sphere, which the density of half vectors is divided by.

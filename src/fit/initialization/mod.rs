@@ -1,7 +1,7 @@
 //! The initialization of a fit: solves alternately for amplitudes and albedo, starting from gray albedo and uniform light.
-pub mod frame;
 pub mod linear;
 pub mod place_lobes;
+pub mod start;
 
 use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
@@ -31,14 +31,16 @@ use std::ops::Range;
 
 /// Most pixels in a solve for the amplitudes.
 const AMPLITUDE_PIXELS: usize = 6144;
+/// The same on a part of the surface.
+const PART_AMPLITUDE_PIXELS: usize = 2048;
 /// Most pixels in a solve for the albedo…
 const ALBEDO_PIXELS: usize = 400_000;
 /// …or this many per texel, if that is more.
 const PIXELS_PER_TEXEL: usize = 4;
 /// Most pixels over which the error of an initialization is the mean.
 const ERROR_PIXELS: usize = 100_000;
-/// Pixels on the part of the surface that frames of the light are tried on, about.
-const PART_PIXELS: usize = 150_000;
+/// Pixels on the part of the surface that starts are tried on, about.
+const PART_PIXELS: usize = 60_000;
 /// Cells along the longest side of the object, of which that part has some.
 const PART_CELLS: f32 = 16.0;
 /// Rounds, each of light and then albedo.
@@ -113,7 +115,17 @@ fn with_initialization<T>(
     let observations = observations.columns()?;
     let part = if in_part { part_of_surface(&observations) } else { None };
     let observations = part.as_deref().unwrap_or(&observations);
-    run(&mut Initialization { form, observations, cameras, turns, specular, unknowns, object })
+    let amplitude_pixels = if in_part { PART_AMPLITUDE_PIXELS } else { AMPLITUDE_PIXELS };
+    run(&mut Initialization {
+        form,
+        observations,
+        amplitude_pixels,
+        cameras,
+        turns,
+        specular,
+        unknowns,
+        object,
+    })
 }
 
 /// The pixels on a part of the surface, about [`PART_PIXELS`]: all that see it, so that its texels are known as well as if all of the surface
@@ -152,6 +164,8 @@ fn least_rough(world: &mut World) -> SpecularLobe {
 struct Initialization<'a> {
     form: ClosedForm,
     observations: &'a [Observation],
+    /// Most pixels in a solve for the amplitudes.
+    amplitude_pixels: usize,
     cameras: ByView<Camera>,
     turns: TurnTable,
     specular: SpecularLobe,
@@ -180,7 +194,7 @@ impl Initialization<'_> {
 
     fn solve_light(&mut self, lobes: &mut [LightLobe], texels: &[Vec3]) -> Result<()> {
         let _solving = stage("light");
-        let n = self.observations.len().min(AMPLITUDE_PIXELS);
+        let n = self.observations.len().min(self.amplitude_pixels);
         let points = self.gather(0..n, |point| point.texels.blend(texels))?;
         let columns = LobeColumns::from_lobes(lobes.iter().map(kernel_lobe));
         self.refresh(&columns, texels);

@@ -66,7 +66,7 @@ void irradiance(vec3 n, float coverage, out vec3 reaching, out vec3 whole) {
 
 // Specular light of all lobes on one base material, without shadows.
 vec3 specularLight(Facing at, float above, vec4 material, bool ggx) {
-    float k = (material.w + 1.0) * (material.w + 1.0) / 8.0;
+    float k = ggx ? 0.42 * material.w * material.w * material.w : (material.w + 1.0) * (material.w + 1.0) / 8.0;
     Facets ndf[3];
     int count = ggx ? 3 : 1;
     float broadest = 1e30;

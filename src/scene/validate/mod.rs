@@ -274,12 +274,22 @@ fn material(checks: &mut Checks, material: &Material) {
     }
     sheen(checks, material);
     tilt(checks, material);
-    match material.specular.albedo {
-        SpecularAlbedo::Unknown { initial, .. } => checks.color("material.specular.albedo.initial", initial),
+    specular(checks, &material.specular);
+}
+
+fn specular(checks: &mut Checks, specular: &Specular) {
+    match specular.albedo {
+        SpecularAlbedo::Unknown { initial: None, .. } => {}
+        SpecularAlbedo::Unknown { initial: Some(color), .. } => {
+            checks.color("material.specular.albedo.initial", color);
+        }
         SpecularAlbedo::Fixed(color) => checks.color("material.specular.albedo", color),
     }
-    match material.specular.roughness {
-        Roughness::Unknown { initial } => checks.roughness("material.specular.roughness.initial", initial),
+    match specular.roughness {
+        Roughness::Unknown { initial: None } => {}
+        Roughness::Unknown { initial: Some(value) } => {
+            checks.roughness("material.specular.roughness.initial", value);
+        }
         Roughness::Fixed(value) => checks.roughness("material.specular.roughness", value),
     }
 }

@@ -111,7 +111,7 @@ fn options(steps: u32) -> ShapeOptions {
             decay: 1.0,
             unknowns: only_albedo,
             pixels: PixelChoice { seed: 1, max_pixels: 100_000 },
-            initialize: Initialize { light: false, albedo: true },
+            initialize: Initialize { light: false, albedo: true, specular: false },
             visibility: false,
             looks_for_sheen: false,
             exposure: false,

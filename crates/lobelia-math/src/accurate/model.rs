@@ -9,7 +9,7 @@ use super::point::{
     NdfTerms, PointDerivatives, PointSums, PointTerms, one_sg, prepare_with_ndf, pull_back_point,
 };
 use super::specular::{GGX, LocalLight, Placement, SG, place, place_two};
-use crate::brdf::{SpecularAdjoint, SpecularValue};
+use crate::brdf::{Facets, Ndf, SpecularAdjoint, SpecularValue, shadowing_k};
 use crate::lobe::Shape;
 use crate::model::{
     self, DIFFUSE, NARROW, PairAdjoint, PairModel, Part, PointEnd, PulledBack, Reach, Response, SPECULAR,
@@ -18,6 +18,9 @@ use crate::real::{Real, Vec3Of, add, dot};
 
 /// An NDF of one SG in h, or of several followed by the distribution that they approximate.
 pub trait Mixture<const NDF: usize>: Copy + Send + Sync {
+    /// What its shadowing term belongs to.
+    const KIND: Ndf;
+
     /// [L, w] of every SG, D = Σ w·(L/2π)·e^{L(h·n − 1)}, and their [dL/dR, d(ln w)/dR].
     fn of<F: Real>(&self, roughness: F) -> ([[F; 2]; NDF], [[F; 2]; NDF]);
 }
@@ -27,6 +30,8 @@ pub trait Mixture<const NDF: usize>: Copy + Send + Sync {
 pub struct OneSg;
 
 impl Mixture<1> for OneSg {
+    const KIND: Ndf = Ndf::Sg;
+
     #[inline(always)]
     fn of<F: Real>(&self, roughness: F) -> ([[F; 2]; 1], [[F; 2]; 1]) {
         one_sg(roughness)
@@ -38,6 +43,8 @@ impl Mixture<1> for OneSg {
 pub struct GgxSgs;
 
 impl Mixture<GGX_TERMS> for GgxSgs {
+    const KIND: Ndf = Ndf::Ggx;
+
     #[inline(always)]
     fn of<F: Real>(&self, roughness: F) -> ([[F; 2]; GGX_TERMS], [[F; 2]; GGX_TERMS]) {
         ggx_terms(roughness)
@@ -147,7 +154,13 @@ impl<D: Mixture<NDF>, const NDF: usize, const ALONG: usize, const ACROSS: usize>
         roughness: F,
     ) -> (Self::Point<F>, Self::Frozen<F>) {
         let (ndf, derivatives) = self.0.of(roughness);
-        let (terms, derivatives) = prepare_with_ndf(normal, to_viewer, roughness, ndf, derivatives);
+        let (terms, derivatives) = prepare_with_ndf(
+            normal,
+            to_viewer,
+            shadowing_k(Facets { ndf: D::KIND, roughness }),
+            ndf,
+            derivatives,
+        );
         (terms.to_numbers(), ([derivatives.shadowing], derivatives.ndf))
     }
 

@@ -1,6 +1,6 @@
 //! The terms of a surface point and its specular lobe that the integral of every light lobe reads, and the last part of the adjoint of a point.
 
-use crate::brdf::{ndf_sharpness, shadowing_k};
+use crate::brdf::{Facets, ndf_sharpness, shadowing_k};
 use crate::real::{Real, Vec3Of, add, dot, scale, sub};
 use std::f64::consts::PI;
 
@@ -22,7 +22,7 @@ pub struct PointTerms<F, const NDF: usize = 1> {
     pub(super) frame: [Vec3Of<F>; 3],
     /// View direction along tangent and normal, the latter at least 0.
     pub(super) view: [F; 2],
-    /// k = (R + 1)²/8 of the shadowing term G.
+    /// k of the shadowing term G ([`shadowing_k`]).
     pub(super) shadowing: F,
     pub(super) ndf: [NdfTerms<F>; NDF],
 }
@@ -108,7 +108,7 @@ pub fn prepare_point<F: Real>(
     roughness: F,
 ) -> (PointTerms<F>, PointDerivatives<F>) {
     let (ndf, derivatives) = one_sg(roughness);
-    prepare_with_ndf(normal, to_viewer, roughness, ndf, derivatives)
+    prepare_with_ndf(normal, to_viewer, shadowing_k(Facets::sg(roughness)), ndf, derivatives)
 }
 
 /// The NDF of PhySG supp. eq. 4 as [L, w], and its derivatives: arguments of [`prepare_with_ndf`].
@@ -120,19 +120,19 @@ pub(super) fn one_sg<F: Real>(roughness: F) -> ([[F; 2]; 1], [[F; 2]; 1]) {
     ([[sharpness, zero.one()]], [[slope, zero]])
 }
 
-/// As [`prepare_point`] for an NDF Σ w·(L/2π)·e^{L(h·n − 1)}: `ndf` holds the pairs [L, w], `derivatives` [dL/dR, d(ln w)/dR].
+/// As [`prepare_point`] for an NDF Σ w·(L/2π)·e^{L(h·n − 1)}: `ndf` holds the pairs [L, w], `derivatives` [dL/dR, d(ln w)/dR],
+/// and the third argument is what [`shadowing_k`] returns.
 #[inline(always)]
 pub fn prepare_with_ndf<F: Real, const NDF: usize>(
     normal: Vec3Of<F>,
     to_viewer: Vec3Of<F>,
-    roughness: F,
+    [k, k_by_roughness]: [F; 2],
     ndf: [[F; 2]; NDF],
     derivatives: [[F; 2]; NDF],
 ) -> (PointTerms<F, NDF>, PointDerivatives<F, NDF>) {
     let frame = frame_towards(normal, to_viewer);
     let up = dot(normal, to_viewer);
     let view = [dot(frame[0], to_viewer).relu(), up.relu()];
-    let k = shadowing_k(roughness);
     let zero = up.zero();
     let masked = zero.select_lt(up, (view[1] * (k.one() - k) + k).recip(), zero).times(0.5 / PI);
     let nothing = NdfTerms { sharpness: zero, start: zero, scale: zero };
@@ -145,10 +145,9 @@ pub fn prepare_with_ndf<F: Real, const NDF: usize>(
         let start = (view[0].times(4.0) / (steep + root).max(k.lit(1e-6))).min(k.one());
         *terms = NdfTerms { sharpness, start, scale: masked * sharpness * weight };
     }
-    let slope = roughness.plus(1.0).times(0.25);
     (
         PointTerms { frame, view, shadowing: k, ndf: terms },
-        PointDerivatives { ndf: derivatives, shadowing: slope },
+        PointDerivatives { ndf: derivatives, shadowing: k_by_roughness },
     )
 }
 

@@ -1,7 +1,7 @@
 //! The terms of a surface point and its specular material: the mirror direction, the warped NDF, the frozen BRDF factor.
 
 use super::integral::TINY;
-use crate::brdf::{fresnel_power, shadowing_k};
+use crate::brdf::{Facets, fresnel_power, shadowing_k};
 use crate::real::{Real, Vec3Of, add, dot, scale, sub};
 use std::f64::consts::PI;
 
@@ -63,8 +63,7 @@ fn mirror_fresnel<F: Real>(nv: F) -> (F, F) {
 /// Q = G/(4 (n·r)(n·v) + 1e-6) with n·r = κ n·v, and its derivatives with respect to n·v and to the roughness.
 #[inline(always)]
 fn shadowing_quotient<F: Real>(nv: F, roughness: F) -> [F; 3] {
-    let k = shadowing_k(roughness);
-    let k_prime = roughness.plus(1.0).times(0.25);
+    let [k, k_prime] = shadowing_k(Facets::sg(roughness));
     let nr = nv.times(SHRUNK);
     let (g1, g1_by_c, g1_by_r) = shadowing_factor(nr, k, k_prime);
     let (g2, g2_by_c, g2_by_r) = shadowing_factor(nv, k, k_prime);

@@ -10,6 +10,7 @@
 //! two sharper lobes have a PSNR of 53 dB against path tracing of GGX itself for R = 0.15, 0.3 and 0.5, and 48 dB for R = 0.8.
 
 use super::point::{PointDerivatives, PointTerms, prepare_with_ndf};
+use crate::brdf::{Facets, Ndf, shadowing_k};
 use crate::real::{Real, Vec3Of};
 
 /// Number of SGs.
@@ -74,7 +75,8 @@ pub fn prepare_ggx_point<F: Real>(
     roughness: F,
 ) -> (PointTerms<F, GGX_TERMS>, PointDerivatives<F, GGX_TERMS>) {
     let (lobes, derivatives) = ggx_terms(roughness);
-    prepare_with_ndf(normal, to_viewer, roughness, lobes, derivatives)
+    let shadowing = shadowing_k(Facets { ndf: Ndf::Ggx, roughness });
+    prepare_with_ndf(normal, to_viewer, shadowing, lobes, derivatives)
 }
 
 #[cfg(test)]

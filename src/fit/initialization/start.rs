@@ -1,0 +1,174 @@
+//! How a fit starts where nothing is said, found from the photographs: the frame that the light stands still in, and albedo and roughness of the
+//! specular lobe. The initialization is tried with each, without shadows, on a part of a surface of many pixels.
+//!
+//! Albedo takes up what of the shading does not depend on the view. In the wrong frame the light on a surface point should change from view
+//! to view, or should not, where the photographs show the opposite; that is an error that no albedo takes up. So is a lobe that shines where
+//! the surface is matte, and it hides the other: each frame is judged by the lobe that suits it.
+
+use super::{Known, least_rough, lobes_of, with_initialization};
+use crate::error::Result;
+use crate::fit::components::Unknowns;
+use crate::light::frame::{LightFrame, OwnLightFrame, turning_axis};
+use crate::material::{BaseMaterial, SpecularLobe, recovered_albedo, recovered_materials};
+use crate::math::shading::ClosedForm;
+use crate::profile::stage;
+use crate::view::{Camera, Photograph};
+use bevy_ecs::prelude::{Resource, With, World};
+use glam::{Mat3, Vec3};
+use serde::{Deserialize, Serialize};
+
+/// Fewest views that tell frames apart.
+const LEAST_VIEWS: usize = 6;
+/// Largest error relative to that of the usual frame for another to be chosen.
+const BETTER: f32 = 0.9;
+/// Standard deviation of the sine of the cameras' tilt from which a turntable differs from a camera's frame.
+const TILTED: f32 = 0.03;
+
+/// Albedo and roughness of the specular lobes that are tried: bright or a plain dielectric, glossy or matte.
+const LOBES: [(f32, f32); 4] = [(0.3, 0.4), (0.3, 0.2), (0.04, 0.4), (0.04, 0.8)];
+
+/// What is to be found.
+#[derive(Clone, Copy, Debug)]
+pub struct Find {
+    /// The frame in which the light stands still.
+    pub frame: bool,
+    /// Where the specular lobe starts.
+    pub specular: bool,
+}
+
+/// The initialization with one frame and one lobe.
+struct Trial {
+    frame: LightFrame,
+    lobe: SpecularLobe,
+    /// Mean absolute error of radiance.
+    error: f32,
+}
+
+/// The frames that were tried, and the mean absolute error of radiance in each, with the lobe that suits it best.
+#[derive(Resource, Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct FramesTried(pub Vec<(LightFrame, f32)>);
+
+/// Present if the background of the photographs says that the object turned, and not the camera.
+#[derive(Resource, Clone, Copy, Debug)]
+pub struct ObjectTurned;
+
+/// Sets the resource [`OwnLightFrame`] to the frame in which an initialization explains the photographs best, and the only base material to
+/// the lobe that suits it best, as far as they are to be found and unknown. The usual frame is kept unless another is clearly better: the
+/// world's, or one that turns if the [`ObjectTurned`].
+///
+/// # Errors
+/// If a pool is incomplete.
+pub fn find_start(world: &mut World, find: Find, unknowns: Unknowns, form: ClosedForm) -> Result<()> {
+    let lobes = lobes_to_try(world, unknowns);
+    let find =
+        Find { specular: find.specular && lobes.len() > 1 && recovered_materials(world).len() == 1, ..find };
+    let own = world.get_resource::<OwnLightFrame>().map(|own| own.0).unwrap_or_default();
+    let frames = if find.frame { candidates(world) } else { vec![own] };
+    if frames.len() == 1 && !find.specular {
+        world.insert_resource(OwnLightFrame(frames[0]));
+        return Ok(());
+    }
+    let _finding = stage("start");
+    let trials = all_trials(world, &frames, &lobes, unknowns, form)?;
+    let suits = |frame: LightFrame| {
+        let of_frame = trials.iter().filter(move |trial| trial.frame == frame);
+        of_frame.min_by(|a, b| a.error.total_cmp(&b.error))
+    };
+    let tried: Vec<_> = frames.iter().filter_map(|frame| Some((*frame, suits(*frame)?.error))).collect();
+    let frame = best(&tried, world.contains_resource::<ObjectTurned>());
+    world.insert_resource(OwnLightFrame(frame));
+    if let Some(trial) = suits(frame).filter(|_| find.specular) {
+        let mut materials = world.query_filtered::<&mut SpecularLobe, With<BaseMaterial>>();
+        materials.iter_mut(world).for_each(|mut lobe| *lobe = trial.lobe);
+    }
+    if frames.len() > 1 {
+        world.insert_resource(FramesTried(tried));
+    }
+    Ok(())
+}
+
+/// The glossiest lobe that the surface has, and, if it is unknown, [`LOBES`] beside it.
+fn lobes_to_try(world: &mut World, unknowns: Unknowns) -> Vec<SpecularLobe> {
+    let own = least_rough(world);
+    let mut lobes = vec![own];
+    if unknowns.specular_albedo && unknowns.roughness {
+        let other = |(albedo, roughness)| SpecularLobe { albedo: Vec3::splat(albedo), roughness, ..own };
+        lobes.extend(LOBES.map(other).into_iter().filter(|other| *other != own));
+    }
+    lobes
+}
+
+fn all_trials(
+    world: &mut World,
+    frames: &[LightFrame],
+    specular: &[SpecularLobe],
+    unknowns: Unknowns,
+    form: ClosedForm,
+) -> Result<Vec<Trial>> {
+    let (lobes, texels) = (lobes_of(world).1, recovered_albedo(world)?);
+    let mut trials = Vec::new();
+    for &frame in frames {
+        world.insert_resource(OwnLightFrame(frame));
+        for &lobe in specular {
+            let (mut lobes, mut texels) = (lobes.clone(), texels.clone());
+            let known = Known { form, specular: lobe, unknowns, object: None, in_part: true };
+            let error = with_initialization(world, known, |problem| {
+                problem.alternate(&mut lobes, &mut texels)?;
+                problem.error(&lobes, &texels)
+            })?;
+            trials.push(Trial { frame, lobe, error });
+        }
+    }
+    Ok(trials)
+}
+
+/// The frame of least error; the usual one, unless another is clearly better.
+fn best(tried: &[(LightFrame, f32)], object_turned: bool) -> LightFrame {
+    let is_usual = |frame: LightFrame| (frame == LightFrame::World) != object_turned;
+    let least = |usual: bool| {
+        let some = tried.iter().filter(|(frame, _)| is_usual(*frame) == usual);
+        some.min_by(|a, b| a.1.total_cmp(&b.1)).copied()
+    };
+    match (least(true), least(false)) {
+        (Some((_, error)), Some((other, less))) if less < BETTER * error => other,
+        (usual, other) => usual.or(other).map_or(LightFrame::World, |(frame, _)| frame),
+    }
+}
+
+/// The frames that the views tell apart, the world's first.
+fn candidates(world: &mut World) -> Vec<LightFrame> {
+    let mut views = world.query_filtered::<&Camera, With<Photograph>>();
+    let turns: Vec<Mat3> =
+        views.iter(world).map(|camera| Mat3::from(camera.world_from_camera.matrix3)).collect();
+    let mut frames = vec![LightFrame::World];
+    if turns.len() < LEAST_VIEWS {
+        return frames;
+    }
+    frames.push(LightFrame::Camera);
+    if let Some(axis) = turning_axis(&turns).filter(|axis| tilts(&turns, *axis) > TILTED) {
+        frames.push(LightFrame::Turntable(axis));
+    }
+    frames
+}
+
+/// Standard deviation over the views of the sine of the angle between the line of sight and the plane across `axis`.
+fn tilts(world_from_camera: &[Mat3], axis: Vec3) -> f32 {
+    let sines: Vec<f32> = world_from_camera.iter().map(|turn| turn.z_axis.dot(axis)).collect();
+    let mean = sines.iter().sum::<f32>() / sines.len() as f32;
+    (sines.iter().map(|sine| (sine - mean).powi(2)).sum::<f32>() / sines.len() as f32).sqrt()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn another_frame_must_be_clearly_better() {
+        let tried = |camera: f32| vec![(LightFrame::World, 0.1), (LightFrame::Camera, camera)];
+        assert_eq!(best(&tried(0.095), false), LightFrame::World);
+        assert_eq!(best(&tried(0.05), false), LightFrame::Camera);
+        assert_eq!(best(&tried(0.105), true), LightFrame::Camera);
+        assert_eq!(best(&tried(0.2), true), LightFrame::World);
+        assert_eq!(best(&[], true), LightFrame::World);
+    }
+}
