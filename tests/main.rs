@@ -2,7 +2,7 @@
 //!
 //! | theme | files |
 //! | --- | --- |
-//! | runs of the command | [`run`], [`photos`], [`gloss`], [`sheen`], [`tilt`], [`detail`], [`ggx`], [`scale`], [`light_frame`], [`export`], [`view_page`], [`report`], [`shown`], [`env`], [`scores`], [`profile`], [`shade_cases`] |
+//! | runs of the command | [`run`], [`photos`], [`gloss`], [`metal`], [`sheen`], [`tilt`], [`detail`], [`ggx`], [`scale`], [`light_frame`], [`export`], [`view_page`], [`report`], [`shown`], [`env`], [`scores`], [`profile`], [`shade_cases`] |
 //! | what is written where, and what never is; runs that are stopped, or looked at | [`outputs`], [`resume`], `stop`, [`live`] |
 //! | late failures, nonsense, edges; what a scene may not read | [`trust`], [`confined`], [`guard`] |
 //! | what is refused, and how | [`agree`], [`bad_input`], [`check`], [`hostile`], [`mutants`], [`scene_errors`] |
@@ -28,6 +28,7 @@ mod guard;
 mod hostile;
 mod light_frame;
 mod live;
+mod metal;
 mod mutants;
 mod outputs;
 mod photos;

@@ -233,19 +233,26 @@ fn resume<T: DeserializeOwned>(
     Ok(Some((place, own)))
 }
 
-/// What of a world lasts from one pass to the next, on its way to another world.
+/// State of a world, on its way to another one or to be put back.
 pub struct Carried {
     parts: Vec<(String, Vec<u8>)>,
     checkpoints: Option<Checkpoints>,
 }
 
-/// Takes up what lasts from one pass to the next, and the run's checkpoints.
+/// Takes up what lasts as long as `span` or longer, and the run's checkpoints, so that nothing is kept until they are put back.
 ///
 /// # Errors
 /// If state has no serialized form; no state is such.
-pub fn carry(world: &mut World) -> Result<Carried> {
-    let parts = state::save(world, Span::Run)?;
+pub fn carry(world: &mut World, span: Span) -> Result<Carried> {
+    let parts = state::save(world, span)?;
     Ok(Carried { parts, checkpoints: world.remove_resource::<Checkpoints>() })
+}
+
+/// Goes on without it: only the run's checkpoints are put back.
+pub fn discard(world: &mut World, carried: Carried) {
+    if let Some(checkpoints) = carried.checkpoints {
+        world.insert_resource(checkpoints);
+    }
 }
 
 /// Puts it into another world, which has the same entities.

@@ -125,13 +125,13 @@ fn what_lasts_is_carried_into_another_world_with_the_checkpoints() {
     work(&mut first);
     let (mut second, _) = world(4, Vec::new());
     second.remove_resource::<Checkpoints>();
-    let carried = carry(&mut first).unwrap();
+    let carried = carry(&mut first, Span::Run).unwrap();
     restore(&mut second, carried).unwrap();
     let (rows, weights, _) = found(&mut first);
     assert_eq!(found(&mut second), (rows, weights, vec![0.0; 5]), "sums are state within a pass only");
     keep_step(&mut second, 9, &0u8).unwrap();
     assert_eq!(written.lock().unwrap()[0].0, Place { pass: 3, level: 0, step: 9 });
-    let carried = carry(&mut second).unwrap();
+    let carried = carry(&mut second, Span::Run).unwrap();
     assert!(restore(&mut world(5, Vec::new()).0, carried).is_err());
 }
 

@@ -4,15 +4,16 @@
 //! | --- | --- |
 //! | [`run`] | a whole fit: settings, plugin, loop |
 //! | [`observe`] | the Prepare phase: the pool of observed pixels |
-//! | `initialization` | amplitudes and albedo before the first step, by linear least squares; the frame in which the light stands still |
+//! | `initialization` | amplitudes and albedo before the first step, by linear least squares; the frame in which the light stands still, and the specular lobe to begin with |
 //! | [`systems`], [`loss`], [`adam`], [`optimizer`] | the systems of the stages, the image loss, Adam, and what moves in which order |
 //! | [`roughness`] | roughness that varies over the surface |
 //! | [`detail`] | albedo, sheen and tilt of a finer texture, from all pixels |
 //! | [`scale`], [`exposure`], [`cameras`] | further unknowns: the scale between light and albedo, exposures, cameras |
 //! | [`guard`], [`by_view`] | steps that are not finite and are not taken; how each photograph is explained |
-//! | [`components`] | gradients, moments and state |
+//! | [`components`], [`attach`] | gradients, moments and state, and who has them |
 
 pub mod adam;
+pub mod attach;
 pub mod by_view;
 pub mod cameras;
 pub mod components;

@@ -1,10 +1,10 @@
 //! Running a fit: prepare the pool, initialize, and take steps.
 
+use super::attach::{OwnLobes, attach_gradients, attach_moments};
 use super::by_view::{ViewSums, count_pool, sum_by_view};
 use super::cameras::{CameraFit, CameraPose};
 use super::components::{
-    AlbedoGradient, AlbedoMoments, LobeGradient, LobeMoments, LossState, SpecularGradient, SpecularMoments,
-    StepGradient, StepRates, TexelSeen, Unknowns,
+    AlbedoMoments, LobeMoments, LossState, SpecularMoments, StepGradient, StepRates, Unknowns,
 };
 use super::exposure::{Exposures, find_exposures};
 use super::guard::{
@@ -17,7 +17,7 @@ use super::observe::{
     Candidates, PixelChoice, choose_pixels, count_seen_texels, spawn_samples, take_observations, trace_pixels,
 };
 use super::optimizer::optimizer;
-use super::roughness::blend::{BlendAdjoints, BlendGradient, BlendMoments, TexelPlaces, scatter_to_blends};
+use super::roughness::blend::{BlendAdjoints, BlendMoments, TexelPlaces, scatter_to_blends};
 use super::roughness::texel::{RoughnessMoments, TexelRoughness};
 use super::scale::{ScaleMoments, ScaleRule, start_scale};
 use super::systems::{compare_with_photographs, hand_out_gradient, pull_back_radiance, scatter_to_texels};
@@ -26,15 +26,15 @@ use crate::checkpoint::{
 };
 use crate::error::Result;
 use crate::fit::sheen::evidence::{SheenEvidence, choose_sheen, look_for_sheen, note_residuals};
-use crate::fit::sheen::{SheenGradient, SheenMoments, follow_known, scatter_to_sheen, share_with_known};
+use crate::fit::sheen::{SheenMoments, follow_known, scatter_to_sheen, share_with_known};
 use crate::light::LightLobe;
 use crate::light::frame::{LightFrame, OwnLightFrame};
-use crate::light::lights::{LightChoice, LobeOf, provide_light};
+use crate::light::lights::{LightChoice, provide_light};
 use crate::material::source::{PlainBlends, Recovered};
 use crate::material::tilt::has_tilt;
 use crate::material::{
     BaseMaterial, DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe, TexelIndex,
-    recovered_materials, texels_in_order,
+    recovered_materials,
 };
 use crate::math::shading::ClosedForm;
 use crate::pipeline::pool::{read_column, write_column};
@@ -48,7 +48,7 @@ use crate::shade::shade_closed_form;
 use crate::view::{Camera, ViewIndex, ViewName};
 use crate::visibility::systems::RefreshDue;
 use crate::visibility::{FitVisibilityPlugin, ObjectVisibility};
-use bevy_ecs::prelude::{Entity, IntoScheduleConfigs, With, Without, World};
+use bevy_ecs::prelude::{IntoScheduleConfigs, With, World};
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
@@ -61,8 +61,12 @@ pub struct FitOptions {
     pub loss: Loss,
     /// The closed form used for shading.
     pub form: ClosedForm,
-    /// Update steps.
+    /// Update steps, those of an earlier part included.
     pub steps: u32,
+    /// What an earlier part of the fit has done: this one goes on with its moments.
+    pub done: Done,
+    /// The step after which the caller may end the fit to go on otherwise; it is never kept as a checkpoint.
+    pub asked_after: Option<u32>,
     /// Pixels per step.
     pub batch: usize,
     /// Rates of albedo, light and specular material at the first step.
@@ -97,6 +101,8 @@ impl Default for FitOptions {
             loss: Loss::default(),
             form: ClosedForm::default(),
             steps: 300,
+            done: Done::default(),
+            asked_after: None,
             batch: 1024,
             rates: [0.05, 0.02, 0.01],
             milestones: vec![0.5, 0.75, 0.9],
@@ -111,6 +117,15 @@ impl Default for FitOptions {
             light_frame: Some(LightFrame::World),
         }
     }
+}
+
+/// The earlier part of a fit.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Done {
+    /// Its steps.
+    pub steps: u32,
+    /// What it took, in seconds.
+    pub secs: f64,
 }
 
 /// The unknowns that a fit initializes from the data before its first step; the others start from their current values.
@@ -277,7 +292,9 @@ fn fit(
     let pixels = prepare(pipeline, options)?;
     drop(preparing);
     let _steps = stage("steps");
-    let (done, Loop { mut recent, elapsed_secs }) = resume_step(&mut pipeline.world)?.unwrap_or_default();
+    let resumed = resume_step(&mut pipeline.world)?;
+    let begun = || (options.done.steps, Loop { recent: Vec::new(), elapsed_secs: options.done.secs });
+    let (done, Loop { mut recent, elapsed_secs }) = resumed.unwrap_or_else(begun);
     let elapsed = || elapsed_secs + start.elapsed().as_secs_f64();
     let mut summary =
         FitSummary { steps: done, pixels, elapsed_secs, stopped: false, explained_by_sheen: None };
@@ -295,7 +312,8 @@ fn fit(
             elapsed_secs: elapsed(),
         };
         summary.stopped = watch(&progress, &mut pipeline.world).is_break();
-        if is_due(&pipeline.world) && refresh_is_next(&pipeline.world, step) {
+        let may_keep = options.asked_after != Some(step) && refresh_is_next(&pipeline.world, step);
+        if may_keep && is_due(&pipeline.world) {
             keep_step(&mut pipeline.world, step, &Loop { recent: recent.clone(), elapsed_secs: elapsed() })?;
         }
         if summary.stopped {
@@ -307,9 +325,6 @@ fn fit(
     summary.elapsed_secs = elapsed();
     Ok(summary)
 }
-
-/// The lobes of the scene's own light.
-type OwnLobes = (With<LightLobe>, Without<LobeOf>);
 
 /// Registers what a fit, or a pass after it, goes on from.
 fn keep_state(world: &mut World) {
@@ -350,12 +365,15 @@ fn refresh_every(world: &World) -> u32 {
 /// Makes the pool and initializes; returns the number of pixels.
 fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
     let sheen = options.unknowns.sheen || (options.looks_for_sheen && options.unknowns.albedo);
-    attach_state(&mut pipeline.world, sheen);
+    attach_gradients(&mut pipeline.world, sheen);
     pipeline.world.insert_resource(options.pixels);
     pipeline.world.insert_resource(options.unknowns);
-    begin_albedo(&mut pipeline.world, options)?;
+    if options.done.steps == 0 {
+        attach_moments(&mut pipeline.world, sheen);
+        begin_albedo(&mut pipeline.world, options)?;
+        pipeline.world.insert_resource(ScaleMoments::default());
+    }
     pipeline.world.insert_resource(options.scale);
-    pipeline.world.insert_resource(ScaleMoments::default());
     pipeline.world.insert_resource(LossState { loss: options.loss, last: LossSums::default() });
     pipeline.world.resource_mut::<Exposures>().unknown = options.exposure;
     pipeline.swap(Phase::FitStep, Slot::Shading, shade_closed_form(options.form)).swap(
@@ -449,27 +467,4 @@ fn begin_albedo(world: &mut World, options: &FitOptions) -> Result<()> {
         write_column::<TexelIndex, DiffuseTilt>(world, &vec![DiffuseTilt::default(); tilt.len()])?;
     }
     Ok(())
-}
-
-/// Gives texels, lobes and base materials zero gradients and moments.
-fn attach_state(world: &mut World, sheen: bool) {
-    let blended = world.query::<&SpecularLobe>().iter(world).len() > 1;
-    for texel in texels_in_order(world) {
-        let state = (AlbedoGradient::default(), AlbedoMoments::default(), TexelSeen::default());
-        world.entity_mut(texel).insert(state);
-        if sheen {
-            world.entity_mut(texel).insert((SheenGradient::default(), SheenMoments::default()));
-        }
-        if blended {
-            world.entity_mut(texel).insert((BlendGradient::default(), BlendMoments::default()));
-        }
-    }
-    let lobes: Vec<Entity> = world.query_filtered::<Entity, OwnLobes>().iter(world).collect();
-    for lobe in lobes {
-        world.entity_mut(lobe).insert((LobeGradient::default(), LobeMoments::default()));
-    }
-    let materials: Vec<Entity> = world.query_filtered::<Entity, With<SpecularLobe>>().iter(world).collect();
-    for material in materials {
-        world.entity_mut(material).insert((SpecularGradient::default(), SpecularMoments::default()));
-    }
 }

@@ -22,8 +22,8 @@ pub mod tilt;
 
 use crate::error::Result;
 use crate::math::brdf::{Facets, Ndf};
-use crate::pipeline::pool::{Pool, pool_index, read_column};
-use bevy_ecs::prelude::{Component, Entity, World};
+use crate::pipeline::pool::{Pool, pool_index, read_column, write_column};
+use bevy_ecs::prelude::{Component, Entity, With, World};
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
@@ -143,6 +143,21 @@ pub fn spawn_texels(
 pub fn spawn_materials(world: &mut World, lobes: &[SpecularLobe]) {
     let materials: Vec<_> = (0..).zip(lobes).map(|(k, lobe)| (BaseMaterial(k), *lobe)).collect();
     world.spawn_batch(materials);
+}
+
+/// Replaces all base materials by others, with the numbers 0, 1, …, and the blend of every texel by `blend`.
+///
+/// # Errors
+/// If the pool of texels is incomplete.
+pub fn replace_materials(world: &mut World, lobes: &[SpecularLobe], blend: SpecularBlend) -> Result<()> {
+    let mut query = world.query_filtered::<Entity, With<BaseMaterial>>();
+    let old: Vec<Entity> = query.iter(world).collect();
+    for material in old {
+        world.despawn(material);
+    }
+    spawn_materials(world, lobes);
+    let texels = world.query::<&TexelIndex>().iter(world).len();
+    write_column::<TexelIndex, SpecularBlend>(world, &vec![blend; texels])
 }
 
 /// The recovered albedo of all texels.

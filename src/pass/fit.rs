@@ -1,6 +1,5 @@
 //! The `Fit` pass: recovers the unknowns from the training views and writes the results.
 
-use crate::checkpoint::{Span, keep_resource};
 use crate::codec::exr::ExrLayers;
 use crate::codec::file::write_bytes;
 use crate::codec::finite::check_finite;
@@ -9,14 +8,11 @@ use crate::codec::npy::{NpyConvention, write_lobes};
 use crate::codec::png_file::write_rgb8;
 use crate::error::stop::{finish_stopping, is_stopping};
 use crate::error::{Error, Result};
-use crate::fit::cameras::{CameraPlugin, CameraUnknowns};
 use crate::fit::components::TexelSeen;
-use crate::fit::guard::{check_numbers, check_parameters};
-use crate::fit::observe::PixelChoice;
+use crate::fit::guard::check_parameters;
 use crate::fit::optimizer::optimizer_of_texel_roughness;
-use crate::fit::roughness::blend::TexelPlaces;
 use crate::fit::roughness::texel::{RoughnessPrior, TexelRoughness, attach_roughness};
-use crate::fit::run::{FitOptions, FitProgress, FitSummary, Initialize, run_fit};
+use crate::fit::run::{FitOptions, FitSummary, Initialize};
 use crate::fit::scale::means;
 use crate::light::lights::own_lobes;
 use crate::light::{EnvironmentMap, LightLobe, render_lobes};
@@ -26,46 +22,26 @@ use crate::material::{DiffuseSheen, DiffuseTilt};
 use crate::material::{
     MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, TexelIndex, recovered_albedo, recovered_materials,
 };
-use crate::math::accurate::Quality;
-use crate::math::shading::ClosedForm;
 use crate::mesh::atlas::{TexelAtlas, fill_uncovered};
 use crate::pass::detail::refine_texture;
 use crate::pass::found_views;
-use crate::pass::live::Snapshot;
-use crate::pass::progress::Moment;
+use crate::pass::gloss::take_steps_and_choose;
 use crate::pass::save::write_weights;
 use crate::pass::session::Session;
+use crate::pass::steps::{begin_log, take_log};
 use crate::pass::view_report::note_fit;
 use crate::pipeline::pool::{read_column, write_column};
 use crate::pipeline::{Phase, Slot};
 use crate::profile::stage;
 use crate::report::scores::ScaleFound;
 use crate::report::tone::srgb8;
-use crate::scene::{FitPass, FitShading};
-use crate::scene::{Gloss, Sheen};
-use crate::shape::vertices::{MovingMesh, VertexPlugin};
-use crate::spawn::{initial_specular, unknowns};
-use crate::visibility::ObjectVisibility;
-use bevy_ecs::prelude::{Resource, World};
+use crate::scene::{FitPass, Gloss};
+use crate::spawn::initial_specular;
+use bevy_ecs::prelude::World;
 use glam::Vec3;
 use image::{Rgb, RgbImage};
-use serde::{Deserialize, Serialize};
 use std::fmt::Write as _;
-use std::ops::ControlFlow;
 use std::path::Path;
-
-/// Steps between two lines of the log.
-const LOG_EVERY: u32 = 20;
-
-/// The text of `log.csv`.
-#[derive(Resource, Serialize, Deserialize)]
-struct FitLog(String);
-
-impl FitLog {
-    fn new() -> Self {
-        Self("step,elapsed_secs,loss,psnr,specular_r,specular_g,specular_b,roughness\n".into())
-    }
-}
 
 /// A picture of the light of the object that took its own photographs, as `environment.png` is of the recovered one.
 pub const TRUE_ENVIRONMENT: &str = "true_environment.png";
@@ -82,13 +58,9 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     // Created first, so that an unwritable folder is detected before the fit.
     let folder = session.folder(&pass.name);
     std::fs::create_dir_all(&folder).map_err(Error::io("create", &folder))?;
-    let options = options(session, pass)?;
-    let atlas = session.surface.atlas();
-    let place = |(at, covered): (&Vec3, &bool)| if *covered { *at } else { Vec3::NAN };
-    let positions = atlas.position.iter().zip(&atlas.covered).map(place).collect();
-    session.pipeline.world.insert_resource(TexelPlaces { positions, progress: 0.0 });
     give_texels_roughness(session);
-    let mut summary = take_steps(session, pass, &options)?;
+    begin_log(&mut session.pipeline.world);
+    let (mut summary, options) = take_steps_and_choose(session, pass)?;
     session.has_object = true;
     session.initialize = Initialize::NONE;
     session.report_light_frame(&pass.name);
@@ -103,41 +75,10 @@ pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     if let Some(truth) = &session.truth {
         write_environment(&folder.join(TRUE_ENVIRONMENT), &environment(truth.lobes()))?;
     }
-    let log = session.pipeline.world.remove_resource::<FitLog>();
-    write_bytes(&folder.join("log.csv"), log.unwrap_or(FitLog::new()).0.as_bytes())?;
+    write_bytes(&folder.join("log.csv"), take_log(&mut session.pipeline.world).as_bytes())?;
     session.scores.scale = Some(scale);
     found_views::write(session, &pass.name, pass.cameras, pass.exposure)?;
     if summary.stopped { Err(Error::Interrupted) } else { Ok(()) }
-}
-
-/// Runs the fit. What it has found is checked, and kept also if it is stopped.
-fn take_steps(session: &mut Session, pass: &FitPass, options: &FitOptions) -> Result<FitSummary> {
-    let bar = session.progress.bar(&pass.name, u64::from(options.steps));
-    keep_resource::<FitLog>(&mut session.pipeline.world, Span::Pass);
-    session.pipeline.world.insert_resource(FitLog::new());
-    let_geometry_move(session, pass);
-    let (surface, up, progress) = (session.surface.clone(), session.scene.up, session.progress);
-    let summary = run_fit(&mut session.pipeline, options, &mut |at, world| {
-        bar.set_position(u64::from(at.step));
-        if at.step % LOG_EVERY == 0 || at.step == at.steps {
-            bar.set_message(format!("{:.1} dB", at.sums.psnr()));
-            log_line(&mut world.resource_mut::<FitLog>().0, at);
-        }
-        let moment = Moment::Step { level: [0, 1], step: [at.step, at.steps], fit: at };
-        progress.look(moment, &mut |before| Snapshot::copy(world, &surface, up, before));
-        if is_stopping() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-    });
-    hold_geometry(session);
-    let summary = summary?;
-    // The results so far are written.
-    finish_stopping();
-    check_parameters(&mut session.pipeline.world)?;
-    check_numbers(
-        "the surface's coordinate",
-        session.surface.mesh().positions.iter().flat_map(|at| at.to_array()),
-    )?;
-    bar.finish_and_clear();
-    Ok(summary)
 }
 
 /// Refines the texture if that is wanted, and fills the texels that no view sees; returns the number of covered texels among them.
@@ -162,31 +103,6 @@ fn finish_texels(
     fill_texels(session)
 }
 
-/// Swaps in the systems that optimize cameras and vertices, if the pass enables them.
-fn let_geometry_move(session: &mut Session, pass: &FitPass) {
-    if pass.cameras != CameraUnknowns::Given {
-        session.pipeline.add_plugin(&CameraPlugin(pass.cameras));
-    }
-    if pass.vertices {
-        let (surface, steps) = (session.surface.clone(), pass.steps);
-        session.pipeline.add_plugin(&VertexPlugin { surface, steps });
-    }
-}
-
-/// Removes them again, and keeps the resulting mesh.
-fn hold_geometry(session: &mut Session) {
-    let pipeline = &mut session.pipeline;
-    pipeline.remove_plugin::<CameraPlugin>();
-    let moved = pipeline.world.get_resource::<MovingMesh>().map(|mesh| mesh.surface.clone());
-    pipeline.remove_plugin::<VertexPlugin>();
-    if let Some(moved) = moved {
-        session.surface = moved;
-        session.surface_found = true;
-        // Visibility of the changed mesh is traced again when it is needed.
-        session.pipeline.world.remove_resource::<ObjectVisibility>();
-    }
-}
-
 /// If the scene has one roughness per texel, swaps in the systems that fit it.
 fn give_texels_roughness(session: &mut Session) {
     let Gloss::Texels { smoothness, color_width, specular } = session.scene.material.gloss else { return };
@@ -197,55 +113,9 @@ fn give_texels_roughness(session: &mut Session) {
     session.pipeline.swap(Phase::FitStep, Slot::Optimizer, optimizer_of_texel_roughness());
 }
 
-/// The closed form for the settings of a scene file.
-pub fn closed_form(shading: FitShading, quality: Quality) -> ClosedForm {
-    match shading {
-        FitShading::Accurate => ClosedForm::Accurate(quality),
-        FitShading::Published => ClosedForm::Published,
-    }
-}
-
-fn options(session: &mut Session, pass: &FitPass) -> Result<FitOptions> {
-    Ok(FitOptions {
-        loss: pass.loss,
-        form: closed_form(pass.shading, pass.quality),
-        steps: pass.steps,
-        batch: pass.batch as usize,
-        rates: [pass.rates.albedo, pass.rates.light, pass.rates.specular],
-        milestones: pass.milestones.clone(),
-        decay: pass.decay,
-        unknowns: unknowns(session.scene),
-        pixels: PixelChoice { seed: session.scene.seed, max_pixels: pass.max_pixels as usize },
-        initialize: session.initialize,
-        // The published formulas are for comparison and include neither shadows nor interreflection.
-        visibility: pass.shading == FitShading::Accurate && session.has_visibility()?,
-        looks_for_sheen: session.scene.material.sheen == Sheen::Auto,
-        exposure: pass.exposure,
-        scale: session.scene.scale,
-        light_frame: session.light_frame(),
-    })
-}
-
-fn log_line(log: &mut String, at: &FitProgress) {
-    let s = at.specular;
-    // Writing to a String cannot fail.
-    let _ = writeln!(
-        log,
-        "{},{:.3},{:.6},{:.3},{:.4},{:.4},{:.4},{:.4}",
-        at.step,
-        at.elapsed_secs,
-        at.sums.mean(),
-        at.sums.psnr(),
-        s.albedo.x,
-        s.albedo.y,
-        s.albedo.z,
-        s.roughness
-    );
-}
-
 /// Fills the texels that no view sees from their neighbors; returns the number of covered texels among them.
 fn fill_texels(session: &mut Session) -> Result<usize> {
-    let unknowns = unknowns(session.scene);
+    let unknowns = session.unknowns();
     let world = &mut session.pipeline.world;
     let seen: Vec<bool> =
         read_column::<TexelIndex, TexelSeen>(world)?.iter().map(|seen| seen.0 > 1e-3).collect();

@@ -27,6 +27,7 @@ pub mod files;
 mod film;
 pub mod fit;
 mod found_views;
+mod gloss;
 mod inputs;
 pub mod inspect;
 pub mod live;
@@ -46,6 +47,7 @@ mod session;
 mod shading;
 pub mod shape;
 pub mod show;
+mod steps;
 pub mod summary;
 mod truth_files;
 pub mod view;
@@ -347,6 +349,7 @@ fn open<'a>(
         debug_every: options.debug_every,
         progress,
         scores: Scores::default(),
+        several: false,
         surface_found: false,
         watched: Watched::default(),
         profiler: None,

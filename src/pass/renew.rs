@@ -4,11 +4,11 @@
 //! or a `Fit` needs stay allocated when their entities are gone. State and derived data are told apart for checkpoints
 //! ([`checkpoint`](crate::checkpoint)), so that a world can be left as well: photographs move, state is put back, the rest is made again.
 
-use crate::checkpoint::{carry, restore};
+use crate::checkpoint::{Span, carry, restore};
 use crate::error::Result;
 use crate::fit::ObjectTurned;
 use crate::fit::run::FitPlugin;
-use crate::material::TexelIndex;
+use crate::material::{TexelIndex, replace_materials};
 use crate::pass::session::Session;
 use crate::pipeline::Pipeline;
 use crate::profile::stage;
@@ -17,7 +17,7 @@ use crate::scene::{Albedo, AlbedoSource, Gloss, Scene, Sheen, Surface, Tilt};
 use crate::shade::frame::FramePlugin;
 use crate::shape::field::ModelError;
 use crate::shape::run::replace_texels;
-use crate::spawn::{insert_known_along, spawn};
+use crate::spawn::{insert_known_along, several_materials, spawn};
 use crate::view::{Camera, Photograph, Split, ViewIndex, ViewMask, ViewName, ViewRecord};
 use crate::visibility::ObjectVisibility;
 use bevy_ecs::prelude::{Entity, World};
@@ -47,7 +47,7 @@ pub(super) fn renew(session: &mut Session) -> Result<()> {
         return Ok(());
     }
     let _renewing = stage("world renewed");
-    let carried = carry(&mut session.pipeline.world)?;
+    let carried = carry(&mut session.pipeline.world, Span::Run)?;
     let views = take_views(&mut session.pipeline.world);
     let turned = session.pipeline.world.remove_resource::<ObjectTurned>();
     let traced = session.pipeline.world.remove_resource::<ObjectVisibility>();
@@ -64,6 +64,10 @@ pub(super) fn renew(session: &mut Session) -> Result<()> {
     }
     // During a `Shape` these are not the texels of an atlas.
     replace_texels(world, &vec![Vec3::ZERO; texels]);
+    if session.several {
+        let (lobes, blend) = several_materials();
+        replace_materials(world, &lobes, blend)?;
+    }
     error.into_iter().for_each(|error| world.insert_resource(error));
     turned.into_iter().for_each(|turned| world.insert_resource(turned));
     traced.into_iter().for_each(|traced| world.insert_resource(traced.unlit()));

@@ -4,6 +4,7 @@ use crate::codec::file::write_file;
 use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::fit::FramesTried;
+use crate::fit::components::Unknowns;
 use crate::fit::guard::StepGuard;
 use crate::fit::run::Initialize;
 use crate::light::frame::{LightFrame, OwnLightFrame};
@@ -16,7 +17,7 @@ use crate::profile::{Profiler, stage};
 use crate::report::profile::profile_table;
 use crate::report::scores::{FrameTried, Scores};
 use crate::scene::{Light, Pass, Scene, Visibility};
-use crate::spawn::{LoadedLight, load_light};
+use crate::spawn::{LoadedLight, load_light, unknowns};
 use crate::visibility::{ObjectVisibility, VisibilitySettings};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -51,6 +52,8 @@ pub struct Session<'a> {
     pub progress: &'a dyn Progress,
     /// Scores so far.
     pub scores: Scores,
+    /// Whether a fit has chosen several base materials, where the scene leaves that open.
+    pub several: bool,
     /// Whether a pass has found the surface, or moved it.
     pub surface_found: bool,
     /// The files that the run reads, as they were when it began.
@@ -152,6 +155,12 @@ impl<'a> Session<'a> {
             };
             self.progress.print(&format!("{pass}: the light {found}{beside}"));
         }
+    }
+
+    /// What a fit may move now.
+    pub fn unknowns(&self) -> Unknowns {
+        let found = unknowns(self.scene);
+        if self.several { Unknowns { blends: true, mono_specular: false, ..found } } else { found }
     }
 
     /// The pass of this name.

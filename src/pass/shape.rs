@@ -6,20 +6,20 @@ use crate::fit::components::Unknowns;
 use crate::fit::guard::{check_numbers, check_parameters};
 use crate::fit::observe::PixelChoice;
 use crate::fit::roughness::blend::TexelPlaces;
-use crate::fit::run::{FitOptions, Initialize};
+use crate::fit::run::{Done, FitOptions, Initialize};
 use crate::fit::scale::{ScaleRule, start_scale};
 use crate::material::recovered_albedo;
 use crate::math::accurate::Quality;
 use crate::mesh::Surface;
 use crate::mesh::atlas::unwrap_mesh;
 use crate::mesh::triangles::Mesh;
-use crate::pass::fit::closed_form;
 use crate::pass::found_views;
 use crate::pass::inspect::ShapeInspector;
 use crate::pass::live::Snapshot;
 use crate::pass::progress::{Bar, Moment, Progress};
 use crate::pass::renew::renew;
 use crate::pass::session::Session;
+use crate::pass::steps::closed_form;
 use crate::profile::stage;
 use crate::sample::point::Scenery;
 use crate::scene::Surface as SurfaceSpec;
@@ -33,7 +33,7 @@ use crate::shape::run::{
 };
 use crate::shape::stereo::ROUNDS as STEREO_ROUNDS;
 use crate::shape::systems::ShapeSchedule;
-use crate::spawn::{insert_known_along, unknowns};
+use crate::spawn::insert_known_along;
 use crate::view::Camera;
 use crate::visibility::ObjectVisibility;
 use bevy_ecs::prelude::World;
@@ -166,12 +166,14 @@ fn options(session: &Session, pass: &ShapePass) -> ShapeOptions {
             loss: pass.loss,
             form: closed_form(pass.shading, Quality::Default),
             steps: 1,
+            done: Done::default(),
+            asked_after: None,
             batch: pass.batch as usize,
             rates: [pass.rates.albedo, pass.rates.light, pass.rates.specular],
             milestones: vec![0.6, 0.85],
             decay: 0.4,
             // While the surface moves, its normals would take part in a sheen.
-            unknowns: Unknowns { sheen: false, ..unknowns(session.scene) },
+            unknowns: Unknowns { sheen: false, ..session.unknowns() },
             pixels: PixelChoice { seed: session.scene.seed, max_pixels: pass.max_pixels as usize },
             initialize: session.initialize,
             // Visibility of a moving surface would have to be traced at every step.

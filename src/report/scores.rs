@@ -124,6 +124,17 @@ pub struct ScaleFound {
     pub mean_albedo: [f32; 3],
 }
 
+/// What a fit has chosen its base materials by: mean absolute errors of radiance after the same steps over the same pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MaterialsTried {
+    /// With one base material.
+    pub one: f64,
+    /// With several.
+    pub several: f64,
+    /// Seconds until the choice was made.
+    pub seconds: f64,
+}
+
 /// A frame in which the light could stand still.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FrameTried {
@@ -183,6 +194,9 @@ pub struct Scores {
     /// The frames that were tried.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub light_frames_tried: Vec<FrameTried>,
+    /// The materials that a fit has chosen from, if it had to.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub materials_tried: Option<MaterialsTried>,
     /// Steps of fits that were not taken, because loss or gradient were not finite.
     #[serde(default)]
     pub steps_taken_back: u32,

@@ -18,7 +18,7 @@ pub struct Material {
     pub tilt: Tilt,
     /// The specular lobe that the whole object shares. Default: unknown.
     pub specular: Specular,
-    /// Gloss that varies over the surface. Default `One`.
+    /// Gloss that varies over the surface. Default `Auto`.
     pub gloss: Gloss,
 }
 
@@ -140,8 +140,11 @@ impl Default for Roughness {
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub enum Gloss {
-    /// One: the lobe in `specular` everywhere.
+    /// A `Fit` decides, if nothing is said in `specular` but its `ndf`: like `One`, unless that explains the photographs badly and two base
+    /// materials, with colors of their own as metals have and with `Ggx`, explain them clearly better.
     #[default]
+    Auto,
+    /// One: the lobe in `specular` everywhere.
     One,
     /// Several, which start from the lobe in `specular` with roughnesses spread around its own; a fit finds them, and for each
     /// texel how they blend.

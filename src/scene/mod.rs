@@ -42,6 +42,6 @@ pub use passes::{EditPass, Pass, RelightPass, RenderPass};
 pub use photographed::{CameraRing, Pattern, Photographed, TruthObject};
 pub use render::{Orbit, OrbitFormat, RenderSettings, Shading, ViewChoice};
 pub use surface::Surface;
-pub use validate::passes::unknown_parts;
+pub use validate::passes::{unknown_parts, uses_published};
 pub use views::{CameraSpec, Dataset, Views};
 pub use visibility::Visibility;

@@ -64,7 +64,7 @@ fn unusable(problem: String) -> Error {
 }
 
 /// The lobes that a fit starts from, or the known ones.
-pub(super) fn initial_lobes(light: &Light, loaded: Option<&LoadedLight>) -> Vec<LightLobe> {
+pub fn initial_lobes(light: &Light, loaded: Option<&LoadedLight>) -> Vec<LightLobe> {
     match (light, loaded) {
         (_, Some(loaded)) => loaded.lobes.clone(),
         (Light::Unknown(unknown), None) => LightLobe::even(unknown.lobes as usize),

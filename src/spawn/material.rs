@@ -7,12 +7,16 @@ use crate::fit::roughness::texel::{BASE_ROUGHNESSES, TexelRoughness};
 use crate::material::sheen::KnownAlong;
 use crate::material::tilt::MOST_TILT;
 use crate::material::{DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe};
+use crate::math::brdf::Ndf;
 use crate::mesh::Surface;
 use crate::scene::validate::MIN_ROUGHNESS;
 use crate::scene::{Albedo, AlbedoSource, Gloss, Roughness, Sheen, Specular, SpecularAlbedo, Tilt};
 use bevy_ecs::prelude::World;
 use glam::Vec3;
 use std::path::Path;
+
+/// Base materials that a fit may choose instead of one.
+const SEVERAL: u32 = 2;
 
 /// The roughest base material at first, over the least rough.
 const ROUGHNESS_SPREAD: f32 = 2.5;
@@ -26,14 +30,9 @@ pub(super) fn initial_gloss(
     let (width, height) = (surface.atlas().width, surface.atlas().height);
     let count = (width * height) as usize;
     match gloss {
-        Gloss::One => Ok((vec![specular], vec![SpecularBlend::default(); count])),
+        Gloss::Auto | Gloss::One => Ok((vec![specular], vec![SpecularBlend::default(); count])),
         Gloss::Blend { materials } => {
-            let place = |k: u32| k as f32 / (materials - 1) as f32 - 0.5;
-            let roughness =
-                |k| (specular.roughness * ROUGHNESS_SPREAD.powf(place(k))).clamp(MIN_ROUGHNESS, 1.0);
-            let lobe = |k| SpecularLobe { roughness: roughness(k), ..specular };
-            let even = SpecularBlend::even(*materials as usize);
-            Ok(((0..*materials).map(lobe).collect(), vec![even; count]))
+            Ok((spread(specular, *materials), vec![SpecularBlend::even(*materials as usize); count]))
         }
         Gloss::Texels { specular: varied, .. } => {
             let lobes = BASE_ROUGHNESSES.map(|roughness| SpecularLobe { roughness, ..specular });
@@ -44,6 +43,19 @@ pub(super) fn initial_gloss(
             Ok((lobes.clone(), texture::read_weights(weights, lobes.len(), width, height)?))
         }
     }
+}
+
+/// Several base materials with roughnesses spread around that of `specular`.
+fn spread(specular: SpecularLobe, materials: u32) -> Vec<SpecularLobe> {
+    let place = |k: u32| k as f32 / (materials - 1) as f32 - 0.5;
+    let roughness = |k| (specular.roughness * ROUGHNESS_SPREAD.powf(place(k))).clamp(MIN_ROUGHNESS, 1.0);
+    (0..materials).map(|k| SpecularLobe { roughness: roughness(k), ..specular }).collect()
+}
+
+/// The base materials that a fit may choose instead of one ([`Gloss::Auto`]), and the blend that it starts with.
+pub fn several_materials() -> (Vec<SpecularLobe>, SpecularBlend) {
+    let lobe = SpecularLobe { ndf: Ndf::Ggx, ..SpecularLobe::new(Vec3::splat(START.0), START.1) };
+    (spread(lobe, SEVERAL), SpecularBlend::even(SEVERAL as usize))
 }
 
 /// Puts what is known of the albedo along this surface into the world.

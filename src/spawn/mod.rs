@@ -5,8 +5,8 @@ pub mod light_file;
 mod material;
 mod surface;
 
-pub use light::{LoadedLight, load_light};
-pub use material::{initial_specular, insert_known_along};
+pub use light::{LoadedLight, initial_lobes, load_light};
+pub use material::{initial_specular, insert_known_along, several_materials};
 pub use surface::{SurfaceUse, make_surface};
 
 use crate::error::Result;
@@ -23,7 +23,6 @@ use crate::scene::{Albedo, Gloss, Light, Material, Roughness, Scene, Sheen, Spec
 use crate::view::{ViewIndex, ViewMask, ViewName, ViewRecord};
 use bevy_ecs::prelude::World;
 use glam::Vec3;
-use light::initial_lobes;
 use material::{initial_albedo, initial_gloss, initial_sheen, initial_tilt, own_material};
 use std::sync::Arc;
 

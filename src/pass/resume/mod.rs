@@ -7,15 +7,17 @@ use crate::checkpoint::{self, Checkpoint, Checkpoints, Place, Store, packed};
 use crate::codec::file::{MOST_TEXT, is_there, read_bytes, read_parts, read_text, write_bytes, write_file};
 use crate::error::{Error, Result};
 use crate::fit::run::Initialize;
+use crate::material::replace_materials;
 use crate::mesh::Surface;
 use crate::mesh::triangles::Mesh;
 use crate::pass::progress::Progress;
 use crate::pass::session::Session;
 use crate::report::scores::Scores;
 use crate::sample::point::Scenery;
-use crate::scene::Scene;
+use crate::scene::{Scene, Sheen};
 use crate::shape::run::replace_texels;
-use crate::spawn::insert_known_along;
+use crate::spawn::{insert_known_along, several_materials};
+use bevy_ecs::prelude::World;
 use glam::Vec3;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -275,7 +277,7 @@ pub(super) fn take_up(
     let files = Files { folder: session.out.join(FOLDER), mark, last };
     let world = &mut session.pipeline.world;
     world.insert_resource(Checkpoints::new(Box::new(files), every, ahead));
-    restore(session)?;
+    restore(session, At::Pass)?;
     Ok(last.pass as usize)
 }
 
@@ -333,6 +335,7 @@ pub(super) fn check_folder(out: &Path) -> Result<()> {
 struct SessionState {
     initialize: Initialize,
     has_object: bool,
+    several: bool,
     /// In RON, which has numbers that are not finite.
     scores: String,
     /// The surface that was found, if one was, and the width of its texture.
@@ -344,39 +347,81 @@ struct SessionState {
 /// # Errors
 /// If it cannot be written.
 pub(super) fn keep(session: &mut Session, done: usize) -> Result<()> {
-    let unwritten = |error: ron::Error| Error::run("writing a checkpoint", error.to_string());
-    let surface = &session.surface;
-    let state = SessionState {
-        initialize: session.initialize,
-        has_object: session.has_object,
-        scores: ron::to_string(&session.scores).map_err(unwritten)?,
-        surface: session.surface_found.then(|| (surface.mesh().clone(), surface.atlas().width)),
-    };
+    let state = state_of(session)?;
     checkpoint::keep_pass(&mut session.pipeline.world, done as u32, &state)
 }
 
-/// Takes up the session where a pass begins, if that is ahead.
-fn restore(session: &mut Session) -> Result<()> {
+/// Keeps the state of the session at the beginning of a level (from 1) of a pass.
+///
+/// # Errors
+/// If it cannot be written.
+pub(super) fn keep_level(session: &mut Session, level: u32) -> Result<()> {
+    let state = state_of(session)?;
+    checkpoint::keep_level(&mut session.pipeline.world, level, &state)
+}
+
+fn state_of(session: &Session) -> Result<SessionState> {
+    let unwritten = |error: ron::Error| Error::run("writing a checkpoint", error.to_string());
+    let surface = &session.surface;
+    Ok(SessionState {
+        initialize: session.initialize,
+        has_object: session.has_object,
+        several: session.several,
+        scores: ron::to_string(&session.scores).map_err(unwritten)?,
+        surface: session.surface_found.then(|| (surface.mesh().clone(), surface.atlas().width)),
+    })
+}
+
+/// Where a session is taken up.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(super) enum At {
+    /// The beginning of a pass.
+    Pass,
+    /// The beginning of a level of the pass at work.
+    Level,
+}
+
+/// Takes up the session there, if that is ahead; returns whether it was.
+///
+/// # Errors
+/// If the checkpoint is not one of this scene.
+pub(super) fn restore(session: &mut Session, at: At) -> Result<bool> {
     let mut found = None;
     let sheen = &session.scene.material.sheen;
-    let prepare = |world: &mut bevy_ecs::prelude::World, state: &SessionState| {
-        let Some((mesh, width)) = &state.surface else { return Ok(()) };
-        let surface = Arc::new(Surface::new(mesh.clone(), *width)?);
-        world.insert_resource(Scenery(surface.clone()));
-        insert_known_along(world, sheen, &surface)?;
-        replace_texels(world, &vec![Vec3::ZERO; surface.atlas().position.len()]);
-        found = Some(surface);
+    let prepare = |world: &mut World, state: &SessionState| {
+        if let Some((mesh, width)) = &state.surface {
+            found = Some(put_surface(world, mesh, *width, sheen)?);
+        }
+        if state.several {
+            let (lobes, blend) = several_materials();
+            replace_materials(world, &lobes, blend)?;
+        }
         Ok(())
     };
-    let resumed = checkpoint::resume_pass(&mut session.pipeline.world, prepare)?;
-    let Some((_, SessionState { initialize, has_object, scores, .. })) = resumed else { return Ok(()) };
+    let world = &mut session.pipeline.world;
+    let resumed = match at {
+        At::Pass => checkpoint::resume_pass(world, prepare)?,
+        At::Level => checkpoint::resume_level(world, prepare)?,
+    };
+    let Some((_, SessionState { initialize, has_object, several, scores, .. })) = resumed else {
+        return Ok(false);
+    };
     let unread = |error: ron::error::SpannedError| Error::run("reading a checkpoint", error.to_string());
     session.scores = ron::from_str::<Scores>(&scores).map_err(unread)?;
-    (session.initialize, session.has_object) = (initialize, has_object);
+    (session.initialize, session.has_object, session.several) = (initialize, has_object, several);
     if let Some(surface) = found {
         (session.surface, session.surface_found) = (surface, true);
     }
-    Ok(())
+    Ok(true)
+}
+
+/// Puts a surface that was found into the world, with texels that are not found yet.
+fn put_surface(world: &mut World, mesh: &Mesh, width: u32, sheen: &Sheen) -> Result<Arc<Surface>> {
+    let surface = Arc::new(Surface::new(mesh.clone(), width)?);
+    world.insert_resource(Scenery(surface.clone()));
+    insert_known_along(world, sheen, &surface)?;
+    replace_texels(world, &vec![Vec3::ZERO; surface.atlas().position.len()]);
+    Ok(surface)
 }
 
 #[cfg(test)]

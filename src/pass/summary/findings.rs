@@ -8,7 +8,7 @@ use crate::math::color::srgb_from_linear;
 use crate::pass::fit::TRUE_ENVIRONMENT;
 use crate::pass::summary::pictures::Pictures;
 use crate::report::html::data::{Finding, Shown};
-use crate::report::scores::{ScaleFound, Scores};
+use crate::report::scores::{MaterialsTried, ScaleFound, Scores};
 use std::path::Path;
 
 /// Longer side of pictures of lights and textures, in pixels.
@@ -37,6 +37,7 @@ pub fn fit_pictures(out: &Path, pass: &str, pictures: &mut Pictures) -> Vec<Show
 pub fn findings(out: &Path, fits: &[&str], scores: &Scores) -> Vec<Finding> {
     let mut found: Vec<Finding> = scores.scale.iter().flat_map(of_scale).collect();
     found.extend(of_light_frame(scores));
+    found.extend(scores.materials_tried.map(of_materials_tried));
     found.extend(scores.warnings.iter().map(|warning| plain("warning", warning.clone())));
     for pass in fits {
         let folder = out.join(pass);
@@ -80,6 +81,12 @@ fn of_light_frame(scores: &Scores) -> Option<Finding> {
         _ => format!("; error of the initialization if it {}", errors.join(", if it ")),
     };
     Some(plain("light stands still in", format!("{frame}{sure}")))
+}
+
+fn of_materials_tried(tried: MaterialsTried) -> Finding {
+    let MaterialsTried { one, several, .. } = tried;
+    let words = format!("error with one {one:.4}, with several {several:.4}, after the same steps");
+    plain("base materials tried", words)
 }
 
 fn of_light(folder: &Path) -> Option<Finding> {

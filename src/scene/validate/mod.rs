@@ -239,7 +239,7 @@ fn tilt(checks: &mut Checks, material: &Material) {
 
 fn material(checks: &mut Checks, material: &Material) {
     match &material.gloss {
-        Gloss::One => {}
+        Gloss::Auto | Gloss::One => {}
         Gloss::Blend { materials } => {
             checks.count("material.gloss.materials", *materials, 2..=4);
             unknown_roughness(checks, material);

@@ -65,12 +65,8 @@ pub(super) fn passes(checks: &mut Checks, scene: &Scene) {
 
 /// The published formulas have the supplement's NDF alone.
 fn known_to_published(checks: &mut Checks, at: &str, pass: &Pass, scene: &Scene) {
-    let path = match pass {
-        Pass::Fit(fit) if fit.shading == FitShading::Published => format!("{at}.shading"),
-        Pass::Shape(shape) if shape.shading == FitShading::Published => format!("{at}.shading"),
-        _ if pass.render().is_some_and(|r| r.shading == Shading::Published) => format!("{at}.render.shading"),
-        _ => return,
-    };
+    let Some(field) = published_field(pass) else { return };
+    let path = format!("{at}.{field}");
     if scene.material.specular.ndf == Ndf::Ggx {
         checks.fail(
             &path,
@@ -79,6 +75,20 @@ fn known_to_published(checks: &mut Checks, at: &str, pass: &Pass, scene: &Scene)
             "The published formulas know the single spherical Gaussian only; or say `ndf: Sg` in `material.specular`.",
         );
     }
+}
+
+/// The field in which a pass says `Published`, if it does.
+fn published_field(pass: &Pass) -> Option<&'static str> {
+    match pass {
+        Pass::Fit(fit) if fit.shading == FitShading::Published => Some("shading"),
+        Pass::Shape(shape) if shape.shading == FitShading::Published => Some("shading"),
+        _ => pass.render().filter(|r| r.shading == Shading::Published).map(|_| "render.shading"),
+    }
+}
+
+/// Whether a pass of the scene uses the published formulas, which know no GGX.
+pub fn uses_published(scene: &Scene) -> bool {
+    scene.passes.iter().any(|pass| published_field(pass).is_some())
 }
 
 /// Before a fit, a pass can only use what the scene file says.
@@ -125,12 +135,12 @@ fn shape(checks: &mut Checks, at: &str, shape: &ShapePass, scene: &Scene) {
     let path = |field: &str| format!("{at}.{field}");
     if matches!(scene.material.gloss, Gloss::Fixed { .. }) {
         let problem = "known blend weights belong to a known surface";
-        checks.fail("material.gloss", problem, "expected `One` or `Blend(…)`", "");
+        checks.fail("material.gloss", problem, "expected `Auto`, `One` or `Blend(…)`", "");
     }
     if matches!(scene.material.gloss, Gloss::Texels { .. }) {
         let problem = "a surface that is still being found has no texels to give a gloss each";
         let help = "Find the shape first, export it, and fit `Texels(…)` on that mesh.";
-        checks.fail("material.gloss", problem, "expected `One` or `Blend(…)`", help);
+        checks.fail("material.gloss", problem, "expected `Auto`, `One` or `Blend(…)`", help);
     }
     checks.count(&path("max_pixels"), shape.max_pixels, 1..=u32::MAX);
     checks.count(&path("batch"), shape.batch, 1..=u32::MAX);

@@ -2,7 +2,7 @@ use super::*;
 use crate::fit::components::Unknowns;
 use crate::fit::loss::Loss;
 use crate::fit::observe::PixelChoice;
-use crate::fit::run::FitPlugin;
+use crate::fit::run::{Done, FitPlugin};
 use crate::fit::scale::ScaleRule;
 use crate::light::LightLobe;
 use crate::light::frame::LightFrame;
@@ -105,6 +105,8 @@ fn options(steps: u32) -> ShapeOptions {
             loss: Loss::L1,
             form: ClosedForm::default(),
             steps,
+            done: Done::default(),
+            asked_after: None,
             batch: 4096,
             rates: [0.02, 0.0, 0.0],
             milestones: vec![],

@@ -1,0 +1,184 @@
+//! Whether a `Fit` gives the surface one base material or several, where the scene leaves that to the photographs
+//! ([`Gloss::Auto`]).
+//!
+//! The fit begins with one. If that explains the photographs badly after [`TRIED`] steps, several are tried, with colors of their own as
+//! metals have, for as many steps over the same pixels; light and albedo then begin from an initialization as far as they are unknown, because what one
+//! material made of them is wrong. A pixel's error is measured before a step moves anything, and of two hundred photographs or of large ones
+//! most pixels are visited for the first time in these steps: both materials are judged by what they have not been fitted to. The fit goes on with
+//! several only if their error is clearly less; else it goes on as if they had not been tried.
+
+use crate::checkpoint::{Carried, Span, carry, discard, restore};
+use crate::error::stop::{finish_stopping, is_stopping};
+use crate::error::{Error, Result};
+use crate::fit::attach::OwnLobes;
+use crate::fit::run::{Done, FitOptions, FitProgress, FitSummary, Initialize, run_fit};
+use crate::light::LightLobe;
+use crate::light::frame::OwnLightFrame;
+use crate::material::sheen::write_albedo;
+use crate::material::shown::recovered_material;
+use crate::material::{SpecularBlend, SpecularLobe, TexelIndex, recovered_materials, replace_materials};
+use crate::pass::edit::apply_edits;
+use crate::pass::resume::{self, At};
+use crate::pass::session::Session;
+use crate::pass::steps::{Steps, begin_log, options, take_steps};
+use crate::profile::stage;
+use crate::report::scores::MaterialsTried;
+use crate::scene::{Albedo, FitPass, Gloss, Light, SpecularAlbedo, uses_published};
+use crate::spawn::{initial_lobes, several_materials};
+use bevy_ecs::prelude::{Entity, World};
+use glam::Vec3;
+use std::ops::ControlFlow;
+use std::time::Instant;
+
+/// Steps with one material before the choice, and with several for it.
+const TRIED: u32 = 100;
+/// Fits of fewer steps have one material.
+const LEAST_STEPS: u32 = 300;
+/// PSNR of linear radiance, in dB, from which one material is enough.
+const EXPLAINED: f64 = 32.0;
+/// Error of several relative to that of one below which they are chosen.
+const CLEARLY: f64 = 0.9;
+
+/// Takes the steps of a fit, and chooses on the way if that is open. Returns also with what settings it ended.
+///
+/// # Errors
+/// Those of [`take_steps`]; if a checkpoint is not one of this run.
+pub(super) fn take_steps_and_choose(
+    session: &mut Session,
+    pass: &FitPass,
+) -> Result<(FitSummary, FitOptions)> {
+    if resume::restore(session, At::Level)? {
+        return go_on(session, pass);
+    }
+    let start = Instant::now();
+    let asked_after = is_open(session, pass)?.then_some(TRIED);
+    let options = FitOptions { asked_after, ..options(session, pass, Done::default())? };
+    let first = take_steps(session, pass, &options, EXPLAINED)?;
+    if !first.doubted {
+        return Ok((first.summary, options));
+    }
+    let chosen = choose(session, pass, &options, &first, start).and_then(|()| go_on(session, pass));
+    if matches!(chosen, Err(Error::Interrupted)) {
+        // What was found until then is written.
+        finish_stopping();
+        return Ok((FitSummary { stopped: true, ..first.summary }, options));
+    }
+    chosen
+}
+
+/// The steps after the choice.
+fn go_on(session: &mut Session, pass: &FitPass) -> Result<(FitSummary, FitOptions)> {
+    let secs = session.scores.materials_tried.map_or(0.0, |tried| tried.seconds);
+    let options = options(session, pass, Done { steps: TRIED, secs })?;
+    let Steps { summary, .. } = take_steps(session, pass, &options, EXPLAINED)?;
+    Ok((summary, options))
+}
+
+/// Whether the photographs decide about gloss in this fit.
+fn is_open(session: &mut Session, pass: &FitPass) -> Result<bool> {
+    let scene = session.scene;
+    let material = &scene.material;
+    let gray = matches!(material.specular.albedo, SpecularAlbedo::Unknown { mono: true, .. });
+    let unsaid = material.gloss == Gloss::Auto && material.specular.is_open() && gray;
+    let untried = session.scores.materials_tried.is_none() && scene.own_material().is_none();
+    let enough = pass.steps >= LEAST_STEPS && session.unknowns().albedo;
+    Ok(unsaid && untried && enough && !uses_published(scene) && has_room(session)?)
+}
+
+/// Whether the edits of all passes have room for what they make of several base materials.
+fn has_room(session: &mut Session) -> Result<bool> {
+    let mut unedited = recovered_material(&mut session.pipeline.world)?;
+    let (lobes, blend) = several_materials();
+    unedited.lobes = lobes.into_iter().map(Some).collect();
+    unedited.blends.fill(blend);
+    let mut edits = session.scene.passes.iter().map(|pass| pass.edits()).filter(|edits| !edits.is_empty());
+    Ok(edits.all(|edits| apply_edits(&mut unedited.clone(), edits, &session.surface).is_ok()))
+}
+
+/// Tries several materials and keeps what explains more.
+fn choose(
+    session: &mut Session,
+    pass: &FitPass,
+    options: &FitOptions,
+    first: &Steps,
+    start: Instant,
+) -> Result<()> {
+    let world = &mut session.pipeline.world;
+    let lobes: Vec<_> = recovered_materials(world).into_iter().map(|(_, lobe)| lobe).collect();
+    let carried = carry(world, Span::Pass)?;
+    let tried = try_several(session, pass, options);
+    let error = tried.as_ref().ok().copied().filter(|_| !is_stopping());
+    session.several = error.is_some_and(|error| error < CLEARLY * first.error);
+    keep_one_or_several(&mut session.pipeline.world, session.several, &lobes, carried)?;
+    tried?;
+    let Some(several) = error else { return Err(Error::Interrupted) };
+    let words = if session.several { "several base materials are" } else { "one base material is" };
+    session.progress.print(&format!(
+        "{}: {words} chosen: error {several:.4} with several, {:.4} with one, after {TRIED} steps",
+        pass.name, first.error
+    ));
+    let seconds = start.elapsed().as_secs_f64();
+    session.scores.materials_tried = Some(MaterialsTried { one: first.error, several, seconds });
+    session.initialize = Initialize::NONE;
+    resume::keep_level(session, 1)
+}
+
+fn keep_one_or_several(
+    world: &mut World,
+    several: bool,
+    one: &[SpecularLobe],
+    carried: Carried,
+) -> Result<()> {
+    if several {
+        begin_log(world);
+        discard(world, carried);
+        return Ok(());
+    }
+    replace_materials(world, one, SpecularBlend::default())?;
+    restore(world, carried)
+}
+
+/// The error of several materials after the same steps.
+fn try_several(session: &mut Session, pass: &FitPass, before: &FitOptions) -> Result<f64> {
+    let _trying = stage("several materials tried");
+    let scene = session.scene;
+    let world = &mut session.pipeline.world;
+    let (lobes, blend) = several_materials();
+    replace_materials(world, &lobes, blend)?;
+    let initialize = Initialize {
+        light: matches!(scene.light, Light::Unknown(_)),
+        albedo: matches!(scene.material.albedo, Albedo::Unknown),
+        specular: false,
+    };
+    if initialize.light {
+        begin_light(world, &initial_lobes(&scene.light, None));
+    }
+    if initialize.albedo {
+        let texels = world.query::<&TexelIndex>().iter(world).len();
+        write_albedo(world, vec![Vec3::splat(0.4); texels])?;
+    }
+    let light_frame = world.get_resource::<OwnLightFrame>().map(|own| own.0);
+    session.several = true;
+    let unknowns = session.unknowns();
+    // Shadows of geometry that has moved are traced again first.
+    let visibility = before.visibility && session.has_visibility()?;
+    let options = FitOptions { unknowns, initialize, visibility, light_frame, ..before.clone() };
+    let mut error = f64::INFINITY;
+    let title = format!("{}, several base materials", pass.name);
+    let bar = session.progress.bar(&title, u64::from(TRIED));
+    run_fit(&mut session.pipeline, &options, &mut |at: &FitProgress, _| {
+        bar.set_position(u64::from(at.step));
+        error = at.sums.mean();
+        if at.step == TRIED || is_stopping() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    })?;
+    bar.finish_and_clear();
+    Ok(error)
+}
+
+/// Puts the lobes of the light where a fit begins.
+fn begin_light(world: &mut World, lobes: &[LightLobe]) {
+    let mut query = world.query_filtered::<(Entity, &mut LightLobe), OwnLobes>();
+    let mut own: Vec<_> = query.iter_mut(world).collect();
+    own.sort_by_key(|(entity, _)| *entity);
+    own.into_iter().zip(lobes).for_each(|((_, mut lobe), first)| *lobe = *first);
+}
