@@ -117,6 +117,11 @@ impl VertexGraph {
         (Self { of, triangles, starts, neighbors }, positions)
     }
 
+    /// How many merged vertices there are.
+    pub(crate) fn merged(&self) -> usize {
+        self.starts.len() - 1
+    }
+
     pub(crate) fn around(&self, vertex: usize) -> &[u32] {
         &self.neighbors[self.starts[vertex]..self.starts[vertex + 1]]
     }

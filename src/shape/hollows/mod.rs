@@ -7,22 +7,25 @@
 //! The hull is coarse: what its cells do not resolve is looked for once more on the finer grid of the second level.
 //!
 //! Only what is open to the outside is removed: a reflection that seems to lie far behind a glossy surface leaves no bubble inside the object.
+//! What reflections have opened all the same is filled again (`reflections`).
 //! A margin before the depth that was found stays: the walls of a hollow may be thin, and a fit moves a surface that is nearly in place.
 //!
 //! Sources: photo-consistency of color (Kutulakos and Seitz, "A Theory of Shape by Space Carving", IJCV 2000); votes for empty space
 //! (Merrell et al., "Real-Time Visibility-Based Fusion of Depth Maps", ICCV 2007).
 
 pub mod colors;
+mod reflections;
 
 use crate::error::stop::is_stopping;
 use crate::mesh::bvh::TriangleBvh;
 use crate::sdf::SdfGrid;
 use crate::shape::parts::extract_parts;
 use crate::shape::silhouette::{Silhouette, pixel_size};
-use crate::shape::stereo::StereoView;
+use crate::shape::stereo::{StereoView, match_pictures};
 use colors::{ColorPicture, Compared, around, compare};
 use glam::Vec3;
 use rayon::prelude::*;
+use reflections::fill_reflections;
 
 /// Pixels of a picture per cell of the grid.
 const PIXELS_PER_CELL: f32 = 1.5;
@@ -54,6 +57,7 @@ pub fn carve_hollows(
         views.par_iter().filter_map(|v| ColorPicture::new(v.camera, v.photograph, v.mask, factor)).collect();
     let volume = |grid: &SdfGrid| grid.values.iter().filter(|value| **value < 0.0).count();
     let whole = volume(grid);
+    let closed = grid.clone();
     for _ in 0..ROUNDS {
         let before = volume(grid);
         let depths = all_depths(grid, silhouettes, &pictures);
@@ -64,6 +68,9 @@ pub fn carve_hollows(
         if (before.saturating_sub(volume(grid)) as f32) < least_share * whole as f32 {
             break;
         }
+    }
+    if volume(grid) < whole && !is_stopping() {
+        fill_reflections(grid, &closed, silhouettes, &match_pictures(views, factor));
     }
     1.0 - volume(grid) as f32 / whole.max(1) as f32
 }

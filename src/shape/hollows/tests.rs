@@ -27,13 +27,21 @@ struct Pictures {
 
 impl Pictures {
     fn new(field: impl Fn(Vec3) -> f32 + Sync, pattern: impl Fn(Vec3) -> f32 + Sync) -> Self {
+        Self::from_each_side(field, |at, _| pattern(at))
+    }
+
+    /// The same, with a color that also depends on the direction of the ray.
+    fn from_each_side(
+        field: impl Fn(Vec3) -> f32 + Sync,
+        pattern: impl Fn(Vec3, Vec3) -> f32 + Sync,
+    ) -> Self {
         let grid = SdfGrid::from_fn(Vec3::ZERO, 0.8, 64, field);
         let cameras = Camera::around(70, 3.0, 36.0, SIZE).unwrap();
         let picture = |camera: &Camera| {
             let color = |pixel: u32| {
                 let ray = camera.pixel_ray(pixel);
                 let distance = grid.first_crossing(&ray, 0.0)?;
-                Some(Vec3::splat(pattern(ray.origin + ray.direction * distance)))
+                Some(Vec3::splat(pattern(ray.origin + ray.direction * distance, ray.direction)))
             };
             (0..SIZE * SIZE).map(color).collect::<Vec<Option<Vec3>>>()
         };
@@ -50,6 +58,11 @@ impl Pictures {
         Self { cameras, photographs, masks: shown.iter().map(mask).collect() }
     }
 
+    fn views(&self) -> Vec<StereoView<'_>> {
+        let parts = self.cameras.iter().zip(&self.photographs).zip(&self.masks);
+        parts.map(|((camera, photograph), mask)| StereoView { camera, photograph, mask }).collect()
+    }
+
     /// The hull, what is left of it, and the share that went.
     fn carved(&self) -> (SdfGrid, SdfGrid, f32) {
         self.carved_with(40)
@@ -63,10 +76,7 @@ impl Pictures {
             .collect();
         let hull = visual_hull(&mut silhouettes, cells).unwrap();
         let mut carved = hull.clone();
-        let parts = self.cameras.iter().zip(&self.photographs).zip(&self.masks);
-        let views: Vec<StereoView> =
-            parts.map(|((camera, photograph), mask)| StereoView { camera, photograph, mask }).collect();
-        let share = carve_hollows(&mut carved, &silhouettes, &views, HULL_SHARE);
+        let share = carve_hollows(&mut carved, &silhouettes, &self.views(), HULL_SHARE);
         (hull, carved, share)
     }
 }
@@ -134,4 +144,31 @@ fn space_without_a_way_out_stays_full() {
     assert!(middle_after(&|p| p.length() < 0.4) < -0.5, "a bubble");
     let bottle = |p: Vec3| p.length() < 0.4 || (p.y > 0.0 && p.with_y(0.0).length() < 0.15);
     assert!(middle_after(&bottle) > 0.0, "a bottle");
+}
+
+/// What is left of an open cup after the photographs were asked whether it is one: whether its inside is still empty.
+fn stays_open(pictures: &Pictures) -> bool {
+    let of = |field: fn(Vec3) -> f32| SdfGrid::from_fn(Vec3::ZERO, 0.8, 40, field);
+    let (mut grid, closed) = (of(cup), of(full));
+    fill_reflections(&mut grid, &closed, &[], &match_pictures(&pictures.views(), 1));
+    grid.value(Vec3::new(0.0, 0.1, 0.0)) > 0.0
+}
+
+#[test]
+fn a_hollow_with_a_pattern_stays_open_and_one_of_reflections_is_filled() {
+    assert!(stays_open(&Pictures::new(cup, waves)));
+    assert!(!stays_open(&Pictures::from_each_side(cup, |at, ray| waves(at + 2.0 * ray))));
+}
+
+#[test]
+fn spaces_that_touch_along_edges_are_one() {
+    let closed = SdfGrid::from_fn(Vec3::ZERO, 1.0, 4, |_| -1.0);
+    let mut grid = closed.clone();
+    for (x, y, z) in [(1, 1, 1), (1, 2, 1), (3, 3, 3), (2, 3, 1)] {
+        let row = grid.index(UVec3::new(x, y, z));
+        grid.values[row] = 1.0;
+    }
+    let (spaces, count) = reflections::opened_spaces(&grid, &closed);
+    let of = |x, y, z| spaces[grid.index(UVec3::new(x, y, z))];
+    assert!(count == 3 && of(1, 1, 1) == of(1, 2, 1) && of(1, 2, 1) != of(2, 3, 1), "{spaces:?}");
 }

@@ -7,10 +7,12 @@
 //!
 //! A highlight moves over the surface from view to view, so that patches of a glossy object agree at wrong depths. Two things tell
 //! that apart: the model explains such photographs already, and the views contradict each other. Votes count only where neither
-//! holds, and an object of which that is true as a whole is left alone.
+//! holds, and an object of which that is true as a whole is left alone. At the end displacements are taken back where all views
+//! together show reflections rather than a pattern of the surface (`pattern`): neighbors alone do agree on those of metal.
 //!
 //! | file | holds |
 //! | --- | --- |
+//! | `pattern` | patterns of the surface apart from what it mirrors |
 //! | [`picture`] | photographs in gray for matching, and which of them are neighbors |
 //! | [`mod@sweep`] | the search along rays: depth and trust per pixel |
 //! | [`votes`] | sums over views per vertex, and how far they are trusted |
@@ -20,6 +22,7 @@
 //! Stereo Revisited", CVPR 2006); displacements of a mesh with thin-plate smoothness (Vu et al., "High Accuracy and
 //! Visibility-Consistent Dense Multiview Stereo", PAMI 2012).
 
+pub(crate) mod pattern;
 pub mod picture;
 pub mod plate;
 pub mod sweep;
@@ -35,12 +38,13 @@ use crate::shape::silhouette::{Silhouette, pixel_size};
 use crate::shape::vertices::VertexGraph;
 use crate::view::{Camera, Photograph, StoredMask};
 use glam::Vec3;
+use pattern::pattern_shares;
 use picture::{MatchPicture, neighbors};
 use plate::{Plate, bent, faired};
 use rayon::prelude::*;
 use std::ops::ControlFlow;
 use sweep::{Seen, Source, Sweep, cast, sweep};
-use votes::{LOCAL, Shell, Votes, gates, gather, median, object_gate, smooth_step};
+use votes::{LOCAL, Shell, Votes, WIDE, gates, gather, median, object_gate, smooth_step};
 
 /// From coarse to fine: size of a pixel relative to the finest picture's, and the search around the mesh.
 pub(crate) const ROUNDS: [(u32, Sweep); 4] = [
@@ -65,6 +69,8 @@ const REACH: f32 = 3.0;
 const LIFT: f32 = 0.02;
 /// Trust from which a vertex counts as one that follows its votes.
 const TRUSTED: f32 = 0.25;
+/// Share of the pattern, as [`pattern_shares`] has it, from which a displacement counts, and counts fully.
+const PATTERN: (f32, f32) = (0.3, 0.5);
 /// Most pixels that vote in a round; of more views, some do, evenly chosen. All serve as neighbors.
 const MOST_PIXELS: usize = 6_000_000;
 /// Chunks of views that are summed apart.
@@ -104,25 +110,48 @@ pub fn refine(
     mut go_on: impl FnMut(usize) -> ControlFlow<()>,
 ) -> StereoReport {
     let mut report = StereoReport::default();
-    let start = mesh.positions.clone();
+    let start = mesh.clone();
     let Some(finest) = finest_factor(mesh, views) else { return report };
     let mut object = None;
     for (round, (relative, search)) in ROUNDS.into_iter().enumerate() {
         if go_on(round).is_break() {
             break;
         }
-        let factor = finest * relative;
-        let picture = |v: &StereoView| MatchPicture::new(v.camera, v.photograph, v.mask, factor);
-        let pictures: Vec<MatchPicture> = views.par_iter().filter_map(picture).collect();
+        let pictures = match_pictures(views, finest * relative);
         let trusted = refine_round(mesh, &pictures, silhouettes, error, search, &mut object);
         if trusted == 0.0 {
             break;
         }
         report.trusted = trusted;
     }
-    let squares = start.iter().zip(&mesh.positions).map(|(a, b)| f64::from(a.distance_squared(*b)));
-    report.moved = (squares.sum::<f64>() / start.len().max(1) as f64).sqrt() as f32;
+    if report.trusted > 0.0 && !is_stopping() {
+        take_back(mesh, &start, views, finest);
+    }
+    let squares = start.positions.iter().zip(&mesh.positions).map(|(a, b)| f64::from(a.distance_squared(*b)));
+    report.moved = (squares.sum::<f64>() / start.positions.len().max(1) as f64).sqrt() as f32;
     report
+}
+
+/// Takes the displacements from `start` back where the photographs show no pattern of the surface, but what it mirrors.
+fn take_back(mesh: &mut Mesh, start: &Mesh, views: &[StereoView], factor: u32) {
+    let pictures = match_pictures(views, factor);
+    // The vertices that were merged before are those that moved together.
+    let (graph, before) = VertexGraph::new(start);
+    let shell = Shell::moved(graph, mesh);
+    let shares = pattern_shares(mesh, &shell, &pictures);
+    if is_stopping() {
+        return;
+    }
+    let kept: Vec<f32> = shares.iter().map(|share| smooth_step(*share, PATTERN)).collect();
+    let kept = shell.graph.smoothed(&kept, WIDE);
+    let back: Vec<Vec3> = (0..before.len()).map(|i| before[i].lerp(shell.positions[i], kept[i])).collect();
+    put(mesh, &shell, &back);
+}
+
+/// The photographs for matching, `factor` times smaller along each axis.
+pub(crate) fn match_pictures(views: &[StereoView], factor: u32) -> Vec<MatchPicture> {
+    let picture = |v: &StereoView| MatchPicture::new(v.camera, v.photograph, v.mask, factor);
+    views.par_iter().filter_map(picture).collect()
 }
 
 /// How many times smaller than the photographs the finest pictures are; `None` without views or triangles.

@@ -16,11 +16,16 @@ struct Pictures {
 
 impl Pictures {
     fn new() -> Self {
+        Self::of(|at, _| pattern(at))
+    }
+
+    /// Of a ball whose color depends on the place and on the direction in which a ray goes on from there.
+    fn of(color: impl Fn(Vec3, Vec3) -> Vec3) -> Self {
         let cameras = Camera::around(60, 3.5, 40.0, SIZE).unwrap();
         let (mut photographs, mut masks) = (Vec::new(), Vec::new());
         for camera in &cameras {
             let shown: Vec<Option<Vec3>> =
-                (0..SIZE * SIZE).map(|pixel| pattern(&camera.pixel_ray(pixel))).collect();
+                (0..SIZE * SIZE).map(|pixel| ball(&camera.pixel_ray(pixel), &color)).collect();
             let pixels = shown.iter().map(|color| color.unwrap_or(Vec3::ZERO)).collect();
             photographs.push(Photograph::of_image(&Image { width: SIZE, height: SIZE, pixels }));
             let coverage = shown.iter().map(|color| f32::from(u8::from(color.is_some()))).collect();
@@ -35,15 +40,20 @@ impl Pictures {
     }
 }
 
-fn pattern(ray: &Ray) -> Option<Vec3> {
+/// What a ray sees: the color at its first point on the ball, by place and mirrored direction.
+fn ball(ray: &Ray, color: impl Fn(Vec3, Vec3) -> Vec3) -> Option<Vec3> {
     let middle = -ray.origin.dot(ray.direction);
     let root = middle * middle - ray.origin.length_squared() + 1.0;
     let p = ray.origin + ray.direction * (middle - root.max(0.0).sqrt());
+    (root > 0.0).then(|| color(p, ray.direction - p * (2.0 * p.dot(ray.direction))))
+}
+
+fn pattern(p: Vec3) -> Vec3 {
     let waves = (31.0 * p.x).sin()
         + (27.0 * p.y + 1.0).sin()
         + (29.0 * p.z + 2.0).sin()
         + (17.0 * (p.x + p.y - p.z)).sin();
-    (root > 0.0).then(|| Vec3::splat(0.3 + 0.06 * waves))
+    Vec3::splat(0.3 + 0.06 * waves)
 }
 
 /// A sphere with bumps and dents of up to 3 % of its radius.
@@ -133,4 +143,25 @@ fn a_thin_plate_is_not_pushed_through_itself() {
     let wanted: Vec<Vec3> = start.iter().zip(&normals).map(|(p, n)| *p - *n * 0.1).collect();
     let steps = steps_within_room(&bvh, &start, &normals, &wanted, 1e-4);
     assert!(steps.iter().all(|step| (step.length() - 0.15 * 0.0199).abs() < 1e-5), "{steps:?}");
+}
+
+#[test]
+fn a_pattern_is_told_from_a_reflection() {
+    let mesh = sphere_mesh(Vec3::ZERO, 1.0).unwrap();
+    let shares = |pictures: &Pictures| {
+        let shares = pattern_shares(&mesh, &Shell::new(&mesh), &match_pictures(&pictures.views(), 1));
+        median(shares).unwrap()
+    };
+    let (painted, mirror) = (shares(&Pictures::new()), shares(&Pictures::of(|_, to| pattern(to))));
+    assert!(painted > 0.9 && mirror < 0.2, "{painted} {mirror}");
+}
+
+#[test]
+fn what_a_ball_mirrors_leaves_no_dents() {
+    let pictures = Pictures::of(|_, to| pattern(0.4 * to));
+    let mut mesh = sphere_mesh(Vec3::ZERO, 1.0).unwrap();
+    mesh.uvs = None;
+    let before = off(&mesh);
+    refine(&mut mesh, &pictures.views(), &[], &error(0.01), |_| Continue(()));
+    assert!(off(&mesh) < before + 5e-4, "{before} {}", off(&mesh));
 }

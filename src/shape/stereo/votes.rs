@@ -12,7 +12,7 @@ const LEAST_COSINE: f32 = 0.1;
 /// Pixels from a mask's rim within which a silhouette determines the surface.
 const RIM: usize = 2;
 /// λ of the smoothing of statistics over the mesh.
-const WIDE: f32 = 10.0;
+pub(crate) const WIDE: f32 = 10.0;
 /// Squared error of the model, relative to the variance of patches, at which half of the votes count.
 const HALF_ERROR: f32 = 0.3;
 /// Variance of the views' shifts, in squared pixels, at which half of the votes count.
@@ -83,7 +83,14 @@ pub(crate) struct Shell {
 impl Shell {
     /// Of a mesh.
     pub(crate) fn new(mesh: &Mesh) -> Self {
-        let (graph, positions) = VertexGraph::new(mesh);
+        let (graph, _) = VertexGraph::new(mesh);
+        Self::moved(graph, mesh)
+    }
+
+    /// Of a mesh whose vertices have moved since they were merged.
+    pub(crate) fn moved(graph: VertexGraph, mesh: &Mesh) -> Self {
+        let mut positions = vec![Vec3::ZERO; graph.merged()];
+        graph.of.iter().zip(&mesh.positions).for_each(|(of, at)| positions[*of as usize] = *at);
         let normals = graph.area_vectors(&positions).iter().map(|n| n.normalize_or_zero()).collect();
         Self { graph, positions, normals }
     }
