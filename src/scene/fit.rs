@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 pub struct FitPass {
     /// The pass's name. Default "fit".
     pub name: String,
-    /// What is minimised over pixels and channels. Default `L1`.
+    /// What is minimized over pixels and channels. Default `L1`.
     pub loss: Loss,
     /// The closed form that shades. Default `Accurate`.
     pub shading: FitShading,
@@ -68,7 +68,7 @@ impl Default for FitPass {
 pub struct ShapePass {
     /// The pass's name. Default "shape".
     pub name: String,
-    /// What is minimised over pixels and channels. Default `L1`.
+    /// What is minimized over pixels and channels. Default `L1`.
     pub loss: Loss,
     /// The closed form that shades. Default `Accurate`.
     pub shading: FitShading,

@@ -16,7 +16,7 @@ pub struct Material {
     pub sheen: Sheen,
     /// How the diffuse albedo depends on the side of view. Default `Unknown`.
     pub tilt: Tilt,
-    /// The specular lobe that the whole object shares. Default: unknown.
+    /// The specular lobe, or what base materials start from. Default: unknown.
     pub specular: Specular,
     /// Gloss that varies over the surface. Default `Auto`.
     pub gloss: Gloss,
@@ -81,7 +81,8 @@ pub struct Specular {
     /// Roughness. Default `Unknown()`.
     pub roughness: Roughness,
     /// Distribution of microfacet normals: `Sg`, one spherical Gaussian as in the paper, or `Ggx`, whose highlights have the long
-    /// tails of most renderers' and of glTF's. A choice, not fitted; not for `shading: Published`. Default `Sg`.
+    /// tails of most renderers' and of glTF's. A choice, not fitted, but that the
+    /// two base materials of `gloss: Auto` have `Ggx`; not for `shading: Published`. Default `Sg`.
     pub ndf: Ndf,
 }
 

@@ -39,6 +39,9 @@ pub(super) fn fill_reflections(
     }
     let is_reflection: Vec<bool> =
         sums.iter().zip(&counts).map(|(sum, count)| *sum < LEAST_PATTERN * count).collect();
+    if !is_reflection.contains(&true) {
+        return;
+    }
     for (row, space) in spaces.iter().enumerate() {
         if *space < UNKNOWN && is_reflection[*space as usize] {
             grid.values[row] = closed.values[row];
@@ -48,7 +51,7 @@ pub(super) fn fill_reflections(
 }
 
 /// For each vertex of the grid the number of the opened space that it is in, and how many spaces there are. Vertices hang together
-/// along edges.
+/// along edges; none at the border of the grid is opened, since the object ends before it.
 pub(super) fn opened_spaces(grid: &SdfGrid, closed: &SdfGrid) -> (Vec<u32>, usize) {
     let is_opened = |(now, before): (&f32, &f32)| if *now >= 0.0 && *before < 0.0 { UNKNOWN } else { NONE };
     let mut spaces: Vec<u32> = grid.values.iter().zip(&closed.values).map(is_opened).collect();
