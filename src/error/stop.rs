@@ -10,6 +10,7 @@ use std::sync::atomic::{AtomicU8, Ordering};
 /// What asked a run to stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
+#[non_exhaustive]
 pub enum StopSignal {
     /// Ctrl-C.
     Interrupt = 1,

@@ -7,8 +7,8 @@ use crate::fit::roughness::blend::{BlendGradient, BlendMoments};
 use crate::fit::sheen::{SheenGradient, SheenMoments};
 use crate::light::LightLobe;
 use crate::light::lights::LobeOf;
-use crate::material::{SpecularLobe, texels_in_order};
-use bevy_ecs::prelude::{Component, Entity, With, Without, World};
+use crate::material::{SpecularLobe, TexelIndex, texels_in_order};
+use bevy_ecs::prelude::{Bundle, Component, Entity, With, Without, World};
 use bevy_ecs::query::QueryFilter;
 
 /// The lobes of the scene's own light.
@@ -46,6 +46,14 @@ pub(super) fn attach_moments(world: &mut World, sheen: bool) {
     insert_into::<With<SpecularLobe>, _>(world, SpecularMoments::default());
 }
 
+/// Takes gradients and moments away again.
+pub(super) fn detach(world: &mut World) {
+    type OfTexel = (AlbedoGradient, TexelSeen, SheenGradient, BlendGradient);
+    remove_from::<With<TexelIndex>, (OfTexel, AlbedoMoments, SheenMoments, BlendMoments)>(world);
+    remove_from::<With<LightLobe>, (LobeGradient, LobeMoments)>(world);
+    remove_from::<With<SpecularLobe>, (SpecularGradient, SpecularMoments)>(world);
+}
+
 /// Whether there are several base materials.
 fn are_blended(world: &mut World) -> bool {
     world.query::<&SpecularLobe>().iter(world).len() > 1
@@ -55,4 +63,12 @@ fn are_blended(world: &mut World) -> bool {
 fn insert_into<F: QueryFilter, T: Component + Clone>(world: &mut World, value: T) {
     let selected: Vec<Entity> = world.query_filtered::<Entity, F>().iter(world).collect();
     world.insert_batch(selected.into_iter().map(|entity| (entity, value.clone())).collect::<Vec<_>>());
+}
+
+/// Takes components from all entities that a filter selects, as far as they have them.
+fn remove_from<F: QueryFilter, T: Bundle>(world: &mut World) {
+    let selected: Vec<Entity> = world.query_filtered::<Entity, F>().iter(world).collect();
+    for entity in selected {
+        world.entity_mut(entity).remove::<T>();
+    }
 }

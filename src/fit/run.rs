@@ -1,6 +1,6 @@
 //! Running a fit: prepare the pool, initialize, and take steps.
 
-use super::attach::{OwnLobes, attach_gradients, attach_moments};
+use super::attach::{OwnLobes, attach_gradients, attach_moments, detach};
 use super::by_view::{ViewSums, count_pool, sum_by_view};
 use super::cameras::{CameraFit, CameraPose};
 use super::components::{
@@ -246,6 +246,9 @@ impl Plugin for FitPlugin {
         world.remove_resource::<PixelChoice>();
         world.remove_resource::<ScaleRule>();
         world.remove_resource::<RefreshDue>();
+        world.remove_resource::<FramesTried>();
+        world.remove_resource::<SheenEvidence>();
+        detach(world);
     }
 }
 

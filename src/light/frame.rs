@@ -16,6 +16,7 @@ use serde::{Deserialize, Serialize};
 
 /// The frame in which a light stands still: the world's, unless something else is said.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub enum LightFrame {
     /// The world: the object and the light do not move.
     #[default]

@@ -59,6 +59,7 @@ pub struct IncidentLight {
 
 /// The active light.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum LightChoice {
     /// The scene's own light.
     #[default]

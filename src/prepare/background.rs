@@ -3,11 +3,12 @@
 //! Cameras are found from what moves together. Before a camera that stands still, as at a turntable, background and object
 //! contradict each other, and only the object says where the camera is. If the camera moves, the background helps.
 
+use crate::codec::image::decode_picture;
+use crate::error::Result;
 use crate::error::stop::check_interrupted;
-use crate::error::{Error, Result};
 use crate::prepare::photographs::Photograph;
+use image::GrayImage;
 use image::imageops::thumbnail;
-use image::{GrayImage, ImageReader};
 use std::path::Path;
 
 /// Photographs that are compared, spread over all.
@@ -63,11 +64,7 @@ fn deviation(values: &[f64]) -> f64 {
 
 /// A picture in gray, a few pixels wide.
 fn small(path: &Path) -> Result<GrayImage> {
-    let damaged = |error: image::ImageError| {
-        Error::input(path, "", format!("the picture cannot be read: {error}"), "Copy it again, or remove it.")
-    };
-    let reader = ImageReader::open(path).and_then(ImageReader::with_guessed_format);
-    let picture = reader.map_err(Error::io("read", path))?.decode().map_err(damaged)?.into_luma8();
+    let picture = decode_picture(path)?.into_luma8();
     let (width, height) = picture.dimensions();
     let shrink = (f64::from(width.max(height)) / f64::from(SIDE)).max(1.0);
     let [width, height] = [width, height].map(|side| ((f64::from(side) / shrink) as u32).max(1));

@@ -22,6 +22,7 @@ const SEQUENCE_OVERLAP: usize = 20;
 
 /// The distortion of the lens that COLMAP estimates.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum LensModel {
     /// None, one focal length.
     SimplePinhole,
@@ -54,6 +55,7 @@ impl LensModel {
 
 /// Which photographs share a camera: focal length, center and distortion.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum CameraSharing {
     /// All of the same size and EXIF focal length.
     #[default]

@@ -1,7 +1,7 @@
 //! Masks of the photographs, from one of several sources, each checked before it is used.
 
 use crate::codec::image::Orientation::AsStored;
-use crate::codec::image::{Gamma, image_header, read_image, read_mask};
+use crate::codec::image::{Gamma, decode_picture, image_header, read_image, read_mask};
 use crate::codec::nearby::missing_file_help;
 use crate::codec::png_file::write_gray8;
 use crate::error::stop::check_interrupted;
@@ -11,7 +11,7 @@ use crate::prepare::backdrop::mask_before_backdrop;
 use crate::prepare::photographs::Photograph;
 use crate::prepare::program::Program;
 use image::metadata::Orientation;
-use image::{DynamicImage, GrayImage, ImageReader};
+use image::{DynamicImage, GrayImage};
 use std::collections::BTreeMap;
 use std::ffi::OsString;
 use std::fs;
@@ -19,6 +19,7 @@ use std::path::{Path, PathBuf};
 
 /// Where masks come from.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum MaskSource {
     /// The photographs' alpha, if all of them have it; else there are none.
     #[default]
@@ -90,9 +91,7 @@ pub(super) fn write_masks(
                 let mask = as_stored(mask_of_file(&file)?, photograph);
                 (file, mask)
             }
-            (MaskSource::Backdrop, _) => {
-                (photograph.source.clone(), before_backdrop(&photograph.source, &image)?)
-            }
+            (MaskSource::Backdrop, _) => (photograph.source.clone(), before_backdrop(&photograph.source)?),
             _ => (photograph.source.clone(), alpha_of(&image)?),
         };
         check(&mask, photograph, &file)?;
@@ -170,14 +169,8 @@ fn alpha_of(image: &Path) -> Result<GrayImage> {
     mask.ok_or_else(|| Error::input(image, "", "the photograph has no alpha", "Give masks with --masks DIR."))
 }
 
-fn before_backdrop(source: &Path, image: &Path) -> Result<GrayImage> {
-    let damaged = |error: image::ImageError| {
-        let problem = format!("the photograph cannot be read: {error}");
-        Error::input(source, "", problem, "Copy it again, or remove it.")
-    };
-    let reader = ImageReader::open(image).and_then(ImageReader::with_guessed_format);
-    let decoded = reader.map_err(Error::io("read", source))?.decode().map_err(damaged)?;
-    mask_before_backdrop(&decoded.into_rgb8()).map_err(|problem| {
+fn before_backdrop(source: &Path) -> Result<GrayImage> {
+    mask_before_backdrop(&decode_picture(source)?.into_rgb8()).map_err(|problem| {
         let help = "Take masks of another source: --masks DIR, or --mask-command 'rembg i {in} {out}'.";
         Error::input(source, "", problem, help)
     })

@@ -12,6 +12,7 @@ const NAMED: usize = 10;
 
 /// Which pairs of photographs are matched.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Matching {
     /// All pairs, or neighbors only for videos and very many photographs.
     #[default]
@@ -24,6 +25,7 @@ pub enum Matching {
 
 /// What of a photograph with a mask shows where its camera is.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum FeatureArea {
     /// The object alone if the background is the same in all photographs, as on a turntable, or plain; else everything.
     #[default]
@@ -36,6 +38,7 @@ pub enum FeatureArea {
 
 /// How many frames of a video are used, evenly spaced.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[non_exhaustive]
 pub enum FrameCount {
     /// 150, or of a short video a quarter of its frames.
     #[default]

@@ -1,5 +1,6 @@
 //! The steps that run COLMAP: features, matching, mapping, undistortion.
 
+use crate::codec::image::decode_picture;
 use crate::codec::png_file::write_gray8;
 use crate::dataset::colmap::registered_names;
 use crate::error::stop::check_interrupted;
@@ -10,8 +11,8 @@ use crate::prepare::model::{mean_reprojection_error, models, points_seen};
 use crate::prepare::options::{Matching, PrepareOptions, Prepared};
 use crate::prepare::photographs::{Photograph, folders};
 use crate::prepare::work::Work;
+use image::GrayImage;
 use image::codecs::jpeg::JpegEncoder;
-use image::{GrayImage, ImageError};
 use std::collections::BTreeSet;
 use std::ffi::OsString;
 use std::fs;
@@ -217,12 +218,15 @@ impl Reconstruction<'_> {
         let (bent, straight) = (work.emptied("bent_masks")?, work.emptied("straight_masks")?);
         for name in names {
             check_interrupted()?;
-            write_as(&bent.join(name), &read_gray(&work.path("masks").join(format!("{name}.png")))?)?;
+            write_as(
+                &bent.join(name),
+                &decode_picture(work.path("masks").join(format!("{name}.png")))?.into_luma8(),
+            )?;
         }
         let words = Colmap::undistortion(&bent, model, &straight);
         self.colmap_step(work, "undistortion of masks", names.len() as u64, &words)?;
         for name in names {
-            let mut mask = read_gray(&straight.join("images").join(name))?;
+            let mut mask = decode_picture(straight.join("images").join(name))?.into_luma8();
             for value in mask.iter_mut() {
                 *value = match *value {
                     dark if dark <= MASK_NOISE => 0,
@@ -234,12 +238,6 @@ impl Reconstruction<'_> {
         }
         Ok(())
     }
-}
-
-fn read_gray(path: &Path) -> Result<GrayImage> {
-    let wrong = |error: ImageError| Error::run("undistorting masks", format!("{}: {error}", path.display()));
-    let reader = image::ImageReader::open(path).and_then(image::ImageReader::with_guessed_format);
-    Ok(reader.map_err(Error::io("read", path))?.decode().map_err(wrong)?.into_luma8())
 }
 
 /// Writes a mask in the format of its name, without visible loss.

@@ -4,7 +4,7 @@
 //! second one writes a few candidates of each interval, of which the sharpest stays.
 
 use crate::codec::file::{first_bytes, open};
-use crate::codec::image::is_video_start;
+use crate::codec::image::{decode_picture, is_video_start};
 use crate::codec::nearby::natural_order;
 use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
@@ -257,10 +257,7 @@ fn keep_sharpest(files: &[PathBuf], intervals: usize, progress: &dyn Progress) -
 fn keep_sharpest_of(candidates: &[PathBuf]) -> Result<()> {
     let mut scored = Vec::new();
     for path in candidates.iter().filter(|_| candidates.len() > 1) {
-        let damaged = |error: image::ImageError| {
-            Error::input(path, "", format!("the frame cannot be read: {error}"), "Extract the video again.")
-        };
-        scored.push((sharpness(&image::open(path).map_err(damaged)?.into_luma8()), path));
+        scored.push((sharpness(&decode_picture(path)?.into_luma8()), path));
     }
     // A later frame replaces an earlier one only if it is sharper.
     let best = scored.iter().rev().max_by(|a, b| a.0.total_cmp(&b.0)).map(|(_, path)| *path);

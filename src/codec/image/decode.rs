@@ -11,7 +11,7 @@ use crate::codec::nearby::missing_file_help;
 use crate::error::{Error, Result};
 use image::codecs::png::PngDecoder;
 use image::metadata::Orientation as ExifOrientation;
-use image::{DynamicImage, ImageDecoder, Limits};
+use image::{DynamicImage, GrayAlphaImage, GrayImage, ImageDecoder, Limits, RgbImage, RgbaImage};
 use std::io::{BufRead, BufReader, Seek};
 use std::path::Path;
 
@@ -82,6 +82,34 @@ pub fn decode_samples(path: impl AsRef<Path>, orientation: Orientation) -> Resul
         Orientation::AsStored => decoded,
         Orientation::Upright => decoded.upright(),
     })
+}
+
+/// Reads the pixels of an image file of integers as they are stored, with 8 bits per sample.
+///
+/// # Errors
+/// Those of [`decode_samples`], and [`Error::Input`] if the file holds floats.
+pub fn decode_picture(path: impl AsRef<Path>) -> Result<DynamicImage> {
+    let path = path.as_ref();
+    let decoded = decode_samples(path, Orientation::AsStored)?;
+    let (format, channels, [w, h]) =
+        (decoded.header.format, decoded.channels(), [decoded.width, decoded.height]);
+    let samples = match decoded.samples {
+        Samples::Bytes8(samples) => samples,
+        Samples::Words16(samples) => {
+            samples.into_iter().map(|sample| ((u32::from(sample) + 128) / 257) as u8).collect()
+        }
+        Samples::Floats(_) => {
+            let problem = format!("{} with floats, where a picture of integers is needed", format.name());
+            return Err(Error::input(path, "", problem, "Convert it to JPEG or PNG."));
+        }
+    };
+    let picture = match channels {
+        1 => GrayImage::from_raw(w, h, samples).map(DynamicImage::ImageLuma8),
+        2 => GrayAlphaImage::from_raw(w, h, samples).map(DynamicImage::ImageLumaA8),
+        3 => RgbImage::from_raw(w, h, samples).map(DynamicImage::ImageRgb8),
+        _ => RgbaImage::from_raw(w, h, samples).map(DynamicImage::ImageRgba8),
+    };
+    picture.ok_or_else(|| damaged(path, format, "its pixels are not those that its header declares"))
 }
 
 fn integers(path: &Path, header: &ImageHeader, decoded: DynamicImage) -> Result<Samples> {

@@ -5,6 +5,7 @@ use std::path::Path;
 
 /// File formats that can be read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Format {
     /// PNG, 8 or 16 bit, or fewer.
     Png,

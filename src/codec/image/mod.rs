@@ -19,7 +19,7 @@ mod samples;
 mod tiff_file;
 mod webp_file;
 
-pub use decode::{decode_samples, image_header};
+pub use decode::{decode_picture, decode_samples, image_header};
 pub use encode::{PngPixels, decode, encode_jpeg, encode_png};
 pub use format::{Format, IMAGE_EXTENSIONS, is_unread_name, is_video_start};
 pub use header::{ImageHeader, MOST_PIXELS, Orientation};

@@ -94,6 +94,7 @@ impl CameraPose {
 
 /// The camera parameters that a fit optimizes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub enum CameraUnknowns {
     /// None: the cameras are as given.
     #[default]
