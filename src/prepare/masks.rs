@@ -382,9 +382,7 @@ mod tests {
         let set = Set::new();
         let masks = set.masks(&MaskSource::Backdrop).unwrap();
         assert_eq!((masks[0].get_pixel(20, 15).0[0], masks[0].get_pixel(2, 2).0[0]), (255, 0));
-        fs::remove_file(set.path("images/000008.jpg")).unwrap();
-        let plain = GrayImage::from_pixel(40, 30, Luma([90]));
-        plain.save(set.path("images/000008.jpg")).unwrap();
+        GrayImage::from_pixel(40, 30, Luma([90])).save(set.path("photos/000008.jpg")).unwrap();
         let text = set.refused(&MaskSource::Backdrop);
         assert!(text.contains("000008.jpg") && text.contains("--mask-command"), "{text}");
     }
