@@ -22,13 +22,24 @@ const SAME: f64 = 0.35;
 /// Part of a picture that is compared at least; with less, an object fills the frame.
 const LEAST_BACKGROUND: f64 = 0.05;
 
-/// Whether the background is the same in all photographs, or plain, or not to be seen.
+/// What the background does from photograph to photograph.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Background {
+    /// It differs, or the photographs do in size.
+    Moves,
+    /// It is the same in all.
+    StandsStill,
+    /// It is plain, or not to be seen.
+    SaysNothing,
+}
+
+/// What the background of the photographs does.
 ///
 /// # Errors
 /// [`Error::Input`] if a photograph or a mask cannot be read.
-pub(super) fn stands_still(photographs: &[Photograph], images: &Path, masks: &Path) -> Result<bool> {
+pub(super) fn background(photographs: &[Photograph], images: &Path, masks: &Path) -> Result<Background> {
     if photographs.iter().any(|photograph| photograph.size != photographs[0].size) {
-        return Ok(false);
+        return Ok(Background::Moves);
     }
     let mut pictures = Vec::new();
     for photograph in photographs.iter().step_by(photographs.len().div_ceil(COMPARED)) {
@@ -51,10 +62,16 @@ pub(super) fn stands_still(photographs: &[Photograph], images: &Path, masks: &Pa
     }
     let pixels: usize = pictures.iter().map(|(picture, _)| picture.as_raw().len()).sum();
     if (compared as f64) < LEAST_BACKGROUND * pixels as f64 {
-        return Ok(true);
+        return Ok(Background::SaysNothing);
     }
     let contrast = deviation(&values);
-    Ok(contrast < PLAIN || difference / (compared as f64) < SAME * contrast)
+    Ok(if contrast < PLAIN {
+        Background::SaysNothing
+    } else if difference / (compared as f64) < SAME * contrast {
+        Background::StandsStill
+    } else {
+        Background::Moves
+    })
 }
 
 fn deviation(values: &[f64]) -> f64 {
@@ -80,7 +97,7 @@ mod tests {
     use std::fs;
 
     /// Photographs whose background is `shade` at a place and a number, behind a square that changes.
-    fn judged(shade: impl Fn(u32, u32, u32) -> u8) -> bool {
+    fn judged(shade: impl Fn(u32, u32, u32) -> u8) -> Background {
         let folder = tempfile::tempdir().unwrap();
         let [photos, images, masks] = ["photos", "images", "masks"].map(|name| folder.path().join(name));
         fs::create_dir(&photos).unwrap();
@@ -96,15 +113,15 @@ mod tests {
         }
         let photographs = list(&photos).unwrap().photographs;
         place(&photographs, &images).unwrap();
-        stands_still(&photographs, &images, &masks).unwrap()
+        background(&photographs, &images, &masks).unwrap()
     }
 
     #[test]
     fn a_background_that_stays_is_told_from_one_that_moves() {
         let pattern =
             |x: u32, y: u32| (128.0 + 90.0 * (0.13 * x as f32).sin() * (0.17 * y as f32).cos()) as u8;
-        assert!(judged(|x, y, i| pattern(x, y).saturating_add(i as u8)));
-        assert!(!judged(|x, y, i| pattern(x + 17 * i, y + 5 * i)));
-        assert!(judged(|_, _, i| 200 + i as u8), "plain paper says nothing");
+        assert_eq!(judged(|x, y, i| pattern(x, y).saturating_add(i as u8)), Background::StandsStill);
+        assert_eq!(judged(|x, y, i| pattern(x + 17 * i, y + 5 * i)), Background::Moves);
+        assert_eq!(judged(|_, _, i| 200 + i as u8), Background::SaysNothing);
     }
 }

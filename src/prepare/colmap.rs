@@ -73,11 +73,13 @@ pub(super) enum Cameras {
 }
 
 /// Which pairs of photographs are matched.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(super) enum Pairs {
     All,
     /// Those near each other by name.
     Sequence,
+    /// Those in a file, two names a line.
+    Listed(PathBuf),
 }
 
 /// COLMAP as it is installed here.
@@ -151,16 +153,29 @@ impl Colmap {
     }
 
     /// Matches of features.
-    pub fn matching(&self, database: &Path, pairs: Pairs) -> Vec<OsString> {
-        let command = if pairs == Pairs::All { "exhaustive_matcher" } else { "sequential_matcher" };
-        let mut words = words(command, &[("--database_path", database)]);
+    pub fn matching(&self, database: &Path, pairs: &Pairs) -> Vec<OsString> {
+        let mut words = words(pairs.command(), &[("--database_path", database)]);
         words.extend([self.naming.matching("use_gpu").into(), self.use_gpu()]);
-        let (option, value) = match pairs {
-            Pairs::All => ("--ExhaustiveMatching.block_size", MATCHING_BLOCK),
-            Pairs::Sequence => ("--SequentialMatching.overlap", SEQUENCE_OVERLAP),
-        };
-        words.extend([option.into(), value.to_string().into()]);
+        words.extend(match pairs {
+            Pairs::All => ["--ExhaustiveMatching.block_size".into(), MATCHING_BLOCK.to_string().into()],
+            Pairs::Sequence => ["--SequentialMatching.overlap".into(), SEQUENCE_OVERLAP.to_string().into()],
+            Pairs::Listed(file) => ["--match_list_path".into(), file.as_os_str().to_owned()],
+        });
         words
+    }
+
+    /// Matches of features where parts of a photograph move apart from each other: several motions are found in each pair.
+    ///
+    /// # Errors
+    /// [`Error::Run`] if the program does not say what its options are.
+    pub fn moving_matching(&self, database: &Path, pairs: &Pairs) -> Result<Vec<OsString>> {
+        let help = self.program.help(&[pairs.command(), "-h"])?;
+        // Version 3.9 has given the option another name.
+        let option = ["--TwoViewGeometry.multiple_models", "--SiftMatching.multiple_models"];
+        let known = option.into_iter().find(|option| help.contains(option));
+        let mut words = self.matching(database, pairs);
+        words.extend(known.into_iter().flat_map(|option| [option, "1"]).map(OsString::from));
+        Ok(words)
     }
 
     /// Cameras and points, as one or several models in folders of `models` with numbers as names. `side` is the longest side of the
@@ -168,14 +183,38 @@ impl Colmap {
     pub fn mapping(database: &Path, images: &Path, models: &Path, side: u32) -> Vec<OsString> {
         let paths = [("--database_path", database), ("--image_path", images), ("--output_path", models)];
         let mut words = words("mapper", &paths);
-        let error = (LEAST_ERROR * f64::from(side) / ERROR_SIDE).clamp(LEAST_ERROR, MOST_ERROR);
-        words.extend(["--Mapper.filter_max_reproj_error".into(), error.to_string().into()]);
+        words.extend(largest_error(side));
         words
+    }
+
+    /// The cameras of a model with all its points found anew, into `output`. `side` is that of [`mapping`](Self::mapping).
+    pub fn triangulation(
+        database: &Path,
+        images: &Path,
+        model: &Path,
+        output: &Path,
+        side: u32,
+    ) -> Vec<OsString> {
+        let paths = [
+            ("--database_path", database),
+            ("--image_path", images),
+            ("--input_path", model),
+            ("--output_path", output),
+        ];
+        let mut words = words("point_triangulator", &paths);
+        words.extend(["--clear_points", "1"].map(OsString::from));
+        words.extend(largest_error(side));
+        words
+    }
+
+    /// The same model with points, poses and cameras moved to where points project best.
+    pub fn adjustment(model: &Path, output: &Path) -> Vec<OsString> {
+        words("bundle_adjuster", &[("--input_path", model), ("--output_path", output)])
     }
 
     /// The same model with the cameras' centers found as well, which a mapper takes for the middle of the image.
     pub fn refinement(model: &Path, output: &Path) -> Vec<OsString> {
-        let mut words = words("bundle_adjuster", &[("--input_path", model), ("--output_path", output)]);
+        let mut words = Self::adjustment(model, output);
         words.extend(["--BundleAdjustment.refine_principal_point", "1"].map(OsString::from));
         words
     }
@@ -184,6 +223,22 @@ impl Colmap {
     pub fn undistortion(images: &Path, model: &Path, output: &Path) -> Vec<OsString> {
         let paths = [("--image_path", images), ("--input_path", model), ("--output_path", output)];
         words("image_undistorter", &paths)
+    }
+}
+
+/// The largest distance of a feature from its point's projection in photographs of this longer side in pixels.
+fn largest_error(side: u32) -> [OsString; 2] {
+    let error = (LEAST_ERROR * f64::from(side) / ERROR_SIDE).clamp(LEAST_ERROR, MOST_ERROR);
+    ["--Mapper.filter_max_reproj_error".into(), error.to_string().into()]
+}
+
+impl Pairs {
+    fn command(&self) -> &'static str {
+        match self {
+            Self::All => "exhaustive_matcher",
+            Self::Sequence => "sequential_matcher",
+            Self::Listed(_) => "matches_importer",
+        }
     }
 }
 
@@ -249,7 +304,7 @@ mod tests {
             "feature_extractor --database_path db --image_path i --ImageReader.camera_model RADIAL \
              --ImageReader.single_camera 1 --ImageReader.mask_path m --SiftExtraction.use_gpu 0"
         );
-        let words = colmap.matching(Path::new("db"), Pairs::Sequence);
+        let words = colmap.matching(Path::new("db"), &Pairs::Sequence);
         assert!(joined(&words).starts_with("sequential_matcher --database_path db --SiftMatching.use_gpu 0"));
         assert!(joined(&words).ends_with("--SequentialMatching.overlap 20"));
         for (side, error) in [(800, "1.2"), (3200, "2.4"), (12_000, "4")] {
@@ -259,6 +314,17 @@ mod tests {
                 "{words}"
             );
         }
+        let words = colmap.matching(Path::new("db"), &Pairs::Listed("pairs.txt".into()));
+        assert_eq!(
+            joined(&words),
+            "matches_importer --database_path db --SiftMatching.use_gpu 0 --match_list_path pairs.txt"
+        );
+        let [db, images, model] = ["db", "i", "m"].map(Path::new);
+        let words = joined(&Colmap::triangulation(db, images, model, Path::new("t"), 1600));
+        assert!(
+            words.ends_with("--output_path t --clear_points 1 --Mapper.filter_max_reproj_error 1.2"),
+            "{words}"
+        );
         let words = Colmap::undistortion(Path::new("i"), Path::new("m/0"), Path::new("d"));
         assert_eq!(joined(&words), "image_undistorter --image_path i --input_path m/0 --output_path d");
     }
@@ -267,7 +333,7 @@ mod tests {
     fn newer_versions_have_other_names() {
         assert_eq!(Naming::of_help("--SiftExtraction.use_gpu arg"), Naming::Sift);
         let naming = Naming::of_help("  --FeatureExtraction.use_gpu arg (=1)");
-        let words = joined(&colmap(naming).matching(Path::new("db"), Pairs::All));
+        let words = joined(&colmap(naming).matching(Path::new("db"), &Pairs::All));
         assert!(words.contains("--FeatureMatching.use_gpu 0"), "{words}");
         assert!(!words.contains("Sift"), "{words}");
     }

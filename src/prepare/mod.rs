@@ -9,6 +9,7 @@
 //! | `colmap`, `model` | COLMAP's arguments and progress, and what its models hold |
 //! | `options` | what is prepared and how, and what came of it |
 //! | `reconstruct` | the steps that run it |
+//! | `platter` | the cameras adjusted by what turns with the object |
 //! | `program` | running another program |
 //! | `work` | the output folder: steps that are done once, results that get their names at the end |
 //! | [`scene_file`] | a commented scene file for a data set |
@@ -34,6 +35,7 @@ mod masks;
 mod model;
 mod options;
 mod photographs;
+mod platter;
 mod program;
 mod reconstruct;
 mod regions;
@@ -53,10 +55,11 @@ pub use options::{FeatureArea, FrameCount, Matching, PrepareOptions, Prepared};
 use crate::codec::file::{lies_in, write_bytes};
 use crate::error::{Error, Result};
 use crate::pass::progress::Progress;
+use crate::prepare::background::{Background, background};
 use crate::prepare::colmap::Colmap;
 use crate::prepare::photographs::{Listing, Photograph};
 use crate::prepare::program::Program;
-use crate::prepare::reconstruct::Reconstruction;
+use crate::prepare::reconstruct::{Features, Reconstruction};
 use crate::prepare::video::FramePlan;
 use crate::prepare::work::Work;
 use std::path::Path;
@@ -90,9 +93,9 @@ pub fn prepare(options: &PrepareOptions, progress: &dyn Progress) -> Result<Prep
         photographs::place(&photographs, &work.emptied("photographs")?)
     })?;
     let has_masks = masks(options, &photographs, &mut work, progress)?;
-    let on_object = has_masks && on_object(options.features, &photographs, &work, progress)?;
+    let features = if has_masks { features(options, &photographs, &work, progress)? } else { Features::All };
     let (photographs, is_video) = (photographs.as_slice(), video_frames.is_some());
-    let steps = Reconstruction { options, colmap, photographs, is_video, has_masks, on_object, progress };
+    let steps = Reconstruction { options, colmap, photographs, is_video, has_masks, features, progress };
     let prepared = Prepared { video_frames, ..steps.run(&mut work)? };
     publish(&options.out, work, prepared)
 }
@@ -182,27 +185,35 @@ fn masks(
     Ok(has_masks)
 }
 
-/// Whether features are taken from the object alone.
-fn on_object(
-    area: FeatureArea,
+/// Where features are taken from.
+fn features(
+    options: &PrepareOptions,
     photographs: &[Photograph],
     work: &Work,
     progress: &dyn Progress,
-) -> Result<bool> {
+) -> Result<Features> {
     let (images, masks) = (work.path("photographs"), work.path("masks"));
-    let on_object = match area {
-        FeatureArea::Object => true,
-        FeatureArea::All => false,
-        FeatureArea::Auto => background::stands_still(photographs, &images, &masks)?,
+    let found = match (options.features, &options.masks) {
+        (FeatureArea::Object, _) => return Ok(Features::Object),
+        (FeatureArea::All, _) => return Ok(Features::All),
+        // All that stands out from the backdrop is the object.
+        (FeatureArea::Auto, MaskSource::Backdrop) => Background::SaysNothing,
+        (FeatureArea::Auto, _) => background(photographs, &images, &masks)?,
     };
-    if area == FeatureArea::Auto {
-        progress.note(if on_object {
-            "the background is plain or the same in all photographs, as on a turntable: cameras are found by the object alone"
-        } else {
-            "the background differs between photographs: it helps to find the cameras"
-        });
-    }
-    Ok(on_object)
+    let (features, note) = match found {
+        Background::Moves => {
+            (Features::All, "the background differs between photographs: it helps to find the cameras")
+        }
+        Background::StandsStill => (
+            Features::ObjectAndPlatter,
+            "the background is the same in all photographs, as on a turntable: cameras are found by the object and what turns with it",
+        ),
+        Background::SaysNothing => {
+            (Features::Object, "the background is plain: cameras are found by the object alone")
+        }
+    };
+    progress.note(note);
+    Ok(features)
 }
 
 /// Gives the results their names and writes the scene file.

@@ -81,16 +81,42 @@ fn errors(bytes: &[u8]) -> Option<(f64, u64)> {
 /// # Errors
 /// [`Error::Input`] if the file is missing or truncated.
 pub(super) fn points_seen(model: &Path) -> Result<Vec<(String, u64)>> {
-    let file = model.join("images.bin");
-    let bytes = read_bytes(&file, missing_file_help)?;
-    seen(&bytes).ok_or_else(|| cut_short(&file))
+    Ok(photographs(model)?.into_iter().map(|photograph| (photograph.name, photograph.points)).collect())
 }
 
-/// Names and numbers of points; `None` if the file is truncated.
-fn seen(bytes: &[u8]) -> Option<Vec<(String, u64)>> {
+/// The direction in which each photograph of `images.bin` looks, in the model's world, by name.
+///
+/// # Errors
+/// [`Error::Input`] if the file is missing or truncated.
+pub(super) fn view_directions(model: &Path) -> Result<Vec<(String, [f64; 3])>> {
+    let placed = photographs(model)?.into_iter();
+    Ok(placed.map(|photograph| (photograph.name, photograph.direction)).collect())
+}
+
+/// A photograph of a model.
+struct Placed {
+    name: String,
+    /// The third row of the rotation from world to camera.
+    direction: [f64; 3],
+    /// How many points it sees.
+    points: u64,
+}
+
+fn photographs(model: &Path) -> Result<Vec<Placed>> {
+    let file = model.join("images.bin");
+    let bytes = read_bytes(&file, missing_file_help)?;
+    placed(&bytes).ok_or_else(|| cut_short(&file))
+}
+
+/// The photographs of `images.bin`; `None` if the file is truncated.
+fn placed(bytes: &[u8]) -> Option<Vec<Placed>> {
     let photographs = u64::from_le_bytes(*bytes.first_chunk()?);
     let (mut found, mut at) = (Vec::new(), 8_usize);
     for _ in 0..photographs {
+        // The rotation is a unit quaternion, its real part first.
+        let number = |k: usize| Some(f64::from_le_bytes(*bytes.get(at + 4 + 8 * k..)?.first_chunk()?));
+        let [w, x, y, z] = [number(0)?, number(1)?, number(2)?, number(3)?];
+        let direction = [2.0 * (x * z - w * y), 2.0 * (y * z + w * x), 1.0 - 2.0 * (x * x + y * y)];
         at = at.checked_add(POSE_BYTES)?;
         let length = bytes.get(at..)?.iter().position(|byte| *byte == 0)?;
         let name = String::from_utf8_lossy(&bytes[at..at + length]).into_owned();
@@ -99,7 +125,7 @@ fn seen(bytes: &[u8]) -> Option<Vec<(String, u64)>> {
         let end = at.checked_add(8)?.checked_add(features.checked_mul(FEATURE_BYTES)?)?;
         let features = bytes.get(at + 8..end)?.chunks_exact(FEATURE_BYTES);
         let has_point = |feature: &&[u8]| feature[FEATURE_BYTES - 8..] != [0xff; 8];
-        found.push((name, features.filter(has_point).count() as u64));
+        found.push(Placed { name, direction, points: features.filter(has_point).count() as u64 });
         at = end;
     }
     Some(found)

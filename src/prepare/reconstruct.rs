@@ -34,6 +34,16 @@ const MASK_NOISE: u8 = 8;
 const NO_CAMERAS_HELP: &str = "Neighboring photographs must overlap by 60 % and more and be sharp, and the object needs texture. On a \
                                turntable, mask the background; before a plain object, mask nothing.";
 
+/// What of a photograph features are taken from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Features {
+    All,
+    /// The object alone.
+    Object,
+    /// The object alone, and once cameras are known by it, what turns with it.
+    ObjectAndPlatter,
+}
+
 /// Photographs whose cameras are to be found.
 pub(super) struct Reconstruction<'a> {
     pub options: &'a PrepareOptions,
@@ -41,8 +51,7 @@ pub(super) struct Reconstruction<'a> {
     pub photographs: &'a [Photograph],
     pub is_video: bool,
     pub has_masks: bool,
-    /// Whether features are taken from the object alone.
-    pub on_object: bool,
+    pub features: Features,
     pub progress: &'a dyn Progress,
 }
 
@@ -63,11 +72,11 @@ impl Reconstruction<'_> {
     /// Those of [`prepare`](crate::prepare::prepare).
     pub fn run(&self, work: &mut Work) -> Result<Prepared> {
         let (lens, cameras, pairs) = (self.options.lens, self.cameras(), self.pairs());
-        work.step("features", &format!("{lens:?} {cameras:?} {}", self.on_object), |work| {
+        work.step("features", &format!("{lens:?} {cameras:?} {}", self.on_object()), |work| {
             self.extract(work, cameras)
         })?;
         work.step("matching", &format!("{pairs:?}"), |work| {
-            self.colmap_step(work, "matching", 100, &self.colmap.matching(&work.path("database.db"), pairs))
+            self.colmap_step(work, "matching", 100, &self.colmap.matching(&work.path("database.db"), &pairs))
         })?;
         work.step("mapping", "", |work| self.map(work))?;
         let found = models(&work.path("models"))?;
@@ -93,8 +102,10 @@ impl Reconstruction<'_> {
             let words = Colmap::refinement(&largest.folder, &output);
             if refines { self.colmap_step(work, "refinement", 1, &words) } else { Ok(()) }
         })?;
+        let with_platter = self.features == Features::ObjectAndPlatter;
+        let model = if with_platter { self.adjust_by_platter(work, &model)? } else { model };
         let error = mean_reprojection_error(&model)?;
-        let settings = self.options.keep_distortion.to_string();
+        let settings = format!("{} {with_platter}", self.options.keep_distortion);
         work.step("undistortion", &settings, |work| self.finish(work, &model, &names))?;
         let left_out = self.photographs.iter().map(|photograph| photograph.name.clone());
         Ok(Prepared {
@@ -108,7 +119,16 @@ impl Reconstruction<'_> {
         })
     }
 
-    fn cameras(&self) -> Cameras {
+    fn on_object(&self) -> bool {
+        self.features != Features::All
+    }
+
+    /// The longest side of the photographs in pixels.
+    pub(super) fn longest_side(&self) -> u32 {
+        self.photographs.iter().flat_map(|photograph| photograph.size).max().unwrap_or_default()
+    }
+
+    pub(super) fn cameras(&self) -> Cameras {
         match self.options.cameras {
             CameraSharing::PerImage => Cameras::PerImage,
             CameraSharing::Shared if folders(self.photographs) > 1 => Cameras::PerFolder,
@@ -134,7 +154,7 @@ impl Reconstruction<'_> {
     /// Whether the center of the image is found too. It moves like a turn of the camera: only many photographs of one camera with features
     /// over the whole frame tell the two apart.
     fn refines_center(&self, registered: usize) -> bool {
-        self.cameras() == Cameras::One && !self.on_object && registered >= FEWEST_FOR_CENTER
+        self.cameras() == Cameras::One && !self.on_object() && registered >= FEWEST_FOR_CENTER
     }
 
     fn no_cameras(&self, problem: &str) -> Error {
@@ -143,15 +163,8 @@ impl Reconstruction<'_> {
 
     fn extract(&self, work: &Work, cameras: Cameras) -> Result<()> {
         let database = work.path("database.db");
-        for rest in ["database.db", "database.db-wal", "database.db-shm"].map(|name| work.path(name)) {
-            match fs::remove_file(&rest) {
-                Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                    return Err(Error::io("remove", &rest)(error));
-                }
-                _ => {}
-            }
-        }
-        let masks = self.on_object.then(|| work.path("masks"));
+        remove_database(work, "database.db")?;
+        let masks = self.on_object().then(|| work.path("masks"));
         let images = work.path("photographs");
         let words = self.colmap.features(&database, &images, masks.as_deref(), self.options.lens, cameras);
         self.colmap_step(work, "features", self.photographs.len() as u64, &words)
@@ -159,9 +172,8 @@ impl Reconstruction<'_> {
 
     fn map(&self, work: &Work) -> Result<()> {
         let models = work.emptied("models")?;
-        let side = self.photographs.iter().flat_map(|photograph| photograph.size).max().unwrap_or_default();
         let (database, images) = (work.path("database.db"), work.path("photographs"));
-        let words = Colmap::mapping(&database, &images, &models, side);
+        let words = Colmap::mapping(&database, &images, &models, self.longest_side());
         let ran = self.colmap_step(work, "mapping", self.photographs.len() as u64, &words);
         let is_empty = fs::read_dir(&models).map_err(Error::io("read", &models))?.next().is_none();
         let log = fs::read(work.log("mapping")).unwrap_or_default();
@@ -178,7 +190,7 @@ impl Reconstruction<'_> {
     }
 
     /// Runs one of COLMAP's commands with a bar of `length` steps.
-    fn colmap_step(&self, work: &Work, name: &str, length: u64, words: &[OsString]) -> Result<()> {
+    pub(super) fn colmap_step(&self, work: &Work, name: &str, length: u64, words: &[OsString]) -> Result<()> {
         let bar = self.progress.bar(name, length);
         let ran = self.colmap.program.run(words, &work.log(name), &mut |line| {
             if let Some(done) = steps_done(line, length) {
@@ -238,6 +250,19 @@ impl Reconstruction<'_> {
         }
         Ok(())
     }
+}
+
+/// Removes a database that an earlier run left, and what belongs to it.
+pub(super) fn remove_database(work: &Work, name: &str) -> Result<()> {
+    for rest in ["", "-wal", "-shm"].map(|end| work.path(&format!("{name}{end}"))) {
+        match fs::remove_file(&rest) {
+            Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
+                return Err(Error::io("remove", &rest)(error));
+            }
+            _ => {}
+        }
+    }
+    Ok(())
 }
 
 /// Writes a mask in the format of its name, without visible loss.

@@ -13,6 +13,21 @@ impl Bits {
         self.pixels.iter().filter(|pixel| **pixel).count()
     }
 
+    /// The longer side of the object's bounding box in pixels; 0 without an object.
+    pub fn longer_side(&self) -> usize {
+        let ones = || self.pixels.iter().enumerate().filter(|(_, one)| **one).map(|(i, _)| i);
+        let side = |coordinates: &dyn Fn(usize) -> usize| {
+            let (least, most) = (ones().map(coordinates).min(), ones().map(coordinates).max());
+            least.zip(most).map_or(0, |(least, most)| most - least + 1)
+        };
+        side(&|i| i % self.width).max(side(&|i| i / self.width))
+    }
+
+    /// Dilation by a square of `2 radius + 1` pixels.
+    pub fn dilated(&self, radius: usize) -> Self {
+        self.spread(radius, true)
+    }
+
     /// Erosion then dilation by a square of `2 radius + 1` pixels: takes away what is thinner.
     pub fn opened(&self, radius: usize) -> Self {
         self.spread(radius, false).spread(radius, true)

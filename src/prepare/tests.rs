@@ -8,7 +8,7 @@ use crate::scene::{LoadOptions, load};
 use crate::view::Split;
 use std::cell::RefCell;
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use tempfile::TempDir;
 
 /// Where the script finds the value of an option: `of --output_path "$@"`.
@@ -22,6 +22,9 @@ if [ "$2" = -h ]; then echo "--ImageReader.single_camera arg --SiftExtraction.us
 case $1 in
   feature_extractor) echo made > "$(of --database_path "$@")"; echo "Processed file [3/3]" ;;
   exhaustive_matcher) test -s "$(of --database_path "$@")" || exit 9; echo "Matching block [1/1, 1/1] in 1s" ;;
+  matches_importer) cp "$(of --match_list_path "$@")" "$here/pairs" ;;
+  point_triangulator) cp "$here"/with-platter/* "$out" ;;
+  bundle_adjuster) cp "$(of --input_path "$@")"/* "$out" ;;
   mapper) cp -r "$here"/models/. "$out"; echo "Registering image #1 (3)" ;;
   image_undistorter) mkdir -p "$out/images" "$out/sparse"
     cp -rL "$(of --image_path "$@")"/. "$out/images"; cp "$(of --input_path "$@")"/* "$out/sparse" ;;
@@ -57,33 +60,7 @@ impl Capture {
 
     /// A binary model with these photographs and two points.
     fn model(&self, name: &str, photographs: &[&str]) {
-        let model = self.path("models").join(name);
-        fs::create_dir_all(&model).unwrap();
-        let words = |values: &[u64]| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
-        let numbers =
-            |values: &[f64]| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
-        // Camera 1 of model 1, PINHOLE.
-        let camera = [
-            words(&[1]),
-            [1u32, 1].map(u32::to_le_bytes).concat(),
-            words(&[48, 36]),
-            numbers(&[60.0, 60.0, 24.0, 18.0]),
-        ];
-        fs::write(model.join("cameras.bin"), camera.concat()).unwrap();
-        let mut images = words(&[photographs.len() as u64]);
-        for (i, photograph) in photographs.iter().enumerate() {
-            images.extend((i as u32).to_le_bytes());
-            images.extend(numbers(&[1.0, 0.0, 0.0, 0.0, i as f64, 0.0, 4.0]));
-            images.extend(1u32.to_le_bytes());
-            images.extend(photograph.as_bytes());
-            images.push(0);
-            images.extend(words(&[0]));
-        }
-        fs::write(model.join("images.bin"), images).unwrap();
-        let point = |error: f64| {
-            [words(&[1]), numbers(&[0.0; 3]), vec![0; 3], numbers(&[error]), words(&[0])].concat()
-        };
-        fs::write(model.join("points3D.bin"), [words(&[2]), point(0.5), point(0.75)].concat()).unwrap();
+        write_model(&self.path("models").join(name), photographs, 0);
     }
 
     fn options(&self) -> PrepareOptions {
@@ -98,6 +75,38 @@ impl Capture {
         let first = |line: &str| line.split(' ').next().unwrap_or_default().to_owned();
         text.lines().filter(|line| !line.ends_with(" -h")).map(first).collect()
     }
+}
+
+/// A binary model with these photographs, each with so many features of the first of two points.
+fn write_model(model: &Path, photographs: &[&str], features: u64) {
+    fs::create_dir_all(model).unwrap();
+    let words = |values: &[u64]| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
+    let numbers = |values: &[f64]| values.iter().flat_map(|value| value.to_le_bytes()).collect::<Vec<u8>>();
+    // Camera 1 of model 1, PINHOLE.
+    let camera = [
+        words(&[1]),
+        [1u32, 1].map(u32::to_le_bytes).concat(),
+        words(&[48, 36]),
+        numbers(&[60.0, 60.0, 24.0, 18.0]),
+    ];
+    fs::write(model.join("cameras.bin"), camera.concat()).unwrap();
+    let mut images = words(&[photographs.len() as u64]);
+    for (i, photograph) in photographs.iter().enumerate() {
+        images.extend((i as u32).to_le_bytes());
+        images.extend(numbers(&[1.0, 0.0, 0.0, 0.0, i as f64, 0.0, 4.0]));
+        images.extend(1u32.to_le_bytes());
+        images.extend(photograph.as_bytes());
+        images.push(0);
+        images.extend(words(&[features]));
+        for _ in 0..features {
+            images.extend(numbers(&[0.0, 0.0]));
+            images.extend(words(&[1]));
+        }
+    }
+    fs::write(model.join("images.bin"), images).unwrap();
+    let point =
+        |error: f64| [words(&[1]), numbers(&[0.0; 3]), vec![0; 3], numbers(&[error]), words(&[0])].concat();
+    fs::write(model.join("points3D.bin"), [words(&[2]), point(0.5), point(0.75)].concat()).unwrap();
 }
 
 fn refused(options: &PrepareOptions) -> String {
@@ -270,6 +279,76 @@ fn of_several_models_the_largest_is_used_and_said() {
     let notes = notes.0.into_inner().join("\n");
     assert!(notes.contains("2 models, of 4, 3 photographs"), "{notes}");
     assert!(notes.contains("the background is plain"), "{notes}");
+}
+
+/// Three photographs of a square that changes before a pattern that does not, and their masks.
+fn turntable() -> (Capture, PrepareOptions) {
+    let capture = Capture::new();
+    let (photos, masks) = (capture.path("table"), capture.path("masks"));
+    fs::create_dir(&photos).unwrap();
+    fs::create_dir(&masks).unwrap();
+    let inside = |x: u32, y: u32| (18..30).contains(&x) && (12..24).contains(&y);
+    for (i, name) in ["a", "c", "d"].iter().enumerate() {
+        let pattern = |x: u32, y: u32| 60 * ((x / 6 + y / 6) % 3) as u8;
+        let photograph = image::RgbImage::from_fn(48, 36, |x, y| {
+            image::Rgb([if inside(x, y) { 80 * i as u8 } else { pattern(x, y) }; 3])
+        });
+        photograph.save(photos.join(format!("{name}.png"))).unwrap();
+        let mask = image::GrayImage::from_fn(48, 36, |x, y| image::Luma([255 * u8::from(inside(x, y))]));
+        mask.save(masks.join(format!("{name}.png"))).unwrap();
+    }
+    write_model(&capture.path("models/0"), &["a.png", "c.png", "d.png"], 4);
+    let options =
+        PrepareOptions { photographs: photos, masks: MaskSource::Folder(masks), ..capture.options() };
+    (capture, options)
+}
+
+#[test]
+fn on_a_turntable_cameras_are_adjusted_by_what_turns_with_the_object() {
+    let (capture, options) = turntable();
+    write_model(&capture.path("with-platter"), &["a.png", "c.png", "d.png"], 5);
+    let notes = Notes::default();
+    prepare(&options, &notes).unwrap();
+    let notes = notes.0.into_inner().join("\n");
+    assert!(notes.contains("25 % more observations of points"), "{notes}");
+    let round = ["point_triangulator", "bundle_adjuster"];
+    let first =
+        ["feature_extractor", "exhaustive_matcher", "mapper", "feature_extractor", "matches_importer"];
+    let expected = [first.as_slice(), &round, &round, &round, &["image_undistorter"; 2]].concat();
+    assert_eq!(capture.calls(), expected);
+    assert_eq!(fs::read_to_string(capture.path("pairs")).unwrap(), "a.png c.png\na.png d.png\nc.png d.png\n");
+    let images = |folder: &str| fs::read(capture.path(folder).join("images.bin")).unwrap();
+    assert_eq!(images("out/sparse/0"), images("with-platter"));
+}
+
+#[test]
+fn cameras_stay_where_nothing_else_turns() {
+    let (capture, options) = turntable();
+    write_model(&capture.path("with-platter"), &["a.png", "c.png", "d.png"], 3);
+    let notes = Notes::default();
+    prepare(&options, &notes).unwrap();
+    assert!(notes.0.into_inner().join("\n").contains("nothing around the object turns with it"));
+    let images = |folder: &str| fs::read(capture.path(folder).join("images.bin")).unwrap();
+    assert_eq!(images("out/sparse/0"), images("models/0"));
+    fs::remove_dir_all(capture.path("out")).unwrap();
+    capture.colmap(
+        &COLMAP.replace("  bundle_adjuster)", "  bundle_adjuster) echo 'no residuals'; exit 1;;\n  unused)"),
+    );
+    let notes = Notes::default();
+    prepare(&options, &notes).unwrap();
+    let notes = notes.0.into_inner().join("\n");
+    assert!(
+        notes.contains("by the object alone: colmap bundle_adjuster") && notes.contains("no residuals"),
+        "{notes}"
+    );
+    assert_eq!(images("out/sparse/0"), images("models/0"));
+    fs::remove_dir_all(capture.path("out")).unwrap();
+    capture.calls();
+    prepare(&PrepareOptions { features: FeatureArea::Object, ..options }, &Silent).unwrap();
+    assert_eq!(
+        capture.calls()[..4],
+        ["feature_extractor", "exhaustive_matcher", "mapper", "image_undistorter"]
+    );
 }
 
 #[test]
