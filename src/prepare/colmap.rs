@@ -207,15 +207,13 @@ impl Colmap {
         words
     }
 
-    /// The same model with points, poses and cameras moved to where points project best.
-    pub fn adjustment(model: &Path, output: &Path) -> Vec<OsString> {
-        words("bundle_adjuster", &[("--input_path", model), ("--output_path", output)])
-    }
-
-    /// The same model with the cameras' centers found as well, which a mapper takes for the middle of the image.
-    pub fn refinement(model: &Path, output: &Path) -> Vec<OsString> {
-        let mut words = Self::adjustment(model, output);
-        words.extend(["--BundleAdjustment.refine_principal_point", "1"].map(OsString::from));
+    /// The same model with points, poses and cameras moved to where points project best, and the cameras' centers as well if these are
+    /// to be found, which a mapper takes for the middle of the image.
+    pub fn adjustment(model: &Path, output: &Path, finds_center: bool) -> Vec<OsString> {
+        let mut words = words("bundle_adjuster", &[("--input_path", model), ("--output_path", output)]);
+        if finds_center {
+            words.extend(["--BundleAdjustment.refine_principal_point", "1"].map(OsString::from));
+        }
         words
     }
 

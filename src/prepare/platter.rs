@@ -10,9 +10,9 @@ use crate::codec::image::decode_picture;
 use crate::codec::png_file::write_gray8;
 use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
-use crate::prepare::colmap::{Colmap, Pairs};
+use crate::prepare::colmap::Pairs;
 use crate::prepare::model::{points_seen, view_directions};
-use crate::prepare::reconstruct::{Reconstruction, remove_database};
+use crate::prepare::reconstruct::{Reconstruction, Rounds, remove_database};
 use crate::prepare::regions::Bits;
 use crate::prepare::work::Work;
 use image::GrayImage;
@@ -24,10 +24,6 @@ use std::path::{Path, PathBuf};
 const MARGIN: f64 = 0.3;
 /// Largest angle between the directions of two cameras whose photographs are matched, in degrees.
 const MOST_ANGLE: f64 = 50.0;
-/// How often points are triangulated and cameras adjusted. On a bronze head on a turntable, rotations are off by 0.30° before, then by
-/// 0.20°, 0.17°, 0.15° and 0.15°.
-const ROUNDS: usize = 3;
-
 impl Reconstruction<'_> {
     /// The cameras of `model` adjusted by what turns with the object; those of `model` if that adds no points, or COLMAP fails.
     ///
@@ -57,21 +53,18 @@ impl Reconstruction<'_> {
             let words = self.colmap.moving_matching(&work.path("platter.db"), &pairs(work, model)?)?;
             self.colmap_step(work, "platter matching", 100, &words)
         })?;
-        let rounds: Vec<PathBuf> = (1..=ROUNDS).map(|k| work.path(&format!("platter/{k}"))).collect();
+        let adjusted = work.path("platter");
         work.step("platter adjustment", "", |work| {
-            work.emptied("platter")?;
-            let bar = self.progress.bar("platter adjustment", ROUNDS as u64);
-            let befores = std::iter::once(model).chain(rounds.iter().map(PathBuf::as_path));
-            for (before, after) in befores.zip(&rounds) {
-                self.adjust(work, before, after)?;
-                bar.inc(1);
-            }
-            bar.finish_and_clear();
-            Ok(())
+            let rounds = Rounds {
+                name: "platter adjustment",
+                database: "platter.db",
+                output: "platter",
+                finds_center: false,
+            };
+            self.adjust_in_rounds(work, &rounds, model)
         })?;
         let observed = |model: &Path| Ok(points_seen(model)?.iter().map(|(_, count)| count).sum::<u64>());
-        let adjusted = &rounds[ROUNDS - 1];
-        let [alone, with_platter] = [observed(model)?, observed(adjusted)?];
+        let [alone, with_platter] = [observed(model)?, observed(&adjusted)?];
         if with_platter <= alone {
             self.progress
                 .note("nothing around the object turns with it: its own features say where the cameras are");
@@ -81,18 +74,7 @@ impl Reconstruction<'_> {
         self.progress.note(&format!(
             "the cameras are adjusted by what turns with the object too: {percent:.0} % more observations of points"
         ));
-        Ok(adjusted.clone())
-    }
-
-    /// One round: points of the cameras of `before`, then both adjusted, into `after`.
-    fn adjust(&self, work: &Work, before: &Path, after: &Path) -> Result<()> {
-        let points = work.emptied("platter_points")?;
-        std::fs::create_dir_all(after).map_err(Error::io("create folder", after))?;
-        let (database, images) = (work.path("platter.db"), work.path("photographs"));
-        let words = Colmap::triangulation(&database, &images, before, &points, self.longest_side());
-        self.colmap.program.run(&words, &work.log("platter points"), &mut |_| ())?;
-        let words = Colmap::adjustment(&points, after);
-        self.colmap.program.run(&words, &work.log("platter adjustment"), &mut |_| ())
+        Ok(adjusted)
     }
 
     /// Writes masks of the object with what is around it.

@@ -25,6 +25,9 @@ const MOST_EXHAUSTIVE: [usize; 2] = [500, 100];
 const FEWEST_REGISTERED: usize = 3;
 /// A photograph that sees fewer points than the usual one divided by this is weak.
 const WEAK_SHARE: u64 = 4;
+/// How often points are found anew and cameras adjusted. On a head of polished metal on a turntable, rotations are off by 0.30° before what
+/// turns with it is used, then by 0.20°, 0.17°, 0.15° and 0.15°; on a skull before a cloth by 0.13°, 0.12°, 0.12° and 0.11°.
+const ROUNDS: u64 = 3;
 /// Fewest photographs of one camera that determine the center of its image.
 const FEWEST_FOR_CENTER: usize = 20;
 /// Grays of a resampled mask this near to black and white are these: the noise of its compression.
@@ -42,6 +45,18 @@ pub(super) enum Features {
     Object,
     /// The object alone, and once cameras are known by it, what turns with it.
     ObjectAndPlatter,
+}
+
+/// Rounds of finding points and adjusting cameras.
+pub(super) struct Rounds {
+    /// What they are called in progress and logs.
+    pub name: &'static str,
+    /// The features and matches that are used.
+    pub database: &'static str,
+    /// The folder of the model.
+    pub output: &'static str,
+    /// Whether the center of the image is found too.
+    pub finds_center: bool,
 }
 
 /// Photographs whose cameras are to be found.
@@ -98,9 +113,9 @@ impl Reconstruction<'_> {
         let refines = self.refines_center(names.len());
         let model = if refines { work.path("refined") } else { largest.folder.clone() };
         work.step("refinement", &format!("{refines} {}", largest.folder.display()), |work| {
-            let output = work.emptied("refined")?;
-            let words = Colmap::refinement(&largest.folder, &output);
-            if refines { self.colmap_step(work, "refinement", 1, &words) } else { Ok(()) }
+            let rounds =
+                Rounds { name: "refinement", database: "database.db", output: "refined", finds_center: true };
+            if refines { self.adjust_in_rounds(work, &rounds, &largest.folder) } else { Ok(()) }
         })?;
         let with_platter = self.features == Features::ObjectAndPlatter;
         let model = if with_platter { self.adjust_by_platter(work, &model)? } else { model };
@@ -187,6 +202,26 @@ impl Reconstruction<'_> {
             }
             ran => ran,
         }
+    }
+
+    /// Puts the model into a folder with its points found anew and its cameras adjusted, several times.
+    pub(super) fn adjust_in_rounds(&self, work: &Work, rounds: &Rounds, model: &Path) -> Result<()> {
+        let (database, images) = (work.path(rounds.database), work.path("photographs"));
+        let [adjusted, points] = [work.emptied(rounds.output)?, work.emptied("points")?];
+        let run = |words: &[OsString]| self.colmap.program.run(words, &work.log(rounds.name), &mut |_| ());
+        let bar = self.progress.bar(rounds.name, ROUNDS);
+        if rounds.finds_center {
+            run(&Colmap::adjustment(model, &adjusted, true))?;
+        } else {
+            copy_folder(model, &adjusted)?;
+        }
+        for _ in 0..ROUNDS {
+            run(&Colmap::triangulation(&database, &images, &adjusted, &points, self.longest_side()))?;
+            run(&Colmap::adjustment(&points, &adjusted, rounds.finds_center))?;
+            bar.inc(1);
+        }
+        bar.finish_and_clear();
+        Ok(())
     }
 
     /// Runs one of COLMAP's commands with a bar of `length` steps.

@@ -23,7 +23,7 @@ case $1 in
   feature_extractor) echo made > "$(of --database_path "$@")"; echo "Processed file [3/3]" ;;
   exhaustive_matcher) test -s "$(of --database_path "$@")" || exit 9; echo "Matching block [1/1, 1/1] in 1s" ;;
   matches_importer) cp "$(of --match_list_path "$@")" "$here/pairs" ;;
-  point_triangulator) cp "$here"/with-platter/* "$out" ;;
+  point_triangulator) cp "$here"/found-again/* "$out" ;;
   bundle_adjuster) cp "$(of --input_path "$@")"/* "$out" ;;
   mapper) cp -r "$here"/models/. "$out"; echo "Registering image #1 (3)" ;;
   image_undistorter) mkdir -p "$out/images" "$out/sparse"
@@ -281,6 +281,26 @@ fn of_several_models_the_largest_is_used_and_said() {
     assert!(notes.contains("the background is plain"), "{notes}");
 }
 
+#[test]
+fn many_photographs_of_one_camera_are_adjusted_in_rounds() {
+    let capture = Capture::new();
+    let names: Vec<String> = (0..20).map(|i| format!("{i:02}.jpg")).collect();
+    fs::create_dir(capture.path("many")).unwrap();
+    names.iter().for_each(|name| disc(48, 36).save(capture.path("many").join(name)).unwrap());
+    let names: Vec<&str> = names.iter().map(String::as_str).collect();
+    capture.model("0", &names);
+    write_model(&capture.path("found-again"), &names, 2);
+    let photographs = capture.path("many");
+    let options = PrepareOptions { photographs, masks: MaskSource::Alpha, ..capture.options() };
+    prepare(&options, &Silent).unwrap();
+    let calls = capture.calls();
+    let expected =
+        [["bundle_adjuster"; 1].as_slice(), &["point_triangulator", "bundle_adjuster"].repeat(3)].concat();
+    assert_eq!(calls[3..10], expected);
+    let images = |folder: &str| fs::read(capture.path(folder).join("images.bin")).unwrap();
+    assert_eq!(images("out/sparse/0"), images("found-again"));
+}
+
 /// Three photographs of a square that changes before a pattern that does not, and their masks.
 fn turntable() -> (Capture, PrepareOptions) {
     let capture = Capture::new();
@@ -306,7 +326,7 @@ fn turntable() -> (Capture, PrepareOptions) {
 #[test]
 fn on_a_turntable_cameras_are_adjusted_by_what_turns_with_the_object() {
     let (capture, options) = turntable();
-    write_model(&capture.path("with-platter"), &["a.png", "c.png", "d.png"], 5);
+    write_model(&capture.path("found-again"), &["a.png", "c.png", "d.png"], 5);
     let notes = Notes::default();
     prepare(&options, &notes).unwrap();
     let notes = notes.0.into_inner().join("\n");
@@ -318,13 +338,13 @@ fn on_a_turntable_cameras_are_adjusted_by_what_turns_with_the_object() {
     assert_eq!(capture.calls(), expected);
     assert_eq!(fs::read_to_string(capture.path("pairs")).unwrap(), "a.png c.png\na.png d.png\nc.png d.png\n");
     let images = |folder: &str| fs::read(capture.path(folder).join("images.bin")).unwrap();
-    assert_eq!(images("out/sparse/0"), images("with-platter"));
+    assert_eq!(images("out/sparse/0"), images("found-again"));
 }
 
 #[test]
 fn cameras_stay_where_nothing_else_turns() {
     let (capture, options) = turntable();
-    write_model(&capture.path("with-platter"), &["a.png", "c.png", "d.png"], 3);
+    write_model(&capture.path("found-again"), &["a.png", "c.png", "d.png"], 3);
     let notes = Notes::default();
     prepare(&options, &notes).unwrap();
     assert!(notes.0.into_inner().join("\n").contains("nothing around the object turns with it"));
