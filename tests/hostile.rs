@@ -303,10 +303,12 @@ fn maps_without_light_or_with_too_much() {
     let folder = Folder::new();
     std::fs::write(folder.path("below.hdr"), radiance([0; 4], [200, 200, 200, 129])).unwrap();
     std::fs::write(folder.path("black.hdr"), radiance([0; 4], [0; 4])).unwrap();
+    std::fs::write(folder.path("faint.hdr"), radiance([200, 200, 200, 60], [200, 200, 200, 60])).unwrap();
     std::fs::write(folder.path("glaring.hdr"), radiance([255; 4], [2, 2, 2, 129])).unwrap();
     let fit = |map: &'static str| ["env", "fit", map, "--lobes", "2", "--upper-hemisphere", "--quiet"];
     folder.refused(&fit("below.hdr"), &["below.hdr: the map gives no light from above"]);
     folder.refused(&fit("black.hdr"), &["black.hdr", "black everywhere"]);
+    folder.refused(&fit("faint.hdr"), &["faint.hdr", "black everywhere"]);
     folder.refused(&fit("glaring.hdr"), &["glaring.hdr: 16 of 32 texels are absurdly bright"]);
     let map = r#"Map(path: "below.hdr", lobes: 2, upper_hemisphere: true)"#;
     std::fs::write(folder.path("scene.ron"), scene(LIGHT, map)).unwrap();

@@ -20,6 +20,8 @@ const WIDEST_KEPT: u32 = 4096;
 const WIDEST_AVERAGED: u32 = 2048;
 /// The greatest radiance of a texel. The disc of the sun has 1.6·10⁹ cd/m².
 const BRIGHTEST_TEXEL: f32 = 1.0e10;
+/// A map no texel of which is above this is black: squares of its values vanish in single precision.
+const BLACK_MAP: f32 = 1.0e-9;
 /// The share of brighter texels from which on a map is refused: they are no stray ones.
 const MOST_TOO_BRIGHT: f64 = 0.01;
 /// Maps wider than this are an error (the file would take minutes and gigabytes to decode).
@@ -130,7 +132,7 @@ impl Sink {
             self.clamped += 1;
             repaired = repaired.max(Vec3::ZERO);
         }
-        self.bright |= repaired.max_element() > 0.0;
+        self.bright |= repaired.max_element() > BLACK_MAP;
         self.filter.add(x, y, repaired);
     }
 
@@ -151,7 +153,7 @@ impl Sink {
             let problem = if is_negative {
                 "no texel of the map is above 0, and some are negative: it gives no light"
             } else {
-                "the map is black everywhere: it gives no light"
+                "the map is black everywhere, or nearly: it gives no light"
             };
             return Err(Error::input(path, "", problem, "check the export, or use another map"));
         }

@@ -122,6 +122,9 @@ pub struct CheckArgs {
     /// How many threads.
     #[command(flatten)]
     pub threads: ThreadArgs,
+    /// Memory that a run would have to keep to: 8GiB, 500MiB [default: three quarters of the machine's]
+    #[arg(long, value_name = "SIZE", value_parser = lobelia::pass::memory::parse_bytes)]
+    pub memory: Option<u64>,
 }
 
 /// `lobelia eval`.
@@ -297,7 +300,7 @@ pub struct FitArgs {
     #[command(flatten)]
     pub threads: ThreadArgs,
     /// No progress bar and no notes
-    #[arg(long)]
+    #[arg(short, long)]
     pub quiet: bool,
 }
 

@@ -6,9 +6,10 @@ use super::terminal::print;
 use super::threads::start_threads;
 use lobelia::codec::file::{FileUse, check_apart};
 use lobelia::pass::files;
+use lobelia::pass::memory::{usual_budget, within};
 use lobelia::pass::preflight::{check_folder, check_paths, check_sizes};
 use lobelia::pass::progress::{Bar, Progress, Silent};
-use lobelia::pass::rehearse;
+use lobelia::pass::{looks, rehearse};
 use lobelia::report::sheet::write_sheet;
 use lobelia::scene::Pass;
 use lobelia::scene::{LoadOptions, LoadedScene, load, unknown_parts};
@@ -44,14 +45,11 @@ pub fn run(args: &CheckArgs) -> Result<()> {
     let roots = loaded.roots.as_deref();
     let surveyed = if has_photographs { survey(&loaded.scene, roots, args.out.is_some())? } else { None };
     let (surveyed, views) = surveyed.map_or((None, Vec::new()), |(survey, views)| (Some(survey), views));
-    let surveyed = surveyed.map(|survey| {
-        let estimate = estimate(&survey, &loaded.scene, rayon::current_num_threads());
-        (survey, estimate)
-    });
-    let outcome = Outcome::of(&loaded, surveyed.as_ref().map(|(survey, _)| survey), views);
+    let budget = args.memory.or_else(usual_budget);
+    let outcome = Outcome::of(&loaded, surveyed.as_ref(), views, budget);
     print(&summary(&loaded, surveyed.as_ref(), &outcome))?;
-    if let (Some(out), Some((survey, estimate))) = (&args.out, &surveyed) {
-        write(out, &loaded, survey, estimate)?;
+    if let (Some(out), Some(survey)) = (&args.out, &surveyed) {
+        write(out, &loaded, survey, &outcome.needs.clone().unwrap_or_default())?;
     }
     outcome.error.map_or(Ok(()), Err)
 }
@@ -59,6 +57,8 @@ pub fn run(args: &CheckArgs) -> Result<()> {
 /// What a run would say and do before its first pass.
 struct Outcome {
     notes: Vec<String>,
+    /// What it will take; `None` if the views are not known.
+    needs: Option<Estimate>,
     /// The error that it ends with.
     error: Option<Error>,
     /// Whether that is none of the survey's.
@@ -66,17 +66,32 @@ struct Outcome {
 }
 
 impl Outcome {
-    /// `surveyed` and `views` are of the scene's data set.
-    fn of(loaded: &LoadedScene, surveyed: Option<&Survey>, views: Vec<ViewRecord>) -> Self {
+    /// `surveyed` and `views` are of the scene's data set, `budget` is the memory that a run may take.
+    fn of(
+        loaded: &LoadedScene,
+        surveyed: Option<&Survey>,
+        views: Vec<ViewRecord>,
+        budget: Option<u64>,
+    ) -> Self {
+        let scene = &loaded.scene;
+        let known = surveyed.is_some() || !matches!(scene.views, Views::Dataset(_));
+        let looks = known.then(|| looks(scene, surveyed)).transpose();
+        let needs = looks.as_ref().ok().and_then(Option::as_ref);
+        let needs = needs.map(|looks| estimate(looks, scene, rayon::current_num_threads()));
+        let ends = |notes, error: Option<Error>| Self { notes, needs, is_further: false, error };
         if let Some(error) = surveyed.and_then(|survey| survey.findings_of(Severity::Error).next()) {
-            return Self { notes: Vec::new(), error: Some(error.to_error()), is_further: false };
+            return ends(Vec::new(), Some(error.to_error()));
         }
         if !loaded.unseen.is_empty() {
-            return Self { notes: Vec::new(), error: None, is_further: false };
+            return ends(Vec::new(), None);
         }
         let notes = Notes::default();
-        let error = rehearse(&loaded.scene, views, &notes).err();
-        Self { notes: notes.0.into_inner(), is_further: error.is_some(), error }
+        let keeps = looks.and_then(|looks| match looks {
+            Some(looks) => within(scene, &looks, budget, &notes).map(drop),
+            None => Ok(()),
+        });
+        let error = keeps.and_then(|()| rehearse(scene, views, &notes)).err();
+        Self { is_further: error.is_some(), ..ends(notes.0.into_inner(), error) }
     }
 }
 
@@ -123,23 +138,23 @@ fn data_is_there(loaded: &LoadedScene) -> bool {
 }
 
 /// Writes the contact sheet and the survey as JSON.
-fn write(out: &Path, loaded: &LoadedScene, survey: &Survey, estimate: &Estimate) -> Result<()> {
+fn write(out: &Path, loaded: &LoadedScene, survey: &Survey, needs: &Estimate) -> Result<()> {
     std::fs::create_dir_all(out).map_err(Error::io("create", out))?;
     let (sheet, data) = (out.join(SHEET), out.join(JSON));
     write_sheet(&sheet, &contact_sheet(survey, &loaded.path.display().to_string()))?;
-    json::write_json(&data, survey, estimate)?;
+    json::write_json(&data, survey, needs)?;
     print(&format!("written: {}, {}\n", sheet.display(), data.display()))
 }
 
 /// What `check` prints.
-fn summary(loaded: &LoadedScene, surveyed: Option<&(Survey, Estimate)>, outcome: &Outcome) -> String {
+fn summary(loaded: &LoadedScene, surveyed: Option<&Survey>, outcome: &Outcome) -> String {
     let scene = &loaded.scene;
     let unknown = unknown_parts(scene);
     let unknown = if unknown.is_empty() { "nothing".to_owned() } else { unknown.join(", ") };
     let passes: Vec<String> =
         scene.passes.iter().map(|pass| format!("{} ({})", pass.name(), kind(pass))).collect();
     let further = usize::from(outcome.is_further);
-    let verdict = table::verdict(surveyed.map(|(survey, _)| survey), further);
+    let verdict = table::verdict(surveyed, further);
     let mut text = format!("{}: {verdict}\n", loaded.path.display());
     let mut line = |label: &str, value: &str| writeln!(text, "  {label:<8} {value}");
     // Writing to a `String` cannot fail.
@@ -151,15 +166,19 @@ fn summary(loaded: &LoadedScene, surveyed: Option<&(Survey, Estimate)>, outcome:
     for file in loaded.files.iter().chain(&loaded.unseen) {
         let _ = line("", &file.display().to_string());
     }
-    if let Some((survey, estimate)) = surveyed {
-        for (label, value) in table::rows(survey, estimate) {
-            let _ = line(label, &value);
-        }
+    for (label, value) in surveyed.map(table::rows).unwrap_or_default() {
+        let _ = line(label, &value);
+    }
+    if let Some(needs) = &outcome.needs {
+        let _ = line("needs", &needs.words());
+    }
+    for note in surveyed.iter().flat_map(|survey| &survey.notes) {
+        let _ = line("note", note);
     }
     for note in &outcome.notes {
         let _ = line("note", note);
     }
-    if let Some((survey, _)) = surveyed {
+    if let Some(survey) = surveyed {
         text += &table::findings(survey);
     }
     text

@@ -70,7 +70,7 @@ pub struct PrepareArgs {
     #[arg(long, value_name = "PROGRAM", default_value = "ffmpeg")]
     pub ffmpeg: PathBuf,
     /// No progress bars and no notes
-    #[arg(long)]
+    #[arg(short, long)]
     pub quiet: bool,
 }
 

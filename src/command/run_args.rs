@@ -89,7 +89,7 @@ pub struct RunArgs {
     #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "0", value_parser = port)]
     pub live: Option<u16>,
     /// No progress bars
-    #[arg(long)]
+    #[arg(short, long)]
     pub quiet: bool,
 }
 

@@ -9,8 +9,9 @@ use crate::codec::nearby::missing_file_help;
 use crate::dataset::colmap_model;
 use crate::dataset::colmap_model::{image_count, read_model};
 use crate::dataset::folders::{Folders, flat_name};
+use crate::dataset::load::view_name;
 use crate::dataset::masks::mask_folder;
-use crate::dataset::names::quoted;
+use crate::dataset::names::{ImageName, quoted};
 use crate::dataset::photographs::note_of_unused;
 use crate::dataset::{MaskPlan, Plan, ViewPlan};
 use crate::error::{Error, Result};
@@ -123,18 +124,19 @@ pub(super) fn plan(dir: &Path) -> Result<Plan> {
             let problem = format!("there is no camera {} in the model", image.camera);
             return Err(Error::input(&model.image_file, place, problem, "Write the model again."));
         };
+        let name = ImageName::new(&image.name, &model.image_file, &place)?;
         views.push(ViewPlan {
             name: flat_name(&image.name),
             camera_file: model.image_file.clone(),
             place,
-            image: Some(photographs.photograph(&image.name)?),
+            image: Some(photographs.photograph(name)?),
             mask: masks.as_mut().map_or(Ok(MaskPlan::Alpha), |masks| masks.mask(&image.name))?,
             lens,
             world_from_camera: image.camera_from_world.inverse().to_affine(),
         });
     }
     let used: BTreeSet<PathBuf> =
-        images.iter().map(|image| Path::new(&image.name).with_extension("")).collect();
+        images.iter().map(|image| Path::new(&image.name).with_file_name(view_name(&image.name))).collect();
     let extra = photographs.unused(|path| used.contains(path));
     let notes = of_models.into_iter().chain(note_of_unused(extra, &photographs.root)).collect();
     Ok(Plan { views, notes })

@@ -8,6 +8,7 @@ use crate::codec::nearby::missing_file_help;
 use crate::dataset::distortion::{Distortion, Projection};
 use crate::dataset::lens::{Focal, Lens};
 use crate::dataset::load::read_text;
+use crate::dataset::names::quoted;
 use crate::dataset::pose::Rigid;
 use crate::error::{Error, Result};
 use glam::{Affine3A, DMat3, DQuat, DVec3};
@@ -247,7 +248,7 @@ fn images_of_text(file: &Path) -> Result<Vec<ModelImage>> {
         let camera: u32 = words[8].parse().map_err(|_| expected())?;
         let name = words[9..].join(" ");
         let camera_from_world = pose_of([pose[0], pose[1], pose[2], pose[3]], [pose[4], pose[5], pose[6]])
-            .map_err(|problem| wrong(format!("image `{name}`: {problem}")))?;
+            .map_err(|problem| wrong(format!("image {}: {problem}", quoted(&name))))?;
         images.push(ModelImage { name, camera, camera_from_world });
     }
     Ok(images)
@@ -348,7 +349,7 @@ fn images_of_bytes(file: &Path) -> Result<Vec<ModelImage>> {
         let camera_from_world = pose_of(q, t).map_err(|problem| {
             Error::input(
                 file,
-                format!("image `{name}`"),
+                format!("image {}", quoted(&name)),
                 problem,
                 "Register the photograph again, or remove it.",
             )

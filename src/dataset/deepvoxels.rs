@@ -9,7 +9,9 @@ use crate::codec::file::is_there;
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::distortion::Distortion;
 use crate::dataset::lens::{Focal, Lens};
-use crate::dataset::load::{StemIndex, read_text};
+use crate::dataset::load::{StemIndex, file_name, read_text};
+use crate::dataset::masks::{find_mask, masks_in};
+use crate::dataset::names::{ImageName, quoted};
 use crate::dataset::pose::Rigid;
 use crate::dataset::{MaskPlan, Plan, ViewPlan, split_name};
 use crate::error::{Error, Result};
@@ -18,19 +20,15 @@ use std::path::{Path, PathBuf};
 
 const INTRINSICS: &str = "intrinsics.txt";
 
-/// The folder of a split, and whether it contains the views of all splits, some of which are held out.
-pub fn split_folder(dir: &Path, split: Split) -> Option<(PathBuf, bool)> {
+/// The folder of a split; `dir` itself has views without splits, which count as training views.
+pub fn split_folder(dir: &Path, split: Split) -> Option<PathBuf> {
     let with_intrinsics =
-        |name: &str| Some(dir.join(name)).filter(|folder| is_there(&folder.join(INTRINSICS)));
-    if let Some(folder) = with_intrinsics("") {
-        return Some((folder, true));
-    }
-    let train = with_intrinsics("train");
-    let test = with_intrinsics("test").or_else(|| with_intrinsics("validation"));
-    match (split, train, test) {
-        (_, Some(all), None) => Some((all, true)),
-        (Split::Train, train, _) => train.map(|folder| (folder, false)),
-        (Split::Test, _, test) => test.map(|folder| (folder, false)),
+        |name: &&str| Some(dir.join(name)).filter(|folder| is_there(&folder.join(INTRINSICS)));
+    match (with_intrinsics(&""), split) {
+        (Some(all), Split::Train) => Some(all),
+        (Some(_), Split::Test) => None,
+        (None, Split::Train) => with_intrinsics(&"train"),
+        (None, Split::Test) => ["test", "validation"].iter().find_map(with_intrinsics),
     }
 }
 
@@ -42,9 +40,9 @@ fn absent_split(dir: &Path, split: Split) -> Error {
     Error::input(file, "", problem, help)
 }
 
-/// Plans the views of a split, or all if there are no splits, in the order of their names.
+/// Plans the views of a split, in the order of their names.
 pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
-    let Some((folder, _)) = split_folder(dir, split) else { return Err(absent_split(dir, split)) };
+    let Some(folder) = split_folder(dir, split) else { return Err(absent_split(dir, split)) };
     let (lens, poses_are_inverse) = read_intrinsics(&folder.join(INTRINSICS))?;
     let folder_of = |name: &str| {
         let path = folder.join(name);
@@ -58,21 +56,23 @@ pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
         })
     };
     let images = folder_of("rgb")?;
-    let masks = StemIndex::of_folder(&folder.join("mask"))?;
-    let poses = pose_files(&folder.join("pose"))?;
+    let masks = masks_in(&folder)?;
+    let pose_folder = folder.join("pose");
+    let poses = pose_files(&pose_folder)?;
     let mut views = Vec::with_capacity(poses.len());
     for (name, file) in poses {
+        let image = images.find(ImageName::new(&name, &pose_folder, "")?)?;
         let pose = read_pose(&file)?;
         let world_from_camera = if poses_are_inverse { pose.inverse() } else { pose };
         let mask = match &masks {
-            Some(masks) => MaskPlan::File(masks.find(&name, "mask")?),
+            Some(masks) => MaskPlan::File(find_mask(masks, &file_name(&image))?),
             None => MaskPlan::AlphaRequired(format!(
                 "the view `{name}` has no mask: there is no folder {} and the image has no alpha",
                 folder.join("mask").display()
             )),
         };
         views.push(ViewPlan {
-            image: Some(images.find(&name, "image")?),
+            image: Some(image),
             name,
             camera_file: file,
             place: String::new(),
@@ -106,7 +106,7 @@ fn pose_files(folder: &Path) -> Result<Vec<(String, PathBuf)>> {
 /// All numbers of a text; `Err` names the first word that is not a number.
 fn numbers(text: &str) -> Result<Vec<f64>, String> {
     text.split_whitespace()
-        .map(|word| word.parse().map_err(|_| format!("`{word}` is not a number")))
+        .map(|word| word.parse().map_err(|_| format!("{} is not a number", quoted(word))))
         .collect()
 }
 

@@ -2,8 +2,9 @@
 
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::MaskPlan;
-use crate::dataset::load::{StemIndex, leads_away, view_name};
+use crate::dataset::load::{StemIndex, file_name, leads_away, view_name};
 use crate::dataset::masks::{find_mask, mask_file};
+use crate::dataset::names::{ImageName, quoted};
 use crate::error::{Error, Result};
 use std::collections::BTreeMap;
 use std::path::{Component, Path, PathBuf};
@@ -30,15 +31,14 @@ impl Folders {
     }
 
     /// The photograph with this path below the root.
-    pub fn photograph(&mut self, name: &str) -> Result<PathBuf> {
-        let (folder, key) = self.folder(name)?;
-        folder.find(&key, "image")
+    pub fn photograph(&mut self, name: ImageName) -> Result<PathBuf> {
+        self.folder(name.as_str())?.find(name.last())
     }
 
     /// The mask of the photograph with this path below the folder of photographs.
     pub fn mask(&mut self, photograph: &str) -> Result<MaskPlan> {
-        let (folder, key) = self.folder(photograph)?;
-        find_mask(folder, &key).map(MaskPlan::File)
+        let key = file_name(Path::new(photograph));
+        find_mask(self.folder(photograph)?, &key).map(MaskPlan::File)
     }
 
     /// The mask of the photograph with this path below the data set: the folders of masks are those of photographs, but for some above
@@ -49,8 +49,7 @@ impl Folders {
             let name = rest.to_string_lossy().into_owned();
             let is_there = self.root.join(rest).parent().is_some_and(Path::is_dir);
             if is_there {
-                let (folder, key) = self.folder(&name)?;
-                if let Some(mask) = mask_file(folder, &key) {
+                if let Some(mask) = mask_file(self.folder(&name)?, &file_name(rest)) {
                     return Ok(MaskPlan::File(mask));
                 }
             }
@@ -69,19 +68,18 @@ impl Folders {
         stems.filter(|path| !is_used(path)).count()
     }
 
-    fn folder(&mut self, name: &str) -> Result<(&StemIndex, String)> {
-        let path = Path::new(name);
-        let parent = path.parent().unwrap_or(Path::new("")).to_owned();
-        let key = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+    /// The folder of the file with this path.
+    fn folder(&mut self, name: &str) -> Result<&StemIndex> {
+        let parent = Path::new(name).parent().unwrap_or(Path::new("")).to_owned();
         if !self.found.contains_key(&parent) {
             let folder = self.root.join(&parent);
             let mut index = StemIndex::of_folder(&folder)?.ok_or_else(|| {
-                let problem = format!("the folder is missing, but `{name}` should be in it");
+                let problem = format!("the folder is missing, but {} should be in it", quoted(name));
                 Error::input(&folder, "", problem, missing_file_help(&folder))
             })?;
             index.explains = !leads_away(name);
             self.found.insert(parent.clone(), index);
         }
-        Ok((&self.found[&parent], key))
+        Ok(&self.found[&parent])
     }
 }

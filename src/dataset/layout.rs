@@ -9,30 +9,6 @@ use crate::error::{Error, Result};
 use crate::view::Split;
 use std::path::{Path, PathBuf};
 
-/// What a folder has of a layout.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Splits {
-    /// Nothing.
-    Absent,
-    /// Views without splits; `hold_out` makes them.
-    Undivided,
-    /// Splits of its own, at least one.
-    Divided { train: bool, test: bool },
-}
-
-impl Splits {
-    fn undivided(is_there: bool) -> Self {
-        if is_there { Self::Undivided } else { Self::Absent }
-    }
-
-    fn divided(has: impl Fn(Split) -> bool) -> Self {
-        match (has(Split::Train), has(Split::Test)) {
-            (false, false) => Self::Absent,
-            (train, test) => Self::Divided { train, test },
-        }
-    }
-}
-
 /// How one layout is recognized and read.
 pub(super) struct Format {
     /// The layout; never `Auto`.
@@ -41,8 +17,9 @@ pub(super) struct Format {
     pub pixel_center: f32,
     /// The files that identify it, for errors.
     mark: &'static str,
-    splits: fn(&Path) -> Splits,
-    /// Plans the views of a split; all views if the folder has no splits.
+    /// Whether a folder has files of this split. Views that nothing divides are of the training split.
+    has: fn(&Path, Split) -> bool,
+    /// Plans the views of a split that the folder has.
     plan: fn(&Path, Split) -> Result<Plan>,
 }
 
@@ -51,73 +28,63 @@ static FORMATS: [Format; 9] = [
         layout: Layout::PhySg,
         pixel_center: 0.5,
         mark: "train/cam_dict_norm.json or test/cam_dict_norm.json",
-        splits: |dir| Splits::divided(|split| is_there(&physg::camera_file(dir, split))),
+        has: |dir, split| is_there(&physg::camera_file(dir, split)),
         plan: physg::plan,
     },
     Format {
         layout: Layout::Nerf,
         pixel_center: 0.5,
         mark: "transforms_train.json, transforms_test.json or transforms.json",
-        splits: |dir| match (is_stanford_orb(dir), nerf::is_undivided(dir)) {
-            (true, _) => Splits::Absent,
-            (false, true) => Splits::Undivided,
-            (false, false) => Splits::divided(|split| nerf::has_split(dir, split)),
-        },
+        has: |dir, split| !is_stanford_orb(dir) && nerf::has_split(dir, split),
         plan: nerf::plan,
     },
     Format {
         layout: Layout::Colmap,
         pixel_center: 0.5,
         mark: "cameras and images, .bin or .txt, in sparse/0, sparse, colmap/sparse or dense/sparse",
-        splits: |dir| Splits::undivided(colmap::is_there(dir)),
+        has: |dir, split| split == Split::Train && colmap::is_there(dir),
         plan: |dir, _| colmap::plan(dir),
     },
     Format {
         layout: Layout::DeepVoxels,
         pixel_center: 0.5,
         mark: "intrinsics.txt, or train/intrinsics.txt",
-        splits: |dir| match deepvoxels::split_folder(dir, Split::Train) {
-            Some((_, true)) => Splits::Undivided,
-            _ => Splits::divided(|split| deepvoxels::split_folder(dir, split).is_some()),
-        },
+        has: |dir, split| deepvoxels::split_folder(dir, split).is_some(),
         plan: deepvoxels::plan,
     },
     Format {
         layout: Layout::Idr,
         pixel_center: 0.0,
         mark: "cameras_sphere.npz or cameras.npz",
-        splits: |dir| Splits::undivided(idr::camera_file(dir).is_some()),
+        has: |dir, split| split == Split::Train && idr::camera_file(dir).is_some(),
         plan: |dir, _| idr::plan(dir),
     },
     Format {
         layout: Layout::Llff,
         pixel_center: 0.5,
         mark: "poses_bounds.npy",
-        splits: |dir| Splits::undivided(is_there(&llff::camera_file(dir))),
+        has: |dir, split| split == Split::Train && is_there(&llff::camera_file(dir)),
         plan: |dir, _| llff::plan(dir),
     },
     Format {
         layout: Layout::StanfordOrb,
         pixel_center: 0.5,
         mark: "train_mask beside transforms_train.json",
-        splits: |dir| match is_stanford_orb(dir) {
-            true => Splits::divided(|split| is_there(&nerf::camera_file(dir, split))),
-            false => Splits::Absent,
-        },
+        has: |dir, split| is_stanford_orb(dir) && is_there(&nerf::camera_file(dir, split)),
         plan: stanford_orb::plan,
     },
     Format {
         layout: Layout::RealityCapture,
         pixel_center: 0.5,
         mark: reality_capture::EXPORT.mark,
-        splits: |dir| Splits::undivided(!reality_capture::EXPORT.files(dir).is_empty()),
+        has: |dir, split| split == Split::Train && !reality_capture::EXPORT.files(dir).is_empty(),
         plan: |dir, _| reality_capture::plan(dir),
     },
     Format {
         layout: Layout::Metashape,
         pixel_center: 0.5,
         mark: metashape::EXPORT.mark,
-        splits: |dir| Splits::undivided(!metashape::EXPORT.files(dir).is_empty()),
+        has: |dir, split| split == Split::Train && !metashape::EXPORT.files(dir).is_empty(),
         plan: |dir, _| metashape::plan(dir),
     },
 ];
@@ -130,15 +97,21 @@ fn is_stanford_orb(dir: &Path) -> bool {
 }
 
 impl Format {
-    /// Plans the views of a split, in natural order of their names; of data without splits, those that `hold_out` gives it.
+    /// Plans the views of a split, in natural order of their names; of data without a test split, those that `hold_out` gives it.
     pub fn plan(&self, dir: &Path, split: Split, hold_out: u32) -> Result<Plan> {
-        let mut plan = (self.plan)(dir, split)?;
+        let is_held_out = self.is_held_out(dir);
+        let mut plan = (self.plan)(dir, if is_held_out { Split::Train } else { split })?;
         plan.views.sort_by(|a, b| natural_order(&a.name, &b.name));
-        Ok(if (self.splits)(dir) == Splits::Undivided { held_out(plan, split, hold_out) } else { plan })
+        Ok(if is_held_out { held_out(plan, split, hold_out) } else { plan })
     }
 
     fn is_there(&self, dir: &Path) -> bool {
-        (self.splits)(dir) != Splits::Absent
+        (self.has)(dir, Split::Train) || (self.has)(dir, Split::Test)
+    }
+
+    /// Whether the test split is made of training views: the folder brings none.
+    fn is_held_out(&self, dir: &Path) -> bool {
+        (self.has)(dir, Split::Train) && !(self.has)(dir, Split::Test)
     }
 
     /// The word for `layout:` in a scene file.
@@ -147,20 +120,15 @@ impl Format {
     }
 }
 
-/// Whether the data set in folder `dir` has this split.
+/// Whether the data set in folder `dir` has this split, or `hold_out` makes it.
 ///
 /// # Errors
 /// [`Error::Input`] if the layout cannot be determined.
 pub fn has_split(dir: impl AsRef<Path>, split: Split, options: &DatasetOptions) -> Result<bool> {
     let dir = dir.as_ref();
     let format = find_format(dir, options.layout)?;
-    Ok(match ((format.splits)(dir), split) {
-        (Splits::Absent, _) => false,
-        (Splits::Undivided, Split::Train) => true,
-        (Splits::Undivided, Split::Test) => options.hold_out > 0,
-        (Splits::Divided { train, .. }, Split::Train) => train,
-        (Splits::Divided { test, .. }, Split::Test) => test,
-    })
+    let makes = split == Split::Test && options.hold_out > 0 && format.is_held_out(dir);
+    Ok(makes || (format.has)(dir, split))
 }
 
 /// The requested layout of the data set in folder `dir`, or for `Auto` the only one that is present.

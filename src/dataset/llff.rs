@@ -19,6 +19,8 @@ use std::path::{Path, PathBuf};
 /// Folders of photographs, in the order in which they are looked for.
 const FOLDERS: [&str; 6] = ["images", "images_1", "images_2", "images_4", "images_8", "image"];
 const COLUMNS: usize = 17;
+/// Bytes of a row of double precision.
+const MOST_ROW_BYTES: u64 = 8 * COLUMNS as u64;
 const HELP: &str = "A row has 17 numbers: a 3×5 matrix of axes (down, right, backward), position, and height, width and focal \
                     length; then two depths.";
 
@@ -31,13 +33,17 @@ pub fn camera_file(dir: &Path) -> PathBuf {
 pub(super) fn plan(dir: &Path) -> Result<Plan> {
     let file = camera_file(dir);
     let wrong = |place: &str, problem: String| Error::input(&file, place, problem, HELP);
-    let bytes = file::read_bytes(&file, missing_file_help)?;
+    let opened = file::open(&file, missing_file_help)?;
+    let length = opened.get_ref().metadata().map_err(Error::io("read", &file))?.len();
+    let photographs = Photographs::find(dir, &FOLDERS)?;
+    let most = photographs.most_bytes(&file, length, MOST_ROW_BYTES)?;
+    let bytes = file::read_up_to(&file, most, missing_file_help)?;
     let Matrix { rows, columns, values } =
         parse_matrix(&bytes).map_err(|problem| wrong("", format!("the file {problem}")))?;
     if columns != COLUMNS {
         return Err(wrong("", format!("the array has {columns} columns, not {COLUMNS}")));
     }
-    let photographs = Photographs::find(dir, &FOLDERS)?.in_order(&file, rows)?;
+    let photographs = photographs.in_order(&file, rows)?;
     let mut views = Vec::with_capacity(rows);
     for ((n, (image, mask)), row) in photographs.into_iter().enumerate().zip(values.chunks_exact(COLUMNS)) {
         let place = format!("row {n}");

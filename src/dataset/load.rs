@@ -6,6 +6,7 @@ use crate::codec::image::{
 };
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::distortion::Distortion;
+use crate::dataset::names::ImageName;
 use crate::dataset::picture::{Curves, Picture};
 use crate::dataset::straighten::Straightening;
 use crate::dataset::{DatasetOptions, MaskPlan, ViewPlan};
@@ -56,11 +57,18 @@ fn has_image_extension(path: &Path) -> bool {
     extension.is_some_and(|extension| IMAGE_EXTENSIONS.contains(&extension.as_str()))
 }
 
-/// A view's name from its image's path: the file name without an image extension (`./train/r_0.5` is called `r_0.5`).
+/// A view's name from its image's path: the file name without an image extension (`./train/r_0.5` is called `r_0.5`), be it of a format
+/// that is read or of another.
 pub(super) fn view_name(path: &str) -> String {
     let path = Path::new(path);
-    let name = if has_image_extension(path) { path.file_stem() } else { path.file_name() };
+    let is_image = has_image_extension(path) || is_unread_name(path);
+    let name = if is_image { path.file_stem() } else { path.file_name() };
     name.unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// The name of a file, for messages and lookups.
+pub(super) fn file_name(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 /// The file itself if it exists, else with an image extension added. What is called as an image and is none, or may not be read, is
@@ -113,6 +121,8 @@ pub(super) struct StemIndex {
     /// Whether files in it may be opened to say why one is missing.
     pub explains: bool,
     files: BTreeMap<String, PathBuf>,
+    /// The same by names in lower case, the first of those that differ only in case.
+    in_lower_case: BTreeMap<String, PathBuf>,
 }
 
 impl StemIndex {
@@ -121,23 +131,29 @@ impl StemIndex {
         if !is_there(folder) {
             return Ok(None);
         }
-        let mut files = BTreeMap::new();
+        let (mut files, mut in_lower_case) = (BTreeMap::new(), BTreeMap::new());
         for path in image_files(folder)? {
             let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+            in_lower_case.entry(stem.to_lowercase()).or_insert_with(|| path.clone());
             files.entry(stem).or_insert(path);
         }
-        Ok(Some(Self { folder: folder.to_owned(), explains: true, files }))
+        Ok(Some(Self { folder: folder.to_owned(), explains: true, files, in_lower_case }))
     }
 
-    /// The file called `key`, or another image with its stem; `what` is "image" or "mask".
-    pub fn find(&self, key: &str, what: &str) -> Result<PathBuf> {
-        let path = self.folder.join(key);
-        let is_exact = path.is_file() || (has_image_extension(&path) && is_there(&path));
-        let found = if is_exact { Some(path.clone()) } else { self.stem(&view_name(key)) };
-        found.ok_or_else(|| {
-            let problem =
-                format!("the camera file names this view, but its {what} is missing (with any extension)");
-            let refusal = || refusal_of_unread(&self.folder, Some(&view_name(key)));
+    /// The image with this name, or another one with its stem. One of a format that is not read is refused here, before its mask is
+    /// looked for.
+    pub fn find(&self, name: ImageName) -> Result<PathBuf> {
+        let name = name.as_str();
+        let path = self.folder.join(name);
+        if let Some(exact) = self.exact(name) {
+            if self.explains && !leads_away(name) && is_unread_name(&exact) {
+                image_header(&exact)?;
+            }
+            return Ok(exact);
+        }
+        self.stem(&view_name(name)).ok_or_else(|| {
+            let problem = "the camera file names this view, but its image is missing (with any extension)";
+            let refusal = || refusal_of_unread(&self.folder, Some(&view_name(name)));
             self.explains
                 .then(refusal)
                 .flatten()
@@ -145,9 +161,20 @@ impl StemIndex {
         })
     }
 
+    /// The file with this path below the folder, if there is one.
+    pub fn exact(&self, path: &str) -> Option<PathBuf> {
+        Some(self.folder.join(path))
+            .filter(|path| path.is_file() || (has_image_extension(path) && is_there(path)))
+    }
+
     /// The image with this file stem, if there is one.
     pub fn stem(&self, stem: &str) -> Option<PathBuf> {
         self.files.get(stem).cloned()
+    }
+
+    /// The image with this file stem in lower case, if there is one, whatever its case.
+    pub fn stem_in_lower_case(&self, stem: &str) -> Option<PathBuf> {
+        self.in_lower_case.get(stem).cloned()
     }
 
     pub fn stems(&self) -> impl Iterator<Item = &str> {

@@ -11,7 +11,7 @@ use crate::dataset::distortion::Distortion;
 use crate::dataset::exports::Export;
 use crate::dataset::lens::Lens;
 use crate::dataset::load::read_text;
-use crate::dataset::names::quoted;
+use crate::dataset::names::{ImageName, quoted, shown};
 use crate::dataset::photographs::{Photographs, view_of};
 use crate::dataset::pose::Rigid;
 use crate::error::{Error, Result};
@@ -86,15 +86,9 @@ impl<'a, 'input: 'a> Xml<'a, 'input> {
             };
             let world_from_camera = self.pose(chunk, camera, transform)?;
             let lens = self.lens(chunk, camera)?;
-            let (image, mask) = photographs.called(label)?;
-            views.push(view_of(
-                image,
-                mask,
-                self.file,
-                format!("camera {}", quoted(label)),
-                lens,
-                world_from_camera,
-            ));
+            let place = format!("camera {}", quoted(label));
+            let (image, mask) = photographs.called(ImageName::new(label, self.file, &place)?)?;
+            views.push(view_of(image, mask, self.file, place, lens, world_from_camera));
         }
         if views.is_empty() {
             return Err(self.wrong(chunk, "the chunk has no cameras with a pose"));
@@ -103,7 +97,8 @@ impl<'a, 'input: 'a> Xml<'a, 'input> {
         if let Some(first) = left_out.first() {
             let count = left_out.len();
             notes.push(format!(
-                "{count} cameras have no pose or are disabled, and are left out (the first is {first})"
+                "{count} cameras have no pose or are disabled, and are left out (the first is {})",
+                shown(first)
             ));
         } else {
             notes.extend(photographs.unused(&views));

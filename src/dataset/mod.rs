@@ -57,6 +57,7 @@ use layout::find_format;
 pub use layout::{find_layout, has_split};
 use lens::{Lens, crop_note};
 pub use load::{LoadedView, PlannedView, load_notes};
+pub(crate) use masks::mask_stems;
 use names::check_names;
 use picture::Curves;
 use rayon::prelude::*;
@@ -106,7 +107,8 @@ pub struct DatasetOptions {
     pub downscale: u32,
     /// Only every n-th view is read, beginning with the first in natural name order; at least 1.
     pub every: u32,
-    /// Of data without a test split, every n-th view by name, beginning with the first, belongs to the test split; 0: none does.
+    /// Of data that brings no test split, whatever its layout, every n-th view by name, beginning with the first, belongs to the test
+    /// split; 0: none does.
     pub hold_out: u32,
     /// Names of the views to read (file stems); all if `None`. Applied before `every`.
     pub select: Option<Vec<String>>,
@@ -310,7 +312,10 @@ fn absent_split(dir: &Path, split: Split, camera_file: fn(&Path, Split) -> PathB
     };
     let problem = format!("the data set has no {} split: this file is missing", split_name(split));
     let help = if camera_file(dir, other).is_file() {
-        format!("There is a {} split only.", split_name(other))
+        let [there, wanted] = [other, split].map(split_name);
+        format!(
+            "There is a {there} split only. Add the {wanted} split, or give the files of the {there} split its name."
+        )
     } else {
         "There is no split of this layout at all.".to_owned()
     };

@@ -2,6 +2,7 @@
 
 use crate::codec::file::check_file_name;
 use crate::dataset::ViewPlan;
+use crate::dataset::load::view_name;
 use crate::error::{Error, Result};
 use std::collections::HashMap;
 use std::path::Path;
@@ -11,15 +12,57 @@ const LONGEST: usize = 60;
 
 /// A name of a file or view between backticks, without control characters, and cut where it is long.
 pub(super) fn quoted(name: &str) -> String {
+    format!("`{}`", shown(name))
+}
+
+/// [`quoted`] without backticks.
+pub(super) fn shown(name: &str) -> String {
     let shown: String = name.chars().take(LONGEST).flat_map(char::escape_debug).collect();
-    if name.chars().nth(LONGEST).is_some() { format!("`{shown}…`") } else { format!("`{shown}`") }
+    if name.chars().nth(LONGEST).is_some() { shown + "…" } else { shown }
+}
+
+/// The path of an image as a camera file has it, which a file and a view can have. Files are looked up by nothing else, so that no name
+/// is looked for, or told, before it is checked.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ImageName<'a>(&'a str);
+
+impl<'a> ImageName<'a> {
+    /// # Errors
+    /// [`Error::Input`] that names the view or path, the camera file and the place in it.
+    pub fn new(path: &'a str, camera_file: &Path, place: &str) -> Result<Self> {
+        check_name(&view_name(path), camera_file, place)?;
+        check_path(path, camera_file, place).map(|()| Self(path))
+    }
+
+    /// The name without its folders.
+    pub fn last(self) -> Self {
+        Self(Path::new(self.0).file_name().and_then(|name| name.to_str()).unwrap_or_default())
+    }
+
+    pub fn as_str(self) -> &'a str {
+        self.0
+    }
+}
+
+/// Refuses a path with control characters, which a message would pass on.
+///
+/// # Errors
+/// [`Error::Input`] that names the path, the camera file and the place in it.
+pub(super) fn check_path(path: &str, camera_file: &Path, place: &str) -> Result<()> {
+    match path.chars().find(|c| c.is_control()) {
+        None => Ok(()),
+        Some(c) => {
+            let problem = format!("the path {} holds {c:?}, which a path must not", quoted(path));
+            Err(Error::input(camera_file, place, problem, "Give the file or its folder another name."))
+        }
+    }
 }
 
 /// Refuses a view's name that files cannot have.
 ///
 /// # Errors
 /// [`Error::Input`] that names the view, the camera file and the place in it.
-pub(super) fn check_name(name: &str, camera_file: &Path, place: &str) -> Result<()> {
+fn check_name(name: &str, camera_file: &Path, place: &str) -> Result<()> {
     check_file_name(name).map_err(|problem| {
         let help = "Output files have the view's name: give the image another.";
         Error::input(camera_file, place, format!("the view name {} {problem}", quoted(name)), help)

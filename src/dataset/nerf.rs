@@ -9,9 +9,9 @@
 //! A frame may have a `mask_path`; of one file for all views without any, a folder of masks beside the images is read, with the same
 //! folders in it. Else alpha is the mask. If neither the images nor their folders exist, the views are cameras only and `w`, `h` are needed.
 //!
-//! One file for all views may have the lists `train_filenames`, `val_filenames` and `test_filenames`; without them see
-//! [`crate::dataset::DatasetOptions::hold_out`]. Its poses are taken as they are: `applied_transform` is not undone. Photographs are
-//! taken as they are stored, as all these programs read them.
+//! Without `transforms_test.json`, `transforms_val.json` is the test split. One file for all views may have the lists `train_filenames`,
+//! `val_filenames` and `test_filenames`. Where neither gives a test split see [`crate::dataset::DatasetOptions::hold_out`]. Poses are taken
+//! as they are: `applied_transform` is not undone. Photographs are taken as they are stored, as all these programs read them.
 
 use crate::codec::file::is_there;
 use crate::codec::image::IMAGE_EXTENSIONS;
@@ -19,7 +19,7 @@ use crate::codec::nearby::{closest, missing_file_help};
 use crate::dataset::folders::{Folders, flat_name};
 use crate::dataset::load::{find_image, leads_away, parse_json, read_text, refusal_of_unread, view_name};
 use crate::dataset::masks::mask_folder;
-use crate::dataset::names::{check_name, quoted};
+use crate::dataset::names::{ImageName, check_path, quoted};
 use crate::dataset::nerf_lens::{Intrinsics, Levels};
 use crate::dataset::pose::Rigid;
 use crate::dataset::{MaskPlan, Plan, ViewPlan, absent_split, split_name};
@@ -32,26 +32,32 @@ use std::path::{Path, PathBuf};
 
 /// The file that describes the cameras of one split.
 pub fn camera_file(dir: &Path, split: Split) -> PathBuf {
-    dir.join(format!("transforms_{}.json", split_name(split)))
+    file_of(dir, split_word(dir, split))
+}
+
+/// The word for a split in names: `val` where the folder has a file of that for the test split, and none of `test`.
+pub fn split_word(dir: &Path, split: Split) -> &'static str {
+    let is_val = split == Split::Test && !is_there(&file_of(dir, "test")) && is_there(&file_of(dir, "val"));
+    if is_val { "val" } else { split_name(split) }
+}
+
+fn file_of(dir: &Path, word: &str) -> PathBuf {
+    dir.join(format!("transforms_{word}.json"))
 }
 
 /// The file that describes the cameras of all splits, if the folder has that and none of a split.
 fn common_file(dir: &Path) -> Option<PathBuf> {
-    let is_split = [Split::Train, Split::Test].iter().any(|&split| is_there(&camera_file(dir, split)));
+    let is_split = ["train", "test"].iter().any(|word| is_there(&file_of(dir, word)));
     Some(dir.join("transforms.json")).filter(|file| !is_split && is_there(file))
 }
 
-/// Whether the folder has one camera file that does not say which view belongs to which split.
-pub fn is_undivided(dir: &Path) -> bool {
-    common_file(dir).is_some_and(|file| lists(&file).is_ok_and(|lists| !lists.are_stated()))
-}
-
-/// Whether the folder has this split, or views that are not divided into splits.
+/// Whether the folder has this split: a file of it, or one file for all views, which has a test split if it lists one.
 pub fn has_split(dir: &Path, split: Split) -> bool {
-    match common_file(dir) {
-        None => is_there(&camera_file(dir, split)),
+    match (common_file(dir), split) {
+        (None, _) => is_there(&camera_file(dir, split)),
+        (Some(_), Split::Train) => true,
         // A file that cannot be read is reported when it is.
-        Some(file) => lists(&file).map_or(true, |lists| !lists.are_stated() || lists.has(split)),
+        (Some(file), Split::Test) => lists(&file).is_ok_and(|lists| lists.held_out().is_some()),
     }
 }
 
@@ -92,13 +98,9 @@ impl Lists {
         self.train_filenames.is_some() || self.held_out().is_some()
     }
 
-    fn has(&self, split: Split) -> bool {
-        split == Split::Train || self.held_out().is_some()
-    }
-
-    /// The test split, which may be called validation.
+    /// The test split, which may be called validation; an empty list is none.
     fn held_out(&self) -> Option<&Vec<String>> {
-        self.test_filenames.as_ref().or(self.val_filenames.as_ref())
+        [&self.test_filenames, &self.val_filenames].into_iter().flatten().find(|names| !names.is_empty())
     }
 
     fn all(&self) -> impl Iterator<Item = (&'static str, &String)> {
@@ -128,7 +130,7 @@ fn tidy(path: &str) -> String {
     path.strip_prefix("./").map_or_else(|| path.clone(), str::to_owned)
 }
 
-/// Plans the views of a split, or all views if the folder [`is_undivided`].
+/// Plans the views of a split; those of one file without lists are all of the training split.
 pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
     let common = common_file(dir);
     let file = common.clone().unwrap_or_else(|| camera_file(dir, split));
@@ -175,15 +177,18 @@ fn common_folder(frames: &[Frame]) -> Option<PathBuf> {
     first.ancestors().find(|above| paths().all(|folder| folder.starts_with(above))).map(Path::to_owned)
 }
 
-/// Refuses paths that no view can be named after, before files are looked for.
+/// Refuses paths that no file or view can have, before files are looked for.
 fn check_paths(file: &Path, frames: &[Frame]) -> Result<()> {
     for (index, frame) in frames.iter().enumerate() {
+        if let Some(mask) = &frame.mask_path {
+            check_path(mask, file, &place_of(index, frame))?;
+        }
         let Some(path) = &frame.file_path else { continue };
         if path.trim().is_empty() {
             let help = "Write the path of the frame's image, from the folder of this file on.";
             return Err(Error::input(file, format!("frame {index}"), "file_path is empty", help));
         }
-        check_name(&view_name(path), file, &place_of(index, frame))?;
+        ImageName::new(path, file, &place_of(index, frame))?;
     }
     Ok(())
 }
@@ -319,7 +324,12 @@ impl Reader<'_> {
         if let Some((list, name)) = lists.all().find(|(_, name)| !there.contains(tidy(name).as_str())) {
             let near = closest(&tidy(name), paths.iter().copied()).join(", ");
             let help = if near.is_empty() { String::new() } else { format!("Near: {near}.") };
-            return Err(Error::input(self.file, list, format!("no frame has the image `{name}`"), help));
+            return Err(Error::input(
+                self.file,
+                list,
+                format!("no frame has the image {}", quoted(name)),
+                help,
+            ));
         }
         let is_in = |split: Split, path: &&&str| lists.contains(split, path);
         let unused =

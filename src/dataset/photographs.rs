@@ -3,8 +3,9 @@
 use crate::codec::file::is_there;
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::lens::Lens;
-use crate::dataset::load::{StemIndex, image_files, refusal_of_unread, view_name};
-use crate::dataset::masks::{find_mask, mask_file, mask_folder};
+use crate::dataset::load::{StemIndex, file_name, image_files, refusal_of_unread, view_name};
+use crate::dataset::masks::{find_mask, mask_file, masks_in};
+use crate::dataset::names::{ImageName, shown};
 use crate::dataset::pose::Rigid;
 use crate::dataset::{MaskPlan, ViewPlan};
 use crate::error::{Error, Result};
@@ -12,6 +13,9 @@ use std::path::{Path, PathBuf};
 
 /// Most photographs or masks that an error names.
 const MOST_NAMED: usize = 3;
+
+/// Bytes that a file of cameras may have beyond those that its photographs need.
+const MOST_SPARE_BYTES: u64 = 1 << 20;
 
 /// The photographs and masks of a data set.
 pub(super) struct Photographs {
@@ -28,7 +32,7 @@ impl Photographs {
         for folder in folders.iter().map(|name| dir.join(name)).filter(|folder| is_there(folder)) {
             let files = image_files(&folder)?;
             if let (false, Some(index)) = (files.is_empty(), StemIndex::of_folder(&folder)?) {
-                let masks = mask_folder(dir).map(|masks| StemIndex::of_folder(&masks)).transpose()?.flatten();
+                let masks = masks_in(dir)?;
                 return Ok(Self { folder, files, index, masks });
             }
         }
@@ -47,6 +51,9 @@ impl Photographs {
     pub fn in_order(&self, camera_file: &Path, cameras: usize) -> Result<Vec<(PathBuf, MaskPlan)>> {
         if self.files.len() != cameras {
             return Err(self.counts_differ(camera_file, cameras));
+        }
+        for file in &self.files {
+            ImageName::new(&file_name(file), camera_file, "")?;
         }
         let Some(masks) = &self.masks else {
             return Ok(self.files.iter().map(|file| (file.clone(), MaskPlan::Alpha)).collect());
@@ -67,8 +74,8 @@ impl Photographs {
     }
 
     /// The photograph called `name`, with or without extension, and its mask.
-    pub fn called(&self, name: &str) -> Result<(PathBuf, MaskPlan)> {
-        let file = self.index.find(name, "image")?;
+    pub fn called(&self, name: ImageName) -> Result<(PathBuf, MaskPlan)> {
+        let file = self.index.find(name)?;
         let mask = match &self.masks {
             Some(masks) => MaskPlan::File(find_mask(masks, &file_name(&file))?),
             None => MaskPlan::Alpha,
@@ -84,6 +91,27 @@ impl Photographs {
         };
         let extra = self.index.stems().filter(|stem| !is_used(stem)).count();
         note_of_unused(extra, &self.folder)
+    }
+
+    /// The most bytes that a file of these photographs' cameras may have, each of `per_camera` bytes at most: `length`, which is that of
+    /// the file, is compared with it before anything is read.
+    ///
+    /// # Errors
+    /// [`Error::Input`] that names how many cameras and photographs there are, if the file is longer.
+    pub fn most_bytes(&self, camera_file: &Path, length: u64, per_camera: u64) -> Result<u64> {
+        let most = MOST_SPARE_BYTES + per_camera * self.files.len() as u64;
+        if length <= most {
+            return Ok(most);
+        }
+        let problem = format!(
+            "the file has room for {} cameras, but there are {} photographs in {}",
+            length / per_camera,
+            self.files.len(),
+            self.folder.display()
+        );
+        let help =
+            "Check that it is the right file: cameras belong to photographs in the order of their names.";
+        Err(Error::input(camera_file, "", problem, help))
     }
 
     /// The error for cameras and photographs that belong together by their order, but differ in number.
@@ -126,13 +154,9 @@ pub(super) fn note_of_unused(extra: usize, folder: &Path) -> Option<String> {
     (extra > 0).then(|| format!("{extra} images in {} have no camera and are left out", folder.display()))
 }
 
-fn file_name(path: &Path) -> String {
-    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
-}
-
 fn named(names: &[String]) -> String {
     let more = names.len().saturating_sub(MOST_NAMED);
-    let list = names[..names.len() - more].join(", ");
+    let list = names[..names.len() - more].iter().map(|name| shown(name)).collect::<Vec<_>>().join(", ");
     if more > 0 { format!("{list} and {more} more") } else { list }
 }
 

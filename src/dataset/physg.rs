@@ -2,12 +2,14 @@
 //!
 //! The JSON maps each image's file name to `K` and `W2C` (16 numbers each, row-major 4×4, camera_from_world with OpenCV
 //! axes) and `img_size` (`[width, height]`). Without an `image` folder the views are cameras only. Images and masks are
-//! found by file stem, so a mask may be a PNG beside an EXR. Without a `mask` folder the images' alpha is the mask.
+//! found by file stem, so a mask may be a PNG beside an EXR; masks may have any usual name. Without a `mask` folder the images' alpha is
+//! the mask.
 
 use crate::codec::file::is_there;
 use crate::dataset::lens::Lens;
-use crate::dataset::load::{StemIndex, parse_json, read_text, view_name};
-use crate::dataset::names::quoted;
+use crate::dataset::load::{StemIndex, file_name, parse_json, read_text, view_name};
+use crate::dataset::masks::{find_mask, masks_in};
+use crate::dataset::names::{ImageName, quoted};
 use crate::dataset::photographs::note_of_unused;
 use crate::dataset::pose::Rigid;
 use crate::dataset::{MaskPlan, Plan, ViewPlan, absent_split, split_name};
@@ -63,7 +65,7 @@ pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
     let Entries(entries) = parse_json(&file, &read_text(&file)?)?;
     let folder = dir.join(split_name(split));
     let images = StemIndex::of_folder(&folder.join("image"))?;
-    let masks = StemIndex::of_folder(&folder.join("mask"))?;
+    let masks = masks_in(&folder)?;
     let mut views = Vec::with_capacity(entries.len());
     for (key, entry) in entries {
         views.push(plan_view(&file, &key, &entry, images.as_ref(), masks.as_ref())?);
@@ -81,6 +83,7 @@ fn plan_view(
     masks: Option<&StemIndex>,
 ) -> Result<ViewPlan> {
     let place = format!("camera {}", quoted(key));
+    let image_name = ImageName::new(key, file, &place)?;
     let wrong = |problem: String, help: &str| Error::input(file, place.clone(), problem, help);
     let k =
         sixteen(&entry.k).map_err(|problem| wrong(format!("K {problem}"), "K is a row-major 4×4 matrix."))?;
@@ -100,9 +103,12 @@ fn plan_view(
         )
     })?;
     let name = view_name(key);
-    let image = images.map(|images| images.find(key, "image")).transpose()?;
+    let image = images.map(|images| images.find(image_name)).transpose()?;
     let mask = match masks {
-        Some(masks) => MaskPlan::File(masks.find(key, "mask")?),
+        Some(masks) => MaskPlan::File(match masks.exact(key) {
+            Some(mask) => mask,
+            None => find_mask(masks, &file_name(Path::new(key)))?,
+        }),
         None => MaskPlan::AlphaRequired(format!(
             "the view `{name}` has no mask: there is no folder {} and the image has no alpha",
             file.with_file_name("mask").display()

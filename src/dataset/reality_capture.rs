@@ -11,6 +11,7 @@ use crate::dataset::distortion::Distortion;
 use crate::dataset::exports::Export;
 use crate::dataset::lens::Lens;
 use crate::dataset::load::read_text;
+use crate::dataset::names::{ImageName, quoted};
 use crate::dataset::photographs::{Photographs, view_of};
 use crate::dataset::pose::Rigid;
 use crate::error::{Error, Result};
@@ -63,7 +64,7 @@ pub(super) fn plan(dir: &Path) -> Result<Plan> {
     let mut views = Vec::new();
     for row in rows(file)? {
         let wrong = |problem: String| Error::input(file, &row.place, problem, EXPORT_HELP);
-        let (image, mask) = photographs.called(&row.name)?;
+        let (image, mask) = photographs.called(ImageName::new(&row.name, file, &row.place)?)?;
         let lens = row.lens().map_err(wrong)?;
         let world_from_camera = row.pose().map_err(wrong)?;
         views.push(view_of(image, mask, file, row.place.clone(), lens, world_from_camera));
@@ -135,7 +136,7 @@ fn number(record: &StringRecord, column: Option<usize>, name: &str) -> Result<Op
     match text.parse::<f64>() {
         Ok(value) if value.is_finite() => Ok(Some(value)),
         Ok(_) => Err(format!("{name} is {text}, which is not finite")),
-        Err(_) => Err(format!("{name} is `{text}`, which is not a number")),
+        Err(_) => Err(format!("{name} is {}, which is not a number", quoted(text))),
     }
 }
 

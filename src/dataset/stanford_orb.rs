@@ -5,14 +5,14 @@
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::load::StemIndex;
 use crate::dataset::masks::find_mask;
-use crate::dataset::{MaskPlan, Plan, nerf, split_name};
+use crate::dataset::{MaskPlan, Plan, nerf};
 use crate::error::{Error, Result};
 use crate::view::Split;
 use std::path::{Path, PathBuf};
 
 /// The folder of the masks of a split.
 pub fn mask_folder(dir: &Path, split: Split) -> PathBuf {
-    dir.join(format!("{}_mask", split_name(split)))
+    dir.join(format!("{}_mask", nerf::split_word(dir, split)))
 }
 
 /// Plans the views of a split.

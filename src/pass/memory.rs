@@ -3,8 +3,8 @@
 use crate::error::{Error, Result};
 use crate::pass::progress::Progress;
 use crate::scene::{Pass, Scene};
-use crate::survey::Survey;
 use crate::survey::estimate::{Estimate, estimate, memory};
+use crate::survey::look::ViewLook;
 use std::borrow::Cow;
 use std::fs::read_to_string;
 
@@ -56,18 +56,18 @@ pub fn parse_bytes(text: &str) -> Result<u64, String> {
     }
 }
 
-/// The scene as it keeps to a budget of `bytes`: the same if it does, else with smaller pools, which a note tells.
+/// The scene as it keeps to a budget of `bytes`, with these views: the same if it does, else with smaller pools, which a note tells.
 ///
 /// # Errors
 /// [`Error::Usage`] with the memory that would do, if the smallest pools take too much.
 pub fn within<'a>(
     scene: &'a Scene,
-    survey: &Survey,
+    looks: &[ViewLook],
     bytes: Option<u64>,
     progress: &dyn Progress,
 ) -> Result<Cow<'a, Scene>> {
     let Some(budget) = bytes.map(|bytes| bytes as f64) else { return Ok(Cow::Borrowed(scene)) };
-    let needs = |scene: &Scene| estimate(survey, scene, 1);
+    let needs = |scene: &Scene| estimate(looks, scene, 1);
     let full = needs(scene);
     if full.bytes() <= budget {
         return Ok(Cow::Borrowed(scene));
@@ -123,6 +123,8 @@ fn with_pools(scene: &Scene, most: u32) -> Scene {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pass::progress::Silent;
+    use crate::scene::{LoadOptions, load};
 
     #[test]
     fn amounts_are_read_with_any_usual_unit() {
@@ -132,6 +134,28 @@ mod tests {
         for wrong in ["", "8", "GiB", "-1GiB", "8 elephants", "nanGiB", "1e30GiB", "infGiB"] {
             assert!(parse_bytes(wrong).unwrap_err().contains("8GiB"), "{wrong}");
         }
+    }
+
+    #[test]
+    fn a_budget_is_kept_or_refused_whatever_the_views_are() {
+        let scene = |size: u32, texture: u32| {
+            let text = format!(
+                "Scene(version: 1, surface: Sphere(radius: 0.8, texture_size: {texture}), views: Cameras([(name: \"a\", eye: (0, 0, 3), \
+                 width: {size}, height: {size})]), visibility: Traced(directions: 1024), passes: [Render(name: \"novel\")])"
+            );
+            let folder = tempfile::tempdir().unwrap();
+            let path = folder.path().join("scene.ron");
+            std::fs::write(&path, text).unwrap();
+            load(&path, &LoadOptions::default()).unwrap().scene
+        };
+        let refused = |scene: &Scene, budget: u64| {
+            let looks = crate::pass::looks(scene, None).unwrap();
+            within(scene, &looks, Some(budget), &Silent).err().map(|error| error.to_string())
+        };
+        assert_eq!(refused(&scene(64, 64), 300 << 20), None);
+        let said = refused(&scene(64, 1024), 300 << 20).unwrap();
+        assert!(said.contains("most of it for shadows") && said.contains("300 MiB are allowed"), "{said}");
+        assert_eq!(refused(&scene(64, 1024), 8 << 30), None);
     }
 
     #[test]

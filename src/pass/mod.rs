@@ -72,6 +72,7 @@ use crate::scene::{
 };
 use crate::shade::frame::FramePlugin;
 use crate::spawn::{SurfaceUse, load_light, make_surface, spawn};
+use crate::survey::look::ViewLook;
 use crate::survey::open::OpenScene;
 use crate::survey::{Severity, Survey};
 use crate::view::ViewRecord;
@@ -163,10 +164,8 @@ fn run_passes(
     let claim = claim(loaded, data.as_ref(), options)?;
     let watched = Watched::new(files::contents(loaded, data.as_ref()));
     let (views, survey) = read_views(&loaded.scene, data.as_ref(), progress)?;
-    let scene = match &survey {
-        Some(survey) => memory::within(&loaded.scene, survey, options.memory, progress)?,
-        None => Cow::Borrowed(&loaded.scene),
-    };
+    let looks = looks(&loaded.scene, survey.as_ref())?;
+    let scene = memory::within(&loaded.scene, &looks, options.memory, progress)?;
     let mut session = open(&scene, views, options, progress, photograph::take, use_of(&scene))?;
     let warnings = survey.iter().flat_map(|survey| survey.findings_of(Severity::Warning));
     session.scores.warnings = warnings.map(|warning| warning.problem.clone()).collect();
@@ -371,6 +370,22 @@ fn read_views(
         (Views::Cameras(specs), _) => Ok((specs.iter().map(bare_view).collect::<Result<_>>()?, None)),
         (Views::Photographed(_) | Views::Dataset(_), _) => Ok((Vec::new(), None)),
     }
+}
+
+/// The views of a scene as a survey has seen them; those that are not of a data set are known by their sizes.
+///
+/// # Errors
+/// If a camera cannot be used.
+pub fn looks<'a>(scene: &Scene, survey: Option<&'a Survey>) -> Result<Cow<'a, [ViewLook]>> {
+    if let Some(survey) = survey {
+        return Ok(Cow::Borrowed(&survey.looks));
+    }
+    let views = match &scene.views {
+        Views::Cameras(specs) => specs.iter().map(bare_view).collect::<Result<_>>()?,
+        Views::Photographed(spec) => photograph::imagined(spec, scene)?,
+        Views::Dataset(_) => Vec::new(),
+    };
+    Ok(views.iter().map(ViewLook::unseen).collect())
 }
 
 /// The use of the scene's surface: none, if the first pass recovers another.

@@ -150,6 +150,14 @@ pub fn imagine(
     scene: &Scene,
     _: &dyn Progress,
 ) -> Result<Vec<ViewRecord>> {
+    imagined(spec, scene)
+}
+
+/// [`imagine`], of an object that is not there.
+///
+/// # Errors
+/// If a camera cannot be used.
+pub fn imagined(spec: &Photographed, scene: &Scene) -> Result<Vec<ViewRecord>> {
     let view = |spec: CameraSpec| {
         let camera = camera_of(&spec)?;
         let photograph = Some(Photograph::without_pixels(camera.width, camera.height));

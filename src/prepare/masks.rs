@@ -1,9 +1,11 @@
 //! Masks of the photographs, from one of several sources, each checked before it is used.
 
+use crate::codec::file::read_folder;
 use crate::codec::image::Orientation::AsStored;
 use crate::codec::image::{Gamma, decode_picture, image_header, read_image, read_mask};
 use crate::codec::nearby::missing_file_help;
 use crate::codec::png_file::write_gray8;
+use crate::dataset::mask_stems;
 use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::pass::progress::Progress;
@@ -85,7 +87,9 @@ pub(super) fn write_masks(
         let parent = to.parent().unwrap_or(masks);
         fs::create_dir_all(parent).map_err(Error::io("create folder", parent))?;
         let (file, mask) = match (source, &folder) {
-            (MaskSource::Command(command), _) => (to.clone(), by_command(command, &image, &to, log)?),
+            (MaskSource::Command(command), _) => {
+                (to.clone(), by_command(command, photograph, &image, &to, log)?)
+            }
             (_, Some(folder)) => {
                 let file = folder.of(photograph)?;
                 let mask = as_stored(mask_of_file(&file)?, photograph);
@@ -176,7 +180,13 @@ fn before_backdrop(source: &Path) -> Result<GrayImage> {
     })
 }
 
-fn by_command(command: &str, image: &Path, to: &Path, log: &Path) -> Result<GrayImage> {
+fn by_command(
+    command: &str,
+    photograph: &Photograph,
+    image: &Path,
+    to: &Path,
+    log: &Path,
+) -> Result<GrayImage> {
     let words = shlex::split(command).unwrap_or_default();
     let output = to.with_extension("part.png");
     let place = |word: &String| {
@@ -189,20 +199,33 @@ fn by_command(command: &str, image: &Path, to: &Path, log: &Path) -> Result<Gray
     let arguments: Vec<OsString> = arguments.iter().map(place).collect();
     program.run(&arguments, log, &mut |_| ())?;
     if !output.is_file() {
-        let problem = format!("the mask command wrote no mask of {}", image.display());
+        let problem = format!("the mask command wrote no mask of {}", photograph.source.display());
         return Err(Error::usage(
             problem,
             format!("It ended without an error; its output is in {}.", log.display()),
         ));
     }
-    let mask = mask_of_file(&output)?;
+    let mask = mask_of_file(&output).map_err(|error| about_command(error, photograph))?;
     fs::remove_file(&output).map_err(Error::io("remove", &output))?;
     Ok(mask)
+}
+
+/// What is wrong with a mask that a command wrote, said of the photograph: the file's name is of no use to anyone.
+fn about_command(error: Error, photograph: &Photograph) -> Error {
+    match error {
+        Error::Input { problem, .. } => {
+            let problem = format!("the mask command wrote no mask that can be used: {problem}");
+            let help = "The mask command must write a PNG to {out}: white where the object is, or a cutout with alpha.";
+            Error::input(&photograph.source, "", problem, help)
+        }
+        other => other,
+    }
 }
 
 /// A folder of masks, looked up by the names of photographs.
 struct MaskFolder {
     folder: PathBuf,
+    /// By names as they are, and in lower case where that is no other's name.
     files: BTreeMap<String, PathBuf>,
 }
 
@@ -213,23 +236,28 @@ impl MaskFolder {
                 if folder.exists() { "this is a file, not a folder" } else { "there is no such folder" };
             return Err(Error::input(folder, "", what, missing_file_help(folder)));
         }
-        let mut files = BTreeMap::new();
-        for entry in fs::read_dir(folder).map_err(Error::io("read", folder))? {
-            let path = entry.map_err(Error::io("read", folder))?.path();
-            if path.is_file() {
-                let name = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-                files.insert(key(&name), path);
-            }
+        let mut paths = Vec::new();
+        for entry in read_folder(folder)? {
+            paths.push(entry.map_err(Error::io("read", folder))?.path());
+        }
+        paths.retain(|path| path.is_file());
+        paths.sort();
+        let stem = |path: &Path| path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+        let mut files: BTreeMap<String, PathBuf> =
+            paths.iter().map(|path| (key(&stem(path)), path.clone())).collect();
+        for path in paths {
+            files.entry(key(&stem(&path).to_lowercase())).or_insert(path);
         }
         Ok(Self { folder: folder.to_owned(), files })
     }
 
-    /// The mask of a photograph `a.jpg`: `a.png`, `a.jpg.png`, `a_mask.png`, with any extension; numbers in names match by value.
+    /// The mask of a photograph under any of its [`mask_stems`], with any extension; numbers in names match by value.
     fn of(&self, photograph: &Photograph) -> Result<PathBuf> {
         let name = photograph.source.file_name().unwrap_or_default().to_string_lossy();
         let stem = photograph.source.file_stem().unwrap_or_default().to_string_lossy();
-        let known = [stem.to_string(), name.to_string(), format!("{stem}_mask"), format!("mask_{stem}")];
-        let found = known.iter().find_map(|name| self.files.get(&key(name)));
+        let stems = mask_stems(&name);
+        let in_lower_case = || stems.iter().find_map(|stem| self.files.get(&key(&stem.to_lowercase())));
+        let found = stems.iter().find_map(|stem| self.files.get(&key(stem))).or_else(in_lower_case);
         found.cloned().ok_or_else(|| {
             let path = self.folder.join(format!("{stem}.png"));
             let problem = format!("there is no mask of the photograph {name}");
@@ -314,8 +342,11 @@ mod tests {
         assert!(set.refused(&source).contains("no mask of the photograph 000010.jpg"));
         // A cutout: its alpha counts, whatever its colors.
         let cutout = RgbaImage::from_fn(40, 30, |x, _| Rgba([10, 20, 200, if x < 20 { 255 } else { 0 }]));
-        cutout.save(folder.join("10_mask.png")).unwrap();
-        assert_eq!(set.masks(&source).unwrap(), vec![half(40, 30); 3]);
+        for name in ["10_mask.png", "010_SEG.PNG"] {
+            cutout.save(folder.join(name)).unwrap();
+            assert_eq!(set.masks(&source).unwrap(), vec![half(40, 30); 3]);
+            fs::remove_file(folder.join(name)).unwrap();
+        }
     }
 
     #[test]
@@ -362,6 +393,13 @@ mod tests {
         let idle = script(set.folder.path(), "idle", "exit 0");
         let text = set.refused(&MaskSource::Command(format!("{} {{in}} {{out}}", idle.display())));
         assert!(text.contains("wrote no mask of") && text.contains("000007.jpg"), "{text}");
+        disc(40, 30).save(set.path("disc.jpg")).unwrap();
+        let body = format!("cp '{}' \"$2\"", set.path("disc.jpg").display());
+        let other = script(set.folder.path(), "other", &body);
+        let text = set.refused(&MaskSource::Command(format!("{} {{in}} {{out}}", other.display())));
+        let words = ["photos/000007.jpg: ", "holds a JPEG", "must write a PNG to {out}"];
+        assert!(words.iter().all(|word| text.contains(word)), "{text}");
+        assert!(!text.contains(".part") && !text.contains("Rename"), "{text}");
         let failing = script(set.folder.path(), "failing", "echo no such model; exit 1");
         let text = set.refused(&MaskSource::Command(format!("{} {{in}} {{out}}", failing.display())));
         assert!(text.contains("no such model"), "{text}");

@@ -90,6 +90,7 @@ pub fn prepare(options: &PrepareOptions, progress: &dyn Progress) -> Result<Prep
     };
     notes.iter().for_each(|note| progress.note(note));
     work.step("photographs", &format!("{photographs:?}"), |work| {
+        photographs::check_pixels(&photographs, progress)?;
         photographs::place(&photographs, &work.emptied("photographs")?)
     })?;
     let has_masks = masks(options, &photographs, &mut work, progress)?;

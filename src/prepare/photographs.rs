@@ -3,13 +3,19 @@
 //! COLMAP takes pixels as they are stored and ignores EXIF's orientation. So that every other program does the same, a photograph
 //! that EXIF turns is copied with that entry reset; its pixels stay as they are.
 
-use crate::codec::nearby::natural_order;
+use crate::codec::file::{open, read_bytes, read_folder};
+use crate::codec::image::Orientation::AsStored;
+use crate::codec::image::decode_samples;
+use crate::codec::nearby::{missing_file_help, natural_order};
+use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
+use crate::pass::progress::Progress;
 use image::metadata::Orientation;
 use image::{ImageDecoder, ImageFormat, ImageReader};
+use rayon::prelude::*;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::io::{BufReader, Cursor};
+use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
 /// Fewest photographs that cameras can be found for.
@@ -17,6 +23,11 @@ pub(super) const FEWEST: usize = 3;
 /// Formats of photographs that COLMAP cannot read, by extension.
 const UNREADABLE: [&str; 14] =
     ["heic", "heif", "avif", "webp", "dng", "cr2", "cr3", "nef", "arw", "raf", "orf", "rw2", "exr", "hdr"];
+
+/// Most bytes of pixels that are decoded at once.
+const MOST_DECODED: u64 = 1 << 30;
+/// What to do about a photograph that is damaged.
+const DAMAGED_HELP: &str = "Copy it again, or remove it.";
 
 /// Extensions of video files.
 pub(super) const VIDEOS: [&str; 10] =
@@ -59,16 +70,7 @@ pub(super) fn list(folder: &Path) -> Result<Listing> {
         let help = "Give a folder of JPEG or PNG photographs, or a video file.";
         return Err(Error::input(folder, "", what, help));
     }
-    let (mut files, mut others) = (Vec::new(), BTreeMap::<String, usize>::new());
-    for entry in fs::read_dir(folder).map_err(Error::io("read", folder))? {
-        let path = entry.map_err(Error::io("read", folder))?.path();
-        let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
-        if path.is_file() && ["jpg", "jpeg", "png"].contains(&extension.as_str()) {
-            files.push(path);
-        } else if path.is_file() && UNREADABLE.iter().chain(&VIDEOS).any(|known| extension == *known) {
-            *others.entry(extension).or_default() += 1;
-        }
-    }
+    let (mut files, others) = files_in(folder)?;
     if files.len() < FEWEST {
         return Err(too_few(folder, files.len(), &others));
     }
@@ -83,6 +85,26 @@ pub(super) fn list(folder: &Path) -> Result<Listing> {
         })
         .collect();
     Ok(Listing { photographs, notes })
+}
+
+/// The files of a folder that are called as photographs, and how many others that photographs or films could be have each extension.
+fn files_in(folder: &Path) -> Result<(Vec<PathBuf>, BTreeMap<String, usize>)> {
+    let (mut files, mut others) = (Vec::new(), BTreeMap::new());
+    for entry in read_folder(folder)? {
+        let path = entry.map_err(Error::io("read", folder))?.path();
+        let extension = path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
+        let is_hidden = path.file_name().is_some_and(|name| name.to_string_lossy().starts_with('.'));
+        if is_hidden || path.is_dir() {
+            continue;
+        }
+        // What is called as a photograph and is no file, or may not be read, is refused where it is opened.
+        if ["jpg", "jpeg", "png"].contains(&extension.as_str()) {
+            files.push(path);
+        } else if UNREADABLE.iter().chain(&VIDEOS).any(|known| extension == *known) {
+            *others.entry(extension).or_default() += 1;
+        }
+    }
+    Ok((files, others))
 }
 
 fn too_few(folder: &Path, found: usize, others: &BTreeMap<String, usize>) -> Error {
@@ -135,10 +157,9 @@ pub(super) fn folders(photographs: &[Photograph]) -> usize {
 fn header(path: &Path) -> Result<Photograph> {
     let damaged = |error: image::ImageError| {
         let problem = format!("the photograph cannot be read: {error}");
-        Error::input(path, "", problem, "Copy it again, or remove it.")
+        Error::input(path, "", problem, DAMAGED_HELP)
     };
-    let file = fs::File::open(path).map_err(Error::io("read", path))?;
-    let reader = ImageReader::new(BufReader::new(file));
+    let reader = ImageReader::new(open(path, missing_file_help)?);
     let reader = reader.with_guessed_format().map_err(Error::io("read", path))?;
     let format = reader.format();
     if format != ImageFormat::from_path(path).ok() {
@@ -177,6 +198,37 @@ fn focal_length(chunk: Vec<u8>) -> Option<u32> {
     (hundredths > 0.0 && hundredths < 1e9).then_some(hundredths as u32)
 }
 
+/// Decodes every photograph, some at once: COLMAP would take what is left of one that is cut off for the whole.
+///
+/// # Errors
+/// [`Error::Input`] that names the first photograph that is damaged, cut off or of a kind that is not read; [`Error::Interrupted`] after
+/// Ctrl-C.
+pub(super) fn check_pixels(photographs: &[Photograph], progress: &dyn Progress) -> Result<()> {
+    let bar = progress.bar("photographs", photographs.len() as u64);
+    // Up to four channels of 8 or 16 bits.
+    let bytes = |p: &Photograph| u64::from(p.size[0]) * u64::from(p.size[1]) * if p.is_deep { 8 } else { 4 };
+    let largest = photographs.iter().map(bytes).max().unwrap_or_default().max(1);
+    let at_once = (MOST_DECODED / largest).clamp(1, rayon::current_num_threads() as u64) as usize;
+    for group in photographs.chunks(at_once) {
+        check_interrupted()?;
+        let decoded: Vec<Result<()>> = group.par_iter().map(check_decodes).collect();
+        decoded.into_iter().collect::<Result<()>>()?;
+        bar.inc(group.len() as u64);
+    }
+    bar.finish_and_clear();
+    Ok(())
+}
+
+fn check_decodes(photograph: &Photograph) -> Result<()> {
+    match decode_samples(&photograph.source, AsStored) {
+        Ok(_) => Ok(()),
+        Err(Error::Input { path, place, problem, .. }) => {
+            Err(Error::input(path, place, problem, DAMAGED_HELP))
+        }
+        Err(error) => Err(error),
+    }
+}
+
 /// Puts the photographs under their names into `folder`, as links where that is possible.
 ///
 /// # Errors
@@ -209,14 +261,9 @@ fn link(from: &Path, to: &Path) -> Result<()> {
 /// A photograph's bytes with EXIF's orientation reset: of a JPEG two bytes change, a PNG is written again without EXIF.
 fn unturned(path: &Path) -> Result<Vec<u8>> {
     let damaged = |error: image::ImageError| {
-        Error::input(
-            path,
-            "",
-            format!("the photograph cannot be read: {error}"),
-            "Copy it again, or remove it.",
-        )
+        Error::input(path, "", format!("the photograph cannot be read: {error}"), DAMAGED_HELP)
     };
-    let mut bytes = fs::read(path).map_err(Error::io("read", path))?;
+    let mut bytes = read_bytes(path, missing_file_help)?;
     if bytes.starts_with(&[0xff, 0xd8]) {
         reset_orientation(&mut bytes).map_err(damaged)?;
         return Ok(bytes);
@@ -243,6 +290,7 @@ fn reset_orientation(jpeg: &mut [u8]) -> image::ImageResult<()> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pass::progress::Silent;
     use image::codecs::jpeg::JpegEncoder;
     use image::{ImageEncoder, RgbImage, Rgba, RgbaImage};
 
@@ -342,6 +390,66 @@ mod tests {
         let listing = list(folder.path()).unwrap();
         let found: Vec<_> = listing.photographs.iter().map(|p| (p.has_alpha, p.is_deep)).collect();
         assert_eq!(found, [(true, false), (true, false), (false, true)]);
+    }
+
+    /// Three photographs of some size, so that a part of one has its header.
+    fn three() -> tempfile::TempDir {
+        let folder = tempfile::tempdir().unwrap();
+        ["a.jpg", "b.jpg", "c.jpg"].iter().for_each(|name| jpeg(&folder.path().join(name), [64, 48], None));
+        folder
+    }
+
+    #[test]
+    fn photographs_that_are_cut_off_are_named() {
+        let folder = three();
+        RgbImage::from_fn(64, 48, |x, y| image::Rgb([x as u8 * y as u8, 9, 40]))
+            .save(folder.path().join("d.png"))
+            .unwrap();
+        let checked = || check_pixels(&list(folder.path()).unwrap().photographs, &Silent);
+        checked().unwrap();
+        for name in ["b.jpg", "d.png"] {
+            let path = folder.path().join(name);
+            let whole = fs::read(&path).unwrap();
+            fs::write(&path, &whole[..whole.len() - whole.len() / 8]).unwrap();
+            let error = checked().unwrap_err();
+            assert!(error.to_string().contains(&format!("{name}: ")) && error.exit_code() == 2, "{error}");
+            assert!(error.to_string().contains("damaged or truncated"), "{error}");
+            assert_eq!(error.help(), Some(DAMAGED_HELP));
+            fs::write(&path, whole).unwrap();
+        }
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn what_is_no_file_is_refused_and_not_opened() {
+        let folder = three();
+        fs::create_dir(folder.path().join("folder.jpg")).unwrap();
+        fs::write(folder.path().join("._a.jpg"), "a file manager's").unwrap();
+        assert_eq!(list(folder.path()).unwrap().photographs.len(), 3);
+        let pipe = folder.path().join("x.jpg");
+        assert!(std::process::Command::new("mkfifo").arg(&pipe).status().unwrap().success());
+        let error = list(folder.path()).err().unwrap();
+        assert!(error.to_string().contains("x.jpg: this is a pipe, not a regular file"), "{error}");
+        fs::remove_file(&pipe).unwrap();
+        std::os::unix::fs::symlink("nowhere", &pipe).unwrap();
+        let error = list(folder.path()).err().unwrap();
+        assert!(error.to_string().contains("symbolic link to nowhere") && error.exit_code() == 2, "{error}");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_photograph_that_may_not_be_read_says_how_to_allow_it() {
+        use std::os::unix::fs::PermissionsExt as _;
+        let folder = three();
+        let path = folder.path().join("b.jpg");
+        fs::set_permissions(&path, fs::Permissions::from_mode(0o000)).unwrap();
+        // Whoever runs the tests may read everything, perhaps.
+        if fs::File::open(&path).is_err() {
+            let error = list(folder.path()).err().unwrap();
+            assert_eq!(error.exit_code(), 2);
+            let text = format!("{error} {}", error.help().unwrap_or_default());
+            assert!(text.contains("b.jpg: permission denied") && text.contains("chmod u+r"), "{text}");
+        }
     }
 
     #[test]

@@ -314,6 +314,27 @@ mod tests {
     }
 
     #[test]
+    fn views_of_a_training_split_alone_are_held_out() {
+        let data = tempfile::tempdir().unwrap();
+        let frame = |i: usize| {
+            let rows = format!("[[1, 0, 0, {i}], [0, 1, 0, 0], [0, 0, 1, 3], [0, 0, 0, 1]]");
+            format!("{{\"file_path\": \"r_{i}\", \"transform_matrix\": {rows}}}")
+        };
+        let frames: Vec<String> = (0..13).map(frame).collect();
+        let text = format!("{{\"camera_angle_x\": 0.8, \"frames\": [{}]}}", frames.join(", "));
+        fs::write(data.path().join("transforms_train.json"), text).unwrap();
+        for i in 0..13 {
+            image::RgbaImage::from_fn(8, 6, |x, _| image::Rgba([90, 90, 90, if x > 1 { 255 } else { 0 }]))
+                .save(data.path().join(format!("r_{i}.png")))
+                .unwrap();
+        }
+        let text = loads(data.path(), &data.path().join("scene.ron"));
+        assert!(text.contains("hold_out: 8") && text.contains("name: \"novel\""), "{text}");
+        let test = open_dataset(data.path(), Split::Test, &DatasetOptions::default()).unwrap();
+        assert_eq!(test.views.len(), 2);
+    }
+
+    #[test]
     fn a_mesh_is_found_and_large_photographs_are_downscaled() {
         let data = data(3, [1700, 4], false);
         fs::write(data.path().join("statue.glb"), "glTF").unwrap();

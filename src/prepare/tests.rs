@@ -371,6 +371,21 @@ fn cameras_stay_where_nothing_else_turns() {
     );
 }
 
+/// COLMAP would take what is left of it for the whole.
+#[test]
+fn a_photograph_that_is_cut_off_never_reaches_colmap() {
+    let capture = Capture::new();
+    let path = capture.path("photos/b.jpg");
+    let whole = fs::read(&path).unwrap();
+    fs::write(&path, &whole[..whole.len() - 40]).unwrap();
+    let text = refused(&capture.options());
+    assert!(text.contains("photos/b.jpg: a JPEG that is damaged or truncated"), "{text}");
+    assert!(text.contains("Copy it again, or remove it."), "{text}");
+    assert!(capture.calls().is_empty());
+    fs::write(&path, whole).unwrap();
+    prepare(&capture.options(), &Silent).unwrap();
+}
+
 #[test]
 fn bad_input_leaves_no_folder() {
     let capture = Capture::new();

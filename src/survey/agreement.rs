@@ -4,9 +4,9 @@ use crate::mesh::bvh::TriangleBvh;
 use crate::report::sheet::choose_evenly;
 use crate::survey::change::{Cause, Change, camera_causes, turns, world_causes};
 use crate::survey::finding::{Finding, Severity, named};
-use crate::survey::hull;
 use crate::survey::look::{MaskLook, SmallMask, ViewLook};
 use crate::survey::placement::{find_placement, placement_cause};
+use crate::survey::rivals::{joined, rivals};
 use crate::survey::silhouette::{Agreement, median_agreement};
 use crate::survey::statistics::median;
 use crate::view::Split;
@@ -24,18 +24,11 @@ const TIE: f32 = 0.02;
 /// A view below this overlap, and this far below the median, is named.
 const STRAY: f32 = 0.75;
 const STRAY_BY: f32 = 0.12;
-/// Overlap of the hull with the masks from which on nothing is looked for, and that below which masks and cameras are doubtful. Sound
-/// data reach 0.88 to 0.92, mirrored photographs 0.61 to 0.83.
-const CONSISTENT: f32 = 0.8;
-const INCONSISTENT: f32 = 0.75;
-/// By how much a change must make the hull better. A hull fits even wrong cameras, so that differences are smaller than with a mesh.
-const BETTER_HULL: f32 = 0.1;
 /// Views and pixels a side that causes are tried on.
 const TRIED_VIEWS: usize = 10;
 const TRIED_SIDE: u32 = 40;
-/// The same for a hull.
-const HULL_VIEWS: usize = 24;
-const HULL_SIDE: u32 = 96;
+/// Pixels a side that causes which are nearly alike are told apart on.
+const RIVAL_SIDE: u32 = 96;
 
 /// What is wrong with how a known mesh and the masks agree.
 pub fn of_mesh(bvh: &TriangleBvh, looks: &[ViewLook], found: &[Option<Agreement>]) -> Vec<Finding> {
@@ -61,30 +54,55 @@ pub fn of_mesh(bvh: &TriangleBvh, looks: &[ViewLook], found: &[Option<Agreement>
     if middle >= AGREES {
         return strays(looks, found, middle);
     }
+    if let Some(finding) = explained(bvh, looks) {
+        return vec![finding];
+    }
+    vec![unexplained(looks, found, middle)]
+}
+
+/// What would make mesh and masks agree.
+fn explained(bvh: &TriangleBvh, looks: &[ViewLook]) -> Option<Finding> {
     let views = tried(looks, TRIED_VIEWS, TRIED_SIDE);
     let given = median_agreement(bvh, &views);
-    if let Some((cause, reached)) = mesh_cause(bvh, &views, given) {
-        let problem = format!(
-            "silhouettes of the mesh agree with the masks to {reached:.2} instead of {given:.2} (intersection over union) once this is \
-             put right: {}",
-            cause.words
-        );
-        let is_placed = matches!(cause.change, Change::Placed { .. });
-        let name = if is_placed { "other-place" } else { "other-axes" };
-        return vec![Finding::error(name, Vec::new(), problem, cause.help)];
-    }
+    let found = mesh_cause(bvh, &views, given);
+    let is_clear = |cause: &Cause| match cause.change {
+        Change::Placed { turn, .. } => turn != Mat3A::IDENTITY,
+        _ => true,
+    };
+    let (cause, reached) = match found {
+        Some((cause, reached)) if is_clear(&cause) => (cause, reached),
+        placed => {
+            let views = tried(looks, TRIED_VIEWS, RIVAL_SIDE);
+            let causes = rivals(bvh, looks, &views, placed.map(|placed| placed.0));
+            let reached = causes.first()?.1;
+            (joined(&causes).filter(|_| reached >= EXPLAINS.max(given + BETTER))?, reached)
+        }
+    };
+    let problem = format!(
+        "silhouettes of the mesh agree with the masks to {reached:.2} instead of {given:.2} (intersection over union) once this is put \
+         right: {}",
+        cause.words
+    );
+    let name = match cause.change {
+        Change::Placed { .. } => "other-place",
+        Change::Focal(_) => "other-focal",
+        Change::Masks => "other-outline",
+        _ => "other-axes",
+    };
+    Some(Finding::error(name, Vec::new(), problem, cause.help))
+}
+
+/// The mesh is not that of the masks, and no cause is known.
+fn unexplained(looks: &[ViewLook], found: &[Option<Agreement>], middle: f32) -> Finding {
     let worst = worst(looks, found);
     let problem = format!(
         "the mesh does not cover the masks: they overlap to {middle:.2} (intersection over union, median of {} views); {} is worst",
-        all.len(),
+        worst.len(),
         named(&worst[..1])
     );
     let help = "Check that mesh, cameras and masks are of the same object, in the same coordinates.";
-    if middle < MISSES {
-        vec![Finding::error("mesh-misses-masks", worst, problem, help)]
-    } else {
-        vec![Finding::warning("mesh-misses-masks", worst, problem, help)]
-    }
+    let severity = if middle < MISSES { Severity::Error } else { Severity::Warning };
+    Finding::new(severity, "mesh-misses-masks", worst, problem, help)
 }
 
 /// Views whose mask has no silhouette, though the mesh does not fill their frames.
@@ -158,7 +176,7 @@ fn strays(looks: &[ViewLook], found: &[Option<Agreement>], middle: f32) -> Vec<F
 }
 
 /// A few small masks, evenly chosen among those of training views, or of all if there are few.
-fn tried(looks: &[ViewLook], most: usize, side: u32) -> Vec<SmallMask> {
+pub fn tried(looks: &[ViewLook], most: usize, side: u32) -> Vec<SmallMask> {
     let of = |train: bool| {
         let views = looks.iter().filter(|look| !train || look.split == Split::Train);
         let masks = views.filter_map(|look| look.mask.as_ref().filter(|mask| !mask.all_covered));
@@ -203,40 +221,4 @@ fn best(
     let most = tried.iter().map(|(_, reached)| *reached).fold(0.0, f32::max);
     let first = tried.into_iter().find(|(_, reached)| *reached >= most - TIE);
     first.filter(|(_, reached)| *reached >= least.max(given + better))
-}
-
-/// How masks agree with each other, where no mesh is known; `None` for fewer than three masks.
-pub fn hull_agreement(looks: &[ViewLook]) -> Option<f32> {
-    hull::consistency(&tried(looks, HULL_VIEWS, HULL_SIDE))
-}
-
-/// What is wrong with how masks and cameras agree, where no mesh is known. `given` is [`hull_agreement`], `complaint` what
-/// [`check_masks`](crate::survey::meeting::check_masks) has to say.
-pub fn of_masks(looks: &[ViewLook], given: f32, complaint: Option<Finding>) -> Option<Finding> {
-    if given >= CONSISTENT && complaint.is_none() {
-        return None;
-    }
-    let views = tried(looks, HULL_VIEWS, HULL_SIDE);
-    let after = |cause: &Cause| {
-        let changed: Vec<SmallMask> = views.iter().map(|view| cause.change.of(view)).collect();
-        hull::consistency(&changed).unwrap_or(0.0)
-    };
-    if given < CONSISTENT
-        && let Some((cause, reached)) = best(camera_causes().into_iter(), given, EXPLAINS, BETTER_HULL, after)
-    {
-        let problem = format!(
-            "the masks agree with their visual hull to {reached:.2} instead of {given:.2} (intersection over union) once this is put \
-             right: {}",
-            cause.words
-        );
-        return Some(Finding::error("other-axes", Vec::new(), problem, cause.help));
-    }
-    let doubt = || {
-        let problem = format!(
-            "masks and cameras hardly agree: the visual hull of all covers {given:.2} of the masks (mean intersection over union)"
-        );
-        let help = "Check poses, intrinsics and masks; the contact sheet of `lobelia check --out DIR` shows all of them.";
-        Finding::warning("inconsistent-masks", Vec::new(), problem, help)
-    };
-    complaint.or_else(|| (given < INCONSISTENT).then(doubt))
 }

@@ -19,6 +19,11 @@ const AROUND_GAP_DEGREES: f32 = 100.0;
 const ABOVE_DEGREES: f32 = 40.0;
 const BELOW_DEGREES: f32 = -20.0;
 
+/// Length of the mean of the cameras' up directions below which they say nothing.
+const LEAST_UPRIGHT: f32 = 0.3;
+/// Cosine of the angle (30°) within which a direction is that of the data, or of an axis.
+const NEAR_AXIS: f32 = 0.866;
+
 /// The kind of an arrangement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -42,7 +47,7 @@ pub struct Arrangement {
     pub kind: Kind,
     /// What they look at, in world units.
     pub target: Vec3,
-    /// The axis of rings, else the data's up direction; of unit length.
+    /// The axis of rings, else the up direction: that of the data, unless the cameras have another; of unit length.
     pub axis: Vec3,
     /// Lowest and highest elevation above the plane through the target across `axis`, in degrees.
     pub elevation_degrees: [f32; 2],
@@ -62,7 +67,7 @@ impl Arrangement {
         if directions.is_empty() {
             return None;
         }
-        let up = up.try_normalize().unwrap_or(Vec3::Y);
+        let up = upright(looks, up.try_normalize().unwrap_or(Vec3::Y));
         let rings = ring_axis(&directions, up).and_then(|axis| Some((count_rings(&directions, axis)?, axis)));
         let axis = rings.map_or(up, |rings| rings.1);
         let elevations: Vec<f32> = directions.iter().map(|direction| elevation(*direction, axis)).collect();
@@ -80,7 +85,7 @@ impl Arrangement {
         Some(Self { kind, target, axis, elevation_degrees, azimuth_gap_degrees: gap, distance })
     }
 
-    /// "hemisphere: elevation −3° to 88°, widest gap 14°, distance 4.03 to 4.1".
+    /// "all around and from above: elevation −3° to 88°, widest gap 14°, distance 4.03 to 4.1; up is +Z".
     pub fn words(&self) -> String {
         let kind = match self.kind {
             Kind::Rings(1) => "one ring".to_owned(),
@@ -92,8 +97,12 @@ impl Arrangement {
         };
         let ([low, high], [near, far]) = (self.elevation_degrees, self.distance);
         let gap = self.azimuth_gap_degrees;
+        let up = match axis_name(self.axis).as_str() {
+            "+Y" => String::new(),
+            other => format!("; up is {other}"),
+        };
         format!(
-            "{kind}: elevation {low:.0}° to {high:.0}°, widest gap {gap:.0}°, distance {near:.3} to {far:.3}"
+            "{kind}: elevation {low:.0}° to {high:.0}°, widest gap {gap:.0}°, distance {near:.3} to {far:.3}{up}"
         )
     }
 
@@ -112,6 +121,36 @@ fn target(looks: &[ViewLook]) -> Option<Vec3> {
     };
     let sights = if of_masks.len() < 2 { looks.iter().map(middle).collect() } else { of_masks };
     meeting_point(&sights).map(|point| point.as_vec3())
+}
+
+/// Where the tops of the pictures point in the mean: an axis, where it is near one; `given`, where it is near that, or where cameras are
+/// held in all ways.
+fn upright(looks: &[ViewLook], given: Vec3) -> Vec3 {
+    // Cameras have y down.
+    let top = |look: &ViewLook| -Vec3::from(look.camera.world_from_camera.matrix3.y_axis);
+    let mean = looks.iter().map(top).sum::<Vec3>() / looks.len().max(1) as f32;
+    let Some(up) = mean.try_normalize().filter(|_| mean.length() >= LEAST_UPRIGHT) else { return given };
+    if up.dot(given) >= NEAR_AXIS {
+        return given;
+    }
+    nearest_axis(up).unwrap_or(up)
+}
+
+/// The axis, or its opposite, that a unit direction is near.
+fn nearest_axis(direction: Vec3) -> Option<Vec3> {
+    let k = direction.abs().max_position();
+    (direction[k].abs() >= NEAR_AXIS).then(|| Vec3::AXES[k] * direction[k].signum())
+}
+
+/// "+Y", "-Z", "(0.00, 0.71, 0.71)".
+fn axis_name(direction: Vec3) -> String {
+    match nearest_axis(direction) {
+        Some(axis) => {
+            let sign = if axis.element_sum() < 0.0 { '-' } else { '+' };
+            format!("{sign}{}", ["X", "Y", "Z"][axis.abs().max_position()])
+        }
+        None => format!("({:.2}, {:.2}, {:.2})", direction.x, direction.y, direction.z),
+    }
 }
 
 fn elevation(direction: Vec3, axis: Vec3) -> f32 {

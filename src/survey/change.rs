@@ -26,6 +26,12 @@ pub enum Change {
         /// Where its origin goes, world units.
         shift: Vec3,
     },
+    /// Focal lengths are so many times longer.
+    Focal(f32),
+    /// Photographs have the cameras of other photographs; no change of one camera.
+    Order,
+    /// Masks are wrong; no change of cameras.
+    Masks,
 }
 
 /// A change with its name and what to do.
@@ -49,11 +55,15 @@ impl Change {
             Self::Inverted(axes) => turned(inverse(pose), axes),
             Self::World(turn) => into_world(pose, turn, 1.0, Vec3::ZERO),
             Self::Placed { turn, scale, shift } => into_world(pose, turn, *scale, *shift),
+            Self::Focal(_) | Self::Order | Self::Masks => pose,
         };
         let mut changed = view.clone();
         changed.camera.world_from_camera = world_from_camera;
         if let Self::Picture(axes) = self {
             turn_intrinsics(&mut changed.camera, axes);
+        }
+        if let Self::Focal(factor) = self {
+            changed.camera.focal = changed.camera.focal.map(|focal| focal * factor);
         }
         changed
     }

@@ -3,12 +3,17 @@
 //! | part | memory | time of one thread |
 //! | --- | --- | --- |
 //! | photographs | pixels around the object × [`PHOTOGRAPH_BYTES`] | pixels × [`DECODE_NANOS`] |
-//! | `Fit` | pixels in the pool × [`POOL_BYTES`] + texels × [`TEXEL_BYTES`] | steps × batch × lobes × [`FIT_PAIR_NANOS`] |
-//! | `Shape` | the same + cells³ × [`CELL_BYTES`] | steps × batch × [`SHAPE_PIXEL_NANOS`] |
+//! | `Fit` | [`FIT_BYTES`] + pixels in the pool × [`POOL_BYTES`] + texels × [`TEXEL_BYTES`] | steps × batch × lobes × [`FIT_PAIR_NANOS`] |
+//! | `Fit(detail: true)` | the same + [`DETAIL_BYTES`] + pixels × [`DETAIL_PIXEL_BYTES`] | three times as long + pixels × [`DETAIL_PIXEL_NANOS`] |
+//! | `Shape` | pixels in the pool × [`POOL_BYTES`] + cells³ × [`CELL_BYTES`] | steps × batch × [`SHAPE_PIXEL_NANOS`] |
+//! | its mesh | cells² × [`MESH_BYTES`] | |
 //! | shadows | [`VisibilitySettings::bytes`] of the texels | rows × directions × [`RAY_NANOS`] |
 //! | `Render` and the like | [`frame_bytes`] of the largest view; [`film_bytes`] of the film | samples in the object × lobes × [`RENDER_PAIR_NANOS`] |
+//! | `Evaluate` | pixels of the largest view × [`SCORE_PIXEL_BYTES`] | |
 //!
-//! Time is divided by the threads. It is good to a factor of two on the machine that was measured, and a guess on others.
+//! Time is divided by the threads. It is good to a factor of two on the machine that was measured, and a guess on others. Memory is meant
+//! to be no less than what is taken: eleven whole runs took 79 to 104 % of it (`spot`, `sphere`,
+//! `cheburashka`, `head` and `chair`; 300 photographs of 512², 16 of 4096² and 1000 of 1 MP).
 
 use crate::codec::animation::film_bytes;
 use crate::fit::detail::equations::TexelEquations;
@@ -19,7 +24,6 @@ use crate::scene::{
     ViewChoice, Visibility,
 };
 use crate::shade::frame::frame_bytes;
-use crate::survey::Survey;
 use crate::survey::detail::{ATLAS_FILL, pixels_per_texel};
 use crate::survey::look::{Bounds, ViewLook};
 use crate::survey::statistics::median;
@@ -32,12 +36,23 @@ use serde::Serialize;
 pub const PHOTOGRAPH_BYTES: f64 = 6.0;
 /// Bytes of a pixel of a silhouette in memory: its signed distance as a half float.
 pub const SILHOUETTE_BYTES: f64 = 2.0;
-/// Bytes of a pixel in the pool of a fit: its columns, two ticks for each of the two, and its entity.
-pub const POOL_BYTES: f64 = (size_of::<(ObservationIndex, Observation)>() + 2 * 8 + 52) as f64;
+/// Bytes of a pixel in the pool of a fit: its columns, two ticks for each of the two, and its entity; a table that grows keeps room for
+/// more rows.
+pub const POOL_BYTES: f64 = 1.6 * (size_of::<(ObservationIndex, Observation)>() + 2 * 8 + 52) as f64;
 /// Bytes of a texel in a fit: albedo and tilt, gradient, two moments, what is shown, place, normal, and their table.
 pub const TEXEL_BYTES: f64 = 224.0;
-/// Bytes of a cell of a shape's grid, with its adjoints and moments.
-pub const CELL_BYTES: f64 = 40.0;
+/// Bytes of a fit that do not depend on its size, as measured.
+pub const FIT_BYTES: f64 = 150e6;
+/// Bytes of a pixel while a view is scored: rendered, true, and what both are compared by. 16 views of 4096².
+pub const SCORE_PIXEL_BYTES: f64 = 105.0;
+/// Bytes of a fit that tries several materials and refines its texture, besides its pool and texels, as measured on four sets.
+pub const DETAIL_BYTES: f64 = 250e6;
+/// Bytes of a pixel that the sweeps over the texture visit, as measured on the same sets.
+pub const DETAIL_PIXEL_BYTES: f64 = 50.0;
+/// Bytes of a cell of a shape's grid, with its adjoints and moments, while its outlines are fitted.
+pub const CELL_BYTES: f64 = 110.0;
+/// Bytes of a found mesh and of what is made to intersect it, per square of the cells on a side: about six triangles.
+pub const MESH_BYTES: f64 = 9e3;
 /// Bytes of the program itself.
 pub const BASE_BYTES: f64 = 100e6;
 /// Reading a pixel of a PNG: 100 views of 800² in 3.2 s on two cores.
@@ -46,8 +61,10 @@ pub const DECODE_NANOS: f64 = 100.0;
 pub const FIT_PAIR_NANOS: f64 = 27.0;
 /// A pixel in a sweep over the detail of a texture: `chair`, three sweeps over 11 million pixels in 110 s of one thread.
 pub const DETAIL_PIXEL_NANOS: f64 = 3300.0;
-/// A pixel in a step of a shape: `scenes/photos.ron` on `spot`, 700 steps in about 60 s on two cores.
-pub const SHAPE_PIXEL_NANOS: f64 = 21_000.0;
+/// A fit that tries several materials, moves vertices and refines its texture takes this many times as long.
+pub const DETAIL_FACTOR: f64 = 3.0;
+/// A pixel in a step of a shape, with all that comes before and after the steps: `scenes/photos.ron` on `chair`, about 160 s on two cores.
+pub const SHAPE_PIXEL_NANOS: f64 = 42_000.0;
 /// A ray of the visibility: 108 789 texels in 512 directions in 7.0 s on two cores.
 pub const RAY_NANOS: f64 = 250.0;
 /// A pair of pixel sample and lobe in a frame, with tracing and gathering.
@@ -124,15 +141,19 @@ pub fn duration(seconds: f64) -> String {
 /// Part of the width that a level's cells must have in photographs from which on it counts: the grid is not exactly as wide as the object.
 const NEARLY: f32 = 0.9;
 
-/// What the passes of `scene` will take on `threads` threads, for the views of a survey.
-pub fn estimate(survey: &Survey, scene: &Scene, threads: usize) -> Estimate {
-    let task = Task { looks: &survey.looks, scene, threads: threads.max(1) };
+/// What the passes of `scene` will take on `threads` threads, for these views.
+pub fn estimate(looks: &[ViewLook], scene: &Scene, threads: usize) -> Estimate {
+    let task = Task { looks, scene, threads: threads.max(1) };
     let mut parts = vec![task.photographs()];
     parts.extend(task.shadows());
     for pass in &scene.passes {
+        if let Pass::Shape(shape) = pass {
+            parts.push(task.mesh(shape));
+        }
         parts.extend(match pass {
             Pass::Fit(fit) => Some(task.fit(fit)),
             Pass::Shape(shape) => Some(task.shape(shape)),
+            Pass::Evaluate(evaluate) => Some(task.scores(&evaluate.name)),
             other => other.render().map(|render| task.render(other.name(), render)),
         });
     }
@@ -227,7 +248,7 @@ impl Task<'_> {
 
     fn fit(&self, fit: &FitPass) -> Part {
         let pairs = f64::from(fit.steps) * f64::from(fit.batch) * self.lobes();
-        let bytes = self.pool(fit.max_pixels) * POOL_BYTES + self.texels() * TEXEL_BYTES;
+        let bytes = FIT_BYTES + self.pool(fit.max_pixels) * POOL_BYTES + self.texels() * TEXEL_BYTES;
         if !fit.detail {
             return self.part(&fit.name, bytes, pairs * FIT_PAIR_NANOS, false);
         }
@@ -236,7 +257,14 @@ impl Task<'_> {
             (self.texels().sqrt() * f64::from(wide)).min(f64::from(MOST_SIDE)).max(self.texels().sqrt());
         let sweeps = f64::from(SWEEPS) * self.pool(MOST_PIXELS as u32) * DETAIL_PIXEL_NANOS;
         let finest = side * side * (TEXEL_BYTES + size_of::<TexelEquations>() as f64);
-        self.part(&fit.name, bytes.max(finest), pairs * FIT_PAIR_NANOS + sweeps, false)
+        let steps = bytes + DETAIL_BYTES + self.pool(MOST_PIXELS as u32) * DETAIL_PIXEL_BYTES;
+        self.part(&fit.name, steps.max(finest), DETAIL_FACTOR * pairs * FIT_PAIR_NANOS + sweeps, false)
+    }
+
+    /// The mesh that a shape is found as.
+    fn mesh(&self, shape: &ShapePass) -> Part {
+        let cells = self.resolved(&shape.levels).last().map_or(0.0, |level| f64::from(level.cells));
+        self.part("mesh", cells * cells * MESH_BYTES, 0.0, true)
     }
 
     fn shape(&self, shape: &ShapePass) -> Part {
@@ -245,6 +273,12 @@ impl Task<'_> {
         let cells = levels.iter().map(|level| f64::from(level.cells).powi(3)).fold(0.0, f64::max);
         let bytes = self.pool(shape.max_pixels) * POOL_BYTES + cells * CELL_BYTES;
         self.part(&shape.name, bytes, steps * f64::from(shape.batch) * SHAPE_PIXEL_NANOS, false)
+    }
+
+    /// One view at a time is scored.
+    fn scores(&self, name: &str) -> Part {
+        let largest = self.looks.iter().map(pixels).fold(0.0, f64::max);
+        self.part(name, largest * SCORE_PIXEL_BYTES, 0.0, false)
     }
 
     /// The levels that photographs of this size resolve, as far as their masks tell; a level that is nearly resolved counts.

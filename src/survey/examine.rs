@@ -5,6 +5,7 @@ use crate::mesh::bvh::TriangleBvh;
 use crate::mesh::triangles::Mesh;
 use crate::survey::agreement;
 use crate::survey::cameras::Arrangement;
+use crate::survey::consensus::{self, Consensus};
 use crate::survey::detail;
 use crate::survey::finding::{Finding, Severity};
 use crate::survey::look::ViewLook;
@@ -47,6 +48,8 @@ pub struct Survey {
     pub mesh_iou: Vec<Option<f32>>,
     /// Without a mesh: how well the masks agree with their visual hull (mean intersection over union).
     pub hull_iou: Option<f32>,
+    /// Without a mesh: the share of each view's mask that the visual hull of the others leaves uncovered.
+    pub mask_uncovered: Vec<Option<f32>>,
     /// How the cameras lie; `None` if they look along one line.
     pub arrangement: Option<Arrangement>,
     /// How much the backgrounds are alike (correlation), if they are not plain.
@@ -127,21 +130,24 @@ fn beside_mesh(survey: &mut Survey, mesh: &Mesh, up: Vec3) {
 
 fn beside_hull(survey: &mut Survey, up: Vec3) {
     let train: Vec<&ViewLook> = survey.looks.iter().filter(|look| look.split == Split::Train).collect();
-    let complaint = match check_masks(&train) {
-        Ok(stray) => {
-            survey.findings.extend(stray);
-            None
-        }
-        Err(error) => Some(Finding::from_error("masks", &error)),
+    let (stray, complaint) = match check_masks(&train) {
+        Ok(stray) => (stray, None),
+        Err(error) => (None, Some(Finding::from_error("masks", &error))),
     };
-    survey.hull_iou = agreement::hull_agreement(&survey.looks);
+    survey.hull_iou = consensus::hull_agreement(&survey.looks);
     // With inverted masks nothing agrees, and that is not the cameras' fault.
     let inverted = survey.findings_of(Severity::Error).any(|error| error.name == "inverted-masks");
     match survey.hull_iou {
         _ if inverted => {}
-        Some(given) => survey.findings.extend(agreement::of_masks(&survey.looks, given, complaint)),
+        Some(given) => {
+            let found = Consensus::new(&survey.looks);
+            let finding = consensus::of_masks(&survey.looks, given, found.as_ref(), complaint);
+            survey.findings.extend(finding);
+            survey.mask_uncovered = found.map_or(Vec::new(), |found| found.uncovered);
+        }
         None => survey.findings.extend(complaint),
     }
+    survey.findings.extend(stray);
     survey.arrangement = Arrangement::new(&survey.looks, None, up);
 }
 
@@ -166,4 +172,5 @@ fn tidy(survey: &mut Survey) {
     });
     survey.compared.resize(survey.looks.len(), Compared::default());
     survey.mesh_iou.resize(survey.looks.len(), None);
+    survey.mask_uncovered.resize(survey.looks.len(), None);
 }

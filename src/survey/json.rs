@@ -58,6 +58,7 @@ fn view(survey: &Survey, i: usize) -> Value {
         "stops_from_neighbors": survey.compared[i].stops,
         "sharpness_of_neighbors": survey.compared[i].sharpness,
         "mesh_iou": survey.mesh_iou[i],
+        "mask_uncovered": survey.mask_uncovered[i],
         "flags": survey.flags(&look.name),
     })
 }

@@ -7,7 +7,7 @@ use crate::report::tone::srgb8;
 use crate::survey::sharpness::sharpness;
 use crate::survey::statistics::quantile;
 use crate::view::raster::FULL_COVERAGE;
-use crate::view::{Camera, Image, Mask, Split};
+use crate::view::{Camera, Image, Mask, Split, ViewRecord};
 use glam::Vec3;
 use image::{Rgb, RgbImage};
 
@@ -103,7 +103,7 @@ pub struct ViewLook {
 }
 
 /// The radiance of a photograph, in its mask where there is one.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Light {
     /// Median luminance.
     pub median: f32,
@@ -185,6 +185,22 @@ impl ViewLook {
             mask_source: if mask.is_some() { mask_source } else { MaskSource::Nowhere },
             mask: mask.map(|mask| MaskLook::new(mask, &view.camera)),
             thumbnail: photograph.filter(|_| with_thumbnail).and_then(Thumbnail::new),
+        }
+    }
+
+    /// A view of which no pixel is looked at: its size and whether there is a photograph are known, its light is 0.
+    pub fn unseen(record: &ViewRecord) -> Self {
+        Self {
+            name: record.name.clone(),
+            split: record.split,
+            size: [record.camera.width, record.camera.height],
+            camera: record.camera,
+            light: record.photograph.as_ref().map(|_| Light::default()),
+            negative: 0.0,
+            exif: [1; 2],
+            mask_source: MaskSource::Nowhere,
+            mask: None,
+            thumbnail: None,
         }
     }
 

@@ -11,8 +11,9 @@
 //! | [`masks`] | inverted, dim, soft or missing masks |
 //! | [`meeting`] | cameras and masks that do not belong together |
 //! | [`cameras`], [`turntable`] | how cameras lie, and whether the object turned instead |
-//! | [`silhouette`], [`hull`], [`agreement`] | whether the masks agree with a known mesh, or with each other |
-//! | [`change`], [`placement`] | other axes, mirrored photographs, another unit |
+//! | [`silhouette`], [`agreement`] | whether the masks agree with a known mesh |
+//! | [`hull`], [`consensus`] | whether they agree with each other, and which views do not |
+//! | [`change`], [`order`], [`placement`], [`rivals`] | other axes, mirrored photographs, another order, another unit or focal length |
 //! | [`detail`] | texels beside pixels |
 //! | [`estimate`] | memory and time of a scene's passes |
 //! | [`table`], [`json`], [`sheet`] | the survey as text, as JSON, and as a contact sheet |
@@ -20,6 +21,7 @@
 pub mod agreement;
 pub mod cameras;
 pub mod change;
+pub mod consensus;
 pub mod detail;
 pub mod estimate;
 pub mod examine;
@@ -30,8 +32,10 @@ pub mod look;
 pub mod masks;
 pub mod meeting;
 pub mod open;
+pub mod order;
 pub mod photographs;
 pub mod placement;
+pub mod rivals;
 pub mod sharpness;
 pub mod sheet;
 pub mod silhouette;

@@ -10,6 +10,9 @@ use std::collections::BTreeMap;
 const BLACK: f32 = 1e-3;
 /// One that is this many times brighter than the median of all is absurd.
 const ABSURD: f32 = 512.0;
+/// One whose brightest pixel is this many times brighter than that of a typical photograph has broken pixels, or a highlight that no other
+/// one has.
+const GLARING: f32 = 512.0;
 /// Share of negative pixels that is worth a word. A photograph that is mostly negative is not read.
 const SOME_NEGATIVE: f32 = 0.01;
 /// Share of clipped pixels that is worth a word.
@@ -57,6 +60,7 @@ pub fn of_radiance(looks: &[ViewLook]) -> Vec<Finding> {
             "Write the image again, in the unit of the others, or leave the view out with `select`.",
         )
     });
+    found.extend(glaring(looks, is_bright));
     found.extend(negative(looks));
     found.extend(turned(looks));
     add(
@@ -75,6 +79,24 @@ pub fn of_radiance(looks: &[ViewLook]) -> Vec<Finding> {
         },
     );
     found
+}
+
+/// Photographs a few pixels of which are far brighter than anything in the others, but which are not absurd as a whole.
+fn glaring(looks: &[ViewLook], is_absurd: impl Fn(&Light) -> bool) -> Option<Finding> {
+    let mut highest: Vec<f32> = lights(looks).map(|(_, light)| light.highest).collect();
+    let usual = median(&mut highest).filter(|usual| *usual > 0.0)?;
+    let is_glaring = |(_, light): &(&ViewLook, &Light)| light.highest > GLARING * usual && !is_absurd(light);
+    let views: Vec<String> = lights(looks).filter(is_glaring).map(|(look, _)| look.name.clone()).collect();
+    let brightest = lights(looks).map(|(_, light)| light.highest).fold(0.0, f32::max);
+    let problem = || {
+        let views = named(&views);
+        format!(
+            "some pixels are {:.0} times brighter than the brightest of a typical photograph in {views}",
+            brightest / usual
+        )
+    };
+    let help = "If they are broken pixels, write the image again, or leave the view out with `select`.";
+    (!views.is_empty()).then(|| Finding::warning("glaring-pixels", views.clone(), problem(), help))
 }
 
 /// Photographs with an EXIF orientation of which no size tells whether cameras and masks are of the pixels as they are stored.

@@ -138,7 +138,7 @@ fn unit(scale: f32) -> String {
 }
 
 /// Three significant digits.
-fn short(value: f32) -> String {
+pub fn short(value: f32) -> String {
     if value == 0.0 || !value.is_finite() {
         return format!("{value}");
     }

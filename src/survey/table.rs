@@ -1,6 +1,5 @@
 //! A survey as a short table for the terminal.
 
-use crate::survey::estimate::Estimate;
 use crate::survey::examine::Survey;
 use crate::survey::finding::{Finding, Severity, counted};
 use crate::survey::look::{Light, MaskLook, MaskSource, ViewLook};
@@ -8,15 +7,13 @@ use crate::survey::statistics::{median, quantile};
 use crate::view::Split;
 
 /// Rows of label and text.
-pub fn rows(survey: &Survey, estimate: &Estimate) -> Vec<(&'static str, String)> {
+pub fn rows(survey: &Survey) -> Vec<(&'static str, String)> {
     let mut rows = vec![("data", data(survey))];
     rows.push(("masks", masks(&survey.looks)));
     rows.extend(exposure(&survey.looks).map(|text| ("light", text)));
     rows.extend(sharpness(survey).map(|text| ("detail", text)));
     rows.extend(survey.arrangement.as_ref().map(|arrangement| ("cameras", arrangement.words())));
     rows.extend(agreement(survey).map(|text| ("overlap", text)));
-    rows.push(("needs", estimate.words()));
-    rows.extend(survey.notes.iter().map(|note| ("note", note.clone())));
     rows
 }
 

@@ -20,13 +20,12 @@ fn unrecognized_folders_say_what_was_looked_for() {
 
 #[test]
 fn absent_splits_say_which_there_are() {
-    let set = PhySg::new(1);
-    let options = DatasetOptions::default();
-    let text = input_error(read_dataset(set.dir.path(), Split::Test, &options));
-    assert_says(&text, &["no test split", "There is a train split only"]);
     let set = Nerf::new(1);
-    let text = input_error(read_dataset(set.dir.path(), Split::Train, &options));
-    assert_says(&text, &["no train split", "transforms_train.json", "There is a test split only"]);
+    let text = input_error(read_split(set.dir.path(), Split::Train));
+    assert_says(
+        &text,
+        &["no train split", "transforms_train.json", "There is a test split only. Add the train"],
+    );
 }
 
 #[test]
@@ -202,6 +201,16 @@ fn views_with_names_that_output_files_cannot_have_are_refused() {
         let cameras = json!({ name: physg_camera() });
         fs::write(set.path("train/cam_dict_norm.json"), cameras.to_string()).unwrap();
         assert_says(&input_error(set.read()), &["cam_dict_norm.json", words]);
+    }
+    for name in ["a\u{0}b", "a\u{1b}[2Jb", &"a".repeat(300), "c\u{1b}/b.exr"] {
+        let set = PhySg::new(1);
+        let cameras = json!({ name: physg_camera() });
+        fs::write(set.path("train/cam_dict_norm.json"), cameras.to_string()).unwrap();
+        let text = input_error(set.read());
+        assert_says(&text, &["cam_dict_norm.json, camera `"]);
+        let is_named =
+            ["the view name `a", "the path `c\\u{1b}/b.exr` holds"].iter().any(|words| text.contains(words));
+        assert!(is_named && text.len() < 600 && !text.contains(char::is_control), "{text:?}");
     }
     for name in ["a\u{0}b", &"a".repeat(300)] {
         let mut set = Nerf::new(1);

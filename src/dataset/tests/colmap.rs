@@ -436,3 +436,50 @@ fn views_are_held_out_in_natural_order() {
     let test = read_dataset(set.dir.path(), Split::Test, &options).unwrap();
     assert_eq!(names(&test), ["p1", "p10"]);
 }
+
+#[test]
+fn names_that_no_file_has_are_refused_before_files_are_looked_for() {
+    let set = Colmap::new(1);
+    let text = fs::read_to_string(set.path("sparse/0/images.txt")).unwrap();
+    for name in ["a\u{0}b.png", "a\u{1b}[2Jb.png", &"a".repeat(300), "c\u{1b}/b.png"] {
+        fs::write(set.path("sparse/0/images.txt"), text.replace("p00.png", name)).unwrap();
+        let text = input_error(read_all(set.dir.path()));
+        assert_says(&text, &["images.txt, image `"]);
+        let is_named =
+            ["the view name `a", "the path `c\\u{1b}/b.png` holds"].iter().any(|words| text.contains(words));
+        assert!(is_named && text.len() < 600 && !text.contains(char::is_control), "{text:?}");
+    }
+    // What is wrong with a pose is told of a name that is not checked yet.
+    let spoiled = text.replace("p00.png", "a\u{1b}[2Jb.png").replacen("0.7071067811865476", "NaN", 1);
+    fs::write(set.path("sparse/0/images.txt"), spoiled).unwrap();
+    let text = input_error(read_all(set.dir.path()));
+    assert!(text.contains("image `a\\u{1b}[2Jb.png`: ") && !text.contains(char::is_control), "{text:?}");
+}
+
+#[test]
+fn photographs_of_a_format_that_is_not_read_are_named_before_their_masks() {
+    let starts: [(&str, &[u8], &str); 4] = [
+        ("avif", b"\0\0\0\x18ftypavif\0\0\0\0", "avifdec"),
+        ("bmp", b"BM\0\0\0\0\0\0\0\0", "magick"),
+        ("jp2", b"\0\0\0\x0cjP  \r\n\x87\n", "magick"),
+        ("HEIC", b"\0\0\0\x18ftypheic\0\0\0\0", "heif-convert"),
+    ];
+    for (kind, start, remedy) in starts {
+        let set = Colmap::new(2);
+        let images = fs::read_to_string(set.path("sparse/0/images.txt")).unwrap();
+        fs::write(set.path("sparse/0/images.txt"), images.replace(".png", &format!(".{kind}"))).unwrap();
+        // As other photographs of the same names they are found.
+        assert_eq!(names(&read_all(set.dir.path()).unwrap()), ["p00", "p01"]);
+        for i in 0..2 {
+            fs::remove_file(set.path(&format!("images/p{i:02}.png"))).unwrap();
+            fs::write(set.path(&format!("images/p{i:02}.{kind}")), start).unwrap();
+        }
+        for with_masks in [true, false] {
+            let text = input_error(read_all(set.dir.path()));
+            assert_says(&text, &[&format!("images/p00.{kind}: this is a"), "which is not read", remedy]);
+            if with_masks {
+                fs::remove_file(set.path("masks/p00.png")).unwrap();
+            }
+        }
+    }
+}

@@ -6,7 +6,7 @@ const INTRINSICS: &str = "8 3 2 0.\n0. 0. 0.\n1.\n1.\n4 6\n";
 /// World_from_camera: at (3, 0, 0.25), looking along −X with +Y up.
 const POSE: &str = "0 0 -1 3\n0 -1 0 0\n-1 0 0 0.25\n0 0 0 1\n";
 
-fn write_split(folder: &Path, views: usize) {
+pub fn write_split(folder: &Path, views: usize) {
     for name in ["rgb", "pose"] {
         fs::create_dir_all(folder.join(name)).unwrap();
     }

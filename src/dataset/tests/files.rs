@@ -45,6 +45,12 @@ fn names_that_no_view_can_have_are_refused_before_files_are_looked_for() {
     let text = wrong("images/a\u{1b}[2Jb.png");
     assert_says(&text, &["frame 1 (`images/a\\u{1b}[2Jb.png`)", "the view name `a\\u{1b}[2Jb` holds"]);
     assert!(!text.contains('\u{1b}'), "{text:?}");
+    let dir = transforms(&["images/0.png"]);
+    let file = dir.path().join("transforms.json");
+    let mut json: Value = serde_json::from_slice(&fs::read(&file).unwrap()).unwrap();
+    json["frames"][0]["mask_path"] = json!("masks/\u{1b}[2J.png");
+    fs::write(&file, json.to_string()).unwrap();
+    assert_says(&input_error(read_all(dir.path())), &["frame 0", "the path `masks/\\u{1b}[2J.png` holds"]);
     let text = wrong(&format!("images/{}.png", "x".repeat(3000)));
     assert_says(&text, &["has 3000 bytes", "xxx…`"]);
     assert!(text.len() < 600, "{}", text.len());
@@ -81,7 +87,8 @@ fn photographs_of_formats_that_are_not_read_say_so() {
 fn a_missing_mask_is_called_a_mask() {
     let set = PhySg::new(2);
     fs::remove_file(set.path("train/mask/v_1.png")).unwrap();
-    assert_says(&input_error(set.read()), &["train/mask/v_1.exr", "its mask is missing"]);
+    let words = ["train/mask/v_1.png", "the mask of `v_1.exr` is missing", "with any image extension"];
+    assert_says(&input_error(set.read()), &words);
 }
 
 #[test]

@@ -113,6 +113,24 @@ fn counts_that_differ_say_which_photograph() {
     assert_says(&set.error(), &["the mask of `DSC_0010.jpg` is missing"]);
 }
 
+/// A sparse file takes no room on the disk; read whole, it would take that in memory.
+#[test]
+fn absurd_counts_are_refused_before_values_are_read() {
+    let set = Llff::new(3);
+    let rows = 30_000_000_u64;
+    let head = npy_matrix(0, 17, &[]);
+    let text = String::from_utf8_lossy(&head[10..]).replace("(0, 17)", &format!("({rows}, 17)"));
+    let length = u16::try_from(text.len()).unwrap().to_le_bytes();
+    let path = set.path("poses_bounds.npy");
+    fs::write(&path, [&head[..8], &length, text.as_bytes()].concat()).unwrap();
+    let bytes = (10 + text.len()) as u64 + 136 * rows;
+    fs::File::options().write(true).open(&path).unwrap().set_len(bytes).unwrap();
+    assert_says(
+        &set.error(),
+        &["poses_bounds.npy", "room for 30000000 cameras", "3 photographs in", "images"],
+    );
+}
+
 #[test]
 fn photographs_of_a_format_that_is_not_read_say_so() {
     let set = Llff::new(3);

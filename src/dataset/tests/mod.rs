@@ -8,9 +8,11 @@ mod files;
 mod good;
 mod idr;
 mod llff;
+mod mask_names;
 mod metashape;
 mod reality_capture;
 mod recognition;
+mod splits;
 mod stanford_orb;
 mod transforms;
 
@@ -85,8 +87,10 @@ impl PhySg {
         self.read_with(&DatasetOptions::default())
     }
 
+    /// All views, without a test split.
     fn read_with(&self, options: &DatasetOptions) -> Result<Dataset> {
-        read_dataset(self.dir.path(), Split::Train, options)
+        let options = DatasetOptions { hold_out: 0, ..options.clone() };
+        read_dataset(self.dir.path(), Split::Train, &options)
     }
 }
 

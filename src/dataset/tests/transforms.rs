@@ -77,8 +77,14 @@ fn lists_divide_the_views() {
     set.json["val_filenames"] = json!(["images/f_0.png"]);
     assert_eq!(names(&set.read(Split::Test).unwrap()), ["f_0"], "validation stands for a missing test list");
     set.json.as_object_mut().unwrap().remove("val_filenames");
-    assert_says(&input_error(set.read(Split::Test)), &["the test split has no views"]);
-    assert!(!set.has_test_split(8));
+    set.json["test_filenames"] = json!([]);
+    assert_eq!(
+        names(&set.read(Split::Test).unwrap()),
+        ["f_2"],
+        "of the training list, hold_out makes a test split"
+    );
+    assert!(set.has_test_split(8) && !set.has_test_split(0));
+    set.json.as_object_mut().unwrap().remove("test_filenames");
     let text = set.wrong(|json| json["train_filenames"] = json!(["images/f_9.png"]));
     assert_says(
         &text,

@@ -3,9 +3,11 @@
 use crate::checkpoint::{has_level_ahead, keep_level, resume_level};
 use crate::error::stop::{check_interrupted, is_stopping};
 use crate::error::{Error, Result};
+use crate::fit::ObjectTurned;
 use crate::fit::cameras::{CameraFit, CameraPlugin, CameraUnknowns, align_photographs, attach_poses};
 use crate::fit::components::{AlbedoGradient, AlbedoMoments, TexelSeen};
 use crate::fit::run::{FitOptions, FitProgress, Initialize, run_fit};
+use crate::light::frame::{LightFrame, OwnLightFrame};
 use crate::material::sheen::KnownAlong;
 use crate::material::{DiffuseAlbedo, DiffuseSheen, DiffuseTilt};
 use crate::material::{
@@ -257,7 +259,8 @@ fn first_surface(world: &mut World, mut hull: SdfGrid, options: &ShapeOptions) -
 }
 
 /// What level `index` starts from: the surface that the level before has found, on its own grid and with its own texels. Hollows that
-/// the hull's grid is too coarse for are looked for on the grid of the second level, unless the object mirrors; their share is returned.
+/// the hull's grid is too coarse for are looked for on the grid of the second level, unless the object mirrors or the light turns; their
+/// share is returned.
 fn next_surface(
     world: &mut World,
     found: SdfSurface,
@@ -277,13 +280,20 @@ fn next_surface(
     regrow(&mut grid, silhouettes, FORGIVEN);
     grid.redistance();
     let mut opened = 0.0;
-    if options.hollows && index == 1 && !is_mirror_like(world) {
+    if options.hollows && index == 1 && !is_mirror_like(world) && !light_turns(world) {
         let _opening = stage("hollows");
         opened =
             with_training_views(world, |views| carve_hollows(&mut grid, silhouettes, views, LEVEL_SHARE));
     }
     let albedo = recovered_albedo(world)?;
     Ok((with_texels(world, grid, level, Some((&found.volume, &albedo))), opened))
+}
+
+/// Whether the light turns around the object from view to view: a place then has other colors in each photograph, most of all where it is
+/// glossy, and a search for hollows takes the difference for one.
+fn light_turns(world: &World) -> bool {
+    let turns = |own: &OwnLightFrame| own.0 != LightFrame::World;
+    world.contains_resource::<ObjectTurned>() || world.get_resource::<OwnLightFrame>().is_some_and(turns)
 }
 
 /// Whether a material mirrors: photographs disagree on its surface as if they looked through it.
@@ -329,7 +339,7 @@ pub fn mesh_of_parts(world: &mut World, grid: &SdfGrid) -> Mesh {
     extract_parts(grid, &training_silhouettes(world))
 }
 
-/// Removes from the hull what the training photographs look through, and spans what none of them sees. A run that is resumed at a later
+/// Removes from the hull what the training photographs look through, if the light stands still, and spans what none of them sees. A run that is resumed at a later
 /// level needs neither.
 fn reduce_hull(
     world: &mut World,
@@ -341,7 +351,7 @@ fn reduce_hull(
     if has_level_ahead(world) {
         return report;
     }
-    if options.hollows {
+    if options.hollows && !light_turns(world) {
         let _opening = stage("hollows");
         report.opened =
             with_training_views(world, |views| carve_hollows(hull, silhouettes, views, HULL_SHARE));

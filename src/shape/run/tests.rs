@@ -241,3 +241,16 @@ fn texels_that_are_replaced_keep_a_known_albedo_along_the_surface() {
     assert!(albedo.iter().zip(&sheen).all(|(albedo, sheen)| (*albedo + sheen.0).abs_diff_eq(along, 1e-6)));
     assert!(albedo.iter().any(|color| color.distance(albedo[0]) > 0.01));
 }
+
+#[test]
+fn hollows_are_looked_for_only_where_the_light_stands_still() {
+    let mut world = World::new();
+    assert!(!light_turns(&world));
+    world.insert_resource(OwnLightFrame(LightFrame::World));
+    assert!(!light_turns(&world));
+    world.insert_resource(OwnLightFrame(LightFrame::Camera));
+    assert!(light_turns(&world));
+    world.insert_resource(OwnLightFrame(LightFrame::World));
+    world.insert_resource(ObjectTurned);
+    assert!(light_turns(&world));
+}

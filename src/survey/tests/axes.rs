@@ -7,7 +7,7 @@ use crate::mesh::primitive::box_mesh;
 use crate::mesh::triangles::Mesh;
 use crate::survey::Severity;
 use crate::survey::look::OpenView;
-use crate::view::Split;
+use crate::view::{Camera, Split};
 use glam::{Affine3A, Mat3A, Vec3, Vec3A};
 
 /// Cameras with other axes: the right ones are these columns of theirs.
@@ -91,6 +91,58 @@ fn confused_axes_are_named_without_a_mesh() {
     named(&with_axes(OPENGL), &["y and z of the camera axes are negated"]);
     named(&inverted(), &["camera_from_world is taken for world_from_camera"]);
     named(&mirrored(), &["mirrored left to right"]);
+}
+
+#[test]
+fn inverted_poses_of_cameras_that_look_at_the_origin_are_named() {
+    // All inverted poses are at one point, apart from rounding.
+    let bvh = TriangleBvh::new(&object());
+    let seen = |(i, direction): (usize, Vec3)| {
+        let up = if direction.y.abs() > 0.95 { Vec3::X } else { Vec3::Y };
+        let camera =
+            Camera::look_at(direction * 3.0, Vec3::ZERO, up, 38.0, super::SIDE, super::SIDE).unwrap();
+        let mut view = super::photographed(&format!("v{i}"), Split::Train, camera, &bvh);
+        view.camera.world_from_camera = camera.world_from_camera.inverse();
+        view
+    };
+    let views: Vec<OpenView> = fibonacci_axes(20).into_iter().enumerate().map(seen).collect();
+    for mesh in [Some(object()), None] {
+        let words = ["camera_from_world is taken for world_from_camera", "invert each of them"];
+        expect(&surveyed(&views, mesh.as_ref()), "other-axes", &[], &words);
+    }
+}
+
+#[test]
+fn another_focal_length_is_named_beside_the_size_of_the_mesh() {
+    let mut views = good();
+    views.iter_mut().for_each(|view| view.camera.focal = view.camera.focal.map(|focal| focal * 0.6));
+    let survey = surveyed(&views, Some(&object()));
+    let finding = &survey.findings[0];
+    assert_eq!((survey.findings.len(), finding.severity), (1, Severity::Error), "{:#?}", survey.findings);
+    assert!(finding.problem.contains("the focal lengths are 1.67 times too short"), "{finding:?}");
+    assert!(finding.help.contains("multiply the focal lengths by 1.67"), "{finding:?}");
+    // The other way around, the size of the mesh is the cause, and the focal length is named if it explains as much.
+    let survey = surveyed(&good(), Some(&moved(|p| p * 0.6)));
+    let finding = &survey.findings[0];
+    assert!(finding.name == "other-place" && finding.problem.contains("times too small"), "{finding:?}");
+}
+
+#[test]
+fn eroded_masks_are_named() {
+    let mut views = good();
+    for view in &mut views {
+        view.mask = view.mask.as_ref().map(|mask| mask.eroded(6));
+    }
+    let survey = surveyed(&views, Some(&object()));
+    let finding = &survey.findings[0];
+    let words = "the masks are smaller than the silhouettes of the mesh by about";
+    assert!(finding.problem.contains(words) && finding.help.contains("eroded"), "{finding:?}");
+    // A square of 6 pixels reaches farther along diagonals.
+    assert!(
+        ["about 6 pixels", "about 7 pixels"].iter().any(|width| finding.problem.contains(width)),
+        "{finding:?}"
+    );
+    assert_eq!((finding.name, finding.severity), ("other-outline", Severity::Error), "{finding:?}");
 }
 
 #[test]

@@ -5,11 +5,11 @@ use crate::math::fibonacci::fibonacci_axes;
 use crate::survey::cameras::{Arrangement, Kind};
 use crate::survey::look::OpenView;
 use crate::survey::turntable::{Background, is_turntable, sameness};
-use crate::view::Split;
+use crate::view::{Camera, Split};
 use glam::Vec3;
 
-fn arrangement(directions: impl IntoIterator<Item = Vec3>) -> Arrangement {
-    let view = |(i, direction): (usize, Vec3)| OpenView {
+fn seen(i: usize, direction: Vec3) -> OpenView {
+    OpenView {
         name: format!("v{i}"),
         split: Split::Train,
         camera: camera(direction.normalize()),
@@ -17,8 +17,12 @@ fn arrangement(directions: impl IntoIterator<Item = Vec3>) -> Arrangement {
         mask: None,
         negative: 0.0,
         exif: [1; 2],
-    };
-    let views: Vec<OpenView> = directions.into_iter().enumerate().map(view).collect();
+    }
+}
+
+fn arrangement(directions: impl IntoIterator<Item = Vec3>) -> Arrangement {
+    let views: Vec<OpenView> =
+        directions.into_iter().enumerate().map(|(i, direction)| seen(i, direction)).collect();
     Arrangement::new(&looks(&views), None, Vec3::Y).unwrap()
 }
 
@@ -51,6 +55,31 @@ fn arrangements_are_recognized() {
         arrangement(fibonacci_axes(80).into_iter().filter(|axis| axis.y.abs() < 0.3)).kind,
         Kind::Belt
     );
+}
+
+#[test]
+fn up_is_where_the_pictures_have_their_tops() {
+    let hemisphere = |up: Vec3, turn: fn(Vec3) -> Vec3| {
+        let view = |direction: Vec3| {
+            let camera = Camera::look_at(turn(direction) * 3.0, Vec3::ZERO, up, 38.0, 96, 96).unwrap();
+            OpenView { camera, ..seen(0, direction) }
+        };
+        let views: Vec<OpenView> = fibonacci_axes(80).into_iter().take(40).skip(1).map(view).collect();
+        Arrangement::new(&looks(&views), None, Vec3::Y).unwrap()
+    };
+    for (up, turn, words) in [
+        (Vec3::Y, (|d| d) as fn(Vec3) -> Vec3, ""),
+        (Vec3::Z, |d| Vec3::new(d.x, -d.z, d.y), "; up is +Z"),
+        (Vec3::NEG_Y, |d| Vec3::new(d.x, -d.y, -d.z), "; up is -Y"),
+        (Vec3::NEG_X, |d| Vec3::new(-d.y, d.x, d.z), "; up is -X"),
+    ] {
+        let found = hemisphere(up, turn);
+        assert_eq!((found.kind, found.axis), (Kind::Hemisphere, up), "{found:?}");
+        assert!(found.elevation_degrees[0] > -5.0 && found.azimuth_gap_degrees < 40.0, "{found:?}");
+        let all = found.words();
+        let tail = all.find(';').map_or("", |at| &all[at..]);
+        assert_eq!(tail, words, "{all}");
+    }
 }
 
 /// Backgrounds of `count` photographs, by pixel and number, with the object in the middle.

@@ -2,6 +2,7 @@
 
 mod axes;
 mod cameras;
+mod consensus;
 mod masks;
 mod output;
 mod photographs;
@@ -129,6 +130,8 @@ fn nothing_is_wrong_with_good_views() {
     let without = surveyed(&views, None);
     assert_eq!(without.findings, []);
     assert!(without.hull_iou.unwrap() > 0.75, "{:?}", without.hull_iou);
+    let uncovered = || without.mask_uncovered.iter().map(|share| share.unwrap());
+    assert!(uncovered().all(|share| share < 0.02), "{:?}", without.mask_uncovered);
 }
 
 #[test]

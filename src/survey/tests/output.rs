@@ -28,7 +28,7 @@ fn with_a_black_view() -> Survey {
 #[test]
 fn the_table_says_what_there_is() {
     let survey = surveyed(&good(), Some(&object()));
-    let rows = table::rows(&survey, &Estimate::default());
+    let rows = table::rows(&survey);
     let text = |label: &str| rows.iter().find(|row| row.0 == label).unwrap().1.clone();
     assert!(text("data").contains("20 training views of 96×96, 4 test views of 96×96"), "{}", text("data"));
     assert!(text("masks").starts_with("files of 24 views; the object covers"), "{}", text("masks"));
@@ -78,7 +78,7 @@ fn json_and_sheet_flag_the_view() {
 fn more_work_takes_more_time_and_memory() {
     let survey = surveyed(&good(), Some(&object()));
     let render = "Render(name: \"novel\")";
-    let of = |passes: &str, threads| estimate(&survey, &scene(passes), threads);
+    let of = |passes: &str, threads| estimate(&survey.looks, &scene(passes), threads);
     let short = of(&format!("Fit(steps: 100), {render}"), 2);
     let long = of(&format!("Fit(steps: 1000), {render}"), 2);
     assert!(long.seconds() > short.seconds() && long.bytes() == short.bytes());
@@ -101,7 +101,7 @@ fn levels_that_photographs_do_not_resolve_take_nothing() {
         let mut shape = ShapePass::default();
         shape.levels.truncate(levels);
         let scene = Scene { passes: vec![Pass::Shape(shape)], ..scene("") };
-        let estimate = estimate(survey, &scene, 2);
+        let estimate = estimate(&survey.looks, &scene, 2);
         estimate.parts.into_iter().find(|part| part.what == "shape").unwrap()
     };
     let (two, three) = (of(&survey, 2), of(&survey, 3));

@@ -34,6 +34,17 @@ fn a_whole_photograph_in_another_unit_is_absurdly_bright() {
 }
 
 #[test]
+fn a_few_pixels_that_outshine_all_others_are_named() {
+    let mut views = good();
+    let side = views[4].camera.width as usize;
+    let middle = side * (side / 2) + side / 2;
+    pixels(&mut views[4])[middle..middle + 6].fill(Vec3::splat(1e5));
+    let survey = surveyed(&views, Some(&object()));
+    expect(&survey, "glaring-pixels", &["v4"], &["times brighter", "select"]);
+    assert_eq!(survey.findings[0].severity, Severity::Warning);
+}
+
+#[test]
 fn another_exposure_is_named_with_its_stops() {
     let survey = changed(5, |pixel| pixel * 8.0);
     expect(&survey, "exposure", &["v5"], &["`v5` is 3.", "stops brighter", "exposure: true"]);

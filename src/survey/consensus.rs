@@ -1,0 +1,253 @@
+//! Findings about masks and cameras where no mesh is known: single views that the others contradict, and cameras that do not fit the
+//! photographs as a whole.
+
+use crate::report::sheet::choose_evenly;
+use crate::survey::agreement::tried;
+use crate::survey::change::{Cause, Change, camera_causes};
+use crate::survey::finding::{Finding, Severity, named};
+use crate::survey::hull::{FORGIVEN, consistency, solid, uncovered};
+use crate::survey::look::{SmallMask, ViewLook};
+use crate::survey::order::orders;
+use crate::survey::statistics::median;
+
+/// Views that are judged at least, and the pixels that their masks have in the median at least.
+const LEAST_VIEWS: usize = 8;
+const LEAST_PIXELS: usize = 100;
+/// Pixels of a mask below which limits grow, as the border weighs more.
+const PLENTY: f32 = 1000.0;
+/// Views that make the hull.
+const VOTERS: usize = 96;
+/// Shares of views that may be wrong for the first hulls, and the uncovered share beyond which a view has no say in the next. With 12 of
+/// 49 to 125 views exchanged, right views have 0.003 at most, wrong ones 0.007 and more.
+const LOOSE: [f32; 2] = [0.25, 0.12];
+const DISTRUSTED: f32 = 0.01;
+/// Uncovered share of a mask from which on its view is named. Over seven sound sets (three rendered, one benchmark, three photographed;
+/// 42 to 125 views) the worst view has 0.016. Of 12 views exchanged with neighbors the least has 0.03 to 0.10 (on a turntable a third
+/// has less than 0.01), with views from elsewhere 0.04 to 0.18; 10° off it is 0.02 to 0.08, 40° off 0.05 to 0.35.
+const STRAY: f32 = 0.03;
+/// The same in standard deviations of the views above their median.
+const STRAY_SIGMAS: f32 = 8.0;
+/// Median of the uncovered shares from which on explanations are tried, and from which on all cameras are doubtful without one. The sound
+/// sets have 0.003 at most; a turntable whose cameras are one place off has 0.016, five places 0.08, reversed or mirrored 0.10 to 0.12;
+/// other sets 0.2 to 0.7.
+const SUSPECT: f32 = 0.008;
+const DOUBTFUL: f32 = 0.02;
+/// Median from which on no run is worth its time; also of single views, if more than [`FEW`] have it.
+const WRONG: f32 = 0.1;
+/// Share of the views that may be wrong for a run.
+const FEW: f32 = 0.1;
+/// An explanation leaves at most [`DOUBTFUL`], and this part of what was left without it.
+const BETTER: f32 = 1.0 / 3.0;
+/// Explanations this close are equally good.
+const TIE: f32 = 0.004;
+/// Overlap with the hull that an explanation has at least.
+const EXPLAINS: f32 = 0.7;
+/// Overlap with the hull of all masks below which masks and cameras are doubtful, where few views or small masks leave single views
+/// unjudged. Sound data reach 0.88 to 0.92, mirrored photographs 0.61 to 0.83.
+const CONSISTENT: f32 = 0.8;
+const INCONSISTENT: f32 = 0.75;
+/// Views and pixels a side that explanations are tried on.
+const TRIED_VIEWS: usize = 24;
+const TRIED_SIDE: u32 = 96;
+
+/// How each mask agrees with the hull of the others.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Consensus {
+    /// Share of each view's mask that the hull of the others leaves uncovered; `None` without a mask.
+    pub uncovered: Vec<Option<f32>>,
+    /// The median of these shares.
+    pub middle: f32,
+    /// Factor on limits: 1, or more for small masks.
+    slack: f32,
+}
+
+impl Consensus {
+    /// Of all views with a silhouette; `None` for few or small masks.
+    pub fn new(looks: &[ViewLook]) -> Option<Self> {
+        let has_outline = |look: &ViewLook| {
+            look.mask.as_ref().is_some_and(|mask| !mask.all_covered && mask.bounds.is_some())
+        };
+        let chosen: Vec<usize> = (0..looks.len()).filter(|&i| has_outline(&looks[i])).collect();
+        let masks: Vec<SmallMask> =
+            chosen.iter().filter_map(|&i| Some(looks[i].mask.as_ref()?.small.clone())).collect();
+        let (shares, middle, slack) = shares(&masks)?;
+        let mut uncovered = vec![None; looks.len()];
+        chosen.into_iter().zip(shares).for_each(|(i, share)| uncovered[i] = Some(share));
+        Some(Self { uncovered, middle, slack })
+    }
+
+    /// The views that the others contradict, the worst first.
+    fn strays(&self) -> Vec<usize> {
+        let shares = || self.uncovered.iter().flatten();
+        let mut sizes: Vec<f32> = shares().map(|share| (share - self.middle).abs()).collect();
+        let sigma = 1.4826 * median(&mut sizes).unwrap_or(0.0);
+        let limit = (STRAY * self.slack).max(self.middle + STRAY_SIGMAS * sigma);
+        let share = |i: &usize| self.uncovered[*i].unwrap_or(0.0);
+        let mut views: Vec<usize> = (0..self.uncovered.len()).filter(|i| share(i) > limit).collect();
+        views.sort_by(|a, b| share(b).total_cmp(&share(a)).then(a.cmp(b)));
+        views
+    }
+
+    fn is_suspect(&self) -> bool {
+        self.middle > SUSPECT * self.slack || self.is_wrong()
+    }
+
+    fn is_doubtful(&self) -> bool {
+        self.middle > DOUBTFUL * self.slack
+    }
+
+    /// Whether more than a few of the views are far off.
+    fn is_wrong(&self) -> bool {
+        let shares: Vec<f32> = self.uncovered.iter().flatten().copied().collect();
+        let wrong = shares.iter().filter(|share| **share > WRONG * self.slack).count();
+        wrong as f32 > FEW * shares.len() as f32
+    }
+}
+
+/// Uncovered shares of masks, their median, and the factor on limits.
+fn shares(masks: &[SmallMask]) -> Option<(Vec<f32>, f32, f32)> {
+    let mut sizes: Vec<f32> =
+        masks.iter().map(|mask| solid(mask).iter().filter(|solid| **solid).count() as f32).collect();
+    let size =
+        median(&mut sizes).filter(|size| masks.len() >= LEAST_VIEWS && *size >= LEAST_PIXELS as f32)?;
+    let mut voters = vec![false; masks.len()];
+    choose_evenly(masks.len(), VOTERS).into_iter().for_each(|i| voters[i] = true);
+    let shares = uncovered(masks, &trusted(masks, &voters), FORGIVEN);
+    let middle = median(&mut shares.clone())?;
+    Some((shares, middle, (PLENTY / size).sqrt().max(1.0)))
+}
+
+/// The voters that the others do not contradict, if that is most of them; else all.
+fn trusted(masks: &[SmallMask], voters: &[bool]) -> Vec<bool> {
+    let count = |flags: &[bool]| flags.iter().filter(|flag| **flag).count();
+    let mut trusted = voters.to_vec();
+    for forgiven in LOOSE {
+        let shares = uncovered(masks, &trusted, forgiven);
+        trusted.iter_mut().zip(shares).for_each(|(trusted, share)| *trusted &= share <= DISTRUSTED);
+        if 2 * count(&trusted) < count(voters) {
+            return voters.to_vec();
+        }
+    }
+    trusted
+}
+
+/// How masks agree with each other, where no mesh is known; `None` for fewer than three masks.
+pub fn hull_agreement(looks: &[ViewLook]) -> Option<f32> {
+    consistency(&tried(looks, TRIED_VIEWS, TRIED_SIDE))
+}
+
+/// What is wrong with how masks and cameras agree, where no mesh is known. `given` is [`hull_agreement`], `complaint` what
+/// [`check_masks`](crate::survey::meeting::check_masks) has to say.
+pub fn of_masks(
+    looks: &[ViewLook],
+    given: f32,
+    consensus: Option<&Consensus>,
+    complaint: Option<Finding>,
+) -> Option<Finding> {
+    let is_suspect = consensus.map_or(given < CONSISTENT, Consensus::is_suspect);
+    if !is_suspect && complaint.is_none() {
+        return consensus.and_then(|found| stray_finding(looks, found));
+    }
+    if let Some(finding) = (is_suspect || given < CONSISTENT).then(|| explained(looks, given)).flatten() {
+        return Some(finding);
+    }
+    complaint.or_else(|| match consensus {
+        Some(found) if found.is_doubtful() => Some(doubt(looks, given, found)),
+        Some(found) => stray_finding(looks, found),
+        None => (given < INCONSISTENT).then(|| vague_doubt(given)),
+    })
+}
+
+/// Names views that the others contradict.
+fn stray_finding(looks: &[ViewLook], found: &Consensus) -> Option<Finding> {
+    let strays = found.strays();
+    let worst = found.uncovered[*strays.first()?]?;
+    let views: Vec<String> = strays.into_iter().map(|i| looks[i].name.clone()).collect();
+    let problem = format!(
+        "mask or camera disagrees with the other views in {}: by their masks, {:.0} % of the mask of `{}` is empty (of the median view's \
+         {:.1} %)",
+        named(&views),
+        100.0 * worst,
+        views[0],
+        100.0 * found.middle
+    );
+    let help = "Correct pose or mask of the views that are named, or leave them out with `select`; perhaps their photographs or poses are \
+                exchanged.";
+    let severity = if found.is_wrong() { Severity::Error } else { Severity::Warning };
+    Some(Finding::new(severity, "stray-view", views, problem, help))
+}
+
+/// Most views disagree, and nothing that is tried explains it.
+fn doubt(looks: &[ViewLook], given: f32, found: &Consensus) -> Finding {
+    let share = |i: &usize| found.uncovered[*i].unwrap_or(0.0);
+    let worst = (0..looks.len()).max_by(|a, b| share(a).total_cmp(&share(b)).then(b.cmp(a)));
+    let worst = worst.map_or("", |i| looks[i].name.as_str());
+    let problem = format!(
+        "the cameras do not fit the photographs: by the other masks, {:.0} % of a mask is empty (median; most in view `{worst}`), and the \
+         visual hull of all overlaps with the masks to {given:.2}",
+        100.0 * found.middle
+    );
+    let help = "No mirror image, other axes or other order of the photographs explains it. Check that the n-th camera is that of the n-th \
+                photograph, then poses, intrinsics and masks; the contact sheet of `lobelia check --out DIR` shows all of them.";
+    let severity = if found.middle > WRONG * found.slack { Severity::Error } else { Severity::Warning };
+    Finding::new(severity, "inconsistent-masks", Vec::new(), problem, help)
+}
+
+fn vague_doubt(given: f32) -> Finding {
+    let problem = format!(
+        "masks and cameras hardly agree: the visual hull of all covers {given:.2} of the masks (mean intersection over union)"
+    );
+    let help = "Check poses, intrinsics and masks; the contact sheet of `lobelia check --out DIR` shows all of them.";
+    Finding::warning("inconsistent-masks", Vec::new(), problem, help)
+}
+
+/// What would make the masks agree: other axes, a mirror image, inverted poses, or another order of the photographs.
+fn explained(looks: &[ViewLook], given: f32) -> Option<Finding> {
+    let views = tried(looks, TRIED_VIEWS, TRIED_SIDE);
+    let left = rest(&views);
+    let mut found = candidates(looks, &views, DOUBTFUL.min(BETTER * left)).into_iter().filter_map(|found| {
+        let reached = consistency(&found.views).filter(|reached| *reached >= EXPLAINS.max(given))?;
+        Some((found, reached))
+    });
+    let (Candidate { cause, rest, .. }, reached) = found.next()?;
+    let other = found.next().map_or(String::new(), |other| format!("; or this: {}", other.0.cause.words));
+    let problem = format!(
+        "the masks agree with their visual hull to {reached:.2} instead of {given:.2} (intersection over union), and it leaves {:.1} % \
+         of them uncovered instead of {:.1} %, once this is put right: {}{other}",
+        100.0 * rest,
+        100.0 * left,
+        cause.words
+    );
+    let name = if cause.change == Change::Order { "other-order" } else { "other-axes" };
+    Some(Finding::error(name, Vec::new(), problem, cause.help))
+}
+
+/// A cause with the views as they are without it, and their mean uncovered share.
+struct Candidate {
+    cause: Cause,
+    views: Vec<SmallMask>,
+    rest: f32,
+}
+
+/// The causes that leave at most `most` uncovered, and those alone that leave about the least; the likelier first.
+fn candidates(looks: &[ViewLook], views: &[SmallMask], most: f32) -> Vec<Candidate> {
+    let changed = |cause: &Cause| views.iter().map(|view| cause.change.of(view)).collect();
+    let of_cameras = camera_causes().into_iter().map(|cause| {
+        let views: Vec<SmallMask> = changed(&cause);
+        (cause, views)
+    });
+    let all = of_cameras.chain(orders(looks, TRIED_VIEWS));
+    let mut found: Vec<Candidate> = all
+        .map(|(cause, views)| Candidate { cause, rest: rest(&views), views })
+        .filter(|found| found.rest <= most)
+        .collect();
+    let least = found.iter().map(|found| found.rest).fold(f32::INFINITY, f32::min);
+    found.retain(|found| found.rest <= least + TIE);
+    found
+}
+
+/// Mean uncovered share of masks.
+fn rest(views: &[SmallMask]) -> f32 {
+    let shares = uncovered(views, &vec![true; views.len()], FORGIVEN);
+    shares.iter().sum::<f32>() / shares.len().max(1) as f32
+}
