@@ -48,10 +48,8 @@ impl Folders {
         loop {
             let name = rest.to_string_lossy().into_owned();
             let is_there = self.root.join(rest).parent().is_some_and(Path::is_dir);
-            if is_there {
-                if let Some(mask) = mask_file(self.folder(&name)?, &file_name(rest)) {
-                    return Ok(MaskPlan::File(mask));
-                }
+            if is_there && let Some(mask) = mask_file(self.folder(&name)?, &file_name(rest)) {
+                return Ok(MaskPlan::File(mask));
             }
             let mut parts = rest.components();
             parts.next();
