@@ -141,7 +141,10 @@ mod tests {
         let scene = |size: u32, texture: u32| {
             let text = format!(
                 "Scene(version: 1, surface: Sphere(radius: 0.8, texture_size: {texture}), views: Cameras([(name: \"a\", eye: (0, 0, 3), \
-                 width: {size}, height: {size})]), visibility: Traced(directions: 1024), passes: [Render(name: \"novel\")])"
+                 width: {size}, height: {size})]), visibility: Traced(directions: 1024), \
+                 light: Fixed(Lobes(lobes: [(axis: (0, 1, 0), sharpness: 5, amplitude: (1, 1, 1))])), \
+                 material: (albedo: Fixed(Constant(0.5, 0.5, 0.5)), specular: (albedo: Fixed(0.2, 0.2, 0.2), roughness: Fixed(0.3))), \
+                 passes: [Render(name: \"novel\")])"
             );
             let folder = tempfile::tempdir().unwrap();
             let path = folder.path().join("scene.ron");
