@@ -2,8 +2,9 @@
 
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::MaskPlan;
-use crate::dataset::load::{StemIndex, file_name, leads_away, view_name};
+use crate::dataset::load::{StemIndex, file_name, leads_away};
 use crate::dataset::masks::{find_mask, mask_file};
+use crate::dataset::names::view_name;
 use crate::dataset::names::{ImageName, quoted};
 use crate::error::{Error, Result};
 use std::collections::BTreeMap;

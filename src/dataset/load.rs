@@ -6,7 +6,7 @@ use crate::codec::image::{
 };
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::distortion::Distortion;
-use crate::dataset::names::ImageName;
+use crate::dataset::names::{ImageName, has_image_extension, view_name};
 use crate::dataset::picture::{Curves, Picture};
 use crate::dataset::straighten::Straightening;
 use crate::dataset::{DatasetOptions, MaskPlan, ViewPlan};
@@ -50,20 +50,6 @@ fn column_window(line: &str, column: usize) -> String {
     let start = column.saturating_sub(3).min(line.len());
     let bytes = &line.as_bytes()[start..];
     String::from_utf8_lossy(&bytes[..bytes.len().min(12)]).into_owned()
-}
-
-fn has_image_extension(path: &Path) -> bool {
-    let extension = path.extension().and_then(|extension| extension.to_str()).map(str::to_ascii_lowercase);
-    extension.is_some_and(|extension| IMAGE_EXTENSIONS.contains(&extension.as_str()))
-}
-
-/// A view's name from its image's path: the file name without an image extension (`./train/r_0.5` is called `r_0.5`), be it of a format
-/// that is read or of another.
-pub(super) fn view_name(path: &str) -> String {
-    let path = Path::new(path);
-    let is_image = has_image_extension(path) || is_unread_name(path);
-    let name = if is_image { path.file_stem() } else { path.file_name() };
-    name.unwrap_or_default().to_string_lossy().into_owned()
 }
 
 /// The name of a file, for messages and lookups.

@@ -2,8 +2,9 @@
 
 use crate::codec::file::is_there;
 use crate::codec::nearby::missing_file_help;
-use crate::dataset::load::{StemIndex, file_name, view_name};
+use crate::dataset::load::{StemIndex, file_name};
 use crate::dataset::names::quoted;
+use crate::dataset::names::view_name;
 use crate::error::{Error, Result};
 use std::path::{Path, PathBuf};
 

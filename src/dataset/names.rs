@@ -1,14 +1,28 @@
 //! Names of views: output files have them.
 
 use crate::codec::file::check_file_name;
+use crate::codec::image::{IMAGE_EXTENSIONS, is_unread_name};
 use crate::dataset::ViewPlan;
-use crate::dataset::load::view_name;
 use crate::error::{Error, Result};
 use std::collections::HashMap;
 use std::path::Path;
 
 /// Most characters of a name in a message.
 const LONGEST: usize = 60;
+
+pub(super) fn has_image_extension(path: &Path) -> bool {
+    let extension = path.extension().and_then(|extension| extension.to_str()).map(str::to_ascii_lowercase);
+    extension.is_some_and(|extension| IMAGE_EXTENSIONS.contains(&extension.as_str()))
+}
+
+/// A view's name from its image's path: the file name without an image extension (`./train/r_0.5` is called `r_0.5`), be it of a format
+/// that is read or of another.
+pub(super) fn view_name(path: &str) -> String {
+    let path = Path::new(path);
+    let is_image = has_image_extension(path) || is_unread_name(path);
+    let name = if is_image { path.file_stem() } else { path.file_name() };
+    name.unwrap_or_default().to_string_lossy().into_owned()
+}
 
 /// A name of a file or view between backticks, without control characters, and cut where it is long.
 pub(super) fn quoted(name: &str) -> String {

@@ -3,8 +3,9 @@
 use crate::codec::file::is_there;
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::lens::Lens;
-use crate::dataset::load::{StemIndex, file_name, image_files, refusal_of_unread, view_name};
+use crate::dataset::load::{StemIndex, file_name, image_files, refusal_of_unread};
 use crate::dataset::masks::{find_mask, mask_file, masks_in};
+use crate::dataset::names::view_name;
 use crate::dataset::names::{ImageName, shown};
 use crate::dataset::pose::Rigid;
 use crate::dataset::{MaskPlan, ViewPlan};

@@ -7,8 +7,9 @@
 
 use crate::codec::file::is_there;
 use crate::dataset::lens::Lens;
-use crate::dataset::load::{StemIndex, file_name, parse_json, read_text, view_name};
+use crate::dataset::load::{StemIndex, file_name, parse_json, read_text};
 use crate::dataset::masks::{find_mask, masks_in};
+use crate::dataset::names::view_name;
 use crate::dataset::names::{ImageName, quoted};
 use crate::dataset::photographs::note_of_unused;
 use crate::dataset::pose::Rigid;

@@ -30,4 +30,4 @@ pub mod scale;
 pub mod sheen;
 pub mod systems;
 
-pub use initialization::start::{FramesTried, ObjectTurned};
+pub use initialization::start::{FramesTried, ObjectTurned, light_turns};

@@ -53,6 +53,13 @@ pub struct FramesTried(pub Vec<(LightFrame, f32)>);
 #[derive(Resource, Clone, Copy, Debug)]
 pub struct ObjectTurned;
 
+/// Whether the light turns around the object from view to view, as far as is known: a place then has other colors in each photograph,
+/// most of all where it is glossy, and a search for hollows takes the difference for one.
+pub fn light_turns(world: &World) -> bool {
+    let turns = |own: &OwnLightFrame| own.0 != LightFrame::World;
+    world.contains_resource::<ObjectTurned>() || world.get_resource::<OwnLightFrame>().is_some_and(turns)
+}
+
 /// Sets the resource [`OwnLightFrame`] to the frame in which an initialization explains the photographs best, and the only base material to
 /// the lobe that suits it best, as far as they are to be found and unknown. The usual frame is kept unless another is clearly better: the
 /// world's, or one that turns if the [`ObjectTurned`].

@@ -3,11 +3,10 @@
 use crate::checkpoint::{has_level_ahead, keep_level, resume_level};
 use crate::error::stop::{check_interrupted, is_stopping};
 use crate::error::{Error, Result};
-use crate::fit::ObjectTurned;
 use crate::fit::cameras::{CameraFit, CameraPlugin, CameraUnknowns, align_photographs, attach_poses};
 use crate::fit::components::{AlbedoGradient, AlbedoMoments, TexelSeen};
+use crate::fit::light_turns;
 use crate::fit::run::{FitOptions, FitProgress, Initialize, run_fit};
-use crate::light::frame::{LightFrame, OwnLightFrame};
 use crate::material::sheen::KnownAlong;
 use crate::material::{DiffuseAlbedo, DiffuseSheen, DiffuseTilt};
 use crate::material::{
@@ -287,13 +286,6 @@ fn next_surface(
     }
     let albedo = recovered_albedo(world)?;
     Ok((with_texels(world, grid, level, Some((&found.volume, &albedo))), opened))
-}
-
-/// Whether the light turns around the object from view to view: a place then has other colors in each photograph, most of all where it is
-/// glossy, and a search for hollows takes the difference for one.
-fn light_turns(world: &World) -> bool {
-    let turns = |own: &OwnLightFrame| own.0 != LightFrame::World;
-    world.contains_resource::<ObjectTurned>() || world.get_resource::<OwnLightFrame>().is_some_and(turns)
 }
 
 /// Whether a material mirrors: photographs disagree on its surface as if they looked through it.

@@ -1,11 +1,12 @@
 use super::*;
+use crate::fit::ObjectTurned;
 use crate::fit::components::Unknowns;
 use crate::fit::loss::Loss;
 use crate::fit::observe::PixelChoice;
 use crate::fit::run::{Done, FitPlugin};
 use crate::fit::scale::ScaleRule;
 use crate::light::LightLobe;
-use crate::light::frame::LightFrame;
+use crate::light::frame::{LightFrame, OwnLightFrame};
 use crate::light::kernel_lobe;
 use crate::material::SpecularLobe;
 use crate::math::brdf::Ndf;
