@@ -1,4 +1,4 @@
-//! Names of views: output files have them.
+//! Names of images, and of the views after which output files are called.
 
 use crate::codec::file::check_file_name;
 use crate::codec::image::{IMAGE_EXTENSIONS, is_unread_name};
@@ -10,6 +10,7 @@ use std::path::Path;
 /// Most characters of a name in a message.
 const LONGEST: usize = 60;
 
+/// Whether a path ends as images that are read do, in any case.
 pub(super) fn has_image_extension(path: &Path) -> bool {
     let extension = path.extension().and_then(|extension| extension.to_str()).map(str::to_ascii_lowercase);
     extension.is_some_and(|extension| IMAGE_EXTENSIONS.contains(&extension.as_str()))

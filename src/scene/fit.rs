@@ -92,7 +92,7 @@ pub struct ShapePass {
     /// Whether the mesh then moves to where neighboring photographs agree, if that says more than the shading. Default true.
     pub stereo: bool,
     /// Whether space that photographs look through, such as a cup's inside, is first removed from the hull, where no silhouette shows
-    /// it. For photographs of equal exposure: not with `exposure: true`. Default true.
+    /// it. For photographs of equal exposure under a light that stands still: not with `exposure: true`, nor on a turntable. Default true.
     pub hollows: bool,
     /// Whether the part of the hull that no photograph sees, such as a cone below an object on a table, is spanned like a film of soap.
     /// Default true.

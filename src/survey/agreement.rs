@@ -1,5 +1,6 @@
 //! Findings about the whole of cameras, masks and a known mesh: what does not agree, and the change that makes it agree.
 
+use crate::math::statistics::median;
 use crate::mesh::bvh::TriangleBvh;
 use crate::report::sheet::choose_evenly;
 use crate::survey::change::{Cause, Change, camera_causes, turns, world_causes};
@@ -8,7 +9,6 @@ use crate::survey::look::{MaskLook, SmallMask, ViewLook};
 use crate::survey::placement::{find_placement, placement_cause};
 use crate::survey::rivals::{joined, rivals};
 use crate::survey::silhouette::{Agreement, median_agreement};
-use crate::survey::statistics::median;
 use crate::view::Split;
 use glam::Mat3A;
 

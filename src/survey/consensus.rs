@@ -1,6 +1,7 @@
 //! Findings about masks and cameras where no mesh is known: single views that the others contradict, and cameras that do not fit the
 //! photographs as a whole.
 
+use crate::math::statistics::median;
 use crate::report::sheet::choose_evenly;
 use crate::survey::agreement::tried;
 use crate::survey::change::{Cause, Change, camera_causes};
@@ -8,7 +9,6 @@ use crate::survey::finding::{Finding, Severity, named};
 use crate::survey::hull::{FORGIVEN, consistency, solid, uncovered};
 use crate::survey::look::{SmallMask, ViewLook};
 use crate::survey::order::orders;
-use crate::survey::statistics::median;
 
 /// Views that are judged at least, and the pixels that their masks have in the median at least.
 const LEAST_VIEWS: usize = 8;

@@ -1,8 +1,8 @@
 //! Whether the texture has as much detail as the photographs.
 
+use crate::math::statistics::median;
 use crate::survey::finding::Finding;
 use crate::survey::look::ViewLook;
-use crate::survey::statistics::median;
 use crate::view::Split;
 
 /// Share of the atlas that charts cover, about.

@@ -12,12 +12,13 @@
 //! | `Evaluate` | pixels of the largest view × [`SCORE_PIXEL_BYTES`] | |
 //!
 //! Time is divided by the threads. It is good to a factor of two on the machine that was measured, and a guess on others. Memory is meant
-//! to be no less than what is taken: eleven whole runs took 79 to 104 % of it (`spot`, `sphere`,
-//! `cheburashka`, `head` and `chair`; 300 photographs of 512², 16 of 4096² and 1000 of 1 MP).
+//! to be no less than what is taken: eleven whole runs took 78 to 106 % of it (`spot`, `sphere`,
+//! `cheburashka`, `head` and `chair`, some at half size; 300 photographs of 512², 16 of 4096² and 1000 of 1 MP).
 
 use crate::codec::animation::film_bytes;
 use crate::fit::detail::equations::TexelEquations;
 use crate::fit::detail::{MOST_PIXELS, MOST_SIDE, SWEEPS};
+use crate::math::statistics::median;
 use crate::sample::observation::{Observation, ObservationIndex};
 use crate::scene::{
     FitPass, GridLevel, Light, LightSource, Pass, RenderSettings, Scene, Shading, ShapePass, Surface,
@@ -26,7 +27,6 @@ use crate::scene::{
 use crate::shade::frame::frame_bytes;
 use crate::survey::detail::{ATLAS_FILL, pixels_per_texel};
 use crate::survey::look::{Bounds, ViewLook};
-use crate::survey::statistics::median;
 use crate::view::Split;
 use crate::visibility::VisibilitySettings;
 use serde::Serialize;

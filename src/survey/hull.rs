@@ -1,9 +1,9 @@
 //! How well masks agree with each other: the visual hull on a coarse grid, seen again by every camera.
 
+use crate::math::statistics::median;
 use crate::survey::look::SmallMask;
 use crate::survey::meeting::{Sight, meeting_point};
 use crate::survey::silhouette::overlap;
-use crate::survey::statistics::median;
 use glam::Vec3;
 use rayon::prelude::*;
 

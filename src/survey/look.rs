@@ -2,10 +2,10 @@
 
 use crate::dataset::LoadedView;
 use crate::math::color::luminance;
+use crate::math::statistics::quantile;
 use crate::report::metrics::erode;
 use crate::report::tone::srgb8;
 use crate::survey::sharpness::sharpness;
-use crate::survey::statistics::quantile;
 use crate::view::raster::FULL_COVERAGE;
 use crate::view::{Camera, Image, Mask, Split, ViewRecord};
 use glam::Vec3;

@@ -1,8 +1,9 @@
 //! Findings about photographs: black, negative or absurdly bright ones, other exposures, blur, and the same picture twice.
 
+use crate::math::statistics::median;
 use crate::survey::finding::{Finding, named};
 use crate::survey::look::{Light, MaskSource, ViewLook};
-use crate::survey::statistics::{median, neighbors, strays};
+use crate::survey::statistics::{neighbors, strays};
 use glam::Vec3;
 use std::collections::BTreeMap;
 

@@ -1,11 +1,11 @@
 //! Where and how large a mesh would have to be for its silhouettes to agree with the masks.
 
+use crate::math::statistics::median;
 use crate::mesh::bvh::TriangleBvh;
 use crate::survey::change::{Cause, Change, formula};
 use crate::survey::look::SmallMask;
 use crate::survey::meeting::{Sight, meeting_point};
 use crate::survey::silhouette::covered;
-use crate::survey::statistics::median;
 use glam::{Mat3A, Vec3, Vec3A};
 use rayon::prelude::*;
 

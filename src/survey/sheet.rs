@@ -1,11 +1,11 @@
 //! A survey as a contact sheet: the cameras from above and from the side, then every view with its mask's outline and its flags.
 
 use crate::math::color::linear_from_srgb;
+use crate::math::statistics::median;
 use crate::report::sheet::{Sheet, SheetCell, SheetRow, Theme, choose_evenly};
 use crate::report::tone::srgb8;
 use crate::survey::examine::Survey;
 use crate::survey::look::{SmallMask, ViewLook};
-use crate::survey::statistics::median;
 use crate::survey::table::verdict;
 use crate::view::Split;
 use glam::Vec3;

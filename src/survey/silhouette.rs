@@ -1,8 +1,8 @@
 //! Silhouettes of a known mesh beside the masks, at few pixels.
 
+use crate::math::statistics::median;
 use crate::mesh::bvh::TriangleBvh;
 use crate::survey::look::{SmallMask, ViewLook};
-use crate::survey::statistics::median;
 use rayon::prelude::*;
 
 /// Which pixels of a small mask's frame the mesh covers.

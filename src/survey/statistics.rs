@@ -1,21 +1,10 @@
-//! Order statistics of few values, and views that stray from their neighbors.
+//! Views that stray from their neighbors.
 
+use crate::math::statistics::median;
 use glam::Vec3;
 
 /// Factor from the median absolute deviation to the standard deviation of a normal distribution.
 const SIGMA_PER_MAD: f32 = 1.4826;
-
-/// The value below which a share of the values lies (nearest rank); `None` for no values. Values are finite; they are reordered.
-pub fn quantile(values: &mut [f32], share: f32) -> Option<f32> {
-    let last = values.len().checked_sub(1)?;
-    let rank = (share.clamp(0.0, 1.0) * last as f32).round() as usize;
-    Some(*values.select_nth_unstable_by(rank.min(last), f32::total_cmp).1)
-}
-
-/// The median of finite values, which are reordered; `None` for no values.
-pub fn median(values: &mut [f32]) -> Option<f32> {
-    quantile(values, 0.5)
-}
 
 /// For each of several directions, the indices of the `count` nearest others, the nearest first.
 ///
@@ -47,13 +36,6 @@ pub fn strays(values: &[f32], neighbors: &[Vec<usize>], floor: f32) -> Vec<(f32,
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    #[test]
-    fn quantiles_by_hand() {
-        let mut values = [3.0, 1.0, 2.0, 5.0, 4.0];
-        assert_eq!((quantile(&mut values, 0.0), quantile(&mut values, 1.0)), (Some(1.0), Some(5.0)));
-        assert_eq!((median(&mut values), median(&mut [])), (Some(3.0), None));
-    }
 
     #[test]
     fn a_value_unlike_its_neighbors_strays() {

@@ -1,9 +1,9 @@
 //! A survey as a short table for the terminal.
 
+use crate::math::statistics::{median, quantile};
 use crate::survey::examine::Survey;
 use crate::survey::finding::{Finding, Severity, counted};
 use crate::survey::look::{Light, MaskLook, MaskSource, ViewLook};
-use crate::survey::statistics::{median, quantile};
 use crate::view::Split;
 
 /// Rows of label and text.

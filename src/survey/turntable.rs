@@ -1,9 +1,9 @@
 //! Captures on a turntable: cameras on rings, before a background that is the same in all photographs. The light's own frame is found by a
 //! fit, with or without a background.
 
+use crate::math::statistics::median;
 use crate::survey::cameras::{Arrangement, Kind};
 use crate::survey::finding::Finding;
-use crate::survey::statistics::median;
 
 /// Most pixels a side of the backgrounds that are compared.
 pub const BACKGROUND_SIDE: u32 = 64;

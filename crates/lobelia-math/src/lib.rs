@@ -32,6 +32,7 @@ pub mod reflectance;
 pub mod sample;
 pub mod sg;
 pub mod shading;
+pub mod statistics;
 pub mod two;
 pub mod workload;
 

@@ -4,6 +4,7 @@
 use crate::math::brdf::Facets;
 use crate::math::published::Lobe;
 use crate::math::shading::{ClosedForm, Layers, Lighting, ShadePoint, SpecularValue, Visibility};
+use crate::math::statistics::median;
 use crate::sample::observation::Observation;
 use fearless_simd::{Level, dispatch};
 use glam::{DVec3, Vec3};
@@ -121,14 +122,12 @@ const LIMIT: f32 = 256.0;
 const MEDIAN_PIXELS: usize = 4096;
 
 /// The greatest radiance that counts in a least-squares solve: [`LIMIT`] times the median of the brightest channel. A few pixels of a
-/// broken photograph would otherwise outweigh all others; a highlight above it is found by the fit, whose loss is the absolute difference.
+/// broken photograph would otherwise outweigh all others; what exceeds the limit in a highlight is left to the fit, whose loss is the absolute difference.
 pub fn radiance_limit(observations: &[Observation]) -> f32 {
     let every = observations.len().div_ceil(MEDIAN_PIXELS).max(1);
     let brightest = |o: &Observation| o.observed.radiance.max_element();
     let mut values: Vec<f32> = observations.iter().step_by(every).map(brightest).collect();
-    values.sort_by(f32::total_cmp);
-    let median = values.get(values.len() / 2).copied().unwrap_or(0.0);
-    if median > 0.0 { LIMIT * median } else { f32::INFINITY }
+    median(&mut values).filter(|median| *median > 0.0).map_or(f32::INFINITY, |median| LIMIT * median)
 }
 
 /// Non-negative amplitudes of `lobes` (whose own amplitudes are ignored) that fit the observed radiance at `points` best in

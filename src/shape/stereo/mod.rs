@@ -29,6 +29,7 @@ pub mod sweep;
 pub mod votes;
 
 use crate::error::stop::is_stopping;
+use crate::math::statistics::median;
 use crate::mesh::bvh::TriangleBvh;
 use crate::mesh::triangles::Mesh;
 use crate::shape::displace::within_room;
@@ -44,7 +45,7 @@ use plate::{Plate, bent, faired};
 use rayon::prelude::*;
 use std::ops::ControlFlow;
 use sweep::{Seen, Source, Sweep, cast, sweep};
-use votes::{LOCAL, Shell, Votes, WIDE, gates, gather, median, object_gate, smooth_step};
+use votes::{LOCAL, Shell, Votes, WIDE, gates, gather, object_gate, smooth_step};
 
 /// From coarse to fine: size of a pixel relative to the finest picture's, and the search around the mesh.
 pub(crate) const ROUNDS: [(u32, Sweep); 4] = [
@@ -159,7 +160,7 @@ fn finest_factor(mesh: &Mesh, views: &[StereoView]) -> Option<u32> {
     let (graph, positions) = VertexGraph::new(mesh);
     let center = positions.iter().sum::<Vec3>() / positions.len().max(1) as f32;
     let footprint = |v: &StereoView| pixel_size(v.camera) * v.camera.position().distance(center);
-    let footprint = median(views.iter().map(footprint).collect())?;
+    let footprint = median(&mut views.iter().map(footprint).collect::<Vec<f32>>())?;
     let factor = graph.mean_edge(&positions) / (PIXELS_PER_EDGE * footprint);
     (!mesh.triangles.is_empty()).then(|| factor.round().clamp(1.0, 1024.0) as u32)
 }

@@ -1,5 +1,6 @@
 use super::*;
 use crate::math::ray::Ray;
+use crate::math::statistics::median;
 use crate::mesh::primitive::sphere_mesh;
 use crate::sdf::SdfGrid;
 use crate::view::{Image, Mask};
@@ -149,8 +150,8 @@ fn a_thin_plate_is_not_pushed_through_itself() {
 fn a_pattern_is_told_from_a_reflection() {
     let mesh = sphere_mesh(Vec3::ZERO, 1.0).unwrap();
     let shares = |pictures: &Pictures| {
-        let shares = pattern_shares(&mesh, &Shell::new(&mesh), &match_pictures(&pictures.views(), 1));
-        median(shares).unwrap()
+        let mut shares = pattern_shares(&mesh, &Shell::new(&mesh), &match_pictures(&pictures.views(), 1));
+        median(&mut shares).unwrap()
     };
     let (painted, mirror) = (shares(&Pictures::new()), shares(&Pictures::of(|_, to| pattern(to))));
     assert!(painted > 0.9 && mirror < 0.2, "{painted} {mirror}");

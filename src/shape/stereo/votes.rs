@@ -1,5 +1,6 @@
 //! What all views together say of each vertex: displacements, and how far these are to be trusted.
 
+use crate::math::statistics::median;
 use crate::mesh::triangles::Mesh;
 use crate::shape::field::ModelError;
 use crate::shape::stereo::picture::MatchPicture;
@@ -186,14 +187,8 @@ fn gate(error: f32, variance: f32, spread: f32) -> f32 {
 
 /// How far stereo serves the object as a whole, in [0, 1], by the median of the gates of vertices with votes.
 pub fn object_gate(gates: &[f32]) -> f32 {
-    median(gates.iter().copied().filter(|gate| *gate > 0.0).collect())
-        .map_or(0.0, |gate| smooth_step(gate, OBJECT))
-}
-
-/// The middle value.
-pub fn median(mut values: Vec<f32>) -> Option<f32> {
-    values.sort_by(f32::total_cmp);
-    values.get(values.len() / 2).copied()
+    let mut gates: Vec<f32> = gates.iter().copied().filter(|gate| *gate > 0.0).collect();
+    median(&mut gates).map_or(0.0, |gate| smooth_step(gate, OBJECT))
 }
 
 /// From 0 at `low` to 1 at `high`, with slope 0 at both.
