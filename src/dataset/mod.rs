@@ -337,8 +337,20 @@ fn refuse_far_away(plans: &[ViewPlan]) -> Result<()> {
         "the cameras are {:.0} times farther from the origin than from each other: too far for single precision",
         middle.length() / extent
     );
-    let help = format!("Subtract ({:.0}, {:.0}, {:.0}) from all positions.", middle.x, middle.y, middle.z);
+    let help = if is_along_z(middle) {
+        // Inverted poses of cameras that look at the origin have one place, in front of the camera's axes.
+        "All are at one place on the z axis, as cameras that look at the origin are if camera_from_world is taken for \
+         world_from_camera: invert each matrix."
+            .to_owned()
+    } else {
+        format!("Subtract ({:.0}, {:.0}, {:.0}) from all positions.", middle.x, middle.y, middle.z)
+    };
     Err(Error::input(&plans[0].camera_file, "", problem, help))
+}
+
+/// Whether a place is on the z axis, but for a thousandth of its distance.
+fn is_along_z(place: Vec3) -> bool {
+    place.x.hypot(place.y) <= 1e-3 * place.z.abs()
 }
 
 fn selected(plans: Vec<ViewPlan>, options: &DatasetOptions) -> Result<Vec<ViewPlan>> {

@@ -14,6 +14,7 @@ use crate::sample::observation::{
 };
 use crate::sample::pixel::{Observed, PixelOf, SATURATION, SampleIndex, ViewRay};
 use crate::sample::point::{Scenery, SurfacePoint};
+use crate::view::glare::glare_limit;
 use crate::view::{ByView, Camera, Photograph, PixelWindow, Split, StoredMask, ViewIndex, ViewMask};
 use bevy_ecs::prelude::{Query, Res, ResMut, Resource, With, World};
 use glam::Vec3;
@@ -57,6 +58,8 @@ struct ObservedView<'a> {
     camera: &'a Camera,
     photograph: &'a Photograph,
     mask: Option<&'a StoredMask>,
+    /// The greatest radiance of a pixel that is not broken.
+    limit: f32,
 }
 
 /// The columns of a view with a photograph.
@@ -68,13 +71,16 @@ type ViewRow<'a> = (&'a ViewIndex, &'a Camera, &'a Photograph, Option<&'a ViewMa
 
 /// The training views among these, in the order of their indices.
 fn training_views<'a>(views: impl Iterator<Item = ViewRow<'a>>) -> Vec<ObservedView<'a>> {
+    let training: Vec<ViewRow<'a>> = views.filter(|(.., split)| **split == Split::Train).collect();
+    let limit = glare_limit(training.iter().map(|(_, _, photograph, ..)| photograph.highest()));
     let observed = |(index, camera, photograph, mask, _): ViewRow<'a>| ObservedView {
         index: *index,
         camera,
         photograph,
         mask: mask.map(|mask| &mask.0),
+        limit,
     };
-    let mut training: Vec<_> = views.filter(|(.., split)| **split == Split::Train).map(observed).collect();
+    let mut training: Vec<_> = training.into_iter().map(observed).collect();
     training.sort_by_key(|view| view.index);
     training
 }
@@ -89,8 +95,9 @@ pub(super) fn usable_by_view(world: &mut World) -> Vec<(ViewIndex, usize)> {
 /// Every n-th usable foreground pixel of a training view, row by row.
 pub(super) fn usable_pixels(world: &mut World, of: ViewIndex, every: usize) -> Vec<Candidate> {
     let mut views = world.query::<ViewColumns>();
-    let training = training_views(views.iter(world).filter(|(index, ..)| **index == of));
-    training.iter().flat_map(|view| view.usable().step_by(every).map(|pixel| view.candidate(pixel))).collect()
+    let training = training_views(views.iter(world));
+    let chosen = training.iter().filter(|view| view.index == of);
+    chosen.flat_map(|view| view.usable().step_by(every).map(|pixel| view.candidate(pixel))).collect()
 }
 
 /// Sample: chooses the usable foreground pixels of the training views, in an order shuffled by the seed.
@@ -159,9 +166,10 @@ impl ObservedView<'_> {
         let window =
             self.mask.map_or(PixelWindow::whole(self.camera.width, self.camera.height), StoredMask::window);
         let covered = |i: &usize| self.mask.is_none_or(|mask| mask.coverage(*i) >= FULL_COVERAGE);
-        // A non-finite pixel is read as black, and an average of saturated pixels has no information.
+        // A non-finite pixel is read as black, an average of saturated pixels has no information, and no light glares in one view alone.
         let readable = |i: &usize| {
-            !self.photograph.is_saturated(*i) || self.photograph.radiance(*i).max_element() >= SATURATION
+            let brightest = self.photograph.radiance(*i).max_element();
+            brightest <= self.limit && (brightest >= SATURATION || !self.photograph.is_saturated(*i))
         };
         window.pixels(self.camera.width).filter(covered).filter(readable)
     }
@@ -266,4 +274,30 @@ pub fn count_seen_texels(observations: Observations, texels: Texels<&mut TexelSe
         }
     }
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::view::Image;
+
+    #[test]
+    fn broken_pixels_of_one_photograph_are_not_fitted_to() {
+        let mut world = World::new();
+        for view in 0..5 {
+            let mut pixels = vec![Vec3::splat(0.5); 16];
+            // A highlight that all have, and one broken pixel.
+            pixels[3] = Vec3::splat(30.0);
+            if view == 2 {
+                pixels[7] = Vec3::new(0.1, 1e5, 0.1);
+            }
+            let photograph = Photograph::of_image(&Image { width: 4, height: 4, pixels });
+            let camera = Camera::look_at(Vec3::Z, Vec3::ZERO, Vec3::Y, 40.0, 4, 4).unwrap();
+            world.spawn((ViewIndex(view), camera, photograph, Split::Train));
+        }
+        let counts: Vec<usize> = usable_by_view(&mut world).into_iter().map(|(_, count)| count).collect();
+        assert_eq!(counts, [16, 16, 15, 16, 16]);
+        let pixels = usable_pixels(&mut world, ViewIndex(2), 1);
+        assert!(pixels.iter().all(|of| of.pixel.pixel != 7) && pixels.iter().any(|of| of.pixel.pixel == 3));
+    }
 }

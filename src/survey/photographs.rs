@@ -4,6 +4,7 @@ use crate::math::statistics::median;
 use crate::survey::finding::{Finding, named};
 use crate::survey::look::{Light, MaskSource, ViewLook};
 use crate::survey::statistics::{neighbors, strays};
+use crate::view::glare::{GLARING, glare_limit};
 use glam::Vec3;
 use std::collections::BTreeMap;
 
@@ -11,9 +12,6 @@ use std::collections::BTreeMap;
 const BLACK: f32 = 1e-3;
 /// One that is this many times brighter than the median of all is absurd.
 const ABSURD: f32 = 512.0;
-/// One whose brightest pixel is this many times brighter than that of a typical photograph has broken pixels, or a highlight that no other
-/// one has.
-const GLARING: f32 = 512.0;
 /// Share of negative pixels that is worth a word. A photograph that is mostly negative is not read.
 const SOME_NEGATIVE: f32 = 0.01;
 /// Share of clipped pixels that is worth a word.
@@ -84,16 +82,15 @@ pub fn of_radiance(looks: &[ViewLook]) -> Vec<Finding> {
 
 /// Photographs a few pixels of which are far brighter than anything in the others, but which are not absurd as a whole.
 fn glaring(looks: &[ViewLook], is_absurd: impl Fn(&Light) -> bool) -> Option<Finding> {
-    let mut highest: Vec<f32> = lights(looks).map(|(_, light)| light.highest).collect();
-    let usual = median(&mut highest).filter(|usual| *usual > 0.0)?;
-    let is_glaring = |(_, light): &(&ViewLook, &Light)| light.highest > GLARING * usual && !is_absurd(light);
+    let limit = glare_limit(lights(looks).map(|(_, light)| light.highest));
+    let is_glaring = |(_, light): &(&ViewLook, &Light)| light.highest > limit && !is_absurd(light);
     let views: Vec<String> = lights(looks).filter(is_glaring).map(|(look, _)| look.name.clone()).collect();
     let brightest = lights(looks).map(|(_, light)| light.highest).fold(0.0, f32::max);
     let problem = || {
         let views = named(&views);
         format!(
-            "some pixels are {:.0} times brighter than the brightest of a typical photograph in {views}",
-            brightest / usual
+            "some pixels are {:.0} times brighter than the brightest of a typical photograph in {views}: they are left out of fits",
+            GLARING * brightest / limit
         )
     };
     let help = "If they are broken pixels, write the image again, or leave the view out with `select`.";

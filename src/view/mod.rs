@@ -5,6 +5,7 @@
 //! | module | holds |
 //! | --- | --- |
 //! | [`camera`] | the pinhole camera, projection, construction by target point, orbits |
+//! | [`glare`] | pixels that are brighter than light can be |
 //! | [`raster`] | box filtering, bilinear look-up, mask erosion |
 //! | [`stored`] | photographs and masks as they are kept: small, and cropped |
 //!
@@ -25,6 +26,7 @@
 //! | `width`, `height` | `u32` | pixels | 512 | image size |
 
 pub mod camera;
+pub mod glare;
 mod grid;
 pub mod raster;
 pub mod stored;

@@ -104,6 +104,16 @@ impl Numbers {
         }
     }
 
+    /// The greatest value, and no less than 0: of stored integers the greatest that they could be.
+    fn highest(&self) -> f32 {
+        let highest = |a: f32, b: f32| a.max(b);
+        match self {
+            Self::Bytes(_, table) | Self::Words(_, table) => table.iter().copied().fold(0.0, highest),
+            Self::Halves(stored) => stored.iter().map(|value| value.to_f32()).fold(0.0, highest),
+            Self::Floats(stored) => stored.iter().copied().fold(0.0, highest),
+        }
+    }
+
     fn bytes(&self) -> usize {
         match self {
             Self::Bytes(stored, _) => stored.len(),
@@ -183,6 +193,8 @@ pub struct Photograph {
     /// What colors are multiplied by; 1 if there is none.
     alpha: Option<Numbers>,
     saturated: Flags,
+    /// The greatest of `color`.
+    highest: f32,
 }
 
 impl Photograph {
@@ -200,32 +212,28 @@ impl Photograph {
             return Err(Error::run("a photograph", problem));
         }
         let inside = || window.pixels(image.width);
-        let values = inside().flat_map(|i| image.pixels[i].to_array());
-        Ok(Self {
-            width: image.width,
-            height: image.height,
-            window,
-            channels: 3,
-            color: Numbers::of(values, may_round),
-            alpha: None,
-            saturated: Flags::of(inside().map(|i| saturated[i])),
-        })
+        let color = Numbers::of(inside().flat_map(|i| image.pixels[i].to_array()), may_round);
+        let saturated = Flags::of(inside().map(|i| saturated[i]));
+        Ok(Self { window, saturated, ..Self::of_numbers(image.width, image.height, color) })
     }
 
     /// From linear radiance, coverage-weighted on black, kept exactly; nothing is saturated.
     pub fn of_image(image: &Image) -> Self {
-        let (width, height) = (image.width, image.height);
         let values = image.pixels.iter().flat_map(Vec3::to_array);
-        let color = Numbers::of(values, false);
-        let window = PixelWindow::whole(width, height);
-        Self { width, height, window, channels: 3, color, alpha: None, saturated: Flags(Vec::new()) }
+        Self::of_numbers(image.width, image.height, Numbers::of(values, false))
+    }
+
+    /// From three channels of all pixels; nothing is saturated.
+    fn of_numbers(width: u32, height: u32, color: Numbers) -> Self {
+        let (window, saturated) = (PixelWindow::whole(width, height), Flags(Vec::new()));
+        let highest = color.highest();
+        Self { width, height, window, channels: 3, color, alpha: None, saturated, highest }
     }
 
     /// The place of a photograph whose pixels nobody looks at: black.
     pub fn without_pixels(width: u32, height: u32) -> Self {
         let window = PixelWindow { width: 0, height: 0, ..PixelWindow::whole(width, height) };
-        let color = Numbers::of(std::iter::empty(), false);
-        Self { width, height, window, channels: 3, color, alpha: None, saturated: Flags(Vec::new()) }
+        Self { window, ..Self::of_numbers(width, height, Numbers::of(std::iter::empty(), false)) }
     }
 
     /// From integer samples of 1 to 4 channels (an even count has straight alpha as the last), inside a window.
@@ -258,7 +266,8 @@ impl Photograph {
         let mut alpha = inside().map(|pixel| stored(pixel * channels + colors));
         let alpha = (channels > colors).then(|| pack(curve.alpha.clone(), &mut alpha));
         let saturated = Flags::of(inside().map(is_saturated));
-        Self { width, height, window, channels: colors, color, alpha, saturated }
+        let whole = Self::of_numbers(width, height, color);
+        Self { window, channels: colors, alpha, saturated, ..whole }
     }
 
     /// Width and height of the picture in pixels.
@@ -290,6 +299,11 @@ impl Photograph {
     #[inline]
     pub fn is_saturated(&self, pixel: usize) -> bool {
         self.window.place(pixel, self.width).is_some_and(|at| self.saturated.get(at))
+    }
+
+    /// The greatest channel of any pixel that is kept: of 8- and 16-bit photographs the greatest that it could be.
+    pub fn highest(&self) -> f32 {
+        self.highest
     }
 
     /// The whole picture as linear radiance.

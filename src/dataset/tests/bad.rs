@@ -168,6 +168,14 @@ fn cameras_too_far_from_the_origin_are_refused() {
     }
     set.write();
     assert_says(&input_error(set.read()), &["times farther from the origin", "Subtract (50000"]);
+    // Inverted poses of cameras that look at the origin.
+    for i in 0..2 {
+        for (row, value) in [0.0, 1e-7 * i as f64, 4.0 + 1e-6 * i as f64].into_iter().enumerate() {
+            set.json["frames"][i]["transform_matrix"][row][3] = json!(value);
+        }
+    }
+    set.write();
+    assert_says(&input_error(set.read()), &["times farther from the origin", "invert each matrix"]);
 }
 
 #[test]

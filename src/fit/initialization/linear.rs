@@ -4,7 +4,6 @@
 use crate::math::brdf::Facets;
 use crate::math::published::Lobe;
 use crate::math::shading::{ClosedForm, Layers, Lighting, ShadePoint, SpecularValue, Visibility};
-use crate::math::statistics::median;
 use crate::sample::observation::Observation;
 use fearless_simd::{Level, dispatch};
 use glam::{DVec3, Vec3};
@@ -100,43 +99,12 @@ fn product(a: &[f64], b: &[f64]) -> f64 {
     sums.iter().sum::<f64>() + rest
 }
 
-/// Observed pixels, of which no channel counts above a limit.
-#[derive(Clone, Copy, Debug)]
-pub struct Limited<'a> {
-    /// The pixels.
-    pub of: &'a [Observation],
-    /// The greatest radiance that counts.
-    pub limit: f32,
-}
-
-impl Limited<'_> {
-    /// The radiance that counts at a pixel.
-    fn radiance(&self, n: usize) -> Vec3 {
-        self.of[n].observed.radiance.min(Vec3::splat(self.limit))
-    }
-}
-
-/// How many times the median a value may be to count in full.
-const LIMIT: f32 = 256.0;
-/// Pixels that the median is of, at most.
-const MEDIAN_PIXELS: usize = 4096;
-
-/// The greatest radiance that counts in a least-squares solve: [`LIMIT`] times the median of the brightest channel. A few pixels of a
-/// broken photograph would otherwise outweigh all others; what exceeds the limit in a highlight is left to the fit, whose loss is the absolute difference.
-pub fn radiance_limit(observations: &[Observation]) -> f32 {
-    let every = observations.len().div_ceil(MEDIAN_PIXELS).max(1);
-    let brightest = |o: &Observation| o.observed.radiance.max_element();
-    let mut values: Vec<f32> = observations.iter().step_by(every).map(brightest).collect();
-    median(&mut values).filter(|median| *median > 0.0).map_or(f32::INFINITY, |median| LIMIT * median)
-}
-
 /// Non-negative amplitudes of `lobes` (whose own amplitudes are ignored) that fit the observed radiance at `points` best in
-/// the least-squares sense, given the albedo in `points`, the specular material and the visibility. Values above a limit count as it
-/// ([`radiance_limit`]).
+/// the least-squares sense, given the albedo in `points`, the specular material and the visibility.
 pub fn solve_amplitudes(
     form: ClosedForm,
     points: &[ShadePoint],
-    observations: Limited<'_>,
+    observations: &[Observation],
     specular: &SpecularValue,
     lighting: Lighting<'_>,
     ridge: f64,
@@ -159,7 +127,7 @@ pub fn solve_amplitudes(
 fn accumulate(
     form: ClosedForm,
     points: &[ShadePoint],
-    observations: Limited<'_>,
+    observations: &[Observation],
     specular: &SpecularValue,
     Lighting { lobes, visibility }: Lighting<'_>,
     run: Range<usize>,
@@ -179,10 +147,9 @@ fn accumulate(
                 row[i] = (diffuse[c] + glossy[c]) * parts.map_or(1.0, |parts| f32::from(parts[i]) / 255.0);
             }
         }
-        let radiance = observations.radiance(n);
         for (c, row) in rows.iter().enumerate() {
             let indirect = point.albedo[c] * around.indirect[c] * std::f32::consts::FRAC_1_PI;
-            sum.add(c, row, (radiance[c] - indirect).max(0.0));
+            sum.add(c, row, (observations[n].observed.radiance[c] - indirect).max(0.0));
         }
     }
     sum
@@ -190,12 +157,12 @@ fn accumulate(
 
 /// Each texel's least-squares albedo given the light: `unit` is the radiance of the samples with albedo 1. Texels with
 /// few samples are drawn to `prior`. Results are in `[0.02, 0.98]`.
-pub fn solve_albedo(observations: Limited<'_>, unit: &[Layers], texels: usize, prior: Vec3) -> Vec<Vec3> {
+pub fn solve_albedo(observations: &[Observation], unit: &[Layers], texels: usize, prior: Vec3) -> Vec<Vec3> {
     let (mut above, mut below) = (vec![DVec3::ZERO; texels], vec![DVec3::ZERO; texels]);
     let mut power = DVec3::ZERO;
-    for (n, (Observation { point, .. }, unit)) in observations.of.iter().zip(unit).enumerate() {
+    for (Observation { point, observed, .. }, unit) in observations.iter().zip(unit) {
         let diffuse = Vec3::from(unit.diffuse).as_dvec3();
-        let target = (observations.radiance(n) - Vec3::from(unit.specular)).as_dvec3();
+        let target = (observed.radiance - Vec3::from(unit.specular)).as_dvec3();
         power += diffuse * diffuse;
         for i in 0..4 {
             let (texel, weight) = (point.texels.indices[i] as usize, f64::from(point.texels.weights[i]));
@@ -204,7 +171,7 @@ pub fn solve_albedo(observations: Limited<'_>, unit: &[Layers], texels: usize, p
         }
     }
     // One twentieth of the weight of an average sample.
-    let lean = power * (0.05 / observations.of.len().max(1) as f64) + DVec3::splat(1e-12);
+    let lean = power * (0.05 / observations.len().max(1) as f64) + DVec3::splat(1e-12);
     let prior = prior.as_dvec3();
     above
         .iter()
@@ -219,7 +186,6 @@ pub fn solve_albedo(observations: Limited<'_>, unit: &[Layers], texels: usize, p
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::sample::pixel::Observed;
 
     #[test]
     fn amplitudes_are_found_again_and_none_is_negative() {
@@ -239,26 +205,6 @@ mod tests {
         }
         // The prior makes of nothing at all the same nothing everywhere.
         assert_eq!(sum.solve(0, 1e-2), vec![0.0; lobes]);
-    }
-
-    #[test]
-    fn a_few_broken_pixels_count_no_more_than_highlights() {
-        let seen = |radiance: f32| Observation {
-            observed: Observed { radiance: Vec3::splat(radiance), saturated: false },
-            ..Default::default()
-        };
-        let mut observations: Vec<Observation> = (0..9000).map(|i| seen(0.1 + 1e-5 * i as f32)).collect();
-        observations[3] = seen(1e5);
-        let limit = radiance_limit(&observations);
-        assert!((30.0..50.0).contains(&limit), "{limit}");
-        let limited = Limited { of: &observations, limit };
-        assert_eq!((limited.radiance(3), limited.radiance(0)), (Vec3::splat(limit), Vec3::splat(0.1)));
-        assert_eq!(radiance_limit(&[seen(0.0)]), f32::INFINITY);
-        // The albedo that one broken pixel of many gives a texel.
-        let unit = vec![Layers { diffuse: [0.5; 3], specular: [0.0; 3] }; observations.len()];
-        observations.iter_mut().for_each(|o| o.point.texels.weights = [1.0, 0.0, 0.0, 0.0]);
-        let albedo = solve_albedo(Limited { of: &observations, limit }, &unit, 1, Vec3::splat(0.4))[0];
-        assert!((albedo.x - 0.29).abs() < 0.02, "{albedo}");
     }
 
     #[test]

@@ -6,7 +6,7 @@ pub mod start;
 use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::fit::components::Unknowns;
-use crate::fit::initialization::linear::{Limited, radiance_limit, solve_albedo, solve_amplitudes};
+use crate::fit::initialization::linear::{solve_albedo, solve_amplitudes};
 use crate::fit::initialization::place_lobes::move_lobes_to_the_light;
 use crate::light::frame::OwnLightFrame;
 use crate::light::lights::LobeOf;
@@ -118,7 +118,6 @@ fn with_initialization<T>(
     let amplitude_pixels = if in_part { PART_AMPLITUDE_PIXELS } else { AMPLITUDE_PIXELS };
     run(&mut Initialization {
         form,
-        limit: radiance_limit(observations),
         observations,
         amplitude_pixels,
         cameras,
@@ -165,8 +164,6 @@ fn least_rough(world: &mut World) -> SpecularLobe {
 struct Initialization<'a> {
     form: ClosedForm,
     observations: &'a [Observation],
-    /// The greatest radiance that counts.
-    limit: f32,
     /// Most pixels in a solve for the amplitudes.
     amplitude_pixels: usize,
     cameras: ByView<Camera>,
@@ -195,11 +192,6 @@ impl Initialization<'_> {
         Ok(())
     }
 
-    /// The first `n` observed pixels, as they count.
-    fn limited(&self, n: usize) -> Limited<'_> {
-        Limited { of: &self.observations[..n], limit: self.limit }
-    }
-
     fn solve_light(&mut self, lobes: &mut [LightLobe], texels: &[Vec3]) -> Result<()> {
         let _solving = stage("light");
         let n = self.observations.len().min(self.amplitude_pixels);
@@ -209,7 +201,7 @@ impl Initialization<'_> {
         let (rows, seen) = self.seen(0..n)?;
         let lighting = Lighting { lobes: &columns, visibility: rows.view(&seen) };
         let specular = kernel_specular(&self.specular);
-        let observations = self.limited(n);
+        let observations = &self.observations[..n];
         let amplitudes = solve_amplitudes(self.form, &points, observations, &specular, lighting, 1e-2);
         for (lobe, amplitude) in lobes.iter_mut().zip(amplitudes) {
             lobe.amplitude = amplitude.max(Vec3::splat(1e-3));
@@ -230,7 +222,7 @@ impl Initialization<'_> {
             let lighting = Lighting { lobes: &columns, visibility: rows.view(&seen) };
             self.form.shade(&white, &specular, lighting, &mut unit[run]);
         }
-        Ok(solve_albedo(self.limited(n), &unit, texels.len(), Vec3::splat(0.4)))
+        Ok(solve_albedo(&self.observations[..n], &unit, texels.len(), Vec3::splat(0.4)))
     }
 
     /// The inputs of shading at a range of observed pixels, with this albedo.
