@@ -61,6 +61,8 @@ fn passes_called_as_folders_of_the_data_replace_nothing() {
     refused(&data, &image, "test", &["--force"], &words);
     let mask = scene(&format!(r#"{FIT}Render(name: "mask", render: (views: Train))"#));
     refused(&data, &mask, "train/../train", &["--force"], &["pass mask would replace", "a mask"]);
+    let export = scene(&format!(r#"{FIT}Export(name: "image")"#));
+    refused(&data, &export, "test", &["--force"], &["pass image would write", "beside", "a photograph"]);
     // What is not known as an input is not replaced either.
     refused(&data, &usual(), "test", &["--force"], &["test", "no run.json", "--out"]);
     refused(&data, &usual(), "test", &[], &["not empty", "--force replaces the results of an earlier run"]);
@@ -316,10 +318,14 @@ fn check_replaces_no_photograph_by_its_sheet() {
     std::fs::create_dir(data.path("out")).unwrap();
     std::fs::copy(data.path("mesh.glb"), data.path("out/contact_sheet.png")).unwrap();
     let before = contents(data.root());
-    let mut check = command(&["check"]);
-    check.arg(data.path("scene.ron")).arg("--data").arg(data.root()).arg("--out").arg(data.path("out"));
-    let outcome = Outcome::of(&mut check);
-    assert_eq!(outcome.code, Some(2), "{}", outcome.stderr);
-    assert!(outcome.stderr.contains("--out would replace"), "{}", outcome.stderr);
-    assert!(before == contents(data.root()));
+    let into = |out: &str, word: &str| {
+        let mut check = command(&["check"]);
+        check.arg(data.path("scene.ron")).arg("--data").arg(data.root()).arg("--out").arg(data.path(out));
+        let outcome = Outcome::of(&mut check);
+        assert_eq!(outcome.code, Some(2), "{}", outcome.stderr);
+        assert!(outcome.stderr.contains(word), "{}", outcome.stderr);
+        assert!(before == contents(data.root()));
+    };
+    into("out", "--out would replace");
+    into("train/mask", "--out would write");
 }

@@ -4,7 +4,7 @@ use super::args::CheckArgs;
 use super::scene_files::load_options;
 use super::terminal::print;
 use super::threads::start_threads;
-use lobelia::codec::file::{FileUse, check_apart};
+use lobelia::codec::file::FileUse;
 use lobelia::pass::files;
 use lobelia::pass::memory::{usual_budget, within};
 use lobelia::pass::preflight::{check_folder, check_paths, check_sizes};
@@ -122,9 +122,9 @@ fn check_out(out: &Path, has_photographs: bool) -> Result<()> {
 
 /// Refuses to replace what the scene reads.
 fn check_inputs(out: &Path, loaded: &LoadedScene) -> Result<()> {
-    let inputs = files::inputs(loaded, OpenScene::new(&loaded.scene, loaded.roots.as_deref())?.as_ref());
+    let open = OpenScene::new(&loaded.scene, loaded.roots.as_deref())?;
     let outputs = [SHEET, JSON].map(|name| FileUse::new(out.join(name), "--out"));
-    check_apart(&inputs, &outputs, "Choose another folder with --out.")
+    files::check_outputs(loaded, open.as_ref(), &outputs, "Choose another folder with --out.")
 }
 
 /// Whether nothing that a survey reads is below a `$DATA` that stands for nothing.

@@ -1,6 +1,6 @@
 //! The files of a run, known before it begins: those that its passes may write, and those that it reads.
 
-use crate::codec::file::{FileUse, Links, check_inside};
+use crate::codec::file::{FileUse, Links, check_apart, check_inside, check_not_among};
 use crate::codec::gltf::side_files;
 use crate::error::Result;
 use crate::fit::cameras::CameraUnknowns;
@@ -206,6 +206,22 @@ fn of_data(loaded: &LoadedScene, open: Option<&OpenScene>) -> Vec<FileUse> {
     inputs.extend(cameras.into_iter().map(|path| FileUse::new(path, "which has the cameras")));
     inputs.extend(views.iter().flat_map(|view| view.pictures()));
     inputs
+}
+
+/// Checks that no file that is to be written is one that a run reads, or lies among photographs or masks.
+///
+/// # Errors
+/// [`Error::Usage`](crate::Error::Usage) that names the first such file.
+pub fn check_outputs(
+    loaded: &LoadedScene,
+    open: Option<&OpenScene>,
+    outputs: &[FileUse],
+    help: &str,
+) -> Result<()> {
+    check_apart(&inputs(loaded, open), outputs, help)?;
+    let pictures: Vec<FileUse> =
+        open.iter().flat_map(|open| &open.views).flat_map(|view| view.pictures()).collect();
+    check_not_among(&pictures, outputs, help)
 }
 
 /// Checks that a confined scene reads nothing outside its folders through files that it names: a light, a mesh. Camera files of a data set

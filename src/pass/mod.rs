@@ -56,7 +56,7 @@ mod view_report;
 
 pub use session::{Lights, MOST_VISIBILITY_BYTES, Session};
 
-use crate::codec::file::{FileUse, FolderLock, check_apart};
+use crate::codec::file::{FileUse, FolderLock};
 use crate::error::stop::{check_interrupted, stopped_by};
 use crate::error::{Error, Result};
 use crate::fit::ObjectTurned;
@@ -246,7 +246,7 @@ fn claim(loaded: &LoadedScene, data: Option<&OpenScene>, options: &RunOptions) -
     let of_run = record::OF_RUN.into_iter().chain([files::RUN]).map(|name| used(name, "the run".to_owned()));
     let outputs: Vec<FileUse> = of_passes.chain(of_run).collect();
     let help = "Choose another folder with --out, or give the pass another name. Inputs are never replaced, --force or not.";
-    check_apart(&files::inputs(loaded, data), &outputs, help)?;
+    files::check_outputs(loaded, data, &outputs, help)?;
     Claim::new(&options.out, plan)
 }
 

@@ -69,6 +69,25 @@ pub fn check_apart(inputs: &[FileUse], outputs: &[FileUse], help: &str) -> Resul
     Ok(())
 }
 
+/// Checks that no file is to be written into a folder of which pictures are read: it would be one of them the next time.
+///
+/// # Errors
+/// [`Error::Usage`] that names the first such file, and one of the pictures.
+pub fn check_not_among(pictures: &[FileUse], outputs: &[FileUse], help: &str) -> Result<()> {
+    // The parent of a mere name is empty: the working folder.
+    let of = |path: &Path| path.parent().and_then(|folder| Identity::of(&folder.join(".")));
+    let read: HashMap<Identity, &FileUse> =
+        pictures.iter().filter_map(|picture| Some((of(&picture.path)?, picture))).collect();
+    for output in outputs {
+        if let Some(picture) = of(&output.path).and_then(|id| read.get(&id)) {
+            let (by, file, among) = (&output.by, output.path.display(), picture.path.display());
+            let problem = format!("{by} would write {file} beside {among}, {}", picture.by);
+            return Err(Error::usage(problem, help));
+        }
+    }
+    Ok(())
+}
+
 /// Whether `path` is `folder` or lies in it, whatever links lead there; `path` must exist, or it lies nowhere.
 pub fn lies_in(path: &Path, folder: &Path) -> bool {
     match (path.canonicalize(), folder.canonicalize()) {

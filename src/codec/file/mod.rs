@@ -8,7 +8,7 @@
 //! | [`obstacle`] | says what keeps a file or folder from being read |
 //! | [`write_file`], [`write_bytes`], [`write_by_path`] | write, all or nothing |
 //! | [`check_writable`], [`check_room`], [`free_bytes`], [`check_file_name`] | say before the work whether results can be written |
-//! | [`check_apart`], [`lies_in`] | say whether what is written is something that is read |
+//! | [`check_apart`], [`check_not_among`], [`lies_in`] | say whether what is written is something that is read |
 //! | [`check_inside`] | says whether what is read lies where it may |
 //! | [`DiskFile`] | the one file through which all of this goes |
 //! | [`FolderLock`] | keeps two processes from writing into one folder |
@@ -26,7 +26,7 @@ mod read;
 mod scratch;
 mod write;
 
-pub use apart::{FileUse, check_apart, lies_in};
+pub use apart::{FileUse, check_apart, check_not_among, lies_in};
 pub use disk::DiskFile;
 pub use inside::{Links, check_inside};
 pub use lock::{FolderLock, LOCK};
