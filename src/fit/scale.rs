@@ -18,7 +18,7 @@ use crate::light::LightLobe;
 use crate::light::lights::{LobeOf, own_lobes};
 use crate::material::DiffuseSheen;
 use crate::material::sheen::write_albedo;
-use crate::material::{DiffuseAlbedo, TexelIndex, Texels};
+use crate::material::{DiffuseAlbedo, TexelIndex, Texels, USUAL_ALBEDO};
 use crate::math::sg::sphere_integral;
 use crate::math::shading::{Layers, RadianceAdjoint, ShadePoint};
 use crate::pipeline::SystemResult;
@@ -84,8 +84,6 @@ const MOST_ALBEDO: f32 = 0.98;
 const AT_BOUND: f32 = 0.95;
 /// Weight, relative to the image loss, of the prior that the mean albedo is [`USUAL_ALBEDO`], per unit of its logarithm.
 const LEVEL_WEIGHT: f32 = 0.016;
-/// Mean albedo of an initialization.
-const USUAL_ALBEDO: f32 = 0.4;
 
 /// Update: a step along the scale, or a projection onto the rule, if light and albedo are both unknown.
 pub fn move_scale(

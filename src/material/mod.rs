@@ -27,6 +27,9 @@ use bevy_ecs::prelude::{Component, Entity, With, World};
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
+/// The albedo of what is unknown: each channel of a usual surface, where a fit starts.
+pub const USUAL_ALBEDO: f32 = 0.4;
+
 pool_index! {
     /// Number of a texel in the atlas, `y * width + x`.
     TexelIndex("texel");

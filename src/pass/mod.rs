@@ -280,7 +280,7 @@ pub fn write_view(
     let views = views.or_else(|error| without_photographs(&error, progress))?;
     let out = path.parent().unwrap_or(Path::new("")).to_owned();
     let options = RunOptions { out, force: true, ..RunOptions::default() };
-    let mut session = open(&scene, views, &options, progress, photograph::imagine, SurfaceUse::Lasting)?;
+    let mut session = open(&scene, views, &options, progress, UNRENDERED, SurfaceUse::Lasting)?;
     view::write_page(&mut session, pass, named, path)
 }
 
@@ -302,11 +302,14 @@ pub fn rehearse(scene: &Scene, views: Vec<ViewRecord>, progress: &dyn Progress) 
         Views::Dataset(_) | Views::Photographed(_) => views,
     };
     let options = RunOptions::default();
-    open(scene, views, &options, progress, photograph::imagine, SurfaceUse::Checks).map(drop)
+    open(scene, views, &options, progress, UNRENDERED, SurfaceUse::Checks).map(drop)
 }
 
 /// How a scene gets the photographs that it makes of its own object.
 type Take = fn(&mut TrueObject, &Photographed, &Scene, &dyn Progress) -> Result<Vec<ViewRecord>>;
+
+/// Photographs without pixels, for checks that look at none.
+const UNRENDERED: Take = |_, spec, scene, _| photograph::imagine(spec, scene);
 
 /// Puts the scene and its views into a world, reads its other inputs, and checks all passes. Nothing is written yet.
 fn open<'a>(
@@ -382,7 +385,7 @@ pub fn looks<'a>(scene: &Scene, survey: Option<&'a Survey>) -> Result<Cow<'a, [V
     }
     let views = match &scene.views {
         Views::Cameras(specs) => specs.iter().map(bare_view).collect::<Result<_>>()?,
-        Views::Photographed(spec) => photograph::imagined(spec, scene)?,
+        Views::Photographed(spec) => photograph::imagine(spec, scene)?,
         Views::Dataset(_) => Vec::new(),
     };
     Ok(views.iter().map(ViewLook::unseen).collect())

@@ -144,20 +144,7 @@ pub fn take(
 ///
 /// # Errors
 /// If a camera cannot be used.
-pub fn imagine(
-    _: &mut TrueObject,
-    spec: &Photographed,
-    scene: &Scene,
-    _: &dyn Progress,
-) -> Result<Vec<ViewRecord>> {
-    imagined(spec, scene)
-}
-
-/// [`imagine`], of an object that is not there.
-///
-/// # Errors
-/// If a camera cannot be used.
-pub fn imagined(spec: &Photographed, scene: &Scene) -> Result<Vec<ViewRecord>> {
+pub fn imagine(spec: &Photographed, scene: &Scene) -> Result<Vec<ViewRecord>> {
     let view = |spec: CameraSpec| {
         let camera = camera_of(&spec)?;
         let photograph = Some(Photograph::without_pixels(camera.width, camera.height));

@@ -81,8 +81,8 @@ pub struct Specular {
     /// Roughness. Default `Unknown()`.
     pub roughness: Roughness,
     /// Distribution of microfacet normals: `Sg`, one spherical Gaussian as in the paper, or `Ggx`, whose highlights have the long
-    /// tails of most renderers' and of glTF's. A choice, not fitted, but that the
-    /// two base materials of `gloss: Auto` have `Ggx`; not for `shading: Published`. Default `Sg`.
+    /// tails of most renderers' and of glTF's. A fit does not change it, but if `gloss: Auto` takes two base materials, both have
+    /// `Ggx`. `shading: Published` has `Sg` alone. Default `Sg`.
     pub ndf: Ndf,
 }
 

@@ -6,7 +6,7 @@ use crate::error::Result;
 use crate::fit::roughness::texel::{BASE_ROUGHNESSES, TexelRoughness};
 use crate::material::sheen::KnownAlong;
 use crate::material::tilt::MOST_TILT;
-use crate::material::{DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe};
+use crate::material::{DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe, USUAL_ALBEDO};
 use crate::math::brdf::Ndf;
 use crate::mesh::Surface;
 use crate::scene::validate::MIN_ROUGHNESS;
@@ -92,7 +92,7 @@ pub(super) fn initial_tilt(tilt: &Tilt, surface: &Surface) -> Result<Vec<Diffuse
 /// The albedo of each texel that a fit starts from, or the known one.
 pub(super) fn initial_albedo(albedo: &Albedo, surface: &Surface) -> Result<Vec<Vec3>> {
     match albedo {
-        Albedo::Unknown => given_albedo(&AlbedoSource::Constant(Vec3::splat(0.4)), surface),
+        Albedo::Unknown => given_albedo(&AlbedoSource::Constant(Vec3::splat(USUAL_ALBEDO)), surface),
         Albedo::Initial(source) | Albedo::Fixed(source) => given_albedo(source, surface),
     }
 }

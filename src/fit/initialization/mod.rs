@@ -13,7 +13,7 @@ use crate::light::lights::LobeOf;
 use crate::light::{LightLobe, kernel_lobe};
 use crate::material::sheen::write_albedo;
 use crate::material::{
-    MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, recovered_albedo, recovered_materials,
+    MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, USUAL_ALBEDO, recovered_albedo, recovered_materials,
 };
 use crate::math::shading::{ClosedForm, Layers, Lighting, LobeColumns, PointVisibility, ShadePoint};
 use crate::profile::stage;
@@ -222,7 +222,7 @@ impl Initialization<'_> {
             let lighting = Lighting { lobes: &columns, visibility: rows.view(&seen) };
             self.form.shade(&white, &specular, lighting, &mut unit[run]);
         }
-        Ok(solve_albedo(&self.observations[..n], &unit, texels.len(), Vec3::splat(0.4)))
+        Ok(solve_albedo(&self.observations[..n], &unit, texels.len(), Vec3::splat(USUAL_ALBEDO)))
     }
 
     /// The inputs of shading at a range of observed pixels, with this albedo.

@@ -8,7 +8,7 @@ use crate::fit::components::{AlbedoGradient, AlbedoMoments, TexelSeen};
 use crate::fit::light_turns;
 use crate::fit::run::{FitOptions, FitProgress, Initialize, run_fit};
 use crate::material::sheen::KnownAlong;
-use crate::material::{DiffuseAlbedo, DiffuseSheen, DiffuseTilt};
+use crate::material::{DiffuseAlbedo, DiffuseSheen, DiffuseTilt, USUAL_ALBEDO};
 use crate::material::{
     MAX_SPECULAR_LOBES, SpecularBlend, TexelIndex, recovered_albedo, recovered_materials, spawn_texels,
 };
@@ -424,7 +424,7 @@ fn silhouette_sample(silhouette: &Silhouette, pixel: u32) -> SilhouetteSample {
 
 /// Albedo for a new lattice: interpolated from the old one where it has texels, else gray.
 fn carried_albedo(volume: &TexelVolume, old: Option<(&TexelVolume, &[Vec3])>) -> Vec<Vec3> {
-    let gray = Vec3::splat(0.4);
+    let gray = Vec3::splat(USUAL_ALBEDO);
     let carried = |at: Vec3| {
         let (old, albedo) = old?;
         Some(old.nearest_address(at)?.blend(albedo))
