@@ -278,6 +278,8 @@ fn unwrap_by(texture_size: u32, mut unwrap: impl FnMut(u32) -> Result<Mesh>) -> 
     loop {
         match unwrap(size) {
             Ok(mesh) => return Ok((mesh, size)),
+            // What was found is not lost for a signal.
+            Err(Error::Interrupted) if is_stopping() => finish_stopping(),
             // No other error goes away with a larger texture.
             Err(Error::Usage { .. }) if 2 * size <= MOST_TEXELS => size *= 2,
             Err(error) => return Err(error),

@@ -34,7 +34,8 @@ pub struct UnwrappedMesh {
 /// unwrapped, and a note says why.
 ///
 /// # Errors
-/// [`Error::Usage`] if the charts do not fit the texture, [`Error::Run`] if the mesh cannot be unwrapped.
+/// [`Error::Usage`] if the charts do not fit the texture, [`Error::Run`] if the mesh cannot be unwrapped, [`Error::Interrupted`] if the
+/// work is to stop.
 pub fn unwrap_mesh(mesh: &Mesh, texture_size: u32) -> Result<UnwrappedMesh> {
     let Some(uvs) = &mesh.uvs else { return unwrap_again(mesh, texture_size, None) };
     match fault(mesh, uvs, texture_size) {
@@ -105,7 +106,7 @@ fn overlapping_part(mesh: &Mesh, grid: u32) -> f64 {
 
 fn unwrap_again(mesh: &Mesh, texture_size: u32, note: Option<String>) -> Result<UnwrappedMesh> {
     check(mesh).map_err(|problem| Error::run("unwrapping the mesh", problem))?;
-    let mut charts = charts(mesh);
+    let mut charts = charts(mesh)?;
     let count = charts.len() as u32;
     if !pack(&mut charts, texture_size) {
         let problem = format!("the {count} charts of the unwrapped mesh do not fit {texture_size}² texels");

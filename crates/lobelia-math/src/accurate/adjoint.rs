@@ -1,4 +1,5 @@
-//! One point × one lobe: the adjoint of its integrals, with the specular nodes and weights held fixed.
+//! One point × one lobe: the adjoint of its integrals, with the specular nodes and weights held fixed. The integrand is that of PhySG supp.
+//! eqs. 1–7, or has GGX in place of eq. 4; F (eq. 6) enters through `constant` and `slope`, the parts of degree 0 and 1 in the specular albedo.
 
 use super::diffuse::cosine_integral;
 use super::narrow::{MOST_SGS, is_narrow, parts};

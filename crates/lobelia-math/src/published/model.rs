@@ -1,4 +1,4 @@
-//! The published formulas as a [`PairModel`].
+//! The published formulas (BRDF: PhySG supp. eqs. 1–7; integrals: [`integral`](super::integral)) as a [`PairModel`].
 
 use super::pair::{Pair, evaluate_prepared, pull_back_pair};
 use super::point::{FrozenBrdf, PointTerms, prepare_point, pull_back_normal};

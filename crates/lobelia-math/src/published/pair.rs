@@ -1,4 +1,5 @@
-//! One point × one lobe: its two integrals and their adjoints.
+//! One point × one lobe: its two integrals, those of a/π and of F·G·D / (4 (n·ωo)(n·ωi)) (PhySG supp. eqs. 1–7) times the lobe and the
+//! cosine, and their adjoints. The NDF (eq. 4) is warped to incident directions (Wang et al. 2009); its product with the lobe is one SG.
 
 use super::integral::cosine_integral;
 use super::point::{PointTerms, SHRUNK, prepare_point};

@@ -12,6 +12,8 @@ mod simple;
 mod stretch;
 mod topology;
 
+use crate::error::Result;
+use crate::error::stop::check_interrupted;
 use crate::mesh::triangles::Mesh;
 use flatten::{Tolerance, flatten};
 use glam::DVec2;
@@ -57,7 +59,10 @@ impl Chart {
 }
 
 /// Charts of all triangles of a mesh that have area, each in one of them. Indices of the mesh are in range. Deterministic.
-pub fn charts(mesh: &Mesh) -> Vec<Chart> {
+///
+/// # Errors
+/// [`Error::Interrupted`](crate::Error::Interrupted) if the work is to stop: of a million triangles it takes ten seconds.
+pub fn charts(mesh: &Mesh) -> Result<Vec<Chart>> {
     let topology = Topology::new(mesh);
     let tree = RegionTree::new(&topology);
     let mut found = Vec::new();
@@ -70,7 +75,10 @@ pub fn charts(mesh: &Mesh) -> Vec<Chart> {
         let flat = |node: &u32| {
             try_whole(node).then(|| chart_of(&topology, tree.triangles(*node), &USUAL)).flatten()
         };
-        let tried: Vec<(u32, Option<Chart>)> = open.par_iter().map(|node| (*node, flat(node))).collect();
+        let tried: Vec<(u32, Option<Chart>)> = open
+            .par_iter()
+            .map(|node| check_interrupted().map(|()| (*node, flat(node))))
+            .collect::<Result<_>>()?;
         open.clear();
         for (node, chart) in tried {
             match (chart, tree.nodes[node as usize]) {
@@ -101,7 +109,7 @@ fn chart_of(topology: &Topology, faces: Vec<u32>, tolerance: &Tolerance) -> Opti
 }
 
 /// Small charts join the neighbor with which they share most of their border, if the two lie flat together; from the smallest up.
-fn join_small(topology: &Topology, charts: Vec<Chart>) -> Vec<Chart> {
+fn join_small(topology: &Topology, charts: Vec<Chart>) -> Result<Vec<Chart>> {
     let mut chart_of_face = vec![NONE; topology.triangles.len()];
     let areas: Vec<f64> = charts.iter().map(Chart::area).collect();
     for (i, chart) in charts.iter().enumerate() {
@@ -113,6 +121,7 @@ fn join_small(topology: &Topology, charts: Vec<Chart>) -> Vec<Chart> {
     order.sort_by(|a, b| areas[*a].total_cmp(&areas[*b]).then(a.cmp(b)));
     let mut work = MOST_WORK * topology.triangles.len();
     for small in order {
+        check_interrupted()?;
         let Some(chart) = &charts[small] else { continue };
         let around = neighbors(topology, &chart_of_face, &chart.faces);
         let joined = around.into_iter().take(MOST_TRIES).find_map(|neighbor| {
@@ -128,7 +137,7 @@ fn join_small(topology: &Topology, charts: Vec<Chart>) -> Vec<Chart> {
             charts[small] = None;
         }
     }
-    charts.into_iter().flatten().collect()
+    Ok(charts.into_iter().flatten().collect())
 }
 
 /// The charts around some faces, that with the longest common border first.

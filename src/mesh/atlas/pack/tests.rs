@@ -12,7 +12,7 @@ fn corners(charts: &[Chart]) -> impl Iterator<Item = (usize, [DVec2; 3])> {
 
 /// Packs a mesh and looks at everything that must hold; the part of the texture that triangles fill.
 fn good_fill(mesh: &Mesh, size: u32) -> f64 {
-    let mut all = charts(mesh);
+    let mut all = charts(mesh).unwrap();
     let areas: Vec<f64> = all.iter().map(Chart::area).collect();
     assert!(pack(&mut all, size));
     // One scale, and nothing mirrored.
@@ -69,7 +69,7 @@ fn charts_are_apart_and_fill_the_texture() {
 
 #[test]
 fn too_many_charts_do_not_fit() {
-    let mut all = charts(&scattered(30));
+    let mut all = charts(&scattered(30)).unwrap();
     for (size, fits) in
         [(0, false), (1, false), (4, false), (16, false), (24, false), (64, true), (4096, true)]
     {
