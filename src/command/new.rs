@@ -12,7 +12,7 @@ pub fn run(args: &NewArgs) -> Result<()> {
         let problem = format!("{} exists", args.out.display());
         return Err(Error::usage(problem, "Choose another name with --out, or remove it."));
     }
-    let text = scene_for(&args.data, &args.out)?;
+    let text = scene_for(&args.data, args.layout, &args.out)?;
     write_bytes(&args.out, text.as_bytes())?;
     let next =
         if text.contains("$DATA") { format!(" --data {}", args.data.display()) } else { String::new() };

@@ -1,6 +1,7 @@
 //! Arguments of `lobelia prepare` and `lobelia new`, and their help.
 
 use clap::{Args, ValueEnum};
+use lobelia::dataset::Layout;
 use std::path::PathBuf;
 
 /// What `lobelia prepare --help` says first.
@@ -130,4 +131,12 @@ pub struct NewArgs {
     /// The file to write; it must not exist
     #[arg(long, value_name = "SCENE.ron", default_value = "scene.ron")]
     pub out: PathBuf,
+    /// The layout of the data, where the folder has several: Colmap, Llff, Nerf, …
+    #[arg(long, value_name = "LAYOUT", default_value = "Auto", hide_default_value = true, value_parser = parse_layout)]
+    pub layout: Layout,
+}
+
+/// A layout by the name that it has in scene files.
+fn parse_layout(name: &str) -> Result<Layout, String> {
+    ron::from_str(name).map_err(|error| error.code.to_string())
 }

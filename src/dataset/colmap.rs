@@ -7,10 +7,10 @@
 
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::colmap_model;
-use crate::dataset::colmap_model::{image_count, read_model};
+use crate::dataset::colmap_model::{Model, ModelImage, image_count, read_model};
 use crate::dataset::folders::{Folders, flat_name};
 use crate::dataset::masks::mask_folder;
-use crate::dataset::names::{ImageName, quoted, view_name};
+use crate::dataset::names::{ImageName, portable, quoted, view_name};
 use crate::dataset::photographs::note_of_unused;
 use crate::dataset::{MaskPlan, Plan, ViewPlan};
 use crate::error::{Error, Result};
@@ -18,15 +18,23 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// Where reconstructions are, and the folder of photographs that belongs to each: COLMAP's own, nerfstudio's, the outputs of COLMAP's
-/// `image_undistorter` and `automatic_reconstructor`, and what 3D Gaussian splatting keeps of the distorted photographs.
-const PLACES: [(&str, &str); 6] = [
+/// `image_undistorter` and `automatic_reconstructor`, what 3D Gaussian splatting keeps of the distorted photographs, and instant-ngp's.
+const PLACES: [(&str, &str); 9] = [
     ("sparse", "images"),
     ("colmap/sparse", "images"),
     ("colmap/sparse", "colmap/images"),
     ("dense/sparse", "dense/images"),
     ("dense/0/sparse", "dense/0/images"),
     ("distorted/sparse", "input"),
+    ("colmap_text", "images"),
+    ("colmap", "images"),
+    ("model", "images"),
 ];
+/// Folders of reconstructions of which the cameras of another layout are made.
+const FOR_THE_RECORD: [&str; 3] = ["colmap", "colmap_text", "model"];
+/// What identifies such a layout.
+const OTHERS: [&str; 5] =
+    ["transforms.json", "transforms_train.json", "poses_bounds.npy", "cameras_sphere.npz", "cameras.npz"];
 
 /// A reconstruction that was found.
 struct Place {
@@ -40,10 +48,13 @@ pub fn camera_file(dir: &Path) -> Option<PathBuf> {
     find_place(dir).and_then(|place| place.models.into_iter().next())
 }
 
-/// Whether the folder is a COLMAP data set. One with nerfstudio's `transforms.json` keeps its reconstruction in `colmap` for the record.
+/// Whether the folder is a COLMAP data set. One with cameras of nerfstudio, instant-ngp and the like keeps its reconstruction for the
+/// record.
 pub fn is_there(dir: &Path) -> bool {
-    let is_for_the_record =
-        |file: &Path| file.starts_with(dir.join("colmap")) && dir.join("transforms.json").is_file();
+    let is_for_the_record = |file: &Path| {
+        FOR_THE_RECORD.iter().any(|folder| file.starts_with(dir.join(folder)))
+            && OTHERS.iter().any(|other| dir.join(other).is_file())
+    };
     camera_file(dir).is_some_and(|file| !is_for_the_record(&file))
 }
 
@@ -53,16 +64,24 @@ fn find_place(dir: &Path) -> Option<Place> {
         models: models_in(&dir.join(models)),
         photographs: dir.join(photographs),
     });
-    let mut places: Vec<Place> = places.filter(|place| !place.models.is_empty()).collect();
+    // A folder of numbered models alone is that in which COLMAP puts them.
+    let loose = Place { models: numbered_models(dir), photographs: dir.join("images") };
+    let loose = Some(loose).filter(|loose| loose.photographs.is_dir());
+    let mut places: Vec<Place> = places.chain(loose).filter(|place| !place.models.is_empty()).collect();
     let complete = places.iter().position(|place| place.photographs.is_dir());
     if places.is_empty() { None } else { Some(places.swap_remove(complete.unwrap_or(0))) }
 }
 
 /// The models in the folders `0`, `1`, … of `folder`, or else in itself.
 fn models_in(folder: &Path) -> Vec<PathBuf> {
-    let numbered = (0..).map(|i| folder.join(i.to_string())).take_while(|model| model.is_dir());
-    let models: Vec<PathBuf> = numbered.filter_map(|model| colmap_model::image_file(&model)).collect();
+    let models = numbered_models(folder);
     if models.is_empty() { colmap_model::image_file(folder).into_iter().collect() } else { models }
+}
+
+/// The models in the folders `0`, `1`, … of `folder`.
+fn numbered_models(folder: &Path) -> Vec<PathBuf> {
+    let numbered = (0..).map(|i| folder.join(i.to_string())).take_while(|model| model.is_dir());
+    numbered.filter_map(|model| colmap_model::image_file(&model)).collect()
 }
 
 /// The model with the most images, the first of equals, and a note about the others.
@@ -97,46 +116,68 @@ pub fn registered_names(folder: &Path) -> Result<Vec<String>> {
 
 /// Plans all views, in the order of their names.
 pub(super) fn plan(dir: &Path) -> Result<Plan> {
-    let Some(place) = find_place(dir) else {
-        let looked: Vec<&str> = PLACES.iter().map(|(models, _)| *models).collect();
-        let problem = format!(
-            "there is no COLMAP model: looked for cameras and images, .bin or .txt, in sparse/0 and in {}",
-            looked.join(", ")
-        );
-        return Err(Error::input(dir, "", problem, missing_file_help(&dir.join("sparse/0/cameras.bin"))));
-    };
+    let place = find_place(dir).ok_or_else(|| no_model(dir))?;
     let (file, of_models) = largest(place.models)?;
     let model = read_model(file)?;
-    let mut photographs = Folders::below(&place.photographs);
-    let masks = place.photographs.parent().and_then(mask_folder).or_else(|| mask_folder(dir));
-    let mut masks = masks.map(|folder| Folders::below(&folder));
-    if !photographs.root.is_dir() {
-        let help = missing_file_help(&photographs.root);
-        return Err(Error::input(&photographs.root, "", "the folder of photographs is missing", help));
+    if model.images.is_empty() {
+        let problem = "the model has no images, so that there are no views";
+        let help = "Give a model in which photographs are registered; COLMAP may have written several.";
+        return Err(Error::input(&model.image_file, "", problem, help));
     }
-    let mut images = model.images;
+    let masks = place.photographs.parent().and_then(mask_folder).or_else(|| mask_folder(dir));
+    let masks = masks.map(|folder| Folders::below(&folder));
+    let mut pictures =
+        Pictures { photographs: Folders::below(&place.photographs), masks, used: BTreeSet::new() };
+    if !place.photographs.is_dir() {
+        let help = missing_file_help(&place.photographs);
+        return Err(Error::input(&place.photographs, "", "the folder of photographs is missing", help));
+    }
+    let mut images: Vec<&ModelImage> = model.images.iter().collect();
     images.sort_by(|a, b| a.name.cmp(&b.name));
-    let mut views = Vec::with_capacity(images.len());
-    for image in &images {
+    let views = images.into_iter().map(|image| pictures.view(&model, image)).collect::<Result<Vec<_>>>()?;
+    let Pictures { photographs, used, .. } = pictures;
+    let extra = photographs.unused(|path| used.contains(path));
+    let notes = of_models.into_iter().chain(note_of_unused(extra, &photographs.root)).collect();
+    Ok(Plan { views, notes })
+}
+
+fn no_model(dir: &Path) -> Error {
+    let looked: Vec<&str> = PLACES.iter().map(|(models, _)| *models).collect();
+    let problem = format!(
+        "there is no COLMAP model: looked for cameras and images, .bin or .txt, in sparse/0, in {}, and in 0 beside images",
+        looked.join(", ")
+    );
+    Error::input(dir, "", problem, missing_file_help(&dir.join("sparse/0/cameras.bin")))
+}
+
+/// Photographs and masks of a reconstruction.
+struct Pictures {
+    photographs: Folders,
+    masks: Option<Folders>,
+    /// The photographs of views, as paths below their folder without extension.
+    used: BTreeSet<PathBuf>,
+}
+
+impl Pictures {
+    fn view(&mut self, model: &Model, image: &ModelImage) -> Result<ViewPlan> {
         let place = format!("image {}", quoted(&image.name));
         let Some(lens) = model.cameras.get(&image.camera).copied() else {
             let problem = format!("there is no camera {} in the model", image.camera);
             return Err(Error::input(&model.image_file, place, problem, "Write the model again."));
         };
-        let name = ImageName::new(&image.name, &model.image_file, &place)?;
-        views.push(ViewPlan {
-            name: flat_name(&image.name),
+        let name = portable(&image.name);
+        ImageName::new(&name, &model.image_file, &place)?;
+        let name = self.photographs.reachable(&name)?;
+        let photograph = self.photographs.photograph(ImageName::new(&name, &model.image_file, &place)?)?;
+        self.used.insert(Path::new(&name).with_file_name(view_name(&name)));
+        Ok(ViewPlan {
+            name: flat_name(&name),
             camera_file: model.image_file.clone(),
             place,
-            image: Some(photographs.photograph(name)?),
-            mask: masks.as_mut().map_or(Ok(MaskPlan::Alpha), |masks| masks.mask(&image.name))?,
+            image: Some(photograph),
+            mask: self.masks.as_mut().map_or(Ok(MaskPlan::Alpha), |masks| masks.mask(&name))?,
             lens,
             world_from_camera: image.camera_from_world.inverse().to_affine(),
-        });
+        })
     }
-    let used: BTreeSet<PathBuf> =
-        images.iter().map(|image| Path::new(&image.name).with_file_name(view_name(&image.name))).collect();
-    let extra = photographs.unused(|path| used.contains(path));
-    let notes = of_models.into_iter().chain(note_of_unused(extra, &photographs.root)).collect();
-    Ok(Plan { views, notes })
 }

@@ -4,7 +4,7 @@ use crate::codec::nearby::missing_file_help;
 use crate::dataset::MaskPlan;
 use crate::dataset::load::{StemIndex, file_name, leads_away};
 use crate::dataset::masks::{find_mask, mask_file};
-use crate::dataset::names::{ImageName, quoted, view_name};
+use crate::dataset::names::{ImageName, quoted, tails, view_name};
 use crate::error::{Error, Result};
 use std::collections::BTreeMap;
 use std::path::{Component, Path, PathBuf};
@@ -33,6 +33,18 @@ impl Folders {
     /// The photograph with this path below the root.
     pub fn photograph(&mut self, name: ImageName) -> Result<PathBuf> {
         self.folder(name.as_str())?.find(name.last())
+    }
+
+    /// The path below the root by which a photograph is found: the given one, or else what is left of it without some of its folders. It
+    /// is the given one if there is no such file.
+    pub fn reachable(&mut self, path: &str) -> Result<String> {
+        for tail in tails(path).filter(|tail| *tail == path || !leads_away(tail)) {
+            let has_folder = self.root.join(tail).parent().is_some_and(Path::is_dir);
+            if has_folder && self.folder(tail)?.has(&file_name(Path::new(tail))) {
+                return Ok(tail.to_owned());
+            }
+        }
+        Ok(path.to_owned())
     }
 
     /// The mask of the photograph with this path below the folder of photographs.

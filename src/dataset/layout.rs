@@ -41,7 +41,7 @@ static FORMATS: [Format; 9] = [
     Format {
         layout: Layout::Colmap,
         pixel_center: 0.5,
-        mark: "cameras and images, .bin or .txt, in sparse/0, sparse, colmap/sparse or dense/sparse",
+        mark: "cameras and images, .bin or .txt, in sparse/0, sparse, colmap/sparse, dense/sparse, colmap_text, colmap, model or 0",
         has: |dir, split| split == Split::Train && colmap::is_there(dir),
         plan: |dir, _| colmap::plan(dir),
     },
@@ -102,7 +102,7 @@ impl Format {
         let is_held_out = self.is_held_out(dir);
         let mut plan = (self.plan)(dir, if is_held_out { Split::Train } else { split })?;
         plan.views.sort_by(|a, b| natural_order(&a.name, &b.name));
-        Ok(if is_held_out { held_out(plan, split, hold_out) } else { plan })
+        if is_held_out { held_out(plan, split, hold_out) } else { Ok(plan) }
     }
 
     fn is_there(&self, dir: &Path) -> bool {
@@ -157,12 +157,19 @@ pub(super) fn find_format(dir: &Path, asked: Layout) -> Result<&'static Format> 
 }
 
 /// The views of a split, from all views, ordered by name.
-fn held_out(plan: Plan, split: Split, hold_out: u32) -> Plan {
+fn held_out(plan: Plan, split: Split, hold_out: u32) -> Result<Plan> {
     let is_test = |i: usize| hold_out > 0 && i.is_multiple_of(hold_out as usize);
+    if let (Split::Train, [only]) = (split, plan.views.as_slice())
+        && is_test(0)
+    {
+        let problem = "the train split has no views: the only view of the file is held out as the test split";
+        let help = "Give `hold_out: 0`, or a file with more views.";
+        return Err(Error::input(&only.camera_file, &only.place, problem, help));
+    }
     let views = plan.views.into_iter().enumerate();
     let views = views.filter(|(i, _)| is_test(*i) == (split == Split::Test)).map(|(_, view)| view).collect();
     // Notes about all views are reported once, with the training split, which always exists.
-    Plan { views, notes: if split == Split::Train { plan.notes } else { Vec::new() } }
+    Ok(Plan { views, notes: if split == Split::Train { plan.notes } else { Vec::new() } })
 }
 
 fn ambiguous(dir: &Path, several: &[&Format]) -> Error {

@@ -84,6 +84,12 @@ pub(super) fn image_files(folder: &Path) -> Result<Vec<PathBuf>> {
     Ok(paths)
 }
 
+/// Whether a folder can be listed and has image files, or files that `is_other` takes for such.
+pub(super) fn has_images(folder: &Path, is_other: fn(&Path) -> bool) -> bool {
+    let mut entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    image_files(folder).is_ok_and(|files| !files.is_empty()) || entries.any(|path| is_other(&path))
+}
+
 /// Why the first file of a folder that is named as an image of a format that is not read is not read; of those with this stem, if one
 /// is given. `None` if there is no such file.
 pub(super) fn refusal_of_unread(folder: &Path, stem: Option<&str>) -> Option<Error> {
@@ -126,12 +132,13 @@ impl StemIndex {
         Ok(Some(Self { folder: folder.to_owned(), explains: true, files, in_lower_case }))
     }
 
-    /// The image with this name, or another one with its stem. One of a format that is not read is refused here, before its mask is
-    /// looked for.
+    /// The image with this name, with or without the folders in it, or another one with its stem. One of a format that is not read is
+    /// refused here, before its mask is looked for.
     pub fn find(&self, name: ImageName) -> Result<PathBuf> {
         let name = name.as_str();
         let path = self.folder.join(name);
-        if let Some(exact) = self.exact(name) {
+        for name in [name, &file_name(Path::new(name))] {
+            let Some(exact) = self.exact(name) else { continue };
             if self.explains && !leads_away(name) && is_unread_name(&exact) {
                 image_header(&exact)?;
             }
@@ -145,6 +152,11 @@ impl StemIndex {
                 .flatten()
                 .unwrap_or_else(|| Error::input(&path, "", problem, missing_file_help(&path)))
         })
+    }
+
+    /// Whether there is an image with this file name, or another one with its stem.
+    pub fn has(&self, name: &str) -> bool {
+        self.exact(name).is_some() || self.files.contains_key(&view_name(name))
     }
 
     /// The file with this path below the folder, if there is one.

@@ -11,7 +11,7 @@ use crate::dataset::distortion::Distortion;
 use crate::dataset::exports::Export;
 use crate::dataset::lens::Lens;
 use crate::dataset::load::read_text;
-use crate::dataset::names::{ImageName, quoted, shown};
+use crate::dataset::names::{ImageName, portable, quoted, shown};
 use crate::dataset::photographs::{Photographs, view_of};
 use crate::dataset::pose::Rigid;
 use crate::error::{Error, Result};
@@ -87,7 +87,7 @@ impl<'a, 'input: 'a> Xml<'a, 'input> {
             let world_from_camera = self.pose(chunk, camera, transform)?;
             let lens = self.lens(chunk, camera)?;
             let place = format!("camera {}", quoted(label));
-            let (image, mask) = photographs.called(ImageName::new(label, self.file, &place)?)?;
+            let (image, mask) = photographs.called(ImageName::new(&portable(label), self.file, &place)?)?;
             views.push(view_of(image, mask, self.file, place, lens, world_from_camera));
         }
         if views.is_empty() {

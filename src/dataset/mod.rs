@@ -38,6 +38,7 @@ mod masks;
 pub mod metashape;
 mod names;
 pub mod nerf;
+mod nerf_frames;
 mod nerf_lens;
 mod photographs;
 pub mod physg;

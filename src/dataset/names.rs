@@ -25,6 +25,17 @@ pub(super) fn view_name(path: &str) -> String {
     name.unwrap_or_default().to_string_lossy().into_owned()
 }
 
+/// A path in a camera file as this program compares and opens it: Windows' separators and a leading `./` are replaced.
+pub(super) fn portable(path: &str) -> String {
+    let path = path.replace('\\', "/");
+    path.strip_prefix("./").map_or_else(|| path.clone(), str::to_owned)
+}
+
+/// A portable path, then what is left of it without the first of its folders, without the first two, and so on to the file's name.
+pub(super) fn tails(path: &str) -> impl Iterator<Item = &str> {
+    std::iter::successors(Some(path), |tail| Some(tail.split_once('/')?.1.trim_start_matches('/')))
+}
+
 /// A name of a file or view between backticks, without control characters, and cut where it is long.
 pub(super) fn quoted(name: &str) -> String {
     format!("`{}`", shown(name))

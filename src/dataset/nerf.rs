@@ -6,20 +6,21 @@
 //! have priority: `fl_x`, `fl_y`, `cx`, `cy`, `w`, `h` in pixels, or full fields of view: `camera_angle_x`, `camera_angle_y` in
 //! radians, `x_fov`, `y_fov` in degrees. `camera_model` (or `is_fisheye`) says which lens `k1` to `k6`, `p1` and `p2` are of.
 //!
-//! A frame may have a `mask_path`; of one file for all views without any, a folder of masks beside the images is read, with the same
-//! folders in it. Else alpha is the mask. If neither the images nor their folders exist, the views are cameras only and `w`, `h` are needed.
+//! A frame may have a `mask_path`; where none has, a folder of masks in `DIR` is read, with the folders of the images in it or without.
+//! Else alpha is the mask. Images that are not where `file_path` says are looked for in `DIR/images` and `DIR`. If there are no images, the
+//! views are cameras only and `w`, `h` are needed.
 //!
 //! Without `transforms_test.json`, `transforms_val.json` is the test split. One file for all views may have the lists `train_filenames`,
 //! `val_filenames` and `test_filenames`. Where neither gives a test split see [`crate::dataset::DatasetOptions::hold_out`]. Poses are taken
 //! as they are: `applied_transform` is not undone. Photographs are taken as they are stored, as all these programs read them.
 
 use crate::codec::file::is_there;
-use crate::codec::image::IMAGE_EXTENSIONS;
-use crate::codec::nearby::{closest, missing_file_help};
+use crate::codec::nearby::closest;
 use crate::dataset::folders::{Folders, flat_name};
-use crate::dataset::load::{find_image, leads_away, parse_json, read_text, refusal_of_unread};
+use crate::dataset::load::{find_image, parse_json, read_text};
 use crate::dataset::masks::mask_folder;
-use crate::dataset::names::{ImageName, check_path, quoted, view_name};
+use crate::dataset::names::{portable, quoted, view_name};
+use crate::dataset::nerf_frames::{Frame, check_paths, common_folder, find_elsewhere, find_images, place_of};
 use crate::dataset::nerf_lens::{Intrinsics, Levels};
 use crate::dataset::pose::Rigid;
 use crate::dataset::{MaskPlan, Plan, ViewPlan, absent_split, split_name};
@@ -59,13 +60,6 @@ pub fn has_split(dir: &Path, split: Split) -> bool {
         // A file that cannot be read is reported when it is.
         (Some(file), Split::Test) => lists(&file).is_ok_and(|lists| lists.held_out().is_some()),
     }
-}
-
-#[derive(Deserialize)]
-struct Frame {
-    file_path: Option<String>,
-    mask_path: Option<String>,
-    transform_matrix: Vec<Vec<f64>>,
 }
 
 // `#[serde(flatten)]` loses the line and column of an error, so the text is parsed once for each of these.
@@ -114,83 +108,61 @@ impl Lists {
 
     /// Whether the split has the image `path`; without a list, the training split has those of no other list.
     fn contains(&self, split: Split, path: &str) -> bool {
-        let is_in = |names: &Vec<String>| names.iter().any(|name| tidy(name) == path);
+        let is_in = |names: &Vec<String>| names.iter().any(|name| portable(name) == path);
         match (split, &self.train_filenames, self.held_out()) {
             (Split::Train, Some(train), _) => is_in(train),
-            (Split::Train, None, _) => !self.all().any(|(_, name)| tidy(name) == path),
+            (Split::Train, None, _) => !self.all().any(|(_, name)| portable(name) == path),
             (Split::Test, _, Some(test)) => is_in(test),
             (Split::Test, _, None) => false,
         }
     }
 }
 
-/// A path in a camera file as this program compares and opens it: Windows' separators and a leading `./` are replaced.
-fn tidy(path: &str) -> String {
-    let path = path.replace('\\', "/");
-    path.strip_prefix("./").map_or_else(|| path.clone(), str::to_owned)
-}
-
 /// Plans the views of a split; those of one file without lists are all of the training split.
 pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
+    plan_with(dir, split, mask_folder(dir))
+}
+
+/// [`plan`] with this folder of masks for frames that name none.
+pub(super) fn plan_with(dir: &Path, split: Split, masks: Option<PathBuf>) -> Result<Plan> {
     let common = common_file(dir);
     let file = common.clone().unwrap_or_else(|| camera_file(dir, split));
     if !is_there(&file) {
         return Err(absent_split(dir, split, camera_file));
     }
     let text = read_text(&file)?;
-    let Frames { mut frames } = parse_json(&file, &text)?;
-    for path in frames.iter_mut().flat_map(|frame| [&mut frame.file_path, &mut frame.mask_path]).flatten() {
-        *path = tidy(path);
-    }
+    let frames = frames_of(&file, &text, split)?;
     let shared: Intrinsics = parse_json(&file, &text)?;
     let FrameIntrinsics { frames: own } = parse_json(&file, &text)?;
     let lists: Lists = parse_json(&file, &text)?;
-    check_paths(&file, &frames)?;
     let images = find_images(dir, &file, &frames)?;
-    let masks = match common {
-        Some(_) if frames.iter().all(|frame| frame.mask_path.is_none()) => {
-            mask_folder(dir).map(|folder| Folders::below(&folder))
-        }
-        _ => None,
-    };
-    let masks = masks.map(RefCell::new);
-    let reader = Reader { dir, file: &file, shared: &shared, masks, root: common_folder(&frames) };
+    let masks = masks.filter(|_| frames.iter().all(|frame| frame.mask_path.is_none()));
+    let masks = masks.map(|folder| RefCell::new(Folders::below(&folder)));
+    let (root, are_moved) = (common_folder(&frames), images.are_moved);
+    let reader = Reader { dir, file: &file, shared: &shared, masks, root, are_moved };
     let mut views = Vec::with_capacity(frames.len());
-    for (index, ((frame, own), image)) in frames.iter().zip(&own).zip(images).enumerate() {
+    for (index, ((frame, own), image)) in frames.iter().zip(&own).zip(images.files).enumerate() {
         views.push(reader.plan_view(index, frame, own, image)?);
     }
-    // Notes about all views are reported once, with the training split.
-    let mut notes = note_of_transform(&lists).filter(|_| split == Split::Train).into_iter().collect();
+    // Notes about all views of a file are reported once.
+    let mut notes: Vec<String> = note_of_transform(&lists).into_iter().chain(images.note).collect();
+    notes.retain(|_| split == Split::Train || common.is_none());
     if common.is_some() && lists.are_stated() {
         views = reader.listed(&lists, split, &frames, views, &mut notes)?;
     }
     Ok(Plan { views, notes })
 }
 
-/// The folder that all images are in, below that of the camera file, if they are in several folders.
-fn common_folder(frames: &[Frame]) -> Option<PathBuf> {
-    let paths = || frames.iter().filter_map(|frame| Path::new(frame.file_path.as_deref()?).parent());
-    let first = paths().next()?;
-    if paths().all(|folder| folder == first) {
-        return None;
+/// The frames of a file, with paths that files and views can have.
+fn frames_of(file: &Path, text: &str, split: Split) -> Result<Vec<Frame>> {
+    let Frames { mut frames } = parse_json(file, text)?;
+    if frames.is_empty() {
+        let problem = format!("the {} split has no views: the list `frames` is empty", split_name(split));
+        return Err(Error::input(file, "", problem, "Export the cameras again, or remove the file."));
     }
-    first.ancestors().find(|above| paths().all(|folder| folder.starts_with(above))).map(Path::to_owned)
-}
-
-/// Refuses paths that no file or view can have, before files are looked for.
-fn check_paths(file: &Path, frames: &[Frame]) -> Result<()> {
-    for (index, frame) in frames.iter().enumerate() {
-        if let Some(mask) = &frame.mask_path {
-            check_path(mask, file, &place_of(index, frame))?;
-        }
-        let Some(path) = &frame.file_path else { continue };
-        if path.trim().is_empty() {
-            let help = "Write the path of the frame's image, from the folder of this file on.";
-            return Err(Error::input(file, format!("frame {index}"), "file_path is empty", help));
-        }
-        ImageName::new(path, file, &place_of(index, frame))?;
-    }
-    Ok(())
+    frames.iter_mut().for_each(Frame::make_portable);
+    check_paths(file, &frames)?;
+    Ok(frames)
 }
 
 fn note_of_transform(lists: &Lists) -> Option<String> {
@@ -203,51 +175,6 @@ fn note_of_transform(lists: &Lists) -> Option<String> {
     (!is_identity).then(|| note.to_owned())
 }
 
-fn place_of(index: usize, frame: &Frame) -> String {
-    match &frame.file_path {
-        Some(path) => format!("frame {index} ({})", quoted(path)),
-        None => format!("frame {index}"),
-    }
-}
-
-/// The image of every frame: either none, because the data set has cameras only, or all that are named.
-fn find_images(dir: &Path, file: &Path, frames: &[Frame]) -> Result<Vec<Option<PathBuf>>> {
-    let named: Vec<Option<PathBuf>> =
-        frames.iter().map(|frame| frame.file_path.as_ref().map(|path| dir.join(path))).collect();
-    let found: Vec<Option<PathBuf>> = named.iter().map(|path| path.as_deref().and_then(find_image)).collect();
-    let has_folder = |path: &PathBuf| path.parent().is_some_and(|parent| parent != dir && parent.is_dir());
-    let has_images = found.iter().any(Option::is_some) || named.iter().flatten().any(has_folder);
-    if !has_images {
-        return Ok(vec![None; frames.len()]);
-    }
-    for (index, (path, image)) in named.iter().zip(&found).enumerate() {
-        match (path, image) {
-            (Some(path), None) => {
-                let stem = path.file_name().unwrap_or_default().to_string_lossy();
-                let folder = path.parent().unwrap_or(dir);
-                let is_own = frames[index].file_path.as_deref().is_some_and(|path| !leads_away(path));
-                if is_own && let Some(refusal) = refusal_of_unread(folder, Some(&stem)) {
-                    return Err(refusal);
-                }
-                let kinds = IMAGE_EXTENSIONS.join(", ");
-                let problem = format!("the image {} ({kinds}) is missing", path.display());
-                return Err(Error::input(
-                    file,
-                    place_of(index, &frames[index]),
-                    problem,
-                    missing_file_help(path),
-                ));
-            }
-            (None, _) => {
-                let problem = "the frame has no file_path, but others have";
-                return Err(Error::input(file, place_of(index, &frames[index]), problem, ""));
-            }
-            _ => {}
-        }
-    }
-    Ok(found)
-}
-
 /// What all frames of a camera file share.
 struct Reader<'a> {
     dir: &'a Path,
@@ -257,6 +184,8 @@ struct Reader<'a> {
     masks: Option<RefCell<Folders>>,
     /// The folder of all images, if they are in several below it.
     root: Option<PathBuf>,
+    /// Whether the images are not where the frames say.
+    are_moved: bool,
 }
 
 impl Reader<'_> {
@@ -302,8 +231,9 @@ impl Reader<'_> {
         let photograph = image.strip_prefix(self.dir).unwrap_or(image).to_string_lossy();
         Ok(match (&frame.mask_path, &self.masks) {
             (Some(path), _) => {
-                let path = self.dir.join(path);
-                MaskPlan::File(find_image(&path).unwrap_or(path))
+                let named = self.dir.join(path);
+                let elsewhere = || self.are_moved.then(|| find_elsewhere(self.dir, "masks", path)).flatten();
+                MaskPlan::File(find_image(&named).or_else(elsewhere).unwrap_or(named))
             }
             (None, Some(masks)) => masks.borrow_mut().mask_anywhere(&photograph)?,
             (None, None) => MaskPlan::Alpha,
@@ -321,8 +251,8 @@ impl Reader<'_> {
     ) -> Result<Vec<ViewPlan>> {
         let paths: Vec<&str> = frames.iter().map(|frame| frame.file_path.as_deref().unwrap_or("")).collect();
         let there: BTreeSet<&str> = paths.iter().copied().collect();
-        if let Some((list, name)) = lists.all().find(|(_, name)| !there.contains(tidy(name).as_str())) {
-            let near = closest(&tidy(name), paths.iter().copied()).join(", ");
+        if let Some((list, name)) = lists.all().find(|(_, name)| !there.contains(portable(name).as_str())) {
+            let near = closest(&portable(name), paths.iter().copied()).join(", ");
             let help = if near.is_empty() { String::new() } else { format!("Near: {near}.") };
             return Err(Error::input(
                 self.file,

@@ -13,6 +13,7 @@
 //! | `is_fisheye` | | whether the model is `OPENCV_FISHEYE` |
 //! | `k1` to `k4` | | radial polynomial; `k4`, `k5`, `k6` of `FULL_OPENCV` are its divisor |
 //! | `p1`, `p2` | | tangential distortion |
+//! | `distortion_params` | | nerfstudio's list of `k1` to `k4`, `p1` and `p2`, which goes before these |
 
 use crate::dataset::distortion::{Distortion, Projection};
 use crate::dataset::lens::{Focal, Lens};
@@ -43,6 +44,7 @@ pub(super) struct Intrinsics {
     k6: Option<f64>,
     p1: Option<f64>,
     p2: Option<f64>,
+    distortion_params: Option<Vec<f64>>,
     // What instant-ngp has instead of a pinhole or fisheye lens.
     ftheta_p0: Option<IgnoredAny>,
     latlong: Option<IgnoredAny>,
@@ -54,6 +56,27 @@ type Trouble = (String, &'static str);
 
 const ADD_HELP: &str = "Add it to the frame or at the top of the file.";
 const MODEL_HELP: &str = "Undistort the photographs to pinhole cameras first; PINHOLE, OPENCV, FULL_OPENCV and OPENCV_FISHEYE are read.";
+
+impl Intrinsics {
+    /// The n-th of `k1` to `k4`, `p1` and `p2`.
+    fn coefficient(&self, n: usize) -> Option<f64> {
+        let fields = [self.k1, self.k2, self.k3, self.k4, self.p1, self.p2];
+        let listed = self.distortion_params.as_ref().and_then(|list| list.get(n).copied());
+        listed.or(fields[n])
+    }
+
+    /// Refuses a list of another length.
+    fn check_list(&self) -> Result<(), Trouble> {
+        const COUNT: usize = 6;
+        match &self.distortion_params {
+            Some(list) if list.len() != COUNT => {
+                let problem = format!("distortion_params has {} numbers, not {COUNT}", list.len());
+                Err((problem, "Write k1, k2, k3, k4, p1, p2, as nerfstudio does."))
+            }
+            _ => Ok(()),
+        }
+    }
+}
 
 /// Intrinsics of a frame and those of the whole file.
 pub(super) struct Levels<'a> {
@@ -108,10 +131,11 @@ impl Levels<'_> {
         if let Some((field, _)) = other.iter().find(|(_, stated)| *stated) {
             return Err((format!("`{field}` is of a lens that cannot be read"), MODEL_HELP));
         }
-        let k = |value: fn(&Intrinsics) -> Option<f64>| self.either(value).unwrap_or(0.0);
-        let radial = [k(|i| i.k1), k(|i| i.k2), k(|i| i.k3), k(|i| i.k4), 0.0, 0.0];
-        let [k5, k6] = [k(|i| i.k5), k(|i| i.k6)];
-        let tangential = [k(|i| i.p1), k(|i| i.p2)];
+        [self.own, self.shared].into_iter().try_for_each(Intrinsics::check_list)?;
+        let [k1, k2, k3, k4, p1, p2] =
+            std::array::from_fn(|n| self.either(|i| i.coefficient(n)).unwrap_or(0.0));
+        let (radial, tangential) = ([k1, k2, k3, k4, 0.0, 0.0], [p1, p2]);
+        let [k5, k6] = [self.either(|i| i.k5), self.either(|i| i.k6)].map(|k| k.unwrap_or(0.0));
         let stated = self.either(|i| i.camera_model.as_deref().map(str::to_ascii_uppercase));
         let is_fisheye = self.either(|i| i.is_fisheye).unwrap_or(false);
         match stated.as_deref() {

@@ -1,17 +1,18 @@
 //! RealityCapture's layout: the CSV file of its export "Internal/External camera parameters", beside `images/` and `masks/`.
 //!
-//! Columns are found by their names: `#name` (the photograph), `x`, `y`, `alt` (position), `heading`, `pitch`, `roll` (degrees), `f` (focal
-//! length in millimeters on a frame whose longer side is 36 mm), and, if they are there, `px`, `py` (principal point from the image's
-//! middle, in longer sides), `k1`, `k2`, `k3`, `t1`, `t2` (lens distortion as OpenCV's). With all angles 0 the camera looks
-//! down (−z) and the top of the image is north (+y); roll turns it around the top of the image, pitch around its right
-//! (east), heading clockwise seen from above. There is no test split: see [`crate::dataset::DatasetOptions::hold_out`].
+//! Columns are found by their names, in a line below comments if there are any: `#name` (the photograph), `x`, `y`, `alt` (position),
+//! `heading`, `pitch`, `roll` (degrees), `f` (focal length in millimeters on a frame whose longer side is 36 mm), and, if they are there,
+//! `px`, `py` (principal point from the image's middle, in longer sides), `k1`, `k2`, `k3`, `t1`, `t2` (lens distortion as OpenCV's).
+//! With all angles 0 the camera looks down (−z) and the top of the image is north (+y); roll turns it around the top of the image, pitch
+//! around its right (east), heading clockwise seen from above. There is no test split: see
+//! [`crate::dataset::DatasetOptions::hold_out`].
 
 use crate::dataset::Plan;
 use crate::dataset::distortion::Distortion;
 use crate::dataset::exports::Export;
 use crate::dataset::lens::Lens;
 use crate::dataset::load::read_text;
-use crate::dataset::names::{ImageName, quoted};
+use crate::dataset::names::{ImageName, portable, quoted};
 use crate::dataset::photographs::{Photographs, view_of};
 use crate::dataset::pose::Rigid;
 use crate::error::{Error, Result};
@@ -27,6 +28,9 @@ const OPTIONAL: [&str; 8] = ["px", "py", "k1", "k2", "k3", "k4", "t1", "t2"];
 const FRAME_MM: f64 = 36.0;
 const EXPORT_HELP: &str = "Export it again: Alignment, Registration, Internal/External camera parameters, with commas between values.";
 
+/// The only export with all columns.
+const EXPORT_NAME: &str = "the export Internal/External camera parameters";
+
 /// The file of cameras.
 pub(super) const EXPORT: Export = Export {
     extension: "csv",
@@ -36,8 +40,25 @@ pub(super) const EXPORT: Export = Export {
 };
 
 fn has_columns(head: &str) -> bool {
-    let names: Vec<String> = head.lines().next().unwrap_or_default().split(',').map(plain_name).collect();
-    NEEDED.iter().all(|needed| names.iter().any(|name| name == needed))
+    header(head).is_some()
+}
+
+/// The line with the names of columns, and how many lines are above it: empty ones and comments.
+fn header(text: &str) -> Option<(usize, &str)> {
+    first_lines(text).find(|(_, line)| missing_columns(line).is_empty())
+}
+
+/// Lines up to the first that is neither empty nor a comment, with their indices. That with the names of columns begins as a comment.
+fn first_lines(text: &str) -> impl Iterator<Item = (usize, &str)> {
+    let is_comment =
+        |line: &str| line.trim().is_empty() || line.trim_start_matches('\u{feff}').starts_with('#');
+    let comments = text.lines().take_while(|line| is_comment(line)).count();
+    text.lines().enumerate().take(comments + 1)
+}
+
+fn missing_columns(line: &str) -> Vec<&'static str> {
+    let names: Vec<String> = line.split(',').map(plain_name).collect();
+    NEEDED.into_iter().filter(|needed| !names.iter().any(|name| name == needed)).collect()
 }
 
 /// What keeps a file in `dir` from being an export of this kind, if one nearly is.
@@ -47,9 +68,23 @@ pub(super) fn near_miss(dir: &Path) -> Option<String> {
             return Some(format!("{} is UTF-16: save it as UTF-8.", file.display()));
         }
         let head = String::from_utf8_lossy(&head).replace([';', '\t'], ",");
-        let words = || format!("The values of {} are not separated by commas. {EXPORT_HELP}", file.display());
-        has_columns(&head).then(words)
+        if has_columns(&head) {
+            return Some(format!(
+                "The values of {} are not separated by commas. {EXPORT_HELP}",
+                file.display()
+            ));
+        }
+        let missing = first_lines(&head).map(|(_, line)| missing_columns(line));
+        let missing = missing.min_by_key(Vec::len).filter(|missing| has_position(missing))?;
+        let columns = if missing.len() == 1 { "column" } else { "columns" };
+        let (file, missing) = (file.display(), missing.join(", "));
+        Some(format!("{file} has no {columns} {missing}, which {EXPORT_NAME} has. {EXPORT_HELP}"))
     })
+}
+
+/// Whether a file without these columns has the names and positions of photographs.
+fn has_position(missing: &[&str]) -> bool {
+    !NEEDED[..4].iter().any(|needed| missing.contains(needed))
 }
 
 /// A column's name as the constants have it.
@@ -64,7 +99,7 @@ pub(super) fn plan(dir: &Path) -> Result<Plan> {
     let mut views = Vec::new();
     for row in rows(file)? {
         let wrong = |problem: String| Error::input(file, &row.place, problem, EXPORT_HELP);
-        let (image, mask) = photographs.called(ImageName::new(&row.name, file, &row.place)?)?;
+        let (image, mask) = photographs.called(ImageName::new(&portable(&row.name), file, &row.place)?)?;
         let lens = row.lens().map_err(wrong)?;
         let world_from_camera = row.pose().map_err(wrong)?;
         views.push(view_of(image, mask, file, row.place.clone(), lens, world_from_camera));
@@ -88,46 +123,52 @@ struct Row {
 fn rows(file: &Path) -> Result<Vec<Row>> {
     // The reader counts lines by single line breaks.
     let text = read_text(file)?.replace("\r\n", "\n");
-    let mut reader = ReaderBuilder::new().trim(Trim::All).from_reader(text.as_bytes());
+    let above = header(&text).map_or(0, |(above, _)| above);
+    let below = text.splitn(above + 1, '\n').last().unwrap_or_default();
+    let place_of = |position: &Position| format!("line {}", position.line() + above as u64);
     let broken = |error: csv::Error| {
         let place = error.position().map(place_of).unwrap_or_default();
-        let problem = match error.kind() {
-            csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
-                format!("there are {len} values, not {expected_len} as in the first line")
-            }
-            _ => format!("this is not CSV: {error}"),
-        };
-        Error::input(file, place, problem, EXPORT_HELP)
+        Error::input(file, place, trouble(&error), EXPORT_HELP)
     };
+    let mut reader = ReaderBuilder::new().trim(Trim::All).from_reader(below.as_bytes());
     let names: Vec<String> = reader.headers().map_err(broken)?.iter().map(plain_name).collect();
-    let column = |wanted: &str| names.iter().position(|name| name == wanted);
     let mut rows = Vec::new();
     for record in reader.records() {
         let record = record.map_err(broken)?;
         let place = record.position().map(place_of).unwrap_or_default();
-        let value = |name: &str| number(&record, column(name), name);
-        let row = || {
-            let mut row = Row {
-                name: record.get(column("name").unwrap_or(0)).unwrap_or_default().to_owned(),
-                place: place.clone(),
-                needed: [0.0; NEEDED.len() - 1],
-                optional: [0.0; OPTIONAL.len()],
-            };
-            for (to, name) in row.needed.iter_mut().zip(&NEEDED[1..]) {
-                *to = value(name)?.ok_or_else(|| format!("there is no column {name}"))?;
-            }
-            for (to, name) in row.optional.iter_mut().zip(OPTIONAL) {
-                *to = value(name)?.unwrap_or(0.0);
-            }
-            Ok(row)
-        };
-        rows.push(row().map_err(|problem: String| Error::input(file, place.clone(), problem, EXPORT_HELP))?);
+        let row = row_of(&names, &record, place.clone());
+        rows.push(row.map_err(|problem| Error::input(file, place, problem, EXPORT_HELP))?);
     }
     Ok(rows)
 }
 
-fn place_of(position: &Position) -> String {
-    format!("line {}", position.line())
+/// What is wrong with a file that cannot be taken apart.
+fn trouble(error: &csv::Error) -> String {
+    match error.kind() {
+        csv::ErrorKind::UnequalLengths { expected_len, len, .. } => {
+            format!("there are {len} values, not {expected_len} as in the line of names")
+        }
+        _ => format!("this is not CSV: {error}"),
+    }
+}
+
+/// The camera of a line; `Err` says what is wrong.
+fn row_of(names: &[String], record: &StringRecord, place: String) -> Result<Row, String> {
+    let column = |wanted: &str| names.iter().position(|name| name == wanted);
+    let value = |name: &str| number(record, column(name), name);
+    let mut row = Row {
+        name: record.get(column("name").unwrap_or(0)).unwrap_or_default().to_owned(),
+        place,
+        needed: [0.0; NEEDED.len() - 1],
+        optional: [0.0; OPTIONAL.len()],
+    };
+    for (to, name) in row.needed.iter_mut().zip(&NEEDED[1..]) {
+        *to = value(name)?.ok_or_else(|| format!("there is no column {name}"))?;
+    }
+    for (to, name) in row.optional.iter_mut().zip(OPTIONAL) {
+        *to = value(name)?.unwrap_or(0.0);
+    }
+    Ok(row)
 }
 
 /// The finite number in a column, if there is such a column.

@@ -17,7 +17,7 @@ pub fn mask_folder(dir: &Path, split: Split) -> PathBuf {
 
 /// Plans the views of a split.
 pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
-    let mut plan = nerf::plan(dir, split)?;
+    let mut plan = nerf::plan_with(dir, split, None)?;
     let folder = mask_folder(dir, split);
     let masks = StemIndex::of_folder(&folder)?.ok_or_else(|| {
         let problem = "this folder of the Stanford-ORB layout is missing";

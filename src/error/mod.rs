@@ -9,6 +9,7 @@ pub mod stop;
 
 pub use scene::{Fault, Label, SceneDiagnostic};
 
+use std::io::ErrorKind::{QuotaExceeded, StorageFull};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -105,6 +106,9 @@ impl Error {
     pub fn help(&self) -> Option<&str> {
         match self {
             Self::Input { help, .. } | Self::Usage { help, .. } if !help.is_empty() => Some(help),
+            Self::Io { source, .. } if matches!(source.kind(), StorageFull | QuotaExceeded) => {
+                Some("Make room; a run goes on where it was with the same command and --resume.")
+            }
             _ => None,
         }
     }

@@ -14,36 +14,41 @@ use bevy_ecs::query::QueryFilter;
 /// The lobes of the scene's own light.
 pub type OwnLobes = (With<LightLobe>, Without<LobeOf>);
 
-/// Gives texels, lobes and base materials zero gradients.
-pub(super) fn attach_gradients(world: &mut World, sheen: bool) {
+/// Gives texels, lobes and base materials zero gradients, and zero moments as well where a fit begins; one that goes on has kept its own.
+pub(super) fn attach(world: &mut World, sheen: bool, begins: bool) {
     let blended = are_blended(world);
-    for texel in texels_in_order(world) {
-        world.entity_mut(texel).insert((AlbedoGradient::default(), TexelSeen::default()));
-        if sheen {
-            world.entity_mut(texel).insert(SheenGradient::default());
-        }
-        if blended {
-            world.entity_mut(texel).insert(BlendGradient::default());
-        }
-    }
+    let seen = (AlbedoGradient::default(), TexelSeen::default());
+    let (of_sheen, of_blend) = (SheenGradient::default(), BlendGradient::default());
     insert_into::<OwnLobes, _>(world, LobeGradient::default());
     insert_into::<With<SpecularLobe>, _>(world, SpecularGradient::default());
-}
-
-/// Gives them zero moments.
-pub(super) fn attach_moments(world: &mut World, sheen: bool) {
-    let blended = are_blended(world);
-    for texel in texels_in_order(world) {
-        world.entity_mut(texel).insert(AlbedoMoments::default());
-        if sheen {
-            world.entity_mut(texel).insert(SheenMoments::default());
-        }
-        if blended {
-            world.entity_mut(texel).insert(BlendMoments::default());
-        }
+    if !begins {
+        return insert_into_texels(world, seen, sheen.then_some(of_sheen), blended.then_some(of_blend));
     }
+    let of_sheen = (of_sheen, SheenMoments::default());
+    let of_blend = (of_blend, BlendMoments::default());
+    let always = (seen, AlbedoMoments::default());
+    insert_into_texels(world, always, sheen.then_some(of_sheen), blended.then_some(of_blend));
     insert_into::<OwnLobes, _>(world, LobeMoments::default());
     insert_into::<With<SpecularLobe>, _>(world, SpecularMoments::default());
+}
+
+/// Gives components to all texels, all at once: each table that they leave keeps its memory.
+fn insert_into_texels<A, S, B>(world: &mut World, always: A, of_sheen: Option<S>, of_blend: Option<B>)
+where
+    A: Bundle + Clone,
+    S: Bundle + Clone,
+    B: Bundle + Clone,
+{
+    for texel in texels_in_order(world) {
+        let mut texel = world.entity_mut(texel);
+        let always = always.clone();
+        match (of_sheen.clone(), of_blend.clone()) {
+            (None, None) => texel.insert(always),
+            (Some(of_sheen), None) => texel.insert((always, of_sheen)),
+            (None, Some(of_blend)) => texel.insert((always, of_blend)),
+            (Some(of_sheen), Some(of_blend)) => texel.insert((always, of_sheen, of_blend)),
+        };
+    }
 }
 
 /// Takes gradients and moments away again.

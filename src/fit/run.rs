@@ -1,6 +1,6 @@
 //! Running a fit: prepare the pool, initialize, and take steps.
 
-use super::attach::{OwnLobes, attach_gradients, attach_moments, detach};
+use super::attach::{OwnLobes, attach, detach};
 use super::by_view::{ViewSums, count_pool, sum_by_view};
 use super::cameras::{CameraFit, CameraPose};
 use super::components::{
@@ -368,11 +368,11 @@ fn refresh_every(world: &World) -> u32 {
 /// Makes the pool and initializes; returns the number of pixels.
 fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
     let sheen = options.unknowns.sheen || (options.looks_for_sheen && options.unknowns.albedo);
-    attach_gradients(&mut pipeline.world, sheen);
+    let begins = options.done.steps == 0;
+    attach(&mut pipeline.world, sheen, begins);
     pipeline.world.insert_resource(options.pixels);
     pipeline.world.insert_resource(options.unknowns);
-    if options.done.steps == 0 {
-        attach_moments(&mut pipeline.world, sheen);
+    if begins {
         begin_albedo(&mut pipeline.world, options)?;
         pipeline.world.insert_resource(ScaleMoments::default());
     }

@@ -56,7 +56,7 @@ mod view_report;
 
 pub use session::{Lights, MOST_VISIBILITY_BYTES, Session};
 
-use crate::codec::file::{FileUse, FolderLock};
+use crate::codec::file::{FileUse, FolderLock, check_room};
 use crate::error::stop::{check_interrupted, stopped_by};
 use crate::error::{Error, Result};
 use crate::fit::ObjectTurned;
@@ -72,6 +72,7 @@ use crate::scene::{
 };
 use crate::shade::frame::FramePlugin;
 use crate::spawn::{SurfaceUse, load_light, make_surface, spawn};
+use crate::survey::estimate::written_bytes;
 use crate::survey::look::ViewLook;
 use crate::survey::open::OpenScene;
 use crate::survey::{Severity, Survey};
@@ -166,6 +167,9 @@ fn run_passes(
     let (views, survey) = read_views(&loaded.scene, data.as_ref(), progress)?;
     let looks = looks(&loaded.scene, survey.as_ref())?;
     let scene = memory::within(&loaded.scene, &looks, options.memory, progress)?;
+    if !options.resume {
+        check_room(&options.out, written_bytes(&looks, &scene) as u64)?;
+    }
     let mut session = open(&scene, views, options, progress, photograph::take, use_of(&scene))?;
     let warnings = survey.iter().flat_map(|survey| survey.findings_of(Severity::Warning));
     session.scores.warnings = warnings.map(|warning| warning.problem.clone()).collect();

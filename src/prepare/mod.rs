@@ -53,6 +53,7 @@ pub use masks::MaskSource;
 pub use options::{FeatureArea, FrameCount, Matching, PrepareOptions, Prepared};
 
 use crate::codec::file::{lies_in, write_bytes};
+use crate::dataset::Layout;
 use crate::error::{Error, Result};
 use crate::pass::progress::Progress;
 use crate::prepare::background::{Background, background};
@@ -227,7 +228,7 @@ fn publish(out: &Path, work: Work, mut prepared: Prepared) -> Result<Prepared> {
     work.publish(&made.join("sparse"), "sparse/0")?;
     if prepared.has_masks {
         let scene = out.join("scene.ron");
-        let text = scene_file::scene_for(out, &scene)?;
+        let text = scene_file::scene_for(out, Layout::Auto, &scene)?;
         write_bytes(&scene, text.as_bytes())?;
         prepared.scene = Some(scene);
     }

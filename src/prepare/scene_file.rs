@@ -14,14 +14,14 @@ const ENOUGH_PIXELS: u32 = 1600;
 const FEWEST_HELD_OUT: usize = 12;
 /// Extensions of meshes.
 const MESHES: [&str; 2] = ["glb", "gltf"];
-/// Extensions of photographs, to recognize a folder that has nothing else.
-const PHOTOGRAPHS: [&str; 8] = ["jpg", "jpeg", "png", "tif", "tiff", "heic", "dng", "nef"];
 
 /// What a data set has.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Survey {
-    /// The layout that was found.
+    /// The layout.
     pub layout: Layout,
+    /// Whether it was asked for, because the folder has several.
+    pub is_asked: bool,
     /// The mesh in the folder, if there is exactly one or one called `mesh`.
     pub mesh: Option<PathBuf>,
     /// Training views when every view is one that the data set does not hold out itself.
@@ -40,9 +40,9 @@ pub struct Survey {
 ///
 /// # Errors
 /// [`Error::Input`] if the folder is no data set, or its first view cannot be read.
-pub fn survey(data: &Path) -> Result<Survey> {
-    let layout = find_layout(data, Layout::Auto).map_err(|error| no_data_set(data, error))?;
-    let options = DatasetOptions { hold_out: 0, ..DatasetOptions::default() };
+pub fn survey(data: &Path, asked: Layout) -> Result<Survey> {
+    let layout = find_layout(data, asked)?;
+    let options = DatasetOptions { layout, hold_out: 0, ..DatasetOptions::default() };
     let OpenDataset { views, .. } = open_dataset(data, Split::Train, &options)?;
     let first =
         views.first().ok_or_else(|| Error::input(data, "", "the data set has no views", ""))?.load()?;
@@ -52,6 +52,7 @@ pub fn survey(data: &Path) -> Result<Survey> {
     };
     Ok(Survey {
         layout,
+        is_asked: asked != Layout::Auto,
         mesh: mesh_in(data)?,
         views: views.len(),
         size: photograph.size(),
@@ -72,8 +73,8 @@ fn mean_up(views: &[PlannedView]) -> Option<Vec3> {
 ///
 /// # Errors
 /// Those of [`survey`]; [`Error::Input`] if a data set has neither masks nor a mesh: its shape can then not be found.
-pub fn scene_for(data: &Path, scene: &Path) -> Result<String> {
-    let survey = survey(data)?;
+pub fn scene_for(data: &Path, layout: Layout, scene: &Path) -> Result<String> {
+    let survey = survey(data, layout)?;
     if survey.mesh.is_none() && !survey.has_masks {
         let problem =
             "the data set has neither masks nor a mesh: without one of them, there is no shape to fit";
@@ -87,25 +88,6 @@ pub fn scene_for(data: &Path, scene: &Path) -> Result<String> {
 fn is_beside(data: &Path, scene: &Path) -> bool {
     let folder = scene.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
     matches!((folder.canonicalize(), data.canonicalize()), (Ok(a), Ok(b)) if a == b)
-}
-
-/// A folder of photographs without cameras is named as such.
-fn no_data_set(data: &Path, error: Error) -> Error {
-    let extension = |path: &Path| path.extension().unwrap_or_default().to_string_lossy().to_ascii_lowercase();
-    let is_photograph = |path: &Path| PHOTOGRAPHS.contains(&extension(path).as_str());
-    let photographs = |folder: &Path| {
-        let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-        entries.filter(|entry| is_photograph(&entry.path())).count()
-    };
-    let folders = [data.to_owned(), data.join("images"), data.join("image")];
-    match folders.iter().find(|folder| photographs(folder) > 2) {
-        Some(folder) if data.is_dir() => {
-            let problem = format!("there are {} photographs here, and no cameras", photographs(folder));
-            let help = format!("Find the cameras first: lobelia prepare {} OUT", folder.display());
-            Error::input(folder, "", problem, help)
-        }
-        _ => error,
-    }
 }
 
 /// The mesh of a data set: `mesh.glb` or `mesh.gltf`, or the only one in the folder.
@@ -213,8 +195,10 @@ fn views(survey: &Survey, is_beside: bool, downscale: u32) -> String {
     } else {
         "        // downscale: 2,        // half the size: a quarter of memory and time\n".to_owned()
     };
+    let layout =
+        if survey.is_asked { format!("        layout: {:?},\n", survey.layout) } else { String::new() };
     format!(
-        "    views: Dataset(\n        path: \"{path}\",\n{hold_out}{size}        \
+        "    views: Dataset(\n        path: \"{path}\",\n{layout}{hold_out}{size}        \
          // gamma: Linear,       // 8- and 16-bit values are taken as sRGB; this says otherwise\n    ),\n"
     )
 }
@@ -283,7 +267,7 @@ mod tests {
     }
 
     fn loads(folder: &Path, scene: &Path) -> String {
-        let text = scene_for(folder, scene).unwrap();
+        let text = scene_for(folder, Layout::Auto, scene).unwrap();
         fs::write(scene, &text).unwrap();
         let options = LoadOptions { data: Some(folder.to_owned()), ..LoadOptions::default() };
         let loaded = load(scene, &options).unwrap_or_else(|error| panic!("{error:?}\n{text}"));
@@ -357,7 +341,7 @@ mod tests {
     #[test]
     fn data_of_which_no_shape_follows_is_refused() {
         let data = data(3, [8, 6], false);
-        let error = scene_for(data.path(), &data.path().join("scene.ron")).unwrap_err();
+        let error = scene_for(data.path(), Layout::Auto, &data.path().join("scene.ron")).unwrap_err();
         assert!(error.to_string().contains("neither masks nor a mesh") && error.exit_code() == 2, "{error}");
     }
 
@@ -366,13 +350,26 @@ mod tests {
         let data = data(3, [8, 6], false);
         fs::remove_dir_all(data.path().join("sparse")).unwrap();
         for folder in [data.path().to_owned(), data.path().join("images")] {
-            let error = survey(&folder).unwrap_err();
-            assert!(error.to_string().contains("3 photographs here, and no cameras"), "{error}");
-            assert!(error.help().unwrap().contains("lobelia prepare"), "{error}");
+            let error = survey(&folder, Layout::Auto).unwrap_err();
+            let help = error.help().unwrap();
+            assert!(
+                help.contains("3 photographs and no cameras") && help.contains("lobelia prepare"),
+                "{help}"
+            );
         }
         let empty = tempfile::tempdir().unwrap();
-        assert!(survey(empty.path()).unwrap_err().to_string().contains("not a data set"));
-        assert!(survey(&empty.path().join("none")).unwrap_err().to_string().contains("no such folder"));
-        assert!(survey(&data.path().join("images/0.png")).unwrap_err().to_string().contains("a file"));
+        assert!(survey(empty.path(), Layout::Auto).unwrap_err().to_string().contains("not a data set"));
+        assert!(
+            survey(&empty.path().join("none"), Layout::Auto)
+                .unwrap_err()
+                .to_string()
+                .contains("no such folder")
+        );
+        assert!(
+            survey(&data.path().join("images/0.png"), Layout::Auto)
+                .unwrap_err()
+                .to_string()
+                .contains("a file")
+        );
     }
 }

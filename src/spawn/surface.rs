@@ -2,9 +2,9 @@
 
 use crate::codec::gltf::import::read_mesh_with_report;
 use crate::error::{Error, Result};
+use crate::mesh::Surface;
 use crate::mesh::atlas::unwrap_mesh;
 use crate::mesh::primitive::{box_mesh, sphere_mesh};
-use crate::mesh::{MAX_COORDINATE, Surface};
 use crate::scene::Surface as SurfaceSpec;
 use crate::shape::hull::visual_hull;
 use crate::shape::parts::extract_parts;
@@ -59,10 +59,6 @@ pub fn make_surface(
         }
         SurfaceSpec::Mesh { path, texture_size, own_material } => {
             let (mesh, report) = read_mesh_with_report(path)?;
-            if let Some(at) = mesh.positions.iter().find(|p| p.abs().max_element() > MAX_COORDINATE) {
-                let problem = format!("a vertex is at {at}: no coordinate may be beyond {MAX_COORDINATE:e}");
-                return Err(Error::input(path, "", problem, "Scale the mesh to the unit of the cameras."));
-            }
             let unwrapped = unwrap_mesh(&mesh, *texture_size)?;
             if *own_material && unwrapped.charts.is_some() {
                 let problem =

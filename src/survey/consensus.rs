@@ -6,7 +6,7 @@ use crate::report::sheet::choose_evenly;
 use crate::survey::agreement::tried;
 use crate::survey::change::{Cause, Change, camera_causes};
 use crate::survey::finding::{Finding, Severity, named};
-use crate::survey::hull::{FORGIVEN, consistency, solid, uncovered};
+use crate::survey::hull::{FORGIVEN, carved, consistency, solid, uncovered};
 use crate::survey::look::{SmallMask, ViewLook};
 use crate::survey::order::orders;
 
@@ -36,6 +36,9 @@ const DOUBTFUL: f32 = 0.02;
 const WRONG: f32 = 0.1;
 /// Share of the views that may be wrong for a run.
 const FEW: f32 = 0.1;
+/// Views that are left out at most to find masks which lack a part of the object, and those that are tried for each of them.
+const MOST_LACKING: usize = 3;
+const SUSPECTS: usize = 4;
 /// An explanation leaves at most [`DOUBTFUL`], and this part of what was left without it.
 const BETTER: f32 = 1.0 / 3.0;
 /// Explanations this close are equally good.
@@ -61,6 +64,8 @@ pub struct Consensus {
     pub middle: f32,
     /// Factor on limits: 1, or more for small masks.
     slack: f32,
+    /// Views whose masks lack what those of the others have: they have no say in the hull.
+    lacking: Vec<usize>,
 }
 
 impl Consensus {
@@ -72,10 +77,54 @@ impl Consensus {
         let chosen: Vec<usize> = (0..looks.len()).filter(|&i| has_outline(&looks[i])).collect();
         let masks: Vec<SmallMask> =
             chosen.iter().filter_map(|&i| Some(looks[i].mask.as_ref()?.small.clone())).collect();
-        let (shares, middle, slack) = shares(&masks)?;
+        let slack = slack(&masks)?;
+        let mut voters = vec![false; masks.len()];
+        choose_evenly(masks.len(), VOTERS).into_iter().for_each(|i| voters[i] = true);
+        let trusted = trusted(&masks, &voters);
+        let all = Self::of(&masks, &trusted, slack)?;
+        let found = all.without_few(&masks, trusted).unwrap_or(all);
         let mut uncovered = vec![None; looks.len()];
-        chosen.into_iter().zip(shares).for_each(|(i, share)| uncovered[i] = Some(share));
-        Some(Self { uncovered, middle, slack })
+        chosen.iter().zip(found.uncovered).for_each(|(i, share)| uncovered[*i] = share);
+        let lacking = found.lacking.into_iter().map(|i| chosen[i]).collect();
+        Some(Self { uncovered, lacking, ..found })
+    }
+
+    /// Of masks, with the hull of those that are trusted.
+    fn of(masks: &[SmallMask], trusted: &[bool], slack: f32) -> Option<Self> {
+        let shares = uncovered(masks, trusted, FORGIVEN);
+        let middle = median(&mut shares.clone())?;
+        let uncovered = shares.into_iter().map(Some).collect();
+        Some(Self { uncovered, middle, slack, lacking: Vec::new() })
+    }
+
+    /// Without the few views whose masks lack what those of the others have, if the others agree then: one such mask takes a part of the
+    /// hull from all views, and its own is covered.
+    fn without_few(&self, masks: &[SmallMask], mut trusted: Vec<bool>) -> Option<Self> {
+        if self.is_sound() {
+            return None;
+        }
+        let most = ((FEW * masks.len() as f32) as usize).clamp(1, MOST_LACKING);
+        let mut lacking = Vec::new();
+        while lacking.len() < most {
+            let (next, found) = without_one(masks, &trusted, self.slack)?;
+            trusted[next] = false;
+            lacking.push(next);
+            if found.is_sound() && found.mean() <= BETTER * self.mean() {
+                return Some(Self { lacking, ..found });
+            }
+        }
+        None
+    }
+
+    /// Whether nothing is wrong with any view.
+    fn is_sound(&self) -> bool {
+        !self.is_suspect() && self.strays().is_empty()
+    }
+
+    /// The mean of the shares.
+    fn mean(&self) -> f32 {
+        let shares: Vec<f32> = self.uncovered.iter().flatten().copied().collect();
+        shares.iter().sum::<f32>() / shares.len().max(1) as f32
     }
 
     /// The views that the others contradict, the worst first.
@@ -106,17 +155,28 @@ impl Consensus {
     }
 }
 
-/// Uncovered shares of masks, their median, and the factor on limits.
-fn shares(masks: &[SmallMask]) -> Option<(Vec<f32>, f32, f32)> {
+/// The view among those that take most from the hull without which the others agree best, and how they agree then.
+fn without_one(masks: &[SmallMask], trusted: &[bool], slack: f32) -> Option<(usize, Consensus)> {
+    let voters = trusted.iter().filter(|trusted| **trusted).count();
+    // One view at least is forgiven.
+    let taken = carved(masks, trusted, LOOSE[1].max(1.5 / voters.max(1) as f32));
+    let mut views: Vec<usize> = (0..masks.len()).filter(|i| taken[*i] > 0.0).collect();
+    views.sort_by(|a, b| taken[*b].total_cmp(&taken[*a]).then(a.cmp(b)));
+    views.truncate(SUSPECTS);
+    let without = |i: usize| {
+        let rest: Vec<bool> = trusted.iter().enumerate().map(|(k, trusted)| *trusted && k != i).collect();
+        Some((i, Consensus::of(masks, &rest, slack)?))
+    };
+    views.into_iter().filter_map(without).min_by(|a, b| a.1.mean().total_cmp(&b.1.mean()))
+}
+
+/// The factor on limits for masks of this size; `None` for few or small ones.
+fn slack(masks: &[SmallMask]) -> Option<f32> {
     let mut sizes: Vec<f32> =
         masks.iter().map(|mask| solid(mask).iter().filter(|solid| **solid).count() as f32).collect();
     let size =
         median(&mut sizes).filter(|size| masks.len() >= LEAST_VIEWS && *size >= LEAST_PIXELS as f32)?;
-    let mut voters = vec![false; masks.len()];
-    choose_evenly(masks.len(), VOTERS).into_iter().for_each(|i| voters[i] = true);
-    let shares = uncovered(masks, &trusted(masks, &voters), FORGIVEN);
-    let middle = median(&mut shares.clone())?;
-    Some((shares, middle, (PLENTY / size).sqrt().max(1.0)))
+    Some((PLENTY / size).sqrt().max(1.0))
 }
 
 /// The voters that the others do not contradict, if that is most of them; else all.
@@ -148,16 +208,34 @@ pub fn of_masks(
 ) -> Option<Finding> {
     let is_suspect = consensus.map_or(given < CONSISTENT, Consensus::is_suspect);
     if !is_suspect && complaint.is_none() {
-        return consensus.and_then(|found| stray_finding(looks, found));
+        return consensus.and_then(|found| view_finding(looks, found));
     }
     if let Some(finding) = (is_suspect || given < CONSISTENT).then(|| explained(looks, given)).flatten() {
         return Some(finding);
     }
     complaint.or_else(|| match consensus {
         Some(found) if found.is_doubtful() => Some(doubt(looks, given, found)),
-        Some(found) => stray_finding(looks, found),
+        Some(found) => view_finding(looks, found),
         None => (given < INCONSISTENT).then(|| vague_doubt(given)),
     })
+}
+
+/// What is wrong with single views.
+fn view_finding(looks: &[ViewLook], found: &Consensus) -> Option<Finding> {
+    lacking_finding(looks, found).or_else(|| stray_finding(looks, found))
+}
+
+/// Names views whose masks lack what those of the others have.
+fn lacking_finding(looks: &[ViewLook], found: &Consensus) -> Option<Finding> {
+    let views: Vec<String> = found.lacking.iter().map(|i| looks[*i].name.clone()).collect();
+    let problem = || {
+        let views = named(&views);
+        format!(
+            "mask or camera disagrees with the other views in {views}: a part of the object that the others agree on is outside the mask"
+        )
+    };
+    let help = "Correct mask or pose of the views that are named, or leave them out with `select`.";
+    (!views.is_empty()).then(|| Finding::error("stray-view", views.clone(), problem(), help))
 }
 
 /// Names views that the others contradict.

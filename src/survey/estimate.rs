@@ -12,8 +12,8 @@
 //! | `Evaluate` | pixels of the largest view × [`SCORE_PIXEL_BYTES`] | |
 //!
 //! Time is divided by the threads. It is good to a factor of two on the machine that was measured, and a guess on others. Memory is meant
-//! to be no less than what is taken: eleven whole runs took 78 to 106 % of it (`spot`, `sphere`,
-//! `cheburashka`, `head` and `chair`, some at half size; 300 photographs of 512², 16 of 4096² and 1000 of 1 MP).
+//! to be no less than what is taken: whole runs took 69 to 98 % of it (`spot`, also with textures up to 2048², `sphere`,
+//! `cheburashka`, `head` and `chair`; 300 photographs of 512², 16 of 4096² and 1000 of 1 MP).
 
 use crate::codec::animation::film_bytes;
 use crate::fit::detail::equations::TexelEquations;
@@ -39,8 +39,11 @@ pub const SILHOUETTE_BYTES: f64 = 2.0;
 /// Bytes of a pixel in the pool of a fit: its columns, two ticks for each of the two, and its entity; a table that grows keeps room for
 /// more rows.
 pub const POOL_BYTES: f64 = 1.6 * (size_of::<(ObservationIndex, Observation)>() + 2 * 8 + 52) as f64;
-/// Bytes of a texel in a fit: albedo and tilt, gradient, two moments, what is shown, place, normal, and their table.
-pub const TEXEL_BYTES: f64 = 224.0;
+/// Bytes of a texel in a fit: albedo, sheen, tilt and blend with gradients and moments, what is shown, place, normal, and the tables that
+/// texels left when these came to them. Measured from 512² to 2048² texels.
+pub const TEXEL_BYTES: f64 = 850.0;
+/// Bytes of a texel of the finest texture, which has neither gradients nor moments.
+pub const FINEST_TEXEL_BYTES: f64 = 224.0;
 /// Bytes of a fit that do not depend on its size, as measured.
 pub const FIT_BYTES: f64 = 150e6;
 /// Bytes of a pixel while a view is scored: rendered, true, and what both are compared by. 16 views of 4096².
@@ -73,6 +76,11 @@ pub const RENDER_PAIR_NANOS: f64 = 8.0;
 pub const PATH_NANOS: f64 = 3_000.0;
 /// Share of a frame that the object covers, where no mask says.
 const USUAL_COVERAGE: f64 = 0.25;
+
+/// Bytes on the disk of a pixel of the object in a pass's picture, no more than were measured: EXR with all layers, and PNG.
+const PICTURE_PIXEL_BYTES: f64 = 20.0;
+/// Bytes on the disk of a texel in what a fit and `Save` write, no more than were measured.
+const SAVED_TEXEL_BYTES: f64 = 20.0;
 
 /// What one part takes.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -158,6 +166,18 @@ pub fn estimate(looks: &[ViewLook], scene: &Scene, threads: usize) -> Estimate {
         });
     }
     Estimate { parts, threads: task.threads }
+}
+
+/// Bytes that the passes of `scene` will write at least.
+pub fn written_bytes(looks: &[ViewLook], scene: &Scene) -> f64 {
+    let task = Task { looks, scene, threads: 1 };
+    let of_pass = |pass: &Pass| match pass {
+        Pass::Save(_) => SAVED_TEXEL_BYTES * task.texels(),
+        other => other.render().map_or(0.0, |render| {
+            PICTURE_PIXEL_BYTES * task.chosen(render).into_iter().map(object_pixels).sum::<f64>()
+        }),
+    };
+    scene.passes.iter().map(of_pass).sum()
 }
 
 struct Task<'a> {
@@ -256,7 +276,7 @@ impl Task<'_> {
         let side =
             (self.texels().sqrt() * f64::from(wide)).min(f64::from(MOST_SIDE)).max(self.texels().sqrt());
         let sweeps = f64::from(SWEEPS) * self.pool(MOST_PIXELS as u32) * DETAIL_PIXEL_NANOS;
-        let finest = side * side * (TEXEL_BYTES + size_of::<TexelEquations>() as f64);
+        let finest = side * side * (FINEST_TEXEL_BYTES + size_of::<TexelEquations>() as f64);
         let steps = bytes + DETAIL_BYTES + self.pool(MOST_PIXELS as u32) * DETAIL_PIXEL_BYTES;
         self.part(&fit.name, steps.max(finest), DETAIL_FACTOR * pairs * FIT_PAIR_NANOS + sweeps, false)
     }
@@ -291,14 +311,19 @@ impl Task<'_> {
         &levels[..count]
     }
 
-    fn render(&self, name: &str, render: &RenderSettings) -> Part {
-        let chosen = |look: &&ViewLook| match &render.views {
+    /// The views that a pass renders.
+    fn chosen(&self, render: &RenderSettings) -> Vec<&ViewLook> {
+        let is_chosen = |look: &&ViewLook| match &render.views {
             ViewChoice::Test => look.split == Split::Test,
             ViewChoice::Train => look.split == Split::Train,
             ViewChoice::All => true,
             ViewChoice::Named(names) => names.contains(&look.name),
         };
-        let views: Vec<&ViewLook> = self.looks.iter().filter(chosen).collect();
+        self.looks.iter().filter(is_chosen).collect()
+    }
+
+    fn render(&self, name: &str, render: &RenderSettings) -> Part {
+        let views = self.chosen(render);
         let orbit = render.orbit.as_ref().map_or((0, 0.0), |orbit| {
             let size = [orbit.size; 2];
             let pixels = f64::from(orbit.size).powi(2) * f64::from(orbit.frames);

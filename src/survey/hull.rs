@@ -76,6 +76,23 @@ pub fn uncovered(views: &[SmallMask], trusted: &[bool], forgiven: f32) -> Vec<f3
     views.par_iter().zip(trusted).map(of_view).collect()
 }
 
+/// For each view that is `trusted`, how many cells it takes from the hull of the others: those that more than [`FORGIVEN`] and at most
+/// `most` of the views see outside their masks, each shared by these views.
+pub fn carved(views: &[SmallMask], trusted: &[bool], most: f32) -> Vec<f32> {
+    let voters: Vec<&SmallMask> =
+        views.iter().zip(trusted).filter(|(_, trusted)| **trusted).map(|(view, _)| view).collect();
+    let Some(grid) = Grid::new(&voters) else { return vec![0.0; views.len()] };
+    let cells = grid.cells(&voters, |seen, missed| {
+        let share = missed as f32 / seen.max(1) as f32;
+        seen >= LEAST_VIEWS && share > FORGIVEN && share <= most
+    });
+    let of_view = |(view, trusted): (&SmallMask, &bool)| {
+        let misses = |cell: &&Cell| *trusted && pixel(view, cell.at).is_some_and(|pixel| !view.inside[pixel]);
+        cells.iter().filter(misses).map(|cell| 1.0 / cell.missed as f32).sum::<f32>()
+    };
+    views.par_iter().zip(trusted).map(of_view).collect()
+}
+
 /// Pixels of a mask that some 3×3 covered pixels have.
 pub fn solid(view: &SmallMask) -> Vec<bool> {
     let (width, height) = (view.camera.width as usize, view.camera.height as usize);

@@ -11,8 +11,10 @@ use rayon::prelude::*;
 
 /// Rounds of correcting size and place; each renders all views.
 const ROUNDS: usize = 4;
-/// A scale this close to that of a usual unit, or to 1, relatively, is that.
+/// A scale this close to that of a usual unit, relatively, is that.
 const UNIT_SLACK: f32 = 0.1;
+/// A scale this close to 1 is 1.
+const ONE_SLACK: f32 = 0.03;
 /// Ratios of units that meshes and cameras are written in, with their names.
 const UNITS: [(f32, &str); 5] = [
     (1000.0, "meters and millimeters"),
@@ -126,9 +128,10 @@ pub fn placement_cause(change: Change, center: Vec3, radius: f32) -> Option<Caus
 }
 
 fn snapped(scale: f32) -> f32 {
-    let near = |ratio: f32| (scale / ratio - 1.0).abs() < UNIT_SLACK;
-    let mut ratios = UNITS.iter().flat_map(|(ratio, _)| [*ratio, 1.0 / ratio]).chain([1.0]);
-    ratios.find(|ratio| near(*ratio)).unwrap_or(scale)
+    let near = |ratio: f32, slack: f32| (scale / ratio - 1.0).abs() < slack;
+    let mut ratios = UNITS.iter().flat_map(|(ratio, _)| [*ratio, 1.0 / ratio]);
+    let one = near(1.0, ONE_SLACK).then_some(1.0);
+    one.or_else(|| ratios.find(|ratio| near(*ratio, UNIT_SLACK))).unwrap_or(scale)
 }
 
 fn unit(scale: f32) -> String {
@@ -167,7 +170,7 @@ mod tests {
     fn numbers_are_short_and_units_are_recognized() {
         assert_eq!([1000.0, 0.001, 1.2345, -0.5].map(short), ["1000", "0.001", "1.23", "-0.5"]);
         assert_eq!((snapped(980.0), snapped(0.00098), snapped(3.0)), (1000.0, 0.001, 3.0));
-        assert_eq!([0.93, 0.97, 1.0, 1.07, 1.2].map(snapped), [1.0, 1.0, 1.0, 1.0, 1.2]);
+        assert_eq!([0.91, 0.98, 1.0, 1.02, 1.1].map(snapped), [0.91, 1.0, 1.0, 1.0, 1.1]);
         assert_eq!(
             (unit(0.0011), unit(3.0)),
             (" (as between meters and millimeters)".to_owned(), String::new())

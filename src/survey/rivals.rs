@@ -14,6 +14,8 @@ use rayon::prelude::*;
 const TIE: f32 = 0.06;
 /// Rounds of correcting the focal length.
 const ROUNDS: usize = 4;
+/// A factor this close to 1 is 1.
+const ONE_SLACK: f32 = 0.03;
 /// Factors beyond which it is a mistake of units, not of the lens.
 const MOST: f32 = 3.0;
 /// Largest width that masks may lack or have too much, and its steps, in pixels of a small mask.
@@ -73,7 +75,11 @@ fn focal(bvh: &TriangleBvh, views: &[SmallMask]) -> Option<Cause> {
         "Check the intrinsics (were they written for photographs of another size?): multiply the focal lengths by {}.",
         short(factor)
     );
-    (is_lens && (factor - 1.0).abs() > 0.02).then_some(Cause { change: Change::Focal(factor), words, help })
+    (is_lens && (factor - 1.0).abs() > ONE_SLACK).then_some(Cause {
+        change: Change::Focal(factor),
+        words,
+        help,
+    })
 }
 
 /// Masks whose outline is everywhere inside or outside that of the mesh by the same width.

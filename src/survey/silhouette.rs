@@ -30,6 +30,8 @@ pub struct Agreement {
     pub iou: f32,
     /// The same of the mesh and the background.
     pub inverse_iou: f32,
+    /// Mean distance of the outlines in pixels of the small mask: pixels that one of both covers, for each along the outline of the mesh.
+    pub offset: f32,
 }
 
 /// For each view that has a mask, how it agrees with the mesh.
@@ -39,13 +41,44 @@ pub fn agreements(bvh: &TriangleBvh, looks: &[ViewLook]) -> Vec<Option<Agreement
         let mesh = covered(bvh, mask);
         let outside: Vec<bool> = mask.inside.iter().map(|inside| !inside).collect();
         let iou = overlap(&mesh, &mask.inside).unwrap_or(0.0);
-        Some(Agreement { iou, inverse_iou: overlap(&mesh, &outside).unwrap_or(0.0) })
+        let inverse_iou = overlap(&mesh, &outside).unwrap_or(0.0);
+        let apart = mesh.iter().zip(&mask.inside).filter(|(mesh, mask)| mesh != mask).count();
+        let offset = apart as f32 / outline(&mesh, mask.camera.width as usize).max(1) as f32;
+        Some(Agreement { iou, inverse_iou, offset })
     };
     looks.par_iter().map(of_view).collect()
+}
+
+/// Covered pixels beside one that is not.
+fn outline(inside: &[bool], width: usize) -> usize {
+    let is_beside = |i: &usize| {
+        let (first, last) = (i.is_multiple_of(width), i % width + 1 == width);
+        let left = !first && !inside[i - 1];
+        let right = !last && !inside[i + 1];
+        let above = *i >= width && !inside[i - width];
+        left || right || above || inside.get(i + width).is_some_and(|inside| !inside)
+    };
+    (0..inside.len()).filter(|i| inside[*i] && is_beside(i)).count()
 }
 
 /// The median overlap of the mesh with several masks; 0 without masks.
 pub fn median_agreement(bvh: &TriangleBvh, views: &[SmallMask]) -> f32 {
     let mut found: Vec<f32> = views.par_iter().map(|view| agreement(bvh, view)).collect();
     median(&mut found).unwrap_or(0.0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_frame_is_no_outline() {
+        // A square of 3×3 in the middle of 5×5, and one in a corner.
+        let square = |low: usize| -> Vec<bool> {
+            let within = move |at: usize| (low..low + 3).contains(&at);
+            (0..25).map(|i| within(i % 5) && within(i / 5)).collect()
+        };
+        assert_eq!(outline(&square(1), 5), 8);
+        assert_eq!(outline(&square(0), 5), 5);
+    }
 }

@@ -139,7 +139,7 @@ fn room(folder: &Path, free: Option<u64>, needed: u64) -> Result<()> {
             let mib = |bytes: u64| bytes.div_ceil(1 << 20);
             let (place, needed, free) = (folder.display(), mib(needed), free >> 20);
             let problem = format!(
-                "the disk of {place} is full: {free} MiB are free, and any results need {needed} MiB"
+                "the disk of {place} is too full: {free} MiB are free, and the results need at least {needed} MiB"
             );
             Err(Error::usage(problem, "Make room, or choose a folder on another disk with --out."))
         }
@@ -244,7 +244,7 @@ mod tests {
         check_room(folder.path(), 0).unwrap();
         assert!(check_room(folder.path(), u64::MAX).is_err() || cfg!(not(unix)));
         let error = room(folder.path(), Some(5 << 20), (7 << 20) + 1).unwrap_err();
-        assert!(error.to_string().contains("5 MiB are free, and any results need 8 MiB"), "{error}");
+        assert!(error.to_string().contains("5 MiB are free, and the results need at least 8 MiB"), "{error}");
         assert_eq!(error.exit_code(), 2);
         room(folder.path(), None, u64::MAX).unwrap();
     }

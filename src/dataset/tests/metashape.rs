@@ -10,13 +10,13 @@ const CALIBRATION: &str = "<f>20</f><cx>0.5</cx><cy>-0.25</cy><b1>1</b1><b2>0.5<
 const TRANSFORM: &str = "1 0 0 1  0 0 1 2  0 -1 0 3  0 0 0 1";
 
 /// A folder with the photographs `a.jpg` and `b.jpg`, twice smaller than the calibration says, and a camera for each.
-struct Metashape {
+pub(super) struct Metashape {
     dir: TempDir,
     text: String,
 }
 
 impl Metashape {
-    fn new() -> Self {
+    pub(super) fn new() -> Self {
         let dir = tempfile::tempdir().unwrap();
         for name in ["a", "b"] {
             write_photograph(&dir.path().join(format!("images/{name}.jpg")), 1);
@@ -39,13 +39,13 @@ impl Metashape {
         Self { dir, text }
     }
 
-    fn with(mut self, from: &str, to: &str) -> Self {
+    pub(super) fn with(mut self, from: &str, to: &str) -> Self {
         assert!(self.text.contains(from), "{from}");
         self.text = self.text.replace(from, to);
         self
     }
 
-    fn read(&self) -> Result<Dataset> {
+    pub(super) fn read(&self) -> Result<Dataset> {
         fs::write(self.dir.path().join("cameras.xml"), &self.text).unwrap();
         read_all(self.dir.path())
     }

@@ -10,6 +10,8 @@ mod idr;
 mod llff;
 mod mask_names;
 mod metashape;
+mod moved;
+mod near;
 mod reality_capture;
 mod recognition;
 mod splits;

@@ -78,3 +78,44 @@ fn photographs_in_no_order_at_all_are_an_error() {
     );
     assert!(finding.problem.contains("the cameras do not fit the photographs"), "{finding:?}");
 }
+
+/// Few views, so that a part of the object that one mask lacks is taken from all.
+fn few() -> Vec<OpenView> {
+    let views = good().into_iter().enumerate().filter(|(i, _)| i % 3 != 2);
+    views.map(|(_, view)| view).collect()
+}
+
+#[test]
+fn one_mask_that_lacks_half_of_the_object_is_named_alone() {
+    assert_eq!(surveyed(&few(), None).findings, []);
+    let mut views = few();
+    let at = views.iter().position(|view| view.name == "v7").unwrap();
+    let mask = views[at].mask.as_mut().unwrap();
+    let half = mask.coverage.len() / 2;
+    mask.coverage[half..].fill(0.0);
+    let survey = surveyed(&views, None);
+    expect(
+        &survey,
+        "stray-view",
+        &["v7"],
+        &["disagrees with the other views in view `v7`", "outside the mask"],
+    );
+    assert_eq!(survey.findings[0].severity, Severity::Error);
+    assert!(survey.mask_uncovered.iter().all(|share| share.unwrap() < 0.02), "{:?}", survey.mask_uncovered);
+}
+
+#[test]
+fn one_mask_of_a_few_pixels_is_named_alone() {
+    let mut views = few();
+    let at = views.iter().position(|view| view.name == "v7").unwrap();
+    let mask = views[at].mask.as_mut().unwrap();
+    let (width, middle) = (mask.width as usize, mask.coverage.len() / 2 + mask.width as usize / 2);
+    mask.coverage.fill(0.0);
+    [0, 1, width, width + 1].into_iter().for_each(|beyond| mask.coverage[middle + beyond] = 1.0);
+    let survey = surveyed(&views, None);
+    let errors: Vec<_> = survey.findings_of(Severity::Error).collect();
+    assert!(
+        !errors.is_empty() && errors.iter().all(|error| error.problem.contains("view `v7`")),
+        "{errors:#?}"
+    );
+}

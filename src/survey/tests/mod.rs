@@ -2,6 +2,7 @@
 
 mod axes;
 mod cameras;
+mod compact;
 mod consensus;
 mod masks;
 mod output;

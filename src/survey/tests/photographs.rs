@@ -1,7 +1,8 @@
 //! Faults of single photographs.
 
-use super::{expect, good, object, surveyed};
+use super::{expect, good, looks, object, surveyed};
 use crate::survey::look::OpenView;
+use crate::survey::photographs::compare;
 use crate::survey::{Severity, Survey};
 use glam::Vec3;
 
@@ -70,6 +71,32 @@ fn a_blurred_view_is_named() {
     };
     *pixels(&mut views[11]) = (0..sharp.len()).map(mean).collect();
     expect(&surveyed(&views, Some(&object())), "blurred", &["v11"], &["looks blurred", "view `v11`"]);
+}
+
+#[test]
+fn a_blurred_view_is_named_among_few_that_differ_much() {
+    let mut looks = looks(&good()[..16]);
+    let directions: Vec<Vec3> = (0..16u8)
+        .map(|i| {
+            let (s, c) = (f32::from(i) * std::f32::consts::TAU / 16.0).sin_cos();
+            Vec3::new(s, c, 0.0)
+        })
+        .collect();
+    for (i, look) in looks.iter_mut().enumerate() {
+        look.light.as_mut().unwrap().sharpness = Some(if i % 2 == 0 { 1.0 } else { 2.2 });
+    }
+    let blurred = |looks: &[crate::survey::ViewLook]| {
+        let (_, findings) = compare(looks, &directions, &[false; 16]);
+        findings.into_iter().find(|finding| finding.name == "blurred").map(|finding| finding.views)
+    };
+    assert_eq!(blurred(&looks), None);
+    looks[5].light.as_mut().unwrap().sharpness = Some(0.11);
+    assert_eq!(blurred(&looks), Some(vec!["v5".to_owned()]));
+    // One of several that differ more and more is not apart.
+    looks[12].light.as_mut().unwrap().sharpness = Some(0.6);
+    assert_eq!(blurred(&looks).map(|views| views.len()), Some(1));
+    looks[12].light.as_mut().unwrap().sharpness = Some(0.46);
+    assert_eq!(blurred(&looks), None);
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! Reading a mesh from a `.glb` or `.gltf` file.
 
 use crate::codec::gltf::file::GltfFile;
+use crate::mesh::MAX_COORDINATE;
 use crate::mesh::triangles::Mesh;
 use crate::{Error, Result};
 use glam::{DMat3, Mat3, Mat4, Quat, Vec2, Vec3};
@@ -307,6 +308,12 @@ impl Gathered {
                     format!("{place}, vertex {vertex}"),
                     format!("its position is not finite: {placed}"),
                 ));
+            }
+            if placed.abs().max_element() > MAX_COORDINATE {
+                let problem =
+                    format!("its place is {placed}: no coordinate may be beyond {MAX_COORDINATE:e}");
+                let help = "Scale the mesh, or the nodes above it, to the unit of the cameras.";
+                return Err(Error::input(&file.path, format!("{place}, vertex {vertex}"), problem, help));
             }
             self.mesh.positions.push(placed);
         }

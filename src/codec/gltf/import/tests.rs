@@ -395,6 +395,10 @@ fn positions_that_are_not_finite_are_named() {
     let mut document = Document::with_triangle([0.0, 0.0, 0.0, 1e30, 0.0, 0.0, 0.0, 1.0, 0.0]);
     document.root["nodes"][0]["scale"] = json!([1e20, 1.0, 1.0]);
     assert_refused(document.read(), "vertex 1");
+    // Finite, and beyond what anything is placed at.
+    let mut document = Document::triangle();
+    document.root["nodes"][0]["scale"] = json!([1e25, 1e25, 1e25]);
+    assert_refused(document.read(), "no coordinate may be beyond 1e9");
 }
 
 #[test]
