@@ -1,6 +1,6 @@
 //! A compact object with a known mesh: whatever is wrong with it, silhouettes overlap for the most part.
 
-use super::{camera, expect, photographed, surveyed};
+use super::{camera, expect, joined, photographed, surveyed};
 use crate::math::fibonacci::fibonacci_axes;
 use crate::mesh::bvh::TriangleBvh;
 use crate::mesh::primitive::{box_mesh, sphere_mesh};
@@ -12,20 +12,11 @@ use glam::Vec3;
 
 /// A ball with a knob and a nose.
 fn compact() -> Mesh {
-    let parts = [
+    joined([
         sphere_mesh(Vec3::ZERO, 0.62).unwrap(),
         box_mesh(Vec3::new(0.36, 0.36, 0.15), Vec3::splat(0.3)).unwrap(),
         box_mesh(Vec3::new(-0.2, -0.1, 0.48), Vec3::new(0.35, 0.3, 0.4)).unwrap(),
-    ];
-    let mut mesh = Mesh { uvs: Some(Vec::new()), ..Mesh::default() };
-    for part in parts {
-        let first = mesh.positions.len() as u32;
-        mesh.positions.extend(part.positions);
-        mesh.normals.extend(part.normals);
-        mesh.uvs.as_mut().unwrap().extend(part.uvs.unwrap());
-        mesh.triangles.extend(part.triangles.iter().map(|triangle| triangle.map(|vertex| vertex + first)));
-    }
-    mesh
+    ])
 }
 
 fn moved(change: impl Fn(Vec3) -> Vec3) -> Mesh {

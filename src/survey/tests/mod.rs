@@ -32,9 +32,13 @@ fn object() -> Mesh {
         (Vec3::new(0.4, 0.5, 0.1), Vec3::new(0.25, 0.5, 0.2)),
         (Vec3::new(-0.4, -0.1, 0.45), Vec3::new(0.2, 0.25, 0.6)),
     ];
+    joined(boxes.map(|(center, size)| box_mesh(center, size).unwrap()))
+}
+
+/// One mesh of several.
+fn joined<const N: usize>(parts: [Mesh; N]) -> Mesh {
     let mut mesh = Mesh { uvs: Some(Vec::new()), ..Mesh::default() };
-    for (center, size) in boxes {
-        let part = box_mesh(center, size).unwrap();
+    for part in parts {
         let first = mesh.positions.len() as u32;
         mesh.positions.extend(part.positions);
         mesh.normals.extend(part.normals);
