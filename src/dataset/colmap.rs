@@ -2,18 +2,21 @@
 //!
 //! The reconstruction is `cameras` and `images`, `.bin` or `.txt`; points, rigs and frames are not needed. It may also be where COLMAP's
 //! own programs, nerfstudio and 3D Gaussian splatting leave it; of several models the one with the most images is read. Masks may have
-//! any usual name, and be beside the photographs or in `DIR`; without a folder of masks alpha is the mask. Photographs are taken as they are stored, since COLMAP ignores their
-//! EXIF orientation. There is no test split: see [`crate::dataset::DatasetOptions::hold_out`].
+//! any usual name, and be beside the photographs or in `DIR`; without a folder of masks alpha is the mask. Photographs are taken as they are
+//! stored, since COLMAP ignores their EXIF orientation. `DIR/test_id.txt` and `DIR/train_id.txt`, as of Stanford-ORB's `llff_colmap_HDR`,
+//! list the views of each split. Without the former see [`crate::dataset::DatasetOptions::hold_out`].
 
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::colmap_model;
 use crate::dataset::colmap_model::{Model, ModelImage, image_count, read_model};
 use crate::dataset::folders::{Folders, flat_name};
+use crate::dataset::lists::{Lists, has_test_list};
 use crate::dataset::masks::mask_folder;
-use crate::dataset::names::{ImageName, portable, quoted, view_name};
+use crate::dataset::names::{ImageName, composed, portable, quoted, view_name};
 use crate::dataset::photographs::note_of_unused;
 use crate::dataset::{MaskPlan, Plan, ViewPlan};
 use crate::error::{Error, Result};
+use crate::view::Split;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -32,9 +35,6 @@ const PLACES: [(&str, &str); 9] = [
 ];
 /// Folders of reconstructions of which the cameras of another layout are made.
 const FOR_THE_RECORD: [&str; 3] = ["colmap", "colmap_text", "model"];
-/// What identifies such a layout.
-const OTHERS: [&str; 5] =
-    ["transforms.json", "transforms_train.json", "poses_bounds.npy", "cameras_sphere.npz", "cameras.npz"];
 
 /// A reconstruction that was found.
 struct Place {
@@ -48,14 +48,16 @@ pub fn camera_file(dir: &Path) -> Option<PathBuf> {
     find_place(dir).and_then(|place| place.models.into_iter().next())
 }
 
-/// Whether the folder is a COLMAP data set. One with cameras of nerfstudio, instant-ngp and the like keeps its reconstruction for the
-/// record.
-pub fn is_there(dir: &Path) -> bool {
-    let is_for_the_record = |file: &Path| {
-        FOR_THE_RECORD.iter().any(|folder| file.starts_with(dir.join(folder)))
-            && OTHERS.iter().any(|other| dir.join(other).is_file())
-    };
-    camera_file(dir).is_some_and(|file| !is_for_the_record(&file))
+/// Whether the folder has this split of a COLMAP data set: the test split is a list.
+pub fn has_split(dir: &Path, split: Split) -> bool {
+    camera_file(dir).is_some() && (split == Split::Train || has_test_list(dir))
+}
+
+/// Whether the reconstruction is there for the record only, beside the cameras of another layout that were made of it, or has no
+/// photographs.
+pub(super) fn is_for_the_record(dir: &Path) -> bool {
+    let is_kept = |file: &PathBuf| FOR_THE_RECORD.iter().any(|folder| file.starts_with(dir.join(folder)));
+    find_place(dir).is_some_and(|place| place.models.iter().all(is_kept) || !place.photographs.is_dir())
 }
 
 /// The first place with both models and photographs, or else with models.
@@ -114,16 +116,22 @@ pub fn registered_names(folder: &Path) -> Result<Vec<String>> {
     Ok(read_model(file)?.images.into_iter().map(|image| image.name).collect())
 }
 
-/// Plans all views, in the order of their names.
-pub(super) fn plan(dir: &Path) -> Result<Plan> {
-    let place = find_place(dir).ok_or_else(|| no_model(dir))?;
-    let (file, of_models) = largest(place.models)?;
+/// The model with the most images, which has some, and a note about the others.
+fn read_largest(models: Vec<PathBuf>) -> Result<(Model, Option<String>)> {
+    let (file, note) = largest(models)?;
     let model = read_model(file)?;
     if model.images.is_empty() {
         let problem = "the model has no images, so that there are no views";
         let help = "Give a model in which photographs are registered; COLMAP may have written several.";
         return Err(Error::input(&model.image_file, "", problem, help));
     }
+    Ok((model, note))
+}
+
+/// Plans the views of a split, in the order of their names; without lists, all are of the training split.
+pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
+    let place = find_place(dir).ok_or_else(|| no_model(dir))?;
+    let (model, of_models) = read_largest(place.models)?;
     let masks = place.photographs.parent().and_then(mask_folder).or_else(|| mask_folder(dir));
     let masks = masks.map(|folder| Folders::below(&folder));
     let mut pictures =
@@ -134,11 +142,30 @@ pub(super) fn plan(dir: &Path) -> Result<Plan> {
     }
     let mut images: Vec<&ModelImage> = model.images.iter().collect();
     images.sort_by(|a, b| a.name.cmp(&b.name));
-    let views = images.into_iter().map(|image| pictures.view(&model, image)).collect::<Result<Vec<_>>>()?;
+    let (wanted, unlisted) = listed(dir, split, &images)?;
+    let views = wanted.iter().map(|image| pictures.view(&model, image)).collect::<Result<Vec<_>>>()?;
+    if split == Split::Test {
+        // Notes about all views are reported once, with the training split.
+        return Ok(Plan { views, notes: Vec::new() });
+    }
+    images.iter().try_for_each(|image| pictures.found(&model, image).map(|_| ()))?;
     let Pictures { photographs, used, .. } = pictures;
     let extra = photographs.unused(|path| used.contains(path));
-    let notes = of_models.into_iter().chain(note_of_unused(extra, &photographs.root)).collect();
-    Ok(Plan { views, notes })
+    let unused = note_of_unused(extra, &photographs.root);
+    Ok(Plan { views, notes: of_models.into_iter().chain(unlisted).chain(unused).collect() })
+}
+
+/// The images of a split, and a note on those that the lists beside the model leave out.
+fn listed<'a>(
+    dir: &Path,
+    split: Split,
+    images: &[&'a ModelImage],
+) -> Result<(Vec<&'a ModelImage>, Option<String>)> {
+    let names: Vec<&str> = images.iter().map(|image| image.name.as_str()).collect();
+    let lists = Lists::read(dir)?;
+    lists.check(&names)?;
+    let wanted = images.iter().copied().filter(|image| lists.contains(split, &image.name));
+    Ok((wanted.collect(), lists.note_of_unlisted(&names)))
 }
 
 fn no_model(dir: &Path) -> Error {
@@ -150,26 +177,38 @@ fn no_model(dir: &Path) -> Error {
     Error::input(dir, "", problem, missing_file_help(&dir.join("sparse/0/cameras.bin")))
 }
 
+/// Where an image is in a model.
+fn place_of(image: &ModelImage) -> String {
+    format!("image {}", quoted(&image.name))
+}
+
 /// Photographs and masks of a reconstruction.
 struct Pictures {
     photographs: Folders,
     masks: Option<Folders>,
-    /// The photographs of views, as paths below their folder without extension.
+    /// The photographs of the model, as paths below their folder without extension, composed.
     used: BTreeSet<PathBuf>,
 }
 
 impl Pictures {
+    /// The path below the folder of photographs by which an image of the model is found, if it is.
+    fn found(&mut self, model: &Model, image: &ModelImage) -> Result<String> {
+        let name = portable(&image.name);
+        ImageName::new(&name, &model.image_file, &place_of(image))?;
+        let name = self.photographs.reachable(&name)?;
+        let stem = Path::new(&name).with_file_name(view_name(&name));
+        self.used.insert(composed(&stem.to_string_lossy()).into_owned().into());
+        Ok(name)
+    }
+
     fn view(&mut self, model: &Model, image: &ModelImage) -> Result<ViewPlan> {
-        let place = format!("image {}", quoted(&image.name));
+        let place = place_of(image);
         let Some(lens) = model.cameras.get(&image.camera).copied() else {
             let problem = format!("there is no camera {} in the model", image.camera);
             return Err(Error::input(&model.image_file, place, problem, "Write the model again."));
         };
-        let name = portable(&image.name);
-        ImageName::new(&name, &model.image_file, &place)?;
-        let name = self.photographs.reachable(&name)?;
+        let name = self.found(model, image)?;
         let photograph = self.photographs.photograph(ImageName::new(&name, &model.image_file, &place)?)?;
-        self.used.insert(Path::new(&name).with_file_name(view_name(&name)));
         Ok(ViewPlan {
             name: flat_name(&name),
             camera_file: model.image_file.clone(),
@@ -178,6 +217,7 @@ impl Pictures {
             mask: self.masks.as_mut().map_or(Ok(MaskPlan::Alpha), |masks| masks.mask(&name))?,
             lens,
             world_from_camera: image.camera_from_world.inverse().to_affine(),
+            pose_error: 0.0,
         })
     }
 }

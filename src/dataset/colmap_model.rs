@@ -199,7 +199,7 @@ fn pose_of(q: [f64; 4], t: [f64; 3]) -> Result<Rigid, String> {
         ));
     }
     let rotation = DMat3::from_quat(quaternion.normalize());
-    Ok(Rigid { rotation, translation: DVec3::from(t) })
+    Ok(Rigid::new(rotation, DVec3::from(t)))
 }
 
 /// Lines that are not empty or comments, with their numbers.

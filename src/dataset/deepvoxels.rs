@@ -11,7 +11,7 @@ use crate::dataset::distortion::Distortion;
 use crate::dataset::lens::{Focal, Lens};
 use crate::dataset::load::{StemIndex, file_name, read_text};
 use crate::dataset::masks::{find_mask, masks_in};
-use crate::dataset::names::{ImageName, quoted};
+use crate::dataset::names::{ImageName, composed, quoted};
 use crate::dataset::pose::Rigid;
 use crate::dataset::{MaskPlan, Plan, ViewPlan, split_name};
 use crate::error::{Error, Result};
@@ -79,9 +79,11 @@ pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
             mask,
             lens,
             world_from_camera: world_from_camera.to_affine(),
+            pose_error: pose.error,
         });
     }
-    let extra = images.stems().filter(|stem| !views.iter().any(|view| view.name == **stem)).count();
+    let is_used = |stem: &str| views.iter().any(|view| composed(&view.name) == composed(stem));
+    let extra = images.stems().filter(|stem| !is_used(stem)).count();
     let note = format!("{extra} images in {} have no pose and are left out", folder.join("rgb").display());
     Ok(Plan { views, notes: if extra > 0 { vec![note] } else { Vec::new() } })
 }

@@ -2,9 +2,9 @@
 
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::MaskPlan;
-use crate::dataset::load::{StemIndex, file_name, leads_away};
+use crate::dataset::load::{StemIndex, file_name, leads_away, spelled_as_on_disk};
 use crate::dataset::masks::{find_mask, mask_file};
-use crate::dataset::names::{ImageName, quoted, tails, view_name};
+use crate::dataset::names::{ImageName, composed, quoted, tails, view_name};
 use crate::error::{Error, Result};
 use std::collections::BTreeMap;
 use std::path::{Component, Path, PathBuf};
@@ -39,7 +39,7 @@ impl Folders {
     /// is the given one if there is no such file.
     pub fn reachable(&mut self, path: &str) -> Result<String> {
         for tail in tails(path).filter(|tail| *tail == path || !leads_away(tail)) {
-            let has_folder = self.root.join(tail).parent().is_some_and(Path::is_dir);
+            let has_folder = self.root_of(tail).is_dir();
             if has_folder && self.folder(tail)?.has(&file_name(Path::new(tail))) {
                 return Ok(tail.to_owned());
             }
@@ -59,7 +59,7 @@ impl Folders {
         let mut rest = Path::new(photograph);
         loop {
             let name = rest.to_string_lossy().into_owned();
-            let is_there = self.root.join(rest).parent().is_some_and(Path::is_dir);
+            let is_there = self.root_of(&name).is_dir();
             if is_there && let Some(mask) = mask_file(self.folder(&name)?, &file_name(rest)) {
                 return Ok(MaskPlan::File(mask));
             }
@@ -72,17 +72,23 @@ impl Folders {
         }
     }
 
-    /// Files that are none of `views`, given as paths below the root without extension.
+    /// Files that are not used, given as composed paths below the root without extension.
     pub fn unused(&self, is_used: impl Fn(&Path) -> bool) -> usize {
         let stems = self.found.iter().flat_map(|(folder, index)| index.stems().map(|stem| folder.join(stem)));
-        stems.filter(|path| !is_used(path)).count()
+        stems.filter(|path| !is_used(Path::new(composed(&path.to_string_lossy()).as_ref()))).count()
+    }
+
+    /// The folder, below the root, of the file with this path, as the disk spells it.
+    fn root_of(&self, name: &str) -> PathBuf {
+        let folder = self.root.join(Path::new(name).parent().unwrap_or(Path::new("")));
+        spelled_as_on_disk(&folder).unwrap_or(folder)
     }
 
     /// The folder of the file with this path.
     fn folder(&mut self, name: &str) -> Result<&StemIndex> {
         let parent = Path::new(name).parent().unwrap_or(Path::new("")).to_owned();
         if !self.found.contains_key(&parent) {
-            let folder = self.root.join(&parent);
+            let folder = self.root_of(name);
             let mut index = StemIndex::of_folder(&folder)?.ok_or_else(|| {
                 let problem = format!("the folder is missing, but {} should be in it", quoted(name));
                 Error::input(&folder, "", problem, missing_file_help(&folder))

@@ -108,5 +108,5 @@ pub(super) fn taken_apart(matrix: &Matrix) -> Result<(Lens, Rigid), String> {
     }
     let rotation = DMat3::from_cols(first.normalize(), down, forward);
     let lens = Lens { skew, ..Lens::pinhole(focal, center.map(Some)) };
-    Ok((lens, Rigid { rotation, translation: position }))
+    Ok((lens, Rigid::new(rotation, position)))
 }

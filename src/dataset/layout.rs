@@ -35,15 +35,15 @@ static FORMATS: [Format; 9] = [
         layout: Layout::Nerf,
         pixel_center: 0.5,
         mark: "transforms_train.json, transforms_test.json or transforms.json",
-        has: |dir, split| !is_stanford_orb(dir) && nerf::has_split(dir, split),
+        has: nerf::has_split,
         plan: nerf::plan,
     },
     Format {
         layout: Layout::Colmap,
         pixel_center: 0.5,
         mark: "cameras and images, .bin or .txt, in sparse/0, sparse, colmap/sparse, dense/sparse, colmap_text, colmap, model or 0",
-        has: |dir, split| split == Split::Train && colmap::is_there(dir),
-        plan: |dir, _| colmap::plan(dir),
+        has: colmap::has_split,
+        plan: colmap::plan,
     },
     Format {
         layout: Layout::DeepVoxels,
@@ -89,6 +89,31 @@ static FORMATS: [Format; 9] = [
     },
 ];
 
+/// That one layout is read where a folder has two.
+struct Precedence {
+    layout: Layout,
+    /// The one that is not read.
+    over: Layout,
+    /// In which folders.
+    holds: fn(&Path) -> bool,
+    /// What the user should know; may be empty.
+    note: &'static str,
+}
+
+static PRECEDENCE: [Precedence; 5] = [
+    Precedence { layout: Layout::StanfordOrb, over: Layout::Nerf, holds: |_| true, note: "" },
+    // The poses of public data of LLFF and mip-NeRF 360 are computed from the model, which has lens distortion as well.
+    Precedence {
+        layout: Layout::Colmap,
+        over: Layout::Llff,
+        holds: |dir| !colmap::is_for_the_record(dir),
+        note: "the cameras are those of the COLMAP model; poses_bounds.npy is not read (`layout: Llff` reads it)",
+    },
+    Precedence { layout: Layout::Llff, over: Layout::Colmap, holds: colmap::is_for_the_record, note: "" },
+    Precedence { layout: Layout::Nerf, over: Layout::Colmap, holds: colmap::is_for_the_record, note: "" },
+    Precedence { layout: Layout::Idr, over: Layout::Colmap, holds: colmap::is_for_the_record, note: "" },
+];
+
 /// NeRF's layout with folders of masks beside those of the photographs.
 fn is_stanford_orb(dir: &Path) -> bool {
     let is_there =
@@ -126,33 +151,53 @@ impl Format {
 /// [`Error::Input`] if the layout cannot be determined.
 pub fn has_split(dir: impl AsRef<Path>, split: Split, options: &DatasetOptions) -> Result<bool> {
     let dir = dir.as_ref();
-    let format = find_format(dir, options.layout)?;
+    let format = find_format(dir, options.layout, in_scene_file)?.format;
     let makes = split == Split::Test && options.hold_out > 0 && format.is_held_out(dir);
     Ok(makes || (format.has)(dir, split))
 }
 
-/// The requested layout of the data set in folder `dir`, or for `Auto` the only one that is present.
+/// How a scene file asks for a layout.
+pub(super) fn in_scene_file(layout: Layout) -> String {
+    format!("`layout: {layout:?}`")
+}
+
+/// The requested layout of the data set in folder `dir`, or for `Auto` the only one that is present. `choice` says how the user asks for a
+/// layout: it is the help for a folder of several.
 ///
 /// # Errors
 /// [`Error::Input`] if there is no such folder, or for `Auto` not exactly one layout.
-pub fn find_layout(dir: impl AsRef<Path>, asked: Layout) -> Result<Layout> {
-    find_format(dir.as_ref(), asked).map(|format| format.layout)
+pub fn find_layout(dir: impl AsRef<Path>, asked: Layout, choice: fn(Layout) -> String) -> Result<Layout> {
+    find_format(dir.as_ref(), asked, choice).map(|found| found.format.layout)
 }
 
-/// The format of the requested layout, or for `Auto` of the only one that is present.
-pub(super) fn find_format(dir: &Path, asked: Layout) -> Result<&'static Format> {
+/// A format, and what the user should know of the choice.
+pub(super) struct Found {
+    pub format: &'static Format,
+    pub note: Option<&'static str>,
+}
+
+/// The format of the requested layout, or for `Auto` of the only one that is present and yields to no other.
+pub(super) fn find_format(dir: &Path, asked: Layout, choice: fn(Layout) -> String) -> Result<Found> {
     if let Some(Obstacle { problem, help }) = obstacle(dir, Kind::Folder) {
         let help = if help.is_empty() { missing_file_help(dir) } else { help };
         return Err(Error::input(dir, "", problem, help));
     }
     if let Some(format) = FORMATS.iter().find(|format| format.layout == asked) {
-        return Ok(format);
+        return Ok(Found { format, note: None });
     }
-    let found: Vec<&Format> = FORMATS.iter().filter(|format| format.is_there(dir)).collect();
+    let mut found: Vec<&Format> = FORMATS.iter().filter(|format| format.is_there(dir)).collect();
+    let there: Vec<Layout> = found.iter().map(|format| format.layout).collect();
+    let holds =
+        |rule: &&Precedence| there.contains(&rule.layout) && there.contains(&rule.over) && (rule.holds)(dir);
+    let rules: Vec<&Precedence> = PRECEDENCE.iter().filter(holds).collect();
+    found.retain(|format| !rules.iter().any(|rule| rule.over == format.layout));
     match found.as_slice() {
-        [format] => Ok(format),
+        [format] => {
+            let note = rules.iter().find(|rule| rule.layout == format.layout && !rule.note.is_empty());
+            Ok(Found { format, note: note.map(|rule| rule.note) })
+        }
         [] => Err(unrecognized(dir)),
-        several => Err(ambiguous(dir, several)),
+        several => Err(ambiguous(dir, several, choice)),
     }
 }
 
@@ -172,9 +217,9 @@ fn held_out(plan: Plan, split: Split, hold_out: u32) -> Result<Plan> {
     Ok(Plan { views, notes: if split == Split::Train { plan.notes } else { Vec::new() } })
 }
 
-fn ambiguous(dir: &Path, several: &[&Format]) -> Error {
+fn ambiguous(dir: &Path, several: &[&Format], choice: fn(Layout) -> String) -> Error {
     let names: Vec<String> = several.iter().map(|format| format.name()).collect();
-    let choices: Vec<String> = names.iter().map(|name| format!("`layout: {name}`")).collect();
+    let choices: Vec<String> = several.iter().map(|format| choice(format.layout)).collect();
     let problem = format!("the folder has several layouts: {}", names.join(", "));
     Error::input(dir, "", problem, format!("Say which one with {}.", choices.join(" or ")))
 }

@@ -6,13 +6,14 @@ use crate::codec::image::{
 };
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::distortion::Distortion;
-use crate::dataset::names::{ImageName, has_image_extension, view_name};
+use crate::dataset::names::{ImageName, composed, has_image_extension, view_name};
 use crate::dataset::picture::{Curves, Picture};
 use crate::dataset::straighten::Straightening;
 use crate::dataset::{DatasetOptions, MaskPlan, ViewPlan};
 use crate::error::{Error, Result};
 use crate::view::{Camera, Mask, Split, StoredMask, ViewRecord};
 use serde::de::DeserializeOwned;
+use std::borrow::Cow;
 use std::collections::BTreeMap;
 use std::path::{Component, Path, PathBuf};
 use std::sync::Arc;
@@ -57,9 +58,43 @@ pub(super) fn file_name(path: &Path) -> String {
     path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
-/// The file itself if it exists, else with an image extension added. What is called as an image and is none, or may not be read, is
-/// found as well: reading it says why.
+/// The file itself if it exists, else with an image extension added, else the same of a path whose letters with accents are made of other
+/// characters. What is called as an image and is none, or may not be read, is found as well: reading it says why.
 pub(super) fn find_image(path: &Path) -> Option<PathBuf> {
+    find_spelled(path).or_else(|| {
+        let (folder, name) = (spelled_as_on_disk(path.parent()?)?, path.file_name()?.to_str()?);
+        let of_folder = || find_spelled(&folder.join(name));
+        of_folder().or_else(|| twins(&folder, name, true).find_map(|twin| find_spelled(&twin)))
+    })
+}
+
+/// A path that exists and differs from this one at most in the characters that letters with accents are made of.
+pub(super) fn spelled_as_on_disk(path: &Path) -> Option<PathBuf> {
+    if is_there(path) || path.as_os_str().is_empty() {
+        return Some(path.to_owned());
+    }
+    let folder = spelled_as_on_disk(path.parent()?)?;
+    twins(&folder, path.file_name()?.to_str()?, false).next()
+}
+
+/// The entries of a folder called as `name` but for the characters that letters with accents are made of, also with an image extension
+/// added if `or_longer`; by name. A name without such letters has none.
+fn twins(folder: &Path, name: &str, or_longer: bool) -> impl Iterator<Item = PathBuf> + use<> {
+    let wanted = composed(name).into_owned();
+    let entries = (!name.is_ascii()).then(|| std::fs::read_dir(folder).ok()).flatten();
+    let is_twin = |path: &PathBuf| {
+        let found = file_name(path);
+        let found = composed(&found);
+        found == wanted || (or_longer && has_image_extension(path) && view_name(&found) == wanted)
+    };
+    let mut found: Vec<PathBuf> =
+        entries.into_iter().flatten().flatten().map(|entry| entry.path()).filter(is_twin).collect();
+    found.sort();
+    found.into_iter()
+}
+
+/// [`find_image`] of exactly this path.
+fn find_spelled(path: &Path) -> Option<PathBuf> {
     if path.is_file() || (has_image_extension(path) && is_there(path)) {
         return Some(path.to_owned());
     }
@@ -94,7 +129,9 @@ pub(super) fn has_images(folder: &Path, is_other: fn(&Path) -> bool) -> bool {
 /// is given. `None` if there is no such file.
 pub(super) fn refusal_of_unread(folder: &Path, stem: Option<&str>) -> Option<Error> {
     let is_wanted = |path: &PathBuf| {
-        let has_stem = |stem: &str| path.file_stem().is_some_and(|found| found.to_string_lossy() == stem);
+        let has_stem = |stem: &str| {
+            path.file_stem().is_some_and(|found| composed(&found.to_string_lossy()) == composed(stem))
+        };
         is_unread_name(path) && stem.is_none_or(has_stem)
     };
     let entries = std::fs::read_dir(folder).ok()?.flatten().map(|entry| entry.path());
@@ -113,7 +150,9 @@ pub(super) struct StemIndex {
     /// Whether files in it may be opened to say why one is missing.
     pub explains: bool,
     files: BTreeMap<String, PathBuf>,
-    /// The same by names in lower case, the first of those that differ only in case.
+    /// The same by composed names, where these are others.
+    composed: BTreeMap<String, PathBuf>,
+    /// The same by composed names in lower case, the first of those that differ only in case.
     in_lower_case: BTreeMap<String, PathBuf>,
 }
 
@@ -123,13 +162,17 @@ impl StemIndex {
         if !is_there(folder) {
             return Ok(None);
         }
-        let (mut files, mut in_lower_case) = (BTreeMap::new(), BTreeMap::new());
+        let [mut files, mut others, mut in_lower_case] = [const { BTreeMap::new() }; 3];
         for path in image_files(folder)? {
             let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-            in_lower_case.entry(stem.to_lowercase()).or_insert_with(|| path.clone());
+            in_lower_case.entry(composed(&stem).to_lowercase()).or_insert_with(|| path.clone());
+            if let Cow::Owned(stem) = composed(&stem) {
+                others.entry(stem).or_insert_with(|| path.clone());
+            }
             files.entry(stem).or_insert(path);
         }
-        Ok(Some(Self { folder: folder.to_owned(), explains: true, files, in_lower_case }))
+        let (folder, explains) = (folder.to_owned(), true);
+        Ok(Some(Self { folder, explains, files, composed: others, in_lower_case }))
     }
 
     /// The image with this name, with or without the folders in it, or another one with its stem. One of a format that is not read is
@@ -156,7 +199,7 @@ impl StemIndex {
 
     /// Whether there is an image with this file name, or another one with its stem.
     pub fn has(&self, name: &str) -> bool {
-        self.exact(name).is_some() || self.files.contains_key(&view_name(name))
+        self.exact(name).is_some() || self.stem(&view_name(name)).is_some()
     }
 
     /// The file with this path below the folder, if there is one.
@@ -165,16 +208,21 @@ impl StemIndex {
             .filter(|path| path.is_file() || (has_image_extension(path) && is_there(path)))
     }
 
-    /// The image with this file stem, if there is one.
+    /// The image with this file stem, if there is one; with that very one, or else with one that is shown alike.
     pub fn stem(&self, stem: &str) -> Option<PathBuf> {
-        self.files.get(stem).cloned()
+        let alike = || {
+            let stem = composed(stem);
+            self.files.get(stem.as_ref()).or_else(|| self.composed.get(stem.as_ref()))
+        };
+        self.files.get(stem).or_else(alike).cloned()
     }
 
     /// The image with this file stem in lower case, if there is one, whatever its case.
     pub fn stem_in_lower_case(&self, stem: &str) -> Option<PathBuf> {
-        self.in_lower_case.get(stem).cloned()
+        self.in_lower_case.get(composed(stem).as_ref()).cloned()
     }
 
+    /// The file stems as they are on disk.
     pub fn stems(&self) -> impl Iterator<Item = &str> {
         self.files.keys().map(String::as_str)
     }

@@ -127,7 +127,8 @@ impl<'a, 'input: 'a> Xml<'a, 'input> {
         if !translation.as_vec3().is_finite() {
             return Err(self.wrong(transform, "the camera's position is not finite in the world"));
         }
-        Ok(Rigid { rotation: rigid.rotation * local.rotation, translation })
+        let error = rigid.error.max(local.error);
+        Ok(Rigid { rotation: rigid.rotation * local.rotation, translation, error })
     }
 
     fn similarity(&self, transform: Node<'a, 'input>) -> Result<Similarity> {

@@ -4,13 +4,17 @@
 //! - **PhySG** ([`physg`]): `DIR/{train,test}/{image,mask}/` and `DIR/{train,test}/cam_dict_norm.json`;
 //! - **NeRF/Blender** ([`nerf`]): `DIR/transforms_{train,test}.json`, or one `DIR/transforms.json` as of nerfstudio, Polycam and
 //!   instant-ngp, and the images it names;
-//! - **COLMAP** ([`colmap`]): `DIR/sparse/0/{cameras,images}.{bin,txt}` or other usual places, `DIR/images/`, `DIR/masks/`;
+//! - **COLMAP** ([`colmap`]): `DIR/sparse/0/{cameras,images}.{bin,txt}` or other usual places, `DIR/images/`, `DIR/masks/`, and
+//!   Stanford-ORB's lists `DIR/{train,test}_id.txt`;
 //! - **DeepVoxels** ([`deepvoxels`]): `intrinsics.txt`, `pose/`, `rgb/`, in `DIR` or `DIR/{train,validation,test}`;
 //! - **IDR, NeuS, VolSDF** ([`idr`]): `DIR/cameras_sphere.npz`, `DIR/image/`, `DIR/mask/`;
 //! - **LLFF, NeRD** ([`llff`]): `DIR/poses_bounds.npy`, `DIR/images/`, `DIR/masks/`;
-//! - **Stanford-ORB** ([`stanford_orb`]): NeRF's, and `DIR/{train,test}_mask/`;
+//! - **Stanford-ORB** ([`stanford_orb`], its `blender_HDR` and `blender_LDR`): NeRF's, and `DIR/{train,test}_mask/`;
 //! - **RealityCapture** ([`reality_capture`]): `DIR/*.csv` of camera parameters, `DIR/images/`, `DIR/masks/`;
 //! - **Metashape** ([`metashape`]): `DIR/*.xml` of cameras, `DIR/images/`, `DIR/masks/`.
+//!
+//! Where a folder has two, Stanford-ORB goes before NeRF, and COLMAP before LLFF; a COLMAP model that is kept for the record yields to the
+//! cameras that were made of it.
 //!
 //! | option | type | unit | default | meaning |
 //! | --- | --- | --- | --- | --- |
@@ -23,6 +27,7 @@
 //! | `select` | `Option<Vec<String>>` | | all | names of the views to read |
 //! | `up` | [`Vec3`] | | (0, 1, 0) | the data's up direction, for orbits; nothing is rotated |
 
+mod beside;
 pub mod colmap;
 mod colmap_model;
 pub mod deepvoxels;
@@ -32,6 +37,7 @@ mod folders;
 pub mod idr;
 mod layout;
 mod lens;
+mod lists;
 pub mod llff;
 mod load;
 mod masks;
@@ -53,14 +59,17 @@ use crate::codec::image::{Gamma, Orientation, image_header};
 use crate::codec::nearby::closest;
 use crate::error::{Error, Result};
 use crate::view::{Split, ViewRecord};
+use beside::Beside;
+pub use beside::masks_hint;
 use glam::{Affine3A, Vec3};
-use layout::find_format;
+use layout::{Found, find_format, in_scene_file};
 pub use layout::{find_layout, has_split};
 use lens::{Lens, crop_note};
 pub use load::{LoadedView, PlannedView, load_notes};
 pub(crate) use masks::mask_stems;
 use names::check_names;
 use picture::Curves;
+use pose::PRECISE;
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
@@ -77,7 +86,7 @@ pub enum Layout {
     PhySg,
     /// NeRF's and Blender's: `transforms_{train,test}.json`; nerfstudio's: `transforms.json`.
     Nerf,
-    /// COLMAP's: `sparse/0`, `images` and `masks`.
+    /// COLMAP's: `sparse/0`, `images` and `masks`; lists of the splits in `train_id.txt` and `test_id.txt`.
     Colmap,
     /// DeepVoxels': `intrinsics.txt`, `pose` and `rgb`.
     DeepVoxels,
@@ -187,6 +196,8 @@ struct ViewPlan {
     mask: MaskPlan,
     lens: Lens,
     world_from_camera: Affine3A,
+    /// How far the matrix of the file was from a rotation.
+    pose_error: f64,
 }
 
 impl ViewPlan {
@@ -247,9 +258,12 @@ pub struct OpenDataset {
     pub layout: Layout,
     /// Notes for the user about all views.
     pub notes: Vec<String>,
+    /// Where there are no masks: a folder with an image for each photograph that is not called as one of masks.
+    pub masks_beside: Option<PathBuf>,
 }
 
-/// Opens a split of the data set in folder `dir`: reads camera files and looks for photographs and masks, but reads none of these.
+/// Opens a split of the data set in folder `dir`: reads camera files and looks for photographs and masks, but reads none of these, except
+/// for one of each where masks may be in a folder of an unusual name.
 ///
 /// # Errors
 /// [`Error::Input`] that names file and place if the layout cannot be determined, the split is absent, or a camera file is
@@ -257,8 +271,9 @@ pub struct OpenDataset {
 pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOptions) -> Result<OpenDataset> {
     let dir = dir.as_ref();
     options.check()?;
-    let format = find_format(dir, options.layout)?;
+    let Found { format, note } = find_format(dir, options.layout, in_scene_file)?;
     let mut plan = format.plan(dir, split, options.hold_out)?;
+    plan.notes.splice(0..0, note.filter(|_| split == Split::Train).map(str::to_owned));
     plan.notes.extend(check_names(&plan.views)?);
     let mut wanted = selected(plan.views, options)?;
     if wanted.is_empty() {
@@ -272,7 +287,14 @@ pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
     for view in &wanted {
         view.check_inside(options.roots.as_deref())?;
     }
+    let beside = Beside::find(dir, &wanted)?;
+    let masks_beside = beside.as_ref().and_then(Beside::unused_folder);
+    if let Some(beside) = beside {
+        plan.notes.push(beside.apply(&mut wanted));
+        wanted.iter().try_for_each(|view| view.check_inside(options.roots.as_deref()))?;
+    }
     wanted.iter_mut().try_for_each(ViewPlan::measure)?;
+    plan.notes.extend(rounding_note(&wanted));
     plan.notes.extend(crop_note(wanted.iter().map(|view| &view.lens)));
     let curves = Arc::new(Curves::new(options.gamma));
     let view = |plan| PlannedView::new(plan, split, options, format.pixel_center, &curves);
@@ -280,6 +302,7 @@ pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
         views: wanted.into_iter().map(view).collect(),
         layout: format.layout,
         notes: plan.notes,
+        masks_beside,
     })
 }
 
@@ -291,7 +314,7 @@ pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
 /// # Errors
 /// Those of [`open_dataset`], and [`Error::Input`] if an image or mask is unusable.
 pub fn read_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOptions) -> Result<Dataset> {
-    let OpenDataset { views, layout, mut notes } = open_dataset(dir, split, options)?;
+    let OpenDataset { views, layout, mut notes, .. } = open_dataset(dir, split, options)?;
     let loaded: Vec<Result<LoadedView>> = views.par_iter().map(PlannedView::load).collect();
     let loaded = loaded.into_iter().collect::<Result<Vec<_>>>()?;
     notes.extend(load_notes(&loaded));
@@ -321,6 +344,19 @@ fn absent_split(dir: &Path, split: Split, camera_file: fn(&Path, Split) -> PathB
         "There is no split of this layout at all.".to_owned()
     };
     Error::input(camera_file(dir, split), "", problem, help)
+}
+
+/// A note on poses with so few decimals that their matrices are visibly no rotations.
+fn rounding_note(plans: &[ViewPlan]) -> Option<String> {
+    let rounded = || plans.iter().filter(|plan| plan.pose_error >= PRECISE);
+    let worst = rounded().max_by(|a, b| a.pose_error.total_cmp(&b.pose_error))?;
+    Some(format!(
+        "the poses of {} views are written with too few decimals, so that their matrices are no rotations ({}: off by {:.1e}); the \
+         nearest rotations are used. Export the poses with 6 decimals, or refine them (`cameras: Poses`)",
+        rounded().count(),
+        worst.name,
+        worst.pose_error
+    ))
 }
 
 /// Positions are `f32`: for cameras that are thousands of times farther from the origin than from each other, rounding would be

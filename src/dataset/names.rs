@@ -4,8 +4,10 @@ use crate::codec::file::check_file_name;
 use crate::codec::image::{IMAGE_EXTENSIONS, is_unread_name};
 use crate::dataset::ViewPlan;
 use crate::error::{Error, Result};
+use std::borrow::Cow;
 use std::collections::HashMap;
 use std::path::Path;
+use unicode_normalization::{UnicodeNormalization, is_nfc};
 
 /// Most characters of a name in a message.
 const LONGEST: usize = 60;
@@ -29,6 +31,12 @@ pub(super) fn view_name(path: &str) -> String {
 pub(super) fn portable(path: &str) -> String {
     let path = path.replace('\\', "/");
     path.strip_prefix("./").map_or_else(|| path.clone(), str::to_owned)
+}
+
+/// A name in the form in which letters with accents are one character each (NFC), as most programs write it; file systems of macOS may
+/// have it in another.
+pub(super) fn composed(name: &str) -> Cow<'_, str> {
+    if is_nfc(name) { Cow::Borrowed(name) } else { Cow::Owned(name.nfc().collect()) }
 }
 
 /// A portable path, then what is left of it without the first of its folders, without the first two, and so on to the file's name.

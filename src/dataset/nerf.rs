@@ -217,6 +217,7 @@ impl Reader<'_> {
             image,
             lens,
             world_from_camera: world_from_camera.to_affine(),
+            pose_error: world_from_camera.error,
         })
     }
 

@@ -199,5 +199,6 @@ pub(super) fn view_of(
         mask,
         lens,
         world_from_camera: world_from_camera.to_affine(),
+        pose_error: world_from_camera.error,
     }
 }

@@ -9,13 +9,14 @@ use crate::codec::file::is_there;
 use crate::dataset::lens::Lens;
 use crate::dataset::load::{StemIndex, file_name, parse_json, read_text};
 use crate::dataset::masks::{find_mask, masks_in};
-use crate::dataset::names::{ImageName, quoted, view_name};
+use crate::dataset::names::{ImageName, composed, quoted, view_name};
 use crate::dataset::photographs::note_of_unused;
 use crate::dataset::pose::Rigid;
 use crate::dataset::{MaskPlan, Plan, ViewPlan, absent_split, split_name};
 use crate::error::{Error, Result};
 use crate::view::Split;
 use serde::de::{Deserialize, Deserializer, MapAccess, Visitor};
+use std::borrow::Cow;
 use std::collections::BTreeSet;
 use std::fmt;
 use std::path::{Path, PathBuf};
@@ -70,8 +71,9 @@ pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
     for (key, entry) in entries {
         views.push(plan_view(&file, &key, &entry, images.as_ref(), masks.as_ref())?);
     }
-    let names: BTreeSet<&str> = views.iter().map(|view| view.name.as_str()).collect();
-    let extra = images.map_or(0, |images| images.stems().filter(|stem| !names.contains(stem)).count());
+    let names: BTreeSet<Cow<str>> = views.iter().map(|view| composed(&view.name)).collect();
+    let is_extra = |stem: &&str| !names.contains(&composed(stem));
+    let extra = images.map_or(0, |images| images.stems().filter(is_extra).count());
     Ok(Plan { views, notes: note_of_unused(extra, &folder.join("image")).into_iter().collect() })
 }
 
@@ -115,7 +117,8 @@ fn plan_view(
         )),
     };
     let world_from_camera = camera_from_world.inverse().to_affine();
-    Ok(ViewPlan { name, camera_file: file.to_owned(), place, image, mask, lens, world_from_camera })
+    let (camera_file, pose_error) = (file.to_owned(), camera_from_world.error);
+    Ok(ViewPlan { name, camera_file, place, image, mask, lens, world_from_camera, pose_error })
 }
 
 fn sixteen(values: &[f64]) -> Result<[f64; 16], String> {

@@ -205,6 +205,6 @@ impl Row {
         let [heading, pitch, roll] = [heading, pitch, roll].map(f64::to_radians);
         let rotation =
             DMat3::from_rotation_z(-heading) * DMat3::from_rotation_x(pitch) * DMat3::from_rotation_y(roll);
-        Ok(Rigid { rotation, translation }.in_opencv_axes())
+        Ok(Rigid::new(rotation, translation).in_opencv_axes())
     }
 }

@@ -1,6 +1,7 @@
 //! Stanford-ORB's layout (`blender_HDR`, `blender_LDR`): NeRF's, with masks in `train_mask` and `test_mask`.
 //!
-//! The photographs have no alpha. `transforms_novel.json`, cameras of the same object in other places, is not read.
+//! The photographs have no alpha. `transforms_novel.json`, cameras of the same object in other places, is not read. The same photographs as
+//! `llff_colmap_HDR` and `llff_colmap_LDR` are in the layout of [COLMAP](crate::dataset::colmap).
 
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::load::StemIndex;

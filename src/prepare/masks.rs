@@ -197,7 +197,8 @@ fn by_command(
         words.split_first().ok_or_else(|| Error::usage("no mask command", COMMAND_HELP))?;
     let program = Program { path: program.into(), install: "Install it, or give another --mask-command." };
     let arguments: Vec<OsString> = arguments.iter().map(place).collect();
-    program.run(&arguments, log, &mut |_| ())?;
+    let run = program.run(&arguments, log, &mut |_| ());
+    run.map_err(|error| failed_command(error, &program, &arguments, photograph))?;
     if !output.is_file() {
         let problem = format!("the mask command wrote no mask of {}", photograph.source.display());
         return Err(Error::usage(
@@ -208,6 +209,19 @@ fn by_command(
     let mask = mask_of_file(&output).map_err(|error| about_command(error, photograph))?;
     fs::remove_file(&output).map_err(Error::io("remove", &output))?;
     Ok(mask)
+}
+
+/// The error for a command that fails: what was run, of which photograph, and what to try.
+fn failed_command(error: Error, program: &Program, arguments: &[OsString], photograph: &Photograph) -> Error {
+    let Error::Run { problem, .. } = error else { return error };
+    let words = std::iter::once(program.path.to_string_lossy())
+        .chain(arguments.iter().map(|word| word.to_string_lossy()));
+    let words: Vec<_> = words.collect();
+    let line = shlex::try_join(words.iter().map(AsRef::as_ref)).unwrap_or_else(|_| words.join(" "));
+    let problem = format!("the mask command failed. This was run:\n{line}\n{problem}");
+    let help = "Run that line in a shell, with a file of your own in place of the last one, until it writes a PNG; then give the same \
+                command to --mask-command. If it fails for this photograph alone, leave it out, or give masks with --masks DIR.";
+    Error::input(&photograph.source, "", problem, help)
 }
 
 /// What is wrong with a mask that a command wrote, said of the photograph: the file's name is of no use to anyone.
@@ -393,16 +407,25 @@ mod tests {
         let idle = script(set.folder.path(), "idle", "exit 0");
         let text = set.refused(&MaskSource::Command(format!("{} {{in}} {{out}}", idle.display())));
         assert!(text.contains("wrote no mask of") && text.contains("000007.jpg"), "{text}");
-        disc(40, 30).save(set.path("disc.jpg")).unwrap();
-        let body = format!("cp '{}' \"$2\"", set.path("disc.jpg").display());
-        let other = script(set.folder.path(), "other", &body);
+        let body = "echo 'no picture' > \"$2\"";
+        let other = script(set.folder.path(), "other", body);
         let text = set.refused(&MaskSource::Command(format!("{} {{in}} {{out}}", other.display())));
-        let words = ["photos/000007.jpg: ", "holds a JPEG", "must write a PNG to {out}"];
+        let words = ["photos/000007.jpg: ", "neither PNG, JPEG", "must write a PNG to {out}"];
         assert!(words.iter().all(|word| text.contains(word)), "{text}");
         assert!(!text.contains(".part") && !text.contains("Rename"), "{text}");
-        let failing = script(set.folder.path(), "failing", "echo no such model; exit 1");
-        let text = set.refused(&MaskSource::Command(format!("{} {{in}} {{out}}", failing.display())));
-        assert!(text.contains("no such model"), "{text}");
+        let failing = script(set.folder.path(), "failing", "echo started; echo no such model >&2; exit 7");
+        let text =
+            set.refused(&MaskSource::Command(format!("{} --size 'a b' {{in}} {{out}}", failing.display())));
+        for part in [
+            "photos/000007.jpg: the mask command failed. This was run:",
+            "failing --size 'a b' ",
+            "images/000007.jpg",
+            "exit status: 7",
+            "started\nno such model",
+            "Run that line in a shell",
+        ] {
+            assert!(text.contains(part), "`{part}` is not in: {text}");
+        }
         for (command, why) in [
             ("rembg i {in}", "has no {out}"),
             ("rembg i {out}", "has no {in}"),

@@ -3,6 +3,7 @@
 //! | module | holds |
 //! | --- | --- |
 //! | `photographs` | the photographs of a folder, by their headers |
+//! | `left_out` | files that are not used, and what to do about them |
 //! | `video` | frames of a video, by `ffmpeg` |
 //! | `masks`, `backdrop`, `regions` | masks from alpha, a folder, a command, or the color of a plain backdrop |
 //! | `background` | whether the background stands still while the object turns |
@@ -31,6 +32,7 @@
 mod backdrop;
 mod background;
 mod colmap;
+mod left_out;
 mod masks;
 mod model;
 mod options;
@@ -130,7 +132,15 @@ impl Source {
     fn open(options: &PrepareOptions) -> Result<Self> {
         let path = &options.photographs;
         if !video::is_video(path) {
-            return photographs::list(path).map(Self::Photographs);
+            let listing = photographs::list(path)?;
+            if options.frames != FrameCount::Auto {
+                let problem = format!(
+                    "a number of frames is that of a video, and {} is a folder of photographs",
+                    path.display()
+                );
+                return Err(Error::usage(problem, "Leave out --frames and --fps: all photographs are used."));
+            }
+            return Ok(Self::Photographs(listing));
         }
         let ffmpeg = Program { path: options.ffmpeg.clone(), install: video::INSTALL };
         let plan = video::plan(&ffmpeg, path, options.frames)?;

@@ -2,8 +2,8 @@
 
 use crate::error::{Error, Result};
 use crate::prepare::colmap::{CameraSharing, LensModel};
+use crate::prepare::left_out::FEWEST;
 use crate::prepare::masks::MaskSource;
-use crate::prepare::photographs::FEWEST;
 use std::fmt;
 use std::path::PathBuf;
 

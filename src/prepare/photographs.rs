@@ -10,6 +10,7 @@ use crate::codec::nearby::{missing_file_help, natural_order};
 use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::pass::progress::Progress;
+use crate::prepare::left_out::{FEWEST, UNREADABLE, VIDEOS, note_of_left_out, too_few};
 use image::metadata::Orientation;
 use image::{ImageDecoder, ImageFormat, ImageReader};
 use rayon::prelude::*;
@@ -18,20 +19,10 @@ use std::fs;
 use std::io::Cursor;
 use std::path::{Path, PathBuf};
 
-/// Fewest photographs that cameras can be found for.
-pub(super) const FEWEST: usize = 3;
-/// Formats of photographs that COLMAP cannot read, by extension.
-const UNREADABLE: [&str; 14] =
-    ["heic", "heif", "avif", "webp", "dng", "cr2", "cr3", "nef", "arw", "raf", "orf", "rw2", "exr", "hdr"];
-
 /// Most bytes of pixels that are decoded at once.
 const MOST_DECODED: u64 = 1 << 30;
 /// What to do about a photograph that is damaged.
 const DAMAGED_HELP: &str = "Copy it again, or remove it.";
-
-/// Extensions of video files.
-pub(super) const VIDEOS: [&str; 10] =
-    ["mp4", "mov", "m4v", "mkv", "webm", "avi", "mpg", "mpeg", "mts", "m2ts"];
 
 /// A photograph, by its header.
 #[derive(Clone, Debug, PartialEq)]
@@ -78,12 +69,7 @@ pub(super) fn list(folder: &Path) -> Result<Listing> {
     let mut photographs = files.iter().map(|path| header(path)).collect::<Result<Vec<_>>>()?;
     refuse_same_stems(&photographs)?;
     sort_into_folders(&mut photographs);
-    let notes = others
-        .iter()
-        .map(|(extension, count)| {
-            format!("{count} .{extension} files are left out: only JPEG and PNG photographs are used")
-        })
-        .collect();
+    let notes = others.iter().map(|(extension, count)| note_of_left_out(extension, *count)).collect();
     Ok(Listing { photographs, notes })
 }
 
@@ -105,24 +91,6 @@ fn files_in(folder: &Path) -> Result<(Vec<PathBuf>, BTreeMap<String, usize>)> {
         }
     }
     Ok((files, others))
-}
-
-fn too_few(folder: &Path, found: usize, others: &BTreeMap<String, usize>) -> Error {
-    let problem = match found {
-        0 => "there are no JPEG or PNG photographs in this folder".to_owned(),
-        n => format!("{n} JPEG or PNG photographs are in this folder, and cameras need at least {FEWEST}"),
-    };
-    let help = match others.iter().max_by_key(|(_, count)| **count) {
-        Some((extension, _)) if VIDEOS.contains(&extension.as_str()) => {
-            format!("It has a .{extension} file: give that file instead of the folder.")
-        }
-        Some((extension, count)) => format!(
-            "It has {count} .{extension} files: develop or convert them to JPEG or 16-bit PNG, all with the same settings."
-        ),
-        None if found > 0 => "Take 20 or more from all sides, each overlapping the next.".to_owned(),
-        None => "Give the folder that has them directly in it: folders inside are not searched.".to_owned(),
-    };
-    Error::input(folder, "", problem, help)
 }
 
 fn refuse_same_stems(photographs: &[Photograph]) -> Result<()> {
@@ -339,6 +307,12 @@ mod tests {
         let listing = list(folder.path()).unwrap();
         assert_eq!(names(&listing), ["a1.JPG", "a9.jpg", "a10.jpg"]);
         assert_eq!(listing.notes, ["2 .nef files are left out: only JPEG and PNG photographs are used"]);
+        fs::rename(folder.path().join("a1.nef"), folder.path().join("a1.HEIC")).unwrap();
+        let notes = list(folder.path()).unwrap().notes;
+        assert!(
+            notes[0].starts_with("1 .heic files are left out") && notes[0].contains("heif-convert"),
+            "{notes:?}"
+        );
         assert_eq!(folders(&listing.photographs), 1);
         assert_eq!(listing.photographs[0].size, [8, 6]);
     }
@@ -463,8 +437,15 @@ mod tests {
         assert!(refused(&folder.path().join("none")).contains("no such folder"));
         assert!(refused(folder.path()).contains("no JPEG or PNG photographs"));
         fs::write(folder.path().join("a.heic"), "x").unwrap();
-        assert!(refused(folder.path()).contains("1 .heic files: develop or convert"));
-        fs::rename(folder.path().join("a.heic"), folder.path().join("a.mp4")).unwrap();
+        let text = refused(folder.path());
+        assert!(
+            text.contains("1 .heic files: convert all of them with `heif-convert FILE.heic FILE.jpg`"),
+            "{text}"
+        );
+        assert!(text.contains("`magick mogrify -format jpg *.heic`"), "{text}");
+        fs::rename(folder.path().join("a.heic"), folder.path().join("a.cr2")).unwrap();
+        assert!(refused(folder.path()).contains("1 .cr2 files: develop or convert"));
+        fs::rename(folder.path().join("a.cr2"), folder.path().join("a.mp4")).unwrap();
         assert!(refused(folder.path()).contains("give that file instead of the folder"));
         jpeg(&folder.path().join("a.jpg"), [8, 6], None);
         jpeg(&folder.path().join("b.jpg"), [8, 6], None);

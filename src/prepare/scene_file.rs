@@ -1,7 +1,7 @@
 //! A commented scene file for a data set: what is known of it, what a fit has to find, and what may be worth changing.
 
 use crate::dataset::{
-    DatasetOptions, Layout, OpenDataset, PlannedView, find_layout, has_split, open_dataset,
+    DatasetOptions, Layout, OpenDataset, PlannedView, find_layout, has_split, masks_hint, open_dataset,
 };
 use crate::error::{Error, Result};
 use crate::view::Split;
@@ -30,6 +30,8 @@ pub struct Survey {
     pub size: [u32; 2],
     /// Whether the first view has a mask.
     pub has_masks: bool,
+    /// Where there are no masks: a folder that may have them under an unusual name.
+    pub masks_beside: Option<PathBuf>,
     /// Whether the data set has a test split of its own.
     pub has_test: bool,
     /// Up in the photographs on average, world space, where a layout's world has no up of its own.
@@ -41,9 +43,9 @@ pub struct Survey {
 /// # Errors
 /// [`Error::Input`] if the folder is no data set, or its first view cannot be read.
 pub fn survey(data: &Path, asked: Layout) -> Result<Survey> {
-    let layout = find_layout(data, asked)?;
+    let layout = find_layout(data, asked, |layout| format!("`--layout {layout:?}`"))?;
     let options = DatasetOptions { layout, hold_out: 0, ..DatasetOptions::default() };
-    let OpenDataset { views, .. } = open_dataset(data, Split::Train, &options)?;
+    let OpenDataset { views, masks_beside, .. } = open_dataset(data, Split::Train, &options)?;
     let first =
         views.first().ok_or_else(|| Error::input(data, "", "the data set has no views", ""))?.load()?;
     let (Some(photograph), mask) = (&first.record.photograph, &first.record.mask) else {
@@ -57,6 +59,7 @@ pub fn survey(data: &Path, asked: Layout) -> Result<Survey> {
         views: views.len(),
         size: photograph.size(),
         has_masks: mask.is_some(),
+        masks_beside,
         has_test: has_split(data, Split::Test, &options)?,
         up: if layout == Layout::Colmap { mean_up(&views) } else { None },
     })
@@ -78,7 +81,11 @@ pub fn scene_for(data: &Path, layout: Layout, scene: &Path) -> Result<String> {
     if survey.mesh.is_none() && !survey.has_masks {
         let problem =
             "the data set has neither masks nor a mesh: without one of them, there is no shape to fit";
-        let help = "Add a folder of masks or alpha to the photographs (`lobelia prepare` makes masks), or put mesh.glb into the folder.";
+        let beside = survey.masks_beside.as_deref().map(|folder| format!("{}. Or: ", masks_hint(folder)));
+        let help = format!(
+            "{}Add a folder of masks or alpha to the photographs (`lobelia prepare` makes masks), or put mesh.glb into the folder.",
+            beside.unwrap_or_default()
+        );
         return Err(Error::input(data, "", problem, help));
     }
     Ok(scene_text(&survey, data, is_beside(data, scene)))
@@ -343,6 +350,37 @@ mod tests {
         let data = data(3, [8, 6], false);
         let error = scene_for(data.path(), Layout::Auto, &data.path().join("scene.ron")).unwrap_err();
         assert!(error.to_string().contains("neither masks nor a mesh") && error.exit_code() == 2, "{error}");
+    }
+
+    #[test]
+    fn a_folder_that_may_have_masks_is_named() {
+        let data = data(3, [8, 6], false);
+        fs::create_dir(data.path().join("figure")).unwrap();
+        for i in 0..3 {
+            image::GrayImage::from_fn(8, 6, |x, _| Luma([if x > 1 { 255 } else { 0 }]))
+                .save(data.path().join(format!("figure/{i}.png")))
+                .unwrap();
+        }
+        let scene = data.path().join("scene.ron");
+        let error = scene_for(data.path(), Layout::Auto, &scene).unwrap_err();
+        let help = error.help().unwrap();
+        assert!(help.contains("figure has images of the same names: rename it to masks/"), "{help}");
+        fs::rename(data.path().join("figure"), data.path().join("figure_masks")).unwrap();
+        assert!(scene_for(data.path(), Layout::Auto, &scene).unwrap().contains("surface: Unknown()"));
+    }
+
+    #[test]
+    fn several_layouts_are_told_in_the_words_of_the_command_line() {
+        let data = data(3, [8, 6], true);
+        fs::write(data.path().join("cameras.npz"), "").unwrap();
+        let error = survey(data.path(), Layout::Auto).unwrap_err();
+        assert!(error.to_string().contains("several layouts: Colmap, Idr"), "{error}");
+        assert_eq!(error.help(), Some("Say which one with `--layout Colmap` or `--layout Idr`."));
+        assert!(
+            scene_for(data.path(), Layout::Colmap, Path::new("scene.ron"))
+                .unwrap()
+                .contains("layout: Colmap")
+        );
     }
 
     #[test]

@@ -432,3 +432,15 @@ fn bad_input_leaves_no_folder() {
     assert!(refused(&capture.options()).contains("it has thesis.txt"));
     assert_eq!(fs::read_dir(capture.path("out")).unwrap().count(), 1);
 }
+
+#[test]
+fn frames_of_a_folder_of_photographs_are_refused() {
+    let capture = Capture::new();
+    for frames in [FrameCount::Count(50), FrameCount::PerSecond(2.0)] {
+        let error = prepare(&PrepareOptions { frames, ..capture.options() }, &Silent).unwrap_err();
+        assert_eq!(error.exit_code(), 2);
+        assert!(error.to_string().contains("photos is a folder of photographs"), "{error}");
+        assert!(error.help().unwrap().contains("Leave out --frames and --fps"), "{error:?}");
+        assert!(!capture.path("out").exists(), "it is refused before anything is written");
+    }
+}

@@ -37,6 +37,10 @@ const STRAY_BY: f32 = 0.12;
 const STRAY_FLOOR: f32 = 0.05;
 const STRAY_TIMES: f32 = 8.0;
 const STRAY_OFFSET: f32 = 0.5;
+/// Part of a mask well outside the mesh, or the reverse, that is no rough outline, and the part of the views that must have it: a missing
+/// part is behind the others in many. Sound sets have none.
+const MISSING: f32 = 0.01;
+const MISSING_VIEWS: f32 = 0.25;
 /// Views and pixels a side that causes are tried on.
 const TRIED_VIEWS: usize = 10;
 const TRIED_SIDE: u32 = 40;
@@ -68,7 +72,7 @@ pub fn of_mesh(bvh: &TriangleBvh, looks: &[ViewLook], found: &[Option<Agreement>
         return vec![finding];
     }
     if middle >= COVERS {
-        return strays(looks, found, middle);
+        return other_parts(looks, found).into_iter().chain(strays(looks, found, middle)).collect();
     }
     vec![unexplained(looks, found, middle)]
 }
@@ -173,6 +177,33 @@ fn inverted(looks: &[ViewLook], found: &[Option<Agreement>]) -> Vec<String> {
         .zip(found)
         .filter_map(|(look, found)| Some((look, found.as_ref()?, look.mask.as_ref()?)));
     views.filter(|(_, found, mask)| is_inverted(found, mask)).map(|(look, ..)| look.name.clone()).collect()
+}
+
+/// Parts of the object that only the masks have, or only the mesh.
+fn other_parts(looks: &[ViewLook], found: &[Option<Agreement>]) -> Option<Finding> {
+    let shares = |share: fn(&Agreement) -> f32| {
+        let of_view = |(look, found): (&ViewLook, &Option<Agreement>)| {
+            found.as_ref().map(share).filter(|share| *share > MISSING).map(|share| (share, look.name.clone()))
+        };
+        let mut views: Vec<(f32, String)> = looks.iter().zip(found).filter_map(of_view).collect();
+        views.sort_by(|a, b| b.0.total_cmp(&a.0));
+        views
+    };
+    let least = MISSING_VIEWS * found.iter().flatten().count() as f32;
+    let (missing, beyond) = (shares(|found| found.missing), shares(|found| found.beyond));
+    let (views, words) = if missing.len() as f32 >= least.max(1.0) {
+        (missing, "the mesh lacks parts that the masks have")
+    } else if beyond.len() as f32 >= least.max(1.0) {
+        (beyond, "the mesh has parts that the masks do not have")
+    } else {
+        return None;
+    };
+    let percent = 100.0 * views[0].0;
+    let views: Vec<String> = views.into_iter().map(|view| view.1).collect();
+    let problem = format!("{words}, in {}: {percent:.0} % of the mask in the worst", named(&views));
+    let help =
+        "Give the mesh of the whole object and masks of the same parts, or fit without a mesh (`Shape`).";
+    Some(Finding::warning("other-parts", views, problem, help))
 }
 
 /// Names of views with masks, the least overlap first.

@@ -1,7 +1,9 @@
 //! How cameras lie around the object: on a sphere, a hemisphere, rings, or on one side.
 
+use crate::survey::finding::{Finding, named};
 use crate::survey::look::ViewLook;
 use crate::survey::meeting::{Outline, Sight, meeting_point};
+use crate::survey::silhouette::overlap;
 use glam::{Mat3, Vec3};
 use serde::Serialize;
 
@@ -23,6 +25,34 @@ const BELOW_DEGREES: f32 = -20.0;
 const LEAST_UPRIGHT: f32 = 0.3;
 /// Cosine of the angle (30°) within which a direction is that of the data, or of an axis.
 const NEAR_AXIS: f32 = 0.866;
+
+/// Overlap of masks below which they are not of the same view of the object.
+const SAME_MASK: f32 = 0.95;
+
+/// Views with the same camera and other silhouettes: one of them has the camera of another. An error where all views have one camera.
+pub fn same_cameras(looks: &[ViewLook]) -> Option<Finding> {
+    let has_same_camera =
+        |a: &ViewLook, b: &ViewLook| a.camera.world_from_camera == b.camera.world_from_camera;
+    let contradicts = |a: &ViewLook, b: &ViewLook| {
+        let masks = a.mask.as_ref().zip(b.mask.as_ref());
+        let masks = masks.filter(|(a, b)| a.small.inside.len() == b.small.inside.len());
+        masks
+            .and_then(|(a, b)| overlap(&a.small.inside, &b.small.inside))
+            .is_some_and(|same| same < SAME_MASK)
+    };
+    let is_named = |a: &&ViewLook| looks.iter().any(|b| has_same_camera(a, b) && contradicts(a, b));
+    let views: Vec<String> = looks.iter().filter(is_named).map(|look| look.name.clone()).collect();
+    let first = looks.first().filter(|_| !views.is_empty())?;
+    if looks.iter().all(|look| has_same_camera(first, look)) {
+        let problem = format!("all {} views have the same camera, and their masks differ", looks.len());
+        let help = "Give each view its own pose, in the frame of the object: of an object that turns before a fixed camera, as if the \
+                    camera went around it. `lobelia prepare PHOTOS OUT` finds such poses.";
+        return Some(Finding::error("same-cameras", Vec::new(), problem, help));
+    }
+    let problem = format!("the same camera is given for views whose masks differ: {}", named(&views));
+    let help = "Correct these poses, or leave the views out with `select`.";
+    Some(Finding::warning("same-cameras", views, problem, help))
+}
 
 /// The kind of an arrangement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]

@@ -4,7 +4,7 @@ use crate::dataset::Layout;
 use crate::mesh::bvh::TriangleBvh;
 use crate::mesh::triangles::Mesh;
 use crate::survey::agreement;
-use crate::survey::cameras::Arrangement;
+use crate::survey::cameras::{Arrangement, same_cameras};
 use crate::survey::consensus::{self, Consensus};
 use crate::survey::detail;
 use crate::survey::finding::{Finding, Severity};
@@ -83,7 +83,10 @@ pub fn examine(mut looks: Vec<ViewLook>, subject: &Subject, backgrounds: &[Backg
     survey.findings = photographs::of_radiance(&survey.looks);
     survey.findings.extend(photographs::of_duplicates(&survey.looks));
     survey.findings.extend(masks::of_masks(&survey.looks, subject.scored, subject.mesh.is_some()));
+    survey.findings.extend(same_cameras(&survey.looks));
     match subject.mesh.filter(|mesh| !mesh.triangles.is_empty()) {
+        // Views that all have one camera agree with nothing.
+        _ if survey.findings_of(Severity::Error).any(|error| error.name == "same-cameras") => {}
         Some(mesh) => beside_mesh(&mut survey, mesh, subject.up),
         None => beside_hull(&mut survey, subject.up),
     }

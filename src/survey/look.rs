@@ -5,7 +5,7 @@ use crate::math::color::luminance;
 use crate::math::statistics::quantile;
 use crate::report::metrics::erode;
 use crate::report::tone::srgb8;
-use crate::survey::sharpness::sharpness;
+use crate::survey::sharpness::{Sharpness, sharpness};
 use crate::view::raster::FULL_COVERAGE;
 use crate::view::{Camera, Image, Mask, Split, ViewRecord};
 use glam::Vec3;
@@ -115,8 +115,8 @@ pub struct Light {
     pub highest: f32,
     /// Share of pixels with a channel at the top of its range, in `[0, 1]`.
     pub clipped: f32,
-    /// Fine detail ([`sharpness`]); `None` if the object is too small or has none.
-    pub sharpness: Option<f32>,
+    /// Fine detail; `None` if the object is too small or has none.
+    pub sharpness: Option<Sharpness>,
     /// A hash of all pixels: photographs with the same are identical.
     pub fingerprint: u64,
 }

@@ -8,15 +8,24 @@ const LEAST_PIXELS: usize = 32;
 /// Distance of a pixel of the halved picture from the silhouette.
 const MARGIN: usize = 2;
 /// Least detail that is measured: below it there is nothing but rounding.
-const LEAST_DETAIL: f64 = 1e-9;
+const LEAST_DETAIL: f32 = 1e-9;
 /// Brightest value that counts, in medians: highlights come and go from view to view.
 const MOST: f32 = 4.0;
 
-/// Mean square of the Laplacian of a photograph's square root of luminance, relative to the median, in halved resolution (which takes most
-/// of the noise out). `median` is the median luminance in the object, `inside(i)` says whether pixel i is the object's.
+/// How much fine detail a photograph has: mean squares of second derivatives of the square root of luminance, relative to the median, in
+/// halved resolution (which takes most of the noise out).
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sharpness {
+    /// Of the Laplacian: the same for all directions.
+    pub everywhere: f32,
+    /// Along the one of four directions where there is least: motion blurs along one direction only.
+    pub least: f32,
+}
+
+/// The sharpness of a photograph: `median` is the median luminance in the object, `inside(i)` says whether pixel i is the object's.
 ///
 /// A blur of two pixels lowers it at least fourfold where the object has texture. `None` for fewer than 32 pixels, or no detail at all.
-pub fn sharpness(image: &Image, median: f32, inside: impl Fn(usize) -> bool) -> Option<f32> {
+pub fn sharpness(image: &Image, median: f32, inside: impl Fn(usize) -> bool) -> Option<Sharpness> {
     if median <= 0.0 || !median.is_finite() {
         return None;
     }
@@ -29,7 +38,9 @@ pub fn sharpness(image: &Image, median: f32, inside: impl Fn(usize) -> bool) -> 
         block.iter().all(|&i| inside(i)).then(|| block.iter().map(|&i| value(i)).sum::<f32>() / 4.0)
     };
     let halves: Vec<Option<f32>> = (0..width * height).map(halved).collect();
-    let (mut energy, mut count) = (0.0f64, 0usize);
+    // Across, down, and both diagonals, with the square of the step.
+    let directions = [(1, 1.0f32), (width, 1.0), (width + 1, 2.0), (width - 1, 2.0)];
+    let (mut laplacian, mut along, mut count) = (0.0f64, [0.0f64; 4], 0usize);
     // The silhouette is no detail of the object, and a blurred one reaches a little way in.
     let is_inner = |x: usize, y: usize| {
         (y - MARGIN..=y + MARGIN).all(|row| {
@@ -42,14 +53,18 @@ pub fn sharpness(image: &Image, median: f32, inside: impl Fn(usize) -> bool) -> 
             if !is_inner(x, y) {
                 continue;
             }
-            let around = [i - width, i - 1, i + 1, i + width].map(|k| halves[k]);
-            let (Some(here), [Some(a), Some(b), Some(c), Some(d)]) = (halves[i], around) else { continue };
-            energy += f64::from(a + b + c + d - 4.0 * here).powi(2);
+            let at = |i: usize| halves[i].unwrap_or(0.0);
+            let second =
+                directions.map(|(step, square)| (at(i - step) + at(i + step) - 2.0 * at(i)) / square);
+            laplacian += f64::from(second[0] + second[1]).powi(2);
+            along.iter_mut().zip(second).for_each(|(sum, second)| *sum += f64::from(second).powi(2));
             count += 1;
         }
     }
-    let mean = energy / count as f64;
-    (count >= LEAST_PIXELS && mean > LEAST_DETAIL).then_some(mean as f32)
+    let mean = |sum: f64| (sum / count as f64) as f32;
+    let least = mean(along.into_iter().fold(f64::INFINITY, f64::min));
+    let found = Sharpness { everywhere: mean(laplacian), least };
+    (count >= LEAST_PIXELS && least > LEAST_DETAIL).then_some(found)
 }
 
 #[cfg(test)]
@@ -75,10 +90,27 @@ mod tests {
     fn a_blurred_texture_is_less_sharp_at_any_exposure() {
         let sharp = sharpness(&textured(false), 0.4, |_| true).unwrap();
         let blurred = sharpness(&textured(true), 0.4, |_| true).unwrap();
-        assert!(blurred < 0.25 * sharp, "{blurred} {sharp}");
+        assert!(blurred.everywhere < 0.25 * sharp.everywhere, "{blurred:?} {sharp:?}");
+        assert!(blurred.least < 0.25 * sharp.least, "{blurred:?} {sharp:?}");
         let mut brighter = textured(false);
         brighter.pixels.iter_mut().for_each(|pixel| *pixel *= 8.0);
-        assert!((sharpness(&brighter, 3.2, |_| true).unwrap() - sharp).abs() < 1e-4);
+        let again = sharpness(&brighter, 3.2, |_| true).unwrap();
+        assert!((again.everywhere - sharp.everywhere).abs() < 1e-4, "{again:?} {sharp:?}");
+    }
+
+    #[test]
+    fn motion_along_any_direction_is_a_blur() {
+        let sharp = sharpness(&textured(false), 0.4, |_| true).unwrap();
+        for step in [1, 40, 41, 39, 82] {
+            let Image { pixels, .. } = textured(false);
+            let moved = |i: i32| {
+                let taps = (-4..=4).map(|k: i32| pixels[(i + k * step).clamp(0, 1599) as usize]);
+                taps.sum::<Vec3>() / 9.0
+            };
+            let blurred = Image { width: 40, height: 40, pixels: (0..1600).map(moved).collect() };
+            let blurred = sharpness(&blurred, 0.4, |_| true).unwrap();
+            assert!(blurred.least < 0.25 * sharp.least, "{step}: {blurred:?} {sharp:?}");
+        }
     }
 
     #[test]

@@ -32,7 +32,14 @@ pub struct Agreement {
     pub inverse_iou: f32,
     /// Mean distance of the outlines in pixels of the small mask: pixels that one of both covers, for each along the outline of the mesh.
     pub offset: f32,
+    /// Share of the mask's pixels that are well outside the mesh.
+    pub missing: f32,
+    /// Pixels of the mesh well outside the mask, relative to those of the mask.
+    pub beyond: f32,
 }
+
+/// Pixels of a small mask beyond which a pixel is well outside a silhouette.
+const MARGIN: usize = 2;
 
 /// For each view that has a mask, how it agrees with the mesh.
 pub fn agreements(bvh: &TriangleBvh, looks: &[ViewLook]) -> Vec<Option<Agreement>> {
@@ -43,10 +50,26 @@ pub fn agreements(bvh: &TriangleBvh, looks: &[ViewLook]) -> Vec<Option<Agreement
         let iou = overlap(&mesh, &mask.inside).unwrap_or(0.0);
         let inverse_iou = overlap(&mesh, &outside).unwrap_or(0.0);
         let apart = mesh.iter().zip(&mask.inside).filter(|(mesh, mask)| mesh != mask).count();
-        let offset = apart as f32 / outline(&mesh, mask.camera.width as usize).max(1) as f32;
-        Some(Agreement { iou, inverse_iou, offset })
+        let width = mask.camera.width as usize;
+        let offset = apart as f32 / outline(&mesh, width).max(1) as f32;
+        let area = mask.inside.iter().filter(|inside| **inside).count().max(1) as f32;
+        let missing = well_outside(&mask.inside, &mesh, width) as f32 / area;
+        let beyond = well_outside(&mesh, &mask.inside, width) as f32 / area;
+        Some(Agreement { iou, inverse_iou, offset, missing, beyond })
     };
     looks.par_iter().map(of_view).collect()
+}
+
+/// Pixels of `a` that have no pixel of `b` within [`MARGIN`] in either direction.
+fn well_outside(a: &[bool], b: &[bool], width: usize) -> usize {
+    let height = a.len() / width.max(1);
+    let is_near = |i: usize| {
+        let (x, y) = (i % width, i / width);
+        let columns = x.saturating_sub(MARGIN)..(x + MARGIN + 1).min(width);
+        let mut rows = y.saturating_sub(MARGIN)..(y + MARGIN + 1).min(height);
+        rows.any(|row| b[row * width..][columns.clone()].contains(&true))
+    };
+    (0..a.len()).filter(|i| a[*i] && !b[*i] && !is_near(*i)).count()
 }
 
 /// Covered pixels beside one that is not.
@@ -80,5 +103,19 @@ mod tests {
         };
         assert_eq!(outline(&square(1), 5), 8);
         assert_eq!(outline(&square(0), 5), 5);
+    }
+
+    #[test]
+    fn a_rim_is_not_well_outside() {
+        // Squares of 4×4 and 8×8 around the middle of 12×12, and one with another part in a corner.
+        let square = |low: usize, high: usize| -> Vec<bool> {
+            (0..144).map(|i| (low..high).contains(&(i % 12)) && (low..high).contains(&(i / 12))).collect()
+        };
+        let (small, large) = (square(4, 8), square(2, 10));
+        assert_eq!([well_outside(&large, &small, 12), well_outside(&small, &large, 12)], [0, 0]);
+        let mut parted = small.clone();
+        [0, 1, 12, 13].into_iter().for_each(|i| parted[i] = true);
+        assert_eq!(well_outside(&parted, &small, 12), 4);
+        assert_eq!(well_outside(&small, &[false; 144], 12), 16);
     }
 }

@@ -23,8 +23,8 @@ const MOST_CHUNK_BYTES: u64 = 1 << 26;
 /// Reads the header of an image file, and checks format and size. No pixels are decoded.
 ///
 /// # Errors
-/// [`Error::Input`] if the file is missing, empty, in a format that is not read (with the tool that converts it), not in the
-/// format that its name says, or damaged so that its header cannot be read; also if the declared size is above
+/// [`Error::Input`] if the file is missing, empty, in a format that is not read (with the tool that converts it), or
+/// damaged so that its header cannot be read; also if the declared size is above
 /// [`MOST_PIXELS`](crate::codec::image::MOST_PIXELS), or more than a file of so few bytes can hold.
 pub fn image_header(path: impl AsRef<Path>) -> Result<ImageHeader> {
     let path = path.as_ref();

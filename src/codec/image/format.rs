@@ -69,7 +69,8 @@ const STARTS: [(usize, &[u8], Format); 10] = [
 ];
 
 const MAGICK: &str = "Convert it, e.g. with ImageMagick: `magick FILE FILE.png`.";
-const HEIC: &str = "Convert all of them with `heif-convert FILE.heic FILE.jpg`, or set the camera to JPEG.";
+const HEIC: &str = "Convert all of them with `heif-convert FILE.heic FILE.jpg` or ImageMagick's `magick mogrify -format jpg *.heic`, or set \
+                    the camera to JPEG.";
 
 const VIDEO: &str = "a video";
 const FRAMES: &str = "`lobelia prepare FILE DATA` makes a data set of it; `ffmpeg -i FILE -qscale:v 2 images/%04d.jpg` takes its frames.";
@@ -118,18 +119,6 @@ impl Format {
         STARTS.iter().find(|(at, start, _)| starts(bytes, *at, start)).map(|&(.., format)| format)
     }
 
-    fn from_extension(path: &Path) -> Option<Self> {
-        match extension(path)?.as_str() {
-            "png" => Some(Self::Png),
-            "jpg" | "jpeg" => Some(Self::Jpeg),
-            "tif" | "tiff" => Some(Self::Tiff),
-            "webp" => Some(Self::Webp),
-            "exr" => Some(Self::Exr),
-            "hdr" | "pic" => Some(Self::Hdr),
-            _ => None,
-        }
-    }
-
     /// "a PNG", for messages.
     pub fn name(self) -> &'static str {
         match self {
@@ -143,10 +132,10 @@ impl Format {
     }
 }
 
-/// The format of a file with these first bytes.
+/// The format of a file with these first bytes, whatever its name; a RAW file's name counts, since many are TIFF inside.
 ///
 /// # Errors
-/// [`Error::Input`] with what to do if the file is in another format, a camera's RAW file, or named as another format.
+/// [`Error::Input`] with what to do if the file is in another format, or a camera's RAW file.
 pub(super) fn recognize(path: &Path, start: &[u8]) -> Result<Format> {
     let format = Format::from_bytes(start);
     let is_named_raw = extension(path).is_some_and(|name| RAW_EXTENSIONS.contains(&name.as_str()));
@@ -166,12 +155,6 @@ pub(super) fn recognize(path: &Path, start: &[u8]) -> Result<Format> {
             }
         });
     };
-    if let Some(named) = Format::from_extension(path)
-        && named != format
-    {
-        let problem = format!("the file is named as {} but holds {}", named.name(), format.name());
-        return Err(Error::input(path, "", problem, "Rename it, or convert it to what its name says."));
-    }
     Ok(format)
 }
 

@@ -1,6 +1,6 @@
 //! Reading photographs and masks: PNG, JPEG, TIFF, WebP, OpenEXR and Radiance HDR.
 //!
-//! The first bytes of a file determine its format; a file name with another format is an error. Embedded color profiles and gamma
+//! The first bytes of a file determine its format, whatever its name. Embedded color profiles and gamma
 //! chunks are ignored: [`Gamma`] says how 8- and 16-bit values are read. Headers are read and checked before pixels are decoded:
 //! [`image_header`]. [`decode_samples`] and [`decode_photograph`] give pixels as compact as the file has them; [`read_image`] and
 //! [`read_mask`] convert these to linear radiance and coverage.

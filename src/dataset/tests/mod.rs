@@ -1,12 +1,14 @@
 //! Tests of reading data sets, each on a tiny one made in a temporary folder.
 
 mod bad;
+mod beside;
 mod colmap;
 mod deepvoxels;
 mod distortion;
 mod files;
 mod good;
 mod idr;
+mod lists;
 mod llff;
 mod mask_names;
 mod metashape;
@@ -14,9 +16,11 @@ mod moved;
 mod near;
 mod reality_capture;
 mod recognition;
+mod rounded;
 mod splits;
 mod stanford_orb;
 mod transforms;
+mod unicode;
 
 use super::*;
 use crate::codec::test_data::write_exr;

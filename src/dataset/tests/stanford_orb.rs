@@ -44,3 +44,18 @@ fn missing_masks_are_named() {
     fs::remove_dir_all(dir.path().join("train_mask")).unwrap();
     assert_eq!(read_split(dir.path(), Split::Train).unwrap().layout, Layout::Nerf);
 }
+
+#[test]
+fn the_same_folder_can_be_read_as_nerfs() {
+    let dir = tempfile::tempdir().unwrap();
+    write_set(dir.path());
+    let options = DatasetOptions { layout: Layout::Nerf, ..DatasetOptions::default() };
+    let told = read_dataset(dir.path(), Split::Train, &options).unwrap();
+    assert_eq!((told.layout, names(&told)), (Layout::Nerf, vec!["0000", "0001"]));
+    assert!(has_split(dir.path(), Split::Test, &options).unwrap());
+    // Masks of the other split have names of photographs of this one.
+    fs::remove_dir_all(dir.path().join("train_mask")).unwrap();
+    write_mask(&dir.path().join("test_mask/0001.png"));
+    let told = read_dataset(dir.path(), Split::Train, &options).unwrap();
+    assert!(told.views.iter().all(|view| view.mask.is_none()), "{:?}", told.notes);
+}

@@ -1,6 +1,6 @@
 //! How cameras lie, and turntables.
 
-use super::{camera, looks};
+use super::{camera, expect, good, looks, object, surveyed};
 use crate::math::fibonacci::fibonacci_axes;
 use crate::survey::cameras::{Arrangement, Kind};
 use crate::survey::look::OpenView;
@@ -112,4 +112,24 @@ fn a_turntable_is_a_ring_before_the_same_background() {
     assert_eq!(sameness(&backgrounds(8, |x, _, _| 0.5 + 0.0002 * x)), None);
     assert_eq!(sameness(&backgrounds(2, shelf)), None);
     assert_eq!(sameness(&[]), None);
+}
+
+#[test]
+fn one_camera_for_several_sides_of_the_object_is_named() {
+    let mut fixed = good();
+    let first = fixed[0].camera;
+    fixed.iter_mut().for_each(|view| view.camera = first);
+    for mesh in [None, Some(object())] {
+        expect(&surveyed(&fixed, mesh.as_ref()), "same-cameras", &[], &["all 24 views", "turns before"]);
+    }
+    let mut twice = good();
+    twice[3].camera = twice[2].camera;
+    let survey = surveyed(&twice, None);
+    let found = survey.findings.iter().find(|finding| finding.name == "same-cameras").unwrap();
+    assert_eq!(found.views, ["v2", "v3"], "{:?}", survey.findings);
+    // Two exposures from one place have the same mask.
+    let mut bracketed = good();
+    bracketed[3] = OpenView { name: "v3".to_owned(), ..bracketed[2].clone() };
+    let survey = surveyed(&bracketed, None);
+    assert!(survey.findings.iter().all(|finding| finding.name != "same-cameras"), "{:?}", survey.findings);
 }

@@ -10,13 +10,17 @@ use crate::survey::{Severity, Survey};
 use crate::view::Split;
 use glam::Vec3;
 
+fn ball() -> Mesh {
+    sphere_mesh(Vec3::ZERO, 0.62).unwrap()
+}
+
+fn nose() -> Mesh {
+    box_mesh(Vec3::new(-0.2, -0.1, 0.48), Vec3::new(0.35, 0.3, 0.4)).unwrap()
+}
+
 /// A ball with a knob and a nose.
 fn compact() -> Mesh {
-    joined([
-        sphere_mesh(Vec3::ZERO, 0.62).unwrap(),
-        box_mesh(Vec3::new(0.36, 0.36, 0.15), Vec3::splat(0.3)).unwrap(),
-        box_mesh(Vec3::new(-0.2, -0.1, 0.48), Vec3::new(0.35, 0.3, 0.4)).unwrap(),
-    ])
+    joined([ball(), box_mesh(Vec3::new(0.36, 0.36, 0.15), Vec3::splat(0.3)).unwrap(), nose()])
 }
 
 fn moved(change: impl Fn(Vec3) -> Vec3) -> Mesh {
@@ -110,4 +114,20 @@ fn two_exchanged_cameras_are_named_though_silhouettes_overlap() {
     let of_named =
         |view: &str| survey.looks.iter().position(|look| look.name == view).and_then(|i| survey.mesh_iou[i]);
     assert!(["v4", "v7"].iter().all(|view| of_named(view) > Some(0.75)), "{:?}", survey.mesh_iou);
+}
+
+#[test]
+fn parts_that_only_one_of_both_has_are_named() {
+    let without_knob = joined([ball(), nose()]);
+    let survey = surveyed(&views(|i| i), Some(&without_knob));
+    covers(&survey);
+    let finding = &survey.findings[0];
+    assert!(finding.name == "other-parts" && finding.views.len() >= 5, "{:#?}", survey.findings);
+    assert!(finding.problem.starts_with("the mesh lacks parts"), "{finding:?}");
+    let with_more = joined([compact(), box_mesh(Vec3::new(0.0, -0.7, 0.0), Vec3::splat(0.4)).unwrap()]);
+    let survey = surveyed(&views(|i| i), Some(&with_more));
+    covers(&survey);
+    let finding = &survey.findings[0];
+    assert_eq!(finding.name, "other-parts", "{:#?}", survey.findings);
+    assert!(finding.problem.starts_with("the mesh has parts"), "{finding:?}");
 }

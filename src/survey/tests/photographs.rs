@@ -3,6 +3,7 @@
 use super::{expect, good, looks, object, surveyed};
 use crate::survey::look::OpenView;
 use crate::survey::photographs::compare;
+use crate::survey::sharpness::Sharpness;
 use crate::survey::{Severity, Survey};
 use glam::Vec3;
 
@@ -54,23 +55,34 @@ fn another_exposure_is_named_with_its_stops() {
     assert_eq!(changed(5, |pixel| pixel * 1.3).findings, []);
 }
 
-#[test]
-fn a_blurred_view_is_named() {
+/// Good views, of which that of index 11 is the mean of itself moved by each step.
+fn blurred(steps: &[[i64; 2]]) -> Survey {
     let mut views = good();
-    let side = views[11].camera.width as usize;
+    let side = i64::from(views[11].camera.width);
     let sharp = pixels(&mut views[11]).clone();
     let mean = |i: usize| {
-        let (x, y) = ((i % side) as i64, (i / side) as i64);
-        let tap = |dx: i64, dy: i64| {
-            let (x, y) = ((x + dx).clamp(0, side as i64 - 1), (y + dy).clamp(0, side as i64 - 1));
-            sharp[y as usize * side + x as usize]
+        let (x, y) = (i as i64 % side, i as i64 / side);
+        let tap = |[dx, dy]: [i64; 2]| {
+            let (x, y) = ((x + dx).clamp(0, side - 1), (y + dy).clamp(0, side - 1));
+            sharp[(y * side + x) as usize]
         };
-        let taps: Vec<Vec3> =
-            (-2..=2).flat_map(|dy| (-2..=2).map(move |dx| (dx, dy))).map(|(dx, dy)| tap(dx, dy)).collect();
-        taps.iter().sum::<Vec3>() / taps.len() as f32
+        steps.iter().map(|step| tap(*step)).sum::<Vec3>() / steps.len() as f32
     };
     *pixels(&mut views[11]) = (0..sharp.len()).map(mean).collect();
-    expect(&surveyed(&views, Some(&object())), "blurred", &["v11"], &["looks blurred", "view `v11`"]);
+    surveyed(&views, Some(&object()))
+}
+
+#[test]
+fn a_blurred_view_is_named() {
+    let square: Vec<[i64; 2]> = (-2..=2).flat_map(|dy| (-2..=2).map(move |dx| [dx, dy])).collect();
+    let motion: Vec<[i64; 2]> = (-4..=4).map(|dx| [dx, 0]).collect();
+    for steps in [square, motion] {
+        expect(&blurred(&steps), "blurred", &["v11"], &["looks blurred", "view `v11`"]);
+    }
+}
+
+fn evenly(sharpness: f32) -> Sharpness {
+    Sharpness { everywhere: sharpness, least: sharpness }
 }
 
 #[test]
@@ -83,19 +95,19 @@ fn a_blurred_view_is_named_among_few_that_differ_much() {
         })
         .collect();
     for (i, look) in looks.iter_mut().enumerate() {
-        look.light.as_mut().unwrap().sharpness = Some(if i % 2 == 0 { 1.0 } else { 2.2 });
+        look.light.as_mut().unwrap().sharpness = Some(evenly(if i % 2 == 0 { 1.0 } else { 2.2 }));
     }
     let blurred = |looks: &[crate::survey::ViewLook]| {
         let (_, findings) = compare(looks, &directions, &[false; 16]);
         findings.into_iter().find(|finding| finding.name == "blurred").map(|finding| finding.views)
     };
     assert_eq!(blurred(&looks), None);
-    looks[5].light.as_mut().unwrap().sharpness = Some(0.11);
+    looks[5].light.as_mut().unwrap().sharpness = Some(evenly(0.11));
     assert_eq!(blurred(&looks), Some(vec!["v5".to_owned()]));
     // One of several that differ more and more is not apart.
-    looks[12].light.as_mut().unwrap().sharpness = Some(0.6);
+    looks[12].light.as_mut().unwrap().sharpness = Some(evenly(0.6));
     assert_eq!(blurred(&looks).map(|views| views.len()), Some(1));
-    looks[12].light.as_mut().unwrap().sharpness = Some(0.46);
+    looks[12].light.as_mut().unwrap().sharpness = Some(evenly(0.46));
     assert_eq!(blurred(&looks), None);
 }
 

@@ -6,9 +6,6 @@ use super::*;
 fn wrong_files_are_named_with_help() {
     let (_dir, at) = folder();
     RgbImage::new(2, 2).save(at("a.png")).unwrap();
-    fs::copy(at("a.png"), at("a.jpg")).unwrap();
-    let problem = problem_of(read_image(at("a.jpg"), Gamma::Srgb, Orientation::Upright));
-    assert!(problem.contains("named as a JPEG but holds a PNG"), "{problem}");
     fs::write(at("empty.exr"), "").unwrap();
     assert!(problem_of(read_image(at("empty.exr"), Gamma::Srgb, Orientation::Upright)).contains("0 bytes"));
     fs::write(at("text.exr"), "hello").unwrap();

@@ -192,3 +192,32 @@ fn lossless_webps_are_read_exactly_and_turned() {
         ([1, 2], Samples::Bytes8(vec![1, 2, 3, 4, 5, 6]))
     );
 }
+
+#[test]
+fn contents_and_not_names_determine_the_format() {
+    let (_dir, at) = folder();
+    let image = RgbImage::from_fn(6, 4, |x, y| Rgb([40 * x as u8, 60 * y as u8, 9]));
+    image.save(at("a.png")).unwrap();
+    image.save(at("b.jpg")).unwrap();
+    write_exr(&at("c.exr"), 6, 4, &["R", "G", "B"].map(|channel| (channel, vec![2.5; 24])));
+    for (file, named, format) in [
+        ("a.png", "a.jpg", Format::Png),
+        ("a.png", "a.exr", Format::Png),
+        ("b.jpg", "b.PNG", Format::Jpeg),
+        ("b.jpg", "b.tif", Format::Jpeg),
+        ("c.exr", "c.png", Format::Exr),
+    ] {
+        fs::copy(at(file), at(named)).unwrap();
+        assert_eq!(image_header(at(named)).unwrap().format, format, "{named}");
+        let [renamed, own] =
+            [named, file].map(|name| read_image(at(name), Gamma::Srgb, Orientation::Upright).unwrap().image);
+        assert_eq!(renamed.pixels, own.pixels, "{named}");
+    }
+    // The contents of what is not read are told, too.
+    fs::write(at("d.jpg"), b"\0\0\0\x18ftypheic\0\0\0\0").unwrap();
+    let problem = problem_of(read_image(at("d.jpg"), Gamma::Srgb, Orientation::Upright));
+    assert!(problem.contains("this is a HEIC") && problem.contains("mogrify -format jpg"), "{problem}");
+    // A RAW file is TIFF inside: its name counts.
+    fs::write(at("e.nef"), b"II*\0\x08\0\0\0\0\0").unwrap();
+    assert!(problem_of(image_header(at("e.nef"))).contains("RAW file"));
+}
