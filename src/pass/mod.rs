@@ -356,6 +356,7 @@ fn open<'a>(
         progress,
         scores: Scores::default(),
         several: false,
+        normals_found: false,
         surface_found: false,
         watched: Watched::default(),
         profiler: None,

@@ -54,6 +54,8 @@ pub struct Session<'a> {
     pub scores: Scores,
     /// Whether a fit has chosen several base materials, where the scene leaves that open.
     pub several: bool,
+    /// Whether the surface has normals that are not those of its triangles, found by what it mirrors: its vertices then stay.
+    pub normals_found: bool,
     /// Whether a pass has found the surface, or moved it.
     pub surface_found: bool,
     /// The files that the run reads, as they were when it began.

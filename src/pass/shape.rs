@@ -27,9 +27,10 @@ use crate::scene::{GridLevel, ShapePass};
 use crate::sdf::SdfGrid;
 use crate::sdf::volume::SdfSurface;
 use crate::shape::field::{ModelError, SdfField};
+use crate::shape::mirror::rounds as mirror_rounds;
+use crate::shape::run::refine::{refine_by_mirror, refine_by_outlines, refine_by_stereo};
 use crate::shape::run::{
-    HullReport, ShapeLevel, ShapeOptions, ShapeProgress, fit_shape, mesh_of_parts, refine_by_outlines,
-    refine_by_stereo, replace_texels,
+    HullReport, ShapeLevel, ShapeOptions, ShapeProgress, fit_shape, mesh_of_parts, replace_texels,
 };
 use crate::shape::stereo::ROUNDS as STEREO_ROUNDS;
 use crate::shape::systems::ShapeSchedule;
@@ -123,30 +124,38 @@ fn take_over(
     stopped: bool,
 ) -> Result<bool> {
     let initialized = std::mem::replace(&mut session.initialize, Initialize::NONE);
+    session.normals_found = false;
     check_parameters(&mut session.pipeline.world)?;
     check_numbers("the value of the field at point", found.grid.values.iter().copied())?;
     if !stopped {
         match_outlines(session, &pass.name, &mut found.grid);
     }
-    let mesh = found_mesh(session, &found, pass.stereo && !is_stopping(), &pass.name);
+    let mesh = found_mesh(session, pass, &found);
     check_numbers("the surface's coordinate", mesh.positions.iter().flat_map(|at| at.to_array()))?;
     let stopped = is_stopping();
     finish_stopping();
     put_in_place(session, &found, &mesh, texture_size)?;
-    if initialized.light && initialized.albedo {
+    if session.normals_found {
+        // With them highlights are sharper than light and lobe are by now: a fit finds these anew.
+        session.initialize = initialized;
+    } else if initialized.light && initialized.albedo {
         // The light still has the color from the initialization with gray albedo.
         start_scale(&mut session.pipeline.world, session.scene.scale)?;
     }
     Ok(stopped)
 }
 
-/// The mesh of the surface that was found, moved by stereo if that is wanted.
-fn found_mesh(session: &mut Session, surface: &SdfSurface, by_stereo: bool, name: &str) -> Mesh {
+/// The mesh of the surface that was found, moved by stereo and with the normals of what it mirrors, as far as that is wanted.
+fn found_mesh(session: &mut Session, pass: &ShapePass, surface: &SdfSurface) -> Mesh {
     let mut mesh = mesh_of_parts(&mut session.pipeline.world, &surface.grid);
-    if by_stereo {
-        match_views(session, name, &mut mesh);
+    if pass.stereo && !is_stopping() {
+        match_views(session, &pass.name, &mut mesh);
     } else {
         session.pipeline.world.remove_resource::<ModelError>();
+    }
+    // Colors of different exposures are no reflections.
+    if pass.normals && !pass.exposure && !is_stopping() {
+        session.normals_found = match_reflections(session, &pass.name, &mut mesh);
     }
     mesh
 }
@@ -262,6 +271,35 @@ fn match_views(session: &mut Session, name: &str, mesh: &mut Mesh) {
         "it adds nothing to the shading here".into()
     };
     session.progress.print(&format!("{name}: stereo in {seconds:.1} s, {found}"));
+}
+
+/// Gives the vertices the normals that explain what they mirror, if that is worth it; says what came of it and returns whether it was.
+fn match_reflections(session: &mut Session, name: &str, mesh: &mut Mesh) -> bool {
+    let start = Instant::now();
+    let _matching = stage("normals");
+    let bar = session.progress.bar(name, mirror_rounds() as u64);
+    let report = refine_by_mirror(&mut session.pipeline.world, mesh, |round| {
+        bar.set_position(round as u64);
+        bar.set_message("normals".into());
+        if is_stopping() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+    });
+    bar.finish_and_clear();
+    if is_stopping() {
+        return false;
+    }
+    let (seconds, percent) = (start.elapsed().as_secs_f64(), 100.0 * report.error);
+    let is_used = report.turned_degrees > 0.0;
+    let found = if is_used {
+        format!("turned by {:.1}° (median)", report.turned_degrees)
+    } else {
+        "those of the mesh are kept".to_owned()
+    };
+    session.progress.print(&format!(
+        "{name}: normals by reflections in {seconds:.1} s, {found}: {percent:.0} % of the error of views kept aside, which was {:.2} % of \
+         their squared radiance",
+        100.0 * report.unexplained
+    ));
+    is_used
 }
 
 /// Gives the mesh texture coordinates for `texture_size` texels a side, or for more if its charts do not fit: what was found is not lost

@@ -17,6 +17,7 @@
 //! | [`outline`] | moves the contours of the surface to the outlines of the masks |
 //! | `displace` | moves a field by displacements of the vertices of its surface |
 //! | [`stereo`] | moves a mesh to where neighboring photographs agree |
+//! | [`mirror`] | gives vertices normals that explain what the surface mirrors |
 //! | [`vertices`] | a mesh's vertices as parameters of a fit |
 
 pub(crate) mod adjoint;
@@ -24,6 +25,7 @@ pub(crate) mod displace;
 pub mod field;
 pub mod hollows;
 pub mod hull;
+pub mod mirror;
 pub mod outline;
 pub mod parts;
 pub mod repair;

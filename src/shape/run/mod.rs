@@ -1,4 +1,12 @@
 //! Fit of a shape: starts from the visual hull and runs one fit per level, on finer and finer grids.
+//!
+//! | file | holds |
+//! | --- | --- |
+//! | [`refine`] | what brings the surface that was found closer to the photographs |
+//! | `training` | the training photographs and masks as slices |
+
+pub mod refine;
+mod training;
 
 use crate::checkpoint::{has_level_ahead, keep_level, resume_level};
 use crate::error::stop::{check_interrupted, is_stopping};
@@ -25,19 +33,18 @@ use crate::shape::field::{
     bricks_near_surface, keep_field,
 };
 use crate::shape::hollows::{HULL_SHARE, LEVEL_SHARE, carve_hollows};
-use crate::shape::hull::{FORGIVEN, trim, visual_hull};
-use crate::shape::outline::{OutlineReport, fit_outlines};
+use crate::shape::hull::{FORGIVEN, visual_hull};
 use crate::shape::parts::extract_parts;
 use crate::shape::repair::{regrow, reliable_pixels};
+use crate::shape::run::training::{training_silhouettes, with_training_views};
 use crate::shape::silhouette::{Silhouette, pixel_size};
 use crate::shape::silhouette_loss::{SilhouetteIndex, SilhouetteSample};
-use crate::shape::stereo::{StereoReport, StereoView, refine};
 use crate::shape::systems::{
     ShapeSchedule, align_silhouettes, check_bricks, hand_out_to_bricks, move_bricks, pull_back_silhouettes,
     pull_back_to_field, recast_silhouettes, retrace_window, sum_model_error,
 };
 use crate::shape::unseen::span_unseen;
-use crate::view::{ByView, Camera, Photograph, Split, ViewIndex, ViewMask, ViewName};
+use crate::view::{ByView, Camera, Photograph, ViewIndex};
 use bevy_ecs::prelude::{Component, Entity, IntoScheduleConfigs, With, World};
 use glam::{UVec3, Vec3};
 use rand::seq::SliceRandom;
@@ -305,27 +312,6 @@ fn with_texels(
     SdfSurface { grid, volume }
 }
 
-/// Removes from the found field what lies outside the hull, and moves its contours to the outlines of the training masks
-/// ([`outline`](crate::shape::outline)).
-pub fn refine_by_outlines(world: &mut World, grid: &mut SdfGrid) -> OutlineReport {
-    let mut silhouettes = training_silhouettes(world);
-    trim(grid, &mut silhouettes);
-    grid.redistance();
-    fit_outlines(grid, &silhouettes)
-}
-
-/// Moves the vertices of a mesh of the found surface to where the training photographs agree ([`stereo`](crate::shape::stereo)).
-/// Nothing moves without a [`ModelError`] in the world, which this removes.
-pub fn refine_by_stereo(
-    world: &mut World,
-    mesh: &mut Mesh,
-    go_on: impl FnMut(usize) -> ControlFlow<()>,
-) -> StereoReport {
-    let Some(error) = world.remove_resource::<ModelError>() else { return StereoReport::default() };
-    let silhouettes = training_silhouettes(world);
-    with_training_views(world, |views| refine(mesh, views, &silhouettes, &error, go_on))
-}
-
 /// The mesh of a field: its largest component, and others that the training masks show ([`parts`](crate::shape::parts)).
 pub fn mesh_of_parts(world: &mut World, grid: &SdfGrid) -> Mesh {
     extract_parts(grid, &training_silhouettes(world))
@@ -355,18 +341,6 @@ fn reduce_hull(
     report
 }
 
-/// Hands the training photographs with their masks to `use_of`.
-fn with_training_views<T>(world: &mut World, use_of: impl FnOnce(&[StereoView]) -> T) -> T {
-    let mut query = world.query::<(&ViewIndex, &Camera, &Photograph, &ViewMask, &Split)>();
-    let mut train: Vec<_> = query.iter(world).filter(|(.., split)| **split == Split::Train).collect();
-    train.sort_by_key(|(index, ..)| **index);
-    let views: Vec<StereoView> = train
-        .into_iter()
-        .map(|(_, camera, photograph, mask, _)| StereoView { camera, photograph, mask: &mask.0 })
-        .collect();
-    use_of(&views)
-}
-
 fn half_side(grid: &SdfGrid) -> f32 {
     0.5 * grid.spacing * (grid.side - 1) as f32
 }
@@ -375,19 +349,6 @@ fn half_side(grid: &SdfGrid) -> f32 {
 fn photographed_cameras(world: &mut World) -> ByView<Camera> {
     let mut views = world.query_filtered::<(&ViewIndex, &Camera), With<Photograph>>();
     views.iter(world).map(|(index, camera)| (*index, *camera)).collect()
-}
-
-type SilhouetteView =
-    (&'static ViewIndex, &'static ViewName, &'static Camera, &'static ViewMask, &'static Split);
-
-fn training_silhouettes(world: &mut World) -> Vec<Silhouette> {
-    let mut views = world.query_filtered::<SilhouetteView, With<Photograph>>();
-    let mut train: Vec<_> = views.iter(world).filter(|(.., split)| **split == Split::Train).collect();
-    train.sort_by_key(|(index, ..)| **index);
-    let silhouette = |(index, name, camera, mask, _): (&ViewIndex, &ViewName, &Camera, &ViewMask, _)| {
-        Some(Silhouette::new(&name.0, camera, &mask.0)?.of_view(*index))
-    };
-    train.into_iter().take_while(|_| !is_stopping()).filter_map(silhouette).collect()
 }
 
 /// The pixels around the silhouettes of all training masks that are consistent with the hull, shuffled; at most `most`.

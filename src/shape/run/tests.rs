@@ -14,7 +14,7 @@ use crate::math::fibonacci::{fibonacci_axes, spacing_sharpness};
 use crate::math::ray::Intersect;
 use crate::math::shading::{ClosedForm, Layers, LobeColumns, ShadePoint};
 use crate::shade::systems::kernel_specular;
-use crate::view::{Image, Mask, Photograph, StoredMask};
+use crate::view::{Image, Mask, Photograph, Split, StoredMask, ViewMask, ViewName};
 use bevy_ecs::prelude::ResMut;
 
 const SIZE: u32 = 48;

@@ -1,0 +1,44 @@
+//! What brings the surface that a fit has found closer to the photographs themselves: masks, neighbors, reflections.
+
+use crate::light::frame::{LightFrame, OwnLightFrame};
+use crate::mesh::triangles::Mesh;
+use crate::sdf::SdfGrid;
+use crate::shape::field::ModelError;
+use crate::shape::hull::trim;
+use crate::shape::mirror::{NormalReport, refine_normals};
+use crate::shape::outline::{OutlineReport, fit_outlines};
+use crate::shape::run::training::{training_silhouettes, with_training_views};
+use crate::shape::stereo::{StereoReport, refine};
+use bevy_ecs::prelude::World;
+use std::ops::ControlFlow;
+
+/// Removes from the found field what lies outside the hull, and moves its contours to the outlines of the training masks
+/// ([`outline`](crate::shape::outline)).
+pub fn refine_by_outlines(world: &mut World, grid: &mut SdfGrid) -> OutlineReport {
+    let mut silhouettes = training_silhouettes(world);
+    trim(grid, &mut silhouettes);
+    grid.redistance();
+    fit_outlines(grid, &silhouettes)
+}
+
+/// Moves the vertices of a mesh of the found surface to where the training photographs agree ([`stereo`](crate::shape::stereo)).
+/// Nothing moves without a [`ModelError`] in the world, which this removes.
+pub fn refine_by_stereo(
+    world: &mut World,
+    mesh: &mut Mesh,
+    go_on: impl FnMut(usize) -> ControlFlow<()>,
+) -> StereoReport {
+    let Some(error) = world.remove_resource::<ModelError>() else { return StereoReport::default() };
+    let silhouettes = training_silhouettes(world);
+    with_training_views(world, |views| refine(mesh, views, &silhouettes, &error, go_on))
+}
+
+/// Gives the vertices of a mesh of the found surface normals that explain what it mirrors ([`mirror`](crate::shape::mirror)).
+pub fn refine_by_mirror(
+    world: &mut World,
+    mesh: &mut Mesh,
+    go_on: impl FnMut(usize) -> ControlFlow<()>,
+) -> NormalReport {
+    let frame = world.get_resource::<OwnLightFrame>().map_or(LightFrame::World, |own| own.0);
+    with_training_views(world, |views| refine_normals(mesh, views, frame, go_on))
+}

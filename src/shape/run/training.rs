@@ -1,0 +1,33 @@
+//! The training photographs and masks as slices.
+
+use crate::error::stop::is_stopping;
+use crate::shape::silhouette::Silhouette;
+use crate::shape::stereo::StereoView;
+use crate::view::{Camera, Photograph, Split, ViewIndex, ViewMask, ViewName};
+use bevy_ecs::prelude::{With, World};
+
+/// Hands the training photographs with their masks to `use_of`.
+pub(super) fn with_training_views<T>(world: &mut World, use_of: impl FnOnce(&[StereoView]) -> T) -> T {
+    let mut query = world.query::<(&ViewIndex, &Camera, &Photograph, &ViewMask, &Split)>();
+    let mut train: Vec<_> = query.iter(world).filter(|(.., split)| **split == Split::Train).collect();
+    train.sort_by_key(|(index, ..)| **index);
+    let views: Vec<StereoView> = train
+        .into_iter()
+        .map(|(_, camera, photograph, mask, _)| StereoView { camera, photograph, mask: &mask.0 })
+        .collect();
+    use_of(&views)
+}
+
+type SilhouetteView =
+    (&'static ViewIndex, &'static ViewName, &'static Camera, &'static ViewMask, &'static Split);
+
+/// The silhouettes of the training masks, in the order of their views.
+pub(super) fn training_silhouettes(world: &mut World) -> Vec<Silhouette> {
+    let mut views = world.query_filtered::<SilhouetteView, With<Photograph>>();
+    let mut train: Vec<_> = views.iter(world).filter(|(.., split)| **split == Split::Train).collect();
+    train.sort_by_key(|(index, ..)| **index);
+    let silhouette = |(index, name, camera, mask, _): (&ViewIndex, &ViewName, &Camera, &ViewMask, _)| {
+        Some(Silhouette::new(&name.0, camera, &mask.0)?.of_view(*index))
+    };
+    train.into_iter().take_while(|_| !is_stopping()).filter_map(silhouette).collect()
+}
