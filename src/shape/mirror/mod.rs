@@ -11,18 +11,18 @@
 //! L_o = a\, E(n) + s\, M(2 (n \cdot v)\, n - v)
 //! ```
 //!
-//! with two colors a and s of the vertex and two tables ([`table`]) for the whole object: the irradiance E by normal, and the mirrored radiance M by
+//! with two colors a and s of the vertex and two tables (`table`) for the whole object: the irradiance E by normal, and the mirrored radiance M by
 //! direction, as blurred as the gloss and the normals leave it. In turn, the tables are solved for with all normals given, and each vertex tries
-//! many normals ([`search`]): the colors follow in closed form for each. The best is taken, and then drawn toward its neighbors.
+//! many normals (`search`): the colors follow in closed form for each. The best is taken, and then drawn toward its neighbors.
 //!
 //! Some views are kept aside. The normals are used only if they show what those views show clearly better than the normals of the mesh
 //! do with tables and colors of their own.
 //!
 //! | file | holds |
 //! | --- | --- |
-//! | [`sights`] | what each view shows at each vertex |
-//! | [`table`] | a function of directions as a table, from weighted sums |
-//! | [`search`] | colors in closed form, and the search for one vertex |
+//! | `sights` | what each view shows at each vertex |
+//! | `table` | a function of directions as a table, from weighted sums |
+//! | `search` | colors in closed form, and the search for one vertex |
 //!
 //! Sources: the separation of a shading into a diffuse and a mirrored part over normals and reflected directions is that of preintegrated image-based lighting
 //! (Ramamoorthi and Hanrahan, "Frequency Space Environment Map Rendering", 2002); normals by matching many views of highlights are shape from
