@@ -154,7 +154,10 @@ fn summary(loaded: &LoadedScene, surveyed: Option<&Survey>, outcome: &Outcome) -
     let passes: Vec<String> =
         scene.passes.iter().map(|pass| format!("{} ({})", pass.name(), kind(pass))).collect();
     let further = usize::from(outcome.is_further);
-    let verdict = table::verdict(surveyed, further);
+    let verdict = match loaded.unseen.is_empty() {
+        true => table::verdict(surveyed, further),
+        false => "the scene file is fine; its data was not looked at: say --data DIR".to_owned(),
+    };
     let mut text = format!("{}: {verdict}\n", loaded.path.display());
     let mut line = |label: &str, value: &str| writeln!(text, "  {label:<8} {value}");
     // Writing to a `String` cannot fail.

@@ -1,7 +1,7 @@
 //! COLMAP's layout: a reconstruction in `DIR/sparse/0`, photographs in `DIR/images`, masks in `DIR/masks`.
 //!
 //! The reconstruction is `cameras` and `images`, `.bin` or `.txt`; points, rigs and frames are not needed. It may also be where COLMAP's
-//! own programs, nerfstudio and 3D Gaussian splatting leave it; of several models the one with the most images is read. Masks may have
+//! own programs, nerfstudio and 3D Gaussian splatting leave it, and the photographs in a folder of another usual name; of several models the one with the most images is read. Masks may have
 //! any usual name, and be beside the photographs or in `DIR`; without a folder of masks alpha is the mask. Photographs are taken as they are
 //! stored, since COLMAP ignores their EXIF orientation. `DIR/test_id.txt` and `DIR/train_id.txt`, as of Stanford-ORB's `llff_colmap_HDR`,
 //! list the views of each split. Without the former see [`crate::dataset::DatasetOptions::hold_out`].
@@ -11,6 +11,7 @@ use crate::dataset::colmap_model;
 use crate::dataset::colmap_model::{Model, ModelImage, image_count, read_model};
 use crate::dataset::folders::{Folders, flat_name};
 use crate::dataset::lists::{Lists, has_test_list};
+use crate::dataset::load::has_images;
 use crate::dataset::masks::mask_folder;
 use crate::dataset::names::{ImageName, composed, portable, quoted, view_name};
 use crate::dataset::photographs::note_of_unused;
@@ -33,6 +34,11 @@ const PLACES: [(&str, &str); 9] = [
     ("colmap", "images"),
     ("model", "images"),
 ];
+/// Names that folders of photographs have where they are not called `images`, in lower case: COLMAP takes any.
+const PHOTOGRAPH_FOLDERS: [&str; 8] =
+    ["images", "image", "input", "rgb", "photos", "photographs", "pictures", "imgs"];
+/// Models that are looked for in a folder.
+const MOST_MODELS: usize = 100;
 /// Folders of reconstructions of which the cameras of another layout are made.
 const FOR_THE_RECORD: [&str; 3] = ["colmap", "colmap_text", "model"];
 
@@ -41,6 +47,29 @@ struct Place {
     /// The `images` files of its models; at least one.
     models: Vec<PathBuf>,
     photographs: PathBuf,
+    /// Whether the photographs are not where they usually are, but in a folder of another usual name.
+    is_renamed: bool,
+}
+
+impl Place {
+    fn new(models: Vec<PathBuf>, photographs: PathBuf) -> Self {
+        let other = if photographs.is_dir() { None } else { named_otherwise(&photographs) };
+        Self { models, is_renamed: other.is_some(), photographs: other.unwrap_or(photographs) }
+    }
+}
+
+/// The folder beside this one, which is missing, that has photographs and another of the usual names.
+fn named_otherwise(photographs: &Path) -> Option<PathBuf> {
+    let entries = std::fs::read_dir(photographs.parent()?).ok()?.flatten().map(|entry| entry.path());
+    let rank = |path: &Path| {
+        let name = path.file_name()?.to_str()?.to_lowercase();
+        PHOTOGRAPH_FOLDERS.iter().position(|usual| *usual == name)
+    };
+    let usual = entries.filter_map(|path| Some((rank(&path)?, path)));
+    let mut usual: Vec<(usize, PathBuf)> =
+        usual.filter(|(_, path)| path.is_dir() && has_images(path, |_| false)).collect();
+    usual.sort();
+    usual.into_iter().next().map(|(_, path)| path)
 }
 
 /// The `images` file of the folder's reconstruction, if it has one.
@@ -57,17 +86,18 @@ pub fn has_split(dir: &Path, split: Split) -> bool {
 /// photographs.
 pub(super) fn is_for_the_record(dir: &Path) -> bool {
     let is_kept = |file: &PathBuf| FOR_THE_RECORD.iter().any(|folder| file.starts_with(dir.join(folder)));
-    find_place(dir).is_some_and(|place| place.models.iter().all(is_kept) || !place.photographs.is_dir())
+    find_place(dir).is_some_and(|place| {
+        place.models.iter().all(is_kept) || place.is_renamed || !place.photographs.is_dir()
+    })
 }
 
 /// The first place with both models and photographs, or else with models.
 fn find_place(dir: &Path) -> Option<Place> {
-    let places = PLACES.iter().map(|(models, photographs)| Place {
-        models: models_in(&dir.join(models)),
-        photographs: dir.join(photographs),
-    });
+    let places = PLACES
+        .iter()
+        .map(|(models, photographs)| Place::new(models_in(&dir.join(models)), dir.join(photographs)));
     // A folder of numbered models alone is that in which COLMAP puts them.
-    let loose = Place { models: numbered_models(dir), photographs: dir.join("images") };
+    let loose = Place::new(numbered_models(dir), dir.join("images"));
     let loose = Some(loose).filter(|loose| loose.photographs.is_dir());
     let mut places: Vec<Place> = places.chain(loose).filter(|place| !place.models.is_empty()).collect();
     let complete = places.iter().position(|place| place.photographs.is_dir());
@@ -82,7 +112,8 @@ fn models_in(folder: &Path) -> Vec<PathBuf> {
 
 /// The models in the folders `0`, `1`, … of `folder`.
 fn numbered_models(folder: &Path) -> Vec<PathBuf> {
-    let numbered = (0..).map(|i| folder.join(i.to_string())).take_while(|model| model.is_dir());
+    // COLMAP counts from 0, but a model that is of no use may have been removed.
+    let numbered = (0..MOST_MODELS).map(|i| folder.join(i.to_string()));
     numbered.filter_map(|model| colmap_model::image_file(&model)).collect()
 }
 
@@ -137,7 +168,10 @@ pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
     let mut pictures =
         Pictures { photographs: Folders::below(&place.photographs), masks, used: BTreeSet::new() };
     if !place.photographs.is_dir() {
-        let help = missing_file_help(&place.photographs);
+        let help = format!(
+            "The photographs that COLMAP was given belong there: rename their folder. {}",
+            missing_file_help(&place.photographs)
+        );
         return Err(Error::input(&place.photographs, "", "the folder of photographs is missing", help));
     }
     let mut images: Vec<&ModelImage> = model.images.iter().collect();

@@ -59,12 +59,13 @@ pub(super) fn file_name(path: &Path) -> String {
 }
 
 /// The file itself if it exists, else with an image extension added, else the same of a path whose letters with accents are made of other
-/// characters. What is called as an image and is none, or may not be read, is found as well: reading it says why.
+/// characters, else the only image of another format with that stem. What is called as an image and is none, or may not be read, is found as well: reading it says why.
 pub(super) fn find_image(path: &Path) -> Option<PathBuf> {
     find_spelled(path).or_else(|| {
         let (folder, name) = (spelled_as_on_disk(path.parent()?)?, path.file_name()?.to_str()?);
         let of_folder = || find_spelled(&folder.join(name));
-        of_folder().or_else(|| twins(&folder, name, true).find_map(|twin| find_spelled(&twin)))
+        let of_twins = || twins(&folder, name, true).find_map(|twin| find_spelled(&twin));
+        of_folder().or_else(of_twins).or_else(|| find_converted(&folder.join(name)))
     })
 }
 
@@ -98,12 +99,29 @@ fn find_spelled(path: &Path) -> Option<PathBuf> {
     if path.is_file() || (has_image_extension(path) && is_there(path)) {
         return Some(path.to_owned());
     }
-    IMAGE_EXTENSIONS.iter().find_map(|extension| {
+    let with = |extension: &&str| {
         let mut name = path.as_os_str().to_owned();
         name.push(format!(".{extension}"));
         let candidate = PathBuf::from(name);
         candidate.is_file().then_some(candidate)
-    })
+    };
+    let in_capitals: Vec<String> =
+        IMAGE_EXTENSIONS.iter().map(|extension| extension.to_uppercase()).collect();
+    IMAGE_EXTENSIONS
+        .iter()
+        .find_map(with)
+        .or_else(|| in_capitals.iter().find_map(|extension| with(&extension.as_str())))
+}
+
+/// The only image with the stem of `path`, which is named with the extension of an image that is not there: photographs that were converted.
+fn find_converted(path: &Path) -> Option<PathBuf> {
+    if !has_image_extension(path) {
+        return None;
+    }
+    let stem = path.file_stem()?;
+    let mut alike =
+        image_files(path.parent()?).ok()?.into_iter().filter(|file| file.file_stem() == Some(stem));
+    alike.next().filter(|_| alike.next().is_none())
 }
 
 /// A folder's image files in the order of their names; hidden files are none.

@@ -287,18 +287,19 @@ fn match_reflections(session: &mut Session, name: &str, mesh: &mut Mesh) -> bool
     if is_stopping() {
         return false;
     }
-    let (seconds, percent) = (start.elapsed().as_secs_f64(), 100.0 * report.error);
     let is_used = report.turned_degrees > 0.0;
-    let found = if is_used {
-        format!("turned by {:.1}° (median)", report.turned_degrees)
-    } else {
-        "those of the mesh are kept".to_owned()
+    let found = match report.error.map(|error| 100.0 * error) {
+        Some(error) if is_used => format!(
+            "turned by {:.1}° (median), {error:.0} % of the error in photographs kept aside; from here on vertices do not move",
+            report.turned_degrees
+        ),
+        Some(error) => {
+            format!("those of the mesh are kept: {error:.0} % of the error in photographs kept aside")
+        }
+        None => format!("those of the mesh explain {:.0} %", 100.0 * (1.0 - report.unexplained)),
     };
-    session.progress.print(&format!(
-        "{name}: normals by reflections in {seconds:.1} s, {found}: {percent:.0} % of the error of views kept aside, which was {:.2} % of \
-         their squared radiance",
-        100.0 * report.unexplained
-    ));
+    let seconds = start.elapsed().as_secs_f64();
+    session.progress.print(&format!("{name}: normals by reflections in {seconds:.1} s, {found}"));
     is_used
 }
 

@@ -7,8 +7,8 @@ use crate::codec::image::decode_picture;
 use crate::error::Result;
 use crate::error::stop::check_interrupted;
 use crate::prepare::photographs::Photograph;
-use image::GrayImage;
 use image::imageops::thumbnail;
+use image::{GrayImage, Luma};
 use std::path::Path;
 
 /// Photographs that are compared, spread over all.
@@ -19,6 +19,8 @@ const SIDE: u32 = 64;
 const PLAIN: f64 = 5.0;
 /// Mean difference of two photographs' backgrounds, as a part of their contrast, up to which they are the same.
 const SAME: f64 = 0.35;
+/// Width of the border that is taken for background where there are no masks, as a part of the picture.
+const BORDER: f64 = 0.15;
 /// Part of a picture that is compared at least; with less, an object fills the frame.
 const LEAST_BACKGROUND: f64 = 0.05;
 
@@ -33,11 +35,15 @@ pub(super) enum Background {
     SaysNothing,
 }
 
-/// What the background of the photographs does.
+/// What the background of the photographs does; without masks, it is the border of the frame.
 ///
 /// # Errors
 /// [`Error::Input`] if a photograph or a mask cannot be read.
-pub(super) fn background(photographs: &[Photograph], images: &Path, masks: &Path) -> Result<Background> {
+pub(super) fn background(
+    photographs: &[Photograph],
+    images: &Path,
+    masks: Option<&Path>,
+) -> Result<Background> {
     if photographs.iter().any(|photograph| photograph.size != photographs[0].size) {
         return Ok(Background::Moves);
     }
@@ -45,7 +51,10 @@ pub(super) fn background(photographs: &[Photograph], images: &Path, masks: &Path
     for photograph in photographs.iter().step_by(photographs.len().div_ceil(COMPARED)) {
         check_interrupted()?;
         let picture = small(&images.join(&photograph.name))?;
-        let mask = small(&masks.join(format!("{}.png", photograph.name)))?;
+        let mask = match masks {
+            Some(masks) => small(&masks.join(format!("{}.png", photograph.name)))?,
+            None => middle(picture.width(), picture.height()),
+        };
         pictures.push((picture, mask));
     }
     let (mut difference, mut values, mut compared) = (0.0, Vec::new(), 0);
@@ -79,6 +88,16 @@ fn deviation(values: &[f64]) -> f64 {
     (values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / values.len() as f64).sqrt()
 }
 
+/// A mask of all but the border.
+fn middle(width: u32, height: u32) -> GrayImage {
+    let is_inside = |at: u32, side: u32| {
+        let share = (f64::from(at) + 0.5) / f64::from(side);
+        share > BORDER && share < 1.0 - BORDER
+    };
+    let value = |inside: bool| Luma([if inside { 255 } else { 0 }]);
+    GrayImage::from_fn(width, height, |x, y| value(is_inside(x, width) && is_inside(y, height)))
+}
+
 /// A picture in gray, a few pixels wide.
 fn small(path: &Path) -> Result<GrayImage> {
     let picture = decode_picture(path)?.into_luma8();
@@ -93,7 +112,7 @@ fn small(path: &Path) -> Result<GrayImage> {
 mod tests {
     use super::*;
     use crate::prepare::photographs::{list, place};
-    use image::{Luma, Rgb, RgbImage};
+    use image::{Rgb, RgbImage};
     use std::fs;
 
     /// Photographs whose background is `shade` at a place and a number, behind a square that changes.
@@ -113,7 +132,10 @@ mod tests {
         }
         let photographs = list(&photos).unwrap().photographs;
         place(&photographs, &images).unwrap();
-        background(&photographs, &images, &masks).unwrap()
+        let found = background(&photographs, &images, Some(&masks)).unwrap();
+        // The square is nowhere near the border.
+        assert_eq!(background(&photographs, &images, None).unwrap(), found);
+        found
     }
 
     #[test]

@@ -9,9 +9,11 @@ pub(super) const FEWEST: usize = 3;
 /// Extensions of video files.
 pub(super) const VIDEOS: [&str; 10] =
     ["mp4", "mov", "m4v", "mkv", "webm", "avi", "mpg", "mpeg", "mts", "m2ts"];
-/// Formats of photographs that COLMAP cannot read, by extension.
-pub(super) const UNREADABLE: [&str; 14] =
-    ["heic", "heif", "avif", "webp", "dng", "cr2", "cr3", "nef", "arw", "raf", "orf", "rw2", "exr", "hdr"];
+/// Formats of photographs that are not given to COLMAP, which reads only some of them on some machines, by extension.
+pub(super) const UNREADABLE: [&str; 16] = [
+    "heic", "heif", "avif", "webp", "tif", "tiff", "dng", "cr2", "cr3", "nef", "arw", "raf", "orf", "rw2",
+    "exr", "hdr",
+];
 
 /// What the user should know of so many files with this extension.
 pub(super) fn note_of_left_out(extension: &str, count: usize) -> String {
@@ -43,6 +45,9 @@ fn conversion(extension: &str) -> String {
         "heic" | "heif" => format!(
             "convert all of them with `heif-convert FILE.{extension} FILE.jpg` (libheif) or `magick mogrify -format jpg *.{extension}` \
              (ImageMagick), or set the camera to JPEG"
+        ),
+        "tif" | "tiff" => format!(
+            "convert all of them with `magick mogrify -format png *.{extension}` (ImageMagick), which keeps 16 bits"
         ),
         _ => "develop or convert them to JPEG or 16-bit PNG, all with the same settings".to_owned(),
     }

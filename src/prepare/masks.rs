@@ -115,6 +115,14 @@ fn check(mask: &GrayImage, photograph: &Photograph, file: &Path) -> Result<()> {
             format!("the mask is {w}×{h} pixels, the photograph {} {width}×{height}", photograph.name);
         return wrong(problem, "Make the masks of the same photographs, at full size.");
     }
+    let full = mask.iter().filter(|value| **value >= 224).count();
+    let between = mask.iter().filter(|value| (32..224).contains(*value)).count();
+    if between > full && between > mask.len() / 100 {
+        return wrong(
+            format!("the mask of {} is mostly gray, as a photograph is", photograph.name),
+            "The object is white and all else black. A mask command writes the mask, or a cutout with alpha, to {out}.",
+        );
+    }
     let (low, high) = mask.iter().fold((255, 0), |(low, high), value| (low.min(*value), high.max(*value)));
     match (low, high) {
         (128.., _) => wrong(
@@ -380,6 +388,8 @@ mod tests {
         assert!(set.refused(&source).contains("black everywhere"));
         give(&GrayImage::from_pixel(40, 30, Luma([255])));
         assert!(set.refused(&source).contains("white everywhere"));
+        give(&GrayImage::from_fn(40, 30, |x, y| Luma([(5 * x + y) as u8])));
+        assert!(set.refused(&source).contains("mostly gray, as a photograph is"));
         fs::write(folder.join("7.png"), "no picture").unwrap();
         assert!(set.refused(&source).contains("7.png"));
         assert!(set.refused(&MaskSource::Folder(set.path("none"))).contains("no such folder"));

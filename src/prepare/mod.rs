@@ -97,7 +97,12 @@ pub fn prepare(options: &PrepareOptions, progress: &dyn Progress) -> Result<Prep
         photographs::place(&photographs, &work.emptied("photographs")?)
     })?;
     let has_masks = masks(options, &photographs, &mut work, progress)?;
-    let features = if has_masks { features(options, &photographs, &work, progress)? } else { Features::All };
+    let features = if has_masks {
+        features(options, &photographs, &work, progress)?
+    } else {
+        warn_of_turntable(options, &photographs, &work, progress)?;
+        Features::All
+    };
     let (photographs, is_video) = (photographs.as_slice(), video_frames.is_some());
     let steps = Reconstruction { options, colmap, photographs, is_video, has_masks, features, progress };
     let prepared = Prepared { video_frames, ..steps.run(&mut work)? };
@@ -210,7 +215,7 @@ fn features(
         (FeatureArea::All, _) => return Ok(Features::All),
         // All that stands out from the backdrop is the object.
         (FeatureArea::Auto, MaskSource::Backdrop) => Background::SaysNothing,
-        (FeatureArea::Auto, _) => background(photographs, &images, &masks)?,
+        (FeatureArea::Auto, _) => background(photographs, &images, Some(&masks))?,
     };
     let (features, note) = match found {
         Background::Moves => {
@@ -226,6 +231,23 @@ fn features(
     };
     progress.note(note);
     Ok(features)
+}
+
+/// Says what comes of a turntable without masks.
+fn warn_of_turntable(
+    options: &PrepareOptions,
+    photographs: &[Photograph],
+    work: &Work,
+    progress: &dyn Progress,
+) -> Result<()> {
+    let is_asked = options.features == FeatureArea::Auto;
+    if is_asked && background(photographs, &work.path("photographs"), None)? == Background::StandsStill {
+        progress.note(
+            "the background is the same in all photographs, as on a turntable, and there are no masks: cameras may be found by the background \
+             and be wrong. Give masks with --masks DIR, --mask-command or --backdrop",
+        );
+    }
+    Ok(())
 }
 
 /// Gives the results their names and writes the scene file.

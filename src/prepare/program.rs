@@ -13,6 +13,8 @@ use std::time::Duration;
 const QUOTED_LINES: usize = 3;
 /// Most characters of a quoted line.
 const QUOTED_CHARS: usize = 300;
+/// Comes before the place of the log in an error.
+const WHOLE_OUTPUT: &str = "\nIts whole output is in ";
 /// Longest pause between two looks at a working program.
 const LONGEST_PAUSE: Duration = Duration::from_millis(100);
 
@@ -59,7 +61,7 @@ impl Program {
         let first = arguments.first().map_or_else(String::new, |word| format!(" {}", word.display()));
         let name = self.path.file_name().unwrap_or_default().display().to_string();
         let said = last_lines(&std::fs::read(log).unwrap_or_default());
-        let problem = format!("it failed ({status}): {said}\nIts whole output is in {}", log.display());
+        let problem = format!("it failed ({status}): {said}{WHOLE_OUTPUT}{}", log.display());
         Err(Error::run(format!("{name}{}", if first.starts_with(" -") { "" } else { &first }), problem))
     }
 
@@ -74,6 +76,11 @@ impl Program {
         };
         Error::usage(problem, self.install)
     }
+}
+
+/// What a program that failed said, without the place of its log, which is gone.
+pub(super) fn without_log(problem: &str) -> &str {
+    problem.split(WHOLE_OUTPUT).next().unwrap_or(problem)
 }
 
 /// A command without input. COLMAP opens a display only to use a GPU; it must not fail where there is none.

@@ -1,6 +1,6 @@
 //! The steps that run COLMAP: features, matching, mapping, undistortion.
 
-use crate::codec::image::decode_picture;
+use crate::codec::image::{decode_picture, image_header};
 use crate::codec::png_file::write_gray8;
 use crate::dataset::colmap::registered_names;
 use crate::error::stop::check_interrupted;
@@ -32,6 +32,8 @@ const ROUNDS: u64 = 3;
 const FEWEST_FOR_CENTER: usize = 20;
 /// Grays of a resampled mask this near to black and white are these: the noise of its compression.
 const MASK_NOISE: u8 = 8;
+/// Part of a side that a photograph keeps when it is undistorted. COLMAP leaves no less than 0.2.
+const LEAST_LEFT: f64 = 0.4;
 
 /// What to do if cameras are not found.
 const NO_CAMERAS_HELP: &str = "Neighboring photographs must overlap by 60 % and more and be sharp, and the object needs texture. On a \
@@ -254,8 +256,28 @@ impl Reconstruction<'_> {
         }
         let count = names.len() as u64;
         self.colmap_step(work, "undistortion", count, &Colmap::undistortion(&photographs, model, &data))?;
+        self.check_undistorted(&data.join("images"), names)?;
         if self.has_masks {
             self.undistort_masks(work, model, names)?;
+        }
+        Ok(())
+    }
+
+    /// Refuses cameras whose distortion leaves little of a photograph: they were found by what does not move as the object does.
+    fn check_undistorted(&self, images: &Path, names: &BTreeSet<String>) -> Result<()> {
+        for photograph in self.photographs.iter().filter(|photograph| names.contains(&photograph.name)) {
+            let header = image_header(images.join(&photograph.name))?;
+            let ([width, height], [w, h]) = (photograph.size, [header.width, header.height]);
+            if f64::from(w) >= LEAST_LEFT * f64::from(width) && f64::from(h) >= LEAST_LEFT * f64::from(height)
+            {
+                continue;
+            }
+            let problem = format!(
+                "the cameras that were found have a distortion that no lens has: undistorted, the photograph has {w}×{h} of its {width}×{height} pixels"
+            );
+            let help = "Photographs of a turntable need masks (--masks DIR, --mask-command, --backdrop); others more overlap, or one lens and \
+                        zoom for all.";
+            return Err(Error::input(&photograph.source, "", problem, help));
         }
         Ok(())
     }

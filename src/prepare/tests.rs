@@ -444,3 +444,29 @@ fn frames_of_a_folder_of_photographs_are_refused() {
         assert!(!capture.path("out").exists(), "it is refused before anything is written");
     }
 }
+
+/// Cameras that were found by what stands still have a distortion that leaves little of the photographs.
+#[test]
+fn cameras_that_leave_little_of_a_photograph_are_refused() {
+    let capture = Capture::new();
+    disc(10, 8).save(capture.path("small.jpg")).unwrap();
+    let shrink = "cp -f \"$here/small.jpg\" \"$out/images/a.jpg\"; cp \"$(of --input_path \"$@\")\"/* \"$out/sparse\" ;;";
+    let body = COLMAP.replace("cp \"$(of --input_path \"$@\")\"/* \"$out/sparse\" ;;", shrink);
+    assert_ne!(body, COLMAP);
+    capture.colmap(&body);
+    let text = refused(&capture.options());
+    assert!(
+        ["photos/a.jpg", "10×8 of its 48×36", "--masks DIR"].iter().all(|word| text.contains(word)),
+        "{text}"
+    );
+    assert!(!capture.path("out/images").exists());
+}
+
+#[test]
+fn a_turntable_without_masks_is_named() {
+    let capture = Capture::new();
+    let notes = Notes::default();
+    prepare(&PrepareOptions { masks: MaskSource::Alpha, ..capture.options() }, &notes).unwrap();
+    let said = notes.0.into_inner().join("\n");
+    assert!(said.contains("the same in all photographs") && said.contains("no masks"), "{said}");
+}

@@ -11,7 +11,7 @@ use crate::error::{Error, Result};
 use crate::pass::progress::Progress;
 use crate::prepare::left_out::{FEWEST, VIDEOS};
 use crate::prepare::options::FrameCount;
-use crate::prepare::program::Program;
+use crate::prepare::program::{Program, without_log};
 use image::GrayImage;
 use image::imageops::thumbnail;
 use rayon::prelude::*;
@@ -138,7 +138,7 @@ fn count(ffmpeg: &Program, video: &Path) -> Result<Counted> {
     let reason = match ran {
         Ok(()) if counted.frames > 0 => return Ok(counted),
         Ok(()) => "it has no frames".to_owned(),
-        Err(error @ Error::Run { .. }) if counted.said.is_empty() => error.to_string(),
+        Err(Error::Run { problem, .. }) if counted.said.is_empty() => without_log(&problem).to_owned(),
         Err(Error::Run { .. }) => counted.said,
         Err(other) => return Err(other),
     };

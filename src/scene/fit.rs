@@ -97,8 +97,9 @@ pub struct ShapePass {
     /// Whether the part of the hull that no photograph sees, such as a cone below an object on a table, is spanned like a film of soap.
     /// Default true.
     pub spans_unseen: bool,
-    /// Whether vertices get normals that explain what the surface mirrors, if that shows photographs kept aside clearly better: for polished
-    /// metal with dents finer than the mesh; smooth glossy paint loses by it. Not with `exposure: true`. Default false.
+    /// Whether vertices get normals that explain what the surface mirrors, where those of the mesh leave much unexplained and photographs kept
+    /// aside are shown clearly better: for polished metal with dents finer than the mesh. `Fit(vertices: true)` does nothing after it. Not with
+    /// `exposure: true`. Default true.
     pub normals: bool,
     /// Whether each photograph has an exposure of its own that is not known, as in [`FitPass::exposure`]. Default false.
     pub exposure: bool,
@@ -127,7 +128,7 @@ impl Default for ShapePass {
             stereo: true,
             hollows: true,
             spans_unseen: true,
-            normals: false,
+            normals: true,
             exposure: false,
             cameras: CameraUnknowns::Given,
         }

@@ -62,7 +62,12 @@ pub fn load(path: &Path, options: &LoadOptions) -> Result<LoadedScene> {
         let problem = format!("--data {}: {}", data.display(), obstacle.problem);
         return Err(Error::usage(problem, "Give the folder that `$DATA` stands for."));
     }
-    let help = |_: &Path| "Give a scene file, e.g. scenes/quickstart.ron.".to_owned();
+    let help = |path: &Path| match path.is_dir() {
+        true => {
+            format!("Give a scene file; `lobelia new {}` writes one for a folder of data.", path.display())
+        }
+        false => "Give a scene file, e.g. scenes/quickstart.ron.".to_owned(),
+    };
     let mut text = read_text(path, MOST_TEXT, help)?;
     for (target, value) in &options.sets {
         text = source::set(&text, target, value)

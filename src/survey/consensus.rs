@@ -47,6 +47,8 @@ const TIE: f32 = 0.004;
 const EXPLAINS: f32 = 0.7;
 /// How much the overlap must rise where the hull of the others covers the masks as they are.
 const CLEARLY: f32 = 0.05;
+/// Intersection over union of masks and hull below which no camera or no mask can be right.
+const HARDLY_ANY: f32 = 0.1;
 /// Overlap with the hull of all masks below which masks and cameras are doubtful, where few views or small masks leave single views
 /// unjudged. Sound data reach 0.88 to 0.92, mirrored photographs 0.61 to 0.83.
 const CONSISTENT: f32 = 0.8;
@@ -278,7 +280,8 @@ fn vague_doubt(given: f32) -> Finding {
         "masks and cameras hardly agree: the visual hull of all covers {given:.2} of the masks (mean intersection over union)"
     );
     let help = "Check poses, intrinsics and masks; the contact sheet of `lobelia check --out DIR` shows all of them.";
-    Finding::warning("inconsistent-masks", Vec::new(), problem, help)
+    let severity = if given < HARDLY_ANY { Severity::Error } else { Severity::Warning };
+    Finding::new(severity, "inconsistent-masks", Vec::new(), problem, help)
 }
 
 /// What would make the masks agree: other axes, a mirror image, inverted poses, or another order of the photographs.

@@ -3,13 +3,13 @@
 //! | part | memory | time of one thread |
 //! | --- | --- | --- |
 //! | photographs | pixels around the object × [`PHOTOGRAPH_BYTES`] | pixels × [`DECODE_NANOS`] |
-//! | `Fit` | [`FIT_BYTES`] + pixels in the pool × [`POOL_BYTES`] + texels × [`TEXEL_BYTES`] | steps × batch × lobes × [`FIT_PAIR_NANOS`] |
+//! | `Fit` | [`FIT_BYTES`] + pixels in the pool × [`POOL_BYTES`] + texels × [`TEXEL_BYTES`] | steps × batch × lobes × [`FIT_PAIR_NANOS`] + pixels in the pool × [`FIT_START_NANOS`] |
 //! | `Fit(detail: true)` | the same + [`DETAIL_BYTES`] + pixels × [`DETAIL_PIXEL_BYTES`] | three times as long + pixels × [`DETAIL_PIXEL_NANOS`] |
 //! | `Shape` | pixels in the pool × [`POOL_BYTES`] + cells³ × [`CELL_BYTES`] | steps × batch × [`SHAPE_PIXEL_NANOS`] |
 //! | its mesh | cells² × [`MESH_BYTES`] | |
 //! | shadows | [`VisibilitySettings::bytes`] of the texels | rows × directions × [`RAY_NANOS`] |
-//! | `Render` and the like | [`frame_bytes`] of the largest view; [`film_bytes`] of the film | samples in the object × lobes × [`RENDER_PAIR_NANOS`] |
-//! | `Evaluate` | pixels of the largest view × [`SCORE_PIXEL_BYTES`] | |
+//! | `Render` and the like | [`frame_bytes`] of the largest view; [`film_bytes`] of the film | samples in the object × (lobes × [`RENDER_PAIR_NANOS`] + [`SAMPLE_NANOS`]) + pixels × [`PICTURE_PIXEL_NANOS`] |
+//! | `Evaluate` | pixels of the largest view × [`SCORE_PIXEL_BYTES`] | pixels of the test views × [`SCORE_PIXEL_NANOS`] |
 //!
 //! Time is divided by the threads. It is good to a factor of two on the machine that was measured, and a guess on others. Memory is meant
 //! to be no less than what is taken: whole runs took 69 to 98 % of it (`spot`, also with textures up to 2048², `sphere`,
@@ -62,6 +62,8 @@ pub const BASE_BYTES: f64 = 100e6;
 pub const DECODE_NANOS: f64 = 100.0;
 /// A pair of pixel and lobe in a step of a fit: `scenes/spot.ron` without shadows, 1 200 steps in 13 s on two cores.
 pub const FIT_PAIR_NANOS: f64 = 27.0;
+/// A pixel of the pool before the first step of a fit: choosing, tracing, and two initializations. `scenes/spot.ron`, ten steps.
+pub const FIT_START_NANOS: f64 = 16_000.0;
 /// A pixel in a sweep over the detail of a texture: `chair`, three sweeps over 11 million pixels in 110 s of one thread.
 pub const DETAIL_PIXEL_NANOS: f64 = 3300.0;
 /// A fit that tries several materials, moves vertices and refines its texture takes this many times as long.
@@ -70,8 +72,14 @@ pub const DETAIL_FACTOR: f64 = 3.0;
 pub const SHAPE_PIXEL_NANOS: f64 = 42_000.0;
 /// A ray of the visibility: 108 789 texels in 512 directions in 7.0 s on two cores.
 pub const RAY_NANOS: f64 = 250.0;
-/// A pair of pixel sample and lobe in a frame, with tracing and gathering.
+/// A pair of pixel sample and lobe in a frame.
 pub const RENDER_PAIR_NANOS: f64 = 8.0;
+/// A pixel sample of the object in a frame, with tracing and gathering: a sphere in 2048² and 4096² pixels.
+pub const SAMPLE_NANOS: f64 = 1_700.0;
+/// Encoding and writing a pixel of a picture with all its layers: the same, as small as a few pixels.
+pub const PICTURE_PIXEL_NANOS: f64 = 1_700.0;
+/// Scoring a pixel of a view, with its part of the contact sheet: ten views of 256².
+pub const SCORE_PIXEL_NANOS: f64 = 3_000.0;
 /// A path of the path tracer.
 pub const PATH_NANOS: f64 = 3_000.0;
 /// Share of a frame that the object covers, where no mask says.
@@ -269,8 +277,9 @@ impl Task<'_> {
     fn fit(&self, fit: &FitPass) -> Part {
         let pairs = f64::from(fit.steps) * f64::from(fit.batch) * self.lobes();
         let bytes = FIT_BYTES + self.pool(fit.max_pixels) * POOL_BYTES + self.texels() * TEXEL_BYTES;
+        let start = self.pool(fit.max_pixels) * FIT_START_NANOS;
         if !fit.detail {
-            return self.part(&fit.name, bytes, pairs * FIT_PAIR_NANOS, false);
+            return self.part(&fit.name, bytes, start + pairs * FIT_PAIR_NANOS, false);
         }
         let wide = pixels_per_texel(self.looks, self.texels().sqrt() as u32).unwrap_or(1.0).round().max(1.0);
         let side =
@@ -278,7 +287,12 @@ impl Task<'_> {
         let sweeps = f64::from(SWEEPS) * self.pool(MOST_PIXELS as u32) * DETAIL_PIXEL_NANOS;
         let finest = side * side * (FINEST_TEXEL_BYTES + size_of::<TexelEquations>() as f64);
         let steps = bytes + DETAIL_BYTES + self.pool(MOST_PIXELS as u32) * DETAIL_PIXEL_BYTES;
-        self.part(&fit.name, steps.max(finest), DETAIL_FACTOR * pairs * FIT_PAIR_NANOS + sweeps, false)
+        self.part(
+            &fit.name,
+            steps.max(finest),
+            start + DETAIL_FACTOR * pairs * FIT_PAIR_NANOS + sweeps,
+            false,
+        )
     }
 
     /// The mesh that a shape is found as.
@@ -298,7 +312,8 @@ impl Task<'_> {
     /// One view at a time is scored.
     fn scores(&self, name: &str) -> Part {
         let largest = self.looks.iter().map(pixels).fold(0.0, f64::max);
-        self.part(name, largest * SCORE_PIXEL_BYTES, 0.0, false)
+        let scored = self.looks.iter().filter(|look| look.split == Split::Test).map(pixels).sum::<f64>();
+        self.part(name, largest * SCORE_PIXEL_BYTES, scored * SCORE_PIXEL_NANOS, false)
     }
 
     /// The levels that photographs of this size resolve, as far as their masks tell; a level that is nearly resolved counts.
@@ -326,15 +341,15 @@ impl Task<'_> {
         let views = self.chosen(render);
         let orbit = render.orbit.as_ref().map_or((0, 0.0), |orbit| {
             let size = [orbit.size; 2];
-            let pixels = f64::from(orbit.size).powi(2) * f64::from(orbit.frames);
-            (frame_bytes(size) + film_bytes(size), pixels * USUAL_COVERAGE)
+            (frame_bytes(size) + film_bytes(size), f64::from(orbit.size).powi(2) * f64::from(orbit.frames))
         });
-        let object = views.iter().map(|look| object_pixels(look)).sum::<f64>() + orbit.1;
+        let object = views.iter().map(|look| object_pixels(look)).sum::<f64>() + USUAL_COVERAGE * orbit.1;
+        let all = views.iter().map(|look| pixels(look)).sum::<f64>() + orbit.1;
         let nanos = match render.shading {
             Shading::PathTraced { spp, .. } => f64::from(spp) * PATH_NANOS,
-            _ => f64::from(render.samples_per_pixel) * self.lobes() * RENDER_PAIR_NANOS,
+            _ => f64::from(render.samples_per_pixel) * (self.lobes() * RENDER_PAIR_NANOS + SAMPLE_NANOS),
         };
         let largest = views.iter().map(|look| frame_bytes(look.size)).fold(orbit.0, u64::max);
-        self.part(name, largest as f64, object * nanos, false)
+        self.part(name, largest as f64, object * nanos + all * PICTURE_PIXEL_NANOS, false)
     }
 }

@@ -30,7 +30,8 @@ pub fn orders(looks: &[ViewLook], most: usize) -> Vec<(Cause, Vec<SmallMask>)> {
         chosen(&list, most, |i| count - 1 - i)
     });
     let cause = |(words, masks): (String, Option<Vec<SmallMask>>)| {
-        let help = "Bring cameras and photographs into the same order: the n-th camera belongs to the n-th photograph by name.";
+        let help = "Bring cameras and photographs into the same order: the n-th camera belongs to the n-th photograph by name. If it is the masks \
+                    that are out of order, rename them.";
         Some((Cause { change: Change::Order, words, help: help.to_owned() }, masks?))
     };
     std::iter::once(reversed).chain(shifted).filter_map(cause).collect()

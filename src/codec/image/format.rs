@@ -160,8 +160,8 @@ pub(super) fn recognize(path: &Path, start: &[u8]) -> Result<Format> {
 
 /// The error for a camera's RAW file.
 pub(super) fn raw(path: &Path) -> Error {
-    let help = "Develop all of them with the same settings to 16-bit TIFF: with `darktable-cli`, or with \
-                `dcraw -w -4 -T FILE`, whose values are linear (say `gamma: Linear`).";
+    let help = "Develop all of them with the same settings to 16-bit PNG or TIFF: with `darktable-cli`, or with \
+                `dcraw -w -4 -T FILE`, whose TIFF is linear (say `gamma: Linear`).";
     Error::input(path, "", "this is a camera's RAW file, which is not read", help)
 }
 

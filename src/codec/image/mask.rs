@@ -114,6 +114,21 @@ impl Colors {
         self.0.iter().any(|[r, g, b]| r != g || g != b)
     }
 
+    /// Whether all are shades of one color, as at the soft edges of an object that is painted in it.
+    fn are_shades(&self) -> bool {
+        let sum = |color: &[u32; 3]| u64::from(color[0]) + u64::from(color[1]) + u64::from(color[2]);
+        let Some(brightest) = self.0.iter().max_by_key(|color| sum(color)) else { return false };
+        let full = sum(brightest);
+        // Rounded to whole values.
+        let is_shade = |color: &[u32; 3]| {
+            (0..3).all(|c| {
+                let (own, scaled) = (u64::from(color[c]) * full, u64::from(brightest[c]) * sum(color));
+                own.abs_diff(scaled) <= 2 * full
+            })
+        };
+        self.is_colorful() && self.0.iter().all(is_shade)
+    }
+
     /// Whether these are the colors of a picture and not of a few labels.
     fn is_picture(&self) -> bool {
         self.is_colorful() && self.0.len() > MOST_LABELS
@@ -125,6 +140,9 @@ impl Colors {
         let help = "Write a mask that is white where the object is, black elsewhere.";
         let refused = |problem: String| Err(Error::input(path, "", problem, help));
         if !(2..=MOST_LABELS).contains(&colors.len()) {
+            return Ok(());
+        }
+        if self.are_shades() {
             return Ok(());
         }
         if self.is_colorful() {

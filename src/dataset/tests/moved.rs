@@ -36,6 +36,23 @@ fn images_are_found_by_their_names_with_one_note() {
 }
 
 #[test]
+fn images_may_have_been_converted_since() {
+    for (photograph, named) in [
+        ("images/a.PNG", "images/a.png"),
+        ("images/a.png", "images/a.jpg"),
+        ("images/a.PNG", "images/a"),
+        ("images/a.png", "/home/me/images/a.JPG"),
+    ] {
+        let set = read_all(transforms(&[photograph], &[named]).path()).unwrap();
+        assert!(names(&set) == ["a"] && set.views[0].photograph.is_some(), "{photograph} for {named}");
+    }
+    // Of two that it could be, none is taken.
+    let dir =
+        transforms(&["images/a.png", "images/a.webp", "images/b.png"], &["images/a.jpg", "images/b.png"]);
+    assert_says(&input_error(read_all(dir.path())), &["images/a.jpg", "is missing"]);
+}
+
+#[test]
 fn folders_below_those_that_are_named_are_kept_apart() {
     let images = ["/home/me/images/left/0.png", "/home/me/images/right/0.png"];
     let set = read_all(transforms(&["images/left/0.png", "images/right/0.png"], &images).path()).unwrap();
@@ -87,6 +104,22 @@ fn colmap(photographs: &[&str], named: &[&str]) -> TempDir {
     let lines: String = named.iter().map(|name| format!("1 1 0 0 0 0 0 3 1 {name}\n\n")).collect();
     fs::write(dir.path().join("sparse/0/images.txt"), lines).unwrap();
     dir
+}
+
+#[test]
+fn colmap_may_have_photographs_in_other_folders() {
+    for folder in ["image", "Images", "rgb", "input"] {
+        let dir = colmap(&["images/a.png"], &["a.png"]);
+        fs::rename(dir.path().join("images"), dir.path().join(folder)).unwrap();
+        assert_eq!(names(&read_all(dir.path()).unwrap()), ["a"], "{folder}");
+    }
+    let dir = colmap(&["images/a.png"], &["a.png"]);
+    fs::rename(dir.path().join("images"), dir.path().join("holidays")).unwrap();
+    assert_says(&input_error(read_all(dir.path())), &["images", "is missing", "rename their folder"]);
+    // Models need not begin with 0.
+    fs::rename(dir.path().join("holidays"), dir.path().join("images")).unwrap();
+    fs::rename(dir.path().join("sparse/0"), dir.path().join("sparse/3")).unwrap();
+    assert_eq!(names(&read_all(dir.path()).unwrap()), ["a"]);
 }
 
 #[test]

@@ -11,6 +11,9 @@ const LEAST_COSINE: f32 = 0.05;
 const FAR: f32 = 0.5;
 /// Added to the determinant of a vertex's equations, relative to the product of its diagonal.
 const DAMPING: f32 = 1e-3;
+/// What a vertex that mirrors only dark parts of the light is taken to have seen besides: part of the mean square of the mirrored radiance. Else
+/// its mirrored color could be any.
+const MIRRORED_FLOOR: f32 = 0.02;
 
 /// The two colors of a vertex, ≥ 0: they multiply the tables.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -40,7 +43,7 @@ pub fn moments<'a>(
     mirrored: &Table,
 ) -> Option<Moments> {
     let mut sums = Moments::default();
-    let mut is_seen = false;
+    let mut weight = 0.0;
     for sight in sights {
         let in_light = sight.in_light(normal);
         let cosine = in_light.dot(sight.to_view);
@@ -56,9 +59,10 @@ pub fn moments<'a>(
         sums.el += we * l;
         sums.ml += wm * l;
         sums.ll += w * l * l;
-        is_seen = true;
+        weight += w;
     }
-    is_seen.then_some(sums)
+    sums.mm += MIRRORED_FLOOR * weight * mirrored.mean_square();
+    (weight > 0.0).then_some(sums)
 }
 
 impl Moments {

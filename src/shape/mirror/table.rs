@@ -12,20 +12,34 @@ const SIDE: usize = 48;
 const WIDE: f32 = 4.0;
 const WIDE_SHARE: f32 = 1e-3;
 
-/// RGB values by direction.
+/// RGB values by direction, and the mean of their squares.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Table(Vec<Vec3>);
+pub struct Table {
+    cells: Vec<Vec3>,
+    mean_square: Vec3,
+}
 
 impl Table {
     /// The same everywhere.
     pub fn constant(value: Vec3) -> Self {
-        Self(vec![value; SIDE * SIDE])
+        Self::new(vec![value; SIDE * SIDE])
+    }
+
+    fn new(cells: Vec<Vec3>) -> Self {
+        let mean_square = cells.iter().map(|v| v * v).sum::<Vec3>() / cells.len() as f32;
+        Self { cells, mean_square }
+    }
+
+    /// The mean of the squares of its cells.
+    #[inline]
+    pub fn mean_square(&self) -> Vec3 {
+        self.mean_square
     }
 
     /// The value of the cell of a unit direction.
     #[inline]
     pub fn at(&self, direction: Vec3) -> Vec3 {
-        self.0[cell(direction)]
+        self.cells[cell(direction)]
     }
 }
 
@@ -96,13 +110,13 @@ impl Sums {
         };
         let smooth: Vec<Vec3> = (0..SIDE * SIDE).into_par_iter().map(smooth).collect();
         let Some(share) = share else {
-            return Table(smooth.into_iter().map(|v| v.max(Vec3::ZERO)).collect());
+            return Table::new(smooth.into_iter().map(|v| v.max(Vec3::ZERO)).collect());
         };
         let mut seen: Vec<f32> =
             self.squares.iter().map(|v| v.element_sum() / 3.0).filter(|square| *square > 0.0).collect();
         let weight = share * median(&mut seen).unwrap_or(1.0) + 1e-30;
         let own = |i: usize| (self.products[i] + weight * smooth[i]) / (self.squares[i] + weight);
-        Table((0..smooth.len()).map(|i| own(i).max(Vec3::ZERO)).collect())
+        Table::new((0..smooth.len()).map(|i| own(i).max(Vec3::ZERO)).collect())
     }
 }
 

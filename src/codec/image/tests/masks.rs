@@ -86,6 +86,16 @@ fn one_color_of_a_palette_is_full_coverage_and_several_are_refused() {
 }
 
 #[test]
+fn soft_edges_of_one_color_are_coverage() {
+    let (_dir, at) = folder();
+    let colors = [[0, 0, 0], [200, 40, 10], [100, 20, 5], [51, 10, 3]];
+    palette(&at("p.png"), &colors, &[0, 1, 1, 1, 1, 2, 3]);
+    let coverage = read_mask(at("p.png"), Orientation::Upright).unwrap().mask.coverage;
+    let expected = [0.0, 1.0, 1.0, 1.0, 1.0, 0.5, 0.25];
+    assert!(coverage.iter().zip(expected).all(|(found, truth)| (found - truth).abs() < 0.02), "{coverage:?}");
+}
+
+#[test]
 fn gray_labels_are_refused() {
     let (_dir, at) = folder();
     GrayImage::from_raw(4, 1, vec![0, 1, 2, 3]).unwrap().save(at("m.png")).unwrap();
