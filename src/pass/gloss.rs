@@ -111,7 +111,7 @@ fn choose(
     let carried = carry(world, Span::Pass)?;
     let tried = try_several(session, pass, options);
     let error = tried.as_ref().ok().copied().filter(|_| !is_stopping());
-    let enough = if session.normals_found { CLEARLY_POLISHED } else { CLEARLY };
+    let enough = if session.placed.normals { CLEARLY_POLISHED } else { CLEARLY };
     session.several = error.is_some_and(|error| error < enough * first.error);
     keep_one_or_several(&mut session.pipeline.world, session.several, &lobes, carried)?;
     tried?;

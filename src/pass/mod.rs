@@ -54,7 +54,7 @@ pub mod view;
 mod view_photographs;
 mod view_report;
 
-pub use session::{Lights, MOST_VISIBILITY_BYTES, Session};
+pub use session::{Lights, MOST_VISIBILITY_BYTES, Placed, Session};
 
 use crate::codec::file::{FileUse, FolderLock, check_room};
 use crate::error::stop::{check_interrupted, stopped_by};
@@ -356,7 +356,7 @@ fn open<'a>(
         progress,
         scores: Scores::default(),
         several: false,
-        normals_found: false,
+        placed: Placed::default(),
         surface_found: false,
         watched: Watched::default(),
         profiler: None,

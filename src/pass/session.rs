@@ -19,6 +19,7 @@ use crate::report::scores::{FrameTried, Scores};
 use crate::scene::{Light, Pass, Scene, Visibility};
 use crate::spawn::{LoadedLight, load_light, unknowns};
 use crate::visibility::{ObjectVisibility, VisibilitySettings};
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -29,6 +30,22 @@ pub const METRICS: &str = "metrics.json";
 
 /// The trace of a profiled run, in its output folder.
 pub const TRACE: &str = "trace.json";
+
+/// What beside shading has placed a surface: a fit then leaves its vertices where they are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Placed {
+    /// Its normals are not those of its triangles, but found by what it mirrors.
+    pub normals: bool,
+    /// Stereo has moved much of it.
+    pub by_stereo: bool,
+}
+
+impl Placed {
+    /// Whether vertices stay where they are.
+    pub const fn holds_vertices(self) -> bool {
+        self.normals || self.by_stereo
+    }
+}
 
 /// Everything the passes of one run share.
 pub struct Session<'a> {
@@ -54,8 +71,8 @@ pub struct Session<'a> {
     pub scores: Scores,
     /// Whether a fit has chosen several base materials, where the scene leaves that open.
     pub several: bool,
-    /// Whether the surface has normals that are not those of its triangles, found by what it mirrors: its vertices then stay.
-    pub normals_found: bool,
+    /// What beside shading has placed the surface.
+    pub placed: Placed,
     /// Whether a pass has found the surface, or moved it.
     pub surface_found: bool,
     /// The files that the run reads, as they were when it began.

@@ -18,7 +18,7 @@ use crate::pass::inspect::ShapeInspector;
 use crate::pass::live::Snapshot;
 use crate::pass::progress::{Bar, Moment, Progress};
 use crate::pass::renew::renew;
-use crate::pass::session::Session;
+use crate::pass::session::{Placed, Session};
 use crate::pass::steps::closed_form;
 use crate::profile::stage;
 use crate::sample::point::Scenery;
@@ -45,6 +45,8 @@ use std::time::Instant;
 
 /// Steps between two redistancings.
 const REDISTANCE_EVERY: u32 = 40;
+/// Part of the surface that follows stereo from which on a fit does not move vertices: photographs that agree place them better than shading.
+const STEREO_HOLDS: f32 = 0.3;
 
 /// Most texels a side that a texture is made wider to.
 const MOST_TEXELS: u32 = 4096;
@@ -124,7 +126,7 @@ fn take_over(
     stopped: bool,
 ) -> Result<bool> {
     let initialized = std::mem::replace(&mut session.initialize, Initialize::NONE);
-    session.normals_found = false;
+    session.placed = Placed::default();
     check_parameters(&mut session.pipeline.world)?;
     check_numbers("the value of the field at point", found.grid.values.iter().copied())?;
     if !stopped {
@@ -135,7 +137,7 @@ fn take_over(
     let stopped = is_stopping();
     finish_stopping();
     put_in_place(session, &found, &mesh, texture_size)?;
-    if session.normals_found {
+    if session.placed.normals {
         // With them highlights are sharper than light and lobe are by now: a fit finds these anew.
         session.initialize = initialized;
     } else if initialized.light && initialized.albedo {
@@ -149,13 +151,13 @@ fn take_over(
 fn found_mesh(session: &mut Session, pass: &ShapePass, surface: &SdfSurface) -> Mesh {
     let mut mesh = mesh_of_parts(&mut session.pipeline.world, &surface.grid);
     if pass.stereo && !is_stopping() {
-        match_views(session, &pass.name, &mut mesh);
+        session.placed.by_stereo = match_views(session, &pass.name, &mut mesh);
     } else {
         session.pipeline.world.remove_resource::<ModelError>();
     }
     // Colors of different exposures are no reflections.
     if pass.normals && !pass.exposure && !is_stopping() {
-        session.normals_found = match_reflections(session, &pass.name, &mut mesh);
+        session.placed.normals = match_reflections(session, &pass.name, &mut mesh);
     }
     mesh
 }
@@ -250,8 +252,8 @@ fn match_outlines(session: &mut Session, name: &str, grid: &mut SdfGrid) {
     session.progress.print(&format!("{name}: outlines in {seconds:.1} s, {found}"));
 }
 
-/// Moves the mesh to where neighboring photographs agree, and says what came of it.
-fn match_views(session: &mut Session, name: &str, mesh: &mut Mesh) {
+/// Moves the mesh to where neighboring photographs agree; says what came of it and returns whether vertices then stay there.
+fn match_views(session: &mut Session, name: &str, mesh: &mut Mesh) -> bool {
     let start = Instant::now();
     let _matching = stage("stereo");
     let bar = session.progress.bar(name, STEREO_ROUNDS.len() as u64);
@@ -262,15 +264,18 @@ fn match_views(session: &mut Session, name: &str, mesh: &mut Mesh) {
     });
     bar.finish_and_clear();
     if is_stopping() {
-        return;
+        return false;
     }
     let seconds = start.elapsed().as_secs_f64();
+    let holds = report.moved > 0.0 && report.trusted >= STEREO_HOLDS;
+    let held = if holds { "; from here on vertices do not move" } else { "" };
     let found = if report.moved > 0.0 {
-        format!("{:.0} % of the surface follows it", 100.0 * report.trusted)
+        format!("{:.0} % of the surface follows it{held}", 100.0 * report.trusted)
     } else {
         "it adds nothing to the shading here".into()
     };
     session.progress.print(&format!("{name}: stereo in {seconds:.1} s, {found}"));
+    holds
 }
 
 /// Gives the vertices the normals that explain what they mirror, if that is worth it; says what came of it and returns whether it was.

@@ -144,7 +144,7 @@ fn let_geometry_move(session: &mut Session, pass: &FitPass) {
     if pass.cameras != CameraUnknowns::Given {
         session.pipeline.add_plugin(&CameraPlugin(pass.cameras));
     }
-    if pass.vertices && !session.normals_found {
+    if pass.vertices && !session.placed.holds_vertices() {
         let (surface, steps) = (session.surface.clone(), pass.steps);
         session.pipeline.add_plugin(&VertexPlugin { surface, steps });
     }

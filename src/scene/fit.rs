@@ -34,7 +34,8 @@ pub struct FitPass {
     pub exposure: bool,
     /// Which camera parameters of the training views are refined. Default `Given`: none.
     pub cameras: CameraUnknowns,
-    /// Whether the vertices of the mesh are refined: they move along their normals, which then are smooth. Default false.
+    /// Whether the vertices of the mesh are refined: they move along their normals, which then are smooth; not if
+    /// `Shape` has placed them by stereo or found their normals by reflections. Default false.
     pub vertices: bool,
     /// Whether the texture is then made as fine as the photographs, up to 1 024 texels a side, and its albedo, sheen and tilt are solved for
     /// from all pixels. Default false.

@@ -11,7 +11,7 @@ use crate::material::replace_materials;
 use crate::mesh::Surface;
 use crate::mesh::triangles::Mesh;
 use crate::pass::progress::Progress;
-use crate::pass::session::Session;
+use crate::pass::session::{Placed, Session};
 use crate::report::scores::Scores;
 use crate::sample::point::Scenery;
 use crate::scene::{Scene, Sheen};
@@ -336,7 +336,7 @@ struct SessionState {
     initialize: Initialize,
     has_object: bool,
     several: bool,
-    normals_found: bool,
+    placed: Placed,
     /// In RON, which has numbers that are not finite.
     scores: String,
     /// The surface that was found, if one was, and the width of its texture.
@@ -368,7 +368,7 @@ fn state_of(session: &Session) -> Result<SessionState> {
         initialize: session.initialize,
         has_object: session.has_object,
         several: session.several,
-        normals_found: session.normals_found,
+        placed: session.placed,
         scores: ron::to_string(&session.scores).map_err(unwritten)?,
         surface: session.surface_found.then(|| (surface.mesh().clone(), surface.atlas().width)),
     })
@@ -405,14 +405,13 @@ pub(super) fn restore(session: &mut Session, at: At) -> Result<bool> {
         At::Pass => checkpoint::resume_pass(world, prepare)?,
         At::Level => checkpoint::resume_level(world, prepare)?,
     };
-    let Some((_, SessionState { initialize, has_object, several, normals_found, scores, .. })) = resumed
-    else {
+    let Some((_, SessionState { initialize, has_object, several, placed, scores, .. })) = resumed else {
         return Ok(false);
     };
     let unread = |error: ron::error::SpannedError| Error::run("reading a checkpoint", error.to_string());
     session.scores = ron::from_str::<Scores>(&scores).map_err(unread)?;
     (session.initialize, session.has_object, session.several) = (initialize, has_object, several);
-    session.normals_found = normals_found;
+    session.placed = placed;
     if let Some(surface) = found {
         (session.surface, session.surface_found) = (surface, true);
     }
