@@ -99,18 +99,13 @@ fn find_spelled(path: &Path) -> Option<PathBuf> {
     if path.is_file() || (has_image_extension(path) && is_there(path)) {
         return Some(path.to_owned());
     }
-    let with = |extension: &&str| {
+    let with = |extension: &str| {
         let mut name = path.as_os_str().to_owned();
         name.push(format!(".{extension}"));
-        let candidate = PathBuf::from(name);
-        candidate.is_file().then_some(candidate)
+        Some(PathBuf::from(name)).filter(|candidate| candidate.is_file())
     };
-    let in_capitals: Vec<String> =
-        IMAGE_EXTENSIONS.iter().map(|extension| extension.to_uppercase()).collect();
-    IMAGE_EXTENSIONS
-        .iter()
-        .find_map(with)
-        .or_else(|| in_capitals.iter().find_map(|extension| with(&extension.as_str())))
+    let in_capitals = || IMAGE_EXTENSIONS.iter().find_map(|extension| with(&extension.to_uppercase()));
+    IMAGE_EXTENSIONS.iter().find_map(|extension| with(extension)).or_else(in_capitals)
 }
 
 /// The only image with the stem of `path`, which is named with the extension of an image that is not there: photographs that were converted.
