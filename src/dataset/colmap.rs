@@ -1,8 +1,8 @@
 //! COLMAP's layout: a reconstruction in `DIR/sparse/0`, photographs in `DIR/images`, masks in `DIR/masks`.
 //!
 //! The reconstruction is `cameras` and `images`, `.bin` or `.txt`; points, rigs and frames are not needed. It may also be where COLMAP's
-//! own programs, nerfstudio and 3D Gaussian splatting leave it, and the photographs in a folder of another usual name; of several models the one with the most images is read. Masks may have
-//! any usual name, and be beside the photographs or in `DIR`; without a folder of masks alpha is the mask. Photographs are taken as they are
+//! own programs, nerfstudio and 3D Gaussian splatting leave it, and the photographs in a folder of another usual name; of several models
+//! the one with the most images is read. Masks may have any usual name, and be beside the photographs or in `DIR`; without a folder of masks alpha is the mask. Photographs are taken as they are
 //! stored, since COLMAP ignores their EXIF orientation. `DIR/test_id.txt` and `DIR/train_id.txt`, as of Stanford-ORB's `llff_colmap_HDR`,
 //! list the views of each split. Without the former see [`crate::dataset::DatasetOptions::hold_out`].
 
@@ -83,7 +83,7 @@ pub fn has_split(dir: &Path, split: Split) -> bool {
 }
 
 /// Whether the reconstruction is there for the record only, beside the cameras of another layout that were made of it, or has no
-/// photographs.
+/// photographs in the folder that belongs to it.
 pub(super) fn is_for_the_record(dir: &Path) -> bool {
     let is_kept = |file: &PathBuf| FOR_THE_RECORD.iter().any(|folder| file.starts_with(dir.join(folder)));
     find_place(dir).is_some_and(|place| {

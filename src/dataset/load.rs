@@ -59,7 +59,8 @@ pub(super) fn file_name(path: &Path) -> String {
 }
 
 /// The file itself if it exists, else with an image extension added, else the same of a path whose letters with accents are made of other
-/// characters, else the only image of another format with that stem. What is called as an image and is none, or may not be read, is found as well: reading it says why.
+/// characters, else the only image of another format with that stem. What is called as an image and is none, or may not be read, is found as
+/// well: reading it says why.
 pub(super) fn find_image(path: &Path) -> Option<PathBuf> {
     find_spelled(path).or_else(|| {
         let (folder, name) = (spelled_as_on_disk(path.parent()?)?, path.file_name()?.to_str()?);

@@ -273,7 +273,8 @@ impl Reconstruction<'_> {
                 continue;
             }
             let problem = format!(
-                "the cameras that were found have a distortion that no lens has: undistorted, the photograph has {w}×{h} of its {width}×{height} pixels"
+                "the cameras that were found have a distortion that no lens has: undistorted, the \
+                 photograph has {w}×{h} of its {width}×{height} pixels"
             );
             let help = "Photographs of a turntable need masks (--masks DIR, --mask-command, --backdrop); others more overlap, or one lens and \
                         zoom for all.";
