@@ -321,8 +321,9 @@ fn a_run_that_was_killed_at_its_very_end_is_tidy_once_it_is_resumed() {
     let report = std::fs::read(data.path("out/report.html")).unwrap();
     std::fs::write(data.path("out/.lobelia.lock"), "").unwrap();
     std::fs::write(data.path("out/report.html"), "of before").unwrap();
+    std::fs::write(data.path("out/.lobelia-abc.part.html"), "half a").unwrap();
     data.run(&scene(FIT), "out", &["--quiet", "--resume"]).succeeded();
-    assert!(!data.path("out/.lobelia.lock").exists());
+    assert!(!data.path("out/.lobelia.lock").exists() && !data.path("out/.lobelia-abc.part.html").exists());
     assert!(report == std::fs::read(data.path("out/report.html")).unwrap());
 }
 

@@ -13,7 +13,7 @@ use crate::dataset::folders::{Folders, flat_name};
 use crate::dataset::lists::{Lists, has_test_list};
 use crate::dataset::load::has_images;
 use crate::dataset::masks::mask_folder;
-use crate::dataset::names::{ImageName, composed, portable, quoted, view_name};
+use crate::dataset::names::{ImageName, PHOTOGRAPH_FOLDERS, composed, portable, quoted, view_name};
 use crate::dataset::photographs::note_of_unused;
 use crate::dataset::{MaskPlan, Plan, ViewPlan};
 use crate::error::{Error, Result};
@@ -34,9 +34,6 @@ const PLACES: [(&str, &str); 9] = [
     ("colmap", "images"),
     ("model", "images"),
 ];
-/// Names that folders of photographs have where they are not called `images`, in lower case: COLMAP takes any.
-const PHOTOGRAPH_FOLDERS: [&str; 8] =
-    ["images", "image", "input", "rgb", "photos", "photographs", "pictures", "imgs"];
 /// Models that are looked for in a folder.
 const MOST_MODELS: usize = 100;
 /// Folders of reconstructions of which the cameras of another layout are made.

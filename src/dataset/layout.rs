@@ -3,6 +3,7 @@
 use crate::codec::file::{Kind, Obstacle, is_there, obstacle};
 use crate::codec::image::{IMAGE_EXTENSIONS, is_unread_name};
 use crate::codec::nearby::{missing_file_help, natural_order};
+use crate::dataset::names::PHOTOGRAPH_FOLDERS;
 use crate::dataset::{DatasetOptions, Layout, Plan};
 use crate::dataset::{colmap, deepvoxels, idr, llff, metashape, nerf, physg, reality_capture, stanford_orb};
 use crate::error::{Error, Result};
@@ -284,8 +285,10 @@ fn unposed(dir: &Path, entries: &[PathBuf]) -> Option<String> {
         let is_image = |path: &Path| is_kind(path, &IMAGE_EXTENSIONS) || is_unread_name(path);
         entries.filter(|entry| is_image(&entry.path())).count()
     };
-    let folders = ["", "images", "image", "rgb"].map(|name| dir.join(name));
-    if let Some((folder, count)) = folders.iter().map(|f| (f, photographs(f))).find(|(_, count)| *count > 1) {
+    let mut folders = [""].iter().chain(&PHOTOGRAPH_FOLDERS).map(|name| dir.join(name));
+    let folder =
+        folders.find_map(|folder| Some((photographs(&folder), folder)).filter(|(count, _)| *count > 1));
+    if let Some((count, folder)) = folder {
         return Some(format!(
             "It has {count} photographs and no cameras. `lobelia prepare {} OUT` finds the cameras.",
             folder.display()

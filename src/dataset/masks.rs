@@ -3,8 +3,7 @@
 use crate::codec::file::is_there;
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::load::{StemIndex, file_name};
-use crate::dataset::names::quoted;
-use crate::dataset::names::view_name;
+use crate::dataset::names::{PHOTOGRAPH_FOLDERS, quoted, view_name};
 use crate::error::{Error, Result};
 use std::path::{Path, PathBuf};
 
@@ -23,16 +22,15 @@ const FOLDERS: [&str; 12] = [
     "image_mask",
     "image_masks",
 ];
-/// Names of folders of photographs in lower case, in which folders of masks may be.
-const ABOVE: [&str; 3] = ["images", "image", "rgb"];
 /// Words in the names of masks, besides the name of the photograph.
 const WORDS: [&str; 3] = ["mask", "seg", "alpha"];
 
 /// The folder of masks in `dir`, or in its folder of photographs, if there is one. Case does not count.
 pub(super) fn mask_folder(dir: &Path) -> Option<PathBuf> {
     let first = |dir: &Path, names: &[&str]| names.iter().find_map(|name| called(dir, name));
-    let above = || ABOVE.iter().filter_map(|name| called(dir, name)).filter(|folder| folder.is_dir());
-    first(dir, &FOLDERS).or_else(|| above().find_map(|folder| first(&folder, &FOLDERS[..2])))
+    let above = PHOTOGRAPH_FOLDERS.iter().filter_map(|name| called(dir, name));
+    let mut above = above.filter(|folder| folder.is_dir());
+    first(dir, &FOLDERS).or_else(|| above.find_map(|folder| first(&folder, &FOLDERS[..2])))
 }
 
 /// The entry of `dir` with this name in lower case; of several, the one that has it as it is, or else the first.

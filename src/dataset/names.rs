@@ -9,6 +9,9 @@ use std::collections::HashMap;
 use std::path::Path;
 use unicode_normalization::{UnicodeNormalization, is_nfc};
 
+/// Names that folders of photographs usually have, in lower case, the most usual first: COLMAP takes any.
+pub(super) const PHOTOGRAPH_FOLDERS: [&str; 8] =
+    ["images", "image", "input", "rgb", "photos", "photographs", "pictures", "imgs"];
 /// Most characters of a name in a message.
 const LONGEST: usize = 60;
 

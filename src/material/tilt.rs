@@ -46,11 +46,16 @@ impl DirectionalAlbedo {
 
     /// ρ(v) for the unit `normal` and the unit direction `to_viewer`, in the object's axes; with a tilt, clamped to [0, 1].
     pub fn toward(&self, normal: Vec3, to_viewer: Vec3) -> Vec3 {
-        let straight = albedo_toward(self.albedo, self.sheen, normal.dot(to_viewer));
+        self.seen_at(normal.dot(to_viewer), along_surface(normal, to_viewer))
+    }
+
+    /// The same for the cosine n·v and the part v⊥ of the view direction along the surface.
+    pub fn seen_at(&self, facing: f32, side: Vec3) -> Vec3 {
+        let straight = albedo_toward(self.albedo, self.sheen, facing);
         if self.tilt == Vec3::ZERO {
             return straight;
         }
-        let side = mean_albedo(self.albedo, self.sheen) * self.tilt.dot(along_surface(normal, to_viewer));
+        let side = mean_albedo(self.albedo, self.sheen) * self.tilt.dot(side);
         // Unlike the clamp of vectors, that of numbers keeps what is not a number, which must not pass for black.
         Vec3::from_array((straight + side).to_array().map(|channel| channel.clamp(0.0, 1.0)))
     }

@@ -56,7 +56,7 @@ mod view_report;
 
 pub use session::{Lights, MOST_VISIBILITY_BYTES, Placed, Session};
 
-use crate::codec::file::{FileUse, FolderLock, check_room};
+use crate::codec::file::{FileUse, FolderLock, check_room, clear_scratch};
 use crate::error::stop::{check_interrupted, stopped_by};
 use crate::error::{Error, Result};
 use crate::fit::ObjectTurned;
@@ -194,8 +194,10 @@ fn run_passes(
 
 /// Says that a run that is to go on has finished.
 fn leave_finished(out: &Path, progress: &dyn Progress) {
-    // A process that was killed at its very end has left its lock, and a report that says that it runs. Neither is worth an error.
+    // A process that was killed at its very end has left its lock, a report that says that it runs, and half of a new one. None of these is
+    // worth an error.
     if let Ok(_lock) = FolderLock::take(out) {
+        let _ = clear_scratch(out);
         let _ = Reporter::default().write(out);
     }
     progress.note(&format!("the run in {} has finished: nothing is left to do", out.display()));

@@ -17,7 +17,8 @@
 
 use crate::codec::animation::film_bytes;
 use crate::fit::detail::equations::TexelEquations;
-use crate::fit::detail::{MOST_PIXELS, MOST_SIDE, SWEEPS};
+use crate::fit::detail::kept::KeptPixel;
+use crate::fit::detail::{MOST_PIXELS, MOST_SIDE};
 use crate::math::statistics::median;
 use crate::sample::observation::{Observation, ObservationIndex};
 use crate::scene::{
@@ -50,8 +51,8 @@ pub const FIT_BYTES: f64 = 150e6;
 pub const SCORE_PIXEL_BYTES: f64 = 105.0;
 /// Bytes of a fit that tries several materials and refines its texture, besides its pool and texels, as measured on four sets.
 pub const DETAIL_BYTES: f64 = 250e6;
-/// Bytes of a pixel that the sweeps over the texture visit, as measured on the same sets.
-pub const DETAIL_PIXEL_BYTES: f64 = 50.0;
+/// Bytes of a pixel that the sweeps over the texture visit: what is kept of it, and 50 as measured on the same sets.
+pub const DETAIL_PIXEL_BYTES: f64 = 50.0 + size_of::<KeptPixel>() as f64;
 /// Bytes of a cell of a shape's grid, with its adjoints and moments, while its outlines are fitted.
 pub const CELL_BYTES: f64 = 110.0;
 /// Bytes of a found mesh and of what is made to intersect it, per square of the cells on a side: about six triangles.
@@ -64,8 +65,9 @@ pub const DECODE_NANOS: f64 = 100.0;
 pub const FIT_PAIR_NANOS: f64 = 27.0;
 /// A pixel of the pool before the first step of a fit: choosing, tracing, and two initializations. `scenes/spot.ron`, ten steps.
 pub const FIT_START_NANOS: f64 = 16_000.0;
-/// A pixel in a sweep over the detail of a texture: `chair`, three sweeps over 11 million pixels in 110 s of one thread.
-pub const DETAIL_PIXEL_NANOS: f64 = 3300.0;
+/// A pixel that the detail of a texture is solved for from, in all sweeps: `chair`, 0.38 times what it took while every sweep shaded it, 110 s
+/// for three sweeps over 11 million pixels in one thread.
+pub const DETAIL_PIXEL_NANOS: f64 = 3800.0;
 /// A fit that tries several materials, moves vertices and refines its texture takes this many times as long.
 pub const DETAIL_FACTOR: f64 = 3.0;
 /// A pixel in a step of a shape, with all that comes before and after the steps: `scenes/photos.ron` on `chair`, about 160 s on two cores.
@@ -284,7 +286,7 @@ impl Task<'_> {
         let wide = pixels_per_texel(self.looks, self.texels().sqrt() as u32).unwrap_or(1.0).round().max(1.0);
         let side =
             (self.texels().sqrt() * f64::from(wide)).min(f64::from(MOST_SIDE)).max(self.texels().sqrt());
-        let sweeps = f64::from(SWEEPS) * self.pool(MOST_PIXELS as u32) * DETAIL_PIXEL_NANOS;
+        let sweeps = self.pool(MOST_PIXELS as u32) * DETAIL_PIXEL_NANOS;
         let finest = side * side * (FINEST_TEXEL_BYTES + size_of::<TexelEquations>() as f64);
         let steps = bytes + DETAIL_BYTES + self.pool(MOST_PIXELS as u32) * DETAIL_PIXEL_BYTES;
         self.part(

@@ -5,6 +5,10 @@
 
 Scenes are photographed by the program itself, so that nothing else is needed. A failure leaves its folder in --out, with the scene.
 The last line has the figures: scenes, kills, files compared, largest memory and most open files of the first and the last quarter.
+
+With a scene file, that scene alone is run whole and then killed at so many random moments, each time resumed, and compared:
+
+    python3 tests/soak/soak.py target/release/lobelia --scene scenes/photos.ron --kills 50 -- --data DIR --set views.downscale=4
 """
 
 import argparse
@@ -80,10 +84,10 @@ class Watch:
             pass  # It has ended, or this system does not tell.
 
 
-def run(program, path, out, resume, watch, kill_after=None):
+def run(program, path, out, resume, watch, kill_after=None, checkpoint="0s", more=()):
     """Runs a scene; returns the exit code, or None if it was killed."""
-    words = [program, "run", path, "--out", out, "--quiet", "--threads", "2", "--checkpoint", "0s"]
-    with open(path + ".log", "a") as log:
+    words = [program, "run", path, "--out", out, "--quiet", "--threads", "2", "--checkpoint", checkpoint, *more]
+    with open(os.path.join(os.path.dirname(os.path.dirname(out)), "runs.log"), "a") as log:
         process = subprocess.Popen(words + (["--resume"] if resume else []), stdout=log, stderr=log)
     start = time.monotonic()
     while process.poll() is None:
@@ -147,11 +151,39 @@ def try_scene(program, folder, seed, watch):
     if code is None:
         code = run(program, path, broken, resume, watch)
     assert code == 0, f"resumed: exit code {code}"
+    return kills, compare(whole, broken)
+
+
+def kill_often(program, path, folder, kills, seed, more):
+    """Kills one scene at so many moments, from the start to the end again and again; returns runs, compared files and a run's seconds."""
+    dice, watch = random.Random(seed), Watch()
+    whole = os.path.join(folder, "whole", "out")
+    start = time.monotonic()
+    code = run(program, path, whole, False, watch, checkpoint="2s", more=more)
+    assert code == 0, f"exit code {code}"
+    took = time.monotonic() - start
+    done, ends, compared, longest = 0, 0, 0, max(4.0, 3.0 * took / kills)
+    while done < kills:
+        broken = os.path.join(folder, f"broken-{ends}", "out")
+        resume, code = False, None
+        while code is None:
+            moment = dice.uniform(0.0, longest) if done < kills else None
+            code = run(program, path, broken, resume, watch, moment, "2s", more)
+            resume = os.path.exists(os.path.join(broken, "run.json"))
+            done += code is None
+        assert code == 0, f"resumed after {done} kills: exit code {code}"
+        compared += compare(whole, broken)
+        ends += 1
+    return ends, compared, took
+
+
+def compare(whole, broken):
+    """The number of files, all of them equal."""
     a, b = results(whole), results(broken)
     assert a.keys() == b.keys(), f"files differ: {sorted(a.keys() ^ b.keys())}"
     for name in a:
         assert a[name] == b[name], f"{name} differs"
-    return kills, len(a)
+    return len(a)
 
 
 def main():
@@ -160,8 +192,16 @@ def main():
     arguments.add_argument("--minutes", type=float, default=60)
     arguments.add_argument("--seed", type=int, default=1, help="of the first scene")
     arguments.add_argument("--out", default="soak")
+    arguments.add_argument("--scene", help="a scene file: it alone is killed and compared")
+    arguments.add_argument("--kills", type=int, default=50, help="of --scene")
+    arguments.add_argument("more", nargs="*", help="arguments of the program's runs of --scene")
     given = arguments.parse_args()
     os.makedirs(given.out, exist_ok=True)
+    if given.scene:
+        paths = [os.path.abspath(path) for path in (given.program, given.scene, given.out)]
+        ends, compared, took = kill_often(*paths, given.kills, given.seed, given.more)
+        print(f"{given.kills} kills in {ends} runs of {took:.0f} s, {compared} files compared, all equal")
+        return
     end = time.monotonic() + 60 * given.minutes
     seed, kills, compared, failures, watched = given.seed, 0, 0, [], []
     while time.monotonic() < end:

@@ -13,7 +13,7 @@
 //! | [`DiskFile`] | the one file through which all of this goes |
 //! | [`FolderLock`] | keeps two processes from writing into one folder |
 //! | [`file_stems`] | the one way from names of views to names of files |
-//! | [`scratch_folder`], [`clear_scratch`] | what is unfinished, and its end |
+//! | [`scratch_folder`], [`is_unfinished`], [`clear_scratch`] | what is unfinished, and its end |
 
 mod apart;
 mod disk;
@@ -35,5 +35,5 @@ pub use read::{
     Kind, MOST_TEXT, Obstacle, first_bytes, is_there, obstacle, open, read_bytes, read_folder, read_parts,
     read_text, read_up_to,
 };
-pub use scratch::{clear_scratch, scratch_folder};
+pub use scratch::{clear_scratch, is_unfinished, scratch_folder};
 pub use write::{write_by_path, write_bytes, write_file};

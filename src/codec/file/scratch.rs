@@ -1,6 +1,7 @@
 //! Unfinished files and folders: their names say that they are this program's and count for nothing.
 
 use crate::{Error, Result};
+use std::ffi::OsStr;
 use std::fs;
 use std::io::ErrorKind;
 use std::path::Path;
@@ -19,12 +20,14 @@ pub fn scratch_folder(folder: &Path) -> Result<TempDir> {
     made.map_err(Error::io("create a folder in", folder))
 }
 
+/// Whether this is the name of something unfinished.
+pub fn is_unfinished(name: &OsStr) -> bool {
+    name.as_encoded_bytes().starts_with(PREFIX.as_bytes())
+}
+
 /// Whether a file is in a scratch folder, or in one below.
 pub(super) fn is_scratch(file: &Path) -> bool {
-    let is_named = |folder: &Path| {
-        folder.file_name().is_some_and(|name| name.as_encoded_bytes().starts_with(PREFIX.as_bytes()))
-    };
-    file.ancestors().skip(1).any(is_named)
+    file.ancestors().skip(1).any(|folder| folder.file_name().is_some_and(is_unfinished))
 }
 
 /// Removes what a killed process left unfinished in `folder` itself. Nobody else may be writing there.
@@ -41,7 +44,7 @@ pub fn clear_scratch(folder: &Path) -> Result<()> {
     };
     for entry in entries {
         let entry = entry.map_err(Error::io("read", folder))?;
-        if !entry.file_name().as_encoded_bytes().starts_with(PREFIX.as_bytes()) {
+        if !is_unfinished(&entry.file_name()) {
             continue;
         }
         let path = entry.path();

@@ -14,9 +14,10 @@
 //! | those of [`GatherPoints`], [`whiten_points`] | Detail: Gather | what shading needs, for a white surface |
 //! | `provide_light`, `refresh_visibility`, `gather_visibility` | Detail: `Slot::Light`, `Slot::Visibility` | light and shadows as in a fit |
 //! | `shade_closed_form` | Detail: `Slot::Shading` | diffuse radiance of a white surface, specular radiance |
-//! | [`collect_equations`] | Detail: Gradient | [`DetailEquations`] |
+//! | [`keep_pixels`] | Detail: Gradient | [`KeptPixels`] |
 
 pub mod equations;
+pub mod kept;
 
 use crate::error::Result;
 use crate::error::stop::is_stopping;
@@ -24,13 +25,14 @@ use crate::fit::components::TexelSeen;
 use crate::fit::exposure::Exposures;
 use crate::fit::observe::{Candidate, spawn_samples, usable_by_view, usable_pixels};
 use crate::light::lights::{LightChoice, provide_light};
-use crate::material::sheen::{KnownAlong, grazing, has_sheen, mean_albedo, write_albedo};
+use crate::material::sheen::{KnownAlong, has_sheen, mean_albedo, write_albedo};
 use crate::material::source::Recovered;
 use crate::material::tilt::{DirectionalAlbedo, MOST_TILT, along_surface};
-use crate::material::{DiffuseAlbedo, DiffuseSheen, DiffuseTilt, TexelIndex, Texels};
+use crate::material::{DiffuseAlbedo, DiffuseSheen, DiffuseTilt, TexelIndex};
 use crate::math::shading::{ClosedForm, Layers, ShadePoint};
 use crate::pipeline::pool::{read_column, write_column};
 use crate::pipeline::{GatherPoints, Phase, Pipeline, Plugin, Slot, Stage, SystemResult};
+use crate::profile::stage;
 use crate::sample::Samples;
 use crate::sample::bundle::despawn_pool;
 use crate::sample::pixel::{Observed, PixelOf, ViewRay, Window};
@@ -43,20 +45,20 @@ use crate::visibility::systems::{gather_visibility, light_or_material_changed, r
 use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut, Resource, With, World};
 use equations::{LEAST_COLOR, TexelEquations};
 use glam::Vec3;
+use kept::{KeptPixel, ShadedPixel, add_pixels};
 use rayon::prelude::*;
+use std::ops::ControlFlow;
 
 /// Sweeps over all pixels.
-pub const SWEEPS: u32 = 3;
+const SWEEPS: u32 = 3;
 /// Most texels a side that a texture is refined to.
 pub const MOST_SIDE: u32 = 1024;
-/// Pixels of one run of the phase.
+/// Pixels of one run of the phase, and of a sweep between two looks whether it is stopped.
 const BATCH: usize = 1 << 16;
-/// Most pixels of a sweep; of more, every n-th is visited.
+/// Most pixels that are kept; of more, every n-th is visited.
 pub const MOST_PIXELS: usize = 1 << 24;
-/// Residual relative to the radiance (and [`DARK`]) at which a pixel counts half.
-const TOLERATED: f32 = 1.0;
-/// Radiance below which residuals count as if it were this.
-const DARK: f32 = 0.1;
+/// Part of the work that is shading.
+const SHADING_PART: f32 = 0.8;
 
 /// Settings of the solution.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -75,7 +77,7 @@ pub struct DetailPlugin(pub DetailOptions);
 impl Plugin for DetailPlugin {
     fn build(&self, pipeline: &mut Pipeline) {
         pipeline.world.init_resource::<PresentPixels>();
-        pipeline.world.init_resource::<DetailEquations>();
+        pipeline.world.init_resource::<KeptPixels>();
         pipeline.world.init_resource::<Exposures>();
         add_material_resources::<Recovered>(&mut pipeline.world);
         add_gathering::<Recovered>(pipeline, Phase::Detail);
@@ -85,7 +87,7 @@ impl Plugin for DetailPlugin {
             .add_systems(Phase::Detail, Stage::Gather, whiten_points.after(GatherPoints))
             .swap(Phase::Detail, Slot::Light, provide_light(LightChoice::Own, false))
             .swap(Phase::Detail, Slot::Shading, shade_closed_form(self.0.form))
-            .add_systems(Phase::Detail, Stage::Gradient, collect_equations);
+            .add_systems(Phase::Detail, Stage::Gradient, keep_pixels);
         pipeline.world.insert_resource(WindowVisibility::default());
         if self.0.visibility {
             let refresh = refresh_visibility::<Recovered>.run_if(light_or_material_changed::<Recovered>);
@@ -95,7 +97,7 @@ impl Plugin for DetailPlugin {
 
     fn cleanup(world: &mut World) {
         world.remove_resource::<PresentPixels>();
-        world.remove_resource::<DetailEquations>();
+        world.remove_resource::<KeptPixels>();
         world.insert_resource(WindowVisibility::default());
     }
 }
@@ -104,12 +106,13 @@ impl Plugin for DetailPlugin {
 #[derive(Resource, Default)]
 pub struct PresentPixels(Vec<Candidate>);
 
-/// The equations of all texels, by [`TexelIndex`].
+/// What has been shaded.
 #[derive(Resource, Default)]
-pub struct DetailEquations(Vec<TexelEquations>);
+pub struct KeptPixels(Vec<KeptPixel>);
 
-/// Solves for albedo, sheen and tilt of all texels, in [`SWEEPS`] sweeps over the pixels of the training photographs. `watch` is called with
-/// the part of the work that is done. Raises [`TexelSeen`] where the sweeps see more than the fit did. A run that is stopped keeps the sweeps before.
+/// Solves for albedo, sheen and tilt of all texels: shades the pixels of the training photographs, then sweeps over them a few times.
+/// `watch` is called with the part of the work that is done. Raises [`TexelSeen`] where the sweeps see more than the fit did. A run that is
+/// stopped keeps the sweeps before.
 ///
 /// # Errors
 /// The first error of a system.
@@ -120,25 +123,30 @@ pub fn solve_detail(
 ) -> Result<()> {
     pipeline.add_plugin(&DetailPlugin(options));
     spawn_samples(&mut pipeline.world, BATCH);
-    let solved = (0..SWEEPS).try_for_each(|number| {
-        if is_stopping() {
-            return Ok(());
-        }
-        sweep(pipeline, options.tilt, &mut |part| watch((number as f32 + part) / SWEEPS as f32))
-    });
+    let shaded = shade_pixels(pipeline, &mut |part| watch(SHADING_PART * part));
+    let pixels = std::mem::take(&mut pipeline.world.resource_mut::<KeptPixels>().0);
     despawn_pool(&mut pipeline.world);
     pipeline.remove_plugin::<DetailPlugin>();
-    solved
+    shaded?;
+    let _sweeping = stage("sweeps");
+    for number in 0..SWEEPS {
+        let done = number as f32 / SWEEPS as f32;
+        watch(SHADING_PART + (1.0 - SHADING_PART) * done);
+        if sweep(&mut pipeline.world, &pixels, options.tilt)?.is_break() {
+            break;
+        }
+    }
+    Ok(())
 }
 
-/// Visits all pixels, then moves the texels.
-fn sweep(pipeline: &mut Pipeline, tilt: bool, watch: &mut dyn FnMut(f32)) -> Result<()> {
-    let world = &mut pipeline.world;
-    let texels = read_column::<TexelIndex, DiffuseAlbedo>(world)?.len();
-    world.insert_resource(DetailEquations(vec![TexelEquations::default(); texels]));
-    let views = usable_by_view(world);
+/// Shades all pixels as if the surface were white, and keeps them.
+fn shade_pixels(pipeline: &mut Pipeline, watch: &mut dyn FnMut(f32)) -> Result<()> {
+    let views = usable_by_view(&mut pipeline.world);
     let total: usize = views.iter().map(|(_, count)| count).sum();
     let every = total.div_ceil(MOST_PIXELS).max(1);
+    // As many as there may be, so that growing never copies them.
+    let most = views.iter().map(|(_, count)| count.div_ceil(every)).sum();
+    pipeline.world.insert_resource(KeptPixels(Vec::with_capacity(most)));
     for (done, (view, _)) in views.iter().enumerate() {
         let pixels = usable_pixels(&mut pipeline.world, *view, every);
         for part in pixels.chunks(BATCH) {
@@ -151,7 +159,28 @@ fn sweep(pipeline: &mut Pipeline, tilt: bool, watch: &mut dyn FnMut(f32)) -> Res
         }
         watch((done + 1) as f32 / views.len() as f32);
     }
-    move_by_equations(&mut pipeline.world, tilt)
+    Ok(())
+}
+
+/// Visits all pixels, then moves the texels; breaks if the run is stopped before.
+fn sweep(world: &mut World, pixels: &[KeptPixel], tilt: bool) -> Result<ControlFlow<()>> {
+    let albedo = read_column::<TexelIndex, DiffuseAlbedo>(world)?;
+    let sheen = read_column::<TexelIndex, DiffuseSheen>(world)?;
+    let tilts = read_column::<TexelIndex, DiffuseTilt>(world)?;
+    let of = |texel: usize| DirectionalAlbedo {
+        albedo: albedo[texel].0,
+        sheen: sheen[texel].0,
+        tilt: tilts[texel].0,
+    };
+    let is_known = world.contains_resource::<KnownAlong>();
+    let mut equations = vec![TexelEquations::default(); albedo.len()];
+    for part in pixels.chunks(BATCH) {
+        if is_stopping() {
+            return Ok(ControlFlow::Break(()));
+        }
+        add_pixels(part, of, is_known, &mut equations);
+    }
+    move_by_equations(world, &equations, tilt).map(ControlFlow::Continue)
 }
 
 /// The columns of a sample that say what it is a sample of.
@@ -179,69 +208,44 @@ pub fn whiten_points(samples: Samples<&mut ShadePoint>) -> SystemResult {
     Ok(())
 }
 
-/// The columns that the equations are made of.
+/// The columns that are kept.
 type ShadedColumns =
     ((&'static SurfacePoint, &'static ViewRay), &'static Layers, (&'static Observed, &'static PixelOf));
 
-/// Gradient: adds what the pixels say to the equations of their texels.
-pub fn collect_equations(
+/// Gradient: keeps the pixels that show the surface.
+pub fn keep_pixels(
     exposures: Res<Exposures>,
-    known: Option<Res<KnownAlong>>,
-    texels: Texels<(&DiffuseAlbedo, &DiffuseSheen, &DiffuseTilt)>,
     samples: Samples<ShadedColumns>,
-    mut equations: ResMut<DetailEquations>,
+    mut kept: ResMut<KeptPixels>,
 ) -> SystemResult {
-    let (albedo, sheen, tilt) = texels.columns()?;
     let ((points, rays), shaded, (observed, pixels)) = samples.columns()?;
-    let sums = &mut equations.0;
-    for (i, point) in points.iter().enumerate().filter(|(_, point)| point.is_hit()) {
-        let to_viewer = -rays[i].0.direction;
+    let shown = |i: usize| {
+        let (point, to_viewer) = (&points[i], -rays[i].0.direction);
         let facing = point.normal.dot(to_viewer);
-        if facing <= 0.0 {
-            continue;
-        }
-        let address = &point.texels;
-        let mixed = DirectionalAlbedo::mixed(address, |texel| DirectionalAlbedo {
-            albedo: albedo[texel].0,
-            sheen: sheen[texel].0,
-            tilt: tilt[texel].0,
-        });
         let exposure = exposures.factor(pixels[i].view);
-        let unit = Vec3::from(shaded[i].diffuse) * exposure;
-        let predicted =
-            mixed.toward(point.normal, to_viewer) * unit + Vec3::from(shaded[i].specular) * exposure;
-        let residual = Vec3::from_array(std::array::from_fn(|c| -observed[i].difference(c, predicted[c])));
-        if !(unit.is_finite() && residual.is_finite()) {
-            continue;
-        }
-        // A pixel seen at an angle shows more than its texels.
-        let weight = facing * facing * agreement(residual, predicted);
-        // Beside a known albedo along the surface the unknown one has only its part.
-        let along = grazing(facing);
-        let (unit, along) = if known.is_some() { (unit * (1.0 - along), 0.0) } else { (unit, along) };
-        let side = along_surface(point.normal, to_viewer);
-        for (texel, share) in address.indices.into_iter().zip(address.weights) {
-            sums[texel as usize].add(unit, along, side, residual, share * weight);
-        }
-    }
+        (point.is_hit() && facing > 0.0).then(|| {
+            KeptPixel::from(ShadedPixel {
+                texels: point.texels,
+                facing,
+                side: along_surface(point.normal, to_viewer),
+                unit: Vec3::from(shaded[i].diffuse) * exposure,
+                specular: Vec3::from(shaded[i].specular) * exposure,
+                observed: observed[i],
+            })
+        })
+    };
+    kept.0.par_extend((0..points.len()).into_par_iter().filter_map(shown));
     Ok(())
 }
 
-/// How much a pixel counts whose residual may be that of something the model does not have (Geman and McClure's weight), in [0, 1].
-fn agreement(residual: Vec3, predicted: Vec3) -> f32 {
-    let relative = residual.length() / (predicted.length() + DARK);
-    (1.0 + (relative / TOLERATED).powi(2)).recip()
-}
-
 /// Moves albedo, sheen and `tilt` of all texels to the solution, within their bounds. Without any sheen so far there will be none.
-fn move_by_equations(world: &mut World, tilt: bool) -> Result<()> {
+fn move_by_equations(world: &mut World, equations: &[TexelEquations], tilt: bool) -> Result<()> {
     let mut albedo = read_column::<TexelIndex, DiffuseAlbedo>(world)?;
     let mut sheen = read_column::<TexelIndex, DiffuseSheen>(world)?;
     let is_known = world.contains_resource::<KnownAlong>();
     let (with_sheen, with_tilt) = (has_sheen(&sheen) && !is_known, tilt && !is_known);
     let mut tilt = read_column::<TexelIndex, DiffuseTilt>(world)?;
-    let equations = std::mem::take(&mut world.resource_mut::<DetailEquations>().0);
-    let columns = albedo.par_iter_mut().zip(&mut sheen).zip(&mut tilt).zip(&equations).with_min_len(4096);
+    let columns = albedo.par_iter_mut().zip(&mut sheen).zip(&mut tilt).zip(equations).with_min_len(4096);
     columns.for_each(|(((albedo, sheen), tilt), equations)| {
         let mean = mean_albedo(albedo.0, sheen.0);
         let before = with_tilt.then_some((mean, tilt.0));
@@ -258,7 +262,7 @@ fn move_by_equations(world: &mut World, tilt: bool) -> Result<()> {
     });
     // A texel that no pixel meets between texels that the fit has seen keeps what the fit has found there.
     let mut seen = read_column::<TexelIndex, TexelSeen>(world)?;
-    seen.iter_mut().zip(&equations).for_each(|(seen, equations)| seen.0 = seen.0.max(equations.seen()));
+    seen.iter_mut().zip(equations).for_each(|(seen, equations)| seen.0 = seen.0.max(equations.seen()));
     write_column::<TexelIndex, DiffuseSheen>(world, &sheen)?;
     write_column::<TexelIndex, DiffuseTilt>(world, &tilt)?;
     write_albedo(world, albedo.into_iter().map(|albedo| albedo.0).collect())?;

@@ -1,7 +1,9 @@
 //! What a run leaves of itself in its output folder: `run.json`, which says what belongs together, and with which `--force` knows its
 //! own files from others.
 
-use crate::codec::file::{FolderLock, LOCK, MOST_TEXT, clear_scratch, is_there, read_text, write_bytes};
+use crate::codec::file::{
+    FolderLock, LOCK, MOST_TEXT, clear_scratch, is_there, is_unfinished, read_text, write_bytes,
+};
 use crate::error::{Error, Result};
 use crate::pass::files::{PassFiles, RUN};
 use crate::pass::machine::Machine;
@@ -201,10 +203,11 @@ pub fn state_of_run(out: &Path) -> Option<RunState> {
     Record::read(out).map(|record| record.state)
 }
 
-/// Whether a folder has more than a lock that a killed process left. What else keeps it from being written is told elsewhere.
+/// Whether a folder has more than what a process that was killed at its very start left: its lock, and half of a manifest. What else keeps it
+/// from being written is told elsewhere.
 fn is_used(out: &Path) -> bool {
     let entries = fs::read_dir(out).into_iter().flatten().flatten();
-    entries.map(|entry| entry.file_name()).any(|name| name != OsStr::new(LOCK))
+    entries.map(|entry| entry.file_name()).any(|name| name != OsStr::new(LOCK) && !is_unfinished(&name))
 }
 
 /// An output folder that this process alone writes into, in which nothing is changed yet.

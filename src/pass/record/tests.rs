@@ -55,6 +55,20 @@ fn a_manifest_that_lists_what_is_elsewhere_removes_nothing_there() {
 }
 
 #[test]
+fn a_run_that_was_killed_at_its_very_start_is_none() {
+    let root = tempfile::tempdir().unwrap();
+    let out = root.path();
+    write_bytes(&out.join(".lobelia-abc.part.json"), b"{").unwrap();
+    write_bytes(&out.join(".lobelia.lock"), b"").unwrap();
+    check_used(out, false).unwrap();
+    drop(begin(out, &["a.png"]));
+    assert!(!out.join(".lobelia-abc.part.json").exists());
+    std::fs::create_dir(out.join("else")).unwrap();
+    write_bytes(&out.join("else/mine.txt"), b"x").unwrap();
+    assert!(check_used(&out.join("else"), false).is_err());
+}
+
+#[test]
 fn states_and_files_are_those_of_the_run() {
     let root = tempfile::tempdir().unwrap();
     let out = root.path();
