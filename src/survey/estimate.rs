@@ -65,9 +65,9 @@ pub const DECODE_NANOS: f64 = 100.0;
 pub const FIT_PAIR_NANOS: f64 = 27.0;
 /// A pixel of the pool before the first step of a fit: choosing, tracing, and two initializations. `scenes/spot.ron`, ten steps.
 pub const FIT_START_NANOS: f64 = 16_000.0;
-/// A pixel that the detail of a texture is solved for from, in all sweeps: `chair`, 0.38 times what it took while every sweep shaded it, 110 s
-/// for three sweeps over 11 million pixels in one thread.
-pub const DETAIL_PIXEL_NANOS: f64 = 3800.0;
+/// A pixel that the detail of a texture is solved for from, in all sweeps: `chair`, 0.44 times what it took while each of three sweeps shaded it,
+/// 110 s for 11 million pixels in one thread.
+pub const DETAIL_PIXEL_NANOS: f64 = 4400.0;
 /// A fit that tries several materials, moves vertices and refines its texture takes this many times as long.
 pub const DETAIL_FACTOR: f64 = 3.0;
 /// A pixel in a step of a shape, with all that comes before and after the steps: `scenes/photos.ron` on `chair`, about 160 s on two cores.

@@ -49,8 +49,8 @@ use kept::{KeptPixel, ShadedPixel, add_pixels};
 use rayon::prelude::*;
 use std::ops::ControlFlow;
 
-/// Sweeps over all pixels.
-const SWEEPS: u32 = 3;
+/// Sweeps over all pixels. They are cheap beside shading.
+const SWEEPS: u32 = 7;
 /// Most texels a side that a texture is refined to.
 pub const MOST_SIDE: u32 = 1024;
 /// Pixels of one run of the phase, and of a sweep between two looks whether it is stopped.
