@@ -130,11 +130,10 @@ pub fn solve_detail(
     shaded?;
     let _sweeping = stage("sweeps");
     for number in 0..SWEEPS {
-        let done = number as f32 / SWEEPS as f32;
-        watch(SHADING_PART + (1.0 - SHADING_PART) * done);
         if sweep(&mut pipeline.world, &pixels, options.tilt)?.is_break() {
             break;
         }
+        watch(SHADING_PART + (1.0 - SHADING_PART) * (number + 1) as f32 / SWEEPS as f32);
     }
     Ok(())
 }
