@@ -194,12 +194,13 @@ def main():
     arguments.add_argument("--out", default="soak")
     arguments.add_argument("--scene", help="a scene file: it alone is killed and compared")
     arguments.add_argument("--kills", type=int, default=50, help="of --scene")
-    arguments.add_argument("more", nargs="*", help="arguments of the program's runs of --scene")
-    given = arguments.parse_args()
+    # What follows `--` is for the program's runs of --scene.
+    end_of_own = sys.argv.index("--") if "--" in sys.argv else len(sys.argv)
+    given, more = arguments.parse_args(sys.argv[1:end_of_own]), sys.argv[end_of_own + 1 :]
     os.makedirs(given.out, exist_ok=True)
     if given.scene:
         paths = [os.path.abspath(path) for path in (given.program, given.scene, given.out)]
-        ends, compared, took = kill_often(*paths, given.kills, given.seed, given.more)
+        ends, compared, took = kill_often(*paths, given.kills, given.seed, more)
         print(f"{given.kills} kills in {ends} runs of {took:.0f} s, {compared} files compared, all equal")
         return
     end = time.monotonic() + 60 * given.minutes
