@@ -2,8 +2,8 @@
 //!
 //! The reconstruction is `cameras` and `images`, `.bin` or `.txt`; points, rigs and frames are not needed. It may also be where COLMAP's
 //! own programs, nerfstudio and 3D Gaussian splatting leave it, and the photographs in a folder of another usual name; of several models
-//! the one with the most images is read. Masks may have any usual name, and be beside the photographs or in `DIR`; without a folder of masks alpha is the mask. Photographs are taken as they are
-//! stored, since COLMAP ignores their EXIF orientation. `DIR/test_id.txt` and `DIR/train_id.txt`, as of Stanford-ORB's `llff_colmap_HDR`,
+//! the one with the most images is read. Masks may have any usual name, and be beside the photographs or in `DIR`; without a folder of
+//! masks alpha is the mask. Photographs are taken as they are stored, since COLMAP ignores their EXIF orientation. `DIR/test_id.txt` and `DIR/train_id.txt`, as of Stanford-ORB's `llff_colmap_HDR`,
 //! list the views of each split. Without the former see [`crate::dataset::DatasetOptions::hold_out`].
 
 use crate::codec::nearby::missing_file_help;
