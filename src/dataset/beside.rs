@@ -4,7 +4,7 @@ use crate::codec::image::{Orientation, image_header, read_mask};
 use crate::codec::nearby::natural_order;
 use crate::dataset::load::{StemIndex, file_name};
 use crate::dataset::masks::mask_file;
-use crate::dataset::{MaskPlan, ViewPlan};
+use crate::dataset::plan::{MaskPlan, ViewPlan};
 use crate::error::Result;
 use std::path::{Path, PathBuf};
 

@@ -15,7 +15,7 @@ use crate::dataset::load::has_images;
 use crate::dataset::masks::mask_folder;
 use crate::dataset::names::{ImageName, PHOTOGRAPH_FOLDERS, composed, portable, quoted, view_name};
 use crate::dataset::photographs::note_of_unused;
-use crate::dataset::{MaskPlan, Plan, ViewPlan};
+use crate::dataset::plan::{MaskPlan, Plan, ViewPlan};
 use crate::error::{Error, Result};
 use crate::view::Split;
 use std::collections::BTreeSet;

@@ -1,10 +1,10 @@
 //! Photographs and masks in folders below a folder, looked up by path.
 
 use crate::codec::nearby::missing_file_help;
-use crate::dataset::MaskPlan;
 use crate::dataset::load::{StemIndex, file_name, leads_away, spelled_as_on_disk};
 use crate::dataset::masks::{find_mask, mask_file};
 use crate::dataset::names::{ImageName, composed, quoted, tails, view_name};
+use crate::dataset::plan::MaskPlan;
 use crate::error::{Error, Result};
 use std::collections::BTreeMap;
 use std::path::{Component, Path, PathBuf};

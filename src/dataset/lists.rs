@@ -7,7 +7,7 @@
 use crate::codec::file::{MOST_TEXT, is_there, read_text};
 use crate::codec::nearby::{closest, missing_file_help};
 use crate::dataset::names::{composed, portable, quoted, shown, view_name};
-use crate::dataset::split_name;
+use crate::dataset::plan::split_name;
 use crate::error::{Error, Result};
 use crate::view::Split;
 use std::collections::BTreeMap;

@@ -9,9 +9,9 @@
 use crate::codec::file;
 use crate::codec::nearby::missing_file_help;
 use crate::codec::npy::{Matrix, parse_matrix};
-use crate::dataset::Plan;
 use crate::dataset::lens::Lens;
 use crate::dataset::photographs::{Photographs, view_of};
+use crate::dataset::plan::Plan;
 use crate::dataset::pose::Rigid;
 use crate::error::{Error, Result};
 use std::path::{Path, PathBuf};

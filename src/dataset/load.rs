@@ -7,9 +7,10 @@ use crate::codec::image::{
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::distortion::Distortion;
 use crate::dataset::names::{ImageName, composed, has_image_extension, view_name};
+use crate::dataset::options::DatasetOptions;
 use crate::dataset::picture::{Curves, Picture};
+use crate::dataset::plan::{MaskPlan, ViewPlan};
 use crate::dataset::straighten::Straightening;
-use crate::dataset::{DatasetOptions, MaskPlan, ViewPlan};
 use crate::error::{Error, Result};
 use crate::view::{Camera, Mask, Split, StoredMask, ViewRecord};
 use serde::de::DeserializeOwned;

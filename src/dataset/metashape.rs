@@ -6,13 +6,13 @@
 //! translation, scale. Cameras without pose or calibration are left out. There is no test split: see
 //! [`crate::dataset::DatasetOptions::hold_out`].
 
-use crate::dataset::Plan;
 use crate::dataset::distortion::Distortion;
 use crate::dataset::exports::Export;
 use crate::dataset::lens::Lens;
 use crate::dataset::load::read_text;
 use crate::dataset::names::{ImageName, portable, quoted, shown};
 use crate::dataset::photographs::{Photographs, view_of};
+use crate::dataset::plan::Plan;
 use crate::dataset::pose::Rigid;
 use crate::error::{Error, Result};
 use roxmltree::{Document, Node, ParsingOptions};

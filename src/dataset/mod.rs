@@ -46,131 +46,35 @@ mod names;
 pub mod nerf;
 mod nerf_frames;
 mod nerf_lens;
+mod options;
 mod photographs;
 pub mod physg;
 mod picture;
+mod plan;
 mod pose;
 pub mod reality_capture;
 pub mod stanford_orb;
 mod straighten;
 
-use crate::codec::file::{FileUse, Links, check_inside};
-use crate::codec::image::{Gamma, Orientation, image_header};
 use crate::codec::nearby::closest;
 use crate::error::{Error, Result};
 use crate::view::{Split, ViewRecord};
 use beside::Beside;
 pub use beside::masks_hint;
-use glam::{Affine3A, Vec3};
+use glam::Vec3;
 use layout::{Found, find_format, in_scene_file};
 pub use layout::{find_layout, has_split};
-use lens::{Lens, crop_note};
+use lens::crop_note;
 pub use load::{LoadedView, PlannedView, load_notes};
 pub(crate) use masks::mask_stems;
 use names::check_names;
+pub use options::{DatasetOptions, Layout};
 use picture::Curves;
+use plan::{ViewPlan, split_name};
 use pose::PRECISE;
 use rayon::prelude::*;
-use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
-
-/// How a data set's folder is laid out.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[non_exhaustive]
-pub enum Layout {
-    /// The layout that is found.
-    #[default]
-    Auto,
-    /// PhySG's: `{train,test}/{image,mask}` and `cam_dict_norm.json`.
-    PhySg,
-    /// NeRF's and Blender's: `transforms_{train,test}.json`; nerfstudio's: `transforms.json`.
-    Nerf,
-    /// COLMAP's: `sparse/0`, `images` and `masks`; lists of the splits in `train_id.txt` and `test_id.txt`.
-    Colmap,
-    /// DeepVoxels': `intrinsics.txt`, `pose` and `rgb`.
-    DeepVoxels,
-    /// That of IDR, NeuS and VolSDF: `cameras_sphere.npz` or `cameras.npz`, `image` and `mask`.
-    Idr,
-    /// That of LLFF and NeRD: `poses_bounds.npy`, `images` and `masks`.
-    Llff,
-    /// Stanford-ORB's: `transforms_{train,test}.json` and `{train,test}_mask`.
-    StanfordOrb,
-    /// RealityCapture's: camera parameters in a `.csv` file, `images` and `masks`.
-    RealityCapture,
-    /// Metashape's: cameras in an `.xml` file, `images` and `masks`.
-    Metashape,
-}
-
-/// What to read of a data set, and how; see the table at the top of this module.
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields, default)]
-pub struct DatasetOptions {
-    /// Which layout the folder has.
-    pub layout: Layout,
-    /// Conversion of 8- and 16-bit values to linear.
-    pub gamma: Gamma,
-    /// Offset of a pixel's center from its index, in pixels: that of the layout if `None`, which is 0 for IDR and 0.5 for all
-    /// others. Data for PhySG's own code needs 0.
-    pub pixel_center: Option<f32>,
-    /// Factor by which images and masks are downscaled along each axis, with a box filter; at least 1.
-    pub downscale: u32,
-    /// Only every n-th view is read, beginning with the first in natural name order; at least 1.
-    pub every: u32,
-    /// Of data that brings no test split, whatever its layout, every n-th view by name, beginning with the first, belongs to the test
-    /// split; 0: none does.
-    pub hold_out: u32,
-    /// Names of the views to read (file stems); all if `None`. Applied before `every`.
-    pub select: Option<Vec<String>>,
-    /// The data's up direction, for orbits and the like; nothing is rotated. Need not have unit length.
-    pub up: Vec3,
-    /// Folders in which what camera files name must lie; links in them may lead elsewhere. `None`: it may be anywhere.
-    pub roots: Option<Vec<PathBuf>>,
-}
-
-impl Default for DatasetOptions {
-    fn default() -> Self {
-        Self {
-            layout: Layout::Auto,
-            gamma: Gamma::Srgb,
-            pixel_center: None,
-            downscale: 1,
-            every: 1,
-            hold_out: 8,
-            select: None,
-            up: Vec3::Y,
-            roots: None,
-        }
-    }
-}
-
-impl DatasetOptions {
-    /// # Errors
-    /// [`Error::Usage`] if a value is out of its range.
-    pub fn check(&self) -> Result<()> {
-        self.gamma.check()?;
-        let wrong = |problem: String, help: &str| Err(Error::usage(problem, help));
-        if self.downscale == 0 || self.every == 0 {
-            return wrong("`downscale` and `every` are at least 1".into(), "Leave them out, or write 1.");
-        }
-        if self.hold_out == 1 {
-            return wrong(
-                "hold_out: 1 leaves no view to fit to".into(),
-                "Write 0 for no test split, or 2 and more.",
-            );
-        }
-        if let Some(center) = self.pixel_center.filter(|center| !center.is_finite()) {
-            return wrong(format!("pixel_center: {center}"), "Give 0.5, or 0.0 for PhySG's own code.");
-        }
-        if self.up.try_normalize().is_none() {
-            return wrong(
-                format!("up: {}", self.up),
-                "Give a direction of non-zero length, e.g. (0.0, 1.0, 0.0).",
-            );
-        }
-        Ok(())
-    }
-}
 
 /// One split of a data set, as read.
 #[derive(Clone, Debug)]
@@ -181,72 +85,6 @@ pub struct Dataset {
     pub layout: Layout,
     /// Notes for the user: repairs and omissions, with counts.
     pub notes: Vec<String>,
-}
-
-/// What a layout says of a view.
-#[derive(Clone, Debug)]
-struct ViewPlan {
-    /// File stem of the image.
-    name: String,
-    /// The file that describes the camera.
-    camera_file: PathBuf,
-    /// Where in that file.
-    place: String,
-    image: Option<PathBuf>,
-    mask: MaskPlan,
-    lens: Lens,
-    world_from_camera: Affine3A,
-    /// How far the matrix of the file was from a rotation.
-    pose_error: f64,
-}
-
-impl ViewPlan {
-    /// The file of the mask, unless alpha is the mask.
-    fn mask_path(&self) -> Option<&Path> {
-        match &self.mask {
-            MaskPlan::File(path) => Some(path),
-            MaskPlan::Alpha | MaskPlan::AlphaRequired(_) => None,
-        }
-    }
-
-    /// Photograph and mask, as files that are read.
-    fn pictures(&self) -> impl Iterator<Item = FileUse> {
-        let photograph = self.image.as_deref().map(|path| FileUse::new(path, "a photograph"));
-        let mask = self.mask_path().map(|path| FileUse::new(path, "a mask"));
-        photograph.into_iter().chain(mask)
-    }
-
-    fn check_inside(&self, roots: Option<&[PathBuf]>) -> Result<()> {
-        let Some(roots) = roots else { return Ok(()) };
-        let cameras = FileUse::new(&self.camera_file, "which has the cameras");
-        let mut files = std::iter::once(cameras).chain(self.pictures());
-        files.try_for_each(|file| check_inside(roots, &file, Links::Trusted))
-    }
-
-    /// Looks into the photograph for its size, where the lens needs it: as it is stored, without its EXIF orientation.
-    fn measure(&mut self) -> Result<()> {
-        if let (true, Some(image)) = (self.lens.by_side, &self.image) {
-            self.lens = self.lens.measured(image_header(image)?.size(Orientation::AsStored));
-        }
-        Ok(())
-    }
-}
-
-/// The source of the mask of a view.
-#[derive(Clone, Debug)]
-enum MaskPlan {
-    /// A separate file.
-    File(PathBuf),
-    /// The image's alpha, if it has any.
-    Alpha,
-    /// The image's alpha; an image without alpha is an error with this text.
-    AlphaRequired(String),
-}
-
-/// A split of a data set before its files are read.
-struct Plan {
-    views: Vec<ViewPlan>,
-    notes: Vec<String>,
 }
 
 /// A split of a data set whose views are known and not read.
@@ -319,31 +157,6 @@ pub fn read_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
     let loaded = loaded.into_iter().collect::<Result<Vec<_>>>()?;
     notes.extend(load_notes(&loaded));
     Ok(Dataset { views: loaded.into_iter().map(|view| view.record).collect(), layout, notes })
-}
-
-fn split_name(split: Split) -> &'static str {
-    match split {
-        Split::Train => "train",
-        Split::Test => "test",
-    }
-}
-
-/// The error for a split whose camera file does not exist; it names the split that exists.
-fn absent_split(dir: &Path, split: Split, camera_file: fn(&Path, Split) -> PathBuf) -> Error {
-    let other = match split {
-        Split::Train => Split::Test,
-        Split::Test => Split::Train,
-    };
-    let problem = format!("the data set has no {} split: this file is missing", split_name(split));
-    let help = if camera_file(dir, other).is_file() {
-        let [there, wanted] = [other, split].map(split_name);
-        format!(
-            "There is a {there} split only. Add the {wanted} split, or give the files of the {there} split its name."
-        )
-    } else {
-        "There is no split of this layout at all.".to_owned()
-    };
-    Error::input(camera_file(dir, split), "", problem, help)
 }
 
 /// A note on poses with so few decimals that their matrices are visibly no rotations.

@@ -2,7 +2,7 @@
 
 use crate::codec::file::check_file_name;
 use crate::codec::image::{IMAGE_EXTENSIONS, is_unread_name};
-use crate::dataset::ViewPlan;
+use crate::dataset::plan::ViewPlan;
 use crate::error::{Error, Result};
 use std::borrow::Cow;
 use std::collections::HashMap;

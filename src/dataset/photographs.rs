@@ -6,8 +6,8 @@ use crate::dataset::lens::Lens;
 use crate::dataset::load::{StemIndex, file_name, image_files, refusal_of_unread};
 use crate::dataset::masks::{find_mask, mask_file, masks_in};
 use crate::dataset::names::{ImageName, shown, view_name};
+use crate::dataset::plan::{MaskPlan, ViewPlan};
 use crate::dataset::pose::Rigid;
-use crate::dataset::{MaskPlan, ViewPlan};
 use crate::error::{Error, Result};
 use std::path::{Path, PathBuf};
 

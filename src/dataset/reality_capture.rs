@@ -7,13 +7,13 @@
 //! around its right (east), heading clockwise seen from above. There is no test split: see
 //! [`crate::dataset::DatasetOptions::hold_out`].
 
-use crate::dataset::Plan;
 use crate::dataset::distortion::Distortion;
 use crate::dataset::exports::Export;
 use crate::dataset::lens::Lens;
 use crate::dataset::load::read_text;
 use crate::dataset::names::{ImageName, portable, quoted};
 use crate::dataset::photographs::{Photographs, view_of};
+use crate::dataset::plan::Plan;
 use crate::dataset::pose::Rigid;
 use crate::error::{Error, Result};
 use csv::{Position, ReaderBuilder, StringRecord, Trim};

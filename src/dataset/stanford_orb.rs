@@ -6,7 +6,8 @@
 use crate::codec::nearby::missing_file_help;
 use crate::dataset::load::StemIndex;
 use crate::dataset::masks::find_mask;
-use crate::dataset::{MaskPlan, Plan, nerf};
+use crate::dataset::nerf;
+use crate::dataset::plan::{MaskPlan, Plan};
 use crate::error::{Error, Result};
 use crate::view::Split;
 use std::path::{Path, PathBuf};

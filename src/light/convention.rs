@@ -8,7 +8,7 @@ use std::f32::consts::FRAC_PI_2;
 use glam::{Mat3, Quat, Vec3};
 use serde::{Deserialize, Serialize};
 
-use crate::light::EnvironmentMap;
+use crate::light::envmap::EnvironmentMap;
 
 /// The program whose convention a map follows.
 ///

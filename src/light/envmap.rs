@@ -5,7 +5,21 @@ use std::f64::consts::PI;
 use glam::{DVec3, Quat, Vec3};
 use rayon::prelude::*;
 
-use crate::light::EnvironmentMap;
+use crate::light::lobe::MAX_RADIANCE;
+
+/// Radiance from every direction on a latitude-longitude grid.
+///
+/// Texel centers at ((i + ½)/W, (j + ½)/H); top row around +Y; left edge −Z, then +X at ¼, +Z at ½, −X at ¾:
+/// direction of (u, v) = (cos θ sin φ, cos φ, sin θ sin φ), φ = πv, θ = 2πu − π/2.
+#[derive(Clone, Debug, PartialEq)]
+pub struct EnvironmentMap {
+    /// Width in texels.
+    pub width: u32,
+    /// Height in texels.
+    pub height: u32,
+    /// `width * height` linear RGB radiances, row by row from the top left.
+    pub radiance: Vec<Vec3>,
+}
 
 impl EnvironmentMap {
     /// A map of `width` × `height` texels (both at least 1) whose texels hold `radiance` in the direction of their center.
@@ -207,6 +221,24 @@ fn shares(input: u32, output: u32, measure: impl Fn(f64) -> f64) -> Vec<Share> {
         .collect()
 }
 
+/// Checks that the map is a usable light.
+///
+/// # Errors
+/// A clause that names the first texel with a radiance that is negative, not finite, or above [`MAX_RADIANCE`].
+pub fn validate_map(map: &EnvironmentMap) -> Result<(), String> {
+    let usable = |r: &Vec3| r.to_array().iter().all(|channel| (0.0..=MAX_RADIANCE).contains(channel));
+    match map.radiance.iter().position(|r| !usable(r)) {
+        Some(k) => {
+            let (i, j) = (k % map.width as usize, k / map.width as usize);
+            let [r, g, b] = map.radiance[k].to_array();
+            Err(format!(
+                "texel ({i}, {j}) has radiance ({r:e}, {g:e}, {b:e}), not from 0 to {MAX_RADIANCE:e}"
+            ))
+        }
+        None => Ok(()),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -326,5 +358,16 @@ mod tests {
         let threes = ones.scaled(Vec3::splat(3.0));
         assert!((ones.mean_squared_difference(&threes).unwrap() - 4.0).abs() < 1e-9);
         assert_eq!(ones.mean_squared_difference(&bumpy(4, 2)), None);
+    }
+
+    #[test]
+    fn maps_with_unusable_texels_are_refused_with_their_place() {
+        let mut map = EnvironmentMap::from_directions(8, 4, |_| Vec3::ONE);
+        assert!(validate_map(&map).is_ok());
+        for bad in [f32::NAN, f32::INFINITY, -1.0, 1e38] {
+            map.radiance[11].y = bad;
+            let message = validate_map(&map).unwrap_err();
+            assert!(message.starts_with("texel (3, 1) has radiance"), "{message}");
+        }
     }
 }

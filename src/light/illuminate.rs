@@ -5,8 +5,9 @@ use std::f64::consts::PI;
 use glam::{DVec3, Mat3, Vec3};
 use std::sync::Arc;
 
+use crate::light::envmap::EnvironmentMap;
+use crate::light::lobe::LightLobe;
 use crate::light::map_fit::exp::exp_nonpositive;
-use crate::light::{EnvironmentMap, LightLobe};
 use crate::math::color::luminance;
 use crate::math::ray::{Illuminate, LightSample};
 use crate::math::sg;
@@ -235,9 +236,16 @@ fn sample_sg(axis: Vec3, sharpness: f32, u: f32, turn: f32) -> Vec3 {
     (axis * (1.0 - rise) + (tangent * cos + bitangent * sin) * radius).as_vec3()
 }
 
+/// The lobes' radiance at every texel center of a `width` × `height` map; a size of 0 is taken as 1.
+pub fn render_lobes(lobes: &[LightLobe], width: u32, height: u32) -> EnvironmentMap {
+    let light = LobeLight::new(lobes);
+    EnvironmentMap::from_directions(width.max(1), height.max(1), |omega| light.radiance(omega))
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::light::lobe::{lobes_power, scale_lobes};
     use crate::math::fibonacci::fibonacci_axes;
 
     /// Uniform numbers in `[0, 1)` (SplitMix64).
@@ -390,5 +398,14 @@ mod tests {
             let sample = light.sample([0.5; 3]);
             assert_eq!((sample.pdf, sample.radiance, light.pdf(Vec3::X)), (0.0, Vec3::ZERO, 0.0));
         }
+    }
+
+    #[test]
+    fn power_agrees_with_the_rendered_map() {
+        let lobe = LightLobe { axis: Vec3::X, sharpness: 5.0, amplitude: Vec3::new(1.0, 2.0, 3.0) };
+        let lobes = scale_lobes(&[lobe, LightLobe { axis: Vec3::Y, ..lobe }], Vec3::new(2.0, 1.0, 1.0));
+        let map = render_lobes(&lobes, 256, 128);
+        let (sum, exact) = (map.power(), lobes_power(&lobes));
+        assert!((sum - exact).abs().max_element() < 1e-3 * exact.max_element(), "{sum} {exact}");
     }
 }

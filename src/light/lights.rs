@@ -10,7 +10,7 @@
 
 use super::frame::{LightFrame, OwnLightFrame, PictureRotation};
 use super::illuminate::{LobeLight, MapLight, TurnedLight};
-use super::{LightLobe, kernel_lobe, rotate_lobes};
+use super::lobe::{LightLobe, kernel_lobe, rotate_lobes};
 use crate::error::{Error, Result};
 use crate::math::ray::Illuminate;
 use crate::math::shading::LobeColumns;

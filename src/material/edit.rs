@@ -6,7 +6,7 @@
 //! An edit of the specular material inside a region splits every base material with a weight there: the edited copy gets
 //! the region's part of the blend weights, so that roughness may vary over the surface.
 
-use super::{
+use super::components::{
     BaseMaterial, DiffuseAlbedo, DiffuseSheen, DiffuseTilt, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe,
 };
 use crate::error::{Error, Result};

@@ -9,7 +9,7 @@
 //! interreflection stay as they are. The blend by c is that of a layer's *facing* weight in production shaders; it is not
 //! reciprocal. Of `chair`'s error with a single gray specular lobe it explains more than a colored specular albedo per texel does.
 
-use super::{DiffuseAlbedo, DiffuseSheen, TexelIndex};
+use super::components::{DiffuseAlbedo, DiffuseSheen, TexelIndex};
 use crate::error::Result;
 use crate::math::ray::TexelAddress;
 use crate::pipeline::pool::write_column;

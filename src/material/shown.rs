@@ -8,13 +8,13 @@
 //! | [`show_edited`] | the recovered material with the edits of one name ([`EditName`]), in their order |
 //! | your own system | what it makes of the recovered material ([`Composition::compose`]) |
 
-use super::edit::{EditAction, EditName, EditOrder, EditRegion, EditTarget, MaterialState, apply_edit};
-use super::{
+use super::components::{
     BaseMaterial, DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe, TexelIndex, Texels,
-    spawn_texels,
 };
+pub use super::components::{ShownAlbedo, ShownBlend, ShownSheen, ShownSpecular, ShownTilt};
+use super::edit::{EditAction, EditName, EditOrder, EditRegion, EditTarget, MaterialState, apply_edit};
+use super::recovered::spawn_texels;
 use crate::error::Result;
-use crate::math::brdf::Ndf;
 use crate::pipeline::SystemResult;
 use crate::pipeline::pool::read_column;
 use bevy_ecs::change_detection::DetectChangesMut;
@@ -26,34 +26,6 @@ use bevy_ecs::prelude::{
 use bevy_ecs::schedule::ScheduleConfigs;
 use bevy_ecs::system::{ScheduleSystem, SystemParam};
 use glam::Vec3;
-
-/// Diffuse albedo that a texel shows, linear RGB in `[0, 1]`.
-#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
-pub struct ShownAlbedo(pub Vec3);
-
-/// Sheen that a texel shows.
-#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
-pub struct ShownSheen(pub Vec3);
-
-/// Tilt that a texel shows.
-#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
-pub struct ShownTilt(pub Vec3);
-
-/// Blend weights that a texel shows.
-#[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
-pub struct ShownBlend(pub SpecularBlend);
-
-/// Specular lobe that a base material shows. Edits of a region add base materials that exist only in the shown material; these have no [`SpecularLobe`].
-#[derive(Component, Clone, Copy, Debug, PartialEq)]
-#[require(BaseMaterial)]
-pub struct ShownSpecular(pub SpecularLobe);
-
-impl Default for ShownSpecular {
-    /// A placeholder, until [`Slot::Material`](crate::pipeline::Slot::Material) has run.
-    fn default() -> Self {
-        Self(SpecularLobe { albedo: Vec3::ZERO, roughness: 1.0, ndf: Ndf::default() })
-    }
-}
 
 /// What a texel's shown material is made of.
 type RecoveredTexel =
@@ -156,24 +128,13 @@ pub fn show_recovered() -> ScheduleConfigs<ScheduleSystem> {
 /// For [`Slot::Material`](crate::pipeline::Slot::Material): shows the recovered material with the edits of this name, by ascending
 /// [`EditOrder`]; runs when one of these has changed.
 pub fn show_edited(name: impl Into<String>) -> ScheduleConfigs<ScheduleSystem> {
-    show_scaled(Some(name.into()), Vec::new())
-}
-
-/// For [`Slot::Material`](crate::pipeline::Slot::Material): shows what [`show_edited`] does, or without a name [`show_recovered`], with
-/// `factors` applied to the whole object after it.
-pub fn show_scaled(
-    name: Option<String>,
-    factors: Vec<(EditTarget, EditAction)>,
-) -> ScheduleConfigs<ScheduleSystem> {
+    let name = EditName(name.into());
     let system = move |composition: Composition, edits: Query<EditColumns>| {
-        let mut own: Vec<_> = edits.iter().filter(|(of, ..)| Some(&of.0) == name.as_ref()).collect();
+        let mut own: Vec<_> = edits.iter().filter(|(of, ..)| **of == name).collect();
         own.sort_by_key(|(_, order, ..)| **order);
+        let mut own = own.into_iter();
         composition.compose(|state| {
-            for (.., target, action, region) in own {
-                apply_edit(state, *target, action, region)?;
-            }
-            let mut factors = factors.iter();
-            factors.try_for_each(|(target, action)| apply_edit(state, *target, action, &EditRegion(None)))
+            own.try_for_each(|(.., target, action, region)| apply_edit(state, *target, action, region))
         })
     };
     // Not short-circuited, because both conditions update their state.

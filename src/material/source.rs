@@ -1,10 +1,10 @@
 //! The material that a system reads: the recovered one of a fit, or the shown one of a frame.
 
-use super::shown::{ShownAlbedo, ShownBlend, ShownSheen, ShownSpecular, ShownTilt};
-use super::{
+use super::components::{
     BaseMaterial, DiffuseAlbedo, DiffuseSheen, DiffuseTilt, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe,
     TexelIndex, Texels,
 };
+use super::components::{ShownAlbedo, ShownBlend, ShownSheen, ShownSpecular, ShownTilt};
 use crate::error::{Error, Result};
 use crate::pipeline::SystemResult;
 use crate::pipeline::pool::Column;

@@ -11,7 +11,7 @@
 //! color of the albedo. The mean over the hemisphere stays ρ̄, so that interreflection and exports are those without a tilt. Like the
 //! sheen, it is not reciprocal.
 
-use super::DiffuseTilt;
+use super::components::DiffuseTilt;
 use super::sheen::{albedo_toward, mean_albedo};
 use crate::math::ray::TexelAddress;
 use glam::Vec3;

@@ -2,13 +2,14 @@
 
 use crate::error::Result;
 use crate::light::lights::provide_turned_light;
-use crate::material::edit::{EditAction, EditTarget};
-use crate::material::shown::show_scaled;
+use crate::material::edit::{EditAction, EditName, EditOrder, EditTarget};
+use crate::material::shown::show_edited;
 use crate::pass::session::Session;
 use crate::pass::show::chosen_light;
 use crate::pipeline::{Phase, Slot};
 use crate::scene::{Easing, LightSweep, MaterialSweep, Orbit, OrbitKey, Pass, RenderSettings};
 use crate::view::camera::{self, Camera};
+use bevy_ecs::prelude::{Component, Entity, With, World};
 use glam::{Quat, Vec3};
 
 /// The time of a frame, in two measures.
@@ -76,7 +77,7 @@ fn between_keys(keys: &[OrbitKey], pick: impl Fn(&OrbitKey) -> Option<f32>, time
     }
 }
 
-/// Swaps in light and material of a frame, if the film changes them.
+/// Swaps in the light of a frame, and edits the material, if the film changes them. [`sweep_material`] without factors ends it.
 pub fn show_moment(session: &mut Session, pass: &Pass, settings: &RenderSettings, orbit: &Orbit, frame: u32) {
     let time = Time::of(frame, orbit.frames);
     if let Some(sweep) = &orbit.light {
@@ -85,8 +86,28 @@ pub fn show_moment(session: &mut Session, pass: &Pass, settings: &RenderSettings
         session.pipeline.swap(Phase::Frame, Slot::Light, provide_turned_light(choice, by_map, turn));
     }
     if let Some(sweep) = &orbit.material {
-        let edits = (!pass.edits().is_empty()).then(|| pass.name().to_owned());
-        session.pipeline.swap(Phase::Frame, Slot::Material, show_scaled(edits, factors(sweep, time)));
+        if frame == 0 {
+            session.pipeline.swap(Phase::Frame, Slot::Material, show_edited(pass.name()));
+        }
+        sweep_material(&mut session.pipeline.world, pass.name(), factors(sweep, time));
+    }
+}
+
+/// Marks the edits by which a film changes the material, until its next frame.
+#[derive(Component)]
+struct Swept;
+
+/// Replaces the swept edits by `factors`, after all other edits of the pass; each has its own target, so that they need no order.
+pub fn sweep_material(
+    world: &mut World,
+    pass: &str,
+    factors: impl IntoIterator<Item = (EditTarget, EditAction)>,
+) {
+    let mut query = world.query_filtered::<Entity, With<Swept>>();
+    let old: Vec<Entity> = query.iter(world).collect();
+    old.into_iter().for_each(|edit| _ = world.despawn(edit));
+    for (target, action) in factors {
+        world.spawn((Swept, EditName(pass.to_owned()), EditOrder(u32::MAX), target, action));
     }
 }
 
@@ -159,5 +180,22 @@ mod tests {
         let at = |frame| factors(&sweep, Time::of(frame, 4))[2].1.clone();
         assert_eq!(at(0), EditAction::Scale(Vec3::splat(0.5)));
         assert_eq!(at(3), EditAction::Scale(Vec3::splat(2.0)));
+    }
+
+    #[test]
+    fn swept_edits_replace_each_other_and_leave_the_passes_own() {
+        let mut world = World::new();
+        let scale = |factor| (EditTarget::Roughness, EditAction::Scale(Vec3::splat(factor)));
+        world.spawn((EditName("aged".into()), EditOrder(0), EditTarget::Roughness, scale(0.5).1));
+        let mut after = |factors: Vec<(EditTarget, EditAction)>| {
+            sweep_material(&mut world, "aged", factors);
+            let mut query = world.query::<(&EditName, &EditOrder, &EditAction)>();
+            let mut edits: Vec<_> = query.iter(&world).filter(|(name, ..)| name.0 == "aged").collect();
+            edits.sort_by_key(|(_, order, _)| **order);
+            edits.into_iter().map(|(.., action)| action.clone()).collect::<Vec<_>>()
+        };
+        assert_eq!(after(vec![scale(2.0)]), [scale(0.5).1, scale(2.0).1]);
+        assert_eq!(after(vec![scale(3.0)]), [scale(0.5).1, scale(3.0).1]);
+        assert_eq!(after(Vec::new()), [scale(0.5).1]);
     }
 }

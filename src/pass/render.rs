@@ -63,6 +63,7 @@ fn render_all(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> 
             film.push(&film_frame(&mut session.pipeline, *camera, settings)?)?;
             bar.inc(1);
         }
+        film::sweep_material(&mut session.pipeline.world, name, []);
         write_film(session, &folder, orbit, &film)?;
     }
     bar.finish_and_clear();

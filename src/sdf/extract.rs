@@ -1,7 +1,7 @@
 //! Extraction of a mesh of the zero level of an SDF: naive surface nets (Gibson 1998), with vertices projected onto the level.
 
 use crate::mesh::triangles::Mesh;
-use crate::sdf::SdfGrid;
+use crate::sdf::grid::SdfGrid;
 use crate::sdf::manifold::make_manifold;
 use fast_surface_nets::ndshape::{RuntimeShape, Shape};
 use fast_surface_nets::{SurfaceNetsBuffer, surface_nets};

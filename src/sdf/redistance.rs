@@ -3,7 +3,7 @@
 //! Values beside the zero level are divided by the length of the gradient there, which preserves the level to
 //! first order; all others are solved from |∇φ| = 1 by Gauss–Seidel sweeps in the eight diagonal directions.
 
-use crate::sdf::SdfGrid;
+use crate::sdf::grid::SdfGrid;
 use rayon::prelude::*;
 
 /// Bounds on the length of the gradient that a value is divided by: gradients at creases are inaccurate.

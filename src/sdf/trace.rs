@@ -1,7 +1,7 @@
 //! Rays against the zero level of an SDF: sphere tracing (Hart 1996) to a bracket, then bracketed root finding.
 
 use crate::math::ray::Ray;
-use crate::sdf::SdfGrid;
+use crate::sdf::grid::SdfGrid;
 
 /// Step length relative to the distance: values between vertices are interpolated and may be too large.
 const STEP: f32 = 0.9;

@@ -4,7 +4,7 @@
 //! atlas, and code for texel addresses also works here.
 
 use crate::math::ray::{Hit, Intersect, Ray, TexelAddress};
-use crate::sdf::SdfGrid;
+use crate::sdf::grid::SdfGrid;
 use glam::{UVec3, Vec2, Vec3};
 use serde::{Deserialize, Serialize};
 

@@ -8,7 +8,7 @@
 //! Shadows and interreflection are updated when light or material have changed ([`light_or_material_changed`]), in a fit at most
 //! every few steps ([`refresh_is_due`]).
 
-use super::{Made, ObjectVisibility, WindowVisibility};
+use super::object::{Made, ObjectVisibility, WindowVisibility};
 use crate::light::LightLobe;
 use crate::light::lights::IncidentLight;
 use crate::material::SpecularBlend;

@@ -106,21 +106,10 @@ impl<'a> Graph<'a> {
     }
 
     /// Cycles of imports among the files of a room, each once.
-    ///
-    /// What the files in `parents` import of their own children does not count; one of them without such a cycle is a problem.
-    pub fn cycles(&self, parents: &[&str]) -> Vec<String> {
-        let mut edges: Vec<BTreeMap<usize, usize>> =
+    pub fn cycles(&self) -> Vec<String> {
+        let edges: Vec<BTreeMap<usize, usize>> =
             (0..self.sources.len()).map(|i| self.within_room(i)).collect();
         let mut problems = Vec::new();
-        let with_children = edges.clone();
-        for parent in parents {
-            let i = self.sources.iter().position(|source| source.path == *parent);
-            if let Some(i) = i.filter(|i| shortest_cycle(&with_children, *i).is_some()) {
-                edges[i].retain(|to, _| !self.sources[*to].module.starts_with(&self.sources[i].module));
-            } else {
-                problems.push(format!("{parent} is in no circle; take it out of the list of those that are"));
-            }
-        }
         let mut reported = BTreeSet::new();
         for start in 0..edges.len() {
             let Some(cycle) = shortest_cycle(&edges, start) else { continue };

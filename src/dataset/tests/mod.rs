@@ -23,6 +23,7 @@ mod transforms;
 mod unicode;
 
 use super::*;
+use crate::codec::image::Gamma;
 use crate::codec::test_data::write_exr;
 use crate::view::Mask;
 use image::{GrayImage, RgbaImage};

@@ -99,7 +99,7 @@ fn linear(lobe: &FitLobe) -> [(f64, DVec3); 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::light::EnvironmentMap;
+    use crate::light::envmap::EnvironmentMap;
 
     /// Mean over the sphere, on a fine grid.
     fn mean_of(f: impl Fn(DVec3) -> f64) -> f64 {

@@ -8,7 +8,7 @@ use fearless_simd::{Level, Simd, dispatch};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 
-use crate::light::EnvironmentMap;
+use crate::light::envmap::EnvironmentMap;
 use crate::math::lanes::Lanes;
 use crate::math::real::Real;
 
@@ -298,7 +298,8 @@ fn correlations(lobe: &FitLobe, moments: &Moments) -> [[f64; 3]; 4] {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::light::{LightLobe, render_lobes};
+    use crate::light::illuminate::render_lobes;
+    use crate::light::lobe::LightLobe;
 
     fn map() -> EnvironmentMap {
         EnvironmentMap::from_directions(37, 18, |d| {

@@ -4,7 +4,7 @@ use fearless_simd::{Level as SimdLevel, Simd, dispatch};
 use glam::DVec3;
 use rayon::prelude::*;
 
-use crate::light::EnvironmentMap;
+use crate::light::envmap::EnvironmentMap;
 use crate::light::map_fit::gram::mean_product;
 use crate::light::map_fit::kernel::{FitLobe, Reach, Texels, Tile, residuals, tiles_of};
 use crate::light::map_fit::solve::Bounds;
@@ -130,7 +130,7 @@ impl Candidate {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::light::LightLobe;
+    use crate::light::lobe::LightLobe;
     use glam::Vec3;
 
     #[test]

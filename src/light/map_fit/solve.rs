@@ -232,7 +232,7 @@ fn power_steps(matrix: &[f64], n: usize, own: &[f64], shining: &[usize], missing
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::light::EnvironmentMap;
+    use crate::light::envmap::EnvironmentMap;
     use crate::light::map_fit::kernel::tiles_of;
     use glam::{DVec3, Vec3};
 

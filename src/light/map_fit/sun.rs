@@ -5,7 +5,8 @@
 
 use glam::{DVec3, Vec3};
 
-use crate::light::{EnvironmentMap, LightLobe};
+use crate::light::envmap::EnvironmentMap;
+use crate::light::lobe::LightLobe;
 use crate::math::color::luminance;
 use crate::math::sg::sphere_integral;
 

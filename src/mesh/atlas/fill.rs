@@ -1,6 +1,6 @@
 //! Filling of texels that no view sees, and padding of seams.
 
-use crate::mesh::atlas::TexelAtlas;
+use crate::mesh::atlas::texels::TexelAtlas;
 use glam::Vec3;
 
 /// Cells along the longest side of the finest grid.

@@ -2,9 +2,10 @@
 
 use crate::mesh::atlas::chart::{Chart, charts};
 use crate::mesh::atlas::pack::pack;
-use crate::mesh::atlas::{DVec2, texels_near, texture_corners};
+use crate::mesh::atlas::texels::{texels_near, texture_corners};
 use crate::mesh::triangles::Mesh;
 use crate::{Error, Result};
+use glam::DVec2;
 use glam::Vec2;
 use std::collections::HashMap;
 

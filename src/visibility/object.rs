@@ -1,0 +1,332 @@
+//! [`ObjectVisibility`]: the occlusion of an object by itself, and the light on it at the last update.
+
+use crate::material::source::MaterialSource;
+use crate::math::brdf::ndf_sharpness;
+use crate::math::fibonacci::fibonacci_axes;
+use crate::math::shading::{LobeColumns, PointVisibility, Visibility};
+use crate::mesh::Surface;
+use crate::sample::point::SurfacePoint;
+use crate::visibility::occlusion::{Blend, Bounce, Sky, light_one_row, light_rows, point_visibility};
+use crate::visibility::trace::TexelVisibility;
+use bevy_ecs::prelude::{Entity, Resource};
+use fearless_simd::{Level, dispatch};
+use glam::{Mat3, Vec3};
+use rayon::prelude::*;
+use std::any::TypeId;
+use std::sync::Arc;
+
+/// Angle below which two rotations count as one: 2°.
+const SAME_TURN: f32 = 0.035;
+/// Most rotations of a light that turns with the views that are told apart.
+const MOST_SKIES: usize = 96;
+/// Rotations of which the interreflection is the mean.
+const MEAN_SKIES: usize = 6;
+
+/// Most rows of shadows, but for squares of texels across borders of charts.
+const MOST_ROWS: usize = 1 << 18;
+
+/// Settings of shadows and interreflection.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct VisibilitySettings {
+    /// Directions over the sphere.
+    pub directions: u32,
+    /// Interreflections between parts of the object.
+    pub bounces: u32,
+    /// Steps of a fit between two updates.
+    pub refresh_every: u32,
+}
+
+impl VisibilitySettings {
+    /// Rows of shadows for so many covered texels: each its own, or squares of them.
+    pub fn rows(&self, texels: usize) -> usize {
+        texels.min(MOST_ROWS)
+    }
+
+    /// Estimated bytes for so many covered texels, with 128 lobes and a quarter of the directions above a row occluded.
+    pub fn bytes(&self, texels: usize) -> usize {
+        let directions = self.directions as usize;
+        self.rows(texels) * (directions / 8 + directions / 2 + 128 + 48) + texels * size_of::<u32>()
+    }
+}
+
+impl Default for VisibilitySettings {
+    fn default() -> Self {
+        Self { directions: 512, bounces: 2, refresh_every: 50 }
+    }
+}
+
+/// Occlusion of the object by itself, and the light on it at the last update.
+#[derive(Resource, Default)]
+pub struct ObjectVisibility {
+    settings: VisibilitySettings,
+    texels: Arc<TexelVisibility>,
+    /// The inputs of the last update.
+    pub(super) made: Option<Made>,
+    /// The light as the object sees it: one, or several of a light that turns with the views.
+    skies: Vec<Sky>,
+    /// The sky of each view, if there are several.
+    sky_of_view: Vec<usize>,
+    bounce: Bounce,
+    /// The part of each lobe that reaches each row, if there is one sky.
+    parts: Vec<u8>,
+    pub(super) stride: usize,
+}
+
+/// The inputs of shadows and interreflection.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Made {
+    /// The light's lobes and the base materials, by entity.
+    pub(super) from: Vec<Entity>,
+    /// The rotation that the light of a picture has had.
+    pub(super) turn: Mat3,
+    /// The type of the material: recovered or shown.
+    pub(super) source: TypeId,
+}
+
+impl ObjectVisibility {
+    /// Traces a surface.
+    pub fn new(surface: &Surface, settings: VisibilitySettings) -> Self {
+        let directions = fibonacci_axes(settings.directions.next_multiple_of(64).max(64) as usize);
+        let texels = TexelVisibility::trace(surface.atlas(), surface, directions, MOST_ROWS);
+        Self { settings, texels: Arc::new(texels), ..Self::default() }
+    }
+
+    /// The same as it was traced, without the light of the last update: for another world.
+    pub fn unlit(&self) -> Self {
+        Self { settings: self.settings, texels: self.texels.clone(), ..Self::default() }
+    }
+
+    /// Whether no texel occludes another.
+    pub fn sees_all(&self) -> bool {
+        (0..self.texels.len()).all(|row| self.texels.sees_all(row))
+    }
+
+    /// Which directions are hidden from each texel.
+    pub(crate) fn texels(&self) -> &TexelVisibility {
+        &self.texels
+    }
+
+    /// The settings.
+    pub fn settings(&self) -> VisibilitySettings {
+        self.settings
+    }
+
+    /// Memory in bytes, for at least 128 lobes.
+    pub fn bytes(&self) -> usize {
+        let per_row = self.stride.max(128) + 2 * size_of::<Vec3>();
+        self.texels.bytes() + self.texels.len() * per_row
+    }
+
+    /// Computes shadows and interreflection for this light and this reflectance (diffuse and specular, by texel).
+    ///
+    /// `turns` are the rotations of the views into the frame of a light that turns with them, by index; empty if it does not. Then shadows
+    /// are those of each view, interreflection is the mean of some.
+    pub fn refresh(
+        &mut self,
+        lobes: &LobeColumns,
+        turns: &[Option<Mat3>],
+        reflectance: &(dyn Fn(u32) -> Vec3 + Sync),
+    ) {
+        self.made = None;
+        let (distinct, of_view) = distinct_turns(turns);
+        self.sky_of_view = of_view;
+        let sky = |turn: &Mat3| Sky::new(&self.texels.directions, lobes, turn.transpose());
+        self.skies = distinct.par_iter().map(sky).collect();
+        self.stride = lobes.stride();
+        let mut direct = self.mean_direct();
+        if self.skies.len() == 1 {
+            light_rows(&self.texels, &self.skies[0], &mut self.parts, &mut direct);
+        }
+        self.bounce = Bounce::new(&self.texels, &direct, reflectance, self.settings.bounces);
+    }
+
+    /// Irradiance of each row, the mean of up to [`MEAN_SKIES`] of several skies.
+    fn mean_direct(&mut self) -> Vec<Vec3> {
+        let mut mean = vec![Vec3::ZERO; self.texels.len()];
+        if self.skies.len() > 1 {
+            let every = self.skies.len().div_ceil(MEAN_SKIES);
+            let some: Vec<&Sky> = self.skies.iter().step_by(every).collect();
+            let mut direct = Vec::new();
+            for sky in &some {
+                light_rows(&self.texels, sky, &mut self.parts, &mut direct);
+                mean.iter_mut().zip(&direct).for_each(|(mean, direct)| *mean += *direct / some.len() as f32);
+            }
+            self.parts = Vec::new();
+        }
+        mean
+    }
+
+    /// Whether the last update was for this material, these lobes and base materials.
+    pub(super) fn is_made_from<M: MaterialSource>(&self, from: &[Entity], turn: Mat3) -> bool {
+        let same = |made: &Made| made.from == from && made.turn == turn && made.source == TypeId::of::<M>();
+        self.made.as_ref().is_some_and(same)
+    }
+
+    /// Computes the visibility of points, given the direction to the viewer, the view and the roughness of each by index; overwrites
+    /// `rows` and `seen`.
+    pub fn window(
+        &self,
+        points: &[SurfacePoint],
+        viewer: impl Fn(usize) -> (Vec3, usize) + Sync,
+        roughness: impl Fn(usize) -> f32 + Sync,
+        rows: &mut WindowVisibility,
+        seen: &mut [PointVisibility],
+    ) {
+        rows.stride = self.stride;
+        rows.rows.resize(points.len() * self.stride, 255);
+        let outputs = rows.rows.par_chunks_mut(self.stride.max(1)).zip(seen);
+        let each = outputs.zip(points).enumerate().with_min_len(256);
+        each.for_each_init(
+            || vec![0.0; self.stride],
+            |hidden, (i, ((parts, seen), point))| {
+                *seen = PointVisibility::OPEN;
+                parts.fill(255);
+                let Some(blend) = self.blend(point).filter(|_| point.is_hit()) else { return };
+                let (to_viewer, view) = viewer(i);
+                let sky = &self.skies[self.sky_of_view.get(view).copied().unwrap_or(0)];
+                if self.is_open(&blend) {
+                    // All of every lobe arrives.
+                } else if self.skies.len() == 1 {
+                    self.blend_parts(&blend, parts);
+                } else {
+                    let nearest = blend.iter().max_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(row, _)| *row);
+                    light_one_row(&self.texels, sky, nearest, hidden, parts);
+                }
+                let directions = [point.normal, to_viewer];
+                let sharpness = ndf_sharpness(roughness(i));
+                *seen = point_visibility(&self.texels, sky, &self.bounce, &blend, directions, sharpness);
+            },
+        );
+    }
+
+    /// The rows that are interpolated at a point.
+    fn blend(&self, point: &SurfacePoint) -> Option<Blend> {
+        let mut blend = [(0, 0.0); 4];
+        let mut total = 0.0;
+        for (i, slot) in blend.iter_mut().enumerate() {
+            let row = self.texels.rows[point.texels.indices[i] as usize];
+            if row != TexelVisibility::NONE {
+                *slot = (row as usize, point.texels.weights[i]);
+                total += slot.1;
+            }
+        }
+        blend.iter_mut().for_each(|(_, weight)| *weight /= total);
+        (total > 0.0).then_some(blend)
+    }
+
+    /// Whether nothing is hidden from the rows around a point.
+    fn is_open(&self, blend: &Blend) -> bool {
+        blend.iter().all(|(row, weight)| *weight == 0.0 || self.texels.sees_all(*row))
+    }
+
+    /// Interpolates the visibility of the lobes at a point.
+    fn blend_parts(&self, blend: &Blend, out: &mut [u8]) {
+        let rows = blend.map(|(row, _)| &self.parts[row * self.stride..][..self.stride]);
+        // Weights in units of 1/65536, so that 255 in all four rows stays 255.
+        let mut weights = blend.map(|(_, weight)| (weight * 65536.0) as u32);
+        weights[0] += 65536 - weights.iter().sum::<u32>();
+        dispatch!(Level::new(), _simd => mix_parts(rows, weights, out));
+    }
+}
+
+/// The mean of four rows, with weights that sum to 65536.
+#[inline(always)]
+fn mix_parts([a, b, c, d]: [&[u8]; 4], weights: [u32; 4], out: &mut [u8]) {
+    for ((((out, a), b), c), d) in out.iter_mut().zip(a).zip(b).zip(c).zip(d) {
+        let [a, b, c, d] = [a, b, c, d].map(|part| u32::from(*part));
+        *out = ((a * weights[0] + b * weights[1] + c * weights[2] + d * weights[3]) >> 16) as u8;
+    }
+}
+
+/// The different ones among the views' rotations, and which of them each is or is nearest to. Those that differ by less than [`SAME_TURN`]
+/// count as one, or by less than a multiple of it that leaves at most [`MOST_SKIES`]. The identity alone if there are none.
+fn distinct_turns(turns: &[Option<Mat3>]) -> (Vec<Mat3>, Vec<usize>) {
+    let mut apart = SAME_TURN;
+    loop {
+        let (distinct, of_view) = turns_apart(turns, apart);
+        if distinct.len() <= MOST_SKIES {
+            let one = if distinct.is_empty() { vec![Mat3::IDENTITY] } else { distinct };
+            return (one, of_view);
+        }
+        apart *= 1.5;
+    }
+}
+
+/// The rotations of which none is within an angle of one before it, and the nearest of these to each.
+fn turns_apart(turns: &[Option<Mat3>], angle: f32) -> (Vec<Mat3>, Vec<usize>) {
+    let cosine = |a: &Mat3, b: &Mat3| {
+        let trace = a.x_axis.dot(b.x_axis) + a.y_axis.dot(b.y_axis) + a.z_axis.dot(b.z_axis);
+        0.5 * (trace - 1.0)
+    };
+    let mut distinct: Vec<Mat3> = Vec::new();
+    for turn in turns.iter().flatten() {
+        if distinct.iter().all(|other| cosine(other, turn) < angle.min(3.0).cos()) {
+            distinct.push(*turn);
+        }
+    }
+    let nearest = |turn: &Option<Mat3>| {
+        let Some(turn) = turn else { return 0 };
+        let by_angle =
+            |a: &usize, b: &usize| cosine(&distinct[*a], turn).total_cmp(&cosine(&distinct[*b], turn));
+        (0..distinct.len()).max_by(by_angle).unwrap_or(0)
+    };
+    let of_view = turns.iter().map(nearest).collect();
+    (distinct, of_view)
+}
+
+/// The visibility of the lobes at the points of the current window.
+#[derive(Resource, Default)]
+pub struct WindowVisibility {
+    rows: Vec<u8>,
+    stride: usize,
+}
+
+impl WindowVisibility {
+    /// The visibility as the kernels read it, if there is any; `points` are those of the window.
+    pub fn view<'a>(&'a self, points: &'a [PointVisibility]) -> Option<Visibility<'a>> {
+        let there = self.stride > 0 && self.rows.len() == points.len() * self.stride;
+        there.then_some(Visibility { lobes: &self.rows, points })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn rows_are_mixed_by_their_weights() {
+        let rows: [Vec<u8>; 4] = std::array::from_fn(|k| (0..37).map(|i| (i * 7 + k * 60) as u8).collect());
+        let weights = [30_000, 20_000, 15_536, 0];
+        let mut mixed = [0; 37];
+        dispatch!(Level::new(), _simd => mix_parts(rows.each_ref().map(Vec::as_slice), weights, &mut mixed));
+        for (i, mixed) in mixed.into_iter().enumerate() {
+            let mean: u32 = (0..4).map(|k| u32::from(rows[k][i]) * weights[k]).sum();
+            assert_eq!(u32::from(mixed), mean / 65_536);
+        }
+        let full = [&[255u8; 9][..]; 4];
+        let mut open = [0; 9];
+        mix_parts(full, [65_533, 1, 1, 1], &mut open);
+        assert_eq!(open, [255; 9]);
+    }
+
+    #[test]
+    fn turns_that_hardly_differ_share_a_sky() {
+        let about = |angles: &[f32]| -> Vec<Option<Mat3>> {
+            angles.iter().map(|angle| Some(Mat3::from_rotation_y(*angle))).collect()
+        };
+        let mut turns = about(&[0.0, 0.01, 1.0, 2.0, 1.01]);
+        turns.push(None);
+        let (distinct, of_view) = distinct_turns(&turns);
+        assert_eq!((distinct.len(), of_view), (3, vec![0, 0, 1, 2, 1, 0]));
+        let (distinct, of_view) = distinct_turns(&[]);
+        assert_eq!((distinct, of_view), (vec![Mat3::IDENTITY], Vec::new()));
+        // Of many, each has one that is near, whatever their order.
+        let angles: Vec<f32> = (0..300).map(|i| i as f32 * 0.02).collect();
+        let (distinct, of_view) = distinct_turns(&about(&angles));
+        assert!(distinct.len() <= MOST_SKIES && distinct.len() > MOST_SKIES / 3);
+        for (angle, sky) in angles.iter().zip(&of_view) {
+            let apart = Mat3::from_rotation_y(*angle) * distinct[*sky].transpose();
+            assert!(apart.x_axis.x > 0.99, "{angle}");
+        }
+    }
+}
