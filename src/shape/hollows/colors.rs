@@ -28,9 +28,10 @@ const LEAST_PIXELS: f32 = 5.0;
 const MOST_DIFFERENCE: f32 = 0.6;
 /// Stands for a difference that is not known.
 const UNKNOWN: f32 = -1.0;
-/// Views that must see a depth, and share of them whose colors must agree: from the others something may hide it.
+/// Views that must see a depth, and share of them whose colors must agree. From the others something may hide it that is not known
+/// yet, such as the wall of a deep cup below its lid.
 const LEAST_SOURCES: usize = 3;
-const BEST_SHARE: f32 = 0.5;
+const BEST_SHARE: f32 = 0.3;
 /// How many times smaller the difference of colors must be than at the surface, and by how much.
 const RATIO: f32 = 2.0;
 const CLEAR: f32 = 0.06;
