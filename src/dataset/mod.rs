@@ -19,7 +19,7 @@
 //! | option | type | unit | default | meaning |
 //! | --- | --- | --- | --- | --- |
 //! | `layout` | [`Layout`] | | `Auto` | which layout the folder has |
-//! | `gamma` | [`Gamma`] | | `Srgb` | conversion of 8- and 16-bit values to linear |
+//! | `gamma` | [`Gamma`](crate::codec::image::Gamma) | | `Srgb` | conversion of 8- and 16-bit values to linear |
 //! | `pixel_center` | `Option<f32>` | pixels | the layout's | offset of a pixel's center from its index (0 for PhySG's own code) |
 //! | `downscale` | `u32` | | 1 | factor by which images are downscaled along each axis, with a box filter |
 //! | `every` | `u32` | | 1 | only every n-th view of the split (or selection) is read |

@@ -5,7 +5,7 @@
 //! | [`convention`] | orientation of maps in other programs |
 //! | [`frame`] | the frame in which a light stands still: the world's, the camera's or a turntable's |
 //! | [`envmap`] | the latitude-longitude grid: directions, solid angles, bilinear look-up, rotation |
-//! | [`illuminate`] | [`Illuminate`] for a map and for lobes, both with importance sampling |
+//! | [`illuminate`] | [`Illuminate`](crate::math::ray::Illuminate) for a map and for lobes, both with importance sampling |
 //! | `lobe` | [`LightLobe`], and lists of lobes: radiance, power, rotation, checks |
 //! | [`lights`] | lobes and named lights as entities, and the system in `Slot::Light` |
 //! | [`map_fit`] | fit of lobes to a map (Levenberg–Marquardt; lobes are added and removed; suns get their own lobes first) |
