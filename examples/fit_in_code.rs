@@ -10,28 +10,13 @@ const SIZE: u32 = 48;
 
 fn main() -> Result<()> {
     let surface = Arc::new(Surface::new(sphere_mesh(Vec3::ZERO, 0.8)?, 64)?);
-    let places = &surface.atlas().position;
-
-    // The truth, which only the photographs know. They are taken with the closed form that the fit inverts; `swap_shading` shows
-    // how to take them with the path tracer.
-    let light = [
-        LightLobe { axis: Vec3::Y, sharpness: 0.8, amplitude: Vec3::splat(0.5) },
-        LightLobe { axis: Vec3::new(0.6, 0.64, 0.48), sharpness: 30.0, amplitude: Vec3::new(4.0, 3.6, 3.0) },
-    ];
-    let two_colors = |p: &Vec3| if p.y > 0.0 { Vec3::new(0.6, 0.2, 0.1) } else { Vec3::new(0.1, 0.2, 0.5) };
-    let albedo: Vec<Vec3> = places.iter().map(two_colors).collect();
     let truth = SpecularLobe::new(Vec3::splat(0.2), 0.3);
-    let mut studio = Pipeline::new();
-    studio.add_plugin(&FramePlugin);
-    spawn_object(&mut studio.world, &surface, &albedo, &[truth], &light);
-    let photographs = Camera::around(12, 2.8, 38.0, SIZE)?.into_iter().enumerate();
-    let photographs = photographs.map(|(i, camera)| photograph(&mut studio, format!("view_{i}"), camera));
-    let photographs: Vec<ViewRecord> = photographs.collect::<Result<_>>()?;
+    let photographs = photographs_of(&surface, truth)?;
 
     // A world that starts ignorant: gray, 32 equal lobes, a middling roughness.
     let mut pipeline = Pipeline::new();
     pipeline.add_plugin(&FramePlugin).add_plugin(&FitPlugin);
-    let gray = vec![Vec3::splat(0.4); places.len()];
+    let gray = vec![Vec3::splat(0.4); surface.atlas().position.len()];
     let start = SpecularLobe::new(Vec3::splat(0.3), 0.45);
     spawn_object(&mut pipeline.world, &surface, &gray, &[start], &LightLobe::even(32));
     spawn_views(&mut pipeline.world, photographs);
@@ -48,6 +33,22 @@ fn main() -> Result<()> {
         summary.pixels, summary.elapsed_secs, truth.roughness
     );
     Ok(())
+}
+
+/// Photographs of the truth, which only they know: an object of two colors under two lights. They are taken with the closed form that
+/// the fit inverts; `swap_shading` shows how to take them with the path tracer.
+fn photographs_of(surface: &Arc<Surface>, gloss: SpecularLobe) -> Result<Vec<ViewRecord>> {
+    let light = [
+        LightLobe { axis: Vec3::Y, sharpness: 0.8, amplitude: Vec3::splat(0.5) },
+        LightLobe { axis: Vec3::new(0.6, 0.64, 0.48), sharpness: 30.0, amplitude: Vec3::new(4.0, 3.6, 3.0) },
+    ];
+    let two_colors = |p: &Vec3| if p.y > 0.0 { Vec3::new(0.6, 0.2, 0.1) } else { Vec3::new(0.1, 0.2, 0.5) };
+    let albedo: Vec<Vec3> = surface.atlas().position.iter().map(two_colors).collect();
+    let mut studio = Pipeline::new();
+    studio.add_plugin(&FramePlugin);
+    spawn_object(&mut studio.world, surface, &albedo, &[gloss], &light);
+    let cameras = Camera::around(12, 2.8, 38.0, SIZE)?.into_iter().enumerate();
+    cameras.map(|(i, camera)| photograph(&mut studio, format!("view_{i}"), camera)).collect()
 }
 
 /// What the studio looks like through a camera.

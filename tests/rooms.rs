@@ -14,7 +14,7 @@ use table::{rows_and_rooms, table};
 /// Most lines of a file.
 const MOST_LINES: usize = 500;
 /// Most lines of a function, from `fn` to its closing brace.
-const MOST_FUNCTION_LINES: usize = 50;
+const MOST_FUNCTION_LINES: usize = 40;
 /// Folders of Rust files beside `src` and the crates.
 const OTHER_FOLDERS: [&str; 4] = ["tests", "examples", "benches", "fuzz"];
 /// The page with the table, and its section.

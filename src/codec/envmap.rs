@@ -136,7 +136,25 @@ impl Sink {
         self.filter.add(x, y, repaired);
     }
 
+    /// The map, and notes on what was done to it, one sentence each.
     fn finish(self, path: &Path) -> Result<(EnvironmentMap, Vec<String>)> {
+        self.check(path)?;
+        let mut notes = self.notes_of_repairs(path);
+        let map = self.filter.finish();
+        validate_map(&map).map_err(|problem| {
+            Error::input(path, "", problem, "check the unit of the map, or clamp its texels")
+        })?;
+        if [map.width, map.height] != self.size {
+            let [w, h] = self.size;
+            let text =
+                format!("{}: averaged from {w} × {h} to {} × {}", path.display(), map.width, map.height);
+            notes.push(text);
+        }
+        Ok((map, notes))
+    }
+
+    /// Refuses a map that is not finite, is absurdly bright or gives no light.
+    fn check(&self, path: &Path) -> Result<()> {
         if self.finite == 0 {
             return Err(Error::input(path, "", "every texel is NaN or infinite", EXPORT_HELP));
         }
@@ -157,6 +175,11 @@ impl Sink {
             };
             return Err(Error::input(path, "", problem, "check the export, or use another map"));
         }
+        Ok(())
+    }
+
+    /// What of the texels was repaired.
+    fn notes_of_repairs(&self, path: &Path) -> Vec<String> {
         let mut notes = Vec::new();
         if self.repaired > 0 {
             notes.push(format!("{}: {} NaN or infinite texels set to 0", path.display(), self.repaired));
@@ -168,17 +191,7 @@ impl Sink {
         if self.clamped > 0 {
             notes.push(format!("{}: {} negative texels clamped to 0", path.display(), self.clamped));
         }
-        let map = self.filter.finish();
-        validate_map(&map).map_err(|problem| {
-            Error::input(path, "", problem, "check the unit of the map, or clamp its texels")
-        })?;
-        if [map.width, map.height] != self.size {
-            let [w, h] = self.size;
-            let text =
-                format!("{}: averaged from {w} × {h} to {} × {}", path.display(), map.width, map.height);
-            notes.push(text);
-        }
-        Ok((map, notes))
+        notes
     }
 }
 

@@ -261,19 +261,28 @@ mod tests {
         }
     }
 
+    /// A box with sides of 1, 2 and 3.
+    fn block() -> Mesh {
+        box_mesh(Vec3::ZERO, Vec3::new(1.0, 2.0, 3.0)).unwrap()
+    }
+
+    /// The stage of the block with this material, written into `folder`.
+    fn written(folder: &Path, material: &UsdMaterial, up: UpAxis, light: Option<UsdLight>) -> String {
+        let path = folder.join("mesh.usda");
+        write_usda(&path, &block(), material, up, light).unwrap();
+        std::fs::read_to_string(path).unwrap()
+    }
+
     #[test]
     fn a_stage_names_what_it_has() {
         let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("mesh.usda");
-        let mesh = box_mesh(Vec3::ZERO, Vec3::new(1.0, 2.0, 3.0)).unwrap();
         let plain = UsdMaterial {
             specular: UsdInput::Value(Vec3::new(0.1, 0.2, 0.3)),
             roughness: UsdInput::Value(0.25),
             ..textured()
         };
         let light = UsdLight { file: "light.hdr", turn_degrees: 90.0 };
-        write_usda(&path, &mesh, &plain, UpAxis::Z, Some(light)).unwrap();
-        let text = std::fs::read_to_string(&path).unwrap();
+        let text = written(folder.path(), &plain, UpAxis::Z, Some(light));
         for line in [
             "#usda 1.0",
             "upAxis = \"Z\"",
@@ -289,20 +298,25 @@ mod tests {
         let opened = text.matches(['{', '(', '[']).count();
         assert_eq!(opened, text.matches(['}', ')', ']']).count());
         let points = text.lines().find(|line| line.contains("point3f[]")).unwrap();
-        assert_eq!(points.matches('(').count(), mesh.positions.len());
+        assert_eq!(points.matches('(').count(), block().positions.len());
         let mut files: Vec<_> =
             std::fs::read_dir(folder.path()).unwrap().map(|f| f.unwrap().file_name()).collect();
         files.sort();
         assert_eq!(files, ["mesh.usda", "mesh_base_color.png"]);
-        write_usda(&path, &mesh, &textured(), UpAxis::Y, None).unwrap();
-        let text = std::fs::read_to_string(&path).unwrap();
+    }
+
+    #[test]
+    fn a_stage_connects_what_has_textures() {
+        let folder = tempfile::tempdir().unwrap();
+        let text = written(folder.path(), &textured(), UpAxis::Y, None);
         for shader in
             ["Specular.outputs:rgb>", "Roughness.outputs:r>", "@mesh_f0.png@", "@mesh_roughness.png@"]
         {
             assert!(text.contains(shader) && !text.contains("DomeLight"), "{shader} in {text}");
         }
-        let bare = Mesh { uvs: None, ..mesh };
-        assert!(write_usda(&path, &bare, &plain, UpAxis::Y, None).is_err());
+        let bare = Mesh { uvs: None, ..block() };
+        let path = folder.path().join("bare.usda");
+        assert!(write_usda(&path, &bare, &textured(), UpAxis::Y, None).is_err());
     }
 
     #[test]

@@ -43,49 +43,65 @@ fn absent_split(dir: &Path, split: Split) -> Error {
 /// Plans the views of a split, in the order of their names.
 pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
     let Some(folder) = split_folder(dir, split) else { return Err(absent_split(dir, split)) };
-    let (lens, poses_are_inverse) = read_intrinsics(&folder.join(INTRINSICS))?;
-    let folder_of = |name: &str| {
-        let path = folder.join(name);
-        StemIndex::of_folder(&path)?.ok_or_else(|| {
-            Error::input(
-                &path,
-                "",
-                "this folder of the DeepVoxels layout is missing",
-                missing_file_help(&path),
-            )
-        })
-    };
-    let images = folder_of("rgb")?;
-    let masks = masks_in(&folder)?;
-    let pose_folder = folder.join("pose");
-    let poses = pose_files(&pose_folder)?;
+    let files = SplitFiles::open(folder)?;
+    let poses = pose_files(&files.folder.join("pose"))?;
     let mut views = Vec::with_capacity(poses.len());
     for (name, file) in poses {
-        let image = images.find(ImageName::new(&name, &pose_folder, "")?)?;
+        views.push(files.plan_view(name, file)?);
+    }
+    let is_used = |stem: &str| views.iter().any(|view| composed(&view.name) == composed(stem));
+    let extra = files.images.stems().filter(|stem| !is_used(stem)).count();
+    let images = files.folder.join("rgb");
+    let note = format!("{extra} images in {} have no pose and are left out", images.display());
+    Ok(Plan { views, notes: if extra > 0 { vec![note] } else { Vec::new() } })
+}
+
+/// The files of a split, and what all its views share.
+struct SplitFiles {
+    folder: PathBuf,
+    images: StemIndex,
+    masks: Option<StemIndex>,
+    lens: Lens,
+    /// Whether poses are camera_from_world.
+    poses_are_inverse: bool,
+}
+
+impl SplitFiles {
+    /// Reads the intrinsics, and looks for images and masks in `folder`.
+    fn open(folder: PathBuf) -> Result<Self> {
+        let (lens, poses_are_inverse) = read_intrinsics(&folder.join(INTRINSICS))?;
+        let photographs = folder.join("rgb");
+        let images = StemIndex::of_folder(&photographs)?.ok_or_else(|| {
+            let problem = "this folder of the DeepVoxels layout is missing";
+            Error::input(&photographs, "", problem, missing_file_help(&photographs))
+        })?;
+        let masks = masks_in(&folder)?;
+        Ok(Self { folder, images, masks, lens, poses_are_inverse })
+    }
+
+    /// Plans the view of this name, whose pose is in `file`.
+    fn plan_view(&self, name: String, file: PathBuf) -> Result<ViewPlan> {
+        let image = self.images.find(ImageName::new(&name, &self.folder.join("pose"), "")?)?;
         let pose = read_pose(&file)?;
-        let world_from_camera = if poses_are_inverse { pose.inverse() } else { pose };
-        let mask = match &masks {
+        let world_from_camera = if self.poses_are_inverse { pose.inverse() } else { pose };
+        let mask = match &self.masks {
             Some(masks) => MaskPlan::File(find_mask(masks, &file_name(&image))?),
             None => MaskPlan::AlphaRequired(format!(
                 "the view `{name}` has no mask: there is no folder {} and the image has no alpha",
-                folder.join("mask").display()
+                self.folder.join("mask").display()
             )),
         };
-        views.push(ViewPlan {
+        Ok(ViewPlan {
             image: Some(image),
             name,
             camera_file: file,
             place: String::new(),
             mask,
-            lens,
+            lens: self.lens,
             world_from_camera: world_from_camera.to_affine(),
             pose_error: pose.error,
-        });
+        })
     }
-    let is_used = |stem: &str| views.iter().any(|view| composed(&view.name) == composed(stem));
-    let extra = images.stems().filter(|stem| !is_used(stem)).count();
-    let note = format!("{extra} images in {} have no pose and are left out", folder.join("rgb").display());
-    Ok(Plan { views, notes: if extra > 0 { vec![note] } else { Vec::new() } })
 }
 
 /// Names and files of the poses, by name.

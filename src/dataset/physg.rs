@@ -35,6 +35,32 @@ struct CameraEntry {
     img_size: Vec<u32>,
 }
 
+impl CameraEntry {
+    /// The lens, and the pose camera_from_world.
+    ///
+    /// # Errors
+    /// [`Error::Input`] that names the `place` in the camera file, if they are not those of a camera.
+    fn lens_and_pose(&self, file: &Path, place: &str) -> Result<(Lens, Rigid)> {
+        let wrong = |problem: String, help: &str| Error::input(file, place, problem, help);
+        let k = sixteen(&self.k)
+            .map_err(|problem| wrong(format!("K {problem}"), "K is a row-major 4×4 matrix."))?;
+        let w2c = sixteen(&self.w2c)
+            .map_err(|problem| wrong(format!("W2C {problem}"), "W2C is a row-major 4×4 matrix."))?;
+        let &[width, height] = self.img_size.as_slice() else {
+            let problem = format!("img_size has {} numbers, not 2", self.img_size.len());
+            return Err(wrong(problem, "img_size is [width, height]."));
+        };
+        let lens = Lens::from_matrix(&k, [width, height]).map_err(|problem| {
+            wrong(format!("K {problem}"), "K holds focal lengths and the principal point in pixels.")
+        })?;
+        let camera_from_world = Rigid::from_rows(&w2c).map_err(|problem| {
+            let help = "W2C is a rotation and a translation, from world to OpenCV camera axes.";
+            wrong(format!("W2C {problem}"), help)
+        })?;
+        Ok((lens, camera_from_world))
+    }
+}
+
 /// A JSON object in file order, so that duplicate names can be detected.
 struct Entries(Vec<(String, CameraEntry)>);
 
@@ -86,24 +112,7 @@ fn plan_view(
 ) -> Result<ViewPlan> {
     let place = format!("camera {}", quoted(key));
     let image_name = ImageName::new(key, file, &place)?;
-    let wrong = |problem: String, help: &str| Error::input(file, place.clone(), problem, help);
-    let k =
-        sixteen(&entry.k).map_err(|problem| wrong(format!("K {problem}"), "K is a row-major 4×4 matrix."))?;
-    let w2c = sixteen(&entry.w2c)
-        .map_err(|problem| wrong(format!("W2C {problem}"), "W2C is a row-major 4×4 matrix."))?;
-    let &[width, height] = entry.img_size.as_slice() else {
-        let problem = format!("img_size has {} numbers, not 2", entry.img_size.len());
-        return Err(wrong(problem, "img_size is [width, height]."));
-    };
-    let lens = Lens::from_matrix(&k, [width, height]).map_err(|problem| {
-        wrong(format!("K {problem}"), "K holds focal lengths and the principal point in pixels.")
-    })?;
-    let camera_from_world = Rigid::from_rows(&w2c).map_err(|problem| {
-        wrong(
-            format!("W2C {problem}"),
-            "W2C is a rotation and a translation, from world to OpenCV camera axes.",
-        )
-    })?;
+    let (lens, camera_from_world) = entry.lens_and_pose(file, &place)?;
     let name = view_name(key);
     let image = images.map(|images| images.find(image_name)).transpose()?;
     let mask = match masks {

@@ -196,33 +196,8 @@ impl Plugin for FitPlugin {
         pipeline
             .add_systems(Phase::Prepare, Stage::Sample, choose_pixels)
             .add_systems(Phase::Prepare, Stage::Trace, trace_pixels)
-            .add_systems(Phase::Prepare, Stage::Gather, count_seen_texels)
-            .add_systems(Phase::FitStep, Stage::Sample, take_observations)
-            .swap(Phase::FitStep, Slot::Light, provide_light(LightChoice::Own, false))
-            .swap(Phase::FitStep, Slot::Shading, shade_closed_form(ClosedForm::default()))
-            .swap(Phase::FitStep, Slot::ShadingAdjoint, pull_back_radiance(ClosedForm::default()))
-            .add_systems(
-                Phase::FitStep,
-                Stage::Loss,
-                (
-                    check_shading,
-                    find_exposures.run_if(step_is_sound),
-                    compare_with_photographs,
-                    check_loss,
-                    note_residuals.run_if(step_is_sound),
-                    sum_by_view,
-                )
-                    .chain(),
-            )
-            .add_systems(
-                Phase::FitStep,
-                Stage::Gradient,
-                (scatter_to_texels, scatter_to_sheen, share_with_known, scatter_to_blends, hand_out_gradient)
-                    .chain()
-                    .in_set(ScatterAdjoints),
-            )
-            .swap(Phase::FitStep, Slot::Optimizer, optimizer())
-            .add_systems(Phase::FitStep, Stage::Update, follow_known.after(Slot::Optimizer));
+            .add_systems(Phase::Prepare, Stage::Gather, count_seen_texels);
+        add_step(pipeline);
         hold_back_unsound_steps(pipeline);
         add_gathering::<Recovered>(pipeline, Phase::FitStep);
         keep_state(&mut pipeline.world);
@@ -250,6 +225,29 @@ impl Plugin for FitPlugin {
         world.remove_resource::<SheenEvidence>();
         detach(world);
     }
+}
+
+/// Adds the systems of a step; [`prepare`] replaces those that shade by those of the fit's closed form.
+fn add_step(pipeline: &mut Pipeline) {
+    let loss = (
+        check_shading,
+        find_exposures.run_if(step_is_sound),
+        compare_with_photographs,
+        check_loss,
+        note_residuals.run_if(step_is_sound),
+        sum_by_view,
+    );
+    let scatter =
+        (scatter_to_texels, scatter_to_sheen, share_with_known, scatter_to_blends, hand_out_gradient);
+    pipeline
+        .add_systems(Phase::FitStep, Stage::Sample, take_observations)
+        .swap(Phase::FitStep, Slot::Light, provide_light(LightChoice::Own, false))
+        .swap(Phase::FitStep, Slot::Shading, shade_closed_form(ClosedForm::default()))
+        .swap(Phase::FitStep, Slot::ShadingAdjoint, pull_back_radiance(ClosedForm::default()))
+        .add_systems(Phase::FitStep, Stage::Loss, loss.chain())
+        .add_systems(Phase::FitStep, Stage::Gradient, scatter.chain().in_set(ScatterAdjoints))
+        .swap(Phase::FitStep, Slot::Optimizer, optimizer())
+        .add_systems(Phase::FitStep, Stage::Update, follow_known.after(Slot::Optimizer));
 }
 
 /// Leaves the rest of a step out once something of it is not finite, also what other plugins put into these stages: shapes and cameras.
@@ -285,40 +283,44 @@ struct Loop {
     elapsed_secs: f64,
 }
 
+impl Loop {
+    /// Takes up the sums of the step that was just made; returns the state of the fit after it.
+    fn progress(&mut self, world: &mut World, step: u32, steps: u32) -> FitProgress {
+        self.recent.push(world.resource::<LossState>().last);
+        self.recent.drain(..self.recent.len().saturating_sub(20));
+        FitProgress {
+            step,
+            steps,
+            sums: self.recent.iter().fold(LossSums::default(), |a, b| a.merged(*b)),
+            specular: first_specular(world),
+            elapsed_secs: self.elapsed_secs,
+        }
+    }
+}
+
 fn fit(
     pipeline: &mut Pipeline,
     options: &FitOptions,
     watch: &mut dyn FnMut(&FitProgress, &mut World) -> ControlFlow<()>,
 ) -> Result<FitSummary> {
     let start = Instant::now();
-    let preparing = stage("prepared");
     let pixels = prepare(pipeline, options)?;
-    drop(preparing);
     let _steps = stage("steps");
-    let resumed = resume_step(&mut pipeline.world)?;
     let begun = || (options.done.steps, Loop { recent: Vec::new(), elapsed_secs: options.done.secs });
-    let (done, Loop { mut recent, elapsed_secs }) = resumed.unwrap_or_else(begun);
-    let elapsed = || elapsed_secs + start.elapsed().as_secs_f64();
+    let (done, mut state) = resume_step(&mut pipeline.world)?.unwrap_or_else(begun);
+    let before = state.elapsed_secs;
+    let elapsed = || before + start.elapsed().as_secs_f64();
     let mut summary =
-        FitSummary { steps: done, pixels, elapsed_secs, stopped: false, explained_by_sheen: None };
+        FitSummary { steps: done, pixels, elapsed_secs: before, stopped: false, explained_by_sheen: None };
     for step in done + 1..=options.steps {
         choose_sheen(&mut pipeline.world, (step - 1) as f32 / options.steps as f32);
         run_step(pipeline, options, step, pixels)?;
-        recent.push(pipeline.world.resource::<LossState>().last);
-        recent.drain(..recent.len().saturating_sub(20));
         summary.steps = step;
-        let progress = FitProgress {
-            step,
-            steps: options.steps,
-            sums: recent.iter().fold(LossSums::default(), |a, b| a.merged(*b)),
-            specular: first_specular(&mut pipeline.world),
-            elapsed_secs: elapsed(),
-        };
+        state.elapsed_secs = elapsed();
+        let progress = state.progress(&mut pipeline.world, step, options.steps);
         summary.stopped = watch(&progress, &mut pipeline.world).is_break();
-        let may_keep = options.asked_after != Some(step) && refresh_is_next(&pipeline.world, step);
-        if may_keep && is_due(&pipeline.world) {
-            keep_step(&mut pipeline.world, step, &Loop { recent: recent.clone(), elapsed_secs: elapsed() })?;
-        }
+        state.elapsed_secs = elapsed();
+        keep_if_due(&mut pipeline.world, options, step, &state)?;
         if summary.stopped {
             break;
         }
@@ -327,6 +329,12 @@ fn fit(
         pipeline.world.get_resource::<SheenEvidence>().and_then(|evidence| evidence.explained);
     summary.elapsed_secs = elapsed();
     Ok(summary)
+}
+
+/// Keeps the state after a step if a checkpoint is due, where the fit goes on and its next step finds shadows and reflections anew.
+fn keep_if_due(world: &mut World, options: &FitOptions, step: u32, state: &Loop) -> Result<()> {
+    let may_keep = options.asked_after != Some(step) && refresh_is_next(world, step);
+    if may_keep && is_due(world) { keep_step(world, step, state) } else { Ok(()) }
 }
 
 /// Registers what a fit, or a pass after it, goes on from.
@@ -367,18 +375,8 @@ fn refresh_every(world: &World) -> u32 {
 
 /// Makes the pool and initializes; returns the number of pixels.
 fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
-    let sheen = options.unknowns.sheen || (options.looks_for_sheen && options.unknowns.albedo);
-    let begins = options.done.steps == 0;
-    attach(&mut pipeline.world, sheen, begins);
-    pipeline.world.insert_resource(options.pixels);
-    pipeline.world.insert_resource(options.unknowns);
-    if begins {
-        begin_albedo(&mut pipeline.world, options)?;
-        pipeline.world.insert_resource(ScaleMoments::default());
-    }
-    pipeline.world.insert_resource(options.scale);
-    pipeline.world.insert_resource(LossState { loss: options.loss, last: LossSums::default() });
-    pipeline.world.resource_mut::<Exposures>().unknown = options.exposure;
+    let _preparing = stage("prepared");
+    begin(&mut pipeline.world, options)?;
     pipeline.swap(Phase::FitStep, Slot::Shading, shade_closed_form(options.form)).swap(
         Phase::FitStep,
         Slot::ShadingAdjoint,
@@ -392,27 +390,48 @@ fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
     }
     let pixels = pipeline.world.resource::<ObservedWindow>().0.len();
     count_pool(&mut pipeline.world);
-    // A fit that is resumed is initialized.
-    let initialize = if has_step_ahead(&pipeline.world) { Initialize::NONE } else { options.initialize };
+    initialize(&mut pipeline.world, options, shadowed)?;
+    spawn_samples(&mut pipeline.world, options.batch.clamp(1, pixels));
+    Ok(pixels)
+}
+
+/// Gives a world the settings of a fit, and its unknowns their gradients and moments.
+fn begin(world: &mut World, options: &FitOptions) -> Result<()> {
+    let sheen = options.unknowns.sheen || (options.looks_for_sheen && options.unknowns.albedo);
+    let begins = options.done.steps == 0;
+    attach(world, sheen, begins);
+    world.insert_resource(options.pixels);
+    world.insert_resource(options.unknowns);
+    if begins {
+        begin_albedo(world, options)?;
+        world.insert_resource(ScaleMoments::default());
+    }
+    world.insert_resource(options.scale);
+    world.insert_resource(LossState { loss: options.loss, last: LossSums::default() });
+    world.resource_mut::<Exposures>().unknown = options.exposure;
+    Ok(())
+}
+
+/// Initializes the unknowns from the data; a fit that is resumed is initialized.
+fn initialize(world: &mut World, options: &FitOptions, shadowed: bool) -> Result<()> {
+    let initialize = if has_step_ahead(world) { Initialize::NONE } else { options.initialize };
     let unknowns = Unknowns {
         light: options.unknowns.light && initialize.light,
         albedo: options.unknowns.albedo && initialize.albedo,
         ..options.unknowns
     };
     if let Some(frame) = options.light_frame {
-        pipeline.world.insert_resource(OwnLightFrame(frame));
+        world.insert_resource(OwnLightFrame(frame));
     }
     let finds =
         Find { frame: options.light_frame.is_none() && unknowns.light, specular: initialize.specular };
-    find_start(&mut pipeline.world, finds, unknowns, options.form)?;
-    let initializing = stage("initialization");
-    initialize_light_and_albedo(&mut pipeline.world, unknowns, options.form, shadowed)?;
+    find_start(world, finds, unknowns, options.form)?;
+    let _initializing = stage("initialization");
+    initialize_light_and_albedo(world, unknowns, options.form, shadowed)?;
     if unknowns.light && unknowns.albedo {
-        start_scale(&mut pipeline.world, options.scale)?;
+        start_scale(world, options.scale)?;
     }
-    drop(initializing);
-    spawn_samples(&mut pipeline.world, options.batch.clamp(1, pixels));
-    Ok(pixels)
+    Ok(())
 }
 
 fn run_step(pipeline: &mut Pipeline, options: &FitOptions, step: u32, pixels: usize) -> Result<()> {

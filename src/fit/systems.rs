@@ -13,13 +13,14 @@ use crate::light::lights::IncidentLight;
 use crate::material::source::BaseMaterials;
 use crate::material::{DiffuseAlbedo, SpecularLobe, Texels};
 use crate::math::shading::{
-    ClosedForm, Layers, Lighting, PointAdjoint, PointVisibility, RadianceAdjoint, RadianceColumns, ShadePoint,
+    ClosedForm, Layers, Lighting, PointAdjoint, PointVisibility, RadianceAdjoint, RadianceColumns,
+    ShadePoint, SpecularValue,
 };
 use crate::pipeline::SystemResult;
 use crate::sample::Samples;
 use crate::sample::pixel::{Observed, PixelOf};
 use crate::sample::point::{PointBlend, SurfacePoint};
-use crate::sample::turn::LightTurns;
+use crate::sample::turn::{LightTurns, TurnTable};
 use crate::shade::systems::kernel_materials;
 use crate::visibility::WindowVisibility;
 use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut};
@@ -71,35 +72,49 @@ pub fn pull_back_radiance(form: ClosedForm) -> ScheduleConfigs<ScheduleSystem> {
         let (points, blends, seen, (shaded, adjoint), pixels, mut back) = samples.columns()?;
         let visibility = visibility.as_ref().and_then(|visibility| visibility.view(&seen));
         let lighting = Lighting { lobes: &light.lobes, visibility };
+        let samples = BlendedSamples {
+            points: &points,
+            blends: &blends,
+            seen: &seen,
+            shaded: &shaded,
+            adjoint: &adjoint,
+        };
         let gradient = &mut *gradient;
-        let kernel_materials = kernel_materials(&materials);
-        if kernel_materials.is_empty() || !materials.blended {
-            let material = kernel_materials.first().map(|(_, material)| *material).unwrap_or_default();
-            let radiance = RadianceColumns { shaded: &shaded, adjoint: &adjoint };
-            form.shade_adjoint(&points, &material, lighting, radiance, &mut back, &mut gradient.shared);
-            gradient.specular.clear();
-            gradient.specular.push(gradient.shared.specular);
-        } else {
-            let samples = BlendedSamples {
-                points: &points,
-                blends: &blends,
-                seen: &seen,
-                shaded: &shaded,
-                adjoint: &adjoint,
-            };
-            let adjoints = &mut blend_adjoints.0;
-            pull_back_blended(form, &samples, &kernel_materials, lighting, &mut back, gradient, adjoints);
-        }
-        // Normals were rotated into the light's frame.
-        let turns = turns.table();
-        for (back, pixel) in back.iter_mut().zip(&*pixels) {
-            if let Some(turn) = turns.of(pixel.view) {
-                back.normal = (turn.transpose() * Vec3::from(back.normal)).into();
+        match kernel_materials(&materials).as_slice() {
+            many @ [_, ..] if materials.blended => {
+                pull_back_blended(form, &samples, many, lighting, &mut back, gradient, &mut blend_adjoints.0);
             }
+            [] => pull_back_one(form, &samples, &SpecularValue::default(), lighting, &mut back, gradient),
+            [(_, one), ..] => pull_back_one(form, &samples, one, lighting, &mut back, gradient),
         }
+        turn_back(&turns.table(), &pixels, &mut back);
         Ok(())
     };
     system.into_configs()
+}
+
+/// The adjoint of shading with one material at all samples.
+fn pull_back_one(
+    form: ClosedForm,
+    samples: &BlendedSamples<'_>,
+    material: &SpecularValue,
+    lighting: Lighting<'_>,
+    back: &mut [PointAdjoint],
+    gradient: &mut StepGradient,
+) {
+    let radiance = RadianceColumns { shaded: samples.shaded, adjoint: samples.adjoint };
+    form.shade_adjoint(samples.points, material, lighting, radiance, back, &mut gradient.shared);
+    gradient.specular.clear();
+    gradient.specular.push(gradient.shared.specular);
+}
+
+/// Rotates the adjoints of normals from the light's frame, in which samples are shaded, back into the world.
+fn turn_back(turns: &TurnTable, pixels: &[PixelOf], back: &mut [PointAdjoint]) {
+    for (back, pixel) in back.iter_mut().zip(pixels) {
+        if let Some(turn) = turns.of(pixel.view) {
+            back.normal = (turn.transpose() * Vec3::from(back.normal)).into();
+        }
+    }
 }
 
 /// Gradient: adds the albedo adjoints of the samples to their texels, in the order of [`SampleIndex`](crate::sample::pixel::SampleIndex).

@@ -176,6 +176,7 @@ pub fn apply_edit(
     }
 }
 
+/// Edits the base materials; inside a region, copies of them that get its part of the blend weights.
 fn edit_lobes(
     state: &mut MaterialState,
     region: Option<&[f32]>,
@@ -198,24 +199,33 @@ fn edit_lobes(
             state.lobes[k] = Some(edited);
             continue;
         }
-        // Edited lobes that are equal are merged.
-        let same = state.lobes[before..].iter().position(|lobe| *lobe == Some(edited));
-        let copy = same.map_or(state.lobes.len(), |number| before + number);
-        if copy == MAX_SPECULAR_LOBES {
-            return Err(Error::usage(
-                format!("the edits need more than {MAX_SPECULAR_LOBES} different specular materials"),
-                "Let some regions share their roughness and specular albedo.",
-            ));
-        }
-        if same.is_none() {
-            state.lobes.push(Some(edited));
-        }
+        let copy = number_of_copy(&mut state.lobes, before, edited)?;
         for (blend, share) in state.blends.iter_mut().zip(region) {
             blend.0[copy] += blend.0[k] * share;
             blend.0[k] *= 1.0 - share;
         }
     }
     Ok(())
+}
+
+/// The number of the copy that is an edited lobe, which is added unless one of the copies, from number `first` on, equals it.
+fn number_of_copy(
+    lobes: &mut Vec<Option<SpecularLobe>>,
+    first: usize,
+    edited: SpecularLobe,
+) -> Result<usize> {
+    if let Some(same) = lobes[first..].iter().position(|lobe| *lobe == Some(edited)) {
+        return Ok(first + same);
+    }
+    let number = lobes.len();
+    if number == MAX_SPECULAR_LOBES {
+        return Err(Error::usage(
+            format!("the edits need more than {MAX_SPECULAR_LOBES} different specular materials"),
+            "Let some regions share their roughness and specular albedo.",
+        ));
+    }
+    lobes.push(Some(edited));
+    Ok(number)
 }
 
 #[cfg(test)]

@@ -14,60 +14,63 @@ fn unit_vector(rng: &mut StdRng) -> Vec3 {
     Vec3::new(r * angle.cos(), r * angle.sin(), z).normalize()
 }
 
+/// The triangles of an icosahedron, by the corners in [`icosphere`].
+const ICOSAHEDRON: [[u32; 3]; 20] = [
+    [0, 11, 5],
+    [0, 5, 1],
+    [0, 1, 7],
+    [0, 7, 10],
+    [0, 10, 11],
+    [1, 5, 9],
+    [5, 11, 4],
+    [11, 10, 2],
+    [10, 7, 6],
+    [7, 1, 8],
+    [3, 9, 4],
+    [3, 4, 2],
+    [3, 2, 6],
+    [3, 6, 8],
+    [3, 8, 9],
+    [4, 9, 5],
+    [2, 4, 11],
+    [6, 2, 10],
+    [8, 6, 7],
+    [9, 8, 1],
+];
+
 /// An icosphere: twenty triangles, each cut in four `levels` times; big enough triangles to aim at edges and corners.
 fn icosphere(levels: u32) -> Mesh {
     let g = (1.0 + 5.0f32.sqrt()) / 2.0;
-    let mut positions = Vec::new();
-    for (a, b) in [(-1.0, g), (1.0, g), (-1.0, -g), (1.0, -g)] {
-        positions.push(Vec3::new(a, b, 0.0));
-    }
-    for (a, b) in [(-1.0, g), (1.0, g), (-1.0, -g), (1.0, -g)] {
-        positions.push(Vec3::new(0.0, a, b));
-    }
-    for (a, b) in [(g, -1.0), (g, 1.0), (-g, -1.0), (-g, 1.0)] {
-        positions.push(Vec3::new(a, 0.0, b));
-    }
-    let mut triangles: Vec<[u32; 3]> = vec![
-        [0, 11, 5],
-        [0, 5, 1],
-        [0, 1, 7],
-        [0, 7, 10],
-        [0, 10, 11],
-        [1, 5, 9],
-        [5, 11, 4],
-        [11, 10, 2],
-        [10, 7, 6],
-        [7, 1, 8],
-        [3, 9, 4],
-        [3, 4, 2],
-        [3, 2, 6],
-        [3, 6, 8],
-        [3, 8, 9],
-        [4, 9, 5],
-        [2, 4, 11],
-        [6, 2, 10],
-        [8, 6, 7],
-        [9, 8, 1],
-    ];
+    // The corners of three golden rectangles, each at right angles to the others.
+    let corners = [(-1.0, g), (1.0, g), (-1.0, -g), (1.0, -g)];
+    let mut positions = corners.map(|(a, b)| Vec3::new(a, b, 0.0)).to_vec();
+    positions.extend(corners.map(|(a, b)| Vec3::new(0.0, a, b)));
+    positions.extend(corners.map(|(a, b)| Vec3::new(b, 0.0, a)));
+    let mut triangles = ICOSAHEDRON.to_vec();
     for _ in 0..levels {
-        let mut middles = std::collections::HashMap::new();
-        let mut finer = Vec::new();
-        for t in triangles {
-            let m = [0, 1, 2].map(|k: usize| {
-                let (a, b) = (t[k], t[(k + 1) % 3]);
-                *middles.entry((a.min(b), a.max(b))).or_insert_with(|| {
-                    positions.push((positions[a as usize] + positions[b as usize]) / 2.0);
-                    positions.len() as u32 - 1
-                })
-            });
-            finer.extend([[t[0], m[0], m[2]], [t[1], m[1], m[0]], [t[2], m[2], m[1]], m]);
-        }
-        triangles = finer;
+        triangles = cut_in_four(&mut positions, &triangles);
         positions.iter_mut().for_each(|p| *p = p.normalize());
     }
     let normals = positions.iter().map(|p| p.normalize()).collect();
     let uvs = Some(positions.iter().map(|p| Vec2::new(p.x, p.y) * 0.2 + 0.5).collect());
     Mesh { positions, normals, uvs, triangles }
+}
+
+/// Cuts each triangle in four at the middles of its sides, which are added to `positions`, each once.
+fn cut_in_four(positions: &mut Vec<Vec3>, triangles: &[[u32; 3]]) -> Vec<[u32; 3]> {
+    let mut middles = std::collections::HashMap::new();
+    let mut finer = Vec::new();
+    for t in triangles {
+        let m = [0, 1, 2].map(|k: usize| {
+            let (a, b) = (t[k], t[(k + 1) % 3]);
+            *middles.entry((a.min(b), a.max(b))).or_insert_with(|| {
+                positions.push((positions[a as usize] + positions[b as usize]) / 2.0);
+                positions.len() as u32 - 1
+            })
+        });
+        finer.extend([[t[0], m[0], m[2]], [t[1], m[1], m[0]], [t[2], m[2], m[1]], m]);
+    }
+    finer
 }
 
 /// Random triangles floating about.

@@ -172,23 +172,7 @@ fn describe(contents: &Contents, pack: &mut Pack) -> Result<Value> {
     let atlas = surface.atlas();
     let (center, radius) = surface.bounding_sphere();
     let mesh = pack_mesh(pack, surface.mesh());
-    pack.bytes("albedo", &albedo_bytes(contents, |i| material.albedo[i].0));
-    if has_sheen(&material.sheen) {
-        pack.bytes("along", &albedo_bytes(contents, |i| material.albedo[i].0 + material.sheen[i].0));
-    }
-    if has_tilt(&material.tilt) {
-        pack.bytes("tilt", &material.tilt.iter().flat_map(|tilt| tilt_bytes(tilt.0)).collect::<Vec<_>>());
-    }
-    let blended = material.uniform().is_none();
-    if blended {
-        pack.bytes("blend", &material.blends.iter().flat_map(blend_bytes).collect::<Vec<_>>());
-    }
-    let materials = material.materials().map(|(number, lobe)| {
-        json!({
-            "number": number, "albedo": lobe.albedo, "roughness": lobe.roughness, "ggx": lobe.ndf == Ndf::Ggx,
-        })
-    });
-    let materials: Vec<Value> = materials.collect();
+    pack_texels(contents, pack);
     let shadows = match contents.visibility {
         Some(visibility) => pack_visibility(pack, surface, material, visibility)?,
         None => Value::Null,
@@ -203,10 +187,40 @@ fn describe(contents: &Contents, pack: &mut Pack) -> Result<Value> {
     let cameras: Vec<Value> = cameras.map(|(i, view)| camera_json(i, view, pack)).collect();
     Ok(json!({
         "title": contents.title, "up": contents.up.normalize_or(Vec3::Y), "center": center, "radius": radius,
-        "mesh": mesh, "texture": [atlas.width, atlas.height], "blended": blended, "materials": materials,
-        "edits": contents.edits, "visibility": shadows, "lights": lights,
+        "mesh": mesh, "texture": [atlas.width, atlas.height], "blended": is_blended(material),
+        "materials": materials_json(material), "edits": contents.edits, "visibility": shadows, "lights": lights,
         "cameras": cameras,
     }))
+}
+
+/// Puts what the material has of each texel into `pack`: albedo, and where there are any, sheen, tilt and blend weights.
+fn pack_texels(contents: &Contents, pack: &mut Pack) {
+    let material = contents.material;
+    pack.bytes("albedo", &albedo_bytes(contents, |i| material.albedo[i].0));
+    if has_sheen(&material.sheen) {
+        pack.bytes("along", &albedo_bytes(contents, |i| material.albedo[i].0 + material.sheen[i].0));
+    }
+    if has_tilt(&material.tilt) {
+        pack.bytes("tilt", &material.tilt.iter().flat_map(|tilt| tilt_bytes(tilt.0)).collect::<Vec<_>>());
+    }
+    if is_blended(material) {
+        pack.bytes("blend", &material.blends.iter().flat_map(blend_bytes).collect::<Vec<_>>());
+    }
+}
+
+/// Whether texels blend base materials, each in its own way.
+fn is_blended(material: &MaterialState) -> bool {
+    material.uniform().is_none()
+}
+
+/// The base materials, with their numbers.
+fn materials_json(material: &MaterialState) -> Vec<Value> {
+    let materials = material.materials().map(|(number, lobe)| {
+        json!({
+            "number": number, "albedo": lobe.albedo, "roughness": lobe.roughness, "ggx": lobe.ndf == Ndf::Ggx,
+        })
+    });
+    materials.collect()
 }
 
 /// sRGB albedo of each texel, and whether the texel has a place on the surface.

@@ -73,36 +73,50 @@ enum TrueImages {
 /// # Errors
 /// If a prediction or a ground truth is missing or has the wrong size.
 pub fn run(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
-    let mut rows = Vec::new();
     let mut views = 0;
     for score in &pass.scores {
         views += views_of(session, &score.pass)?.len();
     }
     let side = side_for(views * PARTS.len());
-    for (i, score) in pass.scores.iter().enumerate() {
-        let scored = ScoredPass::open(session, score)?;
-        let mut overlaps = vec![None; scored.views.len()];
-        let scores = score_views(scored.views.len(), scaling(score.scale), |k| {
-            let view = scored.load(session, k, layers_of(score.scale))?;
-            overlaps[k] = view.mask_iou;
-            Ok(view.eval)
-        })?;
-        rows.push(sheet_row(session, &scored, &scores, layers_of(score.scale))?);
-        let folder = session.folder(&pass.name).join(&score.pass);
-        let outliers = write_parts(session, &scored, &scores, layers_of(score.scale), &folder, side)?;
-        if i == 0 {
-            view_report::write(session, &session.folder(&pass.name), &scored.outcomes(&scores, &outliers))?;
-        }
-        session.scores.passes.insert(score.pass.clone(), scores);
-        if i == 0 {
-            session.scores.mask_iou = mean(&overlaps.into_iter().flatten().collect::<Vec<_>>());
-            score_layers(session, pass, &scored)?;
-        }
+    let mut rows = Vec::new();
+    for i in 0..pass.scores.len() {
+        rows.push(score_pass(session, pass, i, side)?);
     }
     if let Some(path) = &pass.mesh {
         let (found, truth) = (session.surface.mesh(), read_mesh(path)?);
         session.scores.chamfer = chamfer_distance(found, &truth, session.scene.seed);
     }
+    write_contact_sheet(session, pass, rows)
+}
+
+/// Scores the pass that `pass.scores[i]` names, and writes pictures of its views with sides of at most `side` pixels. Returns its row of the
+/// contact sheet. The first one also has a report of its views, and its layers are scored.
+fn score_pass(session: &mut Session, pass: &EvaluatePass, i: usize, side: u32) -> Result<SheetRow> {
+    let score = &pass.scores[i];
+    let layers = layers_of(score.scale);
+    let scored = ScoredPass::open(session, score)?;
+    let mut overlaps = vec![None; scored.views.len()];
+    let scores = score_views(scored.views.len(), scaling(score.scale), |k| {
+        let view = scored.load(session, k, layers)?;
+        overlaps[k] = view.mask_iou;
+        Ok(view.eval)
+    })?;
+    let row = sheet_row(session, &scored, &scores, layers)?;
+    let folder = session.folder(&pass.name);
+    let outliers = write_parts(session, &scored, &scores, layers, &folder.join(&score.pass), side)?;
+    if i == 0 {
+        view_report::write(session, &folder, &scored.outcomes(&scores, &outliers))?;
+    }
+    session.scores.passes.insert(score.pass.clone(), scores);
+    if i == 0 {
+        session.scores.mask_iou = mean(&overlaps.into_iter().flatten().collect::<Vec<_>>());
+        score_layers(session, pass, &scored)?;
+    }
+    Ok(row)
+}
+
+/// Writes the contact sheet, if it has a row.
+fn write_contact_sheet(session: &Session, pass: &EvaluatePass, rows: Vec<SheetRow>) -> Result<()> {
     let path = session.folder(&pass.name).join("contact_sheet.png");
     let sheet = Sheet {
         title: session.out.file_name().unwrap_or_default().to_string_lossy().into_owned(),

@@ -60,16 +60,12 @@ use crate::codec::file::{FileUse, FolderLock, check_room, clear_scratch};
 use crate::error::stop::{check_interrupted, stopped_by};
 use crate::error::{Error, Result};
 use crate::fit::ObjectTurned;
-use crate::fit::run::{FitPlugin, Initialize};
+use crate::fit::run::FitPlugin;
 use crate::mesh::Surface;
-use crate::pipeline::Pipeline;
 use crate::profile::{Profiler, stage};
-use crate::report::scores::Scores;
 use crate::scene::Pass;
 use crate::scene::load::LoadedScene;
-use crate::scene::{
-    Albedo, CameraSpec, Light, LightSource, Photographed, Scene, ViewPass, Views, unknown_parts,
-};
+use crate::scene::{CameraSpec, LightSource, Photographed, Scene, ViewPass, Views, unknown_parts};
 use crate::shade::frame::FramePlugin;
 use crate::spawn::{SurfaceUse, load_light, make_surface, spawn};
 use crate::survey::estimate::written_bytes;
@@ -156,37 +152,71 @@ fn run_passes(
         leave_finished(&options.out, progress);
         return Ok(());
     }
-    begun.as_ref().map_or(Ok(()), |begun| begun.check_scene(&loaded.scene))?;
-    preflight::check_output(&loaded.scene, &options.out)?;
-    preflight::check_sizes(&loaded.scene)?;
-    preflight::check_paths(&loaded.scene)?;
-    files::check_within(loaded)?;
+    check_unread(loaded, options, begun.as_ref())?;
     let data = OpenScene::new(&loaded.scene, loaded.roots.as_deref())?;
     let claim = claim(loaded, data.as_ref(), options)?;
     let watched = Watched::new(files::contents(loaded, data.as_ref()));
     let (views, survey) = read_views(&loaded.scene, data.as_ref(), progress)?;
-    let looks = looks(&loaded.scene, survey.as_ref())?;
-    let scene = memory::within(&loaded.scene, &looks, options.memory, progress)?;
-    if !options.resume {
-        check_room(&options.out, written_bytes(&looks, &scene) as u64)?;
-    }
+    let scene = within_limits(&loaded.scene, survey.as_ref(), options, progress)?;
     let mut session = open(&scene, views, options, progress, photograph::take, use_of(&scene))?;
-    let warnings = survey.iter().flat_map(|survey| survey.findings_of(Severity::Warning));
-    session.scores.warnings = warnings.map(|warning| warning.problem.clone()).collect();
-    if survey.is_some_and(|survey| survey.is_turntable()) {
-        session.pipeline.world.insert_resource(ObjectTurned);
+    if let Some(survey) = survey {
+        take_in(&mut session, &survey);
     }
     check_interrupted()?;
     watched.check()?;
     (session.watched, session.profiler) = (watched, profiler);
-    let (mut record, done) = begin(&mut session, claim, loaded, data.as_ref(), options, begun)?;
+    let (record, done) = begin(&mut session, claim, loaded, data.as_ref(), options, begun)?;
+    run_to_end(session, record, options, &told, done)
+}
+
+/// Checks a scene before anything that it names is read; one that goes on must be as it was when the run was `begun`.
+fn check_unread(loaded: &LoadedScene, options: &RunOptions, begun: Option<&RunStart>) -> Result<()> {
+    begun.map_or(Ok(()), |begun| begun.check_scene(&loaded.scene))?;
+    preflight::check_output(&loaded.scene, &options.out)?;
+    preflight::check_sizes(&loaded.scene)?;
+    preflight::check_paths(&loaded.scene)?;
+    files::check_within(loaded)
+}
+
+/// The scene with pools that keep to the memory that the run may take. What a new run writes must have room on the disk.
+fn within_limits<'a>(
+    scene: &'a Scene,
+    survey: Option<&Survey>,
+    options: &RunOptions,
+    progress: &dyn Progress,
+) -> Result<Cow<'a, Scene>> {
+    let looks = looks(scene, survey)?;
+    let scene = memory::within(scene, &looks, options.memory, progress)?;
+    if !options.resume {
+        check_room(&options.out, written_bytes(&looks, &scene) as u64)?;
+    }
+    Ok(scene)
+}
+
+/// Takes into a session what a survey has found in the photographs: warnings, and whether the object turns before the camera.
+fn take_in(session: &mut Session, survey: &Survey) {
+    let warnings = survey.findings_of(Severity::Warning);
+    session.scores.warnings = warnings.map(|warning| warning.problem.clone()).collect();
+    if survey.is_turntable() {
+        session.pipeline.world.insert_resource(ObjectTurned);
+    }
+}
+
+/// Runs the passes after the first `done`, and writes how the run ended into its manifest and its report.
+fn run_to_end(
+    mut session: Session,
+    mut record: RunRecord,
+    options: &RunOptions,
+    told: &RecordedMessages,
+    done: usize,
+) -> Result<()> {
     let mut report = Reporter::default();
-    let ended = sequence::run(&mut session, &mut record, &mut report, &told, done);
+    let ended = sequence::run(&mut session, &mut record, &mut report, told, done);
     let finished = session.finish();
     let ended = ended.and(finished);
     match &ended {
         Ok(()) => resume::clear(&options.out)?,
-        Err(_) => say_how_to_go_on(options, progress),
+        Err(_) => say_how_to_go_on(options, told),
     }
     // The folder is the run's own until its report says how it ended.
     record.end(ended).and(report.write(&options.out))
@@ -337,33 +367,10 @@ fn open<'a>(
         views = take(truth, spec, scene, progress)?;
     }
     check_cameras(&views, &surface)?;
-    let mut pipeline = Pipeline::new();
-    pipeline.add_plugin(&FramePlugin).add_plugin(&FitPlugin);
-    spawn(&mut pipeline, scene, &surface, views, lights.own.as_ref())?;
-    let out = options.out.clone();
-    let initialize = Initialize {
-        light: matches!(scene.light, Light::Unknown(_)),
-        albedo: matches!(scene.material.albedo, Albedo::Unknown),
-        specular: scene.material.specular.is_open(),
-    };
-    let mut session = Session {
-        scene,
-        pipeline,
-        surface,
-        truth,
-        out,
-        lights,
-        initialize,
-        debug_every: options.debug_every,
-        progress,
-        scores: Scores::default(),
-        several: false,
-        placed: Placed::default(),
-        surface_found: false,
-        watched: Watched::default(),
-        profiler: None,
-        has_object: !scene.passes.iter().any(|pass| matches!(pass, Pass::Shape(_) | Pass::Fit(_))),
-    };
+    let mut session = Session::new(scene, surface, lights, progress);
+    (session.truth, session.out, session.debug_every) = (truth, options.out.clone(), options.debug_every);
+    session.pipeline.add_plugin(&FramePlugin).add_plugin(&FitPlugin);
+    spawn(&mut session.pipeline, scene, &session.surface, views, session.lights.own.as_ref())?;
     preflight::check(&mut session)?;
     Ok(session)
 }

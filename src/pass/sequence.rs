@@ -31,6 +31,8 @@ struct Unfinished<'a> {
     stopped: Vec<&'a Pass>,
     /// The first error of a pass.
     first: Option<Error>,
+    /// Whether later passes would end in the same way as the last.
+    ends_all: bool,
 }
 
 /// Runs all passes after the first `done`, but those that need one that failed; scores and report are written after each. Once the run is
@@ -52,41 +54,28 @@ pub(super) fn run(
     }
     report.write(&session.out)?;
     for (index, pass) in session.scene.passes.iter().enumerate().skip(done) {
-        if let Some(needed) = unfinished.failed.iter().find(|failed| needs(pass, failed)) {
-            let text = format!("pass {} is left out: it needs {}", pass.name(), needed.name());
-            session.progress.note(&text);
+        if unfinished.leaves_out(session, pass) {
             record.pass(index, RunState::Skipped, told.take())?;
-            unfinished.failed.push(pass);
             continue;
         }
-        if stopped_by().is_some() && !(session.has_object && writes_results(pass, &unfinished.stopped)) {
-            unfinished.stopped.push(pass);
+        if unfinished.stops_before(session, pass) {
             continue;
         }
         record.pass(index, RunState::Running, Vec::new())?;
-        begin(session, index);
-        let at_work = profile::pass(pass.name());
-        let ended = run_pass(session, pass);
-        drop(at_work);
-        finish_stopping();
-        let state = state_of(&ended);
-        let ends_all = unfinished.note(session, pass, ended);
+        let state = unfinished.carry_out(session, index, pass);
         let _after = profile::stage("scores, report, checkpoint");
-        let recorded = record.pass(index, state, told.take());
-        let recorded =
-            recorded.and_then(|()| session.write_scores()).and_then(|()| report.write(&session.out));
-        if ends_all || recorded.is_err() {
+        let recorded = record.pass(index, state, told.take()).and_then(|()| write_scored(session, report));
+        if unfinished.ends_all || recorded.is_err() {
             return unfinished.first.map_or(recorded, Err);
         }
-        if unfinished.failed.is_empty() {
-            go_on_after(session, index)?;
-        } else {
-            // A run that goes on repeats all from the first failure.
-            session.pipeline.world.remove_resource::<Checkpoints>();
-        }
+        go_on_after(session, index, &unfinished)?;
     }
-    let stopped = if stopped_by().is_some() { Err(Error::Interrupted) } else { Ok(()) };
-    unfinished.first.map_or(stopped, Err)
+    unfinished.outcome()
+}
+
+/// Writes the scores so far, and the report that shows them.
+fn write_scored(session: &mut Session, report: &mut Reporter) -> Result<()> {
+    session.write_scores().and_then(|()| report.write(&session.out))
 }
 
 /// Begins a pass, and lets whoever watches the run look at the object before it.
@@ -102,7 +91,12 @@ fn begin(session: &mut Session, index: usize) {
 }
 
 /// Keeps what later passes start from, and leaves what an earlier one needed.
-fn go_on_after(session: &mut Session, index: usize) -> Result<()> {
+fn go_on_after(session: &mut Session, index: usize, unfinished: &Unfinished) -> Result<()> {
+    if !unfinished.failed.is_empty() {
+        // A run that goes on repeats all from the first failure.
+        session.pipeline.world.remove_resource::<Checkpoints>();
+        return Ok(());
+    }
     keep(session, index + 1)?;
     let passes = &session.scene.passes;
     let is_last = index + 1 == passes.len();
@@ -111,19 +105,49 @@ fn go_on_after(session: &mut Session, index: usize) -> Result<()> {
 }
 
 impl<'a> Unfinished<'a> {
-    /// Notes how a pass ended. Returns whether later passes would end in the same way.
-    fn note(&mut self, session: &Session, pass: &'a Pass, ended: Result<()>) -> bool {
+    /// Whether a pass is left out because it needs one that failed; if so, says which.
+    fn leaves_out(&mut self, session: &Session, pass: &'a Pass) -> bool {
+        let Some(needed) = self.failed.iter().find(|failed| needs(pass, failed)) else { return false };
+        let text = format!("pass {} is left out: it needs {}", pass.name(), needed.name());
+        session.progress.note(&text);
+        self.failed.push(pass);
+        true
+    }
+
+    /// Whether a run that is asked to stop does so before a pass.
+    fn stops_before(&mut self, session: &Session, pass: &'a Pass) -> bool {
+        let stops = stopped_by().is_some() && !(session.has_object && writes_results(pass, &self.stopped));
+        if stops {
+            self.stopped.push(pass);
+        }
+        stops
+    }
+
+    /// Runs pass `index`, and returns how it ended.
+    fn carry_out(&mut self, session: &mut Session, index: usize, pass: &'a Pass) -> RunState {
+        begin(session, index);
+        let at_work = profile::pass(pass.name());
+        let ended = run_pass(session, pass);
+        drop(at_work);
+        finish_stopping();
+        let state = state_of(&ended);
+        self.note(session, pass, ended);
+        state
+    }
+
+    /// Notes how a pass ended.
+    fn note(&mut self, session: &Session, pass: &'a Pass, ended: Result<()>) {
         let error = match ended {
-            Ok(()) => return false,
+            Ok(()) => return,
             Err(Error::Interrupted) => {
                 self.stopped.push(pass);
-                return false;
+                return;
             }
             Err(error) => error,
         };
-        let ends_all = ends_all(&error);
+        self.ends_all = ends_all(&error);
         match &self.first {
-            _ if ends_all => {}
+            _ if self.ends_all => {}
             None => {
                 session.progress.note(&format!("pass {} failed; what does not need it goes on", pass.name()));
             }
@@ -131,7 +155,12 @@ impl<'a> Unfinished<'a> {
         }
         self.failed.push(pass);
         self.first.get_or_insert(error);
-        ends_all
+    }
+
+    /// How the run ends: with the first error of a pass, or because it was stopped.
+    fn outcome(self) -> Result<()> {
+        let stopped = if stopped_by().is_some() { Err(Error::Interrupted) } else { Ok(()) };
+        self.first.map_or(stopped, Err)
     }
 }
 

@@ -16,7 +16,7 @@ use crate::pipeline::Pipeline;
 use crate::profile::{Profiler, stage};
 use crate::report::profile::profile_table;
 use crate::report::scores::{FrameTried, Scores};
-use crate::scene::{Light, Pass, Scene, Visibility};
+use crate::scene::{Albedo, Light, Pass, Scene, Visibility};
 use crate::spawn::{LoadedLight, load_light, unknowns};
 use crate::visibility::{ObjectVisibility, VisibilitySettings};
 use serde::{Deserialize, Serialize};
@@ -150,6 +150,38 @@ impl Session<'_> {
 }
 
 impl<'a> Session<'a> {
+    /// A session before anything is put into its world; it has no output folder yet.
+    pub(super) fn new(
+        scene: &'a Scene,
+        surface: Arc<Surface>,
+        lights: Lights,
+        progress: &'a dyn Progress,
+    ) -> Self {
+        let initialize = Initialize {
+            light: matches!(scene.light, Light::Unknown(_)),
+            albedo: matches!(scene.material.albedo, Albedo::Unknown),
+            specular: scene.material.specular.is_open(),
+        };
+        Self {
+            scene,
+            pipeline: Pipeline::new(),
+            surface,
+            truth: None,
+            out: PathBuf::new(),
+            lights,
+            initialize,
+            debug_every: None,
+            progress,
+            scores: Scores::default(),
+            several: false,
+            placed: Placed::default(),
+            surface_found: false,
+            watched: Watched::default(),
+            profiler: None,
+            has_object: !scene.passes.iter().any(|pass| matches!(pass, Pass::Shape(_) | Pass::Fit(_))),
+        }
+    }
+
     /// The frame in which the scene's own light stands still; `None` if a fit is to find it.
     pub fn light_frame(&self) -> Option<LightFrame> {
         self.scene.light_frame.frame(&self.scene.light)

@@ -65,6 +65,26 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     let start = Instant::now();
     // Base materials have equal weights until the shape is recovered.
     session.pipeline.world.insert_resource(TexelPlaces::default());
+    let (surface, mut stopped) = fit(session, pass)?;
+    if stopped {
+        finish_stopping();
+    }
+    session.report_light_frame(&pass.name);
+    if !stopped {
+        // The pools of the fit would be there beside the photographs as stereo compares them.
+        renew(session)?;
+    }
+    stopped |= take_over(session, pass, surface, texture_size, stopped)?;
+    let elapsed = start.elapsed().as_secs_f64();
+    session.scores.fit_secs = Some(session.scores.fit_secs.unwrap_or(0.0) + elapsed);
+    let triangles = session.surface.mesh().triangles.len();
+    session.progress.print(&format!("{}: {triangles} triangles in {elapsed:.1} s", pass.name));
+    found_views::write(session, &pass.name, pass.cameras, pass.exposure)?;
+    if stopped { Err(Error::Interrupted) } else { Ok(()) }
+}
+
+/// Fits the shape, with a bar and a look at it now and then. Returns the surface that was found, and whether the run was stopped before the end.
+fn fit(session: &mut Session, pass: &ShapePass) -> Result<(SdfSurface, bool)> {
     let options = options(session, pass);
     let most: u32 = pass.levels.iter().map(|level| level.steps).sum();
     let bar = session.progress.bar(&pass.name, u64::from(most));
@@ -87,21 +107,7 @@ pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
         })?;
     bar.finish_and_clear();
     failure.map_or(Ok(()), Err)?;
-    if stopped {
-        finish_stopping();
-    }
-    session.report_light_frame(&pass.name);
-    if !stopped {
-        // The pools of the fit would be there beside the photographs as stereo compares them.
-        renew(session)?;
-    }
-    stopped |= take_over(session, pass, surface, texture_size, stopped)?;
-    let elapsed = start.elapsed().as_secs_f64();
-    session.scores.fit_secs = Some(session.scores.fit_secs.unwrap_or(0.0) + elapsed);
-    let triangles = session.surface.mesh().triangles.len();
-    session.progress.print(&format!("{}: {triangles} triangles in {elapsed:.1} s", pass.name));
-    found_views::write(session, &pass.name, pass.cameras, pass.exposure)?;
-    if stopped { Err(Error::Interrupted) } else { Ok(()) }
+    Ok((surface, stopped))
 }
 
 /// Shows a step of the fit on the bar; returns its number among those of all levels, and how many these are.

@@ -47,40 +47,56 @@ pub(super) fn background(
     if photographs.iter().any(|photograph| photograph.size != photographs[0].size) {
         return Ok(Background::Moves);
     }
-    let mut pictures = Vec::new();
-    for photograph in photographs.iter().step_by(photographs.len().div_ceil(COMPARED)) {
-        check_interrupted()?;
-        let picture = small(&images.join(&photograph.name))?;
-        let mask = match masks {
-            Some(masks) => small(&masks.join(format!("{}.png", photograph.name)))?,
-            None => middle(picture.width(), picture.height()),
-        };
-        pictures.push((picture, mask));
-    }
-    let (mut difference, mut values, mut compared) = (0.0, Vec::new(), 0);
-    for (k, (picture, mask)) in pictures.iter().enumerate() {
-        let (other, other_mask) = &pictures[(k + 1) % pictures.len()];
-        for i in 0..picture.as_raw().len() {
-            if mask.as_raw()[i] == 0 && other_mask.as_raw()[i] == 0 {
-                let [a, b] = [picture, other].map(|picture| f64::from(picture.as_raw()[i]));
-                difference += (a - b).abs();
-                values.push(a);
-                compared += 1;
-            }
+    let pictures = compared(photographs, images, masks)?;
+    let (mut difference, mut values) = (0.0, Vec::new());
+    for (k, one) in pictures.iter().enumerate() {
+        let other = &pictures[(k + 1) % pictures.len()];
+        for i in (0..one.gray.as_raw().len()).filter(|&i| one.is_background(i) && other.is_background(i)) {
+            let [a, b] = [one, other].map(|picture| f64::from(picture.gray.as_raw()[i]));
+            difference += (a - b).abs();
+            values.push(a);
         }
     }
-    let pixels: usize = pictures.iter().map(|(picture, _)| picture.as_raw().len()).sum();
-    if (compared as f64) < LEAST_BACKGROUND * pixels as f64 {
+    let pixels: usize = pictures.iter().map(|picture| picture.gray.as_raw().len()).sum();
+    if (values.len() as f64) < LEAST_BACKGROUND * pixels as f64 {
         return Ok(Background::SaysNothing);
     }
     let contrast = deviation(&values);
     Ok(if contrast < PLAIN {
         Background::SaysNothing
-    } else if difference / (compared as f64) < SAME * contrast {
+    } else if difference / (values.len() as f64) < SAME * contrast {
         Background::StandsStill
     } else {
         Background::Moves
     })
+}
+
+/// A photograph in gray with its mask, both a few pixels wide.
+struct SmallPicture {
+    gray: GrayImage,
+    mask: GrayImage,
+}
+
+impl SmallPicture {
+    /// Whether pixel `i` is not of the object.
+    fn is_background(&self, i: usize) -> bool {
+        self.mask.as_raw()[i] == 0
+    }
+}
+
+/// The photographs that are compared, spread over all.
+fn compared(photographs: &[Photograph], images: &Path, masks: Option<&Path>) -> Result<Vec<SmallPicture>> {
+    let mut pictures = Vec::new();
+    for photograph in photographs.iter().step_by(photographs.len().div_ceil(COMPARED)) {
+        check_interrupted()?;
+        let gray = small(&images.join(&photograph.name))?;
+        let mask = match masks {
+            Some(masks) => small(&masks.join(format!("{}.png", photograph.name)))?,
+            None => middle(gray.width(), gray.height()),
+        };
+        pictures.push(SmallPicture { gray, mask });
+    }
+    Ok(pictures)
 }
 
 fn deviation(values: &[f64]) -> f64 {

@@ -17,7 +17,7 @@ use std::collections::BTreeSet;
 use std::ffi::OsString;
 use std::fs;
 use std::io::BufWriter;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// Photographs and frames of a video up to which all pairs are matched.
 const MOST_EXHAUSTIVE: [usize; 2] = [500, 100];
@@ -88,6 +88,28 @@ impl Reconstruction<'_> {
     /// # Errors
     /// Those of [`prepare`](crate::prepare::prepare).
     pub fn run(&self, work: &mut Work) -> Result<Prepared> {
+        self.find_cameras(work)?;
+        let (largest, names) = self.largest_model(work)?;
+        let model = self.refine(work, &largest, names.len())?;
+        let with_platter = self.features == Features::ObjectAndPlatter;
+        let model = if with_platter { self.adjust_by_platter(work, &model)? } else { model };
+        let error = mean_reprojection_error(&model)?;
+        let settings = format!("{} {with_platter}", self.options.keep_distortion);
+        work.step("undistortion", &settings, |work| self.finish(work, &model, &names))?;
+        let left_out = self.photographs.iter().map(|photograph| photograph.name.clone());
+        Ok(Prepared {
+            photographs: self.photographs.len(),
+            video_frames: None,
+            left_out: left_out.filter(|name| !names.contains(name)).collect(),
+            reprojection_error: error,
+            weak: weak(points_seen(&model)?),
+            has_masks: self.has_masks,
+            scene: None,
+        })
+    }
+
+    /// Finds features, matches them, and makes models of cameras and points, as `models` of `work`.
+    fn find_cameras(&self, work: &mut Work) -> Result<()> {
         let (lens, cameras, pairs) = (self.options.lens, self.cameras(), self.pairs());
         work.step("features", &format!("{lens:?} {cameras:?} {}", self.on_object()), |work| {
             self.extract(work, cameras)
@@ -96,6 +118,11 @@ impl Reconstruction<'_> {
             self.colmap_step(work, "matching", 100, &self.colmap.matching(&work.path("database.db"), &pairs))
         })?;
         work.step("mapping", "", |work| self.map(work))?;
+        Ok(())
+    }
+
+    /// The folder of the model with the most photographs, and their names.
+    fn largest_model(&self, work: &Work) -> Result<(PathBuf, BTreeSet<String>)> {
         let found = models(&work.path("models"))?;
         let largest = found.first().ok_or_else(|| self.no_cameras("COLMAP made no model"))?;
         if found.len() > 1 {
@@ -112,28 +139,19 @@ impl Reconstruction<'_> {
                 self.no_cameras(&format!("COLMAP found the cameras of {} photographs only", names.len()))
             );
         }
-        let refines = self.refines_center(names.len());
-        let model = if refines { work.path("refined") } else { largest.folder.clone() };
-        work.step("refinement", &format!("{refines} {}", largest.folder.display()), |work| {
+        Ok((largest.folder.clone(), names))
+    }
+
+    /// Finds the center of the image too, where the `registered` photographs determine it. Returns the folder of the model from then on.
+    fn refine(&self, work: &mut Work, largest: &Path, registered: usize) -> Result<PathBuf> {
+        let refines = self.refines_center(registered);
+        let model = if refines { work.path("refined") } else { largest.to_owned() };
+        work.step("refinement", &format!("{refines} {}", largest.display()), |work| {
             let rounds =
                 Rounds { name: "refinement", database: "database.db", output: "refined", finds_center: true };
-            if refines { self.adjust_in_rounds(work, &rounds, &largest.folder) } else { Ok(()) }
+            if refines { self.adjust_in_rounds(work, &rounds, largest) } else { Ok(()) }
         })?;
-        let with_platter = self.features == Features::ObjectAndPlatter;
-        let model = if with_platter { self.adjust_by_platter(work, &model)? } else { model };
-        let error = mean_reprojection_error(&model)?;
-        let settings = format!("{} {with_platter}", self.options.keep_distortion);
-        work.step("undistortion", &settings, |work| self.finish(work, &model, &names))?;
-        let left_out = self.photographs.iter().map(|photograph| photograph.name.clone());
-        Ok(Prepared {
-            photographs: self.photographs.len(),
-            video_frames: None,
-            left_out: left_out.filter(|name| !names.contains(name)).collect(),
-            reprojection_error: error,
-            weak: weak(points_seen(&model)?),
-            has_masks: self.has_masks,
-            scene: None,
-        })
+        Ok(model)
     }
 
     fn on_object(&self) -> bool {

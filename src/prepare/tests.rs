@@ -69,6 +69,13 @@ impl Capture {
         PrepareOptions { masks, colmap, ..PrepareOptions::new(self.path("photos"), self.path("out")) }
     }
 
+    /// What is said of options, changed so that they are refused.
+    fn refused(&self, change: impl FnOnce(&mut PrepareOptions)) -> String {
+        let mut options = self.options();
+        change(&mut options);
+        refused(&options)
+    }
+
     fn calls(&self) -> Vec<String> {
         let text = fs::read_to_string(self.path("calls")).unwrap_or_default();
         let _ = fs::remove_file(self.path("calls"));
@@ -389,34 +396,42 @@ fn a_photograph_that_is_cut_off_never_reaches_colmap() {
 #[test]
 fn bad_input_leaves_no_folder() {
     let capture = Capture::new();
-    let given = |change: &dyn Fn(&mut PrepareOptions)| {
-        let mut options = capture.options();
-        change(&mut options);
-        options
-    };
-    let text = refused(&given(&|options| options.colmap = "no-such-colmap-anywhere".into()));
+    let text = capture.refused(|options| options.colmap = "no-such-colmap-anywhere".into());
     assert!(
         text.contains("no program `no-such-colmap-anywhere` on the PATH")
             && text.contains("apt install colmap"),
         "{text}"
     );
-    let text = refused(&given(&|options| options.photographs = capture.path("none")));
+    let text = capture.refused(|options| options.photographs = capture.path("none"));
     assert!(text.contains("no such folder"), "{text}");
-    let text = refused(&given(&|options| options.masks = MaskSource::Command("rembg".into())));
+    let text = capture.refused(|options| options.masks = MaskSource::Command("rembg".into()));
     assert!(text.contains("has no {in}"), "{text}");
+    assert!(!capture.path("out").exists());
+    let other = script(capture.folder.path(), "other", "echo some other program");
+    let text = capture.refused(|options| options.colmap = other);
+    assert!(text.contains("is not COLMAP"), "{text}");
+    fs::create_dir(capture.path("out")).unwrap();
+    fs::write(capture.path("out/thesis.txt"), "x").unwrap();
+    assert!(refused(&capture.options()).contains("it has thesis.txt"));
+    assert_eq!(fs::read_dir(capture.path("out")).unwrap().count(), 1);
+}
+
+#[test]
+fn bad_videos_leave_no_folder() {
+    let capture = Capture::new();
     for bad in [0.0, -1.0, f32::NAN, f32::INFINITY] {
-        let given = given(&|options| options.frames = FrameCount::PerSecond(bad));
-        assert!(refused(&given).contains("frames per second"));
+        let text = capture.refused(|options| options.frames = FrameCount::PerSecond(bad));
+        assert!(text.contains("frames per second"), "{text}");
     }
-    let text = refused(&given(&|options| options.frames = FrameCount::Count(2)));
+    let text = capture.refused(|options| options.frames = FrameCount::Count(2));
     assert!(text.contains("2 frames of a video, and cameras need at least 3"), "{text}");
     let video = capture.path("clip");
     fs::write(&video, b"\0\0\0\x18ftypqt  \0\0\0\0").unwrap();
     let of_video = |ffmpeg: PathBuf| {
-        refused(&given(&|options| {
-            (options.photographs, options.ffmpeg) = (video.clone(), ffmpeg.clone());
+        capture.refused(|options| {
+            (options.photographs, options.ffmpeg) = (video.clone(), ffmpeg);
             options.frames = FrameCount::Count(50);
-        }))
+        })
     };
     assert!(of_video("no-such-ffmpeg-anywhere".into()).contains("apt install ffmpeg"));
     let broken = script(capture.folder.path(), "broken", "echo moov atom not found >&2; exit 1");
@@ -424,13 +439,6 @@ fn bad_input_leaves_no_folder() {
     let text = of_video(fake_ffmpeg(capture.folder.path(), 40, "00:00:01.60"));
     assert!(text.contains("40 frames, fewer than the 50 of --frames 50"), "{text}");
     assert!(!capture.path("out").exists());
-    let other = script(capture.folder.path(), "other", "echo some other program");
-    let text = refused(&given(&|options| options.colmap = other.clone()));
-    assert!(text.contains("is not COLMAP"), "{text}");
-    fs::create_dir(capture.path("out")).unwrap();
-    fs::write(capture.path("out/thesis.txt"), "x").unwrap();
-    assert!(refused(&capture.options()).contains("it has thesis.txt"));
-    assert_eq!(fs::read_dir(capture.path("out")).unwrap().count(), 1);
 }
 
 #[test]

@@ -107,32 +107,7 @@ mod tests {
     use super::*;
     use indexmap::IndexMap;
 
-    #[test]
-    fn the_table_lines_up() {
-        let srgb = SrgbScores {
-            psnr_mask: 28.125,
-            psnr_white: 31.5,
-            psnr_black: 9.876,
-            ssim_white: 0.96,
-            ssim_black: 0.75,
-        };
-        let pass = |scaling, specular, srgb| PassScores {
-            psnr: 41.618,
-            psnr_raw: 9.5,
-            ssim: 0.98765,
-            scaling,
-            scale: [1.0, 0.5, 12.25],
-            scale_specular: specular,
-            srgb,
-            views: Vec::new(),
-        };
-        let passes = IndexMap::from([
-            ("novel".to_owned(), pass(Scaling::None, None, Some(srgb))),
-            ("edited_gold".to_owned(), pass(Scaling::PerLayer, Some([2.0; 3]), None)),
-        ]);
-        let mut scores =
-            Scores { passes, normal_deg: Some(0.125), peak_rss_mib: Some(812.4), ..Scores::default() };
-        let expected = "\
+    const TABLE: &str = "\
 pass                  PSNR dB   raw    SSIM  scale R      G       B
 ───────────────────────────────────────────────────────────────────
 novel                   41.62  9.50  0.9877        –      –       –
@@ -144,7 +119,36 @@ in sRGB  mask dB  white dB    SSIM  black dB    SSIM
 novel      28.12     31.50  0.9600      9.88  0.7500
 normals 0.12° · peak memory 812 MiB
 ";
-        assert_eq!(scores.table(), expected);
+
+    fn pass(scaling: Scaling, specular: Option<[f64; 3]>, srgb: Option<SrgbScores>) -> PassScores {
+        PassScores {
+            psnr: 41.618,
+            psnr_raw: 9.5,
+            ssim: 0.98765,
+            scaling,
+            scale: [1.0, 0.5, 12.25],
+            scale_specular: specular,
+            srgb,
+            views: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn the_table_lines_up() {
+        let srgb = SrgbScores {
+            psnr_mask: 28.125,
+            psnr_white: 31.5,
+            psnr_black: 9.876,
+            ssim_white: 0.96,
+            ssim_black: 0.75,
+        };
+        let passes = IndexMap::from([
+            ("novel".to_owned(), pass(Scaling::None, None, Some(srgb))),
+            ("edited_gold".to_owned(), pass(Scaling::PerLayer, Some([2.0; 3]), None)),
+        ]);
+        let mut scores =
+            Scores { passes, normal_deg: Some(0.125), peak_rss_mib: Some(812.4), ..Scores::default() };
+        assert_eq!(scores.table(), TABLE);
         (scores.normal_median_deg, scores.normal_pixels) = (Some(0.075), Some(12_779));
         assert!(
             scores.table().contains("normals 0.12° (median 0.07°, 12779 pixels) · "),

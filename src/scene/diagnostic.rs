@@ -64,50 +64,62 @@ impl SceneText<'_> {
 
     /// RON that does not have the scene's shape.
     pub fn shape(&self, root: &Node, error: &ron::error::SpannedError) -> Error {
+        let at = self.offset(error.span.start)..self.offset(error.span.end);
+        let fault = self.fault_of_name(root, &error.code, &at);
+        self.error(vec![fault.unwrap_or_else(|| self.fault_of_value(root, &error.code, &at))])
+    }
+
+    /// A field or a choice that is unknown, missing or given twice; `None` for any other error.
+    fn fault_of_name(&self, root: &Node, error: &ron::error::Error, at: &Range<usize>) -> Option<Fault> {
         use ron::error::Error as Ron;
-        let start = self.offset(error.span.start);
-        let end = self.offset(error.span.end);
-        let (message, at, label, help) = match &error.code {
-            Ron::NoSuchStructField { expected, found, outer } => (
+        Some(match error {
+            Ron::NoSuchStructField { expected, found, outer } => one(
                 format!("unknown field `{found}`{}", within(outer)),
-                self.field_before(root, found, end),
+                self.field_before(root, found, at.end),
                 "not a field here".to_owned(),
                 choices("fields", found, expected),
             ),
-            Ron::NoSuchEnumVariant { expected, found, outer } => (
+            Ron::NoSuchEnumVariant { expected, found, outer } => one(
                 format!("unknown choice `{found}`{}", within(outer)),
-                self.word_before(found, end),
+                self.word_before(found, at.end),
                 "not one of the choices here".to_owned(),
                 choices("choices", found, expected),
             ),
-            Ron::MissingStructField { field, outer } => (
+            Ron::MissingStructField { field, outer } => one(
                 format!("missing field `{field}`{}", within(outer)),
-                struct_at(root, start).handle(self.text),
+                struct_at(root, at.start).handle(self.text),
                 format!("expected `{field}` in here"),
                 format!("Add `{field}: …`."),
             ),
-            Ron::DuplicateStructField { field, outer } => (
+            Ron::DuplicateStructField { field, outer } => one(
                 format!("field `{field}` is given twice{}", within(outer)),
-                self.field_before(root, field, end),
+                self.field_before(root, field, at.end),
                 "second time".to_owned(),
                 "Remove one of the two.".to_owned(),
             ),
-            Ron::ExpectedDifferentLength { expected, found } => {
-                let node = with_parts(root, start.saturating_sub(1));
-                let expected = match expected.contains("3 f32") {
-                    true => "expected three numbers".to_owned(),
-                    false => format!("expected {expected}"),
-                };
-                (format!("{expected}, found {found}"), node.handle(self.text), expected, String::new())
-            }
-            other => {
-                let node = self.value_at(root, start, end);
-                let (expected, help) = self.explain(other, node);
-                let found = &self.text[node.handle(self.text)];
-                (format!("{expected}, found `{found}`"), node.handle(self.text), expected, help)
-            }
-        };
-        self.error(vec![one(message, at, label, help)])
+            _ => return None,
+        })
+    }
+
+    /// A value that is not what is expected in its place.
+    fn fault_of_value(&self, root: &Node, error: &ron::error::Error, at: &Range<usize>) -> Fault {
+        if let ron::error::Error::ExpectedDifferentLength { expected, found } = error {
+            let node = with_parts(root, at.start.saturating_sub(1));
+            let expected = match expected.contains("3 f32") {
+                true => "expected three numbers".to_owned(),
+                false => format!("expected {expected}"),
+            };
+            return one(
+                format!("{expected}, found {found}"),
+                node.handle(self.text),
+                expected,
+                String::new(),
+            );
+        }
+        let node = self.value_at(root, at.start, at.end);
+        let (expected, help) = self.explain(error, node);
+        let found = &self.text[node.handle(self.text)];
+        one(format!("{expected}, found `{found}`"), node.handle(self.text), expected, help)
     }
 
     /// Byte offset of a line and column counted from 1 in characters.

@@ -117,46 +117,58 @@ fn llff() -> Mat3A {
     Mat3A::from_cols(Vec3A::Y, Vec3A::X, -Vec3A::Z)
 }
 
+/// What to do about camera axes.
+const AXES: &str = "Write the axes of the layout's convention (see the manual, Data layouts).";
+/// The same if they are those of OpenGL in place of OpenCV's, or the reverse.
+const OPENGL_AXES: &str = "Write the axes of the layout's convention (see the manual, Data layouts): negate the second and the third \
+                           column of each camera's rotation.";
+/// What to do about inverted poses.
+const INVERT: &str =
+    "Write the matrices of the layout's convention (see the manual, Data layouts): invert each of them.";
+/// What to do about pictures that are mirrored or turned.
+const MIRROR: &str = "Mirror the photographs and masks back, or the cameras with them.";
+const TURN: &str =
+    "Turn photographs and masks as the cameras are; check the EXIF orientation that was applied.";
+
+fn cause(change: Change, words: &str, help: &str) -> Cause {
+    Cause { change, words: words.into(), help: help.into() }
+}
+
 /// What may be wrong with the cameras or the photographs themselves, the likelier first.
 pub fn camera_causes() -> Vec<Cause> {
-    let cause = |change, words: &str, help: &str| Cause { change, words: words.into(), help: help.into() };
     let axes = |axes, words, help| cause(Change::CameraAxes(axes), words, help);
-    let poses =
-        "Write the matrices of the layout's convention (see the manual, Data layouts): invert each of them.";
-    let convention = "Write the axes of the layout's convention (see the manual, Data layouts).";
-    let opengl_help = "Write the axes of the layout's convention (see the manual, Data layouts): negate the second and the third \
-                       column of each camera's rotation.";
-    let picture = |axes, words, help| cause(Change::Picture(axes), words, help);
-    let mirror = "Mirror the photographs and masks back, or the cameras with them.";
-    let turn = "Turn photographs and masks as the cameras are; check the EXIF orientation that was applied.";
-    vec![
+    let inverted = |axes, words| cause(Change::Inverted(axes), words, INVERT);
+    let likely = [
         axes(
             opengl(),
             "y and z of the camera axes are negated (OpenGL and OpenCV are confused)",
-            opengl_help,
+            OPENGL_AXES,
         ),
-        cause(Change::Inverted(Mat3A::IDENTITY), "camera_from_world is taken for world_from_camera", poses),
-        cause(
-            Change::Inverted(opengl()),
+        inverted(Mat3A::IDENTITY, "camera_from_world is taken for world_from_camera"),
+        inverted(
+            opengl(),
             "camera_from_world is taken for world_from_camera, and y and z of the camera axes are negated",
-            poses,
         ),
-        picture(diagonal(-1.0, 1.0, 1.0), "photographs are mirrored left to right", mirror),
-        picture(diagonal(1.0, -1.0, 1.0), "photographs are mirrored top to bottom", mirror),
-        picture(diagonal(-1.0, -1.0, 1.0), "photographs are upside down", turn),
-        picture(
-            Mat3A::from_cols(Vec3A::Y, -Vec3A::X, Vec3A::Z),
-            "photographs are turned by 90° counterclockwise",
-            turn,
-        ),
-        picture(
-            Mat3A::from_cols(-Vec3A::Y, Vec3A::X, Vec3A::Z),
-            "photographs are turned by 90° clockwise",
-            turn,
-        ),
-        axes(llff(), "the camera axes are LLFF's (down, right, backward)", convention),
-        axes(diagonal(-1.0, 1.0, -1.0), "x and z of the camera axes are negated", convention),
-        axes(diagonal(-1.0, -1.0, 1.0), "x and y of the camera axes are negated", convention),
+    ];
+    let unlikely = [
+        axes(llff(), "the camera axes are LLFF's (down, right, backward)", AXES),
+        axes(diagonal(-1.0, 1.0, -1.0), "x and z of the camera axes are negated", AXES),
+        axes(diagonal(-1.0, -1.0, 1.0), "x and y of the camera axes are negated", AXES),
+    ];
+    likely.into_iter().chain(picture_causes()).chain(unlikely).collect()
+}
+
+/// What may be wrong with the photographs, the likelier first.
+fn picture_causes() -> [Cause; 5] {
+    let counterclockwise = Mat3A::from_cols(Vec3A::Y, -Vec3A::X, Vec3A::Z);
+    let clockwise = Mat3A::from_cols(-Vec3A::Y, Vec3A::X, Vec3A::Z);
+    let picture = |axes, words, help| cause(Change::Picture(axes), words, help);
+    [
+        picture(diagonal(-1.0, 1.0, 1.0), "photographs are mirrored left to right", MIRROR),
+        picture(diagonal(1.0, -1.0, 1.0), "photographs are mirrored top to bottom", MIRROR),
+        picture(diagonal(-1.0, -1.0, 1.0), "photographs are upside down", TURN),
+        picture(counterclockwise, "photographs are turned by 90° counterclockwise", TURN),
+        picture(clockwise, "photographs are turned by 90° clockwise", TURN),
     ]
 }
 

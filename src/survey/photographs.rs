@@ -1,7 +1,7 @@
 //! Findings about photographs: black, negative or absurdly bright ones, other exposures, blur, and the same picture twice.
 
 use crate::math::statistics::median;
-use crate::survey::finding::{Finding, named};
+use crate::survey::finding::{Finding, Severity, named};
 use crate::survey::look::{Light, MaskSource, ViewLook};
 use crate::survey::statistics::{neighbors, strays};
 use crate::view::glare::{GLARING, glare_limit};
@@ -45,47 +45,65 @@ pub struct Compared {
     pub sharpness: Option<f32>,
 }
 
+/// A fault that a photograph has by its radiance alone.
+struct Fault<'a> {
+    severity: Severity,
+    name: &'static str,
+    is_bad: &'a dyn Fn(&Light) -> bool,
+    /// What is wrong, given the views' names.
+    problem: fn(&str) -> String,
+    help: &'static str,
+}
+
+impl Fault<'_> {
+    /// The finding about the views that have it, if there are any.
+    fn find(&self, looks: &[ViewLook]) -> Option<Finding> {
+        let bad = lights(looks).filter(|(_, light)| (self.is_bad)(light));
+        let views: Vec<String> = bad.map(|(look, _)| look.name.clone()).collect();
+        let problem = || (self.problem)(&named(&views));
+        (!views.is_empty())
+            .then(|| Finding::new(self.severity, self.name, views.clone(), problem(), self.help))
+    }
+}
+
 /// Photographs that cannot be photographs of the object.
 pub fn of_radiance(looks: &[ViewLook]) -> Vec<Finding> {
     let mut medians: Vec<f32> = lights(looks).map(|(_, light)| light.median).collect();
     let Some(usual) = median(&mut medians) else { return Vec::new() };
-    let mut found = Vec::new();
     let is_black = |light: &Light| light.highest <= 0.0 || (usual > 0.0 && light.bright < BLACK * usual);
     let is_bright = |light: &Light| usual > 0.0 && light.median > ABSURD * usual && light.median > 1.0;
-    add(&mut found, looks, "black", is_black, |views| {
-        let problem = format!("the photograph is black where the object is, in {views}");
-        Finding::error("", Vec::new(), problem, "Replace it, or leave the view out with `select`.")
-    });
-    add(&mut found, looks, "absurdly-bright", is_bright, |views| {
-        let problem = format!(
-            "the photograph is absurdly bright in {views}: no light is so much brighter than in the others"
-        );
-        Finding::error(
-            "",
-            Vec::new(),
-            problem,
-            "Write the image again, in the unit of the others, or leave the view out with `select`.",
-        )
-    });
-    found.extend(glaring(looks, is_bright));
-    found.extend(negative(looks));
-    found.extend(turned(looks));
-    add(
-        &mut found,
-        looks,
-        "clipped",
-        |light| light.clipped > MANY_CLIPPED,
-        |views| {
-            let problem = format!("more than a twentieth of the object's pixels are clipped in {views}");
-            Finding::warning(
-                "",
-                Vec::new(),
-                problem,
-                "Expose less, or write images with more range (16-bit PNG, EXR).",
+    let black = Fault {
+        severity: Severity::Error,
+        name: "black",
+        is_bad: &is_black,
+        problem: |views| format!("the photograph is black where the object is, in {views}"),
+        help: "Replace it, or leave the view out with `select`.",
+    };
+    let bright = Fault {
+        severity: Severity::Error,
+        name: "absurdly-bright",
+        is_bad: &is_bright,
+        problem: |views| {
+            format!(
+                "the photograph is absurdly bright in {views}: no light is so much brighter than in the others"
             )
         },
-    );
-    found
+        help: "Write the image again, in the unit of the others, or leave the view out with `select`.",
+    };
+    let found = [black.find(looks), bright.find(looks), glaring(looks, is_bright), negative(looks)];
+    found.into_iter().chain([turned(looks), clipped(looks)]).flatten().collect()
+}
+
+/// Photographs with many pixels at the top of their range.
+fn clipped(looks: &[ViewLook]) -> Option<Finding> {
+    let fault = Fault {
+        severity: Severity::Warning,
+        name: "clipped",
+        is_bad: &|light: &Light| light.clipped > MANY_CLIPPED,
+        problem: |views| format!("more than a twentieth of the object's pixels are clipped in {views}"),
+        help: "Expose less, or write images with more range (16-bit PNG, EXR).",
+    };
+    fault.find(looks)
 }
 
 /// Photographs a few pixels of which are far brighter than anything in the others, but which are not absurd as a whole.
@@ -143,22 +161,6 @@ fn negative(looks: &[ViewLook]) -> Option<Finding> {
 
 fn lights(looks: &[ViewLook]) -> impl Iterator<Item = (&ViewLook, &Light)> {
     looks.iter().filter_map(|look| Some((look, look.light.as_ref()?)))
-}
-
-/// Adds a finding about the views of which `is_bad` is true, if there are any.
-fn add(
-    found: &mut Vec<Finding>,
-    looks: &[ViewLook],
-    name: &'static str,
-    is_bad: impl Fn(&Light) -> bool,
-    words: impl Fn(&str) -> Finding,
-) {
-    let views: Vec<String> =
-        lights(looks).filter(|(_, light)| is_bad(light)).map(|(look, _)| look.name.clone()).collect();
-    if !views.is_empty() {
-        let finding = words(&named(&views));
-        found.push(Finding { name, views, ..finding });
-    }
 }
 
 /// Compares each view with those that see nearly the same side; `directions` are those of the cameras from the object. Views with another

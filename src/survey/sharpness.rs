@@ -22,6 +22,45 @@ pub struct Sharpness {
     pub least: f32,
 }
 
+/// A photograph in halved resolution.
+struct Halved {
+    width: usize,
+    height: usize,
+    /// Square root of luminance relative to the median; `None` where not all of four pixels are the object's.
+    values: Vec<Option<f32>>,
+}
+
+impl Halved {
+    fn new(image: &Image, median: f32, inside: impl Fn(usize) -> bool) -> Self {
+        let (width, height) = (image.width as usize / 2, image.height as usize / 2);
+        let full = image.width as usize;
+        let value = |i: usize| (luminance(image.pixels[i]) / median).clamp(0.0, MOST).sqrt();
+        let halved = |i: usize| {
+            let corner = 2 * (i / width) * full + 2 * (i % width);
+            let block = [corner, corner + 1, corner + full, corner + full + 1];
+            block.iter().all(|&i| inside(i)).then(|| block.iter().map(|&i| value(i)).sum::<f32>() / 4.0)
+        };
+        Self { width, height, values: (0..width * height).map(halved).collect() }
+    }
+
+    /// Whether all pixels around this one have a value. The silhouette is no detail of the object, and a blurred one reaches a little way in.
+    fn is_inner(&self, x: usize, y: usize) -> bool {
+        (y - MARGIN..=y + MARGIN).all(|row| {
+            let row = row * self.width;
+            self.values[row + x - MARGIN..=row + x + MARGIN].iter().all(Option::is_some)
+        })
+    }
+
+    /// Second derivatives at a pixel: across, down, and along both diagonals.
+    fn second(&self, x: usize, y: usize) -> [f32; 4] {
+        let i = y * self.width + x;
+        let at = |i: usize| self.values[i].unwrap_or(0.0);
+        // With the square of the step.
+        let directions = [(1, 1.0f32), (self.width, 1.0), (self.width + 1, 2.0), (self.width - 1, 2.0)];
+        directions.map(|(step, square)| (at(i - step) + at(i + step) - 2.0 * at(i)) / square)
+    }
+}
+
 /// The sharpness of a photograph: `median` is the median luminance in the object, `inside(i)` says whether pixel i is the object's.
 ///
 /// A blur of two pixels lowers it at least fourfold where the object has texture. `None` for fewer than 32 pixels, or no detail at all.
@@ -29,33 +68,14 @@ pub fn sharpness(image: &Image, median: f32, inside: impl Fn(usize) -> bool) -> 
     if median <= 0.0 || !median.is_finite() {
         return None;
     }
-    let (width, height) = (image.width as usize / 2, image.height as usize / 2);
-    let full = image.width as usize;
-    let value = |i: usize| (luminance(image.pixels[i]) / median).clamp(0.0, MOST).sqrt();
-    let halved = |i: usize| {
-        let corner = 2 * (i / width) * full + 2 * (i % width);
-        let block = [corner, corner + 1, corner + full, corner + full + 1];
-        block.iter().all(|&i| inside(i)).then(|| block.iter().map(|&i| value(i)).sum::<f32>() / 4.0)
-    };
-    let halves: Vec<Option<f32>> = (0..width * height).map(halved).collect();
-    // Across, down, and both diagonals, with the square of the step.
-    let directions = [(1, 1.0f32), (width, 1.0), (width + 1, 2.0), (width - 1, 2.0)];
+    let halved = Halved::new(image, median, inside);
     let (mut laplacian, mut along, mut count) = (0.0f64, [0.0f64; 4], 0usize);
-    // The silhouette is no detail of the object, and a blurred one reaches a little way in.
-    let is_inner = |x: usize, y: usize| {
-        (y - MARGIN..=y + MARGIN).all(|row| {
-            halves[row * width + x - MARGIN..=row * width + x + MARGIN].iter().all(Option::is_some)
-        })
-    };
-    for y in MARGIN..height.saturating_sub(MARGIN) {
-        for x in MARGIN..width.saturating_sub(MARGIN) {
-            let i = y * width + x;
-            if !is_inner(x, y) {
+    for y in MARGIN..halved.height.saturating_sub(MARGIN) {
+        for x in MARGIN..halved.width.saturating_sub(MARGIN) {
+            if !halved.is_inner(x, y) {
                 continue;
             }
-            let at = |i: usize| halves[i].unwrap_or(0.0);
-            let second =
-                directions.map(|(step, square)| (at(i - step) + at(i + step) - 2.0 * at(i)) / square);
+            let second = halved.second(x, y);
             laplacian += f64::from(second[0] + second[1]).powi(2);
             along.iter_mut().zip(second).for_each(|(sum, second)| *sum += f64::from(second).powi(2));
             count += 1;

@@ -144,35 +144,42 @@ fn add_material(root: &mut Value, binary: &mut Binary, material: &GltfMaterial) 
         "specularFactor": material.specular,
         "specularColorFactor": material.specular_color.to_array(),
     });
-    let mut textures = Vec::new();
-    let mut texture = |binary: &mut Binary, png: &[u8]| {
-        textures.push(binary.add_view(png.iter().copied(), None));
-        json!({"index": textures.len() - 1})
-    };
+    let mut images = Vec::new();
     if let Some(png) = &material.base_color_image {
-        metallic_roughness["baseColorTexture"] = texture(binary, png);
+        metallic_roughness["baseColorTexture"] = texture(binary, &mut images, png);
     }
     if let Some(png) = &material.roughness_image {
-        metallic_roughness["metallicRoughnessTexture"] = texture(binary, png);
+        metallic_roughness["metallicRoughnessTexture"] = texture(binary, &mut images, png);
     }
     if let Some(png) = &material.specular_image {
-        specular["specularColorTexture"] = texture(binary, png);
+        specular["specularColorTexture"] = texture(binary, &mut images, png);
         specular["specularTexture"] = specular["specularColorTexture"].clone();
     }
-    if !textures.is_empty() {
-        // Linear filtering, clamped at the borders, as for texels in this crate.
-        root["samplers"] = json!([{"magFilter": 9729, "minFilter": 9729, "wrapS": 33071, "wrapT": 33071}]);
-        let image = |view: &usize| json!({"bufferView": view, "mimeType": "image/png"});
-        root["images"] = textures.iter().map(image).collect();
-        root["textures"] =
-            (0..textures.len()).map(|source| json!({"source": source, "sampler": 0})).collect();
-    }
+    add_textures(root, &images);
     root["materials"] = json!([{
         "name": material.name,
         "pbrMetallicRoughness": metallic_roughness,
         "extensions": {"KHR_materials_specular": specular, "KHR_materials_ior": {"ior": material.ior}},
     }]);
     root["extensionsUsed"] = json!(["KHR_materials_specular", "KHR_materials_ior"]);
+}
+
+/// Appends an image to the binary chunk, and the index of its buffer view to `images`. Returns what names its texture in a material.
+fn texture(binary: &mut Binary, images: &mut Vec<usize>, png: &[u8]) -> Value {
+    images.push(binary.add_view(png.iter().copied(), None));
+    json!({"index": images.len() - 1})
+}
+
+/// Adds a texture for each image, given by the index of its buffer view.
+fn add_textures(root: &mut Value, images: &[usize]) {
+    if images.is_empty() {
+        return;
+    }
+    // Linear filtering, clamped at the borders, as for texels in this crate.
+    root["samplers"] = json!([{"magFilter": 9729, "minFilter": 9729, "wrapS": 33071, "wrapT": 33071}]);
+    let image = |view: &usize| json!({"bufferView": view, "mimeType": "image/png"});
+    root["images"] = images.iter().map(image).collect();
+    root["textures"] = (0..images.len()).map(|source| json!({"source": source, "sampler": 0})).collect();
 }
 
 /// Header, JSON chunk and binary chunk (glTF 2.0 specification, section 4); `None` above 4 GiB.

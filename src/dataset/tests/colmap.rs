@@ -143,31 +143,33 @@ fn models_may_lie_in_sparse_itself_and_photographs_in_folders() {
     assert_eq!(mask_of(&dataset.views[0]).coverage[5], 1.0);
 }
 
-/// Every model of COLMAP in text and binary, with coefficients that hardly distort.
+/// Every model of COLMAP that distorts, by number and name, with coefficients that hardly do.
+const MODELS: [(u32, &str, &[f64]); 15] = [
+    (2, "SIMPLE_RADIAL", &[8.0, 3.0, 2.0, 0.1]),
+    (3, "RADIAL", &[8.0, 3.0, 2.0, 0.1, 0.0]),
+    (4, "OPENCV", &[8.0, 8.0, 3.0, 2.0, 0.1, 0.0, 0.0, 0.0]),
+    (5, "OPENCV_FISHEYE", &[8.0, 8.0, 3.0, 2.0, 0.5, 0.0, 0.0, 0.0]),
+    (6, "FULL_OPENCV", &[8.0, 8.0, 3.0, 2.0, 0.1, 0.0, 0.0, 0.0, 0.0, -0.1, 0.0, 0.0]),
+    (7, "FOV", &[8.0, 8.0, 3.0, 2.0, 1e-3]),
+    (8, "SIMPLE_RADIAL_FISHEYE", &[8.0, 3.0, 2.0, 0.5]),
+    (9, "RADIAL_FISHEYE", &[8.0, 3.0, 2.0, 0.5, 0.0]),
+    (10, "THIN_PRISM_FISHEYE", &[8.0, 8.0, 3.0, 2.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
+    (
+        11,
+        "RAD_TAN_THIN_PRISM_FISHEYE",
+        &[8.0, 8.0, 3.0, 2.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
+    ),
+    (12, "SIMPLE_DIVISION", &[8.0, 3.0, 2.0, 0.1]),
+    (13, "DIVISION", &[8.0, 8.0, 3.0, 2.0, 0.1]),
+    (14, "SIMPLE_FISHEYE", &[8.0, 3.0, 2.0]),
+    (15, "FISHEYE", &[8.0, 8.0, 3.0, 2.0]),
+    (16, "EUCM", &[8.0, 8.0, 3.0, 2.0, 0.0, 1.0]),
+];
+
+/// In text and binary.
 #[test]
 fn all_models_are_read_and_photographs_straightened_with_their_masks() {
-    let models: [(u32, &str, &[f64]); 15] = [
-        (2, "SIMPLE_RADIAL", &[8.0, 3.0, 2.0, 0.1]),
-        (3, "RADIAL", &[8.0, 3.0, 2.0, 0.1, 0.0]),
-        (4, "OPENCV", &[8.0, 8.0, 3.0, 2.0, 0.1, 0.0, 0.0, 0.0]),
-        (5, "OPENCV_FISHEYE", &[8.0, 8.0, 3.0, 2.0, 0.5, 0.0, 0.0, 0.0]),
-        (6, "FULL_OPENCV", &[8.0, 8.0, 3.0, 2.0, 0.1, 0.0, 0.0, 0.0, 0.0, -0.1, 0.0, 0.0]),
-        (7, "FOV", &[8.0, 8.0, 3.0, 2.0, 1e-3]),
-        (8, "SIMPLE_RADIAL_FISHEYE", &[8.0, 3.0, 2.0, 0.5]),
-        (9, "RADIAL_FISHEYE", &[8.0, 3.0, 2.0, 0.5, 0.0]),
-        (10, "THIN_PRISM_FISHEYE", &[8.0, 8.0, 3.0, 2.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]),
-        (
-            11,
-            "RAD_TAN_THIN_PRISM_FISHEYE",
-            &[8.0, 8.0, 3.0, 2.0, 0.5, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0],
-        ),
-        (12, "SIMPLE_DIVISION", &[8.0, 3.0, 2.0, 0.1]),
-        (13, "DIVISION", &[8.0, 8.0, 3.0, 2.0, 0.1]),
-        (14, "SIMPLE_FISHEYE", &[8.0, 3.0, 2.0]),
-        (15, "FISHEYE", &[8.0, 8.0, 3.0, 2.0]),
-        (16, "EUCM", &[8.0, 8.0, 3.0, 2.0, 0.0, 1.0]),
-    ];
-    for (number, name, parameters) in models {
+    for (number, name, parameters) in MODELS {
         let set = Colmap::new(1);
         let words: Vec<String> = parameters.iter().map(f64::to_string).collect();
         set.write_text(&format!("{name} 6 4 {}", words.join(" ")));

@@ -13,8 +13,9 @@ fn view(name: &str) -> ViewReport {
     ViewReport { name: name.into(), truth: address("T"), render: address("R"), error: address("E") }
 }
 
-fn run(name: &str, psnr: f64) -> RunReport {
-    let pass = PassScores {
+/// The scores of a pass with a good view and a bad one.
+fn pass_scores(psnr: f64) -> PassScores {
+    PassScores {
         psnr,
         psnr_raw: psnr - 1.0,
         ssim: 0.95,
@@ -22,8 +23,16 @@ fn run(name: &str, psnr: f64) -> RunReport {
         srgb: Some(SrgbScores { psnr_mask: 20.0, ..SrgbScores::default() }),
         views: vec![view_scores("good", psnr + 2.0), view_scores("bad", psnr - 2.0)],
         ..PassScores::default()
-    };
+    }
+}
+
+/// The log of a fit with two rows.
+fn fit_log() -> FitLog {
     let columns = ["step", "elapsed_secs", "loss", "psnr", "roughness"];
+    FitLog { pass: "fit".into(), columns: columns.map(|name| (name.to_owned(), vec![1.0, 20.0])).to_vec() }
+}
+
+fn run(name: &str, psnr: f64) -> RunReport {
     RunReport {
         name: name.into(),
         state: "finished".into(),
@@ -37,14 +46,11 @@ fn run(name: &str, psnr: f64) -> RunReport {
             ..PassReport::default()
         }],
         scores: Scores {
-            passes: IndexMap::from([("novel".into(), pass)]),
+            passes: IndexMap::from([("novel".into(), pass_scores(psnr))]),
             normal_deg: Some(psnr / 10.0),
             ..Scores::default()
         },
-        logs: vec![FitLog {
-            pass: "fit".into(),
-            columns: columns.map(|name| (name.to_owned(), vec![1.0, 20.0])).to_vec(),
-        }],
+        logs: vec![fit_log()],
         pictures: vec![Shown { title: "fit: albedo".into(), address: "data:image/jpeg;base64,A".into() }],
         views: vec![PassViews { pass: "novel".into(), views: vec![view("good"), view("bad")], left_out: 0 }],
         findings: vec![Finding {

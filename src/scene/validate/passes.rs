@@ -28,38 +28,45 @@ pub(super) fn passes(checks: &mut Checks, scene: &Scene) {
     let mut fitted = false;
     for (index, pass) in scene.passes.iter().enumerate() {
         let (at, earlier) = (format!("passes.{index}"), &scene.passes[..index]);
-        checks.name(&format!("{at}.name"), pass.name());
-        if earlier.iter().any(|other| other.name().eq_ignore_ascii_case(pass.name())) {
-            let problem = format!("two passes are called {:?} (case does not count)", pass.name());
-            checks.fail(
-                &format!("{at}.name"),
-                problem,
-                "expected another name",
-                "A pass writes into OUT/<name>/, and some file systems do not tell cases apart.",
-            );
-        }
-        match pass {
-            Pass::Fit(fit) => self::fit(checks, &at, fit, scene),
-            Pass::Shape(shape) => self::shape(checks, &at, shape, scene),
-            Pass::Edit(edit) => self::edit_pass(checks, &at, edit),
-            Pass::Relight(relight) => self::relight_pass(checks, &at, relight),
-            Pass::Evaluate(evaluate) => self::evaluate(checks, &at, evaluate, scene, earlier),
-            Pass::Export(export) => {
-                self::export(checks, &at, export);
-                self::shown_by(checks, &at, export.of.as_deref(), scene);
-            }
-            Pass::Save(save) => self::shown_by(checks, &at, save.of.as_deref(), scene),
-            Pass::View(view) => self::shown_by(checks, &at, view.of.as_deref(), scene),
-            Pass::Render(_) => {}
-        }
-        if let Some(render) = pass.render() {
-            self::render(checks, &format!("{at}.render"), render, &scene.views);
-        }
+        own_name(checks, &at, pass, earlier);
+        settings(checks, &at, pass, scene, earlier);
         known_to_published(checks, &at, pass, scene);
         fitted |= matches!(pass, Pass::Fit(_) | Pass::Shape(_));
         if !fitted {
             nothing_unknown(checks, &at, pass, scene);
         }
+    }
+}
+
+/// A pass has a name that can be a folder's, and that no earlier one has.
+fn own_name(checks: &mut Checks, at: &str, pass: &Pass, earlier: &[Pass]) {
+    let path = format!("{at}.name");
+    checks.name(&path, pass.name());
+    if earlier.iter().any(|other| other.name().eq_ignore_ascii_case(pass.name())) {
+        let problem = format!("two passes are called {:?} (case does not count)", pass.name());
+        let help = "A pass writes into OUT/<name>/, and some file systems do not tell cases apart.";
+        checks.fail(&path, problem, "expected another name", help);
+    }
+}
+
+/// Checks what a pass of its kind says.
+fn settings(checks: &mut Checks, at: &str, pass: &Pass, scene: &Scene, earlier: &[Pass]) {
+    match pass {
+        Pass::Fit(fit) => self::fit(checks, at, fit, scene),
+        Pass::Shape(shape) => self::shape(checks, at, shape, scene),
+        Pass::Edit(edit) => edit_pass(checks, at, edit),
+        Pass::Relight(relight) => relight_pass(checks, at, relight),
+        Pass::Evaluate(evaluate) => self::evaluate(checks, at, evaluate, scene, earlier),
+        Pass::Export(export) => {
+            self::export(checks, at, export);
+            shown_by(checks, at, export.of.as_deref(), scene);
+        }
+        Pass::Save(save) => shown_by(checks, at, save.of.as_deref(), scene),
+        Pass::View(view) => shown_by(checks, at, view.of.as_deref(), scene),
+        Pass::Render(_) => {}
+    }
+    if let Some(render) = pass.render() {
+        self::render(checks, &format!("{at}.render"), render, &scene.views);
     }
 }
 

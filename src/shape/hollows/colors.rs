@@ -131,43 +131,82 @@ pub fn compare(
         return compared;
     }
     let mut search = Search::new(picture, seen, sources, step);
-    let far = far_sides(bvh, picture, seen);
-    let last = |at: usize| {
-        (((far[at] / seen[at] - 1.0) / (STEP * step)).ceil() as usize + AT_SURFACE).min(MOST_STEPS)
-    };
-    let lasts: Vec<usize> =
-        (0..seen.len()).map(|at| if seen[at].is_finite() { last(at) } else { 0 }).collect();
-    let steps = lasts.iter().copied().max().unwrap_or(0);
-    // The least difference at the surface, and of all depths with its step.
-    let mut surface = vec![f32::INFINITY; seen.len()];
-    let mut least = vec![(f32::INFINITY, 0); seen.len()];
+    let mut least = LeastDifferences::new(last_steps(bvh, picture, seen, step));
+    let steps = least.lasts.iter().copied().max().unwrap_or(0);
     for k in 0..=steps {
         if is_stopping() {
             return compared;
         }
-        if k == 2 * AT_SURFACE + 1 {
-            // Where colors agree so well at the surface, no other depth can be much better.
-            search.ask_only(|at| surface[at] > CLEAR);
-        } else if k > 2 * AT_SURFACE && k % LOOK_AGAIN == 0 {
-            search.ask_only(|at| k <= lasts[at]);
-        }
-        search.differences((k as f32 - AT_SURFACE as f32) * STEP, |at, difference| {
-            if k <= lasts[at].max(2 * AT_SURFACE) && difference < least[at].0 {
-                least[at] = (difference, k);
-            }
-            if k <= 2 * AT_SURFACE {
-                surface[at] = surface[at].min(difference);
-            }
-        });
+        least.narrow(&mut search, k);
+        search.differences(shift_of(k), |at, difference| least.note(at, k, difference));
     }
-    for (at, (difference, k)) in least.into_iter().enumerate().filter(|(_, (d, _))| d.is_finite()) {
-        let limit = (surface[at] - CLEAR).min(surface[at] / RATIO);
-        // Where nothing could be compared at the surface, nothing behind it is better.
-        if k <= 2 * AT_SURFACE || (surface[at].is_finite() && difference < limit) {
-            compared.depths[at] = seen[at] * (1.0 + (k as f32 - AT_SURFACE as f32) * STEP * step);
+    for (at, depth) in compared.depths.iter_mut().enumerate() {
+        if let Some(k) = least.best_step(at) {
+            *depth = seen[at] * (1.0 + shift_of(k) * step);
         }
     }
     compared
+}
+
+/// How far step `k` of the search moves the surface along the rays, in pixels of a view around.
+fn shift_of(k: usize) -> f32 {
+    (k as f32 - AT_SURFACE as f32) * STEP
+}
+
+/// The last step of each pixel's search, where its ray leaves the surface for good; 0 where it meets none.
+fn last_steps(bvh: &TriangleBvh, picture: &ColorPicture, seen: &[f32], step: f32) -> Vec<usize> {
+    let far = far_sides(bvh, picture, seen);
+    let last = |at: usize| {
+        (((far[at] / seen[at] - 1.0) / (STEP * step)).ceil() as usize + AT_SURFACE).min(MOST_STEPS)
+    };
+    (0..seen.len()).map(|at| if seen[at].is_finite() { last(at) } else { 0 }).collect()
+}
+
+/// The least differences of colors that a search has met, pixel by pixel.
+struct LeastDifferences {
+    /// The last step of each pixel's search.
+    lasts: Vec<usize>,
+    /// The least at the surface.
+    surface: Vec<f32>,
+    /// The least of all depths, with its step.
+    all: Vec<(f32, usize)>,
+}
+
+impl LeastDifferences {
+    /// Before the first step, when no difference is known.
+    fn new(lasts: Vec<usize>) -> Self {
+        let (surface, all) = (vec![f32::INFINITY; lasts.len()], vec![(f32::INFINITY, 0); lasts.len()]);
+        Self { lasts, surface, all }
+    }
+
+    /// Has the search ask from step `k` on only for pixels that may still have a better depth.
+    fn narrow(&self, search: &mut Search, k: usize) {
+        if k == 2 * AT_SURFACE + 1 {
+            // Where colors agree so well at the surface, no other depth can be much better.
+            search.ask_only(|at| self.surface[at] > CLEAR);
+        } else if k > 2 * AT_SURFACE && k.is_multiple_of(LOOK_AGAIN) {
+            search.ask_only(|at| k <= self.lasts[at]);
+        }
+    }
+
+    /// Takes note of the difference of pixel `at` at step `k`.
+    fn note(&mut self, at: usize, k: usize, difference: f32) {
+        if k <= self.lasts[at].max(2 * AT_SURFACE) && difference < self.all[at].0 {
+            self.all[at] = (difference, k);
+        }
+        if k <= 2 * AT_SURFACE {
+            self.surface[at] = self.surface[at].min(difference);
+        }
+    }
+
+    /// The step whose depth pixel `at` shows: one at the surface, or one behind it that is clearly better; `None` if neither is known.
+    fn best_step(&self, at: usize) -> Option<usize> {
+        let ((difference, k), surface) = (self.all[at], self.surface[at]);
+        let limit = (surface - CLEAR).min(surface / RATIO);
+        // Where nothing could be compared at the surface, nothing behind it is better.
+        let is_shown = k <= 2 * AT_SURFACE || (surface.is_finite() && difference < limit);
+        (difference.is_finite() && is_shown).then_some(k)
+    }
 }
 
 /// Where each pixel's ray leaves the surface for good.

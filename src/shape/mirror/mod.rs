@@ -104,26 +104,40 @@ pub fn refine_normals(
     if unexplained < UNEXPLAINED {
         return report;
     }
-    let mut after = before.clone();
-    for (round, (degrees, rings)) in ROUNDS.into_iter().enumerate() {
-        if go_on(round).is_break() {
-            return report;
-        }
-        after.search(&shell.graph, degrees, rings);
-        after.solve_light(TURNS);
-    }
+    let Some(after) = searched(&before, &shell.graph, &mut go_on) else { return report };
     let error = after.error_aside() / before.error_aside().max(f64::MIN_POSITIVE);
     report.error = Some(error as f32);
     if error > BETTER || is_stopping() || go_on(ROUNDS.len()).is_break() {
         return report;
     }
-    // With all views.
+    report.turned_degrees = put(mesh, &shell, &given, &normals_by_all(after, &shell.graph));
+    report
+}
+
+/// The model after all rounds of the search; `None` if it is not to go on before one of them.
+fn searched<'a>(
+    before: &Model<'a>,
+    graph: &VertexGraph,
+    mut go_on: impl FnMut(usize) -> ControlFlow<()>,
+) -> Option<Model<'a>> {
+    let mut model = before.clone();
+    for (round, (degrees, rings)) in ROUNDS.into_iter().enumerate() {
+        if go_on(round).is_break() {
+            return None;
+        }
+        model.search(graph, degrees, rings);
+        model.solve_light(TURNS);
+    }
+    Some(model)
+}
+
+/// The normals after another round of the finest search, in which no view is kept aside.
+fn normals_by_all(after: Model, graph: &VertexGraph) -> Vec<Vec3> {
     let mut all = Model { aside: None, ..after };
     all.solve_light(TURNS);
     let (degrees, rings) = ROUNDS[ROUNDS.len() - 1];
-    all.search(&shell.graph, degrees, rings);
-    report.turned_degrees = put(mesh, &shell, &given, &all.normals);
-    report
+    all.search(graph, degrees, rings);
+    all.normals
 }
 
 /// Rounds that [`refine_normals`] asks before.

@@ -192,57 +192,70 @@ fn fit_levels(
     options: &ShapeOptions,
     watch: &mut dyn FnMut(&ShapeProgress, &mut World) -> ControlFlow<()>,
 ) -> Result<SdfSurface> {
-    let blank = |world: &mut World, kept: &SdfSurface| {
-        replace_texels(world, &vec![Vec3::ZERO; kept.volume.len()]);
-        Ok(())
-    };
     let levels = resolved_levels(&hull.grid, &options.levels, silhouettes);
-    let resumed = resume_level(&mut pipeline.world, blank)?;
-    let begun = resumed.as_ref().map_or(0, |(level, _)| *level as usize);
-    let mut surface = match resumed {
-        Some((_, kept)) => kept,
-        None => first_surface(&mut pipeline.world, hull.grid, options),
-    };
+    let (begun, mut surface) = begin_levels(&mut pipeline.world, hull.grid, options)?;
     let mut report = hull.report;
-    for (index, level) in levels.iter().enumerate().skip(begun) {
+    for index in begun..levels {
         let _level = stage(format_args!("level {}", index + 1));
         if index > begun {
             let (next, opened) = next_surface(&mut pipeline.world, surface, silhouettes, options, index)?;
             (surface, report.opened_again) = (next, report.opened_again + opened);
             keep_level(&mut pipeline.world, index as u32, &surface)?;
         }
-        let volume = surface.volume.clone();
-        enter(&mut pipeline.world, surface, level.schedule);
-        let initialize = if index == 0 { options.fit.initialize } else { Initialize::NONE };
-        let fit = FitOptions { steps: level.schedule.steps, initialize, ..options.fit.clone() };
-        let result = run_fit(pipeline, &fit, &mut |progress, world| {
-            let progress = ShapeProgress { hull: report, level: index, levels: levels.len(), fit: progress };
-            watch(&progress, world)
-        });
-        surface = SdfSurface { grid: leave(&mut pipeline.world), volume };
-        match result {
-            // What earlier levels found is there.
-            Err(Error::Interrupted) if index > 0 => return Ok(surface),
-            Err(error) => return Err(error),
-            Ok(summary) if summary.stopped => return Ok(surface),
-            Ok(_) => {}
+        let fitted = fit_level(pipeline, surface, options, index, &mut |progress, world| {
+            watch(&ShapeProgress { hull: report, level: index, levels, fit: progress }, world)
+        })?;
+        match fitted {
+            ControlFlow::Continue(found) => surface = found,
+            ControlFlow::Break(found) => return Ok(found),
         }
     }
-    if begun < levels.len() {
-        keep_level(&mut pipeline.world, levels.len() as u32, &surface)?;
+    if begun < levels {
+        keep_level(&mut pipeline.world, levels as u32, &surface)?;
     }
     Ok(surface)
 }
 
-/// The levels up to the first whose cells the photographs do not resolve; at least one.
-fn resolved_levels<'a>(
-    hull: &SdfGrid,
-    levels: &'a [ShapeLevel],
-    silhouettes: &[Silhouette],
-) -> &'a [ShapeLevel] {
+/// The level that a fit begins with, and what it starts from: the first and the hull, or what a run that is resumed has kept.
+fn begin_levels(world: &mut World, hull: SdfGrid, options: &ShapeOptions) -> Result<(usize, SdfSurface)> {
+    let blank = |world: &mut World, kept: &SdfSurface| {
+        replace_texels(world, &vec![Vec3::ZERO; kept.volume.len()]);
+        Ok(())
+    };
+    Ok(match resume_level(world, blank)? {
+        Some((level, kept)) => (level as usize, kept),
+        None => (0, first_surface(world, hull, options)),
+    })
+}
+
+/// Fits level `index`, which starts from `surface`. Returns the surface that was found; as `Break` if the fit ends with it.
+fn fit_level(
+    pipeline: &mut Pipeline,
+    surface: SdfSurface,
+    options: &ShapeOptions,
+    index: usize,
+    watch: &mut dyn FnMut(&FitProgress, &mut World) -> ControlFlow<()>,
+) -> Result<ControlFlow<SdfSurface, SdfSurface>> {
+    let schedule = options.levels[index].schedule;
+    let volume = surface.volume.clone();
+    enter(&mut pipeline.world, surface, schedule);
+    let initialize = if index == 0 { options.fit.initialize } else { Initialize::NONE };
+    let fit = FitOptions { steps: schedule.steps, initialize, ..options.fit.clone() };
+    let result = run_fit(pipeline, &fit, watch);
+    let found = SdfSurface { grid: leave(&mut pipeline.world), volume };
+    match result {
+        // What earlier levels found is there.
+        Err(Error::Interrupted) if index > 0 => Ok(ControlFlow::Break(found)),
+        Err(error) => Err(error),
+        Ok(summary) if summary.stopped => Ok(ControlFlow::Break(found)),
+        Ok(_) => Ok(ControlFlow::Continue(found)),
+    }
+}
+
+/// How many levels are fitted: those up to the first whose cells the photographs do not resolve; at least one.
+fn resolved_levels(hull: &SdfGrid, levels: &[ShapeLevel], silhouettes: &[Silhouette]) -> usize {
     let too_fine = |level: &ShapeLevel| cell_pixels(hull, level.cells, silhouettes) < level.least_pixels;
-    let count = levels.iter().skip(1).position(too_fine).map_or(levels.len(), |place| place + 1);
-    &levels[..count]
+    levels.iter().skip(1).position(too_fine).map_or(levels.len(), |place| place + 1)
 }
 
 /// Width in pixels of a cell in the median photograph, if the grid had `cells` cells a side.

@@ -3,7 +3,7 @@ use crate::fit::ObjectTurned;
 use crate::fit::components::Unknowns;
 use crate::fit::loss::Loss;
 use crate::fit::observe::PixelChoice;
-use crate::fit::run::{Done, FitPlugin};
+use crate::fit::run::FitPlugin;
 use crate::fit::scale::ScaleRule;
 use crate::light::LightLobe;
 use crate::light::frame::{LightFrame, OwnLightFrame};
@@ -80,6 +80,7 @@ fn world_of_photographs() -> Pipeline {
     pipeline
 }
 
+/// A fit of the shape on one grid, with a light and a specular lobe that are known.
 fn options(steps: u32) -> ShapeOptions {
     let schedule = ShapeSchedule {
         steps,
@@ -91,6 +92,17 @@ fn options(steps: u32) -> ShapeOptions {
         blur: 4,
         redistance_every: 40,
     };
+    ShapeOptions {
+        levels: vec![ShapeLevel { cells: 40, texel_cells: 12, least_pixels: 0.0, schedule }],
+        fit: albedo_fit(steps),
+        cameras: CameraUnknowns::Given,
+        hollows: false,
+        spans_unseen: false,
+    }
+}
+
+/// A fit of nothing but the albedo, at a constant rate.
+fn albedo_fit(steps: u32) -> FitOptions {
     let only_albedo = Unknowns {
         sheen: false,
         albedo: true,
@@ -100,30 +112,18 @@ fn options(steps: u32) -> ShapeOptions {
         roughness: false,
         blends: false,
     };
-    ShapeOptions {
-        levels: vec![ShapeLevel { cells: 40, texel_cells: 12, least_pixels: 0.0, schedule }],
-        fit: FitOptions {
-            loss: Loss::L1,
-            form: ClosedForm::default(),
-            steps,
-            done: Done::default(),
-            asked_after: None,
-            batch: 4096,
-            rates: [0.02, 0.0, 0.0],
-            milestones: vec![],
-            decay: 1.0,
-            unknowns: only_albedo,
-            pixels: PixelChoice { seed: 1, max_pixels: 100_000 },
-            initialize: Initialize { light: false, albedo: true, specular: false },
-            visibility: false,
-            looks_for_sheen: false,
-            exposure: false,
-            scale: ScaleRule::Free,
-            light_frame: Some(LightFrame::World),
-        },
-        cameras: CameraUnknowns::Given,
-        hollows: false,
-        spans_unseen: false,
+    FitOptions {
+        loss: Loss::L1,
+        steps,
+        batch: 4096,
+        rates: [0.02, 0.0, 0.0],
+        milestones: vec![],
+        decay: 1.0,
+        unknowns: only_albedo,
+        pixels: PixelChoice { seed: 1, max_pixels: 100_000 },
+        initialize: Initialize { light: false, albedo: true, specular: false },
+        scale: ScaleRule::Free,
+        ..FitOptions::default()
     }
 }
 

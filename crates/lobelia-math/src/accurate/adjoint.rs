@@ -4,9 +4,10 @@
 use super::diffuse::cosine_integral;
 use super::narrow::{MOST_SGS, is_narrow, parts};
 use super::pair::{Pair, Placements, place_sgs};
-use super::point::{PointSums, PointTerms};
+use super::placement::{GGX, LocalLight, Placement, SG, Tail, place};
+use super::point::{NdfTerms, PointSums, PointTerms};
 use super::rule::across;
-use super::specular::{GGX, LocalLight, Node, PointTermsView, SG, Tail, node, place};
+use super::specular::{Node, PointTermsView, node};
 use super::unroll::unroll;
 use crate::dual::Dual;
 use crate::real::{Real, Vec3Of, add, dot, scale};
@@ -95,30 +96,53 @@ pub(super) fn pull_back_nodes<
     let mut out = PointSums::zero(zero);
     for (m, placement) in parts::<NDF, TAIL>().zip(placed) {
         let ndf = &point.ndf[m];
-        let (mut powered, mut plain) = (zero, zero);
         let weights = [(constant_adjoint - slope_adjoint) * ndf.scale, slope_adjoint * ndf.scale];
         let before = sums.value;
-        let mut drop = zero;
-        unroll!(i < ALONG, {
-            let row = placement.row(ALONG, i);
-            unroll!(j < ACROSS, {
-                let (w, weight) = across(ACROSS, j);
-                let node = node::<F, TAIL>(&view, ndf, light, placement, &row, w, weight);
-                let value = node.over_cosine * node.cosine;
-                plain += value;
-                powered = value.mul_add(node.fresnel, powered);
-                sums.add(&node, weights, point.shadowing, &mut drop);
-            });
-        });
+        let part = add_nodes::<F, ALONG, ACROSS, TAIL>(&mut sums, &view, ndf, light, placement, weights);
         let value = sums.value - before;
-        out.ndf[m] = [value / ndf.sharpness - drop, value];
-        constant = powered.mul_add(ndf.scale, constant);
-        total = plain.mul_add(ndf.scale, total);
+        out.ndf[m] = [value / ndf.sharpness - part.drop, value];
+        constant = part.powered.mul_add(ndf.scale, constant);
+        total = part.plain.mul_add(ndf.scale, total);
     }
     out.normal = sums.normal;
     out.shadowing = -sums.shadowing;
     let axis = point.in_world(scale(sums.offset, light.sharpness));
     ([constant, total - constant], PairAdjoint { axis, sharpness: -sums.half_square, point: out })
+}
+
+/// Sums over the nodes of one SG of the distribution of normals, or of GGX.
+struct PartSums<F> {
+    /// The specular light with and without the Fresnel power, without the factors of the point.
+    powered: F,
+    plain: F,
+    /// Of `half_drop`, each node weighted by its share of the objective.
+    drop: F,
+}
+
+/// Adds the nodes of one placement to the sums over all of them; each is `weights` times with the Fresnel power and without it.
+#[inline(always)]
+fn add_nodes<F: Real, const ALONG: usize, const ACROSS: usize, const TAIL: Tail>(
+    sums: &mut NodeSums<F>,
+    view: &PointTermsView<F>,
+    ndf: &NdfTerms<F>,
+    light: &LocalLight<F>,
+    placement: &Placement<F>,
+    weights: [F; 2],
+) -> PartSums<F> {
+    let zero = light.sharpness.zero();
+    let mut part = PartSums { powered: zero, plain: zero, drop: zero };
+    unroll!(i < ALONG, {
+        let row = placement.row(ALONG, i);
+        unroll!(j < ACROSS, {
+            let (w, weight) = across(ACROSS, j);
+            let node = node::<F, TAIL>(view, ndf, light, placement, &row, w, weight);
+            let value = node.over_cosine * node.cosine;
+            part.plain += value;
+            part.powered = value.mul_add(node.fresnel, part.powered);
+            sums.add(&node, weights, view.k, &mut part.drop);
+        });
+    });
+    part
 }
 
 /// Sums over nodes for the adjoint; each node is weighted by its share of the objective.

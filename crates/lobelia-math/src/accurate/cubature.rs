@@ -37,6 +37,13 @@ struct Patch {
     size: [f64; 2],
 }
 
+/// A direction around which the integrands have a peak, and the width of the peak there.
+#[derive(Clone, Copy)]
+struct Peak {
+    direction: [f64; 3],
+    width: f64,
+}
+
 struct Cubature<'a> {
     case: &'a Case,
     ndf: Ndf,
@@ -77,14 +84,14 @@ impl Cubature<'_> {
     }
 
     /// Splits until every patch near a peak is no larger than the peak.
-    fn grade(&self, patch: Patch, peaks: &[([f64; 3], f64)], out: &mut Vec<Patch>) {
+    fn grade(&self, patch: Patch, peaks: &[Peak], out: &mut Vec<Patch>) {
         let s = patch.corner[0] + patch.size[0];
         let extent = [1.5 * patch.size[0], s * (2.0 - s * s).max(0.0).sqrt() * patch.size[1]];
         let diameter = extent[0].hypot(extent[1]);
         let center = self.direction([0, 1].map(|c| patch.corner[c] + 0.5 * patch.size[c]));
-        let near = |peak: &([f64; 3], f64)| {
-            let away = sub(peak.0, center);
-            diameter > 1.5 * peak.1 && dot(away, away).sqrt() < 1.2 * diameter
+        let near = |peak: &Peak| {
+            let away = sub(peak.direction, center);
+            diameter > 1.5 * peak.width && dot(away, away).sqrt() < 1.2 * diameter
         };
         if !peaks.iter().any(near) {
             out.push(patch);
@@ -97,6 +104,14 @@ impl Cubature<'_> {
             child.corner[axis] += child.size[axis] * f64::from(half);
             self.grade(child, peaks, out);
         }
+    }
+
+    /// The hemisphere in patches that are fine near the peaks.
+    fn patches(&self, peaks: &[Peak]) -> Vec<Patch> {
+        let quarter = |k: usize| Patch { corner: [0.0, FRAC_PI_2 * k as f64], size: [1.0, FRAC_PI_2] };
+        let mut patches = vec![];
+        (0..4).for_each(|k| self.grade(quarter(k), peaks, &mut patches));
+        patches
     }
 
     fn refine(&mut self, patch: &Patch, coarse: Integrals, tolerance: Integrals, depth: u32) -> Integrals {
@@ -120,9 +135,8 @@ impl Cubature<'_> {
     }
 }
 
-/// The integrals of a case; the error of each patch is about `relative` times the whole.
-pub(super) fn integrate(case: &Case, ndf: Ndf, relative: f64) -> Integrals {
-    let normal = case.normal;
+/// Tangent and bitangent of a unit normal.
+fn plane_of(normal: [f64; 3]) -> [[f64; 3]; 2] {
     let helper = if normal[0].abs() < 0.6 { [1.0, 0.0, 0.0] } else { [0.0, 1.0, 0.0] };
     let tangent = unit(sub(helper, scale(normal, dot(helper, normal))));
     let bitangent = [
@@ -130,25 +144,34 @@ pub(super) fn integrate(case: &Case, ndf: Ndf, relative: f64) -> Integrals {
         normal[2] * tangent[0] - normal[0] * tangent[2],
         normal[0] * tangent[1] - normal[1] * tangent[0],
     ];
+    [tangent, bitangent]
+}
+
+/// The peaks of the light, which is lifted above the horizon, and of the BRDF.
+fn peaks_of(case: &Case) -> [Peak; 2] {
+    let normal = case.normal;
     let nv = dot(normal, case.to_viewer);
     let mirror = unit(sub(scale(normal, 2.0 * nv), case.to_viewer));
     let light_width = 1.0 / (case.sharpness + 1.0).sqrt();
     let mirror_width = case.roughness.powi(2) * 2f64.sqrt() / (1.0 + nv.max(0.02).powi(-2)).sqrt();
     let above = dot(case.axis, normal).min(0.0) * 0.9999;
     let lifted = unit(sub(case.axis, scale(normal, above)));
-    let mut peaks = vec![(lifted, light_width), (mirror, mirror_width)];
-    let mut cubature = Cubature { case, ndf, tangent, bitangent, brightest: (0.0, mirror) };
-    let quarters = |k: usize| Patch { corner: [0.0, FRAC_PI_2 * k as f64], size: [1.0, FRAC_PI_2] };
+    [Peak { direction: lifted, width: light_width }, Peak { direction: mirror, width: mirror_width }]
+}
+
+/// The integrals of a case; the error of each patch is about `relative` times the whole.
+pub(super) fn integrate(case: &Case, ndf: Ndf, relative: f64) -> Integrals {
+    let [tangent, bitangent] = plane_of(case.normal);
+    let [light, mirror] = peaks_of(case);
+    let mut peaks = vec![light, mirror];
+    let mut cubature = Cubature { case, ndf, tangent, bitangent, brightest: (0.0, mirror.direction) };
     for _ in 0..2 {
-        let mut patches = vec![];
-        (0..4).for_each(|k| cubature.grade(quarters(k), &peaks, &mut patches));
-        patches.iter().for_each(|p| {
-            cubature.estimate(p);
-        });
-        peaks.push((cubature.brightest.1, light_width.min(mirror_width)));
+        for patch in cubature.patches(&peaks) {
+            cubature.estimate(&patch);
+        }
+        peaks.push(Peak { direction: cubature.brightest.1, width: light.width.min(mirror.width) });
     }
-    let mut patches = vec![];
-    (0..4).for_each(|k| cubature.grade(quarters(k), &peaks, &mut patches));
+    let patches = cubature.patches(&peaks);
     let coarse: Vec<Integrals> = patches.iter().map(|p| cubature.estimate(p)).collect();
     let whole: Integrals = std::array::from_fn(|c| coarse.iter().map(|p| p[c]).sum());
     let glossy = relative * (whole[1] + whole[2]);

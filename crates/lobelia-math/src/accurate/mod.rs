@@ -30,6 +30,7 @@ pub mod ggx;
 mod model;
 mod narrow;
 mod pair;
+mod placement;
 mod point;
 mod quality;
 mod rule;

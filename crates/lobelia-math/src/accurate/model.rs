@@ -5,10 +5,10 @@ use super::diffuse::{SharpnessTerms, prepared_cosine_integral};
 use super::ggx::{GGX_TERMS, ggx_terms};
 use super::narrow::{MOST_SGS, mirror, narrowness};
 use super::pair::{evaluate_specular, place_sgs, sum_nodes};
+use super::placement::{GGX, LocalLight, Placement, SG, place, place_two};
 use super::point::{
     NdfTerms, PointDerivatives, PointSums, PointTerms, one_sg, prepare_with_ndf, pull_back_point,
 };
-use super::specular::{GGX, LocalLight, Placement, SG, place, place_two};
 use crate::brdf::{Facets, Ndf, SpecularAdjoint, SpecularValue, shadowing_k};
 use crate::lobe::Shape;
 use crate::model::{

@@ -6,8 +6,8 @@
 //! curvature 4/(1/β + |X|²) of GGX, the latter not taken to be below 4β/[`FLATTEST`].
 
 use super::ggx::GGX_LOBES;
+use super::placement::{GGX, Tail};
 use super::point::PointTerms;
-use super::specular::{GGX, Tail};
 use crate::real::{Real, Vec3Of, add, dot, scale};
 use std::ops::Range;
 

@@ -3,10 +3,11 @@
 use super::diffuse::cosine_integral;
 use super::ggx::prepare_ggx_point;
 use super::narrow::{MOST_SGS, is_narrow, parts};
+use super::placement::{GGX, LocalLight, Placement, SG, Tail, place, place_two};
 use super::point::{PointTerms, prepare_point};
 use super::quality::Quality;
 use super::rule::across;
-use super::specular::{GGX, LocalLight, Placement, PointTermsView, SG, Tail, node, place, place_two};
+use super::specular::{PointTermsView, node};
 use super::unroll::unroll;
 use crate::brdf::{Facets, Ndf};
 use crate::dual::Dual;

@@ -2,9 +2,10 @@
 
 use super::cubature::{Integrals, integrand, integrate};
 use super::diffuse::{cosine_integral, scaled_erfc};
+use super::placement::{LocalLight, SG, place};
 use super::point::{prepare_point, pull_back_point};
 use super::rule::across;
-use super::specular::{LocalLight, PointTermsView, SG, node, place};
+use super::specular::{PointTermsView, node};
 use super::*;
 use crate::brdf::Ndf;
 use crate::cases::{Case, direction, unit};

@@ -121,6 +121,8 @@ struct Product<F> {
     cosine: F,
     /// c′ − c.
     cosine_change: F,
+    /// T′ − T.
+    t_change: F,
 }
 
 #[inline(always)]
@@ -138,7 +140,9 @@ fn product<F: Real>(sharpness: F, terms: &SharpnessTerms<F>, c: F) -> Product<F>
     let over_m = inverse * (one - step + step * step);
     let cosine = sharpness.mul_add(c, k) * over_m;
     let cosine_change = (-h).mul_add(c, k) * over_m;
-    Product { d, x, h, step, over_m, cosine, cosine_change }
+    let [_, t_1, t_2] = terms.half_t;
+    let t_change = h * (h.times(0.5)).mul_add(t_2, t_1);
+    Product { d, x, h, step, over_m, cosine, cosine_change, t_change }
 }
 
 /// Ratios of e^x A and e^x B at m to A and B at λ.
@@ -152,13 +156,51 @@ struct Ratios<F> {
 }
 
 #[inline(always)]
-fn ratios<F: Real>(terms: &SharpnessTerms<F>, x: F, step: F, t_change: F) -> Ratios<F> {
-    let shrink = step * (x.one() - step + step * step);
-    let grown = exp_m1(x);
+fn ratios<F: Real>(terms: &SharpnessTerms<F>, product: &Product<F>) -> Ratios<F> {
+    let step = product.step;
+    let shrink = step * (step.one() - step + step * step);
+    let grown = exp_m1(product.x);
     let even_change = (-grown).mul_add(shrink, grown - shrink);
-    let coth_change = -(terms.tail * t_change);
+    let coth_change = -(terms.tail * product.t_change);
     let odd_change = coth_change.mul_add(even_change, even_change + coth_change);
     Ratios { shrink, even_change, odd_change }
+}
+
+/// tanh(Tc) and tanh(T′c′).
+struct Tangents<F> {
+    /// τ.
+    tau: F,
+    /// Derivative of τ with respect to Tc.
+    sigma: F,
+    /// τ′ − τ.
+    change: F,
+    /// τ′.
+    product: F,
+    /// T′c′ − Tc.
+    delta: F,
+}
+
+impl<F: Real> Tangents<F> {
+    /// Derivative of τ′ with respect to T′c′.
+    #[inline(always)]
+    fn product_sigma(&self) -> F {
+        let Self { tau, sigma, delta, .. } = *self;
+        let curve = ((tau * tau).times(3.0).plus(-1.0)).mul_add(delta, tau.times(-2.0));
+        sigma * curve.mul_add(delta, tau.one())
+    }
+}
+
+/// tanh at T′c′ = Tc + δ by Taylor: δ ≤ 0.008.
+#[inline(always)]
+fn tangents<F: Real>(terms: &SharpnessTerms<F>, product: &Product<F>, c: F) -> Tangents<F> {
+    let [t, ..] = terms.half_t;
+    let one = c.one();
+    let delta = t.mul_add(product.cosine_change, product.t_change * product.cosine);
+    let (tau, sigma) = tanh(t * c);
+    let square = tau * tau;
+    let curve = (square.plus(-1.0 / 3.0)).mul_add(delta, -tau);
+    let change = sigma * delta * curve.mul_add(delta, one);
+    Tangents { tau, sigma, change, product: tau + change, delta }
 }
 
 /// Derivatives of H(λ, c) with respect to sharpness and cosine, given tanh(Tc) and its derivative.
@@ -170,57 +212,70 @@ fn plain_slopes<F: Real>(terms: &SharpnessTerms<F>, c: F, tau: F, sigma: F) -> [
     [(-plain).mul_add(terms.inverse, by_t), terms.odd * t * sigma]
 }
 
-/// E(λ, c) and its partial derivatives.
+/// Derivatives of x, m and c′ with respect to sharpness and cosine.
+struct Slopes<F> {
+    /// Of x.
+    x: [F; 2],
+    /// Of m.
+    m: [F; 2],
+    /// Of c′.
+    cosine: [F; 2],
+}
+
+/// How the product's parameters depend on those of E; `shrink` is 1 − λ/m.
 #[inline(always)]
-pub fn cosine_integral<F: Real>(sharpness: F, terms: &SharpnessTerms<F>, c: F) -> Dual<F> {
+fn slopes<F: Real>(sharpness: F, c: F, product: &Product<F>, shrink: F) -> Slopes<F> {
     let k = c.lit(COSINE_SHARPNESS);
     let one = c.one();
-    let Product { d, x, h, step, over_m, cosine: c_product, cosine_change: c_change } =
-        product(sharpness, terms, c);
-    let [t, t_1, t_2] = terms.half_t;
-    let t_change = h * (h.times(0.5)).mul_add(t_2, t_1);
-    // tanh at T′c′ = Tc + δ by Taylor: δ ≤ 0.008.
-    let delta = t.mul_add(c_change, t_change * c_product);
-    let (tau, sigma) = tanh(t * c);
-    let square = tau * tau;
-    let curve = (square.plus(-1.0 / 3.0)).mul_add(delta, -tau);
-    let tau_change = sigma * delta * curve.mul_add(delta, one);
-    let tau_product = tau + tau_change;
-    let Ratios { shrink, even_change, odd_change } = ratios(terms, x, step, t_change);
-    let gain = COSINE_AMPLITUDE - COSINE_OFFSET;
-    let even_part = even_change.times(COSINE_AMPLITUDE).plus(gain);
-    let odd_part = (odd_change.mul_add(tau_product, tau_change)).times(COSINE_AMPLITUDE) + tau.times(gain);
-    let value = terms.even.mul_add(even_part, terms.odd * odd_part);
-
-    // Derivatives: of x and m first, then of H at both ends.
+    let Product { d, x, over_m, cosine, .. } = *product;
     let x_by_c = k * (one - shrink);
     let x_by_l = k.mul_add(d, -x) * over_m;
     let m_by_l = x_by_l + one;
-    let c_by_c = (-c_product).mul_add(x_by_c, sharpness) * over_m;
-    let c_by_l = (-c_product).mul_add(m_by_l, c) * over_m;
-    let odd_product = odd_change.mul_add(terms.odd, terms.odd);
-    let even_product = even_change.mul_add(terms.even, terms.even);
-    let product = odd_product.mul_add(tau_product, even_product);
-    let sigma_curve = (square.times(3.0).plus(-1.0)).mul_add(delta, tau.times(-2.0));
-    let sigma_product = sigma * sigma_curve.mul_add(delta, one);
+    let c_by_c = (-cosine).mul_add(x_by_c, sharpness) * over_m;
+    let c_by_l = (-cosine).mul_add(m_by_l, c) * over_m;
+    Slopes { x: [x_by_l, x_by_c], m: [m_by_l, x_by_c], cosine: [c_by_l, c_by_c] }
+}
+
+/// Derivatives of e^x H(m, c′) with respect to x, m and c′.
+#[inline(always)]
+fn partial_slopes<F: Real>(
+    terms: &SharpnessTerms<F>,
+    product: &Product<F>,
+    ratios: &Ratios<F>,
+    tangents: &Tangents<F>,
+) -> [F; 3] {
+    let Product { h, over_m, cosine, t_change, .. } = *product;
+    let tau = tangents.product;
+    let [t, t_1, t_2] = terms.half_t;
+    let odd = ratios.odd_change.mul_add(terms.odd, terms.odd);
+    let even = ratios.even_change.mul_add(terms.even, terms.even);
+    let value = odd.mul_add(tau, even);
+    let sigma = tangents.product_sigma();
     let t_1_product = h.mul_add(t_2, t_1);
-    let tail_product = terms.tail * t_change.times(-2.0).plus(1.0);
-    let by_t = odd_product * t_1_product * sigma_product.mul_add(c_product, -(tail_product * tau_product));
-    let product_by_m = (-product).mul_add(over_m, by_t);
-    let product_by_c = odd_product * (t + t_change) * sigma_product;
-    let [plain_by_l, plain_by_c] = plain_slopes(terms, c, tau, sigma);
-    let both = |product: F, plain: F| product.times(COSINE_AMPLITUDE) - plain.times(COSINE_OFFSET);
-    Dual {
-        value,
-        by_sharpness: both(
-            product.mul_add(x_by_l, product_by_m.mul_add(m_by_l, product_by_c * c_by_l)),
-            plain_by_l,
-        ),
-        by_cosine: both(
-            product.mul_add(x_by_c, product_by_m.mul_add(x_by_c, product_by_c * c_by_c)),
-            plain_by_c,
-        ),
-    }
+    let tail = terms.tail * t_change.times(-2.0).plus(1.0);
+    let by_t = odd * t_1_product * sigma.mul_add(cosine, -(tail * tau));
+    [value, (-value).mul_add(over_m, by_t), odd * (t + t_change) * sigma]
+}
+
+/// E(λ, c) and its partial derivatives.
+#[inline(always)]
+pub fn cosine_integral<F: Real>(sharpness: F, terms: &SharpnessTerms<F>, c: F) -> Dual<F> {
+    let product = product(sharpness, terms, c);
+    let tangents = tangents(terms, &product, c);
+    let ratios = ratios(terms, &product);
+    let gain = COSINE_AMPLITUDE - COSINE_OFFSET;
+    let even_part = ratios.even_change.times(COSINE_AMPLITUDE).plus(gain);
+    let odd_change = ratios.odd_change.mul_add(tangents.product, tangents.change);
+    let odd_part = odd_change.times(COSINE_AMPLITUDE) + tangents.tau.times(gain);
+    let value = terms.even.mul_add(even_part, terms.odd * odd_part);
+    let Slopes { x, m, cosine } = slopes(sharpness, c, &product, ratios.shrink);
+    let [by_x, by_m, by_cosine] = partial_slopes(terms, &product, &ratios, &tangents);
+    let plain = plain_slopes(terms, c, tangents.tau, tangents.sigma);
+    let both = |i: usize| {
+        let product = by_x.mul_add(x[i], by_m.mul_add(m[i], by_cosine * cosine[i]));
+        product.times(COSINE_AMPLITUDE) - plain[i].times(COSINE_OFFSET)
+    };
+    Dual { value, by_sharpness: both(0), by_cosine: both(1) }
 }
 
 #[cfg(test)]

@@ -47,6 +47,18 @@ impl<M: PairModel> Weights<M> {
             specular_light: Terms::from_fn(|b| std::array::from_fn(|c| specular[c] * weights.at(b)[c])),
         }
     }
+
+    /// Adjoint of the diffuse albedo under this light.
+    #[inline(always)]
+    fn albedo_adjoint(&self, light: &Sums<M>, around: &PointVisibility) -> Vec3Of<f32> {
+        std::array::from_fn(|c| self.diffuse[c] / PI * (light.diffuse[c] + around.indirect[c]))
+    }
+
+    /// Per specular term and channel: adjoint of the specular layer times the light.
+    #[inline(always)]
+    fn weighted_specular(&self, light: &Sums<M>) -> M::Specular<Vec3Of<f32>> {
+        Terms::from_fn(|b| std::array::from_fn(|c| self.specular[c] * light.specular.at(b)[c]))
+    }
 }
 
 /// Adjoint of a chunk of points; adds the adjoints of shared parameters to `partial`: [`LOBE_COLUMNS`] rows for each
@@ -67,28 +79,18 @@ pub fn adjoint_chunk<S: Simd, M: PairModel>(
     for (i, point) in points.iter().enumerate() {
         let lane = i % Lanes::<S>::LEN;
         if lane == 0 {
-            let end = points.len().min(i + Lanes::<S>::LEN);
-            prepared = Some(Prepared::<S, M>::new(simd, shared, &points[i..end]));
+            prepared = Some(Prepared::<S, M>::new(simd, shared, &points[i..]));
         }
         out[i] = PointAdjoint::default();
         let Some(prepared) = prepared.as_ref().filter(|_| !point.is_missed()) else { continue };
-        let (terms, frozen) = prepared.point(lane);
+        let (terms, frozen) = &prepared.point(lane);
         let (row, around) = Visibility::point(visibility, i, shared.stride());
-        let weights = Weights::new(shared, point, &around, &frozen, &shaded[i], &adjoint[i]);
-        let wide = splat::<S, M>(simd, &terms);
+        let weights = Weights::new(shared, point, &around, frozen, &shaded[i], &adjoint[i]);
+        let wide = splat::<S, M>(simd, terms);
         let (light, sums) = pull_back_lobes(simd, shared, &wide, row, &weights, &mut picked, lobe_gradient);
-        let incident = |c: usize| light.diffuse[c] + around.indirect[c];
-        out[i].albedo = std::array::from_fn(|c| weights.diffuse[c] / PI * incident(c));
-        let end = PointEnd {
-            point,
-            specular: shared.specular,
-            terms: &terms,
-            frozen: &frozen,
-            sums: &sums,
-            specular_light: &Terms::from_fn(|b| {
-                std::array::from_fn(|c| weights.specular[c] * light.specular.at(b)[c])
-            }),
-        };
+        out[i].albedo = weights.albedo_adjoint(&light, &around);
+        let specular_light = &weights.weighted_specular(&light);
+        let end = PointEnd { point, specular: shared.specular, terms, frozen, sums: &sums, specular_light };
         out[i].normal = shared.model.pull_back_point(&end, &mut gradient);
     }
     let [r, g, b] = gradient.albedo;

@@ -26,8 +26,7 @@ pub fn shade_chunk<S: Simd, M: PairModel>(
     for (i, (point, out)) in points.iter().zip(out).enumerate() {
         let lane = i % Lanes::<S>::LEN;
         if lane == 0 {
-            let end = points.len().min(i + Lanes::<S>::LEN);
-            prepared = Some(Prepared::<S, M>::new(simd, shared, &points[i..end]));
+            prepared = Some(Prepared::<S, M>::new(simd, shared, &points[i..]));
         }
         *out = Layers::default();
         let Some(prepared) = prepared.as_ref().filter(|_| !point.is_missed()) else { continue };

@@ -38,11 +38,12 @@ pub(super) struct Prepared<S: Simd, M: PairModel> {
 }
 
 impl<S: Simd, M: PairModel> Prepared<S, M> {
+    /// The terms of the first of these points, as many as there are lanes.
     #[inline(always)]
     pub(super) fn new(simd: S, shared: &Shared<'_, M>, points: &[ShadePoint]) -> Self {
         // A lane without a point has zeros; its results are not read.
         let mut inputs = [Row::ZERO; 6];
-        for (i, point) in points.iter().enumerate() {
+        for (i, point) in points.iter().take(Lanes::<S>::LEN).enumerate() {
             for c in 0..3 {
                 inputs[c].0[i] = point.normal[c];
                 inputs[3 + c].0[i] = point.to_viewer[c];

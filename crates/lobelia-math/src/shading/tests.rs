@@ -4,11 +4,15 @@ use crate::brdf::{Facets, Ndf};
 use crate::cases::{Case, random_case};
 use crate::lobe::Lobe;
 use crate::published::oracle::{forward, gradient};
+use crate::real::add;
 use rand::{SeedableRng, rngs::SmallRng};
 
 fn narrow(v: [f64; 3]) -> [f32; 3] {
     v.map(|x| x as f32)
 }
+
+/// Adjoint of the radiance of every point, per channel.
+const ADJOINT: [f64; 3] = [0.7, -0.4, 0.5];
 
 /// The adjoint of what `shaded` holds.
 fn shade_adjoint(
@@ -24,6 +28,31 @@ fn shade_adjoint(
     let radiance = RadianceColumns { shaded, adjoint };
     form.shade_adjoint(points, specular, lobes, radiance, out, &mut gradient);
     gradient
+}
+
+/// What a form makes of points: their radiance, and the adjoints of the points and of what they share.
+struct RoundTrip {
+    shaded: Vec<Layers>,
+    back: Vec<PointAdjoint>,
+    shared: SharedGradient,
+}
+
+/// Shades the points, and propagates [`ADJOINT`] back from each.
+fn round_trip<'a>(
+    form: ClosedForm,
+    points: &[ShadePoint],
+    specular: &SpecularValue,
+    lighting: impl Into<Lighting<'a>>,
+) -> RoundTrip {
+    let lighting: Lighting<'a> = lighting.into();
+    let mut shaded = vec![Layers::default(); points.len()];
+    form.shade(points, specular, lighting, &mut shaded);
+    let adjoint = vec![RadianceAdjoint(narrow(ADJOINT)); points.len()];
+    let mut back = vec![PointAdjoint::default(); points.len()];
+    let mut shared = SharedGradient::default();
+    let radiance = RadianceColumns { shaded: &shaded, adjoint: &adjoint };
+    form.shade_adjoint(points, specular, lighting, radiance, &mut back, &mut shared);
+    RoundTrip { shaded, back, shared }
 }
 
 /// Cases that share one material: `lobes` lobes seen from `points` points.
@@ -83,17 +112,10 @@ fn slices_agree_with_the_sum_of_pairs_in_f64() {
 fn slice_adjoint_agrees_with_the_sum_of_pairs_in_f64() {
     let cases = cases(300, 21);
     let (points, specular, lobes) = inputs(&cases);
-    let (wd, ws) = ([0.7, -0.4, 0.5], [0.7, -0.4, 0.5]);
-    let n = points.len();
-    let mut shaded = vec![Layers::default(); n];
-    ClosedForm::Published.shade(&points, &specular, &lobes, &mut shaded);
-    let adjoint = vec![RadianceAdjoint(narrow(wd)); n];
-    let mut back = vec![PointAdjoint::default(); n];
-    let shared =
-        shade_adjoint(ClosedForm::Published, &points, &specular, &lobes, &shaded, &adjoint, &mut back);
+    let RoundTrip { back, shared, .. } = round_trip(ClosedForm::Published, &points, &specular, &lobes);
     let (mut roughness, mut sharpness) = (0.0, vec![0.0; lobes.len()]);
     for (case, out) in cases.iter().zip(&back) {
-        let all: Vec<Case> = case.iter().map(|k| gradient(k, wd, ws)).collect();
+        let all: Vec<Case> = case.iter().map(|k| gradient(k, ADJOINT, ADJOINT)).collect();
         for c in 0..3 {
             close("normal", out.normal[c], all.iter().map(|g| g.normal[c]).sum(), 20.0);
             close("albedo", out.albedo[c], all.iter().map(|g| g.albedo[c]).sum(), 1.0);
@@ -189,6 +211,57 @@ fn accurate_slices_agree_with_the_sum_of_all_pairs_in_f64() {
     check_accurate_slices(Ndf::Ggx, |k| prepare_ggx_point(k.normal, k.to_viewer, k.roughness));
 }
 
+/// A sum, and that of the magnitudes of its terms, by which its error is measured.
+#[derive(Clone, Copy, Default)]
+struct SizedSum {
+    value: f64,
+    magnitude: f64,
+}
+
+impl SizedSum {
+    fn add(&mut self, term: f64) {
+        self.value += term;
+        self.magnitude += term.abs();
+    }
+
+    /// Checks that `found` is within this part of the magnitude, or `least` more.
+    fn check(self, name: &str, found: f32, part: f64, least: f64) {
+        let (found, Self { value, magnitude }) = (f64::from(found), self);
+        assert!((found - value).abs() <= part * magnitude + least, "{name}: {found} {value} {magnitude}");
+    }
+}
+
+/// Diffuse and specular radiance of one point under one lobe, with this distribution of microfacet normals.
+fn exact_layers(form: ClosedForm, case: &Case, ndf: Ndf) -> [[f64; 3]; 2] {
+    let lobe = Lobe { axis: case.axis, sharpness: case.sharpness, amplitude: case.amplitude };
+    let facets = Facets { ndf, roughness: case.roughness };
+    form.shade_pair([case.normal, case.to_viewer], &lobe, case.albedo, case.specular, facets)
+}
+
+/// Adjoints of sharpness and roughness of one point under one lobe, given [`ADJOINT`] of its radiance.
+fn exact_adjoints<const NDF: usize>(
+    case: &Case,
+    point: &PointTerms<f64, NDF>,
+    derivatives: &PointDerivatives<f64, NDF>,
+) -> [f64; 2] {
+    let over = |f: &dyn Fn(usize) -> f64| (0..3).map(|c| ADJOINT[c] * case.amplitude[c] * f(c)).sum::<f64>();
+    let adjoint =
+        [over(&|c| case.albedo[c] / std::f64::consts::PI), over(&|_| 1.0), over(&|c| case.specular[c])];
+    let (_, pulled) = pull_back_pair::<f64, 3, 2, NDF>(point, case.axis, case.sharpness, adjoint);
+    let (_, by_roughness) = pull_back_point(point, derivatives, &pulled.point);
+    [pulled.sharpness, by_roughness]
+}
+
+/// Checks a point's radiance against the sums over all lobes.
+fn check_layers(out: &Layers, [diffuse, specular]: [[f64; 3]; 2]) {
+    for c in 0..3 {
+        close("diffuse", out.diffuse[c], diffuse[c], 1.0);
+        // The bound on what is left out is on the sum over lobes, not on each point.
+        let error = (f64::from(out.specular[c]) - specular[c]).abs();
+        assert!(error <= 1e-2 * specular[c] + 2e-3, "specular: {} {}", out.specular[c], specular[c]);
+    }
+}
+
 fn check_accurate_slices<const NDF: usize>(
     ndf: Ndf,
     prepare: impl Fn(&Case) -> (PointTerms<f64, NDF>, PointDerivatives<f64, NDF>),
@@ -199,49 +272,24 @@ fn check_accurate_slices<const NDF: usize>(
     let form = ClosedForm::default();
     let culled = form.culled_part(&points, &specular, &lobes);
     assert!(culled > if ndf == Ndf::Sg { 0.2 } else { 0.02 }, "{culled} left out");
-    let mut shaded = vec![Layers::default(); points.len()];
-    form.shade(&points, &specular, &lobes, &mut shaded);
-    let adjoint = vec![RadianceAdjoint([0.7, -0.4, 0.5]); points.len()];
-    let mut back = vec![PointAdjoint::default(); points.len()];
-    let shared = shade_adjoint(form, &points, &specular, &lobes, &shaded, &adjoint, &mut back);
-    let (mut sharpness, mut roughness) = (vec![[0.0; 2]; lobes.len()], [0.0; 2]);
+    let RoundTrip { shaded, shared, .. } = round_trip(form, &points, &specular, &lobes);
+    let (mut sharpness, mut roughness) = (vec![SizedSum::default(); lobes.len()], SizedSum::default());
     for (case, out) in cases.iter().zip(&shaded) {
         let mut sums = [[0.0; 3]; 2];
-        for (i, k) in case.iter().enumerate() {
-            let lobe = Lobe { axis: k.axis, sharpness: k.sharpness, amplitude: k.amplitude };
-            let facets = Facets { ndf, roughness: k.roughness };
-            let pair = form.shade_pair([k.normal, k.to_viewer], &lobe, k.albedo, k.specular, facets);
+        for (k, sharpness) in case.iter().zip(&mut sharpness) {
             let (point, derivatives) = prepare(k);
-            let w: [f64; 3] = [0.7, -0.4, 0.5];
-            let over = |f: &dyn Fn(usize) -> f64| (0..3).map(|c| w[c] * k.amplitude[c] * f(c)).sum::<f64>();
-            let adjoint =
-                [over(&|c| k.albedo[c] / std::f64::consts::PI), over(&|_| 1.0), over(&|c| k.specular[c])];
-            let (_, pulled) = pull_back_pair::<f64, 3, 2, NDF>(&point, k.axis, k.sharpness, adjoint);
-            sharpness[i][0] += pulled.sharpness;
-            sharpness[i][1] += pulled.sharpness.abs();
-            let (_, by_roughness) = pull_back_point(&point, &derivatives, &pulled.point);
-            roughness[0] += by_roughness;
-            roughness[1] += by_roughness.abs();
-            for (sum, layer) in sums.iter_mut().zip(pair) {
-                for c in 0..3 {
-                    sum[c] += layer[c];
-                }
+            let [by_sharpness, by_roughness] = exact_adjoints(k, &point, &derivatives);
+            sharpness.add(by_sharpness);
+            roughness.add(by_roughness);
+            for (sum, layer) in sums.iter_mut().zip(exact_layers(form, k, ndf)) {
+                *sum = add(*sum, layer);
             }
         }
-        let [diffuse, specular] = sums;
-        for c in 0..3 {
-            close("diffuse", out.diffuse[c], diffuse[c], 1.0);
-            // The bound on what is left out is on the sum over lobes, not on each point.
-            let error = (f64::from(out.specular[c]) - specular[c]).abs();
-            assert!(error <= 1e-2 * specular[c] + 2e-3, "specular: {} {}", out.specular[c], specular[c]);
-        }
+        check_layers(out, sums);
     }
-    let [exact, magnitude] = roughness;
-    let value = f64::from(shared.specular.roughness);
-    assert!((value - exact).abs() <= 2e-2 * magnitude, "roughness: {value} {exact} {magnitude}");
-    for (i, [exact, magnitude]) in sharpness.iter().enumerate() {
-        let value = f64::from(shared.lobes.get(i).sharpness);
-        assert!((value - exact).abs() <= 6e-2 * magnitude + 1e-3, "sharpness: {value} {exact} {magnitude}");
+    roughness.check("roughness", shared.specular.roughness, 2e-2, 0.0);
+    for (i, sharpness) in sharpness.iter().enumerate() {
+        sharpness.check("sharpness", shared.lobes.get(i).sharpness, 6e-2, 1e-3);
     }
 }
 
@@ -280,80 +328,81 @@ fn what_is_left_out_is_negligible() {
     }
 }
 
+/// Visibility of points in the open, but for some occlusion of their specular light and some light from the object.
+const AROUND: PointVisibility = PointVisibility { specular: [0.5, 0.25, 1.5], indirect: [0.2, 0.1, 0.4] };
+
+/// Part of a lobe's irradiance that reaches the points, of 255.
+fn reaching_part(lobe: usize) -> u8 {
+    (lobe * 53 % 256) as u8
+}
+
+/// Lobes of which as much is there as [`reaching_part`] lets through.
+fn dimmed(lobes: &LobeColumns) -> LobeColumns {
+    LobeColumns::from_lobes((0..lobes.len()).map(|i| {
+        let lobe = lobes.get(i);
+        Lobe { amplitude: lobe.amplitude.map(|a| a * f32::from(reaching_part(i)) / 255.0), ..lobe }
+    }))
+}
+
+/// Checks radiance and adjoints of points without specular light that see a part of each lobe, against those that see dimmed lobes.
+fn check_dimmed_points(points: &[ShadePoint], hidden: &RoundTrip, dim: &RoundTrip) {
+    for ((a, b), point) in hidden.shaded.iter().zip(&dim.shaded).zip(points) {
+        for c in 0..3 {
+            close("diffuse", a.diffuse[c], f64::from(b.diffuse[c]), 1.0);
+            assert_eq!(a.specular[c], 0.0);
+            assert!(a.diffuse[c] >= AROUND.indirect[c] * point.albedo[c] / std::f32::consts::PI - 1e-6);
+        }
+    }
+    for (a, b) in hidden.back.iter().zip(&dim.back) {
+        for c in 0..3 {
+            close("albedo", a.albedo[c], f64::from(b.albedo[c]), 1.0);
+            close("normal", a.normal[c], f64::from(b.normal[c]), 1.0);
+        }
+    }
+}
+
+/// Checks the gradient of lobes of which a part is seen against that of dimmed lobes.
+fn check_dimmed_lobes(hidden: &LobeColumns, dim: &LobeColumns) {
+    for i in 0..hidden.len() {
+        let (a, b) = (hidden.get(i), dim.get(i));
+        close("sharpness", a.sharpness, f64::from(b.sharpness), 1.0);
+        for c in 0..3 {
+            close("axis", a.axis[c], f64::from(b.axis[c]), 10.0);
+            let amplitude = f64::from(b.amplitude[c]) * f64::from(reaching_part(i)) / 255.0;
+            close("amplitude", a.amplitude[c], amplitude, 10.0);
+        }
+    }
+}
+
 /// What is hidden, by its definition: rows scale each lobe's diffuse light, the factors specular light, and all adjoints follow.
 #[test]
 fn visibility_scales_the_lobes_it_hides() {
-    let cases = cases(70, 37);
-    let (points, specular, lobes) = inputs(&cases);
-    let part = |i: usize| (i * 53 % 256) as u8;
-    let dimmed = LobeColumns::from_lobes((0..lobes.len()).map(|i| {
-        let lobe = lobes.get(i);
-        Lobe { amplitude: lobe.amplitude.map(|a| a * f32::from(part(i)) / 255.0), ..lobe }
-    }));
-    let row: Vec<u8> = (0..lobes.stride()).map(part).collect();
+    let (points, specular, lobes) = inputs(&cases(70, 37));
+    let row: Vec<u8> = (0..lobes.stride()).map(reaching_part).collect();
     let rows = row.repeat(points.len());
-    let around = PointVisibility { specular: [0.5, 0.25, 1.5], indirect: [0.2, 0.1, 0.4] };
+    let open = vec![255u8; rows.len()];
     for form in [ClosedForm::Published, ClosedForm::default()] {
-        let run = |lobes: &LobeColumns, visibility: Option<Visibility<'_>>| {
-            let mut shaded = vec![Layers::default(); points.len()];
-            form.shade(&points, &specular, Lighting { lobes, visibility }, &mut shaded);
-            let adjoint = vec![RadianceAdjoint([0.7, -0.4, 0.5]); points.len()];
-            let mut back = vec![PointAdjoint::default(); points.len()];
-            let mut gradient = SharedGradient::default();
-            let radiance = RadianceColumns { shaded: &shaded, adjoint: &adjoint };
-            form.shade_adjoint(
-                &points,
-                &specular,
-                Lighting { lobes, visibility },
-                radiance,
-                &mut back,
-                &mut gradient,
-            );
-            (shaded, back, gradient)
+        let run = |lobes: &LobeColumns, rows: &[u8], around: PointVisibility| {
+            let around = vec![around; points.len()];
+            let visibility = Some(Visibility { lobes: rows, points: &around });
+            round_trip(form, &points, &specular, Lighting { lobes, visibility })
         };
         // All open: not a bit changes.
-        let open = [vec![255; rows.len()], rows.clone()];
-        let all = vec![PointVisibility::OPEN; points.len()];
-        let plain = run(&lobes, None);
-        let seen = run(&lobes, Some(Visibility { lobes: &open[0], points: &all }));
-        assert!(plain.0 == seen.0 && plain.1 == seen.1 && plain.2.lobes == seen.2.lobes);
+        let plain = round_trip(form, &points, &specular, &lobes);
+        let seen = run(&lobes, &open, PointVisibility::OPEN);
+        assert!(plain.shaded == seen.shaded && plain.back == seen.back);
+        assert!(plain.shared.lobes == seen.shared.lobes);
         // No specular light: as if the lobes were dimmer.
-        let matte = vec![PointVisibility { specular: [0.0; 3], ..around }; points.len()];
-        let hidden = run(&lobes, Some(Visibility { lobes: &rows, points: &matte }));
-        let dim = run(&dimmed, Some(Visibility { lobes: &open[0], points: &matte }));
-        for ((a, b), point) in hidden.0.iter().zip(&dim.0).zip(&points) {
-            for c in 0..3 {
-                close("diffuse", a.diffuse[c], f64::from(b.diffuse[c]), 1.0);
-                assert_eq!(a.specular[c], 0.0);
-                assert!(a.diffuse[c] >= around.indirect[c] * point.albedo[c] / std::f32::consts::PI - 1e-6);
-            }
-        }
-        for (a, b) in hidden.1.iter().zip(&dim.1) {
-            for c in 0..3 {
-                close("albedo", a.albedo[c], f64::from(b.albedo[c]), 1.0);
-                close("normal", a.normal[c], f64::from(b.normal[c]), 1.0);
-            }
-        }
-        for i in 0..lobes.len() {
-            let (a, b) = (hidden.2.lobes.get(i), dim.2.lobes.get(i));
-            close("sharpness", a.sharpness, f64::from(b.sharpness), 1.0);
-            for c in 0..3 {
-                close("axis", a.axis[c], f64::from(b.axis[c]), 10.0);
-                close(
-                    "amplitude",
-                    a.amplitude[c],
-                    f64::from(b.amplitude[c]) * f64::from(part(i)) / 255.0,
-                    10.0,
-                );
-            }
-        }
+        let matte = PointVisibility { specular: [0.0; 3], ..AROUND };
+        let (hidden, dim) = (run(&lobes, &rows, matte), run(&dimmed(&lobes), &open, matte));
+        check_dimmed_points(&points, &hidden, &dim);
+        check_dimmed_lobes(&hidden.shared.lobes, &dim.shared.lobes);
         // No diffuse light, half of the specular light in the first channel: half of its radiance.
-        let half = vec![around; points.len()];
-        let mirror = run(&lobes, Some(Visibility { lobes: &rows, points: &half }));
-        for (a, b) in mirror.0.iter().zip(&plain.0) {
-            (0..3).for_each(|c| {
-                close("specular", a.specular[c], f64::from(b.specular[c] * around.specular[c]), 1e-2);
-            });
+        let mirror = run(&lobes, &rows, AROUND);
+        for (a, b) in mirror.shaded.iter().zip(&plain.shaded) {
+            for c in 0..3 {
+                close("specular", a.specular[c], f64::from(b.specular[c] * AROUND.specular[c]), 1e-2);
+            }
         }
     }
 }

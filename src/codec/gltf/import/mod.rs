@@ -221,6 +221,46 @@ fn parent_from_node(file: &GltfFile, index: usize) -> Result<Mat4> {
     Ok(Mat4::from_scale_rotation_translation(scale, rotation, translation))
 }
 
+/// What the file holds of a primitive.
+struct PrimitiveArrays {
+    positions: Vec<[f32; 3]>,
+    normals: Option<Vec<[f32; 3]>>,
+    uvs: Option<Vec<[f32; 2]>>,
+    /// The vertices of its triangles, strip or fan, one after another.
+    indices: Vec<u32>,
+}
+
+impl PrimitiveArrays {
+    /// Reads all of them; each vertex has all its attributes, and each index is that of a vertex.
+    fn read(file: &GltfFile, primitive: &Primitive, place: &str) -> Result<Self> {
+        let attribute = |semantic| primitive.attributes.get(&Checked::Valid(semantic)).copied();
+        let (normals, uvs) = (attribute(Semantic::Normals), attribute(Semantic::TexCoords(0)));
+        let accessor =
+            attribute(Semantic::Positions).ok_or_else(|| file.error(place, "has no vertex positions"))?;
+        let count = file.count(accessor, place)?;
+        for other in [normals, uvs].into_iter().flatten() {
+            let other = file.count(other, place)?;
+            if other != count {
+                let problem = format!("has {count} positions but {other} normals or texture coordinates");
+                return Err(file.error(place, problem));
+            }
+        }
+        let positions = file.floats::<3>(accessor, place)?;
+        let normals = normals.map(|a| file.floats::<3>(a, place)).transpose()?;
+        let uvs = uvs.map(|a| file.floats::<2>(a, place)).transpose()?;
+        let indices = match primitive.indices {
+            Some(accessor) => file.indices(accessor, place)?,
+            None => (0..positions.len() as u32).collect(),
+        };
+        if let Some(bad) = indices.iter().find(|&&i| i as usize >= positions.len()) {
+            let problem =
+                format!("vertex index {bad} is out of range: there are {} vertices", positions.len());
+            return Err(file.error(place, problem));
+        }
+        Ok(Self { positions, normals, uvs, indices })
+    }
+}
+
 /// The mesh under construction.
 struct Gathered {
     mesh: Mesh,
@@ -245,29 +285,8 @@ impl Gathered {
             self.report.skipped_primitives += 1;
             return Ok(());
         }
-        let attribute = |semantic| primitive.attributes.get(&Checked::Valid(semantic)).copied();
-        let accessor =
-            attribute(Semantic::Positions).ok_or_else(|| file.error(place, "has no vertex positions"))?;
-        let count = file.count(accessor, place)?;
-        for other in [attribute(Semantic::Normals), attribute(Semantic::TexCoords(0))].into_iter().flatten() {
-            let other = file.count(other, place)?;
-            if other != count {
-                let problem = format!("has {count} positions but {other} normals or texture coordinates");
-                return Err(file.error(place, problem));
-            }
-        }
-        let positions = file.floats::<3>(accessor, place)?;
-        let normals = attribute(Semantic::Normals).map(|a| file.floats::<3>(a, place)).transpose()?;
-        let uvs = attribute(Semantic::TexCoords(0)).map(|a| file.floats::<2>(a, place)).transpose()?;
-        let indices = match primitive.indices {
-            Some(accessor) => file.indices(accessor, place)?,
-            None => (0..positions.len() as u32).collect(),
-        };
-        if let Some(bad) = indices.iter().find(|&&i| i as usize >= positions.len()) {
-            let problem =
-                format!("vertex index {bad} is out of range: there are {} vertices", positions.len());
-            return Err(file.error(place, problem));
-        }
+        let PrimitiveArrays { positions, normals, uvs, indices } =
+            PrimitiveArrays::read(file, primitive, place)?;
         self.add_triangles(&indices, mode, world);
         self.add_positions(file, &positions, world, place)?;
         self.add_normals(normals, positions.len(), world);

@@ -20,44 +20,43 @@ fn jpegs_are_turned_by_their_exif_orientation() {
     assert_eq!(corner(8, top_left), (8, 16, false));
 }
 
+/// Gray values of 3×2 pixels as stored; EXIF says where row 0 and column 0 are seen.
+const STORED: [u8; 6] = [10, 20, 30, 40, 50, 60];
+
+/// Each EXIF orientation, with size and gray values of these pixels once they are turned upright.
+const UPRIGHT: [(u8, [u32; 2], [u8; 6]); 8] = [
+    (1, [3, 2], [10, 20, 30, 40, 50, 60]),
+    (2, [3, 2], [30, 20, 10, 60, 50, 40]),
+    (3, [3, 2], [60, 50, 40, 30, 20, 10]),
+    (4, [3, 2], [40, 50, 60, 10, 20, 30]),
+    (5, [2, 3], [10, 40, 20, 50, 30, 60]),
+    (6, [2, 3], [40, 10, 50, 20, 60, 30]),
+    (7, [2, 3], [60, 30, 50, 20, 40, 10]),
+    (8, [2, 3], [30, 60, 20, 50, 10, 40]),
+];
+
 #[test]
 fn every_orientation_is_turned_upright_or_left_as_stored() {
     let (_dir, at) = folder();
-    // Gray values of 3×2 pixels as stored; EXIF says where row 0 and column 0 are seen.
-    let stored = [10, 20, 30, 40, 50, 60];
-    let upright: [(u8, [u32; 2], [u8; 6]); 8] = [
-        (1, [3, 2], [10, 20, 30, 40, 50, 60]),
-        (2, [3, 2], [30, 20, 10, 60, 50, 40]),
-        (3, [3, 2], [60, 50, 40, 30, 20, 10]),
-        (4, [3, 2], [40, 50, 60, 10, 20, 30]),
-        (5, [2, 3], [10, 40, 20, 50, 30, 60]),
-        (6, [2, 3], [40, 10, 50, 20, 60, 30]),
-        (7, [2, 3], [60, 30, 50, 20, 40, 10]),
-        (8, [2, 3], [30, 60, 20, 50, 10, 40]),
-    ];
-    for (exif, size, pixels) in upright {
+    for (exif, size, upright) in UPRIGHT {
         let tiff = super::formats::tiff_bytes(|encoder| {
             let mut image = encoder.new_image::<tiff::encoder::colortype::Gray8>(3, 2).unwrap();
             image.encoder().write_tag(tiff::tags::Tag::Orientation, u16::from(exif)).unwrap();
-            image.write_data(&stored).unwrap();
+            image.write_data(&STORED).unwrap();
         });
         fs::write(at("a.tif"), tiff).unwrap();
-        let png = png_with_orientation(&stored, exif);
-        fs::write(at("a.png"), png).unwrap();
+        fs::write(at("a.png"), png_with_orientation(&STORED, exif)).unwrap();
         for name in ["a.tif", "a.png"] {
             let header = image_header(at(name)).unwrap();
             assert_eq!((header.exif, header.width, header.height), (exif, 3, 2), "{name}");
-            assert_eq!(
-                (header.size(Orientation::Upright), header.size(Orientation::AsStored)),
-                (size, [3, 2])
-            );
-            let turned = decode_samples(at(name), Orientation::Upright).unwrap();
-            assert_eq!(
-                ([turned.width, turned.height], turned.samples),
-                (size, Samples::Bytes8(pixels.to_vec()))
-            );
-            let left = decode_samples(at(name), Orientation::AsStored).unwrap();
-            assert_eq!(([left.width, left.height], left.samples), ([3, 2], Samples::Bytes8(stored.to_vec())));
+            for (orientation, size, pixels) in
+                [(Orientation::Upright, size, upright), (Orientation::AsStored, [3, 2], STORED)]
+            {
+                assert_eq!(header.size(orientation), size, "{name}, {exif}");
+                let decoded = decode_samples(at(name), orientation).unwrap();
+                assert_eq!([decoded.width, decoded.height], size, "{name}, {exif}");
+                assert_eq!(decoded.samples, Samples::Bytes8(pixels.to_vec()), "{name}, {exif}");
+            }
             let mask = read_mask(at(name), Orientation::Upright).unwrap().mask;
             assert_eq!([mask.width, mask.height], size);
         }
