@@ -1,11 +1,15 @@
 //! Whether a `Fit` gives the surface one base material or several, where the scene leaves that to the photographs
 //! ([`Gloss::Auto`]).
 //!
-//! The fit begins with one. If that explains the photographs badly after [`TRIED`] steps, several are tried, with colors of their own as
+//! The fit begins with one. If that explains the photographs badly after the first of [`TRIED`] steps, several are tried, with colors of their own as
 //! metals have, for as many steps over the same pixels; light and albedo then begin from an initialization as far as they are unknown, because what one
 //! material made of them is wrong. A pixel's error is measured before a step moves anything, and of two hundred photographs or of large ones
 //! most pixels are visited for the first time in these steps: both materials are judged by what they have not been fitted to. The fit goes on with
 //! several only if their error is clearly less; else it goes on as if they had not been tried.
+//!
+//! After a `Shape` one material begins with a light and an albedo that were fitted with it, and several begin anew. So where several are better after
+//! a hundred steps, but not clearly, the fit goes on with one, and several are tried again for more steps: a copper kettle with a black
+//! handle has 0.97 of the error after 100 steps and 0.77 after 300, a chair 0.97 and 1.01.
 
 use crate::checkpoint::{Carried, Span, carry, discard, restore};
 use crate::error::stop::{finish_stopping, is_stopping};
@@ -30,10 +34,10 @@ use glam::Vec3;
 use std::ops::ControlFlow;
 use std::time::Instant;
 
-/// Steps with one material before the choice, and with several for it.
-const TRIED: u32 = 100;
-/// Fits of fewer steps have one material.
-const LEAST_STEPS: u32 = 300;
+/// Steps with one material before a choice, and with several for it; the second choice is made only if the first was close.
+const TRIED: [u32; 2] = [100, 300];
+/// Steps of a fit relative to those before a choice, below which that is not made.
+const LEAST_STEPS: u32 = 3;
 /// PSNR of linear radiance, in dB, from which one material is enough.
 const EXPLAINED: f64 = 32.0;
 /// Error of several relative to that of one below which they are chosen.
@@ -53,9 +57,19 @@ pub(super) fn take_steps_and_choose(
     if resume::restore(session, At::Level)? {
         return go_on(session, pass);
     }
+    let asked_after = is_open(session, pass)?.then_some(TRIED[0]);
+    take_steps_after(session, pass, Done::default(), asked_after)
+}
+
+/// The steps after those that are `done`, with a choice if the photographs are explained badly where that is asked.
+fn take_steps_after(
+    session: &mut Session,
+    pass: &FitPass,
+    done: Done,
+    asked_after: Option<u32>,
+) -> Result<(FitSummary, FitOptions)> {
     let start = Instant::now();
-    let asked_after = is_open(session, pass)?.then_some(TRIED);
-    let options = FitOptions { asked_after, ..options(session, pass, Done::default())? };
+    let options = FitOptions { asked_after, ..options(session, pass, done)? };
     let first = take_steps(session, pass, &options, EXPLAINED)?;
     if !first.doubted {
         return Ok((first.summary, options));
@@ -69,12 +83,17 @@ pub(super) fn take_steps_and_choose(
     chosen
 }
 
-/// The steps after the choice.
+/// The steps after a choice.
 fn go_on(session: &mut Session, pass: &FitPass) -> Result<(FitSummary, FitOptions)> {
-    let secs = session.scores.materials_tried.map_or(0.0, |tried| tried.seconds);
-    let options = options(session, pass, Done { steps: TRIED, secs })?;
-    let Steps { summary, .. } = take_steps(session, pass, &options, EXPLAINED)?;
-    Ok((summary, options))
+    let tried = session.scores.materials_tried.unwrap_or_default();
+    let asked_after = if session.several { None } else { asked_again(tried, pass.steps) };
+    take_steps_after(session, pass, Done { steps: tried.steps, secs: tried.seconds }, asked_after)
+}
+
+/// The steps after which several materials are tried again in a fit of `steps`, where one was kept though it was no better.
+fn asked_again(tried: MaterialsTried, steps: u32) -> Option<u32> {
+    let next = TRIED.into_iter().find(|&next| next > tried.steps);
+    next.filter(|next| tried.several < tried.one && steps >= LEAST_STEPS * next)
 }
 
 /// Whether the photographs decide about gloss in this fit.
@@ -84,7 +103,7 @@ fn is_open(session: &mut Session, pass: &FitPass) -> Result<bool> {
     let gray = matches!(material.specular.albedo, SpecularAlbedo::Unknown { mono: true, .. });
     let unsaid = material.gloss == Gloss::Auto && material.specular.is_open() && gray;
     let untried = session.scores.materials_tried.is_none() && scene.own_material().is_none();
-    let enough = pass.steps >= LEAST_STEPS && session.unknowns().albedo;
+    let enough = pass.steps >= LEAST_STEPS * TRIED[0] && session.unknowns().albedo;
     Ok(unsaid && untried && enough && !uses_published(scene) && has_room(session)?)
 }
 
@@ -116,15 +135,26 @@ fn choose(
     keep_one_or_several(&mut session.pipeline.world, session.several, &lobes, carried)?;
     tried?;
     let Some(several) = error else { return Err(Error::Interrupted) };
-    let words = if session.several { "several base materials are" } else { "one base material is" };
-    session.progress.print(&format!(
-        "{}: {words} chosen: error {several:.4} with several, {:.4} with one, after {TRIED} steps",
-        pass.name, first.error
-    ));
-    let seconds = start.elapsed().as_secs_f64();
-    session.scores.materials_tried = Some(MaterialsTried { one: first.error, several, seconds });
+    let steps = options.asked_after.unwrap_or_default();
+    let seconds = options.done.secs + start.elapsed().as_secs_f64();
+    let tried = MaterialsTried { one: first.error, several, steps, seconds };
+    let again = if session.several { None } else { asked_again(tried, pass.steps) };
+    session.progress.print(&words(&pass.name, session.several, tried, again));
+    session.scores.materials_tried = Some(tried);
     session.initialize = Initialize::NONE;
-    resume::keep_level(session, 1)
+    let level = TRIED.iter().filter(|&&tried| tried <= steps).count();
+    resume::keep_level(session, level as u32)
+}
+
+/// What a choice has come to, in a line; `again` are the steps after which it is made again.
+fn words(pass: &str, chose_several: bool, tried: MaterialsTried, again: Option<u32>) -> String {
+    let chosen = match (chose_several, again) {
+        (true, _) => "several base materials are chosen".to_owned(),
+        (false, None) => "one base material is chosen".to_owned(),
+        (false, Some(steps)) => format!("one base material is kept until step {steps}"),
+    };
+    let MaterialsTried { one, several, steps, .. } = tried;
+    format!("{pass}: {chosen}: error {several:.4} with several, {one:.4} with one, after {steps} steps")
 }
 
 fn keep_one_or_several(
@@ -166,14 +196,16 @@ fn try_several(session: &mut Session, pass: &FitPass, before: &FitOptions) -> Re
     let unknowns = session.unknowns();
     // Shadows of geometry that has moved are traced again first.
     let visibility = before.visibility && session.has_visibility()?;
-    let options = FitOptions { unknowns, initialize, visibility, light_frame, ..before.clone() };
+    let done = Done::default();
+    let options = FitOptions { done, unknowns, initialize, visibility, light_frame, ..before.clone() };
+    let steps = before.asked_after.unwrap_or_default();
     let mut error = f64::INFINITY;
     let title = format!("{}, several base materials", pass.name);
-    let bar = session.progress.bar(&title, u64::from(TRIED));
+    let bar = session.progress.bar(&title, u64::from(steps));
     run_fit(&mut session.pipeline, &options, &mut |at: &FitProgress, _| {
         bar.set_position(u64::from(at.step));
         error = at.sums.mean();
-        if at.step == TRIED || is_stopping() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        if at.step == steps || is_stopping() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     })?;
     bar.finish_and_clear();
     Ok(error)
@@ -185,4 +217,23 @@ fn begin_light(world: &mut World, lobes: &[LightLobe]) {
     let mut own: Vec<_> = query.iter_mut(world).collect();
     own.sort_by_key(|(entity, _)| *entity);
     own.into_iter().zip(lobes).for_each(|((_, mut lobe), first)| *lobe = *first);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_close_choice_is_made_again_once() {
+        let tried = MaterialsTried { one: 0.0317, several: 0.0306, steps: 100, seconds: 1.0 };
+        assert_eq!(asked_again(tried, 1200), Some(300));
+        // Too few steps would be left.
+        assert_eq!(asked_again(tried, 899), None);
+        // One is better.
+        assert_eq!(asked_again(MaterialsTried { several: 0.0318, ..tried }, 1200), None);
+        assert_eq!(asked_again(MaterialsTried { steps: 300, ..tried }, 1200), None);
+        assert!(words("fit", false, tried, Some(300)).contains("kept until step 300: error 0.0306"));
+        assert!(words("fit", false, tried, None).contains("one base material is chosen"));
+        assert!(words("fit", true, tried, None).contains("several base materials are chosen"));
+    }
 }

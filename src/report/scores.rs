@@ -125,12 +125,14 @@ pub struct ScaleFound {
 }
 
 /// What a fit has chosen its base materials by: mean absolute errors of radiance after the same steps over the same pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MaterialsTried {
     /// With one base material.
     pub one: f64,
     /// With several.
     pub several: f64,
+    /// Steps after which they were compared.
+    pub steps: u32,
     /// Seconds until the choice was made.
     pub seconds: f64,
 }

@@ -84,8 +84,8 @@ fn of_light_frame(scores: &Scores) -> Option<Finding> {
 }
 
 fn of_materials_tried(tried: MaterialsTried) -> Finding {
-    let MaterialsTried { one, several, .. } = tried;
-    let words = format!("error with one {one:.4}, with several {several:.4}, after the same steps");
+    let MaterialsTried { one, several, steps, .. } = tried;
+    let words = format!("error with one {one:.4}, with several {several:.4}, after {steps} steps each");
     plain("base materials tried", words)
 }
 
