@@ -9,7 +9,7 @@
 //!
 //! After a `Shape` one material begins with a light and an albedo that were fitted with it, and several begin anew. So where several are better after
 //! a hundred steps, but not clearly, the fit goes on with one, and several are tried again for more steps: a copper kettle with a black
-//! handle has 0.97 of the error after 100 steps and 0.77 after 300, a chair 0.97 and 1.01.
+//! handle has 0.97 of the error after 100 steps and 0.67 after 300, a chair 0.97 and 0.98.
 
 use crate::checkpoint::{Carried, Span, carry, discard, restore};
 use crate::error::stop::{finish_stopping, is_stopping};
@@ -36,7 +36,7 @@ use std::time::Instant;
 
 /// Steps with one material before a choice, and with several for it; the second choice is made only if the first was close.
 const TRIED: [u32; 2] = [100, 300];
-/// Steps of a fit relative to those before a choice, below which that is not made.
+/// A choice is made only in a fit of at least this many times the steps before it.
 const LEAST_STEPS: u32 = 3;
 /// PSNR of linear radiance, in dB, from which one material is enough.
 const EXPLAINED: f64 = 32.0;
@@ -68,13 +68,12 @@ fn take_steps_after(
     done: Done,
     asked_after: Option<u32>,
 ) -> Result<(FitSummary, FitOptions)> {
-    let start = Instant::now();
     let options = FitOptions { asked_after, ..options(session, pass, done)? };
     let first = take_steps(session, pass, &options, EXPLAINED)?;
     if !first.doubted {
         return Ok((first.summary, options));
     }
-    let chosen = choose(session, pass, &options, &first, start).and_then(|()| go_on(session, pass));
+    let chosen = choose(session, pass, &options, &first).and_then(|()| go_on(session, pass));
     if matches!(chosen, Err(Error::Interrupted)) {
         // What was found until then is written.
         finish_stopping();
@@ -90,7 +89,7 @@ fn go_on(session: &mut Session, pass: &FitPass) -> Result<(FitSummary, FitOption
     take_steps_after(session, pass, Done { steps: tried.steps, secs: tried.seconds }, asked_after)
 }
 
-/// The steps after which several materials are tried again in a fit of `steps`, where one was kept though it was no better.
+/// The steps after which several materials are tried again in a fit of `steps`; `None` if one was as good, or if too few steps would be left.
 fn asked_again(tried: MaterialsTried, steps: u32) -> Option<u32> {
     let next = TRIED.into_iter().find(|&next| next > tried.steps);
     next.filter(|next| tried.several < tried.one && steps >= LEAST_STEPS * next)
@@ -118,13 +117,8 @@ fn has_room(session: &mut Session) -> Result<bool> {
 }
 
 /// Tries several materials and keeps what explains more.
-fn choose(
-    session: &mut Session,
-    pass: &FitPass,
-    options: &FitOptions,
-    first: &Steps,
-    start: Instant,
-) -> Result<()> {
+fn choose(session: &mut Session, pass: &FitPass, options: &FitOptions, first: &Steps) -> Result<()> {
+    let start = Instant::now();
     let world = &mut session.pipeline.world;
     let lobes: Vec<_> = recovered_materials(world).into_iter().map(|(_, lobe)| lobe).collect();
     let carried = carry(world, Span::Pass)?;
@@ -136,7 +130,7 @@ fn choose(
     tried?;
     let Some(several) = error else { return Err(Error::Interrupted) };
     let steps = options.asked_after.unwrap_or_default();
-    let seconds = options.done.secs + start.elapsed().as_secs_f64();
+    let seconds = first.summary.elapsed_secs + start.elapsed().as_secs_f64();
     let tried = MaterialsTried { one: first.error, several, steps, seconds };
     let again = if session.several { None } else { asked_again(tried, pass.steps) };
     session.progress.print(&words(&pass.name, session.several, tried, again));

@@ -132,8 +132,9 @@ pub struct MaterialsTried {
     /// With several.
     pub several: f64,
     /// Steps after which they were compared.
+    #[serde(default)]
     pub steps: u32,
-    /// Seconds until the choice was made.
+    /// Seconds of these steps and of the trial.
     pub seconds: f64,
 }
 

@@ -58,7 +58,7 @@ impl FolderLock {
 
 impl Drop for FolderLock {
     fn drop(&mut self) {
-        // What cannot be removed is only in the way of nobody. Folders that were made go only if nothing was put into them.
+        // What cannot be removed does no harm. Folders that were made go only if nothing was put into them.
         let _ = fs::remove_file(&self.path);
         let _ = self.file.unlock();
         for folder in &self.made {

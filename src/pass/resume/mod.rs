@@ -201,7 +201,7 @@ impl Store for Files {
         let needed = [place.route(), self.last.route()].concat();
         self.last = place;
         for old in places(&self.folder).into_iter().filter(|old| !needed.contains(old)) {
-            // One that cannot be removed is only in the way of nobody.
+            // One that cannot be removed does no harm.
             let _ = fs::remove_file(self.folder.join(file_name(old)));
         }
         Ok(())
