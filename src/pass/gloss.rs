@@ -85,8 +85,13 @@ fn take_steps_after(
 /// The steps after a choice.
 fn go_on(session: &mut Session, pass: &FitPass) -> Result<(FitSummary, FitOptions)> {
     let tried = session.scores.materials_tried.unwrap_or_default();
-    let asked_after = if session.several { None } else { asked_again(tried, pass.steps) };
+    let asked_after = next_choice(session, pass, tried);
     take_steps_after(session, pass, Done { steps: tried.steps, secs: tried.seconds }, asked_after)
+}
+
+/// The steps after which the choice is made again; `None` if it has been settled.
+fn next_choice(session: &Session, pass: &FitPass, tried: MaterialsTried) -> Option<u32> {
+    if session.several { None } else { asked_again(tried, pass.steps) }
 }
 
 /// The steps after which several materials are tried again in a fit of `steps`; `None` if one was as good, or if too few steps would be left.
@@ -132,7 +137,7 @@ fn choose(session: &mut Session, pass: &FitPass, options: &FitOptions, first: &S
     let steps = options.asked_after.unwrap_or_default();
     let seconds = first.summary.elapsed_secs + start.elapsed().as_secs_f64();
     let tried = MaterialsTried { one: first.error, several, steps, seconds };
-    let again = if session.several { None } else { asked_again(tried, pass.steps) };
+    let again = next_choice(session, pass, tried);
     session.progress.print(&words(&pass.name, session.several, tried, again));
     session.scores.materials_tried = Some(tried);
     session.initialize = Initialize::NONE;
