@@ -69,7 +69,7 @@ pub use crate::material::{
 };
 
 // Rendering.
-pub use crate::codec::frame::Frame;
+pub use crate::codec::exr_frame::Frame;
 pub use crate::math::accurate::Quality;
 pub use crate::math::shading::ClosedForm;
 pub use crate::report::tone::{Look, save_png};

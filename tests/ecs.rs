@@ -2,7 +2,7 @@
 
 use crate::common::{RADIUS, camera, day, evening, photographs_of, shoot, studio};
 use lobelia::codec::exr::read_exr_layers;
-use lobelia::codec::frame::Frame;
+use lobelia::codec::exr_frame::Frame;
 use lobelia::material::shown::recovered_material;
 use lobelia::mesh::primitive::box_mesh;
 use lobelia::pass::save::write_material;

@@ -3,7 +3,7 @@
 use crate::common::{Data, files_below, write_image};
 use glam::Vec3;
 use lobelia::codec::exr::ExrLayers;
-use lobelia::codec::frame::{read_frame, write_channels};
+use lobelia::codec::exr_frame::{read_frame, write_channels};
 use serde_json::Value;
 
 /// A box with a painted texture; `{SURFACE}`, `{MATERIAL}` and `{PASSES}` are filled in.

@@ -5,7 +5,7 @@ use glam::Vec3;
 use image::AnimationDecoder;
 use image::codecs::gif::GifDecoder;
 use image::codecs::png::PngDecoder;
-use lobelia::codec::frame::{Frame, write_frame, write_frame_rows};
+use lobelia::codec::exr_frame::{Frame, write_frame, write_frame_rows};
 use lobelia::pipeline::{Phase, Pipeline, Slot};
 use lobelia::report::tone::{Backdrop, Look, Picture, save_png, write_png_rows};
 use lobelia::shade::frame::{band_rows, frame_bytes, render_bands, render_frame, resolve};

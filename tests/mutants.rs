@@ -4,7 +4,7 @@
 use crate::common::{Data, evening};
 use glam::Vec3;
 use lobelia::codec::exr::read_exr_layers;
-use lobelia::codec::frame::{Frame, read_frame, write_frame};
+use lobelia::codec::exr_frame::{Frame, read_frame, write_frame};
 use lobelia::codec::gltf::export::write_glb;
 use lobelia::codec::gltf::import::read_mesh;
 use lobelia::codec::gltf::material::read_material;

@@ -5,11 +5,13 @@
 mod graph;
 mod source;
 mod table;
+mod types;
 
 use graph::Graph;
 use source::{Function, Source, functions, kernels, name_of, sources, walk};
 use std::path::PathBuf;
 use table::{rows_and_rooms, table};
+use types::shared_names;
 
 /// Most lines of a file.
 const MOST_LINES: usize = 500;
@@ -24,6 +26,9 @@ const SECTION: &str = "## Rooms";
 const MATH: &str = "crates/lobelia-math";
 /// An entry of the table's last column: every room above.
 const ALL_ABOVE: &str = "all above";
+/// Names that two visible types may share, each with the reason.
+const SHARED_NAMES: [(&str, &str); 1] =
+    [("Surface", "a word of scene files, and the name of the prelude for what is traced")];
 
 fn repository() -> PathBuf {
     PathBuf::from(env!("CARGO_MANIFEST_DIR"))
@@ -89,6 +94,11 @@ fn files_and_functions_are_short() {
 }
 
 #[test]
+fn visible_types_have_names_of_their_own() {
+    assert_none(&shared_names(&sources().1, &SHARED_NAMES));
+}
+
+#[test]
 fn tests_and_examples_are_short_files() {
     let mut paths = Vec::new();
     OTHER_FOLDERS.iter().for_each(|folder| walk(&repository().join(folder), &mut paths));
@@ -147,4 +157,24 @@ fn what_is_wrong_is_found() {
     assert!(files.len() == 2 && files[0].contains("src/middle/mod.rs"), "{files:?}");
     let long = functions(&sources[4]);
     assert_eq!((long[0].lines, long[0].name.as_str()), (601, "long"));
+}
+
+/// Two visible types of one name, beside names that only look shared: private, of a function, in tests, and from a macro.
+#[test]
+fn types_of_one_name_are_found() {
+    let sources = [
+        Source::new(
+            "src/one.rs",
+            "pub struct A;\npub(crate) enum B { A }\nstruct C;\npub trait D {}\npub struct $name;",
+        ),
+        Source::new("src/two.rs", "pub(super) type A = u8;\npub fn d() {}\npub struct C;\npub struct $name;"),
+        Source::new(
+            "src/three.rs",
+            "#[cfg(test)]\nmod tests { pub struct C; }\n// pub struct B;\npub unsafe trait D {}",
+        ),
+    ];
+    let found = shared_names(&sources, &[("D", "known"), ("E", "gone")]);
+    assert_eq!(found.len(), 2, "{found:?}");
+    assert!(found[0].starts_with("src/one.rs:1: type `A`") && found[0].contains("src/two.rs:1"), "{found:?}");
+    assert!(found[1].contains("`E` (gone)"), "{found:?}");
 }

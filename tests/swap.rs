@@ -4,7 +4,7 @@ use crate::common::{camera, day, shoot, studio};
 use bevy_ecs::schedule::ScheduleConfigs;
 use bevy_ecs::system::ScheduleSystem;
 use glam::Vec3;
-use lobelia::codec::frame::Frame;
+use lobelia::codec::exr_frame::Frame;
 use lobelia::light::EnvironmentMap;
 use lobelia::light::illuminate::MapLight;
 use lobelia::light::lights::{LightChoice, provide_light, spawn_light};

@@ -2,7 +2,7 @@
 
 use crate::common::{camera, evening};
 use glam::{Vec2, Vec3};
-use lobelia::codec::frame::Frame;
+use lobelia::codec::exr_frame::Frame;
 use lobelia::light::LightLobe;
 use lobelia::material::SpecularLobe;
 use lobelia::mesh::Surface;

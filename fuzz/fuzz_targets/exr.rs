@@ -4,7 +4,7 @@
 
 use libfuzzer_sys::fuzz_target;
 use lobelia::codec::exr::read_exr_layers;
-use lobelia::codec::frame::read_frame;
+use lobelia::codec::exr_frame::read_frame;
 use lobelia::light::EnvironmentMap;
 use lobelia_fuzz::read;
 

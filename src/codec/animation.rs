@@ -1,7 +1,7 @@
 //! Animations that loop forever: GIF, APNG, and MP4 where `ffmpeg` is on the PATH.
 
 use crate::codec::file;
-use crate::codec::palette::{Colors, Ditherer, Palette};
+use crate::codec::palette::{ColorHistogram, Ditherer, Palette};
 use crate::codec::png_file;
 use crate::{Error, Result};
 use image::RgbImage;
@@ -93,7 +93,7 @@ pub fn write_gif(path: impl AsRef<Path>, film: &Film, fps: f32) -> Result<()> {
     let [Ok(width), Ok(height)] = sides else {
         return Err(failure(path, "the sides of a GIF are at most 65535 pixels"));
     };
-    let mut colors = Colors::default();
+    let mut colors = ColorHistogram::default();
     film.frames().try_for_each(|frame| frame.map(|frame| colors.add(&frame)))?;
     let palette = Palette::of(&colors, 256);
     let mut ditherer = Ditherer::new(&palette);

@@ -19,7 +19,7 @@ use std::path::Path;
 pub const BLOCK_ROWS: usize = 16;
 
 /// One channel's values of some rows.
-pub(super) struct Column<'a> {
+pub(super) struct ChannelValues<'a> {
     pub name: &'a str,
     pub values: Values<'a>,
 }
@@ -31,7 +31,7 @@ pub(super) enum Values<'a> {
     Axis(&'a [Vec3], usize),
 }
 
-impl Column<'_> {
+impl ChannelValues<'_> {
     pub fn len(&self) -> usize {
         match self.values {
             Values::Plain(values) => values.len(),
@@ -111,7 +111,7 @@ pub(super) struct ChannelRows<'a> {
 
 impl ChannelRows<'_> {
     /// Writes the next rows: `size` is their width and number.
-    pub fn push(&mut self, size: [usize; 2], columns: &[Column]) -> Result<()> {
+    pub fn push(&mut self, size: [usize; 2], columns: &[ChannelValues]) -> Result<()> {
         self.check(size, columns)?;
         let ([width, height], start) = (size, self.next_row);
         let end = start + height;
@@ -140,7 +140,7 @@ impl ChannelRows<'_> {
         Ok(())
     }
 
-    fn check(&self, [width, height]: [usize; 2], columns: &[Column]) -> Result<()> {
+    fn check(&self, [width, height]: [usize; 2], columns: &[ChannelValues]) -> Result<()> {
         let count = width * height;
         if let Some(column) = columns.iter().find(|column| column.len() != count) {
             let problem = format!("channel {} has {} values, not {count}", column.name, column.len());

@@ -1,9 +1,9 @@
 //! Every codec on a disk that gives few bytes at a time, is interrupted, or fails: the same bytes and values, or one error and nothing left.
 
 use crate::codec::exr::read_exr_layers;
-use crate::codec::file::faults::{Call, Fault, Faulty};
+use crate::codec::exr_frame::{Frame, read_frame, write_frame};
+use crate::codec::file::faults::{Call, Faulty, FileFault};
 use crate::codec::file::{read_parts, read_text, write_bytes};
-use crate::codec::frame::{Frame, read_frame, write_frame};
 use crate::codec::gltf::export::write_glb;
 use crate::codec::gltf::import::read_mesh;
 use crate::codec::image::{Gamma, Orientation, image_header, read_image, read_mask};
@@ -137,7 +137,7 @@ fn few_bytes_at_a_time_and_interruptions_write_the_same_bytes() {
         let (plain, odd) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
         write(&plain.path().join(name)).unwrap();
         let bytes = std::fs::read(plain.path().join(name)).unwrap();
-        for fault in [Fault::Short(1), Fault::Short(3), Fault::Interrupted] {
+        for fault in [FileFault::Short(1), FileFault::Short(3), FileFault::Interrupted] {
             let _faulty = Faulty::new(odd.path(), Call::Write, fault);
             write(&odd.path().join(name)).unwrap_or_else(|error| panic!("{name}, {fault:?}: {error}"));
             assert!(std::fs::read(odd.path().join(name)).unwrap() == bytes, "{name}, {fault:?}");
@@ -153,7 +153,7 @@ fn a_disk_that_fails_leaves_the_old_file_and_nothing_else() {
                 let folder = tempfile::tempdir().unwrap();
                 let path = folder.path().join(name);
                 std::fs::write(&path, b"old").unwrap();
-                let faulty = Faulty::new(folder.path(), call, Fault::Errno { errno, after });
+                let faulty = Faulty::new(folder.path(), call, FileFault::Errno { errno, after });
                 let written = write(&path);
                 drop(faulty);
                 let Err(error) = written else {
@@ -178,7 +178,7 @@ fn few_bytes_at_a_time_and_interruptions_read_the_same_values() {
         let path = folder.path().join(name);
         write(&path);
         let whole = read(&path).unwrap();
-        for fault in [Fault::Short(1), Fault::Short(5), Fault::Interrupted] {
+        for fault in [FileFault::Short(1), FileFault::Short(5), FileFault::Interrupted] {
             let _faulty = Faulty::new(folder.path(), Call::Read, fault);
             let found = read(&path).unwrap_or_else(|error| panic!("{name}, {fault:?}: {error}"));
             assert!(found == whole, "{name}, {fault:?}");
@@ -193,7 +193,7 @@ fn a_disk_that_fails_while_it_is_read_is_one_error_that_names_the_file() {
         let path = folder.path().join(name);
         write(&path);
         for after in [0, 1] {
-            let _faulty = Faulty::new(folder.path(), Call::Read, Fault::Errno { errno: 5, after });
+            let _faulty = Faulty::new(folder.path(), Call::Read, FileFault::Errno { errno: 5, after });
             match read(&path) {
                 Err(error) => assert!(error.to_string().contains(name), "{error}"),
                 // A small file is read at once.
@@ -209,7 +209,7 @@ fn texts_and_parts_are_whole_in_spite_of_interruptions() {
     let path = folder.path().join("a.ron");
     let text = "grün ".repeat(300);
     std::fs::write(&path, &text).unwrap();
-    for fault in [Fault::Short(1), Fault::Interrupted] {
+    for fault in [FileFault::Short(1), FileFault::Interrupted] {
         let _faulty = Faulty::new(folder.path(), Call::Read, fault);
         assert_eq!(read_text(&path, 1 << 20, |_| String::new()).unwrap(), text);
         let mut parts = Vec::new();

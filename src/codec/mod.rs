@@ -6,7 +6,7 @@
 //! | [`finite`] | | the check that every writer of floats makes |
 //! | [`image`] | PNG, JPEG, TIFF, WebP, EXR, HDR: headers, samples, linear images and masks | PNG and JPEG in memory |
 //! | [`deflate`] | | compressed bytes |
-//! | [`exr`], [`frame`], `exr_rows` | EXR layers | EXR layers, rendered frames |
+//! | [`exr`], [`exr_frame`], `exr_rows` | EXR layers | EXR layers, rendered frames |
 //! | [`png_file`], [`animation`] | | PNG; GIF, APNG, MP4 |
 //! | [`envmap`], `hdr` | EXR and Radiance HDR environment maps | the same |
 //! | [`npy`] | light lobes in both conventions; matrices | light lobes |
@@ -19,12 +19,12 @@ pub mod animation;
 pub mod deflate;
 pub mod envmap;
 pub mod exr;
+pub mod exr_frame;
 mod exr_rows;
 #[cfg(test)]
 mod fault_tests;
 pub mod file;
 pub mod finite;
-pub mod frame;
 pub mod gltf;
 mod hdr;
 pub mod image;

@@ -22,20 +22,20 @@ struct Bin {
 }
 
 /// The colors of frames that are seen one at a time.
-pub struct Colors {
+pub struct ColorHistogram {
     /// All of them, until they are more than [`Self::FEW`].
     few: BTreeSet<[u8; 3]>,
     /// Sums and numbers of pixels by the top six bits of each channel.
     cells: Vec<([u64; 3], u64)>,
 }
 
-impl Default for Colors {
+impl Default for ColorHistogram {
     fn default() -> Self {
         Self { few: BTreeSet::new(), cells: vec![([0; 3], 0); 1 << 18] }
     }
 }
 
-impl Colors {
+impl ColorHistogram {
     /// The most colors that a palette can hold.
     const FEW: usize = 256;
 
@@ -66,8 +66,8 @@ impl Colors {
 
 impl Palette {
     /// The palette of at most `most` colors (1 to 256) for frames of these colors; exact if they have at most that many.
-    pub fn of(colors: &Colors, most: usize) -> Self {
-        let most = most.clamp(1, Colors::FEW);
+    pub fn of(colors: &ColorHistogram, most: usize) -> Self {
+        let most = most.clamp(1, ColorHistogram::FEW);
         if colors.few.len() <= most {
             return Self { colors: colors.few.iter().copied().collect() };
         }
@@ -208,7 +208,7 @@ mod tests {
     }
 
     fn palette(frame: &RgbImage, most: usize) -> Palette {
-        let mut colors = Colors::default();
+        let mut colors = ColorHistogram::default();
         colors.add(frame);
         Palette::of(&colors, most)
     }

@@ -3,27 +3,27 @@
 //! | file | holds |
 //! | --- | --- |
 //! | [`args`], [`run_args`], [`prepare_args`], [`report_args`], [`view_args`] | arguments and their help |
-//! | [`run`], [`check`], [`prepare`], [`new`], [`eval`], [`view`], [`run_report`], [`env`], [`bench`], [`shade_cases`] | the commands |
+//! | [`run`], [`check`], [`prepare`], [`new`], [`eval`], [`view`], [`report`], [`env`], [`bench`], [`shade_cases`] | the commands |
 //! | [`live`] | the page of a run that is at work |
 //! | [`terminal`] | bars, notes and results |
-//! | [`report`] | how an error is drawn |
-//! | [`scene_files`], [`threads`], [`apart`], [`signals`] | what several commands do before they start |
+//! | [`error_message`] | how an error is drawn |
+//! | [`scene_files`], [`threads`], [`output_checks`], [`signals`] | what several commands do before they start |
 
-mod apart;
 mod args;
 mod bench;
 mod check;
 mod env;
+mod error_message;
 mod eval;
 mod live;
 mod new;
+mod output_checks;
 mod prepare;
 mod prepare_args;
 mod report;
 mod report_args;
 mod run;
 mod run_args;
-mod run_report;
 mod scene_files;
 mod shade_cases;
 mod signals;
@@ -52,7 +52,7 @@ pub fn main() -> ExitCode {
     match dispatch(&cli.command) {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
-            let _ = std::io::stderr().write_all(report::report(&error).as_bytes());
+            let _ = std::io::stderr().write_all(error_message::report(&error).as_bytes());
             let signal = stopped_by().filter(|_| matches!(error, Error::Interrupted));
             ExitCode::from(signal.map_or(error.exit_code(), StopSignal::exit_code))
         }
@@ -67,7 +67,7 @@ fn dispatch(command: &Command) -> Result<()> {
         Command::New(args) => new::run(args),
         Command::Eval(args) => eval::run(args),
         Command::View(args) => view::run(args),
-        Command::Report(args) => run_report::run(args),
+        Command::Report(args) => report::run(args),
         Command::ShadeCases(args) => shade_cases::run(args),
         Command::Bench(args) => bench::run(args),
         Command::Env(args) => env::run(&args.command),

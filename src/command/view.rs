@@ -1,6 +1,6 @@
 //! `lobelia view`: the page of a saved object.
 
-use super::apart::refuse_foreign;
+use super::output_checks::refuse_foreign;
 use super::terminal::Terminal;
 use super::threads::start_threads;
 use super::view_args::ViewArgs;

@@ -1,6 +1,6 @@
 //! The layouts: what identifies each, which splits a folder has in it, and who reads it.
 
-use crate::codec::file::{Kind, Obstacle, is_there, obstacle};
+use crate::codec::file::{FileKind, Obstacle, is_there, obstacle};
 use crate::codec::image::{IMAGE_EXTENSIONS, is_unread_name};
 use crate::codec::nearby::{missing_file_help, natural_order};
 use crate::dataset::names::PHOTOGRAPH_FOLDERS;
@@ -12,7 +12,7 @@ use crate::view::Split;
 use std::path::{Path, PathBuf};
 
 /// How one layout is recognized and read.
-pub(super) struct Format {
+pub(super) struct LayoutReader {
     /// The layout; never `Auto`.
     pub layout: Layout,
     /// Offset of a pixel's center from its index, unless the options say otherwise.
@@ -25,64 +25,64 @@ pub(super) struct Format {
     plan: fn(&Path, Split) -> Result<Plan>,
 }
 
-static FORMATS: [Format; 9] = [
-    Format {
+static READERS: [LayoutReader; 9] = [
+    LayoutReader {
         layout: Layout::PhySg,
         pixel_center: 0.5,
         mark: "train/cam_dict_norm.json or test/cam_dict_norm.json",
         has: |dir, split| is_there(&physg::camera_file(dir, split)),
         plan: physg::plan,
     },
-    Format {
+    LayoutReader {
         layout: Layout::Nerf,
         pixel_center: 0.5,
         mark: "transforms_train.json, transforms_test.json or transforms.json",
         has: nerf::has_split,
         plan: nerf::plan,
     },
-    Format {
+    LayoutReader {
         layout: Layout::Colmap,
         pixel_center: 0.5,
         mark: "cameras and images, .bin or .txt, in sparse/0, sparse, colmap/sparse, dense/sparse, colmap_text, colmap, model or 0",
         has: colmap::has_split,
         plan: colmap::plan,
     },
-    Format {
+    LayoutReader {
         layout: Layout::DeepVoxels,
         pixel_center: 0.5,
         mark: "intrinsics.txt, or train/intrinsics.txt",
         has: |dir, split| deepvoxels::split_folder(dir, split).is_some(),
         plan: deepvoxels::plan,
     },
-    Format {
+    LayoutReader {
         layout: Layout::Idr,
         pixel_center: 0.0,
         mark: "cameras_sphere.npz or cameras.npz",
         has: |dir, split| split == Split::Train && idr::camera_file(dir).is_some(),
         plan: |dir, _| idr::plan(dir),
     },
-    Format {
+    LayoutReader {
         layout: Layout::Llff,
         pixel_center: 0.5,
         mark: "poses_bounds.npy",
         has: |dir, split| split == Split::Train && is_there(&llff::camera_file(dir)),
         plan: |dir, _| llff::plan(dir),
     },
-    Format {
+    LayoutReader {
         layout: Layout::StanfordOrb,
         pixel_center: 0.5,
         mark: "train_mask beside transforms_train.json",
         has: |dir, split| is_stanford_orb(dir) && is_there(&nerf::camera_file(dir, split)),
         plan: stanford_orb::plan,
     },
-    Format {
+    LayoutReader {
         layout: Layout::RealityCapture,
         pixel_center: 0.5,
         mark: reality_capture::EXPORT.mark,
         has: |dir, split| split == Split::Train && !reality_capture::EXPORT.files(dir).is_empty(),
         plan: |dir, _| reality_capture::plan(dir),
     },
-    Format {
+    LayoutReader {
         layout: Layout::Metashape,
         pixel_center: 0.5,
         mark: metashape::EXPORT.mark,
@@ -123,7 +123,7 @@ fn is_stanford_orb(dir: &Path) -> bool {
     is_there(Split::Train) || is_there(Split::Test)
 }
 
-impl Format {
+impl LayoutReader {
     /// Plans the views of a split, in natural order of their names; of data without a test split, those that `hold_out` gives it.
     pub fn plan(&self, dir: &Path, split: Split, hold_out: u32) -> Result<Plan> {
         let is_held_out = self.is_held_out(dir);
@@ -153,9 +153,9 @@ impl Format {
 /// [`Error::Input`] if the layout cannot be determined.
 pub fn has_split(dir: impl AsRef<Path>, split: Split, options: &DatasetOptions) -> Result<bool> {
     let dir = dir.as_ref();
-    let format = find_format(dir, options.layout, in_scene_file)?.format;
-    let makes = split == Split::Test && options.hold_out > 0 && format.is_held_out(dir);
-    Ok(makes || (format.has)(dir, split))
+    let reader = find_reader(dir, options.layout, in_scene_file)?.reader;
+    let makes = split == Split::Test && options.hold_out > 0 && reader.is_held_out(dir);
+    Ok(makes || (reader.has)(dir, split))
 }
 
 /// How a scene file asks for a layout.
@@ -169,34 +169,34 @@ pub(super) fn in_scene_file(layout: Layout) -> String {
 /// # Errors
 /// [`Error::Input`] if there is no such folder, or for `Auto` not exactly one layout.
 pub fn find_layout(dir: impl AsRef<Path>, asked: Layout, choice: fn(Layout) -> String) -> Result<Layout> {
-    find_format(dir.as_ref(), asked, choice).map(|found| found.format.layout)
+    find_reader(dir.as_ref(), asked, choice).map(|found| found.reader.layout)
 }
 
-/// A format, and what the user should know of the choice.
-pub(super) struct Found {
-    pub format: &'static Format,
+/// The reader of a layout, and what the user should know of the choice.
+pub(super) struct FoundLayout {
+    pub reader: &'static LayoutReader,
     pub note: Option<&'static str>,
 }
 
-/// The format of the requested layout, or for `Auto` of the only one that is present and yields to no other.
-pub(super) fn find_format(dir: &Path, asked: Layout, choice: fn(Layout) -> String) -> Result<Found> {
-    if let Some(Obstacle { problem, help }) = obstacle(dir, Kind::Folder) {
+/// The reader of the requested layout, or for `Auto` of the only one that is present and yields to no other.
+pub(super) fn find_reader(dir: &Path, asked: Layout, choice: fn(Layout) -> String) -> Result<FoundLayout> {
+    if let Some(Obstacle { problem, help }) = obstacle(dir, FileKind::Folder) {
         let help = if help.is_empty() { missing_file_help(dir) } else { help };
         return Err(Error::input(dir, "", problem, help));
     }
-    if let Some(format) = FORMATS.iter().find(|format| format.layout == asked) {
-        return Ok(Found { format, note: None });
+    if let Some(reader) = READERS.iter().find(|reader| reader.layout == asked) {
+        return Ok(FoundLayout { reader, note: None });
     }
-    let mut found: Vec<&Format> = FORMATS.iter().filter(|format| format.is_there(dir)).collect();
-    let there: Vec<Layout> = found.iter().map(|format| format.layout).collect();
+    let mut found: Vec<&LayoutReader> = READERS.iter().filter(|reader| reader.is_there(dir)).collect();
+    let there: Vec<Layout> = found.iter().map(|reader| reader.layout).collect();
     let holds =
         |rule: &&Precedence| there.contains(&rule.layout) && there.contains(&rule.over) && (rule.holds)(dir);
     let rules: Vec<&Precedence> = PRECEDENCE.iter().filter(holds).collect();
-    found.retain(|format| !rules.iter().any(|rule| rule.over == format.layout));
+    found.retain(|reader| !rules.iter().any(|rule| rule.over == reader.layout));
     match found.as_slice() {
-        [format] => {
-            let note = rules.iter().find(|rule| rule.layout == format.layout && !rule.note.is_empty());
-            Ok(Found { format, note: note.map(|rule| rule.note) })
+        [reader] => {
+            let note = rules.iter().find(|rule| rule.layout == reader.layout && !rule.note.is_empty());
+            Ok(FoundLayout { reader, note: note.map(|rule| rule.note) })
         }
         [] => Err(unrecognized(dir)),
         several => Err(ambiguous(dir, several, choice)),
@@ -219,15 +219,15 @@ fn held_out(plan: Plan, split: Split, hold_out: u32) -> Result<Plan> {
     Ok(Plan { views, notes: if split == Split::Train { plan.notes } else { Vec::new() } })
 }
 
-fn ambiguous(dir: &Path, several: &[&Format], choice: fn(Layout) -> String) -> Error {
-    let names: Vec<String> = several.iter().map(|format| format.name()).collect();
-    let choices: Vec<String> = several.iter().map(|format| choice(format.layout)).collect();
+fn ambiguous(dir: &Path, several: &[&LayoutReader], choice: fn(Layout) -> String) -> Error {
+    let names: Vec<String> = several.iter().map(|reader| reader.name()).collect();
+    let choices: Vec<String> = several.iter().map(|reader| choice(reader.layout)).collect();
     let problem = format!("the folder has several layouts: {}", names.join(", "));
     Error::input(dir, "", problem, format!("Say which one with {}.", choices.join(" or ")))
 }
 
 fn unrecognized(dir: &Path) -> Error {
-    let marks = FORMATS.iter().map(|format| format!("{} (layout {})", format.mark, format.name()));
+    let marks = READERS.iter().map(|reader| format!("{} (layout {})", reader.mark, reader.name()));
     let looked_for: Vec<String> = marks.collect();
     let problem = format!("this is not a data set: looked for {}", looked_for.join("; "));
     let help = near_miss(dir).unwrap_or_else(|| missing_file_help(&dir.join("transforms_train.json")));
@@ -246,15 +246,15 @@ fn near_miss(dir: &Path) -> Option<String> {
         return Some(help.to_owned());
     }
     let entries: Vec<PathBuf> = std::fs::read_dir(dir).ok()?.flatten().map(|entry| entry.path()).collect();
-    let is_data = |path: &Path| FORMATS.iter().find(|format| path.is_dir() && format.is_there(path));
-    let mut inside: Vec<(&PathBuf, &Format)> =
+    let is_data = |path: &Path| READERS.iter().find(|reader| path.is_dir() && reader.is_there(path));
+    let mut inside: Vec<(&PathBuf, &LayoutReader)> =
         entries.iter().filter_map(|path| Some((path, is_data(path)?))).collect();
     inside.sort_by_key(|(path, _)| *path);
-    if let Some((path, format)) = inside.first() {
+    if let Some((path, reader)) = inside.first() {
         return Some(format!(
             "{} is a data set (layout {}): give that folder.",
             path.display(),
-            format.name()
+            reader.name()
         ));
     }
     if let Some(above) = dir.parent().filter(|above| is_data(above).is_some()) {

@@ -5,10 +5,10 @@ use crate::codec::image::{
     IMAGE_EXTENSIONS, ImageHeader, Orientation, Repairs, image_header, is_unread_name, read_mask,
 };
 use crate::codec::nearby::missing_file_help;
+use crate::dataset::decoded_photograph::{Curves, DecodedPhotograph};
 use crate::dataset::distortion::Distortion;
 use crate::dataset::names::{ImageName, composed, has_image_extension, view_name};
 use crate::dataset::options::DatasetOptions;
-use crate::dataset::picture::{Curves, Picture};
 use crate::dataset::plan::{MaskPlan, ViewPlan};
 use crate::dataset::straighten::Straightening;
 use crate::error::{Error, Result};
@@ -339,7 +339,7 @@ impl PlannedView {
         let mask_header = self.mask_path().map(image_header).transpose()?;
         check_mask_size(plan, header.as_ref(), mask_header.as_ref(), size)?;
         let is_resampled = self.downscale > 1 || plan.lens.distortion != Distortion::NONE;
-        let read = |path: &PathBuf| Picture::read(path, self.curves.gamma(), is_resampled);
+        let read = |path: &PathBuf| DecodedPhotograph::read(path, self.curves.gamma(), is_resampled);
         let mut picture = plan.image.as_ref().map(read).transpose()?;
         let mut mask = load_mask(plan, picture.as_ref(), &bent)?;
         let camera = straighten(lens.distortion, &bent, &mut picture, &mut mask).map_err(|problem| {
@@ -396,7 +396,7 @@ pub fn load_notes(loaded: &[LoadedView]) -> Vec<String> {
 fn straighten(
     distortion: Distortion,
     bent: &Camera,
-    picture: &mut Option<Picture>,
+    picture: &mut Option<DecodedPhotograph>,
     mask: &mut Option<Mask>,
 ) -> Result<Camera, String> {
     if distortion == Distortion::NONE {
@@ -477,8 +477,8 @@ fn check_mask_size(
     Err(Error::input(path, "", problem, "Resize or turn the mask, so that it fits the pixels of its image."))
 }
 
-fn load_mask(plan: &ViewPlan, picture: Option<&Picture>, camera: &Camera) -> Result<Option<Mask>> {
-    let alpha = picture.and_then(Picture::alpha);
+fn load_mask(plan: &ViewPlan, picture: Option<&DecodedPhotograph>, camera: &Camera) -> Result<Option<Mask>> {
+    let alpha = picture.and_then(DecodedPhotograph::alpha);
     let (mask, path) = match (&plan.mask, alpha, &plan.image) {
         (MaskPlan::File(path), ..) => (read_mask(path, Orientation::AsStored)?.mask, path),
         (_, Some(coverage), Some(path)) => {

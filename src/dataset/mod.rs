@@ -30,6 +30,7 @@
 mod beside;
 pub mod colmap;
 mod colmap_model;
+mod decoded_photograph;
 pub mod deepvoxels;
 mod distortion;
 mod exports;
@@ -49,7 +50,6 @@ mod nerf_lens;
 mod options;
 mod photographs;
 pub mod physg;
-mod picture;
 mod plan;
 mod pose;
 pub mod reality_capture;
@@ -61,15 +61,15 @@ use crate::error::{Error, Result};
 use crate::view::{Split, ViewRecord};
 use beside::Beside;
 pub use beside::masks_hint;
+use decoded_photograph::Curves;
 use glam::Vec3;
-use layout::{Found, find_format, in_scene_file};
+use layout::{FoundLayout, find_reader, in_scene_file};
 pub use layout::{find_layout, has_split};
 use lens::crop_note;
 pub use load::{LoadedView, PlannedView, load_notes};
 pub(crate) use masks::mask_stems;
 use names::check_names;
 pub use options::{DatasetOptions, Layout};
-use picture::Curves;
 use plan::{ViewPlan, split_name};
 use pose::PRECISE;
 use rayon::prelude::*;
@@ -78,7 +78,7 @@ use std::sync::Arc;
 
 /// One split of a data set, as read.
 #[derive(Clone, Debug)]
-pub struct Dataset {
+pub struct LoadedDataset {
     /// The views, in natural name order (`r_2` before `r_10`).
     pub views: Vec<ViewRecord>,
     /// The layout that was found; never `Auto`.
@@ -109,8 +109,8 @@ pub struct OpenDataset {
 pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOptions) -> Result<OpenDataset> {
     let dir = dir.as_ref();
     options.check()?;
-    let Found { format, note } = find_format(dir, options.layout, in_scene_file)?;
-    let mut plan = format.plan(dir, split, options.hold_out)?;
+    let FoundLayout { reader, note } = find_reader(dir, options.layout, in_scene_file)?;
+    let mut plan = reader.plan(dir, split, options.hold_out)?;
     plan.notes.splice(0..0, note.filter(|_| split == Split::Train).map(str::to_owned));
     plan.notes.extend(check_names(&plan.views)?);
     let mut wanted = selected(plan.views, options)?;
@@ -135,10 +135,10 @@ pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
     plan.notes.extend(rounding_note(&wanted));
     plan.notes.extend(crop_note(wanted.iter().map(|view| &view.lens)));
     let curves = Arc::new(Curves::new(options.gamma));
-    let view = |plan| PlannedView::new(plan, split, options, format.pixel_center, &curves);
+    let view = |plan| PlannedView::new(plan, split, options, reader.pixel_center, &curves);
     Ok(OpenDataset {
         views: wanted.into_iter().map(view).collect(),
-        layout: format.layout,
+        layout: reader.layout,
         notes: plan.notes,
         masks_beside,
     })
@@ -151,12 +151,12 @@ pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
 ///
 /// # Errors
 /// Those of [`open_dataset`], and [`Error::Input`] if an image or mask is unusable.
-pub fn read_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOptions) -> Result<Dataset> {
+pub fn read_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOptions) -> Result<LoadedDataset> {
     let OpenDataset { views, layout, mut notes, .. } = open_dataset(dir, split, options)?;
     let loaded: Vec<Result<LoadedView>> = views.par_iter().map(PlannedView::load).collect();
     let loaded = loaded.into_iter().collect::<Result<Vec<_>>>()?;
     notes.extend(load_notes(&loaded));
-    Ok(Dataset { views: loaded.into_iter().map(|view| view.record).collect(), layout, notes })
+    Ok(LoadedDataset { views: loaded.into_iter().map(|view| view.record).collect(), layout, notes })
 }
 
 /// A note on poses with so few decimals that their matrices are visibly no rotations.

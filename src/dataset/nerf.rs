@@ -20,7 +20,9 @@ use crate::dataset::folders::{Folders, flat_name};
 use crate::dataset::load::{find_image, parse_json, read_text};
 use crate::dataset::masks::mask_folder;
 use crate::dataset::names::{portable, quoted, view_name};
-use crate::dataset::nerf_frames::{Frame, check_paths, common_folder, find_elsewhere, find_images, place_of};
+use crate::dataset::nerf_frames::{
+    NerfFrame, check_paths, common_folder, find_elsewhere, find_images, place_of,
+};
 use crate::dataset::nerf_lens::{Intrinsics, Levels};
 use crate::dataset::plan::{MaskPlan, Plan, ViewPlan, absent_split, split_name};
 use crate::dataset::pose::Rigid;
@@ -65,7 +67,7 @@ pub fn has_split(dir: &Path, split: Split) -> bool {
 // `#[serde(flatten)]` loses the line and column of an error, so the text is parsed once for each of these.
 #[derive(Deserialize)]
 struct Frames {
-    frames: Vec<Frame>,
+    frames: Vec<NerfFrame>,
 }
 
 #[derive(Deserialize)]
@@ -154,13 +156,13 @@ pub(super) fn plan_with(dir: &Path, split: Split, masks: Option<PathBuf>) -> Res
 }
 
 /// The frames of a file, with paths that files and views can have.
-fn frames_of(file: &Path, text: &str, split: Split) -> Result<Vec<Frame>> {
+fn frames_of(file: &Path, text: &str, split: Split) -> Result<Vec<NerfFrame>> {
     let Frames { mut frames } = parse_json(file, text)?;
     if frames.is_empty() {
         let problem = format!("the {} split has no views: the list `frames` is empty", split_name(split));
         return Err(Error::input(file, "", problem, "Export the cameras again, or remove the file."));
     }
-    frames.iter_mut().for_each(Frame::make_portable);
+    frames.iter_mut().for_each(NerfFrame::make_portable);
     check_paths(file, &frames)?;
     Ok(frames)
 }
@@ -192,7 +194,7 @@ impl Reader<'_> {
     fn plan_view(
         &self,
         index: usize,
-        frame: &Frame,
+        frame: &NerfFrame,
         own: &Intrinsics,
         image: Option<PathBuf>,
     ) -> Result<ViewPlan> {
@@ -227,7 +229,7 @@ impl Reader<'_> {
         below.map_or_else(|| view_name(path), |below| flat_name(&below.to_string_lossy()))
     }
 
-    fn mask(&self, frame: &Frame, image: Option<&Path>) -> Result<MaskPlan> {
+    fn mask(&self, frame: &NerfFrame, image: Option<&Path>) -> Result<MaskPlan> {
         let Some(image) = image else { return Ok(MaskPlan::Alpha) };
         let photograph = image.strip_prefix(self.dir).unwrap_or(image).to_string_lossy();
         Ok(match (&frame.mask_path, &self.masks) {
@@ -246,7 +248,7 @@ impl Reader<'_> {
         &self,
         lists: &Lists,
         split: Split,
-        frames: &[Frame],
+        frames: &[NerfFrame],
         views: Vec<ViewPlan>,
         notes: &mut Vec<String>,
     ) -> Result<Vec<ViewPlan>> {

@@ -17,13 +17,13 @@ const PLACES: [&str; 2] = ["images", ""];
 
 /// A view as the file has it, but for its intrinsics.
 #[derive(Deserialize)]
-pub(super) struct Frame {
+pub(super) struct NerfFrame {
     pub file_path: Option<String>,
     pub mask_path: Option<String>,
     pub transform_matrix: Vec<Vec<f64>>,
 }
 
-impl Frame {
+impl NerfFrame {
     /// Brings paths into the form in which this program compares and opens them.
     pub fn make_portable(&mut self) {
         for path in [&mut self.file_path, &mut self.mask_path].into_iter().flatten() {
@@ -32,7 +32,7 @@ impl Frame {
     }
 }
 
-pub(super) fn place_of(index: usize, frame: &Frame) -> String {
+pub(super) fn place_of(index: usize, frame: &NerfFrame) -> String {
     match &frame.file_path {
         Some(path) => format!("frame {index} ({})", quoted(path)),
         None => format!("frame {index}"),
@@ -40,7 +40,7 @@ pub(super) fn place_of(index: usize, frame: &Frame) -> String {
 }
 
 /// Refuses paths that no file or view can have, before files are looked for.
-pub(super) fn check_paths(file: &Path, frames: &[Frame]) -> Result<()> {
+pub(super) fn check_paths(file: &Path, frames: &[NerfFrame]) -> Result<()> {
     for (index, frame) in frames.iter().enumerate() {
         if let Some(mask) = &frame.mask_path {
             check_path(mask, file, &place_of(index, frame))?;
@@ -56,7 +56,7 @@ pub(super) fn check_paths(file: &Path, frames: &[Frame]) -> Result<()> {
 }
 
 /// The folder that all images are in, below that of the camera file, if they are in several folders.
-pub(super) fn common_folder(frames: &[Frame]) -> Option<PathBuf> {
+pub(super) fn common_folder(frames: &[NerfFrame]) -> Option<PathBuf> {
     let paths = || frames.iter().filter_map(|frame| Path::new(frame.file_path.as_deref()?).parent());
     let first = paths().next()?;
     if paths().all(|folder| folder == first) {
@@ -83,14 +83,14 @@ pub(super) struct Images {
 }
 
 /// Finds the images of all frames.
-pub(super) fn find_images(dir: &Path, file: &Path, frames: &[Frame]) -> Result<Images> {
+pub(super) fn find_images(dir: &Path, file: &Path, frames: &[NerfFrame]) -> Result<Images> {
     Search { dir, file, frames }.images()
 }
 
 struct Search<'a> {
     dir: &'a Path,
     file: &'a Path,
-    frames: &'a [Frame],
+    frames: &'a [NerfFrame],
 }
 
 impl Search<'_> {

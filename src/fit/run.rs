@@ -28,9 +28,9 @@ use crate::error::Result;
 use crate::fit::sheen::evidence::{SheenEvidence, choose_sheen, look_for_sheen, note_residuals};
 use crate::fit::sheen::{SheenMoments, follow_known, scatter_to_sheen, share_with_known};
 use crate::light::LightLobe;
-use crate::light::frame::{LightFrame, OwnLightFrame};
+use crate::light::light_frame::{LightFrame, OwnLightFrame};
 use crate::light::lights::{LightChoice, provide_light};
-use crate::material::source::{PlainBlends, Recovered};
+use crate::material::material_source::{PlainBlends, Recovered};
 use crate::material::tilt::has_tilt;
 use crate::material::{
     BaseMaterial, DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe, TexelIndex,

@@ -10,7 +10,7 @@ use super::loss::image_loss;
 use super::roughness::blend::{BlendAdjoints, BlendedSamples, pull_back_blended};
 use crate::light::LightLobe;
 use crate::light::lights::IncidentLight;
-use crate::material::source::BaseMaterials;
+use crate::material::material_source::BaseMaterials;
 use crate::material::{DiffuseAlbedo, SpecularLobe, Texels};
 use crate::math::shading::{
     ClosedForm, Layers, Lighting, PointAdjoint, PointVisibility, RadianceAdjoint, RadianceColumns,

@@ -8,8 +8,8 @@
 //! | --- | --- | --- | --- |
 //! | [`provide_light`] | Gather, `Slot::Light` | [`LightLobe`], [`LobeOf`], [`LightName`], [`LightMap`], [`LightFrame`], [`OwnLightFrame`] | [`IncidentLight`] |
 
-use super::frame::{LightFrame, OwnLightFrame, PictureRotation};
 use super::illuminate::{LobeLight, MapLight, TurnedLight};
+use super::light_frame::{LightFrame, OwnLightFrame, PictureRotation};
 use super::lobe::{LightLobe, kernel_lobe, rotate_lobes};
 use crate::error::{Error, Result};
 use crate::math::ray::Illuminate;

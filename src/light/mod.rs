@@ -3,7 +3,7 @@
 //! | module | holds |
 //! | --- | --- |
 //! | [`convention`] | orientation of maps in other programs |
-//! | [`frame`] | the frame in which a light stands still: the world's, the camera's or a turntable's |
+//! | [`light_frame`] | the frame in which a light stands still: the world's, the camera's or a turntable's |
 //! | [`envmap`] | the latitude-longitude grid: directions, solid angles, bilinear look-up, rotation |
 //! | [`illuminate`] | [`Illuminate`](crate::math::ray::Illuminate) for a map and for lobes, both with importance sampling |
 //! | `lobe` | [`LightLobe`], and lists of lobes: radiance, power, rotation, checks |
@@ -33,8 +33,8 @@
 
 pub mod convention;
 pub mod envmap;
-pub mod frame;
 pub mod illuminate;
+pub mod light_frame;
 pub mod lights;
 mod lobe;
 pub mod map_fit;

@@ -14,14 +14,14 @@
 //! | [`sheen`] | albedo that depends on the angle of view |
 //! | [`tilt`] | albedo that depends on the side of view |
 //! | [`edit`] | edits as components, and the kernel that applies them |
-//! | [`source`] | traits for systems that read the recovered or the shown material |
+//! | [`material_source`] | traits for systems that read the recovered or the shown material |
 
 mod components;
 pub mod edit;
+pub mod material_source;
 mod recovered;
 pub mod sheen;
 pub mod shown;
-pub mod source;
 pub mod tilt;
 
 pub use components::{

@@ -18,7 +18,7 @@ pub mod upright;
 
 use crate::error::Result;
 use crate::light::LightLobe;
-use crate::light::frame::LightFrame;
+use crate::light::light_frame::LightFrame;
 use crate::material::edit::MaterialState;
 use crate::material::sheen::has_sheen;
 use crate::material::tilt::has_tilt;

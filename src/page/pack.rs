@@ -11,7 +11,7 @@ use serde_json::{Map, Value, json};
 
 /// The type of an array's numbers, as the page names it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum ScalarType {
     /// Unsigned, 8 bits.
     U8,
     /// Unsigned, 16 bits.
@@ -22,7 +22,7 @@ pub enum Kind {
     F32,
 }
 
-impl Kind {
+impl ScalarType {
     fn word(self) -> &'static str {
         match self {
             Self::U8 => "u8",
@@ -43,13 +43,13 @@ pub struct Pack {
 impl Pack {
     /// Adds bytes as they are.
     pub fn bytes(&mut self, name: &str, values: &[u8]) {
-        self.enter(name, Kind::U8, 0, values.len());
+        self.enter(name, ScalarType::U8, 0, values.len());
         self.bytes.extend_from_slice(values);
     }
 
     /// Adds 16-bit numbers, as differences from the one `delta` places before (0: as they are).
     pub fn shorts(&mut self, name: &str, values: &[u16], delta: usize) {
-        self.enter(name, Kind::U16, delta, values.len());
+        self.enter(name, ScalarType::U16, delta, values.len());
         let before = |i: usize| if delta > 0 && i >= delta { values[i - delta] } else { 0 };
         let left = values.iter().enumerate().map(|(i, value)| value.wrapping_sub(before(i)).to_le_bytes());
         self.planes(&left.collect::<Vec<_>>());
@@ -57,7 +57,7 @@ impl Pack {
 
     /// Adds 32-bit numbers, as differences from the one `delta` places before (0: as they are).
     pub fn words(&mut self, name: &str, values: &[u32], delta: usize) {
-        self.enter(name, Kind::U32, delta, values.len());
+        self.enter(name, ScalarType::U32, delta, values.len());
         let before = |i: usize| if delta > 0 && i >= delta { values[i - delta] } else { 0 };
         let left = values.iter().enumerate().map(|(i, value)| value.wrapping_sub(before(i)).to_le_bytes());
         self.planes(&left.collect::<Vec<_>>());
@@ -72,12 +72,12 @@ impl Pack {
         if let Some(bad) = values.iter().position(|value| !value.is_finite()) {
             return Err(Error::run("writing the page", format!("{name}: number {bad} is not finite")));
         }
-        self.enter(name, Kind::F32, 0, values.len());
+        self.enter(name, ScalarType::F32, 0, values.len());
         self.planes(&values.iter().map(|value| value.to_le_bytes()).collect::<Vec<_>>());
         Ok(())
     }
 
-    fn enter(&mut self, name: &str, kind: Kind, delta: usize, count: usize) {
+    fn enter(&mut self, name: &str, kind: ScalarType, delta: usize, count: usize) {
         let entry = json!({ "kind": kind.word(), "at": self.bytes.len(), "count": count, "delta": delta });
         self.table.insert(name.to_owned(), entry);
     }

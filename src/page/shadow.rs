@@ -12,7 +12,7 @@ use crate::mesh::Surface;
 use crate::page::mesh::octahedral;
 use crate::page::pack::Pack;
 use crate::visibility::ObjectVisibility;
-use crate::visibility::trace::TexelVisibility;
+use crate::visibility::texel_visibility::TexelVisibility;
 use glam::{IVec3, Vec3};
 use serde_json::{Value, json};
 use std::collections::HashMap;

@@ -4,7 +4,7 @@
 //! The pass writes a contact sheet of a few views, and for the report small pictures of all views: `<scored pass>/<view>_truth.jpg`, `_render.jpg` and
 //! `_error.jpg`. Predictions are read from the EXR files that the passes wrote, so that the scores apply to the written files.
 
-use crate::codec::frame::{Frame, Layer, read_frame_layers};
+use crate::codec::exr_frame::{Frame, Layer, read_frame_layers};
 use crate::codec::gltf::import::read_mesh;
 use crate::codec::image::Gamma;
 use crate::error::stop::check_interrupted;
@@ -16,7 +16,7 @@ use crate::pass::truth_files::{read_fitting, read_true_layer, true_image_path};
 use crate::pass::view_report::{self, ScoredOutcome, outlier_share};
 use crate::profile::stage;
 use crate::report::heat::{error_map, factor_for, heat_map};
-use crate::report::metrics::{Pair, albedo_psnr, coverage_iou, erode, mean};
+use crate::report::metrics::{ImagePair, albedo_psnr, coverage_iou, erode, mean};
 use crate::report::normals::NormalAngles;
 use crate::report::scores::{EvalView, PassScores, Scaling, score_views};
 use crate::report::sheet::{Sheet, SheetCell, SheetRow, Theme, choose_evenly, write_sheet};
@@ -263,7 +263,7 @@ struct LayerPixels {
 impl LayerPixels {
     fn new(view: &ScoredView, layer: &[Vec3], truth: &[Vec3]) -> Result<Self> {
         let EvalView { width, height, mask, .. } = &view.eval;
-        Pair::new([*width, *height], layer, truth, mask)?;
+        ImagePair::new([*width, *height], layer, truth, mask)?;
         let counted = |pixels: &[Vec3]| -> Vec<Vec3> {
             pixels.iter().zip(mask).filter(|(_, counts)| **counts).map(|(pixel, _)| *pixel).collect()
         };
@@ -271,8 +271,8 @@ impl LayerPixels {
         Ok(Self { counts: vec![true; prediction.len()], prediction, truth })
     }
 
-    fn pair(&self) -> Result<Pair<'_>> {
-        Pair::new([self.counts.len(), 1], &self.prediction, &self.truth, &self.counts)
+    fn pair(&self) -> Result<ImagePair<'_>> {
+        ImagePair::new([self.counts.len(), 1], &self.prediction, &self.truth, &self.counts)
     }
 }
 

@@ -1,6 +1,6 @@
 //! Whole runs on a disk that fails: one error, what was written is whole, and the run goes on from there.
 
-use crate::codec::file::faults::{Call, Fault, Faulty};
+use crate::codec::file::faults::{Call, Faulty, FileFault};
 use crate::error::Error;
 use crate::pass::progress::Silent;
 use crate::pass::record::{RunState, state_of_run};
@@ -72,7 +72,7 @@ fn a_run_on_a_disk_that_fails_anywhere_goes_on_when_there_is_room() {
         let out = folder.path().join(format!("broken-{i}"));
         // EIO, ENOSPC, EPIPE in turn.
         let errno = [5, 28, 32][i % 3];
-        let faulty = Faulty::new(&out, Call::Sync, Fault::Errno { errno, after });
+        let faulty = Faulty::new(&out, Call::Sync, FileFault::Errno { errno, after });
         let ended = run(&loaded, &options(&out, false), &Silent);
         drop(faulty);
         if let Err(error) = ended {
@@ -97,8 +97,8 @@ fn a_run_of_few_bytes_at_a_time_is_the_same() {
     let (loaded, whole) = (scene(folder.path()), folder.path().join("whole"));
     run(&loaded, &options(&whole, false), &Silent).unwrap();
     let slow = folder.path().join("slow");
-    let _read = Faulty::new(&slow, Call::Read, Fault::Short(7));
-    let _write = Faulty::new(&slow, Call::Write, Fault::Short(1000));
+    let _read = Faulty::new(&slow, Call::Read, FileFault::Short(7));
+    let _write = Faulty::new(&slow, Call::Write, FileFault::Short(1000));
     run(&loaded, &options(&slow, false), &Silent).unwrap();
     assert!(results(&whole) == results(&slow));
 }

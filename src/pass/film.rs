@@ -36,7 +36,7 @@ pub fn cameras(session: &Session, orbit: &Orbit) -> Result<Vec<Camera>> {
     let (center, size) = session.surface.bounding_sphere();
     // A tenth more than the smallest distance at which the object fits.
     let fitting = 1.1 * size / (orbit.fov_degrees.to_radians() / 2.0).sin();
-    let base = camera::Orbit {
+    let base = camera::CameraOrbit {
         target: center,
         radius: orbit.radius.unwrap_or(fitting),
         elevation_degrees: orbit.elevation_degrees,
@@ -52,9 +52,9 @@ pub fn cameras(session: &Session, orbit: &Orbit) -> Result<Vec<Camera>> {
 }
 
 /// The orbit of one camera at a time.
-fn placed(base: camera::Orbit, orbit: &Orbit, time: Time) -> camera::Orbit {
+fn placed(base: camera::CameraOrbit, orbit: &Orbit, time: Time) -> camera::CameraOrbit {
     let value = |pick: fn(&OrbitKey) -> Option<f32>| between_keys(&orbit.keys, pick, time.done);
-    camera::Orbit {
+    camera::CameraOrbit {
         start_degrees: value(|key| key.angle_degrees).unwrap_or(360.0 * time.turned),
         elevation_degrees: value(|key| key.elevation_degrees).unwrap_or(base.elevation_degrees),
         radius: value(|key| key.radius).unwrap_or(base.radius),
@@ -158,7 +158,7 @@ mod tests {
 
     #[test]
     fn without_keys_a_film_is_one_even_turn() {
-        let base = camera::Orbit { elevation_degrees: 20.0, radius: 3.0, ..Default::default() };
+        let base = camera::CameraOrbit { elevation_degrees: 20.0, radius: 3.0, ..Default::default() };
         let orbit = Orbit { frames: 8, ..Orbit::default() };
         let at = |frame| placed(base, &orbit, Time::of(frame, 8));
         assert_eq!((at(0).start_degrees, at(2).start_degrees, at(7).start_degrees), (0.0, 90.0, 315.0));

@@ -1,9 +1,9 @@
 //! The `Fit` pass: recovers the unknowns from the training views and writes the results.
 
 use crate::codec::exr::ExrLayers;
+use crate::codec::exr_frame::write_channels;
 use crate::codec::file::write_bytes;
 use crate::codec::finite::check_finite;
-use crate::codec::frame::write_channels;
 use crate::codec::npy::{NpyConvention, write_lobes};
 use crate::codec::png_file::write_rgb8;
 use crate::error::stop::{finish_stopping, is_stopping};

@@ -17,7 +17,7 @@ use crate::error::{Error, Result};
 use crate::fit::attach::OwnLobes;
 use crate::fit::run::{Done, FitOptions, FitProgress, FitSummary, Initialize, run_fit};
 use crate::light::LightLobe;
-use crate::light::frame::OwnLightFrame;
+use crate::light::light_frame::OwnLightFrame;
 use crate::material::sheen::write_albedo;
 use crate::material::shown::recovered_material;
 use crate::material::{SpecularBlend, SpecularLobe, TexelIndex, recovered_materials, replace_materials};

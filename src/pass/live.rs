@@ -6,7 +6,7 @@ use crate::error::stop::{check_interrupted, stopped_by};
 use crate::error::{Error, Result};
 use crate::fit::exposure::Exposures;
 use crate::light::LightLobe;
-use crate::light::frame::{LightFrame, OwnLightFrame};
+use crate::light::light_frame::{LightFrame, OwnLightFrame};
 use crate::light::lights::own_lobes;
 use crate::material::edit::MaterialState;
 use crate::material::shown::{recovered_material, spawn_material};
@@ -228,7 +228,7 @@ impl Snapshot {
 }
 
 /// A frame that is whole.
-fn shot(pipeline: &mut Pipeline, camera: Camera) -> Result<crate::codec::frame::Frame> {
+fn shot(pipeline: &mut Pipeline, camera: Camera) -> Result<crate::codec::exr_frame::Frame> {
     let before = stopped_by();
     check_interrupted()?;
     let target = render_frame(pipeline, camera, SAMPLES)?;

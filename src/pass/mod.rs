@@ -54,7 +54,7 @@ pub mod view;
 mod view_photographs;
 mod view_report;
 
-pub use session::{Lights, MOST_VISIBILITY_BYTES, Placed, Session};
+pub use session::{MOST_VISIBILITY_BYTES, Placed, SceneLights, Session};
 
 use crate::codec::file::{FileUse, FolderLock, check_room, clear_scratch};
 use crate::error::stop::{check_interrupted, stopped_by};
@@ -360,7 +360,7 @@ fn open<'a>(
     let (surface, notes) = make_surface(&scene.surface, &views, use_of)?;
     notes.iter().for_each(|note| progress.note(note));
     let surface = Arc::new(surface);
-    let lights = Lights::load(scene, progress)?;
+    let lights = SceneLights::load(scene, progress)?;
     let mut truth = None;
     if let Views::Photographed(spec) = &scene.views {
         let truth = truth.insert(TrueObject::new(spec, &surface)?);

@@ -1,10 +1,10 @@
 //! Rendered photographs: the scene's surface with a known material under a known light, path traced. The fit does not use that knowledge.
 
-use crate::codec::frame::Frame;
+use crate::codec::exr_frame::Frame;
 use crate::error::Result;
 use crate::error::stop::check_interrupted;
 use crate::light::LightLobe;
-use crate::light::frame::LightFrame;
+use crate::light::light_frame::LightFrame;
 use crate::light::lights::{LightChoice, provide_light, spawn_light};
 use crate::material::edit::MaterialState;
 use crate::material::shown::{show_edited, spawn_material};

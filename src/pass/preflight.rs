@@ -2,8 +2,8 @@
 //! not after a long fit. `lobelia check` makes the same checks.
 
 use crate::codec::animation::has_ffmpeg;
+use crate::codec::exr_frame::{FRAME_PIXEL_BYTES, Layer};
 use crate::codec::file::{check_room, check_writable};
-use crate::codec::frame::{FRAME_PIXEL_BYTES, Layer};
 use crate::codec::gltf::import::read_mesh;
 use crate::codec::image::Gamma;
 use crate::codec::nearby::closest;

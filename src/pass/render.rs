@@ -1,8 +1,8 @@
 //! The `Render`, `Edit` and `Relight` passes: they render the material, light and shading that [`show`] swaps in.
 
 use crate::codec::animation::{Film, Mp4, write_apng, write_gif, write_mp4};
+use crate::codec::exr_frame::{Frame, write_frame_rows};
 use crate::codec::file::file_stems;
-use crate::codec::frame::{Frame, write_frame_rows};
 use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::light::lights::IncidentLight;

@@ -1,14 +1,14 @@
 //! The `Save` pass: writes the object as a scene file.
 
 use crate::codec::exr::ExrLayers;
+use crate::codec::exr_frame::write_channels;
 use crate::codec::file::{read_bytes, write_bytes};
-use crate::codec::frame::write_channels;
 use crate::codec::gltf::export::write_glb;
 use crate::codec::nearby::missing_file_help;
 use crate::codec::npy::{NpyConvention, write_lobes};
 use crate::error::{Error, Result};
 use crate::fit::cameras::CameraFit;
-use crate::light::frame::OwnLightFrame;
+use crate::light::light_frame::OwnLightFrame;
 use crate::light::lights::own_lobes;
 use crate::material::edit::MaterialState;
 use crate::material::sheen::has_sheen;

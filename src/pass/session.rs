@@ -7,7 +7,7 @@ use crate::fit::FramesTried;
 use crate::fit::components::Unknowns;
 use crate::fit::guard::StepGuard;
 use crate::fit::run::Initialize;
-use crate::light::frame::{LightFrame, OwnLightFrame};
+use crate::light::light_frame::{LightFrame, OwnLightFrame};
 use crate::mesh::Surface;
 use crate::pass::inputs::Watched;
 use crate::pass::photograph::TrueObject;
@@ -60,7 +60,7 @@ pub struct Session<'a> {
     /// Output folder.
     pub out: PathBuf,
     /// The lights that the scene names, loaded.
-    pub lights: Lights,
+    pub lights: SceneLights,
     /// What the next fit initializes from the data: what is unknown without an initial value, until there has been one.
     pub initialize: Initialize,
     /// Steps of a `Shape` between two looks at it.
@@ -84,14 +84,14 @@ pub struct Session<'a> {
 }
 
 /// The lights that a scene names; read before anything is fitted, so that a bad file is found at once.
-pub struct Lights {
+pub struct SceneLights {
     /// The scene's own, if it is not unknown.
     pub own: Option<LoadedLight>,
     /// Those of passes, by the pass's name.
     pub of_passes: BTreeMap<String, LoadedLight>,
 }
 
-impl Lights {
+impl SceneLights {
     pub(super) fn load(scene: &Scene, progress: &dyn Progress) -> Result<Self> {
         let load = |source| {
             let light = load_light(source)?;
@@ -154,7 +154,7 @@ impl<'a> Session<'a> {
     pub(super) fn new(
         scene: &'a Scene,
         surface: Arc<Surface>,
-        lights: Lights,
+        lights: SceneLights,
         progress: &'a dyn Progress,
     ) -> Self {
         let initialize = Initialize {

@@ -1,6 +1,6 @@
 //! Files of ground truth: what they are called, and reading them for a view.
 
-use crate::codec::frame::Layer;
+use crate::codec::exr_frame::Layer;
 use crate::codec::image::{Gamma, IMAGE_EXTENSIONS, Orientation, read_image};
 use crate::error::{Error, Result};
 use crate::view::Image;
@@ -79,7 +79,7 @@ mod tests {
     use super::*;
     use crate::codec::png_file::write_rgb8;
     use crate::codec::test_data::write_exr;
-    use crate::report::metrics::Pair;
+    use crate::report::metrics::ImagePair;
     use crate::report::normals::NormalAngles;
     use image::{Rgb, RgbImage};
 
@@ -120,7 +120,7 @@ mod tests {
         let truth = read(2, |x, y| if x + y == 0 { Vec3::X } else { angle(40.0) });
         let expected = angle(40.0).angle_between(angle(50.0)).to_degrees();
         let mut angles = NormalAngles::default();
-        angles.add(&Pair::new([2, 2], &[angle(50.0); 4], &truth, &[true; 4]).unwrap());
+        angles.add(&ImagePair::new([2, 2], &[angle(50.0); 4], &truth, &[true; 4]).unwrap());
         assert_eq!(angles.pixels(), 3);
         let (mean, median) = (angles.mean_degrees().unwrap(), angles.median_degrees().unwrap());
         assert!((mean - f64::from(expected)).abs() < 0.3 && (median - mean).abs() < 1e-4, "{mean} {median}");

@@ -3,7 +3,7 @@
 use crate::codec::file::write_bytes;
 use crate::error::Result;
 use crate::light::LightLobe;
-use crate::light::frame::{LightFrame, OwnLightFrame};
+use crate::light::light_frame::{LightFrame, OwnLightFrame};
 use crate::light::lights::own_lobes;
 use crate::page::upright::upright;
 use crate::page::{Contents, PageCamera, PageLight, html};

@@ -6,7 +6,7 @@
 use crate::codec::image::decode_picture;
 use crate::error::Result;
 use crate::error::stop::check_interrupted;
-use crate::prepare::photographs::Photograph;
+use crate::prepare::photographs::PhotographFile;
 use image::imageops::thumbnail;
 use image::{GrayImage, Luma};
 use std::path::Path;
@@ -26,7 +26,7 @@ const LEAST_BACKGROUND: f64 = 0.05;
 
 /// What the background does from photograph to photograph.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Background {
+pub(super) enum BackgroundMotion {
     /// It differs, or the photographs do in size.
     Moves,
     /// It is the same in all.
@@ -40,12 +40,12 @@ pub(super) enum Background {
 /// # Errors
 /// [`Error::Input`] if a photograph or a mask cannot be read.
 pub(super) fn background(
-    photographs: &[Photograph],
+    photographs: &[PhotographFile],
     images: &Path,
     masks: Option<&Path>,
-) -> Result<Background> {
+) -> Result<BackgroundMotion> {
     if photographs.iter().any(|photograph| photograph.size != photographs[0].size) {
-        return Ok(Background::Moves);
+        return Ok(BackgroundMotion::Moves);
     }
     let pictures = compared(photographs, images, masks)?;
     let (mut difference, mut values) = (0.0, Vec::new());
@@ -59,15 +59,15 @@ pub(super) fn background(
     }
     let pixels: usize = pictures.iter().map(|picture| picture.gray.as_raw().len()).sum();
     if (values.len() as f64) < LEAST_BACKGROUND * pixels as f64 {
-        return Ok(Background::SaysNothing);
+        return Ok(BackgroundMotion::SaysNothing);
     }
     let contrast = deviation(&values);
     Ok(if contrast < PLAIN {
-        Background::SaysNothing
+        BackgroundMotion::SaysNothing
     } else if difference / (values.len() as f64) < SAME * contrast {
-        Background::StandsStill
+        BackgroundMotion::StandsStill
     } else {
-        Background::Moves
+        BackgroundMotion::Moves
     })
 }
 
@@ -85,7 +85,11 @@ impl SmallPicture {
 }
 
 /// The photographs that are compared, spread over all.
-fn compared(photographs: &[Photograph], images: &Path, masks: Option<&Path>) -> Result<Vec<SmallPicture>> {
+fn compared(
+    photographs: &[PhotographFile],
+    images: &Path,
+    masks: Option<&Path>,
+) -> Result<Vec<SmallPicture>> {
     let mut pictures = Vec::new();
     for photograph in photographs.iter().step_by(photographs.len().div_ceil(COMPARED)) {
         check_interrupted()?;
@@ -132,7 +136,7 @@ mod tests {
     use std::fs;
 
     /// Photographs whose background is `shade` at a place and a number, behind a square that changes.
-    fn judged(shade: impl Fn(u32, u32, u32) -> u8) -> Background {
+    fn judged(shade: impl Fn(u32, u32, u32) -> u8) -> BackgroundMotion {
         let folder = tempfile::tempdir().unwrap();
         let [photos, images, masks] = ["photos", "images", "masks"].map(|name| folder.path().join(name));
         fs::create_dir(&photos).unwrap();
@@ -158,8 +162,8 @@ mod tests {
     fn a_background_that_stays_is_told_from_one_that_moves() {
         let pattern =
             |x: u32, y: u32| (128.0 + 90.0 * (0.13 * x as f32).sin() * (0.17 * y as f32).cos()) as u8;
-        assert_eq!(judged(|x, y, i| pattern(x, y).saturating_add(i as u8)), Background::StandsStill);
-        assert_eq!(judged(|x, y, i| pattern(x + 17 * i, y + 5 * i)), Background::Moves);
-        assert_eq!(judged(|_, _, i| 200 + i as u8), Background::SaysNothing);
+        assert_eq!(judged(|x, y, i| pattern(x, y).saturating_add(i as u8)), BackgroundMotion::StandsStill);
+        assert_eq!(judged(|x, y, i| pattern(x + 17 * i, y + 5 * i)), BackgroundMotion::Moves);
+        assert_eq!(judged(|_, _, i| 200 + i as u8), BackgroundMotion::SaysNothing);
     }
 }

@@ -10,7 +10,7 @@ use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::pass::progress::Progress;
 use crate::prepare::backdrop::mask_before_backdrop;
-use crate::prepare::photographs::Photograph;
+use crate::prepare::photographs::PhotographFile;
 use crate::prepare::program::Program;
 use image::metadata::Orientation;
 use image::{DynamicImage, GrayImage};
@@ -57,7 +57,7 @@ impl MaskSource {
     }
 
     /// Whether there will be masks.
-    pub(super) fn gives_masks(&self, photographs: &[Photograph]) -> bool {
+    pub(super) fn gives_masks(&self, photographs: &[PhotographFile]) -> bool {
         *self != Self::Alpha || photographs.iter().all(|photograph| photograph.has_alpha)
     }
 }
@@ -69,7 +69,7 @@ impl MaskSource {
 /// [`Error::Input`] that names the photograph if its mask is missing, of another size, or all black or white; errors of the command.
 pub(super) fn write_masks(
     source: &MaskSource,
-    photographs: &[Photograph],
+    photographs: &[PhotographFile],
     images: &Path,
     masks: &Path,
     log: &Path,
@@ -106,7 +106,7 @@ pub(super) fn write_masks(
     Ok(())
 }
 
-fn check(mask: &GrayImage, photograph: &Photograph, file: &Path) -> Result<()> {
+fn check(mask: &GrayImage, photograph: &PhotographFile, file: &Path) -> Result<()> {
     let [width, height] = photograph.size;
     let wrong = |problem: String, help: &str| Err(Error::input(file, "", problem, help));
     if mask.dimensions() != (width, height) {
@@ -157,7 +157,7 @@ fn gray(width: u32, height: u32, coverage: &[f32]) -> Option<GrayImage> {
 }
 
 /// A mask of a photograph that EXIF turns may have been made of the turned one: it is turned back.
-fn as_stored(mask: GrayImage, photograph: &Photograph) -> GrayImage {
+fn as_stored(mask: GrayImage, photograph: &PhotographFile) -> GrayImage {
     let [width, height] = photograph.size;
     let upright = mask.dimensions() == (height, width) && width != height;
     let back = match photograph.orientation {
@@ -190,7 +190,7 @@ fn before_backdrop(source: &Path) -> Result<GrayImage> {
 
 fn by_command(
     command: &str,
-    photograph: &Photograph,
+    photograph: &PhotographFile,
     image: &Path,
     to: &Path,
     log: &Path,
@@ -220,7 +220,12 @@ fn by_command(
 }
 
 /// The error for a command that fails: what was run, of which photograph, and what to try.
-fn failed_command(error: Error, program: &Program, arguments: &[OsString], photograph: &Photograph) -> Error {
+fn failed_command(
+    error: Error,
+    program: &Program,
+    arguments: &[OsString],
+    photograph: &PhotographFile,
+) -> Error {
     let Error::Run { problem, .. } = error else { return error };
     let words = std::iter::once(program.path.to_string_lossy())
         .chain(arguments.iter().map(|word| word.to_string_lossy()));
@@ -233,7 +238,7 @@ fn failed_command(error: Error, program: &Program, arguments: &[OsString], photo
 }
 
 /// What is wrong with a mask that a command wrote, said of the photograph: the file's name is of no use to anyone.
-fn about_command(error: Error, photograph: &Photograph) -> Error {
+fn about_command(error: Error, photograph: &PhotographFile) -> Error {
     match error {
         Error::Input { problem, .. } => {
             let problem = format!("the mask command wrote no mask that can be used: {problem}");
@@ -274,7 +279,7 @@ impl MaskFolder {
     }
 
     /// The mask of a photograph under any of its [`mask_stems`], with any extension; numbers in names match by value.
-    fn of(&self, photograph: &Photograph) -> Result<PathBuf> {
+    fn of(&self, photograph: &PhotographFile) -> Result<PathBuf> {
         let name = photograph.source.file_name().unwrap_or_default().to_string_lossy();
         let stem = photograph.source.file_stem().unwrap_or_default().to_string_lossy();
         let stems = mask_stems(&name);
@@ -315,7 +320,7 @@ mod tests {
 
     struct Set {
         folder: TempDir,
-        photographs: Vec<Photograph>,
+        photographs: Vec<PhotographFile>,
     }
 
     impl Set {

@@ -58,9 +58,9 @@ use crate::codec::file::{lies_in, write_bytes};
 use crate::dataset::Layout;
 use crate::error::{Error, Result};
 use crate::pass::progress::Progress;
-use crate::prepare::background::{Background, background};
+use crate::prepare::background::{BackgroundMotion, background};
 use crate::prepare::colmap::Colmap;
-use crate::prepare::photographs::{Listing, Photograph};
+use crate::prepare::photographs::{Listing, PhotographFile};
 use crate::prepare::program::Program;
 use crate::prepare::reconstruct::{Features, Reconstruction};
 use crate::prepare::video::FramePlan;
@@ -182,7 +182,7 @@ fn frames(
 /// Makes the masks, if there are to be any.
 fn masks(
     options: &PrepareOptions,
-    photographs: &[Photograph],
+    photographs: &[PhotographFile],
     work: &mut Work,
     progress: &dyn Progress,
 ) -> Result<bool> {
@@ -205,7 +205,7 @@ fn masks(
 /// Where features are taken from.
 fn features(
     options: &PrepareOptions,
-    photographs: &[Photograph],
+    photographs: &[PhotographFile],
     work: &Work,
     progress: &dyn Progress,
 ) -> Result<Features> {
@@ -214,18 +214,18 @@ fn features(
         (FeatureArea::Object, _) => return Ok(Features::Object),
         (FeatureArea::All, _) => return Ok(Features::All),
         // All that stands out from the backdrop is the object.
-        (FeatureArea::Auto, MaskSource::Backdrop) => Background::SaysNothing,
+        (FeatureArea::Auto, MaskSource::Backdrop) => BackgroundMotion::SaysNothing,
         (FeatureArea::Auto, _) => background(photographs, &images, Some(&masks))?,
     };
     let (features, note) = match found {
-        Background::Moves => {
+        BackgroundMotion::Moves => {
             (Features::All, "the background differs between photographs: it helps to find the cameras")
         }
-        Background::StandsStill => (
+        BackgroundMotion::StandsStill => (
             Features::ObjectAndPlatter,
             "the background is the same in all photographs, as on a turntable: cameras are found by the object and what turns with it",
         ),
-        Background::SaysNothing => {
+        BackgroundMotion::SaysNothing => {
             (Features::Object, "the background is plain: cameras are found by the object alone")
         }
     };
@@ -236,12 +236,13 @@ fn features(
 /// Says what comes of a turntable without masks.
 fn warn_of_turntable(
     options: &PrepareOptions,
-    photographs: &[Photograph],
+    photographs: &[PhotographFile],
     work: &Work,
     progress: &dyn Progress,
 ) -> Result<()> {
     let is_asked = options.features == FeatureArea::Auto;
-    if is_asked && background(photographs, &work.path("photographs"), None)? == Background::StandsStill {
+    if is_asked && background(photographs, &work.path("photographs"), None)? == BackgroundMotion::StandsStill
+    {
         progress.note(
             "the background is the same in all photographs, as on a turntable, and there are no masks: cameras may be found by the background \
              and be wrong. Give masks with --masks DIR, --mask-command or --backdrop",

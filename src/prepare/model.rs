@@ -18,7 +18,7 @@ const TRACK_BYTES: usize = 8;
 
 /// A reconstruction.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Found {
+pub(super) struct SparseModel {
     pub folder: PathBuf,
     /// How many photographs it places.
     pub images: u64,
@@ -28,7 +28,7 @@ pub(super) struct Found {
 ///
 /// # Errors
 /// [`Error::Io`] or [`Error::Input`] if one cannot be read.
-pub(super) fn models(models: &Path) -> Result<Vec<Found>> {
+pub(super) fn models(models: &Path) -> Result<Vec<SparseModel>> {
     let mut folders = Vec::new();
     for entry in std::fs::read_dir(models).map_err(Error::io("read", models))? {
         let folder = entry.map_err(Error::io("read", models))?.path();
@@ -37,8 +37,9 @@ pub(super) fn models(models: &Path) -> Result<Vec<Found>> {
         }
     }
     folders.sort_by(|a, b| natural_order(&a.to_string_lossy(), &b.to_string_lossy()));
-    let found =
-        folders.into_iter().map(|folder| Ok(Found { images: count(&folder.join("images.bin"))?, folder }));
+    let found = folders
+        .into_iter()
+        .map(|folder| Ok(SparseModel { images: count(&folder.join("images.bin"))?, folder }));
     let mut found = found.collect::<Result<Vec<_>>>()?;
     found.sort_by_key(|model| std::cmp::Reverse(model.images));
     Ok(found)

@@ -26,7 +26,7 @@ const DAMAGED_HELP: &str = "Copy it again, or remove it.";
 
 /// A photograph, by its header.
 #[derive(Clone, Debug, PartialEq)]
-pub(super) struct Photograph {
+pub(super) struct PhotographFile {
     /// The file that was given.
     pub source: PathBuf,
     /// Its path below the folder of photographs in the data set.
@@ -46,7 +46,7 @@ pub(super) struct Photograph {
 /// Photographs of a folder, with notes for the user.
 pub(super) struct Listing {
     /// In natural order of their names.
-    pub photographs: Vec<Photograph>,
+    pub photographs: Vec<PhotographFile>,
     pub notes: Vec<String>,
 }
 
@@ -93,7 +93,7 @@ fn files_in(folder: &Path) -> Result<(Vec<PathBuf>, BTreeMap<String, usize>)> {
     Ok((files, others))
 }
 
-fn refuse_same_stems(photographs: &[Photograph]) -> Result<()> {
+fn refuse_same_stems(photographs: &[PhotographFile]) -> Result<()> {
     let mut stems = BTreeSet::new();
     let twice = photographs.iter().find(|photograph| !stems.insert(photograph.source.with_extension("")));
     twice.map_or(Ok(()), |photograph| {
@@ -103,8 +103,8 @@ fn refuse_same_stems(photographs: &[Photograph]) -> Result<()> {
 }
 
 /// COLMAP's cameras per folder are one of each group of equal size and focal length.
-fn sort_into_folders(photographs: &mut [Photograph]) {
-    let group = |photograph: &Photograph| (photograph.size, photograph.focal);
+fn sort_into_folders(photographs: &mut [PhotographFile]) {
+    let group = |photograph: &PhotographFile| (photograph.size, photograph.focal);
     let groups: BTreeSet<_> = photographs.iter().map(group).collect();
     if groups.len() < 2 {
         return;
@@ -117,12 +117,12 @@ fn sort_into_folders(photographs: &mut [Photograph]) {
 }
 
 /// How many folders the photographs' names have.
-pub(super) fn folders(photographs: &[Photograph]) -> usize {
-    let folder = |photograph: &Photograph| Path::new(&photograph.name).parent().map(Path::to_owned);
+pub(super) fn folders(photographs: &[PhotographFile]) -> usize {
+    let folder = |photograph: &PhotographFile| Path::new(&photograph.name).parent().map(Path::to_owned);
     photographs.iter().map(folder).collect::<BTreeSet<_>>().len()
 }
 
-fn header(path: &Path) -> Result<Photograph> {
+fn header(path: &Path) -> Result<PhotographFile> {
     let damaged = |error: image::ImageError| {
         let problem = format!("the photograph cannot be read: {error}");
         Error::input(path, "", problem, DAMAGED_HELP)
@@ -146,7 +146,7 @@ fn header(path: &Path) -> Result<Photograph> {
         return Err(Error::input(path, "", "the name of the file is not UTF-8", "Rename it."));
     };
     let color = decoder.color_type();
-    Ok(Photograph {
+    Ok(PhotographFile {
         source: path.to_owned(),
         name: name.to_owned(),
         size: [width, height],
@@ -171,10 +171,11 @@ fn focal_length(chunk: Vec<u8>) -> Option<u32> {
 /// # Errors
 /// [`Error::Input`] that names the first photograph that is damaged, cut off or of a kind that is not read; [`Error::Interrupted`] after
 /// Ctrl-C.
-pub(super) fn check_pixels(photographs: &[Photograph], progress: &dyn Progress) -> Result<()> {
+pub(super) fn check_pixels(photographs: &[PhotographFile], progress: &dyn Progress) -> Result<()> {
     let bar = progress.bar("photographs", photographs.len() as u64);
     // Up to four channels of 8 or 16 bits.
-    let bytes = |p: &Photograph| u64::from(p.size[0]) * u64::from(p.size[1]) * if p.is_deep { 8 } else { 4 };
+    let bytes =
+        |p: &PhotographFile| u64::from(p.size[0]) * u64::from(p.size[1]) * if p.is_deep { 8 } else { 4 };
     let largest = photographs.iter().map(bytes).max().unwrap_or_default().max(1);
     let at_once = (MOST_DECODED / largest).clamp(1, rayon::current_num_threads() as u64) as usize;
     for group in photographs.chunks(at_once) {
@@ -187,7 +188,7 @@ pub(super) fn check_pixels(photographs: &[Photograph], progress: &dyn Progress) 
     Ok(())
 }
 
-fn check_decodes(photograph: &Photograph) -> Result<()> {
+fn check_decodes(photograph: &PhotographFile) -> Result<()> {
     match decode_samples(&photograph.source, AsStored) {
         Ok(_) => Ok(()),
         Err(Error::Input { path, place, problem, .. }) => {
@@ -201,7 +202,7 @@ fn check_decodes(photograph: &Photograph) -> Result<()> {
 ///
 /// # Errors
 /// [`Error::Io`] if one cannot be copied, [`Error::Input`] if one that EXIF turns is damaged.
-pub(super) fn place(photographs: &[Photograph], folder: &Path) -> Result<()> {
+pub(super) fn place(photographs: &[PhotographFile], folder: &Path) -> Result<()> {
     for photograph in photographs {
         let to = folder.join(&photograph.name);
         let parent = to.parent().unwrap_or(folder);

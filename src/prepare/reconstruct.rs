@@ -9,7 +9,7 @@ use crate::pass::progress::Progress;
 use crate::prepare::colmap::{CameraSharing, Cameras, Colmap, Pairs, steps_done};
 use crate::prepare::model::{mean_reprojection_error, models, points_seen};
 use crate::prepare::options::{Matching, PrepareOptions, Prepared};
-use crate::prepare::photographs::{Photograph, folders};
+use crate::prepare::photographs::{PhotographFile, folders};
 use crate::prepare::work::Work;
 use image::GrayImage;
 use image::codecs::jpeg::JpegEncoder;
@@ -65,7 +65,7 @@ pub(super) struct Rounds {
 pub(super) struct Reconstruction<'a> {
     pub options: &'a PrepareOptions,
     pub colmap: Colmap,
-    pub photographs: &'a [Photograph],
+    pub photographs: &'a [PhotographFile],
     pub is_video: bool,
     pub has_masks: bool,
     pub features: Features,

@@ -17,7 +17,7 @@ const MESHES: [&str; 2] = ["glb", "gltf"];
 
 /// What a data set has.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Survey {
+pub struct DatasetSummary {
     /// The layout.
     pub layout: Layout,
     /// Whether it was asked for, because the folder has several.
@@ -42,7 +42,7 @@ pub struct Survey {
 ///
 /// # Errors
 /// [`Error::Input`] if the folder is no data set, or its first view cannot be read.
-pub fn survey(data: &Path, asked: Layout) -> Result<Survey> {
+pub fn summarize(data: &Path, asked: Layout) -> Result<DatasetSummary> {
     let layout = find_layout(data, asked, |layout| format!("`--layout {layout:?}`"))?;
     let options = DatasetOptions { layout, hold_out: 0, ..DatasetOptions::default() };
     let OpenDataset { views, masks_beside, .. } = open_dataset(data, Split::Train, &options)?;
@@ -52,7 +52,7 @@ pub fn survey(data: &Path, asked: Layout) -> Result<Survey> {
         let problem = "the data set has cameras without photographs: there is nothing to fit to";
         return Err(Error::input(data, "", problem, "Put the photographs where the cameras name them."));
     };
-    Ok(Survey {
+    Ok(DatasetSummary {
         layout,
         is_asked: asked != Layout::Auto,
         mesh: mesh_in(data)?,
@@ -75,20 +75,20 @@ fn mean_up(views: &[PlannedView]) -> Option<Vec3> {
 /// The scene file `scene` for the data set in `data`, as text. A path in it starts at `scene` if that is inside `data`, else at `$DATA`.
 ///
 /// # Errors
-/// Those of [`survey`]; [`Error::Input`] if a data set has neither masks nor a mesh: its shape can then not be found.
+/// Those of [`summarize`]; [`Error::Input`] if a data set has neither masks nor a mesh: its shape can then not be found.
 pub fn scene_for(data: &Path, layout: Layout, scene: &Path) -> Result<String> {
-    let survey = survey(data, layout)?;
-    if survey.mesh.is_none() && !survey.has_masks {
+    let summary = summarize(data, layout)?;
+    if summary.mesh.is_none() && !summary.has_masks {
         let problem =
             "the data set has neither masks nor a mesh: without one of them, there is no shape to fit";
-        let beside = survey.masks_beside.as_deref().map(|folder| format!("{}. Or: ", masks_hint(folder)));
+        let beside = summary.masks_beside.as_deref().map(|folder| format!("{}. Or: ", masks_hint(folder)));
         let help = format!(
             "{}Add a folder of masks or alpha to the photographs (`lobelia prepare` makes masks), or put mesh.glb into the folder.",
             beside.unwrap_or_default()
         );
         return Err(Error::input(data, "", problem, help));
     }
-    Ok(scene_text(&survey, data, is_beside(data, scene)))
+    Ok(scene_text(&summary, data, is_beside(data, scene)))
 }
 
 /// Whether the scene file lies directly in the data's folder.
@@ -117,24 +117,24 @@ fn mesh_in(data: &Path) -> Result<Option<PathBuf>> {
 }
 
 /// What a new scene file says; it loads, and `lobelia check` passes.
-fn scene_text(survey: &Survey, data: &Path, is_beside: bool) -> String {
-    let downscale = survey.size[0].max(survey.size[1]).div_ceil(ENOUGH_PIXELS).max(1);
+fn scene_text(summary: &DatasetSummary, data: &Path, is_beside: bool) -> String {
+    let downscale = summary.size[0].max(summary.size[1]).div_ceil(ENOUGH_PIXELS).max(1);
     // Cameras that a data set splits itself come from a renderer or a rig; the others from photographs.
-    let is_captured = !survey.has_test;
-    let tests = survey.has_test || survey.views >= FEWEST_HELD_OUT;
-    let mut text = header(survey, data, is_beside);
+    let is_captured = !summary.has_test;
+    let tests = summary.has_test || summary.views >= FEWEST_HELD_OUT;
+    let mut text = header(summary, data, is_beside);
     text += "Scene(\n    version: 1,\n";
-    if let Some(up) = survey.up {
+    if let Some(up) = summary.up {
         text += "    // Up in the photographs on average: orbits turn around it.\n";
         // Adding 0 makes −0 positive.
         let up = up + Vec3::ZERO;
         text += &format!("    up: ({:.3}, {:.3}, {:.3}),\n", up.x, up.y, up.z);
     }
-    text += &surface(survey, is_beside);
-    text += &views(survey, is_beside, downscale);
+    text += &surface(summary, is_beside);
+    text += &views(summary, is_beside, downscale);
     text += MATERIAL;
     text += "    passes: [\n";
-    text += &fits(survey, is_captured);
+    text += &fits(summary, is_captured);
     text += if tests {
         "        // The held-out views, rendered and compared with their photographs.\n        Render(name: \"novel\"),\n        \
          Evaluate(name: \"scores\", scores: [(pass: \"novel\", truth: Photographs)]),\n"
@@ -147,9 +147,9 @@ fn scene_text(survey: &Survey, data: &Path, is_beside: bool) -> String {
     text
 }
 
-fn header(survey: &Survey, data: &Path, is_beside: bool) -> String {
-    let [width, height] = survey.size;
-    let masks = if survey.has_masks { "with masks" } else { "without masks" };
+fn header(summary: &DatasetSummary, data: &Path, is_beside: bool) -> String {
+    let [width, height] = summary.size;
+    let masks = if summary.has_masks { "with masks" } else { "without masks" };
     // A line break in the name would end the comment.
     let folder = data.display().to_string().replace(['\n', '\r'], " ");
     let command = if is_beside {
@@ -157,20 +157,20 @@ fn header(survey: &Survey, data: &Path, is_beside: bool) -> String {
     } else {
         format!("lobelia run SCENE.ron --data {folder} --out OUT")
     };
-    let layout = match survey.layout {
+    let layout = match summary.layout {
         Layout::Colmap => "COLMAP".to_owned(),
         other => format!("{other:?}"),
     };
     format!(
         "// {} photographs of {width}×{height} pixels {masks}, in the layout of {layout}.\n// {command}\n\
          // A quick try: --set views.downscale=4 --set passes.fit.steps=200\n",
-        survey.views
+        summary.views
     )
 }
 
-fn surface(survey: &Survey, is_beside: bool) -> String {
+fn surface(summary: &DatasetSummary, is_beside: bool) -> String {
     let folder = if is_beside { "" } else { "$DATA/" };
-    let name = survey.mesh.as_ref().and_then(|mesh| mesh.file_name());
+    let name = summary.mesh.as_ref().and_then(|mesh| mesh.file_name());
     match name.map(|name| name.to_string_lossy()) {
         Some(name) => format!(
             "    // The shape is known. `Unknown()` finds it from photographs and masks instead; it needs a `Shape()` pass first.\n    \
@@ -188,9 +188,9 @@ fn quoted(text: &str) -> String {
     text.replace('\\', "\\\\").replace('"', "\\\"")
 }
 
-fn views(survey: &Survey, is_beside: bool, downscale: u32) -> String {
+fn views(summary: &DatasetSummary, is_beside: bool, downscale: u32) -> String {
     let path = if is_beside { "." } else { "$DATA" };
-    let hold_out = match (survey.has_test, survey.views >= FEWEST_HELD_OUT) {
+    let hold_out = match (summary.has_test, summary.views >= FEWEST_HELD_OUT) {
         (true, _) => String::new(),
         (false, true) => "        // Every 8th view is kept out of the fit to measure the quality; 0: none.\n        hold_out: 8,\n".into(),
         (false, false) => "        // So few views are all needed; 8 would keep every 8th out of the fit.\n        hold_out: 0,\n".into(),
@@ -203,7 +203,7 @@ fn views(survey: &Survey, is_beside: bool, downscale: u32) -> String {
         "        // downscale: 2,        // half the size: a quarter of memory and time\n".to_owned()
     };
     let layout =
-        if survey.is_asked { format!("        layout: {:?},\n", survey.layout) } else { String::new() };
+        if summary.is_asked { format!("        layout: {:?},\n", summary.layout) } else { String::new() };
     format!(
         "    views: Dataset(\n        path: \"{path}\",\n{layout}{hold_out}{size}        \
          // gamma: Linear,       // 8- and 16-bit values are taken as sRGB; this says otherwise\n    ),\n"
@@ -216,14 +216,14 @@ const MATERIAL: &str = "    // Light and material are unknown. What is known can
     // material: (specular: (albedo: Fixed(0.04, 0.04, 0.04))),    // a plain dielectric\n    \
     // material: (gloss: Blend(materials: 2)),                     // glossy and matte regions\n";
 
-fn fits(survey: &Survey, is_captured: bool) -> String {
+fn fits(summary: &DatasetSummary, is_captured: bool) -> String {
     let mut text = String::new();
     if is_captured {
         text += "        // Photographs of a camera: each has an exposure of its own, and poses are a little off. With a locked exposure\n        \
                  // or exact poses, leave these out. A light that turns with the camera, as on a turntable, is found.\n";
     }
     let unknowns = if is_captured { "exposure: true, cameras: Poses" } else { "" };
-    match survey.mesh {
+    match summary.mesh {
         Some(_) => text + &format!("        Fit({unknowns}),\n"),
         None => {
             let comma = if is_captured { ", " } else { "" };
@@ -373,7 +373,7 @@ mod tests {
     fn several_layouts_are_told_in_the_words_of_the_command_line() {
         let data = data(3, [8, 6], true);
         fs::write(data.path().join("cameras.npz"), "").unwrap();
-        let error = survey(data.path(), Layout::Auto).unwrap_err();
+        let error = summarize(data.path(), Layout::Auto).unwrap_err();
         assert!(error.to_string().contains("several layouts: Colmap, Idr"), "{error}");
         assert_eq!(error.help(), Some("Say which one with `--layout Colmap` or `--layout Idr`."));
         assert!(
@@ -388,7 +388,7 @@ mod tests {
         let data = data(3, [8, 6], false);
         fs::remove_dir_all(data.path().join("sparse")).unwrap();
         for folder in [data.path().to_owned(), data.path().join("images")] {
-            let error = survey(&folder, Layout::Auto).unwrap_err();
+            let error = summarize(&folder, Layout::Auto).unwrap_err();
             let help = error.help().unwrap();
             assert!(
                 help.contains("3 photographs and no cameras") && help.contains("lobelia prepare"),
@@ -396,15 +396,15 @@ mod tests {
             );
         }
         let empty = tempfile::tempdir().unwrap();
-        assert!(survey(empty.path(), Layout::Auto).unwrap_err().to_string().contains("not a data set"));
+        assert!(summarize(empty.path(), Layout::Auto).unwrap_err().to_string().contains("not a data set"));
         assert!(
-            survey(&empty.path().join("none"), Layout::Auto)
+            summarize(&empty.path().join("none"), Layout::Auto)
                 .unwrap_err()
                 .to_string()
                 .contains("no such folder")
         );
         assert!(
-            survey(&data.path().join("images/0.png"), Layout::Auto)
+            summarize(&data.path().join("images/0.png"), Layout::Auto)
                 .unwrap_err()
                 .to_string()
                 .contains("a file")

@@ -4,13 +4,13 @@ use std::time::{Duration, Instant};
 
 /// A time on both clocks, from the begin of a profile.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub(super) struct Moment {
+pub(super) struct ClockReading {
     pub wall: Duration,
     /// Zero where the system does not say it.
     pub cpu: Duration,
 }
 
-impl Moment {
+impl ClockReading {
     /// From an earlier moment to this one.
     pub fn since(self, earlier: Self) -> Self {
         Self { wall: self.wall.saturating_sub(earlier.wall), cpu: self.cpu.saturating_sub(earlier.cpu) }
@@ -37,9 +37,9 @@ impl Clock {
         self.cpu.is_some()
     }
 
-    pub fn now(&self) -> Moment {
+    pub fn now(&self) -> ClockReading {
         let cpu = self.cpu.zip(cpu_time()).map(|(begin, now)| now.saturating_sub(begin));
-        Moment { wall: self.wall.elapsed(), cpu: cpu.unwrap_or_default() }
+        ClockReading { wall: self.wall.elapsed(), cpu: cpu.unwrap_or_default() }
     }
 }
 
@@ -72,6 +72,6 @@ mod tests {
         assert_eq!(clock.has_cpu(), worked.cpu > Duration::ZERO);
         let twice = worked.plus(worked);
         assert_eq!((twice.wall, twice.cpu), (2 * worked.wall, 2 * worked.cpu));
-        assert_eq!(begin.since(clock.now()), Moment::default());
+        assert_eq!(begin.since(clock.now()), ClockReading::default());
     }
 }

@@ -10,7 +10,7 @@
 //! | `clock` | wall time, and processor time of all threads |
 //! | `recorder` | the subscriber: what is open now, and sums over what has ended |
 //! | [`part`] | the tree of sums |
-//! | `trace` | the events as JSON |
+//! | `chrome_trace` | the events as JSON |
 //!
 //! A system's span is made when the system is: build the pipeline under the profiler, too.
 //!
@@ -39,10 +39,10 @@
 //! # Ok::<(), lobelia::Error>(())
 //! ```
 
+mod chrome_trace;
 mod clock;
 pub mod part;
 mod recorder;
-mod trace;
 
 #[cfg(test)]
 mod tests;
@@ -106,6 +106,6 @@ impl Profiler {
     /// # Errors
     /// Those of the writer.
     pub fn write_trace(&self, writer: &mut impl Write) -> io::Result<()> {
-        trace::write(&self.recorder.events(), writer)
+        chrome_trace::write(&self.recorder.events(), writer)
     }
 }

@@ -3,9 +3,9 @@
 //! A part is known by its name, its kind and the part around it. Each thread has a stack of what is open on it; the lowest span of another
 //! thread than the first is inside what the first one is at.
 
-use super::clock::{Clock, Moment};
+use super::chrome_trace::{Event, Events};
+use super::clock::{Clock, ClockReading};
 use super::part::{Part, PartKind, Profile};
-use super::trace::{Event, Events};
 use indexmap::IndexSet;
 use std::fmt::{self, Write as _};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -28,12 +28,12 @@ struct Sum {
     kind: PartKind,
     inside: Vec<usize>,
     runs: u64,
-    time: Moment,
+    time: ClockReading,
 }
 
 impl Sum {
     fn new(name: usize, kind: PartKind) -> Self {
-        Self { name, kind, inside: Vec::new(), runs: 0, time: Moment::default() }
+        Self { name, kind, inside: Vec::new(), runs: 0, time: ClockReading::default() }
     }
 }
 
@@ -51,7 +51,7 @@ struct Open {
     span: u64,
     /// `None`: it is inside run conditions, which are systems as well, and is not measured.
     part: Option<usize>,
-    begin: Moment,
+    begin: ClockReading,
 }
 
 struct State {
@@ -111,7 +111,7 @@ impl Recorder {
     /// The events so far, with what is open as if it ended now.
     pub fn events(&self) -> Events {
         let (now, state) = (self.clock.now(), self.state());
-        let whole = Event { part: WHOLE, thread: 0, begin: Moment::default(), took: now };
+        let whole = Event { part: WHOLE, thread: 0, begin: ClockReading::default(), took: now };
         let open = state.open.iter().enumerate().flat_map(|(thread, (_, stack))| {
             stack.iter().filter_map(move |open| {
                 Some(Event { part: open.part?, thread, begin: open.begin, took: now.since(open.begin) })
@@ -218,11 +218,11 @@ impl State {
             Some(part) => part.filter(|part| self.sums[*part].kind != PartKind::Conditions),
         };
         let part = measured.map(|around| self.part_in(around, name, kind));
-        let begin = if part.is_some() { clock.now() } else { Moment::default() };
+        let begin = if part.is_some() { clock.now() } else { ClockReading::default() };
         self.open[thread].1.push(Open { span, part, begin });
     }
 
-    fn exit(&mut self, span: u64, now: Moment) {
+    fn exit(&mut self, span: u64, now: ClockReading) {
         let thread = self.thread();
         let stack = &mut self.open[thread].1;
         let Some(at) = stack.iter().rposition(|open| open.span == span) else { return };
@@ -270,7 +270,7 @@ impl State {
 struct Tree<'a> {
     names: &'a IndexSet<String>,
     sums: &'a [Sum],
-    whole: Moment,
+    whole: ClockReading,
     has_cpu: bool,
 }
 

@@ -139,7 +139,7 @@ fn names_lose_their_modules() {
     for (name, shown) in [
         ("lobelia::fit::systems::move_texels", "move_texels"),
         ("lobelia::shade::systems::shade_closed_form::{{closure}}", "shade_closed_form"),
-        ("a::gather_points<lobelia::material::source::Shown>", "gather_points<Shown>"),
+        ("a::gather_points<lobelia::material::material_source::Shown>", "gather_points<Shown>"),
         ("Pipe<a::b, (c::d, e::f::{{closure}})>", "Pipe<b, (d, f)>"),
         ("", ""),
     ] {

@@ -3,9 +3,9 @@
 use crate::codec::file::read_folder;
 use crate::codec::image::{BRIGHTEST, Gamma, IMAGE_EXTENSIONS, LoadedImage, Orientation, read_image};
 use crate::report::metrics;
+use crate::report::score_table::aligned;
 use crate::report::scores;
 use crate::report::scores::{EvalView, PassScores, Scaling};
-use crate::report::table::aligned;
 use crate::{Error, Result};
 use std::collections::BTreeMap;
 use std::fmt::Write;

@@ -12,9 +12,9 @@ pub const PSNR_CAP_DB: f64 = 100.0;
 /// Coverage from which a pixel counts as fully covered.
 pub const FULL_COVERAGE: f32 = 0.999;
 
-/// A predicted view, its truth and the pixels that count. [`Pair::new`] checks sizes and finiteness.
+/// A predicted view, its truth and the pixels that count. [`ImagePair::new`] checks sizes and finiteness.
 #[derive(Clone, Copy, Debug)]
-pub struct Pair<'a> {
+pub struct ImagePair<'a> {
     /// Width in pixels.
     pub width: usize,
     /// Height in pixels.
@@ -27,7 +27,7 @@ pub struct Pair<'a> {
     pub mask: &'a [bool],
 }
 
-impl<'a> Pair<'a> {
+impl<'a> ImagePair<'a> {
     /// Pairs images of `size` (width, height) pixels.
     ///
     /// # Errors
@@ -98,7 +98,7 @@ fn clip(value: DVec3) -> DVec3 {
 
 /// Peak signal-to-noise ratio in dB, peak 1, after clipping both images to `[0, 1]`:
 /// −10 log₁₀ of the mean squared error over the pixels that count and the three channels; at most [`PSNR_CAP_DB`].
-pub fn psnr(pair: &Pair) -> f64 {
+pub fn psnr(pair: &ImagePair) -> f64 {
     let (mut sum, mut count) = (0.0, 0usize);
     for (prediction, truth) in pair.counted() {
         sum += (clip(prediction) - clip(truth)).length_squared();
@@ -141,7 +141,7 @@ pub struct ScaleSums {
 
 impl ScaleSums {
     /// Adds a view.
-    pub fn add(&mut self, pair: &Pair) {
+    pub fn add(&mut self, pair: &ImagePair) {
         for (p, t) in pair.counted() {
             self.prediction_truth += p * t;
             self.prediction_squared += p * p;
@@ -191,8 +191,8 @@ impl LayerScaleSums {
     ///
     /// # Errors
     /// [`Error::Run`] if `specular` has another size or a pixel that counts is not finite.
-    pub fn add(&mut self, pair: &Pair, specular: &[Vec3]) -> Result<()> {
-        let other = Pair::new([pair.width, pair.height], specular, pair.truth, pair.mask)?;
+    pub fn add(&mut self, pair: &ImagePair, specular: &[Vec3]) -> Result<()> {
+        let other = ImagePair::new([pair.width, pair.height], specular, pair.truth, pair.mask)?;
         for ((d, t), (s, _)) in pair.counted().zip(other.counted()) {
             self.dd += d * d;
             self.ds += d * s;
@@ -243,13 +243,13 @@ pub struct AlbedoScore {
 
 /// Albedo PSNR after one scale per channel for all views: the median over all views' counted pixels of truth / prediction
 /// (pixels whose prediction is not positive have no ratio and are skipped; without any ratio the scale is 1). `None` for no views.
-pub fn albedo_psnr(views: &[Pair]) -> Option<AlbedoScore> {
+pub fn albedo_psnr(views: &[ImagePair]) -> Option<AlbedoScore> {
     let scale = std::array::from_fn(|channel| median_ratio(views, channel));
     let scores: Vec<f64> = views
         .iter()
         .map(|view| {
             let prediction = scaled(view.prediction, scale);
-            psnr(&Pair { prediction: &prediction, ..*view })
+            psnr(&ImagePair { prediction: &prediction, ..*view })
         })
         .collect();
     let mut pooled = DVec3::ZERO;
@@ -263,7 +263,7 @@ pub fn albedo_psnr(views: &[Pair]) -> Option<AlbedoScore> {
     (count > 0).then_some(AlbedoScore { psnr, views: scores, scale })
 }
 
-fn median_ratio(views: &[Pair], channel: usize) -> f64 {
+fn median_ratio(views: &[ImagePair], channel: usize) -> f64 {
     let mut ratios: Vec<f64> = views
         .iter()
         .flat_map(|view| view.counted())
@@ -294,8 +294,8 @@ mod tests {
 
     const ALL: [bool; 4] = [true; 4];
 
-    fn pair<'a>(prediction: &'a [Vec3], truth: &'a [Vec3], mask: &'a [bool]) -> Pair<'a> {
-        Pair::new([2, 2], prediction, truth, mask).unwrap()
+    fn pair<'a>(prediction: &'a [Vec3], truth: &'a [Vec3], mask: &'a [bool]) -> ImagePair<'a> {
+        ImagePair::new([2, 2], prediction, truth, mask).unwrap()
     }
 
     #[test]
@@ -329,13 +329,13 @@ mod tests {
     #[test]
     fn bad_pairs_are_refused() {
         let (good, short) = ([Vec3::ONE; 4], [Vec3::ONE; 3]);
-        let refused = |p: &[Vec3], m: &[bool]| Pair::new([2, 2], p, &good, m).unwrap_err().to_string();
+        let refused = |p: &[Vec3], m: &[bool]| ImagePair::new([2, 2], p, &good, m).unwrap_err().to_string();
         assert!(refused(&short, &ALL).contains("prediction has 3 pixels"));
         assert!(refused(&good, &[false; 4]).contains("empty"));
         let mut with_nan = good;
         with_nan[3].z = f32::NAN;
         assert!(refused(&with_nan, &ALL).contains("pixel (1, 1) of the prediction"));
-        assert!(Pair::new([2, 2], &with_nan, &good, &[true, true, true, false]).is_ok());
+        assert!(ImagePair::new([2, 2], &with_nan, &good, &[true, true, true, false]).is_ok());
     }
 
     #[test]

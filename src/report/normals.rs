@@ -1,6 +1,6 @@
 //! Angles between predicted and true normals.
 
-use crate::report::metrics::{Pair, median};
+use crate::report::metrics::{ImagePair, median};
 
 /// Collects the angles of any number of views: four bytes per pixel that counts.
 #[derive(Clone, Debug, Default)]
@@ -14,7 +14,7 @@ pub struct NormalAngles {
 impl NormalAngles {
     /// Adds the pixels of a view that count. Both normals are normalized first (truth is an average over a pixel); a pixel where
     /// either is zero is unknown and skipped.
-    pub fn add(&mut self, pair: &Pair) {
+    pub fn add(&mut self, pair: &ImagePair) {
         for (prediction, truth) in pair.counted() {
             if prediction.length_squared() > 1e-12 && truth.length_squared() > 1e-12 {
                 // atan2 is exact for small angles, where acos of a dot product is not.
@@ -49,7 +49,7 @@ mod tests {
     fn angles(prediction: &[Vec3; 4]) -> NormalAngles {
         let truth = [Vec3::X * 0.5, Vec3::X, Vec3::X, Vec3::X];
         let mut angles = NormalAngles::default();
-        angles.add(&Pair::new([2, 2], prediction, &truth, &[true; 4]).unwrap());
+        angles.add(&ImagePair::new([2, 2], prediction, &truth, &[true; 4]).unwrap());
         angles
     }
 

@@ -1,7 +1,7 @@
 //! Where the time of a run went, as a table for the terminal.
 
 use crate::profile::{Part, PartKind, Profile};
-use crate::report::table::aligned;
+use crate::report::score_table::aligned;
 
 /// Parts of less than this share of both wall and processor time are left out.
 const LEAST: f64 = 0.005;

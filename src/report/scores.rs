@@ -3,7 +3,7 @@
 use crate::codec::file;
 use crate::profile::Profile;
 use crate::report::metrics;
-use crate::report::metrics::{LayerScaleSums, LayerScales, Pair, ScaleSums};
+use crate::report::metrics::{ImagePair, LayerScaleSums, LayerScales, ScaleSums};
 use crate::report::srgb::{Covered, SrgbScores, srgb_scores};
 use crate::report::ssim::ssim;
 use crate::{Error, Result};
@@ -54,8 +54,8 @@ pub struct EvalView {
 }
 
 impl EvalView {
-    fn pair<'a>(&'a self, prediction: &'a [Vec3]) -> Result<Pair<'a>> {
-        Pair::new([self.width, self.height], prediction, &self.truth, &self.mask)
+    fn pair<'a>(&'a self, prediction: &'a [Vec3]) -> Result<ImagePair<'a>> {
+        ImagePair::new([self.width, self.height], prediction, &self.truth, &self.mask)
             .map_err(|error| self.named(error))
     }
 

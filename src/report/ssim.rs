@@ -1,6 +1,6 @@
 //! Structural similarity (Wang, Bovik, Sheikh and Simoncelli, "Image Quality Assessment", IEEE TIP 2004, eq. 13).
 
-use crate::report::metrics::Pair;
+use crate::report::metrics::ImagePair;
 use glam::Vec3;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -20,7 +20,7 @@ const C2: f64 = 0.03 * 0.03;
 /// The similarity map is then computed over the whole image, with windows reflected at the border (… b a | a b …), and
 /// averaged over the pixels that count. The window is an 11×11 Gaussian of σ 1.5, normalized to 1; variances are not
 /// bias-corrected, as in the original.
-pub fn ssim(pair: &Pair) -> f64 {
+pub fn ssim(pair: &ImagePair) -> f64 {
     let value = |pixel: usize, channel: usize| {
         let clipped = |pixels: &[Vec3]| f64::from(pixels[pixel][channel]).clamp(0.0, 1.0);
         if pair.mask[pixel] { [clipped(pair.prediction), clipped(pair.truth)] } else { [0.0; 2] }
@@ -142,7 +142,7 @@ mod tests {
     }
 
     /// The definition, window by window, with a two-dimensional Gaussian.
-    fn direct(pair: &Pair) -> f64 {
+    fn direct(pair: &ImagePair) -> f64 {
         let reflect = |at: isize, len: usize| {
             let len = len as isize;
             (if at < 0 {
@@ -187,7 +187,7 @@ mod tests {
         for size in [[17, 13], [6, 9], [7, 150]] {
             let (prediction, truth) = images(size[0] * size[1]);
             let mask: Vec<bool> = (0..truth.len()).map(|i| i % 5 != 0 && i > size[0]).collect();
-            let pair = Pair::new(size, &prediction, &truth, &mask).unwrap();
+            let pair = ImagePair::new(size, &prediction, &truth, &mask).unwrap();
             let (fast, slow) = (ssim(&pair), direct(&pair));
             assert!((fast - slow).abs() < 1e-12, "{fast} {slow}");
             assert!(fast > 0.2 && fast < 0.95, "{fast}");
@@ -199,7 +199,7 @@ mod tests {
         for size in [[1, 1], [3, 2], [12, 12]] {
             let (_, truth) = images(size[0] * size[1]);
             let mask = vec![true; truth.len()];
-            let score = ssim(&Pair::new(size, &truth, &truth, &mask).unwrap());
+            let score = ssim(&ImagePair::new(size, &truth, &truth, &mask).unwrap());
             assert!((score - 1.0).abs() < 1e-12, "{score}");
         }
     }
@@ -209,19 +209,19 @@ mod tests {
         // No variance: only the luminance term is left.
         let (p, t, mask) = (vec![Vec3::splat(0.5); 144], vec![Vec3::splat(0.25); 144], vec![true; 144]);
         let expected = (2.0 * 0.5 * 0.25 + C1) / (0.25 + 0.0625 + C1);
-        assert!((ssim(&Pair::new([12, 12], &p, &t, &mask).unwrap()) - expected).abs() < 1e-12);
+        assert!((ssim(&ImagePair::new([12, 12], &p, &t, &mask).unwrap()) - expected).abs() < 1e-12);
     }
 
     #[test]
     fn pixels_outside_the_mask_have_no_say() {
         let (mut prediction, truth) = images(400);
         let mask: Vec<bool> = (0..400).map(|i| i % 20 > 8).collect();
-        let before = ssim(&Pair::new([20, 20], &prediction, &truth, &mask).unwrap());
+        let before = ssim(&ImagePair::new([20, 20], &prediction, &truth, &mask).unwrap());
         prediction
             .iter_mut()
             .zip(&mask)
             .filter(|(_, counts)| !**counts)
             .for_each(|(p, _)| *p = Vec3::splat(f32::NAN));
-        assert_eq!(before, ssim(&Pair::new([20, 20], &prediction, &truth, &mask).unwrap()));
+        assert_eq!(before, ssim(&ImagePair::new([20, 20], &prediction, &truth, &mask).unwrap()));
     }
 }

@@ -1,6 +1,6 @@
 //! Conversion of linear radiance to a picture: exposure, tone curve, backdrop, 8-bit sRGB.
 
-use crate::codec::frame::Frame;
+use crate::codec::exr_frame::Frame;
 use crate::codec::png_file::{self, PngRows};
 use crate::math::color::srgb_from_linear;
 use crate::{Error, Result};

@@ -1,6 +1,6 @@
 //! Rotations from the world into the frame of a light that does not stand still in it.
 
-use crate::light::frame::LightFrame;
+use crate::light::light_frame::LightFrame;
 use crate::light::lights::IncidentLight;
 use crate::view::{Camera, Photograph, ViewIndex};
 use bevy_ecs::prelude::{Query, Res, With};

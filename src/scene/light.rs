@@ -3,7 +3,7 @@
 use crate::codec::npy::NpyConvention;
 use crate::light::LightLobe;
 use crate::light::convention::MapConvention;
-use crate::light::frame::LightFrame;
+use crate::light::light_frame::LightFrame;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
 use std::path::PathBuf;

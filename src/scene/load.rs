@@ -1,6 +1,6 @@
 //! Reading a scene file: `--set`, parsing, paths and checks, each error with a caret. Nothing is written.
 
-use crate::codec::file::{Kind, MOST_TEXT, obstacle, read_text};
+use crate::codec::file::{FileKind, MOST_TEXT, obstacle, read_text};
 use crate::scene::description::{Scene, VERSION};
 use crate::scene::diagnostic::{Problem, SceneText};
 use crate::scene::edit::Edit;
@@ -57,7 +57,7 @@ pub struct LoadedScene {
 /// [`Error::Scene`] with a caret for everything that is wrong in the text.
 pub fn load(path: &Path, options: &LoadOptions) -> Result<LoadedScene> {
     if let Some(data) = &options.data
-        && let Some(obstacle) = obstacle(data, Kind::Folder)
+        && let Some(obstacle) = obstacle(data, FileKind::Folder)
     {
         let problem = format!("--data {}: {}", data.display(), obstacle.problem);
         return Err(Error::usage(problem, "Give the folder that `$DATA` stands for."));

@@ -1,6 +1,6 @@
 //! The files that a scene names: `$DATA` and relative paths resolved, and whether they exist.
 
-use crate::codec::file::{Kind, Obstacle, lies_in, obstacle};
+use crate::codec::file::{FileKind, Obstacle, lies_in, obstacle};
 use crate::scene::description::Scene;
 use crate::scene::diagnostic::{Problem, nearest};
 use crate::scene::edit::{DiffuseAction, Edit, Region};
@@ -48,8 +48,8 @@ impl Bounds<'_> {
 }
 
 /// The problem of a path that is not within.
-fn outside(at: &str, path: &Path, kind: Kind) -> Problem {
-    let folder = if kind == Kind::Folder { path } else { path.parent().unwrap_or(path) };
+fn outside(at: &str, path: &Path, kind: FileKind) -> Problem {
+    let folder = if kind == FileKind::Folder { path } else { path.parent().unwrap_or(path) };
     Problem {
         path: at.to_owned(),
         problem: format!("{}: this is outside the folder of the scene file and --data", path.display()),
@@ -73,7 +73,8 @@ pub fn resolve(scene: &mut Scene, bounds: Bounds, problems: &mut Vec<Problem>) -
                 Some((problem, help)) => problems.push(Problem {
                     path: at.to_owned(),
                     problem,
-                    expected: if kind == Kind::File { "expected a file" } else { "expected a folder" }.into(),
+                    expected: if kind == FileKind::File { "expected a file" } else { "expected a folder" }
+                        .into(),
                     help,
                 }),
                 None if bounds.confined && !bounds.hold(&full) => problems.push(outside(at, &full, kind)),
@@ -100,12 +101,12 @@ fn place(path: &Path, base_dir: &Path, data: Option<&Path>) -> Option<PathBuf> {
     }
 }
 
-fn complaint(path: &Path, kind: Kind) -> Option<(String, String)> {
+fn complaint(path: &Path, kind: FileKind) -> Option<(String, String)> {
     let Obstacle { problem, help } = obstacle(path, kind)?;
     let help = match kind {
         _ if !help.is_empty() => help,
-        Kind::File if path.is_dir() => "Name a file in it.".into(),
-        Kind::Folder if path.is_file() => "Name the folder that it is in.".into(),
+        FileKind::File if path.is_dir() => "Name a file in it.".into(),
+        FileKind::Folder if path.is_file() => "Name the folder that it is in.".into(),
         _ => missing_help(path),
     };
     Some((format!("{}: {problem}", path.display()), help))
@@ -138,12 +139,12 @@ fn missing_help(path: &Path) -> String {
 }
 
 /// Calls `visit` with the scene-file place, the kind and the path of every file or folder that must exist.
-fn for_each_path(scene: &mut Scene, visit: &mut impl FnMut(&str, Kind, &mut PathBuf)) {
+fn for_each_path(scene: &mut Scene, visit: &mut impl FnMut(&str, FileKind, &mut PathBuf)) {
     if let Surface::Mesh { path, .. } = &mut scene.surface {
-        visit("surface.path", Kind::File, path);
+        visit("surface.path", FileKind::File, path);
     }
     match &mut scene.views {
-        Views::Dataset(dataset) => visit("views.path", Kind::Folder, &mut dataset.path),
+        Views::Dataset(dataset) => visit("views.path", FileKind::Folder, &mut dataset.path),
         Views::Photographed(made) => {
             light("views.truth.light.path", &mut made.truth.light, visit);
             edits("views.truth", &mut made.truth.edits, visit);
@@ -154,18 +155,18 @@ fn for_each_path(scene: &mut Scene, visit: &mut impl FnMut(&str, Kind, &mut Path
         light("light.path", source, visit);
     }
     if let Gloss::Fixed { weights, .. } = &mut scene.material.gloss {
-        visit("material.gloss.weights", Kind::File, weights);
+        visit("material.gloss.weights", FileKind::File, weights);
     }
     if let Albedo::Initial(AlbedoSource::Texture(path)) | Albedo::Fixed(AlbedoSource::Texture(path)) =
         &mut scene.material.albedo
     {
-        visit("material.albedo.0", Kind::File, path);
+        visit("material.albedo.0", FileKind::File, path);
     }
     if let Sheen::Fixed(AlbedoSource::Texture(path)) = &mut scene.material.sheen {
-        visit("material.sheen.0", Kind::File, path);
+        visit("material.sheen.0", FileKind::File, path);
     }
     if let Tilt::Fixed(path) = &mut scene.material.tilt {
-        visit("material.tilt.0", Kind::File, path);
+        visit("material.tilt.0", FileKind::File, path);
     }
     for (index, pass) in scene.passes.iter_mut().enumerate() {
         pass_paths(&format!("passes.{index}"), pass, visit);
@@ -179,7 +180,7 @@ pub fn paths_of(pass: &Pass) -> Vec<PathBuf> {
     found
 }
 
-fn pass_paths(at: &str, pass: &mut Pass, visit: &mut impl FnMut(&str, Kind, &mut PathBuf)) {
+fn pass_paths(at: &str, pass: &mut Pass, visit: &mut impl FnMut(&str, FileKind, &mut PathBuf)) {
     match pass {
         Pass::Edit(edit) => {
             edits(at, &mut edit.edits, visit);
@@ -194,16 +195,16 @@ fn pass_paths(at: &str, pass: &mut Pass, visit: &mut impl FnMut(&str, Kind, &mut
         Pass::Evaluate(evaluate) => {
             for (index, score) in evaluate.scores.iter_mut().enumerate() {
                 if let Truth::Folder(path) = &mut score.truth {
-                    visit(&format!("{at}.scores.{index}.truth.0"), Kind::Folder, path);
+                    visit(&format!("{at}.scores.{index}.truth.0"), FileKind::Folder, path);
                 }
             }
             for (field, truth) in [("albedo", &mut evaluate.albedo), ("normal", &mut evaluate.normal)] {
                 if let Some(LayerTruth::Folder(path)) = truth {
-                    visit(&format!("{at}.{field}.0"), Kind::Folder, path);
+                    visit(&format!("{at}.{field}.0"), FileKind::Folder, path);
                 }
             }
             if let Some(path) = &mut evaluate.mesh {
-                visit(&format!("{at}.mesh"), Kind::File, path);
+                visit(&format!("{at}.mesh"), FileKind::File, path);
             }
         }
         Pass::Fit(_) | Pass::Shape(_) | Pass::Render(_) | Pass::Save(_) | Pass::Export(_) | Pass::View(_) => {
@@ -211,23 +212,23 @@ fn pass_paths(at: &str, pass: &mut Pass, visit: &mut impl FnMut(&str, Kind, &mut
     }
 }
 
-fn edits(at: &str, edits: &mut [Edit], visit: &mut impl FnMut(&str, Kind, &mut PathBuf)) {
+fn edits(at: &str, edits: &mut [Edit], visit: &mut impl FnMut(&str, FileKind, &mut PathBuf)) {
     for (index, edit) in edits.iter_mut().enumerate() {
         if let Edit::Diffuse { action: DiffuseAction::Texture(path), .. } = edit {
-            visit(&format!("{at}.edits.{index}.action.0"), Kind::File, path);
+            visit(&format!("{at}.edits.{index}.action.0"), FileKind::File, path);
         }
         let (Edit::Diffuse { region, .. } | Edit::Specular { region, .. } | Edit::Roughness { region, .. }) =
             edit;
         if let Region::Mask(path) = region {
-            visit(&format!("{at}.edits.{index}.region.0"), Kind::File, path);
+            visit(&format!("{at}.edits.{index}.region.0"), FileKind::File, path);
         }
     }
 }
 
-fn light(at: &str, source: &mut LightSource, visit: &mut impl FnMut(&str, Kind, &mut PathBuf)) {
+fn light(at: &str, source: &mut LightSource, visit: &mut impl FnMut(&str, FileKind, &mut PathBuf)) {
     match source {
         LightSource::Npy { path, .. } | LightSource::Map { path, .. } | LightSource::Ron { path, .. } => {
-            visit(at, Kind::File, path);
+            visit(at, FileKind::File, path);
         }
         LightSource::Lobes { .. } => {}
     }

@@ -2,7 +2,7 @@
 //!
 //! Conventions as in [`description`](crate::scene::description).
 
-use crate::light::frame::LightFrame;
+use crate::light::light_frame::LightFrame;
 use crate::material::SpecularLobe;
 use crate::scene::defaults::{fov_degrees, y_axis};
 use crate::scene::edit::Edit;

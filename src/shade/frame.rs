@@ -1,16 +1,16 @@
 //! The Frame phase: one tile of a picture, or of a band of its rows, at a time, Sample ▸ Trace ▸ Gather ▸ Shade ▸ Resolve.
 
 use super::systems::{gather_blends, gather_points, shade_closed_form};
-use crate::codec::frame::{BLOCK_ROWS, FRAME_PIXEL_BYTES, Frame};
+use crate::codec::exr_frame::{BLOCK_ROWS, FRAME_PIXEL_BYTES, Frame};
 use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
-use crate::light::frame::PictureRotation;
+use crate::light::light_frame::PictureRotation;
 use crate::light::lights::{IncidentLight, LightChoice, provide_light};
 use crate::material::edit::MaterialState;
-use crate::material::shown::{mark_material_changed, show_recovered, shown_material};
-use crate::material::source::{
+use crate::material::material_source::{
     BaseMaterials, MaterialSource, PlainBlends, Shown, blends_changed, gather_materials, note_plain_blends,
 };
+use crate::material::shown::{mark_material_changed, show_recovered, shown_material};
 use crate::math::shading::{ClosedForm, Layers, ShadePoint};
 use crate::pipeline::{GatherPoints, Phase, Pipeline, Plugin, Slot, Stage, SystemResult};
 use crate::sample::Samples;

@@ -3,13 +3,13 @@
 
 use crate::error::Error;
 use crate::light::lights::IncidentLight;
-use crate::material::source::{
+use crate::material::material_source::{
     AlbedoColumn, BaseMaterials, BlendColumn, MaterialSource, MaterialTexels, SheenColumn, Shown, TiltColumn,
 };
 use crate::material::tilt::DirectionalAlbedo;
 use crate::material::{MAX_SPECULAR_LOBES, SpecularLobe, Texels};
 use crate::math::shading::{
-    ClosedForm, Layers, Lighting, PointVisibility, ShadePoint, SpecularValue, Visibility,
+    ClosedForm, Layers, Lighting, LobeVisibility, PointVisibility, ShadePoint, SpecularValue,
 };
 use crate::pipeline::SystemResult;
 use crate::pipeline::pool::Columns;
@@ -164,7 +164,7 @@ impl Showing {
         let shows = |blend: &PointBlend| has(blend, place) || (place == 0 && has_none(blend));
         let numbers: Vec<usize> = (0..points.len()).filter(|&i| shows(&blends[i])).collect();
         let stride = lighting.lobes.stride();
-        let row = |i: &usize| Visibility::point(lighting.visibility, *i, stride);
+        let row = |i: &usize| LobeVisibility::point(lighting.visibility, *i, stride);
         Self {
             points: numbers.iter().map(|&i| points[i]).collect(),
             rows: numbers.iter().flat_map(|i| row(i).0.unwrap_or_default()).copied().collect(),
@@ -175,7 +175,7 @@ impl Showing {
 
     /// The lighting of these points.
     pub fn lighting<'a>(&'a self, all: Lighting<'a>) -> Lighting<'a> {
-        let visibility = Visibility { lobes: &self.rows, points: &self.seen };
+        let visibility = LobeVisibility { lobes: &self.rows, points: &self.seen };
         Lighting { visibility: all.visibility.map(|_| visibility), ..all }
     }
 

@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 use crate::pipeline::pool::pool_index;
 use crate::sdf::SdfGrid;
 use crate::sdf::volume::SdfSurface;
-use crate::shape::adjoint::FieldAdjoint;
+use crate::shape::field_adjoint::FieldAdjoint;
 use bevy_ecs::prelude::{Component, Resource, World};
 use glam::{UVec3, Vec3};
 use serde::{Deserialize, Serialize};
@@ -140,7 +140,7 @@ pub fn bricks_near_surface(grid: &SdfGrid) -> Vec<BrickAt> {
 
 /// Vertices of a brick that are consecutive in the grid.
 #[derive(Clone, Copy, Debug)]
-pub struct Run {
+pub struct VertexRun {
     /// Index of the first in the brick.
     pub place: usize,
     /// Index of the first in the grid.
@@ -151,7 +151,7 @@ pub struct Run {
     pub interior: bool,
 }
 
-impl Run {
+impl VertexRun {
     /// The indices in the grid.
     pub fn rows(&self) -> std::ops::Range<usize> {
         self.row..self.row + self.len
@@ -165,7 +165,7 @@ impl Run {
 
 impl BrickAt {
     /// The brick's vertices that are in the grid.
-    pub fn runs(self, grid: &SdfGrid) -> impl Iterator<Item = Run> + use<> {
+    pub fn runs(self, grid: &SdfGrid) -> impl Iterator<Item = VertexRun> + use<> {
         let (side, first) = (grid.side, grid.index(self.0));
         let len = BRICK_SIDE.min(side - self.0.x) as usize;
         let interior = self.0.min_element() >= 2 && self.0.max_element() + BRICK_SIDE + 2 <= side;
@@ -173,7 +173,7 @@ impl BrickAt {
             let (y, z) = (i % BRICK_SIDE, i / BRICK_SIDE);
             let inside = self.0.y + y < side && self.0.z + z < side;
             let row = first + (side * (y + side * z)) as usize;
-            inside.then_some(Run { place: (BRICK_SIDE * i) as usize, row, len, interior })
+            inside.then_some(VertexRun { place: (BRICK_SIDE * i) as usize, row, len, interior })
         })
     }
 }

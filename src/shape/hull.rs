@@ -3,11 +3,11 @@
 //! In a view a point is about (pixels to the silhouette) · depth / focal away from the silhouette's cone. The largest of
 //! these over the views is the hull's signed distance; the k-th largest forgives k − 1 wrong masks. Views that do not see
 //! the point, or see it at the border of the frame, abstain: what the frame cuts is kept. What a few masks remove
-//! although many show it is restored ([`crate::shape::repair`]).
+//! although many show it is restored ([`crate::shape::hull_repair`]).
 
 use crate::error::stop::{check_interrupted, is_stopping};
 use crate::sdf::SdfGrid;
-use crate::shape::repair::regrow;
+use crate::shape::hull_repair::regrow;
 use crate::shape::silhouette::{MIN_VIEWS, Silhouette};
 use crate::shape::trust::{hull_distance, mark_trusted};
 use crate::{Error, Result};

@@ -7,9 +7,9 @@
 //! | [`hollows`] | removes from the hull what photographs look through |
 //! | [`parts`] | which components of a surface are the object's |
 //! | `trust` | finds masks that no other mask contradicts, which may carve alone |
-//! | [`repair`] | restores parts that a few wrong masks remove from the hull, and selects the silhouettes that the other masks confirm |
+//! | [`hull_repair`] | restores parts that a few wrong masks remove from the hull, and selects the silhouettes that the other masks confirm |
 //! | [`field`] | the field as parameters: bricks of values (entities) and the field as a whole (a resource) |
-//! | `adjoint` | kernels that propagate adjoints of normals, positions and silhouettes back to the values |
+//! | `field_adjoint` | kernels that propagate adjoints of normals, positions and silhouettes back to the values |
 //! | [`silhouette`] | a mask with its camera, and distances from it |
 //! | `shrunk` | photographs made smaller, with the object alone |
 //! | `silhouette_loss` | the loss of masks |
@@ -20,15 +20,15 @@
 //! | [`mirror`] | gives vertices normals that explain what the surface mirrors |
 //! | [`vertices`] | a mesh's vertices as parameters of a fit |
 
-pub(crate) mod adjoint;
 pub(crate) mod displace;
 pub mod field;
+pub(crate) mod field_adjoint;
 pub mod hollows;
 pub mod hull;
+pub mod hull_repair;
 pub mod mirror;
 pub mod outline;
 pub mod parts;
-pub mod repair;
 pub mod run;
 mod shrunk;
 pub mod silhouette;

@@ -1,6 +1,6 @@
 //! The silhouette of a view: the signed distance to the boundary of its mask, and the distance of points of space from its cone.
 
-use crate::sdf::silhouette::signed_distance;
+use crate::sdf::distance_transform::signed_distance;
 use crate::view::{Camera, PixelWindow, StoredMask, ViewIndex};
 use glam::{Vec2, Vec3};
 use half::f16;

@@ -9,7 +9,7 @@ use crate::math::ray::Ray;
 use crate::pipeline::pool::pool_index;
 use crate::sample::pixel::PixelOf;
 use crate::sdf::SdfGrid;
-use crate::shape::adjoint::FieldAdjoint;
+use crate::shape::field_adjoint::FieldAdjoint;
 use crate::view::Camera;
 use bevy_ecs::prelude::Component;
 use glam::{Vec2, Vec3};

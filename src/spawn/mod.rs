@@ -12,7 +12,7 @@ pub use surface::{SurfaceUse, make_surface};
 use crate::error::Result;
 use crate::fit::components::Unknowns;
 use crate::light::LightLobe;
-use crate::light::frame::OwnLightFrame;
+use crate::light::light_frame::OwnLightFrame;
 use crate::light::lights::LightMap;
 use crate::material::{DiffuseSheen, DiffuseTilt};
 use crate::material::{SpecularBlend, SpecularLobe, spawn_materials, spawn_texels};

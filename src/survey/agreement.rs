@@ -6,10 +6,10 @@ use crate::report::sheet::choose_evenly;
 use crate::survey::change::{Cause, Change, camera_causes, turns, world_causes};
 use crate::survey::finding::{Finding, Severity, named};
 use crate::survey::look::{MaskLook, SmallMask, ViewLook};
+use crate::survey::mesh_overlap::{Agreement, median_agreement};
+use crate::survey::mesh_placement::{find_placement, placement_cause};
 use crate::survey::order::orders;
-use crate::survey::placement::{find_placement, placement_cause};
 use crate::survey::rivals::{joined, rivals};
-use crate::survey::silhouette::{Agreement, median_agreement};
 use crate::view::Split;
 use glam::Mat3A;
 

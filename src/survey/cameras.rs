@@ -3,7 +3,7 @@
 use crate::survey::finding::{Finding, named};
 use crate::survey::look::ViewLook;
 use crate::survey::meeting::{Outline, Sight, meeting_point};
-use crate::survey::silhouette::overlap;
+use crate::survey::mesh_overlap::overlap;
 use glam::{Mat3, Vec3};
 use serde::Serialize;
 
@@ -57,7 +57,7 @@ pub fn same_cameras(looks: &[ViewLook]) -> Option<Finding> {
 /// The kind of an arrangement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Kind {
+pub enum ArrangementKind {
     /// Circles around one axis, at one to three heights.
     Rings(usize),
     /// All around, from above and below.
@@ -74,7 +74,7 @@ pub enum Kind {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Arrangement {
     /// What they look like together.
-    pub kind: Kind,
+    pub kind: ArrangementKind,
     /// What they look at, in world units.
     pub target: Vec3,
     /// The axis of rings, else the up direction: that of the data, unless the cameras have another; of unit length.
@@ -105,11 +105,11 @@ impl Arrangement {
         let gap = largest_gap(&directions, axis);
         let distances: Vec<f32> = offsets.iter().map(|offset| offset.length()).collect();
         let kind = match rings {
-            Some((count, _)) => Kind::Rings(count),
-            None if gap > AROUND_GAP_DEGREES => Kind::OneSide,
-            None if elevation_degrees[1] < ABOVE_DEGREES => Kind::Belt,
-            None if elevation_degrees[0] < BELOW_DEGREES => Kind::Sphere,
-            None => Kind::Hemisphere,
+            Some((count, _)) => ArrangementKind::Rings(count),
+            None if gap > AROUND_GAP_DEGREES => ArrangementKind::OneSide,
+            None if elevation_degrees[1] < ABOVE_DEGREES => ArrangementKind::Belt,
+            None if elevation_degrees[0] < BELOW_DEGREES => ArrangementKind::Sphere,
+            None => ArrangementKind::Hemisphere,
         };
         let distance = range(&distances);
         Some(Self { kind, target, axis, elevation_degrees, azimuth_gap_degrees: gap, distance })
@@ -118,12 +118,12 @@ impl Arrangement {
     /// "all around and from above: elevation −3° to 88°, widest gap 14°, distance 4.03 to 4.1; up is +Z".
     pub fn words(&self) -> String {
         let kind = match self.kind {
-            Kind::Rings(1) => "one ring".to_owned(),
-            Kind::Rings(count) => format!("{count} rings"),
-            Kind::Sphere => "all around, from above and below".to_owned(),
-            Kind::Hemisphere => "all around and from above".to_owned(),
-            Kind::Belt => "all around, near one height".to_owned(),
-            Kind::OneSide => "from one side".to_owned(),
+            ArrangementKind::Rings(1) => "one ring".to_owned(),
+            ArrangementKind::Rings(count) => format!("{count} rings"),
+            ArrangementKind::Sphere => "all around, from above and below".to_owned(),
+            ArrangementKind::Hemisphere => "all around and from above".to_owned(),
+            ArrangementKind::Belt => "all around, near one height".to_owned(),
+            ArrangementKind::OneSide => "from one side".to_owned(),
         };
         let ([low, high], [near, far]) = (self.elevation_degrees, self.distance);
         let gap = self.azimuth_gap_degrees;

@@ -6,8 +6,8 @@ use crate::report::sheet::choose_evenly;
 use crate::survey::agreement::tried;
 use crate::survey::change::{Cause, Change, camera_causes};
 use crate::survey::finding::{Finding, Severity, named};
-use crate::survey::hull::{FORGIVEN, carved, consistency, solid, uncovered};
 use crate::survey::look::{SmallMask, ViewLook};
+use crate::survey::mask_hull::{FORGIVEN, carved, consistency, solid, uncovered};
 use crate::survey::order::orders;
 
 /// Views that are judged at least, and the pixels that their masks have in the median at least.

@@ -26,8 +26,8 @@ use crate::scene::{
     ViewChoice, Visibility,
 };
 use crate::shade::frame::frame_bytes;
-use crate::survey::detail::{ATLAS_FILL, pixels_per_texel};
-use crate::survey::look::{Bounds, ViewLook};
+use crate::survey::look::{PixelBounds, ViewLook};
+use crate::survey::texture_detail::{ATLAS_FILL, pixels_per_texel};
 use crate::view::Split;
 use crate::visibility::VisibilitySettings;
 use serde::Serialize;
@@ -94,7 +94,7 @@ const SAVED_TEXEL_BYTES: f64 = 20.0;
 
 /// What one part takes.
 #[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Part {
+pub struct PartEstimate {
     /// What takes it: "photographs", "shadows", or a pass's name.
     pub what: String,
     /// Memory in bytes.
@@ -109,7 +109,7 @@ pub struct Part {
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Estimate {
     /// Its parts.
-    pub parts: Vec<Part>,
+    pub parts: Vec<PartEstimate>,
     /// How many threads the times are for.
     pub threads: usize,
 }
@@ -129,10 +129,12 @@ impl Estimate {
 
     /// "about 1.2 GiB and 3 min on 2 threads (photographs 0.9 GiB, fit 2 min, …)".
     pub fn words(&self) -> String {
-        let mut parts: Vec<&Part> =
+        let mut parts: Vec<&PartEstimate> =
             self.parts.iter().filter(|part| part.seconds >= 1.0 || part.bytes > 64e6).collect();
         parts.sort_by(|a, b| b.seconds.total_cmp(&a.seconds));
-        let part = |part: &&Part| format!("{} {}, {}", part.what, duration(part.seconds), memory(part.bytes));
+        let part = |part: &&PartEstimate| {
+            format!("{} {}, {}", part.what, duration(part.seconds), memory(part.bytes))
+        };
         let list: Vec<String> = parts.iter().take(4).map(part).collect();
         let list = if list.is_empty() { String::new() } else { format!(" ({})", list.join("; ")) };
         let threads =
@@ -202,7 +204,7 @@ fn pixels(look: &ViewLook) -> f64 {
 
 /// Pixels of the rectangle around the object.
 fn window_pixels(look: &ViewLook) -> f64 {
-    let share = |bounds: &Bounds| {
+    let share = |bounds: &PixelBounds| {
         let [x, y] = [0, 1].map(|k| bounds.high[k] - bounds.low[k]);
         f64::from(x * y) / (f64::from(look.camera.width) * f64::from(look.camera.height))
     };
@@ -222,8 +224,8 @@ fn object_pixels(look: &ViewLook) -> f64 {
 }
 
 impl Task<'_> {
-    fn part(&self, what: &str, bytes: f64, nanos: f64, stays: bool) -> Part {
-        Part { what: what.to_owned(), bytes, seconds: nanos * 1e-9 / self.threads as f64, stays }
+    fn part(&self, what: &str, bytes: f64, nanos: f64, stays: bool) -> PartEstimate {
+        PartEstimate { what: what.to_owned(), bytes, seconds: nanos * 1e-9 / self.threads as f64, stays }
     }
 
     fn lobes(&self) -> f64 {
@@ -249,7 +251,7 @@ impl Task<'_> {
         size * size
     }
 
-    fn photographs(&self) -> Part {
+    fn photographs(&self) -> PartEstimate {
         let photographs = || self.looks.iter().filter(|look| look.light.is_some());
         let kept: f64 = photographs().map(window_pixels).sum();
         let read: f64 = photographs().map(pixels).sum();
@@ -260,7 +262,7 @@ impl Task<'_> {
         self.part("photographs", kept * bytes, read * DECODE_NANOS, true)
     }
 
-    fn shadows(&self) -> Option<Part> {
+    fn shadows(&self) -> Option<PartEstimate> {
         let Visibility::Traced { directions, bounces, refresh_every } = self.scene.visibility else {
             return None;
         };
@@ -276,7 +278,7 @@ impl Task<'_> {
         train.map(object_pixels).sum::<f64>().min(f64::from(most))
     }
 
-    fn fit(&self, fit: &FitPass) -> Part {
+    fn fit(&self, fit: &FitPass) -> PartEstimate {
         let pairs = f64::from(fit.steps) * f64::from(fit.batch) * self.lobes();
         let bytes = FIT_BYTES + self.pool(fit.max_pixels) * POOL_BYTES + self.texels() * TEXEL_BYTES;
         let start = self.pool(fit.max_pixels) * FIT_START_NANOS;
@@ -298,12 +300,12 @@ impl Task<'_> {
     }
 
     /// The mesh that a shape is found as.
-    fn mesh(&self, shape: &ShapePass) -> Part {
+    fn mesh(&self, shape: &ShapePass) -> PartEstimate {
         let cells = self.resolved(&shape.levels).last().map_or(0.0, |level| f64::from(level.cells));
         self.part("mesh", cells * cells * MESH_BYTES, 0.0, true)
     }
 
-    fn shape(&self, shape: &ShapePass) -> Part {
+    fn shape(&self, shape: &ShapePass) -> PartEstimate {
         let levels = self.resolved(&shape.levels);
         let steps: f64 = levels.iter().map(|level| f64::from(level.steps)).sum();
         let cells = levels.iter().map(|level| f64::from(level.cells).powi(3)).fold(0.0, f64::max);
@@ -312,7 +314,7 @@ impl Task<'_> {
     }
 
     /// One view at a time is scored.
-    fn scores(&self, name: &str) -> Part {
+    fn scores(&self, name: &str) -> PartEstimate {
         let largest = self.looks.iter().map(pixels).fold(0.0, f64::max);
         let scored = self.looks.iter().filter(|look| look.split == Split::Test).map(pixels).sum::<f64>();
         self.part(name, largest * SCORE_PIXEL_BYTES, scored * SCORE_PIXEL_NANOS, false)
@@ -339,7 +341,7 @@ impl Task<'_> {
         self.looks.iter().filter(is_chosen).collect()
     }
 
-    fn render(&self, name: &str, render: &RenderSettings) -> Part {
+    fn render(&self, name: &str, render: &RenderSettings) -> PartEstimate {
         let views = self.chosen(render);
         let orbit = render.orbit.as_ref().map_or((0, 0.0), |orbit| {
             let size = [orbit.size; 2];

@@ -6,13 +6,13 @@ use crate::mesh::triangles::Mesh;
 use crate::survey::agreement;
 use crate::survey::cameras::{Arrangement, same_cameras};
 use crate::survey::consensus::{self, Consensus};
-use crate::survey::detail;
 use crate::survey::finding::{Finding, Severity};
 use crate::survey::look::ViewLook;
 use crate::survey::masks;
 use crate::survey::meeting::check_masks;
-use crate::survey::photographs::{self, Compared};
-use crate::survey::silhouette::agreements;
+use crate::survey::mesh_overlap::agreements;
+use crate::survey::photographs::{self, NeighborComparison};
+use crate::survey::texture_detail;
 use crate::survey::turntable::{self, Background};
 use crate::view::Split;
 use glam::Vec3;
@@ -43,7 +43,7 @@ pub struct Survey {
     /// `train/NAME` or `test/NAME`.
     pub looks: Vec<ViewLook>,
     /// Each view beside those from nearly the same side.
-    pub compared: Vec<Compared>,
+    pub compared: Vec<NeighborComparison>,
     /// Intersection over union of each view's mask with the known mesh.
     pub mesh_iou: Vec<Option<f32>>,
     /// Without a mesh: how well the masks agree with their visual hull (mean intersection over union).
@@ -102,7 +102,7 @@ pub fn examine(mut looks: Vec<ViewLook>, subject: &Subject, backgrounds: &[Backg
         survey.compared = compared;
         survey.findings.extend(findings);
     }
-    survey.findings.extend(detail::finding(&survey.looks, subject.texture_size, subject.refined));
+    survey.findings.extend(texture_detail::finding(&survey.looks, subject.texture_size, subject.refined));
     survey.background = turntable::sameness(backgrounds);
     if survey.is_turntable() {
         survey.findings.extend(survey.background.map(turntable::finding));
@@ -173,7 +173,7 @@ fn tidy(survey: &mut Survey) {
         seen.push(finding.name);
         is_new
     });
-    survey.compared.resize(survey.looks.len(), Compared::default());
+    survey.compared.resize(survey.looks.len(), NeighborComparison::default());
     survey.mesh_iou.resize(survey.looks.len(), None);
     survey.mask_uncovered.resize(survey.looks.len(), None);
 }

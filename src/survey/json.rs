@@ -4,7 +4,7 @@ use crate::codec::file::write_bytes;
 use crate::error::{Error, Result};
 use crate::survey::estimate::Estimate;
 use crate::survey::examine::Survey;
-use crate::survey::look::MaskSource;
+use crate::survey::look::MaskOrigin;
 use serde_json::{Value, json};
 use std::path::Path;
 
@@ -41,9 +41,9 @@ pub fn value(survey: &Survey, estimate: &Estimate) -> Value {
 fn view(survey: &Survey, i: usize) -> Value {
     let look = &survey.looks[i];
     let source = match look.mask_source {
-        MaskSource::File => "file",
-        MaskSource::Alpha => "alpha",
-        MaskSource::Nowhere => "none",
+        MaskOrigin::File => "file",
+        MaskOrigin::Alpha => "alpha",
+        MaskOrigin::Nowhere => "none",
     };
     json!({
         "name": look.name,

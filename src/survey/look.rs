@@ -20,7 +20,7 @@ const COVERED: f32 = 0.5;
 
 /// Where a view's mask comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum MaskSource {
+pub enum MaskOrigin {
     /// A file of its own.
     File,
     /// The photograph's alpha.
@@ -89,13 +89,13 @@ pub struct ViewLook {
     /// The camera of the picture that was looked at, which may be smaller than `size`.
     pub camera: Camera,
     /// The photograph, unless there is none.
-    pub light: Option<Light>,
+    pub light: Option<PixelStatistics>,
     /// Share of the photograph's pixels that are not black which were negative in its file and are 0 now, in `[0, 1]`.
     pub negative: f32,
     /// As [`LoadedView::exif`].
     pub exif: [u8; 2],
     /// Where the mask comes from.
-    pub mask_source: MaskSource,
+    pub mask_source: MaskOrigin,
     /// The mask, unless there is none.
     pub mask: Option<MaskLook>,
     /// The photograph, small.
@@ -104,7 +104,7 @@ pub struct ViewLook {
 
 /// The radiance of a photograph, in its mask where there is one.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Light {
+pub struct PixelStatistics {
     /// Median luminance.
     pub median: f32,
     /// Mean luminance, that of each pixel at most four times the median: less than highlights, more than a median of two colors.
@@ -137,14 +137,14 @@ pub struct MaskLook {
     /// Share of the pixels along the border of the frame that are covered, in `[0, 1]`.
     pub border: f32,
     /// First and one past the last covered column and row, in pixels of the camera that was looked at; `None` if nothing is covered.
-    pub bounds: Option<Bounds>,
+    pub bounds: Option<PixelBounds>,
     /// The mask at most [`SMALL_MASK_SIDE`] pixels wide and high.
     pub small: SmallMask,
 }
 
 /// A rectangle of pixels.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Bounds {
+pub struct PixelBounds {
     /// First covered column and row.
     pub low: [f32; 2],
     /// One past the last.
@@ -171,7 +171,7 @@ pub struct Thumbnail {
 
 impl ViewLook {
     /// Looks at a view of `size` pixels, which `view` may show smaller. Thumbnails are for contact sheets alone.
-    pub fn new(view: &OpenView, size: [u32; 2], mask_source: MaskSource, with_thumbnail: bool) -> Self {
+    pub fn new(view: &OpenView, size: [u32; 2], mask_source: MaskOrigin, with_thumbnail: bool) -> Self {
         let mask = view.mask.as_ref();
         let photograph = view.photograph.as_ref();
         Self {
@@ -179,10 +179,10 @@ impl ViewLook {
             split: view.split,
             size,
             camera: view.camera,
-            light: photograph.map(|photograph| Light::new(photograph, mask)),
+            light: photograph.map(|photograph| PixelStatistics::new(photograph, mask)),
             negative: view.negative,
             exif: view.exif,
-            mask_source: if mask.is_some() { mask_source } else { MaskSource::Nowhere },
+            mask_source: if mask.is_some() { mask_source } else { MaskOrigin::Nowhere },
             mask: mask.map(|mask| MaskLook::new(mask, &view.camera)),
             thumbnail: photograph.filter(|_| with_thumbnail).and_then(Thumbnail::new),
         }
@@ -195,10 +195,10 @@ impl ViewLook {
             split: record.split,
             size: [record.camera.width, record.camera.height],
             camera: record.camera,
-            light: record.photograph.as_ref().map(|_| Light::default()),
+            light: record.photograph.as_ref().map(|_| PixelStatistics::default()),
             negative: 0.0,
             exif: [1; 2],
-            mask_source: MaskSource::Nowhere,
+            mask_source: MaskOrigin::Nowhere,
             mask: None,
             thumbnail: None,
         }
@@ -211,7 +211,7 @@ impl ViewLook {
     }
 }
 
-impl Light {
+impl PixelStatistics {
     fn new(photograph: &OpenPhotograph, mask: Option<&Mask>) -> Self {
         let pixels = &photograph.image.pixels;
         let inside = |i: usize| mask.is_none_or(|mask| mask.coverage[i] >= FULL_COVERAGE);
@@ -268,7 +268,8 @@ impl MaskLook {
     /// Whether the frame cuts the object.
     pub fn is_cut(&self, camera: &Camera) -> bool {
         let size = [camera.width as f32, camera.height as f32];
-        self.bounds.is_some_and(|Bounds { low, high }| (0..2).any(|k| low[k] == 0.0 || high[k] == size[k]))
+        self.bounds
+            .is_some_and(|PixelBounds { low, high }| (0..2).any(|k| low[k] == 0.0 || high[k] == size[k]))
     }
 }
 
@@ -283,11 +284,11 @@ fn border_share(mask: &Mask) -> f32 {
     covered as f32 / border.len().max(1) as f32
 }
 
-fn bounds(mask: &Mask) -> Option<Bounds> {
-    let mut found: Option<Bounds> = None;
+fn bounds(mask: &Mask) -> Option<PixelBounds> {
+    let mut found: Option<PixelBounds> = None;
     for (i, _) in mask.coverage.iter().enumerate().filter(|(_, coverage)| **coverage >= COVERED) {
         let at = [(i as u32 % mask.width) as f32, (i as u32 / mask.width) as f32];
-        let found = found.get_or_insert(Bounds { low: at, high: at });
+        let found = found.get_or_insert(PixelBounds { low: at, high: at });
         found.low = [found.low[0].min(at[0]), found.low[1].min(at[1])];
         found.high = [found.high[0].max(at[0] + 1.0), found.high[1].max(at[1] + 1.0)];
     }

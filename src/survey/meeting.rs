@@ -5,7 +5,7 @@
 
 use crate::error::{Error, Result};
 use crate::survey::finding::{Finding, named};
-use crate::survey::look::{Bounds, MaskLook, ViewLook};
+use crate::survey::look::{MaskLook, PixelBounds, ViewLook};
 use crate::view::Camera;
 use glam::{DMat3, DVec3, Vec3};
 
@@ -21,7 +21,7 @@ const SELECT_HELP: &str = "Repair the mask, or leave the view out with `select`.
 pub struct Outline<'a> {
     name: &'a str,
     camera: Camera,
-    bounds: Bounds,
+    bounds: PixelBounds,
     ray: Sight,
     is_cut: bool,
 }
@@ -47,9 +47,9 @@ impl<'a> Outline<'a> {
     /// `None` if there is no mask, or it is empty.
     pub fn new(look: &'a ViewLook) -> Option<Self> {
         let mask = look.mask.as_ref()?;
-        let Bounds { low, high } = mask.bounds?;
+        let PixelBounds { low, high } = mask.bounds?;
         let ray = Sight::new(&look.camera, 0.5 * (low[0] + high[0]), 0.5 * (low[1] + high[1]));
-        let (camera, bounds) = (look.camera, Bounds { low, high });
+        let (camera, bounds) = (look.camera, PixelBounds { low, high });
         Some(Self { name: &look.name, camera, bounds, ray, is_cut: mask.is_cut(&camera) })
     }
 
@@ -209,7 +209,7 @@ fn strangers(outlines: &[Outline], meeting: DVec3) -> Result<Option<Finding>> {
 mod tests {
     use super::*;
     use crate::math::fibonacci::fibonacci_axes;
-    use crate::survey::look::{MaskSource, OpenView};
+    use crate::survey::look::{MaskOrigin, OpenView};
     use crate::view::{Mask, Split};
 
     const SIDE: u32 = 64;
@@ -245,7 +245,7 @@ mod tests {
 
     fn check(views: &[OpenView]) -> Result<Option<Finding>> {
         let look = |view: &OpenView| {
-            ViewLook::new(view, [view.camera.width, view.camera.height], MaskSource::File, false)
+            ViewLook::new(view, [view.camera.width, view.camera.height], MaskOrigin::File, false)
         };
         let looks: Vec<ViewLook> = views.iter().map(look).collect();
         check_masks(&looks.iter().collect::<Vec<_>>())

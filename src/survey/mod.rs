@@ -11,41 +11,41 @@
 //! | [`masks`] | inverted, dim, soft or missing masks |
 //! | [`meeting`] | cameras and masks that do not belong together |
 //! | [`cameras`], [`turntable`] | how cameras lie, and whether the object turned instead |
-//! | [`silhouette`], [`agreement`] | whether the masks agree with a known mesh |
-//! | [`hull`], [`consensus`] | whether they agree with each other, and which views do not |
-//! | [`change`], [`order`], [`placement`], [`rivals`] | other axes, mirrored photographs, another order, another unit or focal length |
-//! | [`detail`] | texels beside pixels |
+//! | [`mesh_overlap`], [`agreement`] | whether the masks agree with a known mesh |
+//! | [`mask_hull`], [`consensus`] | whether they agree with each other, and which views do not |
+//! | [`change`], [`order`], [`mesh_placement`], [`rivals`] | other axes, mirrored photographs, another order, another unit or focal length |
+//! | [`texture_detail`] | texels beside pixels |
 //! | [`estimate`] | memory and time of a scene's passes |
-//! | [`table`], [`json`], [`sheet`] | the survey as text, as JSON, and as a contact sheet |
+//! | [`table`], [`json`], [`contact_sheet`] | the survey as text, as JSON, and as a contact sheet |
 
 pub mod agreement;
 pub mod cameras;
 pub mod change;
 pub mod consensus;
-pub mod detail;
+pub mod contact_sheet;
 pub mod estimate;
 pub mod examine;
 pub mod finding;
-pub mod hull;
 pub mod json;
 pub mod look;
+pub mod mask_hull;
 pub mod masks;
 pub mod meeting;
+pub mod mesh_overlap;
+pub mod mesh_placement;
 pub mod open;
 pub mod order;
 pub mod photographs;
-pub mod placement;
 pub mod rivals;
 pub mod sharpness;
-pub mod sheet;
-pub mod silhouette;
 pub mod statistics;
 pub mod table;
+pub mod texture_detail;
 pub mod turntable;
 
 pub use examine::{Subject, Survey, examine};
 pub use finding::{Finding, Severity};
-pub use look::{MaskSource, ViewLook};
+pub use look::{MaskOrigin, ViewLook};
 
 #[cfg(test)]
 mod tests;

@@ -10,7 +10,7 @@ use crate::mesh::triangles::Mesh;
 use crate::report::sheet::choose_evenly;
 use crate::scene::{Dataset, Pass, Scene, Surface, Truth, ViewChoice, Views};
 use crate::survey::examine::{Subject, Survey, examine};
-use crate::survey::look::{MaskSource, OpenPhotograph, OpenView, SmallMask, ViewLook};
+use crate::survey::look::{MaskOrigin, OpenPhotograph, OpenView, SmallMask, ViewLook};
 use crate::survey::turntable::{BACKGROUND_SIDE, BACKGROUNDS, Background};
 use crate::view::{Mask, Photograph, Split, ViewRecord};
 use glam::Vec3;
@@ -67,7 +67,7 @@ impl<'a> OpenScene<'a> {
     pub fn look(&self, view: &PlannedView, loaded: &LoadedView, with_thumbnail: bool) -> ViewLook {
         let camera = &loaded.record.camera;
         let size = [camera.width, camera.height];
-        let source = if view.mask_path().is_some() { MaskSource::File } else { MaskSource::Alpha };
+        let source = if view.mask_path().is_some() { MaskOrigin::File } else { MaskOrigin::Alpha };
         ViewLook::new(&reduced(OpenView::new(loaded)), size, source, with_thumbnail)
     }
 
@@ -219,7 +219,7 @@ fn backgrounds(planned: &[PlannedView], looks: &[ViewLook], gamma: Gamma) -> Res
     let masked: Vec<(&PlannedView, &SmallMask)> = planned
         .iter()
         .zip(looks)
-        .filter(|(_, look)| look.mask_source == MaskSource::File && look.light.is_some())
+        .filter(|(_, look)| look.mask_source == MaskOrigin::File && look.light.is_some())
         .filter_map(|(view, look)| Some((view, &look.mask.as_ref()?.small)))
         .collect();
     let chosen = choose_evenly(masked.len(), BACKGROUNDS);

@@ -5,8 +5,8 @@ use crate::math::statistics::median;
 use crate::mesh::bvh::TriangleBvh;
 use crate::survey::change::{Cause, Change};
 use crate::survey::look::{SmallMask, ViewLook};
-use crate::survey::placement::short;
-use crate::survey::silhouette::{covered, median_agreement, overlap};
+use crate::survey::mesh_overlap::{covered, median_agreement, overlap};
+use crate::survey::mesh_placement::short;
 use rayon::prelude::*;
 
 /// Overlaps this close do not tell which cause is the right one. With focal lengths 1.6 or 0.6 times as long, another size of the mesh

@@ -3,7 +3,7 @@
 use crate::math::statistics::{median, quantile};
 use crate::survey::examine::Survey;
 use crate::survey::finding::{Finding, Severity, counted};
-use crate::survey::look::{Light, MaskLook, MaskSource, ViewLook};
+use crate::survey::look::{MaskLook, MaskOrigin, PixelStatistics, ViewLook};
 use crate::view::Split;
 
 /// Rows of label and text.
@@ -69,7 +69,7 @@ fn sizes<'a>(looks: impl Iterator<Item = &'a ViewLook>) -> String {
 fn masks(looks: &[ViewLook]) -> String {
     let count = |source| looks.iter().filter(|look| look.mask_source == source).count();
     let of: Vec<String> =
-        [(MaskSource::File, "files"), (MaskSource::Alpha, "alpha"), (MaskSource::Nowhere, "none")]
+        [(MaskOrigin::File, "files"), (MaskOrigin::Alpha, "alpha"), (MaskOrigin::Nowhere, "none")]
             .into_iter()
             .filter(|(source, _)| count(*source) > 0)
             .map(|(source, name)| format!("{name} of {}", counted(count(source), "view")))
@@ -87,7 +87,7 @@ fn masks(looks: &[ViewLook]) -> String {
 }
 
 fn exposure(looks: &[ViewLook]) -> Option<String> {
-    let lights: Vec<&Light> = looks.iter().filter_map(|look| look.light.as_ref()).collect();
+    let lights: Vec<&PixelStatistics> = looks.iter().filter_map(|look| look.light.as_ref()).collect();
     let mut medians: Vec<f32> =
         lights.iter().map(|light| light.median).filter(|median| *median > 0.0).collect();
     let middle = median(&mut medians)?;

@@ -2,7 +2,7 @@
 //! fit, with or without a background.
 
 use crate::math::statistics::median;
-use crate::survey::cameras::{Arrangement, Kind};
+use crate::survey::cameras::{Arrangement, ArrangementKind};
 use crate::survey::finding::Finding;
 
 /// Most pixels a side of the backgrounds that are compared.
@@ -73,7 +73,7 @@ fn correlation(a: &[f32], b: &[f32]) -> f32 {
 
 /// Whether the object turned before a camera that stood still.
 pub fn is_turntable(arrangement: Option<&Arrangement>, sameness: Option<f32>) -> bool {
-    let rings = arrangement.is_some_and(|arrangement| matches!(arrangement.kind, Kind::Rings(_)));
+    let rings = arrangement.is_some_and(|arrangement| matches!(arrangement.kind, ArrangementKind::Rings(_)));
     rings && sameness.is_some_and(|sameness| sameness >= SAME)
 }
 

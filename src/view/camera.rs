@@ -37,7 +37,7 @@ const FARTHEST: f32 = 1e9;
 /// A circle of cameras around a point, all looking at it.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct Orbit {
+pub struct CameraOrbit {
     /// The point that all cameras look at, in world units.
     pub target: Vec3,
     /// Distance of every camera from `target`, in world units, above 0.
@@ -58,7 +58,7 @@ pub struct Orbit {
     pub height: u32,
 }
 
-impl Default for Orbit {
+impl Default for CameraOrbit {
     fn default() -> Self {
         Self {
             target: Vec3::ZERO,
@@ -177,8 +177,8 @@ impl Camera {
     /// The cameras of an orbit, in order, counterclockwise seen from above.
     ///
     /// # Errors
-    /// [`Error::Usage`] if a field is outside its range (see [`Orbit`]).
-    pub fn orbit(orbit: &Orbit) -> Result<Vec<Self>> {
+    /// [`Error::Usage`] if a field is outside its range (see [`CameraOrbit`]).
+    pub fn orbit(orbit: &CameraOrbit) -> Result<Vec<Self>> {
         let up = orbit.checked_up()?;
         let front_hint = if up.z.abs() < 0.9 { Vec3::Z } else { Vec3::NEG_Y };
         let front = (front_hint - up * up.dot(front_hint)).normalize();
@@ -265,7 +265,7 @@ impl Camera {
     }
 }
 
-impl Orbit {
+impl CameraOrbit {
     fn checked_up(&self) -> Result<Vec3> {
         let wrong = |problem: String, help: &str| Err(Error::usage(format!("an orbit with {problem}"), help));
         let radius_is_good = self.radius > 0.0 && self.radius.is_finite();
@@ -368,14 +368,14 @@ mod tests {
         assert!(at(Vec3::X, Vec3::Y, 1e-40, 8).unwrap_err().to_string().contains("focal length"));
         assert!(at(Vec3::X * 1e30, Vec3::Y, 40.0, 8).is_err());
         for wrong in [
-            Orbit { radius: 0.0, ..Orbit::default() },
-            Orbit { radius: f32::INFINITY, ..Orbit::default() },
-            Orbit { elevation_degrees: 91.0, ..Orbit::default() },
-            Orbit { elevation_degrees: f32::NAN, ..Orbit::default() },
-            Orbit { start_degrees: f32::NAN, ..Orbit::default() },
-            Orbit { frames: 0, ..Orbit::default() },
-            Orbit { up: Vec3::ZERO, ..Orbit::default() },
-            Orbit { width: 0, ..Orbit::default() },
+            CameraOrbit { radius: 0.0, ..CameraOrbit::default() },
+            CameraOrbit { radius: f32::INFINITY, ..CameraOrbit::default() },
+            CameraOrbit { elevation_degrees: 91.0, ..CameraOrbit::default() },
+            CameraOrbit { elevation_degrees: f32::NAN, ..CameraOrbit::default() },
+            CameraOrbit { start_degrees: f32::NAN, ..CameraOrbit::default() },
+            CameraOrbit { frames: 0, ..CameraOrbit::default() },
+            CameraOrbit { up: Vec3::ZERO, ..CameraOrbit::default() },
+            CameraOrbit { width: 0, ..CameraOrbit::default() },
         ] {
             let error = Camera::orbit(&wrong).unwrap_err();
             assert!(matches!(error, Error::Usage { .. }), "{error}");
@@ -406,8 +406,14 @@ mod tests {
         for up in [Vec3::Y, Vec3::Z, Vec3::new(1.0, 2.0, -0.5)] {
             for elevation_degrees in [-90.0, 0.0, 30.0, 90.0] {
                 let target = Vec3::new(0.1, 0.2, 0.3);
-                let orbit =
-                    Orbit { target, up, elevation_degrees, frames: 5, radius: 2.0, ..Orbit::default() };
+                let orbit = CameraOrbit {
+                    target,
+                    up,
+                    elevation_degrees,
+                    frames: 5,
+                    radius: 2.0,
+                    ..CameraOrbit::default()
+                };
                 let cameras = Camera::orbit(&orbit).unwrap();
                 assert_eq!(cameras.len(), 5);
                 for camera in cameras {
@@ -427,12 +433,22 @@ mod tests {
 
     #[test]
     fn orbit_starts_in_front_and_goes_to_the_right() {
-        let cameras =
-            Camera::orbit(&Orbit { frames: 4, elevation_degrees: 0.0, radius: 1.0, ..Orbit::default() })
-                .unwrap();
+        let cameras = Camera::orbit(&CameraOrbit {
+            frames: 4,
+            elevation_degrees: 0.0,
+            radius: 1.0,
+            ..CameraOrbit::default()
+        })
+        .unwrap();
         assert!(cameras[0].position().distance(Vec3::Z) < 1e-6);
         assert!(cameras[1].position().distance(Vec3::X) < 1e-6);
-        let z_up = Orbit { up: Vec3::Z, frames: 4, elevation_degrees: 0.0, radius: 1.0, ..Orbit::default() };
+        let z_up = CameraOrbit {
+            up: Vec3::Z,
+            frames: 4,
+            elevation_degrees: 0.0,
+            radius: 1.0,
+            ..CameraOrbit::default()
+        };
         assert!(Camera::orbit(&z_up).unwrap()[0].position().distance(Vec3::NEG_Y) < 1e-6);
     }
 }

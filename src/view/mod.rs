@@ -12,7 +12,7 @@
 //! [`dataset`](crate::dataset) reads folders of posed photographs as [`ViewRecord`]s, [`codec::image`](crate::codec::image) single
 //! images and masks.
 //!
-//! Parameters of an [`Orbit`]:
+//! Parameters of a [`CameraOrbit`]:
 //!
 //! | orbit field | type | unit | default | meaning |
 //! | --- | --- | --- | --- | --- |
@@ -27,12 +27,12 @@
 
 pub mod camera;
 pub mod glare;
-mod grid;
+mod image;
 pub mod raster;
 pub mod stored;
 
-pub use camera::{Camera, Orbit};
-pub use grid::{Image, Mask};
+pub use camera::{Camera, CameraOrbit};
+pub use image::{Image, Mask};
 pub use stored::{Photograph, PixelWindow, StoredMask};
 
 use crate::{Error, Result};

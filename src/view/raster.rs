@@ -1,6 +1,6 @@
 //! Operations on images and masks as grids: box filtering, interpolation and erosion.
 
-use crate::view::grid::{Image, Mask};
+use crate::view::image::{Image, Mask};
 use glam::{DVec3, Vec3};
 
 /// Coverage above which a pixel counts as fully covered (8-bit masks hold 254/255 = 0.996 and 1).

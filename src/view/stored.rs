@@ -2,7 +2,7 @@
 //! inside a window, since most photographs are mostly background.
 
 use crate::error::{Error, Result};
-use crate::view::grid::{Image, Mask};
+use crate::view::image::{Image, Mask};
 use bevy_ecs::prelude::Component;
 use glam::Vec3;
 use half::f16;

@@ -10,9 +10,9 @@
 //!
 //! | module | holds |
 //! | --- | --- |
-//! | `object` | [`ObjectVisibility`]: the occlusion of an object, and the light on it; the visibility of points |
-//! | `patch` | which texels share their shadows, in a fine texture |
-//! | `trace` | the occluded directions of each texel, and the texels that occlude them |
+//! | `object_visibility` | [`ObjectVisibility`]: the occlusion of an object, and the light on it; the visibility of points |
+//! | `texel_patches` | which texels share their shadows, in a fine texture |
+//! | `texel_visibility` | the occluded directions of each texel, and the texels that occlude them |
 //! | `occlusion` | kernels: light on a set of directions, and the part of it that reaches texels and points |
 //! | [`systems`] | the systems in `Slot::Visibility`, and their run conditions |
 //!
@@ -20,11 +20,11 @@
 //! Specular light has one per point, for the mirror direction and the mean roughness of the base materials there. In the adjoint all
 //! factors and the interreflection are constant.
 
-mod object;
+mod object_visibility;
 pub(crate) mod occlusion;
-pub(crate) mod patch;
 pub mod systems;
-pub(crate) mod trace;
+pub(crate) mod texel_patches;
+pub(crate) mod texel_visibility;
 
-pub use object::{ObjectVisibility, VisibilitySettings, WindowVisibility};
+pub use object_visibility::{ObjectVisibility, VisibilitySettings, WindowVisibility};
 pub use systems::{FitVisibilityPlugin, FrameVisibilityPlugin};

@@ -10,7 +10,7 @@ use crate::math::lanes::{Lanes, Row};
 use crate::math::real::{Real, dot};
 use crate::math::sg::sphere_integral;
 use crate::math::shading::{LobeColumns, PointVisibility};
-use crate::visibility::trace::{MAX_DIRECTIONS, TexelVisibility};
+use crate::visibility::texel_visibility::{MAX_DIRECTIONS, TexelVisibility};
 use fearless_simd::{Level, Simd, dispatch};
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;

@@ -8,14 +8,14 @@
 //! Shadows and interreflection are updated when light or material have changed ([`light_or_material_changed`]), in a fit at most
 //! every few steps ([`refresh_is_due`]).
 
-use super::object::{Made, ObjectVisibility, WindowVisibility};
+use super::object_visibility::{Made, ObjectVisibility, WindowVisibility};
 use crate::light::LightLobe;
 use crate::light::lights::IncidentLight;
 use crate::material::SpecularBlend;
-use crate::material::sheen::mean_albedo;
-use crate::material::source::{
+use crate::material::material_source::{
     AlbedoColumn, BaseMaterials, BlendColumn, MaterialSource, MaterialTexels, Recovered, SheenColumn, Shown,
 };
+use crate::material::sheen::mean_albedo;
 use crate::math::shading::PointVisibility;
 use crate::pipeline::{Phase, Pipeline, Plugin, Slot, SystemResult};
 use crate::sample::Samples;

@@ -2,7 +2,7 @@
 
 use glam::{Mat4, Vec3};
 use lobelia::codec::exr::{ExrLayers, read_exr_layers};
-use lobelia::codec::frame::{Frame, write_channels, write_frame};
+use lobelia::codec::exr_frame::{Frame, write_channels, write_frame};
 use lobelia::codec::gltf::export::write_glb;
 use lobelia::codec::npy::{NpyConvention, write_lobes};
 use lobelia::light::LightLobe;

@@ -5,14 +5,14 @@ use crate::real::Vec3Of;
 
 /// Visibility of the light lobes at points that other parts of the object may occlude.
 #[derive(Clone, Copy, Debug)]
-pub struct Visibility<'a> {
+pub struct LobeVisibility<'a> {
     /// One row of [`LobeColumns::stride`] values per point: the fraction of each lobe's irradiance that reaches it, 0 to 255. If empty, all light reaches all points.
     pub lobes: &'a [u8],
     /// One entry per point.
     pub points: &'a [PointVisibility],
 }
 
-impl<'a> Visibility<'a> {
+impl<'a> LobeVisibility<'a> {
     /// The visibility of chunk `index` of `count` points.
     fn chunk(&self, index: usize, count: usize, stride: usize) -> Self {
         let part =
@@ -66,7 +66,7 @@ pub struct Lighting<'a> {
     /// The lobes.
     pub lobes: &'a LobeColumns,
     /// Their visibility at the points; if `None`, all light reaches all points.
-    pub visibility: Option<Visibility<'a>>,
+    pub visibility: Option<LobeVisibility<'a>>,
 }
 
 impl<'a> From<&'a LobeColumns> for Lighting<'a> {
@@ -77,7 +77,7 @@ impl<'a> From<&'a LobeColumns> for Lighting<'a> {
 
 impl<'a> Lighting<'a> {
     /// The visibility of chunk `index` of `count` points each.
-    pub(crate) fn chunk(&self, index: usize, count: usize) -> Option<Visibility<'a>> {
+    pub(crate) fn chunk(&self, index: usize, count: usize) -> Option<LobeVisibility<'a>> {
         self.visibility.map(|all| all.chunk(index, count, self.lobes.stride()))
     }
 

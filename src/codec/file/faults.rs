@@ -14,7 +14,7 @@ pub enum Call {
 
 /// What a file answers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Fault {
+pub enum FileFault {
     /// An error with this number, at every call from the `after`-th on.
     Errno { errno: i32, after: u32 },
     /// EINTR at every second call.
@@ -26,7 +26,7 @@ pub enum Fault {
 struct Rule {
     folder: PathBuf,
     call: Call,
-    fault: Fault,
+    fault: FileFault,
     calls: u32,
 }
 
@@ -37,7 +37,7 @@ static RULES: Mutex<Vec<Rule>> = Mutex::new(Vec::new());
 pub struct Faulty(PathBuf);
 
 impl Faulty {
-    pub fn new(folder: &Path, call: Call, fault: Fault) -> Self {
+    pub fn new(folder: &Path, call: Call, fault: FileFault) -> Self {
         RULES.lock().unwrap().push(Rule { folder: folder.to_owned(), call, fault, calls: 0 });
         Self(folder.to_owned())
     }
@@ -57,9 +57,9 @@ pub(super) fn meet(path: &Path, call: Call, length: usize) -> Result<usize> {
     };
     rule.calls += 1;
     match rule.fault {
-        Fault::Errno { errno, after } if rule.calls > after => Err(Error::from_raw_os_error(errno)),
-        Fault::Interrupted if rule.calls % 2 == 1 => Err(std::io::ErrorKind::Interrupted.into()),
-        Fault::Short(most) => Ok(length.min(most)),
-        Fault::Errno { .. } | Fault::Interrupted => Ok(length),
+        FileFault::Errno { errno, after } if rule.calls > after => Err(Error::from_raw_os_error(errno)),
+        FileFault::Interrupted if rule.calls % 2 == 1 => Err(std::io::ErrorKind::Interrupted.into()),
+        FileFault::Short(most) => Ok(length.min(most)),
+        FileFault::Errno { .. } | FileFault::Interrupted => Ok(length),
     }
 }

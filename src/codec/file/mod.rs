@@ -32,8 +32,8 @@ pub use inside::{Links, check_inside};
 pub use lock::{FolderLock, LOCK};
 pub use output::{check_file_name, check_room, check_writable, file_stems, free_bytes};
 pub use read::{
-    Kind, MOST_TEXT, Obstacle, first_bytes, is_there, obstacle, open, read_bytes, read_folder, read_parts,
-    read_text, read_up_to,
+    FileKind, MOST_TEXT, Obstacle, first_bytes, is_there, obstacle, open, read_bytes, read_folder,
+    read_parts, read_text, read_up_to,
 };
 pub use scratch::{clear_scratch, is_unfinished, scratch_folder};
 pub use write::{write_by_path, write_bytes, write_file};

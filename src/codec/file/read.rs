@@ -13,7 +13,7 @@ const MOST_BYTES: u64 = 4 << 30;
 
 /// What must be at a path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum FileKind {
     /// A regular file.
     File,
     /// A folder.
@@ -42,10 +42,10 @@ impl Obstacle {
 }
 
 /// What keeps `path` from being read as a `kind`, if anything does. A pipe or a device is not opened.
-pub fn obstacle(path: &Path, kind: Kind) -> Option<Obstacle> {
+pub fn obstacle(path: &Path, kind: FileKind) -> Option<Obstacle> {
     match kind {
-        Kind::File => open_regular(path).err(),
-        Kind::Folder => open_folder(path).err(),
+        FileKind::File => open_regular(path).err(),
+        FileKind::Folder => open_folder(path).err(),
     }
 }
 
@@ -55,7 +55,7 @@ pub fn is_there(path: &Path) -> bool {
 }
 
 fn open_regular(path: &Path) -> Result<DiskFile, Obstacle> {
-    let refused = |error: std::io::Error| refusal(path, Kind::File, &error);
+    let refused = |error: std::io::Error| refusal(path, FileKind::File, &error);
     let found = fs::metadata(path).map_err(refused)?.file_type();
     if found.is_dir() {
         return Err(Obstacle::new("this is a folder, not a file", ""));
@@ -68,7 +68,7 @@ fn open_regular(path: &Path) -> Result<DiskFile, Obstacle> {
 }
 
 fn open_folder(path: &Path) -> Result<ReadDir, Obstacle> {
-    let refused = |error: std::io::Error| refusal(path, Kind::Folder, &error);
+    let refused = |error: std::io::Error| refusal(path, FileKind::Folder, &error);
     let found = fs::metadata(path).map_err(refused)?.file_type();
     if !found.is_dir() {
         let what = if found.is_file() { "file" } else { special(found) };
@@ -79,8 +79,8 @@ fn open_folder(path: &Path) -> Result<ReadDir, Obstacle> {
 }
 
 /// The reason that the system gives, in words.
-fn refusal(path: &Path, kind: Kind, error: &std::io::Error) -> Obstacle {
-    let noun = if kind == Kind::File { "file" } else { "folder" };
+fn refusal(path: &Path, kind: FileKind, error: &std::io::Error) -> Obstacle {
+    let noun = if kind == FileKind::File { "file" } else { "folder" };
     match error.kind() {
         ErrorKind::NotFound => match fs::read_link(path) {
             Ok(target) => {
@@ -238,9 +238,9 @@ mod tests {
         assert!(problem.ends_with("none: there is no such file") && help == "look elsewhere", "{problem}");
         assert!(refused(folder.path()).0.contains("this is a folder"));
         // Whoever runs the tests may read everything, perhaps: the system's answer is made up.
-        let denied = refusal(folder.path(), Kind::File, &ErrorKind::PermissionDenied.into());
+        let denied = refusal(folder.path(), FileKind::File, &ErrorKind::PermissionDenied.into());
         assert!(denied.problem.contains("permission denied") && denied.help.contains("chmod"), "{denied:?}");
-        let other = refusal(folder.path(), Kind::Folder, &std::io::Error::other("the disk is on fire"));
+        let other = refusal(folder.path(), FileKind::Folder, &std::io::Error::other("the disk is on fire"));
         assert!(other.problem.contains("on fire"), "{other:?}");
         let file = folder.path().join("file");
         fs::write(&file, "x").unwrap();
@@ -249,7 +249,7 @@ mod tests {
         assert!(refused(&folder.path().join("a".repeat(300))).0.contains("longer than"));
         assert!(read_folder(&file).unwrap_err().to_string().contains("this is a file"));
         assert!(read_folder(&folder.path().join("none")).unwrap_err().to_string().contains("no such folder"));
-        assert_eq!(obstacle(&file, Kind::File).or(obstacle(folder.path(), Kind::Folder)), None);
+        assert_eq!(obstacle(&file, FileKind::File).or(obstacle(folder.path(), FileKind::Folder)), None);
     }
 
     #[cfg(unix)]

@@ -5,7 +5,7 @@ use crate::codec::file::{DiskFile, first_bytes, open};
 use crate::codec::hdr::RadianceReader;
 use crate::codec::image::format::{Format, damaged, recognize};
 use crate::codec::image::header::{ImageHeader, Orientation, check_bytes, check_pixels};
-use crate::codec::image::samples::{Decoded, Samples};
+use crate::codec::image::samples::{Decoded, ImageSamples};
 use crate::codec::image::{jpeg_file, tiff_file, webp_file};
 use crate::codec::nearby::missing_file_help;
 use crate::error::{Error, Result};
@@ -73,9 +73,9 @@ pub fn decode_samples(path: impl AsRef<Path>, orientation: Orientation) -> Resul
         }
         Format::Jpeg => integers(path, &header, jpeg_file::decode(path, &mut file)?)?,
         Format::Tiff => tiff_file::decode(path, file, &header)?,
-        Format::Webp => Samples::Bytes8(webp_file::decode(path, &mut file, &header)?),
-        Format::Exr => Samples::Floats(decode_exr_picture(path, file)?.1),
-        Format::Hdr => Samples::Floats(decode_hdr(path, file)?),
+        Format::Webp => ImageSamples::Bytes8(webp_file::decode(path, &mut file, &header)?),
+        Format::Exr => ImageSamples::Floats(decode_exr_picture(path, file)?.1),
+        Format::Hdr => ImageSamples::Floats(decode_hdr(path, file)?),
     };
     let decoded = Decoded { header, width: header.width, height: header.height, samples };
     Ok(match orientation {
@@ -94,11 +94,11 @@ pub fn decode_picture(path: impl AsRef<Path>) -> Result<DynamicImage> {
     let (format, channels, [w, h]) =
         (decoded.header.format, decoded.channels(), [decoded.width, decoded.height]);
     let samples = match decoded.samples {
-        Samples::Bytes8(samples) => samples,
-        Samples::Words16(samples) => {
+        ImageSamples::Bytes8(samples) => samples,
+        ImageSamples::Words16(samples) => {
             samples.into_iter().map(|sample| ((u32::from(sample) + 128) / 257) as u8).collect()
         }
-        Samples::Floats(_) => {
+        ImageSamples::Floats(_) => {
             let problem = format!("{} with floats, where a picture of integers is needed", format.name());
             return Err(Error::input(path, "", problem, "Convert it to JPEG or PNG."));
         }
@@ -112,16 +112,16 @@ pub fn decode_picture(path: impl AsRef<Path>) -> Result<DynamicImage> {
     picture.ok_or_else(|| damaged(path, format, "its pixels are not those that its header declares"))
 }
 
-fn integers(path: &Path, header: &ImageHeader, decoded: DynamicImage) -> Result<Samples> {
+fn integers(path: &Path, header: &ImageHeader, decoded: DynamicImage) -> Result<ImageSamples> {
     let samples = match decoded {
-        DynamicImage::ImageLuma8(image) => Samples::Bytes8(image.into_raw()),
-        DynamicImage::ImageLumaA8(image) => Samples::Bytes8(image.into_raw()),
-        DynamicImage::ImageRgb8(image) => Samples::Bytes8(image.into_raw()),
-        DynamicImage::ImageRgba8(image) => Samples::Bytes8(image.into_raw()),
-        DynamicImage::ImageLuma16(image) => Samples::Words16(image.into_raw()),
-        DynamicImage::ImageLumaA16(image) => Samples::Words16(image.into_raw()),
-        DynamicImage::ImageRgb16(image) => Samples::Words16(image.into_raw()),
-        other => Samples::Words16(other.into_rgba16().into_raw()),
+        DynamicImage::ImageLuma8(image) => ImageSamples::Bytes8(image.into_raw()),
+        DynamicImage::ImageLumaA8(image) => ImageSamples::Bytes8(image.into_raw()),
+        DynamicImage::ImageRgb8(image) => ImageSamples::Bytes8(image.into_raw()),
+        DynamicImage::ImageRgba8(image) => ImageSamples::Bytes8(image.into_raw()),
+        DynamicImage::ImageLuma16(image) => ImageSamples::Words16(image.into_raw()),
+        DynamicImage::ImageLumaA16(image) => ImageSamples::Words16(image.into_raw()),
+        DynamicImage::ImageRgb16(image) => ImageSamples::Words16(image.into_raw()),
+        other => ImageSamples::Words16(other.into_rgba16().into_raw()),
     };
     if samples.count() as u64 != u64::from(header.width) * u64::from(header.height) * header.channels as u64 {
         return Err(damaged(path, header.format, "its pixels are not those that its header declares"));

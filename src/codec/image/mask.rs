@@ -3,7 +3,7 @@
 use crate::codec::image::decode::decode_samples;
 use crate::codec::image::format::Format;
 use crate::codec::image::header::Orientation;
-use crate::codec::image::samples::Samples;
+use crate::codec::image::samples::ImageSamples;
 use crate::error::{Error, Result};
 use crate::math::color::luminance;
 use crate::view::Mask;
@@ -40,9 +40,9 @@ pub fn read_mask(path: impl AsRef<Path>, orientation: Orientation) -> Result<Loa
     // Compression changes the values of a JPEG a little: they say neither labels nor that one value is full.
     let is_exact = decoded.header.format != Format::Jpeg;
     let coverage = match &decoded.samples {
-        Samples::Bytes8(samples) => of_integers(path, samples, channels, 255, is_exact)?,
-        Samples::Words16(samples) => of_integers(path, samples, channels, 65_535, is_exact)?,
-        Samples::Floats(samples) => of_floats(path, samples, channels, width)?,
+        ImageSamples::Bytes8(samples) => of_integers(path, samples, channels, 255, is_exact)?,
+        ImageSamples::Words16(samples) => of_integers(path, samples, channels, 65_535, is_exact)?,
+        ImageSamples::Floats(samples) => of_floats(path, samples, channels, width)?,
     };
     drop(decoded.samples);
     let (coverage, full) = scaled_to_full(coverage, is_exact);

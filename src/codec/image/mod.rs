@@ -26,7 +26,7 @@ pub use header::{ImageHeader, MOST_PIXELS, Orientation};
 pub use mask::{LoadedMask, read_mask};
 pub use photograph::{Gamma, LoadedImage, decode_photograph, linear_image, read_image};
 pub use repair::{BRIGHTEST, Repairs};
-pub use samples::{Decoded, Samples};
+pub use samples::{Decoded, ImageSamples};
 
 #[cfg(test)]
 mod tests;

@@ -3,7 +3,7 @@
 use crate::codec::image::decode::decode_samples;
 use crate::codec::image::header::Orientation;
 use crate::codec::image::repair::Repairs;
-use crate::codec::image::samples::{Decoded, Samples};
+use crate::codec::image::samples::{Decoded, ImageSamples};
 use crate::error::{Error, Result};
 use crate::math::color::linear_from_srgb;
 use crate::view::Image;
@@ -104,13 +104,15 @@ pub fn decode_photograph(path: impl AsRef<Path>, orientation: Orientation) -> Re
 pub fn linear_image(decoded: &Decoded, repairs: Repairs, gamma: Gamma) -> LoadedImage {
     let channels = decoded.channels();
     match &decoded.samples {
-        Samples::Bytes8(samples) => {
+        ImageSamples::Bytes8(samples) => {
             from_integers(samples, channels, &gamma.curve(255)).into_loaded(decoded, repairs)
         }
-        Samples::Words16(samples) => {
+        ImageSamples::Words16(samples) => {
             from_integers(samples, channels, &gamma.curve(65_535)).into_loaded(decoded, repairs)
         }
-        Samples::Floats(samples) => from_floats(samples, channels, &repairs).into_loaded(decoded, repairs),
+        ImageSamples::Floats(samples) => {
+            from_floats(samples, channels, &repairs).into_loaded(decoded, repairs)
+        }
     }
 }
 

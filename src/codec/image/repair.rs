@@ -1,6 +1,6 @@
 //! Pixels of float images that no photograph has: NaN, infinite, absurdly bright, negative.
 
-use crate::codec::image::samples::{Decoded, Samples};
+use crate::codec::image::samples::{Decoded, ImageSamples};
 use crate::error::{Error, Result};
 use std::path::Path;
 
@@ -32,7 +32,7 @@ impl Decoded {
         let channels = self.channels();
         let colors = if channels < 3 { 1 } else { 3 };
         let mut repairs = Repairs::default();
-        let Samples::Floats(samples) = &mut self.samples else { return repairs };
+        let ImageSamples::Floats(samples) = &mut self.samples else { return repairs };
         for (i, pixel) in samples.chunks_exact_mut(channels).enumerate() {
             let (color, alpha) = pixel.split_at_mut(colors);
             repairs.lit += usize::from(color.iter().any(|&c| c != 0.0));
@@ -58,7 +58,7 @@ impl Decoded {
 
     /// Sets negative colors of a float image to 0.
     pub(super) fn clamp_negative(&mut self) {
-        if let Samples::Floats(samples) = &mut self.samples {
+        if let ImageSamples::Floats(samples) = &mut self.samples {
             samples.iter_mut().for_each(|sample| *sample = sample.max(0.0));
         }
     }

@@ -4,7 +4,7 @@ use crate::codec::image::header::ImageHeader;
 
 /// Samples of an image, rows from the top down, the samples of a pixel side by side.
 #[derive(Clone, Debug, PartialEq)]
-pub enum Samples {
+pub enum ImageSamples {
     /// Integers of 8 bits, with straight alpha: colors are not multiplied by it.
     Bytes8(Vec<u8>),
     /// Integers of 16 bits, with straight alpha.
@@ -13,7 +13,7 @@ pub enum Samples {
     Floats(Vec<f32>),
 }
 
-impl Samples {
+impl ImageSamples {
     /// Number of samples.
     pub fn count(&self) -> usize {
         match self {
@@ -34,7 +34,7 @@ pub struct Decoded {
     /// Height in pixels, after turning.
     pub height: u32,
     /// `width * height` times `header.channels` samples.
-    pub samples: Samples,
+    pub samples: ImageSamples,
 }
 
 impl Decoded {
@@ -47,9 +47,9 @@ impl Decoded {
     pub(super) fn upright(self) -> Self {
         let (size, channels, exif) = ([self.width, self.height], self.channels(), self.header.exif);
         let samples = match self.samples {
-            Samples::Bytes8(samples) => Samples::Bytes8(turned(samples, size, channels, exif)),
-            Samples::Words16(samples) => Samples::Words16(turned(samples, size, channels, exif)),
-            Samples::Floats(samples) => Samples::Floats(turned(samples, size, channels, exif)),
+            ImageSamples::Bytes8(samples) => ImageSamples::Bytes8(turned(samples, size, channels, exif)),
+            ImageSamples::Words16(samples) => ImageSamples::Words16(turned(samples, size, channels, exif)),
+            ImageSamples::Floats(samples) => ImageSamples::Floats(turned(samples, size, channels, exif)),
         };
         let [width, height] = if self.header.is_turned() { [size[1], size[0]] } else { size };
         Self { header: self.header, width, height, samples }

@@ -3,7 +3,7 @@
 use crate::codec::exr::MAX_DECODED_BYTES;
 use crate::codec::image::format::{Format, damaged, raw};
 use crate::codec::image::header::ImageHeader;
-use crate::codec::image::samples::Samples;
+use crate::codec::image::samples::ImageSamples;
 use crate::error::{Error, Result};
 use std::io::{Read, Seek};
 use std::num::NonZeroUsize;
@@ -88,7 +88,7 @@ pub(super) fn header(path: &Path, source: impl Read + Seek) -> Result<ImageHeade
 }
 
 /// Decodes a TIFF at its beginning, which has this header.
-pub(super) fn decode(path: &Path, source: impl Read + Seek, header: &ImageHeader) -> Result<Samples> {
+pub(super) fn decode(path: &Path, source: impl Read + Seek, header: &ImageHeader) -> Result<ImageSamples> {
     let mut decoder = open(path, source)?;
     let SampleLayout { channels, bits, is_float, is_premultiplied } = layout(path, &mut decoder)?;
     let mut result = DecodingResult::U8(Vec::new());
@@ -96,17 +96,17 @@ pub(super) fn decode(path: &Path, source: impl Read + Seek, header: &ImageHeader
     let pixels = header.width as usize * header.height as usize;
     let plane = read.plane_stride.filter(|_| read.planes > 1);
     let samples = match result {
-        DecodingResult::U8(packed) if bits < 8 => Samples::Bytes8(unpacked(&packed, header.width, bits)),
-        DecodingResult::U8(samples) => Samples::Bytes8(interleaved(samples, plane, 1, channels)),
-        DecodingResult::U16(samples) => Samples::Words16(interleaved(samples, plane, 2, channels)),
-        DecodingResult::F32(samples) => Samples::Floats(interleaved(samples, plane, 4, channels)),
+        DecodingResult::U8(packed) if bits < 8 => ImageSamples::Bytes8(unpacked(&packed, header.width, bits)),
+        DecodingResult::U8(samples) => ImageSamples::Bytes8(interleaved(samples, plane, 1, channels)),
+        DecodingResult::U16(samples) => ImageSamples::Words16(interleaved(samples, plane, 2, channels)),
+        DecodingResult::F32(samples) => ImageSamples::Floats(interleaved(samples, plane, 4, channels)),
         DecodingResult::F16(samples) => {
             let samples = samples.into_iter().map(|sample| sample.to_f32()).collect();
-            Samples::Floats(interleaved(samples, plane, 2, channels))
+            ImageSamples::Floats(interleaved(samples, plane, 2, channels))
         }
         DecodingResult::F64(samples) => {
             let samples = samples.into_iter().map(|sample| sample as f32).collect();
-            Samples::Floats(interleaved(samples, plane, 8, channels))
+            ImageSamples::Floats(interleaved(samples, plane, 8, channels))
         }
         _ => return Err(unsupported(path, "its samples are signed or wider than 16 bits")),
     };
@@ -146,7 +146,7 @@ fn unpacked(packed: &[u8], width: u32, bits: u8) -> Vec<u8> {
 }
 
 /// Integers with alpha multiplied in, without; floats without, with.
-fn with_usual_alpha(samples: Samples, channels: usize) -> Samples {
+fn with_usual_alpha(samples: ImageSamples, channels: usize) -> ImageSamples {
     fn straight<T: Copy + Into<u32> + TryFrom<u32>>(
         mut samples: Vec<T>,
         channels: usize,
@@ -162,14 +162,14 @@ fn with_usual_alpha(samples: Samples, channels: usize) -> Samples {
         samples
     }
     match samples {
-        Samples::Bytes8(samples) => Samples::Bytes8(straight(samples, channels, 255)),
-        Samples::Words16(samples) => Samples::Words16(straight(samples, channels, 65_535)),
-        Samples::Floats(mut samples) => {
+        ImageSamples::Bytes8(samples) => ImageSamples::Bytes8(straight(samples, channels, 255)),
+        ImageSamples::Words16(samples) => ImageSamples::Words16(straight(samples, channels, 65_535)),
+        ImageSamples::Floats(mut samples) => {
             for pixel in samples.chunks_exact_mut(channels) {
                 let alpha = pixel[channels - 1];
                 pixel[..channels - 1].iter_mut().for_each(|color| *color *= alpha);
             }
-            Samples::Floats(samples)
+            ImageSamples::Floats(samples)
         }
     }
 }

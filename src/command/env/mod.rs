@@ -3,8 +3,8 @@
 mod info;
 mod preview;
 
-use super::apart::refuse_input;
 use super::args::{ConventionArgs, EnvCommand, FitArgs, MapName, NpyName, RenderArgs, RotateArgs};
+use super::output_checks::refuse_input;
 use super::terminal::{Terminal, print};
 use super::threads::start_threads;
 use glam::{EulerRot, Quat};

@@ -31,7 +31,7 @@ pub struct Request {
 }
 
 /// An answer.
-pub struct Response {
+pub struct HttpResponse {
     /// 200, 403, …
     pub status: u16,
     /// The kind of text.
@@ -42,7 +42,7 @@ pub struct Response {
     pub body: Vec<u8>,
 }
 
-impl Response {
+impl HttpResponse {
     /// An answer in plain words.
     pub fn words(status: u16, words: &str) -> Self {
         let body = format!("{words}\n").into_bytes();
@@ -62,7 +62,7 @@ impl Response {
 }
 
 /// Reads a request; `None` if the client has gone, or takes too long. `Err` is the answer to one that is none.
-pub fn read_request(stream: &mut TcpStream) -> Option<Result<Request, Response>> {
+pub fn read_request(stream: &mut TcpStream) -> Option<Result<Request, HttpResponse>> {
     let begun = Instant::now();
     let (mut bytes, mut filled) = (vec![0; MOST_BYTES], 0);
     loop {
@@ -75,23 +75,23 @@ pub fn read_request(stream: &mut TcpStream) -> Option<Result<Request, Response>>
         match parsed(&bytes[..filled]) {
             Ok(Some(request)) => return Some(Ok(request)),
             Ok(None) if filled < MOST_BYTES => {}
-            Ok(None) => return Some(Err(Response::words(431, "the request is too large"))),
+            Ok(None) => return Some(Err(HttpResponse::words(431, "the request is too large"))),
             Err(answer) => return Some(Err(answer)),
         }
     }
 }
 
 /// The request in these bytes; `None` if it is not whole.
-fn parsed(bytes: &[u8]) -> Result<Option<Request>, Response> {
+fn parsed(bytes: &[u8]) -> Result<Option<Request>, HttpResponse> {
     let mut headers = [httparse::EMPTY_HEADER; MOST_HEADERS];
     let mut found = httparse::Request::new(&mut headers);
     match found.parse(bytes) {
         Ok(status) if status.is_partial() => return Ok(None),
         Ok(_) => {}
         Err(httparse::Error::TooManyHeaders) => {
-            return Err(Response::words(431, "the request has too many headers"));
+            return Err(HttpResponse::words(431, "the request has too many headers"));
         }
-        Err(error) => return Err(Response::words(400, &format!("this is no request: {error}"))),
+        Err(error) => return Err(HttpResponse::words(400, &format!("this is no request: {error}"))),
     }
     let path = found.path.unwrap_or_default();
     let mut request = Request {
@@ -113,8 +113,8 @@ fn parsed(bytes: &[u8]) -> Result<Option<Request>, Response> {
 }
 
 /// Writes an answer. A client that has gone, or takes too long, is left.
-pub fn write_response(stream: &mut TcpStream, response: &Response, with_body: bool) {
-    let Response { status, kind, policy, body } = response;
+pub fn write_response(stream: &mut TcpStream, response: &HttpResponse, with_body: bool) {
+    let HttpResponse { status, kind, policy, body } = response;
     let head = format!(
         "HTTP/1.1 {status} {}\r\nContent-Type: {kind}\r\nContent-Length: {}\r\nContent-Security-Policy: {policy}\r\n\
          X-Content-Type-Options: nosniff\r\nCross-Origin-Resource-Policy: same-origin\r\nReferrer-Policy: no-referrer\r\n\

@@ -2,7 +2,7 @@
 //!
 //! | file | holds |
 //! | --- | --- |
-//! | [`shared`] | what the run says and the server reads |
+//! | [`live_run`] | what the run says and the server reads |
 //! | [`server`], [`http`] | the server: threads, requests, answers |
 //! | [`site`] | what is served, and to whom |
 //! | `assets/` | the page |
@@ -11,14 +11,14 @@
 //! their own, which see neither the world nor its systems. What goes wrong there never ends the run.
 
 mod http;
+mod live_run;
 mod server;
-mod shared;
 mod site;
 
 use super::terminal::Terminal;
+use live_run::{BarAt, LiveRun};
 use lobelia::pass::progress::{Bar, Copier, Moment, Progress};
 use lobelia::{Error, Result};
-use shared::{BarAt, Shared};
 use site::Site;
 use std::io::Write as _;
 use std::path::Path;
@@ -28,7 +28,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 /// The terminal, and the page beside it.
 pub struct Live {
     terminal: Terminal,
-    shared: Arc<Shared>,
+    shared: Arc<LiveRun>,
     bars: AtomicU64,
 }
 
@@ -36,7 +36,7 @@ impl Live {
     /// Serves a page about the run into `out` at `port` (0: any that is free) from now on, and says where.
     pub fn start(port: u16, out: &Path, terminal: Terminal) -> Result<Self> {
         let (listener, port) = server::listen(port)?;
-        let shared = Arc::new(Shared::default());
+        let shared = Arc::new(LiveRun::default());
         let title =
             out.file_name().map_or_else(|| "run".to_owned(), |name| name.to_string_lossy().into_owned());
         server::serve(listener, Site::new(shared.clone(), title, port)?)?;
@@ -82,7 +82,7 @@ impl Progress for Live {
 struct LiveBar {
     id: u64,
     shown: Box<dyn Bar>,
-    shared: Arc<Shared>,
+    shared: Arc<LiveRun>,
 }
 
 impl Bar for LiveBar {

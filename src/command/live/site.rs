@@ -1,7 +1,7 @@
 //! What is served: the page, the state, the curves, the object and the worst views, and the two buttons.
 
-use super::http::{Request, Response};
-use super::shared::{Copied, Shared};
+use super::http::{HttpResponse, Request};
+use super::live_run::{Copied, LiveRun};
 use lobelia::error::stop::{StopSignal, ask_to_stop, stopped_by};
 use lobelia::report::html::data::RunReport;
 use lobelia::report::html::text::escaped;
@@ -30,7 +30,7 @@ const PATIENCE: Duration = Duration::from_secs(20);
 
 /// A page for one run.
 pub struct Site {
-    shared: Arc<Shared>,
+    shared: Arc<LiveRun>,
     title: String,
     port: u16,
     /// The word that the page's own requests have.
@@ -52,7 +52,7 @@ impl Site {
     ///
     /// # Errors
     /// If the system refuses a thread.
-    pub fn new(shared: Arc<Shared>, title: String, port: u16) -> Result<Self> {
+    pub fn new(shared: Arc<LiveRun>, title: String, port: u16) -> Result<Self> {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(1).thread_name(|_| "live".to_owned()).build();
         let pool = pool.map_err(|error| Error::run("the live page", error.to_string()))?;
         let word = || format!("{:032x}", rand::random::<u128>());
@@ -61,28 +61,30 @@ impl Site {
     }
 
     /// The answer to a request.
-    pub fn answer(&self, request: &Request) -> Response {
+    pub fn answer(&self, request: &Request) -> HttpResponse {
         if let Some(refused) = self.refused(request) {
             return refused;
         }
         match (request.method.as_str(), request.path.as_str()) {
             ("GET" | "HEAD", "/") => self.page(),
-            ("GET" | "HEAD", "/state.json") => Response::json(&self.shared.json(stopped_by().is_some())),
-            ("GET" | "HEAD", "/curves.html") => Response::html(self.curves(), FRAGMENT.to_owned()),
+            ("GET" | "HEAD", "/state.json") => HttpResponse::json(&self.shared.json(stopped_by().is_some())),
+            ("GET" | "HEAD", "/curves.html") => HttpResponse::html(self.curves(), FRAGMENT.to_owned()),
             ("GET" | "HEAD", "/views.html") => self.made(&self.views, FRAGMENT, worst_views),
             ("GET" | "HEAD", "/object.html") => {
                 self.made(&self.object, OBJECT, |copied| object(copied, &self.title))
             }
             ("POST", "/renew") => self.renew(),
             ("POST", "/stop") => stop(),
-            (_, path) if PATHS.contains(&path) => Response::words(405, "this is asked for in another way"),
-            _ => Response::words(404, "there is nothing here"),
+            (_, path) if PATHS.contains(&path) => {
+                HttpResponse::words(405, "this is asked for in another way")
+            }
+            _ => HttpResponse::words(404, "there is nothing here"),
         }
     }
 
     /// Why a request is not answered: it means another host, is of another page, or lacks the word of this one.
-    fn refused(&self, request: &Request) -> Option<Response> {
-        let refuse = |words: &str| Some(Response::words(403, words));
+    fn refused(&self, request: &Request) -> Option<HttpResponse> {
+        let refuse = |words: &str| Some(HttpResponse::words(403, words));
         let hosts = ["127.0.0.1", "localhost"].map(|host| match self.port {
             80 => host.to_owned(),
             port => format!("{host}:{port}"),
@@ -105,7 +107,7 @@ impl Site {
         None
     }
 
-    fn page(&self) -> Response {
+    fn page(&self) -> HttpResponse {
         let slots = [
             ("{{TITLE}}", escaped(&self.title)),
             ("{{STYLE}}", format!("{STYLE}{OWN_STYLE}")),
@@ -122,7 +124,7 @@ impl Site {
              frame-src 'self'; frame-ancestors 'none'; base-uri 'none'; form-action 'none'",
             self.nonce
         );
-        filled(PAGE, &slots).map_or_else(|error| failed(&error), |text| Response::html(text, policy))
+        filled(PAGE, &slots).map_or_else(|error| failed(&error), |text| HttpResponse::html(text, policy))
     }
 
     fn curves(&self) -> String {
@@ -135,9 +137,9 @@ impl Site {
         drawn: &Mutex<Drawn>,
         policy: &str,
         make: impl FnOnce(&Copied) -> Result<String> + Send,
-    ) -> Response {
+    ) -> HttpResponse {
         let Some(copied) = self.shared.copy() else {
-            return Response::words(503, "there is no object yet");
+            return HttpResponse::words(503, "there is no object yet");
         };
         let mut drawn = drawn.lock().unwrap_or_else(PoisonError::into_inner);
         if drawn.as_ref().is_none_or(|(number, _)| *number < copied.number) {
@@ -147,14 +149,14 @@ impl Site {
             }
         }
         let text = drawn.as_ref().map_or_else(String::new, |(_, text)| text.clone());
-        Response::html(text, policy.to_owned())
+        HttpResponse::html(text, policy.to_owned())
     }
 
     /// Waits for a copy of the object.
-    fn renew(&self) -> Response {
+    fn renew(&self) -> HttpResponse {
         let (copied, problem) = self.shared.renewed(PATIENCE);
         let copied = copied.map(|copied| json!({ "number": copied.number, "at": copied.at }));
-        Response::json(&json!({ "copy": copied, "problem": problem }))
+        HttpResponse::json(&json!({ "copy": copied, "problem": problem }))
     }
 }
 
@@ -171,13 +173,13 @@ fn worst_views(copied: &Copied) -> Result<String> {
 }
 
 /// Does what the first Ctrl-C does; a second press does nothing more.
-fn stop() -> Response {
+fn stop() -> HttpResponse {
     let is_first = ask_to_stop(StopSignal::Page);
-    Response::json(&json!({ "first": is_first }))
+    HttpResponse::json(&json!({ "first": is_first }))
 }
 
-fn failed(error: &Error) -> Response {
-    Response::words(500, &error.to_string())
+fn failed(error: &Error) -> HttpResponse {
+    HttpResponse::words(500, &error.to_string())
 }
 
 #[cfg(test)]

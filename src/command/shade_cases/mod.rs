@@ -6,15 +6,15 @@
 //! albedo came under that name, it moves to `specular_albedo`, which is also read in preference to `specular`: a written
 //! table can be read again.
 
-mod estimate;
+mod case_file;
 mod mode;
-mod table;
+mod monte_carlo;
 
-use super::apart::refuse_input;
 use super::args::{CaseMode, CasePrecision, CaseQuality, ShadeCasesArgs};
+use super::output_checks::refuse_input;
 use super::terminal::print;
 use super::threads::start_threads;
-use estimate::{Shaded, path_traced};
+use case_file::{Case, read_table, triple, write_table};
 use lobelia::math::accurate::Quality;
 use lobelia::math::brdf::Facets;
 use lobelia::math::published::Lobe;
@@ -22,11 +22,11 @@ use lobelia::math::real::Vec3Of;
 use lobelia::math::shading::{ClosedForm, Scalar};
 use lobelia::{Error, Result};
 use mode::{Precision, ShadeMode};
+use monte_carlo::{Shaded, path_traced};
 use rayon::prelude::*;
 use serde_json::{Map, Value};
 use std::path::Path;
 use std::time::Instant;
-use table::{Case, read_table, triple, write_table};
 
 /// How many values agree with the reference that the table brought.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]

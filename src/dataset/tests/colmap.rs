@@ -66,7 +66,7 @@ impl Colmap {
         }
     }
 
-    fn read(&self, split: Split) -> Result<Dataset> {
+    fn read(&self, split: Split) -> Result<LoadedDataset> {
         read_dataset(self.dir.path(), split, &DatasetOptions::default())
     }
 }

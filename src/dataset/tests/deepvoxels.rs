@@ -18,7 +18,7 @@ pub fn write_split(folder: &Path, views: usize) {
     }
 }
 
-fn read(dir: &Path, split: Split) -> Result<Dataset> {
+fn read(dir: &Path, split: Split) -> Result<LoadedDataset> {
     read_dataset(dir, split, &DatasetOptions::default())
 }
 

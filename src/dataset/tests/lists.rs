@@ -41,7 +41,7 @@ impl Orb {
         fs::write(self.path(&format!("{split}_id.txt")), text).unwrap();
     }
 
-    fn read(&self, split: Split) -> Result<Dataset> {
+    fn read(&self, split: Split) -> Result<LoadedDataset> {
         read_split(self.dir.path(), split)
     }
 

@@ -45,7 +45,7 @@ impl Metashape {
         self
     }
 
-    pub(super) fn read(&self) -> Result<Dataset> {
+    pub(super) fn read(&self) -> Result<LoadedDataset> {
         fs::write(self.dir.path().join("cameras.xml"), &self.text).unwrap();
         read_all(self.dir.path())
     }

@@ -90,12 +90,12 @@ impl PhySg {
         self.write_cameras();
     }
 
-    fn read(&self) -> Result<Dataset> {
+    fn read(&self) -> Result<LoadedDataset> {
         self.read_with(&DatasetOptions::default())
     }
 
     /// All views, without a test split.
-    fn read_with(&self, options: &DatasetOptions) -> Result<Dataset> {
+    fn read_with(&self, options: &DatasetOptions) -> Result<LoadedDataset> {
         let options = DatasetOptions { hold_out: 0, ..options.clone() };
         read_dataset(self.dir.path(), Split::Train, &options)
     }
@@ -139,25 +139,25 @@ impl Nerf {
         fs::write(self.path("transforms_test.json"), text).unwrap();
     }
 
-    fn read(&self) -> Result<Dataset> {
+    fn read(&self) -> Result<LoadedDataset> {
         read_dataset(self.dir.path(), Split::Test, &DatasetOptions::default())
     }
 }
 
 /// Message and help of an error that is the input's fault.
-fn input_error(result: Result<Dataset>) -> String {
+fn input_error(result: Result<LoadedDataset>) -> String {
     let error = result.unwrap_err();
     assert!(matches!(error, Error::Input { .. }), "{error:?}");
     format!("{error} | {}", error.help().unwrap_or_default())
 }
 
-fn usage_error(result: Result<Dataset>) -> String {
+fn usage_error(result: Result<LoadedDataset>) -> String {
     let error = result.unwrap_err();
     assert!(matches!(error, Error::Usage { .. }), "{error:?}");
     format!("{error} | {}", error.help().unwrap_or_default())
 }
 
-fn names(dataset: &Dataset) -> Vec<&str> {
+fn names(dataset: &LoadedDataset) -> Vec<&str> {
     dataset.views.iter().map(|view| view.name.as_str()).collect()
 }
 
@@ -188,11 +188,11 @@ fn write_mask(path: &Path) {
     GrayImage::from_fn(SIZE.0 as u32, SIZE.1 as u32, value).save(path).unwrap();
 }
 
-fn read_split(dir: &Path, split: Split) -> Result<Dataset> {
+fn read_split(dir: &Path, split: Split) -> Result<LoadedDataset> {
     read_dataset(dir, split, &DatasetOptions::default())
 }
 
 /// All views, without a test split.
-fn read_all(dir: &Path) -> Result<Dataset> {
+fn read_all(dir: &Path) -> Result<LoadedDataset> {
     read_dataset(dir, Split::Train, &DatasetOptions { hold_out: 0, ..DatasetOptions::default() })
 }

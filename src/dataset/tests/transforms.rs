@@ -28,7 +28,7 @@ impl Transforms {
         self.dir.path().join(name)
     }
 
-    fn read(&self, split: Split) -> Result<Dataset> {
+    fn read(&self, split: Split) -> Result<LoadedDataset> {
         fs::write(self.path("transforms.json"), self.json.to_string()).unwrap();
         read_dataset(self.dir.path(), split, &DatasetOptions::default())
     }

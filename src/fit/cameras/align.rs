@@ -9,7 +9,7 @@
 //! views share are the focal length and, for an unknown object, its rotation, translation and scale as a whole. Without the latter,
 //! cameras and object could drift together; that part of the solution is not used, because the object's own fit determines it.
 
-use crate::light::map_fit::linear::{cholesky, solve_factored};
+use crate::light::map_fit::least_squares::{cholesky, solve_factored};
 use crate::view::Camera;
 use glam::{Affine3A, Quat, Vec3};
 use serde::{Deserialize, Serialize};

@@ -3,7 +3,7 @@
 
 use crate::math::brdf::Facets;
 use crate::math::published::Lobe;
-use crate::math::shading::{ClosedForm, Layers, Lighting, ShadePoint, SpecularValue, Visibility};
+use crate::math::shading::{ClosedForm, Layers, Lighting, LobeVisibility, ShadePoint, SpecularValue};
 use crate::sample::observation::Observation;
 use fearless_simd::{Level, dispatch};
 use glam::{DVec3, Vec3};
@@ -136,7 +136,7 @@ fn accumulate(
     let mut rows: [Vec<f32>; 3] = std::array::from_fn(|_| vec![0.0; lobes.len()]);
     for n in run {
         let point = &points[n];
-        let (parts, around) = Visibility::point(visibility, n, lobes.stride());
+        let (parts, around) = LobeVisibility::point(visibility, n, lobes.stride());
         let directions = [point.normal, point.to_viewer];
         let facets = Facets { ndf: specular.ndf, roughness: specular.roughness };
         for i in 0..lobes.len() {

@@ -8,7 +8,7 @@ use crate::error::{Error, Result};
 use crate::fit::components::Unknowns;
 use crate::fit::initialization::linear::{solve_albedo, solve_amplitudes};
 use crate::fit::initialization::place_lobes::move_lobes_to_the_light;
-use crate::light::frame::OwnLightFrame;
+use crate::light::light_frame::OwnLightFrame;
 use crate::light::lights::LobeOf;
 use crate::light::{LightLobe, kernel_lobe};
 use crate::material::sheen::write_albedo;

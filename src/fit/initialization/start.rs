@@ -8,7 +8,7 @@
 use super::{Known, least_rough, lobes_of, with_initialization};
 use crate::error::Result;
 use crate::fit::components::Unknowns;
-use crate::light::frame::{LightFrame, OwnLightFrame, turning_axis};
+use crate::light::light_frame::{LightFrame, OwnLightFrame, turning_axis};
 use crate::material::{BaseMaterial, SpecularLobe, recovered_albedo, recovered_materials};
 use crate::math::brdf::Ndf;
 use crate::math::shading::ClosedForm;

@@ -12,11 +12,11 @@
 
 use crate::fit::adam::{AdamStep, Moments};
 use crate::fit::components::{StepGradient, StepRates, Unknowns};
-use crate::material::source::BaseMaterials;
+use crate::material::material_source::BaseMaterials;
 use crate::material::{MAX_SPECULAR_LOBES, SpecularBlend, Texels};
 use crate::math::shading::{
-    ClosedForm, Layers, Lighting, PointAdjoint, PointVisibility, RadianceAdjoint, RadianceColumns,
-    ShadePoint, SharedGradient, SpecularValue, Visibility,
+    ClosedForm, Layers, Lighting, LobeVisibility, PointAdjoint, PointVisibility, RadianceAdjoint,
+    RadianceColumns, ShadePoint, SharedGradient, SpecularValue,
 };
 use crate::pipeline::SystemResult;
 use crate::sample::Samples;
@@ -90,7 +90,7 @@ pub fn pull_back_blended(
     back.fill(PointAdjoint::default());
     let rows = lighting.visibility.map_or(&[][..], |v| v.lobes);
     let lighting =
-        Lighting { visibility: Some(Visibility { lobes: rows, points: samples.seen }), ..lighting };
+        Lighting { visibility: Some(LobeVisibility { lobes: rows, points: samples.seen }), ..lighting };
     let mut has_diffuse = vec![false; count];
     for place in 0..materials.len() {
         let mut part = MaterialPart::new(samples, lighting, materials, place, &mut has_diffuse);
@@ -380,7 +380,7 @@ mod tests {
         }
 
         fn lighting(&self) -> Lighting<'_> {
-            let visibility = Visibility { lobes: &[], points: &self.seen };
+            let visibility = LobeVisibility { lobes: &[], points: &self.seen };
             Lighting { lobes: &self.lobes, visibility: Some(visibility) }
         }
 

@@ -20,7 +20,7 @@ const GROUPS: usize = 32;
 const CUTOFF: f64 = -16.0;
 
 /// A value per texel of a tile and channel.
-pub type Texels = [[f32; TILE]; 3];
+pub type TileValues = [[f32; TILE]; 3];
 
 /// A lobe with the parameterization of the fit: the axis rotates along tangents, the sharpness changes by a factor.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -57,7 +57,7 @@ pub struct Tile {
     /// √w of each texel; the weights of all tiles sum to 1.
     root_weights: [f32; TILE],
     /// √w y, per channel.
-    targets: Texels,
+    targets: TileValues,
     center: Vec3,
     /// Sine and cosine of the largest angle of a texel from the center.
     radius: [f32; 2],
@@ -65,7 +65,7 @@ pub struct Tile {
 
 /// The region where a lobe is above the cutoff: within an angle, given by its sine and cosine, of the axis.
 #[derive(Clone, Copy, Debug)]
-pub struct Reach {
+pub struct LobeCap {
     axis: Vec3,
     angle: [f32; 2],
 }
@@ -127,7 +127,7 @@ fn tile_at(map: &EnvironmentMap, left: u32, top: u32) -> Tile {
     tile
 }
 
-impl Reach {
+impl LobeCap {
     /// The reach of a lobe.
     pub fn new(axis: DVec3, sharpness: f64) -> Self {
         // λ(cos θ − 1) = cutoff.
@@ -144,8 +144,8 @@ impl Reach {
     }
 }
 
-fn reaches(lobes: &[FitLobe]) -> Vec<Reach> {
-    lobes.iter().map(|lobe| Reach::new(DVec3::from_array(lobe.axis), lobe.sharpness)).collect()
+fn reaches(lobes: &[FitLobe]) -> Vec<LobeCap> {
+    lobes.iter().map(|lobe| LobeCap::new(DVec3::from_array(lobe.axis), lobe.sharpness)).collect()
 }
 
 /// A lobe in every lane: axis, −λ/2, amplitude.
@@ -179,7 +179,7 @@ impl Tile {
         lobes: &[FitLobe],
         reached: &[usize],
         values: &mut Vec<f32>,
-    ) -> Texels {
+    ) -> TileValues {
         let mut residual = self.targets.map(|row| row.map(|y| -y));
         values.resize(reached.len() * TILE, 0.0);
         for (&k, values) in reached.iter().zip(values.chunks_exact_mut(TILE)) {
@@ -197,7 +197,7 @@ impl Tile {
 
     /// A lobe's moments with a residual; `values` are its √w G.
     #[inline(always)]
-    fn moments<S: Simd>(&self, simd: S, lobe: &FitLobe, values: &[f32], residual: &Texels) -> Moments {
+    fn moments<S: Simd>(&self, simd: S, lobe: &FitLobe, values: &[f32], residual: &TileValues) -> Moments {
         let axis = lobe.axis.map(|v| Lanes::splat(simd, v as f32));
         let mut sums = [[Lanes::splat(simd, 0.0); 4]; 3];
         for at in (0..TILE).step_by(Lanes::<S>::LEN) {
@@ -216,7 +216,7 @@ impl Tile {
 
     /// Inner products of a unit-amplitude lobe with −`residual`, per channel.
     #[inline(always)]
-    pub fn products<S: Simd>(&self, simd: S, lobe: &FitLobe, residual: &Texels) -> [f64; 3] {
+    pub fn products<S: Simd>(&self, simd: S, lobe: &FitLobe, residual: &TileValues) -> [f64; 3] {
         let lobe = splat(simd, lobe);
         let mut sums = [Lanes::splat(simd, 0.0); 3];
         for at in (0..TILE).step_by(Lanes::<S>::LEN) {
@@ -229,13 +229,13 @@ impl Tile {
     }
 }
 
-fn squared(residual: &Texels) -> f64 {
+fn squared(residual: &TileValues) -> f64 {
     let row = |row: &[f32; TILE]| f64::from(row.iter().map(|r| r * r).sum::<f32>());
     residual.iter().map(row).sum()
 }
 
 /// The weighted residual √w (model − y) of every tile, per channel.
-pub fn residuals(tiles: &[Tile], lobes: &[FitLobe]) -> Vec<Texels> {
+pub fn residuals(tiles: &[Tile], lobes: &[FitLobe]) -> Vec<TileValues> {
     let reaches = reaches(lobes);
     let of_tile = |tile: &Tile| {
         let reached: Vec<usize> = (0..lobes.len()).filter(|&k| reaches[k].meets(tile)).collect();
@@ -267,7 +267,7 @@ fn derivatives_of_group<S: Simd>(
     simd: S,
     tiles: &[Tile],
     lobes: &[FitLobe],
-    reaches: &[Reach],
+    reaches: &[LobeCap],
 ) -> (f64, Vec<Moments>) {
     let mut error = 0.0;
     let mut moments = vec![[[0.0; 4]; 3]; lobes.len()];
@@ -378,7 +378,7 @@ mod tests {
         let tiles = tiles_of(&EnvironmentMap::from_directions(64, 32, |_| Vec3::ONE));
         for sharpness in [0.05, 5.0, 8.0, 9.0, 40.0, 900.0] {
             for axis in crate::math::fibonacci::fibonacci_axes(40) {
-                let reach = Reach::new(axis.as_dvec3(), sharpness);
+                let reach = LobeCap::new(axis.as_dvec3(), sharpness);
                 for tile in tiles.iter().filter(|tile| !reach.meets(tile)) {
                     let [x, y, z] = &tile.directions;
                     let bright = |k: usize| {

@@ -8,7 +8,7 @@
 pub(crate) mod exp;
 mod gram;
 pub mod kernel;
-pub(crate) mod linear;
+pub(crate) mod least_squares;
 mod place;
 mod solve;
 pub mod sun;
@@ -21,7 +21,7 @@ use serde::{Deserialize, Serialize};
 use crate::error::stop::{check_interrupted, is_stopping};
 use crate::light::map_fit::kernel::{FitLobe, derivatives};
 use crate::light::map_fit::place::{Level, place};
-use crate::light::map_fit::solve::{Bounds, fit_amplitudes, keep_power, levenberg_marquardt, prune};
+use crate::light::map_fit::solve::{LobeBounds, fit_amplitudes, keep_power, levenberg_marquardt, prune};
 pub use crate::light::map_fit::sun::Sun;
 use crate::light::map_fit::sun::take_suns;
 use crate::light::{EnvironmentMap, LightLobe, render_lobes};
@@ -206,8 +206,12 @@ fn sharpest_at(width: u32, options: &MapFit) -> f64 {
     finest.max(2.0).min(options.max_sharpness.map_or(f64::INFINITY, f64::from))
 }
 
-fn bounds_at(width: u32, options: &MapFit) -> Bounds {
-    Bounds { dullest: DULLEST, sharpest: sharpest_at(width, options), upper_only: options.upper_hemisphere }
+fn bounds_at(width: u32, options: &MapFit) -> LobeBounds {
+    LobeBounds {
+        dullest: DULLEST,
+        sharpest: sharpest_at(width, options),
+        upper_only: options.upper_hemisphere,
+    }
 }
 
 /// `steps`, or fewer (at least one) for very many lobes.
@@ -271,7 +275,7 @@ fn finest(levels: &[Level]) -> &[crate::light::map_fit::kernel::Tile] {
 }
 
 /// Places lobes in batches until there are `count` or no residual is left.
-fn grow(levels: &[Level], count: usize, bounds: Bounds, teller: &mut Teller) -> Vec<FitLobe> {
+fn grow(levels: &[Level], count: usize, bounds: LobeBounds, teller: &mut Teller) -> Vec<FitLobe> {
     let tiles = finest(levels);
     let mut lobes = vec![FitLobe::new(DVec3::Y, 0.5_f64.min(bounds.sharpest), [0.5; 3])];
     fit_amplitudes(tiles, &mut lobes);
@@ -290,7 +294,13 @@ fn grow(levels: &[Level], count: usize, bounds: Bounds, teller: &mut Teller) -> 
 
 /// Adds lobes where the residual is largest, optimizes all, and removes the least useful; a round that does not lower the error
 /// is reverted.
-fn relocate(levels: &[Level], lobes: &mut Vec<FitLobe>, rounds: usize, bounds: Bounds, teller: &mut Teller) {
+fn relocate(
+    levels: &[Level],
+    lobes: &mut Vec<FitLobe>,
+    rounds: usize,
+    bounds: LobeBounds,
+    teller: &mut Teller,
+) {
     let (tiles, count) = (finest(levels), lobes.len());
     let mut best = derivatives(tiles, lobes).error;
     let mut before = best;

@@ -6,8 +6,8 @@ use rayon::prelude::*;
 
 use crate::light::envmap::EnvironmentMap;
 use crate::light::map_fit::gram::mean_product;
-use crate::light::map_fit::kernel::{FitLobe, Reach, Texels, Tile, residuals, tiles_of};
-use crate::light::map_fit::solve::Bounds;
+use crate::light::map_fit::kernel::{FitLobe, LobeCap, Tile, TileValues, residuals, tiles_of};
+use crate::light::map_fit::solve::LobeBounds;
 use crate::math::fibonacci::fibonacci_axes;
 use crate::math::sg::sphere_integral;
 
@@ -53,7 +53,7 @@ struct Candidate {
 /// Matching pursuit (Mallat and Zhang 1993) on the residual r: a candidate's gain is Σ_c max(0, ⟨r_c, G⟩)²/⟨G, G⟩; the
 /// residual is computed once, and the effect of a chosen lobe on the other candidates follows from the integral of SG products.
 /// Each sharpness is searched on the coarsest of `levels` (coarse to fine) that resolves it.
-pub fn place(levels: &[Level], lobes: &[FitLobe], count: usize, bounds: Bounds) -> Vec<FitLobe> {
+pub fn place(levels: &[Level], lobes: &[FitLobe], count: usize, bounds: LobeBounds) -> Vec<FitLobe> {
     let mut candidates = candidates(levels, lobes, bounds);
     let mut chosen = Vec::new();
     while chosen.len() < count {
@@ -71,8 +71,8 @@ pub fn place(levels: &[Level], lobes: &[FitLobe], count: usize, bounds: Bounds) 
     chosen
 }
 
-fn candidates(levels: &[Level], lobes: &[FitLobe], bounds: Bounds) -> Vec<Candidate> {
-    let residuals: Vec<Vec<Texels>> = levels.iter().map(|level| residuals(&level.tiles, lobes)).collect();
+fn candidates(levels: &[Level], lobes: &[FitLobe], bounds: LobeBounds) -> Vec<Candidate> {
+    let residuals: Vec<Vec<TileValues>> = levels.iter().map(|level| residuals(&level.tiles, lobes)).collect();
     let mut candidates = Vec::new();
     for sharpness in SHARPNESSES.into_iter().filter(|s| (bounds.dullest..=bounds.sharpest).contains(s)) {
         let finest = std::f64::consts::TAU * TEXELS_PER_DEVIATION * sharpness.sqrt();
@@ -94,9 +94,9 @@ fn candidates(levels: &[Level], lobes: &[FitLobe], bounds: Bounds) -> Vec<Candid
 }
 
 #[inline(always)]
-fn candidate<S: Simd>(simd: S, level: &Level, residual: &[Texels], lobe: &FitLobe) -> Candidate {
+fn candidate<S: Simd>(simd: S, level: &Level, residual: &[TileValues], lobe: &FitLobe) -> Candidate {
     let (axis, mut inner) = (DVec3::from_array(lobe.axis), [0.0; 3]);
-    let reach = Reach::new(axis, lobe.sharpness * 2.0);
+    let reach = LobeCap::new(axis, lobe.sharpness * 2.0);
     for (tile, residual) in level.tiles.iter().zip(residual) {
         if reach.meets(tile) {
             let more = tile.products(simd, lobe, residual);
@@ -141,7 +141,7 @@ mod tests {
             light(Vec3::new(-0.8, 0.6, 0.0), 10.0, Vec3::new(9.0, 3.0, 1.0)),
         ];
         let map = EnvironmentMap::from_directions(64, 32, |d| lights.iter().map(|l| l.radiance(d)).sum());
-        let bounds = Bounds { dullest: 0.1, sharpest: 500.0, upper_only: false };
+        let bounds = LobeBounds { dullest: 0.1, sharpest: 500.0, upper_only: false };
         let found = place(&[Level::new(&map)], &[], 2, bounds);
         assert_eq!(found.len(), 2);
         for (lobe, light) in found.iter().zip([lights[1], lights[0]]) {

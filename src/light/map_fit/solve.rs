@@ -3,13 +3,13 @@
 use crate::error::stop::is_stopping;
 use crate::light::map_fit::gram::Gram;
 use crate::light::map_fit::kernel::{Derivatives, FitLobe, Tile, derivatives};
-use crate::light::map_fit::linear::{cholesky, descend_nonnegative, solve_factored};
+use crate::light::map_fit::least_squares::{cholesky, descend_nonnegative, solve_factored};
 use crate::math::sg::sphere_integral;
 use rayon::prelude::*;
 
 /// Bounds of the parameters of a lobe.
 #[derive(Clone, Copy, Debug)]
-pub struct Bounds {
+pub struct LobeBounds {
     /// Least sharpness.
     pub dullest: f64,
     /// Largest sharpness.
@@ -23,7 +23,12 @@ const PARAMETERS: usize = 6;
 
 /// Up to `steps` accepted Levenberg–Marquardt steps (Marquardt 1963; amplitudes and sharpness kept in bounds by
 /// projection, active bounds excluded from the step). Returns the error reached.
-pub fn levenberg_marquardt(tiles: &[Tile], lobes: &mut Vec<FitLobe>, steps: usize, bounds: Bounds) -> f64 {
+pub fn levenberg_marquardt(
+    tiles: &[Tile],
+    lobes: &mut Vec<FitLobe>,
+    steps: usize,
+    bounds: LobeBounds,
+) -> f64 {
     let mut damping = 1e-2;
     let mut reached = derivatives(tiles, lobes);
     for _ in 0..steps {
@@ -47,7 +52,7 @@ fn improve(
     lobes: &[FitLobe],
     reached: &Derivatives,
     damping: &mut f64,
-    bounds: Bounds,
+    bounds: LobeBounds,
 ) -> Option<(Vec<FitLobe>, Derivatives)> {
     let gradient = reached.gradient(lobes);
     let matrix = gauss_newton(lobes, &Gram::of(lobes));
@@ -117,7 +122,7 @@ fn gauss_newton(lobes: &[FitLobe], gram: &Gram) -> Vec<f64> {
 }
 
 /// A lobe after its part of the step, within the trust region of the quadratic model and the bounds.
-fn stepped(lobe: &FitLobe, step: &[f64; PARAMETERS], bounds: Bounds) -> FitLobe {
+fn stepped(lobe: &FitLobe, step: &[f64; PARAMETERS], bounds: LobeBounds) -> FitLobe {
     let turn = step[0].hypot(step[1]);
     let farthest = (1.0 / lobe.sharpness.sqrt()).min(0.5);
     let shorter = if turn > farthest { farthest / turn } else { 1.0 };
@@ -274,7 +279,7 @@ mod tests {
             Vec3::splat((8.0 * (d.dot(Vec3::new(0.8, -0.6, 0.0)) - 1.0)).exp())
         });
         let tiles = tiles_of(&map);
-        let mut bounds = Bounds { dullest: 0.1, sharpest: 100.0, upper_only: false };
+        let mut bounds = LobeBounds { dullest: 0.1, sharpest: 100.0, upper_only: false };
         let start = vec![FitLobe::new(DVec3::X, 4.0, [0.5; 3])];
         let mut free = start.clone();
         assert!(levenberg_marquardt(&tiles, &mut free, 30, bounds) < 1e-6);

@@ -2,7 +2,7 @@
 
 use crate::error::Result;
 use crate::light::convention::MapConvention;
-use crate::light::frame::{LightFrame, OwnLightFrame};
+use crate::light::light_frame::{LightFrame, OwnLightFrame};
 use crate::light::lights::own_lobes;
 use crate::light::{EnvironmentMap, LightLobe, render_lobes, rotate_lobes};
 use crate::math::sg::sphere_integral;

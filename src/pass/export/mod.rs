@@ -3,14 +3,14 @@
 //! | module | holds |
 //! | --- | --- |
 //! | [`object`] | the surface with its material, with fewer triangles if asked, and its textures |
-//! | [`placement`] | the axes, origin and size of the exported object |
+//! | [`transform`] | the axes, origin and size of the exported object |
 //! | [`light`] | the light as environment maps |
 //! | [`mod@page`] | a page with the object and its light |
 
 pub mod light;
 pub mod object;
 pub mod page;
-pub mod placement;
+pub mod transform;
 
 use crate::codec::file::write_bytes;
 use crate::codec::gltf::export::write_glb;
@@ -22,7 +22,7 @@ use crate::mesh::triangles::Mesh;
 use crate::pass::export::light::{LIGHT, LIGHT_TURN, write_light};
 use crate::pass::export::object::Object;
 use crate::pass::export::page::{PAGE, page};
-use crate::pass::export::placement::Placement;
+use crate::pass::export::transform::ExportTransform;
 use crate::pass::session::Session;
 use crate::pass::show::material_of;
 use crate::scene::{ExportPass, MeshFormat};
@@ -43,7 +43,7 @@ pub fn run(session: &mut Session, pass: &ExportPass) -> Result<()> {
     if let Some(target) = pass.triangles.filter(|&n| (n as usize) < object.triangles()) {
         object = object.coarser(target as usize)?;
     }
-    let placement = Placement::new(session.scene.up, pass, object.mesh());
+    let placement = ExportTransform::new(session.scene.up, pass, object.mesh());
     let folder = session.folder(&pass.name);
     let has_light = with_light(pass) && write_light(session, pass, placement.turn, &folder)?;
     let exported = Exported { mesh: placement.placed(object.mesh()), object, up: placement.up, has_light };

@@ -7,7 +7,7 @@ use crate::material::SpecularLobe;
 use crate::math::color::srgb_from_linear;
 use crate::pass::fit::TRUE_ENVIRONMENT;
 use crate::pass::summary::pictures::Pictures;
-use crate::report::html::data::{Finding, Shown};
+use crate::report::html::data::{FitFinding, ReportPicture};
 use crate::report::scores::{MaterialsTried, ScaleFound, Scores};
 use std::path::Path;
 
@@ -25,41 +25,43 @@ const PICTURES: [(&str, &str); 6] = [
 ];
 
 /// The pictures of a fit.
-pub fn fit_pictures(out: &Path, pass: &str, pictures: &mut Pictures) -> Vec<Shown> {
+pub fn fit_pictures(out: &Path, pass: &str, pictures: &mut Pictures) -> Vec<ReportPicture> {
     let shown = |(file, title): &(&str, &str)| {
         let address = pictures.small(&out.join(pass).join(file), SIDE)?;
-        Some(Shown { title: format!("{pass}: {title}"), address })
+        Some(ReportPicture { title: format!("{pass}: {title}"), address })
     };
     PICTURES.iter().filter_map(shown).collect()
 }
 
 /// What the fits of these names found, and what the scores say of it.
-pub fn findings(out: &Path, fits: &[&str], scores: &Scores) -> Vec<Finding> {
-    let mut found: Vec<Finding> = scores.scale.iter().flat_map(of_scale).collect();
+pub fn findings(out: &Path, fits: &[&str], scores: &Scores) -> Vec<FitFinding> {
+    let mut found: Vec<FitFinding> = scores.scale.iter().flat_map(of_scale).collect();
     found.extend(of_light_frame(scores));
     found.extend(scores.materials_tried.map(of_materials_tried));
     found.extend(scores.warnings.iter().map(|warning| plain("warning", warning.clone())));
     for pass in fits {
         let folder = out.join(pass);
         let of_pass = of_light(&folder).into_iter().chain(of_materials(&folder)).chain(of_exposures(&folder));
-        found.extend(of_pass.map(|finding| Finding { what: format!("{pass}: {}", finding.what), ..finding }));
+        found.extend(
+            of_pass.map(|finding| FitFinding { what: format!("{pass}: {}", finding.what), ..finding }),
+        );
     }
     found
 }
 
-fn plain(what: &str, value: String) -> Finding {
-    Finding { what: what.to_owned(), value, color: None }
+fn plain(what: &str, value: String) -> FitFinding {
+    FitFinding { what: what.to_owned(), value, color: None }
 }
 
 /// A linear color, with its numbers.
-fn colored(what: &str, color: [f32; 3], more: &str) -> Finding {
+fn colored(what: &str, color: [f32; 3], more: &str) -> FitFinding {
     let [r, g, b] = color;
     let largest = color.into_iter().fold(1.0, f32::max);
     let shown = color.map(|c| (srgb_from_linear((c / largest).clamp(0.0, 1.0)) * 255.0).round() as u8);
-    Finding { what: what.to_owned(), value: format!("{r:.3}, {g:.3}, {b:.3}{more}"), color: Some(shown) }
+    FitFinding { what: what.to_owned(), value: format!("{r:.3}, {g:.3}, {b:.3}{more}"), color: Some(shown) }
 }
 
-fn of_scale(scale: &ScaleFound) -> Vec<Finding> {
+fn of_scale(scale: &ScaleFound) -> Vec<FitFinding> {
     let sure = match scale.rule.as_str() {
         "Known" => "",
         _ => " — photographs do not determine it: brightness of light and albedo are known up to this choice",
@@ -72,7 +74,7 @@ fn of_scale(scale: &ScaleFound) -> Vec<Finding> {
 }
 
 /// The frame of the light, and how much better it explains the photographs than the others that were tried.
-fn of_light_frame(scores: &Scores) -> Option<Finding> {
+fn of_light_frame(scores: &Scores) -> Option<FitFinding> {
     let frame = scores.light_frame.as_ref()?;
     let errors: Vec<String> =
         scores.light_frames_tried.iter().map(|tried| format!("{} {:.4}", tried.frame, tried.error)).collect();
@@ -83,13 +85,13 @@ fn of_light_frame(scores: &Scores) -> Option<Finding> {
     Some(plain("light stands still in", format!("{frame}{sure}")))
 }
 
-fn of_materials_tried(tried: MaterialsTried) -> Finding {
+fn of_materials_tried(tried: MaterialsTried) -> FitFinding {
     let MaterialsTried { one, several, steps, .. } = tried;
     let words = format!("error with one {one:.4}, with several {several:.4}, after {steps} steps each");
     plain("base materials tried", words)
 }
 
-fn of_light(folder: &Path) -> Option<Finding> {
+fn of_light(folder: &Path) -> Option<FitFinding> {
     let lobes = read_lobes(folder.join("light.npy"), NpyConvention::Lobelia).ok()?;
     let mut powers: Vec<f64> = lobes.iter().map(power).collect();
     powers.sort_by(|a, b| b.total_cmp(a));
@@ -113,7 +115,7 @@ fn power(lobe: &LightLobe) -> f64 {
     std::f64::consts::TAU / sharpness * -(-2.0 * sharpness).exp_m1() * mean
 }
 
-fn of_materials(folder: &Path) -> Vec<Finding> {
+fn of_materials(folder: &Path) -> Vec<FitFinding> {
     let text = read_text(&folder.join("materials.ron"), MOST_TEXT, |_| String::new()).unwrap_or_default();
     let lobes: Vec<SpecularLobe> = ron::from_str(&text).unwrap_or_default();
     let finding = |(i, lobe): (usize, &SpecularLobe)| {
@@ -124,7 +126,7 @@ fn of_materials(folder: &Path) -> Vec<Finding> {
 }
 
 /// The range of the exposures of the photographs.
-fn of_exposures(folder: &Path) -> Option<Finding> {
+fn of_exposures(folder: &Path) -> Option<FitFinding> {
     let text = read_text(&folder.join("exposures.csv"), MOST_TEXT, |_| String::new()).ok()?;
     let mut factors: Vec<f64> =
         text.lines().skip(1).filter_map(|line| line.rsplit_once(',')?.1.trim().parse().ok()).collect();

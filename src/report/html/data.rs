@@ -26,11 +26,11 @@ pub struct RunReport {
     /// The logs of its fits.
     pub logs: Vec<FitLog>,
     /// Lights and textures.
-    pub pictures: Vec<Shown>,
+    pub pictures: Vec<ReportPicture>,
     /// The views of the passes that rendered.
     pub views: Vec<PassViews>,
     /// What its fits found.
-    pub findings: Vec<Finding>,
+    pub findings: Vec<FitFinding>,
 }
 
 /// A pass.
@@ -66,7 +66,7 @@ impl FitLog {
 
 /// A picture: a light or a texture.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Shown {
+pub struct ReportPicture {
     /// What it shows: "fit: recovered light". Pictures of the same title are of several runs side by side.
     pub title: String,
     /// A `data:` address.
@@ -99,7 +99,7 @@ pub struct ViewReport {
 
 /// Something that a fit found or decided.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Finding {
+pub struct FitFinding {
     /// What: "mean light".
     pub what: String,
     /// Its value.

@@ -5,7 +5,7 @@
 //! | --- | --- |
 //! | [`data`] | what a report shows of a run |
 //! | [`text`] | text of users' files inside HTML |
-//! | [`chart`] | curves as SVG |
+//! | [`plot`] | curves as SVG |
 //! | [`tables`] | tables of values with a column per run |
 //! | [`scores`] | the tables of scores, with differences |
 //! | [`views`] | every view: truth, renders and errors |
@@ -14,8 +14,8 @@
 //!
 //! Everything is readable without the script, which only adds the wipe.
 
-pub mod chart;
 pub mod data;
+pub mod plot;
 pub mod scores;
 pub mod sections;
 pub mod tables;

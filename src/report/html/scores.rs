@@ -1,7 +1,7 @@
 //! The tables of scores, with the differences of other runs from the first one.
 
 use crate::report::html::data::RunReport;
-use crate::report::html::tables::{Row, by_run, run_name};
+use crate::report::html::tables::{TableRow, by_run, run_name};
 use crate::report::html::text::escaped;
 use crate::report::scores::{PassScores, Scaling, Scores};
 use crate::report::srgb::SrgbScores;
@@ -151,11 +151,11 @@ const WHOLE: [Whole; 7] = [
     ("peak memory, MiB", Unit { digits: 0, better: -1.0 }, |s| s.peak_rss_mib),
 ];
 
-fn other_rows(runs: &[RunReport]) -> Vec<Row> {
+fn other_rows(runs: &[RunReport]) -> Vec<TableRow> {
     let row = |(heading, unit, of): &Whole| {
         let first = of(&runs[0].scores);
         let cell = |(i, run): (usize, &RunReport)| cell(of(&run.scores), first.filter(|_| i > 0), *unit);
-        Row { heading: (*heading).to_owned(), cells: runs.iter().enumerate().map(cell).collect() }
+        TableRow { heading: (*heading).to_owned(), cells: runs.iter().enumerate().map(cell).collect() }
     };
     let known = |(_, _, of): &&Whole| runs.iter().any(|run| of(&run.scores).is_some());
     WHOLE.iter().filter(known).map(row).collect()

@@ -1,8 +1,8 @@
 //! The parts of a report besides scores and views.
 
-use crate::report::html::chart::{Chart, Series, svg};
 use crate::report::html::data::{FitLog, RunReport};
-use crate::report::html::tables::{Row, by_run, named_rows, run_name};
+use crate::report::html::plot::{Plot, Series, svg};
+use crate::report::html::tables::{TableRow, by_run, named_rows, run_name};
 use crate::report::html::text::escaped;
 use crate::report::profile::profile_table;
 
@@ -80,7 +80,7 @@ pub fn curves(runs: &[RunReport]) -> String {
                     Some(Series { name, color, points: points(log, column, columns)? })
                 })
             });
-            svg(&Chart {
+            svg(&Plot {
                 title: (*title).to_owned(),
                 across: label.to_owned(),
                 logarithmic: *logarithmic,
@@ -131,7 +131,7 @@ fn points(log: &FitLog, across: &str, columns: &[&str]) -> Option<Vec<[f64; 2]>>
 /// What the fits found and decided.
 pub fn findings(runs: &[RunReport]) -> String {
     let rows = named_rows(runs, |run| {
-        let cell = |finding: &crate::report::html::data::Finding| {
+        let cell = |finding: &crate::report::html::data::FitFinding| {
             let color = finding
                 .color
                 .map(|[r, g, b]| format!("<i class=\"swatch\" style=\"background:rgb({r} {g} {b})\"></i>"));
@@ -190,8 +190,8 @@ pub fn scene(runs: &[RunReport]) -> String {
         let rows = named_rows(runs, |run| {
             run.fields.iter().map(|(path, value)| (path.clone(), escaped(&cut(value)))).collect()
         });
-        let differs = |row: &Row| row.cells.iter().any(|cell| *cell != row.cells[0]);
-        let rows: Vec<Row> = rows.into_iter().filter(differs).collect();
+        let differs = |row: &TableRow| row.cells.iter().any(|cell| *cell != row.cells[0]);
+        let rows: Vec<TableRow> = rows.into_iter().filter(differs).collect();
         text += &match rows.len() {
             0 => "<p>The scene files have the same values.</p>\n".to_owned(),
             _ => by_run(runs, "Values of the scene files that differ; – where a file leaves one out", &rows),

@@ -4,7 +4,7 @@ use crate::report::html::data::RunReport;
 use crate::report::html::text::escaped;
 
 /// A row of a table: its heading, and a cell of HTML per run.
-pub struct Row {
+pub struct TableRow {
     /// The heading, as text.
     pub heading: String,
     /// The cells, as HTML.
@@ -12,7 +12,7 @@ pub struct Row {
 }
 
 /// A table in which a row is one value of all runs. Empty if there is no row.
-pub fn by_run(runs: &[RunReport], caption: &str, rows: &[Row]) -> String {
+pub fn by_run(runs: &[RunReport], caption: &str, rows: &[TableRow]) -> String {
     if rows.is_empty() {
         return String::new();
     }
@@ -44,7 +44,7 @@ pub fn run_name(runs: &[RunReport], i: usize) -> String {
 }
 
 /// Rows of named values: one for each name that any run has, in the order in which names come up.
-pub fn named_rows(runs: &[RunReport], values: impl Fn(&RunReport) -> Vec<(String, String)>) -> Vec<Row> {
+pub fn named_rows(runs: &[RunReport], values: impl Fn(&RunReport) -> Vec<(String, String)>) -> Vec<TableRow> {
     let values: Vec<Vec<(String, String)>> = runs.iter().map(values).collect();
     let mut names: Vec<&String> = Vec::new();
     for (name, _) in values.iter().flatten() {
@@ -55,7 +55,7 @@ pub fn named_rows(runs: &[RunReport], values: impl Fn(&RunReport) -> Vec<(String
     let cell = |of: &Vec<(String, String)>, wanted: &String| {
         of.iter().find(|(name, _)| name == wanted).map_or_else(|| "–".to_owned(), |(_, cell)| cell.clone())
     };
-    let row = |name: &&String| Row {
+    let row = |name: &&String| TableRow {
         heading: (*name).clone(),
         cells: values.iter().map(|of| cell(of, name)).collect(),
     };

@@ -1,4 +1,4 @@
-use super::data::{Finding, FitLog, PassReport, PassViews, RunReport, Shown, ViewReport};
+use super::data::{FitFinding, FitLog, PassReport, PassViews, ReportPicture, RunReport, ViewReport};
 use super::*;
 use crate::report::scores::{PassScores, Scores, ViewScores};
 use crate::report::srgb::SrgbScores;
@@ -51,9 +51,12 @@ fn run(name: &str, psnr: f64) -> RunReport {
             ..Scores::default()
         },
         logs: vec![fit_log()],
-        pictures: vec![Shown { title: "fit: albedo".into(), address: "data:image/jpeg;base64,A".into() }],
+        pictures: vec![ReportPicture {
+            title: "fit: albedo".into(),
+            address: "data:image/jpeg;base64,A".into(),
+        }],
         views: vec![PassViews { pass: "novel".into(), views: vec![view("good"), view("bad")], left_out: 0 }],
-        findings: vec![Finding {
+        findings: vec![FitFinding {
             what: "mean light".into(),
             value: "1, 1, 1".into(),
             color: Some([9, 8, 7]),
@@ -165,8 +168,8 @@ fn nothing_of_a_users_files_is_markup() {
         ..PassReport::default()
     });
     bad.logs[0].pass = evil.into();
-    bad.pictures.push(Shown { title: evil.into(), address: evil.into() });
-    bad.findings.push(Finding { what: evil.into(), value: evil.into(), color: None });
+    bad.pictures.push(ReportPicture { title: evil.into(), address: evil.into() });
+    bad.findings.push(FitFinding { what: evil.into(), value: evil.into(), color: None });
     bad.views.push(PassViews { pass: evil.into(), views: vec![view(evil)], left_out: 1 });
     let scores = bad.scores.passes["novel"].clone();
     bad.scores.passes.insert(evil.into(), PassScores { views: vec![view_scores(evil, 1.0)], ..scores });

@@ -19,7 +19,7 @@ use crate::material::shown::{ShownAlbedo, ShownBlend, ShownSheen, ShownTilt};
 use crate::material::tilt::DirectionalAlbedo;
 use crate::material::{MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe};
 use crate::math::ray::{Hit, Illuminate, Intersect, Ray, TexelAddress};
-use crate::shade::sampling::sequence::Sequence;
+use crate::shade::sampling::sobol::Sequence;
 use crate::shade::sampling::{SampleReal, Scattered, Scatterer, Strategy};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;

@@ -7,7 +7,7 @@
 
 use crate::math::brdf::ndf_sharpness;
 use crate::math::real::{dot, sub};
-use crate::shade::sampling::Frame;
+use crate::shade::sampling::TangentFrame;
 use std::f64::consts::PI;
 
 /// Initial cells, along the cosine and around the normal.
@@ -34,7 +34,7 @@ struct Cell {
 /// A density over the hemisphere, constant within each cell.
 #[derive(Clone, Debug)]
 pub struct LobeTable {
-    frame: Frame<f64>,
+    frame: TangentFrame<f64>,
     cells: Vec<Cell>,
     /// Cumulative probability of the cells; the last is 1.
     cumulative: Vec<f64>,
@@ -54,10 +54,10 @@ impl LobeTable {
             let off = [0, 1, 2].map(|i| half[i] / length - normal[i]);
             log - 0.5 * ndf_sharpness(roughness) * dot(off, off)
         };
-        Self::adapted(Frame::new(normal), log_product)
+        Self::adapted(TangentFrame::new(normal), log_product)
     }
 
-    fn adapted(frame: Frame<f64>, log_product: impl Fn([f64; 3]) -> f64) -> Self {
+    fn adapted(frame: TangentFrame<f64>, log_product: impl Fn([f64; 3]) -> f64) -> Self {
         let probed = |low: [f64; 2], size: [f64; 2]| {
             let cell = Cell { low, size, log_mass: 0.0, parts: 0 };
             Cell { log_mass: log_mass(&frame, &cell, &log_product), ..cell }
@@ -88,7 +88,7 @@ impl LobeTable {
 
     /// Density per steradian with which [`Self::sample`] draws `direction`.
     pub fn pdf(&self, direction: [f64; 3]) -> f64 {
-        let Frame { tangent, bitangent, normal } = &self.frame;
+        let TangentFrame { tangent, bitangent, normal } = &self.frame;
         let cosine = dot(direction, *normal);
         let turn = dot(direction, *bitangent).atan2(dot(direction, *tangent)) / (2.0 * PI);
         let at = [cosine, turn.rem_euclid(1.0)];
@@ -116,7 +116,7 @@ impl LobeTable {
 }
 
 /// The direction at the fractions `u` of a cell's two sides.
-fn direction_in(frame: &Frame<f64>, cell: &Cell, u: [f64; 2]) -> [f64; 3] {
+fn direction_in(frame: &TangentFrame<f64>, cell: &Cell, u: [f64; 2]) -> [f64; 3] {
     let cosine = cell.low[0] + u[0] * cell.size[0];
     let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
     let (s, c) = (2.0 * PI * (cell.low[1] + u[1] * cell.size[1])).sin_cos();
@@ -124,7 +124,7 @@ fn direction_in(frame: &Frame<f64>, cell: &Cell, u: [f64; 2]) -> [f64; 3] {
 }
 
 /// ln of a cell's mass, half from the mean of the probes and half from the largest, as the mean may underestimate a peak.
-fn log_mass(frame: &Frame<f64>, cell: &Cell, log_product: &impl Fn([f64; 3]) -> f64) -> f64 {
+fn log_mass(frame: &TangentFrame<f64>, cell: &Cell, log_product: &impl Fn([f64; 3]) -> f64) -> f64 {
     let mut logs = [0.0; PROBES * PROBES];
     for (i, log) in logs.iter_mut().enumerate() {
         let u = [i / PROBES, i % PROBES].map(|k| (k as f64 + 0.5) / PROBES as f64);
@@ -152,7 +152,7 @@ fn cumulative_chances(cells: &[Cell]) -> Vec<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::shade::sampling::sequence::Sequence;
+    use crate::shade::sampling::sobol::Sequence;
 
     /// Samples have the density of `pdf`: the cell of each sample is found, and means of the cosine agree.
     #[test]

@@ -3,7 +3,7 @@
 //! Generic over the float, so that the path tracer runs in `f32` and tests run in `f64` with the same code.
 
 pub mod lobe_table;
-pub mod sequence;
+pub mod sobol;
 
 use crate::light::LightLobe;
 use crate::math::brdf::{Facets, Ndf, fresnel_power, ndf_sharpness, normal_distribution, specular_affine};
@@ -71,13 +71,13 @@ impl SampleReal for f64 {
 
 /// Three orthonormal axes; the third is the normal.
 #[derive(Clone, Copy, Debug)]
-pub struct Frame<F> {
+pub struct TangentFrame<F> {
     tangent: Vec3Of<F>,
     bitangent: Vec3Of<F>,
     normal: Vec3Of<F>,
 }
 
-impl<F: SampleReal> Frame<F> {
+impl<F: SampleReal> TangentFrame<F> {
     /// Axes around a unit normal (Duff et al., "Building an Orthonormal Basis, Revisited", JCGT 6(1), 2017).
     #[inline]
     pub fn new(normal: Vec3Of<F>) -> Self {
@@ -112,7 +112,7 @@ pub fn sg_pdf<F: SampleReal>(direction: Vec3Of<F>, axis: Vec3Of<F>, sharpness: F
 
 /// Draws a direction distributed exactly as an SG around the frame's normal, over the whole sphere.
 #[inline]
-pub fn sample_sg<F: SampleReal>(frame: &Frame<F>, sharpness: F, u: [F; 2]) -> Vec3Of<F> {
+pub fn sample_sg<F: SampleReal>(frame: &TangentFrame<F>, sharpness: F, u: [F; 2]) -> Vec3Of<F> {
     let sharpness = sharpness.max(sharpness.lit(LEAST_SHARPNESS));
     // 1 − cos θ rather than cos θ: sharp lobes keep their accuracy in f32.
     let fall = (-(u[0] * sharpness.times(-2.0).exp_m1()).ln_1p() / sharpness).relu();
@@ -124,7 +124,7 @@ pub fn sample_sg<F: SampleReal>(frame: &Frame<F>, sharpness: F, u: [F; 2]) -> Ve
 
 /// Draws a microfacet normal around the frame's normal in proportion to GGX's D·(n·h).
 #[inline]
-fn sample_ggx<F: SampleReal>(frame: &Frame<F>, roughness: F, u: [F; 2]) -> Vec3Of<F> {
+fn sample_ggx<F: SampleReal>(frame: &TangentFrame<F>, roughness: F, u: [F; 2]) -> Vec3Of<F> {
     let square = roughness * roughness;
     let alpha2 = square * square;
     let scaled = alpha2 * u[0];
@@ -153,7 +153,7 @@ pub struct Scattered<F> {
 /// proportion to D·(n·h), for which it is that over n·h: bounded as well, since n·h ≥ (n·ωo + n·ωi)/2.
 #[derive(Clone, Copy, Debug)]
 pub struct Scatterer<F> {
-    frame: Frame<F>,
+    frame: TangentFrame<F>,
     to_viewer: Vec3Of<F>,
     albedo: Vec3Of<F>,
     specular_albedo: Vec3Of<F>,
@@ -188,7 +188,7 @@ impl<F: SampleReal> Scatterer<F> {
                 (s, facets, chance.max(zero.lit(0.2)).min(zero.lit(0.8)))
             }
         };
-        let frame = Frame::new(normal);
+        let frame = TangentFrame::new(normal);
         Some(Self { frame, to_viewer, albedo, specular_albedo, facets, specular_chance })
     }
 
@@ -309,13 +309,13 @@ fn power_heuristic<F: SampleReal>(own: F, other: F) -> F {
 #[derive(Clone, Copy, Debug)]
 pub struct SingleLobe {
     lobe: LightLobe,
-    frame: Frame<f32>,
+    frame: TangentFrame<f32>,
 }
 
 impl SingleLobe {
     /// The light of `lobe`, whose axis has unit length.
     pub fn new(lobe: LightLobe) -> Self {
-        Self { lobe, frame: Frame::new(lobe.axis.to_array()) }
+        Self { lobe, frame: TangentFrame::new(lobe.axis.to_array()) }
     }
 }
 
@@ -339,7 +339,7 @@ impl Illuminate for SingleLobe {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::shade::sampling::sequence::Sequence;
+    use crate::shade::sampling::sobol::Sequence;
 
     /// Midpoint rule over the sphere.
     fn integrate(rings: usize, f: impl Fn([f64; 3]) -> f64) -> f64 {
@@ -359,7 +359,7 @@ mod tests {
     #[test]
     fn frame_is_orthonormal() {
         for normal in [[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.6, 0.0, 0.8], [0.36, -0.48, -0.8]] {
-            let frame: Frame<f64> = Frame::new(normal);
+            let frame: TangentFrame<f64> = TangentFrame::new(normal);
             let axes = [frame.tangent, frame.bitangent, frame.normal];
             for i in 0..3 {
                 for j in 0..3 {
@@ -377,7 +377,7 @@ mod tests {
         for sharpness in [0.0, 0.5, 8.0] {
             let total = integrate(400, |w| sg_pdf(w, axis, sharpness));
             assert!((total - 1.0).abs() < 1e-4, "density integrates to {total}");
-            let frame = Frame::new(axis);
+            let frame = TangentFrame::new(axis);
             for power in [1, 2] {
                 let expected = integrate(400, |w| w[2].powi(power) * sg_pdf(w, axis, sharpness));
                 let drawn: f64 = (0..4096)

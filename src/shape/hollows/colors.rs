@@ -48,7 +48,7 @@ pub struct ColorPicture {
 
 /// What a comparison found for each pixel of the window.
 #[derive(Clone, Debug)]
-pub struct Compared {
+pub struct DepthMap {
     /// Distance along the ray to what is seen; 0 if that is not known.
     pub depths: Vec<f32>,
     /// One pixel of a view around, along the ray, relative to the distance.
@@ -124,9 +124,9 @@ pub fn compare(
     picture: &ColorPicture,
     seen: &[f32],
     sources: &[(&ColorPicture, &[f32])],
-) -> Compared {
+) -> DepthMap {
     let step = 2.0 / ((picture.camera.focal[0].abs() + picture.camera.focal[1].abs()) * SINE);
-    let mut compared = Compared { depths: vec![0.0; seen.len()], step };
+    let mut compared = DepthMap { depths: vec![0.0; seen.len()], step };
     if sources.len() < LEAST_SOURCES {
         return compared;
     }

@@ -22,7 +22,7 @@ use crate::sdf::SdfGrid;
 use crate::shape::parts::extract_parts;
 use crate::shape::silhouette::{Silhouette, pixel_size};
 use crate::shape::stereo::{StereoView, match_pictures};
-use colors::{ColorPicture, Compared, around, compare};
+use colors::{ColorPicture, DepthMap, around, compare};
 use glam::Vec3;
 use rayon::prelude::*;
 use reflections::fill_reflections;
@@ -86,7 +86,7 @@ fn picture_factor(grid: &SdfGrid, views: &[StereoView]) -> u32 {
 }
 
 /// What each picture shows of the field as it is.
-fn all_depths(grid: &SdfGrid, silhouettes: &[Silhouette], pictures: &[ColorPicture]) -> Vec<Compared> {
+fn all_depths(grid: &SdfGrid, silhouettes: &[Silhouette], pictures: &[ColorPicture]) -> Vec<DepthMap> {
     let bvh = TriangleBvh::new(&extract_parts(grid, silhouettes));
     let (center, _) = bvh.bounding_sphere();
     let seen: Vec<Vec<f32>> = pictures.par_iter().map(|picture| picture.cast(&bvh)).collect();
@@ -99,7 +99,7 @@ fn all_depths(grid: &SdfGrid, silhouettes: &[Silhouette], pictures: &[ColorPictu
 }
 
 /// Removes what enough pictures look through.
-fn remove(grid: &mut SdfGrid, pictures: &[ColorPicture], depths: &[Compared]) {
+fn remove(grid: &mut SdfGrid, pictures: &[ColorPicture], depths: &[DepthMap]) {
     let votes: Vec<f32> =
         (0..grid.values.len()).into_par_iter().map(|row| votes_at(grid, row, pictures, depths)).collect();
     let emptiness = |row| (spread(grid, &votes, row) / ENOUGH - 1.0).clamp(-1.0, 1.0);
@@ -149,12 +149,12 @@ fn neighbors(row: usize, side: u32) -> impl Iterator<Item = usize> {
 }
 
 /// How many pictures look through a vertex of the grid, less those that show a surface there.
-fn votes_at(grid: &SdfGrid, row: usize, pictures: &[ColorPicture], depths: &[Compared]) -> f32 {
+fn votes_at(grid: &SdfGrid, row: usize, pictures: &[ColorPicture], depths: &[DepthMap]) -> f32 {
     if grid.values[row] > 2.0 * grid.spacing || is_stopping() {
         return 0.0;
     }
     let point = grid.position(grid.vertex(row));
-    let vote = |(picture, compared): (&ColorPicture, &Compared)| {
+    let vote = |(picture, compared): (&ColorPicture, &DepthMap)| {
         let Some(depth) = picture.place(point).map(|place| compared.depths[place]).filter(|d| *d > 0.0)
         else {
             return 0.0;

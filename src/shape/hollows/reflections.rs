@@ -7,8 +7,8 @@
 use crate::sdf::SdfGrid;
 use crate::shape::parts::extract_parts;
 use crate::shape::silhouette::Silhouette;
+use crate::shape::stereo::match_picture::MatchPicture;
 use crate::shape::stereo::pattern::pattern_shares;
-use crate::shape::stereo::picture::MatchPicture;
 use crate::shape::stereo::votes::Shell;
 
 /// Share of the pattern on the floor of a hollow, on average, below which it was opened by reflections.

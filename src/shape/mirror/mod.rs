@@ -11,7 +11,7 @@
 //! L_o = a\, E(n) + s\, M(2 (n \cdot v)\, n - v)
 //! ```
 //!
-//! with two colors a and s of the vertex and two tables (`table`) for the whole object: the irradiance E by normal, and the mirrored radiance M by
+//! with two colors a and s of the vertex and two tables (`direction_table`) for the whole object: the irradiance E by normal, and the mirrored radiance M by
 //! direction, as blurred as the gloss and the normals leave it. In turn, the tables are solved for with all normals given, and each vertex tries
 //! many normals (`search`): the colors follow in closed form for each. The best is taken, and then drawn toward its neighbors.
 //!
@@ -21,30 +21,30 @@
 //! | file | holds |
 //! | --- | --- |
 //! | `sights` | what each view shows at each vertex |
-//! | `table` | a function of directions as a table, from weighted sums |
+//! | `direction_table` | a function of directions as a table, from weighted sums |
 //! | `search` | colors in closed form, and the search for one vertex |
 //!
 //! Sources: the separation of a shading into a diffuse and a mirrored part over normals and reflected directions is that of preintegrated image-based lighting
 //! (Ramamoorthi and Hanrahan, "Frequency Space Environment Map Rendering", 2002); normals by matching many views of highlights are shape from
 //! specularity (Healey and Binford 1988), here by exhaustive search.
 
+pub(crate) mod direction_table;
 pub(crate) mod search;
 pub(crate) mod sights;
-pub(crate) mod table;
 
 use crate::error::stop::is_stopping;
-use crate::light::frame::LightFrame;
+use crate::light::light_frame::LightFrame;
 use crate::math::statistics::median;
 use crate::mesh::triangles::Mesh;
 use crate::shape::stereo::StereoView;
 use crate::shape::stereo::votes::Shell;
 use crate::shape::vertices::VertexGraph;
+use direction_table::{DirectionTable, Sums};
 use glam::Vec3;
 use rayon::prelude::*;
-use search::{Colors, Moments, around, best_normal, moments};
-use sights::{Sight, sights};
+use search::{ProductSums, VertexColors, around, best_normal, moments};
+use sights::{VertexSight, sights};
 use std::ops::ControlFlow;
-use table::{Sums, Table};
 
 /// Angles around a normal that are tried, in degrees, and rings of directions within them: first around the mesh's, then around the best.
 const ROUNDS: [(f32, usize); 4] = [(25.0, 5), (8.0, 2), (6.0, 2), (4.0, 2)];
@@ -165,27 +165,29 @@ fn put(mesh: &mut Mesh, shell: &Shell, before: &[Vec3], after: &[Vec3]) -> f32 {
 #[derive(Clone)]
 struct Model<'a> {
     given: &'a [Vec3],
-    sights: &'a [Vec<Sight>],
+    sights: &'a [Vec<VertexSight>],
     normals: Vec<Vec3>,
-    colors: Vec<Colors>,
-    irradiance: Table,
-    mirrored: Table,
+    colors: Vec<VertexColors>,
+    irradiance: DirectionTable,
+    mirrored: DirectionTable,
     /// One view in so many does not count.
     aside: Option<u32>,
 }
 
 impl<'a> Model<'a> {
-    fn new(given: &'a [Vec3], sights: &'a [Vec<Sight>], aside: Option<u32>) -> Self {
-        let mean = |sights: &Vec<Sight>| {
-            let sum = |of: fn(&Sight) -> Vec3| sights.iter().map(of).sum::<Vec3>();
+    fn new(given: &'a [Vec3], sights: &'a [Vec<VertexSight>], aside: Option<u32>) -> Self {
+        let mean = |sights: &Vec<VertexSight>| {
+            let sum = |of: fn(&VertexSight) -> Vec3| sights.iter().map(of).sum::<Vec3>();
             let weight: f32 = sights.iter().map(|sight| sight.weight).sum();
             sum(|sight| sight.radiance * sight.weight) / weight.max(f32::MIN_POSITIVE)
         };
         let means: Vec<Vec3> = sights.iter().map(mean).collect();
         let usual = means.iter().sum::<Vec3>().element_sum() / (3 * means.len().max(1)) as f32;
         // To begin with, irradiance explains most.
-        let colors = means.iter().map(|mean| Colors { diffuse: 0.7 * *mean, mirrored: Vec3::splat(usual) });
-        let (irradiance, mirrored) = (Table::constant(Vec3::ONE), Table::constant(Vec3::ZERO));
+        let colors =
+            means.iter().map(|mean| VertexColors { diffuse: 0.7 * *mean, mirrored: Vec3::splat(usual) });
+        let (irradiance, mirrored) =
+            (DirectionTable::constant(Vec3::ONE), DirectionTable::constant(Vec3::ZERO));
         Self { given, sights, normals: given.to_vec(), colors: colors.collect(), irradiance, mirrored, aside }
     }
 
@@ -194,7 +196,7 @@ impl<'a> Model<'a> {
     }
 
     /// Whether a sight counts.
-    fn counts(&self, sight: &Sight) -> bool {
+    fn counts(&self, sight: &VertexSight) -> bool {
         self.aside.is_none_or(|every| !is_aside(sight, every))
     }
 
@@ -224,7 +226,7 @@ impl<'a> Model<'a> {
     }
 
     /// Sums over what a sight adds: the direction, the factor there, and what is to be explained.
-    fn sums(&self, part: impl Fn(&Sight, Vec3, &Colors) -> (Vec3, Vec3, Vec3) + Sync) -> Sums {
+    fn sums(&self, part: impl Fn(&VertexSight, Vec3, &VertexColors) -> (Vec3, Vec3, Vec3) + Sync) -> Sums {
         let of_chunk = |first: usize| {
             let mut sums = Sums::default();
             for i in first..(first + CHUNK).min(self.normals.len()) {
@@ -243,7 +245,7 @@ impl<'a> Model<'a> {
     }
 
     /// What vertex `i` says of its colors with this normal; `None` if a view would see it from behind, or few see it at all.
-    fn moments(&self, i: usize, normal: Vec3) -> Option<Moments> {
+    fn moments(&self, i: usize, normal: Vec3) -> Option<ProductSums> {
         let counted = self.sights[i].iter().filter(|sight| self.counts(sight));
         moments(counted, normal, &self.irradiance, &self.mirrored)
     }
@@ -281,7 +283,7 @@ impl<'a> Model<'a> {
         let of_vertex = |i: usize| {
             let (normal, colors) = (self.normals[i], &self.colors[i]);
             let aside = self.sights[i].iter().filter(|sight| !self.counts(sight));
-            let error = |sight: &Sight| {
+            let error = |sight: &VertexSight| {
                 let shown = colors.diffuse * self.irradiance.at(sight.in_light(normal))
                     + colors.mirrored * self.mirrored.at(sight.mirrored(normal));
                 f64::from(sight.weight * (shown - sight.radiance).length_squared())
@@ -293,7 +295,7 @@ impl<'a> Model<'a> {
 }
 
 /// Whether a sight is of a view that is kept aside.
-fn is_aside(sight: &Sight, every: u32) -> bool {
+fn is_aside(sight: &VertexSight, every: u32) -> bool {
     sight.view % every == every / 2
 }
 

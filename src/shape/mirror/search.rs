@@ -1,7 +1,7 @@
 //! The search for the normal of one vertex, with its colors in closed form.
 
-use crate::shape::mirror::sights::Sight;
-use crate::shape::mirror::table::Table;
+use crate::shape::mirror::direction_table::DirectionTable;
+use crate::shape::mirror::sights::VertexSight;
 use glam::Vec3;
 use std::f32::consts::TAU;
 
@@ -17,7 +17,7 @@ const MIRRORED_FLOOR: f32 = 0.02;
 
 /// The two colors of a vertex, ≥ 0: they multiply the tables.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Colors {
+pub struct VertexColors {
     /// Of irradiance.
     pub diffuse: Vec3,
     /// Of mirrored radiance.
@@ -26,7 +26,7 @@ pub struct Colors {
 
 /// Weighted sums over the sights of a vertex, by channel: products of irradiance E, mirrored radiance M and radiance L.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct Moments {
+pub struct ProductSums {
     ee: Vec3,
     mm: Vec3,
     em: Vec3,
@@ -37,12 +37,12 @@ pub struct Moments {
 
 /// The sums of a vertex with this world normal; `None` if one of the views would see it from behind, or there is none.
 pub fn moments<'a>(
-    sights: impl Iterator<Item = &'a Sight>,
+    sights: impl Iterator<Item = &'a VertexSight>,
     normal: Vec3,
-    irradiance: &Table,
-    mirrored: &Table,
-) -> Option<Moments> {
-    let mut sums = Moments::default();
+    irradiance: &DirectionTable,
+    mirrored: &DirectionTable,
+) -> Option<ProductSums> {
+    let mut sums = ProductSums::default();
     let mut weight = 0.0;
     for sight in sights {
         let in_light = sight.in_light(normal);
@@ -65,9 +65,9 @@ pub fn moments<'a>(
     (weight > 0.0).then_some(sums)
 }
 
-impl Moments {
+impl ProductSums {
     /// The colors ≥ 0 with the least squared error.
-    pub fn colors(&self) -> Colors {
+    pub fn colors(&self) -> VertexColors {
         let (ee, mm) = (self.ee.max(Vec3::splat(1e-20)), self.mm.max(Vec3::splat(1e-20)));
         let determinant = ee * mm * (1.0 + DAMPING) - self.em * self.em;
         let diffuse = (self.el * mm - self.ml * self.em) / determinant;
@@ -78,12 +78,12 @@ impl Moments {
             (false, true) => [(self.el[c] / ee[c]).max(0.0), 0.0],
         };
         let [r, g, b] = [0, 1, 2].map(channel);
-        Colors { diffuse: Vec3::new(r[0], g[0], b[0]), mirrored: Vec3::new(r[1], g[1], b[1]) }
+        VertexColors { diffuse: Vec3::new(r[0], g[0], b[0]), mirrored: Vec3::new(r[1], g[1], b[1]) }
     }
 
     /// The squared error with these colors.
-    pub fn error(&self, colors: &Colors) -> f32 {
-        let Colors { diffuse: a, mirrored: s } = *colors;
+    pub fn error(&self, colors: &VertexColors) -> f32 {
+        let VertexColors { diffuse: a, mirrored: s } = *colors;
         let explained =
             a * (a * self.ee + 2.0 * s * self.em - 2.0 * self.el) + s * (s * self.mm - 2.0 * self.ml);
         (self.ll + explained).element_sum()
@@ -109,7 +109,7 @@ pub fn best_normal(
     candidates: impl Iterator<Item = Vec3>,
     given: Vec3,
     most: f32,
-    moments: impl Fn(Vec3) -> Option<Moments>,
+    moments: impl Fn(Vec3) -> Option<ProductSums>,
 ) -> Option<Vec3> {
     let mut best: Option<(f32, Vec3)> = None;
     for normal in candidates {
@@ -129,8 +129,8 @@ mod tests {
 
     #[test]
     fn colors_are_those_with_the_least_error() {
-        let mut sums = Moments::default();
-        let truth = Colors { diffuse: Vec3::new(0.2, 0.0, 0.5), mirrored: Vec3::new(0.1, 0.7, 0.0) };
+        let mut sums = ProductSums::default();
+        let truth = VertexColors { diffuse: Vec3::new(0.2, 0.0, 0.5), mirrored: Vec3::new(0.1, 0.7, 0.0) };
         for i in 0..40 {
             let (e, m) =
                 (Vec3::splat(0.5 + 0.02 * i as f32), Vec3::splat(if i % 9 == 0 { 5.0 } else { 0.1 }));

@@ -1,6 +1,6 @@
 //! What each view shows at each vertex.
 
-use crate::light::frame::LightFrame;
+use crate::light::light_frame::LightFrame;
 use crate::math::ray::Ray;
 use crate::math::statistics::median;
 use crate::mesh::bvh::TriangleBvh;
@@ -23,7 +23,7 @@ const FLOOR: f32 = 0.5;
 
 /// What one view shows at a vertex.
 #[derive(Clone, Copy, Debug)]
-pub struct Sight {
+pub struct VertexSight {
     /// Row of the view.
     pub view: u32,
     /// Rotation from the world into the light's frame.
@@ -36,7 +36,7 @@ pub struct Sight {
     pub weight: f32,
 }
 
-impl Sight {
+impl VertexSight {
     /// A world direction in the light's frame.
     #[inline]
     pub fn in_light(&self, world: Vec3) -> Vec3 {
@@ -58,7 +58,7 @@ pub(crate) fn sights(
     normals: &[Vec3],
     views: &[StereoView],
     frame: LightFrame,
-) -> Vec<Vec<Sight>> {
+) -> Vec<Vec<VertexSight>> {
     let bvh = TriangleBvh::new(mesh);
     let lift = LIFT * shell.graph.mean_edge(&shell.positions);
     let turns: Vec<Mat3> = views
@@ -70,18 +70,18 @@ pub(crate) fn sights(
             let (to_view, radiance) = shown_by(&views[view], &bvh, shell.positions[i], normals[i], lift)?;
             let light_from_world = turns[view];
             let to_view = light_from_world * to_view;
-            Some(Sight { view: view as u32, light_from_world, to_view, radiance, weight: 1.0 })
+            Some(VertexSight { view: view as u32, light_from_world, to_view, radiance, weight: 1.0 })
         };
-        (0..views.len()).filter_map(of_view).collect::<Vec<Sight>>()
+        (0..views.len()).filter_map(of_view).collect::<Vec<VertexSight>>()
     };
-    let mut all: Vec<Vec<Sight>> = (0..normals.len()).into_par_iter().map(of_vertex).collect();
+    let mut all: Vec<Vec<VertexSight>> = (0..normals.len()).into_par_iter().map(of_vertex).collect();
     weigh(&mut all);
     all
 }
 
 /// Sets the weights.
-fn weigh(all: &mut [Vec<Sight>]) {
-    let mean = |sight: &Sight| sight.radiance.element_sum() / 3.0;
+fn weigh(all: &mut [Vec<VertexSight>]) {
+    let mean = |sight: &VertexSight| sight.radiance.element_sum() / 3.0;
     let mut some: Vec<f32> = all.iter().filter_map(|sights| sights.first()).map(mean).collect();
     let floor = (FLOOR * median(&mut some).unwrap_or(0.0)).max(f32::MIN_POSITIVE);
     for sight in all.iter_mut().flatten() {

@@ -34,8 +34,8 @@ use crate::shape::field::{
 };
 use crate::shape::hollows::{HULL_SHARE, LEVEL_SHARE, carve_hollows};
 use crate::shape::hull::{FORGIVEN, visual_hull};
+use crate::shape::hull_repair::{regrow, reliable_pixels};
 use crate::shape::parts::extract_parts;
-use crate::shape::repair::{regrow, reliable_pixels};
 use crate::shape::run::training::{training_silhouettes, with_training_views};
 use crate::shape::silhouette::{Silhouette, pixel_size};
 use crate::shape::silhouette_loss::{SilhouetteIndex, SilhouetteSample};

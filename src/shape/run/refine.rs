@@ -1,6 +1,6 @@
 //! What brings the surface that a fit has found closer to the photographs themselves: masks, neighbors, reflections.
 
-use crate::light::frame::{LightFrame, OwnLightFrame};
+use crate::light::light_frame::{LightFrame, OwnLightFrame};
 use crate::mesh::triangles::Mesh;
 use crate::sdf::SdfGrid;
 use crate::shape::field::ModelError;

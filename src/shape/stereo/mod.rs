@@ -13,7 +13,7 @@
 //! | file | holds |
 //! | --- | --- |
 //! | `pattern` | patterns of the surface apart from what it mirrors |
-//! | [`picture`] | photographs in gray for matching, and which of them are neighbors |
+//! | [`match_picture`] | photographs in gray for matching, and which of them are neighbors |
 //! | [`mod@sweep`] | the search along rays: depth and trust per pixel |
 //! | [`votes`] | sums over views per vertex, and how far they are trusted |
 //! | [`plate`] | smooth displacements from votes |
@@ -22,8 +22,8 @@
 //! Stereo Revisited", CVPR 2006); displacements of a mesh with thin-plate smoothness (Vu et al., "High Accuracy and
 //! Visibility-Consistent Dense Multiview Stereo", PAMI 2012).
 
+pub mod match_picture;
 pub(crate) mod pattern;
-pub mod picture;
 pub mod plate;
 pub mod sweep;
 pub mod votes;
@@ -39,8 +39,8 @@ use crate::shape::silhouette::{Silhouette, pixel_size};
 use crate::shape::vertices::VertexGraph;
 use crate::view::{Camera, Photograph, StoredMask};
 use glam::Vec3;
+use match_picture::{MatchPicture, neighbors};
 use pattern::pattern_shares;
-use picture::{MatchPicture, neighbors};
 use plate::{Plate, bent, faired};
 use rayon::prelude::*;
 use std::ops::ControlFlow;

@@ -7,7 +7,7 @@
 
 use crate::mesh::bvh::TriangleBvh;
 use crate::mesh::triangles::Mesh;
-use crate::shape::stereo::picture::MatchPicture;
+use crate::shape::stereo::match_picture::MatchPicture;
 use crate::shape::stereo::sweep::{Seen, cast};
 use crate::shape::stereo::votes::{Shell, WIDE};
 use glam::Vec3;

@@ -6,7 +6,7 @@
 //! with box windows. The slant of the surface is that of the mesh, so that no normals need a search.
 
 use crate::mesh::bvh::TriangleBvh;
-use crate::shape::stereo::picture::MatchPicture;
+use crate::shape::stereo::match_picture::MatchPicture;
 use glam::Vec3;
 
 /// Half width of a patch in pixels.

@@ -3,7 +3,7 @@
 use crate::math::statistics::median;
 use crate::mesh::triangles::Mesh;
 use crate::shape::field::ModelError;
-use crate::shape::stereo::picture::MatchPicture;
+use crate::shape::stereo::match_picture::MatchPicture;
 use crate::shape::stereo::sweep::{Matched, Seen};
 use crate::shape::vertices::VertexGraph;
 use glam::Vec3;

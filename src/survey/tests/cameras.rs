@@ -2,7 +2,7 @@
 
 use super::{camera, expect, good, looks, object, surveyed};
 use crate::math::fibonacci::fibonacci_axes;
-use crate::survey::cameras::{Arrangement, Kind};
+use crate::survey::cameras::{Arrangement, ArrangementKind};
 use crate::survey::look::OpenView;
 use crate::survey::turntable::{Background, is_turntable, sameness};
 use crate::view::{Camera, Split};
@@ -36,24 +36,24 @@ fn ring(count: usize, height: f32) -> impl Iterator<Item = Vec3> {
 #[test]
 fn arrangements_are_recognized() {
     let sphere = arrangement(fibonacci_axes(40));
-    assert_eq!(sphere.kind, Kind::Sphere);
+    assert_eq!(sphere.kind, ArrangementKind::Sphere);
     assert!(sphere.target.length() < 0.2 && (sphere.distance[1] - 3.0).abs() < 0.2, "{sphere:?}");
     let hemisphere = arrangement(fibonacci_axes(80).into_iter().take(40));
-    assert_eq!(hemisphere.kind, Kind::Hemisphere);
+    assert_eq!(hemisphere.kind, ArrangementKind::Hemisphere);
     assert!(
         hemisphere.elevation_degrees[0] > -5.0 && hemisphere.elevation_degrees[1] > 70.0,
         "{hemisphere:?}"
     );
-    assert_eq!(arrangement(ring(24, 0.3)).kind, Kind::Rings(1));
-    assert_eq!(arrangement(ring(24, 0.2).chain(ring(12, 0.9))).kind, Kind::Rings(2));
+    assert_eq!(arrangement(ring(24, 0.3)).kind, ArrangementKind::Rings(1));
+    assert_eq!(arrangement(ring(24, 0.2).chain(ring(12, 0.9))).kind, ArrangementKind::Rings(2));
     let tilted = arrangement(ring(24, 0.3).map(|d| Vec3::new(d.y, d.x, d.z)));
-    assert!(tilted.kind == Kind::Rings(1) && tilted.axis.x.abs() > 0.98, "{tilted:?}");
+    assert!(tilted.kind == ArrangementKind::Rings(1) && tilted.axis.x.abs() > 0.98, "{tilted:?}");
     let half = arrangement(fibonacci_axes(80).into_iter().filter(|axis| axis.z > 0.3));
-    assert_eq!(half.kind, Kind::OneSide);
+    assert_eq!(half.kind, ArrangementKind::OneSide);
     assert!(half.azimuth_gap_degrees > 120.0 && half.words().contains("from one side"), "{half:?}");
     assert_eq!(
         arrangement(fibonacci_axes(80).into_iter().filter(|axis| axis.y.abs() < 0.3)).kind,
-        Kind::Belt
+        ArrangementKind::Belt
     );
 }
 
@@ -74,7 +74,7 @@ fn up_is_where_the_pictures_have_their_tops() {
         (Vec3::NEG_X, |d| Vec3::new(-d.y, d.x, d.z), "; up is -X"),
     ] {
         let found = hemisphere(up, turn);
-        assert_eq!((found.kind, found.axis), (Kind::Hemisphere, up), "{found:?}");
+        assert_eq!((found.kind, found.axis), (ArrangementKind::Hemisphere, up), "{found:?}");
         assert!(found.elevation_degrees[0] > -5.0 && found.azimuth_gap_degrees < 40.0, "{found:?}");
         let all = found.words();
         let tail = all.find(';').map_or("", |at| &all[at..]);

@@ -13,7 +13,7 @@ use crate::mesh::bvh::TriangleBvh;
 use crate::mesh::primitive::box_mesh;
 use crate::mesh::triangles::Mesh;
 use crate::survey::look::{OpenPhotograph, OpenView};
-use crate::survey::{MaskSource, Subject, Survey, ViewLook, examine};
+use crate::survey::{MaskOrigin, Subject, Survey, ViewLook, examine};
 use crate::view::{Camera, Image, Mask, Split};
 use glam::Vec3;
 use std::sync::OnceLock;
@@ -103,7 +103,7 @@ fn good() -> Vec<OpenView> {
 
 fn looks(views: &[OpenView]) -> Vec<ViewLook> {
     let look = |view: &OpenView| {
-        ViewLook::new(view, [view.camera.width, view.camera.height], MaskSource::File, true)
+        ViewLook::new(view, [view.camera.width, view.camera.height], MaskOrigin::File, true)
     };
     views.iter().map(look).collect()
 }

@@ -5,7 +5,7 @@ use crate::report::sheet::{SheetCell, compose};
 use crate::scene::{FitPass, LoadOptions, Pass, Scene, ShapePass, load};
 use crate::survey::estimate::{Estimate, duration, estimate, memory};
 use crate::survey::finding::named;
-use crate::survey::{Survey, json, sheet, table};
+use crate::survey::{Survey, contact_sheet, json, table};
 use glam::Vec3;
 
 fn scene(passes: &str) -> Scene {
@@ -59,7 +59,7 @@ fn json_and_sheet_flag_the_view() {
     assert_eq!(value["views"][4]["flags"][0], "black");
     assert_eq!(value["views"][5]["flags"].as_array().unwrap().len(), 0);
     assert_eq!(value["cameras"]["kind"], "sphere");
-    let sheet = sheet::contact_sheet(&survey, "a scene");
+    let sheet = contact_sheet::contact_sheet(&survey, "a scene");
     let labels: Vec<&str> =
         sheet.rows.iter().flat_map(|row| &row.cells).map(|cell| cell.label.as_str()).collect();
     assert!(

@@ -8,7 +8,7 @@ use super::walk::{Visit, walk};
 use crate::brdf::SpecularAdjoint;
 use crate::columns::LOBE_COLUMNS;
 use crate::lanes::{Lanes, MAX_LANES, Row};
-use crate::lighting::{PointVisibility, Visibility};
+use crate::lighting::{LobeVisibility, PointVisibility};
 use crate::model::{DIFFUSE, PairAdjoint, PairModel, Part, PointEnd, Response, SPECULAR, Terms};
 use crate::real::{Vec3Of, dot, scale};
 use crate::sample::{Layers, PointAdjoint, RadianceAdjoint, RadianceColumns, ShadePoint};
@@ -84,7 +84,7 @@ pub fn adjoint_chunk<S: Simd, M: PairModel>(
         out[i] = PointAdjoint::default();
         let Some(prepared) = prepared.as_ref().filter(|_| !point.is_missed()) else { continue };
         let (terms, frozen) = &prepared.point(lane);
-        let (row, around) = Visibility::point(visibility, i, shared.stride());
+        let (row, around) = LobeVisibility::point(visibility, i, shared.stride());
         let weights = Weights::new(shared, point, &around, frozen, &shaded[i], &adjoint[i]);
         let wide = splat::<S, M>(simd, terms);
         let (light, sums) = pull_back_lobes(simd, shared, &wide, row, &weights, &mut picked, lobe_gradient);

@@ -6,7 +6,7 @@ use super::light::{Light, Sums};
 use super::prepared::{Chunk, Prepared, Shared, splat};
 use super::walk::{Visit, walk};
 use crate::lanes::Lanes;
-use crate::lighting::{PointVisibility, Visibility};
+use crate::lighting::{LobeVisibility, PointVisibility};
 use crate::model::{PairModel, Part, Response, SPECULAR, Terms};
 use crate::real::Vec3Of;
 use crate::sample::{Layers, ShadePoint};
@@ -31,7 +31,7 @@ pub fn shade_chunk<S: Simd, M: PairModel>(
         *out = Layers::default();
         let Some(prepared) = prepared.as_ref().filter(|_| !point.is_missed()) else { continue };
         let (terms, frozen) = prepared.point(lane);
-        let (row, around) = Visibility::point(visibility, i, shared.stride());
+        let (row, around) = LobeVisibility::point(visibility, i, shared.stride());
         let light = light_of(simd, shared, &splat::<S, M>(simd, &terms), row, &mut picked);
         let weights = shared.model.specular_weights(&frozen, shared.specular);
         *out = layers::<M>(point, &around, &light, &weights);

@@ -26,7 +26,7 @@ mod tests;
 
 pub use crate::brdf::{SpecularAdjoint, SpecularValue};
 pub use crate::columns::{LOBE_COLUMNS, LobeColumns, SharedGradient};
-pub use crate::lighting::{Lighting, PointVisibility, Visibility};
+pub use crate::lighting::{Lighting, LobeVisibility, PointVisibility};
 pub use crate::sample::{Layers, PointAdjoint, RadianceAdjoint, RadianceColumns, ShadePoint};
 pub use closed_form::{ClosedForm, Scalar};
 pub use slices::{shade_adjoint_with, shade_with};

@@ -3,7 +3,7 @@
 use super::blocks::{block_rows, load};
 use crate::brdf::SpecularValue;
 use crate::lanes::{Lanes, MAX_LANES, Row};
-use crate::lighting::Visibility;
+use crate::lighting::LobeVisibility;
 use crate::model::{PairModel, Terms};
 use crate::sample::ShadePoint;
 use fearless_simd::Simd;
@@ -28,7 +28,7 @@ impl<M: PairModel> Shared<'_, M> {
 pub struct Chunk<'a> {
     pub points: &'a [ShadePoint],
     /// Visibility of the lobes at these points; if `None`, all light reaches them.
-    pub visibility: Option<Visibility<'a>>,
+    pub visibility: Option<LobeVisibility<'a>>,
 }
 
 /// The terms of a group of up to [`Lanes::LEN`] points, one point per lane.

@@ -384,7 +384,7 @@ fn visibility_scales_the_lobes_it_hides() {
     for form in [ClosedForm::Published, ClosedForm::default()] {
         let run = |lobes: &LobeColumns, rows: &[u8], around: PointVisibility| {
             let around = vec![around; points.len()];
-            let visibility = Some(Visibility { lobes: rows, points: &around });
+            let visibility = Some(LobeVisibility { lobes: rows, points: &around });
             round_trip(form, &points, &specular, Lighting { lobes, visibility })
         };
         // All open: not a bit changes.

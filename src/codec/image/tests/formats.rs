@@ -26,7 +26,7 @@ fn tiff_compressed(
     bytes.into_inner()
 }
 
-fn samples_of(bytes: &[u8]) -> (ImageHeader, Samples) {
+fn samples_of(bytes: &[u8]) -> (ImageHeader, ImageSamples) {
     let (_dir, at) = folder();
     fs::write(at("a.tif"), bytes).unwrap();
     let header = image_header(at("a.tif")).unwrap();
@@ -51,13 +51,13 @@ fn tiffs_of_integers_are_read_with_every_compression() {
         assert_eq!((header.width, header.height, header.channels, header.bits), (2, 2, 3, 16));
         assert_eq!(
             (header.format, header.is_float, samples),
-            (Format::Tiff, false, Samples::Words16(deep.clone()))
+            (Format::Tiff, false, ImageSamples::Words16(deep.clone()))
         );
         let bytes = tiff_compressed(compression, |encoder| encoder.write_image::<RGB8>(2, 2, &flat).unwrap());
-        assert_eq!(samples_of(&bytes).1, Samples::Bytes8(flat.clone()));
+        assert_eq!(samples_of(&bytes).1, ImageSamples::Bytes8(flat.clone()));
     }
     let bytes = tiff_bytes(|encoder| encoder.write_image::<Gray16>(2, 1, &[7, 9]).unwrap());
-    assert_eq!(samples_of(&bytes).1, Samples::Words16(vec![7, 9]));
+    assert_eq!(samples_of(&bytes).1, ImageSamples::Words16(vec![7, 9]));
 }
 
 #[test]
@@ -121,9 +121,9 @@ fn gray_of_few_bits_is_widened() {
     let (header, samples) = samples_of(&bits);
     let mut expected = vec![255, 0, 255, 0, 0, 0, 0, 0, 0, 255];
     expected.extend([255; 10]);
-    assert_eq!((header.bits, samples), (8, Samples::Bytes8(expected)));
+    assert_eq!((header.bits, samples), (8, ImageSamples::Bytes8(expected)));
     let nibbles = bare_tiff(3, 1, &[(258, 4), (262, 1), (277, 1)], &[0x0f, 0x50]);
-    assert_eq!(samples_of(&nibbles).1, Samples::Bytes8(vec![0, 255, 85]));
+    assert_eq!(samples_of(&nibbles).1, ImageSamples::Bytes8(vec![0, 255, 85]));
 }
 
 #[test]
@@ -180,7 +180,7 @@ fn lossless_webps_are_read_exactly_and_turned() {
     let rgba = [250, 9, 1, 255, 3, 4, 5, 51];
     write(&rgba, image_webp::ColorType::Rgba8, &[]);
     let decoded = decode_samples(at("a.webp"), Orientation::Upright).unwrap();
-    assert_eq!((decoded.channels(), decoded.samples), (4, Samples::Bytes8(rgba.to_vec())));
+    assert_eq!((decoded.channels(), decoded.samples), (4, ImageSamples::Bytes8(rgba.to_vec())));
     let mut exif = b"MM\0\x2a\0\0\0\x08\0\x01\x01\x12\0\x03\0\0\0\x01\0\x06".to_vec();
     exif.extend([0; 6]);
     write(&[1, 2, 3, 4, 5, 6], image_webp::ColorType::Rgb8, &exif);
@@ -189,7 +189,7 @@ fn lossless_webps_are_read_exactly_and_turned() {
     let turned = decode_samples(at("a.webp"), Orientation::Upright).unwrap();
     assert_eq!(
         ([turned.width, turned.height], turned.samples),
-        ([1, 2], Samples::Bytes8(vec![1, 2, 3, 4, 5, 6]))
+        ([1, 2], ImageSamples::Bytes8(vec![1, 2, 3, 4, 5, 6]))
     );
 }
 

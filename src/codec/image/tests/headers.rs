@@ -55,7 +55,7 @@ fn every_orientation_is_turned_upright_or_left_as_stored() {
                 assert_eq!(header.size(orientation), size, "{name}, {exif}");
                 let decoded = decode_samples(at(name), orientation).unwrap();
                 assert_eq!([decoded.width, decoded.height], size, "{name}, {exif}");
-                assert_eq!(decoded.samples, Samples::Bytes8(pixels.to_vec()), "{name}, {exif}");
+                assert_eq!(decoded.samples, ImageSamples::Bytes8(pixels.to_vec()), "{name}, {exif}");
             }
             let mask = read_mask(at(name), Orientation::Upright).unwrap().mask;
             assert_eq!([mask.width, mask.height], size);

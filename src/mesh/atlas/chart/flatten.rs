@@ -4,7 +4,7 @@
 //! evened out ([`super::stretch`]). It counts if its distortion is small, and if it covers no point twice.
 
 use super::laplacian::Laplacian;
-use super::patch::{Patch, Shape};
+use super::patch::{Patch, PlanarTriangle};
 use super::rigid::unfold;
 use super::simple::is_simple;
 use super::stretch::{Descent, energy};
@@ -34,8 +34,8 @@ pub fn flatten(patch: &Patch, tolerance: &Tolerance) -> Option<Vec<DVec2>> {
     if !patch.is_planar() {
         return None;
     }
-    let shapes: Vec<Shape> =
-        patch.triangles.iter().map(|t| Shape::new(t.map(|v| patch.points[v as usize]))).collect();
+    let shapes: Vec<PlanarTriangle> =
+        patch.triangles.iter().map(|t| PlanarTriangle::new(t.map(|v| patch.points[v as usize]))).collect();
     let mut map = view(patch);
     let hidden = hidden_part(patch, &shapes, &map);
     if hidden > MOST_HIDDEN {
@@ -72,8 +72,8 @@ fn view(patch: &Patch) -> Vec<DVec2> {
 }
 
 /// The part of the patch's area in triangles that are turned over, or have no area.
-fn hidden_part(patch: &Patch, shapes: &[Shape], map: &[DVec2]) -> f64 {
-    let turned = |(t, shape): (&[u32; 3], &Shape)| {
+fn hidden_part(patch: &Patch, shapes: &[PlanarTriangle], map: &[DVec2]) -> f64 {
+    let turned = |(t, shape): (&[u32; 3], &PlanarTriangle)| {
         let visible = energy(shape.jacobian(t.map(|v| map[v as usize]))).is_finite();
         if visible { 0.0 } else { shape.area }
     };
@@ -81,9 +81,9 @@ fn hidden_part(patch: &Patch, shapes: &[Shape], map: &[DVec2]) -> f64 {
 }
 
 /// Moves vertices of turned triangles to the middle of their neighbors, until there are none or the rounds are over.
-fn untangle(patch: &Patch, laplacian: &Laplacian, shapes: &[Shape], map: &mut [DVec2]) {
+fn untangle(patch: &Patch, laplacian: &Laplacian, shapes: &[PlanarTriangle], map: &mut [DVec2]) {
     for _ in 0..UNTANGLING_ROUNDS {
-        let turned = |(t, shape): &(&[u32; 3], &Shape)| {
+        let turned = |(t, shape): &(&[u32; 3], &PlanarTriangle)| {
             !energy(shape.jacobian(t.map(|v| map[v as usize]))).is_finite()
         };
         let of_turned = patch.triangles.iter().zip(shapes).filter(turned).flat_map(|(t, _)| *t);
@@ -114,8 +114,8 @@ fn enlarge(patch: &Patch, map: &mut [DVec2]) -> bool {
 }
 
 /// The part of the area whose triangles are more than twice as large in the map, or less than half.
-fn uneven_part(patch: &Patch, shapes: &[Shape], map: &[DVec2]) -> f64 {
-    let uneven = |(t, shape): (&[u32; 3], &Shape)| {
+fn uneven_part(patch: &Patch, shapes: &[PlanarTriangle], map: &[DVec2]) -> f64 {
+    let uneven = |(t, shape): (&[u32; 3], &PlanarTriangle)| {
         let [by_x, by_y] = shape.jacobian(t.map(|v| map[v as usize]));
         let even = (0.5..=2.0).contains(&by_x.perp_dot(by_y));
         if even { 0.0 } else { shape.area }

@@ -3,7 +3,7 @@
 //! Weights: Pinkall, Polthier: "Computing discrete minimal surfaces and their conjugates", Experimental Mathematics 2 (1993). Solver:
 //! Hestenes, Stiefel: "Methods of conjugate gradients for solving linear systems", 1952, with the diagonal as preconditioner.
 
-use super::patch::{Patch, Shape};
+use super::patch::{Patch, PlanarTriangle};
 use glam::DVec2;
 
 /// Bounds of an edge's weight: positive, so that the matrix is semidefinite, and finite at slivers.
@@ -22,7 +22,7 @@ pub struct Laplacian {
 
 impl Laplacian {
     /// The matrix of a patch; half the quadratic form is the Dirichlet energy, but for bounds of the weights.
-    pub fn new(patch: &Patch, shapes: &[Shape]) -> Self {
+    pub fn new(patch: &Patch, shapes: &[PlanarTriangle]) -> Self {
         let mut rows: Vec<Vec<(u32, f64)>> = vec![Vec::with_capacity(8); patch.points.len()];
         let mut add = |from: u32, to: u32, weight: f64| {
             let row = &mut rows[from as usize];

@@ -17,9 +17,9 @@ use crate::error::stop::check_interrupted;
 use crate::mesh::triangles::Mesh;
 use flatten::{Tolerance, flatten};
 use glam::DVec2;
-use patch::{Patch, Shape};
+use patch::{Patch, PlanarTriangle};
 use rayon::prelude::*;
-use segment::{Region, RegionTree};
+use segment::{RegionNode, RegionTree};
 use std::collections::BTreeMap;
 use topology::{NONE, Topology};
 
@@ -83,8 +83,8 @@ pub fn charts(mesh: &Mesh) -> Result<Vec<Chart>> {
         for (node, chart) in tried {
             match (chart, tree.nodes[node as usize]) {
                 (Some(chart), _) => found.push(chart),
-                (None, Region::Pair(a, b)) => open.extend([a, b]),
-                (None, Region::Triangle(face)) => found.push(single(&topology, face)),
+                (None, RegionNode::Pair(a, b)) => open.extend([a, b]),
+                (None, RegionNode::Triangle(face)) => found.push(single(&topology, face)),
             }
         }
     }
@@ -93,7 +93,7 @@ pub fn charts(mesh: &Mesh) -> Result<Vec<Chart>> {
 
 /// The chart of one triangle.
 fn single(topology: &Topology, face: u32) -> Chart {
-    let shape = Shape::new(topology.corners(face));
+    let shape = PlanarTriangle::new(topology.corners(face));
     Chart {
         faces: vec![face],
         triangles: vec![[0, 1, 2]],

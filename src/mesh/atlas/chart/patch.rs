@@ -120,7 +120,7 @@ fn border(triangles: &[[u32; 3]], inner: &[[Option<usize>; 3]], vertices: usize)
 
 /// A triangle as it lies in its own plane: its first corner at the origin, the second on the x axis.
 #[derive(Clone, Copy, Debug)]
-pub struct Shape {
+pub struct PlanarTriangle {
     /// x of the second corner, world units.
     pub base: f64,
     /// The third corner.
@@ -129,7 +129,7 @@ pub struct Shape {
     pub area: f64,
 }
 
-impl Shape {
+impl PlanarTriangle {
     /// The shape of a triangle with area.
     pub fn new(corners: [DVec3; 3]) -> Self {
         let [a, b, c] = corners;

@@ -3,14 +3,14 @@
 //! Liu, Zhang, Xu, Gotsman, Gortler: "A local/global approach to mesh parameterization", SGP 2008 (ARAP).
 
 use super::laplacian::Laplacian;
-use super::patch::{Patch, Shape};
+use super::patch::{Patch, PlanarTriangle};
 use glam::DVec2;
 
 /// Accuracy and most rounds of the linear system.
 const ACCURACY: (f64, usize) = (0.05, 40);
 
 /// One round: turns each triangle to fit the map as it is, and moves the vertices to where these turned triangles meet best.
-pub fn unfold(patch: &Patch, shapes: &[Shape], laplacian: &Laplacian, map: &mut [DVec2]) {
+pub fn unfold(patch: &Patch, shapes: &[PlanarTriangle], laplacian: &Laplacian, map: &mut [DVec2]) {
     let mut force = vec![DVec2::ZERO; map.len()];
     for (triangle, shape) in patch.triangles.iter().zip(shapes) {
         let [by_x, by_y] = shape.jacobian(triangle.map(|v| map[v as usize]));

@@ -24,7 +24,7 @@ const SMOOTHING_ROUNDS: usize = 5;
 
 /// A node of the tree of regions: a triangle, or two nodes.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub enum Region {
+pub enum RegionNode {
     /// One triangle.
     Triangle(u32),
     /// Two regions that share a border, by their nodes.
@@ -35,7 +35,7 @@ pub enum Region {
 #[derive(Debug)]
 pub struct RegionTree {
     /// Nodes; those of a pair come before it.
-    pub nodes: Vec<Region>,
+    pub nodes: Vec<RegionNode>,
     /// Number of triangles of each node.
     pub counts: Vec<u32>,
     /// The largest regions.
@@ -57,8 +57,8 @@ impl RegionTree {
         let mut counts: Vec<u32> = Vec::with_capacity(merging.nodes.len());
         for node in &merging.nodes {
             counts.push(match *node {
-                Region::Triangle(_) => 1,
-                Region::Pair(a, b) => counts[a as usize] + counts[b as usize],
+                RegionNode::Triangle(_) => 1,
+                RegionNode::Pair(a, b) => counts[a as usize] + counts[b as usize],
             });
         }
         Self { nodes: merging.nodes, counts, roots }
@@ -69,8 +69,8 @@ impl RegionTree {
         let (mut found, mut open) = (Vec::new(), vec![node]);
         while let Some(node) = open.pop() {
             match self.nodes[node as usize] {
-                Region::Triangle(triangle) => found.push(triangle),
-                Region::Pair(a, b) => open.extend([a, b]),
+                RegionNode::Triangle(triangle) => found.push(triangle),
+                RegionNode::Pair(a, b) => open.extend([a, b]),
             }
         }
         found.sort_unstable();
@@ -137,7 +137,7 @@ impl PartialOrd for Entry {
 
 /// Regions while they merge; a region is named by one of its triangles.
 struct Merging {
-    nodes: Vec<Region>,
+    nodes: Vec<RegionNode>,
     /// The region's node.
     node: Vec<u32>,
     alive: Vec<bool>,
@@ -161,7 +161,7 @@ impl Merging {
         let normals = smoothed_normals(topology, &area);
         let alive: Vec<bool> = (0..count as u32).map(|t| topology.has_area(t)).collect();
         let mut merging = Self {
-            nodes: (0..count as u32).map(Region::Triangle).collect(),
+            nodes: (0..count as u32).map(RegionNode::Triangle).collect(),
             node: (0..count as u32).collect(),
             alive,
             normal: normals.iter().zip(&area).map(|(n, a)| *n * *a).collect(),
@@ -260,7 +260,7 @@ impl Merging {
         // The one with fewer neighbors goes into the other.
         let small_first = self.neighbors[a as usize].len() < self.neighbors[b as usize].len();
         let (kept, gone) = if small_first { (b as usize, a as usize) } else { (a as usize, b as usize) };
-        self.nodes.push(Region::Pair(self.node[kept], self.node[gone]));
+        self.nodes.push(RegionNode::Pair(self.node[kept], self.node[gone]));
         self.node[kept] = self.nodes.len() as u32 - 1;
         self.alive[gone] = false;
         self.area[kept] += self.area[gone];

@@ -5,7 +5,7 @@
 //! conjugate directions instead of their acceleration.
 
 use super::laplacian::Laplacian;
-use super::patch::{Patch, Shape};
+use super::patch::{Patch, PlanarTriangle};
 use glam::DVec2;
 
 /// Accuracy and most rounds of the linear system.
@@ -36,17 +36,20 @@ fn energy_gradient([by_x, by_y]: [DVec2; 2]) -> [DVec2; 2] {
 /// A patch on its way into the plane.
 pub struct Descent<'a> {
     patch: &'a Patch,
-    shapes: &'a [Shape],
+    shapes: &'a [PlanarTriangle],
     laplacian: &'a Laplacian,
 }
 
 impl<'a> Descent<'a> {
     /// The descent for a patch.
-    pub fn new(patch: &'a Patch, shapes: &'a [Shape], laplacian: &'a Laplacian) -> Self {
+    pub fn new(patch: &'a Patch, shapes: &'a [PlanarTriangle], laplacian: &'a Laplacian) -> Self {
         Self { patch, shapes, laplacian }
     }
 
-    fn jacobians(&self, map: &[DVec2]) -> impl Iterator<Item = (&'a [u32; 3], &'a Shape, [DVec2; 2])> {
+    fn jacobians(
+        &self,
+        map: &[DVec2],
+    ) -> impl Iterator<Item = (&'a [u32; 3], &'a PlanarTriangle, [DVec2; 2])> {
         let triangles = self.patch.triangles.iter().zip(self.shapes);
         triangles.map(|(t, shape)| (t, shape, shape.jacobian(t.map(|v| map[v as usize]))))
     }

@@ -192,8 +192,8 @@ fn energy_knows_rigid_stretched_and_turned() {
 #[test]
 fn descent_lowers_the_energy_along_its_gradient() {
     let patch = patch_of(&plate(6));
-    let shapes: Vec<Shape> =
-        patch.triangles.iter().map(|t| Shape::new(t.map(|v| patch.points[v as usize]))).collect();
+    let shapes: Vec<PlanarTriangle> =
+        patch.triangles.iter().map(|t| PlanarTriangle::new(t.map(|v| patch.points[v as usize]))).collect();
     let laplacian = Laplacian::new(&patch, &shapes);
     let descent = Descent::new(&patch, &shapes, &laplacian);
     let bent = |p: &DVec3| DVec2::new(p.x + 0.2 * p.y * p.y, 0.6 * p.y + 0.1 * p.x * p.x);
@@ -223,8 +223,8 @@ fn descent_lowers_the_energy_along_its_gradient() {
 #[test]
 fn the_laplacian_is_solved() {
     let patch = patch_of(&plate(8));
-    let shapes: Vec<Shape> =
-        patch.triangles.iter().map(|t| Shape::new(t.map(|v| patch.points[v as usize]))).collect();
+    let shapes: Vec<PlanarTriangle> =
+        patch.triangles.iter().map(|t| PlanarTriangle::new(t.map(|v| patch.points[v as usize]))).collect();
     let laplacian = Laplacian::new(&patch, &shapes);
     let mut right = vec![DVec2::ZERO; patch.points.len()];
     (right[3], right[40]) = (DVec2::new(1.0, -2.0), DVec2::new(-1.0, 2.0));
@@ -249,6 +249,6 @@ fn regions_form_a_tree_over_all_triangles() {
     let total: u32 = tree.roots.iter().map(|root| tree.counts[*root as usize]).sum();
     assert_eq!(total as usize, all.len());
     for (i, node) in tree.nodes.iter().enumerate() {
-        assert!(!matches!(node, Region::Pair(a, b) if *a as usize >= i || *b as usize >= i));
+        assert!(!matches!(node, RegionNode::Pair(a, b) if *a as usize >= i || *b as usize >= i));
     }
 }

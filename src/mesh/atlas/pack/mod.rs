@@ -1,20 +1,20 @@
 //! Packing: charts side by side in a square texture, as large as possible.
 //!
-//! Charts stand upright ([`upright`]), and the largest goes first, each as low as it can be in one of four turns ([`page`]; the rule is
+//! Charts stand upright ([`minimum_box`]), and the largest goes first, each as low as it can be in one of four turns ([`page`]; the rule is
 //! Baker, Coffman, Rivest: "Orthogonal packings in two dimensions", SIAM Journal on Computing 1980, for shapes instead of
 //! rectangles, as in Lévy, Petitjean, Ray, Maillot: "Least squares conformal maps", SIGGRAPH 2002). The scale is found by trial.
 
-mod mask;
+mod cell_mask;
+mod minimum_box;
 mod page;
-mod upright;
 
 use super::chart::Chart;
+use cell_mask::CellMask;
 use glam::{DVec2, UVec2, Vec2Swizzles};
-use mask::Mask;
+use minimum_box::set_upright;
 use page::{Page, Scratch};
 use rayon::prelude::*;
 use std::collections::HashMap;
-use upright::set_upright;
 
 /// Texels between two charts that neither touches, at least.
 pub const GUTTER: u32 = 4;
@@ -168,7 +168,7 @@ impl<'a> Packing<'a> {
     }
 
     /// Places all charts in this order, if they fit.
-    fn place(&self, masks: &[[Mask; 4]], order: &[usize]) -> Option<Vec<Placed>> {
+    fn place(&self, masks: &[[CellMask; 4]], order: &[usize]) -> Option<Vec<Placed>> {
         let gutter = GUTTER.div_ceil(self.cell);
         if masks.iter().map(|turns| turns[0].cells()).sum::<usize>() > self.side.pow(2) as usize {
             return None;
@@ -199,14 +199,14 @@ impl<'a> Packing<'a> {
     }
 
     /// The charts' cells in each quarter turn, at a scale in texels per world unit.
-    fn masks(&self, scale: f64) -> Vec<[Mask; 4]> {
+    fn masks(&self, scale: f64) -> Vec<[CellMask; 4]> {
         let scale = scale / f64::from(self.cell);
         let of_chart = |(chart, corner): (&Chart, &DVec2)| {
             let corner = *corner * scale;
             [0, 1, 2, 3].map(|turn| {
                 let place = |v: u32| turned(chart.places[v as usize] * scale, corner, turn).max(DVec2::ZERO);
                 let far = if turn % 2 == 0 { corner } else { corner.yx() };
-                Mask::new(chart.triangles.iter().map(|t| t.map(place)), far)
+                CellMask::new(chart.triangles.iter().map(|t| t.map(place)), far)
             })
         };
         self.charts.par_iter().zip(self.corners).map(of_chart).collect()

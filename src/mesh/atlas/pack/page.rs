@@ -3,7 +3,7 @@
 //! Bottom-left placement of shapes as bitmaps. For one row of the page all columns are tested at once: a run of n cells is blocked at every
 //! column that has a taken cell at most n − 1 columns further on, which is about log₂ n shifts of the row.
 
-use super::mask::{Mask, Run, set};
+use super::cell_mask::{CellMask, CellRun, set};
 use glam::UVec2;
 use std::ops::Range;
 
@@ -73,7 +73,7 @@ impl Page {
     }
 
     /// The lowest of `rows` where the mask touches no taken cell, and the first column there.
-    pub fn find(&self, mask: &Mask, rows: Range<u32>, scratch: &mut Scratch) -> Option<UVec2> {
+    pub fn find(&self, mask: &CellMask, rows: Range<u32>, scratch: &mut Scratch) -> Option<UVec2> {
         let end = rows.end.min((self.side + 1).checked_sub(mask.size.y)?);
         if mask.size.x > self.side {
             return None;
@@ -82,8 +82,8 @@ impl Page {
     }
 
     /// The first column where the mask fits in row `y`.
-    fn column(&self, mask: &Mask, y: u32, scratch: &mut Scratch) -> Option<u32> {
-        let room = |run: &Run| run.to - run.from < self.longest_free[(y + run.y) as usize];
+    fn column(&self, mask: &CellMask, y: u32, scratch: &mut Scratch) -> Option<u32> {
+        let room = |run: &CellRun| run.to - run.from < self.longest_free[(y + run.y) as usize];
         if !mask.runs.iter().all(room) {
             return None;
         }
@@ -116,7 +116,7 @@ impl Page {
     }
 
     /// Takes the cells of a mask at `at`, and those at most `gutter` cells away in each direction.
-    pub fn take(&mut self, mask: &Mask, at: UVec2, gutter: u32) {
+    pub fn take(&mut self, mask: &CellMask, at: UVec2, gutter: u32) {
         for run in &mask.runs {
             let (from, to) =
                 ((at.x + run.from).saturating_sub(gutter), (at.x + run.to + gutter).min(self.side - 1));

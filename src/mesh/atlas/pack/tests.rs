@@ -1,4 +1,4 @@
-use super::mask::Run;
+use super::cell_mask::CellRun;
 use super::*;
 use crate::mesh::atlas::chart::charts;
 use crate::mesh::atlas::meshes::{ball, plate, scattered, torus};
@@ -99,7 +99,7 @@ fn boxes_are_smallest() {
 #[test]
 fn masks_hold_all_that_a_triangle_touches() {
     let triangle = [DVec2::new(0.2, 0.1), DVec2::new(70.4, 3.7), DVec2::new(1.3, 9.6)];
-    let mask = Mask::new([triangle].into_iter(), DVec2::new(70.4, 9.6));
+    let mask = CellMask::new([triangle].into_iter(), DVec2::new(70.4, 9.6));
     assert_eq!(mask.size, UVec2::new(71, 10));
     let has = |x: u32, y: u32| mask.runs.iter().any(|run| run.y == y && (run.from..=run.to).contains(&x));
     for (a, b) in (0..=200).flat_map(|a| (0..=200 - a).map(move |b| (a, b))) {
@@ -111,7 +111,7 @@ fn masks_hold_all_that_a_triangle_touches() {
 }
 
 /// The first place by looking at every cell.
-fn plain_find(taken: &[bool], side: u32, mask: &Mask) -> Option<UVec2> {
+fn plain_find(taken: &[bool], side: u32, mask: &CellMask) -> Option<UVec2> {
     let free = |at: UVec2| {
         mask.runs
             .iter()
@@ -134,23 +134,23 @@ fn the_lowest_place_is_found() {
         let far = DVec2::new(random(0) * 69.0, random(1) * 30.0);
         let point = |i: u64| DVec2::new(random(i), random(i + 1)) * far;
         let triangles = [[point(2), point(4), far], [DVec2::ZERO, point(6), point(8)]];
-        let mask = Mask::new(triangles.into_iter(), far);
+        let mask = CellMask::new(triangles.into_iter(), far);
         let found = page.find(&mask, 0..side, &mut scratch);
         assert_eq!(found, plain_find(&taken, side, &mask), "mask {number}");
         let Some(at) = found else { continue };
         assert_eq!(page.find(&mask, 0..at.y, &mut scratch), None);
         page.take(&mask, at, gutter);
-        for Run { y, from, to } in mask.runs {
+        for CellRun { y, from, to } in mask.runs {
             let reach = |low: u32, high: u32| low.saturating_sub(gutter)..=(high + gutter).min(side - 1);
             for y in reach(at.y + y, at.y + y) {
                 reach(at.x + from, at.x + to).for_each(|x| taken[(y * side + x) as usize] = true);
             }
         }
     }
-    let wide = Mask { size: UVec2::new(151, 1), runs: vec![Run { y: 0, from: 0, to: 150 }] };
+    let wide = CellMask { size: UVec2::new(151, 1), runs: vec![CellRun { y: 0, from: 0, to: 150 }] };
     assert_eq!(page.find(&wide, 0..side, &mut scratch), None);
     assert_eq!(
-        Page::new(4, 2).find(&Mask::new([[DVec2::ZERO; 3]].into_iter(), DVec2::ZERO), 0..4, &mut scratch),
+        Page::new(4, 2).find(&CellMask::new([[DVec2::ZERO; 3]].into_iter(), DVec2::ZERO), 0..4, &mut scratch),
         None
     );
 }

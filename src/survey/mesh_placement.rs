@@ -5,7 +5,7 @@ use crate::mesh::bvh::TriangleBvh;
 use crate::survey::change::{Cause, Change, formula};
 use crate::survey::look::SmallMask;
 use crate::survey::meeting::{Sight, meeting_point};
-use crate::survey::silhouette::covered;
+use crate::survey::mesh_overlap::covered;
 use glam::{Mat3A, Vec3, Vec3A};
 use rayon::prelude::*;
 

@@ -4,7 +4,7 @@ use glam::{DVec2, UVec2};
 
 /// Some cells of a row, from the first to the last.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Run {
+pub struct CellRun {
     /// Row.
     pub y: u32,
     /// First column.
@@ -15,14 +15,14 @@ pub struct Run {
 
 /// Cells in a box, as runs.
 #[derive(Clone, Debug)]
-pub struct Mask {
+pub struct CellMask {
     /// Columns and rows of the box.
     pub size: UVec2,
     /// The runs, the longest first.
-    pub runs: Vec<Run>,
+    pub runs: Vec<CellRun>,
 }
 
-impl Mask {
+impl CellMask {
     /// All cells that the triangles touch. Corners are in units of cells, none of them negative.
     pub fn new(triangles: impl Iterator<Item = [DVec2; 3]>, corner: DVec2) -> Self {
         let size = corner.as_uvec2() + 1;
@@ -39,7 +39,7 @@ impl Mask {
             }
         }
         let rows = bits.chunks_exact(stride).enumerate();
-        let mut runs: Vec<Run> = rows.flat_map(|(y, row)| runs(y as u32, row)).collect();
+        let mut runs: Vec<CellRun> = rows.flat_map(|(y, row)| runs(y as u32, row)).collect();
         runs.sort_by_key(|run| (std::cmp::Reverse(run.to - run.from), run.y, run.from));
         Self { size, runs }
     }
@@ -51,7 +51,7 @@ impl Mask {
 }
 
 /// The cells that a triangle touches, row by row.
-fn rows(corners: [DVec2; 3]) -> impl Iterator<Item = Run> {
+fn rows(corners: [DVec2; 3]) -> impl Iterator<Item = CellRun> {
     let low = corners.iter().fold(f64::INFINITY, |low, c| low.min(c.y));
     let high = corners.iter().fold(f64::NEG_INFINITY, |high, c| high.max(c.y));
     (low as u32..=high as u32).map(move |y| {
@@ -70,7 +70,7 @@ fn rows(corners: [DVec2; 3]) -> impl Iterator<Item = Run> {
             from = from.min(first).min(last);
             to = to.max(first).max(last);
         }
-        Run { y, from: from.max(0.0) as u32, to: to.max(0.0) as u32 }
+        CellRun { y, from: from.max(0.0) as u32, to: to.max(0.0) as u32 }
     })
 }
 
@@ -85,8 +85,8 @@ pub fn set(row: &mut [u64], from: u32, to: u32) {
 }
 
 /// The runs of set bits of a row.
-fn runs(y: u32, row: &[u64]) -> Vec<Run> {
-    let mut found: Vec<Run> = Vec::new();
+fn runs(y: u32, row: &[u64]) -> Vec<CellRun> {
+    let mut found: Vec<CellRun> = Vec::new();
     for (word, &bits) in row.iter().enumerate() {
         let mut rest = bits;
         while rest != 0 {
@@ -95,7 +95,7 @@ fn runs(y: u32, row: &[u64]) -> Vec<Run> {
             let (from, to) = (64 * word as u32 + begin, 64 * word as u32 + begin + length - 1);
             match found.last_mut() {
                 Some(last) if last.to + 1 == from => last.to = to,
-                _ => found.push(Run { y, from, to }),
+                _ => found.push(CellRun { y, from, to }),
             }
             rest = if begin + length < 64 { rest >> (begin + length) << (begin + length) } else { 0 };
         }

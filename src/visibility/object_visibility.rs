@@ -1,13 +1,13 @@
 //! [`ObjectVisibility`]: the occlusion of an object by itself, and the light on it at the last update.
 
-use crate::material::source::MaterialSource;
+use crate::material::material_source::MaterialSource;
 use crate::math::brdf::ndf_sharpness;
 use crate::math::fibonacci::fibonacci_axes;
-use crate::math::shading::{LobeColumns, PointVisibility, Visibility};
+use crate::math::shading::{LobeColumns, LobeVisibility, PointVisibility};
 use crate::mesh::Surface;
 use crate::sample::point::SurfacePoint;
 use crate::visibility::occlusion::{Blend, Bounce, Sky, light_one_row, light_rows, point_visibility};
-use crate::visibility::trace::TexelVisibility;
+use crate::visibility::texel_visibility::TexelVisibility;
 use bevy_ecs::prelude::{Entity, Resource};
 use fearless_simd::{Level, dispatch};
 use glam::{Mat3, Vec3};
@@ -283,9 +283,9 @@ pub struct WindowVisibility {
 
 impl WindowVisibility {
     /// The visibility as the kernels read it, if there is any; `points` are those of the window.
-    pub fn view<'a>(&'a self, points: &'a [PointVisibility]) -> Option<Visibility<'a>> {
+    pub fn view<'a>(&'a self, points: &'a [PointVisibility]) -> Option<LobeVisibility<'a>> {
         let there = self.stride > 0 && self.rows.len() == points.len() * self.stride;
-        there.then_some(Visibility { lobes: &self.rows, points })
+        there.then_some(LobeVisibility { lobes: &self.rows, points })
     }
 }
 

@@ -3,7 +3,7 @@
 use crate::math::statistics::median;
 use crate::survey::look::SmallMask;
 use crate::survey::meeting::{Sight, meeting_point};
-use crate::survey::silhouette::overlap;
+use crate::survey::mesh_overlap::overlap;
 use glam::Vec3;
 use rayon::prelude::*;
 

@@ -1,6 +1,6 @@
 //! Spans as a trace in the JSON format of Chrome's tracing, which Perfetto opens.
 
-use super::clock::Moment;
+use super::clock::ClockReading;
 use super::part::PartKind;
 use serde_json::json;
 use std::io::{self, Write};
@@ -11,8 +11,8 @@ use std::time::Duration;
 pub(super) struct Event {
     pub part: usize,
     pub thread: usize,
-    pub begin: Moment,
-    pub took: Moment,
+    pub begin: ClockReading,
+    pub took: ClockReading,
 }
 
 /// All events, with the names and kinds of their parts.

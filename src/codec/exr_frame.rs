@@ -2,7 +2,7 @@
 
 use crate::Result;
 use crate::codec::exr::{ExrLayers, read_exr_groups};
-use crate::codec::exr_rows::{ChannelRows, Column, Values, write_rows};
+use crate::codec::exr_rows::{ChannelRows, ChannelValues, Values, write_rows};
 use crate::codec::finite::check_finite;
 use glam::Vec3;
 use std::path::Path;
@@ -45,7 +45,7 @@ pub const FRAME_PIXEL_BYTES: usize = (3 * 5 + 2) * size_of::<f32>();
 
 impl Frame {
     /// The channels in the order of a file: by name.
-    fn columns(&self) -> Vec<Column<'_>> {
+    fn columns(&self) -> Vec<ChannelValues<'_>> {
         let plain = [(ALPHA, &self.alpha), (DEPTH, &self.depth)];
         let triples = [
             (COLOR, &self.color),
@@ -54,11 +54,11 @@ impl Frame {
             (ALBEDO, &self.albedo),
             (NORMAL, &self.normal),
         ];
-        let plain = plain.map(|(name, values)| Column { name, values: Values::Plain(values) });
+        let plain = plain.map(|(name, values)| ChannelValues { name, values: Values::Plain(values) });
         let triples = triples.into_iter().flat_map(|(names, values)| {
-            [0, 1, 2].map(|axis| Column { name: names[axis], values: Values::Axis(values, axis) })
+            [0, 1, 2].map(|axis| ChannelValues { name: names[axis], values: Values::Axis(values, axis) })
         });
-        let mut columns: Vec<Column> = plain.into_iter().chain(triples).collect();
+        let mut columns: Vec<ChannelValues> = plain.into_iter().chain(triples).collect();
         columns.sort_by_key(|column| column.name);
         columns
     }
@@ -126,8 +126,8 @@ pub fn write_channels(path: impl AsRef<Path>, channels: &ExrLayers) -> Result<()
         })?;
     }
     let size = [channels.width as usize, channels.height as usize];
-    let column = |(name, values)| Column { name, values: Values::Plain(values) };
-    let columns: Vec<Column> =
+    let column = |(name, values)| ChannelValues { name, values: Values::Plain(values) };
+    let columns: Vec<ChannelValues> =
         channels.channels.iter().map(|(name, values)| column((name.as_str(), values.as_slice()))).collect();
     let names: Vec<&str> = columns.iter().map(|column| column.name).collect();
     write_rows(path, &names, size, |rows| rows.push(size, &columns))
@@ -276,7 +276,8 @@ mod tests {
 
     /// The file as the `exr` crate writes a whole image.
     fn by_the_crate(frame: &Frame) -> Vec<u8> {
-        let all = |column: &Column| FlatSamples::F32((0..column.len()).map(|i| column.at(i)).collect());
+        let all =
+            |column: &ChannelValues| FlatSamples::F32((0..column.len()).map(|i| column.at(i)).collect());
         let columns = frame.columns();
         let list = columns.iter().map(|column| AnyChannel::new(column.name, all(column))).collect();
         let attributes =

@@ -7,7 +7,7 @@ use glam::{Quat, Vec3};
 
 /// Where points of the data go: `scale` · (`turn` p − `origin`).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Placement {
+pub struct ExportTransform {
     /// Rotation, of the light as well.
     pub turn: Quat,
     origin: Vec3,
@@ -16,7 +16,7 @@ pub struct Placement {
     pub up: UpAxis,
 }
 
-impl Placement {
+impl ExportTransform {
     /// As the pass says, for data in which `data_up` is up.
     pub fn new(data_up: Vec3, pass: &ExportPass, mesh: &Mesh) -> Self {
         let data_up = data_up.normalize_or(Vec3::Y);
@@ -75,7 +75,7 @@ mod tests {
     fn the_data_stay_as_they_are_unless_something_is_said() {
         let mesh = box_mesh(Vec3::new(3.0, 4.0, 5.0), Vec3::new(1.0, 2.0, 4.0)).unwrap();
         for (up, axis) in [(Vec3::Y, UpAxis::Y), (Vec3::Z, UpAxis::Z), (-Vec3::Z, UpAxis::Z)] {
-            let placement = Placement::new(up, &pass(), &mesh);
+            let placement = ExportTransform::new(up, &pass(), &mesh);
             assert_eq!((placement.placed(&mesh), placement.up), (mesh.clone(), axis));
         }
     }
@@ -84,7 +84,7 @@ mod tests {
     fn up_center_and_size_are_as_asked() {
         let mesh = box_mesh(Vec3::new(3.0, 4.0, 5.0), Vec3::new(1.0, 2.0, 4.0)).unwrap();
         let asked = ExportPass { up: ExportUp::Y, center: true, scale: ExportScale::Size(2.0), ..pass() };
-        let placement = Placement::new(Vec3::Z * 3.0, &asked, &mesh);
+        let placement = ExportTransform::new(Vec3::Z * 3.0, &asked, &mesh);
         let placed = placement.placed(&mesh);
         let (low, high) = placed.bounds().unwrap();
         // What was up, 4 long, is y now and 2 long; x keeps its direction.
@@ -99,7 +99,7 @@ mod tests {
             assert!((b - a).cross(c - a).dot(normal) > 0.0);
         }
         let factor = ExportPass { up: ExportUp::Z, scale: ExportScale::Factor(10.0), ..pass() };
-        let (low, high) = Placement::new(-Vec3::Y, &factor, &mesh).placed(&mesh).bounds().unwrap();
+        let (low, high) = ExportTransform::new(-Vec3::Y, &factor, &mesh).placed(&mesh).bounds().unwrap();
         assert!((low.z + 50.0).abs() < 1e-3 && (high.z + 30.0).abs() < 1e-3, "{low} {high}");
     }
 }

@@ -1,7 +1,7 @@
 //! The photograph of a view while it is read: its file's samples if every pixel of the view is one of the file, else linear light.
 
 use crate::codec::image::{
-    Decoded, Gamma, LoadedImage, Orientation, Repairs, Samples, decode_photograph, linear_image,
+    Decoded, Gamma, ImageSamples, LoadedImage, Orientation, Repairs, decode_photograph, linear_image,
 };
 use crate::dataset::straighten::Straightening;
 use crate::error::Result;
@@ -39,7 +39,7 @@ impl Curves {
 }
 
 /// A photograph that is being read.
-pub(super) enum Picture {
+pub(super) enum DecodedPhotograph {
     /// Integers that become the pixels of the view one by one.
     Stored(Decoded, Repairs),
     /// Linear light.
@@ -50,7 +50,7 @@ pub(super) enum Picture {
     },
 }
 
-impl Picture {
+impl DecodedPhotograph {
     /// Reads a photograph, of which pixels of the view are means if it `is_resampled`.
     pub fn read(path: &Path, gamma: Gamma, is_resampled: bool) -> Result<Self> {
         gamma.check()?;
@@ -91,13 +91,13 @@ impl Picture {
                 let channels = decoded.channels();
                 let last = channels - 1..;
                 Some(match &decoded.samples {
-                    Samples::Bytes8(bytes) => {
+                    ImageSamples::Bytes8(bytes) => {
                         bytes[last].iter().step_by(channels).map(|&v| f32::from(v) / 255.0).collect()
                     }
-                    Samples::Words16(words) => {
+                    ImageSamples::Words16(words) => {
                         words[last].iter().step_by(channels).map(|&v| f32::from(v) / 65_535.0).collect()
                     }
-                    Samples::Floats(floats) => floats[last].iter().step_by(channels).copied().collect(),
+                    ImageSamples::Floats(floats) => floats[last].iter().step_by(channels).copied().collect(),
                 })
             }
         }
@@ -123,9 +123,9 @@ impl Picture {
             Self::Stored(decoded, _) => {
                 let channels = decoded.channels();
                 match &mut decoded.samples {
-                    Samples::Bytes8(bytes) => blacken_samples(bytes, channels, mask),
-                    Samples::Words16(words) => blacken_samples(words, channels, mask),
-                    Samples::Floats(floats) => blacken_samples(floats, channels, mask),
+                    ImageSamples::Bytes8(bytes) => blacken_samples(bytes, channels, mask),
+                    ImageSamples::Words16(words) => blacken_samples(words, channels, mask),
+                    ImageSamples::Floats(floats) => blacken_samples(floats, channels, mask),
                 }
             }
             Self::Linear { loaded, .. } => shows_background(loaded, mask) && blacken_light(loaded, mask),
@@ -140,9 +140,9 @@ impl Picture {
             Self::Stored(decoded, _) => {
                 let (size, channels) = ([decoded.width, decoded.height], decoded.channels());
                 let (samples, curve) = match &decoded.samples {
-                    Samples::Bytes8(bytes) => (IntegerSamples::Bytes(bytes), curves.bytes()),
-                    Samples::Words16(words) => (IntegerSamples::Words(words), curves.words()),
-                    Samples::Floats(_) => unreachable!("floats are read as linear light"),
+                    ImageSamples::Bytes8(bytes) => (IntegerSamples::Bytes(bytes), curves.bytes()),
+                    ImageSamples::Words16(words) => (IntegerSamples::Words(words), curves.words()),
+                    ImageSamples::Floats(_) => unreachable!("floats are read as linear light"),
                 };
                 Ok(Photograph::of_integers(size, samples, channels, curve, window))
             }

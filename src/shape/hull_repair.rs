@@ -7,7 +7,7 @@
 use crate::error::stop::{check_interrupted, is_stopping};
 use crate::error::{Error, Result};
 use crate::sdf::SdfGrid;
-use crate::sdf::silhouette::signed_distance;
+use crate::sdf::distance_transform::signed_distance;
 use crate::shape::silhouette::{Silhouette, is_inner, pixel_size};
 use crate::shape::trust::hull_distance;
 use crate::view::{Mask, StoredMask};

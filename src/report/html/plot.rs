@@ -24,7 +24,7 @@ pub struct Series {
 
 /// A chart of curves over a common axis.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Chart {
+pub struct Plot {
     /// Its title, with the unit.
     pub title: String,
     /// The horizontal axis, with its unit.
@@ -95,7 +95,7 @@ fn short(value: f64) -> String {
 }
 
 /// The chart as an SVG element; empty if no curve has a point.
-pub fn svg(chart: &Chart) -> String {
+pub fn svg(chart: &Plot) -> String {
     let series: Vec<Series> = chart.series.iter().map(|series| plotted(series, chart.logarithmic)).collect();
     let points = || series.iter().flat_map(|series| &series.points);
     let Some(across) = Axis::around(points().map(|p| p[0]), false) else { return String::new() };
@@ -119,7 +119,7 @@ fn plotted(series: &Series, logarithmic: bool) -> Series {
 }
 
 /// The chart in words.
-fn summary(chart: &Chart, series: &[Series]) -> String {
+fn summary(chart: &Plot, series: &[Series]) -> String {
     let words = series.iter().filter_map(|series| {
         let (first, last) = (series.points.first()?, series.points.last()?);
         Some(format!("{} from {} to {}", series.name, short(first[1]), short(last[1])))
@@ -185,7 +185,7 @@ mod tests {
 
     fn chart(points: &[[f64; 2]], logarithmic: bool) -> String {
         let series = vec![Series { name: "a<b".into(), color: 1, points: points.to_vec() }];
-        svg(&Chart { title: "loss".into(), across: "steps".into(), logarithmic, series })
+        svg(&Plot { title: "loss".into(), across: "steps".into(), logarithmic, series })
     }
 
     #[test]

@@ -2,7 +2,7 @@
 //!
 //! Rays are cast from every covered texel into the hemisphere above it, along a set of near-uniform directions that is common to all
 //! texels. A row stores one bit per direction, and for each occluded direction the texel that occludes it, for interreflection
-//! ([`crate::visibility`]). In a fine texture a row stands for a small square of texels ([`crate::visibility::patch`]): shadows need less
+//! ([`crate::visibility`]). In a fine texture a row stands for a small square of texels ([`crate::visibility::texel_patches`]): shadows need less
 //! resolution than albedo, and their memory and time stay bounded.
 //!
 //! | parameter | type | unit | default | meaning |
@@ -14,7 +14,7 @@
 use crate::error::stop::is_stopping;
 use crate::math::ray::{Intersect, Ray};
 use crate::mesh::atlas::TexelAtlas;
-use crate::visibility::patch::{NO_ROW, Patches};
+use crate::visibility::texel_patches::{NO_ROW, Patches};
 use glam::Vec3;
 use rayon::prelude::*;
 

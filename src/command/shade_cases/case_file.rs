@@ -45,10 +45,10 @@ impl Case<f64> {
 }
 
 /// The objects as they came, and the cases read from them.
-pub(super) type Table = (Vec<Map<String, Value>>, Vec<Case<f64>>);
+pub(super) type CaseTable = (Vec<Map<String, Value>>, Vec<Case<f64>>);
 
 /// Reads and checks the whole table.
-pub(super) fn read_table(path: &Path) -> Result<Table> {
+pub(super) fn read_table(path: &Path) -> Result<CaseTable> {
     let text = String::from_utf8(read_bytes(path, missing_file_help)?)
         .map_err(|_| Error::input(path, "", "not UTF-8 text", "give a JSON list of cases"))?;
     let value: Value = serde_json::from_str(&text)

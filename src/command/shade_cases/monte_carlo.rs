@@ -1,7 +1,7 @@
 //! Path-traced shading of a case: one point, nothing in the way, so the first vertex is the whole path.
 
+use super::case_file::Case;
 use super::mode::{Precision, REPLICATES};
-use super::table::Case;
 use glam::Vec3;
 use lobelia::light::LightLobe;
 use lobelia::material::{SpecularBlend, SpecularLobe};
@@ -11,8 +11,8 @@ use lobelia::math::real::scale;
 use lobelia::math::sg;
 use lobelia::shade::path_tracer::{PathPoint, PathQuery, PathScene, PathSettings, shade_point};
 use lobelia::shade::sampling::lobe_table::LobeTable;
-use lobelia::shade::sampling::sequence::Sequence;
-use lobelia::shade::sampling::{Frame, Scattered, Scatterer, SingleLobe, Strategy, sample_sg, sg_pdf};
+use lobelia::shade::sampling::sobol::Sequence;
+use lobelia::shade::sampling::{Scattered, Scatterer, SingleLobe, Strategy, TangentFrame, sample_sg, sg_pdf};
 
 /// Outgoing radiance, diffuse and specular, with its standard errors if it was estimated.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -111,7 +111,7 @@ struct PointInF64<'a> {
     case: &'a Case<f64>,
     scatterer: Scatterer<f64>,
     /// Around the lobe's axis.
-    lobe_frame: Frame<f64>,
+    lobe_frame: TangentFrame<f64>,
     /// For the diffuse and for the specular product. The lobe itself is drawn from half of the time, these a quarter each.
     tables: [LobeTable; 2],
 }
@@ -122,7 +122,7 @@ impl<'a> PointInF64<'a> {
         let specular = Some((case.specular, Facets::sg(case.roughness)));
         let scatterer = Scatterer::new(case.normal, case.view, case.albedo, specular)?;
         let table = |mirror| LobeTable::new(case.normal, case.lobe_axis, case.lobe_sharpness, mirror);
-        let lobe_frame = Frame::new(case.lobe_axis);
+        let lobe_frame = TangentFrame::new(case.lobe_axis);
         Some(Self {
             case,
             scatterer,

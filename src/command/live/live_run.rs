@@ -32,7 +32,7 @@ pub struct Copied {
 }
 
 /// A run, as the page shows it.
-pub struct Shared {
+pub struct LiveRun {
     begun: Instant,
     state: Mutex<State>,
     /// Told when there is a new copy, and when the run ends.
@@ -89,14 +89,14 @@ pub struct BarAt {
     pub message: String,
 }
 
-impl Default for Shared {
+impl Default for LiveRun {
     fn default() -> Self {
         let (state, changed, wanted) = (Mutex::default(), Condvar::new(), AtomicBool::new(false));
         Self { begun: Instant::now(), state, changed, wanted }
     }
 }
 
-impl Shared {
+impl LiveRun {
     /// A thread that panicked has left nothing half done here.
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
@@ -302,7 +302,7 @@ mod tests {
 
     #[test]
     fn what_a_run_says_is_bounded() {
-        let shared = Shared::default();
+        let shared = LiveRun::default();
         for i in 0..500 {
             shared.say(&format!("{i}{}", "x".repeat(5000)));
         }
@@ -321,7 +321,7 @@ mod tests {
 
     #[test]
     fn only_the_bar_that_is_shown_changes() {
-        let shared = Shared::default();
+        let shared = LiveRun::default();
         shared.show_bar(BarAt { id: 1, length: 5, ..BarAt::default() });
         shared.show_bar(BarAt { id: 2, length: 9, ..BarAt::default() });
         shared.on_bar(1, |bar| bar.position = 4);

@@ -14,12 +14,12 @@ const WIDE_SHARE: f32 = 1e-3;
 
 /// RGB values by direction, and the mean of their squares.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Table {
+pub struct DirectionTable {
     cells: Vec<Vec3>,
     mean_square: Vec3,
 }
 
-impl Table {
+impl DirectionTable {
     /// The same everywhere.
     pub fn constant(value: Vec3) -> Self {
         Self::new(vec![value; SIDE * SIDE])
@@ -96,7 +96,7 @@ impl Sums {
 
     /// The table ≥ 0 with least squared error, where it is smoothed by a spherical Gaussian of this sharpness. With `share`, a cell has also a
     /// value of its own: the smooth one counts beside its sums with this weight, relative to the median of the cells that are seen.
-    pub fn table(&self, sharpness: f32, share: Option<f32>) -> Table {
+    pub fn table(&self, sharpness: f32, share: Option<f32>) -> DirectionTable {
         let middles: Vec<Vec3> = (0..SIDE * SIDE).map(middle).collect();
         let smooth = |i: usize| {
             let (mut products, mut squares) = (Vec3::ZERO, Vec3::splat(1e-30));
@@ -110,13 +110,13 @@ impl Sums {
         };
         let smooth: Vec<Vec3> = (0..SIDE * SIDE).into_par_iter().map(smooth).collect();
         let Some(share) = share else {
-            return Table::new(smooth.into_iter().map(|v| v.max(Vec3::ZERO)).collect());
+            return DirectionTable::new(smooth.into_iter().map(|v| v.max(Vec3::ZERO)).collect());
         };
         let mut seen: Vec<f32> =
             self.squares.iter().map(|v| v.element_sum() / 3.0).filter(|square| *square > 0.0).collect();
         let weight = share * median(&mut seen).unwrap_or(1.0) + 1e-30;
         let own = |i: usize| (self.products[i] + weight * smooth[i]) / (self.squares[i] + weight);
-        Table::new((0..smooth.len()).map(|i| own(i).max(Vec3::ZERO)).collect())
+        DirectionTable::new((0..smooth.len()).map(|i| own(i).max(Vec3::ZERO)).collect())
     }
 }
 
