@@ -91,7 +91,7 @@ fn a_tenth_of_the_triangles_looks_nearly_the_same() {
     assert!(metrics["chamfer"].as_f64().unwrap() < 1e-6, "{metrics}");
     let surface = r#"Mesh(path: "out/export/mesh.glb", texture_size: 128, own_material: true)"#;
     let again = scene(surface, "", r#"Evaluate(mesh: "mesh.glb")"#);
-    let outcome = data.run(&again, "again", &["--quiet"]).succeeded();
+    let outcome = data.run(&again, "again", &[]).succeeded();
     assert!(outcome.stdout.contains("Chamfer 0.00"), "{}", outcome.stdout);
     let found = psnr(&data, "out", "again");
     assert!(found > 35.0, "{found}");

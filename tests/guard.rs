@@ -194,7 +194,11 @@ fn steps_of_vertices_and_cameras_that_are_not_finite_are_taken_back() {
     assert!(fit_of_cameras.noise.iter().all(|noise| noise.is_finite()));
     let (first, mut pipeline) = fit(Place::Vertices, &|pipeline| {
         let surface = Surface::new(sphere_mesh(Vec3::ZERO, RADIUS).unwrap(), 32).unwrap();
-        _ = pipeline.add_plugin(&VertexPlugin { surface: Arc::new(surface), steps: 110 });
+        _ = pipeline.add_plugin(&VertexPlugin {
+            surface: Arc::new(surface),
+            steps: 110,
+            silhouettes: Vec::new(),
+        });
     });
     assert!(first.contains("step 60: the gradient is not finite, by vertex "), "{first}");
     let positions = read_column::<VertexIndex, VertexPosition>(&mut pipeline.world).unwrap();

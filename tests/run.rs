@@ -350,7 +350,8 @@ fn both_layouts_of_the_same_photographs_give_nearly_the_same_object() {
     let data = Data::new();
     let nerf = tempfile::tempdir().unwrap();
     as_nerf(&data, nerf.path());
-    data.run(SHORT, "out", &["--quiet"]).succeeded();
+    let told = data.run(SHORT, "out", &["--quiet"]).succeeded();
+    assert_eq!((told.stdout.as_str(), told.stderr.as_str()), ("", ""), "quiet is silent");
     let mut run = command(&["run", "--quiet"]);
     run.arg(data.path("scene.ron")).arg("--data").arg(nerf.path()).arg("--out").arg(data.path("nerf"));
     Outcome::of(&mut run).succeeded();

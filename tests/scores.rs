@@ -32,7 +32,7 @@ fn metrics(data: &Data, out: &str) -> Value {
 #[test]
 fn passes_against_photographs_have_srgb_scores() {
     let data = Data::new();
-    let table = data.run(SCENE, "out", &["--quiet"]).succeeded().stdout;
+    let table = data.run(SCENE, "out", &[]).succeeded().stdout;
     let metrics = metrics(&data, "out");
     let passes = &metrics["passes"];
     for scores in [&passes["novel"]["srgb"], &passes["novel"]["views"][1]["srgb"]] {

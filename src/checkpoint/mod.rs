@@ -97,7 +97,7 @@ impl Checkpoints {
 }
 
 /// Says that a pass begins; no other checkpoint of the way to where a run was killed is left by then, but those within it.
-pub fn begin_pass(world: &mut World, pass: u32) {
+pub(crate) fn begin_pass(world: &mut World, pass: u32) {
     if let Some(mut checkpoints) = world.get_resource_mut::<Checkpoints>() {
         checkpoints.at = Place::of_pass(pass);
         checkpoints.due = Instant::now() + checkpoints.every;
@@ -108,7 +108,7 @@ pub fn begin_pass(world: &mut World, pass: u32) {
 ///
 /// # Errors
 /// If it cannot be written.
-pub fn keep_pass<T: Serialize>(world: &mut World, pass: u32, own: &T) -> Result<()> {
+pub(crate) fn keep_pass<T: Serialize>(world: &mut World, pass: u32, own: &T) -> Result<()> {
     keep_at(world, Span::Run, false, own, |_| Place::of_pass(pass))
 }
 
@@ -116,7 +116,7 @@ pub fn keep_pass<T: Serialize>(world: &mut World, pass: u32, own: &T) -> Result<
 ///
 /// # Errors
 /// If it cannot be written.
-pub fn keep_level<T: Serialize>(world: &mut World, level: u32, own: &T) -> Result<()> {
+pub(crate) fn keep_level<T: Serialize>(world: &mut World, level: u32, own: &T) -> Result<()> {
     let place = |at: Place| Place { level, step: 0, ..at };
     keep_at(world, Span::Pass, false, own, place)?;
     if let Some(mut checkpoints) = world.get_resource_mut::<Checkpoints>() {
@@ -134,7 +134,7 @@ pub fn is_due(world: &World) -> bool {
 ///
 /// # Errors
 /// If it cannot be written.
-pub fn keep_step<T: Serialize>(world: &mut World, step: u32, own: &T) -> Result<()> {
+pub(crate) fn keep_step<T: Serialize>(world: &mut World, step: u32, own: &T) -> Result<()> {
     let start = Instant::now();
     keep_at(world, Span::Pass, true, own, |at| Place { step, ..at })?;
     if let Some(mut checkpoints) = world.get_resource_mut::<Checkpoints>() {
@@ -163,13 +163,13 @@ fn keep_at<T: Serialize>(
 }
 
 /// Whether a resumed run has a step of the level at work ahead, so that what the level starts from need not be found again.
-pub fn has_step_ahead(world: &World) -> bool {
+pub(crate) fn has_step_ahead(world: &World) -> bool {
     let next = world.get_resource::<Checkpoints>().and_then(|kept| Some((kept.at, kept.ahead.front()?.0)));
     next.is_some_and(|(at, next)| next.step > 0 && Place { step: 0, ..next } == at)
 }
 
 /// Whether a resumed run has a later level of the pass at work ahead, so that what its first one starts from need not be found again.
-pub fn has_level_ahead(world: &World) -> bool {
+pub(crate) fn has_level_ahead(world: &World) -> bool {
     let next = world.get_resource::<Checkpoints>().and_then(|kept| Some((kept.at, kept.ahead.front()?.0)));
     next.is_some_and(|(at, next)| is_level_of(at, next))
 }
@@ -184,7 +184,7 @@ fn is_level_of(at: Place, next: Place) -> bool {
 ///
 /// # Errors
 /// If the checkpoint is not one of this world; those of `prepare`.
-pub fn resume_pass<T: DeserializeOwned>(
+pub(crate) fn resume_pass<T: DeserializeOwned>(
     world: &mut World,
     prepare: impl FnOnce(&mut World, &T) -> Result<()>,
 ) -> Result<Option<(u32, T)>> {
@@ -196,7 +196,7 @@ pub fn resume_pass<T: DeserializeOwned>(
 ///
 /// # Errors
 /// Those of [`resume_pass`].
-pub fn resume_level<T: DeserializeOwned>(
+pub(crate) fn resume_level<T: DeserializeOwned>(
     world: &mut World,
     prepare: impl FnOnce(&mut World, &T) -> Result<()>,
 ) -> Result<Option<(u32, T)>> {
@@ -208,7 +208,7 @@ pub fn resume_level<T: DeserializeOwned>(
 ///
 /// # Errors
 /// Those of [`resume_pass`].
-pub fn resume_step<T: DeserializeOwned>(world: &mut World) -> Result<Option<(u32, T)>> {
+pub(crate) fn resume_step<T: DeserializeOwned>(world: &mut World) -> Result<Option<(u32, T)>> {
     if !has_step_ahead(world) {
         return Ok(None);
     }
@@ -249,7 +249,7 @@ pub fn carry(world: &mut World, span: Span) -> Result<Carried> {
 }
 
 /// Goes on without it: only the run's checkpoints are put back.
-pub fn discard(world: &mut World, carried: Carried) {
+pub(crate) fn discard(world: &mut World, carried: Carried) {
     if let Some(checkpoints) = carried.checkpoints {
         world.insert_resource(checkpoints);
     }

@@ -9,7 +9,7 @@ use std::io::{self, Write};
 ///
 /// # Errors
 /// [`Error::Run`] for a value that has no length or no serialized form; no state is one.
-pub fn to_bytes<T: Serialize + ?Sized>(value: &T) -> Result<Vec<u8>> {
+pub(crate) fn to_bytes<T: Serialize + ?Sized>(value: &T) -> Result<Vec<u8>> {
     postcard::to_allocvec(value).map_err(|error| Error::run("writing a checkpoint", error.to_string()))
 }
 
@@ -17,7 +17,7 @@ pub fn to_bytes<T: Serialize + ?Sized>(value: &T) -> Result<Vec<u8>> {
 ///
 /// # Errors
 /// Those of the writer.
-pub fn write_to<T: Serialize + ?Sized>(value: &T, to: impl Write) -> io::Result<()> {
+pub(crate) fn write_to<T: Serialize + ?Sized>(value: &T, to: impl Write) -> io::Result<()> {
     let mut to = Remembering { to, failed: None };
     let written = postcard::to_io(value, &mut to).map(drop);
     match to.failed {
@@ -52,7 +52,7 @@ impl<W: Write> Write for Remembering<W> {
 ///
 /// # Errors
 /// [`Error::Run`] for bytes of another type.
-pub fn from_bytes<T: DeserializeOwned>(bytes: &[u8]) -> Result<T> {
+pub(crate) fn from_bytes<T: DeserializeOwned>(bytes: &[u8]) -> Result<T> {
     let (value, rest) = postcard::take_from_bytes(bytes).map_err(|error| damaged(&error.to_string()))?;
     if rest.is_empty() { Ok(value) } else { Err(damaged("there is more")) }
 }

@@ -11,6 +11,7 @@ use std::any::type_name;
 
 /// How long a part is state.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[non_exhaustive]
 pub enum Span {
     /// From one pass to the next.
     Run,
@@ -21,7 +22,7 @@ pub enum Span {
 /// Saves a part; `None` if the world does not have it.
 pub type Save = fn(&mut World) -> Result<Option<Vec<u8>>>;
 /// Puts a part back.
-pub type Load = fn(&mut World, &[u8]) -> Result<()>;
+pub(crate) type Load = fn(&mut World, &[u8]) -> Result<()>;
 
 struct Part {
     name: &'static str,

@@ -14,6 +14,7 @@ use tempfile::TempDir;
 
 /// Result of writing an MP4.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Mp4 {
     /// It was written.
     Written,

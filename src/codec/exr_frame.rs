@@ -41,7 +41,7 @@ const ALPHA: &str = "A";
 const DEPTH: &str = "depth.Z";
 
 /// Bytes of one pixel of a [`Frame`], in memory and in a file before compression.
-pub const FRAME_PIXEL_BYTES: usize = (3 * 5 + 2) * size_of::<f32>();
+pub(crate) const FRAME_PIXEL_BYTES: usize = (3 * 5 + 2) * size_of::<f32>();
 
 impl Frame {
     /// The channels in the order of a file: by name.
@@ -135,6 +135,7 @@ pub fn write_channels(path: impl AsRef<Path>, channels: &ExrLayers) -> Result<()
 
 /// A layer of a [`Frame`] in three channels, which can be left out on reading.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Layer {
     /// [`Frame::diffuse`].
     Diffuse,

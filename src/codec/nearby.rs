@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 /// Natural order of names: runs of digits compare as numbers, so that `r_2` comes before `r_10`.
-pub fn natural_order(a: &str, b: &str) -> Ordering {
+pub(crate) fn natural_order(a: &str, b: &str) -> Ordering {
     let (mut rest_a, mut rest_b) = (a, b);
     loop {
         let (chunk_a, chunk_b) = (leading_chunk(rest_a), leading_chunk(rest_b));
@@ -37,7 +37,7 @@ fn compare_chunks(a: &str, b: &str) -> Ordering {
 }
 
 /// Up to three of `candidates` that are similar to `name`, closest first.
-pub fn closest<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Vec<&'a str> {
+pub(crate) fn closest<'a>(name: &str, candidates: impl IntoIterator<Item = &'a str>) -> Vec<&'a str> {
     // No file or view has so long a name, and comparing takes time in proportion to the length.
     if name.len() > 1000 {
         return Vec::new();

@@ -9,7 +9,7 @@ use std::collections::{BTreeSet, HashMap};
 
 /// A palette of at most 256 sRGB colors.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Palette {
+pub(crate) struct Palette {
     /// The colors.
     pub colors: Vec<[u8; 3]>,
 }
@@ -154,7 +154,7 @@ const STRENGTH: f32 = 0.8;
 const CACHED: usize = 1 << 20;
 
 /// Dithers frames to a palette, with a cache per color.
-pub struct Ditherer<'a> {
+pub(crate) struct Ditherer<'a> {
     palette: &'a Palette,
     candidates: HashMap<[u8; 3], [u8; 16]>,
     nearest: HashMap<[i32; 3], u8>,

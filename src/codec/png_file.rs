@@ -2,7 +2,7 @@
 
 use crate::codec::file;
 use crate::{Error, Result};
-use image::{GrayImage, RgbImage, RgbaImage};
+use image::{GrayImage, RgbImage};
 use png::{BitDepth, ColorType, Compression, Encoder, SrgbRenderingIntent};
 use std::io::{BufReader, Write};
 use std::path::Path;
@@ -15,19 +15,11 @@ pub fn write_rgb8(path: impl AsRef<Path>, picture: &RgbImage) -> Result<()> {
     write(path.as_ref(), picture.width(), picture.height(), ColorType::Rgb, picture.as_raw())
 }
 
-/// Writes an sRGB picture with straight alpha.
-///
-/// # Errors
-/// [`Error::Io`] if the file cannot be written, [`Error::Run`] for an empty picture.
-pub fn write_rgba8(path: impl AsRef<Path>, picture: &RgbaImage) -> Result<()> {
-    write(path.as_ref(), picture.width(), picture.height(), ColorType::Rgba, picture.as_raw())
-}
-
 /// Writes a gray picture, such as a mask.
 ///
 /// # Errors
 /// [`Error::Io`] if the file cannot be written, [`Error::Run`] for an empty picture.
-pub fn write_gray8(path: impl AsRef<Path>, picture: &GrayImage) -> Result<()> {
+pub(crate) fn write_gray8(path: impl AsRef<Path>, picture: &GrayImage) -> Result<()> {
     write(path.as_ref(), picture.width(), picture.height(), ColorType::Grayscale, picture.as_raw())
 }
 
@@ -63,7 +55,7 @@ const CHUNK_BYTES: usize = 1 << 20;
 /// # Errors
 /// [`Error::Io`] if the file cannot be written, [`Error::Run`] for an empty picture or another number of rows, and whatever
 /// `fill` returns.
-pub fn write_rows(
+pub(crate) fn write_rows(
     path: impl AsRef<Path>,
     size: [u32; 2],
     color: ColorType,
@@ -155,7 +147,7 @@ pub(super) fn failed(path: &Path, error: png::EncodingError) -> Error {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use image::{Luma, Rgb, Rgba};
+    use image::{Luma, Rgb};
 
     #[test]
     fn pictures_round_trip() {
@@ -164,9 +156,6 @@ mod tests {
         let rgb = RgbImage::from_fn(7, 5, |x, y| Rgb([x as u8 * 30, y as u8 * 40, 200]));
         write_rgb8(&path, &rgb).unwrap();
         assert_eq!(image::open(&path).unwrap().into_rgb8(), rgb);
-        let rgba = RgbaImage::from_fn(3, 4, |x, y| Rgba([x as u8 * 30, 7, 9, y as u8 * 60]));
-        write_rgba8(&path, &rgba).unwrap();
-        assert_eq!(image::open(&path).unwrap().into_rgba8(), rgba);
         let gray = GrayImage::from_fn(5, 2, |x, y| Luma([x as u8 * 50 + y as u8]));
         write_gray8(&path, &gray).unwrap();
         assert_eq!(image::open(&path).unwrap(), image::DynamicImage::ImageLuma8(gray));

@@ -8,7 +8,7 @@ use std::io::{Cursor, Write};
 use std::path::Path;
 
 /// An EXR file of `f32` channels.
-pub fn exr_bytes(width: usize, height: usize, channels: &[(&str, Vec<f32>)]) -> Vec<u8> {
+pub(crate) fn exr_bytes(width: usize, height: usize, channels: &[(&str, Vec<f32>)]) -> Vec<u8> {
     let list = channels
         .iter()
         .map(|(name, values)| AnyChannel::new(*name, FlatSamples::F32(values.clone())))
@@ -30,7 +30,7 @@ pub fn write_exr(path: &Path, width: usize, height: usize, channels: &[(&str, Ve
 }
 
 /// An `.npy` file of a matrix, row by row, in `f64`.
-pub fn npy_matrix(rows: usize, columns: usize, values: &[f64]) -> Vec<u8> {
+pub(crate) fn npy_matrix(rows: usize, columns: usize, values: &[f64]) -> Vec<u8> {
     assert_eq!(values.len(), rows * columns);
     let mut header = format!("{{'descr': '<f8', 'fortran_order': False, 'shape': ({rows}, {columns}), }}");
     let padding = (10 + header.len() + 1).next_multiple_of(64) - 11 - header.len();
@@ -44,7 +44,7 @@ pub fn npy_matrix(rows: usize, columns: usize, values: &[f64]) -> Vec<u8> {
 }
 
 /// Writes an `.npz` file of arrays with these names.
-pub fn write_npz(path: &Path, method: zip::CompressionMethod, arrays: &[(impl AsRef<str>, Vec<u8>)]) {
+pub(crate) fn write_npz(path: &Path, method: zip::CompressionMethod, arrays: &[(impl AsRef<str>, Vec<u8>)]) {
     let mut archive = zip::ZipWriter::new(std::fs::File::create(path).unwrap());
     let options = zip::write::SimpleFileOptions::default().compression_method(method);
     for (name, bytes) in arrays {
@@ -54,7 +54,7 @@ pub fn write_npz(path: &Path, method: zip::CompressionMethod, arrays: &[(impl As
     archive.finish().unwrap();
 }
 /// A Radiance HDR file without runs; mantissas are truncated to eight bits.
-pub fn hdr_bytes(width: usize, height: usize, pixels: &[Vec3]) -> Vec<u8> {
+pub(crate) fn hdr_bytes(width: usize, height: usize, pixels: &[Vec3]) -> Vec<u8> {
     let mut bytes = format!("#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y {height} +X {width}\n").into_bytes();
     for pixel in pixels {
         let exponent = pixel.max_element().max(1e-30).log2().floor() + 1.0;

@@ -26,6 +26,7 @@ pub struct UsdImage {
 
 /// A value of the material: one for all, or a texture.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum UsdInput<T> {
     /// The value.
     Value(T),
@@ -46,6 +47,7 @@ pub struct UsdMaterial {
 
 /// The direction that a file says is up.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum UpAxis {
     /// +Y.
     Y,

@@ -16,7 +16,7 @@ pub fn print(text: &str) -> Result<()> {
     }
 }
 
-/// Bars on a terminal, nothing under `--quiet` or in a pipe but the results.
+/// Bars on a terminal, the results alone in a pipe, and nothing under `--quiet`: results are in files, and errors are not told here.
 pub struct Terminal {
     bars: bool,
     quiet: bool,
@@ -40,6 +40,9 @@ impl Progress for Terminal {
 
     /// On standard output; a closed pipe is not an error.
     fn print(&self, text: &str) {
+        if self.quiet {
+            return;
+        }
         let mut out = std::io::stdout().lock();
         let _ = writeln!(out, "{text}");
     }

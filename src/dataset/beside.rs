@@ -93,7 +93,7 @@ impl Beside {
 }
 
 /// What a folder may be that has an image for each photograph.
-pub fn masks_hint(folder: &Path) -> String {
+pub(crate) fn masks_hint(folder: &Path) -> String {
     format!("{} has images of the same names: rename it to masks/ if it holds masks", folder.display())
 }
 

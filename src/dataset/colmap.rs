@@ -70,12 +70,12 @@ fn named_otherwise(photographs: &Path) -> Option<PathBuf> {
 }
 
 /// The `images` file of the folder's reconstruction, if it has one.
-pub fn camera_file(dir: &Path) -> Option<PathBuf> {
+pub(crate) fn camera_file(dir: &Path) -> Option<PathBuf> {
     find_place(dir).and_then(|place| place.models.into_iter().next())
 }
 
 /// Whether the folder has this split of a COLMAP data set: the test split is a list.
-pub fn has_split(dir: &Path, split: Split) -> bool {
+pub(crate) fn has_split(dir: &Path, split: Split) -> bool {
     camera_file(dir).is_some() && (split == Split::Train || has_test_list(dir))
 }
 
@@ -136,7 +136,7 @@ fn largest(models: Vec<PathBuf>) -> Result<(PathBuf, Option<String>)> {
 ///
 /// # Errors
 /// [`Error::Input`] if there is no model, or it cannot be read.
-pub fn registered_names(folder: &Path) -> Result<Vec<String>> {
+pub(crate) fn registered_names(folder: &Path) -> Result<Vec<String>> {
     let Some(file) = colmap_model::image_file(folder) else {
         let problem = "there is no COLMAP model: looked for cameras and images, .bin or .txt";
         return Err(Error::input(folder, "", problem, missing_file_help(&folder.join("cameras.bin"))));

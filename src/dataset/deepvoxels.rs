@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 const INTRINSICS: &str = "intrinsics.txt";
 
 /// The folder of a split; `dir` itself has views without splits, which count as training views.
-pub fn split_folder(dir: &Path, split: Split) -> Option<PathBuf> {
+pub(crate) fn split_folder(dir: &Path, split: Split) -> Option<PathBuf> {
     let with_intrinsics =
         |name: &&str| Some(dir.join(name)).filter(|folder| is_there(&folder.join(INTRINSICS)));
     match (with_intrinsics(&""), split) {

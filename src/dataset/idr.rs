@@ -26,7 +26,7 @@ const HELP: &str =
     "world_mat_n is the 4×4 matrix that projects points of the world to pixels of the n-th photograph.";
 
 /// The file of cameras, if the folder has one.
-pub fn camera_file(dir: &Path) -> Option<PathBuf> {
+pub(crate) fn camera_file(dir: &Path) -> Option<PathBuf> {
     CAMERA_FILES.iter().map(|name| dir.join(name)).find(|file| is_there(file))
 }
 

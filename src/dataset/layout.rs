@@ -151,7 +151,7 @@ impl LayoutReader {
 ///
 /// # Errors
 /// [`Error::Input`] if the layout cannot be determined.
-pub fn has_split(dir: impl AsRef<Path>, split: Split, options: &DatasetOptions) -> Result<bool> {
+pub(crate) fn has_split(dir: impl AsRef<Path>, split: Split, options: &DatasetOptions) -> Result<bool> {
     let dir = dir.as_ref();
     let reader = find_reader(dir, options.layout, in_scene_file)?.reader;
     let makes = split == Split::Test && options.hold_out > 0 && reader.is_held_out(dir);
@@ -168,7 +168,11 @@ pub(super) fn in_scene_file(layout: Layout) -> String {
 ///
 /// # Errors
 /// [`Error::Input`] if there is no such folder, or for `Auto` not exactly one layout.
-pub fn find_layout(dir: impl AsRef<Path>, asked: Layout, choice: fn(Layout) -> String) -> Result<Layout> {
+pub(crate) fn find_layout(
+    dir: impl AsRef<Path>,
+    asked: Layout,
+    choice: fn(Layout) -> String,
+) -> Result<Layout> {
     find_reader(dir.as_ref(), asked, choice).map(|found| found.reader.layout)
 }
 

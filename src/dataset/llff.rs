@@ -25,7 +25,7 @@ const HELP: &str = "A row has 17 numbers: a 3×5 matrix of axes (down, right, ba
                     length; then two depths.";
 
 /// The file of cameras.
-pub fn camera_file(dir: &Path) -> PathBuf {
+pub(crate) fn camera_file(dir: &Path) -> PathBuf {
     dir.join("poses_bounds.npy")
 }
 

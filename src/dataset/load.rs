@@ -363,7 +363,7 @@ impl PlannedView {
 }
 
 /// Notes for the user about what was done to loaded views, with counts.
-pub fn load_notes(loaded: &[LoadedView]) -> Vec<String> {
+pub(crate) fn load_notes(loaded: &[LoadedView]) -> Vec<String> {
     let mut notes = Vec::new();
     let mut count = |of: fn(&Repairs) -> usize, what: &str| {
         let broken: Vec<(&str, usize)> = loaded

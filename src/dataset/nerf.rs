@@ -34,12 +34,12 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// The file that describes the cameras of one split.
-pub fn camera_file(dir: &Path, split: Split) -> PathBuf {
+pub(crate) fn camera_file(dir: &Path, split: Split) -> PathBuf {
     file_of(dir, split_word(dir, split))
 }
 
 /// The word for a split in names: `val` where the folder has a file of that for the test split, and none of `test`.
-pub fn split_word(dir: &Path, split: Split) -> &'static str {
+pub(crate) fn split_word(dir: &Path, split: Split) -> &'static str {
     let is_val = split == Split::Test && !is_there(&file_of(dir, "test")) && is_there(&file_of(dir, "val"));
     if is_val { "val" } else { split_name(split) }
 }
@@ -55,7 +55,7 @@ fn common_file(dir: &Path) -> Option<PathBuf> {
 }
 
 /// Whether the folder has this split: a file of it, or one file for all views, which has a test split if it lists one.
-pub fn has_split(dir: &Path, split: Split) -> bool {
+pub(crate) fn has_split(dir: &Path, split: Split) -> bool {
     match (common_file(dir), split) {
         (None, _) => is_there(&camera_file(dir, split)),
         (Some(_), Split::Train) => true,

@@ -22,7 +22,7 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 /// The file that describes the cameras of a split.
-pub fn camera_file(dir: &Path, split: Split) -> PathBuf {
+pub(crate) fn camera_file(dir: &Path, split: Split) -> PathBuf {
     dir.join(split_name(split)).join("cam_dict_norm.json")
 }
 

@@ -13,7 +13,7 @@ use crate::view::Split;
 use std::path::{Path, PathBuf};
 
 /// The folder of the masks of a split.
-pub fn mask_folder(dir: &Path, split: Split) -> PathBuf {
+pub(crate) fn mask_folder(dir: &Path, split: Split) -> PathBuf {
     dir.join(format!("{}_mask", nerf::split_word(dir, split)))
 }
 

@@ -12,7 +12,7 @@ use bevy_ecs::prelude::{Bundle, Component, Entity, With, Without, World};
 use bevy_ecs::query::QueryFilter;
 
 /// The lobes of the scene's own light.
-pub type OwnLobes = (With<LightLobe>, Without<LobeOf>);
+pub(crate) type OwnLobes = (With<LightLobe>, Without<LobeOf>);
 
 /// Gives texels, lobes and base materials zero gradients, and zero moments as well where a fit begins; one that goes on has kept its own.
 pub(super) fn attach(world: &mut World, sheen: bool, begins: bool) {

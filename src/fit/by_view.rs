@@ -14,7 +14,7 @@ use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 /// Difference of sRGB luminance from which on a pixel is an outlier.
-pub const OUTLIER: f32 = 0.1;
+pub(crate) const OUTLIER: f32 = 0.1;
 
 /// Sums over the pixels of one photograph.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -25,7 +25,7 @@ pub struct ViewSum {
     pub pixels: u64,
     /// Squared differences after clipping to `[0, 1]`, over three channels.
     pub squares: f64,
-    /// Pixels whose difference is above [`OUTLIER`].
+    /// Pixels whose difference is above `OUTLIER`.
     pub outliers: u64,
     /// Luminance of the photograph.
     pub observed: f64,
@@ -69,7 +69,7 @@ impl ViewSums {
 }
 
 /// Whether a pixel is an outlier.
-pub fn is_outlier(predicted: Vec3, observed: Vec3) -> bool {
+pub(crate) fn is_outlier(predicted: Vec3, observed: Vec3) -> bool {
     let code = |radiance: Vec3| srgb_from_linear(luminance(radiance).clamp(0.0, 1.0));
     (code(predicted) - code(observed)).abs() > OUTLIER
 }

@@ -6,9 +6,9 @@
 //! | [`check_loss`] | Loss, after the comparison | looks at the loss and its adjoint |
 //! | [`check_adjoints`] | Gradient, after `Slot::ShadingAdjoint` | looks at the adjoints of points, light and materials |
 //!
-//! Shapes, vertices and cameras look at their own gradients, with [`is_usable`], and tell the [`StepGuard`].
+//! Shapes, vertices and cameras look at their own gradients, with `is_usable`, and tell the [`StepGuard`].
 //!
-//! What is not finite is set to zero, so that nothing that is kept from step to step takes it up; [`step_is_sound`] then holds Update
+//! What is not finite is set to zero, so that nothing that is kept from step to step takes it up; `step_is_sound` then holds Update
 //! back, and Gradient too if it is found in Loss. If it is found in Gradient, the rest of that stage runs on zeros.
 
 use super::components::{AlbedoGradient, LossState, StepGradient};
@@ -40,7 +40,7 @@ const BRIGHTEST: f32 = 1e15;
 
 /// Where a step that is not taken fails first.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct BadStep {
+pub(crate) struct BadStep {
     /// What is not finite: "the radiance", "the gradient".
     pub what: String,
     /// The pixel, if it is one's.
@@ -75,7 +75,7 @@ impl StepGuard {
 }
 
 /// Whether everything in this step is finite.
-pub fn step_is_sound(guard: Option<Res<StepGuard>>) -> bool {
+pub(crate) fn step_is_sound(guard: Option<Res<StepGuard>>) -> bool {
     guard.is_none_or(|guard| guard.is_sound())
 }
 
@@ -85,7 +85,7 @@ fn is_sound(values: &[f32], largest: f32) -> bool {
 }
 
 /// Whether a gradient can be used: it is finite, and so is what is made of it.
-pub fn is_usable(gradient: &[f32]) -> bool {
+pub(crate) fn is_usable(gradient: &[f32]) -> bool {
     is_sound(gradient, LARGEST)
 }
 
@@ -274,7 +274,7 @@ fn words(world: &mut World, bad_step: &BadStep) -> String {
 ///
 /// # Errors
 /// [`Error::Run`] that names the first parameter that is not finite.
-pub fn check_parameters(world: &mut World) -> Result<()> {
+pub(crate) fn check_parameters(world: &mut World) -> Result<()> {
     let refuse = |what: String| Err(not_finite(what));
     let mut lobes = world.query_filtered::<&LightLobe, Without<LobeOf>>();
     let is_finite =
@@ -313,7 +313,7 @@ pub fn check_parameters(world: &mut World) -> Result<()> {
 ///
 /// # Errors
 /// [`Error::Run`] that names the first that is not finite: `what` and its place.
-pub fn check_numbers(what: &str, mut numbers: impl Iterator<Item = f32>) -> Result<()> {
+pub(crate) fn check_numbers(what: &str, mut numbers: impl Iterator<Item = f32>) -> Result<()> {
     match numbers.position(|number| !number.is_finite()) {
         Some(i) => Err(not_finite(format!("{what} {i}"))),
         None => Ok(()),

@@ -30,4 +30,5 @@ pub mod scale;
 pub mod sheen;
 pub mod systems;
 
-pub use initialization::start::{FramesTried, ObjectTurned, light_turns};
+pub(crate) use initialization::start::light_turns;
+pub use initialization::start::{FramesTried, ObjectTurned};

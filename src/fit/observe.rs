@@ -45,7 +45,7 @@ pub(super) struct Candidate {
 pub struct Candidates(Vec<Candidate>);
 
 /// Least coverage of a pixel that is used: partly covered pixels contain background as well.
-pub const FULL_COVERAGE: f32 = 0.999;
+pub(crate) const FULL_COVERAGE: f32 = 0.999;
 /// Most usable pixels whose order is shuffled; of more, the chosen ones are drawn one by one.
 const MOST_SHUFFLED: usize = 1 << 26;
 
@@ -230,7 +230,7 @@ impl Candidate {
 }
 
 /// Spawns the samples of a step of `batch` pixels.
-pub fn spawn_samples(world: &mut World, batch: usize) {
+pub(crate) fn spawn_samples(world: &mut World, batch: usize) {
     despawn_pool(world);
     let nowhere = Ray { origin: Vec3::ZERO, direction: Vec3::NEG_Z };
     let blank = |row| FitSample::blank(SampleIndex(row), nowhere);

@@ -16,6 +16,6 @@ pub fn optimizer() -> ScheduleConfigs<ScheduleSystem> {
 
 /// The same with one roughness per texel, which needs its [prior](super::roughness::texel::RoughnessPrior) and
 /// [state](super::roughness::texel::attach_roughness).
-pub fn optimizer_of_texel_roughness() -> ScheduleConfigs<ScheduleSystem> {
+pub(crate) fn optimizer_of_texel_roughness() -> ScheduleConfigs<ScheduleSystem> {
     (move_scale, move_texels, move_sheen, move_roughness, move_lobes, tie_specular, move_specular).chain()
 }

@@ -129,7 +129,7 @@ pub fn move_scale(
 ///
 /// # Errors
 /// If the pool of texels is incomplete.
-pub fn start_scale(world: &mut World, rule: ScaleRule) -> Result<()> {
+pub(crate) fn start_scale(world: &mut World, rule: ScaleRule) -> Result<()> {
     if !matches!(rule, ScaleRule::Highlights { .. }) {
         return Ok(());
     }

@@ -40,7 +40,7 @@ impl LightLobe {
 }
 
 /// The light lobe as the kernels read it.
-pub fn kernel_lobe(lobe: &LightLobe) -> Lobe<f32> {
+pub(crate) fn kernel_lobe(lobe: &LightLobe) -> Lobe<f32> {
     Lobe { axis: lobe.axis.into(), sharpness: lobe.sharpness, amplitude: lobe.amplitude.into() }
 }
 

@@ -7,7 +7,6 @@ use super::components::{
 use super::components::{ShownAlbedo, ShownBlend, ShownSheen, ShownSpecular, ShownTilt};
 use crate::error::{Error, Result};
 use crate::pipeline::SystemResult;
-use crate::pipeline::pool::Column;
 use bevy_ecs::component::Mutable;
 use bevy_ecs::prelude::{Changed, Component, Entity, Local, Query, Res, ResMut, Resource, With};
 use glam::Vec3;
@@ -176,7 +175,7 @@ impl<M: MaterialSource> Default for PlainBlends<M> {
 }
 
 /// Run condition: whether the blend weights of a texel have changed, or texels have been added or removed.
-pub fn blends_changed<M: MaterialSource>(
+pub(crate) fn blends_changed<M: MaterialSource>(
     changed: Query<(), (Changed<M::Blend>, With<TexelIndex>)>,
     texels: Query<(), (With<M::Blend>, With<TexelIndex>)>,
     mut known: Local<usize>,
@@ -185,7 +184,7 @@ pub fn blends_changed<M: MaterialSource>(
     std::mem::replace(&mut *known, now) != now || !changed.is_empty()
 }
 
-/// Gather: records whether any texel blends base materials; runs if [`blends_changed`].
+/// Gather: records whether any texel blends base materials; runs if `blends_changed`.
 pub fn note_plain_blends<M: MaterialSource>(
     texels: Query<&M::Blend, With<TexelIndex>>,
     mut noted: ResMut<PlainBlends<M>>,
@@ -223,14 +222,6 @@ pub(crate) fn check_numbers(rising: impl Iterator<Item = usize>) -> Result<()> {
     }
     Ok(())
 }
-
-/// Albedo, sheen, tilt and blends of all texels.
-pub type TexelColumns<'w, M> = (
-    Column<'w, <M as MaterialSource>::Albedo>,
-    Column<'w, <M as MaterialSource>::Sheen>,
-    Column<'w, <M as MaterialSource>::Tilt>,
-    Column<'w, <M as MaterialSource>::Blend>,
-);
 
 /// The texels of one material, as a system parameter.
 pub type MaterialTexels<'w, 's, M> = Texels<

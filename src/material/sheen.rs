@@ -20,7 +20,7 @@ use glam::Vec3;
 const MEAN_GRAZING: f32 = 1.0 / 3.0;
 
 /// Diffuse albedo toward a viewer at the cosine `facing` = n·v, for the albedo ρ and the sheen s of a point.
-pub fn albedo_toward(albedo: Vec3, sheen: Vec3, facing: f32) -> Vec3 {
+pub(crate) fn albedo_toward(albedo: Vec3, sheen: Vec3, facing: f32) -> Vec3 {
     albedo + sheen * grazing(facing)
 }
 
@@ -35,12 +35,13 @@ pub fn mean_albedo(albedo: Vec3, sheen: Vec3) -> Vec3 {
 }
 
 /// Whether any texel has a sheen.
-pub fn has_sheen(sheen: &[DiffuseSheen]) -> bool {
+pub(crate) fn has_sheen(sheen: &[DiffuseSheen]) -> bool {
     sheen.iter().any(|sheen| sheen.0 != Vec3::ZERO)
 }
 
 /// The albedo along the surface where it is known: what moves the albedo straight on moves the sheen, which is their difference.
 #[derive(Resource, Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum KnownAlong {
     /// The same everywhere, whatever the texels are.
     Everywhere(Vec3),

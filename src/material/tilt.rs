@@ -17,7 +17,7 @@ use crate::math::ray::TexelAddress;
 use glam::Vec3;
 
 /// Longest tilt: from every side a part of the mean albedo is left.
-pub const MOST_TILT: f32 = 0.9;
+pub(crate) const MOST_TILT: f32 = 0.9;
 
 /// Diffuse albedo of a point toward all viewers.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -62,12 +62,12 @@ impl DirectionalAlbedo {
 }
 
 /// The part v⊥ of a unit direction along the surface.
-pub fn along_surface(normal: Vec3, direction: Vec3) -> Vec3 {
+pub(crate) fn along_surface(normal: Vec3, direction: Vec3) -> Vec3 {
     direction - normal * normal.dot(direction)
 }
 
 /// Whether any texel has a tilt.
-pub fn has_tilt(tilt: &[DiffuseTilt]) -> bool {
+pub(crate) fn has_tilt(tilt: &[DiffuseTilt]) -> bool {
     tilt.iter().any(|tilt| tilt.0 != Vec3::ZERO)
 }
 

@@ -39,7 +39,7 @@ impl Range<f32> {
 }
 
 /// Octahedral coordinates of a unit direction as 16-bit fractions of [−1, 1].
-pub fn octahedral(direction: Vec3) -> [u16; 2] {
+pub(crate) fn octahedral(direction: Vec3) -> [u16; 2] {
     let sum = direction.abs().element_sum().max(f32::MIN_POSITIVE);
     let flat = Vec2::new(direction.x, direction.y) / sum;
     let folded = if direction.z < 0.0 {
@@ -52,7 +52,7 @@ pub fn octahedral(direction: Vec3) -> [u16; 2] {
     [range.fraction(folded.x), range.fraction(folded.y)]
 }
 
-/// The direction of [`octahedral`] coordinates, as the page decodes it.
+/// The direction of `octahedral` coordinates, as the page decodes it.
 pub fn direction(fractions: [u16; 2]) -> Vec3 {
     let range = Range { low: -1.0, size: 2.0 };
     let [x, y] = fractions.map(|fraction| range.value(fraction));
@@ -62,7 +62,7 @@ pub fn direction(fractions: [u16; 2]) -> Vec3 {
 }
 
 /// Packs the mesh and returns the ranges of its numbers.
-pub fn pack_mesh(pack: &mut Pack, mesh: &Mesh) -> Value {
+pub(crate) fn pack_mesh(pack: &mut Pack, mesh: &Mesh) -> Value {
     let axes: [Range<f32>; 3] = [0, 1, 2].map(|c| Range::of(mesh.positions.iter().map(|p| p[c])));
     let uvs = mesh.uvs.as_deref().unwrap_or_default();
     let texture: [Range<f32>; 2] = [0, 1].map(|c| Range::of(uvs.iter().map(|uv| uv[c])));

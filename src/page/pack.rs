@@ -11,6 +11,7 @@ use serde_json::{Map, Value, json};
 
 /// The type of an array's numbers, as the page names it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum ScalarType {
     /// Unsigned, 8 bits.
     U8,
@@ -35,7 +36,7 @@ impl ScalarType {
 
 /// Arrays that are packed one after another.
 #[derive(Default)]
-pub struct Pack {
+pub(crate) struct Pack {
     bytes: Vec<u8>,
     table: Map<String, Value>,
 }

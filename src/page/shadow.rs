@@ -2,7 +2,7 @@
 //!
 //! Which directions are hidden is kept for every texel, one picture of bits per direction: neighboring texels are alike, and a
 //! picture of them is small once deflated. What hides a direction is kept for patches of the surface, of which there are at most
-//! [`MOST_PATCHES`]: cells of a grid in space, divided by the side that the surface faces.
+//! `MOST_PATCHES`: cells of a grid in space, divided by the side that the surface faces.
 
 use crate::error::{Error, Result};
 use crate::material::MAX_SPECULAR_LOBES;
@@ -18,7 +18,7 @@ use serde_json::{Value, json};
 use std::collections::HashMap;
 
 /// Most patches: their numbers have 12 bits, and the last stands for none.
-pub const MOST_PATCHES: usize = 4095;
+pub(crate) const MOST_PATCHES: usize = 4095;
 /// The number that stands for no patch, and for back faces, which reflect nothing.
 const NONE: u16 = 4095;
 /// The part of a patch for which a direction is hidden is kept in this many steps.
@@ -30,7 +30,7 @@ const MOST_BITS: usize = 1 << 28;
 ///
 /// # Errors
 /// [`Error::Usage`] for more texels × directions than a page can hold.
-pub fn pack_visibility(
+pub(crate) fn pack_visibility(
     pack: &mut Pack,
     surface: &Surface,
     material: &MaterialState,

@@ -28,7 +28,7 @@ use std::time::Instant;
 ///
 /// # Errors
 /// The first error of a system; a surface whose shadows would take too much memory.
-pub fn refine_texture(session: &mut Session, pass: &FitPass, options: &FitOptions) -> Result<()> {
+pub(crate) fn refine_texture(session: &mut Session, pass: &FitPass, options: &FitOptions) -> Result<()> {
     let _detail = stage("texture");
     let start = Instant::now();
     let bar = session.progress.bar(&pass.name, 100);

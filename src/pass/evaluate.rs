@@ -72,7 +72,7 @@ enum TrueImages {
 ///
 /// # Errors
 /// If a prediction or a ground truth is missing or has the wrong size.
-pub fn run(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
+pub(crate) fn run(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
     let mut views = 0;
     for score in &pass.scores {
         views += views_of(session, &score.pass)?.len();

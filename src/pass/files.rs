@@ -22,7 +22,7 @@ use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 /// The manifest of a run, in its output folder.
-pub const RUN: &str = "run.json";
+pub(crate) const RUN: &str = "run.json";
 
 /// What a pass may write, by paths below the output folder, with `/` between their parts. One that ends with `/` is a folder of
 /// which all files are the pass's.
@@ -245,7 +245,7 @@ pub fn contents(loaded: &LoadedScene, open: Option<&OpenScene>) -> Vec<PathBuf> 
 }
 
 /// What a pass reads only when it runs: files, and folders of files.
-pub fn read_late(scene: &Scene, pass: &Pass) -> Vec<PathBuf> {
+pub(crate) fn read_late(scene: &Scene, pass: &Pass) -> Vec<PathBuf> {
     match pass {
         // A map is copied as it is.
         Pass::Save(_) => lights(scene)

@@ -78,7 +78,13 @@ fn between_keys(keys: &[OrbitKey], pick: impl Fn(&OrbitKey) -> Option<f32>, time
 }
 
 /// Swaps in the light of a frame, and edits the material, if the film changes them. [`sweep_material`] without factors ends it.
-pub fn show_moment(session: &mut Session, pass: &Pass, settings: &RenderSettings, orbit: &Orbit, frame: u32) {
+pub(crate) fn show_moment(
+    session: &mut Session,
+    pass: &Pass,
+    settings: &RenderSettings,
+    orbit: &Orbit,
+    frame: u32,
+) {
     let time = Time::of(frame, orbit.frames);
     if let Some(sweep) = &orbit.light {
         let (choice, by_map) = chosen_light(session, pass, settings.shading);
@@ -98,7 +104,7 @@ pub fn show_moment(session: &mut Session, pass: &Pass, settings: &RenderSettings
 struct Swept;
 
 /// Replaces the swept edits by `factors`, after all other edits of the pass; each has its own target, so that they need no order.
-pub fn sweep_material(
+pub(crate) fn sweep_material(
     world: &mut World,
     pass: &str,
     factors: impl IntoIterator<Item = (EditTarget, EditAction)>,

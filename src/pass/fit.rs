@@ -44,7 +44,7 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 /// A picture of the light of the object that took its own photographs, as `environment.png` is of the recovered one.
-pub const TRUE_ENVIRONMENT: &str = "true_environment.png";
+pub(crate) const TRUE_ENVIRONMENT: &str = "true_environment.png";
 
 /// Size of the picture of the recovered light, in texels.
 const ENVIRONMENT_SIZE: (u32, u32) = (512, 256);
@@ -54,7 +54,7 @@ const ENVIRONMENT_SIZE: (u32, u32) = (512, 256);
 /// # Errors
 /// If there are no pixels to fit to, a system fails, or the results cannot be written; [`Error::Interrupted`] if the run is
 /// stopped, once the results so far are written.
-pub fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
+pub(crate) fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     // Created first, so that an unwritable folder is detected before the fit.
     let folder = session.folder(&pass.name);
     std::fs::create_dir_all(&folder).map_err(Error::io("create", &folder))?;

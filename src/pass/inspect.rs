@@ -12,7 +12,7 @@ use rayon::prelude::*;
 use std::path::PathBuf;
 
 /// Writes `normal_STEP.png`, `depth_STEP.png` and `mesh_STEP.glb` into a folder.
-pub struct ShapeInspector {
+pub(crate) struct ShapeInspector {
     /// Steps from one look to the next ≥ 1.
     pub every: u32,
     /// Where the files go.

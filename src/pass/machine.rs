@@ -7,7 +7,7 @@ use std::fs::read_to_string;
 
 /// What a run works on.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Machine {
+pub(crate) struct Machine {
     /// Operating system and architecture: "linux x86_64".
     pub system: String,
     /// The processor's name; `None` where the system does not say it.

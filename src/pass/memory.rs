@@ -11,7 +11,7 @@ use std::fs::read_to_string;
 /// Share of the machine's memory that a run takes if nothing else is said.
 const USUAL_SHARE: f64 = 0.75;
 /// Fewest pixels of a pool: below, fits become poor.
-pub const LEAST_PIXELS: u32 = 200_000;
+pub(crate) const LEAST_PIXELS: u32 = 200_000;
 
 /// What a run takes where nothing is said: three quarters of the machine's memory, in bytes; `None` if that is unknown.
 pub fn usual_budget() -> Option<u64> {
@@ -19,7 +19,7 @@ pub fn usual_budget() -> Option<u64> {
 }
 
 /// Memory of the machine, or what its container is limited to, in bytes. Only Linux says it.
-pub fn machine_memory() -> Option<u64> {
+pub(crate) fn machine_memory() -> Option<u64> {
     let total = read_to_string("/proc/meminfo").ok().and_then(|text| total_of(&text))?;
     let limit = read_to_string("/sys/fs/cgroup/memory.max").ok().and_then(|text| text.trim().parse().ok());
     Some(limit.map_or(total, |limit: u64| limit.min(total)))

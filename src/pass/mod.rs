@@ -54,7 +54,7 @@ pub mod view;
 mod view_photographs;
 mod view_report;
 
-pub use session::{MOST_VISIBILITY_BYTES, Placed, SceneLights, Session};
+pub use session::{Placed, SceneLights, Session};
 
 use crate::codec::file::{FileUse, FolderLock, check_room, clear_scratch};
 use crate::error::stop::{check_interrupted, stopped_by};
@@ -107,6 +107,7 @@ pub struct RunOptions {
 
 /// Whether a run measures where its time goes.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Profiling {
     /// It does not.
     #[default]
@@ -118,7 +119,7 @@ pub enum Profiling {
 }
 
 /// Time between two checkpoints where nothing is said.
-pub const USUAL_CHECKPOINT: Duration = Duration::from_secs(30);
+pub(crate) const USUAL_CHECKPOINT: Duration = Duration::from_secs(30);
 
 /// Runs the passes of a scene in order, and reports to `progress`. What will be written is known before anything is read, and
 /// `OUT/run.json` says how far the run is.

@@ -144,7 +144,7 @@ pub fn take(
 ///
 /// # Errors
 /// If a camera cannot be used.
-pub fn imagine(spec: &Photographed, scene: &Scene) -> Result<Vec<ViewRecord>> {
+pub(crate) fn imagine(spec: &Photographed, scene: &Scene) -> Result<Vec<ViewRecord>> {
     let view = |spec: CameraSpec| {
         let camera = camera_of(&spec)?;
         let photograph = Some(Photograph::without_pixels(camera.width, camera.height));

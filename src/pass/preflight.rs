@@ -39,7 +39,7 @@ const LEAST_ROOM: u64 = 16 << 20;
 ///
 /// # Errors
 /// [`Error::Usage`] for the first thing that cannot work; those of reading photographs and masks.
-pub fn read_data(
+pub(crate) fn read_data(
     scene: &Scene,
     open: &OpenScene,
     progress: &dyn Progress,
@@ -72,7 +72,7 @@ pub fn read_data(
 /// # Errors
 /// [`Error::Usage`] or [`Error::Input`] for a view that does not exist, a pass without views, an image of an edit that cannot be
 /// read, or a missing ground truth.
-pub fn check(session: &mut Session) -> Result<()> {
+pub(crate) fn check(session: &mut Session) -> Result<()> {
     let mut unedited = recovered_material(&mut session.pipeline.world)?;
     if matches!(session.scene.material.gloss, Gloss::Texels { .. }) {
         // Any texel may get any of the base materials.
@@ -118,7 +118,7 @@ pub fn check_sizes(scene: &Scene) -> Result<()> {
 ///
 /// # Errors
 /// [`Error::Usage`] naming the folder.
-pub fn check_output(scene: &Scene, out: &Path) -> Result<()> {
+pub(crate) fn check_output(scene: &Scene, out: &Path) -> Result<()> {
     check_folder(out)?;
     scene.passes.iter().try_for_each(|pass| check_writable(&out.join(pass.name())))
 }

@@ -1,4 +1,4 @@
-//! The `Render`, `Edit` and `Relight` passes: they render the material, light and shading that [`show`] swaps in.
+//! The `Render`, `Edit` and `Relight` passes: they render the material, light and shading that `show` swaps in.
 
 use crate::codec::animation::{Film, Mp4, write_apng, write_gif, write_mp4};
 use crate::codec::exr_frame::{Frame, write_frame_rows};
@@ -35,7 +35,7 @@ const FRAMES: &str = "orbit_frames";
 ///
 /// # Errors
 /// If an edit's image cannot be read, a system fails, or a picture cannot be written.
-pub fn run(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> Result<()> {
+pub(crate) fn run(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> Result<()> {
     show(session, pass, settings)?;
     render_all(session, pass, settings)
 }
@@ -74,7 +74,7 @@ fn render_all(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> 
 
 /// A view that a pass renders.
 #[derive(Clone, Debug)]
-pub struct ChosenView {
+pub(crate) struct ChosenView {
     /// Stem of its output files: the name of the view, prefixed by its split if both splits have a view with that name.
     pub stem: String,
     /// The view.
@@ -84,7 +84,7 @@ pub struct ChosenView {
 }
 
 /// The chosen views, by the stems of their files.
-pub fn chosen_views(world: &mut World, settings: &RenderSettings) -> Vec<ChosenView> {
+pub(crate) fn chosen_views(world: &mut World, settings: &RenderSettings) -> Vec<ChosenView> {
     let mut query = world.query::<(Entity, &ViewName, &Camera, &Split)>();
     let all: Vec<_> = query.iter(world).collect();
     let names: Vec<(&str, Split)> =
@@ -189,7 +189,7 @@ fn backdrop(world: &World, camera: &Camera, first_row: u32, rows: u32) -> Vec<Ve
 }
 
 /// The files of a film; one that ends with `/` is a folder.
-pub fn film_files(format: OrbitFormat) -> Vec<String> {
+pub(crate) fn film_files(format: OrbitFormat) -> Vec<String> {
     match format {
         OrbitFormat::Gif => vec![format!("{FILM}.gif"), FILM_MP4.to_owned()],
         OrbitFormat::Apng => vec![format!("{FILM}.png"), FILM_MP4.to_owned()],

@@ -34,7 +34,7 @@ use std::path::Path;
 ///
 /// # Errors
 /// If a file cannot be written.
-pub fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
+pub(crate) fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
     let folder = session.folder(&pass.name);
     let material = material_of(session, pass.of.as_deref())?;
     let surface = session.surface.clone();
@@ -130,7 +130,7 @@ fn save_materials(material: &MaterialState, atlas: &TexelAtlas, folder: &Path) -
 ///
 /// # Errors
 /// [`Error::Io`] if the file cannot be written.
-pub fn write_weights(
+pub(crate) fn write_weights(
     path: &Path,
     blends: &[SpecularBlend],
     numbers: &[usize],

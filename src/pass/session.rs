@@ -26,10 +26,10 @@ use std::sync::Arc;
 use std::time::Instant;
 
 /// The scores of a run, in its output folder.
-pub const METRICS: &str = "metrics.json";
+pub(crate) const METRICS: &str = "metrics.json";
 
 /// The trace of a profiled run, in its output folder.
-pub const TRACE: &str = "trace.json";
+pub(crate) const TRACE: &str = "trace.json";
 
 /// What beside shading has placed a surface: a fit then leaves its vertices where they are.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -113,13 +113,13 @@ impl SceneLights {
 }
 
 /// Most memory that shadows and reflections may be expected to take.
-pub const MOST_VISIBILITY_BYTES: usize = 4 << 30;
+const MOST_VISIBILITY_BYTES: usize = 4 << 30;
 
 impl Session<'_> {
     /// Whether the object has shadows and reflections that the scene does not leave out; if so, the world has what it takes to find them.
     ///
     /// # Errors
-    /// If that would take more than [`MOST_VISIBILITY_BYTES`].
+    /// If that would take more than `MOST_VISIBILITY_BYTES`.
     pub fn has_visibility(&mut self) -> Result<bool> {
         let Visibility::Traced { directions, bounces, refresh_every } = self.scene.visibility else {
             return Ok(false);

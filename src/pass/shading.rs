@@ -6,7 +6,7 @@ use crate::scene::{RenderSettings, Shading};
 use crate::shade::{PathTracing, shade_closed_form, shade_path_traced};
 
 /// Swaps in the shading system.
-pub fn set_shading(pipeline: &mut Pipeline, settings: &RenderSettings, seed: u64) {
+pub(crate) fn set_shading(pipeline: &mut Pipeline, settings: &RenderSettings, seed: u64) {
     let closed_form = match settings.shading {
         Shading::Accurate => ClosedForm::Accurate(settings.quality),
         Shading::Published => ClosedForm::Published,
@@ -22,7 +22,7 @@ pub fn set_shading(pipeline: &mut Pipeline, settings: &RenderSettings, seed: u64
 }
 
 /// Camera rays per pixel: a path tracer with fewer paths than that takes one path a ray.
-pub fn camera_rays(settings: &RenderSettings) -> u32 {
+pub(crate) fn camera_rays(settings: &RenderSettings) -> u32 {
     match settings.shading {
         Shading::Accurate | Shading::Published => settings.samples_per_pixel,
         Shading::PathTraced { spp, .. } => {

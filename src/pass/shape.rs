@@ -55,7 +55,7 @@ const MOST_TEXELS: u32 = 4096;
 ///
 /// # Errors
 /// If the surface of the scene is not unknown, the masks have no hull, or a fit fails.
-pub fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
+pub(crate) fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     let SurfaceSpec::Unknown { texture_size, .. } = session.scene.surface else {
         return Err(Error::run(
             &pass.name,

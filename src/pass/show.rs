@@ -17,7 +17,7 @@ use crate::visibility::FrameVisibilityPlugin;
 ///
 /// # Errors
 /// If an image of an edit cannot be read, or visibility needs too much memory.
-pub fn show(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> Result<()> {
+pub(crate) fn show(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> Result<()> {
     show_material(session, pass)?;
     show_light(session, pass, settings.shading);
     set_shading(&mut session.pipeline, settings, session.scene.seed);
@@ -65,7 +65,7 @@ pub(super) fn chosen_light(session: &Session, pass: &Pass, shading: Shading) -> 
 ///
 /// # Errors
 /// If an image of an edit cannot be read, or a system fails.
-pub fn material_of(session: &mut Session, of: Option<&str>) -> Result<MaterialState> {
+pub(crate) fn material_of(session: &mut Session, of: Option<&str>) -> Result<MaterialState> {
     let Some(pass) = session.pass_named(of) else {
         return recovered_material(&mut session.pipeline.world);
     };

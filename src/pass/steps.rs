@@ -14,6 +14,7 @@ use crate::pass::live::Snapshot;
 use crate::pass::progress::Moment;
 use crate::pass::session::Session;
 use crate::scene::{FitPass, FitShading, Sheen};
+use crate::shape::run::training::training_silhouettes;
 use crate::shape::vertices::{MovingMesh, VertexPlugin};
 use crate::visibility::ObjectVisibility;
 use bevy_ecs::prelude::{Resource, World};
@@ -146,7 +147,10 @@ fn let_geometry_move(session: &mut Session, pass: &FitPass) {
     }
     if pass.vertices && !session.placed.holds_vertices() {
         let (surface, steps) = (session.surface.clone(), pass.steps);
-        session.pipeline.add_plugin(&VertexPlugin { surface, steps });
+        // Silhouettes are seen by the cameras as they are now.
+        let still = pass.cameras == CameraUnknowns::Given;
+        let silhouettes = if still { training_silhouettes(&mut session.pipeline.world) } else { Vec::new() };
+        session.pipeline.add_plugin(&VertexPlugin { surface, steps, silhouettes });
     }
 }
 

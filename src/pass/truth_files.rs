@@ -14,7 +14,7 @@ use std::path::{Path, PathBuf};
 const KNOWN_LENGTHS: RangeInclusive<f32> = 0.9..=1.1;
 
 /// The file of the ground truth of a view: the first format that exists, EXR if none does.
-pub fn true_image_path(folder: &Path, name: &str) -> PathBuf {
+pub(crate) fn true_image_path(folder: &Path, name: &str) -> PathBuf {
     let of_kind = |kind: &str| folder.join(format!("{name}.{kind}"));
     let found = IMAGE_EXTENSIONS.iter().map(|kind| of_kind(kind)).find(|path| path.is_file());
     found.unwrap_or_else(|| of_kind("exr"))
@@ -25,7 +25,7 @@ pub fn true_image_path(folder: &Path, name: &str) -> PathBuf {
 ///
 /// # Errors
 /// Those of [`read_fitting`]; [`Error::Input`] if neither file of the normals is there.
-pub fn read_true_layer(folder: &Path, layer: Layer, view: &str, camera: &Camera) -> Result<Vec<Vec3>> {
+pub(crate) fn read_true_layer(folder: &Path, layer: Layer, view: &str, camera: &Camera) -> Result<Vec<Vec3>> {
     let number = view.rsplit('_').next().unwrap_or(view);
     let name = if layer == Layer::Normal { "normal" } else { "albedo" };
     let exr = folder.join(format!("{name}_{number}.exr"));
@@ -55,7 +55,7 @@ fn known_normal(decoded: Vec3) -> Vec3 {
 ///
 /// # Errors
 /// [`Error::Input`] if the image cannot be read or its size does not match the view.
-pub fn read_fitting(path: &Path, gamma: Gamma, camera: &Camera) -> Result<Vec<Vec3>> {
+pub(crate) fn read_fitting(path: &Path, gamma: Gamma, camera: &Camera) -> Result<Vec<Vec3>> {
     fit(path, read_image(path, gamma, Orientation::Upright)?.image, camera)
 }
 

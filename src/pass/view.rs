@@ -24,7 +24,7 @@ pub const PAGE: &str = "view.html";
 ///
 /// # Errors
 /// If an edit's image cannot be read, or the page is too large or cannot be written.
-pub fn run(session: &mut Session, pass: &ViewPass) -> Result<()> {
+pub(crate) fn run(session: &mut Session, pass: &ViewPass) -> Result<()> {
     let named = session.scene.passes.iter().filter_map(|pass| {
         let light = session.lights.of_passes.get(pass.name())?;
         Some((pass.name().to_owned(), light.lobes.clone()))
@@ -38,7 +38,7 @@ pub fn run(session: &mut Session, pass: &ViewPass) -> Result<()> {
 ///
 /// # Errors
 /// As [`run`].
-pub fn write_page(
+pub(crate) fn write_page(
     session: &mut Session,
     pass: &ViewPass,
     named: Vec<(String, Vec<LightLobe>)>,

@@ -160,6 +160,7 @@ pub trait Columns: ContiguousQueryData {
 }
 
 /// A column that is read.
+#[non_exhaustive]
 pub enum Column<'w, T> {
     /// A slice of the table.
     Table(&'w [T]),

@@ -19,7 +19,7 @@ pub fn script(folder: &Path, name: &str, body: &str) -> PathBuf {
 
 /// An ffmpeg that counts this many frames in a video of this length, and writes the frames that lie beside it as `000001.jpg`….
 #[cfg(unix)]
-pub fn fake_ffmpeg(folder: &Path, frames: u64, length: &str) -> PathBuf {
+pub(crate) fn fake_ffmpeg(folder: &Path, frames: u64, length: &str) -> PathBuf {
     // The last argument is the pattern of the frames, or nothing that is written.
     let body = format!(
         r#"here=$(dirname "$0"); echo "$@" >> "$here/ffmpeg-calls"; for last; do :; done
@@ -33,7 +33,7 @@ fi"#
 }
 
 /// A photograph of a reddish disc in front of a gray backdrop that gets darker to the right.
-pub fn disc(width: u32, height: u32) -> RgbImage {
+pub(crate) fn disc(width: u32, height: u32) -> RgbImage {
     let (x0, y0) = (width as f32 / 2.0, height as f32 / 2.0);
     let radius = width.min(height) as f32 / 4.0;
     RgbImage::from_fn(width, height, |x, y| {

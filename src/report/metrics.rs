@@ -1,6 +1,6 @@
 //! Scores of a predicted image against its truth, in linear light. Pure functions of slices, with sums in `f64`.
 //!
-//! Only pixels in the mask count. Masks are eroded by one pixel first ([`erode`]), so that pixels on the
+//! Only pixels in the mask count. Masks are eroded by one pixel first (`erode`), so that pixels on the
 //! silhouette, which depend on coverage and not on material, are left out.
 
 use crate::{Error, Result};
@@ -10,7 +10,7 @@ use glam::{DVec3, Vec3};
 pub const PSNR_CAP_DB: f64 = 100.0;
 
 /// Coverage from which a pixel counts as fully covered.
-pub const FULL_COVERAGE: f32 = 0.999;
+pub(crate) const FULL_COVERAGE: f32 = 0.999;
 
 /// A predicted view, its truth and the pixels that count. [`ImagePair::new`] checks sizes and finiteness.
 #[derive(Clone, Copy, Debug)]
@@ -80,7 +80,7 @@ fn bad(problem: impl Into<String>) -> Error {
 ///
 /// `coverage` is `size[0] * size[1]` values in `[0, 1]`. ([`crate::view`] has a separate erosion for fitting; this
 /// one is here so that metrics depend on slices only.)
-pub fn erode(size: [usize; 2], coverage: &[f32]) -> Vec<bool> {
+pub(crate) fn erode(size: [usize; 2], coverage: &[f32]) -> Vec<bool> {
     let [width, height] = size;
     debug_assert_eq!(coverage.len(), width * height);
     let full: Vec<bool> = coverage.iter().map(|&c| c >= FULL_COVERAGE).collect();

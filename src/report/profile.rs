@@ -8,7 +8,7 @@ const LEAST: f64 = 0.005;
 const HEAD: [&str; 7] = ["time by part", "runs", "wall s", "share", "CPU s", "share", "threads"];
 
 /// A table with a line per part, inner ones indented, and a line for what is in none of the parts inside another. Ends with a line break.
-pub fn profile_table(profile: &Profile) -> String {
+pub(crate) fn profile_table(profile: &Profile) -> String {
     let mut rows = vec![HEAD.map(str::to_owned)];
     add_rows(&profile.whole, 0, &profile.whole, &mut rows);
     let threads =

@@ -16,6 +16,7 @@ use std::path::Path;
 /// The scale that is fitted to a prediction before scoring, by least squares over all views (unclipped, eroded masks).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum Scaling {
     /// None: for novel views.
     #[default]
@@ -43,7 +44,7 @@ pub struct EvalView {
     pub specular: Vec<Vec3>,
     /// True linear radiance.
     pub truth: Vec<Vec3>,
-    /// Pixels that count: the eroded mask ([`metrics::erode`]).
+    /// Pixels that count: the eroded mask (`erode`).
     pub mask: Vec<bool>,
     /// Coverage of the prediction; only read for sRGB scores. Empty: every pixel is covered.
     pub alpha: Vec<f32>,

@@ -27,6 +27,7 @@ pub struct SheetRow {
 
 /// Colors of a sheet.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Theme {
     /// Light neutral gray.
     #[default]
@@ -116,7 +117,7 @@ const LABEL: f32 = 1.75;
 const MOST_SIDE: u32 = 32_000;
 
 /// At most `most` of `count` views, evenly spaced, including the first and the last.
-pub fn choose_evenly(count: usize, most: usize) -> Vec<usize> {
+pub(crate) fn choose_evenly(count: usize, most: usize) -> Vec<usize> {
     match (count, most) {
         (0, _) | (_, 0) => Vec::new(),
         (_, 1) => vec![0],

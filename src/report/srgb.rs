@@ -31,7 +31,7 @@ pub struct SrgbScores {
 
 /// A picture with its coverage.
 #[derive(Clone, Copy, Debug)]
-pub struct Covered<'a> {
+pub(crate) struct Covered<'a> {
     /// Linear radiance, coverage-weighted on black.
     pub radiance: &'a [Vec3],
     /// Coverage in `[0, 1]`, one value per pixel; empty: every pixel is covered.
@@ -80,7 +80,7 @@ impl Covered<'_> {
 ///
 /// # Errors
 /// [`Error::Run`] if a list has another length, a pixel is not finite, or no pixel of the truth is at least half covered.
-pub fn srgb_scores(size: [usize; 2], prediction: Covered, truth: Covered) -> Result<SrgbScores> {
+pub(crate) fn srgb_scores(size: [usize; 2], prediction: Covered, truth: Covered) -> Result<SrgbScores> {
     prediction.check("prediction", size)?;
     truth.check("truth", size)?;
     let errors = Errors::of(size[0] * size[1], &prediction, &truth);

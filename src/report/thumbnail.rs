@@ -20,18 +20,18 @@ const LONGEST: f64 = 512.0;
 const SHORTEST: f64 = 96.0;
 
 /// The longest side of each of `count` pictures that are to keep to the budget of a run together, in pixels.
-pub fn side_for(count: usize) -> u32 {
+pub(crate) fn side_for(count: usize) -> u32 {
     side_within(count, BUDGET)
 }
 
 /// The longest side of each of `count` pictures that are to keep to about `budget` bytes together, in pixels.
-pub fn side_within(count: usize, budget: f64) -> u32 {
+pub(crate) fn side_within(count: usize, budget: f64) -> u32 {
     let side = (budget / BYTES_PER_PIXEL / count.max(1) as f64).sqrt();
     side.clamp(SHORTEST, LONGEST) as u32
 }
 
 /// A JPEG as an address, for a page that holds its pictures.
-pub fn jpeg_address(bytes: &[u8]) -> String {
+pub(crate) fn jpeg_address(bytes: &[u8]) -> String {
     format!("data:image/jpeg;base64,{}", STANDARD.encode(bytes))
 }
 
@@ -43,7 +43,7 @@ fn smaller((width, height): (u32, u32), side: u32) -> Option<(u32, u32)> {
 }
 
 /// A mask at the size of [`thumbnail_jpeg`].
-pub fn thumbnail_mask(mask: &GrayImage, side: u32) -> GrayImage {
+pub(crate) fn thumbnail_mask(mask: &GrayImage, side: u32) -> GrayImage {
     smaller(mask.dimensions(), side)
         .map_or_else(|| mask.clone(), |(width, height)| thumbnail(mask, width, height))
 }
@@ -52,7 +52,7 @@ pub fn thumbnail_mask(mask: &GrayImage, side: u32) -> GrayImage {
 ///
 /// # Errors
 /// [`Error::Run`](crate::Error::Run) for a picture without pixels.
-pub fn thumbnail_jpeg(picture: &RgbImage, side: u32) -> Result<Vec<u8>> {
+pub(crate) fn thumbnail_jpeg(picture: &RgbImage, side: u32) -> Result<Vec<u8>> {
     let small = smaller(picture.dimensions(), side).map(|(width, height)| thumbnail(picture, width, height));
     encode_jpeg(small.as_ref().unwrap_or(picture), QUALITY)
 }
@@ -61,7 +61,7 @@ pub fn thumbnail_jpeg(picture: &RgbImage, side: u32) -> Result<Vec<u8>> {
 ///
 /// # Errors
 /// Those of [`thumbnail_jpeg`]; [`Error::Io`](crate::Error::Io) if the file cannot be written.
-pub fn write_thumbnail(path: &Path, picture: &RgbImage, side: u32) -> Result<()> {
+pub(crate) fn write_thumbnail(path: &Path, picture: &RgbImage, side: u32) -> Result<()> {
     write_bytes(path, &thumbnail_jpeg(picture, side)?)
 }
 

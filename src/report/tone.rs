@@ -93,6 +93,7 @@ impl Look {
 
 /// The background outside the object.
 #[derive(Clone, Copy, Debug, Default)]
+#[non_exhaustive]
 pub enum Backdrop<'a> {
     /// None: straight alpha.
     #[default]
@@ -211,7 +212,7 @@ pub fn write_png(path: impl AsRef<Path>, picture: &Picture, look: &Look, backdro
 /// from the top, all with a `transparent` backdrop or none.
 ///
 /// # Errors
-/// Those of [`png_file::write_rows`].
+/// Those of `write_rows`.
 pub fn write_png_rows(
     path: impl AsRef<Path>,
     size: [u32; 2],

@@ -31,7 +31,7 @@ pub struct Observed {
 }
 
 /// A channel of a saturated pixel with at least this value is clipped.
-pub const SATURATION: f32 = 0.999;
+pub(crate) const SATURATION: f32 = 0.999;
 
 impl Observed {
     /// Residual of a prediction in a channel. A clipped channel is a lower bound: the residual is zero for brighter predictions.

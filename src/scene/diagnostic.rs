@@ -10,7 +10,7 @@ use std::sync::Arc;
 /// A value of a scene file that is of the right type and yet wrong.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Problem {
-    /// Where: steps joined by dots, as [`source::locate`] reads them.
+    /// Where: steps joined by dots, as `locate` reads them.
     pub path: String,
     /// What is wrong, e.g. "roughness is 0".
     pub problem: String,
@@ -21,7 +21,7 @@ pub struct Problem {
 }
 
 /// A scene file's text and name, for messages.
-pub struct SceneText<'a> {
+pub(crate) struct SceneText<'a> {
     /// The file.
     pub path: &'a Path,
     /// Its text, with `--set` applied.

@@ -136,7 +136,7 @@ fn with_plain_none(mut text: String) -> String {
 ///
 /// # Errors
 /// As [`to_ron`].
-pub fn edit_to_ron(edit: &Edit) -> Result<String> {
+pub(crate) fn edit_to_ron(edit: &Edit) -> Result<String> {
     let text = options().to_string(edit);
     text.map_err(|error| Error::run("writing an edit as RON", error.to_string()))
 }

@@ -4,6 +4,9 @@
 //! `unwrap_variant_newtypes` (`Fit(name: "fit")`, `Constant(0.5, 0.5, 0.5)`) always on. Every field is
 //! documented, with unit, range and default, on the types below [`Scene`].
 //!
+//! The enums here are exhaustive on purpose: a pass or a choice that is added fails to compile wherever it is not handled yet. Those of
+//! other modules are `#[non_exhaustive]` and may grow.
+//!
 //! Nothing here makes a world or runs a pass: that is for [`spawn`](crate::spawn) and [`pass`](crate::pass).
 
 mod defaults;
@@ -42,6 +45,7 @@ pub use passes::{EditPass, Pass, RelightPass, RenderPass};
 pub use photographed::{CameraRing, Pattern, Photographed, TruthObject};
 pub use render::{Orbit, OrbitFormat, RenderSettings, Shading, ViewChoice};
 pub use surface::Surface;
-pub use validate::passes::{unknown_parts, uses_published};
+pub use validate::passes::unknown_parts;
+pub(crate) use validate::passes::uses_published;
 pub use views::{CameraSpec, Dataset, Views};
 pub use visibility::Visibility;

@@ -174,7 +174,7 @@ fn for_each_path(scene: &mut Scene, visit: &mut impl FnMut(&str, FileKind, &mut 
 }
 
 /// The files and folders that a pass names.
-pub fn paths_of(pass: &Pass) -> Vec<PathBuf> {
+pub(crate) fn paths_of(pass: &Pass) -> Vec<PathBuf> {
     let mut found = Vec::new();
     pass_paths("", &mut pass.clone(), &mut |_, _, path| found.push(path.clone()));
     found

@@ -13,7 +13,7 @@ use std::ops::Range;
 
 /// Where a path leads.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Location {
+pub(crate) struct Location {
     /// Bytes of the value; of what comes nearest if the path leads to nothing in the text.
     pub span: Range<usize>,
     /// Whether the value itself is in the text.
@@ -21,7 +21,7 @@ pub struct Location {
 }
 
 /// Finds where `path` stands; an empty path is the whole value.
-pub fn locate(root: &Node, text: &str, path: &str) -> Location {
+pub(crate) fn locate(root: &Node, text: &str, path: &str) -> Location {
     let mut node = root;
     for step in path.split('.').filter(|step| !step.is_empty()) {
         match node.step(text, step) {

@@ -7,7 +7,7 @@
 ///
 /// `coverage` holds `width * height` values in [0, 1]; the silhouette is at half coverage. A mask that is all inside or all
 /// outside has no silhouette, and distances of the size of the image.
-pub fn signed_distance(coverage: &[f32], width: usize, height: usize) -> Vec<f32> {
+pub(crate) fn signed_distance(coverage: &[f32], width: usize, height: usize) -> Vec<f32> {
     assert_eq!(coverage.len(), width * height, "one coverage per pixel");
     let inside = |i: usize| coverage[i] >= 0.5;
     let to_inside = squared_distance(width, height, inside);

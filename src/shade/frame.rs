@@ -27,9 +27,9 @@ use std::ops::Range;
 const POOL: usize = 1 << 16;
 
 /// Most memory that a map, or the photographs that a scene renders itself, may be expected to take, in bytes.
-pub const MOST_FRAME_BYTES: u64 = 8 << 30;
+pub(crate) const MOST_FRAME_BYTES: u64 = 8 << 30;
 
-/// Checks that `bytes` are at most [`MOST_FRAME_BYTES`]; `what` names the picture that takes them.
+/// Checks that `bytes` are at most `MOST_FRAME_BYTES`; `what` names the picture that takes them.
 ///
 /// # Errors
 /// [`Error::Usage`] with the size, the memory and the limit.
@@ -143,7 +143,7 @@ impl Plugin for FramePlugin {
 }
 
 /// Inserts the resources that the Gather stage writes.
-pub fn add_material_resources<M: MaterialSource>(world: &mut World) {
+pub(crate) fn add_material_resources<M: MaterialSource>(world: &mut World) {
     world.init_resource::<Window>();
     world.init_resource::<IncidentLight>();
     world.init_resource::<BaseMaterials>();
@@ -151,7 +151,7 @@ pub fn add_material_resources<M: MaterialSource>(world: &mut World) {
 }
 
 /// Adds the systems of [`GatherPoints`]: base materials, albedo and blends of a material at the points of the window.
-pub fn add_gathering<M: MaterialSource>(pipeline: &mut Pipeline, phase: Phase) {
+pub(crate) fn add_gathering<M: MaterialSource>(pipeline: &mut Pipeline, phase: Phase) {
     pipeline.mark_after_failure(mark_material_changed);
     let materials =
         (note_plain_blends::<M>.run_if(blends_changed::<M>), gather_materials::<M>, gather_blends::<M>);

@@ -39,12 +39,12 @@ pub struct PathTracing {
 }
 
 /// The specular lobe as the kernels read it.
-pub fn kernel_specular(lobe: &SpecularLobe) -> SpecularValue {
+pub(crate) fn kernel_specular(lobe: &SpecularLobe) -> SpecularValue {
     SpecularValue { albedo: lobe.albedo.into(), roughness: lobe.roughness, ndf: lobe.ndf }
 }
 
 /// The base materials of this run as the kernels read them, with their numbers.
-pub fn kernel_materials(materials: &BaseMaterials) -> Vec<(usize, SpecularValue)> {
+pub(crate) fn kernel_materials(materials: &BaseMaterials) -> Vec<(usize, SpecularValue)> {
     materials.by_number().map(|(number, lobe)| (number, kernel_specular(lobe))).collect()
 }
 
@@ -140,7 +140,7 @@ pub fn shade_closed_form(form: ClosedForm) -> ScheduleConfigs<ScheduleSystem> {
 }
 
 /// The points where one of the base materials has a weight.
-pub struct Showing {
+pub(crate) struct Showing {
     /// Their indices, ascending.
     pub numbers: Vec<usize>,
     /// The points.

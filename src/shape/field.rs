@@ -12,11 +12,11 @@ use glam::{UVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
 /// Vertices per side of a brick.
-pub const BRICK_SIDE: u32 = 8;
+pub(crate) const BRICK_SIDE: u32 = 8;
 /// Vertices of a brick.
-pub const BRICK_LEN: usize = 512;
+pub(crate) const BRICK_LEN: usize = 512;
 /// Distance from the zero level, in cells, within which values are optimized.
-pub const BAND_CELLS: f32 = 3.0;
+pub(crate) const BAND_CELLS: f32 = 3.0;
 
 pool_index! {
     /// Row of a brick.
@@ -127,7 +127,7 @@ fn load_field(world: &mut World, bytes: &[u8]) -> Result<()> {
 }
 
 /// The bricks with a value near the zero level, lowest first.
-pub fn bricks_near_surface(grid: &SdfGrid) -> Vec<BrickAt> {
+pub(crate) fn bricks_near_surface(grid: &SdfGrid) -> Vec<BrickAt> {
     let bricks = grid.side.div_ceil(BRICK_SIDE);
     let reach = BAND_CELLS * grid.spacing;
     let near = |at: &BrickAt| {

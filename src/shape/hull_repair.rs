@@ -31,7 +31,7 @@ const REFUSED_SHARE: f32 = 0.6;
 
 /// Restores what all masks but a share of `forgiven` show and `grid` lacks. Changed values are not exact distances. A run that is
 /// stopping ([`is_stopping`]) restores not all.
-pub fn regrow(grid: &mut SdfGrid, silhouettes: &[Silhouette], forgiven: f32) {
+pub(crate) fn regrow(grid: &mut SdfGrid, silhouettes: &[Silhouette], forgiven: f32) {
     let gaps: Vec<Silhouette> = silhouettes.par_iter().filter_map(|view| gaps(grid, view)).collect();
     let needed = GAP_VIEWS.max((GAP_SHARE * silhouettes.len() as f32).ceil() as usize);
     if gaps.len() < needed {
@@ -93,7 +93,7 @@ fn covered_share(grid: &SdfGrid, view: &Silhouette) -> f32 {
 ///
 /// # Errors
 /// [`Error::Usage`] with a view's name if it leaves most of most masks empty: they do not belong to their cameras.
-pub fn check_hull(hull: &SdfGrid, silhouettes: &[Silhouette]) -> Result<Vec<String>> {
+pub(crate) fn check_hull(hull: &SdfGrid, silhouettes: &[Silhouette]) -> Result<Vec<String>> {
     let mut shares: Vec<(f32, &str)> =
         silhouettes.par_iter().map(|view| (covered_share(hull, view), view.name.as_str())).collect();
     check_interrupted()?;
@@ -127,7 +127,7 @@ pub fn check_hull(hull: &SdfGrid, silhouettes: &[Silhouette]) -> Result<Vec<Stri
 
 /// For each pixel of a view, whether its mask is reliable there: not at the border of the frame, and nowhere near a place
 /// where the silhouette of the hull is far from that of the mask.
-pub fn reliable_pixels(hull: &SdfGrid, view: &Silhouette) -> Vec<bool> {
+pub(crate) fn reliable_pixels(hull: &SdfGrid, view: &Silhouette) -> Vec<bool> {
     let camera = &view.camera;
     let middle = hull.position(glam::UVec3::splat(hull.side / 2));
     let cell = hull.spacing / (pixel_size(camera) * camera.position().distance(middle));

@@ -18,6 +18,7 @@
 //! | `displace` | moves a field by displacements of the vertices of its surface |
 //! | [`stereo`] | moves a mesh to where neighboring photographs agree |
 //! | [`mirror`] | gives vertices normals that explain what the surface mirrors |
+//! | `vertex_graph` | the vertices of a mesh as a graph |
 //! | [`vertices`] | a mesh's vertices as parameters of a fit |
 
 pub(crate) mod displace;
@@ -37,4 +38,5 @@ pub mod stereo;
 pub mod systems;
 pub(crate) mod trust;
 pub mod unseen;
+pub(crate) mod vertex_graph;
 pub mod vertices;

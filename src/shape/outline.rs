@@ -35,6 +35,8 @@ const LEAST_COSINE: f32 = 0.5;
 const HELD: f32 = 0.005;
 /// Votes beyond which more do not hold a vertex more strongly.
 const MOST_VOTES: f32 = 4.0;
+/// Mean distance in pixels to outlines at which votes count fully against the shading of a fit.
+const SHARP: f32 = 0.01;
 /// Weight of the squared Laplacian of displacements.
 const BENDING: f32 = 10.0;
 
@@ -62,14 +64,33 @@ pub fn fit_outlines(grid: &mut SdfGrid, silhouettes: &[Silhouette]) -> OutlineRe
         if round == ROUNDS || votes.none || is_stopping() {
             break;
         }
-        let held = |vote: &Vote| {
-            let plate = vote.plate();
-            Plate { hold: HELD + plate.hold, ..plate }
-        };
-        let plates: Vec<Plate> = votes.of_vertices.iter().map(held).collect();
-        displace(grid, &bvh, &shell, &bent(&shell.graph, &plates, BENDING));
+        displace(grid, &bvh, &shell, &votes.displacements(&shell, 1.0));
     }
     report
+}
+
+/// The outlines of masks beside other evidence, such as the shading, by which a mesh moves.
+pub(crate) struct OutlineGuide {
+    silhouettes: Vec<Silhouette>,
+    /// What the votes ask of the given mesh: as far as that is known, its outlines are right.
+    given: Vec<f32>,
+    /// Weight of the votes: the inverse of their variance, for masks are as sharp as the outlines of the given mesh are near to theirs.
+    weight: f32,
+}
+
+impl OutlineGuide {
+    /// For a given mesh.
+    pub(crate) fn new(shell: &Shell, bvh: &TriangleBvh, silhouettes: Vec<Silhouette>) -> Self {
+        let votes = Contours::new(shell, bvh).votes(&silhouettes);
+        let weight = (SHARP / votes.mean_distance.max(SHARP)).powi(2);
+        Self { given: votes.displacements(shell, weight), silhouettes, weight }
+    }
+
+    /// How far the vertices of the mesh, which has moved, are to move along their normals for its outlines to be what they were, world units.
+    pub(crate) fn displacements(&self, shell: &Shell, bvh: &TriangleBvh) -> Vec<f32> {
+        let now = Contours::new(shell, bvh).votes(&self.silhouettes).displacements(shell, self.weight);
+        now.iter().zip(&self.given).map(|(now, given)| now - given).collect()
+    }
 }
 
 /// What contours say of a vertex.
@@ -124,6 +145,16 @@ impl OutlineVotes {
             vote.pull += weight * seen.cosine * seen.distance * seen.pixel_size;
         }
         Self { of_vertices, mean_distance, none: count == 0 }
+    }
+
+    /// The displacements along the normals that the votes, times `weight`, ask for, carried by a thin plate to all vertices, world units.
+    fn displacements(&self, shell: &Shell, weight: f32) -> Vec<f32> {
+        let held = |vote: &Vote| {
+            let plate = vote.plate();
+            Plate { hold: HELD + weight * plate.hold, pull: weight * plate.pull }
+        };
+        let plates: Vec<Plate> = self.of_vertices.iter().map(held).collect();
+        bent(&shell.graph, &plates, BENDING)
     }
 }
 
@@ -238,6 +269,7 @@ fn shared_edges(triangles: &[[u32; 3]]) -> Vec<Edge> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mesh::primitive::sphere_mesh;
     use crate::sdf::extract::extract_mesh;
     use crate::view::{Camera, Mask, StoredMask};
 
@@ -278,6 +310,25 @@ mod tests {
             assert!(off(&grid, 1.0) < 0.006, "{start}: {} {report:?}", off(&grid, 1.0));
             assert!(report.before > 1.0 && report.after < 0.15, "{report:?}");
         }
+    }
+
+    #[test]
+    fn a_mesh_that_bulges_is_brought_back_to_its_outlines() {
+        let (mut mesh, masks) = (sphere_mesh(Vec3::ZERO, 1.0).unwrap(), ball(1.0));
+        mesh.uvs = None;
+        let mut shell = Shell::new(&mesh);
+        let bvh = TriangleBvh::new(&mesh);
+        let guide = OutlineGuide::new(&shell, &bvh, masks);
+        assert!(guide.displacements(&shell, &bvh).iter().all(|along| *along == 0.0));
+        let bulge = |p: &Vec3| 0.01 * (5.0 * p.x).sin() * (4.0 * p.y).cos();
+        let wrong: Vec<f32> = shell.positions.iter().map(bulge).collect();
+        mesh.positions.iter_mut().for_each(|p| *p *= 1.0 + bulge(p));
+        shell.move_to(shell.positions.iter().zip(&wrong).map(|(p, by)| p * (1.0 + by)).collect());
+        let along = guide.displacements(&shell, &TriangleBvh::new(&mesh));
+        let size = |of: &mut dyn Iterator<Item = f32>| of.map(|x| x * x).sum::<f32>();
+        let left = size(&mut wrong.iter().zip(&along).map(|(wrong, along)| wrong + along));
+        let before = size(&mut wrong.iter().copied());
+        assert!(left < 0.3 * before, "{left} {before}");
     }
 
     #[test]

@@ -23,7 +23,7 @@ const LEAST_SHARE: f32 = 0.25;
 const MOST_PARTS: usize = 63;
 
 /// The zero level of the field as a mesh: its largest component, and the others that the masks show.
-pub fn extract_parts(grid: &SdfGrid, silhouettes: &[Silhouette]) -> Mesh {
+pub(crate) fn extract_parts(grid: &SdfGrid, silhouettes: &[Silhouette]) -> Mesh {
     let mut components = extract_components(grid).into_iter();
     let Some(mut mesh) = components.next() else { return Mesh::default() };
     let others: Vec<Mesh> = components.take(MOST_PARTS).collect();

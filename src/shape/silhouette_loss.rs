@@ -41,7 +41,7 @@ pub struct SilhouetteSample {
 }
 
 /// Adds the adjoint of `weight` times the mean loss of `samples`, in their order.
-pub fn add_silhouettes(
+pub(crate) fn add_silhouettes(
     grid: &SdfGrid,
     samples: &[SilhouetteSample],
     width: f32,
@@ -77,7 +77,7 @@ const ALIGNED_REACH: f32 = 3.0;
 
 /// The distance between the silhouettes of the mask and of the surface, and its derivatives with respect to the camera, and to the
 /// object around `center`.
-pub fn aligned_silhouette(
+pub(crate) fn aligned_silhouette(
     grid: &SdfGrid,
     camera: &Camera,
     center: Vec3,

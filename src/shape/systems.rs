@@ -96,7 +96,7 @@ pub fn pull_back_to_field(
 }
 
 /// Gradient: sums the squared error of the window's samples around their surface points, in the second half of a level.
-pub fn sum_model_error(
+pub(crate) fn sum_model_error(
     rates: Res<StepRates>,
     schedule: Res<ShapeSchedule>,
     exposures: Res<Exposures>,

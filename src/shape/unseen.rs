@@ -38,7 +38,7 @@ const MOST_CURVATURE: f32 = 2.0;
 
 /// Spans what no silhouette's camera sees; returns the share of the object's volume that goes. A field that is seen from all sides keeps
 /// its bits. A run that is stopping ([`is_stopping`]) leaves the field as it was at the last redistancing.
-pub fn span_unseen(grid: &mut SdfGrid, silhouettes: &[Silhouette]) -> f32 {
+pub(crate) fn span_unseen(grid: &mut SdfGrid, silhouettes: &[Silhouette]) -> f32 {
     let mut hull = grid.clone();
     hull.redistance();
     let mut is_seen = seen(&hull, silhouettes);

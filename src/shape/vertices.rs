@@ -3,6 +3,8 @@
 //! For details that a grid cannot represent, and with all effects of mesh shading, including shadows and reflections. The adjoint of
 //! the normal of a sample is propagated to the normals of vertices, and through the areas of triangles to their positions. Steps are smoothed by
 //! (I + λL)⁻², L the graph's Laplacian, as in Nicolet, Jacobson and Jakob, "Large Steps in Inverse Rendering of Geometry" (2021).
+//! A printed pattern that the texture is too coarse for looks like slopes and would move them as well. Masks are not deceived: every
+//! few moves the contours are brought back to their outlines ([`outline`](crate::shape::outline)).
 //!
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |
@@ -17,14 +19,18 @@ use crate::fit::components::StepRates;
 use crate::fit::guard::{StepGuard, is_usable};
 use crate::math::shading::PointAdjoint;
 use crate::mesh::Surface;
-use crate::mesh::bvh::TriangleHit;
+use crate::mesh::bvh::{TriangleBvh, TriangleHit};
 use crate::mesh::triangles::Mesh;
 use crate::pipeline::pool::{Pool, pool_index};
 use crate::pipeline::{Phase, Pipeline, Plugin, Slot, SystemResult};
 use crate::sample::Samples;
 use crate::sample::pixel::ViewRay;
 use crate::sample::point::{Scenery, SurfacePoint};
+use crate::shape::outline::OutlineGuide;
+use crate::shape::silhouette::Silhouette;
+use crate::shape::stereo::votes::Shell;
 use crate::shape::systems::{OUTLIER, root_mean_square};
+use crate::shape::vertex_graph::{VertexGraph, pull_back_unit};
 use bevy_ecs::prelude::{Component, Entity, Res, ResMut, Resource, With, World};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -33,6 +39,8 @@ use std::sync::Arc;
 
 /// Steps between two moves; adjoints are summed over these.
 const MOVE_EVERY: u32 = 12;
+/// Moves between two looks at the outlines of the masks.
+const OUTLINES_EVERY: u32 = 4;
 /// Fraction of the fit before the first move: light and material are fitted first.
 const HELD: f32 = 0.25;
 /// Root-mean-square length of the first and the last move, in mean edge lengths.
@@ -45,9 +53,6 @@ const WIDE: f32 = 200.0;
 const REACH: f32 = 0.2;
 /// Decay factor of the running mean, per move.
 const MEAN_DECAY: f32 = 0.8;
-/// Iterations of conjugate gradients.
-const ROUNDS: usize = 24;
-
 pool_index! {
     /// Row of a vertex of the moving mesh.
     VertexIndex("vertex");
@@ -73,141 +78,36 @@ pub struct VertexMoment(pub f32);
 pub struct MovingMesh {
     /// The current surface.
     pub surface: Arc<Surface>,
-    graph: VertexGraph,
+    /// Its merged vertices, as they were at the last look at the outlines.
+    shell: Shell,
     /// The given positions.
     start: Vec<Vec3>,
+    /// What holds the contours, if there are masks.
+    outlines: Option<OutlineGuide>,
     /// The hits of the rays of the window.
     found: Vec<Option<TriangleHit>>,
     /// Steps of the fit.
     steps: u32,
 }
 
-/// The triangles and neighbors of merged vertices.
-pub(crate) struct VertexGraph {
-    /// The merged vertex of each vertex of the mesh.
-    pub(crate) of: Vec<u32>,
-    pub(crate) triangles: Vec<[u32; 3]>,
-    /// Neighbors of vertex i: `neighbors[starts[i]..starts[i + 1]]`.
-    starts: Vec<usize>,
-    neighbors: Vec<u32>,
-}
-
-impl VertexGraph {
-    /// The graph, and the vertices' positions.
-    pub(crate) fn new(mesh: &Mesh) -> (Self, Vec<Vec3>) {
-        let first = mesh.welded_vertices();
-        let (mut of, mut positions) = (vec![0; first.len()], Vec::new());
-        for (vertex, first) in first.iter().map(|v| *v as usize).enumerate() {
-            if first == vertex {
-                of[vertex] = positions.len() as u32;
-                positions.push(mesh.positions[vertex]);
-            } else {
-                of[vertex] = of[first];
-            }
-        }
-        let triangles: Vec<[u32; 3]> = mesh.triangles.iter().map(|t| t.map(|v| of[v as usize])).collect();
-        let mut edges: Vec<(u32, u32)> = triangles
-            .iter()
-            .flat_map(|&[a, b, c]| [(a, b), (b, c), (c, a), (b, a), (c, b), (a, c)])
-            .collect();
-        edges.sort_unstable();
-        edges.dedup();
-        let starts = (0..=positions.len()).map(|v| edges.partition_point(|e| (e.0 as usize) < v)).collect();
-        let neighbors = edges.into_iter().map(|e| e.1).collect();
-        (Self { of, triangles, starts, neighbors }, positions)
+impl MovingMesh {
+    /// Merged vertices at `moved`, without the low-frequency part of their displacement, and no farther than `reach` from where they were given.
+    fn near_start(&self, moved: Vec<Vec3>, reach: f32) -> Vec<Vec3> {
+        let near = |(moved, start): (Vec3, &Vec3)| *start + (moved - *start).clamp_length_max(reach);
+        without_wide(&self.shell.graph, &self.start, moved).into_iter().zip(&self.start).map(near).collect()
     }
 
-    /// How many merged vertices there are.
-    pub(crate) fn merged(&self) -> usize {
-        self.starts.len() - 1
+    /// Merged vertices at `moved`, brought back to the outlines of the masks as far as contours have left them, but no farther than `reach`.
+    fn back_to_outlines(&mut self, moved: Vec<Vec3>, reach: f32) -> Vec<Vec3> {
+        let Self { shell, outlines: Some(outlines), .. } = self else { return moved };
+        let mut mesh = self.surface.mesh().clone();
+        place(&mut mesh, &shell.graph, &moved);
+        shell.move_to(moved);
+        let along = outlines.displacements(shell, &TriangleBvh::new(&mesh));
+        let to =
+            |(i, along): (usize, &f32)| shell.positions[i] + shell.normals[i] * along.clamp(-reach, reach);
+        along.iter().enumerate().map(to).collect()
     }
-
-    pub(crate) fn around(&self, vertex: usize) -> &[u32] {
-        &self.neighbors[self.starts[vertex]..self.starts[vertex + 1]]
-    }
-
-    /// (I + λL) x.
-    fn stiffened(&self, x: &[f32], lambda: f32) -> Vec<f32> {
-        let row = |i: usize| {
-            let around = self.around(i);
-            let sum: f32 = around.iter().map(|&j| x[j as usize]).sum();
-            x[i] + lambda * (around.len() as f32 * x[i] - sum)
-        };
-        (0..x.len()).into_par_iter().with_min_len(4096).map(row).collect()
-    }
-
-    /// (I + λL)⁻¹ b, by conjugate gradients.
-    pub(crate) fn smoothed(&self, b: &[f32], lambda: f32) -> Vec<f32> {
-        let dot = |a: &[f32], b: &[f32]| a.iter().zip(b).map(|(a, b)| f64::from(a * b)).sum::<f64>();
-        let (mut x, mut residual, mut along) = (vec![0.0; b.len()], b.to_vec(), b.to_vec());
-        let mut size = dot(&residual, &residual);
-        let enough = 1e-8 * size;
-        for _ in 0..ROUNDS {
-            if size <= enough {
-                break;
-            }
-            let product = self.stiffened(&along, lambda);
-            let step = (size / dot(&along, &product)) as f32;
-            x.iter_mut().zip(&along).for_each(|(x, a)| *x += step * a);
-            residual.iter_mut().zip(&product).for_each(|(r, p)| *r -= step * p);
-            let next = dot(&residual, &residual);
-            let keep = (next / size) as f32;
-            along.iter_mut().zip(&residual).for_each(|(a, r)| *a = r + keep * *a);
-            size = next;
-        }
-        x
-    }
-
-    /// Doubled area vectors of the triangles summed at each vertex.
-    pub(crate) fn area_vectors(&self, positions: &[Vec3]) -> Vec<Vec3> {
-        let mut sums = vec![Vec3::ZERO; positions.len()];
-        for triangle in &self.triangles {
-            let [a, b, c] = triangle.map(|v| positions[v as usize]);
-            let area = (b - a).cross(c - a);
-            triangle.iter().for_each(|&v| sums[v as usize] += area);
-        }
-        sums
-    }
-
-    /// Adjoints of positions from those of the vertices' unit normals.
-    fn pull_back_normals(&self, positions: &[Vec3], adjoint: &[Vec3]) -> Vec<Vec3> {
-        let by_sum: Vec<Vec3> = self
-            .area_vectors(positions)
-            .iter()
-            .zip(adjoint)
-            .map(|(sum, adjoint)| pull_back_unit(*sum, *adjoint))
-            .collect();
-        let mut back = vec![Vec3::ZERO; positions.len()];
-        for triangle in &self.triangles {
-            let [a, b, c] = triangle.map(|v| positions[v as usize]);
-            let by_area: Vec3 = triangle.iter().map(|&v| by_sum[v as usize]).sum();
-            // Adjoints of e₁ × e₂ with e₁ = b − a, e₂ = c − a.
-            let (by_first, by_second) = ((c - a).cross(by_area), by_area.cross(b - a));
-            back[triangle[0] as usize] -= by_first + by_second;
-            back[triangle[1] as usize] += by_first;
-            back[triangle[2] as usize] += by_second;
-        }
-        back
-    }
-
-    /// Mean length of the edges.
-    pub(crate) fn mean_edge(&self, positions: &[Vec3]) -> f32 {
-        let length = |i: usize| {
-            let lengths = self.around(i).iter().map(|&j| positions[i].distance(positions[j as usize]));
-            f64::from(lengths.sum::<f32>())
-        };
-        ((0..positions.len()).map(length).sum::<f64>() / self.neighbors.len().max(1) as f64) as f32
-    }
-}
-
-/// Adjoint of a vector, given the adjoint of its direction.
-fn pull_back_unit(vector: Vec3, adjoint: Vec3) -> Vec3 {
-    let length = vector.length();
-    if length < 1e-20 {
-        return Vec3::ZERO;
-    }
-    let unit = vector / length;
-    (adjoint - unit * unit.dot(adjoint)) / length
 }
 
 /// The systems that optimize the vertices of a mesh during a fit.
@@ -216,21 +116,26 @@ pub struct VertexPlugin {
     pub surface: Arc<Surface>,
     /// Steps of the fit.
     pub steps: u32,
+    /// The training masks, whose outlines the contours of the mesh are to meet; may be empty.
+    pub silhouettes: Vec<Silhouette>,
 }
 
 impl Plugin for VertexPlugin {
     fn build(&self, pipeline: &mut Pipeline) {
-        let (graph, positions) = VertexGraph::new(self.surface.mesh());
+        let shell = Shell::new(self.surface.mesh());
+        let masks = Some(self.silhouettes.clone()).filter(|masks| !masks.is_empty());
+        let guide = |masks| OutlineGuide::new(&shell, &TriangleBvh::new(self.surface.mesh()), masks);
+        let outlines = masks.map(guide);
         let vertex = |(index, at): (u32, &Vec3)| {
             (VertexIndex(index), VertexPosition(*at), VertexAdjoint::default(), VertexMoment::default())
         };
-        pipeline.world.spawn_batch((0..).zip(&positions).map(vertex).collect::<Vec<_>>());
-        let (surface, found) = (self.surface.clone(), Vec::new());
+        pipeline.world.spawn_batch((0..).zip(&shell.positions).map(vertex).collect::<Vec<_>>());
         pipeline.world.insert_resource(MovingMesh {
-            surface,
-            graph,
-            start: positions,
-            found,
+            surface: self.surface.clone(),
+            start: shell.positions.clone(),
+            shell,
+            outlines,
+            found: Vec::new(),
             steps: self.steps,
         });
         keep_pool::<VertexIndex, VertexPosition>(&mut pipeline.world, Span::Pass);
@@ -302,7 +207,7 @@ pub fn pull_back_to_vertices(
         let blended: Vec3 = (0..3).map(|k| normals[corners[k] as usize] * found.weights[k]).sum();
         let by_blend = pull_back_unit(blended, Vec3::from(back.normal).clamp_length_max(limit));
         for (corner, weight) in corners.into_iter().zip(found.weights) {
-            shares.push((mesh.graph.of[corner as usize], weight * by_blend));
+            shares.push((mesh.shell.graph.of[corner as usize], weight * by_blend));
         }
     }
     // Sums last for several steps: nothing of one that is not taken reaches them.
@@ -333,19 +238,21 @@ pub fn move_vertices(
     let at: Vec<Vec3> = positions.iter().map(|p| p.0).collect();
     let by_normal: Vec<Vec3> = adjoint.iter().map(|a| a.0).collect();
     adjoint.fill(VertexAdjoint::default());
-    let steps = smooth_steps(&mesh.graph, &at, &by_normal, &mut moments);
-    let rate = RATES.0 * (RATES.1 / RATES.0).powf((done - HELD) / (1.0 - HELD)) * mesh.graph.mean_edge(&at);
+    let steps = smooth_steps(&mesh.shell.graph, &at, &by_normal, &mut moments);
+    let rate =
+        RATES.0 * (RATES.1 / RATES.0).powf((done - HELD) / (1.0 - HELD)) * mesh.shell.graph.mean_edge(&at);
     let moved: Vec<Vec3> = at.iter().zip(&steps).map(|(at, step)| at - rate * step).collect();
-    let moved = without_wide(&mesh.graph, &mesh.start, moved);
-    let reach = REACH * mesh.graph.mean_edge(&mesh.start);
-    let near = |(moved, start): (Vec3, &Vec3)| *start + (moved - *start).clamp_length_max(reach);
-    let moved: Vec<Vec3> = moved.into_iter().zip(&mesh.start).map(near).collect();
+    let reach = REACH * mesh.shell.graph.mean_edge(&mesh.start);
+    let mut moved = mesh.near_start(moved, reach);
     // A move that makes a triangle degenerate is rejected, and one that is not finite starts again from rest.
     if moved.iter().any(|at| !at.is_finite()) {
         moments.fill(VertexMoment::default());
         return Ok(());
     }
-    if let Ok(surface) = with_positions(&mesh.surface, &mesh.graph, &moved) {
+    if (rates.step / MOVE_EVERY).is_multiple_of(OUTLINES_EVERY) {
+        moved = mesh.back_to_outlines(moved, reach);
+    }
+    if let Ok(surface) = with_positions(&mesh.surface, &mesh.shell.graph, &moved) {
         mesh.surface = Arc::new(surface);
         scenery.0 = mesh.surface.clone();
         positions.iter_mut().zip(&moved).for_each(|(position, moved)| position.0 = *moved);
@@ -385,13 +292,18 @@ fn smooth_steps(
 
 /// The surface with new positions and smooth normals.
 fn with_positions(surface: &Surface, graph: &VertexGraph, positions: &[Vec3]) -> Result<Surface> {
-    let normals = graph.area_vectors(positions);
     let mut mesh = surface.mesh().clone();
+    place(&mut mesh, graph, positions);
+    Surface::new(mesh, surface.atlas().width)
+}
+
+/// Moves the vertices of a mesh to positions of merged ones, with smooth normals.
+fn place(mesh: &mut Mesh, graph: &VertexGraph, positions: &[Vec3]) {
+    let normals = graph.area_vectors(positions);
     for (vertex, of) in graph.of.iter().map(|of| *of as usize).enumerate() {
         mesh.positions[vertex] = positions[of];
         mesh.normals[vertex] = normals[of].try_normalize().unwrap_or(mesh.normals[vertex]);
     }
-    Surface::new(mesh, surface.atlas().width)
 }
 
 #[cfg(test)]

@@ -88,7 +88,7 @@ pub fn check_lit(path: &Path, target: &EnvironmentMap) -> Result<()> {
 ///
 /// # Errors
 /// [`Error::Input`] if the file is missing or wrong, or names another RON file.
-pub fn inlined(path: &Path, scale: f32, rotation_degrees: Vec3) -> Result<LightSource> {
+pub(crate) fn inlined(path: &Path, scale: f32, rotation_degrees: Vec3) -> Result<LightSource> {
     let text = file::read_text(path, file::MOST_TEXT, |_| HELP.to_owned())?;
     let mut source: LightSource = options().from_str(&text).map_err(|error| {
         let at = error.span.start;
@@ -227,7 +227,7 @@ fn refused(path: &Path, what: &str) -> Error {
 }
 
 /// Lobes as a RON [`LightSource::Lobes`], one a line; every number comes back bit for bit.
-pub fn to_ron(lobes: &[LightLobe]) -> String {
+pub(crate) fn to_ron(lobes: &[LightLobe]) -> String {
     let mut text =
         String::from("// For a scene: light: Fixed(…) or Initial(…) around this.\nLobes(lobes: [\n");
     let three = |v: Vec3| format!("({:?}, {:?}, {:?})", v.x, v.y, v.z);

@@ -62,7 +62,7 @@ pub fn several_materials() -> (Vec<SpecularLobe>, SpecularBlend) {
 ///
 /// # Errors
 /// If a texture cannot be read.
-pub fn insert_known_along(world: &mut World, sheen: &Sheen, surface: &Surface) -> Result<()> {
+pub(crate) fn insert_known_along(world: &mut World, sheen: &Sheen, surface: &Surface) -> Result<()> {
     match sheen {
         Sheen::Auto | Sheen::None | Sheen::Unknown => drop(world.remove_resource::<KnownAlong>()),
         Sheen::Fixed(AlbedoSource::Constant(color)) => world.insert_resource(KnownAlong::Everywhere(*color)),
@@ -109,7 +109,7 @@ fn given_albedo(source: &AlbedoSource, surface: &Surface) -> Result<Vec<Vec3>> {
 const START: (f32, f32) = (0.3, 0.4);
 
 /// The lobe that a fit starts from, or the known one.
-pub fn initial_specular(specular: &Specular) -> SpecularLobe {
+pub(crate) fn initial_specular(specular: &Specular) -> SpecularLobe {
     SpecularLobe {
         albedo: match specular.albedo {
             SpecularAlbedo::Unknown { mono: true, initial: Some(initial) } => {

@@ -6,7 +6,8 @@ mod material;
 mod surface;
 
 pub use light::{LoadedLight, initial_lobes, load_light};
-pub use material::{initial_specular, insert_known_along, several_materials};
+pub use material::several_materials;
+pub(crate) use material::{initial_specular, insert_known_along};
 pub use surface::{SurfaceUse, make_surface};
 
 use crate::error::Result;

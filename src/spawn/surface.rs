@@ -16,6 +16,7 @@ use std::path::Path;
 
 /// What a surface is made for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum SurfaceUse {
     /// All passes.
     Lasting,

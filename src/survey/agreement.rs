@@ -48,7 +48,7 @@ const TRIED_SIDE: u32 = 40;
 const RIVAL_SIDE: u32 = 96;
 
 /// What is wrong with how a known mesh and the masks agree.
-pub fn of_mesh(bvh: &TriangleBvh, looks: &[ViewLook], found: &[Option<Agreement>]) -> Vec<Finding> {
+pub(crate) fn of_mesh(bvh: &TriangleBvh, looks: &[ViewLook], found: &[Option<Agreement>]) -> Vec<Finding> {
     let mut all: Vec<f32> = found.iter().flatten().map(|found| found.iou).collect();
     let Some(middle) = median(&mut all) else { return Vec::new() };
     let white = white(looks, found);
@@ -164,7 +164,7 @@ fn white_finding(white: &[String], all: usize) -> Option<Finding> {
 }
 
 /// How to repair inverted masks.
-pub const INVERT_HELP: &str = "A mask is white where the object is and black elsewhere: invert it.";
+pub(crate) const INVERT_HELP: &str = "A mask is white where the object is and black elsewhere: invert it.";
 
 /// Views whose background is the mesh.
 fn inverted(looks: &[ViewLook], found: &[Option<Agreement>]) -> Vec<String> {

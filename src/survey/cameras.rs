@@ -30,7 +30,7 @@ const NEAR_AXIS: f32 = 0.866;
 const SAME_MASK: f32 = 0.95;
 
 /// Views with the same camera and other silhouettes: one of them has the camera of another. An error where all views have one camera.
-pub fn same_cameras(looks: &[ViewLook]) -> Option<Finding> {
+pub(crate) fn same_cameras(looks: &[ViewLook]) -> Option<Finding> {
     let has_same_camera =
         |a: &ViewLook, b: &ViewLook| a.camera.world_from_camera == b.camera.world_from_camera;
     let contradicts = |a: &ViewLook, b: &ViewLook| {
@@ -57,6 +57,7 @@ pub fn same_cameras(looks: &[ViewLook]) -> Option<Finding> {
 /// The kind of an arrangement.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum ArrangementKind {
     /// Circles around one axis, at one to three heights.
     Rings(usize),

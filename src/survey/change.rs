@@ -7,6 +7,7 @@ use glam::{Affine3A, Mat3A, Vec3, Vec3A};
 
 /// A change of all cameras.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Change {
     /// Camera axes: the camera's own are these columns.
     CameraAxes(Mat3A),
@@ -135,7 +136,7 @@ fn cause(change: Change, words: &str, help: &str) -> Cause {
 }
 
 /// What may be wrong with the cameras or the photographs themselves, the likelier first.
-pub fn camera_causes() -> Vec<Cause> {
+pub(crate) fn camera_causes() -> Vec<Cause> {
     let axes = |axes, words, help| cause(Change::CameraAxes(axes), words, help);
     let inverted = |axes, words| cause(Change::Inverted(axes), words, INVERT);
     let likely = [
@@ -173,7 +174,7 @@ fn picture_causes() -> [Cause; 5] {
 }
 
 /// The turns and mirror images of a mesh that map axes to axes, without the identity, the likelier first.
-pub fn world_causes() -> Vec<Cause> {
+pub(crate) fn world_causes() -> Vec<Cause> {
     let mut causes: Vec<(u32, Cause)> = signed_permutations().into_iter().map(world_cause).collect();
     causes.sort_by_key(|(rank, _)| *rank);
     causes.into_iter().map(|(_, cause)| cause).collect()

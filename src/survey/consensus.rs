@@ -59,7 +59,7 @@ const TRIED_SIDE: u32 = 96;
 
 /// How each mask agrees with the hull of the others.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Consensus {
+pub(crate) struct Consensus {
     /// Share of each view's mask that the hull of the others leaves uncovered; `None` without a mask.
     pub uncovered: Vec<Option<f32>>,
     /// The median of these shares.
@@ -196,13 +196,13 @@ fn trusted(masks: &[SmallMask], voters: &[bool]) -> Vec<bool> {
 }
 
 /// How masks agree with each other, where no mesh is known; `None` for fewer than three masks.
-pub fn hull_agreement(looks: &[ViewLook]) -> Option<f32> {
+pub(crate) fn hull_agreement(looks: &[ViewLook]) -> Option<f32> {
     consistency(&tried(looks, TRIED_VIEWS, TRIED_SIDE))
 }
 
 /// What is wrong with how masks and cameras agree, where no mesh is known. `given` is [`hull_agreement`], `complaint` what
 /// [`check_masks`](crate::survey::meeting::check_masks) has to say.
-pub fn of_masks(
+pub(crate) fn of_masks(
     looks: &[ViewLook],
     given: f32,
     consensus: Option<&Consensus>,

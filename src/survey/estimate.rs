@@ -2,14 +2,14 @@
 //!
 //! | part | memory | time of one thread |
 //! | --- | --- | --- |
-//! | photographs | pixels around the object × [`PHOTOGRAPH_BYTES`] | pixels × [`DECODE_NANOS`] |
-//! | `Fit` | [`FIT_BYTES`] + pixels in the pool × [`POOL_BYTES`] + texels × [`TEXEL_BYTES`] | steps × batch × lobes × [`FIT_PAIR_NANOS`] + pixels in the pool × [`FIT_START_NANOS`] |
-//! | `Fit(detail: true)` | the same + [`DETAIL_BYTES`] + pixels × [`DETAIL_PIXEL_BYTES`] | three times as long + pixels × [`DETAIL_PIXEL_NANOS`] |
-//! | `Shape` | pixels in the pool × [`POOL_BYTES`] + cells³ × [`CELL_BYTES`] | steps × batch × [`SHAPE_PIXEL_NANOS`] |
-//! | its mesh | cells² × [`MESH_BYTES`] | |
-//! | shadows | [`VisibilitySettings::bytes`] of the texels | rows × directions × [`RAY_NANOS`] |
-//! | `Render` and the like | [`frame_bytes`] of the largest view; [`film_bytes`] of the film | samples in the object × (lobes × [`RENDER_PAIR_NANOS`] + [`SAMPLE_NANOS`]) + pixels × [`PICTURE_PIXEL_NANOS`] |
-//! | `Evaluate` | pixels of the largest view × [`SCORE_PIXEL_BYTES`] | pixels of the test views × [`SCORE_PIXEL_NANOS`] |
+//! | photographs | pixels around the object × `PHOTOGRAPH_BYTES` | pixels × `DECODE_NANOS` |
+//! | `Fit` | `FIT_BYTES` + pixels in the pool × `POOL_BYTES` + texels × `TEXEL_BYTES` | steps × batch × lobes × `FIT_PAIR_NANOS` + pixels in the pool × `FIT_START_NANOS` |
+//! | `Fit(detail: true)` | the same + `DETAIL_BYTES` + pixels × `DETAIL_PIXEL_BYTES` | three times as long + pixels × `DETAIL_PIXEL_NANOS` |
+//! | `Shape` | pixels in the pool × `POOL_BYTES` + cells³ × `CELL_BYTES` | steps × batch × `SHAPE_PIXEL_NANOS` |
+//! | its mesh | cells² × `MESH_BYTES` | |
+//! | shadows | [`VisibilitySettings::bytes`] of the texels | rows × directions × `RAY_NANOS` |
+//! | `Render` and the like | [`frame_bytes`] of the largest view; [`film_bytes`] of the film | samples in the object × (lobes × `RENDER_PAIR_NANOS` + `SAMPLE_NANOS`) + pixels × `PICTURE_PIXEL_NANOS` |
+//! | `Evaluate` | pixels of the largest view × `SCORE_PIXEL_BYTES` | pixels of the test views × `SCORE_PIXEL_NANOS` |
 //!
 //! Time is divided by the threads. It is good to a factor of two on the machine that was measured, and a guess on others. Memory is meant
 //! to be no less than what is taken: whole runs took 69 to 98 % of it (`spot`, also with textures up to 2048², `sphere`,
@@ -34,56 +34,56 @@ use serde::Serialize;
 
 /// Bytes of a pixel of a photograph and its mask in memory, in the rectangle around the object: 8-bit colors, alpha and coverage.
 /// Downscaled and undistorted photographs and EXR take half floats, two or three bytes more.
-pub const PHOTOGRAPH_BYTES: f64 = 6.0;
+pub(crate) const PHOTOGRAPH_BYTES: f64 = 6.0;
 /// Bytes of a pixel of a silhouette in memory: its signed distance as a half float.
-pub const SILHOUETTE_BYTES: f64 = 2.0;
+pub(crate) const SILHOUETTE_BYTES: f64 = 2.0;
 /// Bytes of a pixel in the pool of a fit: its columns, two ticks for each of the two, and its entity; a table that grows keeps room for
 /// more rows.
-pub const POOL_BYTES: f64 = 1.6 * (size_of::<(ObservationIndex, Observation)>() + 2 * 8 + 52) as f64;
+pub(crate) const POOL_BYTES: f64 = 1.6 * (size_of::<(ObservationIndex, Observation)>() + 2 * 8 + 52) as f64;
 /// Bytes of a texel in a fit: albedo, sheen, tilt and blend with gradients and moments, what is shown, place, normal, and the tables that
 /// texels left when these came to them. Measured from 512² to 2048² texels.
-pub const TEXEL_BYTES: f64 = 850.0;
+pub(crate) const TEXEL_BYTES: f64 = 850.0;
 /// Bytes of a texel of the finest texture, which has neither gradients nor moments.
-pub const FINEST_TEXEL_BYTES: f64 = 224.0;
+pub(crate) const FINEST_TEXEL_BYTES: f64 = 224.0;
 /// Bytes of a fit that do not depend on its size, as measured.
-pub const FIT_BYTES: f64 = 150e6;
+pub(crate) const FIT_BYTES: f64 = 150e6;
 /// Bytes of a pixel while a view is scored: rendered, true, and what both are compared by. 16 views of 4096².
-pub const SCORE_PIXEL_BYTES: f64 = 105.0;
+pub(crate) const SCORE_PIXEL_BYTES: f64 = 105.0;
 /// Bytes of a fit that tries several materials and refines its texture, besides its pool and texels, as measured on four sets.
-pub const DETAIL_BYTES: f64 = 250e6;
+pub(crate) const DETAIL_BYTES: f64 = 250e6;
 /// Bytes of a pixel that the sweeps over the texture visit: what is kept of it, and 50 as measured on the same sets.
-pub const DETAIL_PIXEL_BYTES: f64 = 50.0 + size_of::<KeptPixel>() as f64;
+pub(crate) const DETAIL_PIXEL_BYTES: f64 = 50.0 + size_of::<KeptPixel>() as f64;
 /// Bytes of a cell of a shape's grid, with its adjoints and moments, while its outlines are fitted.
-pub const CELL_BYTES: f64 = 110.0;
+pub(crate) const CELL_BYTES: f64 = 110.0;
 /// Bytes of a found mesh and of what is made to intersect it, per square of the cells on a side: about six triangles.
-pub const MESH_BYTES: f64 = 9e3;
+pub(crate) const MESH_BYTES: f64 = 9e3;
 /// Bytes of the program itself.
-pub const BASE_BYTES: f64 = 100e6;
+pub(crate) const BASE_BYTES: f64 = 100e6;
 /// Reading a pixel of a PNG: 100 views of 800² in 3.2 s on two cores.
-pub const DECODE_NANOS: f64 = 100.0;
+pub(crate) const DECODE_NANOS: f64 = 100.0;
 /// A pair of pixel and lobe in a step of a fit: `scenes/spot.ron` without shadows, 1 200 steps in 13 s on two cores.
-pub const FIT_PAIR_NANOS: f64 = 27.0;
+pub(crate) const FIT_PAIR_NANOS: f64 = 27.0;
 /// A pixel of the pool before the first step of a fit: choosing, tracing, and two initializations. `scenes/spot.ron`, ten steps.
-pub const FIT_START_NANOS: f64 = 16_000.0;
+pub(crate) const FIT_START_NANOS: f64 = 16_000.0;
 /// A pixel that the detail of a texture is solved for from, in all sweeps: `chair`, 0.44 times what it took while each of three sweeps shaded it,
 /// 110 s for 11 million pixels in one thread.
-pub const DETAIL_PIXEL_NANOS: f64 = 4400.0;
+pub(crate) const DETAIL_PIXEL_NANOS: f64 = 4400.0;
 /// A fit that tries several materials, moves vertices and refines its texture takes this many times as long.
-pub const DETAIL_FACTOR: f64 = 3.0;
+pub(crate) const DETAIL_FACTOR: f64 = 3.0;
 /// A pixel in a step of a shape, with all that comes before and after the steps: `scenes/photos.ron` on `chair`, about 160 s on two cores.
-pub const SHAPE_PIXEL_NANOS: f64 = 42_000.0;
+pub(crate) const SHAPE_PIXEL_NANOS: f64 = 42_000.0;
 /// A ray of the visibility: 108 789 texels in 512 directions in 7.0 s on two cores.
-pub const RAY_NANOS: f64 = 250.0;
+pub(crate) const RAY_NANOS: f64 = 250.0;
 /// A pair of pixel sample and lobe in a frame.
-pub const RENDER_PAIR_NANOS: f64 = 8.0;
+pub(crate) const RENDER_PAIR_NANOS: f64 = 8.0;
 /// A pixel sample of the object in a frame, with tracing and gathering: a sphere in 2048² and 4096² pixels.
-pub const SAMPLE_NANOS: f64 = 1_700.0;
+pub(crate) const SAMPLE_NANOS: f64 = 1_700.0;
 /// Encoding and writing a pixel of a picture with all its layers: the same, as small as a few pixels.
-pub const PICTURE_PIXEL_NANOS: f64 = 1_700.0;
+pub(crate) const PICTURE_PIXEL_NANOS: f64 = 1_700.0;
 /// Scoring a pixel of a view, with its part of the contact sheet: ten views of 256².
-pub const SCORE_PIXEL_NANOS: f64 = 3_000.0;
+pub(crate) const SCORE_PIXEL_NANOS: f64 = 3_000.0;
 /// A path of the path tracer.
-pub const PATH_NANOS: f64 = 3_000.0;
+pub(crate) const PATH_NANOS: f64 = 3_000.0;
 /// Share of a frame that the object covers, where no mask says.
 const USUAL_COVERAGE: f64 = 0.25;
 
@@ -150,7 +150,7 @@ pub fn memory(bytes: f64) -> String {
 }
 
 /// "12 s", "3 min".
-pub fn duration(seconds: f64) -> String {
+pub(crate) fn duration(seconds: f64) -> String {
     match seconds {
         s if s < 100.0 => format!("{:.0} s", s.ceil()),
         s if s < 6000.0 => format!("{:.0} min", s / 60.0),
@@ -181,7 +181,7 @@ pub fn estimate(looks: &[ViewLook], scene: &Scene, threads: usize) -> Estimate {
 }
 
 /// Bytes that the passes of `scene` will write at least.
-pub fn written_bytes(looks: &[ViewLook], scene: &Scene) -> f64 {
+pub(crate) fn written_bytes(looks: &[ViewLook], scene: &Scene) -> f64 {
     let task = Task { looks, scene, threads: 1 };
     let of_pass = |pass: &Pass| match pass {
         Pass::Save(_) => SAVED_TEXEL_BYTES * task.texels(),

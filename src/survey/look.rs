@@ -12,14 +12,15 @@ use glam::Vec3;
 use image::{Rgb, RgbImage};
 
 /// Most pixels along a side of the masks that silhouettes are compared on.
-pub const SMALL_MASK_SIDE: u32 = 96;
+pub(crate) const SMALL_MASK_SIDE: u32 = 96;
 /// Most pixels along a side of a thumbnail.
-pub const THUMBNAIL_SIDE: u32 = 128;
+pub(crate) const THUMBNAIL_SIDE: u32 = 128;
 /// Coverage of a pixel that counts as the object's.
 const COVERED: f32 = 0.5;
 
 /// Where a view's mask comes from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum MaskOrigin {
     /// A file of its own.
     File,
@@ -138,7 +139,7 @@ pub struct MaskLook {
     pub border: f32,
     /// First and one past the last covered column and row, in pixels of the camera that was looked at; `None` if nothing is covered.
     pub bounds: Option<PixelBounds>,
-    /// The mask at most [`SMALL_MASK_SIDE`] pixels wide and high.
+    /// The mask at most `SMALL_MASK_SIDE` pixels wide and high.
     pub small: SmallMask,
 }
 

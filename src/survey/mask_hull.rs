@@ -16,7 +16,7 @@ const LEAST_VIEWS: usize = 3;
 /// Most pixels that half a cell is drawn large.
 const MOST_RADIUS: f32 = 8.0;
 /// Share of the views that may see a cell outside their mask.
-pub const FORGIVEN: f32 = 0.05;
+pub(crate) const FORGIVEN: f32 = 0.05;
 
 /// The cube around the object that is divided into cells.
 struct Grid {
@@ -33,7 +33,7 @@ struct Cell {
 
 /// Mean over views of the intersection over union of a mask with the hull of all masks; 0 if there is no hull. `None` for fewer than
 /// three masks.
-pub fn consistency(views: &[SmallMask]) -> Option<f32> {
+pub(crate) fn consistency(views: &[SmallMask]) -> Option<f32> {
     if views.iter().filter_map(sight_and_size).count() < LEAST_VIEWS {
         return None;
     }
@@ -52,7 +52,7 @@ pub fn consistency(views: &[SmallMask]) -> Option<f32> {
 
 /// For each view, the share of its mask that the hull of the other views which are `trusted` leaves uncovered; `forgiven` is the share of
 /// those that may see a cell outside their mask. Parts of a mask narrower than three pixels do not count. 1 if there is no hull.
-pub fn uncovered(views: &[SmallMask], trusted: &[bool], forgiven: f32) -> Vec<f32> {
+pub(crate) fn uncovered(views: &[SmallMask], trusted: &[bool], forgiven: f32) -> Vec<f32> {
     let voters: Vec<&SmallMask> =
         views.iter().zip(trusted).filter(|(_, trusted)| **trusted).map(|(view, _)| view).collect();
     let Some(grid) = Grid::new(&voters) else { return vec![1.0; views.len()] };
@@ -76,7 +76,7 @@ pub fn uncovered(views: &[SmallMask], trusted: &[bool], forgiven: f32) -> Vec<f3
     views.par_iter().zip(trusted).map(of_view).collect()
 }
 
-/// For each view that is `trusted`, how many cells it takes from the hull of the others: those that more than [`FORGIVEN`] and at most
+/// For each view that is `trusted`, how many cells it takes from the hull of the others: those that more than `FORGIVEN` and at most
 /// `most` of the views see outside their masks, each shared by these views.
 pub fn carved(views: &[SmallMask], trusted: &[bool], most: f32) -> Vec<f32> {
     let voters: Vec<&SmallMask> =

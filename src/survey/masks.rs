@@ -16,7 +16,7 @@ const LEFT_OUT: f32 = 0.03;
 
 /// Findings about the masks of all views; `scored` says whether test views are compared with their photographs, `has_mesh` whether the
 /// shape is known.
-pub fn of_masks(looks: &[ViewLook], scored: bool, has_mesh: bool) -> Vec<Finding> {
+pub(crate) fn of_masks(looks: &[ViewLook], scored: bool, has_mesh: bool) -> Vec<Finding> {
     let mut found = Vec::new();
     found.extend(dim(looks));
     found.extend(inverted(looks));

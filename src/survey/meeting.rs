@@ -85,7 +85,7 @@ impl<'a> Outline<'a> {
 /// [`Error::Usage`] that names a view and a remedy: fewer than three masks, a mask that is all covered, an object cut by every
 /// frame, views along one line, a camera inside the object, cameras that look away from it, or cameras and masks that are
 /// inconsistent.
-pub fn check_masks(views: &[&ViewLook]) -> Result<Option<Finding>> {
+pub(crate) fn check_masks(views: &[&ViewLook]) -> Result<Option<Finding>> {
     let masks = || views.iter().filter_map(|view| Some((*view, view.mask.as_ref()?)));
     if masks().count() < MIN_VIEWS {
         return Err(too_few(views, masks().count()));
@@ -119,7 +119,7 @@ fn too_few(views: &[&ViewLook], masks: usize) -> Error {
 }
 
 /// The point with the least sum of distances to all rays; `None` if they are parallel.
-pub fn meeting_point(sights: &[Sight]) -> Option<DVec3> {
+pub(crate) fn meeting_point(sights: &[Sight]) -> Option<DVec3> {
     let base = sights.iter().map(|sight| sight.origin).sum::<DVec3>() / sights.len() as f64;
     let mut weights = vec![1.0; sights.len()];
     let mut point = DVec3::ZERO;

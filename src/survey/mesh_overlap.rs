@@ -42,7 +42,7 @@ pub struct Agreement {
 const MARGIN: usize = 2;
 
 /// For each view that has a mask, how it agrees with the mesh.
-pub fn agreements(bvh: &TriangleBvh, looks: &[ViewLook]) -> Vec<Option<Agreement>> {
+pub(crate) fn agreements(bvh: &TriangleBvh, looks: &[ViewLook]) -> Vec<Option<Agreement>> {
     let of_view = |look: &ViewLook| {
         let mask = &look.mask.as_ref()?.small;
         let mesh = covered(bvh, mask);
@@ -85,7 +85,7 @@ fn outline(inside: &[bool], width: usize) -> usize {
 }
 
 /// The median overlap of the mesh with several masks; 0 without masks.
-pub fn median_agreement(bvh: &TriangleBvh, views: &[SmallMask]) -> f32 {
+pub(crate) fn median_agreement(bvh: &TriangleBvh, views: &[SmallMask]) -> f32 {
     let mut found: Vec<f32> = views.par_iter().map(|view| agreement(bvh, view)).collect();
     median(&mut found).unwrap_or(0.0)
 }

@@ -60,7 +60,7 @@ fn place(spots: &[Spot]) -> Option<(Vec3, f32)> {
 
 /// The placing of a mesh, turned by `turn`, that makes its silhouettes agree with the masks in center and size. `None` if masks do not
 /// determine a place, or the mesh is never in sight.
-pub fn find_placement(bvh: &TriangleBvh, views: &[SmallMask], turn: Mat3A) -> Option<Change> {
+pub(crate) fn find_placement(bvh: &TriangleBvh, views: &[SmallMask], turn: Mat3A) -> Option<Change> {
     let spots: Vec<Spot> = views.iter().filter_map(|view| Spot::new(view, &view.inside)).collect();
     let (target, size) = place(&spots)?;
     let (center, radius) = bvh.bounding_sphere();
@@ -90,7 +90,7 @@ pub fn find_placement(bvh: &TriangleBvh, views: &[SmallMask], turn: Mat3A) -> Op
 
 /// A placing in words; its scale is snapped to 1 or a usual ratio of units, where it is near one.
 /// `center` and `radius` are those of the mesh's bounding sphere.
-pub fn placement_cause(change: Change, center: Vec3, radius: f32) -> Option<Cause> {
+pub(crate) fn placement_cause(change: Change, center: Vec3, radius: f32) -> Option<Cause> {
     let Change::Placed { turn, scale, shift } = change else { return None };
     // The size is measured; what is meant is a ratio of units, or none. The place of the mesh's middle stays.
     let factor = snapped(scale);

@@ -12,7 +12,7 @@ const MOST_SHIFT: usize = 8;
 const LEAST_VIEWS: usize = 8;
 
 /// Every order that is tried, as a cause, with some of the masks under the cameras that they would then have.
-pub fn orders(looks: &[ViewLook], most: usize) -> Vec<(Cause, Vec<SmallMask>)> {
+pub(crate) fn orders(looks: &[ViewLook], most: usize) -> Vec<(Cause, Vec<SmallMask>)> {
     let list = list(looks);
     let count = list.len();
     if count < LEAST_VIEWS {

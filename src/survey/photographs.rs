@@ -67,7 +67,7 @@ impl Fault<'_> {
 }
 
 /// Photographs that cannot be photographs of the object.
-pub fn of_radiance(looks: &[ViewLook]) -> Vec<Finding> {
+pub(crate) fn of_radiance(looks: &[ViewLook]) -> Vec<Finding> {
     let mut medians: Vec<f32> = lights(looks).map(|(_, light)| light.median).collect();
     let Some(usual) = median(&mut medians) else { return Vec::new() };
     let is_black =
@@ -281,7 +281,7 @@ fn stray_views(
 }
 
 /// Photographs that are the same as another, pixel by pixel.
-pub fn of_duplicates(looks: &[ViewLook]) -> Option<Finding> {
+pub(crate) fn of_duplicates(looks: &[ViewLook]) -> Option<Finding> {
     let mut by_print: BTreeMap<(u64, [u32; 2]), Vec<&str>> = BTreeMap::new();
     for (look, light) in lights(looks).filter(|(_, light)| light.highest > 0.0) {
         by_print.entry((light.fingerprint, look.size)).or_default().push(&look.name);

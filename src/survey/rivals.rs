@@ -24,7 +24,7 @@ const MARGIN_STEP: f32 = 0.5;
 
 /// The causes that explain masks about as well as the best of them, the best first, with its overlap. `placed` is the mesh of another
 /// size, if one is found; `views` are of `looks`.
-pub fn rivals(
+pub(crate) fn rivals(
     bvh: &TriangleBvh,
     looks: &[ViewLook],
     views: &[SmallMask],

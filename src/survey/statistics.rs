@@ -22,7 +22,7 @@ pub fn neighbors(directions: &[Vec3], count: usize) -> Vec<Vec<usize>> {
 
 /// How far each value is from the median of its neighbors' values, and that in standard deviations of all such differences (at
 /// least `floor`).
-pub fn strays(values: &[f32], neighbors: &[Vec<usize>], floor: f32) -> Vec<(f32, f32)> {
+pub(crate) fn strays(values: &[f32], neighbors: &[Vec<usize>], floor: f32) -> Vec<(f32, f32)> {
     let difference = |(value, near): (&f32, &Vec<usize>)| {
         let mut near: Vec<f32> = near.iter().map(|&k| values[k]).collect();
         median(&mut near).map_or(0.0, |median| value - median)

@@ -6,7 +6,7 @@ use crate::survey::look::ViewLook;
 use crate::view::Split;
 
 /// Share of the atlas that charts cover, about.
-pub const ATLAS_FILL: f32 = 0.6;
+pub(crate) const ATLAS_FILL: f32 = 0.6;
 /// A texel this many pixels wide loses what the photographs show.
 const COARSE: f32 = 3.0;
 /// Largest texture of a scene file.
@@ -14,7 +14,7 @@ const MOST_TEXTURE: u32 = 4096;
 
 /// How wide a texel is in pixels of the training photographs, for a texture of `texture_size`² texels. A view shows about a quarter of the
 /// surface: the mean projected area of a convex object (Cauchy). `None` without masks.
-pub fn pixels_per_texel(looks: &[ViewLook], texture_size: u32) -> Option<f32> {
+pub(crate) fn pixels_per_texel(looks: &[ViewLook], texture_size: u32) -> Option<f32> {
     let train = looks.iter().filter(|look| look.split == Split::Train && look.light.is_some());
     let mut areas: Vec<f32> = train.filter_map(ViewLook::object_pixels).collect();
     let texels = ATLAS_FILL * (texture_size as f32).powi(2);
@@ -22,7 +22,7 @@ pub fn pixels_per_texel(looks: &[ViewLook], texture_size: u32) -> Option<f32> {
 }
 
 /// A texture that is too small for the photographs, if no fit refines it (`is_refined`).
-pub fn finding(looks: &[ViewLook], texture_size: u32, is_refined: bool) -> Option<Finding> {
+pub(crate) fn finding(looks: &[ViewLook], texture_size: u32, is_refined: bool) -> Option<Finding> {
     if is_refined {
         return None;
     }

@@ -6,9 +6,9 @@ use crate::survey::cameras::{Arrangement, ArrangementKind};
 use crate::survey::finding::Finding;
 
 /// Most pixels a side of the backgrounds that are compared.
-pub const BACKGROUND_SIDE: u32 = 64;
+pub(crate) const BACKGROUND_SIDE: u32 = 64;
 /// Photographs that are compared.
-pub const BACKGROUNDS: usize = 12;
+pub(crate) const BACKGROUNDS: usize = 12;
 /// Pixels that must be background in all of them.
 const LEAST_PIXELS: usize = 150;
 /// Standard deviation over the background below which it is plain, in square roots of its mean luminance.
@@ -27,7 +27,7 @@ pub struct Background {
 
 /// Median correlation of each background with the mean of the others, over pixels that are background in all. `None` if they differ in
 /// size, leave too few pixels, or are plain.
-pub fn sameness(backgrounds: &[Background]) -> Option<f32> {
+pub(crate) fn sameness(backgrounds: &[Background]) -> Option<f32> {
     let first = backgrounds.first().filter(|_| backgrounds.len() >= 3)?;
     if backgrounds.iter().any(|background| background.size != first.size) {
         return None;
@@ -72,13 +72,13 @@ fn correlation(a: &[f32], b: &[f32]) -> f32 {
 }
 
 /// Whether the object turned before a camera that stood still.
-pub fn is_turntable(arrangement: Option<&Arrangement>, sameness: Option<f32>) -> bool {
+pub(crate) fn is_turntable(arrangement: Option<&Arrangement>, sameness: Option<f32>) -> bool {
     let rings = arrangement.is_some_and(|arrangement| matches!(arrangement.kind, ArrangementKind::Rings(_)));
     rings && sameness.is_some_and(|sameness| sameness >= SAME)
 }
 
 /// What a turntable means for a fit.
-pub fn finding(sameness: f32) -> Finding {
+pub(crate) fn finding(sameness: f32) -> Finding {
     let problem = format!(
         "this is a turntable capture: the cameras lie on a ring and the background is the same in all photographs (correlation \
          {sameness:.2}), so the light did not turn with the object"

@@ -4,11 +4,11 @@ use crate::math::statistics::median;
 
 /// How many times brighter than the brightest pixel of a typical photograph a pixel may be: beyond, it is broken, or a highlight that no
 /// other photograph has.
-pub const GLARING: f32 = 64.0;
+pub(crate) const GLARING: f32 = 64.0;
 
 /// The greatest radiance that a pixel may have in a set of photographs whose brightest channels are `highest`: [`GLARING`] times their
 /// median. Infinite if most are black.
-pub fn glare_limit(highest: impl Iterator<Item = f32>) -> f32 {
+pub(crate) fn glare_limit(highest: impl Iterator<Item = f32>) -> f32 {
     let mut highest: Vec<f32> = highest.collect();
     median(&mut highest).filter(|usual| *usual > 0.0).map_or(f32::INFINITY, |usual| GLARING * usual)
 }

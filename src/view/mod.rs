@@ -97,6 +97,7 @@ pub struct ViewMask(pub StoredMask);
 
 /// Which part of a data set a view belongs to.
 #[derive(Component, Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[non_exhaustive]
 pub enum Split {
     /// Used by fits.
     Train,

@@ -4,7 +4,7 @@ use crate::view::image::{Image, Mask};
 use glam::{DVec3, Vec3};
 
 /// Coverage above which a pixel counts as fully covered (8-bit masks hold 254/255 = 0.996 and 1).
-pub const FULL_COVERAGE: f32 = 0.999;
+pub(crate) const FULL_COVERAGE: f32 = 0.999;
 
 impl Image {
     /// The image `factor` times smaller along each axis; each pixel is the mean of its block. Remaining pixels at the right and
@@ -34,7 +34,7 @@ impl Mask {
     }
 
     /// The fully covered interior of the mask: a pixel keeps its coverage if all pixels of the (2·`pixels` + 1)² around it have
-    /// at least [`FULL_COVERAGE`], and becomes 0 otherwise. Pixels outside the image count as uncovered. With
+    /// at least `FULL_COVERAGE`, and becomes 0 otherwise. Pixels outside the image count as uncovered. With
     /// `pixels` = 0 only partly covered pixels are removed.
     pub fn eroded(&self, pixels: u32) -> Self {
         let (width, height) = (self.width as usize, self.height as usize);
@@ -54,7 +54,7 @@ impl Mask {
 }
 
 /// Whether any pixel of each block is set; see [`Image::downscaled`].
-pub fn any_downscaled(flags: &[bool], width: u32, height: u32, factor: u32) -> Vec<bool> {
+pub(crate) fn any_downscaled(flags: &[bool], width: u32, height: u32, factor: u32) -> Vec<bool> {
     blocks(width, height, factor).map(|mut block| block.any(|i| flags[i])).collect()
 }
 
@@ -75,11 +75,11 @@ fn blocks(width: u32, height: u32, factor: u32) -> impl Iterator<Item = impl Ite
 }
 
 /// Index of a pixel, and its weight in a sum.
-pub type Tap = (usize, f32);
+pub(crate) type Tap = (usize, f32);
 
 /// The four pixels around a position, with bilinear weights; (0, 0) is the center of the first pixel. Positions outside
 /// are clamped to the border.
-pub fn bilinear(width: u32, height: u32, x: f32, y: f32) -> [Tap; 4] {
+pub(crate) fn bilinear(width: u32, height: u32, x: f32, y: f32) -> [Tap; 4] {
     let split = |at: f32, count: u32| {
         let at = at.clamp(0.0, count.saturating_sub(1) as f32);
         let first = at as usize;

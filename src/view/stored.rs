@@ -157,6 +157,7 @@ impl Flags {
 
 /// Integer samples of a picture, as a file holds them: straight alpha, if any, is the last channel.
 #[derive(Clone, Copy, Debug)]
+#[non_exhaustive]
 pub enum IntegerSamples<'a> {
     /// 8 bits a channel.
     Bytes(&'a [u8]),

@@ -24,7 +24,7 @@ const MIRROR_REACH: f32 = 4.0;
 
 /// Light on a set of directions.
 #[derive(Clone, Debug, Default)]
-pub struct Sky {
+pub(crate) struct Sky {
     /// e^{λ'(ξ·d − 1)} of each lobe (padded as its columns are) at each direction.
     weights: Vec<f32>,
     stride: usize,
@@ -86,7 +86,12 @@ fn integral(sharpness: f32) -> f32 {
 
 /// For each row of `visibility`: the fraction of each lobe's irradiance that reaches it, 0 to 255, in rows of the lobes' stride;
 /// and the resulting irradiance.
-pub fn light_rows(visibility: &TexelVisibility, sky: &Sky, parts: &mut Vec<u8>, direct: &mut Vec<Vec3>) {
+pub(crate) fn light_rows(
+    visibility: &TexelVisibility,
+    sky: &Sky,
+    parts: &mut Vec<u8>,
+    direct: &mut Vec<Vec3>,
+) {
     parts.clear();
     parts.resize(visibility.len() * sky.stride, 255);
     direct.clear();
@@ -104,7 +109,7 @@ pub fn light_rows(visibility: &TexelVisibility, sky: &Sky, parts: &mut Vec<u8>, 
 }
 
 /// [`light_rows`] for one row, with working memory of the lobes' stride.
-pub fn light_one_row(
+pub(crate) fn light_one_row(
     visibility: &TexelVisibility,
     sky: &Sky,
     row: usize,
@@ -158,7 +163,7 @@ fn add_scaled(sums: &mut [f32], row: &[f32], factor: f32) {
 
 /// Interreflected light of rows.
 #[derive(Clone, Debug, Default)]
-pub struct Bounce {
+pub(crate) struct Bounce {
     /// Irradiance of each row from other parts of the surface.
     pub indirect: Vec<Vec3>,
     /// Outgoing radiance of each row, as if all reflection were diffuse.

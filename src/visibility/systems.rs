@@ -5,8 +5,8 @@
 //! | [`refresh_visibility`] | [`IncidentLight`], [`BaseMaterials`], texels, [`ObjectVisibility`] | [`ObjectVisibility`] |
 //! | [`gather_visibility`] | the same, rays, texel addresses | [`PointVisibility`], [`WindowVisibility`] |
 //!
-//! Shadows and interreflection are updated when light or material have changed ([`light_or_material_changed`]), in a fit at most
-//! every few steps ([`refresh_is_due`]).
+//! Shadows and interreflection are updated when light or material have changed (`light_or_material_changed`), in a fit at most
+//! every few steps (`refresh_is_due`).
 
 use super::object_visibility::{Made, ObjectVisibility, WindowVisibility};
 use crate::light::LightLobe;
@@ -67,7 +67,7 @@ impl Plugin for FitVisibilityPlugin {
 }
 
 /// Run condition: whether this step of a fit updates visibility, or the set of lobes has changed.
-pub fn refresh_is_due(
+pub(crate) fn refresh_is_due(
     due: Res<RefreshDue>,
     light: Res<IncidentLight>,
     object: Option<Res<ObjectVisibility>>,
@@ -85,7 +85,7 @@ type Inputs<M> = Or<(
 )>;
 
 /// Run condition: whether light or material have changed since the last call, or the last update was for other entities.
-pub fn light_or_material_changed<M: MaterialSource>(
+pub(crate) fn light_or_material_changed<M: MaterialSource>(
     light: Res<IncidentLight>,
     materials: Res<BaseMaterials>,
     object: Option<Res<ObjectVisibility>>,

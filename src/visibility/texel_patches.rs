@@ -8,7 +8,7 @@ use crate::mesh::atlas::TexelAtlas;
 use glam::Vec3;
 
 /// Row of a texel that has none.
-pub const NO_ROW: u32 = u32::MAX;
+pub(crate) const NO_ROW: u32 = u32::MAX;
 
 /// Least cosine between the normals of texels that share a row.
 const ALIKE: f32 = 0.7;
@@ -17,7 +17,7 @@ const NEAR: f32 = 2.0;
 
 /// Rows of texels.
 #[derive(Debug, PartialEq)]
-pub struct Patches {
+pub(crate) struct Patches {
     /// Row of each texel; [`NO_ROW`] for texels that are not covered.
     pub rows: Vec<u32>,
     /// The texel of each row that stands for it: the one nearest to the middle of the square.

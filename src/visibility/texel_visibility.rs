@@ -19,7 +19,7 @@ use glam::Vec3;
 use rayon::prelude::*;
 
 /// Most directions.
-pub const MAX_DIRECTIONS: usize = 4096;
+pub(crate) const MAX_DIRECTIONS: usize = 4096;
 
 /// Offset of the ray origin from the surface, relative to the radius of the object.
 const OFFSET: f32 = 1e-4;

@@ -73,7 +73,7 @@ pub fn check_apart(inputs: &[FileUse], outputs: &[FileUse], help: &str) -> Resul
 ///
 /// # Errors
 /// [`Error::Usage`] that names the first such file, and one of the pictures.
-pub fn check_not_among(pictures: &[FileUse], outputs: &[FileUse], help: &str) -> Result<()> {
+pub(crate) fn check_not_among(pictures: &[FileUse], outputs: &[FileUse], help: &str) -> Result<()> {
     // The parent of a mere name is empty: the working folder.
     let of = |path: &Path| path.parent().and_then(|folder| Identity::of(&folder.join(".")));
     let read: HashMap<Identity, &FileUse> =
@@ -89,7 +89,7 @@ pub fn check_not_among(pictures: &[FileUse], outputs: &[FileUse], help: &str) ->
 }
 
 /// Whether `path` is `folder` or lies in it, whatever links lead there; `path` must exist, or it lies nowhere.
-pub fn lies_in(path: &Path, folder: &Path) -> bool {
+pub(crate) fn lies_in(path: &Path, folder: &Path) -> bool {
     match (path.canonicalize(), folder.canonicalize()) {
         (Ok(path), Ok(folder)) => path.starts_with(folder),
         _ => false,

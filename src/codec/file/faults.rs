@@ -6,7 +6,7 @@ use std::sync::Mutex;
 
 /// What is asked of a file.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Call {
+pub(crate) enum Call {
     Read,
     Write,
     Sync,
@@ -14,6 +14,7 @@ pub enum Call {
 
 /// What a file answers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum FileFault {
     /// An error with this number, at every call from the `after`-th on.
     Errno { errno: i32, after: u32 },
@@ -34,7 +35,7 @@ struct Rule {
 static RULES: Mutex<Vec<Rule>> = Mutex::new(Vec::new());
 
 /// A fault that lasts until this is dropped.
-pub struct Faulty(PathBuf);
+pub(crate) struct Faulty(PathBuf);
 
 impl Faulty {
     pub fn new(folder: &Path, call: Call, fault: FileFault) -> Self {

@@ -6,6 +6,7 @@ use std::path::{Component, Path, PathBuf};
 
 /// What a link counts as that lies in one of the folders.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Links {
     /// What it leads to.
     Followed,
@@ -17,7 +18,7 @@ pub enum Links {
 ///
 /// # Errors
 /// [`Error::Usage`] that names the file and its use.
-pub fn check_inside(roots: &[PathBuf], input: &FileUse, links: Links) -> Result<()> {
+pub(crate) fn check_inside(roots: &[PathBuf], input: &FileUse, links: Links) -> Result<()> {
     let path = &input.path;
     let by_spelling = || roots.iter().any(|root| spelled(path).starts_with(spelled(root)));
     let trusts_spelling = links == Links::Trusted || path.canonicalize().is_err();

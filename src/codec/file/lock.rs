@@ -6,7 +6,7 @@ use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
 
 /// The file whose lock stands for the folder.
-pub const LOCK: &str = ".lobelia.lock";
+pub(crate) const LOCK: &str = ".lobelia.lock";
 
 /// The right to write into a folder. The system takes the lock back when the process ends, however it ends: a file that is left is none.
 #[derive(Debug)]

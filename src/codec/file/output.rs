@@ -13,7 +13,7 @@ const MOST_NAME_BYTES: usize = 200;
 ///
 /// # Errors
 /// What is wrong with it, as a clause that follows the name.
-pub fn check_file_name(name: &str) -> Result<(), String> {
+pub(crate) fn check_file_name(name: &str) -> Result<(), String> {
     if name.is_empty() {
         return Err("is empty".to_owned());
     }
@@ -32,7 +32,7 @@ pub fn check_file_name(name: &str) -> Result<(), String> {
 /// The stems of the files of things with these names, in the order of the names, apart from each other and from those that are `taken`
 /// even where case does not count. A name that can be a stem is one; what a file's name must not hold becomes `_`, and what is no longer
 /// alone gets a number. No stem leads out of the folder that it is put into.
-pub fn file_stems(names: &[&str], taken: &[&str]) -> Vec<String> {
+pub(crate) fn file_stems(names: &[&str], taken: &[&str]) -> Vec<String> {
     let mut used: HashSet<String> = taken.iter().map(|stem| stem.to_lowercase()).collect();
     let mut stems = vec![String::new(); names.len()];
     // Names that can stay as they are come first: another one must not take their place.
@@ -114,14 +114,14 @@ fn existing_folder(folder: &Path) -> Result<&Path> {
 
 /// Bytes that this user may still write below `folder`, which need not exist yet; `None` if the system does not say.
 #[cfg(unix)]
-pub fn free_bytes(folder: &Path) -> Option<u64> {
+fn free_bytes(folder: &Path) -> Option<u64> {
     let found = rustix::fs::statvfs(existing_folder(folder).ok()?).ok()?;
     Some(found.f_bavail.saturating_mul(found.f_frsize))
 }
 
 /// Bytes that this user may still write below `folder`; this system is not asked.
 #[cfg(not(unix))]
-pub fn free_bytes(_: &Path) -> Option<u64> {
+fn free_bytes(_: &Path) -> Option<u64> {
     None
 }
 
@@ -129,7 +129,7 @@ pub fn free_bytes(_: &Path) -> Option<u64> {
 ///
 /// # Errors
 /// [`Error::Usage`] with both numbers.
-pub fn check_room(folder: &Path, needed: u64) -> Result<()> {
+pub(crate) fn check_room(folder: &Path, needed: u64) -> Result<()> {
     room(folder, free_bytes(folder), needed)
 }
 

@@ -7,12 +7,13 @@ use std::io::{BufReader, ErrorKind, Read, Seek as _};
 use std::path::Path;
 
 /// Most bytes of a text file that people write: a scene, a light. The largest scene that a pass saves is a few MiB.
-pub const MOST_TEXT: u64 = 16 << 20;
+pub(crate) const MOST_TEXT: u64 = 16 << 20;
 /// Most bytes of any file that is read whole.
 const MOST_BYTES: u64 = 4 << 30;
 
 /// What must be at a path.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum FileKind {
     /// A regular file.
     File,
@@ -22,7 +23,7 @@ pub enum FileKind {
 
 /// Why a path cannot be read.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Obstacle {
+pub(crate) struct Obstacle {
     /// A clause that follows the path: "there is no such file".
     pub problem: String,
     /// What to do about it; empty where that depends on what the file is for.
@@ -42,7 +43,7 @@ impl Obstacle {
 }
 
 /// What keeps `path` from being read as a `kind`, if anything does. A pipe or a device is not opened.
-pub fn obstacle(path: &Path, kind: FileKind) -> Option<Obstacle> {
+pub(crate) fn obstacle(path: &Path, kind: FileKind) -> Option<Obstacle> {
     match kind {
         FileKind::File => open_regular(path).err(),
         FileKind::Folder => open_folder(path).err(),
@@ -134,7 +135,7 @@ pub fn open(path: &Path, help: impl FnOnce(&Path) -> String) -> Result<BufReader
 ///
 /// # Errors
 /// [`Error::Io`] if it cannot be read.
-pub fn first_bytes(path: &Path, file: &mut BufReader<DiskFile>, count: usize) -> Result<Vec<u8>> {
+pub(crate) fn first_bytes(path: &Path, file: &mut BufReader<DiskFile>, count: usize) -> Result<Vec<u8>> {
     let mut bytes = Vec::with_capacity(count);
     let read = file.take(count as u64).read_to_end(&mut bytes);
     read.and_then(|_| file.rewind()).map_err(Error::io("read", path))?;
@@ -145,7 +146,7 @@ pub fn first_bytes(path: &Path, file: &mut BufReader<DiskFile>, count: usize) ->
 ///
 /// # Errors
 /// [`Error::Io`] if it cannot be read.
-pub fn read_parts(path: &Path, mut take: impl FnMut(&[u8])) -> Result<()> {
+pub(crate) fn read_parts(path: &Path, mut take: impl FnMut(&[u8])) -> Result<()> {
     let mut file = DiskFile::open(path).map_err(Error::io("read", path))?;
     let mut part = vec![0; 1 << 18];
     loop {
@@ -159,7 +160,7 @@ pub fn read_parts(path: &Path, mut take: impl FnMut(&[u8])) -> Result<()> {
 /// Reads a whole file of at most 4 GiB; `help` returns the remedy for a missing file.
 ///
 /// # Errors
-/// Those of [`read_up_to`].
+/// Those of `read_up_to`.
 pub fn read_bytes(path: &Path, help: impl FnOnce(&Path) -> String) -> Result<Vec<u8>> {
     read_up_to(path, MOST_BYTES, help)
 }
@@ -168,7 +169,7 @@ pub fn read_bytes(path: &Path, help: impl FnOnce(&Path) -> String) -> Result<Vec
 ///
 /// # Errors
 /// [`Error::Input`] for what [`open`] refuses, and for a larger file, before it is read; [`Error::Io`] if reading fails.
-pub fn read_up_to(path: &Path, most: u64, help: impl FnOnce(&Path) -> String) -> Result<Vec<u8>> {
+pub(crate) fn read_up_to(path: &Path, most: u64, help: impl FnOnce(&Path) -> String) -> Result<Vec<u8>> {
     let file = open(path, help)?;
     let length = file.get_ref().metadata().map_err(Error::io("read", path))?.len();
     let mut bytes = Vec::new();
@@ -203,7 +204,7 @@ fn size(bytes: u64) -> String {
 ///
 /// # Errors
 /// Those of [`read_up_to`], and [`Error::Input`] with the place of the first byte that is not UTF-8.
-pub fn read_text(path: &Path, most: u64, help: impl FnOnce(&Path) -> String) -> Result<String> {
+pub(crate) fn read_text(path: &Path, most: u64, help: impl FnOnce(&Path) -> String) -> Result<String> {
     let text = String::from_utf8(read_up_to(path, most, help)?).map_err(|error| {
         let place = format!("byte {}", error.utf8_error().valid_up_to());
         let wide = matches!(error.as_bytes(), [0xff, 0xfe, ..] | [0xfe, 0xff, ..]);
@@ -217,7 +218,7 @@ pub fn read_text(path: &Path, most: u64, help: impl FnOnce(&Path) -> String) -> 
 ///
 /// # Errors
 /// [`Error::Input`] if it is missing, a file, or may not be read.
-pub fn read_folder(path: &Path) -> Result<ReadDir> {
+pub(crate) fn read_folder(path: &Path) -> Result<ReadDir> {
     open_folder(path).map_err(|obstacle| obstacle.error(path, |_| String::new()))
 }
 

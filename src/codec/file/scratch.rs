@@ -14,14 +14,14 @@ pub(super) const PREFIX: &str = ".lobelia-";
 ///
 /// # Errors
 /// [`Error::Io`] if it cannot be created.
-pub fn scratch_folder(folder: &Path) -> Result<TempDir> {
+pub(crate) fn scratch_folder(folder: &Path) -> Result<TempDir> {
     fs::create_dir_all(folder).map_err(Error::io("create folder", folder))?;
     let made = tempfile::Builder::new().prefix(PREFIX).tempdir_in(folder);
     made.map_err(Error::io("create a folder in", folder))
 }
 
 /// Whether this is the name of something unfinished.
-pub fn is_unfinished(name: &OsStr) -> bool {
+pub(crate) fn is_unfinished(name: &OsStr) -> bool {
     name.as_encoded_bytes().starts_with(PREFIX.as_bytes())
 }
 
@@ -34,7 +34,7 @@ pub(super) fn is_scratch(file: &Path) -> bool {
 ///
 /// # Errors
 /// [`Error::Io`] if something cannot be removed.
-pub fn clear_scratch(folder: &Path) -> Result<()> {
+pub(crate) fn clear_scratch(folder: &Path) -> Result<()> {
     let entries = match fs::read_dir(folder) {
         Ok(entries) => entries,
         Err(error) if matches!(error.kind(), ErrorKind::NotFound | ErrorKind::NotADirectory) => {

@@ -15,7 +15,10 @@ use tempfile::{NamedTempFile, TempPath};
 ///
 /// # Errors
 /// Whatever `write` returns, or [`Error::Io`] for other errors of the operating system.
-pub fn write_file(path: &Path, write: impl FnOnce(&mut BufWriter<DiskFile>) -> Result<()>) -> Result<()> {
+pub(crate) fn write_file(
+    path: &Path,
+    write: impl FnOnce(&mut BufWriter<DiskFile>) -> Result<()>,
+) -> Result<()> {
     let (file, temporary) = temporary_beside(path)?.into_parts();
     let mut writer = BufWriter::new(DiskFile::new(file, path));
     write(&mut writer)?;
@@ -23,7 +26,7 @@ pub fn write_file(path: &Path, write: impl FnOnce(&mut BufWriter<DiskFile>) -> R
     finish(&file, temporary, path)
 }
 
-/// [`write_file`] for bytes that are already in memory.
+/// `write_file` for bytes that are already in memory.
 pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<()> {
     write_file(path, |writer| writer.write_all(bytes).map_err(Error::io("write", path)))
 }
@@ -33,7 +36,7 @@ pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<()> {
 ///
 /// # Errors
 /// Whatever `write` returns, or [`Error::Io`] for other errors of the operating system.
-pub fn write_by_path(path: &Path, write: impl FnOnce(&Path) -> Result<()>) -> Result<()> {
+pub(crate) fn write_by_path(path: &Path, write: impl FnOnce(&Path) -> Result<()>) -> Result<()> {
     let (file, temporary) = temporary_beside(path)?.into_parts();
     drop(file);
     write(&temporary)?;

@@ -27,7 +27,7 @@ pub struct Dielectric {
 
 /// Reflectances of a specular lobe at the tabulated cosines: `constant` + `slope`·s.
 #[derive(Clone, Debug, PartialEq)]
-pub struct LobeReflectance {
+pub(crate) struct LobeReflectance {
     constant: [f32; ANGLES],
     slope: [f32; ANGLES],
 }
@@ -53,7 +53,7 @@ impl LobeReflectance {
 
 /// Reflectances of glTF's lobe at the tabulated cosines, F0·A + F90·B.
 #[derive(Clone, Debug, PartialEq)]
-pub struct GltfReflectance {
+pub(crate) struct GltfReflectance {
     a: [f32; ANGLES],
     b: [f32; ANGLES],
 }
@@ -121,7 +121,7 @@ fn project(x: &[f32; ANGLES], target: &[Vec3; ANGLES]) -> Vec3 {
 }
 
 /// glTF's reflectances for any roughness, between tabulated ones.
-pub struct GltfTable(Vec<GltfReflectance>);
+pub(crate) struct GltfTable(Vec<GltfReflectance>);
 
 /// Steps of roughness in a table.
 const STEPS: usize = 48;
@@ -142,7 +142,8 @@ impl GltfTable {
 }
 
 /// glTF's reflectances of one roughness, and the dielectric that is nearest to a lobe.
-pub fn dielectric_of(lobe: &SpecularLobe) -> Dielectric {
+#[cfg(test)]
+pub(crate) fn dielectric_of(lobe: &SpecularLobe) -> Dielectric {
     let mut target = [Vec3::ZERO; ANGLES];
     LobeReflectance::of(lobe).add(lobe.albedo, 1.0, &mut target);
     GltfReflectance::of(lobe.roughness).fit(&target, None)

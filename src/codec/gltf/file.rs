@@ -272,7 +272,7 @@ impl GltfFile {
 
 /// The files that a `.glb` or `.gltf` file names: buffers, and images that are not in a buffer. A file that cannot be read names none; what
 /// is wrong with it is said when it is read.
-pub fn side_files(path: &Path) -> Vec<PathBuf> {
+pub(crate) fn side_files(path: &Path) -> Vec<PathBuf> {
     let Some(root) = read_json(path).and_then(|text| Root::from_slice(&text).ok()) else { return Vec::new() };
     let buffers = root.buffers.iter().map(|buffer| buffer.uri.as_ref());
     let images = root.images.iter().map(|image| image.uri.as_ref());

@@ -6,4 +6,4 @@ mod file;
 pub mod import;
 pub mod material;
 
-pub use file::side_files;
+pub(crate) use file::side_files;

@@ -25,8 +25,8 @@ const MOST_CHUNK_BYTES: u64 = 1 << 26;
 /// # Errors
 /// [`Error::Input`] if the file is missing, empty, in a format that is not read (with the tool that converts it), or
 /// damaged so that its header cannot be read; also if the declared size is above
-/// [`MOST_PIXELS`](crate::codec::image::MOST_PIXELS), or more than a file of so few bytes can hold.
-pub fn image_header(path: impl AsRef<Path>) -> Result<ImageHeader> {
+/// `MOST_PIXELS` of the header, or more than a file of so few bytes can hold.
+pub(crate) fn image_header(path: impl AsRef<Path>) -> Result<ImageHeader> {
     let path = path.as_ref();
     read_header(path, &mut open(path, missing_file_help)?)
 }
@@ -60,7 +60,7 @@ pub(super) fn read_header(path: &Path, file: &mut BufReader<DiskFile>) -> Result
 ///
 /// # Errors
 /// Those of [`image_header`], and [`Error::Input`] if the pixels are damaged or truncated.
-pub fn decode_samples(path: impl AsRef<Path>, orientation: Orientation) -> Result<Decoded> {
+pub(crate) fn decode_samples(path: impl AsRef<Path>, orientation: Orientation) -> Result<Decoded> {
     let path = path.as_ref();
     let mut file = open(path, missing_file_help)?;
     let header = read_header(path, &mut file)?;
@@ -87,7 +87,7 @@ pub fn decode_samples(path: impl AsRef<Path>, orientation: Orientation) -> Resul
 /// Reads the pixels of an image file of integers as they are stored, with 8 bits per sample.
 ///
 /// # Errors
-/// Those of [`decode_samples`], and [`Error::Input`] if the file holds floats.
+/// Those of `decode_samples`, and [`Error::Input`] if the file holds floats.
 pub fn decode_picture(path: impl AsRef<Path>) -> Result<DynamicImage> {
     let path = path.as_ref();
     let decoded = decode_samples(path, Orientation::AsStored)?;

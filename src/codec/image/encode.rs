@@ -7,6 +7,7 @@ use image::{DynamicImage, ExtendedColorType, ImageEncoder, RgbImage};
 
 /// Kinds of pixels of [`encode_png`], all with 8 bits a channel.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum PngPixels {
     /// One channel.
     Gray,
@@ -55,7 +56,7 @@ pub fn encode_png(samples: &[u8], [width, height]: [u32; 2], pixels: PngPixels) 
 ///
 /// # Errors
 /// [`Error::Run`] if they are of none of these, or damaged.
-pub fn decode(bytes: &[u8]) -> Result<DynamicImage> {
+pub(crate) fn decode(bytes: &[u8]) -> Result<DynamicImage> {
     image::load_from_memory(bytes).map_err(|error| Error::run("a picture", error.to_string()))
 }
 

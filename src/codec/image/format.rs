@@ -37,7 +37,7 @@ const FOREIGN_EXTENSIONS: [&str; 16] = [
 ];
 
 /// Whether a file is named as an image of a format that is not read.
-pub fn is_unread_name(path: &Path) -> bool {
+pub(crate) fn is_unread_name(path: &Path) -> bool {
     let is_one = |name: &str| RAW_EXTENSIONS.contains(&name) || FOREIGN_EXTENSIONS.contains(&name);
     extension(path).is_some_and(|name| is_one(&name))
 }
@@ -100,7 +100,7 @@ const FOREIGN: [(usize, &[u8], &str, &str); 20] = [
 ];
 
 /// Whether a file with these first bytes is a video, of MP4, `QuickTime`, Matroska, `WebM`, AVI or MPEG.
-pub fn is_video_start(start: &[u8]) -> bool {
+pub(crate) fn is_video_start(start: &[u8]) -> bool {
     let is_raw = RAW_STARTS.iter().any(|(at, magic)| starts(start, *at, magic));
     let first = FOREIGN.iter().find(|(at, magic, ..)| starts(start, *at, magic));
     !is_raw && first.is_some_and(|(_, _, name, _)| *name == VIDEO)

@@ -6,11 +6,12 @@ use crate::error::{Error, Result};
 use std::path::Path;
 
 /// Pixels of the largest image that is read: 16 384 × 16 384.
-pub const MOST_PIXELS: u64 = LONGEST_SIDE * LONGEST_SIDE;
+const MOST_PIXELS: u64 = LONGEST_SIDE * LONGEST_SIDE;
 const LONGEST_SIDE: u64 = 16_384;
 
 /// What becomes of the EXIF orientation of a file, the number that says how the camera was held.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Orientation {
     /// Pixels as they lie in the file, which is what COLMAP reads.
     AsStored,

@@ -31,7 +31,7 @@ const MOST_LABELS: usize = 16;
 /// float formats the mask is alpha, if any, else luminance, clamped to `[0, 1]`.
 ///
 /// # Errors
-/// Those of [`image_header`](crate::codec::image::image_header); also if the pixels are damaged, if float masks have NaN or
+/// Those of `image_header`; also if the pixels are damaged, if float masks have NaN or
 /// infinite values, or if the mask has labels of several objects.
 pub fn read_mask(path: impl AsRef<Path>, orientation: Orientation) -> Result<LoadedMask> {
     let path = path.as_ref();

@@ -2,10 +2,10 @@
 //!
 //! The first bytes of a file determine its format, whatever its name. Embedded color profiles and gamma
 //! chunks are ignored: [`Gamma`] says how 8- and 16-bit values are read. Headers are read and checked before pixels are decoded:
-//! [`image_header`]. [`decode_samples`] and [`decode_photograph`] give pixels as compact as the file has them; [`read_image`] and
+//! `image_header`. `decode_samples` and [`decode_photograph`] give pixels as compact as the file has them; [`read_image`] and
 //! [`read_mask`] convert these to linear radiance and coverage.
 //!
-//! [`encode_jpeg`], [`encode_png`] and [`decode`] are for pictures in memory, such as those that a page holds.
+//! [`encode_jpeg`], [`encode_png`] and `decode` are for pictures in memory, such as those that a page holds.
 
 mod decode;
 mod encode;
@@ -19,13 +19,18 @@ mod samples;
 mod tiff_file;
 mod webp_file;
 
-pub use decode::{decode_picture, decode_samples, image_header};
-pub use encode::{PngPixels, decode, encode_jpeg, encode_png};
-pub use format::{Format, IMAGE_EXTENSIONS, is_unread_name, is_video_start};
-pub use header::{ImageHeader, MOST_PIXELS, Orientation};
+pub use decode::decode_picture;
+pub(crate) use decode::{decode_samples, image_header};
+pub(crate) use encode::decode;
+pub use encode::{PngPixels, encode_jpeg, encode_png};
+pub use format::{Format, IMAGE_EXTENSIONS};
+pub(crate) use format::{is_unread_name, is_video_start};
+pub use header::{ImageHeader, Orientation};
 pub use mask::{LoadedMask, read_mask};
-pub use photograph::{Gamma, LoadedImage, decode_photograph, linear_image, read_image};
-pub use repair::{BRIGHTEST, Repairs};
+pub(crate) use photograph::linear_image;
+pub use photograph::{Gamma, LoadedImage, decode_photograph, read_image};
+pub(crate) use repair::BRIGHTEST;
+pub use repair::Repairs;
 pub use samples::{Decoded, ImageSamples};
 
 #[cfg(test)]

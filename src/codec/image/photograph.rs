@@ -13,6 +13,7 @@ use std::path::Path;
 
 /// How 8- and 16-bit values become linear. Float formats (EXR, HDR) are linear whatever this says.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub enum Gamma {
     /// The sRGB curve of IEC 61966-2-1.
     #[default]
@@ -101,7 +102,7 @@ pub fn decode_photograph(path: impl AsRef<Path>, orientation: Orientation) -> Re
 }
 
 /// Samples as linear light.
-pub fn linear_image(decoded: &Decoded, repairs: Repairs, gamma: Gamma) -> LoadedImage {
+pub(crate) fn linear_image(decoded: &Decoded, repairs: Repairs, gamma: Gamma) -> LoadedImage {
     let channels = decoded.channels();
     match &decoded.samples {
         ImageSamples::Bytes8(samples) => {

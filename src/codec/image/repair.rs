@@ -5,7 +5,7 @@ use crate::error::{Error, Result};
 use std::path::Path;
 
 /// The greatest magnitude of a float sample that is taken as radiance. Half floats end at 65 504.
-pub const BRIGHTEST: f32 = 1.0e6;
+pub(crate) const BRIGHTEST: f32 = 1.0e6;
 
 /// The share of absurdly bright pixels from which on an image is refused: they are no stray ones.
 const MOST_TOO_BRIGHT: f64 = 0.01;
@@ -15,7 +15,7 @@ const MOST_TOO_BRIGHT: f64 = 0.01;
 pub struct Repairs {
     /// Number of pixels that had a NaN or infinite value and were set to 0.
     pub not_finite: usize,
-    /// Number of pixels with a value above [`BRIGHTEST`] (or below its negative), which were set to 0.
+    /// Number of pixels with a value above `BRIGHTEST` (or below its negative), which were set to 0.
     pub too_bright: usize,
     /// Number of pixels with a negative color that is neither.
     pub negative: usize,

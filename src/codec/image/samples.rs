@@ -4,6 +4,7 @@ use crate::codec::image::header::ImageHeader;
 
 /// Samples of an image, rows from the top down, the samples of a pixel side by side.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum ImageSamples {
     /// Integers of 8 bits, with straight alpha: colors are not multiplied by it.
     Bytes8(Vec<u8>),

@@ -17,7 +17,7 @@ pub struct Matrix {
 ///
 /// # Errors
 /// The problem, as the rest of a sentence that starts with the name of the file.
-pub fn parse_matrix(bytes: &[u8]) -> Result<Matrix, String> {
+pub(crate) fn parse_matrix(bytes: &[u8]) -> Result<Matrix, String> {
     let floats = Floats::new(bytes)?;
     let &[rows, columns] = floats.shape() else {
         return Err(format!("has shape {:?}, not that of a matrix", floats.shape()));

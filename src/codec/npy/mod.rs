@@ -9,7 +9,8 @@ use glam::{DVec3, Vec3};
 use serde::{Deserialize, Serialize};
 
 use array::Floats;
-pub use array::{Matrix, parse_matrix};
+pub use array::Matrix;
+pub(crate) use array::parse_matrix;
 
 use crate::codec::file;
 use crate::codec::finite::check_finite;
@@ -18,6 +19,7 @@ use crate::{Error, Result};
 
 /// The convention of the axes in a file.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub enum NpyConvention {
     /// World directions (PhySG's own training writes the same).
     #[default]

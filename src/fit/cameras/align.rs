@@ -15,14 +15,14 @@ use glam::{Affine3A, Quat, Vec3};
 use serde::{Deserialize, Serialize};
 
 /// Parameters of a pose.
-pub const POSE: usize = 6;
+pub(crate) const POSE: usize = 6;
 /// Columns of the Jacobian of a residual: the pose, the log focal length, and the log size of the object.
-pub const JACOBIAN_COLUMNS: usize = POSE + 2;
+pub(crate) const JACOBIAN_COLUMNS: usize = POSE + 2;
 /// Parameters that all views share: the log focal length, and the object's log size, rotation and translation.
 const SHARED: usize = 8;
 
 /// Correction to the given pose of a camera: rotation about its own axes (radians), then translation along them (world units).
-pub type Pose = [f64; POSE];
+pub(crate) type Pose = [f64; POSE];
 
 /// A camera turned and shifted along its own axes, its focal lengths multiplied by e^`log_focal`.
 pub fn moved(given: &Camera, pose: &Pose, log_focal: f64) -> Camera {
@@ -38,7 +38,7 @@ pub fn moved(given: &Camera, pose: &Pose, log_focal: f64) -> Camera {
 
 /// Jacobian of the projection of a world point (x, then y, in pixels) with respect to pose, log focal length, and log size of the
 /// object around `center`; `None` behind the camera.
-pub fn projection_jacobian(
+pub(crate) fn projection_jacobian(
     camera: &Camera,
     point: Vec3,
     center: Vec3,

@@ -34,7 +34,7 @@ use serde::{Deserialize, Serialize};
 /// Steps between two moves of the cameras; their normal equations are summed over these.
 const MOVE_EVERY: u32 = 25;
 /// Steps before the first sums: light and material are fitted first.
-pub const FIRST_STEP: u32 = 50;
+pub(crate) const FIRST_STEP: u32 = 50;
 /// Longest move, in pixels of the image.
 const LONGEST_MOVE: f64 = 1.0;
 /// Weight of the given camera, as a number of residuals of typical size per pixel.
@@ -109,7 +109,7 @@ pub enum CameraUnknowns {
 /// A residual of a view with its derivatives with respect to the camera.
 #[derive(Clone, Copy, Debug)]
 pub struct AlignedRow {
-    /// In the order of [`projection_jacobian`].
+    /// In the order of `projection_jacobian`.
     pub jacobian: [f32; JACOBIAN_COLUMNS],
     /// In radiance, or in pixels for a silhouette.
     pub residual: f32,
@@ -173,7 +173,7 @@ impl Plugin for CameraPlugin {
 }
 
 /// Gives every view its pose state, without residuals, and the world the state that views share.
-pub fn attach_poses(world: &mut World) {
+pub(crate) fn attach_poses(world: &mut World) {
     world.init_resource::<CameraFit>();
     let mut query = world.query_filtered::<(Entity, &Camera, Option<&CameraPose>), With<ViewName>>();
     let attach = |(view, camera, pose): (Entity, &Camera, Option<&CameraPose>)| {
@@ -201,7 +201,10 @@ pub fn retrace_still_surface(
 ///
 /// # Errors
 /// If the pool of samples is incomplete.
-pub fn retrace(surface: &dyn Intersect, samples: Samples<(&ViewRay, &mut SurfacePoint)>) -> SystemResult {
+pub(crate) fn retrace(
+    surface: &dyn Intersect,
+    samples: Samples<(&ViewRay, &mut SurfacePoint)>,
+) -> SystemResult {
     let (rays, mut points) = samples.columns()?;
     points.par_iter_mut().zip(&*rays).with_min_len(256).for_each(|(point, ray)| {
         let hit = surface.intersect(&ray.0, 0.0);
@@ -259,7 +262,7 @@ pub fn align_photographs(
 }
 
 /// Whether residuals and their derivatives are finite; else tells the guard, and none of them may be added.
-pub fn are_usable(rows: &[(ViewIndex, AlignedRow)], guard: &mut StepGuard) -> bool {
+pub(crate) fn are_usable(rows: &[(ViewIndex, AlignedRow)], guard: &mut StepGuard) -> bool {
     let is_bad = |row: &AlignedRow| !is_usable(&row.jacobian) || !is_usable(&[row.residual, row.depth]);
     let bad = rows.iter().find(|(_, row)| is_bad(row));
     if let Some((view, _)) = bad {

@@ -22,13 +22,13 @@ const STILL_PART: f32 = 0.01;
 /// Least part of the mean of the channels that a channel of the light counts with.
 const LEAST_CHANNEL: f32 = 0.05;
 /// Sum of the squared channels of an albedo below which it has no tilt.
-pub const LEAST_COLOR: f32 = 1e-4;
+pub(crate) const LEAST_COLOR: f32 = 1e-4;
 /// What counts against a tilt, likewise.
 const STILL_TILT: f32 = 0.3;
 
 /// What changes at a texel.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct TexelChange {
+pub(crate) struct TexelChange {
     /// Change of the albedo.
     pub albedo: Vec3,
     /// Change of the sheen.
@@ -40,7 +40,7 @@ pub struct TexelChange {
 /// Sums over the pixels that show a texel, with weights w u², where u is the mean of the channels; the unknowns of a channel are those
 /// of the functions 1, g and v⊥ of the view direction.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct TexelEquations {
+pub(crate) struct TexelEquations {
     /// 1, g, g².
     one_along: [f32; 3],
     /// v⊥, g v⊥.

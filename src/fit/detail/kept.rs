@@ -15,7 +15,7 @@ const DARK: f32 = 0.1;
 
 /// A pixel that shows the surface, as if the surface were white.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ShadedPixel {
+pub(crate) struct ShadedPixel {
     /// The texels that it shows.
     pub texels: TexelAddress,
     /// Cosine between normal and view direction, above 0.
@@ -32,7 +32,7 @@ pub struct ShadedPixel {
 
 /// A [`ShadedPixel`] in 40 bytes: numbers have 11 bits, places in a texel 16.
 #[derive(Clone, Copy, Debug)]
-pub struct KeptPixel {
+pub(crate) struct KeptPixel {
     /// The first texel of the upper and of the lower row.
     rows: [u32; 2],
     /// Place between the four texels, in 1/65535.
@@ -86,7 +86,7 @@ impl From<KeptPixel> for ShadedPixel {
 
 /// Adds what the pixels say to the `equations` of their texels, which now have the albedo `of`. Beside a known albedo along the surface
 /// (`is_known`) the unknown one has only its part.
-pub fn add_pixels(
+pub(crate) fn add_pixels(
     pixels: &[KeptPixel],
     of: impl Fn(usize) -> DirectionalAlbedo,
     is_known: bool,

@@ -52,11 +52,11 @@ use std::ops::ControlFlow;
 /// Sweeps over all pixels. They are cheap beside shading.
 const SWEEPS: u32 = 7;
 /// Most texels a side that a texture is refined to.
-pub const MOST_SIDE: u32 = 1024;
+pub(crate) const MOST_SIDE: u32 = 1024;
 /// Pixels of one run of the phase, and of a sweep between two looks whether it is stopped.
 const BATCH: usize = 1 << 16;
 /// Most pixels that are kept; of more, every n-th is visited.
-pub const MOST_PIXELS: usize = 1 << 24;
+pub(crate) const MOST_PIXELS: usize = 1 << 24;
 /// Part of the work that is shading.
 const SHADING_PART: f32 = 0.8;
 

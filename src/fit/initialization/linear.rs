@@ -101,7 +101,7 @@ fn product(a: &[f64], b: &[f64]) -> f64 {
 
 /// Non-negative amplitudes of `lobes` (whose own amplitudes are ignored) that fit the observed radiance at `points` best in
 /// the least-squares sense, given the albedo in `points`, the specular material and the visibility.
-pub fn solve_amplitudes(
+pub(crate) fn solve_amplitudes(
     form: ClosedForm,
     points: &[ShadePoint],
     observations: &[Observation],
@@ -157,7 +157,12 @@ fn accumulate(
 
 /// Each texel's least-squares albedo given the light: `unit` is the radiance of the samples with albedo 1. Texels with
 /// few samples are drawn to `prior`. Results are in `[0.02, 0.98]`.
-pub fn solve_albedo(observations: &[Observation], unit: &[Layers], texels: usize, prior: Vec3) -> Vec<Vec3> {
+pub(crate) fn solve_albedo(
+    observations: &[Observation],
+    unit: &[Layers],
+    texels: usize,
+    prior: Vec3,
+) -> Vec<Vec3> {
     let (mut above, mut below) = (vec![DVec3::ZERO; texels], vec![DVec3::ZERO; texels]);
     let mut power = DVec3::ZERO;
     for (Observation { point, observed, .. }, unit) in observations.iter().zip(unit) {

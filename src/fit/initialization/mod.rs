@@ -56,7 +56,7 @@ const CHUNK: usize = 1 << 16;
 ///
 /// # Errors
 /// If a pool is incomplete.
-pub fn initialize_light_and_albedo(
+pub(crate) fn initialize_light_and_albedo(
     world: &mut World,
     unknowns: Unknowns,
     form: ClosedForm,

@@ -20,7 +20,7 @@ const SHARPEST: f32 = 400.0;
 ///
 /// A lobe of sharpness λ becomes two of sharpness 2λ, half a standard deviation (1/√λ) to either side on a great circle, so
 /// that together they are as wide as the original.
-pub fn move_lobes_to_the_light(lobes: &mut [LightLobe]) {
+pub(crate) fn move_lobes_to_the_light(lobes: &mut [LightLobe]) {
     let total: f32 = lobes.iter().map(power).sum();
     if total <= 0.0 || total.is_nan() {
         return;

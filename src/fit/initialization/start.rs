@@ -30,7 +30,7 @@ const LOBES: [(f32, f32); 4] = [(0.3, 0.4), (0.3, 0.2), (0.04, 0.4), (0.04, 0.8)
 
 /// What is to be found.
 #[derive(Clone, Copy, Debug)]
-pub struct Find {
+pub(crate) struct Find {
     /// The frame in which the light stands still.
     pub frame: bool,
     /// Where the specular lobe starts.
@@ -55,7 +55,7 @@ pub struct ObjectTurned;
 
 /// Whether the light turns around the object from view to view, as far as is known: a place then has other colors in each photograph,
 /// most of all where it is glossy, and a search for hollows takes the difference for one.
-pub fn light_turns(world: &World) -> bool {
+pub(crate) fn light_turns(world: &World) -> bool {
     let turns = |own: &OwnLightFrame| own.0 != LightFrame::World;
     world.contains_resource::<ObjectTurned>() || world.get_resource::<OwnLightFrame>().is_some_and(turns)
 }
@@ -66,7 +66,7 @@ pub fn light_turns(world: &World) -> bool {
 ///
 /// # Errors
 /// If a pool is incomplete.
-pub fn find_start(world: &mut World, find: Find, unknowns: Unknowns, form: ClosedForm) -> Result<()> {
+pub(crate) fn find_start(world: &mut World, find: Find, unknowns: Unknowns, form: ClosedForm) -> Result<()> {
     let lobes = lobes_to_try(world, unknowns);
     let find =
         Find { specular: find.specular && lobes.len() > 1 && recovered_materials(world).len() == 1, ..find };

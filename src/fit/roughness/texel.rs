@@ -5,8 +5,8 @@
 //!
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |
-//! | [`tie_specular`] | Update, `Slot::Optimizer` | | `SpecularGradient`: one albedo for all base materials |
-//! | [`move_roughness`] | Update, `Slot::Optimizer` | [`BlendGradient`], [`TexelPlaces`], [`RoughnessPrior`], `DiffuseAlbedo` | [`TexelRoughness`], `SpecularBlend` |
+//! | `tie_specular` | Update, `Slot::Optimizer` | | `SpecularGradient`: one albedo for all base materials |
+//! | `move_roughness` | Update, `Slot::Optimizer` | [`BlendGradient`], [`TexelPlaces`], [`RoughnessPrior`], `DiffuseAlbedo` | [`TexelRoughness`], `SpecularBlend` |
 
 use crate::fit::adam::{AdamStep, Bounded, Moments};
 use crate::fit::components::{SpecularGradient, StepRates, Unknowns};
@@ -20,7 +20,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// Roughnesses of the base materials. A blend of two neighbors is close to a lobe of a roughness between them.
-pub const BASE_ROUGHNESSES: [f32; 6] = [0.1, 0.15, 0.225, 0.3375, 0.506_25, 0.759_375];
+pub(crate) const BASE_ROUGHNESSES: [f32; 6] = [0.1, 0.15, 0.225, 0.3375, 0.506_25, 0.759_375];
 /// Difference of the logarithms of neighboring roughnesses, ln 1.5.
 const STEP: f32 = 0.405_465_1;
 /// Initial factor on the specular albedo.
@@ -37,7 +37,7 @@ const NEAR: f32 = 3.0;
 /// Roughness of a texel.
 #[derive(Component, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TexelRoughness {
-    /// Roughness R, in the range of [`BASE_ROUGHNESSES`].
+    /// Roughness R, in the range of `BASE_ROUGHNESSES`.
     pub roughness: f32,
     /// Factor on the specular lobe, in (0, 1].
     pub share: f32,
@@ -153,7 +153,7 @@ fn chromaticity(albedo: Vec3) -> Vec3 {
 }
 
 /// Gives every texel its own roughness, unless it has one.
-pub fn attach_roughness(world: &mut World, roughness: f32, varied_specular: bool) {
+pub(crate) fn attach_roughness(world: &mut World, roughness: f32, varied_specular: bool) {
     let known = world.query::<&TexelRoughness>().iter(world).len() > 0;
     let roughness = TexelRoughness::first(roughness, varied_specular);
     for texel in texels_in_order(world) {
@@ -166,7 +166,7 @@ pub fn attach_roughness(world: &mut World, roughness: f32, varied_specular: bool
 }
 
 /// Update: sums the gradients of the specular albedo over all base materials, so that they keep one common albedo.
-pub fn tie_specular(mut materials: Query<&mut SpecularGradient>) {
+pub(crate) fn tie_specular(mut materials: Query<&mut SpecularGradient>) {
     let mut sum = [0.0; 3];
     materials.iter().for_each(|g| (0..3).for_each(|c| sum[c] += g.0[c]));
     materials.iter_mut().for_each(|mut gradient| gradient.0[..3].copy_from_slice(&sum));
@@ -181,7 +181,7 @@ type RoughnessColumns = (
 );
 
 /// Update: Adam on the texels' roughness and share; clears the gradient.
-pub fn move_roughness(
+pub(crate) fn move_roughness(
     rates: Res<StepRates>,
     unknowns: Res<Unknowns>,
     places: Res<TexelPlaces>,

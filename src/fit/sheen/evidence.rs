@@ -152,7 +152,7 @@ fn side_of_a_cell(points: &[SurfacePoint]) -> f32 {
 }
 
 /// Makes the choice once enough of the fit is done (`progress` in [0, 1]), and keeps to it.
-pub fn choose_sheen(world: &mut World, progress: f32) {
+pub(crate) fn choose_sheen(world: &mut World, progress: f32) {
     let Some(mut evidence) = world.get_resource_mut::<SheenEvidence>() else { return };
     if progress >= COLLECTED.1 && evidence.explained.is_none() {
         evidence.explained = Some(evidence.explained_part());
@@ -167,7 +167,7 @@ pub fn choose_sheen(world: &mut World, progress: f32) {
 ///
 /// # Errors
 /// If the pool of texels is incomplete.
-pub fn look_for_sheen(world: &mut World) -> crate::error::Result<()> {
+pub(crate) fn look_for_sheen(world: &mut World) -> crate::error::Result<()> {
     if has_sheen(&read_column::<TexelIndex, DiffuseSheen>(world)?) {
         world.resource_mut::<Unknowns>().sheen = true;
     } else {

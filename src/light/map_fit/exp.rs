@@ -6,7 +6,7 @@ use std::f32::consts::LOG2_E;
 ///
 /// Range reduction and polynomial as in Cephes `expf` (Moshier 1992); rounding by adding 1.5·2²³.
 #[inline(always)]
-pub fn exp_nonpositive(x: f32) -> f32 {
+pub(crate) fn exp_nonpositive(x: f32) -> f32 {
     const ROUND: f32 = 12_582_912.0;
     let clamped = x.max(-87.0);
     let shifted = clamped * LOG2_E + ROUND;

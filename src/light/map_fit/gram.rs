@@ -18,7 +18,7 @@ pub type Block = [[f64; 4]; 4];
 
 /// Lower triangle of the matrix of inner products of all lobes' bases, a 4 × 4 block for each pair.
 #[derive(Clone, Debug)]
-pub struct Gram {
+pub(crate) struct Gram {
     blocks: Vec<Block>,
 }
 
@@ -37,7 +37,7 @@ impl Gram {
 
 /// Mean over the sphere of the product of two unit-amplitude SGs: an SG of sharpness L = |λ₁ξ₁ + λ₂ξ₂| and amplitude
 /// e^(L − λ₁ − λ₂).
-pub fn mean_product(a: DVec3, sharpness_a: f64, b: DVec3, sharpness_b: f64) -> f64 {
+pub(crate) fn mean_product(a: DVec3, sharpness_a: f64, b: DVec3, sharpness_b: f64) -> f64 {
     let (product, _) = product_of(a, sharpness_a, b, sharpness_b);
     product
 }

@@ -1,7 +1,7 @@
 //! Kernels of the map fit: the squared error of lobes against a map, and its derivatives.
 //!
 //! The error is E = Σ_i w_i Σ_c (Σ_k μ_kc G_k(ω_i) − y_ic)², with w the texels' shares of the sphere. The map is cut into
-//! tiles of [`TILE`] neighboring texels; a lobe is skipped in tiles where it is below e⁻¹⁶. Tiles are processed in
+//! tiles of `TILE` neighboring texels; a lobe is skipped in tiles where it is below e⁻¹⁶. Tiles are processed in
 //! parallel and their sums added in a fixed order, so results do not depend on the number of threads.
 
 use fearless_simd::{Level, Simd, dispatch};
@@ -13,7 +13,7 @@ use crate::math::lanes::Lanes;
 use crate::math::real::Real;
 
 /// Texels in a tile.
-pub const TILE: usize = 128;
+pub(crate) const TILE: usize = 128;
 /// Groups of tiles with separate sums, which fixes the order of summation.
 const GROUPS: usize = 32;
 /// Below e to this power a lobe is taken as zero.
@@ -65,7 +65,7 @@ pub struct Tile {
 
 /// The region where a lobe is above the cutoff: within an angle, given by its sine and cosine, of the axis.
 #[derive(Clone, Copy, Debug)]
-pub struct LobeCap {
+pub(crate) struct LobeCap {
     axis: Vec3,
     angle: [f32; 2],
 }
@@ -95,7 +95,7 @@ impl Derivatives {
 }
 
 /// Cuts a map into tiles of 16 × 8 texels.
-pub fn tiles_of(map: &EnvironmentMap) -> Vec<Tile> {
+pub(crate) fn tiles_of(map: &EnvironmentMap) -> Vec<Tile> {
     let corners = (0..map.height).step_by(8).flat_map(|j| (0..map.width).step_by(16).map(move |i| (i, j)));
     corners.map(|(left, top)| tile_at(map, left, top)).collect()
 }

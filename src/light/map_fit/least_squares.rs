@@ -9,7 +9,7 @@ const PANEL: usize = 32;
 
 /// Factors the symmetric positive definite `matrix` (n × n, row by row; the lower triangle is read) in place into L with
 /// matrix = L Lᵀ; false if it is not positive definite.
-pub fn cholesky(matrix: &mut [f64], n: usize) -> bool {
+pub(crate) fn cholesky(matrix: &mut [f64], n: usize) -> bool {
     for start in (0..n).step_by(PANEL) {
         let end = (start + PANEL).min(n);
         let (head, tail) = matrix.split_at_mut(end * n);
@@ -38,7 +38,7 @@ fn eliminate(row: &mut [f64], above: &[f64], n: usize, columns: Range<usize>) {
 }
 
 /// Solves L Lᵀ x = `right` in place.
-pub fn solve_factored(factor: &[f64], right: &mut [f64]) {
+pub(crate) fn solve_factored(factor: &[f64], right: &mut [f64]) {
     let n = right.len();
     for i in 0..n {
         let row = &factor[i * n..i * n + i];
@@ -72,7 +72,7 @@ fn product(a: &[f64], b: &[f64]) -> f64 {
 ///
 /// `matrix` is n × n and symmetric; `gradient` is updated. Stops when no entry of a sweep lowers the objective by
 /// more than 10⁻¹² of the total decrease, or after `sweeps`.
-pub fn descend_nonnegative(matrix: &[f64], x: &mut [f64], gradient: &mut [f64], sweeps: usize) {
+pub(crate) fn descend_nonnegative(matrix: &[f64], x: &mut [f64], gradient: &mut [f64], sweeps: usize) {
     let n = x.len();
     let mut gained = 0.0;
     for _ in 0..sweeps {

@@ -23,7 +23,7 @@ const PARAMETERS: usize = 6;
 
 /// Up to `steps` accepted Levenberg–Marquardt steps (Marquardt 1963; amplitudes and sharpness kept in bounds by
 /// projection, active bounds excluded from the step). Returns the error reached.
-pub fn levenberg_marquardt(
+pub(crate) fn levenberg_marquardt(
     tiles: &[Tile],
     lobes: &mut Vec<FitLobe>,
     steps: usize,
@@ -175,7 +175,7 @@ fn ridged_inverse(mut matrix: Vec<f64>, n: usize, ridge: f64) -> Option<Vec<f64>
 ///
 /// Without lobe k the error grows by Σ_c μ_kc²/(A⁻¹)_kk after the other amplitudes are optimized. They are updated before
 /// the next lobe is selected, so that of two coincident lobes only one is removed (the "optimal brain surgeon", Hassibi and Stork 1993).
-pub fn prune(lobes: &mut Vec<FitLobe>, count: usize) {
+pub(crate) fn prune(lobes: &mut Vec<FitLobe>, count: usize) {
     let n = lobes.len();
     let Some(mut inverse) = ridged_inverse(amplitude_matrix(lobes), n, 1e-9) else {
         lobes.truncate(count);
@@ -204,7 +204,7 @@ const POWER_ROUNDS: usize = 8;
 
 /// Changes the amplitudes by the smallest amount (in the metric of the error) for which the lobes have the mean radiance `means` over the
 /// sphere, per channel: x + A⁻¹m (p − mᵀx)/(mᵀA⁻¹m), with m the means of the lobes, over the lobes that are not black.
-pub fn keep_power(lobes: &mut [FitLobe], means: [f64; 3]) {
+pub(crate) fn keep_power(lobes: &mut [FitLobe], means: [f64; 3]) {
     let matrix = amplitude_matrix(lobes);
     let own: Vec<f64> =
         lobes.iter().map(|l| sphere_integral(l.sharpness) / (4.0 * std::f64::consts::PI)).collect();

@@ -34,7 +34,7 @@ pub struct Sun {
 
 /// The suns of `map`, brightest first (no more than `most`, with lobes no sharper than `sharpest`), and the map in which their
 /// texels have the radiance of their surroundings.
-pub fn take_suns(map: &EnvironmentMap, most: usize, sharpest: f64) -> (Vec<Sun>, EnvironmentMap) {
+pub(crate) fn take_suns(map: &EnvironmentMap, most: usize, sharpest: f64) -> (Vec<Sun>, EnvironmentMap) {
     let (mut suns, mut rest) = (Vec::new(), map.clone());
     let whole = luminous(map.power());
     while suns.len() < most.min(MOST_SUNS) {

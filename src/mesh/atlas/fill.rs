@@ -16,7 +16,7 @@ const FINEST_CELLS: u32 = 128;
 ///
 /// # Panics
 /// If the three lengths differ.
-pub fn fill_uncovered(values: &mut [Vec3], known: &[bool], atlas: &TexelAtlas) {
+pub(crate) fn fill_uncovered(values: &mut [Vec3], known: &[bool], atlas: &TexelAtlas) {
     assert!(
         values.len() == known.len() && known.len() == atlas.covered.len(),
         "one value and one flag per texel"

@@ -32,7 +32,7 @@ pub fn tube(around: u32, along: u32) -> Mesh {
 }
 
 /// A torus of radii 1 and 0.4 around z.
-pub fn torus(around: u32, across: u32) -> Mesh {
+pub(crate) fn torus(around: u32, across: u32) -> Mesh {
     grid(around, across, [true; 2], |x, y| {
         let radius = 1.0 + 0.4 * (TAU * y).cos();
         Vec3::new(radius * (TAU * x).cos(), radius * (TAU * x).sin(), 0.4 * (TAU * y).sin())
@@ -65,7 +65,7 @@ pub fn ball(count: u32, noise: f32) -> Mesh {
 }
 
 /// Triangles apart from each other.
-pub fn scattered(count: u32) -> Mesh {
+pub(crate) fn scattered(count: u32) -> Mesh {
     let mut mesh = Mesh::default();
     for k in 0..count {
         let p = Vec3::new(k as f32, 0.0, 0.0);

@@ -2,7 +2,7 @@
 //!
 //! Texel (i, j) has its center at uv = ((i + ½)/W, (j + ½)/H); lookups are bilinear and clamp at the borders.
 //! [`unwrap_mesh`] gives a mesh that has none coordinates: `chart` takes the surface apart and lays the parts flat, `pack` puts them side
-//! by side, [`fill_uncovered`] fills what no view sees.
+//! by side, `fill_uncovered` fills what no view sees.
 
 mod chart;
 mod fill;
@@ -12,6 +12,6 @@ mod pack;
 mod texels;
 mod unwrap;
 
-pub use fill::fill_uncovered;
+pub(crate) use fill::fill_uncovered;
 pub use texels::{TexelAtlas, address};
 pub use unwrap::{UnwrappedMesh, unwrap_mesh};

@@ -16,12 +16,12 @@ use std::path::Path;
 /// The light in the convention of glTF viewers built on three.js.
 pub const LIGHT: &str = "light.hdr";
 /// Turn of that map about +Y in degrees, from the convention of USD, which is that of this crate.
-pub const LIGHT_TURN: f32 = 90.0;
+pub(crate) const LIGHT_TURN: f32 = 90.0;
 /// The files of the light, with the conventions that they are in.
 const MAPS: [(&str, MapConvention); 2] =
     [(LIGHT, MapConvention::ThreeJs), ("light_blender.hdr", MapConvention::BlenderYUp)];
 /// The files of the light.
-pub const FILES: [&str; MAPS.len()] = [MAPS[0].0, MAPS[1].0];
+pub(crate) const FILES: [&str; MAPS.len()] = [MAPS[0].0, MAPS[1].0];
 /// Width and height of the maps in texels.
 const SIZE: [u32; 2] = [1024, 512];
 
@@ -29,7 +29,12 @@ const SIZE: [u32; 2] = [1024, 512];
 ///
 /// # Errors
 /// If a file cannot be written.
-pub fn write_light(session: &mut Session, pass: &ExportPass, turn: Quat, folder: &Path) -> Result<bool> {
+pub(crate) fn write_light(
+    session: &mut Session,
+    pass: &ExportPass,
+    turn: Quat,
+    folder: &Path,
+) -> Result<bool> {
     let Some(map) = environment(session, pass, turn) else { return Ok(false) };
     for (name, convention) in MAPS {
         convention.from_lobelia(map.clone()).write_hdr(&folder.join(name))?;

@@ -37,7 +37,7 @@ const ROUGHNESS: &str = "mesh_roughness.png";
 ///
 /// # Errors
 /// If the object cannot be unwrapped, or a file cannot be written.
-pub fn run(session: &mut Session, pass: &ExportPass) -> Result<()> {
+pub(crate) fn run(session: &mut Session, pass: &ExportPass) -> Result<()> {
     let material = material_of(session, pass.of.as_deref())?;
     let mut object = Object::new(session.surface.clone(), material);
     if let Some(target) = pass.triangles.filter(|&n| (n as usize) < object.triangles()) {

@@ -7,7 +7,7 @@ use glam::{Quat, Vec3};
 
 /// Where points of the data go: `scale` · (`turn` p − `origin`).
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct ExportTransform {
+pub(crate) struct ExportTransform {
     /// Rotation, of the light as well.
     pub turn: Quat,
     origin: Vec3,

@@ -22,12 +22,12 @@ use std::time::Instant;
 const PROGRAM: &str = "lobelia";
 
 /// The files of a run that are of no pass, besides the manifest.
-pub const OF_RUN: [&str; 3] = [METRICS, REPORT, TRACE];
+pub(crate) const OF_RUN: [&str; 3] = [METRICS, REPORT, TRACE];
 
 /// How far something is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
-pub enum RunState {
+pub(crate) enum RunState {
     /// It has not begun.
     Waiting,
     /// It has begun; in a folder that no process holds: it was killed.
@@ -175,7 +175,7 @@ fn existing(out: &Path, listed: &str) -> Vec<String> {
 ///
 /// # Errors
 /// [`Error::Usage`] that says what is in the way.
-pub fn check_used(out: &Path, force: bool) -> Result<()> {
+pub(crate) fn check_used(out: &Path, force: bool) -> Result<()> {
     FolderLock::check_free(out)?;
     if force || !is_used(out) {
         return Ok(());
@@ -199,7 +199,7 @@ pub fn check_used(out: &Path, force: bool) -> Result<()> {
 }
 
 /// How far the run in `out` is; `None` if there is none.
-pub fn state_of_run(out: &Path) -> Option<RunState> {
+pub(crate) fn state_of_run(out: &Path) -> Option<RunState> {
     Record::read(out).map(|record| record.state)
 }
 
@@ -211,7 +211,7 @@ fn is_used(out: &Path) -> bool {
 }
 
 /// An output folder that this process alone writes into, in which nothing is changed yet.
-pub struct Claim {
+pub(crate) struct Claim {
     lock: FolderLock,
     out: PathBuf,
     plan: Vec<PassFiles>,
@@ -356,7 +356,7 @@ fn foreign(path: &Path) -> Error {
 }
 
 /// The manifest of a run that has begun; the folder is its own as long as this lives.
-pub struct RunRecord {
+pub(crate) struct RunRecord {
     record: Record,
     out: PathBuf,
     /// When the pass that runs began.

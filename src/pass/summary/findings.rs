@@ -25,7 +25,7 @@ const PICTURES: [(&str, &str); 6] = [
 ];
 
 /// The pictures of a fit.
-pub fn fit_pictures(out: &Path, pass: &str, pictures: &mut Pictures) -> Vec<ReportPicture> {
+pub(crate) fn fit_pictures(out: &Path, pass: &str, pictures: &mut Pictures) -> Vec<ReportPicture> {
     let shown = |(file, title): &(&str, &str)| {
         let address = pictures.small(&out.join(pass).join(file), SIDE)?;
         Some(ReportPicture { title: format!("{pass}: {title}"), address })

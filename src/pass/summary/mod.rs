@@ -33,7 +33,7 @@ const UNSCORED_SIDE: u32 = 320;
 
 /// Writes the report of a run again and again, and keeps the pictures in between.
 #[derive(Default)]
-pub struct Reporter {
+pub(crate) struct Reporter {
     pictures: Pictures,
 }
 

@@ -65,7 +65,6 @@ fn on_mat(picture: &RgbaImage) -> RgbImage {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::codec::png_file::write_rgba8;
     use base64::Engine as _;
     use base64::engine::general_purpose::STANDARD;
     use image::Rgba;
@@ -74,7 +73,7 @@ mod tests {
     fn pictures_are_made_small_once_and_within_the_budget() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.png");
-        write_rgba8(&path, &RgbaImage::from_pixel(64, 32, Rgba([255, 0, 0, 0]))).unwrap();
+        RgbaImage::from_pixel(64, 32, Rgba([255, 0, 0, 0])).save(&path).unwrap();
         let mut pictures = Pictures::default();
         pictures.begin(1 << 20);
         let address = pictures.small(&path, 16).unwrap();

@@ -33,7 +33,7 @@ pub const REPORT: &str = "report.html";
 pub const SIGNATURE: &str = r#"name="generator" content="Lobelia report""#;
 
 /// Most runs side by side: each has a color of its own.
-pub const MOST_RUNS: usize = 8;
+pub(crate) const MOST_RUNS: usize = 8;
 
 /// The page without its content.
 const PAGE: &str = include_str!("assets/report.html");
@@ -48,7 +48,7 @@ type Section = (&'static str, &'static str, String);
 /// The page of one run, or of several side by side; the first one is what the others are compared with.
 ///
 /// # Errors
-/// [`Error::Usage`] for no run, or more than [`MOST_RUNS`].
+/// [`Error::Usage`] for no run, or more than `MOST_RUNS`.
 pub fn html(runs: &[RunReport]) -> Result<String> {
     if runs.is_empty() || runs.len() > MOST_RUNS {
         let problem = format!("a report shows 1 to {MOST_RUNS} runs, not {}", runs.len());

@@ -225,7 +225,7 @@ pub fn profiles(runs: &[RunReport]) -> String {
 }
 
 /// Version, seed, arguments, machine.
-pub fn facts(runs: &[RunReport]) -> String {
+pub(crate) fn facts(runs: &[RunReport]) -> String {
     let escape = |(name, value): &(String, String)| (name.clone(), escaped(value));
     by_run(runs, "How to do it again", &named_rows(runs, |run| run.facts.iter().map(escape).collect()))
 }

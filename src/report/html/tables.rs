@@ -12,7 +12,7 @@ pub struct TableRow {
 }
 
 /// A table in which a row is one value of all runs. Empty if there is no row.
-pub fn by_run(runs: &[RunReport], caption: &str, rows: &[TableRow]) -> String {
+pub(crate) fn by_run(runs: &[RunReport], caption: &str, rows: &[TableRow]) -> String {
     if rows.is_empty() {
         return String::new();
     }
@@ -38,13 +38,16 @@ fn run_heads(runs: &[RunReport]) -> String {
 }
 
 /// The name of a run, with the mark of its color where there are several.
-pub fn run_name(runs: &[RunReport], i: usize) -> String {
+pub(crate) fn run_name(runs: &[RunReport], i: usize) -> String {
     let mark = if runs.len() > 1 { format!("<i class=\"mark c{i}\"></i>") } else { String::new() };
     format!("{mark}{}", escaped(&runs[i].name))
 }
 
 /// Rows of named values: one for each name that any run has, in the order in which names come up.
-pub fn named_rows(runs: &[RunReport], values: impl Fn(&RunReport) -> Vec<(String, String)>) -> Vec<TableRow> {
+pub(crate) fn named_rows(
+    runs: &[RunReport],
+    values: impl Fn(&RunReport) -> Vec<(String, String)>,
+) -> Vec<TableRow> {
     let values: Vec<Vec<(String, String)>> = runs.iter().map(values).collect();
     let mut names: Vec<&String> = Vec::new();
     for (name, _) in values.iter().flatten() {

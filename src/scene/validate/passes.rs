@@ -94,7 +94,7 @@ fn published_field(pass: &Pass) -> Option<&'static str> {
 }
 
 /// Whether a pass of the scene uses the published formulas, which know no GGX.
-pub fn uses_published(scene: &Scene) -> bool {
+pub(crate) fn uses_published(scene: &Scene) -> bool {
     scene.passes.iter().any(|pass| published_field(pass).is_some())
 }
 

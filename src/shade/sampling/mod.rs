@@ -261,6 +261,7 @@ impl<F: SampleReal> Scatterer<F> {
 
 /// Sampling strategy for incident light; all three have the same expected value.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Strategy {
     /// Both, weighted by the power heuristic (Veach and Guibas 1995): for rendering.
     #[default]

@@ -31,9 +31,9 @@ use reflections::fill_reflections;
 const PIXELS_PER_CELL: f32 = 1.5;
 /// Share of the object's volume that a round must remove for another one, where the search begins. Rounds on a finer grid take
 /// several times as long.
-pub const HULL_SHARE: f32 = 1e-3;
+pub(crate) const HULL_SHARE: f32 = 1e-3;
 /// The same on the grid of a later level.
-pub const LEVEL_SHARE: f32 = 1e-2;
+pub(crate) const LEVEL_SHARE: f32 = 1e-2;
 
 /// Rounds at most.
 const ROUNDS: usize = 3;
@@ -46,7 +46,7 @@ const MARGIN: (f32, f32) = (0.75, 0.5);
 
 /// Removes the space that the photographs look through; returns the share of the volume that goes. Another round follows one that
 /// removes at least `least_share` of it. A run that is stopping ([`is_stopping`]) removes nothing more.
-pub fn carve_hollows(
+pub(crate) fn carve_hollows(
     grid: &mut SdfGrid,
     silhouettes: &[Silhouette],
     views: &[StereoView],

@@ -68,7 +68,7 @@ fn middle(cell: usize) -> Vec3 {
 
 /// Weighted sums by cell for a table T of which products f T are known: Σ w f², and Σ w f y for what is to be explained, y.
 #[derive(Clone, Debug)]
-pub struct Sums {
+pub(crate) struct Sums {
     squares: Vec<Vec3>,
     products: Vec<Vec3>,
 }

@@ -38,7 +38,7 @@ use crate::math::statistics::median;
 use crate::mesh::triangles::Mesh;
 use crate::shape::stereo::StereoView;
 use crate::shape::stereo::votes::Shell;
-use crate::shape::vertices::VertexGraph;
+use crate::shape::vertex_graph::VertexGraph;
 use direction_table::{DirectionTable, Sums};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -73,7 +73,7 @@ const CHUNK: usize = 2048;
 
 /// What [`refine_normals`] did.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct NormalReport {
+pub(crate) struct NormalReport {
     /// Squared error of the views kept aside relative to that with the normals of the mesh; `None` if nothing was tried.
     pub error: Option<f32>,
     /// Part of the squared radiance of the views kept aside that the model leaves unexplained with the normals of the mesh.
@@ -84,7 +84,7 @@ pub struct NormalReport {
 
 /// Gives the vertices of `mesh` normals that explain what `views` show, if the mesh's leave much unexplained in views kept aside, and the others
 /// clearly less. The light stands still in `frame`. `go_on` is asked before each round, with its number of `rounds()`.
-pub fn refine_normals(
+pub(crate) fn refine_normals(
     mesh: &mut Mesh,
     views: &[StereoView],
     frame: LightFrame,
@@ -140,7 +140,7 @@ fn normals_by_all(after: Model, graph: &VertexGraph) -> Vec<Vec3> {
     all.normals
 }
 
-/// Rounds that [`refine_normals`] asks before.
+/// Rounds that `refine_normals` asks before.
 pub const fn rounds() -> usize {
     ROUNDS.len() + 1
 }

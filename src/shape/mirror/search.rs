@@ -105,7 +105,7 @@ pub fn around(axis: Vec3, most: f32, rings: usize) -> impl Iterator<Item = Vec3>
 }
 
 /// The candidate with the least error, within an angle (radians) of the normal of the mesh, `given`; `None` if none has sums.
-pub fn best_normal(
+pub(crate) fn best_normal(
     candidates: impl Iterator<Item = Vec3>,
     given: Vec3,
     most: f32,

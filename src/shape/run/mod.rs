@@ -6,7 +6,7 @@
 //! | `training` | the training photographs and masks as slices |
 
 pub mod refine;
-mod training;
+pub(crate) mod training;
 
 use crate::checkpoint::{has_level_ahead, keep_level, resume_level};
 use crate::error::stop::{check_interrupted, is_stopping};
@@ -326,7 +326,7 @@ fn with_texels(
 }
 
 /// The mesh of a field: its largest component, and others that the training masks show ([`parts`](crate::shape::parts)).
-pub fn mesh_of_parts(world: &mut World, grid: &SdfGrid) -> Mesh {
+pub(crate) fn mesh_of_parts(world: &mut World, grid: &SdfGrid) -> Mesh {
     extract_parts(grid, &training_silhouettes(world))
 }
 
@@ -407,7 +407,7 @@ fn carried_albedo(volume: &TexelVolume, old: Option<(&TexelVolume, &[Vec3])>) ->
 }
 
 /// Replaces the texels in the world by texels with this albedo, and no sheen but a known one.
-pub fn replace_texels(world: &mut World, albedo: &[Vec3]) {
+pub(crate) fn replace_texels(world: &mut World, albedo: &[Vec3]) {
     let (blend, sheen) = new_material(world, albedo);
     let (tilt, blends) = (vec![DiffuseTilt::default(); albedo.len()], vec![blend; albedo.len()]);
     spawn_texels(world, albedo, &sheen, &tilt, &blends);

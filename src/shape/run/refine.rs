@@ -14,7 +14,7 @@ use std::ops::ControlFlow;
 
 /// Removes from the found field what lies outside the hull, and moves its contours to the outlines of the training masks
 /// ([`outline`](crate::shape::outline)).
-pub fn refine_by_outlines(world: &mut World, grid: &mut SdfGrid) -> OutlineReport {
+pub(crate) fn refine_by_outlines(world: &mut World, grid: &mut SdfGrid) -> OutlineReport {
     let mut silhouettes = training_silhouettes(world);
     trim(grid, &mut silhouettes);
     grid.redistance();
@@ -23,7 +23,7 @@ pub fn refine_by_outlines(world: &mut World, grid: &mut SdfGrid) -> OutlineRepor
 
 /// Moves the vertices of a mesh of the found surface to where the training photographs agree ([`stereo`](crate::shape::stereo)).
 /// Nothing moves without a [`ModelError`] in the world, which this removes.
-pub fn refine_by_stereo(
+pub(crate) fn refine_by_stereo(
     world: &mut World,
     mesh: &mut Mesh,
     go_on: impl FnMut(usize) -> ControlFlow<()>,
@@ -34,7 +34,7 @@ pub fn refine_by_stereo(
 }
 
 /// Gives the vertices of a mesh of the found surface normals that explain what it mirrors ([`mirror`](crate::shape::mirror)).
-pub fn refine_by_mirror(
+pub(crate) fn refine_by_mirror(
     world: &mut World,
     mesh: &mut Mesh,
     go_on: impl FnMut(usize) -> ControlFlow<()>,

@@ -22,7 +22,7 @@ type SilhouetteView =
     (&'static ViewIndex, &'static ViewName, &'static Camera, &'static ViewMask, &'static Split);
 
 /// The silhouettes of the training masks, in the order of their views.
-pub(super) fn training_silhouettes(world: &mut World) -> Vec<Silhouette> {
+pub(crate) fn training_silhouettes(world: &mut World) -> Vec<Silhouette> {
     let mut views = world.query_filtered::<SilhouetteView, With<Photograph>>();
     let mut train: Vec<_> = views.iter(world).filter(|(.., split)| **split == Split::Train).collect();
     train.sort_by_key(|(index, ..)| **index);

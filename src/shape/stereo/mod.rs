@@ -36,7 +36,7 @@ use crate::shape::displace::within_room;
 use crate::shape::field::ModelError;
 use crate::shape::outline::{Contours, Vote};
 use crate::shape::silhouette::{Silhouette, pixel_size};
-use crate::shape::vertices::VertexGraph;
+use crate::shape::vertex_graph::VertexGraph;
 use crate::view::{Camera, Photograph, StoredMask};
 use glam::Vec3;
 use match_picture::{MatchPicture, neighbors};
@@ -70,6 +70,8 @@ const REACH: f32 = 3.0;
 const LIFT: f32 = 0.02;
 /// Trust from which a vertex counts as one that follows its votes.
 const TRUSTED: f32 = 0.25;
+/// Fraction of the vertices that must be trusted for any to move: few scattered ones are chance, and pit a glossy surface.
+const LEAST_TRUSTED: f32 = 0.03;
 /// Share of the pattern, as [`pattern_shares`] has it, from which a displacement counts, and counts fully.
 const PATTERN: (f32, f32) = (0.3, 0.5);
 /// Most pixels that vote in a round; of more views, some do, evenly chosen. All serve as neighbors.
@@ -165,7 +167,7 @@ fn finest_factor(mesh: &Mesh, views: &[StereoView]) -> Option<u32> {
     (!mesh.triangles.is_empty()).then(|| factor.round().clamp(1.0, 1024.0) as u32)
 }
 
-/// One round; returns the fraction of the vertices whose votes are trusted. `object` is how far stereo serves this object at all,
+/// One round; returns the fraction of the vertices whose votes are trusted, or zero if these are too few to move any. `object` is how far stereo serves this object at all,
 /// from the first round.
 fn refine_round(
     mesh: &mut Mesh,
@@ -188,11 +190,15 @@ fn refine_round(
     }
     let trusted = |(v, gate): (&Votes, &f32)| object * smooth_step(*gate, LOCAL) * v.share(HALF_SHARE);
     let trust: Vec<f32> = votes.iter().zip(&gates).map(trusted).collect();
+    let follow = trust.iter().filter(|trust| **trust > TRUSTED).count() as f32 / trust.len().max(1) as f32;
+    if follow < LEAST_TRUSTED {
+        return 0.0;
+    }
     let outlines = Contours::new(&shell, &bvh).votes(silhouettes);
     let outlines: Vec<Plate> = outlines.of_vertices.iter().map(Vote::plate).collect();
     let moved = moved_positions(&bvh, &shell, pictures, &votes, &trust, &outlines);
     put(mesh, &shell, &moved);
-    trust.iter().filter(|trust| **trust > TRUSTED).count() as f32 / trust.len().max(1) as f32
+    follow
 }
 
 /// Where the votes bring the vertices.

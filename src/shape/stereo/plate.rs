@@ -1,6 +1,6 @@
 //! Smooth displacements of a mesh from votes that do not cover all of it: a thin plate, held and pulled at its vertices.
 
-use crate::shape::vertices::VertexGraph;
+use crate::shape::vertex_graph::VertexGraph;
 use glam::Vec3;
 use rayon::prelude::*;
 

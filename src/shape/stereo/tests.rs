@@ -101,6 +101,17 @@ fn a_mesh_stays_where_the_model_explains_the_photographs() {
 }
 
 #[test]
+fn a_mesh_stays_where_only_a_spot_of_it_agrees() {
+    let moved = |above: f32| {
+        let cap = |p: Vec3, _| if p.z > above { pattern(p) } else { Vec3::splat(0.3) };
+        let mut mesh = bumpy();
+        refine(&mut mesh, &Pictures::of(cap).views(), &[], &error(0.01), |_| Continue(())).moved
+    };
+    let (spot, half) = (moved(0.985), moved(0.0));
+    assert!(spot == 0.0 && half > 0.001, "{spot} {half}");
+}
+
+#[test]
 fn bits_do_not_depend_on_the_number_of_threads() {
     let pictures = Pictures::new();
     let refined = |threads: usize| {

@@ -5,7 +5,7 @@ use crate::mesh::triangles::Mesh;
 use crate::shape::field::ModelError;
 use crate::shape::stereo::match_picture::MatchPicture;
 use crate::shape::stereo::sweep::{Matched, Seen};
-use crate::shape::vertices::VertexGraph;
+use crate::shape::vertex_graph::VertexGraph;
 use glam::Vec3;
 
 /// Least cosine between a ray and the surface for a vote.
@@ -19,7 +19,7 @@ const HALF_ERROR: f32 = 0.3;
 /// Variance of the views' shifts, in squared pixels, at which half of the votes count.
 const HALF_SPREAD: f32 = 0.15;
 /// Gates from which a vertex's votes count, and count fully.
-pub const LOCAL: (f32, f32) = (0.05, 0.2);
+pub(crate) const LOCAL: (f32, f32) = (0.05, 0.2);
 /// The same for the median gate of the object.
 const OBJECT: (f32, f32) = (0.1, 0.3);
 
@@ -92,8 +92,15 @@ impl Shell {
     pub(crate) fn moved(graph: VertexGraph, mesh: &Mesh) -> Self {
         let mut positions = vec![Vec3::ZERO; graph.merged()];
         graph.of.iter().zip(&mesh.positions).for_each(|(of, at)| positions[*of as usize] = *at);
-        let normals = graph.area_vectors(&positions).iter().map(|n| n.normalize_or_zero()).collect();
-        Self { graph, positions, normals }
+        let mut shell = Self { graph, positions: Vec::new(), normals: Vec::new() };
+        shell.move_to(positions);
+        shell
+    }
+
+    /// Moves the merged vertices to other positions.
+    pub(crate) fn move_to(&mut self, positions: Vec<Vec3>) {
+        self.normals = self.graph.area_vectors(&positions).iter().map(|n| n.normalize_or_zero()).collect();
+        self.positions = positions;
     }
 }
 
@@ -186,13 +193,13 @@ fn gate(error: f32, variance: f32, spread: f32) -> f32 {
 }
 
 /// How far stereo serves the object as a whole, in [0, 1], by the median of the gates of vertices with votes.
-pub fn object_gate(gates: &[f32]) -> f32 {
+pub(crate) fn object_gate(gates: &[f32]) -> f32 {
     let mut gates: Vec<f32> = gates.iter().copied().filter(|gate| *gate > 0.0).collect();
     median(&mut gates).map_or(0.0, |gate| smooth_step(gate, OBJECT))
 }
 
 /// From 0 at `low` to 1 at `high`, with slope 0 at both.
-pub fn smooth_step(x: f32, (low, high): (f32, f32)) -> f32 {
+pub(crate) fn smooth_step(x: f32, (low, high): (f32, f32)) -> f32 {
     let t = ((x - low) / (high - low)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }

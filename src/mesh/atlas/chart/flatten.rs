@@ -21,7 +21,7 @@ const EVENING: (usize, f64, f64) = (16, 0.02, 4.02);
 
 /// How much a chart may be distorted.
 #[derive(Clone, Copy, Debug)]
-pub struct Tolerance {
+pub(crate) struct Tolerance {
     /// Largest mean energy ([`energy`]); 4 is rigid, 4.5 squares that become rectangles of 1 by 1.64.
     pub mean: f64,
     /// Largest part of the area whose triangles become more than twice as large, or less than half.

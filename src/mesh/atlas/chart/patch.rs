@@ -5,7 +5,7 @@ use glam::{DVec2, DVec3};
 
 /// Triangles of a surface with vertices of their own: two corners are one vertex only if a fan of the patch's triangles joins them.
 #[derive(Debug)]
-pub struct Patch {
+pub(crate) struct Patch {
     /// Triangles of the surface, ascending.
     pub faces: Vec<u32>,
     /// Three vertices of the patch for each.

@@ -10,7 +10,7 @@ use glam::DVec2;
 const ACCURACY: (f64, usize) = (0.05, 40);
 
 /// One round: turns each triangle to fit the map as it is, and moves the vertices to where these turned triangles meet best.
-pub fn unfold(patch: &Patch, shapes: &[PlanarTriangle], laplacian: &Laplacian, map: &mut [DVec2]) {
+pub(crate) fn unfold(patch: &Patch, shapes: &[PlanarTriangle], laplacian: &Laplacian, map: &mut [DVec2]) {
     let mut force = vec![DVec2::ZERO; map.len()];
     for (triangle, shape) in patch.triangles.iter().zip(shapes) {
         let [by_x, by_y] = shape.jacobian(triangle.map(|v| map[v as usize]));

@@ -24,6 +24,7 @@ const SMOOTHING_ROUNDS: usize = 5;
 
 /// A node of the tree of regions: a triangle, or two nodes.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum RegionNode {
     /// One triangle.
     Triangle(u32),
@@ -33,7 +34,7 @@ pub enum RegionNode {
 
 /// Trees of regions over all triangles with area.
 #[derive(Debug)]
-pub struct RegionTree {
+pub(crate) struct RegionTree {
     /// Nodes; those of a pair come before it.
     pub nodes: Vec<RegionNode>,
     /// Number of triangles of each node.

@@ -11,7 +11,7 @@ const SLIT: f64 = 1e-9;
 ///
 /// The number of times that a point is covered is the sum of how often the loops wind around it. If no two segments cross, each loop winds
 /// once: around the patch if it is the outer one, the other way if it is that of a hole. A hole may have closed to a slit.
-pub fn is_simple(border: &[[u32; 2]], map: &[DVec2]) -> bool {
+pub(crate) fn is_simple(border: &[[u32; 2]], map: &[DVec2]) -> bool {
     let areas = loop_areas(border, map);
     let outer = areas.iter().copied().fold(0.0, f64::max);
     areas.iter().filter(|area| **area > SLIT * outer).count() == 1 && !crosses(border, map)

@@ -34,7 +34,7 @@ fn energy_gradient([by_x, by_y]: [DVec2; 2]) -> [DVec2; 2] {
 }
 
 /// A patch on its way into the plane.
-pub struct Descent<'a> {
+pub(crate) struct Descent<'a> {
     patch: &'a Patch,
     shapes: &'a [PlanarTriangle],
     laplacian: &'a Laplacian,

@@ -4,14 +4,14 @@ use crate::mesh::triangles::Mesh;
 use glam::DVec3;
 
 /// No triangle.
-pub const NONE: u32 = u32::MAX;
+pub(crate) const NONE: u32 = u32::MAX;
 
 /// Triangles, their corners welded by position, and what lies across each of their edges.
 ///
 /// Edge k of a triangle goes from its corner k to the next one. Two triangles are neighbors across an edge if no third one has it and
 /// if they run along it in opposite directions. Degenerate triangles have no neighbors.
 #[derive(Debug)]
-pub struct Topology {
+pub(crate) struct Topology {
     /// World position of each vertex of the mesh.
     pub points: Vec<DVec3>,
     /// Three vertices for each triangle; of those at one position, the first.

@@ -7,7 +7,7 @@ use glam::DVec2;
 
 /// Turns the points so that the axis-parallel box around them is smallest, with its low corner at the origin and its long side along x.
 /// Returns the other corner.
-pub fn set_upright(points: &mut [DVec2]) -> DVec2 {
+pub(crate) fn set_upright(points: &mut [DVec2]) -> DVec2 {
     let hull = convex_hull(points);
     let mut best = (f64::INFINITY, DVec2::X);
     for (i, from) in hull.iter().enumerate() {

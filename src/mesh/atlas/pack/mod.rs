@@ -17,7 +17,7 @@ use rayon::prelude::*;
 use std::collections::HashMap;
 
 /// Texels between two charts that neither touches, at least.
-pub const GUTTER: u32 = 4;
+pub(crate) const GUTTER: u32 = 4;
 /// Texels at the border of the texture that no chart touches, at least.
 pub const MARGIN: u32 = 2;
 /// Most cells along a side of the page: cells of larger textures are squares of texels, if charts are large.
@@ -41,7 +41,7 @@ const SMALL_MASK: u32 = 12;
 
 /// Packs charts into a texture of `size`² texels. All get the same scale; their places become texels. False, and no change but of places, if
 /// they do not fit.
-pub fn pack(charts: &mut [Chart], size: u32) -> bool {
+pub(crate) fn pack(charts: &mut [Chart], size: u32) -> bool {
     if charts.is_empty() {
         return true;
     }

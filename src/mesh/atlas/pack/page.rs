@@ -130,7 +130,7 @@ impl Page {
 
 /// Rows of bits for [`Page::find`].
 #[derive(Debug, Default)]
-pub struct Scratch {
+pub(crate) struct Scratch {
     blocked: Vec<u64>,
     spread: Vec<u64>,
 }
