@@ -197,7 +197,7 @@ fn steps_of_vertices_and_cameras_that_are_not_finite_are_taken_back() {
         _ = pipeline.add_plugin(&VertexPlugin {
             surface: Arc::new(surface),
             steps: 110,
-            silhouettes: Vec::new(),
+            silhouettes: Arc::default(),
         });
     });
     assert!(first.contains("step 60: the gradient is not finite, by vertex "), "{first}");

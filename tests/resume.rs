@@ -212,7 +212,7 @@ fn a_new_world_between_passes_changes_no_bit() {
 
 /// A fit that takes some seconds.
 fn long_fit() -> String {
-    let passes = r#"Fit(name: "fit", steps: 600, batch: 64), Save(),"#;
+    let passes = r#"Fit(name: "fit", steps: 600, batch: 64, vertices: true), Save(),"#;
     scene(MESH, "", passes)
 }
 

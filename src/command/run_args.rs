@@ -88,7 +88,7 @@ pub struct RunArgs {
     /// the worst views, a button that stops the run; its address goes to standard error
     #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "0", value_parser = port)]
     pub live: Option<u16>,
-    /// Nothing but errors: no progress bars, no notes, no results on the terminal
+    /// Nothing but errors on the terminal: no progress bars, no notes, no results
     #[arg(short, long)]
     pub quiet: bool,
 }

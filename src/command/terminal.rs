@@ -16,7 +16,7 @@ pub fn print(text: &str) -> Result<()> {
     }
 }
 
-/// Bars on a terminal, the results alone in a pipe, and nothing under `--quiet`: results are in files, and errors are not told here.
+/// Bars on a terminal and results on standard output; neither under `--quiet`. Errors are printed by the command itself.
 pub struct Terminal {
     bars: bool,
     quiet: bool,

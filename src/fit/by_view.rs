@@ -25,7 +25,7 @@ pub struct ViewSum {
     pub pixels: u64,
     /// Squared differences after clipping to `[0, 1]`, over three channels.
     pub squares: f64,
-    /// Pixels whose difference is above `OUTLIER`.
+    /// Pixels whose difference is above 0.1.
     pub outliers: u64,
     /// Luminance of the photograph.
     pub observed: f64,

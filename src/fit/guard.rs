@@ -75,7 +75,7 @@ impl StepGuard {
 }
 
 /// Whether everything in this step is finite.
-pub(crate) fn step_is_sound(guard: Option<Res<StepGuard>>) -> bool {
+pub fn step_is_sound(guard: Option<Res<StepGuard>>) -> bool {
     guard.is_none_or(|guard| guard.is_sound())
 }
 
@@ -85,7 +85,7 @@ fn is_sound(values: &[f32], largest: f32) -> bool {
 }
 
 /// Whether a gradient can be used: it is finite, and so is what is made of it.
-pub(crate) fn is_usable(gradient: &[f32]) -> bool {
+pub fn is_usable(gradient: &[f32]) -> bool {
     is_sound(gradient, LARGEST)
 }
 

@@ -10,10 +10,10 @@
 //! | [`detail`] | albedo, sheen and tilt of a finer texture, from all pixels |
 //! | [`scale`], [`exposure`], [`cameras`] | further unknowns: the scale between light and albedo, exposures, cameras |
 //! | [`guard`], [`by_view`] | steps that are not finite and are not taken; how each photograph is explained |
-//! | [`components`], [`attach`] | gradients, moments and state, and who has them |
+//! | [`components`], `attach` | gradients, moments and state, and who has them |
 
 pub mod adam;
-pub mod attach;
+pub(crate) mod attach;
 pub mod by_view;
 pub mod cameras;
 pub mod components;

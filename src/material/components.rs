@@ -67,7 +67,7 @@ pub struct DiffuseAlbedo(pub Vec3);
 pub struct DiffuseSheen(pub Vec3);
 
 /// How much brighter a texel's diffuse albedo is toward one side: a vector in the object's axes, at most
-/// `MOST_TILT` long. See [`tilt`](super::tilt).
+/// 0.9 long. See [`tilt`](super::tilt).
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[require(ShownTilt)]
 pub struct DiffuseTilt(pub Vec3);

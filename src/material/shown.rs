@@ -105,7 +105,7 @@ type EditChanged = Or<(
 )>;
 
 /// Run condition: whether an edit has changed, or edits have been added or removed.
-pub(crate) fn edits_changed(
+pub fn edits_changed(
     changed: Query<(), EditChanged>,
     edits: Query<Entity, With<EditName>>,
     mut known: Local<Vec<Entity>>,

@@ -4,7 +4,7 @@
 //! | --- | --- |
 //! | [`pack`] | arrays of numbers in one compressed block |
 //! | [`mesh`] | the mesh in 16-bit numbers |
-//! | [`shadow`] | hidden directions of texels, and what hides them |
+//! | `shadow` | hidden directions of texels, and what hides them |
 //! | [`upright`] | which way is up |
 //! | `assets/` | the page itself: HTML, style, script and shaders, as they are served |
 //!
@@ -13,7 +13,7 @@
 
 pub mod mesh;
 pub mod pack;
-pub mod shadow;
+pub(crate) mod shadow;
 pub mod upright;
 
 use crate::error::Result;

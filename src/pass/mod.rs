@@ -2,8 +2,8 @@
 //!
 //! | pass | file | writes into `OUT/<name>/` |
 //! | --- | --- | --- |
-//! | `Fit` | [`fit`] | the recovered light (`light.npy`, `environment.exr`), `albedo.png`, `materials.ron`, `log.csv`; of several base materials `blend.exr`, `.png`, with one roughness per texel `roughness.exr`, `.png` |
-//! | `Shape` | [`shape`] | with `--debug-every N`, normals, depth and mesh every N steps |
+//! | `Fit` | `fit` | the recovered light (`light.npy`, `environment.exr`), `albedo.png`, `materials.ron`, `log.csv`; of several base materials `blend.exr`, `.png`, with one roughness per texel `roughness.exr`, `.png` |
+//! | `Shape` | `shape` | with `--debug-every N`, normals, depth and mesh every N steps |
 //! | both | `found_views` | `cam_dict_norm.json` of optimized cameras, `exposures.csv` |
 //! | `Render`, `Edit`, `Relight` | [`render`] | an EXR with layers and a PNG per view, the animation of an orbit |
 //! | `Evaluate` | [`evaluate`] | a contact sheet, `views.csv`, and a folder per scored pass with small pictures of its views; scores go to `OUT/metrics.json` |
@@ -14,7 +14,7 @@
 //! `resume` keeps checkpoints in `OUT/.checkpoint`, and takes a run up where it was. `renew` leaves the pools of a `Shape` or `Fit` behind.
 //!
 //! [`preflight`] checks the inputs of all passes before the first one runs; [`files`] knows all files that they may write, so that
-//! none of them is one that is read; [`record`] keeps `OUT/run.json`, which says what belongs together; [`summary`] makes `OUT/report.html`
+//! none of them is one that is read; `record` keeps `OUT/run.json`, which says what belongs together; [`summary`] makes `OUT/report.html`
 //! of what is in the folder. [`live`] copies and renders the state during a pass, for whoever looks at a run.
 
 mod detail;
@@ -25,11 +25,11 @@ pub mod export;
 mod fault_tests;
 pub mod files;
 mod film;
-pub mod fit;
+pub(crate) mod fit;
 mod found_views;
 mod gloss;
 mod inputs;
-pub mod inspect;
+pub(crate) mod inspect;
 pub mod live;
 mod machine;
 pub mod memory;
@@ -37,7 +37,7 @@ mod page_cameras;
 pub mod photograph;
 pub mod preflight;
 pub mod progress;
-pub mod record;
+pub(crate) mod record;
 pub mod render;
 mod renew;
 mod resume;
@@ -45,8 +45,8 @@ pub mod save;
 mod sequence;
 mod session;
 mod shading;
-pub mod shape;
-pub mod show;
+pub(crate) mod shape;
+pub(crate) mod show;
 mod steps;
 pub mod summary;
 mod truth_files;

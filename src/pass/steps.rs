@@ -149,7 +149,8 @@ fn let_geometry_move(session: &mut Session, pass: &FitPass) {
         let (surface, steps) = (session.surface.clone(), pass.steps);
         // Silhouettes are seen by the cameras as they are now.
         let still = pass.cameras == CameraUnknowns::Given;
-        let silhouettes = if still { training_silhouettes(&mut session.pipeline.world) } else { Vec::new() };
+        let silhouettes =
+            if still { training_silhouettes(&mut session.pipeline.world) } else { Vec::new() }.into();
         session.pipeline.add_plugin(&VertexPlugin { surface, steps, silhouettes });
     }
 }

@@ -212,7 +212,7 @@ pub fn write_png(path: impl AsRef<Path>, picture: &Picture, look: &Look, backdro
 /// from the top, all with a `transparent` backdrop or none.
 ///
 /// # Errors
-/// Those of `write_rows`.
+/// [`Error::Io`] if the file cannot be written, [`Error::Run`] for an empty picture, and those of `rows`.
 pub fn write_png_rows(
     path: impl AsRef<Path>,
     size: [u32; 2],

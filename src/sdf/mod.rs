@@ -3,7 +3,7 @@
 //! | file | holds |
 //! | --- | --- |
 //! | `grid` | [`SdfGrid`]: values, trilinear look-up, smooth gradient |
-//! | [`distance_transform`] | signed distance in pixels to the silhouette of a mask |
+//! | `distance_transform` | signed distance in pixels to the silhouette of a mask |
 //! | [`extract`] | a mesh of the zero level (surface nets) |
 //! | `manifold` | splits non-manifold edges and vertices of that mesh |
 //! | `trace` | intersections of rays with the zero level (sphere tracing), and their least distance |
@@ -15,7 +15,7 @@
 //! | `resolution` | `u32` | cells per side | 96 | of the cubic grid |
 //! | `origin`, `spacing` | `Vec3`, `f32` | world units | from the cameras | position of the first vertex of the grid, and the distance between neighbors |
 
-pub mod distance_transform;
+pub(crate) mod distance_transform;
 pub mod extract;
 mod grid;
 mod manifold;

@@ -143,7 +143,7 @@ impl Plugin for FramePlugin {
 }
 
 /// Inserts the resources that the Gather stage writes.
-pub(crate) fn add_material_resources<M: MaterialSource>(world: &mut World) {
+pub fn add_material_resources<M: MaterialSource>(world: &mut World) {
     world.init_resource::<Window>();
     world.init_resource::<IncidentLight>();
     world.init_resource::<BaseMaterials>();
@@ -151,7 +151,7 @@ pub(crate) fn add_material_resources<M: MaterialSource>(world: &mut World) {
 }
 
 /// Adds the systems of [`GatherPoints`]: base materials, albedo and blends of a material at the points of the window.
-pub(crate) fn add_gathering<M: MaterialSource>(pipeline: &mut Pipeline, phase: Phase) {
+pub fn add_gathering<M: MaterialSource>(pipeline: &mut Pipeline, phase: Phase) {
     pipeline.mark_after_failure(mark_material_changed);
     let materials =
         (note_plain_blends::<M>.run_if(blends_changed::<M>), gather_materials::<M>, gather_blends::<M>);

@@ -39,12 +39,12 @@ pub struct PathTracing {
 }
 
 /// The specular lobe as the kernels read it.
-pub(crate) fn kernel_specular(lobe: &SpecularLobe) -> SpecularValue {
+pub fn kernel_specular(lobe: &SpecularLobe) -> SpecularValue {
     SpecularValue { albedo: lobe.albedo.into(), roughness: lobe.roughness, ndf: lobe.ndf }
 }
 
 /// The base materials of this run as the kernels read them, with their numbers.
-pub(crate) fn kernel_materials(materials: &BaseMaterials) -> Vec<(usize, SpecularValue)> {
+pub fn kernel_materials(materials: &BaseMaterials) -> Vec<(usize, SpecularValue)> {
     materials.by_number().map(|(number, lobe)| (number, kernel_specular(lobe))).collect()
 }
 

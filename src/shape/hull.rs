@@ -3,7 +3,7 @@
 //! In a view a point is about (pixels to the silhouette) · depth / focal away from the silhouette's cone. The largest of
 //! these over the views is the hull's signed distance; the k-th largest forgives k − 1 wrong masks. Views that do not see
 //! the point, or see it at the border of the frame, abstain: what the frame cuts is kept. What a few masks remove
-//! although many show it is restored ([`crate::shape::hull_repair`]).
+//! although many show it is restored (`hull_repair`).
 
 use crate::error::stop::{check_interrupted, is_stopping};
 use crate::sdf::SdfGrid;

@@ -3,11 +3,11 @@
 //! | file | holds |
 //! | --- | --- |
 //! | [`hull`] | the position of the object, and the robust visual hull of its masks as a signed distance field |
-//! | [`unseen`] | spans what no photograph sees of the hull |
+//! | `unseen` | spans what no photograph sees of the hull |
 //! | [`hollows`] | removes from the hull what photographs look through |
-//! | [`parts`] | which components of a surface are the object's |
+//! | `parts` | which components of a surface are the object's |
 //! | `trust` | finds masks that no other mask contradicts, which may carve alone |
-//! | [`hull_repair`] | restores parts that a few wrong masks remove from the hull, and selects the silhouettes that the other masks confirm |
+//! | `hull_repair` | restores parts that a few wrong masks remove from the hull, and selects the silhouettes that the other masks confirm |
 //! | [`field`] | the field as parameters: bricks of values (entities) and the field as a whole (a resource) |
 //! | `field_adjoint` | kernels that propagate adjoints of normals, positions and silhouettes back to the values |
 //! | [`silhouette`] | a mask with its camera, and distances from it |
@@ -26,10 +26,10 @@ pub mod field;
 pub(crate) mod field_adjoint;
 pub mod hollows;
 pub mod hull;
-pub mod hull_repair;
+pub(crate) mod hull_repair;
 pub mod mirror;
 pub mod outline;
-pub mod parts;
+pub(crate) mod parts;
 pub mod run;
 mod shrunk;
 pub mod silhouette;
@@ -37,6 +37,6 @@ pub(crate) mod silhouette_loss;
 pub mod stereo;
 pub mod systems;
 pub(crate) mod trust;
-pub mod unseen;
+pub(crate) mod unseen;
 pub(crate) mod vertex_graph;
 pub mod vertices;

@@ -19,6 +19,7 @@ use crate::shape::stereo::plate::{Plate, bent};
 use crate::shape::stereo::votes::Shell;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
+use std::sync::Arc;
 
 /// Rounds: a moved surface has other contours.
 const ROUNDS: usize = 3;
@@ -35,7 +36,8 @@ const LEAST_COSINE: f32 = 0.5;
 const HELD: f32 = 0.005;
 /// Votes beyond which more do not hold a vertex more strongly.
 const MOST_VOTES: f32 = 4.0;
-/// Mean distance in pixels to outlines at which votes count fully against the shading of a fit.
+/// Mean distance of the given mesh from the outlines, in pixels, up to which votes have full weight beside the shading of a fit; beyond it
+/// the weight falls with its square.
 const SHARP: f32 = 0.01;
 /// Weight of the squared Laplacian of displacements.
 const BENDING: f32 = 10.0;
@@ -69,28 +71,34 @@ pub fn fit_outlines(grid: &mut SdfGrid, silhouettes: &[Silhouette]) -> OutlineRe
     report
 }
 
-/// The outlines of masks beside other evidence, such as the shading, by which a mesh moves.
+/// The outlines of masks beside other evidence, such as the shading, by which a mesh moves. A look at them is short and does not stop with
+/// a run, for the step that it belongs to may be kept in a checkpoint.
 pub(crate) struct OutlineGuide {
-    silhouettes: Vec<Silhouette>,
+    silhouettes: Arc<[Silhouette]>,
     /// What the votes ask of the given mesh: as far as that is known, its outlines are right.
     given: Vec<f32>,
-    /// Weight of the votes: the inverse of their variance, for masks are as sharp as the outlines of the given mesh are near to theirs.
+    /// Weight of the votes, at most 1: with the inverse square of the given mesh's mean distance, for that tells how sharp the masks are.
     weight: f32,
 }
 
 impl OutlineGuide {
     /// For a given mesh.
-    pub(crate) fn new(shell: &Shell, bvh: &TriangleBvh, silhouettes: Vec<Silhouette>) -> Self {
-        let votes = Contours::new(shell, bvh).votes(&silhouettes);
+    pub(crate) fn new(shell: &Shell, bvh: &TriangleBvh, silhouettes: Arc<[Silhouette]>) -> Self {
+        let votes = Contours::new(shell, bvh).votes_until(&silhouettes, never);
         let weight = (SHARP / votes.mean_distance.max(SHARP)).powi(2);
         Self { given: votes.displacements(shell, weight), silhouettes, weight }
     }
 
     /// How far the vertices of the mesh, which has moved, are to move along their normals for its outlines to be what they were, world units.
     pub(crate) fn displacements(&self, shell: &Shell, bvh: &TriangleBvh) -> Vec<f32> {
-        let now = Contours::new(shell, bvh).votes(&self.silhouettes).displacements(shell, self.weight);
+        let votes = Contours::new(shell, bvh).votes_until(&self.silhouettes, never);
+        let now = votes.displacements(shell, self.weight);
         now.iter().zip(&self.given).map(|(now, given)| now - given).collect()
     }
+}
+
+fn never() -> bool {
+    false
 }
 
 /// What contours say of a vertex.
@@ -200,17 +208,22 @@ impl<'a> Contours<'a> {
         }
     }
 
-    /// The votes of all views, added in their order.
+    /// The votes of all views, added in their order; none once a run is stopping.
     pub(crate) fn votes(&self, silhouettes: &[Silhouette]) -> OutlineVotes {
-        let seen: Vec<Vec<Seen>> = silhouettes.par_iter().map(|view| self.seen(view)).collect();
+        self.votes_until(silhouettes, is_stopping)
+    }
+
+    /// The votes of all views, added in their order, of which the rest is left out once `stop` says so.
+    fn votes_until(&self, silhouettes: &[Silhouette], stop: fn() -> bool) -> OutlineVotes {
+        let seen: Vec<Vec<Seen>> = silhouettes.par_iter().map(|view| self.seen(view, stop)).collect();
         OutlineVotes::new(&seen, self.shell.positions.len())
     }
 
-    /// The vertices of a view's outline; none once a run is stopping.
-    fn seen(&self, view: &Silhouette) -> Vec<Seen> {
+    /// The vertices of a view's outline.
+    fn seen(&self, view: &Silhouette, stop: fn() -> bool) -> Vec<Seen> {
         let eye = view.camera.position();
         let mut seen = Vec::new();
-        for edge in self.edges.iter().filter(|_| !is_stopping()) {
+        for edge in self.edges.iter().filter(|_| !stop()) {
             let [a, b] = edge.ends.map(|v| v as usize);
             let at = 0.5 * (self.shell.positions[a] + self.shell.positions[b]);
             let [first, second] = edge.triangles.map(|t| self.normals[t as usize].dot(at - eye));
@@ -318,7 +331,7 @@ mod tests {
         mesh.uvs = None;
         let mut shell = Shell::new(&mesh);
         let bvh = TriangleBvh::new(&mesh);
-        let guide = OutlineGuide::new(&shell, &bvh, masks);
+        let guide = OutlineGuide::new(&shell, &bvh, masks.into());
         assert!(guide.displacements(&shell, &bvh).iter().all(|along| *along == 0.0));
         let bulge = |p: &Vec3| 0.01 * (5.0 * p.x).sin() * (4.0 * p.y).cos();
         let wrong: Vec<f32> = shell.positions.iter().map(bulge).collect();

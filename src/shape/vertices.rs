@@ -97,7 +97,7 @@ impl MovingMesh {
         without_wide(&self.shell.graph, &self.start, moved).into_iter().zip(&self.start).map(near).collect()
     }
 
-    /// Merged vertices at `moved`, brought back to the outlines of the masks as far as contours have left them, but no farther than `reach`.
+    /// Merged vertices at `moved`, brought back to the outlines of the masks as far as contours have left them, by at most `reach`.
     fn back_to_outlines(&mut self, moved: Vec<Vec3>, reach: f32) -> Vec<Vec3> {
         let Self { shell, outlines: Some(outlines), .. } = self else { return moved };
         let mut mesh = self.surface.mesh().clone();
@@ -116,8 +116,8 @@ pub struct VertexPlugin {
     pub surface: Arc<Surface>,
     /// Steps of the fit.
     pub steps: u32,
-    /// The training masks, whose outlines the contours of the mesh are to meet; may be empty.
-    pub silhouettes: Vec<Silhouette>,
+    /// The training masks, by [`Silhouette::new`], whose outlines the contours of the mesh are to meet; may be empty.
+    pub silhouettes: Arc<[Silhouette]>,
 }
 
 impl Plugin for VertexPlugin {
@@ -249,7 +249,8 @@ pub fn move_vertices(
         moments.fill(VertexMoment::default());
         return Ok(());
     }
-    if (rates.step / MOVE_EVERY).is_multiple_of(OUTLINES_EVERY) {
+    let last = rates.step + MOVE_EVERY > mesh.steps;
+    if last || (rates.step / MOVE_EVERY).is_multiple_of(OUTLINES_EVERY) {
         moved = mesh.back_to_outlines(moved, reach);
     }
     if let Ok(surface) = with_positions(&mesh.surface, &mesh.shell.graph, &moved) {

@@ -90,7 +90,7 @@ pub struct ViewLook {
     /// The camera of the picture that was looked at, which may be smaller than `size`.
     pub camera: Camera,
     /// The photograph, unless there is none.
-    pub light: Option<PixelStatistics>,
+    pub light: Option<RadianceStatistics>,
     /// Share of the photograph's pixels that are not black which were negative in its file and are 0 now, in `[0, 1]`.
     pub negative: f32,
     /// As [`LoadedView::exif`].
@@ -105,7 +105,7 @@ pub struct ViewLook {
 
 /// The radiance of a photograph, in its mask where there is one.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-pub struct PixelStatistics {
+pub struct RadianceStatistics {
     /// Median luminance.
     pub median: f32,
     /// Mean luminance, that of each pixel at most four times the median: less than highlights, more than a median of two colors.
@@ -180,7 +180,7 @@ impl ViewLook {
             split: view.split,
             size,
             camera: view.camera,
-            light: photograph.map(|photograph| PixelStatistics::new(photograph, mask)),
+            light: photograph.map(|photograph| RadianceStatistics::new(photograph, mask)),
             negative: view.negative,
             exif: view.exif,
             mask_source: if mask.is_some() { mask_source } else { MaskOrigin::Nowhere },
@@ -196,7 +196,7 @@ impl ViewLook {
             split: record.split,
             size: [record.camera.width, record.camera.height],
             camera: record.camera,
-            light: record.photograph.as_ref().map(|_| PixelStatistics::default()),
+            light: record.photograph.as_ref().map(|_| RadianceStatistics::default()),
             negative: 0.0,
             exif: [1; 2],
             mask_source: MaskOrigin::Nowhere,
@@ -212,7 +212,7 @@ impl ViewLook {
     }
 }
 
-impl PixelStatistics {
+impl RadianceStatistics {
     fn new(photograph: &OpenPhotograph, mask: Option<&Mask>) -> Self {
         let pixels = &photograph.image.pixels;
         let inside = |i: usize| mask.is_none_or(|mask| mask.coverage[i] >= FULL_COVERAGE);

@@ -2,7 +2,7 @@
 
 use crate::math::statistics::median;
 use crate::survey::finding::{Finding, Severity, named};
-use crate::survey::look::{MaskOrigin, PixelStatistics, ViewLook};
+use crate::survey::look::{MaskOrigin, RadianceStatistics, ViewLook};
 use crate::survey::statistics::{neighbors, strays};
 use crate::view::glare::{GLARING, glare_limit};
 use glam::Vec3;
@@ -49,7 +49,7 @@ pub struct NeighborComparison {
 struct Fault<'a> {
     severity: Severity,
     name: &'static str,
-    is_bad: &'a dyn Fn(&PixelStatistics) -> bool,
+    is_bad: &'a dyn Fn(&RadianceStatistics) -> bool,
     /// What is wrong, given the views' names.
     problem: fn(&str) -> String,
     help: &'static str,
@@ -71,9 +71,9 @@ pub(crate) fn of_radiance(looks: &[ViewLook]) -> Vec<Finding> {
     let mut medians: Vec<f32> = lights(looks).map(|(_, light)| light.median).collect();
     let Some(usual) = median(&mut medians) else { return Vec::new() };
     let is_black =
-        |light: &PixelStatistics| light.highest <= 0.0 || (usual > 0.0 && light.bright < BLACK * usual);
+        |light: &RadianceStatistics| light.highest <= 0.0 || (usual > 0.0 && light.bright < BLACK * usual);
     let is_bright =
-        |light: &PixelStatistics| usual > 0.0 && light.median > ABSURD * usual && light.median > 1.0;
+        |light: &RadianceStatistics| usual > 0.0 && light.median > ABSURD * usual && light.median > 1.0;
     let black = Fault {
         severity: Severity::Error,
         name: "black",
@@ -101,7 +101,7 @@ fn clipped(looks: &[ViewLook]) -> Option<Finding> {
     let fault = Fault {
         severity: Severity::Warning,
         name: "clipped",
-        is_bad: &|light: &PixelStatistics| light.clipped > MANY_CLIPPED,
+        is_bad: &|light: &RadianceStatistics| light.clipped > MANY_CLIPPED,
         problem: |views| format!("more than a twentieth of the object's pixels are clipped in {views}"),
         help: "Expose less, or write images with more range (16-bit PNG, EXR).",
     };
@@ -109,9 +109,10 @@ fn clipped(looks: &[ViewLook]) -> Option<Finding> {
 }
 
 /// Photographs a few pixels of which are far brighter than anything in the others, but which are not absurd as a whole.
-fn glaring(looks: &[ViewLook], is_absurd: impl Fn(&PixelStatistics) -> bool) -> Option<Finding> {
+fn glaring(looks: &[ViewLook], is_absurd: impl Fn(&RadianceStatistics) -> bool) -> Option<Finding> {
     let limit = glare_limit(lights(looks).map(|(_, light)| light.highest));
-    let is_glaring = |(_, light): &(&ViewLook, &PixelStatistics)| light.highest > limit && !is_absurd(light);
+    let is_glaring =
+        |(_, light): &(&ViewLook, &RadianceStatistics)| light.highest > limit && !is_absurd(light);
     let views: Vec<String> = lights(looks).filter(is_glaring).map(|(look, _)| look.name.clone()).collect();
     let brightest = lights(looks).map(|(_, light)| light.highest).fold(0.0, f32::max);
     let problem = || {
@@ -161,7 +162,7 @@ fn negative(looks: &[ViewLook]) -> Option<Finding> {
     (!views.is_empty()).then(|| Finding::warning("negative-pixels", views.clone(), problem(), help))
 }
 
-fn lights(looks: &[ViewLook]) -> impl Iterator<Item = (&ViewLook, &PixelStatistics)> {
+fn lights(looks: &[ViewLook]) -> impl Iterator<Item = (&ViewLook, &RadianceStatistics)> {
     looks.iter().filter_map(|look| Some((look, look.light.as_ref()?)))
 }
 
@@ -174,7 +175,7 @@ pub fn compare(
 ) -> (Vec<NeighborComparison>, Vec<Finding>) {
     let mut compared = vec![NeighborComparison::default(); looks.len()];
     let mut found = Vec::new();
-    let exposures = |light: &PixelStatistics| (light.level > 0.0).then(|| light.level.log2());
+    let exposures = |light: &RadianceStatistics| (light.level > 0.0).then(|| light.level.log2());
     let mut outliers = Vec::new();
     for Stray { view, difference, sigmas, angle } in stray_views(looks, directions, spoiled, exposures, 0.1) {
         compared[view].stops = Some(difference);
@@ -186,10 +187,10 @@ pub fn compare(
     if let Some(finding) = exposure_finding(looks, outliers) {
         found.push(finding);
     }
-    let everywhere = |light: &PixelStatistics| light.sharpness.map(|found| found.everywhere.ln());
+    let everywhere = |light: &RadianceStatistics| light.sharpness.map(|found| found.everywhere.ln());
     let strays = stray_views(looks, directions, spoiled, everywhere, 0.15);
     strays.iter().for_each(|stray| compared[stray.view].sharpness = Some(stray.difference.exp()));
-    let least = |light: &PixelStatistics| light.sharpness.map(|found| found.least.ln());
+    let least = |light: &RadianceStatistics| light.sharpness.map(|found| found.least.ln());
     let moved = stray_views(looks, directions, spoiled, least, 0.15);
     found.extend(blur_finding(looks, &strays, &moved));
     (compared, found)
@@ -258,7 +259,7 @@ fn stray_views(
     looks: &[ViewLook],
     directions: &[Vec3],
     spoiled: &[bool],
-    value: impl Fn(&PixelStatistics) -> Option<f32>,
+    value: impl Fn(&RadianceStatistics) -> Option<f32>,
     floor: f32,
 ) -> Vec<Stray> {
     let with_value =

@@ -3,7 +3,7 @@
 use crate::math::statistics::{median, quantile};
 use crate::survey::examine::Survey;
 use crate::survey::finding::{Finding, Severity, counted};
-use crate::survey::look::{MaskLook, MaskOrigin, PixelStatistics, ViewLook};
+use crate::survey::look::{MaskLook, MaskOrigin, RadianceStatistics, ViewLook};
 use crate::view::Split;
 
 /// Rows of label and text.
@@ -87,7 +87,7 @@ fn masks(looks: &[ViewLook]) -> String {
 }
 
 fn exposure(looks: &[ViewLook]) -> Option<String> {
-    let lights: Vec<&PixelStatistics> = looks.iter().filter_map(|look| look.light.as_ref()).collect();
+    let lights: Vec<&RadianceStatistics> = looks.iter().filter_map(|look| look.light.as_ref()).collect();
     let mut medians: Vec<f32> =
         lights.iter().map(|light| light.median).filter(|median| *median > 0.0).collect();
     let middle = median(&mut medians)?;

@@ -5,8 +5,8 @@
 //! | module | holds |
 //! | --- | --- |
 //! | [`camera`] | the pinhole camera, projection, construction by target point, orbits |
-//! | [`glare`] | pixels that are brighter than light can be |
-//! | [`raster`] | box filtering, bilinear look-up, mask erosion |
+//! | `glare` | pixels that are brighter than light can be |
+//! | `raster` | box filtering, bilinear look-up, mask erosion |
 //! | [`stored`] | photographs and masks as they are kept: small, and cropped |
 //!
 //! [`dataset`](crate::dataset) reads folders of posed photographs as [`ViewRecord`]s, [`codec::image`](crate::codec::image) single
@@ -26,9 +26,9 @@
 //! | `width`, `height` | `u32` | pixels | 512 | image size |
 
 pub mod camera;
-pub mod glare;
+pub(crate) mod glare;
 mod image;
-pub mod raster;
+pub(crate) mod raster;
 pub mod stored;
 
 pub use camera::{Camera, CameraOrbit};

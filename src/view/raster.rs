@@ -34,7 +34,7 @@ impl Mask {
     }
 
     /// The fully covered interior of the mask: a pixel keeps its coverage if all pixels of the (2·`pixels` + 1)² around it have
-    /// at least `FULL_COVERAGE`, and becomes 0 otherwise. Pixels outside the image count as uncovered. With
+    /// at least 0.999, and becomes 0 otherwise. Pixels outside the image count as uncovered. With
     /// `pixels` = 0 only partly covered pixels are removed.
     pub fn eroded(&self, pixels: u32) -> Self {
         let (width, height) = (self.width as usize, self.height as usize);

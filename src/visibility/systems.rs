@@ -67,7 +67,7 @@ impl Plugin for FitVisibilityPlugin {
 }
 
 /// Run condition: whether this step of a fit updates visibility, or the set of lobes has changed.
-pub(crate) fn refresh_is_due(
+pub fn refresh_is_due(
     due: Res<RefreshDue>,
     light: Res<IncidentLight>,
     object: Option<Res<ObjectVisibility>>,
@@ -85,7 +85,7 @@ type Inputs<M> = Or<(
 )>;
 
 /// Run condition: whether light or material have changed since the last call, or the last update was for other entities.
-pub(crate) fn light_or_material_changed<M: MaterialSource>(
+pub fn light_or_material_changed<M: MaterialSource>(
     light: Res<IncidentLight>,
     materials: Res<BaseMaterials>,
     object: Option<Res<ObjectVisibility>>,

@@ -4,16 +4,17 @@
 //!
 //! | function | does |
 //! | --- | --- |
-//! | [`open`], [`read_bytes`], `read_up_to`, `read_text`, `read_parts`, `first_bytes`, `read_folder` | read |
-//! | `obstacle` | says what keeps a file or folder from being read |
-//! | `write_file`, [`write_bytes`], `write_by_path` | write, all or nothing |
-//! | [`check_writable`], `check_room`, `check_file_name` | say before the work whether results can be written |
-//! | [`check_apart`], `check_not_among`, `lies_in` | say whether what is written is something that is read |
-//! | `check_inside` | says whether what is read lies where it may |
+//! | [`open`], [`read_bytes`] | read |
+//! | [`write_bytes`] | writes, all or nothing |
+//! | [`check_writable`] | says before the work whether results can be written |
+//! | [`check_apart`] | says whether what is written is something that is read |
 //! | [`DiskFile`] | the one file through which all of this goes |
 //! | [`FolderLock`] | keeps two processes from writing into one folder |
-//! | `file_stems` | the one way from names of views to names of files |
-//! | `scratch_folder`, `is_unfinished`, `clear_scratch` | what is unfinished, and its end |
+
+// Within the library: `read_up_to`, `read_text`, `read_parts`, `first_bytes` and `read_folder` read as well, and `obstacle` says what keeps
+// a file or folder from it; `write_file` and `write_by_path` write; `check_room` and `check_file_name` look ahead; `check_not_among` and
+// `lies_in` compare what is written with what is read, and `check_inside` says whether what is read lies where it may; `file_stems` is the
+// one way from names of views to names of files; `scratch_folder`, `is_unfinished` and `clear_scratch` are for what is unfinished.
 
 mod apart;
 mod disk;

@@ -160,7 +160,7 @@ pub(crate) fn read_parts(path: &Path, mut take: impl FnMut(&[u8])) -> Result<()>
 /// Reads a whole file of at most 4 GiB; `help` returns the remedy for a missing file.
 ///
 /// # Errors
-/// Those of `read_up_to`.
+/// [`Error::Input`] if it is missing, larger or not a regular file, [`Error::Io`] if it cannot be read.
 pub fn read_bytes(path: &Path, help: impl FnOnce(&Path) -> String) -> Result<Vec<u8>> {
     read_up_to(path, MOST_BYTES, help)
 }

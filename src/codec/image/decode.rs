@@ -24,8 +24,7 @@ const MOST_CHUNK_BYTES: u64 = 1 << 26;
 ///
 /// # Errors
 /// [`Error::Input`] if the file is missing, empty, in a format that is not read (with the tool that converts it), or
-/// damaged so that its header cannot be read; also if the declared size is above
-/// `MOST_PIXELS` of the header, or more than a file of so few bytes can hold.
+/// damaged so that its header cannot be read; also if the declared size is above 2²⁸ pixels, or more than a file of so few bytes can hold.
 pub(crate) fn image_header(path: impl AsRef<Path>) -> Result<ImageHeader> {
     let path = path.as_ref();
     read_header(path, &mut open(path, missing_file_help)?)
@@ -87,7 +86,7 @@ pub(crate) fn decode_samples(path: impl AsRef<Path>, orientation: Orientation) -
 /// Reads the pixels of an image file of integers as they are stored, with 8 bits per sample.
 ///
 /// # Errors
-/// Those of `decode_samples`, and [`Error::Input`] if the file holds floats.
+/// [`Error::Input`] if the file is missing, not an image that is read, damaged, too large, or holds floats.
 pub fn decode_picture(path: impl AsRef<Path>) -> Result<DynamicImage> {
     let path = path.as_ref();
     let decoded = decode_samples(path, Orientation::AsStored)?;

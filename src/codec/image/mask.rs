@@ -31,8 +31,8 @@ const MOST_LABELS: usize = 16;
 /// float formats the mask is alpha, if any, else luminance, clamped to `[0, 1]`.
 ///
 /// # Errors
-/// Those of `image_header`; also if the pixels are damaged, if float masks have NaN or
-/// infinite values, or if the mask has labels of several objects.
+/// [`Error::Input`] if the file is missing, not an image that is read, too large or damaged, if a float mask has NaN or infinite values, or
+/// if the mask has labels of several objects.
 pub fn read_mask(path: impl AsRef<Path>, orientation: Orientation) -> Result<LoadedMask> {
     let path = path.as_ref();
     let decoded = decode_samples(path, orientation)?;

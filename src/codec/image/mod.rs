@@ -1,11 +1,11 @@
 //! Reading photographs and masks: PNG, JPEG, TIFF, WebP, OpenEXR and Radiance HDR.
 //!
 //! The first bytes of a file determine its format, whatever its name. Embedded color profiles and gamma
-//! chunks are ignored: [`Gamma`] says how 8- and 16-bit values are read. Headers are read and checked before pixels are decoded:
-//! `image_header`. `decode_samples` and [`decode_photograph`] give pixels as compact as the file has them; [`read_image`] and
+//! chunks are ignored: [`Gamma`] says how 8- and 16-bit values are read. Headers are read and checked before pixels are decoded.
+//! [`decode_photograph`] gives pixels as compact as the file has them; [`read_image`] and
 //! [`read_mask`] convert these to linear radiance and coverage.
 //!
-//! [`encode_jpeg`], [`encode_png`] and `decode` are for pictures in memory, such as those that a page holds.
+//! [`encode_jpeg`] and [`encode_png`] are for pictures in memory, such as those that a page holds.
 
 mod decode;
 mod encode;

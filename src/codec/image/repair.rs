@@ -15,7 +15,7 @@ const MOST_TOO_BRIGHT: f64 = 0.01;
 pub struct Repairs {
     /// Number of pixels that had a NaN or infinite value and were set to 0.
     pub not_finite: usize,
-    /// Number of pixels with a value above `BRIGHTEST` (or below its negative), which were set to 0.
+    /// Number of pixels with a value above 10⁶ (or below its negative), which were set to 0.
     pub too_bright: usize,
     /// Number of pixels with a negative color that is neither.
     pub negative: usize,

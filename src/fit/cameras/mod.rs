@@ -109,7 +109,7 @@ pub enum CameraUnknowns {
 /// A residual of a view with its derivatives with respect to the camera.
 #[derive(Clone, Copy, Debug)]
 pub struct AlignedRow {
-    /// In the order of `projection_jacobian`.
+    /// By the pose (rotation vector; right, down, forward), the log focal length, and the log size of the object.
     pub jacobian: [f32; JACOBIAN_COLUMNS],
     /// In radiance, or in pixels for a silhouette.
     pub residual: f32,

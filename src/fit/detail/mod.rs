@@ -2,7 +2,7 @@
 //!
 //! A fit by small random steps finds light, shape and specular lobes from a part of the pixels; more pixels and finer texels
 //! would only make it slower. The detail of the albedo needs all of them. With everything else held, the radiance is linear in albedo and
-//! sheen, and nearly so in the tilt, so that least squares over all training photographs gives them at once ([`equations`]): a step of variable projection (Golub
+//! sheen, and nearly so in the tilt, so that least squares over all training photographs gives them at once (`equations`): a step of variable projection (Golub
 //! and Pereyra 2003). A pixel sees a bilinear mixture of four texels; its residual counts for each by its weight, and some sweeps
 //! over all pixels take back what this blurs (as SIRT does, Gilbert 1972). Pixels that disagree with the others of a texel, by highlights
 //! and shadows that the model does not have, count less.
@@ -16,8 +16,8 @@
 //! | `shade_closed_form` | Detail: `Slot::Shading` | diffuse radiance of a white surface, specular radiance |
 //! | [`keep_pixels`] | Detail: Gradient | [`KeptPixels`] |
 
-pub mod equations;
-pub mod kept;
+pub(crate) mod equations;
+pub(crate) mod kept;
 
 use crate::error::Result;
 use crate::error::stop::is_stopping;

@@ -28,7 +28,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// One value per base material.
-pub(crate) type PerMaterial = [f32; MAX_SPECULAR_LOBES];
+pub type PerMaterial = [f32; MAX_SPECULAR_LOBES];
 
 /// Gradient of the loss with respect to a texel's blend weights.
 #[derive(Component, Clone, Copy, Debug, Default, PartialEq)]
@@ -59,7 +59,7 @@ const LEAST_WEIGHT: f32 = 1e-3;
 const CELLS: (f32, f32) = (8.0, 48.0);
 
 /// The samples of a window, as the kernels read them.
-pub(crate) struct BlendedSamples<'a> {
+pub struct BlendedSamples<'a> {
     /// The points.
     pub points: &'a [ShadePoint],
     /// Blend weights of the materials there.
@@ -74,7 +74,7 @@ pub(crate) struct BlendedSamples<'a> {
 
 /// The adjoint of shading with several materials: one material at a time, at the samples that have it; diffuse light and
 /// interreflection belong to the first material of a sample. The adjoint of a zero weight is left at zero.
-pub(crate) fn pull_back_blended(
+pub fn pull_back_blended(
     form: ClosedForm,
     samples: &BlendedSamples<'_>,
     materials: &[(usize, SpecularValue)],

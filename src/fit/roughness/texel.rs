@@ -37,7 +37,7 @@ const NEAR: f32 = 3.0;
 /// Roughness of a texel.
 #[derive(Component, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct TexelRoughness {
-    /// Roughness R, in the range of `BASE_ROUGHNESSES`.
+    /// Roughness R, 0.1 to 0.76.
     pub roughness: f32,
     /// Factor on the specular lobe, in (0, 1].
     pub share: f32,

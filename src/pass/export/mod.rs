@@ -3,14 +3,14 @@
 //! | module | holds |
 //! | --- | --- |
 //! | [`object`] | the surface with its material, with fewer triangles if asked, and its textures |
-//! | [`transform`] | the axes, origin and size of the exported object |
+//! | `transform` | the axes, origin and size of the exported object |
 //! | [`light`] | the light as environment maps |
 //! | [`mod@page`] | a page with the object and its light |
 
 pub mod light;
 pub mod object;
 pub mod page;
-pub mod transform;
+pub(crate) mod transform;
 
 use crate::codec::file::write_bytes;
 use crate::codec::gltf::export::write_glb;

@@ -22,7 +22,7 @@ pub struct Series {
     pub points: Vec<[f64; 2]>,
 }
 
-/// A chart of curves over a common axis.
+/// A plot of curves over a common axis.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Plot {
     /// Its title, with the unit.

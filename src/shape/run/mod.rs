@@ -2,10 +2,10 @@
 //!
 //! | file | holds |
 //! | --- | --- |
-//! | [`refine`] | what brings the surface that was found closer to the photographs |
+//! | `refine` | what brings the surface that was found closer to the photographs |
 //! | `training` | the training photographs and masks as slices |
 
-pub mod refine;
+pub(crate) mod refine;
 pub(crate) mod training;
 
 use crate::checkpoint::{has_level_ahead, keep_level, resume_level};
@@ -81,7 +81,7 @@ pub struct ShapeOptions {
     pub cameras: CameraUnknowns,
     /// Whether what photographs look through is removed from the hull first ([`hollows`](crate::shape::hollows)).
     pub hollows: bool,
-    /// Whether what no photograph sees of the hull is spanned like a film of soap ([`unseen`](crate::shape::unseen)).
+    /// Whether what no photograph sees of the hull is spanned like a film of soap (`unseen`).
     pub spans_unseen: bool,
 }
 

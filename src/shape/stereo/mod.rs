@@ -167,8 +167,8 @@ fn finest_factor(mesh: &Mesh, views: &[StereoView]) -> Option<u32> {
     (!mesh.triangles.is_empty()).then(|| factor.round().clamp(1.0, 1024.0) as u32)
 }
 
-/// One round; returns the fraction of the vertices whose votes are trusted, or zero if these are too few to move any. `object` is how far stereo serves this object at all,
-/// from the first round.
+/// One round; returns the fraction of the vertices whose votes are trusted, or zero if these are too few to move any. `object` is how far
+/// stereo serves this object at all, from the first round.
 fn refine_round(
     mesh: &mut Mesh,
     pictures: &[MatchPicture],

@@ -102,13 +102,18 @@ fn a_mesh_stays_where_the_model_explains_the_photographs() {
 
 #[test]
 fn a_mesh_stays_where_only_a_spot_of_it_agrees() {
+    // How many vertices are trusted in the first round, and how far all move.
     let moved = |above: f32| {
         let cap = |p: Vec3, _| if p.z > above { pattern(p) } else { Vec3::splat(0.3) };
-        let mut mesh = bumpy();
-        refine(&mut mesh, &Pictures::of(cap).views(), &[], &error(0.01), |_| Continue(())).moved
+        let (pictures, mut mesh) = (Pictures::of(cap), bumpy());
+        let (views, (relative, search)) = (pictures.views(), ROUNDS[0]);
+        let small = match_pictures(&views, relative * finest_factor(&mesh, &views).unwrap());
+        let votes = all_votes(&TriangleBvh::new(&mesh), &Shell::new(&mesh), &small, search);
+        let trusted = votes.iter().filter(|vote| vote.share(HALF_SHARE) > TRUSTED).count();
+        (trusted, refine(&mut mesh, &views, &[], &error(0.01), |_| Continue(())).moved)
     };
     let (spot, half) = (moved(0.985), moved(0.0));
-    assert!(spot == 0.0 && half > 0.001, "{spot} {half}");
+    assert!(spot.0 > 0 && spot.1 == 0.0 && half.1 > 0.001, "{spot:?} {half:?}");
 }
 
 #[test]
