@@ -97,6 +97,11 @@ impl MovingMesh {
         without_wide(&self.shell.graph, &self.start, moved).into_iter().zip(&self.start).map(near).collect()
     }
 
+    /// Whether the contours are brought back to the outlines at this step, which moves the vertices: every few moves, and at the last one.
+    fn looks_at_outlines(&self, step: u32) -> bool {
+        step + MOVE_EVERY > self.steps || (step / MOVE_EVERY).is_multiple_of(OUTLINES_EVERY)
+    }
+
     /// Merged vertices at `moved`, brought back to the outlines of the masks as far as contours have left them, by at most `reach`.
     fn back_to_outlines(&mut self, moved: Vec<Vec3>, reach: f32) -> Vec<Vec3> {
         let Self { shell, outlines: Some(outlines), .. } = self else { return moved };
@@ -249,8 +254,7 @@ pub fn move_vertices(
         moments.fill(VertexMoment::default());
         return Ok(());
     }
-    let last = rates.step + MOVE_EVERY > mesh.steps;
-    if last || (rates.step / MOVE_EVERY).is_multiple_of(OUTLINES_EVERY) {
+    if mesh.looks_at_outlines(rates.step) {
         moved = mesh.back_to_outlines(moved, reach);
     }
     if let Ok(surface) = with_positions(&mesh.surface, &mesh.shell.graph, &moved) {
