@@ -24,7 +24,6 @@ use crate::profile::stage;
 use crate::sample::point::Scenery;
 use crate::scene::Surface as SurfaceSpec;
 use crate::scene::{GridLevel, ShapePass};
-use crate::sdf::SdfGrid;
 use crate::sdf::volume::SdfSurface;
 use crate::shape::field::{ModelError, SdfField};
 use crate::shape::mirror::rounds as mirror_rounds;
@@ -136,7 +135,7 @@ fn take_over(
     check_parameters(&mut session.pipeline.world)?;
     check_numbers("the value of the field at point", found.grid.values.iter().copied())?;
     if !stopped {
-        match_outlines(session, &pass.name, &mut found.grid);
+        match_outlines(session, &pass.name, &mut found);
     }
     let mesh = found_mesh(session, pass, &found);
     check_numbers("the surface's coordinate", mesh.positions.iter().flat_map(|at| at.to_array()))?;
@@ -249,10 +248,10 @@ fn tell_of_hull(progress: &dyn Progress, name: &str, told: &mut HullReport, now:
 }
 
 /// Moves the contours of the field to the outlines of the masks, and says what came of it.
-fn match_outlines(session: &mut Session, name: &str, grid: &mut SdfGrid) {
+fn match_outlines(session: &mut Session, name: &str, surface: &mut SdfSurface) {
     let start = Instant::now();
     let _matching = stage("outlines");
-    let report = refine_by_outlines(&mut session.pipeline.world, grid);
+    let report = refine_by_outlines(&mut session.pipeline.world, surface);
     let seconds = start.elapsed().as_secs_f64();
     let found = format!("{:.2} pixels off before, {:.2} after", report.before, report.after);
     session.progress.print(&format!("{name}: outlines in {seconds:.1} s, {found}"));

@@ -128,6 +128,8 @@ pub struct SdfSurface {
     pub grid: SdfGrid,
     /// The texels near the zero level.
     pub volume: TexelVolume,
+    /// What the distances are at least, where photographs show that space is empty.
+    pub empty: Option<SdfGrid>,
 }
 
 impl SdfSurface {

@@ -74,6 +74,14 @@ impl ColorPicture {
         self.window.pixels(self.camera.width).enumerate().map(far).collect()
     }
 
+    /// The ray of a pixel of the window, and its color.
+    #[inline]
+    pub fn ray_and_color(&self, place: usize) -> (Ray, Vec3) {
+        let (x, y) = (place as u32 % self.window.width, place as u32 / self.window.width);
+        let pixel = (self.window.y + y) * self.camera.width + self.window.x + x;
+        (self.camera.pixel_ray(pixel), self.values[place].into())
+    }
+
     /// The window's pixel that shows a point, if it shows the object alone.
     pub fn place(&self, point: Vec3) -> Option<usize> {
         let (x, y, _) = self.camera.project(point)?;

@@ -4,16 +4,33 @@
 //! the lid's color, and agree far behind it. Each view is compared with those around it ([`colors`]) at all depths from the surface to
 //! the far side. Where they agree much better at one of these than at the surface, the space in front of it is empty. All views vote, and
 //! what enough of them see through is removed; the next round knows better what hides what.
+//! A deep hollow has places that no two photographs around share, or whose colors change slowly. So all photographs together are asked
+//! first: a field of densities and colors ([`radiance_field`]) is fitted to them by volume rendering, and a space is empty where that
+//! explains them far better than the surface does ([`evidence`]).
 //! The hull is coarse: what its cells do not resolve is looked for once more on the finer grid of the second level.
 //!
 //! Only what is open to the outside is removed: a reflection that seems to lie far behind a glossy surface leaves no bubble inside the object.
 //! What reflections have opened all the same is filled again (`reflections`).
 //! A margin before the depth that was found stays: the walls of a hollow may be thin, and a fit moves a surface that is nearly in place.
 //!
+//! | file | holds |
+//! | --- | --- |
+//! | [`colors`] | photographs as small pictures in color, and at which depth they agree with those around them |
+//! | `reflections` | what reflections have opened is filled again |
+//! | [`radiance_field`], [`field_fit`] | densities and colors, and their fit |
+//! | `neighbors` | the neighbors of a vertex |
+//! | [`march`] | volume rendering of a ray, and its adjoint |
+//! | [`evidence`] | what speaks for an opaque surface and what for empty space |
+//!
 //! Sources: photo-consistency of color (Kutulakos and Seitz, "A Theory of Shape by Space Carving", IJCV 2000); votes for empty space
 //! (Merrell et al., "Real-Time Visibility-Based Fusion of Depth Maps", ICCV 2007).
 
 pub mod colors;
+pub mod evidence;
+pub mod field_fit;
+pub mod march;
+mod neighbors;
+pub mod radiance_field;
 mod reflections;
 
 use crate::error::stop::is_stopping;
@@ -23,12 +40,18 @@ use crate::shape::parts::extract_parts;
 use crate::shape::silhouette::{Silhouette, pixel_size};
 use crate::shape::stereo::{StereoView, match_pictures};
 use colors::{ColorPicture, DepthMap, around, compare};
+use evidence::emptiness;
+use field_fit::fit;
 use glam::Vec3;
+use neighbors::neighbors;
+use radiance_field::FieldRay;
 use rayon::prelude::*;
 use reflections::fill_reflections;
 
 /// Pixels of a picture per cell of the grid.
 const PIXELS_PER_CELL: f32 = 1.5;
+/// Most photographs that a field is fitted to; of more, some are, evenly chosen.
+const MOST_VIEWS: usize = 100;
 /// Share of the object's volume that a round must remove for another one, where the search begins. Rounds on a finer grid take
 /// several times as long.
 pub(crate) const HULL_SHARE: f32 = 1e-3;
@@ -73,6 +96,54 @@ pub(crate) fn carve_hollows(
         fill_reflections(grid, &closed, silhouettes, &match_pictures(views, factor));
     }
     1.0 - volume(grid) as f32 / whole.max(1) as f32
+}
+
+/// Removes the space inside a hull that a field of densities explains as empty; returns the share of the volume that goes, and what
+/// distances are at least from now on ([`keep_empty`]), if any. A run that is stopping ([`is_stopping`]) removes nothing.
+pub(crate) fn look_through(
+    grid: &mut SdfGrid,
+    silhouettes: &[Silhouette],
+    views: &[StereoView],
+) -> (f32, Option<SdfGrid>) {
+    let factor = picture_factor(grid, views);
+    let stride = views.len().div_ceil(MOST_VIEWS).max(1);
+    let looked_at: Vec<&StereoView> = views.iter().step_by(stride).collect();
+    let picture = |v: &&StereoView| ColorPicture::new(v.camera, v.photograph, v.mask, factor);
+    let pictures: Vec<ColorPicture> = looked_at.par_iter().filter_map(picture).collect();
+    let rays = rays(grid, silhouettes, &pictures);
+    let field = fit(grid, &pictures, &rays);
+    let empty = emptiness(grid, &field, &pictures, &rays);
+    let volume = |grid: &SdfGrid| grid.values.iter().filter(|value| **value < 0.0).count();
+    let whole = volume(grid);
+    if is_stopping() || empty.iter().all(|empty| *empty <= 0.0) {
+        return (0.0, None);
+    }
+    let mut least = grid.clone();
+    carve(grid, &empty);
+    grid.redistance();
+    let slack = grid.spacing;
+    for (least, now) in least.values.iter_mut().zip(&grid.values) {
+        let is_opened = *least < 0.0 && *now > slack;
+        *least = if is_opened { now - slack } else { f32::MIN };
+    }
+    (1.0 - volume(grid) as f32 / whole.max(1) as f32, Some(least))
+}
+
+/// Empties again what is known to be empty: a grid too coarse for the wall of a hollow has gaps in it, which the masks
+/// contradict, and what is restored there may be a lid.
+pub(crate) fn keep_empty(grid: &mut SdfGrid, empty: &SdfGrid) {
+    let kept = |row: usize| grid.values[row].max(empty.value(grid.position(grid.vertex(row))));
+    grid.values = (0..grid.values.len()).into_par_iter().map(kept).collect();
+}
+
+/// The rays of all pixels that meet the surface and show the object alone.
+fn rays(grid: &SdfGrid, silhouettes: &[Silhouette], pictures: &[ColorPicture]) -> Vec<FieldRay> {
+    let bvh = TriangleBvh::new(&extract_parts(grid, silhouettes));
+    let of_picture = |(picture, colors): (u32, &ColorPicture)| {
+        let seen = (0..).zip(colors.cast(&bvh)).filter(|(_, surface)| surface.is_finite());
+        seen.map(|(place, surface)| FieldRay { picture, place, surface }).collect::<Vec<FieldRay>>()
+    };
+    (0..pictures.len() as u32).into_par_iter().zip(pictures).flat_map_iter(of_picture).collect()
 }
 
 /// How many times smaller than the photographs the pictures are that are compared.
@@ -137,15 +208,6 @@ fn outside(grid: &SdfGrid, empty: &[f32]) -> Vec<bool> {
 fn is_border(grid: &SdfGrid, row: usize) -> bool {
     let vertex = grid.vertex(row);
     vertex.min_element() == 0 || vertex.max_element() + 1 == grid.side
-}
-
-/// The up to six neighbors of a vertex in a grid of `side` vertices along each axis.
-fn neighbors(row: usize, side: u32) -> impl Iterator<Item = usize> {
-    let side = side as usize;
-    let along = [(1, row % side), (side, row / side % side), (side * side, row / (side * side))];
-    along.into_iter().flat_map(move |(stride, at)| {
-        [(at > 0).then(|| row - stride), (at + 1 < side).then(|| row + stride)].into_iter().flatten()
-    })
 }
 
 /// How many pictures look through a vertex of the grid, less those that show a surface there.

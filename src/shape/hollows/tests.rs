@@ -70,13 +70,22 @@ impl Pictures {
 
     /// The same on a grid of `cells` cells a side.
     fn carved_with(&self, cells: u32) -> (SdfGrid, SdfGrid, f32) {
+        self.opened_by(cells, |hull, silhouettes, views| carve_hollows(hull, silhouettes, views, HULL_SHARE))
+    }
+
+    /// The same by `open`.
+    fn opened_by(
+        &self,
+        cells: u32,
+        open: impl Fn(&mut SdfGrid, &[Silhouette], &[StereoView]) -> f32,
+    ) -> (SdfGrid, SdfGrid, f32) {
         let views = self.cameras.iter().zip(&self.masks).enumerate();
         let mut silhouettes: Vec<Silhouette> = views
             .map(|(i, (camera, mask))| Silhouette::new(&format!("v{i}"), camera, mask).unwrap())
             .collect();
         let hull = visual_hull(&mut silhouettes, cells).unwrap();
         let mut carved = hull.clone();
-        let share = carve_hollows(&mut carved, &silhouettes, &self.views(), HULL_SHARE);
+        let share = open(&mut carved, &silhouettes, &self.views());
         (hull, carved, share)
     }
 }
@@ -103,6 +112,39 @@ fn a_cup_is_opened_and_keeps_its_wall() {
         let floor = Vec3::new(0.3 * angle.cos(), -0.44, 0.3 * angle.sin());
         assert!(carved.value(floor) < 0.0, "{floor}");
     }
+}
+
+/// Colors that change so slowly that no two photographs agree clearly on a depth.
+fn soft(p: Vec3) -> f32 {
+    0.3 + 0.12 * (4.0 * p.x + 1.0).sin() + 0.12 * (5.0 * p.z + 3.0 * p.y).sin()
+}
+
+#[test]
+fn a_field_opens_a_cup_with_a_soft_pattern() {
+    let (hull, carved, share) = Pictures::new(cup, soft)
+        .opened_by(40, |grid, silhouettes, views| look_through(grid, silhouettes, views).0);
+    assert!(share > 0.2, "{share}");
+    for height in [0.35, 0.2] {
+        let inside = Vec3::new(0.1, height, -0.1);
+        assert!(hull.value(inside) < -0.05, "no silhouette shows the hollow");
+        assert!(carved.value(inside) > 0.0, "{height}: {}", carved.value(inside));
+    }
+    for angle in (0..24).map(|k| k as f32 * std::f32::consts::TAU / 24.0) {
+        let wall = Vec3::new(0.57 * angle.cos(), 0.0, 0.57 * angle.sin());
+        let floor = Vec3::new(0.3 * angle.cos(), -0.45, 0.3 * angle.sin());
+        assert!(carved.value(wall) < 0.0 && carved.value(floor) < 0.0, "{wall} {floor}");
+    }
+}
+
+#[test]
+fn a_field_opens_nothing_that_is_full_or_mirrors() {
+    let (_, _, share) = Pictures::new(full, waves)
+        .opened_by(40, |grid, silhouettes, views| look_through(grid, silhouettes, views).0);
+    assert!(share < 0.005, "a pattern: {share}");
+    let mirrored = |at: Vec3, ray: Vec3| 0.5 * waves(at) + waves(at + 2.0 * ray);
+    let (_, _, share) = Pictures::from_each_side(full, mirrored)
+        .opened_by(40, |grid, silhouettes, views| look_through(grid, silhouettes, views).0);
+    assert!(share < 0.005, "reflections: {share}");
 }
 
 #[test]

@@ -32,7 +32,7 @@ use crate::shape::field::{
     BRICK_LEN, BrickAt, BrickGradient, BrickIndex, BrickMoments, BrickValues, ModelError, SdfField,
     bricks_near_surface, keep_field,
 };
-use crate::shape::hollows::{HULL_SHARE, LEVEL_SHARE, carve_hollows};
+use crate::shape::hollows::{HULL_SHARE, LEVEL_SHARE, carve_hollows, keep_empty, look_through};
 use crate::shape::hull::{FORGIVEN, visual_hull};
 use crate::shape::hull_repair::{regrow, reliable_pixels};
 use crate::shape::parts::extract_parts;
@@ -138,6 +138,8 @@ pub struct HullReport {
 struct Hull {
     grid: SdfGrid,
     report: HullReport,
+    /// As in [`SdfSurface`].
+    empty: Option<SdfGrid>,
 }
 
 /// The state of a running fit, for the caller.
@@ -171,14 +173,14 @@ pub fn fit_shape(
     let most = options.levels.iter().map(visited).max().unwrap_or(0);
     let samples = silhouette_samples(&grid, &silhouettes, options.fit.pixels.seed, most);
     drop(carving);
-    let report = reduce_hull(&mut pipeline.world, &mut grid, &silhouettes, options);
+    let (report, empty) = reduce_hull(&mut pipeline.world, &mut grid, &silhouettes, options);
     check_interrupted()?;
     pipeline.world.spawn_batch(samples);
     pipeline.add_plugin(&ShapePlugin);
     if options.cameras != CameraUnknowns::Given {
         pipeline.add_plugin(&ShapeCameraPlugin(options.cameras));
     }
-    let found = fit_levels(pipeline, Hull { grid, report }, &mut silhouettes, options, watch);
+    let found = fit_levels(pipeline, Hull { grid, report, empty }, &mut silhouettes, options, watch);
     pipeline.remove_plugin::<ShapeCameraPlugin>().remove_plugin::<ShapePlugin>();
     despawn_with::<SilhouetteSample>(&mut pipeline.world);
     found
@@ -194,6 +196,7 @@ fn fit_levels(
 ) -> Result<SdfSurface> {
     let levels = resolved_levels(&hull.grid, &options.levels, silhouettes);
     let (begun, mut surface) = begin_levels(&mut pipeline.world, hull.grid, options)?;
+    surface.empty = surface.empty.or(hull.empty);
     let mut report = hull.report;
     for index in begun..levels {
         let _level = stage(format_args!("level {}", index + 1));
@@ -237,12 +240,12 @@ fn fit_level(
     watch: &mut dyn FnMut(&FitProgress, &mut World) -> ControlFlow<()>,
 ) -> Result<ControlFlow<SdfSurface, SdfSurface>> {
     let schedule = options.levels[index].schedule;
-    let volume = surface.volume.clone();
+    let (volume, empty) = (surface.volume.clone(), surface.empty.clone());
     enter(&mut pipeline.world, surface, schedule);
     let initialize = if index == 0 { options.fit.initialize } else { Initialize::NONE };
     let fit = FitOptions { steps: schedule.steps, initialize, ..options.fit.clone() };
     let result = run_fit(pipeline, &fit, watch);
-    let found = SdfSurface { grid: leave(&mut pipeline.world), volume };
+    let found = SdfSurface { grid: leave(&mut pipeline.world), volume, empty };
     match result {
         // What earlier levels found is there.
         Err(Error::Interrupted) if index > 0 => Ok(ControlFlow::Break(found)),
@@ -297,6 +300,9 @@ fn next_surface(
     let level = &options.levels[index];
     let mut grid = found.grid.resampled(level.cells);
     regrow(&mut grid, silhouettes, FORGIVEN);
+    if let Some(empty) = &found.empty {
+        keep_empty(&mut grid, empty);
+    }
     grid.redistance();
     let mut opened = 0.0;
     if options.hollows && index == 1 && !is_mirror_like(world) && !light_turns(world) {
@@ -305,7 +311,8 @@ fn next_surface(
             with_training_views(world, |views| carve_hollows(&mut grid, silhouettes, views, LEVEL_SHARE));
     }
     let albedo = recovered_albedo(world)?;
-    Ok((with_texels(world, grid, level, Some((&found.volume, &albedo))), opened))
+    let next = with_texels(world, grid, level, Some((&found.volume, &albedo)));
+    Ok((SdfSurface { empty: found.empty, ..next }, opened))
 }
 
 /// Whether a material mirrors: photographs disagree on its surface as if they looked through it.
@@ -322,7 +329,7 @@ fn with_texels(
 ) -> SdfSurface {
     let volume = TexelVolume::new(&grid, level.texel_cells, TEXEL_REACH * half_side(&grid));
     replace_by_fitted_texels(world, &carried_albedo(&volume, old));
-    SdfSurface { grid, volume }
+    SdfSurface { grid, volume, empty: None }
 }
 
 /// The mesh of a field: its largest component, and others that the training masks show ([`parts`](crate::shape::parts)).
@@ -337,21 +344,24 @@ fn reduce_hull(
     hull: &mut SdfGrid,
     silhouettes: &[Silhouette],
     options: &ShapeOptions,
-) -> HullReport {
-    let mut report = HullReport::default();
+) -> (HullReport, Option<SdfGrid>) {
+    let (mut report, mut empty) = (HullReport::default(), None);
     if has_level_ahead(world) {
-        return report;
+        return (report, empty);
     }
     if options.hollows && !light_turns(world) {
         let _opening = stage("hollows");
-        report.opened =
-            with_training_views(world, |views| carve_hollows(hull, silhouettes, views, HULL_SHARE));
+        (report.opened, empty) = with_training_views(world, |views| {
+            let (seen_through, empty) = look_through(hull, silhouettes, views);
+            let compared = carve_hollows(hull, silhouettes, views, HULL_SHARE);
+            (1.0 - (1.0 - seen_through) * (1.0 - compared), empty)
+        });
     }
     if options.spans_unseen {
         let _spanning = stage("unseen");
         report.spanned = span_unseen(hull, silhouettes);
     }
-    report
+    (report, empty)
 }
 
 fn half_side(grid: &SdfGrid) -> f32 {

@@ -2,8 +2,9 @@
 
 use crate::light::light_frame::{LightFrame, OwnLightFrame};
 use crate::mesh::triangles::Mesh;
-use crate::sdf::SdfGrid;
+use crate::sdf::volume::SdfSurface;
 use crate::shape::field::ModelError;
+use crate::shape::hollows::keep_empty;
 use crate::shape::hull::trim;
 use crate::shape::mirror::{NormalReport, refine_normals};
 use crate::shape::outline::{OutlineReport, fit_outlines};
@@ -14,9 +15,13 @@ use std::ops::ControlFlow;
 
 /// Removes from the found field what lies outside the hull, and moves its contours to the outlines of the training masks
 /// ([`outline`](crate::shape::outline)).
-pub(crate) fn refine_by_outlines(world: &mut World, grid: &mut SdfGrid) -> OutlineReport {
+pub(crate) fn refine_by_outlines(world: &mut World, surface: &mut SdfSurface) -> OutlineReport {
     let mut silhouettes = training_silhouettes(world);
+    let grid = &mut surface.grid;
     trim(grid, &mut silhouettes);
+    if let Some(empty) = &surface.empty {
+        keep_empty(grid, empty);
+    }
     grid.redistance();
     fit_outlines(grid, &silhouettes)
 }

@@ -64,7 +64,7 @@ fn photograph(surface: &SdfSurface, camera: &Camera) -> (Photograph, StoredMask)
 fn world_of_photographs() -> Pipeline {
     let grid = SdfGrid::from_fn(Vec3::ZERO, 1.0, 64, dented);
     let volume = TexelVolume::new(&grid, 16, 0.5);
-    let surface = SdfSurface { grid, volume };
+    let surface = SdfSurface { grid, volume, empty: None };
     let mut pipeline = Pipeline::new();
     pipeline.add_plugin(&FitPlugin);
     for (i, axis) in fibonacci_axes(32).into_iter().enumerate() {

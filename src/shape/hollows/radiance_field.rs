@@ -1,0 +1,123 @@
+//! A radiance field inside the hull: densities and colors at the vertices of a grid.
+//!
+//! A surface that is fitted cannot leap over the space between a lid and the floor below it. A field of densities can: it begins nearly
+//! transparent, so that each photograph colors all that lies along its rays, and what many rays agree on becomes dense. Colors do not
+//! depend on the direction of view: that would explain a lid as well as what is seen through it.
+
+use super::colors::ColorPicture;
+use crate::math::ray::Ray;
+use crate::sdf::SdfGrid;
+use glam::{UVec3, Vec3, Vec4};
+
+/// How far outside the surface the field reaches, in cells.
+const REACH: f32 = 1.0;
+/// Density of all that is outside, before the softplus.
+const OUTSIDE: f32 = -6.0;
+/// Density at which a fit begins, before the softplus: about 0.13 per cell.
+const BEGIN: f32 = -2.0;
+
+/// Densities and colors at the vertices of a grid that are inside the object or near it.
+#[derive(Clone, Debug)]
+pub struct RadianceField {
+    /// Vertices per side.
+    pub side: u32,
+    origin: Vec3,
+    /// Width of a cell, world units.
+    pub spacing: f32,
+    /// The row in `values` of each vertex of the grid; 0 for those that are outside.
+    pub rows: Vec<u32>,
+    /// The vertex of each row; that of row 0 is meaningless.
+    pub vertices: Vec<u32>,
+    /// Color with the curve of sRGB, and density per cell before the softplus. Row 0 stands for all that is outside.
+    pub values: Vec<Vec4>,
+}
+
+/// A ray of a fit: a pixel of a picture, and where along its ray the surface is.
+#[derive(Clone, Copy, Debug)]
+pub struct FieldRay {
+    /// Index of the picture.
+    pub picture: u32,
+    /// Index of the pixel in the picture's window.
+    pub place: u32,
+    /// Distance to the surface, world units.
+    pub surface: f32,
+}
+
+impl FieldRay {
+    /// The ray in the world, and the color that the picture shows there.
+    pub fn of(&self, pictures: &[ColorPicture]) -> (Ray, Vec3) {
+        pictures[self.picture as usize].ray_and_color(self.place as usize)
+    }
+}
+
+impl RadianceField {
+    /// A nearly transparent field of one color.
+    pub fn new(grid: &SdfGrid, color: Vec3) -> Self {
+        let mut field = Self {
+            side: grid.side,
+            origin: grid.origin,
+            spacing: grid.spacing,
+            rows: vec![0; grid.values.len()],
+            vertices: vec![0],
+            values: vec![color.extend(OUTSIDE)],
+        };
+        for (vertex, distance) in grid.values.iter().enumerate() {
+            if *distance < REACH * grid.spacing {
+                field.rows[vertex] = field.vertices.len() as u32;
+                field.vertices.push(vertex as u32);
+                field.values.push(color.extend(BEGIN));
+            }
+        }
+        field
+    }
+
+    /// Begins with the values of a coarser field.
+    pub fn beginning_with(mut self, coarse: &Self) -> Self {
+        for row in 1..self.values.len() {
+            let (rows, weights) = coarse.corners(self.position(row));
+            let known = || rows.iter().zip(weights).filter(|(row, _)| **row > 0);
+            let total: f32 = known().map(|(_, weight)| weight).sum();
+            if total > 0.0 {
+                self.values[row] =
+                    known().map(|(row, w)| coarse.values[*row as usize] * w).sum::<Vec4>() / total;
+            }
+        }
+        self
+    }
+
+    /// The world position of a row's vertex.
+    pub fn position(&self, row: usize) -> Vec3 {
+        let (side, vertex) = (self.side, self.vertices[row]);
+        self.origin
+            + UVec3::new(vertex % side, vertex / side % side, vertex / (side * side)).as_vec3() * self.spacing
+    }
+
+    /// Rows of the eight vertices around a point, with their trilinear weights.
+    #[inline]
+    pub fn corners(&self, point: Vec3) -> ([u32; 8], [f32; 8]) {
+        let last = (self.side - 1) as f32;
+        let at = ((point - self.origin) / self.spacing).clamp(Vec3::ZERO, Vec3::splat(last - 1e-3));
+        let cell = at.as_uvec3();
+        let (t, side) = (at - cell.as_vec3(), self.side as usize);
+        let s = Vec3::ONE - t;
+        let first = cell.x as usize + side * (cell.y as usize + side * cell.z as usize);
+        let (back, both) = (side * side, side + side * side);
+        let vertices = [0, 1, side, side + 1, back, back + 1, both, both + 1];
+        let (low, high, far_low, far_high) = (s.y * s.z, t.y * s.z, s.y * t.z, t.y * t.z);
+        let weights = [low, low, high, high, far_low, far_low, far_high, far_high];
+        let across = [s.x, t.x, s.x, t.x, s.x, t.x, s.x, t.x];
+        (vertices.map(|vertex| self.rows[first + vertex]), std::array::from_fn(|k| weights[k] * across[k]))
+    }
+
+    /// The row of the vertex nearest to a point; 0 outside.
+    #[inline]
+    pub fn nearest(&self, point: Vec3) -> usize {
+        let at = ((point - self.origin) / self.spacing).round();
+        let last = (self.side - 1) as f32;
+        if at.min_element() < 0.0 || at.max_element() > last {
+            return 0;
+        }
+        let (at, side) = (at.as_uvec3(), self.side);
+        self.rows[(at.x + side * (at.y + side * at.z)) as usize] as usize
+    }
+}
