@@ -3,7 +3,7 @@
 //! A field of densities also explains what a surface mirrors by something dense behind it, as if one looked through the surface. It does so
 //! badly: a reflection moves otherwise than anything that stands still behind a window. So two models compete for each pixel. One is
 //! opaque at the surface, with a color that all photographs share; the other is the field. Their squared errors are summed over all rays
-//! that pass a vertex before they are stopped, and over all vertices of a connected space. What lies in a deep matte hollow leaves the field 1 to 3 %
+//! that pass a vertex before they are stopped, and over all vertices of a connected space. What lies in a deep hollow leaves the field 1 to 3 %
 //! of the error of its lid; reflections in paint or metal leave 10 to 25 %. Between them is what a hull has too much of beside a glossy
 //! surface: there the field is dense too deep, and would eat into the object.
 
