@@ -336,6 +336,17 @@ fn pictures_that_take_more_memory_than_there_may_be() {
 }
 
 #[test]
+#[cfg(target_os = "linux")]
+fn runs_that_take_more_memory_than_their_process_may_have() {
+    let large = right()
+        .replace("texture_size: 16", "texture_size: 4096")
+        .replace("visibility: None", "visibility: Traced(directions: 4096)");
+    let folder = Folder::with_scene(large);
+    // Three quarters of the limit of the address space.
+    folder.refused_by_both(&["this run takes about", "2.3 GiB are allowed", "--memory"]);
+}
+
+#[test]
 fn cameras_that_see_nothing() {
     for (field, value, words) in [
         ("fov_degrees", "1e-40", "fov_degrees is"),

@@ -122,7 +122,7 @@ pub struct CheckArgs {
     /// How many threads.
     #[command(flatten)]
     pub threads: ThreadArgs,
-    /// Memory that a run would have to keep to: 8GiB, 500MiB [default: three quarters of the machine's]
+    /// Memory that a run would have to keep to: 8GiB, 500MiB [default: three quarters of what a process may have]
     #[arg(long, value_name = "SIZE", value_parser = lobelia::pass::memory::parse_bytes)]
     pub memory: Option<u64>,
 }

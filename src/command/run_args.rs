@@ -74,7 +74,7 @@ pub struct RunArgs {
     #[command(flatten)]
     pub threads: ThreadArgs,
     /// Memory that the run keeps to, by smaller pools of pixels, or is refused: 8GiB, 500MiB
-    /// [default: three quarters of the machine's]
+    /// [default: three quarters of what a process may have]
     #[arg(long, value_name = "SIZE", value_parser = lobelia::pass::memory::parse_bytes)]
     pub memory: Option<u64>,
     /// While a shape is found, write its normals, depth and mesh every N steps

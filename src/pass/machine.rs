@@ -1,7 +1,7 @@
 //! The machine that a run works on, for its record.
 
 use crate::math::lanes::level_name;
-use crate::pass::memory::machine_memory;
+use crate::pass::memory_limits::machine_memory;
 use serde::{Deserialize, Serialize};
 use std::fs::read_to_string;
 

@@ -1,34 +1,21 @@
 //! The memory that a run may take: known before it begins, and kept by smaller pools or refused.
 
 use crate::error::{Error, Result};
+use crate::pass::memory_limits::machine_memory;
 use crate::pass::progress::Progress;
 use crate::scene::{Pass, Scene};
 use crate::survey::estimate::{Estimate, estimate, memory};
 use crate::survey::look::ViewLook;
 use std::borrow::Cow;
-use std::fs::read_to_string;
 
 /// Share of the machine's memory that a run takes if nothing else is said.
 const USUAL_SHARE: f64 = 0.75;
 /// Fewest pixels of a pool: below, fits become poor.
 pub(crate) const LEAST_PIXELS: u32 = 200_000;
 
-/// What a run takes where nothing is said: three quarters of the machine's memory, in bytes; `None` if that is unknown.
+/// What a run takes where nothing is said: three quarters of the memory that the machine lets a process have, in bytes; `None` if that is unknown.
 pub fn usual_budget() -> Option<u64> {
     machine_memory().map(|bytes| (bytes as f64 * USUAL_SHARE) as u64)
-}
-
-/// Memory of the machine, or what its container is limited to, in bytes. Only Linux says it.
-pub(crate) fn machine_memory() -> Option<u64> {
-    let total = read_to_string("/proc/meminfo").ok().and_then(|text| total_of(&text))?;
-    let limit = read_to_string("/sys/fs/cgroup/memory.max").ok().and_then(|text| text.trim().parse().ok());
-    Some(limit.map_or(total, |limit: u64| limit.min(total)))
-}
-
-/// `MemTotal` of `/proc/meminfo`, in bytes.
-fn total_of(text: &str) -> Option<u64> {
-    let line = text.lines().find_map(|line| line.strip_prefix("MemTotal:"))?;
-    line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok().map(|kib| kib * 1024)
 }
 
 /// Bytes of "8GiB", "500 MB", "1.5g" or a plain number; `Err` says what is expected.
@@ -159,11 +146,5 @@ mod tests {
         let said = refused(&scene(64, 1024), 300 << 20).unwrap();
         assert!(said.contains("most of it for shadows") && said.contains("300 MiB are allowed"), "{said}");
         assert_eq!(refused(&scene(64, 1024), 8 << 30), None);
-    }
-
-    #[test]
-    fn the_machines_memory_is_read() {
-        assert_eq!(total_of("MemTotal:       24607004 kB\nMemFree: 1 kB\n"), Some(24607004 * 1024));
-        assert_eq!(total_of("nothing"), None);
     }
 }

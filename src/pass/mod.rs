@@ -33,6 +33,7 @@ pub(crate) mod inspect;
 pub mod live;
 mod machine;
 pub mod memory;
+mod memory_limits;
 mod page_cameras;
 pub mod photograph;
 pub mod preflight;

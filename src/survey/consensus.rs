@@ -7,7 +7,7 @@ use crate::survey::agreement::tried;
 use crate::survey::change::{Cause, Change, camera_causes};
 use crate::survey::finding::{Finding, Severity, named};
 use crate::survey::look::{SmallMask, ViewLook};
-use crate::survey::mask_hull::{FORGIVEN, carved, consistency, solid, uncovered};
+use crate::survey::mask_hull::{CELLS, FINE_CELLS, FORGIVEN, carved, consistency, solid, uncovered};
 use crate::survey::order::orders;
 
 /// Views that are judged at least, and the pixels that their masks have in the median at least.
@@ -83,7 +83,10 @@ impl Consensus {
         let mut voters = vec![false; masks.len()];
         choose_evenly(masks.len(), VOTERS).into_iter().for_each(|i| voters[i] = true);
         let trusted = trusted(&masks, &voters);
-        let all = Self::of(&masks, &trusted, slack)?;
+        let coarse = Self::of(&masks, &trusted, slack)?;
+        // Of a thin plate, coarse cells leave too much uncovered.
+        let all =
+            if coarse.is_suspect() { Self::on_cells(&masks, &trusted, slack, FINE_CELLS)? } else { coarse };
         let found = all.without_few(&masks, trusted).unwrap_or(all);
         let mut uncovered = vec![None; looks.len()];
         chosen.iter().zip(found.uncovered).for_each(|(i, share)| uncovered[*i] = share);
@@ -93,7 +96,12 @@ impl Consensus {
 
     /// Of masks, with the hull of those that are trusted.
     fn of(masks: &[SmallMask], trusted: &[bool], slack: f32) -> Option<Self> {
-        let shares = uncovered(masks, trusted, FORGIVEN);
+        Self::on_cells(masks, trusted, slack, CELLS)
+    }
+
+    /// The same with a hull of `cells` cells a side.
+    fn on_cells(masks: &[SmallMask], trusted: &[bool], slack: f32, cells: u32) -> Option<Self> {
+        let shares = uncovered(masks, trusted, FORGIVEN, cells);
         let middle = median(&mut shares.clone())?;
         let uncovered = shares.into_iter().map(Some).collect();
         Some(Self { uncovered, middle, slack, lacking: Vec::new() })
@@ -186,7 +194,7 @@ fn trusted(masks: &[SmallMask], voters: &[bool]) -> Vec<bool> {
     let count = |flags: &[bool]| flags.iter().filter(|flag| **flag).count();
     let mut trusted = voters.to_vec();
     for forgiven in LOOSE {
-        let shares = uncovered(masks, &trusted, forgiven);
+        let shares = uncovered(masks, &trusted, forgiven, CELLS);
         trusted.iter_mut().zip(shares).for_each(|(trusted, share)| *trusted &= share <= DISTRUSTED);
         if 2 * count(&trusted) < count(voters) {
             return voters.to_vec();
@@ -332,6 +340,6 @@ fn candidates(looks: &[ViewLook], views: &[SmallMask], most: f32) -> Vec<Candida
 
 /// Mean uncovered share of masks.
 fn rest(views: &[SmallMask]) -> f32 {
-    let shares = uncovered(views, &vec![true; views.len()], FORGIVEN);
+    let shares = uncovered(views, &vec![true; views.len()], FORGIVEN, CELLS);
     shares.iter().sum::<f32>() / shares.len().max(1) as f32
 }

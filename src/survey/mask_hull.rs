@@ -7,8 +7,9 @@ use crate::survey::mesh_overlap::overlap;
 use glam::Vec3;
 use rayon::prelude::*;
 
-/// Cells a side of the grid.
-const CELLS: u32 = 48;
+/// Cells a side of the grid, and of the one that tells whether what the first leaves uncovered is only thinner than its cells.
+pub(crate) const CELLS: u32 = 48;
+pub(crate) const FINE_CELLS: u32 = 96;
 /// Half a side of the grid in sizes of the object (the longer half of its boxes).
 const REACH: f32 = 1.15;
 /// Views that must see a cell.
@@ -22,6 +23,8 @@ pub(crate) const FORGIVEN: f32 = 0.05;
 struct Grid {
     center: Vec3,
     half: f32,
+    /// Cells a side.
+    cells: u32,
 }
 
 /// A cell of the hull: its center, how many views see it, and how many of them see it outside their mask.
@@ -38,7 +41,7 @@ pub(crate) fn consistency(views: &[SmallMask]) -> Option<f32> {
         return None;
     }
     let all: Vec<&SmallMask> = views.iter().collect();
-    let Some(grid) = Grid::new(&all) else { return Some(0.0) };
+    let Some(grid) = Grid::new(&all, CELLS) else { return Some(0.0) };
     let least = LEAST_VIEWS.min(views.len());
     let is_inside = |seen: usize, missed: usize| seen >= least && missed as f32 <= FORGIVEN * seen as f32;
     let cells = grid.cells(&all, is_inside);
@@ -50,12 +53,12 @@ pub(crate) fn consistency(views: &[SmallMask]) -> Option<f32> {
     Some(found.iter().sum::<f32>() / found.len() as f32)
 }
 
-/// For each view, the share of its mask that the hull of the other views which are `trusted` leaves uncovered; `forgiven` is the share of
-/// those that may see a cell outside their mask. Parts of a mask narrower than three pixels do not count. 1 if there is no hull.
-pub(crate) fn uncovered(views: &[SmallMask], trusted: &[bool], forgiven: f32) -> Vec<f32> {
+/// For each view, the share of its mask that the hull of the other views which are `trusted`, of `side` cells a side, leaves uncovered;
+/// `forgiven` is the share of those that may see a cell outside their mask. Parts of a mask narrower than three pixels do not count. 1 if there is no hull.
+pub(crate) fn uncovered(views: &[SmallMask], trusted: &[bool], forgiven: f32, side: u32) -> Vec<f32> {
     let voters: Vec<&SmallMask> =
         views.iter().zip(trusted).filter(|(_, trusted)| **trusted).map(|(view, _)| view).collect();
-    let Some(grid) = Grid::new(&voters) else { return vec![1.0; views.len()] };
+    let Some(grid) = Grid::new(&voters, side) else { return vec![1.0; views.len()] };
     let is_inside =
         |seen: usize, missed: usize| seen >= LEAST_VIEWS && missed as f32 <= forgiven * seen as f32;
     // A view that is left out takes one vote with it.
@@ -81,7 +84,7 @@ pub(crate) fn uncovered(views: &[SmallMask], trusted: &[bool], forgiven: f32) ->
 pub fn carved(views: &[SmallMask], trusted: &[bool], most: f32) -> Vec<f32> {
     let voters: Vec<&SmallMask> =
         views.iter().zip(trusted).filter(|(_, trusted)| **trusted).map(|(view, _)| view).collect();
-    let Some(grid) = Grid::new(&voters) else { return vec![0.0; views.len()] };
+    let Some(grid) = Grid::new(&voters, CELLS) else { return vec![0.0; views.len()] };
     let cells = grid.cells(&voters, |seen, missed| {
         let share = missed as f32 / seen.max(1) as f32;
         seen >= LEAST_VIEWS && share > FORGIVEN && share <= most
@@ -129,8 +132,8 @@ fn pixel(view: &SmallMask, point: Vec3) -> Option<usize> {
 }
 
 impl Grid {
-    /// Around the point where the masks' middles meet; `None` if they do not, or behind most cameras.
-    fn new(views: &[&SmallMask]) -> Option<Self> {
+    /// Of `cells` cells a side around the point where the masks' middles meet; `None` if they do not, or behind most cameras.
+    fn new(views: &[&SmallMask], cells: u32) -> Option<Self> {
         let boxes: Vec<(Sight, f32)> = views.iter().filter_map(|view| sight_and_size(view)).collect();
         let sights: Vec<Sight> = boxes.iter().map(|found| found.0).collect();
         let center = meeting_point(&sights)?;
@@ -138,12 +141,12 @@ impl Grid {
         let mut sizes: Vec<f32> =
             boxes.iter().map(|(sight, size)| size * sight.origin.distance(center) as f32).collect();
         let half = REACH * median(&mut sizes)?;
-        (2 * ahead >= sights.len()).then_some(Self { center: center.as_vec3(), half })
+        (2 * ahead >= sights.len()).then_some(Self { center: center.as_vec3(), half, cells })
     }
 
     /// The side of a cell.
     fn step(&self) -> f32 {
-        2.0 * self.half / CELLS as f32
+        2.0 * self.half / self.cells as f32
     }
 
     /// The cells of which `is_inside` holds for how many of the views see them, and how many of these outside their mask.
@@ -158,13 +161,14 @@ impl Grid {
             }
             is_inside(seen, missed).then_some(Cell { at, seen, missed })
         };
+        let side = self.cells;
         let layer = |z: u32| {
-            let place = move |i: u32| Vec3::new((i % CELLS) as f32, (i / CELLS) as f32, z as f32);
-            let points = (0..CELLS * CELLS)
+            let place = move |i: u32| Vec3::new((i % side) as f32, (i / side) as f32, z as f32);
+            let points = (0..side * side)
                 .map(move |i| self.center + (place(i) + 0.5) * self.step() - Vec3::splat(self.half));
             points.filter_map(cell).collect::<Vec<Cell>>()
         };
-        (0..CELLS).into_par_iter().flat_map_iter(layer).collect()
+        (0..side).into_par_iter().flat_map_iter(layer).collect()
     }
 }
 

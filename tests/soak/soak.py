@@ -154,15 +154,17 @@ def try_scene(program, folder, seed, watch):
     return kills, compare(whole, broken)
 
 
-def kill_often(program, path, folder, kills, seed, more):
-    """Kills one scene at so many moments, from the start to the end again and again; returns runs, compared files and a run's seconds."""
+def kill_often(program, path, folder, kills, seed, longest, more):
+    """Kills one scene at so many moments, at most `longest` seconds apart, from the start to the end again and again; returns runs,
+    compared files and a run's seconds."""
     dice, watch = random.Random(seed), Watch()
     whole = os.path.join(folder, "whole", "out")
     start = time.monotonic()
     code = run(program, path, whole, False, watch, checkpoint="2s", more=more)
     assert code == 0, f"exit code {code}"
     took = time.monotonic() - start
-    done, ends, compared, longest = 0, 0, 0, max(4.0, 3.0 * took / kills)
+    done, ends, compared = 0, 0, 0
+    longest = longest or max(4.0, 3.0 * took / kills)
     while done < kills:
         broken = os.path.join(folder, f"broken-{ends}", "out")
         resume, code = False, None
@@ -194,13 +196,14 @@ def main():
     arguments.add_argument("--out", default="soak")
     arguments.add_argument("--scene", help="a scene file: it alone is killed and compared")
     arguments.add_argument("--kills", type=int, default=50, help="of --scene")
+    arguments.add_argument("--longest", type=float, help="most seconds between kills of --scene; more than its longest stage takes")
     # What follows `--` is for the program's runs of --scene.
     end_of_own = sys.argv.index("--") if "--" in sys.argv else len(sys.argv)
     given, more = arguments.parse_args(sys.argv[1:end_of_own]), sys.argv[end_of_own + 1 :]
     os.makedirs(given.out, exist_ok=True)
     if given.scene:
         paths = [os.path.abspath(path) for path in (given.program, given.scene, given.out)]
-        ends, compared, took = kill_often(*paths, given.kills, given.seed, more)
+        ends, compared, took = kill_often(*paths, given.kills, given.seed, given.longest, more)
         print(f"{given.kills} kills in {ends} runs of {took:.0f} s, {compared} files compared, all equal")
         return
     end = time.monotonic() + 60 * given.minutes

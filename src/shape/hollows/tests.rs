@@ -1,5 +1,6 @@
 use super::*;
 use crate::shape::hull::visual_hull;
+use crate::shape::hull_repair::regrow;
 use crate::shape::silhouette::Silhouette;
 use crate::view::{Camera, Image, Mask, Photograph, StoredMask};
 use glam::UVec3;
@@ -63,6 +64,11 @@ impl Pictures {
         parts.map(|((camera, photograph), mask)| StereoView { camera, photograph, mask }).collect()
     }
 
+    fn silhouettes(&self) -> Vec<Silhouette> {
+        let views = self.cameras.iter().zip(&self.masks).enumerate();
+        views.map(|(i, (camera, mask))| Silhouette::new(&format!("v{i}"), camera, mask).unwrap()).collect()
+    }
+
     /// The hull, what is left of it, and the share that went.
     fn carved(&self) -> (SdfGrid, SdfGrid, f32) {
         self.carved_with(40)
@@ -79,10 +85,7 @@ impl Pictures {
         cells: u32,
         open: impl Fn(&mut SdfGrid, &[Silhouette], &[StereoView]) -> f32,
     ) -> (SdfGrid, SdfGrid, f32) {
-        let views = self.cameras.iter().zip(&self.masks).enumerate();
-        let mut silhouettes: Vec<Silhouette> = views
-            .map(|(i, (camera, mask))| Silhouette::new(&format!("v{i}"), camera, mask).unwrap())
-            .collect();
+        let mut silhouettes = self.silhouettes();
         let hull = visual_hull(&mut silhouettes, cells).unwrap();
         let mut carved = hull.clone();
         let share = open(&mut carved, &silhouettes, &self.views());
@@ -134,6 +137,29 @@ fn a_field_opens_a_cup_with_a_soft_pattern() {
         let floor = Vec3::new(0.3 * angle.cos(), -0.45, 0.3 * angle.sin());
         assert!(carved.value(wall) < 0.0 && carved.value(floor) < 0.0, "{wall} {floor}");
     }
+}
+
+#[test]
+fn what_is_known_to_be_empty_stays_so_where_gaps_in_a_wall_are_closed() {
+    // The wall has gaps all around, as where a grid is too coarse for it.
+    let gaps = |p: Vec3| p.with_y(0.0).length() > 0.4 && p.y > -0.2 && (6.0 * p.z.atan2(p.x)).sin() > 0.0;
+    let on_grid = |field: &(dyn Fn(Vec3) -> f32 + Sync)| SdfGrid::from_fn(Vec3::ZERO, 0.8, 40, field);
+    let mut grid = on_grid(&|p| if gaps(p) { cup(p).max(0.03) } else { cup(p) });
+    let opened = |p: Vec3| full(p) < 0.0 && cup(p) > grid.spacing;
+    let empty = on_grid(&|p| if opened(p) { cup(p) - grid.spacing } else { f32::MIN });
+    let inside = Vec3::new(0.1, 0.1, -0.1);
+    let wall = |grid: &SdfGrid| (0..24).filter(|k| grid.value(on_wall(*k)) < 0.0).count();
+    assert!(grid.value(inside) > 0.0 && wall(&grid) < 16);
+    regrow(&mut grid, &Pictures::new(cup, waves).silhouettes(), 0.0);
+    assert!(grid.value(inside) < 0.0, "a lid: {}", grid.value(inside));
+    keep_empty(&mut grid, &empty);
+    assert!(grid.value(inside) > 0.0 && wall(&grid) == 24, "{} {}", grid.value(inside), wall(&grid));
+}
+
+/// A place in the middle of the cup's wall, the k-th of 24 around.
+fn on_wall(k: u32) -> Vec3 {
+    let angle = k as f32 * std::f32::consts::TAU / 24.0;
+    Vec3::new(0.54 * angle.cos(), 0.0, 0.54 * angle.sin())
 }
 
 #[test]

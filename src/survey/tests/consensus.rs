@@ -1,9 +1,13 @@
 //! Without a mesh: single cameras that are wrong, and photographs in another order.
 
-use super::{VIEWS, expect, good, surveyed};
+use super::{VIEWS, expect, good, looks, surveyed, views_of};
+use crate::math::statistics::median;
+use crate::mesh::primitive::box_mesh;
+use crate::mesh::triangles::Mesh;
 use crate::survey::Severity;
-use crate::survey::look::OpenView;
-use glam::{Affine3A, Mat3A};
+use crate::survey::look::{OpenView, SmallMask};
+use crate::survey::mask_hull::{CELLS, FINE_CELLS, FORGIVEN, uncovered};
+use glam::{Affine3A, Mat3A, Quat, Vec3};
 
 /// The views with the cameras of others: training view `i` gets that of `from(i)`.
 fn with_cameras_of(from: impl Fn(usize) -> usize) -> Vec<OpenView> {
@@ -77,6 +81,23 @@ fn photographs_in_no_order_at_all_are_an_error() {
         survey.findings
     );
     assert!(finding.problem.contains("the cameras do not fit the photographs"), "{finding:?}");
+}
+
+/// A plate that is tilted about two axes.
+fn plate(tilt: f32, thickness: f32) -> Mesh {
+    let mut mesh = box_mesh(Vec3::ZERO, Vec3::new(1.5, thickness, 1.4)).unwrap();
+    let turn = Quat::from_rotation_x(tilt) * Quat::from_rotation_z(0.7 * tilt);
+    mesh.positions.iter_mut().chain(&mut mesh.normals).for_each(|vector| *vector = turn * *vector);
+    mesh
+}
+
+#[test]
+fn a_plate_thinner_than_coarse_cells_is_sound() {
+    let views = views_of(&plate(0.4, 0.04));
+    let masks: Vec<SmallMask> = looks(&views).into_iter().map(|look| look.mask.unwrap().small).collect();
+    let middle = |cells| median(&mut uncovered(&masks, &vec![true; masks.len()], FORGIVEN, cells)).unwrap();
+    assert!(middle(CELLS) > 0.01 && middle(FINE_CELLS) < 0.002, "{} {}", middle(CELLS), middle(FINE_CELLS));
+    assert_eq!(surveyed(&views, None).findings, []);
 }
 
 /// Few views, so that a part of the object that one mask lacks is taken from all.

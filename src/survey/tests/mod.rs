@@ -86,19 +86,21 @@ fn camera(direction: Vec3) -> Camera {
 /// The views without a fault.
 fn good() -> Vec<OpenView> {
     static VIEWS_ONCE: OnceLock<Vec<OpenView>> = OnceLock::new();
-    let make = || {
-        let bvh = TriangleBvh::new(&object());
-        let views = |split: Split, count: usize, letter: char| {
-            let directions = fibonacci_axes(count).into_iter().enumerate();
-            let turned = directions
-                .map(|(i, d)| (i, if split == Split::Test { Vec3::new(d.z, d.y, -d.x) } else { d }));
-            turned
-                .map(|(i, direction)| photographed(&format!("{letter}{i}"), split, camera(direction), &bvh))
-                .collect::<Vec<_>>()
-        };
-        [views(Split::Train, VIEWS[0], 'v'), views(Split::Test, VIEWS[1], 't')].concat()
+    VIEWS_ONCE.get_or_init(|| views_of(&object())).clone()
+}
+
+/// The same of another object.
+fn views_of(object: &Mesh) -> Vec<OpenView> {
+    let bvh = TriangleBvh::new(object);
+    let views = |split: Split, count: usize, letter: char| {
+        let directions = fibonacci_axes(count).into_iter().enumerate();
+        let turned =
+            directions.map(|(i, d)| (i, if split == Split::Test { Vec3::new(d.z, d.y, -d.x) } else { d }));
+        turned
+            .map(|(i, direction)| photographed(&format!("{letter}{i}"), split, camera(direction), &bvh))
+            .collect::<Vec<_>>()
     };
-    VIEWS_ONCE.get_or_init(make).clone()
+    [views(Split::Train, VIEWS[0], 'v'), views(Split::Test, VIEWS[1], 't')].concat()
 }
 
 fn looks(views: &[OpenView]) -> Vec<ViewLook> {
