@@ -343,7 +343,7 @@ fn runs_that_take_more_memory_than_their_process_may_have() {
         .replace("visibility: None", "visibility: Traced(directions: 4096)");
     let folder = Folder::with_scene(large);
     // Three quarters of the limit of the address space.
-    folder.refused_by_both(&["this run takes about", "2.3 GiB are allowed", "--memory"]);
+    folder.refused_by_both(&["this run takes about", "2.2 GiB are allowed", "--memory"]);
 }
 
 #[test]

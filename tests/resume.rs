@@ -181,7 +181,7 @@ fn a_shape_goes_on_from_any_level_and_step() {
         ], batch: 64, silhouette_batch: 32, cameras: PosesAndFocal, exposure: true),
         Fit(name: "fit", steps: 10, batch: 64), Render(name: "novel"), Save(), Export(),"#;
     let text = scene("Unknown(cells: 16, texture_size: 128)", "", passes);
-    survives(&data, &text, &[("shape", 53), ("shape", 63), ("fit", 7)]);
+    survives(&data, &text, &[("shape", 1), ("shape", 53), ("shape", 63), ("fit", 7)]);
 }
 
 /// Runs leave the world of a `Shape` and of a `Fit`, but not where the scene would have to read a texture again: the bits are the same.

@@ -2,7 +2,7 @@
 
 use super::prepare_args::{CameraArg, FeatureArg, LensArg, MatchingArg, PrepareArgs};
 use super::signals::stop_on_signals;
-use super::terminal::{Terminal, print};
+use super::terminal::Terminal;
 use lobelia::Result;
 use lobelia::pass::progress::Progress;
 use lobelia::prepare::{
@@ -20,13 +20,14 @@ pub fn run(args: &PrepareArgs) -> Result<()> {
             "there are no masks: put them into masks/ of the data set, or a mesh beside them; `lobelia new` then writes a scene file",
         );
     }
-    print(&result(&prepared))
+    terminal.print(&result(&prepared));
+    Ok(())
 }
 
 fn result(prepared: &Prepared) -> String {
     match &prepared.scene {
-        Some(scene) => format!("{prepared}\nnext: lobelia check {}\n", scene.display()),
-        None => format!("{prepared}\n"),
+        Some(scene) => format!("{prepared}\nnext: lobelia check {}", scene.display()),
+        None => prepared.to_string(),
     }
 }
 

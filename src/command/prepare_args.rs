@@ -70,7 +70,7 @@ pub struct PrepareArgs {
     /// ffmpeg's program, for videos
     #[arg(long, value_name = "PROGRAM", default_value = "ffmpeg")]
     pub ffmpeg: PathBuf,
-    /// No progress bars and no notes
+    /// Nothing but errors on the terminal
     #[arg(short, long)]
     pub quiet: bool,
 }

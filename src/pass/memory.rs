@@ -144,7 +144,7 @@ mod tests {
         };
         assert_eq!(refused(&scene(64, 64), 300 << 20), None);
         let said = refused(&scene(64, 1024), 300 << 20).unwrap();
-        assert!(said.contains("most of it for shadows") && said.contains("300 MiB are allowed"), "{said}");
+        assert!(said.contains("most of it for texels") && said.contains("300 MiB are allowed"), "{said}");
         assert_eq!(refused(&scene(64, 1024), 8 << 30), None);
     }
 }

@@ -3,7 +3,8 @@
 //! | part | memory | time of one thread |
 //! | --- | --- | --- |
 //! | photographs | pixels around the object × `PHOTOGRAPH_BYTES` | pixels × `DECODE_NANOS` |
-//! | `Fit` | `FIT_BYTES` + pixels in the pool × `POOL_BYTES` + texels × `TEXEL_BYTES` | steps × batch × lobes × `FIT_PAIR_NANOS` + pixels in the pool × `FIT_START_NANOS` |
+//! | texels | texels × `TEXEL_BYTES` | |
+//! | `Fit` | `FIT_BYTES` + pixels in the pool × `POOL_BYTES` + texels × `FIT_TEXEL_BYTES` | steps × batch × lobes × `FIT_PAIR_NANOS` + pixels in the pool × `FIT_START_NANOS` |
 //! | `Fit(detail: true)` | the same + `DETAIL_BYTES` + pixels × `DETAIL_PIXEL_BYTES` | three times as long + pixels × `DETAIL_PIXEL_NANOS` |
 //! | `Shape` | pixels in the pool × `POOL_BYTES` + cells³ × `CELL_BYTES` | steps × batch × `SHAPE_PIXEL_NANOS` |
 //! | its mesh | cells² × `MESH_BYTES` | |
@@ -40,9 +41,11 @@ pub(crate) const SILHOUETTE_BYTES: f64 = 2.0;
 /// Bytes of a pixel in the pool of a fit: its columns, two ticks for each of the two, and its entity; a table that grows keeps room for
 /// more rows.
 pub(crate) const POOL_BYTES: f64 = 1.6 * (size_of::<(ObservationIndex, Observation)>() + 2 * 8 + 52) as f64;
-/// Bytes of a texel in a fit: albedo, sheen, tilt and blend with gradients and moments, what is shown, place, normal, and the tables that
-/// texels left when these came to them. Measured from 512² to 2048² texels.
-pub(crate) const TEXEL_BYTES: f64 = 850.0;
+/// Bytes of a texel: albedo, sheen, tilt and blend, what is shown, place and normal. A sphere of 1024² and 2048² texels, one small picture.
+pub(crate) const TEXEL_BYTES: f64 = 440.0;
+/// Bytes of a texel in a fit beside these: gradients, moments, and the tables that texels left when these came to them. Measured
+/// from 512² to 2048² texels.
+pub(crate) const FIT_TEXEL_BYTES: f64 = 410.0;
 /// Bytes of a texel of the finest texture, which has neither gradients nor moments.
 pub(crate) const FINEST_TEXEL_BYTES: f64 = 224.0;
 /// Bytes of a fit that do not depend on its size, as measured.
@@ -164,7 +167,7 @@ const NEARLY: f32 = 0.9;
 /// What the passes of `scene` will take on `threads` threads, for these views.
 pub fn estimate(looks: &[ViewLook], scene: &Scene, threads: usize) -> Estimate {
     let task = Task { looks, scene, threads: threads.max(1) };
-    let mut parts = vec![task.photographs()];
+    let mut parts = vec![task.photographs(), task.part("texels", TEXEL_BYTES * task.texels(), 0.0, true)];
     parts.extend(task.shadows());
     for pass in &scene.passes {
         if let Pass::Shape(shape) = pass {
@@ -280,7 +283,7 @@ impl Task<'_> {
 
     fn fit(&self, fit: &FitPass) -> PartEstimate {
         let pairs = f64::from(fit.steps) * f64::from(fit.batch) * self.lobes();
-        let bytes = FIT_BYTES + self.pool(fit.max_pixels) * POOL_BYTES + self.texels() * TEXEL_BYTES;
+        let bytes = FIT_BYTES + self.pool(fit.max_pixels) * POOL_BYTES + self.texels() * FIT_TEXEL_BYTES;
         let start = self.pool(fit.max_pixels) * FIT_START_NANOS;
         if !fit.detail {
             return self.part(&fit.name, bytes, start + pairs * FIT_PAIR_NANOS, false);

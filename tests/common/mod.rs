@@ -343,7 +343,10 @@ impl AtWork {
 
     /// Waits until the run, which has `--checkpoint 0s`, has kept a step of a pass.
     pub fn until_a_step_is_kept(&self, data: &Data) {
-        let is_step = |file: &String| file.ends_with(".state") && !file.ends_with("-0.state");
+        // Not of the beginning of a pass or level, and not half-written.
+        let is_step = |file: &String| {
+            file.ends_with(".state") && !file.ends_with("-0.state") && !file.contains(".part.")
+        };
         let start = Instant::now();
         while !files_below(&data.path("out/.checkpoint")).iter().any(is_step) {
             assert!(start.elapsed() < Duration::from_secs(300), "process {} keeps no step", self.0.id());

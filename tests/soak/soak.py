@@ -100,6 +100,13 @@ def run(program, path, out, resume, watch, kill_after=None, checkpoint="0s", mor
     return process.returncode
 
 
+def without_times(value):
+    """A JSON value without seconds and memory, however deep they are."""
+    if isinstance(value, dict):
+        return {key: without_times(of) for key, of in value.items() if key not in {"fit_secs", "peak_rss_mib", "seconds"}}
+    return [without_times(of) for of in value] if isinstance(value, list) else value
+
+
 def untimed(path):
     """The bytes of a result without times."""
     name = os.path.basename(path)
@@ -109,10 +116,7 @@ def untimed(path):
         rows = [line.split(",") for line in data.decode().splitlines()]
         return "\n".join(",".join(row[:1] + row[2:]) for row in rows)
     if name == "metrics.json":
-        scores = json.loads(data)
-        for timed in ["fit_secs", "peak_rss_mib"]:
-            scores.pop(timed, None)
-        return json.dumps(scores)
+        return json.dumps(without_times(json.loads(data)))
     return data
 
 

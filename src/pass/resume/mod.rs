@@ -14,7 +14,7 @@ use crate::pass::progress::Progress;
 use crate::pass::session::{Placed, Session};
 use crate::report::scores::Scores;
 use crate::sample::point::Scenery;
-use crate::scene::{Scene, Sheen};
+use crate::scene::{Pass, Scene, Sheen};
 use crate::shape::run::replace_texels;
 use crate::spawn::{insert_known_along, several_materials};
 use bevy_ecs::prelude::World;
@@ -283,15 +283,21 @@ pub(super) fn take_up(
 
 /// Where a run goes on.
 fn words(session: &Session, Place { pass, level, step }: Place) -> String {
-    let Some(name) = session.scene.passes.get(pass as usize).map(|pass| pass.name()) else {
+    let Some(found) = session.scene.passes.get(pass as usize) else {
         return "all passes are done".to_owned();
+    };
+    let name = found.name();
+    // The hull of a shape is its first part.
+    let part = match found {
+        Pass::Shape(_) => format!("level {level}"),
+        _ => format!("part {}", level + 1),
     };
     match (level, step) {
         (0, 0) if pass == 0 => "there is no checkpoint yet: the run begins again".to_owned(),
         (0, 0) => format!("the run goes on with pass {name}"),
-        (level, 0) => format!("the run goes on in pass {name}, level {}", level + 1),
+        (_, 0) => format!("the run goes on in pass {name}, {part}"),
         (0, step) => format!("the run goes on in pass {name} after step {step}"),
-        (level, step) => format!("the run goes on in pass {name}, level {}, after step {step}", level + 1),
+        (_, step) => format!("the run goes on in pass {name}, {part}, after step {step}"),
     }
 }
 

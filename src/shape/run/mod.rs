@@ -144,7 +144,7 @@ struct Hull {
 
 /// The state of a running fit, for the caller.
 pub struct ShapeProgress<'a> {
-    /// What was removed from the hull; nothing in a run that is resumed at a later level.
+    /// What was removed from the hull; nothing in a run that is resumed after that.
     pub hull: HullReport,
     /// Index of the level.
     pub level: usize,
@@ -195,15 +195,14 @@ fn fit_levels(
     watch: &mut dyn FnMut(&ShapeProgress, &mut World) -> ControlFlow<()>,
 ) -> Result<SdfSurface> {
     let levels = resolved_levels(&hull.grid, &options.levels, silhouettes);
-    let (begun, mut surface) = begin_levels(&mut pipeline.world, hull.grid, options)?;
-    surface.empty = surface.empty.or(hull.empty);
     let mut report = hull.report;
+    let (begun, mut surface) = begin_levels(&mut pipeline.world, hull, options)?;
     for index in begun..levels {
         let _level = stage(format_args!("level {}", index + 1));
         if index > begun {
             let (next, opened) = next_surface(&mut pipeline.world, surface, silhouettes, options, index)?;
             (surface, report.opened_again) = (next, report.opened_again + opened);
-            keep_level(&mut pipeline.world, index as u32, &surface)?;
+            keep_level(&mut pipeline.world, index as u32 + 1, &surface)?;
         }
         let fitted = fit_level(pipeline, surface, options, index, &mut |progress, world| {
             watch(&ShapeProgress { hull: report, level: index, levels, fit: progress }, world)
@@ -214,21 +213,24 @@ fn fit_levels(
         }
     }
     if begun < levels {
-        keep_level(&mut pipeline.world, levels as u32, &surface)?;
+        keep_level(&mut pipeline.world, levels as u32 + 1, &surface)?;
     }
     Ok(surface)
 }
 
-/// The level that a fit begins with, and what it starts from: the first and the hull, or what a run that is resumed has kept.
-fn begin_levels(world: &mut World, hull: SdfGrid, options: &ShapeOptions) -> Result<(usize, SdfSurface)> {
+/// The level that a fit begins with, and what it starts from: the first and the hull, or what a run that is resumed has kept. For
+/// checkpoints the hull counts as the first level.
+fn begin_levels(world: &mut World, hull: Hull, options: &ShapeOptions) -> Result<(usize, SdfSurface)> {
     let blank = |world: &mut World, kept: &SdfSurface| {
         replace_texels(world, &vec![Vec3::ZERO; kept.volume.len()]);
         Ok(())
     };
-    Ok(match resume_level(world, blank)? {
-        Some((level, kept)) => (level as usize, kept),
-        None => (0, first_surface(world, hull, options)),
-    })
+    if let Some((done, kept)) = resume_level(world, blank)? {
+        return Ok((done as usize - 1, kept));
+    }
+    let first = SdfSurface { empty: hull.empty, ..first_surface(world, hull.grid, options) };
+    keep_level(world, 1, &first)?;
+    Ok((0, first))
 }
 
 /// Fits level `index`, which starts from `surface`. Returns the surface that was found; as `Break` if the fit ends with it.
@@ -337,8 +339,8 @@ pub(crate) fn mesh_of_parts(world: &mut World, grid: &SdfGrid) -> Mesh {
     extract_parts(grid, &training_silhouettes(world))
 }
 
-/// Removes from the hull what the training photographs look through, if the light stands still, and spans what none of them sees. A run that is resumed at a later
-/// level needs neither.
+/// Removes from the hull what the training photographs look through, if the light stands still, and spans what none of them sees. A run that is resumed later
+/// needs neither.
 fn reduce_hull(
     world: &mut World,
     hull: &mut SdfGrid,

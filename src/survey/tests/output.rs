@@ -85,7 +85,7 @@ fn more_work_takes_more_time_and_memory() {
     assert!(of("Fit(steps: 1000)", 4).seconds() < long.seconds());
     assert!(of("Fit()", 2).bytes() > of("", 2).bytes());
     let names: Vec<&str> = long.parts.iter().map(|part| part.what.as_str()).collect();
-    assert_eq!(names, ["photographs", "shadows", "fit", "novel"]);
+    assert_eq!(names, ["photographs", "texels", "shadows", "fit", "novel"]);
     // Everything is linear in what it says it is.
     let Pass::Fit(FitPass { batch, .. }) = &scene("Fit(steps: 1000)").passes[0] else { panic!() };
     let pairs = f64::from(*batch) * 900.0 * 64.0;
