@@ -32,7 +32,7 @@ use std::time::{Duration, Instant};
 pub struct Place {
     /// Passes that are done.
     pub pass: u32,
-    /// Levels of the pass that are done.
+    /// Levels of the pass that are done; what comes before the first may count as one.
     pub level: u32,
     /// Steps of the level that are done.
     pub step: u32,
@@ -168,7 +168,7 @@ pub(crate) fn has_step_ahead(world: &World) -> bool {
     next.is_some_and(|(at, next)| next.step > 0 && Place { step: 0, ..next } == at)
 }
 
-/// Whether a resumed run has a later level of the pass at work ahead, so that what its first one starts from need not be found again.
+/// Whether a resumed run has the beginning of a level of the pass at work ahead, so that what comes before it need not be found again.
 pub(crate) fn has_level_ahead(world: &World) -> bool {
     let next = world.get_resource::<Checkpoints>().and_then(|kept| Some((kept.at, kept.ahead.front()?.0)));
     next.is_some_and(|(at, next)| is_level_of(at, next))

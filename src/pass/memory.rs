@@ -8,7 +8,7 @@ use crate::survey::estimate::{Estimate, estimate, memory};
 use crate::survey::look::ViewLook;
 use std::borrow::Cow;
 
-/// Share of the machine's memory that a run takes if nothing else is said.
+/// Share of the memory that a process may have which a run takes if nothing else is said.
 const USUAL_SHARE: f64 = 0.75;
 /// Fewest pixels of a pool: below, fits become poor.
 pub(crate) const LEAST_PIXELS: u32 = 200_000;
