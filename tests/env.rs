@@ -97,6 +97,10 @@ fn a_light_is_never_written_over_what_it_is_made_of() {
     std::fs::write(folder.path("sky.png"), &photograph).unwrap();
     folder.refused(&["render", "sky.exr", "./sky.exr"], &["the picture would replace", "sky.exr"]);
     folder.refused(&["rotate", "sky.exr", "--euler", "0,90,0", "--out", "sky.exr"], &["--out would replace"]);
+    std::fs::write(folder.path("named.ron"), r#"Map(path: "sky.exr", lobes: 2)"#).unwrap();
+    folder.refused(&["render", "named.ron", "sky.exr"], &["the picture would replace", "sky.exr"]);
+    folder
+        .refused(&["rotate", "named.ron", "--euler", "0,90,0", "--out", "sky.exr"], &["--out would replace"]);
     #[cfg(unix)]
     {
         std::os::unix::fs::symlink("sky.exr", folder.path("link.exr")).unwrap();

@@ -94,6 +94,30 @@ fn keys_move_the_camera_and_the_material_changes() {
     assert!(covers.windows(2).all(|pair| pair[1] < pair[0]), "{covers:?}");
 }
 
+/// The object fits into wide and high pictures alike.
+#[cfg(unix)]
+#[test]
+fn pictures_may_be_wide_or_high() {
+    let data = Data::new();
+    let path = stand_in(&data);
+    let first = |orbit: &str, out: &str| {
+        run(&data, orbit, out, &path).succeeded();
+        frames(&data.path(out).join("film")).swap_remove(0)
+    };
+    let (wide, high) = (first("width: 80", "wide"), first("width: 24, height: 60", "high"));
+    assert_eq!((wide.dimensions(), high.dimensions()), ((80, 48), (24, 60)));
+    let covered = |frame: &RgbImage, x: u32, y: u32| frame.get_pixel(x, y)[0] > 60;
+    for frame in [&wide, &high] {
+        let [width, height] = [frame.width(), frame.height()];
+        assert!(covered(frame, width / 2, height / 2));
+        let edge = (0..width).flat_map(|x| [(x, 0), (x, height - 1)]);
+        let edge = edge.chain((0..height).flat_map(|y| [(0, y), (width - 1, y)]));
+        assert!(edge.into_iter().all(|(x, y)| !covered(frame, x, y)), "the object leaves the picture");
+    }
+    // The sphere takes nine tenths of the shorter side, and its lit half can be told.
+    assert!((0..24).filter(|x| covered(&high, *x, 30)).count() >= 10);
+}
+
 #[test]
 fn an_mp4_without_ffmpeg_is_refused_before_any_work() {
     let data = Data::new();

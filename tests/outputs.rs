@@ -101,6 +101,26 @@ fn force_replaces_what_a_run_wrote_and_nothing_else() {
     refused(&data, &mine, "out", &["--force"], &["no run.json", "older version"]);
 }
 
+/// Results of an earlier run under the name of a pass would go before it begins, also those that it does not write again.
+#[test]
+fn force_removes_no_result_that_the_run_reads() {
+    let data = Data::new();
+    let fixed =
+        usual().replace("light: Unknown(lobes: 6)", r#"light: Fixed(Npy(path: "$DATA/out/fit/light.npy"))"#);
+    data.run(&scene(&[FIT, r#"Export(formats: [Glb]),"#].concat()), "out", &["--quiet"]).succeeded();
+    let export = scene(&[FIT, r#"Export(formats: [Ply]),"#].concat())
+        .replace("$DATA/mesh.glb", "$DATA/out/export/mesh.glb");
+    refused(
+        &data,
+        &export,
+        "out",
+        &["--force"],
+        &["--force would replace", "out/export/mesh.glb", "earlier run"],
+    );
+    refused(&data, &fixed, "out", &["--force"], &["pass fit would replace", "out/fit/light.npy"]);
+    data.run(&export, "other", &["--quiet"]).succeeded();
+}
+
 #[test]
 fn a_manifest_lists_every_file() {
     let data = Data::new();

@@ -1,6 +1,6 @@
 //! Runs that are killed go on where they were, and end with the same bits as runs without a break.
 
-use crate::common::{AtWork, Data, Outcome, command, files_below, manifest, states};
+use crate::common::{AtWork, Data, Outcome, SIZE, command, files_below, manifest, states};
 use crate::photos::photographs;
 use glam::Vec3;
 use lobelia::Result;
@@ -308,4 +308,65 @@ fn without_a_run_to_go_on_with_one_begins() {
     let outcome = data.run(&text, "other", &["--resume"]);
     assert_eq!(outcome.code, Some(2), "{}", outcome.stderr);
     assert_eq!(files_below(&data.path("other")), ["mine.txt"]);
+}
+
+/// Going on is never another word for beginning again, or for leaving another scene as it is.
+#[cfg(unix)]
+#[test]
+fn results_that_cannot_be_gone_on_with_stay() {
+    let data = Data::new();
+    let endless =
+        r#"Fit(name: "fit", steps: 4), Fit(name: "endless", steps: 1500000000, batch: 64), Save(),"#;
+    let endless = scene(MESH, "", endless);
+    let at_work = AtWork::start(&data, &endless, &["--threads", "2", "--checkpoint", "off"], "endless");
+    at_work.signal("TERM");
+    assert_eq!(at_work.ended(), Some(143));
+    let before = files_below(&data.path("out"));
+    assert!(before.iter().any(|file| file.starts_with("saved/")), "{before:?}");
+    let refused = |words: &[&str]| {
+        let outcome = resumed(&data, &[]);
+        assert_eq!(outcome.code, Some(2), "{}", outcome.stderr);
+        for word in words {
+            assert!(outcome.stderr.contains(word), "no {word:?} in\n{}", outcome.stderr);
+        }
+    };
+    refused(&["kept no checkpoints", "--force"]);
+    let outcome = data.run(&endless, "out", &[]);
+    assert!(outcome.stderr.contains("It kept no checkpoints"), "{}", outcome.stderr);
+    assert_eq!(files_below(&data.path("out")), before);
+    let text = scene(MESH, "", r#"Fit(name: "fit", steps: 4, batch: 128),"#);
+    data.run(&text, "out", &["--force", "--quiet"]).succeeded();
+    std::fs::write(data.path("scene.ron"), text.replace("steps: 4", "steps: 5")).unwrap();
+    refused(&["has finished", "another scene", "--force"]);
+}
+
+/// Not only files count, but what they say: cameras may be in files of their own.
+#[test]
+fn other_cameras_are_not_gone_on_with() {
+    let data = Data::new();
+    for folder in ["colmap/sparse/0", "colmap/images"] {
+        std::fs::create_dir_all(data.path(folder)).unwrap();
+    }
+    for name in ["a", "b"] {
+        let photograph = data.path("train/image/rgb_000000.exr");
+        std::fs::copy(photograph, data.path(&format!("colmap/images/{name}.exr"))).unwrap();
+    }
+    let images = "1 1 0 0 0 0 0 2.8 1 a.exr\n\n2 1 0 0 0 0 0 2.8 1 b.exr\n\n";
+    std::fs::write(data.path("colmap/sparse/0/images.txt"), images).unwrap();
+    let camera = |focal: f32| {
+        let text = format!("1 PINHOLE {SIZE} {SIZE} {focal} {focal} 12 12");
+        std::fs::write(data.path("colmap/sparse/0/cameras.txt"), text).unwrap();
+    };
+    camera(40.0);
+    let surface = r#"Mesh(path: "$DATA/mesh.glb", texture_size: 16)"#;
+    let material = "material: (albedo: Fixed(Constant(0.5, 0.5, 0.5)), specular: (albedo: Fixed(0, 0, 0), roughness: Fixed(1))),";
+    let fixed = scene(surface, material, r#"Render(name: "novel", render: (views: All)),"#)
+        .replace(r#"Dataset(path: "$DATA")"#, r#"Dataset(path: "$DATA/colmap")"#)
+        .replace("Unknown(lobes: 6)", r#"Fixed(Npy(path: "$DATA/evening.npy"))"#);
+    run(&data, &fixed, "out", false, Some(("novel", 1))).unwrap_err();
+    camera(41.0);
+    let error = run(&data, &fixed, "out", true, None).unwrap().unwrap_err();
+    assert!(error.to_string().contains("cameras"), "{error}");
+    camera(40.0);
+    run(&data, &fixed, "out", true, None).unwrap().unwrap();
 }

@@ -233,13 +233,15 @@ fn start(program: &OsStr, output: &Path, [width, height]: [u32; 2], fps: f32) ->
 fn feed(mut child: Child, path: &Path, film: &Film) -> Result<()> {
     let stderr = child.stderr.take();
     // Read while writing: a full pipe on either side would block both programs.
-    let listener = std::thread::spawn(move || {
+    let listener = std::thread::Builder::new().spawn(move || {
         let mut said = Vec::new();
         if let Some(mut stderr) = stderr {
             let _ = stderr.read_to_end(&mut said);
         }
         String::from_utf8_lossy(&said).into_owned()
     });
+    let unheard = |error| failure(path, format!("cannot listen to ffmpeg: {error}"));
+    let listener = listener.map_err(unheard)?;
     let unsent = |error| failure(path, format!("cannot send frames to ffmpeg: {error}"));
     let mut fed = Ok(());
     if let Some(mut stdin) = child.stdin.take() {

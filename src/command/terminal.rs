@@ -60,7 +60,10 @@ impl Progress for Terminal {
             bar.set_style(style.progress_chars("━╸─"));
         }
         bar.set_prefix(title.to_owned());
-        bar.enable_steady_tick(Duration::from_millis(200));
+        // The ticker is a thread, and a bar without one is drawn when it moves.
+        if std::thread::Builder::new().spawn(|| ()).is_ok() {
+            bar.enable_steady_tick(Duration::from_millis(200));
+        }
         Box::new(TerminalBar(bar))
     }
 }

@@ -11,11 +11,12 @@ pub struct ThreadArgs {
     pub threads: Option<u16>,
 }
 
-/// Starts as many worker threads as asked for; without a number, rayon starts one per processor by itself.
+/// Starts as many worker threads as asked for; without a number, one per processor, or what `RAYON_NUM_THREADS` says.
 pub fn start_threads(args: ThreadArgs) -> Result<()> {
-    let Some(threads) = args.threads else { return Ok(()) };
-    rayon::ThreadPoolBuilder::new()
-        .num_threads(usize::from(threads))
-        .build_global()
-        .map_err(|error| Error::run("starting threads", error.to_string()))
+    let started =
+        rayon::ThreadPoolBuilder::new().num_threads(args.threads.map_or(0, usize::from)).build_global();
+    started.map_err(|error| {
+        let problem = format!("worker threads cannot be started: {error}");
+        Error::usage(problem, "Ask for fewer with --threads, or raise the limit of processes (ulimit -u).")
+    })
 }

@@ -34,8 +34,10 @@ impl Time {
 /// If a camera cannot be made.
 pub fn cameras(session: &Session, orbit: &Orbit) -> Result<Vec<Camera>> {
     let (center, size) = session.surface.bounding_sphere();
-    // A tenth more than the smallest distance at which the object fits.
-    let fitting = 1.1 * size / (orbit.fov_degrees.to_radians() / 2.0).sin();
+    let [width, height] = orbit.sides();
+    // A tenth more than the smallest distance at which the object fits, also into a picture that is higher than wide.
+    let half_fov = (orbit.fov_degrees.to_radians() / 2.0).tan() * (width as f32 / height as f32).min(1.0);
+    let fitting = 1.1 * size / half_fov.atan().sin();
     let base = camera::CameraOrbit {
         target: center,
         radius: orbit.radius.unwrap_or(fitting),
@@ -43,8 +45,8 @@ pub fn cameras(session: &Session, orbit: &Orbit) -> Result<Vec<Camera>> {
         frames: 1,
         up: session.scene.up,
         vertical_fov_degrees: orbit.fov_degrees,
-        width: orbit.size,
-        height: orbit.size,
+        width,
+        height,
         ..Default::default()
     };
     let each = |frame| Ok(Camera::orbit(&placed(base, orbit, Time::of(frame, orbit.frames)))?[0]);

@@ -57,7 +57,7 @@ mod view_report;
 
 pub use session::{Placed, SceneLights, Session};
 
-use crate::codec::file::{FileUse, FolderLock, check_room, clear_scratch};
+use crate::codec::file::{FileUse, FolderLock, check_apart, check_room, clear_scratch};
 use crate::error::stop::{check_interrupted, stopped_by};
 use crate::error::{Error, Result};
 use crate::fit::ObjectTurned;
@@ -77,7 +77,7 @@ use crate::view::ViewRecord;
 use inputs::Watched;
 use photograph::{TrueObject, camera_of};
 use progress::{Progress, RecordedMessages};
-use record::{Claim, RunRecord, RunState};
+use record::{Claim, RunRecord};
 use resume::RunStart;
 use std::borrow::Cow;
 use std::path::{Path, PathBuf};
@@ -147,13 +147,15 @@ fn run_passes(
 ) -> Result<()> {
     let told = RecordedMessages::new(progress);
     let progress: &dyn Progress = &told;
-    record::check_used(&options.out, options.force || options.resume)?;
     resume::check_folder(&options.out)?;
-    let begun = if options.resume { RunStart::read(&options.out)? } else { None };
-    if options.resume && record::state_of_run(&options.out) == Some(RunState::Finished) {
+    let kept = RunStart::read(&options.out);
+    let has_checkpoints = !matches!(kept, Ok(None));
+    record::check_used(&options.out, options.force || options.resume, has_checkpoints)?;
+    if options.resume && record::check_resumed(&options.out, loaded, has_checkpoints)? {
         leave_finished(&options.out, progress);
         return Ok(());
     }
+    let begun = if options.resume { kept? } else { None };
     check_unread(loaded, options, begun.as_ref())?;
     let data = OpenScene::new(&loaded.scene, loaded.roots.as_deref())?;
     let claim = claim(loaded, data.as_ref(), options)?;
@@ -216,20 +218,21 @@ fn run_to_end(
     let ended = sequence::run(&mut session, &mut record, &mut report, told, done);
     let finished = session.finish();
     let ended = ended.and(finished);
-    match &ended {
-        Ok(()) => resume::clear(&options.out)?,
-        Err(_) => say_how_to_go_on(options, told),
+    if ended.is_err() {
+        say_how_to_go_on(options, told);
     }
-    // The folder is the run's own until its report says how it ended.
-    record.end(ended).and(report.write(&options.out))
+    // A run that is not said to have finished needs its checkpoints. The folder is its own until its report says how it ended.
+    let ended = record.end(ended);
+    let cleared = if ended.is_ok() { resume::clear(&options.out) } else { Ok(()) };
+    ended.and(report.write(&options.out)).and(cleared)
 }
 
 /// Says that a run that is to go on has finished.
 fn leave_finished(out: &Path, progress: &dyn Progress) {
-    // A process that was killed at its very end has left its lock, a report that says that it runs, and half of a new one. None of these is
-    // worth an error.
+    // A process that was killed at its very end has left its lock, checkpoints, a report that says that it runs, and half of a new one. None
+    // of these is worth an error.
     if let Ok(_lock) = FolderLock::take(out) {
-        let _ = clear_scratch(out);
+        let _ = clear_scratch(out).and(resume::clear(out));
         let _ = Reporter::default().write(out);
     }
     progress.note(&format!("the run in {} has finished: nothing is left to do", out.display()));
@@ -245,21 +248,25 @@ fn begin(
     begun: Option<RunStart>,
 ) -> Result<(RunRecord, usize)> {
     let keeps = options.checkpoint.is_some() || begun.is_some();
-    let now = keeps.then(|| RunStart::new(&loaded.scene, session.scene, &files::contents(loaded, data)));
+    let now =
+        keeps.then(|| RunStart::new(&loaded.scene, session.scene, data, &files::contents(loaded, data)));
     let (now, every) = (now.transpose()?, options.checkpoint.unwrap_or(USUAL_CHECKPOINT));
     if let (Some(begun), Some(now)) = (&begun, &now) {
         begun.check_data(now, session.progress)?;
         let done = resume::take_up(session, begun, true, every)?;
-        return Ok((claim.begin(loaded, &options.arguments, done)?, done));
+        let mut record = claim.begin(loaded, &options.arguments, done)?;
+        record.reads(now.inputs());
+        return Ok((record, done));
     }
     if options.resume {
         session.progress.note("there is no checkpoint to go on from: the run begins");
     }
     // Checkpoints of an earlier run go first: its results will, and nothing goes on from there.
     resume::clear(&options.out)?;
-    let record = claim.begin(loaded, &options.arguments, 0)?;
+    let mut record = claim.begin(loaded, &options.arguments, 0)?;
     if let Some(now) = now {
         now.write(&options.out)?;
+        record.reads(now.inputs());
         resume::take_up(session, &now, false, every)?;
     }
     Ok((record, 0))
@@ -285,7 +292,11 @@ fn claim(loaded: &LoadedScene, data: Option<&OpenScene>, options: &RunOptions) -
     let outputs: Vec<FileUse> = of_passes.chain(of_run).collect();
     let help = "Choose another folder with --out, or give the pass another name. Inputs are never replaced, --force or not.";
     files::check_outputs(loaded, data, &outputs, help)?;
-    Claim::new(&options.out, plan)
+    let claim = Claim::new(&options.out, plan)?;
+    let help =
+        "It is of an earlier run. Copy it elsewhere, choose another folder with --out, or rename the pass.";
+    check_apart(&files::inputs(loaded, data), &claim.stale().collect::<Vec<_>>(), help)?;
+    Ok(claim)
 }
 
 /// Writes the page of a scene in which everything is known, as `Save` writes it, to `path`; no pass of the scene is run, and nothing else

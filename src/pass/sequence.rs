@@ -116,9 +116,15 @@ impl<'a> Unfinished<'a> {
 
     /// Whether a run that is asked to stop does so before a pass.
     fn stops_before(&mut self, session: &Session, pass: &'a Pass) -> bool {
-        let stops = stopped_by().is_some() && !(session.has_object && writes_results(pass, &self.stopped));
+        if stopped_by().is_none() {
+            return false;
+        }
+        let stops = !(session.has_object && writes_results(pass, &self.stopped));
         if stops {
             self.stopped.push(pass);
+        } else {
+            // The run may have been asked between two passes.
+            finish_stopping();
         }
         stops
     }

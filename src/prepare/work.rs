@@ -56,6 +56,11 @@ impl Work {
             return Err(Error::usage(problem, help));
         }
         for folder in [out.join(WORK), out.join(LOGS)] {
+            if folder.symlink_metadata().is_ok_and(|found| found.is_symlink()) {
+                let problem =
+                    format!("{} is a symbolic link: work would be done elsewhere", folder.display());
+                return Err(Error::usage(problem, "Remove the link, or give another folder."));
+            }
             fs::create_dir_all(&folder).map_err(Error::io("create folder", &folder))?;
         }
         let lock = FolderLock::take(&out.join(WORK))?;
@@ -201,6 +206,19 @@ mod tests {
         assert!(error.to_string().contains("thesis.txt"), "{error}");
         let error = Work::claim(&out.join("thesis.txt"), &[]).err().unwrap();
         assert!(error.to_string().contains("is a file"), "{error}");
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn work_is_not_done_where_a_link_leads() {
+        let folder = tempfile::tempdir().unwrap();
+        let (out, data) = (folder.path().join("out"), folder.path().join("data"));
+        fs::create_dir_all(data.join("photographs")).unwrap();
+        fs::create_dir(&out).unwrap();
+        std::os::unix::fs::symlink(&data, out.join(WORK)).unwrap();
+        let error = Work::claim(&out, &["images"]).err().unwrap();
+        assert!(error.to_string().contains("is a symbolic link") && error.exit_code() == 2, "{error}");
+        assert_eq!(fs::read_dir(&data).unwrap().count(), 1);
     }
 
     #[test]

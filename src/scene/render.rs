@@ -91,8 +91,12 @@ pub struct Orbit {
     pub radius: Option<f32>,
     /// Field of view in degrees, 0.001 to 170. Default 38.
     pub fov_degrees: f32,
-    /// Width and height in pixels, 1 to 16384. Default 256.
+    /// Width and height in pixels where they are not said, 1 to 16384. Default 256.
     pub size: u32,
+    /// Width in pixels, 1 to 16384. Default: `size`.
+    pub width: Option<u32>,
+    /// Height in pixels, 1 to 16384. Default: `size`.
+    pub height: Option<u32>,
     /// Frames per second, 1 to 100. Default 20.
     pub fps: u32,
     /// What the film is written as, besides an MP4 where `ffmpeg` is on the PATH. Default `Gif`.
@@ -113,12 +117,21 @@ impl Default for Orbit {
             radius: None,
             fov_degrees: 38.0,
             size: 256,
+            width: None,
+            height: None,
             fps: 20,
             format: OrbitFormat::Gif,
             keys: Vec::new(),
             light: None,
             material: None,
         }
+    }
+}
+
+impl Orbit {
+    /// Width and height in pixels.
+    pub fn sides(&self) -> [u32; 2] {
+        [self.width, self.height].map(|side| side.unwrap_or(self.size))
     }
 }
 

@@ -13,7 +13,7 @@ use crate::scene::load::options;
 use crate::{Error, Result};
 use glam::{EulerRot, Quat, Vec3};
 use std::fmt::Write as _;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 /// What a light file holds.
 #[derive(Clone, Debug, PartialEq)]
@@ -117,6 +117,19 @@ pub(crate) fn inlined(path: &Path, scale: f32, rotation_degrees: Vec3) -> Result
     *own_scale *= scale;
     *own_degrees = turned_after(*own_degrees, rotation_degrees);
     Ok(source)
+}
+
+/// The files that a light is read from: its own, and the one that a RON file names. One that cannot be read names none.
+pub fn files_of(path: &Path) -> Vec<PathBuf> {
+    let named = match extension(path).as_str() {
+        "ron" => inlined(path, 1.0, Vec3::ZERO).ok(),
+        _ => None,
+    };
+    let named = named.and_then(|source| match source {
+        LightSource::Npy { path, .. } | LightSource::Map { path, .. } => Some(path),
+        LightSource::Lobes { .. } | LightSource::Ron { .. } => None,
+    });
+    std::iter::once(path.to_owned()).chain(named).collect()
 }
 
 /// Turn about the world's x, then y, then z axis.

@@ -347,8 +347,9 @@ impl Task<'_> {
     fn render(&self, name: &str, render: &RenderSettings) -> PartEstimate {
         let views = self.chosen(render);
         let orbit = render.orbit.as_ref().map_or((0, 0.0), |orbit| {
-            let size = [orbit.size; 2];
-            (frame_bytes(size) + film_bytes(size), f64::from(orbit.size).powi(2) * f64::from(orbit.frames))
+            let size = orbit.sides();
+            let pixels = f64::from(size[0]) * f64::from(size[1]);
+            (frame_bytes(size) + film_bytes(size), pixels * f64::from(orbit.frames))
         });
         let object = views.iter().map(|look| object_pixels(look)).sum::<f64>() + USUAL_COVERAGE * orbit.1;
         let all = views.iter().map(|look| pixels(look)).sum::<f64>() + orbit.1;

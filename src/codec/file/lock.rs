@@ -1,6 +1,7 @@
 //! A folder that one process at a time writes into.
 
 use crate::codec::file::apart::Identity;
+use crate::codec::file::write::create_folders;
 use crate::{Error, Result};
 use std::fs::{self, File, TryLockError};
 use std::path::{Path, PathBuf};
@@ -25,8 +26,9 @@ impl FolderLock {
     pub fn take(folder: &Path) -> Result<Self> {
         let is_new = |place: &&Path| !place.as_os_str().is_empty() && !place.exists();
         let made: Vec<PathBuf> = folder.ancestors().take_while(is_new).map(Path::to_owned).collect();
-        fs::create_dir_all(folder).map_err(Error::io("create folder", folder))?;
+        create_folders(folder)?;
         let path = folder.join(LOCK);
+        check_ours(&path)?;
         loop {
             let mut options = File::options();
             let file = options.create(true).truncate(false).read(true).write(true).open(&path);
@@ -48,6 +50,7 @@ impl FolderLock {
     /// # Errors
     /// [`Error::Usage`] if one has.
     pub fn check_free(folder: &Path) -> Result<()> {
+        check_ours(&folder.join(LOCK))?;
         let Ok(file) = File::open(folder.join(LOCK)) else { return Ok(()) };
         match file.try_lock_shared() {
             Err(TryLockError::WouldBlock) => Err(busy(folder)),
@@ -67,6 +70,15 @@ impl Drop for FolderLock {
             }
         }
     }
+}
+
+/// Checks that a lock which is there is a plain file: a link would lead elsewhere, and a pipe would never open.
+fn check_ours(path: &Path) -> Result<()> {
+    if path.symlink_metadata().is_ok_and(|found| !found.is_file()) {
+        let problem = format!("{} is in the way: it is not a plain file", path.display());
+        return Err(Error::usage(problem, "Remove it, or choose another folder with --out."));
+    }
+    Ok(())
 }
 
 fn busy(folder: &Path) -> Error {
@@ -112,5 +124,23 @@ mod tests {
         fs::write(root.path().join("result"), "x").unwrap();
         drop(lock);
         assert!(root.path().join("result").exists() && !root.path().join(LOCK).exists());
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_lock_that_is_a_link_or_a_pipe_is_refused() {
+        let root = tempfile::tempdir().unwrap();
+        let (lock, elsewhere) = (root.path().join(LOCK), root.path().join("elsewhere"));
+        let refused = || {
+            for refused in [FolderLock::take(root.path()).map(|_| ()), FolderLock::check_free(root.path())] {
+                assert!(refused.unwrap_err().to_string().contains("is not a plain file"));
+            }
+        };
+        std::os::unix::fs::symlink(&elsewhere, &lock).unwrap();
+        refused();
+        assert!(!elsewhere.exists());
+        fs::remove_file(&lock).unwrap();
+        assert!(std::process::Command::new("mkfifo").arg(&lock).status().unwrap().success());
+        refused();
     }
 }

@@ -46,7 +46,7 @@ pub(crate) fn write_by_path(path: &Path, write: impl FnOnce(&Path) -> Result<()>
 
 fn temporary_beside(path: &Path) -> Result<NamedTempFile> {
     let folder = folder_of(path);
-    fs::create_dir_all(&folder).map_err(Error::io("create folder", &folder))?;
+    create_folders(&folder)?;
     let suffix = match path.extension() {
         Some(extension) => format!(".part.{}", extension.to_string_lossy()),
         None => ".part".to_owned(),
@@ -57,6 +57,17 @@ fn temporary_beside(path: &Path) -> Result<NamedTempFile> {
     #[cfg(unix)]
     let builder = builder.permissions(std::os::unix::fs::PermissionsExt::from_mode(0o666));
     builder.tempfile_in(&folder).map_err(Error::io("create a file in", &folder))
+}
+
+/// Creates `folder` and those around it that are missing, with their names on the disk.
+///
+/// # Errors
+/// [`Error::Io`].
+pub(crate) fn create_folders(folder: &Path) -> Result<()> {
+    let is_new = |place: &&Path| !place.as_os_str().is_empty() && !place.exists();
+    let made: Vec<&Path> = folder.ancestors().take_while(is_new).collect();
+    fs::create_dir_all(folder).map_err(Error::io("create folder", folder))?;
+    made.into_iter().filter(|made| !is_scratch(made)).try_for_each(|made| sync_folder(&folder_of(made)))
 }
 
 fn folder_of(path: &Path) -> PathBuf {

@@ -4,7 +4,7 @@ mod info;
 mod preview;
 
 use super::args::{ConventionArgs, EnvCommand, FitArgs, MapName, NpyName, RenderArgs, RotateArgs};
-use super::output_checks::refuse_input;
+use super::output_checks::refuse_inputs;
 use super::terminal::{Terminal, print};
 use super::threads::start_threads;
 use glam::{EulerRot, Quat};
@@ -17,7 +17,7 @@ use lobelia::light::map_fit::{MapFit, MapFitReport, fit_map_with, target_of};
 use lobelia::light::{EnvironmentMap, LightLobe};
 use lobelia::pass::progress::Progress;
 use lobelia::shade::frame::check_memory;
-use lobelia::spawn::light_file::{LightConventions, LightFile, check_lit, read_light, read_map};
+use lobelia::spawn::light_file::{LightConventions, LightFile, check_lit, files_of, read_light, read_map};
 use lobelia::{Error, Result};
 use preview::{before_and_after, picture, preview_factor};
 use std::path::Path;
@@ -107,7 +107,7 @@ fn refuse_before_work(args: &FitArgs) -> Result<()> {
         return Err(Error::usage(problem, "Name the output accordingly."));
     }
     let shown = out.with_extension("png");
-    refuse_input(&args.map, &[(out, "--out"), (&shown, "the picture beside --out")])?;
+    refuse_inputs(&files_of(&args.map), &[(out, "--out"), (&shown, "the picture beside --out")])?;
     if is_there(&shown) && software_of(&shown).as_deref() != Some(PICTURE_BY) {
         let problem = format!("{} exists, and is no picture that `env fit` made", shown.display());
         return Err(Error::usage(
@@ -142,7 +142,7 @@ fn write_fit(out: &Path, map: &EnvironmentMap, report: &MapFitReport, as_said: C
 }
 
 fn render(args: &RenderArgs) -> Result<()> {
-    refuse_input(&args.light, &[(&args.out, "the picture")])?;
+    refuse_inputs(&files_of(&args.light), &[(&args.out, "the picture")])?;
     let (width, height) = args.size;
     check_memory("a map", width, height, u64::from(width) * u64::from(height) * MAP_TEXEL_BYTES)?;
     let light = read(&args.light, args.conventions)?;
@@ -156,7 +156,7 @@ fn render(args: &RenderArgs) -> Result<()> {
 }
 
 fn rotate(args: &RotateArgs) -> Result<()> {
-    refuse_input(&args.light, &[(&args.out, "--out")])?;
+    refuse_inputs(&files_of(&args.light), &[(&args.out, "--out")])?;
     let turn = match (args.euler, args.quaternion) {
         (Some(degrees), _) => {
             let [x, y, z] = degrees.map(f32::to_radians);

@@ -11,7 +11,7 @@ mod mode;
 mod monte_carlo;
 
 use super::args::{CaseMode, CasePrecision, CaseQuality, ShadeCasesArgs};
-use super::output_checks::refuse_input;
+use super::output_checks::refuse_inputs;
 use super::terminal::print;
 use super::threads::start_threads;
 use case_file::{Case, read_table, triple, write_table};
@@ -53,7 +53,7 @@ struct ShadeCasesReport {
 
 /// Runs the command.
 pub fn run(args: &ShadeCasesArgs) -> Result<()> {
-    refuse_input(&args.cases, &[(&args.out, "the shaded table")])?;
+    refuse_inputs(std::slice::from_ref(&args.cases), &[(&args.out, "the shaded table")])?;
     start_threads(args.threads)?;
     let mode = match args.mode {
         CaseMode::Published => ShadeMode::ClosedForm(ClosedForm::Published),

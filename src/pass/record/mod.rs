@@ -2,7 +2,7 @@
 //! own files from others.
 
 use crate::codec::file::{
-    FolderLock, LOCK, MOST_TEXT, clear_scratch, is_there, is_unfinished, read_text, write_bytes,
+    FileUse, FolderLock, LOCK, MOST_TEXT, clear_scratch, is_there, is_unfinished, read_text, write_bytes,
 };
 use crate::error::{Error, Result};
 use crate::pass::files::{PassFiles, RUN};
@@ -12,7 +12,7 @@ use crate::report::html::REPORT;
 use crate::report::scores::peak_rss_mib;
 use crate::scene::load::LoadedScene;
 use serde::{Deserialize, Serialize};
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsStr;
 use std::fs;
 use std::path::{Component, Path, PathBuf};
@@ -117,6 +117,9 @@ pub(super) struct Record {
     pub(super) arguments: Vec<String>,
     #[serde(default)]
     pub(super) machine: Option<Machine>,
+    /// Hash of each file that is read: the 64 bits of SipHash-1-3 as hexadecimal digits. A run that keeps no checkpoints has none.
+    #[serde(default)]
+    inputs: BTreeMap<String, String>,
     /// Notes before the first pass.
     #[serde(default)]
     pub(super) said: Vec<String>,
@@ -172,10 +175,11 @@ fn existing(out: &Path, listed: &str) -> Vec<String> {
 }
 
 /// Checks an output folder before anything is read: it is new or empty, or `force` may write into it; and no other run does.
+/// `has_checkpoints` is whether the run in it can go on.
 ///
 /// # Errors
 /// [`Error::Usage`] that says what is in the way.
-pub(crate) fn check_used(out: &Path, force: bool) -> Result<()> {
+pub(crate) fn check_used(out: &Path, force: bool, has_checkpoints: bool) -> Result<()> {
     FolderLock::check_free(out)?;
     if force || !is_used(out) {
         return Ok(());
@@ -185,6 +189,10 @@ pub(crate) fn check_used(out: &Path, force: bool) -> Result<()> {
         Some(RunState::Finished) => (
             format!("the output folder {shown} is not empty: it has the results of a run"),
             "Choose another with --out, or replace them with --force.",
+        ),
+        Some(_) if !has_checkpoints => (
+            format!("the output folder {shown} is not empty: it has a run that did not finish"),
+            "It kept no checkpoints. Choose another folder with --out, or replace what it left with --force.",
         ),
         Some(_) => (
             format!("the output folder {shown} is not empty: it has a run that did not finish"),
@@ -198,9 +206,29 @@ pub(crate) fn check_used(out: &Path, force: bool) -> Result<()> {
     Err(Error::usage(problem, help))
 }
 
-/// How far the run in `out` is; `None` if there is none.
-pub(crate) fn state_of_run(out: &Path) -> Option<RunState> {
-    Record::read(out).map(|record| record.state)
+/// Whether the run in `out` that is to go on has finished. One without `checkpoints` begins again, if it has written nothing.
+///
+/// # Errors
+/// [`Error::Usage`] if it was of another scene, or if what it has written would be lost.
+pub(crate) fn check_resumed(out: &Path, loaded: &LoadedScene, has_checkpoints: bool) -> Result<bool> {
+    let Some(record) = Record::read(out) else { return Ok(false) };
+    if record.state == RunState::Finished {
+        if record.scene_text != loaded.text || record.seed != Some(loaded.scene.seed) {
+            let problem = format!("the run in {} has finished, and was of another scene", out.display());
+            let help = "Choose another folder with --out, or replace its results with --force.";
+            return Err(Error::usage(problem, help));
+        }
+        return Ok(true);
+    }
+    let written = |pass: &PassRecord| pass.files.iter().any(|file| !existing(out, file).is_empty());
+    if !has_checkpoints && record.passes.iter().any(written) {
+        let problem = format!(
+            "the run in {} kept no checkpoints: --resume would begin again and remove its results",
+            out.display()
+        );
+        return Err(Error::usage(problem, "Choose another folder with --out, or begin again with --force."));
+    }
+    Ok(false)
 }
 
 /// Whether a folder has more than what a process that was killed at its very start left: its lock, and half of a manifest. What else keeps it
@@ -248,26 +276,38 @@ impl Claim {
         Ok(Self { lock, out: out.to_owned(), plan, before })
     }
 
+    /// What earlier runs left under the names of this one's passes, and which goes when it begins.
+    pub fn stale(&self) -> impl Iterator<Item = FileUse> {
+        let (stale, _) = self.leftovers(&[]);
+        stale.into_iter().map(|file| FileUse::new(self.out.join(file), "--force"))
+    }
+
+    /// What earlier runs left, beside what is of the passes that are `done`: what goes, and what stays.
+    fn leftovers(&self, done: &[PassRecord]) -> (Vec<String>, Vec<String>) {
+        let names: BTreeSet<&str> =
+            self.plan.iter().skip(done.len()).map(|pass| pass.pass.as_str()).collect();
+        let mut old: BTreeSet<String> = self
+            .before
+            .iter()
+            .flat_map(Record::listed)
+            .flat_map(|listed| existing(&self.out, listed))
+            .collect();
+        old.retain(|file| *file != RUN && !done.iter().any(|pass| pass.files.contains(file)));
+        let is_stale = |file: &String| file.split('/').next().is_some_and(|first| names.contains(first));
+        old.into_iter().partition(|file| OF_RUN.contains(&file.as_str()) || is_stale(file))
+    }
+
     /// Begins the run: writes its manifest, and then removes what earlier runs left of the same passes, so that old results are never
     /// beside new ones as if they were of one run. The first `done` passes are of this run, which is resumed.
     ///
     /// # Errors
     /// [`Error::Io`] if something cannot be written or removed.
     pub fn begin(self, loaded: &LoadedScene, arguments: &[String], done: usize) -> Result<RunRecord> {
-        let Self { lock, out, plan, before } = self;
-        let names: BTreeSet<&str> = plan.iter().skip(done).map(|pass| pass.pass.as_str()).collect();
+        let finished = self.plan.iter().take(done);
         let done: Vec<PassRecord> =
-            plan.iter().take(done).map(|pass| PassRecord::finished(&out, pass, before.as_ref())).collect();
-        let is_done = |file: &String| done.iter().any(|pass| pass.files.contains(file));
-        let mut old: BTreeSet<String> =
-            before.iter().flat_map(Record::listed).flat_map(|listed| existing(&out, listed)).collect();
-        old.retain(|file| !is_done(file));
-        let is_stale = |file: &String| file.split('/').next().is_some_and(|first| names.contains(first));
-        let (stale, kept): (Vec<String>, Vec<String>) = old
-            .iter()
-            .filter(|file| *file != RUN)
-            .cloned()
-            .partition(|file| OF_RUN.contains(&file.as_str()) || is_stale(file));
+            finished.map(|pass| PassRecord::finished(&self.out, pass, self.before.as_ref())).collect();
+        let (stale, kept) = self.leftovers(&done);
+        let Self { lock, out, plan, .. } = self;
         let waiting = plan.iter().skip(done.len()).map(PassRecord::waiting);
         let passes = done.into_iter().chain(waiting).collect();
         let mut record = Record {
@@ -280,6 +320,7 @@ impl Claim {
             seed: Some(loaded.scene.seed),
             arguments: arguments.to_vec(),
             machine: Some(Machine::this()),
+            inputs: BTreeMap::new(),
             said: Vec::new(),
             passes,
             files: OF_RUN.map(str::to_owned).to_vec(),
@@ -368,6 +409,11 @@ impl RunRecord {
     /// Keeps notes from before the first pass; the manifest has them from its next change on.
     pub fn said_before(&mut self, said: Vec<String>) {
         self.record.said = said;
+    }
+
+    /// Keeps the hashes of the files that are read; the manifest has them from its next change on.
+    pub fn reads(&mut self, inputs: BTreeMap<String, String>) {
+        self.record.inputs = inputs;
     }
 
     /// Says how far a pass is, and what it said.

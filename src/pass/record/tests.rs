@@ -60,12 +60,12 @@ fn a_run_that_was_killed_at_its_very_start_is_none() {
     let out = root.path();
     write_bytes(&out.join(".lobelia-abc.part.json"), b"{").unwrap();
     write_bytes(&out.join(".lobelia.lock"), b"").unwrap();
-    check_used(out, false).unwrap();
+    check_used(out, false, true).unwrap();
     drop(begin(out, &["a.png"]));
     assert!(!out.join(".lobelia-abc.part.json").exists());
     std::fs::create_dir(out.join("else")).unwrap();
     write_bytes(&out.join("else/mine.txt"), b"x").unwrap();
-    assert!(check_used(&out.join("else"), false).is_err());
+    assert!(check_used(&out.join("else"), false, true).is_err());
 }
 
 #[test]
@@ -79,7 +79,7 @@ fn states_and_files_are_those_of_the_run() {
     // Killed here: the next run knows the files.
     drop(record);
     assert_eq!(Record::read(out).unwrap().state, RunState::Running);
-    assert!(check_used(out, false).unwrap_err().to_string().contains("did not finish"));
+    assert!(check_used(out, false, true).unwrap_err().to_string().contains("did not finish"));
     let mut record = begin(out, &["a.png"]);
     assert!(!out.join("novel").exists(), "old results are gone before new ones come");
     write_bytes(&out.join("novel/a.png"), b"x").unwrap();

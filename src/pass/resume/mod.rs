@@ -5,6 +5,7 @@
 
 use crate::checkpoint::{self, Checkpoint, Checkpoints, Place, Store, packed};
 use crate::codec::file::{MOST_TEXT, is_there, read_bytes, read_parts, read_text, write_bytes, write_file};
+use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::fit::run::Initialize;
 use crate::material::replace_materials;
@@ -17,6 +18,7 @@ use crate::sample::point::Scenery;
 use crate::scene::{Pass, Scene, Sheen};
 use crate::shape::run::replace_texels;
 use crate::spawn::{insert_known_along, several_materials};
+use crate::survey::open::OpenScene;
 use bevy_ecs::prelude::World;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -50,22 +52,29 @@ pub(super) struct RunStart {
     /// Hash of the scene as it keeps to its memory.
     within_memory: u64,
     threads: usize,
+    /// Hash of the views of a data set: their names, splits, cameras and files.
+    #[serde(default)]
+    views: u64,
     /// Hash of each file that is read.
     inputs: BTreeMap<String, u64>,
 }
 
 impl RunStart {
-    /// What a run is begun with now. `scene` is the loaded one as it keeps to its memory.
+    /// What a run is begun with now. `scene` is the loaded one as it keeps to its memory, `data` its data set.
     ///
     /// # Errors
-    /// [`Error::Io`] if an input cannot be read.
-    pub fn new(loaded: &Scene, scene: &Scene, inputs: &[PathBuf]) -> Result<Self> {
-        let hash = |path: &PathBuf| Ok((path.to_string_lossy().into_owned(), hash_of_file(path)?));
+    /// [`Error::Io`] if an input cannot be read; [`Error::Interrupted`].
+    pub fn new(loaded: &Scene, scene: &Scene, data: Option<&OpenScene>, inputs: &[PathBuf]) -> Result<Self> {
+        let hash = |path: &PathBuf| {
+            check_interrupted()?;
+            Ok((path.to_string_lossy().into_owned(), hash_of_file(path)?))
+        };
         Ok(Self {
             version: env!("LOBELIA_VERSION").into(),
             scene: hash_of(loaded),
             within_memory: hash_of(scene),
             threads: rayon::current_num_threads(),
+            views: hash_of(&data.map(|data| &data.views)),
             inputs: inputs.par_iter().map(hash).collect::<Result<_>>()?,
         })
     }
@@ -115,6 +124,11 @@ impl RunStart {
             let problem = format!("{path} is not what it was when the run was begun");
             return Err(Error::usage(problem, "Put it back as it was, or start again with --force."));
         }
+        if self.views != now.views {
+            let problem =
+                "the cameras or lists of views of the data set are not what they were when the run was begun";
+            return Err(Error::usage(problem, "Put them back as they were, or start again with --force."));
+        }
         if self.within_memory != now.within_memory {
             let problem =
                 "the run was begun with other sizes of its pools, because it was allowed other memory";
@@ -138,6 +152,11 @@ impl RunStart {
         let text =
             serde_json::to_string_pretty(self).map_err(|error| Error::run(BEGUN, error.to_string()))?;
         write_bytes(&out.join(FOLDER).join(BEGUN), (text + "\n").as_bytes())
+    }
+
+    /// Hash of each file that is read, as hexadecimal digits.
+    pub fn inputs(&self) -> BTreeMap<String, String> {
+        self.inputs.iter().map(|(path, hash)| (path.clone(), format!("{hash:016x}"))).collect()
     }
 
     /// What marks the checkpoints of this run.

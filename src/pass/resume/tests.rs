@@ -118,7 +118,7 @@ fn a_folder_that_leads_elsewhere_is_refused() {
 
 fn begun() -> RunStart {
     let inputs = [("a.png".to_owned(), 1), ("b.png".to_owned(), 2)].into();
-    RunStart { version: "1".into(), scene: 1, within_memory: 2, threads: 2, inputs }
+    RunStart { version: "1".into(), scene: 1, within_memory: 2, threads: 2, views: 3, inputs }
 }
 
 #[test]
@@ -134,6 +134,7 @@ fn other_data_are_named() {
     assert!(refused(|now| _ = now.inputs.remove("a.png")).starts_with("a.png"));
     assert!(refused(|now| _ = now.inputs.insert("c.png".into(), 1)).starts_with("c.png"));
     assert!(refused(|now| now.within_memory = 9).contains("memory"));
+    assert!(refused(|now| now.views = 4).contains("cameras"));
     // Another number of threads changes bits alone.
     begun().check_data(&RunStart { threads: 1, ..begun() }, &Silent).unwrap();
 }

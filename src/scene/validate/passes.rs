@@ -325,6 +325,11 @@ fn orbit(checks: &mut Checks, at: &str, orbit: &Orbit) {
     }
     checks.fov(&path("fov_degrees"), orbit.fov_degrees);
     checks.pixels(&path("size"), orbit.size);
+    for (name, side) in [("width", orbit.width), ("height", orbit.height)] {
+        if let Some(side) = side {
+            checks.pixels(&path(name), side);
+        }
+    }
     checks.count(&path("fps"), orbit.fps, 1..=100);
     super::film::film(checks, at, orbit);
 }
