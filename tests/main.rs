@@ -2,7 +2,7 @@
 //!
 //! | theme | files |
 //! | --- | --- |
-//! | runs of the command | [`run`], [`photos`], [`gloss`], [`metal`], [`sheen`], [`tilt`], [`detail`], [`ggx`], [`scale`], [`light_frame`], [`export`], [`view_page`], [`report`], [`shown`], [`env`], [`scores`], [`profile`], [`shade_cases`] |
+//! | runs of the command | [`run`], [`photos`], [`gloss`], [`metal`], [`sheen`], [`tilt`], [`detail`], [`ggx`], [`scale`], [`light_frame`], [`export`], [`view_page`], [`report`], [`shown`], [`env`], [`scores`], [`profile`], [`shade_cases`], [`json_log`] |
 //! | what is written where, and what never is; runs that are stopped, or looked at | [`outputs`], [`resume`], `stop`, [`live`] |
 //! | late failures, nonsense, edges; what a scene may not read | [`trust`], [`confined`], [`guard`] |
 //! | what is refused, and how | [`agree`], [`bad_input`], [`check`], [`hostile`], [`mutants`], [`scene_errors`] |
@@ -26,6 +26,7 @@ mod ggx;
 mod gloss;
 mod guard;
 mod hostile;
+mod json_log;
 mod light_frame;
 mod live;
 mod metal;

@@ -15,6 +15,7 @@ mod check;
 mod env;
 mod error_message;
 mod eval;
+mod json_log;
 mod live;
 mod new;
 mod output_checks;

@@ -1,19 +1,34 @@
 //! `lobelia run`: the passes of a scene file, in their order.
 
+use super::json_log::JsonLog;
 use super::live::Live;
-use super::run_args::RunArgs;
+use super::run_args::{LogForm, RunArgs};
 use super::scene_files::load_options;
 use super::signals::stop_on_signals;
 use super::terminal::Terminal;
 use super::threads::start_threads;
 use lobelia::Result;
 use lobelia::pass::memory::usual_budget;
+use lobelia::pass::progress::Progress;
 use lobelia::pass::{self, RunOptions};
 use lobelia::scene::load;
 use std::path::{Path, PathBuf};
 
 /// Runs the command.
 pub fn run(args: &RunArgs) -> Result<()> {
+    match args.log {
+        LogForm::Text => carry_out(args, &Terminal::new(args.quiet)),
+        LogForm::Json => {
+            let log = JsonLog::new();
+            let ended = carry_out(args, &log);
+            log.end(&ended);
+            ended
+        }
+    }
+}
+
+/// Runs the scene, and reports to `shown`.
+fn carry_out(args: &RunArgs, shown: &dyn Progress) -> Result<()> {
     let loaded = load(&args.scene.scene, &load_options(&args.scene))?;
     let out = args.out.clone().unwrap_or_else(|| default_out(&args.scene.scene));
     start_threads(args.threads)?;
@@ -30,9 +45,8 @@ pub fn run(args: &RunArgs) -> Result<()> {
         profile: args.profile(),
     };
     stop_on_signals()?;
-    let terminal = Terminal::new(args.quiet);
-    let Some(port) = args.live else { return pass::run(&loaded, &options, &terminal) };
-    let live = Live::start(port, &options.out, terminal)?;
+    let Some(port) = args.live else { return pass::run(&loaded, &options, shown) };
+    let live = Live::start(port, &options.out, shown)?;
     let ended = pass::run(&loaded, &options, &live);
     live.end(&ended);
     ended

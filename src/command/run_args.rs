@@ -88,9 +88,21 @@ pub struct RunArgs {
     /// the worst views, a button that stops the run; its address goes to standard error
     #[arg(long, value_name = "PORT", num_args = 0..=1, default_missing_value = "0", value_parser = port)]
     pub live: Option<u16>,
+    /// What a run says: text for a person, or a line of JSON for each event, on standard output
+    #[arg(long, value_name = "FORM", default_value = "text", conflicts_with = "quiet")]
+    pub log: LogForm,
     /// Nothing but errors on the terminal: no progress bars, no notes, no results
     #[arg(short, long)]
     pub quiet: bool,
+}
+
+/// What a run says.
+#[derive(Clone, Copy, Debug, PartialEq, ValueEnum)]
+pub enum LogForm {
+    /// Bars, notes and results
+    Text,
+    /// Events, for programs
+    Json,
 }
 
 /// What `--profile` leaves.

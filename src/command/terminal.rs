@@ -47,24 +47,31 @@ impl Progress for Terminal {
         let _ = writeln!(out, "{text}");
     }
 
-    /// With the time left; hidden where bars are not shown.
+    /// With the time left, or that spent where the length is not known; hidden where bars are not shown.
     fn bar(&self, title: &str, length: u64) -> Box<dyn Bar> {
         if !self.bars {
             return Box::new(TerminalBar(ProgressBar::hidden()));
         }
         let bar = ProgressBar::new(length);
-        // The template is fixed; were it wrong, the default style would do.
-        if let Ok(style) =
-            ProgressStyle::with_template("{prefix:>12} {bar:30} {pos}/{len} {eta:>4} left  {msg}")
-        {
-            bar.set_style(style.progress_chars("━╸─"));
-        }
+        dress(&bar, length);
         bar.set_prefix(title.to_owned());
         // The ticker is a thread, and a bar without one is drawn when it moves.
         if std::thread::Builder::new().spawn(|| ()).is_ok() {
             bar.enable_steady_tick(Duration::from_millis(200));
         }
         Box::new(TerminalBar(bar))
+    }
+}
+
+/// Gives a bar the looks of a task of this length.
+fn dress(bar: &ProgressBar, length: u64) {
+    let template = match length {
+        0 => "{prefix:>12} {spinner} {msg} {elapsed}",
+        _ => "{prefix:>12} {bar:30} {pos}/{len} {eta:>4} left  {msg}",
+    };
+    // The templates are fixed; were one wrong, the default style would do.
+    if let Ok(style) = ProgressStyle::with_template(template) {
+        bar.set_style(style.progress_chars("━╸─"));
     }
 }
 
@@ -80,6 +87,12 @@ impl Bar for TerminalBar {
     }
 
     fn set_length(&self, steps: u64) {
+        if self.0.length() == Some(0) && steps > 0 {
+            // What was spent before the first step says nothing of the steps.
+            dress(&self.0, steps);
+            self.0.reset();
+            self.0.set_message("");
+        }
         self.0.set_length(steps);
     }
 

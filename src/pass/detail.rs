@@ -31,14 +31,14 @@ use std::time::Instant;
 pub(crate) fn refine_texture(session: &mut Session, pass: &FitPass, options: &FitOptions) -> Result<()> {
     let _detail = stage("texture");
     let start = Instant::now();
-    let bar = session.progress.bar(&pass.name, 100);
-    bar.set_message("texture".into());
     let factor = factor_for(session);
     if factor > 1 {
         refine(session, factor)?;
     }
     let visibility = options.visibility && session.has_visibility()?;
     let tilt = session.scene.material.tilt == Tilt::Unknown;
+    let bar = session.progress.bar(&pass.name, 100);
+    bar.set_message("texture".into());
     let settings = DetailOptions { form: options.form, visibility, tilt };
     solve_detail(&mut session.pipeline, settings, &mut |done| bar.set_position((100.0 * done) as u64))?;
     bar.finish_and_clear();

@@ -200,8 +200,10 @@ fn try_several(session: &mut Session, pass: &FitPass, before: &FitOptions) -> Re
     let steps = before.asked_after.unwrap_or_default();
     let mut error = f64::INFINITY;
     let title = format!("{}, several base materials", pass.name);
-    let bar = session.progress.bar(&title, u64::from(steps));
+    let bar = session.progress.bar(&title, 0);
+    bar.set_message("first guess".into());
     run_fit(&mut session.pipeline, &options, &mut |at: &FitProgress, _| {
+        bar.set_length(u64::from(steps));
         bar.set_position(u64::from(at.step));
         error = at.sums.mean();
         if at.step == steps || is_stopping() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }

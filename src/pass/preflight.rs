@@ -46,15 +46,18 @@ pub(crate) fn read_data(
 ) -> Result<(Vec<ViewRecord>, Option<Survey>)> {
     let learns = |pass: &Pass| matches!(pass, Pass::Fit(_) | Pass::Shape(_) | Pass::Evaluate(_));
     let is_used = matches!(scene.surface, Surface::Unknown { .. }) || scene.passes.iter().any(learns);
+    let bar = progress.bar("photographs", open.views.len() as u64);
     let read = |view: &PlannedView| {
         check_interrupted()?;
         let loaded = open.load(view)?;
         let look = is_used.then(|| open.look(view, &loaded, false));
+        bar.inc(1);
         Ok((loaded, look))
     };
     let read: Vec<Result<(LoadedView, Option<ViewLook>)>> = open.views.par_iter().map(read).collect();
     let (loaded, looks): (Vec<LoadedView>, Vec<Option<ViewLook>>) =
         read.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
+    bar.finish_and_clear();
     open.notes.iter().chain(&load_notes(&loaded)).for_each(|note| progress.note(note));
     let mut survey = None;
     if is_used {

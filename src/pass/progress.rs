@@ -42,7 +42,8 @@ pub trait Progress {
     /// A line of result.
     fn print(&self, text: &str);
 
-    /// Creates a bar of `length` steps with a title; [`Bar::finish_and_clear`] or dropping removes it.
+    /// Creates a bar of `length` steps with a title; [`Bar::finish_and_clear`] or dropping removes it. A length of 0 is one that is not
+    /// known, or not yet.
     fn bar(&self, title: &str, length: u64) -> Box<dyn Bar>;
 
     /// Called at each [`Moment`]. The state is copied only if `copy` is called, which takes time from the run; it changes nothing of it.

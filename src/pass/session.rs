@@ -138,7 +138,10 @@ impl Session<'_> {
             }
             let start = Instant::now();
             let _tracing = stage("shadows traced");
+            let bar = self.progress.bar("shadows", 0);
+            bar.set_message("tracing".into());
             let traced = ObjectVisibility::new(&self.surface, settings);
+            bar.finish_and_clear();
             check_interrupted()?;
             let (mib, elapsed) = (traced.bytes() as f64 / 1048576.0, start.elapsed().as_secs_f64());
             self.progress.print(&format!("visibility: traced in {elapsed:.1} s, {mib:.1} MiB"));

@@ -85,8 +85,9 @@ pub(crate) fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
 /// Fits the shape, with a bar and a look at it now and then. Returns the surface that was found, and whether the run was stopped before the end.
 fn fit(session: &mut Session, pass: &ShapePass) -> Result<(SdfSurface, bool)> {
     let options = options(session, pass);
-    let most: u32 = pass.levels.iter().map(|level| level.steps).sum();
-    let bar = session.progress.bar(&pass.name, u64::from(most));
+    // How many levels there are is known once the hull is.
+    let bar = session.progress.bar(&pass.name, 0);
+    bar.set_message("hull".into());
     let inspector = session.debug_every.map(|every| inspector(session, &pass.name, every));
     let (mut failure, mut stopped, mut told) = (None, false, HullReport::default());
     let (hull, up, progress) = (session.surface.clone(), session.scene.up, session.progress);
@@ -251,9 +252,12 @@ fn tell_of_hull(progress: &dyn Progress, name: &str, told: &mut HullReport, now:
 fn match_outlines(session: &mut Session, name: &str, surface: &mut SdfSurface) {
     let start = Instant::now();
     let _matching = stage("outlines");
+    let bar = session.progress.bar(name, 0);
+    bar.set_message("outlines".into());
     let report = refine_by_outlines(&mut session.pipeline.world, surface);
     let seconds = start.elapsed().as_secs_f64();
     let found = format!("{:.2} pixels off before, {:.2} after", report.before, report.after);
+    bar.finish_and_clear();
     session.progress.print(&format!("{name}: outlines in {seconds:.1} s, {found}"));
 }
 

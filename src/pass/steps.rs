@@ -100,12 +100,14 @@ pub(super) fn take_steps(
     options: &FitOptions,
     enough: f64,
 ) -> Result<Steps> {
-    let bar = session.progress.bar(&pass.name, u64::from(options.steps));
+    let bar = session.progress.bar(&pass.name, 0);
+    bar.set_message("first guess".into());
     place_texels(session);
     let_geometry_move(session, pass);
     let (mut error, mut doubted) = (0.0, false);
     let (surface, up, progress) = (session.surface.clone(), session.scene.up, session.progress);
     let summary = run_fit(&mut session.pipeline, options, &mut |at, world| {
+        bar.set_length(u64::from(at.steps));
         bar.set_position(u64::from(at.step));
         if at.step % LOG_EVERY == 0 || at.step == at.steps {
             bar.set_message(format!("{:.1} dB", at.sums.psnr()));

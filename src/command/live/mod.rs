@@ -15,7 +15,6 @@ mod live_run;
 mod server;
 mod site;
 
-use super::terminal::Terminal;
 use live_run::{BarAt, LiveRun};
 use lobelia::pass::progress::{Bar, Copier, Moment, Progress};
 use lobelia::{Error, Result};
@@ -25,16 +24,16 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-/// The terminal, and the page beside it.
-pub struct Live {
-    terminal: Terminal,
+/// What shows the run without a page, and the page beside it.
+pub struct Live<'a> {
+    shown: &'a dyn Progress,
     shared: Arc<LiveRun>,
     bars: AtomicU64,
 }
 
-impl Live {
+impl<'a> Live<'a> {
     /// Serves a page about the run into `out` at `port` (0: any that is free) from now on, and says where.
-    pub fn start(port: u16, out: &Path, terminal: Terminal) -> Result<Self> {
+    pub fn start(port: u16, out: &Path, shown: &'a dyn Progress) -> Result<Self> {
         let (listener, port) = server::listen(port)?;
         let shared = Arc::new(LiveRun::default());
         let title =
@@ -43,7 +42,7 @@ impl Live {
         // Also with --quiet: without the address there is no page. In one piece, for a program that waits for it.
         let address = format!("live: http://127.0.0.1:{port}/\n");
         let _ = std::io::stderr().lock().write_all(address.as_bytes());
-        Ok(Self { terminal, shared, bars: AtomicU64::new(1) })
+        Ok(Self { shown, shared, bars: AtomicU64::new(1) })
     }
 
     /// Tells the page how the run ended.
@@ -56,29 +55,30 @@ impl Live {
     }
 }
 
-impl Progress for Live {
+impl Progress for Live<'_> {
     fn note(&self, text: &str) {
         self.shared.say(text);
-        self.terminal.note(text);
+        self.shown.note(text);
     }
 
     fn print(&self, text: &str) {
         self.shared.say(text);
-        self.terminal.print(text);
+        self.shown.print(text);
     }
 
     fn bar(&self, title: &str, length: u64) -> Box<dyn Bar> {
         let id = self.bars.fetch_add(1, Ordering::Relaxed);
         self.shared.show_bar(BarAt { id, title: title.to_owned(), length, ..BarAt::default() });
-        Box::new(LiveBar { id, shown: self.terminal.bar(title, length), shared: self.shared.clone() })
+        Box::new(LiveBar { id, shown: self.shown.bar(title, length), shared: self.shared.clone() })
     }
 
     fn look(&self, at: Moment, copy: &mut Copier) {
         self.shared.look(at, copy);
+        self.shown.look(at, copy);
     }
 }
 
-/// A bar of the terminal and of the page.
+/// A bar, and the same on the page.
 struct LiveBar {
     id: u64,
     shown: Box<dyn Bar>,

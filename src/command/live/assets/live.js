@@ -26,9 +26,14 @@
         return box;
     }
 
+    /** A task and how far it is; of one whose length is not known, what it is at. */
+    function told({ title, position, length, message }) {
+        return length > 0 ? `${title}: ${position} of ${length} ${message}` : `${title}: ${message}`;
+    }
+
     /** What is being done, in words. */
     function doing({ pass, step, bar }) {
-        if (!pass) return bar ? `before the first pass: ${bar.title} ${bar.position} of ${bar.length}` : "before the first pass";
+        if (!pass) return bar ? `before the first pass: ${told(bar)}` : "before the first pass";
         const words = [`pass ${pass.name}, ${pass.number} of ${pass.count}, for ${minutes(pass.secs)}`];
         if (step && step.levels > 1) words.push(`level ${step.level} of ${step.levels}`);
         if (step) words.push(`step ${step.step} of ${step.steps}`);
@@ -37,7 +42,7 @@
         const moved = step ? step.step - first.step : 0;
         const left = moved > 0 ? ((pass.secs - first.secs) * (step.steps - step.step)) / moved : 0;
         if (left > 1 && left < 1e6) words.push(`about ${minutes(left)} left`);
-        if (bar && !(step && bar.title === pass.name)) words.push(`${bar.title}: ${bar.position} of ${bar.length} ${bar.message}`);
+        if (bar && !(step && bar.title === pass.name)) words.push(told(bar));
         return words.join(" · ");
     }
 

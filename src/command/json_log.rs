@@ -1,0 +1,151 @@
+//! `lobelia run --log json`: what a run says, for programs. One JSON object a line on standard output, each with the seconds since the
+//! start and the name of an event.
+//!
+//! | event | fields | when |
+//! | --- | --- | --- |
+//! | `pass` | `name`, `number`, `count` | a pass begins; passes count from 1 |
+//! | `stage` | `title`, `length` | a task begins; a `length` of 0 is not known yet |
+//! | `progress` | `title`, `done`, `length`, `message` | at most once a second and task of a known length |
+//! | `note`, `result` | `text` | as on the terminal |
+//! | `ended` | `state`, `error`, `help` | the last line: `finished`, `interrupted` or `failed` |
+
+use lobelia::pass::progress::{Bar, Copier, Moment, Progress};
+use lobelia::{Error, Result};
+use serde::Serialize;
+use std::io::Write;
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+/// Time between two lines about the same task.
+const PAUSE: Duration = Duration::from_secs(1);
+
+/// Writes events.
+pub struct JsonLog {
+    start: Instant,
+}
+
+#[derive(Serialize)]
+#[serde(tag = "event", rename_all = "lowercase")]
+enum Event<'a> {
+    Pass { name: &'a str, number: usize, count: usize },
+    Stage { title: &'a str, length: u64 },
+    Progress { title: &'a str, done: u64, length: u64, message: &'a str },
+    Note { text: &'a str },
+    Result { text: &'a str },
+    Ended { state: &'a str, error: Option<String>, help: Option<&'a str> },
+}
+
+#[derive(Serialize)]
+struct Line<'a> {
+    secs: f64,
+    #[serde(flatten)]
+    event: Event<'a>,
+}
+
+/// Writes a line; whoever reads may be gone, and that is no reason to lose a run.
+fn write(start: Instant, event: Event) {
+    let secs = (start.elapsed().as_secs_f64() * 1000.0).round() / 1000.0;
+    if let Ok(text) = serde_json::to_string(&Line { secs, event }) {
+        let _ = std::io::stdout().lock().write_all((text + "\n").as_bytes());
+    }
+}
+
+impl JsonLog {
+    /// A log that begins now.
+    pub fn new() -> Self {
+        Self { start: Instant::now() }
+    }
+
+    /// Says how the run ended.
+    pub fn end(&self, ended: &Result<()>) {
+        let (state, error) = match ended {
+            Ok(()) => ("finished", None),
+            Err(error @ Error::Interrupted) => ("interrupted", Some(error)),
+            Err(error) => ("failed", Some(error)),
+        };
+        let help = error.and_then(Error::help);
+        write(self.start, Event::Ended { state, error: error.map(in_a_line), help });
+    }
+}
+
+/// An error with the name of the scene file, if it is about that.
+fn in_a_line(error: &Error) -> String {
+    match error {
+        Error::Scene(diagnostic) => format!("{}: {error}", diagnostic.name),
+        _ => error.to_string(),
+    }
+}
+
+impl Progress for JsonLog {
+    fn note(&self, text: &str) {
+        write(self.start, Event::Note { text });
+    }
+
+    fn print(&self, text: &str) {
+        write(self.start, Event::Result { text });
+    }
+
+    fn bar(&self, title: &str, length: u64) -> Box<dyn Bar> {
+        write(self.start, Event::Stage { title, length });
+        let at = Task { done: 0, length, message: String::new(), told: Some(Instant::now()) };
+        Box::new(JsonBar { start: self.start, title: title.to_owned(), at: Mutex::new(at) })
+    }
+
+    fn look(&self, at: Moment, _: &mut Copier) {
+        if let Moment::Pass { name, number, count } = at {
+            write(self.start, Event::Pass { name, number, count });
+        }
+    }
+}
+
+/// A task, and how far it is.
+struct JsonBar {
+    start: Instant,
+    title: String,
+    at: Mutex<Task>,
+}
+
+struct Task {
+    done: u64,
+    length: u64,
+    message: String,
+    /// When a line told of it; `None` if one is due.
+    told: Option<Instant>,
+}
+
+impl JsonBar {
+    fn change(&self, change: impl FnOnce(&mut Task)) {
+        let mut at = self.at.lock().unwrap_or_else(PoisonError::into_inner);
+        change(&mut at);
+        if at.told.is_none_or(|told| told.elapsed() >= PAUSE) {
+            at.told = Some(Instant::now());
+            let Task { done, length, message, .. } = &*at;
+            let (title, done, length) = (self.title.as_str(), *done, *length);
+            write(self.start, Event::Progress { title, done, length, message });
+        }
+    }
+}
+
+impl Bar for JsonBar {
+    fn inc(&self, steps: u64) {
+        self.change(|at| at.done += steps);
+    }
+
+    fn set_position(&self, steps: u64) {
+        self.change(|at| at.done = steps);
+    }
+
+    fn set_length(&self, steps: u64) {
+        self.change(|at| at.length = steps);
+    }
+
+    fn set_message(&self, message: String) {
+        self.change(|at| {
+            // Of a task without a known length it is all that can be said.
+            at.told = at.told.filter(|_| at.length > 0);
+            at.message = message;
+        });
+    }
+
+    fn finish_and_clear(&self) {}
+}
