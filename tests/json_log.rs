@@ -20,6 +20,9 @@ fn every_line_is_an_event_and_the_last_says_how_it_ended() {
         of("stage").iter().any(|stage| stage["title"] == "photographs" && stage["length"].as_u64() > Some(0))
     );
     assert!(of("progress").iter().any(|at| at["title"] == "fit" && at["message"] == "first guess"));
+    assert!(of("progress").iter().all(|at| at["length"] == 0 || at["message"] != "first guess"));
+    assert_eq!(of("stage").len(), of("done").len(), "every task that begins ends");
+    assert!(of("done").iter().any(|task| task["title"] == "fit" && task["done"] == 10));
     assert!(of("result").iter().any(|line| line["text"].as_str().unwrap().contains("10 steps")));
     let secs: Vec<f64> = events.iter().map(|event| event["secs"].as_f64().unwrap()).collect();
     assert!(secs.windows(2).all(|pair| pair[0] <= pair[1]), "{secs:?}");

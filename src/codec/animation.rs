@@ -241,7 +241,10 @@ fn feed(mut child: Child, path: &Path, film: &Film) -> Result<()> {
         String::from_utf8_lossy(&said).into_owned()
     });
     let unheard = |error| failure(path, format!("cannot listen to ffmpeg: {error}"));
-    let listener = listener.map_err(unheard)?;
+    let listener = listener.map_err(|error| {
+        let _ = child.kill().and_then(|()| child.wait());
+        unheard(error)
+    })?;
     let unsent = |error| failure(path, format!("cannot send frames to ffmpeg: {error}"));
     let mut fed = Ok(());
     if let Some(mut stdin) = child.stdin.take() {

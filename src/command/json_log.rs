@@ -6,8 +6,9 @@
 //! | `pass` | `name`, `number`, `count` | a pass begins; passes count from 1 |
 //! | `stage` | `title`, `length` | a task begins; a `length` of 0 is not known yet |
 //! | `progress` | `title`, `done`, `length`, `message` | at most once a second and task of a known length |
+//! | `done` | `title`, `done` | the task has ended |
 //! | `note`, `result` | `text` | as on the terminal |
-//! | `ended` | `state`, `error`, `help` | the last line: `finished`, `interrupted` or `failed` |
+//! | `ended` | `state`, `error`, `help` | the last line, but for a second signal: `finished`, `interrupted` or `failed` |
 
 use lobelia::pass::progress::{Bar, Copier, Moment, Progress};
 use lobelia::{Error, Result};
@@ -30,6 +31,7 @@ enum Event<'a> {
     Pass { name: &'a str, number: usize, count: usize },
     Stage { title: &'a str, length: u64 },
     Progress { title: &'a str, done: u64, length: u64, message: &'a str },
+    Done { title: &'a str, done: u64 },
     Note { text: &'a str },
     Result { text: &'a str },
     Ended { state: &'a str, error: Option<String>, help: Option<&'a str> },
@@ -136,7 +138,11 @@ impl Bar for JsonBar {
     }
 
     fn set_length(&self, steps: u64) {
-        self.change(|at| at.length = steps);
+        let mut at = self.at.lock().unwrap_or_else(PoisonError::into_inner);
+        if at.length == 0 {
+            at.message.clear();
+        }
+        at.length = steps;
     }
 
     fn set_message(&self, message: String) {
@@ -148,4 +154,11 @@ impl Bar for JsonBar {
     }
 
     fn finish_and_clear(&self) {}
+}
+
+impl Drop for JsonBar {
+    fn drop(&mut self) {
+        let done = self.at.get_mut().unwrap_or_else(PoisonError::into_inner).done;
+        write(self.start, Event::Done { title: &self.title, done });
+    }
 }

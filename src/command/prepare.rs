@@ -3,6 +3,7 @@
 use super::prepare_args::{CameraArg, FeatureArg, LensArg, MatchingArg, PrepareArgs};
 use super::signals::stop_on_signals;
 use super::terminal::Terminal;
+use super::threads::{ThreadArgs, start_threads};
 use lobelia::Result;
 use lobelia::pass::progress::Progress;
 use lobelia::prepare::{
@@ -13,6 +14,7 @@ use lobelia::prepare::{
 /// Runs the command.
 pub fn run(args: &PrepareArgs) -> Result<()> {
     stop_on_signals()?;
+    start_threads(ThreadArgs { threads: None })?;
     let terminal = Terminal::new(args.quiet);
     let prepared = prepare(&options(args), &terminal)?;
     if prepared.scene.is_none() {

@@ -4,6 +4,7 @@ use indicatif::{ProgressBar, ProgressStyle};
 use lobelia::pass::progress::{Bar, Progress};
 use lobelia::{Error, Result};
 use std::io::{ErrorKind, IsTerminal, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 /// Writes to stdout; a reader that has gone away (`lobelia check … | head -1`) is no failure.
@@ -50,7 +51,7 @@ impl Progress for Terminal {
     /// With the time left, or that spent where the length is not known; hidden where bars are not shown.
     fn bar(&self, title: &str, length: u64) -> Box<dyn Bar> {
         if !self.bars {
-            return Box::new(TerminalBar(ProgressBar::hidden()));
+            return Box::new(TerminalBar::new(ProgressBar::hidden()));
         }
         let bar = ProgressBar::new(length);
         dress(&bar, length);
@@ -59,7 +60,7 @@ impl Progress for Terminal {
         if std::thread::Builder::new().spawn(|| ()).is_ok() {
             bar.enable_steady_tick(Duration::from_millis(200));
         }
-        Box::new(TerminalBar(bar))
+        Box::new(TerminalBar::new(bar))
     }
 }
 
@@ -75,32 +76,46 @@ fn dress(bar: &ProgressBar, length: u64) {
     }
 }
 
-struct TerminalBar(ProgressBar);
+struct TerminalBar {
+    bar: ProgressBar,
+    /// Whether the number of steps is known now, and none was told yet.
+    begins: AtomicBool,
+}
+
+impl TerminalBar {
+    fn new(bar: ProgressBar) -> Self {
+        Self { bar, begins: AtomicBool::new(false) }
+    }
+}
 
 impl Bar for TerminalBar {
     fn inc(&self, steps: u64) {
-        self.0.inc(steps);
+        self.bar.inc(steps);
     }
 
     fn set_position(&self, steps: u64) {
-        self.0.set_position(steps);
+        self.bar.set_position(steps);
+        if self.begins.swap(false, Ordering::Relaxed) {
+            // Neither the time before the first step nor steps before a break say how long the others take.
+            self.bar.tick();
+            self.bar.reset_eta();
+        }
     }
 
     fn set_length(&self, steps: u64) {
-        if self.0.length() == Some(0) && steps > 0 {
-            // What was spent before the first step says nothing of the steps.
-            dress(&self.0, steps);
-            self.0.reset();
-            self.0.set_message("");
+        if self.bar.length() == Some(0) && steps > 0 {
+            dress(&self.bar, steps);
+            self.bar.set_message("");
+            self.begins.store(true, Ordering::Relaxed);
         }
-        self.0.set_length(steps);
+        self.bar.set_length(steps);
     }
 
     fn set_message(&self, message: String) {
-        self.0.set_message(message);
+        self.bar.set_message(message);
     }
 
     fn finish_and_clear(&self) {
-        self.0.finish_and_clear();
+        self.bar.finish_and_clear();
     }
 }

@@ -9,15 +9,22 @@ use crate::view::raster::any_downscaled;
 use crate::view::stored::{Curve, IntegerSamples};
 use crate::view::{Mask, Photograph, PixelWindow};
 use glam::Vec3;
+use std::fmt;
 use std::path::Path;
 use std::sync::OnceLock;
 
 /// Tables from stored integers to linear light, made once for all photographs of a data set.
-#[derive(Debug)]
 pub(super) struct Curves {
     gamma: Gamma,
     bytes: OnceLock<Curve>,
     words: OnceLock<Curve>,
+}
+
+/// Without the tables, which may be made or not.
+impl fmt::Debug for Curves {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Curves").field("gamma", &self.gamma).finish_non_exhaustive()
+    }
 }
 
 impl Curves {

@@ -218,12 +218,15 @@ fn run_to_end(
     let ended = sequence::run(&mut session, &mut record, &mut report, told, done);
     let finished = session.finish();
     let ended = ended.and(finished);
-    if ended.is_err() {
-        say_how_to_go_on(options, told);
-    }
     // A run that is not said to have finished needs its checkpoints. The folder is its own until its report says how it ended.
     let ended = record.end(ended);
-    let cleared = if ended.is_ok() { resume::clear(&options.out) } else { Ok(()) };
+    let cleared = match &ended {
+        Ok(()) => resume::clear(&options.out),
+        Err(_) => {
+            say_how_to_go_on(options, told);
+            Ok(())
+        }
+    };
     ended.and(report.write(&options.out)).and(cleared)
 }
 

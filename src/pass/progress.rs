@@ -58,7 +58,7 @@ pub trait Bar: Send + Sync {
     /// Sets the number of finished steps.
     fn set_position(&self, steps: u64);
 
-    /// Sets the number of all steps, once it is known better.
+    /// Sets the number of all steps, once it is known better. The first that is not 0 ends the message of what was before.
     fn set_length(&self, _steps: u64) {}
 
     /// Sets the message beside the bar.

@@ -21,6 +21,7 @@ use crate::view::{Split, ViewName};
 use bevy_ecs::prelude::{Entity, World};
 use glam::Vec3;
 use image::RgbImage;
+use rayon::prelude::*;
 use std::collections::HashMap;
 use std::path::Path;
 
@@ -182,10 +183,10 @@ fn backdrop(world: &World, camera: &Camera, first_row: u32, rows: u32) -> Vec<Ve
             .as_ref()
             .map_or(Vec3::ZERO, |light: &std::sync::Arc<dyn Illuminate>| light.radiance(ray.direction))
     };
-    (first_row..first_row + rows)
-        .flat_map(|y| (0..camera.width).map(move |x| (x, y)))
-        .map(|(x, y)| radiance(x, y))
-        .collect()
+    let pixels = u64::from(rows) * u64::from(camera.width);
+    let place = |at: u64| (at % u64::from(camera.width), at / u64::from(camera.width));
+    let places = (0..pixels).into_par_iter().map(place);
+    places.map(|(x, y)| radiance(x as u32, first_row + y as u32)).collect()
 }
 
 /// The files of a film; one that ends with `/` is a folder.

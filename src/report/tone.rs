@@ -5,8 +5,9 @@ use crate::codec::png_file::{self, PngRows};
 use crate::math::color::srgb_from_linear;
 use crate::{Error, Result};
 use glam::{Mat3, Vec3};
-use image::{Rgb, RgbImage, Rgba, RgbaImage};
+use image::{RgbImage, RgbaImage};
 use png::ColorType;
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::path::Path;
 
@@ -129,13 +130,13 @@ impl<'a> Picture<'a> {
     /// [`Error::Run`] if a list does not have `width * height` entries.
     pub fn rgba8(&self, look: &Look, backdrop: Backdrop) -> Result<RgbaImage> {
         self.check(backdrop)?;
-        let pixel = |x: u32, y: u32| {
-            let at = y as usize * self.width + x as usize;
+        let samples = self.samples(|at| {
             let (value, alpha) = self.shown(at, look, backdrop);
             let [r, g, b] = srgb8(value);
-            Rgba([r, g, b, byte(alpha)])
-        };
-        Ok(RgbaImage::from_fn(self.width as u32, self.height as u32, pixel))
+            [r, g, b, byte(alpha)]
+        });
+        let [width, height] = [self.width, self.height].map(|side| side as u32);
+        Ok(RgbaImage::from_raw(width, height, samples).expect("there are as many samples"))
     }
 
     /// 8-bit sRGB, opaque; a transparent backdrop is black.
@@ -148,9 +149,16 @@ impl<'a> Picture<'a> {
             other => other,
         };
         self.check(backdrop)?;
-        let pixel =
-            |x: u32, y: u32| Rgb(srgb8(self.shown(y as usize * self.width + x as usize, look, backdrop).0));
-        Ok(RgbImage::from_fn(self.width as u32, self.height as u32, pixel))
+        let samples = self.samples(|at| srgb8(self.shown(at, look, backdrop).0));
+        let [width, height] = [self.width, self.height].map(|side| side as u32);
+        Ok(RgbImage::from_raw(width, height, samples).expect("there are as many samples"))
+    }
+
+    /// The samples of all pixels, in order.
+    fn samples<const CHANNELS: usize>(&self, pixel: impl Fn(usize) -> [u8; CHANNELS] + Sync) -> Vec<u8> {
+        let mut pixels = vec![[0; CHANNELS]; self.width * self.height];
+        pixels.par_iter_mut().enumerate().with_min_len(4096).for_each(|(at, out)| *out = pixel(at));
+        pixels.into_flattened()
     }
 
     /// The samples of a PNG: those of [`Picture::rgba8`] for a transparent backdrop, else those of [`Picture::rgb8`].

@@ -269,7 +269,7 @@ pub fn frame_material(pipeline: &mut Pipeline) -> Result<MaterialState> {
 pub fn resolve(target: &FrameTarget) -> Frame {
     let samples = target.samples_per_pixel() as f32;
     let over_hits = |sum: Vec3, hits: u32| if hits > 0 { sum / hits as f32 } else { Vec3::ZERO };
-    let each = |f: &dyn Fn(&PixelSums) -> Vec3| target.pixels.iter().map(f).collect();
+    let each = |f: &(dyn Fn(&PixelSums) -> Vec3 + Sync)| target.pixels.par_iter().map(f).collect();
     Frame {
         width: target.camera.width as usize,
         height: target.rows.len(),

@@ -97,7 +97,12 @@ impl Bar for LiveBar {
     }
 
     fn set_length(&self, steps: u64) {
-        self.shared.on_bar(self.id, |bar| bar.length = steps);
+        self.shared.on_bar(self.id, |bar| {
+            if bar.length == 0 {
+                bar.message.clear();
+            }
+            bar.length = steps;
+        });
         self.shown.set_length(steps);
     }
 

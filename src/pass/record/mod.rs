@@ -7,6 +7,7 @@ use crate::codec::file::{
 use crate::error::{Error, Result};
 use crate::pass::files::{PassFiles, RUN};
 use crate::pass::machine::Machine;
+use crate::pass::resume::hash_of;
 use crate::pass::session::{METRICS, TRACE};
 use crate::report::html::REPORT;
 use crate::report::scores::peak_rss_mib;
@@ -111,13 +112,17 @@ pub(super) struct Record {
     /// The text of the scene file, with `--set` applied.
     #[serde(default)]
     pub(super) scene_text: String,
+    /// Hash of the scene with what the command line adds, for `version` alone.
+    #[serde(default)]
+    scene_hash: String,
     #[serde(default)]
     pub(super) seed: Option<u64>,
     #[serde(default)]
     pub(super) arguments: Vec<String>,
     #[serde(default)]
     pub(super) machine: Option<Machine>,
-    /// Hash of each file that is read: the 64 bits of SipHash-1-3 as hexadecimal digits. A run that keeps no checkpoints has none.
+    /// Hash of each photograph, mask, camera file, mesh, texture, light and ground truth that is read: the 64 bits of SipHash-1-3 as
+    /// hexadecimal digits. A run that keeps no checkpoints has none.
     #[serde(default)]
     inputs: BTreeMap<String, String>,
     /// Notes before the first pass.
@@ -213,14 +218,17 @@ pub(crate) fn check_used(out: &Path, force: bool, has_checkpoints: bool) -> Resu
 pub(crate) fn check_resumed(out: &Path, loaded: &LoadedScene, has_checkpoints: bool) -> Result<bool> {
     let Some(record) = Record::read(out) else { return Ok(false) };
     if record.state == RunState::Finished {
-        if record.scene_text != loaded.text || record.seed != Some(loaded.scene.seed) {
+        if record.version == env!("LOBELIA_VERSION") && record.scene_hash != scene_hash(loaded) {
             let problem = format!("the run in {} has finished, and was of another scene", out.display());
             let help = "Choose another folder with --out, or replace its results with --force.";
             return Err(Error::usage(problem, help));
         }
         return Ok(true);
     }
-    let written = |pass: &PassRecord| pass.files.iter().any(|file| !existing(out, file).is_empty());
+    // Of a pass that waits there is what an earlier run left, if the process was killed before that was removed.
+    let written = |pass: &PassRecord| {
+        pass.state != RunState::Waiting && pass.files.iter().any(|file| !existing(out, file).is_empty())
+    };
     if !has_checkpoints && record.passes.iter().any(written) {
         let problem = format!(
             "the run in {} kept no checkpoints: --resume would begin again and remove its results",
@@ -229,6 +237,10 @@ pub(crate) fn check_resumed(out: &Path, loaded: &LoadedScene, has_checkpoints: b
         return Err(Error::usage(problem, "Choose another folder with --out, or begin again with --force."));
     }
     Ok(false)
+}
+
+fn scene_hash(loaded: &LoadedScene) -> String {
+    format!("{:016x}", hash_of(&loaded.scene))
 }
 
 /// Whether a folder has more than what a process that was killed at its very start left: its lock, and half of a manifest. What else keeps it
@@ -317,6 +329,7 @@ impl Claim {
             error: None,
             scene: loaded.path.to_string_lossy().into_owned(),
             scene_text: loaded.text.clone(),
+            scene_hash: scene_hash(loaded),
             seed: Some(loaded.scene.seed),
             arguments: arguments.to_vec(),
             machine: Some(Machine::this()),

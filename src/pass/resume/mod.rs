@@ -167,8 +167,12 @@ impl RunStart {
 
 const START_AGAIN: &str = "Start again with --force.";
 
-fn hash_of(value: &impl Debug) -> u64 {
-    hash_of_bytes(format!("{value:?}").as_bytes())
+/// Hash of a value as it is printed for programmers.
+pub(super) fn hash_of(value: &impl Debug) -> u64 {
+    let mut hashing = Hashing(DefaultHasher::new());
+    // A hasher takes everything.
+    let _ = write!(hashing, "{value:?}");
+    hashing.0.finish()
 }
 
 fn hash_of_bytes(bytes: &[u8]) -> u64 {
