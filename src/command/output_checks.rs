@@ -14,7 +14,11 @@ pub fn refuse_inputs(inputs: &[PathBuf], outputs: &[(&Path, &str)]) -> Result<()
 /// Refuses to replace a page that this program did not write: one without its signature.
 pub fn refuse_foreign(page: &Path, signature: &str) -> Result<()> {
     let signed = |bytes: &[u8]| bytes.windows(signature.len()).any(|window| window == signature.as_bytes());
-    if !is_there(page) || read_bytes(page, |_| String::new()).is_ok_and(|bytes| signed(&bytes)) {
+    // Of a folder in its place the writer tells.
+    if !is_there(page)
+        || page.is_dir()
+        || read_bytes(page, |_| String::new()).is_ok_and(|bytes| signed(&bytes))
+    {
         return Ok(());
     }
     let problem = format!("{} is not a page that this command wrote", page.display());
