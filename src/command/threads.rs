@@ -17,6 +17,6 @@ pub fn start_threads(args: ThreadArgs) -> Result<()> {
         rayon::ThreadPoolBuilder::new().num_threads(args.threads.map_or(0, usize::from)).build_global();
     started.map_err(|error| {
         let problem = format!("worker threads cannot be started: {error}");
-        Error::usage(problem, "Ask for fewer with --threads, or raise the limit of processes (ulimit -u).")
+        Error::usage(problem, "Raise the limit of processes (ulimit -u), or ask for fewer threads: --threads, or RAYON_NUM_THREADS.")
     })
 }

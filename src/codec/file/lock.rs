@@ -24,9 +24,7 @@ impl FolderLock {
     /// # Errors
     /// [`Error::Usage`] if another process has it; [`Error::Io`] if nothing can be written there.
     pub fn take(folder: &Path) -> Result<Self> {
-        let is_new = |place: &&Path| !place.as_os_str().is_empty() && !place.exists();
-        let made: Vec<PathBuf> = folder.ancestors().take_while(is_new).map(Path::to_owned).collect();
-        create_folders(folder)?;
+        let made = create_folders(folder)?;
         let path = folder.join(LOCK);
         check_ours(&path)?;
         loop {

@@ -59,15 +59,17 @@ fn temporary_beside(path: &Path) -> Result<NamedTempFile> {
     builder.tempfile_in(&folder).map_err(Error::io("create a file in", &folder))
 }
 
-/// Creates `folder` and those around it that are missing, with their names on the disk.
+/// Creates `folder` and those around it that are missing, with their names on the disk; returns them, from the innermost.
 ///
 /// # Errors
 /// [`Error::Io`].
-pub(crate) fn create_folders(folder: &Path) -> Result<()> {
+pub(crate) fn create_folders(folder: &Path) -> Result<Vec<PathBuf>> {
     let is_new = |place: &&Path| !place.as_os_str().is_empty() && !place.exists();
-    let made: Vec<&Path> = folder.ancestors().take_while(is_new).collect();
+    let made: Vec<PathBuf> = folder.ancestors().take_while(is_new).map(Path::to_owned).collect();
     fs::create_dir_all(folder).map_err(Error::io("create folder", folder))?;
-    made.into_iter().filter(|made| !is_scratch(made)).try_for_each(|made| sync_folder(&folder_of(made)))
+    let lasting = made.iter().filter(|made| !is_scratch(made));
+    lasting.map(|made| folder_of(made)).try_for_each(|around| sync_folder(&around))?;
+    Ok(made)
 }
 
 fn folder_of(path: &Path) -> PathBuf {
