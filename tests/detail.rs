@@ -77,7 +77,7 @@ fn gray_studio(albedo: Vec3, spoiled: impl Fn(Vec3) -> Vec3) -> Pipeline {
 
 /// The albedo of the texels that are well seen; those that no view sees stay as they were.
 fn solved(mut pipeline: Pipeline) -> Vec<Vec3> {
-    let options = DetailOptions { form: ClosedForm::default(), visibility: false, tilt: false };
+    let options = DetailOptions { form: ClosedForm::default(), visibility: false, tilt: false, metal: false };
     let mut done = 0.0;
     solve_detail(&mut pipeline, options, &mut |part| done = part).unwrap();
     assert_eq!(done, 1.0);

@@ -52,7 +52,7 @@ fn darker_from_the_left(truth: DiffuseTilt, tilt: bool) -> f32 {
     }
     let views = photographs_of(&mut velvet(truth), 40, 48, |_, _| {});
     spawn_views(&mut pipeline.world, views);
-    let options = DetailOptions { form: ClosedForm::default(), visibility: false, tilt };
+    let options = DetailOptions { form: ClosedForm::default(), visibility: false, tilt, metal: false };
     solve_detail(&mut pipeline, options, &mut |_| ()).unwrap();
     sides(&mut pipeline)
 }

@@ -48,6 +48,8 @@ pub struct Unknowns {
     pub specular_albedo: bool,
     /// One gray specular albedo instead of three channels.
     pub mono_specular: bool,
+    /// The first base material may be a metal, and the others are dielectrics ([`metal`](crate::fit::metal)); only with several.
+    pub metal: bool,
     /// Roughness.
     pub roughness: bool,
     /// Blend weights of the base materials, per texel.
@@ -63,6 +65,7 @@ impl Default for Unknowns {
             light: true,
             specular_albedo: true,
             mono_specular: true,
+            metal: false,
             roughness: true,
             blends: false,
         }

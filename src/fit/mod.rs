@@ -7,6 +7,7 @@
 //! | `initialization` | amplitudes and albedo before the first step, by linear least squares; the frame in which the light stands still, and the specular lobe to begin with |
 //! | [`systems`], [`loss`], [`adam`], [`optimizer`] | the systems of the stages, the image loss, Adam, and what moves in which order |
 //! | [`roughness`] | roughness that varies over the surface |
+//! | [`metal`] | metal beside a dielectric: no diffuse light beneath it |
 //! | [`detail`] | albedo, sheen and tilt of a finer texture, from all pixels |
 //! | [`scale`], [`exposure`], [`cameras`] | further unknowns: the scale between light and albedo, exposures, cameras |
 //! | [`guard`], [`by_view`] | steps that are not finite and are not taken; how each photograph is explained |
@@ -22,6 +23,7 @@ pub mod exposure;
 pub mod guard;
 mod initialization;
 pub mod loss;
+pub mod metal;
 pub mod observe;
 pub mod optimizer;
 pub mod roughness;

@@ -1,5 +1,6 @@
 //! The systems of [`Slot::Optimizer`](crate::pipeline::Slot::Optimizer), in their order.
 
+use super::metal::bound_diffuse_albedo;
 use super::roughness::blend::move_blends;
 use super::roughness::texel::{move_roughness, tie_specular};
 use super::scale::move_scale;
@@ -11,7 +12,8 @@ use bevy_ecs::system::ScheduleSystem;
 
 /// Moves all that a fit may move; roughness varies by the blend of base materials.
 pub fn optimizer() -> ScheduleConfigs<ScheduleSystem> {
-    (move_scale, move_texels, move_sheen, move_blends, move_lobes, move_specular).chain()
+    (move_scale, move_texels, move_sheen, move_blends, bound_diffuse_albedo, move_lobes, move_specular)
+        .chain()
 }
 
 /// The same with one roughness per texel, which needs its [prior](super::roughness::texel::RoughnessPrior) and

@@ -7,24 +7,29 @@
 //! as in the initialization (a mean albedo of about 0.4), because only the Fresnel term distinguishes a bright light from a bright specular
 //! albedo. But no albedo is above one: where texels at that bound are darker than the photographs, color and level give way.
 //!
+//! Metal ([`metal`](crate::fit::metal)) is colored itself, and its specular albedo is divided by the factor too. Its reflections then say nothing
+//! of the factor. What is not metal still has gray highlights; as far as all is metal, the light is taken to be nearly white, and the metal as bright as metals are.
+//!
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |
-//! | [`move_scale`] | Update, `Slot::Optimizer`, before the others | `Layers` of the window and `RadianceAdjoint`, [`ScaleRule`] | `LightLobe`, `DiffuseAlbedo`, [`ScaleMoments`] |
+//! | [`move_scale`] | Update, `Slot::Optimizer`, before the others | `Layers` and `PointBlend` of the window, `RadianceAdjoint`, [`ScaleRule`] | `LightLobe`, `DiffuseAlbedo`, `SpecularLobe` of metal, [`ScaleMoments`] |
 
 use crate::error::Result;
 use crate::fit::adam::{AdamStep, Moments};
 use crate::fit::components::{StepRates, TexelSeen, Unknowns};
+use crate::fit::metal::{Metals, metalness};
 use crate::light::LightLobe;
 use crate::light::lights::{LobeOf, own_lobes};
 use crate::material::DiffuseSheen;
 use crate::material::sheen::write_albedo;
-use crate::material::{DiffuseAlbedo, TexelIndex, Texels, USUAL_ALBEDO};
+use crate::material::{BaseMaterial, DiffuseAlbedo, SpecularLobe, TexelIndex, Texels, USUAL_ALBEDO};
 use crate::math::sg::sphere_integral;
 use crate::math::shading::{Layers, RadianceAdjoint, ShadePoint};
 use crate::pipeline::SystemResult;
 use crate::pipeline::pool::read_column;
 use crate::sample::Samples;
-use bevy_ecs::prelude::{Query, Res, ResMut, Resource, Without, World};
+use crate::sample::point::PointBlend;
+use bevy_ecs::prelude::{DetectChangesMut, Query, Res, ResMut, Resource, Without, World};
 use glam::{DVec3, Vec3, Vec4};
 use serde::{Deserialize, Serialize};
 
@@ -82,8 +87,15 @@ const START: f32 = 0.5;
 const MOST_ALBEDO: f32 = 0.98;
 /// Albedo from which a texel counts as being at its bound.
 const AT_BOUND: f32 = 0.95;
+/// Weight of a unit of logarithm by which the light is not white, relative to that of `white_light` and to the part of the photographs that shows metal. A
+/// metal's reflections have the product of its color and the light's, and photographs are balanced to white.
+const WHITE_BESIDE_METAL: f32 = 4.0;
 /// Weight, relative to the image loss, of the prior that the mean albedo is [`USUAL_ALBEDO`], per unit of its logarithm.
 const LEVEL_WEIGHT: f32 = 0.016;
+
+/// What a light lobe and a base material have to do with the scale.
+type ScaledLobe = &'static mut LightLobe;
+type ScaledMaterial = (&'static BaseMaterial, &'static mut SpecularLobe);
 
 /// Update: a step along the scale, or a projection onto the rule, if light and albedo are both unknown.
 pub fn move_scale(
@@ -91,38 +103,70 @@ pub fn move_scale(
     unknowns: Res<Unknowns>,
     rule: Res<ScaleRule>,
     mut moments: ResMut<ScaleMoments>,
-    samples: Samples<(&ShadePoint, &Layers, &RadianceAdjoint)>,
-    mut lobes: Query<&mut LightLobe, Without<LobeOf>>,
+    samples: Samples<(&ShadePoint, &PointBlend, &Layers, &RadianceAdjoint)>,
+    (mut lobes, mut materials): (Query<ScaledLobe, Without<LobeOf>>, Query<ScaledMaterial>),
     texels: Texels<(&mut DiffuseAlbedo, &mut DiffuseSheen, &TexelSeen)>,
 ) -> SystemResult {
     if !unknowns.light || !unknowns.albedo || *rule == ScaleRule::Free {
         return Ok(());
     }
     let (mut albedo, mut sheen, seen) = texels.columns()?;
-    let off_gray = log_color(mean_light(lobes.iter()));
+    let (off_gray, mean) = (log_color(mean_light(lobes.iter())), mean_albedo(&albedo, &seen));
     let log_factor = match *rule {
         ScaleRule::Free => Vec3::ZERO,
         ScaleRule::WhiteLight => -off_gray,
-        ScaleRule::MeanAlbedo(wanted) => {
-            (mean_albedo(&albedo, &seen) / wanted).max(Vec3::splat(1e-6)).map(f32::ln)
-        }
+        ScaleRule::MeanAlbedo(wanted) => (mean / wanted).max(Vec3::splat(1e-6)).map(f32::ln),
         ScaleRule::Highlights { white_light } => {
-            let (points, layers, adjoint) = samples.columns()?;
-            let bound = bound_derivative(&points, &layers, &adjoint);
-            let color =
-                highlight_derivative(&layers, &adjoint) + white_light * lamp_derivative(off_gray) + bound;
-            let level = level_derivative(bound, mean_albedo(&albedo, &seen));
-            let gradient = without_mean(color).extend(level).to_array();
-            let step =
-                Vec4::from(AdamStep::new(RATE * rates.light, rates.step).advance(&mut moments.0, &gradient));
-            -(without_mean(step.truncate()) + step.w)
+            let (points, blends, layers, adjoint) = samples.columns()?;
+            let metals = Metals::in_fit(&unknowns, &materials);
+            let evidence =
+                Evidence { points: &points, blends: &blends, layers: &layers, adjoint: &adjoint, metals };
+            log_step(&rates, &mut moments, evidence.gradient(white_light, off_gray, mean))
         }
     };
     rescale(log_factor.exp(), lobes.iter_mut().map(|lobe| lobe.into_inner()), &mut albedo);
+    if unknowns.metal && unknowns.specular_albedo {
+        materials.iter_mut().for_each(|(_, mut lobe)| {
+            lobe.set_if_neq(rescaled_metal(log_factor, *lobe));
+        });
+    }
     if unknowns.sheen {
         rescale_sheen(log_factor.exp(), &albedo, &mut sheen);
     }
     Ok(())
+}
+
+/// The logarithm of the factor of a step, by its gradient: its color (three channels), its level.
+fn log_step(rates: &StepRates, moments: &mut ScaleMoments, gradient: Vec4) -> Vec3 {
+    let adam = AdamStep::new(RATE * rates.light, rates.step);
+    let step = Vec4::from(adam.advance(&mut moments.0, &gradient.to_array()));
+    -(without_mean(step.truncate()) + step.w)
+}
+
+/// What the samples of a window say of the scale.
+struct Evidence<'a> {
+    points: &'a [ShadePoint],
+    blends: &'a [PointBlend],
+    layers: &'a [Layers],
+    adjoint: &'a [RadianceAdjoint],
+    metals: Metals,
+}
+
+impl Evidence<'_> {
+    /// Derivative of the loss and its priors with respect to the logarithm of the factor: its color (three channels with a mean of 0), its level.
+    fn gradient(&self, white_light: f32, off_gray: Vec3, mean_albedo: Vec3) -> Vec4 {
+        let specular = |part: &dyn Fn(&PointBlend) -> Vec3| {
+            specular_derivative(self.layers, self.adjoint, &|i| part(&self.blends[i]))
+        };
+        let highlights = specular(&|blend| Vec3::splat(1.0 - self.metals.share(&blend.0)));
+        let bound = bound_derivative(self.points, self.layers, self.adjoint)
+            + specular(&|blend| self.metals.share_at(AT_BOUND, &blend.0));
+        let metal = self.blends.iter().map(|blend| self.metals.share(&blend.0)).sum::<f32>();
+        let metal = metal / self.blends.len().max(1) as f32;
+        let light = lamp_derivative(off_gray) + metal * WHITE_BESIDE_METAL * off_gray;
+        let level = level_derivative(bound, mean_albedo) + LEVEL_WEIGHT * metal * self.metals.log_missing();
+        without_mean(highlights + white_light * light + bound).extend(level)
+    }
 }
 
 /// Moves an initialization from gray albedo part of the way to white light, for [`ScaleRule::Highlights`].
@@ -156,6 +200,12 @@ fn rescale<'a>(factor: Vec3, lobes: impl Iterator<Item = &'a mut LightLobe>, alb
     albedo.iter_mut().for_each(|albedo| albedo.0 = (albedo.0 / factor).min(Vec3::splat(MOST_ALBEDO)));
 }
 
+/// A base material whose specular albedo is divided by the factor as far as it is metal.
+fn rescaled_metal(log_factor: Vec3, lobe: SpecularLobe) -> SpecularLobe {
+    let albedo = lobe.albedo * (-log_factor * metalness(&lobe)).exp();
+    SpecularLobe { albedo: albedo.min(Vec3::splat(MOST_ALBEDO)), ..lobe }
+}
+
 /// Divides the sheen by the factor, after the albedo.
 fn rescale_sheen(factor: Vec3, albedo: &[DiffuseAlbedo], sheen: &mut [DiffuseSheen]) {
     let texels = sheen.iter_mut().zip(albedo);
@@ -164,10 +214,13 @@ fn rescale_sheen(factor: Vec3, albedo: &[DiffuseAlbedo], sheen: &mut [DiffuseShe
     });
 }
 
-/// Derivative of the loss with respect to the logarithm of the factor: diffuse light does not change, specular light is multiplied by it.
-fn highlight_derivative(layers: &[Layers], adjoint: &[RadianceAdjoint]) -> Vec3 {
-    let each = layers.iter().zip(adjoint).map(|(l, a)| (Vec3::from(l.specular) * Vec3::from(a.0)).as_dvec3());
-    each.sum::<DVec3>().as_vec3()
+/// Derivative of the loss with respect to the logarithm of the factor: diffuse light does not change, and `part(i)` of the specular light of
+/// sample i is multiplied by it.
+fn specular_derivative(layers: &[Layers], adjoint: &[RadianceAdjoint], part: &dyn Fn(usize) -> Vec3) -> Vec3 {
+    let of = |(i, (l, a)): (usize, (&Layers, &RadianceAdjoint))| {
+        (part(i) * Vec3::from(l.specular) * Vec3::from(a.0)).as_dvec3()
+    };
+    layers.iter().zip(adjoint).enumerate().map(of).sum::<DVec3>().as_vec3()
 }
 
 /// Derivative of the loss with respect to the logarithm of the factor where albedos are at their bound: such a texel cannot give way to a
@@ -255,7 +308,7 @@ mod tests {
         };
         let mut adjoint = vec![RadianceAdjoint::default(); 50];
         loss(Vec3::ONE, &mut adjoint);
-        let gradient = highlight_derivative(&layers, &adjoint);
+        let gradient = specular_derivative(&layers, &adjoint, &|_| Vec3::ONE);
         let mut unused = adjoint.clone();
         for axis in [Vec3::X, Vec3::Y, Vec3::Z] {
             let at = |step: f32, unused: &mut [RadianceAdjoint]| loss((axis * step).exp(), unused);
@@ -280,6 +333,30 @@ mod tests {
         // A few of them do not make the rest black, and without them the level stays.
         assert_eq!(level_derivative(0.05 * bound, Vec3::splat(0.1)), 0.0);
         assert_eq!(level_derivative(Vec3::ZERO, Vec3::splat(0.7)), 0.0);
+    }
+
+    #[test]
+    fn what_metal_mirrors_says_nothing_of_the_light() {
+        let gold = SpecularLobe::new(Vec3::new(0.9, 0.6, 0.3), 0.2);
+        let varnish = SpecularLobe::new(Vec3::splat(0.04), 0.2);
+        let metals = Metals::of([(0, &gold), (1, &varnish)]);
+        let blend = |metal: f32| PointBlend(std::array::from_fn(|k| [metal, 1.0 - metal, 0.0][k.min(2)]));
+        let layers = [Layers { diffuse: [0.1; 3], specular: [0.3, 0.2, 0.1] }; 2];
+        let points = [ShadePoint { albedo: [0.3; 3], ..ShadePoint::default() }; 2];
+        let adjoint = [RadianceAdjoint([0.1, 0.0, -0.1]); 2];
+        let gradient = |metal: f32, off_gray: Vec3| {
+            let blends = [blend(metal), blend(0.0)];
+            let evidence =
+                Evidence { points: &points, blends: &blends, layers: &layers, adjoint: &adjoint, metals };
+            evidence.gradient(0.002, off_gray, Vec3::splat(USUAL_ALBEDO))
+        };
+        let (paint, half) = (gradient(0.0, Vec3::ZERO), gradient(1.0, Vec3::ZERO));
+        assert!((paint.x - 2.0 * half.x).abs() < 1e-7 && half.x > 0.0, "{paint} {half}");
+        // Among lamps only metal prefers white; a metal of 0.9 is a little too dark to be one.
+        let warm = Vec3::new(0.3, 0.0, -0.3);
+        assert_eq!(gradient(0.0, warm), paint);
+        assert!((gradient(1.0, warm) - half).x > 0.0 && (gradient(1.0, warm) - half).z < 0.0);
+        assert!(paint.w == 0.0 && half.w > 0.0 && half.w < 1e-3, "{half}");
     }
 
     #[test]
@@ -328,6 +405,12 @@ mod tests {
         assert!(log_color(mean_light(lobes.iter())).length() < 1e-6);
         let product = lobes[0].amplitude * albedo[0].0;
         assert!((product - lobe.amplitude * Vec3::new(0.1, 0.2, 0.4)).length() < 1e-6);
+        let log_factor = Vec3::new(0.1, 0.0, -0.2);
+        let metal = SpecularLobe::new(Vec3::new(0.8, 0.6, 0.3), 0.2);
+        let product = rescaled_metal(log_factor, metal).albedo * log_factor.exp();
+        assert!((product - metal.albedo).length() < 1e-6);
+        let varnish = SpecularLobe::new(Vec3::splat(0.04), 0.2);
+        assert_eq!(rescaled_metal(log_factor, varnish), varnish);
         assert_eq!(mean_albedo(&albedo, &[TexelSeen(1.0)]), albedo[0].0);
     }
 }

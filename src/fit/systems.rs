@@ -7,11 +7,12 @@ use super::components::{
 };
 use super::exposure::Exposures;
 use super::loss::image_loss;
+use super::metal::{DIELECTRIC_ALBEDO, is_dielectric};
 use super::roughness::blend::{BlendAdjoints, BlendedSamples, pull_back_blended};
 use crate::light::LightLobe;
 use crate::light::lights::IncidentLight;
 use crate::material::material_source::BaseMaterials;
-use crate::material::{DiffuseAlbedo, SpecularLobe, Texels};
+use crate::material::{BaseMaterial, DiffuseAlbedo, SpecularLobe, Texels};
 use crate::math::shading::{
     ClosedForm, Layers, Lighting, PointAdjoint, PointVisibility, RadianceAdjoint, RadianceColumns,
     ShadePoint, SpecularValue,
@@ -226,11 +227,18 @@ fn move_lobe(adam: &AdamStep, lobe: &LightLobe, gradient: &[f32; 7], moments: &m
 pub fn move_specular(
     rates: Res<StepRates>,
     unknowns: Res<Unknowns>,
-    mut materials: Query<(&mut SpecularLobe, &SpecularGradient, &mut SpecularMoments)>,
+    mut materials: Query<(&BaseMaterial, &mut SpecularLobe, &SpecularGradient, &mut SpecularMoments)>,
 ) {
     let adam = AdamStep::new(rates.specular, rates.step);
-    for (mut lobe, gradient, mut moments) in &mut materials {
-        *lobe = move_specular_lobe(&adam, *unknowns, &lobe, &gradient.0, &mut moments);
+    for (number, mut lobe, gradient, mut moments) in &mut materials {
+        let dielectric = is_dielectric(&unknowns, *number);
+        let unknowns = Unknowns { mono_specular: unknowns.mono_specular || dielectric, ..*unknowns };
+        let mut moved = move_specular_lobe(&adam, unknowns, &lobe, &gradient.0, &mut moments);
+        if dielectric {
+            let (low, high) = DIELECTRIC_ALBEDO;
+            moved.albedo = moved.albedo.clamp(Vec3::splat(low), Vec3::splat(high));
+        }
+        *lobe = moved;
     }
 }
 

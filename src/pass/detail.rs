@@ -39,7 +39,7 @@ pub(crate) fn refine_texture(session: &mut Session, pass: &FitPass, options: &Fi
     let tilt = session.scene.material.tilt == Tilt::Unknown;
     let bar = session.progress.bar(&pass.name, 100);
     bar.set_message("texture".into());
-    let settings = DetailOptions { form: options.form, visibility, tilt };
+    let settings = DetailOptions { form: options.form, visibility, tilt, metal: options.unknowns.metal };
     solve_detail(&mut session.pipeline, settings, &mut |done| bar.set_position((100.0 * done) as u64))?;
     bar.finish_and_clear();
     let (side, seconds) = (session.surface.atlas().width, start.elapsed().as_secs_f64());

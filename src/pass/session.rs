@@ -214,7 +214,11 @@ impl<'a> Session<'a> {
     /// What a fit may move now.
     pub fn unknowns(&self) -> Unknowns {
         let found = unknowns(self.scene);
-        if self.several { Unknowns { blends: true, mono_specular: false, ..found } } else { found }
+        if self.several {
+            Unknowns { blends: true, mono_specular: false, metal: true, ..found }
+        } else {
+            found
+        }
     }
 
     /// The pass of this name.

@@ -15,8 +15,9 @@ use bevy_ecs::prelude::World;
 use glam::Vec3;
 use std::path::Path;
 
-/// Base materials that a fit may choose instead of one.
-const SEVERAL: u32 = 2;
+/// Albedo and roughness from which the base materials start that a fit may choose instead of one: what may be metal, and a dielectric.
+const METAL: (f32, f32) = (0.3, 0.25);
+const DIELECTRIC: (f32, f32) = (0.04, 0.5);
 
 /// The roughest base material at first, over the least rough.
 const ROUGHNESS_SPREAD: f32 = 2.5;
@@ -52,10 +53,13 @@ fn spread(specular: SpecularLobe, materials: u32) -> Vec<SpecularLobe> {
     (0..materials).map(|k| SpecularLobe { roughness: roughness(k), ..specular }).collect()
 }
 
-/// The base materials that a fit may choose instead of one ([`Gloss::Auto`]), and the blend that it starts with.
+/// The base materials that a fit may choose instead of one ([`Gloss::Auto`]), and the blend that it starts with: see [`metal`](crate::fit::metal).
 pub fn several_materials() -> (Vec<SpecularLobe>, SpecularBlend) {
-    let lobe = SpecularLobe { ndf: Ndf::Ggx, ..SpecularLobe::new(Vec3::splat(START.0), START.1) };
-    (spread(lobe, SEVERAL), SpecularBlend::even(SEVERAL as usize))
+    let lobe = |(albedo, roughness)| SpecularLobe {
+        ndf: Ndf::Ggx,
+        ..SpecularLobe::new(Vec3::splat(albedo), roughness)
+    };
+    (vec![lobe(METAL), lobe(DIELECTRIC)], SpecularBlend::even(2))
 }
 
 /// Puts what is known of the albedo along this surface into the world.

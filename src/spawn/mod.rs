@@ -107,6 +107,7 @@ pub fn unknowns(scene: &Scene) -> Unknowns {
         light: !matches!(scene.light, Light::Fixed(_)),
         specular_albedo: open_gloss && matches!(specular.albedo, SpecularAlbedo::Unknown { .. }),
         mono_specular: matches!(specular.albedo, SpecularAlbedo::Unknown { mono: true, .. }),
+        metal: false,
         blends: open && matches!(gloss, Gloss::Blend { .. } | Gloss::Texels { .. }),
         roughness: open_gloss
             && !matches!(gloss, Gloss::Texels { .. })

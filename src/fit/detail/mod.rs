@@ -23,12 +23,15 @@ use crate::error::Result;
 use crate::error::stop::is_stopping;
 use crate::fit::components::TexelSeen;
 use crate::fit::exposure::Exposures;
+use crate::fit::metal::Metals;
 use crate::fit::observe::{Candidate, spawn_samples, usable_by_view, usable_pixels};
 use crate::light::lights::{LightChoice, provide_light};
 use crate::material::material_source::Recovered;
 use crate::material::sheen::{KnownAlong, has_sheen, mean_albedo, write_albedo};
 use crate::material::tilt::{DirectionalAlbedo, MOST_TILT, along_surface};
-use crate::material::{DiffuseAlbedo, DiffuseSheen, DiffuseTilt, TexelIndex};
+use crate::material::{
+    DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, TexelIndex, recovered_materials,
+};
 use crate::math::shading::{ClosedForm, Layers, ShadePoint};
 use crate::pipeline::pool::{read_column, write_column};
 use crate::pipeline::{GatherPoints, Phase, Pipeline, Plugin, Slot, Stage, SystemResult};
@@ -69,6 +72,8 @@ pub struct DetailOptions {
     pub visibility: bool,
     /// Whether the tilt is unknown as well.
     pub tilt: bool,
+    /// Whether the first base material may be a metal, beneath which there is no diffuse light ([`metal`](crate::fit::metal)).
+    pub metal: bool,
 }
 
 /// The systems of [`Phase::Detail`].
@@ -130,7 +135,7 @@ pub fn solve_detail(
     shaded?;
     let _sweeping = stage("sweeps");
     for number in 0..SWEEPS {
-        if sweep(&mut pipeline.world, &pixels, options.tilt)?.is_break() {
+        if sweep(&mut pipeline.world, &pixels, options)?.is_break() {
             break;
         }
         watch(SHADING_PART + (1.0 - SHADING_PART) * (number + 1) as f32 / SWEEPS as f32);
@@ -162,7 +167,7 @@ fn shade_pixels(pipeline: &mut Pipeline, watch: &mut dyn FnMut(f32)) -> Result<(
 }
 
 /// Visits all pixels, then moves the texels; breaks if the run is stopped before.
-fn sweep(world: &mut World, pixels: &[KeptPixel], tilt: bool) -> Result<ControlFlow<()>> {
+fn sweep(world: &mut World, pixels: &[KeptPixel], options: DetailOptions) -> Result<ControlFlow<()>> {
     let albedo = read_column::<TexelIndex, DiffuseAlbedo>(world)?;
     let sheen = read_column::<TexelIndex, DiffuseSheen>(world)?;
     let tilts = read_column::<TexelIndex, DiffuseTilt>(world)?;
@@ -179,7 +184,7 @@ fn sweep(world: &mut World, pixels: &[KeptPixel], tilt: bool) -> Result<ControlF
         }
         add_pixels(part, of, is_known, &mut equations);
     }
-    move_by_equations(world, &equations, tilt).map(ControlFlow::Continue)
+    move_by_equations(world, &equations, options).map(ControlFlow::Continue)
 }
 
 /// The columns of a sample that say what it is a sample of.
@@ -237,28 +242,43 @@ pub fn keep_pixels(
     Ok(())
 }
 
-/// Moves albedo, sheen and `tilt` of all texels to the solution, within their bounds. Without any sheen so far there will be none.
-fn move_by_equations(world: &mut World, equations: &[TexelEquations], tilt: bool) -> Result<()> {
+/// The largest diffuse albedo of each texel.
+fn most_diffuse(world: &mut World, metal: bool) -> Result<Vec<f32>> {
+    let blends = read_column::<TexelIndex, SpecularBlend>(world)?;
+    if !metal {
+        return Ok(vec![1.0; blends.len()]);
+    }
+    let materials = recovered_materials(world);
+    let metals = Metals::of(materials.iter().map(|(number, lobe)| (*number, lobe)));
+    Ok(blends.iter().map(|blend| metals.most_diffuse(&blend.0)).collect())
+}
+
+/// Moves albedo, sheen and tilt of all texels to the solution, within their bounds. Without any sheen so far there will be none.
+fn move_by_equations(world: &mut World, equations: &[TexelEquations], options: DetailOptions) -> Result<()> {
     let mut albedo = read_column::<TexelIndex, DiffuseAlbedo>(world)?;
     let mut sheen = read_column::<TexelIndex, DiffuseSheen>(world)?;
     let is_known = world.contains_resource::<KnownAlong>();
-    let (with_sheen, with_tilt) = (has_sheen(&sheen) && !is_known, tilt && !is_known);
+    let (with_sheen, with_tilt) = (has_sheen(&sheen) && !is_known, options.tilt && !is_known);
     let mut tilt = read_column::<TexelIndex, DiffuseTilt>(world)?;
-    let columns = albedo.par_iter_mut().zip(&mut sheen).zip(&mut tilt).zip(equations).with_min_len(4096);
-    columns.for_each(|(((albedo, sheen), tilt), equations)| {
-        let mean = mean_albedo(albedo.0, sheen.0);
-        let before = with_tilt.then_some((mean, tilt.0));
-        let change = equations.solve(with_sheen, before);
-        let along = (albedo.0 + sheen.0 + change.albedo + change.sheen).clamp(Vec3::ZERO, Vec3::ONE);
-        albedo.0 = (albedo.0 + change.albedo).clamp(Vec3::ZERO, Vec3::ONE);
-        if with_sheen {
-            sheen.0 = along - albedo.0;
-        }
-        // The difference between sides is what was solved for, not its part of the albedo, which changes as well.
-        let now = mean_albedo(albedo.0, sheen.0);
-        let part = mean.dot(now) / now.length_squared().max(LEAST_COLOR);
-        tilt.0 = ((tilt.0 + change.tilt) * part).clamp_length_max(MOST_TILT);
-    });
+    let most = most_diffuse(world, options.metal)?;
+    let texels = albedo.par_iter_mut().zip(&mut sheen).zip(&mut tilt);
+    texels.zip(equations).zip(&most).with_min_len(4096).for_each(
+        |((((albedo, sheen), tilt), equations), most)| {
+            let mean = mean_albedo(albedo.0, sheen.0);
+            let before = with_tilt.then_some((mean, tilt.0));
+            let change = equations.solve(with_sheen, before);
+            let most = Vec3::splat(*most);
+            let along = (albedo.0 + sheen.0 + change.albedo + change.sheen).clamp(Vec3::ZERO, most);
+            albedo.0 = (albedo.0 + change.albedo).clamp(Vec3::ZERO, most);
+            if with_sheen {
+                sheen.0 = along - albedo.0;
+            }
+            // The difference between sides is what was solved for, not its part of the albedo, which changes as well.
+            let now = mean_albedo(albedo.0, sheen.0);
+            let part = mean.dot(now) / now.length_squared().max(LEAST_COLOR);
+            tilt.0 = ((tilt.0 + change.tilt) * part).clamp_length_max(MOST_TILT);
+        },
+    );
     // A texel that no pixel meets between texels that the fit has seen keeps what the fit has found there.
     let mut seen = read_column::<TexelIndex, TexelSeen>(world)?;
     seen.iter_mut().zip(equations).for_each(|(seen, equations)| seen.0 = seen.0.max(equations.seen()));

@@ -109,6 +109,7 @@ fn albedo_fit(steps: u32) -> FitOptions {
         light: false,
         specular_albedo: false,
         mono_specular: false,
+        metal: false,
         roughness: false,
         blends: false,
     };

@@ -1,0 +1,170 @@
+//! Metal beside a dielectric: what is known of the two base materials that a fit may choose by itself ([`Unknowns::metal`]).
+//!
+//! Metal reflects at its surface, in a color of its own, and has no diffuse light beneath; a dielectric such as paint, wood or glaze reflects a few
+//! percent of the light there, gray. A fit that does not know this shows gold as silver under a golden light, over a diffuse layer that holds
+//! what its reflections do not explain: the photographs look the same, and no other light does.
+//!
+//! | system | stage, slot | reads | writes |
+//! | --- | --- | --- | --- |
+//! | [`bound_diffuse_albedo`] | Update, `Slot::Optimizer`, after albedo and blends | `SpecularBlend`, `SpecularLobe` | `DiffuseAlbedo`, `DiffuseSheen` |
+
+use crate::fit::components::Unknowns;
+use crate::material::{
+    BaseMaterial, DiffuseAlbedo, DiffuseSheen, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, Texels,
+};
+use crate::pipeline::SystemResult;
+use bevy_ecs::prelude::{Query, Res};
+use glam::Vec3;
+use rayon::prelude::*;
+
+/// The specular albedo of dielectrics: water has 0.02, glass and varnish 0.04, dense glaze 0.08.
+pub const DIELECTRIC_ALBEDO: (f32, f32) = (0.02, 0.08);
+/// The largest channel of a metal's specular albedo, where nothing else says how bright the light is: silver has 0.97, copper and gold 0.95 to
+/// 1, brass 0.9, iron 0.56.
+const USUAL_METAL: f32 = 0.95;
+/// Part of the diffuse albedo beneath metal that goes with each step, times the square of the metal's weight: what the bound leaves of it while the weights are
+/// still undecided. A fraction of what a step of Adam can move it by.
+const DECAY: f32 = 0.003;
+/// Specular albedos up to which a base material is a dielectric, and from which on it is metal.
+const BETWEEN: (f32, f32) = (0.1, 0.3);
+
+/// How metallic each base material is, by number; 0 of all where a fit knows nothing of metal.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Metals {
+    metalness: [f32; MAX_SPECULAR_LOBES],
+    albedo: [Vec3; MAX_SPECULAR_LOBES],
+}
+
+impl Metals {
+    /// Those of these base materials.
+    pub fn of<'a>(materials: impl IntoIterator<Item = (usize, &'a SpecularLobe)>) -> Self {
+        let mut metals = Self::default();
+        for (number, lobe) in materials {
+            metals.metalness[number] = metalness(lobe);
+            metals.albedo[number] = lobe.albedo;
+        }
+        metals
+    }
+
+    /// Those of a fit's base materials, if it knows of metal.
+    pub fn in_fit<'a>(
+        unknowns: &Unknowns,
+        materials: impl IntoIterator<Item = (&'a BaseMaterial, &'a SpecularLobe)>,
+    ) -> Self {
+        if !unknowns.metal {
+            return Self::default();
+        }
+        Self::of(materials.into_iter().map(|(number, lobe)| (number.0 as usize, lobe)))
+    }
+
+    /// The part of a surface that is metal, in [0, 1], by the weights of its base materials.
+    pub fn share(&self, weights: &[f32; MAX_SPECULAR_LOBES]) -> f32 {
+        self.metalness.iter().zip(weights).map(|(metal, weight)| metal * weight).sum()
+    }
+
+    /// The part of each channel that belongs to metals whose specular albedo is at least `bound` there.
+    pub fn share_at(&self, bound: f32, weights: &[f32; MAX_SPECULAR_LOBES]) -> Vec3 {
+        let parts = self.metalness.iter().zip(&self.albedo).zip(weights);
+        let part = |((metal, albedo), weight): ((&f32, &Vec3), &f32)| {
+            Vec3::select(albedo.cmpge(Vec3::splat(bound)), Vec3::splat(metal * weight), Vec3::ZERO)
+        };
+        parts.map(part).sum()
+    }
+
+    /// The logarithm of the factor by which the brightest metal would have to be brighter to be a usual one; 0 without metal.
+    pub fn log_missing(&self) -> f32 {
+        let metals = self.metalness.iter().zip(&self.albedo).filter(|(metal, _)| **metal > 0.0);
+        let most = metals.map(|(_, albedo)| albedo.max_element()).fold(0.0, f32::max);
+        if most > 0.0 { (USUAL_METAL / most).ln() } else { 0.0 }
+    }
+
+    /// The largest diffuse albedo of a surface: none reflects more than it receives, and metal reflects all of it at its surface.
+    pub fn most_diffuse(&self, weights: &[f32; MAX_SPECULAR_LOBES]) -> f32 {
+        (1.0 - self.share(weights)).clamp(0.0, 1.0)
+    }
+}
+
+/// How metallic a base material is by its specular albedo, from 0 (dielectric) to 1.
+pub fn metalness(lobe: &SpecularLobe) -> f32 {
+    let t = ((lobe.albedo.max_element() - BETWEEN.0) / (BETWEEN.1 - BETWEEN.0)).clamp(0.0, 1.0);
+    t * t * (3.0 - 2.0 * t)
+}
+
+/// Whether a base material with this number is a dielectric in a fit that knows of metal: all but the first are.
+pub(crate) fn is_dielectric(unknowns: &Unknowns, number: BaseMaterial) -> bool {
+    unknowns.metal && number.0 > 0
+}
+
+/// Update: no texel keeps a diffuse albedo beneath metal: it is bound, and decays.
+pub fn bound_diffuse_albedo(
+    unknowns: Res<Unknowns>,
+    materials: Query<(&BaseMaterial, &SpecularLobe)>,
+    texels: Texels<(&mut DiffuseAlbedo, &mut DiffuseSheen, &SpecularBlend)>,
+) -> SystemResult {
+    if !unknowns.metal || !unknowns.albedo {
+        return Ok(());
+    }
+    let metals = Metals::in_fit(&unknowns, materials);
+    let (mut albedo, mut sheen, blends) = texels.columns()?;
+    let texels = albedo.par_iter_mut().zip(&mut *sheen).zip(&*blends).with_min_len(4096);
+    texels.for_each(|((albedo, sheen), blend)| {
+        albedo.0 *= 1.0 - DECAY * metals.share(&blend.0).powi(2);
+        (albedo.0, sheen.0) = bounded(albedo.0, sheen.0, metals.most_diffuse(&blend.0));
+    });
+    Ok(())
+}
+
+/// Albedo straight on and sheen with neither albedo above a bound.
+pub(crate) fn bounded(albedo: Vec3, sheen: Vec3, most: f32) -> (Vec3, Vec3) {
+    let most = Vec3::splat(most);
+    let (straight, along) = (albedo.min(most), (albedo + sheen).min(most));
+    (straight, if sheen == Vec3::ZERO { sheen } else { along - straight })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const GOLD: SpecularLobe = SpecularLobe::new(Vec3::new(1.0, 0.7, 0.3), 0.2);
+    const VARNISH: SpecularLobe = SpecularLobe::new(Vec3::splat(0.04), 0.2);
+
+    fn weights(first: f32) -> [f32; MAX_SPECULAR_LOBES] {
+        std::array::from_fn(|k| [first, 1.0 - first].get(k).copied().unwrap_or(0.0))
+    }
+
+    #[test]
+    fn gold_is_metal_and_varnish_is_not() {
+        assert_eq!((metalness(&GOLD), metalness(&VARNISH)), (1.0, 0.0));
+        let dark = SpecularLobe::new(Vec3::splat(0.2), 0.2);
+        assert!((metalness(&dark) - 0.5).abs() < 1e-6);
+        let metals = Metals::of([(0, &GOLD), (1, &VARNISH)]);
+        assert_eq!(metals.share(&weights(0.25)), 0.25);
+        assert_eq!(metals.share_at(0.95, &weights(0.25)), Vec3::new(0.25, 0.0, 0.0));
+        assert_eq!(metals.most_diffuse(&weights(1.0)), 0.0);
+        assert!((metals.log_missing() - 0.95f32.ln()).abs() < 1e-6);
+        assert_eq!(Metals::of([(0, &VARNISH)]).log_missing(), 0.0);
+    }
+
+    #[test]
+    fn only_a_fit_that_knows_of_metal_has_some() {
+        let materials = [(BaseMaterial(0), GOLD), (BaseMaterial(1), VARNISH)];
+        let found = |metal| {
+            let unknowns = Unknowns { metal, ..Unknowns::default() };
+            let dielectric = is_dielectric(&unknowns, BaseMaterial(1));
+            (Metals::in_fit(&unknowns, materials.iter().map(|(k, lobe)| (k, lobe))), dielectric)
+        };
+        assert_eq!(found(false), (Metals::default(), false));
+        assert_eq!(found(true), (Metals::of([(0, &GOLD), (1, &VARNISH)]), true));
+        assert!(!is_dielectric(&Unknowns { metal: true, ..Unknowns::default() }, BaseMaterial(0)));
+    }
+
+    #[test]
+    fn neither_albedo_exceeds_its_bound() {
+        let (albedo, sheen) = (Vec3::new(0.5, 0.2, 0.1), Vec3::new(-0.3, 0.3, 0.0));
+        let (straight, difference) = bounded(albedo, sheen, 0.3);
+        assert_eq!(straight, Vec3::new(0.3, 0.2, 0.1));
+        assert!((straight + difference - Vec3::new(0.2, 0.3, 0.1)).length() < 1e-6);
+        assert_eq!(bounded(albedo, Vec3::ZERO, 0.3).1, Vec3::ZERO, "no sheen stays none");
+        assert_eq!(bounded(albedo, sheen, 1.0), (albedo, (albedo + sheen) - albedo));
+    }
+}
