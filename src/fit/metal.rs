@@ -6,11 +6,13 @@
 //!
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |
-//! | [`bound_diffuse_albedo`] | Update, `Slot::Optimizer`, after albedo and blends | `SpecularBlend`, `SpecularLobe` | `DiffuseAlbedo`, `DiffuseSheen` |
+//! | [`bound_diffuse_albedo`] | Update, `Slot::Optimizer`, after all others | `SpecularBlend`, `SpecularLobe` | `DiffuseAlbedo`, `DiffuseSheen` |
 
-use crate::fit::components::Unknowns;
+use crate::fit::components::{StepRates, Unknowns};
+use crate::fit::roughness::blend::TexelPlaces;
 use crate::material::{
     BaseMaterial, DiffuseAlbedo, DiffuseSheen, MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, Texels,
+    USUAL_ALBEDO,
 };
 use crate::pipeline::SystemResult;
 use bevy_ecs::prelude::{Query, Res};
@@ -22,11 +24,15 @@ pub const DIELECTRIC_ALBEDO: (f32, f32) = (0.02, 0.08);
 /// The largest channel of a metal's specular albedo, where nothing else says how bright the light is: silver has 0.97, copper and gold 0.95 to
 /// 1, brass 0.9, iron 0.56.
 const USUAL_METAL: f32 = 0.95;
-/// Part of the diffuse albedo beneath metal that goes with each step, times the square of the metal's weight: what the bound leaves of it while the weights are
-/// still undecided. A fraction of what a step of Adam can move it by.
-const DECAY: f32 = 0.003;
+/// Part of the diffuse albedo beneath metal that goes with each step, times the square of the metal's weight and relative to the rate of the albedo: what the
+/// bound leaves of it while the weights are still undecided.
+const DECAY: f32 = 0.15;
 /// Specular albedos up to which a base material is a dielectric, and from which on it is metal.
-const BETWEEN: (f32, f32) = (0.1, 0.3);
+const BETWEEN: (f32, f32) = (0.2, 0.4);
+/// How metallic a base material must be for its brightness to tell that of the light.
+const CERTAIN: f32 = 0.5;
+/// Weight of the prior that what is not metal has the usual albedo, relative to that of a usual metal: of metals the specular albedo is known to a fifth or so.
+const ALBEDO_PRIOR: f32 = 0.15;
 
 /// How metallic each base material is, by number; 0 of all where a fit knows nothing of metal.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -62,20 +68,36 @@ impl Metals {
         self.metalness.iter().zip(weights).map(|(metal, weight)| metal * weight).sum()
     }
 
-    /// The part of each channel that belongs to metals whose specular albedo is at least `bound` there.
-    pub fn share_at(&self, bound: f32, weights: &[f32; MAX_SPECULAR_LOBES]) -> Vec3 {
-        let parts = self.metalness.iter().zip(&self.albedo).zip(weights);
-        let part = |((metal, albedo), weight): ((&f32, &Vec3), &f32)| {
-            Vec3::select(albedo.cmpge(Vec3::splat(bound)), Vec3::splat(metal * weight), Vec3::ZERO)
-        };
-        parts.map(part).sum()
+    /// The part of the specular light of each channel that metal reflects, about: by specular albedo and weight of the base materials.
+    pub fn specular_share(&self, weights: &[f32; MAX_SPECULAR_LOBES]) -> Vec3 {
+        self.part_of_specular(weights, |_| Vec3::ONE)
     }
 
-    /// The logarithm of the factor by which the brightest metal would have to be brighter to be a usual one; 0 without metal.
-    pub fn log_missing(&self) -> f32 {
-        let metals = self.metalness.iter().zip(&self.albedo).filter(|(metal, _)| **metal > 0.0);
+    /// The same of metals whose specular albedo is at least `bound` in the channel.
+    pub fn specular_share_at_bound(&self, bound: f32, weights: &[f32; MAX_SPECULAR_LOBES]) -> Vec3 {
+        let at_bound = |albedo: Vec3| albedo.cmpge(Vec3::splat(bound));
+        self.part_of_specular(weights, |albedo| Vec3::select(at_bound(albedo), Vec3::ONE, Vec3::ZERO))
+    }
+
+    fn part_of_specular(&self, weights: &[f32; MAX_SPECULAR_LOBES], counts: impl Fn(Vec3) -> Vec3) -> Vec3 {
+        let (mut part, mut all) = (Vec3::ZERO, Vec3::ZERO);
+        for ((metal, albedo), weight) in self.metalness.iter().zip(&self.albedo).zip(weights) {
+            part += counts(*albedo) * *albedo * (metal * weight);
+            all += *albedo * *weight;
+        }
+        part / all.max(Vec3::splat(f32::MIN_POSITIVE))
+    }
+
+    /// Derivative of a prior with respect to the logarithm of the light's level, where `share` of the photographs shows metal and the rest has
+    /// the mean albedo `rest`: metal is as bright as metals are, and the rest has the usual albedo. 0 without a base material that is metal.
+    pub fn level_derivative(&self, share: f32, rest: f32) -> f32 {
+        let metals = self.metalness.iter().zip(&self.albedo).filter(|(metal, _)| **metal >= CERTAIN);
         let most = metals.map(|(_, albedo)| albedo.max_element()).fold(0.0, f32::max);
-        if most > 0.0 { (USUAL_METAL / most).ln() } else { 0.0 }
+        if most <= 0.0 {
+            return 0.0;
+        }
+        share * (USUAL_METAL / most).ln()
+            + ALBEDO_PRIOR * (1.0 - share) * (USUAL_ALBEDO / rest.max(1e-3)).ln()
     }
 
     /// The largest diffuse albedo of a surface: none reflects more than it receives, and metal reflects all of it at its surface.
@@ -95,27 +117,34 @@ pub(crate) fn is_dielectric(unknowns: &Unknowns, number: BaseMaterial) -> bool {
     unknowns.metal && number.0 > 0
 }
 
-/// Update: no texel keeps a diffuse albedo beneath metal: it is bound, and decays.
+/// Update: no texel keeps a diffuse albedo beneath metal: it is bound, and decays. Only where blends move as well, for else nothing tells metal from the
+/// rest.
 pub fn bound_diffuse_albedo(
-    unknowns: Res<Unknowns>,
+    (unknowns, rates): (Res<Unknowns>, Res<StepRates>),
+    places: Res<TexelPlaces>,
     materials: Query<(&BaseMaterial, &SpecularLobe)>,
     texels: Texels<(&mut DiffuseAlbedo, &mut DiffuseSheen, &SpecularBlend)>,
 ) -> SystemResult {
-    if !unknowns.metal || !unknowns.albedo {
+    if !unknowns.metal || !unknowns.albedo || !unknowns.blends {
         return Ok(());
     }
     let metals = Metals::in_fit(&unknowns, materials);
     let (mut albedo, mut sheen, blends) = texels.columns()?;
+    if places.positions.len() != blends.len() {
+        return Ok(());
+    }
+    let decay = DECAY * rates.albedo;
     let texels = albedo.par_iter_mut().zip(&mut *sheen).zip(&*blends).with_min_len(4096);
     texels.for_each(|((albedo, sheen), blend)| {
-        albedo.0 *= 1.0 - DECAY * metals.share(&blend.0).powi(2);
-        (albedo.0, sheen.0) = bounded(albedo.0, sheen.0, metals.most_diffuse(&blend.0));
+        let left = 1.0 - (decay * metals.share(&blend.0).powi(2)).min(1.0);
+        (albedo.0, sheen.0) = (albedo.0 * left, sheen.0 * left);
+        (albedo.0, sheen.0) = within(albedo.0, sheen.0, metals.most_diffuse(&blend.0));
     });
     Ok(())
 }
 
 /// Albedo straight on and sheen with neither albedo above a bound.
-pub(crate) fn bounded(albedo: Vec3, sheen: Vec3, most: f32) -> (Vec3, Vec3) {
+fn within(albedo: Vec3, sheen: Vec3, most: f32) -> (Vec3, Vec3) {
     let most = Vec3::splat(most);
     let (straight, along) = (albedo.min(most), (albedo + sheen).min(most));
     (straight, if sheen == Vec3::ZERO { sheen } else { along - straight })
@@ -135,14 +164,29 @@ mod tests {
     #[test]
     fn gold_is_metal_and_varnish_is_not() {
         assert_eq!((metalness(&GOLD), metalness(&VARNISH)), (1.0, 0.0));
-        let dark = SpecularLobe::new(Vec3::splat(0.2), 0.2);
+        let dark = SpecularLobe::new(Vec3::splat(0.3), 0.2);
         assert!((metalness(&dark) - 0.5).abs() < 1e-6);
         let metals = Metals::of([(0, &GOLD), (1, &VARNISH)]);
         assert_eq!(metals.share(&weights(0.25)), 0.25);
-        assert_eq!(metals.share_at(0.95, &weights(0.25)), Vec3::new(0.25, 0.0, 0.0));
+        // A quarter of gold and three quarters of varnish: 0.25 of 0.25 + 0.03, 0.175 of 0.205, 0.075 of 0.105.
+        let share = metals.specular_share(&weights(0.25));
+        assert!((share - Vec3::new(0.892857, 0.853659, 0.714286)).length() < 1e-5, "{share}");
+        assert_eq!(metals.specular_share_at_bound(0.95, &weights(0.25)), Vec3::new(share.x, 0.0, 0.0));
         assert_eq!(metals.most_diffuse(&weights(1.0)), 0.0);
-        assert!((metals.log_missing() - 0.95f32.ln()).abs() < 1e-6);
-        assert_eq!(Metals::of([(0, &VARNISH)]).log_missing(), 0.0);
+        assert_eq!(Metals::default().specular_share(&weights(0.5)), Vec3::ZERO);
+    }
+
+    #[test]
+    fn the_level_rests_where_metal_and_the_rest_are_usual() {
+        let metals =
+            |albedo: f32| Metals::of([(0, &SpecularLobe::new(Vec3::splat(albedo), 0.2)), (1, &VARNISH)]);
+        assert!(metals(0.95).level_derivative(0.5, USUAL_ALBEDO).abs() < 1e-6);
+        assert!(metals(0.6).level_derivative(0.5, USUAL_ALBEDO) > 0.0, "a dark metal asks for less light");
+        assert!(
+            metals(0.6).level_derivative(0.01, 0.8) < 0.0,
+            "of which a little does not outweigh white paint"
+        );
+        assert_eq!(metals(0.1).level_derivative(0.0, 0.8), 0.0, "two kinds of paint say nothing");
     }
 
     #[test]
@@ -161,10 +205,10 @@ mod tests {
     #[test]
     fn neither_albedo_exceeds_its_bound() {
         let (albedo, sheen) = (Vec3::new(0.5, 0.2, 0.1), Vec3::new(-0.3, 0.3, 0.0));
-        let (straight, difference) = bounded(albedo, sheen, 0.3);
+        let (straight, difference) = within(albedo, sheen, 0.3);
         assert_eq!(straight, Vec3::new(0.3, 0.2, 0.1));
         assert!((straight + difference - Vec3::new(0.2, 0.3, 0.1)).length() < 1e-6);
-        assert_eq!(bounded(albedo, Vec3::ZERO, 0.3).1, Vec3::ZERO, "no sheen stays none");
-        assert_eq!(bounded(albedo, sheen, 1.0), (albedo, (albedo + sheen) - albedo));
+        assert_eq!(within(albedo, Vec3::ZERO, 0.3).1, Vec3::ZERO, "no sheen stays none");
+        assert_eq!(within(albedo, sheen, 1.0), (albedo, (albedo + sheen) - albedo));
     }
 }

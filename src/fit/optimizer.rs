@@ -12,7 +12,7 @@ use bevy_ecs::system::ScheduleSystem;
 
 /// Moves all that a fit may move; roughness varies by the blend of base materials.
 pub fn optimizer() -> ScheduleConfigs<ScheduleSystem> {
-    (move_scale, move_texels, move_sheen, move_blends, bound_diffuse_albedo, move_lobes, move_specular)
+    (move_scale, move_texels, move_sheen, move_blends, move_lobes, move_specular, bound_diffuse_albedo)
         .chain()
 }
 

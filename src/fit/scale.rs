@@ -12,7 +12,7 @@
 //!
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |
-//! | [`move_scale`] | Update, `Slot::Optimizer`, before the others | `Layers` and `PointBlend` of the window, `RadianceAdjoint`, [`ScaleRule`] | `LightLobe`, `DiffuseAlbedo`, `SpecularLobe` of metal, [`ScaleMoments`] |
+//! | [`move_scale`] | Update, `Slot::Optimizer`, before the others | `Layers` and `PointBlend` of the window, `RadianceAdjoint`, [`ScaleRule`] | `LightLobe`, `DiffuseAlbedo`, `DiffuseSheen`, `SpecularLobe` of metal, [`ScaleMoments`] |
 
 use crate::error::Result;
 use crate::fit::adam::{AdamStep, Moments};
@@ -22,14 +22,16 @@ use crate::light::LightLobe;
 use crate::light::lights::{LobeOf, own_lobes};
 use crate::material::DiffuseSheen;
 use crate::material::sheen::write_albedo;
-use crate::material::{BaseMaterial, DiffuseAlbedo, SpecularLobe, TexelIndex, Texels, USUAL_ALBEDO};
+use crate::material::{
+    BaseMaterial, DiffuseAlbedo, SpecularBlend, SpecularLobe, TexelIndex, Texels, USUAL_ALBEDO,
+};
 use crate::math::sg::sphere_integral;
 use crate::math::shading::{Layers, RadianceAdjoint, ShadePoint};
 use crate::pipeline::SystemResult;
 use crate::pipeline::pool::read_column;
 use crate::sample::Samples;
 use crate::sample::point::PointBlend;
-use bevy_ecs::prelude::{DetectChangesMut, Query, Res, ResMut, Resource, Without, World};
+use bevy_ecs::prelude::{DetectChangesMut, Mut, Query, Res, ResMut, Resource, Without, World};
 use glam::{DVec3, Vec3, Vec4};
 use serde::{Deserialize, Serialize};
 
@@ -41,7 +43,7 @@ pub enum ScaleRule {
     /// The light has the color of the highlights; the mean albedo starts from 0.4.
     Highlights {
         /// Weight ≥ 0, relative to the image loss, of a prior that the light's mean radiance has the color of a lamp or a sky: that of a
-        /// black body of about 3 000 to 20 000 K, all of them alike. It decides where highlights are weak. Default 0.002.
+        /// black body of about 3 000 to 20 000 K, all of them alike; where a fit has found metal, white is preferred. It decides where highlights are weak. Default 0.002.
         #[serde(default = "white_light")]
         white_light: f32,
     },
@@ -93,42 +95,45 @@ const WHITE_BESIDE_METAL: f32 = 4.0;
 /// Weight, relative to the image loss, of the prior that the mean albedo is [`USUAL_ALBEDO`], per unit of its logarithm.
 const LEVEL_WEIGHT: f32 = 0.016;
 
-/// What a light lobe and a base material have to do with the scale.
+/// A light lobe, which is multiplied by the factor.
 type ScaledLobe = &'static mut LightLobe;
+/// A base material, which is divided by it as far as it is metal.
 type ScaledMaterial = (&'static BaseMaterial, &'static mut SpecularLobe);
 
 /// Update: a step along the scale, or a projection onto the rule, if light and albedo are both unknown.
 pub fn move_scale(
-    rates: Res<StepRates>,
-    unknowns: Res<Unknowns>,
-    rule: Res<ScaleRule>,
+    (rates, unknowns, rule): (Res<StepRates>, Res<Unknowns>, Res<ScaleRule>),
     mut moments: ResMut<ScaleMoments>,
     samples: Samples<(&ShadePoint, &PointBlend, &Layers, &RadianceAdjoint)>,
     (mut lobes, mut materials): (Query<ScaledLobe, Without<LobeOf>>, Query<ScaledMaterial>),
-    texels: Texels<(&mut DiffuseAlbedo, &mut DiffuseSheen, &TexelSeen)>,
+    texels: Texels<(&mut DiffuseAlbedo, &mut DiffuseSheen, &TexelSeen, &SpecularBlend)>,
 ) -> SystemResult {
     if !unknowns.light || !unknowns.albedo || *rule == ScaleRule::Free {
         return Ok(());
     }
-    let (mut albedo, mut sheen, seen) = texels.columns()?;
-    let (off_gray, mean) = (log_color(mean_light(lobes.iter())), mean_albedo(&albedo, &seen));
+    let (mut albedo, mut sheen, seen, texel_blends) = texels.columns()?;
+    let metals = Metals::in_fit(&unknowns, &materials);
+    let off_gray = log_color(mean_light(lobes.iter()));
+    let mean = mean_albedo(&albedo, &seen, |texel| 1.0 - metals.share(&texel_blends[texel].0));
     let log_factor = match *rule {
         ScaleRule::Free => Vec3::ZERO,
         ScaleRule::WhiteLight => -off_gray,
         ScaleRule::MeanAlbedo(wanted) => (mean / wanted).max(Vec3::splat(1e-6)).map(f32::ln),
         ScaleRule::Highlights { white_light } => {
             let (points, blends, layers, adjoint) = samples.columns()?;
-            let metals = Metals::in_fit(&unknowns, &materials);
-            let evidence =
-                Evidence { points: &points, blends: &blends, layers: &layers, adjoint: &adjoint, metals };
+            let evidence = ScaleEvidence {
+                points: &points,
+                blends: &blends,
+                layers: &layers,
+                adjoint: &adjoint,
+                metals,
+            };
             log_step(&rates, &mut moments, evidence.gradient(white_light, off_gray, mean))
         }
     };
     rescale(log_factor.exp(), lobes.iter_mut().map(|lobe| lobe.into_inner()), &mut albedo);
     if unknowns.metal && unknowns.specular_albedo {
-        materials.iter_mut().for_each(|(_, mut lobe)| {
-            lobe.set_if_neq(rescaled_metal(log_factor, *lobe));
-        });
+        materials.iter_mut().for_each(|(_, lobe)| rescale_metal(log_factor, lobe));
     }
     if unknowns.sheen {
         rescale_sheen(log_factor.exp(), &albedo, &mut sheen);
@@ -144,7 +149,7 @@ fn log_step(rates: &StepRates, moments: &mut ScaleMoments, gradient: Vec4) -> Ve
 }
 
 /// What the samples of a window say of the scale.
-struct Evidence<'a> {
+struct ScaleEvidence<'a> {
     points: &'a [ShadePoint],
     blends: &'a [PointBlend],
     layers: &'a [Layers],
@@ -152,19 +157,20 @@ struct Evidence<'a> {
     metals: Metals,
 }
 
-impl Evidence<'_> {
+impl ScaleEvidence<'_> {
     /// Derivative of the loss and its priors with respect to the logarithm of the factor: its color (three channels with a mean of 0), its level.
     fn gradient(&self, white_light: f32, off_gray: Vec3, mean_albedo: Vec3) -> Vec4 {
         let specular = |part: &dyn Fn(&PointBlend) -> Vec3| {
             specular_derivative(self.layers, self.adjoint, &|i| part(&self.blends[i]))
         };
-        let highlights = specular(&|blend| Vec3::splat(1.0 - self.metals.share(&blend.0)));
+        let highlights = specular(&|blend| Vec3::ONE - self.metals.specular_share(&blend.0));
         let bound = bound_derivative(self.points, self.layers, self.adjoint)
-            + specular(&|blend| self.metals.share_at(AT_BOUND, &blend.0));
-        let metal = self.blends.iter().map(|blend| self.metals.share(&blend.0)).sum::<f32>();
-        let metal = metal / self.blends.len().max(1) as f32;
+            + specular(&|blend| self.metals.specular_share_at_bound(AT_BOUND, &blend.0));
+        let metal = self.blends.iter().map(|blend| f64::from(self.metals.share(&blend.0))).sum::<f64>();
+        let metal = (metal / self.blends.len().max(1) as f64) as f32;
         let light = lamp_derivative(off_gray) + metal * WHITE_BESIDE_METAL * off_gray;
-        let level = level_derivative(bound, mean_albedo) + LEVEL_WEIGHT * metal * self.metals.log_missing();
+        let level = level_derivative(bound, mean_albedo)
+            + LEVEL_WEIGHT * self.metals.level_derivative(metal, mean_albedo.element_sum() / 3.0);
         without_mean(highlights + white_light * light + bound).extend(level)
     }
 }
@@ -191,7 +197,7 @@ pub(crate) fn start_scale(world: &mut World, rule: ScaleRule) -> Result<()> {
 pub fn means(world: &mut World) -> Result<[Vec3; 2]> {
     let light = mean_light(own_lobes(world).iter());
     let albedo = read_column::<TexelIndex, DiffuseAlbedo>(world)?;
-    Ok([light, mean_albedo(&albedo, &read_column::<TexelIndex, TexelSeen>(world)?)])
+    Ok([light, mean_albedo(&albedo, &read_column::<TexelIndex, TexelSeen>(world)?, |_| 1.0)])
 }
 
 /// Multiplies the light by a factor and divides the albedo by it.
@@ -200,7 +206,12 @@ fn rescale<'a>(factor: Vec3, lobes: impl Iterator<Item = &'a mut LightLobe>, alb
     albedo.iter_mut().for_each(|albedo| albedo.0 = (albedo.0 / factor).min(Vec3::splat(MOST_ALBEDO)));
 }
 
-/// A base material whose specular albedo is divided by the factor as far as it is metal.
+/// Divides the specular albedo of a base material by the factor as far as it is metal.
+fn rescale_metal(log_factor: Vec3, mut lobe: Mut<SpecularLobe>) {
+    lobe.set_if_neq(rescaled_metal(log_factor, *lobe));
+}
+
+/// The base material after that.
 fn rescaled_metal(log_factor: Vec3, lobe: SpecularLobe) -> SpecularLobe {
     let albedo = lobe.albedo * (-log_factor * metalness(&lobe)).exp();
     SpecularLobe { albedo: albedo.min(Vec3::splat(MOST_ALBEDO)), ..lobe }
@@ -214,8 +225,8 @@ fn rescale_sheen(factor: Vec3, albedo: &[DiffuseAlbedo], sheen: &mut [DiffuseShe
     });
 }
 
-/// Derivative of the loss with respect to the logarithm of the factor: diffuse light does not change, and `part(i)` of the specular light of
-/// sample i is multiplied by it.
+/// Derivative of the loss with respect to the logarithm of the factor, if diffuse light does not change and `part(i)` of the specular light of
+/// sample i is multiplied by the factor.
 fn specular_derivative(layers: &[Layers], adjoint: &[RadianceAdjoint], part: &dyn Fn(usize) -> Vec3) -> Vec3 {
     let of = |(i, (l, a)): (usize, (&Layers, &RadianceAdjoint))| {
         (part(i) * Vec3::from(l.specular) * Vec3::from(a.0)).as_dvec3()
@@ -270,11 +281,14 @@ fn mean_light<'a>(lobes: impl Iterator<Item = &'a LightLobe>) -> Vec3 {
     (lobes.map(power).sum::<DVec3>() / (4.0 * std::f64::consts::PI)).as_vec3()
 }
 
-/// Mean albedo of the texels that are seen.
-fn mean_albedo(albedo: &[DiffuseAlbedo], seen: &[TexelSeen]) -> Vec3 {
-    let both = albedo.iter().zip(seen).filter(|(_, seen)| seen.0 > 0.0);
-    let (sum, count) = both.fold((DVec3::ZERO, 0u32), |(sum, n), (a, _)| (sum + a.0.as_dvec3(), n + 1));
-    (sum / f64::from(count.max(1))).as_vec3()
+/// Mean albedo of the texels that are seen, with the weight `weight(i)` of texel i: that which is not metal.
+fn mean_albedo(albedo: &[DiffuseAlbedo], seen: &[TexelSeen], weight: impl Fn(usize) -> f32) -> Vec3 {
+    let texels = albedo.iter().zip(seen).enumerate().filter(|(_, (_, seen))| seen.0 > 0.0);
+    let (sum, weights) = texels.fold((DVec3::ZERO, 0.0), |(sum, weights), (i, (albedo, _))| {
+        let weight = f64::from(weight(i));
+        (sum + albedo.0.as_dvec3() * weight, weights + weight)
+    });
+    (sum / weights.max(1e-6)).as_vec3()
 }
 
 /// The logarithms of the channels of a color minus their mean: zero for gray.
@@ -346,8 +360,13 @@ mod tests {
         let adjoint = [RadianceAdjoint([0.1, 0.0, -0.1]); 2];
         let gradient = |metal: f32, off_gray: Vec3| {
             let blends = [blend(metal), blend(0.0)];
-            let evidence =
-                Evidence { points: &points, blends: &blends, layers: &layers, adjoint: &adjoint, metals };
+            let evidence = ScaleEvidence {
+                points: &points,
+                blends: &blends,
+                layers: &layers,
+                adjoint: &adjoint,
+                metals,
+            };
             evidence.gradient(0.002, off_gray, Vec3::splat(USUAL_ALBEDO))
         };
         let (paint, half) = (gradient(0.0, Vec3::ZERO), gradient(1.0, Vec3::ZERO));
@@ -411,6 +430,6 @@ mod tests {
         assert!((product - metal.albedo).length() < 1e-6);
         let varnish = SpecularLobe::new(Vec3::splat(0.04), 0.2);
         assert_eq!(rescaled_metal(log_factor, varnish), varnish);
-        assert_eq!(mean_albedo(&albedo, &[TexelSeen(1.0)]), albedo[0].0);
+        assert_eq!(mean_albedo(&albedo, &[TexelSeen(1.0)], |_| 0.5), albedo[0].0);
     }
 }

@@ -1,8 +1,8 @@
 //! Whether a `Fit` gives the surface one base material or several, where the scene leaves that to the photographs
 //! ([`Gloss::Auto`]).
 //!
-//! The fit begins with one. If that explains the photographs badly after the first of [`TRIED`] steps, two are tried, one that may be a metal and a
-//! dielectric ([`metal`](crate::fit::metal)), for as many steps over the same pixels; light and albedo then begin from an initialization as far as they are unknown, because what one
+//! The fit begins with one. If that explains the photographs badly after the first of [`TRIED`] steps, two are tried, a dielectric and one that may be
+//! metal ([`metal`](crate::fit::metal)), for as many steps over the same pixels; light and albedo then begin from an initialization as far as they are unknown, because what one
 //! material made of them is wrong. A pixel's error is measured before a step moves anything, and of two hundred photographs or of large ones
 //! most pixels are visited for the first time in these steps: both materials are judged by what they have not been fitted to. The fit goes on with
 //! several only if their error is clearly less; else it goes on as if they had not been tried.

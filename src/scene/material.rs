@@ -142,7 +142,7 @@ impl Default for Roughness {
 #[serde(deny_unknown_fields)]
 pub enum Gloss {
     /// A `Fit` decides, if nothing is said in `specular` but its `ndf`: like `One`, unless that explains the photographs badly and two base
-    /// materials with `Ggx`, one that may be a metal and a dielectric, explain them clearly better.
+    /// materials with `Ggx`, a dielectric and one that may be metal, explain them clearly better.
     #[default]
     Auto,
     /// One: the lobe in `specular` everywhere.

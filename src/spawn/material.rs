@@ -15,7 +15,7 @@ use bevy_ecs::prelude::World;
 use glam::Vec3;
 use std::path::Path;
 
-/// Albedo and roughness from which the base materials start that a fit may choose instead of one: what may be metal, and a dielectric.
+/// Albedo and roughness from which the base materials start that a fit may choose instead of one: what may be metal (between [metal and dielectrics](crate::fit::metal)), and a dielectric.
 const METAL: (f32, f32) = (0.3, 0.25);
 const DIELECTRIC: (f32, f32) = (0.04, 0.5);
 
