@@ -66,7 +66,7 @@ fn psnr(metrics: &serde_json::Value) -> f64 {
 }
 
 /// The upper half of the sphere, and of its texture, is gold.
-fn assert_has_no_diffuse_light_beneath(folder: &Path) {
+fn assert_little_diffuse_light_beneath(folder: &Path) {
     let albedo = image::open(folder.join("out/fit/albedo.png")).unwrap().to_rgb8();
     let (width, height) = albedo.dimensions();
     let mean = |rows: std::ops::Range<u32>| {
@@ -92,7 +92,7 @@ fn metal_beside_paint_gets_a_material_of_its_own() {
     // The color of the gold is not that of the light, which is (0.32, 0.38, 0.47) on average.
     let light = &gold["scale"]["mean_light"];
     assert!(light[0].as_f64() < light[2].as_f64(), "{light}");
-    assert_has_no_diffuse_light_beneath(folder.path());
+    assert_little_diffuse_light_beneath(folder.path());
     let (one, _) = run(folder.path(), GOLD, &["material.gloss=One"]);
     assert!(
         one["materials_tried"].is_null() && psnr(&gold) > psnr(&one) + 2.0,

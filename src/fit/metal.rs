@@ -21,8 +21,8 @@ use rayon::prelude::*;
 
 /// The specular albedo of dielectrics: water has 0.02, glass and varnish 0.04, dense glaze 0.08.
 pub const DIELECTRIC_ALBEDO: (f32, f32) = (0.02, 0.08);
-/// The largest channel of a metal's specular albedo, where nothing else says how bright the light is: silver has 0.97, copper and gold 0.95 to
-/// 1, brass 0.9, iron 0.56.
+/// The largest channel of a metal's specular albedo, toward which that of the brightest metal is drawn: silver has 0.97, copper and gold 0.95 to
+/// 1, brass 0.9, but iron 0.56.
 const USUAL_METAL: f32 = 0.95;
 /// Part of the diffuse albedo beneath metal that goes with each step, times the square of the metal's weight and relative to the rate of the albedo: what the
 /// bound leaves of it while the weights are still undecided.

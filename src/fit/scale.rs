@@ -49,7 +49,7 @@ pub enum ScaleRule {
     },
     /// The light's mean radiance over the sphere is gray; the mean albedo starts from 0.4.
     WhiteLight,
-    /// The mean albedo of the texels that are seen is this color, each channel in (0, 0.9]: `MeanAlbedo(0.5, 0.4, 0.3)`.
+    /// The mean albedo of the texels that are seen, but for metal, is this color, each channel in (0, 0.9]: `MeanAlbedo(0.5, 0.4, 0.3)`.
     MeanAlbedo(Vec3),
     /// No rule: the scale results from the fit of single texels and lobes, which starts from a mean albedo of gray 0.4.
     Free,
