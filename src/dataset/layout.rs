@@ -6,7 +6,9 @@ use crate::codec::nearby::{missing_file_help, natural_order};
 use crate::dataset::names::PHOTOGRAPH_FOLDERS;
 use crate::dataset::options::{DatasetOptions, Layout};
 use crate::dataset::plan::Plan;
-use crate::dataset::{colmap, deepvoxels, idr, llff, metashape, nerf, physg, reality_capture, stanford_orb};
+use crate::dataset::{
+    colmap, deepvoxels, idr, llff, metashape, nerf, nerfactor, physg, reality_capture, stanford_orb,
+};
 use crate::error::{Error, Result};
 use crate::view::Split;
 use std::path::{Path, PathBuf};
@@ -25,7 +27,7 @@ pub(super) struct LayoutReader {
     plan: fn(&Path, Split) -> Result<Plan>,
 }
 
-static READERS: [LayoutReader; 9] = [
+static READERS: [LayoutReader; 10] = [
     LayoutReader {
         layout: Layout::PhySg,
         pixel_center: 0.5,
@@ -74,6 +76,13 @@ static READERS: [LayoutReader; 9] = [
         mark: "train_mask beside transforms_train.json",
         has: |dir, split| is_stanford_orb(dir) && is_there(&nerf::camera_file(dir, split)),
         plan: stanford_orb::plan,
+    },
+    LayoutReader {
+        layout: Layout::Nerfactor,
+        pixel_center: 0.5,
+        mark: "metadata.json in train_000 or test_000",
+        has: nerfactor::has_split,
+        plan: nerfactor::plan,
     },
     LayoutReader {
         layout: Layout::RealityCapture,

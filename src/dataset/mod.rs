@@ -10,6 +10,7 @@
 //! - **IDR, NeuS, VolSDF** ([`idr`]): `DIR/cameras_sphere.npz`, `DIR/image/`, `DIR/mask/`;
 //! - **LLFF, NeRD** ([`llff`]): `DIR/poses_bounds.npy`, `DIR/images/`, `DIR/masks/`;
 //! - **Stanford-ORB** ([`stanford_orb`], its `blender_HDR` and `blender_LDR`): NeRF's, and `DIR/{train,test}_mask/`;
+//! - **NeRFactor, TensoIR-Synthetic** ([`nerfactor`]): `DIR/{train,test}_000/{metadata.json,rgba.png}`;
 //! - **RealityCapture** ([`reality_capture`]): `DIR/*.csv` of camera parameters, `DIR/images/`, `DIR/masks/`;
 //! - **Metashape** ([`metashape`]): `DIR/*.xml` of cameras, `DIR/images/`, `DIR/masks/`.
 //!
@@ -47,6 +48,7 @@ mod names;
 pub mod nerf;
 mod nerf_frames;
 mod nerf_lens;
+pub mod nerfactor;
 mod options;
 mod photographs;
 pub mod physg;

@@ -27,6 +27,8 @@ pub enum Layout {
     Llff,
     /// Stanford-ORB's: `transforms_{train,test}.json` and `{train,test}_mask`.
     StanfordOrb,
+    /// NeRFactor's and TensoIR-Synthetic's: a folder for each view, `train_000`, with `metadata.json` and `rgba.png`.
+    Nerfactor,
     /// RealityCapture's: camera parameters in a `.csv` file, `images` and `masks`.
     RealityCapture,
     /// Metashape's: cameras in an `.xml` file, `images` and `masks`.

@@ -6,13 +6,13 @@
 
 use crate::codec::exr_frame::{Frame, Layer, read_frame_layers};
 use crate::codec::gltf::import::read_mesh;
-use crate::codec::image::Gamma;
+use crate::codec::image::{Gamma, image_header};
 use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::mesh::chamfer::chamfer_distance;
 use crate::pass::render::{ChosenView, chosen_views};
 use crate::pass::session::Session;
-use crate::pass::truth_files::{read_fitting, read_true_layer, true_image_path};
+use crate::pass::truth_files::{ViewFiles, read_fitting};
 use crate::pass::view_report::{self, ScoredOutcome, outlier_share};
 use crate::profile::stage;
 use crate::report::heat::{error_map, factor_for, heat_map};
@@ -24,7 +24,7 @@ use crate::report::thumbnail::{side_for, write_thumbnail};
 use crate::report::tone::{Backdrop, Look, Picture};
 use crate::scene::{EvaluatePass, LayerTruth, Pass, Score, ScoreScale, Truth};
 use crate::view::camera::Camera;
-use crate::view::{Photograph, ViewMask, ViewName};
+use crate::view::{Photograph, ViewMask};
 use bevy_ecs::prelude::World;
 use glam::Vec3;
 use image::RgbImage;
@@ -63,7 +63,7 @@ struct ScoredPass {
 /// Where the ground truth of the views of a pass is.
 enum TrueImages {
     Photographs,
-    Folder(PathBuf),
+    Files(Vec<PathBuf>),
     /// Pictures of the true object: radiance, view by view.
     Made(Vec<Vec<Vec3>>),
 }
@@ -135,10 +135,13 @@ fn write_contact_sheet(session: &Session, pass: &EvaluatePass, rows: Vec<SheetRo
 impl ScoredPass {
     fn open(session: &mut Session, score: &Score) -> Result<Self> {
         let views = views_of(session, &score.pass)?;
-        let truths = match &score.truth {
-            Truth::Photographs => TrueImages::Photographs,
-            Truth::Folder(folder) => TrueImages::Folder(folder.clone()),
-            Truth::SelfMade { spp } => TrueImages::Made(self_made(session, &score.pass, &views, *spp)?),
+        let truths = match (&score.truth, score.truth.files()) {
+            (Truth::SelfMade { spp }, _) => TrueImages::Made(self_made(session, &score.pass, &views, *spp)?),
+            (_, Some(files)) => {
+                let files = ViewFiles::of(files);
+                TrueImages::Files(views.iter().map(|view| files.image(&view.name)).collect())
+            }
+            (_, None) => TrueImages::Photographs,
         };
         Ok(Self { name: score.pass.clone(), views, truths })
     }
@@ -177,7 +180,7 @@ impl ScoredPass {
             truth,
             alpha: frame.alpha,
             coverage,
-            in_srgb: matches!(self.truths, TrueImages::Photographs),
+            in_srgb: self.truths.are_encoded(i)?,
         };
         let (camera, albedo, normal) = (view.camera, frame.albedo, frame.normal);
         Ok(ScoredView { eval, camera, albedo, normal, mask_iou })
@@ -203,11 +206,19 @@ impl ScoredPass {
                     Error::run(&self.name, format!("view {} has no photograph to compare with", view.stem))
                 })
             }
-            TrueImages::Folder(folder) => {
-                let name = world.get::<ViewName>(view.entity).map_or("", |name| name.0.as_str());
-                read_fitting(&true_image_path(folder, name), Gamma::Srgb, &view.camera)
-            }
+            TrueImages::Files(files) => read_fitting(&files[i], Gamma::Srgb, &view.camera),
             TrueImages::Made(pictures) => Ok(pictures[i].clone()),
+        }
+    }
+}
+
+impl TrueImages {
+    /// Whether the picture of view `i` is of encoded colors, as the field's tables are: any but floats.
+    fn are_encoded(&self, i: usize) -> Result<bool> {
+        match self {
+            Self::Photographs => Ok(true),
+            Self::Files(files) => Ok(!image_header(&files[i])?.is_float),
+            Self::Made(_) => Ok(false),
         }
     }
 }
@@ -215,7 +226,7 @@ impl ScoredPass {
 /// The layers that a scale needs.
 fn layers_of(rule: ScoreScale) -> &'static [Layer] {
     match rule {
-        ScoreScale::None | ScoreScale::PerChannel => &[],
+        ScoreScale::None | ScoreScale::PerChannel | ScoreScale::PerView => &[],
         ScoreScale::PerLayer => &[Layer::Diffuse, Layer::Specular],
     }
 }
@@ -232,6 +243,7 @@ fn scaling(rule: ScoreScale) -> Scaling {
     match rule {
         ScoreScale::None => Scaling::None,
         ScoreScale::PerChannel => Scaling::PerChannel,
+        ScoreScale::PerView => Scaling::PerView,
         ScoreScale::PerLayer => Scaling::PerLayer,
     }
 }
@@ -306,31 +318,24 @@ fn layer_pixels(
     i: usize,
 ) -> Result<LayerPixels> {
     let view = scored.load(session, i, &[layer])?;
-    let truth = true_layer(session, &view, truth, layer, i as u64)?;
+    let names = [&scored.views[i].stem, &scored.views[i].name].map(String::as_str);
+    let truth = match truth.files() {
+        Some(files) => ViewFiles::of(files).read_layer(layer, names, &view.camera)?,
+        None => self_made_layer(session, &view, layer, i as u64)?,
+    };
     let found = if layer == Layer::Normal { &view.normal } else { &view.albedo };
     LayerPixels::new(&view, found, &truth)
 }
 
-/// Ground-truth albedo or normals of a view.
-fn true_layer(
-    session: &mut Session,
-    view: &ScoredView,
-    truth: &LayerTruth,
-    layer: Layer,
-    number: u64,
-) -> Result<Vec<Vec3>> {
-    match truth {
-        LayerTruth::Folder(folder) => read_true_layer(folder, layer, &view.eval.name, &view.camera),
-        LayerTruth::SelfMade => {
-            let seed = session.scene.seed.wrapping_add(number);
-            let Some(object) = &mut session.truth else {
-                return Err(Error::run("evaluate", "only `Photographed` views have a true object"));
-            };
-            let frames = object.pictures(&[view.camera], None, &[], 16, seed, || ())?;
-            let pick = |f: Frame| if layer == Layer::Albedo { f.albedo } else { f.normal };
-            Ok(frames.into_iter().flat_map(pick).collect())
-        }
-    }
+/// Albedo or normals of a view of the true object.
+fn self_made_layer(session: &mut Session, view: &ScoredView, layer: Layer, number: u64) -> Result<Vec<Vec3>> {
+    let seed = session.scene.seed.wrapping_add(number);
+    let Some(object) = &mut session.truth else {
+        return Err(Error::run("evaluate", "only `Photographed` views have a true object"));
+    };
+    let frames = object.pictures(&[view.camera], None, &[], 16, seed, || ())?;
+    let pick = |f: Frame| if layer == Layer::Albedo { f.albedo } else { f.normal };
+    Ok(frames.into_iter().flat_map(pick).collect())
 }
 
 /// Writes small pictures of all views: ground truth, prediction as it is scored, error. Returns the share of outliers of each view, of the

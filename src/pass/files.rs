@@ -11,10 +11,10 @@ use crate::pass::photograph::ring;
 use crate::pass::render::{chosen_stems, film_files};
 use crate::pass::view::PAGE;
 use crate::pass::view_report::VIEWS;
+use crate::scene::LayerTruth;
 use crate::scene::load::LoadedScene;
 use crate::scene::paths::paths_of;
 use crate::scene::{EvaluatePass, Light, LightSource, Pass, Scene, Surface, Views};
-use crate::scene::{LayerTruth, Truth};
 use crate::spawn::light_file::inlined;
 use crate::survey::open::OpenScene;
 use crate::view::Split;
@@ -274,13 +274,7 @@ fn truths(scene: &Scene) -> BTreeSet<&PathBuf> {
 }
 
 fn truths_of(pass: &EvaluatePass) -> impl Iterator<Item = &PathBuf> {
-    let images = pass.scores.iter().filter_map(|score| match &score.truth {
-        Truth::Folder(folder) => Some(folder),
-        Truth::Photographs | Truth::SelfMade { .. } => None,
-    });
-    let layers = [&pass.albedo, &pass.normal].into_iter().flatten().filter_map(|truth| match truth {
-        LayerTruth::Folder(folder) => Some(folder),
-        LayerTruth::SelfMade => None,
-    });
-    images.chain(layers)
+    let images = pass.scores.iter().filter_map(|score| score.truth.files());
+    let layers = [&pass.albedo, &pass.normal].into_iter().flatten().filter_map(LayerTruth::files);
+    images.chain(layers).map(|(folder, _)| folder)
 }

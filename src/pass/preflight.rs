@@ -16,7 +16,7 @@ use crate::pass::edit::{apply_edits, edits_of_nothing};
 use crate::pass::progress::Progress;
 use crate::pass::render::{ChosenView, chosen_views};
 use crate::pass::session::Session;
-use crate::pass::truth_files::{read_fitting, read_true_layer, true_image_path};
+use crate::pass::truth_files::{ViewFiles, read_fitting};
 use crate::scene::Gloss;
 use crate::scene::{
     EvaluatePass, LayerTruth, OrbitFormat, Pass, RenderSettings, Scene, Surface, Truth, ViewChoice, Views,
@@ -194,9 +194,10 @@ fn check_truths(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
         views.par_iter().try_for_each(|view| check_image(world, &score.pass, &score.truth, view))?;
         // Layers are scored on the views of the first score.
         for (truth, layer) in [(&pass.albedo, Layer::Albedo), (&pass.normal, Layer::Normal)] {
-            if let (0, Some(LayerTruth::Folder(folder))) = (i, truth) {
+            if let (0, Some(files)) = (i, truth.as_ref().and_then(LayerTruth::files)) {
+                let files = ViewFiles::of(files);
                 views.par_iter().try_for_each(|view| {
-                    read_true_layer(folder, layer, &view.stem, &view.camera).map(|_| ())
+                    files.read_layer(layer, [&view.stem, &view.name], &view.camera).map(|_| ())
                 })?;
             }
         }
@@ -210,11 +211,9 @@ fn check_image(world: &World, pass: &str, truth: &Truth, view: &ChosenView) -> R
             format!("pass {pass} is scored against photographs, but view {} has none", view.stem),
             "Score only views with photographs: choose them with `render: (views: …)`.",
         )),
-        Truth::Folder(folder) => {
-            let name = world.get::<ViewName>(view.entity).map_or("", |name| name.0.as_str());
-            read_fitting(&true_image_path(folder, name), Gamma::Srgb, &view.camera).map(|_| ())
-        }
-        Truth::Photographs | Truth::SelfMade { .. } => Ok(()),
+        _ => truth.files().map_or(Ok(()), |files| {
+            read_fitting(&ViewFiles::of(files).image(&view.name), Gamma::Srgb, &view.camera).map(|_| ())
+        }),
     }
 }
 

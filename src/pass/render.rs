@@ -78,6 +78,8 @@ fn render_all(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> 
 pub(crate) struct ChosenView {
     /// Stem of its output files: the name of the view, prefixed by its split if both splits have a view with that name.
     pub stem: String,
+    /// The name of the view.
+    pub name: String,
     /// The view.
     pub entity: Entity,
     /// Its camera.
@@ -91,8 +93,8 @@ pub(crate) fn chosen_views(world: &mut World, settings: &RenderSettings) -> Vec<
     let names: Vec<(&str, Split)> =
         all.iter().map(|(_, name, _, split)| (name.0.as_str(), **split)).collect();
     let chosen = chosen_stems(&names, settings).into_iter().map(|(i, stem)| {
-        let (entity, _, camera, _) = all[i];
-        ChosenView { stem, entity, camera: *camera }
+        let (entity, name, camera, _) = all[i];
+        ChosenView { stem, name: name.0.clone(), entity, camera: *camera }
     });
     chosen.collect()
 }

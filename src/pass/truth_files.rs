@@ -1,8 +1,9 @@
 //! Files of ground truth: what they are called, and reading them for a view.
 
 use crate::codec::exr_frame::Layer;
-use crate::codec::image::{Gamma, IMAGE_EXTENSIONS, Orientation, read_image};
+use crate::codec::image::{Gamma, IMAGE_EXTENSIONS, Orientation, image_header, read_image};
 use crate::error::{Error, Result};
+use crate::scene::VIEW;
 use crate::view::Image;
 use crate::view::camera::Camera;
 use glam::Vec3;
@@ -13,19 +14,51 @@ use std::path::{Path, PathBuf};
 /// may be negative.
 const KNOWN_LENGTHS: RangeInclusive<f32> = 0.9..=1.1;
 
-/// The file of the ground truth of a view: the first format that exists, EXR if none does.
-pub(crate) fn true_image_path(folder: &Path, name: &str) -> PathBuf {
-    let of_kind = |kind: &str| folder.join(format!("{name}.{kind}"));
-    let found = IMAGE_EXTENSIONS.iter().map(|kind| of_kind(kind)).find(|path| path.is_file());
-    found.unwrap_or_else(|| of_kind("exr"))
+/// Where the ground truth of each view is: in a folder, by a path from there with [`VIEW`] for its name, or as files of a folder are usually called.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct ViewFiles<'a> {
+    folder: &'a Path,
+    file: Option<&'a str>,
 }
 
-/// The true albedo or normals of a view, in linear light or world axes: `albedo_003.exr` for the view `003`, `r_003` or
-/// `test_003`. Normals are also read from `r_003_normal.png`, if there is no such EXR; unknown ones are zero.
-///
-/// # Errors
-/// Those of [`read_fitting`]; [`Error::Input`] if neither file of the normals is there.
-pub(crate) fn read_true_layer(folder: &Path, layer: Layer, view: &str, camera: &Camera) -> Result<Vec<Vec3>> {
+impl<'a> ViewFiles<'a> {
+    /// Those that a truth names: their folder, and the path of each from there if the scene says it.
+    pub(crate) fn of((folder, file): (&'a PathBuf, Option<&'a str>)) -> Self {
+        Self { folder, file }
+    }
+
+    /// The image of a view: the first format that exists, EXR if none does.
+    pub(crate) fn image(&self, view: &str) -> PathBuf {
+        if let Some(file) = self.named(view) {
+            return file;
+        }
+        let of_kind = |kind: &str| self.folder.join(format!("{view}.{kind}"));
+        let found = IMAGE_EXTENSIONS.iter().map(|kind| of_kind(kind)).find(|path| path.is_file());
+        found.unwrap_or_else(|| of_kind("exr"))
+    }
+
+    fn named(&self, view: &str) -> Option<PathBuf> {
+        self.file.map(|file| self.folder.join(file.replace(VIEW, view)))
+    }
+
+    /// The true albedo or normals of a view, in linear light or world axes, by the stem of its files and its name. Unknown normals are zero.
+    ///
+    /// # Errors
+    /// Those of [`read_fitting`]; [`Error::Input`] if there is no file of the normals.
+    pub(crate) fn read_layer(&self, layer: Layer, names: [&str; 2], camera: &Camera) -> Result<Vec<Vec3>> {
+        let [stem, name] = names;
+        let Some(path) = self.named(name) else { return read_usual_layer(self.folder, layer, stem, camera) };
+        let mut pixels = read_fitting(&path, Gamma::Linear, camera)?;
+        if layer == Layer::Normal && !image_header(&path)?.is_float {
+            pixels.iter_mut().for_each(|pixel| *pixel = known_normal(2.0 * *pixel - 1.0, f32::NEG_INFINITY));
+        }
+        Ok(pixels)
+    }
+}
+
+/// True albedo or normals as they are usually called: `albedo_003.exr` for the view `003`, `r_003` or
+/// `test_003`. Normals are also read from `r_003_normal.png`, if there is no such EXR.
+fn read_usual_layer(folder: &Path, layer: Layer, view: &str, camera: &Camera) -> Result<Vec<Vec3>> {
     let number = view.rsplit('_').next().unwrap_or(view);
     let name = if layer == Layer::Normal { "normal" } else { "albedo" };
     let exr = folder.join(format!("{name}_{number}.exr"));
@@ -38,16 +71,16 @@ pub(crate) fn read_true_layer(folder: &Path, layer: Layer, view: &str, camera: &
         return Err(Error::input(&exr, "", "there are no true normals of this view", help));
     }
     let mut image = read_image(&png, Gamma::Srgb, Orientation::Upright)?.image;
-    image.pixels.iter_mut().for_each(|normal| *normal = known_normal(*normal));
+    image.pixels.iter_mut().for_each(|normal| *normal = known_normal(*normal, 0.0));
     // Few normals of a block may be unknown, or they would be those of one side of an edge.
     let fitting = fit(&png, image, camera)?;
-    Ok(fitting.into_iter().map(known_normal).collect())
+    Ok(fitting.into_iter().map(|normal| known_normal(normal, 0.0)).collect())
 }
 
-/// The normal of a decoded pixel of a PNG, max(0, n) per component: known, and then made a unit vector, if no component is 0 and its
-/// length is nearly 1; else zero.
-fn known_normal(decoded: Vec3) -> Vec3 {
-    let known = decoded.min_element() > 0.0 && KNOWN_LENGTHS.contains(&decoded.length());
+/// The normal of a decoded pixel of a PNG: known, and then made a unit vector, if all components are above `least` (of a picture of max(0, n) one that is 0
+/// may be any) and its length is nearly 1; else zero.
+fn known_normal(decoded: Vec3, least: f32) -> Vec3 {
+    let known = decoded.min_element() > least && KNOWN_LENGTHS.contains(&decoded.length());
     if known { decoded.normalize() } else { Vec3::ZERO }
 }
 
@@ -98,7 +131,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let image = RgbImage::from_fn(side, side, |x, y| stored(normal(x, y)));
         write_rgb8(folder.path().join("r_3_normal.png"), &image).unwrap();
-        read_true_layer(folder.path(), Layer::Normal, "r_3", &camera(2)).unwrap()
+        read_usual_layer(folder.path(), Layer::Normal, "r_3", &camera(2)).unwrap()
     }
 
     #[test]
@@ -137,7 +170,7 @@ mod tests {
     #[test]
     fn an_exr_is_read_first_and_a_missing_file_is_named() {
         let folder = tempfile::tempdir().unwrap();
-        let read = |layer| read_true_layer(folder.path(), layer, "r_3", &camera(2));
+        let read = |layer| read_usual_layer(folder.path(), layer, "r_3", &camera(2));
         let message = read(Layer::Normal).unwrap_err().to_string();
         assert!(message.contains("normal_3.exr") && message.contains("no true normals"), "{message}");
         assert!(read(Layer::Albedo).unwrap_err().to_string().contains("albedo_3.exr"));
@@ -147,5 +180,33 @@ mod tests {
         write_exr(&folder.path().join("normal_3.exr"), 2, 2, &values);
         assert_eq!(read(Layer::Normal).unwrap(), [Vec3::NEG_X; 4]);
         assert!(read(Layer::Albedo).is_err(), "a PNG is for normals only");
+    }
+
+    #[test]
+    fn files_are_named_by_view() {
+        let folder = tempfile::tempdir().unwrap();
+        let at = folder.path().to_owned();
+        std::fs::create_dir(at.join("test_003")).unwrap();
+        let normal = Vec3::new(-2.0, 3.0, 6.0) / 7.0;
+        let code = |n: f32| (127.5 * (n + 1.0)).round() as u8;
+        let rgb =
+            RgbImage::from_fn(
+                2,
+                2,
+                |x, _| if x == 0 { Rgb(normal.to_array().map(code)) } else { Rgb([128; 3]) },
+            );
+        write_rgb8(at.join("test_003/normal.png"), &rgb).unwrap();
+        write_rgb8(at.join("test_003/albedo.png"), &RgbImage::from_pixel(2, 2, Rgb([51, 102, 255]))).unwrap();
+        let files = |file| ViewFiles::of((&at, Some(file)));
+        assert!(files("{view}/rgba_city.png").image("test_003").ends_with("test_003/rgba_city.png"));
+        let names = ["train_test_003", "test_003"];
+        let found = files("{view}/normal.png").read_layer(Layer::Normal, names, &camera(2)).unwrap();
+        assert!(found[0].angle_between(normal) < 0.01 && (found[0].length() - 1.0).abs() < 1e-6, "{found:?}");
+        assert_eq!(found[1], Vec3::ZERO, "gray has no direction");
+        // Not encoded as sRGB.
+        let albedo = files("{view}/albedo.png").read_layer(Layer::Albedo, names, &camera(2)).unwrap();
+        assert!((albedo[0] - Vec3::new(0.2, 0.4, 1.0)).length() < 1e-6, "{albedo:?}");
+        let missing = files("{view}/depth.png").read_layer(Layer::Albedo, names, &camera(2)).unwrap_err();
+        assert!(missing.to_string().contains("test_003/depth.png"), "{missing}");
     }
 }

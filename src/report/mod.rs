@@ -2,7 +2,7 @@
 //!
 //! Frames as layered EXR, pictures as PNG, contact sheets, animations, the scores of a prediction against its truth, and the page that
 //! shows all of a run ([`html`]).
-//! Kernels ([`metrics`], [`ssim`], [`srgb`], [`normals`], [`tone`], [`heat`]) work on slices; every file is written by
+//! Kernels ([`metrics`], [`ssim`], [`srgb`], [`orb`], [`normals`], [`tone`], [`heat`]) work on slices; every file is written by
 //! [`crate::codec::file`], so that incomplete files never have their final name.
 //!
 //! | name | type | unit | default | meaning |
@@ -22,6 +22,7 @@ pub mod heat;
 pub mod html;
 pub mod metrics;
 pub mod normals;
+pub mod orb;
 pub(crate) mod profile;
 mod score_table;
 pub mod scores;

@@ -1,5 +1,6 @@
 //! Scores as tables for the terminal.
 
+use crate::report::orb::OrbScores;
 use crate::report::scores::{PassScores, Scaling, Scores};
 use crate::report::srgb::SrgbScores;
 use std::fmt::Write;
@@ -17,6 +18,14 @@ impl Scores {
         }
         let mut text = if self.passes.is_empty() { String::new() } else { aligned(&rows) };
         text.push_str(&self.srgb_table());
+        for (name, pass) in &self.passes {
+            if let Some(OrbScores { psnr_hdr, psnr_ldr }) = pass.stanford_orb {
+                let _ = writeln!(
+                    text,
+                    "{name}, as Stanford-ORB: PSNR-H {psnr_hdr:.2} dB, PSNR-L {psnr_ldr:.2} dB"
+                );
+            }
+        }
         let rest: Vec<String> = [
             self.albedo_psnr.map(|v| format!("albedo {v:.2} dB")),
             self.normals(),
@@ -129,6 +138,7 @@ normals 0.12° · peak memory 812 MiB
             scale: [1.0, 0.5, 12.25],
             scale_specular: specular,
             srgb,
+            stanford_orb: None,
             views: Vec::new(),
         }
     }
@@ -155,6 +165,9 @@ normals 0.12° · peak memory 812 MiB
             "{}",
             scores.table()
         );
+        scores.passes[0].stanford_orb = Some(OrbScores { psnr_hdr: 25.614, psnr_ldr: 31.2 });
+        let line = "\nnovel, as Stanford-ORB: PSNR-H 25.61 dB, PSNR-L 31.20 dB\n";
+        assert!(scores.table().contains(line), "{}", scores.table());
         assert_eq!(Scores::default().table(), "");
     }
 }

@@ -4,6 +4,7 @@ use crate::codec::file;
 use crate::profile::Profile;
 use crate::report::metrics;
 use crate::report::metrics::{ImagePair, LayerScaleSums, LayerScales, ScaleSums};
+use crate::report::orb::{OrbScores, orb_scores};
 use crate::report::srgb::{Covered, SrgbScores, srgb_scores};
 use crate::report::ssim::ssim;
 use crate::{Error, Result};
@@ -13,7 +14,7 @@ use serde::{Deserialize, Serialize};
 use std::borrow::Borrow;
 use std::path::Path;
 
-/// The scale that is fitted to a prediction before scoring, by least squares over all views (unclipped, eroded masks).
+/// The scale that is fitted to a prediction before scoring, by least squares over all views, if it is not one a view (unclipped, eroded masks).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
@@ -23,6 +24,8 @@ pub enum Scaling {
     None,
     /// One factor per channel: for relighting, because light and albedo are determined only up to that factor.
     PerChannel,
+    /// One factor per channel and view, as Stanford-ORB has it; its [scores](crate::report::orb) are then computed as well.
+    PerView,
     /// One factor per channel for the diffuse layer and one for the specular layer: for edited materials.
     PerLayer,
 }
@@ -50,7 +53,7 @@ pub struct EvalView {
     pub alpha: Vec<f32>,
     /// Coverage of the truth, likewise.
     pub coverage: Vec<f32>,
-    /// Whether sRGB scores are wanted as well. They are those of the prediction before any scale.
+    /// Whether sRGB scores are wanted as well. They are those of the prediction after scaling.
     pub in_srgb: bool,
 }
 
@@ -60,8 +63,8 @@ impl EvalView {
             .map_err(|error| self.named(error))
     }
 
-    fn srgb(&self) -> Result<Option<SrgbScores>> {
-        let prediction = Covered { radiance: &self.prediction, alpha: &self.alpha };
+    fn srgb(&self, prediction: &[Vec3]) -> Result<Option<SrgbScores>> {
+        let prediction = Covered { radiance: prediction, alpha: &self.alpha };
         let truth = Covered { radiance: &self.truth, alpha: &self.coverage };
         let scores = self.in_srgb.then(|| srgb_scores([self.width, self.height], prediction, truth));
         scores.transpose().map_err(|error| self.named(error))
@@ -86,9 +89,15 @@ pub struct ViewScores {
     pub psnr_raw: f64,
     /// SSIM after scaling.
     pub ssim: f64,
-    /// Scores of sRGB values without scaling, if the view is scored against a photograph.
+    /// The factors of this view, for [`Scaling::PerView`].
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub scale: Option<[f64; 3]>,
+    /// Scores of sRGB values after scaling, if the view is scored against a photograph or another picture of encoded colors.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub srgb: Option<SrgbScores>,
+    /// Stanford-ORB's scores, for [`Scaling::PerView`].
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub stanford_orb: Option<OrbScores>,
 }
 
 /// Scores of one pass.
@@ -102,14 +111,17 @@ pub struct PassScores {
     pub ssim: f64,
     /// The scaling that was applied.
     pub scaling: Scaling,
-    /// The factors: of the image, or of its diffuse layer (`[1, 1, 1]` for [`Scaling::None`]).
+    /// The factors: of the image, or of its diffuse layer (`[1, 1, 1]` for [`Scaling::None`]); their mean over the views for [`Scaling::PerView`].
     pub scale: [f64; 3],
     /// The specular layer's factors, for [`Scaling::PerLayer`].
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub scale_specular: Option<[f64; 3]>,
-    /// Mean scores of sRGB values without scaling, if the pass is scored against photographs.
+    /// Mean scores of sRGB values after scaling, if the pass is scored against photographs or other pictures of encoded colors.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub srgb: Option<SrgbScores>,
+    /// Stanford-ORB's mean scores, for [`Scaling::PerView`].
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub stanford_orb: Option<OrbScores>,
     /// The scores of each view.
     pub views: Vec<ViewScores>,
 }
@@ -239,15 +251,23 @@ pub fn score_views<V: Borrow<EvalView>>(
     };
     let (scale, scale_specular) = match applied {
         Applied::Nothing => ([1.0; 3], None),
+        Applied::OwnOfView => (mean_scale(&views), None),
         Applied::Image(scale) => (scale, None),
         Applied::Layers(scales) => (scales.diffuse, Some(scales.specular)),
     };
     let srgb = SrgbScores::mean(&views.iter().map(|view| view.srgb).collect::<Vec<_>>());
-    Ok(PassScores { psnr, psnr_raw, ssim, scaling, scale, scale_specular, srgb, views })
+    let stanford_orb = OrbScores::mean(&views.iter().map(|view| view.stanford_orb).collect::<Vec<_>>());
+    Ok(PassScores { psnr, psnr_raw, ssim, scaling, scale, scale_specular, srgb, stanford_orb, views })
+}
+
+fn mean_scale(views: &[ViewScores]) -> [f64; 3] {
+    let sum = |c: usize| views.iter().filter_map(|view| Some(view.scale?[c])).sum::<f64>();
+    std::array::from_fn(|c| sum(c) / views.len().max(1) as f64)
 }
 
 enum Applied {
     Nothing,
+    OwnOfView,
     Image([f64; 3]),
     Layers(LayerScales),
 }
@@ -259,6 +279,7 @@ fn find_scale<V: Borrow<EvalView>>(
 ) -> Result<Applied> {
     match scaling {
         Scaling::None => Ok(Applied::Nothing),
+        Scaling::PerView => Ok(Applied::OwnOfView),
         Scaling::PerChannel => {
             let mut sums = ScaleSums::default();
             for i in 0..count {
@@ -282,16 +303,28 @@ fn find_scale<V: Borrow<EvalView>>(
 
 fn score_view(view: &EvalView, applied: &Applied) -> Result<ViewScores> {
     let raw = view.pair(&view.prediction)?;
-    let (name, psnr_raw, srgb) = (view.name.clone(), metrics::psnr(&raw), view.srgb()?);
-    let prediction = match applied {
-        Applied::Nothing => {
-            return Ok(ViewScores { name, psnr: psnr_raw, psnr_raw, ssim: ssim(&raw), srgb });
-        }
-        Applied::Image(scale) => metrics::scaled(&view.prediction, *scale),
-        Applied::Layers(scales) => scales.combine(&view.diffuse, &view.specular),
+    let own = matches!(applied, Applied::OwnOfView).then(|| {
+        let mut sums = ScaleSums::default();
+        sums.add(&raw);
+        sums.scale()
+    });
+    let scaled = match (applied, own) {
+        (Applied::Layers(scales), _) => scales.combine(&view.diffuse, &view.specular),
+        (&Applied::Image(scale), _) | (_, Some(scale)) => metrics::scaled(&view.prediction, scale),
+        (Applied::Nothing | Applied::OwnOfView, None) => Vec::new(),
     };
-    let scaled = view.pair(&prediction)?;
-    Ok(ViewScores { name, psnr: metrics::psnr(&scaled), psnr_raw, ssim: ssim(&scaled), srgb })
+    let prediction = if scaled.is_empty() { &view.prediction } else { &scaled };
+    let pair = view.pair(prediction)?;
+    let size = [view.width, view.height];
+    Ok(ViewScores {
+        name: view.name.clone(),
+        psnr: metrics::psnr(&pair),
+        psnr_raw: metrics::psnr(&raw),
+        ssim: ssim(&pair),
+        scale: own,
+        srgb: view.srgb(prediction)?,
+        stanford_orb: own.and_then(|_| orb_scores(size, &view.prediction, &view.truth, &view.coverage)),
+    })
 }
 
 impl PassScores {
@@ -302,7 +335,13 @@ impl PassScores {
             (Scaling::PerLayer, Some(specular)) => {
                 LayerScales { diffuse: self.scale, specular }.combine(&view.diffuse, &view.specular)
             }
-            _ => metrics::scaled(&view.prediction, self.scale),
+            _ => {
+                let of_view = self.views.iter().find(|scores| scores.name == view.name);
+                metrics::scaled(
+                    &view.prediction,
+                    of_view.and_then(|scores| scores.scale).unwrap_or(self.scale),
+                )
+            }
         }
     }
 
@@ -398,6 +437,18 @@ mod tests {
     }
 
     #[test]
+    fn each_view_may_have_its_own_scale() {
+        let views = [view(0, 1.25, 1.25), view(1, 0.5, 0.5)];
+        let scored = |scaling| score_views(2, scaling, |i| Ok(&views[i])).unwrap();
+        let (shared, own) = (scored(Scaling::PerChannel), scored(Scaling::PerView));
+        assert!(shared.psnr < 40.0 && own.psnr > 90.0, "{} {}", shared.psnr, own.psnr);
+        assert!((own.views[1].scale.unwrap()[0] - 2.0).abs() < 1e-6 && (own.scale[0] - 1.4).abs() < 1e-6);
+        let shown = own.scored_prediction(&views[1]);
+        assert!(shown.iter().zip(&views[1].truth).all(|(p, t)| p.abs_diff_eq(*t, 1e-5)));
+        assert!(own.stanford_orb.is_some() && shared.stanford_orb.is_none());
+    }
+
+    #[test]
     fn bad_views_are_named() {
         let mut bad = view(3, 1.0, 1.0);
         bad.prediction[15].y = f32::INFINITY;
@@ -410,14 +461,14 @@ mod tests {
     }
 
     #[test]
-    fn srgb_scores_are_of_the_unscaled_prediction_and_only_where_wanted() {
+    fn srgb_scores_are_of_the_scaled_prediction_and_only_where_wanted() {
         let wanted = |i: usize| EvalView { in_srgb: true, ..view(i, 1.25, 1.25) };
         let scored = |scaling| score_views(2, scaling, |i| Ok(wanted(i))).unwrap();
         let (plain, scaled) = (scored(Scaling::None), scored(Scaling::PerChannel));
         let of_views: Vec<f64> = plain.views.iter().map(|v| v.srgb.unwrap().psnr_mask).collect();
         assert_eq!(plain.srgb.unwrap().psnr_mask, (of_views[0] + of_views[1]) / 2.0);
-        assert_eq!(plain.srgb, scaled.srgb);
-        assert!(scaled.psnr > 90.0 && scaled.srgb.unwrap().psnr_mask < 30.0);
+        assert!(plain.srgb.unwrap().psnr_mask < 30.0);
+        assert!(scaled.psnr > 90.0 && scaled.srgb.unwrap().psnr_mask > 90.0);
         let unwanted = score_views(2, Scaling::None, |i| Ok(view(i, 1.25, 1.25))).unwrap();
         assert_eq!((unwanted.srgb, unwanted.views[0].srgb), (None, None));
         assert_eq!((unwanted.psnr, unwanted.ssim), (plain.psnr, plain.ssim));

@@ -15,7 +15,7 @@ pub struct EvaluatePass {
     pub albedo: Option<LayerTruth>,
     /// True world normals of the test views: `normal_<number>.exr`, or `<view>_normal.png` as beside the photographs of NeRF's
     /// synthetic sets. Such a PNG holds max(0, n) per component, encoded as sRGB, and only normals whose three components are positive
-    /// are known and scored; maps that hold (n + 1)/2 cannot be told from it and must be converted. Default: not scored.
+    /// are known and scored; maps that hold (n + 1)/2 cannot be told from it: name them with `Files`. Default: not scored.
     pub normal: Option<LayerTruth>,
     /// The true surface, a `.glb` or `.gltf` in the coordinates of the cameras; must exist. The Chamfer distance to it is scored, in
     /// the data's own unit. Default: not scored.
@@ -49,6 +49,13 @@ pub enum Truth {
     Photographs,
     /// Images in a folder, with the views' names; must exist. `Folder("$DATA/test/gt/edit_gold")`.
     Folder(PathBuf),
+    /// An image for each view: `Files(folder: "$DATA", file: "{view}/rgba_city.png")`, as beside the photographs of TensoIR-Synthetic.
+    Files {
+        /// Where the files lie; must exist.
+        folder: PathBuf,
+        /// Path of each from there, with `{view}` for the name of its view.
+        file: String,
+    },
     /// The true object of `Photographed` views under the pass's own edits and light, path traced.
     SelfMade {
         /// Paths per pixel, 1 to 65536. Default 256.
@@ -59,11 +66,45 @@ pub enum Truth {
 
 /// What a layer's images should be.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub enum LayerTruth {
     /// Images in a folder; must exist.
     Folder(PathBuf),
+    /// An image for each view: `Files(folder: "$DATA", file: "{view}/normal.png")`. EXR: the values; PNG and others: albedo as it is, not encoded as
+    /// sRGB, and normals as (n + 1)/2, as NeRFactor and TensoIR-Synthetic have them.
+    Files {
+        /// Where the files lie; must exist.
+        folder: PathBuf,
+        /// Path of each from there, with `{view}` for the name of its view.
+        file: String,
+    },
     /// From the true object of `Photographed` views.
     SelfMade,
+}
+
+/// What stands for the name of a view in the path of a file.
+pub const VIEW: &str = "{view}";
+
+impl Truth {
+    /// The folder of its files, and the path of each from there if the scene says it.
+    pub fn files(&self) -> Option<(&PathBuf, Option<&str>)> {
+        match self {
+            Self::Folder(folder) => Some((folder, None)),
+            Self::Files { folder, file } => Some((folder, Some(file))),
+            Self::Photographs | Self::SelfMade { .. } => None,
+        }
+    }
+}
+
+impl LayerTruth {
+    /// The folder of its files, and the path of each from there if the scene says it.
+    pub fn files(&self) -> Option<(&PathBuf, Option<&str>)> {
+        match self {
+            Self::Folder(folder) => Some((folder, None)),
+            Self::Files { folder, file } => Some((folder, Some(file))),
+            Self::SelfMade => None,
+        }
+    }
 }
 
 /// The least-squares scales that are taken out before scoring.
@@ -74,6 +115,8 @@ pub enum ScoreScale {
     None,
     /// One per channel, shared by all views.
     PerChannel,
+    /// One per channel and view, as Stanford-ORB has it; `metrics.json` and the terminal then have its PSNR-H and PSNR-L, too.
+    PerView,
     /// One per channel for the diffuse layer and one for the specular layer, shared by all views.
     PerLayer,
 }

@@ -34,7 +34,7 @@ mod visibility;
 
 pub use description::{Scene, VERSION};
 pub use edit::{ColorAction, DiffuseAction, Edit, Region, ScalarAction};
-pub use evaluate::{EvaluatePass, LayerTruth, Score, ScoreScale, Truth};
+pub use evaluate::{EvaluatePass, LayerTruth, Score, ScoreScale, Truth, VIEW};
 pub use film::{Easing, LightSweep, MaterialSweep, OrbitKey};
 pub use fit::{FitPass, FitShading, GridLevel, Rates, ShapePass};
 pub use light::{Light, LightFrameChoice, LightSource, UnknownLight};

@@ -194,13 +194,21 @@ fn pass_paths(at: &str, pass: &mut Pass, visit: &mut impl FnMut(&str, FileKind, 
         }
         Pass::Evaluate(evaluate) => {
             for (index, score) in evaluate.scores.iter_mut().enumerate() {
-                if let Truth::Folder(path) = &mut score.truth {
-                    visit(&format!("{at}.scores.{index}.truth.0"), FileKind::Folder, path);
+                let at = format!("{at}.scores.{index}.truth");
+                match &mut score.truth {
+                    Truth::Folder(path) => visit(&format!("{at}.0"), FileKind::Folder, path),
+                    Truth::Files { folder, .. } => visit(&format!("{at}.folder"), FileKind::Folder, folder),
+                    Truth::Photographs | Truth::SelfMade { .. } => {}
                 }
             }
             for (field, truth) in [("albedo", &mut evaluate.albedo), ("normal", &mut evaluate.normal)] {
-                if let Some(LayerTruth::Folder(path)) = truth {
-                    visit(&format!("{at}.{field}.0"), FileKind::Folder, path);
+                let at = format!("{at}.{field}");
+                match truth {
+                    Some(LayerTruth::Folder(path)) => visit(&format!("{at}.0"), FileKind::Folder, path),
+                    Some(LayerTruth::Files { folder, .. }) => {
+                        visit(&format!("{at}.folder"), FileKind::Folder, folder);
+                    }
+                    Some(LayerTruth::SelfMade) | None => {}
                 }
             }
             if let Some(path) = &mut evaluate.mesh {

@@ -14,6 +14,7 @@ mod mask_names;
 mod metashape;
 mod moved;
 mod near;
+mod nerfactor;
 mod reality_capture;
 mod recognition;
 mod rounded;

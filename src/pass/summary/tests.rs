@@ -36,8 +36,15 @@ fn folder() -> TempDir {
         ],
     });
     fs::write(out.path().join(RUN), record.to_string()).unwrap();
-    let view =
-        |name: &str, psnr| ViewScores { name: name.into(), psnr, psnr_raw: psnr, ssim: 0.9, srgb: None };
+    let view = |name: &str, psnr| ViewScores {
+        name: name.into(),
+        psnr,
+        psnr_raw: psnr,
+        ssim: 0.9,
+        scale: None,
+        srgb: None,
+        stanford_orb: None,
+    };
     let novel = PassScores {
         views: vec![view("a", 30.0), view("c", 20.0), view("gone", 10.0)],
         ..PassScores::default()

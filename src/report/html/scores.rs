@@ -24,9 +24,11 @@ const AMOUNT: Unit = Unit { digits: 1, better: -1.0 };
 pub fn section(runs: &[RunReport]) -> String {
     let linear = "Passes against their ground truth, in linear light, the mask eroded by a pixel";
     let mut text = pass_table(runs, linear, &COLUMNS, |_| true);
-    let srgb =
-        "Passes against photographs, in sRGB: over the mask, and over all pixels on white and on black";
+    let srgb = "Passes against photographs and other pictures of encoded colors, in sRGB: over the mask, and over all pixels on white and on black";
     text += &pass_table(runs, srgb, &SRGB_COLUMNS, |pass| pass.srgb.is_some());
+    let orb =
+        "Passes as Stanford-ORB scores them: each picture scaled by itself, the mask eroded by two pixels";
+    text += &pass_table(runs, orb, &ORB_COLUMNS, |pass| pass.stanford_orb.is_some());
     text += &by_run(runs, "The object as a whole", &other_rows(runs));
     let better = runs.len() > 1 && !text.is_empty();
     let note =
@@ -74,6 +76,11 @@ const SRGB_COLUMNS: [Column; 5] = [
     ("SSIM", Show::Score(RATIO, |s| srgb(s, |s| s.ssim_white))),
     ("black dB", Show::Score(DECIBEL, |s| srgb(s, |s| s.psnr_black))),
     ("SSIM", Show::Score(RATIO, |s| srgb(s, |s| s.ssim_black))),
+];
+
+const ORB_COLUMNS: [Column; 2] = [
+    ("PSNR-H dB", Show::Score(DECIBEL, |s| s.stanford_orb.map(|s| s.psnr_hdr))),
+    ("PSNR-L dB", Show::Score(DECIBEL, |s| s.stanford_orb.map(|s| s.psnr_ldr))),
 ];
 
 fn srgb(scores: &PassScores, of: fn(&SrgbScores) -> f64) -> Option<f64> {

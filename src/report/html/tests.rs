@@ -5,7 +5,15 @@ use crate::report::srgb::SrgbScores;
 use indexmap::IndexMap;
 
 fn view_scores(name: &str, psnr: f64) -> ViewScores {
-    ViewScores { name: name.into(), psnr, psnr_raw: psnr - 1.0, ssim: 0.9, srgb: None }
+    ViewScores {
+        name: name.into(),
+        psnr,
+        psnr_raw: psnr - 1.0,
+        ssim: 0.9,
+        scale: None,
+        srgb: None,
+        stanford_orb: None,
+    }
 }
 
 fn view(name: &str) -> ViewReport {

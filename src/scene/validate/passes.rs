@@ -4,7 +4,7 @@ use crate::math::brdf::Ndf;
 use crate::scene::description::Scene;
 use crate::scene::diagnostic::nearest;
 use crate::scene::edit::{ColorAction, DiffuseAction, Edit, Region, ScalarAction};
-use crate::scene::evaluate::{EvaluatePass, LayerTruth, Truth};
+use crate::scene::evaluate::{EvaluatePass, LayerTruth, Truth, VIEW};
 use crate::scene::fit::{FitPass, FitShading, ShapePass};
 use crate::scene::light::Light;
 use crate::scene::material::{Albedo, Gloss, Roughness, SpecularAlbedo};
@@ -15,6 +15,7 @@ use crate::scene::surface::Surface;
 use crate::scene::validate::checks::Checks;
 use crate::scene::validate::light::light_source;
 use crate::scene::views::Views;
+use std::path::{Component, Path, PathBuf};
 
 /// Most passes of a scene file.
 const MOST_PASSES: usize = 1000;
@@ -350,6 +351,7 @@ fn evaluate(checks: &mut Checks, at: &str, evaluate: &EvaluatePass, scene: &Scen
             checks.fail(&format!("{at}.pass"), problem, "expected an earlier Render, Edit or Relight", help);
         }
         let truth = format!("{at}.truth");
+        file_of_view(checks, &truth, score.truth.files());
         match score.truth {
             Truth::Photographs if matches!(scene.views, Views::Cameras(_)) => {
                 checks.fail(&truth, "the views are cameras only", "there are no photographs", "");
@@ -358,13 +360,29 @@ fn evaluate(checks: &mut Checks, at: &str, evaluate: &EvaluatePass, scene: &Scen
                 checks.count(&format!("{truth}.spp"), spp, 1..=65536);
                 needs_self_made(checks, &truth, self_made);
             }
-            Truth::Photographs | Truth::Folder(_) => {}
+            Truth::Photographs | Truth::Folder(_) | Truth::Files { .. } => {}
         }
     }
     for (field, truth) in [("albedo", &evaluate.albedo), ("normal", &evaluate.normal)] {
+        let at = format!("{at}.{field}");
+        file_of_view(checks, &at, truth.as_ref().and_then(LayerTruth::files));
         if matches!(truth, Some(LayerTruth::SelfMade)) {
-            needs_self_made(checks, &format!("{at}.{field}"), self_made);
+            needs_self_made(checks, &at, self_made);
         }
+    }
+}
+
+/// The path of a file of each view lies below its folder, and says which view it is of.
+fn file_of_view(checks: &mut Checks, at: &str, files: Option<(&PathBuf, Option<&str>)>) {
+    let Some((folder, Some(file))) = files else { return };
+    let is_below = Path::new(file).components().all(|part| matches!(part, Component::Normal(_)));
+    let help = format!("For the views of {}, write `file: \"{VIEW}/albedo.png\"`.", folder.display());
+    if !file.contains(VIEW) {
+        let expected = format!("a path with `{VIEW}`, which stands for the name of a view");
+        checks.fail(&format!("{at}.file"), format!("{file:?} is one file for all views"), expected, help);
+    } else if !is_below {
+        let problem = format!("{file:?} does not lie in `folder`");
+        checks.fail(&format!("{at}.file"), problem, "expected a path from there, without `..`", help);
     }
 }
 
