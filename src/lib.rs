@@ -29,7 +29,7 @@
 //! | module | holds |
 //! | --- | --- |
 //! | [`scene`] | scene files: their types, reading and checks |
-//! | [`dataset`] | folders of photographs with cameras, in nine layouts |
+//! | [`dataset`] | folders of photographs with cameras, in ten layouts |
 //! | [`codec`] | file formats of images, environment maps, lobes and meshes |
 //! | [`view`] | cameras, photographs, masks |
 //! | [`mesh`], [`sdf`] | surfaces: triangles with a texel atlas; signed distance fields |

@@ -2,7 +2,7 @@
 //!
 //! | theme | files |
 //! | --- | --- |
-//! | runs of the command | [`run`], [`photos`], [`gloss`], [`metal`], [`sheen`], [`tilt`], [`detail`], [`ggx`], [`scale`], [`light_frame`], [`export`], [`view_page`], [`report`], [`shown`], [`env`], [`scores`], [`profile`], [`shade_cases`], [`json_log`] |
+//! | runs of the command | [`run`], [`photos`], [`gloss`], [`metal`], [`sheen`], [`tilt`], [`detail`], [`ggx`], [`scale`], [`light_frame`], [`export`], [`view_page`], [`report`], [`shown`], [`env`], [`scores`], [`benchmarks`], [`profile`], [`shade_cases`], [`json_log`] |
 //! | what is written where, and what never is; runs that are stopped, or looked at | [`outputs`], [`resume`], `stop`, [`live`] |
 //! | late failures, nonsense, edges; what a scene may not read | [`trust`], [`confined`], [`guard`] |
 //! | what is refused, and how | [`agree`], [`bad_input`], [`check`], [`hostile`], [`mutants`], [`scene_errors`] |
@@ -13,6 +13,7 @@ mod common;
 
 mod agree;
 mod bad_input;
+mod benchmarks;
 mod check;
 mod confined;
 mod detail;

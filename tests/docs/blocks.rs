@@ -145,6 +145,8 @@ fn check_command(line: &str, help: &mut Help) -> Result<(), String> {
     }
     let arguments = match words.as_slice() {
         ["lobelia", arguments @ ..] => arguments,
+        // What follows an example's `--` is its own.
+        ["cargo", "run", ..] if words.contains(&"--example") => return Ok(()),
         ["cargo", "run", ..] => match words.iter().position(|word| *word == "--") {
             Some(at) => &words[at + 1..],
             None => return Ok(()),

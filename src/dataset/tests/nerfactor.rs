@@ -72,6 +72,7 @@ fn a_wrong_camera_is_named() {
     assert_says(&wrong(&POSE.replacen("1.0", "2.0", 1)), &["cam_transform_mat is not rigid"]);
     fs::write(&file, "{}").unwrap();
     assert_says(&input_error(read_split(dir.path(), Split::Train)), &["metadata.json", "cam_transform_mat"]);
-    let text = input_error(read_split(dir.path(), Split::Test));
-    assert_says(&text, &["test_000", "no test split"]);
+    fs::rename(dir.path().join("train_000"), dir.path().join("test_000")).unwrap();
+    let text = input_error(read_split(dir.path(), Split::Train));
+    assert_says(&text, &["train_000/metadata.json", "no train split"]);
 }
