@@ -1,6 +1,7 @@
 //! Animations that loop forever: GIF, APNG, and MP4 where `ffmpeg` is on the PATH.
 
 use crate::codec::file;
+use crate::codec::film::Film;
 use crate::codec::palette::{ColorHistogram, Ditherer, Palette};
 use crate::codec::png_file;
 use crate::{Error, Result};
@@ -8,9 +9,8 @@ use image::RgbImage;
 use png::{BitDepth, ColorType, Compression, Encoder, SrgbRenderingIntent};
 use std::ffi::OsStr;
 use std::io::{Read, Write};
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::process::{Child, Command, Stdio};
-use tempfile::TempDir;
 
 /// Result of writing an MP4.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -22,61 +22,10 @@ pub enum Mp4 {
     NoFfmpeg,
 }
 
-/// The frames of a film: PNG files, so that a film is never whole in memory.
-#[derive(Debug)]
-pub struct Film {
-    folder: PathBuf,
-    /// The hidden folder, which goes when this is dropped, unless frames are to stay.
-    _scratch: Option<TempDir>,
-    /// Width and height in pixels of all frames.
-    size: [u32; 2],
-    count: usize,
-}
-
-impl Film {
-    /// A film without frames, whose files lie in a hidden folder in `folder` (created if missing) until this is dropped.
-    ///
-    /// # Errors
-    /// [`Error::Io`] if a folder cannot be created.
-    pub fn new(folder: &Path) -> Result<Self> {
-        let scratch = file::scratch_folder(folder)?;
-        Ok(Self { folder: scratch.path().to_owned(), _scratch: Some(scratch), size: [0; 2], count: 0 })
-    }
-
-    /// A film without frames, whose files stay in `folder`: 000000.png and so on.
-    pub fn kept(folder: PathBuf) -> Self {
-        Self { folder, _scratch: None, size: [0; 2], count: 0 }
-    }
-
-    /// Appends a frame.
-    ///
-    /// # Errors
-    /// [`Error::Run`] if it is empty or differs in size from those before; [`Error::Io`] if it cannot be written.
-    pub fn push(&mut self, frame: &RgbImage) -> Result<()> {
-        let (size, path) = ([frame.width(), frame.height()], self.path(self.count));
-        if self.count > 0 && size != self.size {
-            return Err(failure(&path, format!("frame {} and frame 0 differ in size", self.count)));
-        }
-        png_file::write_rgb8(&path, frame)?;
-        self.size = size;
-        self.count += 1;
-        Ok(())
-    }
-
-    /// The frames in order, each read when it is its turn.
-    fn frames(&self) -> impl Iterator<Item = Result<RgbImage>> {
-        (0..self.count).map(|i| png_file::read_rgb8(&self.path(i)))
-    }
-
-    fn path(&self, i: usize) -> PathBuf {
-        self.folder.join(format!("{i:06}.png"))
-    }
-}
-
-/// Peak memory in bytes of a film with frames of this width and height, beside that of rendering: one frame at a time, its numbers of
-/// colors or its filtered copy, and what it is compressed to.
+/// Peak memory in bytes of a film with frames of this width and height, beside that of rendering: the frames that wait to be written, or one
+/// frame, its numbers of colors or its filtered copy, and what it is compressed to.
 pub fn film_bytes([width, height]: [u32; 2]) -> u64 {
-    10 * u64::from(width) * u64::from(height)
+    12 * u64::from(width) * u64::from(height)
 }
 
 /// Writes a GIF that loops forever, with one palette of 256 colors for all frames and a dither that is constant over time.
@@ -90,7 +39,7 @@ pub fn film_bytes([width, height]: [u32; 2]) -> u64 {
 pub fn write_gif(path: impl AsRef<Path>, film: &Film, fps: f32) -> Result<()> {
     let path = path.as_ref();
     check(path, film, fps)?;
-    let sides = film.size.map(u16::try_from);
+    let sides = film.size().map(u16::try_from);
     let [Ok(width), Ok(height)] = sides else {
         return Err(failure(path, "the sides of a GIF are at most 65535 pixels"));
     };
@@ -133,12 +82,12 @@ pub fn write_apng(path: impl AsRef<Path>, film: &Film, fps: f32) -> Result<()> {
     let failed = |error| png_file::failed(path, error);
     let (numerator, denominator) = delay_ratio(fps);
     file::write_file(path, |writer| {
-        let mut encoder = Encoder::new(writer, film.size[0], film.size[1]);
+        let mut encoder = Encoder::new(writer, film.size()[0], film.size()[1]);
         encoder.set_color(ColorType::Rgb);
         encoder.set_depth(BitDepth::Eight);
         encoder.set_compression(Compression::Balanced);
         encoder.set_source_srgb(SrgbRenderingIntent::Perceptual);
-        encoder.set_animated(film.count as u32, 0).map_err(failed)?;
+        encoder.set_animated(film.count() as u32, 0).map_err(failed)?;
         encoder.set_frame_delay(numerator, denominator).map_err(failed)?;
         let mut animation = encoder.write_header().map_err(failed)?;
         for frame in film.frames() {
@@ -185,7 +134,7 @@ pub fn write_mp4_with(program: &OsStr, path: &Path, film: &Film, fps: f32) -> Re
     check(path, film, fps)?;
     let mut outcome = Mp4::Written;
     let written = file::write_by_path(path, |temporary| {
-        let size = film.size.map(|side| side.next_multiple_of(2));
+        let size = film.size().map(|side| side.next_multiple_of(2));
         match start(program, temporary, size, fps) {
             Ok(child) => feed(child, path, film),
             Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
@@ -273,7 +222,7 @@ fn check(path: &Path, film: &Film, fps: f32) -> Result<()> {
     if !(fps.is_finite() && fps > 0.0) {
         return Err(failure(path, format!("{fps} frames per second are not possible")));
     }
-    if film.count == 0 {
+    if film.count() == 0 {
         return Err(failure(path, "an animation needs at least one frame"));
     }
     Ok(())
@@ -286,13 +235,14 @@ fn failure(path: &Path, problem: impl Into<String>) -> Error {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::codec::film::FilmRecorder;
     use image::codecs::gif::GifDecoder;
     use image::{AnimationDecoder, Rgb};
 
     fn film(folder: &Path, frames: &[RgbImage]) -> Film {
-        let mut film = Film::new(folder).unwrap();
-        frames.iter().for_each(|frame| film.push(frame).unwrap());
-        film
+        let mut recorder = FilmRecorder::new(folder).unwrap();
+        frames.iter().for_each(|frame| recorder.push(frame.clone()).unwrap());
+        recorder.finish().unwrap()
     }
 
     fn frames(count: u32) -> Vec<RgbImage> {
@@ -355,14 +305,10 @@ mod tests {
             assert!(write_apng(&path, &film, fps).is_err());
             assert!(write_mp4(&path, &film, fps).is_err());
         }
-        let mut unequal = film(folder.path(), &frames(2));
-        let error = unequal.push(&RgbImage::new(3, 3)).unwrap_err();
-        assert!(error.to_string().contains("frame 2 and frame 0 differ in size"), "{error}");
-        assert!(Film::new(folder.path()).unwrap().push(&RgbImage::new(0, 0)).is_err());
         let wide = film(folder.path(), &[RgbImage::new(65_536, 1)]);
         let error = write_gif(&path, &wide, 10.0).unwrap_err();
         assert!(error.to_string().contains("at most 65535 pixels"), "{error}");
-        drop((unequal, wide));
+        drop(wide);
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }
 
@@ -380,22 +326,6 @@ mod tests {
             assert!(matches!(write_mp4_with(program.as_os_str(), &path, &film, 10.0), Err(Error::Io { .. })));
         }
         assert!(!path.exists());
-    }
-
-    #[test]
-    fn frames_stay_if_they_are_to() {
-        let folder = tempfile::tempdir().unwrap();
-        let mut film = Film::kept(folder.path().join("frames"));
-        frames(2).iter().for_each(|frame| film.push(frame).unwrap());
-        let missing = OsStr::new("no-such-ffmpeg-anywhere");
-        assert!(!has_ffmpeg_with(missing));
-        let outcome = write_mp4_with(missing, &folder.path().join("orbit.mp4"), &film, 10.0);
-        assert_eq!(outcome.unwrap(), Mp4::NoFfmpeg);
-        drop(film);
-        for (i, frame) in frames(2).iter().enumerate() {
-            let path = folder.path().join(format!("frames/{i:06}.png"));
-            assert_eq!(png_file::read_rgb8(&path).unwrap(), *frame);
-        }
     }
 
     #[test]

@@ -24,6 +24,7 @@ mod exr_rows;
 #[cfg(test)]
 mod fault_tests;
 pub mod file;
+pub mod film;
 pub mod finite;
 pub mod gltf;
 mod hdr;

@@ -133,6 +133,10 @@ impl Intersect for Surface {
     fn radius(&self) -> f32 {
         self.bounding_sphere().1
     }
+
+    fn bounds(&self) -> Option<(Vec3, Vec3)> {
+        self.mesh.bounds()
+    }
 }
 
 fn check(mesh: &Mesh) -> std::result::Result<(), String> {

@@ -1,8 +1,9 @@
 //! The `Render`, `Edit` and `Relight` passes: they render the material, light and shading that `show` swaps in.
 
-use crate::codec::animation::{Film, Mp4, write_apng, write_gif, write_mp4};
+use crate::codec::animation::{Mp4, write_apng, write_gif, write_mp4};
 use crate::codec::exr_frame::{Frame, write_frame_rows};
 use crate::codec::file::file_stems;
+use crate::codec::film::{Film, FilmRecorder};
 use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::light::lights::IncidentLight;
@@ -14,7 +15,8 @@ use crate::pass::show::show;
 use crate::pipeline::Pipeline;
 use crate::profile::stage;
 use crate::report::tone::{Backdrop, Look, Picture, write_png_rows};
-use crate::scene::{Orbit, OrbitFormat, Pass, RenderSettings, ViewChoice};
+use crate::scene::{Orbit, OrbitFormat, Pass, RenderSettings, Shading, ViewChoice};
+use crate::shade::adaptive::render_adaptive;
 use crate::shade::frame::{band_rows, render_bands};
 use crate::view::camera::Camera;
 use crate::view::{Split, ViewName};
@@ -55,17 +57,18 @@ fn render_all(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> 
     }
     if let (Some(orbit), Some(cameras)) = (&settings.orbit, &orbit) {
         let mut film = match orbit.format {
-            OrbitFormat::Mp4 => Film::kept(folder.join(FRAMES)),
-            OrbitFormat::Gif | OrbitFormat::Apng => Film::new(&folder)?,
+            OrbitFormat::Mp4 => FilmRecorder::kept(folder.join(FRAMES)),
+            OrbitFormat::Gif | OrbitFormat::Apng => FilmRecorder::new(&folder)?,
         };
         for (frame, camera) in (0..).zip(cameras) {
             check_interrupted()?;
             film::show_moment(session, pass, settings, orbit, frame);
-            film.push(&film_frame(&mut session.pipeline, *camera, settings)?)?;
+            film.push(film_frame(&mut session.pipeline, *camera, settings)?)?;
             bar.inc(1);
         }
         film::sweep_material(&mut session.pipeline.world, name, []);
-        write_film(session, &folder, orbit, &film)?;
+        let _writing = stage("film written");
+        write_film(session, &folder, orbit, &film.finish()?)?;
     }
     bar.finish_and_clear();
     let film = if frames > 0 { format!(", {frames} film frames") } else { String::new() };
@@ -150,11 +153,42 @@ fn film_frame(pipeline: &mut Pipeline, camera: Camera, settings: &RenderSettings
     let mut picture = Vec::with_capacity(3 * camera.width as usize * camera.height as usize);
     // Animations have no alpha: the backdrop is dark gray.
     let gray = Backdrop::Solid(Vec3::splat(0.02));
-    bands(pipeline, camera, settings, gray, &mut |_, samples| {
-        picture.extend_from_slice(samples);
-        Ok(())
-    })?;
+    if matches!(settings.shading, Shading::PathTraced { .. }) {
+        bands(pipeline, camera, settings, gray, &mut |_, samples| {
+            picture.extend_from_slice(samples);
+            Ok(())
+        })?;
+    } else {
+        let (look, rows) = (look_of(settings), band_rows([camera.width, camera.height]));
+        let (rays, gain) = (camera_rays(settings), settings.exposure.exp2());
+        render_adaptive(pipeline, camera, rays, gain, rows, &mut |world, band| {
+            check_interrupted()?;
+            let _writing = stage("pixels encoded");
+            let size = [camera.width as usize, band.alpha.len() / camera.width as usize];
+            let behind = behind(world, &camera, settings, band.first_row, size[1] as u32);
+            let backdrop = behind.as_deref().map_or(gray, Backdrop::Radiance);
+            let [width, height] = size;
+            let shown = Picture { width, height, color: &band.color, alpha: &band.alpha };
+            picture.extend_from_slice(&shown.samples8(&look, backdrop)?);
+            Ok(())
+        })?;
+    }
     Ok(RgbImage::from_raw(camera.width, camera.height, picture).expect("its bands have all rows"))
+}
+
+fn look_of(settings: &RenderSettings) -> Look {
+    Look { exposure: settings.exposure, tone: settings.tone }
+}
+
+/// The light behind some rows, if the pass shows it.
+fn behind(
+    world: &World,
+    camera: &Camera,
+    settings: &RenderSettings,
+    first: u32,
+    rows: u32,
+) -> Option<Vec<Vec3>> {
+    settings.backdrop.then(|| backdrop(world, camera, first, rows))
 }
 
 /// Renders a picture; `take` gets each band and its 8-bit colors before the light, if the pass shows it, or else before `plain`.
@@ -165,12 +199,12 @@ fn bands(
     plain: Backdrop,
     take: &mut dyn FnMut(&Frame, &[u8]) -> Result<()>,
 ) -> Result<()> {
-    let look = Look { exposure: settings.exposure, tone: settings.tone };
+    let look = look_of(settings);
     let (rays, rows) = (camera_rays(settings), band_rows([camera.width, camera.height]));
     render_bands(pipeline, camera, rays, rows, &mut |world, first_row, frame| {
         check_interrupted()?;
         let _writing = stage("pixels encoded");
-        let behind = settings.backdrop.then(|| backdrop(world, &camera, first_row, frame.height as u32));
+        let behind = behind(world, &camera, settings, first_row, frame.height as u32);
         let behind = behind.as_deref().map_or(plain, Backdrop::Radiance);
         take(frame, &Picture::of(frame).samples8(&look, behind)?)
     })

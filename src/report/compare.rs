@@ -66,11 +66,7 @@ impl Comparison {
         if let Some(mean) = &self.scores.srgb {
             let of = |psnr: f64, ssim: f64| format!("{psnr:.2} dB, SSIM {ssim:.4}");
             let (white, black) = (of(mean.psnr_white, mean.ssim_white), of(mean.psnr_black, mean.ssim_black));
-            let _ = writeln!(
-                text,
-                "sRGB: mask {:.2} dB · white {white} · black {black}",
-                mean.psnr_mask
-            );
+            let _ = writeln!(text, "sRGB: mask {:.2} dB · white {white} · black {black}", mean.psnr_mask);
         }
         for (what, names) in [("prediction", &self.only_prediction), ("truth", &self.only_truth)] {
             if let Some(first) = names.first() {

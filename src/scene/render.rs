@@ -15,7 +15,7 @@ pub struct RenderSettings {
     pub shading: Shading,
     /// Nodes of `Accurate` shading: `Default`, or `High` for final renders. Default `Default`.
     pub quality: Quality,
-    /// Camera rays per pixel, 1 to 1024 (the path tracer uses its `spp`). Default 4.
+    /// Camera rays per pixel, 1 to 1024 (the path tracer uses its `spp`); in a film in closed form at edges and patterns only. Default 4.
     pub samples_per_pixel: u32,
     /// Brightness of the PNGs in stops, −20 to 20 (EXRs are as they are). Default 0.
     pub exposure: f32,

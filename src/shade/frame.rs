@@ -74,6 +74,8 @@ pub struct FrameTarget {
     pub rows: Range<u32>,
     /// Sums per pixel of these rows, row by row.
     pub pixels: Vec<PixelSums>,
+    /// Numbers of the only pixels that rays are cast at, counted over the whole picture; `None`: all of these rows.
+    pub(super) chosen: Option<Vec<u32>>,
     /// First sample of the current tile, counted over the whole picture.
     cursor: usize,
 }
@@ -88,7 +90,7 @@ impl FrameTarget {
     pub fn band(camera: Camera, samples_per_pixel: u32, rows: Range<u32>) -> Self {
         let side = (f64::from(samples_per_pixel.max(1))).sqrt().round().max(1.0) as u32;
         let count = camera.width as usize * rows.len();
-        Self { camera, side, rows, pixels: vec![PixelSums::default(); count], cursor: 0 }
+        Self { camera, side, rows, pixels: vec![PixelSums::default(); count], chosen: None, cursor: 0 }
     }
 
     /// Camera rays per pixel.
@@ -97,21 +99,25 @@ impl FrameTarget {
     }
 
     /// Number in the whole picture of the first pixel.
-    fn first_pixel(&self) -> usize {
+    pub(super) fn first_pixel(&self) -> usize {
         self.rows.start as usize * self.camera.width as usize
     }
 
-    /// The samples of these rows, counted over the whole picture.
+    /// The samples of these rows, counted over the whole picture; of chosen pixels, counted over these.
     fn samples(&self) -> Range<usize> {
         let first = self.first_pixel();
         let per_pixel = self.samples_per_pixel();
+        if let Some(chosen) = &self.chosen {
+            return 0..chosen.len() * per_pixel;
+        }
         first * per_pixel..(first + self.pixels.len()) * per_pixel
     }
 
-    /// Pixel and ray of sample `index` of the whole picture; the samples of a pixel are consecutive.
+    /// Pixel and ray of sample `index`; the samples of a pixel are consecutive.
     fn sample(&self, index: usize) -> (PixelOf, ViewRay) {
         let per_pixel = self.samples_per_pixel();
-        let (pixel, within) = (index / per_pixel, (index % per_pixel) as u32);
+        let (place, within) = (index / per_pixel, (index % per_pixel) as u32);
+        let pixel = self.chosen.as_ref().map_or(place, |chosen| chosen[place] as usize);
         let (x, y) = (pixel as u32 % self.camera.width, pixel as u32 / self.camera.width);
         let offset = |i: u32| (i as f32 + 0.5) / self.side as f32;
         let ray =
@@ -222,14 +228,14 @@ pub fn frame_bytes([width, height]: [u32; 2]) -> u64 {
 }
 
 /// Spawns the pool of samples for a picture of `samples` samples.
-fn spawn_pool(world: &mut World, camera: &Camera, samples: usize) {
+pub(super) fn spawn_pool(world: &mut World, camera: &Camera, samples: usize) {
     despawn_pool(world);
     let blank = |row| FrameSample::blank(SampleIndex(row), camera.ray(0.0, 0.0));
     world.spawn_batch((0..samples.min(POOL) as u32).map(blank).collect::<Vec<_>>());
 }
 
-/// Renders the rows of `target`, tile by tile.
-fn render_rows(pipeline: &mut Pipeline, target: FrameTarget) -> Result<FrameTarget> {
+/// Renders the rows of `target`, or its chosen pixels, tile by tile.
+pub(super) fn render_rows(pipeline: &mut Pipeline, target: FrameTarget) -> Result<FrameTarget> {
     let samples = target.samples();
     pipeline.world.insert_resource(PictureRotation(target.camera.world_from_camera.matrix3.into()));
     pipeline.world.insert_resource(target);

@@ -10,6 +10,7 @@
 //! The other systems of the Gather stage: [`material::shown`](crate::material::shown) in `Slot::Material`,
 //! [`light::lights`](crate::light::lights) in `Slot::Light`, [`visibility`](crate::visibility) in `Slot::Visibility`.
 
+pub mod adaptive;
 pub mod frame;
 pub mod path_tracer;
 pub mod sampling;

@@ -9,7 +9,7 @@
 //! | `Shape` | pixels in the pool × `POOL_BYTES` + cells³ × `CELL_BYTES` | steps × batch × `SHAPE_PIXEL_NANOS` |
 //! | its mesh | cells² × `MESH_BYTES` | |
 //! | shadows | [`VisibilitySettings::bytes`] of the texels | rows × directions × `RAY_NANOS` |
-//! | `Render` and the like | [`frame_bytes`] of the largest view; [`film_bytes`] of the film | samples in the object × (lobes × `RENDER_PAIR_NANOS` + `SAMPLE_NANOS`) + pixels × `PICTURE_PIXEL_NANOS` |
+//! | `Render` and the like | [`frame_bytes`] of the largest view; [`film_bytes`] of the film | samples in the object (in a film fewer, `FILM_REFINED`) × (lobes × `RENDER_PAIR_NANOS` + `SAMPLE_NANOS`) + pixels × `PICTURE_PIXEL_NANOS` |
 //! | `Evaluate` | pixels of the largest view × `SCORE_PIXEL_BYTES` | pixels of the test views × `SCORE_PIXEL_NANOS` |
 //!
 //! Time is divided by the threads. It is good to a factor of two on the machine that was measured, and a guess on others. Memory is meant
@@ -77,6 +77,8 @@ pub(crate) const DETAIL_FACTOR: f64 = 3.0;
 pub(crate) const SHAPE_PIXEL_NANOS: f64 = 42_000.0;
 /// A ray of the visibility: 108 789 texels in 512 directions in 7.0 s on two cores.
 pub(crate) const RAY_NANOS: f64 = 250.0;
+/// Part of an object's pixels in a film at which all rays are cast, in closed form.
+const FILM_REFINED: f64 = 0.2;
 /// A pair of pixel sample and lobe in a frame.
 pub(crate) const RENDER_PAIR_NANOS: f64 = 8.0;
 /// A pixel sample of the object in a frame, with tracing and gathering: a sphere in 2048² and 4096² pixels.
@@ -351,13 +353,18 @@ impl Task<'_> {
             let pixels = f64::from(size[0]) * f64::from(size[1]);
             (frame_bytes(size) + film_bytes(size), pixels * f64::from(orbit.frames))
         });
-        let object = views.iter().map(|look| object_pixels(look)).sum::<f64>() + USUAL_COVERAGE * orbit.1;
+        let of_views = views.iter().map(|look| object_pixels(look)).sum::<f64>();
+        let of_film = USUAL_COVERAGE * orbit.1;
         let all = views.iter().map(|look| pixels(look)).sum::<f64>() + orbit.1;
+        let rays = f64::from(render.samples_per_pixel);
         let nanos = match render.shading {
-            Shading::PathTraced { spp, .. } => f64::from(spp) * PATH_NANOS,
-            _ => f64::from(render.samples_per_pixel) * (self.lobes() * RENDER_PAIR_NANOS + SAMPLE_NANOS),
+            Shading::PathTraced { spp, .. } => (of_views + of_film) * f64::from(spp) * PATH_NANOS,
+            _ => {
+                let samples = rays * of_views + rays.min(1.0 + FILM_REFINED * rays) * of_film;
+                samples * (self.lobes() * RENDER_PAIR_NANOS + SAMPLE_NANOS)
+            }
         };
         let largest = views.iter().map(|look| frame_bytes(look.size)).fold(orbit.0, u64::max);
-        self.part(name, largest as f64, object * nanos + all * PICTURE_PIXEL_NANOS, false)
+        self.part(name, largest as f64, nanos + all * PICTURE_PIXEL_NANOS, false)
     }
 }

@@ -54,6 +54,10 @@ pub trait Intersect: Send + Sync {
     fn radius(&self) -> f32 {
         1.0
     }
+    /// Corners (least and greatest) of a box around the surface, world units. The default implementation does not know one.
+    fn bounds(&self) -> Option<(Vec3, Vec3)> {
+        None
+    }
 }
 
 /// A direction drawn from distant light.

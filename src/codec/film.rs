@@ -1,0 +1,211 @@
+//! The frames of a film: PNG files, so that a film is never whole in memory. They are written by a thread of their own while the next one is rendered.
+
+use crate::codec::file;
+use crate::codec::png_file;
+use crate::{Error, Result};
+use image::RgbImage;
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::thread::{Builder, JoinHandle};
+use tempfile::TempDir;
+
+/// Frames that wait for the one that is being written.
+const WAITING: usize = 1;
+
+/// A film whose frames are all there.
+#[derive(Debug)]
+pub struct Film {
+    folder: PathBuf,
+    /// The hidden folder, which goes when this is dropped, unless frames are to stay.
+    scratch: Option<TempDir>,
+    size: [u32; 2],
+    count: usize,
+}
+
+impl Film {
+    /// Width and height in pixels of all frames.
+    pub fn size(&self) -> [u32; 2] {
+        self.size
+    }
+
+    /// How many frames there are.
+    pub fn count(&self) -> usize {
+        self.count
+    }
+
+    /// The frames in order, each read when it is its turn.
+    pub fn frames(&self) -> impl Iterator<Item = Result<RgbImage>> {
+        (0..self.count).map(|i| png_file::read_rgb8(&self.path(i)))
+    }
+
+    /// The file of frame `i`.
+    pub(crate) fn path(&self, i: usize) -> PathBuf {
+        self.folder.join(format!("{i:06}.png"))
+    }
+}
+
+/// A film that is being made. If it is dropped before [`finish`](Self::finish), the frames that wait are written first.
+#[derive(Debug)]
+pub struct FilmRecorder {
+    // Before the folder, which must not go while something is written into it.
+    writer: Option<Writer>,
+    film: Film,
+}
+
+impl FilmRecorder {
+    /// A film without frames, whose files lie in a hidden folder in `folder` (created if missing) until the film is dropped. They are compressed
+    /// fast.
+    ///
+    /// # Errors
+    /// [`Error::Io`] if a folder cannot be created.
+    pub fn new(folder: &Path) -> Result<Self> {
+        let scratch = file::scratch_folder(folder)?;
+        let film = Film { folder: scratch.path().to_owned(), scratch: Some(scratch), size: [0; 2], count: 0 };
+        Ok(Self { writer: None, film })
+    }
+
+    /// A film without frames, whose files stay in `folder`: 000000.png and so on.
+    pub fn kept(folder: PathBuf) -> Self {
+        Self { writer: None, film: Film { folder, scratch: None, size: [0; 2], count: 0 } }
+    }
+
+    /// Appends a frame. An error in writing it is told by a later call.
+    ///
+    /// # Errors
+    /// [`Error::Run`] if it is empty or differs in size from those before; [`Error::Io`] if one before cannot be written.
+    pub fn push(&mut self, frame: RgbImage) -> Result<()> {
+        let film = &mut self.film;
+        let (size, path) = ([frame.width(), frame.height()], film.path(film.count));
+        let wrong = |problem: String| Err(Error::run(format!("writing {}", path.display()), problem));
+        if size.contains(&0) {
+            return wrong(format!("frame {} is empty", film.count));
+        }
+        if film.count > 0 && size != film.size {
+            return wrong(format!("frame {} and frame 0 differ in size", film.count));
+        }
+        let is_fast = film.scratch.is_some();
+        (film.size, film.count) = (size, film.count + 1);
+        if film.count == 1 {
+            self.writer = Writer::start(is_fast);
+        }
+        match &mut self.writer {
+            Some(writer) => writer.take((path, frame)),
+            // No thread can be had.
+            None => write(is_fast, &path, &frame),
+        }
+    }
+
+    /// The film, once all frames are written.
+    ///
+    /// # Errors
+    /// [`Error::Io`] if one cannot be written.
+    pub fn finish(mut self) -> Result<Film> {
+        self.writer.take().map_or(Ok(()), Writer::end)?;
+        Ok(self.film)
+    }
+}
+
+/// A frame and its file.
+type Waiting = (PathBuf, RgbImage);
+
+/// A thread that writes frames until the first one that cannot be written.
+#[derive(Debug)]
+struct Writer {
+    frames: Option<SyncSender<Waiting>>,
+    thread: Option<JoinHandle<Result<()>>>,
+}
+
+impl Writer {
+    /// `None` if there can be no thread.
+    fn start(is_fast: bool) -> Option<Self> {
+        let (frames, waiting): (_, Receiver<Waiting>) = sync_channel(WAITING);
+        let work = move || waiting.into_iter().try_for_each(|(path, frame)| write(is_fast, &path, &frame));
+        let thread = Builder::new().name("film".into()).spawn(work).ok()?;
+        Some(Self { frames: Some(frames), thread: Some(thread) })
+    }
+
+    fn take(&mut self, frame: Waiting) -> Result<()> {
+        let sent = self.frames.as_ref().is_some_and(|frames| frames.send(frame).is_ok());
+        if sent { Ok(()) } else { self.join() }
+    }
+
+    fn end(mut self) -> Result<()> {
+        self.join()
+    }
+
+    fn join(&mut self) -> Result<()> {
+        self.frames = None;
+        let Some(thread) = self.thread.take() else { return Ok(()) };
+        thread.join().unwrap_or_else(|_| Err(Error::run("writing a film", "its thread has failed")))
+    }
+}
+
+impl Drop for Writer {
+    /// An error was told before, or its film is given up.
+    fn drop(&mut self) {
+        let _ = self.join();
+    }
+}
+
+fn write(is_fast: bool, path: &Path, frame: &RgbImage) -> Result<()> {
+    if is_fast { png_file::write_rgb8_fast(path, frame) } else { png_file::write_rgb8(path, frame) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::Rgb;
+
+    fn frame(i: u8) -> RgbImage {
+        RgbImage::from_fn(9, 7, |x, y| Rgb([(x * 20) as u8, (y * 25) as u8, 40 * i]))
+    }
+
+    #[test]
+    fn frames_come_back_in_order_and_go_with_the_film() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut recorder = FilmRecorder::new(folder.path()).unwrap();
+        (0..6).for_each(|i| recorder.push(frame(i)).unwrap());
+        let film = recorder.finish().unwrap();
+        assert_eq!((film.size(), film.count()), ([9, 7], 6));
+        for (i, read) in (0..).zip(film.frames()) {
+            assert_eq!(read.unwrap(), frame(i));
+        }
+        drop(film);
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn frames_stay_if_they_are_to() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut recorder = FilmRecorder::kept(folder.path().join("frames"));
+        (0..2).for_each(|i| recorder.push(frame(i)).unwrap());
+        drop(recorder.finish().unwrap());
+        for i in 0..2 {
+            let path = folder.path().join(format!("frames/{i:06}.png"));
+            assert_eq!(png_file::read_rgb8(&path).unwrap(), frame(i));
+        }
+    }
+
+    #[test]
+    fn frames_of_another_size_are_refused_and_a_film_that_is_given_up_leaves_nothing() {
+        let folder = tempfile::tempdir().unwrap();
+        let mut recorder = FilmRecorder::new(folder.path()).unwrap();
+        assert!(recorder.push(RgbImage::new(0, 0)).is_err());
+        (0..2).for_each(|i| recorder.push(frame(i)).unwrap());
+        let error = recorder.push(RgbImage::new(3, 3)).unwrap_err();
+        assert!(error.to_string().contains("frame 2 and frame 0 differ in size"), "{error}");
+        drop(recorder);
+        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
+    }
+
+    #[test]
+    fn what_cannot_be_written_is_told() {
+        let folder = tempfile::tempdir().unwrap();
+        // A file where the folder should be.
+        let path = folder.path().join("frames");
+        std::fs::write(&path, "x").unwrap();
+        let mut recorder = FilmRecorder::kept(path);
+        let told = (0..8).try_for_each(|i| recorder.push(frame(i))).and_then(|()| recorder.finish());
+        assert!(told.unwrap_err().to_string().contains("frames"));
+    }
+}
