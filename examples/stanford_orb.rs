@@ -136,8 +136,17 @@ pub fn mean(run: &Path) -> Result<[f64; 3]> {
     let metrics: Value = serde_json::from_slice(&fs::read(run.join("metrics.json"))?)?;
     let passes = metrics["passes"].as_object().ok_or("metrics.json has no passes")?;
     let relit = passes.iter().filter(|(name, _)| name.starts_with("relit_"));
-    let scores: Vec<&Value> = relit.map(|(_, scores)| &scores["stanford_orb"]).collect();
-    let sum = |key: &str| scores.iter().filter_map(|scores| scores[key].as_f64()).sum::<f64>();
-    let count = scores.len().max(1) as f64;
-    Ok([sum("psnr_hdr") / count, sum("psnr_ldr") / count, scores.len() as f64])
+    let mut sums = [0.0; 3];
+    for (name, scores) in relit {
+        for (sum, key) in sums.iter_mut().zip(["psnr_hdr", "psnr_ldr"]) {
+            let score = scores["stanford_orb"][key].as_f64();
+            *sum += score.ok_or_else(|| format!("{name} has no {key}: is its mask empty?"))?;
+        }
+        sums[2] += 1.0;
+    }
+    let [psnr_h, psnr_l, count] = sums;
+    if count == 0.0 {
+        return Err(format!("no pass of {} is called relit_…", run.display()).into());
+    }
+    Ok([psnr_h / count, psnr_l / count, count])
 }

@@ -117,6 +117,22 @@ fn tensoir_synthetic_is_fitted_relit_and_scored() {
         "{scores}"
     );
 
+    // Truths that a run would write over are refused, whichever folder names them.
+    let own = scene
+        .replace("$DATA/tensoir\", file: \"{view}/rgba_evening.png", "$DATA\", file: \"out/novel/{view}.exr");
+    let refused = data.run(&own, "out", &["--quiet", "--force"]);
+    assert_eq!(refused.code, Some(2), "{}", refused.stderr);
+    assert!(
+        refused.stderr.contains("novel") && data.path("out/novel/test_000.exr").exists(),
+        "{}",
+        refused.stderr
+    );
+    let inputs = std::fs::read_to_string(data.path("out/run.json")).unwrap();
+    assert!(
+        inputs.contains("test_001/rgba_evening.png") && !inputs.contains("test_001/rgba_none.png"),
+        "{inputs}"
+    );
+
     // One file for all views, and one elsewhere, are refused before anything runs.
     for (wrong, words) in [("normal.png", "`{view}`"), ("../{view}.png", "does not lie in `folder`")] {
         let refused = data.run(&scene.replace("{view}/normal.png", wrong), "none", &["--quiet"]);

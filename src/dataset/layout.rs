@@ -111,7 +111,9 @@ struct Precedence {
     note: &'static str,
 }
 
-static PRECEDENCE: [Precedence; 5] = [
+static PRECEDENCE: [Precedence; 6] = [
+    // The scripts that render such sets write files of NeRF's form beside the folders, whose paths lack the light.
+    Precedence { layout: Layout::Nerfactor, over: Layout::Nerf, holds: |_| true, note: "" },
     Precedence { layout: Layout::StanfordOrb, over: Layout::Nerf, holds: |_| true, note: "" },
     // The poses of public data of LLFF and mip-NeRF 360 are computed from the model, which has lens distortion as well.
     Precedence {

@@ -7,8 +7,8 @@
 //! | `cam_angle_x` | radians | full horizontal field of view |
 //! | `imw`, `imh` | pixels | image size |
 //!
-//! The photograph is `rgba.png` (NeRFactor's), or else `rgba_sunset.png` (the light that TensoIR fits to), or else the only picture called
-//! `rgba_….png`; alpha is its mask. The others are the truth of relit pictures, and `albedo.png` and `normal.png` that of the layers
+//! The photograph is `rgba.png` (NeRFactor's), or else `rgba_sunset.png` or `rgba_sunset_000.png` (the light that TensoIR fits to), or else the only picture
+//! called `rgba_….png`; alpha is its mask. Views of the test split for which that leaves none, or a choice, are cameras only. The others are the truth of relit pictures, and `albedo.png` and `normal.png` that of the layers
 //! ([`Truth::Files`](crate::scene::Truth::Files)). Where no folder is called `test_…`, those called `val_…` are the test split.
 
 use crate::codec::file::{is_there, read_folder};
@@ -27,7 +27,7 @@ use std::path::{Path, PathBuf};
 /// The file of the camera of a view.
 const CAMERA: &str = "metadata.json";
 /// Pictures that are photographs, the first that is there.
-const PHOTOGRAPHS: [&str; 2] = ["rgba.png", "rgba_sunset.png"];
+const PHOTOGRAPHS: [&str; 3] = ["rgba.png", "rgba_sunset.png", "rgba_sunset_000.png"];
 
 /// Whether the folder has views of this split.
 pub(crate) fn has_split(dir: &Path, split: Split) -> bool {
@@ -42,7 +42,7 @@ pub(super) fn plan(dir: &Path, split: Split) -> Result<Plan> {
         let first = dir.join(format!("{}_000", split_name(split))).join(CAMERA);
         return Err(Error::input(first, "", problem, "Each view has a folder, train_000 and so on."));
     }
-    let views = folders.iter().map(|folder| plan_view(folder)).collect::<Result<Vec<_>>>()?;
+    let views = folders.iter().map(|folder| plan_view(folder, split)).collect::<Result<Vec<_>>>()?;
     Ok(Plan { views, notes: Vec::new() })
 }
 
@@ -83,7 +83,7 @@ struct Metadata {
     imh: u32,
 }
 
-fn plan_view(folder: &Path) -> Result<ViewPlan> {
+fn plan_view(folder: &Path, split: Split) -> Result<ViewPlan> {
     let file = folder.join(CAMERA);
     let camera: Metadata = parse_json(&file, &read_text(&file)?)?;
     let wrong = |problem: String| {
@@ -102,9 +102,13 @@ fn plan_view(folder: &Path) -> Result<ViewPlan> {
         resizable: true,
         by_side: false,
     };
+    let image = match photograph(folder) {
+        Err(Error::Input { .. }) if split == Split::Test => None,
+        found => Some(found?),
+    };
     Ok(ViewPlan {
         name: name_of(folder),
-        image: Some(photograph(folder)?),
+        image,
         mask: MaskPlan::Alpha,
         camera_file: file,
         place: String::new(),
@@ -138,7 +142,7 @@ fn photograph(folder: &Path) -> Result<PathBuf> {
         }
     }
     others.sort();
-    let [usual, sunset] = PHOTOGRAPHS;
+    let [usual, sunset, _] = PHOTOGRAPHS;
     match others.as_slice() {
         [only] => Ok(folder.join(only)),
         [] => {

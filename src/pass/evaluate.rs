@@ -1,5 +1,5 @@
 //! The `Evaluate` pass: scores earlier passes against ground truth, in linear light, with masks eroded by one pixel; and against
-//! photographs also as the field's tables do, in sRGB.
+//! photographs and other pictures of encoded colors also as the field's tables do, in sRGB.
 //!
 //! The pass writes a contact sheet of a few views, and for the report small pictures of all views: `<scored pass>/<view>_truth.jpg`, `_render.jpg` and
 //! `_error.jpg`. Predictions are read from the EXR files that the passes wrote, so that the scores apply to the written files.
@@ -12,7 +12,7 @@ use crate::error::{Error, Result};
 use crate::mesh::chamfer::chamfer_distance;
 use crate::pass::render::{ChosenView, chosen_views};
 use crate::pass::session::Session;
-use crate::pass::truth_files::{ViewFiles, read_fitting};
+use crate::pass::truth_files::{ViewFiles, read_covered};
 use crate::pass::view_report::{self, ScoredOutcome, outlier_share};
 use crate::profile::stage;
 use crate::report::heat::{error_map, factor_for, heat_map};
@@ -152,10 +152,10 @@ impl ScoredPass {
         let view = &self.views[i];
         let path = session.folder(&self.name).join(format!("{}.exr", view.stem));
         let frame = read_frame_layers(path, layers)?;
-        let truth = self.truth(&session.pipeline.world, i)?;
+        let (truth, covered) = self.truth(&session.pipeline.world, i)?;
         let mask = session.pipeline.world.get::<ViewMask>(view.entity).map(|mask| mask.0.mask());
         let mask_iou = mask.as_ref().and_then(|mask| coverage_iou(&frame.alpha, &mask.coverage));
-        let coverage = mask.map(|mask| mask.coverage).unwrap_or_default();
+        let coverage = mask.map(|mask| mask.coverage).or(covered).unwrap_or_default();
         let outline = if coverage.is_empty() { &frame.alpha } else { &coverage };
         let size = [frame.width, frame.height];
         if truth.len() != frame.color.len() || outline.len() != frame.color.len() {
@@ -197,17 +197,22 @@ impl ScoredPass {
         .collect()
     }
 
-    fn truth(&self, world: &World, i: usize) -> Result<Vec<Vec3>> {
+    /// The true radiance of view `i`, and its coverage if it is a picture of encoded colors that has some.
+    fn truth(&self, world: &World, i: usize) -> Result<(Vec<Vec3>, Option<Vec<f32>>)> {
         let view = &self.views[i];
         match &self.truths {
             TrueImages::Photographs => {
                 let found = world.get::<Photograph>(view.entity).map(|photograph| photograph.image().pixels);
-                found.ok_or_else(|| {
+                let found = found.ok_or_else(|| {
                     Error::run(&self.name, format!("view {} has no photograph to compare with", view.stem))
-                })
+                });
+                Ok((found?, None))
             }
-            TrueImages::Files(files) => read_fitting(&files[i], Gamma::Srgb, &view.camera),
-            TrueImages::Made(pictures) => Ok(pictures[i].clone()),
+            TrueImages::Files(files) => {
+                let (pixels, alpha) = read_covered(&files[i], Gamma::Srgb, &view.camera)?;
+                Ok((pixels, if self.truths.are_encoded(i)? { alpha } else { None }))
+            }
+            TrueImages::Made(pictures) => Ok((pictures[i].clone(), None)),
         }
     }
 }

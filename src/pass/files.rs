@@ -9,6 +9,7 @@ use crate::pass::export;
 use crate::pass::fit::TRUE_ENVIRONMENT;
 use crate::pass::photograph::ring;
 use crate::pass::render::{chosen_stems, film_files};
+use crate::pass::truth_files::ViewFiles;
 use crate::pass::view::PAGE;
 use crate::pass::view_report::VIEWS;
 use crate::scene::LayerTruth;
@@ -170,7 +171,7 @@ fn given(source: &LightSource) -> Option<LightSource> {
 }
 
 /// The files that a run reads: the scene file, what it names, what these name, and camera files, photographs and masks of the views. Of the
-/// folders that passes are scored against all files count.
+/// folders that passes are scored against all files count, or those that may be of views.
 pub fn inputs(loaded: &LoadedScene, open: Option<&OpenScene>) -> Vec<FileUse> {
     [named(loaded), of_data(loaded, open)].concat()
 }
@@ -196,10 +197,9 @@ fn named(loaded: &LoadedScene) -> Vec<FileUse> {
 /// The files in folders of data: ground truths, camera files, photographs, masks.
 fn of_data(loaded: &LoadedScene, open: Option<&OpenScene>) -> Vec<FileUse> {
     let mut inputs = Vec::new();
-    for folder in truths(&loaded.scene) {
-        let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
-        let by = format!("which is in {}, a folder of ground truth", folder.display());
-        inputs.extend(entries.map(|entry| FileUse::new(entry.path(), &by)));
+    for truth in truths(&loaded.scene) {
+        let by = format!("which is in {}, a folder of ground truth", truth.0.display());
+        inputs.extend(ViewFiles::of(truth).found().into_iter().map(|path| FileUse::new(path, &by)));
     }
     let views = open.map(|open| open.views.as_slice()).unwrap_or_default();
     let cameras: BTreeSet<&Path> = views.iter().map(|view| view.camera_file()).collect();
@@ -257,15 +257,22 @@ pub(crate) fn read_late(scene: &Scene, pass: &Pass) -> Vec<PathBuf> {
             .collect(),
         Pass::Fit(_) | Pass::Shape(_) | Pass::Render(_) | Pass::Export(_) | Pass::View(_) => Vec::new(),
         Pass::Evaluate(evaluate) => {
-            let beside_mesh = evaluate.mesh.iter().flat_map(|mesh| side_files(mesh));
-            paths_of(pass).into_iter().chain(beside_mesh).collect()
+            let meshes =
+                evaluate.mesh.iter().flat_map(|mesh| [vec![mesh.clone()], side_files(mesh)].concat());
+            let truths = truths_of(evaluate).flat_map(|truth| match truth {
+                (folder, None) => vec![folder.clone()],
+                files => ViewFiles::of(files).found(),
+            });
+            meshes.chain(truths).collect()
         }
         Pass::Edit(_) | Pass::Relight(_) => paths_of(pass),
     }
 }
 
-/// The folders of ground truth.
-fn truths(scene: &Scene) -> BTreeSet<&PathBuf> {
+/// The folder of a ground truth, and the path of each file from there if the scene says it.
+type TruthFiles<'a> = (&'a PathBuf, Option<&'a str>);
+
+fn truths(scene: &Scene) -> BTreeSet<TruthFiles<'_>> {
     let passes = scene.passes.iter().filter_map(|pass| match pass {
         Pass::Evaluate(pass) => Some(pass),
         _ => None,
@@ -273,8 +280,8 @@ fn truths(scene: &Scene) -> BTreeSet<&PathBuf> {
     passes.flat_map(truths_of).collect()
 }
 
-fn truths_of(pass: &EvaluatePass) -> impl Iterator<Item = &PathBuf> {
+fn truths_of(pass: &EvaluatePass) -> impl Iterator<Item = TruthFiles<'_>> {
     let images = pass.scores.iter().filter_map(|score| score.truth.files());
     let layers = [&pass.albedo, &pass.normal].into_iter().flatten().filter_map(LayerTruth::files);
-    images.chain(layers).map(|(folder, _)| folder)
+    images.chain(layers)
 }

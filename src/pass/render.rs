@@ -7,6 +7,7 @@ use crate::codec::film::{Film, FilmRecorder};
 use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::light::lights::IncidentLight;
+use crate::math::color::srgb_from_linear;
 use crate::math::ray::Illuminate;
 use crate::pass::film;
 use crate::pass::session::Session;
@@ -160,8 +161,8 @@ fn film_frame(pipeline: &mut Pipeline, camera: Camera, settings: &RenderSettings
         })?;
     } else {
         let (look, rows) = (look_of(settings), band_rows([camera.width, camera.height]));
-        let (rays, gain) = (camera_rays(settings), settings.exposure.exp2());
-        render_adaptive(pipeline, camera, rays, gain, rows, &mut |world, band| {
+        let shown = |radiance: Vec3| look.develop(radiance).map(srgb_from_linear);
+        render_adaptive(pipeline, camera, camera_rays(settings), &shown, rows, &mut |world, band| {
             check_interrupted()?;
             let _writing = stage("pixels encoded");
             let size = [camera.width as usize, band.alpha.len() / camera.width as usize];

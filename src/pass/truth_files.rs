@@ -37,6 +37,17 @@ impl<'a> ViewFiles<'a> {
         found.unwrap_or_else(|| of_kind("exr"))
     }
 
+    /// The files that are there, whatever views there are: all in the folder, or those whose paths are of the given form.
+    pub(crate) fn found(&self) -> Vec<PathBuf> {
+        let form = self.file.unwrap_or(VIEW);
+        let parts = Path::new(form).components().filter_map(|part| part.as_os_str().to_str());
+        let mut found = vec![self.folder.to_owned()];
+        for part in parts.filter(|part| *part != ".") {
+            found = found.into_iter().flat_map(|folder| matching(&folder, part)).collect();
+        }
+        found
+    }
+
     fn named(&self, view: &str) -> Option<PathBuf> {
         self.file.map(|file| self.folder.join(file.replace(VIEW, view)))
     }
@@ -48,12 +59,28 @@ impl<'a> ViewFiles<'a> {
     pub(crate) fn read_layer(&self, layer: Layer, names: [&str; 2], camera: &Camera) -> Result<Vec<Vec3>> {
         let [stem, name] = names;
         let Some(path) = self.named(name) else { return read_usual_layer(self.folder, layer, stem, camera) };
-        let mut pixels = read_fitting(&path, Gamma::Linear, camera)?;
+        let (mut pixels, alpha) = read_covered(&path, Gamma::Linear, camera)?;
+        let straight = |(pixel, alpha): (&mut Vec3, f32)| *pixel /= alpha.max(1e-6);
+        pixels.iter_mut().zip(alpha.unwrap_or_default()).for_each(straight);
         if layer == Layer::Normal && !image_header(&path)?.is_float {
             pixels.iter_mut().for_each(|pixel| *pixel = known_normal(2.0 * *pixel - 1.0, f32::NEG_INFINITY));
         }
         Ok(pixels)
     }
+}
+
+/// What in a folder is called `part`, where [`VIEW`] stands for anything.
+fn matching(folder: &Path, part: &str) -> Vec<PathBuf> {
+    let Some((start, end)) = part.split_once(VIEW) else {
+        return Some(folder.join(part)).filter(|path| path.exists()).into_iter().collect();
+    };
+    // Of a name that stands twice in a part, the first and the last piece are enough.
+    let end = end.rsplit_once(VIEW).map_or(end, |(_, end)| end);
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    let named = entries.filter(|entry| {
+        entry.file_name().to_str().is_some_and(|name| name.starts_with(start) && name.ends_with(end))
+    });
+    named.map(|entry| entry.path()).collect()
 }
 
 /// True albedo or normals as they are usually called: `albedo_003.exr` for the view `003`, `r_003` or
@@ -89,7 +116,25 @@ fn known_normal(decoded: Vec3, least: f32) -> Vec3 {
 /// # Errors
 /// [`Error::Input`] if the image cannot be read or its size does not match the view.
 pub(crate) fn read_fitting(path: &Path, gamma: Gamma, camera: &Camera) -> Result<Vec<Vec3>> {
-    fit(path, read_image(path, gamma, Orientation::Upright)?.image, camera)
+    read_covered(path, gamma, camera).map(|(pixels, _)| pixels)
+}
+
+/// The same, weighted by coverage, and the coverage if the image has alpha.
+///
+/// # Errors
+/// Those of [`read_fitting`].
+pub(crate) fn read_covered(
+    path: &Path,
+    gamma: Gamma,
+    camera: &Camera,
+) -> Result<(Vec<Vec3>, Option<Vec<f32>>)> {
+    let loaded = read_image(path, gamma, Orientation::Upright)?;
+    let (width, height) = (loaded.image.width, loaded.image.height);
+    let alpha = loaded.alpha.map(|alpha| {
+        let pixels = alpha.into_iter().map(Vec3::splat).collect();
+        Ok(fit(path, Image { width, height, pixels }, camera)?.into_iter().map(|pixel| pixel.x).collect())
+    });
+    Ok((fit(path, loaded.image, camera)?, alpha.transpose()?))
 }
 
 /// The pixels of an image, downscaled to the view's size.
@@ -183,6 +228,21 @@ mod tests {
     }
 
     #[test]
+    fn alpha_is_coverage() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("truth.png");
+        let pixel = |x: u32| image::Rgba([255, 51, 0, if x < 2 { 255 } else { 102 }]);
+        image::RgbaImage::from_fn(4, 4, |x, _| pixel(x)).save(&path).unwrap();
+        let (pixels, alpha) = read_covered(&path, Gamma::Linear, &camera(2)).unwrap();
+        let alpha = alpha.unwrap();
+        assert!((alpha[0] - 1.0).abs() < 1e-6 && (alpha[1] - 0.4).abs() < 1e-6, "{alpha:?}");
+        assert!((pixels[1] - 0.4 * Vec3::new(1.0, 0.2, 0.0)).length() < 1e-6, "{pixels:?}");
+        let files = ViewFiles { folder: folder.path(), file: Some("{view}.png") };
+        let albedo = files.read_layer(Layer::Albedo, ["truth", "truth"], &camera(2)).unwrap();
+        assert!((albedo[1] - Vec3::new(1.0, 0.2, 0.0)).length() < 1e-6, "{albedo:?}");
+    }
+
+    #[test]
     fn files_are_named_by_view() {
         let folder = tempfile::tempdir().unwrap();
         let at = folder.path().to_owned();
@@ -206,6 +266,11 @@ mod tests {
         // Not encoded as sRGB.
         let albedo = files("{view}/albedo.png").read_layer(Layer::Albedo, names, &camera(2)).unwrap();
         assert!((albedo[0] - Vec3::new(0.2, 0.4, 1.0)).length() < 1e-6, "{albedo:?}");
+        let mut found = files("{view}/normal.png").found();
+        assert_eq!(found, [at.join("test_003/normal.png")]);
+        found = files("test_{view}/a{view}o.png").found();
+        assert_eq!(found, [at.join("test_003/albedo.png")]);
+        assert_eq!(ViewFiles::of((&at, None)).found(), [at.join("test_003")]);
         let missing = files("{view}/depth.png").read_layer(Layer::Albedo, names, &camera(2)).unwrap_err();
         assert!(missing.to_string().contains("test_003/depth.png"), "{missing}");
     }

@@ -26,7 +26,7 @@ pub struct Comparison {
 /// files with one stem, the first extension in [`IMAGE_EXTENSIONS`] is used).
 ///
 /// Images are read like photographs: EXR and HDR are linear, others sRGB. Pixels in the mask count: the truth's alpha if it
-/// has one, else the prediction's, else the whole image; eroded by one pixel. sRGB scores are of whole images, before any scale; an
+/// has one, else the prediction's, else the whole image; eroded by one pixel. sRGB scores are of whole images, after the scale if there is one; an
 /// image without alpha has that of the other.
 ///
 /// # Errors

@@ -79,7 +79,7 @@ fn eroded([width, height]: [usize; 2], coverage: &[f32]) -> Vec<bool> {
     (0..width * height).map(|i| counts(i % width, i / width)).collect()
 }
 
-/// The least-squares factor of each channel; one that is black becomes white, as there.
+/// The least-squares factor of each channel; a channel that is black stays black.
 fn channel_scale(prediction: &[Vec3], truth: &[Vec3]) -> Vec3 {
     let sum = |of: &dyn Fn(usize) -> Vec3| (0..truth.len()).map(|i| of(i).as_dvec3()).sum::<DVec3>();
     let product = sum(&|i| prediction[i] * truth[i]);

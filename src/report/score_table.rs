@@ -9,7 +9,8 @@ use std::fmt::Write;
 const SRGB_HEAD: [&str; 6] = ["in sRGB", "mask dB", "white dB", "SSIM", "black dB", "SSIM"];
 
 impl Scores {
-    /// A table for the terminal, one line per pass; a second one of sRGB scores, if there are any; and a line for the rest. Ends with a
+    /// A table for the terminal, one line per pass; a second one of sRGB scores, if there are any; a line for each pass that is
+    /// scored as Stanford-ORB does; and a line for the rest. Ends with a
     /// line break.
     pub fn table(&self) -> String {
         let mut rows = vec![["pass", "PSNR dB", "raw", "SSIM", "scale R", "G", "B"].map(str::to_owned)];
@@ -69,6 +70,8 @@ fn srgb_row(name: &str, scores: &SrgbScores) -> [String; 6] {
 fn pass_rows(name: &str, pass: &PassScores) -> Vec<[String; 7]> {
     let [r, g, b] = match pass.scaling {
         Scaling::None => ["–", "–", "–"].map(str::to_owned),
+        // Their mean.
+        Scaling::PerView => pass.scale.map(|s| format!("ø {s:.3}")),
         _ => pass.scale.map(|s| format!("{s:.3}")),
     };
     let number = |value: f64| format!("{value:.2}");

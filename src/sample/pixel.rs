@@ -41,6 +41,13 @@ impl Observed {
         let difference = predicted - observed;
         if self.saturated && observed >= SATURATION { difference.min(0.0) } else { difference }
     }
+
+    /// What a prediction is drawn to: the observation, or itself in a clipped channel that is brighter. Least squares that are solved again and again with these targets
+    /// have the residuals of [`Observed::difference`].
+    #[inline]
+    pub fn target(&self, predicted: Vec3) -> Vec3 {
+        Vec3::from_array(std::array::from_fn(|c| predicted[c] - self.difference(c, predicted[c])))
+    }
 }
 
 /// The sample's camera ray, world space.

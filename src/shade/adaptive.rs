@@ -1,22 +1,23 @@
 //! Frames of films: one ray at the middle of each pixel that may show the object, and the whole grid of rays only at pixels that differ from a neighbor, which
-//! show edges, patterns or highlights. Closed forms have no noise, so that nothing else gains from more rays.
+//! show edges, patterns or highlights. Closed forms have no noise. What lies between the middles of pixels that are alike, such as a wire thinner than
+//! a pixel where none of nine middles meets it, is not seen.
 //!
 //! | name | unit | value | meaning |
 //! | --- | --- | --- | --- |
-//! | [`CONTRAST`] | | 0.02 | difference of encoded colors (a square root of radiance) from which both pixels get all rays |
+//! | [`CONTRAST`] | | 0.02 | difference of colors as they are shown, in [0, 1], from which both pixels get all rays |
 
 use crate::error::Result;
 use crate::pipeline::Pipeline;
 use crate::sample::bundle::despawn_pool;
 use crate::sample::point::Scenery;
-use crate::shade::frame::{FrameTarget, PixelSums, render_rows, spawn_pool};
+use crate::shade::frame::{FrameTarget, PixelSums, render_rows, run_for_no_pixel, spawn_pool};
 use crate::view::Camera;
 use bevy_ecs::prelude::World;
 use glam::Vec3;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Difference of encoded colors from which two pixels are told apart: 5 of 255.
+/// Difference of shown colors from which two pixels are told apart: 5 of 255.
 pub const CONTRAST: f32 = 0.02;
 
 /// Some rows of a picture without its layers.
@@ -32,8 +33,8 @@ pub struct ColorBand {
     pub refined: usize,
 }
 
-/// Renders one picture in bands of `rows_per_band` rows (at least 1), from the top, with up to about `samples_per_pixel` rays per pixel. Colors are told apart as a picture
-/// shows them whose radiance is multiplied by `gain`. `take` gets each band; bands have the same bits whatever their height.
+/// Renders one picture in bands of `rows_per_band` rows (at least 1), from the top, with up to about `samples_per_pixel` rays per pixel. Colors are told apart as
+/// they are shown: `encode` makes values in [0, 1] of radiance. `take` gets each band; bands have the same bits whatever their height.
 ///
 /// # Errors
 /// The first error of a system or of `take`.
@@ -41,16 +42,19 @@ pub fn render_adaptive(
     pipeline: &mut Pipeline,
     camera: Camera,
     samples_per_pixel: u32,
-    gain: f32,
+    encode: &(dyn Fn(Vec3) -> Vec3 + Sync),
     rows_per_band: u32,
     take: &mut dyn FnMut(&World, ColorBand) -> Result<()>,
 ) -> Result<()> {
     let shows = object_window(&pipeline.world, &camera);
-    spawn_pool(&mut pipeline.world, &camera, usize::MAX);
+    let most = shows.iter().map(|side| side.len()).product::<usize>() * samples_per_pixel as usize;
+    spawn_pool(&mut pipeline.world, &camera, most);
+    // The light behind is there before the first band, which may not show the object.
+    run_for_no_pixel(pipeline, camera)?;
     let height = rows_per_band.max(1);
     let outcome = (0..camera.height).step_by(height as usize).try_for_each(|start| {
         let rows = start..start.saturating_add(height).min(camera.height);
-        let band = render_band(pipeline, camera, samples_per_pixel, gain, rows, &shows)?;
+        let band = render_band(pipeline, camera, samples_per_pixel, encode, rows, &shows)?;
         take(&pipeline.world, band)
     });
     despawn_pool(&mut pipeline.world);
@@ -82,7 +86,7 @@ fn render_band(
     pipeline: &mut Pipeline,
     camera: Camera,
     samples_per_pixel: u32,
-    gain: f32,
+    encode: &(dyn Fn(Vec3) -> Vec3 + Sync),
     rows: Range<u32>,
     [columns, seen_rows]: &[Range<u32>; 2],
 ) -> Result<ColorBand> {
@@ -95,9 +99,11 @@ fn render_band(
     let mut target = render_rows(pipeline, coarse)?;
     let skipped = (rows.start - target.rows.start) as usize * width;
     let inner = skipped..skipped + rows.len() * width;
-    let differing = differing_pixels(&target.pixels, width, inner.clone(), gain);
+    let side = FrameTarget::band(camera, samples_per_pixel, 0..0).side;
+    let differing =
+        if side == 1 { Vec::new() } else { differing_pixels(&target.pixels, width, inner.clone(), encode) };
     let refined = differing.len();
-    target.side = FrameTarget::band(camera, samples_per_pixel, 0..0).side;
+    target.side = side;
     let count = target.samples_per_pixel() as f32;
     let mut is_refined = vec![false; target.pixels.len()];
     for &i in &differing {
@@ -117,12 +123,14 @@ fn render_band(
 }
 
 /// The pixels among `inner` that differ from one of their four neighbors, and those around an outline.
-fn differing_pixels(pixels: &[PixelSums], width: usize, inner: Range<usize>, gain: f32) -> Vec<usize> {
-    let encoded = |sums: &PixelSums| {
-        let color = gain * (sums.diffuse + sums.specular);
-        color.clamp(Vec3::ZERO, Vec3::ONE).map(f32::sqrt)
-    };
-    let colors: Vec<Vec3> = pixels.par_iter().map(encoded).collect();
+fn differing_pixels(
+    pixels: &[PixelSums],
+    width: usize,
+    inner: Range<usize>,
+    encode: &(dyn Fn(Vec3) -> Vec3 + Sync),
+) -> Vec<usize> {
+    let shown = |sums: &PixelSums| encode(sums.diffuse + sums.specular);
+    let colors: Vec<Vec3> = pixels.par_iter().map(shown).collect();
     let height = pixels.len() / width;
     let differs = |i: usize| {
         let (x, y) = (i % width, i / width);
@@ -142,6 +150,7 @@ fn differing_pixels(pixels: &[PixelSums], width: usize, inner: Range<usize>, gai
 mod tests {
     use super::*;
     use crate::light::LightLobe;
+    use crate::light::lights::IncidentLight;
     use crate::material::SpecularLobe;
     use crate::mesh::Surface;
     use crate::mesh::primitive::sphere_mesh;
@@ -174,9 +183,10 @@ mod tests {
     }
 
     /// All rows, and how many pixels were refined.
-    fn adaptive(camera: Camera, rows_per_band: u32) -> ColorBand {
+    fn adaptive(camera: Camera, rays: u32, rows_per_band: u32) -> ColorBand {
         let mut all = ColorBand::default();
-        render_adaptive(&mut studio(), camera, 16, 1.0, rows_per_band, &mut |_, band| {
+        let encode = |color: Vec3| color.clamp(Vec3::ZERO, Vec3::ONE).map(f32::sqrt);
+        render_adaptive(&mut studio(), camera, rays, &encode, rows_per_band, &mut |_, band| {
             assert_eq!(band.first_row as usize * 120, all.color.len());
             all.color.extend(&band.color);
             all.alpha.extend(&band.alpha);
@@ -191,7 +201,7 @@ mod tests {
     fn few_pixels_need_all_rays_and_the_picture_is_that_of_all() {
         let camera = camera(Vec3::new(0.3, 0.4, 2.6));
         let whole = resolve(&render_frame(&mut studio(), camera, 16).unwrap());
-        let found = adaptive(camera, 90);
+        let found = adaptive(camera, 16, 90);
         let covered = whole.alpha.iter().filter(|alpha| **alpha > 0.0).count();
         assert!(found.refined * 3 < covered, "{} of {covered}", found.refined);
         let shown = |color: &Vec3| color.clamp(Vec3::ZERO, Vec3::ONE).map(f32::sqrt);
@@ -203,11 +213,32 @@ mod tests {
     }
 
     #[test]
+    fn with_one_ray_nothing_is_refined() {
+        let camera = camera(Vec3::new(0.3, 0.4, 2.6));
+        let whole = resolve(&render_frame(&mut studio(), camera, 1).unwrap());
+        let found = adaptive(camera, 1, 90);
+        assert_eq!((found.refined, found.color, found.alpha), (0, whole.color, whole.alpha));
+    }
+
+    #[test]
+    fn the_light_is_there_before_a_band_without_the_object() {
+        let far = camera(Vec3::new(0.0, 0.0, 9.0));
+        let mut pipeline = studio();
+        let mut lights = Vec::new();
+        render_adaptive(&mut pipeline, far, 4, &|color| color, 8, &mut |world, _| {
+            lights.push(world.resource::<IncidentLight>().lobes.len());
+            Ok(())
+        })
+        .unwrap();
+        assert_eq!(lights, [2; 12]);
+    }
+
+    #[test]
     fn bands_of_any_height_have_the_same_bits() {
         let camera = camera(Vec3::new(0.0, 0.2, 2.6));
-        let whole = adaptive(camera, 90);
+        let whole = adaptive(camera, 16, 90);
         for rows in [1, 7, 64] {
-            assert_eq!(adaptive(camera, rows), whole, "{rows}");
+            assert_eq!(adaptive(camera, 16, rows), whole, "{rows}");
         }
     }
 

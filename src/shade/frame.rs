@@ -255,19 +255,28 @@ pub(super) fn render_rows(pipeline: &mut Pipeline, target: FrameTarget) -> Resul
     outcome.map(|()| target)
 }
 
+/// Runs the Frame phase of this camera for no pixel: the systems in the slots of material and light have their turn.
+///
+/// # Errors
+/// The first error of a system.
+pub(super) fn run_for_no_pixel(pipeline: &mut Pipeline, camera: Camera) -> Result<()> {
+    pipeline.world.insert_resource(PictureRotation(camera.world_from_camera.matrix3.into()));
+    pipeline.world.insert_resource(FrameTarget::band(camera, 1, 0..0));
+    pipeline.world.resource_mut::<Window>().0 = 0..0;
+    let ran = pipeline.run(Phase::Frame);
+    pipeline.world.remove_resource::<PictureRotation>();
+    pipeline.world.remove_resource::<FrameTarget>();
+    ran
+}
+
 /// The material that a frame would show now: the Frame phase runs for no pixel, so that the system in [`Slot::Material`] has its turn.
 ///
 /// # Errors
 /// The first error of a system; if the pool of texels is not whole.
 pub fn frame_material(pipeline: &mut Pipeline) -> Result<MaterialState> {
     let camera = Camera::look_at(Vec3::Z, Vec3::ZERO, Vec3::Y, 40.0, 1, 1)?;
-    let target = FrameTarget::band(camera, 1, 0..0);
     despawn_pool(&mut pipeline.world);
-    pipeline.world.insert_resource(target);
-    pipeline.world.resource_mut::<Window>().0 = 0..0;
-    let shown = pipeline.run(Phase::Frame);
-    pipeline.world.remove_resource::<FrameTarget>();
-    shown?;
+    run_for_no_pixel(pipeline, camera)?;
     shown_material(&mut pipeline.world)
 }
 

@@ -34,6 +34,17 @@ fn each_view_has_a_folder_and_a_light_of_its_photograph() {
     assert_eq!(camera.world_from_camera.translation, Vec3::new(0.1, 0.2, 3.0).into());
     assert_eq!(camera.world_from_camera.matrix3.z_axis, Vec3::NEG_Z.into());
     assert_eq!(names(&read_split(dir.path(), Split::Test).unwrap()), ["test_000"]);
+    // Files of NeRF's form beside the folders change nothing, and a test view under several other lights is a camera.
+    fs::write(
+        dir.path().join("transforms_train.json"),
+        json!({"frames": [nerf_frame("./train_000/rgba")]}).to_string(),
+    )
+    .unwrap();
+    assert_eq!(read_split(dir.path(), Split::Train).unwrap().layout, Layout::Nerfactor);
+    fs::remove_file(dir.path().join("test_000/rgba.png")).unwrap();
+    write_photograph(&dir.path().join("test_000/rgba_night.png"), 1);
+    let test = read_split(dir.path(), Split::Test).unwrap();
+    assert!(test.views[0].photograph.is_none() && test.views[0].camera.width == 6);
     // Without a folder called so, what is called validation is the test split.
     fs::remove_dir_all(dir.path().join("test_000")).unwrap();
     assert_eq!(names(&read_split(dir.path(), Split::Test).unwrap()), ["val_000"]);

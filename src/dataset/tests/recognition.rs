@@ -12,8 +12,8 @@ fn every_layout_is_named() {
     let marks =
         ["cam_dict_norm.json", "transforms_train.json", "sparse/0", "intrinsics.txt", "cameras_sphere.npz"];
     assert_says(&refused(dir.path()), &marks);
-    let layouts =
-        ["Idr", "Llff", "StanfordOrb", "RealityCapture", "Metashape"].map(|name| format!("(layout {name})"));
+    let layouts = ["Idr", "Llff", "StanfordOrb", "Nerfactor", "RealityCapture", "Metashape"]
+        .map(|name| format!("(layout {name})"));
     assert_says(&refused(dir.path()), &layouts.each_ref().map(String::as_str));
     assert_says(&refused(dir.path()), &["poses_bounds.npy", "#name, x, y, alt", "<document>"]);
 }

@@ -99,12 +99,12 @@ fn product(a: &[f64], b: &[f64]) -> f64 {
     sums.iter().sum::<f64>() + rest
 }
 
-/// Non-negative amplitudes of `lobes` (whose own amplitudes are ignored) that fit the observed radiance at `points` best in
+/// Non-negative amplitudes of `lobes` (whose own amplitudes are ignored) that fit the radiance `targets` at `points` best in
 /// the least-squares sense, given the albedo in `points`, the specular material and the visibility.
 pub(crate) fn solve_amplitudes(
     form: ClosedForm,
     points: &[ShadePoint],
-    observations: &[Observation],
+    targets: &[Vec3],
     specular: &SpecularValue,
     lighting: Lighting<'_>,
     ridge: f64,
@@ -115,7 +115,7 @@ pub(crate) fn solve_amplitudes(
         .chunks(CHUNK)
         .map(|run| {
             let run = run[0]..run[run.len() - 1] + 1;
-            accumulate(form, points, observations, specular, lighting, run)
+            accumulate(form, points, targets, specular, lighting, run)
         })
         .collect();
     let mut sum = NormalEquations::zeros(lobes.len());
@@ -127,7 +127,7 @@ pub(crate) fn solve_amplitudes(
 fn accumulate(
     form: ClosedForm,
     points: &[ShadePoint],
-    observations: &[Observation],
+    targets: &[Vec3],
     specular: &SpecularValue,
     Lighting { lobes, visibility }: Lighting<'_>,
     run: Range<usize>,
@@ -149,25 +149,27 @@ fn accumulate(
         }
         for (c, row) in rows.iter().enumerate() {
             let indirect = point.albedo[c] * around.indirect[c] * std::f32::consts::FRAC_1_PI;
-            sum.add(c, row, (observations[n].observed.radiance[c] - indirect).max(0.0));
+            sum.add(c, row, (targets[n][c] - indirect).max(0.0));
         }
     }
     sum
 }
 
-/// Each texel's least-squares albedo given the light: `unit` is the radiance of the samples with albedo 1. Texels with
-/// few samples are drawn to `prior`. Results are in `[0.02, 0.98]`.
+/// Each texel's least-squares albedo given the light: `unit` is the radiance of the samples with albedo 1, `before` the albedo until now, with which clipped
+/// samples are brighter than they are seen or not. Texels with few samples are drawn to `prior`. Results are in `[0.02, 0.98]`.
 pub(crate) fn solve_albedo(
     observations: &[Observation],
     unit: &[Layers],
-    texels: usize,
+    before: &[Vec3],
     prior: Vec3,
 ) -> Vec<Vec3> {
+    let texels = before.len();
     let (mut above, mut below) = (vec![DVec3::ZERO; texels], vec![DVec3::ZERO; texels]);
     let mut power = DVec3::ZERO;
     for (Observation { point, observed, .. }, unit) in observations.iter().zip(unit) {
-        let diffuse = Vec3::from(unit.diffuse).as_dvec3();
-        let target = (observed.radiance - Vec3::from(unit.specular)).as_dvec3();
+        let (white, specular) = (Vec3::from(unit.diffuse), Vec3::from(unit.specular));
+        let target = (observed.target(white * point.texels.blend(before) + specular) - specular).as_dvec3();
+        let diffuse = white.as_dvec3();
         power += diffuse * diffuse;
         for i in 0..4 {
             let (texel, weight) = (point.texels.indices[i] as usize, f64::from(point.texels.weights[i]));
@@ -191,6 +193,10 @@ pub(crate) fn solve_albedo(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::math::ray::TexelAddress;
+    use crate::sample::pixel::{Observed, PixelOf};
+    use crate::sample::point::SurfacePoint;
+    use crate::view::ViewIndex;
 
     #[test]
     fn amplitudes_are_found_again_and_none_is_negative() {
@@ -231,5 +237,31 @@ mod tests {
         let found = descend(&matrix, &right, 1e-2);
         assert!(x.iter().zip(&found).all(|(x, found)| (x - found).abs() < 1e-9), "{x:?} {found:?}");
         assert!(found.contains(&0.0) && found.iter().any(|x| *x > 0.1));
+    }
+
+    #[test]
+    fn clipped_samples_do_not_darken_an_albedo() {
+        // One texel of albedo 0.6 under lights from 0.5 to 2.5: the photograph ends at 1.
+        let lights: Vec<f32> = (0..9).map(|i| 0.5 + 0.25 * i as f32).collect();
+        let unit: Vec<Layers> =
+            lights.iter().map(|light| Layers { diffuse: [*light; 3], specular: [0.0; 3] }).collect();
+        let point = SurfacePoint {
+            texels: TexelAddress { weights: [1.0, 0.0, 0.0, 0.0], ..TexelAddress::default() },
+            ..SurfacePoint::default()
+        };
+        let seen = |light: &f32| {
+            let radiance = Vec3::splat((0.6 * light).min(1.0));
+            let observed = Observed { radiance, saturated: 0.6 * light >= 1.0 };
+            Observation { pixel: PixelOf { view: ViewIndex(0), pixel: 0 }, observed, point }
+        };
+        let observations: Vec<Observation> = lights.iter().map(seen).collect();
+        let mut albedo = vec![Vec3::splat(0.4)];
+        let mut found = Vec::new();
+        for _ in 0..30 {
+            albedo = solve_albedo(&observations, &unit, &albedo, Vec3::splat(0.6));
+            found.push(albedo[0].x);
+        }
+        assert!(found[0] < 0.52 && (found[29] - 0.6).abs() < 1e-3, "{found:?}");
+        assert!(found.windows(2).all(|pair| pair[1] >= pair[0] - 1e-6), "{found:?}");
     }
 }

@@ -15,7 +15,9 @@ use crate::material::sheen::write_albedo;
 use crate::material::{
     MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, USUAL_ALBEDO, recovered_albedo, recovered_materials,
 };
-use crate::math::shading::{ClosedForm, Layers, Lighting, LobeColumns, PointVisibility, ShadePoint};
+use crate::math::shading::{
+    ClosedForm, Layers, Lighting, LobeColumns, PointVisibility, ShadePoint, SpecularValue,
+};
 use crate::profile::stage;
 use crate::sample::observation::{Observation, Observations};
 use crate::sample::point::SurfacePoint;
@@ -181,7 +183,7 @@ impl Initialization<'_> {
                 if (1..=MOVES).contains(&round) {
                     move_lobes_to_the_light(lobes);
                 }
-                self.solve_light(lobes, texels)?;
+                self.solve_light(lobes, texels, round > 0)?;
             }
             check_interrupted()?;
             if self.unknowns.albedo {
@@ -192,7 +194,8 @@ impl Initialization<'_> {
         Ok(())
     }
 
-    fn solve_light(&mut self, lobes: &mut [LightLobe], texels: &[Vec3]) -> Result<()> {
+    /// Solves for the amplitudes; `is_lit` if the lobes have some that explain the photographs already.
+    fn solve_light(&mut self, lobes: &mut [LightLobe], texels: &[Vec3], is_lit: bool) -> Result<()> {
         let _solving = stage("light");
         let n = self.observations.len().min(self.amplitude_pixels);
         let points = self.gather(0..n, |point| point.texels.blend(texels))?;
@@ -201,12 +204,31 @@ impl Initialization<'_> {
         let (rows, seen) = self.seen(0..n)?;
         let lighting = Lighting { lobes: &columns, visibility: rows.view(&seen) };
         let specular = kernel_specular(&self.specular);
-        let observations = &self.observations[..n];
-        let amplitudes = solve_amplitudes(self.form, &points, observations, &specular, lighting, 1e-2);
+        let targets = self.targets(&points, &specular, lighting, is_lit);
+        let amplitudes = solve_amplitudes(self.form, &points, &targets, &specular, lighting, 1e-2);
         for (lobe, amplitude) in lobes.iter_mut().zip(amplitudes) {
             lobe.amplitude = amplitude.max(Vec3::splat(1e-3));
         }
         Ok(())
+    }
+
+    /// The radiance that the first observed pixels, at `points`, should have: that of the photographs, or in clipped channels more if the light
+    /// until now says so.
+    fn targets(
+        &self,
+        points: &[ShadePoint],
+        specular: &SpecularValue,
+        lighting: Lighting<'_>,
+        is_lit: bool,
+    ) -> Vec<Vec3> {
+        let observed = || self.observations[..points.len()].iter().map(|observation| &observation.observed);
+        if !is_lit || !observed().any(|observed| observed.saturated) {
+            return observed().map(|observed| observed.radiance).collect();
+        }
+        let mut shaded = vec![Layers::default(); points.len()];
+        self.form.shade(points, specular, lighting, &mut shaded);
+        let all = |layers: &Layers| Vec3::from(layers.diffuse) + Vec3::from(layers.specular);
+        observed().zip(&shaded).map(|(observed, layers)| observed.target(all(layers))).collect()
     }
 
     fn albedo_under(&mut self, lobes: &[LightLobe], texels: &[Vec3], n: usize) -> Result<Vec<Vec3>> {
@@ -222,7 +244,7 @@ impl Initialization<'_> {
             let lighting = Lighting { lobes: &columns, visibility: rows.view(&seen) };
             self.form.shade(&white, &specular, lighting, &mut unit[run]);
         }
-        Ok(solve_albedo(&self.observations[..n], &unit, texels.len(), Vec3::splat(USUAL_ALBEDO)))
+        Ok(solve_albedo(&self.observations[..n], &unit, texels, Vec3::splat(USUAL_ALBEDO)))
     }
 
     /// The inputs of shading at a range of observed pixels, with this albedo.

@@ -138,6 +138,7 @@ fn scale_words(scores: &PassScores) -> String {
     let words = |[r, g, b]: [f64; 3]| format!("{r:.3}, {g:.3}, {b:.3}");
     match (scores.scaling, scores.scale_specular) {
         (Scaling::None, _) => "none".to_owned(),
+        (Scaling::PerView, _) => format!("of each view; mean {}", words(scores.scale)),
         (Scaling::PerLayer, Some(specular)) => {
             format!("diffuse {}; specular {}", words(scores.scale), words(specular))
         }

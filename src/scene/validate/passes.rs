@@ -375,7 +375,8 @@ fn evaluate(checks: &mut Checks, at: &str, evaluate: &EvaluatePass, scene: &Scen
 /// The path of a file of each view lies below its folder, and says which view it is of.
 fn file_of_view(checks: &mut Checks, at: &str, files: Option<(&PathBuf, Option<&str>)>) {
     let Some((folder, Some(file))) = files else { return };
-    let is_below = Path::new(file).components().all(|part| matches!(part, Component::Normal(_)));
+    let is_below =
+        Path::new(file).components().all(|part| matches!(part, Component::Normal(_) | Component::CurDir));
     let help = format!("For the views of {}, write `file: \"{VIEW}/albedo.png\"`.", folder.display());
     if !file.contains(VIEW) {
         let expected = format!("a path with `{VIEW}`, which stands for the name of a view");
