@@ -2,6 +2,7 @@ use super::recorder::short;
 use super::*;
 use crate::pipeline::{Phase, Pipeline, Slot, Stage as Order};
 use serde_json::Value;
+use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 fn work_for(millis: u64) {
@@ -28,7 +29,15 @@ fn tick(pipeline: &mut Pipeline) {
     }
 }
 
+/// One profiler at a time: whether spans are wanted is known to all threads together, and is found anew when one comes or goes, during which the spans of another
+/// may be lost.
+fn alone() -> MutexGuard<'static, ()> {
+    static ALONE: Mutex<()> = Mutex::new(());
+    ALONE.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
 fn measured(keeps_events: bool) -> Profiler {
+    let _alone = alone();
     let profiler = Profiler::new(keeps_events);
     profiler.during(|| {
         let mut pipeline = Pipeline::new();
@@ -80,6 +89,7 @@ fn stages_and_systems_are_summed_where_they_are() {
 
 #[test]
 fn what_is_open_counts_until_now() {
+    let _alone = alone();
     let profiler = Profiler::new(true);
     let during = profiler.during(|| {
         let _open = pass("half");
@@ -95,6 +105,7 @@ fn what_is_open_counts_until_now() {
 
 #[test]
 fn without_a_profiler_nothing_is_recorded() {
+    let _alone = alone();
     let profiler = Profiler::new(true);
     let mut pipeline = Pipeline::new();
     pipeline.add_systems(Phase::Frame, Order::Sample, slow);
