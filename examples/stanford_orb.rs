@@ -17,6 +17,7 @@ use serde_json::{Value, json};
 use std::error::Error;
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::ExitCode;
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
@@ -24,7 +25,18 @@ type Result<T> = std::result::Result<T, Box<dyn Error>>;
 const DOWNSCALE: u32 = 4;
 
 #[allow(dead_code, reason = "a test takes this file as a module")]
-fn main() -> Result<()> {
+fn main() -> ExitCode {
+    match carry_out() {
+        Ok(()) => ExitCode::SUCCESS,
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::FAILURE
+        }
+    }
+}
+
+#[allow(dead_code, reason = "a test takes this file as a module")]
+fn carry_out() -> Result<()> {
     let words: Vec<String> = std::env::args().skip(1).collect();
     match words.iter().map(String::as_str).collect::<Vec<_>>().as_slice() {
         ["prepare", orb, capture, out] => {
@@ -42,7 +54,7 @@ fn main() -> Result<()> {
 
 /// Writes the camera files of a capture and of the test pictures of the object's other captures, and the scene file, whose path is returned.
 pub fn prepare(orb: &Path, capture: &str, out: &Path, downscale: u32) -> Result<PathBuf> {
-    let photographs = fs::canonicalize(orb.join("blender_HDR"))?;
+    let photographs = found(&orb.join("blender_HDR"))?;
     let of = |split: &str| frames(&photographs, capture, split);
     fs::create_dir_all(out)?;
     let test: Vec<Value> = [of("test")?, of("novel")?].concat();
@@ -52,8 +64,13 @@ pub fn prepare(orb: &Path, capture: &str, out: &Path, downscale: u32) -> Result<
     }
     let views = open_dataset(out, Split::Test, &DatasetOptions::default())?.views;
     let scene = out.join("scene.ron");
-    fs::write(&scene, scene_of(&fs::canonicalize(orb)?, capture, &views, downscale)?)?;
+    fs::write(&scene, scene_of(&found(orb)?, capture, &views, downscale)?)?;
     Ok(scene)
+}
+
+/// The whole path of what must be there.
+fn found(path: &Path) -> Result<PathBuf> {
+    fs::canonicalize(path).map_err(|error| format!("{}: {error}", path.display()).into())
 }
 
 /// The frames of `transforms_<split>.json`, with photograph and mask where they are and their own field of view.
@@ -133,7 +150,7 @@ fn turn_of(view: &PlannedView) -> Vec3 {
 
 /// Mean PSNR-H and PSNR-L of the relit pictures of a run, and how many there are.
 pub fn mean(run: &Path) -> Result<[f64; 3]> {
-    let metrics: Value = serde_json::from_slice(&fs::read(run.join("metrics.json"))?)?;
+    let metrics: Value = serde_json::from_slice(&fs::read(found(&run.join("metrics.json"))?)?)?;
     let passes = metrics["passes"].as_object().ok_or("metrics.json has no passes")?;
     let relit = passes.iter().filter(|(name, _)| name.starts_with("relit_"));
     let mut sums = [0.0; 3];
