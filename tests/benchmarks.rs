@@ -1,7 +1,8 @@
 //! Public benchmarks of relighting, on look-alikes: TensoIR-Synthetic's layout and truths, and Stanford-ORB's by the example that prepares it.
 
 use crate::common::{
-    Data, Outcome, SIZE, camera, command, day, evening, save_png, shoot, studio, write_image,
+    Data, Outcome, SIZE, TEST, TRAIN, camera, command, day, evening, save_png, shoot, studio, write_image,
+    write_mask,
 };
 use glam::{Affine3A, Vec3};
 use lobelia::codec::exr_frame::Frame;
@@ -13,16 +14,6 @@ use std::path::Path;
 
 #[path = "../examples/stanford_orb.rs"]
 mod stanford_orb;
-
-const TRAIN: [[f32; 3]; 6] = [
-    [0.1, 0.4, 1.0],
-    [1.0, 0.3, 0.2],
-    [-0.9, 0.2, 0.5],
-    [0.2, -0.4, -1.0],
-    [0.3, 1.0, 0.3],
-    [-0.2, -1.0, 0.4],
-];
-const TEST: [[f32; 3]; 2] = [[0.7, 0.5, 0.8], [-0.5, 0.3, -0.9]];
 
 /// The usual field of view, in radians.
 fn angle() -> f32 {
@@ -157,13 +148,7 @@ fn write_capture(orb: &Path, capture: &str, lobes: &[LightLobe], others: &[Value
             let (camera, name) = (camera(*from, SIZE), format!("{i:04}"));
             let frame = shoot(&mut studio, camera);
             write_image(&folder.join(format!("{split}/{name}.exr")), &frame.color, frame.width);
-            let mask = image::GrayImage::from_fn(SIZE, SIZE, |x, y| {
-                image::Luma([(frame.alpha[(y * SIZE + x) as usize] * 255.0).round() as u8])
-            });
-            save_png(
-                &folder.join(format!("{split}_mask/{name}.png")),
-                &image::DynamicImage::ImageLuma8(mask),
-            );
+            write_mask(&folder.join(format!("{split}_mask/{name}.png")), &frame);
             let pose = opengl_pose(&camera);
             frames.push(json!({"file_path": format!("{split}/{name}"), "transform_matrix": rows(&pose)}));
             if split == "test" {

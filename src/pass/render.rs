@@ -164,13 +164,9 @@ fn film_frame(pipeline: &mut Pipeline, camera: Camera, settings: &RenderSettings
         let shown = |radiance: Vec3| look.develop(radiance).map(srgb_from_linear);
         render_adaptive(pipeline, camera, camera_rays(settings), &shown, rows, &mut |world, band| {
             check_interrupted()?;
-            let _writing = stage("pixels encoded");
-            let size = [camera.width as usize, band.alpha.len() / camera.width as usize];
-            let behind = behind(world, &camera, settings, band.first_row, size[1] as u32);
-            let backdrop = behind.as_deref().map_or(gray, Backdrop::Radiance);
-            let [width, height] = size;
+            let (width, height) = (camera.width as usize, band.alpha.len() / camera.width as usize);
             let shown = Picture { width, height, color: &band.color, alpha: &band.alpha };
-            picture.extend_from_slice(&shown.samples8(&look, backdrop)?);
+            picture.extend_from_slice(&encoded(world, &camera, settings, gray, band.first_row, &shown)?);
             Ok(())
         })?;
     }
@@ -181,15 +177,18 @@ fn look_of(settings: &RenderSettings) -> Look {
     Look { exposure: settings.exposure, tone: settings.tone }
 }
 
-/// The light behind some rows, if the pass shows it.
-fn behind(
+/// The 8-bit colors of rows of a picture, before the light if the pass shows it, or else before `plain`.
+fn encoded(
     world: &World,
     camera: &Camera,
     settings: &RenderSettings,
-    first: u32,
-    rows: u32,
-) -> Option<Vec<Vec3>> {
-    settings.backdrop.then(|| backdrop(world, camera, first, rows))
+    plain: Backdrop,
+    first_row: u32,
+    rows: &Picture,
+) -> Result<Vec<u8>> {
+    let _writing = stage("pixels encoded");
+    let behind = settings.backdrop.then(|| backdrop(world, camera, first_row, rows.height as u32));
+    rows.samples8(&look_of(settings), behind.as_deref().map_or(plain, Backdrop::Radiance))
 }
 
 /// Renders a picture; `take` gets each band and its 8-bit colors before the light, if the pass shows it, or else before `plain`.
@@ -200,14 +199,10 @@ fn bands(
     plain: Backdrop,
     take: &mut dyn FnMut(&Frame, &[u8]) -> Result<()>,
 ) -> Result<()> {
-    let look = look_of(settings);
     let (rays, rows) = (camera_rays(settings), band_rows([camera.width, camera.height]));
     render_bands(pipeline, camera, rays, rows, &mut |world, first_row, frame| {
         check_interrupted()?;
-        let _writing = stage("pixels encoded");
-        let behind = behind(world, &camera, settings, first_row, frame.height as u32);
-        let behind = behind.as_deref().map_or(plain, Backdrop::Radiance);
-        take(frame, &Picture::of(frame).samples8(&look, behind)?)
+        take(frame, &encoded(world, &camera, settings, plain, first_row, &Picture::of(frame))?)
     })
 }
 

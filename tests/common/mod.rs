@@ -103,7 +103,8 @@ pub fn photographs_of(
     Camera::around(count, DISTANCE, 38.0, size).unwrap().into_iter().enumerate().map(photograph).collect()
 }
 
-const TRAIN: [[f32; 3]; 6] = [
+/// Where the training cameras are.
+pub const TRAIN: [[f32; 3]; 6] = [
     [0.1, 0.4, 1.0],
     [1.0, 0.3, 0.2],
     [-0.9, 0.2, 0.5],
@@ -111,7 +112,8 @@ const TRAIN: [[f32; 3]; 6] = [
     [0.3, 1.0, 0.3],
     [-0.2, -1.0, 0.4],
 ];
-const TEST: [[f32; 3]; 2] = [[0.7, 0.5, 0.8], [-0.5, 0.3, -0.9]];
+/// Where the test cameras are.
+pub const TEST: [[f32; 3]; 2] = [[0.7, 0.5, 0.8], [-0.5, 0.3, -0.9]];
 
 /// A PhySG data set in a folder of its own, which goes when this is dropped.
 pub struct Data {
@@ -184,13 +186,18 @@ fn write_split(folder: &Path, studio: &mut Pipeline, views: &[[f32; 3]], size: u
         let frame = shoot(studio, camera);
         let name = format!("rgb_{i:06}");
         write_image(&folder.join(format!("image/{name}.exr")), &frame.color, frame.width);
-        let mask = image::GrayImage::from_fn(size, size, |x, y| {
-            image::Luma([(frame.alpha[(y * size + x) as usize] * 255.0).round() as u8])
-        });
-        save_png(&folder.join(format!("mask/{name}.png")), &image::DynamicImage::ImageLuma8(mask));
+        write_mask(&folder.join(format!("mask/{name}.png")), &frame);
         cameras.insert(format!("{name}.exr"), camera_entry(&camera));
     }
     std::fs::write(folder.join("cam_dict_norm.json"), Value::from(cameras).to_string()).unwrap();
+}
+
+/// Writes what a frame covers as a mask; folders are made.
+pub fn write_mask(path: &Path, frame: &Frame) {
+    let mask = image::GrayImage::from_fn(frame.width as u32, frame.height as u32, |x, y| {
+        image::Luma([(frame.alpha[y as usize * frame.width + x as usize] * 255.0).round() as u8])
+    });
+    save_png(path, &image::DynamicImage::ImageLuma8(mask));
 }
 
 fn camera_entry(camera: &Camera) -> Value {
