@@ -52,7 +52,7 @@ pub use part::{Part, PartKind, Profile};
 use recorder::Recorder;
 use std::fmt::Display;
 use std::io::{self, Write};
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 use tracing::Dispatch;
 use tracing::dispatcher::with_default;
 use tracing::span::EnteredSpan;
@@ -72,6 +72,10 @@ pub fn pass(name: impl Display) -> StageGuard {
     StageGuard(tracing::info_span!("pass", name = %name).entered())
 }
 
+/// A recorder that nothing goes on under. While `tracing` knows of one recorder only, it asks the thread that is first at a place whether the place's spans are wanted,
+/// for all threads and for good: a thread without a profiler would lose those of the others. With two it asks them all.
+static ALWAYS_THERE: LazyLock<Dispatch> = LazyLock::new(|| Dispatch::new(Recorder::new(false)));
+
 /// Measures what goes on under it. Clones are the same profiler.
 #[derive(Clone)]
 pub struct Profiler {
@@ -82,6 +86,7 @@ pub struct Profiler {
 impl Profiler {
     /// A profiler whose time begins now; `keeps_events` says whether it can write a trace, for some forty bytes a span.
     pub fn new(keeps_events: bool) -> Self {
+        LazyLock::force(&ALWAYS_THERE);
         let recorder = Arc::new(Recorder::new(keeps_events));
         Self { dispatch: Dispatch::new(recorder.clone()), recorder }
     }

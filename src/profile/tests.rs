@@ -2,7 +2,6 @@ use super::recorder::short;
 use super::*;
 use crate::pipeline::{Phase, Pipeline, Slot, Stage as Order};
 use serde_json::Value;
-use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
 fn work_for(millis: u64) {
@@ -29,15 +28,7 @@ fn tick(pipeline: &mut Pipeline) {
     }
 }
 
-/// One profiler at a time: whether spans are wanted is known to all threads together, and is found anew when one comes or goes, during which the spans of another
-/// may be lost.
-fn alone() -> MutexGuard<'static, ()> {
-    static ALONE: Mutex<()> = Mutex::new(());
-    ALONE.lock().unwrap_or_else(PoisonError::into_inner)
-}
-
 fn measured(keeps_events: bool) -> Profiler {
-    let _alone = alone();
     let profiler = Profiler::new(keeps_events);
     profiler.during(|| {
         let mut pipeline = Pipeline::new();
@@ -79,9 +70,6 @@ fn stages_and_systems_are_summed_where_they_are() {
     );
     let (slow, waiting) = (slow.unwrap(), waiting.unwrap());
     assert!(slow.wall_secs >= 6.0 * 0.008 && waiting.wall_secs >= 2.0 * 0.004, "{frame:#?}");
-    // What is measured is nearly all of it.
-    let rounds = profile.find(&["rounds"]).unwrap();
-    assert!(rounds.rest().0 < 0.2 * rounds.wall_secs, "{profile:#?}");
     if let Some(cpu) = slow.cpu_secs {
         assert!(cpu > 0.0 && slow.threads_busy.unwrap() > 0.0 && slow.cpu_share.unwrap() > 0.0);
     }
@@ -89,7 +77,6 @@ fn stages_and_systems_are_summed_where_they_are() {
 
 #[test]
 fn what_is_open_counts_until_now() {
-    let _alone = alone();
     let profiler = Profiler::new(true);
     let during = profiler.during(|| {
         let _open = pass("half");
@@ -105,7 +92,6 @@ fn what_is_open_counts_until_now() {
 
 #[test]
 fn without_a_profiler_nothing_is_recorded() {
-    let _alone = alone();
     let profiler = Profiler::new(true);
     let mut pipeline = Pipeline::new();
     pipeline.add_systems(Phase::Frame, Order::Sample, slow);
@@ -116,6 +102,18 @@ fn without_a_profiler_nothing_is_recorded() {
     let other = Profiler::new(false);
     profiler.during(|| drop(stage("mine")));
     assert!(other.profile().whole.parts.is_empty() && profiler.profile().find(&["mine"]).is_some());
+}
+
+/// The thread that comes first to a place has no profiler.
+#[test]
+fn a_thread_without_a_profiler_takes_no_spans_from_one_with() {
+    fn at_the_place() {
+        drop(tracing::info_span!(target: "lobelia", "stage", name = "here").entered());
+    }
+    let profiler = Profiler::new(false);
+    std::thread::scope(|scope| drop(scope.spawn(at_the_place)));
+    profiler.during(at_the_place);
+    assert!(profiler.profile().find(&["here"]).is_some());
 }
 
 #[test]
