@@ -1,4 +1,4 @@
-//! A material with `ndf: Ggx` from the scene file to photographs, fit, edit, path tracing and a saved scene.
+//! A material with `ndf: Ggx` from the scene file to photographs, fit, edit, path tracing and a saved scene; and the choice where nothing is said.
 
 use crate::common::{Outcome, command};
 use lobelia::codec::exr::read_exr_layers;
@@ -89,6 +89,12 @@ fn a_ggx_material_is_photographed_fitted_traced_and_saved() {
     let (roughness, albedo) = (number(&found, "roughness:"), number(&found, "albedo: ("));
     assert!((roughness - 0.3).abs() < 0.02 && (albedo - 0.3).abs() < 0.03, "{found}");
     assert!(found.contains("ndf: Ggx"), "{found}");
+    let metrics: serde_json::Value = serde_json::from_str(&text(out.join("metrics.json"))).unwrap();
+    let deviation = |of: &str| metrics["determined"][of].as_f64().unwrap();
+    // The light is known, and with it the material.
+    assert!(metrics["determined"]["brightness"].is_null() && metrics["determined"]["lobes"].is_null());
+    assert!(f64::from((roughness / 0.3).ln().abs()) < deviation("roughness") && deviation("roughness") < 0.2);
+    assert!(f64::from((albedo / 0.3).ln().abs()) < deviation("specular_albedo"));
     let (closed, traced) = (specular(&out.join("novel")), specular(&out.join("traced")));
     let off = difference(&closed, &traced);
     assert!(off < 0.04, "closed form and path tracer differ by {off}");
@@ -104,4 +110,26 @@ fn a_ggx_material_is_photographed_fitted_traced_and_saved() {
     run(&scene, &other, &["--set", "material.specular.ndf=Sg"]);
     let [right, wrong] = [out, other].map(|out| mean_psnr(&out));
     assert!(right > wrong + 6.0, "{right} {wrong}");
+}
+
+/// What `material.specular.ndf: Auto` comes to, and what it was chosen by.
+fn chosen(scene: &str) -> (String, serde_json::Value) {
+    let folder = tempfile::tempdir().unwrap();
+    let (path, out) = (folder.path().join("scene.ron"), folder.path().join("out"));
+    std::fs::write(&path, scene.replace("steps: 300", "steps: 600")).unwrap();
+    run(&path, &out, &[]);
+    let metrics: serde_json::Value = serde_json::from_str(&text(out.join("metrics.json"))).unwrap();
+    (text(out.join("fit/materials.ron")), metrics["ndf_tried"].clone())
+}
+
+#[test]
+fn photographs_choose_the_distribution_of_normals() {
+    let auto = SCENE.replace("Unknown(initial: 0.45), ndf: Ggx", "Unknown(initial: 0.45)");
+    let (found, tried) = chosen(&auto);
+    assert!(found.contains("ndf: Ggx") && (number(&found, "roughness:") - 0.3).abs() < 0.02, "{found}");
+    assert!(tried["ggx"].as_f64() < tried["sg"].as_f64().map(|sg| 0.975 * sg), "{tried}");
+    // Photographs of the Gaussian; coarse texels under a narrow light leave something to explain.
+    let (found, tried) = chosen(&auto.replace("roughness: 0.3, ndf: Ggx", "roughness: 0.12"));
+    assert!(found.contains("ndf: Sg"), "{found}");
+    assert!(tried["ggx"].as_f64() > tried["sg"].as_f64(), "{tried}");
 }

@@ -166,6 +166,16 @@ fn a_fit_that_chooses_its_materials_goes_on_from_any_step() {
 }
 
 #[test]
+fn a_fit_that_chooses_its_distribution_of_normals_goes_on_from_any_step() {
+    let data = Data::new();
+    two_balls(&data);
+    let passes = r#"Fit(name: "fit", steps: 600, batch: 64, vertices: true), Render(name: "novel"), Save(), Export(),"#;
+    let text = scene(MESH, "material: (gloss: One),", passes);
+    // Before the trial, in it, in the steps beside it, after the choice, and after the fit.
+    survives(&data, &text, &[("fit", 60), ("fit, GGX", 40), ("fit", 150), ("fit", 260), ("novel", 1)]);
+}
+
+#[test]
 fn roughness_of_texels_goes_on_through_two_fits() {
     let data = Data::new();
     let passes = r#"Fit(name: "fit", steps: 6, batch: 64), Fit(name: "again", steps: 6, batch: 64), Save(),"#;

@@ -19,6 +19,7 @@ pub mod by_view;
 pub mod cameras;
 pub mod components;
 pub mod detail;
+pub mod determined;
 pub mod exposure;
 pub mod guard;
 mod initialization;

@@ -25,6 +25,7 @@ use crate::checkpoint::{
     Span, has_step_ahead, is_due, keep_each, keep_keyed, keep_pool, keep_resource, keep_step, resume_step,
 };
 use crate::error::Result;
+use crate::fit::determined::{Determined, measure};
 use crate::fit::sheen::evidence::{SheenEvidence, choose_sheen, look_for_sheen, note_residuals};
 use crate::fit::sheen::{SheenMoments, follow_known, scatter_to_sheen, share_with_known};
 use crate::light::LightLobe;
@@ -34,7 +35,7 @@ use crate::material::material_source::{PlainBlends, Recovered};
 use crate::material::tilt::has_tilt;
 use crate::material::{
     BaseMaterial, DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe, TexelIndex,
-    recovered_materials,
+    first_material,
 };
 use crate::math::shading::ClosedForm;
 use crate::pipeline::pool::{read_column, write_column};
@@ -49,7 +50,6 @@ use crate::view::{Camera, ViewIndex, ViewName};
 use crate::visibility::systems::RefreshDue;
 use crate::visibility::{FitVisibilityPlugin, ObjectVisibility};
 use bevy_ecs::prelude::{IntoScheduleConfigs, With, World};
-use glam::Vec3;
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
 use std::time::Instant;
@@ -120,7 +120,7 @@ impl Default for FitOptions {
 }
 
 /// The earlier part of a fit.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Done {
     /// Its steps.
     pub steps: u32,
@@ -163,7 +163,7 @@ pub struct FitProgress {
 }
 
 /// The summary of a finished fit.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, Default)]
 #[non_exhaustive]
 pub struct FitSummary {
     /// Steps done.
@@ -176,6 +176,8 @@ pub struct FitSummary {
     pub stopped: bool,
     /// Part of the squared residuals of views kept aside that a sheen explains, if the fit has decided about it.
     pub explained_by_sheen: Option<f64>,
+    /// How well the photographs determine what was found; `None` before the end, with several base materials, and where exposures are unknown.
+    pub determined: Option<Determined>,
 }
 
 /// The fit's systems: Adam on texels, light lobes and the specular lobe, with closed-form shading.
@@ -292,7 +294,7 @@ impl Loop {
             step,
             steps,
             sums: self.recent.iter().fold(LossSums::default(), |a, b| a.merged(*b)),
-            specular: first_specular(world),
+            specular: first_material(world),
             elapsed_secs: self.elapsed_secs,
         }
     }
@@ -310,8 +312,7 @@ fn fit(
     let (done, mut state) = resume_step(&mut pipeline.world)?.unwrap_or_else(begun);
     let before = state.elapsed_secs;
     let elapsed = || before + start.elapsed().as_secs_f64();
-    let mut summary =
-        FitSummary { steps: done, pixels, elapsed_secs: before, stopped: false, explained_by_sheen: None };
+    let mut summary = FitSummary { steps: done, pixels, elapsed_secs: before, ..FitSummary::default() };
     for step in done + 1..=options.steps {
         choose_sheen(&mut pipeline.world, (step - 1) as f32 / options.steps as f32);
         run_step(pipeline, options, step, pixels)?;
@@ -327,8 +328,18 @@ fn fit(
     }
     summary.explained_by_sheen =
         pipeline.world.get_resource::<SheenEvidence>().and_then(|evidence| evidence.explained);
+    summary.determined = how_well(&mut pipeline.world, options, summary.steps)?;
     summary.elapsed_secs = elapsed();
     Ok(summary)
+}
+
+/// How well the photographs determine what was found, after the last step.
+fn how_well(world: &mut World, options: &FitOptions, step: u32) -> Result<Option<Determined>> {
+    if step < options.steps || options.exposure {
+        return Ok(None);
+    }
+    let _measuring = stage("determined");
+    measure(world, options.unknowns, options.form, options.visibility)
 }
 
 /// Keeps the state after a step if a checkpoint is due, where the fit goes on and its next step finds shadows and reflections anew.
@@ -469,10 +480,6 @@ fn rates_at(step: u32, options: &FitOptions) -> StepRates {
     let factor = options.decay.powi(passed as i32);
     let [albedo, light, specular] = options.rates.map(|rate| rate * factor);
     StepRates { step, progress: done, albedo, light, specular }
-}
-
-pub(super) fn first_specular(world: &mut World) -> SpecularLobe {
-    recovered_materials(world).first().map_or(SpecularLobe::new(Vec3::ZERO, 1.0), |(_, lobe)| *lobe)
 }
 
 /// A fit of the albedo begins without a tilt, which belongs to the albedo that it was found with, and may have to decide about a sheen.

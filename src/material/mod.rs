@@ -29,5 +29,6 @@ pub use components::{
     TexelIndex, Texels, USUAL_ALBEDO,
 };
 pub use recovered::{
-    recovered_albedo, recovered_materials, replace_materials, spawn_materials, spawn_texels, texels_in_order,
+    first_material, recovered_albedo, recovered_materials, replace_materials, spawn_materials, spawn_texels,
+    texels_in_order,
 };

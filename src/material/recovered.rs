@@ -61,6 +61,11 @@ pub fn recovered_materials(world: &mut World) -> Vec<(usize, SpecularLobe)> {
     materials
 }
 
+/// The first recovered base material; black and matte if there is none.
+pub fn first_material(world: &mut World) -> SpecularLobe {
+    recovered_materials(world).first().map_or(SpecularLobe::new(Vec3::ZERO, 1.0), |(_, lobe)| *lobe)
+}
+
 /// The entities of the texels in the order of [`TexelIndex`]. Insert components in this order, so that tables keep it.
 pub fn texels_in_order(world: &mut World) -> Vec<Entity> {
     let mut query = world.query::<(Entity, &TexelIndex)>();

@@ -222,6 +222,10 @@ fn report(session: &mut Session, name: &str, summary: &FitSummary, unseen: usize
             "{name}: {words}: it explains {part:.1} % of the squared error of views kept aside"
         ));
     }
+    session.scores.determined = summary.determined;
+    if let Some(words) = summary.determined.and_then(|found| found.words()) {
+        session.progress.print(&format!("{name}: determined by the photographs: {words}"));
+    }
     if unseen > 0 {
         session.progress.note(&format!("{unseen} texels that no view sees are filled from their neighbors"));
     }

@@ -15,23 +15,23 @@ use crate::checkpoint::{Carried, Span, carry, discard, restore};
 use crate::error::stop::{finish_stopping, is_stopping};
 use crate::error::{Error, Result};
 use crate::fit::attach::OwnLobes;
-use crate::fit::run::{Done, FitOptions, FitProgress, FitSummary, Initialize, run_fit};
+use crate::fit::run::{Done, FitOptions, FitSummary, Initialize};
 use crate::light::LightLobe;
 use crate::light::light_frame::OwnLightFrame;
 use crate::material::sheen::write_albedo;
 use crate::material::shown::recovered_material;
 use crate::material::{SpecularBlend, SpecularLobe, TexelIndex, recovered_materials, replace_materials};
 use crate::pass::edit::apply_edits;
+use crate::pass::ndf;
 use crate::pass::resume::{self, At};
 use crate::pass::session::Session;
-use crate::pass::steps::{Steps, begin_log, options, take_steps};
+use crate::pass::steps::{Steps, StepsOnTrial, begin_log, error_after, options, take_steps};
 use crate::profile::stage;
 use crate::report::scores::MaterialsTried;
 use crate::scene::{Albedo, FitPass, Gloss, Light, SpecularAlbedo, uses_published};
 use crate::spawn::{initial_lobes, several_materials};
 use bevy_ecs::prelude::{Entity, World};
 use glam::Vec3;
-use std::ops::ControlFlow;
 use std::time::Instant;
 
 /// Steps with one material before a choice, and with several for it; the second choice is made only if the first was close.
@@ -57,8 +57,8 @@ pub(super) fn take_steps_and_choose(
     if resume::restore(session, At::Level)? {
         return go_on(session, pass);
     }
-    let asked_after = is_open(session, pass)?.then_some(TRIED[0]);
-    take_steps_after(session, pass, Done::default(), asked_after)
+    let is_open = is_open(session, pass)? || ndf::is_open(session, pass);
+    take_steps_after(session, pass, Done::default(), is_open.then_some(TRIED[0]))
 }
 
 /// The steps after those that are `done`, with a choice if the photographs are explained badly where that is asked.
@@ -69,11 +69,11 @@ fn take_steps_after(
     asked_after: Option<u32>,
 ) -> Result<(FitSummary, FitOptions)> {
     let options = FitOptions { asked_after, ..options(session, pass, done)? };
-    let first = take_steps(session, pass, &options, EXPLAINED)?;
+    let first = take_steps(session, pass, &options, enough(session, pass))?;
     if !first.doubted {
         return Ok((first.summary, options));
     }
-    let chosen = choose(session, pass, &options, &first).and_then(|()| go_on(session, pass));
+    let chosen = answer(session, pass, &options, &first).and_then(|()| go_on(session, pass));
     if matches!(chosen, Err(Error::Interrupted)) {
         // What was found until then is written.
         finish_stopping();
@@ -82,11 +82,41 @@ fn take_steps_after(
     chosen
 }
 
+/// The PSNR from which there is nothing to ask.
+fn enough(session: &Session, pass: &FitPass) -> f64 {
+    match ndf::decided_after(session) {
+        Some(_) => f64::INFINITY,
+        None if ndf::is_open(session, pass) => ndf::EXPLAINED,
+        None => EXPLAINED,
+    }
+}
+
+/// Makes the choices that are due after these steps, and keeps them.
+fn answer(session: &mut Session, pass: &FitPass, options: &FitOptions, first: &Steps) -> Result<()> {
+    let start = Instant::now();
+    if ndf::decided_after(session).is_some() {
+        ndf::decide(session, pass, first);
+    } else {
+        let again = session.scores.materials_tried.is_some();
+        if first.psnr < EXPLAINED && (again || is_open(session, pass)?) {
+            choose(session, pass, options, first)?;
+        }
+        if ndf::is_open(session, pass) {
+            ndf::try_ggx(session, pass, first)?;
+        }
+    }
+    session.initialize = Initialize::NONE;
+    let steps = first.summary.steps;
+    session.chosen_at = Done { steps, secs: first.summary.elapsed_secs + start.elapsed().as_secs_f64() };
+    resume::keep_level(session, steps / TRIED[0])
+}
+
 /// The steps after a choice.
 fn go_on(session: &mut Session, pass: &FitPass) -> Result<(FitSummary, FitOptions)> {
-    let tried = session.scores.materials_tried.unwrap_or_default();
-    let asked_after = next_choice(session, pass, tried);
-    take_steps_after(session, pass, Done { steps: tried.steps, secs: tried.seconds }, asked_after)
+    let tried = session.scores.materials_tried;
+    let asked_after =
+        ndf::decided_after(session).or_else(|| tried.and_then(|tried| next_choice(session, pass, tried)));
+    take_steps_after(session, pass, session.chosen_at, asked_after)
 }
 
 /// The steps after which the choice is made again; `None` if it has been settled.
@@ -135,14 +165,12 @@ fn choose(session: &mut Session, pass: &FitPass, options: &FitOptions, first: &S
     tried?;
     let Some(several) = error else { return Err(Error::Interrupted) };
     let steps = options.asked_after.unwrap_or_default();
-    let seconds = first.summary.elapsed_secs + start.elapsed().as_secs_f64();
+    let seconds = start.elapsed().as_secs_f64();
     let tried = MaterialsTried { one: first.error, several, steps, seconds };
     let again = next_choice(session, pass, tried);
     session.progress.print(&words(&pass.name, session.several, tried, again));
     session.scores.materials_tried = Some(tried);
-    session.initialize = Initialize::NONE;
-    let level = TRIED.iter().filter(|&&tried| tried <= steps).count();
-    resume::keep_level(session, level as u32)
+    Ok(())
 }
 
 /// What a choice has come to, in a line; `again` are the steps after which it is made again.
@@ -198,18 +226,8 @@ fn try_several(session: &mut Session, pass: &FitPass, before: &FitOptions) -> Re
     let done = Done::default();
     let options = FitOptions { done, unknowns, initialize, visibility, light_frame, ..before.clone() };
     let steps = before.asked_after.unwrap_or_default();
-    let mut error = f64::INFINITY;
     let title = format!("{}, several base materials", pass.name);
-    let bar = session.progress.bar(&title, 0);
-    bar.set_message("first guess".into());
-    run_fit(&mut session.pipeline, &options, &mut |at: &FitProgress, _| {
-        bar.set_length(u64::from(steps));
-        bar.set_position(u64::from(at.step));
-        error = at.sums.mean();
-        if at.step == steps || is_stopping() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-    })?;
-    bar.finish_and_clear();
-    Ok(error)
+    error_after(session, &options, &StepsOnTrial { title, steps, most_error: f64::INFINITY })
 }
 
 /// Puts the lobes of the light where a fit begins.

@@ -34,6 +34,7 @@ pub mod live;
 mod machine;
 pub mod memory;
 mod memory_limits;
+mod ndf;
 mod page_cameras;
 pub mod photograph;
 pub mod preflight;

@@ -114,7 +114,7 @@ fn save_materials(material: &MaterialState, atlas: &TexelAtlas, folder: &Path) -
         let specular = Specular {
             albedo: SpecularAlbedo::Fixed(one.albedo),
             roughness: Roughness::Fixed(one.roughness),
-            ndf: one.ndf,
+            ndf: one.ndf.into(),
         };
         return Ok(Material { specular, ..Material::default() });
     }

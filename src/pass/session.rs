@@ -6,7 +6,7 @@ use crate::error::{Error, Result};
 use crate::fit::FramesTried;
 use crate::fit::components::Unknowns;
 use crate::fit::guard::StepGuard;
-use crate::fit::run::Initialize;
+use crate::fit::run::{Done, Initialize};
 use crate::light::light_frame::{LightFrame, OwnLightFrame};
 use crate::mesh::Surface;
 use crate::pass::inputs::Watched;
@@ -71,6 +71,8 @@ pub struct Session<'a> {
     pub scores: Scores,
     /// Whether a fit has chosen several base materials, where the scene leaves that open.
     pub several: bool,
+    /// The steps before the last choice of a fit about its material.
+    pub chosen_at: Done,
     /// What beside shading has placed the surface.
     pub placed: Placed,
     /// Whether a pass has found the surface, or moved it.
@@ -177,6 +179,7 @@ impl<'a> Session<'a> {
             progress,
             scores: Scores::default(),
             several: false,
+            chosen_at: Done::default(),
             placed: Placed::default(),
             surface_found: false,
             watched: Watched::default(),

@@ -85,6 +85,8 @@ pub(super) struct Steps {
     pub summary: FitSummary,
     /// Mean absolute error of radiance over the last of them.
     pub error: f64,
+    /// PSNR of linear radiance over the last of them, in dB.
+    pub psnr: f64,
     /// Whether they ended because too little was explained.
     pub doubted: bool,
 }
@@ -104,7 +106,7 @@ pub(super) fn take_steps(
     bar.set_message("first guess".into());
     place_texels(session);
     let_geometry_move(session, pass);
-    let (mut error, mut doubted) = (0.0, false);
+    let (mut error, mut psnr, mut doubted) = (0.0, 0.0, false);
     let (surface, up, progress) = (session.surface.clone(), session.scene.up, session.progress);
     let summary = run_fit(&mut session.pipeline, options, &mut |at, world| {
         bar.set_length(u64::from(at.steps));
@@ -115,8 +117,8 @@ pub(super) fn take_steps(
         }
         let moment = Moment::Step { level: [0, 1], step: [at.step, at.steps], fit: at };
         progress.look(moment, &mut |before| Snapshot::copy(world, &surface, up, before));
-        error = at.sums.mean();
-        doubted = options.asked_after == Some(at.step) && at.sums.psnr() < enough;
+        (error, psnr) = (at.sums.mean(), at.sums.psnr());
+        doubted = options.asked_after == Some(at.step) && psnr < enough;
         if doubted || is_stopping() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     });
     hold_geometry(session);
@@ -131,7 +133,44 @@ pub(super) fn take_steps(
         session.surface.mesh().positions.iter().flat_map(|at| at.to_array()),
     )?;
     bar.finish_and_clear();
-    Ok(Steps { summary, error, doubted })
+    Ok(Steps { summary, error, psnr, doubted })
+}
+
+/// Steps that may be given up again.
+pub(super) struct StepsOnTrial {
+    /// Of the bar.
+    pub title: String,
+    /// How many.
+    pub steps: u32,
+    /// Mean absolute error of radiance above which the rest is left out, once [`TRIED_AT_LEAST`] of them are taken.
+    pub most_error: f64,
+}
+
+/// Steps of a trial that are taken in any case: those before them are not in the error any more.
+const TRIED_AT_LEAST: u32 = 40;
+
+/// Takes steps on trial, without a log and with geometry as it is; returns the mean absolute error of radiance over the last of them.
+///
+/// # Errors
+/// Those of [`run_fit`].
+pub(super) fn error_after(session: &mut Session, options: &FitOptions, trial: &StepsOnTrial) -> Result<f64> {
+    let mut error = f64::INFINITY;
+    let bar = session.progress.bar(&trial.title, 0);
+    bar.set_message("first guess".into());
+    run_fit(&mut session.pipeline, options, &mut |at: &FitProgress, _| {
+        let step = at.step - options.done.steps;
+        bar.set_length(u64::from(trial.steps));
+        bar.set_position(u64::from(step));
+        error = at.sums.mean();
+        let is_hopeless = step >= TRIED_AT_LEAST && error > trial.most_error;
+        if step == trial.steps || is_hopeless || is_stopping() {
+            ControlFlow::Break(())
+        } else {
+            ControlFlow::Continue(())
+        }
+    })?;
+    bar.finish_and_clear();
+    Ok(error)
 }
 
 /// Tells the fit where the texels are.

@@ -80,10 +80,40 @@ pub struct Specular {
     pub albedo: SpecularAlbedo,
     /// Roughness. Default `Unknown()`.
     pub roughness: Roughness,
-    /// Distribution of microfacet normals: `Sg`, one spherical Gaussian as in the paper, or `Ggx`, whose highlights have the long
-    /// tails of most renderers' and of glTF's. A fit does not change it, but if `gloss: Auto` takes two base materials, both have
-    /// `Ggx`. `shading: Published` has `Sg` alone. Default `Sg`.
-    pub ndf: Ndf,
+    /// Distribution of microfacet normals. Default `Auto`.
+    pub ndf: NdfChoice,
+}
+
+/// What is known about the distribution of microfacet normals. If `gloss: Auto` takes two base materials, both have `Ggx`.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum NdfChoice {
+    /// A `Fit` that finds roughness or specular albedo of one base material decides: like `Sg`, unless photographs that it was not fitted to are
+    /// explained clearly better with `Ggx`. All else is like `Sg`.
+    #[default]
+    Auto,
+    /// One spherical Gaussian as in the paper; `shading: Published` has no other.
+    Sg,
+    /// GGX with α = R², whose highlights have the long tails of most renderers' and of glTF's.
+    Ggx,
+}
+
+impl NdfChoice {
+    /// What a fit begins with, and all that does not choose has.
+    pub fn first(self) -> Ndf {
+        match self {
+            Self::Auto | Self::Sg => Ndf::Sg,
+            Self::Ggx => Ndf::Ggx,
+        }
+    }
+}
+
+impl From<Ndf> for NdfChoice {
+    fn from(known: Ndf) -> Self {
+        match known {
+            Ndf::Sg => Self::Sg,
+            Ndf::Ggx => Self::Ggx,
+        }
+    }
 }
 
 /// What is known about the specular albedo (reflectance at normal incidence).

@@ -39,7 +39,9 @@ pub use film::{Easing, LightSweep, MaterialSweep, OrbitKey};
 pub use fit::{FitPass, FitShading, GridLevel, Rates, ShapePass};
 pub use light::{Light, LightFrameChoice, LightSource, UnknownLight};
 pub use load::{LoadOptions, LoadedScene, load, to_ron};
-pub use material::{Albedo, AlbedoSource, Gloss, Material, Roughness, Sheen, Specular, SpecularAlbedo, Tilt};
+pub use material::{
+    Albedo, AlbedoSource, Gloss, Material, NdfChoice, Roughness, Sheen, Specular, SpecularAlbedo, Tilt,
+};
 pub use output::{ExportPass, ExportScale, ExportUp, MeshFormat, SavePass, ViewPass};
 pub use passes::{EditPass, Pass, RelightPass, RenderPass};
 pub use photographed::{CameraRing, Pattern, Photographed, TruthObject};

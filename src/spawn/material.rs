@@ -126,7 +126,7 @@ pub(crate) fn initial_specular(specular: &Specular) -> SpecularLobe {
             Roughness::Unknown { initial } => initial.unwrap_or(START.1),
             Roughness::Fixed(value) => value,
         },
-        ndf: specular.ndf,
+        ndf: specular.ndf.first(),
     }
 }
 

@@ -85,23 +85,23 @@ pub(crate) fn initialize_light_and_albedo(
 }
 
 /// The lobes of the scene's own light.
-fn lobes_of(world: &mut World) -> (Vec<Entity>, Vec<LightLobe>) {
+pub(crate) fn lobes_of(world: &mut World) -> (Vec<Entity>, Vec<LightLobe>) {
     let mut query = world.query_filtered::<(Entity, &LightLobe), Without<LobeOf>>();
     query.iter(world).map(|(entity, lobe)| (entity, *lobe)).unzip()
 }
 
 /// The inputs of the initialization besides samples.
-struct Known<'a> {
-    form: ClosedForm,
-    specular: SpecularLobe,
-    unknowns: Unknowns,
-    object: Option<&'a mut ObjectVisibility>,
+pub(crate) struct Known<'a> {
+    pub form: ClosedForm,
+    pub specular: SpecularLobe,
+    pub unknowns: Unknowns,
+    pub object: Option<&'a mut ObjectVisibility>,
     /// Whether [`part_of_surface`] is enough.
-    in_part: bool,
+    pub in_part: bool,
 }
 
 /// Calls `run` with the data of the initialization.
-fn with_initialization<T>(
+pub(crate) fn with_initialization<T>(
     world: &mut World,
     known: Known,
     run: impl FnOnce(&mut Initialization) -> Result<T>,
@@ -163,14 +163,14 @@ fn least_rough(world: &mut World) -> SpecularLobe {
 }
 
 /// The data of the initialization.
-struct Initialization<'a> {
-    form: ClosedForm,
-    observations: &'a [Observation],
+pub(crate) struct Initialization<'a> {
+    pub form: ClosedForm,
+    pub observations: &'a [Observation],
     /// Most pixels in a solve for the amplitudes.
     amplitude_pixels: usize,
     cameras: ByView<Camera>,
     turns: TurnTable,
-    specular: SpecularLobe,
+    pub specular: SpecularLobe,
     unknowns: Unknowns,
     object: Option<&'a mut ObjectVisibility>,
 }
@@ -248,7 +248,7 @@ impl Initialization<'_> {
     }
 
     /// The inputs of shading at a range of observed pixels, with this albedo.
-    fn gather(
+    pub fn gather(
         &self,
         run: Range<usize>,
         albedo: impl Fn(&SurfacePoint) -> Vec3 + Sync,
@@ -274,7 +274,7 @@ impl Initialization<'_> {
     }
 
     /// The visibility at a range of observed pixels; empty without visibility.
-    fn seen(&self, run: Range<usize>) -> Result<(WindowVisibility, Vec<PointVisibility>)> {
+    pub fn seen(&self, run: Range<usize>) -> Result<(WindowVisibility, Vec<PointVisibility>)> {
         let mut rows = WindowVisibility::default();
         let Some(object) = &self.object else { return Ok((rows, Vec::new())) };
         let observations = &self.observations[run];

@@ -8,7 +8,7 @@ use crate::math::color::srgb_from_linear;
 use crate::pass::fit::TRUE_ENVIRONMENT;
 use crate::pass::summary::pictures::Pictures;
 use crate::report::html::data::{FitFinding, ReportPicture};
-use crate::report::scores::{MaterialsTried, ScaleFound, Scores};
+use crate::report::scores::{MaterialsTried, NdfTried, ScaleFound, Scores};
 use std::path::Path;
 
 /// Longer side of pictures of lights and textures, in pixels.
@@ -38,6 +38,9 @@ pub fn findings(out: &Path, fits: &[&str], scores: &Scores) -> Vec<FitFinding> {
     let mut found: Vec<FitFinding> = scores.scale.iter().flat_map(of_scale).collect();
     found.extend(of_light_frame(scores));
     found.extend(scores.materials_tried.map(of_materials_tried));
+    let determined = scores.determined.and_then(|found| found.words());
+    found.extend(determined.map(|words| plain("determined by the photographs", words)));
+    found.extend(scores.ndf_tried.and_then(of_ndf_tried));
     found.extend(scores.warnings.iter().map(|warning| plain("warning", warning.clone())));
     for pass in fits {
         let folder = out.join(pass);
@@ -89,6 +92,13 @@ fn of_materials_tried(tried: MaterialsTried) -> FitFinding {
     let MaterialsTried { one, several, steps, .. } = tried;
     let words = format!("error with one {one:.4}, with several {several:.4}, after {steps} steps each");
     plain("base materials tried", words)
+}
+
+fn of_ndf_tried(tried: NdfTried) -> Option<FitFinding> {
+    let NdfTried { ggx, sg, steps, .. } = tried;
+    let words =
+        format!("error with GGX {ggx:.4}, with the spherical Gaussian {:.4}, after {steps} steps", sg?);
+    Some(plain("distributions of normals tried", words))
 }
 
 fn of_light(folder: &Path) -> Option<FitFinding> {

@@ -1,6 +1,7 @@
 //! Scores of passes: computed view by view, and written to `metrics.json`.
 
 use crate::codec::file;
+use crate::fit::determined::Determined;
 use crate::profile::Profile;
 use crate::report::metrics;
 use crate::report::metrics::{ImagePair, LayerScaleSums, LayerScales, ScaleSums};
@@ -147,8 +148,24 @@ pub struct MaterialsTried {
     /// Steps after which they were compared.
     #[serde(default)]
     pub steps: u32,
-    /// Seconds of these steps and of the trial.
+    /// Seconds of the trial.
     pub seconds: f64,
+}
+
+/// What a fit has chosen the distribution of microfacet normals by: mean absolute errors of radiance over the same pixels, after steps with one distribution and
+/// then as many with each of the two.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct NdfTried {
+    /// With GGX.
+    pub ggx: f64,
+    /// With the spherical Gaussian; `None` until the fit is there.
+    pub sg: Option<f64>,
+    /// Specular albedo (linear RGB) and roughness that GGX was found with.
+    pub ggx_albedo: [f32; 3],
+    /// Roughness.
+    pub ggx_roughness: f32,
+    /// Steps after which they were compared.
+    pub steps: u32,
 }
 
 /// A frame in which the light could stand still.
@@ -213,6 +230,12 @@ pub struct Scores {
     /// The materials that a fit has chosen from, if it had to.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub materials_tried: Option<MaterialsTried>,
+    /// The distributions of microfacet normals that a fit has chosen from, if it had to.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub ndf_tried: Option<NdfTried>,
+    /// How well the photographs determine what the last fit found, as standard deviations of logarithms.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub determined: Option<Determined>,
     /// Steps of fits that were not taken, because loss or gradient were not finite.
     #[serde(default)]
     pub steps_taken_back: u32,

@@ -75,7 +75,7 @@ fn settings(checks: &mut Checks, at: &str, pass: &Pass, scene: &Scene, earlier: 
 fn known_to_published(checks: &mut Checks, at: &str, pass: &Pass, scene: &Scene) {
     let Some(field) = published_field(pass) else { return };
     let path = format!("{at}.{field}");
-    if scene.material.specular.ndf == Ndf::Ggx {
+    if scene.material.specular.ndf.first() == Ndf::Ggx {
         checks.fail(
             &path,
             "`Published` shading cannot show a material with `ndf: Ggx`",

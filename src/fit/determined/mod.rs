@@ -1,0 +1,234 @@
+//! How well photographs determine what a fit has found: standard deviations from the curvature of the squared error.
+//!
+//! Radiance is taken as linear in the logarithms of the lobes' amplitudes, of the specular albedo and of the roughness. Each small patch of the surface has a
+//! factor on its albedo that nobody knows, so that only differences between the views of a patch count ([`evidence`]). The residuals of a model that is not quite right
+//! are alike in neighboring pixels: the deviations are those of a sandwich estimator with clusters (Liang and Zeger 1986), not those of independent noise. Each logarithm
+//! has a prior of deviation 1, which is what is left where photographs say nothing.
+//!
+//! The deviations are local: a fit that ended in another minimum than the truth's does not know it. Measured where the truth is known, errors are [`OPTIMISM`]
+//! times as large (`docs/src/ablation.md`), so the deviations are multiplied by it.
+
+pub(crate) mod evidence;
+
+use crate::error::Result;
+use crate::fit::components::Unknowns;
+use crate::fit::determined::evidence::{Evidence, Sample};
+use crate::fit::initialization::{Initialization, Known, lobes_of, with_initialization};
+use crate::light::{LightLobe, kernel_lobe};
+use crate::material::{SpecularLobe, recovered_albedo, recovered_materials};
+use crate::math::sg::sphere_integral;
+use crate::math::shading::{ClosedForm, Layers, Lighting, LobeColumns, ShadePoint};
+use crate::shade::systems::kernel_specular;
+use crate::visibility::ObjectVisibility;
+use bevy_ecs::prelude::World;
+use glam::Vec3;
+use serde::{Deserialize, Serialize};
+
+/// Cells along the longest side of the object whose pixels have residuals that may be alike, and patches along it whose albedo has a factor.
+const CLUSTERS: f32 = 16.0;
+const PATCHES: f32 = 128.0;
+/// Most pixels that are looked at.
+const MOST_PIXELS: usize = 60_000;
+/// Step of the logarithms of specular albedo and roughness over which differences are taken.
+const STEP: f32 = 0.02;
+/// Root mean square, over seven objects, of errors over the deviations by curvature.
+const OPTIMISM: f64 = 4.0;
+
+/// How well a fit's results are determined: standard deviations of logarithms, so 0.1 is about 10 %; 1 is that of nothing known. Of what is given there is none.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Determined {
+    /// Of the light's brightness, mean of the channels.
+    pub brightness: Option<f64>,
+    /// Of the light's color, the channel that is known least against the mean of all.
+    pub color: Option<f64>,
+    /// Of the specular albedo.
+    pub specular_albedo: Option<f64>,
+    /// Of the roughness.
+    pub roughness: Option<f64>,
+    /// How many lobes of the light are determined, mean of the channels: the effective number of parameters.
+    pub lobes: Option<f64>,
+}
+
+/// Deviation above which a result counts as not determined.
+const NOT_AT_ALL: f64 = 0.5;
+
+impl Determined {
+    /// It in words, in percent; `None` if nothing was to be found.
+    pub fn words(&self) -> Option<String> {
+        let part = |what: &str, deviation: Option<f64>| {
+            let deviation = deviation?;
+            let to = if deviation > NOT_AT_ALL {
+                "not at all".to_owned()
+            } else {
+                format!("to {:.0} %", 100.0 * deviation)
+            };
+            Some(format!("{what} {to}"))
+        };
+        let parts = [
+            part("roughness", self.roughness),
+            part("specular albedo", self.specular_albedo),
+            part("color of the light", self.color),
+            part("its brightness", self.brightness),
+            self.lobes.map(|lobes| format!("{lobes:.0} lobes of it")),
+        ];
+        let known: Vec<String> = parts.into_iter().flatten().collect();
+        (!known.is_empty()).then(|| known.join(", "))
+    }
+}
+
+/// Measures it with the observations of a fit, under the light, albedo and material that the world has now. `None` with several base materials, without pixels, or where no
+/// inverse can be found.
+///
+/// # Errors
+/// If a pool is incomplete.
+pub(crate) fn measure(
+    world: &mut World,
+    unknowns: Unknowns,
+    form: ClosedForm,
+    shadowed: bool,
+) -> Result<Option<Determined>> {
+    let materials = recovered_materials(world);
+    let [(_, specular)] = materials.as_slice() else { return Ok(None) };
+    let (lobes, texels) = (lobes_of(world).1, recovered_albedo(world)?);
+    let mut visibility = if shadowed { world.remove_resource::<ObjectVisibility>() } else { None };
+    let known = Known { form, specular: *specular, unknowns, object: visibility.as_mut(), in_part: true };
+    let evidence = with_initialization(world, known, |problem| gather_evidence(problem, &lobes, &texels));
+    if let Some(visibility) = visibility {
+        world.insert_resource(visibility);
+    }
+    Ok(evidence?.and_then(|evidence| determined(&evidence, &lobes, unknowns)))
+}
+
+/// Sums up what the pixels on a part of the surface say.
+fn gather_evidence(
+    problem: &mut Initialization,
+    lobes: &[LightLobe],
+    texels: &[Vec3],
+) -> Result<Option<Evidence>> {
+    let n = problem.observations.len().min(MOST_PIXELS);
+    if n == 0 {
+        return Ok(None);
+    }
+    let points = problem.gather(0..n, |point| point.texels.blend(texels))?;
+    let columns = LobeColumns::from_lobes(lobes.iter().map(kernel_lobe));
+    let (rows, seen) = problem.seen(0..n)?;
+    let lighting = Lighting { lobes: &columns, visibility: rows.view(&seen) };
+    let specular = kernel_specular(&problem.specular);
+    let shade = |lobe: SpecularLobe| shaded(problem.form, &points, lobe, lighting);
+    let own = problem.specular;
+    let [less, more] = [-STEP, STEP].map(f32::exp);
+    let change = |low: SpecularLobe, high: SpecularLobe| -> Vec<Vec3> {
+        let (low, high) = (shade(low), shade(high));
+        low.iter().zip(&high).map(|(low, high)| (sum_of(high) - sum_of(low)) / (2.0 * STEP)).collect()
+    };
+    let albedo = |factor: f32| SpecularLobe { albedo: own.albedo * factor, ..own };
+    let roughness = |factor: f32| SpecularLobe { roughness: own.roughness * factor, ..own };
+    let by_albedo = change(albedo(less), albedo(more));
+    let by_roughness = change(roughness(less), roughness(more));
+    let here = shade(own);
+    let samples: Vec<Sample> = (0..n)
+        .map(|i| {
+            let observed = &problem.observations[i].observed;
+            let all = sum_of(&here[i]);
+            Sample {
+                diffuse: Vec3::from(here[i].diffuse),
+                residual: Vec3::from_array(std::array::from_fn(|c| observed.difference(c, all[c]))),
+                by_global: [by_albedo[i], by_roughness[i]],
+            }
+        })
+        .collect();
+    let patches = evidence::patches(&problem.observations[..n], CLUSTERS, PATCHES);
+    Ok(Some(evidence::sum_up(problem.form, &points, &specular, lighting, &samples, &patches)))
+}
+
+fn shaded(
+    form: ClosedForm,
+    points: &[ShadePoint],
+    lobe: SpecularLobe,
+    lighting: Lighting<'_>,
+) -> Vec<Layers> {
+    let mut out = vec![Layers::default(); points.len()];
+    form.shade(points, &kernel_specular(&lobe), lighting, &mut out);
+    out
+}
+
+fn sum_of(layers: &Layers) -> Vec3 {
+    Vec3::from(layers.diffuse) + Vec3::from(layers.specular)
+}
+
+/// The deviations of what is unknown.
+fn determined(evidence: &Evidence, lobes: &[LightLobe], unknowns: Unknowns) -> Option<Determined> {
+    let count = lobes.len();
+    let is_free = |parameter: usize| match parameter.checked_sub(3 * count) {
+        None => unknowns.light,
+        Some(0) => unknowns.specular_albedo,
+        Some(_) => unknowns.roughness,
+    };
+    let posterior = evidence.posterior(is_free)?;
+    let shares = power_shares(lobes);
+    let of_light = |weight: &dyn Fn(usize) -> f64| {
+        let direction: Vec<f64> =
+            (0..3 * count).map(|at| weight(at / count) * shares[at]).chain([0.0; 2]).collect();
+        reported(posterior.deviation(&direction))
+    };
+    let unit = |at: usize| -> Vec<f64> { (0..3 * count + 2).map(|i| f64::from(u8::from(i == at))).collect() };
+    let color = |channel: usize| of_light(&|c| f64::from(u8::from(c == channel)) - 1.0 / 3.0);
+    Some(Determined {
+        brightness: unknowns.light.then(|| of_light(&|_| 1.0 / 3.0)),
+        color: unknowns.light.then(|| (0..3).map(color).fold(0.0, f64::max)),
+        specular_albedo: unknowns.specular_albedo.then(|| reported(posterior.deviation(&unit(3 * count)))),
+        roughness: unknowns.roughness.then(|| reported(posterior.deviation(&unit(3 * count + 1)))),
+        lobes: unknowns.light.then(|| posterior.effective(0..3 * count) / 3.0),
+    })
+}
+
+/// A deviation with what is usual beside it; of nothing known it is 1.
+fn reported(deviation: f64) -> f64 {
+    (OPTIMISM * deviation).min(1.0)
+}
+
+/// The part that each lobe has of the light's mean radiance, by channel and then lobe.
+fn power_shares(lobes: &[LightLobe]) -> Vec<f64> {
+    let power = |channel: usize| {
+        move |lobe: &LightLobe| {
+            f64::from(lobe.amplitude[channel]) * sphere_integral(f64::from(lobe.sharpness))
+        }
+    };
+    let of_channel = |channel: usize| {
+        let all: Vec<f64> = lobes.iter().map(power(channel)).collect();
+        let total: f64 = all.iter().sum::<f64>().max(1e-30);
+        all.into_iter().map(move |power| power / total)
+    };
+    (0..3).flat_map(of_channel).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::light::LightLobe;
+
+    #[test]
+    fn words_leave_out_what_is_given() {
+        assert_eq!(Determined::default().words(), None);
+        let light = Determined {
+            color: Some(0.044),
+            brightness: Some(0.51),
+            lobes: Some(50.7),
+            ..Determined::default()
+        };
+        assert_eq!(
+            light.words().unwrap(),
+            "color of the light to 4 %, its brightness not at all, 51 lobes of it"
+        );
+    }
+
+    #[test]
+    fn shares_are_of_a_channels_power() {
+        let lobe = |sharpness, amplitude| LightLobe { axis: Vec3::Y, sharpness, amplitude };
+        // Twice as sharp and twice as bright is nearly as much.
+        let shares =
+            power_shares(&[lobe(50.0, Vec3::new(1.0, 1.0, 0.0)), lobe(100.0, Vec3::new(2.0, 6.0, 0.0))]);
+        let expected = [0.5, 0.5, 0.25, 0.75, 0.0, 0.0];
+        assert!(shares.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9), "{shares:?}");
+    }
+}
