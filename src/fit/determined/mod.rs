@@ -1,11 +1,11 @@
 //! How well photographs determine what a fit has found: standard deviations from the curvature of the squared error.
 //!
 //! Radiance is taken as linear in the logarithms of the lobes' amplitudes, of the specular albedo and of the roughness. Each small patch of the surface has a
-//! factor on its albedo that nobody knows, so that only differences between the views of a patch count ([`evidence`]). The residuals of a model that is not quite right
+//! factor on its albedo that nobody knows, so that only differences between the views of a patch count (`evidence`). The residuals of a model that is not quite right
 //! are alike in neighboring pixels: the deviations are those of a sandwich estimator with clusters (Liang and Zeger 1986), not those of independent noise. Each logarithm
 //! has a prior of deviation 1, which is what is left where photographs say nothing.
 //!
-//! The deviations are local: a fit that ended in another minimum than the truth's does not know it. Measured where the truth is known, errors are [`OPTIMISM`]
+//! The deviations are local: a fit that ended in another minimum than the truth's does not know it. Measured where the truth is known, errors are `OPTIMISM`
 //! times as large (`docs/src/ablation.md`), so the deviations are multiplied by it.
 
 pub(crate) mod evidence;
