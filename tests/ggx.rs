@@ -116,7 +116,7 @@ fn a_ggx_material_is_photographed_fitted_traced_and_saved() {
 fn chosen(scene: &str) -> (String, serde_json::Value) {
     let folder = tempfile::tempdir().unwrap();
     let (path, out) = (folder.path().join("scene.ron"), folder.path().join("out"));
-    std::fs::write(&path, scene.replace("steps: 300", "steps: 600")).unwrap();
+    std::fs::write(&path, scene.replace("steps: 300", "steps: 800")).unwrap();
     run(&path, &out, &[]);
     let metrics: serde_json::Value = serde_json::from_str(&text(out.join("metrics.json"))).unwrap();
     (text(out.join("fit/materials.ron")), metrics["ndf_tried"].clone())

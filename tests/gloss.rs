@@ -81,6 +81,18 @@ fn two_glosses_are_told_apart_and_kept() {
     run(&out.join("saved/scene.ron"), &again);
     let [a, b] = [&out, &again].map(|out| std::fs::read(only_picture(&out.join("novel"))).unwrap());
     assert!(a == b, "the saved object looks different");
+    // Scenes that were saved before a fit could choose the distribution say `Sg` beside the materials.
+    let saved = out.join("saved/scene.ron");
+    let text = std::fs::read_to_string(&saved).unwrap();
+    let check = |ndf: &str| {
+        let older = text.replace("ndf: Auto", ndf);
+        assert!(older != text, "{text}");
+        std::fs::write(out.join("saved/older.ron"), older).unwrap();
+        Outcome::of(command(&["check"]).arg(out.join("saved/older.ron")))
+    };
+    check("ndf: Sg").succeeded();
+    let refused = check("ndf: Ggx");
+    assert!(refused.stderr.contains("says all about the specular material"), "{}", refused.stderr);
     // The export carries the roughness as a texture.
     let glb = std::fs::read(out.join("export/mesh.glb")).unwrap();
     assert!(String::from_utf8_lossy(&glb).contains("metallicRoughnessTexture"));

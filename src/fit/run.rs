@@ -25,6 +25,7 @@ use crate::checkpoint::{
     Span, has_step_ahead, is_due, keep_each, keep_keyed, keep_pool, keep_resource, keep_step, resume_step,
 };
 use crate::error::Result;
+use crate::error::stop::is_stopping;
 use crate::fit::determined::{Determined, measure};
 use crate::fit::sheen::evidence::{SheenEvidence, choose_sheen, look_for_sheen, note_residuals};
 use crate::fit::sheen::{SheenMoments, follow_known, scatter_to_sheen, share_with_known};
@@ -87,6 +88,8 @@ pub struct FitOptions {
     pub looks_for_sheen: bool,
     /// Whether each photograph's exposure is unknown.
     pub exposure: bool,
+    /// Whether it is measured in the end how well the photographs determine what was found.
+    pub measures: bool,
     /// The rule for the scale between light and albedo, if both are unknown.
     pub scale: ScaleRule,
     /// The frame in which the light stands still; `None`: found when the light is initialized, and kept after that.
@@ -113,6 +116,7 @@ impl Default for FitOptions {
             visibility: false,
             looks_for_sheen: false,
             exposure: false,
+            measures: false,
             scale: ScaleRule::default(),
             light_frame: Some(LightFrame::World),
         }
@@ -335,7 +339,7 @@ fn fit(
 
 /// How well the photographs determine what was found, after the last step.
 fn how_well(world: &mut World, options: &FitOptions, step: u32) -> Result<Option<Determined>> {
-    if step < options.steps || options.exposure {
+    if !options.measures || step < options.steps || options.exposure || is_stopping() {
         return Ok(None);
     }
     let _measuring = stage("determined");
@@ -344,7 +348,8 @@ fn how_well(world: &mut World, options: &FitOptions, step: u32) -> Result<Option
 
 /// Keeps the state after a step if a checkpoint is due, where the fit goes on and its next step finds shadows and reflections anew.
 fn keep_if_due(world: &mut World, options: &FitOptions, step: u32, state: &Loop) -> Result<()> {
-    let may_keep = options.asked_after != Some(step) && refresh_is_next(world, step);
+    // After the last step there is none that would find shadows anew.
+    let may_keep = step < options.steps && options.asked_after != Some(step) && refresh_is_next(world, step);
     if may_keep && is_due(world) { keep_step(world, step, state) } else { Ok(()) }
 }
 

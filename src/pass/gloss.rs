@@ -1,5 +1,5 @@
-//! Whether a `Fit` gives the surface one base material or several, where the scene leaves that to the photographs
-//! ([`Gloss::Auto`]).
+//! The choices that a `Fit` makes on its way: whether the surface has one base material or several, where the scene leaves that to the photographs
+//! ([`Gloss::Auto`]), and the distribution of normals of one ([`ndf`](crate::pass::ndf)).
 //!
 //! The fit begins with one. If that explains the photographs badly after the first of [`TRIED`] steps, two are tried, a dielectric and one that may be
 //! metal ([`metal`](crate::fit::metal)), for as many steps over the same pixels; light and albedo then begin from an initialization as far as they are unknown, because what one
@@ -24,8 +24,8 @@ use crate::material::{SpecularBlend, SpecularLobe, TexelIndex, recovered_materia
 use crate::pass::edit::apply_edits;
 use crate::pass::ndf;
 use crate::pass::resume::{self, At};
-use crate::pass::session::Session;
-use crate::pass::steps::{Steps, StepsOnTrial, begin_log, error_after, options, take_steps};
+use crate::pass::session::{Chosen, Session};
+use crate::pass::steps::{Steps, begin_log, error_after, forget_shadows, options, take_steps};
 use crate::profile::stage;
 use crate::report::scores::MaterialsTried;
 use crate::scene::{Albedo, FitPass, Gloss, Light, SpecularAlbedo, uses_published};
@@ -57,6 +57,7 @@ pub(super) fn take_steps_and_choose(
     if resume::restore(session, At::Level)? {
         return go_on(session, pass);
     }
+    session.chosen = Chosen::default();
     let is_open = is_open(session, pass)? || ndf::is_open(session, pass);
     take_steps_after(session, pass, Done::default(), is_open.then_some(TRIED[0]))
 }
@@ -97,8 +98,8 @@ fn answer(session: &mut Session, pass: &FitPass, options: &FitOptions, first: &S
     if ndf::decided_after(session).is_some() {
         ndf::decide(session, pass, first);
     } else {
-        let again = session.scores.materials_tried.is_some();
-        if first.psnr < EXPLAINED && (again || is_open(session, pass)?) {
+        let is_again = session.chosen.again_after.take().is_some();
+        if first.psnr < EXPLAINED && (is_again || is_open(session, pass)?) {
             choose(session, pass, options, first)?;
         }
         if ndf::is_open(session, pass) {
@@ -107,21 +108,16 @@ fn answer(session: &mut Session, pass: &FitPass, options: &FitOptions, first: &S
     }
     session.initialize = Initialize::NONE;
     let steps = first.summary.steps;
-    session.chosen_at = Done { steps, secs: first.summary.elapsed_secs + start.elapsed().as_secs_f64() };
+    let secs = first.summary.elapsed_secs + start.elapsed().as_secs_f64();
+    session.chosen.done = Done { steps, secs };
+    forget_shadows(&mut session.pipeline.world);
     resume::keep_level(session, steps / TRIED[0])
 }
 
 /// The steps after a choice.
 fn go_on(session: &mut Session, pass: &FitPass) -> Result<(FitSummary, FitOptions)> {
-    let tried = session.scores.materials_tried;
-    let asked_after =
-        ndf::decided_after(session).or_else(|| tried.and_then(|tried| next_choice(session, pass, tried)));
-    take_steps_after(session, pass, session.chosen_at, asked_after)
-}
-
-/// The steps after which the choice is made again; `None` if it has been settled.
-fn next_choice(session: &Session, pass: &FitPass, tried: MaterialsTried) -> Option<u32> {
-    if session.several { None } else { asked_again(tried, pass.steps) }
+    let asked_after = ndf::decided_after(session).or(session.chosen.again_after);
+    take_steps_after(session, pass, session.chosen.done, asked_after)
 }
 
 /// The steps after which several materials are tried again in a fit of `steps`; `None` if one was as good, or if too few steps would be left.
@@ -167,7 +163,8 @@ fn choose(session: &mut Session, pass: &FitPass, options: &FitOptions, first: &S
     let steps = options.asked_after.unwrap_or_default();
     let seconds = start.elapsed().as_secs_f64();
     let tried = MaterialsTried { one: first.error, several, steps, seconds };
-    let again = next_choice(session, pass, tried);
+    let again = if session.several { None } else { asked_again(tried, pass.steps) };
+    session.chosen.again_after = again;
     session.progress.print(&words(&pass.name, session.several, tried, again));
     session.scores.materials_tried = Some(tried);
     Ok(())
@@ -226,8 +223,7 @@ fn try_several(session: &mut Session, pass: &FitPass, before: &FitOptions) -> Re
     let done = Done::default();
     let options = FitOptions { done, unknowns, initialize, visibility, light_frame, ..before.clone() };
     let steps = before.asked_after.unwrap_or_default();
-    let title = format!("{}, several base materials", pass.name);
-    error_after(session, &options, &StepsOnTrial { title, steps, most_error: f64::INFINITY })
+    error_after(session, &options, &format!("{}, several base materials", pass.name), steps)
 }
 
 /// Puts the lobes of the light where a fit begins.

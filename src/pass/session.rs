@@ -47,6 +47,15 @@ impl Placed {
     }
 }
 
+/// Where a fit is between the choices about its material.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct Chosen {
+    /// The steps before the last choice.
+    pub done: Done,
+    /// The step after which several base materials are tried again, if they are.
+    pub again_after: Option<u32>,
+}
+
 /// Everything the passes of one run share.
 pub struct Session<'a> {
     /// The scene that is run.
@@ -71,8 +80,8 @@ pub struct Session<'a> {
     pub scores: Scores,
     /// Whether a fit has chosen several base materials, where the scene leaves that open.
     pub several: bool,
-    /// The steps before the last choice of a fit about its material.
-    pub chosen_at: Done,
+    /// Where the fit at work is between its choices.
+    pub(super) chosen: Chosen,
     /// What beside shading has placed the surface.
     pub placed: Placed,
     /// Whether a pass has found the surface, or moved it.
@@ -179,7 +188,7 @@ impl<'a> Session<'a> {
             progress,
             scores: Scores::default(),
             several: false,
-            chosen_at: Done::default(),
+            chosen: Chosen::default(),
             placed: Placed::default(),
             surface_found: false,
             watched: Watched::default(),

@@ -197,6 +197,7 @@ fn options(session: &Session, pass: &ShapePass) -> ShapeOptions {
             visibility: false,
             looks_for_sheen: false,
             exposure: pass.exposure,
+            measures: false,
             // Without shadows, dark regions would bias the color of the highlights.
             scale: ScaleRule::Free,
             light_frame: session.light_frame(),

@@ -74,6 +74,7 @@ pub(super) fn options(session: &mut Session, pass: &FitPass, done: Done) -> Resu
         visibility: pass.shading == FitShading::Accurate && session.has_visibility()?,
         looks_for_sheen: session.scene.material.sheen == Sheen::Auto,
         exposure: pass.exposure,
+        measures: true,
         scale: session.scene.scale,
         light_frame: session.light_frame(),
     })
@@ -87,7 +88,7 @@ pub(super) struct Steps {
     pub error: f64,
     /// PSNR of linear radiance over the last of them, in dB.
     pub psnr: f64,
-    /// Whether they ended because too little was explained.
+    /// Whether they ended at the step that was asked about, with too little explained there.
     pub doubted: bool,
 }
 
@@ -136,41 +137,37 @@ pub(super) fn take_steps(
     Ok(Steps { summary, error, psnr, doubted })
 }
 
-/// Steps that may be given up again.
-pub(super) struct StepsOnTrial {
-    /// Of the bar.
-    pub title: String,
-    /// How many.
-    pub steps: u32,
-    /// Mean absolute error of radiance above which the rest is left out, once [`TRIED_AT_LEAST`] of them are taken.
-    pub most_error: f64,
-}
-
-/// Steps of a trial that are taken in any case: those before them are not in the error any more.
-const TRIED_AT_LEAST: u32 = 40;
-
 /// Takes steps on trial, without a log and with geometry as it is; returns the mean absolute error of radiance over the last of them.
 ///
 /// # Errors
 /// Those of [`run_fit`].
-pub(super) fn error_after(session: &mut Session, options: &FitOptions, trial: &StepsOnTrial) -> Result<f64> {
+pub(super) fn error_after(
+    session: &mut Session,
+    options: &FitOptions,
+    title: &str,
+    steps: u32,
+) -> Result<f64> {
     let mut error = f64::INFINITY;
-    let bar = session.progress.bar(&trial.title, 0);
+    forget_shadows(&mut session.pipeline.world);
+    let bar = session.progress.bar(title, 0);
     bar.set_message("first guess".into());
     run_fit(&mut session.pipeline, options, &mut |at: &FitProgress, _| {
         let step = at.step - options.done.steps;
-        bar.set_length(u64::from(trial.steps));
+        bar.set_length(u64::from(steps));
         bar.set_position(u64::from(step));
         error = at.sums.mean();
-        let is_hopeless = step >= TRIED_AT_LEAST && error > trial.most_error;
-        if step == trial.steps || is_hopeless || is_stopping() {
-            ControlFlow::Break(())
-        } else {
-            ControlFlow::Continue(())
-        }
+        if step == steps || is_stopping() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     })?;
     bar.finish_and_clear();
     Ok(error)
+}
+
+/// Makes the next step find shadows and reflected light anew, as one that goes on from a checkpoint does.
+pub(super) fn forget_shadows(world: &mut World) {
+    if let Some(traced) = world.get_resource::<ObjectVisibility>() {
+        let unlit = traced.unlit();
+        world.insert_resource(unlit);
+    }
 }
 
 /// Tells the fit where the texels are.

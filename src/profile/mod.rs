@@ -2,7 +2,7 @@
 //!
 //! Stages of the library ([`stage`], [`pass`]) and the schedules and systems of `bevy_ecs` are `tracing` spans. A [`Profiler`] listens to those
 //! of the calling thread while work is done, sums them up as a tree ([`Profile`]), and can keep each of them as an event of a trace that
-//! [Perfetto](https://ui.perfetto.dev) shows ([`Profiler::write_trace`]). Without a profiler a span is one look at a flag. Another
+//! [Perfetto](https://ui.perfetto.dev) shows ([`Profiler::write_trace`]). Until there is a profiler in the program, a span is one look at a flag. Another
 //! `tracing` subscriber, such as Tracy's, sees the same spans.
 //!
 //! | module | holds |

@@ -87,8 +87,8 @@ pub struct Specular {
 /// What is known about the distribution of microfacet normals. If `gloss: Auto` takes two base materials, both have `Ggx`.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum NdfChoice {
-    /// A `Fit` that finds roughness or specular albedo of one base material decides: like `Sg`, unless photographs that it was not fitted to are
-    /// explained clearly better with `Ggx`. All else is like `Sg`.
+    /// A `Fit` that finds roughness or specular albedo of one base material decides: like `Sg`, unless `Ggx` explains
+    /// the photographs clearly better in the first steps. All else is like `Sg`.
     #[default]
     Auto,
     /// One spherical Gaussian as in the paper; `shading: Published` has no other.

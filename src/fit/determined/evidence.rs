@@ -10,8 +10,10 @@ use rayon::prelude::*;
 use std::collections::HashMap;
 use std::ops::Range;
 
-/// AlbedoPatches that a thread sums up at a time, so that the order of the sums does not depend on threads.
-const CHUNK: usize = 128;
+/// Runs of patches that are summed up on their own, so that the order of the sums does not depend on threads.
+const RUNS: usize = 16;
+/// Fewest clusters.
+const LEAST_CLUSTERS: usize = 20;
 
 /// A pixel, linear RGB.
 pub(crate) struct Sample {
@@ -19,12 +21,16 @@ pub(crate) struct Sample {
     pub diffuse: Vec3,
     /// Shaded minus observed radiance.
     pub residual: Vec3,
+    /// 0 in a channel that says nothing: one that is clipped, and shaded brighter. Else 1.
+    pub weight: Vec3,
     /// Derivatives with respect to the logarithms of specular albedo and roughness.
     pub by_global: [Vec3; 2],
 }
 
 /// The pixels of each patch, and the cluster that it belongs to.
 pub(crate) struct AlbedoPatches {
+    /// Whether the albedo of a patch has a factor that nobody knows.
+    pub albedo_is_unknown: bool,
     pixels: Vec<u32>,
     /// The range of a patch in `pixels`, and its cluster.
     patches: Vec<(Range<usize>, usize)>,
@@ -32,7 +38,11 @@ pub(crate) struct AlbedoPatches {
 }
 
 /// Parts of the surface by position, `fine` along the longest side, and by the octant of the normal; clusters are `coarse` along it.
-pub(crate) fn patches(observations: &[Observation], coarse: f32, fine: f32) -> AlbedoPatches {
+pub(crate) fn patches(
+    observations: &[Observation],
+    [coarse, fine]: [f32; 2],
+    albedo_is_unknown: bool,
+) -> AlbedoPatches {
     let at = || observations.iter().map(|observation| observation.point.position);
     let low = at().fold(Vec3::INFINITY, Vec3::min);
     let high = at().fold(Vec3::NEG_INFINITY, Vec3::max);
@@ -57,6 +67,7 @@ pub(crate) fn patches(observations: &[Observation], coarse: f32, fine: f32) -> A
         }
     }
     AlbedoPatches {
+        albedo_is_unknown,
         clusters: known.len(),
         patches: found,
         pixels: keyed.into_iter().map(|(_, i)| i).collect(),
@@ -92,7 +103,7 @@ pub(crate) fn sum_up(
     let lobes = lighting.lobes.len();
     let parts: Vec<[ChannelSums; 3]> = patches
         .patches
-        .par_chunks(CHUNK)
+        .par_chunks(patches.patches.len().div_ceil(RUNS).max(1))
         .map(|run| sum_run(form, points, specular, lighting, samples, patches, run))
         .collect();
     let parameters = 3 * lobes + 2;
@@ -136,15 +147,20 @@ fn sum_run(
         for (channel, sums) in sums.iter_mut().enumerate() {
             let rows: Vec<&Vec<f64>> = rows.iter().map(|row| &row[channel]).collect();
             let value = |of: &dyn Fn(&Sample) -> Vec3| -> Vec<f64> {
-                pixels.iter().map(|&i| f64::from(of(&samples[i as usize])[channel])).collect()
+                pixels
+                    .iter()
+                    .map(|&i| &samples[i as usize])
+                    .map(|s| f64::from((of(s) * s.weight)[channel]))
+                    .collect()
             };
-            add_patch(sums, *cluster, &rows, &value(&|s| s.diffuse), &value(&|s| s.residual));
+            let factor = if patches.albedo_is_unknown { Vec3::ONE } else { Vec3::ZERO };
+            add_patch(sums, *cluster, &rows, &value(&|s| s.diffuse * factor), &value(&|s| s.residual));
         }
     }
     sums
 }
 
-/// Derivatives of a pixel, by channel: with respect to the channel's lobes, then to what all channels share.
+/// Derivatives of a pixel, by channel: with respect to the channel's lobes, then to what all channels share. Reflected light counts as known.
 fn row(
     form: ClosedForm,
     point: &ShadePoint,
@@ -154,19 +170,19 @@ fn row(
     sample: &Sample,
 ) -> [Vec<f64>; 3] {
     let mut rows: [Vec<f64>; 3] = std::array::from_fn(|_| Vec::with_capacity(lobes.len() + 2));
-    let (parts, _) = LobeVisibility::point(visibility, index, lobes.stride());
+    let (parts, around) = LobeVisibility::point(visibility, index, lobes.stride());
     let facets = Facets { ndf: specular.ndf, roughness: specular.roughness };
     for i in 0..lobes.len() {
         let lobe: Lobe<f32> = lobes.get(i);
         let [diffuse, glossy] =
             form.shade_pair([point.normal, point.to_viewer], &lobe, point.albedo, specular.albedo, facets);
-        let part = parts.map_or(1.0, |parts| f64::from(parts[i]) / 255.0);
+        let part = parts.map_or(1.0, |parts| f32::from(parts[i]) / 255.0);
         for (c, row) in rows.iter_mut().enumerate() {
-            row.push(f64::from(diffuse[c] + glossy[c]) * part);
+            row.push(f64::from((diffuse[c] * part + glossy[c] * around.specular[c]) * sample.weight[c]));
         }
     }
     for (c, row) in rows.iter_mut().enumerate() {
-        row.extend(sample.by_global.map(|by| f64::from(by[c])));
+        row.extend(sample.by_global.map(|by| f64::from(by[c] * sample.weight[c])));
     }
     rows
 }
@@ -195,9 +211,10 @@ fn add_patch(sums: &mut ChannelSums, cluster: usize, rows: &[&Vec<f64>], diffuse
     }
 }
 
-/// The distribution of the parameters given the photographs.
+/// The distribution of the parameters given the photographs. To the parameters of the evidence come four that all lobes share: a factor on all light, and
+/// one on each channel. So a light of many lobes is not brighter or redder by prior than one of few.
 pub(crate) struct Posterior {
-    parameters: usize,
+    lobes: usize,
     /// Factor of curvature and prior.
     factor: Vec<f64>,
     gradients: Vec<Vec<f64>>,
@@ -205,13 +222,28 @@ pub(crate) struct Posterior {
     is_free: Vec<bool>,
 }
 
+/// A direction, gradient or row of the evidence's parameters in those of the posterior.
+fn with_shared(vector: &[f64], lobes: usize) -> Vec<f64> {
+    let channels = vector[..3 * lobes].chunks_exact(lobes.max(1)).map(|channel| channel.iter().sum());
+    let channels: Vec<f64> = channels.collect();
+    [vector, &[channels.iter().sum()], &channels].concat()
+}
+
 impl Evidence {
-    /// With the parameters that are free; a prior of deviation 1 on each. `None` if the curvature is not finite.
-    pub fn posterior(&self, is_free: impl Fn(usize) -> bool) -> Option<Posterior> {
-        let n = self.parameters;
-        let is_free: Vec<bool> = (0..n).map(is_free).collect();
+    /// With what is free: light, specular albedo, roughness; a prior of deviation 1 on each parameter. `None` if the curvature is not finite, or with fewer clusters than tell
+    /// anything of their scatter.
+    pub fn posterior(&self, [light, specular_albedo, roughness]: [bool; 3]) -> Option<Posterior> {
+        let lobes = (self.parameters - 2) / 3;
+        if self.gradients.len() < LEAST_CLUSTERS {
+            return None;
+        }
+        let is_free = [vec![light; 3 * lobes], vec![specular_albedo, roughness], vec![light; 4]].concat();
+        let half: Vec<Vec<f64>> =
+            self.curvature.chunks_exact(self.parameters).map(|row| with_shared(row, lobes)).collect();
+        let n = is_free.len();
+        let column = |j: usize| with_shared(&half.iter().map(|row| row[j]).collect::<Vec<_>>(), lobes);
         let variance = self.variance.max(1e-12);
-        let mut factor = self.curvature.clone();
+        let mut factor: Vec<f64> = (0..n).flat_map(column).collect();
         for i in 0..n {
             for j in 0..n {
                 if !is_free[i] || !is_free[j] {
@@ -220,40 +252,38 @@ impl Evidence {
             }
             factor[i * n + i] += variance;
         }
-        let gradients = self.gradients.clone();
-        cholesky(&mut factor, n).then_some(Posterior { parameters: n, factor, gradients, variance, is_free })
+        let gradients = self.gradients.iter().map(|gradient| with_shared(gradient, lobes)).collect();
+        cholesky(&mut factor, n).then_some(Posterior { lobes, factor, gradients, variance, is_free })
     }
 }
 
 impl Posterior {
-    /// Standard deviation along a direction of the free parameters: that of the scores of clusters, and of the prior.
+    /// Standard deviation along a direction of the evidence's parameters, as far as they are free: that of the scores of clusters, and of the prior.
     pub fn deviation(&self, direction: &[f64]) -> f64 {
-        let mut solved: Vec<f64> =
-            direction.iter().zip(&self.is_free).map(|(d, free)| if *free { *d } else { 0.0 }).collect();
-        solve_factored(&self.factor, &mut solved);
-        let of_cluster = |gradient: &Vec<f64>| {
-            let score: f64 = gradient
-                .iter()
-                .zip(&solved)
-                .zip(&self.is_free)
-                .map(|((g, s), free)| if *free { g * s } else { 0.0 })
-                .sum();
-            score * score
+        let free = |vector: &[f64]| -> Vec<f64> {
+            vector.iter().zip(&self.is_free).map(|(value, free)| if *free { *value } else { 0.0 }).collect()
         };
-        let data: f64 = self.gradients.iter().map(of_cluster).sum();
+        let mut solved = free(&with_shared(direction, self.lobes));
+        solve_factored(&self.factor, &mut solved);
+        let solved = free(&solved);
+        let score =
+            |gradient: &Vec<f64>| gradient.iter().zip(&solved).map(|(g, s)| g * s).sum::<f64>().powi(2);
+        let data: f64 = self.gradients.iter().map(score).sum();
         let prior: f64 = solved.iter().map(|s| (self.variance * s).powi(2)).sum();
-        (data + prior).sqrt()
+        let clusters = self.gradients.len() as f64;
+        (data * clusters / (clusters - 1.0) + prior).sqrt()
     }
 
-    /// Effective number of parameters among these: 1 for each that the photographs determine, 0 for each that the prior does.
-    pub fn effective(&self, parameters: Range<usize>) -> f64 {
+    /// Effective number of parameters of the light: 1 for each that the photographs determine, 0 for each that the prior does.
+    pub fn effective_of_light(&self) -> f64 {
         let of = |at: usize| {
-            let mut unit = vec![0.0; self.parameters];
+            let mut unit = vec![0.0; self.is_free.len()];
             unit[at] = 1.0;
             solve_factored(&self.factor, &mut unit);
             1.0 - self.variance * unit[at]
         };
-        parameters.into_par_iter().map(of).collect::<Vec<f64>>().iter().sum()
+        let light = (0..3 * self.lobes).chain(3 * self.lobes + 2..self.is_free.len());
+        light.collect::<Vec<_>>().into_par_iter().map(of).collect::<Vec<f64>>().iter().sum()
     }
 }
 
@@ -275,7 +305,7 @@ mod tests {
         };
         let seen =
             [at(0.0, Vec3::X), at(1.0, Vec3::X), at(0.001, Vec3::X), at(0.001, -Vec3::X), at(0.03, Vec3::X)];
-        let patches = patches(&seen, 16.0, 128.0);
+        let patches = patches(&seen, [16.0, 128.0], true);
         let found: Vec<(Vec<u32>, usize)> = patches
             .patches
             .iter()
@@ -304,14 +334,17 @@ mod tests {
         let sample = Sample {
             diffuse: Vec3::ONE,
             residual: Vec3::ZERO,
+            weight: Vec3::new(1.0, 1.0, 0.0),
             by_global: [Vec3::splat(7.0), Vec3::splat(9.0)],
         };
         let rows = row(form, &point, &specular, Lighting::from(&columns), 0, &sample);
-        for (c, row) in rows.iter().enumerate() {
+        for (c, row) in rows[..2].iter().enumerate() {
             let all = f64::from(shaded[0].diffuse[c] + shaded[0].specular[c]);
             assert!((row[..3].iter().sum::<f64>() - all).abs() < 1e-4 * all, "{row:?} {all}");
             assert_eq!(row[3..], [7.0, 9.0]);
         }
+        // The last channel is clipped.
+        assert_eq!(rows[2], [0.0; 5]);
     }
 
     #[test]
@@ -329,31 +362,58 @@ mod tests {
 
     #[test]
     fn deviations_are_those_of_least_squares_and_of_the_prior() {
-        // Ten thousand measurements of the first parameter with noise of variance 0.04, each a cluster; nothing is known of the second, the third is given.
+        // No lobe; ten thousand measurements of the first parameter with noise of variance 0.04, each a cluster; the second is given.
         let measured = 10_000;
         let noise = |i: usize| if i.is_multiple_of(2) { 0.2 } else { -0.2 };
         let evidence = Evidence {
-            parameters: 3,
-            curvature: vec![measured as f64, 0.0, 5.0, 0.0, 0.0, 0.0, 5.0, 0.0, 9.0],
-            gradients: (0..measured).map(|i| vec![noise(i), 0.0, 3.0]).collect(),
+            parameters: 2,
+            curvature: vec![measured as f64, 5.0, 5.0, 9.0],
+            gradients: (0..measured).map(|i| vec![noise(i), 3.0]).collect(),
             variance: 0.04,
         };
-        let posterior = evidence.posterior(|parameter| parameter < 2).unwrap();
-        let of = |direction: [f64; 3]| posterior.deviation(&direction);
-        assert!((of([1.0, 0.0, 0.0]) / 0.002 - 1.0).abs() < 1e-3, "{}", of([1.0, 0.0, 0.0]));
-        assert!((of([0.0, 1.0, 0.0]) - 1.0).abs() < 1e-6 && of([0.0, 0.0, 1.0]) == 0.0);
-        assert!((posterior.effective(0..2) - 1.0).abs() < 1e-3);
+        let posterior = evidence.posterior([false, true, false]).unwrap();
+        let known = posterior.deviation(&[1.0, 0.0]);
+        assert!((known / 0.002 - 1.0).abs() < 1e-3 && posterior.deviation(&[0.0, 1.0]) == 0.0, "{known}");
         // The same noise in a hundred clusters that are alike within.
-        let gradients = (0..100).map(|i| vec![100.0 * noise(i), 0.0, 0.0]).collect();
-        let alike = Evidence { gradients, ..evidence }.posterior(|parameter| parameter < 2).unwrap();
-        assert!((alike.deviation(&[1.0, 0.0, 0.0]) / 0.02 - 1.0).abs() < 1e-3);
-        assert!(
-            Evidence {
-                curvature: vec![f64::NAN; 9],
-                ..Evidence { parameters: 3, curvature: vec![], gradients: vec![], variance: 1.0 }
-            }
-            .posterior(|_| true)
-            .is_none()
-        );
+        let gradients = (0..100).map(|i| vec![100.0 * noise(i), 0.0]).collect();
+        let alike = Evidence { gradients, ..evidence }.posterior([false, true, false]).unwrap();
+        assert!((alike.deviation(&[1.0, 0.0]) / 0.0201 - 1.0).abs() < 1e-2);
+        let nan = |clusters| Evidence {
+            parameters: 2,
+            curvature: vec![f64::NAN; 4],
+            gradients: vec![vec![0.0; 2]; clusters],
+            variance: 1.0,
+        };
+        assert!(nan(100).posterior([true; 3]).is_none() && nan(3).posterior([true; 3]).is_none());
+    }
+
+    #[test]
+    fn of_a_light_that_nothing_shows_nothing_is_known_however_many_lobes_it_has() {
+        for lobes in [1, 100] {
+            let n = 3 * lobes + 2;
+            let evidence = |curvature: f64| Evidence {
+                parameters: n,
+                // The power of each lobe is measured, or not.
+                curvature: (0..n * n).map(|at| if at / n == at % n { curvature } else { 0.0 }).collect(),
+                gradients: vec![vec![0.0; n]; 30],
+                variance: 1.0,
+            };
+            let share = 1.0 / lobes as f64;
+            let brightness: Vec<f64> =
+                (0..n).map(|i| if i < 3 * lobes { share / 3.0 } else { 0.0 }).collect();
+            let red: Vec<f64> = (0..n)
+                .map(|i| match i / lobes {
+                    0 => share * 2.0 / 3.0,
+                    1 | 2 if i < 3 * lobes => -share / 3.0,
+                    _ => 0.0,
+                })
+                .collect();
+            let unknown = evidence(0.0).posterior([true; 3]).unwrap();
+            let found = [&brightness, &red].map(|direction| unknown.deviation(direction));
+            assert!(found[0] >= 1.0 && found[1] > 0.8, "{found:?}");
+            assert!(unknown.effective_of_light().abs() < 1e-9);
+            let known = evidence(1e6).posterior([true; 3]).unwrap();
+            assert!(known.deviation(&brightness) < 1e-3 && known.effective_of_light() > 2.9 * lobes as f64);
+        }
     }
 }

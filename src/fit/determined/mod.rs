@@ -3,7 +3,9 @@
 //! Radiance is taken as linear in the logarithms of the lobes' amplitudes, of the specular albedo and of the roughness. Each small patch of the surface has a
 //! factor on its albedo that nobody knows, so that only differences between the views of a patch count (`evidence`). The residuals of a model that is not quite right
 //! are alike in neighboring pixels: the deviations are those of a sandwich estimator with clusters (Liang and Zeger 1986), not those of independent noise. Each logarithm
-//! has a prior of deviation 1, which is what is left where photographs say nothing.
+//! has a prior of deviation 1, and so have the light as a whole and each of its channels: that is what is left where photographs say nothing.
+//!
+//! Left out are reflected light, sheen and tilt; and what geometry has moved since the last part of the steps began.
 //!
 //! The deviations are local: a fit that ended in another minimum than the truth's does not know it. Measured where the truth is known, errors are `OPTIMISM`
 //! times as large (`docs/src/ablation.md`), so the deviations are multiplied by it.
@@ -25,14 +27,14 @@ use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 /// Cells along the longest side of the object whose pixels have residuals that may be alike, and patches along it whose albedo has a factor.
-const CLUSTERS: f32 = 16.0;
+const CLUSTERS: f32 = 32.0;
 const PATCHES: f32 = 128.0;
 /// Most pixels that are looked at.
 const MOST_PIXELS: usize = 60_000;
 /// Step of the logarithms of specular albedo and roughness over which differences are taken.
 const STEP: f32 = 0.02;
 /// Root mean square, over seven objects, of errors over the deviations by curvature.
-const OPTIMISM: f64 = 4.0;
+const OPTIMISM: f64 = 6.0;
 
 /// How well a fit's results are determined: standard deviations of logarithms, so 0.1 is about 10 %; 1 is that of nothing known. Of what is given there is none.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -89,13 +91,15 @@ pub(crate) fn measure(
 ) -> Result<Option<Determined>> {
     let materials = recovered_materials(world);
     let [(_, specular)] = materials.as_slice() else { return Ok(None) };
+    if !unknowns.light && !unknowns.specular_albedo && !unknowns.roughness {
+        return Ok(None);
+    }
     let (lobes, texels) = (lobes_of(world).1, recovered_albedo(world)?);
-    let mut visibility = if shadowed { world.remove_resource::<ObjectVisibility>() } else { None };
+    // With shadows of the light that was found, and without a change for what comes after.
+    let traced = world.get_resource::<ObjectVisibility>().filter(|_| shadowed);
+    let mut visibility = traced.map(ObjectVisibility::unlit);
     let known = Known { form, specular: *specular, unknowns, object: visibility.as_mut(), in_part: true };
     let evidence = with_initialization(world, known, |problem| gather_evidence(problem, &lobes, &texels));
-    if let Some(visibility) = visibility {
-        world.insert_resource(visibility);
-    }
     Ok(evidence?.and_then(|evidence| determined(&evidence, &lobes, unknowns)))
 }
 
@@ -111,6 +115,7 @@ fn gather_evidence(
     }
     let points = problem.gather(0..n, |point| point.texels.blend(texels))?;
     let columns = LobeColumns::from_lobes(lobes.iter().map(kernel_lobe));
+    problem.refresh(&columns, texels);
     let (rows, seen) = problem.seen(0..n)?;
     let lighting = Lighting { lobes: &columns, visibility: rows.view(&seen) };
     let specular = kernel_specular(&problem.specular);
@@ -130,14 +135,17 @@ fn gather_evidence(
         .map(|i| {
             let observed = &problem.observations[i].observed;
             let all = sum_of(&here[i]);
+            let residual = Vec3::from_array(std::array::from_fn(|c| observed.difference(c, all[c])));
+            let is_clipped = |c: usize| observed.saturated && residual[c] == 0.0;
             Sample {
                 diffuse: Vec3::from(here[i].diffuse),
-                residual: Vec3::from_array(std::array::from_fn(|c| observed.difference(c, all[c]))),
+                residual,
+                weight: Vec3::from_array(std::array::from_fn(|c| if is_clipped(c) { 0.0 } else { 1.0 })),
                 by_global: [by_albedo[i], by_roughness[i]],
             }
         })
         .collect();
-    let patches = evidence::patches(&problem.observations[..n], CLUSTERS, PATCHES);
+    let patches = evidence::patches(&problem.observations[..n], [CLUSTERS, PATCHES], problem.unknowns.albedo);
     Ok(Some(evidence::sum_up(problem.form, &points, &specular, lighting, &samples, &patches)))
 }
 
@@ -159,12 +167,7 @@ fn sum_of(layers: &Layers) -> Vec3 {
 /// The deviations of what is unknown.
 fn determined(evidence: &Evidence, lobes: &[LightLobe], unknowns: Unknowns) -> Option<Determined> {
     let count = lobes.len();
-    let is_free = |parameter: usize| match parameter.checked_sub(3 * count) {
-        None => unknowns.light,
-        Some(0) => unknowns.specular_albedo,
-        Some(_) => unknowns.roughness,
-    };
-    let posterior = evidence.posterior(is_free)?;
+    let posterior = evidence.posterior([unknowns.light, unknowns.specular_albedo, unknowns.roughness])?;
     let shares = power_shares(lobes);
     let of_light = |weight: &dyn Fn(usize) -> f64| {
         let direction: Vec<f64> =
@@ -178,7 +181,7 @@ fn determined(evidence: &Evidence, lobes: &[LightLobe], unknowns: Unknowns) -> O
         color: unknowns.light.then(|| (0..3).map(color).fold(0.0, f64::max)),
         specular_albedo: unknowns.specular_albedo.then(|| reported(posterior.deviation(&unit(3 * count)))),
         roughness: unknowns.roughness.then(|| reported(posterior.deviation(&unit(3 * count + 1)))),
-        lobes: unknowns.light.then(|| posterior.effective(0..3 * count) / 3.0),
+        lobes: unknowns.light.then(|| posterior.effective_of_light() / 3.0),
     })
 }
 

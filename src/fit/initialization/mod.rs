@@ -171,7 +171,7 @@ pub(crate) struct Initialization<'a> {
     cameras: ByView<Camera>,
     turns: TurnTable,
     pub specular: SpecularLobe,
-    unknowns: Unknowns,
+    pub unknowns: Unknowns,
     object: Option<&'a mut ObjectVisibility>,
 }
 
@@ -265,7 +265,7 @@ impl Initialization<'_> {
         gathered.collect()
     }
 
-    fn refresh(&mut self, lobes: &LobeColumns, texels: &[Vec3]) {
+    pub fn refresh(&mut self, lobes: &LobeColumns, texels: &[Vec3]) {
         let _refreshing = stage("shadows");
         let gloss = self.specular.albedo;
         if let Some(object) = &mut self.object {

@@ -7,12 +7,12 @@ use crate::checkpoint::{self, Checkpoint, Checkpoints, Place, Store, packed};
 use crate::codec::file::{MOST_TEXT, is_there, read_bytes, read_parts, read_text, write_bytes, write_file};
 use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
-use crate::fit::run::{Done, Initialize};
+use crate::fit::run::Initialize;
 use crate::material::replace_materials;
 use crate::mesh::Surface;
 use crate::mesh::triangles::Mesh;
 use crate::pass::progress::Progress;
-use crate::pass::session::{Placed, Session};
+use crate::pass::session::{Chosen, Placed, Session};
 use crate::report::scores::Scores;
 use crate::sample::point::Scenery;
 use crate::scene::{Pass, Scene, Sheen};
@@ -365,7 +365,7 @@ struct SessionState {
     initialize: Initialize,
     has_object: bool,
     several: bool,
-    chosen_at: Done,
+    chosen: Chosen,
     placed: Placed,
     /// In RON, which has numbers that are not finite.
     scores: String,
@@ -398,7 +398,7 @@ fn state_of(session: &Session) -> Result<SessionState> {
         initialize: session.initialize,
         has_object: session.has_object,
         several: session.several,
-        chosen_at: session.chosen_at,
+        chosen: session.chosen,
         placed: session.placed,
         scores: ron::to_string(&session.scores).map_err(unwritten)?,
         surface: session.surface_found.then(|| (surface.mesh().clone(), surface.atlas().width)),
@@ -436,14 +436,14 @@ pub(super) fn restore(session: &mut Session, at: At) -> Result<bool> {
         At::Pass => checkpoint::resume_pass(world, prepare)?,
         At::Level => checkpoint::resume_level(world, prepare)?,
     };
-    let Some((_, SessionState { initialize, has_object, several, chosen_at, placed, scores, .. })) = resumed
+    let Some((_, SessionState { initialize, has_object, several, chosen, placed, scores, .. })) = resumed
     else {
         return Ok(false);
     };
     let unread = |error: ron::error::SpannedError| Error::run("reading a checkpoint", error.to_string());
     session.scores = ron::from_str::<Scores>(&scores).map_err(unread)?;
     (session.initialize, session.has_object, session.several) = (initialize, has_object, several);
-    (session.chosen_at, session.placed) = (chosen_at, placed);
+    (session.chosen, session.placed) = (chosen, placed);
     if let Some(surface) = found {
         (session.surface, session.surface_found) = (surface, true);
     }

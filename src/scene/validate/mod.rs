@@ -16,7 +16,7 @@ use crate::mesh::MAX_COORDINATE;
 use crate::scene::description::{Scene, VERSION};
 use crate::scene::diagnostic::Problem;
 use crate::scene::material::{
-    Albedo, AlbedoSource, Gloss, Material, Roughness, Sheen, Specular, SpecularAlbedo, Tilt,
+    Albedo, AlbedoSource, Gloss, Material, NdfChoice, Roughness, Sheen, Specular, SpecularAlbedo, Tilt,
 };
 use crate::scene::photographed::{Pattern, Photographed};
 use crate::scene::surface::Surface;
@@ -256,7 +256,9 @@ fn material(checks: &mut Checks, material: &Material) {
                 checks.color(&format!("material.gloss.lobes.{index}.albedo"), lobe.albedo);
                 checks.roughness(&format!("material.gloss.lobes.{index}.roughness"), lobe.roughness);
             }
-            if material.specular != Specular::default() {
+            // Scenes that were saved when a fit could not choose say `Sg`.
+            let is_unsaid = |ndf| material.specular == Specular { ndf, ..Specular::default() };
+            if ![NdfChoice::Auto, NdfChoice::Sg].into_iter().any(is_unsaid) {
                 let problem = "`gloss: Fixed(…)` says all about the specular material";
                 checks.fail(
                     "material.specular",
