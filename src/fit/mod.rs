@@ -23,6 +23,7 @@ pub mod determined;
 pub mod exposure;
 pub mod guard;
 mod initialization;
+mod kept_state;
 pub mod loss;
 pub mod metal;
 pub mod observe;

@@ -1,43 +1,34 @@
 //! Running a fit: prepare the pool, initialize, and take steps.
 
-use super::attach::{OwnLobes, attach, detach};
+use super::attach::{attach, detach};
 use super::by_view::{ViewSums, count_pool, sum_by_view};
-use super::cameras::{CameraFit, CameraPose};
-use super::components::{
-    AlbedoMoments, LobeMoments, LossState, SpecularMoments, StepGradient, StepRates, Unknowns,
-};
+use super::components::{LossState, StepGradient, StepRates, Unknowns};
 use super::exposure::{Exposures, find_exposures};
 use super::guard::{
     StepGuard, begin_step, check_adjoints, check_loss, check_shading, end_step, step_is_sound,
 };
 use super::initialization::initialize_light_and_albedo;
 use super::initialization::start::{Find, FramesTried, find_start};
+use super::kept_state::keep_state;
 use super::loss::{Loss, LossSums};
 use super::observe::{
     Candidates, PixelChoice, choose_pixels, count_seen_texels, spawn_samples, take_observations, trace_pixels,
 };
 use super::optimizer::optimizer;
-use super::roughness::blend::{BlendAdjoints, BlendMoments, TexelPlaces, scatter_to_blends};
-use super::roughness::texel::{RoughnessMoments, TexelRoughness};
+use super::roughness::blend::{BlendAdjoints, TexelPlaces, scatter_to_blends};
 use super::scale::{ScaleMoments, ScaleRule, start_scale};
 use super::systems::{compare_with_photographs, hand_out_gradient, pull_back_radiance, scatter_to_texels};
-use crate::checkpoint::{
-    Span, has_step_ahead, is_due, keep_each, keep_keyed, keep_pool, keep_resource, keep_step, resume_step,
-};
+use crate::checkpoint::{has_step_ahead, is_due, keep_step, resume_step};
 use crate::error::Result;
 use crate::error::stop::is_stopping;
 use crate::fit::determined::{Determined, measure};
 use crate::fit::sheen::evidence::{SheenEvidence, choose_sheen, look_for_sheen, note_residuals};
-use crate::fit::sheen::{SheenMoments, follow_known, scatter_to_sheen, share_with_known};
-use crate::light::LightLobe;
+use crate::fit::sheen::{follow_known, scatter_to_sheen, share_with_known};
 use crate::light::light_frame::{LightFrame, OwnLightFrame};
 use crate::light::lights::{LightChoice, provide_light};
 use crate::material::material_source::{PlainBlends, Recovered};
 use crate::material::tilt::has_tilt;
-use crate::material::{
-    BaseMaterial, DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe, TexelIndex,
-    first_material,
-};
+use crate::material::{DiffuseTilt, SpecularLobe, TexelIndex, first_material};
 use crate::math::shading::ClosedForm;
 use crate::pipeline::pool::{read_column, write_column};
 use crate::pipeline::{Phase, Pipeline, Plugin, ScatterAdjoints, Slot, Stage};
@@ -47,10 +38,9 @@ use crate::sample::observation::{ObservedWindow, despawn_observations};
 use crate::sample::pixel::Window;
 use crate::shade::frame::{add_gathering, add_material_resources};
 use crate::shade::shade_closed_form;
-use crate::view::{Camera, ViewIndex, ViewName};
 use crate::visibility::systems::RefreshDue;
 use crate::visibility::{FitVisibilityPlugin, ObjectVisibility};
-use bevy_ecs::prelude::{IntoScheduleConfigs, With, World};
+use bevy_ecs::prelude::{IntoScheduleConfigs, World};
 use serde::{Deserialize, Serialize};
 use std::ops::ControlFlow;
 use std::time::Instant;
@@ -351,33 +341,6 @@ fn keep_if_due(world: &mut World, options: &FitOptions, step: u32, state: &Loop)
     // After the last step there is none that would find shadows anew.
     let may_keep = step < options.steps && options.asked_after != Some(step) && refresh_is_next(world, step);
     if may_keep && is_due(world) { keep_step(world, step, state) } else { Ok(()) }
-}
-
-/// Registers what a fit, or a pass after it, goes on from.
-fn keep_state(world: &mut World) {
-    keep_each::<LightLobe, OwnLobes>(world, Span::Run);
-    keep_keyed::<BaseMaterial, SpecularLobe, With<SpecularLobe>>(world, Span::Run);
-    keep_keyed::<ViewIndex, Camera, With<ViewName>>(world, Span::Run);
-    keep_keyed::<ViewIndex, CameraPose, With<ViewName>>(world, Span::Run);
-    keep_pool::<TexelIndex, DiffuseAlbedo>(world, Span::Run);
-    keep_pool::<TexelIndex, DiffuseSheen>(world, Span::Run);
-    keep_pool::<TexelIndex, DiffuseTilt>(world, Span::Run);
-    keep_pool::<TexelIndex, SpecularBlend>(world, Span::Run);
-    keep_pool::<TexelIndex, TexelRoughness>(world, Span::Run);
-    keep_resource::<OwnLightFrame>(world, Span::Run);
-    keep_resource::<Exposures>(world, Span::Run);
-    keep_resource::<CameraFit>(world, Span::Run);
-    keep_resource::<StepGuard>(world, Span::Run);
-    keep_resource::<ViewSums>(world, Span::Pass);
-    keep_each::<LobeMoments, OwnLobes>(world, Span::Pass);
-    keep_keyed::<BaseMaterial, SpecularMoments, With<SpecularLobe>>(world, Span::Pass);
-    keep_pool::<TexelIndex, AlbedoMoments>(world, Span::Pass);
-    keep_pool::<TexelIndex, SheenMoments>(world, Span::Pass);
-    keep_pool::<TexelIndex, BlendMoments>(world, Span::Pass);
-    keep_pool::<TexelIndex, RoughnessMoments>(world, Span::Pass);
-    keep_resource::<ScaleMoments>(world, Span::Pass);
-    keep_resource::<FramesTried>(world, Span::Pass);
-    keep_resource::<SheenEvidence>(world, Span::Pass);
 }
 
 /// Whether the step after this one computes shadows and reflections again, so that they need not be kept.

@@ -20,6 +20,7 @@ use crate::light::{LightLobe, kernel_lobe};
 use crate::material::{SpecularLobe, recovered_albedo, recovered_materials};
 use crate::math::sg::sphere_integral;
 use crate::math::shading::{ClosedForm, Layers, Lighting, LobeColumns, ShadePoint};
+use crate::sample::pixel::Observed;
 use crate::shade::systems::kernel_specular;
 use crate::visibility::ObjectVisibility;
 use bevy_ecs::prelude::World;
@@ -131,22 +132,19 @@ fn gather_evidence(
     let by_albedo = change(albedo(less), albedo(more));
     let by_roughness = change(roughness(less), roughness(more));
     let here = shade(own);
-    let samples: Vec<Sample> = (0..n)
-        .map(|i| {
-            let observed = &problem.observations[i].observed;
-            let all = sum_of(&here[i]);
-            let residual = Vec3::from_array(std::array::from_fn(|c| observed.difference(c, all[c])));
-            let is_clipped = |c: usize| observed.saturated && residual[c] == 0.0;
-            Sample {
-                diffuse: Vec3::from(here[i].diffuse),
-                residual,
-                weight: Vec3::from_array(std::array::from_fn(|c| if is_clipped(c) { 0.0 } else { 1.0 })),
-                by_global: [by_albedo[i], by_roughness[i]],
-            }
-        })
-        .collect();
+    let sample =
+        |i: usize| sample_of(&problem.observations[i].observed, &here[i], [by_albedo[i], by_roughness[i]]);
+    let samples: Vec<Sample> = (0..n).map(sample).collect();
     let patches = evidence::patches(&problem.observations[..n], [CLUSTERS, PATCHES], problem.unknowns.albedo);
     Ok(Some(evidence::sum_up(problem.form, &points, &specular, lighting, &samples, &patches)))
+}
+
+fn sample_of(observed: &Observed, shaded: &Layers, by_global: [Vec3; 2]) -> Sample {
+    let all = sum_of(shaded);
+    let residual = Vec3::from_array(std::array::from_fn(|c| observed.difference(c, all[c])));
+    let says = |c: usize| if observed.saturated && residual[c] == 0.0 { 0.0 } else { 1.0 };
+    let weight = Vec3::from_array(std::array::from_fn(says));
+    Sample { diffuse: Vec3::from(shaded.diffuse), residual, weight, by_global }
 }
 
 fn shaded(

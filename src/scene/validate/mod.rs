@@ -237,6 +237,12 @@ fn tilt(checks: &mut Checks, material: &Material) {
     }
 }
 
+/// Whether nothing is said of the lobe. Scenes that were saved when a fit could not choose say `Sg`.
+fn is_unsaid(specular: Specular) -> bool {
+    let is = |ndf| specular == Specular { ndf, ..Specular::default() };
+    is(NdfChoice::Auto) || is(NdfChoice::Sg)
+}
+
 fn material(checks: &mut Checks, material: &Material) {
     match &material.gloss {
         Gloss::Auto | Gloss::One => {}
@@ -256,9 +262,7 @@ fn material(checks: &mut Checks, material: &Material) {
                 checks.color(&format!("material.gloss.lobes.{index}.albedo"), lobe.albedo);
                 checks.roughness(&format!("material.gloss.lobes.{index}.roughness"), lobe.roughness);
             }
-            // Scenes that were saved when a fit could not choose say `Sg`.
-            let is_unsaid = |ndf| material.specular == Specular { ndf, ..Specular::default() };
-            if ![NdfChoice::Auto, NdfChoice::Sg].into_iter().any(is_unsaid) {
+            if !is_unsaid(material.specular) {
                 let problem = "`gloss: Fixed(…)` says all about the specular material";
                 checks.fail(
                     "material.specular",
