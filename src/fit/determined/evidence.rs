@@ -224,8 +224,8 @@ pub(crate) struct Posterior {
 
 /// A direction, gradient or row of the evidence's parameters in those of the posterior.
 fn with_shared(vector: &[f64], lobes: usize) -> Vec<f64> {
-    let channels = vector[..3 * lobes].chunks_exact(lobes.max(1)).map(|channel| channel.iter().sum());
-    let channels: Vec<f64> = channels.collect();
+    let channel = |c: usize| vector[c * lobes..(c + 1) * lobes].iter().sum();
+    let channels: [f64; 3] = std::array::from_fn(channel);
     [vector, &[channels.iter().sum()], &channels].concat()
 }
 
