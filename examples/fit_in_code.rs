@@ -57,5 +57,5 @@ fn photograph(studio: &mut Pipeline, name: String, camera: Camera) -> Result<Vie
     let image = Image { width: SIZE, height: SIZE, pixels: frame.color };
     let mask = Mask { width: SIZE, height: SIZE, coverage: frame.alpha };
     let (photograph, mask) = (Some(Photograph::of_image(&image)), Some(StoredMask::new(&mask)));
-    Ok(ViewRecord { name, split: Split::Train, camera, photograph, mask })
+    Ok(ViewRecord { photograph, mask, ..ViewRecord::of_camera(name, Split::Train, camera) })
 }

@@ -100,7 +100,8 @@ fn poisoned_fit(
         let (width, height) = (camera.width, camera.height);
         let photograph = Photograph::of_image(&Image { width, height, pixels: frame.color });
         let mask = Some(StoredMask::new(&Mask { width, height, coverage: frame.alpha }));
-        ViewRecord { name: "front".into(), split: Split::Train, camera, photograph: Some(photograph), mask }
+        let bare = ViewRecord::of_camera("front".into(), Split::Train, camera);
+        ViewRecord { photograph: Some(photograph), mask, ..bare }
     };
     spawn_views(&mut pipeline.world, vec![photograph(camera([0.1, 0.2, 1.0], 24))]);
     prepare(&mut pipeline);

@@ -2,7 +2,7 @@
 //!
 //! | theme | files |
 //! | --- | --- |
-//! | runs of the command | [`run`], [`photos`], [`gloss`], [`metal`], [`sheen`], [`tilt`], [`detail`], [`ggx`], [`scale`], [`light_frame`], [`export`], [`view_page`], [`report`], [`shown`], [`env`], [`scores`], [`benchmarks`], [`profile`], [`shade_cases`], [`json_log`] |
+//! | runs of the command | [`run`], [`photos`], [`gloss`], [`metal`], [`sheen`], [`tilt`], [`detail`], [`ggx`], [`scale`], [`priors`], [`light_frame`], [`export`], [`view_page`], [`report`], [`shown`], [`env`], [`scores`], [`benchmarks`], [`profile`], [`shade_cases`], [`json_log`] |
 //! | what is written where, and what never is; runs that are stopped, or looked at | [`outputs`], [`resume`], `stop`, [`live`] |
 //! | late failures, nonsense, edges; what a scene may not read | [`trust`], [`confined`], [`guard`] |
 //! | what is refused, and how | [`agree`], [`bad_input`], [`check`], [`hostile`], [`mutants`], [`scene_errors`] |
@@ -34,6 +34,7 @@ mod metal;
 mod mutants;
 mod outputs;
 mod photos;
+mod priors;
 mod profile;
 mod report;
 mod resume;

@@ -26,6 +26,7 @@
 //! | `every` | `u32` | | 1 | only every n-th view of the split (or selection) is read |
 //! | `hold_out` | `u32` | | 8 | data without a test split: every n-th view by name belongs to the test split; 0: none |
 //! | `select` | `Option<Vec<String>>` | | all | names of the views to read |
+//! | `priors` | [`Priors`] | | none | pictures of albedo or normals for the training photographs |
 //! | `up` | [`Vec3`] | | (0, 1, 0) | the data's up direction, for orbits; nothing is rotated |
 
 mod beside;
@@ -53,7 +54,9 @@ mod options;
 mod photographs;
 pub mod physg;
 mod plan;
+mod planned_view;
 mod pose;
+pub mod priors;
 pub mod reality_capture;
 pub mod stanford_orb;
 mod straighten;
@@ -68,13 +71,15 @@ use glam::Vec3;
 use layout::{FoundLayout, find_reader, in_scene_file};
 pub(crate) use layout::{find_layout, has_split};
 use lens::crop_note;
-pub(crate) use load::load_notes;
-pub use load::{LoadedView, PlannedView};
 pub(crate) use masks::mask_stems;
 use names::check_names;
 pub use options::{DatasetOptions, Layout};
 use plan::{ViewPlan, split_name};
+pub(crate) use planned_view::load_notes;
+pub use planned_view::{LoadedView, PlannedView};
 use pose::PRECISE;
+pub use priors::Priors;
+use priors::find_priors;
 use rayon::prelude::*;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -138,9 +143,14 @@ pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
     plan.notes.extend(rounding_note(&wanted));
     plan.notes.extend(crop_note(wanted.iter().map(|view| &view.lens)));
     let curves = Arc::new(Curves::new(options.gamma));
-    let view = |plan| PlannedView::new(plan, split, options, reader.pixel_center, &curves);
+    let priors = find_priors(&options.priors, split, &wanted, &mut plan.notes)?;
+    let planned = |plan| PlannedView::new(plan, split, options, reader.pixel_center, &curves);
     Ok(OpenDataset {
-        views: wanted.into_iter().map(view).collect(),
+        views: wanted
+            .into_iter()
+            .zip(priors)
+            .map(|(plan, priors)| planned(plan).with_priors(priors))
+            .collect(),
         layout: reader.layout,
         notes: plan.notes,
         masks_beside,

@@ -1,6 +1,7 @@
 //! What to read of a data set, and how.
 
 use crate::codec::image::Gamma;
+use crate::dataset::priors::Priors;
 use crate::error::{Error, Result};
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
@@ -57,6 +58,8 @@ pub struct DatasetOptions {
     pub select: Option<Vec<String>>,
     /// The data's up direction, for orbits and the like; nothing is rotated. Need not have unit length.
     pub up: Vec3,
+    /// What is known from elsewhere of the training photographs.
+    pub priors: Priors,
     /// Folders in which what camera files name must lie; links in them may lead elsewhere. `None`: it may be anywhere.
     pub roots: Option<Vec<PathBuf>>,
 }
@@ -72,6 +75,7 @@ impl Default for DatasetOptions {
             hold_out: 8,
             select: None,
             up: Vec3::Y,
+            priors: Priors::default(),
             roots: None,
         }
     }

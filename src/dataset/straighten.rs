@@ -60,10 +60,14 @@ impl Straightening {
         let (bent, straight) = (&self.bent, &self.camera);
         let pixels = (0..straight.height).flat_map(|y| (0..straight.width).map(move |x| (x, y)));
         pixels.map(move |(x, y)| {
-            let p = self.distortion.distort(on_plane(straight, f64::from(x), f64::from(y)));
-            let at = in_pixels(bent, p);
+            let at = self.source(DVec2::new(f64::from(x), f64::from(y)));
             bilinear(bent.width, bent.height, at.x as f32, at.y as f32)
         })
+    }
+
+    /// Where in the distorted photograph a place of the undistorted one is, in pixels; (0, 0) is the center of the first of either.
+    pub fn source(&self, at: DVec2) -> DVec2 {
+        in_pixels(&self.bent, self.distortion.distort(on_plane(&self.camera, at.x, at.y)))
     }
 
     /// The full horizontal and vertical field of view of the undistorted photograph, in degrees.

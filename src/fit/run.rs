@@ -15,6 +15,7 @@ use super::observe::{
     Candidates, PixelChoice, choose_pixels, count_seen_texels, spawn_samples, take_observations, trace_pixels,
 };
 use super::optimizer::optimizer;
+use super::priors::begin_from_maps;
 use super::roughness::blend::{BlendAdjoints, TexelPlaces, scatter_to_blends};
 use super::scale::{ScaleMoments, ScaleRule, start_scale};
 use super::systems::{compare_with_photographs, hand_out_gradient, pull_back_radiance, scatter_to_texels};
@@ -406,8 +407,11 @@ fn initialize(world: &mut World, options: &FitOptions, shadowed: bool) -> Result
         Find { frame: options.light_frame.is_none() && unknowns.light, specular: initialize.specular };
     find_start(world, finds, unknowns, options.form)?;
     let _initializing = stage("initialization");
-    initialize_light_and_albedo(world, unknowns, options.form, shadowed)?;
-    if unknowns.light && unknowns.albedo {
+    let from_maps = options.unknowns.albedo && begin_from_maps(world, unknowns.light && unknowns.albedo)?;
+    // Light is solved for under the albedo of the maps, which alternation would leave again.
+    let solved = Unknowns { albedo: unknowns.albedo && !(from_maps && unknowns.light), ..unknowns };
+    initialize_light_and_albedo(world, solved, options.form, shadowed)?;
+    if unknowns.light && unknowns.albedo && !from_maps {
         start_scale(world, options.scale)?;
     }
     Ok(())

@@ -13,7 +13,7 @@ use crate::fit::guard::check_parameters;
 use crate::fit::optimizer::optimizer_of_texel_roughness;
 use crate::fit::roughness::texel::{RoughnessPrior, TexelRoughness, attach_roughness};
 use crate::fit::run::{FitOptions, FitSummary, Initialize};
-use crate::fit::scale::means;
+use crate::fit::scale::{ScaleRule, means};
 use crate::light::lights::own_lobes;
 use crate::light::{EnvironmentMap, LightLobe, render_lobes};
 use crate::material::sheen::{has_sheen, write_albedo};
@@ -65,7 +65,9 @@ pub(crate) fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     session.initialize = Initialize::NONE;
     session.report_light_frame(&pass.name);
     let known = !options.unknowns.light || !options.unknowns.albedo;
-    let rule = if known { "Known".to_owned() } else { options.scale.words() };
+    // Maps of the albedo may have replaced the scene's rule.
+    let rule = session.pipeline.world.get_resource().copied().unwrap_or(options.scale);
+    let rule = if known { "Known".to_owned() } else { ScaleRule::words(&rule) };
     let unseen = finish_texels(session, pass, &options, &mut summary)?;
     let scale = scale_found(session, rule)?;
     let _writing = stage("results written");

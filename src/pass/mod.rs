@@ -431,8 +431,7 @@ fn use_of(scene: &Scene) -> SurfaceUse {
 }
 
 fn bare_view(spec: &CameraSpec) -> Result<ViewRecord> {
-    let camera = camera_of(spec)?;
-    Ok(ViewRecord { name: spec.name.clone(), split: spec.split, camera, photograph: None, mask: None })
+    Ok(ViewRecord::of_camera(spec.name.clone(), spec.split, camera_of(spec)?))
 }
 
 /// Checks that the cameras can be used, and that none is inside a closed object, where it sees only back faces.

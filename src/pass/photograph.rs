@@ -130,11 +130,9 @@ pub fn take(
     let records = ring.into_iter().zip(cameras).zip(frames).map(|((spec, camera), frame)| {
         let (width, height) = (camera.width, camera.height);
         ViewRecord {
-            name: spec.name,
-            split: spec.split,
-            camera,
             photograph: Some(Photograph::of_image(&Image { width, height, pixels: frame.color })),
             mask: Some(StoredMask::new(&Mask { width, height, coverage: frame.alpha })),
+            ..ViewRecord::of_camera(spec.name, spec.split, camera)
         }
     });
     Ok(records.collect())
@@ -148,7 +146,7 @@ pub(crate) fn imagine(spec: &Photographed, scene: &Scene) -> Result<Vec<ViewReco
     let view = |spec: CameraSpec| {
         let camera = camera_of(&spec)?;
         let photograph = Some(Photograph::without_pixels(camera.width, camera.height));
-        Ok(ViewRecord { name: spec.name, split: spec.split, camera, photograph, mask: None })
+        Ok(ViewRecord { photograph, ..ViewRecord::of_camera(spec.name, spec.split, camera) })
     };
     ring(&spec.cameras, scene.up).into_iter().map(view).collect()
 }

@@ -18,7 +18,9 @@ use crate::shade::frame::FramePlugin;
 use crate::shape::field::ModelError;
 use crate::shape::run::replace_texels;
 use crate::spawn::{insert_known_along, several_materials, spawn};
-use crate::view::{Camera, Photograph, Split, ViewIndex, ViewMask, ViewName, ViewRecord};
+use crate::view::{
+    AlbedoMap, Camera, NormalMap, Photograph, Split, ViewIndex, ViewMask, ViewName, ViewPriors, ViewRecord,
+};
 use crate::visibility::ObjectVisibility;
 use bevy_ecs::prelude::{Entity, World};
 use glam::Vec3;
@@ -85,7 +87,10 @@ fn take_views(world: &mut World) -> Vec<ViewRecord> {
     let mut view = |(_, entity, name, camera, split): (ViewIndex, Entity, String, Camera, Split)| {
         let mut entity = world.entity_mut(entity);
         let (photograph, mask) = (entity.take::<Photograph>(), entity.take::<ViewMask>());
-        ViewRecord { name, split, camera, photograph, mask: mask.map(|mask| mask.0) }
+        let albedo = entity.take::<AlbedoMap>().map(|map| map.0);
+        let normals = entity.take::<NormalMap>().map(|map| map.0);
+        let priors = ViewPriors { albedo, normals };
+        ViewRecord { name, split, camera, photograph, mask: mask.map(|mask| mask.0), priors }
     };
     found.into_iter().map(&mut view).collect()
 }

@@ -1,6 +1,7 @@
 //! The files that a scene names: `$DATA` and relative paths resolved, and whether they exist.
 
 use crate::codec::file::{FileKind, Obstacle, lies_in, obstacle};
+use crate::dataset::priors::Priors;
 use crate::scene::description::Scene;
 use crate::scene::diagnostic::{Problem, nearest};
 use crate::scene::edit::{DiffuseAction, Edit, Region};
@@ -9,7 +10,7 @@ use crate::scene::light::{Light, LightSource};
 use crate::scene::material::{Albedo, AlbedoSource, Gloss, Sheen, Tilt};
 use crate::scene::passes::Pass;
 use crate::scene::surface::Surface;
-use crate::scene::views::Views;
+use crate::scene::views::{Dataset, Views};
 use std::path::{Path, PathBuf};
 
 /// The files that a scene names.
@@ -144,7 +145,7 @@ fn for_each_path(scene: &mut Scene, visit: &mut impl FnMut(&str, FileKind, &mut 
         visit("surface.path", FileKind::File, path);
     }
     match &mut scene.views {
-        Views::Dataset(dataset) => visit("views.path", FileKind::Folder, &mut dataset.path),
+        Views::Dataset(dataset) => dataset_paths(dataset, visit),
         Views::Photographed(made) => {
             light("views.truth.light.path", &mut made.truth.light, visit);
             edits("views.truth", &mut made.truth.edits, visit);
@@ -170,6 +171,17 @@ fn for_each_path(scene: &mut Scene, visit: &mut impl FnMut(&str, FileKind, &mut 
     }
     for (index, pass) in scene.passes.iter_mut().enumerate() {
         pass_paths(&format!("passes.{index}"), pass, visit);
+    }
+}
+
+fn dataset_paths(dataset: &mut Dataset, visit: &mut impl FnMut(&str, FileKind, &mut PathBuf)) {
+    visit("views.path", FileKind::Folder, &mut dataset.path);
+    let Priors { albedo, normals } = &mut dataset.priors;
+    if let Some(prior) = albedo {
+        visit("views.priors.albedo.folder", FileKind::Folder, &mut prior.folder);
+    }
+    if let Some(prior) = normals {
+        visit("views.priors.normals.folder", FileKind::Folder, &mut prior.folder);
     }
 }
 

@@ -2,6 +2,7 @@
 
 use crate::codec::image::Gamma;
 use crate::dataset::Layout;
+use crate::dataset::priors::Priors;
 use crate::scene::defaults::{fov_degrees, y_axis};
 use crate::scene::photographed::Photographed;
 use crate::view::Split;
@@ -52,6 +53,9 @@ pub struct Dataset {
     /// Keep only the views with these names (image file stems); empty: all. Default [].
     #[serde(default)]
     pub select: Vec<String>,
+    /// What is known of the surface from elsewhere, as pictures of the user's own for the training photographs: albedo, normals. Default: nothing.
+    #[serde(default)]
+    pub priors: Priors,
 }
 
 /// One pinhole camera, by what it looks at.

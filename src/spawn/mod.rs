@@ -12,6 +12,7 @@ pub use surface::{SurfaceUse, make_surface};
 
 use crate::error::Result;
 use crate::fit::components::Unknowns;
+use crate::fit::priors::{NormalMapPlugin, NormalWeight};
 use crate::light::LightLobe;
 use crate::light::light_frame::OwnLightFrame;
 use crate::light::lights::LightMap;
@@ -20,8 +21,8 @@ use crate::material::{SpecularBlend, SpecularLobe, spawn_materials, spawn_texels
 use crate::mesh::Surface;
 use crate::pipeline::Pipeline;
 use crate::sample::point::Scenery;
-use crate::scene::{Albedo, Gloss, Light, Material, Roughness, Scene, Sheen, SpecularAlbedo};
-use crate::view::{ViewIndex, ViewMask, ViewName, ViewRecord};
+use crate::scene::{Albedo, Gloss, Light, Material, Roughness, Scene, Sheen, SpecularAlbedo, Views};
+use crate::view::{AlbedoMap, NormalMap, ViewIndex, ViewMask, ViewName, ViewRecord};
 use bevy_ecs::prelude::World;
 use glam::Vec3;
 use material::{initial_albedo, initial_gloss, initial_sheen, initial_tilt, own_material};
@@ -48,6 +49,9 @@ pub fn spawn(
         }
     };
     let (specular, blends) = initial_gloss(&scene.material.gloss, specular, surface)?;
+    if let Some(weight) = normal_weight(scene) {
+        pipeline.add_plugin(&NormalMapPlugin(weight));
+    }
     let world = &mut pipeline.world;
     world.insert_resource(Scenery(surface.clone()));
     world.insert_resource(unknowns(scene));
@@ -65,6 +69,12 @@ pub fn spawn(
     Ok(())
 }
 
+/// The weight of the scene's maps of normals, if it has some.
+fn normal_weight(scene: &Scene) -> Option<NormalWeight> {
+    let Views::Dataset(data) = &scene.views else { return None };
+    data.priors.normals.as_ref().map(|prior| NormalWeight(prior.weight))
+}
+
 /// Spawns views, numbered on from those that are there.
 pub fn spawn_views(world: &mut World, views: Vec<ViewRecord>) {
     let next = world.query::<&ViewIndex>().iter(world).map(|index| index.0 + 1).max().unwrap_or(0);
@@ -75,6 +85,12 @@ pub fn spawn_views(world: &mut World, views: Vec<ViewRecord>) {
         }
         if let Some(mask) = view.mask {
             entity.insert(ViewMask(mask));
+        }
+        if let Some(albedo) = view.priors.albedo {
+            entity.insert(AlbedoMap(albedo));
+        }
+        if let Some(normals) = view.priors.normals {
+            entity.insert(NormalMap(normals));
         }
     }
 }

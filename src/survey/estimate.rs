@@ -24,7 +24,7 @@ use crate::math::statistics::median;
 use crate::sample::observation::{Observation, ObservationIndex};
 use crate::scene::{
     FitPass, GridLevel, Light, LightSource, Pass, RenderSettings, Scene, Shading, ShapePass, Surface,
-    ViewChoice, Visibility,
+    ViewChoice, Views, Visibility,
 };
 use crate::shade::frame::frame_bytes;
 use crate::survey::look::{PixelBounds, ViewLook};
@@ -36,6 +36,8 @@ use serde::Serialize;
 /// Bytes of a pixel of a photograph and its mask in memory, in the rectangle around the object: 8-bit colors, alpha and coverage.
 /// Downscaled and undistorted photographs and EXR take half floats, two or three bytes more.
 pub(crate) const PHOTOGRAPH_BYTES: f64 = 6.0;
+/// Bytes of a pixel of a prior map in memory: three half floats.
+const MAP_BYTES: f64 = 6.0;
 /// Bytes of a pixel of a silhouette in memory: its signed distance as a half float.
 pub(crate) const SILHOUETTE_BYTES: f64 = 2.0;
 /// Bytes of a pixel in the pool of a fit: its columns, two ticks for each of the two, and its entity; a table that grows keeps room for
@@ -256,6 +258,12 @@ impl Task<'_> {
         size * size
     }
 
+    /// Prior maps that may be read beside a photograph.
+    fn maps_of_a_photograph(&self) -> u8 {
+        let Views::Dataset(data) = &self.scene.views else { return 0 };
+        u8::from(data.priors.albedo.is_some()) + u8::from(data.priors.normals.is_some())
+    }
+
     fn photographs(&self) -> PartEstimate {
         let photographs = || self.looks.iter().filter(|look| look.light.is_some());
         let kept: f64 = photographs().map(window_pixels).sum();
@@ -264,7 +272,8 @@ impl Task<'_> {
             Surface::Unknown { .. } => PHOTOGRAPH_BYTES + SILHOUETTE_BYTES,
             _ => PHOTOGRAPH_BYTES,
         };
-        self.part("photographs", kept * bytes, read * DECODE_NANOS, true)
+        let maps = f64::from(self.maps_of_a_photograph());
+        self.part("photographs", kept * (bytes + MAP_BYTES * maps), read * DECODE_NANOS * (1.0 + maps), true)
     }
 
     fn shadows(&self) -> Option<PartEstimate> {

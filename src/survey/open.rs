@@ -12,7 +12,7 @@ use crate::scene::{Dataset, Pass, Scene, Surface, Truth, ViewChoice, Views};
 use crate::survey::examine::{Subject, Survey, examine};
 use crate::survey::look::{MaskOrigin, OpenPhotograph, OpenView, SmallMask, ViewLook};
 use crate::survey::turntable::{BACKGROUND_SIDE, BACKGROUNDS, Background};
-use crate::view::{Mask, Photograph, Split, ViewRecord};
+use crate::view::{Mask, Photograph, Split, ViewPriors, ViewRecord};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::path::PathBuf;
@@ -116,6 +116,7 @@ pub fn survey(
         let rest = ViewRecord {
             photograph: record.photograph.map(|_| Photograph::without_pixels(width, height)),
             mask: record.mask.filter(|_| needs_masks),
+            priors: ViewPriors::default(),
             ..record
         };
         Ok((look, LoadedView { record: rest, ..loaded }))
@@ -139,6 +140,7 @@ fn dataset_options(spec: &Dataset, up: Vec3) -> DatasetOptions {
         hold_out: spec.hold_out,
         select: (!spec.select.is_empty()).then(|| spec.select.clone()),
         up,
+        priors: spec.priors.clone(),
         roots: None,
     }
 }

@@ -6,6 +6,7 @@
 //! | --- | --- |
 //! | [`camera`] | the pinhole camera, projection, construction by target point, orbits |
 //! | `glare` | pixels that are brighter than light can be |
+//! | [`prior_map`] | what somebody else says of albedo and normals in a photograph |
 //! | `raster` | box filtering, bilinear look-up, mask erosion |
 //! | [`stored`] | photographs and masks as they are kept: small, and cropped |
 //!
@@ -28,11 +29,13 @@
 pub mod camera;
 pub(crate) mod glare;
 mod image;
+pub mod prior_map;
 pub(crate) mod raster;
 pub mod stored;
 
 pub use camera::{Camera, CameraOrbit};
 pub use image::{Image, Mask};
+pub use prior_map::{AlbedoMap, NormalMap, ViewPriors};
 pub use stored::{Photograph, PixelWindow, StoredMask};
 
 use crate::{Error, Result};
@@ -59,10 +62,14 @@ impl<T> ByView<T> {
     /// # Errors
     /// [`Error::Run`] if there is no such view.
     pub fn of(&self, view: ViewIndex) -> Result<&T> {
-        let found = self.0.get(view.0 as usize).and_then(Option::as_ref);
-        found.ok_or_else(|| {
+        self.get(view).ok_or_else(|| {
             Error::run("the views", format!("a pixel sample is of view {}, which is not there", view.0))
         })
+    }
+
+    /// The value of one view, if it has one.
+    pub fn get(&self, view: ViewIndex) -> Option<&T> {
+        self.0.get(view.0 as usize)?.as_ref()
     }
 
     /// The mutable value of one view.
@@ -118,4 +125,13 @@ pub struct ViewRecord {
     pub photograph: Option<Photograph>,
     /// The mask, unless there is none.
     pub mask: Option<StoredMask>,
+    /// What is known from elsewhere of what it shows.
+    pub priors: ViewPriors,
+}
+
+impl ViewRecord {
+    /// A view of which only the camera is known.
+    pub fn of_camera(name: String, split: Split, camera: Camera) -> Self {
+        Self { name, split, camera, photograph: None, mask: None, priors: ViewPriors::default() }
+    }
 }

@@ -98,7 +98,8 @@ pub fn photographs_of(
         let (width, height) = (camera.width, camera.height);
         let photograph = Photograph::of_image(&Image { width, height, pixels: frame.color });
         let mask = Some(StoredMask::new(&Mask { width, height, coverage: frame.alpha }));
-        ViewRecord { name: "v".into(), split: Split::Train, camera, photograph: Some(photograph), mask }
+        let bare = ViewRecord::of_camera("v".into(), Split::Train, camera);
+        ViewRecord { photograph: Some(photograph), mask, ..bare }
     };
     Camera::around(count, DISTANCE, 38.0, size).unwrap().into_iter().enumerate().map(photograph).collect()
 }

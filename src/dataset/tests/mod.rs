@@ -15,6 +15,7 @@ mod metashape;
 mod moved;
 mod near;
 mod nerfactor;
+mod priors;
 mod reality_capture;
 mod recognition;
 mod rounded;

@@ -29,6 +29,8 @@ use std::collections::BTreeSet;
 
 /// Least radius or edge length of a primitive, in world units.
 const MIN_LENGTH: f32 = 1e-9;
+/// The greatest weight of a prior.
+const MOST_PRIOR: f32 = 100.0;
 
 /// Most cameras of a scene file: as many as one that is saved can have.
 const MOST_CAMERAS: usize = 20_000;
@@ -108,9 +110,18 @@ fn dataset(checks: &mut Checks, dataset: &Dataset) {
     checks.count("views.every", dataset.every, 1..=u32::MAX);
     let expected = "0, for no test split, or a whole number from 2";
     checks.require(dataset.hold_out != 1, "views.hold_out", dataset.hold_out, expected);
-    if let Gamma::Power(exponent) = dataset.gamma {
-        let ok = exponent > 0.0 && exponent <= 5.0;
-        checks.require(ok, "views.gamma", exponent, "an exponent above 0, at most 5");
+    gamma(checks, "views.gamma", dataset.gamma);
+    if let Some(prior) = &dataset.priors.albedo {
+        gamma(checks, "views.priors.albedo.gamma", prior.gamma);
+    }
+    if let Some(prior) = &dataset.priors.normals {
+        checks.number("views.priors.normals.weight", prior.weight, 0.0..=MOST_PRIOR);
+    }
+}
+
+fn gamma(checks: &mut Checks, path: &str, gamma: Gamma) {
+    if let Gamma::Power(exponent) = gamma {
+        checks.require(exponent > 0.0 && exponent <= 5.0, path, exponent, "an exponent above 0, at most 5");
     }
 }
 
