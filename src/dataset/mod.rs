@@ -144,13 +144,9 @@ pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
     plan.notes.extend(crop_note(wanted.iter().map(|view| &view.lens)));
     let curves = Arc::new(Curves::new(options.gamma));
     let priors = find_priors(&options.priors, split, &wanted, &mut plan.notes)?;
-    let planned = |plan| PlannedView::new(plan, split, options, reader.pixel_center, &curves);
+    let view = |found| PlannedView::new(found, split, options, reader.pixel_center, &curves);
     Ok(OpenDataset {
-        views: wanted
-            .into_iter()
-            .zip(priors)
-            .map(|(plan, priors)| planned(plan).with_priors(priors))
-            .collect(),
+        views: wanted.into_iter().zip(priors).map(view).collect(),
         layout: reader.layout,
         notes: plan.notes,
         masks_beside,

@@ -40,20 +40,14 @@ pub struct LoadedView {
 impl PlannedView {
     /// `pixel_center` is that of the layout, which holds unless the options say otherwise.
     pub(super) fn new(
-        plan: ViewPlan,
+        (plan, priors): (ViewPlan, PriorFiles),
         split: Split,
         options: &DatasetOptions,
         pixel_center: f32,
         curves: &Arc<Curves>,
     ) -> Self {
         let pixel_center = options.pixel_center.unwrap_or(pixel_center);
-        let priors = PriorFiles::default();
         Self { plan, split, curves: curves.clone(), pixel_center, downscale: options.downscale, priors }
-    }
-
-    /// With these prior maps.
-    pub(super) fn with_priors(self, priors: PriorFiles) -> Self {
-        Self { priors, ..self }
     }
 
     /// Name of the view.
