@@ -6,6 +6,7 @@ use crate::codec::file::{read_bytes, write_bytes};
 use crate::codec::gltf::export::write_glb;
 use crate::codec::nearby::missing_file_help;
 use crate::codec::npy::{NpyConvention, write_lobes};
+use crate::dataset::Priors;
 use crate::error::{Error, Result};
 use crate::fit::cameras::CameraFit;
 use crate::light::light_frame::OwnLightFrame;
@@ -189,7 +190,9 @@ fn saved_views(session: &Session) -> Result<Views> {
             let found =
                 session.pipeline.world.get_resource::<CameraFit>().map_or(1.0, CameraFit::focal_factor);
             let focal_scale = spec.focal_scale * found;
-            Ok(Views::Dataset(crate::scene::Dataset { path, focal_scale, ..spec.clone() }))
+            // All is known: nothing is left that prior maps would say.
+            let priors = Priors::default();
+            Ok(Views::Dataset(crate::scene::Dataset { path, focal_scale, priors, ..spec.clone() }))
         }
         Views::Cameras(cameras) => Ok(Views::Cameras(cameras.clone())),
         Views::Photographed(spec) => Ok(Views::Cameras(ring(&spec.cameras, session.scene.up))),
