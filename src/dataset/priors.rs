@@ -37,7 +37,7 @@ pub struct Priors {
 }
 
 /// Albedo of the training photographs, such as a network estimates: where the fit of light and albedo begins, and the mean color that it keeps to
-/// unless `scale` says otherwise. It pays where photographs tell little, and only if the maps are good: see the manual's chapter on photographs.
+/// unless `scale` is `WhiteLight`, `MeanAlbedo` or `Free`. It pays only if the maps are right: see the manual's chapter on photographs.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct AlbedoPrior {

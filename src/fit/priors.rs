@@ -2,8 +2,8 @@
 //!
 //! Light and albedo explain each other: photographs determine their product far better than either. A map of the albedo tells them apart, if
 //! its errors are smaller than those that the light would make. A fit begins from the maps' mean on each texel (`fuse`) with the light that
-//! suits it, and keeps to their mean color; the photographs then move each texel. (Holding the texels to the maps by a term in the loss as well
-//! makes them no better, and where maps are poor much worse.)
+//! suits it; the rule [`Highlights`](ScaleRule::Highlights) gives way to their mean color; the photographs then move each texel. (With maps that err as
+//! a network does, holding the texels to them by a term in the loss as well made every score worse.)
 //!
 //! Normals pull a surface that moves: the loss of a pixel is the weight times Huber's function of n − n′, with the normal n and that of the map n′.
 //!
