@@ -5,6 +5,7 @@ use crate::codec::nearby::natural_order;
 use crate::dataset::load::{StemIndex, file_name};
 use crate::dataset::masks::mask_file;
 use crate::dataset::plan::{MaskPlan, ViewPlan};
+use crate::dataset::priors::Priors;
 use crate::error::Result;
 use std::path::{Path, PathBuf};
 
@@ -13,8 +14,8 @@ const WITHIN: [&str; 5] = ["mask", "matte", "matting", "silhouette", "segment"];
 /// Whole words of the names of folders of masks.
 const WORDS: [&str; 8] = ["seg", "segs", "alpha", "alphas", "fg", "foreground", "sil", "sils"];
 /// How the names of folders begin that have other images of the views: photographs of another size, and what is computed from them.
-const OTHERS: [&str; 9] =
-    ["image", "rgb", "photo", "color", "input", "depth", "normal", "distorted", "undistorted"];
+const OTHERS: [&str; 10] =
+    ["image", "rgb", "photo", "color", "input", "depth", "normal", "albedo", "distorted", "undistorted"];
 /// Words in the names of folders of one split, whose images may have the names of those of another.
 const SPLITS: [&str; 5] = ["train", "training", "test", "val", "validation"];
 /// Part of the pixels of a mask that are nearly black or white.
@@ -31,11 +32,11 @@ pub(super) struct Beside {
 
 impl Beside {
     /// The first such folder by name, of those that are called as masks are, or else of all; `None` if a view has a mask, or no photograph,
-    /// or photographs have alpha or are in several folders. A photograph's header and a mask are read at most.
+    /// or photographs have alpha or are in several folders. Folders of `priors` are none. A photograph's header and a mask are read at most.
     ///
     /// # Errors
     /// If the first photograph cannot be read.
-    pub fn find(dir: &Path, views: &[ViewPlan]) -> Result<Option<Self>> {
+    pub fn find(dir: &Path, views: &[ViewPlan], priors: &Priors) -> Result<Option<Self>> {
         let Some(photographs) = bare_photographs(views) else { return Ok(None) };
         let Some(folder) = photographs[0].parent() else { return Ok(None) };
         if photographs.iter().any(|photograph| photograph.parent() != Some(folder)) {
@@ -43,6 +44,7 @@ impl Beside {
         }
         let mut found: Vec<Self> = candidates(dir, folder)
             .into_iter()
+            .filter(|folder| !priors.folders().any(|prior| are_same(prior, folder)))
             .filter_map(|folder| Self::complete(folder, &photographs))
             .collect();
         if found.is_empty() || image_header(photographs[0])?.has_alpha() {
@@ -95,6 +97,11 @@ impl Beside {
 /// What a folder may be that has an image for each photograph.
 pub(crate) fn masks_hint(folder: &Path) -> String {
     format!("{} has images of the same names: rename it to masks/ if it holds masks", folder.display())
+}
+
+/// Whether two paths are of one folder.
+fn are_same(a: &Path, b: &Path) -> bool {
+    a == b || a.canonicalize().is_ok_and(|a| b.canonicalize().is_ok_and(|b| a == b))
 }
 
 /// The word for a split in a name in lower case.

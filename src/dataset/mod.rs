@@ -133,7 +133,7 @@ pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
     for view in &wanted {
         view.check_inside(options.roots.as_deref())?;
     }
-    let beside = Beside::find(dir, &wanted)?;
+    let beside = Beside::find(dir, &wanted, &options.priors)?;
     let masks_beside = beside.as_ref().and_then(Beside::unused_folder);
     if let Some(beside) = beside {
         plan.notes.push(beside.apply(&mut wanted));

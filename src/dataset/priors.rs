@@ -83,6 +83,14 @@ pub(super) struct PriorFiles {
     normals: Option<(PathBuf, NormalAxes)>,
 }
 
+impl Priors {
+    /// The folders of maps.
+    pub(super) fn folders(&self) -> impl Iterator<Item = &Path> {
+        let albedo = self.albedo.iter().map(|prior| &*prior.folder);
+        albedo.chain(self.normals.iter().map(|prior| &*prior.folder))
+    }
+}
+
 impl PriorFiles {
     /// As files that are read.
     pub fn uses(&self) -> impl Iterator<Item = FileUse> {
@@ -98,7 +106,7 @@ impl PriorFiles {
         let whole = PixelWindow::whole(lookup.camera.width, lookup.camera.height);
         let window = mask.map_or(whole, PixelWindow::of_mask);
         let keep = |image: Image| PriorMap::new(&image, window);
-        let albedo = |(path, gamma): &(PathBuf, Gamma)| lookup.read(path, *gamma, |albedo| albedo);
+        let albedo = |(path, gamma): &(PathBuf, Gamma)| lookup.read_albedo(path, *gamma);
         let normals = |(path, axes): &(PathBuf, NormalAxes)| lookup.read_normals(path, *axes);
         Ok(ViewPriors {
             albedo: self.albedo.as_ref().map(albedo).transpose()?.map(keep),
@@ -175,6 +183,14 @@ impl MapLookup<'_> {
         let places = (0..height).flat_map(|y| (0..width).map(move |x| (x, y)));
         let pixels = places.map(|(x, y)| self.value(&loaded, x, y).map_or(Vec3::ZERO, &value)).collect();
         Ok(Image { width, height, pixels })
+    }
+
+    /// Reads albedo; a map of values above 1 is one of another factor.
+    fn read_albedo(&self, path: &Path, gamma: Gamma) -> Result<Image> {
+        let mut albedo = self.read(path, gamma, |albedo| albedo.max(Vec3::ZERO))?;
+        let largest = albedo.pixels.iter().map(|albedo| albedo.max_element()).fold(1.0, f32::max);
+        albedo.pixels.iter_mut().for_each(|albedo| *albedo /= largest);
+        Ok(albedo)
     }
 
     fn read_normals(&self, path: &Path, axes: NormalAxes) -> Result<Image> {

@@ -13,7 +13,7 @@
 
 use crate::error::{Error, Result};
 use crate::fit::components::TexelSeen;
-use crate::fit::guard::check_adjoints;
+use crate::fit::guard::{check_adjoints, step_is_sound};
 use crate::fit::scale::ScaleRule;
 use crate::material::sheen::write_albedo;
 use crate::material::{TexelIndex, USUAL_ALBEDO};
@@ -49,8 +49,9 @@ pub struct NormalMapPlugin(pub NormalWeight);
 impl Plugin for NormalMapPlugin {
     fn build(&self, pipeline: &mut Pipeline) {
         pipeline.world.insert_resource(self.0);
-        let pull =
-            pull_to_normal_maps.after(check_adjoints).before(ScatterAdjoints).before(Slot::ShapeGradient);
+        // After a bad value all adjoints are zero, and are to remain so.
+        let pull = pull_to_normal_maps.run_if(step_is_sound);
+        let pull = pull.after(check_adjoints).before(ScatterAdjoints).before(Slot::ShapeGradient);
         pipeline.add_systems(Phase::FitStep, Stage::Gradient, pull);
     }
 
@@ -69,6 +70,9 @@ pub fn pull_to_normal_maps(
     let (pixels, points, mut back) = samples.columns()?;
     let each = weight.0 / (3 * pixels.len().max(1)) as f32;
     for ((back, at), pixel) in back.iter_mut().zip(&*points).zip(&*pixels) {
+        if !at.is_hit() {
+            continue;
+        }
         let Some(known) = maps.get(pixel.view).and_then(|map| map.at(pixel.pixel as usize)) else { continue };
         let pull = huber(at.normal - known, SQUARE_BELOW).1 * each;
         back.normal = (Vec3::from(back.normal) + pull).into();
@@ -134,40 +138,45 @@ fn texel_means(pixels: &[MapPixel], factors: &[f32], texels: usize) -> Vec<Vec3>
     sums.into_iter().map(|(sum, weight)| if weight > 1e-3 { sum / weight } else { mean }).collect()
 }
 
-/// Lets a fit of light and albedo begin from the maps of the albedo: the rule for the scale is then their mean color, of a usual level, and if it
-/// `begins`, the texels have their albedo. Returns whether there are maps.
+/// Lets a fit that begins light and albedo anew begin from the maps of the albedo: its texels have their albedo at a usual level, and their mean
+/// color takes the place of [`Highlights`](ScaleRule::Highlights) as the rule for the scale (but with metals, of which maps show a color of
+/// another meaning). Returns whether there are maps.
 ///
 /// # Errors
 /// If a pool is incomplete.
-pub(super) fn begin_from_maps(world: &mut World, begins: bool) -> Result<bool> {
+pub(super) fn begin_from_maps(world: &mut World, metal: bool) -> Result<bool> {
     let pixels = map_pixels(world)?;
     if pixels.is_empty() {
         return Ok(false);
     }
     let seen = read_column::<TexelIndex, TexelSeen>(world)?;
     let means = fuse(&pixels, seen.len());
-    let shown = means.iter().zip(&seen).filter(|(_, seen)| seen.0 > 0.0);
-    let (sum, count) =
-        shown.fold((DVec3::ZERO, 0u64), |(sum, count), (mean, _)| (sum + mean.as_dvec3(), count + 1));
-    let mean = (sum / count.max(1) as f64).as_vec3().max(Vec3::splat(1e-4));
-    let mut brightest: Vec<f32> = means.iter().map(|mean| mean.max_element()).collect();
-    let place = (brightest.len() - 1) * BRIGHTEST / 100;
-    let (_, brightest, _) = brightest.select_nth_unstable_by(place, f32::total_cmp);
-    let level = (3.0 * USUAL_ALBEDO / mean.element_sum()).min(MOST_ALBEDO / brightest.max(1e-4));
-    if matches!(world.get_resource::<ScaleRule>(), Some(ScaleRule::Highlights { .. })) {
+    let shown: Vec<Vec3> =
+        means.iter().zip(&seen).filter(|(_, seen)| seen.0 > 0.0).map(|(mean, _)| *mean).collect();
+    let (mean, level) = usual_mean(&shown);
+    if !metal && matches!(world.get_resource::<ScaleRule>(), Some(ScaleRule::Highlights { .. })) {
         world.insert_resource(ScaleRule::MeanAlbedo(mean * level));
     }
-    if begins {
-        let albedo = means.into_iter().map(|mean| (mean * level).clamp(Vec3::ZERO, Vec3::ONE));
-        write_albedo(world, albedo.collect())?;
-    }
+    let albedo = means.into_iter().map(|mean| (mean * level).clamp(Vec3::ZERO, Vec3::ONE));
+    write_albedo(world, albedo.collect())?;
     Ok(true)
+}
+
+/// The mean of the albedo of texels that are seen, and the factor that makes it a usual one while the brightest but for a few stay below 1.
+fn usual_mean(shown: &[Vec3]) -> (Vec3, f32) {
+    let sum: DVec3 = shown.iter().map(|albedo| albedo.as_dvec3()).sum();
+    let mean = (sum / shown.len().max(1) as f64).as_vec3().max(Vec3::splat(1e-4));
+    let mut brightest: Vec<f32> = shown.iter().map(|albedo| albedo.max_element()).collect();
+    brightest.sort_unstable_by(f32::total_cmp);
+    let place = brightest.len().saturating_sub(1) * BRIGHTEST / 100;
+    let brightest = brightest.get(place).copied().unwrap_or(0.0).max(1e-4);
+    (mean, (3.0 * USUAL_ALBEDO / mean.element_sum()).min(MOST_ALBEDO / brightest))
 }
 
 /// The observed pixels of which a map says something.
 fn map_pixels(world: &mut World) -> Result<Vec<MapPixel>> {
     type Inputs<'w, 's> = (Observations<'w, 's>, Query<'w, 's, (&'static ViewIndex, &'static AlbedoMap)>);
-    if world.query::<&AlbedoMap>().iter(world).next().is_none() {
+    if !AlbedoMap::are_in(world) {
         return Ok(Vec::new());
     }
     let mut state = SystemState::<Inputs>::new(world);
@@ -196,6 +205,17 @@ mod tests {
                 assert!((central - slope.dot(axis)).abs() < 1e-3, "{difference}: {central} {slope}");
             }
         }
+    }
+
+    #[test]
+    fn the_level_is_that_of_texels_that_are_seen_and_none_of_nothing() {
+        let gray = |value: f32, count: usize| vec![Vec3::splat(value); count];
+        let (mean, level) = usual_mean(&gray(0.1, 50));
+        assert!(mean.abs_diff_eq(Vec3::splat(0.1), 1e-6) && (level - 10.0 * USUAL_ALBEDO).abs() < 1e-4);
+        // A tenth is so bright that a usual mean would make it brighter than anything is.
+        let bright = [gray(0.1, 90), gray(2.0, 10)].concat();
+        assert!((usual_mean(&bright).1 - MOST_ALBEDO / 2.0).abs() < 1e-5);
+        assert!(usual_mean(&[]).1.is_finite());
     }
 
     /// Pixels of four texels in three views, whose maps have these factors.

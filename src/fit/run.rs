@@ -407,11 +407,12 @@ fn initialize(world: &mut World, options: &FitOptions, shadowed: bool) -> Result
         Find { frame: options.light_frame.is_none() && unknowns.light, specular: initialize.specular };
     find_start(world, finds, unknowns, options.form)?;
     let _initializing = stage("initialization");
-    let from_maps = options.unknowns.albedo && begin_from_maps(world, unknowns.light && unknowns.albedo)?;
+    let both = unknowns.light && unknowns.albedo;
+    let from_maps = both && begin_from_maps(world, unknowns.metal)?;
     // Light is solved for under the albedo of the maps, which alternation would leave again.
-    let solved = Unknowns { albedo: unknowns.albedo && !(from_maps && unknowns.light), ..unknowns };
+    let solved = Unknowns { albedo: unknowns.albedo && !from_maps, ..unknowns };
     initialize_light_and_albedo(world, solved, options.form, shadowed)?;
-    if unknowns.light && unknowns.albedo && !from_maps {
+    if both {
         start_scale(world, options.scale)?;
     }
     Ok(())

@@ -2,7 +2,7 @@
 
 use crate::view::image::Image;
 use crate::view::stored::PixelWindow;
-use bevy_ecs::prelude::Component;
+use bevy_ecs::prelude::{Component, World};
 use glam::Vec3;
 use half::f16;
 use std::sync::Arc;
@@ -29,16 +29,18 @@ impl PriorMap {
         let value = Vec3::from(self.values[self.window.place(pixel, self.width)?].map(f16::to_f32));
         (value != Vec3::ZERO).then_some(value)
     }
-
-    /// Memory that it takes, in bytes.
-    pub fn bytes(&self) -> usize {
-        size_of_val(&*self.values)
-    }
 }
 
 /// Somebody's diffuse albedo of what a view shows: linear, known up to one factor for the whole picture.
 #[derive(Component, Clone, Debug)]
 pub struct AlbedoMap(pub PriorMap);
+
+impl AlbedoMap {
+    /// Whether a view has one, which is then where a fit of light and albedo begins.
+    pub fn are_in(world: &mut World) -> bool {
+        world.query::<&Self>().iter(world).next().is_some()
+    }
+}
 
 /// Somebody's unit normals of what a view shows, in the world.
 #[derive(Component, Clone, Debug)]
@@ -66,6 +68,6 @@ mod tests {
             let known = [6, 8, 11, 12, 13].contains(&i);
             assert_eq!(map.at(i), known.then(|| image.pixels[i]), "{i}");
         }
-        assert_eq!(map.bytes(), 6 * 6);
+        assert_eq!(map.values.len(), 6);
     }
 }

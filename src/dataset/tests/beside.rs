@@ -1,6 +1,7 @@
 //! Folders beside the photographs that have images of the same names: masks under unusual names, and others.
 
 use super::*;
+use crate::dataset::priors::{AlbedoPrior, Priors};
 
 /// Three photographs of nerfstudio in `images`, and images of the same names in this folder.
 fn with_folder(folder: &str, write: fn(&Path)) -> TempDir {
@@ -54,10 +55,22 @@ fn other_folders_are_named_and_not_read() {
         let open = open_dataset(dir.path(), Split::Train, &DatasetOptions::default()).unwrap();
         assert_eq!(open.masks_beside, Some(dir.path().join(folder)));
     }
-    for folder in ["images_2", "depth", "normals", "test", ".hidden"] {
+    for folder in ["images_2", "depth", "normals", "albedo_maps", "test", ".hidden"] {
         let set = read_all(with_folder(folder, write_mask).path()).unwrap();
         assert!(set.notes.is_empty() && set.views[0].mask.is_none(), "{folder}: {:?}", set.notes);
     }
+}
+
+#[test]
+fn a_folder_of_prior_maps_is_none_of_masks() {
+    let dir = with_folder("alpha_net", write_mask);
+    let folder = dir.path().join("./alpha_net");
+    let albedo = Some(AlbedoPrior { folder, gamma: Gamma::Srgb });
+    let options = DatasetOptions { priors: Priors { albedo, normals: None }, ..DatasetOptions::default() };
+    let open = open_dataset(dir.path(), Split::Train, &options).unwrap();
+    assert!(open.notes.is_empty() && open.masks_beside.is_none(), "{:?}", open.notes);
+    let read = read_dataset(dir.path(), Split::Train, &options).unwrap();
+    assert!(read.views.iter().all(|view| view.mask.is_none() && view.priors.albedo.is_some()));
 }
 
 #[test]

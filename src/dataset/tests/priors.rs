@@ -47,6 +47,19 @@ fn a_map_is_called_as_its_photograph_and_says_nothing_where_it_does_not_cover() 
 }
 
 #[test]
+fn albedo_of_another_unit_has_its_colors() {
+    let set = PhySg::new(1);
+    fs::create_dir_all(set.path("albedo")).unwrap();
+    // As bytes are, but beyond half floats, and negative in a pixel as filters leave it.
+    let channel = |level: f32| (0..24).map(|i| if i == 7 { -level } else { level * 4e5 }).collect::<Vec<_>>();
+    let channels = [("R", 0.25), ("G", 0.5), ("B", 1.0)].map(|(name, level)| (name, channel(level)));
+    write_exr(&set.path("albedo/v_0.exr"), 6, 4, &channels);
+    let map = priors(&set, &options(&set, true, None)).remove(0).albedo.unwrap();
+    assert!(map.at(8).unwrap().abs_diff_eq(Vec3::new(0.25, 0.5, 1.0), 1e-3), "{:?}", map.at(8));
+    assert_eq!(map.at(7), None);
+}
+
+#[test]
 fn normals_are_turned_into_the_world() {
     let set = PhySg::new(1);
     // Toward the camera, and a little up.
