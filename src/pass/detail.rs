@@ -2,7 +2,7 @@
 
 use crate::error::Result;
 use crate::fit::components::TexelSeen;
-use crate::fit::detail::{DetailOptions, MOST_SIDE, solve_detail};
+use crate::fit::detail::{DetailOptions, finest_side, solve_detail, visited_pixels};
 use crate::fit::roughness::texel::TexelRoughness;
 use crate::fit::run::FitOptions;
 use crate::material::sheen::KnownAlong;
@@ -50,7 +50,7 @@ pub(crate) fn refine_texture(session: &mut Session, pass: &FitPass, options: &Fi
     Ok(())
 }
 
-/// The whole factor that makes a texel about a pixel wide in the median training photograph, as far as [`MOST_SIDE`] lets it.
+/// The whole factor that makes a texel about a pixel wide in the median training photograph, as far as [`finest_side`] lets it.
 fn factor_for(session: &mut Session) -> u32 {
     let (middle, _) = session.surface.bounding_sphere();
     let world = &mut session.pipeline.world;
@@ -60,8 +60,10 @@ fn factor_for(session: &mut Session) -> u32 {
     let mut pixels: Vec<f32> = training.map(pixel).collect();
     pixels.sort_by(f32::total_cmp);
     let Some(pixel) = pixels.get(pixels.len() / 2) else { return 1 };
+    let pixels = visited_pixels(world);
     let atlas = session.surface.atlas();
-    let most = MOST_SIDE / atlas.width.max(atlas.height).max(1);
+    let side = atlas.width.max(atlas.height).max(1);
+    let most = finest_side(pixels as f64) as u32 / side;
     // A cast of what is not a number is 0.
     ((atlas.texel_size() / pixel).round() as u32).min(most).max(1)
 }

@@ -19,7 +19,7 @@
 use crate::codec::animation::film_bytes;
 use crate::fit::detail::equations::TexelEquations;
 use crate::fit::detail::kept::KeptPixel;
-use crate::fit::detail::{MOST_PIXELS, MOST_SIDE};
+use crate::fit::detail::{MOST_PIXELS, finest_side};
 use crate::math::statistics::median;
 use crate::sample::observation::{Observation, ObservationIndex};
 use crate::scene::{
@@ -300,11 +300,12 @@ impl Task<'_> {
             return self.part(&fit.name, bytes, start + pairs * FIT_PAIR_NANOS, false);
         }
         let wide = pixels_per_texel(self.looks, self.texels().sqrt() as u32).unwrap_or(1.0).round().max(1.0);
+        let visited = self.pool(MOST_PIXELS as u32);
         let side =
-            (self.texels().sqrt() * f64::from(wide)).min(f64::from(MOST_SIDE)).max(self.texels().sqrt());
-        let sweeps = self.pool(MOST_PIXELS as u32) * DETAIL_PIXEL_NANOS;
+            (self.texels().sqrt() * f64::from(wide)).min(finest_side(visited)).max(self.texels().sqrt());
+        let sweeps = visited * DETAIL_PIXEL_NANOS;
         let finest = side * side * (FINEST_TEXEL_BYTES + size_of::<TexelEquations>() as f64);
-        let steps = bytes + DETAIL_BYTES + self.pool(MOST_PIXELS as u32) * DETAIL_PIXEL_BYTES;
+        let steps = bytes + DETAIL_BYTES + visited * DETAIL_PIXEL_BYTES;
         self.part(
             &fit.name,
             steps.max(finest),

@@ -55,11 +55,13 @@ use std::ops::ControlFlow;
 /// Sweeps over all pixels. They are cheap beside shading.
 const SWEEPS: u32 = 7;
 /// Most texels a side that a texture is refined to.
-pub(crate) const MOST_SIDE: u32 = 1024;
+const MOST_SIDE: u32 = 4096;
+/// Least pixels for a texel of a texture that is refined.
+const PIXELS_OF_TEXEL: f64 = 1.5;
 /// Pixels of one run of the phase, and of a sweep between two looks whether it is stopped.
 const BATCH: usize = 1 << 16;
 /// Most pixels that are kept; of more, every n-th is visited.
-pub(crate) const MOST_PIXELS: usize = 1 << 24;
+pub(crate) const MOST_PIXELS: usize = 1 << 25;
 /// Part of the work that is shading.
 const SHADING_PART: f32 = 0.8;
 
@@ -141,6 +143,17 @@ pub fn solve_detail(
         watch(SHADING_PART + (1.0 - SHADING_PART) * (number + 1) as f32 / SWEEPS as f32);
     }
     Ok(())
+}
+
+/// The most texels a side of a texture that so many pixels are visited for.
+pub(crate) fn finest_side(pixels: f64) -> f64 {
+    (pixels / PIXELS_OF_TEXEL).sqrt().min(f64::from(MOST_SIDE))
+}
+
+/// The pixels of the training photographs that are visited.
+pub(crate) fn visited_pixels(world: &mut World) -> usize {
+    let total: usize = usable_by_view(world).iter().map(|(_, count)| count).sum();
+    total / total.div_ceil(MOST_PIXELS).max(1)
 }
 
 /// Shades all pixels as if the surface were white, and keeps them.
