@@ -51,8 +51,10 @@ fn psnr(a: &Frame, b: &Frame) -> f32 {
 
 #[test]
 fn shadows_and_reflections_come_close_to_path_tracing() {
-    for (specular, least) in
-        [(SpecularLobe::new(Vec3::splat(0.04), 0.6), 34.0), (SpecularLobe::new(Vec3::splat(0.3), 0.3), 32.0)]
+    let gloss = |albedo, roughness| SpecularLobe::new(Vec3::splat(albedo), roughness);
+    // What the last mirrors of itself is finer than the directions that are traced for all.
+    for (specular, least, gain) in
+        [(gloss(0.04, 0.6), 34.0, 6.0), (gloss(0.3, 0.3), 32.0, 6.0), (gloss(0.8, 0.12), 36.0, 5.0)]
     {
         let (mut pipeline, surface) = studio(&evening(), specular);
         let plain = shoot(&mut pipeline);
@@ -66,6 +68,6 @@ fn shadows_and_reflections_come_close_to_path_tracing() {
         let truth = shoot(&mut pipeline);
         let (without, with) = (psnr(&plain, &truth), psnr(&shadowed, &truth));
         println!("R {}: {without} dB without, {with} dB with", specular.roughness);
-        assert!(with > least && with > without + 6.0, "{without} dB without, {with} dB with");
+        assert!(with > least && with > without + gain, "{without} dB without, {with} dB with");
     }
 }

@@ -37,7 +37,7 @@ pub struct FitPass {
     /// Whether the vertices of the mesh are refined: they move along their normals, which then are smooth; not if
     /// `Shape` has placed them by stereo or found their normals by reflections. Default false.
     pub vertices: bool,
-    /// Whether the texture is then made as fine as the photographs, up to 1 024 texels a side, and its albedo, sheen and tilt are solved for
+    /// Whether the texture is then made as fine as the photographs, up to 2 048 texels a side, and its albedo, sheen and tilt are solved for
     /// from all pixels. Default false.
     pub detail: bool,
 }

@@ -49,7 +49,7 @@ pub(crate) const TEXEL_BYTES: f64 = 440.0;
 /// from 512² to 2048² texels.
 pub(crate) const FIT_TEXEL_BYTES: f64 = 410.0;
 /// Bytes of a texel of the finest texture, which has neither gradients nor moments.
-pub(crate) const FINEST_TEXEL_BYTES: f64 = 224.0;
+pub(crate) const FINEST_TEXEL_BYTES: f64 = 380.0;
 /// Bytes of a fit that do not depend on its size, as measured.
 pub(crate) const FIT_BYTES: f64 = 150e6;
 /// Bytes of a pixel while a view is scored: rendered, true, and what both are compared by. 16 views of 4096².

@@ -1,82 +1,185 @@
-//! The object in its own mirror: where the lobe of the BRDF is narrower than the directions of [`TexelVisibility`] lie apart, a few rays find what
-//! the surface mirrors.
+//! What a glossy surface mirrors of itself. The directions of [`TexelVisibility`] are too far apart for a narrow lobe of the BRDF; a few rays within
+//! the lobe say what it meets. Where they meet the surface, that sends diffuse light, and what it mirrors of the sky in turn.
+//!
+//! | name | unit | value | meaning |
+//! | --- | --- | --- | --- |
+//! | [`LEAST_SHARPNESS`] | | 100 | sharpness of a lobe from which rays are cast, R < 0.27 straight on |
+//! | [`RAYS`] | | 16 | rays of a point |
 
-use crate::math::ray::{Intersect, Ray};
-use crate::visibility::occlusion::{Bounce, Sky};
+use crate::math::ray::{Hit, Intersect, Ray};
+use crate::visibility::occlusion::{Bounce, MOST_MIRRORED, Mirror, Sky, sharpness_of_lobe};
 use crate::visibility::texel_visibility::TexelVisibility;
 use glam::{Mat3, Vec3};
 
+/// Sharpness of a lobe from which rays are cast.
+pub(crate) const LEAST_SHARPNESS: f32 = 100.0;
 /// Rays of a point.
 const RAYS: u32 = 16;
+/// Offset of the origin of rays from the surface, relative to the radius of the object.
 const OFFSET: f32 = 1e-4;
+/// Angle between two points of a spiral that is evenly dense (Vogel 1979).
+const GOLDEN_ANGLE: f32 = 2.399_963_2;
 
-/// What rays may meet.
+/// What rays meet.
 #[derive(Clone, Copy)]
 pub(crate) struct Mirrored<'a> {
+    /// The surface.
     pub surface: &'a dyn Intersect,
+    /// The rows of its texels.
     pub visibility: &'a TexelVisibility,
+    /// The light around it.
     pub sky: &'a Sky,
+    /// The light that it sends.
     pub bounce: &'a Bounce,
 }
 
 impl Mirrored<'_> {
-    /// The part of the light in a lobe around `axis` that arrives at a point.
-    pub fn part(&self, at: Vec3, [normal, axis]: [Vec3; 2], sharpness: f32, most: f32) -> Vec3 {
-        let frame = frame_around(axis);
+    /// The part of the light in a lobe of this `sharpness` around the direction `axis` that arrives at a point.
+    pub fn part(&self, position: Vec3, normal: Vec3, axis: Vec3, sharpness: f32) -> Vec3 {
+        let (x, y) = axis.any_orthonormal_pair();
+        let world_from_lobe = Mat3::from_cols(x, y, axis);
         let (mut arriving, mut unhidden) = (Vec3::ZERO, Vec3::ZERO);
         for i in 0..RAYS {
-            let direction = frame * in_lobe(i, sharpness);
-            let cosine = normal.dot(direction);
-            if cosine <= 0.0 {
-                continue;
-            }
-            let sky = self.sky.toward(direction);
+            let direction = world_from_lobe * direction_in_lobe(i, sharpness);
+            let cosine = normal.dot(direction).max(0.0);
+            let sky = self.sky.toward(direction, sharpness * RAYS as f32);
             unhidden += sky * cosine;
-            arriving += self.from(at, direction).unwrap_or(sky) * cosine;
+            arriving += self.sent_from(&Ray { origin: position, direction }).unwrap_or(sky) * cosine;
         }
         let floor = Vec3::splat(1e-6 * unhidden.max_element().max(1e-20));
-        (arriving / unhidden.max(floor)).clamp(Vec3::ZERO, Vec3::splat(most))
+        (arriving / unhidden.max(floor)).clamp(Vec3::ZERO, Vec3::splat(MOST_MIRRORED))
     }
 
-    /// Radiance that the surface sends from a direction; `None` if there is only sky.
-    fn from(&self, at: Vec3, direction: Vec3) -> Option<Vec3> {
-        let ray = Ray { origin: at, direction };
-        let hit = self.surface.intersect(&ray, OFFSET * self.surface.radius())?;
-        if hit.geometric_normal.dot(direction) >= 0.0 {
+    /// Radiance that the surface sends back along a ray; `None` if the ray does not meet it.
+    fn sent_from(&self, ray: &Ray) -> Option<Vec3> {
+        let hit = self.surface.intersect(ray, OFFSET * self.surface.radius())?;
+        if hit.geometric_normal.dot(ray.direction) >= 0.0 {
             return Some(Vec3::ZERO);
         }
         let texels = hit.texels.indices.into_iter().zip(hit.texels.weights);
-        let (mut sum, mut total) = (Vec3::ZERO, 0.0);
-        let mode = std::env::var("MODE").is_ok();
-        for (texel, weight) in texels {
-            if let Some(leaving) = self.bounce.leaving.get(self.visibility.rows[texel as usize] as usize) {
-                let row = self.visibility.rows[texel as usize] as usize;
-                if mode {
-                    let out = direction - 2.0 * direction.dot(hit.normal) * hit.normal;
-                    let f0 = self.bounce.mirrored[row];
-                    let cosine = -direction.dot(hit.normal);
-                    let fresnel = f0 + (Vec3::ONE - f0) * (1.0 - cosine.clamp(0.0, 1.0)).powi(5);
-                    sum += weight * (self.bounce.diffuse[row] + fresnel * self.sky.toward(out));
-                } else {
-                    sum += *leaving * weight;
-                }
-                total += weight;
-            }
+        let (sum, total) = texels.fold((Mirror::default(), 0.0), |(sum, total), (texel, weight)| {
+            let row = self.visibility.rows[texel as usize] as usize;
+            self.bounce
+                .mirrors
+                .get(row)
+                .map_or((sum, total), |mirror| (sum.plus(mirror, weight), total + weight))
+        });
+        let place = Mirror::default().plus(&sum, total.max(f32::MIN_POSITIVE).recip());
+        Some(self.sent_by(&place, &hit, ray))
+    }
+
+    /// Diffuse radiance of a place, and the sky that it mirrors along a ray.
+    fn sent_by(&self, place: &Mirror, hit: &Hit, ray: &Ray) -> Vec3 {
+        let up = -ray.direction.dot(hit.normal);
+        if up <= 0.0 {
+            return place.diffuse;
         }
-        (total > 0.0).then(|| sum / total)
+        let fresnel = place.albedo + (1.0 - place.albedo) * (1.0 - up).powi(5);
+        let out = ray.direction + 2.0 * up * hit.normal;
+        place.diffuse + fresnel * self.sky.toward(out, sharpness_of_lobe(place.sharpness, up))
     }
 }
 
-/// The i-th of the directions of equal weight of a lobe around +Z, on a spiral (Vogel 1979).
-fn in_lobe(i: u32, sharpness: f32) -> Vec3 {
+/// The i-th of the [`RAYS`] directions of equal weight of a lobe around +Z.
+fn direction_in_lobe(i: u32, sharpness: f32) -> Vec3 {
     let part = (i as f32 + 0.5) / RAYS as f32;
-    let z = 1.0 + (1.0 - part * (1.0 - (-2.0 * sharpness).exp())).ln() / sharpness;
-    let (sin, cos) = (i as f32 * 2.399_963_2).sin_cos();
+    // The part of e^{λ(z − 1)} between 1 and z; beyond λ = 100 nothing is below z = −1.
+    let z = (1.0 + (1.0 - part).ln() / sharpness).max(-1.0);
+    let (sin, cos) = (i as f32 * GOLDEN_ANGLE).sin_cos();
     let radius = (1.0 - z * z).max(0.0).sqrt();
     Vec3::new(radius * cos, radius * sin, z)
 }
 
-fn frame_around(axis: Vec3) -> Mat3 {
-    let (x, y) = axis.any_orthonormal_pair();
-    Mat3::from_cols(x, y, axis)
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::fibonacci::fibonacci_axes;
+    use crate::math::lobe::Lobe;
+    use crate::math::ray::TexelAddress;
+    use crate::math::shading::LobeColumns;
+
+    /// All that is beyond x = 1.
+    struct Wall;
+
+    impl Intersect for Wall {
+        fn intersect(&self, ray: &Ray, _: f32) -> Option<Hit> {
+            let distance = (1.0 - ray.origin.x) / ray.direction.x;
+            (ray.direction.x > 0.0).then(|| Hit {
+                position: ray.origin + distance * ray.direction,
+                normal: -Vec3::X,
+                geometric_normal: -Vec3::X,
+                distance,
+                uv: glam::Vec2::ZERO,
+                texels: TexelAddress { weights: [0.25; 4], ..TexelAddress::default() },
+            })
+        }
+
+        fn occluded(&self, ray: &Ray, _: f32, _: f32) -> bool {
+            ray.direction.x > 0.0
+        }
+    }
+
+    fn sky(lobes: &[([f32; 3], f32, f32)]) -> Sky {
+        let lobe = |(axis, sharpness, radiance): &([f32; 3], f32, f32)| Lobe {
+            axis: *axis,
+            sharpness: *sharpness,
+            amplitude: [*radiance; 3],
+        };
+        let columns = LobeColumns::from_lobes(lobes.iter().map(lobe));
+        Sky::new(&fibonacci_axes(64), &columns, Mat3::IDENTITY)
+    }
+
+    /// What arrives of a narrow lobe around `axis` over a floor beside the wall.
+    fn part(axis: Vec3, wall: Mirror, sky: &Sky) -> Vec3 {
+        let mut visibility = TexelVisibility::default();
+        visibility.rows = vec![0];
+        let bounce = Bounce { mirrors: vec![wall], ..Bounce::default() };
+        let mirrored = Mirrored { surface: &Wall, visibility: &visibility, sky, bounce: &bounce };
+        mirrored.part(Vec3::ZERO, Vec3::Y, axis.normalize(), 2000.0)
+    }
+
+    #[test]
+    fn a_lobe_that_meets_a_wall_has_its_light() {
+        let sky = sky(&[([0.0, 1.0, 0.0], 0.0, 2.0)]);
+        let red = Mirror { diffuse: Vec3::new(1.0, 0.5, 0.0), ..Mirror::default() };
+        assert!(part(Vec3::new(1.0, 1.0, 0.0), red, &sky).abs_diff_eq(Vec3::new(0.5, 0.25, 0.0), 1e-3));
+        assert!(part(Vec3::new(-1.0, 1.0, 0.0), red, &sky).abs_diff_eq(Vec3::ONE, 1e-6));
+        // Half of the lobe meets it.
+        assert!(part(Vec3::Y, red, &sky).abs_diff_eq(Vec3::new(0.75, 0.625, 0.5), 0.04));
+    }
+
+    #[test]
+    fn a_white_mirror_shows_the_sky_before_it() {
+        let white = Mirror { albedo: Vec3::ONE, sharpness: 5000.0, ..Mirror::default() };
+        let even = sky(&[([0.0, 1.0, 0.0], 0.0, 2.0)]);
+        assert!(part(Vec3::new(1.0, 1.0, 0.0), white, &even).abs_diff_eq(Vec3::ONE, 1e-3));
+        // The lamp in the mirror is behind the point; toward the wall it is dark.
+        let lamp = sky(&[([-1.0, 0.0, 0.0], 30.0, 1.0), ([1.0, 0.0, 0.0], 0.5, 0.01)]);
+        let gray = Mirror { albedo: Vec3::splat(0.2), ..white };
+        assert_eq!(part(Vec3::new(1.0, 0.1, 0.0), gray, &lamp), Vec3::splat(MOST_MIRRORED));
+    }
+
+    #[test]
+    fn light_that_is_convolved_keeps_its_power() {
+        let sky = sky(&[([0.6, 0.0, 0.8], 120.0, 3.0), ([0.0, -1.0, 0.0], 8.0, 0.5)]);
+        let power = 2.0 * std::f32::consts::PI * (3.0 / 120.0 + 0.5 / 8.0);
+        let directions = fibonacci_axes(20_000);
+        for sharpness in [60.0, 500.0] {
+            let sum: f32 = directions.iter().map(|d| sky.toward(*d, sharpness).x).sum();
+            let found = sum * 4.0 * std::f32::consts::PI / directions.len() as f32;
+            assert!((found / power - 1.0).abs() < 0.01, "{sharpness}: {found} {power}");
+        }
+    }
+
+    #[test]
+    fn directions_have_the_density_of_the_lobe() {
+        for sharpness in [100.0, 4000.0] {
+            let all: Vec<Vec3> = (0..RAYS).map(|i| direction_in_lobe(i, sharpness)).collect();
+            let mean = all.iter().sum::<Vec3>() / RAYS as f32;
+            // The mean of 1 − z is 1/λ.
+            assert!(((1.0 - mean.z) * sharpness - 1.0).abs() < 0.05, "{mean}");
+            assert!(mean.truncate().length() < 0.12 / sharpness.sqrt(), "{mean}");
+            assert!(all.iter().all(|d| d.is_normalized()));
+        }
+    }
 }

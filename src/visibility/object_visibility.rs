@@ -1,12 +1,13 @@
 //! [`ObjectVisibility`]: the occlusion of an object by itself, and the light on it at the last update.
 
 use crate::material::material_source::MaterialSource;
-use crate::math::brdf::ndf_sharpness;
 use crate::math::fibonacci::fibonacci_axes;
+use crate::math::ray::Intersect;
 use crate::math::shading::{LobeColumns, LobeVisibility, PointVisibility};
 use crate::mesh::Surface;
 use crate::sample::point::SurfacePoint;
-use crate::visibility::occlusion::{Blend, Bounce, Sky, light_one_row, light_rows, point_visibility};
+use crate::visibility::occlusion::{Bounce, Reflectance, Sky, light_one_row, light_rows};
+use crate::visibility::point_visibility::{Blend, SeenPoint, Surroundings};
 use crate::visibility::texel_visibility::TexelVisibility;
 use bevy_ecs::prelude::{Entity, Resource};
 use fearless_simd::{Level, dispatch};
@@ -125,7 +126,7 @@ impl ObjectVisibility {
         &mut self,
         lobes: &LobeColumns,
         turns: &[Option<Mat3>],
-        reflectance: &(dyn Fn(u32) -> Vec3 + Sync),
+        reflectance: &(dyn Fn(u32) -> Reflectance + Sync),
     ) {
         self.made = None;
         let (distinct, of_view) = distinct_turns(turns);
@@ -163,12 +164,13 @@ impl ObjectVisibility {
     }
 
     /// Computes the visibility of points, given the direction to the viewer, the view and the roughness of each by index; overwrites
-    /// `rows` and `seen`.
+    /// `rows` and `seen`. With the `surface`, rays find what narrow lobes mirror of it.
     pub fn window(
         &self,
         points: &[SurfacePoint],
         viewer: impl Fn(usize) -> (Vec3, usize) + Sync,
         roughness: impl Fn(usize) -> f32 + Sync,
+        surface: Option<&dyn Intersect>,
         rows: &mut WindowVisibility,
         seen: &mut [PointVisibility],
     ) {
@@ -192,9 +194,10 @@ impl ObjectVisibility {
                     let nearest = blend.iter().max_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(row, _)| *row);
                     light_one_row(&self.texels, sky, nearest, hidden, parts);
                 }
-                let directions = [point.normal, to_viewer];
-                let sharpness = ndf_sharpness(roughness(i));
-                *seen = point_visibility(&self.texels, sky, &self.bounce, &blend, directions, sharpness);
+                let SurfacePoint { position, normal, .. } = *point;
+                let point = SeenPoint { position, normal, to_viewer, roughness: roughness(i) };
+                let around = Surroundings { visibility: &self.texels, sky, bounce: &self.bounce, surface };
+                *seen = around.of(&blend, &point);
             },
         );
     }

@@ -5,22 +5,22 @@
 //! no sharp lobe falls between two directions.
 
 use crate::math::accurate::diffuse::cosine_integral;
-use crate::math::color::luminance;
+use crate::math::brdf::ndf_sharpness;
 use crate::math::lanes::{Lanes, Row};
 use crate::math::real::{Real, dot};
 use crate::math::sg::sphere_integral;
-use crate::math::shading::{LobeColumns, PointVisibility};
-use crate::visibility::texel_visibility::{MAX_DIRECTIONS, TexelVisibility};
+use crate::math::shading::LobeColumns;
+use crate::visibility::texel_visibility::TexelVisibility;
 use fearless_simd::{Level, Simd, dispatch};
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
 
+/// Least sharpness of a lobe.
+const LEAST_LOBE: f32 = 1e-6;
 /// Rows that a thread processes at a time.
 const CHUNK: usize = 64;
 /// Upper bound of the specular factor.
-const MOST_MIRRORED: f32 = 8.0;
-/// Directions contribute to specular light where the BRDF lobe is above e to the power of minus this.
-const MIRROR_REACH: f32 = 4.0;
+pub(crate) const MOST_MIRRORED: f32 = 8.0;
 
 /// Light on a set of directions.
 #[derive(Clone, Debug, Default)]
@@ -30,20 +30,24 @@ pub(crate) struct Sky {
     stride: usize,
     /// The convolved lobes, in columns: axis x, y, z, λ', amplitude r, g, b.
     lobes: [Vec<f32>; 7],
+    /// The lobes as they are, in the same columns.
+    narrow: [Vec<f32>; 7],
     /// The coordinates of the directions, in columns.
-    directions: [Vec<f32>; 3],
+    pub directions: [Vec<f32>; 3],
     /// Radiance from each direction, in columns.
-    radiance: [Vec<f32>; 3],
+    pub radiance: [Vec<f32>; 3],
 }
 
 impl Sky {
     /// The light at `directions` of `lobes`, which are rotated into the world.
     pub fn new(directions: &[Vec3], lobes: &LobeColumns, world_from_light: Mat3) -> Self {
         let stride = lobes.stride();
+        let padded: [Vec<f32>; 7] = std::array::from_fn(|c| vec![if c == 3 { 1.0 } else { 0.0 }; stride]);
         let mut sky = Self {
             weights: vec![0.0; directions.len() * stride],
             stride,
-            lobes: std::array::from_fn(|c| vec![if c == 3 { 1.0 } else { 0.0 }; stride]),
+            lobes: padded.clone(),
+            narrow: padded,
             directions: std::array::from_fn(|axis| directions.iter().map(|d| d[axis]).collect()),
             radiance: Default::default(),
         };
@@ -51,9 +55,13 @@ impl Sky {
         for (i, lobe) in (0..lobes.len()).map(|i| lobes.get(i)).enumerate() {
             let [x, y, z] = (world_from_light * Vec3::from(lobe.axis)).into();
             let sharpness = widened(lobe.sharpness, cell);
-            let [r, g, b] = lobe.amplitude.map(|a| a * integral(lobe.sharpness) / integral(sharpness));
-            let values = [x, y, z, sharpness, r, g, b];
-            sky.lobes.iter_mut().zip(values).for_each(|(column, value)| column[i] = value);
+            let put = |columns: &mut [Vec<f32>; 7], sharpness: f32, [r, g, b]: [f32; 3]| {
+                let values = [x, y, z, sharpness, r, g, b];
+                columns.iter_mut().zip(values).for_each(|(column, value)| column[i] = value);
+            };
+            put(&mut sky.narrow, lobe.sharpness.max(LEAST_LOBE), lobe.amplitude);
+            let factor = integral(lobe.sharpness) / integral(sharpness);
+            put(&mut sky.lobes, sharpness, lobe.amplitude.map(|a| a * factor));
         }
         let columns = &sky.lobes;
         let mut radiance = vec![Vec3::ZERO; directions.len()];
@@ -69,14 +77,43 @@ impl Sky {
         sky
     }
 
-    /// Radiance from a direction.
-    fn radiance(&self, direction: usize) -> Vec3 {
+    /// Radiance of the lobes around a direction, convolved with a Gaussian of this sharpness (well above 1).
+    pub fn toward(&self, direction: Vec3, sharpness: f32) -> Vec3 {
+        dispatch!(Level::new(), simd => light_toward(simd, &self.narrow, direction, sharpness))
+    }
+
+    /// Radiance from one of the directions.
+    pub fn radiance(&self, direction: usize) -> Vec3 {
         Vec3::from_array([0, 1, 2].map(|c| self.radiance[c][direction]))
     }
 }
 
+/// [`Sky::toward`]: λ' = λ s/(λ + s), and by their nearly equal power, a' = a λ'/λ.
+#[inline(always)]
+fn light_toward<S: Simd>(simd: S, lobes: &[Vec<f32>; 7], direction: Vec3, sharpness: f32) -> Vec3 {
+    let direction = direction.to_array().map(|c| Lanes::splat(simd, c));
+    let [width, zero] = [sharpness, 0.0].map(|value| Lanes::splat(simd, value));
+    let mut light = [zero; 3];
+    for at in (0..lobes[0].len()).step_by(Lanes::<S>::LEN) {
+        let column = |c: usize| Lanes::load(simd, &lobes[c][at..at + Lanes::<S>::LEN]);
+        let part = width / (column(3) + width);
+        let cosine = dot([column(0), column(1), column(2)], direction);
+        let value = (column(3) * part * (cosine - cosine.one()).min(zero)).decay() * part;
+        for (c, sum) in light.iter_mut().enumerate() {
+            *sum += column(4 + c) * value;
+        }
+    }
+    Vec3::from_array(light.map(Lanes::sum))
+}
+
+/// Sharpness of the lobe of the BRDF around the mirrored view, given that of the microfacet normals (2/R⁴) and the cosine of the view
+/// (Wang et al. 2009).
+pub(crate) fn sharpness_of_lobe(of_normals: f32, up: f32) -> f32 {
+    of_normals / (4.0 * up.max(0.05))
+}
+
 /// The sharpness of a lobe after convolution with the Gaussian of a cell.
-fn widened(sharpness: f32, cell: f32) -> f32 {
+pub(crate) fn widened(sharpness: f32, cell: f32) -> f32 {
     sharpness * cell / (sharpness + cell)
 }
 
@@ -168,6 +205,41 @@ pub(crate) struct Bounce {
     pub indirect: Vec<Vec3>,
     /// Outgoing radiance of each row, as if all reflection were diffuse.
     pub leaving: Vec<Vec3>,
+    /// What each row is to rays that say what narrow lobes meet.
+    pub mirrors: Vec<Mirror>,
+}
+
+/// How a texel reflects light.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Reflectance {
+    /// Diffuse albedo.
+    pub diffuse: Vec3,
+    /// Specular albedo.
+    pub specular: Vec3,
+    /// Roughness R of its specular lobe.
+    pub roughness: f32,
+}
+
+/// A row that is mirrored in another.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Mirror {
+    /// Outgoing diffuse radiance.
+    pub diffuse: Vec3,
+    /// Specular albedo.
+    pub albedo: Vec3,
+    /// Sharpness of its microfacet normals.
+    pub sharpness: f32,
+}
+
+impl Mirror {
+    /// The sum with another of this weight.
+    pub fn plus(&self, other: &Self, weight: f32) -> Self {
+        Self {
+            diffuse: self.diffuse + other.diffuse * weight,
+            albedo: self.albedo + other.albedo * weight,
+            sharpness: self.sharpness + other.sharpness * weight,
+        }
+    }
 }
 
 impl Bounce {
@@ -175,12 +247,14 @@ impl Bounce {
     pub fn new(
         visibility: &TexelVisibility,
         direct: &[Vec3],
-        reflectance: &(dyn Fn(u32) -> Vec3 + Sync),
+        of: &(dyn Fn(u32) -> Reflectance + Sync),
         bounces: u32,
     ) -> Self {
         let rows = 0..visibility.len();
-        let reflectance = visibility.mean(reflectance);
-        let sent = |row: usize, irradiance: Vec3| reflectance[row] * irradiance * std::f32::consts::FRAC_1_PI;
+        let both = |of: Reflectance| (of.diffuse + of.specular).min(Vec3::ONE);
+        let reflectance = visibility.mean(&|texel| both(of(texel)));
+        let radiance = |albedo: Vec3, irradiance: Vec3| albedo * irradiance * std::f32::consts::FRAC_1_PI;
+        let sent = |row: usize, irradiance: Vec3| radiance(reflectance[row], irradiance);
         let mut leaving: Vec<Vec3> = direct.iter().enumerate().map(|(row, e)| sent(row, *e)).collect();
         let mut indirect = vec![Vec3::ZERO; visibility.len()];
         for _ in 0..bounces {
@@ -188,7 +262,18 @@ impl Bounce {
             let both = direct.iter().zip(&indirect).enumerate();
             leaving = both.map(|(row, (direct, indirect))| sent(row, *direct + *indirect)).collect();
         }
-        Self { indirect, leaving }
+        let mirror = |row: usize| {
+            let Reflectance { diffuse, specular, roughness } = of(visibility.texels[row]);
+            let diffuse = radiance(diffuse.min(Vec3::ONE), direct[row] + indirect[row]);
+            Mirror { diffuse, albedo: specular, sharpness: ndf_sharpness(roughness) }
+        };
+        let mirrors = rows.into_par_iter().map(mirror).collect();
+        Self { indirect, leaving, mirrors }
+    }
+
+    /// Radiance that leaves a row; none for a back face.
+    pub fn sent_from(&self, row: u32) -> Vec3 {
+        self.leaving.get(row as usize).copied().unwrap_or(Vec3::ZERO)
     }
 }
 
@@ -200,109 +285,8 @@ fn cell_angle(visibility: &TexelVisibility) -> f32 {
 /// Irradiance of a row from the texels that occlude directions.
 fn gathered(visibility: &TexelVisibility, leaving: &[Vec3], row: usize) -> Vec3 {
     let normal = visibility.normals[row];
-    let light = visibility
-        .hidden(row)
-        .map(|(d, hider)| sent_from(leaving, hider) * visibility.directions[d].dot(normal));
-    light.sum::<Vec3>() * cell_angle(visibility)
-}
-
-/// Radiance that leaves a row; none for a back face.
-fn sent_from(leaving: &[Vec3], row: u32) -> Vec3 {
-    leaving.get(row as usize).copied().unwrap_or(Vec3::ZERO)
-}
-
-/// Up to four rows of texels and their weights, which sum to one.
-pub type Blend = [(usize, f32); 4];
-
-/// The visibility of a point from the rows around it. `lobe_sharpness` is that of the microfacet normals, 2/R⁴.
-///
-/// Specular light is scaled by Σ_d B(d)·L(d) over Σ_d B(d)·sky(d), where B is the lobe of the BRDF around the mirror direction
-/// (sharpness L/(4 n·v), Wang et al. 2009) times the cosine, and L the incident radiance from d: that of the sky, or of the texel that occludes it.
-pub fn point_visibility(
-    visibility: &TexelVisibility,
-    sky: &Sky,
-    bounce: &Bounce,
-    blend: &Blend,
-    [normal, to_viewer]: [Vec3; 2],
-    lobe_sharpness: f32,
-) -> PointVisibility {
-    let indirect: Vec3 = blend.iter().map(|(row, weight)| bounce.indirect[*row] * *weight).sum();
-    let open = blend.iter().all(|(row, weight)| *weight == 0.0 || visibility.sees_all(*row));
-    let up = normal.dot(to_viewer);
-    if open || up <= 0.0 {
-        return PointVisibility { indirect: indirect.into(), ..PointVisibility::OPEN };
-    }
-    let mirrored = 2.0 * up * normal - to_viewer;
-    let cell = visibility.directions.len() as f32 / 2.0;
-    let sharpness = widened(lobe_sharpness / (4.0 * up.max(0.05)), cell);
-    let least = 1.0 - MIRROR_REACH / sharpness;
-    let mut near = [0; MAX_DIRECTIONS / 64];
-    dispatch!(Level::new(), simd => directions_near(simd, &sky.directions, mirrored, least, &mut near));
-    let rows = blend.iter().filter(|(_, part)| *part > 0.0);
-    if !rows.clone().any(|(row, _)| visibility.hides_any(*row, &near)) {
-        return PointVisibility { indirect: indirect.into(), ..PointVisibility::OPEN };
-    }
-    let lobe = MirroredLobe { axis: mirrored, sharpness, least, normal };
-    let mut weights = [0.0; MAX_DIRECTIONS];
-    let unhidden = dispatch!(Level::new(), simd => weigh_directions(simd, sky, &lobe, &near, &mut weights));
-    let arriving = rows.fold(unhidden, |arriving, (row, part)| {
-        let instead = visibility
-            .hidden_among(*row, &near)
-            .map(|(d, hider)| (sent_from(&bounce.leaving, hider) - sky.radiance(d)) * weights[d]);
-        arriving + instead.sum::<Vec3>() * *part
+    let light = visibility.hidden(row).map(|(d, hider)| {
+        leaving.get(hider as usize).map_or(Vec3::ZERO, |sent| *sent) * visibility.directions[d].dot(normal)
     });
-    let floor = Vec3::splat(1e-6 * luminance(unhidden).max(1e-20));
-    let specular = (arriving / unhidden.max(floor)).clamp(Vec3::ZERO, Vec3::splat(MOST_MIRRORED));
-    PointVisibility { specular: specular.into(), indirect: indirect.into() }
-}
-
-/// Sets the bit of each direction whose cosine to `axis` is above `least`.
-#[inline(always)]
-fn directions_near<S: Simd>(simd: S, directions: &[Vec<f32>; 3], axis: Vec3, least: f32, near: &mut [u64]) {
-    let axis = axis.to_array().map(|c| Lanes::splat(simd, c));
-    let least = Lanes::splat(simd, least);
-    for at in (0..directions[0].len()).step_by(Lanes::<S>::LEN) {
-        let column = |c: usize| Lanes::load(simd, &directions[c][at..at + Lanes::<S>::LEN]);
-        let bits = least.bits_below(dot([column(0), column(1), column(2)], axis));
-        near[at / 64] |= bits << (at % 64);
-    }
-}
-
-/// The lobe of the BRDF around the mirrored view, where its cosine to a direction is above `least`, times the cosine with `normal`.
-struct MirroredLobe {
-    axis: Vec3,
-    sharpness: f32,
-    least: f32,
-    normal: Vec3,
-}
-
-/// The lobe's value at each direction, in groups of lanes of which a bit of `near` is set, and the light of the whole sky weighted by it.
-#[inline(always)]
-fn weigh_directions<S: Simd>(
-    simd: S,
-    sky: &Sky,
-    lobe: &MirroredLobe,
-    near: &[u64],
-    weights: &mut [f32; MAX_DIRECTIONS],
-) -> Vec3 {
-    let [axis, normal] = [lobe.axis, lobe.normal].map(|v| v.to_array().map(|c| Lanes::splat(simd, c)));
-    let [least, sharpness, zero] = [lobe.least, lobe.sharpness, 0.0].map(|c| Lanes::splat(simd, c));
-    let mut light = [zero; 3];
-    let group = u64::MAX >> (64 - Lanes::<S>::LEN);
-    for at in (0..sky.directions[0].len()).step_by(Lanes::<S>::LEN) {
-        if near[at / 64] >> (at % 64) & group == 0 {
-            continue;
-        }
-        let load =
-            |columns: &[Vec<f32>; 3], c: usize| Lanes::load(simd, &columns[c][at..at + Lanes::<S>::LEN]);
-        let direction = [0, 1, 2].map(|c| load(&sky.directions, c));
-        let cosine = dot(direction, axis);
-        let value = (sharpness * (cosine - cosine.one()).min(zero)).decay() * dot(direction, normal).relu();
-        let value = least.select_lt(cosine, value, zero);
-        value.store(&mut weights[at..at + Lanes::<S>::LEN]);
-        for (c, sum) in light.iter_mut().enumerate() {
-            *sum += load(&sky.radiance, c) * value;
-        }
-    }
-    Vec3::from_array(light.map(Lanes::sum))
+    light.sum::<Vec3>() * cell_angle(visibility)
 }

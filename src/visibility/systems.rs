@@ -9,6 +9,7 @@
 //! every few steps (`refresh_is_due`).
 
 use super::object_visibility::{Made, ObjectVisibility, WindowVisibility};
+use super::occlusion::Reflectance;
 use crate::light::LightLobe;
 use crate::light::lights::IncidentLight;
 use crate::material::SpecularBlend;
@@ -20,12 +21,11 @@ use crate::math::shading::PointVisibility;
 use crate::pipeline::{Phase, Pipeline, Plugin, Slot, SystemResult};
 use crate::sample::Samples;
 use crate::sample::pixel::{PixelOf, ViewRay};
-use crate::sample::point::{PointBlend, SurfacePoint};
+use crate::sample::point::{PointBlend, Scenery, SurfacePoint};
 use crate::sample::turn::LightTurns;
 use bevy_ecs::prelude::{
     Changed, Entity, IntoScheduleConfigs, Or, Query, Res, ResMut, Resource, SystemCondition, World,
 };
-use glam::Vec3;
 use std::any::TypeId;
 
 /// Whether this step of a fit updates shadows and interreflection; a fit does so every few steps.
@@ -108,12 +108,14 @@ pub fn refresh_visibility<M: MaterialSource>(
     mut object: ResMut<ObjectVisibility>,
 ) -> SystemResult {
     let (albedo, sheen, _, blends) = texels.columns()?;
-    // Interreflected specular light is treated as diffuse: its energy is right, its direction is not.
+    // Specular light of a second reflection is treated as diffuse, but where rays find it.
     let reflectance = |texel: u32| {
-        let blend = blends[texel as usize].blend().0;
-        let specular: Vec3 = materials.by_number().map(|(k, lobe)| lobe.albedo * blend[k]).sum();
-        let diffuse = mean_albedo(albedo[texel as usize].albedo(), sheen[texel as usize].sheen());
-        (diffuse + specular).min(Vec3::ONE)
+        let blend = blends[texel as usize].blend();
+        Reflectance {
+            diffuse: mean_albedo(albedo[texel as usize].albedo(), sheen[texel as usize].sheen()),
+            specular: materials.by_number().map(|(k, lobe)| lobe.albedo * blend.0[k]).sum(),
+            roughness: blend.roughness(materials.by_number()),
+        }
     };
     object.refresh(&light.lobes, turns.table().all(), &reflectance);
     let from = sources(&light, &materials);
@@ -133,7 +135,7 @@ type PointColumns = (
 /// Gather: the visibility of the points of the window.
 pub fn gather_visibility(
     object: Res<ObjectVisibility>,
-    materials: Res<BaseMaterials>,
+    (materials, scenery): (Res<BaseMaterials>, Res<Scenery>),
     samples: Samples<PointColumns>,
     mut out: ResMut<WindowVisibility>,
 ) -> SystemResult {
@@ -143,6 +145,6 @@ pub fn gather_visibility(
         [(_, one)] => one.roughness,
         _ => SpecularBlend(blends[i].0).roughness(materials.by_number()),
     };
-    object.window(&points, viewer, mean, &mut out, &mut seen);
+    object.window(&points, viewer, mean, Some(&*scenery.0), &mut out, &mut seen);
     Ok(())
 }

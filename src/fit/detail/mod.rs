@@ -55,9 +55,9 @@ use std::ops::ControlFlow;
 /// Sweeps over all pixels. They are cheap beside shading.
 const SWEEPS: u32 = 7;
 /// Most texels a side that a texture is refined to.
-const MOST_SIDE: u32 = 4096;
+const MOST_SIDE: u32 = 2048;
 /// Least pixels for a texel of a texture that is refined.
-const PIXELS_OF_TEXEL: f64 = 1.5;
+const PIXELS_OF_TEXEL: f64 = 2.0;
 /// Pixels of one run of the phase, and of a sweep between two looks whether it is stopped.
 const BATCH: usize = 1 << 16;
 /// Most pixels that are kept; of more, every n-th is visited.

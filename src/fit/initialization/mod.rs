@@ -24,7 +24,7 @@ use crate::sample::point::SurfacePoint;
 use crate::sample::turn::TurnTable;
 use crate::shade::systems::{kernel_specular, turned};
 use crate::view::{ByView, Camera, Photograph, ViewIndex};
-use crate::visibility::{ObjectVisibility, WindowVisibility};
+use crate::visibility::{ObjectVisibility, Reflectance, WindowVisibility};
 use bevy_ecs::prelude::{Entity, Query, With, Without, World};
 use bevy_ecs::system::SystemState;
 use glam::Vec3;
@@ -267,9 +267,10 @@ impl Initialization<'_> {
 
     pub fn refresh(&mut self, lobes: &LobeColumns, texels: &[Vec3]) {
         let _refreshing = stage("shadows");
-        let gloss = self.specular.albedo;
         if let Some(object) = &mut self.object {
-            object.refresh(lobes, self.turns.all(), &|texel| (texels[texel as usize] + gloss).min(Vec3::ONE));
+            let SpecularLobe { albedo: specular, roughness, .. } = self.specular;
+            let of = |texel: u32| Reflectance { diffuse: texels[texel as usize], specular, roughness };
+            object.refresh(lobes, self.turns.all(), &of);
         }
     }
 
@@ -285,7 +286,7 @@ impl Initialization<'_> {
         };
         let viewers: Vec<Vec3> = observations.iter().map(viewer).collect::<Result<_>>()?;
         let viewer = |i: usize| (viewers[i], observations[i].pixel.view.0 as usize);
-        object.window(&surface, viewer, |_| self.specular.roughness, &mut rows, &mut seen);
+        object.window(&surface, viewer, |_| self.specular.roughness, None, &mut rows, &mut seen);
         Ok((rows, seen))
     }
 
