@@ -6,7 +6,7 @@ use lobelia::fit::cameras::{CameraFit, CameraPlugin, CameraUnknowns};
 use lobelia::fit::components::{
     AlbedoGradient, AlbedoMoments, LobeMoments, SpecularMoments, StepRates, Unknowns,
 };
-use lobelia::fit::exposure::Exposures;
+use lobelia::fit::exposure::{ExposureChoice, Exposures};
 use lobelia::fit::guard::{StepGuard, check_adjoints};
 use lobelia::fit::scale::ScaleMoments;
 use lobelia::fit::sheen::{SheenGradient, SheenMoments};
@@ -155,7 +155,13 @@ fn a_step_that_is_not_finite_is_taken_back_and_counted() {
 #[test]
 fn the_steps_that_are_taken_back_change_nothing_else() {
     let unknowns = Unknowns { sheen: true, ..Unknowns::default() };
-    let options = FitOptions { steps: 24, batch: 64, unknowns, exposure: true, ..FitOptions::default() };
+    let options = FitOptions {
+        steps: 24,
+        batch: 64,
+        unknowns,
+        exposure: ExposureChoice::Color,
+        ..FitOptions::default()
+    };
     let states = |place: Place, steps: Range<u32>| {
         let (pipeline, summary, states) = poisoned_fit(Poison { steps, place }, &options, |_| ());
         summary.unwrap();

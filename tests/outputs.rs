@@ -124,7 +124,7 @@ fn force_removes_no_result_that_the_run_reads() {
 #[test]
 fn a_manifest_lists_every_file() {
     let data = Data::new();
-    let more = r#"Fit(name: "second", steps: 2, cameras: PosesAndFocal, exposure: true, detail: true),
+    let more = r#"Fit(name: "second", steps: 2, cameras: PosesAndFocal, exposure: Color, detail: true),
         Render(name: "film", render: (views: All, orbit: (frames: 2, size: 16, format: Apng))),
         Relight(name: "relit", light: Npy(path: "$DATA/evening.npy")),
         Save(name: "relit_object", of: "relit"),

@@ -165,7 +165,7 @@ fn a_camera_that_is_off_is_moved_back_and_written_down() {
     });
     let given = middles(&data.path("train/cam_dict_norm.json"));
     let shape = "Shape(levels: [(cells: 32, texel_cells: 16, steps: 300, hold: 10)], batch: 1024, cameras: Poses, \
-                 exposure: true), Fit(name";
+                 exposure: Brightness), Fit(name";
     run_scene(&data, &SCENE.replace("Fit(name", shape), &["--quiet"]);
     let found = middles(&data.path("out/shape/cam_dict_norm.json"));
     assert_eq!(found.len(), truth.len());

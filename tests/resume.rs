@@ -148,7 +148,7 @@ const MESH: &str = r#"Mesh(path: "$DATA/mesh.glb", texture_size: 64)"#;
 fn a_fit_of_everything_goes_on_from_any_step() {
     let data = Data::new();
     two_balls(&data);
-    let passes = r#"Fit(name: "fit", steps: 80, batch: 64, cameras: PosesAndFocal, exposure: true, vertices: true),
+    let passes = r#"Fit(name: "fit", steps: 80, batch: 64, cameras: PosesAndFocal, exposure: Color, vertices: true),
         Render(name: "novel"), Evaluate(name: "scores", scores: [(pass: "novel", truth: Photographs)]), Save(), Export(),"#;
     let text = scene(MESH, "material: (gloss: Blend(materials: 2)),", passes);
     // Before and after the cameras have moved, and during the pictures.
@@ -189,7 +189,7 @@ fn a_shape_goes_on_from_any_level_and_step() {
     let data = photographs();
     let passes = r#"Shape(name: "shape", levels: [
             (cells: 16, texel_cells: 12, steps: 54, hold: 5), (cells: 20, texel_cells: 16, steps: 12),
-        ], batch: 64, silhouette_batch: 32, cameras: PosesAndFocal, exposure: true),
+        ], batch: 64, silhouette_batch: 32, cameras: PosesAndFocal, exposure: Color),
         Fit(name: "fit", steps: 10, batch: 64), Render(name: "novel"), Save(), Export(),"#;
     let text = scene("Unknown(cells: 16, texture_size: 128)", "", passes);
     survives(&data, &text, &[("shape", 1), ("shape", 53), ("shape", 63), ("fit", 7)]);
@@ -202,7 +202,7 @@ fn a_new_world_between_passes_changes_no_bit() {
     image::RgbImage::from_pixel(4, 4, image::Rgb([255; 3])).save(data.path("white.png")).unwrap();
     let passes = r#"Shape(name: "shape", levels: [
             (cells: 16, texel_cells: 12, steps: 54, hold: 5), (cells: 20, texel_cells: 16, steps: 12),
-        ], batch: 64, silhouette_batch: 32, cameras: PosesAndFocal, exposure: true),
+        ], batch: 64, silhouette_batch: 32, cameras: PosesAndFocal, exposure: Color),
         Fit(name: "fit", steps: 10, batch: 64, vertices: true, detail: true), Render(name: "novel"), Save(), Export(), View(),"#;
     let with = |albedo: &str, out: &str| {
         let material = format!("material: (albedo: Initial({albedo})),");

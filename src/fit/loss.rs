@@ -2,6 +2,7 @@
 
 use crate::math::shading::{Layers, RadianceAdjoint};
 use crate::sample::pixel::Observed;
+use glam::Vec3;
 use serde::{Deserialize, Serialize};
 
 /// The function that a fit minimizes, averaged over pixels and channels.
@@ -47,13 +48,13 @@ impl LossSums {
     }
 }
 
-/// Writes the adjoint of the mean loss over these pixels and returns their sums. `exposure` is the exposure
-/// factor of a pixel's photograph.
+/// Writes the adjoint of the mean loss over these pixels and returns their sums. `exposure` are the exposure
+/// factors of a pixel's photograph.
 pub fn image_loss(
     loss: Loss,
     shaded: &[Layers],
     observed: &[Observed],
-    exposure: impl Fn(usize) -> f32,
+    exposure: impl Fn(usize) -> Vec3,
     adjoint: &mut [RadianceAdjoint],
 ) -> LossSums {
     let weight = 1.0 / (3 * shaded.len().max(1)) as f32;
@@ -61,7 +62,7 @@ pub fn image_loss(
     for (i, ((layers, observed), adjoint)) in shaded.iter().zip(observed).zip(adjoint).enumerate() {
         let exposure = exposure(i);
         for c in 0..3 {
-            let predicted = exposure * (layers.diffuse[c] + layers.specular[c]);
+            let predicted = exposure[c] * (layers.diffuse[c] + layers.specular[c]);
             let difference = observed.difference(c, predicted);
             let (value, slope) = match loss {
                 Loss::L1 => (difference.abs(), if difference == 0.0 { 0.0 } else { difference.signum() }),
@@ -70,7 +71,7 @@ pub fn image_loss(
             sums.loss += f64::from(value);
             let clipped = predicted.clamp(0.0, 1.0) - observed.radiance[c].clamp(0.0, 1.0);
             sums.clipped_squares += f64::from(clipped * clipped);
-            adjoint.0[c] = exposure * slope * weight;
+            adjoint.0[c] = exposure[c] * slope * weight;
         }
     }
     sums
@@ -89,7 +90,7 @@ mod tests {
         let observed = [Observed { radiance: [1.0, 0.1, 1.0].into(), saturated: true }];
         let shaded = [Layers { diffuse: [7.0, 0.3, 0.4], specular: [0.0; 3] }];
         let mut adjoint = [RadianceAdjoint::default()];
-        let sums = image_loss(Loss::L1, &shaded, &observed, |_| 1.0, &mut adjoint);
+        let sums = image_loss(Loss::L1, &shaded, &observed, |_| Vec3::ONE, &mut adjoint);
         assert!((sums.loss - 0.8).abs() < 1e-6);
         assert!(adjoint[0].0[0] == 0.0 && adjoint[0].0[1] > 0.0 && adjoint[0].0[2] < 0.0);
     }
@@ -104,7 +105,7 @@ mod tests {
         for loss in [Loss::L1, Loss::L2] {
             let mean = |x: f32| {
                 let mut adjoint = [RadianceAdjoint::default(); 2];
-                let exposure = |i: usize| [0.8, 1.3][i];
+                let exposure = |i: usize| [Vec3::new(0.8, 1.0, 1.1), Vec3::splat(1.3)][i];
                 let sums = image_loss(loss, &[layers(x), layers(0.7)], &observed, exposure, &mut adjoint);
                 (sums.mean(), adjoint[0].0[0])
             };
@@ -117,7 +118,7 @@ mod tests {
     fn psnr_is_that_of_clipped_radiance() {
         let shaded = [Layers { diffuse: [3.0, 0.5, 0.5], specular: [0.0; 3] }];
         let observed = [seen([2.0, 0.5, 0.4])];
-        let sums = image_loss(Loss::L2, &shaded, &observed, |_| 1.0, &mut [RadianceAdjoint::default()]);
+        let sums = image_loss(Loss::L2, &shaded, &observed, |_| Vec3::ONE, &mut [RadianceAdjoint::default()]);
         let expected = -10.0 * (0.01f64 / 3.0).log10();
         assert!((sums.psnr() - expected).abs() < 1e-4);
     }

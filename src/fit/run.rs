@@ -3,7 +3,7 @@
 use super::attach::{attach, detach};
 use super::by_view::{ViewSums, count_pool, sum_by_view};
 use super::components::{LossState, StepGradient, StepRates, Unknowns};
-use super::exposure::{Exposures, find_exposures};
+use super::exposure::{ExposureChoice, Exposures, find_exposures};
 use super::guard::{
     StepGuard, begin_step, check_adjoints, check_loss, check_shading, end_step, step_is_sound,
 };
@@ -77,8 +77,8 @@ pub struct FitOptions {
     pub visibility: bool,
     /// Whether the fit decides by itself if the surface has a sheen.
     pub looks_for_sheen: bool,
-    /// Whether each photograph's exposure is unknown.
-    pub exposure: bool,
+    /// Whether photographs have exposures of their own.
+    pub exposure: ExposureChoice,
     /// Whether it is measured in the end how well the photographs determine what was found.
     pub measures: bool,
     /// The rule for the scale between light and albedo, if both are unknown.
@@ -106,7 +106,7 @@ impl Default for FitOptions {
             initialize: Initialize::ALL,
             visibility: false,
             looks_for_sheen: false,
-            exposure: false,
+            exposure: ExposureChoice::Equal,
             measures: false,
             scale: ScaleRule::default(),
             light_frame: Some(LightFrame::World),
@@ -330,7 +330,10 @@ fn fit(
 
 /// How well the photographs determine what was found, after the last step.
 fn how_well(world: &mut World, options: &FitOptions, step: u32) -> Result<Option<Determined>> {
-    if !options.measures || step < options.steps || options.exposure || is_stopping() {
+    if !options.measures || step < options.steps || is_stopping() {
+        return Ok(None);
+    }
+    if world.resource::<Exposures>().are_unknown() {
         return Ok(None);
     }
     let _measuring = stage("determined");
@@ -388,7 +391,7 @@ fn begin(world: &mut World, options: &FitOptions) -> Result<()> {
     }
     world.insert_resource(options.scale);
     world.insert_resource(LossState { loss: options.loss, last: LossSums::default() });
-    world.resource_mut::<Exposures>().unknown = options.exposure;
+    world.resource_mut::<Exposures>().begin(options.exposure);
     Ok(())
 }
 

@@ -319,7 +319,7 @@ mod tests {
         let loss = |factor: Vec3, adjoint: &mut [RadianceAdjoint]| {
             let scaled = |l: &Layers| Layers { specular: (Vec3::from(l.specular) * factor).into(), ..*l };
             let scaled: Vec<Layers> = layers.iter().map(scaled).collect();
-            image_loss(Loss::L2, &scaled, &observed, |_| 1.0, adjoint).loss / 150.0
+            image_loss(Loss::L2, &scaled, &observed, |_| Vec3::ONE, adjoint).loss / 150.0
         };
         let mut adjoint = vec![RadianceAdjoint::default(); 50];
         loss(Vec3::ONE, &mut adjoint);
@@ -340,7 +340,7 @@ mod tests {
         let layers = [Layers { diffuse: [0.5, 0.5, 0.7], specular: [0.0; 3] }; 2];
         let observed = vec![Observed { radiance: Vec3::new(0.5, 0.5, 0.9), saturated: false }; 2];
         let mut adjoint = vec![RadianceAdjoint::default(); 2];
-        image_loss(Loss::L1, &layers, &observed, |_| 1.0, &mut adjoint);
+        image_loss(Loss::L1, &layers, &observed, |_| Vec3::ONE, &mut adjoint);
         // Only the first point cannot follow with its albedo: −1/6 per unit of radiance, of which there is 0.7.
         let bound = bound_derivative(&points, &layers, &adjoint);
         assert!((bound - Vec3::new(0.0, 0.0, -0.7 / 6.0)).length() < 1e-6, "{bound}");

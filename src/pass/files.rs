@@ -4,6 +4,7 @@ use crate::codec::file::{FileUse, Links, check_apart, check_inside, check_not_am
 use crate::codec::gltf::side_files;
 use crate::error::Result;
 use crate::fit::cameras::CameraUnknowns;
+use crate::fit::exposure::ExposureChoice;
 use crate::pass::evaluate::PARTS;
 use crate::pass::export;
 use crate::pass::fit::TRUE_ENVIRONMENT;
@@ -93,9 +94,10 @@ fn of_fit(scene: &Scene) -> Vec<String> {
     [owned(&light), truth, owned(&albedo), owned(&gloss)].concat()
 }
 
-fn of_views(cameras: CameraUnknowns, exposure: bool) -> Vec<String> {
+fn of_views(cameras: CameraUnknowns, exposure: ExposureChoice) -> Vec<String> {
     let cameras = (cameras != CameraUnknowns::Given).then(|| "cam_dict_norm.json".to_owned());
-    cameras.into_iter().chain(exposure.then(|| "exposures.csv".to_owned())).collect()
+    let exposures = (exposure != ExposureChoice::Equal).then(|| "exposures.csv".to_owned());
+    cameras.into_iter().chain(exposures).collect()
 }
 
 fn of_pictures(pass: &Pass, views: &[(&str, Split)]) -> Vec<String> {

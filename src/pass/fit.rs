@@ -79,7 +79,7 @@ pub(crate) fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     }
     write_bytes(&folder.join("log.csv"), take_log(&mut session.pipeline.world).as_bytes())?;
     session.scores.scale = Some(scale);
-    found_views::write(session, &pass.name, pass.cameras, pass.exposure)?;
+    found_views::write(session, &pass.name, pass.cameras)?;
     if summary.stopped { Err(Error::Interrupted) } else { Ok(()) }
 }
 

@@ -4,7 +4,7 @@ use crate::codec::file::write_bytes;
 use crate::codec::finite::check_finite;
 use crate::error::{Error, Result};
 use crate::fit::cameras::{CameraFit, CameraPose, CameraUnknowns};
-use crate::fit::exposure::Exposures;
+use crate::fit::exposure::{ExposureChoice, Exposures};
 use crate::pass::session::Session;
 use crate::scene::Views;
 use crate::view::{Camera, Photograph, Split, ViewIndex, ViewName};
@@ -15,12 +15,12 @@ use std::fmt::Write as _;
 use std::path::Path;
 
 /// Writes `cam_dict_norm.json` (PhySG's layout, training views; in the convention of the input, for images of
-/// the fitted size) if cameras moved, and `exposures.csv` if exposures were unknown,
+/// the fitted size) if cameras moved, and `exposures.csv` if photographs have exposures of their own,
 /// to the folder of a pass, and prints how far cameras moved.
 ///
 /// # Errors
 /// [`Error::Io`] if a file cannot be written.
-pub fn write(session: &mut Session, name: &str, cameras: CameraUnknowns, exposure: bool) -> Result<()> {
+pub fn write(session: &mut Session, name: &str, cameras: CameraUnknowns) -> Result<()> {
     let folder = session.folder(name);
     if cameras != CameraUnknowns::Given {
         let (center, radius) = session.surface.bounding_sphere();
@@ -35,7 +35,13 @@ pub fn write(session: &mut Session, name: &str, cameras: CameraUnknowns, exposur
         let given = if let Views::Dataset(spec) = &session.scene.views { spec.focal_scale } else { 1.0 };
         write_cameras(&mut session.pipeline.world, &folder, given)?;
     }
-    if exposure { write_exposures(&mut session.pipeline.world, &folder) } else { Ok(()) }
+    match session.pipeline.world.get_resource::<Exposures>().filter(|exposures| exposures.are_unknown()) {
+        Some(exposures) => {
+            session.progress.print(&format!("{name}: {}", words(exposures)));
+            write_exposures(&mut session.pipeline.world, &folder)
+        }
+        None => Ok(()),
+    }
 }
 
 /// Motion of the image of an object around `center`, in pixels, for each training view.
@@ -91,8 +97,17 @@ fn in_json(camera: &Camera) -> Value {
     json!({ "K": k, "W2C": w2c, "img_size": [camera.width, camera.height] })
 }
 
+/// How much photographs differ.
+fn words(exposures: &Exposures) -> String {
+    let brightness = || exposures.factors.iter().map(|factor| factor.element_product().cbrt());
+    let (least, most) = (brightness().fold(f32::INFINITY, f32::min), brightness().fold(0.0, f32::max));
+    let what =
+        if exposures.used == ExposureChoice::Color { "exposure and white balance" } else { "exposure" };
+    format!("photographs differ in {what}: factors of {least:.2} to {most:.2}")
+}
+
 fn write_exposures(world: &mut World, folder: &Path) -> Result<()> {
-    let mut text = String::from("view,exposure\n");
+    let mut text = String::from("view,red,green,blue,exposure\n");
     let mut query = world.query_filtered::<(&ViewIndex, &ViewName, &Split), With<Photograph>>();
     let mut train: Vec<(ViewIndex, String)> = query
         .iter(world)
@@ -102,11 +117,13 @@ fn write_exposures(world: &mut World, folder: &Path) -> Result<()> {
     train.sort_unstable();
     let exposures = world.resource::<Exposures>();
     let path = folder.join("exposures.csv");
-    let factors = train.iter().map(|(view, _)| exposures.factor(*view));
+    let brightness = |view: &ViewIndex| exposures.factor(*view).element_product().cbrt();
+    let factors = train.iter().map(|(view, _)| brightness(view));
     check_finite(&path, factors, |at| format!("the exposure of view {} is not finite", train[at].1))?;
     for (view, name) in &train {
         // Writing to a String cannot fail.
-        let _ = writeln!(text, "{name},{:.5}", exposures.factor(*view));
+        let Vec3 { x: red, y: green, z: blue } = exposures.factor(*view);
+        let _ = writeln!(text, "{name},{red:.5},{green:.5},{blue:.5},{:.5}", brightness(view));
     }
     write_bytes(&path, text.as_bytes())
 }

@@ -3,6 +3,7 @@
 use crate::error::stop::{finish_stopping, is_stopping};
 use crate::error::{Error, Result};
 use crate::fit::components::Unknowns;
+use crate::fit::exposure::{ExposureChoice, Exposures};
 use crate::fit::guard::{check_numbers, check_parameters};
 use crate::fit::observe::PixelChoice;
 use crate::fit::roughness::blend::TexelPlaces;
@@ -78,7 +79,7 @@ pub(crate) fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     session.scores.fit_secs = Some(session.scores.fit_secs.unwrap_or(0.0) + elapsed);
     let triangles = session.surface.mesh().triangles.len();
     session.progress.print(&format!("{}: {triangles} triangles in {elapsed:.1} s", pass.name));
-    found_views::write(session, &pass.name, pass.cameras, pass.exposure)?;
+    found_views::write(session, &pass.name, pass.cameras)?;
     if stopped { Err(Error::Interrupted) } else { Ok(()) }
 }
 
@@ -162,10 +163,15 @@ fn found_mesh(session: &mut Session, pass: &ShapePass, surface: &SdfSurface) -> 
         session.pipeline.world.remove_resource::<ModelError>();
     }
     // Colors of different exposures are no reflections.
-    if pass.normals && !pass.exposure && !is_stopping() {
+    if pass.normals && !exposures_differ(session) && !is_stopping() {
         session.placed.normals = match_reflections(session, &pass.name, &mut mesh);
     }
     mesh
+}
+
+/// Whether photographs have exposures of their own, as far as it is known by now.
+fn exposures_differ(session: &Session) -> bool {
+    session.pipeline.world.get_resource::<Exposures>().is_some_and(Exposures::are_unknown)
 }
 
 /// An inspector with the camera of the first view.
@@ -204,7 +210,7 @@ fn options(session: &Session, pass: &ShapePass) -> ShapeOptions {
         },
         cameras: pass.cameras,
         // Colors of different exposures tell nothing of depth.
-        hollows: pass.hollows && !pass.exposure,
+        hollows: pass.hollows && matches!(pass.exposure, ExposureChoice::Auto | ExposureChoice::Equal),
         spans_unseen: pass.spans_unseen,
     }
 }

@@ -74,7 +74,7 @@ fn embedded(world: &World, view: Entity, side: u32) -> Result<Option<PagePhotogr
         return Ok(None);
     }
     let factor = world.get_resource::<Exposures>().zip(world.get::<ViewIndex>(view));
-    let factor = factor.map_or(1.0, |(exposures, index)| exposures.factor(*index));
+    let factor = factor.map_or(Vec3::ONE, |(exposures, index)| exposures.factor(*index));
     let pixels = || window.pixels(photograph.size()[0]);
     let color: Vec<Vec3> = pixels().map(|i| photograph.radiance(i) / factor).collect();
     let alpha: Vec<f32> = pixels().map(|i| mask.map_or(1.0, |mask| mask.coverage(i))).collect();
@@ -102,6 +102,7 @@ fn around(window: PixelWindow, [width, height]: [u32; 2]) -> PixelWindow {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fit::exposure::ExposureChoice;
     use crate::view::{Camera, Image, Mask, StoredMask, ViewName};
 
     /// Views of 40 × 30 pixels: training views, and then test views, whose object is a red square.
@@ -176,7 +177,7 @@ mod tests {
         let plain = address(&world, &mut cameras);
         world.entity_mut(views[0]).insert(ViewIndex(0));
         let mut exposures = Exposures::default();
-        (exposures.unknown, exposures.factors) = (true, vec![2.0]);
+        (exposures.used, exposures.factors) = (ExposureChoice::Brightness, vec![Vec3::splat(2.0)]);
         world.insert_resource(exposures);
         assert_ne!(address(&world, &mut cameras), plain);
     }

@@ -222,7 +222,7 @@ fn fits(summary: &DatasetSummary, is_captured: bool) -> String {
         text += "        // Photographs of a camera: each has an exposure of its own, and poses are a little off. With a locked exposure\n        \
                  // or exact poses, leave these out. A light that turns with the camera, as on a turntable, is found.\n";
     }
-    let unknowns = if is_captured { "exposure: true, cameras: Poses" } else { "" };
+    let unknowns = if is_captured { "exposure: Brightness, cameras: Poses" } else { "" };
     match summary.mesh {
         Some(_) => text + &format!("        Fit({unknowns}),\n"),
         None => {
@@ -291,7 +291,7 @@ mod tests {
             "surface: Unknown()",
             "path: \".\"",
             "hold_out: 8",
-            "Shape(exposure: true, cameras: Poses)",
+            "Shape(exposure: Brightness, cameras: Poses)",
             "// 13 photographs of 8×6",
             "up: (0.000, -1.000, 0.000)",
             "name: \"novel\"",

@@ -1,6 +1,7 @@
 //! How the passes that fit are described: `Fit` and `Shape`.
 
 use crate::fit::cameras::CameraUnknowns;
+use crate::fit::exposure::ExposureChoice;
 use crate::fit::loss::Loss;
 use crate::math::accurate::Quality;
 use serde::{Deserialize, Serialize};
@@ -29,9 +30,8 @@ pub struct FitPass {
     pub milestones: Vec<f32>,
     /// Factor on the rates at a milestone, in (0, 1]. Default 0.4.
     pub decay: f32,
-    /// Whether each photograph has an exposure of its own that is not known: a factor on its radiance, 0.2 to 5, their
-    /// geometric mean 1. Views are rendered without. Default false.
-    pub exposure: bool,
+    /// Whether photographs have exposures of their own that are not known. Default `Auto`.
+    pub exposure: ExposureChoice,
     /// Which camera parameters of the training views are refined. Default `Given`: none.
     pub cameras: CameraUnknowns,
     /// Whether the vertices of the mesh are refined: they move along their normals, which then are smooth; not if
@@ -55,7 +55,7 @@ impl Default for FitPass {
             rates: Rates::default(),
             milestones: vec![0.5, 0.75, 0.9],
             decay: 0.4,
-            exposure: false,
+            exposure: ExposureChoice::Auto,
             cameras: CameraUnknowns::Given,
             vertices: false,
             detail: false,
@@ -93,17 +93,17 @@ pub struct ShapePass {
     /// Whether the mesh then moves to where neighboring photographs agree, if that says more than the shading. Default true.
     pub stereo: bool,
     /// Whether space that photographs look through, such as a cup's inside, is first removed from the hull, where no silhouette shows
-    /// it. For photographs of equal exposure under a light that stands still: not with `exposure: true`, nor on a turntable. Default true.
+    /// it. For photographs of equal exposure under a light that stands still: not with `exposure: Brightness` or `Color`, nor on a turntable. Default true.
     pub hollows: bool,
     /// Whether the part of the hull that no photograph sees, such as a cone below an object on a table, is spanned like a film of soap.
     /// Default true.
     pub spans_unseen: bool,
     /// Whether vertices get normals that explain what the surface mirrors, where those of the mesh leave much unexplained and photographs kept
     /// aside are shown clearly better: for polished metal with dents finer than the mesh. `Fit(vertices: true)` does nothing after it. Not with
-    /// `exposure: true`. Default true.
+    /// exposures that differ. Default true.
     pub normals: bool,
-    /// Whether each photograph has an exposure of its own that is not known, as in [`FitPass::exposure`]. Default false.
-    pub exposure: bool,
+    /// Whether photographs have exposures of their own that are not known, as in [`FitPass::exposure`]. Default `Auto`.
+    pub exposure: ExposureChoice,
     /// Which camera parameters of the training views are refined. Default `Given`: none.
     pub cameras: CameraUnknowns,
 }
@@ -130,7 +130,7 @@ impl Default for ShapePass {
             hollows: true,
             spans_unseen: true,
             normals: true,
-            exposure: false,
+            exposure: ExposureChoice::Auto,
             cameras: CameraUnknowns::Given,
         }
     }

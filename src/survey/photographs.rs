@@ -240,7 +240,7 @@ fn exposure_finding(looks: &[ViewLook], mut outliers: Vec<(usize, f32)>) -> Opti
         looks[worst].name,
         stops.abs()
     );
-    let help = "If it is not the object that looks so different from there (its underside, a glare), use `exposure: true` in the pass that \
+    let help = "If it is not the object that looks so different from there (its underside, a glare), use `exposure: Color` in the pass that \
                 fits, or leave the view out with `select`.";
     Some(Finding::warning("exposure", views, problem, help))
 }

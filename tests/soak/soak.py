@@ -32,7 +32,7 @@ def scene(pick):
     gloss = pick(["", "", "gloss: Texels(), "])
     visibility = pick(["None", "Traced(directions: 64)", "Traced(directions: 64, bounces: 0)"])
     steps, batch = pick([20, 60, 150]), pick([64, 256])
-    loss, more = pick(["L1", "L2"]), pick(["", ", exposure: true", ", cameras: Poses"])
+    loss, more = pick(["L1", "L2"]), pick(["", ", exposure: Color", ", cameras: Poses"])
     shading = pick(["Accurate", "Published"])
     passes = [f'Fit(name: "fit", steps: {steps}, batch: {batch}, loss: {loss}, shading: {shading}{more})']
     if pick([True, False]):

@@ -243,7 +243,7 @@ pub fn align_photographs(
         let (_, camera, photograph, mask, _) = views.of(pixels[i].view).ok()?;
         let gradient = image_gradient(camera, photograph, *mask, pixels[i].pixel as usize)?;
         let usable = points[i].is_hit() && !observed[i].saturated;
-        let predicted = exposures.factor(pixels[i].view) * mean(&shaded[i]);
+        let predicted = exposures.factor(pixels[i].view).element_sum() / 3.0 * mean(&shaded[i]);
         let residual = observed[i].radiance.element_sum() / 3.0 - predicted;
         let row = AlignedRow::new(camera, points[i].position, center, gradient, residual).filter(|_| usable);
         row.map(|row| (pixels[i].view, row))

@@ -135,8 +135,8 @@ pub fn note_residuals(
         let along = grazing(Vec3::from(gathered.normal).dot(Vec3::from(gathered.to_viewer)));
         let exposure = exposures.factor(pixel.view);
         for (c, sums) in half.iter_mut().enumerate() {
-            let unit = exposure * shaded.diffuse[c] / gathered.albedo[c].max(1e-3);
-            let residual = -observed.difference(c, exposure * (shaded.diffuse[c] + shaded.specular[c]));
+            let unit = exposure[c] * shaded.diffuse[c] / gathered.albedo[c].max(1e-3);
+            let residual = -observed.difference(c, exposure[c] * (shaded.diffuse[c] + shaded.specular[c]));
             let weight = (observed.radiance[c].max(0.0) + DARK).powi(-2);
             sums.add(f64::from(unit), f64::from(along), f64::from(residual), f64::from(weight));
         }

@@ -13,6 +13,7 @@ use crate::error::stop::{check_interrupted, is_stopping};
 use crate::error::{Error, Result};
 use crate::fit::cameras::{CameraFit, CameraPlugin, CameraUnknowns, align_photographs, attach_poses};
 use crate::fit::components::{AlbedoGradient, AlbedoMoments, TexelSeen};
+use crate::fit::exposure::Exposures;
 use crate::fit::light_turns;
 use crate::fit::run::{FitOptions, FitProgress, Initialize, run_fit};
 use crate::material::sheen::KnownAlong;
@@ -307,7 +308,8 @@ fn next_surface(
     }
     grid.redistance();
     let mut opened = 0.0;
-    if options.hollows && index == 1 && !is_mirror_like(world) && !light_turns(world) {
+    let are_alike = !world.get_resource::<Exposures>().is_some_and(Exposures::are_unknown);
+    if options.hollows && are_alike && index == 1 && !is_mirror_like(world) && !light_turns(world) {
         let _opening = stage("hollows");
         opened =
             with_training_views(world, |views| carve_hollows(&mut grid, silhouettes, views, LEVEL_SHARE));

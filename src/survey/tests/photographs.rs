@@ -49,7 +49,7 @@ fn a_few_pixels_that_outshine_all_others_are_named() {
 #[test]
 fn another_exposure_is_named_with_its_stops() {
     let survey = changed(5, |pixel| pixel * 8.0);
-    expect(&survey, "exposure", &["v5"], &["`v5` is 3.", "stops brighter", "exposure: true"]);
+    expect(&survey, "exposure", &["v5"], &["`v5` is 3.", "stops brighter", "exposure: Color"]);
     assert_eq!(survey.findings[0].severity, Severity::Warning);
     expect(&changed(5, |pixel| pixel / 8.0), "exposure", &["v5"], &["stops darker"]);
     assert_eq!(changed(5, |pixel| pixel * 1.3).findings, []);
