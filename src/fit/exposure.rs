@@ -6,9 +6,9 @@
 //!
 //! | name | unit | value | meaning |
 //! | --- | --- | --- | --- |
-//! | [`DECIDED_AT`] | step | 100 | when [`ExposureChoice::Auto`] decides |
-//! | [`DIFFERENT`] | | 0.1 | difference of the logarithm from the median, of a fifth of the photographs at least, from which their brightness is unknown |
-//! | [`COLORED`] | | 0.05 | the same of a channel beside the mean of the channels, from which their color is |
+//! | `DECIDED_AT` | step | 100 | when [`ExposureChoice::Auto`] decides |
+//! | `DIFFERENT` | | 0.1 | difference of the logarithm from the median, of a fifth of the photographs at least, from which their brightness is unknown |
+//! | `COLORED` | | 0.05 | the same of a channel beside the mean of the channels, from which their color is |
 
 use crate::fit::components::StepRates;
 use crate::math::shading::Layers;
