@@ -8,15 +8,13 @@
 
 use crate::math::ray::{Hit, Intersect, Ray};
 use crate::visibility::occlusion::{Bounce, MOST_MIRRORED, Mirror, Sky, sharpness_of_lobe};
-use crate::visibility::texel_visibility::TexelVisibility;
+use crate::visibility::texel_visibility::{OFFSET, TexelVisibility};
 use glam::{Mat3, Vec3};
 
 /// Sharpness of a lobe from which rays are cast.
 pub(crate) const LEAST_SHARPNESS: f32 = 100.0;
 /// Rays of a point.
 const RAYS: u32 = 16;
-/// Offset of the origin of rays from the surface, relative to the radius of the object.
-const OFFSET: f32 = 1e-4;
 /// Angle between two points of a spiral that is evenly dense (Vogel 1979).
 const GOLDEN_ANGLE: f32 = 2.399_963_2;
 

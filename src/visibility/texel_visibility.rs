@@ -22,7 +22,7 @@ use rayon::prelude::*;
 pub(crate) const MAX_DIRECTIONS: usize = 4096;
 
 /// Offset of the ray origin from the surface, relative to the radius of the object.
-const OFFSET: f32 = 1e-4;
+pub(crate) const OFFSET: f32 = 1e-4;
 /// Texels that a thread traces at a time.
 const CHUNK: usize = 256;
 
