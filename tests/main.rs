@@ -34,6 +34,7 @@ mod metal;
 mod mutants;
 mod outputs;
 mod photos;
+mod placements;
 mod priors;
 mod profile;
 mod report;

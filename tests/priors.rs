@@ -65,6 +65,15 @@ fn a_fit_has_the_mean_color_of_the_albedo_maps_whatever_their_level() {
 }
 
 #[test]
+fn a_fit_that_goes_on_keeps_to_the_color_of_the_maps() {
+    let data = Data::new();
+    write_maps(&data, 1.0, |normal| normal);
+    let both = scene(&format!("{FIT}, {}", FIT.replace("\"fit\"", "\"again\"")));
+    let metrics = metrics(&data, &with_priors(&both, r#"albedo: (folder: "$DATA/albedo")"#));
+    assert!(metrics["scale"]["rule"].as_str().unwrap().starts_with("MeanAlbedo("), "{}", metrics["scale"]);
+}
+
+#[test]
 fn a_rule_for_the_scale_that_the_scene_says_goes_before_the_maps() {
     let data = Data::new();
     write_maps(&data, 1.0, |normal| normal);

@@ -63,6 +63,7 @@ mod straighten;
 
 use crate::codec::nearby::closest;
 use crate::error::{Error, Result};
+use crate::light::placement::Placement;
 use crate::view::{Split, ViewRecord};
 use beside::Beside;
 pub(crate) use beside::masks_hint;
@@ -144,9 +145,12 @@ pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
     plan.notes.extend(crop_note(wanted.iter().map(|view| &view.lens)));
     let curves = Arc::new(Curves::new(options.gamma));
     let priors = find_priors(&options.priors, split, &wanted, &mut plan.notes)?;
-    let view = |found| PlannedView::new(found, split, options, reader.pixel_center, &curves);
+    let placements: Vec<Placement> =
+        wanted.iter().map(|view| view.placement(&options.placements)).collect::<Result<_>>()?;
+    let view =
+        |(found, placement)| PlannedView::new(found, placement, split, options, reader.pixel_center, &curves);
     Ok(OpenDataset {
-        views: wanted.into_iter().zip(priors).map(view).collect(),
+        views: wanted.into_iter().zip(priors).zip(placements).map(view).collect(),
         layout: reader.layout,
         notes: plan.notes,
         masks_beside,

@@ -60,6 +60,8 @@ pub struct DatasetOptions {
     pub up: Vec3,
     /// What is known from elsewhere of the training photographs.
     pub priors: Priors,
+    /// What the photographs of each placement of the object are in, or begin with: [`DatasetOptions::placement`].
+    pub placements: Vec<String>,
     /// Folders in which what camera files name must lie; links in them may lead elsewhere. `None`: it may be anywhere.
     pub roots: Option<Vec<PathBuf>>,
 }
@@ -76,6 +78,7 @@ impl Default for DatasetOptions {
             select: None,
             up: Vec3::Y,
             priors: Priors::default(),
+            placements: Vec::new(),
             roots: None,
         }
     }

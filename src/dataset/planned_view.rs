@@ -9,6 +9,7 @@ use crate::dataset::plan::{MaskPlan, ViewPlan};
 use crate::dataset::priors::{MapLookup, PriorFiles};
 use crate::dataset::straighten::Straightening;
 use crate::error::{Error, Result};
+use crate::light::placement::Placement;
 use crate::view::{Camera, Mask, Split, StoredMask, ViewRecord};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -22,6 +23,7 @@ pub struct PlannedView {
     pixel_center: f32,
     downscale: u32,
     priors: PriorFiles,
+    placement: Placement,
 }
 
 /// A loaded view, with what was done to it.
@@ -41,13 +43,15 @@ impl PlannedView {
     /// `pixel_center` is that of the layout, which holds unless the options say otherwise.
     pub(super) fn new(
         (plan, priors): (ViewPlan, PriorFiles),
+        placement: Placement,
         split: Split,
         options: &DatasetOptions,
         pixel_center: f32,
         curves: &Arc<Curves>,
     ) -> Self {
         let pixel_center = options.pixel_center.unwrap_or(pixel_center);
-        Self { plan, split, curves: curves.clone(), pixel_center, downscale: options.downscale, priors }
+        let (curves, downscale) = (curves.clone(), options.downscale);
+        Self { plan, split, curves, pixel_center, downscale, priors, placement }
     }
 
     /// Name of the view.
@@ -127,6 +131,7 @@ impl PlannedView {
             photograph: photograph.transpose()?,
             mask: mask.as_ref().map(StoredMask::new),
             priors: self.priors.read(&lookup, mask.as_ref())?,
+            placement: self.placement,
             ..ViewRecord::of_camera(plan.name.clone(), self.split, camera)
         };
         let exif = [header, mask_header].map(|header| header.map_or(1, |header| silent_exif(&header)));

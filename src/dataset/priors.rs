@@ -14,6 +14,7 @@ use crate::dataset::load::StemIndex;
 use crate::dataset::plan::ViewPlan;
 use crate::dataset::straighten::Straightening;
 use crate::error::{Error, Result};
+use crate::math::statistics::quantile;
 use crate::view::prior_map::{PriorMap, ViewPriors};
 use crate::view::raster::bilinear;
 use crate::view::{Camera, Image, Mask, PixelWindow, Split};
@@ -23,6 +24,8 @@ use std::path::{Path, PathBuf};
 
 /// Lengths between which the mean of some stored normals is one.
 const KNOWN_LENGTHS: std::ops::RangeInclusive<f32> = 0.5..=1.5;
+/// Part of the pixels of a map of albedo that are at most 1 after it is scaled, if some are above.
+const BRIGHTEST: f32 = 0.995;
 /// Part by which the sides of a map may differ in shape from those of its photograph.
 const SAME_SHAPE: f64 = 0.02;
 
@@ -188,8 +191,11 @@ impl MapLookup<'_> {
     /// Reads albedo; a map of values above 1 is one of another factor.
     fn read_albedo(&self, path: &Path, gamma: Gamma) -> Result<Image> {
         let mut albedo = self.read(path, gamma, |albedo| albedo.max(Vec3::ZERO))?;
-        let largest = albedo.pixels.iter().map(|albedo| albedo.max_element()).fold(1.0, f32::max);
-        albedo.pixels.iter_mut().for_each(|albedo| *albedo /= largest);
+        let mut brightest: Vec<f32> = albedo.pixels.iter().map(|albedo| albedo.max_element()).collect();
+        brightest.retain(|brightest| *brightest > 0.0);
+        // A few broken pixels do not make all others dark.
+        let largest = quantile(&mut brightest, BRIGHTEST).unwrap_or(1.0).max(1.0);
+        albedo.pixels.iter_mut().for_each(|albedo| *albedo = (*albedo / largest).min(Vec3::ONE));
         Ok(albedo)
     }
 

@@ -6,9 +6,11 @@
 //!
 //! | name | unit | value | meaning |
 //! | --- | --- | --- | --- |
-//! | `DECIDED_AT` | step | 100 | when [`ExposureChoice::Auto`] decides |
+//! | `DECIDED_AT` | step | 60 | when [`ExposureChoice::Auto`] decides; before the errors are measured by which materials are chosen |
 //! | `DIFFERENT` | | 0.1 | difference of the logarithm from the median, of a fifth of the photographs at least, from which their brightness is unknown |
-//! | `COLORED` | | 0.05 | the same of a channel beside the mean of the channels, from which their color is |
+//! | `COLORED` | | 0.05 | the same of a channel beside the brightness, from which their color is |
+//! | `FAINT` | | 0.1 | signal of a channel relative to the strongest below which it says nothing of color |
+//! | `SELDOM` | | 0.05 | signal of a photograph relative to the mean of all below which it says nothing |
 
 use crate::fit::components::StepRates;
 use crate::math::shading::Layers;
@@ -30,11 +32,15 @@ const SQUARE_BELOW: f32 = 0.03;
 /// Range of a factor.
 const RANGE: (f32, f32) = (0.2, 5.0);
 /// The step after which it is decided whether photographs differ.
-const DECIDED_AT: u32 = 100;
+const DECIDED_AT: u32 = 60;
 /// Difference of the logarithm of the brightness of photographs that differ.
 const DIFFERENT: f32 = 0.1;
-/// Difference of the logarithm of a channel from their mean.
+/// Difference of the logarithm of a channel from that of the brightness.
 const COLORED: f32 = 0.05;
+/// Least signal of a channel that tells color, relative to the strongest.
+const FAINT: f64 = 0.1;
+/// Least signal of a photograph, relative to the mean of all.
+const SELDOM: f64 = 0.05;
 /// Part of the photographs that are nearer to the median.
 const ALIKE: f32 = 0.8;
 
@@ -42,8 +48,8 @@ const ALIKE: f32 = 0.8;
 /// rendered without.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ExposureChoice {
-    /// A fit decides after 100 steps: unknown if a fifth of the photographs are brighter or darker than the fit explains by 10 %, with a color
-    /// if a channel is by 5 %. The default.
+    /// Each fit decides after 60 steps: unknown if more than a fifth of the photographs are brighter or darker than the fit explains by 10 %,
+    /// with a color if a channel is by 5 %. Until then it has what the fit before decided.
     #[default]
     Auto,
     /// All photographs have the same exposure and white balance.
@@ -57,21 +63,45 @@ pub enum ExposureChoice {
 /// The photographs' exposures.
 #[derive(Resource, Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Exposures {
-    /// What is used now; `Auto` before it is decided, which is as `Equal`.
+    /// What is used now; `Auto` is as `Equal`.
     pub used: ExposureChoice,
+    /// Whether it is still to be decided.
+    is_open: bool,
     /// Factors of each view, by [`ViewIndex`]; empty before the first solve.
     pub factors: Vec<Vec3>,
-    /// Per view and channel: weighted sums of prediction · photograph, and of prediction².
-    sums: Vec<[(f64, f64); 3]>,
+    /// Per view and channel.
+    sums: Vec<[ChannelSums; 3]>,
+}
+
+/// Sums over the pixels of a view in one channel.
+#[derive(Clone, Copy, Debug, Default, Serialize, Deserialize)]
+struct ChannelSums {
+    /// Weighted radiance of the photograph.
+    observed: f64,
+    /// Weighted radiance of the prediction.
+    predicted: f64,
+    /// Radiance of the prediction.
+    signal: f64,
+}
+
+impl ChannelSums {
+    fn forget(&mut self) {
+        [&mut self.observed, &mut self.predicted, &mut self.signal]
+            .into_iter()
+            .for_each(|sum| *sum *= MEMORY);
+    }
 }
 
 impl Exposures {
-    /// What a fit begins with: with `Auto`, that which was decided before it.
+    /// What a fit begins with: with `Auto`, what was decided before it, until it decides.
     pub fn begin(&mut self, choice: ExposureChoice) {
-        if choice != ExposureChoice::Auto {
+        self.is_open = choice == ExposureChoice::Auto;
+        self.sums.clear();
+        if !self.is_open {
             self.used = choice;
-        } else if self.used == ExposureChoice::Equal {
-            self.used = ExposureChoice::Auto;
+        }
+        if !self.are_unknown() {
+            self.factors.clear();
         }
     }
 
@@ -89,53 +119,70 @@ impl Exposures {
 
     /// Adds the pixels of one window.
     fn observe(&mut self, pixels: &[PixelOf], shaded: &[Layers], observed: &[Observed]) {
-        self.sums.iter_mut().flatten().for_each(|sums| *sums = (MEMORY * sums.0, MEMORY * sums.1));
+        self.sums.iter_mut().flatten().for_each(ChannelSums::forget);
         for ((pixel, shaded), observed) in pixels.iter().zip(shaded).zip(observed) {
             let view = pixel.view.0 as usize;
-            if view >= self.sums.len() {
-                self.sums.resize(view + 1, [(0.0, 0.0); 3]);
-                self.factors.resize(view + 1, Vec3::ONE);
-            }
+            let views = (view + 1).max(self.sums.len());
+            self.sums.resize(views, [ChannelSums::default(); 3]);
+            self.factors.resize(views.max(self.factors.len()), Vec3::ONE);
             for c in 0..3 {
                 let (predicted, seen) = (shaded.diffuse[c] + shaded.specular[c], observed.radiance[c]);
                 if seen < SATURATION && predicted > 0.0 {
                     let off = (seen - self.factors[view][c] * predicted).abs().max(SQUARE_BELOW * predicted);
                     let weight = f64::from(predicted / off);
-                    self.sums[view][c].0 += weight * f64::from(seen);
-                    self.sums[view][c].1 += weight * f64::from(predicted);
+                    let sums = &mut self.sums[view][c];
+                    sums.observed += weight * f64::from(seen);
+                    sums.predicted += weight * f64::from(predicted);
+                    sums.signal += f64::from(predicted);
                 }
             }
         }
     }
 
-    /// The logarithms of the ratios of each view, less their means over the views; `None` for a view of which too little is seen.
-    fn logs(&self) -> Vec<Option<DVec3>> {
-        let log = |sums: &[(f64, f64); 3]| {
-            let known = sums.iter().all(|sums| sums.0 > 0.0 && sums.1 > 0.0);
-            known.then(|| DVec3::from(sums.map(|sums| (sums.0 / sums.1).ln())))
+    /// The logarithms of the ratios of each view, in its brightness and in each channel, less their means over the views; `None` for a view
+    /// of which too little is seen. A channel of which too little is seen is like the brightness.
+    fn logs(&self) -> Vec<Option<(f64, DVec3)>> {
+        let signal = |sums: &[ChannelSums; 3]| DVec3::from(sums.map(|sums| sums.signal));
+        let all: DVec3 = self.sums.iter().map(signal).sum();
+        let seen = self.sums.iter().filter(|sums| signal(sums).max_element() > 0.0).count().max(1) as f64;
+        let least = SELDOM / seen * all;
+        let log = |sums: &[ChannelSums; 3]| {
+            let observed: f64 = sums.iter().map(|of| of.observed).sum();
+            let predicted: f64 = sums.iter().map(|of| of.predicted).sum();
+            let is_seen = observed > 0.0 && signal(sums).element_sum() > least.element_sum();
+            let brightness = (observed / predicted).ln();
+            let channel = |c: usize| {
+                let ChannelSums { observed, predicted, signal } = sums[c];
+                let tells = all[c] > FAINT * all.max_element() && signal > least[c] && observed > 0.0;
+                if tells { (observed / predicted).ln() } else { brightness }
+            };
+            is_seen.then(|| (brightness, DVec3::new(channel(0), channel(1), channel(2))))
         };
-        let logs: Vec<Option<DVec3>> = self.sums.iter().map(log).collect();
-        let count = logs.iter().flatten().count().max(1);
-        let mean = logs.iter().flatten().sum::<DVec3>() / count as f64;
-        logs.into_iter().map(|log| Some(log? - mean)).collect()
+        let logs: Vec<Option<(f64, DVec3)>> = self.sums.iter().map(log).collect();
+        let count = logs.iter().flatten().count().max(1) as f64;
+        let sum = |sum: (f64, DVec3), log: &(f64, DVec3)| (sum.0 + log.0, sum.1 + log.1);
+        let (brightness, color) = logs.iter().flatten().fold((0.0, DVec3::ZERO), sum);
+        logs.into_iter()
+            .map(|log| log.map(|log| (log.0 - brightness / count, log.1 - color / count)))
+            .collect()
     }
 
     /// Computes the factors from the sums; their geometric mean is 1 before clamping to the range.
     fn solve(&mut self) {
         let is_colored = self.used == ExposureChoice::Color;
-        let used = |log: DVec3| if is_colored { log } else { DVec3::splat(log.element_sum() / 3.0) };
-        let factor = |log: Option<DVec3>| log.map_or(DVec3::ONE, |log| used(log).exp()).as_vec3();
+        let used = |log: (f64, DVec3)| if is_colored { log.1 } else { DVec3::splat(log.0) };
+        let factor = |log: Option<(f64, DVec3)>| log.map_or(DVec3::ONE, |log| used(log).exp()).as_vec3();
         let in_range = |factor: Vec3| factor.clamp(Vec3::splat(RANGE.0), Vec3::splat(RANGE.1));
         self.factors = self.logs().into_iter().map(|log| in_range(factor(log))).collect();
     }
 
     /// Decides what is used by how much most photographs differ.
     fn decide(&mut self) {
-        let logs: Vec<DVec3> = self.logs().into_iter().flatten().collect();
-        let gray = |log: &DVec3| (log.element_sum() / 3.0) as f32;
-        let apart = spread(logs.iter().map(gray));
-        let channel = |c: usize| spread(logs.iter().map(move |log| log[c] as f32 - gray(log)));
+        let logs: Vec<(f64, DVec3)> = self.logs().into_iter().flatten().collect();
+        let apart = spread(logs.iter().map(|log| log.0 as f32));
+        let channel = |c: usize| spread(logs.iter().map(move |log| (log.1[c] - log.0) as f32));
         let is_colored = (0..3).any(|c| channel(c) > COLORED);
+        self.is_open = false;
         self.used = match (is_colored, apart > DIFFERENT) {
             (true, _) => ExposureChoice::Color,
             (false, true) => ExposureChoice::Brightness,
@@ -158,12 +205,12 @@ pub fn find_exposures(
     mut exposures: ResMut<Exposures>,
     samples: Samples<(&PixelOf, &Layers, &Observed)>,
 ) -> SystemResult {
-    if exposures.used == ExposureChoice::Equal {
+    if !exposures.is_open && !exposures.are_unknown() {
         return Ok(());
     }
     let (pixels, shaded, observed) = samples.columns()?;
     exposures.observe(&pixels, &shaded, &observed);
-    if exposures.used == ExposureChoice::Auto && rates.step >= DECIDED_AT {
+    if exposures.is_open && rates.step >= DECIDED_AT {
         exposures.decide();
     }
     if rates.step >= FIRST_STEP && exposures.are_unknown() {
@@ -239,14 +286,59 @@ mod tests {
     }
 
     #[test]
-    fn a_decision_holds_for_the_fits_that_follow() {
-        let mut exposures = Exposures { used: ExposureChoice::Color, ..Exposures::default() };
+    fn a_decision_holds_until_the_next_fit_decides() {
+        let differ = [Vec3::splat(0.7), Vec3::splat(1.4), Vec3::ONE];
+        let mut exposures = found(&differ, ExposureChoice::Auto);
+        exposures.decide();
+        exposures.solve();
+        let before = exposures.factor(ViewIndex(0));
+        assert!(before.abs_diff_eq(Vec3::splat(0.7 / (0.98f32).cbrt()), 0.01), "{before}");
         exposures.begin(ExposureChoice::Auto);
-        assert_eq!(exposures.used, ExposureChoice::Color);
+        assert!(exposures.is_open && exposures.are_unknown());
+        assert_eq!(exposures.factor(ViewIndex(0)), before);
         exposures.begin(ExposureChoice::Equal);
-        assert!(!exposures.are_unknown());
-        // That they are alike was said for that fit alone.
+        assert!(!exposures.is_open && !exposures.are_unknown());
         exposures.begin(ExposureChoice::Auto);
-        assert_eq!(exposures.used, ExposureChoice::Auto);
+        assert_eq!(exposures.factor(ViewIndex(0)), Vec3::ONE);
+    }
+
+    /// The exposures after one window of twelve views of this radiance, each 100 pixels of `seen(view)`.
+    fn after(radiance: [f32; 3], seen: impl Fn(usize) -> Vec3) -> Exposures {
+        let mut exposures = Exposures { is_open: true, ..Exposures::default() };
+        let pixels: Vec<_> = (0..1200).map(|i| PixelOf { view: ViewIndex(i % 12), pixel: i }).collect();
+        let shaded = vec![Layers { diffuse: radiance, specular: [0.0; 3] }; 1200];
+        let observed = |i: usize| {
+            let radiance = (seen(i % 12) * Vec3::from(radiance)).min(Vec3::ONE);
+            Observed { radiance, saturated: radiance.max_element() >= SATURATION }
+        };
+        exposures.observe(&pixels, &shaded, &(0..1200).map(observed).collect::<Vec<_>>());
+        exposures
+    }
+
+    #[test]
+    fn a_channel_without_signal_has_the_brightness() {
+        let differs = |view: usize| Vec3::splat(if view % 3 == 0 { 1.3 } else { 1.0 });
+        let mut blueless = after([0.4, 0.2, 0.0], differs);
+        blueless.decide();
+        assert_eq!(blueless.used, ExposureChoice::Brightness);
+        blueless.solve();
+        assert!(
+            (blueless.factor(ViewIndex(0)) / blueless.factor(ViewIndex(1)))
+                .abs_diff_eq(Vec3::splat(1.3), 0.01)
+        );
+        // Noise in the dark is no color.
+        let noise = |view: usize| Vec3::new(1.0, 1.0, if view % 2 == 0 { 1.4 } else { 0.7 });
+        let mut dark = after([0.4, 0.2, 0.004], noise);
+        dark.decide();
+        assert_eq!(dark.used, ExposureChoice::Equal);
+    }
+
+    #[test]
+    fn a_photograph_with_a_clipped_channel_tells_its_brightness() {
+        let mut over = after([0.6, 0.3, 0.2], |view| Vec3::splat(if view < 4 { 2.0 } else { 1.0 }));
+        over.decide();
+        assert_eq!(over.used, ExposureChoice::Brightness);
+        over.solve();
+        assert!((over.factor(ViewIndex(0)) / over.factor(ViewIndex(5))).abs_diff_eq(Vec3::splat(2.0), 0.02));
     }
 }

@@ -7,6 +7,7 @@ use super::components::{AlbedoMoments, LobeMoments, SpecularMoments};
 use super::exposure::Exposures;
 use super::guard::StepGuard;
 use super::initialization::start::FramesTried;
+use super::placements::TurnSums;
 use super::roughness::blend::BlendMoments;
 use super::roughness::texel::{RoughnessMoments, TexelRoughness};
 use super::scale::ScaleMoments;
@@ -15,6 +16,7 @@ use super::sheen::evidence::SheenEvidence;
 use crate::checkpoint::{Span, keep_each, keep_keyed, keep_pool, keep_resource};
 use crate::light::LightLobe;
 use crate::light::light_frame::OwnLightFrame;
+use crate::light::placement::Placements;
 use crate::material::{
     BaseMaterial, DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe, TexelIndex,
 };
@@ -33,6 +35,7 @@ pub(super) fn keep_state(world: &mut World) {
     keep_pool::<TexelIndex, SpecularBlend>(world, Span::Run);
     keep_pool::<TexelIndex, TexelRoughness>(world, Span::Run);
     keep_resource::<OwnLightFrame>(world, Span::Run);
+    keep_resource::<Placements>(world, Span::Run);
     keep_resource::<Exposures>(world, Span::Run);
     keep_resource::<CameraFit>(world, Span::Run);
     keep_resource::<StepGuard>(world, Span::Run);
@@ -44,6 +47,7 @@ pub(super) fn keep_state(world: &mut World) {
     keep_pool::<TexelIndex, BlendMoments>(world, Span::Pass);
     keep_pool::<TexelIndex, RoughnessMoments>(world, Span::Pass);
     keep_resource::<ScaleMoments>(world, Span::Pass);
+    keep_resource::<TurnSums>(world, Span::Pass);
     keep_resource::<FramesTried>(world, Span::Pass);
     keep_resource::<SheenEvidence>(world, Span::Pass);
 }

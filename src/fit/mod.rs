@@ -9,7 +9,7 @@
 //! | [`roughness`] | roughness that varies over the surface |
 //! | [`metal`] | metal beside a dielectric: no diffuse light beneath it |
 //! | [`detail`] | albedo, sheen and tilt of a finer texture, from all pixels |
-//! | [`scale`], [`exposure`], [`cameras`] | further unknowns: the scale between light and albedo, exposures, cameras |
+//! | [`scale`], [`exposure`], [`cameras`], [`placements`] | further unknowns: the scale between light and albedo, exposures, cameras, how an object lies that was turned over |
 //! | [`priors`] | what somebody else says of albedo and normals |
 //! | [`guard`], [`by_view`] | steps that are not finite and are not taken; how each photograph is explained |
 //! | [`components`], `attach` | gradients, moments and state, and who has them |
@@ -29,6 +29,7 @@ pub mod loss;
 pub mod metal;
 pub mod observe;
 pub mod optimizer;
+pub mod placements;
 pub mod priors;
 pub mod roughness;
 pub mod run;

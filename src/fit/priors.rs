@@ -138,13 +138,13 @@ fn texel_means(pixels: &[MapPixel], factors: &[f32], texels: usize) -> Vec<Vec3>
     sums.into_iter().map(|(sum, weight)| if weight > 1e-3 { sum / weight } else { mean }).collect()
 }
 
-/// Lets a fit that begins light and albedo anew begin from the maps of the albedo: its texels have their albedo at a usual level, and their mean
-/// color takes the place of [`Highlights`](ScaleRule::Highlights) as the rule for the scale (but with metals, of which maps show a color of
-/// another meaning). Returns whether there are maps.
+/// Lets the mean color of the maps of the albedo take the place of [`Highlights`](ScaleRule::Highlights) as the rule for the scale of a fit of light
+/// and albedo (but with metals, of which maps show a color of another meaning). One that `begins` them anew begins from the maps: its texels
+/// have their albedo at a usual level. Returns whether there are maps.
 ///
 /// # Errors
 /// If a pool is incomplete.
-pub(super) fn begin_from_maps(world: &mut World, metal: bool) -> Result<bool> {
+pub(super) fn follow_maps(world: &mut World, metal: bool, begins: bool) -> Result<bool> {
     let pixels = map_pixels(world)?;
     if pixels.is_empty() {
         return Ok(false);
@@ -157,8 +157,10 @@ pub(super) fn begin_from_maps(world: &mut World, metal: bool) -> Result<bool> {
     if !metal && matches!(world.get_resource::<ScaleRule>(), Some(ScaleRule::Highlights { .. })) {
         world.insert_resource(ScaleRule::MeanAlbedo(mean * level));
     }
-    let albedo = means.into_iter().map(|mean| (mean * level).clamp(Vec3::ZERO, Vec3::ONE));
-    write_albedo(world, albedo.collect())?;
+    if begins {
+        let albedo = means.into_iter().map(|mean| (mean * level).clamp(Vec3::ZERO, Vec3::ONE));
+        write_albedo(world, albedo.collect())?;
+    }
     Ok(true)
 }
 

@@ -8,6 +8,7 @@ use super::guard::{
     StepGuard, begin_step, check_adjoints, check_loss, check_shading, end_step, step_is_sound,
 };
 use super::initialization::initialize_light_and_albedo;
+use super::initialization::placements::find_placements;
 use super::initialization::start::{Find, FramesTried, find_start};
 use super::kept_state::keep_state;
 use super::loss::{Loss, LossSums};
@@ -15,7 +16,8 @@ use super::observe::{
     Candidates, PixelChoice, choose_pixels, count_seen_texels, spawn_samples, take_observations, trace_pixels,
 };
 use super::optimizer::optimizer;
-use super::priors::begin_from_maps;
+use super::placements::{PlacementPlugin, TurnSums, placements_turn};
+use super::priors::follow_maps;
 use super::roughness::blend::{BlendAdjoints, TexelPlaces, scatter_to_blends};
 use super::scale::{ScaleMoments, ScaleRule, start_scale};
 use super::systems::{compare_with_photographs, hand_out_gradient, pull_back_radiance, scatter_to_texels};
@@ -186,6 +188,7 @@ impl Plugin for FitPlugin {
         pipeline.world.init_resource::<BlendAdjoints>();
         pipeline.world.init_resource::<TexelPlaces>();
         pipeline.world.init_resource::<ScaleMoments>();
+        pipeline.world.init_resource::<TurnSums>();
         pipeline.world.init_resource::<Exposures>();
         pipeline.world.init_resource::<StepGuard>();
         pipeline.world.init_resource::<ViewSums>();
@@ -207,6 +210,7 @@ impl Plugin for FitPlugin {
         world.remove_resource::<BlendAdjoints>();
         world.remove_resource::<TexelPlaces>();
         world.remove_resource::<ScaleMoments>();
+        world.remove_resource::<TurnSums>();
         world.remove_resource::<Exposures>();
         world.remove_resource::<StepGuard>();
         world.remove_resource::<ViewSums>();
@@ -374,6 +378,10 @@ fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
     let pixels = pipeline.world.resource::<ObservedWindow>().0.len();
     count_pool(&mut pipeline.world);
     initialize(&mut pipeline.world, options, shadowed)?;
+    pipeline.remove_plugin::<PlacementPlugin>();
+    if placements_turn(&pipeline.world) {
+        pipeline.add_plugin(&PlacementPlugin(options.form));
+    }
     spawn_samples(&mut pipeline.world, options.batch.clamp(1, pixels));
     Ok(pixels)
 }
@@ -388,10 +396,11 @@ fn begin(world: &mut World, options: &FitOptions) -> Result<()> {
     if begins {
         begin_albedo(world, options)?;
         world.insert_resource(ScaleMoments::default());
+        world.insert_resource(TurnSums::default());
+        world.resource_mut::<Exposures>().begin(options.exposure);
     }
     world.insert_resource(options.scale);
     world.insert_resource(LossState { loss: options.loss, last: LossSums::default() });
-    world.resource_mut::<Exposures>().begin(options.exposure);
     Ok(())
 }
 
@@ -409,13 +418,18 @@ fn initialize(world: &mut World, options: &FitOptions, shadowed: bool) -> Result
     let finds =
         Find { frame: options.light_frame.is_none() && unknowns.light, specular: initialize.specular };
     find_start(world, finds, unknowns, options.form)?;
+    if options.done.steps == 0 && !has_step_ahead(world) {
+        find_placements(world, unknowns, options.form)?;
+    }
     let _initializing = stage("initialization");
     let both = unknowns.light && unknowns.albedo;
-    let from_maps = both && begin_from_maps(world, unknowns.metal)?;
+    // A fit that goes on, or is resumed, keeps to the color of the maps as well.
+    let keeps = options.unknowns.light && options.unknowns.albedo;
+    let from_maps = keeps && follow_maps(world, unknowns.metal, both)?;
     // Light is solved for under the albedo of the maps, which alternation would leave again.
     let solved = Unknowns { albedo: unknowns.albedo && !from_maps, ..unknowns };
     initialize_light_and_albedo(world, solved, options.form, shadowed)?;
-    if both {
+    if both && !from_maps {
         start_scale(world, options.scale)?;
     }
     Ok(())

@@ -31,7 +31,6 @@ use crate::pipeline::SystemResult;
 use crate::pipeline::pool::read_column;
 use crate::sample::Samples;
 use crate::sample::point::PointBlend;
-use crate::view::AlbedoMap;
 use bevy_ecs::prelude::{DetectChangesMut, Mut, Query, Res, ResMut, Resource, Without, World};
 use glam::{DVec3, Vec3, Vec4};
 use serde::{Deserialize, Serialize};
@@ -176,12 +175,12 @@ impl ScaleEvidence<'_> {
     }
 }
 
-/// Moves an initialization from gray albedo part of the way to white light, for [`ScaleRule::Highlights`]; one from maps of the albedo has its color.
+/// Moves an initialization from gray albedo part of the way to white light, for [`ScaleRule::Highlights`].
 ///
 /// # Errors
 /// If the pool of texels is incomplete.
 pub(crate) fn start_scale(world: &mut World, rule: ScaleRule) -> Result<()> {
-    if !matches!(rule, ScaleRule::Highlights { .. }) || AlbedoMap::are_in(world) {
+    if !matches!(rule, ScaleRule::Highlights { .. }) {
         return Ok(());
     }
     let log_factor = -START * log_color(mean_light(own_lobes(world).iter()));

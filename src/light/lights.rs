@@ -6,11 +6,12 @@
 //!
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |
-//! | [`provide_light`] | Gather, `Slot::Light` | [`LightLobe`], [`LobeOf`], [`LightName`], [`LightMap`], [`LightFrame`], [`OwnLightFrame`] | [`IncidentLight`] |
+//! | [`provide_light`] | Gather, `Slot::Light` | [`LightLobe`], [`LobeOf`], [`LightName`], [`LightMap`], [`LightFrame`], [`OwnLightFrame`], [`Placements`] | [`IncidentLight`] |
 
 use super::illuminate::{LobeLight, MapLight, TurnedLight};
 use super::light_frame::{LightFrame, OwnLightFrame, PictureRotation};
 use super::lobe::{LightLobe, kernel_lobe, rotate_lobes};
+use super::placement::{PicturePlacement, PlacedFrame, Placements, light_from_world};
 use crate::error::{Error, Result};
 use crate::math::ray::Illuminate;
 use crate::math::shading::LobeColumns;
@@ -51,8 +52,9 @@ pub struct IncidentLight {
     pub entities: Vec<Entity>,
     /// The same light in a form that can be sampled, for path tracing.
     pub distant: Option<Arc<dyn Illuminate>>,
-    /// The frame of the lobes, for samples of several views. A picture's light is in the world, turned as its camera has it.
-    pub frame: LightFrame,
+    /// The frame of the lobes, for samples of several views, and the placements under them. A picture's light is in the world, turned as its
+    /// camera has it.
+    pub frame: PlacedFrame,
     /// The rotation from the light's frame into the world that the lobes have had already.
     pub turn: Mat3,
 }
@@ -80,7 +82,9 @@ pub struct Lights<'w, 's> {
     lobes: Query<'w, 's, (Entity, &'static LightLobe), bevy_ecs::prelude::With<LobeOf>>,
     own_frame: Option<Res<'w, OwnLightFrame>>,
     frames: Query<'w, 's, (&'static LightName, &'static LightFrame)>,
+    own_placements: Option<Res<'w, Placements>>,
     picture: Option<Res<'w, PictureRotation>>,
+    picture_placement: Option<Res<'w, PicturePlacement>>,
 }
 
 impl Lights<'_, '_> {
@@ -107,19 +111,21 @@ impl Lights<'_, '_> {
 
 impl Lights<'_, '_> {
     /// The frame of the lobes of a light after a rotation into the world, and that rotation.
-    fn placed(&self, choice: &LightChoice) -> (LightFrame, Mat3) {
-        // Other lights stand in the world, if they do not say otherwise: a relit object turns under them.
+    fn placed(&self, choice: &LightChoice) -> (PlacedFrame, Mat3) {
+        // Other lights stand in the world, however the object lies, if they do not say otherwise: a relit object turns under them.
         let frame = match choice {
-            LightChoice::Own => self.own_frame.as_deref().map(|own| own.0),
+            LightChoice::Own => Some(self.own_frame.as_deref().map(|own| own.0).unwrap_or_default()),
             LightChoice::Named(name) => {
                 self.frames.iter().find(|(of, _)| of.0 == *name).map(|(_, frame)| *frame)
             }
         };
-        let frame = frame.unwrap_or_default();
-        match &self.picture {
-            Some(picture) => (LightFrame::World, frame.light_from_world(picture.0).transpose()),
-            None => (frame, Mat3::IDENTITY),
-        }
+        let Some(frame) = frame else { return (PlacedFrame::default(), Mat3::IDENTITY) };
+        let Some(picture) = &self.picture else {
+            let own = self.own_placements.as_deref().filter(|_| *choice == LightChoice::Own);
+            return (PlacedFrame { frame, placements: own.cloned().unwrap_or_default() }, Mat3::IDENTITY);
+        };
+        let placement = self.picture_placement.as_deref().map_or(Mat3::IDENTITY, |placement| placement.0);
+        (PlacedFrame::default(), light_from_world(frame, picture.0, placement).transpose())
     }
 }
 

@@ -6,6 +6,7 @@
 //! | [`light_frame`] | the frame in which a light stands still: the world's, the camera's or a turntable's |
 //! | [`envmap`] | the latitude-longitude grid: directions, solid angles, bilinear look-up, rotation |
 //! | [`illuminate`] | [`Illuminate`](crate::math::ray::Illuminate) for a map and for lobes, both with importance sampling |
+//! | [`placement`] | how an object lies that is turned over between two rounds of photographs |
 //! | `lobe` | [`LightLobe`], and lists of lobes: radiance, power, rotation, checks |
 //! | [`lights`] | lobes and named lights as entities, and the system in `Slot::Light` |
 //! | [`map_fit`] | fit of lobes to a map (Levenberg–Marquardt; lobes are added and removed; suns get their own lobes first) |
@@ -38,6 +39,7 @@ pub mod light_frame;
 pub mod lights;
 mod lobe;
 pub mod map_fit;
+pub mod placement;
 
 pub use envmap::{EnvironmentMap, validate_map};
 pub use illuminate::render_lobes;

@@ -97,13 +97,20 @@ fn in_json(camera: &Camera) -> Value {
     json!({ "K": k, "W2C": w2c, "img_size": [camera.width, camera.height] })
 }
 
-/// How much photographs differ.
+/// How much photographs differ, as far as that was found.
 fn words(exposures: &Exposures) -> String {
-    let brightness = || exposures.factors.iter().map(|factor| factor.element_product().cbrt());
-    let (least, most) = (brightness().fold(f32::INFINITY, f32::min), brightness().fold(0.0, f32::max));
+    let found = exposures.factors.iter().filter(|factors| **factors != Vec3::ONE);
+    let brightness = found.map(|factors| factors.element_product().cbrt());
+    let range = brightness.fold(None, |range: Option<(f32, f32)>, factor| {
+        let (least, most) = range.unwrap_or((factor, factor));
+        Some((least.min(factor), most.max(factor)))
+    });
     let what =
         if exposures.used == ExposureChoice::Color { "exposure and white balance" } else { "exposure" };
-    format!("photographs differ in {what}: factors of {least:.2} to {most:.2}")
+    match range {
+        Some((least, most)) => format!("photographs differ in {what}: factors of {least:.2} to {most:.2}"),
+        None => format!("the {what} of photographs is not found: a fit of fewer steps than it takes"),
+    }
 }
 
 fn write_exposures(world: &mut World, folder: &Path) -> Result<()> {

@@ -6,6 +6,7 @@ use crate::error::stop::check_interrupted;
 use crate::light::LightLobe;
 use crate::light::light_frame::LightFrame;
 use crate::light::lights::{LightChoice, provide_light, spawn_light};
+use crate::light::placement::{PicturePlacement, Placement};
 use crate::material::edit::MaterialState;
 use crate::material::shown::{show_edited, spawn_material};
 use crate::material::{DiffuseAlbedo, SpecularBlend};
@@ -20,10 +21,11 @@ use crate::pipeline::{Phase, Pipeline, Slot};
 use crate::sample::point::Scenery;
 use crate::scene::{CameraRing, CameraSpec, Edit, Pattern, Photographed, RenderSettings, Scene, Shading};
 use crate::shade::frame::{FramePlugin, render_frame, resolve};
+use crate::spawn::light_file::rotation;
 use crate::spawn::{LoadedLight, load_light};
 use crate::view::camera::Camera;
 use crate::view::{Image, Mask, Photograph, Split, StoredMask, ViewRecord};
-use glam::Vec3;
+use glam::{Mat3, Vec3};
 use std::sync::Arc;
 
 /// Name of the light and the edits of the true object.
@@ -35,6 +37,7 @@ pub struct TrueObject {
     surface: Arc<Surface>,
     light: LoadedLight,
     light_frame: LightFrame,
+    placements: Vec<Mat3>,
     max_bounces: u32,
 }
 
@@ -64,6 +67,7 @@ impl TrueObject {
             surface: surface.clone(),
             light,
             light_frame: spec.truth.light_frame,
+            placements: rounds(spec),
             max_bounces: spec.max_bounces,
         })
     }
@@ -73,7 +77,8 @@ impl TrueObject {
         &self.light.lobes
     }
 
-    /// Path-traced pictures of the true object, optionally under another light or with edits.
+    /// Path-traced pictures of the true object, optionally under another light or with edits. In its own light it lies in each of its placements
+    /// in turn.
     ///
     /// # Errors
     /// If an edit's image cannot be read, or a system fails.
@@ -86,11 +91,11 @@ impl TrueObject {
         seed: u64,
         mut done: impl FnMut(),
     ) -> Result<Vec<Frame>> {
-        let frame = light.map_or(self.light_frame, |_| LightFrame::World);
+        let frame = light.is_none().then_some(self.light_frame);
         let light = light.unwrap_or(&self.light);
         spawn_edits(&mut self.pipeline.world, TRUTH, edits, &self.surface)?;
         let spawned = spawn_light(&mut self.pipeline.world, TRUTH, &light.lobes, light.map.clone());
-        self.pipeline.world.entity_mut(spawned).insert(frame);
+        frame.into_iter().for_each(|frame| _ = self.pipeline.world.entity_mut(spawned).insert(frame));
         let choice = LightChoice::Named(TRUTH.to_owned());
         self.pipeline.swap(Phase::Frame, Slot::Material, show_edited(TRUTH)).swap(
             Phase::Frame,
@@ -105,6 +110,8 @@ impl TrueObject {
         for (i, camera) in cameras.iter().enumerate() {
             check_interrupted()?;
             set_shading(&mut self.pipeline, &settings, seed.wrapping_add(i as u64));
+            let placement = self.placements[i % self.placements.len()];
+            self.pipeline.world.insert_resource(PicturePlacement(placement));
             frames.push(resolve(&render_frame(&mut self.pipeline, *camera, settings.samples_per_pixel)?));
             done();
         }
@@ -127,14 +134,17 @@ pub fn take(
     let bar = progress.bar("photograph", cameras.len() as u64);
     let frames = truth.pictures(&cameras, None, &[], spec.spp, scene.seed, || bar.inc(1))?;
     bar.finish_and_clear();
-    let records = ring.into_iter().zip(cameras).zip(frames).map(|((spec, camera), frame)| {
-        let (width, height) = (camera.width, camera.height);
-        ViewRecord {
-            photograph: Some(Photograph::of_image(&Image { width, height, pixels: frame.color })),
-            mask: Some(StoredMask::new(&Mask { width, height, coverage: frame.alpha })),
-            ..ViewRecord::of_camera(spec.name, spec.split, camera)
-        }
-    });
+    let shown = placements_in_turn(spec);
+    let records =
+        ring.into_iter().zip(cameras).zip(frames).zip(shown).map(|(((spec, camera), frame), placement)| {
+            let (width, height) = (camera.width, camera.height);
+            ViewRecord {
+                photograph: Some(Photograph::of_image(&Image { width, height, pixels: frame.color })),
+                mask: Some(StoredMask::new(&Mask { width, height, coverage: frame.alpha })),
+                placement,
+                ..ViewRecord::of_camera(spec.name, spec.split, camera)
+            }
+        });
     Ok(records.collect())
 }
 
@@ -143,12 +153,24 @@ pub fn take(
 /// # Errors
 /// If a camera cannot be used.
 pub(crate) fn imagine(spec: &Photographed, scene: &Scene) -> Result<Vec<ViewRecord>> {
-    let view = |spec: CameraSpec| {
+    let view = |(spec, placement): (CameraSpec, Placement)| {
         let camera = camera_of(&spec)?;
         let photograph = Some(Photograph::without_pixels(camera.width, camera.height));
-        Ok(ViewRecord { photograph, ..ViewRecord::of_camera(spec.name, spec.split, camera) })
+        Ok(ViewRecord { photograph, placement, ..ViewRecord::of_camera(spec.name, spec.split, camera) })
     };
-    ring(&spec.cameras, scene.up).into_iter().map(view).collect()
+    ring(&spec.cameras, scene.up).into_iter().zip(placements_in_turn(spec)).map(view).collect()
+}
+
+/// Rotations of the object in the rounds of photographs.
+fn rounds(spec: &Photographed) -> Vec<Mat3> {
+    let others = spec.truth.placements.iter().map(|degrees| Mat3::from_quat(rotation(*degrees)));
+    std::iter::once(Mat3::IDENTITY).chain(others).collect()
+}
+
+/// The placement that each view shows.
+fn placements_in_turn(spec: &Photographed) -> impl Iterator<Item = Placement> + use<> {
+    let rounds = spec.truth.placements.len() as u32 + 1;
+    (0..).map(move |view| Placement(view % rounds))
 }
 
 /// Cameras distributed over a sphere around the target; every n-th is a test view, so that test views lie between the others.

@@ -7,6 +7,7 @@ use crate::codec::film::{Film, FilmRecorder};
 use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::light::lights::IncidentLight;
+use crate::light::placement::{PicturePlacement, Placement, Placements};
 use crate::math::color::srgb_from_linear;
 use crate::math::ray::Illuminate;
 use crate::pass::film;
@@ -53,7 +54,10 @@ fn render_all(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> 
     let bar = session.progress.bar(name, (views.len() + frames) as u64);
     for view in &views {
         check_interrupted()?;
-        write_view(&mut session.pipeline, &folder, view, settings)?;
+        show_placement(&mut session.pipeline.world, view.entity);
+        let written = write_view(&mut session.pipeline, &folder, view, settings);
+        session.pipeline.world.remove_resource::<PicturePlacement>();
+        written?;
         bar.inc(1);
     }
     if let (Some(orbit), Some(cameras)) = (&settings.orbit, &orbit) {
@@ -75,6 +79,13 @@ fn render_all(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> 
     let film = if frames > 0 { format!(", {frames} film frames") } else { String::new() };
     session.progress.print(&format!("{name}: {} views{film}", views.len()));
     Ok(())
+}
+
+/// Pictures to come show the object as it lies in this view.
+fn show_placement(world: &mut World, view: Entity) {
+    let placement = world.get::<Placement>(view).copied().unwrap_or_default();
+    let turn = world.get_resource::<Placements>().map(|all| all.room_from_object(placement));
+    turn.into_iter().for_each(|turn| world.insert_resource(PicturePlacement(turn)));
 }
 
 /// A view that a pass renders.

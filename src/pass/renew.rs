@@ -8,6 +8,7 @@ use crate::checkpoint::{Span, carry, restore};
 use crate::error::Result;
 use crate::fit::ObjectTurned;
 use crate::fit::run::FitPlugin;
+use crate::light::placement::Placement;
 use crate::material::{TexelIndex, replace_materials};
 use crate::pass::session::Session;
 use crate::pipeline::Pipeline;
@@ -78,19 +79,25 @@ pub(super) fn renew(session: &mut Session) -> Result<()> {
 
 /// Takes the views out of a world, in their order.
 fn take_views(world: &mut World) -> Vec<ViewRecord> {
-    let mut query = world.query::<(&ViewIndex, Entity, &ViewName, &Camera, &Split)>();
+    let mut query = world.query::<(&ViewIndex, Entity, &ViewName, &Camera, &Split, &Placement)>();
     let mut found: Vec<_> = query
         .iter(world)
-        .map(|(index, entity, name, camera, split)| (*index, entity, name.0.clone(), *camera, *split))
+        .map(|(index, entity, name, camera, split, of)| {
+            (
+                *index,
+                entity,
+                ViewRecord { placement: *of, ..ViewRecord::of_camera(name.0.clone(), *split, *camera) },
+            )
+        })
         .collect();
     found.sort_by_key(|(index, ..)| *index);
-    let mut view = |(_, entity, name, camera, split): (ViewIndex, Entity, String, Camera, Split)| {
+    let mut view = |(_, entity, record): (ViewIndex, Entity, ViewRecord)| {
         let mut entity = world.entity_mut(entity);
         let (photograph, mask) = (entity.take::<Photograph>(), entity.take::<ViewMask>());
         let albedo = entity.take::<AlbedoMap>().map(|map| map.0);
         let normals = entity.take::<NormalMap>().map(|map| map.0);
         let priors = ViewPriors { albedo, normals };
-        ViewRecord { name, split, camera, photograph, mask: mask.map(|mask| mask.0), priors }
+        ViewRecord { photograph, mask: mask.map(|mask| mask.0), priors, ..record }
     };
     found.into_iter().map(&mut view).collect()
 }

@@ -11,6 +11,7 @@ use crate::error::{Error, Result};
 use crate::fit::cameras::CameraFit;
 use crate::light::light_frame::OwnLightFrame;
 use crate::light::lights::own_lobes;
+use crate::light::placement::{PlacementTurn, Placements, TurnSource};
 use crate::material::edit::MaterialState;
 use crate::material::sheen::has_sheen;
 use crate::material::tilt::has_tilt;
@@ -23,10 +24,10 @@ use crate::scene::Pass;
 use crate::scene::SavePass;
 use crate::scene::load::to_ron;
 use crate::scene::{
-    Albedo, AlbedoSource, Gloss, Light, LightSource, Material, Roughness, Scene, Sheen, Specular,
-    SpecularAlbedo, Surface as SurfaceSpec, Tilt, Views,
+    Albedo, AlbedoSource, Dataset, Gloss, Light, LightSource, Material, PlacementSpec, Roughness, Scene,
+    Sheen, Specular, SpecularAlbedo, Surface as SurfaceSpec, Tilt, Views,
 };
-use crate::spawn::light_file::inlined;
+use crate::spawn::light_file::{angles, inlined};
 use glam::Vec3;
 use std::path::Path;
 
@@ -182,6 +183,16 @@ fn save_light(session: &mut Session, of: Option<&str>, folder: &Path) -> Result<
     })
 }
 
+/// The placements with the rotations that were found.
+fn placements_found(session: &Session, spec: &Dataset) -> Vec<PlacementSpec> {
+    let turns = session.pipeline.world.get_resource::<Placements>().cloned().unwrap_or_default();
+    let found = |(of, turn): (&PlacementSpec, &PlacementTurn)| {
+        let found = (turn.source == TurnSource::Found).then(|| angles(turn.room_from_object));
+        PlacementSpec { turned_degrees: found.or(of.turned_degrees), ..of.clone() }
+    };
+    spec.placements.iter().zip(&turns.0).map(found).collect()
+}
+
 /// The scene's views with absolute paths; rendered photographs become cameras only.
 fn saved_views(session: &Session) -> Result<Views> {
     match &session.scene.views {
@@ -192,7 +203,8 @@ fn saved_views(session: &Session) -> Result<Views> {
             let focal_scale = spec.focal_scale * found;
             // All is known: nothing is left that prior maps would say.
             let priors = Priors::default();
-            Ok(Views::Dataset(crate::scene::Dataset { path, focal_scale, priors, ..spec.clone() }))
+            let placements = placements_found(session, spec);
+            Ok(Views::Dataset(Dataset { path, focal_scale, priors, placements, ..spec.clone() }))
         }
         Views::Cameras(cameras) => Ok(Views::Cameras(cameras.clone())),
         Views::Photographed(spec) => Ok(Views::Cameras(ring(&spec.cameras, session.scene.up))),

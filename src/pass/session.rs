@@ -8,6 +8,7 @@ use crate::fit::components::Unknowns;
 use crate::fit::guard::StepGuard;
 use crate::fit::run::{Done, Initialize};
 use crate::light::light_frame::{LightFrame, OwnLightFrame};
+use crate::light::placement::{PlacementTurn, Placements, TurnSource};
 use crate::mesh::Surface;
 use crate::pass::inputs::Watched;
 use crate::pass::photograph::TrueObject;
@@ -15,8 +16,9 @@ use crate::pass::progress::Progress;
 use crate::pipeline::Pipeline;
 use crate::profile::{Profiler, stage};
 use crate::report::profile::profile_table;
-use crate::report::scores::{FrameTried, Scores};
-use crate::scene::{Albedo, Light, Pass, Scene, Visibility};
+use crate::report::scores::{FrameTried, PlacementFound, Scores};
+use crate::scene::{Albedo, Light, Pass, Scene, Views, Visibility};
+use crate::spawn::light_file::angles;
 use crate::spawn::{LoadedLight, load_light, unknowns};
 use crate::visibility::{ObjectVisibility, VisibilitySettings};
 use serde::{Deserialize, Serialize};
@@ -220,6 +222,24 @@ impl<'a> Session<'a> {
                 ),
             };
             self.progress.print(&format!("{pass}: the light {found}{beside}"));
+        }
+    }
+
+    /// Says how the object lies in placements whose rotation the pass has found.
+    pub(super) fn report_placements(&mut self, pass: &str) {
+        let Some(Placements(turns)) = self.pipeline.world.get_resource::<Placements>() else { return };
+        let found = (1..).zip(turns.iter().skip(1)).filter(|(_, turn)| turn.source == TurnSource::Found);
+        let named = |(number, turn): (usize, &PlacementTurn)| PlacementFound {
+            photographs: match &self.scene.views {
+                Views::Dataset(data) => data.placements[number].photographs.clone(),
+                Views::Photographed(_) | Views::Cameras(_) => format!("round {}", number + 1),
+            },
+            turned_degrees: angles(turn.room_from_object).into(),
+        };
+        self.scores.placements = found.map(named).collect();
+        for PlacementFound { photographs, turned_degrees: [x, y, z] } in &self.scores.placements {
+            let turned = format!("({x:.1}, {y:.1}, {z:.1})°");
+            self.progress.print(&format!("{pass}: `{photographs}` shows the object turned by {turned}"));
         }
     }
 

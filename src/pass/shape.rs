@@ -35,6 +35,7 @@ use crate::shape::run::{
 use crate::shape::stereo::ROUNDS as STEREO_ROUNDS;
 use crate::shape::systems::ShapeSchedule;
 use crate::spawn::insert_known_along;
+use crate::view::AlbedoMap;
 use crate::view::Camera;
 use crate::visibility::ObjectVisibility;
 use bevy_ecs::prelude::World;
@@ -70,6 +71,7 @@ pub(crate) fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
         finish_stopping();
     }
     session.report_light_frame(&pass.name);
+    session.report_placements(&pass.name);
     if !stopped {
         // The pools of the fit would be there beside the photographs as stereo compares them.
         renew(session)?;
@@ -147,7 +149,7 @@ fn take_over(
     if session.placed.normals {
         // With them highlights are sharper than light and lobe are by now: a fit finds these anew.
         session.initialize = initialized;
-    } else if initialized.light && initialized.albedo {
+    } else if initialized.light && initialized.albedo && !AlbedoMap::are_in(&mut session.pipeline.world) {
         // The light still has the color from the initialization with gray albedo.
         start_scale(&mut session.pipeline.world, session.scene.scale)?;
     }

@@ -1,7 +1,7 @@
 //! Rotations from the world into the frame of a light that does not stand still in it.
 
-use crate::light::light_frame::LightFrame;
 use crate::light::lights::IncidentLight;
+use crate::light::placement::{PlacedFrame, Placement};
 use crate::view::{Camera, Photograph, ViewIndex};
 use bevy_ecs::prelude::{Query, Res, With};
 use bevy_ecs::system::SystemParam;
@@ -11,13 +11,16 @@ use glam::Mat3;
 #[derive(SystemParam)]
 pub struct LightTurns<'w, 's> {
     light: Res<'w, IncidentLight>,
-    views: Query<'w, 's, (&'static ViewIndex, &'static Camera), With<Photograph>>,
+    views: Query<'w, 's, (&'static ViewIndex, &'static Camera, Option<&'static Placement>), With<Photograph>>,
 }
 
 impl LightTurns<'_, '_> {
     /// The rotations for the light of this run.
     pub fn table(&self) -> TurnTable {
-        TurnTable::new(self.light.frame, self.views.iter().map(|(index, camera)| (*index, camera)))
+        let view = |(index, camera, placement): (&ViewIndex, &Camera, Option<&Placement>)| {
+            (*index, *camera, placement.copied().unwrap_or_default())
+        };
+        TurnTable::new(&self.light.frame, self.views.iter().map(view))
     }
 }
 
@@ -26,18 +29,18 @@ impl LightTurns<'_, '_> {
 pub struct TurnTable(Vec<Option<Mat3>>);
 
 impl TurnTable {
-    /// The rotations of these views for a light in this frame.
-    pub fn new<'a>(frame: LightFrame, views: impl Iterator<Item = (ViewIndex, &'a Camera)>) -> Self {
+    /// The rotations of these views, each of a placement of the object, for a light in this frame.
+    pub fn new(frame: &PlacedFrame, views: impl Iterator<Item = (ViewIndex, Camera, Placement)>) -> Self {
         let mut table = Vec::new();
-        if frame == LightFrame::World {
+        if frame.is_still() {
             return Self(table);
         }
-        for (index, camera) in views {
+        for (index, camera, placement) in views {
             let index = index.0 as usize;
             if table.len() <= index {
                 table.resize(index + 1, None);
             }
-            table[index] = Some(frame.light_from_world(camera.world_from_camera.matrix3.into()));
+            table[index] = Some(frame.light_from_world(camera.world_from_camera.matrix3.into(), placement));
         }
         Self(table)
     }

@@ -64,6 +64,10 @@ pub struct TruthObject {
     /// The frame in which it stands still, as `light_frame` of the scene. Default `World`.
     #[serde(default)]
     pub light_frame: LightFrame,
+    /// How the object is turned for each further round of photographs, as `turned_degrees` of `placements` of a data set; views are of the
+    /// rounds in turn. The fit is told which, and not how the object is turned. Default [].
+    #[serde(default)]
+    pub placements: Vec<Vec3>,
     /// What else is done to the material: regions of other color or gloss. Default [].
     #[serde(default)]
     pub edits: Vec<Edit>,

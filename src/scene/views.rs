@@ -56,6 +56,22 @@ pub struct Dataset {
     /// What is known of the surface from elsewhere, as pictures of the user's own for the training photographs: albedo, normals. Default: nothing.
     #[serde(default)]
     pub priors: Priors,
+    /// How the object lay, where it was turned over between rounds of photographs; fewer than two: it lay the same in all. Default [].
+    #[serde(default)]
+    pub placements: Vec<PlacementSpec>,
+}
+
+/// The photographs of an object that lay in one way.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct PlacementSpec {
+    /// A folder that the photographs are in, at any depth, or what their names begin with. A photograph belongs to the first entry that it
+    /// suits, and must suit one.
+    pub photographs: String,
+    /// How the object is turned relative to the first placement, about the world's x, then y, then z axis, in degrees: from
+    /// its axes, which are those of the cameras, to where they point in the room. Not for the first. Default: a fit finds it.
+    #[serde(default)]
+    pub turned_degrees: Option<Vec3>,
 }
 
 /// One pinhole camera, by what it looks at.

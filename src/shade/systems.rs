@@ -129,14 +129,26 @@ pub fn shade_closed_form(form: ClosedForm) -> ScheduleConfigs<ScheduleSystem> {
         let (points, blends, seen, mut shaded) = samples.columns()?;
         let visibility = visibility.as_ref().and_then(|visibility| visibility.view(&seen));
         let lighting = Lighting { lobes: &light.lobes, visibility };
-        match kernel_materials(&materials).as_slice() {
-            [] => shaded.fill(Layers::default()),
-            [(_, one)] if !materials.blended => form.shade(&points, one, lighting, &mut shaded),
-            many => shade_blended(form, &points, &blends, many, lighting, &mut shaded),
-        }
+        shade_materials(form, &points, &blends, &materials, lighting, &mut shaded);
         Ok(())
     };
     system.into_configs()
+}
+
+/// Shades points with the base materials that they show.
+pub(crate) fn shade_materials(
+    form: ClosedForm,
+    points: &[ShadePoint],
+    blends: &[PointBlend],
+    materials: &BaseMaterials,
+    lighting: Lighting<'_>,
+    shaded: &mut [Layers],
+) {
+    match kernel_materials(materials).as_slice() {
+        [] => shaded.fill(Layers::default()),
+        [(_, one)] if !materials.blended => form.shade(points, one, lighting, shaded),
+        many => shade_blended(form, points, blends, many, lighting, shaded),
+    }
 }
 
 /// The points where one of the base materials has a weight.

@@ -138,6 +138,12 @@ pub fn rotation(degrees: Vec3) -> Quat {
     Quat::from_euler(EulerRot::XYZEx, radians.x, radians.y, radians.z)
 }
 
+/// The angles in degrees of which [`rotation`] makes a turn.
+pub fn angles(turn: Quat) -> Vec3 {
+    let (x, y, z) = turn.to_euler(EulerRot::XYZEx);
+    Vec3::new(x, y, z) * (180.0 / std::f32::consts::PI)
+}
+
 /// Angles of one turn after another, each about x, then y, then z.
 fn turned_after(first: Vec3, then: Vec3) -> Vec3 {
     if first == Vec3::ZERO || then == Vec3::ZERO {

@@ -16,12 +16,16 @@ use crate::fit::priors::{NormalMapPlugin, NormalWeight};
 use crate::light::LightLobe;
 use crate::light::light_frame::OwnLightFrame;
 use crate::light::lights::LightMap;
+use crate::light::placement::{PlacementTurn, Placements, TurnSource};
 use crate::material::{DiffuseSheen, DiffuseTilt};
 use crate::material::{SpecularBlend, SpecularLobe, spawn_materials, spawn_texels};
 use crate::mesh::Surface;
 use crate::pipeline::Pipeline;
 use crate::sample::point::Scenery;
-use crate::scene::{Albedo, Gloss, Light, Material, Roughness, Scene, Sheen, SpecularAlbedo, Views};
+use crate::scene::{
+    Albedo, Gloss, Light, Material, PlacementSpec, Roughness, Scene, Sheen, SpecularAlbedo, Views,
+};
+use crate::spawn::light_file::rotation;
 use crate::view::{AlbedoMap, NormalMap, ViewIndex, ViewMask, ViewName, ViewRecord};
 use bevy_ecs::prelude::World;
 use glam::Vec3;
@@ -57,6 +61,7 @@ pub fn spawn(
     world.insert_resource(unknowns(scene));
     spawn_views(world, views);
     world.insert_resource(OwnLightFrame(scene.light_frame.frame(&scene.light).unwrap_or_default()));
+    world.insert_resource(placements(scene));
     world.spawn_batch(lobes);
     if let Some(map) = light.and_then(|light| light.map.clone()) {
         world.spawn(LightMap(map));
@@ -69,6 +74,23 @@ pub fn spawn(
     Ok(())
 }
 
+/// What the scene says of how the object lies in each placement.
+fn placements(scene: &Scene) -> Placements {
+    let turn = |spec: &PlacementSpec| match spec.turned_degrees {
+        Some(degrees) => PlacementTurn::said(rotation(degrees)),
+        None => PlacementTurn::default(),
+    };
+    let mut turns: Vec<PlacementTurn> = match &scene.views {
+        Views::Dataset(data) => data.placements.iter().map(turn).collect(),
+        Views::Photographed(spec) if !spec.truth.placements.is_empty() => {
+            vec![PlacementTurn::default(); spec.truth.placements.len() + 1]
+        }
+        Views::Photographed(_) | Views::Cameras(_) => Vec::new(),
+    };
+    turns.iter_mut().take(1).for_each(|first| first.source = TurnSource::Said);
+    Placements(turns)
+}
+
 /// The weight of the scene's maps of normals, if it has some.
 fn normal_weight(scene: &Scene) -> Option<NormalWeight> {
     let Views::Dataset(data) = &scene.views else { return None };
@@ -79,7 +101,8 @@ fn normal_weight(scene: &Scene) -> Option<NormalWeight> {
 pub fn spawn_views(world: &mut World, views: Vec<ViewRecord>) {
     let next = world.query::<&ViewIndex>().iter(world).map(|index| index.0 + 1).max().unwrap_or(0);
     for (view, index) in views.into_iter().zip(next..) {
-        let mut entity = world.spawn((ViewIndex(index), ViewName(view.name), view.camera, view.split));
+        let mut entity =
+            world.spawn((ViewIndex(index), ViewName(view.name), view.camera, view.split, view.placement));
         if let Some(photograph) = view.photograph {
             entity.insert(photograph);
         }

@@ -308,7 +308,7 @@ impl Task<'_> {
         let steps = bytes + DETAIL_BYTES + visited * DETAIL_PIXEL_BYTES;
         self.part(
             &fit.name,
-            steps.max(finest),
+            steps.max(finest + FIT_BYTES + visited * DETAIL_PIXEL_BYTES),
             start + DETAIL_FACTOR * pairs * FIT_PAIR_NANOS + sweeps,
             false,
         )

@@ -141,6 +141,7 @@ fn dataset_options(spec: &Dataset, up: Vec3) -> DatasetOptions {
         select: (!spec.select.is_empty()).then(|| spec.select.clone()),
         up,
         priors: spec.priors.clone(),
+        placements: spec.placements.iter().map(|of| of.photographs.clone()).collect(),
         roots: None,
     }
 }

@@ -38,6 +38,7 @@ pub use image::{Image, Mask};
 pub use prior_map::{AlbedoMap, NormalMap, ViewPriors};
 pub use stored::{Photograph, PixelWindow, StoredMask};
 
+use crate::light::placement::Placement;
 use crate::{Error, Result};
 use bevy_ecs::prelude::Component;
 use serde::{Deserialize, Serialize};
@@ -127,11 +128,14 @@ pub struct ViewRecord {
     pub mask: Option<StoredMask>,
     /// What is known from elsewhere of what it shows.
     pub priors: ViewPriors,
+    /// The placement of the object that it shows.
+    pub placement: Placement,
 }
 
 impl ViewRecord {
     /// A view of which only the camera is known.
     pub fn of_camera(name: String, split: Split, camera: Camera) -> Self {
-        Self { name, split, camera, photograph: None, mask: None, priors: ViewPriors::default() }
+        let (priors, placement) = (ViewPriors::default(), Placement::default());
+        Self { name, split, camera, photograph: None, mask: None, priors, placement }
     }
 }

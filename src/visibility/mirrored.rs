@@ -18,6 +18,21 @@ const RAYS: u32 = 16;
 /// Angle between two points of a spiral that is evenly dense (Vogel 1979).
 const GOLDEN_ANGLE: f32 = 2.399_963_2;
 
+/// A point that is seen.
+#[derive(Clone, Copy)]
+pub(crate) struct SeenPoint {
+    /// World position.
+    pub position: Vec3,
+    /// Unit shading normal.
+    pub normal: Vec3,
+    /// Unit normal of the flat triangle.
+    pub geometric_normal: Vec3,
+    /// Unit direction to the viewer.
+    pub to_viewer: Vec3,
+    /// Roughness R of its material.
+    pub roughness: f32,
+}
+
 /// What rays meet.
 #[derive(Clone, Copy)]
 pub(crate) struct Mirrored<'a> {
@@ -33,7 +48,8 @@ pub(crate) struct Mirrored<'a> {
 
 impl Mirrored<'_> {
     /// The part of the light in a lobe of this `sharpness` around the direction `axis` that arrives at a point.
-    pub fn part(&self, position: Vec3, normal: Vec3, axis: Vec3, sharpness: f32) -> Vec3 {
+    pub fn part(&self, point: &SeenPoint, axis: Vec3, sharpness: f32) -> Vec3 {
+        let SeenPoint { position: origin, normal, geometric_normal, .. } = *point;
         let (x, y) = axis.any_orthonormal_pair();
         let world_from_lobe = Mat3::from_cols(x, y, axis);
         let (mut arriving, mut unhidden) = (Vec3::ZERO, Vec3::ZERO);
@@ -42,7 +58,10 @@ impl Mirrored<'_> {
             let cosine = normal.dot(direction).max(0.0);
             let sky = self.sky.toward(direction, sharpness * RAYS as f32);
             unhidden += sky * cosine;
-            arriving += self.sent_from(&Ray { origin: position, direction }).unwrap_or(sky) * cosine;
+            // A ray that enters the flat triangle meets nothing that the smooth surface would.
+            let leaves = geometric_normal.dot(direction) > 0.0;
+            let sent = leaves.then(|| self.sent_from(&Ray { origin, direction })).flatten();
+            arriving += sent.unwrap_or(sky) * cosine;
         }
         let floor = Vec3::splat(1e-6 * unhidden.max_element().max(1e-20));
         (arriving / unhidden.max(floor)).clamp(Vec3::ZERO, Vec3::splat(MOST_MIRRORED))
@@ -129,11 +148,26 @@ mod tests {
 
     /// What arrives of a narrow lobe around `axis` over a floor beside the wall.
     fn part(axis: Vec3, wall: Mirror, sky: &Sky) -> Vec3 {
-        let mut visibility = TexelVisibility::default();
-        visibility.rows = vec![0];
+        let visibility = one_row();
         let bounce = Bounce { mirrors: vec![wall], ..Bounce::default() };
         let mirrored = Mirrored { surface: &Wall, visibility: &visibility, sky, bounce: &bounce };
-        mirrored.part(Vec3::ZERO, Vec3::Y, axis.normalize(), 2000.0)
+        mirrored.part(&seen(Vec3::Y), axis.normalize(), 2000.0)
+    }
+
+    fn one_row() -> TexelVisibility {
+        let mut visibility = TexelVisibility::default();
+        visibility.rows = vec![0];
+        visibility
+    }
+
+    fn seen(geometric_normal: Vec3) -> SeenPoint {
+        SeenPoint {
+            position: Vec3::ZERO,
+            normal: Vec3::Y,
+            geometric_normal,
+            to_viewer: Vec3::Y,
+            roughness: 0.1,
+        }
     }
 
     #[test]
@@ -152,9 +186,26 @@ mod tests {
         let even = sky(&[([0.0, 1.0, 0.0], 0.0, 2.0)]);
         assert!(part(Vec3::new(1.0, 1.0, 0.0), white, &even).abs_diff_eq(Vec3::ONE, 1e-3));
         // The lamp in the mirror is behind the point; toward the wall it is dark.
-        let lamp = sky(&[([-1.0, 0.0, 0.0], 30.0, 1.0), ([1.0, 0.0, 0.0], 0.5, 0.01)]);
+        let lamp = |dark: f32| sky(&[([-1.0, 0.0, 0.0], 30.0, 1.0), ([1.0, 0.0, 0.0], 0.5, dark)]);
         let gray = Mirror { albedo: Vec3::splat(0.2), ..white };
-        assert_eq!(part(Vec3::new(1.0, 0.1, 0.0), gray, &lamp), Vec3::splat(MOST_MIRRORED));
+        let axis = Vec3::new(1.0, 0.1, 0.0).normalize();
+        // A fifth of the lamp, 0.1 beside its axis, over the sky that the wall hides.
+        let bright = part(axis, gray, &lamp(0.05)).x;
+        let expected = 0.2 * (30.0 * (axis.x - 1.0)).exp() / (0.05 * (0.5 * (axis.x - 1.0)).exp());
+        assert!((bright / expected - 1.0).abs() < 0.04, "{bright} {expected}");
+        assert_eq!(part(axis, gray, &lamp(0.01)), Vec3::splat(MOST_MIRRORED));
+    }
+
+    #[test]
+    fn rays_that_enter_the_flat_triangle_see_the_sky() {
+        let sky = sky(&[([0.0, 1.0, 0.0], 0.0, 2.0)]);
+        let visibility = one_row();
+        let bounce = Bounce { mirrors: vec![Mirror::default()], ..Bounce::default() };
+        let mirrored = Mirrored { surface: &Wall, visibility: &visibility, sky: &sky, bounce: &bounce };
+        let part =
+            |geometric: Vec3| mirrored.part(&seen(geometric), Vec3::new(1.0, 0.1, 0.0).normalize(), 2e3);
+        assert_eq!(part(Vec3::Y), Vec3::ZERO);
+        assert_eq!(part(Vec3::new(-0.5, 0.8, 0.0)), Vec3::ONE);
     }
 
     #[test]

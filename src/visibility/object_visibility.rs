@@ -6,8 +6,9 @@ use crate::math::ray::Intersect;
 use crate::math::shading::{LobeColumns, LobeVisibility, PointVisibility};
 use crate::mesh::Surface;
 use crate::sample::point::SurfacePoint;
-use crate::visibility::occlusion::{Bounce, Reflectance, Sky, light_one_row, light_rows};
-use crate::visibility::point_visibility::{Blend, SeenPoint, Surroundings};
+use crate::visibility::mirrored::SeenPoint;
+use crate::visibility::occlusion::{Bounce, Mirror, Reflectance, Sky, light_one_row, light_rows};
+use crate::visibility::point_visibility::{Blend, Surroundings};
 use crate::visibility::texel_visibility::TexelVisibility;
 use bevy_ecs::prelude::{Entity, Resource};
 use fearless_simd::{Level, dispatch};
@@ -20,8 +21,10 @@ use std::sync::Arc;
 const SAME_TURN: f32 = 0.035;
 /// Most rotations of a light that turns with the views that are told apart.
 const MOST_SKIES: usize = 96;
-/// Rotations of which the interreflection is the mean.
+/// Rotations of which the interreflection is the mean, if there are many.
 const MEAN_SKIES: usize = 6;
+/// Most rotations that each have shadows and interreflection of their own: the placements of an object that is turned over.
+const FEW_SKIES: usize = 4;
 
 /// Most rows of shadows, but for squares of texels across borders of charts.
 const MOST_ROWS: usize = 1 << 18;
@@ -46,7 +49,8 @@ impl VisibilitySettings {
     /// Estimated bytes for so many covered texels, with 128 lobes and a quarter of the directions above a row occluded.
     pub fn bytes(&self, texels: usize) -> usize {
         let directions = self.directions as usize;
-        self.rows(texels) * (directions / 8 + directions / 2 + 128 + 48) + texels * size_of::<u32>()
+        let light = 128 + 48 + size_of::<Mirror>();
+        self.rows(texels) * (directions / 8 + directions / 2 + light) + texels * size_of::<u32>()
     }
 }
 
@@ -67,9 +71,10 @@ pub struct ObjectVisibility {
     skies: Vec<Sky>,
     /// The sky of each view, if there are several.
     sky_of_view: Vec<usize>,
-    bounce: Bounce,
-    /// The part of each lobe that reaches each row, if there is one sky.
-    parts: Vec<u8>,
+    /// Interreflected light under each sky, or one mean of many skies.
+    bounces: Vec<Bounce>,
+    /// The part of each lobe that reaches each row, for each sky, if there are few.
+    parts: Vec<Vec<u8>>,
     pub(super) stride: usize,
 }
 
@@ -114,14 +119,14 @@ impl ObjectVisibility {
 
     /// Memory in bytes, for at least 128 lobes.
     pub fn bytes(&self) -> usize {
-        let per_row = self.stride.max(128) + 2 * size_of::<Vec3>();
-        self.texels.bytes() + self.texels.len() * per_row
+        let per_row = self.stride.max(128) + 2 * size_of::<Vec3>() + size_of::<Mirror>();
+        self.texels.bytes() + self.texels.len() * per_row * self.parts.len().max(1)
     }
 
     /// Computes shadows and interreflection for this light and this reflectance (diffuse and specular, by texel).
     ///
-    /// `turns` are the rotations of the views into the frame of a light that turns with them, by index; empty if it does not. Then shadows
-    /// are those of each view, interreflection is the mean of some.
+    /// `turns` are the rotations of the views into the frame of a light that turns with them, by index; empty if it does not. Shadows are those
+    /// of each view, interreflection is the mean of some views if more than [`FEW_SKIES`] differ.
     pub fn refresh(
         &mut self,
         lobes: &LobeColumns,
@@ -134,27 +139,35 @@ impl ObjectVisibility {
         let sky = |turn: &Mat3| Sky::new(&self.texels.directions, lobes, turn.transpose());
         self.skies = distinct.par_iter().map(sky).collect();
         self.stride = lobes.stride();
-        let mut direct = self.mean_direct();
-        if self.skies.len() == 1 {
-            light_rows(&self.texels, &self.skies[0], &mut self.parts, &mut direct);
-        }
-        self.bounce = Bounce::new(&self.texels, &direct, reflectance, self.settings.bounces);
+        let mut parts = std::mem::take(&mut self.parts);
+        let of_skies = self.direct(&mut parts);
+        self.parts = parts;
+        let bounces = self.settings.bounces;
+        let bounce = |direct: &Vec<Vec3>| Bounce::new(&self.texels, direct, reflectance, bounces);
+        self.bounces = of_skies.iter().map(bounce).collect();
     }
 
-    /// Irradiance of each row, the mean of up to [`MEAN_SKIES`] of several skies.
-    fn mean_direct(&mut self) -> Vec<Vec3> {
-        let mut mean = vec![Vec3::ZERO; self.texels.len()];
-        if self.skies.len() > 1 {
-            let every = self.skies.len().div_ceil(MEAN_SKIES);
-            let some: Vec<&Sky> = self.skies.iter().step_by(every).collect();
-            let mut direct = Vec::new();
-            for sky in &some {
-                light_rows(&self.texels, sky, &mut self.parts, &mut direct);
-                mean.iter_mut().zip(&direct).for_each(|(mean, direct)| *mean += *direct / some.len() as f32);
-            }
-            self.parts = Vec::new();
+    /// Irradiance of each row under each sky, and the parts of the lobes that reach it; of many skies the mean of up to [`MEAN_SKIES`], without
+    /// parts.
+    fn direct(&self, parts: &mut Vec<Vec<u8>>) -> Vec<Vec<Vec3>> {
+        let mut direct = Vec::new();
+        if self.skies.len() <= FEW_SKIES {
+            parts.resize(self.skies.len(), Vec::new());
+            let lit = |(sky, parts): (&Sky, &mut Vec<u8>)| {
+                light_rows(&self.texels, sky, parts, &mut direct);
+                std::mem::take(&mut direct)
+            };
+            return self.skies.iter().zip(parts).map(lit).collect();
         }
-        mean
+        parts.clear();
+        let (mut mean, mut unused) = (vec![Vec3::ZERO; self.texels.len()], Vec::new());
+        let every = self.skies.len().div_ceil(MEAN_SKIES);
+        let some: Vec<&Sky> = self.skies.iter().step_by(every).collect();
+        for sky in &some {
+            light_rows(&self.texels, sky, &mut unused, &mut direct);
+            mean.iter_mut().zip(&direct).for_each(|(mean, direct)| *mean += *direct / some.len() as f32);
+        }
+        vec![mean]
     }
 
     /// Whether the last update was for this material, these lobes and base materials.
@@ -185,18 +198,21 @@ impl ObjectVisibility {
                 parts.fill(255);
                 let Some(blend) = self.blend(point).filter(|_| point.is_hit()) else { return };
                 let (to_viewer, view) = viewer(i);
-                let sky = &self.skies[self.sky_of_view.get(view).copied().unwrap_or(0)];
+                let number = self.sky_of_view.get(view).copied().unwrap_or(0);
+                let sky = &self.skies[number];
                 if self.is_open(&blend) {
                     // All of every lobe arrives.
-                } else if self.skies.len() == 1 {
-                    self.blend_parts(&blend, parts);
+                } else if let Some(of_rows) = self.parts.get(number) {
+                    self.blend_parts(of_rows, &blend, parts);
                 } else {
                     let nearest = blend.iter().max_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(row, _)| *row);
                     light_one_row(&self.texels, sky, nearest, hidden, parts);
                 }
-                let SurfacePoint { position, normal, .. } = *point;
-                let point = SeenPoint { position, normal, to_viewer, roughness: roughness(i) };
-                let around = Surroundings { visibility: &self.texels, sky, bounce: &self.bounce, surface };
+                let SurfacePoint { position, normal, geometric_normal, .. } = *point;
+                let point =
+                    SeenPoint { position, normal, geometric_normal, to_viewer, roughness: roughness(i) };
+                let bounce = &self.bounces[number.min(self.bounces.len() - 1)];
+                let around = Surroundings { visibility: &self.texels, sky, bounce, surface };
                 *seen = around.of(&blend, &point);
             },
         );
@@ -222,9 +238,9 @@ impl ObjectVisibility {
         blend.iter().all(|(row, weight)| *weight == 0.0 || self.texels.sees_all(*row))
     }
 
-    /// Interpolates the visibility of the lobes at a point.
-    fn blend_parts(&self, blend: &Blend, out: &mut [u8]) {
-        let rows = blend.map(|(row, _)| &self.parts[row * self.stride..][..self.stride]);
+    /// Interpolates the visibility of the lobes at a point, given that of all rows.
+    fn blend_parts(&self, of_rows: &[u8], blend: &Blend, out: &mut [u8]) {
+        let rows = blend.map(|(row, _)| &of_rows[row * self.stride..][..self.stride]);
         // Weights in units of 1/65536, so that 255 in all four rows stays 255.
         let mut weights = blend.map(|(_, weight)| (weight * 65536.0) as u32);
         weights[0] += 65536 - weights.iter().sum::<u32>();

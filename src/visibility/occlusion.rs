@@ -251,10 +251,12 @@ impl Bounce {
         bounces: u32,
     ) -> Self {
         let rows = 0..visibility.len();
-        let both = |of: Reflectance| (of.diffuse + of.specular).min(Vec3::ONE);
-        let reflectance = visibility.mean(&|texel| both(of(texel)));
+        let values = |Reflectance { diffuse, specular, roughness }: Reflectance| {
+            [(diffuse + specular).min(Vec3::ONE), diffuse.min(Vec3::ONE), specular, Vec3::splat(roughness)]
+        };
+        let reflectance = visibility.means(&|texel| values(of(texel)));
         let radiance = |albedo: Vec3, irradiance: Vec3| albedo * irradiance * std::f32::consts::FRAC_1_PI;
-        let sent = |row: usize, irradiance: Vec3| radiance(reflectance[row], irradiance);
+        let sent = |row: usize, irradiance: Vec3| radiance(reflectance[row][0], irradiance);
         let mut leaving: Vec<Vec3> = direct.iter().enumerate().map(|(row, e)| sent(row, *e)).collect();
         let mut indirect = vec![Vec3::ZERO; visibility.len()];
         for _ in 0..bounces {
@@ -263,9 +265,9 @@ impl Bounce {
             leaving = both.map(|(row, (direct, indirect))| sent(row, *direct + *indirect)).collect();
         }
         let mirror = |row: usize| {
-            let Reflectance { diffuse, specular, roughness } = of(visibility.texels[row]);
-            let diffuse = radiance(diffuse.min(Vec3::ONE), direct[row] + indirect[row]);
-            Mirror { diffuse, albedo: specular, sharpness: ndf_sharpness(roughness) }
+            let [_, diffuse, albedo, roughness] = reflectance[row];
+            let diffuse = radiance(diffuse, direct[row] + indirect[row]);
+            Mirror { diffuse, albedo, sharpness: ndf_sharpness(roughness.x) }
         };
         let mirrors = rows.into_par_iter().map(mirror).collect();
         Self { indirect, leaving, mirrors }

@@ -6,7 +6,7 @@ use crate::math::lanes::Lanes;
 use crate::math::ray::Intersect;
 use crate::math::real::{Real, dot};
 use crate::math::shading::PointVisibility;
-use crate::visibility::mirrored::{LEAST_SHARPNESS, Mirrored};
+use crate::visibility::mirrored::{LEAST_SHARPNESS, Mirrored, SeenPoint};
 use crate::visibility::occlusion::{Bounce, MOST_MIRRORED, Sky, sharpness_of_lobe, widened};
 use crate::visibility::texel_visibility::{MAX_DIRECTIONS, TexelVisibility};
 use fearless_simd::{Level, Simd, dispatch};
@@ -29,19 +29,6 @@ pub(crate) struct Surroundings<'a> {
     pub bounce: &'a Bounce,
     /// The surface itself, if rays are to find what narrow lobes meet.
     pub surface: Option<&'a dyn Intersect>,
-}
-
-/// A point that is seen.
-#[derive(Clone, Copy)]
-pub(crate) struct SeenPoint {
-    /// World position.
-    pub position: Vec3,
-    /// Unit shading normal.
-    pub normal: Vec3,
-    /// Unit direction to the viewer.
-    pub to_viewer: Vec3,
-    /// Roughness R of its material.
-    pub roughness: f32,
 }
 
 impl Surroundings<'_> {
@@ -77,7 +64,7 @@ impl Surroundings<'_> {
         }
         if let Some(surface) = surface.filter(|_| narrow > LEAST_SHARPNESS) {
             let mirrored = Mirrored { surface, visibility, sky, bounce };
-            return Some(mirrored.part(point.position, normal, axis, narrow));
+            return Some(mirrored.part(point, axis, narrow));
         }
         let lobe = MirroredLobe { axis, sharpness, least, normal };
         let mut weights = [0.0; MAX_DIRECTIONS];

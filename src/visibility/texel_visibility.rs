@@ -120,15 +120,15 @@ impl TexelVisibility {
         rows.map(|(texel, row)| (texel, *row as usize))
     }
 
-    /// Mean over the texels of each row of a value per texel.
-    pub fn mean(&self, value: &(dyn Fn(u32) -> Vec3 + Sync)) -> Vec<Vec3> {
-        let mut sums = vec![(Vec3::ZERO, 0.0f32); self.texels.len()];
+    /// Means over the texels of each row of some values per texel.
+    pub fn means<const N: usize>(&self, values: &(dyn Fn(u32) -> [Vec3; N] + Sync)) -> Vec<[Vec3; N]> {
+        let mut sums = vec![([Vec3::ZERO; N], 0.0f32); self.texels.len()];
         for (texel, row) in self.covered() {
             let (sum, count) = &mut sums[row];
-            *sum += value(texel as u32);
+            sum.iter_mut().zip(values(texel as u32)).for_each(|(sum, value)| *sum += value);
             *count += 1.0;
         }
-        sums.into_iter().map(|(sum, count)| sum / count.max(1.0)).collect()
+        sums.into_iter().map(|(sums, count)| sums.map(|sum| sum / count.max(1.0))).collect()
     }
 
     /// Number of rows.

@@ -243,7 +243,7 @@ pub fn align_photographs(
         let (_, camera, photograph, mask, _) = views.of(pixels[i].view).ok()?;
         let gradient = image_gradient(camera, photograph, *mask, pixels[i].pixel as usize)?;
         let usable = points[i].is_hit() && !observed[i].saturated;
-        let predicted = exposures.factor(pixels[i].view).element_sum() / 3.0 * mean(&shaded[i]);
+        let predicted = mean_exposed(exposures.factor(pixels[i].view), &shaded[i]);
         let residual = observed[i].radiance.element_sum() / 3.0 - predicted;
         let row = AlignedRow::new(camera, points[i].position, center, gradient, residual).filter(|_| usable);
         row.map(|row| (pixels[i].view, row))
@@ -278,8 +278,9 @@ fn middle(points: &[SurfacePoint]) -> Vec3 {
     sum / count.max(1.0)
 }
 
-fn mean(layers: &Layers) -> f32 {
-    (0..3).map(|c| layers.diffuse[c] + layers.specular[c]).sum::<f32>() / 3.0
+/// Mean over the channels of the radiance of a photograph with these factors of exposure.
+fn mean_exposed(factors: Vec3, layers: &Layers) -> f32 {
+    factors.dot(Vec3::from(layers.diffuse) + Vec3::from(layers.specular)) / 3.0
 }
 
 /// Gradient of the mean radiance of a photograph at a pixel, per pixel; `None` where a neighbor is not fully covered by the object, or saturated.

@@ -99,7 +99,8 @@ pub(crate) fn measure(
     // With shadows of the light that was found, and without a change for what comes after.
     let traced = world.get_resource::<ObjectVisibility>().filter(|_| shadowed);
     let mut visibility = traced.map(ObjectVisibility::unlit);
-    let known = Known { form, specular: *specular, unknowns, object: visibility.as_mut(), in_part: true };
+    let object = visibility.as_mut();
+    let known = Known { form, specular: *specular, unknowns, object, in_part: true, placement: None };
     let evidence = with_initialization(world, known, |problem| gather_evidence(problem, &lobes, &texels));
     Ok(evidence?.and_then(|evidence| determined(&evidence, &lobes, unknowns)))
 }

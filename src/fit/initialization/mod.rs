@@ -1,6 +1,7 @@
 //! The initialization of a fit: solves alternately for amplitudes and albedo, starting from gray albedo and uniform light.
 pub mod linear;
 pub mod place_lobes;
+pub mod placements;
 pub mod start;
 
 use crate::error::stop::check_interrupted;
@@ -8,8 +9,8 @@ use crate::error::{Error, Result};
 use crate::fit::components::Unknowns;
 use crate::fit::initialization::linear::{solve_albedo, solve_amplitudes};
 use crate::fit::initialization::place_lobes::move_lobes_to_the_light;
-use crate::light::light_frame::OwnLightFrame;
 use crate::light::lights::LobeOf;
+use crate::light::placement::{PlacedFrame, Placement};
 use crate::light::{LightLobe, kernel_lobe};
 use crate::material::sheen::write_albedo;
 use crate::material::{
@@ -54,7 +55,7 @@ const MOVES: usize = 1;
 const CHUNK: usize = 1 << 16;
 
 /// Solves alternately for amplitudes and albedo, where they are unknown, starting from gray, with the closed form `form`; if `shadowed`,
-/// with occlusion and interreflection from [`ObjectVisibility`]. The light stands still in the frame that the resource [`OwnLightFrame`] says.
+/// with occlusion and interreflection from [`ObjectVisibility`]. The light stands still in the world's [`PlacedFrame`].
 ///
 /// # Errors
 /// If a pool is incomplete.
@@ -72,7 +73,7 @@ pub(crate) fn initialize_light_and_albedo(
     let mut texels = recovered_albedo(world)?;
     let mut visibility = if shadowed { world.remove_resource::<ObjectVisibility>() } else { None };
     let object = visibility.as_mut();
-    let known = Known { form, specular, unknowns, object, in_part: false };
+    let known = Known { form, specular, unknowns, object, in_part: false, placement: None };
     let initialized = with_initialization(world, known, |problem| problem.alternate(&mut lobes, &mut texels));
     if let Some(visibility) = visibility {
         world.insert_resource(visibility);
@@ -98,6 +99,8 @@ pub(crate) struct Known<'a> {
     pub object: Option<&'a mut ObjectVisibility>,
     /// Whether [`part_of_surface`] is enough.
     pub in_part: bool,
+    /// The only placement that is looked at.
+    pub placement: Option<Placement>,
 }
 
 /// Calls `run` with the data of the initialization.
@@ -106,23 +109,32 @@ pub(crate) fn with_initialization<T>(
     known: Known,
     run: impl FnOnce(&mut Initialization) -> Result<T>,
 ) -> Result<T> {
-    let Known { form, specular, unknowns, object, in_part } = known;
-    type Inputs<'w, 's> =
-        (Observations<'w, 's>, Query<'w, 's, (&'static ViewIndex, &'static Camera), With<Photograph>>);
-    let frame = world.get_resource::<OwnLightFrame>().map(|own| own.0).unwrap_or_default();
+    let Known { form, specular, unknowns, object, in_part, placement } = known;
+    type Views<'w, 's> =
+        Query<'w, 's, (&'static ViewIndex, &'static Camera, Option<&'static Placement>), With<Photograph>>;
+    type Inputs<'w, 's> = (Observations<'w, 's>, Views<'w, 's>);
+    let frame = PlacedFrame::own(world);
     let mut state = SystemState::<Inputs>::new(world);
     let (observations, views) = state.get(world).map_err(|error| Error::run("fit", error.to_string()))?;
-    let cameras: ByView<Camera> = views.iter().map(|(index, camera)| (*index, *camera)).collect();
-    let turns = TurnTable::new(frame, views.iter().map(|(index, camera)| (*index, camera)));
+    let views: Vec<(ViewIndex, Camera, Placement)> =
+        views.iter().map(|(index, camera, of)| (*index, *camera, of.copied().unwrap_or_default())).collect();
+    let cameras: ByView<Camera> = views.iter().map(|(index, camera, _)| (*index, *camera)).collect();
+    let placements: ByView<Placement> = views.iter().map(|(index, _, of)| (*index, *of)).collect();
+    let turns = TurnTable::new(&frame, views.into_iter());
     let observations = observations.columns()?;
-    let part = if in_part { part_of_surface(&observations) } else { None };
-    let observations = part.as_deref().unwrap_or(&observations);
+    let is_looked_at = |row: &&Observation| placements.get(row.pixel.view).copied() == placement;
+    let chosen: Option<Vec<Observation>> =
+        placement.map(|_| observations.iter().filter(is_looked_at).copied().collect());
+    let observations = chosen.as_deref().unwrap_or(&observations);
+    let part = if in_part { part_of_surface(observations) } else { None };
+    let observations = part.as_deref().unwrap_or(observations);
     let amplitude_pixels = if in_part { PART_AMPLITUDE_PIXELS } else { AMPLITUDE_PIXELS };
     run(&mut Initialization {
         form,
         observations,
         amplitude_pixels,
         cameras,
+        placements,
         turns,
         specular,
         unknowns,
@@ -169,6 +181,7 @@ pub(crate) struct Initialization<'a> {
     /// Most pixels in a solve for the amplitudes.
     amplitude_pixels: usize,
     cameras: ByView<Camera>,
+    placements: ByView<Placement>,
     turns: TurnTable,
     pub specular: SpecularLobe,
     pub unknowns: Unknowns,

@@ -5,15 +5,16 @@
 //! to view, or should not, where the photographs show the opposite; that is an error that no albedo takes up. So is a lobe that shines where
 //! the surface is matte, and it hides the other: each frame is judged by the lobe that suits it.
 
+use super::placements::{camera_axes, placements_are_open};
 use super::{Known, least_rough, lobes_of, with_initialization};
 use crate::error::Result;
 use crate::fit::components::Unknowns;
 use crate::light::light_frame::{LightFrame, OwnLightFrame, turning_axis};
+use crate::light::placement::{Placement, Placements};
 use crate::material::{BaseMaterial, SpecularLobe, recovered_albedo, recovered_materials};
 use crate::math::brdf::Ndf;
 use crate::math::shading::ClosedForm;
 use crate::profile::stage;
-use crate::view::{Camera, Photograph};
 use bevy_ecs::prelude::{Resource, With, World};
 use glam::{Mat3, Vec3};
 use serde::{Deserialize, Serialize};
@@ -57,7 +58,9 @@ pub struct ObjectTurned;
 /// most of all where it is glossy, and a search for hollows takes the difference for one.
 pub(crate) fn light_turns(world: &World) -> bool {
     let turns = |own: &OwnLightFrame| own.0 != LightFrame::World;
-    world.contains_resource::<ObjectTurned>() || world.get_resource::<OwnLightFrame>().is_some_and(turns)
+    world.contains_resource::<ObjectTurned>()
+        || world.get_resource::<OwnLightFrame>().is_some_and(turns)
+        || world.get_resource::<Placements>().is_some_and(|placements| placements.0.len() > 1)
 }
 
 /// Sets the resource [`OwnLightFrame`] to the frame in which an initialization explains the photographs best, and the only base material to
@@ -115,12 +118,15 @@ fn all_trials(
     form: ClosedForm,
 ) -> Result<Vec<Trial>> {
     let (lobes, texels) = (lobes_of(world).1, recovered_albedo(world)?);
+    // How the object lies in others is found by the frame and the light of the first.
+    let first = placements_are_open(world).then_some(Placement(0));
     let mut trials = Vec::new();
     for &frame in frames {
         world.insert_resource(OwnLightFrame(frame));
         for &lobe in specular {
             let (mut lobes, mut texels) = (lobes.clone(), texels.clone());
-            let known = Known { form, specular: lobe, unknowns, object: None, in_part: true };
+            let known =
+                Known { form, specular: lobe, unknowns, object: None, in_part: true, placement: first };
             let error = with_initialization(world, known, |problem| {
                 problem.alternate(&mut lobes, &mut texels)?;
                 problem.error(&lobes, &texels)
@@ -146,9 +152,7 @@ fn best(tried: &[(LightFrame, f32)], object_turned: bool) -> LightFrame {
 
 /// The frames that the views tell apart, the world's first.
 fn candidates(world: &mut World) -> Vec<LightFrame> {
-    let mut views = world.query_filtered::<&Camera, With<Photograph>>();
-    let turns: Vec<Mat3> =
-        views.iter(world).map(|camera| Mat3::from(camera.world_from_camera.matrix3)).collect();
+    let turns = camera_axes(world, Placement(0));
     let mut frames = vec![LightFrame::World];
     if turns.len() < LEAST_VIEWS {
         return frames;

@@ -4,6 +4,7 @@ use crate::error::Result;
 use crate::light::convention::MapConvention;
 use crate::light::light_frame::{LightFrame, OwnLightFrame};
 use crate::light::lights::own_lobes;
+use crate::light::placement::Placement;
 use crate::light::{EnvironmentMap, LightLobe, render_lobes, rotate_lobes};
 use crate::math::sg::sphere_integral;
 use crate::pass::session::Session;
@@ -74,9 +75,11 @@ fn own_turn(session: &mut Session) -> Quat {
     if frame == LightFrame::World {
         return Quat::IDENTITY;
     }
-    let mut views = world.query::<(&ViewName, &Camera)>();
-    let first = views.iter(world).min_by(|a, b| a.0.0.cmp(&b.0.0));
-    first.map_or(Quat::IDENTITY, |(_, camera)| {
+    // In the first placement.
+    let mut views = world.query::<(&ViewName, &Camera, &Placement)>();
+    let upright = views.iter(world).filter(|(_, _, placement)| placement.0 == 0);
+    let first = upright.min_by(|a, b| a.0.0.cmp(&b.0.0));
+    first.map_or(Quat::IDENTITY, |(_, camera, _)| {
         let axes = Mat3::from(camera.world_from_camera.matrix3);
         Quat::from_mat3(&frame.light_from_world(axes).transpose())
     })

@@ -168,6 +168,15 @@ pub struct NdfTried {
     pub steps: u32,
 }
 
+/// How the object lay in a round of photographs.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct PlacementFound {
+    /// Which photographs, as in the scene file.
+    pub photographs: String,
+    /// How the object was turned relative to the first placement, about x, then y, then z, in degrees.
+    pub turned_degrees: [f32; 3],
+}
+
 /// A frame in which the light could stand still.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct FrameTried {
@@ -227,6 +236,9 @@ pub struct Scores {
     /// The frames that were tried.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub light_frames_tried: Vec<FrameTried>,
+    /// How the object lies in each placement, if a fit has looked for it.
+    #[serde(skip_serializing_if = "Vec::is_empty", default)]
+    pub placements: Vec<PlacementFound>,
     /// The materials that a fit has chosen from, if it had to.
     #[serde(skip_serializing_if = "Option::is_none", default)]
     pub materials_tried: Option<MaterialsTried>,

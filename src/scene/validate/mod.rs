@@ -22,7 +22,7 @@ use crate::scene::photographed::{Pattern, Photographed};
 use crate::scene::surface::Surface;
 use crate::scene::validate::checks::Checks;
 use crate::scene::validate::light::{light, light_frame, light_source};
-use crate::scene::views::{CameraSpec, Dataset, Views};
+use crate::scene::views::{CameraSpec, Dataset, PlacementSpec, Views};
 use crate::scene::visibility::Visibility;
 use glam::Vec3;
 use std::collections::BTreeSet;
@@ -111,11 +111,29 @@ fn dataset(checks: &mut Checks, dataset: &Dataset) {
     let expected = "0, for no test split, or a whole number from 2";
     checks.require(dataset.hold_out != 1, "views.hold_out", dataset.hold_out, expected);
     gamma(checks, "views.gamma", dataset.gamma);
+    placements(checks, &dataset.placements);
     if let Some(prior) = &dataset.priors.albedo {
         gamma(checks, "views.priors.albedo.gamma", prior.gamma);
     }
     if let Some(prior) = &dataset.priors.normals {
         checks.number("views.priors.normals.weight", prior.weight, 0.0..=MOST_PRIOR);
+    }
+}
+
+fn placements(checks: &mut Checks, placements: &[PlacementSpec]) {
+    for (i, placement) in placements.iter().enumerate() {
+        let path = format!("views.placements[{i}]");
+        let named = format!("{path}.photographs");
+        let name = placement.photographs.as_str();
+        checks.require(!name.is_empty(), &named, "nothing", "a folder, or what names begin with");
+        let is_new = placements[..i].iter().all(|other| other.photographs != name);
+        checks.require(is_new, &named, name, "a name of its own");
+        if let Some(turned) = placement.turned_degrees {
+            let path = format!("{path}.turned_degrees");
+            checks.finite(&path, turned);
+            let expected = "nothing: others are turned relative to the first placement";
+            checks.require(i > 0 || turned == Vec3::ZERO, &path, turned, expected);
+        }
     }
 }
 

@@ -1,4 +1,5 @@
 use super::*;
+use crate::light::placement::Placement;
 use crate::shape::hull::visual_hull;
 use crate::shape::hull_repair::regrow;
 use crate::shape::silhouette::Silhouette;
@@ -61,7 +62,14 @@ impl Pictures {
 
     fn views(&self) -> Vec<StereoView<'_>> {
         let parts = self.cameras.iter().zip(&self.photographs).zip(&self.masks);
-        parts.map(|((camera, photograph), mask)| StereoView { camera, photograph, mask }).collect()
+        parts
+            .map(|((camera, photograph), mask)| StereoView {
+                camera,
+                photograph,
+                mask,
+                placement: Placement(0),
+            })
+            .collect()
     }
 
     fn silhouettes(&self) -> Vec<Silhouette> {

@@ -33,7 +33,7 @@ pub(crate) mod search;
 pub(crate) mod sights;
 
 use crate::error::stop::is_stopping;
-use crate::light::light_frame::LightFrame;
+use crate::light::placement::PlacedFrame;
 use crate::math::statistics::median;
 use crate::mesh::triangles::Mesh;
 use crate::shape::stereo::StereoView;
@@ -87,7 +87,7 @@ pub(crate) struct NormalReport {
 pub(crate) fn refine_normals(
     mesh: &mut Mesh,
     views: &[StereoView],
-    frame: LightFrame,
+    frame: &PlacedFrame,
     mut go_on: impl FnMut(usize) -> ControlFlow<()>,
 ) -> NormalReport {
     let mut report = NormalReport::default();

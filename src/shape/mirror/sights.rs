@@ -1,6 +1,6 @@
 //! What each view shows at each vertex.
 
-use crate::light::light_frame::LightFrame;
+use crate::light::placement::PlacedFrame;
 use crate::math::ray::Ray;
 use crate::math::statistics::median;
 use crate::mesh::bvh::TriangleBvh;
@@ -57,13 +57,13 @@ pub(crate) fn sights(
     shell: &Shell,
     normals: &[Vec3],
     views: &[StereoView],
-    frame: LightFrame,
+    frame: &PlacedFrame,
 ) -> Vec<Vec<VertexSight>> {
     let bvh = TriangleBvh::new(mesh);
     let lift = LIFT * shell.graph.mean_edge(&shell.positions);
     let turns: Vec<Mat3> = views
         .iter()
-        .map(|view| frame.light_from_world(view.camera.world_from_camera.matrix3.into()))
+        .map(|view| frame.light_from_world(view.camera.world_from_camera.matrix3.into(), view.placement))
         .collect();
     let of_vertex = |i: usize| {
         let of_view = |view: usize| {

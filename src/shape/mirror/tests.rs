@@ -1,4 +1,6 @@
 use super::*;
+use crate::light::light_frame::LightFrame;
+use crate::light::placement::{PlacedFrame, Placement, Placements};
 use crate::math::fibonacci::fibonacci_axes;
 use crate::mesh::primitive::sphere_mesh;
 use crate::view::{Camera, Image, Mask, Photograph, StoredMask};
@@ -60,15 +62,18 @@ fn photographed(
 /// Refines the normals of a ball; returns the report, and mean angles to `truth` before and after, in degrees.
 fn refined(normal: fn(Vec3) -> Vec3, gloss: f32, frame: LightFrame) -> (NormalReport, [f32; 2]) {
     let shot = photographed(normal, gloss, frame);
-    let views: Vec<StereoView> =
-        shot.iter().map(|(camera, photograph, mask)| StereoView { camera, photograph, mask }).collect();
+    let views: Vec<StereoView> = shot
+        .iter()
+        .map(|(camera, photograph, mask)| StereoView { camera, photograph, mask, placement: Placement(0) })
+        .collect();
     let mut mesh = sphere_mesh(Vec3::ZERO, 1.0).unwrap();
     let off = |mesh: &Mesh| {
         let angle = |(at, n): (&Vec3, &Vec3)| n.angle_between(normal(*at)).to_degrees();
         mesh.positions.iter().zip(&mesh.normals).map(angle).sum::<f32>() / mesh.positions.len() as f32
     };
     let before = off(&mesh);
-    let report = refine_normals(&mut mesh, &views, frame, |_| ControlFlow::Continue(()));
+    let placed = PlacedFrame { frame, placements: Placements::default() };
+    let report = refine_normals(&mut mesh, &views, &placed, |_| ControlFlow::Continue(()));
     assert!(mesh.normals.iter().all(|n| n.is_normalized()));
     (report, [before, off(&mesh)])
 }
@@ -95,13 +100,15 @@ fn a_smooth_ball_keeps_its_normals() {
 #[test]
 fn a_search_that_is_stopped_changes_nothing() {
     let shot = photographed(hammered, 0.3, LightFrame::World);
-    let views: Vec<StereoView> =
-        shot.iter().map(|(camera, photograph, mask)| StereoView { camera, photograph, mask }).collect();
+    let views: Vec<StereoView> = shot
+        .iter()
+        .map(|(camera, photograph, mask)| StereoView { camera, photograph, mask, placement: Placement(0) })
+        .collect();
     let mut mesh = sphere_mesh(Vec3::ZERO, 1.0).unwrap();
     let given = mesh.normals.clone();
     for last in [0, 1, rounds() - 1] {
         let stop = |round| if round == last { ControlFlow::Break(()) } else { ControlFlow::Continue(()) };
-        assert_eq!(refine_normals(&mut mesh, &views, LightFrame::World, stop).turned_degrees, 0.0);
+        assert_eq!(refine_normals(&mut mesh, &views, &PlacedFrame::default(), stop).turned_degrees, 0.0);
         assert_eq!(mesh.normals, given);
     }
 }

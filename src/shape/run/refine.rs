@@ -1,6 +1,6 @@
 //! What brings the surface that a fit has found closer to the photographs themselves: masks, neighbors, reflections.
 
-use crate::light::light_frame::{LightFrame, OwnLightFrame};
+use crate::light::placement::PlacedFrame;
 use crate::mesh::triangles::Mesh;
 use crate::sdf::volume::SdfSurface;
 use crate::shape::field::ModelError;
@@ -44,6 +44,6 @@ pub(crate) fn refine_by_mirror(
     mesh: &mut Mesh,
     go_on: impl FnMut(usize) -> ControlFlow<()>,
 ) -> NormalReport {
-    let frame = world.get_resource::<OwnLightFrame>().map_or(LightFrame::World, |own| own.0);
-    with_training_views(world, |views| refine_normals(mesh, views, frame, go_on))
+    let frame = PlacedFrame::own(world);
+    with_training_views(world, |views| refine_normals(mesh, views, &frame, go_on))
 }

@@ -1,6 +1,7 @@
 //! The training photographs and masks as slices.
 
 use crate::error::stop::is_stopping;
+use crate::light::placement::Placement;
 use crate::shape::silhouette::Silhouette;
 use crate::shape::stereo::StereoView;
 use crate::view::{Camera, Photograph, Split, ViewIndex, ViewMask, ViewName};
@@ -8,12 +9,23 @@ use bevy_ecs::prelude::{With, World};
 
 /// Hands the training photographs with their masks to `use_of`.
 pub(super) fn with_training_views<T>(world: &mut World, use_of: impl FnOnce(&[StereoView]) -> T) -> T {
-    let mut query = world.query::<(&ViewIndex, &Camera, &Photograph, &ViewMask, &Split)>();
-    let mut train: Vec<_> = query.iter(world).filter(|(.., split)| **split == Split::Train).collect();
+    type View = (
+        &'static ViewIndex,
+        &'static Camera,
+        &'static Photograph,
+        &'static ViewMask,
+        &'static Split,
+        Option<&'static Placement>,
+    );
+    let mut query = world.query::<View>();
+    let mut train: Vec<_> = query.iter(world).filter(|(.., split, _)| **split == Split::Train).collect();
     train.sort_by_key(|(index, ..)| **index);
     let views: Vec<StereoView> = train
         .into_iter()
-        .map(|(_, camera, photograph, mask, _)| StereoView { camera, photograph, mask: &mask.0 })
+        .map(|(_, camera, photograph, mask, _, placement)| {
+            let placement = placement.copied().unwrap_or_default();
+            StereoView { camera, photograph, mask: &mask.0, placement }
+        })
         .collect();
     use_of(&views)
 }

@@ -29,6 +29,7 @@ pub mod sweep;
 pub mod votes;
 
 use crate::error::stop::is_stopping;
+use crate::light::placement::Placement;
 use crate::math::statistics::median;
 use crate::mesh::bvh::TriangleBvh;
 use crate::mesh::triangles::Mesh;
@@ -92,6 +93,8 @@ pub struct StereoView<'a> {
     pub photograph: &'a Photograph,
     /// The pixels that show the object.
     pub mask: &'a StoredMask,
+    /// How the object lies in it.
+    pub placement: Placement,
 }
 
 /// What [`refine`] did.

@@ -37,7 +37,14 @@ impl Pictures {
 
     fn views(&self) -> Vec<StereoView<'_>> {
         let parts = self.cameras.iter().zip(&self.photographs).zip(&self.masks);
-        parts.map(|((camera, photograph), mask)| StereoView { camera, photograph, mask }).collect()
+        parts
+            .map(|((camera, photograph), mask)| StereoView {
+                camera,
+                photograph,
+                mask,
+                placement: Placement(0),
+            })
+            .collect()
     }
 }
 

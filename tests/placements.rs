@@ -1,0 +1,134 @@
+//! An object that is turned over between two rounds of photographs: how it lies is found, or said, and kept.
+
+use crate::common::{Data, Outcome, command, scene};
+use glam::{EulerRot, Quat};
+use serde_json::Value;
+use std::path::Path;
+
+/// A ball of two colors under one lamp at the side and a sky, in two placements.
+const TURNED_OVER: &str = r#"Scene(
+    version: 1,
+    surface: Sphere(radius: 0.8, texture_size: 48),
+    views: Photographed(
+        cameras: (count: 24, test: 4, size: 48),
+        spp: 32,
+        max_bounces: 1,
+        truth: (
+            albedo: Waves(colors: ((0.7, 0.3, 0.2), (0.2, 0.35, 0.6)), size: 0.9),
+            specular: (albedo: (0.1, 0.1, 0.1), roughness: 0.4),
+            placements: [(100, 20, 0)],
+            light: Lobes(lobes: [
+                (axis: (0, 1, 0), sharpness: 0.7, amplitude: (0.4, 0.45, 0.5)),
+                (axis: (0.8, 0.5, 0.4), sharpness: 20, amplitude: (4, 4, 3)),
+            ]),
+        ),
+    ),
+    light: Unknown(lobes: 32),
+    passes: [
+        Fit(name: "fit", steps: 300, batch: 2048),
+        Render(name: "novel"),
+        Evaluate(name: "scores", scores: [(pass: "novel", truth: Photographs)]),
+    ],
+)
+"#;
+
+fn metrics(folder: &Path) -> Value {
+    serde_json::from_str(&std::fs::read_to_string(folder.join("metrics.json")).unwrap()).unwrap()
+}
+
+fn turn(degrees: [f64; 3]) -> Quat {
+    let [x, y, z] = degrees.map(|angle| (angle as f32).to_radians());
+    Quat::from_euler(EulerRot::XYZEx, x, y, z)
+}
+
+#[test]
+fn an_object_that_was_turned_over_is_found_to_be() {
+    let folder = tempfile::tempdir().unwrap();
+    let (scene, out) = (folder.path().join("scene.ron"), folder.path().join("out"));
+    std::fs::write(&scene, TURNED_OVER).unwrap();
+    let run = Outcome::of(command(&["run"]).arg(&scene).arg("--out").arg(&out)).succeeded();
+    assert!(run.stdout.contains("`round 2` shows the object turned by"), "{}", run.stdout);
+    let metrics = metrics(&out);
+    let found = &metrics["placements"][0]["turned_degrees"];
+    let found = turn([0, 1, 2].map(|k| found[k].as_f64().unwrap()));
+    let apart = found.angle_between(turn([100.0, 20.0, 0.0])).to_degrees();
+    assert!(apart < 2.0, "{apart}°");
+    let psnr = metrics["passes"]["novel"]["psnr"].as_f64().unwrap();
+    assert!(psnr > 30.0, "{psnr}");
+}
+
+/// The scene of a data set whose first photograph of each split is of one placement, and the others of another.
+fn with_placements(turned: &str) -> String {
+    let placements = format!(
+        r#"placements: [(photographs: "rgb_000000"), (photographs: "rgb_", turned_degrees: {turned})]"#
+    );
+    scene(r#"Fit(name: "fit", steps: 60, batch: 512), Render(name: "novel"), Save(name: "saved")"#)
+        .replace(r#"Dataset(path: "$DATA")"#, &format!(r#"Dataset(path: "$DATA", {placements})"#))
+}
+
+fn pictures(folder: &Path) -> Vec<Vec<u8>> {
+    ["rgb_000000.exr", "rgb_000001.exr"].map(|name| std::fs::read(folder.join(name)).unwrap()).into()
+}
+
+#[test]
+fn a_saved_scene_shows_each_placement_as_it_was_found() {
+    let data = Data::new();
+    for turned in ["None", "(0, 40, 0)"] {
+        data.run(&with_placements(turned), "out", &["--quiet", "--force"]).succeeded();
+        let saved = std::fs::read_to_string(data.path("out/saved/scene.ron")).unwrap();
+        assert_eq!(
+            saved.matches("turned_degrees: (").count() + saved.matches("turned_degrees: Some(").count(),
+            1,
+            "{saved}"
+        );
+        let again = data.path("again");
+        let saved = data.path("out/saved/scene.ron");
+        Outcome::of(command(&["run", "--quiet", "--force"]).arg(saved).arg("--out").arg(&again)).succeeded();
+        let close = |(a, b): (&Vec<u8>, &Vec<u8>)| a == b;
+        let [first, second] = [data.path("out/novel"), again.join("novel")].map(|of| pictures(&of));
+        if turned == "None" {
+            // Angles that are written as degrees are rounded: the first placement alone has the same bits.
+            assert!(close((&first[0], &second[0])));
+        } else {
+            assert!(first.iter().zip(&second).all(close));
+        }
+    }
+}
+
+#[test]
+fn what_is_said_of_a_placement_holds() {
+    let data = Data::new();
+    let psnr = |turned: &str| {
+        let scored = r#"Evaluate(name: "scores", scores: [(pass: "novel", truth: Photographs)])"#;
+        let scene = with_placements(turned).replace(r#"Save(name: "saved")"#, scored);
+        data.run(&scene, "out", &["--quiet", "--force"]).succeeded();
+        let metrics = metrics(&data.path("out"));
+        assert!(metrics["placements"].is_null(), "{metrics}");
+        metrics["passes"]["novel"]["psnr"].as_f64().unwrap()
+    };
+    // The photographs are of one placement.
+    let [right, wrong] = ["(0, 0, 0)", "(0, 90, 0)"].map(psnr);
+    assert!(right > wrong + 3.0, "{right} {wrong}");
+}
+
+#[test]
+fn photographs_of_no_placement_are_refused_by_name() {
+    let data = Data::new();
+    let scene = with_placements("None").replace(r#"photographs: "rgb_","#, r#"photographs: "over_","#);
+    let outcome = data.run(&scene, "out", &["--quiet"]);
+    assert_eq!(outcome.code, Some(2), "{}", outcome.stderr);
+    for words in ["`rgb_000001`", "none of the `placements`", "cam_dict_norm.json"] {
+        assert!(outcome.stderr.contains(words), "{words}: {}", outcome.stderr);
+    }
+    assert!(!data.path("out").exists());
+}
+
+#[test]
+fn the_first_placement_is_not_turned() {
+    let data = Data::new();
+    let scene =
+        with_placements("None").replace(r#""rgb_000000")"#, r#""rgb_000000", turned_degrees: (1, 0, 0))"#);
+    let outcome = data.run(&scene, "out", &["--quiet"]);
+    assert_eq!(outcome.code, Some(2), "{}", outcome.stderr);
+    assert!(outcome.stderr.contains("views.placements[0].turned_degrees"), "{}", outcome.stderr);
+}
