@@ -53,6 +53,7 @@ pub mod nerfactor;
 mod options;
 mod photographs;
 pub mod physg;
+mod placements;
 mod plan;
 mod planned_view;
 mod pose;
@@ -63,7 +64,6 @@ mod straighten;
 
 use crate::codec::nearby::closest;
 use crate::error::{Error, Result};
-use crate::light::placement::Placement;
 use crate::view::{Split, ViewRecord};
 use beside::Beside;
 pub(crate) use beside::masks_hint;
@@ -75,6 +75,7 @@ use lens::crop_note;
 pub(crate) use masks::mask_stems;
 use names::check_names;
 pub use options::{DatasetOptions, Layout};
+use placements::placements_of;
 use plan::{ViewPlan, split_name};
 pub(crate) use planned_view::load_notes;
 pub use planned_view::{LoadedView, PlannedView};
@@ -145,8 +146,7 @@ pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
     plan.notes.extend(crop_note(wanted.iter().map(|view| &view.lens)));
     let curves = Arc::new(Curves::new(options.gamma));
     let priors = find_priors(&options.priors, split, &wanted, &mut plan.notes)?;
-    let placements: Vec<Placement> =
-        wanted.iter().map(|view| view.placement(&options.placements)).collect::<Result<_>>()?;
+    let placements = placements_of(&wanted, &options.placements)?;
     let view =
         |(found, placement)| PlannedView::new(found, placement, split, options, reader.pixel_center, &curves);
     Ok(OpenDataset {

@@ -60,7 +60,7 @@ pub struct DatasetOptions {
     pub up: Vec3,
     /// What is known from elsewhere of the training photographs.
     pub priors: Priors,
-    /// What the photographs of each placement of the object are in, or begin with: [`DatasetOptions::placement`].
+    /// What the photographs of each placement of the object are in, or begin with; empty: there is one.
     pub placements: Vec<String>,
     /// Folders in which what camera files name must lie; links in them may lead elsewhere. `None`: it may be anywhere.
     pub roots: Option<Vec<PathBuf>>,

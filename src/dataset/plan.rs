@@ -1,14 +1,11 @@
 //! What a layout says of a split, before its photographs are read.
 
 use super::lens::Lens;
-use super::names::quoted;
 use crate::codec::file::{FileUse, Links, check_inside};
 use crate::codec::image::{Orientation, image_header};
 use crate::error::{Error, Result};
-use crate::light::placement::Placement;
 use crate::view::Split;
 use glam::Affine3A;
-use std::ffi::OsStr;
 use std::path::{Path, PathBuf};
 
 /// What a layout says of a view.
@@ -42,25 +39,6 @@ impl ViewPlan {
         let photograph = self.image.as_deref().map(|path| FileUse::new(path, "a photograph"));
         let mask = self.mask_path().map(|path| FileUse::new(path, "a mask"));
         photograph.into_iter().chain(mask)
-    }
-
-    /// The placement that the photograph shows: the first of these of which it is in a folder with that name, or has a name that begins so.
-    ///
-    /// # Errors
-    /// [`Error::Input`] if it suits none, though there are some.
-    pub(super) fn placement(&self, placements: &[String]) -> Result<Placement> {
-        let folders = self.image.iter().flat_map(|image| image.ancestors().skip(1));
-        let folders: Vec<&OsStr> = folders.filter_map(Path::file_name).collect();
-        let suits = |of: &String| self.name.starts_with(of.as_str()) || folders.contains(&OsStr::new(of));
-        match placements.iter().position(suits) {
-            Some(number) => Ok(Placement(number as u32)),
-            None if placements.is_empty() => Ok(Placement::default()),
-            None => {
-                let problem = format!("the view {} belongs to none of the `placements`", quoted(&self.name));
-                let help = "Name the folder that it is in, or what its name begins with, in `placements`.";
-                Err(Error::input(&self.camera_file, &self.place, problem, help))
-            }
-        }
     }
 
     pub(super) fn check_inside(&self, roots: Option<&[PathBuf]>) -> Result<()> {

@@ -9,7 +9,7 @@ use crate::dataset::plan::{MaskPlan, ViewPlan};
 use crate::dataset::priors::{MapLookup, PriorFiles};
 use crate::dataset::straighten::Straightening;
 use crate::error::{Error, Result};
-use crate::light::placement::Placement;
+use crate::view::Placement;
 use crate::view::{Camera, Mask, Split, StoredMask, ViewRecord};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;

@@ -317,7 +317,7 @@ mod tests {
 
     #[test]
     fn a_channel_without_signal_has_the_brightness() {
-        let differs = |view: usize| Vec3::splat(if view % 3 == 0 { 1.3 } else { 1.0 });
+        let differs = |view: usize| Vec3::splat(if view.is_multiple_of(3) { 1.3 } else { 1.0 });
         let mut blueless = after([0.4, 0.2, 0.0], differs);
         blueless.decide();
         assert_eq!(blueless.used, ExposureChoice::Brightness);
@@ -327,7 +327,7 @@ mod tests {
                 .abs_diff_eq(Vec3::splat(1.3), 0.01)
         );
         // Noise in the dark is no color.
-        let noise = |view: usize| Vec3::new(1.0, 1.0, if view % 2 == 0 { 1.4 } else { 0.7 });
+        let noise = |view: usize| Vec3::new(1.0, 1.0, if view.is_multiple_of(2) { 1.4 } else { 0.7 });
         let mut dark = after([0.4, 0.2, 0.004], noise);
         dark.decide();
         assert_eq!(dark.used, ExposureChoice::Equal);

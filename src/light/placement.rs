@@ -5,13 +5,10 @@
 //! ([`LightFrame`]) and all shadows stay what they are; a view's rotation into the light's frame is that of the frame after that of its placement.
 
 use super::light_frame::{LightFrame, OwnLightFrame};
-use bevy_ecs::prelude::{Component, Resource, World};
+use crate::view::Placement;
+use bevy_ecs::prelude::{Resource, World};
 use glam::{Mat3, Quat};
 use serde::{Deserialize, Serialize};
-
-/// The placement that a view shows, counted from 0.
-#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
-pub struct Placement(pub u32);
 
 /// How well the rotation of a placement is known.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

@@ -6,7 +6,7 @@ use crate::error::stop::check_interrupted;
 use crate::light::LightLobe;
 use crate::light::light_frame::LightFrame;
 use crate::light::lights::{LightChoice, provide_light, spawn_light};
-use crate::light::placement::{PicturePlacement, Placement};
+use crate::light::placement::PicturePlacement;
 use crate::material::edit::MaterialState;
 use crate::material::shown::{show_edited, spawn_material};
 use crate::material::{DiffuseAlbedo, SpecularBlend};
@@ -23,6 +23,7 @@ use crate::scene::{CameraRing, CameraSpec, Edit, Pattern, Photographed, RenderSe
 use crate::shade::frame::{FramePlugin, render_frame, resolve};
 use crate::spawn::light_file::rotation;
 use crate::spawn::{LoadedLight, load_light};
+use crate::view::Placement;
 use crate::view::camera::Camera;
 use crate::view::{Image, Mask, Photograph, Split, StoredMask, ViewRecord};
 use glam::{Mat3, Vec3};

@@ -8,7 +8,6 @@ use crate::checkpoint::{Span, carry, restore};
 use crate::error::Result;
 use crate::fit::ObjectTurned;
 use crate::fit::run::FitPlugin;
-use crate::light::placement::Placement;
 use crate::material::{TexelIndex, replace_materials};
 use crate::pass::session::Session;
 use crate::pipeline::Pipeline;
@@ -19,6 +18,7 @@ use crate::shade::frame::FramePlugin;
 use crate::shape::field::ModelError;
 use crate::shape::run::replace_texels;
 use crate::spawn::{insert_known_along, several_materials, spawn};
+use crate::view::Placement;
 use crate::view::{
     AlbedoMap, Camera, NormalMap, Photograph, Split, ViewIndex, ViewMask, ViewName, ViewPriors, ViewRecord,
 };

@@ -1,7 +1,8 @@
 //! Rotations from the world into the frame of a light that does not stand still in it.
 
 use crate::light::lights::IncidentLight;
-use crate::light::placement::{PlacedFrame, Placement};
+use crate::light::placement::PlacedFrame;
+use crate::view::Placement;
 use crate::view::{Camera, Photograph, ViewIndex};
 use bevy_ecs::prelude::{Query, Res, With};
 use bevy_ecs::system::SystemParam;

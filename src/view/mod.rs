@@ -38,7 +38,6 @@ pub use image::{Image, Mask};
 pub use prior_map::{AlbedoMap, NormalMap, ViewPriors};
 pub use stored::{Photograph, PixelWindow, StoredMask};
 
-use crate::light::placement::Placement;
 use crate::{Error, Result};
 use bevy_ecs::prelude::Component;
 use serde::{Deserialize, Serialize};
@@ -102,6 +101,10 @@ impl<T> FromIterator<(ViewIndex, T)> for ByView<T> {
 /// A view's mask.
 #[derive(Component, Clone, Debug)]
 pub struct ViewMask(pub StoredMask);
+
+/// The placement of the object that a view shows, counted from 0: it may be turned over between two rounds of photographs.
+#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub struct Placement(pub u32);
 
 /// Which part of a data set a view belongs to.
 #[derive(Component, Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]

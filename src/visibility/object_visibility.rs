@@ -126,7 +126,7 @@ impl ObjectVisibility {
     /// Computes shadows and interreflection for this light and this reflectance (diffuse and specular, by texel).
     ///
     /// `turns` are the rotations of the views into the frame of a light that turns with them, by index; empty if it does not. Shadows are those
-    /// of each view, interreflection is the mean of some views if more than [`FEW_SKIES`] differ.
+    /// of each view, interreflection is the mean of some views if more than four differ.
     pub fn refresh(
         &mut self,
         lobes: &LobeColumns,

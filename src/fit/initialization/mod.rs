@@ -10,7 +10,7 @@ use crate::fit::components::Unknowns;
 use crate::fit::initialization::linear::{solve_albedo, solve_amplitudes};
 use crate::fit::initialization::place_lobes::move_lobes_to_the_light;
 use crate::light::lights::LobeOf;
-use crate::light::placement::{PlacedFrame, Placement};
+use crate::light::placement::PlacedFrame;
 use crate::light::{LightLobe, kernel_lobe};
 use crate::material::sheen::write_albedo;
 use crate::material::{
@@ -24,6 +24,7 @@ use crate::sample::observation::{Observation, Observations};
 use crate::sample::point::SurfacePoint;
 use crate::sample::turn::TurnTable;
 use crate::shade::systems::{kernel_specular, turned};
+use crate::view::Placement;
 use crate::view::{ByView, Camera, Photograph, ViewIndex};
 use crate::visibility::{ObjectVisibility, Reflectance, WindowVisibility};
 use bevy_ecs::prelude::{Entity, Query, With, Without, World};

@@ -1,8 +1,8 @@
 use super::*;
-use crate::light::placement::Placement;
 use crate::shape::hull::visual_hull;
 use crate::shape::hull_repair::regrow;
 use crate::shape::silhouette::Silhouette;
+use crate::view::Placement;
 use crate::view::{Camera, Image, Mask, Photograph, StoredMask};
 use glam::UVec3;
 

@@ -1,8 +1,9 @@
 use super::*;
 use crate::light::light_frame::LightFrame;
-use crate::light::placement::{PlacedFrame, Placement, Placements};
+use crate::light::placement::{PlacedFrame, Placements};
 use crate::math::fibonacci::fibonacci_axes;
 use crate::mesh::primitive::sphere_mesh;
+use crate::view::Placement;
 use crate::view::{Camera, Image, Mask, Photograph, StoredMask};
 
 /// Width and height of the photographs.

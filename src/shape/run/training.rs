@@ -1,9 +1,9 @@
 //! The training photographs and masks as slices.
 
 use crate::error::stop::is_stopping;
-use crate::light::placement::Placement;
 use crate::shape::silhouette::Silhouette;
 use crate::shape::stereo::StereoView;
+use crate::view::Placement;
 use crate::view::{Camera, Photograph, Split, ViewIndex, ViewMask, ViewName};
 use bevy_ecs::prelude::{With, World};
 

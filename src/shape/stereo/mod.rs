@@ -29,7 +29,6 @@ pub mod sweep;
 pub mod votes;
 
 use crate::error::stop::is_stopping;
-use crate::light::placement::Placement;
 use crate::math::statistics::median;
 use crate::mesh::bvh::TriangleBvh;
 use crate::mesh::triangles::Mesh;
@@ -38,6 +37,7 @@ use crate::shape::field::ModelError;
 use crate::shape::outline::{Contours, Vote};
 use crate::shape::silhouette::{Silhouette, pixel_size};
 use crate::shape::vertex_graph::VertexGraph;
+use crate::view::Placement;
 use crate::view::{Camera, Photograph, StoredMask};
 use glam::Vec3;
 use match_picture::{MatchPicture, neighbors};
