@@ -177,6 +177,20 @@ fn a_fit_that_chooses_its_distribution_of_normals_goes_on_from_any_step() {
 }
 
 #[test]
+fn an_object_that_was_turned_over_goes_on_from_any_step() {
+    let data = Data::new();
+    two_balls(&data);
+    let passes = r#"Fit(name: "fit", steps: 160, batch: 64), Render(name: "novel"), Save(), Export(),"#;
+    let placements =
+        r#"Dataset(path: "$DATA", placements: [(photographs: "rgb_000000"), (photographs: "rgb_")])"#;
+    let text =
+        scene(MESH, "material: (gloss: One),", passes).replace(r#"Dataset(path: "$DATA")"#, placements);
+    assert!(text.contains("placements"));
+    // Between two moves of the rotation, after more, and during the pictures.
+    survives(&data, &text, &[("fit", 40), ("fit", 110), ("novel", 1)]);
+}
+
+#[test]
 fn roughness_of_texels_goes_on_through_two_fits() {
     let data = Data::new();
     let passes = r#"Fit(name: "fit", steps: 6, batch: 64), Fit(name: "again", steps: 6, batch: 64), Save(),"#;

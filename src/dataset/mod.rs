@@ -146,7 +146,7 @@ pub fn open_dataset(dir: impl AsRef<Path>, split: Split, options: &DatasetOption
     plan.notes.extend(crop_note(wanted.iter().map(|view| &view.lens)));
     let curves = Arc::new(Curves::new(options.gamma));
     let priors = find_priors(&options.priors, split, &wanted, &mut plan.notes)?;
-    let placements = placements_of(&wanted, &options.placements)?;
+    let placements = placements_of(dir, &wanted, &options.placements)?;
     let view =
         |(found, placement)| PlannedView::new(found, placement, split, options, reader.pixel_center, &curves);
     Ok(OpenDataset {

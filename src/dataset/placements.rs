@@ -7,17 +7,18 @@ use crate::view::Placement;
 use std::ffi::OsStr;
 use std::path::Path;
 
-/// The placements that these views show.
+/// The placements that these views of the data set in folder `dir` show.
 ///
 /// # Errors
 /// [`Error::Input`] that names the first view that belongs to none of `names`, though there are some.
-pub(super) fn placements_of(views: &[ViewPlan], names: &[String]) -> Result<Vec<Placement>> {
-    views.iter().map(|view| placement_of(view, names)).collect()
+pub(super) fn placements_of(dir: &Path, views: &[ViewPlan], names: &[String]) -> Result<Vec<Placement>> {
+    views.iter().map(|view| placement_of(dir, view, names)).collect()
 }
 
-/// The first of these of which the photograph is in a folder with that name, or has a name that begins so.
-fn placement_of(view: &ViewPlan, names: &[String]) -> Result<Placement> {
-    let folders = view.image.iter().flat_map(|image| image.ancestors().skip(1));
+/// The first of these of which the photograph is in a folder with that name below `dir`, or has a name that begins so.
+fn placement_of(dir: &Path, view: &ViewPlan, names: &[String]) -> Result<Placement> {
+    let below = view.image.as_deref().map(|image| image.strip_prefix(dir).unwrap_or(image));
+    let folders = below.iter().flat_map(|image| image.ancestors().skip(1));
     let folders: Vec<&OsStr> = folders.filter_map(Path::file_name).collect();
     let suits = |of: &String| view.name.starts_with(of.as_str()) || folders.contains(&OsStr::new(of));
     match names.iter().position(suits) {

@@ -10,7 +10,7 @@
 //! | `DIFFERENT` | | 0.1 | difference of the logarithm from the median, of a fifth of the photographs at least, from which their brightness is unknown |
 //! | `COLORED` | | 0.05 | the same of a channel beside the brightness, from which their color is |
 //! | `FAINT` | | 0.1 | signal of a channel relative to the strongest below which it says nothing of color |
-//! | `SELDOM` | | 0.05 | signal of a photograph relative to the mean of all below which it says nothing |
+//! | `SELDOM` | | 0.05 | signal of a photograph relative to the mean of all below which it has no say in the decision |
 
 use crate::fit::components::StepRates;
 use crate::math::shading::Layers;
@@ -140,12 +140,12 @@ impl Exposures {
     }
 
     /// The logarithms of the ratios of each view, in its brightness and in each channel, less their means over the views; `None` for a view
-    /// of which too little is seen. A channel of which too little is seen is like the brightness.
-    fn logs(&self) -> Vec<Option<(f64, DVec3)>> {
+    /// of which not more is seen than a part of the mean of all. A channel of which too little is seen is like the brightness.
+    fn logs(&self, part: f64) -> Vec<Option<(f64, DVec3)>> {
         let signal = |sums: &[ChannelSums; 3]| DVec3::from(sums.map(|sums| sums.signal));
         let all: DVec3 = self.sums.iter().map(signal).sum();
         let seen = self.sums.iter().filter(|sums| signal(sums).max_element() > 0.0).count().max(1) as f64;
-        let least = SELDOM / seen * all;
+        let least = part / seen * all;
         let log = |sums: &[ChannelSums; 3]| {
             let observed: f64 = sums.iter().map(|of| of.observed).sum();
             let predicted: f64 = sums.iter().map(|of| of.predicted).sum();
@@ -173,12 +173,12 @@ impl Exposures {
         let used = |log: (f64, DVec3)| if is_colored { log.1 } else { DVec3::splat(log.0) };
         let factor = |log: Option<(f64, DVec3)>| log.map_or(DVec3::ONE, |log| used(log).exp()).as_vec3();
         let in_range = |factor: Vec3| factor.clamp(Vec3::splat(RANGE.0), Vec3::splat(RANGE.1));
-        self.factors = self.logs().into_iter().map(|log| in_range(factor(log))).collect();
+        self.factors = self.logs(0.0).into_iter().map(|log| in_range(factor(log))).collect();
     }
 
     /// Decides what is used by how much most photographs differ.
     fn decide(&mut self) {
-        let logs: Vec<(f64, DVec3)> = self.logs().into_iter().flatten().collect();
+        let logs: Vec<(f64, DVec3)> = self.logs(SELDOM).into_iter().flatten().collect();
         let apart = spread(logs.iter().map(|log| log.0 as f32));
         let channel = |c: usize| spread(logs.iter().map(move |log| (log.1[c] - log.0) as f32));
         let is_colored = (0..3).any(|c| channel(c) > COLORED);

@@ -209,7 +209,9 @@ pub fn turn_placements(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::light::placement::PlacementTurn;
     use crate::math::fibonacci::fibonacci_axes;
+    use bevy_ecs::system::RunSystemOnce;
 
     /// Radiance of a white surface under a sun.
     fn shade(points: &[ShadePoint]) -> Vec<Layers> {
@@ -260,5 +262,31 @@ mod tests {
         let apart = (found.inverse() * sun).distance(truth.inverse() * sun);
         assert!(apart < 2e-3, "{apart}");
         assert_eq!(TurnEquations::default().step(), DVec3::ZERO);
+    }
+
+    #[test]
+    fn only_rotations_that_were_found_move_and_their_sums_begin_again() {
+        let mut sums = TurnEquations::default();
+        for axis in [DVec3::X, DVec3::Y, DVec3::Z] {
+            // The residual falls with a turn about Y.
+            (0..100).for_each(|_| sums.add(axis, -0.02 * axis.y, 1.0));
+        }
+        let of = |source| PlacementTurn { room_from_object: Quat::from_rotation_x(1.0), source };
+        let turns = [TurnSource::Said, TurnSource::Found, TurnSource::Said].map(of);
+        let mut world = World::new();
+        world.insert_resource(Placements(turns.to_vec()));
+        let after = |world: &mut World, step: u32| {
+            world.insert_resource(StepRates { step, progress: 0.0, albedo: 0.0, light: 0.0, specular: 0.0 });
+            world.insert_resource(TurnSums(vec![sums; 3]));
+            world.run_system_once(turn_placements).unwrap();
+            world.resource::<Placements>().0.clone()
+        };
+        assert_eq!(after(&mut world, TURN_EVERY + 1), turns);
+        let moved = after(&mut world, TURN_EVERY);
+        assert_eq!((moved[0], moved[2]), (turns[0], turns[2]));
+        // In the room, after the rotation that it has.
+        let expected = Quat::from_rotation_y(0.02) * Quat::from_rotation_x(1.0);
+        assert!(moved[1].room_from_object.angle_between(expected) < 2e-3, "{}", moved[1].room_from_object);
+        assert!(world.resource::<TurnSums>().0.is_empty());
     }
 }

@@ -309,6 +309,11 @@ fn fit(
     let _steps = stage("steps");
     let begun = || (options.done.steps, Loop { recent: Vec::new(), elapsed_secs: options.done.secs });
     let (done, mut state) = resume_step(&mut pipeline.world)?.unwrap_or_else(begun);
+    // By now the rotations are those of the step that is gone on from.
+    pipeline.remove_plugin::<PlacementPlugin>();
+    if placements_turn(&pipeline.world) {
+        pipeline.add_plugin(&PlacementPlugin(options.form));
+    }
     let before = state.elapsed_secs;
     let elapsed = || before + start.elapsed().as_secs_f64();
     let mut summary = FitSummary { steps: done, pixels, elapsed_secs: before, ..FitSummary::default() };
@@ -378,10 +383,6 @@ fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
     let pixels = pipeline.world.resource::<ObservedWindow>().0.len();
     count_pool(&mut pipeline.world);
     initialize(&mut pipeline.world, options, shadowed)?;
-    pipeline.remove_plugin::<PlacementPlugin>();
-    if placements_turn(&pipeline.world) {
-        pipeline.add_plugin(&PlacementPlugin(options.form));
-    }
     spawn_samples(&mut pipeline.world, options.batch.clamp(1, pixels));
     Ok(pixels)
 }
@@ -427,7 +428,7 @@ fn initialize(world: &mut World, options: &FitOptions, shadowed: bool) -> Result
     let keeps = options.unknowns.light && options.unknowns.albedo;
     let from_maps = keeps && follow_maps(world, unknowns.metal, both)?;
     // Light is solved for under the albedo of the maps, which alternation would leave again.
-    let solved = Unknowns { albedo: unknowns.albedo && !from_maps, ..unknowns };
+    let solved = Unknowns { albedo: unknowns.albedo && !(from_maps && both), ..unknowns };
     initialize_light_and_albedo(world, solved, options.form, shadowed)?;
     if both && !from_maps {
         start_scale(world, options.scale)?;

@@ -24,8 +24,8 @@ use crate::report::thumbnail::{side_for, write_thumbnail};
 use crate::report::tone::{Backdrop, Look, Picture};
 use crate::scene::{EvaluatePass, LayerTruth, Pass, Score, ScoreScale, Truth};
 use crate::view::camera::Camera;
-use crate::view::{Photograph, ViewMask};
-use bevy_ecs::prelude::World;
+use crate::view::{Photograph, Placement, ViewMask};
+use bevy_ecs::prelude::{Entity, World};
 use glam::Vec3;
 use image::RgbImage;
 use std::path::{Path, PathBuf};
@@ -258,13 +258,14 @@ fn self_made(session: &mut Session, pass: &str, views: &[ChosenView], spp: u32) 
     let found = session.scene.passes.iter().find(|p| p.name() == pass);
     let edits = found.map_or(&[] as &[_], Pass::edits);
     let light = session.lights.of_passes.get(pass);
-    let cameras: Vec<Camera> = views.iter().map(|view| view.camera).collect();
-    let bar = session.progress.bar("truth", cameras.len() as u64);
+    let of = |view: Entity| session.pipeline.world.get::<Placement>(view).copied().unwrap_or_default();
+    let views: Vec<(Camera, Placement)> = views.iter().map(|view| (view.camera, of(view.entity))).collect();
+    let bar = session.progress.bar("truth", views.len() as u64);
     let seed = session.scene.seed.wrapping_add(1_000_003);
     let Some(truth) = &mut session.truth else {
         return Err(Error::run(pass, "only `Photographed` views have a true object"));
     };
-    let frames = truth.pictures(&cameras, light, edits, spp, seed, || bar.inc(1))?;
+    let frames = truth.pictures(&views, light, edits, spp, seed, || bar.inc(1))?;
     bar.finish_and_clear();
     Ok(frames.into_iter().map(|frame| frame.color).collect())
 }
@@ -338,7 +339,7 @@ fn self_made_layer(session: &mut Session, view: &ScoredView, layer: Layer, numbe
     let Some(object) = &mut session.truth else {
         return Err(Error::run("evaluate", "only `Photographed` views have a true object"));
     };
-    let frames = object.pictures(&[view.camera], None, &[], 16, seed, || ())?;
+    let frames = object.pictures(&[(view.camera, Placement::default())], None, &[], 16, seed, || ())?;
     let pick = |f: Frame| if layer == Layer::Albedo { f.albedo } else { f.normal };
     Ok(frames.into_iter().flat_map(pick).collect())
 }

@@ -2,12 +2,14 @@
 //!
 //! A copy reads the run's world and changes nothing in it. All else is done on the copy, by whichever thread has it.
 
+use crate::codec::exr_frame::Frame;
 use crate::error::stop::{check_interrupted, stopped_by};
 use crate::error::{Error, Result};
 use crate::fit::exposure::Exposures;
 use crate::light::LightLobe;
 use crate::light::light_frame::{LightFrame, OwnLightFrame};
 use crate::light::lights::own_lobes;
+use crate::light::placement::{PicturePlacement, Placements};
 use crate::material::edit::MaterialState;
 use crate::material::shown::{recovered_material, spawn_material};
 use crate::math::color::linear_from_srgb;
@@ -29,10 +31,10 @@ use crate::sdf::volume::SdfSurface;
 use crate::shade::frame::{FramePlugin, render_frame, resolve};
 use crate::shape::field::SdfField;
 use crate::shape::vertices::MovingMesh;
-use crate::view::{Camera, Photograph, Split, ViewIndex, ViewMask};
+use crate::view::{ByView, Camera, Photograph, Placement, Split, ViewIndex, ViewMask};
 use crate::visibility::{FrameVisibilityPlugin, ObjectVisibility};
 use bevy_ecs::prelude::World;
-use glam::Vec3;
+use glam::{Mat3, Vec3};
 use image::RgbImage;
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -57,6 +59,8 @@ pub struct Snapshot {
     visibility: Option<ObjectVisibility>,
     /// The cameras of all views, those held out first.
     cameras: Vec<(ViewIndex, PageCamera)>,
+    /// How the object lies in each view.
+    turns: ByView<Mat3>,
     exposures: Exposures,
     photographs: Arc<Vec<Reduced>>,
     up: Vec3,
@@ -103,6 +107,7 @@ impl Snapshot {
             lobes: own_lobes(world),
             frame: world.get_resource::<OwnLightFrame>().map(|own| own.0).unwrap_or_default(),
             cameras: cameras(world),
+            turns: turns(world),
             exposures: world.get_resource::<Exposures>().cloned().unwrap_or_default(),
             photographs,
             up,
@@ -143,10 +148,10 @@ impl Snapshot {
     /// If a system fails; [`Error::Interrupted`] if the run is stopped meanwhile.
     pub fn picture(&self) -> Result<String> {
         let train = self.cameras.iter().find(|(_, camera)| camera.split == Split::Train);
-        let (_, view) = train
+        let (index, view) = train
             .or(self.cameras.first())
             .ok_or_else(|| Error::run("a picture of the object", "the scene has no view"))?;
-        let frame = shot(&mut self.pipeline(), reduced(&view.camera, FIELD_SIDE).0)?;
+        let frame = self.shot(&mut self.pipeline(), *index, reduced(&view.camera, FIELD_SIDE).0)?;
         address(&shown([frame.width, frame.height], &frame.color, &frame.alpha)?)
     }
 
@@ -180,7 +185,7 @@ impl Snapshot {
         let Some((_, view)) = self.cameras.iter().find(|(index, _)| *index == photograph.view) else {
             return Ok(None);
         };
-        let frame = shot(pipeline, view.camera.scaled(photograph.factor))?;
+        let frame = self.shot(pipeline, photograph.view, view.camera.scaled(photograph.factor))?;
         let outline = match photograph.coverage.is_empty() {
             true => frame.alpha.clone(),
             false => photograph.coverage.clone(),
@@ -206,6 +211,17 @@ impl Snapshot {
         }))
     }
 
+    /// A frame that is whole, of the object as it lies in a view.
+    fn shot(&self, pipeline: &mut Pipeline, view: ViewIndex, camera: Camera) -> Result<Frame> {
+        let before = stopped_by();
+        check_interrupted()?;
+        let turn = self.turns.get(view).copied().unwrap_or(Mat3::IDENTITY);
+        pipeline.world.insert_resource(PicturePlacement(turn));
+        let target = render_frame(pipeline, camera, SAMPLES)?;
+        // While a run stops, loops leave rows as they are, and the run may have seen to that by now.
+        if stopped_by() == before { Ok(resolve(&target)) } else { Err(Error::Interrupted) }
+    }
+
     /// A world with nothing but the object.
     fn pipeline(&self) -> Pipeline {
         let mut pipeline = Pipeline::new();
@@ -225,15 +241,6 @@ impl Snapshot {
         }
         pipeline
     }
-}
-
-/// A frame that is whole.
-fn shot(pipeline: &mut Pipeline, camera: Camera) -> Result<crate::codec::exr_frame::Frame> {
-    let before = stopped_by();
-    check_interrupted()?;
-    let target = render_frame(pipeline, camera, SAMPLES)?;
-    // While a run stops, loops leave rows as they are, and the run may have seen to that by now.
-    if stopped_by() == before { Ok(resolve(&target)) } else { Err(Error::Interrupted) }
 }
 
 /// Photograph, render and error of a view.
@@ -266,6 +273,13 @@ fn address(picture: &RgbImage) -> Result<String> {
 fn cameras(world: &mut World) -> Vec<(ViewIndex, PageCamera)> {
     let cameras = page_cameras(world).into_iter();
     cameras.filter_map(|(view, camera)| Some((*world.get::<ViewIndex>(view)?, camera))).collect()
+}
+
+/// How the object lies in each view.
+fn turns(world: &mut World) -> ByView<Mat3> {
+    let placements = world.get_resource::<Placements>().cloned().unwrap_or_default();
+    let mut views = world.query::<(&ViewIndex, &Placement)>();
+    views.iter(world).map(|(view, placement)| (*view, placements.room_from_object(*placement))).collect()
 }
 
 /// A camera whose picture has at most about `side` pixels a side, and by which factor it is smaller.

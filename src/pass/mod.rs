@@ -37,6 +37,7 @@ mod memory_limits;
 mod ndf;
 mod page_cameras;
 pub mod photograph;
+mod placements;
 pub mod preflight;
 pub mod progress;
 pub(crate) mod record;
@@ -77,6 +78,7 @@ use crate::survey::{Severity, Survey};
 use crate::view::ViewRecord;
 use inputs::Watched;
 use photograph::{TrueObject, camera_of};
+use placements::check_placements;
 use progress::{Progress, RecordedMessages};
 use record::{Claim, RunRecord};
 use resume::RunStart;
@@ -383,6 +385,7 @@ fn open<'a>(
         let truth = truth.insert(TrueObject::new(spec, &surface)?);
         views = take(truth, spec, scene, progress)?;
     }
+    check_placements(scene, &views)?;
     check_cameras(&views, &surface)?;
     let mut session = Session::new(scene, surface, lights, progress);
     (session.truth, session.out, session.debug_every) = (truth, options.out.clone(), options.debug_every);

@@ -78,14 +78,13 @@ impl TrueObject {
         &self.light.lobes
     }
 
-    /// Path-traced pictures of the true object, optionally under another light or with edits. In its own light it lies in each of its placements
-    /// in turn.
+    /// Path-traced pictures of the true object, optionally under another light or with edits. In its own light it lies as in the placement of each.
     ///
     /// # Errors
     /// If an edit's image cannot be read, or a system fails.
     pub fn pictures(
         &mut self,
-        cameras: &[Camera],
+        views: &[(Camera, Placement)],
         light: Option<&LoadedLight>,
         edits: &[Edit],
         spp: u32,
@@ -108,11 +107,11 @@ impl TrueObject {
         let settings =
             RenderSettings { shading, samples_per_pixel: side * side, ..RenderSettings::default() };
         let mut frames = Vec::new();
-        for (i, camera) in cameras.iter().enumerate() {
+        for (i, (camera, placement)) in views.iter().enumerate() {
             check_interrupted()?;
             set_shading(&mut self.pipeline, &settings, seed.wrapping_add(i as u64));
-            let placement = self.placements[i % self.placements.len()];
-            self.pipeline.world.insert_resource(PicturePlacement(placement));
+            let turn = self.placements.get(placement.0 as usize).copied().unwrap_or(Mat3::IDENTITY);
+            self.pipeline.world.insert_resource(PicturePlacement(turn));
             frames.push(resolve(&render_frame(&mut self.pipeline, *camera, settings.samples_per_pixel)?));
             done();
         }
@@ -133,19 +132,18 @@ pub fn take(
     let ring = ring(&spec.cameras, scene.up);
     let cameras: Vec<Camera> = ring.iter().map(camera_of).collect::<Result<_>>()?;
     let bar = progress.bar("photograph", cameras.len() as u64);
-    let frames = truth.pictures(&cameras, None, &[], spec.spp, scene.seed, || bar.inc(1))?;
+    let shown: Vec<(Camera, Placement)> = cameras.into_iter().zip(placements_in_turn(spec)).collect();
+    let frames = truth.pictures(&shown, None, &[], spec.spp, scene.seed, || bar.inc(1))?;
     bar.finish_and_clear();
-    let shown = placements_in_turn(spec);
-    let records =
-        ring.into_iter().zip(cameras).zip(frames).zip(shown).map(|(((spec, camera), frame), placement)| {
-            let (width, height) = (camera.width, camera.height);
-            ViewRecord {
-                photograph: Some(Photograph::of_image(&Image { width, height, pixels: frame.color })),
-                mask: Some(StoredMask::new(&Mask { width, height, coverage: frame.alpha })),
-                placement,
-                ..ViewRecord::of_camera(spec.name, spec.split, camera)
-            }
-        });
+    let records = ring.into_iter().zip(shown).zip(frames).map(|((spec, (camera, placement)), frame)| {
+        let (width, height) = (camera.width, camera.height);
+        ViewRecord {
+            photograph: Some(Photograph::of_image(&Image { width, height, pixels: frame.color })),
+            mask: Some(StoredMask::new(&Mask { width, height, coverage: frame.alpha })),
+            placement,
+            ..ViewRecord::of_camera(spec.name, spec.split, camera)
+        }
+    });
     Ok(records.collect())
 }
 

@@ -7,10 +7,11 @@ use crate::codec::film::{Film, FilmRecorder};
 use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::light::lights::IncidentLight;
-use crate::light::placement::{PicturePlacement, Placements};
+use crate::light::placement::PicturePlacement;
 use crate::math::color::srgb_from_linear;
 use crate::math::ray::Illuminate;
 use crate::pass::film;
+use crate::pass::placements::show_placement;
 use crate::pass::session::Session;
 use crate::pass::shading::camera_rays;
 use crate::pass::show::show;
@@ -20,7 +21,6 @@ use crate::report::tone::{Backdrop, Look, Picture, write_png_rows};
 use crate::scene::{Orbit, OrbitFormat, Pass, RenderSettings, Shading, ViewChoice};
 use crate::shade::adaptive::render_adaptive;
 use crate::shade::frame::{band_rows, render_bands};
-use crate::view::Placement;
 use crate::view::camera::Camera;
 use crate::view::{Split, ViewName};
 use bevy_ecs::prelude::{Entity, World};
@@ -80,13 +80,6 @@ fn render_all(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> 
     let film = if frames > 0 { format!(", {frames} film frames") } else { String::new() };
     session.progress.print(&format!("{name}: {} views{film}", views.len()));
     Ok(())
-}
-
-/// Pictures to come show the object as it lies in this view.
-fn show_placement(world: &mut World, view: Entity) {
-    let placement = world.get::<Placement>(view).copied().unwrap_or_default();
-    let turn = world.get_resource::<Placements>().map(|all| all.room_from_object(placement));
-    turn.into_iter().for_each(|turn| world.insert_resource(PicturePlacement(turn)));
 }
 
 /// A view that a pass renders.

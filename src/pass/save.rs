@@ -53,7 +53,7 @@ pub(crate) fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
             texture_size: atlas.width,
             own_material: false,
         },
-        views: saved_views(session)?,
+        views: saved_views(session, relit)?,
         light: Light::Fixed(light),
         light_frame: frame.into(),
         material,
@@ -193,8 +193,9 @@ fn placements_found(session: &Session, spec: &Dataset) -> Vec<PlacementSpec> {
     spec.placements.iter().zip(&turns.0).map(found).collect()
 }
 
-/// The scene's views with absolute paths; rendered photographs become cameras only.
-fn saved_views(session: &Session) -> Result<Views> {
+/// The scene's views with absolute paths; rendered photographs become cameras only, of the object in its first placement. An object that is `relit`
+/// lies in its new light the same in all.
+fn saved_views(session: &Session, relit: bool) -> Result<Views> {
     match &session.scene.views {
         Views::Dataset(spec) => {
             let path = std::path::absolute(&spec.path).map_err(Error::io("find", &spec.path))?;
@@ -203,7 +204,7 @@ fn saved_views(session: &Session) -> Result<Views> {
             let focal_scale = spec.focal_scale * found;
             // All is known: nothing is left that prior maps would say.
             let priors = Priors::default();
-            let placements = placements_found(session, spec);
+            let placements = if relit { Vec::new() } else { placements_found(session, spec) };
             Ok(Views::Dataset(Dataset { path, focal_scale, priors, placements, ..spec.clone() }))
         }
         Views::Cameras(cameras) => Ok(Views::Cameras(cameras.clone())),

@@ -140,7 +140,7 @@ impl Session<'_> {
         if !self.pipeline.world.contains_resource::<ObjectVisibility>() {
             let settings = VisibilitySettings { directions, bounces, refresh_every };
             let texels = self.surface.atlas().covered.iter().filter(|covered| **covered).count();
-            let bytes = settings.bytes(texels);
+            let bytes = settings.bytes(texels, self.scene.views.placements());
             if bytes > MOST_VISIBILITY_BYTES {
                 let gib = bytes as f64 / f64::from(1 << 30);
                 let problem =

@@ -21,6 +21,17 @@ pub enum Views {
     Photographed(Photographed),
 }
 
+impl Views {
+    /// In how many ways the object lies, at least 1.
+    pub fn placements(&self) -> usize {
+        match self {
+            Self::Dataset(data) => data.placements.len().max(1),
+            Self::Photographed(spec) => spec.truth.placements.len() + 1,
+            Self::Cameras(_) => 1,
+        }
+    }
+}
+
 /// A folder of photographs with known cameras.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -65,7 +76,7 @@ pub struct Dataset {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlacementSpec {
-    /// A folder that the photographs are in, at any depth, or what their names begin with. A photograph belongs to the first entry that it
+    /// A folder of the data set that the photographs are in, at any depth, or what their names begin with. A photograph belongs to the first entry that it
     /// suits, and must suit one.
     pub photographs: String,
     /// How the object is turned relative to the first placement, about the world's x, then y, then z axis, in degrees: from

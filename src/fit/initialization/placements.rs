@@ -9,8 +9,8 @@ use super::{Initialization, Known, least_rough, lobes_of, with_initialization};
 use crate::error::Result;
 use crate::error::stop::check_interrupted;
 use crate::fit::components::Unknowns;
-use crate::light::light_frame::{LightFrame, OwnLightFrame, turning_axis};
-use crate::light::placement::{PlacementTurn, Placements, TurnSource, light_from_world};
+use crate::light::light_frame::{LightFrame, turning_axis};
+use crate::light::placement::{PlacedFrame, PlacementTurn, Placements, TurnSource, light_from_world};
 use crate::light::{LightLobe, kernel_lobe};
 use crate::material::recovered_albedo;
 use crate::math::shading::{ClosedForm, Layers, Lighting, LobeColumns, ShadePoint, SpecularValue};
@@ -29,35 +29,34 @@ const ROTATIONS: usize = 720;
 const IMPROVED: usize = 12;
 /// Pixels of a placement with which rotations are tried first, and with which the best is improved.
 const PIXELS: [usize; 2] = [6_000, 40_000];
-/// First and last step of the improvement of many, of the best, and of one that was found before; degrees.
+/// First and last step of the improvement of many, of the best, and of one that was found in the round before; degrees.
 const STEPS: [[f32; 2]; 3] = [[10.0, 1.0], [1.0, 0.05], [3.0, 0.05]];
 /// Cells along the longest side of the object; the pixels in one have one albedo.
 const CELLS: f32 = 96.0;
 /// Rounds of light and then rotations, of which the first has the light of the first placement.
 const ROUNDS: usize = 3;
 
-/// Finds the rotations of placements that are not said, for the light's frame as it is: anew, or near where they were found before.
+/// Finds the rotations of placements that are not known, of an object in a light whose frame is known. A light that stands before the camera does not
+/// mind how the object lies; then nothing is found.
 ///
 /// # Errors
 /// If a pool is incomplete.
 pub(crate) fn find_placements(world: &mut World, unknowns: Unknowns, form: ClosedForm) -> Result<()> {
-    let Some(mut placements) = world.get_resource::<Placements>().cloned() else { return Ok(()) };
-    if placements.0.iter().skip(1).all(|turn| turn.source == TurnSource::Said) {
+    let PlacedFrame { frame, placements: Placements(turns) } = PlacedFrame::own(world);
+    let is_open = |number: &usize| turns[*number].source == TurnSource::Unknown;
+    let open: Vec<usize> = (1..turns.len()).filter(is_open).collect();
+    if open.is_empty() || frame == LightFrame::Camera {
         return Ok(());
     }
     let _finding = stage("placements");
-    let frame = world.get_resource::<OwnLightFrame>().map(|own| own.0).unwrap_or_default();
-    let rounds = if unknowns.light && placements_are_open(world) { ROUNDS } else { 1 };
-    for round in 0..rounds {
+    for round in 0..if unknowns.light { ROUNDS } else { 1 } {
         let first = (round == 0).then_some(Placement(0));
         let lobes = light_now(world, unknowns, form, first)?;
-        for number in 1..placements.0.len() {
+        for number in open.iter().copied() {
             check_interrupted()?;
-            if placements.0[number].source != TurnSource::Said {
-                let room_from_object = turn_of(world, number, frame, &lobes, form, unknowns)?;
-                placements.0[number] = PlacementTurn { room_from_object, source: TurnSource::Found };
-                world.insert_resource(placements.clone());
-            }
+            let room_from_object = turn_of(world, number, (frame, &lobes), form, unknowns)?;
+            let mut placements = world.resource_mut::<Placements>();
+            placements.0[number] = PlacementTurn { room_from_object, source: TurnSource::Found };
         }
     }
     Ok(())
@@ -84,21 +83,16 @@ fn light_now(
 fn turn_of(
     world: &mut World,
     number: usize,
-    frame: LightFrame,
-    lobes: &[LightLobe],
+    (frame, lobes): (LightFrame, &[LightLobe]),
     form: ClosedForm,
     unknowns: Unknowns,
 ) -> Result<Quat> {
     let turn = world.resource::<Placements>().0[number];
-    match frame {
-        // The light does not mind how the object lies.
-        LightFrame::Camera => return Ok(turn.room_from_object),
-        LightFrame::Turntable(axis) => {
-            if let Some(own) = turning_axis(&camera_axes(world, Placement(number as u32))) {
-                return Ok(Quat::from_rotation_arc(own.normalize(), axis.normalize_or(Vec3::Y)));
-            }
+    if let LightFrame::Turntable(axis) = frame {
+        let axes = camera_axes(world, Placement(number as u32));
+        if let Some(own) = turning_axis(&axes).filter(|_| turn_about_one(&axes)) {
+            return Ok(Quat::from_rotation_arc(own.normalize(), axis.normalize_or(Vec3::Y)));
         }
-        LightFrame::World => {}
     }
     let specular = least_rough(world);
     let known = Known { form, specular, unknowns, object: None, in_part: true, placement: None };
@@ -116,6 +110,12 @@ fn turn_of(
 pub(super) fn placements_are_open(world: &World) -> bool {
     let is_open = |turn: &PlacementTurn| turn.source == TurnSource::Unknown;
     world.get_resource::<Placements>().is_some_and(|placements| placements.0.iter().skip(1).any(is_open))
+}
+
+/// Whether cameras look from sides that differ by 20° and more, so that they tell the axis that they turn about.
+fn turn_about_one(world_from_camera: &[Mat3]) -> bool {
+    let differ = |a: &Mat3, b: &Mat3| a.x_axis.cross(b.x_axis).length() > 0.34;
+    world_from_camera.first().is_some_and(|first| world_from_camera.iter().any(|other| differ(first, other)))
 }
 
 /// The camera axes of the photographs of a placement.

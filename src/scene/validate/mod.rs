@@ -194,6 +194,9 @@ fn photographed(checks: &mut Checks, photographed: &Photographed) {
     checks.roughness("views.truth.specular.roughness", truth.specular.roughness);
     light_source(checks, "views.truth.light", &truth.light);
     light_frame(checks, "views.truth.light_frame", truth.light_frame.into());
+    for (i, turned) in truth.placements.iter().enumerate() {
+        checks.finite(&format!("views.truth.placements[{i}]"), *turned);
+    }
     passes::edits(checks, "views.truth", &truth.edits);
 }
 
