@@ -1,8 +1,11 @@
-//! An object that is turned over between two rounds of photographs: how it lies is found, or said, and kept.
+//! An object that is turned over between two rounds of photographs: how it lies is found, or said, and kept. Rounds under another light have one of
+//! their own.
 
 use crate::common::{Data, Outcome, command, scene};
 use glam::{EulerRot, Quat, Vec3};
 use lobelia::codec::exr::read_exr_layers;
+use lobelia::codec::npy::{NpyConvention, read_lobes};
+use lobelia::light::lobes_radiance;
 use serde_json::Value;
 use std::path::Path;
 
@@ -32,6 +35,13 @@ const TURNED_OVER: &str = r#"Scene(
     ],
 )
 "#;
+
+/// A ball under a lamp at the right in one round and a blue one at the left in another.
+const OTHER_LIGHT: &str = r#"
+            other_lights: [Lobes(lobes: [
+                (axis: (0, 1, 0), sharpness: 0.7, amplitude: (0.3, 0.3, 0.3)),
+                (axis: (-0.8, 0.2, 0.4), sharpness: 20, amplitude: (2, 3, 5)),
+            ])],"#;
 
 fn metrics(folder: &Path) -> Value {
     serde_json::from_str(&std::fs::read_to_string(folder.join("metrics.json")).unwrap()).unwrap()
@@ -153,4 +163,69 @@ fn the_first_placement_is_not_turned() {
     assert_eq!(outcome.code, Some(2), "{}", outcome.stderr);
     assert!(outcome.stderr.contains("turned_degrees is [1, 0, 0]"), "{}", outcome.stderr);
     assert!(outcome.stderr.contains("relative to the first placement"), "{}", outcome.stderr);
+}
+
+/// The radiance of a recovered light toward both lamps.
+fn toward_lamps(folder: &Path, file: &str) -> [Vec3; 2] {
+    let lobes = read_lobes(folder.join("fit").join(file), NpyConvention::Lobelia).unwrap();
+    [Vec3::new(0.8, 0.5, 0.4), Vec3::new(-0.8, 0.2, 0.4)].map(|axis| lobes_radiance(&lobes, axis.normalize()))
+}
+
+#[test]
+fn photographs_of_two_rooms_have_two_lights_and_one_albedo() {
+    let folder = tempfile::tempdir().unwrap();
+    let (scene, out) = (folder.path().join("scene.ron"), folder.path().join("out"));
+    let truth = TURNED_OVER.replace("placements: [(100, 20, 0)],", OTHER_LIGHT);
+    let truth = truth.replace("truth: Photographs)]", "truth: Photographs)], albedo: SelfMade");
+    std::fs::write(&scene, truth).unwrap();
+    Outcome::of(command(&["run"]).arg(&scene).arg("--out").arg(&out)).succeeded();
+    let [own, other] = ["light.npy", "light_2.npy"].map(|file| toward_lamps(&out, file));
+    assert!(own[0].x > 2.5 && own[1].x < 1.0, "{own:?}");
+    assert!(other[1].z > 2.5 && other[0].x < 1.0 && other[1].z > 1.3 * other[1].x, "{other:?}");
+    assert!(out.join("fit/environment_2.png").is_file());
+    let metrics = metrics(&out);
+    // Views of both rounds are held out.
+    let psnr = metrics["passes"]["novel"]["psnr"].as_f64().unwrap();
+    let albedo = metrics["albedo_psnr"].as_f64().unwrap();
+    assert!(psnr > 33.0 && albedo > 28.0, "{psnr} {albedo}");
+    let report = std::fs::read_to_string(out.join("report.html")).unwrap();
+    assert!(report.contains("recovered light 2"));
+}
+
+#[test]
+fn a_saved_scene_has_the_light_of_each_room() {
+    let data = Data::new();
+    let scene = with_placements("None").replace("turned_degrees: None", "light: Own");
+    data.run(&scene, "out", &["--quiet"]).succeeded();
+    let saved = std::fs::read_to_string(data.path("out/saved/scene.ron")).unwrap();
+    assert!(saved.contains("light_2.npy"), "{saved}");
+    let again = data.path("again");
+    let mut run = command(&["run", "--quiet"]);
+    run.arg(data.path("out/saved/scene.ron")).arg("--data").arg(data.root()).arg("--out").arg(&again);
+    Outcome::of(&mut run).succeeded();
+    let [first, second] = [data.path("out/novel"), again.join("novel")].map(|of| pictures(&of));
+    assert_eq!(first, second);
+}
+
+#[test]
+fn lights_of_rooms_are_all_known_or_all_unknown() {
+    let data = Data::new();
+    let own = with_placements("None").replace("turned_degrees: None", "light: Own");
+    let lobes = "Fixed(Lobes(lobes: [(axis: (0, 1, 0), sharpness: 1, amplitude: (1, 1, 1))]))";
+    let refused = |scene: &str, words: &str| {
+        let outcome = data.run(scene, "out", &["--quiet"]);
+        assert_eq!(outcome.code, Some(2), "{}", outcome.stderr);
+        assert!(outcome.stderr.contains(words), "{words}: {}", outcome.stderr);
+        assert!(!data.path("out").exists());
+    };
+    refused(
+        &own.replace("light: Own", &format!("light: {lobes}")),
+        "Own, as the scene's `light` is not known",
+    );
+    refused(
+        &own.replace(r#"photographs: "rgb_000000""#, r#"photographs: "rgb_000000", light: Own"#),
+        "the first placement is in the scene's `light`",
+    );
+    let known = own.replace("light: Unknown(lobes: 6)", &format!("light: {lobes}"));
+    refused(&known, "Fixed(…), as the scene's `light` is known");
 }

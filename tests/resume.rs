@@ -191,6 +191,18 @@ fn an_object_that_was_turned_over_goes_on_from_any_step() {
 }
 
 #[test]
+fn an_object_under_two_lights_goes_on_from_any_step() {
+    let data = Data::new();
+    two_balls(&data);
+    let passes = r#"Fit(name: "fit", steps: 80, batch: 64, vertices: true, detail: true), Render(name: "novel"), Save(), Export(),"#;
+    let placements = r#"Dataset(path: "$DATA", placements: [(photographs: "rgb_000000"), (photographs: "rgb_", light: Own)])"#;
+    let text =
+        scene(MESH, "material: (gloss: One),", passes).replace(r#"Dataset(path: "$DATA")"#, placements);
+    assert!(text.contains("light: Own"));
+    survives(&data, &text, &[("fit", 30), ("fit", 61), ("novel", 1)]);
+}
+
+#[test]
 fn roughness_of_texels_goes_on_through_two_fits() {
     let data = Data::new();
     let passes = r#"Fit(name: "fit", steps: 6, batch: 64), Fit(name: "again", steps: 6, batch: 64), Save(),"#;

@@ -6,6 +6,7 @@ use crate::fit::components::{
 use crate::fit::roughness::blend::{BlendGradient, BlendMoments};
 use crate::fit::sheen::{SheenGradient, SheenMoments};
 use crate::light::LightLobe;
+use crate::light::groups::FittedLobe;
 use crate::light::lights::LobeOf;
 use crate::material::{SpecularLobe, TexelIndex, texels_in_order};
 use bevy_ecs::prelude::{Bundle, Component, Entity, With, Without, World};
@@ -28,7 +29,7 @@ pub(super) fn attach(world: &mut World, sheen: bool, begins: bool) {
     let of_blend = (of_blend, BlendMoments::default());
     let always = (seen, AlbedoMoments::default());
     insert_into_texels(world, always, sheen.then_some(of_sheen), blended.then_some(of_blend));
-    insert_into::<OwnLobes, _>(world, LobeMoments::default());
+    insert_into::<FittedLobe, _>(world, LobeMoments::default());
     insert_into::<With<SpecularLobe>, _>(world, SpecularMoments::default());
 }
 

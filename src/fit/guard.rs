@@ -18,7 +18,8 @@ use super::roughness::blend::{BlendAdjoints, BlendGradient};
 use super::sheen::SheenGradient;
 use crate::error::{Error, Result};
 use crate::light::LightLobe;
-use crate::light::lights::{IncidentLight, LobeOf};
+use crate::light::groups::FittedLobe;
+use crate::light::lights::IncidentLight;
 use crate::material::{DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend, SpecularLobe, TexelIndex};
 use crate::math::shading::{Layers, LobeColumns, PointAdjoint, RadianceAdjoint, ShadePoint};
 use crate::pipeline::SystemResult;
@@ -28,7 +29,7 @@ use crate::sample::pixel::{Observed, PixelOf};
 use crate::sample::point::SurfacePoint;
 use crate::view::{Camera, ViewIndex, ViewName};
 use bevy_ecs::component::Mutable;
-use bevy_ecs::prelude::{Component, Res, ResMut, Resource, Without, World};
+use bevy_ecs::prelude::{Component, Res, ResMut, Resource, World};
 use serde::{Deserialize, Serialize};
 
 /// Steps in a row that may be taken back; one more ends the fit.
@@ -276,7 +277,7 @@ fn words(world: &mut World, bad_step: &BadStep) -> String {
 /// [`Error::Run`] that names the first parameter that is not finite.
 pub(crate) fn check_parameters(world: &mut World) -> Result<()> {
     let refuse = |what: String| Err(not_finite(what));
-    let mut lobes = world.query_filtered::<&LightLobe, Without<LobeOf>>();
+    let mut lobes = world.query_filtered::<&LightLobe, FittedLobe>();
     let is_finite =
         |lobe: &LightLobe| lobe.axis.is_finite() && lobe.sharpness.is_finite() && lobe.amplitude.is_finite();
     if let Some(i) = lobes.iter(world).position(|lobe| !is_finite(lobe)) {

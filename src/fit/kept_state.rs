@@ -1,6 +1,5 @@
 //! What of a fit is state: registered for checkpoints and trials.
 
-use super::attach::OwnLobes;
 use super::by_view::ViewSums;
 use super::cameras::{CameraFit, CameraPose};
 use super::components::{AlbedoMoments, LobeMoments, SpecularMoments};
@@ -15,6 +14,7 @@ use super::sheen::SheenMoments;
 use super::sheen::evidence::SheenEvidence;
 use crate::checkpoint::{Span, keep_each, keep_keyed, keep_pool, keep_resource};
 use crate::light::LightLobe;
+use crate::light::groups::FittedLobe;
 use crate::light::light_frame::OwnLightFrame;
 use crate::light::placement::Placements;
 use crate::material::{
@@ -25,7 +25,7 @@ use bevy_ecs::prelude::{With, World};
 
 /// Registers what a fit, or a pass after it, goes on from.
 pub(super) fn keep_state(world: &mut World) {
-    keep_each::<LightLobe, OwnLobes>(world, Span::Run);
+    keep_each::<LightLobe, FittedLobe>(world, Span::Run);
     keep_keyed::<BaseMaterial, SpecularLobe, With<SpecularLobe>>(world, Span::Run);
     keep_keyed::<ViewIndex, Camera, With<ViewName>>(world, Span::Run);
     keep_keyed::<ViewIndex, CameraPose, With<ViewName>>(world, Span::Run);
@@ -40,7 +40,7 @@ pub(super) fn keep_state(world: &mut World) {
     keep_resource::<CameraFit>(world, Span::Run);
     keep_resource::<StepGuard>(world, Span::Run);
     keep_resource::<ViewSums>(world, Span::Pass);
-    keep_each::<LobeMoments, OwnLobes>(world, Span::Pass);
+    keep_each::<LobeMoments, FittedLobe>(world, Span::Pass);
     keep_keyed::<BaseMaterial, SpecularMoments, With<SpecularLobe>>(world, Span::Pass);
     keep_pool::<TexelIndex, AlbedoMoments>(world, Span::Pass);
     keep_pool::<TexelIndex, SheenMoments>(world, Span::Pass);

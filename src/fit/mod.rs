@@ -10,6 +10,7 @@
 //! | [`metal`] | metal beside a dielectric: no diffuse light beneath it |
 //! | [`detail`] | albedo, sheen and tilt of a finer texture, from all pixels |
 //! | [`scale`], [`exposure`], [`cameras`], [`placements`] | further unknowns: the scale between light and albedo, exposures, cameras, how an object lies that was turned over |
+//! | `groups` | lights of several groups of photographs, which take turns |
 //! | [`priors`] | what somebody else says of albedo and normals |
 //! | [`guard`], [`by_view`] | steps that are not finite and are not taken; how each photograph is explained |
 //! | [`components`], `attach` | gradients, moments and state, and who has them |
@@ -22,6 +23,7 @@ pub mod components;
 pub mod detail;
 pub mod determined;
 pub mod exposure;
+pub(crate) mod groups;
 pub mod guard;
 mod initialization;
 mod kept_state;

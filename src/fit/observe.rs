@@ -4,6 +4,7 @@
 use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::fit::components::TexelSeen;
+use crate::light::placement::{LightGroup, Placements};
 use crate::material::Texels;
 use crate::math::ray::{Intersect, Ray};
 use crate::pipeline::SystemResult;
@@ -15,7 +16,9 @@ use crate::sample::observation::{
 use crate::sample::pixel::{Observed, PixelOf, SATURATION, SampleIndex, ViewRay};
 use crate::sample::point::{Scenery, SurfacePoint};
 use crate::view::glare::glare_limit;
-use crate::view::{ByView, Camera, Photograph, PixelWindow, Split, StoredMask, ViewIndex, ViewMask};
+use crate::view::{
+    ByView, Camera, Photograph, PixelWindow, Placement, Split, StoredMask, ViewIndex, ViewMask,
+};
 use bevy_ecs::prelude::{Query, Res, ResMut, Resource, With, World};
 use glam::Vec3;
 use rand::seq::SliceRandom;
@@ -104,6 +107,7 @@ pub(super) fn usable_pixels(world: &mut World, of: ViewIndex, every: usize) -> V
 pub fn choose_pixels(
     choice: Res<PixelChoice>,
     views: Query<ViewColumns>,
+    (placed, placements): (Query<(&ViewIndex, &Placement)>, Option<Res<Placements>>),
     mut candidates: ResMut<Candidates>,
 ) -> SystemResult {
     let training = training_views(views.iter());
@@ -119,6 +123,12 @@ pub fn choose_pixels(
     }
     let chosen = shuffled(total, *choice);
     candidates.0 = candidates_of(&training, &counts, &chosen);
+    // Steps visit groups of photographs one at a time.
+    if let Some(placements) = placements.filter(|placements| placements.has_groups()) {
+        let of_view = |(view, placement): (&ViewIndex, &Placement)| (*view, placements.light(*placement));
+        let groups: ByView<LightGroup> = placed.iter().map(of_view).collect();
+        candidates.0.sort_by_key(|candidate| groups.get(candidate.pixel.view).copied());
+    }
     Ok(())
 }
 

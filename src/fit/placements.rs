@@ -271,7 +271,7 @@ mod tests {
             // The residual falls with a turn about Y.
             (0..100).for_each(|_| sums.add(axis, -0.02 * axis.y, 1.0));
         }
-        let of = |source| PlacementTurn { room_from_object: Quat::from_rotation_x(1.0), source };
+        let of = |source| PlacementTurn { source, ..PlacementTurn::said(Quat::from_rotation_x(1.0)) };
         let turns = [TurnSource::Said, TurnSource::Found, TurnSource::Said].map(of);
         let mut world = World::new();
         world.insert_resource(Placements(turns.to_vec()));

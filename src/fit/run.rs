@@ -4,6 +4,7 @@ use super::attach::{attach, detach};
 use super::by_view::{ViewSums, count_pool, sum_by_view};
 use super::components::{LossState, StepGradient, StepRates, Unknowns};
 use super::exposure::{ExposureChoice, Exposures, find_exposures};
+use super::groups::{Turn, Turns, exchange_light};
 use super::guard::{
     StepGuard, begin_step, check_adjoints, check_loss, check_shading, end_step, step_is_sound,
 };
@@ -317,9 +318,11 @@ fn fit(
     let before = state.elapsed_secs;
     let elapsed = || before + start.elapsed().as_secs_f64();
     let mut summary = FitSummary { steps: done, pixels, elapsed_secs: before, ..FitSummary::default() };
+    let mut turns = turns_after(&mut pipeline.world, options.batch, done);
     for step in done + 1..=options.steps {
         choose_sheen(&mut pipeline.world, (step - 1) as f32 / options.steps as f32);
-        run_step(pipeline, options, step, pixels)?;
+        pipeline.world.resource_mut::<ViewSums>().counts = is_last_visit(step, options, pixels);
+        run_step(pipeline, options, step, &turns.next())?;
         summary.steps = step;
         state.elapsed_secs = elapsed();
         let progress = state.progress(&mut pipeline.world, step, options.steps);
@@ -335,6 +338,14 @@ fn fit(
     summary.determined = how_well(&mut pipeline.world, options, summary.steps)?;
     summary.elapsed_secs = elapsed();
     Ok(summary)
+}
+
+/// Which photographs each step visits, after so many.
+fn turns_after(world: &mut World, batch: usize, steps: u32) -> Turns {
+    let every = refresh_every(world);
+    let mut turns = Turns::new(world, batch, every);
+    (0..steps).for_each(|_| _ = turns.next());
+    turns
 }
 
 /// How well the photographs determine what was found, after the last step.
@@ -436,18 +447,18 @@ fn initialize(world: &mut World, options: &FitOptions, shadowed: bool) -> Result
     Ok(())
 }
 
-fn run_step(pipeline: &mut Pipeline, options: &FitOptions, step: u32, pixels: usize) -> Result<()> {
+fn run_step(pipeline: &mut Pipeline, options: &FitOptions, step: u32, turn: &Turn) -> Result<()> {
     let world = &mut pipeline.world;
-    let taken = window_of(step, options.batch, pixels);
-    world.resource_mut::<Window>().0 = 0..taken.len();
-    world.resource_mut::<ObservedWindow>().0 = taken;
+    world.resource_mut::<Window>().0 = 0..turn.rows.len();
+    world.resource_mut::<ObservedWindow>().0 = turn.rows.clone();
     world.insert_resource(rates_at(step, options));
-    let every = refresh_every(world);
-    world.insert_resource(RefreshDue((step - 1).is_multiple_of(every)));
+    world.insert_resource(RefreshDue(turn.refreshes));
     world.resource_mut::<TexelPlaces>().progress = step as f32 / options.steps as f32;
-    world.resource_mut::<ViewSums>().counts = is_last_visit(step, options, pixels);
     begin_step(world);
-    pipeline.run(Phase::FitStep)?;
+    exchange_light(world, turn.group);
+    let ran = pipeline.run(Phase::FitStep);
+    exchange_light(&mut pipeline.world, turn.group);
+    ran?;
     end_step(&mut pipeline.world, step)
 }
 
@@ -455,14 +466,6 @@ fn run_step(pipeline: &mut Pipeline, options: &FitOptions, step: u32, pixels: us
 fn is_last_visit(step: u32, options: &FitOptions, pixels: usize) -> bool {
     let windows = pixels.div_ceil(options.batch.clamp(1, pixels));
     (options.steps - step) as usize <= windows.saturating_sub(1)
-}
-
-/// Observed pixels that a step visits: contiguous windows of the shuffled pool, in turn; the last one of a pass through the pool may be shorter.
-fn window_of(step: u32, batch: usize, pixels: usize) -> std::ops::Range<usize> {
-    let batch = batch.clamp(1, pixels);
-    let windows = pixels.div_ceil(batch);
-    let start = (step as usize - 1) % windows * batch;
-    start..(start + batch).min(pixels)
 }
 
 fn rates_at(step: u32, options: &FitOptions) -> StepRates {

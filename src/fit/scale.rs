@@ -19,7 +19,8 @@ use crate::fit::adam::{AdamStep, Moments};
 use crate::fit::components::{StepRates, TexelSeen, Unknowns};
 use crate::fit::metal::{Metals, metalness};
 use crate::light::LightLobe;
-use crate::light::lights::{LobeOf, own_lobes};
+use crate::light::groups::FittedLobe;
+use crate::light::lights::own_lobes;
 use crate::material::DiffuseSheen;
 use crate::material::sheen::write_albedo;
 use crate::material::{
@@ -31,7 +32,7 @@ use crate::pipeline::SystemResult;
 use crate::pipeline::pool::read_column;
 use crate::sample::Samples;
 use crate::sample::point::PointBlend;
-use bevy_ecs::prelude::{DetectChangesMut, Mut, Query, Res, ResMut, Resource, Without, World};
+use bevy_ecs::prelude::{DetectChangesMut, Mut, Query, Res, ResMut, Resource, World};
 use glam::{DVec3, Vec3, Vec4};
 use serde::{Deserialize, Serialize};
 
@@ -105,7 +106,7 @@ pub fn move_scale(
     (rates, unknowns, rule): (Res<StepRates>, Res<Unknowns>, Res<ScaleRule>),
     mut moments: ResMut<ScaleMoments>,
     samples: Samples<(&ShadePoint, &PointBlend, &Layers, &RadianceAdjoint)>,
-    (mut lobes, mut materials): (Query<ScaledLobe, Without<LobeOf>>, Query<ScaledMaterial>),
+    (mut lobes, mut materials): (Query<ScaledLobe, FittedLobe>, Query<ScaledMaterial>),
     texels: Texels<(&mut DiffuseAlbedo, &mut DiffuseSheen, &TexelSeen, &SpecularBlend)>,
 ) -> SystemResult {
     if !unknowns.light || !unknowns.albedo || *rule == ScaleRule::Free {
@@ -113,6 +114,7 @@ pub fn move_scale(
     }
     let (mut albedo, mut sheen, seen, texel_blends) = texels.columns()?;
     let metals = Metals::in_fit(&unknowns, &materials);
+    // Of several lights, it is the sum that has the color of lamps and skies.
     let off_gray = log_color(mean_light(lobes.iter()));
     let mean = mean_albedo(&albedo, &seen, |texel| 1.0 - metals.share(&texel_blends[texel].0));
     let log_factor = match *rule {
@@ -183,9 +185,9 @@ pub(crate) fn start_scale(world: &mut World, rule: ScaleRule) -> Result<()> {
     if !matches!(rule, ScaleRule::Highlights { .. }) {
         return Ok(());
     }
-    let log_factor = -START * log_color(mean_light(own_lobes(world).iter()));
     let mut texels = read_column::<TexelIndex, DiffuseAlbedo>(world)?;
-    let mut lobes = world.query_filtered::<&mut LightLobe, Without<LobeOf>>();
+    let mut lobes = world.query_filtered::<&mut LightLobe, FittedLobe>();
+    let log_factor = -START * log_color(mean_light(lobes.iter(world)));
     rescale(log_factor.exp(), lobes.iter_mut(world).map(|lobe| lobe.into_inner()), &mut texels);
     write_albedo(world, texels.into_iter().map(|texel| texel.0).collect())
 }

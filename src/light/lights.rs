@@ -11,7 +11,7 @@
 use super::illuminate::{LobeLight, MapLight, TurnedLight};
 use super::light_frame::{LightFrame, OwnLightFrame, PictureRotation};
 use super::lobe::{LightLobe, kernel_lobe, rotate_lobes};
-use super::placement::{PicturePlacement, PlacedFrame, Placements, light_from_world};
+use super::placement::{LightGroup, PicturePlacement, PlacedFrame, Placements, light_from_world};
 use crate::error::{Error, Result};
 use crate::math::ray::Illuminate;
 use crate::math::shading::LobeColumns;
@@ -39,7 +39,14 @@ pub struct LobeOf(pub Entity);
 #[relationship_target(relationship = LobeOf, linked_spawn)]
 pub struct LobesOf(Vec<Entity>);
 
-/// The environment map that the lobes of a light approximate. An entity with this component and no [`LightName`] has the map of the scene's own light.
+impl LobesOf {
+    /// Their entities, in order.
+    pub fn entities(&self) -> &[Entity] {
+        &self.0
+    }
+}
+
+/// The environment map that the lobes of a light approximate. An entity with this component and neither [`LightName`] nor [`LightGroup`] has the map of the scene's own light.
 #[derive(Component, Clone)]
 pub struct LightMap(pub Arc<MapLight>);
 
@@ -77,7 +84,8 @@ pub type LobesAndMap = (Vec<(Entity, LightLobe)>, Option<Arc<MapLight>>);
 #[derive(SystemParam)]
 pub struct Lights<'w, 's> {
     own: Query<'w, 's, (Entity, &'static LightLobe), Without<LobeOf>>,
-    own_map: Query<'w, 's, &'static LightMap, Without<LightName>>,
+    own_map: Query<'w, 's, &'static LightMap, (Without<LightName>, Without<LightGroup>)>,
+    groups: Query<'w, 's, (&'static LightGroup, &'static LobesOf, Option<&'static LightMap>)>,
     named: Query<'w, 's, (&'static LightName, &'static LobesOf, Option<&'static LightMap>)>,
     lobes: Query<'w, 's, (Entity, &'static LightLobe), bevy_ecs::prelude::With<LobeOf>>,
     own_frame: Option<Res<'w, OwnLightFrame>>,
@@ -94,6 +102,10 @@ impl Lights<'_, '_> {
     /// If there is no light with that name, or there are several.
     pub fn of(&self, choice: &LightChoice) -> Result<LobesAndMap> {
         let LightChoice::Named(name) = choice else {
+            let group = self.picture_placement.as_deref().map(|placement| placement.light);
+            if let Some((_, lobes, map)) = self.groups.iter().find(|(of, ..)| Some(**of) == group) {
+                return Ok(self.lobes_and_map(lobes, map));
+            }
             let lobes = self.own.iter().map(|(entity, lobe)| (entity, *lobe)).collect();
             return Ok((lobes, self.own_map.iter().next().map(|map| map.0.clone())));
         };
@@ -104,12 +116,14 @@ impl Lights<'_, '_> {
                 format!("there must be exactly one light named {name}; the lights are: {}", names.join(", "));
             return Err(Error::run("the light", problem));
         };
-        let lobes = self.lobes.iter_many(&lobes.0).flatten().map(|(entity, lobe)| (entity, *lobe)).collect();
-        Ok((lobes, map.map(|map| map.0.clone())))
+        Ok(self.lobes_and_map(lobes, map))
     }
-}
 
-impl Lights<'_, '_> {
+    fn lobes_and_map(&self, lobes: &LobesOf, map: Option<&LightMap>) -> LobesAndMap {
+        let lobes = self.lobes.iter_many(&lobes.0).flatten().map(|(entity, lobe)| (entity, *lobe)).collect();
+        (lobes, map.map(|map| map.0.clone()))
+    }
+
     /// The frame of the lobes of a light after a rotation into the world, and that rotation.
     fn placed(&self, choice: &LightChoice) -> (PlacedFrame, Mat3) {
         // Other lights stand in the world, however the object lies, if they do not say otherwise: a relit object turns under them.
@@ -124,7 +138,8 @@ impl Lights<'_, '_> {
             let own = self.own_placements.as_deref().filter(|_| *choice == LightChoice::Own);
             return (PlacedFrame { frame, placements: own.cloned().unwrap_or_default() }, Mat3::IDENTITY);
         };
-        let placement = self.picture_placement.as_deref().map_or(Mat3::IDENTITY, |placement| placement.0);
+        let placement =
+            self.picture_placement.as_deref().map_or(Mat3::IDENTITY, |placement| placement.room_from_object);
         (PlacedFrame::default(), light_from_world(frame, picture.0, placement).transpose())
     }
 }

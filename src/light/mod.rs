@@ -5,6 +5,7 @@
 //! | [`convention`] | orientation of maps in other programs |
 //! | [`light_frame`] | the frame in which a light stands still: the world's, the camera's or a turntable's |
 //! | [`envmap`] | the latitude-longitude grid: directions, solid angles, bilinear look-up, rotation |
+//! | [`groups`] | lights of photographs that were taken in other rooms or on other days |
 //! | [`illuminate`] | [`Illuminate`](crate::math::ray::Illuminate) for a map and for lobes, both with importance sampling |
 //! | [`placement`] | how an object lies that is turned over between two rounds of photographs |
 //! | `lobe` | [`LightLobe`], and lists of lobes: radiance, power, rotation, checks |
@@ -34,6 +35,7 @@
 
 pub mod convention;
 pub mod envmap;
+pub mod groups;
 pub mod illuminate;
 pub mod light_frame;
 pub mod lights;

@@ -3,12 +3,24 @@
 //! Cameras are given relative to the object: it stays where it is, and the room turns around it. Its light is that of one room all the time, and
 //! each placement has a rotation that says how the object lies in it, relative to the first. The lobes of the light, its frame
 //! ([`LightFrame`]) and all shadows stay what they are; a view's rotation into the light's frame is that of the frame after that of its placement.
+//! A placement in another room has a light of its own ([`LightGroup`]), in the axes of the object.
 
 use super::light_frame::{LightFrame, OwnLightFrame};
 use crate::view::Placement;
-use bevy_ecs::prelude::{Resource, World};
+use bevy_ecs::prelude::{Component, Resource, World};
 use glam::{Mat3, Quat};
 use serde::{Deserialize, Serialize};
+
+/// Number of a group of photographs that have one light; 0 is that of the scene's own light.
+#[derive(
+    Component, Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize,
+)]
+pub struct LightGroup(pub u32);
+
+impl LightGroup {
+    /// The group under the scene's own light.
+    pub const OWN: Self = Self(0);
+}
 
 /// How well the rotation of a placement is known.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -22,19 +34,26 @@ pub enum TurnSource {
     Unknown,
 }
 
-/// The rotation of a placement.
+/// The rotation of a placement, and the light there.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct PlacementTurn {
     /// From the object's axes (the world's, in which the cameras are) to those that it has in the first placement.
     pub room_from_object: Quat,
     /// Where it is from.
     pub source: TurnSource,
+    /// Whose light shines on it.
+    pub light: LightGroup,
 }
 
 impl PlacementTurn {
     /// A rotation that is said.
     pub const fn said(room_from_object: Quat) -> Self {
-        Self { room_from_object, source: TurnSource::Said }
+        Self { room_from_object, source: TurnSource::Said, light: LightGroup::OWN }
+    }
+
+    /// The placement under a light of its own.
+    pub const fn under(light: LightGroup) -> Self {
+        Self { light, ..Self::said(Quat::IDENTITY) }
     }
 }
 
@@ -48,11 +67,33 @@ impl Placements {
         let turn = self.0.get(placement.0 as usize).map(|turn| turn.room_from_object);
         turn.map_or(Mat3::IDENTITY, Mat3::from_quat)
     }
+
+    /// Whether photographs have several lights.
+    pub fn has_groups(&self) -> bool {
+        self.0.iter().any(|turn| turn.light != LightGroup::OWN)
+    }
+
+    /// Whose light shines on a placement.
+    pub fn light(&self, placement: Placement) -> LightGroup {
+        self.0.get(placement.0 as usize).map(|turn| turn.light).unwrap_or_default()
+    }
 }
 
-/// Rotation of the placement that the picture shows which is rendered; without it, that is the first.
+/// The placement that the picture shows which is rendered; without it, that is the first.
 #[derive(Resource, Clone, Copy, Debug, PartialEq)]
-pub struct PicturePlacement(pub Mat3);
+pub struct PicturePlacement {
+    /// The rotation from the object's axes into those of the room.
+    pub room_from_object: Mat3,
+    /// Whose light shines, if the picture is under the scene's own.
+    pub light: LightGroup,
+}
+
+impl PicturePlacement {
+    /// That of a view.
+    pub fn new(placements: &Placements, placement: Placement) -> Self {
+        Self { room_from_object: placements.room_from_object(placement), light: placements.light(placement) }
+    }
+}
 
 /// The frame of a light, and the placements of the object under it.
 #[derive(Clone, Debug, Default, PartialEq)]

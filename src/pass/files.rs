@@ -7,7 +7,7 @@ use crate::fit::cameras::CameraUnknowns;
 use crate::fit::exposure::ExposureChoice;
 use crate::pass::evaluate::PARTS;
 use crate::pass::export;
-use crate::pass::fit::TRUE_ENVIRONMENT;
+use crate::pass::fit::{TRUE_ENVIRONMENT, light_files};
 use crate::pass::photograph::ring;
 use crate::pass::render::{chosen_stems, film_files};
 use crate::pass::truth_files::ViewFiles;
@@ -16,7 +16,7 @@ use crate::pass::view_report::VIEWS;
 use crate::scene::LayerTruth;
 use crate::scene::load::LoadedScene;
 use crate::scene::paths::paths_of;
-use crate::scene::{EvaluatePass, Light, LightSource, Pass, Scene, Surface, Views};
+use crate::scene::{EvaluatePass, Light, LightSource, Pass, PlacementLight, Scene, Surface, Views};
 use crate::spawn::light_file::inlined;
 use crate::survey::open::OpenScene;
 use crate::view::Split;
@@ -80,7 +80,9 @@ fn owned(names: &[&str]) -> Vec<String> {
 fn of_fit(scene: &Scene) -> Vec<String> {
     let known = matches!(scene.views, Views::Photographed(_));
     let truth = if known { owned(&[TRUE_ENVIRONMENT]) } else { Vec::new() };
-    let light = ["light.npy", "environment.exr", "environment.png"];
+    let others = 2..scene.views.other_lights().len() + 2;
+    let suffixes = std::iter::once(String::new()).chain(others.map(|number| format!("_{number}")));
+    let light: Vec<String> = suffixes.flat_map(|suffix| light_files(&suffix)).collect();
     let albedo = [
         "albedo.png",
         "albedo.exr",
@@ -91,7 +93,7 @@ fn of_fit(scene: &Scene) -> Vec<String> {
         "log.csv",
     ];
     let gloss = ["blend.exr", "blend.png", "roughness.exr", "roughness.png"];
-    [owned(&light), truth, owned(&albedo), owned(&gloss)].concat()
+    [light, truth, owned(&albedo), owned(&gloss)].concat()
 }
 
 fn of_views(cameras: CameraUnknowns, exposure: ExposureChoice) -> Vec<String> {
@@ -130,6 +132,14 @@ fn of_save(scene: &Scene) -> Vec<String> {
             names.push(name.to_string_lossy().into_owned());
         }
     }
+    for (light, number) in scene.views.other_lights().iter().zip(2..) {
+        let source = if let PlacementLight::Fixed(source) = light { given(source) } else { None };
+        let extension = match &source {
+            Some(LightSource::Map { path, .. }) => path.extension().unwrap_or_default().to_string_lossy(),
+            _ => "npy".into(),
+        };
+        names.push(format!("light_{number}.{extension}"));
+    }
     names
 }
 
@@ -144,11 +154,20 @@ fn lights(scene: &Scene) -> impl Iterator<Item = &LightSource> {
 
 /// All lights that a scene names: also the one that its photographs are taken under.
 fn all_lights(scene: &Scene) -> impl Iterator<Item = &LightSource> {
-    let of_truth = match &scene.views {
-        Views::Photographed(made) => Some(&made.truth.light),
-        Views::Dataset(_) | Views::Cameras(_) => None,
+    let of_views: Vec<&LightSource> = match &scene.views {
+        Views::Photographed(made) => {
+            std::iter::once(&made.truth.light).chain(&made.truth.other_lights).collect()
+        }
+        Views::Dataset(data) => {
+            let known = data.placements.iter().filter_map(|placement| match &placement.light {
+                PlacementLight::Fixed(source) => Some(source),
+                PlacementLight::Same | PlacementLight::Own => None,
+            });
+            known.collect()
+        }
+        Views::Cameras(_) => Vec::new(),
     };
-    lights(scene).chain(of_truth)
+    lights(scene).chain(of_views)
 }
 
 /// The meshes that a scene names.

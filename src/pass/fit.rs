@@ -14,6 +14,7 @@ use crate::fit::optimizer::optimizer_of_texel_roughness;
 use crate::fit::roughness::texel::{RoughnessPrior, TexelRoughness, attach_roughness};
 use crate::fit::run::{FitOptions, FitSummary, Initialize};
 use crate::fit::scale::{ScaleRule, means};
+use crate::light::groups::other_lights;
 use crate::light::lights::own_lobes;
 use crate::light::{EnvironmentMap, LightLobe, render_lobes};
 use crate::material::sheen::{has_sheen, write_albedo};
@@ -236,7 +237,10 @@ fn report(session: &mut Session, name: &str, summary: &FitSummary, unseen: usize
 
 /// Writes the light, the albedo texture and the material (with blend weights, if it has several base materials).
 fn write_results(world: &mut World, atlas: &TexelAtlas, folder: &Path, scale: &ScaleFound) -> Result<()> {
-    write_light(&own_lobes(world), folder)?;
+    write_light(&own_lobes(world), folder, "")?;
+    for (number, (lobes, _)) in (2..).zip(other_lights(world)) {
+        write_light(&lobes, folder, &format!("_{number}"))?;
+    }
     let albedo = recovered_albedo(world)?;
     write_texture(&folder.join("albedo"), &albedo, atlas)?;
     let sheen = read_column::<TexelIndex, DiffuseSheen>(world)?;
@@ -268,11 +272,18 @@ fn write_texture(path: &Path, colors: &[Vec3], atlas: &TexelAtlas) -> Result<()>
     write_channels(path.with_extension("exr"), &linear)
 }
 
-fn write_light(lobes: &[LightLobe], folder: &Path) -> Result<()> {
-    write_lobes(folder.join("light.npy"), lobes, NpyConvention::Lobelia)?;
+/// Writes a light to the files that [`light_files`] names.
+fn write_light(lobes: &[LightLobe], folder: &Path, suffix: &str) -> Result<()> {
+    let [npy, exr, png] = light_files(suffix).map(|name| folder.join(name));
+    write_lobes(npy, lobes, NpyConvention::Lobelia)?;
     let environment = environment(lobes);
-    environment.write_exr(folder.join("environment.exr"))?;
-    write_environment(&folder.join("environment.png"), &environment)
+    environment.write_exr(exr)?;
+    write_environment(&png, &environment)
+}
+
+/// The files of a recovered light: its lobes, as a map, as a picture. Those of further groups of photographs have a suffix: `_2`, `_3` …
+pub(crate) fn light_files(suffix: &str) -> [String; 3] {
+    [format!("light{suffix}.npy"), format!("environment{suffix}.exr"), format!("environment{suffix}.png")]
 }
 
 fn environment(lobes: &[LightLobe]) -> EnvironmentMap {

@@ -14,9 +14,9 @@
 use crate::checkpoint::{Carried, Span, carry, discard, restore};
 use crate::error::stop::{finish_stopping, is_stopping};
 use crate::error::{Error, Result};
-use crate::fit::attach::OwnLobes;
 use crate::fit::run::{Done, FitOptions, FitSummary, Initialize};
 use crate::light::LightLobe;
+use crate::light::groups::FittedLobe;
 use crate::light::light_frame::OwnLightFrame;
 use crate::material::sheen::write_albedo;
 use crate::material::shown::recovered_material;
@@ -228,10 +228,11 @@ fn try_several(session: &mut Session, pass: &FitPass, before: &FitOptions) -> Re
 
 /// Puts the lobes of the light where a fit begins.
 fn begin_light(world: &mut World, lobes: &[LightLobe]) {
-    let mut query = world.query_filtered::<(Entity, &mut LightLobe), OwnLobes>();
+    let mut query = world.query_filtered::<(Entity, &mut LightLobe), FittedLobe>();
     let mut own: Vec<_> = query.iter_mut(world).collect();
     own.sort_by_key(|(entity, _)| *entity);
-    own.into_iter().zip(lobes).for_each(|((_, mut lobe), first)| *lobe = *first);
+    // All lights begin alike.
+    own.into_iter().zip(lobes.iter().cycle()).for_each(|((_, mut lobe), first)| *lobe = *first);
 }
 
 #[cfg(test)]

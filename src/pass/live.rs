@@ -7,6 +7,7 @@ use crate::error::stop::{check_interrupted, stopped_by};
 use crate::error::{Error, Result};
 use crate::fit::exposure::Exposures;
 use crate::light::LightLobe;
+use crate::light::groups::{GroupLight, other_lights, spawn_group_lights};
 use crate::light::light_frame::{LightFrame, OwnLightFrame};
 use crate::light::lights::own_lobes;
 use crate::light::placement::{PicturePlacement, Placements};
@@ -34,7 +35,7 @@ use crate::shape::vertices::MovingMesh;
 use crate::view::{ByView, Camera, Photograph, Placement, Split, ViewIndex, ViewMask};
 use crate::visibility::{FrameVisibilityPlugin, ObjectVisibility};
 use bevy_ecs::prelude::World;
-use glam::{Mat3, Vec3};
+use glam::Vec3;
 use image::RgbImage;
 use rayon::prelude::*;
 use std::sync::Arc;
@@ -55,12 +56,14 @@ pub struct Snapshot {
     form: Form,
     material: MaterialState,
     lobes: Vec<LightLobe>,
+    /// The lights of the other groups of photographs.
+    other_lobes: Vec<GroupLight>,
     frame: LightFrame,
     visibility: Option<ObjectVisibility>,
     /// The cameras of all views, those held out first.
     cameras: Vec<(ViewIndex, PageCamera)>,
     /// How the object lies in each view.
-    turns: ByView<Mat3>,
+    turns: ByView<PicturePlacement>,
     exposures: Exposures,
     photographs: Arc<Vec<Reduced>>,
     up: Vec3,
@@ -105,6 +108,7 @@ impl Snapshot {
             form: field.map_or(Form::Mesh(mesh), Form::Field),
             material: recovered_material(world)?,
             lobes: own_lobes(world),
+            other_lobes: other_lights(world),
             frame: world.get_resource::<OwnLightFrame>().map(|own| own.0).unwrap_or_default(),
             cameras: cameras(world),
             turns: turns(world),
@@ -215,8 +219,8 @@ impl Snapshot {
     fn shot(&self, pipeline: &mut Pipeline, view: ViewIndex, camera: Camera) -> Result<Frame> {
         let before = stopped_by();
         check_interrupted()?;
-        let turn = self.turns.get(view).copied().unwrap_or(Mat3::IDENTITY);
-        pipeline.world.insert_resource(PicturePlacement(turn));
+        let shown = self.turns.get(view).copied();
+        shown.into_iter().for_each(|shown| pipeline.world.insert_resource::<PicturePlacement>(shown));
         let target = render_frame(pipeline, camera, SAMPLES)?;
         // While a run stops, loops leave rows as they are, and the run may have seen to that by now.
         if stopped_by() == before { Ok(resolve(&target)) } else { Err(Error::Interrupted) }
@@ -235,6 +239,7 @@ impl Snapshot {
         world.insert_resource(OwnLightFrame(self.frame));
         spawn_material(world, &self.material);
         world.spawn_batch(self.lobes.clone());
+        spawn_group_lights(world, &self.other_lobes);
         if let Some(visibility) = &self.visibility {
             world.insert_resource(visibility.unlit());
             pipeline.add_plugin(&FrameVisibilityPlugin);
@@ -276,10 +281,11 @@ fn cameras(world: &mut World) -> Vec<(ViewIndex, PageCamera)> {
 }
 
 /// How the object lies in each view.
-fn turns(world: &mut World) -> ByView<Mat3> {
+fn turns(world: &mut World) -> ByView<PicturePlacement> {
     let placements = world.get_resource::<Placements>().cloned().unwrap_or_default();
     let mut views = world.query::<(&ViewIndex, &Placement)>();
-    views.iter(world).map(|(view, placement)| (*view, placements.room_from_object(*placement))).collect()
+    let shown = |placement: &Placement| PicturePlacement::new(&placements, *placement);
+    views.iter(world).map(|(view, placement)| (*view, shown(placement))).collect()
 }
 
 /// A camera whose picture has at most about `side` pixels a side, and by which factor it is smaller.

@@ -390,7 +390,8 @@ fn open<'a>(
     let mut session = Session::new(scene, surface, lights, progress);
     (session.truth, session.out, session.debug_every) = (truth, options.out.clone(), options.debug_every);
     session.pipeline.add_plugin(&FramePlugin).add_plugin(&FitPlugin);
-    spawn(&mut session.pipeline, scene, &session.surface, views, session.lights.own.as_ref())?;
+    let SceneLights { own, of_groups, .. } = &session.lights;
+    spawn(&mut session.pipeline, scene, &session.surface, views, own.as_ref(), of_groups)?;
     preflight::check(&mut session)?;
     Ok(session)
 }

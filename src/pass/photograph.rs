@@ -6,7 +6,7 @@ use crate::error::stop::check_interrupted;
 use crate::light::LightLobe;
 use crate::light::light_frame::LightFrame;
 use crate::light::lights::{LightChoice, provide_light, spawn_light};
-use crate::light::placement::PicturePlacement;
+use crate::light::placement::{LightGroup, PicturePlacement};
 use crate::material::edit::MaterialState;
 use crate::material::shown::{show_edited, spawn_material};
 use crate::material::{DiffuseAlbedo, SpecularBlend};
@@ -36,7 +36,8 @@ const TRUTH: &str = "truth";
 pub struct TrueObject {
     pipeline: Pipeline,
     surface: Arc<Surface>,
-    light: LoadedLight,
+    /// Its light in each round.
+    lights: Vec<LoadedLight>,
     light_frame: LightFrame,
     placements: Vec<Mat3>,
     max_bounces: u32,
@@ -62,20 +63,21 @@ impl TrueObject {
             MaterialState { albedo, sheen, tilt, blends, lobes: vec![Some(spec.truth.specular)] };
         apply_edits(&mut material, &spec.truth.edits, surface)?;
         spawn_material(&mut pipeline.world, &material);
-        let light = load_light(&spec.truth.light)?;
+        let others = spec.truth.other_lights.iter().map(load_light);
+        let lights = std::iter::once(load_light(&spec.truth.light)).chain(others).collect::<Result<_>>()?;
         Ok(Self {
             pipeline,
             surface: surface.clone(),
-            light,
+            lights,
             light_frame: spec.truth.light_frame,
             placements: rounds(spec),
             max_bounces: spec.max_bounces,
         })
     }
 
-    /// The lobes of its light.
+    /// The lobes of its light in the first round.
     pub fn lobes(&self) -> &[LightLobe] {
-        &self.light.lobes
+        &self.lights[0].lobes
     }
 
     /// Path-traced pictures of the true object, optionally under another light or with edits. In its own light it lies as in the placement of each.
@@ -91,17 +93,9 @@ impl TrueObject {
         seed: u64,
         mut done: impl FnMut(),
     ) -> Result<Vec<Frame>> {
-        let frame = light.is_none().then_some(self.light_frame);
-        let light = light.unwrap_or(&self.light);
+        let lights = self.spawn_lights(light);
         spawn_edits(&mut self.pipeline.world, TRUTH, edits, &self.surface)?;
-        let spawned = spawn_light(&mut self.pipeline.world, TRUTH, &light.lobes, light.map.clone());
-        frame.into_iter().for_each(|frame| _ = self.pipeline.world.entity_mut(spawned).insert(frame));
-        let choice = LightChoice::Named(TRUTH.to_owned());
-        self.pipeline.swap(Phase::Frame, Slot::Material, show_edited(TRUTH)).swap(
-            Phase::Frame,
-            Slot::Light,
-            provide_light(choice, true),
-        );
+        self.pipeline.swap(Phase::Frame, Slot::Material, show_edited(TRUTH));
         let shading = Shading::PathTraced { spp, max_bounces: self.max_bounces, map: true };
         let side = (f64::from(spp.min(64)).sqrt().floor()).max(1.0) as u32;
         let settings =
@@ -110,12 +104,32 @@ impl TrueObject {
         for (i, (camera, placement)) in views.iter().enumerate() {
             check_interrupted()?;
             set_shading(&mut self.pipeline, &settings, seed.wrapping_add(i as u64));
-            let turn = self.placements.get(placement.0 as usize).copied().unwrap_or(Mat3::IDENTITY);
-            self.pipeline.world.insert_resource(PicturePlacement(turn));
+            let round = placement.0 as usize;
+            let room_from_object = self.placements.get(round).copied().unwrap_or(Mat3::IDENTITY);
+            // Rounds under other lights come after those of placements.
+            let number = (round + 1).saturating_sub(self.placements.len()).min(lights.len() - 1);
+            let choice = LightChoice::Named(lights[number].clone());
+            let shown = PicturePlacement { room_from_object, light: LightGroup::OWN };
+            self.pipeline.swap(Phase::Frame, Slot::Light, provide_light(choice, true));
+            self.pipeline.world.insert_resource(shown);
             frames.push(resolve(&render_frame(&mut self.pipeline, *camera, settings.samples_per_pixel)?));
             done();
         }
         Ok(frames)
+    }
+
+    /// Spawns this light, or its own; returns their names.
+    fn spawn_lights(&mut self, light: Option<&LoadedLight>) -> Vec<String> {
+        let frame = light.is_none().then_some(self.light_frame);
+        let lights = light.map_or(self.lights.as_slice(), std::slice::from_ref);
+        let mut names = Vec::new();
+        for (number, light) in lights.iter().enumerate() {
+            let name = format!("{TRUTH} {number}");
+            let spawned = spawn_light(&mut self.pipeline.world, &name, &light.lobes, light.map.clone());
+            frame.into_iter().for_each(|frame| _ = self.pipeline.world.entity_mut(spawned).insert(frame));
+            names.push(name);
+        }
+        names
     }
 }
 
@@ -168,7 +182,7 @@ fn rounds(spec: &Photographed) -> Vec<Mat3> {
 
 /// The placement that each view shows.
 fn placements_in_turn(spec: &Photographed) -> impl Iterator<Item = Placement> + use<> {
-    let rounds = spec.truth.placements.len() as u32 + 1;
+    let rounds = spec.truth.rounds() as u32;
     (0..).map(move |view| Placement(view % rounds))
 }
 

@@ -13,9 +13,7 @@ use bevy_ecs::prelude::{Entity, World};
 pub(super) fn check_placements(scene: &Scene, views: &[ViewRecord]) -> Result<()> {
     let names: Vec<String> = match &scene.views {
         Views::Dataset(data) => data.placements.iter().map(|of| format!("`{}`", of.photographs)).collect(),
-        Views::Photographed(spec) => {
-            (0..=spec.truth.placements.len()).map(|k| format!("{}", k + 1)).collect()
-        }
+        Views::Photographed(spec) => (1..=spec.truth.rounds()).map(|round| round.to_string()).collect(),
         Views::Cameras(_) => Vec::new(),
     };
     let fits = scene.passes.iter().any(|pass| matches!(pass, Pass::Fit(_) | Pass::Shape(_)));
@@ -34,6 +32,6 @@ pub(super) fn check_placements(scene: &Scene, views: &[ViewRecord]) -> Result<()
 /// Pictures to come show the object as it lies in this view.
 pub(super) fn show_placement(world: &mut World, view: Entity) {
     let placement = world.get::<Placement>(view).copied().unwrap_or_default();
-    let turn = world.get_resource::<Placements>().map(|all| all.room_from_object(placement));
-    turn.into_iter().for_each(|turn| world.insert_resource(PicturePlacement(turn)));
+    let shown = world.get_resource::<Placements>().map(|all| PicturePlacement::new(all, placement));
+    shown.into_iter().for_each(|shown| world.insert_resource(shown));
 }

@@ -9,7 +9,7 @@ use crate::error::Result;
 use crate::fit::ObjectTurned;
 use crate::fit::run::FitPlugin;
 use crate::material::{TexelIndex, replace_materials};
-use crate::pass::session::Session;
+use crate::pass::session::{SceneLights, Session};
 use crate::pipeline::Pipeline;
 use crate::profile::stage;
 use crate::sample::point::Scenery;
@@ -59,7 +59,8 @@ pub(super) fn renew(session: &mut Session) -> Result<()> {
     // The old world goes before the new one is filled.
     session.pipeline = Pipeline::new();
     session.pipeline.add_plugin(&FramePlugin).add_plugin(&FitPlugin);
-    spawn(&mut session.pipeline, session.scene, &session.surface, views, session.lights.own.as_ref())?;
+    let SceneLights { own, of_groups, .. } = &session.lights;
+    spawn(&mut session.pipeline, session.scene, &session.surface, views, own.as_ref(), of_groups)?;
     let world = &mut session.pipeline.world;
     if session.surface_found {
         world.insert_resource(Scenery(session.surface.clone()));

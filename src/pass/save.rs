@@ -9,6 +9,8 @@ use crate::codec::npy::{NpyConvention, write_lobes};
 use crate::dataset::Priors;
 use crate::error::{Error, Result};
 use crate::fit::cameras::CameraFit;
+use crate::light::LightLobe;
+use crate::light::groups::lobes_of_group;
 use crate::light::light_frame::OwnLightFrame;
 use crate::light::lights::own_lobes;
 use crate::light::placement::{PlacementTurn, Placements, TurnSource};
@@ -24,11 +26,12 @@ use crate::scene::Pass;
 use crate::scene::SavePass;
 use crate::scene::load::to_ron;
 use crate::scene::{
-    Albedo, AlbedoSource, Dataset, Gloss, Light, LightSource, Material, PlacementSpec, Roughness, Scene,
-    Sheen, Specular, SpecularAlbedo, Surface as SurfaceSpec, Tilt, Views,
+    Albedo, AlbedoSource, Dataset, Gloss, Light, LightSource, Material, PlacementLight, PlacementSpec,
+    Roughness, Scene, Sheen, Specular, SpecularAlbedo, Surface as SurfaceSpec, Tilt, Views,
 };
 use crate::spawn::light_file::{angles, inlined};
 use glam::Vec3;
+use std::ffi::OsStr;
 use std::path::Path;
 
 /// Writes `scene.ron`, `mesh.glb`, `albedo.exr` and `light.npy`: the object with the recovered material and light, or those of the pass `of`,
@@ -53,7 +56,7 @@ pub(crate) fn run(session: &mut Session, pass: &SavePass) -> Result<()> {
             texture_size: atlas.width,
             own_material: false,
         },
-        views: saved_views(session, relit)?,
+        views: saved_views(session, relit, &folder)?,
         light: Light::Fixed(light),
         light_frame: frame.into(),
         material,
@@ -154,48 +157,68 @@ fn save_light(session: &mut Session, of: Option<&str>, folder: &Path) -> Result<
         Light::Fixed(source) => Some(source),
         Light::Unknown(_) | Light::Initial(_) => None,
     };
-    let given = match of_pass.or(fixed) {
-        Some(LightSource::Ron { path, scale, rotation_degrees }) => {
-            Some(inlined(path, *scale, *rotation_degrees)?)
-        }
-        source => source.cloned(),
-    };
-    if let Some(source @ LightSource::Map { path, .. }) = &given {
-        let bytes = read_bytes(path, missing_file_help)?;
-        let name = Path::new("light").with_extension(path.extension().unwrap_or_default());
-        write_bytes(&folder.join(&name), &bytes)?;
-        let mut saved = source.clone();
-        if let LightSource::Map { path, .. } = &mut saved {
-            *path = name;
-        }
-        return Ok(saved);
-    }
+    let given = of_pass.or(fixed).cloned();
     let lobes = match session.lights.of_passes.get(of.unwrap_or_default()) {
         Some(light) => light.lobes.clone(),
         None => own_lobes(&mut session.pipeline.world),
     };
-    write_lobes(folder.join("light.npy"), &lobes, NpyConvention::Lobelia)?;
+    save_source(given, &lobes, folder, "light")
+}
+
+/// Writes a light: the map that it is given by, or its lobes.
+fn save_source(
+    given: Option<LightSource>,
+    lobes: &[LightLobe],
+    folder: &Path,
+    stem: &str,
+) -> Result<LightSource> {
+    let mut given = match given {
+        Some(LightSource::Ron { path, scale, rotation_degrees }) => {
+            Some(inlined(&path, scale, rotation_degrees)?)
+        }
+        source => source,
+    };
+    let name = |extension: &OsStr| Path::new(stem).with_extension(extension);
+    if let Some(LightSource::Map { path, .. }) = &mut given {
+        let bytes = read_bytes(path, missing_file_help)?;
+        *path = name(path.extension().unwrap_or_default());
+        write_bytes(&folder.join(path), &bytes)?;
+    }
+    if let Some(map @ LightSource::Map { .. }) = given {
+        return Ok(map);
+    }
+    let path = name("npy".as_ref());
+    write_lobes(folder.join(&path), lobes, NpyConvention::Lobelia)?;
     Ok(LightSource::Npy {
-        path: "light.npy".into(),
+        path,
         convention: NpyConvention::Lobelia,
         scale: 1.0,
         rotation_degrees: Vec3::ZERO,
     })
 }
 
-/// The placements with the rotations that were found.
-fn placements_found(session: &Session, spec: &Dataset) -> Vec<PlacementSpec> {
-    let turns = session.pipeline.world.get_resource::<Placements>().cloned().unwrap_or_default();
+/// The placements with the rotations and lights that were found.
+fn placements_found(session: &mut Session, spec: &Dataset, folder: &Path) -> Result<Vec<PlacementSpec>> {
+    let world = &mut session.pipeline.world;
+    let turns = world.get_resource::<Placements>().cloned().unwrap_or_default();
     let found = |(of, turn): (&PlacementSpec, &PlacementTurn)| {
         let found = (turn.source == TurnSource::Found).then(|| angles(turn.room_from_object));
-        PlacementSpec { turned_degrees: found.or(of.turned_degrees), ..of.clone() }
+        let given = match &of.light {
+            PlacementLight::Same => None,
+            PlacementLight::Own => Some(None),
+            PlacementLight::Fixed(source) => Some(Some(source.clone())),
+        };
+        let lobes = lobes_of_group(world, turn.light);
+        let saved = |given| save_source(given, &lobes, folder, &format!("light_{}", turn.light.0 + 1));
+        let light = given.map(saved).transpose()?.map_or(PlacementLight::Same, PlacementLight::Fixed);
+        Ok(PlacementSpec { turned_degrees: found.or(of.turned_degrees), light, ..of.clone() })
     };
     spec.placements.iter().zip(&turns.0).map(found).collect()
 }
 
 /// The scene's views with absolute paths; rendered photographs become cameras only, of the object in its first placement. An object that is `relit`
 /// lies in its new light the same in all.
-fn saved_views(session: &Session, relit: bool) -> Result<Views> {
+fn saved_views(session: &mut Session, relit: bool, folder: &Path) -> Result<Views> {
     match &session.scene.views {
         Views::Dataset(spec) => {
             let path = std::path::absolute(&spec.path).map_err(Error::io("find", &spec.path))?;
@@ -204,7 +227,7 @@ fn saved_views(session: &Session, relit: bool) -> Result<Views> {
             let focal_scale = spec.focal_scale * found;
             // All is known: nothing is left that prior maps would say.
             let priors = Priors::default();
-            let placements = if relit { Vec::new() } else { placements_found(session, spec) };
+            let placements = if relit { Vec::new() } else { placements_found(session, spec, folder)? };
             Ok(Views::Dataset(Dataset { path, focal_scale, priors, placements, ..spec.clone() }))
         }
         Views::Cameras(cameras) => Ok(Views::Cameras(cameras.clone())),

@@ -17,7 +17,7 @@ use crate::pipeline::Pipeline;
 use crate::profile::{Profiler, stage};
 use crate::report::profile::profile_table;
 use crate::report::scores::{FrameTried, PlacementFound, Scores};
-use crate::scene::{Albedo, Light, Pass, Scene, Views, Visibility};
+use crate::scene::{Albedo, Light, LightSource, Pass, PlacementLight, Scene, Views, Visibility};
 use crate::spawn::light_file::angles;
 use crate::spawn::{LoadedLight, load_light, unknowns};
 use crate::visibility::{ObjectVisibility, VisibilitySettings};
@@ -100,13 +100,15 @@ pub struct Session<'a> {
 pub struct SceneLights {
     /// The scene's own, if it is not unknown.
     pub own: Option<LoadedLight>,
+    /// Those of the groups of photographs after the first, as far as they are known.
+    pub of_groups: Vec<Option<LoadedLight>>,
     /// Those of passes, by the pass's name.
     pub of_passes: BTreeMap<String, LoadedLight>,
 }
 
 impl SceneLights {
     pub(super) fn load(scene: &Scene, progress: &dyn Progress) -> Result<Self> {
-        let load = |source| {
+        let load = |source: &LightSource| {
             let light = load_light(source)?;
             light.notes.iter().for_each(|note| progress.note(note));
             Ok(light)
@@ -115,13 +117,18 @@ impl SceneLights {
             Light::Initial(source) | Light::Fixed(source) => Some(load(source)?),
             Light::Unknown(_) => None,
         };
+        let of_group = |light: PlacementLight| match light {
+            PlacementLight::Fixed(source) => load(&source).map(Some),
+            PlacementLight::Own | PlacementLight::Same => Ok(own.clone()),
+        };
+        let of_groups = scene.views.other_lights().into_iter().map(of_group).collect::<Result<_>>()?;
         let mut of_passes = BTreeMap::new();
         for pass in &scene.passes {
             if let Some(source) = pass.light() {
                 of_passes.insert(pass.name().to_owned(), load(source)?);
             }
         }
-        Ok(Self { own, of_passes })
+        Ok(Self { own, of_groups, of_passes })
     }
 }
 

@@ -4,6 +4,7 @@ use crate::checkpoint::{Span, keep_resource};
 use crate::error::Result;
 use crate::error::stop::{finish_stopping, is_stopping};
 use crate::fit::cameras::{CameraPlugin, CameraUnknowns};
+use crate::fit::groups::forget_group_shadows;
 use crate::fit::guard::{check_numbers, check_parameters};
 use crate::fit::observe::PixelChoice;
 use crate::fit::roughness::blend::TexelPlaces;
@@ -168,6 +169,7 @@ pub(super) fn forget_shadows(world: &mut World) {
         let unlit = traced.unlit();
         world.insert_resource(unlit);
     }
+    forget_group_shadows(world);
 }
 
 /// Tells the fit where the texels are.

@@ -3,12 +3,13 @@
 use crate::error::Result;
 use crate::error::stop::check_interrupted;
 use crate::fit::exposure::Exposures;
+use crate::light::placement::{LightGroup, Placements};
 use crate::math::color::linear_from_srgb;
 use crate::page::{PageCamera, PagePhotograph};
 use crate::report::sheet::{Theme, choose_evenly};
 use crate::report::thumbnail::{jpeg_address, side_within, thumbnail_jpeg, thumbnail_mask};
 use crate::report::tone::{Backdrop, Look, Picture};
-use crate::view::{Photograph, PixelWindow, Split, ViewIndex, ViewMask};
+use crate::view::{Photograph, PixelWindow, Placement, Split, ViewIndex, ViewMask};
 use bevy_ecs::prelude::{Entity, World};
 use glam::Vec3;
 use image::{GrayImage, Luma};
@@ -50,7 +51,9 @@ pub(super) fn add_photographs(
 fn chosen(world: &World, views: &[Entity], cameras: &[PageCamera], most: usize) -> Vec<usize> {
     let of = |split: Split| -> Vec<usize> {
         let is_there = |view: Entity| {
-            world.get::<Photograph>(view).is_some_and(|photograph| !photograph.window().is_empty())
+            let own =
+                world.get::<Placement>(view).is_none_or(|placement| is_under_own_light(world, *placement));
+            own && world.get::<Photograph>(view).is_some_and(|photograph| !photograph.window().is_empty())
         };
         (0..views.len()).filter(|i| cameras[*i].split == split && is_there(views[*i])).collect()
     };
@@ -60,6 +63,11 @@ fn chosen(world: &World, views: &[Entity], cameras: &[PageCamera], most: usize) 
         chosen.extend(choose_evenly(there.len(), most - chosen.len()).into_iter().map(|i| there[i]));
     }
     chosen
+}
+
+/// Whether photographs of a placement can be compared with what the scene's own light shows.
+fn is_under_own_light(world: &World, placement: Placement) -> bool {
+    world.get_resource::<Placements>().is_none_or(|all| all.light(placement) == LightGroup::OWN)
 }
 
 /// A view's photograph at the exposure of renders; `None` if it does not show the object.

@@ -49,5 +49,5 @@ pub use render::{Orbit, OrbitFormat, RenderSettings, Shading, ViewChoice};
 pub use surface::Surface;
 pub use validate::passes::unknown_parts;
 pub(crate) use validate::passes::uses_published;
-pub use views::{CameraSpec, Dataset, PlacementSpec, Views};
+pub use views::{CameraSpec, Dataset, PlacementLight, PlacementSpec, Views};
 pub use visibility::Visibility;

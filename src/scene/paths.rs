@@ -10,7 +10,7 @@ use crate::scene::light::{Light, LightSource};
 use crate::scene::material::{Albedo, AlbedoSource, Gloss, Sheen, Tilt};
 use crate::scene::passes::Pass;
 use crate::scene::surface::Surface;
-use crate::scene::views::{Dataset, Views};
+use crate::scene::views::{Dataset, PlacementLight, Views};
 use std::path::{Path, PathBuf};
 
 /// The files that a scene names.
@@ -148,6 +148,9 @@ fn for_each_path(scene: &mut Scene, visit: &mut impl FnMut(&str, FileKind, &mut 
         Views::Dataset(dataset) => dataset_paths(dataset, visit),
         Views::Photographed(made) => {
             light("views.truth.light.path", &mut made.truth.light, visit);
+            for (i, other) in made.truth.other_lights.iter_mut().enumerate() {
+                light(&format!("views.truth.other_lights.{i}.path"), other, visit);
+            }
             edits("views.truth", &mut made.truth.edits, visit);
         }
         Views::Cameras(_) => {}
@@ -176,6 +179,11 @@ fn for_each_path(scene: &mut Scene, visit: &mut impl FnMut(&str, FileKind, &mut 
 
 fn dataset_paths(dataset: &mut Dataset, visit: &mut impl FnMut(&str, FileKind, &mut PathBuf)) {
     visit("views.path", FileKind::Folder, &mut dataset.path);
+    for (i, placement) in dataset.placements.iter_mut().enumerate() {
+        if let PlacementLight::Fixed(source) = &mut placement.light {
+            light(&format!("views.placements.{i}.light.path"), source, visit);
+        }
+    }
     let Priors { albedo, normals } = &mut dataset.priors;
     if let Some(prior) = albedo {
         visit("views.priors.albedo.folder", FileKind::Folder, &mut prior.folder);

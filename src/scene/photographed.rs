@@ -45,6 +45,13 @@ pub struct CameraRing {
     pub size: u32,
 }
 
+impl TruthObject {
+    /// Rounds of photographs.
+    pub fn rounds(&self) -> usize {
+        1 + self.placements.len() + self.other_lights.len()
+    }
+}
+
 impl Default for CameraRing {
     fn default() -> Self {
         Self { count: 24, test: 4, target: Vec3::ZERO, radius: 2.8, fov_degrees: fov_degrees(), size: 96 }
@@ -68,6 +75,9 @@ pub struct TruthObject {
     /// rounds in turn. The fit is told which, and not how the object is turned. Default [].
     #[serde(default)]
     pub placements: Vec<Vec3>,
+    /// Lights of further rounds of photographs, after those of `placements`: another room, or another day. The fit is told which photographs are of which. Default [].
+    #[serde(default)]
+    pub other_lights: Vec<LightSource>,
     /// What else is done to the material: regions of other color or gloss. Default [].
     #[serde(default)]
     pub edits: Vec<Edit>,

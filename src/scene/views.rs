@@ -4,6 +4,7 @@ use crate::codec::image::Gamma;
 use crate::dataset::Layout;
 use crate::dataset::priors::Priors;
 use crate::scene::defaults::{fov_degrees, y_axis};
+use crate::scene::light::LightSource;
 use crate::scene::photographed::Photographed;
 use crate::view::Split;
 use glam::Vec3;
@@ -22,11 +23,23 @@ pub enum Views {
 }
 
 impl Views {
-    /// In how many ways the object lies, at least 1.
+    /// What lights the groups of photographs after the first: `Own` or `Fixed`.
+    pub fn other_lights(&self) -> Vec<PlacementLight> {
+        match self {
+            Self::Dataset(data) => {
+                let lights = data.placements.iter().map(|placement| placement.light.clone());
+                lights.filter(|light| *light != PlacementLight::Same).collect()
+            }
+            Self::Photographed(spec) => vec![PlacementLight::Own; spec.truth.other_lights.len()],
+            Self::Cameras(_) => Vec::new(),
+        }
+    }
+
+    /// In how many ways the object lies, or is lit, at least 1.
     pub fn placements(&self) -> usize {
         match self {
             Self::Dataset(data) => data.placements.len().max(1),
-            Self::Photographed(spec) => spec.truth.placements.len() + 1,
+            Self::Photographed(spec) => spec.truth.rounds(),
             Self::Cameras(_) => 1,
         }
     }
@@ -67,12 +80,12 @@ pub struct Dataset {
     /// What is known of the surface from elsewhere, as pictures of the user's own for the training photographs: albedo, normals. Default: nothing.
     #[serde(default)]
     pub priors: Priors,
-    /// How the object lay, where it was turned over between rounds of photographs; fewer than two: it lay the same in all. Default [].
+    /// How the object lay, or what light it was in, where that changed between rounds of photographs; fewer than two: it was the same in all. Default [].
     #[serde(default)]
     pub placements: Vec<PlacementSpec>,
 }
 
-/// The photographs of an object that lay in one way.
+/// The photographs of an object that lay in one way, in one light.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct PlacementSpec {
@@ -83,6 +96,21 @@ pub struct PlacementSpec {
     /// its axes, which are those of the cameras, to where they point in the room. Not for the first. Default: a fit finds it.
     #[serde(default)]
     pub turned_degrees: Option<Vec3>,
+    /// The light on these photographs. Not for the first. Default `Same`.
+    #[serde(default)]
+    pub light: PlacementLight,
+}
+
+/// The light on the photographs of a placement.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub enum PlacementLight {
+    /// That of the first placement: the same room, at the same time.
+    #[default]
+    Same,
+    /// Another room or another day: a light of its own, which a fit finds as it does the scene's `light`.
+    Own,
+    /// Another light that is known, where the scene's `light` is: `Fixed(Map(path: "garden.exr"))`.
+    Fixed(LightSource),
 }
 
 /// One pinhole camera, by what it looks at.

@@ -14,16 +14,18 @@ use crate::error::Result;
 use crate::fit::components::Unknowns;
 use crate::fit::priors::{NormalMapPlugin, NormalWeight};
 use crate::light::LightLobe;
+use crate::light::groups::spawn_group_lights;
 use crate::light::light_frame::OwnLightFrame;
 use crate::light::lights::LightMap;
-use crate::light::placement::{PlacementTurn, Placements, TurnSource};
+use crate::light::placement::{LightGroup, PlacementTurn, Placements, TurnSource};
 use crate::material::{DiffuseSheen, DiffuseTilt};
 use crate::material::{SpecularBlend, SpecularLobe, spawn_materials, spawn_texels};
 use crate::mesh::Surface;
 use crate::pipeline::Pipeline;
 use crate::sample::point::Scenery;
 use crate::scene::{
-    Albedo, Gloss, Light, Material, PlacementSpec, Roughness, Scene, Sheen, SpecularAlbedo, Views,
+    Albedo, Gloss, Light, Material, PlacementLight, PlacementSpec, Roughness, Scene, Sheen, SpecularAlbedo,
+    Views,
 };
 use crate::spawn::light_file::rotation;
 use crate::view::{AlbedoMap, NormalMap, ViewIndex, ViewMask, ViewName, ViewRecord};
@@ -34,7 +36,7 @@ use std::sync::Arc;
 
 /// Puts the scene into the pipeline's world: surface, views, light lobes, texels, the specular lobe, and what is unknown.
 ///
-/// `light` is the scene's own, if it names one.
+/// `light` is the scene's own, if it names one; `others` are those of [`Views::other_lights`], if they are named.
 ///
 /// # Errors
 /// If an albedo texture cannot be read.
@@ -44,6 +46,7 @@ pub fn spawn(
     surface: &Arc<Surface>,
     views: Vec<ViewRecord>,
     light: Option<&LoadedLight>,
+    others: &[Option<LoadedLight>],
 ) -> Result<()> {
     let lobes = initial_lobes(&scene.light, light);
     let (albedo, specular) = match scene.own_material() {
@@ -62,7 +65,8 @@ pub fn spawn(
     spawn_views(world, views);
     world.insert_resource(OwnLightFrame(scene.light_frame.frame(&scene.light).unwrap_or_default()));
     world.insert_resource(placements(scene));
-    world.spawn_batch(lobes);
+    world.spawn_batch(lobes.clone());
+    spawn_other_lights(world, &lobes, others);
     if let Some(map) = light.and_then(|light| light.map.clone()) {
         world.spawn(LightMap(map));
     }
@@ -74,16 +78,38 @@ pub fn spawn(
     Ok(())
 }
 
-/// What the scene says of how the object lies in each placement.
+/// Spawns the lights of further groups of photographs; those that are not known begin as the scene's own does, with these lobes.
+fn spawn_other_lights(world: &mut World, lobes: &[LightLobe], others: &[Option<LoadedLight>]) {
+    let other = |light: &Option<LoadedLight>| match light {
+        Some(light) => (light.lobes.clone(), light.map.clone()),
+        None => (lobes.to_vec(), None),
+    };
+    spawn_group_lights(world, &others.iter().map(other).collect::<Vec<_>>());
+}
+
+/// What the scene says of how the object lies in each placement, and whose light is there.
 fn placements(scene: &Scene) -> Placements {
-    let turn = |spec: &PlacementSpec| match spec.turned_degrees {
-        Some(degrees) => PlacementTurn::said(rotation(degrees)),
-        None => PlacementTurn::default(),
+    let mut groups = (1..).map(LightGroup);
+    let mut turn = |spec: &PlacementSpec| {
+        let turn = match spec.turned_degrees {
+            Some(degrees) => PlacementTurn::said(rotation(degrees)),
+            None => PlacementTurn::default(),
+        };
+        match spec.light {
+            PlacementLight::Same => turn,
+            // Its light is in the axes of the object, however that lies.
+            PlacementLight::Own | PlacementLight::Fixed(_) => PlacementTurn {
+                room_from_object: turn.room_from_object,
+                ..PlacementTurn::under(groups.next().unwrap_or_default())
+            },
+        }
     };
     let mut turns: Vec<PlacementTurn> = match &scene.views {
-        Views::Dataset(data) => data.placements.iter().map(turn).collect(),
-        Views::Photographed(spec) if !spec.truth.placements.is_empty() => {
-            vec![PlacementTurn::default(); spec.truth.placements.len() + 1]
+        Views::Dataset(data) => data.placements.iter().map(&mut turn).collect(),
+        Views::Photographed(spec) if spec.truth.rounds() > 1 => {
+            let turned = vec![PlacementTurn::default(); spec.truth.placements.len() + 1];
+            let lit = (1..).map(LightGroup).map(PlacementTurn::under).take(spec.truth.other_lights.len());
+            turned.into_iter().chain(lit).collect()
         }
         Views::Photographed(_) | Views::Cameras(_) => Vec::new(),
     };

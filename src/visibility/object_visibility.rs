@@ -103,6 +103,11 @@ impl ObjectVisibility {
         Self { settings: self.settings, texels: self.texels.clone(), ..Self::default() }
     }
 
+    /// Whether both are of the same traced surface.
+    pub(crate) fn is_traced_as(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.texels, &other.texels)
+    }
+
     /// Whether no texel occludes another.
     pub fn sees_all(&self) -> bool {
         (0..self.texels.len()).all(|row| self.texels.sees_all(row))

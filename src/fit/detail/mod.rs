@@ -23,9 +23,11 @@ use crate::error::Result;
 use crate::error::stop::is_stopping;
 use crate::fit::components::TexelSeen;
 use crate::fit::exposure::Exposures;
+use crate::fit::groups::{exchange_light, groups_of_views};
 use crate::fit::metal::Metals;
 use crate::fit::observe::{Candidate, spawn_samples, usable_by_view, usable_pixels};
 use crate::light::lights::{LightChoice, provide_light};
+use crate::light::placement::LightGroup;
 use crate::material::material_source::Recovered;
 use crate::material::sheen::{KnownAlong, has_sheen, mean_albedo, write_albedo};
 use crate::material::tilt::{DirectionalAlbedo, MOST_TILT, along_surface};
@@ -158,23 +160,42 @@ pub(crate) fn visited_pixels(world: &mut World) -> usize {
 
 /// Shades all pixels as if the surface were white, and keeps them.
 fn shade_pixels(pipeline: &mut Pipeline, watch: &mut dyn FnMut(f32)) -> Result<()> {
-    let views = usable_by_view(&mut pipeline.world);
+    let groups = groups_of_views(&mut pipeline.world);
+    let group_of = |view: ViewIndex| groups.get(view).copied().unwrap_or_default();
+    let mut views = usable_by_view(&mut pipeline.world);
+    // Shadows are found once for the light of each group.
+    views.sort_by_key(|(view, _)| group_of(*view));
     let total: usize = views.iter().map(|(_, count)| count).sum();
     let every = total.div_ceil(MOST_PIXELS).max(1);
     // As many as there may be, so that growing never copies them.
     let most = views.iter().map(|(_, count)| count.div_ceil(every)).sum();
     pipeline.world.insert_resource(KeptPixels(Vec::with_capacity(most)));
-    for (done, (view, _)) in views.iter().enumerate() {
-        let pixels = usable_pixels(&mut pipeline.world, *view, every);
-        for part in pixels.chunks(BATCH) {
-            if is_stopping() {
-                return Ok(());
-            }
-            pipeline.world.resource_mut::<Window>().0 = 0..part.len();
-            pipeline.world.resource_mut::<PresentPixels>().0 = part.to_vec();
-            pipeline.run(Phase::Detail)?;
+    let mut done = 0;
+    for of_group in views.chunk_by(|(a, _), (b, _)| group_of(*a) == group_of(*b)) {
+        let group = of_group.first().map_or(LightGroup::OWN, |(view, _)| group_of(*view));
+        exchange_light(&mut pipeline.world, group);
+        let shaded = of_group.iter().try_for_each(|(view, _)| {
+            done += 1;
+            shade_view(pipeline, *view, every)?;
+            watch(done as f32 / views.len() as f32);
+            Ok(())
+        });
+        exchange_light(&mut pipeline.world, group);
+        shaded?;
+    }
+    Ok(())
+}
+
+/// Shades every n-th pixel of a view; leaves the rest out once the run is stopped.
+fn shade_view(pipeline: &mut Pipeline, view: ViewIndex, every: usize) -> Result<()> {
+    let pixels = usable_pixels(&mut pipeline.world, view, every);
+    for part in pixels.chunks(BATCH) {
+        if is_stopping() {
+            break;
         }
-        watch((done + 1) as f32 / views.len() as f32);
+        pipeline.world.resource_mut::<Window>().0 = 0..part.len();
+        pipeline.world.resource_mut::<PresentPixels>().0 = part.to_vec();
+        pipeline.run(Phase::Detail)?;
     }
     Ok(())
 }

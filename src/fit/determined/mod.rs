@@ -15,14 +15,13 @@ pub(crate) mod evidence;
 use crate::error::Result;
 use crate::fit::components::Unknowns;
 use crate::fit::determined::evidence::{Evidence, Sample};
-use crate::fit::initialization::{Initialization, Known, lobes_of, with_initialization};
+use crate::fit::initialization::{Initialization, Known, lobes_of, traced, with_initialization};
 use crate::light::{LightLobe, kernel_lobe};
 use crate::material::{SpecularLobe, recovered_albedo, recovered_materials};
 use crate::math::sg::sphere_integral;
 use crate::math::shading::{ClosedForm, Layers, Lighting, LobeColumns, ShadePoint};
 use crate::sample::pixel::Observed;
 use crate::shade::systems::kernel_specular;
-use crate::visibility::ObjectVisibility;
 use bevy_ecs::prelude::World;
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
@@ -79,7 +78,7 @@ impl Determined {
     }
 }
 
-/// Measures it with the observations of a fit, under the light, albedo and material that the world has now. `None` with several base materials, without pixels, or where no
+/// Measures it with the observations of a fit under the scene's own light, under the light, albedo and material that the world has now. `None` with several base materials, without pixels, or where no
 /// inverse can be found.
 ///
 /// # Errors
@@ -97,9 +96,7 @@ pub(crate) fn measure(
     }
     let (lobes, texels) = (lobes_of(world).1, recovered_albedo(world)?);
     // With shadows of the light that was found, and without a change for what comes after.
-    let traced = world.get_resource::<ObjectVisibility>().filter(|_| shadowed);
-    let mut visibility = traced.map(ObjectVisibility::unlit);
-    let object = visibility.as_mut();
+    let object = traced(world, shadowed);
     let known = Known { form, specular: *specular, unknowns, object, in_part: true, placement: None };
     let evidence = with_initialization(world, known, |problem| gather_evidence(problem, &lobes, &texels));
     Ok(evidence?.and_then(|evidence| determined(&evidence, &lobes, unknowns)))

@@ -155,22 +155,22 @@ fn accumulate(
     sum
 }
 
-/// Each texel's least-squares albedo given the light: `unit` is the radiance of the samples with albedo 1, `before` the albedo until now, with which clipped
+/// Each texel's least-squares albedo given the light: `pixels` are samples with their radiance if the albedo were 1, `before` the albedo until now, with which clipped
 /// samples are brighter than they are seen or not. Texels with few samples are drawn to `prior`. Results are in `[0.02, 0.98]`.
-pub(crate) fn solve_albedo(
-    observations: &[Observation],
-    unit: &[Layers],
+pub(crate) fn solve_albedo<'a>(
+    pixels: impl Iterator<Item = (&'a Observation, &'a Layers)>,
     before: &[Vec3],
     prior: Vec3,
 ) -> Vec<Vec3> {
     let texels = before.len();
     let (mut above, mut below) = (vec![DVec3::ZERO; texels], vec![DVec3::ZERO; texels]);
-    let mut power = DVec3::ZERO;
-    for (Observation { point, observed, .. }, unit) in observations.iter().zip(unit) {
+    let (mut power, mut count) = (DVec3::ZERO, 0u32);
+    for (Observation { point, observed, .. }, unit) in pixels {
         let (white, specular) = (Vec3::from(unit.diffuse), Vec3::from(unit.specular));
         let target = (observed.target(white * point.texels.blend(before) + specular) - specular).as_dvec3();
         let diffuse = white.as_dvec3();
         power += diffuse * diffuse;
+        count += 1;
         for i in 0..4 {
             let (texel, weight) = (point.texels.indices[i] as usize, f64::from(point.texels.weights[i]));
             above[texel] += diffuse * target * weight;
@@ -178,7 +178,7 @@ pub(crate) fn solve_albedo(
         }
     }
     // One twentieth of the weight of an average sample.
-    let lean = power * (0.05 / observations.len().max(1) as f64) + DVec3::splat(1e-12);
+    let lean = power * (0.05 / f64::from(count.max(1))) + DVec3::splat(1e-12);
     let prior = prior.as_dvec3();
     above
         .iter()
@@ -258,7 +258,7 @@ mod tests {
         let mut albedo = vec![Vec3::splat(0.4)];
         let mut found = Vec::new();
         for _ in 0..30 {
-            albedo = solve_albedo(&observations, &unit, &albedo, Vec3::splat(0.6));
+            albedo = solve_albedo(observations.iter().zip(&unit), &albedo, Vec3::splat(0.6));
             found.push(albedo[0].x);
         }
         assert!(found[0] < 0.52 && (found[29] - 0.6).abs() < 1e-3, "{found:?}");

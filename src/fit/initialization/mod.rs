@@ -7,10 +7,12 @@ pub mod start;
 use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::fit::components::Unknowns;
+use crate::fit::groups::exchange_light;
 use crate::fit::initialization::linear::{solve_albedo, solve_amplitudes};
 use crate::fit::initialization::place_lobes::move_lobes_to_the_light;
+use crate::light::groups::light_groups;
 use crate::light::lights::LobeOf;
-use crate::light::placement::PlacedFrame;
+use crate::light::placement::{LightGroup, PlacedFrame};
 use crate::light::{LightLobe, kernel_lobe};
 use crate::material::sheen::write_albedo;
 use crate::material::{
@@ -31,6 +33,7 @@ use bevy_ecs::prelude::{Entity, Query, With, Without, World};
 use bevy_ecs::system::SystemState;
 use glam::Vec3;
 use rayon::prelude::*;
+use std::borrow::Cow;
 use std::ops::Range;
 
 /// Most pixels in a solve for the amplitudes.
@@ -69,21 +72,38 @@ pub(crate) fn initialize_light_and_albedo(
     if !unknowns.light && !unknowns.albedo {
         return Ok(());
     }
-    let (entities, mut lobes) = lobes_of(world);
+    let mut lights: Vec<Vec<LightLobe>> = groups(world).map(|group| lobes_of_light(world, group)).collect();
     let specular = least_rough(world);
     let mut texels = recovered_albedo(world)?;
-    let mut visibility = if shadowed { world.remove_resource::<ObjectVisibility>() } else { None };
-    let object = visibility.as_mut();
+    let object = traced(world, shadowed);
     let known = Known { form, specular, unknowns, object, in_part: false, placement: None };
-    let initialized = with_initialization(world, known, |problem| problem.alternate(&mut lobes, &mut texels));
-    if let Some(visibility) = visibility {
-        world.insert_resource(visibility);
-    }
-    initialized?;
-    for (entity, lobe) in entities.into_iter().zip(&lobes) {
-        world.entity_mut(entity).insert(*lobe);
+    with_groups(world, known, |problems| alternate(problems, &mut lights, &mut texels))?;
+    for (group, lobes) in groups(world).zip(&lights) {
+        exchange_light(world, group);
+        for (entity, lobe) in lobes_of(world).0.into_iter().zip(lobes) {
+            world.entity_mut(entity).insert(*lobe);
+        }
+        exchange_light(world, group);
     }
     write_albedo(world, texels)
+}
+
+/// The groups of photographs, each under a light of its own.
+fn groups(world: &mut World) -> impl Iterator<Item = LightGroup> + use<> {
+    (0..light_groups(world) as u32).map(LightGroup)
+}
+
+/// The lobes of the light of a group, also those without radiance.
+fn lobes_of_light(world: &mut World, group: LightGroup) -> Vec<LightLobe> {
+    exchange_light(world, group);
+    let lobes = lobes_of(world).1;
+    exchange_light(world, group);
+    lobes
+}
+
+/// The occlusion of the object, without the light of the last update, if it is `shadowed`.
+pub(crate) fn traced(world: &World, shadowed: bool) -> Option<ObjectVisibility> {
+    world.get_resource::<ObjectVisibility>().filter(|_| shadowed).map(ObjectVisibility::unlit)
 }
 
 /// The lobes of the scene's own light.
@@ -93,27 +113,39 @@ pub(crate) fn lobes_of(world: &mut World) -> (Vec<Entity>, Vec<LightLobe>) {
 }
 
 /// The inputs of the initialization besides samples.
-pub(crate) struct Known<'a> {
+pub(crate) struct Known {
     pub form: ClosedForm,
     pub specular: SpecularLobe,
     pub unknowns: Unknowns,
-    pub object: Option<&'a mut ObjectVisibility>,
+    /// The occlusion of the object.
+    pub object: Option<ObjectVisibility>,
     /// Whether [`part_of_surface`] is enough.
     pub in_part: bool,
     /// The only placement that is looked at.
     pub placement: Option<Placement>,
 }
 
-/// Calls `run` with the data of the initialization.
+/// Calls `run` with the data of the initialization, of the photographs under the scene's own light.
 pub(crate) fn with_initialization<T>(
     world: &mut World,
     known: Known,
     run: impl FnOnce(&mut Initialization) -> Result<T>,
 ) -> Result<T> {
+    with_groups(world, known, |problems| run(&mut problems[0]))
+}
+
+type Views<'w, 's> =
+    Query<'w, 's, (&'static ViewIndex, &'static Camera, Option<&'static Placement>), With<Photograph>>;
+type Inputs<'w, 's> = (Observations<'w, 's>, Views<'w, 's>);
+
+/// Calls `run` with the data of the initialization of each group of photographs, in order.
+fn with_groups<T>(
+    world: &mut World,
+    known: Known,
+    run: impl FnOnce(&mut [Initialization]) -> Result<T>,
+) -> Result<T> {
     let Known { form, specular, unknowns, object, in_part, placement } = known;
-    type Views<'w, 's> =
-        Query<'w, 's, (&'static ViewIndex, &'static Camera, Option<&'static Placement>), With<Photograph>>;
-    type Inputs<'w, 's> = (Observations<'w, 's>, Views<'w, 's>);
+    let lights = light_groups(world);
     let frame = PlacedFrame::own(world);
     let mut state = SystemState::<Inputs>::new(world);
     let (observations, views) = state.get(world).map_err(|error| Error::run("fit", error.to_string()))?;
@@ -123,24 +155,88 @@ pub(crate) fn with_initialization<T>(
     let placements: ByView<Placement> = views.iter().map(|(index, _, of)| (*index, *of)).collect();
     let turns = TurnTable::new(&frame, views.into_iter());
     let observations = observations.columns()?;
-    let is_looked_at = |row: &&Observation| placements.get(row.pixel.view).copied() == placement;
-    let chosen: Option<Vec<Observation>> =
-        placement.map(|_| observations.iter().filter(is_looked_at).copied().collect());
+    let chosen = placement.map(|placement| rows_of_placement(&observations, placement, &placements));
     let observations = chosen.as_deref().unwrap_or(&observations);
-    let part = if in_part { part_of_surface(observations) } else { None };
-    let observations = part.as_deref().unwrap_or(observations);
+    let light_of = |row: &Observation| {
+        let placement = placements.get(row.pixel.view).copied().unwrap_or_default();
+        frame.placements.light(placement)
+    };
+    let of_group = |number: usize| rows_of_group(observations, LightGroup(number as u32), light_of);
+    let part = |all| if in_part { part_of_surface(all).map(Cow::Owned) } else { None };
+    let parts = (0..lights).map(of_group).map(|all| part(all).unwrap_or(Cow::Borrowed(all)));
+    let parts: Vec<Cow<[Observation]>> = parts.collect();
     let amplitude_pixels = if in_part { PART_AMPLITUDE_PIXELS } else { AMPLITUDE_PIXELS };
-    run(&mut Initialization {
+    let problem = |observations| Initialization {
         form,
         observations,
         amplitude_pixels,
-        cameras,
-        placements,
-        turns,
+        cameras: &cameras,
+        placements: &placements,
+        turns: &turns,
         specular,
         unknowns,
-        object,
-    })
+        object: object.as_ref().map(ObjectVisibility::unlit),
+    };
+    run(&mut parts.iter().map(|part| problem(part.as_ref())).collect::<Vec<_>>())
+}
+
+/// The rows of the photographs of a placement.
+fn rows_of_placement(
+    all: &[Observation],
+    placement: Placement,
+    of_view: &ByView<Placement>,
+) -> Vec<Observation> {
+    let is_of = |row: &&Observation| of_view.get(row.pixel.view) == Some(&placement);
+    all.iter().filter(is_of).copied().collect()
+}
+
+/// The rows under the light of a group; rows are in the order of their groups.
+fn rows_of_group(
+    all: &[Observation],
+    group: LightGroup,
+    light_of: impl Fn(&Observation) -> LightGroup,
+) -> &[Observation] {
+    let rest = &all[all.partition_point(|row| light_of(row) < group)..];
+    &rest[..rest.partition_point(|row| light_of(row) == group)]
+}
+
+/// Solves alternately for the lights of the groups and the albedo that is common to them.
+fn alternate(
+    problems: &mut [Initialization],
+    lights: &mut [Vec<LightLobe>],
+    texels: &mut Vec<Vec3>,
+) -> Result<()> {
+    let unknowns = problems[0].unknowns;
+    for round in 0..ROUNDS {
+        for (problem, lobes) in problems.iter_mut().zip(&mut *lights).filter(|_| unknowns.light) {
+            check_interrupted()?;
+            if (1..=MOVES).contains(&round) {
+                move_lobes_to_the_light(lobes);
+            }
+            problem.solve_light(lobes, texels, round > 0)?;
+        }
+        check_interrupted()?;
+        if unknowns.albedo {
+            *texels = albedo_under(problems, lights, texels)?;
+        }
+    }
+    Ok(())
+}
+
+/// The albedo that explains the photographs of all groups best.
+fn albedo_under(
+    problems: &mut [Initialization],
+    lights: &[Vec<LightLobe>],
+    texels: &[Vec3],
+) -> Result<Vec<Vec3>> {
+    let _solving = stage("albedo");
+    let mut shaded = Vec::new();
+    for (problem, lobes) in problems.iter_mut().zip(lights) {
+        let n = problem.observations.len().min(ALBEDO_PIXELS.max(PIXELS_PER_TEXEL * texels.len()));
+        shaded.push((&problem.observations[..n], problem.of_white(lobes, texels, n)?));
+    }
+    let pixels = shaded.iter().flat_map(|(observations, white)| observations.iter().zip(white));
+    Ok(solve_albedo(pixels, texels, Vec3::splat(USUAL_ALBEDO)))
 }
 
 /// The pixels on a part of the surface, about [`PART_PIXELS`]: all that see it, so that its texels are known as well as if all of the surface
@@ -181,31 +277,18 @@ pub(crate) struct Initialization<'a> {
     pub observations: &'a [Observation],
     /// Most pixels in a solve for the amplitudes.
     amplitude_pixels: usize,
-    cameras: ByView<Camera>,
-    placements: ByView<Placement>,
-    turns: TurnTable,
+    cameras: &'a ByView<Camera>,
+    placements: &'a ByView<Placement>,
+    turns: &'a TurnTable,
     pub specular: SpecularLobe,
     pub unknowns: Unknowns,
-    object: Option<&'a mut ObjectVisibility>,
+    object: Option<ObjectVisibility>,
 }
 
 impl Initialization<'_> {
-    fn alternate(&mut self, lobes: &mut [LightLobe], texels: &mut Vec<Vec3>) -> Result<()> {
-        for round in 0..ROUNDS {
-            check_interrupted()?;
-            if self.unknowns.light {
-                if (1..=MOVES).contains(&round) {
-                    move_lobes_to_the_light(lobes);
-                }
-                self.solve_light(lobes, texels, round > 0)?;
-            }
-            check_interrupted()?;
-            if self.unknowns.albedo {
-                let n = self.observations.len().min(ALBEDO_PIXELS.max(PIXELS_PER_TEXEL * texels.len()));
-                *texels = self.albedo_under(lobes, texels, n)?;
-            }
-        }
-        Ok(())
+    /// Solves alternately for the light of these photographs and the albedo.
+    fn alternate(&mut self, lobes: &mut Vec<LightLobe>, texels: &mut Vec<Vec3>) -> Result<()> {
+        alternate(std::slice::from_mut(self), std::slice::from_mut(lobes), texels)
     }
 
     /// Solves for the amplitudes; `is_lit` if the lobes have some that explain the photographs already.
@@ -245,8 +328,8 @@ impl Initialization<'_> {
         observed().zip(&shaded).map(|(observed, layers)| observed.target(all(layers))).collect()
     }
 
-    fn albedo_under(&mut self, lobes: &[LightLobe], texels: &[Vec3], n: usize) -> Result<Vec<Vec3>> {
-        let _solving = stage("albedo");
+    /// The radiance of the first `n` pixels if the surface were white.
+    fn of_white(&mut self, lobes: &[LightLobe], texels: &[Vec3], n: usize) -> Result<Vec<Layers>> {
         let columns = LobeColumns::from_lobes(lobes.iter().map(kernel_lobe));
         self.refresh(&columns, texels);
         let specular = kernel_specular(&self.specular);
@@ -258,7 +341,7 @@ impl Initialization<'_> {
             let lighting = Lighting { lobes: &columns, visibility: rows.view(&seen) };
             self.form.shade(&white, &specular, lighting, &mut unit[run]);
         }
-        Ok(solve_albedo(&self.observations[..n], &unit, texels, Vec3::splat(USUAL_ALBEDO)))
+        Ok(unit)
     }
 
     /// The inputs of shading at a range of observed pixels, with this albedo.

@@ -10,7 +10,9 @@ use crate::error::Result;
 use crate::error::stop::check_interrupted;
 use crate::fit::components::Unknowns;
 use crate::light::light_frame::{LightFrame, turning_axis};
-use crate::light::placement::{PlacedFrame, PlacementTurn, Placements, TurnSource, light_from_world};
+use crate::light::placement::{
+    LightGroup, PlacedFrame, PlacementTurn, Placements, TurnSource, light_from_world,
+};
 use crate::light::{LightLobe, kernel_lobe};
 use crate::material::recovered_albedo;
 use crate::math::shading::{ClosedForm, Layers, Lighting, LobeColumns, ShadePoint, SpecularValue};
@@ -56,7 +58,8 @@ pub(crate) fn find_placements(world: &mut World, unknowns: Unknowns, form: Close
             check_interrupted()?;
             let room_from_object = turn_of(world, number, (frame, &lobes), form, unknowns)?;
             let mut placements = world.resource_mut::<Placements>();
-            placements.0[number] = PlacementTurn { room_from_object, source: TurnSource::Found };
+            placements.0[number] =
+                PlacementTurn { room_from_object, source: TurnSource::Found, light: LightGroup::OWN };
         }
     }
     Ok(())

@@ -5,7 +5,7 @@ use crate::codec::npy::{NpyConvention, read_lobes};
 use crate::light::LightLobe;
 use crate::material::SpecularLobe;
 use crate::math::color::srgb_from_linear;
-use crate::pass::fit::TRUE_ENVIRONMENT;
+use crate::pass::fit::{TRUE_ENVIRONMENT, light_files};
 use crate::pass::summary::pictures::Pictures;
 use crate::report::html::data::{FitFinding, ReportPicture};
 use crate::report::scores::{MaterialsTried, NdfTried, ScaleFound, Scores};
@@ -14,9 +14,8 @@ use std::path::Path;
 /// Longer side of pictures of lights and textures, in pixels.
 const SIDE: u32 = 512;
 
-/// The pictures that a fit writes, and what they show.
-const PICTURES: [(&str, &str); 6] = [
-    ("environment.png", "recovered light"),
+/// The pictures that a fit writes beside those of lights, and what they show.
+const PICTURES: [(&str, &str); 5] = [
     (TRUE_ENVIRONMENT, "true light"),
     ("albedo.png", "albedo"),
     ("blend.png", "weights of the base materials"),
@@ -26,11 +25,19 @@ const PICTURES: [(&str, &str); 6] = [
 
 /// The pictures of a fit.
 pub(crate) fn fit_pictures(out: &Path, pass: &str, pictures: &mut Pictures) -> Vec<ReportPicture> {
-    let shown = |(file, title): &(&str, &str)| {
+    let mut shown = |file: &str, title: &str| {
         let address = pictures.small(&out.join(pass).join(file), SIDE)?;
         Some(ReportPicture { title: format!("{pass}: {title}"), address })
     };
-    PICTURES.iter().filter_map(shown).collect()
+    let [_, _, own] = light_files("");
+    let mut all: Vec<ReportPicture> = shown(&own, "recovered light").into_iter().collect();
+    // Those of further groups of photographs, as many as there are.
+    all.extend((2..).map_while(|number| {
+        let [_, _, other] = light_files(&format!("_{number}"));
+        shown(&other, &format!("recovered light {number}"))
+    }));
+    all.extend(PICTURES.iter().filter_map(|(file, title)| shown(file, title)));
+    all
 }
 
 /// What the fits of these names found, and what the scores say of it.

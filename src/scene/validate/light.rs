@@ -3,6 +3,7 @@
 use crate::light::{MAX_RADIANCE, MAX_SHARPNESS};
 use crate::scene::light::{Light, LightFrameChoice, LightSource};
 use crate::scene::validate::checks::Checks;
+use crate::scene::views::{PlacementLight, PlacementSpec};
 
 /// The frame of a light at `path`.
 pub(super) fn light_frame(checks: &mut Checks, path: &str, frame: LightFrameChoice) {
@@ -15,6 +16,24 @@ pub(super) fn light(checks: &mut Checks, light: &Light) {
     match light {
         Light::Unknown(unknown) => checks.count("light.lobes", unknown.lobes, 1..=512),
         Light::Initial(source) | Light::Fixed(source) => light_source(checks, "light", source),
+    }
+}
+
+/// The lights of placements beside the scene's own.
+pub(super) fn placement_lights(checks: &mut Checks, placements: &[PlacementSpec], own: &Light) {
+    let is_known = matches!(own, Light::Fixed(_));
+    for (i, placement) in placements.iter().enumerate() {
+        let path = format!("views.placements.{i}.light");
+        let (value, suits, expected) = match &placement.light {
+            PlacementLight::Same => continue,
+            _ if i == 0 => ("said", false, "nothing: the first placement is in the scene's `light`"),
+            PlacementLight::Own => ("Own", !is_known, "Fixed(…), as the scene's `light` is known, or Same"),
+            PlacementLight::Fixed(source) => {
+                light_source(checks, &path, source);
+                ("Fixed(…)", is_known, "Own, as the scene's `light` is not known, or Same")
+            }
+        };
+        checks.require(suits, &path, value, expected);
     }
 }
 

@@ -1,0 +1,221 @@
+//! Lights that take turns: photographs of several [groups](crate::light::groups), each under a light of its own.
+//!
+//! A step visits the photographs of one group. Before it, the values of the scene's own light and of the group's are exchanged, with their moments
+//! and shadows, and after it they are exchanged back; systems know of one light alone. Groups have turns in
+//! proportion to their pixels. Albedo and materials are common to all, and so is the scale between light and albedo.
+
+use crate::fit::components::LobeMoments;
+use crate::light::LightLobe;
+use crate::light::groups::{group_light, light_groups};
+use crate::light::lights::{LobeOf, LobesOf};
+use crate::light::placement::{LightGroup, Placements};
+use crate::sample::observation::{Observation, ObservationIndex};
+use crate::view::{ByView, Placement, ViewIndex};
+use crate::visibility::ObjectVisibility;
+use bevy_ecs::component::Mutable;
+use bevy_ecs::prelude::{Component, Entity, With, Without, World};
+use std::ops::Range;
+
+/// Least share of the steps that a group has, relative to an equal share.
+const LEAST_SHARE: f64 = 0.25;
+
+/// The shadows under the light of a group, while another one shines.
+#[derive(Component)]
+struct GroupVisibility(ObjectVisibility);
+
+/// Exchanges the scene's own light and that of a group: lobes, moments and shadows. Twice is as before. Nothing changes for the first group.
+pub(crate) fn exchange_light(world: &mut World, group: LightGroup) {
+    let Some(light) = group_light(world, group) else { return };
+    let of_group = world.get::<LobesOf>(light).map(|of| of.entities().to_vec()).unwrap_or_default();
+    let mut own = world.query_filtered::<Entity, (With<LightLobe>, Without<LobeOf>)>();
+    let own: Vec<Entity> = own.iter(world).collect();
+    for (own, of_group) in own.into_iter().zip(of_group) {
+        exchange::<LightLobe>(world, [own, of_group]);
+        exchange::<LobeMoments>(world, [own, of_group]);
+    }
+    exchange_shadows(world, light);
+}
+
+/// Exchanges a component that both entities have.
+fn exchange<T: Component<Mutability = Mutable> + Copy>(world: &mut World, entities: [Entity; 2]) {
+    if let [Some(a), Some(b)] = entities.map(|entity| world.get::<T>(entity).copied()) {
+        entities
+            .into_iter()
+            .zip([b, a])
+            .for_each(|(entity, value)| _ = world.entity_mut(entity).insert(value));
+    }
+}
+
+/// Those that were found of another surface, or in another state of it, are found anew.
+fn exchange_shadows(world: &mut World, light: Entity) {
+    let kept = world.entity_mut(light).take::<GroupVisibility>();
+    if let Some(now) = world.remove_resource::<ObjectVisibility>() {
+        let kept = kept.map(|kept| kept.0).filter(|kept| kept.is_traced_as(&now));
+        world.insert_resource(kept.unwrap_or_else(|| now.unlit()));
+        world.entity_mut(light).insert(GroupVisibility(now));
+    }
+}
+
+/// Makes all groups find shadows and reflected light anew.
+pub(crate) fn forget_group_shadows(world: &mut World) {
+    let lights: Vec<Entity> = world.query_filtered::<Entity, With<LightGroup>>().iter(world).collect();
+    lights.into_iter().for_each(|light| _ = world.entity_mut(light).remove::<GroupVisibility>());
+}
+
+/// The group of each view.
+pub(crate) fn groups_of_views(world: &mut World) -> ByView<LightGroup> {
+    let placements = world.get_resource::<Placements>().cloned().unwrap_or_default();
+    let mut views = world.query::<(&ViewIndex, &Placement)>();
+    views.iter(world).map(|(view, placement)| (*view, placements.light(*placement))).collect()
+}
+
+/// Which group each step of a fit visits, and which of its pixels.
+pub(super) struct Turns {
+    /// Rows of the pool of observed pixels, by group.
+    pools: Vec<Range<usize>>,
+    /// The part of the steps that each has.
+    shares: Vec<f64>,
+    visits: Vec<u32>,
+    /// Whether the shadows of a group are to be found anew.
+    stale: Vec<bool>,
+    batch: usize,
+    /// Steps between two updates of shadows.
+    refresh_every: u32,
+    step: u32,
+}
+
+/// What a step visits.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Turn {
+    pub group: LightGroup,
+    /// Rows of the pool of observed pixels.
+    pub rows: Range<usize>,
+    /// Whether it finds shadows anew.
+    pub refreshes: bool,
+}
+
+impl Turns {
+    /// Before the first step, for the pool of a world whose rows are in the order of their groups.
+    pub fn new(world: &mut World, batch: usize, refresh_every: u32) -> Self {
+        let groups = groups_of_views(world);
+        let mut counts = vec![0; light_groups(world)];
+        let mut rows = world.query_filtered::<&Observation, With<ObservationIndex>>();
+        for row in rows.iter(world) {
+            counts[groups.get(row.pixel.view).map_or(0, |group| group.0 as usize)] += 1;
+        }
+        Self::of(&counts, batch, refresh_every)
+    }
+
+    fn of(counts: &[usize], batch: usize, refresh_every: u32) -> Self {
+        let total = counts.iter().sum::<usize>().max(1) as f64;
+        let least = LEAST_SHARE / counts.len() as f64;
+        let share = |count: &usize| if *count > 0 { (*count as f64 / total).max(least) } else { 0.0 };
+        let ends = counts.iter().scan(0, |end, count| {
+            *end += count;
+            Some(*end - count..*end)
+        });
+        Self {
+            pools: ends.collect(),
+            shares: counts.iter().map(share).collect(),
+            visits: vec![0; counts.len()],
+            stale: vec![true; counts.len()],
+            batch,
+            refresh_every,
+            step: 0,
+        }
+    }
+
+    /// The turn of the next step. Every few steps all groups find their shadows anew, each in its next turn.
+    pub fn next(&mut self) -> Turn {
+        if self.step.is_multiple_of(self.refresh_every) {
+            self.stale.fill(true);
+        }
+        self.step += 1;
+        let due = |group: &usize| f64::from(self.visits[*group] + 1) / self.shares[*group];
+        let with_pixels = (0..self.pools.len()).filter(|group| self.shares[*group] > 0.0);
+        let group = with_pixels.min_by(|a, b| due(a).total_cmp(&due(b))).unwrap_or(0);
+        self.visits[group] += 1;
+        let pool = &self.pools[group];
+        let rows = window_of(self.visits[group], self.batch, pool.len());
+        Turn {
+            group: LightGroup(group as u32),
+            rows: pool.start + rows.start..pool.start + rows.end,
+            refreshes: std::mem::take(&mut self.stale[group]),
+        }
+    }
+}
+
+/// Observed pixels that a step visits: contiguous windows of the shuffled pool, in turn; the last one of a pass through the pool may be shorter.
+fn window_of(step: u32, batch: usize, pixels: usize) -> Range<usize> {
+    let batch = batch.clamp(1, pixels.max(1));
+    let windows = pixels.div_ceil(batch).max(1);
+    let start = (step as usize - 1) % windows * batch;
+    start..(start + batch).min(pixels)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::fit::adam::{AdamStep, Moments};
+    use crate::light::groups::{lobes_of_group, spawn_group_lights};
+    use crate::light::lights::own_lobes;
+
+    #[test]
+    fn groups_have_turns_in_proportion_to_their_pixels() {
+        let mut turns = Turns::of(&[6000, 0, 2000], 1000, 50);
+        let taken: Vec<Turn> = (0..8).map(|_| turns.next()).collect();
+        let of = |group: u32| taken.iter().filter(|turn| turn.group == LightGroup(group)).collect::<Vec<_>>();
+        assert_eq!((of(0).len(), of(1).len(), of(2).len()), (6, 0, 2));
+        let rows: Vec<_> = of(0).iter().map(|turn| turn.rows.start).collect();
+        assert_eq!(rows, [0, 1000, 2000, 3000, 4000, 5000]);
+        assert_eq!(of(2)[1].rows, 7000..8000);
+        // A few pixels have some turns.
+        let mut turns = Turns::of(&[990, 10], 100, 50);
+        let few = (0..80).map(|_| turns.next()).filter(|turn| turn.group == LightGroup(1));
+        let few: Vec<Turn> = few.collect();
+        assert!((8..=12).contains(&few.len()) && few.iter().all(|turn| turn.rows == (990..1000)), "{few:?}");
+    }
+
+    #[test]
+    fn each_group_finds_its_shadows_anew_once() {
+        let mut turns = Turns::of(&[500, 500], 100, 4);
+        let refreshes: Vec<bool> = (0..6).map(|_| turns.next().refreshes).collect();
+        assert_eq!(refreshes, [true, true, false, false, true, true]);
+    }
+
+    #[test]
+    fn one_group_visits_the_pool_in_windows() {
+        let mut turns = Turns::of(&[250], 100, 50);
+        let rows: Vec<Range<usize>> = (0..4).map(|_| turns.next().rows).collect();
+        assert_eq!(rows, [0..100, 100..200, 200..250, 0..100]);
+    }
+
+    #[test]
+    fn an_exchange_takes_moments_along_and_twice_is_as_before() {
+        let mut world = World::new();
+        let moments = |gradient: f32| {
+            let mut moments = Moments::default();
+            AdamStep::new(1.0, 1).advance(&mut moments, &[gradient; 7]);
+            LobeMoments(moments)
+        };
+        world
+            .spawn_batch(LightLobe::even(4).into_iter().map(|lobe| (lobe, moments(1.0))).collect::<Vec<_>>());
+        let other = LightLobe::even(3);
+        spawn_group_lights(&mut world, &[(other.clone(), None)]);
+        let of_group: Vec<Entity> = world.query_filtered::<Entity, With<LobeOf>>().iter(&world).collect();
+        of_group.into_iter().for_each(|lobe| _ = world.entity_mut(lobe).insert(moments(2.0)));
+        let before = own_lobes(&mut world);
+        exchange_light(&mut world, LightGroup(1));
+        assert_eq!(own_lobes(&mut world)[..3], other);
+        assert_eq!(lobes_of_group(&mut world, LightGroup(1)), before);
+        let own = |world: &mut World| {
+            let mut own = world.query_filtered::<&LobeMoments, Without<LobeOf>>();
+            own.iter(world).copied().collect::<Vec<_>>()
+        };
+        assert_eq!(own(&mut world), [moments(2.0); 4]);
+        exchange_light(&mut world, LightGroup(1));
+        assert_eq!((own_lobes(&mut world), own(&mut world)), (before.clone(), vec![moments(1.0); 4]));
+        exchange_light(&mut world, LightGroup::OWN);
+        assert_eq!(own_lobes(&mut world), before);
+    }
+}
