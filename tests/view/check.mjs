@@ -35,6 +35,7 @@ const STATES = [
     { name: "own light turned", once: true, page: "plain", view: 0, settings: { turn: -130 } },
     { name: "smoother", least: MIRRORED, page: "plain", view: 0, settings: { roughness: -1 } },
     { name: "golden", once: true, page: "plain", view: 1, settings: { roughness: 0.4, color: "#e6a530", mix: 0.8, level: 1.3, tint: "#6070a0", bright: 1.4 } },
+    { name: "half a metal", once: true, page: "plain", view: 0, settings: { metal: 0.6, color: "#d08060", mix: 0.3 } },
     { name: "diffuse alone", once: true, page: "plain", view: 0, settings: { show: "diffuse" }, layer: "diffuse" },
     { name: "specular alone", least: MIRRORED, page: "plain", view: 0, settings: { show: "specular" }, layer: "specular" },
     { name: "albedo", once: true, page: "painted_page", view: 0, settings: { show: "albedo" }, layer: "albedo" },
@@ -44,8 +45,8 @@ const STATES = [
 
 /** Two places with edits of their own, which overlap. Their hard edges run along texels in a pass, and through them in the page. */
 const PLACES = [
-    { center: [0.6, 0.15, 0.1], radius: 0.42, soft: 0.4, roughness: -1, level: 3, color: "#e6a530", mix: 0, tint: "#40c060", bright: 1 },
-    { center: [0.1, 0.4, 0.1], radius: 0.5, soft: 0, roughness: 0, level: 1, color: "#e6a530", mix: 0.8, tint: "#ffffff", bright: 0.5 },
+    { center: [0.6, 0.15, 0.1], radius: 0.42, soft: 0.4, roughness: -1, level: 3, color: "#e6a530", mix: 0, metal: 0, tint: "#40c060", bright: 1 },
+    { center: [0.1, 0.4, 0.1], radius: 0.5, soft: 0, roughness: 0, level: 1, color: "#e6a530", mix: 0, metal: 0.8, tint: "#ffffff", bright: 0.5 },
 ];
 STATES.splice(7, 0, { name: "places", once: true, least: 36, page: "plain", view: 0, settings: { regions: PLACES } });
 

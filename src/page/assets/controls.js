@@ -31,6 +31,7 @@ const INPUTS = {
     level: { said: (x) => `× ${x.toFixed(2)}` },
     color: {},
     mix: { said: (x) => `${Math.round(100 * x)} %` },
+    metal: { said: (x) => `${Math.round(100 * x)} %` },
     tint: {},
     bright: { said: (x) => `× ${x.toFixed(2)}` },
     exposure: { said: (x) => `${x > 0 ? "+" : ""}${x.toFixed(1)} stops` },
@@ -80,7 +81,7 @@ function showPlaces(page) {
     by("new-place").setAttribute("aria-pressed", String(placing));
     page.canvas.classList.toggle("placing", placing);
     const dull = region >= 0 && !canShine(page.scene.materials.length);
-    for (const name of ["roughness", "level", "color", "mix"]) by(name).disabled = dull;
+    for (const name of ["roughness", "level", "color", "mix", "metal"]) by(name).disabled = dull;
 }
 
 /** One more light to choose. */

@@ -35,8 +35,16 @@ const SETTINGS = {
 const PLACE = { radius: 0.3, soft: 0.3 };
 
 /** Settings of edits as the renderer reads them. */
-function look({ roughness, level, color, mix, tint, bright }) {
-    return { level, mix, roughness: 2 ** roughness, color: linearOf(color), tint: linearOf(tint).map((c) => c * bright) };
+function look({ roughness, level, color, mix, metal, tint, bright }) {
+    // A metal reflects its color and has no diffuse light; between the two both are mixed, as glTF has it.
+    const dielectric = 1 - metal;
+    return {
+        level,
+        mix: 1 - (1 - mix) * dielectric,
+        roughness: 2 ** roughness,
+        color: linearOf(color),
+        tint: linearOf(tint).map((c) => c * bright * dielectric),
+    };
 }
 
 class Page {

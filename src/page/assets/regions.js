@@ -3,7 +3,7 @@
 import { add, clamp, cross, dot, length, scale, sub } from "lobelia/linear";
 
 /** What the sliders of the material say when nothing is changed. */
-export const UNCHANGED = { roughness: 0, level: 1, color: "#e6c065", mix: 0, tint: "#ffffff", bright: 1 };
+export const UNCHANGED = { roughness: 0, level: 1, color: "#e6c065", mix: 0, metal: 0, tint: "#ffffff", bright: 1 };
 /** Most places of a page: the shader's arrays. */
 const MOST = 3;
 /** Most base materials of an object (`MAX_SPECULAR_LOBES`): where places overlap, each of them doubles their number. */
