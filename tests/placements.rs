@@ -226,6 +226,14 @@ fn lights_of_rooms_are_all_known_or_all_unknown() {
         &own.replace(r#"photographs: "rgb_000000""#, r#"photographs: "rgb_000000", light: Own"#),
         "the first placement is in the scene's `light`",
     );
+    let initial =
+        own.replace("light: Unknown(lobes: 6)", &format!("light: {}", lobes.replace("Fixed", "Initial")));
+    refused(&initial, "Unknown(…) and not Initial(…)");
+    let made = TURNED_OVER.replace("placements: [(100, 20, 0)],", OTHER_LIGHT);
+    refused(
+        &made.replace("light: Unknown(lobes: 32)", &format!("light: {lobes}")),
+        "as there are `other_lights`",
+    );
     let known = own.replace("light: Unknown(lobes: 6)", &format!("light: {lobes}"));
     refused(&known, "Fixed(…), as the scene's `light` is known");
 }

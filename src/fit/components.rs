@@ -77,6 +77,8 @@ impl Default for Unknowns {
 pub struct StepRates {
     /// Number of the step, from 1.
     pub step: u32,
+    /// Number of the step among those that visit the photographs under the same light, from 1.
+    pub visit: u32,
     /// Completed part of the fit, in [0, 1).
     pub progress: f32,
     /// Rate of the logit of texel albedo.

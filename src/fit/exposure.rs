@@ -2,7 +2,7 @@
 //!
 //! A factor is the weighted least-squares ratio of the photograph to the prediction over recent windows, with weights that
 //! minimize the sum of absolute differences (iteratively reweighted least squares), so it needs no rate. The geometric mean of the
-//! factors is held at 1: a common factor belongs to the light.
+//! factors of the photographs under a light is held at 1: a common factor belongs to the light.
 //!
 //! | name | unit | value | meaning |
 //! | --- | --- | --- | --- |
@@ -13,6 +13,7 @@
 //! | `SELDOM` | | 0.05 | signal of a photograph relative to the mean of all below which it has no say in the decision |
 
 use crate::fit::components::StepRates;
+use crate::light::placement::LightGroup;
 use crate::math::shading::Layers;
 use crate::math::statistics::quantile;
 use crate::pipeline::SystemResult;
@@ -71,6 +72,8 @@ pub struct Exposures {
     pub factors: Vec<Vec3>,
     /// Per view and channel.
     sums: Vec<[ChannelSums; 3]>,
+    /// The light of each view; empty if all have the same.
+    lights: Vec<LightGroup>,
 }
 
 /// Sums over the pixels of a view in one channel.
@@ -93,8 +96,9 @@ impl ChannelSums {
 }
 
 impl Exposures {
-    /// What a fit begins with: with `Auto`, what was decided before it, until it decides.
-    pub fn begin(&mut self, choice: ExposureChoice) {
+    /// What a fit begins with: with `Auto`, what was decided before it, until it decides. `lights` are those of the views, by index; empty if all have the same.
+    pub fn begin(&mut self, choice: ExposureChoice, lights: Vec<LightGroup>) {
+        self.lights = lights;
         self.is_open = choice == ExposureChoice::Auto;
         self.sums.clear();
         if !self.is_open {
@@ -139,7 +143,7 @@ impl Exposures {
         }
     }
 
-    /// The logarithms of the ratios of each view, in its brightness and in each channel, less their means over the views; `None` for a view
+    /// The logarithms of the ratios of each view, in its brightness and in each channel, less their means over the views under the same light; `None` for a view
     /// of which not more is seen than a part of the mean of all. A channel of which too little is seen is like the brightness.
     fn logs(&self, part: f64) -> Vec<Option<(f64, DVec3)>> {
         let signal = |sums: &[ChannelSums; 3]| DVec3::from(sums.map(|sums| sums.signal));
@@ -159,12 +163,30 @@ impl Exposures {
             is_seen.then(|| (brightness, DVec3::new(channel(0), channel(1), channel(2))))
         };
         let logs: Vec<Option<(f64, DVec3)>> = self.sums.iter().map(log).collect();
-        let count = logs.iter().flatten().count().max(1) as f64;
-        let sum = |sum: (f64, DVec3), log: &(f64, DVec3)| (sum.0 + log.0, sum.1 + log.1);
-        let (brightness, color) = logs.iter().flatten().fold((0.0, DVec3::ZERO), sum);
-        logs.into_iter()
-            .map(|log| log.map(|log| (log.0 - brightness / count, log.1 - color / count)))
-            .collect()
+        self.without_means(logs)
+    }
+
+    /// The light of a view.
+    fn light(&self, view: usize) -> LightGroup {
+        self.lights.get(view).copied().unwrap_or_default()
+    }
+
+    /// Logarithms less their means over the views under the same light.
+    fn without_means(&self, mut logs: Vec<Option<(f64, DVec3)>>) -> Vec<Option<(f64, DVec3)>> {
+        let most = self.lights.iter().max().copied().unwrap_or_default();
+        for light in (0..=most.0).map(LightGroup) {
+            let mut of_light: Vec<&mut (f64, DVec3)> = logs
+                .iter_mut()
+                .enumerate()
+                .filter(|(view, _)| self.light(*view) == light)
+                .filter_map(|(_, log)| log.as_mut())
+                .collect();
+            let count = of_light.len().max(1) as f64;
+            let brightness = of_light.iter().map(|log| log.0).sum::<f64>() / count;
+            let color = of_light.iter().map(|log| log.1).sum::<DVec3>() / count;
+            of_light.iter_mut().for_each(|log| **log = (log.0 - brightness, log.1 - color));
+        }
+        logs
     }
 
     /// Computes the factors from the sums; their geometric mean is 1 before clamping to the range.
@@ -257,6 +279,19 @@ mod tests {
     }
 
     #[test]
+    fn the_mean_of_each_light_is_one() {
+        let mut exposures =
+            Exposures { lights: [0, 0, 1, 1].map(LightGroup).to_vec(), ..Exposures::default() };
+        let log = |value: f64| Some((value, DVec3::splat(value)));
+        // The second light is too dark by a factor of two.
+        let logs = vec![log(-0.1), log(0.1), log(0.6), None, log(0.2)];
+        exposures.lights.push(LightGroup(1));
+        let left: Vec<f64> =
+            exposures.without_means(logs).iter().map(|log| log.map_or(9.0, |log| log.0)).collect();
+        assert!(left.iter().zip([-0.1, 0.1, 0.2, 9.0, -0.2]).all(|(a, b)| (a - b).abs() < 1e-12), "{left:?}");
+    }
+
+    #[test]
     fn the_color_of_photographs_is_found_if_it_is_unknown() {
         let truth = [Vec3::new(0.8, 1.0, 1.25), Vec3::new(1.25, 1.0, 0.8), Vec3::ONE];
         let colored = found(&truth, ExposureChoice::Color);
@@ -293,12 +328,12 @@ mod tests {
         exposures.solve();
         let before = exposures.factor(ViewIndex(0));
         assert!(before.abs_diff_eq(Vec3::splat(0.7 / (0.98f32).cbrt()), 0.01), "{before}");
-        exposures.begin(ExposureChoice::Auto);
+        exposures.begin(ExposureChoice::Auto, Vec::new());
         assert!(exposures.is_open && exposures.are_unknown());
         assert_eq!(exposures.factor(ViewIndex(0)), before);
-        exposures.begin(ExposureChoice::Equal);
+        exposures.begin(ExposureChoice::Equal, Vec::new());
         assert!(!exposures.is_open && !exposures.are_unknown());
-        exposures.begin(ExposureChoice::Auto);
+        exposures.begin(ExposureChoice::Auto, Vec::new());
         assert_eq!(exposures.factor(ViewIndex(0)), Vec3::ONE);
     }
 

@@ -56,6 +56,12 @@ fn exchange_shadows(world: &mut World, light: Entity) {
     }
 }
 
+/// Forgets what was traced of the surface, for all groups.
+pub(crate) fn forget_visibility(world: &mut World) {
+    world.remove_resource::<ObjectVisibility>();
+    forget_group_shadows(world);
+}
+
 /// Makes all groups find shadows and reflected light anew.
 pub(crate) fn forget_group_shadows(world: &mut World) {
     let lights: Vec<Entity> = world.query_filtered::<Entity, With<LightGroup>>().iter(world).collect();
@@ -69,13 +75,26 @@ pub(crate) fn groups_of_views(world: &mut World) -> ByView<LightGroup> {
     views.iter(world).map(|(view, placement)| (*view, placements.light(*placement))).collect()
 }
 
+/// The light of each view, by its index; empty if all have the same.
+pub(super) fn lights_of_views(world: &mut World) -> Vec<LightGroup> {
+    if light_groups(world) == 1 {
+        return Vec::new();
+    }
+    let groups = groups_of_views(world);
+    let views = world.query::<&ViewIndex>().iter(world).map(|view| view.0 + 1).max().unwrap_or(0);
+    (0..views).map(|view| groups.get(ViewIndex(view)).copied().unwrap_or_default()).collect()
+}
+
 /// Which group each step of a fit visits, and which of its pixels.
+#[derive(Clone)]
 pub(super) struct Turns {
     /// Rows of the pool of observed pixels, by group.
     pools: Vec<Range<usize>>,
     /// The part of the steps that each has.
     shares: Vec<f64>,
     visits: Vec<u32>,
+    /// Visits until the end of the fit.
+    all_visits: Vec<u32>,
     /// Whether the shadows of a group are to be found anew.
     stale: Vec<bool>,
     batch: usize,
@@ -92,6 +111,10 @@ pub(super) struct Turn {
     pub rows: Range<usize>,
     /// Whether it finds shadows anew.
     pub refreshes: bool,
+    /// Number of the visit to this group, from 1.
+    pub visit: u32,
+    /// Whether the visit is one of the last that visit each of its pixels once.
+    pub is_last: bool,
 }
 
 impl Turns {
@@ -118,11 +141,19 @@ impl Turns {
             pools: ends.collect(),
             shares: counts.iter().map(share).collect(),
             visits: vec![0; counts.len()],
+            all_visits: vec![0; counts.len()],
             stale: vec![true; counts.len()],
             batch,
             refresh_every,
             step: 0,
         }
+    }
+
+    /// The same for a fit of so many steps.
+    pub fn until(self, steps: u32) -> Self {
+        let mut end = self.clone();
+        (0..steps).for_each(|_| _ = end.next());
+        Self { all_visits: end.visits, ..self }
     }
 
     /// The turn of the next step. Every few steps all groups find their shadows anew, each in its next turn.
@@ -135,12 +166,15 @@ impl Turns {
         let with_pixels = (0..self.pools.len()).filter(|group| self.shares[*group] > 0.0);
         let group = with_pixels.min_by(|a, b| due(a).total_cmp(&due(b))).unwrap_or(0);
         self.visits[group] += 1;
-        let pool = &self.pools[group];
-        let rows = window_of(self.visits[group], self.batch, pool.len());
+        let (pool, visit) = (&self.pools[group], self.visits[group]);
+        let rows = window_of(visit, self.batch, pool.len());
+        let windows = pool.len().div_ceil(self.batch.max(1)) as u32;
         Turn {
             group: LightGroup(group as u32),
             rows: pool.start + rows.start..pool.start + rows.end,
             refreshes: std::mem::take(&mut self.stale[group]),
+            visit,
+            is_last: visit + windows > self.all_visits[group],
         }
     }
 }
@@ -169,6 +203,13 @@ mod tests {
         let rows: Vec<_> = of(0).iter().map(|turn| turn.rows.start).collect();
         assert_eq!(rows, [0, 1000, 2000, 3000, 4000, 5000]);
         assert_eq!(of(2)[1].rows, 7000..8000);
+        // Each group sums up its last visit to all of its pixels.
+        let mut turns = Turns::of(&[6000, 0, 2000], 1000, 50).until(20);
+        let last: Vec<Turn> = (0..20).map(|_| turns.next()).filter(|turn| turn.is_last).collect();
+        let of = |group: u32| -> Vec<u32> {
+            last.iter().filter(|turn| turn.group == LightGroup(group)).map(|turn| turn.visit).collect()
+        };
+        assert_eq!((of(0), of(2)), (vec![10, 11, 12, 13, 14, 15], vec![4, 5]));
         // A few pixels have some turns.
         let mut turns = Turns::of(&[990, 10], 100, 50);
         let few = (0..80).map(|_| turns.next()).filter(|turn| turn.group == LightGroup(1));

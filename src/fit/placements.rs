@@ -11,7 +11,7 @@
 //!
 //! | name | unit | value | meaning |
 //! | --- | --- | --- | --- |
-//! | `SUM_EVERY` | steps | 3 | how often a window is summed |
+//! | `SUM_EVERY` | steps under one light | 3 | how often a window is summed |
 //! | `TURN_EVERY` | steps | 25 | how often rotations move |
 //! | `DIFFERENCE` | radians | 0.01 | half the distance of central differences |
 //! | `LONGEST` | radians | 0.03 | longest rotation at a time |
@@ -105,7 +105,7 @@ pub(super) fn placements_turn(world: &World) -> bool {
 
 /// Run condition: whether this window is summed.
 pub fn is_summed(rates: Res<StepRates>) -> bool {
-    rates.step.is_multiple_of(SUM_EVERY)
+    rates.visit.is_multiple_of(SUM_EVERY)
 }
 
 /// The columns that shading and its comparison read.
@@ -276,7 +276,14 @@ mod tests {
         let mut world = World::new();
         world.insert_resource(Placements(turns.to_vec()));
         let after = |world: &mut World, step: u32| {
-            world.insert_resource(StepRates { step, progress: 0.0, albedo: 0.0, light: 0.0, specular: 0.0 });
+            world.insert_resource(StepRates {
+                step,
+                visit: step,
+                progress: 0.0,
+                albedo: 0.0,
+                light: 0.0,
+                specular: 0.0,
+            });
             world.insert_resource(TurnSums(vec![sums; 3]));
             world.run_system_once(turn_placements).unwrap();
             world.resource::<Placements>().0.clone()

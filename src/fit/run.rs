@@ -4,7 +4,7 @@ use super::attach::{attach, detach};
 use super::by_view::{ViewSums, count_pool, sum_by_view};
 use super::components::{LossState, StepGradient, StepRates, Unknowns};
 use super::exposure::{ExposureChoice, Exposures, find_exposures};
-use super::groups::{Turn, Turns, exchange_light};
+use super::groups::{Turn, Turns, exchange_light, forget_group_shadows, lights_of_views};
 use super::guard::{
     StepGuard, begin_step, check_adjoints, check_loss, check_shading, end_step, step_is_sound,
 };
@@ -274,6 +274,7 @@ pub fn run_fit(
     let fitted = fit(pipeline, options, watch);
     despawn_pool(&mut pipeline.world);
     despawn_observations(&mut pipeline.world);
+    forget_group_shadows(&mut pipeline.world);
     fitted
 }
 
@@ -318,10 +319,9 @@ fn fit(
     let before = state.elapsed_secs;
     let elapsed = || before + start.elapsed().as_secs_f64();
     let mut summary = FitSummary { steps: done, pixels, elapsed_secs: before, ..FitSummary::default() };
-    let mut turns = turns_after(&mut pipeline.world, options.batch, done);
+    let mut turns = turns_after(&mut pipeline.world, options, done);
     for step in done + 1..=options.steps {
         choose_sheen(&mut pipeline.world, (step - 1) as f32 / options.steps as f32);
-        pipeline.world.resource_mut::<ViewSums>().counts = is_last_visit(step, options, pixels);
         run_step(pipeline, options, step, &turns.next())?;
         summary.steps = step;
         state.elapsed_secs = elapsed();
@@ -341,9 +341,9 @@ fn fit(
 }
 
 /// Which photographs each step visits, after so many.
-fn turns_after(world: &mut World, batch: usize, steps: u32) -> Turns {
+fn turns_after(world: &mut World, options: &FitOptions, steps: u32) -> Turns {
     let every = refresh_every(world);
-    let mut turns = Turns::new(world, batch, every);
+    let mut turns = Turns::new(world, options.batch, every).until(options.steps);
     (0..steps).for_each(|_| _ = turns.next());
     turns
 }
@@ -409,7 +409,8 @@ fn begin(world: &mut World, options: &FitOptions) -> Result<()> {
         begin_albedo(world, options)?;
         world.insert_resource(ScaleMoments::default());
         world.insert_resource(TurnSums::default());
-        world.resource_mut::<Exposures>().begin(options.exposure);
+        let lights = lights_of_views(world);
+        world.resource_mut::<Exposures>().begin(options.exposure, lights);
     }
     world.insert_resource(options.scale);
     world.insert_resource(LossState { loss: options.loss, last: LossSums::default() });
@@ -451,7 +452,8 @@ fn run_step(pipeline: &mut Pipeline, options: &FitOptions, step: u32, turn: &Tur
     let world = &mut pipeline.world;
     world.resource_mut::<Window>().0 = 0..turn.rows.len();
     world.resource_mut::<ObservedWindow>().0 = turn.rows.clone();
-    world.insert_resource(rates_at(step, options));
+    world.insert_resource(rates_at(step, turn.visit, options));
+    world.resource_mut::<ViewSums>().counts = turn.is_last;
     world.insert_resource(RefreshDue(turn.refreshes));
     world.resource_mut::<TexelPlaces>().progress = step as f32 / options.steps as f32;
     begin_step(world);
@@ -462,18 +464,12 @@ fn run_step(pipeline: &mut Pipeline, options: &FitOptions, step: u32, turn: &Tur
     end_step(&mut pipeline.world, step)
 }
 
-/// Whether a step is one of the last that visit every pixel once.
-fn is_last_visit(step: u32, options: &FitOptions, pixels: usize) -> bool {
-    let windows = pixels.div_ceil(options.batch.clamp(1, pixels));
-    (options.steps - step) as usize <= windows.saturating_sub(1)
-}
-
-fn rates_at(step: u32, options: &FitOptions) -> StepRates {
+fn rates_at(step: u32, visit: u32, options: &FitOptions) -> StepRates {
     let done = (step - 1) as f32 / options.steps as f32;
     let passed = options.milestones.iter().filter(|m| **m <= done).count();
     let factor = options.decay.powi(passed as i32);
     let [albedo, light, specular] = options.rates.map(|rate| rate * factor);
-    StepRates { step, progress: done, albedo, light, specular }
+    StepRates { step, visit, progress: done, albedo, light, specular }
 }
 
 /// A fit of the albedo begins without a tilt, which belongs to the albedo that it was found with, and may have to decide about a sheen.

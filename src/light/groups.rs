@@ -5,7 +5,7 @@
 //! scene's own: a fit exchanges their values ([`fit::groups`](crate::fit)), and no kernel knows of more than one light.
 
 use super::illuminate::MapLight;
-use super::lights::{LightMap, LobeOf, LobesOf};
+use super::lights::{FillingLobe, LightMap, LobeOf, LobesOf};
 use super::lobe::LightLobe;
 use super::placement::LightGroup;
 use bevy_ecs::prelude::{Component, Entity, Or, With, Without, World};
@@ -30,7 +30,7 @@ pub fn spawn_group_lights(world: &mut World, lights: &[GroupLight]) {
         return;
     }
     let dark = LightLobe { axis: Vec3::Y, sharpness: 1.0, amplitude: Vec3::ZERO };
-    world.spawn_batch(vec![dark; most - own]);
+    world.spawn_batch(vec![(dark, FillingLobe); most - own]);
     for ((lobes, map), number) in lights.iter().zip(1..) {
         let light = world.spawn((LightGroup(number), LobesOf::default())).id();
         if let Some(map) = map {
@@ -76,7 +76,8 @@ mod tests {
         world.spawn_batch(LightLobe::even(3));
         let lights = [2, 5].map(|count| (LightLobe::even(count), None));
         spawn_group_lights(&mut world, &lights);
-        assert_eq!((light_groups(&mut world), own_lobes(&mut world).len()), (3, 5));
+        assert_eq!((light_groups(&mut world), world.query::<&FillingLobe>().iter(&world).count()), (3, 2));
+        assert_eq!(own_lobes(&mut world), LightLobe::even(3));
         for (number, (lobes, _)) in (1..).zip(&lights) {
             assert_eq!(lobes_of_group(&mut world, LightGroup(number)), *lobes);
             let light = group_light(&mut world, LightGroup(number)).unwrap();

@@ -6,7 +6,7 @@
 //!
 //! | system | stage, slot | reads | writes |
 //! | --- | --- | --- | --- |
-//! | [`provide_light`] | Gather, `Slot::Light` | [`LightLobe`], [`LobeOf`], [`LightName`], [`LightMap`], [`LightFrame`], [`OwnLightFrame`], [`Placements`] | [`IncidentLight`] |
+//! | [`provide_light`] | Gather, `Slot::Light` | [`LightLobe`], [`LobeOf`], [`LobesOf`], [`LightName`], [`LightGroup`], [`LightMap`], [`LightFrame`], [`OwnLightFrame`], [`Placements`], [`PicturePlacement`] | [`IncidentLight`] |
 
 use super::illuminate::{LobeLight, MapLight, TurnedLight};
 use super::light_frame::{LightFrame, OwnLightFrame, PictureRotation};
@@ -33,6 +33,11 @@ pub struct LightName(pub String);
 #[derive(Component, Clone, Copy, Debug, PartialEq, Eq)]
 #[relationship(relationship_target = LobesOf)]
 pub struct LobeOf(pub Entity);
+
+/// A lobe of the scene's own light that only fills it up to as many as another light has
+/// ([`groups`](super::groups)).
+#[derive(Component, Clone, Copy, Debug, Default)]
+pub struct FillingLobe;
 
 /// The lobes of a light. They are despawned with it.
 #[derive(Component, Clone, Debug, Default, PartialEq, Eq)]
@@ -199,5 +204,6 @@ pub fn spawn_light(
 
 /// The lobes of the scene's own light.
 pub fn own_lobes(world: &mut World) -> Vec<LightLobe> {
-    world.query_filtered::<&LightLobe, Without<LobeOf>>().iter(world).copied().collect()
+    let mut own = world.query_filtered::<&LightLobe, (Without<LobeOf>, Without<FillingLobe>)>();
+    own.iter(world).copied().collect()
 }

@@ -3,6 +3,7 @@
 use crate::error::Result;
 use crate::fit::components::TexelSeen;
 use crate::fit::detail::{DetailOptions, finest_side, solve_detail, visited_pixels};
+use crate::fit::groups::forget_visibility;
 use crate::fit::roughness::texel::TexelRoughness;
 use crate::fit::run::FitOptions;
 use crate::material::sheen::KnownAlong;
@@ -18,7 +19,6 @@ use crate::profile::stage;
 use crate::sample::point::Scenery;
 use crate::scene::{FitPass, Tilt};
 use crate::view::{Camera, Photograph, Split};
-use crate::visibility::ObjectVisibility;
 use bevy_ecs::prelude::{Component, With, World};
 use glam::{Vec2, Vec3};
 use std::sync::Arc;
@@ -81,7 +81,7 @@ fn refine(session: &mut Session, factor: u32) -> Result<()> {
         (0..fine_width * fine_height).map(|i| address(place(i), width, height)).collect();
     divide_texels(&mut session.pipeline.world, &from)?;
     session.pipeline.world.insert_resource(Scenery(surface.clone()));
-    session.pipeline.world.remove_resource::<ObjectVisibility>();
+    forget_visibility(&mut session.pipeline.world);
     (session.surface, session.surface_found) = (surface, true);
     Ok(())
 }

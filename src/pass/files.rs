@@ -158,16 +158,21 @@ fn all_lights(scene: &Scene) -> impl Iterator<Item = &LightSource> {
         Views::Photographed(made) => {
             std::iter::once(&made.truth.light).chain(&made.truth.other_lights).collect()
         }
-        Views::Dataset(data) => {
-            let known = data.placements.iter().filter_map(|placement| match &placement.light {
-                PlacementLight::Fixed(source) => Some(source),
-                PlacementLight::Same | PlacementLight::Own => None,
-            });
-            known.collect()
-        }
-        Views::Cameras(_) => Vec::new(),
+        Views::Dataset(_) | Views::Cameras(_) => lights_of_placements(scene).collect(),
     };
     lights(scene).chain(of_views)
+}
+
+/// The known lights of groups of photographs after the first.
+fn lights_of_placements(scene: &Scene) -> impl Iterator<Item = &LightSource> {
+    let placements = match &scene.views {
+        Views::Dataset(data) => data.placements.as_slice(),
+        Views::Photographed(_) | Views::Cameras(_) => &[],
+    };
+    placements.iter().filter_map(|placement| match &placement.light {
+        PlacementLight::Fixed(source) => Some(source),
+        PlacementLight::Same | PlacementLight::Own => None,
+    })
 }
 
 /// The meshes that a scene names.
@@ -270,6 +275,7 @@ pub(crate) fn read_late(scene: &Scene, pass: &Pass) -> Vec<PathBuf> {
     match pass {
         // A map is copied as it is.
         Pass::Save(_) => lights(scene)
+            .chain(lights_of_placements(scene))
             .filter_map(given)
             .filter_map(|light| match light {
                 LightSource::Map { path, .. } => Some(path),

@@ -119,7 +119,7 @@ impl SceneLights {
         };
         let of_group = |light: PlacementLight| match light {
             PlacementLight::Fixed(source) => load(&source).map(Some),
-            PlacementLight::Own | PlacementLight::Same => Ok(own.clone()),
+            PlacementLight::Own | PlacementLight::Same => Ok(None),
         };
         let of_groups = scene.views.other_lights().into_iter().map(of_group).collect::<Result<_>>()?;
         let mut of_passes = BTreeMap::new();
@@ -147,7 +147,11 @@ impl Session<'_> {
         if !self.pipeline.world.contains_resource::<ObjectVisibility>() {
             let settings = VisibilitySettings { directions, bounces, refresh_every };
             let texels = self.surface.atlas().covered.iter().filter(|covered| **covered).count();
-            let bytes = settings.bytes(texels, self.scene.views.placements());
+            let bytes = settings.bytes(
+                texels,
+                self.scene.views.placements(),
+                self.scene.views.other_lights().len() + 1,
+            );
             if bytes > MOST_VISIBILITY_BYTES {
                 let gib = bytes as f64 / f64::from(1 << 30);
                 let problem =

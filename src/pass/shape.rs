@@ -4,6 +4,7 @@ use crate::error::stop::{finish_stopping, is_stopping};
 use crate::error::{Error, Result};
 use crate::fit::components::Unknowns;
 use crate::fit::exposure::{ExposureChoice, Exposures};
+use crate::fit::groups::forget_visibility;
 use crate::fit::guard::{check_numbers, check_parameters};
 use crate::fit::observe::PixelChoice;
 use crate::fit::roughness::blend::TexelPlaces;
@@ -37,7 +38,6 @@ use crate::shape::systems::ShapeSchedule;
 use crate::spawn::insert_known_along;
 use crate::view::AlbedoMap;
 use crate::view::Camera;
-use crate::visibility::ObjectVisibility;
 use bevy_ecs::prelude::World;
 use glam::Vec3;
 use std::ops::ControlFlow;
@@ -164,8 +164,9 @@ fn found_mesh(session: &mut Session, pass: &ShapePass, surface: &SdfSurface) -> 
     } else {
         session.pipeline.world.remove_resource::<ModelError>();
     }
-    // Colors of different exposures are no reflections.
-    if pass.normals && !exposures_differ(session) && !is_stopping() {
+    // Colors of different exposures, or lights, are no reflections.
+    let differ = exposures_differ(session) || !session.scene.views.other_lights().is_empty();
+    if pass.normals && !differ && !is_stopping() {
         session.placed.normals = match_reflections(session, &pass.name, &mut mesh);
     }
     mesh
@@ -370,7 +371,7 @@ fn put_in_place(session: &mut Session, found: &SdfSurface, mesh: &Mesh, texture_
     insert_known_along(world, &session.scene.material.sheen, &surface)?;
     replace_texels(world, &albedo);
     world.insert_resource(Scenery(surface.clone()));
-    world.remove_resource::<ObjectVisibility>();
+    forget_visibility(world);
     session.surface = surface;
     (session.surface_found, session.has_object) = (true, true);
     Ok(())

@@ -4,7 +4,7 @@ use crate::checkpoint::{Span, keep_resource};
 use crate::error::Result;
 use crate::error::stop::{finish_stopping, is_stopping};
 use crate::fit::cameras::{CameraPlugin, CameraUnknowns};
-use crate::fit::groups::forget_group_shadows;
+use crate::fit::groups::{forget_group_shadows, forget_visibility};
 use crate::fit::guard::{check_numbers, check_parameters};
 use crate::fit::observe::PixelChoice;
 use crate::fit::roughness::blend::TexelPlaces;
@@ -205,7 +205,7 @@ fn hold_geometry(session: &mut Session) {
         session.surface = moved;
         session.surface_found = true;
         // Visibility of the changed mesh is traced again when it is needed.
-        session.pipeline.world.remove_resource::<ObjectVisibility>();
+        forget_visibility(&mut session.pipeline.world);
     }
 }
 

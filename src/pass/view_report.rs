@@ -5,6 +5,7 @@ use crate::error::Result;
 use crate::fit::by_view::{ViewSum, ViewSums, is_outlier};
 use crate::fit::guard::StepGuard;
 use crate::light::LightLobe;
+use crate::light::groups::other_lights;
 use crate::light::lights::own_lobes;
 use crate::math::statistics::median;
 use crate::mesh::Surface;
@@ -68,7 +69,8 @@ pub(super) fn note_fit(session: &mut Session) {
     let outlines = outlines(&mut session.pipeline.world, Some(Split::Train));
     let sums = session.pipeline.world.get_resource::<ViewSums>().cloned().unwrap_or_default();
     let overlaps = overlaps(&session.surface, &outlines);
-    let lobes = own_lobes(&mut session.pipeline.world);
+    let mut lobes = own_lobes(&mut session.pipeline.world);
+    lobes.extend(other_lights(&mut session.pipeline.world).into_iter().flat_map(|(lobes, _)| lobes));
     let found: Vec<(ViewOutcome, ViewSum)> = outlines
         .iter()
         .zip(&overlaps)

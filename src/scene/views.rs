@@ -93,7 +93,8 @@ pub struct PlacementSpec {
     /// suits, and must suit one.
     pub photographs: String,
     /// How the object is turned relative to the first placement, about the world's x, then y, then z axis, in degrees: from
-    /// its axes, which are those of the cameras, to where they point in the room. Not for the first. Default: a fit finds it.
+    /// its axes, which are those of the cameras, to where they point in the room. Not for the first. Default: a fit finds it; beside a `light` of its own
+    /// (0, 0, 0): that light is in the axes of the object.
     #[serde(default)]
     pub turned_degrees: Option<Vec3>,
     /// The light on these photographs. Not for the first. Default `Same`.

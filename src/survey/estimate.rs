@@ -283,7 +283,13 @@ impl Task<'_> {
         let settings = VisibilitySettings { directions, bounces, refresh_every };
         let texels = (f64::from(ATLAS_FILL) * self.texels()) as usize;
         let nanos = settings.rows(texels) as f64 * f64::from(directions) * RAY_NANOS;
-        Some(self.part("shadows", settings.bytes(texels, self.scene.views.placements()) as f64, nanos, true))
+        Some(self.part(
+            "shadows",
+            settings.bytes(texels, self.scene.views.placements(), self.scene.views.other_lights().len() + 1)
+                as f64,
+            nanos,
+            true,
+        ))
     }
 
     /// Pixels that a fit visits.

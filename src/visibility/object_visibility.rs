@@ -46,11 +46,12 @@ impl VisibilitySettings {
         texels.min(MOST_ROWS)
     }
 
-    /// Estimated bytes for so many covered texels under so many skies, with 128 lobes and a quarter of the directions above a row occluded.
-    pub fn bytes(&self, texels: usize, skies: usize) -> usize {
+    /// Estimated bytes for so many covered texels under so many skies of each of so many lights, with 128 lobes and a quarter of the directions above a row
+    /// occluded.
+    pub fn bytes(&self, texels: usize, skies: usize, lights: usize) -> usize {
         let directions = self.directions as usize;
         let light = 128 + 48 + size_of::<Mirror>();
-        let lit = light * if skies > FEW_SKIES { 1 } else { skies };
+        let lit = light * lights * if skies > FEW_SKIES { 1 } else { skies };
         self.rows(texels) * (directions / 8 + directions / 2 + lit) + texels * size_of::<u32>()
     }
 }

@@ -176,6 +176,9 @@ fn shade_pixels(pipeline: &mut Pipeline, watch: &mut dyn FnMut(f32)) -> Result<(
         exchange_light(&mut pipeline.world, group);
         let shaded = of_group.iter().try_for_each(|(view, _)| {
             done += 1;
+            if is_stopping() {
+                return Ok(());
+            }
             shade_view(pipeline, *view, every)?;
             watch(done as f32 / views.len() as f32);
             Ok(())

@@ -78,8 +78,8 @@ impl Determined {
     }
 }
 
-/// Measures it with the observations of a fit under the scene's own light, under the light, albedo and material that the world has now. `None` with several base materials, without pixels, or where no
-/// inverse can be found.
+/// Measures it with the observations of a fit, of several groups those of the first, under the light, albedo and material that the world has
+/// now. `None` with several base materials, without pixels, or where no inverse can be found.
 ///
 /// # Errors
 /// If a pool is incomplete.

@@ -3,7 +3,7 @@
 use crate::light::{MAX_RADIANCE, MAX_SHARPNESS};
 use crate::scene::light::{Light, LightFrameChoice, LightSource};
 use crate::scene::validate::checks::Checks;
-use crate::scene::views::{PlacementLight, PlacementSpec};
+use crate::scene::views::{PlacementLight, PlacementSpec, Views};
 
 /// The frame of a light at `path`.
 pub(super) fn light_frame(checks: &mut Checks, path: &str, frame: LightFrameChoice) {
@@ -19,15 +19,41 @@ pub(super) fn light(checks: &mut Checks, light: &Light) {
     }
 }
 
-/// The lights of placements beside the scene's own.
-pub(super) fn placement_lights(checks: &mut Checks, placements: &[PlacementSpec], own: &Light) {
+/// Lights of photographs beside the scene's own.
+pub(super) fn other_lights(checks: &mut Checks, views: &Views, own: &Light) {
+    match views {
+        Views::Dataset(data) => placement_lights(checks, &data.placements, own),
+        Views::Photographed(made) if !made.truth.other_lights.is_empty() => {
+            let ok = matches!(own, Light::Unknown(_));
+            let expected = "Unknown(…), as there are `other_lights`, which a fit is to find as well";
+            checks.require(ok, "light", said(own), expected);
+        }
+        Views::Photographed(_) | Views::Cameras(_) => {}
+    }
+}
+
+fn said(light: &Light) -> &'static str {
+    match light {
+        Light::Unknown(_) => "Unknown(…)",
+        Light::Initial(_) => "Initial(…)",
+        Light::Fixed(_) => "Fixed(…)",
+    }
+}
+
+fn placement_lights(checks: &mut Checks, placements: &[PlacementSpec], own: &Light) {
     let is_known = matches!(own, Light::Fixed(_));
     for (i, placement) in placements.iter().enumerate() {
         let path = format!("views.placements.{i}.light");
         let (value, suits, expected) = match &placement.light {
             PlacementLight::Same => continue,
             _ if i == 0 => ("said", false, "nothing: the first placement is in the scene's `light`"),
-            PlacementLight::Own => ("Own", !is_known, "Fixed(…), as the scene's `light` is known, or Same"),
+            PlacementLight::Own if is_known => {
+                ("Own", false, "Fixed(…), as the scene's `light` is known, or Same")
+            }
+            PlacementLight::Own => {
+                let unknown = matches!(own, Light::Unknown(_));
+                ("Own", unknown, "Same, or a scene's `light` that is Unknown(…) and not Initial(…)")
+            }
             PlacementLight::Fixed(source) => {
                 light_source(checks, &path, source);
                 ("Fixed(…)", is_known, "Own, as the scene's `light` is not known, or Same")

@@ -21,7 +21,7 @@ use crate::scene::material::{
 use crate::scene::photographed::{Pattern, Photographed};
 use crate::scene::surface::Surface;
 use crate::scene::validate::checks::Checks;
-use crate::scene::validate::light::{light, light_frame, light_source, placement_lights};
+use crate::scene::validate::light::{light, light_frame, light_source, other_lights};
 use crate::scene::views::{CameraSpec, Dataset, PlacementSpec, Views};
 use crate::scene::visibility::Visibility;
 use glam::Vec3;
@@ -51,9 +51,7 @@ pub fn check(scene: &Scene) -> Vec<Problem> {
     views(&mut checks, &scene.views);
     light(&mut checks, &scene.light);
     light_frame(&mut checks, "light_frame", scene.light_frame);
-    if let Views::Dataset(data) = &scene.views {
-        placement_lights(&mut checks, &data.placements, &scene.light);
-    }
+    other_lights(&mut checks, &scene.views, &scene.light);
     material(&mut checks, &scene.material);
     if scene.own_material().is_some() && scene.material != Material::default() {
         let help = "Remove `material`, or `own_material` from the surface.";

@@ -140,7 +140,11 @@ pub fn refine(
 
 /// Takes the displacements from `start` back where the photographs show no pattern of the surface, but what it mirrors.
 fn take_back(mesh: &mut Mesh, start: &Mesh, views: &[StereoView], factor: u32) {
-    let pictures = match_pictures(views, factor);
+    // From another placement the light is another, and a place without a pattern looks different.
+    let count = |placement: Placement| views.iter().filter(|view| view.placement == placement).count();
+    let most = views.iter().map(|view| view.placement).max_by_key(|placement| count(*placement));
+    let alike: Vec<StereoView> = views.iter().filter(|view| Some(view.placement) == most).copied().collect();
+    let pictures = match_pictures(&alike, factor);
     // The vertices that were merged before are those that moved together.
     let (graph, before) = VertexGraph::new(start);
     let shell = Shell::moved(graph, mesh);
