@@ -7,7 +7,7 @@ use crate::report::metrics::erode;
 use crate::report::tone::srgb8;
 use crate::survey::sharpness::{Sharpness, sharpness};
 use crate::view::raster::FULL_COVERAGE;
-use crate::view::{Camera, Image, Mask, Split, ViewRecord};
+use crate::view::{Camera, Image, Mask, Placement, Split, ViewRecord};
 use glam::Vec3;
 use image::{Rgb, RgbImage};
 
@@ -43,6 +43,8 @@ pub struct OpenView {
     pub photograph: Option<OpenPhotograph>,
     /// The mask, unless there is none.
     pub mask: Option<Mask>,
+    /// How the object lies in it.
+    pub placement: Placement,
     /// As [`ViewLook::negative`].
     pub negative: f32,
     /// As [`LoadedView::exif`].
@@ -72,6 +74,7 @@ impl OpenView {
             camera: record.camera,
             photograph,
             mask: record.mask.as_ref().map(|mask| mask.mask()),
+            placement: record.placement,
             negative: repairs.negative as f32 / repairs.lit.max(1) as f32,
             exif: *exif,
         }
@@ -91,6 +94,8 @@ pub struct ViewLook {
     pub camera: Camera,
     /// The photograph, unless there is none.
     pub light: Option<RadianceStatistics>,
+    /// How the object lies in it; it has another light than in other placements.
+    pub placement: Placement,
     /// Share of the photograph's pixels that are not black which were negative in its file and are 0 now, in `[0, 1]`.
     pub negative: f32,
     /// As [`LoadedView::exif`].
@@ -181,6 +186,7 @@ impl ViewLook {
             size,
             camera: view.camera,
             light: photograph.map(|photograph| RadianceStatistics::new(photograph, mask)),
+            placement: view.placement,
             negative: view.negative,
             exif: view.exif,
             mask_source: if mask.is_some() { mask_source } else { MaskOrigin::Nowhere },
@@ -197,6 +203,7 @@ impl ViewLook {
             size: [record.camera.width, record.camera.height],
             camera: record.camera,
             light: record.photograph.as_ref().map(|_| RadianceStatistics::default()),
+            placement: record.placement,
             negative: 0.0,
             exif: [1; 2],
             mask_source: MaskOrigin::Nowhere,

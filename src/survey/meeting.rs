@@ -210,7 +210,7 @@ mod tests {
     use super::*;
     use crate::math::fibonacci::fibonacci_axes;
     use crate::survey::look::{MaskOrigin, OpenView};
-    use crate::view::{Mask, Split};
+    use crate::view::{Mask, Placement, Split};
 
     const SIDE: u32 = 64;
 
@@ -226,6 +226,7 @@ mod tests {
                 camera: camera.unwrap(),
                 photograph: None,
                 mask: None,
+                placement: Placement::default(),
                 negative: 0.0,
                 exif: [1; 2],
             }

@@ -4,6 +4,7 @@ use crate::math::statistics::median;
 use crate::survey::finding::{Finding, Severity, named};
 use crate::survey::look::{MaskOrigin, RadianceStatistics, ViewLook};
 use crate::survey::statistics::{neighbors, strays};
+use crate::view::Placement;
 use crate::view::glare::{GLARING, glare_limit};
 use glam::Vec3;
 use std::collections::BTreeMap;
@@ -49,7 +50,7 @@ pub struct NeighborComparison {
 struct Fault<'a> {
     severity: Severity,
     name: &'static str,
-    is_bad: &'a dyn Fn(&RadianceStatistics) -> bool,
+    is_bad: &'a dyn Fn(&ViewLook, &RadianceStatistics) -> bool,
     /// What is wrong, given the views' names.
     problem: fn(&str) -> String,
     help: &'static str,
@@ -58,7 +59,7 @@ struct Fault<'a> {
 impl Fault<'_> {
     /// The finding about the views that have it, if there are any.
     fn find(&self, looks: &[ViewLook]) -> Option<Finding> {
-        let bad = lights(looks).filter(|(_, light)| (self.is_bad)(light));
+        let bad = lights(looks).filter(|(look, light)| (self.is_bad)(look, light));
         let views: Vec<String> = bad.map(|(look, _)| look.name.clone()).collect();
         let problem = || (self.problem)(&named(&views));
         (!views.is_empty())
@@ -68,12 +69,15 @@ impl Fault<'_> {
 
 /// Photographs that cannot be photographs of the object.
 pub(crate) fn of_radiance(looks: &[ViewLook]) -> Vec<Finding> {
-    let mut medians: Vec<f32> = lights(looks).map(|(_, light)| light.median).collect();
-    let Some(usual) = median(&mut medians) else { return Vec::new() };
-    let is_black =
-        |light: &RadianceStatistics| light.highest <= 0.0 || (usual > 0.0 && light.bright < BLACK * usual);
-    let is_bright =
-        |light: &RadianceStatistics| usual > 0.0 && light.median > ABSURD * usual && light.median > 1.0;
+    // Those of a placement are in one light.
+    let usual_in = by_placement(looks, |light| light.median);
+    let usual = |look: &ViewLook| usual_in.get(&look.placement).copied().unwrap_or(0.0);
+    let is_black = |look: &ViewLook, light: &RadianceStatistics| {
+        light.highest <= 0.0 || (usual(look) > 0.0 && light.bright < BLACK * usual(look))
+    };
+    let is_bright = |look: &ViewLook, light: &RadianceStatistics| {
+        usual(look) > 0.0 && light.median > ABSURD * usual(look) && light.median > 1.0
+    };
     let black = Fault {
         severity: Severity::Error,
         name: "black",
@@ -96,12 +100,22 @@ pub(crate) fn of_radiance(looks: &[ViewLook]) -> Vec<Finding> {
     found.into_iter().chain([turned(looks), clipped(looks)]).flatten().collect()
 }
 
+/// The median over the photographs of each placement.
+fn by_placement(looks: &[ViewLook], value: impl Fn(&RadianceStatistics) -> f32) -> BTreeMap<Placement, f32> {
+    let mut values: BTreeMap<Placement, Vec<f32>> = BTreeMap::new();
+    for (look, light) in lights(looks) {
+        values.entry(look.placement).or_default().push(value(light));
+    }
+    let usual = |(placement, mut values): (Placement, Vec<f32>)| Some((placement, median(&mut values)?));
+    values.into_iter().filter_map(usual).collect()
+}
+
 /// Photographs with many pixels at the top of their range.
 fn clipped(looks: &[ViewLook]) -> Option<Finding> {
     let fault = Fault {
         severity: Severity::Warning,
         name: "clipped",
-        is_bad: &|light: &RadianceStatistics| light.clipped > MANY_CLIPPED,
+        is_bad: &|_: &ViewLook, light: &RadianceStatistics| light.clipped > MANY_CLIPPED,
         problem: |views| format!("more than a twentieth of the object's pixels are clipped in {views}"),
         help: "Expose less, or write images with more range (16-bit PNG, EXR).",
     };
@@ -109,10 +123,13 @@ fn clipped(looks: &[ViewLook]) -> Option<Finding> {
 }
 
 /// Photographs a few pixels of which are far brighter than anything in the others, but which are not absurd as a whole.
-fn glaring(looks: &[ViewLook], is_absurd: impl Fn(&RadianceStatistics) -> bool) -> Option<Finding> {
+fn glaring(
+    looks: &[ViewLook],
+    is_absurd: impl Fn(&ViewLook, &RadianceStatistics) -> bool,
+) -> Option<Finding> {
     let limit = glare_limit(lights(looks).map(|(_, light)| light.highest));
     let is_glaring =
-        |(_, light): &(&ViewLook, &RadianceStatistics)| light.highest > limit && !is_absurd(light);
+        |(look, light): &(&ViewLook, &RadianceStatistics)| light.highest > limit && !is_absurd(look, light);
     let views: Vec<String> = lights(looks).filter(is_glaring).map(|(look, _)| look.name.clone()).collect();
     let brightest = lights(looks).map(|(_, light)| light.highest).fold(0.0, f32::max);
     let problem = || {
@@ -255,7 +272,7 @@ struct Stray {
     angle: f32,
 }
 
-/// Compares a value of views that have one; nothing for few views.
+/// Compares a value of views that have one, within each placement: in another one, the same side is in another light. Nothing for few views.
 fn stray_views(
     looks: &[ViewLook],
     directions: &[Vec3],
@@ -265,7 +282,18 @@ fn stray_views(
 ) -> Vec<Stray> {
     let with_value =
         |(i, look): (usize, &ViewLook)| Some((i, value(look.light.as_ref().filter(|_| !spoiled[i])?)?));
-    let chosen: Vec<(usize, f32)> = looks.iter().enumerate().filter_map(with_value).collect();
+    let mut by_placement: BTreeMap<Placement, Vec<(usize, f32)>> = BTreeMap::new();
+    for (i, value) in looks.iter().enumerate().filter_map(with_value) {
+        by_placement.entry(looks[i].placement).or_default().push((i, value));
+    }
+    let mut all: Vec<Stray> =
+        by_placement.values().flat_map(|chosen| strays_among(chosen, directions, floor)).collect();
+    all.sort_by_key(|stray| stray.view);
+    all
+}
+
+/// Compares the values of views, which are in the same light.
+fn strays_among(chosen: &[(usize, f32)], directions: &[Vec3], floor: f32) -> Vec<Stray> {
     if chosen.len() < LEAST_VIEWS {
         return Vec::new();
     }

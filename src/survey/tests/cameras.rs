@@ -5,7 +5,7 @@ use crate::math::fibonacci::fibonacci_axes;
 use crate::survey::cameras::{Arrangement, ArrangementKind};
 use crate::survey::look::OpenView;
 use crate::survey::turntable::{Background, is_turntable, sameness};
-use crate::view::{Camera, Split};
+use crate::view::{Camera, Placement, Split};
 use glam::Vec3;
 
 fn seen(i: usize, direction: Vec3) -> OpenView {
@@ -15,6 +15,7 @@ fn seen(i: usize, direction: Vec3) -> OpenView {
         camera: camera(direction.normalize()),
         photograph: None,
         mask: None,
+        placement: Placement::default(),
         negative: 0.0,
         exif: [1; 2],
     }

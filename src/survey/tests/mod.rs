@@ -14,7 +14,7 @@ use crate::mesh::primitive::box_mesh;
 use crate::mesh::triangles::Mesh;
 use crate::survey::look::{OpenPhotograph, OpenView};
 use crate::survey::{MaskOrigin, Subject, Survey, ViewLook, examine};
-use crate::view::{Camera, Image, Mask, Split};
+use crate::view::{Camera, Image, Mask, Placement, Split};
 use glam::Vec3;
 use std::sync::OnceLock;
 
@@ -72,6 +72,7 @@ fn photographed(name: &str, split: Split, camera: Camera, bvh: &TriangleBvh) -> 
         camera,
         photograph: Some(OpenPhotograph { saturated: vec![false; image.pixels.len()], image }),
         mask: Some(Mask { width, height, coverage }),
+        placement: Placement::default(),
         negative: 0.0,
         exif: [1; 2],
     }

@@ -5,6 +5,7 @@ use crate::survey::look::OpenView;
 use crate::survey::photographs::compare;
 use crate::survey::sharpness::Sharpness;
 use crate::survey::{Severity, Survey};
+use crate::view::Placement;
 use glam::Vec3;
 
 /// A survey of good views after a change of one photograph's pixels.
@@ -53,6 +54,22 @@ fn another_exposure_is_named_with_its_stops() {
     assert_eq!(survey.findings[0].severity, Severity::Warning);
     expect(&changed(5, |pixel| pixel / 8.0), "exposure", &["v5"], &["stops darker"]);
     assert_eq!(changed(5, |pixel| pixel * 1.3).findings, []);
+}
+
+#[test]
+fn photographs_of_another_placement_are_in_another_light() {
+    let mut views = good();
+    for view in [2, 5, 8] {
+        pixels(&mut views[view]).iter_mut().for_each(|pixel| *pixel *= 8.0);
+    }
+    assert!(!surveyed(&views, Some(&object())).findings.is_empty());
+    for view in [2, 5, 8] {
+        views[view].placement = Placement(1);
+    }
+    assert_eq!(surveyed(&views, Some(&object())).findings, []);
+    // Beside those of its own placement one is too dark.
+    pixels(&mut views[5]).iter_mut().for_each(|pixel| *pixel *= 1e-4);
+    expect(&surveyed(&views, Some(&object())), "black", &["v5"], &["black where the object is"]);
 }
 
 /// Good views, of which that of index 11 is the mean of itself moved by each step.
