@@ -86,6 +86,8 @@ fn a_tenth_of_the_triangles_looks_nearly_the_same() {
         "model-viewer.html",
     ];
     assert_eq!(files_below(&data.path("out/export")), files);
+    let glb = std::fs::read(data.path("out/export/mesh.glb")).unwrap();
+    assert!(glb.windows(15).any(|part| part == b"\"normalTexture\""));
     let metrics: Value =
         serde_json::from_slice(&std::fs::read(data.path("out/metrics.json")).unwrap()).unwrap();
     assert!(metrics["chamfer"].as_f64().unwrap() < 1e-6, "{metrics}");

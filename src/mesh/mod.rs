@@ -17,6 +17,7 @@ pub mod chamfer;
 pub mod decimate;
 pub mod nearest;
 pub mod primitive;
+pub mod tangents;
 pub mod triangles;
 
 use crate::math::ray::{Hit, Intersect, Ray};

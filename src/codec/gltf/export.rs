@@ -1,6 +1,7 @@
 //! Writing a mesh as binary glTF 2.0.
 
 use crate::codec::gltf::material::GltfMaterial;
+use crate::mesh::tangents::vertex_tangents;
 use crate::mesh::triangles::Mesh;
 use crate::{Error, Result};
 use serde_json::{Value, json};
@@ -21,7 +22,8 @@ const ELEMENT_ARRAY_BUFFER: u32 = 34963;
 pub fn write_glb(path: &Path, mesh: &Mesh, material: Option<&GltfMaterial>) -> Result<()> {
     check(mesh, material).map_err(|problem| Error::run(format!("writing {}", path.display()), problem))?;
     let mut binary = Binary::default();
-    let primitive = primitive(&mut binary, mesh);
+    let has_map = material.is_some_and(|material| material.normal_image.is_some());
+    let primitive = primitive(&mut binary, mesh, has_map);
     let mut root = json!({
         "asset": {"version": "2.0", "generator": concat!("lobelia ", env!("CARGO_PKG_VERSION"))},
         "scene": 0,
@@ -61,7 +63,12 @@ fn check(mesh: &Mesh, material: Option<&GltfMaterial>) -> std::result::Result<()
         return Err("a position, normal or texture coordinate is not finite".to_owned());
     }
     let Some(material) = material else { return Ok(()) };
-    let images = [&material.base_color_image, &material.roughness_image, &material.specular_image];
+    let images = [
+        &material.base_color_image,
+        &material.roughness_image,
+        &material.specular_image,
+        &material.normal_image,
+    ];
     if images.iter().any(|image| image.is_some()) && mesh.uvs.is_none() {
         return Err("a texture needs texture coordinates".to_owned());
     }
@@ -98,7 +105,7 @@ impl Binary {
     /// Appends an accessor of float vectors (with its range, if `with_range`) and returns its index.
     fn add_floats<const N: usize>(&mut self, values: &[[f32; N]], with_range: bool) -> usize {
         let view = self.add_view(values.iter().flatten().flat_map(|x| x.to_le_bytes()), Some(ARRAY_BUFFER));
-        let kind = if N == 2 { "VEC2" } else { "VEC3" };
+        let kind = format!("VEC{N}");
         let mut accessor =
             json!({"bufferView": view, "componentType": FLOAT, "count": values.len(), "type": kind});
         if with_range {
@@ -113,7 +120,8 @@ impl Binary {
     }
 }
 
-fn primitive(binary: &mut Binary, mesh: &Mesh) -> Value {
+/// The attributes and indices of a mesh; with tangents for a normal map.
+fn primitive(binary: &mut Binary, mesh: &Mesh, with_tangents: bool) -> Value {
     let positions: Vec<_> = mesh.positions.iter().map(|p| p.to_array()).collect();
     let normals: Vec<_> = mesh.normals.iter().map(|n| n.to_array()).collect();
     let mut attributes = json!({
@@ -123,6 +131,10 @@ fn primitive(binary: &mut Binary, mesh: &Mesh) -> Value {
     if let Some(uvs) = &mesh.uvs {
         let uvs: Vec<_> = uvs.iter().map(|uv| uv.to_array()).collect();
         attributes["TEXCOORD_0"] = json!(binary.add_floats(&uvs, false));
+    }
+    if with_tangents {
+        let tangents: Vec<_> = vertex_tangents(mesh).iter().map(|tangent| tangent.to_array()).collect();
+        attributes["TANGENT"] = json!(binary.add_floats(&tangents, false));
     }
     let indices = mesh.triangles.iter().flatten().flat_map(|i| i.to_le_bytes());
     let view = binary.add_view(indices, Some(ELEMENT_ARRAY_BUFFER));
@@ -155,12 +167,16 @@ fn add_material(root: &mut Value, binary: &mut Binary, material: &GltfMaterial) 
         specular["specularColorTexture"] = texture(binary, &mut images, png);
         specular["specularTexture"] = specular["specularColorTexture"].clone();
     }
+    let normals = material.normal_image.as_ref().map(|png| texture(binary, &mut images, png));
     add_textures(root, &images);
     root["materials"] = json!([{
         "name": material.name,
         "pbrMetallicRoughness": metallic_roughness,
         "extensions": {"KHR_materials_specular": specular, "KHR_materials_ior": {"ior": material.ior}},
     }]);
+    if let Some(normals) = normals {
+        root["materials"][0]["normalTexture"] = normals;
+    }
     root["extensionsUsed"] = json!(["KHR_materials_specular", "KHR_materials_ior"]);
 }
 
@@ -234,7 +250,8 @@ mod tests {
         pixels.write_to(&mut std::io::Cursor::new(&mut png), image::ImageFormat::Png).unwrap();
         let material = GltfMaterial {
             base_color: Vec3::new(0.1, 0.2, 0.3),
-            base_color_image: Some(png),
+            base_color_image: Some(png.clone()),
+            normal_image: Some(png),
             roughness: 0.3,
             specular: 0.5,
             specular_color: Vec3::new(1.0, 0.5, 0.25),
@@ -244,7 +261,10 @@ mod tests {
         write_glb(&path, &box_mesh(Vec3::ZERO, Vec3::ONE).unwrap(), Some(&material)).unwrap();
         // The crate's own importer validates the whole document.
         let (document, _, images) = gltf::import(&path).unwrap();
-        assert_eq!((images[0].width, images[0].height), (3, 2));
+        assert_eq!((images[0].width, images[0].height, images.len()), (3, 2, 2));
+        assert_eq!(document.materials().next().unwrap().normal_texture().unwrap().texture().index(), 1);
+        let primitive = document.meshes().next().unwrap().primitives().next().unwrap();
+        assert_eq!(primitive.get(&gltf::Semantic::Tangents).unwrap().count(), 24);
         assert_eq!(images[0].pixels[..3], [10, 200, 30]);
         let pbr = document.materials().next().unwrap().pbr_metallic_roughness();
         assert_eq!(pbr.base_color_factor(), [0.1, 0.2, 0.3, 1.0]);

@@ -41,6 +41,8 @@ pub struct GltfMaterial {
     pub specular_color: Vec3,
     /// A PNG with factors on `specular_color` in its colors (sRGB) and on `specular` in its alpha. Not read back.
     pub specular_image: Option<Vec<u8>>,
+    /// A PNG of normals relative to the mesh's tangents ([`tangents`](crate::mesh::tangents)), embedded as `normalTexture`. Not read back.
+    pub normal_image: Option<Vec<u8>>,
     /// Index of refraction of `KHR_materials_ior`, ≥ 1 (1.5 is glTF's default, a reflectance of 0.04).
     pub ior: f32,
 }
@@ -57,6 +59,7 @@ impl Default for GltfMaterial {
             specular: 1.0,
             specular_color: Vec3::ONE,
             specular_image: None,
+            normal_image: None,
             ior: 1.5,
         }
     }
@@ -133,6 +136,7 @@ pub fn read_material(path: &Path) -> Result<GltfMaterial> {
         specular_color: specular
             .map_or(default.specular_color, |s| Vec3::from(s.specular_color_factor.0).max(Vec3::ZERO)),
         specular_image: None,
+        normal_image: None,
         ior: ior.map_or(default.ior, |ior| ior.ior.0.max(1.0)),
     };
     let numbers = [read.roughness, read.specular, read.ior].iter().all(|x| x.is_finite());

@@ -123,14 +123,16 @@ impl Exported {
 
     fn gltf(&self) -> Result<GltfMaterial> {
         let look = self.object.look(None);
+        let normal_image = self.object.normal_png()?;
         let base_color_image = Some(self.object.color_png(&look.base)?);
         if let ([dielectric], [roughness]) = (&look.dielectrics[..], &look.roughness[..]) {
             let material = GltfMaterial::of_dielectric(dielectric, *roughness);
-            return Ok(GltfMaterial { base_color_image, ..material });
+            return Ok(GltfMaterial { base_color_image, normal_image, ..material });
         }
         let (factors, images) = look.factors();
         Ok(GltfMaterial {
             base_color_image,
+            normal_image,
             roughness: 1.0,
             roughness_image: Some(self.object.roughness_png(&look.roughness)?),
             specular_image: Some(self.object.reflectance_png(&images)?),

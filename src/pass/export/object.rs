@@ -12,6 +12,7 @@ use crate::mesh::Surface;
 use crate::mesh::atlas::{address, fill_uncovered, unwrap_mesh};
 use crate::mesh::decimate::decimate;
 use crate::mesh::nearest::NearestTriangle;
+use crate::mesh::tangents::{relative_normals, texel_frames, vertex_tangents};
 use crate::mesh::triangles::Mesh;
 use crate::report::tone::srgb8;
 use glam::{Vec2, Vec3};
@@ -30,6 +31,8 @@ pub struct Object {
     lobes: Vec<(usize, SpecularLobe)>,
     /// Their weights at each texel; `None` if there is one lobe with weight one everywhere.
     blends: Option<Vec<SpecularBlend>>,
+    /// Of an object with fewer triangles, the normals of the full surface relative to its own ([`tangents`](crate::mesh::tangents)).
+    relative_normals: Option<Vec<Vec3>>,
 }
 
 /// The material of texels in other programs.
@@ -63,7 +66,8 @@ impl Object {
         let albedo = both.map(|(albedo, sheen)| mean_albedo(albedo.0, sheen.0)).collect();
         let lobes: Vec<_> = material.materials().map(|(number, lobe)| (number, *lobe)).collect();
         let is_uniform = material.uniform().is_some();
-        Self { surface, albedo, lobes, blends: (!is_uniform).then_some(material.blends) }
+        let blends = (!is_uniform).then_some(material.blends);
+        Self { surface, albedo, lobes, blends, relative_normals: None }
     }
 
     /// Its mesh, in the coordinates of the data.
@@ -86,6 +90,12 @@ impl Object {
         mesh.normals = normals.collect();
         let surface = Surface::new(unwrap_mesh(&mesh, size)?.mesh, size)?;
         let atlas = surface.atlas();
+        let full = |(at, covered): (&Vec3, &bool)| {
+            covered.then(|| below(at)).flatten().map_or(Vec3::ZERO, |hit| hit.normal)
+        };
+        let full: Vec<Vec3> = atlas.position.par_iter().zip(&atlas.covered).map(full).collect();
+        let frames = texel_frames(surface.mesh(), &vertex_tangents(surface.mesh()), atlas);
+        let normals = relative_normals(&frames, &full);
         let carried = |values: &[Vec3]| {
             let at = |(at, covered): (&Vec3, &bool)| {
                 let hit = covered.then(|| below(at)).flatten();
@@ -97,7 +107,13 @@ impl Object {
         };
         let albedo = carried(&self.albedo);
         let blends = self.blends.as_ref().map(|blends| carried_blends(blends, &carried));
-        Ok(Self { surface: Arc::new(surface), albedo, lobes: self.lobes.clone(), blends })
+        Ok(Self {
+            surface: Arc::new(surface),
+            albedo,
+            lobes: self.lobes.clone(),
+            blends,
+            relative_normals: Some(normals),
+        })
     }
 
     /// The specular lobe, or the mean of several over the surface.
@@ -171,6 +187,13 @@ impl Object {
         self.png(&bytes, PngPixels::Rgb)
     }
 
+    /// The normal map of an object with fewer triangles.
+    pub fn normal_png(&self) -> Result<Option<Vec<u8>>> {
+        let code = |normal: &Vec3| (0.5 * *normal + 0.5).to_array().map(byte);
+        let bytes = |normals: &Vec<Vec3>| normals.iter().flat_map(code).collect::<Vec<u8>>();
+        self.relative_normals.as_ref().map(|normals| self.png(&bytes(normals), PngPixels::Rgb)).transpose()
+    }
+
     /// A texture of numbers in [0, 1], linear.
     pub fn gray_png(&self, values: &[f32]) -> Result<Vec<u8>> {
         let bytes: Vec<u8> = values.iter().map(|value| byte(*value)).collect();
@@ -207,4 +230,47 @@ fn carried_blends(blends: &[SpecularBlend], carried: &dyn Fn(&[Vec3]) -> Vec<Vec
     });
     let count = triplets[0].len();
     (0..count).map(|i| SpecularBlend(std::array::from_fn(|k| triplets[k / 3][i][k % 3]))).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::material::{DiffuseAlbedo, DiffuseSheen, DiffuseTilt};
+    use crate::math::brdf::Ndf;
+    use crate::mesh::primitive::sphere_mesh;
+
+    #[test]
+    fn a_normal_map_has_the_normals_of_the_full_surface() {
+        // Normals that vary more finely than the triangles of the coarse mesh.
+        let bent = |at: Vec3| (at.normalize() + 0.2 * (9.0 * at).map(f32::sin)).normalize();
+        let mut mesh = unwrap_mesh(&sphere_mesh(Vec3::ZERO, 1.0).unwrap(), 128).unwrap().mesh;
+        mesh.normals = mesh.positions.iter().map(|at| bent(*at)).collect();
+        let surface = Arc::new(Surface::new(mesh, 128).unwrap());
+        let texels = surface.atlas().covered.len();
+        let material = MaterialState {
+            albedo: vec![DiffuseAlbedo(Vec3::splat(0.5)); texels],
+            sheen: vec![DiffuseSheen::default(); texels],
+            tilt: vec![DiffuseTilt::default(); texels],
+            blends: vec![SpecularBlend::default(); texels],
+            lobes: vec![Some(SpecularLobe { ndf: Ndf::Sg, ..SpecularLobe::new(Vec3::splat(0.04), 0.4) })],
+        };
+        let full = Object::new(surface, material);
+        assert!(full.normal_png().unwrap().is_none());
+        let coarse = full.coarser(120).unwrap();
+        let atlas = coarse.surface.atlas();
+        let frames = texel_frames(coarse.mesh(), &vertex_tangents(coarse.mesh()), atlas);
+        let (mut with, mut without, mut count) = (0.0, 0.0, 0.0);
+        for row in (0..atlas.covered.len()).filter(|row| atlas.covered[*row]) {
+            let truth = bent(atlas.position[row].normalize());
+            // As a program reads it: eight bits a channel.
+            let code = coarse.relative_normals.as_ref().unwrap()[row];
+            let read = (0.5 * code + 0.5).to_array().map(|value| f32::from(byte(value)) / 127.5 - 1.0);
+            let mapped = (frames[row] * Vec3::from(read)).normalize();
+            with += mapped.angle_between(truth).to_degrees();
+            without += atlas.normal[row].angle_between(truth).to_degrees();
+            count += 1.0;
+        }
+        let (with, without) = (with / count, without / count);
+        assert!(with < 2.0 && without > 3.0 * with, "{with} {without}");
+    }
 }
