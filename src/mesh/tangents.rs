@@ -7,7 +7,7 @@ use crate::mesh::atlas::TexelAtlas;
 use crate::mesh::triangles::Mesh;
 use glam::{Mat3, Vec3, Vec4};
 
-/// Determinant of a frame below which it is none.
+/// Determinant of a frame below which it is none; where the texture is mirrored it is negative.
 const FLAT: f32 = 1e-3;
 
 /// The tangent of each vertex: a unit vector across the normal toward growing u, and w = ±1. Along any direction across the normal where the
@@ -59,7 +59,7 @@ pub fn texel_frames(mesh: &Mesh, tangents: &[Vec4], atlas: &TexelAtlas) -> Vec<M
 /// Normals in these frames, unit vectors; (0, 0, 1) where there is no frame or the normal is on its other side.
 pub fn relative_normals(frames: &[Mat3], normals: &[Vec3]) -> Vec<Vec3> {
     let relative = |(frame, normal): (&Mat3, &Vec3)| {
-        let is_frame = frame.determinant() > FLAT && frame.z_axis.dot(*normal) > 0.0;
+        let is_frame = frame.determinant().abs() > FLAT && frame.z_axis.dot(*normal) > 0.0;
         let found = is_frame.then(|| (frame.inverse() * *normal).try_normalize()).flatten();
         found.filter(|found| found.z > 0.0).unwrap_or(Vec3::Z)
     };
