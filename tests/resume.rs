@@ -176,16 +176,21 @@ fn a_fit_that_chooses_its_distribution_of_normals_goes_on_from_any_step() {
     survives(&data, &text, &[("fit", 60), ("fit, GGX", 40), ("fit", 150), ("fit", 260), ("novel", 1)]);
 }
 
+/// A scene whose first photograph of each split is of one placement, and the others of another, of which more is `said`.
+fn in_two_rounds(passes: &str, said: &str) -> String {
+    let rounds = format!(r#"[(photographs: "rgb_000000"), (photographs: "rgb_"{said})]"#);
+    let views = format!(r#"Dataset(path: "$DATA", placements: {rounds})"#);
+    let text = scene(MESH, "material: (gloss: One),", passes).replace(r#"Dataset(path: "$DATA")"#, &views);
+    assert!(text.contains(&rounds));
+    text
+}
+
 #[test]
 fn an_object_that_was_turned_over_goes_on_from_any_step() {
     let data = Data::new();
     two_balls(&data);
     let passes = r#"Fit(name: "fit", steps: 160, batch: 64), Render(name: "novel"), Save(), Export(),"#;
-    let placements =
-        r#"Dataset(path: "$DATA", placements: [(photographs: "rgb_000000"), (photographs: "rgb_")])"#;
-    let text =
-        scene(MESH, "material: (gloss: One),", passes).replace(r#"Dataset(path: "$DATA")"#, placements);
-    assert!(text.contains("placements"));
+    let text = in_two_rounds(passes, "");
     // Between two moves of the rotation, after more, and during the pictures.
     survives(&data, &text, &[("fit", 40), ("fit", 110), ("novel", 1)]);
 }
@@ -195,10 +200,7 @@ fn an_object_under_two_lights_goes_on_from_any_step() {
     let data = Data::new();
     two_balls(&data);
     let passes = r#"Fit(name: "fit", steps: 80, batch: 64, vertices: true, detail: true), Render(name: "novel"), Save(), Export(),"#;
-    let placements = r#"Dataset(path: "$DATA", placements: [(photographs: "rgb_000000"), (photographs: "rgb_", light: Own)])"#;
-    let text =
-        scene(MESH, "material: (gloss: One),", passes).replace(r#"Dataset(path: "$DATA")"#, placements);
-    assert!(text.contains("light: Own"));
+    let text = in_two_rounds(passes, ", light: Own");
     survives(&data, &text, &[("fit", 30), ("fit", 61), ("novel", 1)]);
 }
 
