@@ -61,6 +61,19 @@ impl Page {
         serde_json::from_str(&text).unwrap()
     }
 
+    /// Presses "renew" until the object is copied this often: on a busy machine a press may end before the next step.
+    #[track_caller]
+    fn until_copy(&self, number: u64) -> Value {
+        let start = Instant::now();
+        loop {
+            let pressed = self.press("/renew");
+            if pressed["copy"]["number"].as_u64().is_some_and(|at| at >= number) {
+                return pressed["copy"].clone();
+            }
+            assert!(start.elapsed() < Duration::from_secs(300), "{pressed}");
+        }
+    }
+
     fn state(&self) -> Value {
         serde_json::from_str(&self.get("/state.json")).unwrap()
     }
@@ -89,9 +102,8 @@ fn a_fit_is_seen_while_it_works_and_ended_by_its_button() {
     assert_eq!((state["state"].as_str(), state["pass"]["name"].as_str()), (Some("running"), Some("endless")));
     assert!(state["step"]["psnr"].is_number() && state["points"].as_u64() >= Some(2), "{state}");
     assert!(state["copy"].is_null(), "nothing is copied before somebody asks");
-    let copied = page.press("/renew");
-    assert_eq!(copied["copy"]["number"], 1, "{copied}");
-    assert!(copied["copy"]["at"].as_str().unwrap().starts_with("endless, step "), "{copied}");
+    let copied = page.until_copy(1);
+    assert!(copied["at"].as_str().unwrap().starts_with("endless, step "), "{copied}");
     let object = page.get("/object.html");
     assert!(object.contains(r#"name="generator" content="Lobelia""#) && object.len() > 50_000);
     let views = page.get("/views.html");
@@ -99,7 +111,7 @@ fn a_fit_is_seen_while_it_works_and_ended_by_its_button() {
     assert!(views.matches("data:image/jpeg").count() == 12 && views.contains(" dB, SSIM "));
     let curves = page.get("/curves.html");
     assert!(curves.contains("Loss") && curves.contains("<polyline"), "{curves}");
-    assert_eq!(page.press("/renew")["copy"]["number"], 2);
+    page.until_copy(copied["number"].as_u64().unwrap() + 1);
 
     refuses_others(&page);
     assert_eq!(page.press("/stop")["first"], true);
@@ -153,7 +165,8 @@ fn a_shape_is_a_picture_until_it_is_a_mesh() {
     let page = Page::open(port);
     let state = page.until_step(1);
     assert_eq!((state["pass"]["name"].as_str(), state["step"]["levels"].as_u64()), (Some("shape"), Some(1)));
-    assert!(page.press("/renew")["copy"]["at"].as_str().unwrap().starts_with("shape, step "));
+    let copied = page.until_copy(1);
+    assert!(copied["at"].as_str().unwrap().starts_with("shape, step "), "{copied}");
     let object = page.get("/object.html");
     assert!(object.contains("data:image/jpeg") && object.contains("field"), "{}", object.len());
     assert!(page.get("/views.html").contains("class=\"card\""));
@@ -161,7 +174,8 @@ fn a_shape_is_a_picture_until_it_is_a_mesh() {
         std::thread::sleep(Duration::from_millis(20));
     }
     page.until_step(1);
-    assert!(page.press("/renew")["copy"]["at"].as_str().unwrap().starts_with("endless, step "));
+    let copied = page.until_copy(copied["number"].as_u64().unwrap() + 1);
+    assert!(copied["at"].as_str().unwrap().starts_with("endless, step "), "{copied}");
     assert!(page.get("/object.html").contains(r#"name="generator" content="Lobelia""#));
     page.press("/stop");
     assert_eq!(at_work.ended(), Some(130));
