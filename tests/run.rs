@@ -204,7 +204,10 @@ fn check_metrics(out: &Path, table: &str) {
 fn check_log(out: &Path) {
     let log = String::from_utf8(read(out.join("fit/log.csv"))).unwrap();
     let mut lines = log.lines();
-    assert_eq!(lines.next(), Some("step,elapsed_secs,loss,psnr,specular_r,specular_g,specular_b,roughness"));
+    assert_eq!(
+        lines.next(),
+        Some("step,elapsed_secs,loss,psnr,specular_r,specular_g,specular_b,roughness,lobes")
+    );
     let rows: Vec<Vec<f64>> =
         lines.map(|line| line.split(',').map(|n| n.parse().unwrap()).collect()).collect();
     assert_eq!(rows.iter().map(|row| row[0]).collect::<Vec<_>>(), [20.0, 40.0, 60.0, 80.0, 100.0]);

@@ -1,26 +1,12 @@
-//! Animations that loop forever: GIF, APNG, and MP4 where `ffmpeg` is on the PATH.
+//! Animations that loop forever: GIF and APNG.
 
 use crate::codec::file;
 use crate::codec::film::Film;
 use crate::codec::palette::{ColorHistogram, Ditherer, Palette};
 use crate::codec::png_file;
 use crate::{Error, Result};
-use image::RgbImage;
 use png::{BitDepth, ColorType, Compression, Encoder, SrgbRenderingIntent};
-use std::ffi::OsStr;
-use std::io::{Read, Write};
 use std::path::Path;
-use std::process::{Child, Command, Stdio};
-
-/// Result of writing an MP4.
-#[derive(Clone, Debug, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum Mp4 {
-    /// It was written.
-    Written,
-    /// There is no `ffmpeg` on the PATH; nothing was written. Report this to the user as a note.
-    NoFfmpeg,
-}
 
 /// Peak memory in bytes of a film with frames of this width and height, beside that of rendering: the frames that wait to be written, or one
 /// frame, its numbers of colors or its filtered copy, and what it is compressed to.
@@ -105,119 +91,6 @@ fn delay_ratio(fps: f32) -> (u16, u16) {
     (100, (100.0 * fps).round().min(65_535.0) as u16)
 }
 
-/// Writes an H.264 MP4 (yuv420p, BT.709) by piping frames to the `ffmpeg` on the PATH. H.264 in yuv420p needs even sides: an odd
-/// side is extended by its last line.
-///
-/// # Errors
-/// Those of [`write_apng`]; [`Error::Run`] with the last line of ffmpeg's output if it fails. A missing `ffmpeg` is [`Mp4::NoFfmpeg`], not an error.
-pub fn write_mp4(path: impl AsRef<Path>, film: &Film, fps: f32) -> Result<Mp4> {
-    write_mp4_with(OsStr::new("ffmpeg"), path.as_ref(), film, fps)
-}
-
-/// Whether there is an `ffmpeg` on the PATH that starts.
-pub fn has_ffmpeg() -> bool {
-    has_ffmpeg_with(OsStr::new("ffmpeg"))
-}
-
-/// [`has_ffmpeg`] with another program in place of `ffmpeg`.
-pub fn has_ffmpeg_with(program: &OsStr) -> bool {
-    let mut command = Command::new(program);
-    command.arg("-version").stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
-    command.status().is_ok_and(|status| status.success())
-}
-
-/// [`write_mp4`] with another program in place of `ffmpeg` (a name on the PATH, or a path).
-///
-/// # Errors
-/// Those of [`write_mp4`].
-pub fn write_mp4_with(program: &OsStr, path: &Path, film: &Film, fps: f32) -> Result<Mp4> {
-    check(path, film, fps)?;
-    let mut outcome = Mp4::Written;
-    let written = file::write_by_path(path, |temporary| {
-        let size = film.size().map(|side| side.next_multiple_of(2));
-        match start(program, temporary, size, fps) {
-            Ok(child) => feed(child, path, film),
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => {
-                outcome = Mp4::NoFfmpeg;
-                // Returns an error from the closure, so that no empty file gets the final name.
-                Err(Error::run("ffmpeg", "not found"))
-            }
-            Err(error) => Err(failure(path, format!("cannot start {}: {error}", program.display()))),
-        }
-    });
-    if outcome == Mp4::NoFfmpeg { Ok(outcome) } else { written.map(|()| outcome) }
-}
-
-/// RGB to limited-range BT.709, and the tags that say so.
-const VIDEO_FILTER: &str = "scale=out_color_matrix=bt709:out_range=tv,format=yuv420p,\
-    setparams=color_primaries=bt709:color_trc=bt709:colorspace=bt709";
-
-fn start(program: &OsStr, output: &Path, [width, height]: [u32; 2], fps: f32) -> std::io::Result<Child> {
-    let (size, rate) = (format!("{width}x{height}"), format!("{fps}"));
-    Command::new(program)
-        .args(["-hide_banner", "-loglevel", "error", "-nostdin", "-y"])
-        .args(["-f", "rawvideo", "-pixel_format", "rgb24", "-video_size", &size, "-framerate", &rate])
-        .args(["-i", "pipe:0", "-an"])
-        .args(["-vf", VIDEO_FILTER])
-        .args(["-c:v", "libx264", "-crf", "16", "-preset", "medium"])
-        .args([
-            "-colorspace",
-            "bt709",
-            "-color_primaries",
-            "bt709",
-            "-color_trc",
-            "bt709",
-            "-color_range",
-            "tv",
-        ])
-        .args(["-movflags", "+faststart"])
-        .arg(output)
-        .stdin(Stdio::piped())
-        .stdout(Stdio::null())
-        .stderr(Stdio::piped())
-        .spawn()
-}
-
-/// Sends the frames to a running ffmpeg and waits for it.
-fn feed(mut child: Child, path: &Path, film: &Film) -> Result<()> {
-    let stderr = child.stderr.take();
-    // Read while writing: a full pipe on either side would block both programs.
-    let listener = std::thread::Builder::new().spawn(move || {
-        let mut said = Vec::new();
-        if let Some(mut stderr) = stderr {
-            let _ = stderr.read_to_end(&mut said);
-        }
-        String::from_utf8_lossy(&said).into_owned()
-    });
-    let unheard = |error| failure(path, format!("cannot listen to ffmpeg: {error}"));
-    let listener = listener.map_err(|error| {
-        let _ = child.kill().and_then(|()| child.wait());
-        unheard(error)
-    })?;
-    let unsent = |error| failure(path, format!("cannot send frames to ffmpeg: {error}"));
-    let mut fed = Ok(());
-    if let Some(mut stdin) = child.stdin.take() {
-        fed = film.frames().try_for_each(|frame| stdin.write_all(even(&frame?).as_raw()).map_err(unsent));
-    }
-    let status = child.wait().map_err(|error| failure(path, format!("cannot wait for ffmpeg: {error}")))?;
-    let said = listener.join().unwrap_or_default();
-    if !status.success() {
-        let last = said.lines().rev().find(|line| !line.trim().is_empty()).unwrap_or("it gave no reason");
-        return Err(failure(path, format!("ffmpeg failed ({status}): {}", last.trim())));
-    }
-    fed
-}
-
-/// `frame` with even sides; an odd side is extended by its last line.
-fn even(frame: &RgbImage) -> std::borrow::Cow<'_, RgbImage> {
-    let (width, height) = frame.dimensions();
-    if width.is_multiple_of(2) && height.is_multiple_of(2) {
-        return std::borrow::Cow::Borrowed(frame);
-    }
-    let pixel = |x: u32, y: u32| *frame.get_pixel(x.min(width - 1), y.min(height - 1));
-    std::borrow::Cow::Owned(RgbImage::from_fn(width.next_multiple_of(2), height.next_multiple_of(2), pixel))
-}
-
 fn check(path: &Path, film: &Film, fps: f32) -> Result<()> {
     if !(fps.is_finite() && fps > 0.0) {
         return Err(failure(path, format!("{fps} frames per second are not possible")));
@@ -237,7 +110,7 @@ mod tests {
     use super::*;
     use crate::codec::film::FilmRecorder;
     use image::codecs::gif::GifDecoder;
-    use image::{AnimationDecoder, Rgb};
+    use image::{AnimationDecoder, Rgb, RgbImage};
 
     fn film(folder: &Path, frames: &[RgbImage]) -> Film {
         let mut recorder = FilmRecorder::new(folder).unwrap();
@@ -303,7 +176,6 @@ mod tests {
             let film = film(folder.path(), &frames(count));
             assert!(write_gif(&path, &film, fps).is_err());
             assert!(write_apng(&path, &film, fps).is_err());
-            assert!(write_mp4(&path, &film, fps).is_err());
         }
         let wide = film(folder.path(), &[RgbImage::new(65_536, 1)]);
         let error = write_gif(&path, &wide, 10.0).unwrap_err();
@@ -317,72 +189,9 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("out/orbit.film");
         let film = film(folder.path(), &frames(3));
-        std::fs::remove_file(film.path(2)).unwrap();
+        std::fs::remove_file(film.path(2).unwrap()).unwrap();
         assert!(matches!(write_gif(&path, &film, 10.0), Err(Error::Io { .. })));
         assert!(matches!(write_apng(&path, &film, 10.0), Err(Error::Io { .. })));
-        #[cfg(unix)]
-        {
-            let program = script(folder.path(), "for last; do :; done\ncat > \"$last\"");
-            assert!(matches!(write_mp4_with(program.as_os_str(), &path, &film, 10.0), Err(Error::Io { .. })));
-        }
         assert!(!path.exists());
-    }
-
-    #[test]
-    fn odd_sides_are_made_even() {
-        let frame = &frames(1)[0];
-        let made = even(frame);
-        assert_eq!(made.dimensions(), (10, 8));
-        assert_eq!(made.get_pixel(9, 7), frame.get_pixel(8, 6));
-        assert_eq!(made.get_pixel(3, 7), frame.get_pixel(3, 6));
-    }
-
-    #[test]
-    fn a_missing_ffmpeg_is_a_note() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("orbit.mp4");
-        let outcome = write_mp4_with(
-            OsStr::new("no-such-ffmpeg-anywhere"),
-            &path,
-            &film(folder.path(), &frames(2)),
-            10.0,
-        );
-        assert_eq!(outcome.unwrap(), Mp4::NoFfmpeg);
-        assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
-    }
-
-    #[cfg(unix)]
-    fn script(folder: &Path, body: &str) -> std::path::PathBuf {
-        use std::os::unix::fs::PermissionsExt;
-        let path = folder.join("stand-in");
-        std::fs::write(&path, format!("#!/bin/sh\n{body}\n")).unwrap();
-        std::fs::set_permissions(&path, PermissionsExt::from_mode(0o755)).unwrap();
-        path
-    }
-
-    #[cfg(unix)]
-    #[test]
-    fn frames_reach_ffmpeg_whole() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("out/orbit.mp4");
-        // The output is the last argument; the stand-in stores what it is fed.
-        let program = script(folder.path(), "for last; do :; done\ncat > \"$last\"");
-        let film = film(folder.path(), &frames(3));
-        assert_eq!(write_mp4_with(program.as_os_str(), &path, &film, 24.0).unwrap(), Mp4::Written);
-        let fed: Vec<u8> = frames(3).iter().flat_map(|frame| even(frame).into_owned().into_raw()).collect();
-        assert_eq!(std::fs::read(&path).unwrap(), fed);
-    }
-
-    #[cfg(unix)]
-    #[test]
-    fn a_failing_ffmpeg_is_quoted_and_leaves_nothing() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("out/orbit.mp4");
-        let program =
-            script(folder.path(), "echo first >&2\necho 'Unknown encoder libx264' >&2\necho >&2\nexit 3");
-        let film = film(folder.path(), &frames(200));
-        let error = write_mp4_with(program.as_os_str(), &path, &film, 24.0).unwrap_err();
-        assert!(error.to_string().contains("Unknown encoder libx264"), "{error}");
-        assert_eq!(std::fs::read_dir(folder.path().join("out")).unwrap().count(), 0);
     }
 }

@@ -1,11 +1,13 @@
-//! The frames of a film: PNG files, so that a film is never whole in memory. They are written by a thread of their own while the next one is rendered.
+//! The frames of a film: PNG files, so that a film is never whole in memory, and a [`Video`]. A thread of their own makes them while the next frame
+//! is rendered.
 
 use crate::codec::file;
 use crate::codec::png_file;
+use crate::codec::video::Video;
 use crate::{Error, Result};
 use image::RgbImage;
 use std::path::{Path, PathBuf};
-use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
+use std::sync::mpsc::{SyncSender, sync_channel};
 use std::thread::{Builder, JoinHandle};
 use tempfile::TempDir;
 
@@ -15,11 +17,13 @@ const WAITING: usize = 1;
 /// A film whose frames are all there.
 #[derive(Debug)]
 pub struct Film {
-    folder: PathBuf,
+    /// Where the frames lie; `None` if there is a video alone.
+    folder: Option<PathBuf>,
     /// The hidden folder, which goes when this is dropped, unless frames are to stay.
     scratch: Option<TempDir>,
     size: [u32; 2],
     count: usize,
+    video: Option<Video>,
 }
 
 impl Film {
@@ -33,14 +37,20 @@ impl Film {
         self.count
     }
 
-    /// The frames in order, each read when it is its turn.
+    /// The frames in order, each read when it is its turn; none if there is a video alone.
     pub fn frames(&self) -> impl Iterator<Item = Result<RgbImage>> {
-        (0..self.count).map(|i| png_file::read_rgb8(&self.path(i)))
+        let files = (0..self.count).filter_map(|i| self.path(i));
+        files.map(|path| png_file::read_rgb8(&path))
+    }
+
+    /// Takes the video out, if one was made.
+    pub fn take_video(&mut self) -> Option<Video> {
+        self.video.take()
     }
 
     /// The file of frame `i`.
-    pub(crate) fn path(&self, i: usize) -> PathBuf {
-        self.folder.join(format!("{i:06}.png"))
+    pub(crate) fn path(&self, i: usize) -> Option<PathBuf> {
+        self.folder.as_ref().map(|folder| folder.join(format!("{i:06}.png")))
     }
 }
 
@@ -50,6 +60,7 @@ pub struct FilmRecorder {
     // Before the folder, which must not go while something is written into it.
     writer: Option<Writer>,
     film: Film,
+    video_fps: Option<u32>,
 }
 
 impl FilmRecorder {
@@ -60,13 +71,29 @@ impl FilmRecorder {
     /// [`Error::Io`] if a folder cannot be created.
     pub fn new(folder: &Path) -> Result<Self> {
         let scratch = file::scratch_folder(folder)?;
-        let film = Film { folder: scratch.path().to_owned(), scratch: Some(scratch), size: [0; 2], count: 0 };
-        Ok(Self { writer: None, film })
+        Ok(Self::of(Some(scratch.path().to_owned()), Some(scratch)))
     }
 
     /// A film without frames, whose files stay in `folder`: 000000.png and so on.
     pub fn kept(folder: PathBuf) -> Self {
-        Self { writer: None, film: Film { folder, scratch: None, size: [0; 2], count: 0 } }
+        Self::of(Some(folder), None)
+    }
+
+    /// A film without frames and without files.
+    pub fn without_files() -> Self {
+        Self::of(None, None)
+    }
+
+    fn of(folder: Option<PathBuf>, scratch: Option<TempDir>) -> Self {
+        let film = Film { folder, scratch, size: [0; 2], count: 0, video: None };
+        Self { writer: None, film, video_fps: None }
+    }
+
+    /// Makes a video as well, at this number of frames per second.
+    #[must_use]
+    pub fn with_video(mut self, fps: u32) -> Self {
+        self.video_fps = Some(fps);
+        self
     }
 
     /// Appends a frame. An error in writing it is told by a later call.
@@ -76,23 +103,19 @@ impl FilmRecorder {
     pub fn push(&mut self, frame: RgbImage) -> Result<()> {
         let film = &mut self.film;
         let (size, path) = ([frame.width(), frame.height()], film.path(film.count));
-        let wrong = |problem: String| Err(Error::run(format!("writing {}", path.display()), problem));
+        let wrong = |problem: String| Err(Error::run("making a film", problem));
         if size.contains(&0) {
             return wrong(format!("frame {} is empty", film.count));
         }
         if film.count > 0 && size != film.size {
             return wrong(format!("frame {} and frame 0 differ in size", film.count));
         }
-        let is_fast = film.scratch.is_some();
         (film.size, film.count) = (size, film.count + 1);
-        if film.count == 1 {
-            self.writer = Writer::start(is_fast);
+        if self.writer.is_none() {
+            let video = self.video_fps.map(|fps| Video::new(size, fps)).transpose()?;
+            self.writer = Some(Writer::start(Frames { is_fast: film.scratch.is_some(), video })?);
         }
-        match &mut self.writer {
-            Some(writer) => writer.take((path, frame)),
-            // No thread can be had.
-            None => write(is_fast, &path, &frame),
-        }
+        self.writer.as_mut().map_or(Ok(()), |writer| writer.take((path, frame)))
     }
 
     /// The film, once all frames are written.
@@ -100,43 +123,59 @@ impl FilmRecorder {
     /// # Errors
     /// [`Error::Io`] if one cannot be written.
     pub fn finish(mut self) -> Result<Film> {
-        self.writer.take().map_or(Ok(()), Writer::end)?;
+        self.film.video = self.writer.take().map_or(Ok(None), |mut writer| writer.join())?;
         Ok(self.film)
     }
 }
 
-/// A frame and its file.
-type Waiting = (PathBuf, RgbImage);
+/// A frame and its file, if it gets one.
+type Waiting = (Option<PathBuf>, RgbImage);
 
-/// A thread that writes frames until the first one that cannot be written.
+/// What is made of the frames.
+struct Frames {
+    is_fast: bool,
+    video: Option<Video>,
+}
+
+impl Frames {
+    fn take(&mut self, (path, frame): &Waiting) -> Result<()> {
+        match path {
+            Some(path) if self.is_fast => png_file::write_rgb8_fast(path, frame)?,
+            Some(path) => png_file::write_rgb8(path, frame)?,
+            None => {}
+        }
+        self.video.as_mut().map_or(Ok(()), |video| video.push(frame))
+    }
+}
+
+/// A thread that makes the frames until the first one that cannot be written, and then has the video.
 #[derive(Debug)]
 struct Writer {
-    frames: Option<SyncSender<Waiting>>,
-    thread: Option<JoinHandle<Result<()>>>,
+    waiting: Option<SyncSender<Waiting>>,
+    thread: Option<JoinHandle<Result<Option<Video>>>>,
 }
 
 impl Writer {
-    /// `None` if there can be no thread.
-    fn start(is_fast: bool) -> Option<Self> {
-        let (frames, waiting): (_, Receiver<Waiting>) = sync_channel(WAITING);
-        let work = move || waiting.into_iter().try_for_each(|(path, frame)| write(is_fast, &path, &frame));
-        let thread = Builder::new().name("film".into()).spawn(work).ok()?;
-        Some(Self { frames: Some(frames), thread: Some(thread) })
+    fn start(mut frames: Frames) -> Result<Self> {
+        let (sender, waiting) = sync_channel::<Waiting>(WAITING);
+        let work = move || {
+            waiting.into_iter().try_for_each(|frame| frames.take(&frame))?;
+            Ok(frames.video)
+        };
+        let failed = |error: std::io::Error| Error::run("making a film", format!("no thread: {error}"));
+        let thread = Builder::new().name("film".into()).spawn(work).map_err(failed)?;
+        Ok(Self { waiting: Some(sender), thread: Some(thread) })
     }
 
     fn take(&mut self, frame: Waiting) -> Result<()> {
-        let sent = self.frames.as_ref().is_some_and(|frames| frames.send(frame).is_ok());
-        if sent { Ok(()) } else { self.join() }
+        let sent = self.waiting.as_ref().is_some_and(|waiting| waiting.send(frame).is_ok());
+        if sent { Ok(()) } else { self.join().map(|_| ()) }
     }
 
-    fn end(mut self) -> Result<()> {
-        self.join()
-    }
-
-    fn join(&mut self) -> Result<()> {
-        self.frames = None;
-        let Some(thread) = self.thread.take() else { return Ok(()) };
-        thread.join().unwrap_or_else(|_| Err(Error::run("writing a film", "its thread has failed")))
+    fn join(&mut self) -> Result<Option<Video>> {
+        self.waiting = None;
+        let Some(thread) = self.thread.take() else { return Ok(None) };
+        thread.join().unwrap_or_else(|_| Err(Error::run("making a film", "its thread has failed")))
     }
 }
 
@@ -145,10 +184,6 @@ impl Drop for Writer {
     fn drop(&mut self) {
         let _ = self.join();
     }
-}
-
-fn write(is_fast: bool, path: &Path, frame: &RgbImage) -> Result<()> {
-    if is_fast { png_file::write_rgb8_fast(path, frame) } else { png_file::write_rgb8(path, frame) }
 }
 
 #[cfg(test)]

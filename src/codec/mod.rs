@@ -7,7 +7,7 @@
 //! | [`image`] | PNG, JPEG, TIFF, WebP, EXR, HDR: headers, samples, linear images and masks | PNG and JPEG in memory |
 //! | [`deflate`] | | compressed bytes |
 //! | [`exr`], [`exr_frame`], `exr_rows` | EXR layers | EXR layers, rendered frames |
-//! | [`png_file`], [`animation`] | | PNG; GIF, APNG, MP4 |
+//! | [`png_file`], [`animation`], [`video`] | | PNG; GIF, APNG; MP4 |
 //! | [`envmap`], `hdr` | EXR and Radiance HDR environment maps | the same |
 //! | [`npy`] | light lobes in both conventions; matrices | light lobes |
 //! | [`npz`] | archives of matrices | |
@@ -39,3 +39,4 @@ pub mod png_file;
 pub(crate) mod test_data;
 pub mod texture;
 pub mod usd;
+pub mod video;

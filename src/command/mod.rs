@@ -29,6 +29,7 @@ mod scene_files;
 mod shade_cases;
 mod signals;
 mod terminal;
+mod terminal_picture;
 mod threads;
 mod view;
 mod view_args;

@@ -1,9 +1,11 @@
 //! What a person sees on the terminal while a command works: bars, notes, results.
 
+use super::terminal_picture::PictureProtocol;
 use indicatif::{ProgressBar, ProgressStyle};
 use lobelia::pass::progress::{Bar, Progress};
 use lobelia::{Error, Result};
 use std::io::{ErrorKind, IsTerminal, Write};
+use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
@@ -46,6 +48,16 @@ impl Progress for Terminal {
         }
         let mut out = std::io::stdout().lock();
         let _ = writeln!(out, "{text}");
+    }
+
+    /// On standard output, if it is a terminal that shows pictures.
+    fn picture(&self, path: &Path) {
+        let protocol = PictureProtocol::of_terminal(|name| std::env::var(name).ok());
+        let shows = !self.quiet && std::io::stdout().is_terminal();
+        let Some(protocol) = protocol.filter(|_| shows) else { return };
+        if let Ok(png) = std::fs::read(path) {
+            let _ = write!(std::io::stdout().lock(), "{}", protocol.shown(&png));
+        }
     }
 
     /// With the time left, or that spent where the length is not known; hidden where bars are not shown.

@@ -30,6 +30,7 @@ use crate::fit::sheen::evidence::{SheenEvidence, choose_sheen, look_for_sheen, n
 use crate::fit::sheen::{follow_known, scatter_to_sheen, share_with_known};
 use crate::light::light_frame::{LightFrame, OwnLightFrame};
 use crate::light::lights::{LightChoice, provide_light};
+use crate::light::{LightLobe, lobes_in_use};
 use crate::material::material_source::{PlainBlends, Recovered};
 use crate::material::tilt::has_tilt;
 use crate::material::{DiffuseTilt, SpecularLobe, TexelIndex, first_material};
@@ -156,6 +157,8 @@ pub struct FitProgress {
     pub sums: LossSums,
     /// The specular lobe now.
     pub specular: SpecularLobe,
+    /// Lobes that hold 99 % of the light's power.
+    pub lobes: usize,
     /// Seconds since the fit began.
     pub elapsed_secs: f64,
 }
@@ -296,6 +299,7 @@ impl Loop {
             steps,
             sums: self.recent.iter().fold(LossSums::default(), |a, b| a.merged(*b)),
             specular: first_material(world),
+            lobes: lobes_in_use(world.query::<&LightLobe>().iter(world)),
             elapsed_secs: self.elapsed_secs,
         }
     }

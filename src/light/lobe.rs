@@ -61,6 +61,21 @@ pub fn lobes_radiance(lobes: &[LightLobe], omega: Vec3) -> Vec3 {
     lobes.iter().map(|lobe| lobe.radiance(omega)).sum()
 }
 
+/// The number of lobes, the strongest first, that hold 99 % of the power of all.
+pub fn lobes_in_use<'a>(lobes: impl IntoIterator<Item = &'a LightLobe>) -> usize {
+    let mut powers: Vec<f64> = lobes.into_iter().map(|lobe| lobe.power().element_sum()).collect();
+    powers.sort_by(|a, b| b.total_cmp(a));
+    let mut left = 0.99 * powers.iter().sum::<f64>();
+    powers
+        .iter()
+        .take_while(|power| {
+            let is_needed = left > 0.0;
+            left -= **power;
+            is_needed
+        })
+        .count()
+}
+
 /// Integral of the lobes' radiance over the whole sphere, linear RGB × steradians.
 pub fn lobes_power(lobes: &[LightLobe]) -> DVec3 {
     lobes.iter().map(LightLobe::power).sum()
@@ -124,6 +139,14 @@ mod tests {
 
     fn lobe() -> LightLobe {
         LightLobe { axis: Vec3::X, sharpness: 5.0, amplitude: Vec3::new(1.0, 2.0, 3.0) }
+    }
+
+    #[test]
+    fn lobes_in_use_are_those_with_the_power() {
+        let lobe = |part: f32| LightLobe { axis: Vec3::Z, sharpness: 5.0, amplitude: Vec3::splat(part) };
+        let count = |parts: &[f32]| lobes_in_use(&parts.iter().map(|part| lobe(*part)).collect::<Vec<_>>());
+        assert_eq!((count(&[]), count(&[0.0, 0.0]), count(&[2.0; 7])), (0, 0, 7));
+        assert_eq!(count(&[0.003, 0.6, 0.003, 0.4, 0.0]), 2);
     }
 
     #[test]

@@ -47,6 +47,6 @@ pub use envmap::{EnvironmentMap, validate_map};
 pub use illuminate::render_lobes;
 pub(crate) use lobe::kernel_lobe;
 pub use lobe::{
-    LightLobe, MAX_RADIANCE, MAX_SHARPNESS, MOST_LOBES, lobes_power, lobes_radiance, rotate_lobes,
-    scale_lobes, validate_lobes,
+    LightLobe, MAX_RADIANCE, MAX_SHARPNESS, MOST_LOBES, lobes_in_use, lobes_power, lobes_radiance,
+    rotate_lobes, scale_lobes, validate_lobes,
 };

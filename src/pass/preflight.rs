@@ -1,7 +1,6 @@
 //! Checks of all passes before the first one runs, so that a wrong name or a missing ground truth is an error at the start,
 //! not after a long fit. `lobelia check` makes the same checks.
 
-use crate::codec::animation::has_ffmpeg;
 use crate::codec::exr_frame::{FRAME_PIXEL_BYTES, Layer};
 use crate::codec::file::{check_room, check_writable};
 use crate::codec::gltf::import::read_mesh;
@@ -19,7 +18,7 @@ use crate::pass::session::Session;
 use crate::pass::truth_files::{ViewFiles, read_fitting};
 use crate::scene::Gloss;
 use crate::scene::{
-    EvaluatePass, LayerTruth, OrbitFormat, Pass, RenderSettings, Scene, Surface, Truth, ViewChoice, Views,
+    EvaluatePass, LayerTruth, Pass, RenderSettings, Scene, Surface, Truth, ViewChoice, Views,
 };
 use crate::shade::frame::{PixelSums, check_memory};
 use crate::survey::open::OpenScene;
@@ -167,11 +166,6 @@ fn check_views(session: &mut Session, pass: &str, settings: &RenderSettings) -> 
             };
             return Err(Error::usage(format!("pass {pass}: there is no view {missing}"), help));
         }
-    }
-    let film = settings.orbit.as_ref().map(|orbit| orbit.format);
-    if film == Some(OrbitFormat::Mp4) && !has_ffmpeg() {
-        let problem = format!("pass {pass}: `format: Mp4` needs an ffmpeg on the PATH, and there is none");
-        return Err(Error::usage(problem, "Install ffmpeg, or write `format: Gif` or `format: Apng`."));
     }
     if settings.orbit.is_none() && chosen_views(world, settings).is_empty() {
         let problem = format!("pass {pass} renders nothing: no view matches");

@@ -4,6 +4,7 @@ use crate::error::Result;
 use crate::fit::run::FitProgress;
 use crate::pass::live::Snapshot;
 use std::cell::RefCell;
+use std::path::Path;
 
 /// A moment of a run in which its state is whole.
 #[derive(Clone, Copy, Debug)]
@@ -41,6 +42,9 @@ pub trait Progress {
 
     /// A line of result.
     fn print(&self, text: &str);
+
+    /// The last picture of a run, a PNG file, for whoever can show it.
+    fn picture(&self, _path: &Path) {}
 
     /// Creates a bar of `length` steps with a title; [`Bar::finish_and_clear`] or dropping removes it. A length of 0 is one that is not
     /// known, or not yet.
@@ -95,6 +99,10 @@ impl Progress for RecordedMessages<'_> {
     fn print(&self, text: &str) {
         self.lines.borrow_mut().push(text.to_owned());
         self.to.print(text);
+    }
+
+    fn picture(&self, path: &Path) {
+        self.to.picture(path);
     }
 
     fn bar(&self, title: &str, length: u64) -> Box<dyn Bar> {

@@ -1,11 +1,11 @@
 //! The `Render`, `Edit` and `Relight` passes: they render the material, light and shading that `show` swaps in.
 
-use crate::codec::animation::{Mp4, write_apng, write_gif, write_mp4};
+use crate::codec::animation::{write_apng, write_gif};
 use crate::codec::exr_frame::{Frame, write_frame_rows};
 use crate::codec::file::file_stems;
 use crate::codec::film::{Film, FilmRecorder};
+use crate::error::Result;
 use crate::error::stop::check_interrupted;
-use crate::error::{Error, Result};
 use crate::light::lights::IncidentLight;
 use crate::light::placement::PicturePlacement;
 use crate::math::color::srgb_from_linear;
@@ -18,6 +18,7 @@ use crate::pass::show::show;
 use crate::pipeline::Pipeline;
 use crate::profile::stage;
 use crate::report::tone::{Backdrop, Look, Picture, write_png_rows};
+use crate::sample::bundle::despawn_pool;
 use crate::scene::{Orbit, OrbitFormat, Pass, RenderSettings, Shading, ViewChoice};
 use crate::shade::adaptive::render_adaptive;
 use crate::shade::frame::{band_rows, render_bands};
@@ -32,7 +33,7 @@ use std::path::Path;
 
 /// Stem of the files of a film.
 const FILM: &str = "orbit";
-/// The film as a video, where there is a program that makes one.
+/// The film as a video.
 const FILM_MP4: &str = "orbit.mp4";
 /// The folder of a film's frames, where they stay.
 const FRAMES: &str = "orbit_frames";
@@ -59,13 +60,16 @@ fn render_all(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> 
         let written = write_view(&mut session.pipeline, &folder, view, settings);
         session.pipeline.world.remove_resource::<PicturePlacement>();
         written?;
+        session.last_picture = Some(folder.join(format!("{}.png", view.stem)));
         bar.inc(1);
     }
     if let (Some(orbit), Some(cameras)) = (&settings.orbit, &orbit) {
         let mut film = match orbit.format {
-            OrbitFormat::Mp4 => FilmRecorder::kept(folder.join(FRAMES)),
             OrbitFormat::Gif | OrbitFormat::Apng => FilmRecorder::new(&folder)?,
+            OrbitFormat::Frames => FilmRecorder::kept(folder.join(FRAMES)),
+            OrbitFormat::Mp4 => FilmRecorder::without_files(),
         };
+        film = film.with_video(orbit.fps);
         for (frame, camera) in (0..).zip(cameras) {
             check_interrupted()?;
             film::show_moment(session, pass, settings, orbit, frame);
@@ -73,8 +77,9 @@ fn render_all(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> 
             bar.inc(1);
         }
         film::sweep_material(&mut session.pipeline.world, name, []);
+        despawn_pool(&mut session.pipeline.world);
         let _writing = stage("film written");
-        write_film(session, &folder, orbit, &film.finish()?)?;
+        write_film(&folder, orbit, film.finish()?)?;
     }
     bar.finish_and_clear();
     let film = if frames > 0 { format!(", {frames} film frames") } else { String::new() };
@@ -231,26 +236,17 @@ pub(crate) fn film_files(format: OrbitFormat) -> Vec<String> {
     match format {
         OrbitFormat::Gif => vec![format!("{FILM}.gif"), FILM_MP4.to_owned()],
         OrbitFormat::Apng => vec![format!("{FILM}.png"), FILM_MP4.to_owned()],
-        OrbitFormat::Mp4 => vec![FILM_MP4.to_owned(), format!("{FRAMES}/")],
+        OrbitFormat::Mp4 => vec![FILM_MP4.to_owned()],
+        OrbitFormat::Frames => vec![FILM_MP4.to_owned(), format!("{FRAMES}/")],
     }
 }
 
-fn write_film(session: &Session, folder: &Path, orbit: &Orbit, film: &Film) -> Result<()> {
+fn write_film(folder: &Path, orbit: &Orbit, mut film: Film) -> Result<()> {
     let (fps, path) = (orbit.fps as f32, |ending: &str| folder.join(format!("{FILM}.{ending}")));
     match orbit.format {
-        OrbitFormat::Gif => write_gif(path("gif"), film, fps)?,
-        OrbitFormat::Apng => write_apng(path("png"), film, fps)?,
-        OrbitFormat::Mp4 => {}
+        OrbitFormat::Gif => write_gif(path("gif"), &film, fps)?,
+        OrbitFormat::Apng => write_apng(path("png"), &film, fps)?,
+        OrbitFormat::Mp4 | OrbitFormat::Frames => {}
     }
-    match (write_mp4(folder.join(FILM_MP4), film, fps)?, orbit.format) {
-        (Mp4::NoFfmpeg, OrbitFormat::Mp4) => {
-            let problem = format!("no ffmpeg on the PATH any more; the frames are in {FRAMES}/");
-            Err(Error::run(format!("writing {}", folder.join(FILM_MP4).display()), problem))
-        }
-        (Mp4::NoFfmpeg, _) => {
-            session.progress.note("no ffmpeg on the PATH, so there is no orbit.mp4");
-            Ok(())
-        }
-        (Mp4::Written, _) => Ok(()),
-    }
+    film.take_video().map_or(Ok(()), |video| video.write(&folder.join(FILM_MP4)))
 }

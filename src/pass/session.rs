@@ -90,6 +90,8 @@ pub struct Session<'a> {
     pub surface_found: bool,
     /// The files that the run reads, as they were when it began.
     pub(super) watched: Watched,
+    /// The picture that a pass has written last.
+    pub(super) last_picture: Option<PathBuf>,
     /// What measures the run, if it is profiled.
     pub(super) profiler: Option<Profiler>,
     /// Whether there is an object to write: all is given, or a `Shape` or `Fit` has found something.
@@ -205,6 +207,7 @@ impl<'a> Session<'a> {
             placed: Placed::default(),
             surface_found: false,
             watched: Watched::default(),
+            last_picture: None,
             profiler: None,
             has_object: !scene.passes.iter().any(|pass| matches!(pass, Pass::Shape(_) | Pass::Fit(_))),
         }
@@ -300,6 +303,9 @@ impl<'a> Session<'a> {
             self.progress.print(&profile_table(profile));
         }
         self.write_trace()?;
+        if let Some(picture) = &self.last_picture {
+            self.progress.picture(picture);
+        }
         self.progress.print(&format!("Results are in {}.", self.out.display()));
         Ok(())
     }

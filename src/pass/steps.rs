@@ -32,7 +32,7 @@ const LOG_EVERY: u32 = 20;
 #[derive(Resource, Serialize, Deserialize)]
 struct FitLog(String);
 
-const COLUMNS: &str = "step,elapsed_secs,loss,psnr,specular_r,specular_g,specular_b,roughness\n";
+const COLUMNS: &str = "step,elapsed_secs,loss,psnr,specular_r,specular_g,specular_b,roughness,lobes\n";
 
 /// Begins the log, also again: without the steps of what has been given up.
 pub(super) fn begin_log(world: &mut World) {
@@ -214,7 +214,7 @@ fn log_line(log: &mut String, at: &FitProgress) {
     // Writing to a String cannot fail.
     let _ = writeln!(
         log,
-        "{},{:.3},{:.6},{:.3},{:.4},{:.4},{:.4},{:.4}",
+        "{},{:.3},{:.6},{:.3},{:.4},{:.4},{:.4},{:.4},{}",
         at.step,
         at.elapsed_secs,
         at.sums.mean(),
@@ -222,6 +222,7 @@ fn log_line(log: &mut String, at: &FitProgress) {
         s.albedo.x,
         s.albedo.y,
         s.albedo.z,
-        s.roughness
+        s.roughness,
+        at.lobes
     );
 }

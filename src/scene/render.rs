@@ -99,7 +99,7 @@ pub struct Orbit {
     pub height: Option<u32>,
     /// Frames per second, 1 to 100. Default 20.
     pub fps: u32,
-    /// What the film is written as, besides an MP4 where `ffmpeg` is on the PATH. Default `Gif`.
+    /// What the film is written as, besides an MP4. Default `Gif`.
     pub format: OrbitFormat,
     /// Where the camera is over time, in the order of time, instead of one even turn at one height and distance. Default [].
     pub keys: Vec<OrbitKey>,
@@ -143,8 +143,10 @@ pub enum OrbitFormat {
     Gif,
     /// All colors.
     Apng,
-    /// H.264 only, by the `ffmpeg` on the PATH, which must be there; the frames stay as PNG files in `orbit_frames/`.
+    /// The MP4 alone (H.264).
     Mp4,
+    /// PNG files in `orbit_frames/`, which stay whatever becomes of the film.
+    Frames,
 }
 
 fn spp() -> u32 {

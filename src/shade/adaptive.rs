@@ -8,7 +8,6 @@
 
 use crate::error::Result;
 use crate::pipeline::Pipeline;
-use crate::sample::bundle::despawn_pool;
 use crate::sample::point::Scenery;
 use crate::shade::frame::{FrameTarget, PixelSums, render_rows, run_for_no_pixel, spawn_pool};
 use crate::view::Camera;
@@ -34,7 +33,8 @@ pub struct ColorBand {
 }
 
 /// Renders one picture in bands of `rows_per_band` rows (at least 1), from the top, with up to about `samples_per_pixel` rays per pixel. Colors are told apart as
-/// they are shown: `encode` makes values in [0, 1] of radiance. `take` gets each band; bands have the same bits whatever their height.
+/// they are shown: `encode` makes values in [0, 1] of radiance. `take` gets each band; bands have the same bits whatever their height. The pool of samples
+/// is left for the next frame: `despawn_pool` ends a film.
 ///
 /// # Errors
 /// The first error of a system or of `take`.
@@ -52,13 +52,11 @@ pub fn render_adaptive(
     // The light behind is there before the first band, which may not show the object.
     run_for_no_pixel(pipeline, camera)?;
     let height = rows_per_band.max(1);
-    let outcome = (0..camera.height).step_by(height as usize).try_for_each(|start| {
+    (0..camera.height).step_by(height as usize).try_for_each(|start| {
         let rows = start..start.saturating_add(height).min(camera.height);
         let band = render_band(pipeline, camera, samples_per_pixel, encode, rows, &shows)?;
         take(&pipeline.world, band)
-    });
-    despawn_pool(&mut pipeline.world);
-    outcome
+    })
 }
 
 /// The columns and rows that the object may be seen in: those of the box around it, or all if the camera is too close to tell.

@@ -18,7 +18,7 @@ use crate::sample::bundle::{FrameSample, despawn_pool};
 use crate::sample::pixel::{PixelOf, SampleIndex, ViewRay, Window};
 use crate::sample::point::{Scenery, SurfacePoint};
 use crate::view::{Camera, ViewIndex};
-use bevy_ecs::prelude::{IntoScheduleConfigs, Res, ResMut, Resource, World};
+use bevy_ecs::prelude::{IntoScheduleConfigs, Res, ResMut, Resource, With, World};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::ops::Range;
@@ -227,11 +227,16 @@ pub fn frame_bytes([width, height]: [u32; 2]) -> u64 {
     band * per_pixel as u64 + waiting * FRAME_PIXEL_BYTES as u64 + pool as u64
 }
 
-/// Spawns the pool of samples for a picture of `samples` samples.
+/// Spawns the pool of samples for a picture of `samples` samples; one of the same size that a picture before has left is taken over.
 pub(super) fn spawn_pool(world: &mut World, camera: &Camera, samples: usize) {
+    let count = samples.min(POOL);
+    let mut left = world.query_filtered::<(), (With<SampleIndex>, With<Layers>)>();
+    if left.iter(world).count() == count {
+        return;
+    }
     despawn_pool(world);
     let blank = |row| FrameSample::blank(SampleIndex(row), camera.ray(0.0, 0.0));
-    world.spawn_batch((0..samples.min(POOL) as u32).map(blank).collect::<Vec<_>>());
+    world.spawn_batch((0..count as u32).map(blank).collect::<Vec<_>>());
 }
 
 /// Renders the rows of `target`, or its chosen pixels, tile by tile.

@@ -10,11 +10,12 @@ use crate::math::ray::{Hit, Intersect, Ray};
 use crate::visibility::occlusion::{Bounce, MOST_MIRRORED, Mirror, Sky, sharpness_of_lobe};
 use crate::visibility::texel_visibility::{OFFSET, TexelVisibility};
 use glam::{Mat3, Vec3};
+use std::sync::LazyLock;
 
 /// Sharpness of a lobe from which rays are cast.
 pub(crate) const LEAST_SHARPNESS: f32 = 100.0;
 /// Rays of a point.
-const RAYS: u32 = 16;
+const RAYS: usize = 16;
 /// Angle between two points of a spiral that is evenly dense (Vogel 1979).
 const GOLDEN_ANGLE: f32 = 2.399_963_2;
 
@@ -52,15 +53,21 @@ impl Mirrored<'_> {
         let SeenPoint { position: origin, normal, geometric_normal, .. } = *point;
         let (x, y) = axis.any_orthonormal_pair();
         let world_from_lobe = Mat3::from_cols(x, y, axis);
+        let directions: [Vec3; RAYS] =
+            std::array::from_fn(|i| world_from_lobe * direction_in_lobe(i, sharpness));
+        // A ray that enters the flat triangle meets nothing that the smooth surface would.
+        let sent = directions.map(|direction| {
+            let leaves = geometric_normal.dot(direction) > 0.0;
+            leaves.then(|| self.sent_from(&Ray { origin, direction })).flatten()
+        });
+        if sent.iter().all(Option::is_none) {
+            return Vec3::ONE;
+        }
         let (mut arriving, mut unhidden) = (Vec3::ZERO, Vec3::ZERO);
-        for i in 0..RAYS {
-            let direction = world_from_lobe * direction_in_lobe(i, sharpness);
+        for (direction, sent) in directions.into_iter().zip(sent) {
             let cosine = normal.dot(direction).max(0.0);
             let sky = self.sky.toward(direction, sharpness * RAYS as f32);
             unhidden += sky * cosine;
-            // A ray that enters the flat triangle meets nothing that the smooth surface would.
-            let leaves = geometric_normal.dot(direction) > 0.0;
-            let sent = leaves.then(|| self.sent_from(&Ray { origin, direction })).flatten();
             arriving += sent.unwrap_or(sky) * cosine;
         }
         let floor = Vec3::splat(1e-6 * unhidden.max_element().max(1e-20));
@@ -97,12 +104,21 @@ impl Mirrored<'_> {
     }
 }
 
+/// Of each of the [`RAYS`] directions: the logarithm of the part of the lobe's power that is farther from its axis; cosine and sine of its
+/// angle around the axis.
+static SPIRAL: LazyLock<[[f32; 3]; RAYS]> = LazyLock::new(|| {
+    std::array::from_fn(|i| {
+        let part = (i as f32 + 0.5) / RAYS as f32;
+        let (sin, cos) = (i as f32 * GOLDEN_ANGLE).sin_cos();
+        [(1.0 - part).ln(), cos, sin]
+    })
+});
+
 /// The i-th of the [`RAYS`] directions of equal weight of a lobe around +Z.
-fn direction_in_lobe(i: u32, sharpness: f32) -> Vec3 {
-    let part = (i as f32 + 0.5) / RAYS as f32;
+fn direction_in_lobe(i: usize, sharpness: f32) -> Vec3 {
+    let [beyond, cos, sin] = SPIRAL[i];
     // The part of e^{λ(z − 1)} between 1 and z; beyond λ = 100 nothing is below z = −1.
-    let z = (1.0 + (1.0 - part).ln() / sharpness).max(-1.0);
-    let (sin, cos) = (i as f32 * GOLDEN_ANGLE).sin_cos();
+    let z = (1.0 + beyond / sharpness).max(-1.0);
     let radius = (1.0 - z * z).max(0.0).sqrt();
     Vec3::new(radius * cos, radius * sin, z)
 }

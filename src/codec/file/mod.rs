@@ -12,7 +12,7 @@
 //! | [`FolderLock`] | keeps two processes from writing into one folder |
 
 // Within the library: `read_up_to`, `read_text`, `read_parts`, `first_bytes` and `read_folder` read as well, and `obstacle` says what keeps
-// a file or folder from it; `write_file` and `write_by_path` write; `check_room` and `check_file_name` look ahead; `check_not_among` and
+// a file or folder from it; `write_file` writes; `check_room` and `check_file_name` look ahead; `check_not_among` and
 // `lies_in` compare what is written with what is read, and `check_inside` says whether what is read lies where it may; `file_stems` is the
 // one way from names of views to names of files; `scratch_folder`, `is_unfinished` and `clear_scratch` are for what is unfinished.
 
@@ -42,4 +42,4 @@ pub(crate) use read::{
 };
 pub(crate) use scratch::{clear_scratch, is_unfinished, scratch_folder};
 pub use write::write_bytes;
-pub(crate) use write::{write_by_path, write_file};
+pub(crate) use write::write_file;

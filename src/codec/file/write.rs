@@ -31,19 +31,6 @@ pub fn write_bytes(path: &Path, bytes: &[u8]) -> Result<()> {
     write_file(path, |writer| writer.write_all(bytes).map_err(Error::io("write", path)))
 }
 
-/// Like [`write_file`] for a writer that needs a path (another program). It gets the path of the temporary file, which
-/// has the extension of `path`, and must overwrite that file.
-///
-/// # Errors
-/// Whatever `write` returns, or [`Error::Io`] for other errors of the operating system.
-pub(crate) fn write_by_path(path: &Path, write: impl FnOnce(&Path) -> Result<()>) -> Result<()> {
-    let (file, temporary) = temporary_beside(path)?.into_parts();
-    drop(file);
-    write(&temporary)?;
-    let file = File::options().write(true).open(&temporary).map_err(Error::io("write", path))?;
-    finish(&DiskFile::new(file, path), temporary, path)
-}
-
 fn temporary_beside(path: &Path) -> Result<NamedTempFile> {
     let folder = folder_of(path);
     create_folders(&folder)?;
@@ -144,19 +131,6 @@ mod tests {
         assert!(refused.is_err());
         assert_eq!(fs::read(&path).unwrap(), b"old");
         assert_eq!(names_in(folder.path()), ["out.txt"]);
-    }
-
-    #[test]
-    fn by_path_keeps_the_extension() {
-        let folder = tempfile::tempdir().unwrap();
-        let path = folder.path().join("film.mp4");
-        write_by_path(&path, |temporary| {
-            assert_eq!(temporary.extension().unwrap(), "mp4");
-            fs::write(temporary, b"frames").map_err(Error::io("write", temporary))
-        })
-        .unwrap();
-        assert_eq!(fs::read(&path).unwrap(), b"frames");
-        assert_eq!(names_in(folder.path()), ["film.mp4"]);
     }
 
     #[cfg(unix)]

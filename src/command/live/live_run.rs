@@ -18,8 +18,8 @@ const MOST_POINTS: usize = 2000;
 /// How long the end of a run waits for a page that is open to ask how it ended.
 const LAST_WORD: Duration = Duration::from_millis(1500);
 /// The columns of a log, as `log.csv` has them.
-const COLUMNS: [&str; 8] =
-    ["step", "elapsed_secs", "loss", "psnr", "specular_r", "specular_g", "specular_b", "roughness"];
+const COLUMNS: [&str; 9] =
+    ["step", "elapsed_secs", "loss", "psnr", "specular_r", "specular_g", "specular_b", "roughness", "lobes"];
 
 /// The object as it was at a step.
 pub struct Copied {
@@ -246,7 +246,7 @@ impl State {
                     let (secs, roughness) =
                         (pass.begun.elapsed().as_secs_f64(), f64::from(fit.specular.roughness));
                     let [r, g, b] = color;
-                    let row = [f64::from(step[0]), secs, loss, psnr, r, g, b, roughness];
+                    let row = [f64::from(step[0]), secs, loss, psnr, r, g, b, roughness, fit.lobes as f64];
                     let name = pass.name.clone();
                     self.log(name, row);
                 }
@@ -255,7 +255,7 @@ impl State {
     }
 
     /// Adds a row to the log of a pass; a long log keeps every other one.
-    fn log(&mut self, pass: String, row: [f64; 8]) {
+    fn log(&mut self, pass: String, row: [f64; 9]) {
         if self.logs.last().is_none_or(|log| log.pass != pass) {
             let columns = COLUMNS.map(|name| (name.to_owned(), Vec::new())).to_vec();
             self.logs.push(FitLog { pass, columns });
@@ -289,10 +289,10 @@ mod tests {
         let mut state = State { log_every: LOG_EVERY, ..State::default() };
         for step in 0..20_000u32 {
             if step.is_multiple_of(state.log_every) {
-                state.log("fit".into(), [f64::from(step); 8]);
+                state.log("fit".into(), [f64::from(step); 9]);
             }
         }
-        state.log("again".into(), [7.0; 8]);
+        state.log("again".into(), [7.0; 9]);
         let steps = &state.logs[0].columns[0].1;
         assert!(
             steps.len() <= MOST_POINTS && steps[0] == 0.0 && steps.windows(2).all(|pair| pair[0] < pair[1])

@@ -66,6 +66,10 @@ impl Progress for Live<'_> {
         self.shown.print(text);
     }
 
+    fn picture(&self, path: &Path) {
+        self.shown.picture(path);
+    }
+
     fn bar(&self, title: &str, length: u64) -> Box<dyn Bar> {
         let id = self.bars.fetch_add(1, Ordering::Relaxed);
         self.shared.show_bar(BarAt { id, title: title.to_owned(), length, ..BarAt::default() });

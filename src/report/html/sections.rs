@@ -61,11 +61,12 @@ pub fn pictures(runs: &[RunReport]) -> String {
 }
 
 /// What is plotted of a log: title, whether the axis is logarithmic, and the columns, of which the mean counts.
-const PLOTS: [(&str, bool, &[&str]); 4] = [
+const PLOTS: [(&str, bool, &[&str]); 5] = [
     ("Loss", true, &["loss"]),
     ("PSNR of training pixels, dB", false, &["psnr"]),
     ("Roughness", false, &["roughness"]),
     ("Specular albedo, mean of R, G, B", false, &["specular_r", "specular_g", "specular_b"]),
+    ("Lobes with 99 % of the light", false, &["lobes"]),
 ];
 
 /// The curves of all fits, over steps and over seconds.

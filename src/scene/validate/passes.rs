@@ -1,5 +1,6 @@
 //! Whether the passes of a scene make sense, each by itself and in their order.
 
+use crate::codec::video::has_frames_of;
 use crate::math::brdf::Ndf;
 use crate::scene::description::Scene;
 use crate::scene::diagnostic::nearest;
@@ -330,6 +331,12 @@ fn orbit(checks: &mut Checks, at: &str, orbit: &Orbit) {
         if let Some(side) = side {
             checks.pixels(&path(name), side);
         }
+    }
+    if !has_frames_of(orbit.sides()) {
+        let [width, height] = orbit.sides();
+        let help = "8192 × 4320 is the largest common size.";
+        let expected = "expected at most 35.6 megapixels";
+        checks.fail(at, format!("no video has frames of {width} × {height} pixels"), expected, help);
     }
     checks.count(&path("fps"), orbit.fps, 1..=100);
     super::film::film(checks, at, orbit);
