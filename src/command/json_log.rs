@@ -7,18 +7,24 @@
 //! | `stage` | `title`, `length` | a task begins; a `length` of 0 is not known yet |
 //! | `progress` | `title`, `done`, `length`, `message` | at most once a second and task of a known length |
 //! | `done` | `title`, `done` | the task has ended |
+//! | `step` | `step`, `steps`, `loss`, `psnr`, `specular`, `roughness`, `lobes` | every 20 steps of a `Fit` or `Shape`, and its last |
 //! | `note`, `result` | `text` | as on the terminal |
+//! | `picture` | `path` | the last picture of the run |
 //! | `ended` | `state`, `error`, `help` | the last line, but for a second signal: `finished`, `interrupted` or `failed` |
 
 use lobelia::pass::progress::{Bar, Copier, Moment, Progress};
 use lobelia::{Error, Result};
 use serde::Serialize;
 use std::io::Write;
+use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 use std::time::{Duration, Instant};
 
 /// Time between two lines about the same task.
 const PAUSE: Duration = Duration::from_secs(1);
+
+/// Steps between two lines about a fit.
+const STEPS: u32 = 20;
 
 /// Writes events.
 pub struct JsonLog {
@@ -32,6 +38,8 @@ enum Event<'a> {
     Stage { title: &'a str, length: u64 },
     Progress { title: &'a str, done: u64, length: u64, message: &'a str },
     Done { title: &'a str, done: u64 },
+    Step { step: u32, steps: u32, loss: f64, psnr: f64, specular: [f32; 3], roughness: f32, lobes: usize },
+    Picture { path: &'a Path },
     Note { text: &'a str },
     Result { text: &'a str },
     Ended { state: &'a str, error: Option<String>, help: Option<&'a str> },
@@ -93,9 +101,19 @@ impl Progress for JsonLog {
         Box::new(JsonBar { start: self.start, title: title.to_owned(), at: Mutex::new(at) })
     }
 
+    fn picture(&self, path: &Path) {
+        write(self.start, Event::Picture { path });
+    }
+
     fn look(&self, at: Moment, _: &mut Copier) {
-        if let Moment::Pass { name, number, count } = at {
-            write(self.start, Event::Pass { name, number, count });
+        match at {
+            Moment::Pass { name, number, count } => write(self.start, Event::Pass { name, number, count }),
+            Moment::Step { step: [step, steps], fit, .. } if step % STEPS == 0 || step == steps => {
+                let (loss, psnr, lobes) = (fit.sums.mean(), fit.sums.psnr(), fit.lobes);
+                let (specular, roughness) = (fit.specular.albedo.to_array(), fit.specular.roughness);
+                write(self.start, Event::Step { step, steps, loss, psnr, specular, roughness, lobes });
+            }
+            Moment::Step { .. } => {}
         }
     }
 }

@@ -1,9 +1,11 @@
-//! Frames of films: one ray at the middle of each pixel that may show the object, and the whole grid of rays only at pixels that differ from a neighbor, which
+//! Frames of films, in three steps: one ray at the middle of every second pixel of every second row; one at each pixel between, unless those around it show
+//! the object in the same color, of which it then has the mean; and the whole grid of rays at pixels that differ from a neighbor, which
 //! show edges, patterns or highlights. Closed forms have no noise. What lies between the middles of pixels that are alike, such as a wire thinner than
 //! a pixel where none of nine middles meets it, is not seen.
 //!
 //! | name | unit | value | meaning |
 //! | --- | --- | --- | --- |
+//! | [`SMOOTH`] | | 0.008 | difference of colors as they are shown, in [0, 1], up to which a pixel between has their mean |
 //! | [`CONTRAST`] | | 0.02 | difference of colors as they are shown, in [0, 1], from which both pixels get all rays |
 
 use crate::error::Result;
@@ -15,6 +17,9 @@ use bevy_ecs::prelude::World;
 use glam::Vec3;
 use rayon::prelude::*;
 use std::ops::Range;
+
+/// Difference of shown colors up to which a pixel between them has their mean: 2 of 255.
+pub const SMOOTH: f32 = 0.008;
 
 /// Difference of shown colors from which two pixels are told apart: 5 of 255.
 pub const CONTRAST: f32 = 0.02;
@@ -79,6 +84,72 @@ fn object_window(world: &World, camera: &Camera) -> [Range<u32>; 2] {
     })
 }
 
+/// One ray at each pixel of `rows`, and of a row more on each side, or the mean of the pixels around it.
+fn render_middles(
+    pipeline: &mut Pipeline,
+    camera: Camera,
+    encode: &(dyn Fn(Vec3) -> Vec3 + Sync),
+    rows: &Range<u32>,
+    [columns, seen_rows]: [&Range<u32>; 2],
+) -> Result<FrameTarget> {
+    let around = rows.start.saturating_sub(1)..(rows.end + 1).min(camera.height);
+    // The even rows around an odd one are there.
+    let lattice = (around.start & !1)..(around.end | 1).min(camera.height);
+    let pixels_of = |rows: &Range<u32>, is_even: bool| -> Vec<u32> {
+        let rows = rows.clone().filter(|row| seen_rows.contains(row));
+        let all = rows.flat_map(|row| columns.clone().map(move |column| [column, row]));
+        let wanted = all.filter(|[column, row]| (column % 2 == 0 && row % 2 == 0) == is_even);
+        wanted.map(|[column, row]| row * camera.width + column).collect()
+    };
+    let mut coarse = FrameTarget::band(camera, 1, lattice.clone());
+    coarse.chosen = Some(pixels_of(&lattice, true));
+    let mut target = render_rows(pipeline, coarse)?;
+    let colors = shown_colors(&target.pixels, encode);
+    let first = target.first_pixel();
+    let mut between = pixels_of(&around, false);
+    let means: Vec<Option<PixelSums>> = between
+        .par_iter()
+        .map(|pixel| mean_around(&target.pixels, &colors, camera.width as usize, *pixel as usize - first))
+        .collect();
+    let mut means = means.into_iter();
+    between.retain(|pixel| match means.next().flatten() {
+        Some(mean) => {
+            target.pixels[*pixel as usize - first] = mean;
+            false
+        }
+        None => true,
+    });
+    target.chosen = Some(between);
+    render_rows(pipeline, target)
+}
+
+/// The mean of the pixels of even column and row around pixel `i`, of which not both are even; `None` if they differ, or one of them does not show
+/// the object. The first of `pixels` has an even row.
+fn mean_around(pixels: &[PixelSums], colors: &[Vec3], width: usize, i: usize) -> Option<PixelSums> {
+    let sides = |at: usize, most: usize| {
+        let odd = at % 2;
+        (at + odd < most).then_some([at - odd, at + odd])
+    };
+    let (columns, rows) = (sides(i % width, width)?, sides(i / width, pixels.len() / width)?);
+    let corners = [[0, 0], [1, 0], [0, 1], [1, 1]].map(|[x, y]: [usize; 2]| rows[y] * width + columns[x]);
+    let (mut low, mut high, mut sum) = (Vec3::INFINITY, Vec3::NEG_INFINITY, PixelSums::default());
+    for corner in corners {
+        (low, high) = (low.min(colors[corner]), high.max(colors[corner]));
+        sum.hits += pixels[corner].hits;
+        sum.diffuse += 0.25 * pixels[corner].diffuse;
+        sum.specular += 0.25 * pixels[corner].specular;
+    }
+    let is_smooth = sum.hits == 4 && (high - low).max_element() <= SMOOTH;
+    is_smooth.then_some(PixelSums { hits: 1, ..sum })
+}
+
+/// The colors of pixels as they are shown, where they show the object.
+fn shown_colors(pixels: &[PixelSums], encode: &(dyn Fn(Vec3) -> Vec3 + Sync)) -> Vec<Vec3> {
+    let shown =
+        |sums: &PixelSums| if sums.hits > 0 { encode(sums.diffuse + sums.specular) } else { Vec3::ZERO };
+    pixels.par_iter().map(shown).collect()
+}
+
 /// Renders `rows`, and a row more on each side, with which the outer ones are compared.
 fn render_band(
     pipeline: &mut Pipeline,
@@ -89,12 +160,7 @@ fn render_band(
     [columns, seen_rows]: &[Range<u32>; 2],
 ) -> Result<ColorBand> {
     let width = camera.width as usize;
-    let around = rows.start.saturating_sub(1)..(rows.end + 1).min(camera.height);
-    let pixels = around.clone().filter(|row| seen_rows.contains(row));
-    let pixels = pixels.flat_map(|row| columns.clone().map(move |column| row * camera.width + column));
-    let mut coarse = FrameTarget::band(camera, 1, around);
-    coarse.chosen = Some(pixels.collect());
-    let mut target = render_rows(pipeline, coarse)?;
+    let mut target = render_middles(pipeline, camera, encode, &rows, [columns, seen_rows])?;
     let skipped = (rows.start - target.rows.start) as usize * width;
     let inner = skipped..skipped + rows.len() * width;
     let side = FrameTarget::band(camera, samples_per_pixel, 0..0).side;
@@ -127,8 +193,7 @@ fn differing_pixels(
     inner: Range<usize>,
     encode: &(dyn Fn(Vec3) -> Vec3 + Sync),
 ) -> Vec<usize> {
-    let shown = |sums: &PixelSums| encode(sums.diffuse + sums.specular);
-    let colors: Vec<Vec3> = pixels.par_iter().map(shown).collect();
+    let colors = shown_colors(pixels, encode);
     let height = pixels.len() / width;
     let differs = |i: usize| {
         let (x, y) = (i % width, i / width);
@@ -215,7 +280,33 @@ mod tests {
         let camera = camera(Vec3::new(0.3, 0.4, 2.6));
         let whole = resolve(&render_frame(&mut studio(), camera, 1).unwrap());
         let found = adaptive(camera, 1, 90);
-        assert_eq!((found.refined, found.color, found.alpha), (0, whole.color, whole.alpha));
+        assert_eq!((found.refined, &found.alpha), (0, &whole.alpha));
+        let shown = |color: &Vec3| color.clamp(Vec3::ZERO, Vec3::ONE).map(f32::sqrt);
+        let off = |i: usize| (shown(&found.color[i]) - shown(&whole.color[i])).abs().max_element();
+        let means = (0..whole.color.len()).filter(|&i| off(i) > 0.0).count();
+        let hits = whole.alpha.iter().filter(|alpha| **alpha > 0.0).count();
+        assert!(means * 4 > hits, "only {means} of {hits} are the mean of those around");
+        let worst = (0..whole.color.len()).map(off).fold(0.0, f32::max);
+        assert!(worst < SMOOTH, "{worst}");
+    }
+
+    #[test]
+    fn means_are_of_what_is_alike() {
+        let pixel = |hits, value| PixelSums { hits, diffuse: Vec3::splat(value), ..PixelSums::default() };
+        let mut pixels = vec![pixel(1, 0.5); 16];
+        let mean = |pixels: &[PixelSums], i: usize| {
+            mean_around(pixels, &shown_colors(pixels, &|color| color), 4, i)
+                .map(|mean| (mean.hits, mean.diffuse.x))
+        };
+        pixels[2] = pixel(1, 0.506);
+        assert_eq!((mean(&pixels, 1), mean(&pixels, 4)), (Some((1, 0.503)), Some((1, 0.5))));
+        assert_eq!(mean(&pixels, 5), Some((1, 0.5015)));
+        // There is nothing to the right of the last column, and nothing below the last row.
+        assert_eq!((mean(&pixels, 3), mean(&pixels, 12)), (None, None));
+        pixels[2] = pixel(1, 0.52);
+        assert_eq!((mean(&pixels, 1), mean(&pixels, 5)), (None, None));
+        pixels[2] = pixel(0, 0.5);
+        assert_eq!((mean(&pixels, 1), mean(&pixels, 4)), (None, Some((1, 0.5))));
     }
 
     #[test]
