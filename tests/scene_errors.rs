@@ -119,6 +119,23 @@ fn a_wrong_choice_lists_the_choices() {
 }
 
 #[test]
+fn a_stroke_has_points_and_a_width() {
+    let stroke =
+        |region: &str| wrong("Set(0.8, 0.1, 0.1)", &format!("Set(0.8, 0.1, 0.1), region: Stroke({region})"));
+    let outcome =
+        lobelia("check", &stroke("points: [(0, 0.8, 0), (0.1, 0.7, 0.3)], radius: 0.2, falloff: 0.1"), &[]);
+    assert_eq!((outcome.code, outcome.stderr.as_str()), (Some(0), ""));
+    let (none, far) =
+        (stroke("points: [], radius: 0.2"), stroke("points: [(0, 0, 0), (0, inf, 0)], radius: 0.2"));
+    refused(&none, "[], radius", &["points is 0", "from 1 to 256"]);
+    refused(&far, "(0, inf", &["points is [0, inf, 0]", "none beyond 1e9"]);
+    let many = stroke(&format!("points: [{}], radius: 0.2", "(0, 0, 0), ".repeat(257)));
+    refused(&many, "[(0, 0, 0), (0", &["points is 257", "from 1 to 256"]);
+    refused(&stroke("points: [(0, 0, 0)], radius: 0"), "0))]", &["radius is 0", "a number above 0"]);
+    refused(&stroke("points: [(0, 0, 0)]"), "Stroke", &["missing field `radius`"]);
+}
+
+#[test]
 fn a_missing_field_is_named() {
     refused(&wrong("    version: 1,\n", ""), "Scene", &["missing field `version`"]);
     refused(&wrong("eye: (0, 0, 3), ", ""), "(name: \"front\"", &["missing field `eye`"]);

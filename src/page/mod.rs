@@ -43,7 +43,7 @@ const PAGE: &str = include_str!("assets/page.html");
 /// Its style.
 const STYLE: &str = include_str!("assets/style.css");
 /// Its modules, by the names under which they import each other; the last one starts the page.
-const MODULES: [(&str, &str); 17] = [
+const MODULES: [(&str, &str); 18] = [
     ("data", include_str!("assets/data.js")),
     ("linear", include_str!("assets/linear.js")),
     ("gpu", include_str!("assets/gpu.js")),
@@ -52,6 +52,7 @@ const MODULES: [(&str, &str); 17] = [
     ("camera", include_str!("assets/camera.js")),
     ("renderer", include_str!("assets/renderer.js")),
     ("regions", include_str!("assets/regions.js")),
+    ("brush", include_str!("assets/brush.js")),
     ("ron", include_str!("assets/ron.js")),
     ("history", include_str!("assets/history.js")),
     ("mapfile", include_str!("assets/mapfile.js")),

@@ -125,6 +125,30 @@ pub enum Region {
         #[serde(default)]
         falloff: f32,
     },
+    /// Within a distance of a line in world space, as a brush paints it: around one point a ball.
+    Stroke {
+        /// The points that the line goes through, in order, straight from each to the next; 1 to 256.
+        points: Vec<Vec3>,
+        /// Greatest distance from the line, world units > 0.
+        radius: f32,
+        /// Distance inside the border over which the edit sets in, world units ≥ 0. Default 0: a hard edge.
+        #[serde(default)]
+        falloff: f32,
+    },
     /// Where an image in texture space is bright (0: not at all, 1: fully); must exist. `Mask("belly.png")`.
     Mask(PathBuf),
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stroke_is_written_as_it_is_read() {
+        let text = "Stroke(points: [(0, 0.25, 0), (0.1, -2, 3)], radius: 0.5)";
+        let region: Region = ron::from_str(text).unwrap();
+        let points = vec![Vec3::new(0.0, 0.25, 0.0), Vec3::new(0.1, -2.0, 3.0)];
+        assert_eq!(region, Region::Stroke { points, radius: 0.5, falloff: 0.0 });
+        assert_eq!(ron::from_str::<Region>(&ron::to_string(&region).unwrap()).unwrap(), region);
+    }
 }

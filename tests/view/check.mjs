@@ -45,9 +45,21 @@ const STATES = [
 
 /** Two places with edits of their own, which overlap. Their hard edges run along texels in a pass, and through them in the page. */
 const PLACES = [
-    { center: [0.6, 0.15, 0.1], radius: 0.42, soft: 0.4, roughness: -1, level: 3, color: "#e6a530", mix: 0, metal: 0, tint: "#40c060", bright: 1 },
-    { center: [0.1, 0.4, 0.1], radius: 0.5, soft: 0, roughness: 0, level: 1, color: "#e6a530", mix: 0, metal: 0.8, tint: "#ffffff", bright: 0.5 },
+    { points: [[0.6, 0.15, 0.1]], radius: 0.42, soft: 0.4, roughness: -1, level: 3, color: "#e6a530", mix: 0, metal: 0, tint: "#40c060", bright: 1 },
+    { points: [[0.1, 0.4, 0.1]], radius: 0.5, soft: 0, roughness: 0, level: 1, color: "#e6a530", mix: 0, metal: 0.8, tint: "#ffffff", bright: 0.5 },
 ];
+/** Two strokes of the brush, one along the ring and one over the ball. */
+const STROKES = [
+    {
+        points: [0.1, 0.4, 0.7, 1, 1.3, 1.6].map((a) => [0.62 * Math.cos(a), 0.2, 0.62 * Math.sin(a)]),
+        radius: 0.13, soft: 0.5, roughness: -1, level: 3, color: "#e6a530", mix: 0, metal: 0, tint: "#40c060", bright: 1,
+    },
+    {
+        points: [[-0.1, 0.4, 0.2], [0.15, 0.4, 0.15], [0.3, 0.2, 0.1]],
+        radius: 0.1, soft: 0, roughness: 0, level: 1, color: "#e6a530", mix: 0, metal: 0.8, tint: "#ffffff", bright: 0.5,
+    },
+];
+STATES.splice(7, 0, { name: "brushed", once: true, least: 36, page: "plain", view: 0, settings: { regions: STROKES } });
 STATES.splice(7, 0, { name: "places", once: true, least: 36, page: "plain", view: 0, settings: { regions: PLACES } });
 
 const [program, folder = mkdtempSync(join(tmpdir(), "lobelia-view-check-"))] = process.argv.slice(2);

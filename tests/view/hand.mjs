@@ -38,6 +38,7 @@ export async function byHand(browser, address, fail, folder) {
     await browser.key("s");
     await ball(browser, fail);
     await places(browser, settings, fail, folder);
+    await brush(browser, settings, fail, folder);
     await lights(browser, settings, fail);
     writeFileSync(join(folder, "hand.png"), await browser.screenshot());
 }
@@ -86,6 +87,11 @@ async function ball(browser, fail) {
     await browser.key("r");
 }
 
+function isOnObject([x, y, z]) {
+    const [ballGap, ringGap] = [Math.hypot(x, y - 0.12, z) - 0.33, Math.hypot(Math.hypot(x, z) - 0.62, y) - 0.2];
+    return Math.min(Math.abs(ballGap), Math.abs(ringGap)) < 0.01;
+}
+
 async function places(browser, settings, fail, folder) {
     await browser.key("s");
     await browser.key("e");
@@ -96,9 +102,8 @@ async function places(browser, settings, fail, folder) {
     const ron = await browser.evaluate("lobelia.ron()");
     const parts = [/Diffuse\(action: Scale\([^)]*\), region: Sphere\(center: \([^)]*\), radius: [\d.]+, falloff: /, /Roughness\(action: Scale\(0.5\), region: Sphere\(/];
     for (const part of parts) if (!part.test(ron)) fail(`copied without ${part}:\n${ron}`);
-    const [x, y, z] = await settings("regions[0].center");
-    const [ballGap, ringGap] = [Math.hypot(x, y - 0.12, z) - 0.33, Math.hypot(Math.hypot(x, z) - 0.62, y) - 0.2];
-    if (Math.min(Math.abs(ballGap), Math.abs(ringGap)) > 0.01) fail(`the place (${x}, ${y}, ${z}) is not on the object`);
+    const point = await settings("regions[0].points[0]");
+    if (!isOnObject(point)) fail(`the place (${point}) is not on the object`);
     if ((await settings("tint")) !== "#ffffff") fail("an edit of a place changes the whole object");
     await browser.until("lobelia.still()");
     writeFileSync(join(folder, "place.png"), await browser.screenshot());
@@ -109,6 +114,34 @@ async function places(browser, settings, fail, folder) {
     if ((await settings("regions.length")) !== 1) fail("a place cannot be removed");
     for (let i = 0; i < 5; i++) await browser.key("z", CONTROL);
     if ((await settings("regions.length")) !== 0) fail("places cannot be undone");
+    return browser.key("r");
+}
+
+/** A stroke of the brush is one place and one step, and is copied as a `Stroke`. */
+async function brush(browser, settings, fail, folder) {
+    const camera = () => browser.evaluate("JSON.stringify(lobelia.camera())");
+    await browser.key("b");
+    if (!(await browser.evaluate("document.getElementById('brush').matches('[aria-pressed=true]')"))) fail("B does not take the brush");
+    const before = await camera();
+    await browser.drag([180, 240], [380, 230]);
+    if ((await camera()) !== before) fail("painting turns the view");
+    const points = (await settings("regions"))[0]?.points ?? [];
+    if (points.length < 4) return fail(`a stroke over the object has the points ${JSON.stringify(points)}`);
+    for (const point of points) if (!isOnObject(point)) fail(`the stroke's point (${point}) is not on the object`);
+    await browser.evaluate(input("tint", "#20a040"));
+    const ron = await browser.evaluate("lobelia.ron()");
+    const list = points.map((point) => `(${point.join(", ")})`).join(", ");
+    if (!ron.includes(`region: Stroke(points: [${list}], radius: `)) fail(`a stroke is copied as\n${ron}`);
+    await browser.until("lobelia.still()");
+    writeFileSync(join(folder, "stroke.png"), await browser.screenshot());
+    await browser.key("z", CONTROL);
+    await browser.key("z", CONTROL);
+    if ((await settings("regions.length")) !== 0) fail("a stroke is not undone in one step");
+    await browser.key("b");
+    await browser.drag([20, 20], [60, 40]);
+    if ((await settings("regions.length")) !== 0 || (await camera()) === before) fail("a drag beside the object paints");
+    await browser.key("Escape");
+    if ((await settings("placing")) !== "") fail("Escape does not leave the brush");
     return browser.key("r");
 }
 

@@ -78,8 +78,9 @@ function showPlaces(page) {
     if (by("region").length !== names.length) by("region").replaceChildren(...names.map((name, i) => new Option(name, i - 1)));
     by("region").value = region;
     by("unplace").hidden = by("placed").hidden = region < 0;
-    by("new-place").setAttribute("aria-pressed", String(placing));
-    page.canvas.classList.toggle("placing", placing);
+    by("new-place").setAttribute("aria-pressed", String(placing === "click"));
+    by("brush").setAttribute("aria-pressed", String(placing === "brush"));
+    page.canvas.classList.toggle("placing", placing !== "");
     const dull = region >= 0 && !canShine(page.scene.materials.length);
     for (const name of ["roughness", "level", "color", "mix", "metal"]) by(name).disabled = dull;
 }
@@ -121,8 +122,9 @@ function listenToButtons(page) {
     });
     by("before").addEventListener("click", () => page.stepView(-1));
     by("after").addEventListener("click", () => page.stepView(1));
-    by("region").addEventListener("change", () => page.change({ region: Number(by("region").value), placing: false }));
-    by("new-place").addEventListener("click", () => page.startPlacing());
+    by("region").addEventListener("change", () => page.change({ region: Number(by("region").value), placing: "" }));
+    by("new-place").addEventListener("click", () => page.startPlacing("click"));
+    by("brush").addEventListener("click", () => page.startPlacing("brush"));
     by("unplace").addEventListener("click", () => page.removePlace());
     by("ball-on").addEventListener("change", () => page.change({ ball: by("ball-on").checked }));
     for (const way of ["undo", "redo"]) by(way).addEventListener("click", () => page.goBack(way));
@@ -180,26 +182,40 @@ export function listenToPointers(page, canvas) {
     let pressed = null;
     const turnsLight = (event) =>
         event.shiftKey || event.buttons === 2 || document.querySelector("[name=drag]:checked").value === "light";
+    const within = (event) => {
+        const { left, top } = canvas.getBoundingClientRect();
+        return [event.clientX - left, event.clientY - top];
+    };
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
     canvas.addEventListener("pointerdown", (event) => {
         canvas.setPointerCapture(event.pointerId);
         canvas.focus({ preventScroll: true });
         held.set(event.pointerId, [event.clientX, event.clientY]);
         pressed = held.size === 1 && event.button === 0 ? [event.clientX, event.clientY] : null;
+        // A second finger moves the view: the first one was not to paint.
+        if (held.size > 1) page.endStroke(false);
+        else if (page.settings.placing === "brush" && pressed && !event.shiftKey) page.beginStroke(...within(event));
     });
     canvas.addEventListener("pointerup", (event) => {
         const moved = pressed ? Math.hypot(event.clientX - pressed[0], event.clientY - pressed[1]) : Infinity;
-        const { left, top } = canvas.getBoundingClientRect();
-        if (page.settings.placing && moved < STILL) page.place(event.clientX - left, event.clientY - top);
+        if (!page.stroke && page.settings.placing && moved < STILL) page.place(...within(event));
     });
-    for (const end of ["pointerup", "pointercancel"]) canvas.addEventListener(end, (event) => held.delete(event.pointerId));
+    for (const end of ["pointerup", "pointercancel"]) {
+        canvas.addEventListener(end, (event) => {
+            held.delete(event.pointerId);
+            if (page.stroke) page.endStroke();
+        });
+    }
     canvas.addEventListener("pointermove", (event) => {
         const before = held.get(event.pointerId);
         if (!before) return;
         const now = [event.clientX, event.clientY];
         const [dx, dy] = [now[0] - before[0], now[1] - before[1]];
         held.set(event.pointerId, now);
-        if (held.size === 2) {
+        if (page.stroke) {
+            const passed = event.getCoalescedEvents?.() ?? [];
+            for (const each of passed.length > 0 ? passed : [event]) page.stroke.to(...within(each));
+        } else if (held.size === 2) {
             const [other] = [...held].filter(([id]) => id !== event.pointerId).map(([, at]) => at);
             const apart = (at) => Math.max(Math.hypot(at[0] - other[0], at[1] - other[1]), 1);
             page.move((orbit) => {
@@ -253,13 +269,15 @@ export function listenToKeys(page) {
         ".": () => page.stepView(1),
         p: () => page.compareViews(!page.settings.compare),
         s: () => page.change({ ball: !page.settings.ball }),
-        e: () => page.startPlacing(),
+        e: () => page.startPlacing("click"),
+        b: () => page.startPlacing("brush"),
         o: () => by("light-file").click(),
         c: () => copy(page),
         r: () => page.reset(),
         "?": () => by("keys").showModal(),
     };
     document.addEventListener("keydown", (event) => {
+        if (page.stroke) return event.key === "Escape" ? page.endStroke(false) : undefined;
         const busy = event.target.closest?.("input, select, textarea, dialog");
         if ((event.ctrlKey || event.metaKey) && !event.altKey && !event.target.closest?.("textarea, dialog")) {
             const key = event.key.toLowerCase();
@@ -274,7 +292,7 @@ export function listenToKeys(page) {
         const other = others[event.key] ?? others[event.key.toLowerCase()];
         const [width, height] = [page.canvas.clientWidth, page.canvas.clientHeight];
         const { placing } = page.settings;
-        if (placing && event.key === "Escape") return page.startPlacing();
+        if (placing && event.key === "Escape") return page.startPlacing(placing);
         if (placing && event.key === "Enter" && !event.target.closest?.("button")) return page.place(width / 2, height / 2);
         if (steps[event.key]) page.move((orbit) => steps[event.key](orbit, event.shiftKey));
         else if (show) page.change({ show: show.name });

@@ -1,5 +1,6 @@
 // The page: its settings, what follows from them, and when to draw.
 
+import { Stroke, saidFirst } from "lobelia/brush";
 import { Orbit, viewCamera } from "lobelia/camera";
 import { Compare, listenToWipe } from "lobelia/compare";
 import { addLightChoice, fillPanel, linearOf, listenToFiles, listenToKeys, listenToPointers, say, shownOf, showSettings } from "lobelia/controls";
@@ -26,13 +27,12 @@ const PATIENCE = 3000;
 
 const SETTINGS = {
     light: 0, turn: 0, show: "full", exposure: 0, backdrop: "#ffffff", view: -1, ...UNCHANGED,
-    // Places with edits of their own, the one that the sliders change (-1: the whole object), and whether a click makes another.
-    regions: [], region: -1, placing: false,
+    // Places with edits of their own, the one that the sliders change (-1: the whole object), and whether a "click" or the "brush"
+    // makes another.
+    regions: [], region: -1, placing: "",
     // Whether photographs are compared, what is left and right of the line, and where it is, in percent; the light's ball.
     compare: false, left: "photograph", right: "render", wipe: 50, ball: false,
 };
-/** Radius of a new place, in radii of the object, and the part of it over which its edits set in. */
-const PLACE = { radius: 0.3, soft: 0.3 };
 
 /** Settings of edits as the renderer reads them. */
 function look({ roughness, level, color, mix, metal, tint, bright }) {
@@ -58,6 +58,8 @@ class Page {
         this.drawn = 0;
         this.changed = 0;
         this.waiting = false;
+        // The place that is being made.
+        this.stroke = null;
     }
 
     /** The settings as the renderer reads them. */
@@ -80,28 +82,43 @@ class Page {
         else this.change({ regions: regions.map((old, i) => (i === region ? { ...old, ...values } : old)) });
     }
 
-    /** Makes a place where a point of the canvas shows the object. */
-    place(x, y) {
+    /** Where a point of the canvas shows the object; null beside it. */
+    pick(x, y) {
         const { canvas, scene } = this;
-        if (this.settings.regions.length >= mostRegions(scene.materials.length)) return this.change({ placing: false });
         const size = [canvas.clientWidth, canvas.clientHeight];
         this.corners ??= cornersOf(scene);
-        const center = pick(this.corners, scene.data.triangles, this.camera(size[0] / size[1]), [x, y], size);
-        if (!center) return say("There is nothing of the object here.");
-        const { regions } = this.settings;
-        const made = { ...UNCHANGED, center, radius: PLACE.radius * scene.radius, soft: PLACE.soft };
-        this.change({ regions: [...regions, made], region: regions.length, placing: false });
-        return say(`Place ${regions.length + 1}: the sliders of the material change it alone.`);
+        return pick(this.corners, scene.data.triangles, this.camera(size[0] / size[1]), [x, y], size);
     }
 
-    /** Begins or leaves the making of a place, if there may be another. */
-    startPlacing() {
+    /** Makes a ball where a point of the canvas shows the object. */
+    place(x, y) {
+        if (this.beginStroke(x, y)) this.endStroke();
+        else say("There is nothing of the object here.");
+    }
+
+    /** Begins a place where a point of the canvas shows the object. Returns whether it does. */
+    beginStroke(x, y) {
+        const stroke = new Stroke(this);
+        if (stroke.to(x, y)) this.stroke = stroke;
+        return this.stroke !== null;
+    }
+
+    /** Ends the place that is being made, or takes it back. */
+    endStroke(keep = true) {
+        const { stroke } = this;
+        this.stroke = null;
+        if (keep) say(stroke.end());
+        else stroke?.drop();
+    }
+
+    /** Begins or leaves the making of a place in a way, if there may be another. */
+    startPlacing(way) {
         const { placing, regions } = this.settings;
         const most = mostRegions(this.scene.materials.length);
-        if (!placing && regions.length >= most) return say(`At most ${most} ${most === 1 ? "place" : "places"} can be edited.`);
+        if (placing !== way && regions.length >= most) return say(`At most ${most} ${most === 1 ? "place" : "places"} can be edited.`);
         this.canvas.focus({ preventScroll: true });
-        this.change({ placing: !placing });
-        return say(placing ? "" : "Click on the object, or press Enter for the middle of the picture.");
+        this.change({ placing: placing === way ? "" : way });
+        return say(saidFirst(this.settings.placing));
     }
 
     removePlace() {
@@ -119,9 +136,20 @@ class Page {
     }
 
     change(settings) {
-        const before = this.settings;
-        this.settings = { ...before, ...settings };
-        this.history.note(before, this.settings, performance.now());
+        this.note(this.settings, settings);
+    }
+
+    /** Changes settings that are part of a change which is not yet done. */
+    show(settings) {
+        this.settings = { ...this.settings, ...settings };
+        this.refresh();
+    }
+
+    /** Changes settings, and notes what has changed since they were those of `before`. */
+    note(before, settings) {
+        const old = { ...this.settings, ...before };
+        this.settings = { ...this.settings, ...settings };
+        this.history.note(old, this.settings, performance.now());
         this.refresh();
     }
 
@@ -136,7 +164,7 @@ class Page {
     goBack(way) {
         const found = this.history[way](this.settings);
         if (!found) return say(way === "undo" ? "There is nothing to undo." : "There is nothing to do again.");
-        this.settings = { ...this.settings, ...found, placing: false };
+        this.settings = { ...this.settings, ...found, placing: "" };
         if (this.settings.region >= this.settings.regions.length) this.settings.region = -1;
         return this.refresh();
     }

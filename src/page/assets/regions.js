@@ -1,11 +1,14 @@
-// Places on the object that have edits of their own: balls in the world, as `Sphere` regions of a scene file have them.
+// Places on the object that have edits of their own: all that is near a line through points, as `Stroke` regions of a scene file
+// have it; around one point that is a ball, their `Sphere`.
 
-import { add, clamp, cross, dot, length, scale, sub } from "lobelia/linear";
+import { add, clamp, dot, length, scale, sub } from "lobelia/linear";
 
 /** What the sliders of the material say when nothing is changed. */
 export const UNCHANGED = { roughness: 0, level: 1, color: "#e6c065", mix: 0, metal: 0, tint: "#ffffff", bright: 1 };
 /** Most places of a page: the shader's arrays. */
 const MOST = 3;
+/** Most points of a place, again the shader's; a scene file may have more. */
+export const MOST_POINTS = 48;
 /** Most base materials of an object (`MAX_SPECULAR_LOBES`): where places overlap, each of them doubles their number. */
 const MOST_MATERIALS = 8;
 
@@ -17,7 +20,7 @@ export function mostRegions(materials) {
 /** Whether a place's roughness and reflection can differ from the rest: they need base materials of their own. */
 export const canShine = (materials) => 2 * materials <= MOST_MATERIALS;
 
-/** Length over which the diffuse edit of a region sets in, and the ball in which its material is another: that has a hard edge. */
+/** Length over which the diffuse edit of a region sets in, and the radius within which its material is another: that has a hard edge. */
 export const falloffOf = ({ radius, soft }) => radius * soft;
 export const hardRadius = (region) => region.radius - falloffOf(region) / 2;
 
@@ -26,6 +29,30 @@ function weightAt(depth, falloff) {
     if (depth < 0) return 0;
     const t = depth < falloff ? depth / falloff : 1;
     return t * t * (3 - 2 * t);
+}
+
+/** As `distance_to_segment` of `pass::edit`. */
+function distanceToSegment(point, start, end) {
+    const [offset, along] = [sub(point, start), sub(end, start)];
+    const squared = dot(along, along);
+    const t = squared > 0 ? clamp(dot(offset, along) / squared, 0, 1) : 0;
+    return length(sub(offset, scale(along, t)));
+}
+
+/** Distance of a point from the line through others. */
+function distanceToLine(point, points) {
+    const each = points.map((to, i) => distanceToSegment(point, points[Math.max(i - 1, 0)], to));
+    return Math.min(...each);
+}
+
+/** The points of a line without which it goes elsewhere by more than a distance. */
+export function thinned(points, most) {
+    if (points.length < 3) return points;
+    const [first, last] = [points[0], points.at(-1)];
+    const away = points.map((point) => distanceToSegment(point, first, last));
+    const farthest = away.indexOf(Math.max(...away));
+    if (away[farthest] <= most) return [first, last];
+    return [...thinned(points.slice(0, farthest + 1), most), ...thinned(points.slice(farthest), most).slice(1)];
 }
 
 /** Specular albedo and roughness of a base material after an edit: the steps of `ron.js`, in the same order. */
@@ -40,7 +67,7 @@ export function editedMaterial(lobe, { color, mix, level, roughness }) {
 /** Diffuse and specular albedo at a point after the edits of regions, for light that goes from surface to surface. */
 export function reflectedAt(place, diffuse, specular, regions) {
     for (const region of regions) {
-        const away = length(sub(place, region.center));
+        const away = distanceToLine(place, region.points);
         const weight = weightAt(region.radius - away, falloffOf(region));
         diffuse = diffuse.map((old, c) => old + weight * (Math.min(old * region.tint[c], 1) - old));
         if (away <= hardRadius(region)) specular = editedMaterial({ albedo: specular, roughness: 1 }, region).albedo;
@@ -50,15 +77,15 @@ export function reflectedAt(place, diffuse, specular, regions) {
 
 /** Regions as the surface's shader reads them, and the one that is outlined. */
 export function regionUniforms(regions, mark) {
-    const outlined = regions[mark];
     return {
         regionCount: regions.length,
-        regionBall: padded(regions, 4, ({ center, radius }) => [...center, radius]),
-        regionSoft: padded(regions, 2, (region) => [falloffOf(region), hardRadius(region)]),
+        regionPoint: padded(regions, 3 * MOST_POINTS, ({ points }) => points.flat()),
+        regionLength: padded(regions, 1, ({ points }) => [points.length]),
+        regionSize: padded(regions, 3, (region) => [region.radius, falloffOf(region), hardRadius(region)]),
         regionTint: padded(regions, 3, ({ tint }) => tint),
         regionColor: padded(regions, 4, ({ color, mix }) => [...color, mix]),
         regionGloss: padded(regions, 2, ({ level, roughness }) => [level, roughness]),
-        mark: outlined ? [...outlined.center, outlined.radius] : [0, 0, 0, -1],
+        mark: regions[mark] ? mark : -1,
     };
 }
 
@@ -98,21 +125,28 @@ function rayThrough(camera, [px, py], [width, height]) {
 /** Where a point of the canvas shows the object; null beside it. */
 export function pick(corners, triangles, camera, point, size) {
     const way = rayThrough(camera, point, size);
-    const corner = (i) => [corners[3 * i], corners[3 * i + 1], corners[3 * i + 2]];
     let nearest = Infinity;
     for (let t = 0; t < triangles.length; t += 3) {
-        const a = corner(triangles[t]);
-        const [ab, ac] = [sub(corner(triangles[t + 1]), a), sub(corner(triangles[t + 2]), a)];
-        const across = cross(way, ac);
-        const size = dot(ab, across);
-        if (size === 0) continue;
-        const from = sub(camera.eye, a);
-        const u = dot(from, across) / size;
-        if (u < 0 || u > 1) continue;
-        const turned = cross(from, ab);
-        const v = dot(way, turned) / size;
-        const along = dot(ac, turned) / size;
-        if (v >= 0 && u + v <= 1 && along > 0 && along < nearest) nearest = along;
+        const along = hit(corners, 3 * triangles[t], 3 * triangles[t + 1], 3 * triangles[t + 2], camera.eye, way);
+        if (along < nearest) nearest = along;
     }
     return nearest < Infinity ? add(camera.eye, scale(way, nearest)) : null;
+}
+
+/** How far along a way from an eye a triangle lies, or infinity. Numbers, not vectors: a brush asks this of all triangles often. */
+function hit(corners, a, b, c, eye, way) {
+    const ax = corners[a], ay = corners[a + 1], az = corners[a + 2];
+    const bx = corners[b] - ax, by = corners[b + 1] - ay, bz = corners[b + 2] - az;
+    const cx = corners[c] - ax, cy = corners[c + 1] - ay, cz = corners[c + 2] - az;
+    const wx = way[0], wy = way[1], wz = way[2];
+    const px = wy * cz - wz * cy, py = wz * cx - wx * cz, pz = wx * cy - wy * cx;
+    const volume = bx * px + by * py + bz * pz;
+    if (volume === 0) return Infinity;
+    const fx = eye[0] - ax, fy = eye[1] - ay, fz = eye[2] - az;
+    const u = (fx * px + fy * py + fz * pz) / volume;
+    if (u < 0 || u > 1) return Infinity;
+    const qx = fy * bz - fz * by, qy = fz * bx - fx * bz, qz = fx * by - fy * bx;
+    const v = (wx * qx + wy * qy + wz * qz) / volume;
+    const along = (cx * qx + cy * qy + cz * qz) / volume;
+    return v >= 0 && u + v <= 1 && along > 0 ? along : Infinity;
 }

@@ -22,9 +22,11 @@ function changes({ tint, color, mix, level, roughness }, soft = "", hard = "") {
 
 /** Those of a place: its material has a hard edge in the middle of the border over which its albedo changes. */
 function changesOf(region) {
-    const ball = `, region: Sphere(center: ${triple(region.center)}, radius: `;
-    const soft = `${ball}${number(region.radius)}, falloff: ${number(falloffOf(region))})`;
-    return changes(region, soft, `${ball}${number(hardRadius(region))})`);
+    const [first, ...others] = region.points.map(triple);
+    const line = others.length > 0 ? `Stroke(points: [${[first, ...others].join(", ")}]` : `Sphere(center: ${first}`;
+    const within = `, region: ${line}, radius: `;
+    const soft = `${within}${number(region.radius)}, falloff: ${number(falloffOf(region))})`;
+    return changes(region, soft, `${within}${number(hardRadius(region))})`);
 }
 
 /** All edits: the scene's, then the page's. */

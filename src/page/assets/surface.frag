@@ -30,16 +30,19 @@ uniform sampler2D leaving;
 uniform sampler2D sky;
 uniform int directions;
 
-// Places with edits of their own: balls; the length over which the diffuse edit sets in, and the radius of the material's hard edge.
+// Places with edits of their own, around lines through points: those of all places, and how many each has.
+const int MOST_POINTS = 48;
 uniform int regionCount;
-uniform vec4 regionBall[3];
-uniform vec2 regionSoft[3];
+uniform vec3 regionPoint[3 * MOST_POINTS];
+uniform int regionLength[3];
+// Their radius, the length over which the diffuse edit sets in, and the radius of the material's hard edge.
+uniform vec3 regionSize[3];
 uniform vec3 regionTint[3];
 // The color that the specular albedo moves toward, and how far; then factors on specular albedo and roughness.
 uniform vec4 regionColor[3];
 uniform vec2 regionGloss[3];
-// A ball that is outlined, if its radius is positive.
-uniform vec4 mark;
+// The place that is outlined, or -1.
+uniform int mark;
 
 out vec4 result;
 
@@ -187,6 +190,27 @@ vec3 mirroredFactor(vec3 n, vec3 toViewer, float roughness) {
     return clamp(arriving / max(unhidden, vec3(least3)), 0.0, MOST_MIRRORED);
 }
 
+// How far the point is from the line of each place.
+float away[3];
+
+// As `distance_to_segment` of `pass::edit`.
+float distanceToSegment(vec3 start, vec3 end) {
+    vec3 offset = position - start, along = end - start;
+    float squared = dot(along, along);
+    float t = squared > 0.0 ? clamp(dot(offset, along) / squared, 0.0, 1.0) : 0.0;
+    return distance(offset, t * along);
+}
+
+void findPlaces() {
+    for (int r = 0; r < regionCount; r++) {
+        int first = r * MOST_POINTS;
+        away[r] = distance(position, regionPoint[first]);
+        for (int i = first + 1; i < first + regionLength[r]; i++) {
+            away[r] = min(away[r], distanceToSegment(regionPoint[i - 1], regionPoint[i]));
+        }
+    }
+}
+
 // As `weight_at` of `pass::edit`.
 float weightAt(float depth, float falloff) {
     if (depth < 0.0) {
@@ -200,8 +224,8 @@ float weightAt(float depth, float falloff) {
 vec3 tinted(vec3 albedo) {
     vec3 edited = clamp(albedo * tint, 0.0, 1.0);
     for (int r = 0; r < regionCount; r++) {
-        float depth = regionBall[r].w - distance(position, regionBall[r].xyz);
-        edited = mix(edited, clamp(edited * regionTint[r], 0.0, 1.0), weightAt(depth, regionSoft[r].x));
+        float weight = weightAt(regionSize[r].x - away[r], regionSize[r].y);
+        edited = mix(edited, clamp(edited * regionTint[r], 0.0, 1.0), weight);
     }
     return edited;
 }
@@ -209,7 +233,7 @@ vec3 tinted(vec3 albedo) {
 // A base material after the edits of the places that this point is in.
 vec4 shined(vec4 material) {
     for (int r = 0; r < regionCount; r++) {
-        if (distance(position, regionBall[r].xyz) <= regionSoft[r].y) {
+        if (away[r] <= regionSize[r].z) {
             vec3 blended = clamp(mix(material.rgb, regionColor[r].rgb, regionColor[r].a), 0.0, 1.0);
             material.rgb = clamp(blended * regionGloss[r].x, 0.0, 1.0);
             material.w = clamp(material.w * regionGloss[r].y, 0.03, 1.0);
@@ -218,17 +242,20 @@ vec4 shined(vec4 material) {
     return material;
 }
 
-// Dashes along the outline of the marked ball.
+// Dashes along the outline of the marked place.
 vec3 outlined(vec3 shown) {
-    float away = distance(position, mark.xyz) - mark.w;
-    float width = 1.2 * fwidth(away);
+    if (mark < 0) {
+        return shown;
+    }
+    float outside = away[mark] - regionSize[mark].x;
     float dash = step(0.5, fract((gl_FragCoord.x + gl_FragCoord.y) / 14.0));
-    return mark.w > 0.0 && abs(away) < width ? vec3(dash) : shown;
+    return abs(outside) < 1.2 * fwidth(outside) ? vec3(dash) : shown;
 }
 
 void main() {
     vec3 n = normalize(normal);
     vec3 toViewer = normalize(eye - position);
+    findPlaces();
     vec4 base = texture(albedoMap, uv);
     vec3 along = tinted(texture(alongMap, uv).rgb);
     vec3 straight = tinted(base.rgb);

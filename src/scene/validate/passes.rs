@@ -21,6 +21,9 @@ use std::path::{Component, Path, PathBuf};
 /// Most passes of a scene file.
 const MOST_PASSES: usize = 1000;
 
+/// Most points of a stroke.
+const MOST_STROKE_POINTS: u32 = 256;
+
 /// Checks every pass of the scene.
 pub(super) fn passes(checks: &mut Checks, scene: &Scene) {
     if scene.passes.len() > MOST_PASSES {
@@ -294,6 +297,15 @@ fn region(checks: &mut Checks, path: &str, edit: &Edit) {
             checks.not_negative(&format!("{path}.falloff"), *falloff);
             checks.finite(&format!("{path}.center"), *center);
             checks.positive(&format!("{path}.radius"), *radius);
+        }
+        Region::Stroke { points, radius, falloff } => {
+            checks.not_negative(&format!("{path}.falloff"), *falloff);
+            checks.positive(&format!("{path}.radius"), *radius);
+            let count = u32::try_from(points.len()).unwrap_or(u32::MAX);
+            checks.count(&format!("{path}.points"), count, 1..=MOST_STROKE_POINTS);
+            for (index, point) in points.iter().enumerate() {
+                checks.place(&format!("{path}.points.{index}"), *point);
+            }
         }
     }
 }
