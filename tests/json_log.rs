@@ -28,7 +28,9 @@ fn every_line_is_an_event_and_the_last_says_how_it_ended() {
     assert!(steps.len() == 1 && steps[0]["step"] == 10 && steps[0]["steps"] == 10, "{steps:?}");
     assert!(steps[0]["psnr"].as_f64() > Some(5.0) && steps[0]["lobes"].as_u64() > Some(0), "{steps:?}");
     let pictures: Vec<&str> = of("picture").iter().map(|at| at["path"].as_str().unwrap()).collect();
-    assert!(pictures.len() == 1 && pictures[0].ends_with(".png") && std::path::Path::new(pictures[0]).exists());
+    assert!(
+        pictures.len() == 1 && pictures[0].ends_with(".png") && std::path::Path::new(pictures[0]).exists()
+    );
     let secs: Vec<f64> = events.iter().map(|event| event["secs"].as_f64().unwrap()).collect();
     assert!(secs.windows(2).all(|pair| pair[0] <= pair[1]), "{secs:?}");
     let ended = of("ended");
