@@ -1,4 +1,4 @@
-"""An exported object under its light in Cycles; prints the mean linear radiance over its pixels. Called by check.mjs."""
+"""An exported object under its light in Cycles; writes its linear radiance. Called by check.mjs."""
 
 import json
 import math
@@ -6,7 +6,6 @@ import os
 import sys
 
 import bpy
-import numpy as np
 from mathutils import Vector
 
 SAMPLES = 256
@@ -33,7 +32,7 @@ def set_camera(scene, camera):
     lens.angle = math.radians(camera["fov"])
     placed = bpy.data.objects.new("camera", lens)
     placed.location = from_gltf(camera["eye"])
-    placed.rotation_euler = (-placed.location).to_track_quat("-Z", "Y").to_euler()
+    placed.rotation_euler = (from_gltf(camera["target"]) - placed.location).to_track_quat("-Z", "Y").to_euler()
     scene.collection.objects.link(placed)
     scene.camera = placed
 
@@ -46,6 +45,7 @@ def set_output(scene, camera, path):
     render.film_transparent = True
     render.resolution_x = render.resolution_y = camera["size"]
     render.image_settings.file_format = "OPEN_EXR"
+    render.image_settings.exr_codec = "ZIP"
     render.image_settings.color_depth = "32"
     render.image_settings.color_mode = "RGBA"
     render.filepath = path
@@ -58,12 +58,8 @@ def main():
     bpy.ops.import_scene.gltf(filepath=os.path.join(job["folder"], "mesh.glb"))
     set_light(scene, os.path.join(job["folder"], "light_blender.hdr"))
     set_camera(scene, job["camera"])
-    path = os.path.join(job["folder"], "..", "cycles.exr")
-    set_output(scene, job["camera"], path)
+    set_output(scene, job["camera"], job["picture"])
     bpy.ops.render.render(write_still=True)
-    pixels = np.array(bpy.data.images.load(path).pixels[:]).reshape(-1, 4)
-    inside = pixels[pixels[:, 3] > job["covered"]]
-    print("MEAN " + json.dumps(inside[:, :3].mean(axis=0).tolist()))
 
 
 main()

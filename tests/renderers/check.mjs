@@ -1,8 +1,12 @@
-// Exported objects in other renderers against Lobelia's own: `node tests/renderers/check.mjs PROGRAM [FOLDER]`.
+// Exported objects in other renderers against Lobelia's own:
+// `node tests/renderers/check.mjs PROGRAM [FOLDER] [--object SAVED]… [--set PATH=VALUE]…`.
 //
-// Spheres of several materials under one light are exported, and rendered from the same camera by Lobelia's closed forms and path
-// tracer, by three.js in a headless Chromium, and by Cycles. The mean radiance of each over the object is compared with Lobelia's.
-// FOLDER keeps the files. A renderer that is not installed is left out with a word:
+// Spheres of several materials under two lights are exported, and rendered from the same camera by Lobelia's closed forms and path
+// tracer, by three.js in a headless Chromium, and by Cycles. The mean radiance of each over the object is compared with Lobelia's. With
+// `--object`, these are objects that a run has saved instead (SAVED is the folder of its `Save` pass), each from four sides. three.js
+// lets an object throw no shadows on itself, so it is also compared with Lobelia's closed forms without them. `--set` changes the scenes
+// as in `lobelia run`, to look at one part alone: `--set 'material.albedo=Fixed(Constant(0, 0, 0))'`; then no difference is too large.
+// FOLDER keeps the files, with the pictures side by side in `NAME/VIEW.exr`. A renderer that is not installed is left out with a word:
 // - three.js: THREE names the folder of the npm package, or it lies in node_modules here; CHROMIUM names the browser.
 // - Cycles: PYTHON names a Python that can import `bpy` (PyPI), python3 if it does not say.
 
@@ -10,10 +14,11 @@ import { spawnSync } from "node:child_process";
 import { existsSync, mkdirSync, mkdtempSync, readFileSync, writeFileSync } from "node:fs";
 import { createServer } from "node:http";
 import { tmpdir } from "node:os";
-import { dirname, extname, join, resolve } from "node:path";
+import { basename, dirname, extname, join, resolve } from "node:path";
 import { fileURLToPath } from "node:url";
+import { parseArgs } from "node:util";
 import { Browser, findChromium } from "../view/browser.mjs";
-import { readExr } from "../view/pictures.mjs";
+import { readExr, writeExr } from "../view/pictures.mjs";
 
 /** Specular albedo, roughness and distribution of normals. */
 const MATERIALS = [
@@ -25,7 +30,7 @@ const MATERIALS = [
 
 /**
  * Lights, and how far each renderer may be from Lobelia in mean radiance. Light from all sides alike shows the material alone. Lamps show
- * that the map is turned right, and how the renderer blurs it: three.js takes its roughest reflection for the cosine of diffuse light.
+ * that the map is turned right, and how the renderer blurs it: three.js r170 takes its roughest reflection for the cosine of diffuse light.
  * Blender has no reflectance along the surface, and so a brighter rim.
  */
 const LIGHTS = [
@@ -39,48 +44,86 @@ const LIGHTS = [
     },
 ];
 
-const CAMERA = { eye: [1.9, 1.4, 2.6], fov: 38, size: 192 };
+/** How far each may be from Lobelia for saved objects: three.js from closed forms without shadows, Cycles from the path tracer. */
+const OBJECT_MOST = { "three.js": 0.02, Cycles: 0.02 };
+
+const [FOV, SIZE] = [38, 192];
 /** Least coverage of a pixel that counts: the rim is drawn differently everywhere. */
 const COVERED = 0.999;
 
 const HERE = dirname(fileURLToPath(import.meta.url));
-const [program, folder = mkdtempSync(join(tmpdir(), "lobelia-renderers-"))] = process.argv.slice(2);
-if (!program) throw new Error("usage: node tests/renderers/check.mjs PROGRAM [FOLDER]");
+const many = { type: "string", multiple: true, default: [] };
+const { values: options, positionals } = parseArgs({ allowPositionals: true, options: { object: many, set: many } });
+const [program, folder = mkdtempSync(join(tmpdir(), "lobelia-renderers-"))] = positionals;
+if (!program) throw new Error("usage: node tests/renderers/check.mjs PROGRAM [FOLDER] [--object SAVED]… [--set PATH=VALUE]…");
 
-function scene({ specular, roughness, ndf }, { lobes }) {
-    const { eye, fov, size } = CAMERA;
-    return `Scene(
+/** A sphere of each material under each light: the file of its scene, its cameras, and how far renderers may be off. */
+function spheres() {
+    return MATERIALS.flatMap(({ specular, roughness, ndf }, i) =>
+        LIGHTS.map(({ name, most, lobes }) => {
+            const home = join(folder, `${name}_${i}`);
+            mkdirSync(home, { recursive: true });
+            const text = `Scene(
     version: 1,
     surface: Sphere(texture_size: 32),
-    views: Cameras([(name: "a", eye: (${eye.join(", ")}), fov_degrees: ${fov}, width: ${size}, height: ${size})]),
     light: Fixed(Lobes(lobes: [${lobes}])),
     material: (
         albedo: Fixed(Constant(0.45, 0.3, 0.2)),
         specular: (albedo: Fixed(${specular}, ${specular}, ${specular}), roughness: Fixed(${roughness}), ndf: ${ndf}),
     ),
-    passes: [
-        Render(name: "closed"),
-        Render(name: "paths", render: (shading: PathTraced(spp: 256))),
-        Export(name: "export"),
-    ],
 )`;
+            writeFileSync(join(home, "scene.ron"), text);
+            const words = `${name}, specular ${specular}, roughness ${roughness}, ${ndf}`;
+            const cameras = [{ name: "a", eye: [1.9, 1.4, 2.6], target: [0, 0, 0] }];
+            return { home, scene: join(home, "scene.ron"), words, cameras, most };
+        }),
+    );
 }
 
-/** Mean radiance of the channels over the pixels that the object covers. */
-function mean(planes) {
-    const inside = [...planes.A.keys()].filter((i) => planes.A[i] > COVERED);
-    if (inside.length < 1000) throw new Error(`the object covers ${inside.length} pixels only`);
-    const channel = (name) => inside.reduce((sum, i) => sum + planes[name][i], 0) / inside.length;
-    return ["R", "G", "B"].map(channel);
+/** A saved object, seen whole from four sides. */
+function saved(object, i) {
+    const glb = readFileSync(join(object, "mesh.glb"));
+    const { accessors, meshes } = JSON.parse(glb.toString("utf8", 20, 20 + glb.readUInt32LE(12)));
+    const { min, max } = accessors[meshes[0].primitives[0].attributes.POSITION];
+    const target = min.map((low, k) => (low + max[k]) / 2);
+    const distance = (0.4 * Math.hypot(...min.map((low, k) => max[k] - low))) / Math.sin(((FOV / 2) * Math.PI) / 180);
+    const sides = [[1, 0.5, 1], [1, -0.2, -1], [-1, 0.5, -1], [-1, -0.2, 1]];
+    const cameras = sides.map((side, view) => {
+        const eye = side.map((x, k) => target[k] + (distance * x) / Math.hypot(...side));
+        return { name: "abcd"[view], eye, target };
+    });
+    const words = basename(dirname(resolve(object)));
+    return { home: join(folder, `${words}_${i}`), scene: join(object, "scene.ron"), words, cameras, most: OBJECT_MOST, shadows: true };
 }
 
-function lobelia(home, material, light) {
-    const file = join(home, "scene.ron");
-    writeFileSync(file, scene(material, light));
-    const { status, stderr } = spawnSync(resolve(program), ["run", file, "--quiet", "--force", "--out", join(home, "out")], { encoding: "utf8" });
-    if (status !== 0) throw new Error(stderr);
-    const read = (pass) => mean(readExr(readFileSync(join(home, "out", pass, "a.exr"))).planes);
-    return { closed: read("closed"), paths: read("paths") };
+/** Mean radiance over the pixels of all views that the object covers in both pictures, as the ratio of the first to the second. */
+function ratio(pictures, others) {
+    let [sum, other, count] = [0, 0, 0];
+    pictures.forEach((picture, view) => {
+        for (let i = 0; i < SIZE * SIZE; i++) {
+            if (!(picture.A[i] > COVERED && others[view].A[i] > COVERED)) continue;
+            for (const c of ["R", "G", "B"]) [sum, other] = [sum + picture[c][i], other + others[view][c][i]];
+            count++;
+        }
+    });
+    if (count < 1000) throw new Error(`the object covers ${count} pixels only`);
+    return sum / other;
+}
+
+/** Lobelia's pictures of all views by closed forms and path tracer, and by closed forms without shadows; exports the object. */
+function lobelia({ home, scene, cameras, shadows }) {
+    const size = `fov_degrees: ${FOV}, width: ${SIZE}, height: ${SIZE}`;
+    const specs = cameras.map(({ name, eye, target }) => `(name: "${name}", eye: (${eye.join()}), target: (${target.join()}), ${size})`);
+    const run = (out, passes, ...more) => {
+        const set = [...options.set, ...more, `views=Cameras([${specs.join()}])`, `passes=[${passes.join()}]`].flatMap((value) => ["--set", value]);
+        const { status, stderr } = spawnSync(resolve(program), ["run", scene, "--quiet", "--force", "--out", join(home, out), ...set], { encoding: "utf8" });
+        if (status !== 0) throw new Error(stderr);
+    };
+    const read = (pass) => cameras.map(({ name }) => readExr(readFileSync(join(home, pass, `${name}.exr`))).planes);
+    const closed = 'Render(name: "closed")';
+    run("out", [closed, 'Render(name: "paths", render: (shading: PathTraced(spp: 256)))', 'Export(name: "export")']);
+    if (shadows) run("unshadowed", [closed], "visibility=None");
+    return { closed: read("out/closed"), paths: read("out/paths"), unshadowed: shadows ? read("unshadowed/closed") : null };
 }
 
 /** Serves this folder, three.js and the results; modules and files cannot be loaded from the disk. */
@@ -108,12 +151,14 @@ async function threeJs() {
     }
     const [server, browser] = [await serve(three), new Browser(chromium)];
     const address = `http://127.0.0.1:${server.address().port}`;
-    const render = async (name) => {
-        const query = new URLSearchParams({ base: `/out/${name}/out/export/`, camera: JSON.stringify(CAMERA) });
+    const render = async (home, camera) => {
+        const query = new URLSearchParams({ base: `/out/${basename(home)}/out/export/`, camera: JSON.stringify({ ...camera, fov: FOV, size: SIZE }) });
         await browser.open(`${address}/here/three.html?${query}`, 300, 300);
         const flat = await browser.evaluate("lobelia.pixels()");
-        const plane = (c) => flat.filter((_, i) => i % 4 === c);
-        return mean({ R: plane(0), G: plane(1), B: plane(2), A: plane(3) });
+        // Its rows begin at the bottom.
+        const at = (i) => (SIZE - 1 - Math.floor(i / SIZE)) * SIZE + (i % SIZE);
+        const plane = (c) => Float32Array.from({ length: SIZE * SIZE }, (_, i) => flat[4 * at(i) + c]);
+        return { R: plane(0), G: plane(1), B: plane(2), A: plane(3) };
     };
     const close = async () => (await browser.close(), server.close());
     return { render, close };
@@ -126,38 +171,50 @@ function cycles() {
         console.log("Cycles is left out: there is no bpy; say which Python has it with PYTHON=…");
         return null;
     }
-    const render = async (name) => {
-        const job = JSON.stringify({ folder: resolve(folder, name, "out/export"), camera: CAMERA, covered: COVERED });
+    const render = async (home, camera) => {
+        const picture = resolve(home, "out", `cycles_${camera.name}.exr`);
+        const job = JSON.stringify({ folder: resolve(home, "out/export"), camera: { ...camera, fov: FOV, size: SIZE }, picture });
         const { status, stdout, stderr } = spawnSync(python, [join(HERE, "blender.py"), job], { encoding: "utf8" });
-        const found = stdout.split("\n").find((line) => line.startsWith("MEAN "));
-        if (status !== 0 || !found) throw new Error(`Cycles: ${stderr || stdout}`);
-        return JSON.parse(found.slice(5));
+        if (status !== 0 || !existsSync(picture)) throw new Error(`Cycles: ${stderr || stdout}`);
+        return readExr(readFileSync(picture)).planes;
     };
     return { render, close: async () => {} };
 }
 
-const renderers = { "three.js": await threeJs(), Cycles: cycles() };
-const sum = (color) => color[0] + color[1] + color[2];
+/** The pictures of a view side by side. */
+function strip(pictures) {
+    const wide = (c) => Float32Array.from({ length: SIZE * SIZE * pictures.length }, (_, i) => {
+        const [x, y] = [i % (SIZE * pictures.length), Math.floor(i / (SIZE * pictures.length))];
+        return pictures[Math.floor(x / SIZE)][c][y * SIZE + (x % SIZE)];
+    });
+    return writeExr(SIZE * pictures.length, SIZE, { R: wide("R"), G: wide("G"), B: wide("B"), A: wide("A") }, { compression: 3 });
+}
+
+const renderers = Object.entries({ "three.js": await threeJs(), Cycles: cycles() }).filter(([, at]) => at);
 let failed = 0;
-const say = (words, ratio, most) => {
-    const bad = !(Math.abs(ratio - 1) <= most);
+const say = (words, found, most) => {
+    const bad = !(Math.abs(found - 1) <= most) && options.set.length === 0;
     failed += bad;
-    console.log(`${words}: ${ratio.toFixed(3)}${bad ? `   FAILED: not within ${most}` : ""}`);
+    console.log(`${words}: ${found.toFixed(3)}${bad ? `   FAILED: not within ${most}` : ""}`);
 };
 try {
-    for (const [i, material] of MATERIALS.entries()) {
-        for (const light of LIGHTS) {
-            const name = `${light.name}_${i}`;
-            mkdirSync(join(folder, name), { recursive: true });
-            const own = lobelia(join(folder, name), material, light);
-            const words = `${light.name}, specular ${material.specular}, roughness ${material.roughness}, ${material.ndf}`;
-            say(`${words}: path tracer over closed forms`, sum(own.paths) / sum(own.closed), 0.02);
-            for (const [renderer, at] of Object.entries(renderers).filter(([, at]) => at)) {
-                say(`${words}: ${renderer} over the path tracer`, sum(await at.render(name)) / sum(own.paths), light.most[renderer]);
-            }
+    for (const shown of options.object.length > 0 ? options.object.map(saved) : spheres()) {
+        const { home, words, cameras, most } = shown;
+        const { closed, paths, unshadowed } = lobelia(shown);
+        say(`${words}: path tracer over closed forms`, ratio(paths, closed), 0.02);
+        const rows = [paths];
+        for (const [renderer, at] of renderers) {
+            const pictures = [];
+            for (const camera of cameras) pictures.push(await at.render(home, camera));
+            rows.push(pictures);
+            const without = unshadowed && renderer === "three.js";
+            say(`${words}: ${renderer} over the path tracer`, ratio(pictures, paths), without ? Infinity : most[renderer]);
+            if (without) say(`${words}: ${renderer} over closed forms without shadows`, ratio(pictures, unshadowed), most[renderer]);
         }
+        if (unshadowed) rows.push(unshadowed);
+        cameras.forEach(({ name }, view) => writeFileSync(join(home, `${name}.exr`), strip(rows.map((row) => row[view]))));
     }
 } finally {
-    for (const at of Object.values(renderers)) await at?.close();
+    for (const [, at] of renderers) await at.close();
 }
 process.exit(failed > 0 ? 1 : 0);
