@@ -1,11 +1,11 @@
-//! Frames of films, in three steps: one ray at the middle of every second pixel of every second row; one at each pixel between, unless those around it show
-//! the object in the same color, of which it then has the mean; and the whole grid of rays at pixels that differ from a neighbor, which
+//! Frames of films, in three steps: one ray at the middle of every second pixel of every second row; one at each pixel between, unless the color of those around it
+//! changes evenly, so that it has their mean; and the whole grid of rays at pixels that differ from a neighbor, which
 //! show edges, patterns or highlights. Closed forms have no noise. What lies between the middles of pixels that are alike, such as a wire thinner than
 //! a pixel where none of nine middles meets it, is not seen.
 //!
 //! | name | unit | value | meaning |
 //! | --- | --- | --- | --- |
-//! | [`SMOOTH`] | | 0.008 | difference of colors as they are shown, in [0, 1], up to which a pixel between has their mean |
+//! | [`BEND`] | | 0.01 | second difference of colors as they are shown, in [0, 1], up to which a pixel between has their mean: off by an eighth of that |
 //! | [`CONTRAST`] | | 0.02 | difference of colors as they are shown, in [0, 1], from which both pixels get all rays |
 
 use crate::error::Result;
@@ -18,8 +18,8 @@ use glam::Vec3;
 use rayon::prelude::*;
 use std::ops::Range;
 
-/// Difference of shown colors up to which a pixel between them has their mean: 2 of 255.
-pub const SMOOTH: f32 = 0.008;
+/// Second difference of shown colors in a row of four up to which a pixel in their middle has the mean of two: 2.5 of 255.
+pub const BEND: f32 = 0.01;
 
 /// Difference of shown colors from which two pixels are told apart: 5 of 255.
 pub const CONTRAST: f32 = 0.02;
@@ -93,8 +93,8 @@ fn render_middles(
     [columns, seen_rows]: [&Range<u32>; 2],
 ) -> Result<FrameTarget> {
     let around = rows.start.saturating_sub(1)..(rows.end + 1).min(camera.height);
-    // The even rows around an odd one are there.
-    let lattice = (around.start & !1)..(around.end | 1).min(camera.height);
+    // Two even rows on each side of an odd one are there.
+    let lattice = (around.start & !1).saturating_sub(2)..((around.end | 1) + 2).min(camera.height);
     let pixels_of = |rows: &Range<u32>, is_even: bool| -> Vec<u32> {
         let rows = rows.clone().filter(|row| seen_rows.contains(row));
         let all = rows.flat_map(|row| columns.clone().map(move |column| [column, row]));
@@ -123,24 +123,37 @@ fn render_middles(
     render_rows(pipeline, target)
 }
 
-/// The mean of the pixels of even column and row around pixel `i`, of which not both are even; `None` if they differ, or one of them does not show
-/// the object. The first of `pixels` has an even row.
+/// The mean of the pixels of even column and row around pixel `i`, of which not both are even; `None` if along a line through them the color does
+/// not change evenly, or one of them does not show the object. The first of `pixels` has an even row.
 fn mean_around(pixels: &[PixelSums], colors: &[Vec3], width: usize, i: usize) -> Option<PixelSums> {
-    let sides = |at: usize, most: usize| {
-        let odd = at % 2;
-        (at + odd < most).then_some([at - odd, at + odd])
-    };
-    let (columns, rows) = (sides(i % width, width)?, sides(i / width, pixels.len() / width)?);
-    let corners = [[0, 0], [1, 0], [0, 1], [1, 1]].map(|[x, y]: [usize; 2]| rows[y] * width + columns[x]);
-    let (mut low, mut high, mut sum) = (Vec3::INFINITY, Vec3::NEG_INFINITY, PixelSums::default());
-    for corner in corners {
-        (low, high) = (low.min(colors[corner]), high.max(colors[corner]));
-        sum.hits += pixels[corner].hits;
-        sum.diffuse += 0.25 * pixels[corner].diffuse;
-        sum.specular += 0.25 * pixels[corner].specular;
+    let (x, y) = ((i % width) as isize, (i / width) as isize);
+    let sides = [width as isize, (pixels.len() / width) as isize];
+    // To the side, down, or along both diagonals.
+    let (odd_x, odd_y) = (x % 2, y % 2);
+    let lines = [(odd_x, odd_y), (odd_x, -odd_y)];
+    let lines = &lines[..(1 + odd_x * odd_y) as usize];
+    let mut mean = PixelSums { hits: 1, ..PixelSums::default() };
+    let part = 0.5 / lines.len() as f32;
+    for (dx, dy) in lines {
+        let mut four = [0; 4];
+        for (at, steps) in four.iter_mut().zip([-3, -1, 1, 3]) {
+            let [column, row] = [x + steps * dx, y + steps * dy];
+            if !(0..sides[0]).contains(&column) || !(0..sides[1]).contains(&row) {
+                return None;
+            }
+            *at = row as usize * width + column as usize;
+        }
+        let [a, b, c, d] = four.map(|at| colors[at]);
+        let bend = (a + c - 2.0 * b).abs().max((b + d - 2.0 * c).abs());
+        if four.iter().any(|at| pixels[*at].hits == 0) || bend.max_element() > BEND {
+            return None;
+        }
+        for at in &four[1..3] {
+            mean.diffuse += part * pixels[*at].diffuse;
+            mean.specular += part * pixels[*at].specular;
+        }
     }
-    let is_smooth = sum.hits == 4 && (high - low).max_element() <= SMOOTH;
-    is_smooth.then_some(PixelSums { hits: 1, ..sum })
+    Some(mean)
 }
 
 /// The colors of pixels as they are shown, where they show the object.
@@ -287,26 +300,29 @@ mod tests {
         let hits = whole.alpha.iter().filter(|alpha| **alpha > 0.0).count();
         assert!(means * 4 > hits, "only {means} of {hits} are the mean of those around");
         let worst = (0..whole.color.len()).map(off).fold(0.0, f32::max);
-        assert!(worst < SMOOTH, "{worst}");
+        assert!(worst < BEND, "{worst}");
     }
 
     #[test]
-    fn means_are_of_what_is_alike() {
-        let pixel = |hits, value| PixelSums { hits, diffuse: Vec3::splat(value), ..PixelSums::default() };
-        let mut pixels = vec![pixel(1, 0.5); 16];
+    fn means_are_of_what_changes_evenly() {
+        let pixel = |value: f32| PixelSums { hits: 1, diffuse: Vec3::splat(value), ..PixelSums::default() };
+        let ramp = |i: usize| pixel(0.1 + 0.02 * (i % 8) as f32 + 0.01 * (i / 8) as f32);
         let mean = |pixels: &[PixelSums], i: usize| {
-            mean_around(pixels, &shown_colors(pixels, &|color| color), 4, i)
-                .map(|mean| (mean.hits, mean.diffuse.x))
+            mean_around(pixels, &shown_colors(pixels, &|color| color), 8, i)
+                .map(|mean| (mean.hits, (1000.0 * mean.diffuse.x).round()))
         };
-        pixels[2] = pixel(1, 0.506);
-        assert_eq!((mean(&pixels, 1), mean(&pixels, 4)), (Some((1, 0.503)), Some((1, 0.5))));
-        assert_eq!(mean(&pixels, 5), Some((1, 0.5015)));
-        // There is nothing to the right of the last column, and nothing below the last row.
-        assert_eq!((mean(&pixels, 3), mean(&pixels, 12)), (None, None));
-        pixels[2] = pixel(1, 0.52);
-        assert_eq!((mean(&pixels, 1), mean(&pixels, 5)), (None, None));
-        pixels[2] = pixel(0, 0.5);
-        assert_eq!((mean(&pixels, 1), mean(&pixels, 4)), (None, Some((1, 0.5))));
+        let mut pixels: Vec<PixelSums> = (0..64).map(ramp).collect();
+        // To the side, down, and between four; a ramp is met whatever its slope.
+        assert_eq!(mean(&pixels, 3), Some((1, 160.0)));
+        assert_eq!(mean(&pixels, 8 * 3), Some((1, 130.0)));
+        assert_eq!(mean(&pixels, 8 * 3 + 3), Some((1, 190.0)));
+        // Fewer than two on a side.
+        assert_eq!([1, 5, 7, 8].map(|i| mean(&pixels, i)), [None; 4]);
+        pixels[4] = pixel(0.195);
+        assert_eq!((mean(&pixels, 3), mean(&pixels, 8 * 3)), (None, Some((1, 130.0))));
+        pixels[4].hits = 0;
+        pixels[8 * 6 + 6].hits = 0;
+        assert_eq!((mean(&pixels, 3), mean(&pixels, 8 * 3 + 3)), (None, None));
     }
 
     #[test]

@@ -241,15 +241,16 @@ pub(super) fn spawn_pool(world: &mut World, camera: &Camera, samples: usize) {
 
 /// Renders the rows of `target`, or its chosen pixels, tile by tile.
 pub(super) fn render_rows(pipeline: &mut Pipeline, target: FrameTarget) -> Result<FrameTarget> {
-    let samples = target.samples();
+    let (samples, per_pixel) = (target.samples(), target.samples_per_pixel());
     pipeline.world.insert_resource(PictureRotation(target.camera.world_from_camera.matrix3.into()));
     pipeline.world.insert_resource(target);
     // Tiles begin at the same samples of the picture whatever the rows: a sample has the same place in the pool, and with it the same
-    // random numbers, in any band.
-    let first = samples.start - samples.start % POOL;
-    let outcome = (first..samples.end).step_by(POOL).try_for_each(|cursor| {
+    // random numbers, in any band. They have whole pixels, unless a pixel has more samples.
+    let tile = POOL - if per_pixel <= POOL { POOL % per_pixel } else { 0 };
+    let first = samples.start - samples.start % tile;
+    let outcome = (first..samples.end).step_by(tile).try_for_each(|cursor| {
         pipeline.world.resource_mut::<FrameTarget>().cursor = cursor;
-        let end = samples.end.min(cursor + POOL);
+        let end = samples.end.min(cursor + tile);
         pipeline.world.resource_mut::<Window>().0 = samples.start.max(cursor) - cursor..end - cursor;
         pipeline.run(Phase::Frame)?;
         // A tile that was stopped is not whole.

@@ -6,7 +6,9 @@
 //! | [`LEAST_SHARPNESS`] | | 100 | sharpness of a lobe from which rays are cast, R < 0.27 straight on |
 //! | [`RAYS`] | | 16 | rays of a point |
 
+use crate::math::brdf::ndf_sharpness;
 use crate::math::ray::{Hit, Intersect, Ray};
+use crate::sample::pixel::PixelOf;
 use crate::visibility::occlusion::{Bounce, MOST_MIRRORED, Mirror, Sky, sharpness_of_lobe};
 use crate::visibility::texel_visibility::{OFFSET, TexelVisibility};
 use glam::{Mat3, Vec3};
@@ -32,6 +34,46 @@ pub(crate) struct SeenPoint {
     pub to_viewer: Vec3,
     /// Roughness R of its material.
     pub roughness: f32,
+}
+
+impl SeenPoint {
+    /// Whether another point not farther away than `near` mirrors nearly the same: their lobes are turned by at most half their width.
+    fn mirrors_as(&self, other: &Self, near: f32) -> bool {
+        let up = self.normal.dot(self.to_viewer);
+        let sharpness = sharpness_of_lobe(ndf_sharpness(self.roughness), up);
+        // The normals' angle α is a quarter of 1/√λ; 1 − cos α = α²/2.
+        self.position.distance_squared(other.position) <= near * near
+            && 1.0 - self.normal.dot(other.normal) <= 1.0 / (32.0 * sharpness)
+            && (self.roughness - other.roughness).abs() <= 0.05 * self.roughness
+    }
+}
+
+/// For each of `count` points the first of those of its pixel, one after another, that mirrors as it does; itself if there is none before. `pixel_of` has the
+/// pixel of a point that is on the object, and `at` the point.
+pub(crate) fn first_of_alike(
+    count: usize,
+    pixel_of: impl Fn(usize) -> Option<PixelOf>,
+    at: impl Fn(usize) -> SeenPoint,
+    near: f32,
+) -> Vec<usize> {
+    let mut first: Option<(usize, PixelOf)> = None;
+    let each = (0..count).map(|i| {
+        let Some(pixel) = pixel_of(i) else { return i };
+        match first {
+            Some((number, of)) if of == pixel => {
+                if at(i).mirrors_as(&at(number), near) {
+                    number
+                } else {
+                    i
+                }
+            }
+            _ => {
+                first = Some((i, pixel));
+                i
+            }
+        }
+    });
+    each.collect()
 }
 
 /// What rays meet.
@@ -130,6 +172,28 @@ mod tests {
     use crate::math::lobe::Lobe;
     use crate::math::ray::TexelAddress;
     use crate::math::shading::LobeColumns;
+
+    #[test]
+    fn points_of_a_pixel_share_what_is_alike() {
+        let point = |x: f32, tilt: f32, roughness: f32| SeenPoint {
+            position: Vec3::X * x,
+            normal: Vec3::new(tilt.sin(), 0.0, tilt.cos()),
+            geometric_normal: Vec3::Z,
+            to_viewer: Vec3::Z,
+            roughness,
+        };
+        let first = point(0.0, 0.0, 0.3);
+        let of = |others: &[(Option<SeenPoint>, u32)]| {
+            let all: Vec<_> = [(Some(first), 7)].iter().chain(others).copied().collect();
+            let pixel = |i: usize| all[i].0.map(|_| PixelOf { pixel: all[i].1, ..PixelOf::default() });
+            first_of_alike(all.len(), pixel, |i| all[i].0.unwrap(), 0.01)
+        };
+        // λ/(4 n·v) = 62 at R = 0.3: a quarter of the width is 1.8°.
+        let (alike, turned) = (Some(point(0.009, 0.03, 0.3)), Some(point(0.0, 0.034, 0.3)));
+        assert_eq!(of(&[(alike, 7), (None, 7), (turned, 7), (alike, 7)]), [0, 0, 2, 3, 0]);
+        assert_eq!(of(&[(Some(point(0.011, 0.0, 0.3)), 7), (Some(point(0.0, 0.0, 0.32)), 7)]), [0, 1, 2]);
+        assert_eq!(of(&[(alike, 8), (alike, 8), (alike, 7)]), [0, 1, 1, 3]);
+    }
 
     /// All that is beyond x = 1.
     struct Wall;

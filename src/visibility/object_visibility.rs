@@ -5,8 +5,9 @@ use crate::math::fibonacci::fibonacci_axes;
 use crate::math::ray::Intersect;
 use crate::math::shading::{LobeColumns, LobeVisibility, PointVisibility};
 use crate::mesh::Surface;
+use crate::sample::pixel::PixelOf;
 use crate::sample::point::SurfacePoint;
-use crate::visibility::mirrored::SeenPoint;
+use crate::visibility::mirrored::{SeenPoint, first_of_alike};
 use crate::visibility::occlusion::{Bounce, Mirror, Reflectance, Sky, light_one_row, light_rows};
 use crate::visibility::point_visibility::{Blend, Surroundings};
 use crate::visibility::texel_visibility::TexelVisibility;
@@ -28,6 +29,9 @@ const FEW_SKIES: usize = 4;
 
 /// Most rows of shadows, but for squares of texels across borders of charts.
 const MOST_ROWS: usize = 1 << 18;
+
+/// Distance of two points that may have what one of them mirrors, in radii of the object.
+const NEAR: f32 = 0.01;
 
 /// Settings of shadows and interreflection.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -183,20 +187,28 @@ impl ObjectVisibility {
         self.made.as_ref().is_some_and(same)
     }
 
-    /// Computes the visibility of points, given the direction to the viewer, the view and the roughness of each by index; overwrites
-    /// `rows` and `seen`. With the `surface`, rays find what narrow lobes mirror of it.
+    /// Computes the visibility of points, given the direction to the viewer, the pixel and the roughness of each by index; overwrites
+    /// `rows` and `seen`. With the `surface`, rays find what narrow lobes mirror of it. Of the points of one pixel, one after another, those that are alike
+    /// have what the first of them mirrors.
     pub fn window(
         &self,
         points: &[SurfacePoint],
-        viewer: impl Fn(usize) -> (Vec3, usize) + Sync,
+        viewer: impl Fn(usize) -> (Vec3, PixelOf) + Sync,
         roughness: impl Fn(usize) -> f32 + Sync,
         surface: Option<&dyn Intersect>,
         rows: &mut WindowVisibility,
         seen: &mut [PointVisibility],
     ) {
+        let at = |i: usize| {
+            let SurfacePoint { position, normal, geometric_normal, .. } = points[i];
+            SeenPoint { position, normal, geometric_normal, to_viewer: viewer(i).0, roughness: roughness(i) }
+        };
+        let near = surface.map_or(0.0, |surface| NEAR * surface.radius());
+        let pixel_of = |i: usize| points[i].is_hit().then(|| viewer(i).1);
+        let firsts = first_of_alike(points.len(), pixel_of, at, near);
         rows.stride = self.stride;
         rows.rows.resize(points.len() * self.stride, 255);
-        let outputs = rows.rows.par_chunks_mut(self.stride.max(1)).zip(seen);
+        let outputs = rows.rows.par_chunks_mut(self.stride.max(1)).zip(&mut *seen);
         let each = outputs.zip(points).enumerate().with_min_len(256);
         each.for_each_init(
             || vec![0.0; self.stride],
@@ -204,25 +216,31 @@ impl ObjectVisibility {
                 *seen = PointVisibility::OPEN;
                 parts.fill(255);
                 let Some(blend) = self.blend(point).filter(|_| point.is_hit()) else { return };
-                let (to_viewer, view) = viewer(i);
+                let view = viewer(i).1.view.0 as usize;
                 let number = self.sky_of_view.get(view).copied().unwrap_or(0);
-                let sky = &self.skies[number];
-                if self.is_open(&blend) {
-                    // All of every lobe arrives.
-                } else if let Some(of_rows) = self.parts.get(number) {
-                    self.blend_parts(of_rows, &blend, parts);
-                } else {
-                    let nearest = blend.iter().max_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(row, _)| *row);
-                    light_one_row(&self.texels, sky, nearest, hidden, parts);
+                self.see_lobes(number, &blend, hidden, parts);
+                if firsts[i] != i {
+                    return;
                 }
-                let SurfacePoint { position, normal, geometric_normal, .. } = *point;
-                let point =
-                    SeenPoint { position, normal, geometric_normal, to_viewer, roughness: roughness(i) };
+                let sky = &self.skies[number];
                 let bounce = &self.bounces[number.min(self.bounces.len() - 1)];
                 let around = Surroundings { visibility: &self.texels, sky, bounce, surface };
-                *seen = around.of(&blend, &point);
+                *seen = around.of(&blend, &at(i));
             },
         );
+        (0..points.len()).filter(|i| firsts[*i] != *i).for_each(|i| seen[i] = seen[firsts[i]]);
+    }
+
+    /// The visibility of the lobes of a sky at a point; `parts` says so far that all of each arrives. `hidden` is room to work in.
+    fn see_lobes(&self, sky: usize, blend: &Blend, hidden: &mut [f32], parts: &mut [u8]) {
+        if self.is_open(blend) {
+            return;
+        }
+        if let Some(of_rows) = self.parts.get(sky) {
+            return self.blend_parts(of_rows, blend, parts);
+        }
+        let nearest = blend.iter().max_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(row, _)| *row);
+        light_one_row(&self.texels, &self.skies[sky], nearest, hidden, parts);
     }
 
     /// The rows that are interpolated at a point.

@@ -140,7 +140,7 @@ pub fn gather_visibility(
     mut out: ResMut<WindowVisibility>,
 ) -> SystemResult {
     let (points, rays, pixels, blends, mut seen) = samples.columns()?;
-    let viewer = |i: usize| (-rays[i].0.direction, pixels[i].view.0 as usize);
+    let viewer = |i: usize| (-rays[i].0.direction, pixels[i]);
     let mean = |i: usize| match materials.lobes.as_slice() {
         [(_, one)] => one.roughness,
         _ => SpecularBlend(blends[i].0).roughness(materials.by_number()),

@@ -382,7 +382,7 @@ impl Initialization<'_> {
             Ok(-self.cameras.of(pixel.view)?.pixel_ray(pixel.pixel).direction)
         };
         let viewers: Vec<Vec3> = observations.iter().map(viewer).collect::<Result<_>>()?;
-        let viewer = |i: usize| (viewers[i], observations[i].pixel.view.0 as usize);
+        let viewer = |i: usize| (viewers[i], observations[i].pixel);
         object.window(&surface, viewer, |_| self.specular.roughness, None, &mut rows, &mut seen);
         Ok((rows, seen))
     }

@@ -1,6 +1,7 @@
 // Places that are made by hand: a click makes a ball, and the brush paints a line.
 
-import { UNCHANGED, MOST_POINTS, thinned } from "lobelia/regions";
+import { say } from "lobelia/controls";
+import { MOST_POINTS, UNCHANGED, thinned } from "lobelia/regions";
 import { length, sub } from "lobelia/linear";
 
 /** Ways to make a place; radius in radii of the object, and what the page says first. */
@@ -15,6 +16,8 @@ const APART = 0.25;
 const LEFT_OUT = 0.06;
 /** Most pixels between two looks at the surface. */
 const STEP = 8;
+/** What the page says of a stroke that ends by itself. */
+const FULL = "The stroke is as long as it can be.";
 
 /** What the page says when a place is to be made; nothing where none is. */
 export const saidFirst = (placing) => WAYS[placing]?.said ?? "";
@@ -41,14 +44,15 @@ export class Stroke {
 
     /** Takes the surface under a point of the canvas, if it is far enough from the last. */
     look(x, y) {
+        if (this.full) return;
         const place = this.page.pick(x, y)?.map((v) => Number((Math.round(v / this.grid) * this.grid).toPrecision(7)));
-        if (!place || this.full) return;
+        if (!place) return;
         const { radius } = this.made;
         const last = this.found.at(-1);
         if (last && length(sub(place, last)) <= APART * radius) return;
         const points = thinned([...this.found, place], LEFT_OUT * radius);
         this.full = points.length > MOST_POINTS;
-        if (this.full) return;
+        if (this.full) return say(FULL);
         this.found.push(place);
         this.made = { ...this.made, points };
         this.page.show({ regions: [...this.regions, this.made], region: this.regions.length });
@@ -58,8 +62,7 @@ export class Stroke {
     end() {
         const number = this.regions.length + 1;
         this.page.note({ regions: this.regions }, { placing: "" });
-        const full = this.full ? " It has as many points as it can have." : "";
-        return `Place ${number}: the sliders of the material change it alone.${full}`;
+        return `Place ${number}: the sliders of the material change it alone.${this.full ? ` ${FULL}` : ""}`;
     }
 
     /** Takes the place back. */
