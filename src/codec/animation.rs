@@ -4,14 +4,15 @@ use crate::codec::file;
 use crate::codec::film::Film;
 use crate::codec::palette::{ColorHistogram, Ditherer, Palette};
 use crate::codec::png_file;
+use crate::codec::video::video_bytes;
 use crate::{Error, Result};
 use png::{BitDepth, ColorType, Compression, Encoder, SrgbRenderingIntent};
 use std::path::Path;
 
-/// Peak memory in bytes of a film with frames of this width and height, beside that of rendering: the frames that wait to be written, or one
-/// frame, its numbers of colors or its filtered copy, and what it is compressed to.
-pub fn film_bytes([width, height]: [u32; 2]) -> u64 {
-    12 * u64::from(width) * u64::from(height)
+/// Peak memory in bytes of a film of so many frames of this width and height, beside that of rendering: its video, and the frames that wait to be
+/// written, or one frame, its numbers of colors or its filtered copy, and what it is compressed to.
+pub fn film_bytes(size: [u32; 2], frames: u32) -> u64 {
+    12 * u64::from(size[0]) * u64::from(size[1]) + video_bytes(size, frames)
 }
 
 /// Writes a GIF that loops forever, with one palette of 256 colors for all frames and a dither that is constant over time.

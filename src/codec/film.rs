@@ -169,14 +169,18 @@ impl Writer {
 
     fn take(&mut self, frame: Waiting) -> Result<()> {
         let sent = self.waiting.as_ref().is_some_and(|waiting| waiting.send(frame).is_ok());
-        if sent { Ok(()) } else { self.join().map(|_| ()) }
+        if sent { Ok(()) } else { self.join().and(Err(failed_before())) }
     }
 
     fn join(&mut self) -> Result<Option<Video>> {
         self.waiting = None;
-        let Some(thread) = self.thread.take() else { return Ok(None) };
+        let thread = self.thread.take().ok_or_else(failed_before)?;
         thread.join().unwrap_or_else(|_| Err(Error::run("making a film", "its thread has failed")))
     }
+}
+
+fn failed_before() -> Error {
+    Error::run("making a film", "a frame before could not be written")
 }
 
 impl Drop for Writer {

@@ -4,6 +4,7 @@
 //! | --- | --- | --- | --- |
 //! | [`QUANTIZER`] | | 18 | QP of H.264: about 47 dB to the frames |
 //! | [`KEY_SECONDS`] | s | 2 | time between frames that a player can begin at |
+//! | [`MOST_BYTES`] | B | 2³¹ | size of a film, which is in memory until it is written |
 //!
 //! The profile is Constrained Baseline, which every player has. Colors are BT.709 of limited range in 4:2:0, and the stream says so: players
 //! take another matrix for small pictures that say nothing.
@@ -20,7 +21,12 @@ use std::path::Path;
 const QUANTIZER: u8 = 18;
 /// Seconds between frames that a player can begin at.
 const KEY_SECONDS: u32 = 2;
-/// `level_idc` of H.264, the macroblocks of a frame, and those of a second (ITU-T H.264, table A-1).
+/// Most bytes of a video.
+const MOST_BYTES: usize = 1 << 31;
+/// Bytes of a pixel of the encoder's pictures and maps, and of a pixel of each frame once it is compressed, written and copied.
+const PIXEL_BYTES: u64 = 10;
+const COMPRESSED_BYTES: f64 = 0.1;
+/// Some values of `level_idc` of H.264, the macroblocks of a frame, and those of a second (ITU-T H.264, table A-1).
 const LEVELS: [(u8, u64, u64); 9] = [
     (30, 1620, 40_500),
     (31, 3600, 108_000),
@@ -40,6 +46,7 @@ pub struct Video {
     frame: YuvFrame,
     fps: u32,
     count: u32,
+    bytes: usize,
 }
 
 impl std::fmt::Debug for Video {
@@ -64,7 +71,7 @@ impl Video {
         let encoder = Encoder::new(config).map_err(|error| failed(error.to_string()))?;
         let muxer = MuxerBuilder::new(Vec::new()).video(VideoCodec::H264, w, h, f64::from(fps)).build();
         let muxer = muxer.map_err(|error| failed(error.to_string()))?;
-        Ok(Self { encoder, muxer, frame: YuvFrame::black(w as usize, h as usize), fps, count: 0 })
+        Ok(Self { encoder, muxer, frame: YuvFrame::black(w as usize, h as usize), fps, count: 0, bytes: 0 })
     }
 
     /// Appends a frame in sRGB.
@@ -79,8 +86,19 @@ impl Video {
             return Err(failed(format!("it has {} × {} pixels", frame.width(), frame.height())));
         }
         set_bt709(&mut self.frame, frame);
+        self.append()
+    }
+
+    /// Appends what is in `frame`.
+    fn append(&mut self) -> Result<()> {
+        let number = self.count;
+        let failed = |problem: String| Error::run(format!("frame {number} of a video"), problem);
         let unit = self.encoder.try_encode(&self.frame).map_err(|error| failed(error.to_string()))?;
         let unit = with_color(&unit);
+        self.bytes += unit.len();
+        if self.bytes > MOST_BYTES {
+            return Err(failed("it would have more than 2 GiB: choose fewer or smaller frames".into()));
+        }
         let is_key = nal_units(&unit).any(|nal| nal_type(nal) == IDR);
         let seconds = f64::from(number) / f64::from(self.fps);
         self.muxer.write_video(seconds, &unit, is_key).map_err(|error| failed(error.to_string()))?;
@@ -97,6 +115,10 @@ impl Video {
         if self.count == 0 {
             return Err(failed("a video needs at least one frame".into()));
         }
+        // The last frame lasts as long as the one before: a single one has to be there twice.
+        if self.count == 1 {
+            self.append()?;
+        }
         self.muxer.finish_in_place().map_err(|error| failed(error.to_string()))?;
         let bytes = self.muxer.into_writer();
         file::write_bytes(path, &bytes)
@@ -108,10 +130,20 @@ pub fn has_frames_of(size: [u32; 2]) -> bool {
     level(size, 1).is_some()
 }
 
-/// The lowest level of H.264 that has frames of this size at this rate; the highest one for more frames; `None` for larger ones.
+/// Peak memory in bytes of a video of so many frames of this width and height, about.
+pub fn video_bytes([width, height]: [u32; 2], frames: u32) -> u64 {
+    let pixels = u64::from(width) * u64::from(height);
+    let compressed = (pixels as f64 * f64::from(frames) * COMPRESSED_BYTES) as u64;
+    PIXEL_BYTES * pixels + compressed.min(3 * MOST_BYTES as u64)
+}
+
+/// The lowest of these levels of H.264 that has frames of this size at this rate; the highest one for more frames; `None` for larger ones, or longer
+/// ones.
 fn level([width, height]: [u32; 2], fps: u32) -> Option<u8> {
-    let blocks = u64::from(width.div_ceil(16)) * u64::from(height.div_ceil(16));
-    let mut fitting = LEVELS.iter().filter(|(_, most, _)| blocks <= *most);
+    let sides = [width, height].map(|side| u64::from(side.div_ceil(16)));
+    let (blocks, longest) = (sides[0] * sides[1], sides[0].max(sides[1]));
+    let fits = |most: u64| blocks <= most && longest * longest <= 8 * most;
+    let mut fitting = LEVELS.iter().filter(|(_, most, _)| fits(*most));
     let slow_enough = fitting.clone().find(|(_, _, rate)| blocks * u64::from(fps) <= *rate);
     slow_enough.or_else(|| fitting.next_back()).map(|(level, ..)| *level)
 }
@@ -293,6 +325,17 @@ mod tests {
     }
 
     #[test]
+    fn a_single_frame_lasts() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("orbit.mp4");
+        let mut video = Video::new([32, 32], 10).unwrap();
+        video.push(&picture(0, [32, 32])).unwrap();
+        video.write(&path).unwrap();
+        let (keys, streams) = samples(&path);
+        assert_eq!((keys, streams.len()), (vec![1], 2));
+    }
+
+    #[test]
     fn colors_are_those_of_bt709_and_the_stream_says_so() {
         let colors =
             [([255, 255, 255], [235, 128, 128]), ([0, 0, 0], [16, 128, 128]), ([255, 0, 0], [63, 102, 240])];
@@ -324,6 +367,11 @@ mod tests {
         assert_eq!(level([3840, 2160], 100), Some(60));
         assert_eq!(level([8192, 4320], 1000), Some(62));
         assert_eq!(level([16_384, 16_384], 1), None);
+        // No side is longer than √8 of that of a square.
+        assert_eq!(
+            (level([8192, 128], 20), level([16_384, 16], 1), level([16_896, 16], 1)),
+            (Some(51), Some(60), None)
+        );
     }
 
     #[test]

@@ -39,7 +39,7 @@ enum Event<'a> {
     Progress { title: &'a str, done: u64, length: u64, message: &'a str },
     Done { title: &'a str, done: u64 },
     Step { step: u32, steps: u32, loss: f64, psnr: f64, specular: [f32; 3], roughness: f32, lobes: usize },
-    Picture { path: &'a Path },
+    Picture { path: String },
     Note { text: &'a str },
     Result { text: &'a str },
     Ended { state: &'a str, error: Option<String>, help: Option<&'a str> },
@@ -102,7 +102,7 @@ impl Progress for JsonLog {
     }
 
     fn picture(&self, path: &Path) {
-        write(self.start, Event::Picture { path });
+        write(self.start, Event::Picture { path: path.display().to_string() });
     }
 
     fn look(&self, at: Moment, _: &mut Copier) {

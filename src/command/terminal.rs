@@ -9,6 +9,9 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+/// Most bytes of a picture that is sent to a terminal, which may be far away.
+const MOST_PICTURE: u64 = 4 << 20;
+
 /// Writes to stdout; a reader that has gone away (`lobelia check … | head -1`) is no failure.
 pub fn print(text: &str) -> Result<()> {
     match std::io::stdout().write_all(text.as_bytes()) {
@@ -55,7 +58,8 @@ impl Progress for Terminal {
         let protocol = PictureProtocol::of_terminal(|name| std::env::var(name).ok());
         let shows = !self.quiet && std::io::stdout().is_terminal();
         let Some(protocol) = protocol.filter(|_| shows) else { return };
-        if let Ok(png) = std::fs::read(path) {
+        let is_small = std::fs::metadata(path).is_ok_and(|found| found.len() <= MOST_PICTURE);
+        if let Some(png) = std::fs::read(path).ok().filter(|_| is_small) {
             let _ = write!(std::io::stdout().lock(), "{}", protocol.shown(&png));
         }
     }

@@ -4,6 +4,7 @@ use crate::codec::animation::{write_apng, write_gif};
 use crate::codec::exr_frame::{Frame, write_frame_rows};
 use crate::codec::file::file_stems;
 use crate::codec::film::{Film, FilmRecorder};
+use crate::codec::video::has_frames_of;
 use crate::error::Result;
 use crate::error::stop::check_interrupted;
 use crate::light::lights::IncidentLight;
@@ -12,6 +13,7 @@ use crate::math::color::srgb_from_linear;
 use crate::math::ray::Illuminate;
 use crate::pass::film;
 use crate::pass::placements::show_placement;
+use crate::pass::progress::Bar;
 use crate::pass::session::Session;
 use crate::pass::shading::camera_rays;
 use crate::pass::show::show;
@@ -64,27 +66,45 @@ fn render_all(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> 
         bar.inc(1);
     }
     if let (Some(orbit), Some(cameras)) = (&settings.orbit, &orbit) {
-        let mut film = match orbit.format {
-            OrbitFormat::Gif | OrbitFormat::Apng => FilmRecorder::new(&folder)?,
-            OrbitFormat::Frames => FilmRecorder::kept(folder.join(FRAMES)),
-            OrbitFormat::Mp4 => FilmRecorder::without_files(),
-        };
-        film = film.with_video(orbit.fps);
-        for (frame, camera) in (0..).zip(cameras) {
-            check_interrupted()?;
-            film::show_moment(session, pass, settings, orbit, frame);
-            film.push(film_frame(&mut session.pipeline, *camera, settings)?)?;
-            bar.inc(1);
-        }
+        let rendered = render_film(session, pass, settings, cameras, &*bar);
         film::sweep_material(&mut session.pipeline.world, name, []);
         despawn_pool(&mut session.pipeline.world);
         let _writing = stage("film written");
-        write_film(&folder, orbit, film.finish()?)?;
+        write_film(&folder, orbit, rendered?)?;
     }
     bar.finish_and_clear();
     let film = if frames > 0 { format!(", {frames} film frames") } else { String::new() };
     session.progress.print(&format!("{name}: {} views{film}", views.len()));
     Ok(())
+}
+
+/// Renders the frames of a film, which are written meanwhile.
+fn render_film(
+    session: &mut Session,
+    pass: &Pass,
+    settings: &RenderSettings,
+    cameras: &[Camera],
+    bar: &dyn Bar,
+) -> Result<Film> {
+    let orbit = settings.orbit.clone().unwrap_or_default();
+    let folder = session.folder(pass.name());
+    let mut film = match orbit.format {
+        OrbitFormat::Gif | OrbitFormat::Apng => FilmRecorder::new(&folder)?,
+        OrbitFormat::Frames => FilmRecorder::kept(folder.join(FRAMES)),
+        OrbitFormat::Mp4 => FilmRecorder::without_files(),
+    };
+    if has_frames_of(orbit.sides()) {
+        film = film.with_video(orbit.fps);
+    } else {
+        session.progress.note("no MP4 has frames as large as these, so there is no orbit.mp4");
+    }
+    for (frame, camera) in (0..).zip(cameras) {
+        check_interrupted()?;
+        film::show_moment(session, pass, settings, &orbit, frame);
+        film.push(film_frame(&mut session.pipeline, *camera, settings)?)?;
+        bar.inc(1);
+    }
+    film.finish()
 }
 
 /// A view that a pass renders.

@@ -367,7 +367,7 @@ impl Task<'_> {
         let orbit = render.orbit.as_ref().map_or((0, 0.0), |orbit| {
             let size = orbit.sides();
             let pixels = f64::from(size[0]) * f64::from(size[1]);
-            (frame_bytes(size) + film_bytes(size), pixels * f64::from(orbit.frames))
+            (frame_bytes(size) + film_bytes(size, orbit.frames), pixels * f64::from(orbit.frames))
         });
         let of_views = views.iter().map(|look| object_pixels(look)).sum::<f64>();
         let of_film = USUAL_COVERAGE * orbit.1;

@@ -48,8 +48,8 @@ impl SeenPoint {
     }
 }
 
-/// For each of `count` points the first of those of its pixel, one after another, that mirrors as it does; itself if there is none before. `pixel_of` has the
-/// pixel of a point that is on the object, and `at` the point.
+/// For each of `count` points the first one of its pixel, of those one after another, if that mirrors as it does, or else itself. `pixel_of` has the pixel
+/// of a point that is on the object, and `at` the point.
 pub(crate) fn first_of_alike(
     count: usize,
     pixel_of: impl Fn(usize) -> Option<PixelOf>,

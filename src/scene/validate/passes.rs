@@ -11,7 +11,7 @@ use crate::scene::light::Light;
 use crate::scene::material::{Albedo, Gloss, Roughness, SpecularAlbedo};
 use crate::scene::output::{ExportPass, ExportScale};
 use crate::scene::passes::{EditPass, Pass, RelightPass};
-use crate::scene::render::{Orbit, RenderSettings, Shading, ViewChoice};
+use crate::scene::render::{Orbit, OrbitFormat, RenderSettings, Shading, ViewChoice};
 use crate::scene::surface::Surface;
 use crate::scene::validate::checks::Checks;
 use crate::scene::validate::light::light_source;
@@ -344,9 +344,9 @@ fn orbit(checks: &mut Checks, at: &str, orbit: &Orbit) {
             checks.pixels(&path(name), side);
         }
     }
-    if !has_frames_of(orbit.sides()) {
+    if orbit.format == OrbitFormat::Mp4 && !has_frames_of(orbit.sides()) {
         let [width, height] = orbit.sides();
-        let help = "8192 × 4320 is the largest common size.";
+        let help = "8192 × 4320 is the largest common size; `format: Frames` writes PNG files of any.";
         let expected = "expected at most 35.6 megapixels";
         checks.fail(at, format!("no video has frames of {width} × {height} pixels"), expected, help);
     }
