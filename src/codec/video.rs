@@ -18,11 +18,11 @@ use rusty_h264_encoder::{Encoder, EncoderConfig};
 use std::path::Path;
 
 /// Quantization parameter of H.264, 0 to 51; six more are half the bits.
-const QUANTIZER: u8 = 18;
+pub const QUANTIZER: u8 = 18;
 /// Seconds between frames that a player can begin at.
-const KEY_SECONDS: u32 = 2;
+pub const KEY_SECONDS: u32 = 2;
 /// Most bytes of a video.
-const MOST_BYTES: usize = 1 << 31;
+pub const MOST_BYTES: usize = 1 << 31;
 /// Bytes of a pixel of the encoder's pictures and maps, and of a pixel of each frame once it is compressed, written and copied.
 const PIXEL_BYTES: u64 = 10;
 const COMPRESSED_BYTES: f64 = 0.1;
@@ -205,9 +205,9 @@ fn with_color(stream: &[u8]) -> Vec<u8> {
     for nal in nal_units(stream) {
         out.extend_from_slice(&[0, 0, 0, 1]);
         if nal_type(nal) == SEQUENCE {
-            out.extend(sequence_with_color(nal))
+            out.extend(sequence_with_color(nal));
         } else {
-            out.extend_from_slice(nal)
+            out.extend_from_slice(nal);
         }
     }
     out
@@ -227,11 +227,11 @@ fn sequence_with_color(nal: &[u8]) -> Vec<u8> {
     let mut put = |value: u32, count: u32| bits.extend((0..count).rev().map(|i| value >> i & 1 > 0));
     put(1, 1);
     // No aspect ratio, no overscan; a signal type: video format 5 (none), limited range, colors.
-    put(0b00_1_101_0_1, 8);
+    put(0b0011_0101, 8);
     // Primaries, transfer and matrix of BT.709.
     (0..3).for_each(|_| put(1, 8));
     // No place of chroma, timing, two kinds of decoder parameters, structure of pictures, restriction; the stop bit.
-    put(0b0_0_0_0_0_0_1, 7);
+    put(1, 7);
     let end = bits.len().next_multiple_of(8);
     bits.resize(end, false);
     bits.chunks_exact(8).map(|byte| byte.iter().fold(0, |byte, bit| byte << 1 | u8::from(*bit))).collect()
