@@ -37,13 +37,13 @@ pub(crate) struct SeenPoint {
 }
 
 impl SeenPoint {
-    /// Whether another point not farther away than `near` mirrors nearly the same: their lobes are turned by at most half their width.
+    /// Whether another point not farther away than `near` mirrors nearly the same: their lobes are turned by at most a quarter of their width.
     fn mirrors_as(&self, other: &Self, near: f32) -> bool {
         let up = self.normal.dot(self.to_viewer);
         let sharpness = sharpness_of_lobe(ndf_sharpness(self.roughness), up);
-        // The normals' angle α is a quarter of 1/√λ; 1 − cos α = α²/2.
+        // The normals' angle α is an eighth of 1/√λ; 1 − cos α = α²/2.
         self.position.distance_squared(other.position) <= near * near
-            && 1.0 - self.normal.dot(other.normal) <= 1.0 / (32.0 * sharpness)
+            && 1.0 - self.normal.dot(other.normal) <= 1.0 / (128.0 * sharpness)
             && (self.roughness - other.roughness).abs() <= 0.05 * self.roughness
     }
 }
@@ -188,8 +188,8 @@ mod tests {
             let pixel = |i: usize| all[i].0.map(|_| PixelOf { pixel: all[i].1, ..PixelOf::default() });
             first_of_alike(all.len(), pixel, |i| all[i].0.unwrap(), 0.01)
         };
-        // λ/(4 n·v) = 62 at R = 0.3: a quarter of the width is 1.8°.
-        let (alike, turned) = (Some(point(0.009, 0.03, 0.3)), Some(point(0.0, 0.034, 0.3)));
+        // λ/(4 n·v) = 62 at R = 0.3: an eighth of the width is 0.9°.
+        let (alike, turned) = (Some(point(0.009, 0.015, 0.3)), Some(point(0.0, 0.017, 0.3)));
         assert_eq!(of(&[(alike, 7), (None, 7), (turned, 7), (alike, 7)]), [0, 0, 2, 3, 0]);
         assert_eq!(of(&[(Some(point(0.011, 0.0, 0.3)), 7), (Some(point(0.0, 0.0, 0.32)), 7)]), [0, 1, 2]);
         assert_eq!(of(&[(alike, 8), (alike, 8), (alike, 7)]), [0, 1, 1, 3]);
