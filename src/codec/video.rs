@@ -77,7 +77,7 @@ impl Video {
     /// Appends a frame in sRGB.
     ///
     /// # Errors
-    /// [`Error::Run`] if its size is not that of the video.
+    /// [`Error::Run`] if its size is not that of the video, or the video would have more than [`MOST_BYTES`].
     pub fn push(&mut self, frame: &RgbImage) -> Result<()> {
         let number = self.count;
         let failed = |problem: String| Error::run(format!("frame {number} of a video"), problem);
