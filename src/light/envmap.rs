@@ -38,6 +38,15 @@ impl EnvironmentMap {
     /// Unit direction of (`u`, `v`), each in `[0, 1]`: (cos θ sin φ, cos φ, sin θ sin φ), φ = πv, θ = 2πu − π/2.
     pub fn direction(u: f64, v: f64) -> Vec3 {
         let (sin_phi, cos_phi) = (PI * v).sin_cos();
+        Self::direction_of(u, sin_phi, cos_phi)
+    }
+
+    /// Unit direction of `u` and the cosine of the polar angle φ = πv.
+    pub fn direction_at(u: f64, cos_phi: f64) -> Vec3 {
+        Self::direction_of(u, (1.0 - cos_phi * cos_phi).max(0.0).sqrt(), cos_phi)
+    }
+
+    fn direction_of(u: f64, sin_phi: f64, cos_phi: f64) -> Vec3 {
         let (sin_theta, cos_theta) = (2.0 * PI * u - 0.5 * PI).sin_cos();
         DVec3::new(cos_theta * sin_phi, cos_phi, sin_theta * sin_phi).as_vec3()
     }

@@ -7,10 +7,12 @@ use std::sync::Arc;
 
 use crate::light::envmap::EnvironmentMap;
 use crate::light::lobe::LightLobe;
-use crate::light::map_fit::exp::exp_nonpositive;
 use crate::math::color::luminance;
+use crate::math::lanes::{Lanes, MAX_LANES};
 use crate::math::ray::{Illuminate, LightSample};
+use crate::math::real::Real;
 use crate::math::sg;
+use fearless_simd::{Level, Simd, dispatch};
 
 /// A light that is rotated as a whole.
 pub struct TurnedLight {
@@ -33,6 +35,10 @@ impl Illuminate for TurnedLight {
     fn pdf(&self, direction: Vec3) -> f32 {
         self.light.pdf(self.world_from_light.transpose() * direction)
     }
+
+    fn radiance_and_pdf(&self, direction: Vec3) -> (Vec3, f32) {
+        self.light.radiance_and_pdf(self.world_from_light.transpose() * direction)
+    }
 }
 
 /// The sample of a light that emits nothing.
@@ -52,6 +58,8 @@ pub struct MapLight {
     columns: Vec<f64>,
     /// Running sum of the rows' totals.
     rows: Vec<f64>,
+    /// Cosines of the polar angles φ of the upper edge of each row, and of the lowest edge.
+    edges: Vec<f64>,
 }
 
 impl MapLight {
@@ -73,7 +81,8 @@ impl MapLight {
             rows.push(total);
         }
         let density = means.iter().map(|m| if total > 0.0 { (m / total) as f32 } else { 0.0 }).collect();
-        Self { map, density, columns, rows }
+        let edges = (0..=height).map(|row| (PI * row as f64 / height as f64).cos()).collect();
+        Self { map, density, columns, rows, edges }
     }
 
     /// The map itself.
@@ -116,15 +125,15 @@ impl Illuminate for MapLight {
         if self.rows.last().is_none_or(|&total| total <= 0.0) {
             return NO_SAMPLE;
         }
-        let (width, height) = (self.map.width as usize, self.map.height as usize);
+        let width = self.map.width as usize;
         let (j, _) = draw(&self.rows, uniform[0]);
         let (i, across) = draw(&self.columns[j * width..(j + 1) * width], uniform[1]);
         let u = (i as f64 + across) / width as f64;
-        let edge = |row: usize| (PI * row as f64 / height as f64).cos();
-        let cos_phi = edge(j) + (edge(j + 1) - edge(j)) * f64::from(uniform[2]);
-        let v = cos_phi.clamp(-1.0, 1.0).acos() / PI;
+        let (top, bottom) = (self.edges[j], self.edges[j + 1]);
+        let cos_phi = (top + (bottom - top) * f64::from(uniform[2])).clamp(-1.0, 1.0);
+        let v = cos_phi.acos() / PI;
         LightSample {
-            direction: EnvironmentMap::direction(u, v),
+            direction: EnvironmentMap::direction_at(u, cos_phi),
             radiance: self.map.bilinear_at(u as f32, v as f32),
             pdf: self.density[j * width + i],
         }
@@ -135,6 +144,12 @@ impl Illuminate for MapLight {
         let (i, j) = self.map.texel_of(u, v);
         self.density[(j * self.map.width + i) as usize]
     }
+
+    fn radiance_and_pdf(&self, direction: Vec3) -> (Vec3, f32) {
+        let (u, v) = EnvironmentMap::uv(direction);
+        let (i, j) = self.map.texel_of(u, v);
+        (self.map.bilinear_at(u, v), self.density[(j * self.map.width + i) as usize])
+    }
 }
 
 /// A set of SG lobes, sampled exactly in proportion to their luminance.
@@ -144,7 +159,7 @@ impl Illuminate for MapLight {
 #[derive(Clone, Debug)]
 pub struct LobeLight {
     lobes: Vec<LightLobe>,
-    /// Structure of arrays for the evaluation: axis x, y, z, −λ/2, μ r, g, b.
+    /// Structure of arrays for the evaluation: axis x, y, z, −λ/2, μ r, g, b; filled up with black lobes to whole vectors.
     columns: [Vec<f32>; 7],
     /// Running sum of the lobes' luminous power.
     powers: Vec<f64>,
@@ -153,7 +168,11 @@ pub struct LobeLight {
 impl LobeLight {
     /// The light of `lobes` with unit axes (see [`crate::light::validate_lobes`]); without lobes it is black.
     pub fn new(lobes: &[LightLobe]) -> Self {
-        let column = |value: fn(&LightLobe) -> f32| lobes.iter().map(value).collect();
+        let black = LightLobe { axis: Vec3::Y, sharpness: 0.0, amplitude: Vec3::ZERO };
+        let missing = lobes.len().next_multiple_of(MAX_LANES) - lobes.len();
+        let column = |value: fn(&LightLobe) -> f32| {
+            lobes.iter().chain(std::iter::repeat_n(&black, missing)).map(value).collect()
+        };
         let columns = [
             column(|l| l.axis.x),
             column(|l| l.axis.y),
@@ -185,23 +204,28 @@ impl LobeLight {
     }
 }
 
-/// Lobes evaluated together, so that the loop over them becomes vector code.
-const LANES: usize = 8;
+/// The sum of lobes in a direction.
+#[inline(always)]
+fn radiance_of<S: Simd>(simd: S, columns: &[Vec<f32>; 7], direction: Vec3) -> Vec3 {
+    let [x, y, z] = direction.to_array().map(|c| Lanes::splat(simd, c));
+    let [mut r, mut g, mut b] = [Lanes::splat(simd, 0.0); 3];
+    for at in (0..columns[0].len()).step_by(Lanes::<S>::LEN) {
+        let lobes = at..at + Lanes::<S>::LEN;
+        let dx = x - Lanes::load(simd, &columns[0][lobes.clone()]);
+        let dy = y - Lanes::load(simd, &columns[1][lobes.clone()]);
+        let dz = z - Lanes::load(simd, &columns[2][lobes.clone()]);
+        let squared = dx.mul_add(dx, dy.mul_add(dy, dz * dz));
+        let value = (squared * Lanes::load(simd, &columns[3][lobes.clone()])).exp();
+        r = value.mul_add(Lanes::load(simd, &columns[4][lobes.clone()]), r);
+        g = value.mul_add(Lanes::load(simd, &columns[5][lobes.clone()]), g);
+        b = value.mul_add(Lanes::load(simd, &columns[6][lobes]), b);
+    }
+    Vec3::new(r.sum(), g.sum(), b.sum())
+}
 
 impl Illuminate for LobeLight {
     fn radiance(&self, direction: Vec3) -> Vec3 {
-        let mut sums = [[0.0_f32; LANES]; 3];
-        let [x, y, z, sharpness, r, g, b] = self.columns.each_ref().map(|c| c.chunks(LANES));
-        for ((((((x, y), z), sharpness), r), g), b) in x.zip(y).zip(z).zip(sharpness).zip(r).zip(g).zip(b) {
-            for k in 0..x.len() {
-                let (dx, dy, dz) = (direction.x - x[k], direction.y - y[k], direction.z - z[k]);
-                let value = exp_nonpositive(sharpness[k] * (dx * dx + dy * dy + dz * dz));
-                sums[0][k] += r[k] * value;
-                sums[1][k] += g[k] * value;
-                sums[2][k] += b[k] * value;
-            }
-        }
-        Vec3::from_array(sums.map(|lanes| lanes.iter().sum()))
+        dispatch!(Level::new(), simd => radiance_of(simd, &self.columns, direction))
     }
 
     /// The first number selects the lobe, the second the angle to its axis, the third the angle around it.
@@ -218,6 +242,11 @@ impl Illuminate for LobeLight {
     /// luminance(radiance) over the total luminous power; this evaluates the radiance.
     fn pdf(&self, direction: Vec3) -> f32 {
         self.density_of(self.radiance(direction))
+    }
+
+    fn radiance_and_pdf(&self, direction: Vec3) -> (Vec3, f32) {
+        let radiance = self.radiance(direction);
+        (radiance, self.density_of(radiance))
     }
 }
 
@@ -273,6 +302,8 @@ mod tests {
             assert!(sample.pdf > 0.0 && sample.pdf.is_finite());
             assert!(sample.radiance.is_finite() && (sample.direction.length() - 1.0).abs() < 1e-5);
             // Only samples within rounding of the edge of a texel may have the density of the neighbor.
+            let direction = sample.direction;
+            assert_eq!(light.radiance_and_pdf(direction), (light.radiance(direction), light.pdf(direction)));
             disagreements += i32::from((light.pdf(sample.direction) / sample.pdf - 1.0).abs() > 1e-3);
             let value = sample.radiance.as_dvec3() * weight(sample.direction) / f64::from(sample.pdf);
             sum += value;

@@ -5,25 +5,18 @@
 
 use crate::math::ray::Ray;
 use crate::mesh::triangles::Mesh;
-use glam::{Mat3A, Vec3, Vec3A};
+use crate::mesh::wide_bvh::{BoxRay, Leaf, LeafVisitor, WIDTH, WideBvh};
+use fearless_simd::prelude::*;
+use fearless_simd::{Level, Simd, dispatch, f32x8};
+use glam::{Vec3, Vec3A};
 use obvhs::BvhBuildParams;
 use obvhs::aabb::Aabb;
 use obvhs::bvh2::Bvh2;
 use obvhs::bvh2::reinsertion::ReinsertionOptimizer;
-use obvhs::cwbvh::CwBvh;
-use obvhs::cwbvh::bvh2_to_cwbvh::bvh2_to_cwbvh;
 use obvhs::ploc::PlocBuilder;
-use obvhs::ray::RayHit;
 
 /// Boxes are enlarged by this fraction of the object's radius, so that rounding in the box test never misses a triangle.
 const BOX_SLACK: f32 = 4e-6;
-/// Largest radius of the object in units of the hierarchy; it is 64 to 128 units. (The wide hierarchy ignores boxes that end within 1e-4
-/// of the ray origin: less than two millionths of the radius.)
-const SCALED_RADIUS: f32 = 128.0;
-/// At most this many triangles in a leaf of the wide hierarchy (its format's limit; fastest in trials with 1 and 3).
-const TRIANGLES_PER_LEAF: u32 = 3;
-/// The wide hierarchy's traversal has a stack of 32 entries, one per level.
-const MAX_WIDE_DEPTH: usize = 31;
 /// Rays that start farther away than this many radii are first moved to the object.
 const FAR_AWAY: f32 = 4.0;
 
@@ -40,70 +33,11 @@ pub struct TriangleHit {
 
 /// A hierarchy over the triangles of a mesh.
 pub struct TriangleBvh {
-    hierarchy: Hierarchy,
-    /// Units of the hierarchy per world unit, a power of two, so that scaling is exact.
-    scale: f32,
-    /// Corners in the order of the leaves.
-    corners: Vec<[Vec3A; 3]>,
-    /// Mesh triangle of each entry of `corners`.
-    triangles: Vec<u32>,
+    /// The instruction set of this machine, asked for once.
+    level: Level,
+    hierarchy: WideBvh,
     center: Vec3,
     radius: f32,
-}
-
-/// Eight children per node with SIMD traversal; for the few meshes for which it is too deep, two.
-enum Hierarchy {
-    Wide(CwBvh),
-    Binary(Bvh2),
-}
-
-impl Hierarchy {
-    /// Like the helpers of `obvhs`, but with a check of the depth instead of an assertion.
-    fn new(boxes: &[Aabb]) -> Self {
-        let binary = binary_hierarchy(boxes);
-        let wide = bvh2_to_cwbvh(&binary, TRIANGLES_PER_LEAF, true, false);
-        if depth(&wide) <= MAX_WIDE_DEPTH { Self::Wide(wide) } else { Self::Binary(binary) }
-    }
-
-    /// Box of each leaf entry.
-    fn order(&self) -> &[u32] {
-        match self {
-            Self::Wide(bvh) => &bvh.primitive_indices,
-            Self::Binary(bvh) => &bvh.primitive_indices,
-        }
-    }
-
-    /// The entry with the smallest distance by `meet`, and that distance.
-    #[inline(always)]
-    fn nearest(
-        &self,
-        ray: obvhs::ray::Ray,
-        meet: impl FnMut(&obvhs::ray::Ray, usize) -> f32,
-    ) -> (usize, f32) {
-        let mut hit = RayHit::none();
-        match self {
-            Self::Wide(bvh) => bvh.ray_traverse(ray, &mut hit, meet),
-            Self::Binary(bvh) => bvh.ray_traverse(ray, &mut hit, meet),
-        };
-        (hit.primitive_id as usize, hit.t)
-    }
-
-    /// Whether `meet` returns a distance before the end of the ray for any entry.
-    #[inline(always)]
-    fn any(&self, ray: obvhs::ray::Ray, meet: impl FnMut(&obvhs::ray::Ray, usize) -> f32) -> bool {
-        match self {
-            Self::Wide(bvh) => !bvh.ray_traverse_miss(ray, meet),
-            Self::Binary(bvh) => !bvh.ray_traverse_miss(ray, meet),
-        }
-    }
-
-    /// Calls `visit` for every entry whose box the ray intersects.
-    fn each(&self, ray: obvhs::ray::Ray, visit: impl FnMut(&obvhs::ray::Ray, usize)) {
-        match self {
-            Self::Wide(bvh) => bvh.ray_traverse_anyhit(ray, visit),
-            Self::Binary(bvh) => bvh.ray_traverse_anyhit(ray, visit),
-        }
-    }
 }
 
 /// Two children per node; leaves are the indices of the boxes.
@@ -120,34 +54,21 @@ pub(super) fn binary_hierarchy(boxes: &[Aabb]) -> Bvh2 {
     binary
 }
 
-/// Levels of inner nodes.
-fn depth(bvh: &CwBvh) -> usize {
-    let mut open: Vec<(usize, usize)> = if bvh.nodes.is_empty() { Vec::new() } else { vec![(0, 1)] };
-    let mut deepest = 0;
-    while let Some((index, level)) = open.pop() {
-        deepest = deepest.max(level);
-        let node = &bvh.nodes[index];
-        let first = node.child_base_idx as usize;
-        open.extend((first..first + node.imask.count_ones() as usize).map(|child| (child, level + 1)));
-    }
-    deepest
-}
-
-/// The box of a triangle in units of the hierarchy, enlarged by one to two times `slack`.
+/// The box of a triangle, enlarged by one to two times `slack`.
 ///
 /// For boxes of equal size the builder pairs them one at a time, in quadratic time and depth. A different enlargement of each box,
 /// by a hash of its index, avoids these ties.
-fn leaf_box(index: usize, corners: [Vec3; 3], scale: f32, slack: f32) -> Aabb {
+fn leaf_box(index: usize, corners: [Vec3; 3], slack: f32) -> Aabb {
     let [a, b, c] = corners.map(Vec3A::from);
     let hash = (index as u32).wrapping_mul(0x9e37_79b9).rotate_left(15).wrapping_mul(0x85eb_ca6b) >> 8;
     let slack = slack * (1.0 + hash as f32 / (1 << 24) as f32);
-    Aabb::new((a.min(b).min(c) - slack) * scale, (a.max(b).max(c) + slack) * scale)
+    Aabb::new(a.min(b).min(c) - slack, a.max(b).max(c) + slack)
 }
 
-/// The boxes of all triangles, `scale` units per world unit, for a mesh within `radius` of `center`.
-pub(super) fn leaf_boxes(mesh: &Mesh, center: Vec3, radius: f32, scale: f32) -> Vec<Aabb> {
+/// The boxes of all triangles of a mesh within `radius` of `center`.
+pub(super) fn leaf_boxes(mesh: &Mesh, center: Vec3, radius: f32) -> Vec<Aabb> {
     let slack = BOX_SLACK * (radius + center.abs().max_element());
-    (0..mesh.triangles.len()).map(|t| leaf_box(t, mesh.corners(t), scale, slack)).collect()
+    (0..mesh.triangles.len()).map(|t| leaf_box(t, mesh.corners(t), slack)).collect()
 }
 
 /// Center of the box around the triangles, and the greatest distance of a corner from it.
@@ -158,10 +79,21 @@ pub(super) fn bounding_sphere(mesh: &Mesh) -> (Vec3, f32) {
     (center, used.fold(0.0f32, |r, p| r.max(p.distance(center))))
 }
 
-/// The ray's frame: rows of the matrix are x and y sheared along the ray, and z scaled to distance.
+/// The ray's frame: x and y sheared along the ray, and z scaled to distance.
 struct RayFrame {
     origin: Vec3A,
-    matrix: Mat3A,
+    /// Which axis of the world is x, y and z; z is that along which the ray goes most.
+    axes: [usize; 3],
+    /// What is taken from x and from y for each unit of z, and the distance for each unit of z.
+    shear: [f32; 3],
+}
+
+/// What a ray meets of the triangles of a leaf.
+struct LeafHits {
+    /// A bit for each triangle that the line of the ray meets.
+    met: u64,
+    distances: [f32; WIDTH],
+    weights: [[f32; WIDTH]; 3],
 }
 
 impl RayFrame {
@@ -169,28 +101,74 @@ impl RayFrame {
         let d = direction.to_array();
         let z = (0..3).fold(0, |best, k| if d[k].abs() > d[best].abs() { k } else { best });
         let (x, y) = ((z + 1) % 3, (z + 2) % 3);
-        let mut rows = [Vec3::ZERO; 3];
-        rows[0][x] = 1.0;
-        rows[0][z] = -d[x] / d[z];
-        rows[1][y] = 1.0;
-        rows[1][z] = -d[y] / d[z];
-        rows[2][z] = 1.0 / d[z];
-        let matrix = Mat3A::from_cols(rows[0].into(), rows[1].into(), rows[2].into()).transpose();
-        Self { origin: origin.into(), matrix }
+        Self { origin: origin.into(), axes: [x, y, z], shear: [d[x] / d[z], d[y] / d[z], 1.0 / d[z]] }
     }
 
-    /// Distance along the ray and corner weights, if the line intersects the triangle (borders included).
+    /// One corner of each triangle of a leaf in this frame.
     #[inline(always)]
-    fn meet(&self, corners: &[Vec3A; 3]) -> Option<(f32, [f32; 3])> {
-        let [a, b, c] = corners.map(|corner| self.matrix * (corner - self.origin));
-        let (mut u, mut v, mut w) = (c.x * b.y - c.y * b.x, a.x * c.y - a.y * c.x, b.x * a.y - b.y * a.x);
-        if u == 0.0 || v == 0.0 || w == 0.0 {
-            // On an edge up to f32 precision: products of two f32 are exact in f64.
-            let cross = |p: Vec3A, q: Vec3A| {
-                (f64::from(p.x) * f64::from(q.y) - f64::from(p.y) * f64::from(q.x)) as f32
-            };
-            (u, v, w) = (cross(c, b), cross(a, c), cross(b, a));
+    fn sheared<S: Simd>(&self, simd: S, corner: &[[f32; WIDTH]; 3]) -> (f32x8<S>, f32x8<S>, f32x8<S>) {
+        let [x, y, z] = self.axes;
+        let depth = f32x8::from_slice(simd, &corner[z]) - f32x8::splat(simd, self.origin[z]);
+        let x = f32x8::from_slice(simd, &corner[x]) - f32x8::splat(simd, self.origin[x]);
+        let y = f32x8::from_slice(simd, &corner[y]) - f32x8::splat(simd, self.origin[y]);
+        let x = x - depth * f32x8::splat(simd, self.shear[0]);
+        let y = y - depth * f32x8::splat(simd, self.shear[1]);
+        (x, y, depth * f32x8::splat(simd, self.shear[2]))
+    }
+
+    /// The triangles of a leaf, borders included; `None` if none is met.
+    #[inline(always)]
+    fn meet<S: Simd>(&self, simd: S, leaf: &Leaf) -> Option<LeafHits> {
+        let (ax, ay, az) = self.sheared(simd, &leaf.corners[0]);
+        let (bx, by, bz) = self.sheared(simd, &leaf.corners[1]);
+        let (cx, cy, cz) = self.sheared(simd, &leaf.corners[2]);
+        let (u, v, w) = (cx * by - cy * bx, ax * cy - ay * cx, bx * ay - by * ax);
+        let zero = f32x8::splat(simd, 0.0);
+        let (least, most) = (u.min(v).min(w), u.max(v).max(w));
+        let there = (1u64 << leaf.count) - 1;
+        // On an edge up to f32 precision.
+        let on_edge = there & u.abs().min(v.abs()).min(w.abs()).simd_eq(zero).to_bitmask();
+        let outside = least.simd_lt(zero).to_bitmask() & most.simd_gt(zero).to_bitmask();
+        let met = there & !on_edge & !outside;
+        if met | on_edge == 0 {
+            return None;
         }
+        let sum = u + v + w;
+        let (u, v, w) = (u / sum, v / sum, w / sum);
+        let mut hits = LeafHits { met, distances: [0.0; WIDTH], weights: [[0.0; WIDTH]; 3] };
+        (u * az + v * bz + w * cz).store_slice(&mut hits.distances);
+        u.store_slice(&mut hits.weights[0]);
+        v.store_slice(&mut hits.weights[1]);
+        w.store_slice(&mut hits.weights[2]);
+        if on_edge != 0 {
+            self.meet_edges(leaf, on_edge, &mut hits);
+        }
+        Some(hits)
+    }
+
+    /// The triangles of these bits, in f64, where products of two f32 are exact.
+    #[cold]
+    fn meet_edges(&self, leaf: &Leaf, on_edge: u64, hits: &mut LeafHits) {
+        for lane in (0..WIDTH).filter(|lane| on_edge >> lane & 1 == 1) {
+            if let Some((distance, weights)) = self.meet_edge(leaf.corners_of(lane)) {
+                hits.met |= 1 << lane;
+                hits.distances[lane] = distance;
+                hits.weights.iter_mut().zip(weights).for_each(|(each, weight)| each[lane] = weight);
+            }
+        }
+    }
+
+    fn meet_edge(&self, corners: [Vec3A; 3]) -> Option<(f32, [f32; 3])> {
+        let [x, y, z] = self.axes;
+        let [a, b, c] = corners.map(|corner| {
+            let from_origin = corner - self.origin;
+            let depth = from_origin[z];
+            let sheared = [from_origin[x] - depth * self.shear[0], from_origin[y] - depth * self.shear[1]];
+            Vec3A::new(sheared[0], sheared[1], depth * self.shear[2])
+        });
+        let cross =
+            |p: Vec3A, q: Vec3A| (f64::from(p.x) * f64::from(q.y) - f64::from(p.y) * f64::from(q.x)) as f32;
+        let (u, v, w) = (cross(c, b), cross(a, c), cross(b, a));
         if (u < 0.0 || v < 0.0 || w < 0.0) && (u > 0.0 || v > 0.0 || w > 0.0) {
             return None;
         }
@@ -207,12 +185,9 @@ impl TriangleBvh {
     /// Builds the hierarchy; the same mesh gives the same hierarchy.
     pub fn new(mesh: &Mesh) -> Self {
         let (center, radius) = bounding_sphere(mesh);
-        let scale = (SCALED_RADIUS / radius).log2().floor().clamp(-100.0, 100.0).exp2();
-        let boxes = leaf_boxes(mesh, center, radius, scale);
-        let hierarchy = Hierarchy::new(&boxes);
-        let triangles = hierarchy.order().to_vec();
-        let corners = triangles.iter().map(|&t| mesh.corners(t as usize).map(Vec3A::from)).collect();
-        Self { hierarchy, scale, corners, triangles, center, radius }
+        let binary = binary_hierarchy(&leaf_boxes(mesh, center, radius));
+        let hierarchy = WideBvh::new(&binary, &|t| mesh.corners(t).map(Vec3A::from));
+        Self { level: Level::new(), hierarchy, center, radius }
     }
 
     /// Center and radius of a sphere around all triangles, world units.
@@ -222,59 +197,92 @@ impl TriangleBvh {
 
     /// The nearest triangle at a distance in `(min_distance, ∞)`, from either side; none for a ray that is not finite.
     pub fn nearest(&self, ray: &Ray, min_distance: f32) -> Option<TriangleHit> {
-        let (frame, query, skipped) = self.prepare(ray, f32::INFINITY)?;
-        let (low, mut best, mut weights) = (min_distance - skipped, f32::INFINITY, [0.0; 3]);
-        let (entry, _) = self.hierarchy.nearest(query, |_, entry| match frame.meet(&self.corners[entry]) {
-            Some((distance, found)) if distance > low && distance < best => {
-                (best, weights) = (distance, found);
-                distance * self.scale
-            }
-            _ => f32::INFINITY,
-        });
-        let triangle = *self.triangles.get(entry)?;
-        let distance = (best + skipped).max(min_distance.next_up());
-        Some(TriangleHit { triangle, distance, weights })
+        let (frame, query, skipped) = self.prepare(ray)?;
+        let mut nearest = Nearest { frame: &frame, low: min_distance - skipped, found: None };
+        dispatch!(self.level, simd => self.hierarchy.walk(simd, &query, f32::INFINITY, &mut nearest));
+        let found = nearest.found?;
+        let distance = (found.distance + skipped).max(min_distance.next_up());
+        Some(TriangleHit { distance, ..found })
     }
 
     /// Whether any triangle is met at a distance in `(min_distance, max_distance)`.
     pub fn any(&self, ray: &Ray, min_distance: f32, max_distance: f32) -> bool {
-        let Some((frame, query, skipped)) = self.prepare(ray, max_distance) else { return false };
-        let low = min_distance - skipped;
-        self.hierarchy.any(query, |_, entry| match frame.meet(&self.corners[entry]) {
-            Some((distance, _)) if distance > low => distance * self.scale,
-            _ => f32::INFINITY,
-        })
+        let Some((frame, query, skipped)) = self.prepare(ray) else { return false };
+        let (low, high) = (min_distance - skipped, max_distance - skipped);
+        let mut found = Count { frame: &frame, low, high, most: 1, count: 0 };
+        dispatch!(self.level, simd => self.hierarchy.walk(simd, &query, high, &mut found));
+        found.count > 0
     }
 
     /// How many triangles the ray crosses (a ray exactly through a shared edge crosses both triangles).
     pub fn count_crossings(&self, ray: &Ray) -> usize {
-        let Some((frame, query, skipped)) = self.prepare(ray, f32::INFINITY) else { return 0 };
-        let mut crossings = 0;
-        self.hierarchy.each(query, |_, entry| {
-            let met = frame.meet(&self.corners[entry]);
-            crossings += usize::from(met.is_some_and(|(distance, _)| distance > -skipped));
-        });
-        crossings
+        let Some((frame, query, skipped)) = self.prepare(ray) else { return 0 };
+        let (low, high) = (-skipped, f32::INFINITY);
+        let mut found = Count { frame: &frame, low, high, most: usize::MAX, count: 0 };
+        dispatch!(self.level, simd => self.hierarchy.walk(simd, &query, high, &mut found));
+        found.count
     }
 
     /// The ray in the two forms for traversal, moved forward by the returned distance if it starts far away.
-    fn prepare(&self, ray: &Ray, max_distance: f32) -> Option<(RayFrame, obvhs::ray::Ray, f32)> {
-        let usable = ray.origin.is_finite() && ray.direction.is_finite() && ray.direction != Vec3::ZERO;
-        if !usable || max_distance.is_nan() {
+    fn prepare(&self, ray: &Ray) -> Option<(RayFrame, BoxRay, f32)> {
+        if !(ray.origin.is_finite() && ray.direction.is_finite() && ray.direction != Vec3::ZERO) {
             return None;
         }
         // Near the object, rounding is relative to the object's size, not to the camera's distance.
         let to_entry = (self.center - ray.origin).dot(ray.direction) - 2.0 * self.radius;
         let skipped = if to_entry > FAR_AWAY * self.radius { to_entry } else { 0.0 };
         let origin = ray.origin + ray.direction * skipped;
-        let (scaled_origin, limit) = (origin * self.scale, (max_distance - skipped) * self.scale);
-        if !scaled_origin.is_finite() {
-            return None;
-        }
-        // Without negative zeros, of which the box test takes the inverse to be negative and the order of children does not.
-        let direction = ray.direction + Vec3::ZERO;
-        let query = obvhs::ray::Ray::new(scaled_origin.into(), direction.into(), 0.0, limit);
+        let query = origin.is_finite().then(|| BoxRay::new(origin.into(), ray.direction.into()))?;
         Some((RayFrame::new(origin, ray.direction), query, skipped))
+    }
+}
+
+/// Finds the nearest triangle beyond `low`.
+struct Nearest<'a> {
+    frame: &'a RayFrame,
+    low: f32,
+    found: Option<TriangleHit>,
+}
+
+impl LeafVisitor for Nearest<'_> {
+    #[inline(always)]
+    fn visit<S: Simd>(&mut self, simd: S, leaf: &Leaf, mut limit: f32) -> f32 {
+        let Some(hits) = self.frame.meet(simd, leaf) else { return limit };
+        let mut met = hits.met;
+        while met != 0 {
+            let lane = met.trailing_zeros() as usize % WIDTH;
+            met &= met - 1;
+            let distance = hits.distances[lane];
+            if distance > self.low && distance < limit {
+                limit = distance;
+                let weights = [hits.weights[0][lane], hits.weights[1][lane], hits.weights[2][lane]];
+                self.found = Some(TriangleHit { triangle: leaf.triangles[lane], distance, weights });
+            }
+        }
+        limit
+    }
+}
+
+/// Counts the triangles between `low` and `high`, up to `most`.
+struct Count<'a> {
+    frame: &'a RayFrame,
+    low: f32,
+    high: f32,
+    most: usize,
+    count: usize,
+}
+
+impl LeafVisitor for Count<'_> {
+    #[inline(always)]
+    fn visit<S: Simd>(&mut self, simd: S, leaf: &Leaf, limit: f32) -> f32 {
+        let Some(hits) = self.frame.meet(simd, leaf) else { return limit };
+        let mut met = hits.met;
+        while met != 0 {
+            let distance = hits.distances[met.trailing_zeros() as usize % WIDTH];
+            met &= met - 1;
+            self.count += usize::from(distance > self.low && distance < self.high);
+        }
+        if self.count < self.most { limit } else { f32::NEG_INFINITY }
     }
 }
 
@@ -293,14 +301,13 @@ mod tests {
     }
 
     #[test]
-    fn a_mesh_that_makes_the_wide_hierarchy_too_deep_is_traced_all_the_same() {
+    fn a_deep_hierarchy_is_traced_all_the_same() {
         // Triangles in a corner, each nine tenths of the one before, one in front of the other.
         let nested = |k: i32| {
             let size = 0.9f32.powi(k);
             [Vec3::new(0.0, 0.0, size), Vec3::new(size, 0.0, size), Vec3::new(0.0, size, size)]
         };
         let bvh = TriangleBvh::new(&mesh_of((0..20_000).map(|k| nested(k % 600))));
-        assert!(matches!(bvh.hierarchy, Hierarchy::Binary(_)));
         for k in 0..60 {
             let size = 0.9f32.powi(k);
             // Beyond the slope of the next smaller triangle, so that only this one and larger ones are in the way.
@@ -322,10 +329,10 @@ mod tests {
     }
 
     #[test]
-    fn the_usual_mesh_gets_the_wide_hierarchy_and_always_the_same() {
+    fn a_mesh_always_gets_the_same_hierarchy() {
         let mesh = crate::mesh::primitive::sphere_mesh(Vec3::ZERO, 1.0).unwrap();
         let (a, b) = (TriangleBvh::new(&mesh), TriangleBvh::new(&mesh));
-        assert!(matches!((&a.hierarchy, &b.hierarchy), (Hierarchy::Wide(a), Hierarchy::Wide(b)) if a == b));
+        assert!(a.hierarchy == b.hierarchy);
     }
 
     #[test]

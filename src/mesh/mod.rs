@@ -19,6 +19,7 @@ pub mod nearest;
 pub mod primitive;
 pub mod tangents;
 pub mod triangles;
+mod wide_bvh;
 
 use crate::math::ray::{Hit, Intersect, Ray};
 use crate::{Error, Result};

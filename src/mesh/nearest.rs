@@ -16,7 +16,7 @@ impl NearestTriangle {
     /// Builds the hierarchy; the same mesh gives the same one.
     pub fn new(mesh: &Mesh) -> Self {
         let (center, radius) = bounding_sphere(mesh);
-        let bvh = binary_hierarchy(&leaf_boxes(mesh, center, radius, 1.0));
+        let bvh = binary_hierarchy(&leaf_boxes(mesh, center, radius));
         let corners = (0..mesh.triangles.len()).map(|t| mesh.corners(t).map(Vec3A::from)).collect();
         Self { bvh, corners }
     }

@@ -79,4 +79,8 @@ pub trait Illuminate: Send + Sync {
     fn sample(&self, uniform: [f32; 3]) -> LightSample;
     /// Density per steradian with which [`Illuminate::sample`] draws `direction`.
     fn pdf(&self, direction: Vec3) -> f32;
+    /// [`Illuminate::radiance`] and [`Illuminate::pdf`]; one may be had with the other.
+    fn radiance_and_pdf(&self, direction: Vec3) -> (Vec3, f32) {
+        (self.radiance(direction), self.pdf(direction))
+    }
 }

@@ -5,7 +5,6 @@
 //! additional lobes are placed, all are optimized, and the least useful are removed; this repeats as long as the error
 //! decreases. Finally amplitudes change by the smallest amount that preserves the power of the map. There are no random numbers; results
 //! do not depend on the number of threads.
-pub(crate) mod exp;
 mod gram;
 pub mod kernel;
 pub(crate) mod least_squares;

@@ -354,10 +354,11 @@ impl Path<'_> {
     /// Adds the light of a direction that is sampled from the BRDF.
     fn add_background(&mut self, direction: Vec3, pdf: f32, carried: Split) {
         let strategy = self.settings.strategy;
-        let light_pdf = if strategy == Strategy::Combined { self.scene.light.pdf(direction) } else { 0.0 };
+        let (radiance, light_pdf) = self.scene.light.radiance_and_pdf(direction);
+        let light_pdf = if strategy == Strategy::Combined { light_pdf } else { 0.0 };
         let weight = strategy.brdf_weight(light_pdf, pdf);
         if weight > 0.0 {
-            self.add(carried.tinted(self.scene.light.radiance(direction)).scaled(weight));
+            self.add(carried.tinted(radiance).scaled(weight));
         }
     }
 
