@@ -43,11 +43,12 @@ const PAGE: &str = include_str!("assets/page.html");
 /// Its style.
 const STYLE: &str = include_str!("assets/style.css");
 /// Its modules, by the names under which they import each other; the last one starts the page.
-const MODULES: [(&str, &str); 18] = [
+const MODULES: [(&str, &str); 20] = [
     ("data", include_str!("assets/data.js")),
     ("linear", include_str!("assets/linear.js")),
     ("gpu", include_str!("assets/gpu.js")),
     ("light", include_str!("assets/light.js")),
+    ("masks", include_str!("assets/masks.js")),
     ("shadow", include_str!("assets/shadow.js")),
     ("camera", include_str!("assets/camera.js")),
     ("renderer", include_str!("assets/renderer.js")),
@@ -61,13 +62,16 @@ const MODULES: [(&str, &str); 18] = [
     ("lightball", include_str!("assets/lightball.js")),
     ("compare", include_str!("assets/compare.js")),
     ("controls", include_str!("assets/controls.js")),
+    ("pace", include_str!("assets/pace.js")),
     ("main", include_str!("assets/main.js")),
 ];
 /// Its shaders, by name.
-const SHADERS: [(&str, &str); 8] = [
+const SHADERS: [(&str, &str); 10] = [
+    ("octahedral", include_str!("assets/octahedral.glsl")),
     ("diffuse", include_str!("assets/diffuse.glsl")),
     ("specular", include_str!("assets/specular.glsl")),
     ("surface.vert", include_str!("assets/surface.vert")),
+    ("buffer.frag", include_str!("assets/buffer.frag")),
     ("surface.frag", include_str!("assets/surface.frag")),
     ("texels.vert", include_str!("assets/texels.vert")),
     ("occlusion.frag", include_str!("assets/occlusion.frag")),

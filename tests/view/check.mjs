@@ -14,6 +14,7 @@ import { besidePhotographs, byHand, dropped } from "./hand.mjs";
 import { atWork } from "./live.mjs";
 import { droppedMap, fitted, readForms } from "./maps.mjs";
 import { gltf, photographed, scene, tilt } from "./object.mjs";
+import { paced } from "./pace.mjs";
 import { layerPicture, psnr, readExr, readPng, writeExr } from "./pictures.mjs";
 
 /** Least PSNR of a state, in dB over the object's pixels. */
@@ -125,6 +126,7 @@ try {
     lobelia("run", join(pictures, "photographed.ron"), "--quiet", "--force", "--out", join(pictures, "photographed"));
     const page = pathToFileURL(join(pictures, "photographed", "view", "view.html")).href;
     console.log(`error of photographs of the same object: ${(await besidePhotographs(browser, page, fail, pictures)).toFixed(1)} dB`);
+    paced(fail);
     console.log(`128 lobes of a map: ${fitted(await readForms(fail), fail).toFixed(0)} ms`);
     const address = pathToFileURL(join(pictures, "out", "plain", "view.html")).href;
     const under = (ron, view) => reference(join(pictures, "scene.ron"), join(pictures, "under"), finer(ron), view);

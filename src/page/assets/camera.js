@@ -80,9 +80,15 @@ export class Orbit {
     }
 }
 
+/** Pixels of a target a unit of the camera's picture, which is as large in it as fits. */
+const fitOf = (camera, width, height) => Math.min(width / camera.width, height / camera.height);
+
+/** Length that a pixel of a target spans at unit distance. */
+export const pixelSpan = (camera, width, height) => 1 / (camera.focal[0] * fitOf(camera, width, height));
+
 /** Columns of the matrix from the world into clip space, for a target in which the picture is as large as fits. */
 export function clipFromWorld(camera, width, height, jitter, { center, radius }) {
-    const fit = Math.min(width / camera.width, height / camera.height);
+    const fit = fitOf(camera, width, height);
     const [sx, sy] = [(fit * camera.width) / width, (fit * camera.height) / height];
     const away = dot(sub(center, camera.eye), camera.axes[2]);
     const near = Math.max(away - 1.1 * radius, 0.002 * radius);

@@ -109,7 +109,7 @@ export class Texture {
     }
 }
 
-/** A frame buffer over textures: `[texture, layer]` each, and depth if asked for. */
+/** A frame buffer over textures: `[texture, layer]` each, and depth if asked for, of its own or that of another target. */
 export class Target {
     constructor(gl, attachments, depth = false) {
         this.gl = gl;
@@ -124,9 +124,9 @@ export class Target {
         });
         gl.drawBuffers(attachments.map((_, i) => gl.COLOR_ATTACHMENT0 + i));
         if (depth) {
-            this.depth = gl.createRenderbuffer();
+            this.depth = depth.depth ?? gl.createRenderbuffer();
             gl.bindRenderbuffer(gl.RENDERBUFFER, this.depth);
-            gl.renderbufferStorage(gl.RENDERBUFFER, gl.DEPTH_COMPONENT24, width, height);
+            if (!depth.depth) gl.renderbufferStorage(gl.RENDERBUFFER, gl.DEPTH_COMPONENT24, width, height);
             gl.framebufferRenderbuffer(gl.FRAMEBUFFER, gl.DEPTH_ATTACHMENT, gl.RENDERBUFFER, this.depth);
         }
         if (gl.checkFramebufferStatus(gl.FRAMEBUFFER) !== gl.FRAMEBUFFER_COMPLETE) {
@@ -150,6 +150,20 @@ export class Target {
 export function cover(gl) {
     gl.disable(gl.DEPTH_TEST);
     gl.disable(gl.BLEND);
+    fill(gl);
+}
+
+/** Adds a triangle over all of the current target that something is in front of. */
+export function coverAdding(gl) {
+    gl.enable(gl.DEPTH_TEST);
+    gl.depthFunc(gl.GREATER);
+    gl.depthMask(false);
+    gl.enable(gl.BLEND);
+    gl.blendFunc(gl.ONE, gl.ONE);
+    fill(gl);
+}
+
+function fill(gl) {
     gl.bindVertexArray(null);
     gl.drawArrays(gl.TRIANGLES, 0, 3);
 }

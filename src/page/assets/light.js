@@ -1,6 +1,6 @@
 // Lobes as the shaders read them. The formulas are those of `accurate::diffuse` and `shading::limits` in Lobelia's crate of kernels.
 
-import { dot, normalize, orthonormalPair, rotation, scale, times, transpose, IDENTITY, cross, product } from "lobelia/linear";
+import { clamp, dot, normalize, orthonormalPair, rotation, scale, times, transpose, IDENTITY, cross, product } from "lobelia/linear";
 
 const SCALED_ERFC = [
     0.383841213067, 0.306753512712, 0.192277455528, 0.0898987791954, 0.0272801696181, 0.00238949866222,
@@ -59,6 +59,24 @@ function exponentLimits(lobes) {
     const average = brightest.reduce((sum, value) => sum + value, 0) / lobes.length;
     const least = Math.max((0.1 * total) / lobes.length, 1e-30);
     return brightest.map((value) => Math.log(Math.max(Math.max(value, average) / least, 1e-30)));
+}
+
+/** Sharpness of the broadest SG of a base material's distribution of normals, as the shaders have it. */
+function broadestFacets(roughness, ggx) {
+    const alpha2 = roughness ** 4;
+    if (!ggx) return 2 / alpha2;
+    const scaled = Math.max(1 / alpha2 - 1, 1e-2) * 0.100521506;
+    return scaled * (2 - 1 / (2 * scaled + 1));
+}
+
+/** How far from the mirrored view, in radians, the axis of each lobe may be for its specular light to count. */
+export function specularReaches(lobes, roughness, ggx) {
+    const limits = exponentLimits(lobes);
+    const wide = 0.25 * broadestFacets(roughness, ggx);
+    return lobes.map(({ sharpness }, i) => {
+        const narrow = (wide * sharpness) / (wide + sharpness);
+        return Math.acos(clamp(1 - limits[i] / narrow, -1, 1));
+    });
 }
 
 /** Numbers of a table of lobes, four texels a lobe. */

@@ -18,6 +18,13 @@ export function normalize(a) {
     return size > 0 ? scale(a, 1 / size) : [0, 1, 0];
 }
 
+/** The unit direction of octahedral coordinates, −1 to 1. */
+export function unfolded(x, y) {
+    const z = 1 - Math.abs(x) - Math.abs(y);
+    const fold = Math.max(-z, 0);
+    return normalize([x - (x < 0 ? -fold : fold), y - (y < 0 ? -fold : fold), z]);
+}
+
 /** Matrix times vector. */
 export const times = (m, v) => add(add(scale(m[0], v[0]), scale(m[1], v[1])), scale(m[2], v[2]));
 

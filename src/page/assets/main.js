@@ -9,6 +9,7 @@ import { History } from "lobelia/history";
 import { LightBall } from "lobelia/lightball";
 import { lightOfFile } from "lobelia/lightfile";
 import { UNCHANGED, cornersOf, mostRegions, pick } from "lobelia/regions";
+import { Pace } from "lobelia/pace";
 import { Renderer, edited } from "lobelia/renderer";
 import { passes } from "lobelia/ron";
 import { clamp } from "lobelia/linear";
@@ -17,11 +18,9 @@ import { clamp } from "lobelia/linear";
 const GRID = [0, 10, 2, 8, 5, 15, 7, 13, 1, 11, 3, 9, 4, 14, 6, 12].map((i) => [
     ((i % 4) + 0.5) / 4 - 0.5, (Math.floor(i / 4) + 0.5) / 4 - 0.5,
 ]);
-/** After this time without a change, in milliseconds, the picture gets its full resolution. */
+/** After this time without a change, in milliseconds, the picture gets its full resolution; later, up to a limit, where frames are slow. */
 const STILL = 180;
-/** Frame times, in milliseconds, above and below which a moving picture gets fewer or more pixels. */
-const SLOW = 45;
-const FAST = 22;
+const LONGEST_STILL = 1000;
 /** Time for all samples of a picture that stands still, in milliseconds; a slow machine takes fewer samples. */
 const PATIENCE = 3000;
 
@@ -49,7 +48,7 @@ function look({ roughness, level, color, mix, metal, tint, bright }) {
 
 class Page {
     constructor(scene, canvas, shaders) {
-        Object.assign(this, { scene, canvas, settings: { ...SETTINGS }, scale: 0.7, frames: [], cost: 0, patience: PATIENCE });
+        Object.assign(this, { scene, canvas, settings: { ...SETTINGS }, pace: new Pace(), cost: 0, patience: PATIENCE });
         this.orbit = new Orbit(scene);
         this.renderer = new Renderer(canvas, scene, shaders);
         this.history = new History();
@@ -255,13 +254,13 @@ class Page {
 
     tick(time) {
         this.waiting = false;
-        const moving = performance.now() - this.changed < STILL;
+        const moving = performance.now() - this.changed < clamp(2 * Math.max(...this.pace.frames.slice(-4)), STILL, LONGEST_STILL);
         if (this.last !== null) {
-            if (moving) this.pace(time - this.last);
-            else if (this.drawn > 1) this.cost = time - this.last;
+            if (moving) this.pace.moved(time - this.last);
+            else if (this.drawn > 1) this.rested(time - this.last);
         }
         this.last = time;
-        const scale = moving ? this.scale : 1;
+        const scale = moving ? this.pace.scale : 1;
         const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight].map((side) =>
             clamp(Math.round(side * Math.min(window.devicePixelRatio, 2) * scale), 1, 4096));
         // An error map is of a picture that the renderer draws on the way.
@@ -291,12 +290,10 @@ class Page {
         if (ball) this.ball.draw(this.renderer.lights[light], { up: this.scene.up, turn, exposure, axes });
     }
 
-    /** Fewer pixels while frames are slow. */
-    pace(elapsed) {
-        this.frames.push(elapsed);
-        if (this.frames.length > 60) this.frames.shift();
-        if (elapsed > SLOW) this.scale = Math.max(this.scale * 0.85, 0.2);
-        else if (elapsed < FAST) this.scale = Math.min(this.scale * 1.04, 1);
+    /** Takes the time of a sample of a picture that stands still. */
+    rested(elapsed) {
+        this.cost = elapsed;
+        this.pace.rested(elapsed);
     }
 }
 
@@ -316,7 +313,7 @@ function offer(page) {
         still: () => !page.waiting,
         set: (settings) => page.change(settings),
         ron: () => page.ron(),
-        frames: () => [...page.frames],
+        frames: () => [...page.pace.frames],
         /** The error of the photograph that is compared, as PSNR in dB; null until it is known. */
         psnr: () => page.compare.psnr,
         /** A view's picture with side × side samples a pixel: RGBA bytes with straight alpha. */

@@ -64,6 +64,11 @@ export function editedMaterial(lobe, { color, mix, level, roughness }) {
     return { ...lobe, albedo, roughness: clamp(lobe.roughness * roughness, 0.03, 1) };
 }
 
+/** The greatest roughness that a base material has anywhere: places may overlap. */
+export function greatestRoughness(roughness, regions) {
+    return regions.reduce((most, region) => Math.max(most, clamp(most * region.roughness, 0.03, 1)), roughness);
+}
+
 /** Diffuse and specular albedo at a point after the edits of regions, for light that goes from surface to surface. */
 export function reflectedAt(place, diffuse, specular, regions) {
     for (const region of regions) {

@@ -1,9 +1,10 @@
 // Pictures of the object: samples of every pixel are summed as linear radiance and then developed, as in Lobelia's own renders.
 
-import { clipFromWorld } from "lobelia/camera";
-import { Program, Target, Texture, cover } from "lobelia/gpu";
-import { lobeTable, lobesOf, turnedLobes } from "lobelia/light";
-import { editedMaterial, regionUniforms } from "lobelia/regions";
+import { clipFromWorld, pixelSpan } from "lobelia/camera";
+import { Program, Target, Texture, cover, coverAdding } from "lobelia/gpu";
+import { lobeTable, lobesOf, specularReaches, turnedLobes } from "lobelia/light";
+import { Masks } from "lobelia/masks";
+import { editedMaterial, greatestRoughness, regionUniforms } from "lobelia/regions";
 import { Shadows, openSky } from "lobelia/shadow";
 
 /** What can be shown, in the order of the shader's numbers, and how it is encoded (develop.frag). */
@@ -39,9 +40,11 @@ export class Renderer {
         this.along = along ? new Texture(gl, "srgb8", { width, height, filter: true, data: along }) : this.albedo;
         this.tilt = this.tiltTexture(width, height);
         this.blend = this.blendTexture(width, height);
-        this.surface = new Program(gl, shaders["surface.vert"], shaders.diffuse + shaders.specular + shaders["surface.frag"]);
-        this.depth = new Program(gl, shaders["surface.vert"], "void main() {}\n");
+        const { octahedral, diffuse, specular } = shaders;
+        this.buffer = new Program(gl, octahedral + shaders["surface.vert"], octahedral + shaders["buffer.frag"]);
+        this.surface = new Program(gl, shaders["texels.vert"], octahedral + diffuse + specular + shaders["surface.frag"]);
         this.develop = new Program(gl, shaders["texels.vert"], shaders["develop.frag"]);
+        this.lobeMask = new Masks(gl);
         this.shadows = scene.visibility ? new Shadows(gl, scene, shaders) : openSky(gl);
         this.loadMesh();
     }
@@ -101,8 +104,10 @@ export class Renderer {
         }
         this.table.fill(lobeTable(lobes));
         this.shadows.update(lobes, material);
-        const { materials } = material;
-        this.light = { lobes: this.table, lobeCount: lobes.length, tint: material.tint };
+        const { materials, regions } = material;
+        const reaches = materials.map(({ roughness, ggx }) => specularReaches(lobes, greatestRoughness(roughness, regions), ggx));
+        this.lobeMask.update(lobes.map(({ axis }) => axis), reaches);
+        this.light = { lobes: this.table, lobeCount: lobes.length, lobeMask: this.lobeMask.texture, tint: material.tint };
         this.gloss = {
             materials: materials.flatMap(({ albedo, roughness }) => [...albedo, roughness]),
             kinds: materials.flatMap(({ number, ggx }) => [number, Number(ggx)]),
@@ -114,10 +119,11 @@ export class Renderer {
     begin(width, height) {
         const { gl } = this;
         if (this.target?.width !== width || this.target?.height !== height) {
-            this.target?.free();
-            this.sum?.free();
+            for (const old of [this.target, this.sum, this.bufferTarget, this.surfaces]) old?.free();
+            this.surfaces = new Texture(gl, "rgba32ui", { width, height });
+            this.bufferTarget = new Target(gl, [[this.surfaces, 0]], true);
             this.sum = new Texture(gl, "rgba16f", { width, height });
-            this.target = new Target(gl, [[this.sum, 0]], true);
+            this.target = new Target(gl, [[this.sum, 0]], this.bufferTarget);
         }
         this.target.bind();
         gl.clearColor(0, 0, 0, 0);
@@ -128,34 +134,34 @@ export class Renderer {
     /** Adds one sample of every pixel, `jitter` pixels right and down of its center. */
     sample(state, camera, jitter) {
         const { gl, scene } = this;
+        const { width, height } = this.target;
         this.prepare(state, camera);
+        this.findSurfaces(camera, jitter);
         this.target.bind();
         const { low, size, uvLow, uvSize } = scene.mesh;
-        const place = { low, size, uvLow, uvSize };
-        place.clipFromWorld = clipFromWorld(camera, this.target.width, this.target.height, jitter, scene);
-        gl.bindVertexArray(this.mesh);
-        gl.enable(gl.DEPTH_TEST);
-        gl.depthMask(true);
-        gl.depthFunc(gl.LESS);
-        gl.clear(gl.DEPTH_BUFFER_BIT);
-        gl.disable(gl.BLEND);
-        gl.colorMask(false, false, false, false);
-        this.depth.use(place);
-        gl.drawElements(gl.TRIANGLES, this.count, gl.UNSIGNED_INT, 0);
-        gl.colorMask(true, true, true, true);
-        // Only the nearest surface is shaded and added.
-        gl.depthFunc(gl.EQUAL);
-        gl.depthMask(false);
-        gl.enable(gl.BLEND);
-        gl.blendFunc(gl.ONE, gl.ONE);
+        const seen = { surface: this.surfaces, low, size, uvLow, uvSize, eye: camera.eye, pixelSpan: pixelSpan(camera, width, height) };
         const show = SHOWS.findIndex(({ name }) => name === state.show);
         const maps = { albedoMap: this.albedo, alongMap: this.along, tiltMap: this.tilt };
-        const shared = { eye: camera.eye, show, ...maps };
         const regions = regionUniforms(state.regions, state.mark);
-        this.surface.use({ ...place, ...shared, ...regions, ...this.light, ...this.gloss, ...this.shadows.uniforms });
-        gl.drawElements(gl.TRIANGLES, this.count, gl.UNSIGNED_INT, 0);
-        gl.depthMask(true);
+        this.surface.use({ ...seen, show, ...maps, ...regions, ...this.light, ...this.gloss, ...this.shadows.uniforms });
+        // Pixels without a surface are left out by their depth, before they are shaded.
+        coverAdding(gl);
         this.samples += 1;
+    }
+
+    /** Draws the nearest surface of each pixel into the buffer from which pixels are shaded. */
+    findSurfaces(camera, jitter) {
+        const { gl, scene, bufferTarget } = this;
+        const { low, size } = scene.mesh;
+        bufferTarget.bind();
+        gl.disable(gl.BLEND);
+        gl.enable(gl.DEPTH_TEST);
+        gl.depthFunc(gl.LESS);
+        gl.depthMask(true);
+        gl.clear(gl.DEPTH_BUFFER_BIT);
+        gl.bindVertexArray(this.mesh);
+        this.buffer.use({ low, size, clipFromWorld: clipFromWorld(camera, bufferTarget.width, bufferTarget.height, jitter, scene) });
+        gl.drawElements(gl.TRIANGLES, this.count, gl.UNSIGNED_INT, 0);
     }
 
     /** Develops the sum into the current frame buffer, side × side texels a pixel; `backdrop` null: straight alpha. */

@@ -3,13 +3,17 @@
 
 import { Program, Target, Texture, cover } from "lobelia/gpu";
 import { lobeTable, sphereIntegral } from "lobelia/light";
-import { placesOfPatches, reflectedAt } from "lobelia/regions";
+import { clamp, unfolded } from "lobelia/linear";
+import { Masks } from "lobelia/masks";
+import { greatestRoughness, placesOfPatches, reflectedAt } from "lobelia/regions";
 
 const NONE = 4095;
 const STEPS = 15;
 /** Width of the table of hidden bits, as the shaders know it. */
 const BITS_WIDTH = 4096;
 const EACH_PATCH = 14;
+/** Exponent of the mirrored lobe up to which directions count, as the surface's shader has it. */
+const MIRROR_REACH = 4;
 
 /** Near-uniform directions on the Fibonacci spiral, from near +Y to near −Y. */
 function spiral(count) {
@@ -27,11 +31,7 @@ function decoded(fractions, present) {
     for (let i = 0; i < fractions.length / 2; i++) {
         if (!present(i)) continue;
         const [x, y] = [0, 1].map((c) => (fractions[2 * i + c] / 65535) * 2 - 1);
-        const z = 1 - Math.abs(x) - Math.abs(y);
-        const fold = Math.max(-z, 0);
-        const v = [x - (x < 0 ? -fold : fold), y - (y < 0 ? -fold : fold), z];
-        const size = Math.hypot(...v);
-        out.set([v[0] / size, v[1] / size, v[2] / size, 1], 4 * i);
+        out.set([...unfolded(x, y), 1], 4 * i);
     }
     return out;
 }
@@ -77,6 +77,7 @@ export class Shadows {
         this.indirectTarget = new Target(gl, [[this.indirect, 0]]);
         this.occlusion = new Program(gl, shaders["texels.vert"], shaders.diffuse + shaders["occlusion.frag"]);
         this.bounce = new Program(gl, shaders["texels.vert"], `const float PI = 3.14159265358979;\n${shaders["indirect.frag"]}`);
+        this.mask = new Masks(gl);
         this.listHiders(hiders);
     }
 
@@ -123,6 +124,8 @@ export class Shadows {
     /** Finds shadows and reflected light for these lobes and materials. */
     update(lobes, material) {
         this.makeRoom(lobes.length);
+        const roughest = Math.max(...material.materials.map(({ roughness }) => greatestRoughness(roughness, material.regions)));
+        this.mask.update(this.ways, [this.ways.map(() => this.reach(roughest))]);
         const cell = this.directions / 2;
         const wide = lobes.map((lobe) => {
             const sharpness = (lobe.sharpness * cell) / (lobe.sharpness + cell);
@@ -135,6 +138,13 @@ export class Shadows {
         this.sent.fill(before);
         this.leaving.fill(last);
         this.draw(lobes.length);
+    }
+
+    /** How far from the mirrored view directions count for a roughness, in radians, seen from where that is farthest: straight above. */
+    reach(roughness) {
+        const cell = this.directions / 2;
+        const lobe = 0.5 / roughness ** 4;
+        return Math.acos(clamp(1 - MIRROR_REACH / ((lobe * cell) / (lobe + cell)), -1, 1));
     }
 
     /** Fills the tables of the sky, and returns its radiance from each direction. */
@@ -224,8 +234,8 @@ export class Shadows {
 
     /** What the surface's shader reads. */
     get uniforms() {
-        const { directions, hidden, patchOfTexel, hiders, leaving, sky, parts, indirect } = this;
-        return { shadowed: true, directions, hidden, patchOfTexel, hiders, leaving, sky, parts, indirect };
+        const { directions, hidden, patchOfTexel, hiders, leaving, sky, parts, indirect, mask } = this;
+        return { shadowed: true, directions, directionMask: mask.texture, hidden, patchOfTexel, hiders, leaving, sky, parts, indirect };
     }
 }
 
@@ -235,7 +245,7 @@ export function openSky(gl) {
     const [bits, short, number] = [one("rgba32ui"), one("r16ui"), one("rgba32f")];
     return {
         uniforms: {
-            shadowed: false, directions: 128, hidden: bits, patchOfTexel: short, hiders: short,
+            shadowed: false, directions: 128, directionMask: bits, hidden: bits, patchOfTexel: short, hiders: short,
             leaving: number, sky: number, parts: one("rgba8", 1), indirect: number,
         },
         update() {},
