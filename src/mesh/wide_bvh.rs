@@ -36,7 +36,7 @@ struct Node {
     children: [u32; WIDTH],
 }
 
-/// Up to eight triangles; missing ones have all corners at the origin of the others' first.
+/// Up to eight triangles; missing ones are zero, and `count` leaves them out.
 #[derive(Clone, Debug, PartialEq)]
 #[repr(C, align(32))]
 pub(super) struct Leaf {
@@ -256,6 +256,7 @@ impl Builder<'_> {
                 open.extend([first + 1, first]);
             }
         }
+        debug_assert!(triangles.len() <= WIDTH, "leaves of the binary hierarchy have one triangle");
         let mut leaf =
             Leaf { corners: Default::default(), triangles: [u32::MAX; WIDTH], count: triangles.len() as u32 };
         for (lane, triangle) in triangles.iter().enumerate() {

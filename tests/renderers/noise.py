@@ -1,7 +1,7 @@
 #!/usr/bin/env python3
 """Time to equal noise of Lobelia's path tracer and of Mitsuba 3 (LLVM), side by side on this machine.
 
-    python tests/renderers/noise.py PROGRAM SAVED MAP [--views 4] [--size 256] [--paths 64] [--variant llvm_ad_rgb] [--keep FOLDER]
+    python tests/renderers/noise.py PROGRAM SAVED MAP [--views 3] [--size 256] [--paths 64] [--variant llvm_ad_rgb] [--keep FOLDER]
 
 SAVED is the folder of a run's `Save` pass, MAP an equirectangular OpenEXR map that lights the object. Both render the same views with up to six
 scattering events, light and BRDF sampled together. Lobelia's BRDF is PhySG's; Mitsuba has a rough plastic of the same roughness, diffuse texture and
@@ -18,6 +18,7 @@ LLVM 15 failed on a machine with AVX-512, where LLVM 19 worked.
 import argparse
 import json
 import math
+import re
 import struct
 import subprocess
 import sys
@@ -100,12 +101,19 @@ def lobelia(options, views, paths, seed, home):
     return [read_picture(home / "paths" / f"{k:02}.exr") for k in range(len(views))], seconds
 
 
+def specular_of(path):
+    """Specular albedo (its first channel) and roughness of a saved scene of one material."""
+    number = r"([0-9.eE+-]+)"
+    found = re.search(rf"specular:\s*\(\s*albedo: Fixed\({number}.*?roughness: Fixed\({number}\)", path.read_text(), re.DOTALL)
+    if found is None:
+        sys.exit(f"{path}: not an object of one material with a fixed specular albedo and roughness")
+    return float(found[1]), float(found[2])
+
+
 def mitsuba_scene(options, mesh):
     """The object in Mitsuba, by the material that the scene file names."""
     positions, normals, places, triangles = mesh
-    text = (options.saved / "scene.ron").read_text().split("specular:")[1]
-    specular = float(text.split("albedo: Fixed(")[1].split(",")[0].split(")")[0])
-    roughness = float(text.split("roughness: Fixed(")[1].split(")")[0])
+    specular, roughness = specular_of(options.saved / "scene.ron")
     root = math.sqrt(specular)
     bsdf = {
         "type": "roughplastic",
@@ -139,7 +147,9 @@ def mitsuba(options, scene, views, paths, seed):
         start = time.perf_counter()
         # Memory of wide launches: a part of the paths at a time.
         most = max(1, (1 << 25) // options.size**2)
-        passes = max(1, paths // most)
+        passes = 1
+        while paths // passes > most or paths % passes:
+            passes += 1
         sums = 0
         for part in range(passes):
             picture = mi.render(scene, sensor=sensor, spp=paths // passes, seed=seed * 100_003 + k * 997 + part)
@@ -165,17 +175,22 @@ def main():
     parser.add_argument("program")
     parser.add_argument("saved", type=Path)
     parser.add_argument("map", type=Path)
-    parser.add_argument("--views", type=int, default=4)
+    parser.add_argument("--views", type=int, default=3)
     parser.add_argument("--size", type=int, default=256)
     parser.add_argument("--paths", type=int, default=64)
     parser.add_argument("--variant", default="llvm_ad_rgb")
     parser.add_argument("--keep", type=Path)
     options = parser.parse_args()
+    if math.isqrt(options.paths) ** 2 != options.paths:
+        parser.error("--paths must be a square number, for Mitsuba's sampler")
+    specular_of(options.saved / "scene.ron")
     mi.set_variant(options.variant)
     mi.set_log_level(mi.LogLevel.Error)
     mesh = read_glb(options.saved / "mesh.glb")
     views = list(cameras(mesh[0], options.views))
-    home = options.keep or Path(tempfile.mkdtemp(prefix="lobelia-mitsuba-"))
+    # Kept until the program ends.
+    passing = tempfile.TemporaryDirectory(prefix="lobelia-mitsuba-")
+    home = options.keep or Path(passing.name)
     home.mkdir(parents=True, exist_ok=True)
     converged, _ = lobelia(options, views, CONVERGED * options.paths, 1, home / "converged")
     pictures, seconds = lobelia(options, views, options.paths, 0, home / "timed")

@@ -7,7 +7,7 @@
 `growth` runs scenes that differ in one number at a time and prints a table per number, as in docs/src/scaling.md: seconds of each part, peak memory, and
 the exponents p of seconds ~ number^p, between the first and the last row and between the last two. `compare` runs the same scenes with two programs, in
 turn, and prints the least seconds of each part with their ratio; it ends with status 1 where a part of at least a second became slower by a tenth, which
-a quiet machine tells from noise in three runs. DIR is the folder of an object with photographs and masks; without it the numbers of grid cells are left
+a quiet machine tells from noise in three runs, and marks that row. DIR is the folder of an object with photographs and masks; without it the numbers of grid cells are left
 out. `--quick` leaves out the largest numbers. Python's standard library is enough.
 """
 
@@ -134,7 +134,7 @@ def exponent(first, last):
 def growth(options, home):
     for axis, numbers in axes(options):
         rows = [(number, *measure(options.program, axis, number, options, home)) for number in numbers]
-        names = [name for name in rows[-1][1] if max(row[1].get(name, 0.0) for row in rows) >= 0.2]
+        names = [name for name in all_names(row[1] for row in rows) if max(row[1].get(name, 0.0) for row in rows) >= 0.2]
         print(f"\n| {axis} | " + " | ".join(f"{name}, s" for name in names) + " | memory, MiB |")
         print("|---" * (len(names) + 2) + "|")
         for number, seconds, memory in rows:
@@ -144,20 +144,27 @@ def growth(options, home):
             print(f"| {words} | " + " | ".join(f"{exponent(values[first], values[-1]):.2f}" for values in series) + " |", flush=True)
 
 
+def all_names(runs):
+    """The names of all parts of some runs, in their order."""
+    return list(dict.fromkeys(name for seconds in runs for name in seconds))
+
+
 def compare(options, home):
-    slower = False
+    any_slower = False
     print("| scene | part | old, s | new, s | new / old |\n|---|---|---|---|---|")
     for axis, numbers in axes(options):
         number = numbers[-1]
         runs = [[measure(program, axis, number, options, home) for program in (options.old, options.new)] for _ in range(options.runs)]
-        least = [{name: min(run[k][0].get(name, 0.0) for run in runs) for name in runs[0][1][0]} for k in (0, 1)]
-        least[0]["memory, MiB"], least[1]["memory, MiB"] = (min(run[k][1] for run in runs) for k in (0, 1))
-        for name, new in least[1].items():
-            old = least[0].get(name, 0.0)
+        for name in all_names(run[k][0] for run in runs for k in (0, 1)):
+            old, new = (min(run[k][0].get(name, 0.0) for run in runs) for k in (0, 1))
+            slower = max(old, new) >= 1.0 and new > 1.1 * old
+            any_slower |= slower
             if max(old, new) >= 0.2:
-                print(f"| {axis} {number} | {name} | {old:.2f} | {new:.2f} | {new / max(old, 1e-9):.2f} |", flush=True)
-            slower |= old >= 1.0 and new > 1.1 * old
-    return slower
+                ratio = f"{new / old:.2f}" if old > 0 else "new"
+                print(f"| {axis} {number} | {name} | {old:.2f} | {new:.2f} | {ratio}{' (slower)' if slower else ''} |", flush=True)
+        old, new = (min(run[k][1] for run in runs) for k in (0, 1))
+        print(f"| {axis} {number} | memory, MiB | {old:.0f} | {new:.0f} | {new / old:.2f} |", flush=True)
+    return any_slower
 
 
 def axes(options):
@@ -182,6 +189,11 @@ def main():
         one.add_argument("--quick", action="store_true")
         one.add_argument("--runs", type=int, default=3)
     options = parser.parse_args()
+    unknown = [axis for axis in options.axes.split(",") if axis not in AXES]
+    if unknown:
+        parser.error(f"unknown axis {', '.join(unknown)}; the axes are {', '.join(AXES)}")
+    if options.runs < 1:
+        parser.error("--runs must be at least 1")
     with tempfile.TemporaryDirectory(prefix="lobelia-speed-") as home:
         if options.kind == "growth":
             growth(options, Path(home))

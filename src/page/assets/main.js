@@ -255,11 +255,9 @@ class Page {
     tick(time) {
         this.waiting = false;
         const moving = performance.now() - this.changed < clamp(2 * Math.max(...this.pace.frames.slice(-4)), STILL, LONGEST_STILL);
-        if (this.last !== null) {
-            if (moving) this.pace.moved(time - this.last);
-            else if (this.drawn > 1) this.rested(time - this.last);
-        }
-        this.last = time;
+        // The time since the last tick is that of what it drew.
+        if (this.last !== null) this.drew?.(time - this.last);
+        Object.assign(this, { last: time, drew: null });
         const scale = moving ? this.pace.scale : 1;
         const [width, height] = [this.canvas.clientWidth, this.canvas.clientHeight].map((side) =>
             clamp(Math.round(side * Math.min(window.devicePixelRatio, 2) * scale), 1, 4096));
@@ -277,6 +275,9 @@ class Page {
             this.renderer.sample({ ...this.state, mark: this.settings.region }, camera, jitter);
             this.renderer.present(this.state);
             this.drawn += 1;
+            // The first sample of a picture that stands still may have waited for one of another size.
+            if (this.drawn === 1) this.drew = moving ? (elapsed) => this.pace.moved(elapsed) : null;
+            else if (!moving) this.drew = (elapsed) => this.rested(elapsed);
             this.drawBall(camera);
         }
         if (moving || this.drawn < most) {

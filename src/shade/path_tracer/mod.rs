@@ -355,7 +355,6 @@ impl Path<'_> {
     fn add_background(&mut self, direction: Vec3, pdf: f32, carried: Split) {
         let strategy = self.settings.strategy;
         let (radiance, light_pdf) = self.scene.light.radiance_and_pdf(direction);
-        let light_pdf = if strategy == Strategy::Combined { light_pdf } else { 0.0 };
         let weight = strategy.brdf_weight(light_pdf, pdf);
         if weight > 0.0 {
             self.add(carried.tinted(radiance).scaled(weight));
