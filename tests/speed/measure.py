@@ -97,7 +97,7 @@ def settings(axis, number, home):
     elif axis == "threads":
         threads = number
     if axis == "cells":
-        return SCENES / "photos.ron", {"passes": f"[Shape(levels: [(cells: {number}, steps: 100)])]"}, threads
+        return SCENES / "photos.ron", {"passes": f"[Shape(hollows: false, levels: [(cells: {number}, steps: 100)])]"}, threads
     return SCENES / "quickstart.ron", changes | {"passes": f"[{','.join(passes)}]"}, threads
 
 
