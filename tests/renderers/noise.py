@@ -183,6 +183,9 @@ def main():
     options = parser.parse_args()
     if math.isqrt(options.paths) ** 2 != options.paths:
         parser.error("--paths must be a square number, for Mitsuba's sampler")
+    for path in (Path(options.program), options.saved / "scene.ron", options.map):
+        if not path.is_file():
+            parser.error(f"{path} is not a file")
     specular_of(options.saved / "scene.ron")
     mi.set_variant(options.variant)
     mi.set_log_level(mi.LogLevel.Error)

@@ -26,7 +26,7 @@ SCENES = HERE.parent.parent / "scenes"
 FIT = 'Fit(name: "fit", steps: 200, batch: 4096)'
 FILM = 'Render(name: "picture", render: (views: Named([]), orbit: (frames: 2, size: {size}, format: Mp4)))'
 
-# Numbers of each axis, what is left out by --quick last.
+# Numbers of each axis, ascending; --quick leaves out the last.
 AXES = {
     "lobes": [8, 32, 128, 512],
     "texels": [96**2, 256**2, 512**2, 1024**2, 2048**2],
@@ -177,6 +177,10 @@ def axes(options):
         yield axis, numbers[: max(2, len(numbers) - 1)] if options.quick else numbers
 
 
+def programs_of(options):
+    return [options.program] if options.kind == "growth" else [options.old, options.new]
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     kinds = parser.add_subparsers(dest="kind", required=True)
@@ -194,6 +198,9 @@ def main():
         parser.error(f"unknown axis {', '.join(unknown)}; the axes are {', '.join(AXES)}")
     if options.runs < 1:
         parser.error("--runs must be at least 1")
+    for program in programs_of(options):
+        if not program.is_file():
+            parser.error(f"{program} is not a file; build it with cargo build --release")
     with tempfile.TemporaryDirectory(prefix="lobelia-speed-") as home:
         if options.kind == "growth":
             growth(options, Path(home))
