@@ -1,13 +1,14 @@
 //! What pixels say of the logarithms of amplitudes, specular albedo and roughness, with a factor on the albedo of each patch taken out. Pure kernels.
 
 use crate::light::map_fit::least_squares::{cholesky, solve_factored};
-use crate::math::brdf::Facets;
-use crate::math::published::Lobe;
-use crate::math::shading::{ClosedForm, Lighting, LobeVisibility, ShadePoint, SpecularValue};
+use crate::math::shading::{
+    ClosedForm, Lighting, LobeVisibility, RESPONSE_ROWS, ShadePoint, SpecularValue,
+};
 use crate::sample::observation::Observation;
 use glam::Vec3;
 use rayon::prelude::*;
 use std::collections::HashMap;
+use std::f32::consts::FRAC_1_PI;
 use std::ops::Range;
 
 /// Runs of patches that are summed up on their own, so that the order of the sums does not depend on threads.
@@ -140,10 +141,15 @@ fn sum_run(
         std::array::from_fn(|_| ChannelSums { curvature: vec![0.0; width * width], gradients: Vec::new() });
     for (pixels, cluster) in run {
         let pixels = &patches.pixels[pixels.clone()];
-        let rows: Vec<[Vec<f64>; 3]> = pixels
-            .iter()
-            .map(|&i| row(form, &points[i as usize], specular, lighting, i as usize, &samples[i as usize]))
-            .collect();
+        let of_patch: Vec<ShadePoint> = pixels.iter().map(|&i| points[i as usize]).collect();
+        let each = RESPONSE_ROWS * lighting.lobes.stride();
+        let mut responses = vec![0.0; pixels.len() * each];
+        form.respond(&of_patch, specular, lighting.lobes, &mut responses);
+        let row_of = |(&i, response): (&u32, &[f32])| {
+            row(response, &points[i as usize], lighting, i as usize, &samples[i as usize])
+        };
+        let rows: Vec<[Vec<f64>; 3]> =
+            pixels.iter().zip(responses.chunks_exact(each)).map(row_of).collect();
         for (channel, sums) in sums.iter_mut().enumerate() {
             let rows: Vec<&Vec<f64>> = rows.iter().map(|row| &row[channel]).collect();
             let value = |of: &dyn Fn(&Sample) -> Vec3| -> Vec<f64> {
@@ -160,31 +166,28 @@ fn sum_run(
     sums
 }
 
-/// Derivatives of a pixel, by channel: with respect to the channel's lobes, then to what all channels share. Reflected light counts as known.
+/// Derivatives of a pixel, by channel: with respect to the channel's lobes, then to what all channels share. `response` is that of the point
+/// ([`ClosedForm::respond`]). Reflected light counts as known.
 fn row(
-    form: ClosedForm,
+    response: &[f32],
     point: &ShadePoint,
-    specular: &SpecularValue,
     Lighting { lobes, visibility }: Lighting<'_>,
     index: usize,
     sample: &Sample,
 ) -> [Vec<f64>; 3] {
-    let mut rows: [Vec<f64>; 3] = std::array::from_fn(|_| Vec::with_capacity(lobes.len() + 2));
-    let (parts, around) = LobeVisibility::point(visibility, index, lobes.stride());
-    let facets = Facets { ndf: specular.ndf, roughness: specular.roughness };
-    for i in 0..lobes.len() {
-        let lobe: Lobe<f32> = lobes.get(i);
-        let [diffuse, glossy] =
-            form.shade_pair([point.normal, point.to_viewer], &lobe, point.albedo, specular.albedo, facets);
-        let part = parts.map_or(1.0, |parts| f32::from(parts[i]) / 255.0);
-        for (c, row) in rows.iter_mut().enumerate() {
-            row.push(f64::from((diffuse[c] * part + glossy[c] * around.specular[c]) * sample.weight[c]));
-        }
-    }
-    for (c, row) in rows.iter_mut().enumerate() {
-        row.extend(sample.by_global.map(|by| f64::from(by[c] * sample.weight[c])));
-    }
-    rows
+    let stride = lobes.stride();
+    let (parts, around) = LobeVisibility::point(visibility, index, stride);
+    let (irradiance, glossy) = response.split_at(stride);
+    std::array::from_fn(|c| {
+        let (glossy, diffuse) = (&glossy[c * stride..], point.albedo[c] * FRAC_1_PI);
+        let by_amplitude = |i: usize| {
+            let part = parts.map_or(1.0, |parts| f32::from(parts[i]) / 255.0);
+            let radiance = diffuse * irradiance[i] * part + glossy[i] * around.specular[c];
+            f64::from(radiance * lobes.get(i).amplitude[c] * sample.weight[c])
+        };
+        let by_global = sample.by_global.iter().map(|by| f64::from(by[c] * sample.weight[c]));
+        (0..lobes.len()).map(by_amplitude).chain(by_global).collect()
+    })
 }
 
 /// Adds a patch, without what a factor on its albedo explains.
@@ -291,6 +294,7 @@ impl Posterior {
 mod tests {
     use super::*;
     use crate::math::brdf::Ndf;
+    use crate::math::published::Lobe;
     use crate::math::shading::{Layers, LobeColumns};
     use crate::sample::pixel::{Observed, PixelOf};
     use crate::sample::point::SurfacePoint;
@@ -337,7 +341,9 @@ mod tests {
             weight: Vec3::new(1.0, 1.0, 0.0),
             by_global: [Vec3::splat(7.0), Vec3::splat(9.0)],
         };
-        let rows = row(form, &point, &specular, Lighting::from(&columns), 0, &sample);
+        let mut response = vec![0.0; RESPONSE_ROWS * columns.stride()];
+        form.respond(&[point], &specular, &columns, &mut response);
+        let rows = row(&response, &point, Lighting::from(&columns), 0, &sample);
         for (c, row) in rows[..2].iter().enumerate() {
             let all = f64::from(shaded[0].diffuse[c] + shaded[0].specular[c]);
             assert!((row[..3].iter().sum::<f64>() - all).abs() < 1e-4 * all, "{row:?} {all}");

@@ -1,17 +1,19 @@
 //! Linear solvers of the initialization: for fixed axes and sharpness, radiance is linear in the amplitudes of the lobes, and
 //! for fixed light it is linear in the albedo. Pure kernels; [`crate::fit::initialization`] alternates them.
 
-use crate::math::brdf::Facets;
 use crate::math::published::Lobe;
-use crate::math::shading::{ClosedForm, Layers, Lighting, LobeVisibility, ShadePoint, SpecularValue};
+use crate::math::shading::{
+    ClosedForm, Layers, Lighting, LobeColumns, LobeVisibility, RESPONSE_ROWS, ShadePoint, SpecularValue,
+};
 use crate::sample::observation::Observation;
 use fearless_simd::{Level, dispatch};
 use glam::{DVec3, Vec3};
 use rayon::prelude::*;
+use std::f32::consts::FRAC_1_PI;
 use std::ops::Range;
 
 /// Points that a thread processes at a time; the chunk size of the fixed-order sums.
-const CHUNK: usize = 512;
+const CHUNK: usize = 256;
 
 /// Normal equations of the amplitudes, one system per channel.
 struct NormalEquations {
@@ -110,6 +112,9 @@ pub(crate) fn solve_amplitudes(
     ridge: f64,
 ) -> Vec<Vec3> {
     let lobes = lighting.lobes;
+    let of_unit = |i: usize| Lobe { amplitude: [1.0; 3], ..lobes.get(i) };
+    let unit = LobeColumns::from_lobes((0..lobes.len()).map(of_unit));
+    let lighting = Lighting { lobes: &unit, ..lighting };
     let partial: Vec<NormalEquations> = (0..points.len())
         .into_par_iter()
         .chunks(CHUNK)
@@ -132,24 +137,22 @@ fn accumulate(
     Lighting { lobes, visibility }: Lighting<'_>,
     run: Range<usize>,
 ) -> NormalEquations {
+    let stride = lobes.stride();
     let mut sum = NormalEquations::zeros(lobes.len());
-    let mut rows: [Vec<f32>; 3] = std::array::from_fn(|_| vec![0.0; lobes.len()]);
-    for n in run {
-        let point = &points[n];
-        let (parts, around) = LobeVisibility::point(visibility, n, lobes.stride());
-        let directions = [point.normal, point.to_viewer];
-        let facets = Facets { ndf: specular.ndf, roughness: specular.roughness };
-        for i in 0..lobes.len() {
-            let lobe = Lobe { amplitude: [1.0; 3], ..lobes.get(i) };
-            let [diffuse, glossy] = form.shade_pair(directions, &lobe, point.albedo, specular.albedo, facets);
-            for (c, row) in rows.iter_mut().enumerate() {
-                // The visibility of a lobe approximates the visibility of its specular light, and does not need the amplitudes.
-                row[i] = (diffuse[c] + glossy[c]) * parts.map_or(1.0, |parts| f32::from(parts[i]) / 255.0);
+    let mut responses = vec![0.0; run.len() * RESPONSE_ROWS * stride];
+    form.respond(&points[run.clone()], specular, lobes, &mut responses);
+    let mut row = vec![0.0; lobes.len()];
+    for (n, response) in run.zip(responses.chunks_exact(RESPONSE_ROWS * stride)) {
+        let (parts, around) = LobeVisibility::point(visibility, n, stride);
+        let (irradiance, glossy) = response.split_at(stride);
+        for (c, glossy) in glossy.chunks_exact(stride).enumerate() {
+            let diffuse = points[n].albedo[c] * FRAC_1_PI;
+            // The visibility of a lobe approximates the visibility of its specular light, and does not need the amplitudes.
+            let part = |i: usize| parts.map_or(1.0, |parts| f32::from(parts[i]) / 255.0);
+            for (i, value) in row.iter_mut().enumerate() {
+                *value = (diffuse * irradiance[i] + glossy[i]) * part(i);
             }
-        }
-        for (c, row) in rows.iter().enumerate() {
-            let indirect = point.albedo[c] * around.indirect[c] * std::f32::consts::FRAC_1_PI;
-            sum.add(c, row, (targets[n][c] - indirect).max(0.0));
+            sum.add(c, &row, (targets[n][c] - diffuse * around.indirect[c]).max(0.0));
         }
     }
     sum

@@ -117,6 +117,19 @@ impl ClosedForm {
         slices::shade(self.kernels(specular.ndf), points, specular, lighting.into(), out);
     }
 
+    /// The response of each point to each lobe as if its amplitude were 1 and all of it arrived, at least 0, on this thread alone: of a point
+    /// [`RESPONSE_ROWS`](super::RESPONSE_ROWS) rows of [`LobeColumns::stride`] values: irradiance, then specular radiance in red, green and blue. The albedo
+    /// of the points is not read; the amplitudes of the lobes say only what is negligible.
+    pub fn respond(
+        self,
+        points: &[ShadePoint],
+        specular: &SpecularValue,
+        lobes: &LobeColumns,
+        out: &mut [f32],
+    ) {
+        slices::respond(self.kernels(specular.ndf), points, specular, lobes, out);
+    }
+
     /// Fraction of all pairs whose specular light this form skips, in [0, 1].
     pub fn culled_part(self, points: &[ShadePoint], specular: &SpecularValue, lobes: &LobeColumns) -> f64 {
         slices::culled_part(self.kernels(specular.ndf), points, specular, lobes)

@@ -5,6 +5,7 @@ use super::adjoint::adjoint_chunk;
 use super::blocks::prepare_lobes;
 use super::forward::shade_chunk;
 use super::prepared::{Chunk, Shared};
+use super::respond::respond_chunk;
 use super::walk::count_kept;
 use crate::brdf::SpecularValue;
 use crate::columns::LobeColumns;
@@ -36,6 +37,8 @@ pub(crate) trait Kernels: Sync {
         out: &mut [PointAdjoint],
         partial: &mut [Row],
     );
+    /// Responses of points to each lobe of unit amplitude.
+    fn respond(&self, inputs: Inputs<'_>, points: &[ShadePoint], out: &mut [f32]);
     /// Number of pairs whose specular part is evaluated; `None` if the form evaluates all.
     fn count_kept(&self, inputs: Inputs<'_>, points: &[ShadePoint]) -> Option<usize>;
 }
@@ -69,6 +72,11 @@ impl<M: PairModel> Kernels for Loops<M> {
     ) {
         let shared = self.shared(inputs);
         dispatch!(simd => adjoint_chunk(simd, &shared, chunk, radiance, out, partial));
+    }
+
+    fn respond(&self, inputs: Inputs<'_>, points: &[ShadePoint], out: &mut [f32]) {
+        let shared = self.shared(inputs);
+        dispatch!(simd => respond_chunk(simd, &shared, points, out));
     }
 
     fn count_kept(&self, inputs: Inputs<'_>, points: &[ShadePoint]) -> Option<usize> {

@@ -16,6 +16,7 @@ mod light;
 mod limits;
 mod loops;
 mod prepared;
+mod respond;
 mod slices;
 mod walk;
 
@@ -29,4 +30,5 @@ pub use crate::columns::{LOBE_COLUMNS, LobeColumns, SharedGradient};
 pub use crate::lighting::{Lighting, LobeVisibility, PointVisibility};
 pub use crate::sample::{Layers, PointAdjoint, RadianceAdjoint, RadianceColumns, ShadePoint};
 pub use closed_form::{ClosedForm, Scalar};
+pub use respond::RESPONSE_ROWS;
 pub use slices::{shade_adjoint_with, shade_with};

@@ -2,6 +2,7 @@
 
 use super::loops::{Inputs, Kernels, Loops};
 use super::prepared::Chunk;
+use super::respond::RESPONSE_ROWS;
 use crate::brdf::SpecularValue;
 use crate::columns::{LOBE_COLUMNS, LobeColumns, SharedGradient};
 use crate::lanes::Row;
@@ -98,6 +99,21 @@ pub(crate) fn shade_adjoint(
             kernels.pull_back(inputs, chunk, RadianceColumns { shaded, adjoint }, out, partial);
         });
     gradient.sum_in_order(partial, rows, lighting.lobes.len());
+    SCRATCH.set(scratch);
+}
+
+/// Responses of points to each lobe, on this thread alone; see [`ClosedForm::respond`](super::ClosedForm::respond).
+pub(crate) fn respond(
+    kernels: &dyn Kernels,
+    points: &[ShadePoint],
+    specular: &SpecularValue,
+    lobes: &LobeColumns,
+    out: &mut [f32],
+) {
+    assert_eq!(points.len() * RESPONSE_ROWS * lobes.stride(), out.len(), "four rows of lobes per point");
+    let mut scratch = SCRATCH.take();
+    kernels.prepare_lobes(lobes, &mut scratch.0);
+    kernels.respond(Inputs { specular, lobes: &scratch.0 }, points, out);
     SCRATCH.set(scratch);
 }
 

@@ -6,6 +6,7 @@ use crate::lobe::Lobe;
 use crate::published::oracle::{forward, gradient};
 use crate::real::add;
 use rand::{SeedableRng, rngs::SmallRng};
+use std::f32::consts::PI;
 
 fn narrow(v: [f64; 3]) -> [f32; 3] {
     v.map(|x| x as f32)
@@ -104,6 +105,47 @@ fn slices_agree_with_the_sum_of_pairs_in_f64() {
             let sum = |layer: fn(&Case) -> [f64; 3]| case.iter().map(|k| layer(k)[c]).sum::<f64>().max(0.0);
             close("diffuse", out.diffuse[c], sum(|k| forward(k).0), 1.0);
             close("specular", out.specular[c], sum(|k| forward(k).1), 1.0);
+        }
+    }
+}
+
+#[test]
+fn responses_agree_with_those_of_pairs_of_unit_amplitude() {
+    let cases = cases(37, 21);
+    let (points, specular, lobes) = inputs(&cases);
+    let stride = lobes.stride();
+    for (form, ndf) in [
+        (ClosedForm::Published, Ndf::Sg),
+        (ClosedForm::default(), Ndf::Sg),
+        (ClosedForm::default(), Ndf::Ggx),
+    ] {
+        let specular = SpecularValue { ndf, ..specular };
+        let mut out = vec![f32::NAN; points.len() * RESPONSE_ROWS * stride];
+        form.respond(&points, &specular, &lobes, &mut out);
+        let mut shaded = vec![Layers::default(); points.len()];
+        form.shade(&points, &specular, &lobes, &mut shaded);
+        for ((point, rows), layers) in points.iter().zip(out.chunks_exact(RESPONSE_ROWS * stride)).zip(&shaded)
+        {
+            let sum = |row: usize, c: usize| -> f64 {
+                let radiance = |i: usize| f64::from(lobes.get(i).amplitude[c] * rows[row * stride + i]);
+                (0..lobes.len()).map(radiance).sum()
+            };
+            for c in 0..3 {
+                close("sum", layers.specular[c], sum(1 + c, c), 1.0);
+                close("sum", layers.diffuse[c] * PI / point.albedo[c], sum(0, c), 1.0);
+            }
+            for i in 0..lobes.len() {
+                let one = Lobe { amplitude: [1.0; 3], ..lobes.get(i) };
+                let (facets, white) = (Facets { ndf, roughness: specular.roughness }, [1.0; 3]);
+                let directions = [point.normal, point.to_viewer];
+                let [diffuse, glossy] = form.shade_pair(directions, &one, white, specular.albedo, facets);
+                close("irradiance", rows[i], f64::from(diffuse[0] * PI), 1.0);
+                // What is negligible is left out.
+                let kept = |c: &usize| rows[(1 + c) * stride + i] != 0.0;
+                for c in (0..3).filter(kept) {
+                    close("specular", rows[(1 + c) * stride + i], f64::from(glossy[c]), 1.0);
+                }
+            }
         }
     }
 }
