@@ -35,6 +35,7 @@
 //! | [`mesh`], [`sdf`] | surfaces: triangles with a texel atlas; signed distance fields |
 //! | [`light`] | lobes, environment maps, named lights, and maps fitted by lobes |
 //! | [`material`] | texels, base materials, edits, and the material that is shown |
+//! | [`jobs`] | many objects and frames as units of their own |
 //! | [`spawn`] | from a scene, or from values in code, to entities |
 //! | [`pipeline`] | phases, stages, slots, plugins, and pools of entities as slices |
 //! | [`profile`] | where the time of a run goes |
@@ -73,6 +74,7 @@ pub mod codec;
 pub mod dataset;
 pub mod error;
 pub mod fit;
+pub mod jobs;
 pub mod light;
 pub mod material;
 pub mod mesh;

@@ -23,6 +23,8 @@ pub struct Film {
     scratch: Option<TempDir>,
     size: [u32; 2],
     count: usize,
+    /// Number of the first one, in the names of files.
+    first: usize,
     video: Option<Video>,
 }
 
@@ -50,8 +52,13 @@ impl Film {
 
     /// The file of frame `i`.
     pub(crate) fn path(&self, i: usize) -> Option<PathBuf> {
-        self.folder.as_ref().map(|folder| folder.join(format!("{i:06}.png")))
+        self.folder.as_ref().map(|folder| folder.join(frame_file(self.first + i)))
     }
+}
+
+/// The file of a frame in the folder of its film.
+pub(crate) fn frame_file(frame: usize) -> String {
+    format!("{frame:06}.png")
 }
 
 /// A film that is being made. If it is dropped before [`finish`](Self::finish), the frames that wait are written first.
@@ -74,9 +81,11 @@ impl FilmRecorder {
         Ok(Self::of(Some(scratch.path().to_owned()), Some(scratch)))
     }
 
-    /// A film without frames, whose files stay in `folder`: 000000.png and so on.
-    pub fn kept(folder: PathBuf) -> Self {
-        Self::of(Some(folder), None)
+    /// A film without frames, whose files stay in `folder`: of frame 0, if that is the `first`, 000000.png and so on.
+    pub fn kept(folder: PathBuf, first: usize) -> Self {
+        let mut recorder = Self::of(Some(folder), None);
+        recorder.film.first = first;
+        recorder
     }
 
     /// A film without frames and without files.
@@ -85,7 +94,7 @@ impl FilmRecorder {
     }
 
     fn of(folder: Option<PathBuf>, scratch: Option<TempDir>) -> Self {
-        let film = Film { folder, scratch, size: [0; 2], count: 0, video: None };
+        let film = Film { folder, scratch, size: [0; 2], count: 0, first: 0, video: None };
         Self { writer: None, film, video_fps: None }
     }
 
@@ -216,7 +225,7 @@ mod tests {
     #[test]
     fn frames_stay_if_they_are_to() {
         let folder = tempfile::tempdir().unwrap();
-        let mut recorder = FilmRecorder::kept(folder.path().join("frames"));
+        let mut recorder = FilmRecorder::kept(folder.path().join("frames"), 0);
         (0..2).for_each(|i| recorder.push(frame(i)).unwrap());
         drop(recorder.finish().unwrap());
         for i in 0..2 {
@@ -243,7 +252,7 @@ mod tests {
         // A file where the folder should be.
         let path = folder.path().join("frames");
         std::fs::write(&path, "x").unwrap();
-        let mut recorder = FilmRecorder::kept(path);
+        let mut recorder = FilmRecorder::kept(path, 0);
         let told = (0..8).try_for_each(|i| recorder.push(frame(i))).and_then(|()| recorder.finish());
         assert!(told.unwrap_err().to_string().contains("frames"));
     }

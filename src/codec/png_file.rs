@@ -149,7 +149,7 @@ impl PngRows<'_> {
 ///
 /// # Errors
 /// [`Error::Io`] if the file cannot be opened, [`Error::Run`] if it is another or a damaged one.
-pub(super) fn read_rgb8(path: &Path) -> Result<RgbImage> {
+pub(crate) fn read_rgb8(path: &Path) -> Result<RgbImage> {
     let failed = |problem: String| Error::run(format!("reading {}", path.display()), problem);
     let file = file::DiskFile::open(path).map_err(Error::io("read", path))?;
     let mut reader =

@@ -1,5 +1,6 @@
 //! What can be typed after `lobelia`: arguments, their help, and the values that are refused.
 
+use super::list::{LIST_EXAMPLES, LIST_LONG, ListArgs};
 use super::prepare_args::{NewArgs, PREPARE_EXAMPLES, PREPARE_LONG, PrepareArgs};
 use super::report_args::{REPORT_LONG, ReportArgs};
 use super::run_args::{RUN_LONG, RunArgs, SceneArgs};
@@ -99,6 +100,9 @@ pub enum Command {
     /// Write a page that shows a run, or sets several side by side: scores, views, curves
     #[command(long_about = REPORT_LONG)]
     Report(ReportArgs),
+    /// Name the units of many objects or frames, for what runs jobs on many machines
+    #[command(long_about = LIST_LONG, after_long_help = LIST_EXAMPLES)]
+    List(ListArgs),
     /// Compare two images, or the images of two folders by name: PSNR and SSIM in linear light
     Eval(EvalArgs),
     /// Shade a table of single points and add `diffuse` and `specular` to each case

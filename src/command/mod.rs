@@ -3,7 +3,7 @@
 //! | file | holds |
 //! | --- | --- |
 //! | [`args`], [`run_args`], [`prepare_args`], [`report_args`], [`view_args`] | arguments and their help |
-//! | [`run`], [`check`], [`prepare`], [`new`], [`eval`], [`view`], [`report`], [`env`], [`bench`], [`shade_cases`] | the commands |
+//! | [`run`], [`check`], [`prepare`], [`new`], [`eval`], [`view`], [`report`], [`list`], [`env`], [`bench`], [`shade_cases`] | the commands |
 //! | [`live`] | the page of a run that is at work |
 //! | [`terminal`] | bars, notes and results |
 //! | [`error_message`] | how an error is drawn |
@@ -16,6 +16,7 @@ mod env;
 mod error_message;
 mod eval;
 mod json_log;
+mod list;
 mod live;
 mod new;
 mod output_checks;
@@ -67,6 +68,7 @@ fn dispatch(command: &Command) -> Result<()> {
         Command::Check(args) => check::run(args),
         Command::Prepare(args) => prepare::run(args),
         Command::New(args) => new::run(args),
+        Command::List(args) => list::run(args),
         Command::Eval(args) => eval::run(args),
         Command::View(args) => view::run(args),
         Command::Report(args) => report::run(args),

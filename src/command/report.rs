@@ -4,10 +4,13 @@ use super::output_checks::refuse_foreign;
 use super::report_args::ReportArgs;
 use super::terminal::print;
 use lobelia::codec::file::write_bytes;
+use lobelia::jobs::merge;
 use lobelia::pass::summary::read_run;
 use lobelia::report::html::data::RunReport;
 use lobelia::report::html::{REPORT, SIGNATURE, html};
 use lobelia::{Error, Result};
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
 use std::path::{Component, Path, PathBuf};
 
 /// Runs the command.
@@ -18,6 +21,13 @@ pub fn run(args: &ReportArgs) -> Result<()> {
         (None, _) => PathBuf::from(REPORT),
     };
     refuse_foreign(&page, SIGNATURE)?;
+    if let [out] = args.runs.as_slice()
+        && !out.join("run.json").exists()
+        && out.is_dir()
+        && let units @ [_, ..] = merge::units(out)?.as_slice()
+    {
+        return write_units(out, &page, units.to_vec());
+    }
     if page.is_dir() {
         let problem = format!("--out {}: it is a folder", page.display());
         return Err(Error::usage(problem, "Give the file to write, as --out report.html."));
@@ -27,6 +37,22 @@ pub fn run(args: &ReportArgs) -> Result<()> {
     let text = html(&runs)?;
     write_bytes(&page, text.as_bytes())?;
     print(&format!("{}: {:.1} MiB\n", page.display(), text.len() as f64 / 1_048_576.0))
+}
+
+/// What many units have come to.
+fn write_units(out: &Path, page: &Path, units: Vec<merge::UnitRow>) -> Result<()> {
+    let merged = merge::merge(out, units)?;
+    write_bytes(page, merged.page.as_bytes())?;
+    let mut text = String::new();
+    let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
+    merged.units.iter().for_each(|(_, outcome)| *counts.entry(outcome.state.as_str()).or_default() += 1);
+    let states: Vec<String> = counts.iter().map(|(state, count)| format!("{count} {state}")).collect();
+    let _ = writeln!(text, "{} units: {}", merged.units.len(), states.join(", "));
+    for (film, there, frames) in &merged.films {
+        let _ = writeln!(text, "{}: {there} of {frames} frames", film.display());
+    }
+    let _ = writeln!(text, "{}, {}", page.display(), out.join(merge::UNITS).display());
+    print(&text)
 }
 
 /// Folders of one name are called by as much of their paths as tells them apart.

@@ -9,12 +9,15 @@ Writes one HTML page that shows a run, or sets several side by side, and needs n
 
 `lobelia run` writes the page of its own run, OUT/report.html, after every pass. Of several runs the page has the
 scores in one table with the differences from the first one, the same views of all runs under one wipe, their curves
-in one chart, and the values in which their scene files differ.";
+in one chart, and the values in which their scene files differ.
+
+Of a folder of units (`lobelia list`) the page has a row for each, beside units.csv; films whose frames are all there
+are joined.";
 
 /// `lobelia report`.
 #[derive(Args, Debug)]
 pub struct ReportArgs {
-    /// The output folders of 1 to 8 runs; the first one is what the others are compared with
+    /// The output folder of units, or those of 1 to 8 runs; the first one is what the others are compared with
     #[arg(value_name = "OUT", required = true, num_args = 1..=8)]
     pub runs: Vec<PathBuf>,
     /// The file to write [default: report.html, in the folder of the run if it is only one]

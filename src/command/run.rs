@@ -8,10 +8,11 @@ use super::signals::stop_on_signals;
 use super::terminal::Terminal;
 use super::threads::start_threads;
 use lobelia::Result;
+use lobelia::jobs;
 use lobelia::pass::memory::usual_budget;
 use lobelia::pass::progress::Progress;
 use lobelia::pass::{self, RunOptions};
-use lobelia::scene::load;
+use lobelia::scene::{LoadedScene, load};
 use std::path::{Path, PathBuf};
 
 /// Runs the command.
@@ -29,8 +30,15 @@ pub fn run(args: &RunArgs) -> Result<()> {
 
 /// Runs the scene, and reports to `shown`.
 fn carry_out(args: &RunArgs, shown: &dyn Progress) -> Result<()> {
-    let loaded = load(&args.scene.scene, &load_options(&args.scene))?;
-    let out = args.out.clone().unwrap_or_else(|| default_out(&args.scene.scene));
+    let mut out = args.out.clone().unwrap_or_else(|| default_out(&args.scene.scene));
+    let loaded = match &args.only {
+        None => load(&args.scene.scene, &load_options(&args.scene))?,
+        Some(name) => {
+            out.push(name);
+            load_unit(args, name)?
+        }
+    };
+    let begun = out.exists();
     start_threads(args.threads)?;
     let memory = args.memory.or_else(usual_budget);
     let arguments = std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()).collect();
@@ -41,7 +49,9 @@ fn carry_out(args: &RunArgs, shown: &dyn Progress) -> Result<()> {
         memory,
         arguments,
         checkpoint: args.checkpoint.0,
-        resume: args.resume,
+        // A unit that was begun goes on.
+        resume: args.resume || (args.only.is_some() && !args.force && begun),
+        begin_again: args.only.is_some(),
         profile: args.profile(),
     };
     stop_on_signals()?;
@@ -50,6 +60,19 @@ fn carry_out(args: &RunArgs, shown: &dyn Progress) -> Result<()> {
     let ended = pass::run(&loaded, &options, &live);
     live.end(&ended);
     ended
+}
+
+/// The scene of a unit, with what the command line adds, and its passes alone.
+fn load_unit(args: &RunArgs, name: &str) -> Result<LoadedScene> {
+    let unit = jobs::find(&args.scene.scene, args.scene.data.as_deref(), name)?;
+    let mut options = load_options(&args.scene);
+    options.sets.splice(0..0, unit.sets);
+    options.data = unit.data;
+    let mut loaded = load(&unit.scene, &options)?;
+    if let Some(only) = unit.pass {
+        loaded.scene.passes.retain(|pass| pass.name() == only);
+    }
+    Ok(loaded)
 }
 
 fn default_out(scene: &Path) -> PathBuf {

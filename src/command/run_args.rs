@@ -60,6 +60,10 @@ pub struct RunArgs {
     /// The output folder [default: out/<name of the scene file>]
     #[arg(long, value_name = "DIR")]
     pub out: Option<PathBuf>,
+    /// SCENE.ron is a folder of scene files, a table objects.csv or the scene file of a film; run this unit of it (`lobelia list` names
+    /// them) in OUT/UNIT: go on with one that was killed, and leave one that has finished [default of --out: out/<name of the folder or file>]
+    #[arg(long, value_name = "UNIT", conflicts_with = "live")]
+    pub only: Option<String>,
     /// Replace the results of an earlier run in the output folder, and nothing else
     #[arg(long)]
     pub force: bool,

@@ -93,14 +93,33 @@ pub(super) struct Turns {
     /// The part of the steps that each has.
     shares: Vec<f64>,
     visits: Vec<u32>,
-    /// Visits until the end of the fit.
-    all_visits: Vec<u32>,
+    /// Pixels visited so far, those that are visited again included.
+    visited: Vec<usize>,
+    /// The same at the end of the fit.
+    all_visited: Vec<usize>,
     /// Whether the shadows of a group are to be found anew.
     stale: Vec<bool>,
-    batch: usize,
+    batch: StepPixels,
     /// Steps between two updates of shadows.
     refresh_every: u32,
     step: u32,
+}
+
+/// How many pixels the steps of a fit visit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct StepPixels {
+    /// The first steps, and how many these are.
+    pub early: (usize, u32),
+    /// Each step after them.
+    pub late: usize,
+}
+
+impl StepPixels {
+    /// Those of a step, from 0.
+    fn of(self, step: u32) -> usize {
+        let (early, steps) = self.early;
+        if step < steps { early } else { self.late }
+    }
 }
 
 /// What a step visits.
@@ -119,7 +138,7 @@ pub(super) struct Turn {
 
 impl Turns {
     /// Before the first step, for the pool of a world whose rows are in the order of their groups.
-    pub fn new(world: &mut World, batch: usize, refresh_every: u32) -> Self {
+    pub fn new(world: &mut World, batch: StepPixels, refresh_every: u32) -> Self {
         let groups = groups_of_views(world);
         let mut counts = vec![0; light_groups(world)];
         let mut rows = world.query_filtered::<&Observation, With<ObservationIndex>>();
@@ -129,7 +148,7 @@ impl Turns {
         Self::of(&counts, batch, refresh_every)
     }
 
-    fn of(counts: &[usize], batch: usize, refresh_every: u32) -> Self {
+    fn of(counts: &[usize], batch: StepPixels, refresh_every: u32) -> Self {
         let total = counts.iter().sum::<usize>().max(1) as f64;
         let least = LEAST_SHARE / counts.len() as f64;
         let share = |count: &usize| if *count > 0 { (*count as f64 / total).max(least) } else { 0.0 };
@@ -141,7 +160,8 @@ impl Turns {
             pools: ends.collect(),
             shares: counts.iter().map(share).collect(),
             visits: vec![0; counts.len()],
-            all_visits: vec![0; counts.len()],
+            visited: vec![0; counts.len()],
+            all_visited: vec![0; counts.len()],
             stale: vec![true; counts.len()],
             batch,
             refresh_every,
@@ -153,7 +173,7 @@ impl Turns {
     pub fn until(self, steps: u32) -> Self {
         let mut end = self.clone();
         (0..steps).for_each(|_| _ = end.next());
-        Self { all_visits: end.visits, ..self }
+        Self { all_visited: end.visited, ..self }
     }
 
     /// The turn of the next step. Every few steps all groups find their shadows anew, each in its next turn.
@@ -161,30 +181,30 @@ impl Turns {
         if self.step.is_multiple_of(self.refresh_every) {
             self.stale.fill(true);
         }
+        let batch = self.batch.of(self.step);
         self.step += 1;
         let due = |group: &usize| f64::from(self.visits[*group] + 1) / self.shares[*group];
         let with_pixels = (0..self.pools.len()).filter(|group| self.shares[*group] > 0.0);
         let group = with_pixels.min_by(|a, b| due(a).total_cmp(&due(b))).unwrap_or(0);
         self.visits[group] += 1;
-        let (pool, visit) = (&self.pools[group], self.visits[group]);
-        let rows = window_of(visit, self.batch, pool.len());
-        let windows = pool.len().div_ceil(self.batch.max(1)) as u32;
+        let (pool, visited) = (&self.pools[group], &mut self.visited[group]);
+        let is_last = *visited + pool.len() >= self.all_visited[group];
+        let rows = window_after(*visited, batch, pool.len());
+        *visited += rows.len();
         Turn {
             group: LightGroup(group as u32),
             rows: pool.start + rows.start..pool.start + rows.end,
             refreshes: std::mem::take(&mut self.stale[group]),
-            visit,
-            is_last: visit + windows > self.all_visits[group],
+            visit: self.visits[group],
+            is_last,
         }
     }
 }
 
-/// Observed pixels that a step visits: contiguous windows of the shuffled pool, in turn; the last one of a pass through the pool may be shorter.
-fn window_of(step: u32, batch: usize, pixels: usize) -> Range<usize> {
-    let batch = batch.clamp(1, pixels.max(1));
-    let windows = pixels.div_ceil(batch).max(1);
-    let start = (step as usize - 1) % windows * batch;
-    start..(start + batch).min(pixels)
+/// Observed pixels that a step visits, after so many: contiguous windows of the shuffled pool, in turn; the last one of a pass through the pool may be shorter.
+fn window_after(visited: usize, batch: usize, pixels: usize) -> Range<usize> {
+    let start = visited % pixels.max(1);
+    start..(start + batch.max(1)).min(pixels)
 }
 
 #[cfg(test)]
@@ -194,9 +214,14 @@ mod tests {
     use crate::light::groups::{lobes_of_group, spawn_group_lights};
     use crate::light::lights::own_lobes;
 
+    /// As many pixels in each step.
+    fn always(pixels: usize) -> StepPixels {
+        StepPixels { early: (pixels, 0), late: pixels }
+    }
+
     #[test]
     fn groups_have_turns_in_proportion_to_their_pixels() {
-        let mut turns = Turns::of(&[6000, 0, 2000], 1000, 50);
+        let mut turns = Turns::of(&[6000, 0, 2000], always(1000), 50);
         let taken: Vec<Turn> = (0..8).map(|_| turns.next()).collect();
         let of = |group: u32| taken.iter().filter(|turn| turn.group == LightGroup(group)).collect::<Vec<_>>();
         assert_eq!((of(0).len(), of(1).len(), of(2).len()), (6, 0, 2));
@@ -204,14 +229,14 @@ mod tests {
         assert_eq!(rows, [0, 1000, 2000, 3000, 4000, 5000]);
         assert_eq!(of(2)[1].rows, 7000..8000);
         // Each group sums up its last visit to all of its pixels.
-        let mut turns = Turns::of(&[6000, 0, 2000], 1000, 50).until(20);
+        let mut turns = Turns::of(&[6000, 0, 2000], always(1000), 50).until(20);
         let last: Vec<Turn> = (0..20).map(|_| turns.next()).filter(|turn| turn.is_last).collect();
         let of = |group: u32| -> Vec<u32> {
             last.iter().filter(|turn| turn.group == LightGroup(group)).map(|turn| turn.visit).collect()
         };
         assert_eq!((of(0), of(2)), (vec![10, 11, 12, 13, 14, 15], vec![4, 5]));
         // A few pixels have some turns.
-        let mut turns = Turns::of(&[990, 10], 100, 50);
+        let mut turns = Turns::of(&[990, 10], always(100), 50);
         let few = (0..80).map(|_| turns.next()).filter(|turn| turn.group == LightGroup(1));
         let few: Vec<Turn> = few.collect();
         assert!((8..=12).contains(&few.len()) && few.iter().all(|turn| turn.rows == (990..1000)), "{few:?}");
@@ -219,16 +244,23 @@ mod tests {
 
     #[test]
     fn each_group_finds_its_shadows_anew_once() {
-        let mut turns = Turns::of(&[500, 500], 100, 4);
+        let mut turns = Turns::of(&[500, 500], always(100), 4);
         let refreshes: Vec<bool> = (0..6).map(|_| turns.next().refreshes).collect();
         assert_eq!(refreshes, [true, true, false, false, true, true]);
     }
 
     #[test]
     fn one_group_visits_the_pool_in_windows() {
-        let mut turns = Turns::of(&[250], 100, 50);
+        let mut turns = Turns::of(&[250], always(100), 50);
         let rows: Vec<Range<usize>> = (0..4).map(|_| turns.next().rows).collect();
         assert_eq!(rows, [0..100, 100..200, 200..250, 0..100]);
+        // The first three steps visit half as many; the last visit to each pixel begins in the window that has it.
+        let grows = StepPixels { early: (50, 3), late: 100 };
+        let mut turns = Turns::of(&[250], grows, 50).until(7);
+        let taken: Vec<Turn> = (0..7).map(|_| turns.next()).collect();
+        let rows: Vec<Range<usize>> = taken.iter().map(|turn| turn.rows.clone()).collect();
+        assert_eq!(rows, [0..50, 50..100, 100..150, 150..250, 0..100, 100..200, 200..250]);
+        assert_eq!(taken.iter().position(|turn| turn.is_last), Some(4));
     }
 
     #[test]

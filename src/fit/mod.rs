@@ -6,6 +6,7 @@
 //! | [`observe`] | the Prepare phase: the pool of observed pixels |
 //! | `initialization` | amplitudes and albedo before the first step, by linear least squares; the frame in which the light stands still, and the specular lobe to begin with |
 //! | [`systems`], [`loss`], [`adam`], [`optimizer`] | the systems of the stages, the image loss, Adam, and what moves in which order |
+//! | `schedule` | rates and pixels of a step |
 //! | [`roughness`] | roughness that varies over the surface |
 //! | [`metal`] | metal beside a dielectric: no diffuse light beneath it |
 //! | [`detail`] | albedo, sheen and tilt of a finer texture, from all pixels |
@@ -36,6 +37,7 @@ pub mod priors;
 pub mod roughness;
 pub mod run;
 pub mod scale;
+pub(crate) mod schedule;
 pub mod sheen;
 pub mod systems;
 

@@ -21,6 +21,7 @@ use super::placements::{PlacementPlugin, TurnSums, placements_turn};
 use super::priors::follow_maps;
 use super::roughness::blend::{BlendAdjoints, TexelPlaces, scatter_to_blends};
 use super::scale::{ScaleMoments, ScaleRule, start_scale};
+use super::schedule::{rates_at, step_pixels};
 use super::systems::{compare_with_photographs, hand_out_gradient, pull_back_radiance, scatter_to_texels};
 use crate::checkpoint::{has_step_ahead, is_due, keep_step, resume_step};
 use crate::error::Result;
@@ -65,6 +66,8 @@ pub struct FitOptions {
     pub asked_after: Option<u32>,
     /// Pixels per step.
     pub batch: usize,
+    /// Part of them that a step visits before the first milestone, while rates are high, in (0, 1].
+    pub early: f32,
     /// Rates of albedo, light and specular material at the first step.
     pub rates: [f32; 3],
     /// Fractions of the fit after which the rates are multiplied by `decay`.
@@ -102,6 +105,7 @@ impl Default for FitOptions {
             done: Done::default(),
             asked_after: None,
             batch: 1024,
+            early: 1.0,
             rates: [0.05, 0.02, 0.01],
             milestones: vec![0.5, 0.75, 0.9],
             decay: 0.4,
@@ -347,7 +351,7 @@ fn fit(
 /// Which photographs each step visits, after so many.
 fn turns_after(world: &mut World, options: &FitOptions, steps: u32) -> Turns {
     let every = refresh_every(world);
-    let mut turns = Turns::new(world, options.batch, every).until(options.steps);
+    let mut turns = Turns::new(world, step_pixels(options), every).until(options.steps);
     (0..steps).for_each(|_| _ = turns.next());
     turns
 }
@@ -466,14 +470,6 @@ fn run_step(pipeline: &mut Pipeline, options: &FitOptions, step: u32, turn: &Tur
     exchange_light(&mut pipeline.world, turn.group);
     ran?;
     end_step(&mut pipeline.world, step)
-}
-
-fn rates_at(step: u32, visit: u32, options: &FitOptions) -> StepRates {
-    let done = (step - 1) as f32 / options.steps as f32;
-    let passed = options.milestones.iter().filter(|m| **m <= done).count();
-    let factor = options.decay.powi(passed as i32);
-    let [albedo, light, specular] = options.rates.map(|rate| rate * factor);
-    StepRates { step, visit, progress: done, albedo, light, specular }
 }
 
 /// A fit of the albedo begins without a tilt, which belongs to the albedo that it was found with, and may have to decide about a sheen.

@@ -28,7 +28,7 @@ impl Time {
     }
 }
 
-/// The cameras of a film's frames.
+/// The cameras of the frames of a film that are rendered.
 ///
 /// # Errors
 /// If a camera cannot be made.
@@ -50,7 +50,7 @@ pub fn cameras(session: &Session, orbit: &Orbit) -> Result<Vec<Camera>> {
         ..Default::default()
     };
     let each = |frame| Ok(Camera::orbit(&placed(base, orbit, Time::of(frame, orbit.frames)))?[0]);
-    (0..orbit.frames).map(each).collect()
+    orbit.rendered().map(each).collect()
 }
 
 /// The orbit of one camera at a time.
@@ -94,7 +94,7 @@ pub(crate) fn show_moment(
         session.pipeline.swap(Phase::Frame, Slot::Light, provide_turned_light(choice, by_map, turn));
     }
     if let Some(sweep) = &orbit.material {
-        if frame == 0 {
+        if frame == orbit.rendered().start {
             session.pipeline.swap(Phase::Frame, Slot::Material, show_edited(pass.name()));
         }
         sweep_material(&mut session.pipeline.world, pass.name(), factors(sweep, time));

@@ -105,6 +105,8 @@ pub struct RunOptions {
     pub checkpoint: Option<Duration>,
     /// Go on with the run in `out`, if there is one that has not finished.
     pub resume: bool,
+    /// With `resume`: a run in `out` that kept no checkpoints begins again, and what it has written goes.
+    pub begin_again: bool,
     /// Whether to measure where the time goes.
     pub profile: Profiling,
 }
@@ -154,7 +156,7 @@ fn run_passes(
     let kept = RunStart::read(&options.out);
     let has_checkpoints = !matches!(kept, Ok(None));
     record::check_used(&options.out, options.force || options.resume, has_checkpoints)?;
-    if options.resume && record::check_resumed(&options.out, loaded, has_checkpoints)? {
+    if options.resume && record::check_resumed(&options.out, loaded, has_checkpoints || options.begin_again)? {
         leave_finished(&options.out, progress);
         return Ok(());
     }

@@ -38,7 +38,7 @@ const FILM: &str = "orbit";
 /// The film as a video.
 const FILM_MP4: &str = "orbit.mp4";
 /// The folder of a film's frames, where they stay.
-const FRAMES: &str = "orbit_frames";
+pub(crate) const FRAMES: &str = "orbit_frames";
 
 /// Runs one of the three passes.
 ///
@@ -90,15 +90,17 @@ fn render_film(
     let folder = session.folder(pass.name());
     let mut film = match orbit.format {
         OrbitFormat::Gif | OrbitFormat::Apng => FilmRecorder::new(&folder)?,
-        OrbitFormat::Frames => FilmRecorder::kept(folder.join(FRAMES)),
+        OrbitFormat::Frames => FilmRecorder::kept(folder.join(FRAMES), orbit.rendered().start as usize),
         OrbitFormat::Mp4 => FilmRecorder::without_files(),
     };
-    if has_frames_of(orbit.sides()) {
+    if orbit.part.is_some() {
+        // Its frames are of a film that is joined later.
+    } else if has_frames_of(orbit.sides()) {
         film = film.with_video(orbit.fps);
     } else {
         session.progress.note("no MP4 has frames as large as these, so there is no orbit.mp4");
     }
-    for (frame, camera) in (0..).zip(cameras) {
+    for (frame, camera) in orbit.rendered().zip(cameras) {
         check_interrupted()?;
         film::show_moment(session, pass, settings, &orbit, frame);
         film.push(film_frame(&mut session.pipeline, *camera, settings)?)?;

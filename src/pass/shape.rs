@@ -195,6 +195,7 @@ fn options(session: &Session, pass: &ShapePass) -> ShapeOptions {
             done: Done::default(),
             asked_after: None,
             batch: pass.batch as usize,
+            early: 1.0,
             rates: [pass.rates.albedo, pass.rates.light, pass.rates.specular],
             milestones: vec![0.6, 0.85],
             decay: 0.4,

@@ -9,6 +9,7 @@ use crate::fit::guard::{check_numbers, check_parameters};
 use crate::fit::observe::PixelChoice;
 use crate::fit::roughness::blend::TexelPlaces;
 use crate::fit::run::{Done, FitOptions, FitProgress, FitSummary, run_fit};
+use crate::fit::schedule::EARLY;
 use crate::math::accurate::Quality;
 use crate::math::shading::ClosedForm;
 use crate::pass::live::Snapshot;
@@ -65,6 +66,7 @@ pub(super) fn options(session: &mut Session, pass: &FitPass, done: Done) -> Resu
         done,
         asked_after: None,
         batch: pass.batch as usize,
+        early: EARLY,
         rates: [pass.rates.albedo, pass.rates.light, pass.rates.specular],
         milestones: pass.milestones.clone(),
         decay: pass.decay,

@@ -18,11 +18,11 @@ pub struct FitPass {
     pub shading: FitShading,
     /// Nodes of `Accurate` shading: `Default` or `High`. Default `Default`.
     pub quality: Quality,
-    /// Number of update steps ≥ 1. Default 1200: with many more, `Published` shading fits the bias of its formulas as well.
+    /// Number of update steps ≥ 1. Default 800: with many more, `Published` shading fits the bias of its formulas as well.
     pub steps: u32,
     /// Most pixels that are visited ≥ 1; a random part of more. Default 2 000 000.
     pub max_pixels: u32,
-    /// Pixels per step ≥ 1. Default 6144.
+    /// Pixels per step ≥ 1; half as many before the first milestone. Default 6144.
     pub batch: u32,
     /// Adam's step sizes.
     pub rates: Rates,
@@ -49,7 +49,7 @@ impl Default for FitPass {
             loss: Loss::L1,
             shading: FitShading::Accurate,
             quality: Quality::Default,
-            steps: 1200,
+            steps: 800,
             max_pixels: 2_000_000,
             batch: 6144,
             rates: Rates::default(),
@@ -175,16 +175,16 @@ pub enum FitShading {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Rates {
-    /// Diffuse albedo of the texels, and how base materials blend there. Default 0.02.
+    /// Diffuse albedo of the texels, and how base materials blend there. Default 0.03.
     pub albedo: f32,
-    /// Axes, sharpness and amplitudes of the light lobes. Default 0.02.
+    /// Axes, sharpness and amplitudes of the light lobes. Default 0.1.
     pub light: f32,
-    /// Specular albedo and roughness. Default 0.01.
+    /// Specular albedo and roughness. Default 0.02.
     pub specular: f32,
 }
 
 impl Default for Rates {
     fn default() -> Self {
-        Self { albedo: 0.02, light: 0.02, specular: 0.01 }
+        Self { albedo: 0.03, light: 0.1, specular: 0.02 }
     }
 }

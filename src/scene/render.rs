@@ -4,6 +4,7 @@ use crate::math::accurate::Quality;
 use crate::report::tone::Tone;
 use crate::scene::film::{LightSweep, MaterialSweep, OrbitKey};
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 
 /// Which pictures are rendered, and how.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -107,6 +108,9 @@ pub struct Orbit {
     pub light: Option<LightSweep>,
     /// The material changes over the frames. Default: it stays as it is.
     pub material: Option<MaterialSweep>,
+    /// The first frame that is rendered, from 0, and how many are, of a film that several runs share (`lobelia list`): without a film of
+    /// the part. Default: all.
+    pub part: Option<(u32, u32)>,
 }
 
 impl Default for Orbit {
@@ -124,11 +128,17 @@ impl Default for Orbit {
             keys: Vec::new(),
             light: None,
             material: None,
+            part: None,
         }
     }
 }
 
 impl Orbit {
+    /// The frames that are rendered.
+    pub fn rendered(&self) -> Range<u32> {
+        self.part.map_or(0..self.frames, |(first, count)| first..(first + count).min(self.frames))
+    }
+
     /// Width and height in pixels.
     pub fn sides(&self) -> [u32; 2] {
         [self.width, self.height].map(|side| side.unwrap_or(self.size))

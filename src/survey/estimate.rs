@@ -4,7 +4,7 @@
 //! | --- | --- | --- |
 //! | photographs | pixels around the object × `PHOTOGRAPH_BYTES` | pixels × `DECODE_NANOS` |
 //! | texels | texels × `TEXEL_BYTES` | |
-//! | `Fit` | `FIT_BYTES` + pixels in the pool × `POOL_BYTES` + texels × `FIT_TEXEL_BYTES` | steps × batch × lobes × `FIT_PAIR_NANOS` + pixels in the pool × `FIT_START_NANOS` |
+//! | `Fit` | `FIT_BYTES` + pixels in the pool × `POOL_BYTES` + texels × `FIT_TEXEL_BYTES` | steps × batch, half of it before the first milestone, × lobes × `FIT_PAIR_NANOS` + pixels in the pool × `FIT_START_NANOS` |
 //! | `Fit(detail: true)` | the same + `DETAIL_BYTES` + pixels × `DETAIL_PIXEL_BYTES` | three times as long + pixels × `DETAIL_PIXEL_NANOS` |
 //! | `Shape` | pixels in the pool × `POOL_BYTES` + cells³ × `CELL_BYTES` | steps × batch × `SHAPE_PIXEL_NANOS` |
 //! | its mesh | cells² × `MESH_BYTES` | |
@@ -20,6 +20,7 @@ use crate::codec::animation::film_bytes;
 use crate::fit::detail::equations::TexelEquations;
 use crate::fit::detail::kept::KeptPixel;
 use crate::fit::detail::{MOST_PIXELS, finest_side};
+use crate::fit::schedule::EARLY;
 use crate::math::statistics::median;
 use crate::sample::observation::{Observation, ObservationIndex};
 use crate::scene::{
@@ -299,7 +300,8 @@ impl Task<'_> {
     }
 
     fn fit(&self, fit: &FitPass) -> PartEstimate {
-        let pairs = f64::from(fit.steps) * f64::from(fit.batch) * self.lobes();
+        let early = f64::from(fit.milestones.first().copied().unwrap_or(1.0) * (1.0 - EARLY));
+        let pairs = f64::from(fit.steps) * (1.0 - early) * f64::from(fit.batch) * self.lobes();
         let bytes = FIT_BYTES + self.pool(fit.max_pixels) * POOL_BYTES + self.texels() * FIT_TEXEL_BYTES;
         let start = self.pool(fit.max_pixels) * FIT_START_NANOS;
         if !fit.detail {

@@ -1,9 +1,7 @@
 //! What pixels say of the logarithms of amplitudes, specular albedo and roughness, with a factor on the albedo of each patch taken out. Pure kernels.
 
 use crate::light::map_fit::least_squares::{cholesky, solve_factored};
-use crate::math::shading::{
-    ClosedForm, Lighting, LobeVisibility, RESPONSE_ROWS, ShadePoint, SpecularValue,
-};
+use crate::math::shading::{ClosedForm, Lighting, LobeVisibility, RESPONSE_ROWS, ShadePoint, SpecularValue};
 use crate::sample::observation::Observation;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -148,8 +146,7 @@ fn sum_run(
         let row_of = |(&i, response): (&u32, &[f32])| {
             row(response, &points[i as usize], lighting, i as usize, &samples[i as usize])
         };
-        let rows: Vec<[Vec<f64>; 3]> =
-            pixels.iter().zip(responses.chunks_exact(each)).map(row_of).collect();
+        let rows: Vec<[Vec<f64>; 3]> = pixels.iter().zip(responses.chunks_exact(each)).map(row_of).collect();
         for (channel, sums) in sums.iter_mut().enumerate() {
             let rows: Vec<&Vec<f64>> = rows.iter().map(|row| &row[channel]).collect();
             let value = |of: &dyn Fn(&Sample) -> Vec3| -> Vec<f64> {

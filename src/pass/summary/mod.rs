@@ -4,10 +4,14 @@
 //! | module | holds |
 //! | --- | --- |
 //! | `pictures` | pictures of the folder as `data:` addresses, within a budget |
+//! | `outcome` | a run in a row |
 //! | `findings` | lights, textures and what the fits found |
 
 mod findings;
+mod outcome;
 mod pictures;
+
+pub use outcome::{Outcome, read_outcome};
 
 use crate::codec::file::{MOST_TEXT, is_there, read_text, write_bytes};
 use crate::error::{Error, Result};

@@ -333,6 +333,18 @@ fn render(checks: &mut Checks, at: &str, render: &RenderSettings, views: &Views)
 fn orbit(checks: &mut Checks, at: &str, orbit: &Orbit) {
     let path = |field: &str| format!("{at}.{field}");
     checks.count(&path("frames"), orbit.frames, 1..=10_000);
+    if let Some((first, count)) = orbit.part
+        && (count == 0 || first.checked_add(count).is_none_or(|end| end > orbit.frames))
+    {
+        let expected =
+            format!("expected frames from 0 to {}, and at least one", orbit.frames.saturating_sub(1));
+        checks.fail(
+            &path("part"),
+            format!("({first}, {count}) is no part of the film"),
+            expected,
+            "Give the first frame and how many, e.g. (0, 24).",
+        );
+    }
     checks.number(&path("elevation_degrees"), orbit.elevation_degrees, -89.0..=89.0);
     if let Some(radius) = orbit.radius {
         checks.distance(&path("radius"), radius);

@@ -43,12 +43,7 @@ pub fn respond_chunk<S: Simd, M: PairModel>(
 
 /// Weighs the specular terms of each channel; nothing is negative.
 #[inline(always)]
-fn combine<M: PairModel>(
-    rows: &[f32],
-    weights: &M::Specular<Vec3Of<f32>>,
-    stride: usize,
-    out: &mut [f32],
-) {
+fn combine<M: PairModel>(rows: &[f32], weights: &M::Specular<Vec3Of<f32>>, stride: usize, out: &mut [f32]) {
     let (irradiance, specular) = out.split_at_mut(stride);
     irradiance.iter_mut().zip(rows).for_each(|(out, value)| *out = value.max(0.0));
     for (c, out) in specular.chunks_exact_mut(stride).enumerate() {

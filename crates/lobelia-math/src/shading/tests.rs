@@ -124,7 +124,8 @@ fn responses_agree_with_those_of_pairs_of_unit_amplitude() {
         form.respond(&points, &specular, &lobes, &mut out);
         let mut shaded = vec![Layers::default(); points.len()];
         form.shade(&points, &specular, &lobes, &mut shaded);
-        for ((point, rows), layers) in points.iter().zip(out.chunks_exact(RESPONSE_ROWS * stride)).zip(&shaded)
+        for ((point, rows), layers) in
+            points.iter().zip(out.chunks_exact(RESPONSE_ROWS * stride)).zip(&shaded)
         {
             let sum = |row: usize, c: usize| -> f64 {
                 let radiance = |i: usize| f64::from(lobes.get(i).amplitude[c] * rows[row * stride + i]);

@@ -1,0 +1,113 @@
+//! Many objects and frames: units, whatever runs them, and what they come to.
+
+use crate::common::{Data, Outcome, command};
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+/// A gray sphere under a lamp, and a film of it.
+const SCENE: &str = r#"Scene(
+    version: 1,
+    surface: Sphere(texture_size: 16),
+    views: Cameras([(name: "a", eye: (0, 0, 3), width: 16, height: 16)]),
+    light: Fixed(Lobes(lobes: [(axis: (1, 0.2, 0.5), sharpness: 4, amplitude: (1, 1, 1))])),
+    material: (albedo: Fixed(Constant(0.5, 0.5, 0.5)), specular: (albedo: Fixed(0.1, 0.1, 0.1), roughness: Fixed(0.3))),
+    passes: [
+        Render(name: "still"),
+        Render(name: "turn", render: (orbit: (frames: 7, size: 32, fps: 10, light: (), material: (roughness: (0.5, 2.0))))),
+    ],
+)"#;
+
+/// A folder with the scene file, and a table of two objects.
+fn jobs() -> (Data, PathBuf, PathBuf) {
+    let data = Data::new();
+    let (scene, table) = (data.path("turn.ron"), data.path("objects.csv"));
+    fs::write(&scene, SCENE).unwrap();
+    fs::write(&table, "scene,name,passes.still.render.exposure\nturn.ron,vase,1.5\nturn.ron,jug,\n").unwrap();
+    (data, scene, table)
+}
+
+fn list(jobs: &Path, frames: &str) -> Vec<String> {
+    let listed = Outcome::of(command(&["list", "--frames", frames]).arg(jobs));
+    listed.succeeded().stdout.lines().map(str::to_owned).collect()
+}
+
+fn run_unit(jobs: &Path, unit: &str, out: &Path) -> Outcome {
+    Outcome::of(command(&["run", "--quiet", "--only", unit]).arg(jobs).arg("--out").arg(out))
+}
+
+#[test]
+fn frames_are_units_and_join_to_the_same_film() {
+    let (data, scene, _) = jobs();
+    let units = list(&scene, "3");
+    assert_eq!(units, ["turn_000000-000002", "turn_000003-000005", "turn_000006-000006"]);
+    let out = data.path("parts");
+    for unit in &units[1..] {
+        run_unit(&scene, unit, &out).succeeded();
+    }
+    let early = Outcome::of(command(&["report"]).arg(&out)).succeeded();
+    assert!(early.stdout.contains("4 of 7 frames"), "{}", early.stdout);
+    assert!(!out.join("turn.mp4").exists());
+    // Twice is as once.
+    let frame = out.join("turn_000003-000005/turn/orbit_frames/000004.png");
+    let before = fs::metadata(&frame).unwrap().modified().unwrap();
+    run_unit(&scene, &units[1], &out).succeeded();
+    assert_eq!(fs::metadata(&frame).unwrap().modified().unwrap(), before);
+    run_unit(&scene, &units[0], &out).succeeded();
+    Outcome::of(command(&["report"]).arg(&out)).succeeded();
+    Outcome::of(command(&["run", "--quiet"]).arg(&scene).arg("--out").arg(data.path("whole"))).succeeded();
+    let film = |path: PathBuf| fs::read(path).unwrap();
+    assert!(film(out.join("turn.mp4")) == film(data.path("whole/turn/orbit.mp4")), "the films differ");
+    assert!(!out.join(&units[0]).join("still").exists(), "a unit of a film runs its pass alone");
+}
+
+#[test]
+fn make_runs_all_units_and_goes_on_after_a_kill() {
+    let (data, _, table) = jobs();
+    assert_eq!(list(&table, "3"), ["vase", "jug"]);
+    if Command::new("make").arg("--version").stdout(Stdio::null()).status().is_err() {
+        eprintln!("make is not installed: units are not run by it");
+        return;
+    }
+    let out = data.path("out");
+    // A unit that was killed while it ran: its record says so.
+    run_unit(&table, "vase", &out).succeeded();
+    let record = out.join("vase/run.json");
+    let killed =
+        fs::read_to_string(&record).unwrap().replacen("\"state\": \"finished\"", "\"state\": \"running\"", 1);
+    fs::write(&record, killed).unwrap();
+    fs::remove_dir_all(out.join("vase/still")).unwrap();
+    let makefile = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/jobs/Makefile");
+    let variable = |name: &str, path: &Path| format!("{name}={}", path.display());
+    let mut make = Command::new("make");
+    make.arg("-j2").arg("-f").arg(makefile).arg(variable("JOBS", &table)).arg(variable("OUT", &out));
+    make.arg(variable("LOBELIA", Path::new(env!("CARGO_BIN_EXE_lobelia")))).arg("THREADS=1");
+    let made = Outcome::of(&mut make);
+    made.succeeded();
+    let units = fs::read_to_string(out.join("units.csv")).unwrap();
+    assert!(units.contains("jug,finished") && units.contains("vase,finished"), "{units}");
+    assert!(out.join("vase/still/a.png").exists());
+}
+
+#[test]
+fn what_is_wrong_is_named() {
+    let (data, scene, table) = jobs();
+    let refused = |args: &[&str], jobs: &Path, words: &[&str]| {
+        let outcome = Outcome::of(command(args).arg(jobs));
+        assert_eq!(outcome.code, Some(2), "{}", outcome.stderr);
+        words.iter().for_each(|word| assert!(outcome.stderr.contains(word), "{word}: {}", outcome.stderr));
+    };
+    refused(&["run", "--only", "cup"], &table, &["--only cup", "objects.csv", "lobelia list"]);
+    refused(&["run", "--only", "turn_000005-000009"], &scene, &["turn.ron", "turn_000000-000006"]);
+    refused(&["list"], &data.path("nothing"), &["nothing", "no such file"]);
+    let out = data.path("out");
+    let set = "passes.turn.render.orbit.part=(5, 3)";
+    let outcome = Outcome::of(command(&["run", "--set", set]).arg(&scene).arg("--out").arg(&out));
+    assert!(outcome.code == Some(2) && outcome.stderr.contains("frames from 0 to 6"), "{}", outcome.stderr);
+    let fits = SCENE
+        .replace("Render(name: \"still\")", "Fit(name: \"still\")")
+        .replace("albedo: Fixed(Constant(0.5, 0.5, 0.5))", "albedo: Unknown(0.5, 0.5, 0.5)");
+    fs::write(data.path("fits.ron"), fits).unwrap();
+    refused(&["list"], &data.path("fits.ron"), &["fits.ron"]);
+    assert!(!out.exists());
+}
