@@ -80,7 +80,8 @@ impl LobeColumns {
         Lobe { axis: [at(0), at(1), at(2)], sharpness: at(3), amplitude: [at(4), at(5), at(6)] }
     }
 
-    fn set(&mut self, i: usize, lobe: &Lobe<f32>) {
+    /// Sets the values of lobe `i`.
+    pub fn set(&mut self, i: usize, lobe: &Lobe<f32>) {
         let [x, y, z] = lobe.axis;
         let [r, g, b] = lobe.amplitude;
         for (c, value) in [x, y, z, lobe.sharpness, r, g, b].into_iter().enumerate() {

@@ -1,0 +1,58 @@
+//! What can go wrong.
+
+use lobelia_math::brdf::Ndf;
+use lobelia_math::shading::ClosedForm;
+use thiserror::Error;
+
+/// Why there is no result from a GPU.
+#[derive(Clone, Debug, PartialEq, Error)]
+#[non_exhaustive]
+pub enum GpuError {
+    /// No adapter can run the kernels.
+    #[error(
+        "no GPU adapter is there that can compute; install a Vulkan driver (Debian: mesa-vulkan-drivers, which also has one in software)"
+    )]
+    NoAdapter,
+    /// No adapter has this in its name.
+    #[error("no GPU adapter has \"{wanted}\" in its name; there are: {}", found.join(", "))]
+    NoSuchAdapter {
+        /// What was searched for.
+        wanted: String,
+        /// The names of the adapters that can compute.
+        found: Vec<String>,
+    },
+    /// The adapter gives no device, or the device failed.
+    #[error("the GPU \"{name}\" failed: {cause}")]
+    Failed {
+        /// Name of the adapter.
+        name: String,
+        /// What `wgpu` says.
+        cause: String,
+    },
+    /// A closed form and distribution of normals without kernels.
+    #[error("{form:?} shading with the {ndf:?} distribution is not on the GPU; shade on the CPU")]
+    Unsupported {
+        /// The closed form.
+        form: ClosedForm,
+        /// The distribution of microfacet normals.
+        ndf: Ndf,
+    },
+    /// A slice whose length does not fit the points.
+    #[error("{what}: {found} values, where the points need {expected}")]
+    Length {
+        /// Which slice.
+        what: &'static str,
+        /// Its length.
+        found: usize,
+        /// What it should be.
+        expected: usize,
+    },
+    /// More lobes than a buffer holds.
+    #[error("{lobes} lobes are more than the GPU takes; at most {most}")]
+    TooManyLobes {
+        /// Number of lobes.
+        lobes: usize,
+        /// Largest number.
+        most: usize,
+    },
+}

@@ -1,0 +1,33 @@
+//! The closed forms of `lobelia-math` on a GPU, forward and adjoint: loops over points × light lobes in WGSL, run by `wgpu`.
+//!
+//! [`Gpu::shade`] and [`Gpu::shade_adjoint`] mean what
+//! [`ClosedForm::shade`](lobelia_math::shading::ClosedForm::shade) and
+//! [`ClosedForm::shade_adjoint`](lobelia_math::shading::ClosedForm::shade_adjoint) mean, in `f32`. They differ from them by rounding, and
+//! evaluate the specular part of every pair, where the CPU leaves out what is negligible. Sums have a fixed order: on one device, the
+//! same call has the same result every time.
+//!
+//! | module | holds |
+//! | --- | --- |
+//! | `time` | how long a pair takes |
+//! | `shade` | the calls: batches of points, what they read and write |
+//! | `kernels` | the WGSL of a kernel, and pipelines kept between calls |
+//! | `buffers` | buffers kept between calls |
+//! | `device` | adapters, the device and its failures |
+//! | `error` | errors |
+//!
+//! The files `*.wgsl` have the names of the files of `lobelia-math` that they follow.
+
+mod buffers;
+mod device;
+mod error;
+mod kernels;
+mod shade;
+mod time;
+
+#[cfg(test)]
+mod tests;
+
+pub use device::Gpu;
+pub use error::GpuError;
+pub use shade::Adjoints;
+pub use time::time;

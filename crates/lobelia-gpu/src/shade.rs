@@ -1,0 +1,319 @@
+//! The calls: batches of points, what they upload and read back.
+
+use crate::buffers::{Buffers, Slot};
+use crate::device::{Gpu, State};
+use crate::error::GpuError;
+use crate::kernels::{Kernel, Model};
+use bytemuck::cast_slice;
+use lobelia_math::brdf::{Ndf, SpecularAdjoint, SpecularValue};
+use lobelia_math::columns::{LOBE_COLUMNS, LobeColumns, SharedGradient};
+use lobelia_math::lighting::Lighting;
+use lobelia_math::lobe::Lobe;
+use lobelia_math::sample::{Layers, PointAdjoint, RadianceColumns, ShadePoint};
+use lobelia_math::shading::ClosedForm;
+use std::ops::Range;
+
+/// Points of a workgroup.
+const GROUP: usize = 64;
+/// Points of a batch at most.
+const BATCH: usize = 1 << 17;
+/// Bytes of a lobe on the device.
+const LOBE_BYTES: usize = 64;
+/// Values of two vectors of three, each padded to four.
+const TWO_VECTORS: usize = 8;
+/// Workgroups along one axis of a dispatch at most.
+const MOST_GROUPS: usize = 65_535;
+
+/// What [`Gpu::shade_adjoint`] writes.
+#[derive(Debug)]
+pub struct Adjoints<'a> {
+    /// Adjoints of the inputs of each point.
+    pub points: &'a mut [PointAdjoint],
+    /// Gradient with respect to lobes and specular material, summed over points.
+    pub shared: &'a mut SharedGradient,
+}
+
+/// The inputs of a call.
+#[derive(Clone, Copy)]
+struct Job<'a> {
+    gpu: &'a Gpu,
+    model: Model,
+    points: &'a [ShadePoint],
+    specular: &'a SpecularValue,
+    lighting: Lighting<'a>,
+}
+
+impl Gpu {
+    /// Whether [`Gpu::shade`] and [`Gpu::shade_adjoint`] have this closed form with this distribution of normals.
+    pub fn supports(form: ClosedForm, ndf: Ndf) -> bool {
+        Model::of(form, ndf).is_some()
+    }
+
+    /// Radiance of `points` as [`ClosedForm::shade`] computes it; `out` has their length.
+    pub fn shade(
+        &self,
+        form: ClosedForm,
+        points: &[ShadePoint],
+        specular: &SpecularValue,
+        lighting: Lighting<'_>,
+        out: &mut [Layers],
+    ) -> Result<(), GpuError> {
+        let job = Job::new(self, form, points, specular, lighting)?;
+        check_length("radiance", out.len(), points.len())?;
+        self.with_state(|state| {
+            job.upload_lobes(state);
+            for range in job.batches() {
+                let values = job.forward(state, range.clone())?;
+                for (out, value) in out[range].iter_mut().zip(values.chunks_exact(TWO_VECTORS)) {
+                    let [diffuse, specular] = two_vectors(value);
+                    *out = Layers { diffuse, specular };
+                }
+            }
+            Ok(())
+        })
+    }
+
+    /// Propagates the adjoint of the radiance of each point back to the points and to the shared parameters, as
+    /// [`ClosedForm::shade_adjoint`] does. Overwrites `out`, whose points have the length of `points`.
+    pub fn shade_adjoint(
+        &self,
+        form: ClosedForm,
+        points: &[ShadePoint],
+        specular: &SpecularValue,
+        lighting: Lighting<'_>,
+        radiance: RadianceColumns<'_>,
+        out: Adjoints<'_>,
+    ) -> Result<(), GpuError> {
+        let job = Job::new(self, form, points, specular, lighting)?;
+        check_length("radiance", radiance.shaded.len(), points.len())?;
+        check_length("adjoint of the radiance", radiance.adjoint.len(), points.len())?;
+        check_length("adjoints of points", out.points.len(), points.len())?;
+        let mut totals = vec![0.0; job.rows()];
+        self.with_state(|state| {
+            job.upload_lobes(state);
+            for range in job.batches() {
+                let values = job.adjoint(state, range.clone(), radiance)?;
+                let (of_points, sums) = values.split_at(TWO_VECTORS * range.len());
+                for (out, value) in out.points[range].iter_mut().zip(of_points.chunks_exact(TWO_VECTORS)) {
+                    let [albedo, normal] = two_vectors(value);
+                    *out = PointAdjoint { albedo, normal };
+                }
+                for (total, sum) in totals.iter_mut().zip(sums) {
+                    *total += f64::from(*sum);
+                }
+            }
+            Ok(())
+        })?;
+        *out.shared = gradient_of(&totals, lighting.lobes.len());
+        Ok(())
+    }
+}
+
+/// A gradient from seven sums for each lobe, and four for the specular material.
+fn gradient_of(totals: &[f64], count: usize) -> SharedGradient {
+    let mut lobes = LobeColumns::zeros(count);
+    let (of_lobes, material) = totals.split_at(LOBE_COLUMNS * count);
+    let at = |values: &[f64], i: usize| values[i] as f32;
+    for (i, sums) in of_lobes.chunks_exact(LOBE_COLUMNS).enumerate() {
+        let three = |first: usize| std::array::from_fn(|c| at(sums, first + c));
+        lobes.set(i, &Lobe { axis: three(0), sharpness: at(sums, 3), amplitude: three(4) });
+    }
+    let albedo = std::array::from_fn(|c| at(material, c));
+    SharedGradient { lobes, specular: SpecularAdjoint { albedo, roughness: at(material, 3) } }
+}
+
+/// Two vectors from [`TWO_VECTORS`] values.
+fn two_vectors(values: &[f32]) -> [[f32; 3]; 2] {
+    [0, 4].map(|first| std::array::from_fn(|c| values[first + c]))
+}
+
+fn check_length(what: &'static str, found: usize, expected: usize) -> Result<(), GpuError> {
+    if found == expected { Ok(()) } else { Err(GpuError::Length { what, found, expected }) }
+}
+
+/// Values of vectors of three, each padded to four.
+fn padded<const N: usize>(vectors: impl Iterator<Item = [[f32; 3]; N]>) -> Vec<f32> {
+    vectors.flatten().flat_map(|[x, y, z]| [x, y, z, 0.0]).collect()
+}
+
+impl<'a> Job<'a> {
+    fn new(
+        gpu: &'a Gpu,
+        form: ClosedForm,
+        points: &'a [ShadePoint],
+        specular: &'a SpecularValue,
+        lighting: Lighting<'a>,
+    ) -> Result<Self, GpuError> {
+        let ndf = specular.ndf;
+        let model = Model::of(form, ndf).ok_or(GpuError::Unsupported { form, ndf })?;
+        if let Some(visibility) = lighting.visibility {
+            check_length("visibility of points", visibility.points.len(), points.len())?;
+            if !visibility.lobes.is_empty() {
+                let expected = points.len() * lighting.lobes.stride();
+                check_length("visibility of lobes", visibility.lobes.len(), expected)?;
+            }
+        }
+        let (lobes, most) = (lighting.lobes.len(), gpu.most_bytes as usize / LOBE_BYTES);
+        if lobes > most {
+            return Err(GpuError::TooManyLobes { lobes, most });
+        }
+        Ok(Self { gpu, model, points, specular, lighting })
+    }
+
+    /// Number of sums over points.
+    fn rows(&self) -> usize {
+        LOBE_COLUMNS * self.lighting.lobes.len() + 4
+    }
+
+    /// The points in batches whose buffers are not too large. What they are depends on the number of lobes only.
+    fn batches(&self) -> impl Iterator<Item = Range<usize>> + use<> {
+        // Of a workgroup: a row of visibility for each point, and the sums.
+        let bytes = (GROUP * self.lighting.lobes.stride()).max(4 * self.rows());
+        let groups = (self.gpu.most_bytes as usize / bytes).clamp(1, BATCH / GROUP);
+        let (batch, count) = (groups * GROUP, self.points.len());
+        (0..count).step_by(batch).map(move |first| first..count.min(first + batch))
+    }
+
+    fn upload(&self, buffers: &mut Buffers, slot: Slot, bytes: &[u8]) {
+        buffers.reserve(&self.gpu.device, slot, bytes.len() as u64);
+        if let Some(buffer) = buffers.get(slot) {
+            self.gpu.queue.write_buffer(buffer, 0, bytes);
+        }
+    }
+
+    fn upload_lobes(&self, state: &mut State) {
+        let lobes = self.lighting.lobes;
+        let mut values = Vec::with_capacity(lobes.len() * LOBE_BYTES / 4);
+        for i in 0..lobes.len() {
+            let Lobe { axis, sharpness, amplitude } = lobes.get(i);
+            values.extend(axis);
+            values.push(sharpness);
+            values.extend(amplitude);
+            values.push(0.0);
+            values.extend(self.model.lobe_terms(sharpness));
+        }
+        self.upload(&mut state.buffers, Slot::Lobes, cast_slice(&values));
+    }
+
+    /// Uploads what depends on the points of a batch, but for their radiance.
+    fn upload_points(&self, buffers: &mut Buffers, range: Range<usize>) {
+        let points = self.points[range.clone()].iter().map(|p| [p.normal, p.to_viewer, p.albedo]);
+        self.upload(buffers, Slot::Points, cast_slice(&padded(points)));
+        let stride = self.lighting.lobes.stride();
+        let (mut rows, mut around, mut words): (&[u8], _, _) = (&[], Vec::new(), 0);
+        if let Some(visibility) = self.lighting.visibility {
+            around = padded(visibility.points[range.clone()].iter().map(|p| [p.specular, p.indirect]));
+            if !visibility.lobes.is_empty() {
+                rows = &visibility.lobes[range.start * stride..range.end * stride];
+                words = stride / 4;
+            }
+        }
+        self.upload(buffers, Slot::Visible, rows);
+        self.upload(buffers, Slot::Around, cast_slice(&around));
+        let SpecularValue { albedo: [r, g, b], roughness, .. } = *self.specular;
+        let numbers = [range.len(), self.lighting.lobes.len(), words, usize::from(!around.is_empty())];
+        let [n0, n1, n2, n3] = numbers.map(|n| n as u32);
+        let bits = [r, g, b, roughness].map(f32::to_bits);
+        let [b0, b1, b2, b3] = bits;
+        self.upload(buffers, Slot::Call, cast_slice(&[b0, b1, b2, b3, n0, n1, n2, n3]));
+    }
+
+    fn encoder(&self) -> wgpu::CommandEncoder {
+        self.gpu.device.create_command_encoder(&wgpu::CommandEncoderDescriptor::default())
+    }
+
+    /// Runs a kernel with these buffers, in the order of its bindings.
+    fn dispatch(
+        &self,
+        state: &mut State,
+        encoder: &mut wgpu::CommandEncoder,
+        kernel: Kernel,
+        slots: &[Slot],
+        [x, y]: [usize; 2],
+    ) {
+        let pipeline = state.pipelines.get(kernel, &self.gpu.device);
+        let buffers = slots.iter().filter_map(|slot| state.buffers.get(*slot));
+        let entries: Vec<wgpu::BindGroupEntry<'_>> = buffers
+            .zip(0..)
+            .map(|(buffer, binding)| wgpu::BindGroupEntry { binding, resource: buffer.as_entire_binding() })
+            .collect();
+        let group = self.gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: None,
+            layout: &pipeline.get_bind_group_layout(0),
+            entries: &entries,
+        });
+        let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
+        pass.set_pipeline(pipeline);
+        pass.set_bind_group(0, &group, &[]);
+        pass.dispatch_workgroups(x as u32, y as u32, 1);
+    }
+
+    /// Copies `counts` values of each of these buffers to the host, one after another, after the commands of `encoder`.
+    fn read(
+        &self,
+        state: &mut State,
+        mut encoder: wgpu::CommandEncoder,
+        counts: &[(Slot, usize)],
+    ) -> Result<Vec<f32>, GpuError> {
+        let total = counts.iter().map(|(_, count)| count).sum::<usize>();
+        state.buffers.reserve(&self.gpu.device, Slot::Back, 4 * total as u64);
+        let Some(back) = state.buffers.get(Slot::Back) else { return Ok(Vec::new()) };
+        let mut at = 0;
+        for (slot, count) in counts {
+            let bytes = 4 * *count as u64;
+            if let Some(buffer) = state.buffers.get(*slot) {
+                encoder.copy_buffer_to_buffer(buffer, 0, back, at, bytes);
+            }
+            at += bytes;
+        }
+        self.gpu.finish(encoder.finish(), back, total)
+    }
+
+    /// Diffuse and specular radiance of a batch.
+    fn forward(&self, state: &mut State, range: Range<usize>) -> Result<Vec<f32>, GpuError> {
+        let count = TWO_VECTORS * range.len();
+        self.upload_points(&mut state.buffers, range.clone());
+        state.buffers.reserve(&self.gpu.device, Slot::Out, 4 * count as u64);
+        let mut encoder = self.encoder();
+        let slots = [Slot::Call, Slot::Points, Slot::Lobes, Slot::Visible, Slot::Around, Slot::Out];
+        let groups = [range.len().div_ceil(GROUP), 1];
+        self.dispatch(state, &mut encoder, Kernel::Forward(self.model), &slots, groups);
+        self.read(state, encoder, &[(Slot::Out, count)])
+    }
+
+    /// Adjoints of the points of a batch, then sums over them.
+    fn adjoint(
+        &self,
+        state: &mut State,
+        range: Range<usize>,
+        radiance: RadianceColumns<'_>,
+    ) -> Result<Vec<f32>, GpuError> {
+        let (count, groups, rows) = (TWO_VECTORS * range.len(), range.len().div_ceil(GROUP), self.rows());
+        self.upload_points(&mut state.buffers, range.clone());
+        self.upload_adjoint(&mut state.buffers, range, radiance);
+        let size = [rows as u32, groups as u32, 0, 0];
+        self.upload(&mut state.buffers, Slot::Size, cast_slice(&size));
+        for (slot, count) in [(Slot::Out, count), (Slot::Parts, rows * groups), (Slot::Totals, rows)] {
+            state.buffers.reserve(&self.gpu.device, slot, 4 * count as u64);
+        }
+        let mut encoder = self.encoder();
+        let slots = [Slot::Call, Slot::Points, Slot::Lobes, Slot::Visible, Slot::Around];
+        let slots = [&slots[..], &[Slot::LayersAdjoint, Slot::Out, Slot::Parts]].concat();
+        self.dispatch(state, &mut encoder, Kernel::Adjoint(self.model), &slots, [groups, 1]);
+        let slots = [Slot::Size, Slot::Parts, Slot::Totals];
+        let wide = rows.min(MOST_GROUPS);
+        self.dispatch(state, &mut encoder, Kernel::Sums, &slots, [wide, rows.div_ceil(wide)]);
+        self.read(state, encoder, &[(Slot::Out, count), (Slot::Totals, rows)])
+    }
+
+    /// Uploads the adjoints of the layers of a batch; a channel that is clamped to zero has an adjoint of zero.
+    fn upload_adjoint(&self, buffers: &mut Buffers, range: Range<usize>, radiance: RadianceColumns<'_>) {
+        let live = |layer: [f32; 3], adjoint: [f32; 3]| {
+            std::array::from_fn(|c| if layer[c] > 0.0 { adjoint[c] } else { 0.0 })
+        };
+        let both = radiance.shaded[range.clone()].iter().zip(&radiance.adjoint[range]);
+        let adjoints =
+            both.map(|(layers, adjoint)| [live(layers.diffuse, adjoint.0), live(layers.specular, adjoint.0)]);
+        self.upload(buffers, Slot::LayersAdjoint, cast_slice(&padded(adjoints)));
+    }
+}
