@@ -1,0 +1,147 @@
+//! The GPU against the CPU.
+
+mod batch;
+mod whole;
+
+use crate::{Adjoints, Gpu, GpuError, time};
+use batch::{Batch, Results};
+use lobelia_math::accurate::Quality;
+use lobelia_math::brdf::{Ndf, SpecularValue};
+use lobelia_math::columns::SharedGradient;
+use lobelia_math::lighting::{Lighting, LobeVisibility};
+use lobelia_math::sample::Layers;
+use lobelia_math::shading::ClosedForm;
+use std::sync::OnceLock;
+
+const FORMS: [ClosedForm; 2] = [ClosedForm::Published, ClosedForm::Accurate(Quality::Default)];
+const ROUGHNESS: [f32; 3] = [0.1, 0.3, 0.7];
+/// Largest difference between GPU and CPU, relative to the largest value of its kind in the batch, or to the largest sum of magnitudes.
+const AGREEMENT: f32 = 1e-4;
+
+/// The GPU of the tests; `None` where there is no adapter.
+fn gpu() -> Option<&'static Gpu> {
+    static OPEN: OnceLock<Option<Gpu>> = OnceLock::new();
+    let open = || match Gpu::open(None) {
+        Ok(gpu) => Some(gpu),
+        Err(GpuError::NoAdapter) => {
+            eprintln!("no GPU adapter: not tested");
+            None
+        }
+        Err(error) => panic!("{error}"),
+    };
+    OPEN.get_or_init(open).as_ref()
+}
+
+#[test]
+fn gpu_agrees_with_cpu() {
+    let Some(gpu) = gpu() else { return };
+    let mut largest: Vec<(&str, f32, String)> = Vec::new();
+    for form in FORMS {
+        for (roughness, lobes) in ROUGHNESS.into_iter().flat_map(|r| [1, 21, 128].map(|n| (r, n))) {
+            let batch = Batch::new(300, lobes, roughness);
+            for (kind, lighting) in ["open", "around", "rows"].into_iter().zip(batch.lightings()) {
+                let cpu = Results::cpu(form, true, &batch, lighting);
+                let sizes = cpu.magnitudes(form, &batch, lighting);
+                let found = Results::gpu(gpu, form, &batch, lighting, &cpu.shaded);
+                let case = format!("{form:?}, R = {roughness}, {lobes} lobes, {kind}");
+                for (i, (what, error)) in cpu.errors(&found, &sizes).into_iter().enumerate() {
+                    match largest.get_mut(i) {
+                        Some(most) if most.1 >= error => {}
+                        Some(most) => *most = (what, error, case.clone()),
+                        None => largest.push((what, error, case.clone())),
+                    }
+                }
+            }
+        }
+    }
+    for (what, error, case) in &largest {
+        assert!(*error < AGREEMENT, "{what}: {error} with {case}; of all: {largest:#?}");
+    }
+}
+
+#[test]
+fn two_calls_have_the_same_bits() {
+    let Some(gpu) = gpu() else { return };
+    for form in FORMS {
+        let batch = Batch::new(300, 21, 0.3);
+        let [.., lighting] = batch.lightings();
+        let shaded = Results::cpu(form, false, &batch, lighting).shaded;
+        let first = Results::gpu(gpu, form, &batch, lighting, &shaded);
+        // A call of another size in between.
+        let other = Batch::new(70, 40, 0.5);
+        let between = vec![Layers::default(); 70];
+        Results::gpu(gpu, form, &other, other.lightings()[0], &between);
+        assert_eq!(first, Results::gpu(gpu, form, &batch, lighting, &shaded));
+    }
+}
+
+#[test]
+fn nothing_may_be_empty() {
+    let Some(gpu) = gpu() else { return };
+    for form in FORMS {
+        for (points, lobes) in [(0, 3), (5, 0), (0, 0)] {
+            let batch = Batch::new(points, lobes, 0.3);
+            for lighting in batch.lightings() {
+                let cpu = Results::cpu(form, false, &batch, lighting);
+                let found = Results::gpu(gpu, form, &batch, lighting, &cpu.shaded);
+                let errors = cpu.errors(&found, &cpu);
+                assert!(errors.iter().all(|(_, error)| *error < AGREEMENT), "{points} {lobes} {errors:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn what_is_not_there_is_an_error() {
+    assert!(Gpu::supports(ClosedForm::Published, Ndf::Ggx));
+    assert!(Gpu::supports(ClosedForm::Accurate(Quality::Default), Ndf::Sg));
+    let missing =
+        [(Quality::High, Ndf::Sg), (Quality::Default, Ndf::Ggx)].map(|(q, n)| (ClosedForm::Accurate(q), n));
+    assert!(missing.iter().all(|(form, ndf)| !Gpu::supports(*form, *ndf)));
+    let Some(gpu) = gpu() else { return };
+    let batch = Batch::new(5, 3, 0.3);
+    let mut out = vec![Layers::default(); 5];
+    for (form, ndf) in missing {
+        let specular = SpecularValue { ndf, ..batch.specular };
+        let error =
+            gpu.shade(form, &batch.points, &specular, Lighting::from(&batch.lobes), &mut out).unwrap_err();
+        assert_eq!(error, GpuError::Unsupported { form, ndf });
+    }
+    let error = Gpu::open(Some("no such GPU")).unwrap_err().to_string();
+    assert!(error.contains("\"no such GPU\"") && error.contains(gpu.name()), "{error}");
+    let name = gpu.name().to_uppercase();
+    assert_eq!(Gpu::open(Some(&name)).unwrap().name(), gpu.name());
+    assert_eq!(Gpu::names()[0], gpu.name());
+}
+
+#[test]
+fn wrong_lengths_are_errors() {
+    let Some(gpu) = gpu() else { return };
+    let (form, batch) = (ClosedForm::default(), Batch::new(5, 3, 0.3));
+    let [open, around, rows] = batch.lightings();
+    let call = |lighting: Lighting<'_>, points: usize, out: usize| {
+        let mut out = vec![Layers::default(); out];
+        gpu.shade(form, &batch.points[..points], &batch.specular, lighting, &mut out).unwrap_err()
+    };
+    let length = |what, found, expected| GpuError::Length { what, found, expected };
+    assert_eq!(call(open, 5, 4), length("radiance", 4, 5));
+    assert_eq!(call(around, 4, 4), length("visibility of points", 5, 4));
+    let short = Lighting {
+        visibility: Some(LobeVisibility { lobes: &batch.rows[1..], points: &batch.around }),
+        ..rows
+    };
+    assert_eq!(call(short, 5, 5), length("visibility of lobes", 79, 80));
+    let shaded = vec![Layers::default(); 5];
+    let mut shared = SharedGradient::default();
+    let out = Adjoints { points: &mut [], shared: &mut shared };
+    let radiance = batch.radiance(&shaded);
+    let error = gpu.shade_adjoint(form, &batch.points, &batch.specular, open, radiance, out).unwrap_err();
+    assert_eq!(error, length("adjoints of points", 0, 5));
+}
+
+#[test]
+fn pairs_take_time() {
+    let Some(gpu) = gpu() else { return };
+    let (forward, adjoint) = time(gpu, ClosedForm::default(), 100, 3, 0.3, 0.0).unwrap();
+    assert!(forward > 0.0 && adjoint > 0.0);
+}
