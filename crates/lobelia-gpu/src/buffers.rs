@@ -8,7 +8,7 @@ use wgpu::BufferUsages;
 pub(crate) enum Slot {
     /// The inputs that all points share.
     Call,
-    /// Number and length of rows to sum.
+    /// Length of the rows to sum.
     Size,
     Points,
     Lobes,

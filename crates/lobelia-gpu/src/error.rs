@@ -47,7 +47,7 @@ pub enum GpuError {
         /// What it should be.
         expected: usize,
     },
-    /// More lobes than a buffer holds.
+    /// More lobes than the kernels take.
     #[error("{lobes} lobes are more than the GPU takes; at most {most}")]
     TooManyLobes {
         /// Number of lobes.

@@ -21,8 +21,8 @@ const BATCH: usize = 1 << 17;
 const LOBE_BYTES: usize = 64;
 /// Values of two vectors of three, each padded to four.
 const TWO_VECTORS: usize = 8;
-/// Workgroups along one axis of a dispatch at most.
-const MOST_GROUPS: usize = 65_535;
+/// Lobes at most: a software driver may end all loops of a thread after 65,535 turns in sum, and says nothing.
+pub(crate) const MOST_LOBES: usize = 4096;
 
 /// What [`Gpu::shade_adjoint`] writes.
 #[derive(Debug)]
@@ -153,7 +153,7 @@ impl<'a> Job<'a> {
                 check_length("visibility of lobes", visibility.lobes.len(), expected)?;
             }
         }
-        let (lobes, most) = (lighting.lobes.len(), gpu.most_bytes as usize / LOBE_BYTES);
+        let (lobes, most) = (lighting.lobes.len(), MOST_LOBES.min(gpu.most_bytes as usize / LOBE_BYTES));
         if lobes > most {
             return Err(GpuError::TooManyLobes { lobes, most });
         }
@@ -229,7 +229,7 @@ impl<'a> Job<'a> {
         encoder: &mut wgpu::CommandEncoder,
         kernel: Kernel,
         slots: &[Slot],
-        [x, y]: [usize; 2],
+        groups: usize,
     ) {
         let pipeline = state.pipelines.get(kernel, &self.gpu.device);
         let buffers = slots.iter().filter_map(|slot| state.buffers.get(*slot));
@@ -237,15 +237,15 @@ impl<'a> Job<'a> {
             .zip(0..)
             .map(|(buffer, binding)| wgpu::BindGroupEntry { binding, resource: buffer.as_entire_binding() })
             .collect();
-        let group = self.gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
+        let bound = self.gpu.device.create_bind_group(&wgpu::BindGroupDescriptor {
             label: None,
             layout: &pipeline.get_bind_group_layout(0),
             entries: &entries,
         });
         let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor::default());
         pass.set_pipeline(pipeline);
-        pass.set_bind_group(0, &group, &[]);
-        pass.dispatch_workgroups(x as u32, y as u32, 1);
+        pass.set_bind_group(0, &bound, &[]);
+        pass.dispatch_workgroups(groups as u32, 1, 1);
     }
 
     /// Copies `counts` values of each of these buffers to the host, one after another, after the commands of `encoder`.
@@ -276,7 +276,7 @@ impl<'a> Job<'a> {
         state.buffers.reserve(&self.gpu.device, Slot::Out, 4 * count as u64);
         let mut encoder = self.encoder();
         let slots = [Slot::Call, Slot::Points, Slot::Lobes, Slot::Visible, Slot::Around, Slot::Out];
-        let groups = [range.len().div_ceil(GROUP), 1];
+        let groups = range.len().div_ceil(GROUP);
         self.dispatch(state, &mut encoder, Kernel::Forward(self.model), &slots, groups);
         self.read(state, encoder, &[(Slot::Out, count)])
     }
@@ -291,7 +291,7 @@ impl<'a> Job<'a> {
         let (count, groups, rows) = (TWO_VECTORS * range.len(), range.len().div_ceil(GROUP), self.rows());
         self.upload_points(&mut state.buffers, range.clone());
         self.upload_adjoint(&mut state.buffers, range, radiance);
-        let size = [rows as u32, groups as u32, 0, 0];
+        let size = [groups as u32, 0, 0, 0];
         self.upload(&mut state.buffers, Slot::Size, cast_slice(&size));
         for (slot, count) in [(Slot::Out, count), (Slot::Parts, rows * groups), (Slot::Totals, rows)] {
             state.buffers.reserve(&self.gpu.device, slot, 4 * count as u64);
@@ -299,10 +299,9 @@ impl<'a> Job<'a> {
         let mut encoder = self.encoder();
         let slots = [Slot::Call, Slot::Points, Slot::Lobes, Slot::Visible, Slot::Around];
         let slots = [&slots[..], &[Slot::LayersAdjoint, Slot::Out, Slot::Parts]].concat();
-        self.dispatch(state, &mut encoder, Kernel::Adjoint(self.model), &slots, [groups, 1]);
+        self.dispatch(state, &mut encoder, Kernel::Adjoint(self.model), &slots, groups);
         let slots = [Slot::Size, Slot::Parts, Slot::Totals];
-        let wide = rows.min(MOST_GROUPS);
-        self.dispatch(state, &mut encoder, Kernel::Sums, &slots, [wide, rows.div_ceil(wide)]);
+        self.dispatch(state, &mut encoder, Kernel::Sums, &slots, rows);
         self.read(state, encoder, &[(Slot::Out, count), (Slot::Totals, rows)])
     }
 

@@ -31,8 +31,9 @@ var<workgroup> shares: array<f32, TILE * COLUMNS * PITCH>;
 // Sum of a column over the workgroup.
 fn sum_of(column: u32) -> f32 {
     var sum = 0.0;
-    for (var k = 0u; k < GROUP; k++) {
-        sum += shares[column * PITCH + k];
+    let first = column * PITCH;
+    for (var k = first; k < first + GROUP; k += 4u) {
+        sum += (shares[k] + shares[k + 1u]) + (shares[k + 2u] + shares[k + 3u]);
     }
     return sum;
 }
@@ -49,6 +50,66 @@ fn share(place: u32, lane: u32, back: PulledBack, color: vec3<f32>) {
     shares[at + 6u * PITCH] = color.z;
 }
 
+// A thread and its point: adjoints of diffuse light and of each specular term, per channel.
+struct Thread {
+    i: u32,
+    lane: u32,
+    kd: vec3<f32>,
+    ks: mat2x3<f32>,
+}
+
+// Sums over the lobes.
+struct Totals {
+    diffuse: vec3<f32>,
+    specular: mat2x3<f32>,
+    sums: Sums,
+}
+
+// Adds a lobe to the sums of a point, and puts its gradient into the tile that begins with `first`.
+fn add_lobe(thread: Thread, point: Point, l: u32, first: u32, totals: Totals) -> Totals {
+    let lobe = lobes[l];
+    let mu = lobe.amplitude;
+    let kd = thread.kd;
+    let ks = thread.ks;
+    let reached = reaching(thread.i, l);
+    let given = Response(dot(kd, mu) * reached, vec2(dot(ks[0], mu), dot(ks[1], mu)));
+    let back = pull_back(point, lobe, given);
+    let irradiance = back.response.diffuse * reached;
+    let specular = back.response.specular;
+    share(l - first, thread.lane, back, kd * irradiance + ks[0] * specular.x + ks[1] * specular.y);
+    let terms = mat2x3(totals.specular[0] + mu * specular.x, totals.specular[1] + mu * specular.y);
+    return Totals(totals.diffuse + mu * irradiance, terms, add_sums(totals.sums, back.sums));
+}
+
+// Sums over the lobes; those over the points of each tile go to `parts`.
+fn add_lobes(thread: Thread, point: Point, group: u32, groups: u32) -> Totals {
+    var totals = Totals(vec3(0.0), mat2x3<f32>(), no_sums());
+    for (var first = 0u; first < call.lobes; first += TILE) {
+        for (var l = first; l < min(first + TILE, call.lobes); l++) {
+            totals = add_lobe(thread, point, l, first, totals);
+        }
+        workgroupBarrier();
+        let column = first * COLUMNS + thread.lane;
+        if (thread.lane < TILE * COLUMNS && column < call.lobes * COLUMNS) {
+            parts[column * groups + group] = sum_of(thread.lane);
+        }
+        workgroupBarrier();
+    }
+    return totals;
+}
+
+// Sums the adjoints of the specular material over the workgroup.
+fn add_material(lane: u32, back: PointBack, group: u32, groups: u32) {
+    shares[lane] = back.albedo.x;
+    shares[lane + PITCH] = back.albedo.y;
+    shares[lane + 2u * PITCH] = back.albedo.z;
+    shares[lane + 3u * PITCH] = back.roughness;
+    workgroupBarrier();
+    if (lane < 4u) {
+        parts[(call.lobes * COLUMNS + lane) * groups + group] = sum_of(lane);
+    }
+}
+
 @compute @workgroup_size(64)
 fn shade_adjoint(
     @builtin(global_invocation_id) id: vec3<u32>,
@@ -60,54 +121,23 @@ fn shade_adjoint(
     let i = min(id.x, call.points - 1u);
     var surface = surfaces[i];
     var adjoint = layers_adjoint[i];
-    let live = id.x < call.points && !is_missed(surface);
-    if (!live) {
+    var around = around_point(i);
+    if (id.x >= call.points || is_missed(surface)) {
         surface = Surface(vec3(0.0, 0.0, 1.0), vec3(0.0, 0.0, 1.0), vec3(0.0));
         adjoint = LayersAdjoint(vec3(0.0), vec3(0.0));
+        around = Around(vec3(0.0), vec3(0.0));
     }
-    let around = around_point(i);
     let prepared = prepare_point(surface.normal, surface.to_viewer, call.roughness);
     let weights = specular_weights(prepared.frozen, call.albedo);
-    let specular_adjoint = select(vec3(0.0), adjoint.specular * around.specular, live);
+    let of_specular = adjoint.specular * around.specular;
     let kd = adjoint.diffuse * surface.albedo / PI;
-    let ks = mat2x3(specular_adjoint * weights[0], specular_adjoint * weights[1]);
-    var diffuse = vec3(0.0);
-    var specular = mat2x3<f32>();
-    var sums = no_sums();
-    for (var first = 0u; first < call.lobes; first += TILE) {
-        for (var l = first; l < min(first + TILE, call.lobes); l++) {
-            let lobe = lobes[l];
-            let reached = reaching(i, l);
-            let mu = lobe.amplitude;
-            let given = Response(dot(kd, mu) * reached, vec2(dot(ks[0], mu), dot(ks[1], mu)));
-            let back = pull_back(prepared.point, lobe, given);
-            let response = back.response;
-            let irradiance = response.diffuse * reached;
-            diffuse += mu * irradiance;
-            specular[0] += mu * response.specular.x;
-            specular[1] += mu * response.specular.y;
-            sums = add_sums(sums, back.sums);
-            share(l - first, lane, back, kd * irradiance + ks[0] * response.specular.x + ks[1] * response.specular.y);
-        }
-        workgroupBarrier();
-        let column = first * COLUMNS + lane;
-        if (lane < TILE * COLUMNS && column < call.lobes * COLUMNS) {
-            parts[column * groups.x + group.x] = sum_of(lane);
-        }
-        workgroupBarrier();
-    }
-    let light = mat2x3(specular_adjoint * specular[0], specular_adjoint * specular[1]);
-    let end = pull_back_point(prepared, sums, PointEnd(surface.normal, surface.to_viewer, call.albedo, light));
+    let thread = Thread(i, lane, kd, mat2x3(of_specular * weights[0], of_specular * weights[1]));
+    let totals = add_lobes(thread, prepared.point, group.x, groups.x);
+    let light = mat2x3(of_specular * totals.specular[0], of_specular * totals.specular[1]);
+    let end = PointEnd(surface.normal, surface.to_viewer, call.albedo, light);
+    let back = pull_back_point(prepared, totals.sums, end);
     if (id.x < call.points) {
-        let albedo = adjoint.diffuse / PI * (diffuse + around.indirect);
-        point_adjoint[i] = PointAdjoint(select(vec3(0.0), albedo, live), select(vec3(0.0), end.normal, live));
+        point_adjoint[i] = PointAdjoint(adjoint.diffuse / PI * (totals.diffuse + around.indirect), back.normal);
     }
-    shares[lane] = select(0.0, end.albedo.x, live);
-    shares[lane + PITCH] = select(0.0, end.albedo.y, live);
-    shares[lane + 2u * PITCH] = select(0.0, end.albedo.z, live);
-    shares[lane + 3u * PITCH] = select(0.0, end.roughness, live);
-    workgroupBarrier();
-    if (lane < 4u) {
-        parts[(call.lobes * COLUMNS + lane) * groups.x + group.x] = sum_of(lane);
-    }
+    add_material(lane, back, group.x, groups.x);
 }

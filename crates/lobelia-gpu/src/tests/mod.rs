@@ -3,6 +3,7 @@
 mod batch;
 mod whole;
 
+use crate::shade::MOST_LOBES;
 use crate::{Adjoints, Gpu, GpuError, time};
 use batch::{Batch, Results};
 use lobelia_math::accurate::Quality;
@@ -73,6 +74,59 @@ fn two_calls_have_the_same_bits() {
         Results::gpu(gpu, form, &other, other.lightings()[0], &between);
         assert_eq!(first, Results::gpu(gpu, form, &batch, lighting, &shaded));
     }
+}
+
+#[test]
+fn batches_do_not_change_results() {
+    let Some(gpu) = gpu() else { return };
+    let mut small = Gpu::open(None).unwrap();
+    small.most_bytes = 4096;
+    for form in FORMS {
+        let batch = Batch::new(300, 21, 0.3);
+        let [.., lighting] = batch.lightings();
+        let shaded = Results::cpu(form, true, &batch, lighting).shaded;
+        let whole = Results::gpu(gpu, form, &batch, lighting, &shaded);
+        let parts = Results::gpu(&small, form, &batch, lighting, &shaded);
+        assert_eq!((&whole.shaded, &whole.points), (&parts.shaded, &parts.points));
+        let errors = whole.errors(&parts, &whole.magnitudes(form, &batch, lighting));
+        assert!(errors.iter().all(|(_, error)| *error < 1e-6), "{errors:?}");
+    }
+    let batch = Batch::new(3, 70, 0.3);
+    let mut out = vec![Layers::default(); 3];
+    let lighting = Lighting::from(&batch.lobes);
+    let error = small.shade(FORMS[0], &batch.points, &batch.specular, lighting, &mut out).unwrap_err();
+    assert_eq!(error, GpuError::TooManyLobes { lobes: 70, most: 64 });
+}
+
+#[test]
+fn most_lobes_are_all_summed() {
+    let Some(gpu) = gpu() else { return };
+    let batch = Batch::new(4, MOST_LOBES, 0.3);
+    let [lighting, ..] = batch.lightings();
+    for form in FORMS {
+        let cpu = Results::cpu(form, true, &batch, lighting);
+        let found = Results::gpu(gpu, form, &batch, lighting, &cpu.shaded);
+        let errors = cpu.errors(&found, &cpu.magnitudes(form, &batch, lighting));
+        assert!(errors.iter().all(|(_, error)| *error < AGREEMENT), "{errors:?}");
+    }
+}
+
+#[test]
+fn threads_may_share_a_gpu() {
+    let Some(gpu) = gpu() else { return };
+    let batch = Batch::new(100, 21, 0.3);
+    let shade = &|form: ClosedForm| {
+        let mut out = vec![Layers::default(); 100];
+        let lighting = Lighting::from(&batch.lobes);
+        gpu.shade(form, &batch.points, &batch.specular, lighting, &mut out).unwrap();
+        out
+    };
+    let alone = FORMS.map(shade);
+    let together = std::thread::scope(|scope| {
+        let threads = FORMS.map(|form| scope.spawn(move || shade(form)));
+        threads.map(|thread| thread.join().unwrap())
+    });
+    assert_eq!(alone, together);
 }
 
 #[test]
