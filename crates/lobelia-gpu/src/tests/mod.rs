@@ -12,6 +12,7 @@ use lobelia_math::columns::SharedGradient;
 use lobelia_math::lighting::{Lighting, LobeVisibility};
 use lobelia_math::sample::Layers;
 use lobelia_math::shading::ClosedForm;
+use lobelia_math::workload::Workload;
 use std::sync::OnceLock;
 
 const FORMS: [ClosedForm; 2] = [ClosedForm::Published, ClosedForm::Accurate(Quality::Default)];
@@ -57,6 +58,23 @@ fn gpu_agrees_with_cpu() {
     }
     for (what, error, case) in &largest {
         assert!(*error < AGREEMENT, "{what}: {error} with {case}; of all: {largest:#?}");
+    }
+}
+
+#[test]
+fn what_the_cpu_leaves_out_is_small() {
+    let Some(gpu) = gpu() else { return };
+    for (form, roughness) in FORMS.into_iter().flat_map(|form| ROUGHNESS.map(|r| (form, r))) {
+        let mut work = Workload::new(1000, 128, roughness);
+        work.shade(form);
+        let mut own = vec![Layers::default(); work.points.len()];
+        let lighting = Lighting::from(&work.lobes);
+        gpu.shade(form, &work.points, &work.specular, lighting, &mut own).unwrap();
+        let specular = |layers: &[Layers]| layers.iter().flat_map(|l| l.specular).collect::<Vec<_>>();
+        let (cpu, own) = (specular(&work.shaded), specular(&own));
+        let apart = cpu.iter().zip(&own).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
+        let brightest = cpu.into_iter().fold(0.0, f32::max);
+        assert!(apart < 2e-3 * brightest, "{form:?}, R = {roughness}: {apart} of {brightest}");
     }
 }
 
