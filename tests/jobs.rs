@@ -89,6 +89,29 @@ fn make_runs_all_units_and_goes_on_after_a_kill() {
     assert!(out.join("vase/still/a.png").exists());
 }
 
+/// Whether a Slurm cluster answers here, with a node that is idle.
+fn slurm_is_idle() -> bool {
+    let asked = Command::new("sinfo").args(["--noheader", "--format=%T"]).output();
+    asked.is_ok_and(|asked| asked.status.success() && String::from_utf8_lossy(&asked.stdout).contains("idle"))
+}
+
+#[test]
+fn a_slurm_array_runs_all_units() {
+    if !slurm_is_idle() {
+        eprintln!("no idle Slurm node: units are not run by it");
+        return;
+    }
+    let (data, _, table) = jobs();
+    let out = data.path("out");
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/jobs/slurm.sh");
+    let mut array = Command::new("sbatch");
+    array.args(["--wait", "--array=1-2", "--mem=300M", "--cpus-per-task=1", "--time=5", "--chdir"]);
+    array.arg(data.path("")).env("LOBELIA", env!("CARGO_BIN_EXE_lobelia"));
+    Outcome::of(array.arg(script).arg(&table).arg(&out)).succeeded();
+    let merged = Outcome::of(command(&["report"]).arg(&out)).succeeded();
+    assert!(merged.stdout.contains("2 units: 2 finished"), "{}", merged.stdout);
+}
+
 #[test]
 fn what_is_wrong_is_named() {
     let (data, scene, table) = jobs();

@@ -186,6 +186,9 @@ pub struct BenchArgs {
     /// Time for all measurements together, in seconds
     #[arg(long, value_name = "S", default_value_t = 50.0, value_parser = seconds)]
     pub seconds: f64,
+    /// Measure a graphics adapter as well, the first or that whose name has this in it; a program built with the feature `gpu` can
+    #[arg(long, value_name = "NAME", num_args = 0..=1, default_missing_value = "gpu")]
+    pub gpu: Option<String>,
     /// Write the rows to this file too
     #[arg(long, value_name = "FILE")]
     pub json: Option<PathBuf>,

@@ -9,15 +9,22 @@ use lobelia::codec::file::write_bytes;
 use lobelia::math::accurate::Quality;
 use lobelia::math::brdf::Ndf;
 use lobelia::math::lanes::level_name;
-use lobelia::math::shading::{ClosedForm, Layers, PointAdjoint, RadianceAdjoint, ShadePoint};
+use lobelia::math::shading::{
+    Adjoints, ClosedForm, Cpu, Layers, Lighting, PairLoops, PointAdjoint, RadianceAdjoint, RadianceColumns,
+    ShadeCall, ShadePoint,
+};
 use lobelia::math::workload::Workload;
+use lobelia::shade::device::ShadingDevice;
 use lobelia::{Error, Result};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
+/// A mode: its name, its closed form, the NDF of its material.
+type Mode = (&'static str, ClosedForm, Ndf);
+
 /// Shading modes that are measured, with the NDF of their material. A further mode is one more line.
-const MODES: [(&str, ClosedForm, Ndf); 4] = [
+const MODES: [Mode; 4] = [
     ("published", ClosedForm::Published, Ndf::Sg),
     ("accurate", ClosedForm::Accurate(Quality::Default), Ndf::Sg),
     ("accurate-high", ClosedForm::Accurate(Quality::High), Ndf::Sg),
@@ -38,6 +45,8 @@ pub struct BenchOptions {
     pub threads: Vec<usize>,
     /// Time for all measurements together, in seconds.
     pub seconds: f64,
+    /// A graphics adapter that is measured as well.
+    pub gpu: Option<ShadingDevice>,
     /// Where to write the rows as JSON.
     pub json: Option<PathBuf>,
 }
@@ -65,7 +74,7 @@ pub struct BenchRow {
     pub bytes_per_point: usize,
     /// Part of the pairs whose specular light the mode leaves out, in percent.
     pub skipped_percent: f64,
-    /// Instruction set that the kernels chose.
+    /// Instruction set that the kernels chose, or `gpu`.
     pub simd: &'static str,
 }
 
@@ -81,6 +90,7 @@ pub fn run(args: &BenchArgs) -> Result<()> {
             None => vec![1],
         },
         seconds: args.seconds,
+        gpu: args.gpu.as_deref().map(ShadingDevice::open).transpose()?,
         json: args.json.clone(),
     };
     let mut head = format!(
@@ -107,10 +117,11 @@ struct Timing {
 /// started; [`Error::Io`]; whatever `on_row` returns.
 pub fn bench(
     options: &BenchOptions,
-    mut on_row: impl FnMut(&BenchRow) -> Result<()>,
+    mut on_row: impl FnMut(&BenchRow) -> Result<()> + Send,
 ) -> Result<Vec<BenchRow>> {
     options.json.as_deref().map_or(Ok(()), check_file)?;
-    let count = MODES.len() * options.threads.len() * options.lobes.len() * ROUGHNESS.len();
+    let on_gpu = on_gpu(options);
+    let count = (MODES.len() * options.threads.len() + on_gpu.len()) * options.lobes.len() * ROUGHNESS.len();
     let budget = Duration::from_secs_f64(options.seconds / (2 * count) as f64);
     let mut rows = Vec::with_capacity(count);
     for &threads in &options.threads {
@@ -118,18 +129,20 @@ pub fn bench(
             .num_threads(threads)
             .build()
             .map_err(|error| Error::run("starting threads", error.to_string()))?;
-        for (mode, form, ndf) in MODES {
-            for &lobes in &options.lobes {
-                for roughness in ROUGHNESS {
-                    let mut work = Workload::new(options.points, lobes, roughness);
-                    work.specular.ndf = ndf;
-                    let timing = pool.install(|| time_kernels(form, &mut work, budget));
-                    let row = BenchRow::new(mode, threads, &work, &timing);
-                    on_row(&row)?;
-                    rows.push(row);
-                }
-            }
+        for mode in MODES {
+            let mut on_row = |timing: Timing, work: &Workload| {
+                rows.push(BenchRow::new(mode.0, threads, work, &timing, level_name()));
+                on_row(&rows[rows.len() - 1])
+            };
+            pool.install(|| measure(&Cpu, mode, options, budget, &mut on_row))?;
         }
+    }
+    for (name, mode) in on_gpu {
+        let Some(ShadingDevice(loops)) = &options.gpu else { continue };
+        measure(&**loops, mode, options, budget, &mut |timing, work| {
+            rows.push(BenchRow::new(name, 1, work, &timing, "gpu"));
+            on_row(&rows[rows.len() - 1])
+        })?;
     }
     if let Some(path) = &options.json {
         write_json(path, &rows)?;
@@ -137,12 +150,40 @@ pub fn bench(
     Ok(rows)
 }
 
+/// The modes that the graphics adapter has, with their names there.
+fn on_gpu(options: &BenchOptions) -> Vec<(&'static str, Mode)> {
+    let names = ["published-gpu", "accurate-gpu", "high-gpu", "ggx-gpu"];
+    let has = |(_, (_, form, ndf)): &(&str, Mode)| {
+        options.gpu.as_ref().is_some_and(|device| device.0.supports(*form, *ndf))
+    };
+    names.into_iter().zip(MODES).filter(has).collect()
+}
+
+/// Measures a mode with all numbers of lobes and roughnesses.
+fn measure(
+    loops: &dyn PairLoops,
+    (_, form, ndf): Mode,
+    options: &BenchOptions,
+    budget: Duration,
+    on_row: &mut (dyn FnMut(Timing, &Workload) -> Result<()> + Send),
+) -> Result<()> {
+    for &lobes in &options.lobes {
+        for roughness in ROUGHNESS {
+            let mut work = Workload::new(options.points, lobes, roughness);
+            work.specular.ndf = ndf;
+            let timing = time_kernels(loops, form, &mut work, budget)?;
+            on_row(timing, &work)?;
+        }
+    }
+    Ok(())
+}
+
 impl BenchRow {
     /// The head of the table that [`Self::line`] fills.
     pub const HEADER: &'static str = "\
 mode          points  lobes  roughness  threads  forward ns  forward+adjoint ns  bytes/point  skipped  simd";
 
-    fn new(mode: &'static str, threads: usize, work: &Workload, timing: &Timing) -> Self {
+    fn new(mode: &'static str, threads: usize, work: &Workload, timing: &Timing, simd: &'static str) -> Self {
         let (points, lobes) = (work.points.len(), work.lobes.len());
         let ns = |time: Duration| time.as_secs_f64() * 1e9 / (points * lobes) as f64;
         Self {
@@ -156,7 +197,7 @@ mode          points  lobes  roughness  threads  forward ns  forward+adjoint ns 
             repetitions: timing.repetitions,
             bytes_per_point: bytes_per_point(),
             skipped_percent: timing.skipped_percent,
-            simd: level_name(),
+            simd,
         }
     }
 
@@ -201,28 +242,42 @@ fn write_json(path: &Path, rows: &[BenchRow]) -> Result<()> {
     write_bytes(path, text.as_bytes())
 }
 
-fn time_kernels(form: ClosedForm, work: &mut Workload, budget: Duration) -> Timing {
-    let forward = least_time(budget, || work.shade(form));
-    let adjoint = least_time(budget, || work.shade_adjoint(form));
-    let skipped = form.culled_part(&work.points, &work.specular, &work.lobes);
-    Timing {
+fn time_kernels(
+    loops: &dyn PairLoops,
+    form: ClosedForm,
+    work: &mut Workload,
+    budget: Duration,
+) -> Result<Timing> {
+    let Workload { points, specular, lobes, .. } = &*work;
+    let (points, lobes, specular) = (points.clone(), lobes.clone(), *specular);
+    let call = ShadeCall { form, points: &points, specular: &specular, lighting: Lighting::from(&lobes) };
+    let forward = least_time(budget, || loops.shade(call, &mut work.shaded))?;
+    let adjoint = least_time(budget, || {
+        let radiance = RadianceColumns { shaded: &work.shaded, adjoint: &work.adjoint };
+        let out = Adjoints { points: &mut work.point_adjoint, shared: &mut work.gradient };
+        loops.shade_adjoint(call, radiance, out)
+    })?;
+    Ok(Timing {
         least: [forward.0, adjoint.0],
         repetitions: [forward.1, adjoint.1],
-        skipped_percent: 100.0 * skipped,
-    }
+        skipped_percent: 100.0 * form.culled_part(&points, &specular, &lobes),
+    })
 }
 
 /// Runs `kernel` until `budget` is spent, and once more than once at least: the first run finds cold caches.
-fn least_time(budget: Duration, mut kernel: impl FnMut()) -> (Duration, usize) {
+fn least_time(
+    budget: Duration,
+    mut kernel: impl FnMut() -> std::result::Result<(), String>,
+) -> Result<(Duration, usize)> {
     let started = Instant::now();
     let (mut least, mut repetitions) = (Duration::MAX, 0);
     while repetitions < 2 || started.elapsed() < budget {
         let before = Instant::now();
-        kernel();
+        kernel().map_err(|problem| Error::run("shading", problem))?;
         least = least.min(before.elapsed());
         repetitions += 1;
     }
-    (least, repetitions)
+    Ok((least, repetitions))
 }
 
 #[cfg(test)]
@@ -230,7 +285,7 @@ mod tests {
     use super::*;
 
     fn quick(json: Option<PathBuf>) -> BenchOptions {
-        BenchOptions { points: 300, lobes: vec![3, 20], threads: vec![1, 2], seconds: 0.0, json }
+        BenchOptions { points: 300, lobes: vec![3, 20], threads: vec![1, 2], seconds: 0.0, gpu: None, json }
     }
 
     #[test]

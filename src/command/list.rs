@@ -2,7 +2,8 @@
 
 use super::terminal::print;
 use clap::Args;
-use lobelia::jobs::{Unit, list};
+use lobelia::jobs::list;
+use lobelia::jobs::unit::Unit;
 use lobelia::{Error, Result};
 use std::path::PathBuf;
 

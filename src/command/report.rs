@@ -5,11 +5,11 @@ use super::report_args::ReportArgs;
 use super::terminal::print;
 use lobelia::codec::file::write_bytes;
 use lobelia::jobs::merge;
+use lobelia::jobs::unit::UnitRow;
 use lobelia::pass::summary::read_run;
 use lobelia::report::html::data::RunReport;
 use lobelia::report::html::{REPORT, SIGNATURE, html};
 use lobelia::{Error, Result};
-use std::collections::BTreeMap;
 use std::fmt::Write as _;
 use std::path::{Component, Path, PathBuf};
 
@@ -40,14 +40,10 @@ pub fn run(args: &ReportArgs) -> Result<()> {
 }
 
 /// What many units have come to.
-fn write_units(out: &Path, page: &Path, units: Vec<merge::UnitRow>) -> Result<()> {
+fn write_units(out: &Path, page: &Path, units: Vec<UnitRow>) -> Result<()> {
     let merged = merge::merge(out, units)?;
     write_bytes(page, merged.page.as_bytes())?;
-    let mut text = String::new();
-    let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
-    merged.units.iter().for_each(|(_, outcome)| *counts.entry(outcome.state.as_str()).or_default() += 1);
-    let states: Vec<String> = counts.iter().map(|(state, count)| format!("{count} {state}")).collect();
-    let _ = writeln!(text, "{} units: {}", merged.units.len(), states.join(", "));
+    let mut text = merged.words + "\n";
     for (film, there, frames) in &merged.films {
         let _ = writeln!(text, "{}: {there} of {frames} frames", film.display());
     }

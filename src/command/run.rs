@@ -13,6 +13,7 @@ use lobelia::pass::memory::usual_budget;
 use lobelia::pass::progress::Progress;
 use lobelia::pass::{self, RunOptions};
 use lobelia::scene::{LoadedScene, load};
+use lobelia::shade::device::ShadingDevice;
 use std::path::{Path, PathBuf};
 
 /// Runs the command.
@@ -52,6 +53,7 @@ fn carry_out(args: &RunArgs, shown: &dyn Progress) -> Result<()> {
         // A unit that was begun goes on.
         resume: args.resume || (args.only.is_some() && !args.force && begun),
         begin_again: args.only.is_some(),
+        device: device(&args.device)?,
         profile: args.profile(),
     };
     stop_on_signals()?;
@@ -60,6 +62,11 @@ fn carry_out(args: &RunArgs, shown: &dyn Progress) -> Result<()> {
     let ended = pass::run(&loaded, &options, &live);
     live.end(&ended);
     ended
+}
+
+/// What shades, where it is not this processor.
+fn device(name: &str) -> Result<Option<ShadingDevice>> {
+    if name == "cpu" { Ok(None) } else { ShadingDevice::open(name).map(Some) }
 }
 
 /// The scene of a unit, with what the command line adds, and its passes alone.

@@ -81,6 +81,10 @@ pub struct RunArgs {
     /// [default: three quarters of what a process may have]
     #[arg(long, value_name = "SIZE", value_parser = lobelia::pass::memory::parse_bytes)]
     pub memory: Option<u64>,
+    /// What shades in closed form, where the object has one base material: `cpu`, `gpu`, or a part of a graphics adapter's name; the GPU's results
+    /// have other bits, and need a program built with the feature `gpu`
+    #[arg(long, value_name = "NAME", default_value = "cpu")]
+    pub device: String,
     /// While a shape is found, write its normals, depth and mesh every N steps
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     pub debug_every: Option<u32>,

@@ -21,7 +21,7 @@ use super::placements::{PlacementPlugin, TurnSums, placements_turn};
 use super::priors::follow_maps;
 use super::roughness::blend::{BlendAdjoints, TexelPlaces, scatter_to_blends};
 use super::scale::{ScaleMoments, ScaleRule, start_scale};
-use super::schedule::{rates_at, step_pixels};
+use super::schedule::Schedule;
 use super::systems::{compare_with_photographs, hand_out_gradient, pull_back_radiance, scatter_to_texels};
 use crate::checkpoint::{has_step_ahead, is_due, keep_step, resume_step};
 use crate::error::Result;
@@ -348,10 +348,15 @@ fn fit(
     Ok(summary)
 }
 
+fn schedule_of(options: &FitOptions) -> Schedule<'_> {
+    let FitOptions { steps, batch, early, decay, rates, .. } = *options;
+    Schedule { steps, batch, early, milestones: &options.milestones, decay, rates }
+}
+
 /// Which photographs each step visits, after so many.
 fn turns_after(world: &mut World, options: &FitOptions, steps: u32) -> Turns {
     let every = refresh_every(world);
-    let mut turns = Turns::new(world, step_pixels(options), every).until(options.steps);
+    let mut turns = Turns::new(world, schedule_of(options).pixels(), every).until(options.steps);
     (0..steps).for_each(|_| _ = turns.next());
     turns
 }
@@ -460,7 +465,7 @@ fn run_step(pipeline: &mut Pipeline, options: &FitOptions, step: u32, turn: &Tur
     let world = &mut pipeline.world;
     world.resource_mut::<Window>().0 = 0..turn.rows.len();
     world.resource_mut::<ObservedWindow>().0 = turn.rows.clone();
-    world.insert_resource(rates_at(step, turn.visit, options));
+    world.insert_resource(schedule_of(options).rates_at(step, turn.visit));
     world.resource_mut::<ViewSums>().counts = turn.is_last;
     world.insert_resource(RefreshDue(turn.refreshes));
     world.resource_mut::<TexelPlaces>().progress = step as f32 / options.steps as f32;

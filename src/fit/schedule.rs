@@ -3,30 +3,42 @@
 
 use super::components::StepRates;
 use super::groups::StepPixels;
-use super::run::FitOptions;
 
 /// Part of the pixels of a step that a `Fit` visits before the first milestone.
 pub(crate) const EARLY: f32 = 0.5;
 
-/// How many pixels the steps visit: fewer before the first milestone.
-pub(super) fn step_pixels(options: &FitOptions) -> StepPixels {
-    let early = (options.early * options.batch as f32).ceil() as usize;
-    let steps = (1..=options.steps).take_while(|step| milestones_before(*step, options) == 0).count();
-    StepPixels { early: (early, steps as u32), late: options.batch }
+/// How the steps of a fit differ; fields as in [`FitOptions`](super::run::FitOptions).
+#[derive(Clone, Copy)]
+pub(super) struct Schedule<'a> {
+    pub steps: u32,
+    pub batch: usize,
+    pub early: f32,
+    pub milestones: &'a [f32],
+    pub decay: f32,
+    pub rates: [f32; 3],
 }
 
-/// Milestones that a step has behind it.
-fn milestones_before(step: u32, options: &FitOptions) -> usize {
-    let done = (step - 1) as f32 / options.steps as f32;
-    options.milestones.iter().filter(|milestone| **milestone <= done).count()
-}
+impl Schedule<'_> {
+    /// How many pixels the steps visit: fewer before the first milestone.
+    pub fn pixels(&self) -> StepPixels {
+        let early = (self.early * self.batch as f32).ceil() as usize;
+        let steps = (1..=self.steps).take_while(|step| self.milestones_before(*step) == 0).count();
+        StepPixels { early: (early, steps as u32), late: self.batch }
+    }
 
-/// The rates of a step, from 1, which is a visit to its group.
-pub(super) fn rates_at(step: u32, visit: u32, options: &FitOptions) -> StepRates {
-    let done = (step - 1) as f32 / options.steps as f32;
-    let factor = options.decay.powi(milestones_before(step, options) as i32);
-    let [albedo, light, specular] = options.rates.map(|rate| rate * factor);
-    StepRates { step, visit, progress: done, albedo, light, specular }
+    /// Milestones that a step has behind it.
+    fn milestones_before(&self, step: u32) -> usize {
+        let done = (step - 1) as f32 / self.steps as f32;
+        self.milestones.iter().filter(|milestone| **milestone <= done).count()
+    }
+
+    /// The rates of a step, from 1, which is a visit to its group.
+    pub fn rates_at(&self, step: u32, visit: u32) -> StepRates {
+        let done = (step - 1) as f32 / self.steps as f32;
+        let factor = self.decay.powi(self.milestones_before(step) as i32);
+        let [albedo, light, specular] = self.rates.map(|rate| rate * factor);
+        StepRates { step, visit, progress: done, albedo, light, specular }
+    }
 }
 
 #[cfg(test)]
@@ -35,20 +47,18 @@ mod tests {
 
     #[test]
     fn rates_fall_and_pixels_rise_at_the_first_milestone() {
-        let options = FitOptions {
+        let schedule = Schedule {
             steps: 10,
             batch: 100,
             early: 0.5,
-            milestones: vec![0.3, 0.8],
+            milestones: &[0.3, 0.8],
             decay: 0.5,
             rates: [1.0, 2.0, 4.0],
-            ..FitOptions::default()
         };
-        let pixels = step_pixels(&options);
-        assert_eq!(pixels, StepPixels { early: (50, 3), late: 100 });
-        let lights: Vec<f32> = (1..=10).map(|step| rates_at(step, step, &options).light).collect();
+        assert_eq!(schedule.pixels(), StepPixels { early: (50, 3), late: 100 });
+        let lights: Vec<f32> = (1..=10).map(|step| schedule.rates_at(step, step).light).collect();
         assert_eq!(lights, [2.0, 2.0, 2.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.5, 0.5]);
-        let all = step_pixels(&FitOptions { milestones: Vec::new(), ..options });
-        assert_eq!(all, StepPixels { early: (50, 10), late: 100 });
+        let all = Schedule { milestones: &[], ..schedule };
+        assert_eq!(all.pixels(), StepPixels { early: (50, 10), late: 100 });
     }
 }

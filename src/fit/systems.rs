@@ -14,14 +14,15 @@ use crate::light::lights::IncidentLight;
 use crate::material::material_source::BaseMaterials;
 use crate::material::{BaseMaterial, DiffuseAlbedo, SpecularLobe, Texels};
 use crate::math::shading::{
-    ClosedForm, Layers, Lighting, PointAdjoint, PointVisibility, RadianceAdjoint, RadianceColumns,
-    ShadePoint, SpecularValue,
+    Adjoints, ClosedForm, Layers, Lighting, PairLoops, PointAdjoint, PointVisibility, RadianceAdjoint,
+    RadianceColumns, ShadeCall, ShadePoint, SpecularValue,
 };
 use crate::pipeline::SystemResult;
 use crate::sample::Samples;
 use crate::sample::pixel::{Observed, PixelOf};
 use crate::sample::point::{PointBlend, SurfacePoint};
 use crate::sample::turn::{LightTurns, TurnTable};
+use crate::shade::device::{ShadingDevice, failed, loops_of};
 use crate::shade::systems::kernel_materials;
 use crate::visibility::WindowVisibility;
 use bevy_ecs::prelude::{IntoScheduleConfigs, Query, Res, ResMut};
@@ -67,7 +68,7 @@ pub fn pull_back_radiance(form: ClosedForm) -> ScheduleConfigs<ScheduleSystem> {
                        visibility: Option<Res<WindowVisibility>>,
                        mut gradient: ResMut<StepGradient>,
                        mut blend_adjoints: ResMut<BlendAdjoints>,
-                       turns: LightTurns,
+                       (turns, device): (LightTurns, Option<Res<ShadingDevice>>),
                        samples: Samples<PullBackColumns>|
           -> SystemResult {
         let (points, blends, seen, (shaded, adjoint), pixels, mut back) = samples.columns()?;
@@ -85,8 +86,12 @@ pub fn pull_back_radiance(form: ClosedForm) -> ScheduleConfigs<ScheduleSystem> {
             many @ [_, ..] if materials.blended => {
                 pull_back_blended(form, &samples, many, lighting, &mut back, gradient, &mut blend_adjoints.0);
             }
-            [] => pull_back_one(form, &samples, &SpecularValue::default(), lighting, &mut back, gradient),
-            [(_, one), ..] => pull_back_one(form, &samples, one, lighting, &mut back, gradient),
+            materials => {
+                let one = materials.first().map_or(SpecularValue::default(), |(_, one)| *one);
+                let loops = loops_of(device.as_ref(), form, one.ndf);
+                let call = ShadeCall { form, points: &points, specular: &one, lighting };
+                pull_back_one(&*loops, call, &samples, &mut back, gradient).map_err(failed)?;
+            }
         }
         turn_back(&turns.table(), &pixels, &mut back);
         Ok(())
@@ -96,17 +101,17 @@ pub fn pull_back_radiance(form: ClosedForm) -> ScheduleConfigs<ScheduleSystem> {
 
 /// The adjoint of shading with one material at all samples.
 fn pull_back_one(
-    form: ClosedForm,
+    loops: &dyn PairLoops,
+    call: ShadeCall<'_>,
     samples: &BlendedSamples<'_>,
-    material: &SpecularValue,
-    lighting: Lighting<'_>,
     back: &mut [PointAdjoint],
     gradient: &mut StepGradient,
-) {
+) -> Result<(), String> {
     let radiance = RadianceColumns { shaded: samples.shaded, adjoint: samples.adjoint };
-    form.shade_adjoint(samples.points, material, lighting, radiance, back, &mut gradient.shared);
+    loops.shade_adjoint(call, radiance, Adjoints { points: back, shared: &mut gradient.shared })?;
     gradient.specular.clear();
     gradient.specular.push(gradient.shared.specular);
+    Ok(())
 }
 
 /// Rotates the adjoints of normals from the light's frame, in which samples are shaded, back into the world.

@@ -1,7 +1,7 @@
 //! The frames of films, so many a unit: of the film of pass `turn`, `turn_000000-000023` has the first 24.
 
 use crate::error::{Error, Result};
-use crate::jobs::Unit;
+use crate::jobs::unit::Unit;
 use crate::scene::load::load;
 use crate::scene::{EditPass, LoadOptions, Orbit, Pass, RelightPass, RenderPass};
 use std::ops::Range;

@@ -8,8 +8,9 @@ use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::jobs::frames::of_name;
 use crate::jobs::page;
+use crate::jobs::unit::{UnitRow, scored_passes};
 use crate::pass::render::FRAMES;
-use crate::pass::summary::{Outcome, read_outcome};
+use crate::pass::summary::read_outcome;
 use crate::scene::Orbit;
 use std::collections::BTreeMap;
 use std::fs;
@@ -18,14 +19,13 @@ use std::path::{Path, PathBuf};
 /// The table of the units in their folder.
 pub const UNITS: &str = "units.csv";
 
-/// A unit, by the name of its folder, with what it has come to.
-pub type UnitRow = (String, Outcome);
-
 /// What is written of many units.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Merged {
     /// The units, by name.
     pub units: Vec<UnitRow>,
+    /// How many units are in each state, in words.
+    pub words: String,
     /// The page, as HTML.
     pub page: String,
     /// The films that were joined: file, frames that are there, frames of the film.
@@ -60,18 +60,7 @@ pub fn merge(out: &Path, units: Vec<UnitRow>) -> Result<Merged> {
         .map(|(pass, parts)| join(out, pass, parts))
         .collect::<Result<Vec<_>>>()?;
     let page = page::page(out, &units, &films);
-    Ok(Merged { units, page, films })
-}
-
-/// The columns that a score has, of all units.
-pub(super) fn scored_passes(units: &[UnitRow]) -> Vec<String> {
-    let mut passes: Vec<String> = Vec::new();
-    for (pass, _) in units.iter().flat_map(|(_, outcome)| &outcome.scores) {
-        if !passes.contains(pass) {
-            passes.push(pass.clone());
-        }
-    }
-    passes
+    Ok(Merged { words: page::words(&units), units, page, films })
 }
 
 /// The table, with PSNR in dB, seconds and MiB; a cell without a value is empty.
@@ -165,6 +154,7 @@ fn join(out: &Path, pass: &str, parts: &FilmParts) -> Result<(PathBuf, usize, u3
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::pass::summary::Outcome;
 
     fn unit(name: &str, state: &str, scores: &[(&str, f64)]) -> UnitRow {
         let scores = scores.iter().map(|(pass, psnr)| ((*pass).to_owned(), [*psnr, 0.9])).collect();

@@ -3,6 +3,7 @@
 //!
 //! | module | holds |
 //! | --- | --- |
+//! | [`unit`] | a unit, and what it has come to |
 //! | `table` | `objects.csv`: an object a row |
 //! | `frames` | the frames of films, so many a unit |
 //! | [`merge`], `page` | what units have come to: one table and page, films joined |
@@ -17,27 +18,13 @@ mod frames;
 pub mod merge;
 mod page;
 mod table;
+pub mod unit;
 
 use crate::error::{Error, Result};
-use serde::Serialize;
+use crate::jobs::unit::Unit;
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
-
-/// One run among many.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Unit {
-    /// Its name: its results lie in a folder of this name.
-    pub name: String,
-    /// The scene file.
-    pub scene: PathBuf,
-    /// What `$DATA` stands for.
-    pub data: Option<PathBuf>,
-    /// Values of the scene file that are replaced: path and RON text.
-    pub sets: Vec<(String, String)>,
-    /// The only pass of the scene that is run.
-    pub pass: Option<String>,
-}
 
 /// The units of `jobs`; `data` is what `$DATA` stands for where a table does not say it, and a unit of a film has `frames` frames.
 ///

@@ -11,7 +11,7 @@
 
 use crate::codec::file::{MOST_TEXT, read_text};
 use crate::error::{Error, Result};
-use crate::jobs::Unit;
+use crate::jobs::unit::Unit;
 use csv::{ReaderBuilder, StringRecord, Trim};
 use std::path::Path;
 

@@ -69,6 +69,7 @@ use crate::profile::{Profiler, stage};
 use crate::scene::Pass;
 use crate::scene::load::LoadedScene;
 use crate::scene::{CameraSpec, LightSource, Photographed, Scene, ViewPass, Views, unknown_parts};
+use crate::shade::device::ShadingDevice;
 use crate::shade::frame::FramePlugin;
 use crate::spawn::{SurfaceUse, load_light, make_surface, spawn};
 use crate::survey::estimate::written_bytes;
@@ -107,6 +108,8 @@ pub struct RunOptions {
     pub resume: bool,
     /// With `resume`: a run in `out` that kept no checkpoints begins again, and what it has written goes.
     pub begin_again: bool,
+    /// The device of closed-form shading; `None`: this processor.
+    pub device: Option<ShadingDevice>,
     /// Whether to measure where the time goes.
     pub profile: Profiling,
 }
@@ -156,7 +159,8 @@ fn run_passes(
     let kept = RunStart::read(&options.out);
     let has_checkpoints = !matches!(kept, Ok(None));
     record::check_used(&options.out, options.force || options.resume, has_checkpoints)?;
-    if options.resume && record::check_resumed(&options.out, loaded, has_checkpoints || options.begin_again)? {
+    if options.resume && record::check_resumed(&options.out, loaded, has_checkpoints || options.begin_again)?
+    {
         leave_finished(&options.out, progress);
         return Ok(());
     }
@@ -392,6 +396,7 @@ fn open<'a>(
     let mut session = Session::new(scene, surface, lights, progress);
     (session.truth, session.out, session.debug_every) = (truth, options.out.clone(), options.debug_every);
     session.pipeline.add_plugin(&FramePlugin).add_plugin(&FitPlugin);
+    options.device.iter().for_each(|device| session.pipeline.world.insert_resource(device.clone()));
     let SceneLights { own, of_groups, .. } = &session.lights;
     spawn(&mut session.pipeline, scene, &session.surface, views, own.as_ref(), of_groups)?;
     preflight::check(&mut session)?;

@@ -266,7 +266,7 @@ mod tests {
             load_text(RICH, &LoadOptions { sets, seed: Some(9), ..LoadOptions::default() }).unwrap().scene;
         assert_eq!((scene.seed, scene.material.specular.roughness), (9, Roughness::Fixed(0.5)));
         let Pass::Fit(fit) = &scene.passes[0] else { panic!() };
-        assert_eq!((fit.rates.light, fit.rates.albedo, fit.steps), (0.0, 0.02, 10));
+        assert_eq!((fit.rates.light, fit.rates.albedo, fit.steps), (0.0, 0.03, 10));
     }
 
     #[test]

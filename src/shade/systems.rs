@@ -9,7 +9,7 @@ use crate::material::material_source::{
 use crate::material::tilt::DirectionalAlbedo;
 use crate::material::{MAX_SPECULAR_LOBES, SpecularLobe, Texels};
 use crate::math::shading::{
-    ClosedForm, Layers, Lighting, LobeVisibility, PointVisibility, ShadePoint, SpecularValue,
+    ClosedForm, Layers, Lighting, LobeVisibility, PointVisibility, ShadeCall, ShadePoint, SpecularValue,
 };
 use crate::pipeline::SystemResult;
 use crate::pipeline::pool::Columns;
@@ -17,6 +17,7 @@ use crate::sample::Samples;
 use crate::sample::pixel::{PixelOf, SampleIndex, ViewRay};
 use crate::sample::point::{PointBlend, Scenery, SurfacePoint};
 use crate::sample::turn::LightTurns;
+use crate::shade::device::{ShadingDevice, failed, loops_of};
 use crate::shade::path_tracer::{PathEstimate, PathPoint, PathQuery, PathScene, PathSettings, shade_points};
 use crate::visibility::WindowVisibility;
 use bevy_ecs::prelude::{IntoScheduleConfigs, Res};
@@ -124,11 +125,17 @@ pub fn shade_closed_form(form: ClosedForm) -> ScheduleConfigs<ScheduleSystem> {
     let system = move |light: Res<IncidentLight>,
                        materials: Res<BaseMaterials>,
                        visibility: Option<Res<WindowVisibility>>,
+                       device: Option<Res<ShadingDevice>>,
                        samples: Samples<ShadeColumns>|
           -> SystemResult {
         let (points, blends, seen, mut shaded) = samples.columns()?;
         let visibility = visibility.as_ref().and_then(|visibility| visibility.view(&seen));
         let lighting = Lighting { lobes: &light.lobes, visibility };
+        if let ([(_, one)], false) = (kernel_materials(&materials).as_slice(), materials.blended) {
+            let call = ShadeCall { form, points: &points, specular: one, lighting };
+            loops_of(device.as_ref(), form, one.ndf).shade(call, &mut shaded).map_err(failed)?;
+            return Ok(());
+        }
         shade_materials(form, &points, &blends, &materials, lighting, &mut shaded);
         Ok(())
     };

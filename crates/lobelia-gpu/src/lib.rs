@@ -9,7 +9,6 @@
 //!
 //! | module | holds |
 //! | --- | --- |
-//! | `time` | how long a pair takes |
 //! | `shade` | the calls: batches of points, what they read and write |
 //! | `kernels` | the WGSL of a kernel, and pipelines kept between calls |
 //! | `buffers` | buffers kept between calls |
@@ -23,12 +22,10 @@ mod device;
 mod error;
 mod kernels;
 mod shade;
-mod time;
 
 #[cfg(test)]
 mod tests;
 
 pub use device::Gpu;
 pub use error::GpuError;
-pub use shade::Adjoints;
-pub use time::time;
+pub use lobelia_math::shading::Adjoints;

@@ -10,7 +10,7 @@ use lobelia_math::columns::{LOBE_COLUMNS, LobeColumns, SharedGradient};
 use lobelia_math::lighting::Lighting;
 use lobelia_math::lobe::Lobe;
 use lobelia_math::sample::{Layers, PointAdjoint, RadianceColumns, ShadePoint};
-use lobelia_math::shading::ClosedForm;
+use lobelia_math::shading::{Adjoints, ClosedForm, PairLoops, ShadeCall};
 use std::ops::Range;
 
 /// Points of a workgroup.
@@ -23,15 +23,6 @@ const LOBE_BYTES: usize = 64;
 const TWO_VECTORS: usize = 8;
 /// Lobes at most: a software driver may end all loops of a thread after 65,535 turns in sum, and says nothing.
 pub(crate) const MOST_LOBES: usize = 4096;
-
-/// What [`Gpu::shade_adjoint`] writes.
-#[derive(Debug)]
-pub struct Adjoints<'a> {
-    /// Adjoints of the inputs of each point.
-    pub points: &'a mut [PointAdjoint],
-    /// Gradient with respect to lobes and specular material, summed over points.
-    pub shared: &'a mut SharedGradient,
-}
 
 /// The inputs of a call.
 #[derive(Clone, Copy)]
@@ -106,6 +97,27 @@ impl Gpu {
         })?;
         *out.shared = gradient_of(&totals, lighting.lobes.len());
         Ok(())
+    }
+}
+
+impl PairLoops for Gpu {
+    fn supports(&self, form: ClosedForm, ndf: Ndf) -> bool {
+        Gpu::supports(form, ndf)
+    }
+
+    fn shade(&self, call: ShadeCall<'_>, out: &mut [Layers]) -> Result<(), String> {
+        let ShadeCall { form, points, specular, lighting } = call;
+        self.shade(form, points, specular, lighting, out).map_err(|error| error.to_string())
+    }
+
+    fn shade_adjoint(
+        &self,
+        call: ShadeCall<'_>,
+        radiance: RadianceColumns<'_>,
+        out: Adjoints<'_>,
+    ) -> Result<(), String> {
+        let ShadeCall { form, points, specular, lighting } = call;
+        self.shade_adjoint(form, points, specular, lighting, radiance, out).map_err(|error| error.to_string())
     }
 }
 

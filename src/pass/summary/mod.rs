@@ -25,6 +25,7 @@ use crate::report::scores::Scores;
 use crate::report::sheet::choose_evenly;
 use crate::scene::fields::fields;
 use findings::{findings, fit_pictures};
+use outcome::read_scores;
 use pictures::Pictures;
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -85,16 +86,6 @@ pub fn read_run(out: &Path) -> Result<RunReport> {
     }
     let scores = read_scores(out)?;
     Ok(gather(out, &record, scores, &mut Pictures::default()))
-}
-
-fn read_scores(out: &Path) -> Result<Scores> {
-    let path = out.join(METRICS);
-    let text = read_text(&path, MOST_TEXT, |_| String::new())?;
-    serde_json::from_str(&text).map_err(|error| {
-        let place = format!("line {}, column {}", error.line(), error.column());
-        let problem = format!("is not the scores of a run of this version: {error}");
-        Error::input(&path, place, problem, "Run the scene again, with this version.")
-    })
 }
 
 /// All that there is of a run. What cannot be read is left out: a run may have been stopped anywhere, and its files moved.

@@ -1,7 +1,10 @@
 //! What a run has come to, in a row: for tables of many runs.
 
+use crate::codec::file::{MOST_TEXT, read_text};
+use crate::error::{Error, Result};
 use crate::pass::record::{Record, RunState};
-use crate::pass::summary::read_scores;
+use crate::pass::session::METRICS;
+use crate::report::scores::Scores;
 use crate::scene::fields::fields;
 use std::path::Path;
 
@@ -44,5 +47,16 @@ pub fn read_outcome(out: &Path) -> Option<Outcome> {
         scores: scored.collect(),
         albedo_psnr: scores.albedo_psnr,
         fields: fields(&record.scene_text),
+    })
+}
+
+/// The scores of a run.
+pub(super) fn read_scores(out: &Path) -> Result<Scores> {
+    let path = out.join(METRICS);
+    let text = read_text(&path, MOST_TEXT, |_| String::new())?;
+    serde_json::from_str(&text).map_err(|error| {
+        let place = format!("line {}, column {}", error.line(), error.column());
+        let problem = format!("is not the scores of a run of this version: {error}");
+        Error::input(&path, place, problem, "Run the scene again, with this version.")
     })
 }

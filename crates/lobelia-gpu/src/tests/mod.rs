@@ -4,7 +4,7 @@ mod batch;
 mod whole;
 
 use crate::shade::MOST_LOBES;
-use crate::{Adjoints, Gpu, GpuError, time};
+use crate::{Adjoints, Gpu, GpuError};
 use batch::{Batch, Results};
 use lobelia_math::accurate::Quality;
 use lobelia_math::brdf::{Ndf, SpecularValue};
@@ -209,11 +209,4 @@ fn wrong_lengths_are_errors() {
     let radiance = batch.radiance(&shaded);
     let error = gpu.shade_adjoint(form, &batch.points, &batch.specular, open, radiance, out).unwrap_err();
     assert_eq!(error, length("adjoints of points", 0, 5));
-}
-
-#[test]
-fn pairs_take_time() {
-    let Some(gpu) = gpu() else { return };
-    let (forward, adjoint) = time(gpu, ClosedForm::default(), 100, 3, 0.3, 0.0).unwrap();
-    assert!(forward > 0.0 && adjoint > 0.0);
 }

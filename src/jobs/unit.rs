@@ -1,0 +1,34 @@
+//! A unit, and what it has come to.
+
+use crate::pass::summary::Outcome;
+use serde::Serialize;
+use std::path::PathBuf;
+
+/// One run among many.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Unit {
+    /// Its name: its results lie in a folder of this name.
+    pub name: String,
+    /// The scene file.
+    pub scene: PathBuf,
+    /// What `$DATA` stands for.
+    pub data: Option<PathBuf>,
+    /// Values of the scene file that are replaced: path and RON text.
+    pub sets: Vec<(String, String)>,
+    /// The only pass of the scene that is run.
+    pub pass: Option<String>,
+}
+
+/// A unit, by the name of its folder, with what it has come to.
+pub type UnitRow = (String, Outcome);
+
+/// The columns that a score has, of all units.
+pub(super) fn scored_passes(units: &[UnitRow]) -> Vec<String> {
+    let mut passes: Vec<String> = Vec::new();
+    for (pass, _) in units.iter().flat_map(|(_, outcome)| &outcome.scores) {
+        if !passes.contains(pass) {
+            passes.push(pass.clone());
+        }
+    }
+    passes
+}
