@@ -58,6 +58,7 @@
 //! | feature | default | adds |
 //! | --- | --- | --- |
 //! | `cli` | on | the command `lobelia`, with its dependencies |
+//! | `mpi` | off | one fit on many processes; needs an MPI library, and libclang to build |
 //!
 //! A program that uses the library alone depends on it with `default-features = false`. [`bevy_ecs`] and [`glam`] are exported, so that
 //! it needs no versions of its own that match; derive macros such as `Component` work where [`prelude`] is imported.

@@ -116,7 +116,7 @@ fn survives(data: &Data, scene: &str, deaths: &[Death]) {
 }
 
 /// A ball with a small one before it, so that there are shadows.
-fn two_balls(data: &Data) {
+pub fn two_balls(data: &Data) {
     let mut mesh = sphere_mesh(Vec3::ZERO, 0.8).unwrap();
     let small = sphere_mesh(Vec3::new(0.0, 0.0, 0.95), 0.1).unwrap();
     let first = mesh.positions.len() as u32;
@@ -127,7 +127,8 @@ fn two_balls(data: &Data) {
     write_glb(&data.path("mesh.glb"), &mesh, None).unwrap();
 }
 
-fn scene(surface: &str, material: &str, passes: &str) -> String {
+/// A scene of the data set.
+pub fn scene(surface: &str, material: &str, passes: &str) -> String {
     format!(
         r#"Scene(
     version: 1,
@@ -142,7 +143,8 @@ fn scene(surface: &str, material: &str, passes: &str) -> String {
     )
 }
 
-const MESH: &str = r#"Mesh(path: "$DATA/mesh.glb", texture_size: 64)"#;
+/// The known mesh.
+pub const MESH: &str = r#"Mesh(path: "$DATA/mesh.glb", texture_size: 64)"#;
 
 #[test]
 fn a_fit_of_everything_goes_on_from_any_step() {

@@ -10,7 +10,7 @@ use lobelia::math::accurate::Quality;
 use lobelia::math::brdf::Ndf;
 use lobelia::math::lanes::level_name;
 use lobelia::math::shading::{
-    Adjoints, ClosedForm, Cpu, Layers, Lighting, PairLoops, PointAdjoint, RadianceAdjoint, RadianceColumns,
+    ChunkSums, ClosedForm, Cpu, Layers, Lighting, PairLoops, PointAdjoint, RadianceAdjoint, RadianceColumns,
     ShadeCall, ShadePoint,
 };
 use lobelia::math::workload::Workload;
@@ -251,11 +251,13 @@ fn time_kernels(
     let Workload { points, specular, lobes, .. } = &*work;
     let (points, lobes, specular) = (points.clone(), lobes.clone(), *specular);
     let call = ShadeCall { form, points: &points, specular: &specular, lighting: Lighting::from(&lobes) };
+    let mut sums = ChunkSums::default();
     let forward = least_time(budget, || loops.shade(call, &mut work.shaded))?;
     let adjoint = least_time(budget, || {
         let radiance = RadianceColumns { shaded: &work.shaded, adjoint: &work.adjoint };
-        let out = Adjoints { points: &mut work.point_adjoint, shared: &mut work.gradient };
-        loops.shade_adjoint(call, radiance, out)
+        loops.shade_adjoint(call, radiance, &mut work.point_adjoint, &mut sums)?;
+        sums.total_into(&mut work.gradient);
+        Ok(())
     })?;
     Ok(Timing {
         least: [forward.0, adjoint.0],

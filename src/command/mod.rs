@@ -5,6 +5,7 @@
 //! | [`args`], [`run_args`], [`prepare_args`], [`report_args`], [`view_args`] | arguments and their help |
 //! | [`run`], [`check`], [`prepare`], [`new`], [`eval`], [`view`], [`report`], [`list`], [`env`], [`bench`], [`shade_cases`] | the commands |
 //! | [`live`] | the page of a run that is at work |
+//! | `ranks` | a run as one of several processes, with the feature `mpi` |
 //! | [`terminal`] | bars, notes and results |
 //! | [`error_message`] | how an error is drawn |
 //! | [`scene_files`], [`threads`], [`output_checks`], [`signals`] | what several commands do before they start |
@@ -22,6 +23,8 @@ mod new;
 mod output_checks;
 mod prepare;
 mod prepare_args;
+#[cfg(feature = "mpi")]
+mod ranks;
 mod report;
 mod report_args;
 mod run;
@@ -56,10 +59,15 @@ pub fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             let _ = std::io::stderr().write_all(error_message::report(&error).as_bytes());
-            let signal = stopped_by().filter(|_| matches!(error, Error::Interrupted));
-            ExitCode::from(signal.map_or(error.exit_code(), StopSignal::exit_code))
+            ExitCode::from(exit_code(&error))
         }
     }
+}
+
+/// The exit code for an error; that of its signal for a run that was stopped.
+fn exit_code(error: &Error) -> u8 {
+    let signal = stopped_by().filter(|_| matches!(error, Error::Interrupted));
+    signal.map_or(error.exit_code(), StopSignal::exit_code)
 }
 
 fn dispatch(command: &Command) -> Result<()> {

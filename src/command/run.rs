@@ -16,13 +16,25 @@ use lobelia::scene::{LoadedScene, load};
 use lobelia::shade::device::ShadingDevice;
 use std::path::{Path, PathBuf};
 
+/// What changes the options of a run that was started in an unusual way.
+pub type Adapt<'a> = dyn FnMut(&mut RunOptions) -> Result<()> + 'a;
+
 /// Runs the command.
 pub fn run(args: &RunArgs) -> Result<()> {
+    #[cfg(feature = "mpi")]
+    if let Some(ended) = super::ranks::run(args) {
+        return ended;
+    }
+    run_and_report(args, &mut |_| Ok(()))
+}
+
+/// Runs the scene, and reports as the arguments say.
+pub fn run_and_report(args: &RunArgs, adapt: &mut Adapt) -> Result<()> {
     match args.log {
-        LogForm::Text => carry_out(args, &Terminal::new(args.quiet)),
+        LogForm::Text => carry_out(args, &Terminal::new(args.quiet), adapt),
         LogForm::Json => {
             let log = JsonLog::new();
-            let ended = carry_out(args, &log);
+            let ended = carry_out(args, &log, adapt);
             log.end(&ended);
             ended
         }
@@ -30,7 +42,7 @@ pub fn run(args: &RunArgs) -> Result<()> {
 }
 
 /// Runs the scene, and reports to `shown`.
-fn carry_out(args: &RunArgs, shown: &dyn Progress) -> Result<()> {
+pub fn carry_out(args: &RunArgs, shown: &dyn Progress, adapt: &mut Adapt) -> Result<()> {
     let mut out = args.out.clone().unwrap_or_else(|| default_out(&args.scene.scene));
     let loaded = match &args.only {
         None => load(&args.scene.scene, &load_options(&args.scene))?,
@@ -43,7 +55,7 @@ fn carry_out(args: &RunArgs, shown: &dyn Progress) -> Result<()> {
     start_threads(args.threads)?;
     let memory = args.memory.or_else(usual_budget);
     let arguments = std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()).collect();
-    let options = RunOptions {
+    let mut options = RunOptions {
         out,
         force: args.force,
         debug_every: args.debug_every,
@@ -55,9 +67,12 @@ fn carry_out(args: &RunArgs, shown: &dyn Progress) -> Result<()> {
         begin_again: args.only.is_some(),
         device: device(&args.device)?,
         profile: args.profile(),
+        ranks: None,
     };
+    adapt(&mut options)?;
     stop_on_signals()?;
-    let Some(port) = args.live else { return pass::run(&loaded, &options, shown) };
+    let is_first = options.ranks.as_ref().is_none_or(|ranks| ranks.rank() == 0);
+    let Some(port) = args.live.filter(|_| is_first) else { return pass::run(&loaded, &options, shown) };
     let live = Live::start(port, &options.out, shown)?;
     let ended = pass::run(&loaded, &options, &live);
     live.end(&ended);

@@ -2,7 +2,7 @@
 
 use crate::fit::adam::Moments;
 use crate::fit::loss::{Loss, LossSums};
-use crate::math::shading::{SharedGradient, SpecularAdjoint};
+use crate::math::shading::{ChunkSums, SharedGradient, SpecularAdjoint};
 use bevy_ecs::prelude::{Component, Resource};
 use glam::Vec3;
 use serde::{Deserialize, Serialize};
@@ -105,4 +105,15 @@ pub struct StepGradient {
     pub shared: SharedGradient,
     /// With respect to each base material.
     pub specular: Vec<SpecularAdjoint>,
+    /// With one base material, what `shared` is the total of.
+    pub chunks: ChunkSums,
+}
+
+impl StepGradient {
+    /// With one base material, takes the total of its chunks.
+    pub(super) fn take_total(&mut self) {
+        self.chunks.total_into(&mut self.shared);
+        self.specular.clear();
+        self.specular.push(self.shared.specular);
+    }
 }

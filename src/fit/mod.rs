@@ -14,6 +14,7 @@
 //! | `groups` | lights of several groups of photographs, which take turns |
 //! | [`priors`] | what somebody else says of albedo and normals |
 //! | [`guard`], [`by_view`] | steps that are not finite and are not taken; how each photograph is explained |
+//! | [`share`] | one fit on several processes |
 //! | [`components`], `attach` | gradients, moments and state, and who has them |
 
 pub mod adam;
@@ -38,6 +39,7 @@ pub mod roughness;
 pub mod run;
 pub mod scale;
 pub(crate) mod schedule;
+pub mod share;
 pub mod sheen;
 pub mod systems;
 

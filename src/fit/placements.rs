@@ -91,11 +91,20 @@ pub struct PlacementPlugin(pub ClosedForm);
 
 impl Plugin for PlacementPlugin {
     fn build(&self, pipeline: &mut Pipeline) {
+        pipeline.world.insert_resource(PlacementsTurn);
         pipeline
             .add_systems(Phase::FitStep, Stage::Gradient, sum_turns(self.0).run_if(is_summed))
             .add_systems(Phase::FitStep, Stage::Update, turn_placements);
     }
+
+    fn cleanup(world: &mut World) {
+        world.remove_resource::<PlacementsTurn>();
+    }
 }
+
+/// Rotations of placements move: their system reads the shadows of a whole window.
+#[derive(Resource)]
+pub struct PlacementsTurn;
 
 /// Whether a fit improves rotations of placements.
 pub(super) fn placements_turn(world: &World) -> bool {

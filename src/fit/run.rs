@@ -22,6 +22,7 @@ use super::priors::follow_maps;
 use super::roughness::blend::{BlendAdjoints, TexelPlaces, scatter_to_blends};
 use super::scale::{ScaleMoments, ScaleRule, start_scale};
 use super::schedule::Schedule;
+use super::share::ranks::agree_on_stop;
 use super::systems::{compare_with_photographs, hand_out_gradient, pull_back_radiance, scatter_to_texels};
 use crate::checkpoint::{has_step_ahead, is_due, keep_step, resume_step};
 use crate::error::Result;
@@ -334,7 +335,7 @@ fn fit(
         summary.steps = step;
         state.elapsed_secs = elapsed();
         let progress = state.progress(&mut pipeline.world, step, options.steps);
-        summary.stopped = watch(&progress, &mut pipeline.world).is_break();
+        summary.stopped = watch(&progress, &mut pipeline.world).is_break() | agree_on_stop(&pipeline.world)?;
         state.elapsed_secs = elapsed();
         keep_if_due(&mut pipeline.world, options, step, &state)?;
         if summary.stopped {

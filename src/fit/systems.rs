@@ -14,8 +14,8 @@ use crate::light::lights::IncidentLight;
 use crate::material::material_source::BaseMaterials;
 use crate::material::{BaseMaterial, DiffuseAlbedo, SpecularLobe, Texels};
 use crate::math::shading::{
-    Adjoints, ClosedForm, Layers, Lighting, PairLoops, PointAdjoint, PointVisibility, RadianceAdjoint,
-    RadianceColumns, ShadeCall, ShadePoint, SpecularValue,
+    ClosedForm, Layers, Lighting, PairLoops, PointAdjoint, PointVisibility, RadianceAdjoint, RadianceColumns,
+    ShadeCall, ShadePoint, SpecularValue,
 };
 use crate::pipeline::SystemResult;
 use crate::sample::Samples;
@@ -108,9 +108,8 @@ fn pull_back_one(
     gradient: &mut StepGradient,
 ) -> Result<(), String> {
     let radiance = RadianceColumns { shaded: samples.shaded, adjoint: samples.adjoint };
-    loops.shade_adjoint(call, radiance, Adjoints { points: back, shared: &mut gradient.shared })?;
-    gradient.specular.clear();
-    gradient.specular.push(gradient.shared.specular);
+    loops.shade_adjoint(call, radiance, back, &mut gradient.chunks)?;
+    gradient.take_total();
     Ok(())
 }
 

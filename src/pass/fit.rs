@@ -66,6 +66,7 @@ pub(crate) fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     session.initialize = Initialize::NONE;
     session.report_light_frame(&pass.name);
     session.report_placements(&pass.name);
+    session.report_communication(&pass.name);
     let known = !options.unknowns.light || !options.unknowns.albedo;
     // Maps of the albedo may have replaced the scene's rule.
     let rule = session.pipeline.world.get_resource().copied().unwrap_or(options.scale);

@@ -63,14 +63,13 @@ use crate::codec::file::{FileUse, FolderLock, check_apart, check_room, clear_scr
 use crate::error::stop::{check_interrupted, stopped_by};
 use crate::error::{Error, Result};
 use crate::fit::ObjectTurned;
-use crate::fit::run::FitPlugin;
+use crate::fit::share::Ranks;
 use crate::mesh::Surface;
 use crate::profile::{Profiler, stage};
 use crate::scene::Pass;
 use crate::scene::load::LoadedScene;
 use crate::scene::{CameraSpec, LightSource, Photographed, Scene, ViewPass, Views, unknown_parts};
 use crate::shade::device::ShadingDevice;
-use crate::shade::frame::FramePlugin;
 use crate::spawn::{SurfaceUse, load_light, make_surface, spawn};
 use crate::survey::estimate::written_bytes;
 use crate::survey::look::ViewLook;
@@ -112,6 +111,8 @@ pub struct RunOptions {
     pub device: Option<ShadingDevice>,
     /// Whether to measure where the time goes.
     pub profile: Profiling,
+    /// The processes that share the work of a fit; each has a folder of its own. `None`: this one alone.
+    pub ranks: Option<Ranks>,
 }
 
 /// Whether a run measures where its time goes.
@@ -395,7 +396,8 @@ fn open<'a>(
     check_cameras(&views, &surface)?;
     let mut session = Session::new(scene, surface, lights, progress);
     (session.truth, session.out, session.debug_every) = (truth, options.out.clone(), options.debug_every);
-    session.pipeline.add_plugin(&FramePlugin).add_plugin(&FitPlugin);
+    session.ranks = options.ranks.clone();
+    session.add_plugins();
     options.device.iter().for_each(|device| session.pipeline.world.insert_resource(device.clone()));
     let SceneLights { own, of_groups, .. } = &session.lights;
     spawn(&mut session.pipeline, scene, &session.surface, views, own.as_ref(), of_groups)?;

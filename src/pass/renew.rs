@@ -7,14 +7,12 @@
 use crate::checkpoint::{Span, carry, restore};
 use crate::error::Result;
 use crate::fit::ObjectTurned;
-use crate::fit::run::FitPlugin;
 use crate::material::{TexelIndex, replace_materials};
 use crate::pass::session::{SceneLights, Session};
 use crate::pipeline::Pipeline;
 use crate::profile::stage;
 use crate::sample::point::Scenery;
 use crate::scene::{Albedo, AlbedoSource, Gloss, Scene, Sheen, Surface, Tilt};
-use crate::shade::frame::FramePlugin;
 use crate::shape::field::ModelError;
 use crate::shape::run::replace_texels;
 use crate::spawn::{insert_known_along, several_materials, spawn};
@@ -58,7 +56,7 @@ pub(super) fn renew(session: &mut Session) -> Result<()> {
     let texels = session.pipeline.world.query::<&TexelIndex>().iter(&session.pipeline.world).len();
     // The old world goes before the new one is filled.
     session.pipeline = Pipeline::new();
-    session.pipeline.add_plugin(&FramePlugin).add_plugin(&FitPlugin);
+    session.add_plugins();
     let SceneLights { own, of_groups, .. } = &session.lights;
     spawn(&mut session.pipeline, session.scene, &session.surface, views, own.as_ref(), of_groups)?;
     let world = &mut session.pipeline.world;

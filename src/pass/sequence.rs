@@ -54,6 +54,9 @@ pub(super) fn run(
     }
     report.write(&session.out)?;
     for (index, pass) in session.scene.passes.iter().enumerate().skip(done) {
+        if session.leaves_to_first(index) {
+            break;
+        }
         if unfinished.leaves_out(session, pass) {
             record.pass(index, RunState::Skipped, told.take())?;
             continue;
@@ -151,7 +154,8 @@ impl<'a> Unfinished<'a> {
             }
             Err(error) => error,
         };
-        self.ends_all = ends_all(&error);
+        // Other processes wait for this one in vain.
+        self.ends_all = ends_all(&error) || session.ranks.is_some();
         match &self.first {
             _ if self.ends_all => {}
             None => {

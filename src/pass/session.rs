@@ -6,7 +6,8 @@ use crate::error::{Error, Result};
 use crate::fit::FramesTried;
 use crate::fit::components::Unknowns;
 use crate::fit::guard::StepGuard;
-use crate::fit::run::{Done, Initialize};
+use crate::fit::run::{Done, FitPlugin, Initialize};
+use crate::fit::share::{AllReducePlugin, Ranks};
 use crate::light::light_frame::{LightFrame, OwnLightFrame};
 use crate::light::placement::{PlacementTurn, Placements, TurnSource};
 use crate::mesh::Surface;
@@ -16,8 +17,9 @@ use crate::pass::progress::Progress;
 use crate::pipeline::Pipeline;
 use crate::profile::{Profiler, stage};
 use crate::report::profile::profile_table;
-use crate::report::scores::{FrameTried, PlacementFound, Scores};
+use crate::report::scores::{Communication, FrameTried, PlacementFound, Scores};
 use crate::scene::{Albedo, Light, LightSource, Pass, PlacementLight, Scene, Views, Visibility};
+use crate::shade::frame::FramePlugin;
 use crate::spawn::light_file::angles;
 use crate::spawn::{LoadedLight, load_light, unknowns};
 use crate::visibility::{ObjectVisibility, VisibilitySettings};
@@ -94,6 +96,8 @@ pub struct Session<'a> {
     pub(super) last_picture: Option<PathBuf>,
     /// What measures the run, if it is profiled.
     pub(super) profiler: Option<Profiler>,
+    /// The processes that share the work of a fit.
+    pub(super) ranks: Option<Ranks>,
     /// Whether there is an object to write: all is given, or a `Shape` or `Fit` has found something.
     pub has_object: bool,
 }
@@ -209,8 +213,24 @@ impl<'a> Session<'a> {
             watched: Watched::default(),
             last_picture: None,
             profiler: None,
+            ranks: None,
             has_object: !scene.passes.iter().any(|pass| matches!(pass, Pass::Shape(_) | Pass::Fit(_))),
         }
+    }
+
+    /// Puts the systems of frames and fits into the world.
+    pub(super) fn add_plugins(&mut self) {
+        self.pipeline.add_plugin(&FramePlugin).add_plugin(&FitPlugin);
+        if let Some(ranks) = &self.ranks {
+            self.pipeline.add_plugin(&AllReducePlugin(ranks.clone()));
+        }
+    }
+
+    /// Whether this process leaves pass `index` to the first one: it comes after all fits, in which every process has a share.
+    pub(super) fn leaves_to_first(&self, index: usize) -> bool {
+        let fits = |pass: &Pass| matches!(pass, Pass::Fit(_) | Pass::Shape(_));
+        self.ranks.as_ref().is_some_and(|ranks| ranks.rank() > 0)
+            && !self.scene.passes[index..].iter().any(fits)
     }
 
     /// The frame in which the scene's own light stands still; `None` if a fit is to find it.
@@ -255,6 +275,20 @@ impl<'a> Session<'a> {
             let turned = format!("({x:.1}, {y:.1}, {z:.1})°");
             self.progress.print(&format!("{pass}: `{photographs}` shows the object turned by {turned}"));
         }
+    }
+
+    /// Says what the steps of the pass have sent, if several processes share them.
+    pub(super) fn report_communication(&mut self, pass: &str) {
+        let Some(ranks) = &self.ranks else { return };
+        let sent = ranks.take_traffic();
+        let steps = f64::from(sent.steps.max(1));
+        let found = Communication {
+            ranks: ranks.size(),
+            bytes_per_step: sent.bytes as f64 / steps,
+            seconds_per_step: sent.seconds / steps,
+        };
+        self.progress.print(&format!("{pass}: {}", found.words()));
+        self.scores.communication = Some(found);
     }
 
     /// What a fit may move now.

@@ -72,6 +72,7 @@ pub(crate) fn run(session: &mut Session, pass: &ShapePass) -> Result<()> {
     }
     session.report_light_frame(&pass.name);
     session.report_placements(&pass.name);
+    session.report_communication(&pass.name);
     if !stopped {
         // The pools of the fit would be there beside the photographs as stereo compares them.
         renew(session)?;

@@ -28,4 +28,4 @@ mod tests;
 
 pub use device::Gpu;
 pub use error::GpuError;
-pub use lobelia_math::shading::Adjoints;
+pub use shade::Adjoints;

@@ -6,11 +6,11 @@ use crate::error::GpuError;
 use crate::kernels::{Kernel, Model};
 use bytemuck::cast_slice;
 use lobelia_math::brdf::{Ndf, SpecularAdjoint, SpecularValue};
-use lobelia_math::columns::{LOBE_COLUMNS, LobeColumns, SharedGradient};
+use lobelia_math::columns::{ChunkSums, LOBE_COLUMNS, LobeColumns, SharedGradient};
 use lobelia_math::lighting::Lighting;
 use lobelia_math::lobe::Lobe;
 use lobelia_math::sample::{Layers, PointAdjoint, RadianceColumns, ShadePoint};
-use lobelia_math::shading::{Adjoints, ClosedForm, PairLoops, ShadeCall};
+use lobelia_math::shading::{ClosedForm, PairLoops, ShadeCall};
 use std::ops::Range;
 
 /// Points of a workgroup.
@@ -23,6 +23,15 @@ const LOBE_BYTES: usize = 64;
 const TWO_VECTORS: usize = 8;
 /// Lobes at most: a software driver may end all loops of a thread after 65,535 turns in sum, and says nothing.
 pub(crate) const MOST_LOBES: usize = 4096;
+
+/// What [`Gpu::shade_adjoint`] writes.
+#[derive(Debug)]
+pub struct Adjoints<'a> {
+    /// Adjoints of the inputs of each point.
+    pub points: &'a mut [PointAdjoint],
+    /// Gradient with respect to lobes and specular material, summed over points.
+    pub shared: &'a mut SharedGradient,
+}
 
 /// The inputs of a call.
 #[derive(Clone, Copy)]
@@ -114,10 +123,16 @@ impl PairLoops for Gpu {
         &self,
         call: ShadeCall<'_>,
         radiance: RadianceColumns<'_>,
-        out: Adjoints<'_>,
+        out: &mut [PointAdjoint],
+        sums: &mut ChunkSums,
     ) -> Result<(), String> {
         let ShadeCall { form, points, specular, lighting } = call;
-        self.shade_adjoint(form, points, specular, lighting, radiance, out).map_err(|error| error.to_string())
+        let mut shared = SharedGradient::default();
+        let out = Adjoints { points: out, shared: &mut shared };
+        self.shade_adjoint(form, points, specular, lighting, radiance, out)
+            .map_err(|error| error.to_string())?;
+        sums.set_total(&shared);
+        Ok(())
     }
 }
 

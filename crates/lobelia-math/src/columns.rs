@@ -71,7 +71,18 @@ impl LobeColumns {
     /// Adds the values of `other`, which has the same number of lobes.
     pub fn add(&mut self, other: &Self) {
         assert_eq!(self.len, other.len, "as many lobes");
-        self.data.iter_mut().zip(&other.data).for_each(|(sum, value)| *sum += value);
+        self.add_values(&other.data);
+    }
+
+    /// All values, column by column, those of the padding included.
+    pub fn values(&self) -> &[f32] {
+        &self.data
+    }
+
+    /// Adds [values](Self::values) of as many lobes.
+    pub fn add_values(&mut self, values: &[f32]) {
+        assert_eq!(self.data.len(), values.len(), "as many lobes");
+        self.data.iter_mut().zip(values).for_each(|(sum, value)| *sum += value);
     }
 
     /// The values of lobe `i`.
@@ -99,24 +110,86 @@ pub struct SharedGradient {
     pub specular: SpecularAdjoint,
 }
 
-impl SharedGradient {
-    /// Sums partial gradients of `rows` rows each, from first to last.
-    pub(crate) fn sum_in_order(&mut self, partial: &mut [Row], rows: usize, len: usize) {
-        self.lobes.reset(len);
-        self.specular = SpecularAdjoint::default();
-        let Some((total, rest)) = partial.split_at_mut_checked(rows) else { return };
-        for part in rest.chunks_exact(rows) {
-            for (sum, value) in total.iter_mut().flat_map(|r| &mut r.0).zip(part.iter().flat_map(|r| &r.0)) {
-                *sum += value;
-            }
+/// The sums of a [`SharedGradient`] over each chunk of [`CHUNK`](crate::shading::CHUNK) points, from the first chunk to the last. Their total has
+/// the same bits wherever the chunks were summed.
+#[derive(Clone, Debug, Default)]
+pub struct ChunkSums {
+    /// Of each chunk [`LOBE_COLUMNS`] rows per block of lobes, and a row for the specular material.
+    rows: Vec<Row>,
+    lobes: usize,
+}
+
+impl ChunkSums {
+    /// Zeros for so many chunks and lobes.
+    pub(crate) fn reset(&mut self, chunks: usize, lobes: usize) {
+        self.lobes = lobes;
+        self.rows.clear();
+        self.rows.resize(chunks * self.rows_of_chunk(), Row::ZERO);
+    }
+
+    /// Rows of a chunk.
+    pub(crate) fn rows_of_chunk(&self) -> usize {
+        self.lobes.div_ceil(MAX_LANES) * LOBE_COLUMNS + 1
+    }
+
+    /// The rows of all chunks.
+    pub(crate) fn rows_mut(&mut self) -> &mut [Row] {
+        &mut self.rows
+    }
+
+    /// All values, chunk by chunk.
+    pub fn values(&self) -> impl Iterator<Item = f32> {
+        self.rows.iter().flat_map(|row| row.0)
+    }
+
+    /// Replaces the chunks by those of these [values](Self::values), for as many lobes; values of a chunk that is not whole are left out.
+    pub fn set_values(&mut self, values: &[f32]) {
+        let chunk = self.rows_of_chunk() * MAX_LANES;
+        self.rows.clear();
+        for rows in values.chunks_exact(chunk).flat_map(|chunk| chunk.chunks_exact(MAX_LANES)) {
+            let mut row = Row::ZERO;
+            row.0.copy_from_slice(rows);
+            self.rows.push(row);
         }
-        let [r, g, b, roughness, ..] = total[rows - 1].0;
-        self.specular = SpecularAdjoint { albedo: [r, g, b], roughness };
-        for (block, rows) in total.chunks_exact(LOBE_COLUMNS).enumerate() {
-            for (c, row) in rows.iter().enumerate() {
-                let start = c * self.lobes.stride + block * MAX_LANES;
-                self.lobes.data[start..start + MAX_LANES].copy_from_slice(&row.0);
-            }
+    }
+
+    /// Replaces the chunks by one that has these sums.
+    pub fn set_total(&mut self, gradient: &SharedGradient) {
+        let SharedGradient { lobes, specular } = gradient;
+        self.reset(1, lobes.len);
+        let last = self.rows.len() - 1;
+        for (at, row) in self.rows[..last].iter_mut().enumerate() {
+            row.0.copy_from_slice(lobes.block(at % LOBE_COLUMNS, at / LOBE_COLUMNS));
         }
+        let [r, g, b] = specular.albedo;
+        self.rows[last].0[..4].copy_from_slice(&[r, g, b, specular.roughness]);
+    }
+
+    /// Writes the sum over the chunks, from first to last, into `gradient`, whose memory is reused.
+    pub fn total_into(&self, gradient: &mut SharedGradient) {
+        let SharedGradient { lobes, specular } = gradient;
+        lobes.reset(self.lobes);
+        let mut of_specular = Row::ZERO;
+        let blocks = self.lobes.div_ceil(MAX_LANES) * LOBE_COLUMNS;
+        for (i, chunk) in self.rows.chunks_exact(self.rows_of_chunk()).enumerate() {
+            let (of_lobes, rest) = chunk.split_at(blocks);
+            for (at, row) in of_lobes.iter().enumerate() {
+                let (block, column) = (at / LOBE_COLUMNS, at % LOBE_COLUMNS);
+                let start = column * lobes.stride + block * MAX_LANES;
+                add_row(&mut lobes.data[start..start + MAX_LANES], row, i == 0);
+            }
+            rest.iter().for_each(|row| add_row(&mut of_specular.0, row, i == 0));
+        }
+        let [r, g, b, roughness, ..] = of_specular.0;
+        *specular = SpecularAdjoint { albedo: [r, g, b], roughness };
+    }
+}
+
+/// Adds a row to sums, or begins them with it.
+fn add_row(sums: &mut [f32], row: &Row, begins: bool) {
+    if begins {
+        sums.copy_from_slice(&row.0);
+    } else {
+        sums.iter_mut().zip(&row.0).for_each(|(sum, value)| *sum += value);
     }
 }

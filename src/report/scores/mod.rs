@@ -186,6 +186,27 @@ pub struct FrameTried {
     pub error: f32,
 }
 
+/// What the steps of a fit on several processes have sent.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Communication {
+    /// Processes.
+    pub ranks: usize,
+    /// Bytes that the first process has got from others, a step.
+    pub bytes_per_step: f64,
+    /// Seconds of its communication, a step; waiting for others is included.
+    pub seconds_per_step: f64,
+}
+
+impl Communication {
+    /// "2 ranks: 0.4 MB and 1.2 ms of communication a step".
+    pub fn words(&self) -> String {
+        let Self { ranks, bytes_per_step, seconds_per_step } = self;
+        let ranks = if *ranks == 1 { "1 rank".to_owned() } else { format!("{ranks} ranks") };
+        let (megabytes, milliseconds) = (bytes_per_step / 1e6, seconds_per_step * 1e3);
+        format!("{ranks}: {megabytes:.3} MB and {milliseconds:.2} ms of communication a step")
+    }
+}
+
 /// How one view came out; what is not known is `null`.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct ViewOutcome {
@@ -257,6 +278,9 @@ pub struct Scores {
     /// How each view came out of the last fit, and of scores.
     #[serde(default)]
     pub views: Vec<ViewOutcome>,
+    /// What the last fit has sent, on several processes.
+    #[serde(skip_serializing_if = "Option::is_none", default)]
+    pub communication: Option<Communication>,
     /// Time of all fits, seconds.
     pub fit_secs: Option<f64>,
     /// Largest resident memory of the process so far, MiB.

@@ -4,7 +4,7 @@ use super::loops::{Kernels, Loops};
 use super::slices;
 use crate::accurate::{self, ACCURATE_DEFAULT, ACCURATE_HIGH, GGX_DEFAULT, GGX_HIGH, Quality};
 use crate::brdf::{Facets, Ndf, SpecularValue};
-use crate::columns::{LobeColumns, SharedGradient};
+use crate::columns::{ChunkSums, LobeColumns, SharedGradient};
 use crate::lighting::Lighting;
 use crate::lobe::Lobe;
 use crate::published::{self, Published};
@@ -147,6 +147,21 @@ impl ClosedForm {
     ) {
         let (kernels, lighting) = (self.kernels(specular.ndf), lighting.into());
         slices::shade_adjoint(kernels, points, specular, lighting, radiance, out, gradient);
+    }
+
+    /// [`Self::shade_adjoint`] with the sums over each chunk of [`CHUNK`](super::CHUNK) points instead of their total, which
+    /// [`ChunkSums::total_into`] then takes.
+    pub fn shade_adjoint_in_chunks<'a>(
+        self,
+        points: &[ShadePoint],
+        specular: &SpecularValue,
+        lighting: impl Into<Lighting<'a>>,
+        radiance: RadianceColumns<'_>,
+        out: &mut [PointAdjoint],
+        sums: &mut ChunkSums,
+    ) {
+        let (kernels, lighting) = (self.kernels(specular.ndf), lighting.into());
+        slices::shade_adjoint_in_chunks(kernels, points, specular, lighting, radiance, out, sums);
     }
 
     /// The loops of this form with a distribution of microfacet normals.

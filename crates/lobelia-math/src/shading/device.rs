@@ -2,7 +2,7 @@
 
 use super::closed_form::ClosedForm;
 use crate::brdf::{Ndf, SpecularValue};
-use crate::columns::SharedGradient;
+use crate::columns::ChunkSums;
 use crate::lighting::Lighting;
 use crate::sample::{Layers, PointAdjoint, RadianceColumns, ShadePoint};
 use std::fmt::Debug;
@@ -20,15 +20,6 @@ pub struct ShadeCall<'a> {
     pub lighting: Lighting<'a>,
 }
 
-/// What an adjoint writes.
-#[derive(Debug)]
-pub struct Adjoints<'a> {
-    /// Adjoints of the inputs of each point.
-    pub points: &'a mut [PointAdjoint],
-    /// Gradient with respect to lobes and specular material, summed over points.
-    pub shared: &'a mut SharedGradient,
-}
-
 /// The loops over points × lobes, forward and adjoint. Lengths of outputs are those of the points.
 pub trait PairLoops: Debug + Send + Sync {
     /// Whether this device has the closed form with this distribution of normals.
@@ -40,7 +31,8 @@ pub trait PairLoops: Debug + Send + Sync {
     /// What the device says of its failure.
     fn shade(&self, call: ShadeCall<'_>, out: &mut [Layers]) -> Result<(), String>;
 
-    /// Adjoints, as [`ClosedForm::shade_adjoint`] defines them.
+    /// Adjoints, as [`ClosedForm::shade_adjoint`] defines them: of each point, and those of what points share, summed over chunks as the device
+    /// likes.
     ///
     /// # Errors
     /// What the device says of its failure.
@@ -48,7 +40,8 @@ pub trait PairLoops: Debug + Send + Sync {
         &self,
         call: ShadeCall<'_>,
         radiance: RadianceColumns<'_>,
-        out: Adjoints<'_>,
+        out: &mut [PointAdjoint],
+        sums: &mut ChunkSums,
     ) -> Result<(), String>;
 }
 
@@ -70,9 +63,10 @@ impl PairLoops for Cpu {
         &self,
         ShadeCall { form, points, specular, lighting }: ShadeCall<'_>,
         radiance: RadianceColumns<'_>,
-        out: Adjoints<'_>,
+        out: &mut [PointAdjoint],
+        sums: &mut ChunkSums,
     ) -> Result<(), String> {
-        form.shade_adjoint(points, specular, lighting, radiance, out.points, out.shared);
+        form.shade_adjoint_in_chunks(points, specular, lighting, radiance, out, sums);
         Ok(())
     }
 }

@@ -27,10 +27,10 @@ mod properties;
 mod tests;
 
 pub use crate::brdf::{SpecularAdjoint, SpecularValue};
-pub use crate::columns::{LOBE_COLUMNS, LobeColumns, SharedGradient};
+pub use crate::columns::{ChunkSums, LOBE_COLUMNS, LobeColumns, SharedGradient};
 pub use crate::lighting::{Lighting, LobeVisibility, PointVisibility};
 pub use crate::sample::{Layers, PointAdjoint, RadianceAdjoint, RadianceColumns, ShadePoint};
 pub use closed_form::{ClosedForm, Scalar};
-pub use device::{Adjoints, Cpu, PairLoops, ShadeCall};
+pub use device::{Cpu, PairLoops, ShadeCall};
 pub use respond::RESPONSE_ROWS;
-pub use slices::{shade_adjoint_with, shade_with};
+pub use slices::{CHUNK, shade_adjoint_with, shade_with};

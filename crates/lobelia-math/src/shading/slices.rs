@@ -4,7 +4,7 @@ use super::loops::{Inputs, Kernels, Loops};
 use super::prepared::Chunk;
 use super::respond::RESPONSE_ROWS;
 use crate::brdf::SpecularValue;
-use crate::columns::{LOBE_COLUMNS, LobeColumns, SharedGradient};
+use crate::columns::{ChunkSums, LobeColumns, SharedGradient};
 use crate::lanes::Row;
 use crate::lighting::Lighting;
 use crate::model::PairModel;
@@ -13,12 +13,13 @@ use rayon::prelude::*;
 use std::cell::Cell;
 
 /// Points that a thread processes at a time; also the chunk size of the fixed-order sums.
-const CHUNK: usize = 256;
+pub const CHUNK: usize = 256;
 
 thread_local! {
     /// Buffers kept between calls, so that a step of a fit allocates nothing. They are taken out while in use, because a thread
     /// that waits for its own call may execute work of another call.
-    static SCRATCH: Cell<(Vec<Row>, Vec<Row>)> = const { Cell::new((Vec::new(), Vec::new())) };
+    static SCRATCH: Cell<Vec<Row>> = const { Cell::new(Vec::new()) };
+    static SUMS: Cell<ChunkSums> = Cell::default();
 }
 
 /// Shades `points` by the formulas of `model`; `out` has their length.
@@ -58,8 +59,8 @@ pub(crate) fn shade(
     assert_eq!(points.len(), out.len(), "one output per point");
     lighting.check(points.len());
     let mut scratch = SCRATCH.take();
-    kernels.prepare_lobes(lighting.lobes, &mut scratch.0);
-    let inputs = Inputs { specular, lobes: &scratch.0 };
+    kernels.prepare_lobes(lighting.lobes, &mut scratch);
+    let inputs = Inputs { specular, lobes: &scratch };
     let chunks = points.par_chunks(CHUNK).zip(out.par_chunks_mut(CHUNK));
     chunks.enumerate().for_each(|(i, (points, out))| {
         kernels.shade(inputs, Chunk { points, visibility: lighting.chunk(i, CHUNK) }, out);
@@ -77,29 +78,41 @@ pub(crate) fn shade_adjoint(
     point_adjoint: &mut [PointAdjoint],
     gradient: &mut SharedGradient,
 ) {
+    let mut sums = SUMS.take();
+    shade_adjoint_in_chunks(kernels, points, specular, lighting, radiance, point_adjoint, &mut sums);
+    sums.total_into(gradient);
+    SUMS.set(sums);
+}
+
+/// [`shade_adjoint`] with the sums over each chunk of points instead of their total.
+pub(crate) fn shade_adjoint_in_chunks(
+    kernels: &dyn Kernels,
+    points: &[ShadePoint],
+    specular: &SpecularValue,
+    lighting: Lighting<'_>,
+    radiance: RadianceColumns<'_>,
+    point_adjoint: &mut [PointAdjoint],
+    sums: &mut ChunkSums,
+) {
     let RadianceColumns { shaded, adjoint } = radiance;
     assert!(points.len() == shaded.len() && points.len() == adjoint.len(), "one value per point");
     assert_eq!(points.len(), point_adjoint.len(), "one output per point");
     lighting.check(points.len());
-    let mut scratch = SCRATCH.take();
-    let (lobes, partial) = (&mut scratch.0, &mut scratch.1);
-    kernels.prepare_lobes(lighting.lobes, lobes);
-    let inputs = Inputs { specular, lobes };
-    // One partial gradient per chunk: LOBE_COLUMNS rows per block of lobes, and a row for the specular material.
-    let rows = lighting.lobes.blocks() * LOBE_COLUMNS + 1;
-    partial.clear();
-    partial.resize(rows * points.len().div_ceil(CHUNK), Row::ZERO);
+    let mut lobes = SCRATCH.take();
+    kernels.prepare_lobes(lighting.lobes, &mut lobes);
+    let inputs = Inputs { specular, lobes: &lobes };
+    sums.reset(points.len().div_ceil(CHUNK), lighting.lobes.len());
+    let rows = sums.rows_of_chunk();
     points
         .par_chunks(CHUNK)
         .zip(shaded.par_chunks(CHUNK).zip(adjoint.par_chunks(CHUNK)))
-        .zip(point_adjoint.par_chunks_mut(CHUNK).zip(partial.par_chunks_mut(rows)))
+        .zip(point_adjoint.par_chunks_mut(CHUNK).zip(sums.rows_mut().par_chunks_mut(rows)))
         .enumerate()
         .for_each(|(i, ((points, (shaded, adjoint)), (out, partial)))| {
             let chunk = Chunk { points, visibility: lighting.chunk(i, CHUNK) };
             kernels.pull_back(inputs, chunk, RadianceColumns { shaded, adjoint }, out, partial);
         });
-    gradient.sum_in_order(partial, rows, lighting.lobes.len());
-    SCRATCH.set(scratch);
+    SCRATCH.set(lobes);
 }
 
 /// Responses of points to each lobe, on this thread alone; see [`ClosedForm::respond`](super::ClosedForm::respond).
@@ -112,8 +125,8 @@ pub(crate) fn respond(
 ) {
     assert_eq!(points.len() * RESPONSE_ROWS * lobes.stride(), out.len(), "four rows of lobes per point");
     let mut scratch = SCRATCH.take();
-    kernels.prepare_lobes(lobes, &mut scratch.0);
-    kernels.respond(Inputs { specular, lobes: &scratch.0 }, points, out);
+    kernels.prepare_lobes(lobes, &mut scratch);
+    kernels.respond(Inputs { specular, lobes: &scratch }, points, out);
     SCRATCH.set(scratch);
 }
 

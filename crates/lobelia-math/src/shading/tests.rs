@@ -233,6 +233,28 @@ fn threads_and_what_was_there_before_do_not_change_a_bit() {
 }
 
 #[test]
+fn chunks_that_were_summed_apart_have_the_same_total() {
+    let (points, specular, lobes) = inputs(&cases(700, 21));
+    let whole = round_trip(ClosedForm::default(), &points, &specular, &lobes);
+    let (mut values, mut sums) = (Vec::new(), ChunkSums::default());
+    for part in [&points[..2 * CHUNK], &points[2 * CHUNK..]] {
+        let shaded = round_trip(ClosedForm::default(), part, &specular, &lobes).shaded;
+        let adjoint = vec![RadianceAdjoint(narrow(ADJOINT)); part.len()];
+        let radiance = RadianceColumns { shaded: &shaded, adjoint: &adjoint };
+        let mut back = vec![PointAdjoint::default(); part.len()];
+        let form = ClosedForm::default();
+        form.shade_adjoint_in_chunks(part, &specular, &lobes, radiance, &mut back, &mut sums);
+        values.extend(sums.values());
+    }
+    sums.set_values(&values);
+    let mut total = SharedGradient::default();
+    sums.total_into(&mut total);
+    assert_eq!(total.lobes, whole.shared.lobes);
+    assert_eq!(total.specular.albedo, whole.shared.specular.albedo);
+    assert_eq!(total.specular.roughness, whole.shared.specular.roughness);
+}
+
+#[test]
 fn nothing_to_do_is_no_failure() {
     let lobes = LobeColumns::zeros(0);
     let mut out = [Layers::default()];

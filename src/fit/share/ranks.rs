@@ -1,0 +1,148 @@
+//! The processes that work on one fit, and what they say to each other.
+
+use crate::error::stop::{StopSignal, ask_to_stop, is_stopping};
+use crate::error::{Error, Result};
+use bevy_ecs::prelude::{Resource, World};
+use std::fmt;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
+
+/// A group of processes (or threads) that call the same functions in the same order. A call returns once all have called it.
+pub trait Communicator: Send + Sync {
+    /// The number of this process, from 0.
+    fn rank(&self) -> usize;
+
+    /// How many there are.
+    fn size(&self) -> usize;
+
+    /// Sends bytes to all, and returns what each has sent, by rank.
+    ///
+    /// # Errors
+    /// If another one is gone.
+    fn all_gather(&self, bytes: &[u8]) -> Result<Vec<Vec<u8>>>;
+
+    /// Whether any of them says so.
+    ///
+    /// # Errors
+    /// If another one is gone.
+    fn all_any(&self, said: bool) -> Result<bool>;
+}
+
+/// What the steps of a fit have sent so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Traffic {
+    /// Steps.
+    pub steps: u32,
+    /// Bytes that came from other processes.
+    pub bytes: u64,
+    /// Seconds, waiting for other processes included.
+    pub seconds: f64,
+}
+
+/// The processes that work on one fit, as a resource of each one's world.
+#[derive(Resource, Clone)]
+pub struct Ranks {
+    communicator: Arc<dyn Communicator>,
+    traffic: Arc<Mutex<Traffic>>,
+    stopped: Arc<AtomicBool>,
+}
+
+impl Ranks {
+    /// Those of a communicator.
+    pub fn new(communicator: Arc<dyn Communicator>) -> Self {
+        Self { communicator, traffic: Arc::default(), stopped: Arc::default() }
+    }
+
+    /// The number of this process, from 0.
+    pub fn rank(&self) -> usize {
+        self.communicator.rank()
+    }
+
+    /// How many processes there are.
+    pub fn size(&self) -> usize {
+        self.communicator.size()
+    }
+
+    /// Sends bytes to all, and returns what each has sent, by rank; the traffic is counted.
+    pub(super) fn all_gather(&self, bytes: &[u8]) -> Result<Vec<Vec<u8>>> {
+        let begun = Instant::now();
+        let parts = self.communicator.all_gather(bytes)?;
+        let received: usize = parts.iter().map(Vec::len).sum();
+        self.count(|traffic| {
+            traffic.bytes += (received - bytes.len()) as u64;
+            traffic.seconds += begun.elapsed().as_secs_f64();
+        });
+        Ok(parts)
+    }
+
+    /// Whether one of the processes is asked to stop; if so, all are from now on.
+    fn agree_on_stop(&self) -> Result<bool> {
+        let begun = Instant::now();
+        let stops = self.communicator.all_any(is_stopping())?;
+        self.count(|traffic| {
+            traffic.steps += 1;
+            traffic.seconds += begun.elapsed().as_secs_f64();
+        });
+        if stops {
+            self.stopped.store(true, Ordering::Relaxed);
+            ask_to_stop(StopSignal::Terminate);
+        }
+        Ok(stops)
+    }
+
+    /// Whether all processes have stopped after the same step.
+    pub fn have_stopped(&self) -> bool {
+        self.stopped.load(Ordering::Relaxed)
+    }
+
+    /// Waits until all processes are here.
+    ///
+    /// # Errors
+    /// If another one is gone.
+    pub fn meet(&self) -> Result<()> {
+        self.communicator.all_any(false).map(|_| ())
+    }
+
+    /// The least number that a process gives, if one does.
+    ///
+    /// # Errors
+    /// If another one is gone.
+    pub fn least(&self, number: Option<u64>) -> Result<Option<u64>> {
+        let parts = self.communicator.all_gather(&number.unwrap_or(u64::MAX).to_le_bytes())?;
+        let numbers = parts.into_iter().filter_map(|bytes| Some(u64::from_le_bytes(bytes.try_into().ok()?)));
+        Ok(numbers.min().filter(|least| *least < u64::MAX))
+    }
+
+    /// What was sent since this was called last.
+    pub fn take_traffic(&self) -> Traffic {
+        std::mem::take(&mut *self.traffic.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+
+    fn count(&self, add: impl FnOnce(&mut Traffic)) {
+        add(&mut self.traffic.lock().unwrap_or_else(PoisonError::into_inner));
+    }
+}
+
+impl fmt::Debug for Ranks {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "rank {} of {}", self.rank(), self.size())
+    }
+}
+
+/// Two are the same if they talk through the same communicator.
+impl PartialEq for Ranks {
+    fn eq(&self, other: &Self) -> bool {
+        Arc::ptr_eq(&self.communicator, &other.communicator)
+    }
+}
+
+/// Whether the processes stop after this step; called once a step by each. Without several processes nothing is said.
+pub(in crate::fit) fn agree_on_stop(world: &World) -> Result<bool> {
+    world.get_resource::<Ranks>().map_or(Ok(false), Ranks::agree_on_stop)
+}
+
+/// The error of a process that others have left, or that has got something unexpected.
+pub(super) fn broken(problem: impl Into<String>) -> Error {
+    Error::run("a fit on several processes", problem)
+}

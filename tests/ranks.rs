@@ -1,0 +1,131 @@
+//! One fit on several processes: the same bits as on one.
+
+use crate::common::{Data, Outcome, command};
+use crate::photos::photographs;
+use crate::resume::{MESH, results, scene, two_balls};
+use lobelia::fit::share::Ranks;
+use lobelia::fit::share::threads::ThreadRank;
+use lobelia::pass::progress::Silent;
+use lobelia::pass::{self, RunOptions};
+use lobelia::scene::{LoadOptions, load};
+use std::collections::BTreeMap;
+use std::process::Command;
+use std::sync::Arc;
+
+/// The files of a pass, by name.
+type Found = BTreeMap<String, String>;
+
+/// Runs a scene on so many threads as ranks; returns what each has written for the pass, and what the first has saved.
+fn run(data: &Data, text: &str, pass: &str, size: usize) -> Vec<(Found, Option<Found>)> {
+    let path = data.path("scene.ron");
+    std::fs::write(&path, text).unwrap();
+    let work = |rank: ThreadRank, number: usize| {
+        let options = LoadOptions { data: Some(data.root().to_owned()), ..LoadOptions::default() };
+        let loaded = load(&path, &options).unwrap();
+        let out = data.path(&format!("{size}/{number}"));
+        let ranks = (size > 1).then(|| Ranks::new(Arc::new(rank)));
+        let options = RunOptions { out: out.clone(), ranks, ..RunOptions::default() };
+        pass::run(&loaded, &options, &Silent).unwrap();
+        let saved = out.join("save");
+        (results(&out.join(pass)), saved.is_dir().then(|| results(&saved)))
+    };
+    std::thread::scope(|scope| {
+        let work = &work;
+        let start = |(number, rank)| scope.spawn(move || work(rank, number));
+        let at_work: Vec<_> = ThreadRank::group(size).into_iter().enumerate().map(start).collect();
+        at_work.into_iter().map(|rank| rank.join().unwrap()).collect()
+    })
+}
+
+/// The bits of several ranks are those of one.
+#[track_caller]
+fn agrees(data: &Data, text: &str, pass: &str, sizes: &[usize]) {
+    let (alone, saved) = run(data, text, pass, 1).remove(0);
+    assert!(alone.len() > 2, "{alone:?}");
+    for size in sizes {
+        for (rank, (found, also)) in run(data, text, pass, *size).into_iter().enumerate() {
+            assert!(found == alone, "rank {rank} of {size} differs:\n{alone:?}\n{found:?}");
+            assert_eq!(also, saved.clone().filter(|_| rank == 0), "the first of {size} saves");
+        }
+    }
+}
+
+#[test]
+fn a_fit_on_several_ranks_has_the_bits_of_one() {
+    let data = Data::new();
+    two_balls(&data);
+    let text = scene(
+        MESH,
+        "material: (gloss: One),",
+        r#"Fit(name: "fit", steps: 60, batch: 800), Save(name: "save"),"#,
+    );
+    // The pool has three or four chunks of samples: with seven ranks some have nothing to do.
+    agrees(&data, &text, "fit", &[2, 3, 7]);
+}
+
+#[test]
+fn a_shape_on_several_ranks_has_the_bits_of_one() {
+    let data = photographs();
+    let passes = r#"Shape(name: "shape", levels: [(cells: 16, texel_cells: 12, steps: 54, hold: 5)],
+        batch: 600, silhouette_batch: 32, cameras: PosesAndFocal, exposure: Color),
+        Fit(name: "fit", steps: 10, batch: 600, vertices: true), Save(name: "save"),"#;
+    let text = scene("Unknown(cells: 16, texture_size: 128)", "material: (gloss: One),", passes);
+    agrees(&data, &text, "fit", &[2]);
+}
+
+#[test]
+fn several_base_materials_are_the_same_on_all_ranks_and_nearly_those_of_one() {
+    let data = Data::new();
+    two_balls(&data);
+    let passes = r#"Fit(name: "fit", steps: 40, batch: 800),"#;
+    let text = scene(MESH, "material: (gloss: Blend(materials: 2)),", passes);
+    let loss = |found: &Found| -> f64 {
+        let last = found["log.csv"].lines().last().unwrap();
+        last.split(',').nth(1).unwrap().parse().unwrap()
+    };
+    let (alone, _) = run(&data, &text, "fit", 1).remove(0);
+    let both = run(&data, &text, "fit", 2);
+    assert_eq!(both[0].0, both[1].0);
+    let (one, two) = (loss(&alone), loss(&both[0].0));
+    assert!((one - two).abs() < 0.01 * one, "{one} {two}");
+}
+
+#[test]
+fn what_communication_takes_is_told() {
+    let data = Data::new();
+    let text = scene(MESH, "material: (gloss: One),", r#"Fit(name: "fit", steps: 4, batch: 800),"#);
+    run(&data, &text, "fit", 2);
+    let scores = std::fs::read_to_string(data.path("2/0/metrics.json")).unwrap();
+    let scores: serde_json::Value = serde_json::from_str(&scores).unwrap();
+    let found = &scores["communication"];
+    assert_eq!(found["ranks"], 2);
+    // Half of the radiance and adjoints of some hundred samples.
+    assert!((5e3..1e5).contains(&found["bytes_per_step"].as_f64().unwrap()), "{found}");
+}
+
+/// Under `mpirun`, where the program has MPI.
+#[test]
+fn processes_under_mpirun_have_the_bits_of_one() {
+    if !cfg!(feature = "mpi") || Command::new("mpirun").arg("--version").output().is_err() {
+        println!("left out: it needs the feature mpi, and mpirun");
+        return;
+    }
+    let data = Data::new();
+    two_balls(&data);
+    let passes = r#"Fit(name: "fit", steps: 60, batch: 800), Save(name: "saved"),"#;
+    let text = scene(MESH, "material: (gloss: One),", passes);
+    data.run(&text, "alone", &["--threads", "1"]).succeeded();
+    let mut mpirun = Command::new("mpirun");
+    mpirun.args(["-n", "2", "--allow-run-as-root", "--oversubscribe"]).arg(command(&[]).get_program());
+    mpirun.arg("run").arg(data.path("scene.ron")).arg("--data").arg(data.root());
+    let outcome =
+        Outcome::of(mpirun.arg("--out").arg(data.path("both")).args(["--threads", "1"])).succeeded();
+    assert!(outcome.stdout.contains("fit: 2 ranks: "), "{}", outcome.stdout);
+    let saved = |out: &str| {
+        let mut files = results(&data.path(out).join("saved"));
+        files.retain(|name, _| name.contains("albedo") || name.contains("light"));
+        files
+    };
+    assert!(saved("alone").len() >= 2, "{:?}", saved("alone"));
+    assert_eq!(saved("alone"), saved("both"));
+}
