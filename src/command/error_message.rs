@@ -3,6 +3,7 @@
 use annotate_snippets::renderer::DecorStyle;
 use annotate_snippets::{AnnotationKind, Element, Group, Level, Origin, Renderer, Snippet};
 use lobelia::Error;
+use lobelia::error::stop::{StopSignal, stopped_by};
 use lobelia::error::{Fault, SceneDiagnostic};
 use std::io::IsTerminal;
 use std::ops::Range;
@@ -104,6 +105,12 @@ fn wrapped(text: &str) -> String {
         }
     }
     wrapped
+}
+
+/// The exit code for an error; that of its signal for a run that was stopped.
+pub fn exit_code(error: &Error) -> u8 {
+    let signal = stopped_by().filter(|_| matches!(error, Error::Interrupted));
+    signal.map_or(error.exit_code(), StopSignal::exit_code)
 }
 
 #[cfg(test)]

@@ -40,8 +40,7 @@ mod view_args;
 
 use args::{Cli, Command};
 use clap::Parser;
-use lobelia::error::stop::{StopSignal, stopped_by};
-use lobelia::{Error, Result};
+use lobelia::Result;
 use std::io::Write as _;
 use std::process::ExitCode;
 
@@ -59,19 +58,16 @@ pub fn main() -> ExitCode {
         Ok(()) => ExitCode::SUCCESS,
         Err(error) => {
             let _ = std::io::stderr().write_all(error_message::report(&error).as_bytes());
-            ExitCode::from(exit_code(&error))
+            ExitCode::from(error_message::exit_code(&error))
         }
     }
 }
 
-/// The exit code for an error; that of its signal for a run that was stopped.
-fn exit_code(error: &Error) -> u8 {
-    let signal = stopped_by().filter(|_| matches!(error, Error::Interrupted));
-    signal.map_or(error.exit_code(), StopSignal::exit_code)
-}
-
 fn dispatch(command: &Command) -> Result<()> {
     match command {
+        #[cfg(feature = "mpi")]
+        Command::Run(args) => ranks::run(args),
+        #[cfg(not(feature = "mpi"))]
         Command::Run(args) => run::run(args),
         Command::Check(args) => check::run(args),
         Command::Prepare(args) => prepare::run(args),

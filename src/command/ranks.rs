@@ -1,7 +1,6 @@
 //! `lobelia run` as one of several processes that `mpirun` has started.
 
-use super::error_message;
-use super::exit_code;
+use super::error_message::{exit_code, report};
 use super::run::{carry_out, run_and_report};
 use super::run_args::RunArgs;
 use lobelia::fit::share::Ranks;
@@ -20,9 +19,9 @@ const AFTER_FIRST: Duration = Duration::from_secs(1);
 /// Time between two checkpoints of another process than the first, whose are for nothing.
 const NEVER: Duration = Duration::from_secs(1 << 30);
 
-/// Runs the scene with the other processes; `None` if this process is alone.
-pub fn run(args: &RunArgs) -> Option<Result<()>> {
-    is_started().then(|| Mpi::start().and_then(|mpi| run_as(args, &mpi)))
+/// Runs the command, with the other processes if there are some.
+pub fn run(args: &RunArgs) -> Result<()> {
+    if is_started() { run_as(args, &Mpi::start()?) } else { super::run::run(args) }
 }
 
 /// The first process writes the output folder and says how far it is; the others are silent, and write into a folder that goes.
@@ -95,6 +94,6 @@ fn end_all(mpi: &Mpi, error: &Error) -> ! {
     if mpi.ranks().rank() > 0 {
         std::thread::sleep(AFTER_FIRST);
     }
-    let _ = std::io::stderr().write_all(error_message::report(error).as_bytes());
+    let _ = std::io::stderr().write_all(report(error).as_bytes());
     mpi.abort(exit_code(error))
 }

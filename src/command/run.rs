@@ -21,10 +21,6 @@ pub type Adapt<'a> = dyn FnMut(&mut RunOptions) -> Result<()> + 'a;
 
 /// Runs the command.
 pub fn run(args: &RunArgs) -> Result<()> {
-    #[cfg(feature = "mpi")]
-    if let Some(ended) = super::ranks::run(args) {
-        return ended;
-    }
     run_and_report(args, &mut |_| Ok(()))
 }
 

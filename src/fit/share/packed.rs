@@ -7,12 +7,12 @@ use crate::math::shading::{Layers, PointAdjoint, SpecularAdjoint};
 use std::ops::Range;
 
 /// A value that is a number of floats.
-pub(super) trait Floats<const N: usize>: Copy {
+pub(super) trait PackedFloats<const N: usize>: Copy {
     fn to_floats(self) -> [f32; N];
     fn of_floats(floats: [f32; N]) -> Self;
 }
 
-impl Floats<6> for Layers {
+impl PackedFloats<6> for Layers {
     fn to_floats(self) -> [f32; 6] {
         joined(self.diffuse, self.specular)
     }
@@ -22,7 +22,7 @@ impl Floats<6> for Layers {
     }
 }
 
-impl Floats<6> for PointAdjoint {
+impl PackedFloats<6> for PointAdjoint {
     fn to_floats(self) -> [f32; 6] {
         joined(self.albedo, self.normal)
     }
@@ -32,7 +32,7 @@ impl Floats<6> for PointAdjoint {
     }
 }
 
-impl<const N: usize> Floats<N> for [f32; N] {
+impl<const N: usize> PackedFloats<N> for [f32; N] {
     fn to_floats(self) -> [f32; N] {
         self
     }
@@ -57,7 +57,7 @@ impl Message {
     }
 
     /// Adds values of a column.
-    pub fn add_column<const N: usize>(&mut self, values: &[impl Floats<N>]) {
+    pub fn add_column<const N: usize>(&mut self, values: &[impl PackedFloats<N>]) {
         self.add(values.iter().flat_map(|value| value.to_floats()));
     }
 
@@ -89,7 +89,7 @@ impl Received {
     }
 
     /// Takes the values of `rows` of a column.
-    pub fn take_column<const N: usize, T: Floats<N>>(
+    pub fn take_column<const N: usize, T: PackedFloats<N>>(
         &mut self,
         rows: Range<usize>,
         column: &mut [T],

@@ -5,27 +5,30 @@ use crate::error::Result;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Mutex, PoisonError};
 
+type Bytes = Vec<u8>;
+
 /// One of several threads that talk through channels.
 pub struct ThreadRank {
     rank: usize,
-    /// The ways to all threads and from all threads, by rank; those to itself are used as well.
-    ways: Mutex<(Vec<Sender<Vec<u8>>>, Vec<Receiver<Vec<u8>>>)>,
+    ways: Mutex<Ways>,
+}
+
+/// The ways to all threads and from all threads, by rank; those to itself are used as well.
+struct Ways {
+    to: Vec<Sender<Bytes>>,
+    from: Vec<Receiver<Bytes>>,
 }
 
 impl ThreadRank {
     /// So many ranks; each thread takes one.
     pub fn group(size: usize) -> Vec<Self> {
-        let mut to: Vec<Vec<Sender<Vec<u8>>>> = (0..size).map(|_| Vec::new()).collect();
-        let mut from: Vec<Vec<Receiver<Vec<u8>>>> = (0..size).map(|_| Vec::new()).collect();
-        for senders in &mut to {
-            for receivers in &mut from {
-                let (sender, receiver) = channel();
-                senders.push(sender);
-                receivers.push(receiver);
-            }
+        let mut ways: Vec<Ways> = (0..size).map(|_| Ways { to: Vec::new(), from: Vec::new() }).collect();
+        for (a, b) in (0..size).flat_map(|a| (0..size).map(move |b| (a, b))) {
+            let (to, from) = channel();
+            ways[a].to.push(to);
+            ways[b].from.push(from);
         }
-        let ways = to.into_iter().zip(from).map(Mutex::new);
-        ways.enumerate().map(|(rank, ways)| Self { rank, ways }).collect()
+        ways.into_iter().enumerate().map(|(rank, ways)| Self { rank, ways: Mutex::new(ways) }).collect()
     }
 }
 
@@ -35,17 +38,17 @@ impl Communicator for ThreadRank {
     }
 
     fn size(&self) -> usize {
-        self.ways.lock().unwrap_or_else(PoisonError::into_inner).0.len()
+        self.ways.lock().unwrap_or_else(PoisonError::into_inner).to.len()
     }
 
     fn all_gather(&self, bytes: &[u8]) -> Result<Vec<Vec<u8>>> {
         let ways = self.ways.lock().unwrap_or_else(PoisonError::into_inner);
         let gone = |rank: usize| broken(format!("rank {rank} is gone"));
-        for (rank, to) in ways.0.iter().enumerate() {
+        for (rank, to) in ways.to.iter().enumerate() {
             to.send(bytes.to_vec()).map_err(|_| gone(rank))?;
         }
-        let receive = |(rank, from): (usize, &Receiver<Vec<u8>>)| from.recv().map_err(|_| gone(rank));
-        ways.1.iter().enumerate().map(receive).collect()
+        let receive = |(rank, from): (usize, &Receiver<Bytes>)| from.recv().map_err(|_| gone(rank));
+        ways.from.iter().enumerate().map(receive).collect()
     }
 
     fn all_any(&self, said: bool) -> Result<bool> {
