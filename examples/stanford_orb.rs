@@ -124,7 +124,7 @@ fn scene_of(orb: &Path, capture: &str, views: &[PlannedView], downscale: u32) ->
         "// Stanford-ORB, {capture}: fitted, and relit by the measured light of other captures.\n\
          Scene(\n    version: 1,\n    surface: Unknown(),\n    up: (0, 0, 1),\n    \
          views: Dataset(path: \"$DATA\", layout: Nerf, downscale: {downscale}),\n    passes: [\n        \
-         Shape(),\n        Fit(vertices: true, detail: true),\n        \
+         Shape(),\n        Fit(vertices: true, detail: true, steps: 1200, rates: (albedo: 0.02, light: 0.02, specular: 0.01)),\n        \
          Render(name: \"novel\", render: (views: Named([{novel}]))),\n{relights}        \
          Evaluate(scores: [\n            (pass: \"novel\", truth: Photographs, scale: PerView),\n{scores}        ]),\n        \
          Save(),\n    ],\n)\n"

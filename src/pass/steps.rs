@@ -66,7 +66,7 @@ pub(super) fn options(session: &mut Session, pass: &FitPass, done: Done) -> Resu
         done,
         asked_after: None,
         batch: pass.batch as usize,
-        early: EARLY,
+        early: if pass.vertices { 1.0 } else { EARLY },
         rates: [pass.rates.albedo, pass.rates.light, pass.rates.specular],
         milestones: pass.milestones.clone(),
         decay: pass.decay,

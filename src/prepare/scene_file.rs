@@ -228,7 +228,7 @@ fn fits(summary: &DatasetSummary, is_captured: bool) -> String {
         None => {
             let comma = if is_captured { ", " } else { "" };
             text + &format!(
-                "        Shape({unknowns}),\n        Fit({unknowns}{comma}vertices: true, detail: true),\n"
+                "        Shape({unknowns}),\n        Fit({unknowns}{comma}vertices: true, detail: true,\n            steps: 1200, rates: (albedo: 0.02, light: 0.02, specular: 0.01)),\n"
             )
         }
     }

@@ -300,7 +300,9 @@ impl Task<'_> {
     }
 
     fn fit(&self, fit: &FitPass) -> PartEstimate {
-        let early = f64::from(fit.milestones.first().copied().unwrap_or(1.0) * (1.0 - EARLY));
+        let early =
+            if fit.vertices { 0.0 } else { fit.milestones.first().copied().unwrap_or(1.0) * (1.0 - EARLY) };
+        let early = f64::from(early);
         let pairs = f64::from(fit.steps) * (1.0 - early) * f64::from(fit.batch) * self.lobes();
         let bytes = FIT_BYTES + self.pool(fit.max_pixels) * POOL_BYTES + self.texels() * FIT_TEXEL_BYTES;
         let start = self.pool(fit.max_pixels) * FIT_START_NANOS;
