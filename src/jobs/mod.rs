@@ -3,7 +3,7 @@
 //!
 //! | module | holds |
 //! | --- | --- |
-//! | [`unit`] | a unit, and what it has come to |
+//! | [`unit`](mod@unit) | a unit, and what it has come to |
 //! | `table` | `objects.csv`: an object a row |
 //! | `frames` | the frames of films, so many a unit |
 //! | [`merge`], `page` | what units have come to: one table and page, films joined |
