@@ -194,7 +194,7 @@ fn stanford_orb_is_relit_by_the_maps_of_each_picture() {
     let short = text
         .replace("surface: Unknown()", "surface: Mesh(path: \"$DATA/mesh.glb\", texture_size: 32)")
         .replace("Shape(),", "")
-        .replace("vertices: true, detail: true", "steps: 300");
+        .replace("vertices: true, detail: true, steps: 1200", "steps: 300");
     let run = |text: &str, name: &str| {
         std::fs::write(&scene, text).unwrap();
         let mut command = command(&["run", "--quiet", "--allow-outside"]);

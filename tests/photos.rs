@@ -131,7 +131,8 @@ fn a_shape_pass_refines_the_hull_and_can_be_watched() {
     let scene = SCENE.replace("Fit(name", levels);
     let found = run_scene(&data, &scene, &["--quiet", "--force", "--debug-every", "30"]);
     assert!(
-        found.psnr > hull.psnr - 1.0 && found.iou > 0.9,
+        // A fit after a short shape goes on from its light; one of the hull begins anew.
+        found.psnr > hull.psnr - 1.5 && found.iou > 0.9,
         "{} {}, {} {}",
         hull.psnr,
         hull.iou,

@@ -9,7 +9,7 @@
 #SBATCH --output=lobelia-%A_%a.log
 set -euo pipefail
 jobs=$1 out=$2
-shift 2 # further options, such as --data DIR, go to both commands
-unit=$("${LOBELIA:-lobelia}" list "$jobs" "$@" | sed -n "${SLURM_ARRAY_TASK_ID}p")
+shift 2 # further options, such as --data DIR, go to both commands; FRAMES is how many frames of a film a unit has
+unit=$("${LOBELIA:-lobelia}" list "$jobs" "$@" --frames "${FRAMES:-24}" | sed -n "${SLURM_ARRAY_TASK_ID}p")
 # exec, so that Slurm's SIGTERM reaches the program, which then keeps what it has found.
 exec "${LOBELIA:-lobelia}" run "$jobs" "$@" --only "$unit" --out "$out" --threads "${SLURM_CPUS_PER_TASK:-2}" --quiet

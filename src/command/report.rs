@@ -21,16 +21,16 @@ pub fn run(args: &ReportArgs) -> Result<()> {
         (None, _) => PathBuf::from(REPORT),
     };
     refuse_foreign(&page, SIGNATURE)?;
+    if page.is_dir() {
+        let problem = format!("--out {}: it is a folder", page.display());
+        return Err(Error::usage(problem, "Give the file to write, as --out report.html."));
+    }
     if let [out] = args.runs.as_slice()
         && !out.join("run.json").exists()
         && out.is_dir()
         && let units @ [_, ..] = merge::units(out)?.as_slice()
     {
         return write_units(out, &page, units.to_vec());
-    }
-    if page.is_dir() {
-        let problem = format!("--out {}: it is a folder", page.display());
-        return Err(Error::usage(problem, "Give the file to write, as --out report.html."));
     }
     let mut runs: Vec<RunReport> = args.runs.iter().map(|run| read_run(run)).collect::<Result<_>>()?;
     name_apart(&mut runs, &args.runs);

@@ -47,7 +47,7 @@ pub fn carry_out(args: &RunArgs, shown: &dyn Progress, adapt: &mut Adapt) -> Res
             load_unit(args, name)?
         }
     };
-    let begun = out.exists();
+    let begun = out.join("run.json").exists();
     start_threads(args.threads)?;
     let memory = args.memory.or_else(usual_budget);
     let arguments = std::env::args_os().skip(1).map(|word| word.to_string_lossy().into_owned()).collect();
@@ -84,7 +84,9 @@ fn device(name: &str) -> Result<Option<ShadingDevice>> {
 fn load_unit(args: &RunArgs, name: &str) -> Result<LoadedScene> {
     let unit = jobs::find(&args.scene.scene, args.scene.data.as_deref(), name)?;
     let mut options = load_options(&args.scene);
-    options.sets.splice(0..0, unit.sets);
+    // The command line goes before a table, and behind the frames that a unit of a film has.
+    let at = if unit.pass.is_some() { options.sets.len() } else { 0 };
+    options.sets.splice(at..at, unit.sets);
     options.data = unit.data;
     let mut loaded = load(&unit.scene, &options)?;
     if let Some(only) = unit.pass {

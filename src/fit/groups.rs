@@ -95,8 +95,8 @@ pub(super) struct Turns {
     visits: Vec<u32>,
     /// Pixels visited so far, those that are visited again included.
     visited: Vec<usize>,
-    /// The same at the end of the fit.
-    all_visited: Vec<usize>,
+    /// Visits until the end of the fit.
+    all_visits: Vec<u32>,
     /// Whether the shadows of a group are to be found anew.
     stale: Vec<bool>,
     batch: StepPixels,
@@ -161,7 +161,7 @@ impl Turns {
             shares: counts.iter().map(share).collect(),
             visits: vec![0; counts.len()],
             visited: vec![0; counts.len()],
-            all_visited: vec![0; counts.len()],
+            all_visits: vec![0; counts.len()],
             stale: vec![true; counts.len()],
             batch,
             refresh_every,
@@ -171,9 +171,12 @@ impl Turns {
 
     /// The same for a fit of so many steps.
     pub fn until(self, steps: u32) -> Self {
+        if self.pools.len() == 1 {
+            return Self { all_visits: vec![steps], ..self };
+        }
         let mut end = self.clone();
         (0..steps).for_each(|_| _ = end.next());
-        Self { all_visited: end.visited, ..self }
+        Self { all_visits: end.visits, ..self }
     }
 
     /// The turn of the next step. Every few steps all groups find their shadows anew, each in its next turn.
@@ -187,16 +190,16 @@ impl Turns {
         let with_pixels = (0..self.pools.len()).filter(|group| self.shares[*group] > 0.0);
         let group = with_pixels.min_by(|a, b| due(a).total_cmp(&due(b))).unwrap_or(0);
         self.visits[group] += 1;
-        let (pool, visited) = (&self.pools[group], &mut self.visited[group]);
-        let is_last = *visited + pool.len() >= self.all_visited[group];
+        let (pool, visit, visited) = (&self.pools[group], self.visits[group], &mut self.visited[group]);
+        let windows = pool.len().div_ceil(self.batch.late.max(1)) as u32;
         let rows = window_after(*visited, batch, pool.len());
         *visited += rows.len();
         Turn {
             group: LightGroup(group as u32),
             rows: pool.start + rows.start..pool.start + rows.end,
             refreshes: std::mem::take(&mut self.stale[group]),
-            visit: self.visits[group],
-            is_last,
+            visit,
+            is_last: visit + windows > self.all_visits[group],
         }
     }
 }
@@ -254,7 +257,7 @@ mod tests {
         let mut turns = Turns::of(&[250], always(100), 50);
         let rows: Vec<Range<usize>> = (0..4).map(|_| turns.next().rows).collect();
         assert_eq!(rows, [0..100, 100..200, 200..250, 0..100]);
-        // The first three steps visit half as many; the last visit to each pixel begins in the window that has it.
+        // The first three steps visit half as many.
         let grows = StepPixels { early: (50, 3), late: 100 };
         let mut turns = Turns::of(&[250], grows, 50).until(7);
         let taken: Vec<Turn> = (0..7).map(|_| turns.next()).collect();

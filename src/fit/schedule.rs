@@ -22,8 +22,16 @@ impl Schedule<'_> {
     /// How many pixels the steps visit: fewer before the first milestone.
     pub fn pixels(&self) -> StepPixels {
         let early = (self.early * self.batch as f32).ceil() as usize;
-        let steps = (1..=self.steps).take_while(|step| self.milestones_before(*step) == 0).count();
-        StepPixels { early: (early, steps as u32), late: self.batch }
+        // Bisected: a fit that is to be stopped by hand may have any number of steps.
+        let (mut steps, mut end) = (0, self.steps);
+        while steps < end {
+            let middle = steps + (end - steps) / 2;
+            match self.milestones_before(middle + 1) {
+                0 => steps = middle + 1,
+                _ => end = middle,
+            }
+        }
+        StepPixels { early: (early, steps), late: self.batch }
     }
 
     /// Milestones that a step has behind it.

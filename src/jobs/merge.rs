@@ -54,6 +54,7 @@ pub fn units(out: &Path) -> Result<Vec<UnitRow>> {
 /// # Errors
 /// [`Error::Io`] if a file cannot be written; [`Error::Input`] for frames that cannot be read.
 pub fn merge(out: &Path, units: Vec<UnitRow>) -> Result<Merged> {
+    check_table(&out.join(UNITS))?;
     write_bytes(&out.join(UNITS), table(&units)?.as_bytes())?;
     let films = parts_of_films(&units)
         .iter()
@@ -61,6 +62,17 @@ pub fn merge(out: &Path, units: Vec<UnitRow>) -> Result<Merged> {
         .collect::<Result<Vec<_>>>()?;
     let page = page::page(out, &units, &films);
     Ok(Merged { words: page::words(&units), units, page, films })
+}
+
+/// Refuses to replace a table that is not one of units.
+fn check_table(path: &Path) -> Result<()> {
+    match fs::read(path) {
+        Ok(bytes) if !bytes.starts_with(b"unit,state,secs,") => {
+            let problem = format!("{} is not a table that this command wrote", path.display());
+            Err(Error::usage(problem, "Move it away; it is not replaced."))
+        }
+        _ => Ok(()),
+    }
 }
 
 /// The table, with PSNR in dB, seconds and MiB; a cell without a value is empty.

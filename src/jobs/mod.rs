@@ -31,6 +31,9 @@ use std::path::{Path, PathBuf};
 /// # Errors
 /// [`Error::Usage`] or [`Error::Input`] that says which file, row or name is wrong.
 pub fn list(jobs: &Path, data: Option<&Path>, frames: u32) -> Result<Vec<Unit>> {
+    // A unit is the same wherever it is run from.
+    let (jobs, data) = (&absolute(jobs)?, data.map(absolute).transpose()?);
+    let data = data.as_deref();
     let units = if jobs.is_dir() {
         scenes_of(jobs, data)?
     } else if has_ending(jobs, "csv") {
@@ -47,6 +50,8 @@ pub fn list(jobs: &Path, data: Option<&Path>, frames: u32) -> Result<Vec<Unit>> 
 /// # Errors
 /// Those of [`list`]; [`Error::Usage`] if there is none.
 pub fn find(jobs: &Path, data: Option<&Path>, name: &str) -> Result<Unit> {
+    let (jobs, data) = (&absolute(jobs)?, data.map(absolute).transpose()?);
+    let data = data.as_deref();
     // A film's unit says itself which frames it has.
     if !jobs.is_dir() && !has_ending(jobs, "csv") {
         return frames::named(jobs, data, name);
@@ -56,6 +61,10 @@ pub fn find(jobs: &Path, data: Option<&Path>, name: &str) -> Result<Unit> {
         let problem = format!("--only {name}: {} has no unit of this name", jobs.display());
         Error::usage(problem, format!("`lobelia list {}` names them.", jobs.display()))
     })
+}
+
+fn absolute(path: &Path) -> Result<PathBuf> {
+    std::path::absolute(path).map_err(Error::io("find", path))
 }
 
 fn has_ending(path: &Path, ending: &str) -> bool {
@@ -90,7 +99,7 @@ fn scenes_of(folder: &Path, data: Option<&Path>) -> Result<Vec<Unit>> {
 fn check_names(jobs: &Path, units: &[Unit]) -> Result<()> {
     let mut seen = BTreeSet::new();
     for Unit { name, .. } in units {
-        let is_plain = |c: char| c.is_alphanumeric() || "-_.+ ".contains(c);
+        let is_plain = |c: char| c.is_alphanumeric() || "-_.+".contains(c);
         let wrong =
             if name.trim() != name || name.is_empty() || name.starts_with('.') || !name.chars().all(is_plain)
             {
@@ -120,8 +129,8 @@ mod tests {
         let check = |names: &[&str]| {
             check_names(Path::new("objects.csv"), &names.iter().map(|name| unit(name)).collect::<Vec<_>>())
         };
-        assert!(check(&["vase", "vase 2", "Krug-1.5"]).is_ok());
-        for wrong in [&["a/b"][..], &[".."], &[""], &[" a"], &["vase", "Vase"], &["c:"]] {
+        assert!(check(&["vase", "vase_2", "Krug-1.5"]).is_ok());
+        for wrong in [&["a/b"][..], &["a b"], &[".."], &[""], &[" a"], &["vase", "Vase"], &["c:"]] {
             let error = check(wrong).unwrap_err().to_string();
             assert!(error.contains("objects.csv"), "{error}");
         }

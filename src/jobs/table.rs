@@ -52,8 +52,9 @@ fn unit_of(columns: &StringRecord, row: &StringRecord, folder: &Path, data: Opti
     };
     let scene = folder.join(cell("scene")?);
     let own = cell("data").map(|cell| folder.join(cell));
-    let of_path = |path: &Path| path.file_stem().map(|stem| stem.to_string_lossy().into_owned());
-    let name = cell("name").map(str::to_owned).or_else(|| of_path(own.as_deref().unwrap_or(&scene)));
+    let of_path = || own.as_deref().map_or(scene.file_stem(), Path::file_name);
+    let usual = || of_path().map(|name| name.to_string_lossy().into_owned());
+    let name = cell("name").map(str::to_owned).or_else(usual);
     let sets = columns
         .iter()
         .zip(row)
@@ -87,13 +88,13 @@ mod tests {
 
     #[test]
     fn rows_are_units_and_further_columns_values_of_the_scene() {
-        let text = "\u{feff}scene, data, name, passes.fit.steps, up\n# a comment\nobject.ron, photos/vase,, 200,\n/all/photos.ron,,jug 2,,\"(0, 0, 1)\"\n";
+        let text = "\u{feff}scene, data, name, passes.fit.steps, up\n# a comment\nobject.ron, photos/vase.1,, 200,\n/all/photos.ron,,jug 2,,\"(0, 0, 1)\"\n";
         let units = read_text(text).unwrap();
         let set = |path: &str, value: &str| vec![(path.to_owned(), value.to_owned())];
         let first = Unit {
-            name: "vase".into(),
+            name: "vase.1".into(),
             scene: "object.ron".into(),
-            data: Some("photos/vase".into()),
+            data: Some("photos/vase.1".into()),
             sets: set("passes.fit.steps", "200"),
             pass: None,
         };

@@ -397,8 +397,8 @@ fn open<'a>(
     let mut session = Session::new(scene, surface, lights, progress);
     (session.truth, session.out, session.debug_every) = (truth, options.out.clone(), options.debug_every);
     session.ranks = options.ranks.clone();
+    session.device = options.device.clone();
     session.add_plugins();
-    options.device.iter().for_each(|device| session.pipeline.world.insert_resource(device.clone()));
     let SceneLights { own, of_groups, .. } = &session.lights;
     spawn(&mut session.pipeline, scene, &session.surface, views, own.as_ref(), of_groups)?;
     preflight::check(&mut session)?;

@@ -19,6 +19,7 @@ use crate::profile::{Profiler, stage};
 use crate::report::profile::profile_table;
 use crate::report::scores::{Communication, FrameTried, PlacementFound, Scores};
 use crate::scene::{Albedo, Light, LightSource, Pass, PlacementLight, Scene, Views, Visibility};
+use crate::shade::device::ShadingDevice;
 use crate::shade::frame::FramePlugin;
 use crate::spawn::light_file::angles;
 use crate::spawn::{LoadedLight, load_light, unknowns};
@@ -96,7 +97,9 @@ pub struct Session<'a> {
     pub(super) last_picture: Option<PathBuf>,
     /// What measures the run, if it is profiled.
     pub(super) profiler: Option<Profiler>,
-    /// The processes that share the work of a fit.
+    /// The device of closed-form shading, if the run names one.
+    pub(super) device: Option<ShadingDevice>,
+    /// The processes that share the work of a fit, if there are several.
     pub(super) ranks: Option<Ranks>,
     /// Whether there is an object to write: all is given, or a `Shape` or `Fit` has found something.
     pub has_object: bool,
@@ -213,6 +216,7 @@ impl<'a> Session<'a> {
             watched: Watched::default(),
             last_picture: None,
             profiler: None,
+            device: None,
             ranks: None,
             has_object: !scene.passes.iter().any(|pass| matches!(pass, Pass::Shape(_) | Pass::Fit(_))),
         }
@@ -221,6 +225,9 @@ impl<'a> Session<'a> {
     /// Puts the systems of frames and fits into the world.
     pub(super) fn add_plugins(&mut self) {
         self.pipeline.add_plugin(&FramePlugin).add_plugin(&FitPlugin);
+        if let Some(device) = &self.device {
+            self.pipeline.world.insert_resource(device.clone());
+        }
         if let Some(ranks) = &self.ranks {
             self.pipeline.add_plugin(&AllReducePlugin(ranks.clone()));
         }
