@@ -45,7 +45,7 @@ impl Model {
                 include_str!("accurate/point.wgsl"),
                 include_str!("accurate/diffuse.wgsl"),
                 concat!(include_str!("accurate/rule.wgsl"), include_str!("accurate/placement.wgsl")),
-                include_str!("accurate/specular.wgsl"),
+                concat!(include_str!("accurate/specular.wgsl"), include_str!("accurate/smooth.wgsl")),
                 include_str!("accurate/model.wgsl"),
             ],
         }

@@ -6,6 +6,7 @@
 //! one or more specular terms `specular_b` belong to the pair and the weights to the point.
 
 use crate::brdf::{SpecularAdjoint, SpecularValue};
+use crate::dual::Dual;
 use crate::lobe::Shape;
 use crate::real::{Real, Vec3Of};
 use crate::sample::ShadePoint;
@@ -80,6 +81,10 @@ pub const DIFFUSE: Part = 1;
 pub const SPECULAR: Part = 2;
 /// The specular part by the model's rule for lobes that are narrow against the point's response ([`PairModel::narrow`]).
 pub const NARROW: Part = 4;
+/// The specular part by the model's rule for lobes over which the point's response is smooth ([`PairModel::smooth`]).
+pub const SMOOTH: Part = 8;
+/// The rules for the specular part of a lobe.
+pub const RULES: [Part; 3] = [SPECULAR, NARROW, SMOOTH];
 /// Both.
 pub const BOTH: Part = DIFFUSE | SPECULAR;
 
@@ -140,6 +145,8 @@ pub trait PairModel: Copy + Send + Sync {
     const CULLS: bool;
     /// Whether there is a rule for narrow lobes, [`NARROW`].
     const HAS_NARROW: bool = false;
+    /// Whether there is a rule for lobes over which the response is smooth, [`SMOOTH`].
+    const HAS_SMOOTH: bool = false;
     /// The terms of a point that a pair reads.
     type Point<F: Copy>: Terms<F>;
     /// The terms of a point that only its weights and the last part of its adjoint read.
@@ -179,6 +186,39 @@ pub trait PairModel: Copy + Send + Sync {
     fn narrow<F: Real>(&self, _point: &Self::Point<F>, shape: &Shape<F>) -> (F, F) {
         (shape.sharpness.zero(), shape.sharpness.one())
     }
+
+    /// Whether a point may have lobes for [`SMOOTH`] at all.
+    fn may_have_smooth<F: Real>(&self, _point: &Self::Point<F>) -> bool {
+        false
+    }
+
+    /// How smooth the response of the point is over a lobe, given its axis times that of [`PairModel::reach`]. Above 0 the lobe is for [`SMOOTH`], unless [`NARROW`] exists and it is not
+    /// for that.
+    fn smooth<F: Real>(&self, _point: &Self::Point<F>, shape: &Shape<F>, _reached: F) -> F {
+        shape.sharpness.zero()
+    }
+
+    /// The irradiance from a lobe: that of [`PairModel::evaluate`], with its derivatives; called only if [`PairModel::CULLS`].
+    fn irradiance<F: Real>(&self, point: &Self::Point<F>, shape: &Shape<F>, lobe: &Self::Lobe<F>) -> Dual<F>;
+
+    /// What the rule for a lobe for [`SMOOTH`] reads, given its 1/√λ and the irradiance from it; called only if
+    /// [`PairModel::HAS_SMOOTH`].
+    fn place_smooth<F: Real>(
+        &self,
+        point: &Self::Point<F>,
+        shape: &Shape<F>,
+        width: F,
+        irradiance: Dual<F>,
+    ) -> Self::Placed<F>;
+
+    /// [`PairModel::place_smooth`] for two lobes together.
+    fn place_two_smooth<F: Real>(
+        &self,
+        point: &Self::Point<F>,
+        shapes: [&Shape<F>; 2],
+        widths: [F; 2],
+        irradiances: [Dual<F>; 2],
+    ) -> [Self::Placed<F>; 2];
 
     /// Places the nodes of the specular part `PART` of a pair; called only if [`PairModel::CULLS`].
     fn place<F: Real, const PART: Part>(&self, point: &Self::Point<F>, shape: &Shape<F>) -> Self::Placed<F>;

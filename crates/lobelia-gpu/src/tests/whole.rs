@@ -1,6 +1,7 @@
 //! A model of `lobelia-math` whose pairs are all evaluated, as on the GPU.
 
 use lobelia_math::brdf::{SpecularAdjoint, SpecularValue};
+use lobelia_math::dual::Dual;
 use lobelia_math::lobe::Shape;
 use lobelia_math::model::{PairAdjoint, PairModel, Part, PointEnd, PulledBack, Reach, Response};
 use lobelia_math::real::{Real, Vec3Of};
@@ -45,6 +46,33 @@ impl<M: PairModel> PairModel for Whole<M> {
     #[inline(always)]
     fn reach<F: Real>(&self, point: &M::Point<F>) -> Reach<F> {
         self.0.reach(point)
+    }
+
+    #[inline(always)]
+    fn irradiance<F: Real>(&self, point: &M::Point<F>, shape: &Shape<F>, lobe: &M::Lobe<F>) -> Dual<F> {
+        self.0.irradiance(point, shape, lobe)
+    }
+
+    #[inline(always)]
+    fn place_smooth<F: Real>(
+        &self,
+        point: &M::Point<F>,
+        shape: &Shape<F>,
+        width: F,
+        irradiance: Dual<F>,
+    ) -> M::Placed<F> {
+        self.0.place_smooth(point, shape, width, irradiance)
+    }
+
+    #[inline(always)]
+    fn place_two_smooth<F: Real>(
+        &self,
+        point: &M::Point<F>,
+        shapes: [&Shape<F>; 2],
+        widths: [F; 2],
+        irradiances: [Dual<F>; 2],
+    ) -> [M::Placed<F>; 2] {
+        self.0.place_two_smooth(point, shapes, widths, irradiances)
     }
 
     #[inline(always)]

@@ -5,23 +5,13 @@ use super::diffuse::cosine_integral;
 use super::narrow::{MOST_SGS, is_narrow, parts};
 use super::pair::{Pair, Placements, place_sgs};
 use super::placement::{GGX, LocalLight, Placement, SG, Tail, place};
-use super::point::{NdfTerms, PointSums, PointTerms};
+use super::point::{NdfTerms, PairAdjoint, PointSums, PointTerms};
 use super::rule::across;
+use super::smooth::{Ring, pair_smoothness, pull_back_smooth};
 use super::specular::{Node, PointTermsView, node};
 use super::unroll::unroll;
 use crate::dual::Dual;
 use crate::real::{Real, Vec3Of, add, dot, scale};
-
-/// Adjoints of one pair. All but the axis may be summed over lobes, in the frame of the point.
-#[derive(Clone, Copy)]
-pub struct PairAdjoint<F, const NDF: usize = 1> {
-    /// With respect to the lobe's axis (world space).
-    pub axis: Vec3Of<F>,
-    /// With respect to the lobe's sharpness.
-    pub sharpness: F,
-    /// With respect to the point.
-    pub point: PointSums<F, NDF>,
-}
 
 /// Evaluates a pair again and propagates the adjoints of its `diffuse`, `constant` and `slope` back to its inputs.
 #[inline(always)]
@@ -35,7 +25,7 @@ pub fn pull_back_pair<F: Real, const ALONG: usize, const ACROSS: usize, const ND
     let under = pull_back_diffuse(point, axis, &diffuse, diffuse_adjoint);
     let adjoint = [constant_adjoint, slope_adjoint];
     let ([constant, slope], mut back) =
-        pull_back_specular::<F, ALONG, ACROSS, NDF>(point, axis, sharpness, adjoint);
+        pull_back_specular::<F, ALONG, ACROSS, NDF>(point, axis, sharpness, &diffuse, adjoint);
     back.axis = add(back.axis, under.axis);
     back.sharpness += under.sharpness;
     back.point.add(&under.point);
@@ -56,23 +46,45 @@ pub fn pull_back_diffuse<F: Real, const NDF: usize>(
     PairAdjoint { axis: scale(point.frame[2], tilt), sharpness: adjoint * diffuse.by_sharpness, point: sums }
 }
 
-/// The specular part of [`pull_back_pair`]: `[constant, slope]` and the adjoints.
+/// The specular part of [`pull_back_pair`], given the integral of the diffuse part: `[constant, slope]` and the adjoints.
 ///
-/// Nodes and weights are held fixed in world space (see the module's documentation).
+/// Nodes and weights are held fixed in world space (see the module's documentation), but for smooth lobes.
 #[inline(always)]
 pub fn pull_back_specular<F: Real, const ALONG: usize, const ACROSS: usize, const NDF: usize>(
     point: &PointTerms<F, NDF>,
     axis: Vec3Of<F>,
     sharpness: F,
+    diffuse: &Dual<F>,
     adjoint: [F; 2],
 ) -> ([F; 2], PairAdjoint<F, NDF>) {
     let light = LocalLight { axis: point.in_frame(axis), sharpness };
-    if is_narrow(point, axis, sharpness) {
-        let placed = place::<F, GGX>(point.view, &point.ndf[NDF - 1], &light);
-        return pull_back_nodes::<F, ALONG, ACROSS, NDF, GGX>(point, &light, &[placed; MOST_SGS], adjoint);
+    let rest = || pull_back_around_peak::<F, ALONG, ACROSS, NDF>(point, axis, &light, adjoint);
+    let margin = pair_smoothness(point, axis, sharpness);
+    let zero = margin.zero();
+    if !zero.any_lt(margin) {
+        return rest();
     }
-    let placed = place_sgs(point, &light, None);
-    pull_back_nodes::<F, ALONG, ACROSS, NDF, SG>(point, &light, &placed, adjoint)
+    let ring = Ring::new(&light, sharpness.quick_rsqrt());
+    let ((value, back), (other, other_back)) =
+        (pull_back_smooth(point, &light, &ring, diffuse, adjoint), rest());
+    let chosen = |a: F, b: F| zero.select_lt(margin, a, b);
+    ([chosen(value[0], other[0]), chosen(value[1], other[1])], back.zip(&other_back, chosen))
+}
+
+/// [`pull_back_specular`] by the rules with nodes around the peak.
+#[inline(always)]
+fn pull_back_around_peak<F: Real, const ALONG: usize, const ACROSS: usize, const NDF: usize>(
+    point: &PointTerms<F, NDF>,
+    axis: Vec3Of<F>,
+    light: &LocalLight<F>,
+    adjoint: [F; 2],
+) -> ([F; 2], PairAdjoint<F, NDF>) {
+    if is_narrow(point, axis, light.sharpness) {
+        let placed = place::<F, GGX>(point.view, &point.ndf[NDF - 1], light);
+        return pull_back_nodes::<F, ALONG, ACROSS, NDF, GGX>(point, light, &[placed; MOST_SGS], adjoint);
+    }
+    let placed = place_sgs(point, light, None);
+    pull_back_nodes::<F, ALONG, ACROSS, NDF, SG>(point, light, &placed, adjoint)
 }
 
 /// [`pull_back_specular`], given the placements of the nodes.

@@ -1,20 +1,24 @@
 //! The accurate integrals as a [`PairModel`].
 
-use super::adjoint::{self, pull_back_diffuse, pull_back_nodes, pull_back_specular};
+use super::adjoint::{pull_back_diffuse, pull_back_nodes, pull_back_specular};
 use super::diffuse::{SharpnessTerms, prepared_cosine_integral};
 use super::ggx::{GGX_TERMS, ggx_terms};
 use super::narrow::{MOST_SGS, mirror, narrowness};
 use super::pair::{evaluate_specular, place_sgs, sum_nodes};
 use super::placement::{GGX, LocalLight, Placement, SG, place, place_two};
 use super::point::{
-    NdfTerms, PointDerivatives, PointSums, PointTerms, one_sg, prepare_with_ndf, pull_back_point,
+    self, NdfTerms, PointDerivatives, PointSums, PointTerms, one_sg, prepare_with_ndf, pull_back_point,
 };
+use super::smooth::{Ring, broadness, pull_back_smooth, smooth_light, smoothness};
 use crate::brdf::{Facets, Ndf, SpecularAdjoint, SpecularValue, shadowing_k};
+use crate::dual::Dual;
 use crate::lobe::Shape;
 use crate::model::{
-    self, DIFFUSE, NARROW, PairAdjoint, PairModel, Part, PointEnd, PulledBack, Reach, Response, SPECULAR,
+    self, DIFFUSE, NARROW, PairAdjoint, PairModel, Part, PointEnd, PulledBack, Reach, Response, SMOOTH,
+    SPECULAR,
 };
 use crate::real::{Real, Vec3Of, add, dot};
+use crate::two::Two;
 
 /// An NDF of one SG in h, or of several followed by the distribution that they approximate.
 pub trait Mixture<const NDF: usize>: Copy + Send + Sync {
@@ -70,6 +74,24 @@ pub const GGX_DEFAULT: Accurate<GgxSgs, GGX_TERMS, 3, 2> = Accurate(GgxSgs);
 /// [`Quality::High`](super::quality::Quality::High) with GGX for the NDF.
 pub const GGX_HIGH: Accurate<GgxSgs, GGX_TERMS, 4, 3> = Accurate(GgxSgs);
 
+/// What the specular part of a pair is summed from.
+#[derive(Clone, Copy)]
+pub enum Placed<F> {
+    /// Nodes around the peak.
+    Peak(Placement<F>),
+    /// Nodes around the peak of each SG.
+    Peaks,
+    /// Directions around the lobe, and the irradiance from it.
+    Smooth(Ring<F>, Dual<F>),
+}
+
+impl<F: Copy> Placed<F> {
+    #[inline(always)]
+    fn peak(self) -> Option<Placement<F>> {
+        if let Self::Peak(placement) = self { Some(placement) } else { None }
+    }
+}
+
 /// [`PointTerms`] as numbers: sharpness, start and scale of each SG come last.
 type PointNumbers<F, const NDF: usize> = ([F; 12], [[F; 3]; NDF]);
 /// [`PointSums`] as numbers.
@@ -115,7 +137,7 @@ impl<F: Copy, const NDF: usize> PointSums<F, NDF> {
 
 impl<F: Real, const NDF: usize> PairAdjoint<F, SumNumbers<F, NDF>> {
     #[inline(always)]
-    fn new(back: adjoint::PairAdjoint<F, NDF>) -> Self {
+    fn new(back: point::PairAdjoint<F, NDF>) -> Self {
         let shape = Shape { axis: back.axis, sharpness: back.sharpness };
         Self { shape, point: back.point.to_numbers() }
     }
@@ -139,10 +161,11 @@ impl<D: Mixture<NDF>, const NDF: usize, const ALONG: usize, const ACROSS: usize>
 {
     const CULLS: bool = true;
     const HAS_NARROW: bool = NDF > 1;
+    const HAS_SMOOTH: bool = true;
     type Point<F: Copy> = PointNumbers<F, NDF>;
     type Frozen<F: Copy> = ([F; 1], [[F; 2]; NDF]);
     type Lobe<F: Copy> = [F; 8];
-    type Placed<F: Copy> = Option<Placement<F>>;
+    type Placed<F: Copy> = Placed<F>;
     type Specular<F: Copy> = [F; 2];
     type Sums<F: Copy> = SumNumbers<F, NDF>;
 
@@ -192,13 +215,56 @@ impl<D: Mixture<NDF>, const NDF: usize, const ALONG: usize, const ACROSS: usize>
     }
 
     #[inline(always)]
+    fn may_have_smooth<F: Real>(&self, point: &Self::Point<F>) -> bool {
+        let broad = broadness(&PointTerms::from_numbers(*point));
+        broad.zero().any_lt(broad)
+    }
+
+    #[inline(always)]
+    fn smooth<F: Real>(&self, point: &Self::Point<F>, shape: &Shape<F>, mirrored: F) -> F {
+        smoothness(&PointTerms::from_numbers(*point), shape.axis, shape.sharpness, mirrored)
+    }
+
+    #[inline(always)]
+    fn irradiance<F: Real>(&self, point: &Self::Point<F>, shape: &Shape<F>, lobe: &[F; 8]) -> Dual<F> {
+        let normal = PointTerms::from_numbers(*point).frame[2];
+        prepared_cosine_integral(&SharpnessTerms::from_array(*lobe), dot(normal, shape.axis))
+    }
+
+    #[inline(always)]
+    fn place_smooth<F: Real>(
+        &self,
+        point: &Self::Point<F>,
+        shape: &Shape<F>,
+        width: F,
+        irradiance: Dual<F>,
+    ) -> Self::Placed<F> {
+        let light = LocalLight::new(&PointTerms::from_numbers(*point), shape);
+        Placed::Smooth(Ring::new(&light, width), irradiance)
+    }
+
+    #[inline(always)]
+    fn place_two_smooth<F: Real>(
+        &self,
+        point: &Self::Point<F>,
+        [one, two]: [&Shape<F>; 2],
+        [a, b]: [F; 2],
+        [first, second]: [Dual<F>; 2],
+    ) -> [Self::Placed<F>; 2] {
+        let point = PointTerms::from_numbers(*point);
+        let light = LocalLight::two(&LocalLight::new(&point, one), &LocalLight::new(&point, two));
+        let [one, two] = Ring::new(&light, Two(a, b)).split();
+        [Placed::Smooth(one, first), Placed::Smooth(two, second)]
+    }
+
+    #[inline(always)]
     fn place<F: Real, const PART: Part>(&self, point: &Self::Point<F>, shape: &Shape<F>) -> Self::Placed<F> {
         let point = PointTerms::from_numbers(*point);
         let light = LocalLight::new(&point, shape);
         match (PART, NDF) {
-            (NARROW, _) => Some(place::<F, GGX>(point.view, &point.ndf[NDF - 1], &light)),
-            (_, 1) => Some(place::<F, SG>(point.view, &point.ndf[0], &light)),
-            _ => None,
+            (NARROW, _) => Placed::Peak(place::<F, GGX>(point.view, &point.ndf[NDF - 1], &light)),
+            (_, 1) => Placed::Peak(place::<F, SG>(point.view, &point.ndf[0], &light)),
+            _ => Placed::Peaks,
         }
     }
 
@@ -214,9 +280,9 @@ impl<D: Mixture<NDF>, const NDF: usize, const ALONG: usize, const ACROSS: usize>
         let [one, two] = match (PART, NDF) {
             (NARROW, _) => place_two::<F, GGX>(view, [ndf, ndf], lights),
             (_, 1) => place_two::<F, SG>(view, [ndf, ndf], lights),
-            _ => return [None, None],
+            _ => return [Placed::Peaks; 2],
         };
-        [Some(one), Some(two)]
+        [Placed::Peak(one), Placed::Peak(two)]
     }
 
     #[inline(always)]
@@ -228,11 +294,16 @@ impl<D: Mixture<NDF>, const NDF: usize, const ALONG: usize, const ACROSS: usize>
     ) -> [F; 2] {
         let point = PointTerms::from_numbers(*point);
         let light = LocalLight::new(&point, shape);
-        if let (NARROW, Some(placed)) = (PART, *placed) {
-            return sum_nodes::<F, ALONG, ACROSS, NDF, GGX>(&point, &light, &[placed; MOST_SGS]);
+        match (PART, *placed) {
+            (SMOOTH, Placed::Smooth(ring, irradiance)) => smooth_light(&point, &light, &ring, &irradiance),
+            (NARROW, Placed::Peak(placed)) => {
+                sum_nodes::<F, ALONG, ACROSS, NDF, GGX>(&point, &light, &[placed; MOST_SGS])
+            }
+            (_, placed) => {
+                let placed = place_sgs(&point, &light, placed.peak());
+                sum_nodes::<F, ALONG, ACROSS, NDF, SG>(&point, &light, &placed)
+            }
         }
-        let placed = place_sgs(&point, &light, *placed);
-        sum_nodes::<F, ALONG, ACROSS, NDF, SG>(&point, &light, &placed)
     }
 
     #[inline(always)]
@@ -245,12 +316,18 @@ impl<D: Mixture<NDF>, const NDF: usize, const ALONG: usize, const ACROSS: usize>
     ) -> ([F; 2], PairAdjoint<F, Self::Sums<F>>) {
         let point = PointTerms::from_numbers(*point);
         let light = LocalLight::new(&point, shape);
-        let (value, back) = if let (NARROW, Some(placed)) = (PART, *placed) {
-            let placed = [placed; MOST_SGS];
-            pull_back_nodes::<F, ALONG, ACROSS, NDF, GGX>(&point, &light, &placed, *adjoint)
-        } else {
-            let placed = place_sgs(&point, &light, *placed);
-            pull_back_nodes::<F, ALONG, ACROSS, NDF, SG>(&point, &light, &placed, *adjoint)
+        let (value, back) = match (PART, *placed) {
+            (SMOOTH, Placed::Smooth(ring, irradiance)) => {
+                pull_back_smooth(&point, &light, &ring, &irradiance, *adjoint)
+            }
+            (NARROW, Placed::Peak(placed)) => {
+                let placed = [placed; MOST_SGS];
+                pull_back_nodes::<F, ALONG, ACROSS, NDF, GGX>(&point, &light, &placed, *adjoint)
+            }
+            (_, placed) => {
+                let placed = place_sgs(&point, &light, placed.peak());
+                pull_back_nodes::<F, ALONG, ACROSS, NDF, SG>(&point, &light, &placed, *adjoint)
+            }
         };
         (value, PairAdjoint::new(back))
     }
@@ -258,20 +335,20 @@ impl<D: Mixture<NDF>, const NDF: usize, const ALONG: usize, const ACROSS: usize>
     #[inline(always)]
     fn evaluate<F: Real, const PART: Part>(
         &self,
-        point: &Self::Point<F>,
+        numbers: &Self::Point<F>,
         shape: &Shape<F>,
         lobe: &[F; 8],
     ) -> Response<F, [F; 2]> {
         let zero = shape.sharpness.zero();
-        let point = PointTerms::from_numbers(*point);
+        let point = PointTerms::from_numbers(*numbers);
         let mut response = Response { diffuse: zero, specular: [zero; 2] };
         if PART & DIFFUSE != 0 {
-            let terms = SharpnessTerms::from_array(*lobe);
-            response.diffuse = prepared_cosine_integral(&terms, dot(point.frame[2], shape.axis)).value;
+            response.diffuse = self.irradiance(numbers, shape, lobe).value;
         }
         if PART & SPECULAR != 0 {
+            let irradiance = self.irradiance(numbers, shape, lobe);
             response.specular =
-                evaluate_specular::<F, ALONG, ACROSS, NDF>(&point, shape.axis, shape.sharpness);
+                evaluate_specular::<F, ALONG, ACROSS, NDF>(&point, shape.axis, shape.sharpness, &irradiance);
         }
         response
     }
@@ -279,27 +356,27 @@ impl<D: Mixture<NDF>, const NDF: usize, const ALONG: usize, const ACROSS: usize>
     #[inline(always)]
     fn pull_back<F: Real, const PART: Part>(
         &self,
-        point: &Self::Point<F>,
+        numbers: &Self::Point<F>,
         shape: &Shape<F>,
         lobe: &[F; 8],
         adjoint: &Response<F, [F; 2]>,
     ) -> PulledBack<F, Self> {
         let zero = shape.sharpness.zero();
-        let point = PointTerms::from_numbers(*point);
+        let point = PointTerms::from_numbers(*numbers);
+        let irradiance = self.irradiance(numbers, shape, lobe);
         let mut response = Response { diffuse: zero, specular: [zero; 2] };
         let none = Shape { axis: [zero; 3], sharpness: zero };
         let mut back = PairAdjoint { shape: none, point: ([zero; 3], [[zero; 2]; NDF]) };
         if PART & DIFFUSE != 0 {
-            let terms = SharpnessTerms::from_array(*lobe);
-            let diffuse = prepared_cosine_integral(&terms, dot(point.frame[2], shape.axis));
-            response.diffuse = diffuse.value;
-            back.add(&PairAdjoint::new(pull_back_diffuse(&point, shape.axis, &diffuse, adjoint.diffuse)));
+            response.diffuse = irradiance.value;
+            back.add(&PairAdjoint::new(pull_back_diffuse(&point, shape.axis, &irradiance, adjoint.diffuse)));
         }
         if PART & SPECULAR != 0 {
             let (value, specular) = pull_back_specular::<F, ALONG, ACROSS, NDF>(
                 &point,
                 shape.axis,
                 shape.sharpness,
+                &irradiance,
                 adjoint.specular,
             );
             response.specular = value;

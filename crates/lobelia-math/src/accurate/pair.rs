@@ -7,6 +7,7 @@ use super::placement::{GGX, LocalLight, Placement, SG, Tail, place, place_two};
 use super::point::{PointTerms, prepare_point};
 use super::quality::Quality;
 use super::rule::across;
+use super::smooth::{Ring, pair_smoothness, smooth_light};
 use super::specular::{PointTermsView, node};
 use super::unroll::unroll;
 use crate::brdf::{Facets, Ndf};
@@ -34,24 +35,43 @@ pub fn evaluate_pair<F: Real, const ALONG: usize, const ACROSS: usize, const NDF
     sharpness: F,
 ) -> Pair<F> {
     let diffuse = cosine_integral(sharpness, dot(point.frame[2], axis));
-    let [constant, slope] = evaluate_specular::<F, ALONG, ACROSS, NDF>(point, axis, sharpness);
+    let [constant, slope] = evaluate_specular::<F, ALONG, ACROSS, NDF>(point, axis, sharpness, &diffuse);
     Pair { diffuse, constant, slope }
 }
 
-/// The specular part of a pair: `[constant, slope]` of [`Pair`].
+/// The specular part of a pair, `[constant, slope]` of [`Pair`], given its diffuse part.
 #[inline(always)]
 pub fn evaluate_specular<F: Real, const ALONG: usize, const ACROSS: usize, const NDF: usize>(
     point: &PointTerms<F, NDF>,
     axis: Vec3Of<F>,
     sharpness: F,
+    diffuse: &Dual<F>,
 ) -> [F; 2] {
     let light = LocalLight { axis: point.in_frame(axis), sharpness };
-    if is_narrow(point, axis, sharpness) {
-        let placed = place::<F, GGX>(point.view, &point.ndf[NDF - 1], &light);
-        return sum_nodes::<F, ALONG, ACROSS, NDF, GGX>(point, &light, &[placed; MOST_SGS]);
+    let rest = || sum_around_peak::<F, ALONG, ACROSS, NDF>(point, axis, &light);
+    let margin = pair_smoothness(point, axis, sharpness);
+    let zero = margin.zero();
+    if !zero.any_lt(margin) {
+        return rest();
     }
-    let placed = place_sgs(point, &light, None);
-    sum_nodes::<F, ALONG, ACROSS, NDF, SG>(point, &light, &placed)
+    let ring = Ring::new(&light, sharpness.quick_rsqrt());
+    let ([a, b], [c, d]) = (smooth_light(point, &light, &ring, diffuse), rest());
+    [zero.select_lt(margin, a, c), zero.select_lt(margin, b, d)]
+}
+
+/// The specular part of a pair by the rules with nodes around the peak.
+#[inline(always)]
+fn sum_around_peak<F: Real, const ALONG: usize, const ACROSS: usize, const NDF: usize>(
+    point: &PointTerms<F, NDF>,
+    axis: Vec3Of<F>,
+    light: &LocalLight<F>,
+) -> [F; 2] {
+    if is_narrow(point, axis, light.sharpness) {
+        let placed = place::<F, GGX>(point.view, &point.ndf[NDF - 1], light);
+        return sum_nodes::<F, ALONG, ACROSS, NDF, GGX>(point, light, &[placed; MOST_SGS]);
+    }
+    let placed = place_sgs(point, light, None);
+    sum_nodes::<F, ALONG, ACROSS, NDF, SG>(point, light, &placed)
 }
 
 /// The placements of a pair's nodes for each SG of the distribution of normals, or first for GGX.

@@ -40,6 +40,15 @@ impl<F: Real> LocalLight<F> {
     }
 }
 
+impl<F: Real> LocalLight<Two<F>> {
+    /// Two lobes as one.
+    #[inline(always)]
+    pub(super) fn two(one: &LocalLight<F>, other: &LocalLight<F>) -> Self {
+        let ([x, y, z], [u, v, w]) = (one.axis, other.axis);
+        Self { axis: [Two(x, u), Two(y, v), Two(z, w)], sharpness: Two(one.sharpness, other.sharpness) }
+    }
+}
+
 /// The Gaussian, cut by the horizon, that nodes are placed on.
 #[derive(Clone, Copy)]
 pub struct Placement<F> {
@@ -164,7 +173,7 @@ fn start<F: Real, const TAIL: Tail>(
     let four = l.times(4.0);
     let mut toward = ndf.sharpness;
     if TAIL == GGX {
-        toward = toward * half[2] * spread(ndf, dot2(x, x).times(0.5)).inverse();
+        toward = toward * half[2] * spread(ndf, sine2_of(dot2(x, x))).inverse();
     }
     let alpha = (four * view_half).mul_add(view_half, toward);
     let pull = [ndf.start - x[0], -x[1]];
@@ -178,11 +187,16 @@ fn start<F: Real, const TAIL: Tail>(
     ]
 }
 
-/// 1 + Ld(2 − d)/4 of GGX at d = 1 − h·n.
+/// 1 + L·sin²/4 of GGX at the square of the sine between h and n.
 #[inline(always)]
-pub(super) fn spread<F: Real>(ndf: &NdfTerms<F>, drop: F) -> F {
-    let square = drop * (-drop).plus(2.0);
-    (ndf.sharpness.times(0.25)).mul_add(square, drop.one())
+pub(super) fn spread<F: Real>(ndf: &NdfTerms<F>, sine2: F) -> F {
+    (ndf.sharpness.times(0.25)).mul_add(sine2, sine2.one())
+}
+
+/// 1 − (h·n)² at |X|² = 2(1 − h·n).
+#[inline(always)]
+fn sine2_of<F: Real>(radius2: F) -> F {
+    radius2 * radius2.mul_add(radius2.lit(-0.25), radius2.one())
 }
 
 /// The NDF pulls toward the normal with Λx, and has the curvature ΛI − h·xxᵀ: Λ and h, which is Λ²/2 + L/(1 + u) for GGX.
@@ -191,7 +205,7 @@ fn pull_of_ndf<F: Real, const TAIL: Tail>(ndf: &NdfTerms<F>, radius2: F, up: F) 
     if TAIL == SG {
         return (ndf.sharpness, up.zero());
     }
-    let fading = ndf.sharpness * spread(ndf, radius2.times(0.5)).inverse();
+    let fading = ndf.sharpness * spread(ndf, sine2_of(radius2)).inverse();
     let pulls = fading * up.relu();
     (pulls, (pulls * pulls).mul_add(up.lit(0.5), fading))
 }
@@ -370,8 +384,6 @@ pub(super) fn place_two<F: Real, const TAIL: Tail>(
         start: Two(n.start, m.start),
         scale: Two(n.scale, m.scale),
     };
-    let ([x, y, z], [u, v, w]) = (l.axis, k.axis);
-    let light =
-        LocalLight { axis: [Two(x, u), Two(y, v), Two(z, w)], sharpness: Two(l.sharpness, k.sharpness) };
+    let light = LocalLight::two(l, k);
     place::<_, TAIL>([Two(view[0], view[0]), Two(view[1], view[1])], &ndf, &light).split()
 }

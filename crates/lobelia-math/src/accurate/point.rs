@@ -193,6 +193,37 @@ impl<F: Real, const NDF: usize> PointSums<F, NDF> {
     }
 }
 
+/// Adjoints of one pair. All but the axis may be summed over lobes, in the frame of the point.
+#[derive(Clone, Copy)]
+pub struct PairAdjoint<F, const NDF: usize = 1> {
+    /// With respect to the lobe's axis (world space).
+    pub axis: Vec3Of<F>,
+    /// With respect to the lobe's sharpness.
+    pub sharpness: F,
+    /// With respect to the point.
+    pub point: PointSums<F, NDF>,
+}
+
+impl<F: Real, const NDF: usize> PairAdjoint<F, NDF> {
+    /// Each number from those of two adjoints.
+    #[inline(always)]
+    pub(super) fn zip(&self, other: &Self, with: impl Fn(F, F) -> F) -> Self {
+        let mut out = *self;
+        for c in 0..3 {
+            out.axis[c] = with(self.axis[c], other.axis[c]);
+        }
+        out.sharpness = with(self.sharpness, other.sharpness);
+        out.point.shadowing = with(self.point.shadowing, other.point.shadowing);
+        for c in 0..2 {
+            out.point.normal[c] = with(self.point.normal[c], other.point.normal[c]);
+            for m in 0..NDF {
+                out.point.ndf[m][c] = with(self.point.ndf[m][c], other.point.ndf[m][c]);
+            }
+        }
+        out
+    }
+}
+
 /// Adjoints of a point's normal (along its tangent plane) and roughness, given the sums over lobes.
 #[inline(always)]
 pub fn pull_back_point<F: Real, const NDF: usize>(

@@ -114,37 +114,44 @@ pub(super) fn node<F: Real, const TAIL: Tail>(
     }
     let [along, aside, cosine] = direction;
     let (direction, cosine) = ([along, aside], cosine.relu());
-    let Factors { distribution, shadowing, half_drop, toward } =
-        factors::<F, TAIL>(ndf, [drop, up], cosine.mul_add(point.one_minus_k, point.k));
+    let Factors { distribution, shadowing, half_drop, toward } = factors::<F, TAIL>(
+        ndf,
+        [drop * (-drop).plus(2.0), drop, up],
+        cosine.mul_add(point.one_minus_k, point.k),
+    );
     let over_cosine = fading_exp(exponent) * view_half * distribution * row.weight.times(weight);
     let fresnel = fresnel(view_half);
     Node { offset, direction, half, half_drop, toward, half_square, cosine, shadowing, over_cosine, fresnel }
 }
 
 /// Factors of the integrand at a node.
-struct Factors<F> {
+pub(super) struct Factors<F> {
     /// `shadowing`, times D/D(n) of GGX; that of an SG is in the exponent.
-    distribution: F,
-    shadowing: F,
-    half_drop: F,
-    toward: F,
+    pub distribution: F,
+    pub shadowing: F,
+    pub half_drop: F,
+    pub toward: F,
 }
 
-/// The factors at d = 1 − h·n and `up` = h·n, given n·ω(1 − k) + k.
+/// The factors at 1 − (h·n)², d = 1 − h·n and `up` = h·n, given n·ω(1 − k) + k.
 #[inline(always)]
-fn factors<F: Real, const TAIL: Tail>(ndf: &NdfTerms<F>, [drop, up]: [F; 2], blocked: F) -> Factors<F> {
+pub(super) fn factors<F: Real, const TAIL: Tail>(
+    ndf: &NdfTerms<F>,
+    [sine2, drop, up]: [F; 3],
+    blocked: F,
+) -> Factors<F> {
     if TAIL == SG {
         let shadowing = blocked.inverse();
         return Factors { distribution: shadowing, shadowing, half_drop: drop, toward: ndf.sharpness };
     }
-    let spread = spread(ndf, drop);
+    let spread = spread(ndf, sine2);
     let fading = blocked * spread;
     let distribution = (fading * spread).inverse();
     let inverse = distribution * fading;
     Factors {
         distribution,
         shadowing: distribution * spread * spread,
-        half_drop: drop * (-drop).mul_add(drop.lit(0.5), drop.one()) * inverse,
+        half_drop: sine2.times(0.5) * inverse,
         toward: ndf.sharpness * up * inverse,
     }
 }
@@ -161,10 +168,10 @@ fn root_of_half_drop<F: Real>(drop: F) -> F {
 
 /// The part of a point that nodes read.
 pub(super) struct PointTermsView<F> {
-    view: Vec2Of<F>,
+    pub(super) view: Vec2Of<F>,
     /// k of the shadowing term.
     pub(super) k: F,
-    one_minus_k: F,
+    pub(super) one_minus_k: F,
 }
 
 impl<F: Real> PointTermsView<F> {
@@ -187,7 +194,7 @@ const FRESNEL_ROOT: [f64; 7] = [
 
 /// 2^(−(5.55473 x + 6.8316) x) for x in [0, 1] (PhySG supp. eq. 6), without an exp.
 #[inline(always)]
-fn fresnel<F: Real>(x: F) -> F {
+pub(super) fn fresnel<F: Real>(x: F) -> F {
     let mut p = x.lit(FRESNEL_ROOT[6]);
     let mut i = 6;
     while i > 0 {

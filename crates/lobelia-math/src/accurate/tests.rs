@@ -5,6 +5,7 @@ use super::diffuse::{cosine_integral, scaled_erfc};
 use super::placement::{LocalLight, SG, place};
 use super::point::{prepare_point, pull_back_point};
 use super::rule::across;
+use super::smooth::pair_smoothness;
 use super::specular::{PointTermsView, node};
 use super::*;
 use crate::brdf::Ndf;
@@ -193,6 +194,10 @@ fn specular_adjoint_is_the_derivative_of_the_frozen_sum() {
     let mut checked = 0;
     for _ in 0..400 {
         let case = tame_case(&mut rng);
+        let (point, _) = prepare_point(case.normal, case.to_viewer, case.roughness);
+        if pair_smoothness(&point, case.axis, case.sharpness) > 0.0 {
+            continue;
+        }
         let nodes = frozen::<3, 2>(&case);
         let [a, b] = [0.8, 0.3];
         let value =
@@ -305,7 +310,10 @@ fn single_precision_and_lanes_keep_four_digits() {
     let mut rng = SmallRng::seed_from_u64(4);
     let wide = |rng: &mut SmallRng| loop {
         let case = wide_case(rng);
-        if dot(case.normal, case.to_viewer) > 0.01 && case.sharpness < 1e5 {
+        let (point, _) = prepare_point(case.normal, case.to_viewer, case.roughness);
+        // Where the rule changes, rounding decides.
+        let close = pair_smoothness(&point, case.axis, case.sharpness).abs() < 1e-3 * (1.0 + case.sharpness);
+        if dot(case.normal, case.to_viewer) > 0.01 && case.sharpness < 1e5 && !close {
             return case;
         }
     };

@@ -4,6 +4,7 @@ use super::pair::{Pair, evaluate_prepared, pull_back_pair};
 use super::point::{FrozenBrdf, PointTerms, prepare_point, pull_back_normal};
 use super::sharp::{SHARPNESS_COLUMNS, SharpnessTerms};
 use crate::brdf::{SpecularAdjoint, SpecularValue};
+use crate::dual::Dual;
 use crate::lobe::Shape;
 use crate::model::{PairAdjoint, PairModel, Part, PointEnd, PulledBack, Reach, Response};
 use crate::real::{Real, Vec3Of, dot};
@@ -85,6 +86,24 @@ impl PairModel for Published {
         let point = PointTerms::from_array(*point);
         let sharpness = point.warp_sharpness;
         Reach { axis: point.mirror, sharpness, brightest: sharpness.lit(1e30) }
+    }
+
+    fn irradiance<F: Real>(&self, _point: &[F; 8], _shape: &Shape<F>, _lobe: &Self::Lobe<F>) -> Dual<F> {
+        unreachable!("{NO_NODES}")
+    }
+
+    fn place_smooth<F: Real>(&self, _point: &[F; 8], _shape: &Shape<F>, _width: F, _irradiance: Dual<F>) {
+        unreachable!("{NO_NODES}")
+    }
+
+    fn place_two_smooth<F: Real>(
+        &self,
+        _point: &[F; 8],
+        _shapes: [&Shape<F>; 2],
+        _widths: [F; 2],
+        _irradiances: [Dual<F>; 2],
+    ) -> [(); 2] {
+        unreachable!("{NO_NODES}")
     }
 
     fn place<F: Real, const PART: Part>(&self, _point: &[F; 8], _shape: &Shape<F>) {

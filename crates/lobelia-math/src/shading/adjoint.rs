@@ -1,7 +1,7 @@
 //! Adjoint of a chunk of points: like [`super::forward`], with the response of every pair computed again.
 
 use super::blocks::{LobeVector, reaching};
-use super::cull::{Gathered, Picked};
+use super::cull::{Gathered, Picked, PickedByRule};
 use super::light::{Light, Sums, mul_add3, splat3};
 use super::prepared::{Chunk, Prepared, Shared, splat};
 use super::walk::{Visit, walk};
@@ -75,7 +75,7 @@ pub fn adjoint_chunk<S: Simd, M: PairModel>(
     let (lobe_gradient, specular_row) = partial.split_at_mut(partial.len() - 1);
     let mut gradient = SpecularAdjoint::default();
     let mut prepared = None;
-    let mut picked = [Picked::new(), Picked::new()];
+    let mut picked = Picked::none();
     for (i, point) in points.iter().enumerate() {
         let lane = i % Lanes::<S>::LEN;
         if lane == 0 {
@@ -105,7 +105,7 @@ fn pull_back_lobes<S: Simd, M: PairModel>(
     terms: &M::Point<Lanes<S>>,
     row: Option<&[u8]>,
     weights: &Weights<M>,
-    picked: &mut [Picked; 2],
+    picked: &mut PickedByRule,
     gradient: &mut [Row],
 ) -> (Sums<M>, M::Sums<f32>) {
     let ks: M::Specular<Vec3Of<Lanes<S>>> = Terms::from_fn(|b| splat3(simd, weights.specular_light.at(b)));
@@ -178,21 +178,21 @@ impl<S: Simd, M: PairModel> PullBack<'_, S, M> {
 }
 
 impl<S: Simd, M: PairModel> Visit<S, M> for PullBack<'_, S, M> {
+    const ADJOINT: bool = true;
+
     #[inline(always)]
-    fn block<const PART: Part>(&mut self, b: usize, at: usize, lobe: &LobeVector<S, M>) -> Lanes<S> {
+    fn block<const PART: Part>(&mut self, b: usize, at: usize, lobe: &LobeVector<S, M>) {
         let reaching = reaching(self.simd, self.row, b, at);
         let mut adjoint = self.adjoint_of(lobe.amplitude);
         adjoint.diffuse = adjoint.diffuse * reaching;
         let (mut response, back) =
             self.model.pull_back::<_, PART>(self.terms, &lobe.shape, &lobe.terms, &adjoint);
-        let irradiance = response.diffuse;
-        response.diffuse = irradiance * reaching;
+        response.diffuse = response.diffuse * reaching;
         let columns = self.take::<PART>(lobe.amplitude, &response, &back);
         let rows = &mut self.gradient[b * LOBE_COLUMNS..(b + 1) * LOBE_COLUMNS];
         for (row, value) in rows.iter_mut().zip(columns) {
             value.add_to(&mut row.0[at..at + Lanes::<S>::LEN]);
         }
-        irradiance
     }
 
     #[inline(always)]

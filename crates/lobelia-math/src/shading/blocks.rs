@@ -23,7 +23,7 @@ const fn limits_at<M: PairModel>() -> usize {
 /// Lobes to a row of [`record`]s.
 const RECORDS: usize = MAX_LANES / RECORD;
 
-/// Axis, sharpness and amplitude of a lobe, and a zero.
+/// Axis, sharpness and amplitude of a lobe, and 1 over the square root of its sharpness.
 #[inline(always)]
 pub fn record<M: PairModel>(lobes: &[Row], lobe: usize) -> &[f32] {
     let (block, lane) = (lobe / MAX_LANES, lobe % MAX_LANES);
@@ -58,9 +58,11 @@ pub fn prepare_lobes<S: Simd, M: PairModel>(simd: S, model: M, lobes: &LobeColum
             let exponent = limit(b * MAX_LANES + i);
             rest[0].0[i] = exponent;
             rest[1].0[i] = STRICTNESS * (-exponent).exp();
-            for (c, column) in columns[..LOBE_COLUMNS].iter().enumerate() {
-                rest[2 + i / RECORDS].0[i % RECORDS * RECORD + c] = column.0[i];
+            let record = &mut rest[2 + i / RECORDS].0[i % RECORDS * RECORD..][..RECORD];
+            for (value, column) in record.iter_mut().zip(&columns[..LOBE_COLUMNS]) {
+                *value = column.0[i];
             }
+            record[LOBE_COLUMNS] = columns[3].0[i].max(f32::MIN_POSITIVE).sqrt().recip();
         }
     }
 }

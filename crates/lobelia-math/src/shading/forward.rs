@@ -1,7 +1,7 @@
 //! Radiance of a chunk of points.
 
 use super::blocks::{LobeVector, reaching};
-use super::cull::{Gathered, Picked};
+use super::cull::{Gathered, Picked, PickedByRule};
 use super::light::{Light, Sums};
 use super::prepared::{Chunk, Prepared, Shared, splat};
 use super::walk::{Visit, walk};
@@ -22,7 +22,7 @@ pub fn shade_chunk<S: Simd, M: PairModel>(
     out: &mut [Layers],
 ) {
     let mut prepared = None;
-    let mut picked = [Picked::new(), Picked::new()];
+    let mut picked = Picked::none();
     for (i, (point, out)) in points.iter().zip(out).enumerate() {
         let lane = i % Lanes::<S>::LEN;
         if lane == 0 {
@@ -64,7 +64,7 @@ fn light_of<S: Simd, M: PairModel>(
     shared: &Shared<'_, M>,
     terms: &M::Point<Lanes<S>>,
     row: Option<&[u8]>,
-    picked: &mut [Picked; 2],
+    picked: &mut PickedByRule,
 ) -> Sums<M> {
     let mut shading = Shading { simd, model: shared.model, terms, row, light: Light::zero(simd) };
     walk(simd, shared, terms, picked, &mut shading);
@@ -83,12 +83,10 @@ struct Shading<'a, S: Simd, M: PairModel> {
 
 impl<S: Simd, M: PairModel> Visit<S, M> for Shading<'_, S, M> {
     #[inline(always)]
-    fn block<const PART: Part>(&mut self, b: usize, at: usize, lobe: &LobeVector<S, M>) -> Lanes<S> {
+    fn block<const PART: Part>(&mut self, b: usize, at: usize, lobe: &LobeVector<S, M>) {
         let mut response = self.model.evaluate::<_, PART>(self.terms, &lobe.shape, &lobe.terms);
-        let irradiance = response.diffuse;
-        response.diffuse = irradiance * reaching(self.simd, self.row, b, at);
+        response.diffuse = response.diffuse * reaching(self.simd, self.row, b, at);
         self.light.add::<PART>(lobe.amplitude, &response);
-        irradiance
     }
 
     #[inline(always)]

@@ -23,7 +23,7 @@ pub fn respond_chunk<S: Simd, M: PairModel>(
 ) {
     let stride = shared.stride();
     let mut prepared = None;
-    let mut picked = [Picked::new(), Picked::new()];
+    let mut picked = Picked::none();
     let mut rows = vec![0.0; (1 + M::Specular::<f32>::LEN) * stride];
     for (i, (point, out)) in points.iter().zip(out.chunks_exact_mut(RESPONSE_ROWS * stride)).enumerate() {
         let lane = i % Lanes::<S>::LEN;
@@ -66,7 +66,7 @@ struct Responding<'a, S: Simd, M: PairModel> {
 
 impl<S: Simd, M: PairModel> Visit<S, M> for Responding<'_, S, M> {
     #[inline(always)]
-    fn block<const PART: Part>(&mut self, b: usize, at: usize, lobe: &LobeVector<S, M>) -> Lanes<S> {
+    fn block<const PART: Part>(&mut self, b: usize, at: usize, lobe: &LobeVector<S, M>) {
         let response = self.model.evaluate::<_, PART>(self.terms, &lobe.shape, &lobe.terms);
         let first = b * MAX_LANES + at;
         if PART & DIFFUSE != 0 {
@@ -78,7 +78,6 @@ impl<S: Simd, M: PairModel> Visit<S, M> for Responding<'_, S, M> {
                 response.specular.at(k).store(&mut self.rows[first..first + Lanes::<S>::LEN]);
             }
         }
-        response.diffuse
     }
 
     #[inline(always)]

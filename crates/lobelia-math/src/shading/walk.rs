@@ -1,31 +1,32 @@
 //! The loop over all lobes for one point, one vector at a time.
 
 use super::blocks::{LobeVector, block_rows, load_lobes};
-use super::cull::{BATCH, Gathered, Picked, survivors};
+use super::cull::{BATCH, Gathered, Picked, PickedByRule, survivors};
 use super::prepared::{Prepared, Shared, splat};
 use crate::lanes::{Lanes, MAX_LANES};
-use crate::model::{BOTH, DIFFUSE, NARROW, PairModel, Part, SPECULAR};
+use crate::model::{BOTH, DIFFUSE, NARROW, PairModel, Part, SMOOTH, SPECULAR};
 use crate::sample::ShadePoint;
 use fearless_simd::Simd;
 
 /// Work on the lobes of one point, one vector at a time. This is a trait, because vector arithmetic in a closure
 /// is compiled without the selected instruction set.
 pub(super) trait Visit<S: Simd, M: PairModel> {
-    /// Processes the part `PART` of the lobes at position `at` of block `b`; returns their irradiance before visibility, for unit
-    /// amplitude.
-    fn block<const PART: Part>(&mut self, b: usize, at: usize, lobe: &LobeVector<S, M>) -> Lanes<S>;
+    /// Whether the visitor needs the derivatives of the irradiance.
+    const ADJOINT: bool = false;
+    /// Processes the part `PART` of the lobes at position `at` of block `b`.
+    fn block<const PART: Part>(&mut self, b: usize, at: usize, lobe: &LobeVector<S, M>);
     /// Processes the specular part `PART` of a vector of selected lobes.
     fn picked<const PART: Part>(&mut self, lobes: &Gathered<'_, S>, placed: &M::Placed<Lanes<S>>);
 }
 
 /// Passes all lobes to a visitor; for a model that culls, only the specular parts that are not negligible.
 #[inline(always)]
-pub(super) fn walk<S: Simd, M: PairModel>(
+pub(super) fn walk<S: Simd, M: PairModel, V: Visit<S, M>>(
     simd: S,
     shared: &Shared<'_, M>,
     terms: &M::Point<Lanes<S>>,
-    picked: &mut [Picked; 2],
-    visitor: &mut impl Visit<S, M>,
+    picked: &mut PickedByRule,
+    visitor: &mut V,
 ) {
     if !M::CULLS {
         for (b, block) in shared.lobes.chunks_exact(block_rows::<M>()).enumerate() {
@@ -41,12 +42,19 @@ pub(super) fn walk<S: Simd, M: PairModel>(
         for (b, block) in lobes.chunks_exact(block_rows::<M>()).enumerate() {
             for at in (0..MAX_LANES).step_by(Lanes::<S>::LEN) {
                 let lobe = load_lobes::<S, M>(simd, block, at);
-                let irradiance = visitor.block::<DIFFUSE>(batch * BATCH + b, at, &lobe);
-                let [wide, narrow] =
-                    survivors::<S, M>(simd, shared.model, terms, &reach, block, at, irradiance);
+                visitor.block::<DIFFUSE>(batch * BATCH + b, at, &lobe);
+                // The compiler takes this from what the visitor has computed.
+                let irradiance = shared.model.irradiance(terms, &lobe.shape, &lobe.terms);
+                let [wide, narrow, smooth] =
+                    survivors::<S, M>(simd, shared.model, terms, &reach, block, at, irradiance.value);
                 picked[0].push(index, wide);
                 if M::HAS_NARROW {
                     picked[1].push(index, narrow);
+                }
+                // Of a glossy point there are none, for all lobes.
+                if M::HAS_SMOOTH && smooth != 0 {
+                    picked[2].push_light(&irradiance, smooth, V::ADJOINT);
+                    picked[2].push(index, smooth);
                 }
                 index += Lanes::splat(simd, Lanes::<S>::LEN as f32);
             }
@@ -54,6 +62,9 @@ pub(super) fn walk<S: Simd, M: PairModel>(
         process::<S, M, SPECULAR>(simd, shared, terms, &mut picked[0], visitor);
         if M::HAS_NARROW {
             process::<S, M, NARROW>(simd, shared, terms, &mut picked[1], visitor);
+        }
+        if M::HAS_SMOOTH {
+            process_smooth::<S, M>(simd, shared, terms, &mut picked[2], visitor);
         }
     }
 }
@@ -88,6 +99,37 @@ fn process<S: Simd, M: PairModel, const PART: Part>(
     picked.count = 0;
 }
 
+/// As [`process`] for the lobes over which the response is smooth.
+#[inline(always)]
+fn process_smooth<S: Simd, M: PairModel>(
+    simd: S,
+    shared: &Shared<'_, M>,
+    terms: &M::Point<Lanes<S>>,
+    picked: &mut Picked,
+    visitor: &mut impl Visit<S, M>,
+) {
+    let model = shared.model;
+    for (i, indices) in picked.vectors::<S>().enumerate() {
+        let (one, two) = indices.split_at(indices.len().min(Lanes::<S>::LEN));
+        let at = 2 * i * Lanes::<S>::LEN;
+        let (first, second) = (picked.light(simd, at), picked.light(simd, at + Lanes::<S>::LEN));
+        let mut lobes = [Gathered::new::<M>(simd, shared.lobes, one); 2];
+        let placed = if two.is_empty() {
+            let only = model.place_smooth(terms, &lobes[0].shape(), lobes[0].width(), first);
+            [only, only]
+        } else {
+            lobes[1] = Gathered::new::<M>(simd, shared.lobes, two);
+            let [a, b] = &lobes;
+            let widths = [a.width(), b.width()];
+            model.place_two_smooth(terms, [&a.shape(), &b.shape()], widths, [first, second])
+        };
+        for (lobes, placed) in lobes.iter().zip(&placed).take(if two.is_empty() { 1 } else { 2 }) {
+            visitor.picked::<SMOOTH>(lobes, placed);
+        }
+    }
+    picked.count = 0;
+}
+
 /// Number of pairs whose specular part a model that culls evaluates.
 #[inline(always)]
 pub fn count_kept<S: Simd, M: PairModel>(simd: S, shared: &Shared<'_, M>, points: &[ShadePoint]) -> usize {
@@ -99,10 +141,10 @@ pub fn count_kept<S: Simd, M: PairModel>(simd: S, shared: &Shared<'_, M>, points
         for block in shared.lobes.chunks_exact(block_rows::<M>()) {
             for at in (0..MAX_LANES).step_by(Lanes::<S>::LEN) {
                 let lobe = load_lobes::<S, M>(simd, block, at);
-                let response = shared.model.evaluate::<_, DIFFUSE>(&terms, &lobe.shape, &lobe.terms);
-                let [wide, narrow] =
-                    survivors::<S, M>(simd, shared.model, &terms, &reach, block, at, response.diffuse);
-                kept += (wide | narrow).count_ones() as usize;
+                let irradiance = shared.model.irradiance(&terms, &lobe.shape, &lobe.terms);
+                let [wide, narrow, smooth] =
+                    survivors::<S, M>(simd, shared.model, &terms, &reach, block, at, irradiance.value);
+                kept += (wide | narrow | smooth).count_ones() as usize;
             }
         }
     }
