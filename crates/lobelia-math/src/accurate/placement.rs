@@ -26,7 +26,7 @@ const CHART_LIMIT: f64 = 3.0;
 
 /// A light lobe in a point's frame.
 #[derive(Clone, Copy)]
-pub(super) struct LocalLight<F> {
+pub struct LocalLight<F> {
     /// Axis along tangent, bitangent and normal.
     pub axis: Vec3Of<F>,
     /// λ.

@@ -3,8 +3,9 @@
 use super::blocks::{LobeVector, block_rows, load_lobes};
 use super::cull::{BATCH, Gathered, Picked, PickedByRule, survivors};
 use super::prepared::{Prepared, Shared, splat};
+use crate::dual::Dual;
 use crate::lanes::{Lanes, MAX_LANES};
-use crate::model::{BOTH, DIFFUSE, NARROW, PairModel, Part, SMOOTH, SPECULAR};
+use crate::model::{BOTH, DIFFUSE, NARROW, PairModel, Part, RULES, SMOOTH, SPECULAR};
 use crate::sample::ShadePoint;
 use fearless_simd::Simd;
 
@@ -45,17 +46,8 @@ pub(super) fn walk<S: Simd, M: PairModel, V: Visit<S, M>>(
                 visitor.block::<DIFFUSE>(batch * BATCH + b, at, &lobe);
                 // The compiler takes this from what the visitor has computed.
                 let irradiance = shared.model.irradiance(terms, &lobe.shape, &lobe.terms);
-                let [wide, narrow, smooth] =
-                    survivors::<S, M>(simd, shared.model, terms, &reach, block, at, irradiance.value);
-                picked[0].push(index, wide);
-                if M::HAS_NARROW {
-                    picked[1].push(index, narrow);
-                }
-                // Of a glossy point there are none, for all lobes.
-                if M::HAS_SMOOTH && smooth != 0 {
-                    picked[2].push_light(&irradiance, smooth, V::ADJOINT);
-                    picked[2].push(index, smooth);
-                }
+                let kept = survivors::<S, M>(simd, shared.model, terms, &reach, block, at, irradiance.value);
+                push::<S, M>(picked, index, kept, &irradiance, V::ADJOINT);
                 index += Lanes::splat(simd, Lanes::<S>::LEN as f32);
             }
         }
@@ -66,6 +58,26 @@ pub(super) fn walk<S: Simd, M: PairModel, V: Visit<S, M>>(
         if M::HAS_SMOOTH {
             process_smooth::<S, M>(simd, shared, terms, &mut picked[2], visitor);
         }
+    }
+}
+
+/// Selects the lobes of a vector for each rule.
+#[inline(always)]
+fn push<S: Simd, M: PairModel>(
+    picked: &mut PickedByRule,
+    index: Lanes<S>,
+    [wide, narrow, smooth]: [u64; RULES.len()],
+    irradiance: &Dual<Lanes<S>>,
+    with_derivatives: bool,
+) {
+    picked[0].push(index, wide);
+    if M::HAS_NARROW {
+        picked[1].push(index, narrow);
+    }
+    // Of a glossy point there are none, for all lobes.
+    if M::HAS_SMOOTH && smooth != 0 {
+        picked[2].push_light(irradiance, smooth, with_derivatives);
+        picked[2].push(index, smooth);
     }
 }
 

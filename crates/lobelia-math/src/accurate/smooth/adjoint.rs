@@ -1,8 +1,8 @@
 //! The adjoint of the specular light of a smooth lobe. Directions move with the lobe: a clipped Gaussian's mean follows its center by its
 //! variance.
 
-use super::{Reading, Ring, SHARE, both, read};
-use crate::accurate::placement::{GGX, LocalLight, SG, Tail, Vec2Of};
+use super::ring::{Reading, Ring, SHARE, both, read};
+use crate::accurate::placement::{LocalLight, Tail, Vec2Of};
 use crate::accurate::point::{PairAdjoint, PointSums, PointTerms};
 use crate::accurate::specular::PointTermsView;
 use crate::dual::Dual;
@@ -86,24 +86,9 @@ impl<F: Real> Sums<F> {
 /// ln 2/2.
 const FRESNEL: f64 = 0.5 * std::f64::consts::LN_2;
 
-/// [`smooth_light`] and its adjoints.
+/// [`super::pull_back_smooth`] for one distribution of normals.
 #[inline(always)]
-pub(in crate::accurate) fn pull_back_smooth<F: Real, const NDF: usize>(
-    point: &PointTerms<F, NDF>,
-    light: &LocalLight<F>,
-    ring: &Ring<F>,
-    irradiance: &Dual<F>,
-    adjoint: [F; 2],
-) -> ([F; 2], PairAdjoint<F, NDF>) {
-    if NDF == 1 {
-        pull_back_of::<F, NDF, SG>(point, light, ring, irradiance, adjoint)
-    } else {
-        pull_back_of::<F, NDF, GGX>(point, light, ring, irradiance, adjoint)
-    }
-}
-
-#[inline(always)]
-fn pull_back_of<F: Real, const NDF: usize, const TAIL: Tail>(
+pub(super) fn pull_back_of<F: Real, const NDF: usize, const TAIL: Tail>(
     point: &PointTerms<F, NDF>,
     light: &LocalLight<F>,
     ring: &Ring<F>,

@@ -1,15 +1,16 @@
 //! The rule for smooth lobes against exact moments, the cubature, and differences of it.
 
-use super::*;
+use super::pair_smoothness;
+use super::ring::TwoNodes;
 use crate::accurate::adjoint::pull_back_pair;
 use crate::accurate::cubature::integrate;
 use crate::accurate::ggx::{GGX_TERMS, prepare_ggx_point};
 use crate::accurate::pair::evaluate_pair;
-use crate::accurate::point::{PointDerivatives, prepare_point, pull_back_point};
+use crate::accurate::point::{PointDerivatives, PointTerms, prepare_point, pull_back_point};
 use crate::accurate::tests::{spread, wide_case};
 use crate::brdf::Ndf;
 use crate::cases::{Case, unit};
-use crate::real::sub;
+use crate::real::{add, dot, scale, sub};
 use rand::{RngExt, SeedableRng, rngs::SmallRng};
 
 /// The first three moments of v − t for the weight v·e^(−(v − t)²/2) on v > 0, by the trapezoidal rule.
