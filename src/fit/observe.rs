@@ -22,7 +22,7 @@ use crate::view::{
 use bevy_ecs::prelude::{Query, Res, ResMut, Resource, With, World};
 use glam::Vec3;
 use rand::seq::SliceRandom;
-use rand::{SeedableRng, rngs::SmallRng};
+use rand::{RngExt, SeedableRng, rngs::SmallRng};
 use rayon::prelude::*;
 
 /// The selection of pixels for a fit.
@@ -111,18 +111,10 @@ pub fn choose_pixels(
     mut candidates: ResMut<Candidates>,
 ) -> SystemResult {
     let training = training_views(views.iter());
-    let counts: Vec<usize> = training.par_iter().map(|view| view.usable().count()).collect();
-    let total: usize = counts.iter().sum();
-    if total == 0 {
-        let views = training.len();
-        return Err(Error::run(
-            "fit",
-            format!("no usable foreground pixel in {views} training views (masked out, or all saturated)"),
-        )
-        .into());
-    }
-    let chosen = shuffled(total, *choice);
-    candidates.0 = candidates_of(&training, &counts, &chosen);
+    candidates.0 = match Windows::new(&training).scattered(*choice) {
+        Some(scattered) => scattered,
+        None => any_of_all(&training, *choice)?,
+    };
     // Steps visit groups of photographs one at a time.
     if let Some(placements) = placements.filter(|placements| placements.has_groups()) {
         let of_view = |(view, placement): (&ViewIndex, &Placement)| (*view, placements.light(*placement));
@@ -130,6 +122,86 @@ pub fn choose_pixels(
         candidates.0.sort_by_key(|candidate| groups.get(candidate.pixel.view).copied());
     }
     Ok(())
+}
+
+/// Usable pixels in a random order, cut short; every pixel of every view is looked at.
+fn any_of_all(training: &[ObservedView], choice: PixelChoice) -> Result<Vec<Candidate>> {
+    let counts: Vec<usize> = training.par_iter().map(|view| view.usable().count()).collect();
+    let total: usize = counts.iter().sum();
+    if total == 0 {
+        let views = training.len();
+        return Err(Error::run(
+            "fit",
+            format!("no usable foreground pixel in {views} training views (masked out, or all saturated)"),
+        ));
+    }
+    Ok(candidates_of(training, &counts, &shuffled(total, choice)))
+}
+
+/// From so many times the pixels that may be chosen on, a part of them is looked at.
+const SPARSE: usize = 16;
+/// Strata that are tried first, to learn which part of the pixels is usable; and how many of them must be.
+const TRIED: usize = 1 << 16;
+const LEAST_USABLE: usize = 256;
+
+/// The pixels of the windows of all views, numbered through.
+struct Windows<'a> {
+    views: &'a [ObservedView<'a>],
+    /// The number of each view's first pixel.
+    first: Vec<usize>,
+    total: usize,
+}
+
+impl<'a> Windows<'a> {
+    fn new(views: &'a [ObservedView<'a>]) -> Self {
+        let mut total = 0;
+        let mut first = Vec::with_capacity(views.len());
+        for view in views {
+            first.push(total);
+            total += view.window().len();
+        }
+        Self { views, first, total }
+    }
+
+    /// About as many usable pixels as may be chosen, in a random order: one at random of each of as many equal strata as are needed, so that each
+    /// view, and each part of it, has its share. `None` if they are so few that all should be looked at.
+    ///
+    /// Takes time by the number of chosen pixels, not of photographs.
+    fn scattered(&self, choice: PixelChoice) -> Option<Vec<Candidate>> {
+        if self.total / SPARSE < choice.max_pixels.max(TRIED) {
+            return None;
+        }
+        let mut random = SmallRng::seed_from_u64(choice.seed);
+        let usable = self.draw(TRIED, random.random()).len();
+        let strata = choice.max_pixels * TRIED / usable.max(1);
+        if usable < LEAST_USABLE || strata > self.total / 2 {
+            return None;
+        }
+        let mut chosen = self.draw(strata, random.random());
+        chosen.shuffle(&mut random);
+        chosen.truncate(choice.max_pixels);
+        Some(chosen)
+    }
+
+    /// The usable ones of one random pixel in each stratum, in the order of the strata.
+    fn draw(&self, strata: usize, seed: u64) -> Vec<Candidate> {
+        let edge = |stratum: usize| (stratum as u128 * self.total as u128 / strata as u128) as usize;
+        let of_stratum = |stratum: usize| {
+            let mut random = SmallRng::seed_from_u64(seed.wrapping_add(stratum as u64));
+            self.candidate(random.random_range(edge(stratum)..edge(stratum + 1)))
+        };
+        (0..strata).into_par_iter().filter_map(of_stratum).collect()
+    }
+
+    /// The pixel of this number, if it is usable.
+    fn candidate(&self, number: usize) -> Option<Candidate> {
+        let at = self.first.partition_point(|first| *first <= number) - 1;
+        let (view, place) = (&self.views[at], number - self.first[at]);
+        let window = view.window();
+        let (x, y) = (place % window.width as usize, place / window.width as usize);
+        let pixel = (window.y as usize + y) * view.camera.width as usize + window.x as usize + x;
+        view.is_usable(pixel).then(|| view.candidate(pixel))
+    }
 }
 
 /// Numbers from 0 to `total` in a random order, cut short.
@@ -173,15 +245,22 @@ fn candidates_of(views: &[ObservedView], counts: &[usize], chosen: &[u32]) -> Ve
 impl ObservedView<'_> {
     /// Pixels that are fully covered and whose value says something.
     fn usable(&self) -> impl Iterator<Item = usize> {
-        let window =
-            self.mask.map_or(PixelWindow::whole(self.camera.width, self.camera.height), StoredMask::window);
-        let covered = |i: &usize| self.mask.is_none_or(|mask| mask.coverage(*i) >= FULL_COVERAGE);
+        self.window().pixels(self.camera.width).filter(|i| self.is_usable(*i))
+    }
+
+    /// The part of the picture with pixels of the object.
+    fn window(&self) -> PixelWindow {
+        self.mask.map_or(PixelWindow::whole(self.camera.width, self.camera.height), StoredMask::window)
+    }
+
+    #[inline]
+    fn is_usable(&self, pixel: usize) -> bool {
+        if self.mask.is_some_and(|mask| mask.coverage(pixel) < FULL_COVERAGE) {
+            return false;
+        }
         // A non-finite pixel is read as black, an average of saturated pixels has no information, and no light glares in one view alone.
-        let readable = |i: &usize| {
-            let brightest = self.photograph.radiance(*i).max_element();
-            brightest <= self.limit && (brightest >= SATURATION || !self.photograph.is_saturated(*i))
-        };
-        window.pixels(self.camera.width).filter(covered).filter(readable)
+        let brightest = self.photograph.radiance(pixel).max_element();
+        brightest <= self.limit && (brightest >= SATURATION || !self.photograph.is_saturated(pixel))
     }
 
     /// The usable pixels with these numbers, in rising order, of which the first has number `first`.
@@ -289,7 +368,8 @@ pub fn count_seen_texels(observations: Observations, texels: Texels<&mut TexelSe
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::view::Image;
+    use crate::view::{Image, Mask};
+    use glam::Affine3A;
 
     #[test]
     fn broken_pixels_of_one_photograph_are_not_fitted_to() {
@@ -309,5 +389,59 @@ mod tests {
         assert_eq!(counts, [16, 16, 15, 16, 16]);
         let pixels = usable_pixels(&mut world, ViewIndex(2), 1);
         assert!(pixels.iter().all(|of| of.pixel.pixel != 7) && pixels.iter().any(|of| of.pixel.pixel == 3));
+    }
+
+    const SIDE: u32 = 1200;
+
+    /// A view of which a disc is covered; its pixels left of the middle are saturated.
+    fn view() -> (Camera, Photograph, StoredMask) {
+        let count = (SIDE * SIDE) as usize;
+        let at = |i: usize| Vec3::new((i % SIDE as usize) as f32, (i / SIDE as usize) as f32, 0.0);
+        let inside = |i: usize| at(i).distance(Vec3::new(700.0, 500.0, 0.0)) < 400.0;
+        let image = Image { width: SIDE, height: SIDE, pixels: (0..count).map(|i| at(i) / 1200.0).collect() };
+        let saturated: Vec<bool> = (0..count).map(|i| i % (SIDE as usize) < 600).collect();
+        let coverage = (0..count).map(|i| if inside(i) { 1.0 } else { 0.0 }).collect();
+        let mask = StoredMask::new(&Mask { width: SIDE, height: SIDE, coverage });
+        let photograph = Photograph::new(&image, &saturated, mask.window(), true).unwrap();
+        let camera = Camera {
+            width: SIDE,
+            height: SIDE,
+            focal: [1000.0; 2],
+            center: [600.0; 2],
+            skew: 0.0,
+            world_from_camera: Affine3A::IDENTITY,
+            pixel_center: 0.5,
+        };
+        (camera, photograph, mask)
+    }
+
+    #[test]
+    fn scattered_pixels_are_usable_and_each_view_has_its_share() {
+        let (camera, photograph, mask) = view();
+        let of_index = |index: u32| ObservedView {
+            index: ViewIndex(index),
+            camera: &camera,
+            photograph: &photograph,
+            mask: Some(&mask),
+            limit: f32::MAX,
+        };
+        let views: Vec<ObservedView> = (0..20).map(of_index).collect();
+        let choice = PixelChoice { seed: 3, max_pixels: 50_000 };
+        let chosen = Windows::new(&views).scattered(choice).unwrap();
+        assert!((49_000..=50_000).contains(&chosen.len()), "{}", chosen.len());
+        let distinct: std::collections::BTreeSet<(u32, u32)> =
+            chosen.iter().map(|c| (c.pixel.view.0, c.pixel.pixel)).collect();
+        assert_eq!(distinct.len(), chosen.len());
+        let mut shares = [0; 20];
+        for c in &chosen {
+            assert!(views[0].is_usable(c.pixel.pixel as usize));
+            assert_eq!(c.observed.radiance, photograph.radiance(c.pixel.pixel as usize));
+            shares[c.pixel.view.0 as usize] += 1;
+        }
+        assert!(shares.iter().all(|share| (2350..2650).contains(share)), "{shares:?}");
+        // As often below as above the middle of the disc.
+        let below = chosen.iter().filter(|c| c.pixel.pixel / SIDE > 500).count() as f64 / chosen.len() as f64;
+        assert!((below - 0.5).abs() < 0.01, "{below}");
+        assert!(Windows::new(&views[..1]).scattered(choice).is_none(), "few enough to look at all");
     }
 }
