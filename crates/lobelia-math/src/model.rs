@@ -192,8 +192,8 @@ pub trait PairModel: Copy + Send + Sync {
         false
     }
 
-    /// How smooth the response of the point is over a lobe, given its axis times that of [`PairModel::reach`]. Above 0 the lobe is for [`SMOOTH`], unless [`NARROW`] exists and it is not
-    /// for that.
+    /// How smooth the response of the point is over a lobe, given its axis times that of [`PairModel::reach`]. Above 0 the lobe is
+    /// for [`SMOOTH`], unless the model has [`NARROW`] and the lobe is not for that.
     fn smooth<F: Real>(&self, _point: &Self::Point<F>, shape: &Shape<F>, _reached: F) -> F {
         shape.sharpness.zero()
     }

@@ -74,7 +74,7 @@ fn push<S: Simd, M: PairModel>(
     if M::HAS_NARROW {
         picked[1].push(index, narrow);
     }
-    // Of a glossy point there are none, for all lobes.
+    // A glossy point has none, whatever the lobe, so that the branch costs nothing.
     if M::HAS_SMOOTH && smooth != 0 {
         picked[2].push_light(irradiance, smooth, with_derivatives);
         picked[2].push(index, smooth);

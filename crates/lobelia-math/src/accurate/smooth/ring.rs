@@ -68,14 +68,14 @@ pub fn broadness<F: Real, const NDF: usize>(point: &PointTerms<F, NDF>) -> F {
 /// The directions around a lobe.
 #[derive(Clone, Copy)]
 pub struct Ring<F> {
+    /// ξ.
     pub axis: Vec3Of<F>,
     /// Unit vectors across the axis, toward the normal and level.
     pub toward: Vec3Of<F>,
     pub level: Vec2Of<F>,
     /// 1/√λ.
     pub width: F,
-    /// Sine of the angle between axis and normal, and 1 over it.
-    pub sine: F,
+    /// 1 over the sine of the angle between axis and normal.
     pub over_sine: F,
     /// Position of the axis above the horizon in units of the width.
     pub height: F,
@@ -103,7 +103,6 @@ impl<F: Real> Ring<F> {
             toward: [-(px * z), -(py * z), sine],
             level: [-py, px],
             width,
-            sine,
             over_sine,
             height,
             offsets: clipped.offsets,
@@ -280,7 +279,6 @@ impl<F: Copy> Ring<Two<F>> {
             toward: toward.0,
             level: level.0,
             width: self.width.0,
-            sine: self.sine.0,
             over_sine: self.over_sine.0,
             height: self.height.0,
             offsets: offsets.0,
@@ -291,7 +289,6 @@ impl<F: Copy> Ring<Two<F>> {
             toward: toward.1,
             level: level.1,
             width: self.width.1,
-            sine: self.sine.1,
             over_sine: self.over_sine.1,
             height: self.height.1,
             offsets: offsets.1,
