@@ -39,7 +39,7 @@ pub(crate) fn displace(grid: &mut SdfGrid, bvh: &TriangleBvh, shell: &Shell, alo
     }
     let moved = grid.values.par_iter_mut().zip(&sums).filter(|(_, sum)| sum[1] > 1e-12);
     moved.for_each(|(value, [sum, weight])| *value -= sum / weight);
-    grid.redistance();
+    grid.redistance_near();
 }
 
 /// Adds a displacement at `position` to the grid's vertices around it: weighted sums, and weights.

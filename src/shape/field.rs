@@ -9,6 +9,7 @@ use crate::sdf::volume::SdfSurface;
 use crate::shape::field_adjoint::FieldAdjoint;
 use bevy_ecs::prelude::{Component, Resource, World};
 use glam::{UVec3, Vec3};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 /// Vertices per side of a brick.
@@ -46,8 +47,8 @@ pub struct SdfField {
     pub surface: SdfSurface,
     /// Adjoints at the vertices.
     pub adjoint: FieldAdjoint,
-    /// One value per vertex, for smoothing.
-    pub scratch: Vec<f32>,
+    /// Two values per vertex, for smoothing; 0 at those that no brick holds.
+    pub scratch: [Vec<f32>; 2],
     /// Running mean square of the gradient.
     pub mean_square: f32,
 }
@@ -56,8 +57,8 @@ impl SdfField {
     /// A field without adjoints.
     pub fn new(surface: SdfSurface) -> Self {
         let adjoint = FieldAdjoint::zeros(&surface.grid);
-        let scratch = vec![0.0; surface.grid.values.len()];
-        Self { surface, adjoint, scratch, mean_square: 0.0 }
+        let blank = vec![0.0; surface.grid.values.len()];
+        Self { surface, adjoint, scratch: [blank.clone(), blank], mean_square: 0.0 }
     }
 }
 
@@ -157,10 +158,50 @@ impl VertexRun {
         self.row..self.row + self.len
     }
 
+    /// The run's part of `dense`, which has one value per vertex of the grid.
+    #[inline]
+    pub(super) fn of(&self, dense: &[f32]) -> RunValues {
+        match dense[self.row..].first_chunk() {
+            Some(all) if self.len == BRICK_SIDE as usize => *all,
+            _ => each(|k| if k < self.len { dense[self.row + k] } else { 0.0 }),
+        }
+    }
+
     /// The indices in the brick.
     pub fn places(&self) -> std::ops::Range<usize> {
         self.place..self.place + self.len
     }
+}
+
+/// A value for each vertex of a run; those beyond its length mean nothing.
+pub(super) type RunValues = [f32; BRICK_SIDE as usize];
+
+/// The values of `value` for each vertex of a run.
+#[inline]
+pub(super) fn each(value: impl FnMut(usize) -> f32) -> RunValues {
+    std::array::from_fn(value)
+}
+
+/// Hands each run of each brick its part of `dense`, which has one element per vertex of the grid. Bricks come lowest first, as
+/// [`bricks_near_surface`] has them: those of one layer are written beside those of others.
+pub(super) fn write_runs<T: Send>(
+    grid: &SdfGrid,
+    at: &[BrickAt],
+    dense: &mut [T],
+    write: impl Fn(usize, VertexRun, &mut [T]) + Sync,
+) {
+    let plane = (grid.side * grid.side) as usize;
+    let layers = dense.par_chunks_mut(plane * BRICK_SIDE as usize).enumerate();
+    layers.for_each(|(layer, part)| {
+        let lowest = layer as u32 * BRICK_SIDE;
+        let first = at.partition_point(|brick| brick.0.z < lowest);
+        for (brick, at) in at.iter().enumerate().skip(first).take_while(|(_, at)| at.0.z == lowest) {
+            for run in at.runs(grid) {
+                let start = run.row - lowest as usize * plane;
+                write(brick, run, &mut part[start..start + run.len]);
+            }
+        }
+    });
 }
 
 impl BrickAt {

@@ -14,7 +14,8 @@ use crate::sample::pixel::{Observed, PixelOf, ViewRay};
 use crate::sample::point::SurfacePoint;
 use crate::sdf::SdfGrid;
 use crate::shape::field::{
-    BAND_CELLS, BrickAt, BrickGradient, BrickIndex, BrickMoments, BrickValues, ModelError, SdfField,
+    BAND_CELLS, BRICK_SIDE, BrickAt, BrickGradient, BrickIndex, BrickMoments, BrickValues, ModelError,
+    RunValues, SdfField, VertexRun, each, write_runs,
 };
 use crate::shape::silhouette_loss::{SilhouetteIndex, SilhouetteSample, add_silhouettes, aligned_silhouette};
 use crate::view::{ByView, Camera, Photograph, ViewIndex};
@@ -200,28 +201,32 @@ pub fn hand_out_to_bricks(
 ) -> SystemResult {
     let Some(progress) = schedule.progress(rates.step) else { return Ok(()) };
     let (at, gradients) = bricks.columns()?;
-    let mut gradients = gradients.quiet();
-    let (at, gradients) = (&*at, &mut *gradients);
-    let SdfField { surface, adjoint, scratch, .. } = &mut *field;
+    let (at, mut gradients) = (&*at, gradients.quiet());
+    let SdfField { surface, adjoint, scratch: [from, to], .. } = &mut *field;
     let grid = &surface.grid;
-    // The gradient of the squared Laplacian is the Laplacian of the Laplacian, which is in the scratch buffer.
-    fill(grid, at, gradients, |row, interior| laplacian(grid, row, interior, &grid.values));
-    copy_out(grid, at, gradients, scratch);
+    // The gradient of the squared Laplacian is the Laplacian of the Laplacian.
+    fill(grid, at, from, |run| laplacian(grid, run, &grid.values));
     let relaxed = schedule.smoothness * FIRST_SMOOTHNESS.powf(1.0 - progress);
     let smoothness = relaxed / (grid.spacing * grid.spacing);
-    fill(grid, at, gradients, |row, interior| {
-        adjoint.of_row(grid, row, interior) + smoothness * laplacian(grid, row, interior, scratch)
+    fill(grid, at, to, |run| {
+        let curved = laplacian(grid, run, from);
+        each(|k| match k < run.len {
+            true => adjoint.of_row(grid, run.row + k, run.interior) + smoothness * curved[k],
+            false => 0.0,
+        })
     });
     for _ in 0..schedule.blur {
-        copy_out(grid, at, gradients, scratch);
-        fill(grid, at, gradients, |row, interior| {
-            scratch[row] + 0.5 * laplacian(grid, row, interior, scratch)
+        std::mem::swap(from, to);
+        fill(grid, at, to, |run| {
+            let (own, curved) = (run.of(from), laplacian(grid, run, from));
+            each(|k| own[k] + 0.5 * curved[k])
         });
     }
-    for run in at.iter().flat_map(|brick| brick.runs(grid)) {
-        adjoint.value[run.rows()].fill(0.0);
-        adjoint.gradient[run.rows()].fill(Vec3::ZERO);
-    }
+    gradients.par_iter_mut().zip(at).with_min_len(16).for_each(|(gradient, at)| {
+        at.runs(grid).for_each(|run| gradient.0[run.places()].copy_from_slice(&to[run.rows()]));
+    });
+    write_runs(grid, at, &mut adjoint.value, |_, _, values| values.fill(0.0));
+    write_runs(grid, at, &mut adjoint.gradient, |_, _, gradients| gradients.fill(Vec3::ZERO));
     Ok(())
 }
 
@@ -246,41 +251,32 @@ pub fn check_bricks(
     Ok(())
 }
 
-/// The mean of the six neighbors of a vertex minus its own value; 0 near the border.
+/// The mean of the six neighbors of each vertex of a run minus its own value; 0 near the border.
 #[inline]
-fn laplacian(grid: &SdfGrid, row: usize, interior: bool, values: &[f32]) -> f32 {
-    if !interior {
-        return 0.0;
+fn laplacian(grid: &SdfGrid, run: VertexRun, values: &[f32]) -> RunValues {
+    if !run.interior {
+        return [0.0; BRICK_SIDE as usize];
     }
-    let side = grid.side as usize;
-    let around = values[row - 1] + values[row + 1] + values[row - side] + values[row + side];
-    (around + values[row - side * side] + values[row + side * side]) / 6.0 - values[row]
+    let (row, side) = (run.row, grid.side as usize);
+    let from = |row| VertexRun { row, ..run }.of(values);
+    let (left, right, down, up) = (from(row - 1), from(row + 1), from(row - side), from(row + side));
+    let (back, front) = (from(row - side * side), from(row + side * side));
+    let own = from(row);
+    each(|k| (left[k] + right[k] + down[k] + up[k] + back[k] + front[k]) / 6.0 - own[k])
 }
 
-/// Writes `value` for every vertex in the band, and 0 for all others.
-fn fill(
-    grid: &SdfGrid,
-    at: &[BrickAt],
-    gradients: &mut [BrickGradient],
-    value: impl Fn(usize, bool) -> f32 + Sync,
-) {
+/// Writes `values` of every run to `dense` for its vertices in the band, and 0 for all others.
+fn fill(grid: &SdfGrid, at: &[BrickAt], dense: &mut [f32], values: impl Fn(VertexRun) -> RunValues + Sync) {
     let reach = BAND_CELLS * grid.spacing;
-    gradients.par_iter_mut().zip(at).with_min_len(8).for_each(|(gradient, at)| {
-        for run in at.runs(grid) {
-            for (place, row) in run.places().zip(run.rows()) {
-                let near = grid.values[row].abs() < reach;
-                gradient.0[place] = if near { value(row, run.interior) } else { 0.0 };
-            }
+    write_runs(grid, at, dense, |_, run, rows| {
+        let distances = run.of(&grid.values).map(f32::abs);
+        if distances[..run.len].iter().all(|distance| *distance >= reach) {
+            return rows.fill(0.0);
         }
+        let values = values(run);
+        let inside = each(|k| if distances[k] < reach { values[k] } else { 0.0 });
+        rows.copy_from_slice(&inside[..run.len]);
     });
-}
-
-fn copy_out(grid: &SdfGrid, at: &[BrickAt], gradients: &[BrickGradient], dense: &mut [f32]) {
-    for (brick, gradient) in at.iter().zip(gradients) {
-        for run in brick.runs(grid) {
-            dense[run.rows()].copy_from_slice(&gradient.0[run.places()]);
-        }
-    }
 }
 
 /// Decay factor of the running means, per step.
@@ -314,13 +310,13 @@ pub fn move_bricks(
         }
     });
     let grid = &mut field.surface.grid;
-    for (brick, values) in at.iter().zip(values.iter()) {
-        for run in brick.runs(grid) {
-            grid.values[run.rows()].copy_from_slice(&values.0[run.places()]);
-        }
-    }
+    let mut dense = std::mem::take(&mut grid.values);
+    write_runs(grid, &at, &mut dense, |brick, run, rows| {
+        rows.copy_from_slice(&values[brick].0[run.places()])
+    });
+    grid.values = dense;
     if count.is_multiple_of(schedule.redistance_every) {
-        grid.redistance();
+        grid.redistance_near();
         values.par_iter_mut().zip(&*at).for_each(|(values, at)| *values = BrickValues::of(grid, *at));
     }
     Ok(())

@@ -26,6 +26,8 @@ pub struct FieldSample {
     /// Color, and density before the softplus.
     value: Vec4,
     opacity: f32,
+    /// Derivative of the softplus.
+    slope: f32,
     /// What reaches the sample.
     transmittance: f32,
     /// Distance along the ray, world units.
@@ -44,8 +46,12 @@ pub fn march(
     samples.clear();
     let (mut color, mut transmittance) = (Vec3::ZERO, 1.0);
     let step = STEP * field.spacing;
+    let (first, exit) = (surface - BEFORE * field.spacing, field.exit(ray));
     for k in 0..MOST_SAMPLES {
-        let distance = surface - BEFORE * field.spacing + (k as f32 + jitter) * step;
+        let distance = first + (k as f32 + jitter) * step;
+        if distance > exit {
+            break;
+        }
         let Some(sample) = sample_at(field, ray, distance, transmittance) else { continue };
         color += transmittance * sample.opacity * sample.value.xyz();
         transmittance *= 1.0 - sample.opacity;
@@ -60,13 +66,11 @@ pub fn march(
 /// The sample at a distance; `None` outside the field.
 #[inline]
 fn sample_at(field: &RadianceField, ray: &Ray, distance: f32, transmittance: f32) -> Option<FieldSample> {
-    let (rows, weights) = field.corners(ray.origin + distance * ray.direction);
-    if rows == [0; 8] {
-        return None;
-    }
+    let (rows, weights) = field.corners_inside(ray.origin + distance * ray.direction)?;
     let value = (0..8).map(|k| field.values[rows[k] as usize] * weights[k]).sum::<Vec4>();
-    let opacity = 1.0 - (-softplus(value.w) * STEP).exp();
-    Some(FieldSample { rows, weights, value, opacity, transmittance, distance })
+    let (density, slope) = softplus(value.w);
+    let opacity = 1.0 - (-density * STEP).exp();
+    Some(FieldSample { rows, weights, value, opacity, slope, transmittance, distance })
 }
 
 /// Adds the gradient of the field's values to `gradient`, from those of a ray's color and of what passes through.
@@ -77,7 +81,7 @@ pub fn pull_back(samples: &[FieldSample], color: Vec3, passing: f32, gradient: &
         let shown = color.dot(sample.value.xyz());
         let opacity = sample.transmittance * shown - behind / (1.0 - sample.opacity).max(DARK);
         behind += sample.transmittance * sample.opacity * shown;
-        let density = opacity * (1.0 - sample.opacity) * STEP * sigmoid(sample.value.w);
+        let density = opacity * (1.0 - sample.opacity) * STEP * sample.slope;
         let weight = sample.transmittance * sample.opacity;
         let own = if weight > FAINT { weight * color } else { Vec3::ZERO }.extend(density);
         for (row, share) in sample.rows.iter().zip(sample.weights) {
@@ -92,12 +96,13 @@ pub fn depth(samples: &[FieldSample]) -> Option<f32> {
     samples.iter().find(stopped).map(|sample| sample.distance)
 }
 
-fn softplus(x: f32) -> f32 {
-    if x > 15.0 { x } else { x.exp().ln_1p() }
-}
-
-fn sigmoid(x: f32) -> f32 {
-    1.0 / (1.0 + (-x).exp())
+/// The softplus and its derivative. Without the exact logarithm near 1, which takes twice as long: densities are not as small.
+fn softplus(x: f32) -> (f32, f32) {
+    if x > 15.0 {
+        return (x, 1.0);
+    }
+    let power = x.exp();
+    ((1.0 + power).ln(), power / (1.0 + power))
 }
 
 #[cfg(test)]

@@ -26,6 +26,8 @@ pub struct RadianceField {
     pub spacing: f32,
     /// The row in `values` of each vertex of the grid; 0 for those that are outside.
     pub rows: Vec<u32>,
+    /// Whether the cell above each vertex has one that is not outside.
+    holds: Vec<bool>,
     /// The vertex of each row; that of row 0 is meaningless.
     pub vertices: Vec<u32>,
     /// Color with the curve of sRGB, and density per cell before the softplus. Row 0 stands for all that is outside.
@@ -50,6 +52,13 @@ impl FieldRay {
     }
 }
 
+/// How far the indices of a cell's vertices are from that of its first, in a grid of `side` vertices along each axis.
+#[inline]
+fn corners(side: usize) -> [usize; 8] {
+    let (back, both) = (side * side, side + side * side);
+    [0, 1, side, side + 1, back, back + 1, both, both + 1]
+}
+
 impl RadianceField {
     /// A nearly transparent field of one color.
     pub fn new(grid: &SdfGrid, color: Vec3) -> Self {
@@ -58,6 +67,7 @@ impl RadianceField {
             origin: grid.origin,
             spacing: grid.spacing,
             rows: vec![0; grid.values.len()],
+            holds: vec![false; grid.values.len()],
             vertices: vec![0],
             values: vec![color.extend(OUTSIDE)],
         };
@@ -66,6 +76,8 @@ impl RadianceField {
                 field.rows[vertex] = field.vertices.len() as u32;
                 field.vertices.push(vertex as u32);
                 field.values.push(color.extend(BEGIN));
+                let cells = corners(grid.side as usize).map(|offset| vertex.checked_sub(offset));
+                cells.into_iter().flatten().for_each(|cell| field.holds[cell] = true);
             }
         }
         field
@@ -92,17 +104,42 @@ impl RadianceField {
             + UVec3::new(vertex % side, vertex / side % side, vertex / (side * side)).as_vec3() * self.spacing
     }
 
+    /// How far along a ray the grid ends, world units.
+    pub fn exit(&self, ray: &Ray) -> f32 {
+        let high = self.origin + Vec3::splat((self.side - 1) as f32 * self.spacing);
+        let inverse = ray.direction.recip();
+        // A ray along a face gives 0 · ∞ = NaN; the maximum then is the other operand.
+        ((self.origin - ray.origin) * inverse).max((high - ray.origin) * inverse).min_element()
+    }
+
     /// Rows of the eight vertices around a point, with their trilinear weights.
     #[inline]
     pub fn corners(&self, point: Vec3) -> ([u32; 8], [f32; 8]) {
+        let (first, t) = self.cell(point);
+        self.corners_of(first, t)
+    }
+
+    /// The same; `None` if all of them are outside.
+    #[inline]
+    pub fn corners_inside(&self, point: Vec3) -> Option<([u32; 8], [f32; 8])> {
+        let (first, t) = self.cell(point);
+        self.holds[first].then(|| self.corners_of(first, t))
+    }
+
+    /// The first vertex of the cell around a point, and the position in the cell, in [0, 1]³.
+    #[inline]
+    fn cell(&self, point: Vec3) -> (usize, Vec3) {
         let last = (self.side - 1) as f32;
         let at = ((point - self.origin) / self.spacing).clamp(Vec3::ZERO, Vec3::splat(last - 1e-3));
         let cell = at.as_uvec3();
-        let (t, side) = (at - cell.as_vec3(), self.side as usize);
+        let side = self.side as usize;
+        (cell.x as usize + side * (cell.y as usize + side * cell.z as usize), at - cell.as_vec3())
+    }
+
+    #[inline]
+    fn corners_of(&self, first: usize, t: Vec3) -> ([u32; 8], [f32; 8]) {
         let s = Vec3::ONE - t;
-        let first = cell.x as usize + side * (cell.y as usize + side * cell.z as usize);
-        let (back, both) = (side * side, side + side * side);
-        let vertices = [0, 1, side, side + 1, back, back + 1, both, both + 1];
+        let vertices = corners(self.side as usize);
         let (low, high, far_low, far_high) = (s.y * s.z, t.y * s.z, s.y * t.z, t.y * t.z);
         let weights = [low, low, high, high, far_low, far_low, far_high, far_high];
         let across = [s.x, t.x, s.x, t.x, s.x, t.x, s.x, t.x];
