@@ -55,8 +55,8 @@ impl SdfGrid {
     /// The cell that contains a point, clamped to the grid, and the position in it, in [0, 1]³.
     #[inline]
     fn cell(&self, point: Vec3) -> (UVec3, Vec3) {
-        let at =
-            ((point - self.origin) / self.spacing).clamp(Vec3::ZERO, Vec3::splat((self.side - 1) as f32));
+        let last = Vec3::splat((self.side - 1) as f32);
+        let at = ((point - self.origin) * self.spacing.recip()).clamp(Vec3::ZERO, last);
         // Truncation equals the floor of non-negative numbers, and is faster.
         let cell = at.as_uvec3().min(UVec3::splat(self.side - 2));
         (cell, at - cell.as_vec3())
@@ -91,7 +91,18 @@ impl SdfGrid {
     /// The trilinear distance at a point; outside the grid, the distance at the nearest point of the grid.
     #[inline]
     pub fn value(&self, point: Vec3) -> f32 {
-        self.corners(point).iter().map(|(row, weight)| weight * self.values[*row]).sum()
+        let (cell, t) = self.cell(point);
+        let (first, side) = (self.index(cell), self.side as usize);
+        let along_x = |row: usize| {
+            let pair = &self.values[row..row + 2];
+            pair[0] + t.x * (pair[1] - pair[0])
+        };
+        let along_y = |row: usize| {
+            let low = along_x(row);
+            low + t.y * (along_x(row + side) - low)
+        };
+        let low = along_y(first);
+        low + t.z * (along_y(first + side * side) - low)
     }
 
     /// Central differences at a vertex (one-sided at the border).

@@ -20,6 +20,8 @@ pub(super) const FORGIVEN: f32 = 0.02;
 pub(super) const FORGIVEN_AT_GAPS: f32 = 0.12;
 /// Cells a side of the grid that finds out how large the object is.
 const COARSE_CELLS: u32 = 48;
+/// Cells from a coarse surface beyond which the hull is not looked at more closely: more than the diagonal of a cell.
+const FAR: f32 = 2.5;
 /// Cells that a surface may lie outside the hull.
 const TRIM_SLACK: f32 = 0.25;
 /// Cells outside the surface that are trimmed as well.
@@ -39,13 +41,13 @@ pub fn visual_hull(silhouettes: &mut [Silhouette], cells: u32) -> Result<SdfGrid
     })?;
     let reach = |s: &Silhouette| s.camera.position().distance(center) * s.spread;
     let radius = silhouettes.iter().map(reach).fold(0.0, f32::max);
-    let mut coarse = carve(silhouettes, center, 1.1 * radius, COARSE_CELLS);
+    let mut coarse = carve(silhouettes, center, 1.1 * radius, COARSE_CELLS, None);
     regrow(&mut coarse, silhouettes, FORGIVEN_AT_GAPS);
     mark_trusted(silhouettes, &coarse);
     check_interrupted()?;
     let (low, high) = bounds_inside(&coarse).ok_or_else(|| no_hull(silhouettes, &coarse))?;
     let half = 0.5 * (high - low).max_element() + coarse.spacing;
-    let mut hull = carve(silhouettes, 0.5 * (low + high), half, cells);
+    let mut hull = carve(silhouettes, 0.5 * (low + high), half, cells, Some(&coarse));
     regrow(&mut hull, silhouettes, FORGIVEN_AT_GAPS);
     check_interrupted()?;
     if hull.values.iter().all(|value| *value >= 0.0) {
@@ -75,10 +77,21 @@ fn no_hull(silhouettes: &[Silhouette], coarse: &SdfGrid) -> Error {
     Error::usage(problem, help)
 }
 
-fn carve(silhouettes: &[Silhouette], center: Vec3, half_side: f32, cells: u32) -> SdfGrid {
+/// The hull in a cube. Where a `coarse` one is far from its surface, its values are taken.
+fn carve(
+    silhouettes: &[Silhouette],
+    center: Vec3,
+    half_side: f32,
+    cells: u32,
+    coarse: Option<&SdfGrid>,
+) -> SdfGrid {
     let outside = 2.0 * half_side / cells as f32;
+    let far = |point| {
+        let (value, cell) = coarse.map(|coarse| (coarse.value(point), coarse.spacing))?;
+        (value.abs() > FAR * cell).then_some(value)
+    };
     // What is not carved is dropped by whoever asked for it.
-    let distance = |point| hull_distance(silhouettes, point, FORGIVEN, outside);
+    let distance = |point| far(point).unwrap_or_else(|| hull_distance(silhouettes, point, FORGIVEN, outside));
     SdfGrid::from_fn(center, half_side, cells, |point| if is_stopping() { outside } else { distance(point) })
 }
 

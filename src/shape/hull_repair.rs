@@ -56,16 +56,29 @@ pub(crate) fn regrow(grid: &mut SdfGrid, silhouettes: &[Silhouette], forgiven: f
     grid.values = (0..grid.values.len()).into_par_iter().map(grown).collect();
 }
 
-/// The pixels well inside a mask whose rays miss the surface, as a mask; `None` if there are none.
+/// The pixels well inside a mask whose rays miss the surface, as a mask; `None` if there are none. Of the pixels in a square of half a cell
+/// the one deepest inside is asked for all.
 fn gaps(grid: &SdfGrid, view: &Silhouette) -> Option<Silhouette> {
-    let misses = |i: usize| {
-        let (x, y) = view.center(i);
-        let inside = view.distance(i) < -GAP_DEPTH && is_inner(&view.camera, x, y) && !is_stopping();
-        if inside && grid.first_crossing(&view.camera.ray(x, y), 0.0).is_none() { 1.0 } else { 0.0 }
-    };
-    let coverage = (0..view.pixel_count()).map(misses).collect();
-    let missing = Mask { width: view.camera.width, height: view.camera.height, coverage };
+    let (width, height) = (view.camera.width, view.camera.height);
+    let square = (0.5 * cell_pixels(grid, view)) as u32;
+    let mut coverage = vec![0.0; view.pixel_count()];
+    for square in view.mask.window().squares(square.max(1)).take_while(|_| !is_stopping()) {
+        let depths = square.pixels(width).map(|i| (view.distance(i), i));
+        let inside: Vec<(f32, usize)> = depths.filter(|(distance, _)| *distance < -GAP_DEPTH).collect();
+        let Some((_, deepest)) = inside.iter().min_by(|a, b| a.0.total_cmp(&b.0)) else { continue };
+        let (x, y) = view.center(*deepest);
+        if is_inner(&view.camera, x, y) && grid.first_crossing(&view.camera.ray(x, y), 0.0).is_none() {
+            inside.iter().for_each(|(_, i)| coverage[*i] = 1.0);
+        }
+    }
+    let missing = Mask { width, height, coverage };
     Silhouette::new(&view.name, &view.camera, &StoredMask::new(&missing))
+}
+
+/// Width in pixels of a cell in the middle of the grid.
+pub(crate) fn cell_pixels(grid: &SdfGrid, view: &Silhouette) -> f32 {
+    let middle = grid.position(glam::UVec3::splat(grid.side / 2));
+    grid.spacing / (pixel_size(&view.camera) * view.camera.position().distance(middle))
 }
 
 /// Share of a mask's pixels, not at the frame's border, whose rays meet the surface, or pass as near as the grid can tell; 1 if it has none there.
@@ -129,9 +142,7 @@ pub(crate) fn check_hull(hull: &SdfGrid, silhouettes: &[Silhouette]) -> Result<V
 /// where the silhouette of the hull is far from that of the mask.
 pub(crate) fn reliable_pixels(hull: &SdfGrid, view: &Silhouette) -> Vec<bool> {
     let camera = &view.camera;
-    let middle = hull.position(glam::UVec3::splat(hull.side / 2));
-    let cell = hull.spacing / (pixel_size(camera) * camera.position().distance(middle));
-    let tolerance = OUTLINE_TOLERANCE.max(1.0 + cell);
+    let tolerance = OUTLINE_TOLERANCE.max(1.0 + cell_pixels(hull, view));
     let pixels = (0..view.pixel_count()).into_par_iter().with_min_len(1024);
     let contradicts = |i: usize| {
         let far = !is_stopping() && (tolerance..3.0 * tolerance).contains(&view.distance(i).abs());

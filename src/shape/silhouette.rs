@@ -84,7 +84,7 @@ impl Silhouette {
         let near_x = within(x, self.window.x, self.window.width);
         let near_y = within(y, self.window.y, self.window.height);
         let row = (near_y - self.window.y as usize) * self.window.width as usize;
-        let near = self.near[row + near_x - self.window.x as usize].to_f32();
+        let near = widened(self.near[row + near_x - self.window.x as usize]);
         if (near_x, near_y) == (x, y) {
             return near;
         }
@@ -122,9 +122,29 @@ impl Silhouette {
         let (x0, y0) = (x as usize, y as usize);
         let (x1, y1) = ((x0 + 1).min(width - 1), (y0 + 1).min(height - 1));
         let (tx, ty) = (x - x0 as f32, y - y0 as f32);
-        let row = |y: usize| self.distance_at(x0, y) * (1.0 - tx) + self.distance_at(x1, y) * tx;
-        row(y0) * (1.0 - ty) + row(y1) * ty
+        let mixed =
+            |[a, b, c, d]: [f32; 4]| (a * (1.0 - tx) + b * tx) * (1.0 - ty) + (c * (1.0 - tx) + d * tx) * ty;
+        let PixelWindow { x: left, y: top, width: columns, height: rows } = self.window;
+        let (column, line) = (x0.wrapping_sub(left as usize), y0.wrapping_sub(top as usize));
+        let columns = columns as usize;
+        if column < columns - 1 && line < rows as usize - 1 {
+            let first = line * columns + column;
+            return mixed(
+                [first, first + 1, first + columns, first + columns + 1].map(|i| widened(self.near[i])),
+            );
+        }
+        mixed([(x0, y0), (x1, y0), (x0, y1), (x1, y1)].map(|(x, y)| self.distance_at(x, y)))
     }
+}
+
+/// A finite half-precision number, without the call that the conversion by an instruction takes where a program must not rely on it.
+#[inline]
+fn widened(half: f16) -> f32 {
+    /// 2¹¹²: the difference between the biases of both exponents.
+    const SCALE: f32 = f32::from_bits(0x7780_0000);
+    let bits = u32::from(half.to_bits());
+    let size = f32::from_bits((bits & 0x7fff) << 13) * SCALE;
+    f32::from_bits(size.to_bits() | (bits & 0x8000) << 16)
 }
 
 /// The background around a mask, without the mask's holes.

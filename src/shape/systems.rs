@@ -275,7 +275,11 @@ fn fill(grid: &SdfGrid, at: &[BrickAt], dense: &mut [f32], values: impl Fn(Verte
         }
         let values = values(run);
         let inside = each(|k| if distances[k] < reach { values[k] } else { 0.0 });
-        rows.copy_from_slice(&inside[..run.len]);
+        // Of a constant length, this is two moves and no call.
+        match rows.as_mut_array() {
+            Some(rows) => *rows = inside,
+            None => rows.copy_from_slice(&inside[..run.len]),
+        }
     });
 }
 

@@ -43,6 +43,19 @@ impl PixelWindow {
         Self { x: low[0], y: low[1], width: high[0] - low[0], height: high[1] - low[1] }
     }
 
+    /// Squares of `side` pixels that make up the window; smaller ones where it ends. `side` ≥ 1.
+    pub fn squares(self, side: u32) -> impl Iterator<Item = Self> {
+        let starts = move |count: u32| (0..count).step_by(side as usize);
+        let places =
+            starts(self.height).flat_map(move |down| starts(self.width).map(move |across| (across, down)));
+        places.map(move |(across, down)| Self {
+            x: self.x + across,
+            y: self.y + down,
+            width: side.min(self.width - across),
+            height: side.min(self.height - down),
+        })
+    }
+
     /// Number of pixels.
     pub fn len(&self) -> usize {
         self.width as usize * self.height as usize

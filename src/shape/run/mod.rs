@@ -35,7 +35,7 @@ use crate::shape::field::{
 };
 use crate::shape::hollows::{HULL_SHARE, LEVEL_SHARE, carve_hollows, keep_empty, look_through};
 use crate::shape::hull::{FORGIVEN, visual_hull};
-use crate::shape::hull_repair::{regrow, reliable_pixels};
+use crate::shape::hull_repair::{cell_pixels, regrow, reliable_pixels};
 use crate::shape::parts::extract_parts;
 use crate::shape::run::training::{training_silhouettes, with_training_views};
 use crate::shape::silhouette::{Silhouette, pixel_size};
@@ -47,7 +47,7 @@ use crate::shape::systems::{
 use crate::shape::unseen::span_unseen;
 use crate::view::{ByView, Camera, Photograph, ViewIndex};
 use bevy_ecs::prelude::{Component, Entity, IntoScheduleConfigs, With, World};
-use glam::{UVec3, Vec3};
+use glam::Vec3;
 use rand::seq::SliceRandom;
 use rand::{SeedableRng, rngs::SmallRng};
 use std::ops::ControlFlow;
@@ -260,16 +260,15 @@ fn fit_level(
 
 /// How many levels are fitted: those up to the first whose cells the photographs do not resolve; at least one.
 fn resolved_levels(hull: &SdfGrid, levels: &[ShapeLevel], silhouettes: &[Silhouette]) -> usize {
-    let too_fine = |level: &ShapeLevel| cell_pixels(hull, level.cells, silhouettes) < level.least_pixels;
+    let too_fine =
+        |level: &ShapeLevel| typical_cell_pixels(hull, level.cells, silhouettes) < level.least_pixels;
     levels.iter().skip(1).position(too_fine).map_or(levels.len(), |place| place + 1)
 }
 
 /// Width in pixels of a cell in the median photograph, if the grid had `cells` cells a side.
-fn cell_pixels(grid: &SdfGrid, cells: u32, silhouettes: &[Silhouette]) -> f32 {
-    let width = 2.0 * half_side(grid) / cells as f32;
-    let middle = grid.position(UVec3::splat(grid.side / 2));
-    let pixels = |s: &Silhouette| width / (pixel_size(&s.camera) * s.camera.position().distance(middle));
-    let mut widths: Vec<f32> = silhouettes.iter().map(pixels).collect();
+fn typical_cell_pixels(grid: &SdfGrid, cells: u32, silhouettes: &[Silhouette]) -> f32 {
+    let finer = (grid.side - 1) as f32 / cells as f32;
+    let mut widths: Vec<f32> = silhouettes.iter().map(|view| finer * cell_pixels(grid, view)).collect();
     widths.sort_by(f32::total_cmp);
     widths.get(widths.len() / 2).copied().unwrap_or(0.0)
 }
