@@ -8,7 +8,7 @@ use crate::sdf::SdfGrid;
 use crate::sdf::volume::SdfSurface;
 use crate::shape::field_adjoint::FieldAdjoint;
 use bevy_ecs::prelude::{Component, Resource, World};
-use glam::{UVec3, Vec3};
+use glam::{UVec3, Vec3, Vec4};
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
@@ -159,11 +159,23 @@ impl VertexRun {
     }
 
     /// The run's part of `dense`, which has one value per vertex of the grid.
-    #[inline]
+    #[inline(always)]
     pub(super) fn of(&self, dense: &[f32]) -> RunValues {
-        match dense[self.row..].first_chunk() {
-            Some(all) if self.len == BRICK_SIDE as usize => *all,
-            _ => each(|k| if k < self.len { dense[self.row + k] } else { 0.0 }),
+        let part = &dense[self.rows()];
+        if self.len == BRICK_SIDE as usize {
+            return each(|half| Vec4::from_slice(&part[4 * half..]));
+        }
+        let at = |k: usize| part.get(k).copied().unwrap_or(0.0);
+        each(|half| Vec4::from_array(std::array::from_fn(|k| at(4 * half + k))))
+    }
+
+    /// Writes values to the run's part of a slice.
+    #[inline(always)]
+    pub(super) fn write(&self, values: RunValues, part: &mut [f32]) {
+        if self.len == BRICK_SIDE as usize {
+            (0..2).for_each(|half| values[half].write_to_slice(&mut part[4 * half..]));
+        } else {
+            part.iter_mut().zip(values.iter().flat_map(Vec4::as_ref)).for_each(|(to, value)| *to = *value);
         }
     }
 
@@ -173,13 +185,13 @@ impl VertexRun {
     }
 }
 
-/// A value for each vertex of a run; those beyond its length mean nothing.
-pub(super) type RunValues = [f32; BRICK_SIDE as usize];
+/// A value for each vertex of a run, in two halves; those beyond its length mean nothing.
+pub(super) type RunValues = [Vec4; 2];
 
-/// The values of `value` for each vertex of a run.
+/// A run's values, half by half.
 #[inline]
-pub(super) fn each(value: impl FnMut(usize) -> f32) -> RunValues {
-    std::array::from_fn(value)
+pub(super) fn each(half: impl FnMut(usize) -> Vec4) -> RunValues {
+    std::array::from_fn(half)
 }
 
 /// Hands each run of each brick its part of `dense`, which has one element per vertex of the grid. Bricks come lowest first, as

@@ -23,27 +23,43 @@ pub struct FieldAdjoint {
     pub gradient: Vec<Vec3>,
 }
 
+/// Adjoints of the field at a sample's surface point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SampleAdjoint {
+    position: Vec3,
+    /// Adjoint of the interpolated central differences.
+    gradient: Vec3,
+    /// Adjoint of the value.
+    value: f32,
+}
+
+impl SampleAdjoint {
+    /// From the adjoints of the unit normal at `position` and of the position itself, where a ray of direction `direction` meets the surface.
+    pub fn new(grid: &SdfGrid, position: Vec3, direction: Vec3, by_normal: Vec3, by_position: Vec3) -> Self {
+        let gradient = grid.gradient(position);
+        let length = gradient.length().max(1e-3);
+        let normal = gradient / length;
+        let derivative = gradient.dot(direction).min(-LEAST_DERIVATIVE);
+        Self {
+            position,
+            gradient: (by_normal - normal * normal.dot(by_normal)) / length,
+            value: -by_position.dot(direction) / derivative,
+        }
+    }
+}
+
 impl FieldAdjoint {
     /// Zeros for every vertex of `grid`.
     pub fn zeros(grid: &SdfGrid) -> Self {
         Self { value: vec![0.0; grid.values.len()], gradient: vec![Vec3::ZERO; grid.values.len()] }
     }
 
-    /// Adds the adjoint of the unit normal at `position`.
-    pub fn add_normal(&mut self, grid: &SdfGrid, position: Vec3, normal_adjoint: Vec3) {
-        let gradient = grid.gradient(position);
-        let length = gradient.length().max(1e-3);
-        let normal = gradient / length;
-        let back = (normal_adjoint - normal * normal.dot(normal_adjoint)) / length;
-        for (row, weight) in grid.corners(position) {
-            self.gradient[row] += back * weight;
+    /// Adds the adjoints of a sample.
+    pub fn add(&mut self, grid: &SdfGrid, sample: &SampleAdjoint) {
+        for (row, weight) in grid.corners(sample.position) {
+            self.gradient[row] += sample.gradient * weight;
+            self.value[row] += sample.value * weight;
         }
-    }
-
-    /// Adds the adjoint of the intersection of the surface with a ray of direction `direction`.
-    pub fn add_position(&mut self, grid: &SdfGrid, position: Vec3, direction: Vec3, position_adjoint: Vec3) {
-        let derivative = grid.gradient(position).dot(direction).min(-LEAST_DERIVATIVE);
-        self.add_value(grid, position, -position_adjoint.dot(direction) / derivative);
     }
 
     /// Adds the adjoint of the value at `position`.
@@ -125,7 +141,7 @@ mod tests {
         let (position, weight) = (Vec3::new(0.41, 0.33, -0.22), Vec3::new(0.3, -0.8, 0.5));
         let grid = bumpy();
         let mut adjoint = FieldAdjoint::zeros(&grid);
-        adjoint.add_normal(&grid, position, weight);
+        adjoint.add(&grid, &SampleAdjoint::new(&grid, position, Vec3::Z, weight, Vec3::ZERO));
         check(&adjoint, |g| g.gradient(position).normalize().dot(weight), 1e-3, 2e-3);
     }
 
@@ -134,7 +150,7 @@ mod tests {
         let (position, weight) = (Vec3::new(0.97, -0.96, 0.99), Vec3::new(0.3, -0.8, 0.5));
         let grid = bumpy();
         let mut adjoint = FieldAdjoint::zeros(&grid);
-        adjoint.add_normal(&grid, position, weight);
+        adjoint.add(&grid, &SampleAdjoint::new(&grid, position, Vec3::Z, weight, Vec3::ZERO));
         check(&adjoint, |g| g.gradient(position).normalize().dot(weight), 1e-3, 2e-3);
     }
 
@@ -146,7 +162,7 @@ mod tests {
         let weight = Vec3::new(0.4, 0.7, -0.9);
         let grid = bumpy();
         let mut adjoint = FieldAdjoint::zeros(&grid);
-        adjoint.add_position(&grid, meets(&grid), ray.direction, weight);
+        adjoint.add(&grid, &SampleAdjoint::new(&grid, meets(&grid), ray.direction, Vec3::ZERO, weight));
         // The gradient of the trilinear value and the interpolated differences are not the same number.
         check(&adjoint, |g| meets(g).dot(weight), 1e-3, 0.06);
     }

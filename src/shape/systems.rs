@@ -14,13 +14,14 @@ use crate::sample::pixel::{Observed, PixelOf, ViewRay};
 use crate::sample::point::SurfacePoint;
 use crate::sdf::SdfGrid;
 use crate::shape::field::{
-    BAND_CELLS, BRICK_SIDE, BrickAt, BrickGradient, BrickIndex, BrickMoments, BrickValues, ModelError,
-    RunValues, SdfField, VertexRun, each, write_runs,
+    BAND_CELLS, BrickAt, BrickGradient, BrickIndex, BrickMoments, BrickValues, ModelError, RunValues,
+    SdfField, VertexRun, each, write_runs,
 };
+use crate::shape::field_adjoint::SampleAdjoint;
 use crate::shape::silhouette_loss::{SilhouetteIndex, SilhouetteSample, add_silhouettes, aligned_silhouette};
 use crate::view::{ByView, Camera, Photograph, ViewIndex};
 use bevy_ecs::prelude::{Query, Res, ResMut, Resource, With};
-use glam::Vec3;
+use glam::{Vec3, Vec4};
 use rayon::prelude::*;
 use std::ops::Range;
 
@@ -83,16 +84,16 @@ pub fn pull_back_to_field(
     let (points, rays, back) = samples.columns()?;
     let SdfField { surface, adjoint, .. } = &mut *field;
     let limit = OUTLIER * root_mean_square(&back);
-    for ((point, ray), back) in points.iter().zip(&*rays).zip(&*back) {
-        if point.is_hit() {
-            let by_normal = Vec3::from(back.normal).clamp_length_max(limit);
-            adjoint.add_normal(&surface.grid, point.position, by_normal);
-            let along = Vec3::from(back.albedo);
-            let value = |row: u32| texels[row as usize].0.dot(along);
-            let gradient = surface.volume.gradient(point.position, &point.texels, value);
-            adjoint.add_position(&surface.grid, point.position, ray.0.direction, gradient);
-        }
-    }
+    let pulled = |(point, (ray, back)): (&SurfacePoint, (&ViewRay, &PointAdjoint))| {
+        let by_normal = Vec3::from(back.normal).clamp_length_max(limit);
+        let along = Vec3::from(back.albedo);
+        let value = |row: u32| texels[row as usize].0.dot(along);
+        let by_position = surface.volume.gradient(point.position, &point.texels, value);
+        SampleAdjoint::new(&surface.grid, point.position, ray.0.direction, by_normal, by_position)
+    };
+    let samples = points.par_iter().zip(rays.par_iter().zip(&*back)).with_min_len(64);
+    let pulled: Vec<SampleAdjoint> = samples.filter(|(point, _)| point.is_hit()).map(pulled).collect();
+    pulled.iter().for_each(|sample| adjoint.add(&surface.grid, sample));
     Ok(())
 }
 
@@ -210,16 +211,19 @@ pub fn hand_out_to_bricks(
     let smoothness = relaxed / (grid.spacing * grid.spacing);
     fill(grid, at, to, |run| {
         let curved = laplacian(grid, run, from);
-        each(|k| match k < run.len {
-            true => adjoint.of_row(grid, run.row + k, run.interior) + smoothness * curved[k],
+        let pulled = |k: usize| match k < run.len {
+            true => adjoint.of_row(grid, run.row + k, run.interior),
             false => 0.0,
+        };
+        each(|half| {
+            Vec4::from_array(std::array::from_fn(|k| pulled(4 * half + k))) + smoothness * curved[half]
         })
     });
     for _ in 0..schedule.blur {
         std::mem::swap(from, to);
         fill(grid, at, to, |run| {
             let (own, curved) = (run.of(from), laplacian(grid, run, from));
-            each(|k| own[k] + 0.5 * curved[k])
+            each(|half| own[half] + 0.5 * curved[half])
         });
     }
     gradients.par_iter_mut().zip(at).with_min_len(16).for_each(|(gradient, at)| {
@@ -252,34 +256,28 @@ pub fn check_bricks(
 }
 
 /// The mean of the six neighbors of each vertex of a run minus its own value; 0 near the border.
-#[inline]
+#[inline(always)]
 fn laplacian(grid: &SdfGrid, run: VertexRun, values: &[f32]) -> RunValues {
     if !run.interior {
-        return [0.0; BRICK_SIDE as usize];
+        return [Vec4::ZERO; 2];
     }
     let (row, side) = (run.row, grid.side as usize);
     let from = |row| VertexRun { row, ..run }.of(values);
     let (left, right, down, up) = (from(row - 1), from(row + 1), from(row - side), from(row + side));
-    let (back, front) = (from(row - side * side), from(row + side * side));
-    let own = from(row);
+    let (back, front, own) = (from(row - side * side), from(row + side * side), from(row));
     each(|k| (left[k] + right[k] + down[k] + up[k] + back[k] + front[k]) / 6.0 - own[k])
 }
 
 /// Writes `values` of every run to `dense` for its vertices in the band, and 0 for all others.
 fn fill(grid: &SdfGrid, at: &[BrickAt], dense: &mut [f32], values: impl Fn(VertexRun) -> RunValues + Sync) {
-    let reach = BAND_CELLS * grid.spacing;
+    let reach = Vec4::splat(BAND_CELLS * grid.spacing);
     write_runs(grid, at, dense, |_, run, rows| {
-        let distances = run.of(&grid.values).map(f32::abs);
-        if distances[..run.len].iter().all(|distance| *distance >= reach) {
+        let is_near = run.of(&grid.values).map(|distance| distance.abs().cmplt(reach));
+        if !(is_near[0] | is_near[1]).any() {
             return rows.fill(0.0);
         }
         let values = values(run);
-        let inside = each(|k| if distances[k] < reach { values[k] } else { 0.0 });
-        // Of a constant length, this is two moves and no call.
-        match rows.as_mut_array() {
-            Some(rows) => *rows = inside,
-            None => rows.copy_from_slice(&inside[..run.len]),
-        }
+        run.write(each(|half| Vec4::select(is_near[half], values[half], Vec4::ZERO)), rows);
     });
 }
 
