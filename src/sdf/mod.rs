@@ -3,6 +3,7 @@
 //! | file | holds |
 //! | --- | --- |
 //! | `grid` | [`SdfGrid`]: values, trilinear look-up, smooth gradient |
+//! | `blocks` | values that are computed anew, without a look at blocks where nothing changes |
 //! | `distance_transform` | signed distance in pixels to the silhouette of a mask |
 //! | [`extract`] | a mesh of the zero level (surface nets) |
 //! | `manifold` | splits non-manifold edges and vertices of that mesh |
@@ -15,6 +16,7 @@
 //! | `resolution` | `u32` | cells per side | 96 | of the cubic grid |
 //! | `origin`, `spacing` | `Vec3`, `f32` | world units | from the cameras | position of the first vertex of the grid, and the distance between neighbors |
 
+mod blocks;
 pub(crate) mod distance_transform;
 pub mod extract;
 mod grid;

@@ -7,7 +7,7 @@
 
 use crate::error::stop::{check_interrupted, is_stopping};
 use crate::sdf::SdfGrid;
-use crate::shape::hull_repair::regrow;
+use crate::shape::hull_repair::{SLOPE, regrow};
 use crate::shape::silhouette::{MIN_VIEWS, Silhouette};
 use crate::shape::trust::{hull_distance, mark_trusted};
 use crate::{Error, Result};
@@ -109,7 +109,9 @@ pub(super) fn trim(grid: &mut SdfGrid, silhouettes: &mut [Silhouette]) {
         let point = whole.position(whole.vertex(row));
         value.max(hull_distance(silhouettes, point, FORGIVEN, value) - TRIM_SLACK * cell)
     };
-    grid.values = (0..grid.values.len()).into_par_iter().map(trimmed).collect();
+    let is_inside =
+        |middle: Vec3, radius: f32| hull_distance(silhouettes, middle, FORGIVEN, 0.0) < -SLOPE * radius;
+    grid.values = whole.replaced_in_blocks(is_inside, trimmed);
     regrow(grid, silhouettes, FORGIVEN_AT_GAPS);
 }
 

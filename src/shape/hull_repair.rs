@@ -8,9 +8,10 @@ use crate::error::stop::{check_interrupted, is_stopping};
 use crate::error::{Error, Result};
 use crate::sdf::SdfGrid;
 use crate::sdf::distance_transform::signed_distance;
-use crate::shape::silhouette::{Silhouette, is_inner, pixel_size};
+use crate::shape::silhouette::{Silhouette, is_inner};
 use crate::shape::trust::hull_distance;
 use crate::view::{Mask, StoredMask};
+use glam::Vec3;
 use rayon::prelude::*;
 
 /// Pixels inside a mask's outline beyond which a ray should meet the object.
@@ -20,6 +21,8 @@ const GAP_VIEWS: usize = 3;
 const GAP_SHARE: f32 = 0.04;
 /// Cells around a gap's rays within which the object is restored.
 const GAP_REACH: f32 = 1.5;
+/// Most that distances from silhouettes change with the way.
+pub(super) const SLOPE: f32 = 1.5;
 /// Distance in pixels between the silhouettes of mask and hull from which the mask is rejected; cells of a coarse grid allow more.
 const OUTLINE_TOLERANCE: f32 = 3.0;
 
@@ -38,29 +41,32 @@ pub(crate) fn regrow(grid: &mut SdfGrid, silhouettes: &[Silhouette], forgiven: f
         return;
     }
     let (whole, reach) = (&*grid, GAP_REACH * grid.spacing);
-    let grown = |row: usize| {
-        if is_stopping() {
-            return whole.values[row];
-        }
-        let point = whole.position(whole.vertex(row));
+    // The distance to the nearest gaps that are needed; `None` if too few are seen.
+    let gap_distance = |point: Vec3| {
         let mut near: Vec<f32> = gaps.iter().filter_map(|gap| gap.world_distance(point)).collect();
-        if near.len() < needed {
-            return whole.values[row];
-        }
-        let beyond = *near.select_nth_unstable_by(needed - 1, f32::total_cmp).1 - reach;
-        if beyond > whole.values[row] {
-            return whole.values[row];
-        }
-        whole.values[row].min(beyond.max(hull_distance(silhouettes, point, forgiven, reach)))
+        (near.len() >= needed).then(|| *near.select_nth_unstable_by(needed - 1, f32::total_cmp).1)
     };
-    grid.values = (0..grid.values.len()).into_par_iter().map(grown).collect();
+    let is_far = |middle: Vec3, radius: f32| {
+        is_stopping() || gap_distance(middle).is_some_and(|distance| distance > reach + SLOPE * radius)
+    };
+    let grown = |row: usize| {
+        let point = whole.position(whole.vertex(row));
+        let beyond = gap_distance(point).map(|distance| distance - reach);
+        match beyond.filter(|beyond| *beyond <= whole.values[row] && !is_stopping()) {
+            Some(beyond) => {
+                whole.values[row].min(beyond.max(hull_distance(silhouettes, point, forgiven, reach)))
+            }
+            None => whole.values[row],
+        }
+    };
+    grid.values = whole.replaced_in_blocks(is_far, grown);
 }
 
 /// The pixels well inside a mask whose rays miss the surface, as a mask; `None` if there are none. Of the pixels in a square of half a cell
 /// the one deepest inside is asked for all.
 fn gaps(grid: &SdfGrid, view: &Silhouette) -> Option<Silhouette> {
     let (width, height) = (view.camera.width, view.camera.height);
-    let square = (0.5 * cell_pixels(grid, view)) as u32;
+    let square = (0.5 * view.cell_pixels(grid)) as u32;
     let mut coverage = vec![0.0; view.pixel_count()];
     for square in view.mask.window().squares(square.max(1)).take_while(|_| !is_stopping()) {
         let depths = square.pixels(width).map(|i| (view.distance(i), i));
@@ -73,12 +79,6 @@ fn gaps(grid: &SdfGrid, view: &Silhouette) -> Option<Silhouette> {
     }
     let missing = Mask { width, height, coverage };
     Silhouette::new(&view.name, &view.camera, &StoredMask::new(&missing))
-}
-
-/// Width in pixels of a cell in the middle of the grid.
-pub(crate) fn cell_pixels(grid: &SdfGrid, view: &Silhouette) -> f32 {
-    let middle = grid.position(glam::UVec3::splat(grid.side / 2));
-    grid.spacing / (pixel_size(&view.camera) * view.camera.position().distance(middle))
 }
 
 /// Share of a mask's pixels, not at the frame's border, whose rays meet the surface, or pass as near as the grid can tell; 1 if it has none there.
@@ -142,7 +142,7 @@ pub(crate) fn check_hull(hull: &SdfGrid, silhouettes: &[Silhouette]) -> Result<V
 /// where the silhouette of the hull is far from that of the mask.
 pub(crate) fn reliable_pixels(hull: &SdfGrid, view: &Silhouette) -> Vec<bool> {
     let camera = &view.camera;
-    let tolerance = OUTLINE_TOLERANCE.max(1.0 + cell_pixels(hull, view));
+    let tolerance = OUTLINE_TOLERANCE.max(1.0 + view.cell_pixels(hull));
     let pixels = (0..view.pixel_count()).into_par_iter().with_min_len(1024);
     let contradicts = |i: usize| {
         let far = !is_stopping() && (tolerance..3.0 * tolerance).contains(&view.distance(i).abs());
@@ -169,7 +169,6 @@ mod tests {
     use crate::math::fibonacci::fibonacci_axes;
     use crate::shape::hull::visual_hull;
     use crate::view::Camera;
-    use glam::Vec3;
 
     const SIZE: u32 = 96;
     const VIEWS: usize = 60;

@@ -1,5 +1,6 @@
 //! The silhouette of a view: the signed distance to the boundary of its mask, and the distance of points of space from its cone.
 
+use crate::sdf::SdfGrid;
 use crate::sdf::distance_transform::signed_distance;
 use crate::view::{Camera, PixelWindow, StoredMask, ViewIndex};
 use glam::{Vec2, Vec3};
@@ -45,9 +46,9 @@ impl Silhouette {
         let middle = rays().sum::<Vec3>().try_normalize()?;
         let spread = rays().map(|ray| middle.cross(ray).length() / middle.dot(ray)).fold(0.0, f32::max);
         let window = with_margin(mask.window(), [width, height]);
-        let distance = signed_distance(&mask.mask().coverage, width as usize, height as usize);
-        let mut near = Vec::with_capacity(window.len());
-        near.extend(window.pixels(width).map(|i| f16::from_f32(distance[i])));
+        let coverage: Vec<f32> = window.pixels(width).map(|i| mask.coverage(i)).collect();
+        let distance = signed_distance(&coverage, window.width as usize, window.height as usize);
+        let near = distance.into_iter().map(f16::from_f32).collect();
         Some(Self {
             view: ViewIndex::default(),
             name: name.to_owned(),
@@ -89,6 +90,12 @@ impl Silhouette {
             return near;
         }
         near + (x.abs_diff(near_x) as f32).hypot(y.abs_diff(near_y) as f32)
+    }
+
+    /// Width in pixels of a cell in the middle of a grid.
+    pub(super) fn cell_pixels(&self, grid: &SdfGrid) -> f32 {
+        let middle = grid.origin + Vec3::splat(0.5 * grid.spacing * (grid.side - 1) as f32);
+        grid.spacing / (pixel_size(&self.camera) * self.camera.position().distance(middle))
     }
 
     /// Image position of a pixel's center.

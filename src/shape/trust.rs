@@ -9,7 +9,7 @@
 use crate::error::stop::is_stopping;
 use crate::sdf::SdfGrid;
 use crate::shape::silhouette::{MIN_VIEWS, Outside, Silhouette, is_inner, pixel_size};
-use glam::{UVec3, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
 
 /// Pixels beside the outline of a trusted mask that it does not carve alone.
@@ -84,9 +84,7 @@ fn taken_pixels(
     surface: &SdfGrid,
     carved: &SdfGrid,
 ) -> (usize, Vec<usize>) {
-    let middle = surface.position(UVec3::splat(surface.side / 2));
-    let cell = surface.spacing / (pixel_size(&view.camera) * view.camera.position().distance(middle));
-    let depth = CHECK_DEPTH.max(CHECK_CELLS * cell);
+    let depth = CHECK_DEPTH.max(CHECK_CELLS * view.cell_pixels(surface));
     let (mut checked, mut takers) = (0, Vec::new());
     for pixel in (0..view.pixel_count()).step_by(CHECK_STRIDE).filter(|i| view.distance(*i) < -depth) {
         let (x, y) = view.center(pixel);

@@ -10,7 +10,7 @@
 use crate::error::stop::is_stopping;
 use crate::math::ray::Ray;
 use crate::sdf::SdfGrid;
-use crate::shape::silhouette::{Silhouette, pixel_size};
+use crate::shape::silhouette::Silhouette;
 use glam::{IVec3, Vec3};
 use rayon::prelude::*;
 
@@ -71,7 +71,7 @@ fn settle(grid: &mut SdfGrid, hull: &[f32], is_seen: &[bool]) {
         let is_near = |row: &usize| !is_seen[*row] && grid.values[*row].abs() < 2.0 * reach;
         let near: Vec<usize> = (0..hull.len()).filter(is_near).collect();
         (0..REDISTANCE).for_each(|_| contract(grid, hull, &near));
-        grid.redistance();
+        grid.redistance_near();
         held.iter().for_each(|&row| grid.values[row] = hull[row]);
         let now = grid.values.iter().filter(|value| **value < 0.0).count();
         if step > LEAST_STEPS && now == last {
@@ -145,17 +145,11 @@ fn grown(grid: &SdfGrid, marked: &[bool]) -> Vec<bool> {
 
 /// Evenly spread pixels of a view's mask.
 fn mask_pixels<'a>(grid: &SdfGrid, view: &'a Silhouette) -> impl Iterator<Item = usize> + use<'a> {
-    let stride = ((cell_size(grid, view) / RAYS_PER_CELL) as usize).max(1);
+    let stride = ((view.cell_pixels(grid) / RAYS_PER_CELL) as usize).max(1);
     let (width, height) = (view.camera.width as usize, view.camera.height as usize);
     let rows = (stride / 2..height).step_by(stride);
     let pixels = rows.flat_map(move |y| (stride / 2..width).step_by(stride).map(move |x| y * width + x));
     pixels.filter(|&pixel| view.mask.coverage(pixel) > 0.0).take_while(|_| !is_stopping())
-}
-
-/// Width in pixels of a cell in the middle of the grid.
-fn cell_size(grid: &SdfGrid, view: &Silhouette) -> f32 {
-    let middle = grid.origin + Vec3::splat(0.5 * grid.spacing * (grid.side - 1) as f32);
-    grid.spacing / (pixel_size(&view.camera) * view.camera.position().distance(middle))
 }
 
 /// The vertices around the surface that one view sees, each once, and whether it sees them steeply enough to count alone.
@@ -180,7 +174,7 @@ fn seen_by(grid: &SdfGrid, view: &Silhouette) -> Vec<(usize, bool)> {
 /// The vertices around the points of the hull that masks show and the field `now` has no longer.
 fn lost(hull: &SdfGrid, now: &SdfGrid, silhouettes: &[Silhouette]) -> Vec<bool> {
     let of_view = |view: &Silhouette| -> Vec<usize> {
-        let depth = (DEPTH * cell_size(hull, view)).min(MOST_DEPTH);
+        let depth = (DEPTH * view.cell_pixels(hull)).min(MOST_DEPTH);
         let inner = mask_pixels(hull, view).filter(|&pixel| view.distance(pixel) < -depth);
         let is_lost = |ray: &Ray| now.first_crossing(ray, 0.0).is_none();
         let rays = inner.map(|pixel| view.camera.pixel_ray(pixel as u32)).filter(is_lost);

@@ -35,7 +35,7 @@ use crate::shape::field::{
 };
 use crate::shape::hollows::{HULL_SHARE, LEVEL_SHARE, carve_hollows, keep_empty, look_through};
 use crate::shape::hull::{FORGIVEN, visual_hull};
-use crate::shape::hull_repair::{cell_pixels, regrow, reliable_pixels};
+use crate::shape::hull_repair::{regrow, reliable_pixels};
 use crate::shape::parts::extract_parts;
 use crate::shape::run::training::{training_silhouettes, with_training_views};
 use crate::shape::silhouette::{Silhouette, pixel_size};
@@ -50,6 +50,7 @@ use bevy_ecs::prelude::{Component, Entity, IntoScheduleConfigs, With, World};
 use glam::Vec3;
 use rand::seq::SliceRandom;
 use rand::{SeedableRng, rngs::SmallRng};
+use rayon::prelude::*;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
@@ -268,7 +269,7 @@ fn resolved_levels(hull: &SdfGrid, levels: &[ShapeLevel], silhouettes: &[Silhoue
 /// Width in pixels of a cell in the median photograph, if the grid had `cells` cells a side.
 fn typical_cell_pixels(grid: &SdfGrid, cells: u32, silhouettes: &[Silhouette]) -> f32 {
     let finer = (grid.side - 1) as f32 / cells as f32;
-    let mut widths: Vec<f32> = silhouettes.iter().map(|view| finer * cell_pixels(grid, view)).collect();
+    let mut widths: Vec<f32> = silhouettes.iter().map(|view| finer * view.cell_pixels(grid)).collect();
     widths.sort_by(f32::total_cmp);
     widths.get(widths.len() / 2).copied().unwrap_or(0.0)
 }
@@ -385,12 +386,13 @@ fn silhouette_samples(
     most: usize,
 ) -> Vec<(SilhouetteIndex, SilhouetteSample)> {
     // Silhouette and pixel: a sample is ten times as large.
-    let mut near: Vec<(u32, u32)> = Vec::new();
-    for (number, silhouette) in (0..).zip(silhouettes).take_while(|_| !is_stopping()) {
+    let near_one = |(number, silhouette): (u32, &Silhouette)| {
         let reliable = reliable_pixels(hull, silhouette);
         let is_near = |&i: &usize| reliable[i] && silhouette.distance(i).abs() < SILHOUETTE_REACH;
-        near.extend((0..reliable.len()).filter(is_near).map(|i| (number, i as u32)));
-    }
+        (0..reliable.len()).filter(is_near).map(|i| (number, i as u32)).collect::<Vec<_>>()
+    };
+    let views = (0..silhouettes.len() as u32).into_par_iter().zip(silhouettes);
+    let mut near: Vec<(u32, u32)> = views.filter(|_| !is_stopping()).flat_map_iter(near_one).collect();
     near.shuffle(&mut SmallRng::seed_from_u64(seed));
     near.truncate(most);
     let sample = |(number, pixel): (u32, u32)| silhouette_sample(&silhouettes[number as usize], pixel);

@@ -6,6 +6,7 @@ use crate::shape::stereo::StereoView;
 use crate::view::Placement;
 use crate::view::{Camera, Photograph, Split, ViewIndex, ViewMask, ViewName};
 use bevy_ecs::prelude::{With, World};
+use rayon::prelude::*;
 
 /// Hands the training photographs with their masks to `use_of`.
 pub(super) fn with_training_views<T>(world: &mut World, use_of: impl FnOnce(&[StereoView]) -> T) -> T {
@@ -41,5 +42,5 @@ pub(crate) fn training_silhouettes(world: &mut World) -> Vec<Silhouette> {
     let silhouette = |(index, name, camera, mask, _): (&ViewIndex, &ViewName, &Camera, &ViewMask, _)| {
         Some(Silhouette::new(&name.0, camera, &mask.0)?.of_view(*index))
     };
-    train.into_iter().take_while(|_| !is_stopping()).filter_map(silhouette).collect()
+    train.into_par_iter().filter(|_| !is_stopping()).filter_map(silhouette).collect()
 }
