@@ -117,7 +117,7 @@ impl Default for ShapePass {
             shading: FitShading::Accurate,
             levels: vec![
                 GridLevel { cells: 64, hold: 50, steps: 300, rates: (0.05, 0.01), ..GridLevel::default() },
-                GridLevel { texel_cells: 96, ..GridLevel::default() },
+                GridLevel { texel_cells: 96, steps: 240, rates: (0.08, 0.003), ..GridLevel::default() },
                 GridLevel { cells: 192, texel_cells: 128, steps: 200, pixels: 2.0, ..GridLevel::default() },
             ],
             batch: 8192,

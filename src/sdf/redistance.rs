@@ -263,4 +263,42 @@ mod tests {
         let worst = inner.map(|i| (grid.values[i] - before.values[i]).abs()).fold(0.0, f32::max);
         assert!(worst < 0.3 * grid.spacing, "{worst}");
     }
+
+    /// A ball whose surface has moved by two cells; values farther away are as before.
+    fn grown_ball() -> SdfGrid {
+        let mut grid = SdfGrid::from_fn(Vec3::new(0.1, 0.0, 0.0), 1.0, 60, |p| p.length() - 0.5);
+        let h = grid.spacing;
+        grid.values.iter_mut().for_each(|value| *value -= 2.0 * h * (1.0 - value.abs() / (4.0 * h)).max(0.0));
+        grid
+    }
+
+    #[test]
+    fn near_the_surface_less_work_gives_the_same_and_beyond_no_more() {
+        let (mut near, mut whole) = (grown_ball(), grown_ball());
+        near.redistance_near();
+        whole.redistance();
+        let reach = NEAR_CELLS * near.spacing;
+        let mut beyond = 0;
+        for (value, whole) in near.values.iter().zip(&whole.values) {
+            assert_eq!(value.is_sign_negative(), whole.is_sign_negative());
+            if whole.abs() < reach {
+                assert!((value - whole).abs() < 1e-6, "{value} {whole}");
+            } else {
+                assert!(value.abs() >= reach && value.abs() <= whole.abs() + 1e-6, "{value} {whole}");
+                beyond += 1;
+            }
+        }
+        assert!(beyond > 1000);
+    }
+
+    #[test]
+    fn bits_do_not_depend_on_the_number_of_threads() {
+        let solved = |threads: usize| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let mut grid = grown_ball();
+            pool.install(|| grid.redistance());
+            grid
+        };
+        assert_eq!(solved(1), solved(3));
+    }
 }

@@ -265,4 +265,21 @@ mod tests {
         let reach = BAND_CELLS * grid.spacing;
         assert!((0..seen.len()).all(|i| seen[i] == 1 || (seen[i] == 0 && grid.values[i].abs() >= reach)));
     }
+
+    #[test]
+    fn runs_are_read_and_written_as_they_lie() {
+        let grid = SdfGrid::from_fn(Vec3::ZERO, 1.0, 20, |p| p.length() - 0.95);
+        let at = bricks_near_surface(&grid);
+        let mut copied = vec![f32::NAN; grid.values.len()];
+        write_runs(&grid, &at, &mut copied, |brick, run, part| {
+            assert!(at[brick].runs(&grid).any(|own| own.row == run.row));
+            run.write(run.of(&grid.values), part);
+        });
+        let mut held = vec![false; grid.values.len()];
+        at.iter().flat_map(|at| at.runs(&grid)).for_each(|run| held[run.rows()].fill(true));
+        for (row, value) in copied.iter().enumerate() {
+            assert!(if held[row] { *value == grid.values[row] } else { value.is_nan() });
+        }
+        assert!(held.contains(&true));
+    }
 }

@@ -62,11 +62,11 @@ pub(crate) fn regrow(grid: &mut SdfGrid, silhouettes: &[Silhouette], forgiven: f
     grid.values = whole.replaced_in_blocks(is_far, grown);
 }
 
-/// The pixels well inside a mask whose rays miss the surface, as a mask; `None` if there are none. Of the pixels in a square of half a cell
-/// the one deepest inside is asked for all.
+/// The pixels well inside a mask whose rays miss the surface, as a mask; `None` if there are none. Of the pixels in a square as wide as a
+/// cell the one deepest inside is asked for all.
 fn gaps(grid: &SdfGrid, view: &Silhouette) -> Option<Silhouette> {
     let (width, height) = (view.camera.width, view.camera.height);
-    let square = (0.5 * view.cell_pixels(grid)) as u32;
+    let square = view.cell_pixels(grid) as u32;
     let mut coverage = vec![0.0; view.pixel_count()];
     for square in view.mask.window().squares(square.max(1)).take_while(|_| !is_stopping()) {
         let depths = square.pixels(width).map(|i| (view.distance(i), i));

@@ -214,3 +214,37 @@ pub(super) fn is_inner(camera: &Camera, x: f32, y: f32) -> bool {
 pub(super) fn pixel_size(camera: &Camera) -> f32 {
     2.0 / (camera.focal[0] + camera.focal[1])
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_finite_half_is_widened_exactly() {
+        for half in (0..=u16::MAX).map(f16::from_bits).filter(|half| half.is_finite()) {
+            assert_eq!(widened(half).to_bits(), half.to_f32().to_bits(), "{half}");
+        }
+    }
+
+    #[test]
+    fn distances_are_those_of_the_whole_frame() {
+        let (width, height) = (90, 70);
+        let camera = Camera::look_at(Vec3::Z * 4.0, Vec3::ZERO, Vec3::Y, 40.0, width, height).unwrap();
+        let covered = |i: u32| {
+            let offset = Vec2::new((i % width) as f32 - 52.0, (i / width) as f32 - 30.0);
+            (14.5 - offset.length()).clamp(0.0, 1.0)
+        };
+        let coverage: Vec<f32> = (0..width * height).map(covered).collect();
+        let whole = signed_distance(&coverage, width as usize, height as usize);
+        let mask = StoredMask::new(&crate::view::Mask { width, height, coverage });
+        let silhouette = Silhouette::new("disc", &camera, &mask).unwrap();
+        for i in silhouette.window.pixels(width) {
+            assert_eq!(silhouette.distance(i), f16::from_f32(whole[i]).to_f32());
+        }
+        // Between pixels, within the window and beyond it.
+        for (x, y) in [(40.3, 20.6), (52.0, 30.0), (70.2, 61.9), (1.5, 68.0), (89.9, 0.1)] {
+            let expected = (Vec2::new(x, y) - Vec2::new(52.5, 30.5)).length() - 14.0;
+            assert!((silhouette.pixels(x, y) - expected).abs() < 1.5, "{x} {y}");
+        }
+    }
+}

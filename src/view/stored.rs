@@ -408,6 +408,17 @@ mod tests {
     }
 
     #[test]
+    fn squares_hold_each_pixel_of_a_window_once() {
+        let window = PixelWindow { x: 3, y: 5, width: 10, height: 7 };
+        for side in [1, 4, 7, 100] {
+            let mut pixels: Vec<usize> = window.squares(side).flat_map(|square| square.pixels(40)).collect();
+            pixels.sort_unstable();
+            assert_eq!(pixels, window.pixels(40).collect::<Vec<_>>(), "{side}");
+        }
+        assert_eq!(PixelWindow { width: 0, ..window }.squares(4).count(), 0);
+    }
+
+    #[test]
     fn a_photograph_is_black_outside_its_window() {
         let image = picture(|i| i as f32);
         let kept = Photograph::new(&image, &[true; 20], middle(), false).unwrap();

@@ -148,4 +148,17 @@ mod tests {
             }
         }
     }
+
+    #[test]
+    fn rays_leave_out_only_what_is_outside() {
+        let grid = SdfGrid::from_fn(Vec3::ZERO, 1.0, 10, |p| p.length() - 0.6);
+        let field = RadianceField::new(&grid, Vec3::ONE);
+        let ray = Ray { origin: Vec3::new(0.1, 0.2, 3.0), direction: Vec3::NEG_Z };
+        assert!((field.exit(&ray) - 4.0).abs() < 1e-5);
+        for k in 0..200 {
+            let point = ray.origin + 0.03 * k as f32 * ray.direction;
+            let (rows, weights) = field.corners(point);
+            assert_eq!(field.corners_inside(point), (rows != [0; 8]).then_some((rows, weights)), "{point}");
+        }
+    }
 }

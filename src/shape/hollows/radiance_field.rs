@@ -76,8 +76,12 @@ impl RadianceField {
                 field.rows[vertex] = field.vertices.len() as u32;
                 field.vertices.push(vertex as u32);
                 field.values.push(color.extend(BEGIN));
-                let cells = corners(grid.side as usize).map(|offset| vertex.checked_sub(offset));
-                cells.into_iter().flatten().for_each(|cell| field.holds[cell] = true);
+                let place = grid.vertex(vertex);
+                for (k, offset) in (0..).zip(corners(grid.side as usize)) {
+                    if place.cmpge(UVec3::new(k & 1, k >> 1 & 1, k >> 2)).all() {
+                        field.holds[vertex - offset] = true;
+                    }
+                }
             }
         }
         field

@@ -22,7 +22,7 @@ pub(crate) fn refine_by_outlines(world: &mut World, surface: &mut SdfSurface) ->
     if let Some(empty) = &surface.empty {
         keep_empty(grid, empty);
     }
-    grid.redistance();
+    grid.redistance_near();
     fit_outlines(grid, &silhouettes)
 }
 
