@@ -314,7 +314,7 @@ pub fn move_bricks(
     let grid = &mut field.surface.grid;
     let mut dense = std::mem::take(&mut grid.values);
     write_runs(grid, &at, &mut dense, |brick, run, rows| {
-        rows.copy_from_slice(&values[brick].0[run.places()])
+        rows.copy_from_slice(&values[brick].0[run.places()]);
     });
     grid.values = dense;
     if count.is_multiple_of(schedule.redistance_every) {
