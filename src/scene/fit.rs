@@ -74,7 +74,7 @@ pub struct ShapePass {
     pub loss: Loss,
     /// The closed form that shades. Default `Accurate`.
     pub shading: FitShading,
-    /// The grids, from coarse to fine. Default: 64 cells for 300 steps, the shape held for 50; then 128 for 400; then 192 for 200, if its
+    /// The grids, from coarse to fine. Default: 64 cells for 300 steps, the shape held for 50; then 128 for 240; then 192 for 200, if its
     /// cells are two pixels wide.
     pub levels: Vec<GridLevel>,
     /// Pixels per step ≥ 1. Default 8192.

@@ -8,11 +8,11 @@ use rayon::prelude::*;
 const BLOCK: u32 = 8;
 
 impl SdfGrid {
-    /// The values, replaced by `value` of their indices except in blocks that `stays`, which gets the center and the radius of the ball
-    /// around a block.
+    /// The values, replaced by `value` of their indices. `most` gets the center and the radius of the ball around a block: where it gives a
+    /// number, the block keeps its values, but none above that number.
     pub(crate) fn replaced_in_blocks(
         &self,
-        stays: impl Fn(Vec3, f32) -> bool + Sync,
+        most: impl Fn(Vec3, f32) -> Option<f32> + Sync,
         value: impl Fn(usize) -> f32 + Sync,
     ) -> Vec<f32> {
         let plane = (self.side * self.side) as usize;
@@ -22,9 +22,10 @@ impl SdfGrid {
             let first = layer * BLOCK as usize * plane;
             for block in self.blocks_of_layer(layer as u32) {
                 let (low, high) = (self.position(block.0), self.position(block.1 - UVec3::ONE));
-                if !stays(0.5 * (low + high), 0.5 * low.distance(high)) {
-                    self.rows_of(block).for_each(|row| part[row - first] = value(row));
-                }
+                let most = most(0.5 * (low + high), 0.5 * low.distance(high));
+                let replaced =
+                    |row: usize| most.map_or_else(|| value(row), |most| self.values[row].min(most));
+                self.rows_of(block).for_each(|row| part[row - first] = replaced(row));
             }
         });
         values
@@ -56,13 +57,13 @@ mod tests {
     #[test]
     fn every_value_outside_the_blocks_that_stay_is_replaced() {
         let grid = SdfGrid::from_fn(Vec3::ZERO, 1.0, 20, |p| p.length() - 0.6);
-        let all = grid.replaced_in_blocks(|_, _| false, |row| row as f32);
+        let all = grid.replaced_in_blocks(|_, _| None, |row| row as f32);
         assert!(all.iter().enumerate().all(|(row, value)| *value == row as f32));
-        let far = grid.replaced_in_blocks(|middle, radius| middle.x - radius > 0.0, |_| 7.0);
+        let far = grid.replaced_in_blocks(|middle, radius| (middle.x - radius > 0.0).then_some(0.3), |_| 7.0);
         for (row, value) in far.iter().enumerate() {
             let point = grid.position(grid.vertex(row));
-            assert!(*value == 7.0 || (*value == grid.values[row] && point.x > 0.0), "{point}");
+            assert!(*value == 7.0 || (*value == grid.values[row].min(0.3) && point.x > 0.0), "{point}");
         }
-        assert!(far.iter().any(|value| *value != 7.0));
+        assert!(far.contains(&0.3) && far.iter().any(|value| *value < 0.3));
     }
 }

@@ -28,7 +28,7 @@ impl SdfGrid {
     }
 
     /// The same up to [`NEAR_CELLS`] cells from the zero level, with less work, for a field of distances whose zero level has moved. The values
-    /// beyond are made smaller by the largest change, so that they are no more than the distance.
+    /// beyond are made smaller by the largest correction, but not below that, so that they are no more than the distance.
     pub fn redistance_near(&mut self) {
         let reach = NEAR_CELLS * self.spacing;
         let solved = self.solved_within(reach);

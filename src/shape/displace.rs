@@ -23,7 +23,7 @@ const SPREAD: f32 = 0.7;
 const SHEET: f32 = 0.3;
 
 /// Moves the zero level by `along` (one per vertex, along its normal, world units), but by no more than two cells, and leaves room to the
-/// opposite side. Redistances the field.
+/// opposite side. Redistances the field near the surface.
 pub(crate) fn displace(grid: &mut SdfGrid, bvh: &TriangleBvh, shell: &Shell, along: &[f32]) {
     let most = MOST * grid.spacing;
     let along: Vec<f32> = (0..along.len())

@@ -97,7 +97,7 @@ impl ModelError {
     }
 }
 
-/// What of a field changes during a level: its texels lie still, and the scratch is written before it is read. Values; adjoints, of which
+/// What of a field changes during a level: its texels lie still, and the scratch is written before it is read, but for zeros beside bricks. Values; adjoints, of which
 /// bricks clear their own at every step, and read those beside them; the mean square.
 type FieldState<V, A> = (V, A, f32);
 

@@ -20,7 +20,7 @@ pub(super) const FORGIVEN: f32 = 0.02;
 pub(super) const FORGIVEN_AT_GAPS: f32 = 0.12;
 /// Cells a side of the grid that finds out how large the object is.
 const COARSE_CELLS: u32 = 48;
-/// Cells from a coarse surface beyond which the hull is not looked at more closely: more than the diagonal of a cell.
+/// Cells outside a coarse surface beyond which the hull is not looked at more closely: no part of it is as far from all vertices.
 const FAR: f32 = 2.5;
 /// Cells that a surface may lie outside the hull.
 const TRIM_SLACK: f32 = 0.25;
@@ -77,7 +77,7 @@ fn no_hull(silhouettes: &[Silhouette], coarse: &SdfGrid) -> Error {
     Error::usage(problem, help)
 }
 
-/// The hull in a cube. Where a `coarse` one is far from its surface, its values are taken.
+/// The hull in a cube. Far outside a `coarse` one its values are taken; not inside, for it knows of no mask that carves alone.
 fn carve(
     silhouettes: &[Silhouette],
     center: Vec3,
@@ -88,7 +88,7 @@ fn carve(
     let outside = 2.0 * half_side / cells as f32;
     let far = |point| {
         let (value, cell) = coarse.map(|coarse| (coarse.value(point), coarse.spacing))?;
-        (value.abs() > FAR * cell).then_some(value)
+        (value > FAR * cell).then_some(value)
     };
     // What is not carved is dropped by whoever asked for it.
     let distance = |point| far(point).unwrap_or_else(|| hull_distance(silhouettes, point, FORGIVEN, outside));
@@ -109,8 +109,11 @@ pub(super) fn trim(grid: &mut SdfGrid, silhouettes: &mut [Silhouette]) {
         let point = whole.position(whole.vertex(row));
         value.max(hull_distance(silhouettes, point, FORGIVEN, value) - TRIM_SLACK * cell)
     };
-    let is_inside =
-        |middle: Vec3, radius: f32| hull_distance(silhouettes, middle, FORGIVEN, 0.0) < -SLOPE * radius;
+    // No mask, not even one that would be forgiven, comes near such a block.
+    let is_inside = |middle: Vec3, radius: f32| {
+        let holds = |view: &Silhouette| view.world_distance(middle).is_some_and(|d| d < -SLOPE * radius);
+        silhouettes.iter().all(holds).then_some(f32::INFINITY)
+    };
     grid.values = whole.replaced_in_blocks(is_inside, trimmed);
     regrow(grid, silhouettes, FORGIVEN_AT_GAPS);
 }

@@ -21,8 +21,8 @@ const GAP_VIEWS: usize = 3;
 const GAP_SHARE: f32 = 0.04;
 /// Cells around a gap's rays within which the object is restored.
 const GAP_REACH: f32 = 1.5;
-/// Most that distances from silhouettes change with the way.
-pub(super) const SLOPE: f32 = 1.5;
+/// Most that the distance from a silhouette changes with the way: √2 where it is continued beyond its window, and more off the axis.
+pub(super) const SLOPE: f32 = 2.5;
 /// Distance in pixels between the silhouettes of mask and hull from which the mask is rejected; cells of a coarse grid allow more.
 const OUTLINE_TOLERANCE: f32 = 3.0;
 
@@ -46,8 +46,11 @@ pub(crate) fn regrow(grid: &mut SdfGrid, silhouettes: &[Silhouette], forgiven: f
         let mut near: Vec<f32> = gaps.iter().filter_map(|gap| gap.world_distance(point)).collect();
         (near.len() >= needed).then(|| *near.select_nth_unstable_by(needed - 1, f32::total_cmp).1)
     };
+    // What is restored lies within reach of the gaps: values far from them remain, but none says more than the distance to that.
     let is_far = |middle: Vec3, radius: f32| {
-        is_stopping() || gap_distance(middle).is_some_and(|distance| distance > reach + SLOPE * radius)
+        let all_see = gaps.iter().all(|gap| gap.world_distance(middle).is_some());
+        let room = gap_distance(middle).filter(|_| all_see)? - reach - SLOPE * radius;
+        (room > whole.spacing).then_some(room)
     };
     let grown = |row: usize| {
         let point = whole.position(whole.vertex(row));
@@ -69,11 +72,16 @@ fn gaps(grid: &SdfGrid, view: &Silhouette) -> Option<Silhouette> {
     let square = view.cell_pixels(grid) as u32;
     let mut coverage = vec![0.0; view.pixel_count()];
     for square in view.mask.window().squares(square.max(1)).take_while(|_| !is_stopping()) {
+        let is_inner = |i: usize| {
+            let (x, y) = view.center(i);
+            is_inner(&view.camera, x, y)
+        };
         let depths = square.pixels(width).map(|i| (view.distance(i), i));
-        let inside: Vec<(f32, usize)> = depths.filter(|(distance, _)| *distance < -GAP_DEPTH).collect();
+        let inside: Vec<(f32, usize)> =
+            depths.filter(|(distance, i)| *distance < -GAP_DEPTH && is_inner(*i)).collect();
         let Some((_, deepest)) = inside.iter().min_by(|a, b| a.0.total_cmp(&b.0)) else { continue };
         let (x, y) = view.center(*deepest);
-        if is_inner(&view.camera, x, y) && grid.first_crossing(&view.camera.ray(x, y), 0.0).is_none() {
+        if grid.first_crossing(&view.camera.ray(x, y), 0.0).is_none() {
             inside.iter().for_each(|(_, i)| coverage[*i] = 1.0);
         }
     }

@@ -203,8 +203,8 @@ pub fn hand_out_to_bricks(
     let Some(progress) = schedule.progress(rates.step) else { return Ok(()) };
     let (at, gradients) = bricks.columns()?;
     let (at, mut gradients) = (&*at, gradients.quiet());
-    let SdfField { surface, adjoint, scratch: [from, to], .. } = &mut *field;
-    let grid = &surface.grid;
+    let SdfField { surface, adjoint, scratch, .. } = &mut *field;
+    let (grid, [from, to]) = (&surface.grid, &mut *scratch);
     // The gradient of the squared Laplacian is the Laplacian of the Laplacian.
     fill(grid, at, from, |run| laplacian(grid, run, &grid.values));
     let relaxed = schedule.smoothness * FIRST_SMOOTHNESS.powf(1.0 - progress);
@@ -219,15 +219,9 @@ pub fn hand_out_to_bricks(
             Vec4::from_array(std::array::from_fn(|k| pulled(4 * half + k))) + smoothness * curved[half]
         })
     });
-    for _ in 0..schedule.blur {
-        std::mem::swap(from, to);
-        fill(grid, at, to, |run| {
-            let (own, curved) = (run.of(from), laplacian(grid, run, from));
-            each(|half| own[half] + 0.5 * curved[half])
-        });
-    }
+    let blurred = blurred(grid, at, scratch, schedule.blur);
     gradients.par_iter_mut().zip(at).with_min_len(16).for_each(|(gradient, at)| {
-        at.runs(grid).for_each(|run| gradient.0[run.places()].copy_from_slice(&to[run.rows()]));
+        at.runs(grid).for_each(|run| gradient.0[run.places()].copy_from_slice(&blurred[run.rows()]));
     });
     write_runs(grid, at, &mut adjoint.value, |_, _, values| values.fill(0.0));
     write_runs(grid, at, &mut adjoint.gradient, |_, _, gradients| gradients.fill(Vec3::ZERO));
@@ -266,6 +260,19 @@ fn laplacian(grid: &SdfGrid, run: VertexRun, values: &[f32]) -> RunValues {
     let (left, right, down, up) = (from(row - 1), from(row + 1), from(row - side), from(row + side));
     let (back, front, own) = (from(row - side * side), from(row + side * side), from(row));
     each(|k| (left[k] + right[k] + down[k] + up[k] + back[k] + front[k]) / 6.0 - own[k])
+}
+
+/// The second of two columns of values, averaged over neighbors in so many rounds. Both are written.
+fn blurred<'a>(grid: &SdfGrid, at: &[BrickAt], scratch: &'a mut [Vec<f32>; 2], rounds: u32) -> &'a [f32] {
+    for _ in 0..rounds {
+        scratch.swap(0, 1);
+        let [from, to] = scratch;
+        fill(grid, at, to, |run| {
+            let (own, curved) = (run.of(from), laplacian(grid, run, from));
+            each(|half| own[half] + 0.5 * curved[half])
+        });
+    }
+    &scratch[1]
 }
 
 /// Writes `values` of every run to `dense` for its vertices in the band, and 0 for all others.

@@ -156,6 +156,10 @@ mod tests {
         views.pop();
         let hull = visual_hull(&mut views, 48).unwrap();
         assert!(views.iter().all(|view| view.carves.is_some()));
+        let between = |p: Vec3| p.x.abs() < 0.3 && p.z.abs() < 0.3 && (-0.6..-0.1).contains(&p.y);
+        let inner = (0..hull.values.len()).filter(|row| between(hull.position(hull.vertex(*row))));
+        let inner: Vec<f32> = inner.map(|row| hull.values[row]).collect();
+        assert!(inner.len() > 500 && inner.iter().all(|value| *value > 0.0), "{inner:?}");
         assert!(
             hull.value(UNDER) > 0.1 && hull.value(LEG) < 0.0,
             "{} {}",

@@ -111,9 +111,12 @@ impl RadianceField {
     /// How far along a ray the grid ends, world units.
     pub fn exit(&self, ray: &Ray) -> f32 {
         let high = self.origin + Vec3::splat((self.side - 1) as f32 * self.spacing);
-        let inverse = ray.direction.recip();
-        // A ray along a face gives 0 · ∞ = NaN; the maximum then is the other operand.
-        ((self.origin - ray.origin) * inverse).max((high - ray.origin) * inverse).min_element()
+        let along = |axis: usize| match ray.direction[axis] {
+            0.0 => f32::INFINITY,
+            slope if slope > 0.0 => (high[axis] - ray.origin[axis]) / slope,
+            slope => (self.origin[axis] - ray.origin[axis]) / slope,
+        };
+        along(0).min(along(1)).min(along(2))
     }
 
     /// Rows of the eight vertices around a point, with their trilinear weights.
