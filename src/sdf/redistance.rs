@@ -27,7 +27,7 @@ impl SdfGrid {
         values.for_each(|(value, distance)| *value = distance.min(far).copysign(*value));
     }
 
-    /// The same up to [`NEAR_CELLS`] cells from the zero level, with less work, for a field of distances whose zero level has moved. The values
+    /// The same up to 8 cells (`NEAR_CELLS`) from the zero level, with less work, for a field of distances whose zero level has moved. The values
     /// beyond are made smaller by the largest correction, but not below that, so that they are no more than the distance.
     pub fn redistance_near(&mut self) {
         let reach = NEAR_CELLS * self.spacing;
