@@ -254,11 +254,11 @@ fn a_damaged_mesh() {
 #[test]
 fn no_lobes() {
     let data = Data::new();
-    refused_scene(&data, &scene(LIGHT, "light: Unknown(lobes: 0),"), &["lobes is 0", "from 1 to 512"]);
+    refused_scene(&data, &scene(LIGHT, "light: Unknown(lobes: 0),"), &["lobes is 0", "from 1 to 2048"]);
     refused_scene(
         &data,
         &scene(LIGHT, "light: Initial(Lobes(lobes: [])),"),
-        &["lobes is 0", "from 1 to 512"],
+        &["lobes is 0", "from 1 to 2048"],
     );
     std::fs::write(data.path("none.npy"), npy_header("(0, 7)")).unwrap();
     let light = r#"light: Initial(Npy(path: "$DATA/none.npy")),"#;

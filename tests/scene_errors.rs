@@ -183,7 +183,7 @@ fn a_wrong_value_says_the_range() {
 #[test]
 fn zero_lobes_are_refused() {
     let lobes = "lobes: [(axis: (0, 1, 0), sharpness: 5, amplitude: (1, 1, 1))]";
-    refused(&wrong(lobes, "lobes: []"), "[])", &["lobes is 0", "from 1 to 512"]);
+    refused(&wrong(lobes, "lobes: []"), "[])", &["lobes is 0", "from 1 to 2048"]);
 }
 
 #[test]

@@ -7,7 +7,7 @@ use crate::fit::components::TexelSeen;
 use crate::light::placement::{LightGroup, Placements};
 use crate::material::Texels;
 use crate::math::ray::{Intersect, Ray};
-use crate::pipeline::SystemResult;
+use crate::pipeline::{Phase, Pipeline, SystemResult};
 use crate::sample::Samples;
 use crate::sample::bundle::{FitSample, despawn_pool};
 use crate::sample::observation::{
@@ -24,6 +24,10 @@ use glam::Vec3;
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng, rngs::SmallRng};
 use rayon::prelude::*;
+use std::sync::Arc;
+
+#[cfg(test)]
+mod tests;
 
 /// The selection of pixels for a fit.
 #[derive(Resource, Clone, Copy, Debug, PartialEq, Eq)]
@@ -41,6 +45,15 @@ pub(super) struct Candidate {
     pub pixel: PixelOf,
     /// Its radiance.
     pub observed: Observed,
+}
+
+/// What the pool of observed pixels was made of.
+#[derive(Resource)]
+struct PoolMade {
+    choice: PixelChoice,
+    cameras: Vec<(ViewIndex, Camera)>,
+    scenery: Arc<dyn Intersect>,
+    rows: usize,
 }
 
 /// Pixels that are chosen and not yet traced.
@@ -279,13 +292,50 @@ impl ObservedView<'_> {
     }
 }
 
+/// Runs Prepare, unless the pool that it would make of the photographs is there; returns the number of pixels.
+///
+/// # Errors
+/// If there is no pixel to fit to.
+pub(super) fn make_pool(pipeline: &mut Pipeline) -> Result<usize> {
+    if !pool_holds(&mut pipeline.world) {
+        pipeline.run(Phase::Prepare)?;
+    }
+    Ok(pipeline.world.resource::<ObservedWindow>().0.len())
+}
+
+/// Whether the pool holds the same choice of pixels, seen by the same cameras on the same surface. Its whole is then the window.
+fn pool_holds(world: &mut World) -> bool {
+    let cameras = cameras_in_order(world);
+    let (choice, scenery) = (*world.resource::<PixelChoice>(), world.resource::<Scenery>().0.clone());
+    let holds = |made: &&PoolMade| {
+        made.choice == choice && made.cameras == cameras && Arc::ptr_eq(&made.scenery, &scenery)
+    };
+    let Some(rows) = world.get_resource().filter(holds).map(|made| made.rows) else { return false };
+    world.resource_mut::<ObservedWindow>().0 = 0..rows;
+    true
+}
+
+/// Removes the pool of observed pixels.
+pub fn release_pool(world: &mut World) {
+    despawn_observations(world);
+    world.remove_resource::<PoolMade>();
+}
+
+/// The cameras of the views with a photograph.
+fn cameras_in_order(world: &mut World) -> Vec<(ViewIndex, Camera)> {
+    let mut views = world.query_filtered::<(&ViewIndex, &Camera), With<Photograph>>();
+    let mut cameras: Vec<_> = views.iter(world).map(|(index, camera)| (*index, *camera)).collect();
+    cameras.sort_by_key(|(index, _)| *index);
+    cameras
+}
+
 /// Trace: casts the chosen pixels' rays; those that meet the front of the surface become the pool of observed pixels.
 pub fn trace_pixels(world: &mut World) -> SystemResult {
     let chosen = std::mem::take(&mut world.resource_mut::<Candidates>().0);
     let scenery = world.resource::<Scenery>().0.clone();
-    let mut views = world.query_filtered::<(&ViewIndex, &Camera), With<Photograph>>();
-    let cameras: ByView<Camera> = views.iter(world).map(|(index, camera)| (*index, *camera)).collect();
-    despawn_observations(world);
+    let made_with = cameras_in_order(world);
+    let cameras: ByView<Camera> = made_with.iter().copied().collect();
+    release_pool(world);
     let mut rows = 0;
     // In parts: all points beside the pool would be half of it.
     for part in chosen.chunks(TRACED_AT_ONCE) {
@@ -304,7 +354,10 @@ pub fn trace_pixels(world: &mut World) -> SystemResult {
         )
         .into());
     }
-    world.resource_mut::<ObservedWindow>().0 = 0..rows as usize;
+    let rows = rows as usize;
+    world.resource_mut::<ObservedWindow>().0 = 0..rows;
+    let choice = *world.resource::<PixelChoice>();
+    world.insert_resource(PoolMade { choice, cameras: made_with, scenery, rows });
     Ok(())
 }
 
@@ -363,85 +416,4 @@ pub fn count_seen_texels(observations: Observations, texels: Texels<&mut TexelSe
         }
     }
     Ok(())
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::view::{Image, Mask};
-    use glam::Affine3A;
-
-    #[test]
-    fn broken_pixels_of_one_photograph_are_not_fitted_to() {
-        let mut world = World::new();
-        for view in 0..5 {
-            let mut pixels = vec![Vec3::splat(0.5); 16];
-            // A highlight that all have, and one broken pixel.
-            pixels[3] = Vec3::splat(30.0);
-            if view == 2 {
-                pixels[7] = Vec3::new(0.1, 1e5, 0.1);
-            }
-            let photograph = Photograph::of_image(&Image { width: 4, height: 4, pixels });
-            let camera = Camera::look_at(Vec3::Z, Vec3::ZERO, Vec3::Y, 40.0, 4, 4).unwrap();
-            world.spawn((ViewIndex(view), camera, photograph, Split::Train));
-        }
-        let counts: Vec<usize> = usable_by_view(&mut world).into_iter().map(|(_, count)| count).collect();
-        assert_eq!(counts, [16, 16, 15, 16, 16]);
-        let pixels = usable_pixels(&mut world, ViewIndex(2), 1);
-        assert!(pixels.iter().all(|of| of.pixel.pixel != 7) && pixels.iter().any(|of| of.pixel.pixel == 3));
-    }
-
-    const SIDE: u32 = 1200;
-
-    /// A view of which a disc is covered; its pixels left of the middle are saturated.
-    fn view() -> (Camera, Photograph, StoredMask) {
-        let count = (SIDE * SIDE) as usize;
-        let at = |i: usize| Vec3::new((i % SIDE as usize) as f32, (i / SIDE as usize) as f32, 0.0);
-        let inside = |i: usize| at(i).distance(Vec3::new(700.0, 500.0, 0.0)) < 400.0;
-        let image = Image { width: SIDE, height: SIDE, pixels: (0..count).map(|i| at(i) / 1200.0).collect() };
-        let saturated: Vec<bool> = (0..count).map(|i| i % (SIDE as usize) < 600).collect();
-        let coverage = (0..count).map(|i| if inside(i) { 1.0 } else { 0.0 }).collect();
-        let mask = StoredMask::new(&Mask { width: SIDE, height: SIDE, coverage });
-        let photograph = Photograph::new(&image, &saturated, mask.window(), true).unwrap();
-        let camera = Camera {
-            width: SIDE,
-            height: SIDE,
-            focal: [1000.0; 2],
-            center: [600.0; 2],
-            skew: 0.0,
-            world_from_camera: Affine3A::IDENTITY,
-            pixel_center: 0.5,
-        };
-        (camera, photograph, mask)
-    }
-
-    #[test]
-    fn scattered_pixels_are_usable_and_each_view_has_its_share() {
-        let (camera, photograph, mask) = view();
-        let of_index = |index: u32| ObservedView {
-            index: ViewIndex(index),
-            camera: &camera,
-            photograph: &photograph,
-            mask: Some(&mask),
-            limit: f32::MAX,
-        };
-        let views: Vec<ObservedView> = (0..20).map(of_index).collect();
-        let choice = PixelChoice { seed: 3, max_pixels: 50_000 };
-        let chosen = Windows::new(&views).scattered(choice).unwrap();
-        assert!((49_000..=50_000).contains(&chosen.len()), "{}", chosen.len());
-        let distinct: std::collections::BTreeSet<(u32, u32)> =
-            chosen.iter().map(|c| (c.pixel.view.0, c.pixel.pixel)).collect();
-        assert_eq!(distinct.len(), chosen.len());
-        let mut shares = [0; 20];
-        for c in &chosen {
-            assert!(views[0].is_usable(c.pixel.pixel as usize));
-            assert_eq!(c.observed.radiance, photograph.radiance(c.pixel.pixel as usize));
-            shares[c.pixel.view.0 as usize] += 1;
-        }
-        assert!(shares.iter().all(|share| (2350..2650).contains(share)), "{shares:?}");
-        // As often below as above the middle of the disc.
-        let below = chosen.iter().filter(|c| c.pixel.pixel / SIDE > 500).count() as f64 / chosen.len() as f64;
-        assert!((below - 0.5).abs() < 0.01, "{below}");
-        assert!(Windows::new(&views[..1]).scattered(choice).is_none(), "few enough to look at all");
-    }
 }

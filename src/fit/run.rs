@@ -14,7 +14,8 @@ use super::initialization::start::{Find, FramesTried, find_start};
 use super::kept_state::keep_state;
 use super::loss::{Loss, LossSums};
 use super::observe::{
-    Candidates, PixelChoice, choose_pixels, count_seen_texels, spawn_samples, take_observations, trace_pixels,
+    Candidates, PixelChoice, choose_pixels, count_seen_texels, make_pool, release_pool, spawn_samples,
+    take_observations, trace_pixels,
 };
 use super::optimizer::optimizer;
 use super::placements::{PlacementPlugin, TurnSums, placements_turn};
@@ -41,7 +42,7 @@ use crate::pipeline::pool::{read_column, write_column};
 use crate::pipeline::{Phase, Pipeline, Plugin, ScatterAdjoints, Slot, Stage};
 use crate::profile::stage;
 use crate::sample::bundle::despawn_pool;
-use crate::sample::observation::{ObservedWindow, despawn_observations};
+use crate::sample::observation::ObservedWindow;
 use crate::sample::pixel::Window;
 use crate::shade::frame::{add_gathering, add_material_resources};
 use crate::shade::shade_closed_form;
@@ -79,6 +80,8 @@ pub struct FitOptions {
     pub unknowns: Unknowns,
     /// Which pixels are visited.
     pub pixels: PixelChoice,
+    /// Whether the pool of observed pixels stays for another part of the fit; then [`release_pool`](super::observe::release_pool) ends it.
+    pub keeps_pool: bool,
     /// What is initialized from the data before the first step.
     pub initialize: Initialize,
     /// Whether shading includes shadows and reflections; the world then needs an [`ObjectVisibility`].
@@ -112,6 +115,7 @@ impl Default for FitOptions {
             decay: 0.4,
             unknowns: Unknowns::default(),
             pixels: PixelChoice { seed: 0, max_pixels: 2_000_000 },
+            keeps_pool: false,
             initialize: Initialize::ALL,
             visibility: false,
             looks_for_sheen: false,
@@ -281,7 +285,9 @@ pub fn run_fit(
 ) -> Result<FitSummary> {
     let fitted = fit(pipeline, options, watch);
     despawn_pool(&mut pipeline.world);
-    despawn_observations(&mut pipeline.world);
+    if !options.keeps_pool || fitted.is_err() {
+        release_pool(&mut pipeline.world);
+    }
     forget_group_shadows(&mut pipeline.world);
     fitted
 }
@@ -399,13 +405,12 @@ fn prepare(pipeline: &mut Pipeline, options: &FitOptions) -> Result<usize> {
         Slot::ShadingAdjoint,
         pull_back_radiance(options.form),
     );
-    pipeline.run(Phase::Prepare)?;
+    let pixels = make_pool(pipeline)?;
     let shadowed = options.visibility && pipeline.world.contains_resource::<ObjectVisibility>();
     pipeline.remove_plugin::<FitVisibilityPlugin>();
     if shadowed {
         pipeline.add_plugin(&FitVisibilityPlugin);
     }
-    let pixels = pipeline.world.resource::<ObservedWindow>().0.len();
     count_pool(&mut pipeline.world);
     initialize(&mut pipeline.world, options, shadowed)?;
     spawn_samples(&mut pipeline.world, options.batch.clamp(1, pixels));

@@ -9,7 +9,7 @@ use crate::math::published::Lobe;
 use crate::math::sg;
 
 /// Most lobes of a light.
-pub const MOST_LOBES: usize = 512;
+pub const MOST_LOBES: usize = 2048;
 
 /// Largest radiance of a light, linear: sums over lobes and their squares stay finite in `f32`. The sun's disc is below 10¹⁰ in
 /// any usual unit.
@@ -169,7 +169,7 @@ mod tests {
             assert!(message.starts_with("lobe 1: "), "{message}");
         }
         assert!(validate_lobes(&vec![lobe(); MOST_LOBES]).is_ok());
-        assert!(validate_lobes(&vec![lobe(); MOST_LOBES + 1]).unwrap_err().contains("at most 512"));
+        assert!(validate_lobes(&vec![lobe(); MOST_LOBES + 1]).unwrap_err().contains("at most 2048"));
     }
 
     #[test]

@@ -14,6 +14,7 @@
 use crate::checkpoint::{Carried, Span, carry, discard, restore};
 use crate::error::stop::{finish_stopping, is_stopping};
 use crate::error::{Error, Result};
+use crate::fit::observe::release_pool;
 use crate::fit::run::{Done, FitOptions, FitSummary, Initialize};
 use crate::light::LightLobe;
 use crate::light::groups::FittedLobe;
@@ -54,6 +55,13 @@ pub(super) fn take_steps_and_choose(
     session: &mut Session,
     pass: &FitPass,
 ) -> Result<(FitSummary, FitOptions)> {
+    let taken = choose_on_the_way(session, pass);
+    // All parts of the fit and its trials visit the same pixels, made once.
+    release_pool(&mut session.pipeline.world);
+    taken
+}
+
+fn choose_on_the_way(session: &mut Session, pass: &FitPass) -> Result<(FitSummary, FitOptions)> {
     if resume::restore(session, At::Level)? {
         return go_on(session, pass);
     }

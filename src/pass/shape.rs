@@ -203,6 +203,7 @@ fn options(session: &Session, pass: &ShapePass) -> ShapeOptions {
             // While the surface moves, its normals would take part in a sheen.
             unknowns: Unknowns { sheen: false, ..session.unknowns() },
             pixels: PixelChoice { seed: session.scene.seed, max_pixels: pass.max_pixels as usize },
+            keeps_pool: false,
             initialize: session.initialize,
             // Visibility of a moving surface would have to be traced at every step.
             visibility: false,

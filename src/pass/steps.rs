@@ -72,6 +72,7 @@ pub(super) fn options(session: &mut Session, pass: &FitPass, done: Done) -> Resu
         decay: pass.decay,
         unknowns: session.unknowns(),
         pixels: PixelChoice { seed: session.scene.seed, max_pixels: pass.max_pixels as usize },
+        keeps_pool: true,
         initialize: session.initialize,
         // The published formulas are for comparison and include neither shadows nor interreflection.
         visibility: pass.shading == FitShading::Accurate && session.has_visibility()?,

@@ -67,7 +67,7 @@ impl From<LightFrame> for LightFrameChoice {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct UnknownLight {
-    /// How many SG lobes to fit, 1 to 512. Default 128.
+    /// How many SG lobes to fit, 1 to 2048. Default 128.
     pub lobes: u32,
 }
 
@@ -83,7 +83,7 @@ impl Default for UnknownLight {
 pub enum LightSource {
     /// SG lobes, written out.
     Lobes {
-        /// The lobes, 1 to 512; axes are normalized, sharpness and amplitude are ≥ 0.
+        /// The lobes, 1 to 2048; axes are normalized, sharpness and amplitude are ≥ 0.
         lobes: Vec<LightLobe>,
         /// Factor on the radiance ≥ 0. Default 1.
         #[serde(default = "one")]

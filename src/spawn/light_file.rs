@@ -4,9 +4,9 @@ use crate::codec::file;
 use crate::codec::finite::check_finite;
 use crate::codec::npy::{NpyConvention, read_lobes, write_lobes};
 use crate::light::convention::MapConvention;
+use crate::light::map_fit::MOST_FITTED;
 use crate::light::{
-    EnvironmentMap, LightLobe, MOST_LOBES, render_lobes, rotate_lobes, scale_lobes, validate_lobes,
-    validate_map,
+    EnvironmentMap, LightLobe, render_lobes, rotate_lobes, scale_lobes, validate_lobes, validate_map,
 };
 use crate::scene::LightSource;
 use crate::scene::load::options;
@@ -95,9 +95,9 @@ pub(crate) fn inlined(path: &Path, scale: f32, rotation_degrees: Vec3) -> Result
         bad_ron(path, &format!("line {}, column {}", at.line, at.col), error.code.to_string())
     })?;
     if let LightSource::Map { lobes, .. } = &source
-        && !(1..=MOST_LOBES as u32).contains(lobes)
+        && !(1..=MOST_FITTED as u32).contains(lobes)
     {
-        return Err(bad_ron(path, "", format!("lobes is {lobes}, not from 1 to {MOST_LOBES}")));
+        return Err(bad_ron(path, "", format!("lobes is {lobes}, not from 1 to {MOST_FITTED}")));
     }
     let (own_scale, own_degrees) = match &mut source {
         LightSource::Lobes { scale, rotation_degrees, .. } => (scale, rotation_degrees),
@@ -330,7 +330,7 @@ mod tests {
         refused(&one("1", "NaN", "1"), "amplitude NaN");
         refused(&one("1", "1e14", "1e30"), "lobe 0: amplitude inf");
         let lobe = "(axis: (0, 1, 0), sharpness: 1, amplitude: (1, 1, 1)),";
-        refused(&format!("Lobes(lobes: [{}])", lobe.repeat(513)), "at most 512");
+        refused(&format!("Lobes(lobes: [{}])", lobe.repeat(2049)), "at most 2048");
         render_lobes(&lobes(), 32, 16).write_exr(folder.path().join("sky.exr")).unwrap();
         refused("Map(path: \"sky.exr\", lobes: 4000000000)", "lobes is 4000000000");
         refused("Map(path: \"sky.exr\", scale: 1e30)", "has radiance");

@@ -8,7 +8,9 @@ use crate::mesh::Surface;
 use crate::sample::pixel::PixelOf;
 use crate::sample::point::SurfacePoint;
 use crate::visibility::mirrored::{SeenPoint, first_of_alike};
-use crate::visibility::occlusion::{Bounce, Mirror, Reflectance, Sky, light_one_row, light_rows};
+use crate::visibility::occlusion::{
+    Bounce, HiddenDirection, Mirror, Reflectance, Sky, light_one_row, light_rows,
+};
 use crate::visibility::point_visibility::{Blend, Surroundings};
 use crate::visibility::texel_visibility::TexelVisibility;
 use bevy_ecs::prelude::{Entity, Resource};
@@ -210,29 +212,26 @@ impl ObjectVisibility {
         rows.rows.resize(points.len() * self.stride, 255);
         let outputs = rows.rows.par_chunks_mut(self.stride.max(1)).zip(&mut *seen);
         let each = outputs.zip(points).enumerate().with_min_len(256);
-        each.for_each_init(
-            || vec![0.0; self.stride],
-            |hidden, (i, ((parts, seen), point))| {
-                *seen = PointVisibility::OPEN;
-                parts.fill(255);
-                let Some(blend) = self.blend(point).filter(|_| point.is_hit()) else { return };
-                let view = viewer(i).1.view.0 as usize;
-                let number = self.sky_of_view.get(view).copied().unwrap_or(0);
-                self.see_lobes(number, &blend, hidden, parts);
-                if firsts[i] != i {
-                    return;
-                }
-                let sky = &self.skies[number];
-                let bounce = &self.bounces[number.min(self.bounces.len() - 1)];
-                let around = Surroundings { visibility: &self.texels, sky, bounce, surface };
-                *seen = around.of(&blend, &at(i));
-            },
-        );
+        each.for_each_init(Vec::new, |hidden, (i, ((parts, seen), point))| {
+            *seen = PointVisibility::OPEN;
+            parts.fill(255);
+            let Some(blend) = self.blend(point).filter(|_| point.is_hit()) else { return };
+            let view = viewer(i).1.view.0 as usize;
+            let number = self.sky_of_view.get(view).copied().unwrap_or(0);
+            self.see_lobes(number, &blend, hidden, parts);
+            if firsts[i] != i {
+                return;
+            }
+            let sky = &self.skies[number];
+            let bounce = &self.bounces[number.min(self.bounces.len() - 1)];
+            let around = Surroundings { visibility: &self.texels, sky, bounce, surface };
+            *seen = around.of(&blend, &at(i));
+        });
         (0..points.len()).filter(|i| firsts[*i] != *i).for_each(|i| seen[i] = seen[firsts[i]]);
     }
 
     /// The visibility of the lobes of a sky at a point; `parts` says so far that all of each arrives. `hidden` is room to work in.
-    fn see_lobes(&self, sky: usize, blend: &Blend, hidden: &mut [f32], parts: &mut [u8]) {
+    fn see_lobes(&self, sky: usize, blend: &Blend, hidden: &mut Vec<HiddenDirection>, parts: &mut [u8]) {
         if self.is_open(blend) {
             return;
         }

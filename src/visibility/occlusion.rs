@@ -138,19 +138,22 @@ pub(crate) fn light_rows(
     }
     let chunks = parts.par_chunks_mut(CHUNK * sky.stride).zip(direct.par_chunks_mut(CHUNK));
     chunks.enumerate().for_each(|(chunk, (parts, direct))| {
-        let mut hidden = vec![0.0; sky.stride];
+        let mut hidden = Vec::new();
         for (i, (parts, direct)) in parts.chunks_exact_mut(sky.stride).zip(direct).enumerate() {
             *direct = light_one_row(visibility, sky, chunk * CHUNK + i, &mut hidden, parts);
         }
     });
 }
 
-/// [`light_rows`] for one row, with working memory of the lobes' stride.
+/// A direction that is hidden from a row: where its weights begin, and the cosine with the normal times a cell's solid angle.
+pub(crate) type HiddenDirection = (usize, f32);
+
+/// [`light_rows`] for one row; `hidden` is working memory.
 pub(crate) fn light_one_row(
     visibility: &TexelVisibility,
     sky: &Sky,
     row: usize,
-    hidden: &mut [f32],
+    hidden: &mut Vec<HiddenDirection>,
     parts: &mut [u8],
 ) -> Vec3 {
     dispatch!(Level::new(), simd => light_row(simd, visibility, sky, row, hidden, parts))
@@ -162,22 +165,66 @@ fn light_row<S: Simd>(
     visibility: &TexelVisibility,
     sky: &Sky,
     row: usize,
-    hidden: &mut [f32],
+    hidden: &mut Vec<HiddenDirection>,
     parts: &mut [u8],
 ) -> Vec3 {
     let normal = visibility.normals[row];
-    hidden.fill(0.0);
-    for (d, _) in visibility.hidden(row) {
-        let cosine = visibility.directions[d].dot(normal);
-        add_scaled(hidden, &sky.weights[d * sky.stride..][..sky.stride], cosine);
-    }
-    let cell = Lanes::splat(simd, cell_angle(visibility));
-    let normal = normal.to_array().map(|c| Lanes::splat(simd, c));
+    hidden.clear();
+    let cell = cell_angle(visibility);
+    let cosine = |d: usize| visibility.directions[d].dot(normal);
+    hidden.extend(visibility.hidden(row).map(|(d, _)| (d * sky.stride, cell * cosine(d))));
     let mut irradiance = [Lanes::splat(simd, 0.0); 3];
-    for at in (0..sky.stride).step_by(Lanes::<S>::LEN) {
+    let (blocks, rest) = (sky.stride / (BLOCK * Lanes::<S>::LEN), sky.stride / Lanes::<S>::LEN % BLOCK);
+    for block in 0..blocks {
+        let at = block * BLOCK * Lanes::<S>::LEN;
+        let behind: [_; BLOCK] = light_behind(simd, sky, hidden, at);
+        light_lobes(simd, sky, normal, (at, behind), parts, &mut irradiance);
+    }
+    for k in 0..rest {
+        let at = (blocks * BLOCK + k) * Lanes::<S>::LEN;
+        let behind: [_; 1] = light_behind(simd, sky, hidden, at);
+        light_lobes(simd, sky, normal, (at, behind), parts, &mut irradiance);
+    }
+    Vec3::from_array(irradiance.map(Lanes::sum))
+}
+
+/// Vectors of lobes that are summed up at a time: their sums stay in registers.
+const BLOCK: usize = 4;
+
+/// The sums over the `hidden` directions of the weights of the lobes from `at` on.
+#[inline(always)]
+fn light_behind<S: Simd, const N: usize>(
+    simd: S,
+    sky: &Sky,
+    hidden: &[HiddenDirection],
+    at: usize,
+) -> [Lanes<S>; N] {
+    let mut sums = [Lanes::splat(simd, 0.0); N];
+    for &(begin, cosine) in hidden {
+        let row = &sky.weights[begin + at..][..N * Lanes::<S>::LEN];
+        let cosine = Lanes::splat(simd, cosine);
+        for k in 0..N {
+            let weights = Lanes::load(simd, &row[k * Lanes::<S>::LEN..(k + 1) * Lanes::<S>::LEN]);
+            sums[k] = weights.mul_add(cosine, sums[k]);
+        }
+    }
+    sums
+}
+
+/// The parts of the lobes from `at` on that arrive, of which `behind` is hidden, as bytes; their light is added to `irradiance`.
+#[inline(always)]
+fn light_lobes<S: Simd, const N: usize>(
+    simd: S,
+    sky: &Sky,
+    normal: Vec3,
+    (at, behind): (usize, [Lanes<S>; N]),
+    parts: &mut [u8],
+    irradiance: &mut [Lanes<S>; 3],
+) {
+    let normal = normal.to_array().map(|c| Lanes::splat(simd, c));
+    for (at, behind) in (at..).step_by(Lanes::<S>::LEN).zip(behind) {
         let column = |c: usize| Lanes::load(simd, &sky.lobes[c][at..at + Lanes::<S>::LEN]);
         let all = cosine_integral(column(3), dot([column(0), column(1), column(2)], normal)).value;
-        let behind = Lanes::load(simd, &hidden[at..at + Lanes::<S>::LEN]) * cell;
         let part = (all.one() - behind / all.max(all.lit(1e-9))).relu();
         for (c, sum) in irradiance.iter_mut().enumerate() {
             *sum += column(4 + c) * all * part;
@@ -187,14 +234,6 @@ fn light_row<S: Simd>(
         for (out, part) in parts[at..at + Lanes::<S>::LEN].iter_mut().zip(&bytes.0) {
             *out = (part * 255.0 + 0.5) as u8;
         }
-    }
-    Vec3::from_array(irradiance.map(Lanes::sum))
-}
-
-#[inline(always)]
-fn add_scaled(sums: &mut [f32], row: &[f32], factor: f32) {
-    for (sum, value) in sums.iter_mut().zip(row) {
-        *sum += factor * value;
     }
 }
 

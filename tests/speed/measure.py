@@ -28,12 +28,12 @@ FILM = 'Render(name: "picture", render: (views: Named([]), orbit: (frames: 2, si
 
 # Numbers of each axis, ascending; --quick leaves out the last.
 AXES = {
-    "lobes": [8, 32, 128, 512],
-    "texels": [96**2, 256**2, 512**2, 1024**2, 2048**2],
-    "triangles": [10**3, 10**4, 10**5, 10**6],
+    "lobes": [8, 32, 128, 512, 2048],
+    "texels": [96**2, 256**2, 512**2, 1024**2, 2048**2, 3162**2],
+    "triangles": [10**3, 10**4, 10**5, 10**6, 10**7],
     "views": [10, 30, 100, 300, 1000],
     "pixels": [256**2, 512**2, 1024**2, 2048**2],
-    "cells": [64, 128, 256],
+    "cells": [64, 128, 256, 512],
     "threads": [1, 2],
 }
 

@@ -54,7 +54,7 @@ const HELP: &str =
 
 /// Reads lobes from an `.npy` file of shape `[M, 7]`, or `[M, 5]` with one gray amplitude.
 ///
-/// `f32` or `f64`, C or Fortran order, either byte order; at most 512 rows. Reading takes the absolute values of sharpness and
+/// `f32` or `f64`, C or Fortran order, either byte order; at most 2048 rows. Reading takes the absolute values of sharpness and
 /// amplitude, and normalizes axes. An axis whose length is within 10⁻⁶ of 1 keeps its bits, so that files written
 /// by [`write_lobes`] are read back exactly.
 ///
@@ -275,7 +275,7 @@ mod tests {
         refused(&npy("<f4", false, "(2, 7)", &data(&[nan, good])), "row 0");
         refused(&npy("<f4", false, "(2, 7)", &data(&[good])), "truncated");
         refused(&npy("<f4", false, "(512, 7)", &data(&[good])), "truncated");
-        refused(&npy("<f4", false, "(9000000000, 7)", &data(&[good])), "at most 512");
+        refused(&npy("<f4", false, "(9000000000, 7)", &data(&[good])), "at most 2048");
         refused(&npy("<f4", false, "(900000000000, 7)", &data(&[good])), "impossible");
         refused(&npy("<f4", false, "(0, 18446744073709551615, 7)", &data(&[good])), "impossible");
         refused(&npy("<f4", false, "(7,)", &data(&[good])), "shape");
@@ -283,7 +283,7 @@ mod tests {
         refused(&npy("<f4", false, "(0, 7)", &[]), "no rows");
         refused(&npy("<i4", false, "(1, 7)", &data(&[good])), "floats");
         refused(&npy("|O", false, "(1, 7)", &data(&[good])), "holds |O");
-        refused(&npy("<f4", false, "(1000000, 7)", &data(&vec![good; 1_000_000])), "at most 512");
+        refused(&npy("<f4", false, "(1000000, 7)", &data(&vec![good; 1_000_000])), "at most 2048");
         refused(&npy("<f8", false, "(1, 7)", &data(&[good])), "truncated");
         refused(b"PK\x03\x04", "not a NumPy");
         refused(b"\x93NUMPY\x01\x00\x10\x00{", "header");

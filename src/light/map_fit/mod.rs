@@ -28,6 +28,9 @@ use crate::math::color::luminance;
 use crate::math::fibonacci::{fibonacci_axes, spacing_sharpness};
 use crate::{Error, Result};
 
+/// Most lobes that a map is fitted by where people ask for it: the work of a step grows with the cube of their number.
+pub const MOST_FITTED: usize = 512;
+
 /// Settings of [`fit_map`]; the defaults suit about 100 lobes in a few seconds.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]

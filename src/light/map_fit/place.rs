@@ -6,7 +6,9 @@ use rayon::prelude::*;
 
 use crate::light::envmap::EnvironmentMap;
 use crate::light::map_fit::gram::mean_product;
-use crate::light::map_fit::kernel::{FitLobe, LobeCap, Tile, TileValues, residuals, tiles_of};
+use crate::light::map_fit::kernel::{
+    FitLobe, LobeCap, Tile, TileRow, TileValues, residuals, rows_of, tiles_of,
+};
 use crate::light::map_fit::solve::LobeBounds;
 use crate::math::fibonacci::fibonacci_axes;
 use crate::math::sg::sphere_integral;
@@ -30,12 +32,14 @@ pub struct Level {
     pub width: u32,
     /// The texels.
     pub tiles: Vec<Tile>,
+    rows: Vec<TileRow>,
 }
 
 impl Level {
     /// The level of a map.
     pub fn new(map: &EnvironmentMap) -> Self {
-        Self { width: map.width, tiles: tiles_of(map) }
+        let tiles = tiles_of(map);
+        Self { width: map.width, rows: rows_of(&tiles, map.width), tiles }
     }
 }
 
@@ -97,9 +101,9 @@ fn candidates(levels: &[Level], lobes: &[FitLobe], bounds: LobeBounds) -> Vec<Ca
 fn candidate<S: Simd>(simd: S, level: &Level, residual: &[TileValues], lobe: &FitLobe) -> Candidate {
     let (axis, mut inner) = (DVec3::from_array(lobe.axis), [0.0; 3]);
     let reach = LobeCap::new(axis, lobe.sharpness * 2.0);
-    for (tile, residual) in level.tiles.iter().zip(residual) {
-        if reach.meets(tile) {
-            let more = tile.products(simd, lobe, residual);
+    for at in level.rows.iter().flat_map(|row| reach.tiles_in(row)) {
+        if reach.meets(&level.tiles[at]) {
+            let more = level.tiles[at].products(simd, lobe, &residual[at]);
             inner.iter_mut().zip(more).for_each(|(sum, value)| *sum += value);
         }
     }

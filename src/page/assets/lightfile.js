@@ -5,7 +5,7 @@ import { MOST_MAP_BYTES, cellsOfExr, cellsOfHdr } from "lobelia/mapfile";
 import { lobesOfCells } from "lobelia/mapfit";
 
 /** The limits of a light, as Lobelia has them. */
-const MOST_LOBES = 512;
+const MOST_LOBES = 2048;
 const MOST_SHARPNESS = 1e12;
 const MOST_RADIANCE = 1e15;
 const MOST_BYTES = 1 << 20;

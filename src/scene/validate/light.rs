@@ -1,6 +1,7 @@
 //! Whether lights make sense.
 
-use crate::light::{MAX_RADIANCE, MAX_SHARPNESS};
+use crate::light::map_fit::MOST_FITTED;
+use crate::light::{MAX_RADIANCE, MAX_SHARPNESS, MOST_LOBES};
 use crate::scene::light::{Light, LightFrameChoice, LightSource};
 use crate::scene::validate::checks::Checks;
 use crate::scene::views::{PlacementLight, PlacementSpec, Views};
@@ -14,7 +15,7 @@ pub(super) fn light_frame(checks: &mut Checks, path: &str, frame: LightFrameChoi
 
 pub(super) fn light(checks: &mut Checks, light: &Light) {
     match light {
-        Light::Unknown(unknown) => checks.count("light.lobes", unknown.lobes, 1..=512),
+        Light::Unknown(unknown) => checks.count("light.lobes", unknown.lobes, 1..=MOST_LOBES as u32),
         Light::Initial(source) | Light::Fixed(source) => light_source(checks, "light", source),
     }
 }
@@ -69,7 +70,7 @@ pub(super) fn light_source(checks: &mut Checks, path: &str, source: &LightSource
     let (scale, rotation) = match source {
         LightSource::Lobes { lobes, scale, rotation_degrees } => {
             let count = u32::try_from(lobes.len()).unwrap_or(u32::MAX);
-            checks.count(&at("lobes"), count, 1..=512);
+            checks.count(&at("lobes"), count, 1..=MOST_LOBES as u32);
             for (index, lobe) in lobes.iter().enumerate() {
                 let at = |field: &str| format!("{path}.lobes.{index}.{field}");
                 checks.direction(&at("axis"), lobe.axis);
@@ -84,7 +85,7 @@ pub(super) fn light_source(checks: &mut Checks, path: &str, source: &LightSource
         LightSource::Npy { scale, rotation_degrees, .. }
         | LightSource::Ron { scale, rotation_degrees, .. } => (scale, rotation_degrees),
         LightSource::Map { scale, rotation_degrees, lobes, .. } => {
-            checks.count(&at("lobes"), *lobes, 1..=512);
+            checks.count(&at("lobes"), *lobes, 1..=MOST_FITTED as u32);
             (scale, rotation_degrees)
         }
     };
