@@ -1,6 +1,7 @@
 //! A profiled run says where its time went, changes no result, and leaves nothing of it in the next.
 
 use crate::common::{Data, files_below, manifest, scene};
+use lobelia::profile::{Profiler, stage};
 use serde_json::Value;
 use std::path::Path;
 use std::time::Instant;
@@ -26,11 +27,19 @@ fn secs(part: &Value) -> f64 {
     part["wall_secs"].as_f64().unwrap()
 }
 
-/// Checks that no part is longer than what is around it; returns how many there are.
+/// Number and MiB of allocations.
+fn allocated(part: &Value) -> (u64, f64) {
+    (part["allocations"].as_u64().unwrap(), part["allocated_mib"].as_f64().unwrap())
+}
+
+/// Checks that no part is longer than what is around it, or has more allocations; returns how many there are.
 fn check_nested(part: &Value) -> usize {
     let parts = part["parts"].as_array().map(Vec::as_slice).unwrap_or_default();
     let sum: f64 = parts.iter().map(secs).sum();
     assert!(sum <= secs(part) + 1e-6, "{sum} s inside {part:#}");
+    let (count, mib) = parts.iter().map(allocated).fold((0, 0.0), |sum, one| (sum.0 + one.0, sum.1 + one.1));
+    let all = allocated(part);
+    assert!(count <= all.0 && mib <= all.1 + 1e-6, "{count}, {mib} MiB inside {part:#}");
     1 + parts.iter().map(check_nested).sum::<usize>()
 }
 
@@ -51,12 +60,14 @@ fn a_profiled_run_says_where_its_time_went() {
     let start = Instant::now();
     let outcome = data.run(&scene(PASSES), "out", &["--profile=trace", "--threads", "2"]).succeeded();
     let elapsed = start.elapsed().as_secs_f64();
-    for words in ["time by part", "pass fit", "FitStep", "Of 2 threads"] {
+    for words in ["time by part", "  allocs  ", "pass fit", "FitStep", "Of 2 threads"] {
         assert!(outcome.stdout.contains(words), "no {words:?} in\n{}", outcome.stdout);
     }
     let profile = json(&data.path("out/metrics.json"))["profile"].take();
     let whole = &profile["whole"];
     assert!(check_nested(whole) > 20, "{whole:#}");
+    let all = allocated(whole);
+    assert!(all.0 > 1000 && all.1 > 1.0 && allocated(inside(whole, "fit")).0 > 60, "{all:?}");
     // The process starts and ends, and the files of the end are written, beside what is measured.
     assert!(secs(whole) <= elapsed && secs(whole) > 0.3 * elapsed, "{} of {elapsed} s", secs(whole));
     let stages: f64 = whole["parts"].as_array().unwrap().iter().map(secs).sum();
@@ -71,6 +82,11 @@ fn a_profiled_run_says_where_its_time_went() {
         assert!(busy > 0.0 && busy < 16.0, "{busy}");
     }
     let trace = json(&data.path("out/trace.json"));
+    assert!(
+        trace["traceEvents"][1]["args"]["allocations"].as_u64() > Some(1000),
+        "{}",
+        trace["traceEvents"][1]
+    );
     let (steps, systems) = (events(&trace, "FitStep"), events(&trace, "move_texels"));
     assert_eq!((steps.len(), systems.len(), events(&trace, "run").len()), (60, 60, 1));
     for (begin, end) in systems {
@@ -79,6 +95,23 @@ fn a_profiled_run_says_where_its_time_went() {
     assert!(manifest(&data.path("out"))["files"].as_array().unwrap().contains(&"trace.json".into()));
     let page = std::fs::read_to_string(data.path("out/report.html")).unwrap();
     assert!(page.contains("Where the time goes") && page.contains("FitStep"));
+}
+
+/// This one has the allocator that programs have if they choose none.
+#[test]
+fn a_program_whose_allocator_does_not_count_has_no_allocations_in_its_profile() {
+    let profiler = Profiler::new(true);
+    let sum: u64 = profiler.during(|| {
+        let _filling = stage("filling");
+        std::hint::black_box(vec![1u64; 1000]).iter().sum()
+    });
+    let profile = profiler.profile();
+    let filling = profile.find(&["filling"]).expect("it ran");
+    assert_eq!((sum, filling.runs, filling.allocations, filling.allocated_mib), (1000, 1, None, None));
+    assert_eq!(profile.whole.rest_allocations(), (None, None));
+    let mut trace = Vec::new();
+    profiler.write_trace(&mut trace).unwrap();
+    assert!(!String::from_utf8(trace).unwrap().contains("alloc"));
 }
 
 #[test]

@@ -11,7 +11,8 @@ use std::time::Duration;
 pub(super) struct Event {
     pub part: usize,
     pub thread: usize,
-    pub begin: ClockReading,
+    /// On the wall clock.
+    pub begin: Duration,
     pub took: ClockReading,
 }
 
@@ -19,12 +20,14 @@ pub(super) struct Event {
 pub(super) struct Events {
     pub parts: Vec<(String, PartKind)>,
     pub events: Vec<Event>,
+    /// Whether allocations are known.
+    pub has_allocations: bool,
     /// How many there were beyond [`Self::MOST`].
     pub left_out: u64,
 }
 
 impl Events {
-    /// Most events that are kept: some 60 MB of memory, 150 MB of JSON.
+    /// Most events that are kept: some 80 MB of memory, 200 MB of JSON.
     pub const MOST: usize = 1_000_000;
 }
 
@@ -37,9 +40,14 @@ pub(super) fn write(events: &Events, writer: &mut impl Write) -> io::Result<()> 
     let micros = |time: Duration| time.as_nanos() as f64 / 1000.0;
     for Event { part, thread, begin, took } in &events.events {
         let (name, kind) = &events.parts[*part];
+        let mut args = json!({ "cpu_us": micros(took.cpu) });
+        if events.has_allocations {
+            args["allocations"] = took.allocated.count.into();
+            args["allocated_bytes"] = took.allocated.bytes.into();
+        }
         let event = json!({
             "name": name, "cat": kind, "ph": "X", "pid": 1, "tid": thread + 1,
-            "ts": micros(begin.wall), "dur": micros(took.wall), "args": { "cpu_us": micros(took.cpu) },
+            "ts": micros(*begin), "dur": micros(took.wall), "args": args,
         });
         write!(writer, ",\n{event}")?;
     }

@@ -1,35 +1,47 @@
-//! Two clocks: wall time, and the time that all threads of the process have had of processors.
+//! Two clocks: wall time, and the time that all threads of the process have had of processors; with them what these have allocated.
 
+use super::allocation::{AllocationCounter, AllocationReading};
 use std::time::{Duration, Instant};
 
-/// A time on both clocks, from the begin of a profile.
+/// A time on both clocks and what has been allocated until then, from the begin of a profile.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(super) struct ClockReading {
     pub wall: Duration,
     /// Zero where the system does not say it.
     pub cpu: Duration,
+    /// Zero where the program's allocator does not count.
+    pub allocated: AllocationReading,
 }
 
 impl ClockReading {
     /// From an earlier moment to this one.
     pub fn since(self, earlier: Self) -> Self {
-        Self { wall: self.wall.saturating_sub(earlier.wall), cpu: self.cpu.saturating_sub(earlier.cpu) }
+        Self {
+            wall: self.wall.saturating_sub(earlier.wall),
+            cpu: self.cpu.saturating_sub(earlier.cpu),
+            allocated: self.allocated.since(earlier.allocated),
+        }
     }
 
     pub fn plus(self, other: Self) -> Self {
-        Self { wall: self.wall + other.wall, cpu: self.cpu + other.cpu }
+        Self {
+            wall: self.wall + other.wall,
+            cpu: self.cpu + other.cpu,
+            allocated: self.allocated.plus(other.allocated),
+        }
     }
 }
 
-/// Both clocks, set to zero when it is made.
+/// Both clocks and the counter, set to zero when it is made.
 pub(super) struct Clock {
     wall: Instant,
     cpu: Option<Duration>,
+    allocations: Option<AllocationCounter>,
 }
 
 impl Clock {
     pub fn new() -> Self {
-        Self { wall: Instant::now(), cpu: cpu_time() }
+        Self { wall: Instant::now(), cpu: cpu_time(), allocations: AllocationCounter::new() }
     }
 
     /// Whether the system says processor time.
@@ -37,9 +49,19 @@ impl Clock {
         self.cpu.is_some()
     }
 
+    /// Whether the program's allocator counts.
+    pub fn has_allocations(&self) -> bool {
+        self.allocations.is_some()
+    }
+
     pub fn now(&self) -> ClockReading {
         let cpu = self.cpu.zip(cpu_time()).map(|(begin, now)| now.saturating_sub(begin));
-        ClockReading { wall: self.wall.elapsed(), cpu: cpu.unwrap_or_default() }
+        let allocated = self.allocations.as_ref().map(AllocationCounter::read);
+        ClockReading {
+            wall: self.wall.elapsed(),
+            cpu: cpu.unwrap_or_default(),
+            allocated: allocated.unwrap_or_default(),
+        }
     }
 }
 
@@ -72,6 +94,7 @@ mod tests {
         assert_eq!(clock.has_cpu(), worked.cpu > Duration::ZERO);
         let twice = worked.plus(worked);
         assert_eq!((twice.wall, twice.cpu), (2 * worked.wall, 2 * worked.cpu));
+        assert_eq!(twice.allocated, worked.allocated.plus(worked.allocated));
         assert_eq!(begin.since(clock.now()), ClockReading::default());
     }
 }

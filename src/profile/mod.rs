@@ -1,4 +1,4 @@
-//! Where the time of a run goes: wall and processor time by stage, schedule and system.
+//! Where the time of a run goes: wall and processor time, and allocations, by stage, schedule and system.
 //!
 //! Stages of the library ([`stage`], [`pass`]) and the schedules and systems of `bevy_ecs` are `tracing` spans. A [`Profiler`] listens to those
 //! of the calling thread while work is done, sums them up as a tree ([`Profile`]), and can keep each of them as an event of a trace that
@@ -8,6 +8,7 @@
 //! | module | holds |
 //! | --- | --- |
 //! | `clock` | wall time, and processor time of all threads |
+//! | `allocation` | how often and how much all threads have allocated, in a program with a [`CountingAllocator`] |
 //! | `recorder` | the subscriber: what is open now, and sums over what has ended |
 //! | [`part`] | the tree of sums |
 //! | `chrome_trace` | the events as JSON |
@@ -39,6 +40,7 @@
 //! # Ok::<(), lobelia::Error>(())
 //! ```
 
+mod allocation;
 mod chrome_trace;
 mod clock;
 pub mod part;
@@ -47,6 +49,7 @@ mod recorder;
 #[cfg(test)]
 mod tests;
 
+pub use allocation::CountingAllocator;
 pub use part::{Part, PartKind, Profile};
 
 use recorder::Recorder;
@@ -84,14 +87,15 @@ pub struct Profiler {
 }
 
 impl Profiler {
-    /// A profiler whose time begins now; `keeps_events` says whether it can write a trace, for some forty bytes a span.
+    /// A profiler whose time begins now; `keeps_events` says whether it can write a trace, for some eighty bytes a span.
     pub fn new(keeps_events: bool) -> Self {
         LazyLock::force(&ALWAYS_THERE);
         let recorder = Arc::new(Recorder::new(keeps_events));
         Self { dispatch: Dispatch::new(recorder.clone()), recorder }
     }
 
-    /// Does some work on this thread, and records its spans. What other threads do is in the processor time of the span that waits for them.
+    /// Does some work on this thread, and records its spans. What other threads do is in the processor time and the allocations of
+    /// the span that waits for them.
     pub fn during<T>(&self, work: impl FnOnce() -> T) -> T {
         with_default(&self.dispatch, work)
     }
@@ -106,7 +110,7 @@ impl Profiler {
         self.recorder.keeps_events()
     }
 
-    /// Writes all events so far as a JSON trace: nested, with wall time and, in `args`, processor time. Empty if none are kept.
+    /// Writes all events so far as a JSON trace: nested, with wall time and, in `args`, processor time and allocations. Empty if none are kept.
     ///
     /// # Errors
     /// Those of the writer.

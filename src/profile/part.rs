@@ -43,6 +43,13 @@ pub struct Part {
     pub cpu_share: Option<f64>,
     /// Mean number of threads that were busy: processor time over wall time.
     pub threads_busy: Option<f64>,
+    /// Allocations of all threads during these runs; `null` where the program's allocator does not count
+    /// ([`CountingAllocator`](super::CountingAllocator)).
+    #[serde(default)]
+    pub allocations: Option<u64>,
+    /// What these asked for, MiB, whether or not it has been given back since; `null` as above.
+    #[serde(default)]
+    pub allocated_mib: Option<f64>,
     /// The parts inside it, in the order of their first runs.
     #[serde(skip_serializing_if = "Vec::is_empty", default)]
     pub parts: Vec<Part>,
@@ -54,6 +61,14 @@ impl Part {
         let wall: f64 = self.parts.iter().map(|part| part.wall_secs).sum();
         let cpu: f64 = self.parts.iter().filter_map(|part| part.cpu_secs).sum();
         ((self.wall_secs - wall).max(0.0), self.cpu_secs.map(|all| (all - cpu).max(0.0)))
+    }
+
+    /// Allocations that are in none of the parts inside: their number, and MiB.
+    pub fn rest_allocations(&self) -> (Option<u64>, Option<f64>) {
+        let count: u64 = self.parts.iter().filter_map(|part| part.allocations).sum();
+        let mib: f64 = self.parts.iter().filter_map(|part| part.allocated_mib).sum();
+        let rest = self.allocations.map(|all| all.saturating_sub(count));
+        (rest, self.allocated_mib.map(|all| (all - mib).max(0.0)))
     }
 }
 

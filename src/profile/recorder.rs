@@ -10,6 +10,7 @@ use indexmap::IndexSet;
 use std::fmt::{self, Write as _};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::thread::{self, ThreadId};
+use std::time::Duration;
 use tracing::field::{Field, Visit};
 use tracing::level_filters::LevelFilter;
 use tracing::span::{Attributes, Id, Record};
@@ -19,6 +20,7 @@ use tracing::{Metadata, Subscriber};
 const CONDITIONS: &str = "run conditions";
 /// The index of the whole.
 const WHOLE: usize = 0;
+const BYTES_PER_MIB: f64 = (1 << 20) as f64;
 
 /// A part in the making.
 #[derive(Clone)]
@@ -104,17 +106,17 @@ impl Recorder {
             sums[part].runs += 1;
             sums[part].time = sums[part].time.plus(now.since(open.begin));
         }
-        let tree = Tree { names: &state.names, sums: &sums, whole: now, has_cpu: self.clock.has_cpu() };
+        let tree = Tree { names: &state.names, sums: &sums, whole: now, clock: &self.clock };
         Profile { threads: rayon::current_num_threads(), whole: tree.part(WHOLE) }
     }
 
     /// The events so far, with what is open as if it ended now.
     pub fn events(&self) -> Events {
         let (now, state) = (self.clock.now(), self.state());
-        let whole = Event { part: WHOLE, thread: 0, begin: ClockReading::default(), took: now };
+        let whole = Event { part: WHOLE, thread: 0, begin: Duration::ZERO, took: now };
         let open = state.open.iter().enumerate().flat_map(|(thread, (_, stack))| {
             stack.iter().filter_map(move |open| {
-                Some(Event { part: open.part?, thread, begin: open.begin, took: now.since(open.begin) })
+                Some(Event { part: open.part?, thread, begin: open.begin.wall, took: now.since(open.begin) })
             })
         });
         let events = state
@@ -122,7 +124,8 @@ impl Recorder {
             .as_ref()
             .map(|kept| std::iter::once(whole).chain(open).chain(kept.iter().copied()).collect());
         let parts = state.sums.iter().map(|sum| (state.names[sum.name].clone(), sum.kind)).collect();
-        Events { parts, events: events.unwrap_or_default(), left_out: state.left_out }
+        let has_allocations = self.clock.has_allocations();
+        Events { parts, events: events.unwrap_or_default(), has_allocations, left_out: state.left_out }
     }
 }
 
@@ -234,7 +237,7 @@ impl State {
         self.sums[part].time = self.sums[part].time.plus(took);
         if let Some(events) = &mut self.events {
             if events.len() < Events::MOST {
-                events.push(Event { part, thread, begin, took });
+                events.push(Event { part, thread, begin: begin.wall, took });
             } else {
                 self.left_out += 1;
             }
@@ -271,7 +274,8 @@ struct Tree<'a> {
     names: &'a IndexSet<String>,
     sums: &'a [Sum],
     whole: ClockReading,
-    has_cpu: bool,
+    /// Says what of its readings is known.
+    clock: &'a Clock,
 }
 
 impl Tree<'_> {
@@ -279,7 +283,8 @@ impl Tree<'_> {
         let sum = &self.sums[index];
         let (wall, cpu) = (sum.time.wall.as_secs_f64(), sum.time.cpu.as_secs_f64());
         let of = |part: f64, whole: f64| if whole > 0.0 { part / whole } else { 0.0 };
-        let measured = |value: f64| self.has_cpu.then_some(value);
+        let measured = |value: f64| self.clock.has_cpu().then_some(value);
+        let allocated = self.clock.has_allocations().then_some(sum.time.allocated);
         Part {
             name: self.names[sum.name].clone(),
             kind: sum.kind,
@@ -289,6 +294,8 @@ impl Tree<'_> {
             cpu_secs: measured(cpu),
             cpu_share: measured(of(cpu, self.whole.cpu.as_secs_f64())),
             threads_busy: measured(of(cpu, wall)),
+            allocations: allocated.map(|allocated| allocated.count),
+            allocated_mib: allocated.map(|allocated| allocated.bytes as f64 / BYTES_PER_MIB),
             parts: sum.inside.iter().map(|inside| self.part(*inside)).collect(),
         }
     }

@@ -42,11 +42,15 @@ fn measured(keeps_events: bool) -> Profiler {
     profiler
 }
 
-/// No part is longer than what is around it.
+/// No part is longer than what is around it, or has more allocations.
 fn check_nested(part: &Part) {
     let inside: f64 = part.parts.iter().map(|part| part.wall_secs).sum();
     assert!(inside <= part.wall_secs + 1e-6, "{inside} s inside {part:?}");
     assert!((0.0..=1.0 + 1e-9).contains(&part.wall_share), "{part:?}");
+    let allocations: u64 = part.parts.iter().filter_map(|part| part.allocations).sum();
+    let mib: f64 = part.parts.iter().filter_map(|part| part.allocated_mib).sum();
+    assert!(part.allocations >= Some(allocations) && part.allocated_mib >= Some(mib), "{part:?}");
+    assert_eq!(part.rest_allocations().0, part.allocations.map(|all| all - allocations));
     part.parts.iter().for_each(check_nested);
 }
 
@@ -72,6 +76,32 @@ fn stages_and_systems_are_summed_where_they_are() {
     assert!(slow.wall_secs >= 6.0 * 0.008 && waiting.wall_secs >= 2.0 * 0.004, "{frame:#?}");
     if let Some(cpu) = slow.cpu_secs {
         assert!(cpu > 0.0 && slow.threads_busy.unwrap() > 0.0 && slow.cpu_share.unwrap() > 0.0);
+    }
+}
+
+/// Other tests allocate meanwhile, and so there may be more.
+#[test]
+fn allocations_are_in_the_part_that_waits_for_them() {
+    let fill = || std::hint::black_box(vec![1u8; 8 << 20]).len();
+    let profiler = Profiler::new(false);
+    let during = profiler.during(|| {
+        let _around = pass("around");
+        for _ in 0..2 {
+            let _threads = stage("of threads");
+            std::thread::scope(|scope| [scope.spawn(fill), scope.spawn(fill)].map(|one| one.join().unwrap()));
+        }
+        let _open = stage("open");
+        fill();
+        profiler.profile()
+    });
+    check_nested(&during.whole);
+    let allocated =
+        |names: &[&str]| during.find(names).and_then(|part| part.allocations.zip(part.allocated_mib));
+    for (names, count, mib) in
+        [(&["around", "of threads"][..], 4, 32.0), (&["around", "open"], 1, 8.0), (&["around"], 5, 40.0)]
+    {
+        let found = allocated(names).expect("the allocator counts");
+        assert!(found.0 >= count && found.1 >= mib, "{names:?}: {found:?}");
     }
 }
 
@@ -137,6 +167,9 @@ fn the_trace_is_json_with_nested_spans() {
     };
     assert!(lies_in("slow", "Frame") && lies_in("Frame", "rounds") && lies_in("rounds", "run"), "{trace}");
     assert_eq!(trace["otherData"]["events_left_out"], 0);
+    let run = events.iter().find(|event| event["ph"] == "X" && event["name"] == "run").unwrap();
+    let args = ["allocations", "allocated_bytes"].map(|name| run["args"][name].as_u64().unwrap());
+    assert!(args.iter().all(|value| *value > 0), "{run}");
     let mut none = Vec::new();
     measured(false).write_trace(&mut none).unwrap();
     let none: Value = serde_json::from_slice(&none).unwrap();
