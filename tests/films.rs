@@ -54,6 +54,38 @@ fn the_light_may_go_with_the_camera_and_the_frames_stay() {
     }
 }
 
+/// Root mean square difference of two frames, in steps of 8 bits.
+fn deviation(a: &RgbImage, b: &RgbImage) -> f64 {
+    let square = |(a, b): (&u8, &u8)| f64::from(a.abs_diff(*b)).powi(2);
+    (a.as_raw().iter().zip(b.as_raw()).map(square).sum::<f64>() / a.as_raw().len() as f64).sqrt()
+}
+
+#[test]
+fn denoised_films_are_closer_to_converged_ones_and_say_what_they_are() {
+    let data = Data::new();
+    let filmed = |shading: &str, out: &str| {
+        let scene = data.path("scene.ron");
+        let text = SCENE.replace("{ORBIT}", "").replace("Named([])", "All");
+        std::fs::write(&scene, text.replace("orbit:", &format!("shading: PathTraced({shading}), orbit:")))
+            .unwrap();
+        Outcome::of(command(&["run", "--quiet"]).arg(&scene).arg("--out").arg(data.path(out))).succeeded();
+        frames(&data.path(&format!("{out}/film")))
+    };
+    let converged = filmed("spp: 1024", "converged");
+    let noisy = filmed("spp: 8", "noisy");
+    let denoised = filmed("spp: 8, denoise: true", "denoised");
+    for ((converged, noisy), denoised) in converged.iter().zip(&noisy).zip(&denoised) {
+        let (before, after) = (deviation(noisy, converged), deviation(denoised, converged));
+        assert!(after < 0.7 * before, "{before} became {after}");
+    }
+    let says = |file: &str, word: &[u8]| {
+        std::fs::read(data.path(file)).unwrap().windows(word.len()).any(|bytes| bytes == word)
+    };
+    assert!(says("denoised/film/a.exr", b"Denoised: ") && !says("noisy/film/a.exr", b"Denoised: "));
+    assert!(says("denoised/run.json", b"4 film frames, denoised") && !says("noisy/run.json", b", denoised"));
+    assert_eq!(filmed("spp: 8, denoise: true", "again"), denoised, "the same bits");
+}
+
 #[test]
 fn keys_move_the_camera_and_the_material_changes() {
     let data = Data::new();

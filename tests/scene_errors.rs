@@ -109,6 +109,18 @@ fn published_shading_has_no_ggx() {
 }
 
 #[test]
+fn only_path_tracing_with_enough_paths_is_denoised() {
+    let scene = wrong("exposure: 0.5", "denoise: true");
+    refused(&scene, "denoise", &["unknown field `denoise`", "`shading: PathTraced(spp: 16, denoise: true)`"]);
+    let scene = wrong("exposure: 0.5", "shading: Accurate(denoise: true)");
+    refused(&scene, "Accurate", &["`Accurate` alone, which has no fields", "`shading: PathTraced("]);
+    let scene = wrong("exposure: 0.5", "shading: PathTraced(spp: 2, denoise: true)");
+    refused(&scene, "true)", &["2 paths per pixel", "`spp` to be at least 4"]);
+    let outcome = lobelia("check", &scene.replace("spp: 2", "spp: 4"), &[]);
+    assert_eq!((outcome.code, outcome.stderr.as_str()), (Some(0), ""));
+}
+
+#[test]
 fn a_wrong_choice_lists_the_choices() {
     let scene = wrong("surface: Sphere", "surface: Spere");
     refused(&scene, "Spere", &["unknown choice `Spere`", "Did you mean `Sphere`?", "`Mesh`"]);

@@ -5,6 +5,7 @@ use crate::codec::exr::{ExrLayers, read_exr_groups};
 use crate::codec::exr_rows::{ChannelRows, ChannelValues, Values, write_rows};
 use crate::codec::finite::check_finite;
 use glam::Vec3;
+use std::ops::Range;
 use std::path::Path;
 
 pub use crate::codec::exr_rows::BLOCK_ROWS;
@@ -44,6 +45,27 @@ const DEPTH: &str = "depth.Z";
 pub(crate) const FRAME_PIXEL_BYTES: usize = (3 * 5 + 2) * size_of::<f32>();
 
 impl Frame {
+    /// A copy of some rows, counted from 0.
+    ///
+    /// # Panics
+    /// If the frame does not have these rows.
+    #[must_use]
+    pub fn band(&self, rows: Range<usize>) -> Self {
+        let pixels = rows.start * self.width..rows.end * self.width;
+        let vectors = |values: &[Vec3]| values[pixels.clone()].to_vec();
+        Self {
+            width: self.width,
+            height: rows.len(),
+            color: vectors(&self.color),
+            alpha: self.alpha[pixels.clone()].to_vec(),
+            diffuse: vectors(&self.diffuse),
+            specular: vectors(&self.specular),
+            albedo: vectors(&self.albedo),
+            normal: vectors(&self.normal),
+            depth: self.depth[pixels.clone()].to_vec(),
+        }
+    }
+
     /// The channels in the order of a file: by name.
     fn columns(&self) -> Vec<ChannelValues<'_>> {
         let plain = [(ALPHA, &self.alpha), (DEPTH, &self.depth)];
@@ -82,9 +104,22 @@ pub fn write_frame_rows(
     size: [usize; 2],
     fill: impl FnOnce(&mut FrameRows) -> Result<()>,
 ) -> Result<()> {
+    write_frame_rows_with(path, size, None, fill)
+}
+
+/// [`write_frame_rows`] with a comment on the picture, which becomes the attribute `comments`.
+///
+/// # Errors
+/// Those of [`write_frame_rows`].
+pub fn write_frame_rows_with(
+    path: impl AsRef<Path>,
+    size: [usize; 2],
+    comment: Option<&str>,
+    fill: impl FnOnce(&mut FrameRows) -> Result<()>,
+) -> Result<()> {
     let frame = Frame::default();
     let names: Vec<&str> = frame.columns().iter().map(|column| column.name).collect();
-    write_rows(path.as_ref(), &names, size, |rows| fill(&mut FrameRows(rows)))
+    write_rows(path.as_ref(), &names, size, comment, |rows| fill(&mut FrameRows(rows)))
 }
 
 /// The rows of a frame that is being written.
@@ -130,7 +165,7 @@ pub fn write_channels(path: impl AsRef<Path>, channels: &ExrLayers) -> Result<()
     let columns: Vec<ChannelValues> =
         channels.channels.iter().map(|(name, values)| column((name.as_str(), values.as_slice()))).collect();
     let names: Vec<&str> = columns.iter().map(|column| column.name).collect();
-    write_rows(path, &names, size, |rows| rows.push(size, &columns))
+    write_rows(path, &names, size, None, |rows| rows.push(size, &columns))
 }
 
 /// A layer of a [`Frame`] in three channels, which can be left out on reading.
@@ -212,7 +247,6 @@ mod tests {
     use exr::meta::attribute::Text;
     use exr::meta::header::LayerAttributes;
     use exr::prelude::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, Vec2, WritableImage};
-    use std::ops::Range;
 
     fn frame(width: usize, height: usize) -> Frame {
         let vectors = |seed: usize| -> Vec<Vec3> {
@@ -250,28 +284,11 @@ mod tests {
         assert_eq!(std::fs::read(&path).unwrap(), bytes, "the same frame must give the same bytes");
     }
 
-    /// Rows `start..end` of `frame`.
-    fn band(frame: &Frame, rows: Range<usize>) -> Frame {
-        let pixels = rows.start * frame.width..rows.end * frame.width;
-        let vectors = |values: &[Vec3]| values[pixels.clone()].to_vec();
-        Frame {
-            width: frame.width,
-            height: rows.len(),
-            color: vectors(&frame.color),
-            alpha: frame.alpha[pixels.clone()].to_vec(),
-            diffuse: vectors(&frame.diffuse),
-            specular: vectors(&frame.specular),
-            albedo: vectors(&frame.albedo),
-            normal: vectors(&frame.normal),
-            depth: frame.depth[pixels.clone()].to_vec(),
-        }
-    }
-
     fn write_in_bands(path: &Path, frame: &Frame, rows: usize) -> Result<()> {
         write_frame_rows(path, [frame.width, frame.height], |file| {
             (0..frame.height)
                 .step_by(rows)
-                .try_for_each(|start| file.push(&band(frame, start..(start + rows).min(frame.height))))
+                .try_for_each(|start| file.push(&frame.band(start..(start + rows).min(frame.height))))
         })
     }
 
@@ -305,6 +322,20 @@ mod tests {
     }
 
     #[test]
+    fn a_comment_becomes_an_attribute_and_changes_no_pixel() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("view.exr");
+        let whole = frame(11, 20);
+        for comment in [None, Some("no noise")] {
+            write_frame_rows_with(&path, [11, 20], comment, |rows| rows.push(&whole)).unwrap();
+            let headers = exr::meta::MetaData::read_from_file(&path, false).unwrap().headers;
+            let found = headers[0].own_attributes.comments.as_ref().map(Text::to_string);
+            assert_eq!(found.as_deref(), comment);
+            assert_eq!(read_frame(&path).unwrap(), whole);
+        }
+    }
+
+    #[test]
     fn rows_that_are_missing_or_too_many_are_refused_and_leave_no_file() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("view.exr");
@@ -313,12 +344,12 @@ mod tests {
             let pushed = write_frame_rows(&path, [5, 20], |file| bands.iter().try_for_each(|b| file.push(b)));
             pushed.unwrap_err().to_string()
         };
-        let upper = band(&whole, 0..17);
+        let upper = whole.band(0..17);
         assert!(refused(std::slice::from_ref(&upper)).contains("only 17 of 20 rows"));
         let message = refused(&[upper.clone(), upper.clone()]);
         assert!(message.contains("rows 17 to 34 of 5 pixels do not fit a picture of 5×20"), "{message}");
         assert!(refused(&[frame(6, 20)]).contains("of 6 pixels do not fit"));
-        let mut nan = band(&whole, 17..20);
+        let mut nan = whole.band(17..20);
         nan.depth[11] = f32::INFINITY;
         assert!(refused(&[upper, nan]).contains("depth.Z is not finite at pixel (1, 19)"));
         let stopped = write_frame_rows(&path, [5, 20], |_| Err(Error::Interrupted));

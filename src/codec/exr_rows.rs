@@ -59,17 +59,18 @@ impl ChannelValues<'_> {
     }
 }
 
-/// Writes an EXR of channels with these sorted names, whose rows `fill` pushes.
+/// Writes an EXR of channels with these sorted names, whose rows `fill` pushes, with a comment or without.
 pub(super) fn write_rows(
     path: &Path,
     names: &[&str],
     size: [usize; 2],
+    comment: Option<&str>,
     fill: impl FnOnce(&mut ChannelRows) -> Result<()>,
 ) -> Result<()> {
     if size.contains(&0) || names.is_empty() {
         return Err(refused(path, "there are no pixels or no channels to write".to_owned()));
     }
-    let headers = Headers::from_iter([header(names, size)]);
+    let headers = Headers::from_iter([header(names, size, comment)]);
     file::write_file(path, |writer| {
         let mut outcome = Ok(());
         let written = exr::block::write(writer, headers, true, |meta, chunks| {
@@ -84,11 +85,14 @@ pub(super) fn write_rows(
     })
 }
 
-fn header(names: &[&str], [width, height]: [usize; 2]) -> Header {
+fn header(names: &[&str], [width, height]: [usize; 2], comment: Option<&str>) -> Header {
     let channels = names.iter().map(|name| ChannelDescription::named(*name, SampleType::F32)).collect();
     // Its one part has no name.
-    let attributes =
-        LayerAttributes { software_name: Some(Text::from("Lobelia")), ..LayerAttributes::default() };
+    let attributes = LayerAttributes {
+        software_name: Some(Text::from("Lobelia")),
+        comments: comment.map(Text::from),
+        ..LayerAttributes::default()
+    };
     Header::new(Text::default(), Vec2(width, height), channels)
         .with_encoding(Compression::ZIP16, BlockDescription::ScanLines, LineOrder::Increasing)
         .with_attributes(attributes)

@@ -22,7 +22,7 @@ use crate::report::scores::{EvalView, PassScores, Scaling, score_views};
 use crate::report::sheet::{Sheet, SheetCell, SheetRow, Theme, choose_evenly, write_sheet};
 use crate::report::thumbnail::{side_for, write_thumbnail};
 use crate::report::tone::{Backdrop, Look, Picture};
-use crate::scene::{EvaluatePass, LayerTruth, Pass, Score, ScoreScale, Truth};
+use crate::scene::{EvaluatePass, LayerTruth, Pass, RenderSettings, Score, ScoreScale, Truth};
 use crate::view::camera::Camera;
 use crate::view::{Photograph, Placement, ViewMask};
 use bevy_ecs::prelude::{Entity, World};
@@ -94,6 +94,10 @@ pub(crate) fn run(session: &mut Session, pass: &EvaluatePass) -> Result<()> {
 fn score_pass(session: &mut Session, pass: &EvaluatePass, i: usize, side: u32) -> Result<SheetRow> {
     let score = &pass.scores[i];
     let layers = layers_of(score.scale);
+    if rendered_by(session, &score.pass)?.is_denoised() {
+        let note = "is denoised: its scores are of pictures whose noise was filtered away";
+        session.progress.print(&format!("{}: {} {note}", pass.name, score.pass));
+    }
     let scored = ScoredPass::open(session, score)?;
     let mut overlaps = vec![None; scored.views.len()];
     let scores = score_views(scored.views.len(), scaling(score.scale), |k| {
@@ -238,10 +242,14 @@ fn layers_of(rule: ScoreScale) -> &'static [Layer] {
 
 /// The views that a pass rendered, by the scene file.
 fn views_of(session: &mut Session, pass: &str) -> Result<Vec<ChosenView>> {
+    let settings = rendered_by(session, pass)?.clone();
+    Ok(chosen_views(&mut session.pipeline.world, &settings))
+}
+
+/// How a pass rendered, by the scene file.
+fn rendered_by<'s>(session: &'s Session, pass: &str) -> Result<&'s RenderSettings> {
     let settings = session.scene.passes.iter().find(|p| p.name() == pass).and_then(Pass::render);
-    let settings = settings
-        .ok_or_else(|| Error::run("evaluate", format!("there is no earlier pass {pass} that renders")))?;
-    Ok(chosen_views(&mut session.pipeline.world, settings))
+    settings.ok_or_else(|| Error::run("evaluate", format!("there is no earlier pass {pass} that renders")))
 }
 
 fn scaling(rule: ScoreScale) -> Scaling {

@@ -96,7 +96,7 @@ impl TrueObject {
         let lights = self.spawn_lights(light);
         spawn_edits(&mut self.pipeline.world, TRUTH, edits, &self.surface)?;
         self.pipeline.swap(Phase::Frame, Slot::Material, show_edited(TRUTH));
-        let shading = Shading::PathTraced { spp, max_bounces: self.max_bounces, map: true };
+        let shading = Shading::PathTraced { spp, max_bounces: self.max_bounces, map: true, denoise: false };
         let side = (f64::from(spp.min(64)).sqrt().floor()).max(1.0) as u32;
         let settings =
             RenderSettings { shading, samples_per_pixel: side * side, ..RenderSettings::default() };

@@ -1,7 +1,7 @@
 //! The `Render`, `Edit` and `Relight` passes: they render the material, light and shading that `show` swaps in.
 
 use crate::codec::animation::{write_apng, write_gif};
-use crate::codec::exr_frame::{Frame, write_frame_rows};
+use crate::codec::exr_frame::{Frame, write_frame_rows_with};
 use crate::codec::file::file_stems;
 use crate::codec::film::{Film, FilmRecorder};
 use crate::codec::video::has_frames_of;
@@ -23,7 +23,7 @@ use crate::report::tone::{Backdrop, Look, Picture, write_png_rows};
 use crate::sample::bundle::despawn_pool;
 use crate::scene::{Orbit, OrbitFormat, Pass, RenderSettings, Shading, ViewChoice};
 use crate::shade::adaptive::render_adaptive;
-use crate::shade::frame::{band_rows, render_bands};
+use crate::shade::frame::{band_rows, render_bands, render_denoised};
 use crate::view::camera::Camera;
 use crate::view::{Split, ViewName};
 use bevy_ecs::prelude::{Entity, World};
@@ -37,6 +37,8 @@ use std::path::Path;
 const FILM: &str = "orbit";
 /// The film as a video.
 const FILM_MP4: &str = "orbit.mp4";
+/// What a picture whose noise is filtered away says in its file.
+const DENOISED: &str = "Denoised: the noise of path tracing is filtered away, at the price of a small bias.";
 /// The folder of a film's frames, where they stay.
 pub(crate) const FRAMES: &str = "orbit_frames";
 
@@ -74,7 +76,9 @@ fn render_all(session: &mut Session, pass: &Pass, settings: &RenderSettings) -> 
     }
     bar.finish_and_clear();
     let film = if frames > 0 { format!(", {frames} film frames") } else { String::new() };
-    session.progress.print(&format!("{name}: {} views{film}", views.len()));
+    let filtered =
+        if settings.is_denoised() { ", denoised (noise filtered away, slightly biased)" } else { "" };
+    session.progress.print(&format!("{name}: {} views{film}{filtered}", views.len()));
     Ok(())
 }
 
@@ -171,7 +175,8 @@ fn write_view(
     let path = |ending: &str| folder.join(format!("{}.{ending}", view.stem));
     let camera = view.camera;
     let size = [camera.width, camera.height];
-    write_frame_rows(path("exr"), size.map(|side| side as usize), |layers| {
+    let comment = settings.is_denoised().then_some(DENOISED);
+    write_frame_rows_with(path("exr"), size.map(|side| side as usize), comment, |layers| {
         write_png_rows(path("png"), size, !settings.backdrop, |colors| {
             bands(pipeline, camera, settings, Backdrop::Transparent, &mut |frame, samples| {
                 layers.push(frame)?;
@@ -232,9 +237,18 @@ fn bands(
     take: &mut dyn FnMut(&Frame, &[u8]) -> Result<()>,
 ) -> Result<()> {
     let (rays, rows) = (camera_rays(settings), band_rows([camera.width, camera.height]));
-    render_bands(pipeline, camera, rays, rows, &mut |world, first_row, frame| {
+    let mut hand_on = |world: &World, first_row: u32, frame: &Frame| {
         check_interrupted()?;
         take(frame, &encoded(world, &camera, settings, plain, first_row, &Picture::of(frame))?)
+    };
+    if !settings.is_denoised() {
+        return render_bands(pipeline, camera, rays, rows, &mut hand_on);
+    }
+    // The filter reaches far, and needs the whole picture.
+    let frame = render_denoised(pipeline, camera, rays)?;
+    (0..camera.height).step_by(rows as usize).try_for_each(|first| {
+        let end = first.saturating_add(rows).min(camera.height);
+        hand_on(&pipeline.world, first, &frame.band(first as usize..end as usize))
     })
 }
 

@@ -21,12 +21,16 @@ pub(crate) fn set_shading(pipeline: &mut Pipeline, settings: &RenderSettings, se
     pipeline.swap(Phase::Frame, Slot::Shading, shade_closed_form(closed_form));
 }
 
+/// Camera rays per pixel of a picture whose noise is filtered away, at least: how they differ tells how much noise there is.
+const DENOISED_RAYS: u32 = 4;
+
 /// Camera rays per pixel: a path tracer with fewer paths than that takes one path a ray.
 pub(crate) fn camera_rays(settings: &RenderSettings) -> u32 {
     match settings.shading {
         Shading::Accurate | Shading::Published => settings.samples_per_pixel,
-        Shading::PathTraced { spp, .. } => {
-            let side = f64::from(settings.samples_per_pixel.min(spp)).sqrt().floor().max(1.0) as u32;
+        Shading::PathTraced { spp, denoise, .. } => {
+            let wanted = settings.samples_per_pixel.max(if denoise { DENOISED_RAYS } else { 1 });
+            let side = f64::from(wanted.min(spp)).sqrt().floor().max(1.0) as u32;
             side * side
         }
     }

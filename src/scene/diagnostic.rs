@@ -77,7 +77,7 @@ impl SceneText<'_> {
                 format!("unknown field `{found}`{}", within(outer)),
                 self.field_before(root, found, at.end),
                 "not a field here".to_owned(),
-                choices("fields", found, expected),
+                fields_help(found, expected),
             ),
             Ron::NoSuchEnumVariant { expected, found, outer } => one(
                 format!("unknown choice `{found}`{}", within(outer)),
@@ -170,6 +170,11 @@ impl SceneText<'_> {
             Ron::ExpectedComma if self.text[node.span.clone()].parse::<f64>().is_ok() => {
                 ("expected a whole number".into(), String::new())
             }
+            // A choice without fields is read up to its bracket.
+            Ron::ExpectedComma if !name.is_empty() && !matches!(node.body, Body::Plain | Body::Text(_)) => {
+                let help = if node.field(self.text, "denoise").is_some() { DENOISE_HELP } else { "" };
+                (format!("expected `{name}` alone, which has no fields"), help.to_owned())
+            }
             Ron::ExpectedInteger => ("expected a whole number".into(), String::new()),
             Ron::IntegerOutOfBounds => ("expected a whole number in range".into(), String::new()),
             Ron::ExpectedString => ("expected a string in quotes".into(), String::new()),
@@ -225,6 +230,18 @@ fn within(outer: &Option<String>) -> String {
 fn lower_first(text: &str) -> String {
     let mut chars = text.chars();
     chars.next().map_or_else(String::new, |first| first.to_lowercase().chain(chars).collect())
+}
+
+/// Where `denoise` belongs.
+const DENOISE_HELP: &str = "Only path tracing has noise: `shading: PathTraced(spp: 16, denoise: true)`.";
+
+/// What to do about an unknown field. One that belongs elsewhere says where.
+fn fields_help(found: &str, expected: &[&str]) -> String {
+    let fields = choices("fields", found, expected);
+    if found == "denoise" {
+        return format!("{DENOISE_HELP} {fields}");
+    }
+    fields
 }
 
 /// "Did you mean `x`? The fields are: …"

@@ -43,6 +43,13 @@ impl Default for RenderSettings {
     }
 }
 
+impl RenderSettings {
+    /// Whether noise is filtered away.
+    pub fn is_denoised(&self) -> bool {
+        matches!(self.shading, Shading::PathTraced { denoise: true, .. })
+    }
+}
+
 /// Which views are rendered.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ViewChoice {
@@ -77,6 +84,10 @@ pub enum Shading {
         /// Where the light is a map, trace against the map itself and not against the lobes fitted to it. Default true.
         #[serde(default = "yes")]
         map: bool,
+        /// Filter the noise away, guided by albedo, normals and depth: pictures have a small bias instead. Needs `spp` ≥ 4; a pixel has at least
+        /// 4 camera rays. Default false.
+        #[serde(default)]
+        denoise: bool,
     },
 }
 

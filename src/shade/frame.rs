@@ -1,5 +1,6 @@
 //! The Frame phase: one tile of a picture, or of a band of its rows, at a time, Sample ▸ Trace ▸ Gather ▸ Shade ▸ Resolve.
 
+use super::denoise::{DENOISE_PIXEL_BYTES, SampleSpread, denoise};
 use super::systems::{gather_blends, gather_points, shade_closed_form};
 use crate::codec::exr_frame::{BLOCK_ROWS, FRAME_PIXEL_BYTES, Frame};
 use crate::error::stop::check_interrupted;
@@ -13,6 +14,7 @@ use crate::material::material_source::{
 use crate::material::shown::{mark_material_changed, show_recovered, shown_material};
 use crate::math::shading::{ClosedForm, Layers, ShadePoint};
 use crate::pipeline::{GatherPoints, Phase, Pipeline, Plugin, Slot, Stage, SystemResult};
+use crate::profile::stage;
 use crate::sample::Samples;
 use crate::sample::bundle::{FrameSample, despawn_pool};
 use crate::sample::pixel::{PixelOf, SampleIndex, ViewRay, Window};
@@ -76,6 +78,8 @@ pub struct FrameTarget {
     pub pixels: Vec<PixelSums>,
     /// Numbers of the only pixels that rays are cast at, counted over the whole picture; `None`: all of these rows.
     pub(super) chosen: Option<Vec<u32>>,
+    /// How the samples of each pixel differ, if that is wanted.
+    spread: Option<Vec<SampleSpread>>,
     /// First sample of the current tile, counted over the whole picture.
     cursor: usize,
 }
@@ -90,7 +94,8 @@ impl FrameTarget {
     pub fn band(camera: Camera, samples_per_pixel: u32, rows: Range<u32>) -> Self {
         let side = (f64::from(samples_per_pixel.max(1))).sqrt().round().max(1.0) as u32;
         let count = camera.width as usize * rows.len();
-        Self { camera, side, rows, pixels: vec![PixelSums::default(); count], chosen: None, cursor: 0 }
+        let pixels = vec![PixelSums::default(); count];
+        Self { camera, side, rows, pixels, chosen: None, spread: None, cursor: 0 }
     }
 
     /// Camera rays per pixel.
@@ -171,11 +176,43 @@ pub fn add_gathering<M: MaterialSource>(pipeline: &mut Pipeline, phase: Phase) {
 /// # Errors
 /// The first error of a system.
 pub fn render_frame(pipeline: &mut Pipeline, camera: Camera, samples_per_pixel: u32) -> Result<FrameTarget> {
-    let target = FrameTarget::new(camera, samples_per_pixel);
-    spawn_pool(&mut pipeline.world, &camera, target.samples().len());
+    render_whole(pipeline, FrameTarget::new(camera, samples_per_pixel))
+}
+
+/// Renders one picture whose shading has noise, such as path tracing, and removes the noise ([`denoise`]): what comes out has a small bias. All
+/// of it is in memory ([`denoised_frame_bytes`]). With one sample per pixel, noise
+/// cannot be told from light and stays.
+///
+/// # Errors
+/// The first error of a system.
+pub fn render_denoised(pipeline: &mut Pipeline, camera: Camera, samples_per_pixel: u32) -> Result<Frame> {
+    let mut target = FrameTarget::new(camera, samples_per_pixel);
+    target.spread = Some(vec![SampleSpread::default(); target.pixels.len()]);
+    let mut target = render_whole(pipeline, target)?;
+    let mut frame = resolve(&target);
+    // The filter needs memory of its own.
+    target.pixels = Vec::new();
+    let _filtering = stage("noise removed");
+    let positions = positions(&camera, &frame.depth);
+    denoise(&mut frame, &positions, &target.spread.unwrap_or_default());
+    Ok(frame)
+}
+
+fn render_whole(pipeline: &mut Pipeline, target: FrameTarget) -> Result<FrameTarget> {
+    spawn_pool(&mut pipeline.world, &target.camera, target.samples().len());
     let rendered = render_rows(pipeline, target);
     despawn_pool(&mut pipeline.world);
     rendered
+}
+
+/// World positions at these distances along the rays through the middles of pixels.
+fn positions(camera: &Camera, depth: &[f32]) -> Vec<Vec3> {
+    let place = |(i, distance): (usize, &f32)| {
+        let (x, y) = (i as u32 % camera.width, i as u32 / camera.width);
+        let ray = camera.ray(x as f32 + 0.5, y as f32 + 0.5);
+        ray.origin + *distance * ray.direction
+    };
+    depth.par_iter().enumerate().map(place).collect()
 }
 
 /// Renders one picture in bands of `rows_per_band` rows (at least 1), from the top, so that its height needs no memory. `take` gets the
@@ -225,6 +262,12 @@ pub fn frame_bytes([width, height]: [u32; 2]) -> u64 {
     // The pool and what shading makes of it.
     let pool = 2 * POOL * size_of::<FrameSample>();
     band * per_pixel as u64 + waiting * FRAME_PIXEL_BYTES as u64 + pool as u64
+}
+
+/// Peak memory in bytes of [`render_denoised`] for a picture of this width and height, and of writing it in bands: it grows with all pixels.
+pub fn denoised_frame_bytes([width, height]: [u32; 2]) -> u64 {
+    let whole = FRAME_PIXEL_BYTES + size_of::<SampleSpread>() + DENOISE_PIXEL_BYTES;
+    u64::from(width) * u64::from(height) * whole as u64 + frame_bytes([width, height])
 }
 
 /// Spawns the pool of samples for a picture of `samples` samples; one of the same size that a picture before has left is taken over.
@@ -335,15 +378,21 @@ pub fn resolve_pixels(
     samples: Samples<(&PixelOf, &SurfacePoint, &ShadePoint, &Layers)>,
 ) -> SystemResult {
     let (pixels, points, gathered, shaded) = samples.columns()?;
-    let first = target.first_pixel();
+    let (first, target) = (target.first_pixel(), &mut *target);
     for i in (0..points.len()).filter(|&i| points[i].is_hit()) {
-        let sums = &mut target.pixels[pixels[i].pixel as usize - first];
+        let at = pixels[i].pixel as usize - first;
+        let [diffuse, specular, albedo] =
+            [shaded[i].diffuse, shaded[i].specular, gathered[i].albedo].map(Vec3::from);
+        let sums = &mut target.pixels[at];
         sums.hits += 1;
-        sums.diffuse += Vec3::from(shaded[i].diffuse);
-        sums.specular += Vec3::from(shaded[i].specular);
-        sums.albedo += Vec3::from(gathered[i].albedo);
+        sums.diffuse += diffuse;
+        sums.specular += specular;
+        sums.albedo += albedo;
         sums.normal += points[i].normal;
         sums.distance += points[i].distance;
+        if let Some(spread) = &mut target.spread {
+            spread[at].add(albedo, diffuse, specular);
+        }
     }
     Ok(())
 }

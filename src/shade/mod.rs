@@ -11,6 +11,7 @@
 //! [`light::lights`](crate::light::lights) in `Slot::Light`, [`visibility`](crate::visibility) in `Slot::Visibility`.
 
 pub mod adaptive;
+pub mod denoise;
 pub mod device;
 pub mod frame;
 pub mod path_tracer;

@@ -21,6 +21,9 @@ use std::path::{Component, Path, PathBuf};
 /// Most passes of a scene file.
 const MOST_PASSES: usize = 1000;
 
+/// Fewest paths per pixel of a picture whose noise is filtered away.
+const LEAST_DENOISED: u32 = 4;
+
 /// Most points of a stroke.
 const MOST_STROKE_POINTS: u32 = 256;
 
@@ -314,7 +317,15 @@ fn render(checks: &mut Checks, at: &str, render: &RenderSettings, views: &Views)
     let path = |field: &str| format!("{at}.{field}");
     checks.count(&path("samples_per_pixel"), render.samples_per_pixel, 1..=1024);
     checks.number(&path("exposure"), render.exposure, -20.0..=20.0);
-    if let Shading::PathTraced { spp, max_bounces, .. } = render.shading {
+    if let Shading::PathTraced { spp, max_bounces, denoise, .. } = render.shading {
+        if denoise && spp < LEAST_DENOISED {
+            checks.fail(
+                &path("shading.denoise"),
+                format!("{spp} paths per pixel do not tell how much noise there is"),
+                format!("expected `spp` to be at least {LEAST_DENOISED}"),
+                "Give more paths, e.g. `spp: 16`, or leave `denoise` out.",
+            );
+        }
         checks.count(&path("shading.spp"), spp, 1..=65536);
         checks.count(&path("shading.max_bounces"), max_bounces, 1..=64);
     }
