@@ -5,7 +5,7 @@ use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::fit::components::TexelSeen;
 use crate::light::placement::{LightGroup, Placements};
-use crate::material::Texels;
+use crate::material::{TexelIndex, Texels};
 use crate::math::ray::{Intersect, Ray};
 use crate::pipeline::{Phase, Pipeline, SystemResult};
 use crate::sample::Samples;
@@ -24,7 +24,10 @@ use glam::Vec3;
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng, rngs::SmallRng};
 use rayon::prelude::*;
+use shares::{NO_TEXEL, kept_evenly};
 use std::sync::Arc;
+
+mod shares;
 
 #[cfg(test)]
 mod tests;
@@ -36,7 +39,14 @@ pub struct PixelChoice {
     pub seed: u64,
     /// Most pixels; of more, a random subset is used.
     pub max_pixels: usize,
+    /// Whether each texel of the surface gets its share where these are few pixels for its texels.
+    pub evenly: bool,
 }
+
+/// Pixels a texel from which chance gives each enough: shares then make the light slightly worse (`docs/src/ablation.md`).
+const ENOUGH_PER_TEXEL: usize = 4;
+/// Pixels that are drawn and traced for each that is chosen, where texels get their shares.
+const DRAWN: usize = 2;
 
 /// A pixel of a training photograph, before it is traced.
 #[derive(Clone, Copy, Default)]
@@ -121,12 +131,16 @@ pub fn choose_pixels(
     choice: Res<PixelChoice>,
     views: Query<ViewColumns>,
     (placed, placements): (Query<(&ViewIndex, &Placement)>, Option<Res<Placements>>),
+    texels: Query<(), With<TexelIndex>>,
     mut candidates: ResMut<Candidates>,
 ) -> SystemResult {
     let training = training_views(views.iter());
-    candidates.0 = match Windows::new(&training).scattered(*choice) {
+    let few = choice.max_pixels / ENOUGH_PER_TEXEL < texels.iter().len();
+    let drawn = if choice.evenly && few { DRAWN } else { 1 };
+    let choice = PixelChoice { max_pixels: choice.max_pixels.saturating_mul(drawn), ..*choice };
+    candidates.0 = match Windows::new(&training).scattered(choice) {
         Some(scattered) => scattered,
-        None => any_of_all(&training, *choice)?,
+        None => any_of_all(&training, choice)?,
     };
     // Steps visit groups of photographs one at a time.
     if let Some(placements) = placements.filter(|placements| placements.has_groups()) {
@@ -335,6 +349,8 @@ pub fn trace_pixels(world: &mut World) -> SystemResult {
     let scenery = world.resource::<Scenery>().0.clone();
     let made_with = cameras_in_order(world);
     let cameras: ByView<Camera> = made_with.iter().copied().collect();
+    let choice = *world.resource::<PixelChoice>();
+    let chosen = with_even_shares(chosen, choice, &cameras, scenery.as_ref())?;
     release_pool(world);
     let mut rows = 0;
     // In parts: all points beside the pool would be half of it.
@@ -356,9 +372,36 @@ pub fn trace_pixels(world: &mut World) -> SystemResult {
     }
     let rows = rows as usize;
     world.resource_mut::<ObservedWindow>().0 = 0..rows;
-    let choice = *world.resource::<PixelChoice>();
     world.insert_resource(PoolMade { choice, cameras: made_with, scenery, rows });
     Ok(())
+}
+
+/// Of more pixels than there is room for those that give each texel its share, in the same order.
+fn with_even_shares(
+    chosen: Vec<Candidate>,
+    choice: PixelChoice,
+    cameras: &ByView<Camera>,
+    scenery: &dyn Intersect,
+) -> Result<Vec<Candidate>> {
+    if chosen.len() <= choice.max_pixels {
+        return Ok(chosen);
+    }
+    let mut texels = Vec::with_capacity(chosen.len());
+    for part in chosen.chunks(TRACED_AT_ONCE) {
+        check_interrupted()?;
+        let texel =
+            |candidate: &Candidate| Ok(candidate.trace(cameras, scenery)?.map_or(NO_TEXEL, nearest_texel));
+        texels.append(&mut part.par_iter().map(texel).collect::<Result<Vec<u32>>>()?);
+    }
+    let kept = kept_evenly(&texels, choice.max_pixels);
+    Ok(chosen.into_iter().zip(kept).filter_map(|(candidate, kept)| kept.then_some(candidate)).collect())
+}
+
+/// The texel of most weight at a point.
+fn nearest_texel(observation: Observation) -> u32 {
+    let texels = observation.point.texels;
+    let most = (0..4).max_by(|a, b| texels.weights[*a].total_cmp(&texels.weights[*b]));
+    texels.indices[most.unwrap_or(0)]
 }
 
 impl Candidate {

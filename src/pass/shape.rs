@@ -202,7 +202,11 @@ fn options(session: &Session, pass: &ShapePass) -> ShapeOptions {
             decay: 0.4,
             // While the surface moves, its normals would take part in a sheen.
             unknowns: Unknowns { sheen: false, ..session.unknowns() },
-            pixels: PixelChoice { seed: session.scene.seed, max_pixels: pass.max_pixels as usize },
+            pixels: PixelChoice {
+                seed: session.scene.seed,
+                max_pixels: pass.max_pixels as usize,
+                evenly: false,
+            },
             keeps_pool: false,
             initialize: session.initialize,
             // Visibility of a moving surface would have to be traced at every step.

@@ -20,7 +20,7 @@ pub struct FitPass {
     pub quality: Quality,
     /// Number of update steps ≥ 1. Default 800: with many more, `Published` shading fits the bias of its formulas as well.
     pub steps: u32,
-    /// Most pixels that are visited ≥ 1; a random part of more. Default 2 000 000.
+    /// Most pixels that are visited ≥ 1; of more, a random part, in which each texel has its share if they are fewer than four a texel. Default 2 000 000.
     pub max_pixels: u32,
     /// Pixels per step ≥ 1; half as many before the first milestone, if no vertices move. Default 6144.
     pub batch: u32,

@@ -54,7 +54,7 @@ fn a_pool_is_made_once_for_the_same_pixels_cameras_and_surface() {
     let gray = Photograph::of_image(&Image { width: 4, height: 4, pixels: vec![Vec3::splat(0.5); 16] });
     let view = world.spawn((ViewIndex(0), camera, gray, Split::Train)).id();
     world.insert_resource(Scenery(Arc::new(Wall)));
-    world.insert_resource(PixelChoice { seed: 1, max_pixels: 10 });
+    world.insert_resource(PixelChoice { seed: 1, max_pixels: 10, evenly: false });
     world.init_resource::<Candidates>();
     world.init_resource::<ObservedWindow>();
     pipeline.add_systems(Phase::Prepare, Stage::Sample, choose_pixels);
@@ -71,7 +71,7 @@ fn a_pool_is_made_once_for_the_same_pixels_cameras_and_surface() {
     assert!(pool_holds(&mut pipeline.world));
     pipeline.world.insert_resource(Scenery(Arc::new(Wall)));
     assert!(!pool_holds(&mut pipeline.world));
-    pipeline.world.insert_resource(PixelChoice { seed: 1, max_pixels: 12 });
+    pipeline.world.insert_resource(PixelChoice { seed: 1, max_pixels: 12, evenly: false });
     assert_eq!(make_pool(&mut pipeline).unwrap(), 12);
     release_pool(&mut pipeline.world);
     assert!(!pool_holds(&mut pipeline.world));
@@ -113,7 +113,7 @@ fn scattered_pixels_are_usable_and_each_view_has_its_share() {
         limit: f32::MAX,
     };
     let views: Vec<ObservedView> = (0..20).map(of_index).collect();
-    let choice = PixelChoice { seed: 3, max_pixels: 50_000 };
+    let choice = PixelChoice { seed: 3, max_pixels: 50_000, evenly: false };
     let chosen = Windows::new(&views).scattered(choice).unwrap();
     assert!((49_000..=50_000).contains(&chosen.len()), "{}", chosen.len());
     let distinct: std::collections::BTreeSet<(u32, u32)> =
