@@ -20,6 +20,7 @@ use crate::view::{
     ByView, Camera, Photograph, PixelWindow, Placement, Split, StoredMask, ViewIndex, ViewMask,
 };
 use bevy_ecs::prelude::{Query, Res, ResMut, Resource, With, World};
+use bevy_ecs::system::SystemState;
 use glam::Vec3;
 use rand::seq::SliceRandom;
 use rand::{RngExt, SeedableRng, rngs::SmallRng};
@@ -311,7 +312,13 @@ impl ObservedView<'_> {
 /// # Errors
 /// If there is no pixel to fit to.
 pub(super) fn make_pool(pipeline: &mut Pipeline) -> Result<usize> {
-    if !pool_holds(&mut pipeline.world) {
+    if pool_holds(&mut pipeline.world) {
+        // A part of a fit begins with texels that nobody has seen.
+        let mut state = SystemState::<(Observations, Texels<&mut TexelSeen>)>::new(&mut pipeline.world);
+        let columns = state.get_mut(&mut pipeline.world);
+        let (observations, texels) = columns.map_err(|error| Error::run("fit", error.to_string()))?;
+        count_seen(observations, texels)?;
+    } else {
         pipeline.run(Phase::Prepare)?;
     }
     Ok(pipeline.world.resource::<ObservedWindow>().0.len())
@@ -450,6 +457,10 @@ pub fn take_observations(
 
 /// Gather: sums the weights of each texel over all observed pixels.
 pub fn count_seen_texels(observations: Observations, texels: Texels<&mut TexelSeen>) -> SystemResult {
+    Ok(count_seen(observations, texels)?)
+}
+
+fn count_seen(observations: Observations, texels: Texels<&mut TexelSeen>) -> Result<()> {
     let observations = observations.columns()?;
     let mut seen = texels.columns()?.quiet();
     seen.fill(TexelSeen(0.0));

@@ -37,7 +37,7 @@ impl Intersect for Wall {
             normal,
             geometric_normal: normal,
             uv: glam::Vec2::ZERO,
-            texels: TexelAddress::default(),
+            texels: TexelAddress { weights: [0.25; 4], ..TexelAddress::default() },
         })
     }
 
@@ -55,15 +55,21 @@ fn a_pool_is_made_once_for_the_same_pixels_cameras_and_surface() {
     let view = world.spawn((ViewIndex(0), camera, gray, Split::Train)).id();
     world.insert_resource(Scenery(Arc::new(Wall)));
     world.insert_resource(PixelChoice { seed: 1, max_pixels: 10, evenly: false });
+    world.spawn((TexelIndex(0), TexelSeen(0.0)));
     world.init_resource::<Candidates>();
     world.init_resource::<ObservedWindow>();
     pipeline.add_systems(Phase::Prepare, Stage::Sample, choose_pixels);
     pipeline.add_systems(Phase::Prepare, Stage::Trace, trace_pixels);
+    pipeline.add_systems(Phase::Prepare, Stage::Gather, count_seen_texels);
     assert_eq!(make_pool(&mut pipeline).unwrap(), 10);
-    // A step narrows the window; the next part of the fit begins with all.
+    let seen = |world: &mut World| world.query::<&TexelSeen>().single(world).map(|seen| seen.0).unwrap();
+    assert_eq!(seen(&mut pipeline.world), 10.0);
+    // A step narrows the window, and the next part of the fit begins with all, and with texels that nobody has seen.
     pipeline.world.resource_mut::<ObservedWindow>().0 = 3..5;
-    assert!(pool_holds(&mut pipeline.world));
+    pipeline.world.query::<&mut TexelSeen>().single_mut(&mut pipeline.world).unwrap().0 = 0.0;
+    assert_eq!(make_pool(&mut pipeline).unwrap(), 10);
     assert_eq!(pipeline.world.resource::<ObservedWindow>().0, 0..10);
+    assert_eq!(seen(&mut pipeline.world), 10.0);
     let turned = Camera::look_at(Vec3::ZERO, Vec3::Z, Vec3::X, 40.0, 4, 4).unwrap();
     pipeline.world.entity_mut(view).insert(turned);
     assert!(!pool_holds(&mut pipeline.world));
