@@ -80,7 +80,7 @@ pub struct FitOptions {
     pub unknowns: Unknowns,
     /// Which pixels are visited.
     pub pixels: PixelChoice,
-    /// Whether the pool of observed pixels stays for another part of the fit; then [`release_pool`](super::observe::release_pool) ends it.
+    /// Whether the pool of observed pixels stays for another part of the fit; then [`release_pool`] ends it.
     pub keeps_pool: bool,
     /// What is initialized from the data before the first step.
     pub initialize: Initialize,
