@@ -40,7 +40,7 @@ pub struct PixelChoice {
     pub seed: u64,
     /// Most pixels; of more, a random subset is used.
     pub max_pixels: usize,
-    /// Whether each texel of the surface gets its share where these are few pixels for its texels.
+    /// Whether each texel gets its share where `max_pixels` are few for the texels.
     pub evenly: bool,
 }
 

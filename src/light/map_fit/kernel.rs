@@ -164,14 +164,20 @@ impl LobeCap {
 
     /// The tiles of a row, none of them if the lobe is dark at all heights of the row.
     pub fn tiles_in(&self, row: &TileRow) -> Range<usize> {
-        let ([sin, cos], y) = (self.angle, self.axis.y.clamp(-1.0, 1.0));
-        let level = (1.0 - y * y).sqrt();
-        // The heights of the cap around the axis: y turned by its angle up and down, as far as the poles.
-        let high = if y > cos { 1.0 } else { y * cos + level * sin };
-        let low = if -y > cos { -1.0 } else { y * cos - level * sin };
-        let meets = cos <= 0.0 || (row.heights[0] <= high && row.heights[1] >= low);
+        let [low, high] = heights_of_cap(self.axis, self.angle);
+        let meets = self.angle[1] <= 0.0 || (row.heights[0] <= high && row.heights[1] >= low);
         if meets { row.tiles.clone() } else { 0..0 }
     }
+}
+
+/// The least and largest height y within an angle of at most a right one, given by its sine and cosine, of a direction: its own, turned down and up as far as
+/// the poles.
+fn heights_of_cap(axis: Vec3, [sin, cos]: [f32; 2]) -> [f32; 2] {
+    let y = axis.y.clamp(-1.0, 1.0);
+    let level = (1.0 - y * y).sqrt();
+    let low = if -y > cos { -1.0 } else { y * cos - level * sin };
+    let high = if y > cos { 1.0 } else { y * cos + level * sin };
+    [low, high]
 }
 
 fn reaches(lobes: &[FitLobe]) -> Vec<LobeCap> {
@@ -189,11 +195,7 @@ fn splat<S: Simd>(simd: S, lobe: &FitLobe) -> [Lanes<S>; 7] {
 impl Tile {
     /// The least and largest height y within its radius around its center.
     fn heights(&self) -> [f32; 2] {
-        let ([sin, cos], y) = (self.radius, self.center.y.clamp(-1.0, 1.0));
-        let level = (1.0 - y * y).sqrt();
-        let low = if -y > cos { -1.0 } else { y * cos - level * sin };
-        let high = if y > cos { 1.0 } else { y * cos + level * sin };
-        [low, high]
+        heights_of_cap(self.center, self.radius)
     }
 
     #[inline(always)]
