@@ -1,6 +1,7 @@
 //! Linear solvers of the initialization: for fixed axes and sharpness, radiance is linear in the amplitudes of the lobes, and
 //! for fixed light it is linear in the albedo. Pure kernels; [`crate::fit::initialization`] alternates them.
 
+use crate::light::map_fit::least_squares::descend_nonnegative;
 use crate::math::published::Lobe;
 use crate::math::shading::{
     ClosedForm, Layers, Lighting, LobeColumns, LobeVisibility, RESPONSE_ROWS, ShadePoint, SpecularValue,
@@ -14,95 +15,23 @@ use std::ops::Range;
 
 /// Points that a thread processes at a time; the chunk size of the fixed-order sums.
 const CHUNK: usize = 256;
+/// Lobes whose products are summed at once, in registers.
+const TILE: usize = 16;
+/// Most sweeps of the descent to the amplitudes.
+const SWEEPS: usize = 300;
 
-/// Normal equations of the amplitudes, one system per channel.
-struct NormalEquations {
-    lobes: usize,
-    matrix: [Vec<f64>; 3],
-    right: [Vec<f64>; 3],
-}
+/// Responses of a chunk of points to unit lobes in one channel: [`TILE`] lobes of every point after each other, then the next lobes.
+type Responses = Vec<[f32; TILE]>;
 
-impl NormalEquations {
-    fn zeros(lobes: usize) -> Self {
-        Self {
-            lobes,
-            matrix: std::array::from_fn(|_| vec![0.0; lobes * lobes]),
-            right: std::array::from_fn(|_| vec![0.0; lobes]),
-        }
-    }
-
-    /// Adds one pixel; `row` is its response to each lobe of unit amplitude.
-    fn add(&mut self, channel: usize, row: &[f32], observed: f32) {
-        dispatch!(Level::new(), _simd => add_products(&mut self.matrix[channel], row));
-        for (sum, a) in self.right[channel].iter_mut().zip(row) {
-            *sum += f64::from(a * observed);
-        }
-    }
-
-    fn merge(&mut self, other: &Self) {
-        for c in 0..3 {
-            self.matrix[c].iter_mut().zip(&other.matrix[c]).for_each(|(a, b)| *a += b);
-            self.right[c].iter_mut().zip(&other.right[c]).for_each(|(a, b)| *a += b);
-        }
-    }
-
-    /// Non-negative solution by cyclic coordinate descent, with a prior toward equal amplitudes of weight `ridge` (relative to
-    /// the mean diagonal of the matrix), which determines lobes that no pixel distinguishes.
-    fn solve(&self, channel: usize, ridge: f64) -> Vec<f32> {
-        let (n, lower) = (self.lobes, &self.matrix[channel]);
-        let both = |at: usize| lower[(at / n).max(at % n) * n + (at / n).min(at % n)];
-        let matrix: Vec<f64> = (0..n * n).map(both).collect();
-        let solved = dispatch!(Level::new(), _simd => descend(&matrix, &self.right[channel], ridge));
-        solved.into_iter().map(|x| x as f32).collect()
-    }
-}
-
-/// Adds the products of all pairs of a row to the lower triangle of a matrix.
-#[inline(always)]
-fn add_products(matrix: &mut [f64], row: &[f32]) {
-    for (i, (line, a)) in matrix.chunks_exact_mut(row.len().max(1)).zip(row).enumerate() {
-        for (sum, b) in line[..=i].iter_mut().zip(row) {
-            *sum += f64::from(a * b);
-        }
-    }
-}
-
-/// [`NormalEquations::solve`] for a whole symmetric matrix, row by row.
-#[inline(always)]
-fn descend(matrix: &[f64], right: &[f64], ridge: f64) -> Vec<f64> {
-    let n = right.len();
-    let diagonal: f64 = (0..n).map(|i| matrix[i * n + i]).sum::<f64>() / n as f64;
-    let total: f64 = matrix.iter().sum();
-    let level = (right.iter().sum::<f64>() / total.max(1e-30)).max(0.0);
-    let pull = ridge * diagonal + 1e-30;
-    let mut x = vec![level; n];
-    for _ in 0..300 {
-        for i in 0..n {
-            let row = &matrix[i * n..][..n];
-            let rest = product(row, &x) - row[i] * x[i];
-            x[i] = ((right[i] - rest + pull * level) / (row[i] + pull)).max(0.0);
-        }
-    }
-    x
-}
-
-/// Sum of products, in eight partial sums of a fixed order.
-#[inline(always)]
-fn product(a: &[f64], b: &[f64]) -> f64 {
-    let (a_whole, a_rest) = a.as_chunks::<8>();
-    let (b_whole, b_rest) = b.as_chunks::<8>();
-    let mut sums = [0.0; 8];
-    for (a, b) in a_whole.iter().zip(b_whole) {
-        for k in 0..8 {
-            sums[k] += a[k] * b[k];
-        }
-    }
-    let rest: f64 = a_rest.iter().zip(b_rest).map(|(a, b)| a * b).sum();
-    sums.iter().sum::<f64>() + rest
+/// A chunk of points: its responses and targets of each channel.
+struct Rows {
+    responses: [Responses; 3],
+    targets: [Vec<f32>; 3],
 }
 
 /// Non-negative amplitudes of `lobes` (whose own amplitudes are ignored) that fit the radiance `targets` at `points` best in
-/// the least-squares sense, given the albedo in `points`, the specular material and the visibility.
+/// the least-squares sense, given the albedo in `points`, the specular material and the visibility. A prior toward equal amplitudes of
+/// weight `ridge` (relative to the mean diagonal of the normal equations) determines lobes that no pixel distinguishes.
 pub(crate) fn solve_amplitudes(
     form: ClosedForm,
     points: &[ShadePoint],
@@ -115,47 +44,113 @@ pub(crate) fn solve_amplitudes(
     let of_unit = |i: usize| Lobe { amplitude: [1.0; 3], ..lobes.get(i) };
     let unit = LobeColumns::from_lobes((0..lobes.len()).map(of_unit));
     let lighting = Lighting { lobes: &unit, ..lighting };
-    let partial: Vec<NormalEquations> = (0..points.len())
-        .into_par_iter()
-        .chunks(CHUNK)
-        .map(|run| {
-            let run = run[0]..run[run.len() - 1] + 1;
-            accumulate(form, points, targets, specular, lighting, run)
-        })
-        .collect();
-    let mut sum = NormalEquations::zeros(lobes.len());
-    partial.iter().for_each(|p| sum.merge(p));
-    let solved: Vec<Vec<f32>> = (0..3).into_par_iter().map(|channel| sum.solve(channel, ridge)).collect();
-    (0..lobes.len()).map(|i| Vec3::from_array(std::array::from_fn(|c| solved[c][i]))).collect()
+    let chunk = |number: usize| {
+        let run = number * CHUNK..points.len().min((number + 1) * CHUNK);
+        respond(form, points, targets, specular, lighting, run)
+    };
+    let rows: Vec<Rows> = (0..points.len().div_ceil(CHUNK)).into_par_iter().map(chunk).collect();
+    let solved: [Vec<f64>; 3] = std::array::from_fn(|channel| {
+        let (matrix, right) = normal_equations(&rows, channel, lobes.len());
+        solve(&matrix, &right, ridge)
+    });
+    (0..lobes.len()).map(|i| Vec3::from_array(std::array::from_fn(|c| solved[c][i] as f32))).collect()
 }
 
-fn accumulate(
+/// What each lobe of unit amplitude adds to a run of points, and what all should show.
+fn respond(
     form: ClosedForm,
     points: &[ShadePoint],
     targets: &[Vec3],
     specular: &SpecularValue,
     Lighting { lobes, visibility }: Lighting<'_>,
     run: Range<usize>,
-) -> NormalEquations {
-    let stride = lobes.stride();
-    let mut sum = NormalEquations::zeros(lobes.len());
-    let mut responses = vec![0.0; run.len() * RESPONSE_ROWS * stride];
-    form.respond(&points[run.clone()], specular, lobes, &mut responses);
-    let mut row = vec![0.0; lobes.len()];
-    for (n, response) in run.zip(responses.chunks_exact(RESPONSE_ROWS * stride)) {
+) -> Rows {
+    let (stride, count) = (lobes.stride(), run.len());
+    let mut values = vec![0.0; count * RESPONSE_ROWS * stride];
+    form.respond(&points[run.clone()], specular, lobes, &mut values);
+    let mut rows = Rows {
+        responses: std::array::from_fn(|_| vec![[0.0; TILE]; lobes.len().div_ceil(TILE) * count]),
+        targets: std::array::from_fn(|_| Vec::with_capacity(count)),
+    };
+    for (k, (n, value)) in run.zip(values.chunks_exact(RESPONSE_ROWS * stride)).enumerate() {
         let (parts, around) = LobeVisibility::point(visibility, n, stride);
-        let (irradiance, glossy) = response.split_at(stride);
+        let (irradiance, glossy) = value.split_at(stride);
         for (c, glossy) in glossy.chunks_exact(stride).enumerate() {
             let diffuse = points[n].albedo[c] * FRAC_1_PI;
             // The visibility of a lobe approximates the visibility of its specular light, and does not need the amplitudes.
             let part = |i: usize| parts.map_or(1.0, |parts| f32::from(parts[i]) / 255.0);
-            for (i, value) in row.iter_mut().enumerate() {
-                *value = (diffuse * irradiance[i] + glossy[i]) * part(i);
+            for i in 0..lobes.len() {
+                let response = (diffuse * irradiance[i] + glossy[i]) * part(i);
+                rows.responses[c][i / TILE * count + k][i % TILE] = response;
             }
-            sum.add(c, &row, (targets[n][c] - diffuse * around.indirect[c]).max(0.0));
+            rows.targets[c].push((targets[n][c] - diffuse * around.indirect[c]).max(0.0));
         }
     }
-    sum
+    rows
+}
+
+/// The normal equations of one channel: the symmetric matrix row by row, and the right side. Sums are in f32 over a chunk and in f64 over chunks.
+fn normal_equations(rows: &[Rows], channel: usize, n: usize) -> (Vec<f64>, Vec<f64>) {
+    let mut matrix = vec![0.0; n * n];
+    let mut right = vec![0.0; n];
+    let lines = matrix.par_chunks_mut(TILE * n).zip(right.par_chunks_mut(TILE)).enumerate();
+    lines.for_each(|(tile, (lines, right))| {
+        for Rows { responses, targets } in rows {
+            let (responses, targets) = (&responses[channel], &targets[channel]);
+            let own = &responses[tile * targets.len()..][..targets.len()];
+            for (other, responses) in responses.chunks_exact(targets.len()).take(tile + 1).enumerate() {
+                let products = dispatch!(Level::new(), _simd => tile_products(own, responses));
+                for (line, products) in lines.chunks_exact_mut(n).zip(&products) {
+                    let sums = line[other * TILE..].iter_mut().zip(products);
+                    sums.for_each(|(sum, product)| *sum += f64::from(*product));
+                }
+            }
+            for (response, target) in own.iter().zip(targets) {
+                right.iter_mut().zip(response).for_each(|(sum, a)| *sum += f64::from(a * target));
+            }
+        }
+    });
+    for i in 0..n {
+        for j in 0..i {
+            matrix[j * n + i] = matrix[i * n + j];
+        }
+    }
+    (matrix, right)
+}
+
+/// Sums over points of the products of all lobes of a tile with all of another.
+#[inline(always)]
+fn tile_products(a: &[[f32; TILE]], b: &[[f32; TILE]]) -> [[f32; TILE]; TILE] {
+    let mut products = [[0.0; TILE]; TILE];
+    // So few lines at a time stay in registers.
+    for start in (0..TILE).step_by(4) {
+        let mut sums = [[0.0; TILE]; 4];
+        for (a, b) in a.iter().zip(b) {
+            for line in 0..4 {
+                for k in 0..TILE {
+                    sums[line][k] += a[start + line] * b[k];
+                }
+            }
+        }
+        products[start..start + 4].copy_from_slice(&sums);
+    }
+    products
+}
+
+/// Non-negative solution of normal equations with the prior, from equal amplitudes.
+fn solve(matrix: &[f64], right: &[f64], ridge: f64) -> Vec<f64> {
+    let n = right.len();
+    let diagonal: f64 = (0..n).map(|i| matrix[i * n + i]).sum::<f64>() / n as f64;
+    let total: f64 = matrix.iter().sum();
+    let level = (right.iter().sum::<f64>() / total.max(1e-30)).max(0.0);
+    let mut pulled = matrix.to_vec();
+    (0..n).for_each(|i| pulled[i * n + i] += ridge * diagonal + 1e-30);
+    let mut x = vec![level; n];
+    // The prior has no slope at equal amplitudes.
+    let slope = |(row, right): (&[f64], &f64)| level * row.iter().sum::<f64>() - right;
+    let mut gradient: Vec<f64> = matrix.chunks_exact(n).zip(right).map(slope).collect();
+    descend_nonnegative(&pulled, &mut x, &mut gradient, SWEEPS);
+    x
 }
 
 /// Each texel's least-squares albedo given the light: `pixels` are samples with their radiance if the albedo were 1, `before` the albedo until now, with which clipped
@@ -201,45 +196,49 @@ mod tests {
     use crate::sample::point::SurfacePoint;
     use crate::view::ViewIndex;
 
-    #[test]
-    fn amplitudes_are_found_again_and_none_is_negative() {
-        let lobes = 11;
-        let response = |pixel: usize, lobe: usize| ((pixel * 31 + lobe * lobe * 17) % 23) as f32 / 23.0;
-        let truth: Vec<f32> =
-            (0..lobes).map(|i| if i % 3 == 0 { 0.0 } else { 0.3 + 0.1 * i as f32 }).collect();
-        let mut sum = NormalEquations::zeros(lobes);
-        for pixel in 0..200 {
-            let row: Vec<f32> = (0..lobes).map(|lobe| response(pixel, lobe)).collect();
-            let observed = row.iter().zip(&truth).map(|(a, x)| a * x).sum();
-            sum.add(1, &row, observed);
-        }
-        let found = sum.solve(1, 0.0);
-        for (found, truth) in found.iter().zip(&truth) {
-            assert!((found - truth).abs() < 1e-2 && *found >= 0.0, "{found} {truth}");
-        }
-        // The prior makes of nothing at all the same nothing everywhere.
-        assert_eq!(sum.solve(0, 1e-2), vec![0.0; lobes]);
+    /// Chunks of 200 points in all, of which each sees `response(point, lobe)` of a lobe in every channel, and shows what the amplitudes `truth` make of it.
+    fn rows(truth: &[f32], response: impl Fn(usize, usize) -> f32) -> Vec<Rows> {
+        let chunk = |points: Range<usize>| {
+            let mut responses = vec![[0.0; TILE]; truth.len().div_ceil(TILE) * points.len()];
+            for (k, point) in points.clone().enumerate() {
+                for lobe in 0..truth.len() {
+                    responses[lobe / TILE * points.len() + k][lobe % TILE] = response(point, lobe);
+                }
+            }
+            let shown = |point: usize| truth.iter().enumerate().map(|(i, x)| response(point, i) * x).sum();
+            let targets: Vec<f32> = points.map(shown).collect();
+            Rows {
+                responses: std::array::from_fn(|_| responses.clone()),
+                targets: std::array::from_fn(|_| targets.clone()),
+            }
+        };
+        vec![chunk(0..130), chunk(130..200)]
     }
 
     #[test]
-    fn a_descent_agrees_with_one_written_out() {
-        let n = 19;
-        let at =
-            |i: usize, j: usize| 1.0 / (1.0 + (i as f64 - j as f64).abs()) + if i == j { 0.5 } else { 0.0 };
-        let matrix: Vec<f64> = (0..n * n).map(|k| at(k / n, k % n)).collect();
-        let right: Vec<f64> = (0..n).map(|i| (i as f64 * 0.7).sin() + 0.4).collect();
-        let pull = 1e-2 * 1.5 + 1e-30;
-        let level = right.iter().sum::<f64>() / matrix.iter().sum::<f64>();
-        let mut x = vec![level; n];
-        for _ in 0..300 {
-            for i in 0..n {
-                let rest: f64 = (0..n).filter(|j| *j != i).map(|j| at(i, j) * x[j]).sum();
-                x[i] = ((right[i] - rest + pull * level) / (at(i, i) + pull)).max(0.0);
+    fn amplitudes_are_found_again_and_none_is_negative() {
+        for lobes in [11, 37] {
+            let response = |pixel: usize, lobe: usize| ((pixel * 31 + lobe * lobe * 17) % 47) as f32 / 47.0;
+            let truth: Vec<f32> =
+                (0..lobes).map(|i| if i % 3 == 0 { 0.0 } else { 0.3 + 0.1 * i as f32 }).collect();
+            let (matrix, right) = normal_equations(&rows(&truth, response), 1, lobes);
+            for (i, j) in [(0, 0), (3, 8), (10, 2), (lobes - 1, 1), (1, lobes - 1)] {
+                let sum: f64 = (0..200).map(|p| f64::from(response(p, i) * response(p, j))).sum();
+                assert!((matrix[i * lobes + j] - sum).abs() < 1e-3, "{i} {j}");
+            }
+            for (found, truth) in solve(&matrix, &right, 0.0).iter().zip(&truth) {
+                assert!((found - f64::from(*truth)).abs() < 1e-2 && *found >= 0.0, "{found} {truth}");
             }
         }
-        let found = descend(&matrix, &right, 1e-2);
-        assert!(x.iter().zip(&found).all(|(x, found)| (x - found).abs() < 1e-9), "{x:?} {found:?}");
-        assert!(found.contains(&0.0) && found.iter().any(|x| *x > 0.1));
+    }
+
+    #[test]
+    fn the_prior_makes_of_nothing_nothing_and_of_what_no_pixel_sees_the_mean() {
+        let (matrix, right) = normal_equations(&rows(&[0.0; 5], |_, _| 0.0), 0, 5);
+        assert_eq!(solve(&matrix, &right, 1e-2), vec![0.0; 5]);
+        let (matrix, right) = normal_equations(&rows(&[2.0; 5], |_, lobe| f32::from(lobe != 3)), 0, 5);
+        let found = solve(&matrix, &right, 1e-2);
+        assert!(found.iter().all(|x| (x - 2.0).abs() < 1e-3), "{found:?}");
     }
 
     #[test]

@@ -9,6 +9,7 @@ use super::placements::{camera_axes, placements_are_open};
 use super::{Known, least_rough, lobes_of, with_initialization};
 use crate::error::Result;
 use crate::fit::components::Unknowns;
+use crate::light::LightLobe;
 use crate::light::light_frame::{LightFrame, OwnLightFrame, turning_axis};
 use crate::light::placement::Placements;
 use crate::material::{BaseMaterial, SpecularLobe, recovered_albedo, recovered_materials};
@@ -29,6 +30,10 @@ const TILTED: f32 = 0.03;
 
 /// Albedo and roughness of the specular lobes that are tried: bright or a plain dielectric, glossy or matte.
 const LOBES: [(f32, f32); 4] = [(0.3, 0.4), (0.3, 0.2), (0.04, 0.4), (0.04, 0.8)];
+
+/// Most lobes of an unknown light with which frames and specular lobes are tried: frames differ by what no light explains, and a solve for many lobes
+/// costs the square of their number.
+const MOST_TRIED: usize = 128;
 
 /// What is to be found.
 #[derive(Clone, Copy, Debug)]
@@ -118,7 +123,9 @@ fn all_trials(
     unknowns: Unknowns,
     form: ClosedForm,
 ) -> Result<Vec<Trial>> {
-    let (lobes, texels) = (lobes_of(world).1, recovered_albedo(world)?);
+    let (own, texels) = (lobes_of(world).1, recovered_albedo(world)?);
+    let spread = unknowns.light && own.len() > MOST_TRIED;
+    let lobes = if spread { LightLobe::even(MOST_TRIED) } else { own };
     // How the object lies in others is found by the frame and the light of the first.
     let first = placements_are_open(world).then_some(Placement(0));
     let mut trials = Vec::new();
