@@ -1,7 +1,10 @@
 //! What pixels say of the logarithms of amplitudes, specular albedo and roughness, with a factor on the albedo of each patch taken out. Pure kernels.
 
 use crate::light::map_fit::least_squares::{cholesky, solve_factored};
-use crate::math::shading::{ClosedForm, Lighting, LobeVisibility, RESPONSE_ROWS, ShadePoint, SpecularValue};
+use crate::math::fibonacci::fibonacci_axes;
+use crate::math::shading::{
+    ClosedForm, Lighting, LobeColumns, LobeVisibility, RESPONSE_ROWS, ShadePoint, SpecularValue,
+};
 use crate::sample::observation::Observation;
 use glam::Vec3;
 use rayon::prelude::*;
@@ -73,6 +76,54 @@ pub(crate) fn patches(
     }
 }
 
+/// The lobes that count as one: each has all of the power of near directions, and its logarithm is a parameter.
+pub(crate) struct MergedLobes {
+    /// For each lobe the one that it is a part of.
+    of_lobe: Vec<usize>,
+    count: usize,
+}
+
+impl MergedLobes {
+    /// Each for itself, or if there are more than `most`, the nearest of as many even directions.
+    pub fn new(lobes: &LobeColumns, most: usize) -> Self {
+        if lobes.len() <= most {
+            return Self { of_lobe: (0..lobes.len()).collect(), count: lobes.len() };
+        }
+        let directions = fibonacci_axes(most);
+        let mut number = HashMap::new();
+        let of_lobe = (0..lobes.len()).map(|i| {
+            let axis = Vec3::from(lobes.get(i).axis);
+            let near = |a: &usize, b: &usize| directions[*a].dot(axis).total_cmp(&directions[*b].dot(axis));
+            let nearest = (0..most).max_by(near).unwrap_or(0);
+            let next = number.len();
+            *number.entry(nearest).or_insert(next)
+        });
+        Self { of_lobe: of_lobe.collect(), count: number.len() }
+    }
+
+    /// Number of lobes after merging.
+    pub fn len(&self) -> usize {
+        self.count
+    }
+
+    /// Sums of a channel's values over the lobes that count as one.
+    pub fn sums(&self, values: impl Iterator<Item = f64>) -> Vec<f64> {
+        let mut sums = vec![0.0; self.count];
+        self.of_lobe.iter().zip(values).for_each(|(&at, value)| sums[at] += value);
+        sums
+    }
+}
+
+/// What is shaded, and what the photographs show of it.
+pub(crate) struct Shaded<'a> {
+    pub form: ClosedForm,
+    pub points: &'a [ShadePoint],
+    pub specular: &'a SpecularValue,
+    pub lighting: Lighting<'a>,
+    pub merged: &'a MergedLobes,
+    pub samples: &'a [Sample],
+}
+
 /// Curvature and gradients of half the squared error. Parameters are the lobes of red, green and blue, the specular albedo, the roughness.
 pub(crate) struct Evidence {
     parameters: usize,
@@ -86,24 +137,18 @@ pub(crate) struct Evidence {
 
 /// One channel of a run of patches: parameters are the channel's lobes and the two that all share.
 struct ChannelSums {
+    /// The lower triangle, row by row.
     curvature: Vec<f64>,
     gradients: Vec<(usize, Vec<f64>)>,
 }
 
 /// Sums up the evidence of all patches.
-pub(crate) fn sum_up(
-    form: ClosedForm,
-    points: &[ShadePoint],
-    specular: &SpecularValue,
-    lighting: Lighting<'_>,
-    samples: &[Sample],
-    patches: &AlbedoPatches,
-) -> Evidence {
-    let lobes = lighting.lobes.len();
+pub(crate) fn sum_up(shaded: &Shaded<'_>, patches: &AlbedoPatches) -> Evidence {
+    let (lobes, samples) = (shaded.merged.len(), shaded.samples);
     let parts: Vec<[ChannelSums; 3]> = patches
         .patches
         .par_chunks(patches.patches.len().div_ceil(RUNS).max(1))
-        .map(|run| sum_run(form, points, specular, lighting, samples, patches, run))
+        .map(|run| sum_run(shaded, patches, run))
         .collect();
     let parameters = 3 * lobes + 2;
     let mut curvature = vec![0.0; parameters * parameters];
@@ -113,7 +158,8 @@ pub(crate) fn sum_up(
             let place = |k: usize| if k < lobes { channel * lobes + k } else { 2 * lobes + k };
             for i in 0..lobes + 2 {
                 for j in 0..lobes + 2 {
-                    curvature[place(i) * parameters + place(j)] += sums.curvature[i * (lobes + 2) + j];
+                    let lower = i.max(j) * (lobes + 2) + i.min(j);
+                    curvature[place(i) * parameters + place(j)] += sums.curvature[lower];
                 }
             }
             for (cluster, gradient) in &sums.gradients {
@@ -125,16 +171,9 @@ pub(crate) fn sum_up(
     Evidence { parameters, curvature, gradients, variance: squares / (3 * samples.len().max(1)) as f64 }
 }
 
-fn sum_run(
-    form: ClosedForm,
-    points: &[ShadePoint],
-    specular: &SpecularValue,
-    lighting: Lighting<'_>,
-    samples: &[Sample],
-    patches: &AlbedoPatches,
-    run: &[(Range<usize>, usize)],
-) -> [ChannelSums; 3] {
-    let width = lighting.lobes.len() + 2;
+fn sum_run(shaded: &Shaded<'_>, patches: &AlbedoPatches, run: &[(Range<usize>, usize)]) -> [ChannelSums; 3] {
+    let Shaded { form, points, specular, lighting, merged, samples } = *shaded;
+    let width = merged.len() + 2;
     let mut sums =
         std::array::from_fn(|_| ChannelSums { curvature: vec![0.0; width * width], gradients: Vec::new() });
     for (pixels, cluster) in run {
@@ -143,9 +182,7 @@ fn sum_run(
         let each = RESPONSE_ROWS * lighting.lobes.stride();
         let mut responses = vec![0.0; pixels.len() * each];
         form.respond(&of_patch, specular, lighting.lobes, &mut responses);
-        let row_of = |(&i, response): (&u32, &[f32])| {
-            row(response, &points[i as usize], lighting, i as usize, &samples[i as usize])
-        };
+        let row_of = |(&i, response): (&u32, &[f32])| row(response, shaded, i as usize);
         let rows: Vec<[Vec<f64>; 3]> = pixels.iter().zip(responses.chunks_exact(each)).map(row_of).collect();
         for (channel, sums) in sums.iter_mut().enumerate() {
             let rows: Vec<&Vec<f64>> = rows.iter().map(|row| &row[channel]).collect();
@@ -165,13 +202,9 @@ fn sum_run(
 
 /// Derivatives of a pixel, by channel: with respect to the channel's lobes, then to what all channels share. `response` is that of the point
 /// ([`ClosedForm::respond`]). Reflected light counts as known.
-fn row(
-    response: &[f32],
-    point: &ShadePoint,
-    Lighting { lobes, visibility }: Lighting<'_>,
-    index: usize,
-    sample: &Sample,
-) -> [Vec<f64>; 3] {
+fn row(response: &[f32], shaded: &Shaded<'_>, index: usize) -> [Vec<f64>; 3] {
+    let Lighting { lobes, visibility } = shaded.lighting;
+    let (point, sample) = (&shaded.points[index], &shaded.samples[index]);
     let stride = lobes.stride();
     let (parts, around) = LobeVisibility::point(visibility, index, stride);
     let (irradiance, glossy) = response.split_at(stride);
@@ -182,8 +215,9 @@ fn row(
             let radiance = diffuse * irradiance[i] * part + glossy[i] * around.specular[c];
             f64::from(radiance * lobes.get(i).amplitude[c] * sample.weight[c])
         };
-        let by_global = sample.by_global.iter().map(|by| f64::from(by[c] * sample.weight[c]));
-        (0..lobes.len()).map(by_amplitude).chain(by_global).collect()
+        let mut row = shaded.merged.sums((0..lobes.len()).map(by_amplitude));
+        row.extend(sample.by_global.iter().map(|by| f64::from(by[c] * sample.weight[c])));
+        row
     })
 }
 
@@ -202,7 +236,7 @@ fn add_patch(sums: &mut ChannelSums, cluster: usize, rows: &[&Vec<f64>], diffuse
         let left = residual[n] - along_residual * diffuse[n];
         for (i, (a, line)) in clean.iter().zip(sums.curvature.chunks_exact_mut(width)).enumerate() {
             gradient[i] += a * left;
-            line.iter_mut().zip(&clean).for_each(|(sum, b)| *sum += a * b);
+            line[..=i].iter_mut().zip(&clean).for_each(|(sum, b)| *sum += a * b);
         }
     }
     match sums.gradients.last_mut() {
@@ -340,14 +374,26 @@ mod tests {
         };
         let mut response = vec![0.0; RESPONSE_ROWS * columns.stride()];
         form.respond(&[point], &specular, &columns, &mut response);
-        let rows = row(&response, &point, Lighting::from(&columns), 0, &sample);
-        for (c, row) in rows[..2].iter().enumerate() {
-            let all = f64::from(shaded[0].diffuse[c] + shaded[0].specular[c]);
-            assert!((row[..3].iter().sum::<f64>() - all).abs() < 1e-4 * all, "{row:?} {all}");
-            assert_eq!(row[3..], [7.0, 9.0]);
+        for count in [3, 2] {
+            let merged = MergedLobes::new(&columns, count);
+            assert_eq!(merged.len(), count);
+            let shaded_point = Shaded {
+                form,
+                points: &[point],
+                specular: &specular,
+                lighting: Lighting::from(&columns),
+                merged: &merged,
+                samples: std::slice::from_ref(&sample),
+            };
+            let rows = row(&response, &shaded_point, 0);
+            for (c, row) in rows[..2].iter().enumerate() {
+                let all = f64::from(shaded[0].diffuse[c] + shaded[0].specular[c]);
+                assert!((row[..count].iter().sum::<f64>() - all).abs() < 1e-4 * all, "{row:?} {all}");
+                assert_eq!(row[count..], [7.0, 9.0]);
+            }
+            // The last channel is clipped.
+            assert_eq!(rows[2], vec![0.0; count + 2]);
         }
-        // The last channel is clipped.
-        assert_eq!(rows[2], [0.0; 5]);
     }
 
     #[test]
@@ -356,8 +402,8 @@ mod tests {
         let alike: Vec<Vec<f64>> = diffuse.iter().map(|d| vec![3.0 * d, d * d]).collect();
         let mut sums = ChannelSums { curvature: vec![0.0; 4], gradients: Vec::new() };
         add_patch(&mut sums, 5, &alike.iter().collect::<Vec<_>>(), &diffuse, &[1.0, -1.0, 0.0]);
-        let [first, mixed, again, second] = sums.curvature[..] else { panic!() };
-        assert!(first.abs() < 1e-12 && mixed.abs() < 1e-12 && again.abs() < 1e-12 && second > 0.1);
+        let [first, _, mixed, second] = sums.curvature[..] else { panic!() };
+        assert!(first.abs() < 1e-12 && mixed.abs() < 1e-12 && second > 0.1);
         // Σ d⁴ − (Σ d³)²/Σ d².
         assert!((second - (17.0625 - 9.125 * 9.125 / 5.25)).abs() < 1e-9, "{second}");
         assert_eq!(sums.gradients[0].0, 5);

@@ -14,7 +14,7 @@ pub(crate) mod evidence;
 
 use crate::error::Result;
 use crate::fit::components::Unknowns;
-use crate::fit::determined::evidence::{Evidence, Sample};
+use crate::fit::determined::evidence::{Evidence, MergedLobes, Sample, Shaded};
 use crate::fit::initialization::{Initialization, Known, lobes_of, traced, with_initialization};
 use crate::light::{LightLobe, kernel_lobe};
 use crate::material::{SpecularLobe, recovered_albedo, recovered_materials};
@@ -31,6 +31,8 @@ const CLUSTERS: f32 = 32.0;
 const PATCHES: f32 = 128.0;
 /// Most pixels that are looked at.
 const MOST_PIXELS: usize = 60_000;
+/// Most lobes of a light that count on their own; of more, those of near directions count as one.
+const MOST_LOBES: usize = 128;
 /// Step of the logarithms of specular albedo and roughness over which differences are taken.
 const STEP: f32 = 0.02;
 /// Root mean square, over seven objects, of errors over the deviations by curvature.
@@ -98,14 +100,18 @@ pub(crate) fn measure(
     // With shadows of the light that was found, and without a change for what comes after.
     let object = traced(world, shadowed);
     let known = Known { form, specular: *specular, unknowns, object, in_part: true, placement: None };
-    let evidence = with_initialization(world, known, |problem| gather_evidence(problem, &lobes, &texels));
-    Ok(evidence?.and_then(|evidence| determined(&evidence, &lobes, unknowns)))
+    let merged = MergedLobes::new(&LobeColumns::from_lobes(lobes.iter().map(kernel_lobe)), MOST_LOBES);
+    let evidence =
+        with_initialization(world, known, |problem| gather_evidence(problem, &lobes, &merged, &texels));
+    let shares = power_shares(&lobes, &merged);
+    Ok(evidence?.and_then(|evidence| determined(&evidence, &shares, unknowns)))
 }
 
 /// Sums up what the pixels on a part of the surface say.
 fn gather_evidence(
     problem: &mut Initialization,
     lobes: &[LightLobe],
+    merged: &MergedLobes,
     texels: &[Vec3],
 ) -> Result<Option<Evidence>> {
     let n = problem.observations.len().min(MOST_PIXELS);
@@ -134,7 +140,15 @@ fn gather_evidence(
         |i: usize| sample_of(&problem.observations[i].observed, &here[i], [by_albedo[i], by_roughness[i]]);
     let samples: Vec<Sample> = (0..n).map(sample).collect();
     let patches = evidence::patches(&problem.observations[..n], [CLUSTERS, PATCHES], problem.unknowns.albedo);
-    Ok(Some(evidence::sum_up(problem.form, &points, &specular, lighting, &samples, &patches)))
+    let shaded = Shaded {
+        form: problem.form,
+        points: &points,
+        specular: &specular,
+        lighting,
+        merged,
+        samples: &samples,
+    };
+    Ok(Some(evidence::sum_up(&shaded, &patches)))
 }
 
 fn sample_of(observed: &Observed, shaded: &Layers, by_global: [Vec3; 2]) -> Sample {
@@ -161,10 +175,9 @@ fn sum_of(layers: &Layers) -> Vec3 {
 }
 
 /// The deviations of what is unknown.
-fn determined(evidence: &Evidence, lobes: &[LightLobe], unknowns: Unknowns) -> Option<Determined> {
-    let count = lobes.len();
+fn determined(evidence: &Evidence, shares: &[f64], unknowns: Unknowns) -> Option<Determined> {
+    let count = shares.len() / 3;
     let posterior = evidence.posterior([unknowns.light, unknowns.specular_albedo, unknowns.roughness])?;
-    let shares = power_shares(lobes);
     let of_light = |weight: &dyn Fn(usize) -> f64| {
         let direction: Vec<f64> =
             (0..3 * count).map(|at| weight(at / count) * shares[at]).chain([0.0; 2]).collect();
@@ -186,15 +199,15 @@ fn reported(deviation: f64) -> f64 {
     (OPTIMISM * deviation).min(1.0)
 }
 
-/// The part that each lobe has of the light's mean radiance, by channel and then lobe.
-fn power_shares(lobes: &[LightLobe]) -> Vec<f64> {
+/// The part that each merged lobe has of the light's mean radiance, by channel and then lobe.
+fn power_shares(lobes: &[LightLobe], merged: &MergedLobes) -> Vec<f64> {
     let power = |channel: usize| {
         move |lobe: &LightLobe| {
             f64::from(lobe.amplitude[channel]) * sphere_integral(f64::from(lobe.sharpness))
         }
     };
     let of_channel = |channel: usize| {
-        let all: Vec<f64> = lobes.iter().map(power(channel)).collect();
+        let all = merged.sums(lobes.iter().map(power(channel)));
         let total: f64 = all.iter().sum::<f64>().max(1e-30);
         all.into_iter().map(move |power| power / total)
     };
@@ -225,9 +238,12 @@ mod tests {
     fn shares_are_of_a_channels_power() {
         let lobe = |sharpness, amplitude| LightLobe { axis: Vec3::Y, sharpness, amplitude };
         // Twice as sharp and twice as bright is nearly as much.
-        let shares =
-            power_shares(&[lobe(50.0, Vec3::new(1.0, 1.0, 0.0)), lobe(100.0, Vec3::new(2.0, 6.0, 0.0))]);
+        let lobes = [lobe(50.0, Vec3::new(1.0, 1.0, 0.0)), lobe(100.0, Vec3::new(2.0, 6.0, 0.0))];
+        let columns = LobeColumns::from_lobes(lobes.iter().map(kernel_lobe));
+        let shares = power_shares(&lobes, &MergedLobes::new(&columns, 2));
         let expected = [0.5, 0.5, 0.25, 0.75, 0.0, 0.0];
         assert!(shares.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-9), "{shares:?}");
+        // Lobes of one direction count as one.
+        assert_eq!(power_shares(&lobes, &MergedLobes::new(&columns, 1)), [1.0, 1.0, 0.0]);
     }
 }

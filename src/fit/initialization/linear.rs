@@ -17,6 +17,8 @@ use std::ops::Range;
 const CHUNK: usize = 256;
 /// Lobes whose products are summed at once, in registers.
 const TILE: usize = 16;
+/// Responses below this count as none, because products of two such are subnormal numbers, with which processors are many times slower.
+const TINY: f32 = 1e-18;
 /// Most sweeps of the descent to the amplitudes.
 const SWEEPS: usize = 300;
 
@@ -81,7 +83,8 @@ fn respond(
             let part = |i: usize| parts.map_or(1.0, |parts| f32::from(parts[i]) / 255.0);
             for i in 0..lobes.len() {
                 let response = (diffuse * irradiance[i] + glossy[i]) * part(i);
-                rows.responses[c][i / TILE * count + k][i % TILE] = response;
+                rows.responses[c][i / TILE * count + k][i % TILE] =
+                    if response < TINY { 0.0 } else { response };
             }
             rows.targets[c].push((targets[n][c] - diffuse * around.indirect[c]).max(0.0));
         }

@@ -88,7 +88,7 @@ pub(crate) fn descend_nonnegative(matrix: &[f64], x: &mut [f64], gradient: &mut 
             }
             let gain = -step * (gradient[k] + 0.5 * step * row[k]);
             x[k] += step;
-            gradient.iter_mut().zip(row).for_each(|(s, a)| *s += a * step);
+            dispatch!(Level::new(), _simd => add_multiple(gradient, row, step));
             best = best.max(gain);
             gained += gain;
         }
@@ -96,6 +96,12 @@ pub(crate) fn descend_nonnegative(matrix: &[f64], x: &mut [f64], gradient: &mut 
             break;
         }
     }
+}
+
+/// sums += factor × row.
+#[inline(always)]
+fn add_multiple(sums: &mut [f64], row: &[f64], factor: f64) {
+    sums.iter_mut().zip(row).for_each(|(sum, a)| *sum += factor * a);
 }
 
 #[cfg(test)]
