@@ -39,6 +39,7 @@
 //! | [`spawn`] | from a scene, or from values in code, to entities |
 //! | [`pipeline`] | phases, stages, slots, plugins, and pools of entities as slices |
 //! | [`profile`] | where the time of a run goes |
+//! | [`ranks`] | processes that work on one fit, and what they say to each other |
 //! | [`checkpoint`] | what a run goes on from after it was killed |
 //! | [`sample`] | pixel samples: rays, surface points, windows |
 //! | [`visibility`] | shadows and interreflection for closed forms |
@@ -85,6 +86,7 @@ pub mod pipeline;
 pub mod prelude;
 pub mod prepare;
 pub mod profile;
+pub mod ranks;
 pub mod report;
 pub mod sample;
 pub mod scene;

@@ -167,7 +167,9 @@ fn count_refreshes(object: Res<ObjectVisibility>, mut refreshes: ResMut<Refreshe
 fn shadows_are_computed_again_when_light_or_material_change_and_only_then() {
     let surface = Arc::new(Surface::new(box_mesh(Vec3::ZERO, Vec3::ONE).unwrap(), 32).unwrap());
     let mut pipeline = studio(&day());
-    pipeline.world.insert_resource(ObjectVisibility::new(&surface, VisibilitySettings::default()));
+    pipeline
+        .world
+        .insert_resource(ObjectVisibility::new(&surface, VisibilitySettings::default(), None).unwrap());
     pipeline.world.init_resource::<Refreshes>();
     pipeline.add_plugin(&FrameVisibilityPlugin);
     pipeline.add_systems(Phase::Frame, Stage::Gather, count_refreshes.after(Slot::Visibility));

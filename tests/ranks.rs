@@ -3,10 +3,10 @@
 use crate::common::{Data, Outcome, command};
 use crate::photos::photographs;
 use crate::resume::{MESH, results, scene, two_balls};
-use lobelia::fit::share::Ranks;
-use lobelia::fit::share::threads::ThreadRank;
 use lobelia::pass::progress::Silent;
 use lobelia::pass::{self, RunOptions};
+use lobelia::ranks::Ranks;
+use lobelia::ranks::threads::ThreadRank;
 use lobelia::scene::{LoadOptions, load};
 use std::collections::BTreeMap;
 use std::process::Command;

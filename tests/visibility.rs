@@ -58,7 +58,9 @@ fn shadows_and_reflections_come_close_to_path_tracing() {
     {
         let (mut pipeline, surface) = studio(&evening(), specular);
         let plain = shoot(&mut pipeline);
-        pipeline.world.insert_resource(ObjectVisibility::new(&surface, VisibilitySettings::default()));
+        pipeline
+            .world
+            .insert_resource(ObjectVisibility::new(&surface, VisibilitySettings::default(), None).unwrap());
         pipeline.add_plugin(&FrameVisibilityPlugin);
         let shadowed = shoot(&mut pipeline);
         pipeline.remove_plugin::<FrameVisibilityPlugin>();

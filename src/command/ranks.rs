@@ -3,10 +3,10 @@
 use super::error_message::{exit_code, report};
 use super::run::{carry_out, run_and_report};
 use super::run_args::RunArgs;
-use lobelia::fit::share::Ranks;
-use lobelia::fit::share::mpi::{Mpi, is_started};
 use lobelia::pass::progress::Silent;
 use lobelia::pass::{Profiling, RunOptions};
+use lobelia::ranks::Ranks;
+use lobelia::ranks::mpi::{Mpi, is_started};
 use lobelia::{Error, Result};
 use std::fs;
 use std::io::Write as _;

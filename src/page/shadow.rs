@@ -159,7 +159,8 @@ mod tests {
     fn scenery() -> (Surface, TexelVisibility) {
         let mesh = ball_over_plate(0.1, 0.6, 0.4);
         let surface = Surface::new(mesh, 48).unwrap();
-        let texels = TexelVisibility::trace(surface.atlas(), &surface, fibonacci_axes(128), usize::MAX);
+        let texels =
+            TexelVisibility::trace(surface.atlas(), &surface, fibonacci_axes(128), usize::MAX, None).unwrap();
         (surface, texels)
     }
 

@@ -63,9 +63,9 @@ use crate::codec::file::{FileUse, FolderLock, check_apart, check_room, clear_scr
 use crate::error::stop::{check_interrupted, stopped_by};
 use crate::error::{Error, Result};
 use crate::fit::ObjectTurned;
-use crate::fit::share::Ranks;
 use crate::mesh::Surface;
 use crate::profile::{Profiler, stage};
+use crate::ranks::Ranks;
 use crate::scene::Pass;
 use crate::scene::load::LoadedScene;
 use crate::scene::{CameraSpec, LightSource, Photographed, Scene, ViewPass, Views, unknown_parts};

@@ -7,7 +7,7 @@ use crate::fit::FramesTried;
 use crate::fit::components::Unknowns;
 use crate::fit::guard::StepGuard;
 use crate::fit::run::{Done, FitPlugin, Initialize};
-use crate::fit::share::{AllReducePlugin, Ranks};
+use crate::fit::share::AllReducePlugin;
 use crate::light::light_frame::{LightFrame, OwnLightFrame};
 use crate::light::placement::{PlacementTurn, Placements, TurnSource};
 use crate::mesh::Surface;
@@ -16,6 +16,7 @@ use crate::pass::photograph::TrueObject;
 use crate::pass::progress::Progress;
 use crate::pipeline::Pipeline;
 use crate::profile::{Profiler, stage};
+use crate::ranks::Ranks;
 use crate::report::profile::profile_table;
 use crate::report::scores::{Communication, FrameTried, PlacementFound, Scores};
 use crate::scene::{Albedo, Light, LightSource, Pass, PlacementLight, Scene, Views, Visibility};
@@ -173,7 +174,8 @@ impl Session<'_> {
             let _tracing = stage("shadows traced");
             let bar = self.progress.bar("shadows", 0);
             bar.set_message("tracing".into());
-            let traced = ObjectVisibility::new(&self.surface, settings);
+            let ranks = self.pipeline.world.get_resource::<Ranks>();
+            let traced = ObjectVisibility::new(&self.surface, settings, ranks)?;
             bar.finish_and_clear();
             check_interrupted()?;
             let (mib, elapsed) = (traced.bytes() as f64 / 1048576.0, start.elapsed().as_secs_f64());
@@ -233,11 +235,15 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// Whether this process leaves pass `index` to the first one: it comes after all fits, in which every process has a share.
-    pub(super) fn leaves_to_first(&self, index: usize) -> bool {
+    /// Whether this process leaves pass `index` to the first one: it comes after all fits, in which every process has a share. The first one divides nothing from
+    /// then on.
+    pub(super) fn leaves_to_first(&mut self, index: usize) -> bool {
         let fits = |pass: &Pass| matches!(pass, Pass::Fit(_) | Pass::Shape(_));
-        self.ranks.as_ref().is_some_and(|ranks| ranks.rank() > 0)
-            && !self.scene.passes[index..].iter().any(fits)
+        let Some(ranks) = self.ranks.as_ref().filter(|_| !self.scene.passes[index..].iter().any(fits)) else {
+            return false;
+        };
+        self.pipeline.remove_plugin::<AllReducePlugin>();
+        ranks.rank() > 0
     }
 
     /// The frame in which the scene's own light stands still; `None` if a fit is to find it.
@@ -291,8 +297,10 @@ impl<'a> Session<'a> {
         let steps = f64::from(sent.steps.max(1));
         let found = Communication {
             ranks: ranks.size(),
-            bytes_per_step: sent.bytes as f64 / steps,
-            seconds_per_step: sent.seconds / steps,
+            bytes_per_step: sent.of_steps.bytes as f64 / steps,
+            seconds_per_step: sent.of_steps.seconds / steps,
+            bytes_of_shares: sent.of_shares.bytes as f64,
+            seconds_of_shares: sent.of_shares.seconds,
         };
         self.progress.print(&format!("{pass}: {}", found.words()));
         self.scores.communication = Some(found);

@@ -141,9 +141,9 @@ impl Default for ShapePass {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct GridLevel {
-    /// Cells a side of the grid of distances, 16 to 320. Default 128.
+    /// Cells a side of the grid of distances, 16 to 512. Default 128.
     pub cells: u32,
-    /// Cells a side of the lattice of albedo, 8 to 320. Default 64.
+    /// Cells a side of the lattice of albedo, 8 to 512. Default 64.
     pub texel_cells: u32,
     /// Number of update steps ≥ 1. Default 400.
     pub steps: u32,

@@ -1,10 +1,12 @@
 //! [`ObjectVisibility`]: the occlusion of an object by itself, and the light on it at the last update.
 
+use crate::error::Result;
 use crate::material::material_source::MaterialSource;
 use crate::math::fibonacci::fibonacci_axes;
 use crate::math::ray::Intersect;
 use crate::math::shading::{LobeColumns, LobeVisibility, PointVisibility};
 use crate::mesh::Surface;
+use crate::ranks::Ranks;
 use crate::sample::pixel::PixelOf;
 use crate::sample::point::SurfacePoint;
 use crate::visibility::mirrored::{SeenPoint, first_of_alike};
@@ -98,11 +100,14 @@ pub(super) struct Made {
 }
 
 impl ObjectVisibility {
-    /// Traces a surface.
-    pub fn new(surface: &Surface, settings: VisibilitySettings) -> Self {
+    /// Traces a surface; `ranks` divide the work.
+    ///
+    /// # Errors
+    /// If another process is gone.
+    pub fn new(surface: &Surface, settings: VisibilitySettings, ranks: Option<&Ranks>) -> Result<Self> {
         let directions = fibonacci_axes(settings.directions.next_multiple_of(64).max(64) as usize);
-        let texels = TexelVisibility::trace(surface.atlas(), surface, directions, MOST_ROWS);
-        Self { settings, texels: Arc::new(texels), ..Self::default() }
+        let texels = TexelVisibility::trace(surface.atlas(), surface, directions, MOST_ROWS, ranks)?;
+        Ok(Self { settings, texels: Arc::new(texels), ..Self::default() })
     }
 
     /// The same as it was traced, without the light of the last update: for another world.
@@ -139,13 +144,17 @@ impl ObjectVisibility {
     /// Computes shadows and interreflection for this light and this reflectance (diffuse and specular, by texel).
     ///
     /// `turns` are the rotations of the views into the frame of a light that turns with them, by index; empty if it does not. Shadows are those
-    /// of each view, interreflection is the mean of some views if more than four differ.
+    /// of each view, interreflection is the mean of some views if more than four differ. `ranks` divide the work.
+    ///
+    /// # Errors
+    /// If another process is gone.
     pub fn refresh(
         &mut self,
         lobes: &LobeColumns,
         turns: &[Option<Mat3>],
         reflectance: &(dyn Fn(u32) -> Reflectance + Sync),
-    ) {
+        ranks: Option<&Ranks>,
+    ) -> Result<()> {
         self.made = None;
         let (distinct, of_view) = distinct_turns(turns);
         self.sky_of_view = of_view;
@@ -153,23 +162,20 @@ impl ObjectVisibility {
         self.skies = distinct.par_iter().map(sky).collect();
         self.stride = lobes.stride();
         let mut parts = std::mem::take(&mut self.parts);
-        let of_skies = self.direct(&mut parts);
+        let of_skies = self.direct(&mut parts, ranks)?;
         self.parts = parts;
         let bounces = self.settings.bounces;
         let bounce = |direct: &Vec<Vec3>| Bounce::new(&self.texels, direct, reflectance, bounces);
         self.bounces = of_skies.iter().map(bounce).collect();
+        Ok(())
     }
 
     /// Irradiance of each row under each sky, and the parts of the lobes that reach it; of many skies the mean of up to [`MEAN_SKIES`], without
     /// parts.
-    fn direct(&self, parts: &mut Vec<Vec<u8>>) -> Vec<Vec<Vec3>> {
-        let mut direct = Vec::new();
+    fn direct(&self, parts: &mut Vec<Vec<u8>>, ranks: Option<&Ranks>) -> Result<Vec<Vec<Vec3>>> {
         if self.skies.len() <= FEW_SKIES {
             parts.resize(self.skies.len(), Vec::new());
-            let lit = |(sky, parts): (&Sky, &mut Vec<u8>)| {
-                light_rows(&self.texels, sky, parts, &mut direct);
-                std::mem::take(&mut direct)
-            };
+            let lit = |(sky, parts)| light_rows(&self.texels, sky, parts, ranks);
             return self.skies.iter().zip(parts).map(lit).collect();
         }
         parts.clear();
@@ -177,10 +183,10 @@ impl ObjectVisibility {
         let every = self.skies.len().div_ceil(MEAN_SKIES);
         let some: Vec<&Sky> = self.skies.iter().step_by(every).collect();
         for sky in &some {
-            light_rows(&self.texels, sky, &mut unused, &mut direct);
+            let direct = light_rows(&self.texels, sky, &mut unused, ranks)?;
             mean.iter_mut().zip(&direct).for_each(|(mean, direct)| *mean += *direct / some.len() as f32);
         }
-        vec![mean]
+        Ok(vec![mean])
     }
 
     /// Whether the last update was for this material, these lobes and base materials.

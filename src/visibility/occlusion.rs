@@ -4,12 +4,14 @@
 //! a Gaussian of the width of a cell, λ' = λ·λ_c/(λ + λ_c) with λ_c = D/2 (2π/λ_c is a cell's solid angle), with the same power, so that
 //! no sharp lobe falls between two directions.
 
+use crate::error::Result;
 use crate::math::accurate::diffuse::cosine_integral;
 use crate::math::brdf::ndf_sharpness;
 use crate::math::lanes::{Lanes, Row};
 use crate::math::real::{Real, dot};
 use crate::math::sg::sphere_integral;
 use crate::math::shading::LobeColumns;
+use crate::ranks::Ranks;
 use crate::visibility::texel_visibility::TexelVisibility;
 use fearless_simd::{Level, Simd, dispatch};
 use glam::{Mat3, Vec3};
@@ -121,28 +123,39 @@ fn integral(sharpness: f32) -> f32 {
     sphere_integral(f64::from(sharpness)) as f32
 }
 
-/// For each row of `visibility`: the fraction of each lobe's irradiance that reaches it, 0 to 255, in rows of the lobes' stride;
-/// and the resulting irradiance.
+/// The irradiance of each row of `visibility`; `parts` becomes the fraction of each lobe's irradiance that reaches it, 0 to 255, in rows of the lobes' stride.
+/// `ranks` divide the rows.
+///
+/// # Errors
+/// If another process is gone.
 pub(crate) fn light_rows(
     visibility: &TexelVisibility,
     sky: &Sky,
     parts: &mut Vec<u8>,
-    direct: &mut Vec<Vec3>,
-) {
+    ranks: Option<&Ranks>,
+) -> Result<Vec<Vec3>> {
+    let (count, stride) = (visibility.len(), sky.stride);
     parts.clear();
-    parts.resize(visibility.len() * sky.stride, 255);
-    direct.clear();
-    direct.resize(visibility.len(), Vec3::ZERO);
-    if sky.stride == 0 {
-        return;
+    parts.resize(count * stride, 255);
+    let mut direct = vec![Vec3::ZERO; count];
+    if stride == 0 {
+        return Ok(direct);
     }
-    let chunks = parts.par_chunks_mut(CHUNK * sky.stride).zip(direct.par_chunks_mut(CHUNK));
+    let rows = ranks.map_or(0..count, |ranks| ranks.share(count, CHUNK));
+    let own = &mut parts[rows.start * stride..rows.end * stride];
+    let chunks = own.par_chunks_mut(CHUNK * stride).zip(direct[rows.clone()].par_chunks_mut(CHUNK));
     chunks.enumerate().for_each(|(chunk, (parts, direct))| {
         let mut hidden = Vec::new();
-        for (i, (parts, direct)) in parts.chunks_exact_mut(sky.stride).zip(direct).enumerate() {
-            *direct = light_one_row(visibility, sky, chunk * CHUNK + i, &mut hidden, parts);
+        for (i, (parts, direct)) in parts.chunks_exact_mut(stride).zip(direct).enumerate() {
+            let row = rows.start + chunk * CHUNK + i;
+            *direct = light_one_row(visibility, sky, row, &mut hidden, parts);
         }
     });
+    if let Some(ranks) = ranks {
+        ranks.complete_bytes(parts, stride, CHUNK)?;
+        ranks.complete(&mut direct, CHUNK)?;
+    }
+    Ok(direct)
 }
 
 /// A direction that is hidden from a row: where its weights begin, and the cosine with the normal times a cell's solid angle.

@@ -19,6 +19,7 @@ use crate::material::material_source::{
 use crate::material::sheen::mean_albedo;
 use crate::math::shading::PointVisibility;
 use crate::pipeline::{Phase, Pipeline, Plugin, Slot, SystemResult};
+use crate::ranks::Ranks;
 use crate::sample::Samples;
 use crate::sample::pixel::{PixelOf, ViewRay};
 use crate::sample::point::{PointBlend, Scenery, SurfacePoint};
@@ -105,6 +106,7 @@ pub fn refresh_visibility<M: MaterialSource>(
     materials: Res<BaseMaterials>,
     texels: MaterialTexels<M>,
     turns: LightTurns,
+    ranks: Option<Res<Ranks>>,
     mut object: ResMut<ObjectVisibility>,
 ) -> SystemResult {
     let (albedo, sheen, _, blends) = texels.columns()?;
@@ -117,7 +119,7 @@ pub fn refresh_visibility<M: MaterialSource>(
             roughness: blend.roughness(materials.by_number()),
         }
     };
-    object.refresh(&light.lobes, turns.table().all(), &reflectance);
+    object.refresh(&light.lobes, turns.table().all(), &reflectance, ranks.as_deref())?;
     let from = sources(&light, &materials);
     object.made = Some(Made { from, turn: light.turn, source: TypeId::of::<M>() });
     Ok(())

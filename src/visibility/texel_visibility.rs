@@ -11,9 +11,11 @@
 //!
 //! Memory per row: one bit per direction, and 4 bytes per occluded direction.
 
+use crate::error::Result;
 use crate::error::stop::is_stopping;
 use crate::math::ray::{Intersect, Ray};
 use crate::mesh::atlas::TexelAtlas;
+use crate::ranks::Ranks;
 use crate::visibility::texel_patches::{NO_ROW, Patches};
 use glam::Vec3;
 use rayon::prelude::*;
@@ -60,7 +62,7 @@ fn set_bits_of(mut word: u64) -> impl Iterator<Item = usize> {
     })
 }
 
-/// The result of a thread for a range of rows.
+/// The result of a thread, or of a process, for a range of rows.
 #[derive(Default)]
 struct Traced {
     hidden: Vec<u64>,
@@ -68,12 +70,32 @@ struct Traced {
     hiders: Vec<u32>,
 }
 
+impl Traced {
+    fn append(&mut self, mut next: Self) {
+        self.hidden.append(&mut next.hidden);
+        self.counts.append(&mut next.counts);
+        self.hiders.append(&mut next.hiders);
+    }
+
+    /// All rows in order, of which each process has traced its share.
+    fn completed(self, ranks: &Ranks) -> Result<Self> {
+        Ok(Self {
+            hidden: ranks.joined(&self.hidden, u64::to_le_bytes, u64::from_le_bytes)?,
+            counts: ranks.joined(&self.counts, u32::to_le_bytes, u32::from_le_bytes)?,
+            hiders: ranks.joined(&self.hiders, u32::to_le_bytes, u32::from_le_bytes)?,
+        })
+    }
+}
+
 impl TexelVisibility {
     /// Row of a texel that has none.
     pub const NONE: u32 = NO_ROW;
 
     /// Traces `directions` from the covered texels of `atlas`, or of more than `most_rows` from squares of them, against `surface`, which
-    /// has the same texels.
+    /// has the same texels. `ranks` divide the rows.
+    ///
+    /// # Errors
+    /// If another process is gone.
     ///
     /// # Panics
     /// If the number of directions is not a multiple of 64, or more than [`MAX_DIRECTIONS`].
@@ -82,11 +104,13 @@ impl TexelVisibility {
         surface: &dyn Intersect,
         directions: Vec<Vec3>,
         most_rows: usize,
-    ) -> Self {
+        ranks: Option<&Ranks>,
+    ) -> Result<Self> {
         assert!(directions.len().is_multiple_of(64), "the number of directions is a multiple of 64");
         assert!(directions.len() <= MAX_DIRECTIONS, "at most {MAX_DIRECTIONS} directions");
         let Patches { rows, texels } = Patches::of(atlas, most_rows);
-        let traced: Vec<Traced> = texels
+        let own = ranks.map_or(0..texels.len(), |ranks| ranks.share(texels.len(), CHUNK));
+        let parts: Vec<Traced> = texels[own]
             .par_chunks(CHUNK)
             .map(|run| {
                 let mut traced = Traced::default();
@@ -94,24 +118,25 @@ impl TexelVisibility {
                 traced
             })
             .collect();
-        let mut all = Self {
-            rows,
-            normals: texels.iter().map(|&t| atlas.normal[t as usize]).collect(),
-            first: vec![0],
-            directions,
-            ..Self::default()
-        };
-        all.texels = texels;
-        for part in traced {
-            all.hidden.extend(part.hidden);
-            for count in part.counts {
-                all.first.push(all.first[all.first.len() - 1] + count);
-            }
-            all.hiders.extend(part.hiders);
+        let mut traced = Traced::default();
+        parts.into_iter().for_each(|part| traced.append(part));
+        if let Some(ranks) = ranks {
+            traced = traced.completed(ranks)?;
         }
-        let row_of = |texel: &u32| all.rows.get(*texel as usize).copied().unwrap_or(Self::NONE);
-        all.hiders = all.hiders.par_iter().map(row_of).collect();
-        all
+        let row_of = |texel: &u32| rows.get(*texel as usize).copied().unwrap_or(Self::NONE);
+        let ends = traced.counts.iter().scan(0, |end, count| {
+            *end += count;
+            Some(*end)
+        });
+        Ok(Self {
+            normals: texels.iter().map(|&t| atlas.normal[t as usize]).collect(),
+            hidden: traced.hidden,
+            first: std::iter::once(0).chain(ends).collect(),
+            hiders: traced.hiders.par_iter().map(row_of).collect(),
+            directions,
+            rows,
+            texels,
+        })
     }
 
     /// The covered texels, each with its row.
@@ -230,7 +255,8 @@ mod tests {
 
     fn traced(mesh: Mesh) -> (Surface, TexelVisibility) {
         let surface = Surface::new(mesh, 64).unwrap();
-        let visibility = TexelVisibility::trace(surface.atlas(), &surface, fibonacci_axes(512), usize::MAX);
+        let visibility =
+            TexelVisibility::trace(surface.atlas(), &surface, fibonacci_axes(512), usize::MAX, None).unwrap();
         (surface, visibility)
     }
 
@@ -250,7 +276,9 @@ mod tests {
         // A ball of radius 0.3 at height 1 over the middle of a thin plate covers 1 − cos(asin 0.3) of 2π there.
         let mesh = ball_over_plate(0.02, 1.01, 0.3);
         let surface = Surface::new(mesh, 64).unwrap();
-        let visibility = TexelVisibility::trace(surface.atlas(), &surface, fibonacci_axes(4096), usize::MAX);
+        let visibility =
+            TexelVisibility::trace(surface.atlas(), &surface, fibonacci_axes(4096), usize::MAX, None)
+                .unwrap();
         let middle = |row: &usize| {
             let at = surface.atlas().position[visibility.texels[*row] as usize];
             at.xz().length() < 0.1 && at.y > 0.0 && at.y < 0.1

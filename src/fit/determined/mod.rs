@@ -120,7 +120,7 @@ fn gather_evidence(
     }
     let points = problem.gather(0..n, |point| point.texels.blend(texels))?;
     let columns = LobeColumns::from_lobes(lobes.iter().map(kernel_lobe));
-    problem.refresh(&columns, texels);
+    problem.refresh(&columns, texels)?;
     let (rows, seen) = problem.seen(0..n)?;
     let lighting = Lighting { lobes: &columns, visibility: rows.view(&seen) };
     let specular = kernel_specular(&problem.specular);

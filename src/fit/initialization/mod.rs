@@ -19,9 +19,10 @@ use crate::material::{
     MAX_SPECULAR_LOBES, SpecularBlend, SpecularLobe, USUAL_ALBEDO, recovered_albedo, recovered_materials,
 };
 use crate::math::shading::{
-    ClosedForm, Layers, Lighting, LobeColumns, PointVisibility, ShadePoint, SpecularValue,
+    self, ClosedForm, Layers, Lighting, LobeColumns, PointVisibility, ShadePoint, SpecularValue,
 };
 use crate::profile::stage;
+use crate::ranks::Ranks;
 use crate::sample::observation::{Observation, Observations};
 use crate::sample::point::SurfacePoint;
 use crate::sample::turn::TurnTable;
@@ -145,6 +146,8 @@ fn with_groups<T>(
     run: impl FnOnce(&mut [Initialization]) -> Result<T>,
 ) -> Result<T> {
     let Known { form, specular, unknowns, object, in_part, placement } = known;
+    // A part is too little to be divided, and mostly one of several trials, which are.
+    let ranks = world.get_resource::<Ranks>().filter(|_| !in_part).cloned();
     let lights = light_groups(world);
     let frame = PlacedFrame::own(world);
     let mut state = SystemState::<Inputs>::new(world);
@@ -176,6 +179,7 @@ fn with_groups<T>(
         specular,
         unknowns,
         object: object.as_ref().map(ObjectVisibility::unlit),
+        ranks: ranks.as_ref(),
     };
     run(&mut parts.iter().map(|part| problem(part.as_ref())).collect::<Vec<_>>())
 }
@@ -283,6 +287,8 @@ pub(crate) struct Initialization<'a> {
     pub specular: SpecularLobe,
     pub unknowns: Unknowns,
     object: Option<ObjectVisibility>,
+    /// The processes that divide the work.
+    ranks: Option<&'a Ranks>,
 }
 
 impl Initialization<'_> {
@@ -297,7 +303,7 @@ impl Initialization<'_> {
         let n = self.observations.len().min(self.amplitude_pixels);
         let points = self.gather(0..n, |point| point.texels.blend(texels))?;
         let columns = LobeColumns::from_lobes(lobes.iter().map(kernel_lobe));
-        self.refresh(&columns, texels);
+        self.refresh(&columns, texels)?;
         let (rows, seen) = self.seen(0..n)?;
         let lighting = Lighting { lobes: &columns, visibility: rows.view(&seen) };
         let specular = kernel_specular(&self.specular);
@@ -331,15 +337,19 @@ impl Initialization<'_> {
     /// The radiance of the first `n` pixels if the surface were white.
     fn of_white(&mut self, lobes: &[LightLobe], texels: &[Vec3], n: usize) -> Result<Vec<Layers>> {
         let columns = LobeColumns::from_lobes(lobes.iter().map(kernel_lobe));
-        self.refresh(&columns, texels);
+        self.refresh(&columns, texels)?;
         let specular = kernel_specular(&self.specular);
         let mut unit = vec![Layers::default(); n];
-        for start in (0..n).step_by(CHUNK) {
-            let run = start..n.min(start + CHUNK);
+        let own = self.ranks.map_or(0..n, |ranks| ranks.share(n, shading::CHUNK));
+        for start in own.clone().step_by(CHUNK) {
+            let run = start..own.end.min(start + CHUNK);
             let white = self.gather(run.clone(), |_| Vec3::ONE)?;
             let (rows, seen) = self.seen(run.clone())?;
             let lighting = Lighting { lobes: &columns, visibility: rows.view(&seen) };
             self.form.shade(&white, &specular, lighting, &mut unit[run]);
+        }
+        if let Some(ranks) = self.ranks {
+            ranks.complete(&mut unit, shading::CHUNK)?;
         }
         Ok(unit)
     }
@@ -362,13 +372,12 @@ impl Initialization<'_> {
         gathered.collect()
     }
 
-    pub fn refresh(&mut self, lobes: &LobeColumns, texels: &[Vec3]) {
+    pub fn refresh(&mut self, lobes: &LobeColumns, texels: &[Vec3]) -> Result<()> {
         let _refreshing = stage("shadows");
-        if let Some(object) = &mut self.object {
-            let SpecularLobe { albedo: specular, roughness, .. } = self.specular;
-            let of = |texel: u32| Reflectance { diffuse: texels[texel as usize], specular, roughness };
-            object.refresh(lobes, self.turns.all(), &of);
-        }
+        let Some(object) = &mut self.object else { return Ok(()) };
+        let SpecularLobe { albedo: specular, roughness, .. } = self.specular;
+        let of = |texel: u32| Reflectance { diffuse: texels[texel as usize], specular, roughness };
+        object.refresh(lobes, self.turns.all(), &of, self.ranks)
     }
 
     /// The visibility at a range of observed pixels; empty without visibility.

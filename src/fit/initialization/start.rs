@@ -16,6 +16,7 @@ use crate::material::{BaseMaterial, SpecularLobe, recovered_albedo, recovered_ma
 use crate::math::brdf::Ndf;
 use crate::math::shading::ClosedForm;
 use crate::profile::stage;
+use crate::ranks::Ranks;
 use crate::view::Placement;
 use bevy_ecs::prelude::{Resource, With, World};
 use glam::{Mat3, Vec3};
@@ -128,19 +129,23 @@ fn all_trials(
     let lobes = if spread { LightLobe::even(MOST_TRIED) } else { own };
     // How the object lies in others is found by the frame and the light of the first.
     let first = placements_are_open(world).then_some(Placement(0));
-    let mut trials = Vec::new();
-    for &frame in frames {
-        world.insert_resource(OwnLightFrame(frame));
-        for &lobe in specular {
-            let (mut lobes, mut texels) = (lobes.clone(), texels.clone());
-            let known =
-                Known { form, specular: lobe, unknowns, object: None, in_part: true, placement: first };
-            let error = with_initialization(world, known, |problem| {
-                problem.alternate(&mut lobes, &mut texels)?;
-                problem.error(&lobes, &texels)
-            })?;
-            trials.push(Trial { frame, lobe, error });
-        }
+    let pairs = frames.iter().flat_map(|frame| specular.iter().map(move |lobe| (*frame, *lobe)));
+    let mut trials: Vec<Trial> = pairs.map(|(frame, lobe)| Trial { frame, lobe, error: 0.0 }).collect();
+    let ranks = world.get_resource::<Ranks>().cloned();
+    let own = ranks.as_ref().map_or(0..trials.len(), |ranks| ranks.share(trials.len(), 1));
+    for Trial { frame, lobe, error } in &mut trials[own] {
+        world.insert_resource(OwnLightFrame(*frame));
+        let (mut lobes, mut texels) = (lobes.clone(), texels.clone());
+        let known = Known { form, specular: *lobe, unknowns, object: None, in_part: true, placement: first };
+        *error = with_initialization(world, known, |problem| {
+            problem.alternate(&mut lobes, &mut texels)?;
+            problem.error(&lobes, &texels)
+        })?;
+    }
+    if let Some(ranks) = ranks {
+        let mut errors: Vec<[f32; 1]> = trials.iter().map(|trial| [trial.error]).collect();
+        ranks.complete(&mut errors, 1)?;
+        trials.iter_mut().zip(errors).for_each(|(trial, [error])| trial.error = error);
     }
     Ok(trials)
 }

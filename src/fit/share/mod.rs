@@ -1,8 +1,9 @@
 //! One fit on several processes, which share the samples of each step.
 //!
-//! All processes ([`Ranks`]) run the same program on the same scene and do everything alike, but for the systems of a step that cost most: those in
-//! [`Slot::Visibility`], [`Slot::Shading`] and [`Slot::ShadingAdjoint`]. These run on a process's share of the [`Window`] alone, and the
-//! results go to all.
+//! All processes ([`Ranks`]) run the same program on the same scene and do everything alike, but for what costs most. In a step that are the systems in
+//! [`Slot::Visibility`], [`Slot::Shading`] and [`Slot::ShadingAdjoint`], which run on a process's share of the [`Window`] alone; the
+//! results go to all. Besides, the tracing of shadows, their updates, the trials of a start and the shading of the initialization are divided where they are
+//! done ([`Ranks::share`]).
 //!
 //! | system | stage, slot | does |
 //! | --- | --- | --- |
@@ -14,19 +15,12 @@
 //! Shares are whole chunks of the kernels' sums, and what samples share is summed over chunks in the order of chunks: the bits are those of one process, whatever
 //! the number of processes. With several base materials it is summed over the processes, and is the same up to rounding. All processes have the same bits.
 //!
-//! What is not split, and is done by each: the pool and its photographs, the initialization, what is traced (rays, shadows of texels and
-//! their updates), loss, sums per texel, optimizers, what is between fits, and everything of a moving shape or camera. While [placements](super::placements) turn,
+//! What is not split, and is done by each: the pool and its photographs, linear solves, rays of pixels, loss, sums per texel, optimizers, what is between fits, and everything of a moving shape or camera. While [placements](super::placements) turn,
 //! nothing is split, because their system reads the shadows of a whole window.
 //!
 //! A stop is agreed on once a step. An error of one process ends it, and whoever started the processes has to end the others.
 
-#[cfg(feature = "mpi")]
-pub mod mpi;
-mod packed;
-pub mod ranks;
-pub mod threads;
-
-pub use ranks::{Communicator, Ranks};
+mod gradient;
 
 use super::components::StepGradient;
 use super::guard::check_adjoints;
@@ -36,9 +30,11 @@ use crate::material::material_source::BaseMaterials;
 use crate::math::shading::{CHUNK, Layers, PointAdjoint};
 use crate::pipeline::pool::Pool;
 use crate::pipeline::{GatherPoints, Phase, Pipeline, Plugin, ScatterAdjoints, Slot, Stage, SystemResult};
+use crate::ranks::packed::Message;
+use crate::ranks::{Ranks, share};
 use crate::sample::pixel::{SampleIndex, Window};
 use bevy_ecs::prelude::{IntoScheduleConfigs, Res, ResMut, Resource, World};
-use packed::{Message, add_gradient, sum_gradients};
+use gradient::{add_gradient, sum_gradients};
 use std::ops::Range;
 
 /// The systems that share the samples of a step among processes.
@@ -78,7 +74,7 @@ pub struct WindowShare {
 impl WindowShare {
     /// Samples of a process, counted from the beginning of the window.
     fn of(&self, rank: usize, size: usize) -> Range<usize> {
-        if self.is_split { share(self.whole.len(), rank, size) } else { 0..self.whole.len() }
+        if self.is_split { share(self.whole.len(), CHUNK, rank, size) } else { 0..self.whole.len() }
     }
 
     /// The window of a process.
@@ -86,12 +82,6 @@ impl WindowShare {
         let own = self.of(ranks.rank(), ranks.size());
         self.whole.start + own.start..self.whole.start + own.end
     }
-}
-
-/// The samples of a process among `count`: whole chunks, about as many for each.
-fn share(count: usize, rank: usize, size: usize) -> Range<usize> {
-    let border = |rank: usize| (count.div_ceil(CHUNK) * rank / size * CHUNK).min(count);
-    border(rank)..border(rank + 1)
 }
 
 /// Gather: narrows the window to the share of this process.
@@ -162,17 +152,4 @@ pub fn gather_adjoints(
         }
     }
     Ok(sum_gradients(&mut gradient, &mut parts, blended)?)
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn shares_are_whole_chunks_of_all_samples() {
-        assert_eq!([0, 1].map(|rank| share(1024, rank, 2)), [0..512, 512..1024]);
-        assert_eq!([0, 1, 2].map(|rank| share(1000, rank, 3)), [0..256, 256..512, 512..1000]);
-        assert_eq!([0, 1, 2].map(|rank| share(100, rank, 3)), [0..0, 0..0, 0..100]);
-        assert_eq!([0, 1].map(|rank| share(0, rank, 2)), [0..0, 0..0]);
-    }
 }

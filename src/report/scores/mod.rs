@@ -186,7 +186,7 @@ pub struct FrameTried {
     pub error: f32,
 }
 
-/// What the steps of a fit on several processes have sent.
+/// What a fit on several processes has sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Communication {
     /// Processes.
@@ -195,15 +195,24 @@ pub struct Communication {
     pub bytes_per_step: f64,
     /// Seconds of its communication, a step; waiting for others is included.
     pub seconds_per_step: f64,
+    /// Bytes beside those of the steps' samples: of shadows, and of what is done before the first step.
+    #[serde(default)]
+    pub bytes_of_shares: f64,
+    /// Seconds of that; waiting for others is included.
+    #[serde(default)]
+    pub seconds_of_shares: f64,
 }
 
 impl Communication {
-    /// "2 ranks: 0.4 MB and 1.2 ms of communication a step".
+    /// "2 ranks: 0.400 MB and 1.20 ms of communication a step; 30.0 MB and 0.21 s for shadows and the beginning".
     pub fn words(&self) -> String {
-        let Self { ranks, bytes_per_step, seconds_per_step } = self;
+        let Self { ranks, bytes_per_step, seconds_per_step, bytes_of_shares, seconds_of_shares } = self;
         let ranks = if *ranks == 1 { "1 rank".to_owned() } else { format!("{ranks} ranks") };
         let (megabytes, milliseconds) = (bytes_per_step / 1e6, seconds_per_step * 1e3);
-        format!("{ranks}: {megabytes:.3} MB and {milliseconds:.2} ms of communication a step")
+        let beside = format!("{:.1} MB and {seconds_of_shares:.2} s", bytes_of_shares / 1e6);
+        format!(
+            "{ranks}: {megabytes:.3} MB and {milliseconds:.2} ms of communication a step; {beside} for shadows and the beginning"
+        )
     }
 }
 

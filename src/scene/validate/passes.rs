@@ -171,8 +171,8 @@ fn shape(checks: &mut Checks, at: &str, shape: &ShapePass, scene: &Scene) {
     }
     for (i, level) in shape.levels.iter().enumerate() {
         let path = |field: &str| format!("{at}.levels[{i}].{field}");
-        checks.count(&path("cells"), level.cells, 16..=320);
-        checks.count(&path("texel_cells"), level.texel_cells, 8..=320);
+        checks.count(&path("cells"), level.cells, 16..=512);
+        checks.count(&path("texel_cells"), level.texel_cells, 8..=512);
         checks.count(&path("steps"), level.steps, 1..=u32::MAX);
         checks.number(&path("rates"), level.rates.0, 1e-6..=1.0);
         checks.number(&path("rates"), level.rates.1, 1e-6..=1.0);

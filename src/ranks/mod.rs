@@ -1,9 +1,17 @@
 //! The processes that work on one fit, and what they say to each other.
+//!
+//! Work on many items is divided in shares of whole chunks ([`share`]); each process does its own, and all get all.
+
+#[cfg(feature = "mpi")]
+pub mod mpi;
+pub(crate) mod packed;
+pub mod threads;
 
 use crate::error::stop::{StopSignal, ask_to_stop, is_stopping};
 use crate::error::{Error, Result};
 use bevy_ecs::prelude::{Resource, World};
 use std::fmt;
+use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
@@ -29,11 +37,20 @@ pub trait Communicator: Send + Sync {
     fn all_any(&self, said: bool) -> Result<bool>;
 }
 
-/// What the steps of a fit have sent so far.
+/// What a fit has sent so far.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Traffic {
     /// Steps.
     pub steps: u32,
+    /// Of the samples of these steps.
+    pub of_steps: Sent,
+    /// Of shadows and of what is done before the first step.
+    pub of_shares: Sent,
+}
+
+/// What was sent.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Sent {
     /// Bytes that came from other processes.
     pub bytes: u64,
     /// Seconds, waiting for other processes included.
@@ -64,14 +81,29 @@ impl Ranks {
         self.communicator.size()
     }
 
-    /// Sends bytes to all, and returns what each has sent, by rank; the traffic is counted.
-    pub(super) fn all_gather(&self, bytes: &[u8]) -> Result<Vec<Vec<u8>>> {
+    /// The share of this process in the work on `count` items, in whole chunks.
+    pub fn share(&self, count: usize, chunk: usize) -> Range<usize> {
+        share(count, chunk, self.rank(), self.size())
+    }
+
+    /// Sends bytes to all as part of a step, and returns what each has sent, by rank.
+    pub(crate) fn all_gather(&self, bytes: &[u8]) -> Result<Vec<Vec<u8>>> {
+        self.gather(bytes, |traffic| &mut traffic.of_steps)
+    }
+
+    /// Sends what this process has found for its share to all, and returns what each has sent, by rank.
+    pub(crate) fn gather_shares(&self, bytes: &[u8]) -> Result<Vec<Vec<u8>>> {
+        self.gather(bytes, |traffic| &mut traffic.of_shares)
+    }
+
+    fn gather(&self, bytes: &[u8], of: impl Fn(&mut Traffic) -> &mut Sent) -> Result<Vec<Vec<u8>>> {
         let begun = Instant::now();
         let parts = self.communicator.all_gather(bytes)?;
         let received: usize = parts.iter().map(Vec::len).sum();
         self.count(|traffic| {
-            traffic.bytes += (received - bytes.len()) as u64;
-            traffic.seconds += begun.elapsed().as_secs_f64();
+            let sent = of(traffic);
+            sent.bytes += (received - bytes.len()) as u64;
+            sent.seconds += begun.elapsed().as_secs_f64();
         });
         Ok(parts)
     }
@@ -82,7 +114,7 @@ impl Ranks {
         let stops = self.communicator.all_any(is_stopping())?;
         self.count(|traffic| {
             traffic.steps += 1;
-            traffic.seconds += begun.elapsed().as_secs_f64();
+            traffic.of_steps.seconds += begun.elapsed().as_secs_f64();
         });
         if stops {
             self.stopped.store(true, Ordering::Relaxed);
@@ -137,12 +169,56 @@ impl PartialEq for Ranks {
     }
 }
 
+/// The items of a process among `count`: whole chunks, about as many for each.
+pub fn share(count: usize, chunk: usize, rank: usize, size: usize) -> Range<usize> {
+    let border = |rank: usize| (count.div_ceil(chunk) * rank / size * chunk).min(count);
+    border(rank)..border(rank + 1)
+}
+
 /// Whether the processes stop after this step; called once a step by each. Without several processes nothing is said.
-pub(in crate::fit) fn agree_on_stop(world: &World) -> Result<bool> {
+pub(crate) fn agree_on_stop(world: &World) -> Result<bool> {
     world.get_resource::<Ranks>().map_or(Ok(false), Ranks::agree_on_stop)
 }
 
 /// The error of a process that others have left, or that has got something unexpected.
-pub(super) fn broken(problem: impl Into<String>) -> Error {
+fn broken(problem: impl Into<String>) -> Error {
     Error::run("a fit on several processes", problem)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ranks::threads::ThreadRank;
+    use glam::Vec3;
+
+    #[test]
+    fn shares_are_whole_chunks_of_all_items() {
+        assert_eq!([0, 1].map(|rank| share(1024, 256, rank, 2)), [0..512, 512..1024]);
+        assert_eq!([0, 1, 2].map(|rank| share(1000, 256, rank, 3)), [0..256, 256..512, 512..1000]);
+        assert_eq!([0, 1, 2].map(|rank| share(100, 256, rank, 3)), [0..0, 0..0, 0..100]);
+        assert_eq!([0, 1].map(|rank| share(0, 256, rank, 2)), [0..0, 0..0]);
+    }
+
+    #[test]
+    fn a_column_of_shares_is_completed_by_all() {
+        let value = |i: usize| Vec3::new(i as f32, 0.5, -1.0);
+        std::thread::scope(|scope| {
+            for rank in ThreadRank::group(3) {
+                scope.spawn(move || {
+                    let ranks = Ranks::new(Arc::new(rank));
+                    let (mut floats, mut bytes) = (vec![Vec3::ZERO; 50], vec![0u8; 2 * 50]);
+                    for i in ranks.share(50, 4) {
+                        floats[i] = value(i);
+                        bytes[2 * i..2 * i + 2].copy_from_slice(&[i as u8, 7]);
+                    }
+                    ranks.complete(&mut floats, 4).unwrap();
+                    ranks.complete_bytes(&mut bytes, 2, 4).unwrap();
+                    assert!(floats.iter().enumerate().all(|(i, found)| *found == value(i)));
+                    assert!(bytes.chunks(2).enumerate().all(|(i, found)| found == [i as u8, 7]));
+                    let traffic = ranks.take_traffic();
+                    assert!(traffic.of_shares.bytes > 300 && traffic.of_steps.bytes == 0);
+                });
+            }
+        });
+    }
 }

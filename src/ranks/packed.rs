@@ -1,13 +1,16 @@
-//! Columns and gradients as bytes.
+//! Columns as bytes.
 
-use super::ranks::{Ranks, broken};
+use super::{Ranks, broken, share};
 use crate::error::Result;
-use crate::fit::components::StepGradient;
-use crate::math::shading::{Layers, PointAdjoint, SpecularAdjoint};
+use crate::math::shading::{Layers, PointAdjoint};
+use glam::Vec3;
 use std::ops::Range;
 
+/// What went wrong if lengths differ.
+const OTHER_DATA: &str = "another process works on other data";
+
 /// A value that is a number of floats.
-pub(super) trait PackedFloats<const N: usize>: Copy {
+pub(crate) trait PackedFloats<const N: usize>: Copy {
     fn to_floats(self) -> [f32; N];
     fn of_floats(floats: [f32; N]) -> Self;
 }
@@ -32,6 +35,16 @@ impl PackedFloats<6> for PointAdjoint {
     }
 }
 
+impl PackedFloats<3> for Vec3 {
+    fn to_floats(self) -> [f32; 3] {
+        self.to_array()
+    }
+
+    fn of_floats(floats: [f32; 3]) -> Self {
+        Self::from_array(floats)
+    }
+}
+
 impl<const N: usize> PackedFloats<N> for [f32; N] {
     fn to_floats(self) -> [f32; N] {
         self
@@ -48,7 +61,7 @@ fn joined([a, b, c]: [f32; 3], [d, e, f]: [f32; 3]) -> [f32; 6] {
 
 /// What one process sends: floats in a row.
 #[derive(Default)]
-pub(super) struct Message(Vec<u8>);
+pub(crate) struct Message(Vec<u8>);
 
 impl Message {
     /// Adds floats.
@@ -61,15 +74,60 @@ impl Message {
         self.add(values.iter().flat_map(|value| value.to_floats()));
     }
 
-    /// Sends it to all, and returns what each has sent, by rank.
+    /// Sends it to all as part of a step, and returns what each has sent, by rank.
     pub fn exchange(&self, ranks: &Ranks) -> Result<Vec<Received>> {
         let parts = ranks.all_gather(&self.0)?;
         Ok(parts.into_iter().map(Received::new).collect())
     }
 }
 
+impl Ranks {
+    /// Exchanges a column of which each process has the values of its [share](Ranks::share); all have all afterwards.
+    pub(crate) fn complete<const N: usize>(
+        &self,
+        column: &mut [impl PackedFloats<N>],
+        chunk: usize,
+    ) -> Result<()> {
+        let mut message = Message::default();
+        message.add_column(&column[self.share(column.len(), chunk)]);
+        for (rank, bytes) in self.gather_shares(&message.0)?.into_iter().enumerate() {
+            let rows = share(column.len(), chunk, rank, self.size());
+            Received::new(bytes).take_column(rows, column)?;
+        }
+        Ok(())
+    }
+
+    /// The same of a column with `width` bytes in each row.
+    pub(crate) fn complete_bytes(&self, column: &mut [u8], width: usize, chunk: usize) -> Result<()> {
+        let count = column.len() / width.max(1);
+        let bytes_of = |rank: usize| {
+            let rows = share(count, chunk, rank, self.size());
+            rows.start * width..rows.end * width
+        };
+        for (rank, bytes) in self.gather_shares(&column[bytes_of(self.rank())])?.into_iter().enumerate() {
+            let of_rank = column[bytes_of(rank)].as_mut();
+            if of_rank.len() != bytes.len() {
+                return Err(broken(OTHER_DATA));
+            }
+            of_rank.copy_from_slice(&bytes);
+        }
+        Ok(())
+    }
+    /// What each process has, one after the other.
+    pub(crate) fn joined<T: Copy, const N: usize>(
+        &self,
+        own: &[T],
+        to_bytes: fn(T) -> [u8; N],
+        of_bytes: fn([u8; N]) -> T,
+    ) -> Result<Vec<T>> {
+        let bytes: Vec<u8> = own.iter().flat_map(|value| to_bytes(*value)).collect();
+        let parts = self.gather_shares(&bytes)?;
+        Ok(parts.iter().flat_map(|part| part.as_chunks::<N>().0).map(|bytes| of_bytes(*bytes)).collect())
+    }
+}
+
 /// What one process has sent, as far as it is not taken.
-pub(super) struct Received {
+pub(crate) struct Received {
     floats: Vec<f32>,
     taken: usize,
 }
@@ -85,7 +143,7 @@ impl Received {
     pub fn take(&mut self, count: usize) -> Result<&[f32]> {
         let taken = self.floats.get(self.taken..self.taken + count);
         self.taken += count;
-        taken.ok_or_else(|| broken("another process works on other samples"))
+        taken.ok_or_else(|| broken(OTHER_DATA))
     }
 
     /// Takes the values of `rows` of a column.
@@ -105,41 +163,4 @@ impl Received {
     pub fn rest(&self) -> &[f32] {
         self.floats.get(self.taken..).unwrap_or_default()
     }
-}
-
-/// Adds what samples share to a message: sums over chunks with one base material, else sums over the samples.
-pub(super) fn add_gradient(message: &mut Message, gradient: &StepGradient, blended: bool) {
-    if !blended {
-        return message.add(gradient.chunks.values());
-    }
-    message.add(gradient.shared.lobes.values().iter().copied());
-    for SpecularAdjoint { albedo: [r, g, b], roughness } in &gradient.specular {
-        message.add([*r, *g, *b, *roughness]);
-    }
-}
-
-/// Replaces the gradient of a process by that of all, summed in their order.
-pub(super) fn sum_gradients(
-    gradient: &mut StepGradient,
-    parts: &mut [Received],
-    blended: bool,
-) -> Result<()> {
-    if !blended {
-        let chunks: Vec<f32> = parts.iter().flat_map(|part| part.rest()).copied().collect();
-        gradient.chunks.set_values(&chunks);
-        gradient.take_total();
-        return Ok(());
-    }
-    let lobes = &mut gradient.shared.lobes;
-    *lobes = crate::math::shading::LobeColumns::zeros(lobes.len());
-    gradient.specular.fill(SpecularAdjoint::default());
-    for part in parts {
-        lobes.add_values(part.take(lobes.values().len())?);
-        for sum in &mut gradient.specular {
-            let floats = part.take(4)?;
-            sum.albedo.iter_mut().zip(floats).for_each(|(sum, value)| *sum += value);
-            sum.roughness += floats[3];
-        }
-    }
-    Ok(())
 }

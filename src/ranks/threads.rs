@@ -1,6 +1,6 @@
 //! Threads of one process as ranks, for tests and for programs that want no MPI.
 
-use super::ranks::{Communicator, broken};
+use super::{Communicator, broken};
 use crate::error::Result;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Mutex, PoisonError};

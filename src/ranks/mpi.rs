@@ -1,6 +1,6 @@
 //! Ranks of MPI, the message passing interface.
 
-use super::ranks::{Communicator, Ranks, broken};
+use super::{Communicator, Ranks, broken};
 use crate::error::Result;
 use mpi::Threading;
 use mpi::collective::SystemOperation;
