@@ -1,6 +1,7 @@
 //! Triangle meshes in world space.
 
 use glam::{DVec3, Vec2, Vec3};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use std::collections::HashMap;
 
@@ -137,6 +138,25 @@ impl Mesh {
 /// Cross product of two edges: twice the area, along the normal of the winding.
 fn doubled_area_vector(corners: [DVec3; 3]) -> DVec3 {
     (corners[1] - corners[0]).cross(corners[2] - corners[0])
+}
+
+/// A side of a triangle.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Side {
+    /// The vertices at its ends, in ascending order.
+    pub ends: [u32; 2],
+    /// The triangle.
+    pub triangle: u32,
+}
+
+/// The sides of all triangles, those of an edge one after another, in the order of their triangles.
+pub(crate) fn sorted_sides(triangles: &[[u32; 3]]) -> Vec<Side> {
+    let sides = |(triangle, &[a, b, c]): (u32, &[u32; 3])| {
+        [[a, b], [b, c], [c, a]].map(|[a, b]| Side { ends: [a.min(b), a.max(b)], triangle })
+    };
+    let mut sides: Vec<Side> = (0..).zip(triangles).flat_map(sides).collect();
+    sides.par_sort_unstable();
+    sides
 }
 
 #[cfg(test)]

@@ -1,12 +1,13 @@
 //! Extraction of a mesh of the zero level of an SDF: naive surface nets (Gibson 1998), with vertices projected onto the level.
 
-use crate::mesh::triangles::Mesh;
+use crate::mesh::triangles::{Mesh, sorted_sides};
 use crate::sdf::grid::SdfGrid;
 use crate::sdf::manifold::make_manifold;
-use fast_surface_nets::ndshape::{RuntimeShape, Shape};
+use fast_surface_nets::ndshape::RuntimeShape;
 use fast_surface_nets::{SurfaceNetsBuffer, surface_nets};
 use glam::Vec3;
-use std::collections::{BTreeMap, HashMap};
+use rayon::prelude::*;
+use std::collections::BTreeMap;
 
 /// Newton steps that project a vertex onto the zero level.
 const PROJECTIONS: usize = 3;
@@ -23,24 +24,30 @@ pub fn extract_components(grid: &SdfGrid) -> Vec<Mesh> {
     let shape = RuntimeShape::<u32, 3>::new([grid.side; 3]);
     let mut values = grid.values.clone();
     let last = grid.side - 1;
-    for (i, value) in values.iter_mut().enumerate() {
-        if shape.delinearize(i as u32).iter().any(|&at| at == 0 || at == last) {
-            *value = value.max(0.1 * grid.spacing);
-        }
-    }
+    close_border(&mut values, grid.side as usize, 0.1 * grid.spacing);
     let mut buffer = SurfaceNetsBuffer::default();
     surface_nets(&values, &shape, [0; 3], [last; 3], &mut buffer);
     let in_world = |p: &[f32; 3]| grid.origin + Vec3::from(*p) * grid.spacing;
     let mut positions: Vec<Vec3> = buffer.positions.iter().map(in_world).collect();
     let mut triangles: Vec<[u32; 3]> = buffer.indices.chunks_exact(3).map(|t| [t[0], t[1], t[2]]).collect();
     let parted = make_manifold(&mut positions, &mut triangles, |p| grid.value(p) < 0.0);
-    for (position, _) in positions.iter_mut().zip(&parted).filter(|(_, parted)| !**parted) {
-        *position = project(grid, *position);
-    }
-    let normals = positions.iter().map(|p| grid.gradient(*p).try_normalize().unwrap_or(Vec3::Y)).collect();
+    let whole = positions.par_iter_mut().zip(&parted).filter(|(_, parted)| !**parted);
+    whole.for_each(|(position, _)| *position = project(grid, *position));
+    let normal = |p: &Vec3| grid.gradient(*p).try_normalize().unwrap_or(Vec3::Y);
+    let normals = positions.par_iter().map(normal).collect();
     let mut mesh = Mesh { positions, normals, uvs: None, triangles };
     mesh.drop_degenerate_triangles();
     components(&mesh)
+}
+
+/// Raises the values on the border of a grid to at least `least`.
+fn close_border(values: &mut [f32], side: usize, least: f32) {
+    let last = side - 1;
+    for (row, values) in values.chunks_exact_mut(side).enumerate() {
+        let is_border = [row % side, row / side].iter().any(|at| *at == 0 || *at == last);
+        let step = if is_border { 1 } else { last };
+        values.iter_mut().step_by(step).for_each(|value| *value = value.max(least));
+    }
 }
 
 /// A point projected onto the zero level, at most one cell away.
@@ -56,13 +63,9 @@ fn project(grid: &SdfGrid, start: Vec3) -> Vec3 {
 /// The components, connected by edges (small parts may touch others at a vertex only), those with most triangles first.
 fn components(mesh: &Mesh) -> Vec<Mesh> {
     let mut parent: Vec<u32> = (0..mesh.triangles.len() as u32).collect();
-    let mut triangle_at: HashMap<(u32, u32), u32> = HashMap::new();
-    for (t, &[a, b, c]) in mesh.triangles.iter().enumerate() {
-        for (from, to) in [(a, b), (b, c), (c, a)] {
-            let other = *triangle_at.entry((from.min(to), from.max(to))).or_insert(t as u32);
-            let (x, y) = (root(&mut parent, t as u32), root(&mut parent, other));
-            parent[x as usize] = y;
-        }
+    for pair in sorted_sides(&mesh.triangles).windows(2).filter(|pair| pair[0].ends == pair[1].ends) {
+        let (x, y) = (root(&mut parent, pair[0].triangle), root(&mut parent, pair[1].triangle));
+        parent[x as usize] = y;
     }
     let mut of_root: BTreeMap<u32, Vec<usize>> = BTreeMap::new();
     for t in 0..mesh.triangles.len() {
@@ -70,20 +73,23 @@ fn components(mesh: &Mesh) -> Vec<Mesh> {
     }
     let mut rows: Vec<Vec<usize>> = of_root.into_values().collect();
     rows.sort_by_key(|rows| (std::cmp::Reverse(rows.len()), rows[0]));
-    rows.iter().map(|rows| part(mesh, rows)).collect()
+    // The part that a vertex was put into last, and its place in it.
+    let mut places = vec![(usize::MAX, 0); mesh.positions.len()];
+    rows.iter().enumerate().map(|(number, rows)| part(mesh, rows, number, &mut places)).collect()
 }
 
-/// The mesh of some triangles, with the vertices that they use.
-fn part(mesh: &Mesh, triangles: &[usize]) -> Mesh {
-    let mut new_index: HashMap<u32, u32> = HashMap::new();
+/// The mesh of some triangles, with the vertices that they use. `places` are those of vertices in parts with a lower number.
+fn part(mesh: &Mesh, triangles: &[usize], number: usize, places: &mut [(usize, u32)]) -> Mesh {
     let mut kept = Mesh::default();
     for &t in triangles {
         let corners = mesh.triangles[t].map(|v| {
-            *new_index.entry(v).or_insert_with(|| {
+            let place = &mut places[v as usize];
+            if place.0 != number {
+                *place = (number, kept.positions.len() as u32);
                 kept.positions.push(mesh.positions[v as usize]);
                 kept.normals.push(mesh.normals[v as usize]);
-                kept.positions.len() as u32 - 1
-            })
+            }
+            place.1
         });
         kept.triangles.push(corners);
     }
@@ -101,6 +107,7 @@ fn root(parent: &mut [u32], mut i: u32) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::collections::HashMap;
 
     #[test]
     fn what_hangs_on_by_a_corner_is_another_component() {

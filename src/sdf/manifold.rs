@@ -6,8 +6,9 @@
 //! around the inside or the outside, depending on the sign of the field at the midpoint. An edge whose pairs belong to one fan at both
 //! ends, as around a hole in a thin wall, is split in two, with a separate midpoint for each pair.
 
+use crate::mesh::triangles::{Side, sorted_sides};
 use glam::Vec3;
-use std::collections::BTreeMap;
+use rayon::prelude::*;
 
 /// Fraction of the way to the center of its fan that a new vertex moves.
 const APART: f32 = 0.25;
@@ -33,15 +34,10 @@ pub fn make_manifold(
     changed
 }
 
-/// Triangles at each undirected edge.
-fn edges(triangles: &[[u32; 3]]) -> BTreeMap<(u32, u32), Vec<u32>> {
-    let mut edges = BTreeMap::<_, Vec<u32>>::new();
-    for (t, triangle) in triangles.iter().enumerate() {
-        for k in 0..3 {
-            edges.entry(key(triangle[k], triangle[(k + 1) % 3])).or_default().push(t as u32);
-        }
-    }
-    edges
+/// The edges in order, each with its triangles.
+fn edges(sides: &[Side]) -> impl Iterator<Item = ([u32; 2], Vec<u32>)> {
+    let same = sides.chunk_by(|a, b| a.ends == b.ends);
+    same.map(|same| (same[0].ends, same.iter().map(|side| side.triangle).collect()))
 }
 
 /// Splits edges with more than two triangles, at most one per triangle; returns the number of splits.
@@ -52,23 +48,23 @@ fn cut_edges(
 ) -> usize {
     let mut touched = vec![false; triangles.len()];
     let mut cuts = 0;
-    for (edge, around) in edges(triangles) {
+    for (edge, around) in edges(&sorted_sides(triangles)) {
         if around.len() < 3 || around.iter().any(|t| touched[*t as usize]) {
             continue;
         }
         around.iter().for_each(|t| touched[*t as usize] = true);
         cuts += 1;
-        let middle = 0.5 * (positions[edge.0 as usize] + positions[edge.1 as usize]);
+        let middle = 0.5 * (positions[edge[0] as usize] + positions[edge[1] as usize]);
         for (a, b) in pairs(positions, triangles, edge, &around, is_solid) {
-            let opposite = |t: u32| triangles[t as usize].iter().find(|v| **v != edge.0 && **v != edge.1);
+            let opposite = |t: u32| triangles[t as usize].iter().find(|v| !edge.contains(v));
             let beside: Vec<Vec3> =
                 [a, b].into_iter().filter_map(opposite).map(|v| positions[*v as usize]).collect();
             let new = positions.len() as u32;
             positions.push(middle.lerp(beside.iter().sum::<Vec3>() / beside.len().max(1) as f32, APART));
             for t in [a, b] {
                 let whole = triangles[t as usize];
-                triangles[t as usize] = whole.map(|v| if v == edge.1 { new } else { v });
-                triangles.push(whole.map(|v| if v == edge.0 { new } else { v }));
+                triangles[t as usize] = whole.map(|v| if v == edge[1] { new } else { v });
+                triangles.push(whole.map(|v| if v == edge[0] { new } else { v }));
             }
         }
     }
@@ -83,9 +79,9 @@ fn part_fans(
 ) -> Vec<bool> {
     // Groups of connected triangle corners: 3 t + k.
     let mut groups: Vec<u32> = (0..3 * triangles.len() as u32).collect();
-    for (edge, around) in edges(triangles) {
+    for (edge, around) in edges(&sorted_sides(triangles)) {
         for (a, b) in pairs(positions, triangles, edge, &around, is_solid) {
-            for vertex in [edge.0, edge.1] {
+            for vertex in edge {
                 let (x, y) = (corner(triangles, a, vertex), corner(triangles, b, vertex));
                 let (x, y) = (root(&mut groups, x), root(&mut groups, y));
                 groups[x.max(y) as usize] = x.min(y);
@@ -93,10 +89,6 @@ fn part_fans(
         }
     }
     part(positions, triangles, &mut groups)
-}
-
-fn key(a: u32, b: u32) -> (u32, u32) {
-    (a.min(b), a.max(b))
 }
 
 /// The corner of a triangle that is at a vertex.
@@ -117,14 +109,14 @@ fn root(groups: &mut [u32], mut i: u32) -> u32 {
 fn pairs(
     positions: &[Vec3],
     triangles: &[[u32; 3]],
-    edge: (u32, u32),
+    edge: [u32; 2],
     around: &[u32],
     is_solid: &impl Fn(Vec3) -> bool,
 ) -> Vec<(u32, u32)> {
     if let [a, b] = *around {
         return vec![(a, b)];
     }
-    let ends = [positions[edge.0 as usize], positions[edge.1 as usize]];
+    let ends = edge.map(|v| positions[v as usize]);
     let (middle, axis) = (0.5 * (ends[0] + ends[1]), (ends[1] - ends[0]).normalize_or_zero());
     let first = axis.any_orthonormal_vector();
     let second = axis.cross(first);
@@ -147,27 +139,28 @@ fn pairs(
 
 /// A vertex for every group of corners; the first group of a vertex keeps it.
 fn part(positions: &mut Vec<Vec3>, triangles: &mut [[u32; 3]], groups: &mut [u32]) -> Vec<bool> {
-    let mut fans: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
-    for c in 0..groups.len() as u32 {
-        fans.entry(root(groups, c)).or_default().push(c);
-    }
+    // Each corner after the first of its group, which is its root.
+    let mut corners: Vec<[u32; 2]> = (0..groups.len() as u32).map(|c| [root(groups, c), c]).collect();
+    corners.par_sort_unstable();
+    let fans = || corners.chunk_by(|a, b| a[0] == b[0]);
     let vertex = |triangles: &[[u32; 3]], c: u32| triangles[c as usize / 3][c as usize % 3];
     let mut count = vec![0u32; positions.len()];
-    fans.keys().for_each(|c| count[vertex(triangles, *c) as usize] += 1);
+    fans().for_each(|fan| count[vertex(triangles, fan[0][0]) as usize] += 1);
     let (old, old_triangles) = (positions.clone(), triangles.to_vec());
     let mut kept = vec![false; positions.len()];
     let mut changed = vec![false; positions.len()];
-    for (first, corners) in &fans {
-        let from = vertex(&old_triangles, *first) as usize;
+    for fan in fans() {
+        let from = vertex(&old_triangles, fan[0][0]) as usize;
         if count[from] < 2 {
             continue;
         }
-        let others = corners.iter().flat_map(|c| old_triangles[*c as usize / 3]);
+        let corners = || fan.iter().map(|[_, corner]| *corner as usize);
+        let others = corners().flat_map(|c| old_triangles[c / 3]);
         let around: Vec<Vec3> = others.filter(|v| *v as usize != from).map(|v| old[v as usize]).collect();
         let middle = around.iter().sum::<Vec3>() / around.len() as f32;
         let place = old[from].lerp(middle, APART);
         if kept[from] {
-            corners.iter().for_each(|c| triangles[*c as usize / 3][*c as usize % 3] = positions.len() as u32);
+            corners().for_each(|c| triangles[c / 3][c % 3] = positions.len() as u32);
             positions.push(place);
             changed.push(true);
         } else {
@@ -180,6 +173,7 @@ fn part(positions: &mut Vec<Vec3>, triangles: &mut [[u32; 3]], groups: &mut [u32
 #[cfg(test)]
 mod tests {
     use super::*;
+    use std::collections::BTreeMap;
 
     /// The twelve triangles of a unit cube at a lattice place, its corners by lattice place.
     fn cube(at: [i32; 3], index: &mut impl FnMut([i32; 3]) -> u32) -> Vec<[u32; 3]> {

@@ -9,6 +9,7 @@ use crate::sdf::SdfGrid;
 use crate::shape::stereo::votes::Shell;
 use glam::{UVec3, Vec3};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Largest part of the distance to the opposite side, within or across a gap, that a vertex moves in a round.
 const ROOM: f32 = 0.15;
@@ -17,6 +18,8 @@ const LIFT: f32 = 0.06;
 /// Cells around a vertex to which its displacement is carried, and the largest displacement, which must stay within.
 const CARRIED: i32 = 3;
 const MOST: f32 = 2.0;
+/// Layers of the grid to which a task carries.
+const LAYERS: usize = 8;
 /// Standard deviation in cells of the weights with which displacements are carried.
 const SPREAD: f32 = 0.7;
 /// The same of the difference between a distance and that along the vertex's normal.
@@ -33,23 +36,36 @@ pub(crate) fn displace(grid: &mut SdfGrid, bvh: &TriangleBvh, shell: &Shell, alo
             within_room(bvh, shell.positions[i], shell.normals[i], along, LIFT * grid.spacing)
         })
         .collect();
+    let plane = (grid.side * grid.side) as usize;
     let mut sums = vec![[0.0f32; 2]; grid.values.len()];
-    for ((position, normal), along) in shell.positions.iter().zip(&shell.normals).zip(&along) {
-        carry(grid, *position, *normal, *along, &mut sums);
-    }
+    // Each task has some layers of the grid, and the vertices in their order.
+    sums.par_chunks_mut(LAYERS * plane).enumerate().for_each(|(task, sums)| {
+        let layers = (task * LAYERS) as u32..(task * LAYERS + sums.len() / plane) as u32;
+        for ((position, normal), along) in shell.positions.iter().zip(&shell.normals).zip(&along) {
+            carry(grid, *position, *normal, *along, layers.clone(), sums);
+        }
+    });
     let moved = grid.values.par_iter_mut().zip(&sums).filter(|(_, sum)| sum[1] > 1e-12);
     moved.for_each(|(value, [sum, weight])| *value -= sum / weight);
     grid.redistance_near();
 }
 
-/// Adds a displacement at `position` to the grid's vertices around it: weighted sums, and weights.
-fn carry(grid: &SdfGrid, position: Vec3, normal: Vec3, along: f32, sums: &mut [[f32; 2]]) {
+/// Adds a displacement at `position` to the grid's vertices around it that are in `layers`, whose weighted sums, and weights, are `sums`.
+fn carry(
+    grid: &SdfGrid,
+    position: Vec3,
+    normal: Vec3,
+    along: f32,
+    layers: Range<u32>,
+    sums: &mut [[f32; 2]],
+) {
     let place = (position - grid.origin) / grid.spacing;
     let middle = place.round().as_ivec3();
     let range = |axis: usize| {
         (middle[axis] - CARRIED).max(0) as u32..(middle[axis] + CARRIED + 1).clamp(0, grid.side as i32) as u32
     };
-    for z in range(2) {
+    let first = grid.index(UVec3::new(0, 0, layers.start));
+    for z in range(2).start.max(layers.start)..range(2).end.min(layers.end) {
         for y in range(1) {
             for x in range(0) {
                 let vertex = UVec3::new(x, y, z);
@@ -60,7 +76,7 @@ fn carry(grid: &SdfGrid, position: Vec3, normal: Vec3, along: f32, sums: &mut [[
                 let weight = (-0.5
                     * (offset.length_squared() / (SPREAD * SPREAD) + other * other / (SHEET * SHEET)))
                     .exp();
-                let sum = &mut sums[row];
+                let sum = &mut sums[row - first];
                 *sum = [sum[0] + weight * along, sum[1] + weight];
             }
         }

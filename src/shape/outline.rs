@@ -11,6 +11,7 @@
 use crate::error::stop::is_stopping;
 use crate::math::ray::Ray;
 use crate::mesh::bvh::TriangleBvh;
+use crate::mesh::triangles::{Side, sorted_sides};
 use crate::sdf::SdfGrid;
 use crate::shape::displace::displace;
 use crate::shape::parts::extract_parts;
@@ -166,10 +167,13 @@ impl OutlineVotes {
     }
 }
 
-/// An edge and the two triangles that share it.
+/// An edge, with what decides whether it lies on a contour: a view looks at all of them, one after the other.
 struct Edge {
     ends: [u32; 2],
-    triangles: [u32; 2],
+    /// Its middle.
+    at: Vec3,
+    /// Normals of the two triangles that share it, twice their area long.
+    normals: [Vec3; 2],
 }
 
 /// Where the mask's outline is, as seen from a contour.
@@ -187,8 +191,6 @@ pub(crate) struct Contours<'a> {
     shell: &'a Shell,
     bvh: &'a TriangleBvh,
     edges: Vec<Edge>,
-    /// Normals of the triangles, twice their area long.
-    normals: Vec<Vec3>,
     mean_edge: f32,
 }
 
@@ -199,10 +201,17 @@ impl<'a> Contours<'a> {
             let [a, b, c] = triangle.map(|v| shell.positions[v as usize]);
             (b - a).cross(c - a)
         };
+        let normals: Vec<Vec3> = shell.graph.triangles.iter().map(normal).collect();
+        let edge = |same: &[Side]| {
+            let [one, other] = same else { return None };
+            let [a, b] = one.ends.map(|v| shell.positions[v as usize]);
+            let normals = [one, other].map(|side| normals[side.triangle as usize]);
+            Some(Edge { ends: one.ends, at: 0.5 * (a + b), normals })
+        };
+        let sides = sorted_sides(&shell.graph.triangles);
         Self {
             bvh,
-            edges: shared_edges(&shell.graph.triangles),
-            normals: shell.graph.triangles.iter().map(normal).collect(),
+            edges: sides.chunk_by(|a, b| a.ends == b.ends).filter_map(edge).collect(),
             mean_edge: shell.graph.mean_edge(&shell.positions),
             shell,
         }
@@ -224,12 +233,12 @@ impl<'a> Contours<'a> {
         let eye = view.camera.position();
         let mut seen = Vec::new();
         for edge in self.edges.iter().filter(|_| !stop()) {
-            let [a, b] = edge.ends.map(|v| v as usize);
-            let at = 0.5 * (self.shell.positions[a] + self.shell.positions[b]);
-            let [first, second] = edge.triangles.map(|t| self.normals[t as usize].dot(at - eye));
+            let at = edge.at;
+            let [first, second] = edge.normals.map(|normal| normal.dot(at - eye));
             if first * second > 0.0 {
                 continue;
             }
+            let [a, b] = edge.ends.map(|v| v as usize);
             let normal = self.shell.normals[a] + self.shell.normals[b];
             let Some(Outline { distance, pixel_size, outward }) = self.outline(view, at, normal) else {
                 continue;
@@ -267,16 +276,6 @@ impl<'a> Contours<'a> {
         let is_outline = self.bvh.nearest(&ray, 0.0).is_none();
         is_outline.then_some(Outline { distance: -distance / slope, pixel_size, outward })
     }
-}
-
-/// The edges with exactly two triangles.
-fn shared_edges(triangles: &[[u32; 3]]) -> Vec<Edge> {
-    let sides =
-        |(t, &[a, b, c]): (u32, &[u32; 3])| [(a, b), (b, c), (c, a)].map(|(a, b)| ([a.min(b), a.max(b)], t));
-    let mut sides: Vec<([u32; 2], u32)> = (0..).zip(triangles).flat_map(sides).collect();
-    sides.sort_unstable();
-    let pairs = sides.chunk_by(|a, b| a.0 == b.0).filter(|same| same.len() == 2);
-    pairs.map(|same| Edge { ends: same[0].0, triangles: [same[0].1, same[1].1] }).collect()
 }
 
 #[cfg(test)]

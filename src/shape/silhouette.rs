@@ -35,6 +35,24 @@ pub struct Silhouette {
     pub(super) carves: Option<Outside>,
 }
 
+/// A point as a view sees it.
+pub(super) struct Look {
+    /// Image position.
+    pub x: f32,
+    pub y: f32,
+    /// Signed distance in pixels to the boundary of the mask, negative inside.
+    pub pixels: f32,
+    /// World size of a pixel at the point.
+    pub pixel_size: f32,
+}
+
+impl Look {
+    /// World distance of the point outside the silhouette's cone, negative inside.
+    pub fn world_distance(&self) -> f32 {
+        self.pixels * self.pixel_size
+    }
+}
+
 impl Silhouette {
     /// From a view's name, camera and mask; `None` if the mask is empty.
     pub fn new(name: &str, camera: &Camera, mask: &StoredMask) -> Option<Self> {
@@ -116,10 +134,16 @@ impl Silhouette {
         0.5 * Vec2::new(across, self.pixels(x, y + 1.0) - self.pixels(x, y - 1.0))
     }
 
+    /// Where the view sees a point; `None` if it abstains.
+    pub(super) fn look(&self, point: Vec3) -> Option<Look> {
+        let (x, y, depth) = self.camera.project(point)?;
+        let look = || Look { x, y, pixels: self.pixels(x, y), pixel_size: depth * pixel_size(&self.camera) };
+        is_inner(&self.camera, x, y).then(look)
+    }
+
     /// World distance of a point outside the silhouette's cone (negative inside); `None` if the view abstains.
     pub(super) fn world_distance(&self, point: Vec3) -> Option<f32> {
-        let (x, y, depth) = self.camera.project(point)?;
-        is_inner(&self.camera, x, y).then(|| self.pixels(x, y) * depth * pixel_size(&self.camera))
+        self.look(point).map(|look| look.world_distance())
     }
 
     /// The bilinear distance in pixels at an image position.

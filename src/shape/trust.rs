@@ -8,7 +8,7 @@
 
 use crate::error::stop::is_stopping;
 use crate::sdf::SdfGrid;
-use crate::shape::silhouette::{MIN_VIEWS, Outside, Silhouette, is_inner, pixel_size};
+use crate::shape::silhouette::{Look, MIN_VIEWS, Outside, Silhouette, is_inner};
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -26,11 +26,15 @@ const STEP: f32 = 0.5;
 
 /// How far a point is outside what a mask carves alone, in world units; `None` if the view is doubted or abstains.
 fn carve_distance(view: &Silhouette, point: Vec3) -> Option<f32> {
+    view.carves.as_ref()?;
+    carve_distance_at(view, &view.look(point)?)
+}
+
+/// The same where the point is seen.
+fn carve_distance_at(view: &Silhouette, look: &Look) -> Option<f32> {
     let carves = view.carves.as_ref()?;
-    let (x, y, depth) = view.camera.project(point)?;
-    let beyond = view.pixels(x, y) - CARVE_SLACK;
-    let abstains = !is_inner(&view.camera, x, y) || beyond > 0.0 && !carves.contains(x, y);
-    (!abstains).then_some(beyond * depth * pixel_size(&view.camera))
+    let beyond = look.pixels - CARVE_SLACK;
+    (beyond <= 0.0 || carves.contains(look.x, look.y)).then_some(beyond * look.pixel_size)
 }
 
 /// How far a point is outside what the trusted masks carve alone; negative infinity if none sees it.
@@ -41,13 +45,18 @@ fn trusted_distance(silhouettes: &[Silhouette], point: Vec3) -> f32 {
 /// The hull's signed distance at a point, with this share of the views forgiven, except what trusted views carve alone; `outside` if
 /// too few see it.
 pub(super) fn hull_distance(silhouettes: &[Silhouette], point: Vec3, forgiven: f32, outside: f32) -> f32 {
-    let mut seen: Vec<f32> = silhouettes.iter().filter_map(|s| s.world_distance(point)).collect();
+    let (mut seen, mut trusted) = (Vec::with_capacity(silhouettes.len()), f32::NEG_INFINITY);
+    for view in silhouettes {
+        let Some(look) = view.look(point) else { continue };
+        seen.push(look.world_distance());
+        trusted = carve_distance_at(view, &look).map_or(trusted, |distance| trusted.max(distance));
+    }
     if seen.len() < MIN_VIEWS {
         return outside;
     }
     let forgiven = (forgiven * seen.len() as f32).floor() as usize;
     let (_, kth, _) = seen.select_nth_unstable_by(forgiven, |a, b| b.total_cmp(a));
-    kth.max(trusted_distance(silhouettes, point))
+    kth.max(trusted)
 }
 
 /// Marks where each mask carves alone: the background around it if no other mask contradicts it, judged by a surface that all
