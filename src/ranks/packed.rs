@@ -45,6 +45,16 @@ impl PackedFloats<3> for Vec3 {
     }
 }
 
+impl PackedFloats<1> for f32 {
+    fn to_floats(self) -> [f32; 1] {
+        [self]
+    }
+
+    fn of_floats([value]: [f32; 1]) -> Self {
+        value
+    }
+}
+
 impl<const N: usize> PackedFloats<N> for [f32; N] {
     fn to_floats(self) -> [f32; N] {
         self

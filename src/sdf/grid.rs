@@ -1,7 +1,9 @@
 //! [`SdfGrid`]: signed distances at the vertices of a grid, their interpolation and gradient.
 
 use glam::{UVec3, Vec3};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 
 /// Signed distances at the vertices of a cubic grid, negative inside.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -19,13 +21,25 @@ pub struct SdfGrid {
 impl SdfGrid {
     /// A grid of `cells` cells per side over the cube around `center`, filled by `value` at each vertex's position.
     pub fn from_fn(center: Vec3, half_side: f32, cells: u32, value: impl Fn(Vec3) -> f32 + Sync) -> Self {
-        use rayon::prelude::*;
+        Self::from_fn_in_layers(center, half_side, cells, 0..cells + 1, value)
+    }
+
+    /// The same in some layers along z alone; all other values are zero.
+    pub(crate) fn from_fn_in_layers(
+        center: Vec3,
+        half_side: f32,
+        cells: u32,
+        layers: Range<u32>,
+        value: impl Fn(Vec3) -> f32 + Sync,
+    ) -> Self {
         let side = cells + 1;
         let spacing = 2.0 * half_side / cells as f32;
         let mut grid = Self { side, origin: center - Vec3::splat(half_side), spacing, values: Vec::new() };
         let slab = (side * side) as usize;
         let mut values = vec![0.0; slab * side as usize];
-        values.par_chunks_mut(slab).enumerate().for_each(|(z, slab)| {
+        let in_layers =
+            values.par_chunks_mut(slab).enumerate().filter(|(z, _)| layers.contains(&(*z as u32)));
+        in_layers.for_each(|(z, slab)| {
             for (i, out) in slab.iter_mut().enumerate() {
                 let (x, y) = (i as u32 % side, i as u32 / side);
                 *out = value(grid.position(UVec3::new(x, y, z as u32)));

@@ -6,6 +6,7 @@
 //! although many show it is restored (`hull_repair`).
 
 use crate::error::stop::{check_interrupted, is_stopping};
+use crate::ranks::Ranks;
 use crate::sdf::SdfGrid;
 use crate::shape::hull_repair::{SLOPE, regrow};
 use crate::shape::silhouette::{MIN_VIEWS, Silhouette};
@@ -27,11 +28,11 @@ const TRIM_SLACK: f32 = 0.25;
 /// Cells outside the surface that are trimmed as well.
 const TRIM_REACH: f32 = 3.0;
 
-/// The visual hull of an object, on a grid of `cells` cells a side that just holds it. Marks the views that it trusts.
+/// The visual hull of an object, on a grid of `cells` cells a side that just holds it. Marks the views that it trusts. `ranks` divide the layers of the grid.
 ///
 /// # Errors
-/// [`Error::Usage`] if there are fewer than three masks, their middle rays do not meet, or no point is inside all masks.
-pub fn visual_hull(silhouettes: &mut [Silhouette], cells: u32) -> Result<SdfGrid> {
+/// [`Error::Usage`] if there are fewer than three masks, their middle rays do not meet, or no point is inside all masks; an error if another process is gone.
+pub fn visual_hull(silhouettes: &mut [Silhouette], cells: u32, ranks: Option<&Ranks>) -> Result<SdfGrid> {
     if silhouettes.len() < MIN_VIEWS {
         let problem = "a shape needs at least three views with masks that are not empty";
         return Err(Error::usage(problem, "Give more photographs a mask, white where the object is."));
@@ -41,13 +42,13 @@ pub fn visual_hull(silhouettes: &mut [Silhouette], cells: u32) -> Result<SdfGrid
     })?;
     let reach = |s: &Silhouette| s.camera.position().distance(center) * s.spread;
     let radius = silhouettes.iter().map(reach).fold(0.0, f32::max);
-    let mut coarse = carve(silhouettes, center, 1.1 * radius, COARSE_CELLS, None);
+    let mut coarse = carve(silhouettes, (center, 1.1 * radius), COARSE_CELLS, None, ranks)?;
     regrow(&mut coarse, silhouettes, FORGIVEN_AT_GAPS);
     mark_trusted(silhouettes, &coarse);
     check_interrupted()?;
     let (low, high) = bounds_inside(&coarse).ok_or_else(|| no_hull(silhouettes, &coarse))?;
     let half = 0.5 * (high - low).max_element() + coarse.spacing;
-    let mut hull = carve(silhouettes, 0.5 * (low + high), half, cells, Some(&coarse));
+    let mut hull = carve(silhouettes, (0.5 * (low + high), half), cells, Some(&coarse), ranks)?;
     regrow(&mut hull, silhouettes, FORGIVEN_AT_GAPS);
     check_interrupted()?;
     if hull.values.iter().all(|value| *value >= 0.0) {
@@ -77,14 +78,14 @@ fn no_hull(silhouettes: &[Silhouette], coarse: &SdfGrid) -> Error {
     Error::usage(problem, help)
 }
 
-/// The hull in a cube. Far outside a `coarse` one its values are taken; not inside, for it knows of no mask that carves alone.
+/// The hull in the cube around a center, with half its side. Far outside a `coarse` one its values are taken; not inside, for it knows of no mask that carves alone.
 fn carve(
     silhouettes: &[Silhouette],
-    center: Vec3,
-    half_side: f32,
+    (center, half_side): (Vec3, f32),
     cells: u32,
     coarse: Option<&SdfGrid>,
-) -> SdfGrid {
+    ranks: Option<&Ranks>,
+) -> Result<SdfGrid> {
     let outside = 2.0 * half_side / cells as f32;
     let far = |point| {
         let (value, cell) = coarse.map(|coarse| (coarse.value(point), coarse.spacing))?;
@@ -92,7 +93,17 @@ fn carve(
     };
     // What is not carved is dropped by whoever asked for it.
     let distance = |point| far(point).unwrap_or_else(|| hull_distance(silhouettes, point, FORGIVEN, outside));
-    SdfGrid::from_fn(center, half_side, cells, |point| if is_stopping() { outside } else { distance(point) })
+    let (side, plane) = (cells + 1, (cells as usize + 1).pow(2));
+    let layers = ranks.map_or(0..side, |ranks| {
+        let own = ranks.share(side as usize, 1);
+        own.start as u32..own.end as u32
+    });
+    let value = |point| if is_stopping() { outside } else { distance(point) };
+    let mut hull = SdfGrid::from_fn_in_layers(center, half_side, cells, layers, value);
+    if let Some(ranks) = ranks {
+        ranks.complete(&mut hull.values, plane)?;
+    }
+    Ok(hull)
 }
 
 /// Removes from `grid` what lies outside the hull, as [`visual_hull`] has it, by more than [`TRIM_SLACK`] cells, and restores what most
@@ -178,7 +189,7 @@ mod tests {
     #[test]
     fn the_hull_of_a_ball_is_the_ball_wherever_it_lies() {
         let (center, radius) = (Vec3::new(5.0, -3.0, 2.0), 0.9);
-        let grid = visual_hull(&mut silhouettes(&ball_views(center, radius, 40)), 40).unwrap();
+        let grid = visual_hull(&mut silhouettes(&ball_views(center, radius, 40)), 40, None).unwrap();
         for (i, value) in grid.values.iter().enumerate() {
             let exact = grid.position(grid.vertex(i)).distance(center) - radius;
             if exact.abs() < 0.3 {
@@ -191,7 +202,7 @@ mod tests {
     fn one_wrong_mask_of_many_does_not_carve_the_object_away() {
         let mut views = ball_views(Vec3::ZERO, 0.9, 60);
         views[7].1.coverage.iter_mut().enumerate().for_each(|(i, c)| *c = if i == 0 { 1.0 } else { 0.0 });
-        let grid = visual_hull(&mut silhouettes(&views), 24).unwrap();
+        let grid = visual_hull(&mut silhouettes(&views), 24, None).unwrap();
         assert!(grid.value(Vec3::ZERO) < -0.5);
     }
 
@@ -219,12 +230,12 @@ mod tests {
                 .enumerate()
                 .for_each(|(p, c)| *c = if p == 300 + 997 * i % 9000 { 1.0 } else { 0.0 });
         }
-        let error = visual_hull(&mut silhouettes(&views), 24).unwrap_err();
+        let error = visual_hull(&mut silhouettes(&views), 24, None).unwrap_err();
         assert_eq!(error.exit_code(), 2);
         assert!(
             error.to_string().contains("inside all masks") && error.to_string().contains("view `v"),
             "{error}"
         );
-        assert!(visual_hull(&mut silhouettes(&views[..2]), 24).is_err());
+        assert!(visual_hull(&mut silhouettes(&views[..2]), 24, None).is_err());
     }
 }

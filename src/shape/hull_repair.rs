@@ -211,8 +211,8 @@ mod tests {
 
     #[test]
     fn a_part_that_a_few_masks_lack_is_put_back() {
-        let sound = visual_hull(&mut views(&[]), 48).unwrap();
-        let repaired = visual_hull(&mut views(&BLIND), 48).unwrap();
+        let sound = visual_hull(&mut views(&[]), 48, None).unwrap();
+        let repaired = visual_hull(&mut views(&BLIND), 48, None).unwrap();
         assert!(sound.value(HORN) < 0.0 && repaired.value(HORN) < 0.0);
         // Nothing else changes by more than about two cells.
         for row in 0..sound.values.len() {
@@ -226,7 +226,7 @@ mod tests {
     #[test]
     fn silhouettes_that_the_hull_contradicts_are_rejected() {
         let mut views = views(&BLIND);
-        let hull = visual_hull(&mut views, 48).unwrap();
+        let hull = visual_hull(&mut views, 48, None).unwrap();
         for (i, view) in views.iter().enumerate() {
             let reliable = reliable_pixels(&hull, view);
             let kept = reliable.iter().filter(|reliable| **reliable).count();
@@ -255,7 +255,7 @@ mod tests {
     #[test]
     fn masks_that_the_hull_does_not_fill_are_named_or_refused() {
         let mut views = views(&[]);
-        let hull = visual_hull(&mut views, 48).unwrap();
+        let hull = visual_hull(&mut views, 48, None).unwrap();
         assert!(check_hull(&hull, &views).unwrap().is_empty());
         views[4] = shifted(&views[4]);
         let notes = check_hull(&hull, &views).unwrap();

@@ -163,7 +163,7 @@ mod tests {
     fn one_low_view_empties_the_space_under_a_table() {
         let mut views = views(|_, _| false);
         views.pop();
-        let hull = visual_hull(&mut views, 48).unwrap();
+        let hull = visual_hull(&mut views, 48, None).unwrap();
         assert!(views.iter().all(|view| view.carves.is_some()));
         let between = |p: Vec3| p.x.abs() < 0.3 && p.z.abs() < 0.3 && (-0.6..-0.1).contains(&p.y);
         let inner = (0..hull.values.len()).filter(|row| between(hull.position(hull.vertex(*row))));
@@ -182,7 +182,7 @@ mod tests {
     #[test]
     fn a_mask_that_lacks_a_leg_carves_nothing_alone() {
         let mut views = views(|view, point| view == 60 && point.x > 0.3 && point.y < 0.1);
-        let hull = visual_hull(&mut views, 48).unwrap();
+        let hull = visual_hull(&mut views, 48, None).unwrap();
         let trusted: Vec<bool> = views.iter().map(|view| view.carves.is_some()).collect();
         assert!(!trusted[60] && trusted[61] && trusted[..60].iter().all(|trusted| *trusted), "{trusted:?}");
         assert!(
@@ -197,7 +197,7 @@ mod tests {
     fn a_hole_in_one_mask_makes_no_tunnel() {
         let hole = |point: Vec3| point.with_y(0.0).length() < 0.2;
         let mut views = views(|view, point| view == 30 && hole(point));
-        let hull = visual_hull(&mut views, 48).unwrap();
+        let hull = visual_hull(&mut views, 48, None).unwrap();
         assert!(hull.value(Vec3::new(0.0, 0.2, 0.0)) < 0.0);
     }
 }

@@ -224,7 +224,7 @@ mod tests {
     fn a_table_seen_from_above_loses_the_cone_below_it() {
         let plate = |p: Vec3| (p.with_y(0.0).length() - 0.5).max(p.y.abs() - 0.1);
         let mut above_it = silhouettes(1.5, 1.0, plate);
-        let mut grid = visual_hull(&mut above_it, 40).unwrap();
+        let mut grid = visual_hull(&mut above_it, 40, None).unwrap();
         assert!(lowest(&grid) < -0.25, "no cone: {}", lowest(&grid));
         let top = |grid: &SdfGrid| grid.value(Vec3::new(0.1, 0.1, 0.2));
         let before = top(&grid);
@@ -239,7 +239,7 @@ mod tests {
     #[test]
     fn masks_stay_filled_at_the_ends_of_an_arc() {
         let mut views = silhouettes(0.5, 0.5, ball);
-        let mut grid = visual_hull(&mut views, 40).unwrap();
+        let mut grid = visual_hull(&mut views, 40, None).unwrap();
         assert!(span_unseen(&mut grid, &views) > 0.01, "nothing is unseen");
         let outermost = [&views[0], &views[23]];
         for view in outermost {
@@ -254,7 +254,7 @@ mod tests {
     fn what_is_seen_from_all_sides_keeps_its_bits() {
         let mut all_around = silhouettes(1.0, 1.0, ball);
         all_around.extend(silhouettes(-1.0, 1.0, ball));
-        let hull = visual_hull(&mut all_around, 40).unwrap();
+        let hull = visual_hull(&mut all_around, 40, None).unwrap();
         let mut grid = hull.clone();
         assert_eq!(span_unseen(&mut grid, &all_around), 0.0);
         assert!(grid == hull);

@@ -64,7 +64,7 @@ fn hull_of_masks(views: &[ViewRecord], cells: u32, texture_size: u32) -> Result<
     let train = views.iter().filter(|view| view.split == Split::Train);
     let silhouette = |view: &ViewRecord| Silhouette::new(&view.name, &view.camera, view.mask.as_ref()?);
     let mut silhouettes: Vec<Silhouette> = train.filter_map(silhouette).collect();
-    let hull = visual_hull(&mut silhouettes, cells)?;
+    let hull = visual_hull(&mut silhouettes, cells, None)?;
     let notes = check_hull(&hull, &silhouettes)?;
     let unwrapped = unwrap_mesh(&extract_parts(&hull, &silhouettes), texture_size)?;
     Ok((Surface::new(unwrapped.mesh, texture_size)?, notes))

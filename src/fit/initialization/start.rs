@@ -143,9 +143,9 @@ fn all_trials(
         })?;
     }
     if let Some(ranks) = ranks {
-        let mut errors: Vec<[f32; 1]> = trials.iter().map(|trial| [trial.error]).collect();
+        let mut errors: Vec<f32> = trials.iter().map(|trial| trial.error).collect();
         ranks.complete(&mut errors, 1)?;
-        trials.iter_mut().zip(errors).for_each(|(trial, [error])| trial.error = error);
+        trials.iter_mut().zip(errors).for_each(|(trial, error)| trial.error = error);
     }
     Ok(trials)
 }

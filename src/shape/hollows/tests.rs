@@ -94,7 +94,7 @@ impl Pictures {
         open: impl Fn(&mut SdfGrid, &[Silhouette], &[StereoView]) -> f32,
     ) -> (SdfGrid, SdfGrid, f32) {
         let mut silhouettes = self.silhouettes();
-        let hull = visual_hull(&mut silhouettes, cells).unwrap();
+        let hull = visual_hull(&mut silhouettes, cells, None).unwrap();
         let mut carved = hull.clone();
         let share = open(&mut carved, &silhouettes, &self.views());
         (hull, carved, share)

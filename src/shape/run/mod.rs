@@ -25,6 +25,7 @@ use crate::mesh::triangles::Mesh;
 use crate::pipeline::pool::despawn_rows;
 use crate::pipeline::{Phase, Pipeline, Plugin, Slot};
 use crate::profile::stage;
+use crate::ranks::Ranks;
 use crate::sample::pixel::PixelOf;
 use crate::sample::point::Scenery;
 use crate::sdf::SdfGrid;
@@ -169,7 +170,8 @@ pub fn fit_shape(
     let carving = stage("hull");
     let mut silhouettes = training_silhouettes(&mut pipeline.world);
     check_interrupted()?;
-    let mut grid = visual_hull(&mut silhouettes, options.levels[0].cells)?;
+    let ranks = pipeline.world.get_resource::<Ranks>();
+    let mut grid = visual_hull(&mut silhouettes, options.levels[0].cells, ranks)?;
     // More than the longest level visits are of no use.
     let visited = |level: &ShapeLevel| level.schedule.steps as usize * level.schedule.silhouette_batch;
     let most = options.levels.iter().map(visited).max().unwrap_or(0);
