@@ -57,7 +57,8 @@ fn a_fit_on_several_ranks_has_the_bits_of_one() {
     let text = scene(
         MESH,
         "material: (gloss: One),",
-        r#"Fit(name: "fit", steps: 60, batch: 800), Save(name: "save"),"#,
+        r#"Fit(name: "first", steps: 5, batch: 800), Render(name: "between"),
+        Fit(name: "fit", steps: 60, batch: 800), Render(name: "after"), Save(name: "save"),"#,
     );
     // The pool has three or four chunks of samples: with seven ranks some have nothing to do.
     agrees(&data, &text, "fit", &[2, 3, 7]);
@@ -101,6 +102,8 @@ fn what_communication_takes_is_told() {
     assert_eq!(found["ranks"], 2);
     // Half of the radiance and adjoints of some hundred samples.
     assert!((5e3..1e5).contains(&found["bytes_per_step"].as_f64().unwrap()), "{found}");
+    // Half of the shadows of some thousand texels, and of the radiance of the first guess.
+    assert!((1e5..1e8).contains(&found["bytes_of_shares"].as_f64().unwrap()), "{found}");
 }
 
 /// Under `mpirun`, where the program has MPI.

@@ -66,12 +66,12 @@ pub(crate) fn run(session: &mut Session, pass: &FitPass) -> Result<()> {
     session.initialize = Initialize::NONE;
     session.report_light_frame(&pass.name);
     session.report_placements(&pass.name);
-    session.report_communication(&pass.name);
     let known = !options.unknowns.light || !options.unknowns.albedo;
     // Maps of the albedo may have replaced the scene's rule.
     let rule = session.pipeline.world.get_resource().copied().unwrap_or(options.scale);
     let rule = if known { "Known".to_owned() } else { ScaleRule::words(&rule) };
     let unseen = finish_texels(session, pass, &options, &mut summary)?;
+    session.report_communication(&pass.name);
     let scale = scale_found(session, rule)?;
     let _writing = stage("results written");
     note_fit(session);

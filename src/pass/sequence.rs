@@ -54,7 +54,7 @@ pub(super) fn run(
     }
     report.write(&session.out)?;
     for (index, pass) in session.scene.passes.iter().enumerate().skip(done) {
-        if session.leaves_to_first(index) {
+        if session.leave_to_first(index) {
             break;
         }
         if unfinished.leaves_out(session, pass) {

@@ -1,7 +1,6 @@
 //! What the passes of one run share.
 
 use crate::codec::file::write_file;
-use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::fit::FramesTried;
 use crate::fit::components::Unknowns;
@@ -16,7 +15,7 @@ use crate::pass::photograph::TrueObject;
 use crate::pass::progress::Progress;
 use crate::pipeline::Pipeline;
 use crate::profile::{Profiler, stage};
-use crate::ranks::Ranks;
+use crate::ranks::{Ranks, check_interrupted_together};
 use crate::report::profile::profile_table;
 use crate::report::scores::{Communication, FrameTried, PlacementFound, Scores};
 use crate::scene::{Albedo, Light, LightSource, Pass, PlacementLight, Scene, Views, Visibility};
@@ -177,7 +176,7 @@ impl Session<'_> {
             let ranks = self.pipeline.world.get_resource::<Ranks>();
             let traced = ObjectVisibility::new(&self.surface, settings, ranks)?;
             bar.finish_and_clear();
-            check_interrupted()?;
+            check_interrupted_together(ranks)?;
             let (mib, elapsed) = (traced.bytes() as f64 / 1048576.0, start.elapsed().as_secs_f64());
             self.progress.print(&format!("visibility: traced in {elapsed:.1} s, {mib:.1} MiB"));
             self.pipeline.world.insert_resource(traced);
@@ -235,9 +234,9 @@ impl<'a> Session<'a> {
         }
     }
 
-    /// Whether this process leaves pass `index` to the first one: it comes after all fits, in which every process has a share. The first one divides nothing from
-    /// then on.
-    pub(super) fn leaves_to_first(&mut self, index: usize) -> bool {
+    /// Divides nothing any more if pass `index` comes after all fits, in which every process has a share. Returns whether this process then leaves it to the first
+    /// one.
+    pub(super) fn leave_to_first(&mut self, index: usize) -> bool {
         let fits = |pass: &Pass| matches!(pass, Pass::Fit(_) | Pass::Shape(_));
         let Some(ranks) = self.ranks.as_ref().filter(|_| !self.scene.passes[index..].iter().any(fits)) else {
             return false;

@@ -7,7 +7,7 @@ pub mod mpi;
 pub(crate) mod packed;
 pub mod threads;
 
-use crate::error::stop::{StopSignal, ask_to_stop, is_stopping};
+use crate::error::stop::{StopSignal, ask_to_stop, check_interrupted, is_stopping};
 use crate::error::{Error, Result};
 use bevy_ecs::prelude::{Resource, World};
 use std::fmt;
@@ -15,6 +15,11 @@ use std::ops::Range;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
+
+/// Bytes that each process sends at a time.
+const BLOCK_BYTES: usize = 1 << 26;
+/// What went wrong if lengths differ.
+const OTHER_DATA: &str = "another process works on other data";
 
 /// A group of processes (or threads) that call the same functions in the same order. A call returns once all have called it.
 pub trait Communicator: Send + Sync {
@@ -44,7 +49,7 @@ pub struct Traffic {
     pub steps: u32,
     /// Of the samples of these steps.
     pub of_steps: Sent,
-    /// Of shadows and of what is done before the first step.
+    /// Of shadows, before the first step, and of what was done between fits.
     pub of_shares: Sent,
 }
 
@@ -91,12 +96,27 @@ impl Ranks {
         self.gather(bytes, |traffic| &mut traffic.of_steps)
     }
 
-    /// Sends what this process has found for its share to all, and returns what each has sent, by rank.
+    /// Sends what this process has found for its share to all, in blocks, and returns what each has sent, by rank. If one is asked to stop, all are from now on.
     pub(crate) fn gather_shares(&self, bytes: &[u8]) -> Result<Vec<Vec<u8>>> {
-        self.gather(bytes, |traffic| &mut traffic.of_shares)
+        let of: fn(&mut Traffic) -> &mut Sent = |traffic| &mut traffic.of_shares;
+        let length = (bytes.len() as u64).to_le_bytes();
+        let mut longest = 0;
+        for said in self.gather(&[&length[..], &[u8::from(is_stopping())]].concat(), of)? {
+            let Ok([length @ .., stops]) = <[u8; 9]>::try_from(said) else { return Err(broken(OTHER_DATA)) };
+            longest = longest.max(u64::from_le_bytes(length) as usize);
+            if stops == 1 {
+                self.stop_all();
+            }
+        }
+        let mut all = vec![Vec::new(); self.size()];
+        for start in (0..longest).step_by(BLOCK_BYTES) {
+            let block = &bytes[start.min(bytes.len())..bytes.len().min(start + BLOCK_BYTES)];
+            all.iter_mut().zip(self.gather(block, of)?).for_each(|(all, part)| all.extend(part));
+        }
+        Ok(all)
     }
 
-    fn gather(&self, bytes: &[u8], of: impl Fn(&mut Traffic) -> &mut Sent) -> Result<Vec<Vec<u8>>> {
+    fn gather(&self, bytes: &[u8], of: fn(&mut Traffic) -> &mut Sent) -> Result<Vec<Vec<u8>>> {
         let begun = Instant::now();
         let parts = self.communicator.all_gather(bytes)?;
         let received: usize = parts.iter().map(Vec::len).sum();
@@ -111,19 +131,30 @@ impl Ranks {
     /// Whether one of the processes is asked to stop; if so, all are from now on.
     fn agree_on_stop(&self) -> Result<bool> {
         let begun = Instant::now();
-        let stops = self.communicator.all_any(is_stopping())?;
+        let stops = self.any_stops()?;
         self.count(|traffic| {
             traffic.steps += 1;
             traffic.of_steps.seconds += begun.elapsed().as_secs_f64();
         });
+        Ok(stops)
+    }
+
+    /// The same, not counted as a step.
+    fn any_stops(&self) -> Result<bool> {
+        let stops = self.communicator.all_any(is_stopping())?;
         if stops {
-            self.stopped.store(true, Ordering::Relaxed);
-            ask_to_stop(StopSignal::Terminate);
+            self.stop_all();
         }
         Ok(stops)
     }
 
-    /// Whether all processes have stopped after the same step.
+    /// Makes this process one of those that are stopping, as all others know of themselves.
+    fn stop_all(&self) {
+        self.stopped.store(true, Ordering::Relaxed);
+        ask_to_stop(StopSignal::Terminate);
+    }
+
+    /// Whether all processes have stopped at the same place.
     pub fn have_stopped(&self) -> bool {
         self.stopped.load(Ordering::Relaxed)
     }
@@ -178,6 +209,14 @@ pub fn share(count: usize, chunk: usize, rank: usize, size: usize) -> Range<usiz
 /// Whether the processes stop after this step; called once a step by each. Without several processes nothing is said.
 pub(crate) fn agree_on_stop(world: &World) -> Result<bool> {
     world.get_resource::<Ranks>().map_or(Ok(false), Ranks::agree_on_stop)
+}
+
+/// [`check_interrupted`], on which all `ranks` agree: none goes on to divided work that another has left.
+pub(crate) fn check_interrupted_together(ranks: Option<&Ranks>) -> Result<()> {
+    if let Some(ranks) = ranks {
+        ranks.any_stops()?;
+    }
+    check_interrupted()
 }
 
 /// The error of a process that others have left, or that has got something unexpected.

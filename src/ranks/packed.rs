@@ -1,13 +1,10 @@
 //! Columns as bytes.
 
-use super::{Ranks, broken, share};
+use super::{OTHER_DATA, Ranks, broken, share};
 use crate::error::Result;
 use crate::math::shading::{Layers, PointAdjoint};
 use glam::Vec3;
 use std::ops::Range;
-
-/// What went wrong if lengths differ.
-const OTHER_DATA: &str = "another process works on other data";
 
 /// A value that is a number of floats.
 pub(crate) trait PackedFloats<const N: usize>: Copy {
@@ -123,16 +120,20 @@ impl Ranks {
         }
         Ok(())
     }
-    /// What each process has, one after the other.
+
+    /// What each process has, one after the other; `count` in all.
     pub(crate) fn joined<T: Copy, const N: usize>(
         &self,
         own: &[T],
+        count: usize,
         to_bytes: fn(T) -> [u8; N],
         of_bytes: fn([u8; N]) -> T,
     ) -> Result<Vec<T>> {
         let bytes: Vec<u8> = own.iter().flat_map(|value| to_bytes(*value)).collect();
         let parts = self.gather_shares(&bytes)?;
-        Ok(parts.iter().flat_map(|part| part.as_chunks::<N>().0).map(|bytes| of_bytes(*bytes)).collect())
+        let values = parts.iter().flat_map(|part| part.as_chunks::<N>().0).map(|bytes| of_bytes(*bytes));
+        let all: Vec<T> = values.collect();
+        if all.len() == count { Ok(all) } else { Err(broken(OTHER_DATA)) }
     }
 }
 

@@ -5,8 +5,8 @@
 //! the point, or see it at the border of the frame, abstain: what the frame cuts is kept. What a few masks remove
 //! although many show it is restored (`hull_repair`).
 
-use crate::error::stop::{check_interrupted, is_stopping};
-use crate::ranks::Ranks;
+use crate::error::stop::is_stopping;
+use crate::ranks::{Ranks, check_interrupted_together};
 use crate::sdf::SdfGrid;
 use crate::shape::hull_repair::{SLOPE, regrow};
 use crate::shape::silhouette::{MIN_VIEWS, Silhouette};
@@ -45,12 +45,12 @@ pub fn visual_hull(silhouettes: &mut [Silhouette], cells: u32, ranks: Option<&Ra
     let mut coarse = carve(silhouettes, (center, 1.1 * radius), COARSE_CELLS, None, ranks)?;
     regrow(&mut coarse, silhouettes, FORGIVEN_AT_GAPS);
     mark_trusted(silhouettes, &coarse);
-    check_interrupted()?;
+    check_interrupted_together(ranks)?;
     let (low, high) = bounds_inside(&coarse).ok_or_else(|| no_hull(silhouettes, &coarse))?;
     let half = 0.5 * (high - low).max_element() + coarse.spacing;
     let mut hull = carve(silhouettes, (0.5 * (low + high), half), cells, Some(&coarse), ranks)?;
     regrow(&mut hull, silhouettes, FORGIVEN_AT_GAPS);
-    check_interrupted()?;
+    check_interrupted_together(ranks)?;
     if hull.values.iter().all(|value| *value >= 0.0) {
         return Err(no_hull(silhouettes, &hull));
     }

@@ -77,12 +77,14 @@ impl Traced {
         self.hiders.append(&mut next.hiders);
     }
 
-    /// All rows in order, of which each process has traced its share.
-    fn completed(self, ranks: &Ranks) -> Result<Self> {
+    /// All rows in order, of which each process has traced its share; each has so many `words` of bits.
+    fn completed(self, ranks: &Ranks, rows: usize, words: usize) -> Result<Self> {
+        let counts = ranks.joined(&self.counts, rows, u32::to_le_bytes, u32::from_le_bytes)?;
+        let hidden = counts.iter().map(|count| *count as usize).sum();
         Ok(Self {
-            hidden: ranks.joined(&self.hidden, u64::to_le_bytes, u64::from_le_bytes)?,
-            counts: ranks.joined(&self.counts, u32::to_le_bytes, u32::from_le_bytes)?,
-            hiders: ranks.joined(&self.hiders, u32::to_le_bytes, u32::from_le_bytes)?,
+            hidden: ranks.joined(&self.hidden, rows * words, u64::to_le_bytes, u64::from_le_bytes)?,
+            hiders: ranks.joined(&self.hiders, hidden, u32::to_le_bytes, u32::from_le_bytes)?,
+            counts,
         })
     }
 }
@@ -121,7 +123,7 @@ impl TexelVisibility {
         let mut traced = Traced::default();
         parts.into_iter().for_each(|part| traced.append(part));
         if let Some(ranks) = ranks {
-            traced = traced.completed(ranks)?;
+            traced = traced.completed(ranks, texels.len(), directions.len() / 64)?;
         }
         let row_of = |texel: &u32| rows.get(*texel as usize).copied().unwrap_or(Self::NONE);
         let ends = traced.counts.iter().scan(0, |end, count| {

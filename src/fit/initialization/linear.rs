@@ -51,10 +51,9 @@ pub(crate) fn solve_amplitudes(
         respond(form, points, targets, specular, lighting, run)
     };
     let rows: Vec<Rows> = (0..points.len().div_ceil(CHUNK)).into_par_iter().map(chunk).collect();
-    let solved: [Vec<f64>; 3] = std::array::from_fn(|channel| {
-        let (matrix, right) = normal_equations(&rows, channel, lobes.len());
-        solve(&matrix, &right, ridge)
-    });
+    let channels = [0, 1, 2].map(|channel| normal_equations(&rows, channel, lobes.len()));
+    let solved = channels.into_par_iter().map(|(matrix, right)| solve(matrix, &right, ridge));
+    let solved: Vec<Vec<f64>> = solved.collect();
     (0..lobes.len()).map(|i| Vec3::from_array(std::array::from_fn(|c| solved[c][i] as f32))).collect()
 }
 
@@ -92,7 +91,7 @@ fn respond(
     rows
 }
 
-/// The normal equations of one channel: the symmetric matrix row by row, and the right side. Sums are in f32 over a chunk and in f64 over chunks.
+/// The normal equations of one channel: the symmetric matrix row by row, and the right side. Products of lobes are summed in f32 over a chunk, all else in f64.
 fn normal_equations(rows: &[Rows], channel: usize, n: usize) -> (Vec<f64>, Vec<f64>) {
     let mut matrix = vec![0.0; n * n];
     let mut right = vec![0.0; n];
@@ -141,18 +140,17 @@ fn tile_products(a: &[[f32; TILE]], b: &[[f32; TILE]]) -> [[f32; TILE]; TILE] {
 }
 
 /// Non-negative solution of normal equations with the prior, from equal amplitudes.
-fn solve(matrix: &[f64], right: &[f64], ridge: f64) -> Vec<f64> {
+fn solve(mut matrix: Vec<f64>, right: &[f64], ridge: f64) -> Vec<f64> {
     let n = right.len();
     let diagonal: f64 = (0..n).map(|i| matrix[i * n + i]).sum::<f64>() / n as f64;
     let total: f64 = matrix.iter().sum();
     let level = (right.iter().sum::<f64>() / total.max(1e-30)).max(0.0);
-    let mut pulled = matrix.to_vec();
-    (0..n).for_each(|i| pulled[i * n + i] += ridge * diagonal + 1e-30);
     let mut x = vec![level; n];
     // The prior has no slope at equal amplitudes.
     let slope = |(row, right): (&[f64], &f64)| level * row.iter().sum::<f64>() - right;
     let mut gradient: Vec<f64> = matrix.chunks_exact(n).zip(right).map(slope).collect();
-    descend_nonnegative(&pulled, &mut x, &mut gradient, SWEEPS);
+    (0..n).for_each(|i| matrix[i * n + i] += ridge * diagonal + 1e-30);
+    descend_nonnegative(&matrix, &mut x, &mut gradient, SWEEPS);
     x
 }
 
@@ -229,7 +227,7 @@ mod tests {
                 let sum: f64 = (0..200).map(|p| f64::from(response(p, i) * response(p, j))).sum();
                 assert!((matrix[i * lobes + j] - sum).abs() < 1e-3, "{i} {j}");
             }
-            for (found, truth) in solve(&matrix, &right, 0.0).iter().zip(&truth) {
+            for (found, truth) in solve(matrix, &right, 0.0).iter().zip(&truth) {
                 assert!((found - f64::from(*truth)).abs() < 1e-2 && *found >= 0.0, "{found} {truth}");
             }
         }
@@ -238,9 +236,9 @@ mod tests {
     #[test]
     fn the_prior_makes_of_nothing_nothing_and_of_what_no_pixel_sees_the_mean() {
         let (matrix, right) = normal_equations(&rows(&[0.0; 5], |_, _| 0.0), 0, 5);
-        assert_eq!(solve(&matrix, &right, 1e-2), vec![0.0; 5]);
+        assert_eq!(solve(matrix, &right, 1e-2), vec![0.0; 5]);
         let (matrix, right) = normal_equations(&rows(&[2.0; 5], |_, lobe| f32::from(lobe != 3)), 0, 5);
-        let found = solve(&matrix, &right, 1e-2);
+        let found = solve(matrix, &right, 1e-2);
         assert!(found.iter().all(|x| (x - 2.0).abs() < 1e-3), "{found:?}");
     }
 

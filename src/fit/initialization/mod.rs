@@ -4,7 +4,6 @@ pub mod place_lobes;
 pub mod placements;
 pub mod start;
 
-use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::fit::components::Unknowns;
 use crate::fit::groups::exchange_light;
@@ -22,7 +21,7 @@ use crate::math::shading::{
     self, ClosedForm, Layers, Lighting, LobeColumns, PointVisibility, ShadePoint, SpecularValue,
 };
 use crate::profile::stage;
-use crate::ranks::Ranks;
+use crate::ranks::{Ranks, check_interrupted_together};
 use crate::sample::observation::{Observation, Observations};
 use crate::sample::point::SurfacePoint;
 use crate::sample::turn::TurnTable;
@@ -210,16 +209,16 @@ fn alternate(
     lights: &mut [Vec<LightLobe>],
     texels: &mut Vec<Vec3>,
 ) -> Result<()> {
-    let unknowns = problems[0].unknowns;
+    let (unknowns, ranks) = (problems[0].unknowns, problems[0].ranks);
     for round in 0..ROUNDS {
         for (problem, lobes) in problems.iter_mut().zip(&mut *lights).filter(|_| unknowns.light) {
-            check_interrupted()?;
+            check_interrupted_together(ranks)?;
             if (1..=MOVES).contains(&round) {
                 move_lobes_to_the_light(lobes);
             }
             problem.solve_light(lobes, texels, round > 0)?;
         }
-        check_interrupted()?;
+        check_interrupted_together(ranks)?;
         if unknowns.albedo {
             *texels = albedo_under(problems, lights, texels)?;
         }

@@ -7,7 +7,8 @@
 
 use super::placements::{camera_axes, placements_are_open};
 use super::{Known, least_rough, lobes_of, with_initialization};
-use crate::error::Result;
+use crate::error::stop::check_interrupted;
+use crate::error::{Error, Result};
 use crate::fit::components::Unknowns;
 use crate::light::LightLobe;
 use crate::light::light_frame::{LightFrame, OwnLightFrame, turning_axis};
@@ -124,6 +125,7 @@ fn all_trials(
     unknowns: Unknowns,
     form: ClosedForm,
 ) -> Result<Vec<Trial>> {
+    let ranks = world.get_resource::<Ranks>().cloned();
     let (own, texels) = (lobes_of(world).1, recovered_albedo(world)?);
     let spread = unknowns.light && own.len() > MOST_TRIED;
     let lobes = if spread { LightLobe::even(MOST_TRIED) } else { own };
@@ -131,23 +133,37 @@ fn all_trials(
     let first = placements_are_open(world).then_some(Placement(0));
     let pairs = frames.iter().flat_map(|frame| specular.iter().map(move |lobe| (*frame, *lobe)));
     let mut trials: Vec<Trial> = pairs.map(|(frame, lobe)| Trial { frame, lobe, error: 0.0 }).collect();
-    let ranks = world.get_resource::<Ranks>().cloned();
-    let own = ranks.as_ref().map_or(0..trials.len(), |ranks| ranks.share(trials.len(), 1));
-    for Trial { frame, lobe, error } in &mut trials[own] {
-        world.insert_resource(OwnLightFrame(*frame));
+    let mut try_one = |trial: &Trial| -> Result<f32> {
+        world.insert_resource(OwnLightFrame(trial.frame));
         let (mut lobes, mut texels) = (lobes.clone(), texels.clone());
-        let known = Known { form, specular: *lobe, unknowns, object: None, in_part: true, placement: first };
-        *error = with_initialization(world, known, |problem| {
+        let specular = trial.lobe;
+        let known = Known { form, specular, unknowns, object: None, in_part: true, placement: first };
+        with_initialization(world, known, |problem| {
             problem.alternate(&mut lobes, &mut texels)?;
             problem.error(&lobes, &texels)
-        })?;
+        })
+    };
+    let share = ranks.as_ref().map_or(0..trials.len(), |ranks| ranks.share(trials.len(), 1));
+    for trial in &mut trials[share] {
+        match try_one(trial) {
+            Ok(error) => trial.error = error,
+            // All processes stop together, below.
+            Err(Error::Interrupted) if ranks.is_some() => break,
+            Err(error) => return Err(error),
+        }
     }
     if let Some(ranks) = ranks {
-        let mut errors: Vec<f32> = trials.iter().map(|trial| trial.error).collect();
-        ranks.complete(&mut errors, 1)?;
-        trials.iter_mut().zip(errors).for_each(|(trial, error)| trial.error = error);
+        complete_errors(&mut trials, &ranks)?;
     }
     Ok(trials)
+}
+
+/// Exchanges the errors of trials, of which each process has its share; an error on all if one is to stop.
+fn complete_errors(trials: &mut [Trial], ranks: &Ranks) -> Result<()> {
+    let mut errors: Vec<f32> = trials.iter().map(|trial| trial.error).collect();
+    ranks.complete(&mut errors, 1)?;
+    trials.iter_mut().zip(errors).for_each(|(trial, error)| trial.error = error);
+    check_interrupted()
 }
 
 /// The frame of least error; the usual one, unless another is clearly better.
