@@ -36,7 +36,7 @@ pub struct Silhouette {
 }
 
 /// A point as a view sees it.
-pub(super) struct Look {
+pub(super) struct Sighting {
     /// Image position.
     pub x: f32,
     pub y: f32,
@@ -46,7 +46,7 @@ pub(super) struct Look {
     pub pixel_size: f32,
 }
 
-impl Look {
+impl Sighting {
     /// World distance of the point outside the silhouette's cone, negative inside.
     pub fn world_distance(&self) -> f32 {
         self.pixels * self.pixel_size
@@ -135,15 +135,16 @@ impl Silhouette {
     }
 
     /// Where the view sees a point; `None` if it abstains.
-    pub(super) fn look(&self, point: Vec3) -> Option<Look> {
+    pub(super) fn look(&self, point: Vec3) -> Option<Sighting> {
         let (x, y, depth) = self.camera.project(point)?;
-        let look = || Look { x, y, pixels: self.pixels(x, y), pixel_size: depth * pixel_size(&self.camera) };
-        is_inner(&self.camera, x, y).then(look)
+        let sighting =
+            || Sighting { x, y, pixels: self.pixels(x, y), pixel_size: depth * pixel_size(&self.camera) };
+        is_inner(&self.camera, x, y).then(sighting)
     }
 
     /// World distance of a point outside the silhouette's cone (negative inside); `None` if the view abstains.
     pub(super) fn world_distance(&self, point: Vec3) -> Option<f32> {
-        self.look(point).map(|look| look.world_distance())
+        self.look(point).map(|sighting| sighting.world_distance())
     }
 
     /// The bilinear distance in pixels at an image position.

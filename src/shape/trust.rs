@@ -8,7 +8,7 @@
 
 use crate::error::stop::is_stopping;
 use crate::sdf::SdfGrid;
-use crate::shape::silhouette::{Look, MIN_VIEWS, Outside, Silhouette, is_inner};
+use crate::shape::silhouette::{MIN_VIEWS, Outside, Sighting, Silhouette, is_inner};
 use glam::Vec3;
 use rayon::prelude::*;
 
@@ -31,10 +31,10 @@ fn carve_distance(view: &Silhouette, point: Vec3) -> Option<f32> {
 }
 
 /// The same where the point is seen.
-fn carve_distance_at(view: &Silhouette, look: &Look) -> Option<f32> {
+fn carve_distance_at(view: &Silhouette, sighting: &Sighting) -> Option<f32> {
     let carves = view.carves.as_ref()?;
-    let beyond = look.pixels - CARVE_SLACK;
-    (beyond <= 0.0 || carves.contains(look.x, look.y)).then_some(beyond * look.pixel_size)
+    let beyond = sighting.pixels - CARVE_SLACK;
+    (beyond <= 0.0 || carves.contains(sighting.x, sighting.y)).then_some(beyond * sighting.pixel_size)
 }
 
 /// How far a point is outside what the trusted masks carve alone; negative infinity if none sees it.
@@ -47,9 +47,9 @@ fn trusted_distance(silhouettes: &[Silhouette], point: Vec3) -> f32 {
 pub(super) fn hull_distance(silhouettes: &[Silhouette], point: Vec3, forgiven: f32, outside: f32) -> f32 {
     let (mut seen, mut trusted) = (Vec::with_capacity(silhouettes.len()), f32::NEG_INFINITY);
     for view in silhouettes {
-        let Some(look) = view.look(point) else { continue };
-        seen.push(look.world_distance());
-        trusted = carve_distance_at(view, &look).map_or(trusted, |distance| trusted.max(distance));
+        let Some(sighting) = view.look(point) else { continue };
+        seen.push(sighting.world_distance());
+        trusted = carve_distance_at(view, &sighting).map_or(trusted, |distance| trusted.max(distance));
     }
     if seen.len() < MIN_VIEWS {
         return outside;

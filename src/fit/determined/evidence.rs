@@ -115,7 +115,7 @@ impl MergedLobes {
 }
 
 /// What is shaded, and what the photographs show of it.
-pub(crate) struct Shaded<'a> {
+pub(crate) struct ShadedSamples<'a> {
     pub form: ClosedForm,
     pub points: &'a [ShadePoint],
     pub specular: &'a SpecularValue,
@@ -143,7 +143,7 @@ struct ChannelSums {
 }
 
 /// Sums up the evidence of all patches.
-pub(crate) fn sum_up(shaded: &Shaded<'_>, patches: &AlbedoPatches) -> Evidence {
+pub(crate) fn sum_up(shaded: &ShadedSamples<'_>, patches: &AlbedoPatches) -> Evidence {
     let (lobes, samples) = (shaded.merged.len(), shaded.samples);
     let parts: Vec<[ChannelSums; 3]> = patches
         .patches
@@ -171,8 +171,12 @@ pub(crate) fn sum_up(shaded: &Shaded<'_>, patches: &AlbedoPatches) -> Evidence {
     Evidence { parameters, curvature, gradients, variance: squares / (3 * samples.len().max(1)) as f64 }
 }
 
-fn sum_run(shaded: &Shaded<'_>, patches: &AlbedoPatches, run: &[(Range<usize>, usize)]) -> [ChannelSums; 3] {
-    let Shaded { form, points, specular, lighting, merged, samples } = *shaded;
+fn sum_run(
+    shaded: &ShadedSamples<'_>,
+    patches: &AlbedoPatches,
+    run: &[(Range<usize>, usize)],
+) -> [ChannelSums; 3] {
+    let ShadedSamples { form, points, specular, lighting, merged, samples } = *shaded;
     let width = merged.len() + 2;
     let mut sums =
         std::array::from_fn(|_| ChannelSums { curvature: vec![0.0; width * width], gradients: Vec::new() });
@@ -202,7 +206,7 @@ fn sum_run(shaded: &Shaded<'_>, patches: &AlbedoPatches, run: &[(Range<usize>, u
 
 /// Derivatives of a pixel, by channel: with respect to the channel's lobes, then to what all channels share. `response` is that of the point
 /// ([`ClosedForm::respond`]). Reflected light counts as known.
-fn row(response: &[f32], shaded: &Shaded<'_>, index: usize) -> [Vec<f64>; 3] {
+fn row(response: &[f32], shaded: &ShadedSamples<'_>, index: usize) -> [Vec<f64>; 3] {
     let Lighting { lobes, visibility } = shaded.lighting;
     let (point, sample) = (&shaded.points[index], &shaded.samples[index]);
     let stride = lobes.stride();
@@ -377,7 +381,7 @@ mod tests {
         for count in [3, 2] {
             let merged = MergedLobes::new(&columns, count);
             assert_eq!(merged.len(), count);
-            let shaded_point = Shaded {
+            let shaded_point = ShadedSamples {
                 form,
                 points: &[point],
                 specular: &specular,

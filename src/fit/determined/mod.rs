@@ -14,7 +14,7 @@ pub(crate) mod evidence;
 
 use crate::error::Result;
 use crate::fit::components::Unknowns;
-use crate::fit::determined::evidence::{Evidence, MergedLobes, Sample, Shaded};
+use crate::fit::determined::evidence::{Evidence, MergedLobes, Sample, ShadedSamples};
 use crate::fit::initialization::{Initialization, Known, lobes_of, traced, with_initialization};
 use crate::light::{LightLobe, kernel_lobe};
 use crate::material::{SpecularLobe, recovered_albedo, recovered_materials};
@@ -127,10 +127,7 @@ fn gather_evidence(
     let shade = |lobe: SpecularLobe| shaded(problem.form, &points, lobe, lighting);
     let own = problem.specular;
     let [less, more] = [-STEP, STEP].map(f32::exp);
-    let change = |low: SpecularLobe, high: SpecularLobe| -> Vec<Vec3> {
-        let (low, high) = (shade(low), shade(high));
-        low.iter().zip(&high).map(|(low, high)| (sum_of(high) - sum_of(low)) / (2.0 * STEP)).collect()
-    };
+    let change = |low, high| slopes(&shade(low), &shade(high));
     let albedo = |factor: f32| SpecularLobe { albedo: own.albedo * factor, ..own };
     let roughness = |factor: f32| SpecularLobe { roughness: own.roughness * factor, ..own };
     let by_albedo = change(albedo(less), albedo(more));
@@ -140,7 +137,7 @@ fn gather_evidence(
         |i: usize| sample_of(&problem.observations[i].observed, &here[i], [by_albedo[i], by_roughness[i]]);
     let samples: Vec<Sample> = (0..n).map(sample).collect();
     let patches = evidence::patches(&problem.observations[..n], [CLUSTERS, PATCHES], problem.unknowns.albedo);
-    let shaded = Shaded {
+    let shaded = ShadedSamples {
         form: problem.form,
         points: &points,
         specular: &specular,
@@ -149,6 +146,11 @@ fn gather_evidence(
         samples: &samples,
     };
     Ok(Some(evidence::sum_up(&shaded, &patches)))
+}
+
+/// Derivatives of radiance by a logarithm, from where it is a step less and a step more.
+fn slopes(low: &[Layers], high: &[Layers]) -> Vec<Vec3> {
+    low.iter().zip(high).map(|(low, high)| (sum_of(high) - sum_of(low)) / (2.0 * STEP)).collect()
 }
 
 fn sample_of(observed: &Observed, shaded: &Layers, by_global: [Vec3; 2]) -> Sample {

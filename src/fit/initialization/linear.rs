@@ -219,7 +219,8 @@ mod tests {
     #[test]
     fn amplitudes_are_found_again_and_none_is_negative() {
         for lobes in [11, 37] {
-            let response = |pixel: usize, lobe: usize| ((pixel * 31 + lobe * lobe * 17) % 47) as f32 / 47.0;
+            let response =
+                |pixel: usize, lobe: usize| 0.5 + 0.5 * (0.731 * (pixel * (lobe + 1)) as f32).sin();
             let truth: Vec<f32> =
                 (0..lobes).map(|i| if i % 3 == 0 { 0.0 } else { 0.3 + 0.1 * i as f32 }).collect();
             let (matrix, right) = normal_equations(&rows(&truth, response), 1, lobes);

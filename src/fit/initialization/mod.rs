@@ -138,6 +138,11 @@ type Views<'w, 's> =
     Query<'w, 's, (&'static ViewIndex, &'static Camera, Option<&'static Placement>), With<Photograph>>;
 type Inputs<'w, 's> = (Observations<'w, 's>, Views<'w, 's>);
 
+/// The processes that divide the work. A part is too little for that, and mostly one of several trials, which are divided.
+fn dividing_ranks(world: &World, in_part: bool) -> Option<Ranks> {
+    world.get_resource::<Ranks>().filter(|_| !in_part).cloned()
+}
+
 /// Calls `run` with the data of the initialization of each group of photographs, in order.
 fn with_groups<T>(
     world: &mut World,
@@ -145,8 +150,7 @@ fn with_groups<T>(
     run: impl FnOnce(&mut [Initialization]) -> Result<T>,
 ) -> Result<T> {
     let Known { form, specular, unknowns, object, in_part, placement } = known;
-    // A part is too little to be divided, and mostly one of several trials, which are.
-    let ranks = world.get_resource::<Ranks>().filter(|_| !in_part).cloned();
+    let ranks = dividing_ranks(world, in_part);
     let lights = light_groups(world);
     let frame = PlacedFrame::own(world);
     let mut state = SystemState::<Inputs>::new(world);
@@ -164,14 +168,12 @@ fn with_groups<T>(
         frame.placements.light(placement)
     };
     let of_group = |number: usize| rows_of_group(observations, LightGroup(number as u32), light_of);
-    let part = |all| if in_part { part_of_surface(all).map(Cow::Owned) } else { None };
-    let parts = (0..lights).map(of_group).map(|all| part(all).unwrap_or(Cow::Borrowed(all)));
-    let parts: Vec<Cow<[Observation]>> = parts.collect();
-    let amplitude_pixels = if in_part { PART_AMPLITUDE_PIXELS } else { AMPLITUDE_PIXELS };
+    let part = |all| in_part.then(|| part_of_surface(all)).flatten().map_or(Cow::Borrowed(all), Cow::Owned);
+    let parts: Vec<Cow<[Observation]>> = (0..lights).map(of_group).map(part).collect();
     let problem = |observations| Initialization {
         form,
         observations,
-        amplitude_pixels,
+        amplitude_pixels: if in_part { PART_AMPLITUDE_PIXELS } else { AMPLITUDE_PIXELS },
         cameras: &cameras,
         placements: &placements,
         turns: &turns,
