@@ -4,10 +4,10 @@
 //! distances to the planes of the triangles that it represents; an edge collapses to the point where the sum of both ends is smallest,
 //! cheapest edges first. Collapses that change the topology or flip a triangle are not made, so that a closed manifold stays one.
 
-use crate::mesh::triangles::Mesh;
+use crate::mesh::triangles::{Mesh, Side, sorted_sides};
 use glam::{DMat3, DVec3};
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BinaryHeap};
+use std::collections::BinaryHeap;
 
 /// Weight of the distance to the old vertices, relative to that of the old planes: it determines the position in a plane or along an edge,
 /// and is negligible elsewhere.
@@ -104,7 +104,6 @@ impl Collapser {
 
     /// Adds the quadrics of all triangles to their corners, and those of borders.
     fn measure(&mut self) {
-        let mut edges: BTreeMap<(u32, u32), (u32, u32)> = BTreeMap::new();
         for (t, triangle) in self.triangles.iter().enumerate() {
             let corners = triangle.map(|vertex| self.positions[vertex as usize]);
             let doubled = (corners[1] - corners[0]).cross(corners[2] - corners[0]);
@@ -114,12 +113,11 @@ impl Collapser {
                 let quadric = &mut self.quadrics[vertex as usize];
                 *quadric = quadric.plus(plane).plus(Quadric::point(corners[k], area * STAY));
                 self.around[vertex as usize].push(t as u32);
-                let next = triangle[(k + 1) % 3];
-                edges.entry((vertex.min(next), vertex.max(next))).or_insert((0, t as u32)).0 += 1;
             }
         }
-        for ((from, to), (count, triangle)) in edges {
-            if count != 2 {
+        for same in sorted_sides(&self.triangles).chunk_by(|a, b| a.ends == b.ends) {
+            let Side { ends: [from, to], triangle } = same[0];
+            if same.len() != 2 {
                 self.hold_border(from as usize, to as usize, triangle);
             }
         }

@@ -2,7 +2,7 @@
 
 use crate::mesh::triangles::{Mesh, sorted_sides};
 use crate::sdf::grid::SdfGrid;
-use crate::sdf::manifold::make_manifold;
+use crate::sdf::manifold::{make_manifold, root};
 use fast_surface_nets::ndshape::RuntimeShape;
 use fast_surface_nets::{SurfaceNetsBuffer, surface_nets};
 use glam::Vec3;
@@ -94,14 +94,6 @@ fn part(mesh: &Mesh, triangles: &[usize], number: usize, places: &mut [(usize, u
         kept.triangles.push(corners);
     }
     kept
-}
-
-fn root(parent: &mut [u32], mut i: u32) -> u32 {
-    while parent[i as usize] != i {
-        parent[i as usize] = parent[parent[i as usize] as usize];
-        i = parent[i as usize];
-    }
-    i
 }
 
 #[cfg(test)]
