@@ -63,6 +63,11 @@ impl Metals {
         Self::of(materials.into_iter().map(|(number, lobe)| (number.0 as usize, lobe)))
     }
 
+    /// Whether no base material is metal at all.
+    pub fn are_none(&self) -> bool {
+        self.metalness.iter().all(|metal| *metal == 0.0)
+    }
+
     /// The part of a surface that is metal, in [0, 1], by the weights of its base materials.
     pub fn share(&self, weights: &[f32; MAX_SPECULAR_LOBES]) -> f32 {
         self.metalness.iter().zip(weights).map(|(metal, weight)| metal * weight).sum()

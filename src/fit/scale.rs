@@ -34,7 +34,9 @@ use crate::sample::Samples;
 use crate::sample::point::PointBlend;
 use bevy_ecs::prelude::{DetectChangesMut, Mut, Query, Res, ResMut, Resource, World};
 use glam::{DVec3, Vec3, Vec4};
+use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
+use std::ops::Range;
 
 /// The rule for the scale between light and albedo, one factor per channel, when both are unknown.
 #[derive(Resource, Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -82,6 +84,10 @@ impl ScaleRule {
 #[derive(Resource, Clone, Copy, Debug, Default, Serialize, Deserialize)]
 pub struct ScaleMoments(Moments<4>);
 
+/// Texels that a thread takes at a time; the chunk size of sums in a fixed order.
+const CHUNK: usize = 8192;
+/// Samples that a thread takes at a time.
+const SAMPLES: usize = 512;
 /// Rate relative to that of the light.
 const RATE: f32 = 0.15;
 /// Fraction of the way to white light that the initialization from gray albedo goes.
@@ -159,21 +165,49 @@ struct ScaleEvidence<'a> {
     metals: Metals,
 }
 
+/// Sums over samples of derivatives of the loss with respect to the logarithm of the factor.
+#[derive(Default)]
+struct SampleSums {
+    /// Of the specular light that has the color of the light.
+    highlights: DVec3,
+    /// Of what cannot give way, because albedos are at their bound.
+    bound: DVec3,
+    /// The part of each sample that is metal, summed.
+    metal: f64,
+}
+
 impl ScaleEvidence<'_> {
     /// Derivative of the loss and its priors with respect to the logarithm of the factor: its color (three channels with a mean of 0), its level.
     fn gradient(&self, white_light: f32, off_gray: Vec3, mean_albedo: Vec3) -> Vec4 {
-        let specular = |part: &dyn Fn(&PointBlend) -> Vec3| {
-            specular_derivative(self.layers, self.adjoint, &|i| part(&self.blends[i]))
-        };
-        let highlights = specular(&|blend| Vec3::ONE - self.metals.specular_share(&blend.0));
-        let bound = bound_derivative(self.points, self.layers, self.adjoint)
-            + specular(&|blend| self.metals.specular_share_at_bound(AT_BOUND, &blend.0));
-        let metal = self.blends.iter().map(|blend| f64::from(self.metals.share(&blend.0))).sum::<f64>();
-        let metal = (metal / self.blends.len().max(1) as f64) as f32;
+        let count = self.layers.len();
+        let runs =
+            (0..count.div_ceil(SAMPLES)).into_par_iter().map(|k| k * SAMPLES..count.min((k + 1) * SAMPLES));
+        let of_runs: Vec<SampleSums> = runs.map(|run| self.sums(run)).collect();
+        let total = |of: fn(&SampleSums) -> DVec3| of_runs.iter().map(of).sum::<DVec3>().as_vec3();
+        let (highlights, bound) = (total(|sums| sums.highlights), total(|sums| sums.bound));
+        let metal = (of_runs.iter().map(|sums| sums.metal).sum::<f64>() / count.max(1) as f64) as f32;
         let light = lamp_derivative(off_gray) + metal * WHITE_BESIDE_METAL * off_gray;
         let level = level_derivative(bound, mean_albedo)
             + LEVEL_WEIGHT * self.metals.level_derivative(metal, mean_albedo.element_sum() / 3.0);
         without_mean(highlights + white_light * light + bound).extend(level)
+    }
+
+    fn sums(&self, run: Range<usize>) -> SampleSums {
+        let mut sums = SampleSums::default();
+        for i in run {
+            let (layers, adjoint) = (&self.layers[i], &self.adjoint[i]);
+            let specular = specular_derivative(layers, adjoint);
+            sums.bound += bound_derivative(&self.points[i], layers, adjoint);
+            if self.metals.are_none() {
+                sums.highlights += specular;
+                continue;
+            }
+            let blend = &self.blends[i].0;
+            sums.highlights += specular * (Vec3::ONE - self.metals.specular_share(blend)).as_dvec3();
+            sums.bound += specular * self.metals.specular_share_at_bound(AT_BOUND, blend).as_dvec3();
+            sums.metal += f64::from(self.metals.share(blend));
+        }
+        sums
     }
 }
 
@@ -205,7 +239,9 @@ pub fn means(world: &mut World) -> Result<[Vec3; 2]> {
 /// Multiplies the light by a factor and divides the albedo by it.
 fn rescale<'a>(factor: Vec3, lobes: impl Iterator<Item = &'a mut LightLobe>, albedo: &mut [DiffuseAlbedo]) {
     lobes.for_each(|lobe| lobe.amplitude *= factor);
-    albedo.iter_mut().for_each(|albedo| albedo.0 = (albedo.0 / factor).min(Vec3::splat(MOST_ALBEDO)));
+    let divisor = factor.recip();
+    let texels = albedo.par_iter_mut().with_min_len(CHUNK);
+    texels.for_each(|albedo| albedo.0 = (albedo.0 * divisor).min(Vec3::splat(MOST_ALBEDO)));
 }
 
 /// Divides the specular albedo of a base material by the factor as far as it is metal.
@@ -227,23 +263,17 @@ fn rescale_sheen(factor: Vec3, albedo: &[DiffuseAlbedo], sheen: &mut [DiffuseShe
     });
 }
 
-/// Derivative of the loss with respect to the logarithm of the factor, if diffuse light does not change and `part(i)` of the specular light of
-/// sample i is multiplied by the factor.
-fn specular_derivative(layers: &[Layers], adjoint: &[RadianceAdjoint], part: &dyn Fn(usize) -> Vec3) -> Vec3 {
-    let of = |(i, (l, a)): (usize, (&Layers, &RadianceAdjoint))| {
-        (part(i) * Vec3::from(l.specular) * Vec3::from(a.0)).as_dvec3()
-    };
-    layers.iter().zip(adjoint).enumerate().map(of).sum::<DVec3>().as_vec3()
+/// Derivative of the loss with respect to the logarithm of the factor, if the diffuse light of a sample does not change and its specular light is multiplied by
+/// the factor.
+fn specular_derivative(layers: &Layers, adjoint: &RadianceAdjoint) -> DVec3 {
+    (Vec3::from(layers.specular) * Vec3::from(adjoint.0)).as_dvec3()
 }
 
-/// Derivative of the loss with respect to the logarithm of the factor where albedos are at their bound: such a texel cannot give way to a
+/// Derivative of the loss with respect to the logarithm of the factor where the albedo of a sample is at its bound: it cannot give way to a
 /// darker light, and its diffuse radiance is multiplied by the factor.
-fn bound_derivative(points: &[ShadePoint], layers: &[Layers], adjoint: &[RadianceAdjoint]) -> Vec3 {
-    let each = points.iter().zip(layers).zip(adjoint).map(|((point, l), a)| {
-        let at_bound = Vec3::from(point.albedo).cmpge(Vec3::splat(AT_BOUND));
-        Vec3::select(at_bound, Vec3::from(l.diffuse) * Vec3::from(a.0), Vec3::ZERO).as_dvec3()
-    });
-    each.sum::<DVec3>().as_vec3()
+fn bound_derivative(point: &ShadePoint, layers: &Layers, adjoint: &RadianceAdjoint) -> DVec3 {
+    let at_bound = Vec3::from(point.albedo).cmpge(Vec3::splat(AT_BOUND));
+    Vec3::select(at_bound, Vec3::from(layers.diffuse) * Vec3::from(adjoint.0), Vec3::ZERO).as_dvec3()
 }
 
 /// Derivative with respect to the logarithm of the level. Without texels that are too dark at their bound the level is left alone; with
@@ -284,12 +314,18 @@ fn mean_light<'a>(lobes: impl Iterator<Item = &'a LightLobe>) -> Vec3 {
 }
 
 /// Mean albedo of the texels that are seen, with the weight `weight(i)` of texel i: that which is not metal.
-fn mean_albedo(albedo: &[DiffuseAlbedo], seen: &[TexelSeen], weight: impl Fn(usize) -> f32) -> Vec3 {
-    let texels = albedo.iter().zip(seen).enumerate().filter(|(_, (_, seen))| seen.0 > 0.0);
-    let (sum, weights) = texels.fold((DVec3::ZERO, 0.0), |(sum, weights), (i, (albedo, _))| {
-        let weight = f64::from(weight(i));
-        (sum + albedo.0.as_dvec3() * weight, weights + weight)
-    });
+fn mean_albedo(albedo: &[DiffuseAlbedo], seen: &[TexelSeen], weight: impl Fn(usize) -> f32 + Sync) -> Vec3 {
+    let of_chunk = |(chunk, (albedo, seen)): (usize, (&[DiffuseAlbedo], &[TexelSeen]))| {
+        let texels = (chunk * CHUNK..).zip(albedo).zip(seen).filter(|(_, seen)| seen.0 > 0.0);
+        texels.fold((DVec3::ZERO, 0.0), |(sum, weights), ((i, albedo), _)| {
+            let weight = f64::from(weight(i));
+            (sum + albedo.0.as_dvec3() * weight, weights + weight)
+        })
+    };
+    let chunks = albedo.par_chunks(CHUNK).zip(seen.par_chunks(CHUNK)).enumerate();
+    let sums: Vec<(DVec3, f64)> = chunks.map(of_chunk).collect();
+    let (sum, weights) =
+        sums.into_iter().fold((DVec3::ZERO, 0.0), |all, of_chunk| (all.0 + of_chunk.0, all.1 + of_chunk.1));
     (sum / weights.max(1e-6)).as_vec3()
 }
 
@@ -324,7 +360,9 @@ mod tests {
         };
         let mut adjoint = vec![RadianceAdjoint::default(); 50];
         loss(Vec3::ONE, &mut adjoint);
-        let gradient = specular_derivative(&layers, &adjoint, &|_| Vec3::ONE);
+        let of_samples =
+            layers.iter().zip(&adjoint).map(|(layers, adjoint)| specular_derivative(layers, adjoint));
+        let gradient = of_samples.sum::<DVec3>().as_vec3();
         let mut unused = adjoint.clone();
         for axis in [Vec3::X, Vec3::Y, Vec3::Z] {
             let at = |step: f32, unused: &mut [RadianceAdjoint]| loss((axis * step).exp(), unused);
@@ -343,7 +381,10 @@ mod tests {
         let mut adjoint = vec![RadianceAdjoint::default(); 2];
         image_loss(Loss::L1, &layers, &observed, |_| Vec3::ONE, &mut adjoint);
         // Only the first point cannot follow with its albedo: −1/6 per unit of radiance, of which there is 0.7.
-        let bound = bound_derivative(&points, &layers, &adjoint);
+        let of_samples = points.iter().zip(&layers).zip(&adjoint);
+        let of_samples =
+            of_samples.map(|((point, layers), adjoint)| bound_derivative(point, layers, adjoint));
+        let bound = of_samples.sum::<DVec3>().as_vec3();
         assert!((bound - Vec3::new(0.0, 0.0, -0.7 / 6.0)).length() < 1e-6, "{bound}");
         assert!(level_derivative(bound, Vec3::splat(USUAL_ALBEDO)) < 0.0);
         // A few of them do not make the rest black, and without them the level stays.
