@@ -91,6 +91,28 @@ impl<S: Simd> Lanes<S> {
         ]
     }
 
+    /// One record of [`RECORD`] values per lane, one after another ([`record_of`]), from value `i` of all of them; undoes [`Lanes::columns`].
+    #[inline(always)]
+    pub fn records(columns: [Self; RECORD]) -> [Row; RECORD] {
+        let [a, b, c, d, e, f, g, h] = columns.map(|column| column.value);
+        // Values of two columns in turn, three times: by the three bits of their number.
+        let [ae, bf, cg, dh] = [a.interleave(e), b.interleave(f), c.interleave(g), d.interleave(h)];
+        let [even, odd] = [ae.0.interleave(cg.0), bf.0.interleave(dh.0)];
+        let [even_1, odd_1] = [ae.1.interleave(cg.1), bf.1.interleave(dh.1)];
+        let pairs = [
+            even.0.interleave(odd.0),
+            even.1.interleave(odd.1),
+            even_1.0.interleave(odd_1.0),
+            even_1.1.interleave(odd_1.1),
+        ];
+        let mut rows = [Row::ZERO; RECORD];
+        for (i, (first, second)) in pairs.into_iter().enumerate() {
+            store_at::<S>(&mut rows, 2 * i * Self::LEN, first);
+            store_at::<S>(&mut rows, (2 * i + 1) * Self::LEN, second);
+        }
+        rows
+    }
+
     /// The lanes whose bits are set, in order in the lowest lanes; zero in the others.
     #[inline(always)]
     pub fn packed(self, bits: u64) -> Self {
@@ -195,6 +217,25 @@ pub struct Row(pub [f32; MAX_LANES]);
 impl Row {
     /// All zero.
     pub const ZERO: Self = Self([0.0; MAX_LANES]);
+}
+
+/// Writes a vector to rows that follow each other, from this value on.
+#[inline(always)]
+fn store_at<S: Simd>(rows: &mut [Row], at: usize, vector: S::f32s) {
+    let row = &mut rows[at / MAX_LANES].0;
+    vector.store_slice(&mut row[at % MAX_LANES..][..Lanes::<S>::LEN]);
+}
+
+/// A record among rows of them.
+#[inline(always)]
+pub fn record_of(rows: &[Row], record: usize) -> &[f32] {
+    &rows[record * RECORD / MAX_LANES].0[record * RECORD % MAX_LANES..][..RECORD]
+}
+
+/// [`record_of`], to be changed.
+#[inline(always)]
+pub fn record_of_mut(rows: &mut [Row], record: usize) -> &mut [f32] {
+    &mut rows[record * RECORD / MAX_LANES].0[record * RECORD % MAX_LANES..][..RECORD]
 }
 
 macro_rules! binary {
@@ -339,6 +380,19 @@ mod tests {
                 assert_eq!(*value, records[i][c], "record {i}, value {c}");
             }
         }
+    }
+
+    #[inline(always)]
+    fn records_again<S: Simd>(simd: S, records: &[[f32; RECORD]; MAX_LANES]) -> Vec<Vec<f32>> {
+        let rows = Lanes::records(Lanes::columns(simd, records));
+        (0..Lanes::<S>::LEN).map(|lane| record_of(&rows, lane).to_vec()).collect()
+    }
+
+    #[test]
+    fn columns_become_records_again() {
+        let records = std::array::from_fn(|i| std::array::from_fn(|c| (10 * i + c) as f32));
+        let again = dispatch!(simd => records_again(simd, &records));
+        assert!(again.iter().zip(&records).all(|(again, record)| again == record), "{again:?}");
     }
 
     #[inline(always)]

@@ -48,6 +48,19 @@ pub struct Hit {
 pub trait Intersect: Send + Sync {
     /// Nearest hit at a distance in `(min_distance, ∞)`.
     fn intersect(&self, ray: &Ray, min_distance: f32) -> Option<Hit>;
+    /// [`Self::intersect`] of rays from one origin: `hits[i]` becomes that of `directions[i]`. Surfaces may be faster if directions are near those
+    /// beside them; the default implementation casts one ray after another.
+    fn intersect_packet(
+        &self,
+        origin: Vec3,
+        directions: &[Vec3],
+        min_distance: f32,
+        hits: &mut [Option<Hit>],
+    ) {
+        for (hit, direction) in hits.iter_mut().zip(directions) {
+            *hit = self.intersect(&Ray { origin, direction: *direction }, min_distance);
+        }
+    }
     /// Whether there is a hit at a distance in `(min_distance, max_distance)`.
     fn occluded(&self, ray: &Ray, min_distance: f32, max_distance: f32) -> bool;
     /// Radius of a ball around the surface, world units; small offsets are relative to it. The default implementation returns 1.

@@ -7,10 +7,10 @@ use super::prepared::{Chunk, Prepared, Shared, splat};
 use super::walk::{Visit, walk};
 use crate::brdf::SpecularAdjoint;
 use crate::columns::LOBE_COLUMNS;
-use crate::lanes::{Lanes, MAX_LANES, Row};
+use crate::lanes::{Lanes, MAX_LANES, RECORD, Row, record_of, record_of_mut};
 use crate::lighting::{LobeVisibility, PointVisibility};
 use crate::model::{DIFFUSE, PairAdjoint, PairModel, Part, PointEnd, Response, SPECULAR, Terms};
-use crate::real::{Vec3Of, dot, scale};
+use crate::real::{Real, Vec3Of, dot, scale};
 use crate::sample::{Layers, PointAdjoint, RadianceAdjoint, RadianceColumns, ShadePoint};
 use fearless_simd::Simd;
 use std::f32::consts::PI;
@@ -76,6 +76,9 @@ pub fn adjoint_chunk<S: Simd, M: PairModel>(
     let mut gradient = SpecularAdjoint::default();
     let mut prepared = None;
     let mut picked = Picked::none();
+    // Selected lobes are anywhere, so that the gradient of each stays together until the end.
+    let mut records =
+        vec![Row::ZERO; if M::CULLS { lobe_gradient.len().div_ceil(LOBE_COLUMNS) * RECORD } else { 0 }];
     for (i, point) in points.iter().enumerate() {
         let lane = i % Lanes::<S>::LEN;
         if lane == 0 {
@@ -87,14 +90,35 @@ pub fn adjoint_chunk<S: Simd, M: PairModel>(
         let (row, around) = LobeVisibility::point(visibility, i, shared.stride());
         let weights = Weights::new(shared, point, &around, frozen, &shaded[i], &adjoint[i]);
         let wide = splat::<S, M>(simd, terms);
-        let (light, sums) = pull_back_lobes(simd, shared, &wide, row, &weights, &mut picked, lobe_gradient);
+        let gradient_of_lobes = GradientRows { rows: lobe_gradient, records: &mut records };
+        let (light, sums) =
+            pull_back_lobes(simd, shared, &wide, row, &weights, &mut picked, gradient_of_lobes);
         out[i].albedo = weights.albedo_adjoint(&light, &around);
         let specular_light = &weights.weighted_specular(&light);
         let end = PointEnd { point, specular: shared.specular, terms, frozen, sums: &sums, specular_light };
         out[i].normal = shared.model.pull_back_point(&end, &mut gradient);
     }
+    add_records(&records, lobe_gradient);
     let [r, g, b] = gradient.albedo;
     specular_row[0].0[..4].copy_from_slice(&[r, g, b, gradient.roughness]);
+}
+
+/// The gradient of the lobes so far.
+struct GradientRows<'a> {
+    /// [`LOBE_COLUMNS`] rows for each block of lobes.
+    rows: &'a mut [Row],
+    /// What selected lobes add to that, a record for each lobe.
+    records: &'a mut [Row],
+}
+
+/// Adds the gradients in records of lobes to their rows.
+fn add_records(records: &[Row], rows: &mut [Row]) {
+    for (block, rows) in rows.chunks_exact_mut(LOBE_COLUMNS).enumerate().take(records.len() / RECORD) {
+        for lane in 0..MAX_LANES {
+            let record = record_of(records, block * MAX_LANES + lane);
+            rows.iter_mut().zip(record).for_each(|(row, value)| row.0[lane] += value);
+        }
+    }
 }
 
 /// Loops over the lobes for one point: adds their gradient to `gradient` and returns the sums of the point.
@@ -106,7 +130,7 @@ fn pull_back_lobes<S: Simd, M: PairModel>(
     row: Option<&[u8]>,
     weights: &Weights<M>,
     picked: &mut PickedByRule,
-    gradient: &mut [Row],
+    gradient: GradientRows<'_>,
 ) -> (Sums<M>, M::Sums<f32>) {
     let ks: M::Specular<Vec3Of<Lanes<S>>> = Terms::from_fn(|b| splat3(simd, weights.specular_light.at(b)));
     let zero = Lanes::splat(simd, 0.0);
@@ -141,7 +165,7 @@ struct PullBack<'a, S: Simd, M: PairModel> {
     ks: M::Specular<Vec3Of<Lanes<S>>>,
     light: Light<S, M>,
     sums: M::Sums<Lanes<S>>,
-    gradient: &'a mut [Row],
+    gradient: GradientRows<'a>,
 }
 
 impl<S: Simd, M: PairModel> PullBack<'_, S, M> {
@@ -189,7 +213,7 @@ impl<S: Simd, M: PairModel> Visit<S, M> for PullBack<'_, S, M> {
             self.model.pull_back::<_, PART>(self.terms, &lobe.shape, &lobe.terms, &adjoint);
         response.diffuse = response.diffuse * reaching;
         let columns = self.take::<PART>(lobe.amplitude, &response, &back);
-        let rows = &mut self.gradient[b * LOBE_COLUMNS..(b + 1) * LOBE_COLUMNS];
+        let rows = &mut self.gradient.rows[b * LOBE_COLUMNS..(b + 1) * LOBE_COLUMNS];
         for (row, value) in rows.iter_mut().zip(columns) {
             value.add_to(&mut row.0[at..at + Lanes::<S>::LEN]);
         }
@@ -202,22 +226,16 @@ impl<S: Simd, M: PairModel> Visit<S, M> for PullBack<'_, S, M> {
         let (specular, back) =
             self.model.pull_back_specular::<_, PART>(self.terms, &shape, placed, &adjoint.specular);
         let response = Response { diffuse: adjoint.diffuse, specular };
-        scatter(self.take::<SPECULAR>(mu, &response, &back), lobes.index, self.gradient);
+        scatter(self.take::<SPECULAR>(mu, &response, &back), lobes.index, self.gradient.records);
     }
 }
 
-/// Adds the gradient of a vector of selected lobes to the rows of the lobes.
+/// Adds the gradient of a vector of selected lobes to their records.
 #[inline(always)]
-fn scatter<S: Simd>(columns: [Lanes<S>; LOBE_COLUMNS], index: &[f32], gradient: &mut [Row]) {
-    let mut values = [Row::ZERO; LOBE_COLUMNS];
-    for (row, value) in values.iter_mut().zip(columns) {
-        value.store(&mut row.0[..Lanes::<S>::LEN]);
-    }
-    for (i, lobe) in index.iter().enumerate() {
-        let lobe = *lobe as usize;
-        let rows = &mut gradient[lobe / MAX_LANES * LOBE_COLUMNS..][..LOBE_COLUMNS];
-        for (row, value) in rows.iter_mut().zip(&values) {
-            row.0[lobe % MAX_LANES] += value.0[i];
-        }
+fn scatter<S: Simd>([a, b, c, d, e, f, g]: [Lanes<S>; LOBE_COLUMNS], index: &[f32], records: &mut [Row]) {
+    let values = Lanes::records([a, b, c, d, e, f, g, a.zero()]);
+    for (lane, lobe) in index.iter().enumerate() {
+        let record = record_of_mut(records, *lobe as usize);
+        record.iter_mut().zip(record_of(&values, lane)).for_each(|(sum, value)| *sum += value);
     }
 }

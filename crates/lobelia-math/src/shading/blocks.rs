@@ -3,7 +3,7 @@
 
 use super::limits::{STRICTNESS, exponent_limits};
 use crate::columns::{LOBE_COLUMNS, LobeColumns};
-use crate::lanes::{Lanes, MAX_LANES, RECORD, Row};
+use crate::lanes::{Lanes, MAX_LANES, RECORD, Row, record_of, record_of_mut};
 use crate::lobe::Shape;
 use crate::model::{PairModel, Terms};
 use crate::real::Vec3Of;
@@ -20,15 +20,11 @@ const fn limits_at<M: PairModel>() -> usize {
     LOBE_COLUMNS + <M::Lobe<f32> as Terms<f32>>::LEN
 }
 
-/// Lobes to a row of [`record`]s.
-const RECORDS: usize = MAX_LANES / RECORD;
-
 /// Axis, sharpness and amplitude of a lobe, and 1 over the square root of its sharpness.
 #[inline(always)]
 pub fn record<M: PairModel>(lobes: &[Row], lobe: usize) -> &[f32] {
     let (block, lane) = (lobe / MAX_LANES, lobe % MAX_LANES);
-    let row = &lobes[block * block_rows::<M>() + limits_at::<M>() + 2 + lane / RECORDS].0;
-    &row[lane % RECORDS * RECORD..][..RECORD]
+    record_of(&lobes[block * block_rows::<M>() + limits_at::<M>() + 2..], lane)
 }
 
 /// The exponent above which a specular part is skipped, and the response below which it is.
@@ -58,7 +54,7 @@ pub fn prepare_lobes<S: Simd, M: PairModel>(simd: S, model: M, lobes: &LobeColum
             let exponent = limit(b * MAX_LANES + i);
             rest[0].0[i] = exponent;
             rest[1].0[i] = STRICTNESS * (-exponent).exp();
-            let record = &mut rest[2 + i / RECORDS].0[i % RECORDS * RECORD..][..RECORD];
+            let record = record_of_mut(&mut rest[2..], i);
             for (value, column) in record.iter_mut().zip(&columns[..LOBE_COLUMNS]) {
                 *value = column.0[i];
             }
