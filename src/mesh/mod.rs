@@ -17,7 +17,9 @@ pub mod chamfer;
 pub mod decimate;
 pub mod nearest;
 pub mod primitive;
+mod ray_packet;
 pub mod tangents;
+pub mod triangle_test;
 pub mod triangles;
 mod wide_bvh;
 
@@ -25,8 +27,10 @@ use crate::math::ray::{Hit, Intersect, Ray};
 use crate::{Error, Result};
 use atlas::{TexelAtlas, address};
 use bevy_ecs::prelude::Resource;
-use bvh::{TriangleBvh, TriangleHit};
+use bvh::TriangleBvh;
 use glam::{Vec2, Vec3};
+use ray_packet::PACKET;
+use triangle_test::TriangleHit;
 use triangles::Mesh;
 
 /// The largest coordinate of a surface, in world units: squares of areas of boxes must stay finite in `f32`.
@@ -126,6 +130,19 @@ impl Surface {
 impl Intersect for Surface {
     fn intersect(&self, ray: &Ray, min_distance: f32) -> Option<Hit> {
         self.nearest(ray, min_distance).map(|found| self.hit(found))
+    }
+
+    fn intersect_packet(
+        &self,
+        origin: Vec3,
+        directions: &[Vec3],
+        min_distance: f32,
+        hits: &mut [Option<Hit>],
+    ) {
+        for (hits, directions) in hits.chunks_mut(PACKET).zip(directions.chunks(PACKET)) {
+            let found = self.bvh.nearest_of_packet(origin, directions, min_distance);
+            hits.iter_mut().zip(found).for_each(|(hit, found)| *hit = found.map(|found| self.hit(found)));
+        }
     }
 
     fn occluded(&self, ray: &Ray, min_distance: f32, max_distance: f32) -> bool {

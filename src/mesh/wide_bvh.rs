@@ -21,10 +21,13 @@ const USUAL_WAITING: usize = 64;
 /// A direction's component below this counts as this, so that its inverse is finite.
 const LEAST_COMPONENT: f32 = 1e-30;
 /// Boxes are left this much later, for rounding in the box test (Ize, "Robust BVH Ray Traversal", 2013: 2γ₃).
-const ROUNDING: f32 = 1.0 + 8e-7;
+pub(super) const ROUNDING: f32 = 1.0 + 8e-7;
 
 /// One value for each child of a node or triangle of a leaf.
-type Each = [f32; WIDTH];
+pub(super) type Each = [f32; WIDTH];
+
+/// Least and greatest corner of a box.
+pub(super) type BoxCorners = [[f32; 3]; 2];
 
 /// The boxes around the children of a node. Boxes of missing children have their low corner beyond their high one.
 #[derive(Clone, Debug, PartialEq)]
@@ -34,6 +37,8 @@ struct Node {
     bounds: [[Each; 3]; 2],
     /// Numbers of nodes, or with [`LEAF`] of leaves.
     children: [u32; WIDTH],
+    /// The box around all of them.
+    around: BoxCorners,
 }
 
 /// Up to eight triangles; missing ones are zero, and `count` leaves them out.
@@ -46,6 +51,8 @@ pub(super) struct Leaf {
     pub triangles: [u32; WIDTH],
     /// How many there are.
     pub count: u32,
+    /// The box around them.
+    pub around: BoxCorners,
 }
 
 impl Leaf {
@@ -62,6 +69,12 @@ pub(super) struct WideBvh {
     leaves: Vec<Leaf>,
 }
 
+/// One ray, or several that start at one point, as boxes are tested against them.
+pub(super) trait BoxRays {
+    /// Distances at which the rays meet the nearer and the farther plane of each box along an axis: of several rays the least and the greatest.
+    fn planes<S: Simd>(&self, simd: S, bounds: &[[Each; 3]; 2], axis: usize) -> (f32x8<S>, f32x8<S>);
+}
+
 /// A ray as boxes are tested against it.
 pub(super) struct BoxRay {
     origin: [f32; 3],
@@ -71,13 +84,31 @@ pub(super) struct BoxRay {
 impl BoxRay {
     /// A ray of this origin and direction, which are finite.
     pub fn new(origin: Vec3A, direction: Vec3A) -> Self {
-        let inverse = |c: f32| c.abs().max(LEAST_COMPONENT).copysign(c).recip();
         Self { origin: origin.to_array(), inverse: direction.to_array().map(inverse) }
+    }
+}
+
+/// The inverse of a direction's component, finite.
+pub(super) fn inverse(component: f32) -> f32 {
+    component.abs().max(LEAST_COMPONENT).copysign(component).recip()
+}
+
+impl BoxRays for BoxRay {
+    #[inline(always)]
+    fn planes<S: Simd>(&self, simd: S, bounds: &[[Each; 3]; 2], axis: usize) -> (f32x8<S>, f32x8<S>) {
+        let origin = f32x8::splat(simd, self.origin[axis]);
+        let inverse = f32x8::splat(simd, self.inverse[axis]);
+        let near = usize::from(self.inverse[axis] < 0.0);
+        let low = f32x8::from_slice(simd, &bounds[near][axis]);
+        let high = f32x8::from_slice(simd, &bounds[1 - near][axis]);
+        ((low - origin) * inverse, (high - origin) * inverse)
     }
 }
 
 /// What is done with the leaves along a ray.
 pub(super) trait LeafVisitor {
+    /// Whether any of the rays enters a box, as far as is known; what is in others is not visited.
+    fn enters<S: Simd>(&mut self, simd: S, around: &BoxCorners) -> bool;
     /// Sees a leaf that the ray enters before `limit`; returns the limit from then on.
     fn visit<S: Simd>(&mut self, simd: S, leaf: &Leaf, limit: f32) -> f32;
 }
@@ -145,9 +176,15 @@ impl WideBvh {
         wide
     }
 
-    /// Visits the leaves whose boxes the ray enters before `limit`, near ones first.
+    /// Visits the leaves whose boxes the rays enter before `limit`, near ones first.
     #[inline(always)]
-    pub fn walk<S: Simd>(&self, simd: S, ray: &BoxRay, mut limit: f32, visitor: &mut impl LeafVisitor) {
+    pub fn walk<S: Simd>(
+        &self,
+        simd: S,
+        rays: &impl BoxRays,
+        mut limit: f32,
+        visitor: &mut impl LeafVisitor,
+    ) {
         if self.nodes.is_empty() {
             return;
         }
@@ -156,14 +193,19 @@ impl WideBvh {
         loop {
             if entered < limit {
                 if next & LEAF != 0 {
-                    limit = visitor.visit(simd, &self.leaves[(next & !LEAF) as usize], limit);
-                    if limit <= 0.0 {
-                        return;
+                    let leaf = &self.leaves[(next & !LEAF) as usize];
+                    if visitor.enters(simd, &leaf.around) {
+                        limit = visitor.visit(simd, leaf, limit);
+                        if limit <= 0.0 {
+                            return;
+                        }
                     }
                 } else {
                     let node = &self.nodes[next as usize];
-                    let (bits, entries) = node.entered(simd, ray, limit);
-                    waiting.push(bits, &entries, &node.children);
+                    if visitor.enters(simd, &node.around) {
+                        let (bits, entries) = node.entered(simd, rays, limit);
+                        waiting.push(bits, &entries, &node.children);
+                    }
                 }
             }
             match waiting.pop() {
@@ -209,7 +251,7 @@ impl Builder<'_> {
         self.wide.nodes.push(Node::EMPTY);
         let mut open = vec![(0, 0)];
         while let Some((index, place)) = open.pop() {
-            let mut node = Node::EMPTY;
+            let mut node = Node { around: self.around(index), ..Node::EMPTY };
             for (k, child) in self.children(index).into_iter().enumerate() {
                 let aabb = self.binary.nodes[child].aabb();
                 for (bounds, corner) in node.bounds.iter_mut().zip([aabb.min, aabb.max]) {
@@ -243,6 +285,11 @@ impl Builder<'_> {
         children
     }
 
+    fn around(&self, index: usize) -> BoxCorners {
+        let aabb = self.binary.nodes[index].aabb();
+        [aabb.min.to_array(), aabb.max.to_array()]
+    }
+
     /// Adds a leaf of the triangles below a node.
     fn leaf(&mut self, index: usize) -> u32 {
         let mut triangles = Vec::with_capacity(WIDTH);
@@ -257,8 +304,12 @@ impl Builder<'_> {
             }
         }
         debug_assert!(triangles.len() <= WIDTH, "leaves of the binary hierarchy have one triangle");
-        let mut leaf =
-            Leaf { corners: Default::default(), triangles: [u32::MAX; WIDTH], count: triangles.len() as u32 };
+        let mut leaf = Leaf {
+            corners: Default::default(),
+            triangles: [u32::MAX; WIDTH],
+            count: triangles.len() as u32,
+            around: self.around(index),
+        };
         for (lane, triangle) in triangles.iter().enumerate() {
             leaf.triangles[lane] = *triangle;
             for (of, corner) in leaf.corners.iter_mut().zip((self.corners)(*triangle as usize)) {
@@ -271,12 +322,12 @@ impl Builder<'_> {
 }
 
 impl Node {
-    /// A bit for each child that the ray enters before `limit`, and the distances at which it enters.
+    /// A bit for each child that the rays enter before `limit`, and the distances at which they enter.
     #[inline(always)]
-    fn entered<S: Simd>(&self, simd: S, ray: &BoxRay, limit: f32) -> (u64, Each) {
-        let (near_x, far_x) = self.planes(simd, ray, 0);
-        let (near_y, far_y) = self.planes(simd, ray, 1);
-        let (near_z, far_z) = self.planes(simd, ray, 2);
+    fn entered<S: Simd>(&self, simd: S, rays: &impl BoxRays, limit: f32) -> (u64, Each) {
+        let (near_x, far_x) = rays.planes(simd, &self.bounds, 0);
+        let (near_y, far_y) = rays.planes(simd, &self.bounds, 1);
+        let (near_z, far_z) = rays.planes(simd, &self.bounds, 2);
         let entry = near_x.max(near_y).max(near_z.max(f32x8::splat(simd, 0.0)));
         let exit = far_x.min(far_y).min(far_z) * f32x8::splat(simd, ROUNDING);
         let bits = entry.simd_le(exit.min(f32x8::splat(simd, limit))).to_bitmask();
@@ -285,19 +336,11 @@ impl Node {
         (bits, entries)
     }
 
-    /// Distances to the nearer and to the farther plane of each box along an axis.
-    #[inline(always)]
-    fn planes<S: Simd>(&self, simd: S, ray: &BoxRay, axis: usize) -> (f32x8<S>, f32x8<S>) {
-        let origin = f32x8::splat(simd, ray.origin[axis]);
-        let inverse = f32x8::splat(simd, ray.inverse[axis]);
-        let near = usize::from(ray.inverse[axis] < 0.0);
-        let low = f32x8::from_slice(simd, &self.bounds[near][axis]);
-        let high = f32x8::from_slice(simd, &self.bounds[1 - near][axis]);
-        ((low - origin) * inverse, (high - origin) * inverse)
-    }
-
-    const EMPTY: Self =
-        Self { bounds: [[[f32::INFINITY; WIDTH]; 3], [[f32::NEG_INFINITY; WIDTH]; 3]], children: [0; WIDTH] };
+    const EMPTY: Self = Self {
+        bounds: [[[f32::INFINITY; WIDTH]; 3], [[f32::NEG_INFINITY; WIDTH]; 3]],
+        children: [0; WIDTH],
+        around: [[0.0; 3]; 2],
+    };
 }
 
 #[cfg(test)]

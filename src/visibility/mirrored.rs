@@ -7,7 +7,7 @@
 //! | [`RAYS`] | | 16 | rays of a point |
 
 use crate::math::brdf::ndf_sharpness;
-use crate::math::ray::{Hit, Intersect, Ray};
+use crate::math::ray::{Hit, Intersect};
 use crate::sample::pixel::PixelOf;
 use crate::visibility::occlusion::{Bounce, MOST_MIRRORED, Mirror, Sky, sharpness_of_lobe};
 use crate::visibility::texel_visibility::{OFFSET, TexelVisibility};
@@ -98,9 +98,12 @@ impl Mirrored<'_> {
         let directions: [Vec3; RAYS] =
             std::array::from_fn(|i| world_from_lobe * direction_in_lobe(i, sharpness));
         // A ray that enters the flat triangle meets nothing that the smooth surface would.
-        let sent = directions.map(|direction| {
-            let leaves = geometric_normal.dot(direction) > 0.0;
-            leaves.then(|| self.sent_from(&Ray { origin, direction })).flatten()
+        let mut hits = [None; RAYS];
+        let nearest = OFFSET * self.surface.radius();
+        self.surface.intersect_packet(origin, &directions, nearest, &mut hits);
+        let sent: [Option<Vec3>; RAYS] = std::array::from_fn(|i| {
+            let hit = hits[i].filter(|_| geometric_normal.dot(directions[i]) > 0.0)?;
+            Some(self.sent_back(&hit, directions[i]))
         });
         if sent.iter().all(Option::is_none) {
             return Vec3::ONE;
@@ -116,11 +119,10 @@ impl Mirrored<'_> {
         (arriving / unhidden.max(floor)).clamp(Vec3::ZERO, Vec3::splat(MOST_MIRRORED))
     }
 
-    /// Radiance that the surface sends back along a ray; `None` if the ray does not meet it.
-    fn sent_from(&self, ray: &Ray) -> Option<Vec3> {
-        let hit = self.surface.intersect(ray, OFFSET * self.surface.radius())?;
-        if hit.geometric_normal.dot(ray.direction) >= 0.0 {
-            return Some(Vec3::ZERO);
+    /// Radiance that a place of the surface sends back along a ray that has met it.
+    fn sent_back(&self, hit: &Hit, direction: Vec3) -> Vec3 {
+        if hit.geometric_normal.dot(direction) >= 0.0 {
+            return Vec3::ZERO;
         }
         let texels = hit.texels.indices.into_iter().zip(hit.texels.weights);
         let (sum, total) = texels.fold((Mirror::default(), 0.0), |(sum, total), (texel, weight)| {
@@ -131,17 +133,17 @@ impl Mirrored<'_> {
                 .map_or((sum, total), |mirror| (sum.plus(mirror, weight), total + weight))
         });
         let place = Mirror::default().plus(&sum, total.max(f32::MIN_POSITIVE).recip());
-        Some(self.sent_by(&place, &hit, ray))
+        self.sent_by(&place, hit, direction)
     }
 
     /// Diffuse radiance of a place, and the sky that it mirrors along a ray.
-    fn sent_by(&self, place: &Mirror, hit: &Hit, ray: &Ray) -> Vec3 {
-        let up = -ray.direction.dot(hit.normal);
+    fn sent_by(&self, place: &Mirror, hit: &Hit, direction: Vec3) -> Vec3 {
+        let up = -direction.dot(hit.normal);
         if up <= 0.0 {
             return place.diffuse;
         }
         let fresnel = place.albedo + (1.0 - place.albedo) * (1.0 - up).powi(5);
-        let out = ray.direction + 2.0 * up * hit.normal;
+        let out = direction + 2.0 * up * hit.normal;
         place.diffuse + fresnel * self.sky.toward(out, sharpness_of_lobe(place.sharpness, up))
     }
 }
@@ -170,7 +172,7 @@ mod tests {
     use super::*;
     use crate::math::fibonacci::fibonacci_axes;
     use crate::math::lobe::Lobe;
-    use crate::math::ray::TexelAddress;
+    use crate::math::ray::{Ray, TexelAddress};
     use crate::math::shading::LobeColumns;
 
     #[test]

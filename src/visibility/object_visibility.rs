@@ -10,9 +10,7 @@ use crate::ranks::Ranks;
 use crate::sample::pixel::PixelOf;
 use crate::sample::point::SurfacePoint;
 use crate::visibility::mirrored::{SeenPoint, first_of_alike};
-use crate::visibility::occlusion::{
-    Bounce, HiddenDirection, Mirror, Reflectance, Sky, light_one_row, light_rows,
-};
+use crate::visibility::occlusion::{Behind, Bounce, Mirror, Reflectance, Sky, light_chunk, light_rows};
 use crate::visibility::point_visibility::{Blend, Surroundings};
 use crate::visibility::texel_visibility::TexelVisibility;
 use bevy_ecs::prelude::{Entity, Resource};
@@ -218,13 +216,13 @@ impl ObjectVisibility {
         rows.rows.resize(points.len() * self.stride, 255);
         let outputs = rows.rows.par_chunks_mut(self.stride.max(1)).zip(&mut *seen);
         let each = outputs.zip(points).enumerate().with_min_len(256);
-        each.for_each_init(Vec::new, |hidden, (i, ((parts, seen), point))| {
+        each.for_each_init(Behind::default, |behind, (i, ((parts, seen), point))| {
             *seen = PointVisibility::OPEN;
             parts.fill(255);
             let Some(blend) = self.blend(point).filter(|_| point.is_hit()) else { return };
             let view = viewer(i).1.view.0 as usize;
             let number = self.sky_of_view.get(view).copied().unwrap_or(0);
-            self.see_lobes(number, &blend, hidden, parts);
+            self.see_lobes(number, &blend, behind, parts);
             if firsts[i] != i {
                 return;
             }
@@ -236,8 +234,8 @@ impl ObjectVisibility {
         (0..points.len()).filter(|i| firsts[*i] != *i).for_each(|i| seen[i] = seen[firsts[i]]);
     }
 
-    /// The visibility of the lobes of a sky at a point; `parts` says so far that all of each arrives. `hidden` is room to work in.
-    fn see_lobes(&self, sky: usize, blend: &Blend, hidden: &mut Vec<HiddenDirection>, parts: &mut [u8]) {
+    /// The visibility of the lobes of a sky at a point; `parts` says so far that all of each arrives. `behind` is room to work in.
+    fn see_lobes(&self, sky: usize, blend: &Blend, behind: &mut Behind, parts: &mut [u8]) {
         if self.is_open(blend) {
             return;
         }
@@ -245,7 +243,8 @@ impl ObjectVisibility {
             return self.blend_parts(of_rows, blend, parts);
         }
         let nearest = blend.iter().max_by(|a, b| a.1.total_cmp(&b.1)).map_or(0, |(row, _)| *row);
-        light_one_row(&self.texels, &self.skies[sky], nearest, hidden, parts);
+        let rows = nearest..nearest + 1;
+        light_chunk(&self.texels, &self.skies[sky], rows, behind, (parts, &mut [Vec3::ZERO]));
     }
 
     /// The rows that are interpolated at a point.
@@ -271,19 +270,19 @@ impl ObjectVisibility {
     /// Interpolates the visibility of the lobes at a point, given that of all rows.
     fn blend_parts(&self, of_rows: &[u8], blend: &Blend, out: &mut [u8]) {
         let rows = blend.map(|(row, _)| &of_rows[row * self.stride..][..self.stride]);
-        // Weights in units of 1/65536, so that 255 in all four rows stays 255.
-        let mut weights = blend.map(|(_, weight)| (weight * 65536.0) as u32);
-        weights[0] += 65536 - weights.iter().sum::<u32>();
+        // Weights in units of 1/256, so that 255 in all four rows stays 255.
+        let mut weights = blend.map(|(_, weight)| (weight * 256.0) as u16);
+        weights[0] += 256 - weights.iter().sum::<u16>();
         dispatch!(Level::new(), _simd => mix_parts(rows, weights, out));
     }
 }
 
-/// The mean of four rows, with weights that sum to 65536.
+/// The mean of four rows, with weights that sum to 256.
 #[inline(always)]
-fn mix_parts([a, b, c, d]: [&[u8]; 4], weights: [u32; 4], out: &mut [u8]) {
+fn mix_parts([a, b, c, d]: [&[u8]; 4], weights: [u16; 4], out: &mut [u8]) {
     for ((((out, a), b), c), d) in out.iter_mut().zip(a).zip(b).zip(c).zip(d) {
-        let [a, b, c, d] = [a, b, c, d].map(|part| u32::from(*part));
-        *out = ((a * weights[0] + b * weights[1] + c * weights[2] + d * weights[3]) >> 16) as u8;
+        let [a, b, c, d] = [a, b, c, d].map(|part| u16::from(*part));
+        *out = ((a * weights[0] + b * weights[1] + c * weights[2] + d * weights[3]) >> 8) as u8;
     }
 }
 
@@ -345,16 +344,16 @@ mod tests {
     #[test]
     fn rows_are_mixed_by_their_weights() {
         let rows: [Vec<u8>; 4] = std::array::from_fn(|k| (0..37).map(|i| (i * 7 + k * 60) as u8).collect());
-        let weights = [30_000, 20_000, 15_536, 0];
+        let weights = [120, 80, 56, 0];
         let mut mixed = [0; 37];
         dispatch!(Level::new(), _simd => mix_parts(rows.each_ref().map(Vec::as_slice), weights, &mut mixed));
         for (i, mixed) in mixed.into_iter().enumerate() {
-            let mean: u32 = (0..4).map(|k| u32::from(rows[k][i]) * weights[k]).sum();
-            assert_eq!(u32::from(mixed), mean / 65_536);
+            let mean: u32 = (0..4).map(|k| u32::from(rows[k][i]) * u32::from(weights[k])).sum();
+            assert_eq!(u32::from(mixed), mean / 256);
         }
         let full = [&[255u8; 9][..]; 4];
         let mut open = [0; 9];
-        mix_parts(full, [65_533, 1, 1, 1], &mut open);
+        mix_parts(full, [253, 1, 1, 1], &mut open);
         assert_eq!(open, [255; 9]);
     }
 

@@ -7,18 +7,22 @@
 use crate::error::Result;
 use crate::math::accurate::diffuse::cosine_integral;
 use crate::math::brdf::ndf_sharpness;
-use crate::math::lanes::{Lanes, Row};
+use crate::math::lanes::{Lanes, MAX_LANES, Row};
 use crate::math::real::{Real, dot};
 use crate::math::sg::sphere_integral;
 use crate::math::shading::LobeColumns;
 use crate::ranks::Ranks;
-use crate::visibility::texel_visibility::TexelVisibility;
+use crate::visibility::texel_visibility::{TOGETHER, TexelVisibility};
 use fearless_simd::{Level, Simd, dispatch};
 use glam::{Mat3, Vec3};
 use rayon::prelude::*;
+use std::ops::Range;
 
 /// Least sharpness of a lobe.
 const LEAST_LOBE: f32 = 1e-6;
+/// Exponent below which a lobe's weight counts as none (4e-18), because products with smaller ones are subnormal numbers, with which processors are many
+/// times slower.
+const LEAST_EXPONENT: f32 = -40.0;
 /// Rows that a thread processes at a time.
 const CHUNK: usize = 64;
 /// Upper bound of the specular factor.
@@ -27,8 +31,9 @@ pub(crate) const MOST_MIRRORED: f32 = 8.0;
 /// Light on a set of directions.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Sky {
-    /// e^{λ'(ξ·d − 1)} of each lobe (padded as its columns are) at each direction.
-    weights: Vec<f32>,
+    /// e^{λ'(ξ·d − 1)} of each lobe at each direction: the directions of 16 lobes one after another, then those of the next 16, so that what is read
+    /// together stays in the nearest cache.
+    weights: Vec<Row>,
     stride: usize,
     /// The convolved lobes, in columns: axis x, y, z, λ', amplitude r, g, b.
     lobes: [Vec<f32>; 7],
@@ -38,6 +43,33 @@ pub(crate) struct Sky {
     pub directions: [Vec<f32>; 3],
     /// Radiance from each direction, in columns.
     pub radiance: [Vec<f32>; 3],
+    /// The cone around each 16 directions.
+    pub cones: Cones,
+}
+
+/// Cones around 16 directions each, in columns.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Cones {
+    /// The coordinates of the axes.
+    pub axes: [Vec<f32>; 3],
+    /// Cosine and sine of the angle from the axis to the edge.
+    pub edge: [Vec<f32>; 2],
+}
+
+impl Cones {
+    fn around(directions: &[Vec3]) -> Self {
+        let mut cones = Self::default();
+        for directions in directions.chunks(TOGETHER) {
+            let axis = directions.iter().sum::<Vec3>().normalize_or(Vec3::Y);
+            let cosine = directions.iter().map(|d| d.dot(axis)).fold(1.0, f32::min);
+            let sine = (1.0 - cosine * cosine).max(0.0).sqrt();
+            cones.axes.iter_mut().zip(axis.to_array()).for_each(|(column, c)| column.push(c));
+            cones.edge.iter_mut().zip([cosine, sine]).for_each(|(column, c)| column.push(c));
+        }
+        let padded = cones.edge[0].len().next_multiple_of(MAX_LANES);
+        cones.axes.iter_mut().chain(&mut cones.edge).for_each(|column| column.resize(padded, 0.0));
+        cones
+    }
 }
 
 impl Sky {
@@ -46,12 +78,13 @@ impl Sky {
         let stride = lobes.stride();
         let padded: [Vec<f32>; 7] = std::array::from_fn(|c| vec![if c == 3 { 1.0 } else { 0.0 }; stride]);
         let mut sky = Self {
-            weights: vec![0.0; directions.len() * stride],
+            weights: Vec::new(),
             stride,
             lobes: padded.clone(),
             narrow: padded,
             directions: std::array::from_fn(|axis| directions.iter().map(|d| d[axis]).collect()),
             radiance: Default::default(),
+            cones: Cones::around(directions),
         };
         let cell = directions.len() as f32 / 2.0;
         for (i, lobe) in (0..lobes.len()).map(|i| lobes.get(i)).enumerate() {
@@ -65,18 +98,24 @@ impl Sky {
             let factor = integral(lobe.sharpness) / integral(sharpness);
             put(&mut sky.lobes, sharpness, lobe.amplitude.map(|a| a * factor));
         }
-        let columns = &sky.lobes;
-        let mut radiance = vec![Vec3::ZERO; directions.len()];
-        let rows = sky.weights.par_chunks_mut(stride.max(1)).zip(&mut radiance).zip(directions);
-        rows.for_each(|((row, radiance), direction)| {
-            for (i, weight) in row[..lobes.len()].iter_mut().enumerate() {
-                let at = |c: usize| columns[c][i];
-                *weight = (at(3) * (Vec3::new(at(0), at(1), at(2)).dot(*direction) - 1.0)).exp();
-                *radiance += Vec3::new(at(4), at(5), at(6)) * *weight;
-            }
-        });
+        sky.weights = weights_at(directions, &sky.lobes);
+        let radiance: Vec<Vec3> = (0..directions.len()).into_par_iter().map(|d| sky.sum_at(d)).collect();
         sky.radiance = std::array::from_fn(|c| radiance.iter().map(|r| r[c]).collect());
         sky
+    }
+
+    /// Radiance from one of the directions: the sum of all lobes.
+    fn sum_at(&self, direction: usize) -> Vec3 {
+        let columns = &self.lobes;
+        let groups = self.weights.iter().skip(direction).step_by(self.directions[0].len());
+        let weights = groups.flat_map(|row| &row.0).enumerate();
+        weights.map(|(i, weight)| Vec3::new(columns[4][i], columns[5][i], columns[6][i]) * *weight).sum()
+    }
+
+    /// The weights of the lobes of a group at all directions.
+    fn group(&self, group: usize) -> &[Row] {
+        let count = self.directions[0].len();
+        &self.weights[group * count..(group + 1) * count]
     }
 
     /// Radiance of the lobes around a direction, convolved with a Gaussian of this sharpness (well above 1).
@@ -88,6 +127,20 @@ impl Sky {
     pub fn radiance(&self, direction: usize) -> Vec3 {
         Vec3::from_array([0, 1, 2].map(|c| self.radiance[c][direction]))
     }
+}
+
+/// [`Sky::weights`] of lobes, in columns.
+fn weights_at(directions: &[Vec3], lobes: &[Vec<f32>; 7]) -> Vec<Row> {
+    let at = |group: usize, direction: Vec3| {
+        let weight = |lane: usize| {
+            let [x, y, z, sharpness] = std::array::from_fn(|c| lobes[c][group * MAX_LANES + lane]);
+            let exponent = sharpness * (Vec3::new(x, y, z).dot(direction) - 1.0);
+            if exponent < LEAST_EXPONENT { 0.0 } else { exponent.exp() }
+        };
+        Row(std::array::from_fn(weight))
+    };
+    let groups = (0..lobes[0].len() / MAX_LANES).into_par_iter();
+    groups.flat_map_iter(|group| directions.iter().map(move |direction| at(group, *direction))).collect()
 }
 
 /// [`Sky::toward`]: λ' = λ s/(λ + s), and by their nearly equal power, a' = a λ'/λ.
@@ -144,12 +197,9 @@ pub(crate) fn light_rows(
     let rows = ranks.map_or(0..count, |ranks| ranks.share(count, CHUNK));
     let own = &mut parts[rows.start * stride..rows.end * stride];
     let chunks = own.par_chunks_mut(CHUNK * stride).zip(direct[rows.clone()].par_chunks_mut(CHUNK));
-    chunks.enumerate().for_each(|(chunk, (parts, direct))| {
-        let mut hidden = Vec::new();
-        for (i, (parts, direct)) in parts.chunks_exact_mut(stride).zip(direct).enumerate() {
-            let row = rows.start + chunk * CHUNK + i;
-            *direct = light_one_row(visibility, sky, row, &mut hidden, parts);
-        }
+    chunks.enumerate().for_each_init(Behind::default, |behind, (chunk, (parts, direct))| {
+        let first = rows.start + chunk * CHUNK;
+        light_chunk(visibility, sky, first..first + direct.len(), behind, (parts, direct));
     });
     if let Some(ranks) = ranks {
         ranks.complete_bytes(parts, stride, CHUNK)?;
@@ -158,95 +208,120 @@ pub(crate) fn light_rows(
     Ok(direct)
 }
 
-/// A direction that is hidden from a row: where its weights begin, and the cosine with the normal times a cell's solid angle.
-pub(crate) type HiddenDirection = (usize, f32);
-
-/// [`light_rows`] for one row; `hidden` is working memory.
-pub(crate) fn light_one_row(
-    visibility: &TexelVisibility,
-    sky: &Sky,
-    row: usize,
-    hidden: &mut Vec<HiddenDirection>,
-    parts: &mut [u8],
-) -> Vec3 {
-    dispatch!(Level::new(), simd => light_row(simd, visibility, sky, row, hidden, parts))
+/// What is behind other parts of the surface, for some rows; memory that is used again.
+#[derive(Default)]
+pub(crate) struct Behind {
+    /// The hidden directions of the rows, one row after another: their numbers, and the cosines with the normal times a cell's solid angle.
+    hidden: Vec<(u32, f32)>,
+    /// Where the hidden directions of each row end.
+    ends: Vec<usize>,
+    /// Irradiance of each row so far, by lane of the lobes.
+    irradiance: Vec<[Row; 3]>,
 }
 
-#[inline(always)]
-fn light_row<S: Simd>(
-    simd: S,
-    visibility: &TexelVisibility,
-    sky: &Sky,
-    row: usize,
-    hidden: &mut Vec<HiddenDirection>,
-    parts: &mut [u8],
-) -> Vec3 {
-    let normal = visibility.normals[row];
-    hidden.clear();
-    let cell = cell_angle(visibility);
-    let cosine = |d: usize| visibility.directions[d].dot(normal);
-    hidden.extend(visibility.hidden(row).map(|(d, _)| (d * sky.stride, cell * cosine(d))));
-    let mut irradiance = [Lanes::splat(simd, 0.0); 3];
-    let (blocks, rest) = (sky.stride / (BLOCK * Lanes::<S>::LEN), sky.stride / Lanes::<S>::LEN % BLOCK);
-    for block in 0..blocks {
-        let at = block * BLOCK * Lanes::<S>::LEN;
-        let behind: [_; BLOCK] = light_behind(simd, sky, hidden, at);
-        light_lobes(simd, sky, normal, (at, behind), parts, &mut irradiance);
-    }
-    for k in 0..rest {
-        let at = (blocks * BLOCK + k) * Lanes::<S>::LEN;
-        let behind: [_; 1] = light_behind(simd, sky, hidden, at);
-        light_lobes(simd, sky, normal, (at, behind), parts, &mut irradiance);
-    }
-    Vec3::from_array(irradiance.map(Lanes::sum))
-}
-
-/// Vectors of lobes that are summed up at a time: their sums stay in registers.
-const BLOCK: usize = 4;
-
-/// The sums over the `hidden` directions of the weights of the lobes from `at` on.
-#[inline(always)]
-fn light_behind<S: Simd, const N: usize>(
-    simd: S,
-    sky: &Sky,
-    hidden: &[HiddenDirection],
-    at: usize,
-) -> [Lanes<S>; N] {
-    let mut sums = [Lanes::splat(simd, 0.0); N];
-    for &(begin, cosine) in hidden {
-        let row = &sky.weights[begin + at..][..N * Lanes::<S>::LEN];
-        let cosine = Lanes::splat(simd, cosine);
-        for k in 0..N {
-            let weights = Lanes::load(simd, &row[k * Lanes::<S>::LEN..(k + 1) * Lanes::<S>::LEN]);
-            sums[k] = weights.mul_add(cosine, sums[k]);
+impl Behind {
+    fn find(&mut self, visibility: &TexelVisibility, rows: Range<usize>) {
+        self.hidden.clear();
+        self.ends.clear();
+        self.irradiance.clear();
+        self.irradiance.resize(rows.len(), [Row::ZERO; 3]);
+        let cell = cell_angle(visibility);
+        for row in rows {
+            let normal = visibility.normals[row];
+            let cosine = |d: usize| visibility.directions[d].dot(normal);
+            self.hidden.extend(visibility.hidden(row).map(|(d, _)| (d as u32, cell * cosine(d))));
+            self.ends.push(self.hidden.len());
         }
     }
-    sums
 }
 
-/// The parts of the lobes from `at` on that arrive, of which `behind` is hidden, as bytes; their light is added to `irradiance`.
+/// [`light_rows`] for some rows of a column: the irradiance of each, and the parts of the lobes that reach it.
+pub(crate) fn light_chunk(
+    visibility: &TexelVisibility,
+    sky: &Sky,
+    rows: Range<usize>,
+    behind: &mut Behind,
+    (parts, direct): (&mut [u8], &mut [Vec3]),
+) {
+    behind.find(visibility, rows.clone());
+    dispatch!(Level::new(), simd => light_all(simd, sky, &visibility.normals[rows], behind, parts, direct));
+}
+
+/// All lobes, 16 after 16, for all rows.
 #[inline(always)]
-fn light_lobes<S: Simd, const N: usize>(
+fn light_all<S: Simd>(
+    simd: S,
+    sky: &Sky,
+    normals: &[Vec3],
+    behind: &mut Behind,
+    parts: &mut [u8],
+    direct: &mut [Vec3],
+) {
+    for group in 0..sky.stride / MAX_LANES {
+        let weights = sky.group(group);
+        let mut begin = 0;
+        for (i, normal) in normals.iter().enumerate() {
+            let hidden = &behind.hidden[begin..behind.ends[i]];
+            begin = behind.ends[i];
+            for lane in (0..MAX_LANES).step_by(Lanes::<S>::LEN) {
+                let at = group * MAX_LANES + lane;
+                let dark = light_behind(simd, weights, lane, hidden);
+                let (part, light) = light_lobes(simd, sky, *normal, at, dark);
+                let parts = &mut parts[i * sky.stride + at..][..Lanes::<S>::LEN];
+                store_parts(part, parts);
+                for (sum, light) in behind.irradiance[i].iter_mut().zip(light) {
+                    light.add_to(&mut sum.0[lane..lane + Lanes::<S>::LEN]);
+                }
+            }
+        }
+    }
+    for (direct, light) in direct.iter_mut().zip(&behind.irradiance) {
+        *direct = Vec3::from_array(light.map(|row| row.0.iter().sum()));
+    }
+}
+
+/// The sums over the `hidden` directions of the weights of a vector of lobes, from a lane of their group on.
+#[inline(always)]
+fn light_behind<S: Simd>(simd: S, weights: &[Row], lane: usize, hidden: &[(u32, f32)]) -> Lanes<S> {
+    // Four sums, so that one multiplication need not wait for the one before it.
+    let mut sums = [Lanes::splat(simd, 0.0); 4];
+    let (fours, rest) = hidden.as_chunks::<4>();
+    for four in fours {
+        for k in 0..4 {
+            let row = Lanes::load(simd, &weights[four[k].0 as usize].0[lane..lane + Lanes::<S>::LEN]);
+            sums[k] = row.mul_add(Lanes::splat(simd, four[k].1), sums[k]);
+        }
+    }
+    for (direction, cosine) in rest {
+        let row = Lanes::load(simd, &weights[*direction as usize].0[lane..lane + Lanes::<S>::LEN]);
+        sums[0] = row.mul_add(Lanes::splat(simd, *cosine), sums[0]);
+    }
+    (sums[0] + sums[1]) + (sums[2] + sums[3])
+}
+
+/// The parts of the lobes from `at` on that arrive, of which `behind` is hidden, and their irradiance.
+#[inline(always)]
+fn light_lobes<S: Simd>(
     simd: S,
     sky: &Sky,
     normal: Vec3,
-    (at, behind): (usize, [Lanes<S>; N]),
-    parts: &mut [u8],
-    irradiance: &mut [Lanes<S>; 3],
-) {
+    at: usize,
+    behind: Lanes<S>,
+) -> (Lanes<S>, [Lanes<S>; 3]) {
     let normal = normal.to_array().map(|c| Lanes::splat(simd, c));
-    for (at, behind) in (at..).step_by(Lanes::<S>::LEN).zip(behind) {
-        let column = |c: usize| Lanes::load(simd, &sky.lobes[c][at..at + Lanes::<S>::LEN]);
-        let all = cosine_integral(column(3), dot([column(0), column(1), column(2)], normal)).value;
-        let part = (all.one() - behind / all.max(all.lit(1e-9))).relu();
-        for (c, sum) in irradiance.iter_mut().enumerate() {
-            *sum += column(4 + c) * all * part;
-        }
-        let mut bytes = Row::ZERO;
-        part.store(&mut bytes.0[..Lanes::<S>::LEN]);
-        for (out, part) in parts[at..at + Lanes::<S>::LEN].iter_mut().zip(&bytes.0) {
-            *out = (part * 255.0 + 0.5) as u8;
-        }
+    let column = |c: usize| Lanes::load(simd, &sky.lobes[c][at..at + Lanes::<S>::LEN]);
+    let all = cosine_integral(column(3), dot([column(0), column(1), column(2)], normal)).value;
+    let part = (all.one() - behind / all.max(all.lit(1e-9))).relu();
+    (part, [column(4) * all * part, column(5) * all * part, column(6) * all * part])
+}
+
+/// Parts as bytes.
+#[inline(always)]
+fn store_parts<S: Simd>(part: Lanes<S>, out: &mut [u8]) {
+    let mut bytes = Row::ZERO;
+    part.store(&mut bytes.0[..Lanes::<S>::LEN]);
+    for (out, part) in out.iter_mut().zip(&bytes.0) {
+        *out = (part * 255.0 + 0.5) as u8;
     }
 }
 

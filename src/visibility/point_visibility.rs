@@ -7,8 +7,8 @@ use crate::math::ray::Intersect;
 use crate::math::real::{Real, dot};
 use crate::math::shading::PointVisibility;
 use crate::visibility::mirrored::{LEAST_SHARPNESS, Mirrored, SeenPoint};
-use crate::visibility::occlusion::{Bounce, MOST_MIRRORED, Sky, sharpness_of_lobe, widened};
-use crate::visibility::texel_visibility::{MAX_DIRECTIONS, TexelVisibility};
+use crate::visibility::occlusion::{Bounce, Cones, MOST_MIRRORED, Sky, sharpness_of_lobe, widened};
+use crate::visibility::texel_visibility::{MAX_DIRECTIONS, TOGETHER, TexelVisibility};
 use fearless_simd::{Level, Simd, dispatch};
 use glam::Vec3;
 
@@ -57,7 +57,7 @@ impl Surroundings<'_> {
         let sharpness = widened(narrow, visibility.directions.len() as f32 / 2.0);
         let least = 1.0 - MIRROR_REACH / sharpness;
         let mut near = [0; MAX_DIRECTIONS / 64];
-        dispatch!(Level::new(), simd => directions_near(simd, &sky.directions, axis, least, &mut near));
+        dispatch!(Level::new(), simd => directions_near(simd, sky, axis, least, &mut near));
         let rows = blend.iter().filter(|(_, part)| *part > 0.0);
         if !rows.clone().any(|(row, _)| visibility.hides_any(*row, &near)) {
             return None;
@@ -83,14 +83,37 @@ impl Surroundings<'_> {
 
 /// Sets the bit of each direction whose cosine to `axis` is above `least`.
 #[inline(always)]
-fn directions_near<S: Simd>(simd: S, directions: &[Vec<f32>; 3], axis: Vec3, least: f32, near: &mut [u64]) {
-    let axis = axis.to_array().map(|c| Lanes::splat(simd, c));
-    let least = Lanes::splat(simd, least);
-    for at in (0..directions[0].len()).step_by(Lanes::<S>::LEN) {
-        let column = |c: usize| Lanes::load(simd, &directions[c][at..at + Lanes::<S>::LEN]);
-        let bits = least.bits_below(dot([column(0), column(1), column(2)], axis));
-        near[at / 64] |= bits << (at % 64);
+fn directions_near<S: Simd>(simd: S, sky: &Sky, axis: Vec3, least: f32, near: &mut [u64]) {
+    let lanes = axis.to_array().map(|c| Lanes::splat(simd, c));
+    let bound = Lanes::splat(simd, least);
+    for first in (0..sky.cones.edge[0].len()).step_by(Lanes::<S>::LEN) {
+        let mut cones = cones_near(simd, &sky.cones, first, axis, least);
+        while cones != 0 {
+            let begin = (first + cones.trailing_zeros() as usize) * TOGETHER;
+            cones &= cones - 1;
+            let end = sky.directions[0].len().min(begin + TOGETHER);
+            for at in (begin..end).step_by(Lanes::<S>::LEN) {
+                let column = |c: usize| Lanes::load(simd, &sky.directions[c][at..at + Lanes::<S>::LEN]);
+                let bits = bound.bits_below(dot([column(0), column(1), column(2)], lanes));
+                near[at / 64] |= bits << (at % 64);
+            }
+        }
     }
+}
+
+/// A bit for each cone of a vector from the `first` on that has a place whose cosine to `axis` may be above `least`.
+#[inline(always)]
+fn cones_near<S: Simd>(simd: S, cones: &Cones, first: usize, axis: Vec3, least: f32) -> u64 {
+    let axis = axis.to_array().map(|c| Lanes::splat(simd, c));
+    let least = least.clamp(-1.0, 1.0);
+    let [cosine, sine] = [least, (1.0 - least * least).sqrt()].map(|c| Lanes::splat(simd, c));
+    let column = |values: &[f32]| Lanes::load(simd, &values[first..first + Lanes::<S>::LEN]);
+    let to_axis = dot([column(&cones.axes[0]), column(&cones.axes[1]), column(&cones.axes[2])], axis);
+    let [edge, edge_sine] = [column(&cones.edge[0]), column(&cones.edge[1])];
+    // The cosine of the sum of both angles; a sum beyond 180° is near to all.
+    let farthest = cosine * edge - sine * edge_sine - cosine.lit(1e-5);
+    let all = (-cosine).bits_below(edge) ^ u64::MAX;
+    (farthest.bits_below(to_axis) | all) & (u64::MAX >> (64 - Lanes::<S>::LEN))
 }
 
 /// The lobe of the BRDF around the mirrored view, where its cosine to a direction is above `least`, times the cosine with `normal`.
@@ -130,4 +153,31 @@ fn weigh_directions<S: Simd>(
         }
     }
     Vec3::from_array(light.map(Lanes::sum))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::fibonacci::fibonacci_axes;
+    use crate::math::shading::LobeColumns;
+    use glam::Mat3;
+
+    #[test]
+    fn all_directions_near_an_axis_are_found_and_no_others() {
+        for count in [64, 320, 512] {
+            let directions = fibonacci_axes(count);
+            let sky = Sky::new(&directions, &LobeColumns::from_lobes(std::iter::empty()), Mat3::IDENTITY);
+            for (i, axis) in fibonacci_axes(60).into_iter().enumerate() {
+                let least = [0.99, 0.9, 0.3, -0.4, -0.98, -1.5][i % 6];
+                let mut near = [0; MAX_DIRECTIONS / 64];
+                dispatch!(Level::new(), simd => directions_near(simd, &sky, axis, least, &mut near));
+                for (d, direction) in directions.iter().enumerate() {
+                    let cosine = direction.dot(axis);
+                    let is_near = near[d / 64] >> (d % 64) & 1 == 1;
+                    assert!((cosine - least).abs() < 1e-6 || is_near == (cosine > least), "{cosine} {least}");
+                }
+                assert!(near[count / 64..].iter().all(|word| *word == 0));
+            }
+        }
+    }
 }

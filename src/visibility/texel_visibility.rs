@@ -13,7 +13,7 @@
 
 use crate::error::Result;
 use crate::error::stop::is_stopping;
-use crate::math::ray::{Intersect, Ray};
+use crate::math::ray::Intersect;
 use crate::mesh::atlas::TexelAtlas;
 use crate::ranks::Ranks;
 use crate::visibility::texel_patches::{NO_ROW, Patches};
@@ -25,13 +25,15 @@ pub(crate) const MAX_DIRECTIONS: usize = 4096;
 
 /// Offset of the ray origin from the surface, relative to the radius of the object.
 pub(crate) const OFFSET: f32 = 1e-4;
+/// Directions that are near each other: their rays are traced together.
+pub(crate) const TOGETHER: usize = 16;
 /// Texels that a thread traces at a time.
 const CHUNK: usize = 256;
 
 /// Occluded directions of the texels of a surface.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct TexelVisibility {
-    /// Unit directions over the sphere, the same for every texel.
+    /// Unit directions over the sphere, the same for every texel; those of each 16 are near each other.
     pub directions: Vec<Vec3>,
     /// Row of each texel; [`TexelVisibility::NONE`] for texels that are not covered.
     pub rows: Vec<u32>,
@@ -110,6 +112,7 @@ impl TexelVisibility {
     ) -> Result<Self> {
         assert!(directions.len().is_multiple_of(64), "the number of directions is a multiple of 64");
         assert!(directions.len() <= MAX_DIRECTIONS, "at most {MAX_DIRECTIONS} directions");
+        let directions = clustered(directions);
         let Patches { rows, texels } = Patches::of(atlas, most_rows);
         let own = ranks.map_or(0..texels.len(), |ranks| ranks.share(texels.len(), CHUNK));
         let parts: Vec<Traced> = texels[own]
@@ -221,23 +224,60 @@ fn trace_texel(
     let reach = OFFSET * surface.radius();
     let origin = atlas.position[texel] + normal * reach;
     let before = out.hiders.len();
-    // Whoever asked for it drops what is not traced ([`is_stopping`]).
-    let is_traced = !is_stopping();
     for directions in directions.chunks(64) {
-        let mut word = 0u64;
-        let above = |d: &Vec3| is_traced && d.dot(normal) > 0.0;
-        for (bit, &direction) in directions.iter().enumerate().filter(|(_, d)| above(d)) {
-            let ray = Ray { origin, direction };
-            if let Some(hit) = surface.intersect(&ray, 0.0) {
-                word |= 1 << bit;
-                // The back of an open surface reflects no light.
-                let front = hit.geometric_normal.dot(direction) < 0.0;
-                out.hiders.push(if front { heaviest(&hit.texels) } else { TexelVisibility::NONE });
-            }
-        }
-        out.hidden.push(word);
+        // Whoever asked for it drops what is not traced ([`is_stopping`]).
+        let traced = directions.chunks(TOGETHER).filter(|_| !is_stopping());
+        let words = traced.enumerate().map(|(k, directions)| {
+            u64::from(trace_together(surface, origin, normal, directions, &mut out.hiders)) << (k * TOGETHER)
+        });
+        out.hidden.push(words.fold(0, |word, part| word | part));
     }
     out.counts.push((out.hiders.len() - before) as u32);
+}
+
+/// Casts rays into those of the directions that are above the surface; returns a bit for each that is occluded, and adds what occludes it to `hiders`.
+fn trace_together(
+    surface: &dyn Intersect,
+    origin: Vec3,
+    normal: Vec3,
+    directions: &[Vec3],
+    hiders: &mut Vec<u32>,
+) -> u16 {
+    let (mut above, mut numbers, mut count) = ([Vec3::ZERO; TOGETHER], [0; TOGETHER], 0);
+    for (number, direction) in directions.iter().enumerate().filter(|(_, d)| d.dot(normal) > 0.0) {
+        (above[count], numbers[count]) = (*direction, number);
+        count += 1;
+    }
+    let mut hits = [None; TOGETHER];
+    surface.intersect_packet(origin, &above[..count], 0.0, &mut hits[..count]);
+    let mut bits = 0;
+    for (k, hit) in hits.iter().enumerate() {
+        let Some(hit) = hit else { continue };
+        bits |= 1 << numbers[k];
+        // The back of an open surface reflects no light.
+        let front = hit.geometric_normal.dot(above[k]) < 0.0;
+        hiders.push(if front { heaviest(&hit.texels) } else { TexelVisibility::NONE });
+    }
+    bits
+}
+
+/// Directions in an order in which those of each [`TOGETHER`] are near each other.
+fn clustered(mut directions: Vec<Vec3>) -> Vec<Vec3> {
+    cluster(&mut directions);
+    directions
+}
+
+fn cluster(directions: &mut [Vec3]) {
+    if directions.len() <= TOGETHER {
+        return;
+    }
+    let low = directions.iter().fold(Vec3::MAX, |low, d| low.min(*d));
+    let high = directions.iter().fold(Vec3::MIN, |high, d| high.max(*d));
+    let widest = (high - low).max_position();
+    directions.sort_by(|a, b| a[widest].total_cmp(&b[widest]));
+    let (first, second) = directions.split_at_mut((directions.len() / 2).next_multiple_of(TOGETHER));
+    cluster(first);
+    cluster(second);
 }
 
 /// The texel with the greatest weight.
@@ -260,6 +300,22 @@ mod tests {
         let visibility =
             TexelVisibility::trace(surface.atlas(), &surface, fibonacci_axes(512), usize::MAX, None).unwrap();
         (surface, visibility)
+    }
+
+    #[test]
+    fn directions_are_ordered_so_that_each_sixteen_are_near_each_other() {
+        for n in [64, 320, 512] {
+            let ordered = clustered(fibonacci_axes(n));
+            let mut left = fibonacci_axes(n);
+            left.retain(|direction| !ordered.contains(direction));
+            assert!(ordered.len() == n && left.is_empty());
+            // A cap with so many of the directions has 1 − cos ρ = 2·16/n.
+            for near in ordered.chunks(TOGETHER) {
+                let mean = near.iter().sum::<Vec3>().normalize();
+                let farthest = near.iter().map(|d| 1.0 - d.dot(mean)).fold(0.0, f32::max);
+                assert!(farthest < 3.5 * 32.0 / n as f32, "{n}: {farthest}");
+            }
+        }
     }
 
     #[test]
