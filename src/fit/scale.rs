@@ -194,11 +194,12 @@ impl ScaleEvidence<'_> {
 
     fn sums(&self, run: Range<usize>) -> SampleSums {
         let mut sums = SampleSums::default();
+        let are_none = self.metals.are_none();
         for i in run {
             let (layers, adjoint) = (&self.layers[i], &self.adjoint[i]);
             let specular = specular_derivative(layers, adjoint);
             sums.bound += bound_derivative(&self.points[i], layers, adjoint);
-            if self.metals.are_none() {
+            if are_none {
                 sums.highlights += specular;
                 continue;
             }

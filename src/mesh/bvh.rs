@@ -2,7 +2,7 @@
 
 use crate::math::ray::Ray;
 use crate::mesh::ray_packet::{PACKET, Packet, sides_of};
-use crate::mesh::triangle_test::{Nearest, RayFrame, TriangleHit};
+use crate::mesh::ray_triangle::{Nearest, RayFrame};
 use crate::mesh::triangles::Mesh;
 use crate::mesh::wide_bvh::{BoxCorners, BoxRay, Leaf, LeafVisitor, WIDTH, WideBvh};
 use fearless_simd::{Level, Simd, dispatch};
@@ -12,6 +12,8 @@ use obvhs::aabb::Aabb;
 use obvhs::bvh2::Bvh2;
 use obvhs::bvh2::reinsertion::ReinsertionOptimizer;
 use obvhs::ploc::PlocBuilder;
+
+pub use crate::mesh::ray_triangle::TriangleHit;
 
 /// Boxes are enlarged by this fraction of the object's radius, so that rounding in the box test never misses a triangle.
 const BOX_SLACK: f32 = 4e-6;
@@ -90,11 +92,9 @@ impl TriangleBvh {
         Some(TriangleHit { distance, ..found })
     }
 
-    /// [`Self::nearest`] of up to [`PACKET`] rays from one origin; faster than one after another if their directions are near each other.
-    ///
-    /// # Panics
-    /// If there are more.
-    pub fn nearest_of_packet(
+    /// [`Self::nearest`] of up to [`PACKET`] rays from one origin; faster than one after another if their directions are near each other. Where a ray meets
+    /// two triangles at the same distance, it may find the other one.
+    pub(super) fn nearest_of_packet(
         &self,
         origin: Vec3,
         directions: &[Vec3],

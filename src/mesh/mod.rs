@@ -18,8 +18,8 @@ pub mod decimate;
 pub mod nearest;
 pub mod primitive;
 mod ray_packet;
+mod ray_triangle;
 pub mod tangents;
-pub mod triangle_test;
 pub mod triangles;
 mod wide_bvh;
 
@@ -27,10 +27,9 @@ use crate::math::ray::{Hit, Intersect, Ray};
 use crate::{Error, Result};
 use atlas::{TexelAtlas, address};
 use bevy_ecs::prelude::Resource;
-use bvh::TriangleBvh;
+use bvh::{TriangleBvh, TriangleHit};
 use glam::{Vec2, Vec3};
 use ray_packet::PACKET;
-use triangle_test::TriangleHit;
 use triangles::Mesh;
 
 /// The largest coordinate of a surface, in world units: squares of areas of boxes must stay finite in `f32`.

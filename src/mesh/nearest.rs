@@ -1,7 +1,6 @@
 //! The point of a mesh that is nearest to a given point, exactly.
 
-use crate::mesh::bvh::{binary_hierarchy, bounding_sphere, leaf_boxes};
-use crate::mesh::triangle_test::TriangleHit;
+use crate::mesh::bvh::{TriangleHit, binary_hierarchy, bounding_sphere, leaf_boxes};
 use crate::mesh::triangles::Mesh;
 use glam::{Vec3, Vec3A};
 use obvhs::aabb::Aabb;

@@ -1,4 +1,5 @@
-//! Rays of one origin and of similar directions, traced together: a box is tested against all of them at once, and only a leaf's box against each.
+//! Rays of one origin and of similar directions, traced together: the boxes of a node are tested against all of them at once, and only a box that they
+//! then enter against each.
 //!
 //! Source: Boulos, Wald and Shirley, "Geometric and Arithmetic Culling Methods for Entire Ray Packets" (2006): interval arithmetic on the inverse
 //! directions, which have the same signs.
@@ -7,7 +8,7 @@
 //! | --- | --- | --- | --- |
 //! | [`PACKET`] | | 16 | most rays of a packet |
 
-use crate::mesh::triangle_test::{Nearest, RayFrame, TriangleHit};
+use crate::mesh::ray_triangle::{Nearest, RayFrame, TriangleHit};
 use crate::mesh::wide_bvh::{BoxCorners, BoxRays, Each, Leaf, LeafVisitor, ROUNDING, inverse};
 use fearless_simd::prelude::*;
 use fearless_simd::{Simd, f32x8, f32x16};
@@ -16,7 +17,7 @@ use glam::Vec3;
 /// Most rays of a packet.
 pub(super) const PACKET: usize = 16;
 
-/// The directions, as bits, by the signs of their components; and those that are traced alone: those that are not finite, and all if `alone`.
+/// The directions, as bits, by the signs of their components; and those that are traced alone: those that are not finite, and all unless `together`.
 pub(super) fn sides_of(directions: &[Vec3], together: bool) -> ([u32; 8], u32) {
     assert!(directions.len() <= PACKET, "a packet has at most {PACKET} rays");
     let (mut sides, mut alone) = ([0; 8], 0);
@@ -133,7 +134,8 @@ impl BoxRays for BoxPacket {
     #[inline(always)]
     fn planes<S: Simd>(&self, simd: S, bounds: &[[Each; 3]; 2], axis: usize) -> (f32x8<S>, f32x8<S>) {
         let origin = f32x8::splat(simd, self.origin[axis]);
-        let [least, most] = [self.least[axis], self.most[axis]].map(|inverse| f32x8::splat(simd, inverse));
+        let least = f32x8::splat(simd, self.least[axis]);
+        let most = f32x8::splat(simd, self.most[axis]);
         let near = usize::from(self.least[axis] < 0.0);
         let low = f32x8::from_slice(simd, &bounds[near][axis]) - origin;
         let high = f32x8::from_slice(simd, &bounds[1 - near][axis]) - origin;
@@ -159,7 +161,7 @@ mod tests {
             let all = fibonacci_axes(400);
             let near = all.iter().map(|d| (toward + 0.2 * *d).normalize());
             let directions: Vec<Vec3> = near.chain(all.iter().copied()).collect();
-            for directions in directions.chunks(PACKET - 1) {
+            for directions in directions.chunks(PACKET).chain(directions.chunks(PACKET - 5)) {
                 let found = bvh.nearest_of_packet(origin, directions, 1e-4);
                 for (direction, found) in directions.iter().zip(found) {
                     let ray = Ray { origin, direction: *direction };
@@ -168,15 +170,19 @@ mod tests {
                 }
             }
         }
-        assert!(hits > 800, "{hits}");
+        assert!(hits > 1600, "{hits}");
     }
 
     #[test]
     fn directions_along_axes_and_such_as_are_none_are_traced_too() {
         let bvh = TriangleBvh::new(&ball_over_plate(0.02, 1.01, 0.3));
-        let directions = [Vec3::Y, Vec3::NEG_Y, -0.0 * Vec3::X + Vec3::NEG_Y, Vec3::ZERO, Vec3::NAN];
-        let found = bvh.nearest_of_packet(Vec3::new(0.01, 0.5, 0.02), &directions, 0.0);
+        let directions = [Vec3::Y, Vec3::NEG_Y, Vec3::new(-0.0, -1.0, -0.0), Vec3::ZERO, Vec3::NAN];
+        let origin = Vec3::new(0.01, 0.5, 0.02);
+        let found = bvh.nearest_of_packet(origin, &directions, 0.0);
         assert_eq!(found.map(|hit| hit.is_some())[..5], [true, true, true, false, false]);
+        for (direction, found) in directions.into_iter().zip(found) {
+            assert_eq!(found, bvh.nearest(&Ray { origin, direction }, 0.0));
+        }
         assert_eq!(found[5..], [None; PACKET - 5]);
     }
 }

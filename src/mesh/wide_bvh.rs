@@ -1,5 +1,5 @@
-//! A bounding volume hierarchy with eight children a node, and eight triangles a leaf, for rays one at a time: the boxes of a node, or the triangles of a leaf,
-//! are tested at once.
+//! A bounding volume hierarchy with eight children a node, and eight triangles a leaf, for one ray or a packet of them: the boxes of a node, or the triangles of
+//! a leaf, are tested at once.
 //!
 //! Source: Wald, Benthin and Boulos, "Getting Rid of Packets" (2008): wide nodes by opening the largest children of a binary hierarchy.
 //!
@@ -107,13 +107,14 @@ impl BoxRays for BoxRay {
 
 /// What is done with the leaves along a ray.
 pub(super) trait LeafVisitor {
-    /// Whether any of the rays enters a box, as far as is known; what is in others is not visited.
+    /// Whether any of the rays may enter a box; what is in a box that none enters is not visited. Called with the box of a leaf right before the visit
+    /// of the leaf.
     fn enters<S: Simd>(&mut self, simd: S, around: &BoxCorners) -> bool;
     /// Sees a leaf that the ray enters before `limit`; returns the limit from then on.
     fn visit<S: Simd>(&mut self, simd: S, leaf: &Leaf, limit: f32) -> f32;
 }
 
-/// Nodes that wait for their turn, with the distances at which the ray enters them.
+/// Nodes that wait for their turn, with the least distances at which rays enter them.
 struct Waiting {
     few: [(f32, u32); USUAL_WAITING],
     count: usize,

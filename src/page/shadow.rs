@@ -44,6 +44,7 @@ pub(crate) fn pack_visibility(
         return Err(Error::usage(format!("shadows of {size} do not fit into a page"), help));
     }
     let normals = atlas.normal.iter().flat_map(|normal| octahedral(*normal));
+    pack.floats("ways", texels.directions.iter().flat_map(|direction| direction.to_array()))?;
     pack.shorts("texelNormals", &normals.collect::<Vec<_>>(), 2);
     pack.bytes("hidden", &planes(texels));
     let patches = Patches::new(surface, texels);

@@ -97,7 +97,7 @@ fn corner(triangles: &[[u32; 3]], triangle: u32, vertex: u32) -> u32 {
     3 * triangle + k.expect("an edge's triangle has its ends") as u32
 }
 
-/// The root of the group that an item is in; `groups` has another item of its group, or a root itself.
+/// The root of the group of item `i`; `groups[i]` is another item of its group, or `i` itself for the root.
 pub(super) fn root(groups: &mut [u32], mut i: u32) -> u32 {
     while groups[i as usize] != i {
         groups[i as usize] = groups[groups[i as usize] as usize];

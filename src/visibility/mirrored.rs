@@ -97,11 +97,11 @@ impl Mirrored<'_> {
         let world_from_lobe = Mat3::from_cols(x, y, axis);
         let directions: [Vec3; RAYS] =
             std::array::from_fn(|i| world_from_lobe * direction_in_lobe(i, sharpness));
-        // A ray that enters the flat triangle meets nothing that the smooth surface would.
         let mut hits = [None; RAYS];
         let nearest = OFFSET * self.surface.radius();
         self.surface.intersect_packet(origin, &directions, nearest, &mut hits);
         let sent: [Option<Vec3>; RAYS] = std::array::from_fn(|i| {
+            // A ray that enters the flat triangle meets nothing that the smooth surface would.
             let hit = hits[i].filter(|_| geometric_normal.dot(directions[i]) > 0.0)?;
             Some(self.sent_back(&hit, directions[i]))
         });

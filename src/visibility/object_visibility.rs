@@ -270,11 +270,17 @@ impl ObjectVisibility {
     /// Interpolates the visibility of the lobes at a point, given that of all rows.
     fn blend_parts(&self, of_rows: &[u8], blend: &Blend, out: &mut [u8]) {
         let rows = blend.map(|(row, _)| &of_rows[row * self.stride..][..self.stride]);
-        // Weights in units of 1/256, so that 255 in all four rows stays 255.
-        let mut weights = blend.map(|(_, weight)| (weight * 256.0) as u16);
-        weights[0] += 256 - weights.iter().sum::<u16>();
+        let weights = mix_weights(blend);
         dispatch!(Level::new(), _simd => mix_parts(rows, weights, out));
     }
+}
+
+/// The weights of four rows in units of 1/256, so that 255 in all of them stays 255; the row of most weight has what rounding leaves.
+fn mix_weights(blend: &Blend) -> [u16; 4] {
+    let mut weights = blend.map(|(_, weight)| (weight * 256.0) as u16);
+    let most = (0..4).fold(0, |most, k| if weights[k] > weights[most] { k } else { most });
+    weights[most] += 256 - weights.iter().sum::<u16>();
+    weights
 }
 
 /// The mean of four rows, with weights that sum to 256.
@@ -351,6 +357,8 @@ mod tests {
             let mean: u32 = (0..4).map(|k| u32::from(rows[k][i]) * u32::from(weights[k])).sum();
             assert_eq!(u32::from(mixed), mean / 256);
         }
+        // A row of no weight does not count, also not for what rounding leaves.
+        assert_eq!(mix_weights(&[(0, 0.0), (7, 0.299), (8, 0.3), (9, 0.401)]), [0, 76, 76, 104]);
         let full = [&[255u8; 9][..]; 4];
         let mut open = [0; 9];
         mix_parts(full, [253, 1, 1, 1], &mut open);

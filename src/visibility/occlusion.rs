@@ -20,8 +20,7 @@ use std::ops::Range;
 
 /// Least sharpness of a lobe.
 const LEAST_LOBE: f32 = 1e-6;
-/// Exponent below which a lobe's weight counts as none (4e-18), because products with smaller ones are subnormal numbers, with which processors are many
-/// times slower.
+/// Exponent below which a lobe's weight counts as none (4e-18): long before weights are subnormal numbers, with which processors are many times slower.
 const LEAST_EXPONENT: f32 = -40.0;
 /// Rows that a thread processes at a time.
 const CHUNK: usize = 64;
@@ -31,8 +30,8 @@ pub(crate) const MOST_MIRRORED: f32 = 8.0;
 /// Light on a set of directions.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Sky {
-    /// e^{λ'(ξ·d − 1)} of each lobe at each direction: the directions of 16 lobes one after another, then those of the next 16, so that what is read
-    /// together stays in the nearest cache.
+    /// e^{λ'(ξ·d − 1)} of each lobe at each direction, or 0 below e to the power of [`LEAST_EXPONENT`]: those of 16 lobes at all directions, then those of
+    /// the next 16 (padded as the columns are). What is read together, 32 KiB for 512 directions, stays in the nearest cache.
     weights: Vec<Row>,
     stride: usize,
     /// The convolved lobes, in columns: axis x, y, z, λ', amplitude r, g, b.
@@ -208,7 +207,7 @@ pub(crate) fn light_rows(
     Ok(direct)
 }
 
-/// What is behind other parts of the surface, for some rows; memory that is used again.
+/// What is behind other parts of the surface, for some rows, and the light on them so far; memory that is used again.
 #[derive(Default)]
 pub(crate) struct Behind {
     /// The hidden directions of the rows, one row after another: their numbers, and the cosines with the normal times a cell's solid angle.
@@ -235,7 +234,7 @@ impl Behind {
     }
 }
 
-/// [`light_rows`] for some rows of a column: the irradiance of each, and the parts of the lobes that reach it.
+/// [`light_rows`] for some of the rows; overwrites `parts` and `direct` of these.
 pub(crate) fn light_chunk(
     visibility: &TexelVisibility,
     sky: &Sky,
@@ -265,8 +264,8 @@ fn light_all<S: Simd>(
             begin = behind.ends[i];
             for lane in (0..MAX_LANES).step_by(Lanes::<S>::LEN) {
                 let at = group * MAX_LANES + lane;
-                let dark = light_behind(simd, weights, lane, hidden);
-                let (part, light) = light_lobes(simd, sky, *normal, at, dark);
+                let hidden = light_behind(simd, weights, lane, hidden);
+                let (part, light) = light_lobes(simd, sky, *normal, at, hidden);
                 let parts = &mut parts[i * sky.stride + at..][..Lanes::<S>::LEN];
                 store_parts(part, parts);
                 for (sum, light) in behind.irradiance[i].iter_mut().zip(light) {
@@ -299,19 +298,19 @@ fn light_behind<S: Simd>(simd: S, weights: &[Row], lane: usize, hidden: &[(u32, 
     (sums[0] + sums[1]) + (sums[2] + sums[3])
 }
 
-/// The parts of the lobes from `at` on that arrive, of which `behind` is hidden, and their irradiance.
+/// The parts of the lobes from `at` on that arrive, of which so much is `hidden`, and their irradiance.
 #[inline(always)]
 fn light_lobes<S: Simd>(
     simd: S,
     sky: &Sky,
     normal: Vec3,
     at: usize,
-    behind: Lanes<S>,
+    hidden: Lanes<S>,
 ) -> (Lanes<S>, [Lanes<S>; 3]) {
     let normal = normal.to_array().map(|c| Lanes::splat(simd, c));
     let column = |c: usize| Lanes::load(simd, &sky.lobes[c][at..at + Lanes::<S>::LEN]);
     let all = cosine_integral(column(3), dot([column(0), column(1), column(2)], normal)).value;
-    let part = (all.one() - behind / all.max(all.lit(1e-9))).relu();
+    let part = (all.one() - hidden / all.max(all.lit(1e-9))).relu();
     (part, [column(4) * all * part, column(5) * all * part, column(6) * all * part])
 }
 
@@ -418,4 +417,53 @@ fn gathered(visibility: &TexelVisibility, leaving: &[Vec3], row: usize) -> Vec3 
         leaving.get(hider as usize).map_or(Vec3::ZERO, |sent| *sent) * visibility.directions[d].dot(normal)
     });
     light.sum::<Vec3>() * cell_angle(visibility)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::math::fibonacci::fibonacci_axes;
+    use crate::math::lobe::Lobe;
+    use crate::mesh::Surface;
+    use crate::mesh::primitive::ball_over_plate;
+
+    #[test]
+    fn parts_of_lobes_are_what_a_plain_sum_leaves() {
+        let surface = Surface::new(ball_over_plate(0.02, 1.01, 0.3), 32).unwrap();
+        let visibility =
+            TexelVisibility::trace(surface.atlas(), &surface, fibonacci_axes(512), usize::MAX, None).unwrap();
+        // More than two groups of lobes, some of which are sharp enough to weigh nothing at most directions.
+        let lobe = |(i, axis): (usize, Vec3)| Lobe {
+            axis: axis.into(),
+            sharpness: [2.0, 30.0, 900.0][i % 3],
+            amplitude: [0.5, 1.0, 0.1 * i as f32],
+        };
+        let lobes = LobeColumns::from_lobes(fibonacci_axes(40).into_iter().enumerate().map(lobe));
+        let sky = Sky::new(&visibility.directions, &lobes, Mat3::IDENTITY);
+        let mut parts = Vec::new();
+        let direct = light_rows(&visibility, &sky, &mut parts, None).unwrap();
+        let cell = 4.0 * std::f32::consts::PI / 512.0;
+        let mut counts = [0; 4];
+        for row in 0..visibility.len() {
+            let normal = visibility.normals[row];
+            counts[visibility.hidden(row).count() % 4] += 1;
+            let mut irradiance = Vec3::ZERO;
+            for i in 0..lobes.len() {
+                let [x, y, z, sharpness, r, g, b] = std::array::from_fn(|c| sky.lobes[c][i]);
+                let axis = Vec3::new(x, y, z);
+                let hidden = visibility.hidden(row).map(|(d, _)| visibility.directions[d]);
+                let weight = |d: Vec3| (sharpness * (axis.dot(d) - 1.0)).exp() * d.dot(normal) * cell;
+                let all = cosine_integral(sharpness, axis.dot(normal)).value;
+                let part = (1.0 - hidden.map(weight).sum::<f32>() / all.max(1e-9)).max(0.0);
+                irradiance += Vec3::new(r, g, b) * all * part;
+                let found = f32::from(parts[row * sky.stride + i]) / 255.0;
+                assert!(all < 1e-6 || (found - part.min(1.0)).abs() < 5e-3, "{row} {i}: {found} {part}");
+            }
+            assert!((direct[row] - irradiance).length() < 1e-3 * irradiance.length().max(1e-3), "row {row}");
+        }
+        assert!(counts.iter().all(|count| *count > 0), "{counts:?}");
+        assert!(
+            light_rows(&visibility, &Sky::default(), &mut parts, None).unwrap().len() == visibility.len()
+        );
+    }
 }

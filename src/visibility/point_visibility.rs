@@ -160,12 +160,14 @@ mod tests {
     use super::*;
     use crate::math::fibonacci::fibonacci_axes;
     use crate::math::shading::LobeColumns;
+    use crate::visibility::texel_visibility::clustered;
     use glam::Mat3;
 
     #[test]
     fn all_directions_near_an_axis_are_found_and_no_others() {
-        for count in [64, 320, 512] {
-            let directions = fibonacci_axes(count);
+        let (few, some) = (fibonacci_axes(64), clustered(fibonacci_axes(320)));
+        for directions in [few, some, clustered(fibonacci_axes(512))] {
+            let count = directions.len();
             let sky = Sky::new(&directions, &LobeColumns::from_lobes(std::iter::empty()), Mat3::IDENTITY);
             for (i, axis) in fibonacci_axes(60).into_iter().enumerate() {
                 let least = [0.99, 0.9, 0.3, -0.4, -0.98, -1.5][i % 6];

@@ -226,8 +226,8 @@ fn trace_texel(
     let before = out.hiders.len();
     for directions in directions.chunks(64) {
         // Whoever asked for it drops what is not traced ([`is_stopping`]).
-        let traced = directions.chunks(TOGETHER).filter(|_| !is_stopping());
-        let words = traced.enumerate().map(|(k, directions)| {
+        let traced = directions.chunks(TOGETHER).enumerate().filter(|_| !is_stopping());
+        let words = traced.map(|(k, directions)| {
             u64::from(trace_together(surface, origin, normal, directions, &mut out.hiders)) << (k * TOGETHER)
         });
         out.hidden.push(words.fold(0, |word, part| word | part));
@@ -262,7 +262,7 @@ fn trace_together(
 }
 
 /// Directions in an order in which those of each [`TOGETHER`] are near each other.
-fn clustered(mut directions: Vec<Vec3>) -> Vec<Vec3> {
+pub(super) fn clustered(mut directions: Vec<Vec3>) -> Vec<Vec3> {
     cluster(&mut directions);
     directions
 }

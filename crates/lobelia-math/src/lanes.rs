@@ -94,7 +94,9 @@ impl<S: Simd> Lanes<S> {
     /// One record of [`RECORD`] values per lane, one after another ([`record_of`]), from value `i` of all of them; undoes [`Lanes::columns`].
     #[inline(always)]
     pub fn records(columns: [Self; RECORD]) -> [Row; RECORD] {
-        let [a, b, c, d, e, f, g, h] = columns.map(|column| column.value);
+        let [a, b, c, d, e, f, g, h] = columns;
+        let (a, b, c, d) = (a.value, b.value, c.value, d.value);
+        let (e, f, g, h) = (e.value, f.value, g.value, h.value);
         // Values of two columns in turn, three times: by the three bits of their number.
         let [ae, bf, cg, dh] = [a.interleave(e), b.interleave(f), c.interleave(g), d.interleave(h)];
         let [even, odd] = [ae.0.interleave(cg.0), bf.0.interleave(dh.0)];

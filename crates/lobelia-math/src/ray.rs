@@ -49,7 +49,7 @@ pub trait Intersect: Send + Sync {
     /// Nearest hit at a distance in `(min_distance, ∞)`.
     fn intersect(&self, ray: &Ray, min_distance: f32) -> Option<Hit>;
     /// [`Self::intersect`] of rays from one origin: `hits[i]` becomes that of `directions[i]`. Surfaces may be faster if directions are near those
-    /// beside them; the default implementation casts one ray after another.
+    /// beside them; the default implementation casts one ray after another. There are as many hits as directions.
     fn intersect_packet(
         &self,
         origin: Vec3,

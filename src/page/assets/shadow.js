@@ -15,16 +15,6 @@ const EACH_PATCH = 14;
 /** Exponent of the mirrored lobe up to which directions count, as the surface's shader has it. */
 const MIRROR_REACH = 4;
 
-/** Near-uniform directions on the Fibonacci spiral, from near +Y to near −Y. */
-function spiral(count) {
-    const golden = Math.PI * (3 - Math.sqrt(5));
-    return Array.from({ length: count }, (_, i) => {
-        const y = 1 - (2 * i + 1) / count;
-        const radius = Math.sqrt(1 - y * y);
-        return [Math.cos(golden * i) * radius, y, Math.sin(golden * i) * radius];
-    });
-}
-
 /** Unit directions of octahedral 16-bit fractions, four numbers each; the last says whether there is one. */
 function decoded(fractions, present) {
     const out = new Float32Array((fractions.length / 2) * 4);
@@ -60,9 +50,9 @@ export class Shadows {
     constructor(gl, scene, shaders) {
         const { directions, bounces, patches } = scene.visibility;
         const [width, height] = scene.texture;
-        const { hidden, texelNormals, patchOfTexel, hiders, patchMeans, albedo } = scene.data;
+        const { hidden, texelNormals, patchOfTexel, hiders, patchMeans, albedo, ways } = scene.data;
         Object.assign(this, { gl, directions, bounces, patches, means: patchMeans, lobeCount: -1 });
-        this.ways = spiral(directions);
+        this.ways = Array.from({ length: directions }, (_, d) => [...ways.subarray(3 * d, 3 * d + 3)]);
         this.places = placesOfPatches(scene, patches);
         const table = bitsOfTexels(hidden, width * height, directions);
         this.hidden = new Texture(gl, "rgba32ui", { width: BITS_WIDTH, height: table.height, data: table.bits });

@@ -236,6 +236,8 @@ fn scatter<S: Simd>([a, b, c, d, e, f, g]: [Lanes<S>; LOBE_COLUMNS], index: &[f3
     let values = Lanes::records([a, b, c, d, e, f, g, a.zero()]);
     for (lane, lobe) in index.iter().enumerate() {
         let record = record_of_mut(records, *lobe as usize);
-        record.iter_mut().zip(record_of(&values, lane)).for_each(|(sum, value)| *sum += value);
+        for (sum, value) in record.iter_mut().zip(record_of(&values, lane)) {
+            *sum += value;
+        }
     }
 }
