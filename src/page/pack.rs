@@ -78,6 +78,14 @@ impl Pack {
         Ok(())
     }
 
+    /// An array of single-precision numbers, as the page reads it.
+    #[cfg(test)]
+    pub fn floats_of(&self, name: &str) -> Vec<f32> {
+        let [at, count] = ["at", "count"].map(|key| self.table[name][key].as_u64().unwrap() as usize);
+        let number = |i: usize| std::array::from_fn(|plane| self.bytes[at + plane * count + i]);
+        (0..count).map(|i| f32::from_le_bytes(number(i))).collect()
+    }
+
     fn enter(&mut self, name: &str, kind: ScalarType, delta: usize, count: usize) {
         let entry = json!({ "kind": kind.word(), "at": self.bytes.len(), "count": count, "delta": delta });
         self.table.insert(name.to_owned(), entry);

@@ -153,8 +153,10 @@ fn hiders(texels: &TexelVisibility, patches: &Patches) -> Vec<u16> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::material::{DiffuseAlbedo, DiffuseSheen, DiffuseTilt, SpecularBlend};
     use crate::math::fibonacci::fibonacci_axes;
     use crate::mesh::primitive::ball_over_plate;
+    use crate::visibility::VisibilitySettings;
 
     /// A ball over a plate.
     fn scenery() -> (Surface, TexelVisibility) {
@@ -179,6 +181,26 @@ mod tests {
             }
         }
         assert!(set > 1000 && bits.iter().map(|byte| byte.count_ones()).sum::<u32>() == set);
+    }
+
+    #[test]
+    fn the_page_has_the_directions_that_the_planes_are_of() {
+        let (surface, _) = scenery();
+        let visibility = ObjectVisibility::new(&surface, VisibilitySettings::default(), None).unwrap();
+        let count = surface.atlas().position.len();
+        let material = MaterialState {
+            albedo: vec![DiffuseAlbedo::default(); count],
+            sheen: vec![DiffuseSheen::default(); count],
+            tilt: vec![DiffuseTilt::default(); count],
+            blends: vec![SpecularBlend::even(1); count],
+            lobes: vec![None],
+        };
+        let mut pack = Pack::default();
+        pack_visibility(&mut pack, &surface, &material, &visibility).unwrap();
+        let ways: Vec<Vec3> = pack.floats_of("ways").chunks_exact(3).map(Vec3::from_slice).collect();
+        assert_eq!(ways, visibility.texels().directions);
+        // Not in the order of the spiral.
+        assert_ne!(ways, fibonacci_axes(ways.len()));
     }
 
     #[test]
