@@ -85,7 +85,7 @@ fn files_of_bands_have_the_bytes_of_files_of_the_whole() {
     save_png(path("whole.png"), &whole, &look).unwrap();
     for rows in [1, 3, 7] {
         write_frame_rows(path("bands.exr"), [19, 23], |layers| {
-            write_png_rows(path("bands.png"), [19, 23], true, |colors| {
+            write_png_rows(path("bands.png"), [19, 23], true, None, |colors| {
                 render_bands(&mut pipeline, camera, 4, rows, &mut |_, _, band| {
                     layers.push(band)?;
                     colors.push(&Picture::of(band).samples8(&look, Backdrop::Transparent)?)

@@ -45,8 +45,10 @@ fn frames_are_units_and_join_to_the_same_film() {
     for unit in &units[1..] {
         run_unit(&scene, unit, &out).succeeded();
     }
-    let early = Outcome::of(command(&["report"]).arg(&out)).succeeded();
-    assert!(early.stdout.contains("4 of 7 frames"), "{}", early.stdout);
+    let jobs = ["report", "--frames", "3", "--jobs"];
+    let early = Outcome::of(command(&jobs).arg(&scene).arg(&out)).succeeded();
+    let words = ["4 of 7 frames", "3 units: 2 finished, 1 not begun"];
+    words.iter().for_each(|word| assert!(early.stdout.contains(word), "{}", early.stdout));
     assert!(!out.join("turn.mp4").exists());
     // Twice is as once.
     let frame = out.join("turn_000003-000005/turn/orbit_frames/000004.png");
@@ -59,6 +61,14 @@ fn frames_are_units_and_join_to_the_same_film() {
     let film = |path: PathBuf| fs::read(path).unwrap();
     assert!(film(out.join("turn.mp4")) == film(data.path("whole/turn/orbit.mp4")), "the films differ");
     assert!(!out.join(&units[0]).join("still").exists(), "a unit of a film runs its pass alone");
+    // A unit of the film as it was changed meanwhile.
+    fs::write(&scene, SCENE.replace("(0.5, 2.0)", "(0.5, 3.0)")).unwrap();
+    run_unit(&scene, "turn_000002-000004", &out).succeeded();
+    let before = film(out.join("turn.mp4"));
+    let mixed = Outcome::of(command(&["report"]).arg(&out)).succeeded();
+    let words = ["not joined", "turn_000002-000004", "passes.turn.render.orbit.material.roughness"];
+    words.iter().for_each(|word| assert!(mixed.stdout.contains(word), "{}", mixed.stdout));
+    assert!(film(out.join("turn.mp4")) == before);
 }
 
 #[test]
@@ -127,6 +137,8 @@ fn what_is_wrong_is_named() {
     let set = "passes.turn.render.orbit.part=(5, 3)";
     let outcome = Outcome::of(command(&["run", "--set", set]).arg(&scene).arg("--out").arg(&out));
     assert!(outcome.code == Some(2) && outcome.stderr.contains("frames from 0 to 6"), "{}", outcome.stderr);
+    fs::write(data.path("number.ron"), SCENE.replace("\"turn\"", "\"7\"")).unwrap();
+    refused(&["list"], &data.path("number.ron"), &["number.ron", "\"7\"", "a letter"]);
     let fits = SCENE
         .replace("Render(name: \"still\")", "Fit(name: \"still\")")
         .replace("albedo: Fixed(Constant(0.5, 0.5, 0.5))", "albedo: Unknown(0.5, 0.5, 0.5)");

@@ -9,8 +9,9 @@ use lobelia::ranks::Ranks;
 use lobelia::ranks::threads::ThreadRank;
 use lobelia::scene::{LoadOptions, load};
 use std::collections::BTreeMap;
-use std::process::Command;
+use std::process::{Command, Stdio};
 use std::sync::Arc;
+use std::time::{Duration, Instant};
 
 /// The files of a pass, by name.
 type Found = BTreeMap<String, String>;
@@ -75,6 +76,17 @@ fn a_shape_on_several_ranks_has_the_bits_of_one() {
 }
 
 #[test]
+fn what_surrounds_the_steps_of_a_shape_has_the_bits_of_one() {
+    let data = photographs();
+    // Hollows are looked for in the hull and on the second grid; outlines and stereo come after.
+    let passes = r#"Shape(name: "shape", batch: 600, silhouette_batch: 32, levels: [
+            (cells: 16, texel_cells: 12, steps: 12, hold: 5), (cells: 24, texel_cells: 12, steps: 12, pixels: 0.1)]),
+        Fit(name: "fit", steps: 4, batch: 600), Save(name: "save"),"#;
+    let text = scene("Unknown(cells: 16, texture_size: 128)", "material: (gloss: One),", passes);
+    agrees(&data, &text, "fit", &[2, 3]);
+}
+
+#[test]
 fn several_base_materials_are_the_same_on_all_ranks_and_nearly_those_of_one() {
     let data = Data::new();
     two_balls(&data);
@@ -131,4 +143,37 @@ fn processes_under_mpirun_have_the_bits_of_one() {
     };
     assert!(saved("alone").len() >= 2, "{:?}", saved("alone"));
     assert_eq!(saved("alone"), saved("both"));
+}
+
+/// A signal under `mpirun` ends all processes after the same step, and what they have found is written.
+#[test]
+#[cfg(unix)]
+fn a_signal_under_mpirun_stops_all_processes_together() {
+    if !cfg!(feature = "mpi") || Command::new("mpirun").arg("--version").output().is_err() {
+        println!("left out: it needs the feature mpi, and mpirun");
+        return;
+    }
+    let data = Data::new();
+    two_balls(&data);
+    let passes = r#"Fit(name: "fit", steps: 1000000, batch: 800), Save(name: "saved"),"#;
+    std::fs::write(data.path("scene.ron"), scene(MESH, "material: (gloss: One),", passes)).unwrap();
+    let mut mpirun = Command::new("mpirun");
+    mpirun.args(["-n", "2", "--allow-run-as-root", "--oversubscribe"]);
+    // Otherwise its processes have one second.
+    mpirun.args(["--mca", "odls_base_sigkill_timeout", "60"]).arg(command(&[]).get_program());
+    mpirun.arg("run").arg(data.path("scene.ron")).arg("--data").arg(data.root());
+    mpirun.arg("--out").arg(data.path("out")).args(["--threads", "1"]);
+    let mut running = mpirun.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    let record = || std::fs::read_to_string(data.path("out/run.json")).unwrap_or_default();
+    let begun = Instant::now();
+    while !record().contains("\"running\"") && begun.elapsed() < Duration::from_secs(60) {
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    std::thread::sleep(Duration::from_secs(3));
+    let killed = Command::new("kill").args(["-TERM", &running.id().to_string()]).status().unwrap();
+    assert!(killed.success());
+    running.wait().unwrap();
+    assert!(record().contains("\"interrupted\"") && !record().contains("\"running\""), "{}", record());
+    let log = std::fs::read_to_string(data.path("out/fit/log.csv")).unwrap();
+    assert!(log.lines().count() > 2, "{log}");
 }

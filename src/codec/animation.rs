@@ -42,6 +42,10 @@ pub fn write_gif(path: impl AsRef<Path>, film: &Film, fps: f32) -> Result<()> {
         let mut encoder =
             gif::Encoder::new(writer, width, height, palette.colors.as_flattened()).map_err(failed)?;
         encoder.set_repeat(gif::Repeat::Infinite).map_err(failed)?;
+        if let Some(comment) = film.comment() {
+            let kind = gif::Extension::Comment.into();
+            encoder.write_raw_extension(kind, &[comment.as_bytes()]).map_err(failed)?;
+        }
         for (i, frame) in film.frames().enumerate() {
             let buffer = ditherer.dithered(&frame?).into();
             let delay = hundredths(i, fps) as u16;
@@ -74,6 +78,9 @@ pub fn write_apng(path: impl AsRef<Path>, film: &Film, fps: f32) -> Result<()> {
         encoder.set_depth(BitDepth::Eight);
         encoder.set_compression(Compression::Balanced);
         encoder.set_source_srgb(SrgbRenderingIntent::Perceptual);
+        if let Some(comment) = film.comment() {
+            encoder.add_text_chunk(png_file::COMMENT.to_owned(), comment.to_owned()).map_err(failed)?;
+        }
         encoder.set_animated(film.count() as u32, 0).map_err(failed)?;
         encoder.set_frame_delay(numerator, denominator).map_err(failed)?;
         let mut animation = encoder.write_header().map_err(failed)?;

@@ -26,6 +26,7 @@ pub struct Film {
     /// Number of the first one, in the names of files.
     first: usize,
     video: Option<Video>,
+    comment: Option<String>,
 }
 
 impl Film {
@@ -43,6 +44,11 @@ impl Film {
     pub fn frames(&self) -> impl Iterator<Item = Result<RgbImage>> {
         let files = (0..self.count).filter_map(|i| self.path(i));
         files.map(|path| png_file::read_rgb8(&path))
+    }
+
+    /// What its files say about it, if anything.
+    pub fn comment(&self) -> Option<&str> {
+        self.comment.as_deref()
     }
 
     /// Takes the video out, if one was made.
@@ -94,7 +100,7 @@ impl FilmRecorder {
     }
 
     fn of(folder: Option<PathBuf>, scratch: Option<TempDir>) -> Self {
-        let film = Film { folder, scratch, size: [0; 2], count: 0, first: 0, video: None };
+        let film = Film { folder, scratch, size: [0; 2], count: 0, first: 0, video: None, comment: None };
         Self { writer: None, film, video_fps: None }
     }
 
@@ -102,6 +108,13 @@ impl FilmRecorder {
     #[must_use]
     pub fn with_video(mut self, fps: u32) -> Self {
         self.video_fps = Some(fps);
+        self
+    }
+
+    /// Makes its files say something about it: frames ([`png_file::comment_of`]), animations and the video, as its title.
+    #[must_use]
+    pub fn with_comment(mut self, comment: impl Into<String>) -> Self {
+        self.film.comment = Some(comment.into());
         self
     }
 
@@ -121,8 +134,9 @@ impl FilmRecorder {
         }
         (film.size, film.count) = (size, film.count + 1);
         if self.writer.is_none() {
-            let video = self.video_fps.map(|fps| Video::new(size, fps)).transpose()?;
-            self.writer = Some(Writer::start(Frames { is_fast: film.scratch.is_some(), video })?);
+            let comment = film.comment.clone();
+            let video = self.video_fps.map(|fps| Video::new(size, fps, comment.as_deref())).transpose()?;
+            self.writer = Some(Writer::start(Frames { is_fast: film.scratch.is_some(), comment, video })?);
         }
         self.writer.as_mut().map_or(Ok(()), |writer| writer.take((path, frame)))
     }
@@ -143,15 +157,14 @@ type Waiting = (Option<PathBuf>, RgbImage);
 /// What is made of the frames.
 struct Frames {
     is_fast: bool,
+    comment: Option<String>,
     video: Option<Video>,
 }
 
 impl Frames {
     fn take(&mut self, (path, frame): &Waiting) -> Result<()> {
-        match path {
-            Some(path) if self.is_fast => png_file::write_rgb8_fast(path, frame)?,
-            Some(path) => png_file::write_rgb8(path, frame)?,
-            None => {}
+        if let Some(path) = path {
+            png_file::write_film_frame(path, frame, self.is_fast, self.comment.as_deref())?;
         }
         self.video.as_mut().map_or(Ok(()), |video| video.push(frame))
     }
@@ -202,6 +215,8 @@ impl Drop for Writer {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::codec::animation::{write_apng, write_gif};
+    use crate::codec::video::{TITLE, title_of};
     use image::Rgb;
 
     fn frame(i: u8) -> RgbImage {
@@ -231,7 +246,26 @@ mod tests {
         for i in 0..2 {
             let path = folder.path().join(format!("frames/{i:06}.png"));
             assert_eq!(png_file::read_rgb8(&path).unwrap(), frame(i));
+            assert_eq!(png_file::comment_of(&path), None);
         }
+    }
+
+    #[test]
+    fn files_say_what_is_to_be_said() {
+        let folder = tempfile::tempdir().unwrap();
+        let kept = FilmRecorder::kept(folder.path().join("frames"), 0).with_video(4);
+        let mut recorder = kept.with_comment("filtered");
+        (0..2).for_each(|i| recorder.push(frame(i)).unwrap());
+        let mut film = recorder.finish().unwrap();
+        let path = |name: &str| folder.path().join(name);
+        assert_eq!(png_file::comment_of(path("frames/000001.png")).as_deref(), Some("filtered"));
+        film.take_video().unwrap().write(&path("film.mp4")).unwrap();
+        assert_eq!(title_of(&path("film.mp4")).unwrap(), format!("{TITLE}: filtered"));
+        write_apng(path("film.png"), &film, 4.0).unwrap();
+        assert_eq!(png_file::comment_of(path("film.png")).as_deref(), Some("filtered"));
+        write_gif(path("film.gif"), &film, 4.0).unwrap();
+        let gif = std::fs::read(path("film.gif")).unwrap();
+        assert!(gif.windows(11).any(|bytes| bytes == b"\x21\xfe\x08filtered"));
     }
 
     #[test]

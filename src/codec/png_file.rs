@@ -15,15 +15,19 @@ pub fn write_rgb8(path: impl AsRef<Path>, picture: &RgbImage) -> Result<()> {
     write(path.as_ref(), picture.width(), picture.height(), ColorType::Rgb, picture.as_raw())
 }
 
-/// [`write_rgb8`] for files that do not stay: much faster, and larger.
+/// [`write_rgb8`] for a frame of a film, with a line of text about it. Files that do not stay are written `fast`: they are larger.
 ///
 /// # Errors
 /// Those of [`write_rgb8`].
-pub(crate) fn write_rgb8_fast(path: impl AsRef<Path>, picture: &RgbImage) -> Result<()> {
-    let form = PngForm { compression: Compression::Fast, ..PngForm::of(ColorType::Rgb) };
-    write_rows_by(path.as_ref(), [picture.width(), picture.height()], form, |rows| {
-        rows.push(picture.as_raw())
-    })
+pub(crate) fn write_film_frame(
+    path: &Path,
+    picture: &RgbImage,
+    fast: bool,
+    comment: Option<&str>,
+) -> Result<()> {
+    let compression = if fast { Compression::Fast } else { Compression::Balanced };
+    let form = PngForm { compression, ..PngForm::of(ColorType::Rgb).with(comment) };
+    write_rows_by(path, [picture.width(), picture.height()], form, |rows| rows.push(picture.as_raw()))
 }
 
 /// Writes a gray picture, such as a mask.
@@ -40,29 +44,40 @@ pub(crate) fn write_gray8(path: impl AsRef<Path>, picture: &GrayImage) -> Result
 /// Those of [`write_rgb8`].
 pub fn write_rgb8_by(path: impl AsRef<Path>, picture: &RgbImage, software: &str) -> Result<()> {
     let size = [picture.width(), picture.height()];
-    let form = PngForm { software: Some(software), ..PngForm::of(ColorType::Rgb) };
+    let form = PngForm { text: Some((SOFTWARE, software)), ..PngForm::of(ColorType::Rgb) };
     write_rows_by(path.as_ref(), size, form, |rows| rows.push(picture.as_raw()))
 }
 
 /// The program that a PNG says it was written by; `None` if it is no PNG, or does not say.
 pub fn software_of(path: impl AsRef<Path>) -> Option<String> {
-    let file = file::open(path.as_ref(), |_| String::new()).ok()?;
+    text_of(path.as_ref(), SOFTWARE)
+}
+
+/// What a PNG says about its picture, such as that its noise was filtered away; `None` if it is no PNG, or says nothing.
+pub fn comment_of(path: impl AsRef<Path>) -> Option<String> {
+    text_of(path.as_ref(), COMMENT)
+}
+
+fn text_of(path: &Path, keyword: &str) -> Option<String> {
+    let file = file::open(path, |_| String::new()).ok()?;
     let reader = png::Decoder::new(file).read_info().ok()?;
     let texts = &reader.info().uncompressed_latin1_text;
-    texts.iter().find(|text| text.keyword == SOFTWARE).map(|text| text.text.clone())
+    texts.iter().find(|text| text.keyword == keyword).map(|text| text.text.clone())
 }
 
 fn write(path: &Path, width: u32, height: u32, color: ColorType, samples: &[u8]) -> Result<()> {
-    write_rows(path, [width, height], color, |rows| rows.push(samples))
+    write_rows(path, [width, height], color, None, |rows| rows.push(samples))
 }
 
-/// The keyword that the PNG specification has for the program.
+/// The keywords that the PNG specification has for the program, and for what is said about a picture.
 const SOFTWARE: &str = "Software";
+pub(super) const COMMENT: &str = "Comment";
 /// Compressed bytes that are collected before they are written: one chunk of the file.
 const CHUNK_BYTES: usize = 1 << 20;
 
 /// Writes an 8-bit sRGB picture of `size` (width, height) that is never whole in memory: `fill` pushes its rows from the top. The file has
-/// the same bytes, however many rows are pushed at a time, and gets its name when `fill` has succeeded and all rows are there.
+/// the same bytes, however many rows are pushed at a time, and gets its name when `fill` has succeeded and all rows are there. A
+/// `comment` is Latin text that viewers show ([`comment_of`]).
 ///
 /// # Errors
 /// [`Error::Io`] if the file cannot be written, [`Error::Run`] for an empty picture or another number of rows, and whatever
@@ -71,28 +86,34 @@ pub(crate) fn write_rows(
     path: impl AsRef<Path>,
     size: [u32; 2],
     color: ColorType,
+    comment: Option<&str>,
     fill: impl FnOnce(&mut PngRows) -> Result<()>,
 ) -> Result<()> {
-    write_rows_by(path.as_ref(), size, PngForm::of(color), fill)
+    write_rows_by(path.as_ref(), size, PngForm::of(color).with(comment), fill)
 }
 
 /// How a PNG is written.
 struct PngForm<'a> {
     color: ColorType,
     compression: Compression,
-    software: Option<&'a str>,
+    /// A keyword of the PNG specification, and a text.
+    text: Option<(&'static str, &'a str)>,
 }
 
-impl PngForm<'_> {
+impl<'a> PngForm<'a> {
     fn of(color: ColorType) -> Self {
-        Self { color, compression: Compression::Balanced, software: None }
+        Self { color, compression: Compression::Balanced, text: None }
+    }
+
+    fn with(self, comment: Option<&'a str>) -> Self {
+        Self { text: comment.map(|comment| (COMMENT, comment)), ..self }
     }
 }
 
 fn write_rows_by(
     path: &Path,
     size: [u32; 2],
-    PngForm { color, compression, software }: PngForm,
+    PngForm { color, compression, text }: PngForm,
     fill: impl FnOnce(&mut PngRows) -> Result<()>,
 ) -> Result<()> {
     let failed = |error| failed(path, error);
@@ -102,8 +123,8 @@ fn write_rows_by(
         encoder.set_depth(BitDepth::Eight);
         encoder.set_compression(compression);
         encoder.set_source_srgb(SrgbRenderingIntent::Perceptual);
-        if let Some(software) = software {
-            encoder.add_text_chunk(SOFTWARE.to_owned(), software.to_owned()).map_err(failed)?;
+        if let Some((keyword, text)) = text {
+            encoder.add_text_chunk(keyword.to_owned(), text.to_owned()).map_err(failed)?;
         }
         let mut picture = encoder.write_header().map_err(failed)?;
         let mut stream = picture.stream_writer_with_size(CHUNK_BYTES).map_err(failed)?;
@@ -194,7 +215,7 @@ mod tests {
         for rows in [1, 3, 7] {
             let parted =
                 |file: &mut PngRows| picture.as_raw().chunks(rows * 31 * 3).try_for_each(|r| file.push(r));
-            write_rows(&parts, [31, 19], ColorType::Rgb, parted).unwrap();
+            write_rows(&parts, [31, 19], ColorType::Rgb, None, parted).unwrap();
             assert_eq!(std::fs::read(&parts).unwrap(), std::fs::read(&whole).unwrap(), "{rows}");
         }
         assert_eq!(read_rgb8(&parts).unwrap(), picture);
@@ -207,12 +228,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("a.png");
         for rows in [0, 3, 5] {
-            let pushed = write_rows(&path, [2, 4], ColorType::Rgb, |file| {
+            let pushed = write_rows(&path, [2, 4], ColorType::Rgb, None, |file| {
                 (0..rows).try_for_each(|_| file.push(&[7; 6]))
             });
             assert!(matches!(pushed, Err(Error::Run { .. })), "{rows}");
         }
-        let stopped = write_rows(&path, [2, 4], ColorType::Rgb, |_| Err(Error::Interrupted));
+        let stopped = write_rows(&path, [2, 4], ColorType::Rgb, None, |_| Err(Error::Interrupted));
         assert!(matches!(stopped, Err(Error::Interrupted)));
         assert_eq!(std::fs::read_dir(folder.path()).unwrap().count(), 0);
     }

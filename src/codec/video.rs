@@ -12,9 +12,10 @@
 use crate::codec::file;
 use crate::{Error, Result};
 use image::RgbImage;
-use muxide::api::{Muxer, MuxerBuilder, VideoCodec};
+use muxide::api::{Metadata, Muxer, MuxerBuilder, VideoCodec};
 use rusty_h264_common::YuvFrame;
 use rusty_h264_encoder::{Encoder, EncoderConfig};
+use std::io::Read as _;
 use std::path::Path;
 
 /// Quantization parameter of H.264, 0 to 51; six more are half the bits.
@@ -23,6 +24,10 @@ pub const QUANTIZER: u8 = 18;
 pub const KEY_SECONDS: u32 = 2;
 /// Most bytes of a video.
 pub const MOST_BYTES: usize = 1 << 31;
+/// How the title of every video begins, by which those are known that may be replaced.
+pub const TITLE: &str = "Rendered by Lobelia";
+/// Most bytes of the boxes of an MP4 that describe its frames.
+const MOST_DESCRIBING: u64 = 1 << 26;
 /// Bytes of a pixel of the encoder's pictures and maps, and of a pixel of each frame once it is compressed, written and copied.
 const PIXEL_BYTES: u64 = 10;
 const COMPRESSED_BYTES: f64 = 0.1;
@@ -57,11 +62,11 @@ impl std::fmt::Debug for Video {
 
 impl Video {
     /// A video without frames, whose frames have this width and height in pixels; `fps` is in frames per second. An odd side is extended by
-    /// its last line, as 4:2:0 needs.
+    /// its last line, as 4:2:0 needs. The title of the file is [`TITLE`], with the `comment`.
     ///
     /// # Errors
     /// [`Error::Run`] if H.264 has no level for frames of this size.
-    pub fn new([width, height]: [u32; 2], fps: u32) -> Result<Self> {
+    pub fn new([width, height]: [u32; 2], fps: u32, comment: Option<&str>) -> Result<Self> {
         let failed = |problem: String| Error::run(format!("a video of {width} × {height} pixels"), problem);
         let [w, h] = [width, height].map(|side| side.next_multiple_of(2));
         let mut config = EncoderConfig::baseline(w as usize, h as usize);
@@ -69,7 +74,9 @@ impl Video {
         (config.qp, config.framerate) = (QUANTIZER, fps as f32);
         config.gop_size = KEY_SECONDS * fps;
         let encoder = Encoder::new(config).map_err(|error| failed(error.to_string()))?;
-        let muxer = MuxerBuilder::new(Vec::new()).video(VideoCodec::H264, w, h, f64::from(fps)).build();
+        let title = comment.map_or_else(|| TITLE.to_owned(), |comment| format!("{TITLE}: {comment}"));
+        let muxer = MuxerBuilder::new(Vec::new()).with_metadata(Metadata::new().with_title(title));
+        let muxer = muxer.video(VideoCodec::H264, w, h, f64::from(fps)).build();
         let muxer = muxer.map_err(|error| failed(error.to_string()))?;
         Ok(Self { encoder, muxer, frame: YuvFrame::black(w as usize, h as usize), fps, count: 0, bytes: 0 })
     }
@@ -122,6 +129,27 @@ impl Video {
         self.muxer.finish_in_place().map_err(|error| failed(error.to_string()))?;
         let bytes = self.muxer.into_writer();
         file::write_bytes(path, &bytes)
+    }
+}
+
+/// The title of an MP4 that [`Video`] wrote; `None` of any other file.
+pub fn title_of(path: &Path) -> Option<String> {
+    let mut file = file::open(path, |_| String::new()).ok()?;
+    // The boxes of a file, one after the other, up to the one that describes it.
+    loop {
+        let mut head = [0; 8];
+        file.read_exact(&mut head).ok()?;
+        let length = u64::from(u32::from_be_bytes(head[..4].try_into().ok()?)).checked_sub(8)?;
+        if head[4..] != *b"moov" {
+            file.seek_relative(i64::try_from(length).ok()?).ok()?;
+            continue;
+        }
+        let mut moov = Vec::new();
+        file.take(length.min(MOST_DESCRIBING)).read_to_end(&mut moov).ok()?;
+        let at = moov.windows(TITLE.len()).position(|bytes| bytes == TITLE.as_bytes())?;
+        // Before a text: the length of its box, its name, its type and its language.
+        let length = u32::from_be_bytes(moov[at.checked_sub(16)?..at - 12].try_into().ok()?) as usize;
+        return String::from_utf8(moov.get(at..at + length.checked_sub(16)?)?.to_vec()).ok();
     }
 }
 
@@ -310,7 +338,7 @@ mod tests {
         let path = folder.path().join("orbit.mp4");
         // Odd sides, no multiple of a macroblock.
         let size = [61, 35];
-        let mut video = Video::new(size, 2).unwrap();
+        let mut video = Video::new(size, 2, None).unwrap();
         (0..6).for_each(|i| video.push(&picture(i, size)).unwrap());
         video.write(&path).unwrap();
         let (keys, streams) = samples(&path);
@@ -328,11 +356,16 @@ mod tests {
     fn a_single_frame_lasts() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("orbit.mp4");
-        let mut video = Video::new([32, 32], 10).unwrap();
+        let mut video = Video::new([32, 32], 10, None).unwrap();
         video.push(&picture(0, [32, 32])).unwrap();
         video.write(&path).unwrap();
         let (keys, streams) = samples(&path);
         assert_eq!((keys, streams.len()), (vec![1], 2));
+        assert_eq!(title_of(&path).as_deref(), Some(TITLE));
+        for other in [&b"not an MP4 but a longer text"[..], b"\0\0\0\x08free", b""] {
+            std::fs::write(&path, other).unwrap();
+            assert_eq!(title_of(&path), None);
+        }
     }
 
     #[test]
@@ -344,7 +377,7 @@ mod tests {
             set_bt709(&mut frame, &RgbImage::from_pixel(1, 1, Rgb(rgb)));
             assert_eq!((frame.y, frame.u[0], frame.v[0]), (vec![expected[0]; 4], expected[1], expected[2]));
         }
-        let mut video = Video::new([32, 32], 10).unwrap();
+        let mut video = Video::new([32, 32], 10, None).unwrap();
         set_bt709(&mut video.frame, &picture(0, [32, 32]));
         let plain = video.encoder.try_encode(&video.frame).unwrap();
         let named = with_color(&plain);
@@ -378,8 +411,8 @@ mod tests {
     fn videos_that_cannot_be_made_are_refused() {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("orbit.mp4");
-        assert!(Video::new([16_384, 16_384], 10).unwrap_err().to_string().contains("16384 × 16384"));
-        let mut video = Video::new([32, 32], 10).unwrap();
+        assert!(Video::new([16_384, 16_384], 10, None).unwrap_err().to_string().contains("16384 × 16384"));
+        let mut video = Video::new([32, 32], 10, None).unwrap();
         assert!(video.push(&picture(0, [32, 40])).unwrap_err().to_string().contains("32 × 40 pixels"));
         assert!(video.write(&path).is_err() && !path.exists());
     }

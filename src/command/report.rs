@@ -4,8 +4,8 @@ use super::output_checks::refuse_foreign;
 use super::report_args::ReportArgs;
 use super::terminal::print;
 use lobelia::codec::file::write_bytes;
-use lobelia::jobs::merge;
 use lobelia::jobs::unit::UnitRow;
+use lobelia::jobs::{list, merge};
 use lobelia::pass::summary::read_run;
 use lobelia::report::html::data::RunReport;
 use lobelia::report::html::{REPORT, SIGNATURE, html};
@@ -28,9 +28,16 @@ pub fn run(args: &ReportArgs) -> Result<()> {
     if let [out] = args.runs.as_slice()
         && !out.join("run.json").exists()
         && out.is_dir()
-        && let units @ [_, ..] = merge::units(out)?.as_slice()
+        && let units @ [_, ..] = units(out, args)?.as_slice()
     {
         return write_units(out, &page, units.to_vec());
+    }
+    if args.jobs.is_some() {
+        let problem = "--jobs: the units of a run are asked for, which has none";
+        return Err(Error::usage(
+            problem,
+            "Give the one folder into which units write, as `lobelia report out --jobs objects.csv`.",
+        ));
     }
     let mut runs: Vec<RunReport> = args.runs.iter().map(|run| read_run(run)).collect::<Result<_>>()?;
     name_apart(&mut runs, &args.runs);
@@ -39,13 +46,19 @@ pub fn run(args: &ReportArgs) -> Result<()> {
     print(&format!("{}: {:.1} MiB\n", page.display(), text.len() as f64 / 1_048_576.0))
 }
 
+/// The units whose folders are in `out`, and those of the jobs that have none.
+fn units(out: &Path, args: &ReportArgs) -> Result<Vec<UnitRow>> {
+    let named = args.jobs.as_ref().map(|jobs| list(jobs, args.data.as_deref(), args.frames)).transpose()?;
+    merge::units(out, &named.unwrap_or_default())
+}
+
 /// What many units have come to.
 fn write_units(out: &Path, page: &Path, units: Vec<UnitRow>) -> Result<()> {
     let merged = merge::merge(out, units)?;
     write_bytes(page, merged.page.as_bytes())?;
     let mut text = merged.words + "\n";
-    for (film, there, frames) in &merged.films {
-        let _ = writeln!(text, "{}: {there} of {frames} frames", film.display());
+    for film in &merged.films {
+        let _ = writeln!(text, "{}: {}", film.file.display(), film.words());
     }
     let _ = writeln!(text, "{}, {}", page.display(), out.join(merge::UNITS).display());
     print(&text)

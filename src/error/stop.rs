@@ -5,7 +5,7 @@
 
 use crate::error::{Error, Result};
 use std::fmt;
-use std::sync::atomic::{AtomicU8, Ordering};
+use std::sync::atomic::{AtomicU8, AtomicUsize, Ordering};
 
 /// What asked a run to stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,17 +46,77 @@ impl fmt::Display for StopSignal {
     }
 }
 
-/// The signal, and [`FINISHING`].
+/// The signal, with [`FINISHING`] or [`WAITING`].
 static STOP: AtomicU8 = AtomicU8::new(0);
 /// Set once the work has ended and only its results are written.
 const FINISHING: u8 = 0x80;
+/// Set while the signal waits until other processes know of it.
+const WAITING: u8 = 0x40;
+/// How many [`HeldStops`] there are.
+static HELD: AtomicUsize = AtomicUsize::new(0);
 
-/// Asks all work in progress in this process to stop; returns whether it is the first to ask.
+/// Asks all work in progress in this process to stop; returns whether it is the first to ask. While there are [`HeldStops`] that waits
+/// for [`begin_to_stop`].
 pub fn ask_to_stop(signal: StopSignal) -> bool {
-    STOP.compare_exchange(0, signal as u8, Ordering::Relaxed, Ordering::Relaxed).is_ok()
+    let waiting = if HELD.load(Ordering::Relaxed) > 0 { WAITING } else { 0 };
+    STOP.compare_exchange(0, signal as u8 | waiting, Ordering::Relaxed, Ordering::Relaxed).is_ok()
 }
 
-/// What asked the run to stop, if anything has.
+/// Makes a signal wait: as long as there is one, work that several processes do alike does not find out that it is to stop, for each would
+/// at another place. They ask each other ([`is_asked_to_stop`]) and begin together ([`begin_to_stop`]).
+///
+/// ```standalone_crate
+/// use lobelia::error::stop::{HeldStops, StopSignal, ask_to_stop, begin_to_stop, is_asked_to_stop, is_stopping, stopped_by};
+///
+/// let (held, other) = (HeldStops::new(), HeldStops::new());
+/// assert!(ask_to_stop(StopSignal::Interrupt) && !ask_to_stop(StopSignal::Terminate));
+/// assert!(is_asked_to_stop() && !is_stopping() && stopped_by().is_none());
+/// drop(held);
+/// assert!(!is_stopping());
+/// // All processes know.
+/// begin_to_stop(StopSignal::Terminate);
+/// assert!(is_stopping() && stopped_by() == Some(StopSignal::Interrupt));
+/// drop(other);
+/// assert!(is_stopping());
+/// ```
+#[derive(Debug)]
+pub struct HeldStops(());
+
+impl HeldStops {
+    /// From now on, until it is dropped.
+    #[must_use]
+    pub fn new() -> Self {
+        HELD.fetch_add(1, Ordering::Relaxed);
+        Self(())
+    }
+}
+
+impl Default for HeldStops {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Drop for HeldStops {
+    fn drop(&mut self) {
+        if HELD.fetch_sub(1, Ordering::Relaxed) == 1 {
+            STOP.fetch_and(!WAITING, Ordering::Relaxed);
+        }
+    }
+}
+
+/// Whether anything has asked the run to stop, also if that waits.
+pub fn is_asked_to_stop() -> bool {
+    STOP.load(Ordering::Relaxed) != 0
+}
+
+/// Stops the work in progress now, as all other processes do; they were asked by `signal` if this one was not.
+pub fn begin_to_stop(signal: StopSignal) {
+    ask_to_stop(signal);
+    STOP.fetch_and(!WAITING, Ordering::Relaxed);
+}
+
+/// What asked the run to stop, if anything has and it does not wait.
 pub fn stopped_by() -> Option<StopSignal> {
     let signal = STOP.load(Ordering::Relaxed) & !FINISHING;
     StopSignal::ALL.into_iter().find(|known| *known as u8 == signal)
@@ -67,7 +127,7 @@ pub fn stopped_by() -> Option<StopSignal> {
 #[inline]
 pub fn is_stopping() -> bool {
     let stop = STOP.load(Ordering::Relaxed);
-    stop != 0 && stop & FINISHING == 0
+    stop != 0 && stop & (FINISHING | WAITING) == 0
 }
 
 /// [`Error::Interrupted`] if the work in progress is to stop.

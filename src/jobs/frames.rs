@@ -8,7 +8,7 @@ use std::ops::Range;
 use std::path::Path;
 
 /// The film of a pass, if it makes one.
-pub(super) fn film_of(pass: &Pass) -> Option<&Orbit> {
+fn film_of(pass: &Pass) -> Option<&Orbit> {
     match pass {
         Pass::Render(RenderPass { render, .. })
         | Pass::Edit(EditPass { render, .. })
@@ -86,6 +86,12 @@ fn films(scene: &Path, data: Option<&Path>) -> Result<Vec<(String, u32)>> {
             format!("{shown}: each unit of a film would find the object anew, in pass {}", pass.name());
         let help = "Run the scene with a `Save`; films of what it saved are units. Objects are: give their folder or table.";
         return Err(Error::usage(problem, help));
+    }
+    let is_numbered = |pass: &&Pass| film_of(pass).is_some() && pass.name().parse::<usize>().is_ok();
+    if let Some(pass) = passes.iter().find(is_numbered) {
+        let problem = format!("{shown}: pass {:?} makes a film, and its name is a number", pass.name());
+        // `passes.7` is the eighth pass.
+        return Err(Error::usage(problem, "Give it a name with a letter: units replace its values by that."));
     }
     let films = passes.iter().filter_map(|pass| Some((pass.name().to_owned(), film_of(pass)?.frames)));
     let films: Vec<(String, u32)> = films.collect();

@@ -2,15 +2,15 @@
 
 use crate::codec::file::write_bytes;
 use crate::codec::film::{FilmRecorder, frame_file};
-use crate::codec::png_file::read_rgb8;
-use crate::codec::video::has_frames_of;
+use crate::codec::png_file::{comment_of, read_rgb8};
+use crate::codec::video::{has_frames_of, title_of};
 use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::jobs::frames::of_name;
 use crate::jobs::page;
-use crate::jobs::unit::{UnitRow, scored_passes};
+use crate::jobs::unit::{Unit, UnitRow, scored_passes};
 use crate::pass::render::FRAMES;
-use crate::pass::summary::read_outcome;
+use crate::pass::summary::{Outcome, read_outcome};
 use crate::scene::Orbit;
 use std::collections::BTreeMap;
 use std::fs;
@@ -28,15 +28,44 @@ pub struct Merged {
     pub words: String,
     /// The page, as HTML.
     pub page: String,
-    /// The films that were joined: file, frames that are there, frames of the film.
-    pub films: Vec<(PathBuf, usize, u32)>,
+    /// The films that units have parts of.
+    pub films: Vec<JoinedFilm>,
 }
 
-/// The units whose folders are in `out`; none if it has no folder of a run.
+/// A film whose frames units have rendered.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct JoinedFilm {
+    /// Its file.
+    pub file: PathBuf,
+    /// Frames that are there.
+    pub there: usize,
+    /// Frames of the film.
+    pub frames: u32,
+    /// Why it was not joined although they may all be there.
+    pub problem: Option<String>,
+}
+
+impl JoinedFilm {
+    /// Whether the file was written.
+    pub fn is_joined(&self) -> bool {
+        self.problem.is_none() && self.there == self.frames as usize
+    }
+
+    /// How far it is, in words.
+    pub fn words(&self) -> String {
+        let there = format!("{} of {} frames", self.there, self.frames);
+        self.problem.as_ref().map_or(there.clone(), |problem| format!("{there}, not joined: {problem}"))
+    }
+}
+
+/// What a unit is that has no folder yet.
+pub(super) const NOT_BEGUN: &str = "not begun";
+
+/// The units whose folders are in `out`, and those of `named` that have none; by name.
 ///
 /// # Errors
 /// [`Error::Io`] if the folder cannot be read.
-pub fn units(out: &Path) -> Result<Vec<UnitRow>> {
+pub fn units(out: &Path, named: &[Unit]) -> Result<Vec<UnitRow>> {
     let entries = fs::read_dir(out).map_err(Error::io("read", out))?;
     let mut units = Vec::new();
     for entry in entries {
@@ -45,6 +74,11 @@ pub fn units(out: &Path) -> Result<Vec<UnitRow>> {
             units.push((entry.file_name().to_string_lossy().into_owned(), outcome));
         }
     }
+    let lacks = |unit: &&Unit| units.iter().all(|(name, _)| *name != unit.name);
+    let waiting = Outcome { state: NOT_BEGUN.to_owned(), ..Outcome::default() };
+    let waiting: Vec<UnitRow> =
+        named.iter().filter(lacks).map(|unit| (unit.name.clone(), waiting.clone())).collect();
+    units.extend(waiting);
     units.sort_by(|a, b| a.0.cmp(&b.0));
     Ok(units)
 }
@@ -95,7 +129,7 @@ fn table(units: &[UnitRow]) -> Result<String> {
         let row = [
             name.clone(),
             outcome.state.clone(),
-            number(Some(outcome.secs), 1),
+            number((outcome.state != NOT_BEGUN).then_some(outcome.secs), 1),
             number(outcome.peak_rss_mib, 0),
             number(outcome.albedo_psnr, 3),
         ];
@@ -115,6 +149,27 @@ struct FilmParts {
     frames: u32,
     /// Units that are finished.
     units: Vec<String>,
+    /// What was rendered by the first of them.
+    rendered: Vec<(String, String)>,
+    /// Another unit that has rendered something else, and the path of a value that differs.
+    other: Option<(String, String)>,
+}
+
+/// The values of the scene file of a unit that all units of its film have.
+fn rendered(pass: &str, fields: &[(String, String)]) -> Vec<(String, String)> {
+    let (own, part) = (format!("passes.{pass}."), format!("passes.{pass}.render.orbit.part"));
+    let counts = |(path, _): &&(String, String)| {
+        (path.starts_with(&own) || !path.starts_with("passes.")) && *path != part
+    };
+    fields.iter().filter(counts).cloned().collect()
+}
+
+/// The path of the first value that only one of two scene files has.
+fn difference(one: &[(String, String)], other: &[(String, String)]) -> Option<String> {
+    let lacks = |these: &[(String, String)], those: &[(String, String)]| {
+        these.iter().find(|field| !those.contains(field)).map(|(path, _)| path.clone())
+    };
+    lacks(other, one).or_else(|| lacks(one, other))
 }
 
 fn parts_of_films(units: &[UnitRow]) -> BTreeMap<String, FilmParts> {
@@ -130,16 +185,24 @@ fn parts_of_films(units: &[UnitRow]) -> BTreeMap<String, FilmParts> {
         let (Some(frames), Some(fps)) = (of_orbit("frames", usual.frames), of_orbit("fps", usual.fps)) else {
             continue;
         };
-        let film = films.entry(pass.to_owned()).or_insert(FilmParts { fps, frames, units: Vec::new() });
-        if outcome.is_finished() {
-            film.units.push(name.clone());
+        let nothing = || FilmParts { fps, frames, units: vec![], rendered: vec![], other: None };
+        let film = films.entry(pass.to_owned()).or_insert_with(nothing);
+        if !outcome.is_finished() {
+            continue;
         }
+        let shown = rendered(pass, &outcome.fields);
+        if film.units.is_empty() {
+            (film.fps, film.frames, film.rendered) = (fps, frames, shown);
+        } else if let Some(path) = difference(&film.rendered, &shown).filter(|_| film.other.is_none()) {
+            film.other = Some((name.clone(), path));
+        }
+        film.units.push(name.clone());
     }
     films
 }
 
 /// Joins a film whose frames are all there.
-fn join(out: &Path, pass: &str, parts: &FilmParts) -> Result<(PathBuf, usize, u32)> {
+fn join(out: &Path, pass: &str, parts: &FilmParts) -> Result<JoinedFilm> {
     let file_of = |frame: u32| {
         let folders = parts.units.iter().map(|unit| out.join(unit).join(pass).join(FRAMES));
         folders.map(|folder| folder.join(frame_file(frame as usize))).find(|file| file.is_file())
@@ -147,26 +210,42 @@ fn join(out: &Path, pass: &str, parts: &FilmParts) -> Result<(PathBuf, usize, u3
     let files: Vec<PathBuf> = (0..parts.frames).map_while(file_of).collect();
     let there = (0..parts.frames).filter(|frame| file_of(*frame).is_some()).count();
     let film = out.join(format!("{pass}.mp4"));
-    if files.len() < parts.frames as usize {
-        return Ok((film, there, parts.frames));
-    }
-    let first = read_rgb8(&files[0])?;
-    if !has_frames_of([first.width(), first.height()]) {
-        return Ok((film, 0, parts.frames));
+    let mut joined = JoinedFilm { file: film, there, frames: parts.frames, problem: None };
+    joined.problem = obstacle(&joined.file, parts, files.first())?;
+    if !joined.is_joined() {
+        return Ok(joined);
     }
     let mut recorder = FilmRecorder::without_files().with_video(parts.fps);
+    if let Some(comment) = files.first().and_then(comment_of) {
+        recorder = recorder.with_comment(comment);
+    }
     for file in &files {
         check_interrupted()?;
         recorder.push(read_rgb8(file)?)?;
     }
-    recorder.finish()?.take_video().map_or(Ok(()), |video| video.write(&film))?;
-    Ok((film, there, parts.frames))
+    recorder.finish()?.take_video().map_or(Ok(()), |video| video.write(&joined.file))?;
+    Ok(joined)
+}
+
+/// Why a film cannot be joined from these parts.
+fn obstacle(film: &Path, parts: &FilmParts, first: Option<&PathBuf>) -> Result<Option<String>> {
+    if let (Some((other, path)), Some(unit)) = (&parts.other, parts.units.first()) {
+        let again = "run the units of the older one again in another folder";
+        return Ok(Some(format!("{unit} and {other} are of different films ({path}): {again}")));
+    }
+    if film.exists() && title_of(film).is_none() {
+        return Ok(Some(
+            "a file of this name is there that Lobelia has not written: move it away".to_owned(),
+        ));
+    }
+    let Some(first) = first.map(|file| read_rgb8(file)).transpose()? else { return Ok(None) };
+    let is_too_large = !has_frames_of([first.width(), first.height()]);
+    Ok(is_too_large.then(|| "no MP4 has frames as large as these".to_owned()))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pass::summary::Outcome;
 
     fn unit(name: &str, state: &str, scores: &[(&str, f64)]) -> UnitRow {
         let scores = scores.iter().map(|(pass, psnr)| ((*pass).to_owned(), [*psnr, 0.9])).collect();
@@ -189,18 +268,53 @@ mod tests {
     }
 
     #[test]
+    fn units_that_have_not_begun_are_there() {
+        let folder = tempfile::tempdir().unwrap();
+        let named = |name: &str| Unit {
+            name: name.into(),
+            scene: "a.ron".into(),
+            data: None,
+            sets: vec![],
+            pass: None,
+        };
+        let units = units(folder.path(), &[named("vase"), named("jug")]).unwrap();
+        assert_eq!(page::words(&units), "2 units: 2 not begun");
+        assert!(table(&units).unwrap().ends_with("error\njug,not begun,,,,\nvase,not begun,,,,\n"));
+    }
+
+    #[test]
     fn parts_of_a_film_are_those_of_finished_units() {
-        let fields = [("frames", "48"), ("fps", "12")]
-            .map(|(field, value)| (format!("passes.turn.render.orbit.{field}"), value.to_owned()));
-        let with = |(name, outcome): UnitRow| (name, Outcome { fields: fields.to_vec(), ..outcome });
-        let units = [
-            with(unit("turn_000000-000023", "finished", &[])),
-            with(unit("turn_000024-000047", "running", &[])),
+        let with = |fps: &str, part: &str, (name, outcome): UnitRow| {
+            let fields = [("frames", "48"), ("fps", fps), ("part", part)];
+            let path = |field: &str| format!("passes.turn.render.orbit.{field}");
+            let fields = fields.map(|(field, value)| (path(field), value.to_owned()));
+            (name, Outcome { fields: fields.to_vec(), ..outcome })
+        };
+        let mut units = vec![
+            with("12", "(0, 24)", unit("turn_000000-000023", "finished", &[])),
+            with("25", "(24, 24)", unit("turn_000024-000047", "running", &[])),
             unit("vase", "finished", &[]),
         ];
         let films = parts_of_films(&units);
         let film = &films["turn"];
         assert_eq!((films.len(), film.frames, film.fps), (1, 48, 12));
-        assert_eq!(film.units, ["turn_000000-000023"]);
+        assert_eq!((film.units.len(), &film.other), (1, &None));
+        units.push(with("12", "(24, 24)", unit("turn_000024-000047", "finished", &[])));
+        assert_eq!(parts_of_films(&units)["turn"].other, None);
+        units.push(with("25", "(30, 10)", unit("turn_000030-000039", "finished", &[])));
+        let other = ("turn_000030-000039".to_owned(), "passes.turn.render.orbit.fps".to_owned());
+        assert_eq!(parts_of_films(&units)["turn"].other, Some(other));
+    }
+
+    #[test]
+    fn a_file_of_somebody_else_is_not_replaced() {
+        let folder = tempfile::tempdir().unwrap();
+        let film = folder.path().join("turn.mp4");
+        let none = FilmParts { fps: 12, frames: 0, units: vec![], rendered: vec![], other: None };
+        assert_eq!(obstacle(&film, &none, None).unwrap(), None);
+        fs::write(&film, "theirs").unwrap();
+        let joined = join(folder.path(), "turn", &none).unwrap();
+        assert!(!joined.is_joined() && joined.words().contains("move it away"), "{}", joined.words());
+        assert_eq!(fs::read(&film).unwrap(), b"theirs");
     }
 }

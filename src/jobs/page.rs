@@ -1,14 +1,15 @@
 //! The page of many units: how many are done, a row each, and their films.
 
+use crate::jobs::merge::{JoinedFilm, NOT_BEGUN};
 use crate::jobs::unit::{UnitRow, scored_passes};
 use crate::report::html::text::escaped;
 use crate::report::html::{REPORT, SIGNATURE, STYLE};
 use std::collections::BTreeMap;
 use std::fmt::Write as _;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 /// The page. Its links lead into the folders of the units, beside which it lies.
-pub(super) fn page(out: &Path, units: &[UnitRow], films: &[(PathBuf, usize, u32)]) -> String {
+pub(super) fn page(out: &Path, units: &[UnitRow], films: &[JoinedFilm]) -> String {
     let full = out.canonicalize().unwrap_or_else(|_| out.to_owned());
     let name = full.file_name().map_or_else(|| "units".into(), |name| name.to_string_lossy().into_owned());
     let (title, style, version) = (escaped(&name), STYLE, escaped(env!("LOBELIA_VERSION")));
@@ -32,14 +33,11 @@ pub(super) fn words(units: &[UnitRow]) -> String {
     format!("{} units: {}", units.len(), parts.join(", "))
 }
 
-fn film_words(films: &[(PathBuf, usize, u32)]) -> String {
-    let word = |(film, there, frames): &(PathBuf, usize, u32)| {
-        let name = escaped(&film.file_name().unwrap_or_default().to_string_lossy());
-        if *there == *frames as usize {
-            format!("<p><a href=\"{name}\">{name}</a>: {frames} frames</p>\n")
-        } else {
-            format!("<p>{name}: {there} of {frames} frames are there</p>\n")
-        }
+fn film_words(films: &[JoinedFilm]) -> String {
+    let word = |film: &JoinedFilm| {
+        let name = escaped(&film.file.file_name().unwrap_or_default().to_string_lossy());
+        let link = if film.is_joined() { format!("<a href=\"{name}\">{name}</a>") } else { name };
+        format!("<p>{link}: {}</p>\n", escaped(&film.words()))
     };
     films.iter().map(word).collect()
 }
@@ -67,12 +65,14 @@ fn rows(units: &[UnitRow]) -> String {
                 .as_ref()
                 .map_or_else(|| outcome.state.clone(), |error| format!("{}: {error}", outcome.state)),
         );
-        let (albedo, secs, memory) =
-            (number(outcome.albedo_psnr, 2), number(Some(outcome.secs), 1), number(outcome.peak_rss_mib, 0));
+        let has_begun = outcome.state != NOT_BEGUN;
+        let link = if has_begun { format!("<a href=\"{name}/{REPORT}\">{name}</a>") } else { name };
+        let secs = number(has_begun.then_some(outcome.secs), 1);
+        let (albedo, memory) = (number(outcome.albedo_psnr, 2), number(outcome.peak_rss_mib, 0));
         // Writing to a String cannot fail.
         let _ = writeln!(
             table,
-            "<tr><th scope=\"row\"><a href=\"{name}/{REPORT}\">{name}</a></th><td>{state}</td>{scores}{albedo}{secs}{memory}</tr>"
+            "<tr><th scope=\"row\">{link}</th><td>{state}</td>{scores}{albedo}{secs}{memory}</tr>"
         );
     }
     table + "</tbody>\n</table>\n"
@@ -92,7 +92,8 @@ mod tests {
         };
         let bad = Outcome { state: "failed".into(), error: Some("<script>".into()), ..Outcome::default() };
         let units = [("vase".to_owned(), good), ("jug".to_owned(), bad)];
-        let page = page(Path::new("/jobs/museum"), &units, &[("/jobs/museum/turn.mp4".into(), 3, 48)]);
+        let film = JoinedFilm { file: "/jobs/museum/turn.mp4".into(), there: 3, frames: 48, problem: None };
+        let page = page(Path::new("/jobs/museum"), &units, &[film]);
         assert!(
             page.contains("2 units: 1 failed, 1 finished") && page.contains("href=\"vase/report.html\""),
             "{page}"

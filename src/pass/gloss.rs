@@ -43,6 +43,9 @@ const LEAST_STEPS: u32 = 3;
 const EXPLAINED: f64 = 32.0;
 /// Error of several relative to that of one below which they are chosen.
 const CLEARLY: f64 = 0.9;
+/// Steps of a trial after which it ends if its error is so many times that of one. Where several are better in the end, their error rises to 1.3 times that of
+/// one before it falls; where they are worse, to 3.3 times.
+const HOPELESS: (u32, f64) = (20, 2.2);
 /// The same of a surface whose normals were found by what it mirrors: it is polished in parts at least. `head` at half size has 0.906 there, and
 /// 0.5 dB more with two in the end.
 const CLEARLY_POLISHED: f64 = 0.95;
@@ -161,7 +164,7 @@ fn choose(session: &mut Session, pass: &FitPass, options: &FitOptions, first: &S
     let world = &mut session.pipeline.world;
     let lobes: Vec<_> = recovered_materials(world).into_iter().map(|(_, lobe)| lobe).collect();
     let carried = carry(world, Span::Pass)?;
-    let tried = try_several(session, pass, options);
+    let tried = try_several(session, pass, options, first.error);
     let error = tried.as_ref().ok().copied().filter(|_| !is_stopping());
     let enough = if session.placed.normals { CLEARLY_POLISHED } else { CLEARLY };
     session.several = error.is_some_and(|error| error < enough * first.error);
@@ -204,8 +207,8 @@ fn keep_one_or_several(
     restore(world, carried)
 }
 
-/// The error of several materials after the same steps.
-fn try_several(session: &mut Session, pass: &FitPass, before: &FitOptions) -> Result<f64> {
+/// The error of several materials after the same steps, or those after which they are [`HOPELESS`] beside the error of `one`.
+fn try_several(session: &mut Session, pass: &FitPass, before: &FitOptions, one: f64) -> Result<f64> {
     let _trying = stage("several materials tried");
     let scene = session.scene;
     let world = &mut session.pipeline.world;
@@ -231,7 +234,8 @@ fn try_several(session: &mut Session, pass: &FitPass, before: &FitOptions) -> Re
     let done = Done::default();
     let options = FitOptions { done, unknowns, initialize, visibility, light_frame, ..before.clone() };
     let steps = before.asked_after.unwrap_or_default();
-    error_after(session, &options, &format!("{}, several base materials", pass.name), steps)
+    let hopeless = |step: u32, error: f64| step >= HOPELESS.0 && error > HOPELESS.1 * one;
+    error_after(session, &options, &format!("{}, several base materials", pass.name), steps, hopeless)
 }
 
 /// Puts the lobes of the light where a fit begins.

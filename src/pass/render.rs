@@ -97,6 +97,9 @@ fn render_film(
         OrbitFormat::Frames => FilmRecorder::kept(folder.join(FRAMES), orbit.rendered().start as usize),
         OrbitFormat::Mp4 => FilmRecorder::without_files(),
     };
+    if let Some(comment) = comment_on(settings) {
+        film = film.with_comment(comment);
+    }
     if orbit.part.is_some() {
         // Its frames are of a film that is joined later.
     } else if has_frames_of(orbit.sides()) {
@@ -175,9 +178,9 @@ fn write_view(
     let path = |ending: &str| folder.join(format!("{}.{ending}", view.stem));
     let camera = view.camera;
     let size = [camera.width, camera.height];
-    let comment = settings.is_denoised().then_some(DENOISED);
+    let comment = comment_on(settings);
     write_frame_rows_with(path("exr"), size.map(|side| side as usize), comment, |layers| {
-        write_png_rows(path("png"), size, !settings.backdrop, |colors| {
+        write_png_rows(path("png"), size, !settings.backdrop, comment, |colors| {
             bands(pipeline, camera, settings, Backdrop::Transparent, &mut |frame, samples| {
                 layers.push(frame)?;
                 colors.push(samples)
@@ -208,6 +211,11 @@ fn film_frame(pipeline: &mut Pipeline, camera: Camera, settings: &RenderSettings
         })?;
     }
     Ok(RgbImage::from_raw(camera.width, camera.height, picture).expect("its bands have all rows"))
+}
+
+/// What pictures of a pass say about themselves.
+fn comment_on(settings: &RenderSettings) -> Option<&'static str> {
+    settings.is_denoised().then_some(DENOISED)
 }
 
 fn look_of(settings: &RenderSettings) -> Look {

@@ -55,7 +55,8 @@ pub(super) fn run(
     report.write(&session.out)?;
     for (index, pass) in session.scene.passes.iter().enumerate().skip(done) {
         if session.leave_to_first(index) {
-            break;
+            // A signal from now on is for the first process.
+            return unfinished.first.map_or(Ok(()), Err);
         }
         if unfinished.leaves_out(session, pass) {
             record.pass(index, RunState::Skipped, told.take())?;

@@ -1,6 +1,7 @@
 //! What the passes of one run share.
 
 use crate::codec::file::write_file;
+use crate::error::stop::HeldStops;
 use crate::error::{Error, Result};
 use crate::fit::FramesTried;
 use crate::fit::components::Unknowns;
@@ -101,6 +102,8 @@ pub struct Session<'a> {
     pub(super) device: Option<ShadingDevice>,
     /// The processes that share the work of a fit, if there are several.
     pub(super) ranks: Option<Ranks>,
+    /// As long as these do all alike: none stops before the others know.
+    held_stops: Option<HeldStops>,
     /// Whether there is an object to write: all is given, or a `Shape` or `Fit` has found something.
     pub has_object: bool,
 }
@@ -219,6 +222,7 @@ impl<'a> Session<'a> {
             profiler: None,
             device: None,
             ranks: None,
+            held_stops: None,
             has_object: !scene.passes.iter().any(|pass| matches!(pass, Pass::Shape(_) | Pass::Fit(_))),
         }
     }
@@ -231,6 +235,7 @@ impl<'a> Session<'a> {
         }
         if let Some(ranks) = &self.ranks {
             self.pipeline.add_plugin(&AllReducePlugin(ranks.clone()));
+            self.held_stops.get_or_insert_default();
         }
     }
 
@@ -242,6 +247,7 @@ impl<'a> Session<'a> {
             return false;
         };
         self.pipeline.remove_plugin::<AllReducePlugin>();
+        self.held_stops = None;
         ranks.rank() > 0
     }
 

@@ -140,9 +140,9 @@ fn take_over(
     check_parameters(&mut session.pipeline.world)?;
     check_numbers("the value of the field at point", found.grid.values.iter().copied())?;
     if !stopped {
-        match_outlines(session, &pass.name, &mut found);
+        match_outlines(session, &pass.name, &mut found)?;
     }
-    let mesh = found_mesh(session, pass, &found);
+    let mesh = found_mesh(session, pass, &found)?;
     check_numbers("the surface's coordinate", mesh.positions.iter().flat_map(|at| at.to_array()))?;
     let stopped = is_stopping();
     finish_stopping();
@@ -158,10 +158,10 @@ fn take_over(
 }
 
 /// The mesh of the surface that was found, moved by stereo and with the normals of what it mirrors, as far as that is wanted.
-fn found_mesh(session: &mut Session, pass: &ShapePass, surface: &SdfSurface) -> Mesh {
+fn found_mesh(session: &mut Session, pass: &ShapePass, surface: &SdfSurface) -> Result<Mesh> {
     let mut mesh = mesh_of_parts(&mut session.pipeline.world, &surface.grid);
     if pass.stereo && !is_stopping() {
-        session.placed.by_stereo = match_views(session, &pass.name, &mut mesh);
+        session.placed.by_stereo = match_views(session, &pass.name, &mut mesh)?;
     } else {
         session.pipeline.world.remove_resource::<ModelError>();
     }
@@ -170,7 +170,7 @@ fn found_mesh(session: &mut Session, pass: &ShapePass, surface: &SdfSurface) -> 
     if pass.normals && !differ && !is_stopping() {
         session.placed.normals = match_reflections(session, &pass.name, &mut mesh);
     }
-    mesh
+    Ok(mesh)
 }
 
 /// Whether photographs have exposures of their own, as far as it is known by now.
@@ -266,20 +266,21 @@ fn tell_of_hull(progress: &dyn Progress, name: &str, told: &mut HullReport, now:
 }
 
 /// Moves the contours of the field to the outlines of the masks, and says what came of it.
-fn match_outlines(session: &mut Session, name: &str, surface: &mut SdfSurface) {
+fn match_outlines(session: &mut Session, name: &str, surface: &mut SdfSurface) -> Result<()> {
     let start = Instant::now();
     let _matching = stage("outlines");
     let bar = session.progress.bar(name, 0);
     bar.set_message("outlines".into());
-    let report = refine_by_outlines(&mut session.pipeline.world, surface);
+    let report = refine_by_outlines(&mut session.pipeline.world, surface)?;
     let seconds = start.elapsed().as_secs_f64();
     let found = format!("{:.2} pixels off before, {:.2} after", report.before, report.after);
     bar.finish_and_clear();
     session.progress.print(&format!("{name}: outlines in {seconds:.1} s, {found}"));
+    Ok(())
 }
 
 /// Moves the mesh to where neighboring photographs agree; says what came of it and returns whether vertices then stay there.
-fn match_views(session: &mut Session, name: &str, mesh: &mut Mesh) -> bool {
+fn match_views(session: &mut Session, name: &str, mesh: &mut Mesh) -> Result<bool> {
     let start = Instant::now();
     let _matching = stage("stereo");
     let bar = session.progress.bar(name, STEREO_ROUNDS.len() as u64);
@@ -287,10 +288,10 @@ fn match_views(session: &mut Session, name: &str, mesh: &mut Mesh) -> bool {
         bar.set_position(round as u64);
         bar.set_message("stereo".into());
         if is_stopping() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
-    });
+    })?;
     bar.finish_and_clear();
     if is_stopping() {
-        return false;
+        return Ok(false);
     }
     let seconds = start.elapsed().as_secs_f64();
     let holds = report.moved > 0.0 && report.trusted >= STEREO_HOLDS;
@@ -301,7 +302,7 @@ fn match_views(session: &mut Session, name: &str, mesh: &mut Mesh) -> bool {
         "it adds nothing to the shading here".into()
     };
     session.progress.print(&format!("{name}: stereo in {seconds:.1} s, {found}"));
-    holds
+    Ok(holds)
 }
 
 /// Gives the vertices the normals that explain what they mirror, if that is worth it; says what came of it and returns whether it was.

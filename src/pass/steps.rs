@@ -141,7 +141,8 @@ pub(super) fn take_steps(
     Ok(Steps { summary, error, psnr, doubted })
 }
 
-/// Takes steps on trial, without a log and with geometry as it is; returns the mean absolute error of radiance over the last of them.
+/// Takes steps on trial, without a log and with geometry as it is; returns the mean absolute error of radiance over the last of them. They end before if they are
+/// `hopeless`, by their number and that error.
 ///
 /// # Errors
 /// Those of [`run_fit`].
@@ -150,6 +151,7 @@ pub(super) fn error_after(
     options: &FitOptions,
     title: &str,
     steps: u32,
+    hopeless: impl Fn(u32, f64) -> bool,
 ) -> Result<f64> {
     let mut error = f64::INFINITY;
     forget_shadows(&mut session.pipeline.world);
@@ -160,7 +162,8 @@ pub(super) fn error_after(
         bar.set_length(u64::from(steps));
         bar.set_position(u64::from(step));
         error = at.sums.mean();
-        if step == steps || is_stopping() { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
+        let is_over = step == steps || hopeless(step, error) || is_stopping();
+        if is_over { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     })?;
     bar.finish_and_clear();
     Ok(error)

@@ -7,7 +7,7 @@ pub mod mpi;
 pub(crate) mod packed;
 pub mod threads;
 
-use crate::error::stop::{StopSignal, ask_to_stop, check_interrupted, is_stopping};
+use crate::error::stop::{StopSignal, begin_to_stop, check_interrupted, is_asked_to_stop};
 use crate::error::{Error, Result};
 use bevy_ecs::prelude::{Resource, World};
 use std::fmt;
@@ -16,8 +16,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
-/// Bytes that each process sends at a time.
-const BLOCK_BYTES: usize = 1 << 26;
+/// Bytes that all processes together send at a time.
+const BLOCK_BYTES: usize = 1 << 30;
 /// What went wrong if lengths differ.
 const OTHER_DATA: &str = "another process works on other data";
 
@@ -101,7 +101,7 @@ impl Ranks {
         let of: fn(&mut Traffic) -> &mut Sent = |traffic| &mut traffic.of_shares;
         let length = (bytes.len() as u64).to_le_bytes();
         let mut longest = 0;
-        for said in self.gather(&[&length[..], &[u8::from(is_stopping())]].concat(), of)? {
+        for said in self.gather(&[&length[..], &[u8::from(is_asked_to_stop())]].concat(), of)? {
             let Ok([length @ .., stops]) = <[u8; 9]>::try_from(said) else { return Err(broken(OTHER_DATA)) };
             longest = longest.max(u64::from_le_bytes(length) as usize);
             if stops == 1 {
@@ -109,8 +109,9 @@ impl Ranks {
             }
         }
         let mut all = vec![Vec::new(); self.size()];
-        for start in (0..longest).step_by(BLOCK_BYTES) {
-            let block = &bytes[start.min(bytes.len())..bytes.len().min(start + BLOCK_BYTES)];
+        let most = (BLOCK_BYTES / self.size()).max(1);
+        for start in (0..longest).step_by(most) {
+            let block = &bytes[start.min(bytes.len())..bytes.len().min(start + most)];
             all.iter_mut().zip(self.gather(block, of)?).for_each(|(all, part)| all.extend(part));
         }
         Ok(all)
@@ -141,7 +142,7 @@ impl Ranks {
 
     /// The same, not counted as a step.
     fn any_stops(&self) -> Result<bool> {
-        let stops = self.communicator.all_any(is_stopping())?;
+        let stops = self.communicator.all_any(is_asked_to_stop())?;
         if stops {
             self.stop_all();
         }
@@ -151,7 +152,7 @@ impl Ranks {
     /// Makes this process one of those that are stopping, as all others know of themselves.
     fn stop_all(&self) {
         self.stopped.store(true, Ordering::Relaxed);
-        ask_to_stop(StopSignal::Terminate);
+        begin_to_stop(StopSignal::Terminate);
     }
 
     /// Whether all processes have stopped at the same place.
@@ -227,6 +228,7 @@ fn broken(problem: impl Into<String>) -> Error {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::ranks::packed::divided;
     use crate::ranks::threads::ThreadRank;
     use glam::Vec3;
 
@@ -236,6 +238,22 @@ mod tests {
         assert_eq!([0, 1, 2].map(|rank| share(1000, 256, rank, 3)), [0..256, 256..512, 512..1000]);
         assert_eq!([0, 1, 2].map(|rank| share(100, 256, rank, 3)), [0..0, 0..0, 0..100]);
         assert_eq!([0, 1].map(|rank| share(0, 256, rank, 2)), [0..0, 0..0]);
+    }
+
+    #[test]
+    fn lists_of_shares_are_those_of_one_process() {
+        let list =
+            |i: usize| -> Vec<Vec3> { (0..i % 4).map(|k| Vec3::new(i as f32, k as f32, 0.5)).collect() };
+        let alone = divided(None, 11, list).unwrap();
+        assert_eq!(alone[7], list(7));
+        std::thread::scope(|scope| {
+            for rank in ThreadRank::group(3) {
+                scope.spawn(|| {
+                    let ranks = Ranks::new(Arc::new(rank));
+                    assert_eq!(divided(Some(&ranks), 11, list).unwrap(), alone);
+                });
+            }
+        });
     }
 
     #[test]

@@ -4,6 +4,7 @@ use super::{OTHER_DATA, Ranks, broken, share};
 use crate::error::Result;
 use crate::math::shading::{Layers, PointAdjoint};
 use glam::Vec3;
+use rayon::prelude::*;
 use std::ops::Range;
 
 /// A value that is a number of floats.
@@ -135,6 +136,36 @@ impl Ranks {
         let all: Vec<T> = values.collect();
         if all.len() == count { Ok(all) } else { Err(broken(OTHER_DATA)) }
     }
+}
+
+/// What `of` makes of each of `count` items, in their order. The threads of this process do it, or those of all `ranks`, each process a share.
+pub(crate) fn divided<T: PackedFloats<N> + Send, const N: usize>(
+    ranks: Option<&Ranks>,
+    count: usize,
+    of: impl Fn(usize) -> Vec<T> + Sync + Send,
+) -> Result<Vec<Vec<T>>> {
+    let Some(ranks) = ranks else { return Ok((0..count).into_par_iter().map(of).collect()) };
+    let lists: Vec<Vec<T>> = ranks.share(count, 1).into_par_iter().map(of).collect();
+    let mut bytes = Vec::new();
+    for list in &lists {
+        bytes.extend((list.len() as u64).to_le_bytes());
+        bytes.extend(list.iter().flat_map(|value| value.to_floats()).flat_map(f32::to_le_bytes));
+    }
+    drop(lists);
+    let mut all = Vec::with_capacity(count);
+    for part in ranks.gather_shares(&bytes)? {
+        let mut rest = &part[..];
+        while let Some((length, tail)) = rest.split_first_chunk::<8>() {
+            let bytes = u64::from_le_bytes(*length).checked_mul(4 * N as u64);
+            let list = bytes.and_then(|bytes| tail.split_at_checked(usize::try_from(bytes).ok()?));
+            let Some((list, after)) = list else { return Err(broken(OTHER_DATA)) };
+            let floats: Vec<f32> =
+                list.as_chunks::<4>().0.iter().map(|four| f32::from_le_bytes(*four)).collect();
+            all.push(floats.as_chunks::<N>().0.iter().map(|floats| T::of_floats(*floats)).collect());
+            rest = after;
+        }
+    }
+    if all.len() == count { Ok(all) } else { Err(broken(OTHER_DATA)) }
 }
 
 /// What one process has sent, as far as it is not taken.

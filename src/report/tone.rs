@@ -212,13 +212,14 @@ pub fn save_png(path: impl AsRef<Path>, frame: &Frame, look: &Look) -> Result<()
 /// [`Error::Run`] for lists of the wrong length, [`Error::Io`] if the file cannot be written.
 pub fn write_png(path: impl AsRef<Path>, picture: &Picture, look: &Look, backdrop: Backdrop) -> Result<()> {
     let size = [picture.width as u32, picture.height as u32];
-    write_png_rows(path, size, matches!(backdrop, Backdrop::Transparent), |rows| {
+    write_png_rows(path, size, matches!(backdrop, Backdrop::Transparent), None, |rows| {
         rows.push(&picture.samples8(look, backdrop)?)
     })
 }
 
 /// [`write_png`] for a picture of `size` (width, height) that is never whole in memory: `fill` pushes [`Picture::samples8`] of its bands
-/// from the top, all with a `transparent` backdrop or none.
+/// from the top, all with a `transparent` backdrop or none. A `comment` says something about it, to those who look at the file
+/// ([`comment_of`](crate::codec::png_file::comment_of)).
 ///
 /// # Errors
 /// [`Error::Io`] if the file cannot be written, [`Error::Run`] for an empty picture, and those of `rows`.
@@ -226,10 +227,11 @@ pub fn write_png_rows(
     path: impl AsRef<Path>,
     size: [u32; 2],
     transparent: bool,
+    comment: Option<&str>,
     fill: impl FnOnce(&mut PngRows) -> Result<()>,
 ) -> Result<()> {
     let color = if transparent { ColorType::Rgba } else { ColorType::Rgb };
-    png_file::write_rows(path, size, color, fill)
+    png_file::write_rows(path, size, color, comment, fill)
 }
 
 fn byte(value: f32) -> u8 {

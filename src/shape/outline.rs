@@ -8,10 +8,13 @@
 //! Source: contour generators as constraints on a surface (Cipolla and Giblin, "Visual Motion of Curves and Surfaces", 2000);
 //! the plate as in [`stereo`](crate::shape::stereo).
 
+use crate::error::Result;
 use crate::error::stop::is_stopping;
 use crate::math::ray::Ray;
 use crate::mesh::bvh::TriangleBvh;
 use crate::mesh::triangles::{Side, sorted_sides};
+use crate::ranks::Ranks;
+use crate::ranks::packed::{PackedFloats, divided};
 use crate::sdf::SdfGrid;
 use crate::shape::displace::displace;
 use crate::shape::parts::extract_parts;
@@ -53,13 +56,20 @@ pub struct OutlineReport {
 }
 
 /// Moves the surface of `grid` so that its contours meet the outlines of the masks. A run that is stopping
-/// ([`is_stopping`]) moves it no further.
-pub fn fit_outlines(grid: &mut SdfGrid, silhouettes: &[Silhouette]) -> OutlineReport {
+/// ([`is_stopping`]) moves it no further. `ranks` divide the masks.
+///
+/// # Errors
+/// If another process is gone.
+pub fn fit_outlines(
+    grid: &mut SdfGrid,
+    silhouettes: &[Silhouette],
+    ranks: Option<&Ranks>,
+) -> Result<OutlineReport> {
     let mut report = OutlineReport::default();
     for round in 0..=ROUNDS {
         let mesh = extract_parts(grid, silhouettes);
         let (bvh, shell) = (TriangleBvh::new(&mesh), Shell::new(&mesh));
-        let votes = Contours::new(&shell, &bvh).votes(silhouettes);
+        let votes = Contours::new(&shell, &bvh).votes(silhouettes, ranks)?;
         report.after = votes.mean_distance;
         if round == 0 {
             report.before = report.after;
@@ -69,7 +79,7 @@ pub fn fit_outlines(grid: &mut SdfGrid, silhouettes: &[Silhouette]) -> OutlineRe
         }
         displace(grid, &bvh, &shell, &votes.displacements(&shell, 1.0));
     }
-    report
+    Ok(report)
 }
 
 /// The outlines of masks beside other evidence, such as the shading, by which a mesh moves. A look at them is short and does not stop with
@@ -85,21 +95,17 @@ pub(crate) struct OutlineGuide {
 impl OutlineGuide {
     /// For a given mesh.
     pub(crate) fn new(shell: &Shell, bvh: &TriangleBvh, silhouettes: Arc<[Silhouette]>) -> Self {
-        let votes = Contours::new(shell, bvh).votes_until(&silhouettes, never);
+        let votes = Contours::new(shell, bvh).all_votes(&silhouettes);
         let weight = (SHARP / votes.mean_distance.max(SHARP)).powi(2);
         Self { given: votes.displacements(shell, weight), silhouettes, weight }
     }
 
     /// How far the vertices of the mesh, which has moved, are to move along their normals for its outlines to be what they were, world units.
     pub(crate) fn displacements(&self, shell: &Shell, bvh: &TriangleBvh) -> Vec<f32> {
-        let votes = Contours::new(shell, bvh).votes_until(&self.silhouettes, never);
+        let votes = Contours::new(shell, bvh).all_votes(&self.silhouettes);
         let now = votes.displacements(shell, self.weight);
         now.iter().zip(&self.given).map(|(now, given)| now - given).collect()
     }
-}
-
-fn never() -> bool {
-    false
 }
 
 /// What contours say of a vertex.
@@ -120,6 +126,7 @@ impl Vote {
 }
 
 /// A vertex of a contour beside a mask's outline.
+#[derive(Clone, Copy)]
 struct Seen {
     vertex: u32,
     /// Cosine between the vertex's normal and the contour's.
@@ -128,6 +135,16 @@ struct Seen {
     distance: f32,
     /// World size of a pixel there.
     pixel_size: f32,
+}
+
+impl PackedFloats<4> for Seen {
+    fn to_floats(self) -> [f32; 4] {
+        [f32::from_bits(self.vertex), self.cosine, self.distance, self.pixel_size]
+    }
+
+    fn of_floats([vertex, cosine, distance, pixel_size]: [f32; 4]) -> Self {
+        Self { vertex: vertex.to_bits(), cosine, distance, pixel_size }
+    }
 }
 
 /// The votes of all views.
@@ -217,14 +234,18 @@ impl<'a> Contours<'a> {
         }
     }
 
-    /// The votes of all views, added in their order; none once a run is stopping.
-    pub(crate) fn votes(&self, silhouettes: &[Silhouette]) -> OutlineVotes {
-        self.votes_until(silhouettes, is_stopping)
+    /// The votes of all views, which `ranks` divide, added in their order; none once a run is stopping.
+    ///
+    /// # Errors
+    /// If another process is gone.
+    pub(crate) fn votes(&self, silhouettes: &[Silhouette], ranks: Option<&Ranks>) -> Result<OutlineVotes> {
+        let seen = divided(ranks, silhouettes.len(), |view| self.seen(&silhouettes[view], is_stopping))?;
+        Ok(OutlineVotes::new(&seen, self.shell.positions.len()))
     }
 
-    /// The votes of all views, added in their order, of which the rest is left out once `stop` says so.
-    fn votes_until(&self, silhouettes: &[Silhouette], stop: fn() -> bool) -> OutlineVotes {
-        let seen: Vec<Vec<Seen>> = silhouettes.par_iter().map(|view| self.seen(view, stop)).collect();
+    /// The same in this process alone, also while a run is stopping.
+    fn all_votes(&self, silhouettes: &[Silhouette]) -> OutlineVotes {
+        let seen: Vec<Vec<Seen>> = silhouettes.par_iter().map(|view| self.seen(view, || false)).collect();
         OutlineVotes::new(&seen, self.shell.positions.len())
     }
 
@@ -318,7 +339,7 @@ mod tests {
     fn a_surface_moves_to_the_outlines_from_inside_and_from_outside() {
         for start in [0.95, 1.04] {
             let mut grid = sphere(start);
-            let report = fit_outlines(&mut grid, &ball(1.0));
+            let report = fit_outlines(&mut grid, &ball(1.0), None).unwrap();
             assert!(off(&grid, 1.0) < 0.006, "{start}: {} {report:?}", off(&grid, 1.0));
             assert!(report.before > 1.0 && report.after < 0.15, "{report:?}");
         }
@@ -348,7 +369,7 @@ mod tests {
         let (mut grid, mut masks) = (sphere(0.97), ball(1.0));
         let camera = masks[7].camera;
         masks[7] = silhouette(&camera, Vec3::ZERO, 0.9);
-        fit_outlines(&mut grid, &masks);
+        fit_outlines(&mut grid, &masks, None).unwrap();
         assert!(off(&grid, 1.0) < 0.015, "{}", off(&grid, 1.0));
     }
 
@@ -356,7 +377,7 @@ mod tests {
     fn masks_that_show_something_else_move_nothing() {
         let mut grid = sphere(0.6);
         let before = off(&grid, 0.6);
-        fit_outlines(&mut grid, &ball(1.0));
+        fit_outlines(&mut grid, &ball(1.0), None).unwrap();
         assert_eq!(off(&grid, 0.6), before, "an outline that far away is not that of the contour");
     }
 
@@ -366,7 +387,7 @@ mod tests {
         let moved = |threads: usize| {
             let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
             let mut grid = sphere(0.96);
-            pool.install(|| fit_outlines(&mut grid, &masks));
+            pool.install(|| fit_outlines(&mut grid, &masks, None).unwrap());
             grid
         };
         assert_eq!(moved(1), moved(3));

@@ -29,6 +29,9 @@ const BAND: f32 = 2.5;
 const MOST_STEPS: usize = 1000;
 const REDISTANCE: usize = 20;
 const LEAST_STEPS: usize = 200;
+/// Cells a side of the grid on which the surface moves farthest; on a finer grid it only gets smooth, in so many steps.
+const SPANNED_CELLS: u32 = 128;
+const SMOOTHING_STEPS: usize = 40;
 /// Most motions, each with what the masks lost in the one before held too.
 const ROUNDS: usize = 4;
 /// Step of time in squares of a cell; more than ¼ is unstable.
@@ -39,16 +42,31 @@ const MOST_CURVATURE: f32 = 2.0;
 /// Spans what no silhouette's camera sees; returns the share of the object's volume that goes. A field that is seen from all sides keeps
 /// its bits. A run that is stopping ([`is_stopping`]) leaves the field as it was at the last redistancing.
 pub(crate) fn span_unseen(grid: &mut SdfGrid, silhouettes: &[Silhouette]) -> f32 {
+    span_from(grid, silhouettes, SPANNED_CELLS)
+}
+
+/// The same on a grid of at most `most` cells a side, and from what that found on a finer one: what spans the unseen is smooth, and on fine cells
+/// it would move for a time that grows with the square of their number.
+fn span_from(grid: &mut SdfGrid, silhouettes: &[Silhouette], most: u32) -> f32 {
     let mut hull = grid.clone();
-    hull.redistance();
+    hull.redistance_near();
     let mut is_seen = seen(&hull, silhouettes);
     let is_held = |(value, is_seen): (&f32, &bool)| *is_seen || value.abs() >= hull.spacing;
     if hull.values.iter().zip(&is_seen).all(is_held) {
         return 0.0;
     }
+    let film = (grid.side - 1 > most).then(|| {
+        let mut film = hull.resampled(most);
+        span_from(&mut film, silhouettes, most);
+        film
+    });
+    let steps = if film.is_some() { SMOOTHING_STEPS } else { MOST_STEPS };
     for _ in 0..ROUNDS {
         grid.clone_from(&hull);
-        settle(grid, &hull.values, &is_seen);
+        if let Some(film) = &film {
+            put_in(grid, film, &is_seen);
+        }
+        settle(grid, &hull.values, &is_seen, steps);
         let lost = lost(&hull, grid, silhouettes);
         if is_stopping() || !lost.contains(&true) {
             break;
@@ -59,12 +77,23 @@ pub(crate) fn span_unseen(grid: &mut SdfGrid, silhouettes: &[Silhouette]) -> f32
     1.0 - inside(grid) as f32 / inside(&hull).max(1) as f32
 }
 
-/// Moves what is not seen until the volume stays.
-fn settle(grid: &mut SdfGrid, hull: &[f32], is_seen: &[bool]) {
+/// Removes from the hull, where it is not seen, what a coarser `film` has removed.
+fn put_in(hull: &mut SdfGrid, film: &SdfGrid, is_seen: &[bool]) {
+    let whole = &*hull;
+    let value = |row: usize| {
+        let value = whole.values[row];
+        if is_seen[row] { value } else { value.max(film.value(whole.position(whole.vertex(row)))) }
+    };
+    hull.values = (0..is_seen.len()).into_par_iter().map(value).collect();
+    hull.redistance_near();
+}
+
+/// Moves what is not seen until the volume stays, or for `steps`.
+fn settle(grid: &mut SdfGrid, hull: &[f32], is_seen: &[bool], steps: usize) {
     let reach = BAND * grid.spacing;
     let held: Vec<usize> = (0..hull.len()).filter(|&row| is_seen[row] && hull[row].abs() < reach).collect();
     let mut last = 0;
-    for step in (REDISTANCE..=MOST_STEPS).step_by(REDISTANCE) {
+    for step in (REDISTANCE..=steps).step_by(REDISTANCE) {
         if is_stopping() {
             break;
         }

@@ -6,7 +6,7 @@
 //! | [`gather_visibility`] | the same, rays, texel addresses | [`PointVisibility`], [`WindowVisibility`] |
 //!
 //! Shadows and interreflection are updated when light or material have changed (`light_or_material_changed`), in a fit at most
-//! every few steps (`refresh_is_due`).
+//! every few steps (`refresh_is_due`). What narrow lobes meet is found by rays, in a fit not before it matters ([`StepVisibility`]).
 
 use super::object_visibility::{Made, ObjectVisibility, WindowVisibility};
 use super::occlusion::Reflectance;
@@ -17,6 +17,7 @@ use crate::material::material_source::{
     AlbedoColumn, BaseMaterials, BlendColumn, MaterialSource, MaterialTexels, Recovered, SheenColumn, Shown,
 };
 use crate::material::sheen::mean_albedo;
+use crate::math::ray::Intersect;
 use crate::math::shading::PointVisibility;
 use crate::pipeline::{Phase, Pipeline, Plugin, Slot, SystemResult};
 use crate::ranks::Ranks;
@@ -29,9 +30,14 @@ use bevy_ecs::prelude::{
 };
 use std::any::TypeId;
 
-/// Whether this step of a fit updates shadows and interreflection; a fit does so every few steps.
+/// What a step of a fit does for its shadows and reflections.
 #[derive(Resource, Clone, Copy, Debug)]
-pub struct RefreshDue(pub bool);
+pub struct StepVisibility {
+    /// Updates shadows and interreflection; a fit does so every few steps.
+    pub refreshes: bool,
+    /// Casts rays within narrow lobes; without them the directions of shadows stand for those.
+    pub casts_rays: bool,
+}
 
 /// Shadows and interreflection of the shown material in the Frame phase; needs an [`ObjectVisibility`].
 pub struct FrameVisibilityPlugin;
@@ -48,14 +54,14 @@ impl Plugin for FrameVisibilityPlugin {
     }
 }
 
-/// Shadows and interreflection of the recovered material in the FitStep phase, updated if [`RefreshDue`] is set; needs an
+/// Shadows and interreflection of the recovered material in the FitStep phase, updated where [`StepVisibility`] says so; needs an
 /// [`ObjectVisibility`].
 pub struct FitVisibilityPlugin;
 
 impl Plugin for FitVisibilityPlugin {
     fn build(&self, pipeline: &mut Pipeline) {
         pipeline.world.init_resource::<WindowVisibility>();
-        pipeline.world.insert_resource(RefreshDue(true));
+        pipeline.world.insert_resource(StepVisibility { refreshes: true, casts_rays: true });
         let refresh = refresh_visibility::<Recovered>
             .run_if(refresh_is_due.and_then(light_or_material_changed::<Recovered>));
         pipeline.swap(Phase::FitStep, Slot::Visibility, (refresh, gather_visibility).chain());
@@ -63,17 +69,17 @@ impl Plugin for FitVisibilityPlugin {
 
     fn cleanup(world: &mut World) {
         world.insert_resource(WindowVisibility::default());
-        world.remove_resource::<RefreshDue>();
+        world.remove_resource::<StepVisibility>();
     }
 }
 
 /// Run condition: whether this step of a fit updates visibility, or the set of lobes has changed.
 pub fn refresh_is_due(
-    due: Res<RefreshDue>,
+    step: Res<StepVisibility>,
     light: Res<IncidentLight>,
     object: Option<Res<ObjectVisibility>>,
 ) -> bool {
-    due.0 || object.is_none_or(|object| object.stride != light.lobes.stride())
+    step.refreshes || object.is_none_or(|object| object.stride != light.lobes.stride())
 }
 
 /// Changes of light and material that affect shadows and interreflection.
@@ -136,7 +142,7 @@ type PointColumns = (
 
 /// Gather: the visibility of the points of the window.
 pub fn gather_visibility(
-    object: Res<ObjectVisibility>,
+    (object, step): (Res<ObjectVisibility>, Option<Res<StepVisibility>>),
     (materials, scenery): (Res<BaseMaterials>, Res<Scenery>),
     samples: Samples<PointColumns>,
     mut out: ResMut<WindowVisibility>,
@@ -147,6 +153,8 @@ pub fn gather_visibility(
         [(_, one)] => one.roughness,
         _ => SpecularBlend(blends[i].0).roughness(materials.by_number()),
     };
-    object.window(&points, viewer, mean, Some(&*scenery.0), &mut out, &mut seen);
+    let casts_rays = step.is_none_or(|step| step.casts_rays);
+    let surface = if casts_rays { Some(&*scenery.0 as &dyn Intersect) } else { None };
+    object.window(&points, viewer, mean, surface, &mut out, &mut seen);
     Ok(())
 }

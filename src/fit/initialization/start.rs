@@ -14,7 +14,6 @@ use crate::light::LightLobe;
 use crate::light::light_frame::{LightFrame, OwnLightFrame, turning_axis};
 use crate::light::placement::Placements;
 use crate::material::{BaseMaterial, SpecularLobe, recovered_albedo, recovered_materials};
-use crate::math::brdf::Ndf;
 use crate::math::shading::ClosedForm;
 use crate::profile::stage;
 use crate::ranks::Ranks;
@@ -106,10 +105,9 @@ pub(crate) fn find_start(world: &mut World, find: Find, unknowns: Unknowns, form
     Ok(())
 }
 
-/// The glossiest lobe that the surface has, and, if it is unknown, [`LOBES`] beside it; all as SGs, which tell frames apart as well as
-/// GGX in a third of the time.
+/// The glossiest lobe that the surface has, and, if it is unknown, [`LOBES`] beside it.
 fn lobes_to_try(world: &mut World, unknowns: Unknowns) -> Vec<SpecularLobe> {
-    let own = SpecularLobe { ndf: Ndf::Sg, ..least_rough(world) };
+    let own = least_rough(world);
     let mut lobes = vec![own];
     if unknowns.specular_albedo && unknowns.roughness {
         let other = |(albedo, roughness)| SpecularLobe { albedo: Vec3::splat(albedo), roughness, ..own };

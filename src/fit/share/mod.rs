@@ -2,8 +2,8 @@
 //!
 //! All processes ([`Ranks`]) run the same program on the same scene and do everything alike, but for what costs most. In a step that are the systems in
 //! [`Slot::Visibility`], [`Slot::Shading`] and [`Slot::ShadingAdjoint`], which run on a process's share of the [`Window`] alone; the
-//! results go to all. Besides, the tracing of shadows, their updates, the trials of a start, the shading of the initialization and the visual hull are divided where they are
-//! done ([`Ranks::share`]).
+//! results go to all. Besides, the tracing of shadows, their updates, the trials of a start, the shading of the initialization, the visual hull, hollows, outlines and stereo
+//! are divided where they are done ([`Ranks::share`]).
 //!
 //! | system | stage, slot | does |
 //! | --- | --- | --- |
@@ -18,7 +18,7 @@
 //! What is not split, and is done by each: the pool and its photographs, linear solves, rays of pixels, loss, sums per texel, optimizers, what is between fits, and everything else of a moving shape or camera. While [placements](super::placements) turn,
 //! nothing is split, because their system reads the shadows of a whole window.
 //!
-//! A stop is agreed on once a step. An error of one process ends it, and whoever started the processes has to end the others.
+//! A stop waits ([`HeldStops`](crate::error::stop::HeldStops)) until the processes exchange something, and is then known to all of them. An error of one process ends it, and whoever started the processes has to end the others.
 
 mod gradient;
 

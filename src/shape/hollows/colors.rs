@@ -64,6 +64,11 @@ impl ColorPicture {
         Some(Self { camera: small, window, values })
     }
 
+    /// One pixel of a view around, along a ray, relative to the distance.
+    pub fn step(&self) -> f32 {
+        2.0 / ((self.camera.focal[0].abs() + self.camera.focal[1].abs()) * SINE)
+    }
+
     /// How far the rays of the window's pixels go to the surface; infinitely where there is none or the object is not alone.
     pub fn cast(&self, bvh: &TriangleBvh) -> Vec<f32> {
         let far = |(at, pixel): (usize, usize)| {
@@ -133,7 +138,7 @@ pub fn compare(
     seen: &[f32],
     sources: &[(&ColorPicture, &[f32])],
 ) -> DepthMap {
-    let step = 2.0 / ((picture.camera.focal[0].abs() + picture.camera.focal[1].abs()) * SINE);
+    let step = picture.step();
     let mut compared = DepthMap { depths: vec![0.0; seen.len()], step };
     if sources.len() < LEAST_SOURCES {
         return compared;

@@ -33,8 +33,11 @@ mod neighbors;
 pub mod radiance_field;
 mod reflections;
 
+use crate::error::Result;
 use crate::error::stop::is_stopping;
 use crate::mesh::bvh::TriangleBvh;
+use crate::ranks::Ranks;
+use crate::ranks::packed::divided;
 use crate::sdf::SdfGrid;
 use crate::shape::parts::extract_parts;
 use crate::shape::silhouette::{Silhouette, pixel_size};
@@ -68,13 +71,18 @@ const AGAINST: f32 = 1.5;
 const MARGIN: (f32, f32) = (0.75, 0.5);
 
 /// Removes the space that the photographs look through; returns the share of the volume that goes. Another round follows one that
-/// removes at least `least_share` of it. A run that is stopping ([`is_stopping`]) removes nothing more.
+/// removes at least `least_share` of it. A run that is stopping ([`is_stopping`]) removes nothing more. `ranks` divide the photographs, and the
+/// layers of the grid.
+///
+/// # Errors
+/// If another process is gone.
 pub(crate) fn carve_hollows(
     grid: &mut SdfGrid,
     silhouettes: &[Silhouette],
     views: &[StereoView],
     least_share: f32,
-) -> f32 {
+    ranks: Option<&Ranks>,
+) -> Result<f32> {
     let factor = picture_factor(grid, views);
     let pictures: Vec<ColorPicture> =
         views.par_iter().filter_map(|v| ColorPicture::new(v.camera, v.photograph, v.mask, factor)).collect();
@@ -83,11 +91,11 @@ pub(crate) fn carve_hollows(
     let closed = grid.clone();
     for _ in 0..ROUNDS {
         let before = volume(grid);
-        let depths = all_depths(grid, silhouettes, &pictures);
+        let depths = all_depths(grid, silhouettes, &pictures, ranks)?;
         if is_stopping() {
             break;
         }
-        remove(grid, &pictures, &depths);
+        remove(grid, &pictures, &depths, ranks)?;
         if (before.saturating_sub(volume(grid)) as f32) < least_share * whole as f32 {
             break;
         }
@@ -95,7 +103,7 @@ pub(crate) fn carve_hollows(
     if volume(grid) < whole && !is_stopping() {
         fill_reflections(grid, &closed, silhouettes, &match_pictures(views, factor));
     }
-    1.0 - volume(grid) as f32 / whole.max(1) as f32
+    Ok(1.0 - volume(grid) as f32 / whole.max(1) as f32)
 }
 
 /// Removes the space inside a hull that a field of densities explains as empty; returns the share of the volume that goes, and what
@@ -157,26 +165,47 @@ fn picture_factor(grid: &SdfGrid, views: &[StereoView]) -> u32 {
 }
 
 /// What each picture shows of the field as it is.
-fn all_depths(grid: &SdfGrid, silhouettes: &[Silhouette], pictures: &[ColorPicture]) -> Vec<DepthMap> {
+fn all_depths(
+    grid: &SdfGrid,
+    silhouettes: &[Silhouette],
+    pictures: &[ColorPicture],
+    ranks: Option<&Ranks>,
+) -> Result<Vec<DepthMap>> {
     let bvh = TriangleBvh::new(&extract_parts(grid, silhouettes));
     let (center, _) = bvh.bounding_sphere();
     let seen: Vec<Vec<f32>> = pictures.par_iter().map(|picture| picture.cast(&bvh)).collect();
     let of_picture = |i: usize| {
         let sources: Vec<(&ColorPicture, &[f32])> =
             around(pictures, i, center).into_iter().map(|j| (&pictures[j], &*seen[j])).collect();
-        compare(&bvh, &pictures[i], &seen[i], &sources)
+        compare(&bvh, &pictures[i], &seen[i], &sources).depths
     };
-    (0..pictures.len()).into_par_iter().map(of_picture).collect()
+    let depths = divided(ranks, pictures.len(), of_picture)?;
+    let maps = depths.into_iter().zip(pictures);
+    Ok(maps.map(|(depths, picture)| DepthMap { depths, step: picture.step() }).collect())
 }
 
 /// Removes what enough pictures look through.
-fn remove(grid: &mut SdfGrid, pictures: &[ColorPicture], depths: &[DepthMap]) {
-    let votes: Vec<f32> =
-        (0..grid.values.len()).into_par_iter().map(|row| votes_at(grid, row, pictures, depths)).collect();
+fn remove(
+    grid: &mut SdfGrid,
+    pictures: &[ColorPicture],
+    depths: &[DepthMap],
+    ranks: Option<&Ranks>,
+) -> Result<()> {
+    let (rows, plane) = (grid.values.len(), (grid.side as usize).pow(2));
+    let mut votes = vec![0.0; rows];
+    let own = ranks.map_or(0..rows, |ranks| ranks.share(rows, plane));
+    let (first, own) = (own.start, &mut votes[own]);
+    own.par_iter_mut().enumerate().for_each(|(at, vote)| {
+        *vote = votes_at(grid, first + at, pictures, depths);
+    });
+    if let Some(ranks) = ranks {
+        ranks.complete(&mut votes, plane)?;
+    }
     let emptiness = |row| (spread(grid, &votes, row) / ENOUGH - 1.0).clamp(-1.0, 1.0);
     let empty: Vec<f32> = (0..votes.len()).into_par_iter().map(emptiness).collect();
     carve(grid, &empty);
     grid.redistance();
+    Ok(())
 }
 
 /// Removes what is `empty`, in cells, and open to the outside.

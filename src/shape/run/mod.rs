@@ -177,7 +177,7 @@ pub fn fit_shape(
     let most = options.levels.iter().map(visited).max().unwrap_or(0);
     let samples = silhouette_samples(&grid, &silhouettes, options.fit.pixels.seed, most);
     drop(carving);
-    let (report, empty) = reduce_hull(&mut pipeline.world, &mut grid, &silhouettes, options);
+    let (report, empty) = reduce_hull(&mut pipeline.world, &mut grid, &silhouettes, options)?;
     check_interrupted()?;
     pipeline.world.spawn_batch(samples);
     pipeline.add_plugin(&ShapePlugin);
@@ -313,8 +313,10 @@ fn next_surface(
     let are_alike = !world.get_resource::<Exposures>().is_some_and(Exposures::are_unknown);
     if options.hollows && are_alike && index == 1 && !is_mirror_like(world) && !light_turns(world) {
         let _opening = stage("hollows");
-        opened =
-            with_training_views(world, |views| carve_hollows(&mut grid, silhouettes, views, LEVEL_SHARE));
+        let ranks = world.get_resource::<Ranks>().cloned();
+        opened = with_training_views(world, |views| {
+            carve_hollows(&mut grid, silhouettes, views, LEVEL_SHARE, ranks.as_ref())
+        })?;
     }
     let albedo = recovered_albedo(world)?;
     let next = with_texels(world, grid, level, Some((&found.volume, &albedo)));
@@ -350,24 +352,25 @@ fn reduce_hull(
     hull: &mut SdfGrid,
     silhouettes: &[Silhouette],
     options: &ShapeOptions,
-) -> (HullReport, Option<SdfGrid>) {
+) -> Result<(HullReport, Option<SdfGrid>)> {
     let (mut report, mut empty) = (HullReport::default(), None);
     if has_level_ahead(world) {
-        return (report, empty);
+        return Ok((report, empty));
     }
     if options.hollows && !light_turns(world) {
         let _opening = stage("hollows");
-        (report.opened, empty) = with_training_views(world, |views| {
+        let ranks = world.get_resource::<Ranks>().cloned();
+        (report.opened, empty) = with_training_views(world, |views| -> Result<_> {
             let (seen_through, empty) = look_through(hull, silhouettes, views);
-            let compared = carve_hollows(hull, silhouettes, views, HULL_SHARE);
-            (1.0 - (1.0 - seen_through) * (1.0 - compared), empty)
-        });
+            let compared = carve_hollows(hull, silhouettes, views, HULL_SHARE, ranks.as_ref())?;
+            Ok((1.0 - (1.0 - seen_through) * (1.0 - compared), empty))
+        })?;
     }
     if options.spans_unseen {
         let _spanning = stage("unseen");
         report.spanned = span_unseen(hull, silhouettes);
     }
-    (report, empty)
+    Ok((report, empty))
 }
 
 fn half_side(grid: &SdfGrid) -> f32 {

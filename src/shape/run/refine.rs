@@ -1,7 +1,9 @@
 //! What brings the surface that a fit has found closer to the photographs themselves: masks, neighbors, reflections.
 
+use crate::error::Result;
 use crate::light::placement::PlacedFrame;
 use crate::mesh::triangles::Mesh;
+use crate::ranks::Ranks;
 use crate::sdf::volume::SdfSurface;
 use crate::shape::field::ModelError;
 use crate::shape::hollows::keep_empty;
@@ -9,13 +11,16 @@ use crate::shape::hull::trim;
 use crate::shape::mirror::{NormalReport, refine_normals};
 use crate::shape::outline::{OutlineReport, fit_outlines};
 use crate::shape::run::training::{training_silhouettes, with_training_views};
-use crate::shape::stereo::{StereoReport, refine};
+use crate::shape::stereo::{Guides, StereoReport, refine};
 use bevy_ecs::prelude::World;
 use std::ops::ControlFlow;
 
 /// Removes from the found field what lies outside the hull, and moves its contours to the outlines of the training masks
 /// ([`outline`](crate::shape::outline)).
-pub(crate) fn refine_by_outlines(world: &mut World, surface: &mut SdfSurface) -> OutlineReport {
+///
+/// # Errors
+/// If another process is gone.
+pub(crate) fn refine_by_outlines(world: &mut World, surface: &mut SdfSurface) -> Result<OutlineReport> {
     let mut silhouettes = training_silhouettes(world);
     let grid = &mut surface.grid;
     trim(grid, &mut silhouettes);
@@ -23,19 +28,23 @@ pub(crate) fn refine_by_outlines(world: &mut World, surface: &mut SdfSurface) ->
         keep_empty(grid, empty);
     }
     grid.redistance_near();
-    fit_outlines(grid, &silhouettes)
+    fit_outlines(grid, &silhouettes, world.get_resource())
 }
 
 /// Moves the vertices of a mesh of the found surface to where the training photographs agree ([`stereo`](crate::shape::stereo)).
 /// Nothing moves without a [`ModelError`] in the world, which this removes.
+///
+/// # Errors
+/// If another process is gone.
 pub(crate) fn refine_by_stereo(
     world: &mut World,
     mesh: &mut Mesh,
     go_on: impl FnMut(usize) -> ControlFlow<()>,
-) -> StereoReport {
-    let Some(error) = world.remove_resource::<ModelError>() else { return StereoReport::default() };
-    let silhouettes = training_silhouettes(world);
-    with_training_views(world, |views| refine(mesh, views, &silhouettes, &error, go_on))
+) -> Result<StereoReport> {
+    let Some(error) = world.remove_resource::<ModelError>() else { return Ok(StereoReport::default()) };
+    let (silhouettes, ranks) = (training_silhouettes(world), world.get_resource::<Ranks>().cloned());
+    let known = Guides { silhouettes: &silhouettes, error: &error, ranks: ranks.as_ref() };
+    with_training_views(world, |views| refine(mesh, views, &known, go_on))
 }
 
 /// Gives the vertices of a mesh of the found surface normals that explain what it mirrors ([`mirror`](crate::shape::mirror)).

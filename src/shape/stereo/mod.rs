@@ -28,10 +28,13 @@ pub mod plate;
 pub mod sweep;
 pub mod votes;
 
+use crate::error::Result;
 use crate::error::stop::is_stopping;
 use crate::math::statistics::median;
 use crate::mesh::bvh::TriangleBvh;
 use crate::mesh::triangles::Mesh;
+use crate::ranks::Ranks;
+use crate::ranks::packed::divided;
 use crate::shape::displace::within_room;
 use crate::shape::field::ModelError;
 use crate::shape::outline::{Contours, Vote};
@@ -106,25 +109,37 @@ pub struct StereoReport {
     pub moved: f32,
 }
 
-/// Moves the vertices of `mesh` to where the photographs agree, where that is better known than by shading; `error` is what the
-/// shading leaves unexplained. Contours stay at the outlines of `silhouettes`. `go_on` is asked before each round.
+/// What stereo is given besides photographs.
+#[derive(Clone, Copy, Debug)]
+pub struct Guides<'a> {
+    /// The masks, at whose outlines contours stay.
+    pub silhouettes: &'a [Silhouette],
+    /// What the shading leaves unexplained.
+    pub error: &'a ModelError,
+    /// The processes that divide the views.
+    pub ranks: Option<&'a Ranks>,
+}
+
+/// Moves the vertices of `mesh` to where the photographs agree, where that is better known than by shading. `go_on` is asked before each round.
+///
+/// # Errors
+/// If another process is gone.
 pub fn refine(
     mesh: &mut Mesh,
     views: &[StereoView],
-    silhouettes: &[Silhouette],
-    error: &ModelError,
+    guides: &Guides,
     mut go_on: impl FnMut(usize) -> ControlFlow<()>,
-) -> StereoReport {
+) -> Result<StereoReport> {
     let mut report = StereoReport::default();
     let start = mesh.clone();
-    let Some(finest) = finest_factor(mesh, views) else { return report };
+    let Some(finest) = finest_factor(mesh, views) else { return Ok(report) };
     let mut object = None;
     for (round, (relative, search)) in ROUNDS.into_iter().enumerate() {
         if go_on(round).is_break() {
             break;
         }
         let pictures = match_pictures(views, finest * relative);
-        let trusted = refine_round(mesh, &pictures, silhouettes, error, search, &mut object);
+        let trusted = refine_round(mesh, &pictures, guides, search, &mut object)?;
         if trusted == 0.0 {
             break;
         }
@@ -135,7 +150,7 @@ pub fn refine(
     }
     let squares = start.positions.iter().zip(&mesh.positions).map(|(a, b)| f64::from(a.distance_squared(*b)));
     report.moved = (squares.sum::<f64>() / start.positions.len().max(1) as f64).sqrt() as f32;
-    report
+    Ok(report)
 }
 
 /// Takes the displacements from `start` back where the photographs show no pattern of the surface, but what it mirrors.
@@ -179,33 +194,32 @@ fn finest_factor(mesh: &Mesh, views: &[StereoView]) -> Option<u32> {
 fn refine_round(
     mesh: &mut Mesh,
     pictures: &[MatchPicture],
-    silhouettes: &[Silhouette],
-    error: &ModelError,
+    Guides { silhouettes, error, ranks }: &Guides,
     search: Sweep,
     object: &mut Option<f32>,
-) -> f32 {
+) -> Result<f32> {
     let bvh = TriangleBvh::new(mesh);
     let shell = Shell::new(mesh);
-    let votes = all_votes(&bvh, &shell, pictures, search);
+    let votes = all_votes(&bvh, &shell, pictures, search, *ranks)?;
     if is_stopping() {
-        return 0.0;
+        return Ok(0.0);
     }
     let gates = gates(&shell, &votes, error);
     let object = *object.get_or_insert_with(|| object_gate(&gates));
     if object == 0.0 {
-        return 0.0;
+        return Ok(0.0);
     }
     let trusted = |(v, gate): (&Votes, &f32)| object * smooth_step(*gate, LOCAL) * v.share(HALF_SHARE);
     let trust: Vec<f32> = votes.iter().zip(&gates).map(trusted).collect();
     let follow = trust.iter().filter(|trust| **trust > TRUSTED).count() as f32 / trust.len().max(1) as f32;
     if follow < LEAST_TRUSTED {
-        return 0.0;
+        return Ok(0.0);
     }
-    let outlines = Contours::new(&shell, &bvh).votes(silhouettes);
+    let outlines = Contours::new(&shell, &bvh).votes(silhouettes, *ranks)?;
     let outlines: Vec<Plate> = outlines.of_vertices.iter().map(Vote::plate).collect();
     let moved = moved_positions(&bvh, &shell, pictures, &votes, &trust, &outlines);
     put(mesh, &shell, &moved);
-    follow
+    Ok(follow)
 }
 
 /// Where the votes bring the vertices.
@@ -237,8 +251,14 @@ fn moved_positions(
     unfolded(graph, positions, steps)
 }
 
-/// The votes of all views.
-fn all_votes(bvh: &TriangleBvh, shell: &Shell, pictures: &[MatchPicture], search: Sweep) -> Vec<Votes> {
+/// The votes of all views, which `ranks` divide.
+fn all_votes(
+    bvh: &TriangleBvh,
+    shell: &Shell,
+    pictures: &[MatchPicture],
+    search: Sweep,
+    ranks: Option<&Ranks>,
+) -> Result<Vec<Votes>> {
     let (center, _) = bvh.bounding_sphere();
     let cast = |picture| if is_stopping() { Vec::new() } else { cast(bvh, picture) };
     let seen: Vec<Vec<Seen>> = pictures.par_iter().map(cast).collect();
@@ -257,12 +277,13 @@ fn all_votes(bvh: &TriangleBvh, shell: &Shell, pictures: &[MatchPicture], search
     let pixels = seen.iter().flatten().filter(|seen| seen.distance.is_finite()).count();
     // Chunks of fixed size, added in order: the same bits with any number of threads.
     let all: Vec<usize> = (0..pictures.len()).step_by(pixels.div_ceil(MOST_PIXELS).max(1)).collect();
-    let parts: Vec<Vec<Votes>> = all.par_chunks(all.len().div_ceil(CHUNKS).max(1)).map(of_views).collect();
+    let chunks: Vec<&[usize]> = all.chunks(all.len().div_ceil(CHUNKS).max(1)).collect();
+    let parts = divided(ranks, chunks.len(), |chunk| of_views(chunks[chunk]))?;
     let mut sums = vec![Votes::default(); shell.positions.len()];
     for part in parts {
         sums.iter_mut().zip(part).for_each(|(sum, votes)| sum.add(&votes));
     }
-    sums
+    Ok(sums)
 }
 
 /// Displacements toward `wanted` that leave room to the opposite side; rays start `lift` away from the surface.

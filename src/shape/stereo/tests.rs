@@ -85,11 +85,16 @@ fn off(mesh: &Mesh) -> f32 {
     mesh.positions.iter().map(|p| (p.length() - 1.0).abs()).sum::<f32>() / mesh.positions.len() as f32
 }
 
+/// Without masks.
+fn guided(error: &ModelError) -> Guides<'_> {
+    Guides { silhouettes: &[], error, ranks: None }
+}
+
 #[test]
 fn a_mesh_moves_to_where_photographs_agree() {
     let (pictures, mut mesh) = (Pictures::new(), bumpy());
     let (before, triangles) = (off(&mesh), mesh.triangles.clone());
-    let report = refine(&mut mesh, &pictures.views(), &[], &error(0.01), |_| Continue(()));
+    let report = refine(&mut mesh, &pictures.views(), &guided(&error(0.01)), |_| Continue(())).unwrap();
     assert!(off(&mesh) < 0.25 * before, "{before} {} {report:?}", off(&mesh));
     assert!(report.trusted > 0.5 && report.moved > 0.005);
     assert_eq!(mesh.triangles, triangles);
@@ -102,7 +107,7 @@ fn a_mesh_moves_to_where_photographs_agree() {
 fn a_mesh_stays_where_the_model_explains_the_photographs() {
     let (pictures, mut mesh) = (Pictures::new(), bumpy());
     let before = mesh.clone();
-    let report = refine(&mut mesh, &pictures.views(), &[], &error(1e-5), |_| Continue(()));
+    let report = refine(&mut mesh, &pictures.views(), &guided(&error(1e-5)), |_| Continue(())).unwrap();
     assert_eq!(report, StereoReport::default());
     assert_eq!(mesh, before);
 }
@@ -115,9 +120,9 @@ fn a_mesh_stays_where_only_a_spot_of_it_agrees() {
         let (pictures, mut mesh) = (Pictures::of(cap), bumpy());
         let (views, (relative, search)) = (pictures.views(), ROUNDS[0]);
         let small = match_pictures(&views, relative * finest_factor(&mesh, &views).unwrap());
-        let votes = all_votes(&TriangleBvh::new(&mesh), &Shell::new(&mesh), &small, search);
+        let votes = all_votes(&TriangleBvh::new(&mesh), &Shell::new(&mesh), &small, search, None).unwrap();
         let trusted = votes.iter().filter(|vote| vote.share(HALF_SHARE) > TRUSTED).count();
-        (trusted, refine(&mut mesh, &views, &[], &error(0.01), |_| Continue(())).moved)
+        (trusted, refine(&mut mesh, &views, &guided(&error(0.01)), |_| Continue(())).unwrap().moved)
     };
     let (spot, half) = (moved(0.985), moved(0.0));
     assert!(spot.0 > 0 && spot.1 == 0.0 && half.1 > 0.001, "{spot:?} {half:?}");
@@ -129,7 +134,9 @@ fn bits_do_not_depend_on_the_number_of_threads() {
     let refined = |threads: usize| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
         let mut mesh = bumpy();
-        pool.install(|| refine(&mut mesh, &pictures.views(), &[], &error(0.01), |_| Continue(())));
+        pool.install(|| {
+            refine(&mut mesh, &pictures.views(), &guided(&error(0.01)), |_| Continue(())).unwrap()
+        });
         mesh
     };
     assert_eq!(refined(1), refined(3));
@@ -139,9 +146,14 @@ fn bits_do_not_depend_on_the_number_of_threads() {
 fn nothing_moves_without_views_or_when_stopped() {
     let (pictures, mut mesh) = (Pictures::new(), bumpy());
     let before = mesh.clone();
-    assert_eq!(refine(&mut mesh, &[], &[], &error(0.01), |_| Continue(())), StereoReport::default());
     assert_eq!(
-        refine(&mut mesh, &pictures.views(), &[], &error(0.01), |_| ControlFlow::Break(())).moved,
+        refine(&mut mesh, &[], &guided(&error(0.01)), |_| Continue(())).unwrap(),
+        StereoReport::default()
+    );
+    assert_eq!(
+        refine(&mut mesh, &pictures.views(), &guided(&error(0.01)), |_| ControlFlow::Break(()))
+            .unwrap()
+            .moved,
         0.0
     );
     assert_eq!(mesh, before);
@@ -186,6 +198,6 @@ fn what_a_ball_mirrors_leaves_no_dents() {
     let mut mesh = sphere_mesh(Vec3::ZERO, 1.0).unwrap();
     mesh.uvs = None;
     let before = off(&mesh);
-    refine(&mut mesh, &pictures.views(), &[], &error(0.01), |_| Continue(()));
+    refine(&mut mesh, &pictures.views(), &guided(&error(0.01)), |_| Continue(())).unwrap();
     assert!(off(&mesh) < before + 5e-4, "{before} {}", off(&mesh));
 }

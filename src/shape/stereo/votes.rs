@@ -2,6 +2,7 @@
 
 use crate::math::statistics::median;
 use crate::mesh::triangles::Mesh;
+use crate::ranks::packed::PackedFloats;
 use crate::shape::field::ModelError;
 use crate::shape::stereo::match_picture::MatchPicture;
 use crate::shape::stereo::sweep::{Matched, Seen};
@@ -40,6 +41,17 @@ pub struct Votes {
     seen: f32,
     /// Sines at silhouettes.
     rim: f32,
+}
+
+impl PackedFloats<7> for Votes {
+    fn to_floats(self) -> [f32; 7] {
+        let Self { weight, along, shift, shift_squared, variance, seen, rim } = self;
+        [weight, along, shift, shift_squared, variance, seen, rim]
+    }
+
+    fn of_floats([weight, along, shift, shift_squared, variance, seen, rim]: [f32; 7]) -> Self {
+        Self { weight, along, shift, shift_squared, variance, seen, rim }
+    }
 }
 
 impl Votes {
