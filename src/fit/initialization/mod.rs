@@ -32,7 +32,7 @@ use crate::view::{ByView, Camera, Photograph, ViewIndex};
 use crate::visibility::{ObjectVisibility, Reflectance, WindowVisibility};
 use bevy_ecs::prelude::{Entity, Query, With, Without, World};
 use bevy_ecs::system::SystemState;
-use glam::Vec3;
+use glam::{DVec3, Vec3};
 use rayon::prelude::*;
 use std::borrow::Cow;
 use std::ops::Range;
@@ -237,6 +237,9 @@ fn alternate(
         if unknowns.albedo {
             let seen = if round + 1 < ROUNDS { &mut parts } else { &mut wholes };
             *texels = albedo_under(seen, lights, texels)?;
+            if round + 1 < ROUNDS {
+                fill_unseen(&parts, texels);
+            }
         }
     }
     Ok(())
@@ -256,6 +259,21 @@ fn albedo_under(
     }
     let pixels = shaded.iter().flat_map(|(observations, white)| observations.iter().zip(white));
     Ok(solve_albedo(pixels, texels, Vec3::splat(USUAL_ALBEDO)))
+}
+
+/// Gives texels that no pixel shows the mean of the others, for the light that they send.
+fn fill_unseen(problems: &[Initialization], texels: &mut [Vec3]) {
+    let mut is_seen = vec![false; texels.len()];
+    for Observation { point, .. } in problems.iter().flat_map(|problem| problem.observations) {
+        for (texel, weight) in point.texels.indices.into_iter().zip(point.texels.weights) {
+            is_seen[texel as usize] |= weight > 0.0;
+        }
+    }
+    let seen =
+        texels.iter().zip(&is_seen).filter(|(_, is_seen)| **is_seen).map(|(albedo, _)| albedo.as_dvec3());
+    let (sum, count) = seen.fold((DVec3::ZERO, 0), |(sum, count), albedo| (sum + albedo, count + 1));
+    let mean = (sum / f64::from(count.max(1))).as_vec3();
+    texels.iter_mut().zip(is_seen).filter(|(_, is_seen)| !is_seen).for_each(|(albedo, _)| *albedo = mean);
 }
 
 /// The pixels on a part of the surface, about so many: all that see it, so that its texels are known as well as if all of the surface
