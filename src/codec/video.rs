@@ -146,10 +146,12 @@ pub fn title_of(path: &Path) -> Option<String> {
         }
         let mut moov = Vec::new();
         file.take(length.min(MOST_DESCRIBING)).read_to_end(&mut moov).ok()?;
-        let at = moov.windows(TITLE.len()).position(|bytes| bytes == TITLE.as_bytes())?;
+        let find = |text: &[u8]| moov.windows(text.len()).position(|bytes| bytes == text);
+        // Programs that make another film of one, as ffmpeg, keep the title and add who they are.
+        let at = find(TITLE.as_bytes()).filter(|_| find(b"\xa9too").is_none())?;
         // Before a text: the length of its box, its name, its type and its language.
         let length = u32::from_be_bytes(moov[at.checked_sub(16)?..at - 12].try_into().ok()?) as usize;
-        return String::from_utf8(moov.get(at..at + length.checked_sub(16)?)?.to_vec()).ok();
+        return String::from_utf8(moov.get(at..at.checked_add(length.checked_sub(16)?)?)?.to_vec()).ok();
     }
 }
 
@@ -362,9 +364,24 @@ mod tests {
         let (keys, streams) = samples(&path);
         assert_eq!((keys, streams.len()), (vec![1], 2));
         assert_eq!(title_of(&path).as_deref(), Some(TITLE));
-        for other in [&b"not an MP4 but a longer text"[..], b"\0\0\0\x08free", b""] {
-            std::fs::write(&path, other).unwrap();
-            assert_eq!(title_of(&path), None);
+        let described = |before: &[u8]| {
+            let length = (8 + before.len() + TITLE.len()) as u32;
+            [&length.to_be_bytes()[..], b"moov", before, TITLE.as_bytes()].concat()
+        };
+        let text = |length: u32| described(&[&length.to_be_bytes()[..], b"data\0\0\0\x01\0\0\0\0"].concat());
+        std::fs::write(&path, text(16 + TITLE.len() as u32)).unwrap();
+        assert_eq!(title_of(&path).as_deref(), Some(TITLE));
+        let mut others = vec![b"not an MP4 but a longer text".to_vec(), b"\0\0\0\x08free".to_vec(), vec![]];
+        others.extend([0, 1, 15, 17 + TITLE.len() as u32, u32::MAX].map(text));
+        others.extend([
+            described(b""),
+            described(b"short"),
+            b"\0\0\0\0moov".to_vec(),
+            b"\xff\xff\xff\xffmoov".to_vec(),
+        ]);
+        for other in others {
+            std::fs::write(&path, &other).unwrap();
+            assert_eq!(title_of(&path), None, "{other:?}");
         }
     }
 

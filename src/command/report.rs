@@ -25,6 +25,15 @@ pub fn run(args: &ReportArgs) -> Result<()> {
         let problem = format!("--out {}: it is a folder", page.display());
         return Err(Error::usage(problem, "Give the file to write, as --out report.html."));
     }
+    if let ([out], Some(_)) = (args.runs.as_slice(), &args.jobs)
+        && !out.is_dir()
+    {
+        let problem = format!("{}: there is no such folder: no unit has begun", out.display());
+        return Err(Error::usage(
+            problem,
+            "Give the folder that units write into, as `lobelia run --only UNIT --out`.",
+        ));
+    }
     if let [out] = args.runs.as_slice()
         && !out.join("run.json").exists()
         && out.is_dir()
@@ -33,7 +42,7 @@ pub fn run(args: &ReportArgs) -> Result<()> {
         return write_units(out, &page, units.to_vec());
     }
     if args.jobs.is_some() {
-        let problem = "--jobs: the units of a run are asked for, which has none";
+        let problem = "--jobs belongs to a folder of units, and this is one of runs";
         return Err(Error::usage(
             problem,
             "Give the one folder into which units write, as `lobelia report out --jobs objects.csv`.",

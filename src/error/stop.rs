@@ -5,7 +5,7 @@
 
 use crate::error::{Error, Result};
 use std::fmt;
-use std::sync::atomic::{AtomicU8, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU8, AtomicUsize, Ordering};
 
 /// What asked a run to stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,20 +46,19 @@ impl fmt::Display for StopSignal {
     }
 }
 
-/// The signal, with [`FINISHING`] or [`WAITING`].
+/// The signal, and [`FINISHING`].
 static STOP: AtomicU8 = AtomicU8::new(0);
 /// Set once the work has ended and only its results are written.
 const FINISHING: u8 = 0x80;
-/// Set while the signal waits until other processes know of it.
-const WAITING: u8 = 0x40;
 /// How many [`HeldStops`] there are.
 static HELD: AtomicUsize = AtomicUsize::new(0);
+/// Whether all processes have begun to stop, as far as signals wait for that.
+static AGREED: AtomicBool = AtomicBool::new(false);
 
 /// Asks all work in progress in this process to stop; returns whether it is the first to ask. While there are [`HeldStops`] that waits
 /// for [`begin_to_stop`].
 pub fn ask_to_stop(signal: StopSignal) -> bool {
-    let waiting = if HELD.load(Ordering::Relaxed) > 0 { WAITING } else { 0 };
-    STOP.compare_exchange(0, signal as u8 | waiting, Ordering::Relaxed, Ordering::Relaxed).is_ok()
+    STOP.compare_exchange(0, signal as u8, Ordering::Relaxed, Ordering::Relaxed).is_ok()
 }
 
 /// Makes a signal wait: as long as there is one, work that several processes do alike does not find out that it is to stop, for each would
@@ -99,13 +98,11 @@ impl Default for HeldStops {
 
 impl Drop for HeldStops {
     fn drop(&mut self) {
-        if HELD.fetch_sub(1, Ordering::Relaxed) == 1 {
-            STOP.fetch_and(!WAITING, Ordering::Relaxed);
-        }
+        HELD.fetch_sub(1, Ordering::Relaxed);
     }
 }
 
-/// Whether anything has asked the run to stop, also if that waits.
+/// Whether anything has asked the run to stop, also if that waits, or if the work has ended by now.
 pub fn is_asked_to_stop() -> bool {
     STOP.load(Ordering::Relaxed) != 0
 }
@@ -113,13 +110,18 @@ pub fn is_asked_to_stop() -> bool {
 /// Stops the work in progress now, as all other processes do; they were asked by `signal` if this one was not.
 pub fn begin_to_stop(signal: StopSignal) {
     ask_to_stop(signal);
-    STOP.fetch_and(!WAITING, Ordering::Relaxed);
+    AGREED.store(true, Ordering::Relaxed);
+}
+
+/// Whether a signal need not wait for other processes.
+fn is_due() -> bool {
+    AGREED.load(Ordering::Relaxed) || HELD.load(Ordering::Relaxed) == 0
 }
 
 /// What asked the run to stop, if anything has and it does not wait.
 pub fn stopped_by() -> Option<StopSignal> {
     let signal = STOP.load(Ordering::Relaxed) & !FINISHING;
-    StopSignal::ALL.into_iter().find(|known| *known as u8 == signal)
+    StopSignal::ALL.into_iter().find(|known| *known as u8 == signal).filter(|_| is_due())
 }
 
 /// Whether the work in progress is to stop. A loop over rows may leave the rest as they are then, if whoever called it asks
@@ -127,7 +129,7 @@ pub fn stopped_by() -> Option<StopSignal> {
 #[inline]
 pub fn is_stopping() -> bool {
     let stop = STOP.load(Ordering::Relaxed);
-    stop != 0 && stop & (FINISHING | WAITING) == 0
+    stop != 0 && stop & FINISHING == 0 && is_due()
 }
 
 /// [`Error::Interrupted`] if the work in progress is to stop.

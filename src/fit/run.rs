@@ -68,7 +68,7 @@ pub struct FitOptions {
     pub asked_after: Option<u32>,
     /// Pixels per step.
     pub batch: usize,
-    /// Part of them that a step visits before the first milestone, while rates are high, in (0, 1].
+    /// Part of them that a step visits before the first milestone, while rates are high, in (0, 1]; below 1 these steps cast no rays within narrow lobes either.
     pub early: f32,
     /// Rates of albedo, light and specular material at the first step.
     pub rates: [f32; 3],
@@ -234,7 +234,6 @@ impl Plugin for FitPlugin {
         world.remove_resource::<Unknowns>();
         world.remove_resource::<PixelChoice>();
         world.remove_resource::<ScaleRule>();
-        world.remove_resource::<StepVisibility>();
         world.remove_resource::<FramesTried>();
         world.remove_resource::<SheenEvidence>();
         detach(world);
@@ -285,6 +284,7 @@ pub fn run_fit(
 ) -> Result<FitSummary> {
     let fitted = fit(pipeline, options, watch);
     despawn_pool(&mut pipeline.world);
+    pipeline.world.remove_resource::<StepVisibility>();
     if !options.keeps_pool || fitted.is_err() {
         release_pool(&mut pipeline.world);
     }

@@ -35,9 +35,9 @@ impl Schedule<'_> {
         StepPixels { early: (early, steps), late: self.batch }
     }
 
-    /// The visibility of a step: where early steps visit fewer pixels, they cast no rays within narrow lobes either.
+    /// The visibility of a step: where early steps visit fewer pixels, those of the first half cast no rays within narrow lobes either.
     pub fn visibility_at(&self, step: u32, refreshes: bool) -> StepVisibility {
-        let is_early = self.early < 1.0 && self.milestones_before(step) == 0 && !self.milestones.is_empty();
+        let is_early = self.early < 1.0 && self.milestones_before(step) == 0 && 2 * (step - 1) < self.steps;
         StepVisibility { refreshes, casts_rays: !is_early }
     }
 
@@ -78,6 +78,6 @@ mod tests {
         assert!(Schedule { early: 1.0, ..schedule }.visibility_at(1, true).casts_rays);
         let all = Schedule { milestones: &[], ..schedule };
         assert_eq!(all.pixels(), StepPixels { early: (50, 10), late: 100 });
-        assert!(all.visibility_at(1, true).casts_rays);
+        assert!(!all.visibility_at(5, true).casts_rays && all.visibility_at(6, true).casts_rays);
     }
 }

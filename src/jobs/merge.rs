@@ -1,6 +1,6 @@
 //! What units have come to: a row each in `units.csv` and on a page, and the films whose frames are all there.
 
-use crate::codec::file::write_bytes;
+use crate::codec::file::{is_there, write_bytes};
 use crate::codec::film::{FilmRecorder, frame_file};
 use crate::codec::png_file::{comment_of, read_rgb8};
 use crate::codec::video::{has_frames_of, title_of};
@@ -174,7 +174,8 @@ fn difference(one: &[(String, String)], other: &[(String, String)]) -> Option<St
 
 fn parts_of_films(units: &[UnitRow]) -> BTreeMap<String, FilmParts> {
     let mut films = BTreeMap::new();
-    for (name, outcome) in units {
+    // Of a unit that has not begun nothing is known.
+    for (name, outcome) in units.iter().filter(|(_, outcome)| outcome.state != NOT_BEGUN) {
         let Some((pass, _)) = of_name(name) else { continue };
         let of_orbit = |field: &str, usual: u32| {
             let path = format!("passes.{pass}.render.orbit.{field}");
@@ -211,7 +212,8 @@ fn join(out: &Path, pass: &str, parts: &FilmParts) -> Result<JoinedFilm> {
     let there = (0..parts.frames).filter(|frame| file_of(*frame).is_some()).count();
     let film = out.join(format!("{pass}.mp4"));
     let mut joined = JoinedFilm { file: film, there, frames: parts.frames, problem: None };
-    joined.problem = obstacle(&joined.file, parts, files.first())?;
+    let first = files.first().filter(|_| there == parts.frames as usize);
+    joined.problem = obstacle(&joined.file, parts, first)?;
     if !joined.is_joined() {
         return Ok(joined);
     }
@@ -233,10 +235,10 @@ fn obstacle(film: &Path, parts: &FilmParts, first: Option<&PathBuf>) -> Result<O
         let again = "run the units of the older one again in another folder";
         return Ok(Some(format!("{unit} and {other} are of different films ({path}): {again}")));
     }
-    if film.exists() && title_of(film).is_none() {
-        return Ok(Some(
-            "a file of this name is there that Lobelia has not written: move it away".to_owned(),
-        ));
+    if is_there(film) && title_of(film).is_none() {
+        let problem =
+            "a file of this name is there that Lobelia, or this version of it, has not written: move it away";
+        return Ok(Some(problem.to_owned()));
     }
     let Some(first) = first.map(|file| read_rgb8(file)).transpose()? else { return Ok(None) };
     let is_too_large = !has_frames_of([first.width(), first.height()]);

@@ -28,7 +28,7 @@ use crate::pass::resume::{self, At};
 use crate::pass::session::{Chosen, Session};
 use crate::pass::steps::{Steps, begin_log, error_after, forget_shadows, options, take_steps};
 use crate::profile::stage;
-use crate::report::scores::MaterialsTried;
+use crate::report::scores::{MaterialsTried, given_up_words};
 use crate::scene::{Albedo, FitPass, Gloss, Light, SpecularAlbedo, uses_published};
 use crate::spawn::{initial_lobes, several_materials};
 use bevy_ecs::prelude::{Entity, World};
@@ -43,12 +43,12 @@ const LEAST_STEPS: u32 = 3;
 const EXPLAINED: f64 = 32.0;
 /// Error of several relative to that of one below which they are chosen.
 const CLEARLY: f64 = 0.9;
-/// Steps of a trial after which it ends if its error is so many times that of one. Where several are better in the end, their error rises to 1.3 times that of
-/// one before it falls; where they are worse, to 3.3 times.
-const HOPELESS: (u32, f64) = (20, 2.2);
 /// The same of a surface whose normals were found by what it mirrors: it is polished in parts at least. `head` at half size has 0.906 there, and
 /// 0.5 dB more with two in the end.
 const CLEARLY_POLISHED: f64 = 0.95;
+/// Steps of the first trial after which it ends if its error is so many times that of one. Several begin anew: where they are better in the end, their error first
+/// rises to 1.3 times that of one; where they are worse, to 1.8 (a sphere) or 3.3 times (`cheburashka`).
+const HOPELESS: (u32, f64) = (20, 2.2);
 
 /// Takes the steps of a fit, and chooses on the way if that is open. Returns also with what settings it ended.
 ///
@@ -165,16 +165,17 @@ fn choose(session: &mut Session, pass: &FitPass, options: &FitOptions, first: &S
     let lobes: Vec<_> = recovered_materials(world).into_iter().map(|(_, lobe)| lobe).collect();
     let carried = carry(world, Span::Pass)?;
     let tried = try_several(session, pass, options, first.error);
-    let error = tried.as_ref().ok().copied().filter(|_| !is_stopping());
+    let found = tried.as_ref().ok().copied().filter(|_| !is_stopping());
     let enough = if session.placed.normals { CLEARLY_POLISHED } else { CLEARLY };
-    session.several = error.is_some_and(|error| error < enough * first.error);
+    session.several =
+        found.is_some_and(|(error, given_up)| given_up.is_none() && error < enough * first.error);
     keep_one_or_several(&mut session.pipeline.world, session.several, &lobes, carried)?;
     tried?;
-    let Some(several) = error else { return Err(Error::Interrupted) };
+    let Some((several, given_up)) = found else { return Err(Error::Interrupted) };
     let steps = options.asked_after.unwrap_or_default();
     let seconds = start.elapsed().as_secs_f64();
-    let tried = MaterialsTried { one: first.error, several, steps, seconds };
-    let again = if session.several { None } else { asked_again(tried, pass.steps) };
+    let tried = MaterialsTried { one: first.error, several, steps, given_up, seconds };
+    let again = if session.several || given_up.is_some() { None } else { asked_again(tried, pass.steps) };
     session.chosen.again_after = again;
     session.progress.print(&words(&pass.name, session.several, tried, again));
     session.scores.materials_tried = Some(tried);
@@ -188,8 +189,11 @@ fn words(pass: &str, chose_several: bool, tried: MaterialsTried, again: Option<u
         (false, None) => "one base material is chosen".to_owned(),
         (false, Some(steps)) => format!("one base material is kept until step {steps}"),
     };
-    let MaterialsTried { one, several, steps, .. } = tried;
-    format!("{pass}: {chosen}: error {several:.4} with several, {one:.4} with one, after {steps} steps")
+    let MaterialsTried { one, several, steps, given_up, .. } = tried;
+    let early = given_up_words(given_up);
+    format!(
+        "{pass}: {chosen}: error {several:.4} with several{early}, {one:.4} with one, after {steps} steps"
+    )
 }
 
 fn keep_one_or_several(
@@ -207,8 +211,13 @@ fn keep_one_or_several(
     restore(world, carried)
 }
 
-/// The error of several materials after the same steps, or those after which they are [`HOPELESS`] beside the error of `one`.
-fn try_several(session: &mut Session, pass: &FitPass, before: &FitOptions, one: f64) -> Result<f64> {
+/// The error of several materials after the same steps, or those after which it was given up, for it was [`HOPELESS`] beside that of `one`.
+fn try_several(
+    session: &mut Session,
+    pass: &FitPass,
+    before: &FitOptions,
+    one: f64,
+) -> Result<(f64, Option<u32>)> {
     let _trying = stage("several materials tried");
     let scene = session.scene;
     let world = &mut session.pipeline.world;
@@ -234,7 +243,8 @@ fn try_several(session: &mut Session, pass: &FitPass, before: &FitOptions, one: 
     let done = Done::default();
     let options = FitOptions { done, unknowns, initialize, visibility, light_frame, ..before.clone() };
     let steps = before.asked_after.unwrap_or_default();
-    let hopeless = |step: u32, error: f64| step >= HOPELESS.0 && error > HOPELESS.1 * one;
+    let hopeless =
+        |step: u32, error: f64| steps == TRIED[0] && step >= HOPELESS.0 && error > HOPELESS.1 * one;
     error_after(session, &options, &format!("{}, several base materials", pass.name), steps, hopeless)
 }
 
@@ -253,7 +263,7 @@ mod tests {
 
     #[test]
     fn a_close_choice_is_made_again_once() {
-        let tried = MaterialsTried { one: 0.0317, several: 0.0306, steps: 100, seconds: 1.0 };
+        let tried = MaterialsTried { one: 0.0317, several: 0.0306, steps: 100, given_up: None, seconds: 1.0 };
         assert_eq!(asked_again(tried, 1200), Some(300));
         // Too few steps would be left.
         assert_eq!(asked_again(tried, 899), None);
@@ -263,5 +273,10 @@ mod tests {
         assert!(words("fit", false, tried, Some(300)).contains("kept until step 300: error 0.0306"));
         assert!(words("fit", false, tried, None).contains("one base material is chosen"));
         assert!(words("fit", true, tried, None).contains("several base materials are chosen"));
+        let given_up = MaterialsTried { several: 0.09, given_up: Some(20), ..tried };
+        assert!(
+            words("fit", false, given_up, None)
+                .contains("0.0900 with several (given up after 20 steps), 0.0317")
+        );
     }
 }

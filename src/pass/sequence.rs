@@ -58,6 +58,7 @@ pub(super) fn run(
             // A signal from now on is for the first process.
             return unfinished.first.map_or(Ok(()), Err);
         }
+        session.agree_on_stop()?;
         if unfinished.leaves_out(session, pass) {
             record.pass(index, RunState::Skipped, told.take())?;
             continue;

@@ -251,6 +251,12 @@ impl<'a> Session<'a> {
         ranks.rank() > 0
     }
 
+    /// Stops now if another process was asked to, as long as all do alike.
+    pub(super) fn agree_on_stop(&self) -> Result<()> {
+        let ranks = self.ranks.as_ref().filter(|_| self.held_stops.is_some());
+        ranks.map_or(Ok(false), Ranks::any_stops).map(|_| ())
+    }
+
     /// The frame in which the scene's own light stands still; `None` if a fit is to find it.
     pub fn light_frame(&self) -> Option<LightFrame> {
         self.scene.light_frame.frame(&self.scene.light)

@@ -142,7 +142,7 @@ fn take_over(
     if !stopped {
         match_outlines(session, &pass.name, &mut found)?;
     }
-    let mesh = found_mesh(session, pass, &found)?;
+    let mesh = found_mesh(session, pass, &found, stopped)?;
     check_numbers("the surface's coordinate", mesh.positions.iter().flat_map(|at| at.to_array()))?;
     let stopped = is_stopping();
     finish_stopping();
@@ -157,17 +157,17 @@ fn take_over(
     Ok(stopped)
 }
 
-/// The mesh of the surface that was found, moved by stereo and with the normals of what it mirrors, as far as that is wanted.
-fn found_mesh(session: &mut Session, pass: &ShapePass, surface: &SdfSurface) -> Result<Mesh> {
+/// The mesh of the surface that was found, moved by stereo and with the normals of what it mirrors, as far as that is wanted and the run was not stopped.
+fn found_mesh(session: &mut Session, pass: &ShapePass, surface: &SdfSurface, stopped: bool) -> Result<Mesh> {
     let mut mesh = mesh_of_parts(&mut session.pipeline.world, &surface.grid);
-    if pass.stereo && !is_stopping() {
+    if pass.stereo && !stopped && !is_stopping() {
         session.placed.by_stereo = match_views(session, &pass.name, &mut mesh)?;
     } else {
         session.pipeline.world.remove_resource::<ModelError>();
     }
     // Colors of different exposures, or lights, are no reflections.
     let differ = exposures_differ(session) || !session.scene.views.other_lights().is_empty();
-    if pass.normals && !differ && !is_stopping() {
+    if pass.normals && !differ && !stopped && !is_stopping() {
         session.placed.normals = match_reflections(session, &pass.name, &mut mesh);
     }
     Ok(mesh)

@@ -26,6 +26,8 @@ use std::fmt::Write as _;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
+/// Pixels of a step from which the error of twenty tells that a trial is hopeless.
+const TELLING_PIXELS: f32 = 500.0;
 /// Steps between two lines of the log.
 const LOG_EVERY: u32 = 20;
 
@@ -141,8 +143,8 @@ pub(super) fn take_steps(
     Ok(Steps { summary, error, psnr, doubted })
 }
 
-/// Takes steps on trial, without a log and with geometry as it is; returns the mean absolute error of radiance over the last of them. They end before if they are
-/// `hopeless`, by their number and that error.
+/// Takes steps on trial, without a log and with geometry as it is; returns the mean absolute error of radiance over the last of them, and after how
+/// many the trial was given up, if it was: it is when it is `hopeless` by their number, and by that error over enough pixels.
 ///
 /// # Errors
 /// Those of [`run_fit`].
@@ -152,8 +154,9 @@ pub(super) fn error_after(
     title: &str,
     steps: u32,
     hopeless: impl Fn(u32, f64) -> bool,
-) -> Result<f64> {
-    let mut error = f64::INFINITY;
+) -> Result<(f64, Option<u32>)> {
+    let (mut error, mut given_up) = (f64::INFINITY, None);
+    let tells = options.early * options.batch as f32 >= TELLING_PIXELS;
     forget_shadows(&mut session.pipeline.world);
     let bar = session.progress.bar(title, 0);
     bar.set_message("first guess".into());
@@ -162,11 +165,12 @@ pub(super) fn error_after(
         bar.set_length(u64::from(steps));
         bar.set_position(u64::from(step));
         error = at.sums.mean();
-        let is_over = step == steps || hopeless(step, error) || is_stopping();
+        given_up = (tells && step < steps && hopeless(step, error)).then_some(step);
+        let is_over = step == steps || given_up.is_some() || is_stopping();
         if is_over { ControlFlow::Break(()) } else { ControlFlow::Continue(()) }
     })?;
     bar.finish_and_clear();
-    Ok(error)
+    Ok((error, given_up))
 }
 
 /// Makes the next step find shadows and reflected light anew, as one that goes on from a checkpoint does.

@@ -17,7 +17,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Instant;
 
 /// Bytes that all processes together send at a time.
-const BLOCK_BYTES: usize = 1 << 30;
+const BLOCK_BYTES: usize = 1 << 28;
 /// What went wrong if lengths differ.
 const OTHER_DATA: &str = "another process works on other data";
 
@@ -141,7 +141,7 @@ impl Ranks {
     }
 
     /// The same, not counted as a step.
-    fn any_stops(&self) -> Result<bool> {
+    pub(crate) fn any_stops(&self) -> Result<bool> {
         let stops = self.communicator.all_any(is_asked_to_stop())?;
         if stops {
             self.stop_all();

@@ -2,7 +2,7 @@
 
 use super::http::{HttpResponse, Request};
 use super::live_run::{Copied, LiveRun};
-use lobelia::error::stop::{StopSignal, ask_to_stop, stopped_by};
+use lobelia::error::stop::{StopSignal, ask_to_stop, is_asked_to_stop};
 use lobelia::report::html::data::RunReport;
 use lobelia::report::html::text::escaped;
 use lobelia::report::html::{SCRIPT, STYLE, filled, sections, views, wipe_dialog};
@@ -67,7 +67,7 @@ impl Site {
         }
         match (request.method.as_str(), request.path.as_str()) {
             ("GET" | "HEAD", "/") => self.page(),
-            ("GET" | "HEAD", "/state.json") => HttpResponse::json(&self.shared.json(stopped_by().is_some())),
+            ("GET" | "HEAD", "/state.json") => HttpResponse::json(&self.shared.json(is_asked_to_stop())),
             ("GET" | "HEAD", "/curves.html") => HttpResponse::html(self.curves(), FRAGMENT.to_owned()),
             ("GET" | "HEAD", "/views.html") => self.made(&self.views, FRAGMENT, worst_views),
             ("GET" | "HEAD", "/object.html") => {

@@ -219,12 +219,11 @@ fn alternate(
     let (unknowns, ranks) = (problems[0].unknowns, problems[0].ranks);
     let early = |problem: &Initialization| {
         let pixels = problem.albedo_pixels(texels.len()) / EARLY_SHARE;
-        part_of_surface(problem.observations, pixels).filter(|_| unknowns.albedo)
+        unknowns.albedo.then(|| part_of_surface(problem.observations, pixels)).flatten()
     };
     let early: Vec<_> = problems.iter().map(early).collect();
     let parts = problems.iter().zip(&early);
     let mut parts: Vec<_> = parts.map(|(problem, part)| problem.on(part.as_deref())).collect();
-    let mut wholes: Vec<_> = problems.iter().map(|problem| problem.on(None)).collect();
     for round in 0..ROUNDS {
         for (problem, lobes) in parts.iter_mut().zip(&mut *lights).filter(|_| unknowns.light) {
             check_interrupted_together(ranks)?;
@@ -235,8 +234,10 @@ fn alternate(
         }
         check_interrupted_together(ranks)?;
         if unknowns.albedo {
-            let seen = if round + 1 < ROUNDS { &mut parts } else { &mut wholes };
-            *texels = albedo_under(seen, lights, texels)?;
+            if round + 1 == ROUNDS {
+                parts = problems.iter().map(|problem| problem.on(None)).collect();
+            }
+            *texels = albedo_under(&mut parts, lights, texels)?;
             if round + 1 < ROUNDS {
                 fill_unseen(&parts, texels);
             }
@@ -272,7 +273,10 @@ fn fill_unseen(problems: &[Initialization], texels: &mut [Vec3]) {
     let seen =
         texels.iter().zip(&is_seen).filter(|(_, is_seen)| **is_seen).map(|(albedo, _)| albedo.as_dvec3());
     let (sum, count) = seen.fold((DVec3::ZERO, 0), |(sum, count), albedo| (sum + albedo, count + 1));
-    let mean = (sum / f64::from(count.max(1))).as_vec3();
+    if count == 0 {
+        return;
+    }
+    let mean = (sum / f64::from(count)).as_vec3();
     texels.iter_mut().zip(is_seen).filter(|(_, is_seen)| !is_seen).for_each(|(albedo, _)| *albedo = mean);
 }
 
@@ -291,10 +295,11 @@ fn part_of_surface(all: &[Observation], pixels: usize) -> Option<Vec<Observation
         let mixed = cell.x.wrapping_mul(0x9e37_79b1)
             ^ cell.y.wrapping_mul(0x85eb_ca77)
             ^ cell.z.wrapping_mul(0xc2b2_ae3d);
-        ((mixed ^ mixed >> 15).wrapping_mul(0x2c1b_3c6d) >> 12).is_multiple_of(every)
+        // Of a part, other cells are a part again.
+        ((mixed ^ mixed >> 15).wrapping_mul(0x2c1b_3c6d ^ (every << 1)) >> 12).is_multiple_of(every)
     };
     let part: Vec<Observation> = all.par_iter().filter(is_in).copied().collect();
-    (part.len() >= pixels / 4).then_some(part)
+    (part.len() >= (pixels / 4).max(1)).then_some(part)
 }
 
 /// The base material of least roughness that a texel has: it shows best where the light is. (With the mean of two, the fitted roughness is farther from the truth.) As a

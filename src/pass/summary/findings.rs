@@ -8,7 +8,7 @@ use crate::math::color::srgb_from_linear;
 use crate::pass::fit::{TRUE_ENVIRONMENT, light_files};
 use crate::pass::summary::pictures::Pictures;
 use crate::report::html::data::{FitFinding, ReportPicture};
-use crate::report::scores::{MaterialsTried, NdfTried, ScaleFound, Scores};
+use crate::report::scores::{MaterialsTried, NdfTried, ScaleFound, Scores, given_up_words};
 use std::path::Path;
 
 /// Longer side of pictures of lights and textures, in pixels.
@@ -96,15 +96,18 @@ fn of_light_frame(scores: &Scores) -> Option<FitFinding> {
 }
 
 fn of_materials_tried(tried: MaterialsTried) -> FitFinding {
-    let MaterialsTried { one, several, steps, .. } = tried;
-    let words = format!("error with one {one:.4}, with several {several:.4}, after {steps} steps each");
+    let MaterialsTried { one, several, steps, given_up, .. } = tried;
+    let early = given_up_words(given_up);
+    let words =
+        format!("error with one {one:.4}, with several {several:.4}{early}, after {steps} steps each");
     plain("base materials tried", words)
 }
 
 fn of_ndf_tried(tried: NdfTried) -> Option<FitFinding> {
-    let NdfTried { ggx, sg, steps, .. } = tried;
+    let NdfTried { ggx, sg, steps, given_up, .. } = tried;
+    let (early, sg) = (given_up_words(given_up), sg?);
     let words =
-        format!("error with GGX {ggx:.4}, with the spherical Gaussian {:.4}, after {steps} steps", sg?);
+        format!("error with GGX {ggx:.4}{early}, with the spherical Gaussian {sg:.4}, after {steps} steps");
     Some(plain("distributions of normals tried", words))
 }
 

@@ -138,6 +138,11 @@ pub struct ScaleFound {
     pub mean_albedo: [f32; 3],
 }
 
+/// That a trial was given up after so many steps, if it was, in words that follow its error.
+pub(crate) fn given_up_words(given_up: Option<u32>) -> String {
+    given_up.map_or(String::new(), |steps| format!(" (given up after {steps} steps)"))
+}
+
 /// What a fit has chosen its base materials by: mean absolute errors of radiance after the same steps over the same pixels.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct MaterialsTried {
@@ -148,6 +153,9 @@ pub struct MaterialsTried {
     /// Steps after which they were compared.
     #[serde(default)]
     pub steps: u32,
+    /// Steps with several after which they were given up; `several` is their error there.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub given_up: Option<u32>,
     /// Seconds of the trial.
     pub seconds: f64,
 }
@@ -164,6 +172,9 @@ pub struct NdfTried {
     pub ggx_albedo: [f32; 3],
     /// Roughness.
     pub ggx_roughness: f32,
+    /// Steps with GGX after which it was given up; `ggx` is its error there.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub given_up: Option<u32>,
     /// Steps after which they were compared.
     pub steps: u32,
 }
