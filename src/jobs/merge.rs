@@ -8,7 +8,7 @@ use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::jobs::frames::of_name;
 use crate::jobs::page;
-use crate::jobs::unit::{Unit, UnitRow, scored_passes};
+use crate::jobs::unit::{JoinedFilm, NOT_BEGUN, Unit, UnitRow, scored_passes};
 use crate::pass::render::FRAMES;
 use crate::pass::summary::{Outcome, read_outcome};
 use crate::scene::Orbit;
@@ -31,35 +31,6 @@ pub struct Merged {
     /// The films that units have parts of.
     pub films: Vec<JoinedFilm>,
 }
-
-/// A film whose frames units have rendered.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct JoinedFilm {
-    /// Its file.
-    pub file: PathBuf,
-    /// Frames that are there.
-    pub there: usize,
-    /// Frames of the film.
-    pub frames: u32,
-    /// Why it was not joined although they may all be there.
-    pub problem: Option<String>,
-}
-
-impl JoinedFilm {
-    /// Whether the file was written.
-    pub fn is_joined(&self) -> bool {
-        self.problem.is_none() && self.there == self.frames as usize
-    }
-
-    /// How far it is, in words.
-    pub fn words(&self) -> String {
-        let there = format!("{} of {} frames", self.there, self.frames);
-        self.problem.as_ref().map_or(there.clone(), |problem| format!("{there}, not joined: {problem}"))
-    }
-}
-
-/// What a unit is that has no folder yet.
-pub(super) const NOT_BEGUN: &str = "not begun";
 
 /// The units whose folders are in `out`, and those of `named` that have none; by name.
 ///

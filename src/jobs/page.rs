@@ -1,7 +1,6 @@
 //! The page of many units: how many are done, a row each, and their films.
 
-use crate::jobs::merge::{JoinedFilm, NOT_BEGUN};
-use crate::jobs::unit::{UnitRow, scored_passes};
+use crate::jobs::unit::{JoinedFilm, NOT_BEGUN, UnitRow, scored_passes};
 use crate::report::html::text::escaped;
 use crate::report::html::{REPORT, SIGNATURE, STYLE};
 use std::collections::BTreeMap;

@@ -171,10 +171,8 @@ fn with_groups<T>(
         frame.placements.light(placement)
     };
     let of_group = |number: usize| rows_of_group(observations, LightGroup(number as u32), light_of);
-    let part = |all| {
-        in_part.then(|| part_of_surface(all, PART_PIXELS)).flatten().map_or(Cow::Borrowed(all), Cow::Owned)
-    };
-    let parts: Vec<Cow<[Observation]>> = (0..lights).map(of_group).map(part).collect();
+    let parts: Vec<Cow<[Observation]>> =
+        (0..lights).map(|group| looked_at(of_group(group), in_part)).collect();
     let problem = |observations| Initialization {
         form,
         observations,
@@ -188,6 +186,12 @@ fn with_groups<T>(
         ranks: ranks.as_ref(),
     };
     run(&mut parts.iter().map(|part| problem(part.as_ref())).collect::<Vec<_>>())
+}
+
+/// These pixels, or those on a part of the surface if that is enough.
+fn looked_at(all: &[Observation], in_part: bool) -> Cow<'_, [Observation]> {
+    let part = in_part.then(|| part_of_surface(all, PART_PIXELS)).flatten();
+    part.map_or(Cow::Borrowed(all), Cow::Owned)
 }
 
 /// The rows of the photographs of a placement.

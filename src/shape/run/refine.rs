@@ -11,7 +11,7 @@ use crate::shape::hull::trim;
 use crate::shape::mirror::{NormalReport, refine_normals};
 use crate::shape::outline::{OutlineReport, fit_outlines};
 use crate::shape::run::training::{training_silhouettes, with_training_views};
-use crate::shape::stereo::{Guides, StereoReport, refine};
+use crate::shape::stereo::{StereoGuides, StereoReport, refine};
 use bevy_ecs::prelude::World;
 use std::ops::ControlFlow;
 
@@ -43,7 +43,7 @@ pub(crate) fn refine_by_stereo(
 ) -> Result<StereoReport> {
     let Some(error) = world.remove_resource::<ModelError>() else { return Ok(StereoReport::default()) };
     let (silhouettes, ranks) = (training_silhouettes(world), world.get_resource::<Ranks>().cloned());
-    let known = Guides { silhouettes: &silhouettes, error: &error, ranks: ranks.as_ref() };
+    let known = StereoGuides { silhouettes: &silhouettes, error: &error, ranks: ranks.as_ref() };
     with_training_views(world, |views| refine(mesh, views, &known, go_on))
 }
 

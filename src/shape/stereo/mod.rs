@@ -111,7 +111,7 @@ pub struct StereoReport {
 
 /// What stereo is given besides photographs.
 #[derive(Clone, Copy, Debug)]
-pub struct Guides<'a> {
+pub struct StereoGuides<'a> {
     /// The masks, at whose outlines contours stay.
     pub silhouettes: &'a [Silhouette],
     /// What the shading leaves unexplained.
@@ -127,7 +127,7 @@ pub struct Guides<'a> {
 pub fn refine(
     mesh: &mut Mesh,
     views: &[StereoView],
-    guides: &Guides,
+    guides: &StereoGuides,
     mut go_on: impl FnMut(usize) -> ControlFlow<()>,
 ) -> Result<StereoReport> {
     let mut report = StereoReport::default();
@@ -194,7 +194,7 @@ fn finest_factor(mesh: &Mesh, views: &[StereoView]) -> Option<u32> {
 fn refine_round(
     mesh: &mut Mesh,
     pictures: &[MatchPicture],
-    Guides { silhouettes, error, ranks }: &Guides,
+    StereoGuides { silhouettes, error, ranks }: &StereoGuides,
     search: Sweep,
     object: &mut Option<f32>,
 ) -> Result<f32> {

@@ -86,8 +86,8 @@ fn off(mesh: &Mesh) -> f32 {
 }
 
 /// Without masks.
-fn guided(error: &ModelError) -> Guides<'_> {
-    Guides { silhouettes: &[], error, ranks: None }
+fn guided(error: &ModelError) -> StereoGuides<'_> {
+    StereoGuides { silhouettes: &[], error, ranks: None }
 }
 
 #[test]
