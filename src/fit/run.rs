@@ -46,7 +46,7 @@ use crate::sample::observation::ObservedWindow;
 use crate::sample::pixel::Window;
 use crate::shade::frame::{add_gathering, add_material_resources};
 use crate::shade::shade_closed_form;
-use crate::visibility::systems::StepVisibility;
+use crate::visibility::systems::RefreshDue;
 use crate::visibility::{FitVisibilityPlugin, ObjectVisibility};
 use bevy_ecs::prelude::{IntoScheduleConfigs, World};
 use serde::{Deserialize, Serialize};
@@ -68,7 +68,7 @@ pub struct FitOptions {
     pub asked_after: Option<u32>,
     /// Pixels per step.
     pub batch: usize,
-    /// Part of them that a step visits before the first milestone, while rates are high, in (0, 1]; below 1 these steps cast no rays within narrow lobes either.
+    /// Part of them that a step visits before the first milestone, while rates are high, in (0, 1].
     pub early: f32,
     /// Rates of albedo, light and specular material at the first step.
     pub rates: [f32; 3],
@@ -234,6 +234,7 @@ impl Plugin for FitPlugin {
         world.remove_resource::<Unknowns>();
         world.remove_resource::<PixelChoice>();
         world.remove_resource::<ScaleRule>();
+        world.remove_resource::<RefreshDue>();
         world.remove_resource::<FramesTried>();
         world.remove_resource::<SheenEvidence>();
         detach(world);
@@ -284,7 +285,6 @@ pub fn run_fit(
 ) -> Result<FitSummary> {
     let fitted = fit(pipeline, options, watch);
     despawn_pool(&mut pipeline.world);
-    pipeline.world.remove_resource::<StepVisibility>();
     if !options.keeps_pool || fitted.is_err() {
         release_pool(&mut pipeline.world);
     }
@@ -473,7 +473,7 @@ fn run_step(pipeline: &mut Pipeline, options: &FitOptions, step: u32, turn: &Tur
     world.resource_mut::<ObservedWindow>().0 = turn.rows.clone();
     world.insert_resource(schedule_of(options).rates_at(step, turn.visit));
     world.resource_mut::<ViewSums>().counts = turn.is_last;
-    world.insert_resource(schedule_of(options).visibility_at(step, turn.refreshes));
+    world.insert_resource(RefreshDue(turn.refreshes));
     world.resource_mut::<TexelPlaces>().progress = step as f32 / options.steps as f32;
     begin_step(world);
     exchange_light(world, turn.group);

@@ -1,9 +1,8 @@
-//! What changes from step to step: rates fall at the milestones, and before the first one a step visits fewer pixels and casts no rays within narrow lobes. While rates
-//! are high the noise of few pixels, and reflections that are not exact, do no harm; later they would stay in the albedo.
+//! What changes from step to step: rates fall at the milestones, and before the first one a step visits fewer pixels. While rates are high the noise of few pixels
+//! does no harm; later it would stay in the albedo.
 
 use super::components::StepRates;
 use super::groups::StepPixels;
-use crate::visibility::systems::StepVisibility;
 
 /// Part of the pixels of a step that a `Fit` visits before the first milestone.
 pub(crate) const EARLY: f32 = 0.5;
@@ -33,12 +32,6 @@ impl Schedule<'_> {
             }
         }
         StepPixels { early: (early, steps), late: self.batch }
-    }
-
-    /// The visibility of a step: where early steps visit fewer pixels, those of the first half cast no rays within narrow lobes either.
-    pub fn visibility_at(&self, step: u32, refreshes: bool) -> StepVisibility {
-        let is_early = self.early < 1.0 && self.milestones_before(step) == 0 && 2 * (step - 1) < self.steps;
-        StepVisibility { refreshes, casts_rays: !is_early }
     }
 
     /// Milestones that a step has behind it.
@@ -73,11 +66,7 @@ mod tests {
         assert_eq!(schedule.pixels(), StepPixels { early: (50, 3), late: 100 });
         let lights: Vec<f32> = (1..=10).map(|step| schedule.rates_at(step, step).light).collect();
         assert_eq!(lights, [2.0, 2.0, 2.0, 1.0, 1.0, 1.0, 1.0, 1.0, 0.5, 0.5]);
-        let rays: Vec<bool> = (1..=5).map(|step| schedule.visibility_at(step, true).casts_rays).collect();
-        assert_eq!(rays, [false, false, false, true, true]);
-        assert!(Schedule { early: 1.0, ..schedule }.visibility_at(1, true).casts_rays);
         let all = Schedule { milestones: &[], ..schedule };
         assert_eq!(all.pixels(), StepPixels { early: (50, 10), late: 100 });
-        assert!(!all.visibility_at(5, true).casts_rays && all.visibility_at(6, true).casts_rays);
     }
 }

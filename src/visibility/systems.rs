@@ -6,7 +6,7 @@
 //! | [`gather_visibility`] | the same, rays, texel addresses | [`PointVisibility`], [`WindowVisibility`] |
 //!
 //! Shadows and interreflection are updated when light or material have changed (`light_or_material_changed`), in a fit at most
-//! every few steps (`refresh_is_due`). What narrow lobes meet is found by rays, in a fit not before it matters ([`StepVisibility`]).
+//! every few steps (`refresh_is_due`).
 
 use super::object_visibility::{Made, ObjectVisibility, WindowVisibility};
 use super::occlusion::Reflectance;
@@ -17,7 +17,6 @@ use crate::material::material_source::{
     AlbedoColumn, BaseMaterials, BlendColumn, MaterialSource, MaterialTexels, Recovered, SheenColumn, Shown,
 };
 use crate::material::sheen::mean_albedo;
-use crate::math::ray::Intersect;
 use crate::math::shading::PointVisibility;
 use crate::pipeline::{Phase, Pipeline, Plugin, Slot, SystemResult};
 use crate::ranks::Ranks;
@@ -30,14 +29,9 @@ use bevy_ecs::prelude::{
 };
 use std::any::TypeId;
 
-/// What a step of a fit does for its shadows and reflections.
+/// Whether this step of a fit updates shadows and interreflection; a fit does so every few steps.
 #[derive(Resource, Clone, Copy, Debug)]
-pub struct StepVisibility {
-    /// Updates shadows and interreflection; a fit does so every few steps.
-    pub refreshes: bool,
-    /// Casts rays within narrow lobes; without them the directions of shadows stand for those.
-    pub casts_rays: bool,
-}
+pub struct RefreshDue(pub bool);
 
 /// Shadows and interreflection of the shown material in the Frame phase; needs an [`ObjectVisibility`].
 pub struct FrameVisibilityPlugin;
@@ -54,14 +48,14 @@ impl Plugin for FrameVisibilityPlugin {
     }
 }
 
-/// Shadows and interreflection of the recovered material in the FitStep phase, updated where [`StepVisibility`] says so; needs an
+/// Shadows and interreflection of the recovered material in the FitStep phase, updated if [`RefreshDue`] is set; needs an
 /// [`ObjectVisibility`].
 pub struct FitVisibilityPlugin;
 
 impl Plugin for FitVisibilityPlugin {
     fn build(&self, pipeline: &mut Pipeline) {
         pipeline.world.init_resource::<WindowVisibility>();
-        pipeline.world.insert_resource(StepVisibility { refreshes: true, casts_rays: true });
+        pipeline.world.insert_resource(RefreshDue(true));
         let refresh = refresh_visibility::<Recovered>
             .run_if(refresh_is_due.and_then(light_or_material_changed::<Recovered>));
         pipeline.swap(Phase::FitStep, Slot::Visibility, (refresh, gather_visibility).chain());
@@ -69,17 +63,17 @@ impl Plugin for FitVisibilityPlugin {
 
     fn cleanup(world: &mut World) {
         world.insert_resource(WindowVisibility::default());
-        world.remove_resource::<StepVisibility>();
+        world.remove_resource::<RefreshDue>();
     }
 }
 
 /// Run condition: whether this step of a fit updates visibility, or the set of lobes has changed.
 pub fn refresh_is_due(
-    step: Res<StepVisibility>,
+    due: Res<RefreshDue>,
     light: Res<IncidentLight>,
     object: Option<Res<ObjectVisibility>>,
 ) -> bool {
-    step.refreshes || object.is_none_or(|object| object.stride != light.lobes.stride())
+    due.0 || object.is_none_or(|object| object.stride != light.lobes.stride())
 }
 
 /// Changes of light and material that affect shadows and interreflection.
@@ -142,7 +136,7 @@ type PointColumns = (
 
 /// Gather: the visibility of the points of the window.
 pub fn gather_visibility(
-    (object, step): (Res<ObjectVisibility>, Option<Res<StepVisibility>>),
+    object: Res<ObjectVisibility>,
     (materials, scenery): (Res<BaseMaterials>, Res<Scenery>),
     samples: Samples<PointColumns>,
     mut out: ResMut<WindowVisibility>,
@@ -153,8 +147,6 @@ pub fn gather_visibility(
         [(_, one)] => one.roughness,
         _ => SpecularBlend(blends[i].0).roughness(materials.by_number()),
     };
-    let casts_rays = step.is_none_or(|step| step.casts_rays);
-    let surface = if casts_rays { Some(&*scenery.0 as &dyn Intersect) } else { None };
-    object.window(&points, viewer, mean, surface, &mut out, &mut seen);
+    object.window(&points, viewer, mean, Some(&*scenery.0), &mut out, &mut seen);
     Ok(())
 }

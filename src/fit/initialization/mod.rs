@@ -32,7 +32,7 @@ use crate::view::{ByView, Camera, Photograph, ViewIndex};
 use crate::visibility::{ObjectVisibility, Reflectance, WindowVisibility};
 use bevy_ecs::prelude::{Entity, Query, With, Without, World};
 use bevy_ecs::system::SystemState;
-use glam::{DVec3, Vec3};
+use glam::Vec3;
 use rayon::prelude::*;
 use std::borrow::Cow;
 use std::ops::Range;
@@ -51,8 +51,6 @@ const ERROR_PIXELS: usize = 100_000;
 const PART_PIXELS: usize = 60_000;
 /// Cells along the longest side of the object, of which that part has some.
 const PART_CELLS: f32 = 16.0;
-/// Part of the pixels of the albedo that all rounds but the last look at.
-const EARLY_SHARE: usize = 4;
 /// Rounds, each of light and then albedo.
 const ROUNDS: usize = 4;
 /// Rounds, after the first, that begin by moving faint lobes to bright regions.
@@ -171,8 +169,8 @@ fn with_groups<T>(
         frame.placements.light(placement)
     };
     let of_group = |number: usize| rows_of_group(observations, LightGroup(number as u32), light_of);
-    let parts: Vec<Cow<[Observation]>> =
-        (0..lights).map(|group| looked_at(of_group(group), in_part)).collect();
+    let part = |all| in_part.then(|| part_of_surface(all)).flatten().map_or(Cow::Borrowed(all), Cow::Owned);
+    let parts: Vec<Cow<[Observation]>> = (0..lights).map(of_group).map(part).collect();
     let problem = |observations| Initialization {
         form,
         observations,
@@ -186,12 +184,6 @@ fn with_groups<T>(
         ranks: ranks.as_ref(),
     };
     run(&mut parts.iter().map(|part| problem(part.as_ref())).collect::<Vec<_>>())
-}
-
-/// These pixels, or those on a part of the surface if that is enough.
-fn looked_at(all: &[Observation], in_part: bool) -> Cow<'_, [Observation]> {
-    let part = in_part.then(|| part_of_surface(all, PART_PIXELS)).flatten();
-    part.map_or(Cow::Borrowed(all), Cow::Owned)
 }
 
 /// The rows of the photographs of a placement.
@@ -216,20 +208,13 @@ fn rows_of_group(
 
 /// Solves alternately for the lights of the groups and the albedo that is common to them.
 fn alternate(
-    problems: &[Initialization],
+    problems: &mut [Initialization],
     lights: &mut [Vec<LightLobe>],
     texels: &mut Vec<Vec3>,
 ) -> Result<()> {
     let (unknowns, ranks) = (problems[0].unknowns, problems[0].ranks);
-    let early = |problem: &Initialization| {
-        let pixels = problem.albedo_pixels(texels.len()) / EARLY_SHARE;
-        unknowns.albedo.then(|| part_of_surface(problem.observations, pixels)).flatten()
-    };
-    let early: Vec<_> = problems.iter().map(early).collect();
-    let parts = problems.iter().zip(&early);
-    let mut parts: Vec<_> = parts.map(|(problem, part)| problem.on(part.as_deref())).collect();
     for round in 0..ROUNDS {
-        for (problem, lobes) in parts.iter_mut().zip(&mut *lights).filter(|_| unknowns.light) {
+        for (problem, lobes) in problems.iter_mut().zip(&mut *lights).filter(|_| unknowns.light) {
             check_interrupted_together(ranks)?;
             if (1..=MOVES).contains(&round) {
                 move_lobes_to_the_light(lobes);
@@ -238,13 +223,7 @@ fn alternate(
         }
         check_interrupted_together(ranks)?;
         if unknowns.albedo {
-            if round + 1 == ROUNDS {
-                parts = problems.iter().map(|problem| problem.on(None)).collect();
-            }
-            *texels = albedo_under(&mut parts, lights, texels)?;
-            if round + 1 < ROUNDS {
-                fill_unseen(&parts, texels);
-            }
+            *texels = albedo_under(problems, lights, texels)?;
         }
     }
     Ok(())
@@ -259,35 +238,17 @@ fn albedo_under(
     let _solving = stage("albedo");
     let mut shaded = Vec::new();
     for (problem, lobes) in problems.iter_mut().zip(lights) {
-        let n = problem.albedo_pixels(texels.len());
+        let n = problem.observations.len().min(ALBEDO_PIXELS.max(PIXELS_PER_TEXEL * texels.len()));
         shaded.push((&problem.observations[..n], problem.of_white(lobes, texels, n)?));
     }
     let pixels = shaded.iter().flat_map(|(observations, white)| observations.iter().zip(white));
     Ok(solve_albedo(pixels, texels, Vec3::splat(USUAL_ALBEDO)))
 }
 
-/// Gives texels that no pixel shows the mean of the others, for the light that they send.
-fn fill_unseen(problems: &[Initialization], texels: &mut [Vec3]) {
-    let mut is_seen = vec![false; texels.len()];
-    for Observation { point, .. } in problems.iter().flat_map(|problem| problem.observations) {
-        for (texel, weight) in point.texels.indices.into_iter().zip(point.texels.weights) {
-            is_seen[texel as usize] |= weight > 0.0;
-        }
-    }
-    let seen =
-        texels.iter().zip(&is_seen).filter(|(_, is_seen)| **is_seen).map(|(albedo, _)| albedo.as_dvec3());
-    let (sum, count) = seen.fold((DVec3::ZERO, 0), |(sum, count), albedo| (sum + albedo, count + 1));
-    if count == 0 {
-        return;
-    }
-    let mean = (sum / f64::from(count)).as_vec3();
-    texels.iter_mut().zip(is_seen).filter(|(_, is_seen)| !is_seen).for_each(|(albedo, _)| *albedo = mean);
-}
-
-/// The pixels on a part of the surface, about so many: all that see it, so that its texels are known as well as if all of the surface
+/// The pixels on a part of the surface, about [`PART_PIXELS`]: all that see it, so that its texels are known as well as if all of the surface
 /// were looked at. `None` if there are not twice as many in all.
-fn part_of_surface(all: &[Observation], pixels: usize) -> Option<Vec<Observation>> {
-    let every = (all.len() / pixels.max(1)) as u32;
+fn part_of_surface(all: &[Observation]) -> Option<Vec<Observation>> {
+    let every = (all.len() / PART_PIXELS) as u32;
     if every < 2 {
         return None;
     }
@@ -299,11 +260,10 @@ fn part_of_surface(all: &[Observation], pixels: usize) -> Option<Vec<Observation
         let mixed = cell.x.wrapping_mul(0x9e37_79b1)
             ^ cell.y.wrapping_mul(0x85eb_ca77)
             ^ cell.z.wrapping_mul(0xc2b2_ae3d);
-        // Of a part, other cells are a part again.
-        ((mixed ^ mixed >> 15).wrapping_mul(0x2c1b_3c6d ^ (every << 1)) >> 12).is_multiple_of(every)
+        ((mixed ^ mixed >> 15).wrapping_mul(0x2c1b_3c6d) >> 12).is_multiple_of(every)
     };
     let part: Vec<Observation> = all.par_iter().filter(is_in).copied().collect();
-    (part.len() >= (pixels / 4).max(1)).then_some(part)
+    (part.len() >= PART_PIXELS / 4).then_some(part)
 }
 
 /// The base material of least roughness that a texel has: it shows best where the light is. (With the mean of two, the fitted roughness is farther from the truth.) As a
@@ -336,19 +296,8 @@ pub(crate) struct Initialization<'a> {
 
 impl Initialization<'_> {
     /// Solves alternately for the light of these photographs and the albedo.
-    fn alternate(&self, lobes: &mut Vec<LightLobe>, texels: &mut Vec<Vec3>) -> Result<()> {
-        alternate(std::slice::from_ref(self), std::slice::from_mut(lobes), texels)
-    }
-
-    /// The same with other pixels, or these.
-    fn on<'b>(&'b self, observations: Option<&'b [Observation]>) -> Initialization<'b> {
-        let object = self.object.as_ref().map(ObjectVisibility::unlit);
-        Initialization { observations: observations.unwrap_or(self.observations), object, ..*self }
-    }
-
-    /// How many of the pixels an albedo of so many texels is solved from.
-    fn albedo_pixels(&self, texels: usize) -> usize {
-        self.observations.len().min(ALBEDO_PIXELS.max(PIXELS_PER_TEXEL * texels))
+    fn alternate(&mut self, lobes: &mut Vec<LightLobe>, texels: &mut Vec<Vec3>) -> Result<()> {
+        alternate(std::slice::from_mut(self), std::slice::from_mut(lobes), texels)
     }
 
     /// Solves for the amplitudes; `is_lit` if the lobes have some that explain the photographs already.
@@ -483,8 +432,8 @@ mod tests {
         };
         // Each of 360 000 places is seen three times.
         let all: Vec<Observation> = (0..3 * 360_000).map(seen).collect();
-        assert!(part_of_surface(&all[..2 * PART_PIXELS - 1], PART_PIXELS).is_none());
-        let part = part_of_surface(&all, PART_PIXELS).unwrap();
+        assert!(part_of_surface(&all[..2 * PART_PIXELS - 1]).is_none());
+        let part = part_of_surface(&all).unwrap();
         assert!((PART_PIXELS / 2..PART_PIXELS * 2).contains(&part.len()), "{}", part.len());
         let mut times = vec![0; 360_000];
         part.iter().for_each(|seen| times[seen.pixel.pixel as usize % 360_000] += 1);
