@@ -5,6 +5,7 @@
 //! | --- | --- | --- | --- |
 //! | [`LEAST_SHARPNESS`] | | 100 | sharpness of a lobe from which rays are cast, R < 0.27 straight on |
 //! | [`RAYS`] | | 16 | rays of a point |
+//! | [`RAYS_OF_STEP`] | | 4 | the same in a step of a fit, which sees each pixel a few times |
 
 use crate::math::brdf::ndf_sharpness;
 use crate::math::ray::{Hit, Intersect};
@@ -12,12 +13,15 @@ use crate::sample::pixel::PixelOf;
 use crate::visibility::occlusion::{Bounce, MOST_MIRRORED, Mirror, Sky, sharpness_of_lobe};
 use crate::visibility::texel_visibility::{OFFSET, TexelVisibility};
 use glam::{Mat3, Vec3};
+use std::f32::consts::PI;
 use std::sync::LazyLock;
 
 /// Sharpness of a lobe from which rays are cast.
 pub(crate) const LEAST_SHARPNESS: f32 = 100.0;
 /// Rays of a point.
 const RAYS: usize = 16;
+/// Rays of a point in a step of a fit.
+const RAYS_OF_STEP: usize = 4;
 /// Angle between two points of a spiral that is evenly dense (Vogel 1979).
 const GOLDEN_ANGLE: f32 = 2.399_963_2;
 
@@ -76,11 +80,35 @@ pub(crate) fn first_of_alike(
     each.collect()
 }
 
+/// Rays within narrow lobes.
+#[derive(Clone, Copy)]
+pub struct LobeRays<'a> {
+    surface: &'a dyn Intersect,
+    spiral: &'a [InLobe],
+}
+
+impl<'a> LobeRays<'a> {
+    /// Those of a picture.
+    pub fn of_frame(surface: &'a dyn Intersect) -> Self {
+        Self { surface, spiral: &*SPIRAL }
+    }
+
+    /// Those of a step of a fit: fewer.
+    pub fn of_step(surface: &'a dyn Intersect) -> Self {
+        Self { surface, spiral: &*SPIRAL_OF_STEP }
+    }
+
+    /// Radius of the surface.
+    pub(super) fn radius(&self) -> f32 {
+        self.surface.radius()
+    }
+}
+
 /// What rays meet.
 #[derive(Clone, Copy)]
 pub(crate) struct Mirrored<'a> {
-    /// The surface.
-    pub surface: &'a dyn Intersect,
+    /// The rays, and the surface.
+    pub rays: LobeRays<'a>,
     /// The rows of its texels.
     pub visibility: &'a TexelVisibility,
     /// The light around it.
@@ -95,23 +123,25 @@ impl Mirrored<'_> {
         let SeenPoint { position: origin, normal, geometric_normal, .. } = *point;
         let (x, y) = axis.any_orthonormal_pair();
         let world_from_lobe = Mat3::from_cols(x, y, axis);
-        let directions: [Vec3; RAYS] =
-            std::array::from_fn(|i| world_from_lobe * direction_in_lobe(i, sharpness));
-        let mut hits = [None; RAYS];
-        let nearest = OFFSET * self.surface.radius();
-        self.surface.intersect_packet(origin, &directions, nearest, &mut hits);
-        let sent: [Option<Vec3>; RAYS] = std::array::from_fn(|i| {
+        let LobeRays { surface, spiral } = self.rays;
+        let (mut directions, mut hits, mut sent) = ([Vec3::ZERO; RAYS], [None; RAYS], [None; RAYS]);
+        let (directions, hits) = (&mut directions[..spiral.len()], &mut hits[..spiral.len()]);
+        for (direction, place) in directions.iter_mut().zip(spiral) {
+            *direction = world_from_lobe * direction_in_lobe(*place, sharpness);
+        }
+        surface.intersect_packet(origin, directions, OFFSET * surface.radius(), hits);
+        for ((sent, hit), direction) in sent.iter_mut().zip(hits).zip(&*directions) {
             // A ray that enters the flat triangle meets nothing that the smooth surface would.
-            let hit = hits[i].filter(|_| geometric_normal.dot(directions[i]) > 0.0)?;
-            Some(self.sent_back(&hit, directions[i]))
-        });
+            let hit = hit.filter(|_| geometric_normal.dot(*direction) > 0.0);
+            *sent = hit.map(|hit| self.sent_back(&hit, *direction));
+        }
         if sent.iter().all(Option::is_none) {
             return Vec3::ONE;
         }
         let (mut arriving, mut unhidden) = (Vec3::ZERO, Vec3::ZERO);
-        for (direction, sent) in directions.into_iter().zip(sent) {
+        for (direction, sent) in directions.iter().copied().zip(sent) {
             let cosine = normal.dot(direction).max(0.0);
-            let sky = self.sky.toward(direction, sharpness * RAYS as f32);
+            let sky = self.sky.toward(direction, sharpness * spiral.len() as f32);
             unhidden += sky * cosine;
             arriving += sent.unwrap_or(sky) * cosine;
         }
@@ -148,19 +178,30 @@ impl Mirrored<'_> {
     }
 }
 
-/// Of each of the [`RAYS`] directions: the logarithm of the part of the lobe's power that is farther from its axis; cosine and sine of its
-/// angle around the axis.
-static SPIRAL: LazyLock<[[f32; 3]; RAYS]> = LazyLock::new(|| {
-    std::array::from_fn(|i| {
-        let part = (i as f32 + 0.5) / RAYS as f32;
-        let (sin, cos) = (i as f32 * GOLDEN_ANGLE).sin_cos();
-        [(1.0 - part).ln(), cos, sin]
-    })
-});
+/// A direction of a lobe: the logarithm of the part of the lobe's power that is farther from its axis; cosine and sine of its angle around the axis.
+type InLobe = [f32; 3];
 
-/// The i-th of the [`RAYS`] directions of equal weight of a lobe around +Z.
-fn direction_in_lobe(i: usize, sharpness: f32) -> Vec3 {
-    let [beyond, cos, sin] = SPIRAL[i];
+/// Directions of equal weight.
+static SPIRAL: LazyLock<[InLobe; RAYS]> = LazyLock::new(spiral);
+static SPIRAL_OF_STEP: LazyLock<[InLobe; RAYS_OF_STEP]> = LazyLock::new(spiral);
+
+/// Pairs on opposite sides of the axis, so that the mean direction is the axis however few there are. Each pair has as much of the lobe's power around the axis,
+/// and is where the mean of its power is.
+fn spiral<const COUNT: usize>() -> [InLobe; COUNT] {
+    let pairs = (COUNT / 2) as f32;
+    // ∫ −ln(1 − p) dp.
+    let below = |p: f32| p + if p < 1.0 { (1.0 - p) * (1.0 - p).ln() } else { 0.0 };
+    std::array::from_fn(|i| {
+        let pair = (i / 2) as f32;
+        let beyond = (below(pair / pairs) - below((pair + 1.0) / pairs)) * pairs;
+        // What is opposite comes again after half a turn, and so does the angle of a spiral.
+        let (sin, cos) = (pair * 0.5 * GOLDEN_ANGLE + (i % 2) as f32 * PI).sin_cos();
+        [beyond, cos, sin]
+    })
+}
+
+/// A direction of a lobe around +Z.
+fn direction_in_lobe([beyond, cos, sin]: InLobe, sharpness: f32) -> Vec3 {
     // The part of e^{λ(z − 1)} between 1 and z; beyond λ = 100 nothing is below z = −1.
     let z = (1.0 + beyond / sharpness).max(-1.0);
     let radius = (1.0 - z * z).max(0.0).sqrt();
@@ -174,6 +215,7 @@ mod tests {
     use crate::math::lobe::Lobe;
     use crate::math::ray::{Ray, TexelAddress};
     use crate::math::shading::LobeColumns;
+    use std::f32::consts::LN_2;
 
     #[test]
     fn points_of_a_pixel_share_what_is_alike() {
@@ -232,7 +274,8 @@ mod tests {
     fn part(axis: Vec3, wall: Mirror, sky: &Sky) -> Vec3 {
         let visibility = one_row();
         let bounce = Bounce { mirrors: vec![wall], ..Bounce::default() };
-        let mirrored = Mirrored { surface: &Wall, visibility: &visibility, sky, bounce: &bounce };
+        let mirrored =
+            Mirrored { rays: LobeRays::of_frame(&Wall), visibility: &visibility, sky, bounce: &bounce };
         mirrored.part(&seen(Vec3::Y), axis.normalize(), 2000.0)
     }
 
@@ -283,7 +326,8 @@ mod tests {
         let sky = sky(&[([0.0, 1.0, 0.0], 0.0, 2.0)]);
         let visibility = one_row();
         let bounce = Bounce { mirrors: vec![Mirror::default()], ..Bounce::default() };
-        let mirrored = Mirrored { surface: &Wall, visibility: &visibility, sky: &sky, bounce: &bounce };
+        let mirrored =
+            Mirrored { rays: LobeRays::of_frame(&Wall), visibility: &visibility, sky: &sky, bounce: &bounce };
         let part =
             |geometric: Vec3| mirrored.part(&seen(geometric), Vec3::new(1.0, 0.1, 0.0).normalize(), 2e3);
         assert_eq!(part(Vec3::Y), Vec3::ZERO);
@@ -304,12 +348,16 @@ mod tests {
 
     #[test]
     fn directions_have_the_density_of_the_lobe() {
-        for sharpness in [100.0, 4000.0] {
-            let all: Vec<Vec3> = (0..RAYS).map(|i| direction_in_lobe(i, sharpness)).collect();
-            let mean = all.iter().sum::<Vec3>() / RAYS as f32;
+        for (sharpness, places) in [(100.0, &SPIRAL[..]), (4000.0, &SPIRAL[..]), (100.0, &SPIRAL_OF_STEP[..])]
+        {
+            let all: Vec<Vec3> = places.iter().map(|place| direction_in_lobe(*place, sharpness)).collect();
+            let mean = all.iter().sum::<Vec3>() / all.len() as f32;
             // The mean of 1 − z is 1/λ.
-            assert!(((1.0 - mean.z) * sharpness - 1.0).abs() < 0.05, "{mean}");
-            assert!(mean.truncate().length() < 0.12 / sharpness.sqrt(), "{mean}");
+            assert!(((1.0 - mean.z) * sharpness - 1.0).abs() < 1e-2, "{mean}");
+            assert!(mean.truncate().length() < 1e-3 / sharpness.sqrt(), "{mean}");
+            // Half of the power is beyond cos θ = 1 − ln 2/λ.
+            let near = all.iter().filter(|d| (1.0 - d.z) * sharpness < LN_2).count();
+            assert_eq!(2 * near, all.len());
             assert!(all.iter().all(|d| d.is_normalized()));
         }
     }

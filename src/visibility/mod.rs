@@ -29,6 +29,7 @@ pub mod systems;
 pub(crate) mod texel_patches;
 pub(crate) mod texel_visibility;
 
+pub use mirrored::LobeRays;
 pub use object_visibility::{ObjectVisibility, VisibilitySettings, WindowVisibility};
 pub use occlusion::Reflectance;
 pub use systems::{FitVisibilityPlugin, FrameVisibilityPlugin};

@@ -3,13 +3,12 @@
 use crate::error::Result;
 use crate::material::material_source::MaterialSource;
 use crate::math::fibonacci::fibonacci_axes;
-use crate::math::ray::Intersect;
 use crate::math::shading::{LobeColumns, LobeVisibility, PointVisibility};
 use crate::mesh::Surface;
 use crate::ranks::Ranks;
 use crate::sample::pixel::PixelOf;
 use crate::sample::point::SurfacePoint;
-use crate::visibility::mirrored::{SeenPoint, first_of_alike};
+use crate::visibility::mirrored::{LobeRays, SeenPoint, first_of_alike};
 use crate::visibility::occlusion::{Behind, Bounce, Mirror, Reflectance, Sky, light_chunk, light_rows};
 use crate::visibility::point_visibility::{Blend, Surroundings};
 use crate::visibility::texel_visibility::TexelVisibility;
@@ -194,14 +193,14 @@ impl ObjectVisibility {
     }
 
     /// Computes the visibility of points, given the direction to the viewer, the pixel and the roughness of each by index; overwrites
-    /// `rows` and `seen`. With the `surface`, rays find what narrow lobes mirror of it. Of the points of one pixel, one after another, those that are alike
+    /// `rows` and `seen`. With `rays`, these find what narrow lobes mirror of the object. Of the points of one pixel, one after another, those that are alike
     /// have what the first of them mirrors.
     pub fn window(
         &self,
         points: &[SurfacePoint],
         viewer: impl Fn(usize) -> (Vec3, PixelOf) + Sync,
         roughness: impl Fn(usize) -> f32 + Sync,
-        surface: Option<&dyn Intersect>,
+        rays: Option<LobeRays>,
         rows: &mut WindowVisibility,
         seen: &mut [PointVisibility],
     ) {
@@ -209,7 +208,7 @@ impl ObjectVisibility {
             let SurfacePoint { position, normal, geometric_normal, .. } = points[i];
             SeenPoint { position, normal, geometric_normal, to_viewer: viewer(i).0, roughness: roughness(i) }
         };
-        let near = surface.map_or(0.0, |surface| NEAR * surface.radius());
+        let near = rays.map_or(0.0, |rays| NEAR * rays.radius());
         let pixel_of = |i: usize| points[i].is_hit().then(|| viewer(i).1);
         let firsts = first_of_alike(points.len(), pixel_of, at, near);
         rows.stride = self.stride;
@@ -228,7 +227,7 @@ impl ObjectVisibility {
             }
             let sky = &self.skies[number];
             let bounce = &self.bounces[number.min(self.bounces.len() - 1)];
-            let around = Surroundings { visibility: &self.texels, sky, bounce, surface };
+            let around = Surroundings { visibility: &self.texels, sky, bounce, rays };
             *seen = around.of(&blend, &at(i));
         });
         (0..points.len()).filter(|i| firsts[*i] != *i).for_each(|i| seen[i] = seen[firsts[i]]);

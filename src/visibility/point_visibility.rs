@@ -3,10 +3,9 @@
 use crate::math::brdf::ndf_sharpness;
 use crate::math::color::luminance;
 use crate::math::lanes::Lanes;
-use crate::math::ray::Intersect;
 use crate::math::real::{Real, dot};
 use crate::math::shading::PointVisibility;
-use crate::visibility::mirrored::{LEAST_SHARPNESS, Mirrored, SeenPoint};
+use crate::visibility::mirrored::{LEAST_SHARPNESS, LobeRays, Mirrored, SeenPoint};
 use crate::visibility::occlusion::{Bounce, Cones, MOST_MIRRORED, Sky, sharpness_of_lobe, widened};
 use crate::visibility::texel_visibility::{MAX_DIRECTIONS, TOGETHER, TexelVisibility};
 use fearless_simd::{Level, Simd, dispatch};
@@ -27,8 +26,8 @@ pub(crate) struct Surroundings<'a> {
     pub sky: &'a Sky,
     /// The light that the surface sends.
     pub bounce: &'a Bounce,
-    /// The surface itself, if rays are to find what narrow lobes meet.
-    pub surface: Option<&'a dyn Intersect>,
+    /// Rays, if they are to find what narrow lobes meet.
+    pub rays: Option<LobeRays<'a>>,
 }
 
 impl Surroundings<'_> {
@@ -45,7 +44,7 @@ impl Surroundings<'_> {
 
     /// The part of the specular light; `None` if all of it arrives.
     fn specular_part(&self, blend: &Blend, point: &SeenPoint) -> Option<Vec3> {
-        let Self { visibility, sky, bounce, surface } = *self;
+        let Self { visibility, sky, bounce, rays } = *self;
         let normal = point.normal;
         let open = blend.iter().all(|(row, weight)| *weight == 0.0 || visibility.sees_all(*row));
         let up = normal.dot(point.to_viewer);
@@ -62,8 +61,8 @@ impl Surroundings<'_> {
         if !rows.clone().any(|(row, _)| visibility.hides_any(*row, &near)) {
             return None;
         }
-        if let Some(surface) = surface.filter(|_| narrow > LEAST_SHARPNESS) {
-            let mirrored = Mirrored { surface, visibility, sky, bounce };
+        if let Some(rays) = rays.filter(|_| narrow > LEAST_SHARPNESS) {
+            let mirrored = Mirrored { rays, visibility, sky, bounce };
             return Some(mirrored.part(point, axis, narrow));
         }
         let lobe = MirroredLobe { axis, sharpness, least, normal };

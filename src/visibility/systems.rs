@@ -3,11 +3,12 @@
 //! | system | reads | writes |
 //! | --- | --- | --- |
 //! | [`refresh_visibility`] | [`IncidentLight`], [`BaseMaterials`], texels, [`ObjectVisibility`] | [`ObjectVisibility`] |
-//! | [`gather_visibility`] | the same, rays, texel addresses | [`PointVisibility`], [`WindowVisibility`] |
+//! | [`gather_visibility`], [`gather_visibility_of_step`] | the same, rays, texel addresses | [`PointVisibility`], [`WindowVisibility`] |
 //!
 //! Shadows and interreflection are updated when light or material have changed (`light_or_material_changed`), in a fit at most
 //! every few steps (`refresh_is_due`).
 
+use super::mirrored::LobeRays;
 use super::object_visibility::{Made, ObjectVisibility, WindowVisibility};
 use super::occlusion::Reflectance;
 use crate::light::LightLobe;
@@ -58,7 +59,7 @@ impl Plugin for FitVisibilityPlugin {
         pipeline.world.insert_resource(RefreshDue(true));
         let refresh = refresh_visibility::<Recovered>
             .run_if(refresh_is_due.and_then(light_or_material_changed::<Recovered>));
-        pipeline.swap(Phase::FitStep, Slot::Visibility, (refresh, gather_visibility).chain());
+        pipeline.swap(Phase::FitStep, Slot::Visibility, (refresh, gather_visibility_of_step).chain());
     }
 
     fn cleanup(world: &mut World) {
@@ -139,6 +140,26 @@ pub fn gather_visibility(
     object: Res<ObjectVisibility>,
     (materials, scenery): (Res<BaseMaterials>, Res<Scenery>),
     samples: Samples<PointColumns>,
+    out: ResMut<WindowVisibility>,
+) -> SystemResult {
+    see_points(&object, &materials, LobeRays::of_frame(&*scenery.0), samples, out)
+}
+
+/// Gather: the same in a step of a fit, with fewer rays.
+pub fn gather_visibility_of_step(
+    object: Res<ObjectVisibility>,
+    (materials, scenery): (Res<BaseMaterials>, Res<Scenery>),
+    samples: Samples<PointColumns>,
+    out: ResMut<WindowVisibility>,
+) -> SystemResult {
+    see_points(&object, &materials, LobeRays::of_step(&*scenery.0), samples, out)
+}
+
+fn see_points(
+    object: &ObjectVisibility,
+    materials: &BaseMaterials,
+    lobe_rays: LobeRays,
+    samples: Samples<PointColumns>,
     mut out: ResMut<WindowVisibility>,
 ) -> SystemResult {
     let (points, rays, pixels, blends, mut seen) = samples.columns()?;
@@ -147,6 +168,6 @@ pub fn gather_visibility(
         [(_, one)] => one.roughness,
         _ => SpecularBlend(blends[i].0).roughness(materials.by_number()),
     };
-    object.window(&points, viewer, mean, Some(&*scenery.0), &mut out, &mut seen);
+    object.window(&points, viewer, mean, Some(lobe_rays), &mut out, &mut seen);
     Ok(())
 }
