@@ -61,6 +61,13 @@ fn frames_are_units_and_join_to_the_same_film() {
     let film = |path: PathBuf| fs::read(path).unwrap();
     assert!(film(out.join("turn.mp4")) == film(data.path("whole/turn/orbit.mp4")), "the films differ");
     assert!(!out.join(&units[0]).join("still").exists(), "a unit of a film runs its pass alone");
+    // A film of somebody else in its place.
+    let joined = film(out.join("turn.mp4"));
+    fs::write(out.join("turn.mp4"), "theirs").unwrap();
+    let kept = Outcome::of(command(&["report"]).arg(&out)).succeeded();
+    assert!(kept.stdout.contains("move it away"), "{}", kept.stdout);
+    assert_eq!(film(out.join("turn.mp4")), b"theirs");
+    fs::write(out.join("turn.mp4"), joined).unwrap();
     // A unit of the film as it was changed meanwhile.
     fs::write(&scene, SCENE.replace("(0.5, 2.0)", "(0.5, 3.0)")).unwrap();
     run_unit(&scene, "turn_000002-000004", &out).succeeded();

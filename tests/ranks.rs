@@ -118,23 +118,28 @@ fn what_communication_takes_is_told() {
     assert!((1e5..1e8).contains(&found["bytes_of_shares"].as_f64().unwrap()), "{found}");
 }
 
-/// Under `mpirun`, where the program has MPI.
-#[test]
-fn processes_under_mpirun_have_the_bits_of_one() {
+/// Two processes of one thread each that run the scene file of `data` and write into its folder `out`; `None` where the program has no MPI.
+fn two_processes(data: &Data, out: &str) -> Option<Command> {
     if !cfg!(feature = "mpi") || Command::new("mpirun").arg("--version").output().is_err() {
         println!("left out: it needs the feature mpi, and mpirun");
-        return;
+        return None;
     }
+    let mut mpirun = Command::new("mpirun");
+    mpirun.args(["-n", "2", "--allow-run-as-root", "--oversubscribe"]).arg(command(&[]).get_program());
+    mpirun.arg("run").arg(data.path("scene.ron")).arg("--data").arg(data.root());
+    mpirun.arg("--out").arg(data.path(out)).args(["--threads", "1"]);
+    Some(mpirun)
+}
+
+#[test]
+fn processes_under_mpirun_have_the_bits_of_one() {
     let data = Data::new();
+    let Some(mut mpirun) = two_processes(&data, "both") else { return };
     two_balls(&data);
     let passes = r#"Fit(name: "fit", steps: 60, batch: 800), Save(name: "saved"),"#;
     let text = scene(MESH, "material: (gloss: One),", passes);
     data.run(&text, "alone", &["--threads", "1"]).succeeded();
-    let mut mpirun = Command::new("mpirun");
-    mpirun.args(["-n", "2", "--allow-run-as-root", "--oversubscribe"]).arg(command(&[]).get_program());
-    mpirun.arg("run").arg(data.path("scene.ron")).arg("--data").arg(data.root());
-    let outcome =
-        Outcome::of(mpirun.arg("--out").arg(data.path("both")).args(["--threads", "1"])).succeeded();
+    let outcome = Outcome::of(&mut mpirun).succeeded();
     assert!(outcome.stdout.contains("fit: 2 ranks: "), "{}", outcome.stdout);
     let saved = |out: &str| {
         let mut files = results(&data.path(out).join("saved"));
@@ -149,18 +154,11 @@ fn processes_under_mpirun_have_the_bits_of_one() {
 #[test]
 #[cfg(target_os = "linux")]
 fn a_signal_to_one_process_stops_all_together() {
-    if !cfg!(feature = "mpi") || Command::new("mpirun").arg("--version").output().is_err() {
-        println!("left out: it needs the feature mpi, and mpirun");
-        return;
-    }
     let data = Data::new();
+    let Some(mut mpirun) = two_processes(&data, "out") else { return };
     two_balls(&data);
     let passes = r#"Fit(name: "fit", steps: 1000000, batch: 800), Save(name: "saved"),"#;
     std::fs::write(data.path("scene.ron"), scene(MESH, "material: (gloss: One),", passes)).unwrap();
-    let mut mpirun = Command::new("mpirun");
-    mpirun.args(["-n", "2", "--allow-run-as-root", "--oversubscribe"]).arg(command(&[]).get_program());
-    mpirun.arg("run").arg(data.path("scene.ron")).arg("--data").arg(data.root());
-    mpirun.arg("--out").arg(data.path("out")).args(["--threads", "1"]);
     let mut running = mpirun.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
     let record = || std::fs::read_to_string(data.path("out/run.json")).unwrap_or_default();
     until(|| record().contains("\"running\""), "the run has not begun");

@@ -36,6 +36,15 @@ impl Curves {
         self.gamma
     }
 
+    /// That of integers with so many values.
+    pub fn of(&self, levels: usize) -> Option<&Curve> {
+        match levels {
+            256 => Some(self.bytes()),
+            65_536 => Some(self.words()),
+            _ => None,
+        }
+    }
+
     fn bytes(&self) -> &Curve {
         self.bytes.get_or_init(|| Curve::new(self.gamma.curve(255)))
     }

@@ -11,6 +11,7 @@ use crate::dataset::straighten::Straightening;
 use crate::error::{Error, Result};
 use crate::view::Placement;
 use crate::view::{Camera, Mask, Split, StoredMask, ViewRecord};
+use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -27,7 +28,7 @@ pub struct PlannedView {
 }
 
 /// A loaded view, with what was done to it.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct LoadedView {
     /// The view.
     pub record: ViewRecord,
@@ -136,6 +137,17 @@ impl PlannedView {
         };
         let exif = [header, mask_header].map(|header| header.map_or(1, |header| silent_exif(&header)));
         Ok(LoadedView { record, repairs, blackened, exif })
+    }
+}
+
+impl LoadedView {
+    /// Lets the photograph of a view that another process has read share the tables of those that are read here, as `planned`.
+    pub(crate) fn share_tables(&mut self, planned: &PlannedView) {
+        if let Some(photograph) = &mut self.record.photograph
+            && let Some(curve) = photograph.levels().and_then(|levels| planned.curves.of(levels))
+        {
+            photograph.share(curve);
+        }
     }
 }
 

@@ -122,8 +122,16 @@ struct FilmParts {
     units: Vec<String>,
     /// What was rendered by the first of them.
     rendered: Vec<(String, String)>,
-    /// Another unit that has rendered something else, and the path of a value that differs.
+    /// The hash of each file that it has read, by path.
+    inputs: BTreeMap<String, String>,
+    /// Another unit that has rendered something else, and the path of a value or file that differs.
     other: Option<(String, String)>,
+}
+
+impl FilmParts {
+    fn none(fps: u32, frames: u32) -> Self {
+        Self { fps, frames, units: vec![], rendered: vec![], inputs: BTreeMap::new(), other: None }
+    }
 }
 
 /// The values of the scene file of a unit that all units of its film have.
@@ -143,6 +151,12 @@ fn difference(one: &[(String, String)], other: &[(String, String)]) -> Option<St
     lacks(other, one).or_else(|| lacks(one, other))
 }
 
+/// The first file that was read with other contents. Where two machines have it at different paths, nothing is known of it.
+fn changed_file(one: &BTreeMap<String, String>, other: &BTreeMap<String, String>) -> Option<String> {
+    let is_changed = |(path, hash): &(&String, &String)| other.get(*path).is_some_and(|found| found != *hash);
+    one.iter().find(is_changed).map(|(path, _)| path.clone())
+}
+
 fn parts_of_films(units: &[UnitRow]) -> BTreeMap<String, FilmParts> {
     let mut films = BTreeMap::new();
     // Of a unit that has not begun nothing is known.
@@ -157,16 +171,17 @@ fn parts_of_films(units: &[UnitRow]) -> BTreeMap<String, FilmParts> {
         let (Some(frames), Some(fps)) = (of_orbit("frames", usual.frames), of_orbit("fps", usual.fps)) else {
             continue;
         };
-        let nothing = || FilmParts { fps, frames, units: vec![], rendered: vec![], other: None };
-        let film = films.entry(pass.to_owned()).or_insert_with(nothing);
+        let film = films.entry(pass.to_owned()).or_insert_with(|| FilmParts::none(fps, frames));
         if !outcome.is_finished() {
             continue;
         }
         let shown = rendered(pass, &outcome.fields);
         if film.units.is_empty() {
             (film.fps, film.frames, film.rendered) = (fps, frames, shown);
-        } else if let Some(path) = difference(&film.rendered, &shown).filter(|_| film.other.is_none()) {
-            film.other = Some((name.clone(), path));
+            film.inputs = outcome.inputs.clone();
+        } else if film.other.is_none() {
+            let changed = || changed_file(&film.inputs, &outcome.inputs);
+            film.other = difference(&film.rendered, &shown).or_else(changed).map(|path| (name.clone(), path));
         }
         film.units.push(name.clone());
     }
@@ -175,15 +190,10 @@ fn parts_of_films(units: &[UnitRow]) -> BTreeMap<String, FilmParts> {
 
 /// Joins a film whose frames are all there.
 fn join(out: &Path, pass: &str, parts: &FilmParts) -> Result<JoinedFilm> {
-    let file_of = |frame: u32| {
-        let folders = parts.units.iter().map(|unit| out.join(unit).join(pass).join(FRAMES));
-        folders.map(|folder| folder.join(frame_file(frame as usize))).find(|file| file.is_file())
-    };
-    let files: Vec<PathBuf> = (0..parts.frames).map_while(file_of).collect();
-    let there = (0..parts.frames).filter(|frame| file_of(*frame).is_some()).count();
+    let files = frames_of(out, pass, parts);
     let film = out.join(format!("{pass}.mp4"));
-    let mut joined = JoinedFilm { file: film, there, frames: parts.frames, problem: None };
-    let first = files.first().filter(|_| there == parts.frames as usize);
+    let mut joined = JoinedFilm { file: film, there: files.len(), frames: parts.frames, problem: None };
+    let first = files.first().filter(|_| files.len() == parts.frames as usize);
     joined.problem = obstacle(&joined.file, parts, first)?;
     if !joined.is_joined() {
         return Ok(joined);
@@ -198,6 +208,22 @@ fn join(out: &Path, pass: &str, parts: &FilmParts) -> Result<JoinedFilm> {
     }
     recorder.finish()?.take_video().map_or(Ok(()), |video| video.write(&joined.file))?;
     Ok(joined)
+}
+
+/// The frames that are there, in their order; of several of one number that of the first unit.
+fn frames_of(out: &Path, pass: &str, parts: &FilmParts) -> Vec<PathBuf> {
+    let mut found = BTreeMap::new();
+    for unit in &parts.units {
+        let folder = out.join(unit).join(pass).join(FRAMES);
+        for file in fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path()) {
+            let number = file.file_stem().and_then(|stem| stem.to_str()?.parse().ok());
+            let is_named = |number: &u32| file.file_name() == Some(frame_file(*number as usize).as_ref());
+            if let Some(number) = number.filter(|number| *number < parts.frames && is_named(number)) {
+                found.entry(number).or_insert(file);
+            }
+        }
+    }
+    found.into_values().collect()
 }
 
 /// Why a film cannot be joined from these parts.
@@ -274,20 +300,35 @@ mod tests {
         assert_eq!((film.units.len(), &film.other), (1, &None));
         units.push(with("12", "(24, 24)", unit("turn_000024-000047", "finished", &[])));
         assert_eq!(parts_of_films(&units)["turn"].other, None);
-        units.push(with("25", "(30, 10)", unit("turn_000030-000039", "finished", &[])));
-        let other = ("turn_000030-000039".to_owned(), "passes.turn.render.orbit.fps".to_owned());
-        assert_eq!(parts_of_films(&units)["turn"].other, Some(other));
+        // The first was rendered from another albedo, which is at this path on its machine.
+        for (unit, (path, hash)) in units.iter_mut().zip([("a/albedo.exr", "1"), ("b/albedo.exr", "2")]) {
+            unit.1.inputs = [(path.to_owned(), hash.to_owned())].into();
+        }
+        assert_eq!(parts_of_films(&units)["turn"].other, None);
+        let mut changed = with("12", "(24, 24)", unit("turn_000030-000039", "finished", &[]));
+        changed.1.inputs = [("a/albedo.exr".to_owned(), "2".to_owned())].into();
+        units.push(changed);
+        let other = |path: &str| Some(("turn_000030-000039".to_owned(), path.to_owned()));
+        assert_eq!(parts_of_films(&units)["turn"].other, other("a/albedo.exr"));
+        *units.last_mut().unwrap() = with("25", "(30, 10)", unit("turn_000030-000039", "finished", &[]));
+        assert_eq!(parts_of_films(&units)["turn"].other, other("passes.turn.render.orbit.fps"));
     }
 
     #[test]
-    fn a_file_of_somebody_else_is_not_replaced() {
+    fn frames_are_found_once_whatever_else_is_there() {
         let folder = tempfile::tempdir().unwrap();
-        let film = folder.path().join("turn.mp4");
-        let none = FilmParts { fps: 12, frames: 0, units: vec![], rendered: vec![], other: None };
-        assert_eq!(obstacle(&film, &none, None).unwrap(), None);
-        fs::write(&film, "theirs").unwrap();
-        let joined = join(folder.path(), "turn", &none).unwrap();
-        assert!(!joined.is_joined() && joined.words().contains("move it away"), "{}", joined.words());
-        assert_eq!(fs::read(&film).unwrap(), b"theirs");
+        let parts = FilmParts { units: vec!["a".into(), "b".into(), "c".into()], ..FilmParts::none(12, 5) };
+        for file in
+            ["a/000003.png", "b/000003.png", "b/000001.png", "b/000007.png", "b/2.png", "b/000004.txt"]
+        {
+            let (unit, name) = file.split_once('/').unwrap();
+            let frames = folder.path().join(unit).join("turn").join(FRAMES);
+            fs::create_dir_all(&frames).unwrap();
+            fs::write(frames.join(name), "").unwrap();
+        }
+        let found = frames_of(folder.path(), "turn", &parts);
+        let names: Vec<_> = found.iter().map(|file| file.strip_prefix(folder.path()).unwrap()).collect();
+        let frame = |unit: &str, name: &str| Path::new(unit).join("turn").join(FRAMES).join(name);
+        assert_eq!(names, [frame("b", "000001.png"), frame("a", "000003.png")]);
     }
 }

@@ -40,6 +40,7 @@ pub mod photograph;
 mod placements;
 pub mod preflight;
 pub mod progress;
+mod reading;
 pub(crate) mod record;
 pub mod render;
 mod renew;
@@ -60,7 +61,7 @@ mod view_report;
 pub use session::{Placed, SceneLights, Session};
 
 use crate::codec::file::{FileUse, FolderLock, check_apart, check_room, clear_scratch};
-use crate::error::stop::{check_interrupted, stopped_by};
+use crate::error::stop::{HeldStops, check_interrupted, stopped_by};
 use crate::error::{Error, Result};
 use crate::fit::ObjectTurned;
 use crate::mesh::Surface;
@@ -170,12 +171,15 @@ fn run_passes(
     let data = OpenScene::new(&loaded.scene, loaded.roots.as_deref())?;
     let claim = claim(loaded, data.as_ref(), options)?;
     let watched = Watched::new(files::contents(loaded, data.as_ref()));
-    let (views, survey) = read_views(&loaded.scene, data.as_ref(), progress)?;
+    // From here on all processes do the same.
+    let held_stops = options.ranks.as_ref().map(|_| HeldStops::new());
+    let (views, survey) = read_views(&loaded.scene, data.as_ref(), options.ranks.as_ref(), progress)?;
     let scene = within_limits(&loaded.scene, survey.as_ref(), options, progress)?;
     let mut session = open(&scene, views, options, progress, photograph::take, use_of(&scene))?;
     if let Some(survey) = survey {
         take_in(&mut session, &survey);
     }
+    drop(held_stops);
     check_interrupted()?;
     watched.check()?;
     (session.watched, session.profiler) = (watched, profiler);
@@ -338,7 +342,7 @@ pub fn write_view(
     }
     files::check_within(loaded)?;
     let views = OpenScene::new(&scene, loaded.roots.as_deref())
-        .and_then(|data| Ok(read_views(&scene, data.as_ref(), progress)?.0));
+        .and_then(|data| Ok(read_views(&scene, data.as_ref(), None, progress)?.0));
     let views = views.or_else(|error| without_photographs(&error, progress))?;
     let out = path.parent().unwrap_or(Path::new("")).to_owned();
     let options = RunOptions { out, force: true, ..RunOptions::default() };
@@ -409,11 +413,12 @@ fn open<'a>(
 fn read_views(
     scene: &Scene,
     data: Option<&OpenScene>,
+    ranks: Option<&Ranks>,
     progress: &dyn Progress,
 ) -> Result<(Vec<ViewRecord>, Option<Survey>)> {
     let _reading = stage("photographs read");
     match (&scene.views, data) {
-        (Views::Dataset(_), Some(data)) => preflight::read_data(scene, data, progress),
+        (Views::Dataset(_), Some(data)) => reading::read_data(scene, data, ranks, progress),
         (Views::Cameras(specs), _) => Ok((specs.iter().map(bare_view).collect::<Result<_>>()?, None)),
         (Views::Photographed(_) | Views::Dataset(_), _) => Ok((Vec::new(), None)),
     }

@@ -6,24 +6,17 @@ use crate::codec::file::{check_room, check_writable};
 use crate::codec::gltf::import::read_mesh;
 use crate::codec::image::Gamma;
 use crate::codec::nearby::closest;
-use crate::dataset::{LoadedView, PlannedView, load_notes};
-use crate::error::stop::check_interrupted;
 use crate::error::{Error, Result};
 use crate::material::SpecularBlend;
 use crate::material::shown::recovered_material;
 use crate::pass::edit::{apply_edits, edits_of_nothing};
-use crate::pass::progress::Progress;
 use crate::pass::render::{ChosenView, chosen_views};
 use crate::pass::session::Session;
 use crate::pass::truth_files::{ViewFiles, read_fitting};
 use crate::scene::Gloss;
-use crate::scene::{
-    EvaluatePass, LayerTruth, Pass, RenderSettings, Scene, Surface, Truth, ViewChoice, Views,
-};
+use crate::scene::{EvaluatePass, LayerTruth, Pass, RenderSettings, Scene, Truth, ViewChoice, Views};
 use crate::shade::frame::{PixelSums, check_memory};
-use crate::survey::open::OpenScene;
-use crate::survey::{Severity, Survey, ViewLook};
-use crate::view::{Photograph, ViewName, ViewRecord};
+use crate::view::{Photograph, ViewName};
 use bevy_ecs::prelude::World;
 use rayon::prelude::*;
 use std::path::Path;
@@ -32,42 +25,6 @@ use std::path::Path;
 const PHOTOGRAPH_PIXEL_BYTES: u64 = 12 + 2;
 /// Room on the disk that any run takes.
 const LEAST_ROOM: u64 = 16 << 20;
-
-/// Reads the views of a data set that is open, and surveys those that passes learn from or are scored against: a warning is a note, the first
-/// error ends the run.
-///
-/// # Errors
-/// [`Error::Usage`] for the first thing that cannot work; those of reading photographs and masks.
-pub(crate) fn read_data(
-    scene: &Scene,
-    open: &OpenScene,
-    progress: &dyn Progress,
-) -> Result<(Vec<ViewRecord>, Option<Survey>)> {
-    let learns = |pass: &Pass| matches!(pass, Pass::Fit(_) | Pass::Shape(_) | Pass::Evaluate(_));
-    let is_used = matches!(scene.surface, Surface::Unknown { .. }) || scene.passes.iter().any(learns);
-    let bar = progress.bar("photographs", open.views.len() as u64);
-    let read = |view: &PlannedView| {
-        check_interrupted()?;
-        let loaded = open.load(view)?;
-        let look = is_used.then(|| open.look(view, &loaded, false));
-        bar.inc(1);
-        Ok((loaded, look))
-    };
-    let read: Vec<Result<(LoadedView, Option<ViewLook>)>> = open.views.par_iter().map(read).collect();
-    let (loaded, looks): (Vec<LoadedView>, Vec<Option<ViewLook>>) =
-        read.into_iter().collect::<Result<Vec<_>>>()?.into_iter().unzip();
-    bar.finish_and_clear();
-    open.notes.iter().chain(&load_notes(&loaded)).for_each(|note| progress.note(note));
-    let mut survey = None;
-    if is_used {
-        let survey = survey.insert(open.examine(looks.into_iter().flatten().collect())?);
-        survey.findings_of(Severity::Warning).for_each(|warning| progress.note(&warning.problem));
-        if let Some(error) = survey.findings_of(Severity::Error).next() {
-            return Err(error.to_error());
-        }
-    }
-    Ok((loaded.into_iter().map(|view| view.record).collect(), survey))
-}
 
 /// Checks every pass against the world before any of them runs.
 ///

@@ -122,6 +122,27 @@ impl Ranks {
         Ok(())
     }
 
+    /// Lists of bytes for `count` items, in their order, of which each process has those of its [share](Ranks::share), chunks of one.
+    pub(crate) fn join_lists(&self, own: &[Vec<u8>], count: usize) -> Result<Vec<Vec<u8>>> {
+        let mut bytes = Vec::with_capacity(own.iter().map(|list| 8 + list.len()).sum());
+        for list in own {
+            bytes.extend((list.len() as u64).to_le_bytes());
+            bytes.extend(list);
+        }
+        let mut all = Vec::with_capacity(count);
+        for part in self.gather_shares(&bytes)? {
+            let mut rest = &part[..];
+            while let Some((length, tail)) = rest.split_first_chunk::<8>() {
+                let length = usize::try_from(u64::from_le_bytes(*length)).ok();
+                let list = length.and_then(|length| tail.split_at_checked(length));
+                let Some((list, after)) = list else { return Err(broken(OTHER_DATA)) };
+                all.push(list.to_vec());
+                rest = after;
+            }
+        }
+        if all.len() == count { Ok(all) } else { Err(broken(OTHER_DATA)) }
+    }
+
     /// What each process has, one after the other; `count` in all.
     pub(crate) fn joined<T: Copy, const N: usize>(
         &self,
@@ -145,27 +166,16 @@ pub(crate) fn divided<T: PackedFloats<N> + Send, const N: usize>(
     of: impl Fn(usize) -> Vec<T> + Sync + Send,
 ) -> Result<Vec<Vec<T>>> {
     let Some(ranks) = ranks else { return Ok((0..count).into_par_iter().map(of).collect()) };
-    let lists: Vec<Vec<T>> = ranks.share(count, 1).into_par_iter().map(of).collect();
-    let mut bytes = Vec::new();
-    for list in &lists {
-        bytes.extend((list.len() as u64).to_le_bytes());
-        bytes.extend(list.iter().flat_map(|value| value.to_floats()).flat_map(f32::to_le_bytes));
-    }
-    drop(lists);
-    let mut all = Vec::with_capacity(count);
-    for part in ranks.gather_shares(&bytes)? {
-        let mut rest = &part[..];
-        while let Some((length, tail)) = rest.split_first_chunk::<8>() {
-            let bytes = u64::from_le_bytes(*length).checked_mul(4 * N as u64);
-            let list = bytes.and_then(|bytes| tail.split_at_checked(usize::try_from(bytes).ok()?));
-            let Some((list, after)) = list else { return Err(broken(OTHER_DATA)) };
-            let floats: Vec<f32> =
-                list.as_chunks::<4>().0.iter().map(|four| f32::from_le_bytes(*four)).collect();
-            all.push(floats.as_chunks::<N>().0.iter().map(|floats| T::of_floats(*floats)).collect());
-            rest = after;
-        }
-    }
-    if all.len() == count { Ok(all) } else { Err(broken(OTHER_DATA)) }
+    let bytes_of = |item: usize| -> Vec<u8> {
+        of(item).iter().flat_map(|value| value.to_floats()).flat_map(f32::to_le_bytes).collect()
+    };
+    let own: Vec<Vec<u8>> = ranks.share(count, 1).into_par_iter().map(bytes_of).collect();
+    let values_of = |bytes: Vec<u8>| -> Vec<T> {
+        let floats: Vec<f32> =
+            bytes.as_chunks::<4>().0.iter().map(|four| f32::from_le_bytes(*four)).collect();
+        floats.as_chunks::<N>().0.iter().map(|floats| T::of_floats(*floats)).collect()
+    };
+    Ok(ranks.join_lists(&own, count)?.into_iter().map(values_of).collect())
 }
 
 /// What one process has sent, as far as it is not taken.

@@ -10,6 +10,7 @@ use crate::view::raster::FULL_COVERAGE;
 use crate::view::{Camera, Image, Mask, Placement, Split, ViewRecord};
 use glam::Vec3;
 use image::{Rgb, RgbImage};
+use serde::{Deserialize, Serialize};
 
 /// Most pixels along a side of the masks that silhouettes are compared on.
 pub(crate) const SMALL_MASK_SIDE: u32 = 96;
@@ -19,7 +20,7 @@ pub(crate) const THUMBNAIL_SIDE: u32 = 128;
 const COVERED: f32 = 0.5;
 
 /// Where a view's mask comes from.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[non_exhaustive]
 pub enum MaskOrigin {
     /// A file of its own.
@@ -82,7 +83,7 @@ impl OpenView {
 }
 
 /// One view.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct ViewLook {
     /// The view's name.
     pub name: String,
@@ -104,12 +105,13 @@ pub struct ViewLook {
     pub mask_source: MaskOrigin,
     /// The mask, unless there is none.
     pub mask: Option<MaskLook>,
-    /// The photograph, small.
+    /// The photograph, small; not serialized.
+    #[serde(skip)]
     pub thumbnail: Option<Thumbnail>,
 }
 
 /// The radiance of a photograph, in its mask where there is one.
-#[derive(Clone, Copy, Debug, Default, PartialEq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct RadianceStatistics {
     /// Median luminance.
     pub median: f32,
@@ -128,7 +130,7 @@ pub struct RadianceStatistics {
 }
 
 /// A mask.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct MaskLook {
     /// Mean coverage of the frame, in `[0, 1]`.
     pub coverage: f32,
@@ -149,7 +151,7 @@ pub struct MaskLook {
 }
 
 /// A rectangle of pixels.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct PixelBounds {
     /// First covered column and row.
     pub low: [f32; 2],
@@ -158,7 +160,7 @@ pub struct PixelBounds {
 }
 
 /// A mask of few pixels with the camera that belongs to it.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct SmallMask {
     /// The camera, for this size.
     pub camera: Camera,

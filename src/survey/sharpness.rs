@@ -2,6 +2,7 @@
 
 use crate::math::color::luminance;
 use crate::view::Image;
+use serde::{Deserialize, Serialize};
 
 /// Pixels of the halved picture that a measure needs.
 const LEAST_PIXELS: usize = 32;
@@ -14,7 +15,7 @@ const MOST: f32 = 4.0;
 
 /// How much fine detail a photograph has: mean squares of second derivatives of the square root of luminance, relative to the median, in
 /// halved resolution (which takes most of the noise out).
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Sharpness {
     /// Of the Laplacian: the same for all directions.
     pub everywhere: f32,

@@ -29,6 +29,7 @@
 pub mod camera;
 pub(crate) mod glare;
 mod image;
+mod numbers;
 pub mod prior_map;
 pub(crate) mod raster;
 pub mod stored;
@@ -103,7 +104,9 @@ impl<T> FromIterator<(ViewIndex, T)> for ByView<T> {
 pub struct ViewMask(pub StoredMask);
 
 /// The placement of the object that a view shows, counted from 0: it may be turned over between two rounds of photographs.
-#[derive(Component, Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord)]
+#[derive(
+    Component, Clone, Copy, Debug, Default, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize,
+)]
 pub struct Placement(pub u32);
 
 /// Which part of a data set a view belongs to.
@@ -117,7 +120,7 @@ pub enum Split {
 }
 
 /// One view as read from a data set, before it is spawned.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct ViewRecord {
     /// File stem of the image, e.g. `rgb_000000`.
     pub name: String,

@@ -1,18 +1,21 @@
 //! What somebody else says of the surface in a photograph, pixel by pixel: a network's estimate, a drawing.
 
 use crate::view::image::Image;
+use crate::view::numbers::packed;
 use crate::view::stored::PixelWindow;
 use bevy_ecs::prelude::{Component, World};
 use glam::Vec3;
 use half::f16;
+use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// Three numbers for the pixels of a view that have some, as half floats and only inside a window. A clone shares its memory.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct PriorMap {
     width: u32,
     window: PixelWindow,
     /// Zero where nothing is known.
+    #[serde(with = "packed")]
     values: Arc<[[f16; 3]]>,
 }
 
@@ -47,7 +50,7 @@ impl AlbedoMap {
 pub struct NormalMap(pub PriorMap);
 
 /// The maps of a view.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct ViewPriors {
     /// Diffuse albedo, as in [`AlbedoMap`].
     pub albedo: Option<PriorMap>,

@@ -3,13 +3,14 @@
 
 use crate::error::{Error, Result};
 use crate::view::image::{Image, Mask};
+use crate::view::numbers::{Numbers, packed, tight};
 use bevy_ecs::prelude::Component;
 use glam::Vec3;
-use half::f16;
+use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// A rectangle of a picture, in pixels.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct PixelWindow {
     /// First column.
     pub x: u32,
@@ -82,71 +83,9 @@ impl PixelWindow {
     }
 }
 
-/// Numbers in as few bytes as hold them.
-#[derive(Clone, Debug)]
-enum Numbers {
-    /// Places in a table.
-    Bytes(Vec<u8>, Arc<[f32]>),
-    /// Places in a table.
-    Words(Vec<u16>, Arc<[f32]>),
-    Halves(Vec<f16>),
-    Floats(Vec<f32>),
-}
-
-impl Numbers {
-    /// As half floats if they hold all values exactly, or if rounding is allowed and none is too large.
-    fn of(values: impl Iterator<Item = f32> + Clone, may_round: bool) -> Self {
-        let holds = |value: f32| {
-            let rounded = f16::from_f32(value);
-            rounded.to_f32() == value || may_round && rounded.is_finite()
-        };
-        if values.clone().all(holds) {
-            Self::Halves(tight(values.map(f16::from_f32)))
-        } else {
-            Self::Floats(tight(values))
-        }
-    }
-
-    #[inline]
-    fn get(&self, i: usize) -> f32 {
-        match self {
-            Self::Bytes(stored, table) => table[usize::from(stored[i])],
-            Self::Words(stored, table) => table[usize::from(stored[i])],
-            Self::Halves(stored) => stored[i].to_f32(),
-            Self::Floats(stored) => stored[i],
-        }
-    }
-
-    /// The greatest value, and no less than 0: of stored integers the greatest that they could be.
-    fn highest(&self) -> f32 {
-        let highest = |a: f32, b: f32| a.max(b);
-        match self {
-            Self::Bytes(_, table) | Self::Words(_, table) => table.iter().copied().fold(0.0, highest),
-            Self::Halves(stored) => stored.iter().map(|value| value.to_f32()).fold(0.0, highest),
-            Self::Floats(stored) => stored.iter().copied().fold(0.0, highest),
-        }
-    }
-
-    fn bytes(&self) -> usize {
-        match self {
-            Self::Bytes(stored, _) => stored.len(),
-            Self::Words(stored, _) => 2 * stored.len(),
-            Self::Halves(stored) => 2 * stored.len(),
-            Self::Floats(stored) => 4 * stored.len(),
-        }
-    }
-}
-
-/// Values without the room that a list grows by.
-fn tight<T>(values: impl Iterator<Item = T>) -> Vec<T> {
-    let mut list: Vec<T> = values.collect();
-    list.shrink_to_fit();
-    list
-}
-
 /// Flags, eight in a byte.
-#[derive(Clone, Debug)]
-struct Flags(Vec<u8>);
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Flags(#[serde(with = "packed")] Vec<u8>);
 
 impl Flags {
     /// Nothing is stored if no flag is set.
@@ -196,7 +135,7 @@ impl Curve {
 /// A photograph as it is kept.
 ///
 /// Pixels are numbered `y * width + x`. Outside its window a photograph is black and not saturated.
-#[derive(Component, Clone, Debug)]
+#[derive(Component, Clone, Debug, Serialize, Deserialize)]
 pub struct Photograph {
     width: u32,
     height: u32,
@@ -284,6 +223,19 @@ impl Photograph {
         Self { window, channels: colors, alpha, saturated, ..whole }
     }
 
+    /// How many values the integers of its file can have; `None` if it is kept as floats.
+    pub fn levels(&self) -> Option<usize> {
+        self.color.table().map(|table| table.len())
+    }
+
+    /// Shares the tables of a curve that are equal to its own, as photographs do that were made with it: one that was serialized has tables of its own.
+    pub fn share(&mut self, curve: &Curve) {
+        self.color.share(&curve.color);
+        if let Some(alpha) = &mut self.alpha {
+            alpha.share(&curve.alpha);
+        }
+    }
+
     /// Width and height of the picture in pixels.
     pub fn size(&self) -> [u32; 2] {
         [self.width, self.height]
@@ -336,7 +288,7 @@ impl Photograph {
 /// A mask as it is kept. A clone shares its memory.
 ///
 /// Pixels are numbered `y * width + x`. Outside its window the coverage is 0.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct StoredMask {
     width: u32,
     height: u32,
@@ -465,6 +417,24 @@ mod tests {
         let curve = Curve::new((0..=65535).map(|v| v as f32 / 65535.0).collect());
         let kept = Photograph::of_integers([5, 4], gray, 1, &curve, middle());
         assert_eq!((kept.radiance(6), kept.is_saturated(6)), (Vec3::ONE, true));
+    }
+
+    #[test]
+    fn what_was_serialized_is_the_same_and_shares_the_tables_again() {
+        let curve = Curve::new((0..=255).map(|v| v as f32 / 255.0).collect());
+        let bytes: Vec<u8> = (0..80).map(|i| 3 * i).collect();
+        let of_bytes = Photograph::of_integers([5, 4], IntegerSamples::Bytes(&bytes), 4, &curve, middle());
+        let whole = PixelWindow::whole(5, 4);
+        let of_floats = |value| Photograph::new(&picture(|_| value), &[true; 20], whole, false).unwrap();
+        for kept in [of_bytes, of_floats(0.1), of_floats(0.5)] {
+            let sent = postcard::to_allocvec(&kept).unwrap();
+            let mut found: Photograph = postcard::from_bytes(&sent).unwrap();
+            assert_eq!(format!("{found:?}"), format!("{kept:?}"));
+            found.share(&curve);
+            let shared = found.color.table().is_some_and(|table| Arc::ptr_eq(table, &curve.color));
+            assert_eq!((shared, found.levels()), (kept.levels().is_some(), kept.levels()));
+        }
+        assert!(postcard::from_bytes::<Flags>(&[3, 1, 2]).is_err(), "fewer bytes than said");
     }
 
     #[test]

@@ -2,6 +2,7 @@
 
 use crate::codec::image::samples::{Decoded, ImageSamples};
 use crate::error::{Error, Result};
+use serde::{Deserialize, Serialize};
 use std::path::Path;
 
 /// The greatest magnitude of a float sample that is taken as radiance. Half floats end at 65 504.
@@ -11,7 +12,7 @@ pub(crate) const BRIGHTEST: f32 = 1.0e6;
 const MOST_TOO_BRIGHT: f64 = 0.01;
 
 /// The pixels of a float image that are not as they should be.
-#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Repairs {
     /// Number of pixels that had a NaN or infinite value and were set to 0.
     pub not_finite: usize,

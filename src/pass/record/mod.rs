@@ -124,7 +124,7 @@ pub(super) struct Record {
     /// Hash of each photograph, mask, camera file, mesh, texture, light and ground truth that is read: the 64 bits of SipHash-1-3 as
     /// hexadecimal digits. A run that keeps no checkpoints has none.
     #[serde(default)]
-    inputs: BTreeMap<String, String>,
+    pub(super) inputs: BTreeMap<String, String>,
     /// Notes before the first pass.
     #[serde(default)]
     pub(super) said: Vec<String>,

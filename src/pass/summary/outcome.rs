@@ -6,6 +6,7 @@ use crate::pass::record::{Record, RunState};
 use crate::pass::session::METRICS;
 use crate::report::scores::Scores;
 use crate::scene::fields::fields;
+use std::collections::BTreeMap;
 use std::path::Path;
 
 /// What a run has come to.
@@ -25,6 +26,8 @@ pub struct Outcome {
     pub albedo_psnr: Option<f64>,
     /// The values of its scene file, each by its path.
     pub fields: Vec<(String, String)>,
+    /// A hash of each file that it reads, by path; none if it keeps no checkpoints.
+    pub inputs: BTreeMap<String, String>,
 }
 
 impl Outcome {
@@ -47,6 +50,7 @@ pub fn read_outcome(out: &Path) -> Option<Outcome> {
         scores: scored.collect(),
         albedo_psnr: scores.albedo_psnr,
         fields: fields(&record.scene_text),
+        inputs: record.inputs,
     })
 }
 
