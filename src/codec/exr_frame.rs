@@ -248,6 +248,29 @@ mod tests {
     use exr::meta::header::LayerAttributes;
     use exr::prelude::{AnyChannel, AnyChannels, Encoding, FlatSamples, Image, Layer, Vec2, WritableImage};
 
+    #[test]
+    fn rows_that_cannot_be_compressed_are_kept_as_they_are() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("noise.exr");
+        // All bits of 7 × 21 values are random; the last block has five rows. Then a file of blocks of both kinds.
+        let noise: Vec<f32> = (1u32..148)
+            .map(|i| {
+                let mixed = (i.wrapping_mul(0x9e37_79b9) ^ i << 7).wrapping_mul(0x85eb_ca6b);
+                f32::from_bits((mixed ^ mixed >> 13).wrapping_mul(0xc2b2_ae35) & 0xbfff_ffff)
+            })
+            .collect();
+        let mixed: Vec<f32> =
+            noise.iter().enumerate().map(|(i, v)| if i < 7 * 16 { 0.25 } else { *v }).collect();
+        for (values, bytes) in [(noise, 147 * 4..1100), (mixed, 35 * 4..700)] {
+            let channels = [("Y".to_owned(), values)].into_iter().collect();
+            let layers = ExrLayers { width: 7, height: 21, channels };
+            write_channels(&path, &layers).unwrap();
+            let length = std::fs::metadata(&path).unwrap().len();
+            assert!(bytes.contains(&length), "{length}");
+            assert_eq!(read_exr_layers(&path).unwrap().channels, layers.channels);
+        }
+    }
+
     fn frame(width: usize, height: usize) -> Frame {
         let vectors = |seed: usize| -> Vec<Vec3> {
             (0..width * height).map(|i| Vec3::new(i as f32 * 0.37, seed as f32 - i as f32, 1e-30)).collect()
