@@ -183,7 +183,8 @@ fn compressed(block: usize, data: Vec<u8>) -> Result<Chunk> {
 /// Bytes as OpenEXR's ZIP compresses them: those of even places, then those of odd ones, each as 128 more than its difference to the one before.
 fn predicted(data: &[u8]) -> Vec<u8> {
     let mut bytes: Vec<u8> = data.iter().step_by(2).chain(data.iter().skip(1).step_by(2)).copied().collect();
-    let mut before = bytes.first().map_or(0, |first| first.wrapping_add(128));
+    // The first byte stays as it is.
+    let mut before = 128u8;
     for byte in &mut bytes {
         let difference = byte.wrapping_sub(before).wrapping_add(128);
         before = std::mem::replace(byte, difference);
