@@ -202,3 +202,21 @@ fn failed(path: &Path, error: exr::error::Error) -> Error {
 fn refused(path: &Path, problem: String) -> Error {
     Error::run(format!("writing {}", path.display()), problem)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_block_that_zip_makes_larger_is_kept_as_it_is() {
+        let noise: Vec<u8> = (1u32..600)
+            .map(|i| (i.wrapping_mul(0x9e37_79b9).rotate_left(i) ^ i.wrapping_mul(0x85eb_ca6b)) as u8)
+            .collect();
+        let of = |data: &[u8]| match compressed(2, data.to_vec()).unwrap().compressed_block {
+            CompressedBlock::ScanLine(block) => (block.y_coordinate, block.compressed_pixels_le),
+            _ => unreachable!(),
+        };
+        assert_eq!(of(&noise), (32, noise.clone()));
+        assert!(of(&[7; 600]).1.len() < 40);
+    }
+}

@@ -122,15 +122,36 @@ struct FilmParts {
     units: Vec<String>,
     /// What was rendered by the first of them.
     rendered: Vec<(String, String)>,
-    /// The hash of each file that it has read, by path.
-    inputs: BTreeMap<String, String>,
-    /// Another unit that has rendered something else, and the path of a value or file that differs.
-    other: Option<(String, String)>,
+    /// The hash of each file that was read, by path, and the first unit that has read it.
+    inputs: BTreeMap<String, (String, String)>,
+    /// Two units that have rendered something else, and the path of a value or file that differs.
+    other: Option<([String; 2], String)>,
 }
 
 impl FilmParts {
     fn none(fps: u32, frames: u32) -> Self {
         Self { fps, frames, units: vec![], rendered: vec![], inputs: BTreeMap::new(), other: None }
+    }
+
+    /// Compares what another unit has rendered, and the files that it has read, with those before it.
+    fn compare(&mut self, name: &str, shown: Vec<(String, String)>, outcome: &Outcome) {
+        let mut other = None;
+        match self.units.first() {
+            None => self.rendered = shown,
+            Some(first) => {
+                other =
+                    difference(&self.rendered, &shown).map(|path| ([first.clone(), name.to_owned()], path));
+            }
+        }
+        // Where two machines have a file at different paths, nothing is known of it.
+        for (path, hash) in &outcome.inputs {
+            let new = || (hash.clone(), name.to_owned());
+            let (found, unit) = self.inputs.entry(path.clone()).or_insert_with(new);
+            if found != hash && other.is_none() {
+                other = Some(([unit.clone(), name.to_owned()], path.clone()));
+            }
+        }
+        self.other = self.other.take().or(other);
     }
 }
 
@@ -151,12 +172,6 @@ fn difference(one: &[(String, String)], other: &[(String, String)]) -> Option<St
     lacks(other, one).or_else(|| lacks(one, other))
 }
 
-/// The first file that was read with other contents. Where two machines have it at different paths, nothing is known of it.
-fn changed_file(one: &BTreeMap<String, String>, other: &BTreeMap<String, String>) -> Option<String> {
-    let is_changed = |(path, hash): &(&String, &String)| other.get(*path).is_some_and(|found| found != *hash);
-    one.iter().find(is_changed).map(|(path, _)| path.clone())
-}
-
 fn parts_of_films(units: &[UnitRow]) -> BTreeMap<String, FilmParts> {
     let mut films = BTreeMap::new();
     // Of a unit that has not begun nothing is known.
@@ -175,13 +190,9 @@ fn parts_of_films(units: &[UnitRow]) -> BTreeMap<String, FilmParts> {
         if !outcome.is_finished() {
             continue;
         }
-        let shown = rendered(pass, &outcome.fields);
+        film.compare(name, rendered(pass, &outcome.fields), outcome);
         if film.units.is_empty() {
-            (film.fps, film.frames, film.rendered) = (fps, frames, shown);
-            film.inputs = outcome.inputs.clone();
-        } else if film.other.is_none() {
-            let changed = || changed_file(&film.inputs, &outcome.inputs);
-            film.other = difference(&film.rendered, &shown).or_else(changed).map(|path| (name.clone(), path));
+            (film.fps, film.frames) = (fps, frames);
         }
         film.units.push(name.clone());
     }
@@ -228,7 +239,7 @@ fn frames_of(out: &Path, pass: &str, parts: &FilmParts) -> Vec<PathBuf> {
 
 /// Why a film cannot be joined from these parts.
 fn obstacle(film: &Path, parts: &FilmParts, first: Option<&PathBuf>) -> Result<Option<String>> {
-    if let (Some((other, path)), Some(unit)) = (&parts.other, parts.units.first()) {
+    if let Some(([unit, other], path)) = &parts.other {
         let again = "run the units of the older one again in another folder";
         return Ok(Some(format!("{unit} and {other} are of different films ({path}): {again}")));
     }
@@ -300,18 +311,25 @@ mod tests {
         assert_eq!((film.units.len(), &film.other), (1, &None));
         units.push(with("12", "(24, 24)", unit("turn_000024-000047", "finished", &[])));
         assert_eq!(parts_of_films(&units)["turn"].other, None);
-        // The first was rendered from another albedo, which is at this path on its machine.
-        for (unit, (path, hash)) in units.iter_mut().zip([("a/albedo.exr", "1"), ("b/albedo.exr", "2")]) {
-            unit.1.inputs = [(path.to_owned(), hash.to_owned())].into();
-        }
+        // The first has another albedo, which is at another path on its machine; the second and a third do not agree.
+        let read = |path: &str, hash: &str| [(path.to_owned(), hash.to_owned())].into();
+        (units[0].1.inputs, units[1].1.inputs) = (read("a/albedo.exr", "1"), read("b/albedo.exr", "2"));
         assert_eq!(parts_of_films(&units)["turn"].other, None);
         let mut changed = with("12", "(24, 24)", unit("turn_000030-000039", "finished", &[]));
-        changed.1.inputs = [("a/albedo.exr".to_owned(), "2".to_owned())].into();
+        changed.1.inputs = read("b/albedo.exr", "3");
         units.push(changed);
-        let other = |path: &str| Some(("turn_000030-000039".to_owned(), path.to_owned()));
-        assert_eq!(parts_of_films(&units)["turn"].other, other("a/albedo.exr"));
+        let other = |first: &str, path: &str| {
+            Some(([first.to_owned(), "turn_000030-000039".to_owned()], path.to_owned()))
+        };
+        let second = units[1].0.clone();
+        let found = parts_of_films(&units)["turn"].other.clone();
+        assert_eq!(
+            (found, second.as_str()),
+            (other("turn_000024-000047", "b/albedo.exr"), "turn_000024-000047")
+        );
         *units.last_mut().unwrap() = with("25", "(30, 10)", unit("turn_000030-000039", "finished", &[]));
-        assert_eq!(parts_of_films(&units)["turn"].other, other("passes.turn.render.orbit.fps"));
+        let path = "passes.turn.render.orbit.fps";
+        assert_eq!(parts_of_films(&units)["turn"].other, other("turn_000000-000023", path));
     }
 
     #[test]

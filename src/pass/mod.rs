@@ -171,9 +171,10 @@ fn run_passes(
     let data = OpenScene::new(&loaded.scene, loaded.roots.as_deref())?;
     let claim = claim(loaded, data.as_ref(), options)?;
     let watched = Watched::new(files::contents(loaded, data.as_ref()));
-    // From here on all processes do the same.
-    let held_stops = options.ranks.as_ref().map(|_| HeldStops::new());
-    let (views, survey) = read_views(&loaded.scene, data.as_ref(), options.ranks.as_ref(), progress)?;
+    let ranks = options.ranks.as_ref().filter(|ranks| ranks.size() > 1);
+    // Processes that read photographs together also stop together; the session holds stops after them.
+    let held_stops = ranks.filter(|_| data.is_some()).map(|_| HeldStops::new());
+    let (views, survey) = read_views(&loaded.scene, data.as_ref(), ranks, progress)?;
     let scene = within_limits(&loaded.scene, survey.as_ref(), options, progress)?;
     let mut session = open(&scene, views, options, progress, photograph::take, use_of(&scene))?;
     if let Some(survey) = survey {

@@ -2,12 +2,12 @@
 //!
 //! | name | unit | value | meaning |
 //! | --- | --- | --- | --- |
-//! | [`AT_A_TIME`] | | 64 | views that are read before the processes exchange them |
+//! | [`AT_A_TIME`] | | 32 | views that are read before the processes exchange them |
 
 use crate::checkpoint::packed::{from_bytes, to_bytes};
 use crate::dataset::{LoadedView, PlannedView, load_notes};
-use crate::error::Result;
 use crate::error::stop::check_interrupted;
+use crate::error::{Error, Result};
 use crate::pass::progress::Progress;
 use crate::ranks::Ranks;
 use crate::scene::{Pass, Scene, Surface};
@@ -16,8 +16,8 @@ use crate::survey::{Severity, Survey, ViewLook};
 use crate::view::ViewRecord;
 use rayon::prelude::*;
 
-/// Views that are read before the processes exchange them, so that what is on its way takes little memory; more with more than so many processes.
-const AT_A_TIME: usize = 64;
+/// Views that are read before the processes exchange them: only these are in memory several times. More with more than so many processes.
+const AT_A_TIME: usize = 32;
 
 /// A view, and what a survey keeps of it.
 type ReadView = (LoadedView, Option<ViewLook>);
@@ -43,7 +43,7 @@ pub(super) fn read_data(
         bar.inc(1);
         Ok((loaded, look))
     };
-    let read = match ranks.filter(|ranks| ranks.size() > 1) {
+    let read = match ranks {
         None => read_all(&open.views, read)?,
         Some(ranks) => {
             let views = read_shares(&open.views, ranks, read, || bar.inc(1))?;
@@ -88,6 +88,10 @@ fn read_shares(
     read: impl Fn(&PlannedView) -> Result<ReadView> + Sync + Send,
     arrived: impl Fn() + Sync + Send,
 ) -> Result<Vec<ReadView>> {
+    let said = ranks.join_lists(&[to_bytes(&views.len())?], ranks.size())?;
+    if said.iter().any(|other| *other != said[0]) {
+        return Err(other_data("numbers of views"));
+    }
     let mut all = Vec::with_capacity(views.len());
     for views in views.chunks(AT_A_TIME.max(ranks.size())) {
         let own = ranks.share(views.len(), 1);
@@ -100,7 +104,9 @@ fn read_shares(
         // All know by now whether one of them is asked to stop.
         check_interrupted()?;
         let received = |(planned, bytes): (&PlannedView, &Vec<u8>)| {
-            let mut read: ReadView = from_bytes(bytes)?;
+            let read: Option<ReadView> = from_bytes(bytes).ok();
+            let same = read.filter(|(loaded, _)| loaded.record.name == planned.name());
+            let mut read = same.ok_or_else(|| other_data(planned.name()))?;
             read.0.share_tables(planned);
             arrived();
             Ok(read)
@@ -115,4 +121,11 @@ fn read_shares(
         all.extend(of(own.end..views.len())?);
     }
     Ok(all)
+}
+
+/// What was received is of another data set.
+fn other_data(what: &str) -> Error {
+    let problem =
+        format!("the processes have different data sets, or programs of different versions ({what})");
+    Error::run("sending photographs between processes", problem)
 }
