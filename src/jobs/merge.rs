@@ -313,7 +313,7 @@ mod tests {
         assert_eq!(parts_of_films(&units)["turn"].other, None);
         // The first has another albedo, which is at another path on its machine; the second and a third do not agree.
         let read = |path: &str, hash: &str| [(path.to_owned(), hash.to_owned())].into();
-        (units[0].1.inputs, units[1].1.inputs) = (read("a/albedo.exr", "1"), read("b/albedo.exr", "2"));
+        (units[0].1.inputs, units[3].1.inputs) = (read("a/albedo.exr", "1"), read("b/albedo.exr", "2"));
         assert_eq!(parts_of_films(&units)["turn"].other, None);
         let mut changed = with("12", "(24, 24)", unit("turn_000030-000039", "finished", &[]));
         changed.1.inputs = read("b/albedo.exr", "3");
@@ -321,7 +321,7 @@ mod tests {
         let other = |first: &str, path: &str| {
             Some(([first.to_owned(), "turn_000030-000039".to_owned()], path.to_owned()))
         };
-        let second = units[1].0.clone();
+        let second = units[3].0.clone();
         let found = parts_of_films(&units)["turn"].other.clone();
         assert_eq!(
             (found, second.as_str()),
